@@ -1,0 +1,85 @@
+//! Pinhole cameras.
+
+use glam::{DMat3, DQuat, DVec3};
+use serde::{Deserialize, Serialize};
+
+/// A pinhole camera and its pose.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Camera {
+    /// Image width, px.
+    pub width: u32,
+    /// Image height, px.
+    pub height: u32,
+    /// Focal lengths `[fx, fy]`, px.
+    pub focal_px: [f64; 2],
+    /// Principal point `[cx, cy]`, px from the top-left corner of the image.
+    pub principal_px: [f64; 2],
+    /// Rotation part of `camera_from_world`.
+    pub camera_from_world_rotation: DQuat,
+    /// Translation part of `camera_from_world`.
+    pub camera_from_world_translation: DVec3,
+}
+
+impl Camera {
+    /// Rotation part of `camera_from_world` as a matrix.
+    pub fn rotation(&self) -> DMat3 {
+        DMat3::from_quat(self.camera_from_world_rotation.normalize())
+    }
+
+    /// A world point in camera coordinates.
+    pub fn camera_from_world(&self, point_in_world: DVec3) -> DVec3 {
+        self.rotation() * point_in_world + self.camera_from_world_translation
+    }
+
+    /// The camera's centre in world coordinates.
+    pub fn centre_in_world(&self) -> DVec3 {
+        -(self.rotation().transpose() * self.camera_from_world_translation)
+    }
+
+    /// Pixel coordinate of a point in camera coordinates (pixel centres at integers).
+    pub fn pixel_from_camera(&self, point: DVec3) -> [f64; 2] {
+        [
+            self.focal_px[0] * point.x / point.z + self.principal_px[0] - 0.5,
+            self.focal_px[1] * point.y / point.z + self.principal_px[1] - 0.5,
+        ]
+    }
+
+    /// Tangents of half the horizontal and vertical field of view.
+    pub fn tan_half_fov(&self) -> [f64; 2] {
+        [f64::from(self.width) / (2.0 * self.focal_px[0]), f64::from(self.height) / (2.0 * self.focal_px[1])]
+    }
+
+    /// The same camera for its image resized to `width` x `height`.
+    pub fn resized(&self, width: u32, height: u32) -> Self {
+        let [sx, sy] = [f64::from(width) / f64::from(self.width), f64::from(height) / f64::from(self.height)];
+        Self {
+            width,
+            height,
+            focal_px: [self.focal_px[0] * sx, self.focal_px[1] * sy],
+            principal_px: [self.principal_px[0] * sx, self.principal_px[1] * sy],
+            ..*self
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_centre_maps_to_the_origin_and_resizing_keeps_the_view() {
+        let camera = Camera {
+            width: 640,
+            height: 480,
+            focal_px: [500.0, 510.0],
+            principal_px: [310.0, 250.0],
+            camera_from_world_rotation: DQuat::from_euler(glam::EulerRot::XYZ, 0.3, -0.2, 0.9),
+            camera_from_world_translation: DVec3::new(1.0, -2.0, 3.0),
+        };
+        assert!(camera.camera_from_world(camera.centre_in_world()).length() < 1e-12);
+        let half = camera.resized(320, 240);
+        let point = DVec3::new(0.2, -0.1, 2.0);
+        let ([u, v], [u2, v2]) = (camera.pixel_from_camera(point), half.pixel_from_camera(point));
+        assert!(((u + 0.5) / 2.0 - (u2 + 0.5)).abs() < 1e-12 && ((v + 0.5) / 2.0 - (v2 + 0.5)).abs() < 1e-12);
+    }
+}

@@ -1,0 +1,196 @@
+//! A change of the rows of a cloud, decided by density control and applied by the backend to parameters and moments.
+
+use crate::covariance::world_offset;
+use crate::gaussians::{Gaussians, Moments};
+use crate::genes::Gene;
+use crate::rng::{Rng, Stream};
+
+/// How a new row is made from an old one.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Origin {
+    /// The same Gaussian; its moments are kept.
+    Kept,
+    /// An exact copy with fresh moments (3DGS does not displace clones; facts: quirk 4).
+    Clone,
+    /// One of two children, drawn from the parent's own distribution, scales divided by 1.6, fresh moments.
+    SplitChild {
+        /// 0 or 1.
+        child: u8,
+    },
+    /// MCMC: a copy whose opacity and scales are set so that the sum of the copies renders like the source;
+    /// moments are fresh.
+    Relocated {
+        /// New opacity logit.
+        opacity_logit: f32,
+        /// Added to all three log-scales.
+        log_scale_shift: f32,
+        /// Keep the moments of the source row.
+        keep_moments: bool,
+    },
+}
+
+/// A list of new rows, each made from an old one.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct RowEdit {
+    /// Old row of each new row.
+    pub sources: Vec<u32>,
+    /// How each new row is made.
+    pub origins: Vec<Origin>,
+    /// Counter of the random stream that split children are drawn from: the iteration.
+    pub iteration: u32,
+}
+
+impl RowEdit {
+    /// Keeps `rows` and drops all others.
+    pub fn keep(rows: Vec<u32>) -> Self {
+        let origins = vec![Origin::Kept; rows.len()];
+        Self { sources: rows, origins, iteration: 0 }
+    }
+
+    /// True when the edit would change nothing in a cloud of `n` rows.
+    pub fn is_identity(&self, n: usize) -> bool {
+        self.sources.len() == n
+            && self.origins.iter().all(|origin| *origin == Origin::Kept)
+            && self.sources.iter().enumerate().all(|(row, &source)| row as u32 == source)
+    }
+
+    /// Appends a new row.
+    pub fn push(&mut self, source: u32, origin: Origin) {
+        self.sources.push(source);
+        self.origins.push(origin);
+    }
+
+    /// The host's implementation: new parameters and moments. Column by column, so that at most one column
+    /// exists twice.
+    pub fn apply(&self, cloud: &mut Gaussians, moments: &mut Moments, rng: &Rng) {
+        let positions: Vec<[f32; 3]> =
+            self.rows().map(|(row, origin)| self.position(cloud, row, origin, rng)).collect();
+        cloud.positions = positions;
+        cloud.log_scales =
+            self.rows().map(|(row, origin)| new_log_scale(cloud.log_scales[row], origin)).collect();
+        cloud.opacity_logits =
+            self.rows().map(|(row, origin)| new_opacity(cloud.opacity_logits[row], origin)).collect();
+        cloud.rotations = self.gather(&cloud.rotations);
+        cloud.sh = self.gather(&cloud.sh);
+        cloud.filter_3d = cloud.filter_3d.as_ref().map(|filter| self.gather(filter));
+        for moment in [&mut moments.first, &mut moments.second] {
+            moment.positions = self.gather_kept(&moment.positions, [0.0; 3]);
+            moment.log_scales = self.gather_kept(&moment.log_scales, [0.0; 3]);
+            moment.opacity_logits = self.gather_kept(&moment.opacity_logits, 0.0);
+            moment.rotations = self.gather_kept(&moment.rotations, [0.0; 4]);
+            moment.sh = self.gather_kept(&moment.sh, [0.0; crate::spherical_harmonics::SH_STRIDE]);
+        }
+    }
+
+    /// A column whose new rows are copies of the old ones.
+    pub fn gather<T: Copy>(&self, column: &[T]) -> Vec<T> {
+        self.sources.iter().map(|&source| column[source as usize]).collect()
+    }
+
+    /// A column of moments: kept rows keep theirs, new rows start from `fresh`.
+    fn gather_kept<T: Copy>(&self, column: &[T], fresh: T) -> Vec<T> {
+        self.rows().map(|(row, origin)| if keeps_moments(origin) { column[row] } else { fresh }).collect()
+    }
+
+    fn rows(&self) -> impl Iterator<Item = (usize, Origin)> {
+        self.sources.iter().zip(&self.origins).map(|(&source, &origin)| (source as usize, origin))
+    }
+
+    fn position(&self, cloud: &Gaussians, row: usize, origin: Origin, rng: &Rng) -> [f32; 3] {
+        let mean = cloud.positions[row];
+        let Origin::SplitChild { child } = origin else { return mean };
+        let draw = rng.at(Stream::SplitOffset, self.iteration, row as u32, u32::from(child));
+        let ([a, b], [c, _]) = (draw.normals(0), draw.normals(1));
+        let offset = world_offset(cloud.rotations[row], cloud.log_scales[row], [a, b, c]);
+        std::array::from_fn(|axis| mean[axis] + offset[axis])
+    }
+}
+
+fn keeps_moments(origin: Origin) -> bool {
+    matches!(origin, Origin::Kept | Origin::Relocated { keep_moments: true, .. })
+}
+
+/// Children are 1.6 times smaller: two of them at 0.8 of half the parent's size (3DGS: `s / (0.8 · 2)`).
+pub const SPLIT_SHRINK: f32 = 1.6;
+
+/// The log-scale that a new row gets.
+pub fn new_log_scale(log_scale: [f32; 3], origin: Origin) -> [f32; 3] {
+    match origin {
+        Origin::SplitChild { .. } => log_scale.map(|value| (value.exp() / SPLIT_SHRINK).ln()),
+        Origin::Relocated { log_scale_shift, .. } => log_scale.map(|value| value + log_scale_shift),
+        Origin::Kept | Origin::Clone => log_scale,
+    }
+}
+
+fn new_opacity(opacity_logit: f32, origin: Origin) -> f32 {
+    match origin {
+        Origin::Relocated { opacity_logit, .. } => opacity_logit,
+        _ => opacity_logit,
+    }
+}
+
+/// Gene accumulators are carried through an edit: children inherit their parent's history.
+pub fn carry_genes(edit: &RowEdit, sums: &[Gene]) -> Vec<Gene> {
+    edit.gather(sums)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn cloud() -> Gaussians {
+        let mut cloud = Gaussians::zeros(3);
+        for row in 0..3 {
+            cloud.positions[row] = [row as f32, 0.0, 0.0];
+            cloud.opacity_logits[row] = row as f32;
+            cloud.sh[row][0] = row as f32;
+        }
+        cloud
+    }
+
+    #[test]
+    fn kept_rows_keep_moments_and_new_rows_start_fresh() {
+        let mut edit = RowEdit { iteration: 600, ..RowEdit::default() };
+        edit.push(2, Origin::Kept);
+        edit.push(2, Origin::Clone);
+        edit.push(0, Origin::SplitChild { child: 0 });
+        edit.push(0, Origin::SplitChild { child: 1 });
+        let (mut cloud, mut moments) = (cloud(), Moments::zeros(3));
+        moments.first.opacity_logits = vec![1.0, 2.0, 3.0];
+        edit.apply(&mut cloud, &mut moments, &Rng::new(1));
+        assert!(cloud.is_consistent());
+        assert_eq!(cloud.opacity_logits, [2.0, 2.0, 0.0, 0.0]);
+        assert_eq!(cloud.positions[1], cloud.positions[0], "a clone is not displaced");
+        assert_ne!(cloud.positions[2], cloud.positions[3], "children are drawn independently");
+        assert!((cloud.log_scales[2][0].exp() - 1.0 / 1.6).abs() < 1e-6);
+        assert_eq!(moments.first.opacity_logits, [3.0, 0.0, 0.0, 0.0]);
+    }
+
+    #[test]
+    fn split_children_follow_the_parents_distribution() {
+        let mut parent = Gaussians::zeros(1);
+        parent.log_scales[0] = [2f32.ln(), 1f32.ln(), 0.5f32.ln()];
+        let n = 4000u32;
+        let mut sums = [0.0f64; 3];
+        for iteration in 0..n {
+            let mut edit = RowEdit { iteration, ..RowEdit::default() };
+            edit.push(0, Origin::SplitChild { child: 0 });
+            let mut child = parent.clone();
+            edit.apply(&mut child, &mut Moments::zeros(1), &Rng::new(5));
+            for axis in 0..3 {
+                sums[axis] += f64::from(child.positions[0][axis]).powi(2) / f64::from(n);
+            }
+        }
+        for (axis, expected) in [4.0, 1.0, 0.25].into_iter().enumerate() {
+            // Four standard errors of a variance estimate: 4 · sqrt(2/n) = 9 %.
+            assert!((sums[axis] / expected - 1.0).abs() < 0.09, "axis {axis}: {}", sums[axis]);
+        }
+    }
+
+    #[test]
+    fn identity_is_recognised() {
+        assert!(RowEdit::keep(vec![0, 1, 2]).is_identity(3));
+        assert!(!RowEdit::keep(vec![0, 2, 1]).is_identity(3));
+        assert!(!RowEdit::keep(vec![0, 1]).is_identity(3));
+    }
+}

@@ -1,0 +1,148 @@
+//! The cloud of Gaussians, structure of arrays, and Adam's moments in the same shape.
+
+use crate::genes::{Gene, SparseDelta};
+use crate::spherical_harmonics::SH_STRIDE;
+
+/// A cloud of `N` Gaussians; all parameters raw (before activation).
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Gaussians {
+    /// Means, world units `[N, 3]`.
+    pub positions: Vec<[f32; 3]>,
+    /// Natural logarithms of the standard deviations along the own axes `[N, 3]`.
+    pub log_scales: Vec<[f32; 3]>,
+    /// Quaternions `(w, x, y, z)`, not normalised `[N, 4]`.
+    pub rotations: Vec<[f32; 4]>,
+    /// Opacities before the sigmoid `[N]`.
+    pub opacity_logits: Vec<f32>,
+    /// Spherical harmonics `[N, 3 channels, 16 coefficients]`; coefficient 0 is the base colour ("dc").
+    pub sh: Vec<[f32; SH_STRIDE]>,
+    /// Mip-Splatting's 3D filter, standard deviation in world units `[N]`; `None` for every other variant.
+    pub filter_3d: Option<Vec<f32>>,
+}
+
+impl Gaussians {
+    /// `N`.
+    pub fn len(&self) -> usize {
+        self.positions.len()
+    }
+
+    /// True for a cloud without Gaussians.
+    pub fn is_empty(&self) -> bool {
+        self.positions.is_empty()
+    }
+
+    /// A cloud of `n` rows of zeros (identity rotations): the shape that gradients and tests start from.
+    pub fn zeros(n: usize) -> Self {
+        Self {
+            positions: vec![[0.0; 3]; n],
+            log_scales: vec![[0.0; 3]; n],
+            rotations: vec![[1.0, 0.0, 0.0, 0.0]; n],
+            opacity_logits: vec![0.0; n],
+            sh: vec![[0.0; SH_STRIDE]; n],
+            filter_3d: None,
+        }
+    }
+
+    /// The seven genes of a row: position, log-scale, opacity logit.
+    #[inline]
+    pub fn genes(&self, row: usize) -> Gene {
+        let (p, s) = (self.positions[row], self.log_scales[row]);
+        [p[0], p[1], p[2], s[0], s[1], s[2], self.opacity_logits[row]]
+    }
+
+    /// Overwrites the seven genes of a row.
+    #[inline]
+    pub fn set_genes(&mut self, row: usize, genes: &Gene) {
+        self.positions[row] = [genes[0], genes[1], genes[2]];
+        self.log_scales[row] = [genes[3], genes[4], genes[5]];
+        self.opacity_logits[row] = genes[6];
+    }
+
+    /// Applies an individual to the cloud that it was bred from.
+    pub fn apply(&mut self, delta: &SparseDelta) {
+        for (&row, genes) in delta.rows.iter().zip(&delta.genes) {
+            self.set_genes(row as usize, genes);
+        }
+    }
+
+    /// The first row that holds a value that is not finite, with the name of the parameter.
+    pub fn first_non_finite(&self) -> Option<(usize, &'static str)> {
+        fn first<const K: usize>(rows: &[[f32; K]], name: &'static str) -> Option<(usize, &'static str)> {
+            rows.iter().position(|row| row.iter().any(|v| !v.is_finite())).map(|row| (row, name))
+        }
+        first(&self.positions, "position")
+            .or_else(|| first(&self.log_scales, "log-scale"))
+            .or_else(|| first(&self.rotations, "rotation"))
+            .or_else(|| self.opacity_logits.iter().position(|v| !v.is_finite()).map(|row| (row, "opacity")))
+            .or_else(|| first(&self.sh, "colour"))
+    }
+
+    /// True when every column has `N` rows.
+    pub fn is_consistent(&self) -> bool {
+        let n = self.len();
+        self.log_scales.len() == n
+            && self.rotations.len() == n
+            && self.opacity_logits.len() == n
+            && self.sh.len() == n
+            && self.filter_3d.as_ref().is_none_or(|filter| filter.len() == n)
+    }
+}
+
+/// Adam's first and second moments of every trained parameter; rows match those of the cloud.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Moments {
+    /// Running means of the gradients.
+    pub first: Gaussians,
+    /// Running means of the squared gradients.
+    pub second: Gaussians,
+}
+
+impl Moments {
+    /// No history, for `n` rows.
+    pub fn zeros(n: usize) -> Self {
+        let mut zero = Gaussians::zeros(n);
+        zero.rotations.fill([0.0; 4]);
+        Self { first: zero.clone(), second: zero }
+    }
+}
+
+/// The logistic function.
+#[inline]
+pub fn sigmoid(x: f32) -> f32 {
+    1.0 / (1.0 + (-x).exp())
+}
+
+/// Inverse of [`sigmoid`], for `p` in `(0, 1)`.
+#[inline]
+pub fn logit(p: f32) -> f32 {
+    (p / (1.0 - p)).ln()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn genes_round_trip() {
+        let mut cloud = Gaussians::zeros(2);
+        let genes = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0];
+        cloud.apply(&SparseDelta { rows: vec![1], genes: vec![genes] });
+        assert_eq!(cloud.genes(1), genes);
+        assert_eq!(cloud.genes(0), [0.0; 7]);
+    }
+
+    #[test]
+    fn a_nan_is_found_and_named() {
+        let mut cloud = Gaussians::zeros(3);
+        assert_eq!(cloud.first_non_finite(), None);
+        cloud.log_scales[2][1] = f32::NAN;
+        assert_eq!(cloud.first_non_finite(), Some((2, "log-scale")));
+    }
+
+    #[test]
+    fn logit_inverts_sigmoid() {
+        for p in [0.005, 0.01, 0.1, 0.5, 0.9] {
+            assert!((sigmoid(logit(p)) - p).abs() < 1e-6);
+        }
+    }
+}

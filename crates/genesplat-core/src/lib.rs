@@ -1,0 +1,31 @@
+//! Data and maths of genesplat, and nothing else: no input or output, no threads, no device.
+//!
+//! Every other crate speaks in these types. Conventions, once and for all:
+//! - **Frames.** `camera_from_world` maps world to camera coordinates; camera axes are x right, y down, z forward.
+//! - **Pixels.** The centre of pixel `i` is at coordinate `i`; a camera's principal point follows COLMAP, with the
+//!   top-left *corner* of the image at (0, 0), so `u = fx·x/z + cx − 0.5`.
+//! - **Parameters are raw** (before activation): log-scales, opacity logits, unnormalised `(w, x, y, z)` quaternions.
+//! - **Shapes** are written as `[N, 3]`, outermost first.
+
+pub mod backend;
+pub mod camera;
+pub mod constants;
+pub mod covariance;
+pub mod edit;
+pub mod gaussians;
+pub mod genes;
+pub mod image;
+pub mod rng;
+pub mod spherical_harmonics;
+pub mod statistics;
+
+pub use backend::{
+    Backend, BackendError, LearningRates, RenderSettings, ScreenFilter, TrainStep, Update, View,
+};
+pub use camera::Camera;
+pub use edit::{Origin, RowEdit};
+pub use gaussians::{Gaussians, Moments};
+pub use genes::{GENES, Gene, SparseDelta};
+pub use image::{Image, Photo};
+pub use rng::{Rng, Stream};
+pub use statistics::{DensitySignal, Statistics, StatisticsRequest};
