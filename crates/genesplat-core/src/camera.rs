@@ -1,10 +1,9 @@
 //! Pinhole cameras.
 
 use glam::{DMat3, DQuat, DVec3};
-use serde::{Deserialize, Serialize};
 
 /// A pinhole camera and its pose.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Camera {
     /// Image width, px.
     pub width: u32,
