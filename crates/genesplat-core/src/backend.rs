@@ -210,6 +210,9 @@ pub trait Backend {
     /// Sums since the last reset.
     fn statistics(&mut self) -> Result<Statistics, BackendError>;
 
+    /// Puts back sums that [`Backend::statistics`] gave (resume); empty gene columns mean "never asked for".
+    fn restore_statistics(&mut self, statistics: Statistics) -> Result<(), BackendError>;
+
     /// Zeroes the density columns, and the gene columns when `genes`.
     fn reset_statistics(&mut self, genes: bool);
 

@@ -1,1 +1,15 @@
-//! placeholder
+//! Every numeric stage of genesplat, under one name in every twin.
+//!
+//! | stage | does |
+//! |---|---|
+//! | `project` | means, covariances, colours of one view; their gradients back to the parameters |
+//! | `bin` | exact, opacity-aware tile and block lists in depth order |
+//! | `rasterise` | blends splats front to back; the same backwards |
+//! | `loss` | L1 + SSIM and its gradient |
+//! | `adam` | the optimiser step |
+//! | `score` | Eq. 5 of a whole population, forward only |
+//!
+//! [`reference`] is the oracle: f64, scalar, no tiles. [`cpu`] is the fast twin: f32, rayon, SIMD picked at run time.
+
+pub mod cpu;
+pub mod reference;
