@@ -1,0 +1,123 @@
+//! The optimiser step: Adam (Kingma and Ba 2015) in torch's form, `p ← p − lr · m̂ / (sqrt(v̂) + ε)`, six groups.
+//!
+//! It is dense: rows without a gradient keep moving on their momentum, as in 3DGS. For 3DGS-MCMC (Kheradmand et al.
+//! 2024) the step also regularises opacity and scale, and jiggles the positions of faint Gaussians afterwards.
+
+use genesplat_core::backend::Exploration;
+use genesplat_core::constants::{ADAM_BETA1, ADAM_BETA2, ADAM_EPSILON};
+use genesplat_core::spherical_harmonics::SH_COEFFICIENTS;
+use genesplat_core::{Rng, Stream, Update};
+use glam::DVec3;
+
+use super::Cloud64;
+use super::cloud::sigmoid;
+use super::covariance::Shape;
+
+/// MCMC's noise fades out over opacities around this value ...
+const NOISE_OPACITY: f64 = 0.005;
+/// ... with this steepness.
+const NOISE_STEEPNESS: f64 = 100.0;
+
+/// Adam's moments; rows match those of the cloud.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Moments64 {
+    /// Running means of the gradients.
+    pub first: Cloud64,
+    /// Running means of the squared gradients.
+    pub second: Cloud64,
+}
+
+impl Moments64 {
+    /// No history, for `n` rows.
+    pub fn zeros(n: usize) -> Self {
+        Self { first: Cloud64::zeros(n), second: Cloud64::zeros(n) }
+    }
+}
+
+/// One step. `rng` is read only for MCMC's noise.
+///
+/// # Panics
+/// When `update.step` is 0: steps are counted from 1.
+pub fn adam(cloud: &mut Cloud64, moments: &mut Moments64, gradient: &Cloud64, update: &Update, rng: &Rng) {
+    assert!(update.step > 0, "Adam steps are counted from 1");
+    match &update.exploration {
+        None => step_groups(cloud, moments, gradient, update),
+        Some(exploration) => {
+            let gradient = regularised(gradient, cloud, exploration);
+            step_groups(cloud, moments, &gradient, update);
+            explore(cloud, exploration, rng);
+        }
+    }
+}
+
+/// All six groups; base and view-dependent colour share rows but not their rate.
+fn step_groups(cloud: &mut Cloud64, moments: &mut Moments64, gradient: &Cloud64, update: &Update) {
+    let rates = update.rates;
+    let (m, v, step) = (&mut moments.first, &mut moments.second, update.step);
+    let columns = (cloud.positions.as_flattened_mut(), gradient.positions.as_flattened());
+    let history = (m.positions.as_flattened_mut(), v.positions.as_flattened_mut());
+    step_column(columns, history, step, |_| f64::from(rates.position));
+
+    let columns = (cloud.log_scales.as_flattened_mut(), gradient.log_scales.as_flattened());
+    let history = (m.log_scales.as_flattened_mut(), v.log_scales.as_flattened_mut());
+    step_column(columns, history, step, |_| f64::from(rates.scale));
+
+    let columns = (cloud.rotations.as_flattened_mut(), gradient.rotations.as_flattened());
+    let history = (m.rotations.as_flattened_mut(), v.rotations.as_flattened_mut());
+    step_column(columns, history, step, |_| f64::from(rates.rotation));
+
+    let columns = (cloud.sh.as_flattened_mut(), gradient.sh.as_flattened());
+    let history = (m.sh.as_flattened_mut(), v.sh.as_flattened_mut());
+    let is_dc = |index: usize| index.is_multiple_of(SH_COEFFICIENTS);
+    step_column(columns, history, step, |i| f64::from(if is_dc(i) { rates.sh_dc } else { rates.sh_rest }));
+
+    if update.opacity_step > 0 {
+        let columns = (&mut cloud.opacity_logits[..], &gradient.opacity_logits[..]);
+        let history = (&mut m.opacity_logits[..], &mut v.opacity_logits[..]);
+        step_column(columns, history, update.opacity_step, |_| f64::from(rates.opacity));
+    }
+}
+
+/// Adam over parallel columns; `rate` maps an index to its step size.
+fn step_column(
+    (values, gradients): (&mut [f64], &[f64]),
+    (first, second): (&mut [f64], &mut [f64]),
+    step: u32,
+    rate: impl Fn(usize) -> f64,
+) {
+    let (beta1, beta2) = (f64::from(ADAM_BETA1), f64::from(ADAM_BETA2));
+    let (unbias1, unbias2) = (1.0 - beta1.powf(f64::from(step)), 1.0 - beta2.powf(f64::from(step)));
+    for i in 0..values.len() {
+        first[i] = beta1 * first[i] + (1.0 - beta1) * gradients[i];
+        second[i] = beta2 * second[i] + (1.0 - beta2) * gradients[i] * gradients[i];
+        let denominator = (second[i] / unbias2).sqrt() + f64::from(ADAM_EPSILON);
+        values[i] -= rate(i) * (first[i] / unbias1) / denominator;
+    }
+}
+
+/// MCMC: the gradient with those of `opacity_weight · mean(opacity) + scale_weight · mean(scale)` added.
+fn regularised(gradient: &Cloud64, cloud: &Cloud64, exploration: &Exploration) -> Cloud64 {
+    let n = cloud.len() as f64;
+    let mut gradient = gradient.clone();
+    for row in 0..cloud.len() {
+        let opacity = sigmoid(cloud.opacity_logits[row]);
+        gradient.opacity_logits[row] += f64::from(exploration.opacity_weight) / n * opacity * (1.0 - opacity);
+        for axis in 0..3 {
+            let scale = cloud.log_scales[row][axis].exp();
+            gradient.log_scales[row][axis] += f64::from(exploration.scale_weight) / (3.0 * n) * scale;
+        }
+    }
+    gradient
+}
+
+/// MCMC: moves each mean by `noise · σ(−100 (opacity − 0.005)) · Σ ξ`, with `ξ` standard normal.
+fn explore(cloud: &mut Cloud64, exploration: &Exploration, rng: &Rng) {
+    for row in 0..cloud.len() {
+        let draw = rng.at(Stream::ExplorationNoise, exploration.iteration, row as u32, 0);
+        let ([x, y], [z, _]) = (draw.normals(0), draw.normals(1));
+        let xi = DVec3::new(f64::from(x), f64::from(y), f64::from(z));
+        let faintness = sigmoid(-NOISE_STEEPNESS * (sigmoid(cloud.opacity_logits[row]) - NOISE_OPACITY));
+        let step = Shape::new(cloud, row).covariance() * xi * (f64::from(exploration.noise) * faintness);
+        (0..3).for_each(|axis| cloud.positions[row][axis] += step[axis]);
+    }
+}
