@@ -1,1 +1,22 @@
-//! The CPU backend.
+//! The CPU backend: every stage on all cores, with the widest vectors that the machine has.
+//!
+//! Work is cut into pieces of fixed size and every sum has a fixed order, so that results are the same bytes for any
+//! number of threads. Threads are those of the ambient rayon pool.
+
+mod bin;
+mod colour;
+mod loss;
+mod project;
+mod rasterise;
+mod score;
+mod simd;
+mod update;
+
+mod backend;
+mod frame;
+
+pub use backend::CpuBackend;
+pub use frame::{Frame, StageSeconds};
+
+#[cfg(test)]
+mod tests;

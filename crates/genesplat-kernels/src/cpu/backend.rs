@@ -1,0 +1,272 @@
+//! [`Backend`] for the CPU.
+
+use fearless_simd::Level;
+use genesplat_core::gaussians::{logit, sigmoid};
+use genesplat_core::{
+    Backend, BackendError, Camera, DensitySignal, Gaussians, Image, Moments, RenderSettings, Rng, RowEdit,
+    SparseDelta, Statistics, TrainStep, View, backend::MomentPolicy, backend::StepReport,
+};
+
+use super::frame::{Frame, StageSeconds, timed};
+use super::loss::Target;
+use super::project::Pinhole;
+use super::rasterise::Extra;
+use super::score::{BaseView, score};
+use super::update::{Inputs, update};
+
+struct TrainView {
+    camera: Pinhole,
+    target: Target,
+}
+
+/// A cloud in main memory, trained by all threads of the ambient rayon pool.
+pub struct CpuBackend {
+    level: Level,
+    rng: Rng,
+    cloud: Gaussians,
+    moments: Moments,
+    statistics: Statistics,
+    views: Vec<TrainView>,
+    frame: Frame,
+    report: StepReport,
+    steps: u32,
+    bases: Bases,
+}
+
+/// Base views of the scoring stage, kept while the cloud does not change.
+#[derive(Default)]
+struct Bases {
+    settings: RenderSettings,
+    views: Vec<(usize, BaseView)>,
+}
+
+impl CpuBackend {
+    /// An empty backend; `seed` is that of the run (split children are drawn from it).
+    pub fn new(seed: u64) -> Self {
+        Self {
+            level: Level::new(),
+            rng: Rng::new(seed),
+            cloud: Gaussians::default(),
+            moments: Moments::default(),
+            statistics: Statistics::default(),
+            views: Vec::new(),
+            frame: Frame::default(),
+            report: StepReport::default(),
+            steps: 0,
+            bases: Bases::default(),
+        }
+    }
+
+    /// Time spent in each stage since the last call.
+    pub fn take_stage_seconds(&mut self) -> StageSeconds {
+        std::mem::take(&mut self.frame.seconds)
+    }
+
+    fn reset_density(&mut self) {
+        let n = self.cloud.len();
+        for column in [&mut self.statistics.gradient_sum, &mut self.statistics.weight_sum] {
+            column.clear();
+            column.resize(n, 0.0);
+        }
+    }
+
+    /// Gene columns exist from the first step that asks for them.
+    fn grow_statistics(&mut self, genes: bool) {
+        let n = self.cloud.len();
+        self.statistics.gradient_sum.resize(n, 0.0);
+        self.statistics.weight_sum.resize(n, 0.0);
+        if genes {
+            self.statistics.gene_gradient_sum.resize(n, [0.0; 7]);
+            self.statistics.gene_views.resize(n, 0);
+        }
+    }
+
+    /// The cloud changed: what scoring remembers of it is stale.
+    fn touch(&mut self) {
+        self.bases.views.clear();
+    }
+
+    fn non_finite(&self) -> BackendError {
+        let (row, parameter) = self.cloud.first_non_finite().unwrap_or((0, "gradient"));
+        BackendError::NonFinite { row, parameter, steps: self.steps }
+    }
+}
+
+fn extra(signal: Option<DensitySignal>) -> Extra {
+    match signal {
+        Some(DensitySignal::Absolute) => Extra::Absolute,
+        Some(DensitySignal::PixelWeighted { .. }) => Extra::Pixels,
+        Some(DensitySignal::Signed) | None => Extra::None,
+    }
+}
+
+impl Backend for CpuBackend {
+    fn describe(&self) -> String {
+        format!("CPU, {} threads, {:?}", rayon::current_num_threads(), self.level)
+    }
+
+    fn len(&self) -> usize {
+        self.cloud.len()
+    }
+
+    fn set_views(&mut self, views: &[View]) -> Result<(), BackendError> {
+        self.touch();
+        self.views = views
+            .iter()
+            .map(|view| TrainView {
+                camera: Pinhole::from(&view.camera),
+                target: Target::from(view.photo.as_ref()),
+            })
+            .collect();
+        Ok(())
+    }
+
+    fn upload(&mut self, cloud: Gaussians, moments: Option<Moments>) -> Result<(), BackendError> {
+        self.touch();
+        self.moments = moments.unwrap_or_else(|| Moments::zeros(cloud.len()));
+        self.cloud = cloud;
+        self.statistics = Statistics::default();
+        self.reset_density();
+        Ok(())
+    }
+
+    fn download(&mut self) -> Result<Gaussians, BackendError> {
+        Ok(self.cloud.clone())
+    }
+
+    fn download_moments(&mut self) -> Result<Moments, BackendError> {
+        Ok(self.moments.clone())
+    }
+
+    fn render(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<Image, BackendError> {
+        self.frame.render(self.level, &self.cloud, &Pinhole::from(camera), settings);
+        Ok(self.frame.image.clone())
+    }
+
+    fn train_step(&mut self, step: &TrainStep) -> Result<(), BackendError> {
+        if step.update.is_some_and(|update| update.exploration.is_some()) {
+            return Err(BackendError::Unsupported(
+                "exploration noise is not available on the CPU backend yet".into(),
+            ));
+        }
+        self.touch();
+        self.grow_statistics(step.statistics.genes);
+        let view = &self.views[step.view];
+        let (camera, settings) = (view.camera, step.settings);
+        self.frame.render(self.level, &self.cloud, &camera, &settings);
+        let loss = self.frame.backward(self.level, &camera, &view.target, extra(step.statistics.density));
+        if !loss.is_finite() {
+            return Err(self.non_finite());
+        }
+        let Frame { chunks, bins, rows, seconds, .. } = &mut self.frame;
+        let inputs = Inputs { chunks, bins, rows, camera: &camera, settings: &settings };
+        timed(&mut seconds.update, || {
+            let (cloud, moments) = (&mut self.cloud, &mut self.moments);
+            update(
+                self.level,
+                &inputs,
+                cloud,
+                moments,
+                &mut self.statistics,
+                step.statistics,
+                step.update.as_ref(),
+            );
+        });
+        self.steps += u32::from(step.update.is_some());
+        self.report = StepReport { loss, visible: bins.splats.len(), tile_splats: bins.entries.len() };
+        Ok(())
+    }
+
+    fn report(&mut self) -> Result<StepReport, BackendError> {
+        Ok(self.report)
+    }
+
+    fn statistics(&mut self) -> Result<Statistics, BackendError> {
+        Ok(self.statistics.clone())
+    }
+
+    fn restore_statistics(&mut self, statistics: Statistics) -> Result<(), BackendError> {
+        self.statistics = statistics;
+        Ok(())
+    }
+
+    fn reset_statistics(&mut self, genes: bool) {
+        self.reset_density();
+        if genes {
+            self.statistics.gene_gradient_sum.clear();
+            self.statistics.gene_views.clear();
+        }
+    }
+
+    fn edit_rows(&mut self, edit: &RowEdit) -> Result<(), BackendError> {
+        self.touch();
+        edit.apply(&mut self.cloud, &mut self.moments, &self.rng);
+        if !self.statistics.gene_views.is_empty() {
+            self.statistics.gene_gradient_sum = edit.gather(&self.statistics.gene_gradient_sum);
+            self.statistics.gene_views = edit.gather(&self.statistics.gene_views);
+        }
+        self.reset_density();
+        Ok(())
+    }
+
+    fn reset_opacity(&mut self, ceiling: f32) -> Result<(), BackendError> {
+        self.touch();
+        for row in 0..self.cloud.len() {
+            let factor = self.cloud.filter_3d.as_ref().map_or(1.0, |filter| {
+                let variance = filter[row] * filter[row];
+                let ratio = |log_scale: f32| {
+                    let raw = (2.0 * log_scale).exp();
+                    raw / (raw + variance)
+                };
+                self.cloud.log_scales[row].map(ratio).iter().product::<f32>().sqrt()
+            });
+            let opacity = sigmoid(self.cloud.opacity_logits[row]) * factor;
+            self.cloud.opacity_logits[row] = logit(opacity.min(ceiling) / factor);
+        }
+        self.moments.first.opacity_logits.fill(0.0);
+        self.moments.second.opacity_logits.fill(0.0);
+        Ok(())
+    }
+
+    fn set_filter_3d(&mut self, filter: Vec<f32>) -> Result<(), BackendError> {
+        self.touch();
+        self.cloud.filter_3d = Some(filter);
+        Ok(())
+    }
+
+    fn apply(&mut self, delta: &SparseDelta, moments: MomentPolicy) -> Result<(), BackendError> {
+        self.touch();
+        self.cloud.apply(delta);
+        if moments == MomentPolicy::Zero {
+            for moment in [&mut self.moments.first, &mut self.moments.second] {
+                for &row in &delta.rows {
+                    moment.set_genes(row as usize, &[0.0; 7]);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn score(
+        &mut self,
+        population: &[SparseDelta],
+        views: &[usize],
+        settings: &RenderSettings,
+    ) -> Result<Vec<f32>, BackendError> {
+        if self.bases.settings != *settings {
+            self.bases = Bases { settings: *settings, views: Vec::new() };
+        }
+        for &view in views {
+            if !self.bases.views.iter().any(|(index, _)| *index == view) {
+                let base = BaseView::new(self.level, &self.cloud, self.views[view].camera, settings);
+                self.bases.views.push((view, base));
+            }
+        }
+        let bases: Vec<_> = views
+            .iter()
+            .filter_map(|view| self.bases.views.iter().find(|(index, _)| index == view))
+            .map(|(index, base)| (base, &self.views[*index].target))
+            .collect();
+        Ok(score(self.level, &self.cloud, population, &bases, settings))
+    }
+}

@@ -1,0 +1,338 @@
+//! Stage `bin`: which splats reach which tile, front to back, and which 4x4-pixel blocks of it.
+//!
+//! Exact and opacity-aware: a splat is listed where its ellipse `alpha ≥ 1/255` meets the pixel centres of a block. The
+//! ellipse is convex, so within a band of four pixel rows it covers one interval of columns; 16 bands are solved at
+//! once, one a lane. Order: splats are sorted by depth once (ties by row), visited in that order, and a counting sort
+//! by tile keeps it (as Splatshop and Faster-GS do; nothing is sorted per tile).
+
+use fearless_simd::{Level, Simd, dispatch, i32x16, prelude::*};
+use rayon::prelude::*;
+
+use super::project::{Pinhole, ProjectedChunk, Splat, TILE};
+use super::simd::{LANES, V};
+
+/// Side of a block, px: one block is one vector.
+pub const BLOCK: usize = 4;
+/// Blocks across a tile.
+pub const BLOCKS_ACROSS: usize = TILE / BLOCK;
+/// Splats that one task visits.
+const RANKS: usize = 1024;
+/// Widens every ellipse a little (in powers of two of alpha): lists may hold a splat in vain, never miss one.
+const SLACK_LOG2: f32 = 1e-3;
+/// The same for the interval ends, px.
+const SLACK_PX: f32 = 1e-2;
+/// `log2(255)`: the exponent at which alpha is 1/255, negated.
+pub const LOG2_255: f32 = 7.994_353_4;
+
+/// One splat in one tile.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct TileSplat {
+    /// Position in the depth-sorted splats.
+    pub rank: u32,
+    /// Bit `4·row + column` is set where the splat reaches that block of the tile.
+    pub blocks: u32,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Emission {
+    tile: u32,
+    entry: TileSplat,
+}
+
+/// The depth-sorted splats of a view and its tile lists.
+#[derive(Clone, Debug, Default)]
+pub struct Bins {
+    /// Splats, nearest first `[V]`.
+    pub splats: Vec<Splat>,
+    /// For each splat in row order (chunk after chunk), its rank `[V]`.
+    pub rank_of_visible: Vec<u32>,
+    /// Entries of all tiles, tile after tile, each front to back `[E]`.
+    pub entries: Vec<TileSplat>,
+    /// Where each tile's entries start; one more at the end `[tiles + 1]`.
+    pub tile_starts: Vec<u32>,
+    /// For each rank, where its positions start in `positions`; one more at the end `[V + 1]`.
+    pub position_starts: Vec<u32>,
+    /// Positions in `entries` of each rank's entries, rank after rank `[E]`.
+    pub positions: Vec<u32>,
+    scratch: Scratch,
+}
+
+#[derive(Clone, Debug, Default)]
+struct Scratch {
+    order: Vec<u64>,
+    swap: Vec<u64>,
+    unsorted: Vec<Splat>,
+    emissions: Vec<Vec<Emission>>,
+    counts: Vec<Vec<u32>>,
+}
+
+impl Bins {
+    /// Sorts the chunks' splats by depth and lists them by tile.
+    pub fn build(&mut self, level: Level, chunks: &[ProjectedChunk], camera: &Pinhole) {
+        self.sort(chunks);
+        self.list(level, camera);
+    }
+
+    /// The entries of one tile.
+    pub fn tile(&self, tile: usize) -> &[TileSplat] {
+        &self.entries[self.tile_starts[tile] as usize..self.tile_starts[tile + 1] as usize]
+    }
+
+    fn sort(&mut self, chunks: &[ProjectedChunk]) {
+        let scratch = &mut self.scratch;
+        scratch.unsorted.clear();
+        for chunk in chunks {
+            scratch.unsorted.extend_from_slice(&chunk.splats);
+        }
+        scratch.order.clear();
+        // Depths are positive, so their bits order as they do.
+        scratch.order.extend(
+            scratch.unsorted.iter().enumerate().map(|(i, s)| u64::from(s.depth.to_bits()) << 32 | i as u64),
+        );
+        radix_sort_high_half(&mut scratch.order, &mut scratch.swap);
+        self.splats.clear();
+        self.splats.extend(scratch.order.iter().map(|&key| scratch.unsorted[key as u32 as usize]));
+        self.rank_of_visible.resize(scratch.order.len(), 0);
+        for (rank, &key) in scratch.order.iter().enumerate() {
+            self.rank_of_visible[key as u32 as usize] = rank as u32;
+        }
+    }
+
+    fn list(&mut self, level: Level, camera: &Pinhole) {
+        let grid = camera.grid();
+        self.emit(level, grid);
+        let scratch = &self.scratch;
+
+        // Counting sort by tile: starts, then a stable fill.
+        let tiles = grid[0] * grid[1];
+        self.tile_starts.clear();
+        self.tile_starts.resize(tiles + 1, 0);
+        for emission in scratch.emissions.iter().flatten() {
+            self.tile_starts[emission.tile as usize + 1] += 1;
+        }
+        for tile in 0..tiles {
+            self.tile_starts[tile + 1] += self.tile_starts[tile];
+        }
+        let total = self.tile_starts[tiles] as usize;
+        self.entries.resize(total, TileSplat::default());
+        self.positions.resize(total, 0);
+        let mut next: Vec<u32> = self.tile_starts[..tiles].to_vec();
+        for (emission, position) in scratch.emissions.iter().flatten().zip(&mut self.positions) {
+            let slot = &mut next[emission.tile as usize];
+            self.entries[*slot as usize] = emission.entry;
+            *position = *slot;
+            *slot += 1;
+        }
+
+        self.position_starts.clear();
+        self.position_starts.push(0);
+        let mut sum = 0;
+        for &count in scratch.counts.iter().flatten() {
+            sum += count;
+            self.position_starts.push(sum);
+        }
+    }
+
+    fn emit(&mut self, level: Level, grid: [usize; 2]) {
+        let tasks = self.splats.len().div_ceil(RANKS);
+        let scratch = &mut self.scratch;
+        scratch.emissions.resize_with(tasks, Vec::new);
+        scratch.counts.resize_with(tasks, Vec::new);
+        let splats = &self.splats;
+        scratch.emissions.par_iter_mut().zip(&mut scratch.counts).enumerate().for_each(
+            |(task, (emissions, counts))| {
+                emissions.clear();
+                counts.clear();
+                let first = task * RANKS;
+                let end = splats.len().min(first + RANKS);
+                dispatch!(level, simd => {
+                    for rank in first..end {
+                        let before = emissions.len();
+                        for_each_tile(simd, &splats[rank], grid, |tile, blocks| {
+                            emissions.push(Emission { tile, entry: TileSplat { rank: rank as u32, blocks } });
+                        });
+                        counts.push((emissions.len() - before) as u32);
+                    }
+                });
+            },
+        );
+    }
+}
+
+/// Calls `each(tile, blocks)` for every tile that the splat reaches, row by row.
+#[inline(always)]
+pub fn for_each_tile<S: Simd>(simd: S, splat: &Splat, grid: [usize; 2], mut each: impl FnMut(u32, u32)) {
+    let band_limit = (grid[1] * BLOCKS_ACROSS) as i32;
+    let to_band = |y: f32| (y / BLOCK as f32).floor() as i32;
+    let first_band = to_band(splat.mean[1] - splat.half_extent[1] - SLACK_PX).clamp(0, band_limit);
+    let end_band = (to_band(splat.mean[1] + splat.half_extent[1] + SLACK_PX) + 1).clamp(0, band_limit);
+    let column_limit = (grid[0] * BLOCKS_ACROSS) as i32;
+    // Groups of 16 bands start at a tile row, so that a tile row never straddles two groups.
+    let mut band = first_band - first_band % BLOCKS_ACROSS as i32;
+    while band < end_band {
+        let (from, to) = column_spans(simd, splat, band, column_limit);
+        let last_row = ((end_band - band + BLOCKS_ACROSS as i32 - 1) / BLOCKS_ACROSS as i32).min(4);
+        for row in 0..last_row as usize {
+            let spans: [(i32, i32); BLOCKS_ACROSS] =
+                std::array::from_fn(|k| (from[row * BLOCKS_ACROSS + k], to[row * BLOCKS_ACROSS + k]));
+            let tile_y = band as usize / BLOCKS_ACROSS + row;
+            emit_tile_row(spans, |tile_x, blocks| each((tile_y * grid[0] + tile_x) as u32, blocks));
+        }
+        band += LANES as i32;
+    }
+}
+
+/// Block columns `[from, to)` that the ellipse covers in each of 16 bands; empty where `from ≥ to`.
+#[inline(always)]
+fn column_spans<S: Simd>(
+    simd: S,
+    splat: &Splat,
+    first_band: i32,
+    column_limit: i32,
+) -> ([i32; LANES], [i32; LANES]) {
+    let splat_v = |value: f32| V::splat(simd, value);
+    // The ellipse a dx² + 2b dx dy + c dy² ≤ reach, everything in powers of two of alpha.
+    let [a, b, c] = [-splat.conic_log2[0], -0.5 * splat.conic_log2[1], -splat.conic_log2[2]];
+    let reach = splat.log2_opacity + LOG2_255 + SLACK_LOG2;
+    let det = a * c - b * b;
+    let top = V::from_fn(simd, |lane| (first_band + lane as i32) as f32 * BLOCK as f32 - splat.mean[1]);
+    let bottom = top + (BLOCK - 1) as f32;
+    let height = splat.half_extent[1] + SLACK_PX;
+    let outside = top.simd_gt(height) | bottom.simd_lt(-height);
+
+    // Rows of the band where the right and the left boundary reach furthest: the ellipse's own extreme rows, or the
+    // nearest row of the band.
+    let extreme = -b * splat.half_extent[0] / c;
+    let (low, high) = (top.max(-height), bottom.min(height));
+    let (row_right, row_left) = (splat_v(extreme).max(low).min(high), splat_v(-extreme).max(low).min(high));
+    let boundary = |row: V<S>, sign: f32| {
+        let root = (splat_v(a * reach) - row * row * det).max(0.0).sqrt() * sign;
+        (root - row * b) * (1.0 / a)
+    };
+    let right = boundary(row_right, 1.0) + (splat.mean[0] + SLACK_PX);
+    let left = boundary(row_left, -1.0) + (splat.mean[0] - SLACK_PX);
+
+    // Block j covers pixel centres 4j to 4j + 3.
+    let limit = splat_v(column_limit as f32);
+    let from = ((left - (BLOCK - 1) as f32) * (1.0 / BLOCK as f32)).ceil().max(0.0).min(limit);
+    let to = ((right * (1.0 / BLOCK as f32)).floor() + 1.0).max(0.0).min(limit);
+    let to = outside.select(V::splat(simd, 0.0), to);
+    (*from.to_int::<i32x16<S>>(), *to.to_int::<i32x16<S>>())
+}
+
+/// Block masks of the tiles that four bands of spans cover.
+#[inline(always)]
+fn emit_tile_row(spans: [(i32, i32); BLOCKS_ACROSS], mut each: impl FnMut(usize, u32)) {
+    let first = spans.iter().filter(|(from, to)| from < to).map(|span| span.0).min().unwrap_or(0);
+    let end = spans.iter().filter(|(from, to)| from < to).map(|span| span.1).max().unwrap_or(0);
+    let mut tile_x = first / BLOCKS_ACROSS as i32;
+    while tile_x * (BLOCKS_ACROSS as i32) < end {
+        let mut blocks = 0;
+        for (row, &(from, to)) in spans.iter().enumerate() {
+            let from = (from - tile_x * BLOCKS_ACROSS as i32).clamp(0, BLOCKS_ACROSS as i32);
+            let to = (to - tile_x * BLOCKS_ACROSS as i32).clamp(from, BLOCKS_ACROSS as i32);
+            blocks |= ((1u32 << to) - (1u32 << from)) << (row * BLOCKS_ACROSS);
+        }
+        if blocks != 0 {
+            each(tile_x as usize, blocks);
+        }
+        tile_x += 1;
+    }
+}
+
+/// Stable least-significant-digit radix sort of `keys` by their upper 32 bits.
+fn radix_sort_high_half(keys: &mut Vec<u64>, swap: &mut Vec<u64>) {
+    const BITS: u32 = 11;
+    swap.resize(keys.len(), 0);
+    for pass in 0..3 {
+        let shift = 32 + pass * BITS;
+        let digit = |key: u64| (key >> shift) as usize & ((1 << BITS) - 1);
+        let mut starts = [0u32; 1 << BITS];
+        for &key in keys.iter() {
+            starts[digit(key)] += 1;
+        }
+        let mut sum = 0;
+        for start in &mut starts {
+            sum += std::mem::replace(start, sum);
+        }
+        for &key in keys.iter() {
+            let slot = &mut starts[digit(key)];
+            swap[*slot as usize] = key;
+            *slot += 1;
+        }
+        std::mem::swap(keys, swap);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn radix_sort_is_a_stable_sort(values in prop::collection::vec(any::<u32>(), 0..300)) {
+            let mut keys: Vec<u64> = values.iter().enumerate().map(|(i, &v)| u64::from(v) << 32 | i as u64).collect();
+            let mut expected = keys.clone();
+            expected.sort_unstable();
+            radix_sort_high_half(&mut keys, &mut Vec::new());
+            prop_assert_eq!(keys, expected);
+        }
+
+        /// Every pixel with alpha ≥ 1/255 lies in a listed block, and a listed block is not far from such a pixel.
+        #[test]
+        fn lists_are_exact(
+            mean in [-20.0f32..100.0, -20.0f32..90.0], sigma in [0.5f32..25.0, 0.5f32..25.0],
+            correlation in -0.98f32..0.98, opacity in 0.0045f32..0.999,
+        ) {
+            let cov = [sigma[0] * sigma[0], correlation * sigma[0] * sigma[1], sigma[1] * sigma[1]];
+            let splat = splat_of(mean, cov, opacity);
+            let grid = [5, 4];
+            let mut listed = [[0u32; 5]; 4];
+            let level = Level::new();
+            dispatch!(level, simd => for_each_tile(simd, &splat, grid, |tile, blocks| {
+                listed[tile as usize / 5][tile as usize % 5] |= blocks;
+            }));
+            for block_y in 0..16 {
+                for block_x in 0..20 {
+                    let is_listed = listed[block_y / 4][block_x / 4] >> (block_y % 4 * 4 + block_x % 4) & 1 == 1;
+                    let best = largest_exponent(&splat, block_x, block_y, 1);
+                    if best >= -f64::from(LOG2_255) {
+                        prop_assert!(is_listed, "block {block_x},{block_y} missed: {best}");
+                    }
+                    // The ellipse may pass between pixel centres: sample 64 times finer, and allow the slack.
+                    if is_listed {
+                        let nearest = largest_exponent(&splat, block_x, block_y, 64);
+                        prop_assert!(nearest >= -f64::from(LOG2_255) - 0.5, "block {block_x},{block_y} in vain: {nearest}");
+                    }
+                }
+            }
+        }
+    }
+
+    fn splat_of(mean: [f32; 2], cov: [f32; 3], opacity: f32) -> Splat {
+        let det = cov[0] * cov[2] - cov[1] * cov[1];
+        let scale = std::f32::consts::LOG2_E / det;
+        let reach = 2.0 * (opacity * 255.0).ln();
+        Splat {
+            mean,
+            conic_log2: [-0.5 * scale * cov[2], scale * cov[1], -0.5 * scale * cov[0]],
+            log2_opacity: opacity.log2(),
+            half_extent: [(reach * cov[0]).sqrt(), (reach * cov[2]).sqrt()],
+            ..Splat::default()
+        }
+    }
+
+    fn largest_exponent(splat: &Splat, block_x: usize, block_y: usize, fine: usize) -> f64 {
+        let [a, b, c] = splat.conic_log2.map(f64::from);
+        let mut best = f64::NEG_INFINITY;
+        for iy in 0..=3 * fine {
+            for ix in 0..=3 * fine {
+                let dx = (block_x * 4) as f64 + ix as f64 / fine as f64 - f64::from(splat.mean[0]);
+                let dy = (block_y * 4) as f64 + iy as f64 / fine as f64 - f64::from(splat.mean[1]);
+                best = best.max(a * dx * dx + b * dx * dy + c * dy * dy + f64::from(splat.log2_opacity));
+            }
+        }
+        best
+    }
+}

@@ -1,0 +1,358 @@
+//! Stage `loss`: `0.8 · mean |I − P| + 0.2 · (1 − mean SSIM)` and its gradient, fused.
+//!
+//! SSIM's 11x11 window is separable, so everything is a sum over 11 rows of horizontally blurred rows. A task walks down
+//! one strip of one channel and keeps only the last 11 rows of what it needs: the five moments on the way in, and the
+//! three partial derivatives on the way out. Nothing of the size of the image is stored besides the gradient.
+//!
+//! With raw moments `E[x], E[y], E[x²], E[y²], E[xy]` (x the render, y the photo) SSIM is
+//! `S = (2 μx μy + C1)(2 σxy + C2) / ((μx² + μy² + C1)(σx² + σy² + C2))`, variances as `E[x²] − μ²` (facts.md, section
+//! 9). Its gradient is `blur(∂S/∂E[x]) + 2x · blur(∂S/∂E[x²]) + y · blur(∂S/∂E[xy])`: the window is symmetric.
+
+use fearless_simd::{Level, Simd, dispatch, prelude::*};
+use genesplat_core::Image;
+use genesplat_core::constants::{LAMBDA_DSSIM, SSIM_C1, SSIM_C2, SSIM_RADIUS, ssim_window};
+use rayon::prelude::*;
+
+use super::simd::{LANES, V};
+
+/// Taps of the window.
+const TAPS: usize = 2 * SSIM_RADIUS + 1;
+/// Rows of a strip: a multiple that keeps the overlap between strips small. A constant, so that the order of summation
+/// does not depend on the number of threads.
+const STRIP: usize = 64;
+/// Zeros before and after each row: at least the window's radius, and whole vectors.
+const MARGIN: usize = LANES;
+
+/// A photo as the loss reads it: 8-bit planes `[3, H, W]`.
+#[derive(Clone, Debug)]
+pub struct Target {
+    /// Width, px.
+    pub width: usize,
+    /// Height, px.
+    pub height: usize,
+    /// Values `[3, H, W]`.
+    pub planes: Vec<u8>,
+}
+
+impl From<&genesplat_core::Photo> for Target {
+    fn from(photo: &genesplat_core::Photo) -> Self {
+        let pixels = photo.width as usize * photo.height as usize;
+        let mut planes = vec![0; 3 * pixels];
+        for (index, rgb) in photo.rgb.chunks_exact(3).enumerate() {
+            for (channel, &value) in rgb.iter().enumerate() {
+                planes[channel * pixels + index] = value;
+            }
+        }
+        Self { width: photo.width as usize, height: photo.height as usize, planes }
+    }
+}
+
+/// Loss of `image` against `target`; `gradient` `[3, H, W]` is overwritten when given.
+pub fn loss(level: Level, image: &Image, target: &Target, gradient: Option<&mut Vec<f32>>) -> f32 {
+    let (width, height) = (target.width, target.height);
+    let pixels = width * height;
+    let strips = height.div_ceil(STRIP);
+    let task = |index: usize, out: Option<&mut [f32]>| -> [f64; 2] {
+        let (channel, strip) = (index / strips, index % strips);
+        let plane = &image.planes[channel * pixels..][..pixels];
+        let photo = &target.planes[channel * pixels..][..pixels];
+        let rows = strip * STRIP..height.min((strip + 1) * STRIP);
+        dispatch!(level, simd => walk_strip(simd, plane, photo, [width, height], rows.clone(), out))
+    };
+    let sums: Vec<[f64; 2]> = match gradient {
+        None => (0..3 * strips).into_par_iter().map(|index| task(index, None)).collect(),
+        Some(gradient) => {
+            gradient.resize(3 * pixels, 0.0);
+            let strips_out: Vec<&mut [f32]> =
+                gradient.chunks_mut(pixels).flat_map(|plane| plane.chunks_mut(STRIP * width)).collect();
+            strips_out.into_par_iter().enumerate().map(|(index, out)| task(index, Some(out))).collect()
+        }
+    };
+    combine(sums.iter(), 3 * pixels)
+}
+
+/// Loss of `image` against `target`, on the calling thread: for callers that are parallel themselves.
+pub fn loss_serial(level: Level, image: &Image, target: &Target) -> f32 {
+    let (width, height) = (target.width, target.height);
+    let pixels = width * height;
+    let mut sums = Vec::with_capacity(3 * height.div_ceil(STRIP));
+    for (plane, photo) in image.planes.chunks(pixels).zip(target.planes.chunks(pixels)) {
+        for first in (0..height).step_by(STRIP) {
+            let rows = first..height.min(first + STRIP);
+            sums.push(
+                dispatch!(level, simd => walk_strip(simd, plane, photo, [width, height], rows.clone(), None)),
+            );
+        }
+    }
+    combine(sums.iter(), 3 * pixels)
+}
+
+/// The loss from sums of `|I − P|` and of SSIM over `values` values.
+fn combine<'a>(sums: impl Iterator<Item = &'a [f64; 2]>, values: usize) -> f32 {
+    let [l1, ssim] = sums.fold([0.0; 2], |a, b| [a[0] + b[0], a[1] + b[1]]);
+    let lambda = f64::from(LAMBDA_DSSIM);
+    ((1.0 - lambda) * l1 / values as f64 + lambda * (1.0 - ssim / values as f64)) as f32
+}
+
+/// The last 11 rows of `K` quantities, blurred horizontally; row `y` is at `y % 11`.
+struct Ring<const K: usize> {
+    data: Vec<f32>,
+    stride: usize,
+}
+
+impl<const K: usize> Ring<K> {
+    fn new(stride: usize) -> Self {
+        Self { data: vec![0.0; TAPS * K * stride], stride }
+    }
+
+    fn row(&self, y: isize, quantity: usize) -> &[f32] {
+        let slot = y.rem_euclid(TAPS as isize) as usize;
+        &self.data[(slot * K + quantity) * self.stride..][..self.stride]
+    }
+
+    fn row_mut(&mut self, y: isize, quantity: usize) -> &mut [f32] {
+        let slot = y.rem_euclid(TAPS as isize) as usize;
+        &mut self.data[(slot * K + quantity) * self.stride..][..self.stride]
+    }
+
+    fn clear_row(&mut self, y: isize) {
+        for quantity in 0..K {
+            self.row_mut(y, quantity).fill(0.0);
+        }
+    }
+}
+
+/// Sums of `|I − P|` and of SSIM over the strip; writes the strip's gradient when asked.
+#[inline(always)]
+fn walk_strip<S: Simd>(
+    simd: S,
+    plane: &[f32],
+    photo: &[u8],
+    [width, height]: [usize; 2],
+    strip: std::ops::Range<usize>,
+    mut gradient: Option<&mut [f32]>,
+) -> [f64; 2] {
+    let window = ssim_window().map(|v| v as f32);
+    let stride = width.next_multiple_of(LANES);
+    let radius = SSIM_RADIUS as isize;
+    let (first, end, height) = (strip.start as isize, strip.end as isize, height as isize);
+    // Rows whose SSIM is needed: the strip's own, and those whose windows reach into it.
+    let reach = if gradient.is_some() { radius } else { 0 };
+    let mut moments = Ring::<5>::new(stride);
+    let mut partials = Ring::<3>::new(stride);
+    let mut scratch = Rows::new(stride);
+    let mut sums = [0.0f64; 2];
+
+    for y in first - reach - radius..end + reach + radius {
+        // 1. Moments of row y, blurred horizontally.
+        if (0..height).contains(&y) {
+            scratch.load(plane, photo, y as usize, width);
+            scratch.blur_products(simd, &window, &mut moments, y);
+        } else {
+            moments.clear_row(y);
+        }
+        // 2. SSIM and its partial derivatives at the row whose window is now complete.
+        let centre = y - radius;
+        if centre < first - reach {
+            continue;
+        }
+        if (0..height).contains(&centre) && centre < end + reach {
+            let row_sum = ssim_row(simd, &window, &moments, centre, width, &mut scratch.partial);
+            if (first..end).contains(&centre) {
+                sums[1] += row_sum;
+                sums[0] += l1_row(
+                    &plane[centre as usize * width..][..width],
+                    &photo[centre as usize * width..][..width],
+                );
+            }
+            if gradient.is_some() {
+                scratch.blur_partials(simd, &window, &mut partials, centre);
+            }
+        } else {
+            partials.clear_row(centre);
+        }
+        // 3. The gradient of the row whose partial derivatives are now complete.
+        let target = centre - radius;
+        if let Some(out) = gradient.as_deref_mut()
+            && (first..end).contains(&target)
+        {
+            let row = target as usize;
+            let out = &mut out[(row - first as usize) * width..][..width];
+            let values = (&plane[row * width..][..width], &photo[row * width..][..width]);
+            gradient_row(simd, &window, &partials, target, values, 3 * width * height as usize, out);
+        }
+    }
+    sums
+}
+
+/// One padded row of the render, of the photo and of the partial derivatives.
+struct Rows {
+    x: Vec<f32>,
+    y: Vec<f32>,
+    products: [Vec<f32>; 3],
+    partial: [Vec<f32>; 3],
+}
+
+impl Rows {
+    fn new(stride: usize) -> Self {
+        let row = || vec![0.0; stride + 2 * MARGIN];
+        Self { x: row(), y: row(), products: [row(), row(), row()], partial: [row(), row(), row()] }
+    }
+
+    #[inline(always)]
+    fn load(&mut self, plane: &[f32], photo: &[u8], y: usize, width: usize) {
+        self.x[MARGIN..][..width].copy_from_slice(&plane[y * width..][..width]);
+        for (value, &byte) in self.y[MARGIN..].iter_mut().zip(&photo[y * width..][..width]) {
+            *value = f32::from(byte) * (1.0 / 255.0);
+        }
+        let [xx, yy, xy] = &mut self.products;
+        for at in MARGIN..MARGIN + width {
+            let (x, y) = (self.x[at], self.y[at]);
+            (xx[at], yy[at], xy[at]) = (x * x, y * y, x * y);
+        }
+    }
+
+    #[inline(always)]
+    fn blur_products<S: Simd>(&self, simd: S, window: &[f32; TAPS], out: &mut Ring<5>, y: isize) {
+        let [xx, yy, xy] = &self.products;
+        for (quantity, row) in [&self.x, &self.y, xx, yy, xy].into_iter().enumerate() {
+            blur_row(simd, window, row, out.row_mut(y, quantity));
+        }
+    }
+
+    #[inline(always)]
+    fn blur_partials<S: Simd>(&self, simd: S, window: &[f32; TAPS], out: &mut Ring<3>, y: isize) {
+        for (quantity, row) in self.partial.iter().enumerate() {
+            blur_row(simd, window, row, out.row_mut(y, quantity));
+        }
+    }
+}
+
+/// Horizontal blur of a padded row; the window's symmetry halves the multiplications.
+#[inline(always)]
+fn blur_row<S: Simd>(simd: S, window: &[f32; TAPS], row: &[f32], out: &mut [f32]) {
+    for first in (0..out.len()).step_by(LANES) {
+        let at = |offset: usize| V::from_slice(simd, &row[MARGIN + first + offset - SSIM_RADIUS..][..LANES]);
+        let mut sum = at(SSIM_RADIUS) * window[SSIM_RADIUS];
+        for tap in 0..SSIM_RADIUS {
+            sum = (at(tap) + at(TAPS - 1 - tap)).mul_add(V::splat(simd, window[tap]), sum);
+        }
+        sum.store_slice(&mut out[first..first + LANES]);
+    }
+}
+
+/// Vertical blur at 16 columns: the ring's rows around `y`.
+#[inline(always)]
+fn blur_column<const K: usize, S: Simd>(
+    simd: S,
+    window: &[f32; TAPS],
+    ring: &Ring<K>,
+    y: isize,
+    quantity: usize,
+    first: usize,
+) -> V<S> {
+    let at = |offset: isize| V::from_slice(simd, &ring.row(y + offset, quantity)[first..first + LANES]);
+    let mut sum = at(0) * window[SSIM_RADIUS];
+    for tap in 0..SSIM_RADIUS {
+        let offset = SSIM_RADIUS as isize - tap as isize;
+        sum = (at(-offset) + at(offset)).mul_add(V::splat(simd, window[tap]), sum);
+    }
+    sum
+}
+
+/// Sum of SSIM over a row; writes `∂S/∂E[x]`, `∂S/∂E[x²]`, `∂S/∂E[xy]` into padded rows.
+#[inline(always)]
+fn ssim_row<S: Simd>(
+    simd: S,
+    window: &[f32; TAPS],
+    moments: &Ring<5>,
+    y: isize,
+    width: usize,
+    partial: &mut [Vec<f32>; 3],
+) -> f64 {
+    let mut sum = 0.0f64;
+    for first in (0..width).step_by(LANES) {
+        let [mx, my, exx, eyy, exy] =
+            std::array::from_fn(|quantity| blur_column(simd, window, moments, y, quantity, first));
+        let ssim = Ssim::new(mx, my, exx, eyy, exy);
+        let count = LANES.min(width - first);
+        sum += ssim.value.as_slice()[..count].iter().map(|&v| f64::from(v)).sum::<f64>();
+        for (row, value) in partial.iter_mut().zip(ssim.partials(mx, my)) {
+            row[MARGIN + first..][..count].copy_from_slice(&value.as_slice()[..count]);
+        }
+    }
+    sum
+}
+
+/// SSIM at 16 pixels and the factors that its derivatives share.
+struct Ssim<S: Simd> {
+    value: V<S>,
+    numerator: [V<S>; 2],
+    denominator: [V<S>; 2],
+}
+
+impl<S: Simd> Ssim<S> {
+    #[inline(always)]
+    fn new(mx: V<S>, my: V<S>, exx: V<S>, eyy: V<S>, exy: V<S>) -> Self {
+        let (mxx, myy, mxy) = (mx * mx, my * my, mx * my);
+        let numerator = [mxy * 2.0 + SSIM_C1, (exy - mxy) * 2.0 + SSIM_C2];
+        let denominator = [mxx + myy + SSIM_C1, (exx - mxx) + (eyy - myy) + SSIM_C2];
+        let value = (numerator[0] * numerator[1]) / (denominator[0] * denominator[1]);
+        Self { value, numerator, denominator }
+    }
+
+    /// By the raw moments `E[x]`, `E[x²]`, `E[xy]`.
+    #[inline(always)]
+    fn partials(&self, mx: V<S>, my: V<S>) -> [V<S>; 3] {
+        let one = V::splat(mx.simd, 1.0);
+        let inverse = one / (self.denominator[0] * self.denominator[1]);
+        let by_variance = -(self.value / self.denominator[1]);
+        let by_covariance = self.numerator[0] * inverse * 2.0;
+        let direct = (my * self.numerator[1] * inverse - mx * self.value / self.denominator[0]) * 2.0;
+        [direct - mx * by_variance * 2.0 - my * by_covariance, by_variance, by_covariance]
+    }
+}
+
+#[inline(always)]
+fn l1_row(x: &[f32], y: &[u8]) -> f64 {
+    let mut sums = [0.0f32; LANES];
+    for (at, (&x, &y)) in x.iter().zip(y).enumerate() {
+        sums[at % LANES] += (x - f32::from(y) * (1.0 / 255.0)).abs();
+    }
+    sums.iter().map(|&v| f64::from(v)).sum()
+}
+
+/// `dL/dx` of one row.
+#[inline(always)]
+fn gradient_row<S: Simd>(
+    simd: S,
+    window: &[f32; TAPS],
+    partials: &Ring<3>,
+    y: isize,
+    (render, photo): (&[f32], &[u8]),
+    values: usize,
+    out: &mut [f32],
+) {
+    let (l1_weight, ssim_weight) = ((1.0 - LAMBDA_DSSIM) / values as f32, -LAMBDA_DSSIM / values as f32);
+    for first in (0..render.len()).step_by(LANES) {
+        let [by_mean, by_square, by_product] =
+            std::array::from_fn(|quantity| blur_column(simd, window, partials, y, quantity, first));
+        let count = LANES.min(render.len() - first);
+        let (mut x, mut target) = ([0.0; LANES], [0.0; LANES]);
+        x[..count].copy_from_slice(&render[first..first + count]);
+        for (value, &byte) in target.iter_mut().zip(&photo[first..first + count]) {
+            *value = f32::from(byte) * (1.0 / 255.0);
+        }
+        let (x, target) = (V::simd_from(simd, x), V::simd_from(simd, target));
+        let zero = V::splat(simd, 0.0);
+        let difference = x - target;
+        // The subgradient of |x| at 0 is 0.
+        let sign = difference.simd_gt(0.0).select(
+            V::splat(simd, l1_weight),
+            difference.simd_lt(0.0).select(V::splat(simd, -l1_weight), zero),
+        );
+        let structure = by_mean + x * by_square * 2.0 + target * by_product;
+        let total = structure.mul_add(V::splat(simd, ssim_weight), sign);
+        out[first..first + count].copy_from_slice(&total.as_slice()[..count]);
+    }
+}

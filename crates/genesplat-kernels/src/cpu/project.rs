@@ -1,0 +1,463 @@
+//! Stage `project`: a cloud becomes the splats of one view. 16 Gaussians at a time, one a lane.
+//!
+//! [`Geometry`] holds what the forward and the backward pass share: the backward pass computes it again rather than
+//! reading hundreds of bytes a Gaussian from memory. Formulas: 3DGS, section 4 and appendix A; Zwicker et al. 2001.
+
+use fearless_simd::{Level, Simd, dispatch, prelude::*};
+use genesplat_core::constants::{ALPHA_MIN, JACOBIAN_LIMIT, NEAR_DEPTH};
+use genesplat_core::{Camera, Gaussians, RenderSettings, ScreenFilter};
+use rayon::prelude::*;
+
+use super::colour;
+use super::simd::{LANES, LOG2_E, V, exp, sigmoid};
+
+/// Rows that one task projects; also the unit of the backward pass. A constant, so that results do not depend on the
+/// number of threads.
+pub const CHUNK: usize = 256;
+
+/// Side of a tile, px.
+pub const TILE: usize = 16;
+
+/// A camera as the kernels want it: f32, rotation as rows.
+#[derive(Clone, Copy, Debug)]
+pub struct Pinhole {
+    /// Rows of the rotation of `camera_from_world`.
+    pub rotation: [[f32; 3]; 3],
+    /// Translation of `camera_from_world`.
+    pub translation: [f32; 3],
+    /// Camera centre, world.
+    pub centre: [f32; 3],
+    /// `[fx, fy]`, px.
+    pub focal: [f32; 2],
+    /// Pixel coordinate that the optical axis hits (pixel centres at integers).
+    pub axis_px: [f32; 2],
+    /// Largest `|x/z|` and `|y/z|` that the Jacobian sees.
+    pub limit: [f32; 2],
+    /// Image size, px.
+    pub size: [u32; 2],
+}
+
+impl From<&Camera> for Pinhole {
+    fn from(camera: &Camera) -> Self {
+        let rotation = camera.rotation();
+        let centre = camera.centre_in_world();
+        let translation = camera.camera_from_world_translation;
+        let tan = camera.tan_half_fov();
+        Self {
+            rotation: std::array::from_fn(|row| rotation.row(row).to_array().map(|v| v as f32)),
+            translation: translation.to_array().map(|v| v as f32),
+            centre: centre.to_array().map(|v| v as f32),
+            focal: camera.focal_px.map(|v| v as f32),
+            axis_px: camera.principal_px.map(|v| (v - 0.5) as f32),
+            limit: tan.map(|v| (f64::from(JACOBIAN_LIMIT) * v) as f32),
+            size: [camera.width, camera.height],
+        }
+    }
+}
+
+impl Pinhole {
+    /// Tiles across and down.
+    pub fn grid(&self) -> [usize; 2] {
+        self.size.map(|pixels| (pixels as usize).div_ceil(TILE))
+    }
+}
+
+/// One splat of one view: a cache line.
+#[derive(Clone, Copy, Debug, Default)]
+#[repr(C, align(64))]
+pub struct Splat {
+    /// Mean, px.
+    pub mean: [f32; 2],
+    /// `[−½·A, −B, −½·C] · log2(e)` of the inverse covariance `[A B; B C]`: the exponent comes out in powers of two.
+    pub conic_log2: [f32; 3],
+    /// `log2` of the effective opacity.
+    pub log2_opacity: f32,
+    /// Colour, not below 0.
+    pub rgb: [f32; 3],
+    /// Camera z, world units.
+    pub depth: f32,
+    /// Half extent of the ellipse `alpha ≥ 1/255`, px.
+    pub half_extent: [f32; 2],
+    /// Row of the cloud.
+    pub global: u32,
+    /// Bit `c` is set where channel `c` was clamped at 0.
+    pub clamped: u32,
+}
+
+/// The splats of one chunk of rows, in row order, and which rows are visible in 3DGS's geometric sense.
+#[derive(Clone, Debug, Default)]
+pub struct ProjectedChunk {
+    /// Splats that can reach a pixel.
+    pub splats: Vec<Splat>,
+    /// A row's 3-sigma square meets a tile: what the densification average counts (facts.md, quirk 6).
+    pub seen: Vec<bool>,
+}
+
+/// Projects the whole cloud; `chunks` is reused from call to call.
+pub fn project(
+    level: Level,
+    cloud: &Gaussians,
+    camera: &Pinhole,
+    settings: &RenderSettings,
+    chunks: &mut Vec<ProjectedChunk>,
+) {
+    let n = cloud.len();
+    chunks.resize_with(n.div_ceil(CHUNK), ProjectedChunk::default);
+    chunks.par_iter_mut().enumerate().for_each(|(index, chunk)| {
+        let rows = index * CHUNK..n.min((index + 1) * CHUNK);
+        chunk.splats.clear();
+        chunk.seen.clear();
+        dispatch!(level, simd => project_rows(simd, cloud, rows.clone(), camera, settings, chunk));
+    });
+}
+
+#[inline(always)]
+fn project_rows<S: Simd>(
+    simd: S,
+    cloud: &Gaussians,
+    rows: std::ops::Range<usize>,
+    camera: &Pinhole,
+    settings: &RenderSettings,
+    out: &mut ProjectedChunk,
+) {
+    for first in rows.clone().step_by(LANES) {
+        let count = LANES.min(rows.end - first);
+        let params = Params::load(simd, cloud, |lane| first + lane.min(count - 1));
+        let geometry = Geometry::new(&params, camera, settings.filter);
+        emit(cloud, first, count, camera, settings, &geometry, out);
+    }
+}
+
+/// Projects single rows, in the order given: what scoring needs for the rows that an individual changed.
+#[inline(always)]
+pub fn project_group<S: Simd>(
+    simd: S,
+    cloud: &Gaussians,
+    rows: &[u32],
+    genes: impl Fn(usize) -> genesplat_core::Gene,
+    camera: &Pinhole,
+    settings: &RenderSettings,
+    mut each: impl FnMut(usize, Option<Splat>),
+) {
+    for (group, rows) in rows.chunks(LANES).enumerate() {
+        let row = |lane: usize| rows[lane.min(rows.len() - 1)] as usize;
+        let params =
+            Params::load_with(simd, cloud, row, |lane| genes(group * LANES + lane.min(rows.len() - 1)));
+        let geometry = Geometry::new(&params, camera, settings.filter);
+        let lanes = geometry.lanes();
+        for (lane, &global) in rows.iter().enumerate() {
+            let position = [params.position[0][lane], params.position[1][lane], params.position[2][lane]];
+            let splat = lanes.splat(lane, camera).map(|splat| {
+                let colour =
+                    colour::evaluate(&cloud.sh[global as usize], position, camera.centre, settings.sh_degree);
+                Splat { rgb: colour.rgb, clamped: colour.clamped, global, ..splat }
+            });
+            each(group * LANES + lane, splat);
+        }
+    }
+}
+
+#[inline(always)]
+fn emit<S: Simd>(
+    cloud: &Gaussians,
+    first: usize,
+    count: usize,
+    camera: &Pinhole,
+    settings: &RenderSettings,
+    geometry: &Geometry<S>,
+    out: &mut ProjectedChunk,
+) {
+    let lanes = geometry.lanes();
+    for lane in 0..count {
+        out.seen.push(lanes.is_seen(lane, camera));
+        let Some(splat) = lanes.splat(lane, camera) else { continue };
+        let row = first + lane;
+        let colour =
+            colour::evaluate(&cloud.sh[row], cloud.positions[row], camera.centre, settings.sh_degree);
+        out.splats.push(Splat { rgb: colour.rgb, clamped: colour.clamped, global: row as u32, ..splat });
+    }
+}
+
+/// Raw parameters of 16 Gaussians.
+pub struct Params<S: Simd> {
+    pub position: [V<S>; 3],
+    pub log_scale: [V<S>; 3],
+    pub rotation: [V<S>; 4],
+    pub opacity_logit: V<S>,
+    /// Standard deviation of Mip-Splatting's 3D filter; 0 without one.
+    pub filter_3d: V<S>,
+}
+
+impl<S: Simd> Params<S> {
+    /// The rows that `row(lane)` names.
+    #[inline(always)]
+    pub fn load(simd: S, cloud: &Gaussians, row: impl Fn(usize) -> usize) -> Self {
+        Self::load_with(simd, cloud, &row, |lane| cloud.genes(row(lane)))
+    }
+
+    /// The same with other genes than the cloud's.
+    #[inline(always)]
+    pub fn load_with(
+        simd: S,
+        cloud: &Gaussians,
+        row: impl Fn(usize) -> usize,
+        genes: impl Fn(usize) -> genesplat_core::Gene,
+    ) -> Self {
+        let mut gene_lanes = [[0.0f32; LANES]; genesplat_core::GENES];
+        let mut rotation_lanes = [[0.0f32; LANES]; 4];
+        let mut filter = [0.0f32; LANES];
+        for lane in 0..LANES {
+            for (values, value) in gene_lanes.iter_mut().zip(genes(lane)) {
+                values[lane] = value;
+            }
+            for (values, value) in rotation_lanes.iter_mut().zip(cloud.rotations[row(lane)]) {
+                values[lane] = value;
+            }
+            if let Some(filter_3d) = &cloud.filter_3d {
+                filter[lane] = filter_3d[row(lane)];
+            }
+        }
+        let load = |values: &[f32; LANES]| V::simd_from(simd, *values);
+        Self {
+            position: std::array::from_fn(|k| load(&gene_lanes[k])),
+            log_scale: std::array::from_fn(|k| load(&gene_lanes[3 + k])),
+            rotation: std::array::from_fn(|k| load(&rotation_lanes[k])),
+            opacity_logit: load(&gene_lanes[6]),
+            filter_3d: load(&filter),
+        }
+    }
+}
+
+/// Everything between the raw parameters and the screen, for 16 Gaussians.
+pub struct Geometry<S: Simd> {
+    /// 1 / length of the raw quaternion, and the unit quaternion `(w, x, y, z)`.
+    pub inverse_length: V<S>,
+    pub unit: [V<S>; 4],
+    /// Rotation matrix, rows.
+    pub r: [[V<S>; 3]; 3],
+    /// Variances along the own axes without the 3D filter, and with it.
+    pub variance_raw: [V<S>; 3],
+    pub variance: [V<S>; 3],
+    /// Mean in camera coordinates.
+    pub t: [V<S>; 3],
+    pub inverse_z: V<S>,
+    /// `x/z`, `y/z`, and the same clamped for the Jacobian.
+    pub ratio: [V<S>; 2],
+    pub clamped_ratio: [V<S>; 2],
+    /// `J · R_view` `[2, 3]`, and that times `R`.
+    pub u: [[V<S>; 3]; 2],
+    pub w: [[V<S>; 3]; 2],
+    /// Projected covariance `[a, b, c]` before and after the screen filter, px².
+    pub cov_raw: [V<S>; 3],
+    pub cov: [V<S>; 3],
+    pub det_raw: V<S>,
+    pub det: V<S>,
+    /// Factors on the opacity from the 3D filter and from the screen filter.
+    pub factor_3d: V<S>,
+    pub factor_2d: V<S>,
+    /// Sigmoid of the logit, and the opacity that is blended.
+    pub opacity: V<S>,
+    pub opacity_effective: V<S>,
+}
+
+impl<S: Simd> Geometry<S> {
+    /// Steps 1 to 5 of the projection.
+    #[inline(always)]
+    pub fn new(params: &Params<S>, camera: &Pinhole, filter: ScreenFilter) -> Self {
+        let simd = params.opacity_logit.simd;
+        let one = V::splat(simd, 1.0);
+
+        // 1. Own axes: rotation matrix of the unit quaternion, variances with the 3D filter.
+        let [qw, qx, qy, qz] = params.rotation;
+        let length = (qw * qw + qx * qx + qy * qy + qz * qz).sqrt().max(1e-12);
+        let inverse_length = one / length;
+        let unit = params.rotation.map(|q| q * inverse_length);
+        let r = rotation_matrix(unit);
+        let variance_raw = params.log_scale.map(|value| exp(value * 2.0));
+        let filter_variance = params.filter_3d * params.filter_3d;
+        let variance = variance_raw.map(|value| value + filter_variance);
+
+        // 2. Camera coordinates.
+        let t: [V<S>; 3] = std::array::from_fn(|row| {
+            let m = camera.rotation[row];
+            params.position[0] * m[0]
+                + params.position[1] * m[1]
+                + params.position[2] * m[2]
+                + camera.translation[row]
+        });
+        let inverse_z = one / t[2];
+
+        // 3. Jacobian of the projection, with x/z and y/z clamped.
+        let ratio = [t[0] * inverse_z, t[1] * inverse_z];
+        let clamped_ratio: [V<S>; 2] =
+            std::array::from_fn(|axis| ratio[axis].max(-camera.limit[axis]).min(camera.limit[axis]));
+        let u: [[V<S>; 3]; 2] = std::array::from_fn(|axis| {
+            let diagonal = inverse_z * camera.focal[axis];
+            let third = -(diagonal * clamped_ratio[axis]);
+            std::array::from_fn(|k| diagonal * camera.rotation[axis][k] + third * camera.rotation[2][k])
+        });
+
+        // 4. Covariance on the screen: sum over the own axes of variance · w wᵀ.
+        let w: [[V<S>; 3]; 2] = std::array::from_fn(|axis| {
+            std::array::from_fn(|k| u[axis][0] * r[0][k] + u[axis][1] * r[1][k] + u[axis][2] * r[2][k])
+        });
+        let weighted = |i: usize, j: usize| {
+            variance[0] * w[i][0] * w[j][0]
+                + variance[1] * w[i][1] * w[j][1]
+                + variance[2] * w[i][2] * w[j][2]
+        };
+        let cov_raw = [weighted(0, 0), weighted(0, 1), weighted(1, 1)];
+        let dilation = filter.dilation();
+        let cov = [cov_raw[0] + dilation, cov_raw[1], cov_raw[2] + dilation];
+        let det_raw = cov_raw[0] * cov_raw[2] - cov_raw[1] * cov_raw[1];
+        let det = cov[0] * cov[2] - cov[1] * cov[1];
+
+        // 5. Opacity, with what the filters take from it.
+        let opacity = sigmoid(params.opacity_logit);
+        let volume_ratio = (variance_raw[0] / variance[0])
+            * (variance_raw[1] / variance[1])
+            * (variance_raw[2] / variance[2]);
+        let factor_3d = params.filter_3d.simd_gt(0.0).select(volume_ratio.sqrt(), one);
+        let factor_2d = screen_factor(filter, det_raw, det);
+        let opacity_effective = opacity * factor_3d * factor_2d;
+        Self {
+            inverse_length,
+            unit,
+            r,
+            variance_raw,
+            variance,
+            t,
+            inverse_z,
+            ratio,
+            clamped_ratio,
+            u,
+            w,
+            cov_raw,
+            cov,
+            det_raw,
+            det,
+            factor_3d,
+            factor_2d,
+            opacity,
+            opacity_effective,
+        }
+    }
+
+    /// What single lanes need, as arrays.
+    #[inline(always)]
+    fn lanes(&self) -> Lanes {
+        Lanes {
+            t: self.t.map(|v| *v),
+            ratio: self.ratio.map(|v| *v),
+            cov: self.cov.map(|v| *v),
+            det: *self.det,
+            opacity: *self.opacity_effective,
+        }
+    }
+}
+
+/// Smallest determinant that Mip-Splatting's filter accepts, px⁴.
+pub const MIP_DET_MIN: f32 = 1e-6;
+/// Smallest ratio of determinants under 3DGS's antialiasing.
+pub const ANTIALIAS_RATIO_MIN: f32 = 2.5e-5;
+
+/// Factor on the opacity that keeps a splat's energy under the screen filter.
+#[inline(always)]
+fn screen_factor<S: Simd>(filter: ScreenFilter, det_raw: V<S>, det: V<S>) -> V<S> {
+    let simd = det.simd;
+    match filter {
+        ScreenFilter::Classic => V::splat(simd, 1.0),
+        ScreenFilter::Antialiased => (det_raw / det).max(ANTIALIAS_RATIO_MIN).sqrt(),
+        ScreenFilter::Mip => {
+            let vanishes = det_raw.simd_le(MIP_DET_MIN) | det.simd_le(MIP_DET_MIN);
+            let ratio = det_raw.max(MIP_DET_MIN) / (det.max(MIP_DET_MIN) + 1e-6) + 1e-6;
+            vanishes.select(V::splat(simd, 0.0), ratio.sqrt())
+        }
+    }
+}
+
+#[inline(always)]
+fn rotation_matrix<S: Simd>([w, x, y, z]: [V<S>; 4]) -> [[V<S>; 3]; 3] {
+    let one = V::splat(w.simd, 1.0);
+    [
+        [one - (y * y + z * z) * 2.0, (x * y - w * z) * 2.0, (x * z + w * y) * 2.0],
+        [(x * y + w * z) * 2.0, one - (x * x + z * z) * 2.0, (y * z - w * x) * 2.0],
+        [(x * z - w * y) * 2.0, (y * z + w * x) * 2.0, one - (x * x + y * y) * 2.0],
+    ]
+}
+
+struct Lanes {
+    t: [[f32; LANES]; 3],
+    ratio: [[f32; LANES]; 2],
+    cov: [[f32; LANES]; 3],
+    det: [f32; LANES],
+    opacity: [f32; LANES],
+}
+
+impl Lanes {
+    /// In front of the near plane, with an invertible covariance; false for anything that is not finite.
+    #[inline(always)]
+    fn is_valid(&self, lane: usize) -> bool {
+        self.t[2][lane] > NEAR_DEPTH && self.det[lane] > 0.0 && self.det[lane].is_finite()
+    }
+
+    #[inline(always)]
+    fn mean(&self, lane: usize, camera: &Pinhole) -> [f32; 2] {
+        std::array::from_fn(|axis| camera.focal[axis] * self.ratio[axis][lane] + camera.axis_px[axis])
+    }
+
+    /// 3DGS's rule: the square of `ceil(3 sqrt(λ_max))` px around the mean meets at least one tile.
+    #[inline(always)]
+    fn is_seen(&self, lane: usize, camera: &Pinhole) -> bool {
+        if !self.is_valid(lane) {
+            return false;
+        }
+        let middle = 0.5 * (self.cov[0][lane] + self.cov[2][lane]);
+        let largest = middle + (middle * middle - self.det[lane]).max(0.1).sqrt();
+        let radius = (3.0 * largest.sqrt()).ceil();
+        let mean = self.mean(lane, camera);
+        let grid = camera.grid();
+        (0..2).all(|axis| {
+            let first = ((mean[axis] - radius) / TILE as f32).trunc().clamp(0.0, grid[axis] as f32);
+            let end = ((mean[axis] + radius + (TILE - 1) as f32) / TILE as f32)
+                .trunc()
+                .clamp(0.0, grid[axis] as f32);
+            end > first
+        })
+    }
+
+    /// The splat without its colour and row; `None` when it reaches no pixel of the image.
+    #[inline(always)]
+    fn splat(&self, lane: usize, camera: &Pinhole) -> Option<Splat> {
+        let opacity = self.opacity[lane];
+        // `>` is false for NaN, so that a poisoned Gaussian disappears instead of spreading.
+        let reaches = self.is_valid(lane) && opacity > ALPHA_MIN;
+        if !reaches {
+            return None;
+        }
+        let mean = self.mean(lane, camera);
+        // alpha ≥ 1/255 ⟺ dᵀ Σ'⁻¹ d ≤ 2 ln(255 o): half extents sqrt(2 ln(255 o) Σ'ₖₖ).
+        let reach = 2.0 * (opacity / ALPHA_MIN).ln();
+        let half_extent = [(reach * self.cov[0][lane]).sqrt(), (reach * self.cov[2][lane]).sqrt()];
+        let inside = (0..2).all(|axis| {
+            mean[axis] + half_extent[axis] >= 0.0
+                && mean[axis] - half_extent[axis] <= (camera.size[axis] - 1) as f32
+        });
+        if !inside {
+            return None;
+        }
+        let scale = LOG2_E / self.det[lane];
+        Some(Splat {
+            mean,
+            conic_log2: [
+                -0.5 * scale * self.cov[2][lane],
+                scale * self.cov[1][lane],
+                -0.5 * scale * self.cov[0][lane],
+            ],
+            log2_opacity: opacity.log2(),
+            depth: self.t[2][lane],
+            half_extent,
+            ..Splat::default()
+        })
+    }
+}

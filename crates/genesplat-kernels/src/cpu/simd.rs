@@ -1,0 +1,73 @@
+//! The few vector helpers that more than one stage uses.
+//!
+//! One source serves every instruction set: stages are generic over `S: Simd` and entered through
+//! [`fearless_simd::dispatch!`], which picks AVX-512, AVX2, SSE or NEON when the program runs. A vector is always 16
+//! lanes; narrower machines use several registers for it.
+
+use fearless_simd::{Simd, f32x16, prelude::*};
+
+/// Lanes of the vectors that all stages use.
+pub const LANES: usize = 16;
+
+/// 16 lanes of f32.
+pub type V<S> = f32x16<S>;
+
+/// `log2(e)`.
+pub const LOG2_E: f32 = std::f32::consts::LOG2_E;
+
+/// Adding and subtracting this rounds an f32 of magnitude below 2²² to the nearest integer, and leaves that integer in
+/// the low mantissa bits.
+const ROUND: f32 = 12_582_912.0;
+
+/// `2^x` for `x` in `[-126, 126]`, relative error below 3e-7: round, minimax polynomial of degree 5 on
+/// `[-½, ½]`, add to the exponent.
+#[inline(always)]
+pub fn exp2<S: Simd>(x: V<S>) -> V<S> {
+    let simd = x.simd;
+    let rounded = x + ROUND;
+    let fraction = x - (rounded - ROUND);
+    let mut poly = V::splat(simd, 0.001_327_647_2);
+    for coefficient in [0.009_675_541_3, 0.055_507_13, 0.240_221_2, 0.693_146_97, 1.000_000_1] {
+        poly = poly.mul_add(fraction, V::splat(simd, coefficient));
+    }
+    V::from_bits(poly.to_bits() + (rounded.to_bits() << 23))
+}
+
+/// `e^x`, clamped to the range of [`exp2`].
+#[inline(always)]
+pub fn exp<S: Simd>(x: V<S>) -> V<S> {
+    exp2((x * LOG2_E).max(-126.0).min(126.0))
+}
+
+/// The logistic function.
+#[inline(always)]
+pub fn sigmoid<S: Simd>(x: V<S>) -> V<S> {
+    let one = V::splat(x.simd, 1.0);
+    one / (exp(-x) + one)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use fearless_simd::{Level, dispatch};
+
+    #[inline(always)]
+    fn worst_relative_error<S: Simd>(simd: S) -> f64 {
+        let mut worst = 0.0f64;
+        for step in 0..20_000 {
+            let x = V::from_fn(simd, |lane| -126.0 + (step * 16 + lane) as f32 * (252.0 / 320_000.0));
+            let y = exp2(x);
+            for lane in 0..LANES {
+                worst = worst.max((f64::from(y[lane]) / f64::from(x[lane]).exp2() - 1.0).abs());
+            }
+        }
+        worst
+    }
+
+    #[test]
+    fn exp2_is_accurate_to_three_parts_in_ten_million() {
+        let level = Level::new();
+        let worst = dispatch!(level, simd => worst_relative_error(simd));
+        assert!(worst < 3e-7, "{worst:e}");
+    }
+}

@@ -1,0 +1,397 @@
+//! The CPU backend against the f64 reference, stage by stage.
+//!
+//! | what | tolerance | where it comes from |
+//! |---|---|---|
+//! | image | 2e-4 absolute | f32 rounding; a pixel exactly at alpha = 1/255 may flip, worth up to 1/255 of one splat: 0.1 % of the values may be off by 8e-3 |
+//! | loss | 1e-5 relative | f32 blur, f64 sums |
+//! | gradients | 1e-3 relative L2, cosine 0.99999 | the bound; seen: 1e-5 |
+//! | Adam | 1e-6 absolute of a step of 1e-2 | f32 rounding |
+
+use std::sync::Arc;
+
+use fearless_simd::Level;
+use genesplat_core::backend::MomentPolicy;
+use genesplat_core::{
+    Backend, Camera, DensitySignal, Gaussians, Image, LearningRates, Photo, RenderSettings, Rng, RowEdit,
+    ScreenFilter, SparseDelta, StatisticsRequest, Stream, TrainStep, Update, View,
+};
+use glam::{DQuat, DVec3};
+
+use super::project::Pinhole;
+use super::rasterise::Extra;
+use super::update::{Inputs, gradients};
+use super::{CpuBackend, Frame, loss};
+use crate::reference::{self, Cloud64, Cutoff};
+
+const WIDTH: u32 = 75;
+const HEIGHT: u32 = 53;
+
+fn uniform(row: usize, index: usize) -> f32 {
+    Rng::new(11).at(Stream::Test, row as u32, index as u32, 0).uniform(0)
+}
+
+/// Gaussians in front of, beside and behind the camera, from a fifth of a pixel to a third of the image.
+fn cloud(n: usize) -> Gaussians {
+    let mut cloud = Gaussians::zeros(n);
+    for row in 0..n {
+        let u = |index: usize| uniform(row, index);
+        cloud.positions[row] = [6.0 * (u(0) - 0.5), 4.0 * (u(1) - 0.5), 5.0 * u(2) - 0.6];
+        cloud.log_scales[row] = std::array::from_fn(|k| (0.01 + 0.4 * u(3 + k).powi(3)).ln());
+        cloud.rotations[row] = std::array::from_fn(|k| 2.0 * u(6 + k) - 1.0);
+        cloud.opacity_logits[row] = 7.0 * u(10) - 3.5;
+        for k in 0..48 {
+            cloud.sh[row][k] = if k % 16 == 0 { 2.0 * u(11 + k) - 0.8 } else { 0.4 * (u(11 + k) - 0.5) };
+        }
+    }
+    cloud
+}
+
+fn camera() -> Camera {
+    Camera {
+        width: WIDTH,
+        height: HEIGHT,
+        focal_px: [60.0, 64.0],
+        principal_px: [35.0, 28.5],
+        camera_from_world_rotation: DQuat::from_euler(glam::EulerRot::XYZ, 0.1, -0.15, 0.2),
+        camera_from_world_translation: DVec3::new(0.1, -0.05, 0.7),
+    }
+}
+
+fn photo() -> Photo {
+    let rgb = (0..3 * WIDTH * HEIGHT).map(|i| (uniform(1_000_000, i as usize) * 255.0) as u8).collect();
+    Photo { width: WIDTH, height: HEIGHT, rgb }
+}
+
+fn view() -> View {
+    View { name: "test".into(), camera: camera(), photo: Arc::new(photo()) }
+}
+
+fn settings(sh_degree: u8, filter: ScreenFilter) -> RenderSettings {
+    RenderSettings { sh_degree, background: [0.3, 0.1, 0.6], filter }
+}
+
+fn filters() -> [ScreenFilter; 3] {
+    [ScreenFilter::Classic, ScreenFilter::Antialiased, ScreenFilter::Mip]
+}
+
+/// Relative L2 distance and cosine of two vectors.
+fn compare(
+    name: &str,
+    actual: impl IntoIterator<Item = f64>,
+    expected: impl IntoIterator<Item = f64>,
+) -> Result<(), String> {
+    let (mut distance, mut a2, mut b2, mut ab) = (0.0, 0.0, 0.0, 0.0);
+    for (a, b) in actual.into_iter().zip(expected) {
+        distance += (a - b) * (a - b);
+        (a2, b2, ab) = (a2 + a * a, b2 + b * b, ab + a * b);
+    }
+    let (relative, cosine) = ((distance / b2).sqrt(), ab / (a2 * b2).sqrt());
+    if b2 == 0.0 && a2 == 0.0 || relative < 1e-3 && cosine > 0.99999 {
+        return Ok(());
+    }
+    Err(format!("{name}: relative distance {relative:e}, cosine {cosine}"))
+}
+
+fn flat<const K: usize>(rows: &[[f32; K]]) -> impl Iterator<Item = f64> {
+    rows.as_flattened().iter().map(|&v| f64::from(v))
+}
+
+fn compare_gradients(actual: &Gaussians, expected: &Cloud64) -> Result<(), String> {
+    compare("positions", flat(&actual.positions), expected.positions.as_flattened().iter().copied())?;
+    compare("log-scales", flat(&actual.log_scales), expected.log_scales.as_flattened().iter().copied())?;
+    compare("rotations", flat(&actual.rotations), expected.rotations.as_flattened().iter().copied())?;
+    compare(
+        "opacities",
+        actual.opacity_logits.iter().map(|&v| f64::from(v)),
+        expected.opacity_logits.iter().copied(),
+    )?;
+    compare("colours", flat(&actual.sh), expected.sh.as_flattened().iter().copied())
+}
+
+#[test]
+fn images_match_the_reference() {
+    let cloud = cloud(400);
+    for filter in filters() {
+        for degree in 0..=3 {
+            let settings = settings(degree, filter);
+            let mut backend = CpuBackend::new(0);
+            backend.upload(cloud.clone(), None).unwrap();
+            let image = backend.render(&camera(), &settings).unwrap();
+            let expected =
+                reference::render(&Cloud64::from(&cloud), &camera(), &settings, Cutoff::Hard).frame.image;
+            compare_images(&image, &expected)
+                .unwrap_or_else(|error| panic!("{filter:?}, degree {degree}: {error}"));
+        }
+    }
+}
+
+fn compare_images(actual: &Image, expected: &[f64]) -> Result<(), String> {
+    let differences: Vec<f64> =
+        actual.planes.iter().zip(expected).map(|(&a, &b)| (f64::from(a) - b).abs()).collect();
+    let off = differences.iter().filter(|&&d| d > 2e-4).count();
+    let worst = differences.iter().copied().fold(0.0, f64::max);
+    let spread = expected.iter().copied().fold(0.0, f64::max);
+    if spread < 0.5 {
+        return Err("the scene is too dark to tell anything".into());
+    }
+    if off * 1000 <= differences.len() && worst < 8e-3 {
+        Ok(())
+    } else {
+        Err(format!("{off} values off, worst {worst}"))
+    }
+}
+
+#[test]
+fn the_comparisons_can_fail() {
+    let expected = [1.0, -2.0, 3.0];
+    assert!(compare("same", expected, expected).is_ok());
+    assert!(compare("planted", [1.0, -2.0, 3.01], expected).is_err());
+    let planes = vec![0.7f32; 3 * 100 * 100];
+    let image = Image { width: 100, height: 100, planes };
+    let mut reference = vec![f64::from(0.7f32); 3 * 100 * 100];
+    assert!(compare_images(&image, &reference).is_ok());
+    reference[5] += 0.02;
+    assert!(compare_images(&image, &reference).is_err());
+}
+
+#[test]
+fn loss_and_image_gradient_match_the_reference() {
+    let level = Level::new();
+    for (width, height) in [(WIDTH, HEIGHT), (5, 3), (1, 1), (16, 130)] {
+        let values = 3 * (width * height) as usize;
+        let photo =
+            Photo { width, height, rgb: (0..values).map(|i| (uniform(7, i) * 255.0) as u8).collect() };
+        let planes: Vec<f32> = (0..values).map(|i| 1.2 * uniform(8, i) - 0.1).collect();
+        let expected_input: Vec<f64> = planes.iter().map(|&v| f64::from(v)).collect();
+        let image = Image { width, height, planes };
+        let mut gradient = Vec::new();
+        let target = loss::Target::from(&photo);
+        let actual = loss::loss(level, &image, &target, Some(&mut gradient));
+        let (expected, expected_gradient) = reference::loss(&expected_input, &photo);
+        assert!((f64::from(actual) / expected - 1.0).abs() < 1e-5, "{width}x{height}: {actual} {expected}");
+        compare("image gradient", gradient.iter().map(|&v| f64::from(v)), expected_gradient).unwrap();
+        assert_eq!(actual, loss::loss(level, &image, &target, None), "forward only");
+        assert_eq!(actual, loss::loss_serial(level, &image, &target), "one thread");
+    }
+}
+
+#[test]
+fn parameter_gradients_match_the_reference() {
+    for (filter, with_filter_3d) in filters().into_iter().zip([false, false, true]) {
+        for degree in [0, 3] {
+            let mut cloud = cloud(400);
+            cloud.filter_3d =
+                with_filter_3d.then(|| (0..400).map(|row| 0.01 + 0.05 * uniform(row, 90)).collect());
+            let settings = settings(degree, filter);
+            let (frame, camera) = frame_of(&cloud, &settings, Extra::Absolute);
+            let Frame { chunks, bins, rows, .. } = &frame;
+            let inputs = Inputs { chunks, bins, rows, camera: &camera, settings: &settings };
+            let (actual, density) = gradients(Level::new(), &inputs, &cloud, Some(DensitySignal::Absolute));
+            let (_, expected) =
+                reference::gradients(&Cloud64::from(&cloud), &view(), &settings, Cutoff::Hard);
+            compare_gradients(&actual, &expected.cloud)
+                .unwrap_or_else(|e| panic!("{filter:?}, degree {degree}: {e}"));
+            let norms = expected.mean2d_abs_ndc.iter().map(|[x, y]| x.hypot(*y));
+            compare("absolute screen gradients", density.iter().map(|d| f64::from(d[0])), norms).unwrap();
+        }
+    }
+}
+
+fn frame_of(cloud: &Gaussians, settings: &RenderSettings, extra: Extra) -> (Frame, Pinhole) {
+    let (level, camera) = (Level::new(), Pinhole::from(&camera()));
+    let mut frame = Frame::default();
+    frame.render(level, cloud, &camera, settings);
+    frame.backward(level, &camera, &loss::Target::from(&photo()), extra);
+    (frame, camera)
+}
+
+#[test]
+fn density_signals_match_the_reference() {
+    let (cloud, settings) = (cloud(400), settings(2, ScreenFilter::Classic));
+    let (_, expected) = reference::gradients(&Cloud64::from(&cloud), &view(), &settings, Cutoff::Hard);
+    let signed = statistics(&cloud, &settings, DensitySignal::Signed);
+    let seen: Vec<f32> = expected.radius_px.iter().map(|&radius| f32::from(radius > 0)).collect();
+    assert_eq!(signed.weight_sum, seen, "geometric visibility");
+    let norm =
+        |row: usize| expected.mean2d_ndc[row][0].hypot(expected.mean2d_ndc[row][1]) * f64::from(seen[row]);
+    compare("signed", signed.gradient_sum.iter().map(|&v| f64::from(v)), (0..400).map(norm)).unwrap();
+
+    let weighted = statistics(&cloud, &settings, DensitySignal::PixelWeighted { depth_threshold: 2.0 });
+    let near = |row: usize| (expected.depth[row] / 2.0).powi(2).min(1.0);
+    let pixels = |row: usize| f64::from(expected.pixels[row]) * f64::from(seen[row]);
+    compare("pixels", weighted.weight_sum.iter().map(|&v| f64::from(v)), (0..400).map(pixels)).unwrap();
+    let expected_sum = (0..400).map(|row| pixels(row) * near(row) * norm(row));
+    compare("Pixel-GS", weighted.gradient_sum.iter().map(|&v| f64::from(v)), expected_sum).unwrap();
+}
+
+fn statistics(
+    cloud: &Gaussians,
+    settings: &RenderSettings,
+    signal: DensitySignal,
+) -> genesplat_core::Statistics {
+    let mut backend = backend_with(cloud);
+    let request = StatisticsRequest { density: Some(signal), genes: true };
+    backend
+        .train_step(&TrainStep { view: 0, settings: *settings, update: None, statistics: request })
+        .unwrap();
+    backend.statistics().unwrap()
+}
+
+fn backend_with(cloud: &Gaussians) -> CpuBackend {
+    let mut backend = CpuBackend::new(5);
+    backend.set_views(&[view()]).unwrap();
+    backend.upload(cloud.clone(), None).unwrap();
+    backend
+}
+
+fn step(number: u32) -> TrainStep {
+    let rates = LearningRates {
+        position: 1e-3,
+        sh_dc: 2.5e-3,
+        sh_rest: 1.25e-4,
+        opacity: 0.05,
+        scale: 5e-3,
+        rotation: 1e-3,
+    };
+    TrainStep {
+        view: 0,
+        settings: settings(2, ScreenFilter::Classic),
+        update: Some(Update { rates, step: number, opacity_step: number, exploration: None }),
+        statistics: StatisticsRequest { density: Some(DensitySignal::Signed), genes: true },
+    }
+}
+
+/// Ten steps from the same gradients as the reference's Adam.
+#[test]
+fn adam_matches_the_reference() {
+    let (start, settings) = (cloud(300), settings(2, ScreenFilter::Classic));
+    let mut backend = backend_with(&start);
+    let mut expected = Cloud64::from(&start);
+    let mut moments = reference::Moments64::zeros(300);
+    for number in 1..=10 {
+        let step = step(number);
+        // Gradients of the f32 state, so that only the optimiser is compared.
+        let now = backend.download().unwrap();
+        let (frame, camera) = frame_of(&now, &settings, Extra::None);
+        let Frame { chunks, bins, rows, .. } = &frame;
+        let inputs = Inputs { chunks, bins, rows, camera: &camera, settings: &settings };
+        let (gradient, _) = gradients(Level::new(), &inputs, &now, None);
+        let gradient = Cloud64::from(&gradient);
+        reference::adam(&mut expected, &mut moments, &gradient, &step.update.unwrap(), &Rng::new(5));
+        backend.train_step(&step).unwrap();
+    }
+    let actual = backend.download().unwrap();
+    let close = |a: f32, b: f64| (f64::from(a) - b).abs() < 1e-5 * b.abs().max(1.0);
+    for row in 0..300 {
+        assert!(
+            (0..3).all(|k| close(actual.positions[row][k], expected.positions[row][k])),
+            "position of row {row}"
+        );
+        assert!(
+            (0..3).all(|k| close(actual.log_scales[row][k], expected.log_scales[row][k])),
+            "scale of row {row}"
+        );
+        assert!(
+            (0..4).all(|k| close(actual.rotations[row][k], expected.rotations[row][k])),
+            "rotation of row {row}"
+        );
+        assert!((0..48).all(|k| close(actual.sh[row][k], expected.sh[row][k])), "colour of row {row}");
+        assert!(close(actual.opacity_logits[row], expected.opacity_logits[row]), "opacity of row {row}");
+    }
+    assert_ne!(actual.positions, start.positions);
+}
+
+#[test]
+fn scoring_equals_rendering_the_changed_cloud() {
+    for filter in filters() {
+        let (mut base, settings) = (cloud(500), settings(3, filter));
+        base.filter_3d = (filter == ScreenFilter::Mip).then(|| vec![0.02; 500]);
+        let population: Vec<SparseDelta> =
+            (0..6).map(|individual| individual_of(&base, individual)).collect();
+        let mut backend = backend_with(&base);
+        let scores = backend.score(&population, &[0], &settings).unwrap();
+        for (individual, &score) in population.iter().zip(&scores) {
+            let mut changed = backend_with(&base);
+            changed.apply(individual, MomentPolicy::Keep).unwrap();
+            let image = changed.render(&camera(), &settings).unwrap();
+            let plain = loss::loss(Level::new(), &image, &loss::Target::from(&photo()), None);
+            assert_eq!(score, plain, "bit for bit");
+        }
+        assert!(scores.windows(2).any(|pair| pair[0] != pair[1]), "individuals differ");
+    }
+}
+
+/// Changes one row in `individual`, among them rows that move behind the camera or vanish.
+fn individual_of(base: &Gaussians, individual: usize) -> SparseDelta {
+    let mut delta = SparseDelta::default();
+    if individual == 0 {
+        return delta;
+    }
+    for row in (individual..base.len()).step_by(3 * individual) {
+        let mut genes = base.genes(row);
+        for (k, gene) in genes.iter_mut().enumerate() {
+            *gene += 0.3 * (uniform(row, 200 + 10 * individual + k) - 0.5);
+        }
+        match row % 7 {
+            0 => genes[2] -= 20.0,
+            1 => genes[6] = -9.0,
+            _ => {}
+        }
+        delta.rows.push(row as u32);
+        delta.genes.push(genes);
+    }
+    delta
+}
+
+#[test]
+fn results_do_not_depend_on_the_number_of_threads() {
+    let run = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| {
+            let mut backend = backend_with(&cloud(700));
+            for number in 1..=5 {
+                backend.train_step(&step(number)).unwrap();
+            }
+            let mut edit = RowEdit::keep((0..650).collect());
+            edit.push(3, genesplat_core::Origin::SplitChild { child: 0 });
+            backend.edit_rows(&edit).unwrap();
+            backend.train_step(&step(6)).unwrap();
+            let population: Vec<SparseDelta> =
+                (0..4).map(|index| individual_of(&backend.download().unwrap(), index)).collect();
+            let scores = backend.score(&population, &[0], &step(1).settings).unwrap();
+            (backend.download().unwrap(), backend.statistics().unwrap(), scores)
+        })
+    };
+    let one = run(1);
+    assert!(one == run(2) && one == run(7));
+}
+
+#[test]
+fn poison_never_reaches_a_pixel() {
+    let mut cloud = cloud(60);
+    let poison = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 1e30, -1e30, 1e-40];
+    for (index, value) in poison.into_iter().enumerate() {
+        cloud.positions[6 * index][index % 3] = value;
+        cloud.log_scales[6 * index + 1][index % 3] = value;
+        cloud.rotations[6 * index + 2][index % 4] = value;
+        cloud.opacity_logits[6 * index + 3] = value;
+        cloud.rotations[6 * index + 4] = [0.0; 4];
+    }
+    for filter in filters() {
+        let mut backend = backend_with(&cloud);
+        let image = backend.render(&camera(), &settings(3, filter)).unwrap();
+        assert!(image.planes.iter().all(|v| v.is_finite()), "{filter:?}");
+    }
+}
+
+#[test]
+fn an_empty_cloud_and_a_single_pixel_are_rendered() {
+    let mut backend = CpuBackend::new(0);
+    backend.upload(Gaussians::default(), None).unwrap();
+    let settings = settings(0, ScreenFilter::Classic);
+    let image = backend.render(&camera(), &settings).unwrap();
+    assert_eq!(image.pixel(3, 4), settings.background);
+    let tiny = camera().resized(1, 1);
+    backend.upload(cloud(50), None).unwrap();
+    assert_eq!(backend.render(&tiny, &settings).unwrap().planes.len(), 3);
+}
