@@ -68,6 +68,20 @@ fn a_tilted_splat_by_hand() {
     assert!(close(splat.covariance_px.xy, 7.5));
 }
 
+/// Far to the side the Jacobian is taken at 1.3 times the half field of view, the mean where it is.
+#[test]
+fn the_limit_of_the_jacobian_by_hand() {
+    let mut cloud = one_splat(0.7);
+    cloud.positions[0] = [1.9, -1.8, 2.0];
+    let splat = picture(&cloud, &RenderSettings::default()).splats[0];
+    assert!(close(splat.mean_px[0], 10.0 + 19.0) && close(splat.mean_px[1], 8.0 - 18.0));
+    // Slopes 0.95 and -0.9 are clamped to 1.3 · 12/20 and -1.3 · 10/20; Σ' = (2 px)² (I + slope slopeᵀ).
+    let [a, b] = [0.78, -0.65];
+    assert!(close(splat.covariance_px.xx, 4.0 * (1.0 + a * a) + 0.3));
+    assert!(close(splat.covariance_px.yy, 4.0 * (1.0 + b * b) + 0.3));
+    assert!(close(splat.covariance_px.xy, 4.0 * a * b));
+}
+
 #[test]
 fn screen_filters_by_hand() {
     let opacity_with = |filter| {
@@ -106,12 +120,13 @@ fn nearer_splats_hide_farther_ones_whatever_their_rows() {
 #[test]
 fn equal_depths_keep_the_order_of_their_rows() {
     let mut cloud = Cloud64::default();
-    for rgb in [GREEN, RED] {
-        push(&mut cloud, [0.0, 0.0, 2.0], 0.3, 0.8, rgb);
+    for row in 0..64 {
+        push(&mut cloud, [0.0, 0.0, if row % 2 == 0 { 3.0 } else { 2.0 }], 0.3, 0.8, GREEN);
     }
-    let rendered = picture(&cloud, &RenderSettings::default());
-    assert_eq!(rendered.splats.iter().map(|splat| splat.row).collect::<Vec<_>>(), [0, 1]);
-    assert!(close(pixel(&rendered, 10, 8)[1], 0.8));
+    let rows: Vec<usize> =
+        picture(&cloud, &RenderSettings::default()).splats.iter().map(|splat| splat.row).collect();
+    let expected: Vec<usize> = (1..64).step_by(2).chain((0..64).step_by(2)).collect();
+    assert_eq!(rows, expected);
 }
 
 /// Three splats of alpha 0.98 leave 0.02³ = 8e-6 < 1e-4, so the third is not blended at all.
@@ -125,6 +140,18 @@ fn a_pixel_ends_before_the_splat_that_would_finish_it() {
         picture(&cloud, &RenderSettings { background: [0.0, 0.0, 1.0], ..RenderSettings::default() });
     let [r, g, b] = pixel(&rendered, 10, 8);
     assert!(close(r, 1.0 - 0.0004) && g == 0.0 && close(b, 0.0004));
+}
+
+/// However many splats there are: transmittance stays in [1e-4, 1], and colours mix within the range of their own.
+#[test]
+fn a_crowd_of_splats_stays_in_range() {
+    let cloud = random_cloud(300, 23);
+    let settings = RenderSettings { background: [0.5; 3], ..RenderSettings::default() };
+    let rendered = render(&cloud, &tilted_camera(), &settings, Cutoff::Hard);
+    let darkest = rendered.frame.transmittance.iter().copied().fold(1.0, f64::min);
+    assert!((1e-4 * (1.0 - 1e-7)..1e-2).contains(&darkest), "{darkest}");
+    let brightest = rendered.splats.iter().flat_map(|splat| splat.colour).fold(0.5, f64::max);
+    assert!(rendered.frame.image.iter().all(|value| (0.0..=brightest).contains(value)));
 }
 
 #[test]
@@ -230,6 +257,22 @@ fn poison_is_culled_not_spread() {
             }
         }
     }
+}
+
+/// Needles so long that rounding eats their width: whatever is drawn has an ellipse, and some must be culled.
+#[test]
+fn needles_without_an_ellipse_are_culled() {
+    let (mut drawn, lengths) = (0, 60);
+    for length in 0..lengths {
+        let mut cloud = one_splat(0.7);
+        cloud.log_scales[0] = [f64::from(length), -9.0, -9.0];
+        cloud.rotations[0] = [1.0, 0.1, 0.2, 0.3 + 0.01 * f64::from(length)];
+        let rendered = picture(&cloud, &RenderSettings::default());
+        assert!(rendered.splats.iter().all(|splat| splat.covariance_px.determinant() > 0.0));
+        assert!(rendered.frame.image.iter().all(|value| (0.0..=0.9).contains(value)));
+        drawn += rendered.splats.len();
+    }
+    assert!((10..lengths as usize).contains(&drawn), "{drawn} of {lengths}");
 }
 
 #[test]

@@ -4,7 +4,7 @@ mod reference_support;
 
 use genesplat_core::backend::Exploration;
 use genesplat_core::{
-    DensitySignal, LearningRates, Photo, RenderSettings, Rng, StatisticsRequest, Stream, Update,
+    Camera, DensitySignal, LearningRates, Photo, RenderSettings, Rng, StatisticsRequest, Stream, Update,
 };
 use genesplat_kernels::reference::{
     Cloud64, Cutoff, Gradients, Moments64, Statistics64, adam, backward, loss, render,
@@ -104,6 +104,19 @@ fn hidden_pixels_do_not_count() {
     let counts = gradients_of(&cloud, 0.01).pixels;
     assert_eq!(counts[0], counts[1]);
     assert_eq!(counts[2], counts[0] - 1);
+}
+
+/// One pixel under a splat of opacity 0.995: alpha is 0.99, but the gradient is that of 0.995.
+#[test]
+fn the_clamp_of_alpha_passes_gradients_straight_through() {
+    let camera = Camera { width: 1, height: 1, principal_px: [0.5, 0.5], ..straight_camera() };
+    let mut cloud = Cloud64::default();
+    push(&mut cloud, [0.0, 0.0, 2.0], 0.1, 0.995, [0.75; 3]);
+    let settings = RenderSettings { background: [0.25; 3], ..RenderSettings::default() };
+    let rendered = render(&cloud, &camera, &settings, Cutoff::Hard);
+    assert!((rendered.frame.transmittance[0] - 0.01).abs() < 1e-7);
+    let gradients = backward(&cloud, &camera, &settings, Cutoff::Hard, &rendered, &[1.0, 0.0, 0.0]);
+    assert!((gradients.cloud.opacity_logits[0] - 0.5 * 0.995 * 0.005).abs() < 1e-12);
 }
 
 #[test]
