@@ -1,0 +1,85 @@
+//! The binary form: little-endian records behind a 64-bit count.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use super::{ImageRecord, Intrinsics, check};
+use crate::cursor::Cursor;
+use crate::error::SceneError;
+use crate::scene::Point;
+
+/// Least bytes of a camera: id, model, width, height, three parameters.
+const CAMERA_BYTES: usize = 4 + 4 + 8 + 8 + 3 * 8;
+/// Least bytes of an image: id, pose, camera id, an empty name's NUL, count of features.
+const IMAGE_BYTES: usize = 4 + 7 * 8 + 4 + 1 + 8;
+/// One feature of an image: `f64 x, y`, `i64` point id.
+const FEATURE_BYTES: usize = 24;
+/// Least bytes of a point: id, position, colour, error, length of the track.
+const POINT_BYTES: usize = 8 + 3 * 8 + 3 + 8 + 8;
+/// One entry of a track: `i32` image id and feature index.
+const TRACK_BYTES: usize = 8;
+
+/// `cameras.bin`.
+pub(super) fn cameras(file: &Path, bytes: &[u8]) -> Result<BTreeMap<u32, Intrinsics>, SceneError> {
+    let mut cursor = Cursor::new(file, bytes);
+    let count = cursor.count("cameras", CAMERA_BYTES)?;
+    (0..count).map(|_| camera(file, &mut cursor)).collect()
+}
+
+fn camera(file: &Path, cursor: &mut Cursor) -> Result<(u32, Intrinsics), SceneError> {
+    const RECORD: &str = "a camera";
+    let id = cursor.i32(RECORD)? as u32;
+    let model = cursor.i32(RECORD)?;
+    let size = [cursor.u64(RECORD)?, cursor.u64(RECORD)?];
+    let known = usize::try_from(model).ok().and_then(|model| check::MODELS.get(model));
+    let parameters = match known {
+        Some(&(name, 3)) => check::pinhole_parameters(file, id, name, &cursor.f64s::<3>(RECORD)?)?,
+        // Every other model is refused by name unless it is PINHOLE, so further parameters need not be read.
+        Some(&(name, _)) => check::pinhole_parameters(file, id, name, &cursor.f64s::<4>(RECORD)?)?,
+        None => {
+            return Err(SceneError::DistortedCamera {
+                file: file.to_owned(),
+                camera: id,
+                model: format!("with the number {model}"),
+            });
+        }
+    };
+    Ok((id, check::intrinsics(file, id, size, parameters)?))
+}
+
+/// `images.bin`; features are passed over.
+pub(super) fn images(file: &Path, bytes: &[u8]) -> Result<Vec<ImageRecord>, SceneError> {
+    let mut cursor = Cursor::new(file, bytes);
+    let count = cursor.count("photos", IMAGE_BYTES)?;
+    (0..count).map(|_| image(file, &mut cursor)).collect()
+}
+
+fn image(file: &Path, cursor: &mut Cursor) -> Result<ImageRecord, SceneError> {
+    const RECORD: &str = "a photo's pose";
+    cursor.i32(RECORD)?;
+    let rotation = cursor.f64s(RECORD)?;
+    let translation = cursor.f64s(RECORD)?;
+    let camera = cursor.i32(RECORD)? as u32;
+    let name = cursor.text("a photo's name")?.to_owned();
+    let features = cursor.count("image features", FEATURE_BYTES)?;
+    cursor.skip("a photo's features", features, FEATURE_BYTES)?;
+    check::pose(file, ImageRecord { name, camera, rotation, translation })
+}
+
+/// `points3D.bin`; tracks are passed over.
+pub(super) fn points(file: &Path, bytes: &[u8]) -> Result<Vec<Point>, SceneError> {
+    let mut cursor = Cursor::new(file, bytes);
+    let count = cursor.count("points", POINT_BYTES)?;
+    (1..=count).map(|place| point(file, place, &mut cursor)).collect()
+}
+
+fn point(file: &Path, place: usize, cursor: &mut Cursor) -> Result<Point, SceneError> {
+    const RECORD: &str = "a point";
+    cursor.u64(RECORD)?;
+    let position = cursor.f64s(RECORD)?;
+    let rgb = cursor.array(RECORD)?;
+    cursor.f64s::<1>(RECORD)?;
+    let track = cursor.count("track entries", TRACK_BYTES)?;
+    cursor.skip("a point's track", track, TRACK_BYTES)?;
+    check::point(file, place, position, rgb)
+}

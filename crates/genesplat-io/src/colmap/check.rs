@@ -1,0 +1,94 @@
+//! What must hold for a record of either form; the readers call these, so that both refuse the same things.
+
+use std::path::Path;
+
+use super::{ImageRecord, Intrinsics};
+use crate::error::SceneError;
+use crate::scene::Point;
+
+/// COLMAP's models by id, with their numbers of parameters (COLMAP, `sensor/models.h`).
+pub(super) const MODELS: [(&str, usize); 11] = [
+    ("SIMPLE_PINHOLE", 3),
+    ("PINHOLE", 4),
+    ("SIMPLE_RADIAL", 4),
+    ("RADIAL", 5),
+    ("OPENCV", 8),
+    ("OPENCV_FISHEYE", 8),
+    ("FULL_OPENCV", 12),
+    ("FOV", 5),
+    ("SIMPLE_RADIAL_FISHEYE", 4),
+    ("RADIAL_FISHEYE", 5),
+    ("THIN_PRISM_FISHEYE", 12),
+];
+
+/// Largest side of a photo that is believed, px: beyond it, the file is damaged.
+const SIDE_MAX_PX: u64 = 1 << 20;
+
+/// `(fx, fy, cx, cy)` of a pinhole model's parameters; other models are errors.
+pub(super) fn pinhole_parameters(
+    file: &Path,
+    camera: u32,
+    model: &str,
+    parameters: &[f64],
+) -> Result<[f64; 4], SceneError> {
+    match (model, parameters) {
+        ("SIMPLE_PINHOLE", &[f, cx, cy]) => Ok([f, f, cx, cy]),
+        ("PINHOLE", &[fx, fy, cx, cy]) => Ok([fx, fy, cx, cy]),
+        ("SIMPLE_PINHOLE" | "PINHOLE", _) => {
+            Err(bad_camera(file, camera, "has the wrong number of parameters"))
+        }
+        _ => Err(SceneError::DistortedCamera { file: file.to_owned(), camera, model: model.to_owned() }),
+    }
+}
+
+/// A camera whose numbers are possible.
+pub(super) fn intrinsics(
+    file: &Path,
+    camera: u32,
+    size: [u64; 2],
+    [fx, fy, cx, cy]: [f64; 4],
+) -> Result<Intrinsics, SceneError> {
+    if size.iter().any(|side| !(1..=SIDE_MAX_PX).contains(side)) {
+        return Err(bad_camera(file, camera, "has an impossible image size"));
+    }
+    if !(fx.is_finite() && fy.is_finite() && fx > 0.0 && fy > 0.0) {
+        return Err(bad_camera(file, camera, "has a focal length that is not a positive number"));
+    }
+    if !(cx.is_finite() && cy.is_finite()) {
+        return Err(bad_camera(file, camera, "has a principal point that is not finite"));
+    }
+    let [width, height] = size.map(|side| side as u32);
+    Ok(Intrinsics { width, height, focal_px: [fx, fy], principal_px: [cx, cy] })
+}
+
+/// A pose that is a rotation and a finite translation.
+pub(super) fn pose(file: &Path, image: ImageRecord) -> Result<ImageRecord, SceneError> {
+    let norm = image.rotation.iter().map(|v| v * v).sum::<f64>().sqrt();
+    let problem = if !image.rotation.iter().chain(&image.translation).all(|v| v.is_finite()) {
+        "is not finite"
+    } else if norm < 1e-9 || !norm.is_finite() {
+        "has a rotation that is zero or overflows"
+    } else {
+        return Ok(image);
+    };
+    Err(SceneError::BadPose { file: file.to_owned(), name: image.name, problem })
+}
+
+/// The point at 1-based `place` of the file; its position must be finite as `f32`.
+pub(super) fn point(
+    file: &Path,
+    place: usize,
+    position: [f64; 3],
+    rgb: [u8; 3],
+) -> Result<Point, SceneError> {
+    let position = position.map(|v| v as f32);
+    if !position.iter().all(|v| v.is_finite()) {
+        return Err(SceneError::BadPoint { file: file.to_owned(), point: place });
+    }
+    Ok(Point { position, rgb })
+}
+
+/// A camera that cannot be.
+pub(super) fn bad_camera(file: &Path, camera: u32, problem: &'static str) -> SceneError {
+    SceneError::BadCamera { file: file.to_owned(), camera: camera.to_string(), problem }
+}

@@ -1,0 +1,216 @@
+//! COLMAP reconstructions: `sparse/0/{cameras,images,points3D}.{bin,txt}` beside a folder of photos.
+//!
+//! Both forms are read into one [`Model`] ([`binary`], [`text`]), checked there record by record, and joined here to
+//! photos with cameras. Only pinhole cameras are taken: a rasteriser of splats projects along straight lines, so a
+//! distorted reconstruction must be undistorted first (COLMAP's `image_undistorter`).
+//!
+//! Frames: `camera_from_world` is stored as COLMAP stores it, x right, y down, z forward.
+//! Source of the layouts: COLMAP's "Output Format" documentation.
+
+mod binary;
+mod check;
+mod text;
+mod write;
+
+use std::collections::{BTreeMap, HashMap};
+use std::path::{Component, Path, PathBuf};
+
+use genesplat_core::Camera;
+use glam::{DQuat, DVec3};
+
+pub use write::write_model;
+
+use crate::error::SceneError;
+use crate::scene::{Frame, Listing, Point};
+
+/// The two forms in which COLMAP writes a model.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Form {
+    /// `.bin`, little-endian.
+    Binary,
+    /// `.txt`.
+    Text,
+}
+
+impl Form {
+    fn file(self, folder: &Path, stem: &str) -> PathBuf {
+        folder.join(format!("{stem}.{}", if self == Self::Binary { "bin" } else { "txt" }))
+    }
+}
+
+/// A reconstruction, as far as training needs it: 2D features and tracks are passed over.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Model {
+    /// By COLMAP's camera id.
+    pub cameras: BTreeMap<u32, Intrinsics>,
+    /// In file order.
+    pub images: Vec<ImageRecord>,
+    /// In file order.
+    pub points: Vec<Point>,
+}
+
+/// A pinhole camera without its pose.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Intrinsics {
+    /// Image width, px.
+    pub width: u32,
+    /// Image height, px.
+    pub height: u32,
+    /// `[fx, fy]`, px.
+    pub focal_px: [f64; 2],
+    /// `[cx, cy]`, px from the top-left corner.
+    pub principal_px: [f64; 2],
+}
+
+/// A photo and its pose.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ImageRecord {
+    /// Path relative to the image folder.
+    pub name: String,
+    /// Which of the model's cameras took it.
+    pub camera: u32,
+    /// `camera_from_world` as a quaternion `(w, x, y, z)`, of any length but zero.
+    pub rotation: [f64; 4],
+    /// `camera_from_world`, world units.
+    pub translation: [f64; 3],
+}
+
+/// The folder of a model and the form found there.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ModelFolder {
+    /// Holds `cameras`, `images` and `points3D`.
+    pub path: PathBuf,
+    /// Binary wherever both exist.
+    pub form: Form,
+}
+
+/// The model of a scene folder: in `sparse/0`, `sparse`, or the folder itself.
+pub fn find_model(scene: &Path) -> Option<ModelFolder> {
+    let folders = ["sparse/0", "sparse", ""].map(|sub| scene.join(sub));
+    let forms = [Form::Binary, Form::Text];
+    folders.iter().flat_map(|path| forms.map(|form| (path, form))).find_map(|(path, form)| {
+        form.file(path, "cameras").is_file().then(|| ModelFolder { path: path.clone(), form })
+    })
+}
+
+/// Reads the three files of a model. Every record is checked; nothing is believed beyond the bytes that back it.
+pub fn read_model(folder: &ModelFolder) -> Result<Model, SceneError> {
+    let file = |stem| folder.form.file(&folder.path, stem);
+    let (cameras, images, points) = (file("cameras"), file("images"), file("points3D"));
+    match folder.form {
+        Form::Binary => Ok(Model {
+            cameras: binary::cameras(&cameras, &read(&cameras)?)?,
+            images: binary::images(&images, &read(&images)?)?,
+            points: binary::points(&points, &read(&points)?)?,
+        }),
+        Form::Text => Ok(Model {
+            cameras: text::cameras(&cameras, &read(&cameras)?)?,
+            images: text::images(&images, &read(&images)?)?,
+            points: text::points(&points, &read(&points)?)?,
+        }),
+    }
+}
+
+fn read(file: &Path) -> Result<Vec<u8>, SceneError> {
+    std::fs::read(file).map_err(|source| SceneError::Read { file: file.to_owned(), source })
+}
+
+/// Fewest points that training starts from: initial scales are distances to the three nearest others.
+const LEAST_POINTS: usize = 4;
+
+/// Photos with cameras and points of the model in `folder`, whose photos are in `image_folder`.
+pub(crate) fn list(folder: &ModelFolder, image_folder: &Path) -> Result<Listing, SceneError> {
+    let model = read_model(folder)?;
+    let list = folder.form.file(&folder.path, "images");
+    if model.images.is_empty() {
+        return Err(SceneError::NoPhotos { file: list });
+    }
+    if model.points.len() < LEAST_POINTS {
+        let file = folder.form.file(&folder.path, "points3D");
+        return Err(SceneError::TooFewPoints { file, points: model.points.len(), least: LEAST_POINTS });
+    }
+    let photos = find_photos(&model.images, image_folder, &list)?;
+    let names = view_names(&model.images);
+    let frames = (model.images.iter().zip(photos).zip(names))
+        .map(|((image, photo), name)| {
+            Ok(Frame { name, photo, camera: camera(&model, image, &list)?, held_out: None })
+        })
+        .collect::<Result<_, SceneError>>()?;
+    Ok(Listing { list, frames, points: model.points, notices: other_models(&folder.path) })
+}
+
+fn camera(model: &Model, image: &ImageRecord, list: &Path) -> Result<Camera, SceneError> {
+    let intrinsics = model.cameras.get(&image.camera).ok_or_else(|| SceneError::NoSuchCamera {
+        file: list.to_owned(),
+        name: image.name.clone(),
+        camera: image.camera,
+    })?;
+    let [w, x, y, z] = image.rotation;
+    Ok(Camera {
+        width: intrinsics.width,
+        height: intrinsics.height,
+        focal_px: intrinsics.focal_px,
+        principal_px: intrinsics.principal_px,
+        camera_from_world_rotation: DQuat::from_xyzw(x, y, z, w).normalize(),
+        camera_from_world_translation: DVec3::from(image.translation),
+    })
+}
+
+/// Path of every photo: by the record's whole name, or else by its last part, as the reference trainer looks.
+fn find_photos(images: &[ImageRecord], folder: &Path, list: &Path) -> Result<Vec<PathBuf>, SceneError> {
+    let mut found = Vec::with_capacity(images.len());
+    let mut first_missing = None;
+    for image in images {
+        let relative = inside(&image.name, list)?;
+        let candidates = [folder.join(relative), folder.join(base_name(&image.name))];
+        match candidates.iter().find(|path| path.is_file()) {
+            Some(path) => found.push(path.clone()),
+            None => first_missing = first_missing.or_else(|| candidates.into_iter().next()),
+        }
+    }
+    match first_missing {
+        None => Ok(found),
+        Some(photo) if !found.is_empty() => Err(SceneError::PhotoMissing { photo, list: list.to_owned() }),
+        Some(_) => Err(SceneError::AllPhotosMissing {
+            count: images.len(),
+            list: list.to_owned(),
+            folder: folder.to_owned(),
+        }),
+    }
+}
+
+/// `name` as a path, if it stays inside the image folder: a downloaded scene must not make us read other files.
+fn inside<'a>(name: &'a str, list: &Path) -> Result<&'a Path, SceneError> {
+    let path = Path::new(name);
+    let stays = !name.is_empty() && path.components().all(|part| matches!(part, Component::Normal(_)));
+    stays.then_some(path).ok_or_else(|| SceneError::NameOutside { file: list.to_owned(), name: name.into() })
+}
+
+fn base_name(name: &str) -> &str {
+    name.rsplit('/').next().unwrap_or(name)
+}
+
+/// A name for each view, fit for a file: the photo's own, or its whole path with `_` where photos share a name.
+fn view_names(images: &[ImageRecord]) -> Vec<String> {
+    let mut uses = HashMap::new();
+    for image in images {
+        *uses.entry(base_name(&image.name)).or_insert(0usize) += 1;
+    }
+    let name = |image: &ImageRecord| match uses[base_name(&image.name)] {
+        1 => base_name(&image.name).to_owned(),
+        _ => image.name.replace('/', "_"),
+    };
+    images.iter().map(name).collect()
+}
+
+/// A notice where COLMAP split the photos into several models, of which only the first is used.
+fn other_models(folder: &Path) -> Vec<String> {
+    let second = folder.with_file_name("1");
+    if folder.ends_with("sparse/0") && second.is_dir() {
+        return vec![format!(
+            "COLMAP split the photos into several models; only {} is used, and photos of the others are left out",
+            folder.display()
+        )];
+    }
+    Vec::new()
+}

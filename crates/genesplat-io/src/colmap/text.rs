@@ -1,0 +1,127 @@
+//! The text form: one record a line (a photo takes two), `#` starts a comment.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::str::FromStr;
+
+use super::{ImageRecord, Intrinsics, check};
+use crate::error::SceneError;
+use crate::scene::Point;
+
+const CAMERA: &str = "CAMERA_ID MODEL WIDTH HEIGHT PARAMETERS";
+const IMAGE: &str = "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME";
+const POINT: &str = "POINT3D_ID X Y Z R G B ERROR TRACK";
+
+/// A line with its 1-based number.
+#[derive(Clone, Copy)]
+struct Line<'a> {
+    file: &'a Path,
+    number: usize,
+    text: &'a str,
+}
+
+impl<'a> Line<'a> {
+    fn error(&self, expected: &'static str) -> SceneError {
+        SceneError::Syntax { file: self.file.to_owned(), line: self.number, expected }
+    }
+
+    /// The fields, and a reader of typed values that blames this line.
+    fn fields(self, expected: &'static str) -> Fields<'a> {
+        Fields { line: self, words: self.text.split_whitespace(), expected }
+    }
+}
+
+struct Fields<'a> {
+    line: Line<'a>,
+    words: std::str::SplitWhitespace<'a>,
+    expected: &'static str,
+}
+
+impl<'a> Fields<'a> {
+    fn word(&mut self) -> Result<&'a str, SceneError> {
+        self.words.next().ok_or_else(|| self.line.error(self.expected))
+    }
+
+    fn next<T: FromStr>(&mut self) -> Result<T, SceneError> {
+        let word = self.word()?;
+        word.parse().map_err(|_| self.line.error(self.expected))
+    }
+
+    fn array<T: FromStr + Copy + Default, const K: usize>(&mut self) -> Result<[T; K], SceneError> {
+        let mut values = [T::default(); K];
+        for value in &mut values {
+            *value = self.next()?;
+        }
+        Ok(values)
+    }
+}
+
+/// Lines that are not comments; blank ones are kept, because a photo without features has a blank second line.
+fn lines<'a>(file: &'a Path, bytes: &'a [u8]) -> Result<impl Iterator<Item = Line<'a>>, SceneError> {
+    let text = std::str::from_utf8(bytes).map_err(|error| {
+        let number = 1 + bytes[..error.valid_up_to()].iter().filter(|&&byte| byte == b'\n').count();
+        SceneError::Syntax { file: file.to_owned(), line: number, expected: "UTF-8 text" }
+    })?;
+    let numbered = text.lines().enumerate().map(move |(index, text)| Line { file, number: index + 1, text });
+    Ok(numbered.filter(|line| !line.text.trim_start().starts_with('#')))
+}
+
+/// `cameras.txt`.
+pub(super) fn cameras(file: &Path, bytes: &[u8]) -> Result<BTreeMap<u32, Intrinsics>, SceneError> {
+    lines(file, bytes)?.filter(|line| !line.text.trim().is_empty()).map(camera).collect()
+}
+
+fn camera(line: Line) -> Result<(u32, Intrinsics), SceneError> {
+    let mut fields = line.fields(CAMERA);
+    let id = fields.next()?;
+    let model = fields.word()?;
+    let size = fields.array()?;
+    let parameters: Vec<f64> =
+        fields.words.map(|word| word.parse().map_err(|_| line.error(CAMERA))).collect::<Result<_, _>>()?;
+    let pinhole = check::pinhole_parameters(line.file, id, model, &parameters)?;
+    Ok((id, check::intrinsics(line.file, id, size, pinhole)?))
+}
+
+/// `images.txt`: a pose on one line, features on the next; the latter are passed over.
+pub(super) fn images(file: &Path, bytes: &[u8]) -> Result<Vec<ImageRecord>, SceneError> {
+    let mut lines = lines(file, bytes)?;
+    let mut images = Vec::new();
+    while let Some(line) = lines.find(|line| !line.text.trim().is_empty()) {
+        images.push(image(line)?);
+        lines.next();
+    }
+    Ok(images)
+}
+
+fn image(line: Line) -> Result<ImageRecord, SceneError> {
+    let mut fields = line.fields(IMAGE);
+    fields.next::<u64>()?;
+    let rotation = fields.array()?;
+    let translation = fields.array()?;
+    let camera = fields.next()?;
+    let name = rest_after(line.text, 9).ok_or_else(|| line.error(IMAGE))?.to_owned();
+    check::pose(line.file, ImageRecord { name, camera, rotation, translation })
+}
+
+/// What follows the first `count` words, which may itself hold spaces (a photo's name); `None` if nothing does.
+fn rest_after(text: &str, count: usize) -> Option<&str> {
+    let mut rest = text.trim();
+    for _ in 0..count {
+        rest = rest.split_once(char::is_whitespace)?.1.trim_start();
+    }
+    (!rest.is_empty()).then_some(rest)
+}
+
+/// `points3D.txt`; tracks are passed over.
+pub(super) fn points(file: &Path, bytes: &[u8]) -> Result<Vec<Point>, SceneError> {
+    let lines = lines(file, bytes)?.filter(|line| !line.text.trim().is_empty());
+    lines.enumerate().map(|(index, line)| point(index + 1, line)).collect()
+}
+
+fn point(place: usize, line: Line) -> Result<Point, SceneError> {
+    let mut fields = line.fields(POINT);
+    fields.next::<u64>()?;
+    let position = fields.array()?;
+    let rgb = fields.array()?;
+    check::point(line.file, place, position, rgb)
+}

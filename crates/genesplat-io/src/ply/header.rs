@@ -1,0 +1,217 @@
+//! The text part of a PLY file: which properties a row holds, where, and of which type.
+
+use std::io::{BufRead, Read};
+use std::path::Path;
+
+use genesplat_core::Gaussians;
+
+use super::{PlyError, PlyOptions, RenderMode};
+
+/// What a PLY file says about itself.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct PlyHeader {
+    /// Number of Gaussians.
+    pub gaussians: u64,
+    /// Highest degree of the spherical harmonics that are stored, 0 to 3.
+    pub sh_degree: u8,
+    /// True for Mip-Splatting's 3D filter.
+    pub has_filter_3d: bool,
+    /// How a viewer should filter; `None` when the file does not say.
+    pub render_mode: Option<RenderMode>,
+    /// Header comments in order.
+    pub comments: Vec<String>,
+    /// Properties of a vertex in file order.
+    pub(super) properties: Vec<Property>,
+    /// Bytes of a row.
+    pub(super) row_bytes: usize,
+    /// Bytes of the elements that precede the vertices.
+    pub(super) bytes_before: u64,
+}
+
+/// One value of a row.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Property {
+    /// As the header spells it.
+    pub(super) name: String,
+    /// Its type.
+    pub(super) scalar: Scalar,
+    /// Bytes from the start of the row.
+    pub(super) offset: usize,
+}
+
+/// PLY's scalar types.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Scalar {
+    I8,
+    U8,
+    I16,
+    U16,
+    I32,
+    U32,
+    F32,
+    F64,
+}
+
+impl Scalar {
+    fn parse(name: &str) -> Option<Self> {
+        Some(match name {
+            "char" | "int8" => Self::I8,
+            "uchar" | "uint8" => Self::U8,
+            "short" | "int16" => Self::I16,
+            "ushort" | "uint16" => Self::U16,
+            "int" | "int32" => Self::I32,
+            "uint" | "uint32" => Self::U32,
+            "float" | "float32" => Self::F32,
+            "double" | "float64" => Self::F64,
+            _ => return None,
+        })
+    }
+
+    pub(super) fn bytes(self) -> usize {
+        match self {
+            Self::I8 | Self::U8 => 1,
+            Self::I16 | Self::U16 => 2,
+            Self::I32 | Self::U32 | Self::F32 => 4,
+            Self::F64 => 8,
+        }
+    }
+}
+
+/// An element while its properties are being read.
+struct Element {
+    name: String,
+    count: u64,
+    properties: Vec<Property>,
+    row_bytes: usize,
+    has_list: bool,
+}
+
+/// Longest header that is believed: 59 properties take 2 KiB.
+const HEADER_BYTES_MAX: u64 = 1 << 20;
+
+/// Reads the header from the start of a file, and its length in bytes.
+pub(super) fn read(reader: &mut impl BufRead, path: &Path) -> Result<(PlyHeader, u64), PlyError> {
+    let bytes = header_bytes(reader, path)?;
+    let bad = |problem: String| PlyError::Header { path: path.to_owned(), problem };
+    let text = std::str::from_utf8(&bytes).map_err(|_| bad("its header is not text".into()))?;
+    let mut comments = Vec::new();
+    let mut elements = Vec::new();
+    for line in text.lines().skip(1) {
+        let (keyword, rest) = line.trim_end().split_once(' ').unwrap_or((line.trim_end(), ""));
+        match keyword {
+            "comment" | "obj_info" => comments.push(rest.to_owned()),
+            "format" => check_format(rest).map_err(bad)?,
+            "element" => elements.push(element(rest).map_err(bad)?),
+            "property" => add_property(elements.last_mut(), rest).map_err(bad)?,
+            "end_header" | "" => {}
+            other => return Err(bad(format!("its header has the unknown keyword {other:?}"))),
+        }
+    }
+    let header = assemble(elements, comments).map_err(bad)?;
+    Ok((header, bytes.len() as u64))
+}
+
+/// Everything up to and including the line `end_header`.
+fn header_bytes(reader: &mut impl BufRead, path: &Path) -> Result<Vec<u8>, PlyError> {
+    let bad = |problem: &str| PlyError::Header { path: path.to_owned(), problem: problem.into() };
+    let mut reader = reader.take(HEADER_BYTES_MAX);
+    let mut bytes = Vec::new();
+    loop {
+        let start = bytes.len();
+        let read = reader.read_until(b'\n', &mut bytes);
+        let line = bytes[start..].trim_ascii_end();
+        if start == 0 && line != b"ply" {
+            return Err(bad("it does not begin with the line \"ply\""));
+        }
+        match read.map_err(|source| super::read_error(path, source))? {
+            0 => return Err(bad("its header has no end")),
+            _ if line == b"end_header" => return Ok(bytes),
+            _ => {}
+        }
+    }
+}
+
+fn check_format(format: &str) -> Result<(), String> {
+    match format.split(' ').next() {
+        Some("binary_little_endian") => Ok(()),
+        Some("ascii") => Err("it is an ASCII file, and only binary ones are read".into()),
+        Some("binary_big_endian") => Err("it is big-endian, and only little-endian files are read".into()),
+        _ => Err(format!("its format {format:?} is unknown")),
+    }
+}
+
+fn element(rest: &str) -> Result<Element, String> {
+    let (name, count) = rest.split_once(' ').ok_or("an element has no count")?;
+    let count =
+        count.trim().parse().map_err(|_| format!("element {name} has the impossible count {count:?}"))?;
+    Ok(Element { name: name.into(), count, properties: Vec::new(), row_bytes: 0, has_list: false })
+}
+
+fn add_property(element: Option<&mut Element>, rest: &str) -> Result<(), String> {
+    let element = element.ok_or("a property comes before any element")?;
+    let (kind, name) = rest.split_once(' ').ok_or("a property has no name")?;
+    if kind == "list" {
+        element.has_list = true;
+        return Ok(());
+    }
+    let scalar =
+        Scalar::parse(kind).ok_or_else(|| format!("property {name} has the unknown type {kind:?}"))?;
+    element.properties.push(Property { name: name.trim().into(), scalar, offset: element.row_bytes });
+    element.row_bytes += scalar.bytes();
+    Ok(())
+}
+
+fn assemble(mut elements: Vec<Element>, comments: Vec<String>) -> Result<PlyHeader, String> {
+    let at = elements.iter().position(|element| element.name == "vertex").ok_or("it has no vertices")?;
+    let before = &elements[..=at];
+    if let Some(element) = before.iter().find(|element| element.has_list) {
+        return Err(format!("element {} holds a list, so its rows have no fixed length", element.name));
+    }
+    let bytes_before = before[..at]
+        .iter()
+        .try_fold(0u64, |sum, element| sum.checked_add(element.count.checked_mul(element.row_bytes as u64)?));
+    let bytes_before = bytes_before.ok_or("its elements have impossible counts")?;
+    let vertex = elements.swap_remove(at);
+    if vertex.row_bytes == 0 {
+        return Err("its vertices have no properties".into());
+    }
+    let rest = vertex.properties.iter().filter(|property| property.name.starts_with("f_rest_")).count();
+    Ok(PlyHeader {
+        gaussians: vertex.count,
+        sh_degree: degree(rest)?,
+        has_filter_3d: vertex.properties.iter().any(|property| property.name == "filter_3D"),
+        render_mode: comments.iter().find_map(|comment| render_mode(comment)),
+        comments,
+        properties: vertex.properties,
+        row_bytes: vertex.row_bytes,
+        bytes_before,
+    })
+}
+
+/// Degree of spherical harmonics with `rest` coefficients beyond the base colour: `3 (degree + 1)² − 3`.
+fn degree(rest: usize) -> Result<u8, String> {
+    (0..=3).find(|&degree| 3 * (usize::from(degree) + 1).pow(2) - 3 == rest).ok_or_else(|| {
+        format!(
+            "it has {rest} f_rest properties, where spherical harmonics of degree 0 to 3 have 0, 9, 24 or 45"
+        )
+    })
+}
+
+fn render_mode(comment: &str) -> Option<RenderMode> {
+    let mode = comment.strip_prefix("SplatRenderMode:")?.trim();
+    [RenderMode::Default, RenderMode::Mip].into_iter().find(|known| known.name() == mode)
+}
+
+/// The header of `cloud` at degree 3.
+pub(super) fn text(cloud: &Gaussians, options: &PlyOptions) -> String {
+    let mut text = String::from("ply\nformat binary_little_endian 1.0\n");
+    text += &format!("comment SplatRenderMode: {}\n", options.render_mode.name());
+    for comment in &options.comments {
+        text += &format!("comment {}\n", comment.replace(['\n', '\r'], " "));
+    }
+    text += &format!("element vertex {}\n", cloud.len());
+    for name in super::rows::property_names(cloud.filter_3d.is_some()) {
+        text += &format!("property float {name}\n");
+    }
+    text + "end_header\n"
+}

@@ -1,0 +1,207 @@
+//! Clouds in and out as `.ply`, in the layout of the 3DGS authors (INRIA) that every splat viewer opens.
+//!
+//! One element `vertex`, binary little-endian, all values raw (before activation):
+//! `x y z nx ny nz f_dc_0..2 f_rest_0..44 opacity scale_0..2 rot_0..3`, and `filter_3D` last for Mip-Splatting.
+//! `f_rest` is channel-major: 15 coefficients of red, then of green, then of blue.
+//!
+//! Reading follows the header, not this list: properties may come in any order, of any scalar type, with others
+//! between them, and with fewer harmonics (degree 0 to 2). What is written and read again has the same bits.
+
+mod header;
+mod rows;
+
+use std::fs::File;
+use std::io::{self, BufReader, Read, Write};
+use std::path::{Path, PathBuf};
+
+use genesplat_core::gaussians::{logit, sigmoid};
+use genesplat_core::{Gaussians, ScreenFilter};
+
+pub use header::PlyHeader;
+
+use crate::atomic::write_atomically;
+
+/// Why a cloud could not be read or written.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum PlyError {
+    /// The operating system refused to read.
+    #[error("cannot read {path}: {source}")]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: io::Error,
+    },
+    /// The operating system refused to write.
+    #[error("cannot write {path}: {source}; what was there before is unchanged")]
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: io::Error,
+    },
+    /// Not a PLY file, or a header that breaks the format's grammar.
+    #[error(
+        "{path} is not a PLY file that genesplat can read: {problem}; export it again as a binary splat PLY"
+    )]
+    Header {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        problem: String,
+    },
+    /// A PLY file of something else.
+    #[error(
+        "{path} is not a cloud of Gaussians: its vertices lack {property}; it may be a plain point cloud or a mesh"
+    )]
+    MissingProperty {
+        /// The file.
+        path: PathBuf,
+        /// The first property that is missing.
+        property: String,
+    },
+    /// Fewer bytes than the header promises.
+    #[error(
+        "{path} promises {promised} Gaussians but holds bytes for {held}; the file was cut off, so copy or export it again"
+    )]
+    Truncated {
+        /// The file.
+        path: PathBuf,
+        /// What the header says.
+        promised: u64,
+        /// Whole rows that are there.
+        held: u64,
+    },
+    /// A value that is not finite.
+    #[error("{path}: Gaussian {row} has a {parameter} that is not finite; remove it in a splat editor")]
+    NonFinite {
+        /// The file.
+        path: PathBuf,
+        /// 0-based row.
+        row: usize,
+        /// Which parameter.
+        parameter: &'static str,
+    },
+}
+
+/// How a viewer should filter the splats, as the header comment `SplatRenderMode` tells it (shared with Brush and
+/// nerfstudio).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub enum RenderMode {
+    /// Dilation by 0.3 px², opacity unchanged.
+    #[default]
+    Default,
+    /// Opacity compensated for the dilation.
+    Mip,
+}
+
+impl RenderMode {
+    /// As the header comment spells it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Default => "default",
+            Self::Mip => "mip",
+        }
+    }
+}
+
+impl From<ScreenFilter> for RenderMode {
+    fn from(filter: ScreenFilter) -> Self {
+        match filter {
+            ScreenFilter::Classic => Self::Default,
+            ScreenFilter::Antialiased | ScreenFilter::Mip => Self::Mip,
+        }
+    }
+}
+
+impl From<RenderMode> for ScreenFilter {
+    fn from(mode: RenderMode) -> Self {
+        match mode {
+            RenderMode::Default => Self::Classic,
+            RenderMode::Mip => Self::Mip,
+        }
+    }
+}
+
+/// How a cloud is written.
+#[derive(Clone, Debug, PartialEq, Eq, Default)]
+pub struct PlyOptions {
+    /// For viewers.
+    pub render_mode: RenderMode,
+    /// Further header comments, one line each (line breaks are replaced by spaces).
+    pub comments: Vec<String>,
+}
+
+/// Reads what a PLY file says about itself, without its rows.
+pub fn read_ply_header(path: &Path) -> Result<PlyHeader, PlyError> {
+    open(path).map(|(header, _)| header)
+}
+
+/// Reads a cloud of Gaussians. Values are returned as they are, NaN included: see [`check_finite`].
+pub fn read_ply(path: &Path) -> Result<Gaussians, PlyError> {
+    let (header, mut rest) = open(path)?;
+    let layout = rows::Layout::of(&header, path)?;
+    layout.read(header.gaussians as usize, &mut rest).map_err(|source| read_error(path, source))
+}
+
+/// Names the first row of `cloud` (read from `path`) that holds a value that is not finite.
+pub fn check_finite(path: &Path, cloud: &Gaussians) -> Result<(), PlyError> {
+    match cloud.first_non_finite() {
+        None => Ok(()),
+        Some((row, parameter)) => Err(PlyError::NonFinite { path: path.to_owned(), row, parameter }),
+    }
+}
+
+/// Writes `cloud` to `path`, whole or not at all; `filter_3D` is written when the cloud has one.
+///
+/// # Panics
+/// If the columns of `cloud` have different lengths.
+pub fn write_ply(path: &Path, cloud: &Gaussians, options: &PlyOptions) -> Result<(), PlyError> {
+    assert!(cloud.is_consistent(), "every column of a cloud has one row a Gaussian");
+    write_atomically(path, |out| {
+        out.write_all(header::text(cloud, options).as_bytes())?;
+        rows::write(cloud, out)
+    })
+    .map_err(|source| PlyError::Write { path: path.to_owned(), source })
+}
+
+/// `cloud` with Mip-Splatting's 3D filter baked into scales and opacities, so that a viewer that does not know
+/// `filter_3D` shows it: `s' = √(s² + f²)`, `o' = o · √(Π s² / Π (s² + f²))` (Mip-Splatting, section 5.1).
+pub fn bake_filter_3d(mut cloud: Gaussians) -> Gaussians {
+    let Some(filter) = cloud.filter_3d.take() else { return cloud };
+    for (row, filter) in filter.into_iter().enumerate() {
+        let (mut before, mut after) = (1.0, 1.0);
+        for log_scale in &mut cloud.log_scales[row] {
+            let variance = (2.0 * f64::from(*log_scale)).exp();
+            let widened = variance + f64::from(filter).powi(2);
+            (before, after) = (before * variance, after * widened);
+            *log_scale = (0.5 * widened.ln()) as f32;
+        }
+        if after > before {
+            let opacity = sigmoid(cloud.opacity_logits[row]) * (before / after).sqrt() as f32;
+            cloud.opacity_logits[row] = logit(opacity.max(f32::MIN_POSITIVE));
+        }
+    }
+    cloud
+}
+
+/// The header of the file at `path`, checked against the file's size, and a reader at its first row.
+fn open(path: &Path) -> Result<(PlyHeader, BufReader<File>), PlyError> {
+    let file = File::open(path).map_err(|source| read_error(path, source))?;
+    let size = file.metadata().map_err(|source| read_error(path, source))?.len();
+    let mut reader = BufReader::with_capacity(1 << 18, file);
+    let (header, header_bytes) = header::read(&mut reader, path)?;
+    let bytes = size.saturating_sub(header_bytes + header.bytes_before);
+    let held = bytes / header.row_bytes as u64;
+    if held < header.gaussians {
+        return Err(PlyError::Truncated { path: path.to_owned(), promised: header.gaussians, held });
+    }
+    io::copy(&mut reader.by_ref().take(header.bytes_before), &mut io::sink())
+        .map_err(|source| read_error(path, source))?;
+    Ok((header, reader))
+}
+
+fn read_error(path: &Path, source: io::Error) -> PlyError {
+    PlyError::Read { path: path.to_owned(), source }
+}

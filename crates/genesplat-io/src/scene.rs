@@ -1,0 +1,219 @@
+//! Scenes: which form a folder has, which photos are held out, and the photos themselves.
+//!
+//! Each reader ([`crate::colmap`], ...) turns its files into a [`Listing`]: photos by path, with cameras, and points.
+//! What follows is the same for all: split, then decode, check and resize in parallel.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use genesplat_core::{Camera, View};
+use rayon::prelude::*;
+
+use crate::error::SceneError;
+pub use crate::photos::PhotoSize;
+use crate::{colmap, photos};
+
+/// A point of a reconstruction.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Point {
+    /// World units.
+    pub position: [f32; 3],
+    /// 8-bit colour.
+    pub rgb: [u8; 3],
+}
+
+/// Photos with cameras, split for training and testing, and the points to start from.
+#[derive(Clone, Debug)]
+pub struct Scene {
+    /// Name of the folder.
+    pub name: String,
+    /// Views to train on, sorted by name.
+    pub train: Vec<View>,
+    /// Views that training must never see, sorted by name.
+    pub test: Vec<View>,
+    /// Points in the order of their file.
+    pub points: Vec<Point>,
+    /// What the user should know: one sentence each.
+    pub notices: Vec<String>,
+}
+
+/// Which photos are held out for testing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub enum HoldOut {
+    /// Sorted by name, every eighth, from the first on: the field's convention. A scene that names its own test
+    /// photos (Blender, nerfstudio file lists) keeps those instead.
+    #[default]
+    EveryEighth,
+    /// None: everything is trained on.
+    None,
+}
+
+/// How a scene is loaded.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct LoadOptions {
+    /// Size of the photos.
+    pub size: PhotoSize,
+    /// Which photos are held out.
+    pub hold_out: HoldOut,
+    /// Colour behind transparent photos.
+    pub background: [u8; 3],
+    /// Folder of a COLMAP scene's photos, relative to the scene: some data sets ship `images_2`, `images_4`, ...
+    pub image_folder: PathBuf,
+    /// Seed of the random points that a scene without points starts from.
+    pub seed: u64,
+}
+
+impl Default for LoadOptions {
+    fn default() -> Self {
+        Self {
+            size: PhotoSize::default(),
+            hold_out: HoldOut::default(),
+            background: [0; 3],
+            image_folder: "images".into(),
+            seed: 0,
+        }
+    }
+}
+
+/// Hears how far loading is; called from many threads.
+pub trait LoadProgress: Sync {
+    /// Decoding of `photos` photos begins.
+    fn start(&self, photos: usize);
+    /// One more is ready.
+    fn photo_done(&self);
+}
+
+/// Nobody listens.
+impl LoadProgress for () {
+    fn start(&self, _photos: usize) {}
+    fn photo_done(&self) {}
+}
+
+/// Least side of a loaded photo, px: SSIM's window alone has 11.
+pub const LEAST_SIDE_PX: u32 = 16;
+
+/// What a reader finds in a scene's files, before any photo is decoded.
+pub(crate) struct Listing {
+    /// The file that lists the photos, for errors.
+    pub(crate) list: PathBuf,
+    /// Photos in any order.
+    pub(crate) frames: Vec<Frame>,
+    /// Points in file order.
+    pub(crate) points: Vec<Point>,
+    /// What the user should know.
+    pub(crate) notices: Vec<String>,
+}
+
+/// A photo before it is decoded.
+pub(crate) struct Frame {
+    /// Unique within the scene and free of separators.
+    pub(crate) name: String,
+    /// Where the photo is.
+    pub(crate) photo: PathBuf,
+    /// At the size that the listing states.
+    pub(crate) camera: Camera,
+    /// Whether the scene itself holds the photo out for testing; `None` where it does not say.
+    pub(crate) held_out: Option<bool>,
+}
+
+/// Loads the scene in the folder `path`: a COLMAP model with its photos.
+///
+/// Photos are decoded in parallel on rayon's current pool. The result does not depend on the number of threads.
+pub fn load_scene(
+    path: &Path,
+    options: &LoadOptions,
+    progress: &dyn LoadProgress,
+) -> Result<Scene, SceneError> {
+    let listing = list(path, options)?;
+    let (train, test) = split(listing.frames, options.hold_out);
+    if train.is_empty() {
+        let (photos, held_out) = (test.len(), test.len());
+        return Err(SceneError::NotEnoughPhotos { path: path.to_owned(), photos, held_out });
+    }
+    progress.start(train.len() + test.len());
+    let load = |frames: &[Frame]| -> Result<Vec<View>, SceneError> {
+        frames.par_iter().map(|frame| load_view(frame, &listing.list, options, progress)).collect()
+    };
+    Ok(Scene {
+        name: scene_name(path),
+        train: load(&train)?,
+        test: load(&test)?,
+        points: listing.points,
+        notices: listing.notices,
+    })
+}
+
+fn list(path: &Path, options: &LoadOptions) -> Result<Listing, SceneError> {
+    if !path.exists() {
+        return Err(SceneError::Missing { path: path.to_owned() });
+    }
+    if let Some(model) = colmap::find_model(path) {
+        return colmap::list(&model, &path.join(&options.image_folder));
+    }
+    Err(SceneError::Unrecognised { path: path.to_owned() })
+}
+
+/// Training and test frames, each sorted by name.
+fn split(mut frames: Vec<Frame>, hold_out: HoldOut) -> (Vec<Frame>, Vec<Frame>) {
+    // The reference sorts by the file name up to its first dot; the whole name breaks ties.
+    frames.sort_by(|a, b| stem(&a.name).cmp(stem(&b.name)).then_with(|| a.name.cmp(&b.name)));
+    let prescribed = frames.iter().any(|frame| frame.held_out == Some(true));
+    let mut index = 0;
+    frames.into_iter().partition(|frame| {
+        let held_out = if prescribed { frame.held_out == Some(true) } else { index % 8 == 0 };
+        index += 1;
+        hold_out == HoldOut::None || !held_out
+    })
+}
+
+fn stem(name: &str) -> &str {
+    name.split('.').next().unwrap_or(name)
+}
+
+fn scene_name(path: &Path) -> String {
+    let whole = path.canonicalize().unwrap_or_else(|_| path.to_owned());
+    whole.file_name().map_or_else(|| "scene".into(), |name| name.to_string_lossy().into_owned())
+}
+
+fn load_view(
+    frame: &Frame,
+    list: &Path,
+    options: &LoadOptions,
+    progress: &dyn LoadProgress,
+) -> Result<View, SceneError> {
+    let photo = photos::read_photo_on(&frame.photo, options.background)?;
+    let camera = camera_of_photo(frame, list, photo.width, photo.height)?;
+    let (width, height) = options.size.of(photo.width, photo.height);
+    if width.min(height) < LEAST_SIDE_PX {
+        return Err(SceneError::PhotoTooSmall {
+            photo: frame.photo.clone(),
+            width,
+            height,
+            least: LEAST_SIDE_PX,
+        });
+    }
+    let photo = Arc::new(photos::resize(&photo, width, height));
+    progress.photo_done();
+    Ok(View { name: frame.name.clone(), camera: camera.resized(width, height), photo })
+}
+
+/// The listed camera at the photo's own size.
+///
+/// Published scenes calibrate on larger photos than they ship (Tanks and Temples: twice), rounded to whole pixels; so
+/// a camera of the same shape is scaled, and a camera of another shape is a mistake.
+fn camera_of_photo(frame: &Frame, list: &Path, width: u32, height: u32) -> Result<Camera, SceneError> {
+    let camera = &frame.camera;
+    let scale = f64::from(width) / f64::from(camera.width);
+    let expected_height = f64::from(camera.height) * scale;
+    // Either side may have been rounded by a pixel before and after the reduction; 0.5 % covers large photos.
+    let tolerance = (0.005 * f64::from(height)).max(2.0);
+    if (expected_height - f64::from(height)).abs() > tolerance {
+        return Err(SceneError::SizeMismatch {
+            photo: frame.photo.clone(),
+            photo_size: [width, height],
+            list: list.to_owned(),
+            camera_size: [camera.width, camera.height],
+        });
+    }
+    Ok(camera.resized(width, height))
+}

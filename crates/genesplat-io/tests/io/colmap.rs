@@ -1,0 +1,285 @@
+//! COLMAP scenes: both forms, every truncation, and a sentence for every mistake.
+
+use std::fs;
+use std::path::Path;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use crate::common::{SIZE, tiny_model, tiny_photo, write_scene};
+use genesplat_io::colmap::{Form, Model, ModelFolder, find_model, read_model, write_model};
+use genesplat_io::{HoldOut, LoadOptions, LoadProgress, PhotoSize, SceneError, load_scene, photos};
+
+const FORMS: [Form; 2] = [Form::Binary, Form::Text];
+const FILES: [&str; 3] = ["cameras", "images", "points3D"];
+
+fn file_of(scene: &Path, form: Form, stem: &str) -> std::path::PathBuf {
+    let extension = if form == Form::Binary { "bin" } else { "txt" };
+    scene.join(format!("sparse/0/{stem}.{extension}"))
+}
+
+/// The sentence with which the scene of `model`, changed on disk by `spoil`, is refused.
+fn refusal(form: Form, model: &Model, spoil: impl FnOnce(&Path)) -> String {
+    let folder = tempfile::tempdir().unwrap();
+    write_scene(folder.path(), form, model);
+    spoil(folder.path());
+    let error = load_scene(folder.path(), &LoadOptions::default(), &()).unwrap_err().to_string();
+    assert!(!error.contains('\n'), "one sentence: {error}");
+    error
+}
+
+#[test]
+fn both_forms_keep_every_bit() {
+    let model = tiny_model(3);
+    for form in FORMS {
+        let folder = tempfile::tempdir().unwrap();
+        write_model(folder.path(), form, &model).unwrap();
+        let found = find_model(folder.path()).unwrap();
+        assert_eq!(found.form, form);
+        assert_eq!(read_model(&found).unwrap(), model);
+    }
+}
+
+#[test]
+fn binary_is_preferred_to_text() {
+    let folder = tempfile::tempdir().unwrap();
+    write_model(folder.path(), Form::Text, &tiny_model(1)).unwrap();
+    write_model(folder.path(), Form::Binary, &tiny_model(2)).unwrap();
+    assert_eq!(read_model(&find_model(folder.path()).unwrap()).unwrap().images.len(), 2);
+}
+
+#[test]
+fn text_as_colmap_writes_it_is_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let write = |name: &str, text: &str| fs::write(folder.path().join(name), text).unwrap();
+    write("cameras.txt", "# a comment\n\n1 SIMPLE_PINHOLE 640 480 500.5 320 240\n2 PINHOLE 64 48 5 6 3 2\n");
+    write(
+        "images.txt",
+        "# a\n1 1 0 0 0 0 0 1.5 1 with space.jpg\n10.5 3 -1 7 8 2\n2 0 1 0 0 1 2 3 2 b.jpg\n\n",
+    );
+    write("points3D.txt", "63 1.5 -2 3e-1 255 0 7 0.8 1 2 2 4\n5 0 0 0 1 2 3 0.1\n");
+    let model = read_model(&ModelFolder { path: folder.path().into(), form: Form::Text }).unwrap();
+    assert_eq!(model.cameras[&1].focal_px, [500.5, 500.5]);
+    assert_eq!(model.cameras[&2].principal_px, [3.0, 2.0]);
+    assert_eq!(model.images[0].name, "with space.jpg");
+    assert_eq!((model.images[1].rotation, model.images[1].camera), ([0.0, 1.0, 0.0, 0.0], 2));
+    assert_eq!((model.points[0].position, model.points[0].rgb), ([1.5, -2.0, 0.3], [255, 0, 7]));
+}
+
+#[test]
+fn features_and_tracks_are_passed_over() {
+    let folder = tempfile::tempdir().unwrap();
+    let model = tiny_model(1);
+    write_model(folder.path(), Form::Binary, &model).unwrap();
+    // One feature for the only photo, and a track of two for the last point.
+    for (name, entries, bytes) in [("images.bin", 1u64, 24), ("points3D.bin", 2, 16)] {
+        let path = folder.path().join(name);
+        let mut file = fs::read(&path).unwrap();
+        file.truncate(file.len() - 8);
+        file.extend(entries.to_le_bytes());
+        file.extend(vec![0xAB; bytes]);
+        fs::write(&path, file).unwrap();
+    }
+    assert_eq!(read_model(&find_model(folder.path()).unwrap()).unwrap(), model);
+}
+
+#[test]
+fn a_binary_model_cut_anywhere_is_an_error() {
+    let folder = tempfile::tempdir().unwrap();
+    write_model(folder.path(), Form::Binary, &tiny_model(2)).unwrap();
+    let found = find_model(folder.path()).unwrap();
+    for stem in FILES {
+        let path = folder.path().join(format!("{stem}.bin"));
+        let whole = fs::read(&path).unwrap();
+        for length in 0..whole.len() {
+            fs::write(&path, &whole[..length]).unwrap();
+            let error = read_model(&found).expect_err("a cut file must not load").to_string();
+            assert!(error.contains(stem), "{error}");
+        }
+        fs::write(&path, &whole).unwrap();
+    }
+    assert!(read_model(&found).is_ok());
+}
+
+#[test]
+fn any_changed_byte_is_read_or_refused() {
+    for form in FORMS {
+        let folder = tempfile::tempdir().unwrap();
+        write_scene(folder.path(), form, &tiny_model(2));
+        let found = find_model(folder.path()).unwrap();
+        for stem in FILES {
+            let path = file_of(folder.path(), form, stem);
+            let whole = fs::read(&path).unwrap();
+            for (at, byte) in (0..whole.len()).flat_map(|at| [0x00, 0x7F, 0x80, 0xFF].map(|byte| (at, byte)))
+            {
+                let mut bytes = whole.clone();
+                bytes[at] = byte;
+                fs::write(&path, &bytes).unwrap();
+                // A panic or an endless allocation fails the test; either outcome of the call is fine.
+                let _ = read_model(&found);
+            }
+            fs::write(&path, &whole).unwrap();
+        }
+    }
+}
+
+#[test]
+fn counts_beyond_the_file_are_refused() {
+    for stem in FILES {
+        let sentence = refusal(Form::Binary, &tiny_model(2), |scene| {
+            let path = file_of(scene, Form::Binary, stem);
+            let mut bytes = fs::read(&path).unwrap();
+            bytes[..8].copy_from_slice(&(1u64 << 60).to_le_bytes());
+            fs::write(&path, bytes).unwrap();
+        });
+        assert!(sentence.contains("claims 1152921504606846976") && sentence.contains(stem), "{sentence}");
+    }
+}
+
+#[test]
+fn bad_numbers_are_named_in_both_forms() {
+    type Spoil = fn(&mut Model);
+    let cases: [(Spoil, &str); 9] = [
+        (|m| m.images[1].rotation = [0.0; 4], "pose of photo a b/001.png has a rotation that is zero"),
+        (|m| m.images[1].translation[2] = f64::NAN, "pose of photo a b/001.png is not finite"),
+        (|m| m.images[0].rotation[0] = f64::INFINITY, "pose of photo a b/000.png is not finite"),
+        (|m| m.points[4].position[0] = f32::NAN, "point 5 has a position that is not finite"),
+        (|m| m.points.clear(), "has 0 points"),
+        (|m| m.cameras.get_mut(&7).unwrap().focal_px[0] = 0.0, "camera 7 has a focal length"),
+        (|m| m.cameras.get_mut(&7).unwrap().principal_px[1] = f64::NAN, "camera 7 has a principal point"),
+        (|m| m.cameras.get_mut(&7).unwrap().width = 0, "camera 7 has an impossible image size"),
+        (|m| m.images[1].camera = 8, "refers to camera 8"),
+    ];
+    for form in FORMS {
+        for (spoil, expected) in &cases {
+            let sentence = refusal(form, &tiny_model(3), |scene| {
+                let mut model = tiny_model(3);
+                spoil(&mut model);
+                write_model(&scene.join("sparse/0"), form, &model).unwrap();
+            });
+            assert!(sentence.contains(expected) && sentence.contains("sparse/0"), "{sentence}");
+        }
+    }
+}
+
+#[test]
+fn a_distorted_camera_names_its_model_and_the_remedy() {
+    let text = refusal(Form::Text, &tiny_model(2), |scene| {
+        fs::write(file_of(scene, Form::Text, "cameras"), "7 OPENCV 40 30 35 35 20 15 0.1 0 0 0\n").unwrap();
+    });
+    let binary = refusal(Form::Binary, &tiny_model(2), |scene| {
+        let path = file_of(scene, Form::Binary, "cameras");
+        let mut bytes = fs::read(&path).unwrap();
+        bytes[12] = 4;
+        fs::write(&path, bytes).unwrap();
+    });
+    for sentence in [text, binary] {
+        assert!(sentence.contains("model OPENCV") && sentence.contains("image_undistorter"), "{sentence}");
+    }
+}
+
+#[test]
+fn photos_that_cannot_be_used_are_named() {
+    let first = |scene: &Path| scene.join("images/a b/000.png");
+    type Spoil<'a> = Box<dyn Fn(&Path) + 'a>;
+    let jpeg: &[u8] = b"\xFF\xD8\xFF\xE0\x00\x10JFIF\0\x01\x01\0\0\x01\0\x01\0\0\xFF\xDA\x00\x02torn";
+    let cases: [(Spoil, &str); 6] = [
+        (Box::new(|s| fs::remove_file(first(s)).unwrap()), "does not exist; put it back"),
+        (Box::new(|s| fs::remove_dir_all(s.join("images")).unwrap()), "none of the 3 photos"),
+        (Box::new(|s| fs::write(first(s), b"not a picture").unwrap()), "neither a PNG nor a JPEG"),
+        (Box::new(|s| fs::write(first(s), jpeg).unwrap()), "cut off"),
+        (Box::new(|s| photos::write_png(&first(s), &tiny_photo(0, [40, 40])).unwrap()), "is 40x40 pixels"),
+        (Box::new(|s| photos::write_png(&first(s), &tiny_photo(0, [20, 15])).unwrap()), "at 20x15 pixels"),
+    ];
+    for (spoil, expected) in cases {
+        let sentence = refusal(Form::Binary, &tiny_model(3), spoil);
+        assert!(sentence.contains(expected) && sentence.contains("images"), "{sentence}");
+    }
+}
+
+#[test]
+fn names_that_leave_the_image_folder_are_refused() {
+    for name in ["../secret.png", "/etc/hostname", "a/../../b.png", ""] {
+        let sentence = refusal(Form::Binary, &tiny_model(2), |scene| {
+            let mut model = tiny_model(2);
+            model.images[0].name = name.into();
+            write_model(&scene.join("sparse/0"), Form::Binary, &model).unwrap();
+        });
+        assert!(sentence.contains("not a path inside"), "{sentence}");
+    }
+}
+
+#[test]
+fn one_photo_is_not_enough_unless_none_is_held_out() {
+    let sentence = refusal(Form::Binary, &tiny_model(1), |_| {});
+    assert!(sentence.contains("not enough photos"), "{sentence}");
+    let folder = tempfile::tempdir().unwrap();
+    write_scene(folder.path(), Form::Binary, &tiny_model(1));
+    let options = LoadOptions { hold_out: HoldOut::None, ..LoadOptions::default() };
+    let scene = load_scene(folder.path(), &options, &()).unwrap();
+    assert_eq!((scene.train.len(), scene.test.len()), (1, 0));
+}
+
+#[test]
+fn folders_that_are_no_scene_are_told_apart() {
+    let folder = tempfile::tempdir().unwrap();
+    let load = |path: &Path| load_scene(path, &LoadOptions::default(), &()).unwrap_err();
+    assert!(matches!(load(folder.path()), SceneError::Unrecognised { .. }));
+    assert!(matches!(load(&folder.path().join("nowhere")), SceneError::Missing { .. }));
+}
+
+/// Counts what it hears.
+#[derive(Default)]
+struct Counter {
+    announced: AtomicUsize,
+    done: AtomicUsize,
+}
+
+impl LoadProgress for Counter {
+    fn start(&self, photos: usize) {
+        self.announced.store(photos, Ordering::Relaxed);
+    }
+
+    fn photo_done(&self) {
+        self.done.fetch_add(1, Ordering::Relaxed);
+    }
+}
+
+#[test]
+fn every_eighth_photo_by_name_is_held_out() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut model = tiny_model(17);
+    model.images.reverse();
+    write_scene(folder.path(), Form::Binary, &model);
+    let counter = Counter::default();
+    let scene = load_scene(folder.path(), &LoadOptions::default(), &counter).unwrap();
+    let names: Vec<&str> = scene.test.iter().map(|view| view.name.as_str()).collect();
+    assert_eq!(names, ["000.png", "008.png", "016.png"]);
+    assert_eq!((scene.train.len(), scene.points.len()), (14, 9));
+    assert_eq!((counter.announced.into_inner(), counter.done.into_inner()), (17, 17));
+    assert_eq!(*scene.test[0].photo, tiny_photo(16, SIZE), "the photo of the record that was written last");
+}
+
+#[test]
+fn photos_of_one_name_in_several_folders_stay_apart() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut model = tiny_model(2);
+    model.images[0].name = "left/1.png".into();
+    model.images[1].name = "right/1.png".into();
+    write_scene(folder.path(), Form::Binary, &model);
+    let scene = load_scene(folder.path(), &LoadOptions::default(), &()).unwrap();
+    assert_eq!((scene.test[0].name.as_str(), scene.train[0].name.as_str()), ("left_1.png", "right_1.png"));
+}
+
+#[test]
+fn cameras_follow_smaller_photos_and_requested_sizes() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut model = tiny_model(2);
+    let camera = model.cameras.get_mut(&7).unwrap();
+    (camera.width, camera.height, camera.focal_px) = (79, 61, [70.0, 70.0]);
+    write_scene(folder.path(), Form::Binary, &model);
+    let options = LoadOptions { size: PhotoSize::MaxSide(30), ..LoadOptions::default() };
+    let loaded = load_scene(folder.path(), &options, &()).unwrap().train[0].camera;
+    // 30 x 22.5 px rounds to 23 rows; each axis keeps its own field of view.
+    assert_eq!((loaded.width, loaded.height), (30, 23));
+    assert!((loaded.focal_px[0] - 70.0 * 30.0 / 79.0).abs() < 1e-12);
+    assert!((loaded.focal_px[1] - 70.0 * 23.0 / 61.0).abs() < 1e-12);
+}

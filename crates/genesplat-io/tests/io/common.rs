@@ -1,0 +1,55 @@
+//! What several tests share: a tiny COLMAP scene on disk, and the folder of real scenes.
+
+use std::path::{Path, PathBuf};
+
+use genesplat_core::Photo;
+use genesplat_io::colmap::{Form, ImageRecord, Intrinsics, Model, write_model};
+use genesplat_io::{Point, photos};
+
+/// Photos of a [`tiny_model`], px.
+pub const SIZE: [u32; 2] = [40, 30];
+
+/// `photos` photos in two folders, nine points, one camera.
+pub fn tiny_model(photos: usize) -> Model {
+    let intrinsics =
+        Intrinsics { width: SIZE[0], height: SIZE[1], focal_px: [35.5, 36.25], principal_px: [20.5, 14.75] };
+    let image = |index: usize| ImageRecord {
+        name: format!("a b/{index:03}.png"),
+        camera: 7,
+        rotation: [1.0, 0.1 * index as f64, -0.2, 0.3],
+        translation: [0.5, 1.0 / 3.0, 2.0 + index as f64],
+    };
+    let point =
+        |index: usize| Point { position: [index as f32 / 7.0, -0.25, 1e-3], rgb: [index as u8, 255, 3] };
+    Model {
+        cameras: [(7, intrinsics)].into(),
+        images: (0..photos).map(image).collect(),
+        points: (0..9).map(point).collect(),
+    }
+}
+
+/// A photo whose every pixel depends on `index`.
+pub fn tiny_photo(index: usize, [width, height]: [u32; 2]) -> Photo {
+    let rgb = (0..3 * width * height).map(|i| (i as usize * 7 + 31 * index) as u8).collect();
+    Photo { width, height, rgb }
+}
+
+/// Writes the photos of `model` below `scene/images`, and the model to `scene/sparse/0`.
+pub fn write_scene(scene: &Path, form: Form, model: &Model) {
+    for (index, image) in model.images.iter().enumerate() {
+        photos::write_png(&scene.join("images").join(&image.name), &tiny_photo(index, SIZE)).unwrap();
+    }
+    write_model(&scene.join("sparse/0"), form, model).unwrap();
+}
+
+/// The folder of real scenes, or `None` with a line that says so; in CI its absence is a failure.
+pub fn real_scene(name: &str) -> Option<PathBuf> {
+    let beside = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
+    let folder = std::env::var_os("GENESPLAT_DATA").map_or(beside, PathBuf::from).join(name);
+    if folder.is_dir() {
+        return Some(folder);
+    }
+    assert_ne!(std::env::var("CI").as_deref(), Ok("true"), "{} is absent", folder.display());
+    eprintln!("skipped: {} is absent (set GENESPLAT_DATA)", folder.display());
+    None
+}

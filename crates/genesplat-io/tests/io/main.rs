@@ -1,0 +1,6 @@
+//! The crate from the outside. One program, so that it is linked once.
+
+mod colmap;
+mod common;
+mod ply;
+mod real_scenes;

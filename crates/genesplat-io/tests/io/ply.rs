@@ -1,0 +1,203 @@
+//! Clouds survive the disk bit for bit, and no file makes the reader panic.
+
+use std::fs;
+use std::path::PathBuf;
+
+use genesplat_core::gaussians::{logit, sigmoid};
+use genesplat_core::{Gaussians, Rng, Stream};
+use genesplat_io::ply::{self, PlyError, RenderMode};
+use genesplat_io::{PlyOptions, read_ply, write_ply};
+use proptest::prelude::*;
+
+/// A cloud whose values are any bit pattern, NaN and denormals included.
+fn any_bits(seed: u64, n: usize, filter: bool) -> Gaussians {
+    let rng = Rng::new(seed);
+    let value = |row: usize, column: u32| {
+        f32::from_bits(rng.at(Stream::Test, row as u32, column / 4, 0).0[(column % 4) as usize])
+    };
+    let mut cloud = Gaussians::zeros(n);
+    for row in 0..n {
+        cloud.positions[row] = std::array::from_fn(|i| value(row, i as u32));
+        cloud.log_scales[row] = std::array::from_fn(|i| value(row, 4 + i as u32));
+        cloud.rotations[row] = std::array::from_fn(|i| value(row, 8 + i as u32));
+        cloud.opacity_logits[row] = value(row, 12);
+        cloud.sh[row] = std::array::from_fn(|i| value(row, 16 + i as u32));
+    }
+    cloud.filter_3d = filter.then(|| (0..n).map(|row| value(row, 13)).collect());
+    cloud
+}
+
+fn bits(cloud: &Gaussians) -> Vec<u32> {
+    (cloud.positions.iter().flatten())
+        .chain(cloud.log_scales.iter().flatten())
+        .chain(cloud.rotations.iter().flatten())
+        .chain(&cloud.opacity_logits)
+        .chain(cloud.sh.iter().flatten())
+        .chain(cloud.filter_3d.iter().flatten())
+        .map(|value| value.to_bits())
+        .collect()
+}
+
+struct Folder(tempfile::TempDir);
+
+impl Folder {
+    fn new() -> Self {
+        Self(tempfile::tempdir().unwrap())
+    }
+
+    fn file(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
+
+    fn holding(bytes: &[u8]) -> (Self, PathBuf) {
+        let folder = Self::new();
+        let path = folder.file("cloud.ply");
+        fs::write(&path, bytes).unwrap();
+        (folder, path)
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(24))]
+
+    #[test]
+    fn what_is_written_is_read_bit_for_bit(seed: u64, n in 0usize..9000, filter: bool) {
+        let (folder, cloud) = (Folder::new(), any_bits(seed, n.pow(2) / 9000, filter));
+        let path = folder.file("cloud.ply");
+        write_ply(&path, &cloud, &PlyOptions::default()).unwrap();
+        let read = read_ply(&path).unwrap();
+        prop_assert_eq!(bits(&read), bits(&cloud));
+        prop_assert_eq!(read.filter_3d.is_some(), filter);
+    }
+
+    #[test]
+    fn damaged_files_never_panic(seed: u64, at in 0usize..2000, byte: u8, cut in 0usize..3000) {
+        let folder = Folder::new();
+        let path = folder.file("cloud.ply");
+        write_ply(&path, &any_bits(seed, 3, true), &PlyOptions::default()).unwrap();
+        let mut bytes = fs::read(&path).unwrap();
+        let last = bytes.len() - 1;
+        bytes[at.min(last)] = byte;
+        bytes.truncate(cut.max(1));
+        fs::write(&path, &bytes).unwrap();
+        // Either a cloud or a sentence; a panic fails the test.
+        if let Err(error) = read_ply(&path) {
+            prop_assert!(error.to_string().contains("cloud.ply"));
+        }
+    }
+}
+
+#[test]
+fn the_layout_is_the_authors() {
+    let (folder, mut cloud) = (Folder::new(), Gaussians::zeros(1));
+    cloud.positions[0] = [1.0, 2.0, 3.0];
+    cloud.sh[0] = std::array::from_fn(|i| i as f32);
+    cloud.opacity_logits[0] = 100.0;
+    cloud.log_scales[0] = [101.0, 102.0, 103.0];
+    cloud.rotations[0] = [104.0, 105.0, 106.0, 107.0];
+    let path = folder.file("cloud.ply");
+    write_ply(&path, &cloud, &PlyOptions { render_mode: RenderMode::Mip, comments: vec!["a\nb".into()] })
+        .unwrap();
+    let bytes = fs::read(&path).unwrap();
+    let end = b"end_header\n";
+    let start = bytes.windows(end.len()).position(|window| window == end).unwrap() + end.len();
+    let values: Vec<f32> =
+        bytes[start..].chunks_exact(4).map(|v| f32::from_le_bytes(v.try_into().unwrap())).collect();
+    let mut expected = vec![1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 0.0, 16.0, 32.0];
+    expected.extend((0..48).filter(|i| i % 16 != 0).map(|i| i as f32));
+    expected.extend((100..108).map(|i| i as f32));
+    assert_eq!(values, expected);
+    let header = ply::read_ply_header(&path).unwrap();
+    assert_eq!((header.gaussians, header.sh_degree, header.render_mode), (1, 3, Some(RenderMode::Mip)));
+    assert_eq!(header.comments[1], "a b");
+}
+
+#[test]
+fn other_orders_types_and_degrees_are_read() {
+    let names = "rot_3 rot_2 rot_1 rot_0 scale_2 scale_1 scale_0 opacity f_dc_2 f_dc_1 f_dc_0 z y x";
+    let mut text =
+        String::from("ply\r\nformat binary_little_endian 1.0\r\nelement camera 2\r\nproperty short id\r\n");
+    text += "element vertex 1\r\nproperty uchar label\r\n";
+    names.split(' ').for_each(|name| text += &format!("property double {name}\r\n"));
+    // Degree 1, three coefficients a channel.
+    (0..9).for_each(|i| text += &format!("property float32 f_rest_{i}\r\n"));
+    text += "element face 7\r\nproperty list uchar int vertex_indices\r\nend_header\r\n";
+    let mut bytes = text.into_bytes();
+    bytes.extend([9, 9, 9, 9, 77]);
+    (0..14).for_each(|i| bytes.extend(f64::from(i).to_le_bytes()));
+    (0..9).for_each(|i| bytes.extend((20.0 + i as f32).to_le_bytes()));
+    let (_folder, path) = Folder::holding(&bytes);
+    let cloud = read_ply(&path).unwrap();
+    assert_eq!(cloud.positions, [[13.0, 12.0, 11.0]]);
+    assert_eq!(cloud.rotations, [[3.0, 2.0, 1.0, 0.0]]);
+    assert_eq!(cloud.log_scales, [[6.0, 5.0, 4.0]]);
+    assert_eq!(cloud.opacity_logits, [7.0]);
+    let sh = cloud.sh[0];
+    assert_eq!(sh[..5], [10.0, 20.0, 21.0, 22.0, 0.0]);
+    assert_eq!(sh[16..21], [9.0, 23.0, 24.0, 25.0, 0.0]);
+    assert_eq!(sh[32..37], [8.0, 26.0, 27.0, 28.0, 0.0]);
+}
+
+#[test]
+fn bad_files_are_named_with_what_is_wrong() {
+    let header = |lines: &str| format!("ply\n{lines}\nend_header\n").into_bytes();
+    let little = "format binary_little_endian 1.0\nelement vertex";
+    let cases: [(Vec<u8>, &str); 9] = [
+        (b"\x89PNG\r\n".to_vec(), "does not begin with"),
+        (header("format ascii 1.0\nelement vertex 1\nproperty float x"), "ASCII"),
+        (header("format binary_big_endian 1.0\nelement vertex 1\nproperty float x"), "big-endian"),
+        (header("format binary_little_endian 1.0\nelement face 0"), "no vertices"),
+        (header(&format!("{little} 0\nproperty float x\nproperty float y")), "lack z"),
+        (header(&format!("{little} 1152921504606846976\nproperty float x")), "promises 1152921504606846976"),
+        (header(&format!("{little} -1\nproperty float x")), "impossible count"),
+        (header(&format!("{little} 0\nproperty float f_rest_0")), "1 f_rest"),
+        (b"ply\nformat binary_little_endian 1.0\n".to_vec(), "no end"),
+    ];
+    for (bytes, sentence) in cases {
+        let (_folder, path) = Folder::holding(&bytes);
+        let error = read_ply(&path).unwrap_err().to_string();
+        assert!(error.contains(sentence) && error.contains("cloud.ply"), "{error}");
+    }
+}
+
+#[test]
+fn a_file_cut_anywhere_is_an_error() {
+    let folder = Folder::new();
+    let path = folder.file("cloud.ply");
+    write_ply(&path, &any_bits(1, 2, false), &PlyOptions::default()).unwrap();
+    let bytes = fs::read(&path).unwrap();
+    for length in 0..bytes.len() {
+        fs::write(&path, &bytes[..length]).unwrap();
+        assert!(read_ply(&path).is_err(), "cut to {length} of {} bytes", bytes.len());
+    }
+}
+
+#[test]
+fn a_value_that_is_not_finite_is_named() {
+    let mut cloud = Gaussians::zeros(3);
+    let path = PathBuf::from("cloud.ply");
+    assert!(ply::check_finite(&path, &cloud).is_ok());
+    cloud.opacity_logits[1] = f32::NAN;
+    let error = ply::check_finite(&path, &cloud).unwrap_err();
+    assert!(matches!(error, PlyError::NonFinite { row: 1, parameter: "opacity", .. }), "{error}");
+}
+
+#[test]
+fn a_folder_that_cannot_be_written_is_an_error() {
+    let (_folder, file) = Folder::holding(b"a file, not a folder");
+    let error = write_ply(&file.join("cloud.ply"), &Gaussians::zeros(1), &PlyOptions::default()).unwrap_err();
+    assert!(matches!(error, PlyError::Write { .. }), "{error}");
+}
+
+/// With f = s on all axes, `s' = s √2` and `o' = o / 2^1.5`.
+#[test]
+fn baking_the_filter_widens_and_fades() {
+    let mut cloud = Gaussians::zeros(1);
+    cloud.log_scales[0] = [0.1f32.ln(); 3];
+    cloud.opacity_logits[0] = logit(0.8);
+    cloud.filter_3d = Some(vec![0.1]);
+    let baked = ply::bake_filter_3d(cloud);
+    assert_eq!(baked.filter_3d, None);
+    assert!((baked.log_scales[0][2].exp() - 0.1 * 2f32.sqrt()).abs() < 1e-6);
+    assert!((sigmoid(baked.opacity_logits[0]) - 0.8 / 2f32.powf(1.5)).abs() < 1e-6);
+}
