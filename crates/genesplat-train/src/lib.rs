@@ -1,1 +1,40 @@
-//! placeholder
+//! The training algorithm: photos and points in, a cloud of Gaussians out.
+//!
+//! [`train`] is the loop of 3D Gaussian Splatting with the evolution stage of "An Evolutionary Boost to Gaussian
+//! Splatting Optimization" in it; `pipeline.rs` reads like the paper. It is generic over [`genesplat_core::Backend`] and
+//! knows nothing of devices, files or windows: a [`Start`] goes in, an [`Observer`] listens, an [`Outcome`] comes out.
+//!
+//! | module | what it decides |
+//! |---|---|
+//! | [`pipeline`] | the order of everything |
+//! | [`config`], [`schedule`] | what happens at which iteration |
+//! | [`initialise`] | the first cloud, the size of the scene |
+//! | [`densify`] | where Gaussians are added and removed |
+//! | [`filter_3d`] | Mip-Splatting's limit on detail |
+//! | [`fitness`], [`views`] | the evolution stage and the photos it is judged on |
+//! | [`evaluate`] | PSNR and SSIM |
+//! | [`observe`], [`checkpoint`] | what is reported, what is saved |
+
+pub mod checkpoint;
+pub mod config;
+pub mod densify;
+pub mod evaluate;
+pub mod filter_3d;
+pub mod fitness;
+pub mod initialise;
+mod nearest;
+pub mod observe;
+pub mod pipeline;
+mod refine;
+mod run;
+pub mod schedule;
+mod trainer;
+mod validate;
+pub mod views;
+
+pub use checkpoint::Checkpoint;
+pub use config::{Background, ConfigError, EvolutionMode, Resolved, TrainConfig, Trigger, Variant};
+pub use observe::{Observer, Silent, StageRecord};
+pub use pipeline::train;
+pub use refine::refine;
+pub use run::{Outcome, RunSummary, Seconds, Start, TrainError};

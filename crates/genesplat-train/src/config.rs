@@ -1,0 +1,358 @@
+//! Every setting of training, in one plain struct.
+//!
+//! A file may name any subset; the rest has the published defaults. [`TrainConfig::resolve`] checks ranges and scales
+//! steps once; from then on only [`Resolved`] travels, which cannot hold an invalid setting.
+
+use std::fmt;
+use std::str::FromStr;
+
+use genesplat_core::backend::MomentPolicy;
+use genesplat_core::spherical_harmonics::SH_DEGREE_MAX;
+use genesplat_core::{RenderSettings, ScreenFilter};
+use genesplat_evolve::PaperConfig;
+use serde::{Deserialize, Serialize};
+
+use crate::schedule::Schedule;
+pub use crate::validate::ConfigError;
+
+/// Which published method is trained.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Variant {
+    /// 3D Gaussian Splatting (Kerbl et al. 2023).
+    #[default]
+    #[serde(rename = "3dgs")]
+    ThreeDgs,
+    /// Pixel-GS (Zhang et al. 2024): another density signal.
+    #[serde(rename = "pixel-gs")]
+    PixelGs,
+    /// Mip-Splatting (Yu et al. 2024): a 2D and a 3D filter against aliasing.
+    #[serde(rename = "mip-splatting")]
+    MipSplatting,
+}
+
+impl Variant {
+    /// All of them.
+    pub const ALL: [Self; 3] = [Self::ThreeDgs, Self::PixelGs, Self::MipSplatting];
+
+    /// As the command and the configuration file write it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::ThreeDgs => "3dgs",
+            Self::PixelGs => "pixel-gs",
+            Self::MipSplatting => "mip-splatting",
+        }
+    }
+
+    /// The screen-space filter that it renders with.
+    pub fn screen_filter(self) -> ScreenFilter {
+        match self {
+            Self::ThreeDgs | Self::PixelGs => ScreenFilter::Classic,
+            Self::MipSplatting => ScreenFilter::Mip,
+        }
+    }
+}
+
+impl fmt::Display for Variant {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+impl FromStr for Variant {
+    type Err = ConfigError;
+
+    fn from_str(name: &str) -> Result<Self, ConfigError> {
+        Self::ALL.into_iter().find(|variant| variant.name() == name).ok_or_else(|| ConfigError::Range {
+            setting: "variant",
+            value: format!("`{name}`"),
+            wanted: "3dgs, pixel-gs or mip-splatting",
+        })
+    }
+}
+
+/// Colour behind all splats.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Background {
+    /// Black.
+    #[default]
+    Black,
+    /// White; opacities are then reset once more, early on.
+    White,
+    /// A new colour every iteration, so that nothing transparent pays off; evaluation uses black.
+    Random,
+}
+
+impl Background {
+    /// The colour that evaluation and evolution see, linear RGB in `[0, 1]`.
+    pub fn fixed_colour(self) -> [f32; 3] {
+        match self {
+            Self::White => [1.0; 3],
+            Self::Black | Self::Random => [0.0; 3],
+        }
+    }
+}
+
+/// Every setting of training.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct TrainConfig {
+    /// Seed of every random stream. Default 0; below 2⁶³, so that the file can hold it.
+    pub seed: u64,
+    /// Method. Default `3dgs`; or `pixel-gs`, `mip-splatting`.
+    pub variant: Variant,
+    /// Iterations, one view each. Default 30,000; at least 1. Changing it alone truncates: rates and events stay.
+    pub iterations: u32,
+    /// Multiplies every setting that counts iterations, `iterations` included. Default 1; 0.001 to 1000.
+    pub steps_scale: f64,
+    /// Highest degree of the spherical harmonics. Default 3; 0 to 3. Lower is smaller, with less view-dependent colour.
+    pub sh_degree: u8,
+    /// Iterations between two rises of the degree, which starts at 0. Default 1000; at least 1.
+    pub sh_every: u32,
+    /// Colour behind the splats. Default `black`; or `white`, `random`.
+    pub background: Background,
+    /// Size of the scene, world units. Default: 1.1 x the largest distance of a training camera from their mean.
+    /// Scales the position rate and every size threshold.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub extent: Option<f64>,
+    /// Densification stops at this many Gaussians, and serves the strongest gradients until then. Default: no limit.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub max_gaussians: Option<usize>,
+    /// Iterations between two read-backs of the loss, which make a GPU wait. Default 10; 0 for none. Not scaled.
+    pub report_every: u32,
+    /// Iterations between two checkpoints. Default 0: none but that of an interrupted run. Not scaled.
+    pub checkpoint_every: u32,
+    /// Adam's step sizes.
+    pub optimiser: OptimiserConfig,
+    /// Density control.
+    pub densify: DensifyConfig,
+    /// The evolution stage.
+    pub evolution: EvolutionConfig,
+}
+
+impl Default for TrainConfig {
+    fn default() -> Self {
+        Self {
+            seed: 0,
+            variant: Variant::default(),
+            iterations: 30_000,
+            steps_scale: 1.0,
+            sh_degree: SH_DEGREE_MAX,
+            sh_every: 1000,
+            background: Background::default(),
+            extent: None,
+            max_gaussians: None,
+            report_every: 10,
+            checkpoint_every: 0,
+            optimiser: OptimiserConfig::default(),
+            densify: DensifyConfig::default(),
+            evolution: EvolutionConfig::default(),
+        }
+    }
+}
+
+/// Adam's step sizes; defaults are those of the published numbers.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct OptimiserConfig {
+    /// Rate of positions at the start, in scene extents. Default 1.6e-4; above 0.
+    pub position_start: f64,
+    /// Rate of positions at the end, in scene extents. Default 1.6e-6; above 0.
+    pub position_end: f64,
+    /// Iterations over which it decays exponentially. Default 30,000; at least 1.
+    pub position_steps: u32,
+    /// Rate of the base colour. Default 0.0025; not negative.
+    pub sh_dc: f32,
+    /// Rate of the view-dependent colour. Default 0.0025 / 20; not negative.
+    pub sh_rest: f32,
+    /// Rate of the opacity logits. Default 0.05 (later releases of the reference have 0.025); not negative.
+    pub opacity: f32,
+    /// Rate of the log-scales. Default 0.005; not negative.
+    pub scale: f32,
+    /// Rate of the quaternions. Default 0.001; not negative.
+    pub rotation: f32,
+}
+
+impl Default for OptimiserConfig {
+    fn default() -> Self {
+        Self {
+            position_start: 1.6e-4,
+            position_end: 1.6e-6,
+            position_steps: 30_000,
+            sh_dc: 2.5e-3,
+            sh_rest: 1.25e-4,
+            opacity: 0.05,
+            scale: 5e-3,
+            rotation: 1e-3,
+        }
+    }
+}
+
+/// Density control; defaults are those of the published numbers.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct DensifyConfig {
+    /// Densification starts after this iteration. Default 500.
+    pub from: u32,
+    /// Densification and opacity resets end before this iteration. Default 15,000; 0 switches both off.
+    pub until: u32,
+    /// Iterations between two densifications. Default 100; at least 1.
+    pub every: u32,
+    /// Mean screen-space gradient from which a Gaussian grows, in normalised device coordinates. Default 2e-4; above 0.
+    /// Lower grows more Gaussians.
+    pub gradient_threshold: f32,
+    /// Growing Gaussians up to this size are cloned, larger ones split; in scene extents. Default 0.01; above 0.
+    pub clone_size: f64,
+    /// Fainter Gaussians are pruned. Default 0.005; 0 to 1.
+    pub prune_opacity: f32,
+    /// Larger Gaussians are pruned; in scene extents. Default 0.1; above 0.
+    pub prune_size: f64,
+    /// Iteration after which they are. Default 3000.
+    pub size_prune_after: u32,
+    /// Iterations between two opacity resets. Default 3000; at least 1.
+    pub reset_every: u32,
+    /// A reset limits opacity to this. Default 0.01; above 0, below 1.
+    pub reset_opacity: f32,
+    /// Iteration of the additional reset with a white background. Default 500; 0 for none.
+    pub white_reset_at: u32,
+    /// Pixel-GS: depth below which gradients count less, in scene extents. Default 0.37; above 0.
+    pub depth_threshold: f64,
+}
+
+impl Default for DensifyConfig {
+    fn default() -> Self {
+        Self {
+            from: 500,
+            until: 15_000,
+            every: 100,
+            gradient_threshold: 2e-4,
+            clone_size: 0.01,
+            prune_opacity: 0.005,
+            prune_size: 0.1,
+            size_prune_after: 3000,
+            reset_every: 3000,
+            reset_opacity: 0.01,
+            white_reset_at: 500,
+            depth_threshold: 0.37,
+        }
+    }
+}
+
+/// What runs at a trigger.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum EvolutionMode {
+    /// Nothing: the baseline.
+    #[default]
+    Off,
+    /// Algorithm 1 of the paper.
+    Paper,
+    /// The equal-time control: the seconds that a stage would take are spent on additional gradient steps.
+    Control,
+}
+
+/// When a stage runs: the four places that the paper tried. The published results have `after-reset`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Trigger {
+    /// After a periodic opacity reset.
+    #[default]
+    AfterReset,
+    /// Before a periodic opacity reset (after the densification that coincides with it).
+    BeforeReset,
+    /// After a densification.
+    AfterDensify,
+    /// Before a densification.
+    BeforeDensify,
+}
+
+/// The evolution stage.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct EvolutionConfig {
+    /// What runs. Default `off`; or `paper`, `control`.
+    pub mode: EvolutionMode,
+    /// When. Default `after-reset`; or `before-reset`, `after-densify`, `before-densify`.
+    pub trigger: Trigger,
+    /// Run at every n-th occurrence of the trigger. Default 1; at least 1. A published run has 4 resets and 144
+    /// densifications, so 36 gives the densification triggers four stages, too.
+    pub stride: u32,
+    /// Training views that fitness is measured on, spread evenly over the views in order of name. Default 6; at least 1.
+    pub views: usize,
+    /// Draw other views for each stage. Default false: the paper keeps one subset.
+    pub rotate_views: bool,
+    /// Adam's moments of the Gaussians that a stage changed. Default `keep`; or `zero`. The paper is silent.
+    #[serde(with = "MomentPolicyNames")]
+    pub moments: MomentPolicy,
+    /// Mode `control`: seconds a stage. Default 60; not negative.
+    pub control_seconds: f64,
+    /// Mode `paper`: the genetic algorithm.
+    pub paper: PaperConfig,
+}
+
+impl Default for EvolutionConfig {
+    fn default() -> Self {
+        Self {
+            mode: EvolutionMode::default(),
+            trigger: Trigger::default(),
+            stride: 1,
+            views: 6,
+            rotate_views: false,
+            moments: MomentPolicy::Keep,
+            control_seconds: 60.0,
+            paper: PaperConfig::default(),
+        }
+    }
+}
+
+/// How a file writes [`MomentPolicy`].
+#[derive(Serialize, Deserialize)]
+#[serde(remote = "MomentPolicy", rename_all = "kebab-case")]
+enum MomentPolicyNames {
+    Keep,
+    Zero,
+}
+
+/// A checked configuration and its schedule.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Resolved {
+    config: TrainConfig,
+    schedule: Schedule,
+}
+
+impl Resolved {
+    /// The settings as given.
+    pub fn config(&self) -> &TrainConfig {
+        &self.config
+    }
+
+    /// What happens when.
+    pub fn schedule(&self) -> &Schedule {
+        &self.schedule
+    }
+
+    /// How the finished cloud is to be rendered.
+    pub fn render_settings(&self) -> RenderSettings {
+        RenderSettings {
+            sh_degree: self.config.sh_degree,
+            background: self.config.background.fixed_colour(),
+            filter: self.config.variant.screen_filter(),
+        }
+    }
+}
+
+impl TrainConfig {
+    /// Checks every setting, and scales steps.
+    pub fn resolve(self) -> Result<Resolved, ConfigError> {
+        self.validate()?;
+        let schedule = Schedule::new(&self);
+        Ok(Resolved { config: self, schedule })
+    }
+}
+
+impl EvolutionConfig {
+    /// The genetic algorithm scales its mutations by the gradients that training has summed.
+    pub(crate) fn wants_gene_gradients(&self) -> bool {
+        self.mode == EvolutionMode::Paper && self.paper.uses_gradients()
+    }
+}

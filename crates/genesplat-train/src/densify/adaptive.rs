@@ -1,0 +1,244 @@
+//! The adaptive density control of 3DGS: clone, split, prune, as one edit.
+//!
+//! In the published order: a Gaussian whose mean screen-space gradient reaches the threshold is *cloned* if it is
+//! small and *split* into two children if it is large; afterwards faint and oversized Gaussians are *pruned*, new ones
+//! included. New rows are ordered as the reference leaves them: survivors, clones, first children, second children.
+//! Reference: Kerbl et al., "3D Gaussian Splatting", 2023, section 5.2, and the code released with it.
+
+use genesplat_core::edit::new_log_scale;
+use genesplat_core::gaussians::sigmoid;
+use genesplat_core::{Gaussians, Origin, RowEdit, Statistics};
+
+use super::Plan;
+
+/// Thresholds of one densification.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Rules {
+    /// Mean screen-space gradient from which a Gaussian grows, in normalised device coordinates.
+    pub gradient_threshold: f32,
+    /// Growing Gaussians up to this size are cloned, larger ones split; longest axis, world units.
+    pub clone_size_max: f32,
+    /// Gaussians fainter than this are pruned.
+    pub prune_opacity: f32,
+    /// Gaussians larger than this are pruned; longest axis, world units. `None`: size is no reason.
+    pub prune_size: Option<f32>,
+    /// Growth stops at this many Gaussians; the strongest gradients go first.
+    pub cap: Option<usize>,
+}
+
+/// What is to become of a row.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Growth {
+    None,
+    Clone,
+    Split,
+}
+
+/// Decides one densification; `iteration` addresses the random offsets of split children.
+pub fn plan(statistics: &Statistics, cloud: &Gaussians, rules: &Rules, iteration: u32) -> Plan {
+    let mut growth: Vec<Growth> =
+        (0..cloud.len()).map(|row| wanted_growth(statistics, cloud, rules, row)).collect();
+    let refused = refuse_beyond_cap(&mut growth, statistics, rules.cap);
+    let mut edit = grow(&growth, iteration);
+    let grown = edit.sources.len();
+    prune(&mut edit, cloud, rules);
+    Plan {
+        cloned: count(&growth, Growth::Clone),
+        split: count(&growth, Growth::Split),
+        pruned: grown - edit.sources.len(),
+        refused,
+        edit,
+    }
+}
+
+fn wanted_growth(statistics: &Statistics, cloud: &Gaussians, rules: &Rules, row: usize) -> Growth {
+    let grows = statistics.mean_gradient(row) >= rules.gradient_threshold;
+    match (grows, size(cloud.log_scales[row]) <= rules.clone_size_max) {
+        (false, _) => Growth::None,
+        (true, true) => Growth::Clone,
+        (true, false) => Growth::Split,
+    }
+}
+
+/// Clones and splits alike add one row. Where they do not all fit, the strongest gradients are served; equal ones in
+/// row order. Returns how many were turned away.
+fn refuse_beyond_cap(growth: &mut [Growth], statistics: &Statistics, cap: Option<usize>) -> usize {
+    let room = cap.map_or(usize::MAX, |cap| cap.saturating_sub(growth.len()));
+    let mut growing: Vec<usize> = (0..growth.len()).filter(|&row| growth[row] != Growth::None).collect();
+    if growing.len() <= room {
+        return 0;
+    }
+    growing.sort_by(|&a, &b| statistics.mean_gradient(b).total_cmp(&statistics.mean_gradient(a)));
+    for &row in &growing[room..] {
+        growth[row] = Growth::None;
+    }
+    growing.len() - room
+}
+
+fn grow(growth: &[Growth], iteration: u32) -> RowEdit {
+    let rows_with = |wanted: Growth| {
+        growth.iter().enumerate().filter(move |&(_, found)| *found == wanted).map(|(row, _)| row as u32)
+    };
+    let mut edit = RowEdit { iteration, ..RowEdit::default() };
+    for (row, found) in growth.iter().enumerate() {
+        if *found != Growth::Split {
+            edit.push(row as u32, Origin::Kept);
+        }
+    }
+    rows_with(Growth::Clone).for_each(|row| edit.push(row, Origin::Clone));
+    for child in 0..2 {
+        rows_with(Growth::Split).for_each(|row| edit.push(row, Origin::SplitChild { child }));
+    }
+    edit
+}
+
+fn prune(edit: &mut RowEdit, cloud: &Gaussians, rules: &Rules) {
+    let (sources, origins) = (std::mem::take(&mut edit.sources), std::mem::take(&mut edit.origins));
+    for (source, origin) in sources.into_iter().zip(origins) {
+        let row = source as usize;
+        let faint = sigmoid(cloud.opacity_logits[row]) < rules.prune_opacity;
+        let new_size = size(new_log_scale(cloud.log_scales[row], origin));
+        if !faint && rules.prune_size.is_none_or(|limit| new_size <= limit) {
+            edit.push(source, origin);
+        }
+    }
+}
+
+/// Standard deviation along the longest axis, world units.
+fn size(log_scale: [f32; 3]) -> f32 {
+    log_scale.into_iter().fold(f32::NEG_INFINITY, f32::max).exp()
+}
+
+fn count(growth: &[Growth], wanted: Growth) -> usize {
+    growth.iter().filter(|&&found| found == wanted).count()
+}
+
+#[cfg(test)]
+mod tests {
+    use genesplat_core::gaussians::logit;
+
+    use super::*;
+
+    const RULES: Rules = Rules {
+        gradient_threshold: 2e-4,
+        clone_size_max: 0.1,
+        prune_opacity: 0.005,
+        prune_size: Some(1.0),
+        cap: None,
+    };
+    const KEPT: Origin = Origin::Kept;
+    const FIRST: Origin = Origin::SplitChild { child: 0 };
+    const SECOND: Origin = Origin::SplitChild { child: 1 };
+
+    /// Rows of `(mean gradient, longest axis, opacity)`, each seen by four views.
+    fn scene(rows: &[(f32, f32, f32)]) -> (Statistics, Gaussians) {
+        let mut cloud = Gaussians::zeros(rows.len());
+        let mut statistics = Statistics::default();
+        for (row, &(gradient, size, opacity)) in rows.iter().enumerate() {
+            cloud.log_scales[row] = [size.ln(), -9.0, -8.0];
+            cloud.opacity_logits[row] = logit(opacity);
+            statistics.gradient_sum.push(4.0 * gradient);
+            statistics.weight_sum.push(4.0);
+        }
+        (statistics, cloud)
+    }
+
+    fn rows(plan: &Plan) -> Vec<(u32, Origin)> {
+        plan.edit.sources.iter().copied().zip(plan.edit.origins.iter().copied()).collect()
+    }
+
+    #[test]
+    fn rows_come_out_in_the_published_order() {
+        let (statistics, cloud) = scene(&[
+            (3e-4, 0.5, 0.5),  // split
+            (3e-4, 0.05, 0.5), // clone
+            (1e-4, 0.5, 0.5),  // left alone
+            (3e-4, 0.7, 0.5),  // split
+            (3e-4, 0.02, 0.5), // clone
+        ]);
+        let plan = plan(&statistics, &cloud, &RULES, 600);
+        assert_eq!(
+            rows(&plan),
+            [
+                (1, KEPT),
+                (2, KEPT),
+                (4, KEPT),
+                (1, Origin::Clone),
+                (4, Origin::Clone),
+                (0, FIRST),
+                (3, FIRST),
+                (0, SECOND),
+                (3, SECOND)
+            ]
+        );
+        assert_eq!((plan.cloned, plan.split, plan.pruned, plan.refused), (2, 2, 0, 0));
+        assert_eq!(plan.edit.iteration, 600);
+    }
+
+    #[test]
+    fn thresholds_are_inclusive_where_the_reference_has_them_so() {
+        let (mut statistics, cloud) = scene(&[(0.0, 0.5, 0.5), (0.0, 0.5, 0.5)]);
+        statistics.gradient_sum = vec![4.0 * 2e-4, 4.0 * 1.999e-4];
+        let plan = plan(&statistics, &cloud, &RULES, 600);
+        assert_eq!((plan.cloned, plan.split), (0, 1), "a mean of exactly the threshold grows");
+        let exactly = Rules { clone_size_max: size(cloud.log_scales[0]), ..RULES };
+        let plan = super::plan(&statistics, &cloud, &exactly, 600);
+        assert_eq!((plan.cloned, plan.split), (1, 0), "a size of exactly the limit is cloned");
+    }
+
+    #[test]
+    fn faint_rows_and_their_copies_are_pruned() {
+        let (statistics, cloud) = scene(&[(3e-4, 0.05, 0.004), (0.0, 0.05, 0.006), (3e-4, 0.5, 0.001)]);
+        let plan = plan(&statistics, &cloud, &RULES, 600);
+        assert_eq!(rows(&plan), [(1, KEPT)]);
+        // Row 0 and its clone, both children of row 2.
+        assert_eq!(plan.pruned, 4);
+    }
+
+    #[test]
+    fn size_is_judged_after_splitting() {
+        // 1.5 / 1.6 is below the limit of 1, 1.7 / 1.6 above it; 1.2 does not grow and is simply too large.
+        let (statistics, cloud) = scene(&[(3e-4, 1.5, 0.5), (3e-4, 1.7, 0.5), (0.0, 1.2, 0.5)]);
+        let plan = plan(&statistics, &cloud, &RULES, 3100);
+        assert_eq!(rows(&plan), [(0, FIRST), (0, SECOND)]);
+        let early = Rules { prune_size: None, ..RULES };
+        assert_eq!(super::plan(&statistics, &cloud, &early, 3000).edit.sources, [2, 0, 1, 0, 1]);
+    }
+
+    #[test]
+    fn unseen_and_poisoned_rows_do_not_grow() {
+        let (mut statistics, cloud) = scene(&[(1.0, 0.5, 0.5), (f32::NAN, 0.5, 0.5)]);
+        statistics.weight_sum[0] = 0.0;
+        assert!(plan(&statistics, &cloud, &RULES, 600).edit.is_identity(2));
+    }
+
+    #[test]
+    fn the_cap_serves_the_strongest_gradients() {
+        let (statistics, cloud) =
+            scene(&[(3e-4, 0.05, 0.5), (9e-4, 0.5, 0.5), (5e-4, 0.05, 0.5), (5e-4, 0.05, 0.5)]);
+        let capped = Rules { cap: Some(6), ..RULES };
+        let plan = plan(&statistics, &cloud, &capped, 600);
+        assert_eq!(plan.edit.sources.len(), 6);
+        assert_eq!(rows(&plan)[3..], [(2, Origin::Clone), (1, FIRST), (1, SECOND)]);
+        assert_eq!((plan.cloned, plan.split, plan.refused), (1, 1, 2));
+        let full = super::plan(&statistics, &cloud, &Rules { cap: Some(3), ..RULES }, 600);
+        assert!(full.edit.is_identity(4), "a cloud above its cap does not shrink");
+        assert_eq!(full.refused, 4);
+    }
+
+    proptest::proptest! {
+        #[test]
+        fn rows_are_accounted_for(
+            rows in proptest::collection::vec((0f32..5e-4, 0.01f32..2.0, 0.001f32..0.9), 0..60),
+            cap in proptest::option::of(0usize..80),
+        ) {
+            let (statistics, cloud) = scene(&rows);
+            let plan = plan(&statistics, &cloud, &Rules { cap, ..RULES }, 600);
+            let n = rows.len();
+            assert_eq!(plan.edit.sources.len(), n + plan.cloned + plan.split - plan.pruned);
+            assert_eq!(plan.edit.origins.len(), plan.edit.sources.len());
+            assert!(plan.edit.sources.iter().all(|&source| (source as usize) < n));
+            assert!(cap.is_none_or(|cap| plan.edit.sources.len() <= cap.max(n)));
+        }
+    }
+}

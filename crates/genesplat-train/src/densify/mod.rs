@@ -1,0 +1,37 @@
+//! Density control: where Gaussians are added and removed.
+//!
+//! A strategy is pure: it reads statistics and geometry and returns a [`Plan`], which the backend applies to
+//! parameters and optimiser moments together. Variants that differ only in how strongly a view counts
+//! ([`pixel_gs`]) differ only in the [`DensitySignal`] that they ask the backend for.
+
+pub mod adaptive;
+pub mod pixel_gs;
+
+use genesplat_core::{DensitySignal, RowEdit};
+
+use crate::config::Variant;
+
+/// What density control has decided.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Plan {
+    /// The new rows.
+    pub edit: RowEdit,
+    /// Gaussians duplicated.
+    pub cloned: usize,
+    /// Gaussians replaced by two children.
+    pub split: usize,
+    /// Rows removed after growing (new ones included).
+    pub pruned: usize,
+    /// Gaussians that wanted to grow but had no room below the cap.
+    pub refused: usize,
+}
+
+/// The density signal that a variant accumulates; `extent` is the scene's, world units.
+///
+/// Mip-Splatting's paper changes nothing here (facts of its first release; the later one adopts GOF's metric).
+pub fn signal(variant: Variant, depth_fraction: f64, extent: f64) -> DensitySignal {
+    match variant {
+        Variant::ThreeDgs | Variant::MipSplatting => DensitySignal::Signed,
+        Variant::PixelGs => pixel_gs::signal(depth_fraction, extent),
+    }
+}

@@ -1,0 +1,199 @@
+//! The evolution stage: a genetic algorithm whose fitness is Eq. 5 on a few training views.
+//!
+//! The algorithm ([`genesplat_evolve`]) asks for losses and never sees a renderer; the backend scores individuals and
+//! never sees a generation. This module stands between them: it hands individuals over in batches of bounded size, as
+//! differences from the base, and at the end replaces the base by the best individual, if that is strictly better.
+
+use std::ops::Range;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
+
+use genesplat_core::{Backend, BackendError, Gene, RenderSettings, Rng, SparseDelta, Statistics};
+use genesplat_evolve::{GeneGradients, GeneticAlgorithm};
+
+use crate::config::EvolutionConfig;
+use crate::observe::{GenerationLog, Observer, StageLog, StageRecord};
+use crate::run::TrainError;
+
+/// Individuals are handed to the backend until they take this many bytes: enough to keep a device busy, and small
+/// against the cloud itself.
+const BATCH_BYTES: usize = 64 << 20;
+
+/// What a stage depends on.
+pub(crate) struct Stage<'a> {
+    /// Iteration of the trigger.
+    pub(crate) iteration: u32,
+    pub(crate) config: &'a EvolutionConfig,
+    /// Training views that fitness is measured on; the same for all individuals of all generations.
+    pub(crate) views: Vec<usize>,
+    pub(crate) view_names: Vec<String>,
+    pub(crate) settings: RenderSettings,
+    /// Random numbers of this stage alone.
+    pub(crate) rng: Rng,
+}
+
+/// What a search has found; the base is still as it was.
+pub(crate) struct Search {
+    /// The best individual, if it is strictly better than the base.
+    better: Option<SparseDelta>,
+    record: StageRecord,
+    /// Stopped before the last generation.
+    pub(crate) interrupted: bool,
+}
+
+/// Runs the genetic algorithm to its end, or until `stop` is set.
+pub(crate) fn search<B: Backend>(
+    backend: &mut B,
+    stage: &Stage<'_>,
+    observer: &mut dyn Observer,
+    stop: &AtomicBool,
+) -> Result<Search, TrainError> {
+    let clock = Instant::now();
+    let base_fitness = of_base(backend, stage)?;
+    let mut algorithm = algorithm(backend, stage, base_fitness)?;
+    let mut record = empty_record(stage, base_fitness);
+    observer.on_stage_start(&stage_log(stage, base_fitness));
+    while !algorithm.is_finished() {
+        let Some(losses) = score_generation(backend, stage, &algorithm, stop)? else { break };
+        algorithm.tell(&losses)?;
+        record.renders += (losses.len() * stage.views.len()) as u64;
+        record.fitness_after = algorithm.best_loss();
+        record.population_bytes = record.population_bytes.max(algorithm.population_bytes() as u64);
+        observer.on_generation(&generation_log(&record, &losses));
+        record.generations += 1;
+    }
+    let better = algorithm.best().filter(|_| algorithm.best_loss() < base_fitness).cloned();
+    record.changed = better.as_ref().map_or(0, |delta| delta.rows.len());
+    record.seconds = clock.elapsed().as_secs_f64();
+    Ok(Search { better, record, interrupted: !algorithm.is_finished() })
+}
+
+fn algorithm<B: Backend>(
+    backend: &mut B,
+    stage: &Stage<'_>,
+    base_fitness: f64,
+) -> Result<GeneticAlgorithm, TrainError> {
+    let cloud = backend.download()?;
+    let base: Vec<Gene> = (0..cloud.len()).map(|row| cloud.genes(row)).collect();
+    let gradients =
+        if stage.config.wants_gene_gradients() { gene_gradients(backend.statistics()?) } else { None };
+    Ok(GeneticAlgorithm::new(stage.config.paper.clone(), base, gradients, base_fitness, stage.rng)?)
+}
+
+/// Losses of all individuals that need one, in batches; `None` when stopped.
+fn score_generation<B: Backend>(
+    backend: &mut B,
+    stage: &Stage<'_>,
+    algorithm: &GeneticAlgorithm,
+    stop: &AtomicBool,
+) -> Result<Option<Vec<f64>>, TrainError> {
+    let wanted = algorithm.ask();
+    let mut losses = Vec::with_capacity(wanted);
+    while losses.len() < wanted {
+        if stop.load(Ordering::Relaxed) {
+            return Ok(None);
+        }
+        let batch = next_batch(algorithm, losses.len()..wanted);
+        losses.extend(mean_losses(backend, stage, &batch)?);
+    }
+    Ok(Some(losses))
+}
+
+/// At least one individual, and more while they stay below [`BATCH_BYTES`].
+fn next_batch(algorithm: &GeneticAlgorithm, wanted: Range<usize>) -> Vec<SparseDelta> {
+    let mut bytes = 0;
+    let mut batch = Vec::new();
+    for individual in wanted {
+        if bytes >= BATCH_BYTES {
+            break;
+        }
+        let delta = algorithm.delta(individual);
+        bytes += delta.bytes();
+        batch.push(delta);
+    }
+    batch
+}
+
+/// Mean of Eq. 5 over the stage's views, for each individual.
+fn mean_losses<B: Backend>(
+    backend: &mut B,
+    stage: &Stage<'_>,
+    individuals: &[SparseDelta],
+) -> Result<Vec<f64>, BackendError> {
+    let losses = backend.score(individuals, &stage.views, &stage.settings)?;
+    let mean = |views: &[f32]| views.iter().map(|&loss| f64::from(loss)).sum::<f64>() / views.len() as f64;
+    Ok(losses.chunks_exact(stage.views.len()).map(mean).collect())
+}
+
+/// Fitness of the cloud as it is.
+pub(crate) fn of_base<B: Backend>(backend: &mut B, stage: &Stage<'_>) -> Result<f64, TrainError> {
+    let loss = mean_losses(backend, stage, &[SparseDelta::default()])?[0];
+    if loss.is_finite() { Ok(loss) } else { Err(TrainError::NoFitness { iteration: stage.iteration, loss }) }
+}
+
+/// What `u_i` of Eq. 4 is made from; `None` when no step has summed it.
+fn gene_gradients(statistics: Statistics) -> Option<GeneGradients> {
+    let summed = !statistics.gene_views.is_empty();
+    summed.then_some(GeneGradients { sum: statistics.gene_gradient_sum, views: statistics.gene_views })
+}
+
+/// Replaces the base by what the search has found, if it has found anything.
+pub(crate) fn apply<B: Backend>(
+    backend: &mut B,
+    stage: &Stage<'_>,
+    search: Search,
+) -> Result<StageRecord, TrainError> {
+    if let Some(delta) = &search.better {
+        backend.apply(delta, stage.config.moments)?;
+    }
+    Ok(search.record)
+}
+
+/// What is reported of the equal-time control.
+pub(crate) fn control_record(
+    stage: &Stage<'_>,
+    steps: u32,
+    [before, after]: [f64; 2],
+    clock: Instant,
+) -> StageRecord {
+    StageRecord {
+        renders: steps.into(),
+        fitness_after: after,
+        seconds: clock.elapsed().as_secs_f64(),
+        ..empty_record(stage, before)
+    }
+}
+
+/// A stage that has scored its base.
+fn empty_record(stage: &Stage<'_>, fitness: f64) -> StageRecord {
+    StageRecord {
+        iteration: stage.iteration,
+        generations: 0,
+        renders: stage.views.len() as u64,
+        fitness_before: fitness,
+        fitness_after: fitness,
+        changed: 0,
+        population_bytes: 0,
+        seconds: 0.0,
+    }
+}
+
+fn stage_log(stage: &Stage<'_>, fitness: f64) -> StageLog {
+    StageLog {
+        iteration: stage.iteration,
+        generations: stage.config.paper.generations,
+        views: stage.view_names.clone(),
+        fitness,
+    }
+}
+
+fn generation_log(record: &StageRecord, losses: &[f64]) -> GenerationLog {
+    let best = losses.iter().copied().fold(f64::INFINITY, f64::min);
+    GenerationLog {
+        iteration: record.iteration,
+        generation: record.generations,
+        generation_best: best.is_finite().then_some(best),
+        best: record.fitness_after,
+        renders: record.renders,
+    }
+}

@@ -1,0 +1,165 @@
+//! The cloud that training starts from, and the size of the scene.
+//!
+//! Every point of the sparse reconstruction becomes one isotropic Gaussian, as wide as the distance to its
+//! neighbours (3DGS, section 5.1 and its released code): scale = root of the mean *squared* distance to the three
+//! nearest other points, opacity 0.1, colour in the base coefficient only.
+
+use genesplat_core::gaussians::logit;
+use genesplat_core::spherical_harmonics::{SH_COEFFICIENTS, dc_from_rgb};
+use genesplat_core::{Camera, Gaussians};
+use glam::DVec3;
+
+use crate::nearest::mean_squared_distances;
+
+/// Opacity of every initial Gaussian (3DGS).
+const INITIAL_OPACITY: f32 = 0.1;
+
+/// Floor of the mean squared distance, world units squared, so that duplicate points get a finite log-scale (3DGS).
+const SQUARED_DISTANCE_MIN: f32 = 1e-7;
+
+/// The scene's extent is this many times the radius of the camera centres (3DGS).
+const EXTENT_MARGIN: f64 = 1.1;
+
+/// Neighbours that decide a point's initial size.
+pub(crate) const NEIGHBOURS: usize = 3;
+
+/// Why a scene cannot be started from.
+#[derive(Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum InitialiseError {
+    /// Three neighbours need at least four points.
+    #[error(
+        "the scene has {found} points, but the size of the first Gaussians needs at least {}; \
+         check that the reconstruction's points were found", NEIGHBOURS + 1
+    )]
+    TooFewPoints {
+        /// Points given.
+        found: usize,
+    },
+    /// A coordinate is NaN or infinite.
+    #[error(
+        "point {row} of the scene has a coordinate that is not finite; remove it from the reconstruction"
+    )]
+    NonFinite {
+        /// Index of the point.
+        row: usize,
+    },
+    /// All cameras stand at one place, so the scene has no size.
+    #[error(
+        "all {cameras} training cameras stand at the same place, so the size of the scene is unknown; \
+         set `extent` in the configuration"
+    )]
+    NoExtent {
+        /// Number of training cameras.
+        cameras: usize,
+    },
+}
+
+/// A point of a sparse reconstruction: position in world units, and 8-bit RGB.
+pub type ColouredPoint = ([f32; 3], [u8; 3]);
+
+/// One Gaussian a point, in the order given.
+pub fn cloud_from_points(points: &[ColouredPoint]) -> Result<Gaussians, InitialiseError> {
+    let positions: Vec<[f32; 3]> = points.iter().map(|point| point.0).collect();
+    check_positions(&positions)?;
+    let mut cloud = Gaussians::zeros(points.len());
+    cloud.opacity_logits.fill(logit(INITIAL_OPACITY));
+    for (row, squared) in mean_squared_distances(&positions).into_iter().enumerate() {
+        cloud.log_scales[row] = [squared.max(SQUARED_DISTANCE_MIN).sqrt().ln(); 3];
+        for (channel, &value) in points[row].1.iter().enumerate() {
+            cloud.sh[row][channel * SH_COEFFICIENTS] = dc_from_rgb(f32::from(value) / 255.0);
+        }
+    }
+    cloud.positions = positions;
+    Ok(cloud)
+}
+
+fn check_positions(positions: &[[f32; 3]]) -> Result<(), InitialiseError> {
+    if positions.len() <= NEIGHBOURS {
+        return Err(InitialiseError::TooFewPoints { found: positions.len() });
+    }
+    match positions.iter().position(|point| point.iter().any(|v| !v.is_finite())) {
+        Some(row) => Err(InitialiseError::NonFinite { row }),
+        None => Ok(()),
+    }
+}
+
+/// Size of the scene in world units: 1.1 times the largest distance of a training camera from their mean centre.
+///
+/// The position rate and every size threshold of density control are multiples of it.
+pub fn scene_extent<'a>(cameras: impl Iterator<Item = &'a Camera>) -> Result<f64, InitialiseError> {
+    let centres: Vec<DVec3> = cameras.map(Camera::centre_in_world).collect();
+    let mean = centres.iter().sum::<DVec3>() / centres.len().max(1) as f64;
+    let radius = centres.iter().map(|centre| centre.distance(mean)).fold(0.0, f64::max);
+    // Poses are read from decimal text or f64: a radius at rounding level means "one place", not a tiny scene.
+    let rounding = 1e-9 * (1.0 + mean.length());
+    if radius > rounding {
+        Ok(EXTENT_MARGIN * radius)
+    } else {
+        Err(InitialiseError::NoExtent { cameras: centres.len() })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DQuat;
+
+    use super::*;
+
+    fn camera_at(centre: DVec3) -> Camera {
+        let rotation = DQuat::from_rotation_y(0.7);
+        Camera {
+            width: 8,
+            height: 6,
+            focal_px: [8.0, 8.0],
+            principal_px: [4.0, 3.0],
+            camera_from_world_rotation: rotation,
+            camera_from_world_translation: -(rotation * centre),
+        }
+    }
+
+    #[test]
+    fn a_unit_tetrahedron_of_points_gets_hand_computed_parameters() {
+        let positions = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 3.0]];
+        let cloud = cloud_from_points(&positions.map(|position| (position, [255, 0, 128]))).unwrap();
+        assert_eq!(cloud.positions, positions);
+        // Squared distances from the origin: 1, 4 and 9.
+        let expected = (14.0f32 / 3.0).sqrt().ln();
+        assert!(cloud.log_scales[0].iter().all(|v| (v - expected).abs() < 1e-6), "{:?}", cloud.log_scales[0]);
+        assert!((genesplat_core::gaussians::sigmoid(cloud.opacity_logits[2]) - 0.1).abs() < 1e-6);
+        assert_eq!(cloud.rotations[1], [1.0, 0.0, 0.0, 0.0]);
+        // (1 − 0.5) / C0 and its mirror image; everything view-dependent starts at zero.
+        assert!((cloud.sh[3][0] - 1.772_453_9).abs() < 1e-5);
+        assert!((cloud.sh[3][16] + 1.772_453_9).abs() < 1e-5);
+        assert!(cloud.sh[3].iter().enumerate().all(|(k, &v)| k % 16 == 0 || v == 0.0));
+    }
+
+    #[test]
+    fn duplicate_points_get_the_smallest_size_instead_of_minus_infinity() {
+        let cloud = cloud_from_points(&[([1.0; 3], [0; 3]); 5]).unwrap();
+        assert!((cloud.log_scales[0][0] - 1e-7f32.sqrt().ln()).abs() < 1e-5);
+    }
+
+    #[test]
+    fn unusable_points_are_named() {
+        let error = cloud_from_points(&[([0.0; 3], [0; 3]); 3]).unwrap_err();
+        assert_eq!(error, InitialiseError::TooFewPoints { found: 3 });
+        assert!(error.to_string().contains("at least 4"), "{error}");
+        let poisoned = [[0.0; 3], [0.0, f32::NAN, 0.0], [1.0; 3], [2.0; 3]].map(|p| (p, [0; 3]));
+        assert_eq!(cloud_from_points(&poisoned).unwrap_err(), InitialiseError::NonFinite { row: 1 });
+    }
+
+    #[test]
+    fn the_extent_is_measured_between_camera_centres() {
+        let cameras = [DVec3::new(5.0, 0.0, 0.0), DVec3::new(9.0, 0.0, 0.0)].map(camera_at);
+        let extent = scene_extent(cameras.iter()).unwrap();
+        assert!((extent - 2.2).abs() < 1e-12, "{extent}");
+    }
+
+    #[test]
+    fn cameras_at_one_place_have_no_extent() {
+        let cameras = [camera_at(DVec3::new(0.1, 0.2, 0.3)); 3];
+        assert_eq!(scene_extent(cameras.iter()).unwrap_err(), InitialiseError::NoExtent { cameras: 3 });
+        assert_eq!(scene_extent([].iter()).unwrap_err(), InitialiseError::NoExtent { cameras: 0 });
+    }
+}

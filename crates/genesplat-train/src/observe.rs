@@ -1,0 +1,237 @@
+//! How training tells what it does: a log, a progress bar, a live page.
+//!
+//! An observer is called between device calls and must return at once; training never waits for an answer.
+//! Every call carries a record that serialises to one line of `log.jsonl` ([`LogRecord`]).
+
+use genesplat_core::Gaussians;
+use serde::Serialize;
+
+use crate::checkpoint::Checkpoint;
+
+/// The beginning of a run.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct StartLog {
+    /// The backend, in plain words.
+    pub device: String,
+    /// Gaussians at the start.
+    pub gaussians: usize,
+    /// Training views.
+    pub views: usize,
+    /// Size of the scene, world units.
+    pub extent: f64,
+    /// The first iteration: 1, or later in a resumed run.
+    pub iteration: u32,
+    /// The last iteration.
+    pub iterations: u32,
+}
+
+/// One gradient step.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct StepLog {
+    /// Counted from 1.
+    pub iteration: u32,
+    /// The last iteration.
+    pub iterations: u32,
+    /// Gaussians held.
+    pub gaussians: usize,
+    /// Active degree of the spherical harmonics.
+    pub sh_degree: u8,
+    /// Rate of positions, world units.
+    pub position_rate: f32,
+    /// What the device found, in iterations that read it back.
+    #[serde(flatten)]
+    pub report: Option<StepFindings>,
+}
+
+/// What the device found in one step.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct StepFindings {
+    /// Eq. 5 on the iteration's view.
+    pub loss: f32,
+    /// Gaussians that reach at least one pixel of it.
+    pub visible: usize,
+    /// Entries of all tile lists.
+    pub tile_splats: usize,
+}
+
+/// One densification.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct DensifyLog {
+    /// Counted from 1.
+    pub iteration: u32,
+    /// Gaussians duplicated.
+    pub cloned: usize,
+    /// Gaussians replaced by two children.
+    pub split: usize,
+    /// Rows removed.
+    pub pruned: usize,
+    /// Gaussians afterwards.
+    pub gaussians: usize,
+}
+
+/// An evolution stage begins.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct StageLog {
+    /// Iteration of the trigger.
+    pub iteration: u32,
+    /// Generations to be bred after the initial population.
+    pub generations: u32,
+    /// File names of the views that fitness is measured on.
+    pub views: Vec<String>,
+    /// Mean Eq. 5 of the base on these views.
+    pub fitness: f64,
+}
+
+/// One generation of a stage.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct GenerationLog {
+    /// Iteration of the trigger.
+    pub iteration: u32,
+    /// 0 is the initial population.
+    pub generation: u32,
+    /// Fitness of the best individual that this generation added; `null` when none could be rendered.
+    pub generation_best: Option<f64>,
+    /// Lowest fitness so far, the base included.
+    pub best: f64,
+    /// Renders made by the stage so far.
+    pub renders: u64,
+}
+
+/// An evolution stage, or the control in its place, as `metrics.json` reports it.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct StageRecord {
+    /// Iteration of the trigger.
+    pub iteration: u32,
+    /// Generations completed, the initial population included; 0 for the control.
+    pub generations: u32,
+    /// Renders made; gradient steps for the control.
+    pub renders: u64,
+    /// Mean Eq. 5 on the stage's views before it.
+    pub fitness_before: f64,
+    /// The same after it; never above `fitness_before` for evolution.
+    pub fitness_after: f64,
+    /// Gaussians that the stage changed; 0 when nothing beat the base.
+    pub changed: usize,
+    /// Bytes that the population took at most.
+    pub population_bytes: u64,
+    /// Wall-clock seconds.
+    pub seconds: f64,
+}
+
+/// Hears what training does. All methods do nothing unless overridden.
+pub trait Observer {
+    /// The run begins.
+    fn on_start(&mut self, _log: &StartLog) {}
+    /// A gradient step was queued.
+    fn on_iteration(&mut self, _log: &StepLog) {}
+    /// The cloud was densified.
+    fn on_densify(&mut self, _log: &DensifyLog) {}
+    /// An evolution stage begins.
+    fn on_stage_start(&mut self, _log: &StageLog) {}
+    /// A generation was scored.
+    fn on_generation(&mut self, _log: &GenerationLog) {}
+    /// An evolution stage has ended.
+    fn on_stage_end(&mut self, _record: &StageRecord) {}
+    /// Something that the user should know: one sentence.
+    fn notice(&mut self, _text: &str) {}
+    /// A checkpoint that the schedule asked for.
+    fn on_checkpoint(&mut self, _checkpoint: Checkpoint) {}
+    /// True to receive the cloud after this iteration, which costs a read-back.
+    fn wants_cloud(&mut self, _iteration: u32) -> bool {
+        false
+    }
+    /// The cloud that was wanted.
+    fn on_cloud(&mut self, _iteration: u32, _cloud: Gaussians) {}
+}
+
+/// Hears nothing.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Silent;
+
+impl Observer for Silent {}
+
+/// One line of `log.jsonl`.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(tag = "event", rename_all = "kebab-case")]
+pub enum LogRecord {
+    /// See [`Observer::on_start`].
+    Start(StartLog),
+    /// See [`Observer::on_iteration`].
+    Step(StepLog),
+    /// See [`Observer::on_densify`].
+    Densify(DensifyLog),
+    /// See [`Observer::on_stage_start`].
+    StageStart(StageLog),
+    /// See [`Observer::on_generation`].
+    Generation(GenerationLog),
+    /// See [`Observer::on_stage_end`].
+    StageEnd(StageRecord),
+    /// See [`Observer::notice`].
+    Notice {
+        /// The sentence.
+        text: String,
+    },
+}
+
+/// Turns the calls of an [`Observer`] into records; steps are passed on only where they carry a report.
+#[derive(Debug)]
+pub struct Recorder<F>(pub F);
+
+impl<F: FnMut(LogRecord)> Observer for Recorder<F> {
+    fn on_start(&mut self, log: &StartLog) {
+        self.0(LogRecord::Start(log.clone()));
+    }
+
+    fn on_iteration(&mut self, log: &StepLog) {
+        if log.report.is_some() {
+            self.0(LogRecord::Step(log.clone()));
+        }
+    }
+
+    fn on_densify(&mut self, log: &DensifyLog) {
+        self.0(LogRecord::Densify(*log));
+    }
+
+    fn on_stage_start(&mut self, log: &StageLog) {
+        self.0(LogRecord::StageStart(log.clone()));
+    }
+
+    fn on_generation(&mut self, log: &GenerationLog) {
+        self.0(LogRecord::Generation(*log));
+    }
+
+    fn on_stage_end(&mut self, record: &StageRecord) {
+        self.0(LogRecord::StageEnd(*record));
+    }
+
+    fn notice(&mut self, text: &str) {
+        self.0(LogRecord::Notice { text: text.to_owned() });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn records_are_tagged_lines() {
+        let mut lines = Vec::new();
+        let mut recorder = Recorder(|record| lines.push(serde_json::to_string(&record).unwrap()));
+        recorder.notice("full");
+        let step = StepLog {
+            iteration: 7,
+            iterations: 9,
+            gaussians: 3,
+            sh_degree: 0,
+            position_rate: 0.5,
+            report: None,
+        };
+        recorder.on_iteration(&step);
+        let report = Some(StepFindings { loss: 0.25, visible: 2, tile_splats: 4 });
+        recorder.on_iteration(&StepLog { report, ..step });
+        assert_eq!(lines.len(), 2, "a step without report is not logged");
+        assert_eq!(lines[0], r#"{"event":"notice","text":"full"}"#);
+        assert!(lines[1].contains(r#""event":"step","iteration":7"#), "{}", lines[1]);
+        assert!(lines[1].contains(r#""loss":0.25"#), "{}", lines[1]);
+    }
+}

@@ -1,0 +1,156 @@
+//! The whole algorithm: gradient steps, density control, opacity resets, and evolution after each reset.
+//!
+//! One iteration, in the order of [`Phase::ORDER`]:
+//! 1. **Step.** The position rate decays, every thousandth iteration sees one degree more of the spherical harmonics, a
+//!    view is picked; render, `0.8 · L1 + 0.2 · (1 − SSIM)`, backward, statistics, Adam.
+//! 2. **Densify.** Where the image-space gradient stays large, Gaussians are cloned or split; faint ones are pruned.
+//! 3. **Reset.** Every 3,000 iterations, opacities fall to at most 0.01, and gradients earn them anew.
+//! 4. **Evolve.** Just then, when the well-optimised structure is disturbed, a genetic algorithm explores positions,
+//!    scales and opacities that gradients do not reach; the best individual becomes the new base if it is better.
+//!
+//! What is due when is for [`crate::schedule`] to say. This file does it, in that order, and can stop between any two
+//! phases: a resumed run repeats the numbers of one that was never interrupted.
+//! References: "An Evolutionary Boost to Gaussian Splatting Optimization" (Fig. 1, Algorithm 1);
+//! Kerbl et al., "3D Gaussian Splatting for Real-Time Radiance Field Rendering", 2023.
+
+use std::sync::atomic::AtomicBool;
+use std::time::Instant;
+
+use genesplat_core::{Backend, View};
+
+use crate::checkpoint::{Checkpoint, Cursor};
+use crate::config::{EvolutionMode, Resolved};
+use crate::densify::{Plan, adaptive};
+use crate::fitness;
+use crate::observe::{DensifyLog, Observer, StageRecord, StepLog};
+use crate::run::{Outcome, Start, TrainError};
+use crate::schedule::Phase;
+use crate::trainer::Trainer;
+
+/// Trains on `views` until the schedule ends or `stop` is set.
+///
+/// A run that was stopped returns what it has, and a checkpoint that [`Start::Checkpoint`] resumes exactly.
+pub fn train<B: Backend>(
+    backend: &mut B,
+    views: &[View],
+    start: Start,
+    config: &Resolved,
+    observer: &mut dyn Observer,
+    stop: &AtomicBool,
+) -> Result<Outcome, TrainError> {
+    let mut trainer = Trainer::new(backend, views, config, observer, stop)?;
+    let cursor = trainer.begin(start)?;
+    let checkpoint = trainer.run_from(cursor)?;
+    trainer.finish(checkpoint)
+}
+
+impl<B: Backend> Trainer<'_, B> {
+    /// The loop. Returns a checkpoint when it was stopped.
+    fn run_from(&mut self, from: Cursor) -> Result<Option<Box<Checkpoint>>, TrainError> {
+        let schedule = self.schedule;
+        for i in from.iteration..=schedule.iterations {
+            let done = |phase| i == from.iteration && phase < from.phase;
+            for phase in schedule.phases(i).filter(|&phase| !done(phase)) {
+                if self.stopped() {
+                    return Ok(Some(self.capture(Cursor { iteration: i, phase })?));
+                }
+                if let Some(checkpoint) = self.perform(i, phase)? {
+                    return Ok(Some(checkpoint));
+                }
+            }
+            self.share(i)?;
+        }
+        Ok(None)
+    }
+
+    /// Does one phase, on the clock. Returns a checkpoint when it was stopped within.
+    pub(crate) fn perform(&mut self, i: u32, phase: Phase) -> Result<Option<Box<Checkpoint>>, TrainError> {
+        if phase.is_evolution() {
+            self.wait_for_device()?;
+        }
+        let clock = Instant::now();
+        let mut checkpoint = None;
+        match phase {
+            Phase::Step => self.step(i)?,
+            Phase::Densify => self.densify(i)?,
+            Phase::RefreshFilter => self.refresh_filter()?,
+            Phase::ResetOpacity => self.backend.reset_opacity(self.config.densify.reset_opacity)?,
+            Phase::EvolveBeforeDensify
+            | Phase::EvolveAfterDensify
+            | Phase::EvolveBeforeReset
+            | Phase::EvolveAfterReset => match self.config.evolution.mode {
+                EvolutionMode::Off => {}
+                EvolutionMode::Paper => checkpoint = self.evolve(Cursor { iteration: i, phase })?,
+                EvolutionMode::Control => self.control(i)?,
+            },
+        }
+        self.bill(phase, clock.elapsed().as_secs_f64());
+        Ok(checkpoint)
+    }
+
+    fn step(&mut self, i: u32) -> Result<(), TrainError> {
+        let schedule = self.schedule;
+        let view = self.order.view(i - 1);
+        let update = self.next_update(i, schedule.optimiser_step(i));
+        let statistics = schedule.statistics(self.signal, self.last_stage, i);
+        self.train_step(view, i, update, statistics)?;
+        let log = StepLog {
+            iteration: i,
+            iterations: schedule.iterations,
+            gaussians: self.backend.len(),
+            sh_degree: schedule.sh_degree(i),
+            position_rate: self.rates(i).position,
+            report: if schedule.is_report(i) { Some(self.findings()?) } else { None },
+        };
+        self.observer.on_iteration(&log);
+        Ok(())
+    }
+
+    fn densify(&mut self, i: u32) -> Result<(), TrainError> {
+        let (statistics, cloud) = (self.backend.statistics()?, self.healthy_cloud()?);
+        let plan = adaptive::plan(&statistics, &cloud, &self.rules(i), i);
+        if plan.edit.sources.is_empty() {
+            return Err(TrainError::NothingLeft { iteration: i });
+        }
+        self.backend.edit_rows(&plan.edit)?;
+        self.tell_of_cap(i, &plan);
+        let Plan { cloned, split, pruned, .. } = plan;
+        let log = DensifyLog { iteration: i, cloned, split, pruned, gaussians: self.backend.len() };
+        self.observer.on_densify(&log);
+        Ok(())
+    }
+
+    /// Once is enough: the cap stays.
+    fn tell_of_cap(&mut self, i: u32, plan: &Plan) {
+        let Some(cap) = self.config.max_gaussians.filter(|_| plan.refused > 0 && !self.cap_noticed) else {
+            return;
+        };
+        self.cap_noticed = true;
+        self.observer.notice(&format!(
+            "iteration {i}: the limit of {cap} Gaussians is reached ({} more wanted to grow); from now on only those \
+             with the strongest gradients grow into the room that pruning leaves",
+            plan.refused
+        ));
+    }
+
+    fn refresh_filter(&mut self) -> Result<(), TrainError> {
+        let cloud = self.backend.download()?;
+        Ok(self.backend.set_filter_3d(self.filter_of(&cloud))?)
+    }
+
+    /// Searches, then applies. An interrupted search counts with the best it has, but a resumed run repeats it in full.
+    fn evolve(&mut self, cursor: Cursor) -> Result<Option<Box<Checkpoint>>, TrainError> {
+        let stage = self.stage(cursor.iteration);
+        let search = fitness::search(self.backend, &stage, self.observer, self.stop)?;
+        let checkpoint = if search.interrupted { Some(self.capture(cursor)?) } else { None };
+        let record = fitness::apply(self.backend, &stage, search)?;
+        self.end_stage(record)?;
+        Ok(checkpoint)
+    }
+
+    pub(crate) fn end_stage(&mut self, record: StageRecord) -> Result<(), TrainError> {
+        self.observer.on_stage_end(&record);
+        self.progress.stages.push(record);
+        self.forget_gene_gradients()
+    }
+}

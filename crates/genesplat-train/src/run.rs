@@ -1,0 +1,113 @@
+//! What goes into a run, what comes out, and what can go wrong.
+
+use genesplat_core::{BackendError, Gaussians};
+use serde::Serialize;
+
+use crate::checkpoint::Checkpoint;
+use crate::config::Variant;
+use crate::initialise::{ColouredPoint, InitialiseError};
+use crate::observe::StageRecord;
+
+/// What a run starts from.
+#[derive(Clone, Debug)]
+pub enum Start {
+    /// The points of a sparse reconstruction.
+    Points(Vec<ColouredPoint>),
+    /// A cloud from elsewhere; the schedule starts at its beginning.
+    Cloud(Gaussians),
+    /// A stopped run; it goes on as if it had never stopped, provided that the configuration is the same.
+    Checkpoint(Box<Checkpoint>),
+}
+
+/// A run that has ended.
+#[derive(Clone, Debug)]
+pub struct Outcome {
+    /// The result.
+    pub cloud: Gaussians,
+    /// How it came about.
+    pub summary: RunSummary,
+    /// Where to resume; `None` for a run that reached its end.
+    pub checkpoint: Option<Box<Checkpoint>>,
+}
+
+/// How a run went.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct RunSummary {
+    /// Iterations completed.
+    pub iterations: u32,
+    /// Gaussians at the end.
+    pub gaussians: usize,
+    /// Adam steps made.
+    pub optimiser_steps: u32,
+    /// Size of the scene, world units.
+    pub extent: f64,
+    /// Wall-clock seconds, those before a resume included.
+    pub seconds: Seconds,
+    /// Evolution stages, or the controls in their place.
+    pub stages: Vec<StageRecord>,
+    /// The run was stopped before its end.
+    pub interrupted: bool,
+}
+
+/// Wall-clock seconds by what they were spent on.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Seconds {
+    /// Gradient steps and density control.
+    pub gradient: f64,
+    /// Evolution stages, or the controls in their place.
+    pub evolution: f64,
+}
+
+/// Why a run cannot go on.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum TrainError {
+    /// Nothing to learn from.
+    #[error("there is no training view; check that the dataset's photos were found and not all held out")]
+    NoViews,
+    /// Nothing to train.
+    #[error("the cloud to start from holds no Gaussian")]
+    EmptyCloud,
+    /// The scene cannot be started from.
+    #[error(transparent)]
+    Initialise(#[from] InitialiseError),
+    /// The device failed, or parameters diverged.
+    #[error(transparent)]
+    Backend(#[from] BackendError),
+    /// Pruning left nothing.
+    #[error(
+        "every Gaussian was pruned at iteration {iteration}; the photos and camera poses may not belong together, \
+         or densify.prune_opacity is too high"
+    )]
+    NothingLeft {
+        /// Counted from 1.
+        iteration: u32,
+    },
+    /// The base cannot be scored, so nothing can be compared with it.
+    #[error(
+        "the cloud renders to a loss of {loss} at iteration {iteration}, so evolution has nothing to compare with"
+    )]
+    NoFitness {
+        /// Iteration of the trigger.
+        iteration: u32,
+        /// Not finite.
+        loss: f64,
+    },
+    /// The search cannot start.
+    #[error("evolution: {0}")]
+    Search(#[from] genesplat_evolve::ConfigError),
+    /// The search was told something it cannot use.
+    #[error("evolution: {0}")]
+    Tell(#[from] genesplat_evolve::TellError),
+    /// The checkpoint belongs to another kind of run.
+    #[error(
+        "the checkpoint was not made by a {wanted} run; resume with the configuration that it was made with"
+    )]
+    OtherVariant {
+        /// The configuration's variant.
+        wanted: Variant,
+    },
+    /// Refinement was asked for, and switched off.
+    #[error("evolution.mode is off, so there is nothing to refine with; set it to paper (or control)")]
+    NothingToRefine,
+}

@@ -1,0 +1,385 @@
+//! What happens at which iteration, as pure functions.
+//!
+//! Iterations count from 1. Each runs the phases of [`Phase::ORDER`] that are due, and training is nothing but this
+//! list of phases, so that it can stop and resume between any two of them. The rules, the reference's quirks included,
+//! are those of the code released with 3DGS (2023), which Pixel-GS and Mip-Splatting share.
+
+use genesplat_core::{DensitySignal, LearningRates, StatisticsRequest};
+
+use crate::config::{Background, EvolutionMode, OptimiserConfig, TrainConfig, Trigger, Variant};
+
+/// A part of an iteration.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Phase {
+    /// Render, loss, backward, statistics, Adam.
+    Step,
+    /// The evolution stage, when it is triggered before densification.
+    EvolveBeforeDensify,
+    /// Clone, split, prune.
+    Densify,
+    /// Mip-Splatting: the 3D filter follows the new positions.
+    RefreshFilter,
+    /// The evolution stage, when it is triggered after densification.
+    EvolveAfterDensify,
+    /// The evolution stage, when it is triggered before the opacity reset.
+    EvolveBeforeReset,
+    /// Opacities are limited to a small value.
+    ResetOpacity,
+    /// The evolution stage, where the paper has it.
+    EvolveAfterReset,
+}
+
+impl Phase {
+    /// The phases of one iteration, in order.
+    pub const ORDER: [Self; 8] = [
+        Self::Step,
+        Self::EvolveBeforeDensify,
+        Self::Densify,
+        Self::RefreshFilter,
+        Self::EvolveAfterDensify,
+        Self::EvolveBeforeReset,
+        Self::ResetOpacity,
+        Self::EvolveAfterReset,
+    ];
+
+    /// One of the four places of the evolution stage.
+    pub fn is_evolution(self) -> bool {
+        matches!(
+            self,
+            Self::EvolveBeforeDensify
+                | Self::EvolveAfterDensify
+                | Self::EvolveBeforeReset
+                | Self::EvolveAfterReset
+        )
+    }
+}
+
+/// Which parameter groups Adam moves in an iteration.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum OptimiserStep {
+    /// All of them.
+    All,
+    /// All but opacity, whose gradients are lost with the tensor that a reset replaces.
+    AllButOpacity,
+    /// None: the reference throws the gradients away.
+    Lost,
+}
+
+/// Every step-based setting, scaled and rounded.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Schedule {
+    /// Iterations of the run.
+    pub iterations: u32,
+    /// Iterations between two rises of the spherical harmonics' degree.
+    pub sh_every: u32,
+    /// Highest degree.
+    pub sh_degree_max: u8,
+    /// Iterations over which the position rate decays.
+    pub position_steps: u32,
+    /// Densification starts after this iteration.
+    pub densify_from: u32,
+    /// Densification and resets end before this iteration.
+    pub densify_until: u32,
+    /// Iterations between two densifications.
+    pub densify_every: u32,
+    /// Oversized Gaussians are pruned after this iteration.
+    pub size_prune_after: u32,
+    /// Iterations between two opacity resets.
+    pub reset_every: u32,
+    /// The one-off reset with a white background.
+    pub white_reset_at: Option<u32>,
+    /// Mip-Splatting's 3D filter is in use.
+    pub filter_3d: bool,
+    /// Phase in which evolution runs, if it does.
+    pub evolution_phase: Option<Phase>,
+    /// Evolution runs at every n-th occurrence of its trigger.
+    pub evolution_stride: u32,
+    /// Evolution wants the gradients of the genes.
+    pub gene_gradients: bool,
+    /// Iterations between two checkpoints; 0: none.
+    pub checkpoint_every: u32,
+    /// Iterations between two reports that read back from the device; 0: none.
+    pub report_every: u32,
+}
+
+impl Schedule {
+    /// The schedule of a valid configuration: steps scaled once, here.
+    pub(crate) fn new(config: &TrainConfig) -> Self {
+        let scaled = |steps: u32| (f64::from(steps) * config.steps_scale).round() as u32;
+        let interval = |steps: u32| scaled(steps).max(1);
+        let (densify, evolution) = (&config.densify, &config.evolution);
+        let white = config.background == Background::White && densify.white_reset_at > 0;
+        Self {
+            iterations: interval(config.iterations),
+            sh_every: interval(config.sh_every),
+            sh_degree_max: config.sh_degree,
+            position_steps: interval(config.optimiser.position_steps),
+            densify_from: scaled(densify.from),
+            densify_until: scaled(densify.until),
+            densify_every: interval(densify.every),
+            size_prune_after: scaled(densify.size_prune_after),
+            reset_every: interval(densify.reset_every),
+            white_reset_at: white.then(|| interval(densify.white_reset_at)),
+            filter_3d: config.variant == Variant::MipSplatting,
+            evolution_phase: (evolution.mode != EvolutionMode::Off).then(|| trigger_phase(evolution.trigger)),
+            evolution_stride: evolution.stride,
+            gene_gradients: evolution.wants_gene_gradients(),
+            checkpoint_every: config.checkpoint_every,
+            report_every: config.report_every,
+        }
+    }
+
+    /// The phases of iteration `i`, in order.
+    pub fn phases(&self, i: u32) -> impl Iterator<Item = Phase> + '_ {
+        Phase::ORDER.into_iter().filter(move |&phase| self.is_due(phase, i))
+    }
+
+    fn is_due(&self, phase: Phase, i: u32) -> bool {
+        match phase {
+            Phase::Step => true,
+            Phase::Densify => self.is_densify(i),
+            Phase::RefreshFilter => self.is_filter_refresh(i),
+            Phase::ResetOpacity => self.is_reset(i),
+            evolve => self.evolution_phase == Some(evolve) && self.is_stage(i),
+        }
+    }
+
+    /// The last iteration only measures: a model that was just densified or reset is not worth keeping, and the
+    /// reference saves before it does either.
+    fn controls_density(&self, i: u32) -> bool {
+        i < self.densify_until && i < self.iterations
+    }
+
+    /// Gaussians are cloned, split and pruned at the end of iteration `i`.
+    pub fn is_densify(&self, i: u32) -> bool {
+        self.controls_density(i) && i > self.densify_from && i.is_multiple_of(self.densify_every)
+    }
+
+    /// A reset that comes round every few thousand iterations (the others are for white backgrounds).
+    fn is_periodic_reset(&self, i: u32) -> bool {
+        self.controls_density(i) && i.is_multiple_of(self.reset_every)
+    }
+
+    /// Opacities are reset at the end of iteration `i`.
+    pub fn is_reset(&self, i: u32) -> bool {
+        self.is_periodic_reset(i) || (self.controls_density(i) && self.white_reset_at == Some(i))
+    }
+
+    /// The 3D filter is computed anew: after each densification, and later now and then until shortly before the end.
+    fn is_filter_refresh(&self, i: u32) -> bool {
+        let late = i > self.densify_until
+            && i.is_multiple_of(self.densify_every)
+            && i + self.densify_every < self.iterations;
+        self.filter_3d && (self.is_densify(i) || late)
+    }
+
+    /// Oversized Gaussians are pruned in iteration `i`.
+    pub fn prunes_by_size(&self, i: u32) -> bool {
+        i > self.size_prune_after
+    }
+
+    /// An evolution stage runs in iteration `i`.
+    pub fn is_stage(&self, i: u32) -> bool {
+        let (happens, occurrence) = match self.evolution_phase {
+            None => (false, 0),
+            Some(Phase::EvolveBeforeDensify | Phase::EvolveAfterDensify) => {
+                (self.is_densify(i), i / self.densify_every - self.densify_from / self.densify_every)
+            }
+            Some(_) => (self.is_periodic_reset(i), i / self.reset_every),
+        };
+        happens && occurrence.is_multiple_of(self.evolution_stride)
+    }
+
+    /// The iterations at which evolution stages run.
+    pub fn stages(&self) -> impl Iterator<Item = u32> + '_ {
+        (1..=self.iterations).filter(|&i| self.is_stage(i))
+    }
+
+    /// What Adam does in iteration `i`.
+    ///
+    /// The reference replaces its parameter tensors when it densifies, and that of opacity when it resets; the new ones
+    /// have no gradients, so the step that follows does nothing and counters stand still (facts: quirk 2). The last
+    /// iteration makes no step.
+    pub fn optimiser_step(&self, i: u32) -> OptimiserStep {
+        if self.is_densify(i) || i >= self.iterations {
+            OptimiserStep::Lost
+        } else if self.is_reset(i) {
+            OptimiserStep::AllButOpacity
+        } else {
+            OptimiserStep::All
+        }
+    }
+
+    /// Degree of the spherical harmonics in iteration `i`: one more every thousand, from the start of that iteration.
+    pub fn sh_degree(&self, i: u32) -> u8 {
+        (i / self.sh_every).min(u32::from(self.sh_degree_max)) as u8
+    }
+
+    /// Step sizes in iteration `i`; that of positions decays exponentially and scales with the scene.
+    pub fn rates(&self, config: &OptimiserConfig, extent: f64, i: u32) -> LearningRates {
+        let t = (f64::from(i) / f64::from(self.position_steps)).min(1.0);
+        let position = (config.position_start.ln() * (1.0 - t) + config.position_end.ln() * t).exp();
+        LearningRates {
+            position: (position * extent) as f32,
+            sh_dc: config.sh_dc,
+            sh_rest: config.sh_rest,
+            opacity: config.opacity,
+            scale: config.scale,
+            rotation: config.rotation,
+        }
+    }
+
+    /// What iteration `i` adds to the statistics; `signal` is the variant's. Gene gradients are summed only while a
+    /// stage that reads them lies ahead (`last_stage` is its iteration, 0 for none).
+    pub fn statistics(&self, signal: DensitySignal, last_stage: u32, i: u32) -> StatisticsRequest {
+        StatisticsRequest {
+            density: (i < self.densify_until).then_some(signal),
+            genes: self.gene_gradients && i <= last_stage,
+        }
+    }
+
+    /// The end of iteration `i` is worth a checkpoint.
+    pub fn is_checkpoint(&self, i: u32) -> bool {
+        self.checkpoint_every > 0 && i.is_multiple_of(self.checkpoint_every) && i < self.iterations
+    }
+
+    /// Iteration `i` reads its loss back from the device.
+    pub fn is_report(&self, i: u32) -> bool {
+        self.report_every > 0 && (i.is_multiple_of(self.report_every) || i == self.iterations)
+    }
+}
+
+fn trigger_phase(trigger: Trigger) -> Phase {
+    match trigger {
+        Trigger::AfterReset => Phase::EvolveAfterReset,
+        Trigger::BeforeReset => Phase::EvolveBeforeReset,
+        Trigger::AfterDensify => Phase::EvolveAfterDensify,
+        Trigger::BeforeDensify => Phase::EvolveBeforeDensify,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn schedule(change: impl FnOnce(&mut TrainConfig)) -> Schedule {
+        let mut config = TrainConfig::default();
+        change(&mut config);
+        Schedule::new(&config)
+    }
+
+    fn iterations_with(schedule: &Schedule, phase: Phase) -> Vec<u32> {
+        (1..=schedule.iterations).filter(|&i| schedule.phases(i).any(|due| due == phase)).collect()
+    }
+
+    #[test]
+    fn the_published_schedule_densifies_144_times_and_resets_4_times() {
+        let schedule = schedule(|_| {});
+        let densify = iterations_with(&schedule, Phase::Densify);
+        assert_eq!((densify.len(), densify[0], densify[143]), (144, 600, 14_900));
+        assert_eq!(iterations_with(&schedule, Phase::ResetOpacity), [3000, 6000, 9000, 12_000]);
+        assert_eq!(iterations_with(&schedule, Phase::EvolveAfterReset), [] as [u32; 0]);
+        assert!(!schedule.prunes_by_size(3000) && schedule.prunes_by_size(3100));
+    }
+
+    #[test]
+    fn lost_steps_leave_29_855() {
+        let schedule = schedule(|_| {});
+        let made = (1..=30_000).filter(|&i| schedule.optimiser_step(i) == OptimiserStep::All).count();
+        assert_eq!(made, 29_855);
+        assert_eq!(schedule.optimiser_step(30_000), OptimiserStep::Lost);
+    }
+
+    #[test]
+    fn a_white_background_resets_once_more_and_costs_opacity_one_step() {
+        let schedule = schedule(|config| config.background = Background::White);
+        assert_eq!(iterations_with(&schedule, Phase::ResetOpacity), [500, 3000, 6000, 9000, 12_000]);
+        assert_eq!(schedule.optimiser_step(500), OptimiserStep::AllButOpacity);
+        assert_eq!(schedule.optimiser_step(3000), OptimiserStep::Lost, "it densifies, too");
+        assert_eq!(schedule.phases(500).collect::<Vec<_>>(), [Phase::Step, Phase::ResetOpacity]);
+    }
+
+    #[test]
+    fn evolution_follows_the_four_resets_but_not_the_white_one() {
+        let schedule = schedule(|config| {
+            config.evolution.mode = EvolutionMode::Paper;
+            config.background = Background::White;
+        });
+        assert_eq!(schedule.stages().collect::<Vec<_>>(), [3000, 6000, 9000, 12_000]);
+        assert_eq!(
+            schedule.phases(3000).collect::<Vec<_>>(),
+            [Phase::Step, Phase::Densify, Phase::ResetOpacity, Phase::EvolveAfterReset]
+        );
+    }
+
+    #[test]
+    fn other_triggers_move_the_stage_and_a_stride_thins_it() {
+        let with = |trigger, stride| {
+            schedule(|config| {
+                config.evolution.mode = EvolutionMode::Paper;
+                (config.evolution.trigger, config.evolution.stride) = (trigger, stride);
+            })
+        };
+        let before = with(Trigger::BeforeReset, 2);
+        assert_eq!(before.stages().collect::<Vec<_>>(), [6000, 12_000]);
+        let phases = [Phase::Step, Phase::Densify, Phase::EvolveBeforeReset, Phase::ResetOpacity];
+        assert_eq!(before.phases(6000).collect::<Vec<_>>(), phases);
+        assert_eq!(with(Trigger::AfterDensify, 1).stages().count(), 144);
+        let quarter = with(Trigger::BeforeDensify, 36);
+        assert_eq!(quarter.stages().collect::<Vec<_>>(), [4100, 7700, 11_300, 14_900]);
+        let phases = [Phase::Step, Phase::EvolveBeforeDensify, Phase::Densify];
+        assert_eq!(quarter.phases(4100).collect::<Vec<_>>(), phases);
+    }
+
+    #[test]
+    fn the_3d_filter_follows_densification_and_then_every_hundredth_iteration() {
+        let schedule = schedule(|config| config.variant = Variant::MipSplatting);
+        let refreshed = iterations_with(&schedule, Phase::RefreshFilter);
+        let late: Vec<u32> = refreshed.iter().copied().filter(|&i| i >= 15_000).collect();
+        assert_eq!((late[0], late[late.len() - 1], late.len()), (15_100, 29_800, 148));
+        assert_eq!((refreshed[0], refreshed.len()), (600, 144 + 148));
+    }
+
+    #[test]
+    fn scaling_keeps_the_shape_and_truncation_keeps_the_rates() {
+        let tenth = schedule(|config| config.steps_scale = 0.1);
+        assert_eq!(tenth.iterations, 3000);
+        assert_eq!(iterations_with(&tenth, Phase::Densify).len(), 144);
+        assert_eq!(iterations_with(&tenth, Phase::ResetOpacity), [300, 600, 900, 1200]);
+        let short = schedule(|config| config.iterations = 3000);
+        assert_eq!(
+            iterations_with(&short, Phase::ResetOpacity),
+            [] as [u32; 0],
+            "the last one only measures"
+        );
+        assert_eq!(iterations_with(&short, Phase::Densify).last(), Some(&2900));
+        let (rates, extent) = (OptimiserConfig::default(), 2.0);
+        let long = schedule(|_| {});
+        assert_eq!(short.rates(&rates, extent, 3000), long.rates(&rates, extent, 3000));
+        assert_eq!(tenth.rates(&rates, extent, 300), long.rates(&rates, extent, 3000));
+    }
+
+    #[test]
+    fn the_position_rate_decays_a_hundredfold() {
+        let (schedule, rates) = (schedule(|_| {}), OptimiserConfig::default());
+        let at = |i| f64::from(schedule.rates(&rates, 5.0, i).position);
+        for (i, expected) in [(0, 8e-4), (15_000, 8e-5), (30_000, 8e-6), (40_000, 8e-6)] {
+            assert!((at(i) / expected - 1.0).abs() < 1e-6, "iteration {i}: {}", at(i));
+        }
+    }
+
+    #[test]
+    fn the_degree_rises_at_the_start_of_every_thousandth_iteration() {
+        let schedule = schedule(|_| {});
+        let degrees: Vec<u8> = [1, 999, 1000, 1999, 2000, 3000, 9000].map(|i| schedule.sh_degree(i)).to_vec();
+        assert_eq!(degrees, [0, 0, 1, 1, 2, 3, 3]);
+    }
+
+    #[test]
+    fn statistics_end_with_densification_and_gene_sums_with_the_last_stage() {
+        let schedule = schedule(|config| config.evolution.mode = EvolutionMode::Paper);
+        let at = |i| schedule.statistics(DensitySignal::Signed, 12_000, i);
+        assert!(at(14_999).density.is_some() && at(15_000).density.is_none());
+        assert!(at(12_000).genes && !at(12_001).genes);
+    }
+}

@@ -1,0 +1,275 @@
+//! The state of a run, and its plumbing: how it begins, what it saves, how it ends.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use genesplat_core::{
+    Backend, BackendError, DensitySignal, Gaussians, LearningRates, RenderSettings, Rng, StatisticsRequest,
+    Stream, TrainStep, Update, View,
+};
+
+use crate::checkpoint::{Checkpoint, Cursor, Progress};
+use crate::config::{Background, Resolved, TrainConfig};
+use crate::densify::adaptive::Rules;
+use crate::filter_3d::filter_3d;
+use crate::fitness::Stage;
+use crate::initialise::{cloud_from_points, scene_extent};
+use crate::observe::{Observer, StartLog, StepFindings};
+use crate::run::{Outcome, RunSummary, Seconds, Start, TrainError};
+use crate::schedule::{OptimiserStep, Phase, Schedule};
+use crate::views::{ViewOrder, spread_evenly};
+
+/// A run under way.
+pub(crate) struct Trainer<'a, B> {
+    pub(crate) backend: &'a mut B,
+    pub(crate) views: &'a [View],
+    pub(crate) config: &'a TrainConfig,
+    pub(crate) schedule: &'a Schedule,
+    pub(crate) observer: &'a mut dyn Observer,
+    pub(crate) stop: &'a AtomicBool,
+    pub(crate) rng: Rng,
+    /// Size of the scene, world units.
+    extent: f64,
+    pub(crate) signal: DensitySignal,
+    /// Iteration of the last evolution stage; 0 for none.
+    pub(crate) last_stage: u32,
+    pub(crate) order: ViewOrder,
+    pub(crate) progress: Progress,
+    /// The user knows that the cap is reached.
+    pub(crate) cap_noticed: bool,
+}
+
+impl<'a, B: Backend> Trainer<'a, B> {
+    pub(crate) fn new(
+        backend: &'a mut B,
+        views: &'a [View],
+        resolved: &'a Resolved,
+        observer: &'a mut dyn Observer,
+        stop: &'a AtomicBool,
+    ) -> Result<Self, TrainError> {
+        if views.is_empty() {
+            return Err(TrainError::NoViews);
+        }
+        let (config, schedule) = (resolved.config(), resolved.schedule());
+        let extent = config.extent.map_or_else(|| scene_extent(views.iter().map(|view| &view.camera)), Ok)?;
+        let rng = Rng::new(config.seed);
+        backend.set_views(views)?;
+        Ok(Self {
+            signal: crate::densify::signal(config.variant, config.densify.depth_threshold, extent),
+            last_stage: schedule.stages().last().unwrap_or(0),
+            order: ViewOrder::new(rng, views.len()),
+            progress: Progress::default(),
+            cap_noticed: false,
+            backend,
+            views,
+            config,
+            schedule,
+            observer,
+            stop,
+            rng,
+            extent,
+        })
+    }
+
+    /// Fills the device; returns where to go on.
+    pub(crate) fn begin(&mut self, start: Start) -> Result<Cursor, TrainError> {
+        let cursor = match start {
+            Start::Points(points) => self.upload_new(cloud_from_points(&points)?)?,
+            Start::Cloud(cloud) => self.upload_new(cloud)?,
+            Start::Checkpoint(checkpoint) => self.restore(*checkpoint)?,
+        };
+        self.observer.on_start(&StartLog {
+            device: self.backend.describe(),
+            gaussians: self.backend.len(),
+            views: self.views.len(),
+            extent: self.extent,
+            iteration: cursor.iteration,
+            iterations: self.schedule.iterations,
+        });
+        Ok(cursor)
+    }
+
+    fn upload_new(&mut self, mut cloud: Gaussians) -> Result<Cursor, TrainError> {
+        if cloud.is_empty() {
+            return Err(TrainError::EmptyCloud);
+        }
+        cloud.filter_3d = self.schedule.filter_3d.then(|| self.filter_of(&cloud));
+        self.backend.upload(cloud, None)?;
+        self.backend.reset_statistics(true);
+        Ok(Cursor::start_of(1))
+    }
+
+    fn restore(&mut self, checkpoint: Checkpoint) -> Result<Cursor, TrainError> {
+        if checkpoint.cloud.filter_3d.is_some() != self.schedule.filter_3d {
+            return Err(TrainError::OtherVariant { wanted: self.config.variant });
+        }
+        self.backend.upload(checkpoint.cloud, Some(checkpoint.moments))?;
+        self.backend.restore_statistics(checkpoint.statistics)?;
+        self.progress = checkpoint.progress;
+        Ok(checkpoint.cursor)
+    }
+
+    /// All that it takes to go on from `cursor` later.
+    pub(crate) fn capture(&mut self, cursor: Cursor) -> Result<Box<Checkpoint>, TrainError> {
+        Ok(Box::new(Checkpoint {
+            cursor,
+            progress: self.progress.clone(),
+            cloud: self.backend.download()?,
+            moments: self.backend.download_moments()?,
+            statistics: self.backend.statistics()?,
+        }))
+    }
+
+    /// The end of iteration `i`: what others want a copy of.
+    pub(crate) fn share(&mut self, i: u32) -> Result<(), TrainError> {
+        if self.schedule.is_checkpoint(i) {
+            let checkpoint = self.capture(Cursor::start_of(i + 1))?;
+            self.observer.on_checkpoint(*checkpoint);
+        }
+        if self.observer.wants_cloud(i) {
+            self.observer.on_cloud(i, self.backend.download()?);
+        }
+        Ok(())
+    }
+
+    /// The result of a run that reached its end, or was stopped at `checkpoint`.
+    pub(crate) fn finish(mut self, checkpoint: Option<Box<Checkpoint>>) -> Result<Outcome, TrainError> {
+        let cloud = self.healthy_cloud()?;
+        let progress = self.progress;
+        let summary = RunSummary {
+            iterations: checkpoint.as_ref().map_or(self.schedule.iterations, |c| c.cursor.iteration - 1),
+            gaussians: cloud.len(),
+            optimiser_steps: progress.steps,
+            extent: self.extent,
+            seconds: Seconds { gradient: progress.gradient_seconds, evolution: progress.evolution_seconds },
+            stages: progress.stages,
+            interrupted: checkpoint.is_some(),
+        };
+        Ok(Outcome { cloud, summary, checkpoint })
+    }
+
+    pub(crate) fn stopped(&self) -> bool {
+        self.stop.load(Ordering::Relaxed)
+    }
+
+    /// The cloud, which the rest of the host may trust to be finite.
+    pub(crate) fn healthy_cloud(&mut self) -> Result<Gaussians, TrainError> {
+        let cloud = self.backend.download()?;
+        match cloud.first_non_finite() {
+            None => Ok(cloud),
+            Some((row, parameter)) => {
+                Err(BackendError::NonFinite { row, parameter, steps: self.progress.steps }.into())
+            }
+        }
+    }
+
+    /// Work may be queued on the device; the clock of the next phase must not pay for it.
+    pub(crate) fn wait_for_device(&mut self) -> Result<(), TrainError> {
+        self.backend.report()?;
+        Ok(())
+    }
+
+    /// What the device found in the last step.
+    pub(crate) fn findings(&mut self) -> Result<StepFindings, TrainError> {
+        let report = self.backend.report()?;
+        Ok(StepFindings { loss: report.loss, visible: report.visible, tile_splats: report.tile_splats })
+    }
+
+    /// Advances Adam's counters, which stand still for what misses the step.
+    pub(crate) fn next_update(&mut self, i: u32, step: OptimiserStep) -> Option<Update> {
+        if step == OptimiserStep::Lost {
+            return None;
+        }
+        let opacity = step == OptimiserStep::All;
+        self.progress.steps += 1;
+        self.progress.opacity_steps += u32::from(opacity);
+        Some(Update {
+            rates: self.rates(i),
+            step: self.progress.steps,
+            opacity_step: if opacity { self.progress.opacity_steps } else { 0 },
+            exploration: None,
+        })
+    }
+
+    pub(crate) fn train_step(
+        &mut self,
+        view: usize,
+        i: u32,
+        update: Option<Update>,
+        statistics: StatisticsRequest,
+    ) -> Result<(), TrainError> {
+        let background = match self.config.background {
+            Background::Random => {
+                let draw = self.rng.at(Stream::Background, i, 0, 0);
+                std::array::from_fn(|channel| draw.uniform(channel))
+            }
+            fixed => fixed.fixed_colour(),
+        };
+        let settings = RenderSettings { background, ..self.settings(i) };
+        Ok(self.backend.train_step(&TrainStep { view, settings, update, statistics })?)
+    }
+
+    /// How evolution renders in iteration `i`.
+    pub(crate) fn settings(&self, i: u32) -> RenderSettings {
+        RenderSettings {
+            sh_degree: self.schedule.sh_degree(i),
+            background: self.config.background.fixed_colour(),
+            filter: self.config.variant.screen_filter(),
+        }
+    }
+
+    pub(crate) fn rates(&self, i: u32) -> LearningRates {
+        self.schedule.rates(&self.config.optimiser, self.extent, i)
+    }
+
+    /// Density control's thresholds in iteration `i`, in world units.
+    pub(crate) fn rules(&self, i: u32) -> Rules {
+        let densify = &self.config.densify;
+        let world = |extents: f64| (extents * self.extent) as f32;
+        Rules {
+            gradient_threshold: densify.gradient_threshold,
+            clone_size_max: world(densify.clone_size),
+            prune_opacity: densify.prune_opacity,
+            prune_size: self.schedule.prunes_by_size(i).then(|| world(densify.prune_size)),
+            cap: self.config.max_gaussians,
+        }
+    }
+
+    /// The evolution stage of iteration `i`.
+    pub(crate) fn stage(&self, i: u32) -> Stage<'a> {
+        let evolution = &self.config.evolution;
+        let draw = if evolution.rotate_views { i } else { 0 };
+        let views = spread_evenly(self.views, evolution.views, &self.rng, draw);
+        Stage {
+            iteration: i,
+            config: evolution,
+            view_names: views.iter().map(|&view| self.views[view].name.clone()).collect(),
+            views,
+            settings: self.settings(i),
+            rng: self.rng.fork(i),
+        }
+    }
+
+    pub(crate) fn filter_of(&self, cloud: &Gaussians) -> Vec<f32> {
+        filter_3d(&cloud.positions, self.views.iter().map(|view| &view.camera))
+    }
+
+    /// The next stage sums gene gradients anew; density statistics, which may be under way, stay.
+    pub(crate) fn forget_gene_gradients(&mut self) -> Result<(), TrainError> {
+        if self.config.evolution.wants_gene_gradients() {
+            let mut statistics = self.backend.statistics()?;
+            statistics.gene_gradient_sum.clear();
+            statistics.gene_views.clear();
+            self.backend.restore_statistics(statistics)?;
+        }
+        Ok(())
+    }
+
+    /// Seconds go to evolution or to gradients.
+    pub(crate) fn bill(&mut self, phase: Phase, seconds: f64) {
+        if phase.is_evolution() {
+            self.progress.evolution_seconds += seconds;
+        } else {
+            self.progress.gradient_seconds += seconds;
+        }
+    }
+}

@@ -1,0 +1,111 @@
+//! Ranges of settings, and the sentences for those out of range.
+
+use std::fmt;
+
+use genesplat_core::spherical_harmonics::SH_DEGREE_MAX;
+
+use crate::config::{DensifyConfig, EvolutionConfig, OptimiserConfig, TrainConfig};
+
+/// A setting that cannot be used.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum ConfigError {
+    /// Out of its range.
+    #[error("{setting} is {value}, but must be {wanted}")]
+    Range {
+        /// Name in the file, dotted.
+        setting: &'static str,
+        /// What it is.
+        value: String,
+        /// What it may be.
+        wanted: &'static str,
+    },
+    /// The genetic algorithm's settings are wrong.
+    #[error("in evolution.paper: {0}")]
+    Evolution(#[from] genesplat_evolve::ConfigError),
+}
+
+impl TrainConfig {
+    /// Checks every setting; the first that is out of range is reported.
+    pub fn validate(&self) -> Result<(), ConfigError> {
+        at_least_one("iterations", self.iterations)?;
+        check("seed", self.seed, self.seed < 1 << 63, "below 2^63, so that config.toml can hold it")?;
+        let scale = self.steps_scale;
+        check("steps_scale", scale, (1e-3..=1e3).contains(&scale), "between 0.001 and 1000")?;
+        check("sh_degree", self.sh_degree, self.sh_degree <= SH_DEGREE_MAX, "between 0 and 3")?;
+        at_least_one("sh_every", self.sh_every)?;
+        if let Some(extent) = self.extent {
+            positive("extent", extent)?;
+        }
+        if let Some(cap) = self.max_gaussians {
+            check("max_gaussians", cap, cap > 0, "at least 1 (leave it out for no limit)")?;
+        }
+        self.optimiser.validate()?;
+        self.densify.validate()?;
+        self.evolution.validate()
+    }
+}
+
+impl OptimiserConfig {
+    fn validate(&self) -> Result<(), ConfigError> {
+        positive("optimiser.position_start", self.position_start)?;
+        positive("optimiser.position_end", self.position_end)?;
+        at_least_one("optimiser.position_steps", self.position_steps)?;
+        not_negative("optimiser.sh_dc", self.sh_dc.into())?;
+        not_negative("optimiser.sh_rest", self.sh_rest.into())?;
+        not_negative("optimiser.opacity", self.opacity.into())?;
+        not_negative("optimiser.scale", self.scale.into())?;
+        not_negative("optimiser.rotation", self.rotation.into())
+    }
+}
+
+impl DensifyConfig {
+    fn validate(&self) -> Result<(), ConfigError> {
+        at_least_one("densify.every", self.every)?;
+        at_least_one("densify.reset_every", self.reset_every)?;
+        positive("densify.gradient_threshold", self.gradient_threshold.into())?;
+        positive("densify.clone_size", self.clone_size)?;
+        positive("densify.prune_size", self.prune_size)?;
+        positive("densify.depth_threshold", self.depth_threshold)?;
+        let (prune, reset) = (self.prune_opacity, self.reset_opacity);
+        check("densify.prune_opacity", prune, (0.0..=1.0).contains(&prune), "between 0 and 1")?;
+        check("densify.reset_opacity", reset, reset > 0.0 && reset < 1.0, "above 0 and below 1")?;
+        let survives = prune < reset;
+        check(
+            "densify.prune_opacity",
+            prune,
+            survives,
+            "below densify.reset_opacity, or each reset empties the cloud",
+        )
+    }
+}
+
+impl EvolutionConfig {
+    fn validate(&self) -> Result<(), ConfigError> {
+        at_least_one("evolution.stride", self.stride)?;
+        check("evolution.views", self.views, self.views > 0, "at least 1")?;
+        not_negative("evolution.control_seconds", self.control_seconds)?;
+        Ok(self.paper.validate()?)
+    }
+}
+
+fn check(
+    setting: &'static str,
+    value: impl fmt::Display,
+    holds: bool,
+    wanted: &'static str,
+) -> Result<(), ConfigError> {
+    if holds { Ok(()) } else { Err(ConfigError::Range { setting, value: value.to_string(), wanted }) }
+}
+
+fn at_least_one(setting: &'static str, value: u32) -> Result<(), ConfigError> {
+    check(setting, value, value > 0, "at least 1")
+}
+
+fn positive(setting: &'static str, value: f64) -> Result<(), ConfigError> {
+    check(setting, value, value > 0.0 && value.is_finite(), "a number above 0")
+}
+
+fn not_negative(setting: &'static str, value: f64) -> Result<(), ConfigError> {
+    check(setting, value, value >= 0.0 && value.is_finite(), "a number that is not negative")
+}

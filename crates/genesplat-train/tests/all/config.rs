@@ -1,0 +1,79 @@
+//! Configuration files: every setting round-trips, any subset is enough, and mistakes get a sentence.
+
+use genesplat_core::backend::MomentPolicy;
+use genesplat_train::{Background, EvolutionMode, TrainConfig, Trigger, Variant};
+
+#[test]
+fn a_configuration_survives_its_file() {
+    let mut config = TrainConfig { seed: (1 << 63) - 1, ..TrainConfig::default() };
+    let defaults = toml::to_string(&config).unwrap();
+    assert_eq!(toml::from_str::<TrainConfig>(&defaults).unwrap(), config);
+    config.variant = Variant::MipSplatting;
+    config.background = Background::Random;
+    (config.extent, config.max_gaussians) = (Some(2.5), Some(1_000_000));
+    config.evolution.mode = EvolutionMode::Control;
+    config.evolution.trigger = Trigger::BeforeDensify;
+    config.evolution.moments = MomentPolicy::Zero;
+    let text = toml::to_string(&config).unwrap();
+    assert!(text.contains(r#"variant = "mip-splatting""#) && text.contains(r#"trigger = "before-densify""#));
+    assert_eq!(toml::from_str::<TrainConfig>(&text).unwrap(), config);
+}
+
+#[test]
+fn any_subset_is_a_configuration() {
+    let config: TrainConfig =
+        toml::from_str("iterations = 7000\nvariant = \"3dgs\"\n[evolution]\nmode = \"paper\"").unwrap();
+    assert_eq!(config.evolution.mode, EvolutionMode::Paper);
+    assert_eq!(config, {
+        let mut expected = TrainConfig { iterations: 7000, ..TrainConfig::default() };
+        expected.evolution.mode = EvolutionMode::Paper;
+        expected
+    });
+    assert_eq!(toml::from_str::<TrainConfig>("").unwrap(), TrainConfig::default());
+}
+
+#[test]
+fn unknown_settings_are_errors_that_name_them() {
+    for text in
+        ["iteration = 5", "[densify]\nuntill = 5", "[evolution]\nmode = \"magic\"", "variant = \"2dgs\""]
+    {
+        let error = toml::from_str::<TrainConfig>(text).unwrap_err().to_string();
+        let wrong = ["`iteration`", "`untill`", "`magic`", "`2dgs`"].iter().any(|name| error.contains(name));
+        assert!(wrong, "{text}: {error}");
+    }
+}
+
+#[test]
+fn values_out_of_range_get_a_sentence() {
+    type Change = fn(&mut TrainConfig);
+    let cases: [(Change, &str); 10] = [
+        (|c| c.iterations = 0, "iterations is 0, but must be at least 1"),
+        (|c| c.seed = 1 << 63, "seed"),
+        (|c| c.steps_scale = f64::NAN, "steps_scale is NaN"),
+        (|c| c.sh_degree = 4, "sh_degree is 4, but must be between 0 and 3"),
+        (|c| c.extent = Some(0.0), "extent"),
+        (|c| c.max_gaussians = Some(0), "max_gaussians"),
+        (|c| c.optimiser.scale = -1.0, "optimiser.scale is -1"),
+        (|c| c.densify.every = 0, "densify.every"),
+        (|c| c.densify.prune_opacity = 0.5, "each reset empties the cloud"),
+        (|c| c.evolution.views = 0, "evolution.views"),
+    ];
+    for (change, expected) in cases {
+        let mut config = TrainConfig::default();
+        change(&mut config);
+        let error = config.resolve().unwrap_err().to_string();
+        assert!(error.contains(expected), "wanted `{expected}` in `{error}`");
+    }
+    let mut config = TrainConfig::default();
+    config.evolution.paper.population = 0;
+    assert!(config.resolve().unwrap_err().to_string().contains("evolution.paper"));
+}
+
+#[test]
+fn variants_have_one_name_everywhere() {
+    for variant in Variant::ALL {
+        assert_eq!(variant.to_string().parse::<Variant>().unwrap(), variant);
+        assert_eq!(serde_json::to_value(variant).unwrap(), variant.name());
+    }
+    assert!("4dgs".parse::<Variant>().unwrap_err().to_string().contains("pixel-gs"));
+}

@@ -1,0 +1,27 @@
+//! Evaluation renders each view, in order, and hands the pictures on.
+
+use genesplat_core::RenderSettings;
+use genesplat_train::evaluate::evaluate;
+
+use crate::support::{FakeBackend, views};
+
+#[test]
+fn each_view_is_rendered_scored_and_kept() {
+    // The backend renders black; the second photo is white instead.
+    let mut views = views(3);
+    let mut white = (*views[1].photo).clone();
+    white.rgb.fill(255);
+    views[1].photo = white.into();
+    let (mut kept, settings) = (Vec::new(), RenderSettings::default());
+    let evaluation = evaluate(&mut FakeBackend::new(), &views, &settings, None, |view, picture| {
+        kept.push((view.name.clone(), picture.rgb[0]));
+    })
+    .unwrap();
+    let names = ["000.png", "001.png", "002.png"];
+    assert_eq!(kept, names.map(|name| (name.to_owned(), 0)));
+    let psnr: Vec<f64> = evaluation.views.iter().map(|view| view.psnr).collect();
+    assert_eq!(psnr, [f64::INFINITY, 0.0, f64::INFINITY]);
+    assert_eq!(evaluation.views[0].ssim, 1.0);
+    assert!(evaluation.views[1].ssim < 0.01, "{}", evaluation.views[1].ssim);
+    assert_eq!((evaluation.psnr, evaluation.lpips), (f64::INFINITY, None));
+}

@@ -1,0 +1,8 @@
+//! The training algorithm against a backend that computes next to nothing and records every call.
+
+mod config;
+mod evaluate;
+mod order;
+mod resume;
+mod stage;
+mod support;

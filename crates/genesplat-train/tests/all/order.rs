@@ -1,0 +1,277 @@
+//! The order of events, call by call, on a schedule a hundred times shorter than the published one: densification after
+//! 5, every iteration, until 150; resets every 30; size pruning after 30; 300 iterations.
+
+use std::sync::atomic::AtomicBool;
+
+use genesplat_core::DensitySignal;
+use genesplat_train::observe::{DensifyLog, StepLog};
+use genesplat_train::{
+    Background, EvolutionMode, Observer, Outcome, Silent, Start, TrainConfig, TrainError, Variant, train,
+};
+
+use crate::support::{Call, FakeBackend, added, points, views};
+
+fn short(change: impl FnOnce(&mut TrainConfig)) -> TrainConfig {
+    let mut config = TrainConfig { steps_scale: 0.01, ..TrainConfig::default() };
+    change(&mut config);
+    config
+}
+
+fn run(backend: &mut FakeBackend, config: TrainConfig) -> Result<Outcome, TrainError> {
+    run_observed(backend, config, &mut Silent)
+}
+
+fn run_observed(
+    backend: &mut FakeBackend,
+    config: TrainConfig,
+    observer: &mut dyn Observer,
+) -> Result<Outcome, TrainError> {
+    let start = Start::Points(points(20));
+    train(backend, &views(7), start, &config.resolve().unwrap(), observer, &AtomicBool::new(false))
+}
+
+/// Calls between the step of iteration `i` (included) and the next step.
+fn iteration(backend: &FakeBackend, i: usize) -> &[Call] {
+    let steps: Vec<usize> = (0..backend.calls.len())
+        .filter(|&at| matches!(backend.calls[at], Call::Step(_)))
+        .chain([backend.calls.len()])
+        .collect();
+    &backend.calls[steps[i - 1]..steps[i]]
+}
+
+#[test]
+fn a_run_begins_with_views_and_cloud_and_makes_every_step() {
+    let mut backend = FakeBackend::new();
+    let outcome = run(&mut backend, short(|_| {})).unwrap();
+    assert_eq!(backend.calls[0], Call::SetViews(7));
+    assert_eq!(backend.calls[1], Call::Upload { rows: 20, moments: false, filter: false });
+    assert_eq!(backend.steps().count(), 300);
+    // 6..=149 densify, 300 makes no step: the same 144 + 1 as at full length.
+    assert_eq!(outcome.summary.optimiser_steps, 300 - 144 - 1);
+    assert_eq!(backend.steps().filter(|step| step.update.is_some()).count(), 155);
+    assert!(!outcome.summary.interrupted && outcome.checkpoint.is_none());
+    assert_eq!((outcome.summary.iterations, outcome.summary.gaussians), (300, 20));
+}
+
+#[test]
+fn counters_stand_still_where_steps_are_lost() {
+    let mut backend = FakeBackend::new();
+    run(&mut backend, short(|_| {})).unwrap();
+    let counters: Vec<Option<(u32, u32)>> =
+        backend.steps().map(|step| step.update.map(|update| (update.step, update.opacity_step))).collect();
+    assert_eq!(counters[4], Some((5, 5)));
+    assert_eq!(counters[5], None, "iteration 6 densifies");
+    assert_eq!(counters[148], None, "iteration 149, too");
+    assert_eq!(counters[149], Some((6, 6)), "iteration 150 does not");
+    assert_eq!(counters[298], Some((155, 155)));
+    assert_eq!(counters[299], None, "the last iteration makes no step");
+}
+
+#[test]
+fn the_white_reset_costs_opacity_alone_a_step() {
+    let mut backend = FakeBackend::new();
+    run(&mut backend, short(|config| config.background = Background::White)).unwrap();
+    let [Call::Step(step), Call::ResetOpacity(ceiling)] = iteration(&backend, 5) else {
+        panic!("iteration 5: {:?}", iteration(&backend, 5))
+    };
+    let update = step.update.unwrap();
+    assert_eq!((update.step, update.opacity_step, *ceiling), (5, 0, 0.01));
+    assert_eq!(step.settings.background, [1.0; 3]);
+    let later = backend.steps().nth(149).unwrap().update.unwrap();
+    assert_eq!((later.step, later.opacity_step), (6, 5));
+}
+
+#[test]
+fn densification_precedes_the_reset_and_evolution_follows_it() {
+    let mut backend = FakeBackend::new();
+    let config = short(|config| {
+        config.evolution.mode = EvolutionMode::Paper;
+        (config.evolution.paper.generations, config.evolution.paper.population) = (2, 12);
+    });
+    let outcome = run(&mut backend, config).unwrap();
+    let kinds: Vec<&str> = iteration(&backend, 30)
+        .iter()
+        .map(|call| match call {
+            Call::Step(_) => "step",
+            Call::Edit(_) => "edit",
+            Call::ResetOpacity(_) => "reset",
+            Call::Score { .. } => "score",
+            Call::Apply { .. } => "apply",
+            Call::Restore { .. } => "forget",
+            other => panic!("{other:?}"),
+        })
+        .collect();
+    assert_eq!(kinds[..4], ["step", "edit", "reset", "score"]);
+    assert_eq!(kinds.last(), Some(&"forget"), "gene sums start anew: {kinds:?}");
+    let at: Vec<u32> = outcome.summary.stages.iter().map(|stage| stage.iteration).collect();
+    assert_eq!(at, [30, 60, 90, 120]);
+    let genes: Vec<bool> = backend.steps().map(|step| step.statistics.genes).collect();
+    assert!(genes[..120].iter().all(|&on| on) && genes[120..].iter().all(|&on| !on));
+}
+
+#[test]
+fn statistics_rates_and_degrees_follow_the_schedule() {
+    let mut backend = FakeBackend::new();
+    run(&mut backend, short(|_| {})).unwrap();
+    let steps: Vec<_> = backend.steps().collect();
+    assert_eq!(steps[148].statistics.density, Some(DensitySignal::Signed));
+    assert_eq!(steps[149].statistics.density, None);
+    assert!(steps.iter().all(|step| !step.statistics.genes), "nobody reads gene sums");
+    let degrees = [9, 10, 20, 30, 300].map(|i| steps[i - 1].settings.sh_degree);
+    assert_eq!(degrees, [0, 1, 2, 3, 3]);
+    let first = steps[0].update.unwrap().rates;
+    // Extent 2.2; one three-hundredth of the way from 1.6e-4 to 1.6e-6.
+    let expected = 2.2 * 1.6e-4 * 0.01f64.powf(1.0 / 300.0);
+    assert!((f64::from(first.position) / expected - 1.0).abs() < 1e-6, "{}", first.position);
+    assert_eq!((first.opacity, first.sh_rest), (0.05, 1.25e-4));
+}
+
+#[test]
+fn every_epoch_visits_every_view() {
+    let mut backend = FakeBackend::new();
+    run(&mut backend, short(|_| {})).unwrap();
+    let visits: Vec<usize> = backend.steps().map(|step| step.view).collect();
+    for epoch in visits.chunks_exact(7) {
+        let mut sorted = epoch.to_vec();
+        sorted.sort_unstable();
+        assert_eq!(sorted, [0, 1, 2, 3, 4, 5, 6]);
+    }
+}
+
+#[test]
+fn rows_with_large_gradients_grow_in_the_published_order() {
+    let mut backend = FakeBackend::new();
+    backend.gradient = |row| if row % 10 == 3 { 3e-4 } else { 1e-4 };
+    run(&mut backend, short(|config| config.densify.until = 700)).unwrap();
+    let [Call::Step(_), Call::Edit(edit)] = iteration(&backend, 6) else {
+        panic!("iteration 6: {:?}", iteration(&backend, 6))
+    };
+    // Points are 0.1 apart and the extent is 2.2, so all are larger than 0.022 and split.
+    let survivors: Vec<u32> = (0..20).filter(|row| row % 10 != 3).collect();
+    assert_eq!(edit.sources, [survivors, vec![3, 13, 3, 13]].concat());
+    assert_eq!((added(edit), edit.iteration), (4, 6));
+}
+
+#[test]
+fn size_prunes_only_after_the_first_reset() {
+    let mut backend = FakeBackend::new();
+    let mut config = short(|_| {});
+    config.densify.prune_size = 0.08; // 0.176 world units: the line's ends are 0.216 wide, all others 0.141.
+    let outcome = run(&mut backend, config).unwrap();
+    let [Call::Step(_), Call::Edit(at_30), Call::ResetOpacity(_)] = iteration(&backend, 30) else {
+        panic!("iteration 30: {:?}", iteration(&backend, 30))
+    };
+    assert_eq!(at_30.sources.len(), 20);
+    let Call::Edit(at_31) = &iteration(&backend, 31)[1] else { panic!("iteration 31 does not densify") };
+    assert_eq!(at_31.sources, (1..19).collect::<Vec<u32>>());
+    assert_eq!(outcome.cloud.len(), 18);
+}
+
+#[test]
+fn pixel_gs_asks_for_another_signal_and_nothing_else() {
+    let (mut plain, mut pixel) = (FakeBackend::new(), FakeBackend::new());
+    run(&mut plain, short(|_| {})).unwrap();
+    run(&mut pixel, short(|config| config.variant = Variant::PixelGs)).unwrap();
+    let Some(DensitySignal::PixelWeighted { depth_threshold }) =
+        pixel.steps().next().unwrap().statistics.density
+    else {
+        panic!("pixel-gs does not weight by pixels")
+    };
+    assert!((f64::from(depth_threshold) - 0.37 * 2.2).abs() < 1e-6);
+    let updates = |backend: &FakeBackend| backend.steps().map(|step| step.update).collect::<Vec<_>>();
+    assert_eq!(updates(&plain), updates(&pixel));
+}
+
+#[test]
+fn mip_splatting_refreshes_its_filter_before_the_reset() {
+    let mut backend = FakeBackend::new();
+    run(&mut backend, short(|config| config.variant = Variant::MipSplatting)).unwrap();
+    assert_eq!(backend.calls[1], Call::Upload { rows: 20, moments: false, filter: true });
+    let at_30 = iteration(&backend, 30);
+    assert!(
+        matches!(at_30, [Call::Step(_), Call::Edit(_), Call::Filter(20), Call::ResetOpacity(_)]),
+        "{at_30:?}"
+    );
+    assert!(matches!(iteration(&backend, 150), [Call::Step(_)]), "not at the end of densification");
+    assert!(matches!(iteration(&backend, 298), [Call::Step(_), Call::Filter(20)]));
+    assert!(matches!(iteration(&backend, 299), [Call::Step(_)]), "frozen at the end");
+}
+
+#[test]
+fn random_backgrounds_change_every_iteration() {
+    let mut backend = FakeBackend::new();
+    run(&mut backend, short(|config| config.background = Background::Random)).unwrap();
+    let colours: Vec<[f32; 3]> = backend.steps().map(|step| step.settings.background).collect();
+    assert!(colours.windows(2).all(|pair| pair[0] != pair[1]));
+    assert!(colours.iter().flatten().all(|v| (0.0..1.0).contains(v)));
+}
+
+#[derive(Default)]
+struct Listener {
+    notices: Vec<String>,
+    densifications: Vec<DensifyLog>,
+    reports: Vec<u32>,
+    clouds: Vec<u32>,
+}
+
+impl Observer for Listener {
+    fn on_iteration(&mut self, log: &StepLog) {
+        self.reports.extend(log.report.map(|_| log.iteration));
+    }
+    fn on_densify(&mut self, log: &DensifyLog) {
+        self.densifications.push(*log);
+    }
+    fn notice(&mut self, text: &str) {
+        self.notices.push(text.into());
+    }
+    fn wants_cloud(&mut self, iteration: u32) -> bool {
+        iteration == 17
+    }
+    fn on_cloud(&mut self, iteration: u32, cloud: genesplat_core::Gaussians) {
+        assert!(!cloud.is_empty());
+        self.clouds.push(iteration);
+    }
+}
+
+#[test]
+fn the_cap_holds_and_is_told_once() {
+    let (mut backend, mut listener) = (FakeBackend::new(), Listener::default());
+    backend.gradient = |_| 1e-3;
+    let config = short(|config| config.max_gaussians = Some(50));
+    let outcome = run_observed(&mut backend, config, &mut listener).unwrap();
+    assert_eq!(outcome.cloud.len(), 50);
+    assert_eq!(listener.notices.len(), 1, "{:?}", listener.notices);
+    assert!(listener.notices[0].contains("50 Gaussians"));
+    assert_eq!(listener.densifications.len(), 144);
+    assert!(listener.densifications.iter().all(|log| log.gaussians <= 50));
+    assert_eq!(listener.reports, (1..=30).map(|k| 10 * k).collect::<Vec<_>>());
+    assert_eq!(listener.clouds, [17]);
+}
+
+#[test]
+fn an_emptied_cloud_is_an_error() {
+    let mut config = short(|_| {});
+    config.densify.prune_opacity = 0.2;
+    config.densify.reset_opacity = 0.3;
+    let error = run(&mut FakeBackend::new(), config).unwrap_err();
+    assert!(matches!(error, TrainError::NothingLeft { iteration: 6 }), "{error}");
+}
+
+#[test]
+fn divergence_is_named() {
+    let mut backend = FakeBackend::new();
+    let error = run(&mut backend, short(|config| config.optimiser.position_start = 1e300)).unwrap_err();
+    assert!(error.to_string().contains("position that is not finite after 5 optimiser steps"), "{error}");
+}
+
+#[test]
+fn missing_inputs_are_named() {
+    let config = TrainConfig::default().resolve().unwrap();
+    let stop = AtomicBool::new(false);
+    let run = |views: &[genesplat_core::View], start| {
+        train(&mut FakeBackend::new(), views, start, &config, &mut Silent, &stop).unwrap_err()
+    };
+    assert!(matches!(run(&[], Start::Points(points(9))), TrainError::NoViews));
+    assert!(matches!(run(&views(3), Start::Points(points(3))), TrainError::Initialise(_)));
+    assert!(matches!(run(&views(3), Start::Cloud(Default::default())), TrainError::EmptyCloud));
+}

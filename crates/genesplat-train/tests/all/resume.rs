@@ -1,0 +1,123 @@
+//! A run that is stopped anywhere and resumed from its checkpoint's bytes ends as if it had never stopped.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use genesplat_train::observe::StepLog;
+use genesplat_train::{
+    Background, Checkpoint, EvolutionMode, Observer, Outcome, Silent, StageRecord, Start, TrainConfig,
+    TrainError, Variant, train,
+};
+
+use crate::support::{FakeBackend, points, views};
+
+/// 300 iterations that densify, reset (30, 60, ...), filter and evolve.
+fn config() -> TrainConfig {
+    let mut config = TrainConfig { steps_scale: 0.01, variant: Variant::MipSplatting, ..Default::default() };
+    config.background = Background::Random;
+    config.max_gaussians = Some(60);
+    config.evolution.mode = EvolutionMode::Paper;
+    config.evolution.paper.generations = 3;
+    config.evolution.paper.population = 10;
+    config
+}
+
+fn backend() -> FakeBackend {
+    let mut backend = FakeBackend::new();
+    backend.gradient = |row| if row % 13 == 5 { 3e-4 } else { 1e-5 };
+    backend
+}
+
+fn go(backend: &mut FakeBackend, start: Start, observer: &mut dyn Observer, stop: &AtomicBool) -> Outcome {
+    train(backend, &views(7), start, &config().resolve().unwrap(), observer, stop).unwrap()
+}
+
+fn uninterrupted() -> Outcome {
+    go(&mut backend(), Start::Points(points(20)), &mut Silent, &AtomicBool::new(false))
+}
+
+/// Through bytes, into a fresh device.
+fn resume(checkpoint: &Checkpoint) -> Outcome {
+    let mut bytes = Vec::new();
+    checkpoint.write(&mut bytes).unwrap();
+    let start = Start::Checkpoint(Box::new(Checkpoint::read(bytes.as_slice()).unwrap()));
+    go(&mut backend(), start, &mut Silent, &AtomicBool::new(false))
+}
+
+fn assert_same(resumed: &Outcome, whole: &Outcome, context: &str) {
+    assert_eq!(resumed.cloud, whole.cloud, "{context}");
+    let timeless = |outcome: &Outcome| -> Vec<StageRecord> {
+        outcome.summary.stages.iter().map(|stage| StageRecord { seconds: 0.0, ..*stage }).collect()
+    };
+    assert_eq!(timeless(resumed), timeless(whole), "{context}");
+    assert_eq!(resumed.summary.optimiser_steps, whole.summary.optimiser_steps, "{context}");
+    assert!(!resumed.summary.interrupted && whole.summary.stages.len() == 4);
+}
+
+/// Sets the flag during an iteration, as Ctrl-C would.
+struct StopAt<'a>(u32, &'a AtomicBool);
+
+impl Observer for StopAt<'_> {
+    fn on_iteration(&mut self, log: &StepLog) {
+        self.1.fetch_or(log.iteration == self.0, Ordering::Relaxed);
+    }
+}
+
+#[test]
+fn stopping_between_any_two_phases_changes_nothing() {
+    let whole = uninterrupted();
+    // Before densifying (29), before densify, filter, reset and evolution (30), in the last phase but one, at the end.
+    for i in [1, 6, 29, 30, 31, 100, 120, 149, 150, 151, 299] {
+        let stop = AtomicBool::new(false);
+        let stopped = go(&mut backend(), Start::Points(points(20)), &mut StopAt(i, &stop), &stop);
+        assert!(stopped.summary.interrupted);
+        let checkpoint = stopped.checkpoint.unwrap();
+        assert!([i, i + 1].contains(&checkpoint.cursor.iteration), "{:?}", checkpoint.cursor);
+        assert_same(&resume(&checkpoint), &whole, &format!("stopped in iteration {i}"));
+    }
+}
+
+#[test]
+fn an_interrupted_stage_counts_now_and_is_repeated_in_full_later() {
+    let whole = uninterrupted();
+    // Any score may be the last: of the base, within the first stage, in a later one.
+    for scores in [1, 2, 3, 4, 6, 9] {
+        let stop = Arc::new(AtomicBool::new(false));
+        let mut backend = backend();
+        backend.stop_after = Some((scores, stop.clone()));
+        let stopped = go(&mut backend, Start::Points(points(20)), &mut Silent, &stop);
+        assert!(stopped.summary.interrupted);
+        assert_same(&resume(&stopped.checkpoint.unwrap()), &whole, &format!("stopped after {scores} scores"));
+    }
+}
+
+#[test]
+fn a_scheduled_checkpoint_is_as_good() {
+    #[derive(Default)]
+    struct Keep(Vec<Checkpoint>);
+    impl Observer for Keep {
+        fn on_checkpoint(&mut self, checkpoint: Checkpoint) {
+            self.0.push(checkpoint);
+        }
+    }
+    let mut keep = Keep::default();
+    let mut config = config();
+    config.checkpoint_every = 70;
+    let stop = AtomicBool::new(false);
+    let start = Start::Points(points(20));
+    let whole =
+        train(&mut backend(), &views(7), start, &config.resolve().unwrap(), &mut keep, &stop).unwrap();
+    let next: Vec<u32> = keep.0.iter().map(|checkpoint| checkpoint.cursor.iteration).collect();
+    assert_eq!(next, [71, 141, 211, 281]);
+    keep.0.iter().for_each(|checkpoint| assert_same(&resume(checkpoint), &whole, "scheduled"));
+}
+
+#[test]
+fn a_checkpoint_of_another_variant_is_refused() {
+    let stop = AtomicBool::new(true);
+    let stopped = go(&mut backend(), Start::Points(points(20)), &mut Silent, &stop);
+    let start = Start::Checkpoint(stopped.checkpoint.unwrap());
+    let other = TrainConfig { variant: Variant::ThreeDgs, ..config() }.resolve().unwrap();
+    let error = train(&mut backend(), &views(7), start, &other, &mut Silent, &stop).unwrap_err();
+    assert!(matches!(error, TrainError::OtherVariant { wanted: Variant::ThreeDgs }), "{error}");
+}

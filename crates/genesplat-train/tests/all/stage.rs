@@ -1,0 +1,185 @@
+//! The evolution stage: it never makes things worse, stops when told, and its control costs what it says.
+
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+use genesplat_core::Gaussians;
+use genesplat_core::backend::MomentPolicy;
+use genesplat_train::initialise::cloud_from_points;
+use genesplat_train::observe::{GenerationLog, StageLog};
+use genesplat_train::{
+    EvolutionMode, Observer, Outcome, Silent, StageRecord, TrainConfig, TrainError, refine,
+};
+
+use crate::support::{Call, FakeBackend, points, views};
+
+const GENERATIONS: u32 = 4;
+const POPULATION: u32 = 12;
+
+fn config(mode: EvolutionMode) -> TrainConfig {
+    let mut config = TrainConfig::default();
+    config.evolution.mode = mode;
+    config.evolution.paper.generations = GENERATIONS;
+    config.evolution.paper.population = POPULATION;
+    config
+}
+
+fn cloud() -> Gaussians {
+    cloud_from_points(&points(30)).unwrap()
+}
+
+fn run(backend: &mut FakeBackend, config: TrainConfig, stop: &AtomicBool) -> Result<Outcome, TrainError> {
+    refine(backend, &views(20), cloud(), &config.resolve().unwrap(), &mut Silent, stop)
+}
+
+fn applied(backend: &FakeBackend) -> Vec<&Call> {
+    backend.calls.iter().filter(|call| matches!(call, Call::Apply { .. })).collect()
+}
+
+#[test]
+fn a_better_individual_replaces_the_base() {
+    let mut backend = FakeBackend::new();
+    let outcome = run(&mut backend, config(EvolutionMode::Paper), &AtomicBool::new(false)).unwrap();
+    let stage = outcome.summary.stages[0];
+    assert!(stage.fitness_after < stage.fitness_before, "{stage:?}");
+    assert_eq!(stage.generations, GENERATIONS + 1, "the initial population counts");
+    let expected = [Call::Apply { rows: stage.changed, moments: MomentPolicy::Keep }];
+    assert_eq!(applied(&backend), expected.iter().collect::<Vec<_>>());
+    assert_ne!(outcome.cloud, cloud());
+    // What was promised is what the device now holds.
+    let squares: f64 = outcome.cloud.positions.iter().map(|p| f64::from(p[0] - 3.0).powi(2)).sum();
+    assert!((squares / 30.0 - stage.fitness_after).abs() < 1e-6);
+    assert!(!outcome.summary.interrupted);
+}
+
+#[test]
+fn an_optimal_base_stays_as_it_is() {
+    let mut backend = FakeBackend::new();
+    let mut optimal = cloud();
+    optimal.positions.iter_mut().for_each(|position| position[0] = backend.target);
+    let config = config(EvolutionMode::Paper).resolve().unwrap();
+    let stop = AtomicBool::new(false);
+    let outcome = refine(&mut backend, &views(20), optimal.clone(), &config, &mut Silent, &stop).unwrap();
+    let stage = outcome.summary.stages[0];
+    assert_eq!((stage.fitness_before, stage.fitness_after, stage.changed), (0.0, 0.0, 0));
+    assert!(applied(&backend).is_empty());
+    assert_eq!(outcome.cloud, optimal);
+}
+
+#[test]
+fn an_equal_individual_is_not_better() {
+    let mut backend = FakeBackend::new();
+    backend.poison = Some(0.25);
+    let outcome = run(&mut backend, config(EvolutionMode::Paper), &AtomicBool::new(false)).unwrap();
+    assert!(applied(&backend).is_empty());
+    assert_eq!(outcome.cloud, cloud());
+}
+
+#[test]
+fn a_base_that_cannot_be_scored_is_an_error() {
+    let mut backend = FakeBackend::new();
+    backend.poison = Some(f32::NAN);
+    let error = run(&mut backend, config(EvolutionMode::Paper), &AtomicBool::new(false)).unwrap_err();
+    assert!(matches!(error, TrainError::NoFitness { .. }), "{error}");
+}
+
+#[test]
+fn six_spread_views_serve_all_generations_alike() {
+    let mut backend = FakeBackend::new();
+    run(&mut backend, config(EvolutionMode::Paper), &AtomicBool::new(false)).unwrap();
+    let scored: Vec<_> = backend
+        .calls
+        .iter()
+        .filter_map(|call| match call {
+            Call::Score { views, settings, .. } => Some((views, settings)),
+            _ => None,
+        })
+        .collect();
+    assert!(scored.len() > GENERATIONS as usize && scored.windows(2).all(|pair| pair[0] == pair[1]));
+    let (views, settings) = scored[0];
+    assert_eq!(views.len(), 6);
+    assert!(views.windows(2).all(|pair| [3, 4].contains(&(pair[1] - pair[0]))), "20 / 6 apart: {views:?}");
+    assert_eq!(settings.sh_degree, 3);
+}
+
+#[test]
+fn gene_gradients_come_from_one_pass_over_all_views_without_a_step() {
+    let mut backend = FakeBackend::new();
+    run(&mut backend, config(EvolutionMode::Paper), &AtomicBool::new(false)).unwrap();
+    let mut seen: Vec<usize> = backend.steps().map(|step| step.view).collect();
+    seen.sort_unstable();
+    assert_eq!(seen, (0..20).collect::<Vec<_>>());
+    assert!(backend.steps().all(|step| step.update.is_none() && step.statistics.genes));
+}
+
+#[test]
+fn stopping_within_a_stage_keeps_the_best_so_far() {
+    let stop = Arc::new(AtomicBool::new(false));
+    let mut backend = FakeBackend::new();
+    // The base, the initial population, one generation; then the flag is seen.
+    backend.stop_after = Some((3, stop.clone()));
+    let outcome = run(&mut backend, config(EvolutionMode::Paper), &stop).unwrap();
+    let stage = outcome.summary.stages[0];
+    assert!(outcome.summary.interrupted);
+    assert_eq!(stage.generations, 2);
+    assert!(stage.fitness_after < stage.fitness_before, "{stage:?}");
+    assert_eq!(applied(&backend).len(), 1);
+}
+
+#[test]
+fn the_observer_follows_the_generations() {
+    #[derive(Default)]
+    struct Listener(Vec<StageLog>, Vec<GenerationLog>, Vec<StageRecord>);
+    impl Observer for Listener {
+        fn on_stage_start(&mut self, log: &StageLog) {
+            self.0.push(log.clone());
+        }
+        fn on_generation(&mut self, log: &GenerationLog) {
+            self.1.push(*log);
+        }
+        fn on_stage_end(&mut self, record: &StageRecord) {
+            self.2.push(*record);
+        }
+    }
+    let (mut backend, mut listener) = (FakeBackend::new(), Listener::default());
+    let resolved = config(EvolutionMode::Paper).resolve().unwrap();
+    let stop = AtomicBool::new(false);
+    refine(&mut backend, &views(20), cloud(), &resolved, &mut listener, &stop).unwrap();
+    let Listener(starts, generations, ends) = listener;
+    assert_eq!((starts.len(), generations.len(), ends.len()), (1, GENERATIONS as usize + 1, 1));
+    assert_eq!((starts[0].views.len(), starts[0].generations), (6, GENERATIONS));
+    assert!(generations.windows(2).all(|pair| pair[1].best <= pair[0].best), "never worse");
+    assert_eq!(generations[GENERATIONS as usize].best, ends[0].fitness_after);
+    // Renders: the base once, then whatever had no fitness yet, on six views each.
+    let scored: usize = backend
+        .calls
+        .iter()
+        .map(|call| if let Call::Score { individuals, .. } = call { *individuals } else { 0 })
+        .sum();
+    assert_eq!(ends[0].renders, 6 * scored as u64);
+}
+
+#[test]
+fn the_control_makes_gradient_steps_at_rates_that_stand_still() {
+    let mut backend = FakeBackend::new();
+    let mut config = config(EvolutionMode::Control);
+    config.evolution.control_seconds = 0.01;
+    let outcome = run(&mut backend, config, &AtomicBool::new(false)).unwrap();
+    let updates: Vec<_> = backend.steps().map(|step| step.update.unwrap()).collect();
+    assert!(!updates.is_empty());
+    assert!(updates.iter().all(|update| update.rates == updates[0].rates));
+    assert!(updates.iter().zip(1..).all(|(update, step)| update.step == step));
+    assert!(
+        backend.steps().all(|step| step.statistics == Default::default()),
+        "density control sees nothing"
+    );
+    assert_eq!(outcome.summary.stages[0].renders, updates.len() as u64);
+    assert!(applied(&backend).is_empty());
+}
+
+#[test]
+fn there_is_nothing_to_refine_with_evolution_off() {
+    let error =
+        run(&mut FakeBackend::new(), config(EvolutionMode::Off), &AtomicBool::new(false)).unwrap_err();
+    assert!(matches!(error, TrainError::NothingToRefine), "{error}");
+}

@@ -1,0 +1,256 @@
+//! A backend without a renderer: parameters drift in a way that depends on everything a step is told, fitness is the
+//! distance from a target, and every call is recorded.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use genesplat_core::backend::{MomentPolicy, StepReport};
+use genesplat_core::edit::carry_genes;
+use genesplat_core::gaussians::{logit, sigmoid};
+use genesplat_core::{
+    Backend, BackendError, Camera, Gaussians, Image, Moments, Origin, Photo, RenderSettings, Rng, RowEdit,
+    SparseDelta, Statistics, TrainStep, View,
+};
+use genesplat_train::initialise::ColouredPoint;
+use glam::{DQuat, DVec3};
+
+/// What the pipeline asked for, in order; reads are not recorded.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Call {
+    SetViews(usize),
+    Upload { rows: usize, moments: bool, filter: bool },
+    Step(TrainStep),
+    Edit(RowEdit),
+    ResetOpacity(f32),
+    Filter(usize),
+    Restore { genes: bool },
+    Apply { rows: usize, moments: MomentPolicy },
+    Score { individuals: usize, views: Vec<usize>, settings: RenderSettings },
+}
+
+/// See the module.
+pub struct FakeBackend {
+    pub calls: Vec<Call>,
+    pub cloud: Gaussians,
+    pub moments: Moments,
+    pub statistics: Statistics,
+    /// Mean gradient that every step reports for a row.
+    pub gradient: fn(usize) -> f32,
+    /// Fitness is the mean squared distance of x from here.
+    pub target: f32,
+    /// Every fitness is this instead.
+    pub poison: Option<f32>,
+    /// Set after this many calls of `score`.
+    pub stop_after: Option<(usize, Arc<AtomicBool>)>,
+    scores: usize,
+    rng: Rng,
+}
+
+impl FakeBackend {
+    pub fn new() -> Self {
+        Self {
+            calls: Vec::new(),
+            cloud: Gaussians::default(),
+            moments: Moments::default(),
+            statistics: Statistics::default(),
+            gradient: |_| 0.0,
+            target: 3.0,
+            poison: None,
+            stop_after: None,
+            scores: 0,
+            rng: Rng::new(0),
+        }
+    }
+
+    pub fn steps(&self) -> impl Iterator<Item = &TrainStep> {
+        self.calls.iter().filter_map(|call| if let Call::Step(step) = call { Some(step) } else { None })
+    }
+
+    fn fitness(&self, delta: &SparseDelta) -> f32 {
+        let mut cloud = self.cloud.clone();
+        cloud.apply(delta);
+        let squares: f64 = cloud.positions.iter().map(|p| f64::from(p[0] - self.target).powi(2)).sum();
+        (squares / cloud.len() as f64) as f32
+    }
+
+    fn zero_density(&mut self) {
+        self.statistics.gradient_sum = vec![0.0; self.cloud.len()];
+        self.statistics.weight_sum = vec![0.0; self.cloud.len()];
+    }
+
+    fn accumulate(&mut self, step: &TrainStep) {
+        let n = self.cloud.len();
+        if step.statistics.density.is_some() {
+            for row in 0..n {
+                self.statistics.gradient_sum[row] += (self.gradient)(row);
+                self.statistics.weight_sum[row] += 1.0;
+            }
+        }
+        if step.statistics.genes {
+            self.statistics.gene_gradient_sum.resize(n, [0.0; 7]);
+            self.statistics.gene_views.resize(n, 0);
+            for row in 0..n {
+                self.statistics.gene_gradient_sum[row][0] += (row + step.view) as f32;
+                self.statistics.gene_views[row] += 1;
+            }
+        }
+    }
+
+    /// A step that no two (view, rates, counters, moments) share.
+    fn drift(&mut self, step: &TrainStep) {
+        let Some(update) = step.update else { return };
+        for row in 0..self.cloud.len() {
+            let pull = (step.view as f32 + 0.1 * row as f32 + update.step as f32).sin();
+            let moment = &mut self.moments.first.positions[row][0];
+            *moment = 0.9 * *moment + 0.1 * pull + step.settings.background[0];
+            self.cloud.positions[row][0] += update.rates.position * *moment;
+            if update.opacity_step > 0 {
+                self.cloud.opacity_logits[row] += update.rates.opacity * 0.01 * pull;
+            }
+        }
+    }
+}
+
+impl Backend for FakeBackend {
+    fn describe(&self) -> String {
+        "fake".into()
+    }
+
+    fn len(&self) -> usize {
+        self.cloud.len()
+    }
+
+    fn set_views(&mut self, views: &[View]) -> Result<(), BackendError> {
+        self.calls.push(Call::SetViews(views.len()));
+        Ok(())
+    }
+
+    fn upload(&mut self, cloud: Gaussians, moments: Option<Moments>) -> Result<(), BackendError> {
+        self.calls.push(Call::Upload {
+            rows: cloud.len(),
+            moments: moments.is_some(),
+            filter: cloud.filter_3d.is_some(),
+        });
+        self.moments = moments.unwrap_or_else(|| Moments::zeros(cloud.len()));
+        self.cloud = cloud;
+        self.reset_statistics(true);
+        Ok(())
+    }
+
+    fn download(&mut self) -> Result<Gaussians, BackendError> {
+        Ok(self.cloud.clone())
+    }
+
+    fn download_moments(&mut self) -> Result<Moments, BackendError> {
+        Ok(self.moments.clone())
+    }
+
+    fn render(&mut self, camera: &Camera, _: &RenderSettings) -> Result<Image, BackendError> {
+        Ok(Image::zeros(camera.width, camera.height))
+    }
+
+    fn train_step(&mut self, step: &TrainStep) -> Result<(), BackendError> {
+        self.calls.push(Call::Step(*step));
+        self.accumulate(step);
+        self.drift(step);
+        Ok(())
+    }
+
+    fn report(&mut self) -> Result<StepReport, BackendError> {
+        Ok(StepReport { loss: 0.5, visible: self.cloud.len(), tile_splats: 1 })
+    }
+
+    fn statistics(&mut self) -> Result<Statistics, BackendError> {
+        Ok(self.statistics.clone())
+    }
+
+    fn restore_statistics(&mut self, statistics: Statistics) -> Result<(), BackendError> {
+        self.calls.push(Call::Restore { genes: !statistics.gene_views.is_empty() });
+        self.statistics = statistics;
+        Ok(())
+    }
+
+    fn reset_statistics(&mut self, genes: bool) {
+        self.zero_density();
+        if genes {
+            self.statistics.gene_gradient_sum.clear();
+            self.statistics.gene_views.clear();
+        }
+    }
+
+    fn edit_rows(&mut self, edit: &RowEdit) -> Result<(), BackendError> {
+        self.calls.push(Call::Edit(edit.clone()));
+        edit.apply(&mut self.cloud, &mut self.moments, &self.rng);
+        if !self.statistics.gene_views.is_empty() {
+            self.statistics.gene_gradient_sum = carry_genes(edit, &self.statistics.gene_gradient_sum);
+            self.statistics.gene_views = edit.gather(&self.statistics.gene_views);
+        }
+        self.zero_density();
+        Ok(())
+    }
+
+    fn reset_opacity(&mut self, ceiling: f32) -> Result<(), BackendError> {
+        self.calls.push(Call::ResetOpacity(ceiling));
+        for value in &mut self.cloud.opacity_logits {
+            *value = logit(sigmoid(*value).min(ceiling));
+        }
+        Ok(())
+    }
+
+    fn set_filter_3d(&mut self, filter: Vec<f32>) -> Result<(), BackendError> {
+        self.calls.push(Call::Filter(filter.len()));
+        self.cloud.filter_3d = Some(filter);
+        Ok(())
+    }
+
+    fn apply(&mut self, delta: &SparseDelta, moments: MomentPolicy) -> Result<(), BackendError> {
+        self.calls.push(Call::Apply { rows: delta.rows.len(), moments });
+        self.cloud.apply(delta);
+        Ok(())
+    }
+
+    fn score(
+        &mut self,
+        population: &[SparseDelta],
+        views: &[usize],
+        settings: &RenderSettings,
+    ) -> Result<Vec<f32>, BackendError> {
+        let (individuals, settings) = (population.len(), *settings);
+        self.calls.push(Call::Score { individuals, views: views.to_vec(), settings });
+        self.scores += 1;
+        if let Some((after, stop)) = &self.stop_after {
+            stop.fetch_or(self.scores >= *after, Ordering::Relaxed);
+        }
+        let fitness = |delta| self.poison.unwrap_or_else(|| self.fitness(delta));
+        Ok(population.iter().flat_map(|delta| vec![fitness(delta); views.len()]).collect())
+    }
+}
+
+/// Views on a circle of radius 2 around the origin, named in order: the extent is 2.2.
+pub fn views(n: usize) -> Vec<View> {
+    let photo = Arc::new(Photo { width: 4, height: 4, rgb: vec![0; 48] });
+    (0..n)
+        .map(|index| {
+            let angle = index as f64 / n as f64 * std::f64::consts::TAU;
+            let camera = Camera {
+                width: 4,
+                height: 4,
+                focal_px: [4.0; 2],
+                principal_px: [2.0; 2],
+                camera_from_world_rotation: DQuat::IDENTITY,
+                camera_from_world_translation: DVec3::new(2.0 * angle.cos(), 2.0 * angle.sin(), 0.0),
+            };
+            View { name: format!("{index:03}.png"), camera, photo: photo.clone() }
+        })
+        .collect()
+}
+
+/// Points on a line, 0.1 apart.
+pub fn points(n: usize) -> Vec<ColouredPoint> {
+    (0..n).map(|row| ([0.1 * row as f32, 0.0, 1.0], [128; 3])).collect()
+}
+
+/// New rows of an edit that are not old ones kept.
+pub fn added(edit: &RowEdit) -> usize {
+    edit.origins.iter().filter(|&&origin| origin != Origin::Kept).count()
+}
