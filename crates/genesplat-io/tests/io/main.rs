@@ -2,5 +2,6 @@
 
 mod colmap;
 mod common;
+mod photos;
 mod ply;
 mod real_scenes;

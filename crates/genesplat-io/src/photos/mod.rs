@@ -4,14 +4,16 @@
 //! sizes by its `-r` rule, resampling as Pillow's bicubic filter with antialiasing (two passes with 8-bit values
 //! between them), and transparency composited on a background *before* the resize, truncated to 8 bit.
 
+mod resize;
+
 use std::fs;
 use std::io::{self, Cursor, Write};
 use std::path::{Path, PathBuf};
 
-use fast_image_resize::images::Image as ResizeBuffer;
-use fast_image_resize::{FilterType, PixelType, ResizeAlg, ResizeOptions, Resizer};
 use genesplat_core::Photo;
 use image::{ColorType, DynamicImage, ImageEncoder, ImageFormat, ImageReader};
+
+pub use resize::resize;
 
 use crate::atomic::write_atomically;
 
@@ -115,20 +117,6 @@ pub fn write_png(path: &Path, photo: &Photo) -> Result<(), PhotoError> {
         .write_image(&photo.rgb, photo.width, photo.height, ColorType::Rgb8.into())
         .map_err(|error| write(io::Error::other(error)))?;
     write_atomically(path, |out| out.write_all(&bytes)).map_err(write)
-}
-
-/// `photo` at another size, as Pillow's `resize` with its default filter: bicubic (a = −0.5), antialiased.
-pub fn resize(photo: &Photo, width: u32, height: u32) -> Photo {
-    if (photo.width, photo.height) == (width, height) {
-        return photo.clone();
-    }
-    let source =
-        fast_image_resize::images::ImageRef::new(photo.width, photo.height, &photo.rgb, PixelType::U8x3)
-            .expect("a photo holds width x height x 3 bytes");
-    let mut target = ResizeBuffer::new(width, height, PixelType::U8x3);
-    let bicubic = ResizeOptions::new().resize_alg(ResizeAlg::Convolution(FilterType::CatmullRom));
-    Resizer::new().resize(&source, &mut target, &bicubic).expect("both buffers are U8x3");
-    Photo { width, height, rgb: target.into_vec() }
 }
 
 fn decode(bytes: &[u8]) -> Result<DynamicImage, String> {

@@ -1,0 +1,119 @@
+//! Photos: sizes, resampling as published figures were made, transparency, and pictures that survive the disk.
+
+use std::fs;
+
+use genesplat_core::Photo;
+use genesplat_io::PhotoSize;
+use genesplat_io::photos::{self, PhotoError};
+
+#[test]
+fn sizes_follow_the_reference() {
+    let cases = [
+        (PhotoSize::Auto, (1600, 1200), (1600, 1200)),
+        (PhotoSize::Auto, (2000, 1333), (1600, 1066)),
+        // 1601 / (1601 / 1600) is a hair below 1600, in Python as here.
+        (PhotoSize::Auto, (1601, 1000), (1599, 999)),
+        (PhotoSize::Auto, (900, 4000), (900, 4000)),
+        // Halves go to the even neighbour: 2.5 to 2, 3.5 to 4.
+        (PhotoSize::Downscale(2), (5, 7), (2, 4)),
+        (PhotoSize::Downscale(4), (539, 960), (135, 240)),
+        (PhotoSize::Downscale(1), (539, 960), (539, 960)),
+        (PhotoSize::Downscale(0), (539, 960), (539, 960)),
+        (PhotoSize::MaxSide(320), (539, 960), (180, 320)),
+        (PhotoSize::MaxSide(960), (539, 960), (539, 960)),
+        (PhotoSize::MaxSide(2000), (539, 960), (539, 960)),
+        (PhotoSize::MaxSide(0), (539, 960), (1, 1)),
+    ];
+    for (size, (width, height), expected) in cases {
+        assert_eq!(size.of(width, height), expected, "{size:?} of {width}x{height}");
+    }
+}
+
+/// The expected values are Pillow 10.4's, of the same pattern with its default filter.
+#[test]
+fn resampling_is_pillows_to_the_bit() {
+    let value = |x: usize, y: usize, c: usize| (((x * 37 + y * 91 + c * 53) * (x * y + 7)) % 256) as u8;
+    let rgb = (0..9 * 13 * 3).map(|i| value(i / 3 % 13, i / 39, i % 3)).collect();
+    let photo = Photo { width: 13, height: 9, rgb };
+    let reduced = [
+        72, 152, 156, 102, 152, 169, 106, 132, 213, 86, 146, 134, 83, 147, 84, 127, 124, 117, 93, 114, 85,
+        135, 170, 162, 138, 156, 160, 142, 132, 135, 105, 151, 140, 83, 110, 151, 109, 136, 129, 126, 145,
+        145, 156, 146, 113, 158, 177, 124, 117, 125, 131, 101, 146, 155, 105, 157, 113, 119, 177, 130,
+    ];
+    assert_eq!(photos::resize(&photo, 5, 4), Photo { width: 5, height: 4, rgb: reduced.into() });
+    let third_row = [
+        188, 169, 156, 75, 126, 129, 67, 131, 117, 136, 148, 121, 67, 49, 105, 49, 97, 119, 87, 149, 79, 159,
+        154, 62, 205, 107, 156, 68, 165, 172, 118, 155, 162, 151, 158, 169, 42, 218, 190, 185, 145, 67, 177,
+        90, 128, 130, 106, 140, 119, 162, 52,
+    ];
+    assert_eq!(photos::resize(&photo, 17, 5).rgb[2 * 51..3 * 51], third_row);
+    assert_eq!(photos::resize(&photo, 13, 9), photo);
+}
+
+#[test]
+fn a_png_is_read_as_it_was_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("new/picture.png");
+    let photo = Photo { width: 3, height: 2, rgb: (0..18).collect() };
+    photos::write_png(&path, &photo).unwrap();
+    assert_eq!(photos::read_photo(&path).unwrap(), photo);
+    assert_eq!(photos::photo_size(&path).unwrap(), (3, 2));
+}
+
+#[test]
+fn transparency_shows_the_background_truncated() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("picture.png");
+    let pixels = vec![200, 100, 50, 255, 200, 100, 50, 0, 200, 100, 51, 128];
+    image::RgbaImage::from_raw(3, 1, pixels).unwrap().save(&path).unwrap();
+    // 200 * 128 / 255 = 100.39, 50.19 and 25.6; on white, 127 * 255 / 255 more.
+    assert_eq!(photos::read_photo(&path).unwrap().rgb, [200, 100, 50, 0, 0, 0, 100, 50, 25]);
+    let white = photos::read_photo_on(&path, [255; 3]).unwrap();
+    assert_eq!(white.rgb, [200, 100, 50, 255, 255, 255, 227, 177, 152]);
+}
+
+#[test]
+fn grey_and_deep_pictures_are_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let (grey, deep) = (folder.path().join("grey.png"), folder.path().join("deep.png"));
+    image::GrayImage::from_raw(2, 1, vec![7, 250]).unwrap().save(&grey).unwrap();
+    image::ImageBuffer::<image::Rgb<u16>, _>::from_raw(1, 1, vec![257u16 * 9, 0, 65535])
+        .unwrap()
+        .save(&deep)
+        .unwrap();
+    assert_eq!(photos::read_photo(&grey).unwrap().rgb, [7, 7, 7, 250, 250, 250]);
+    assert_eq!(photos::read_photo(&deep).unwrap().rgb, [9, 0, 255]);
+}
+
+/// Decoders fill the lost half of a torn JPEG with grey and report success; we must not.
+#[test]
+fn a_jpeg_cut_anywhere_is_an_error() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("photo.jpg");
+    let pattern =
+        image::RgbImage::from_fn(48, 32, |x, y| image::Rgb([(x * y) as u8, (7 * x) as u8, y as u8]));
+    pattern.save(&path).unwrap();
+    let whole = fs::read(&path).unwrap();
+    assert_eq!(photos::read_photo(&path).unwrap().width, 48);
+    for length in 0..whole.len() - 1 {
+        fs::write(&path, &whole[..length]).unwrap();
+        let error = photos::read_photo(&path).expect_err("a torn photo must not load");
+        assert!(matches!(error, PhotoError::Decode { .. }), "{error}");
+    }
+}
+
+#[test]
+fn a_png_cut_anywhere_is_an_error_or_whole() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("photo.png");
+    let photo = Photo { width: 16, height: 16, rgb: (0..768).map(|i| (i * i) as u8).collect() };
+    photos::write_png(&path, &photo).unwrap();
+    let whole = fs::read(&path).unwrap();
+    for length in 0..whole.len() {
+        fs::write(&path, &whole[..length]).unwrap();
+        // Only the end chunk, which holds no pixels, may be missing.
+        if let Ok(read) = photos::read_photo(&path) {
+            assert_eq!(read, photo, "cut to {length} of {} bytes", whole.len());
+        }
+    }
+}
