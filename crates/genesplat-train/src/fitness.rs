@@ -58,11 +58,11 @@ pub(crate) fn search<B: Backend>(
         algorithm.tell(&losses)?;
         record.renders += (losses.len() * stage.views.len()) as u64;
         record.fitness_after = algorithm.best_loss();
-        record.population_bytes = record.population_bytes.max(algorithm.population_bytes() as u64);
+        record.population_bytes = algorithm.peak_population_bytes() as u64;
         observer.on_generation(&generation_log(&record, &losses));
         record.generations += 1;
     }
-    let better = algorithm.best().filter(|_| algorithm.best_loss() < base_fitness).cloned();
+    let better = algorithm.best().cloned();
     record.changed = better.as_ref().map_or(0, |delta| delta.rows.len());
     record.seconds = clock.elapsed().as_secs_f64();
     Ok(Search { better, record, interrupted: !algorithm.is_finished() })
@@ -99,19 +99,12 @@ fn score_generation<B: Backend>(
     Ok(Some(losses))
 }
 
-/// At least one individual, and more while they stay below [`BATCH_BYTES`].
+/// The next individuals, about [`BATCH_BYTES`] of them. Those of one generation are about as large as each other, so the
+/// first tells how many fit.
 fn next_batch(algorithm: &GeneticAlgorithm, wanted: Range<usize>) -> Vec<SparseDelta> {
-    let mut bytes = 0;
-    let mut batch = Vec::new();
-    for individual in wanted {
-        if bytes >= BATCH_BYTES {
-            break;
-        }
-        let delta = algorithm.delta(individual);
-        bytes += delta.bytes();
-        batch.push(delta);
-    }
-    batch
+    let bytes = algorithm.delta(wanted.start).bytes();
+    let fitting = (BATCH_BYTES / bytes.max(1)).max(1);
+    algorithm.deltas(wanted.start..wanted.end.min(wanted.start.saturating_add(fitting)))
 }
 
 /// Mean of Eq. 5 over the stage's views, for each individual.

@@ -3,6 +3,7 @@
 mod config;
 mod evaluate;
 mod order;
+mod reconstruct;
 mod resume;
 mod stage;
 mod support;

@@ -19,6 +19,7 @@ fn config() -> TrainConfig {
     config.evolution.mode = EvolutionMode::Paper;
     config.evolution.paper.generations = 3;
     config.evolution.paper.population = 10;
+    config.evolution.paper.initial_mutation_rate = 0.5;
     config
 }
 
@@ -33,7 +34,12 @@ fn go(backend: &mut FakeBackend, start: Start, observer: &mut dyn Observer, stop
 }
 
 fn uninterrupted() -> Outcome {
-    go(&mut backend(), Start::Points(points(20)), &mut Silent, &AtomicBool::new(false))
+    let outcome = go(&mut backend(), Start::Points(points(20)), &mut Silent, &AtomicBool::new(false));
+    assert!(
+        outcome.summary.stages.iter().any(|stage| stage.changed > 0),
+        "a search that finds nothing tests nothing"
+    );
+    outcome
 }
 
 /// Through bytes, into a fresh device.

@@ -21,6 +21,9 @@ fn config(mode: EvolutionMode) -> TrainConfig {
     config.evolution.mode = mode;
     config.evolution.paper.generations = GENERATIONS;
     config.evolution.paper.population = POPULATION;
+    // Bolder than the paper, so that thirty Gaussians improve within a generation.
+    config.evolution.paper.initial_mutation_rate = 0.5;
+    config.evolution.paper.mutation_rates = [0.5; 3];
     config
 }
 
