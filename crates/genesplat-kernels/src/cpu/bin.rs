@@ -9,7 +9,7 @@ use fearless_simd::{Level, Simd, dispatch, i32x16, prelude::*};
 use rayon::prelude::*;
 
 use super::project::{Pinhole, ProjectedChunk, Splat, TILE};
-use super::simd::{LANES, V};
+use super::simd::{LANES, V, array};
 
 /// Side of a block, px: one block is one vector.
 pub const BLOCK: usize = 4;
@@ -173,8 +173,10 @@ pub fn for_each_tile<S: Simd>(simd: S, splat: &Splat, grid: [usize; 2], mut each
         let (from, to) = column_spans(simd, splat, band, column_limit);
         let last_row = ((end_band - band + BLOCKS_ACROSS as i32 - 1) / BLOCKS_ACROSS as i32).min(4);
         for row in 0..last_row as usize {
-            let spans: [(i32, i32); BLOCKS_ACROSS] =
-                std::array::from_fn(|k| (from[row * BLOCKS_ACROSS + k], to[row * BLOCKS_ACROSS + k]));
+            let spans: [(i32, i32); BLOCKS_ACROSS] = array(
+                #[inline(always)]
+                |k| (from[row * BLOCKS_ACROSS + k], to[row * BLOCKS_ACROSS + k]),
+            );
             let tile_y = band as usize / BLOCKS_ACROSS + row;
             emit_tile_row(spans, |tile_x, blocks| each((tile_y * grid[0] + tile_x) as u32, blocks));
         }
@@ -190,34 +192,57 @@ fn column_spans<S: Simd>(
     first_band: i32,
     column_limit: i32,
 ) -> ([i32; LANES], [i32; LANES]) {
-    let splat_v = |value: f32| V::splat(simd, value);
-    // The ellipse a dx² + 2b dx dy + c dy² ≤ reach, everything in powers of two of alpha.
-    let [a, b, c] = [-splat.conic_log2[0], -0.5 * splat.conic_log2[1], -splat.conic_log2[2]];
-    let reach = splat.log2_opacity + LOG2_255 + SLACK_LOG2;
-    let det = a * c - b * b;
-    let top = V::from_fn(simd, |lane| (first_band + lane as i32) as f32 * BLOCK as f32 - splat.mean[1]);
+    let ellipse = Ellipse::of(splat);
+    let lane = V::simd_from(simd, LANE);
+    let top = lane * BLOCK as f32 + (first_band as f32 * BLOCK as f32 - splat.mean[1]);
     let bottom = top + (BLOCK - 1) as f32;
     let height = splat.half_extent[1] + SLACK_PX;
     let outside = top.simd_gt(height) | bottom.simd_lt(-height);
 
     // Rows of the band where the right and the left boundary reach furthest: the ellipse's own extreme rows, or the
     // nearest row of the band.
-    let extreme = -b * splat.half_extent[0] / c;
+    let extreme = -ellipse.b * splat.half_extent[0] / ellipse.c;
     let (low, high) = (top.max(-height), bottom.min(height));
-    let (row_right, row_left) = (splat_v(extreme).max(low).min(high), splat_v(-extreme).max(low).min(high));
-    let boundary = |row: V<S>, sign: f32| {
-        let root = (splat_v(a * reach) - row * row * det).max(0.0).sqrt() * sign;
-        (root - row * b) * (1.0 / a)
-    };
-    let right = boundary(row_right, 1.0) + (splat.mean[0] + SLACK_PX);
-    let left = boundary(row_left, -1.0) + (splat.mean[0] - SLACK_PX);
+    let right =
+        ellipse.boundary(V::splat(simd, extreme).max(low).min(high), 1.0) + (splat.mean[0] + SLACK_PX);
+    let left =
+        ellipse.boundary(V::splat(simd, -extreme).max(low).min(high), -1.0) + (splat.mean[0] - SLACK_PX);
 
     // Block j covers pixel centres 4j to 4j + 3.
-    let limit = splat_v(column_limit as f32);
+    let limit = column_limit as f32;
     let from = ((left - (BLOCK - 1) as f32) * (1.0 / BLOCK as f32)).ceil().max(0.0).min(limit);
     let to = ((right * (1.0 / BLOCK as f32)).floor() + 1.0).max(0.0).min(limit);
     let to = outside.select(V::splat(simd, 0.0), to);
     (*from.to_int::<i32x16<S>>(), *to.to_int::<i32x16<S>>())
+}
+
+/// The lane numbers.
+const LANE: [f32; LANES] =
+    [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0, 13.0, 14.0, 15.0];
+
+/// `a dx² + 2b dx dy + c dy² ≤ reach`: where alpha is at least 1/255, in powers of two of alpha.
+struct Ellipse {
+    b: f32,
+    c: f32,
+    det: f32,
+    a_reach: f32,
+    inverse_a: f32,
+}
+
+impl Ellipse {
+    #[inline(always)]
+    fn of(splat: &Splat) -> Self {
+        let [a, b, c] = [-splat.conic_log2[0], -0.5 * splat.conic_log2[1], -splat.conic_log2[2]];
+        let reach = splat.log2_opacity + LOG2_255 + SLACK_LOG2;
+        Self { b, c, det: a * c - b * b, a_reach: a * reach, inverse_a: 1.0 / a }
+    }
+
+    /// The column of the right (`sign` 1) or left (-1) boundary at each row, from the mean.
+    #[inline(always)]
+    fn boundary<S: Simd>(&self, row: V<S>, sign: f32) -> V<S> {
+        let squared = row * row * -self.det + self.a_reach;
+        (squared.max(0.0).sqrt() * sign - row * self.b) * self.inverse_a
+    }
 }
 
 /// Block masks of the tiles that four bands of spans cover.

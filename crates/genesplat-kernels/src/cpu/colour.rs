@@ -1,5 +1,6 @@
 //! Stage `colour`: spherical harmonics of one Gaussian seen from one camera, and their gradient.
 
+use super::simd::array;
 use genesplat_core::spherical_harmonics::{C0, C1, C2, C3, SH_COEFFICIENTS, SH_STRIDE, coefficients};
 
 /// A colour and which of its channels were clamped at 0.
@@ -15,18 +16,27 @@ pub struct Colour {
 #[inline(always)]
 pub fn evaluate(sh: &[f32; SH_STRIDE], position: [f32; 3], centre: [f32; 3], degree: u8) -> Colour {
     let raw: [f32; 3] = if degree == 0 {
-        std::array::from_fn(|channel| C0 as f32 * sh[channel * SH_COEFFICIENTS])
+        array(
+            #[inline(always)]
+            |channel| C0 as f32 * sh[channel * SH_COEFFICIENTS],
+        )
     } else {
         let (direction, _) = direction(position, centre);
         let basis = basis(degree, direction);
-        std::array::from_fn(|channel| dot(&basis, sh, channel))
+        array(
+            #[inline(always)]
+            |channel| dot(&basis, sh, channel),
+        )
     };
     let mut clamped = 0;
-    let rgb = std::array::from_fn(|channel| {
-        let value = raw[channel] + 0.5;
-        clamped |= u32::from(value < 0.0) << channel;
-        value.max(0.0)
-    });
+    let rgb = array(
+        #[inline(always)]
+        |channel| {
+            let value = raw[channel] + 0.5;
+            clamped |= u32::from(value < 0.0) << channel;
+            value.max(0.0)
+        },
+    );
     Colour { rgb, clamped }
 }
 
@@ -59,12 +69,18 @@ pub fn backward(
     let along = direction_gradient(degree, direction, &weights);
     // (I − d dᵀ) / distance: the direction's length is fixed.
     let radial: f32 = (0..3).map(|axis| along[axis] * direction[axis]).sum();
-    std::array::from_fn(|axis| (along[axis] - radial * direction[axis]) * inverse_distance)
+    array(
+        #[inline(always)]
+        |axis| (along[axis] - radial * direction[axis]) * inverse_distance,
+    )
 }
 
 #[inline(always)]
 fn direction(position: [f32; 3], centre: [f32; 3]) -> ([f32; 3], f32) {
-    let d: [f32; 3] = std::array::from_fn(|axis| position[axis] - centre[axis]);
+    let d: [f32; 3] = array(
+        #[inline(always)]
+        |axis| position[axis] - centre[axis],
+    );
     let inverse = 1.0 / (d[0] * d[0] + d[1] * d[1] + d[2] * d[2]).sqrt().max(1e-12);
     (d.map(|v| v * inverse), inverse)
 }

@@ -13,7 +13,7 @@ use genesplat_core::Image;
 use genesplat_core::constants::{LAMBDA_DSSIM, SSIM_C1, SSIM_C2, SSIM_RADIUS, ssim_window};
 use rayon::prelude::*;
 
-use super::simd::{LANES, V};
+use super::simd::{LANES, V, array};
 
 /// Taps of the window.
 const TAPS: usize = 2 * SSIM_RADIUS + 1;
@@ -146,7 +146,7 @@ fn walk_strip<S: Simd>(
     for y in first - reach - radius..end + reach + radius {
         // 1. Moments of row y, blurred horizontally.
         if (0..height).contains(&y) {
-            scratch.load(plane, photo, y as usize, width);
+            scratch.load(simd, plane, photo, y as usize, width);
             scratch.blur_products(simd, &window, &mut moments, y);
         } else {
             moments.clear_row(y);
@@ -161,6 +161,7 @@ fn walk_strip<S: Simd>(
             if (first..end).contains(&centre) {
                 sums[1] += row_sum;
                 sums[0] += l1_row(
+                    simd,
                     &plane[centre as usize * width..][..width],
                     &photo[centre as usize * width..][..width],
                 );
@@ -200,15 +201,16 @@ impl Rows {
     }
 
     #[inline(always)]
-    fn load(&mut self, plane: &[f32], photo: &[u8], y: usize, width: usize) {
+    fn load<S: Simd>(&mut self, simd: S, plane: &[f32], photo: &[u8], y: usize, width: usize) {
         self.x[MARGIN..][..width].copy_from_slice(&plane[y * width..][..width]);
-        for (value, &byte) in self.y[MARGIN..].iter_mut().zip(&photo[y * width..][..width]) {
-            *value = f32::from(byte) * (1.0 / 255.0);
-        }
-        let [xx, yy, xy] = &mut self.products;
-        for at in MARGIN..MARGIN + width {
-            let (x, y) = (self.x[at], self.y[at]);
-            (xx[at], yy[at], xy[at]) = (x * x, y * y, x * y);
+        for first in (0..width).step_by(LANES) {
+            let (at, count) = (MARGIN + first, LANES.min(width - first));
+            let x = load_part(simd, &self.x[at..at + count]);
+            let target = load_bytes(simd, &photo[y * width + first..][..count]);
+            target.store_slice(&mut self.y[at..at + LANES]);
+            for (row, product) in self.products.iter_mut().zip([x * x, target * target, x * target]) {
+                product.store_slice(&mut row[at..at + LANES]);
+            }
         }
     }
 
@@ -270,18 +272,34 @@ fn ssim_row<S: Simd>(
     width: usize,
     partial: &mut [Vec<f32>; 3],
 ) -> f64 {
-    let mut sum = 0.0f64;
+    let mut sum = V::splat(simd, 0.0);
     for first in (0..width).step_by(LANES) {
-        let [mx, my, exx, eyy, exy] =
-            std::array::from_fn(|quantity| blur_column(simd, window, moments, y, quantity, first));
+        let [mx, my, exx, eyy, exy] = array(
+            #[inline(always)]
+            |quantity| blur_column(simd, window, moments, y, quantity, first),
+        );
         let ssim = Ssim::new(mx, my, exx, eyy, exy);
         let count = LANES.min(width - first);
-        sum += ssim.value.as_slice()[..count].iter().map(|&v| f64::from(v)).sum::<f64>();
+        sum += mask_tail(simd, ssim.value, count);
         for (row, value) in partial.iter_mut().zip(ssim.partials(mx, my)) {
-            row[MARGIN + first..][..count].copy_from_slice(&value.as_slice()[..count]);
+            row[MARGIN + first..][..LANES].copy_from_slice(mask_tail(simd, value, count).as_slice());
         }
     }
-    sum
+    sum.iter().map(|&v| f64::from(v)).sum()
+}
+
+/// Zero beyond the first `count` lanes: the end of a row.
+#[inline(always)]
+fn mask_tail<S: Simd>(simd: S, value: V<S>, count: usize) -> V<S> {
+    if count == LANES {
+        return value;
+    }
+    let lane = V::from_fn(
+        simd,
+        #[inline(always)]
+        |lane| lane as f32,
+    );
+    lane.simd_lt(count as f32).select(value, V::splat(simd, 0.0))
 }
 
 /// SSIM at 16 pixels and the factors that its derivatives share.
@@ -314,12 +332,39 @@ impl<S: Simd> Ssim<S> {
 }
 
 #[inline(always)]
-fn l1_row(x: &[f32], y: &[u8]) -> f64 {
-    let mut sums = [0.0f32; LANES];
-    for (at, (&x, &y)) in x.iter().zip(y).enumerate() {
-        sums[at % LANES] += (x - f32::from(y) * (1.0 / 255.0)).abs();
+fn l1_row<S: Simd>(simd: S, x: &[f32], y: &[u8]) -> f64 {
+    let mut sum = V::splat(simd, 0.0);
+    for (x, y) in x.chunks(LANES).zip(y.chunks(LANES)) {
+        sum += (load_part(simd, x) - load_bytes(simd, y)).abs();
     }
-    sums.iter().map(|&v| f64::from(v)).sum()
+    sum.iter().map(|&v| f64::from(v)).sum()
+}
+
+/// Up to 16 values, zeros after them.
+#[inline(always)]
+fn load_part<S: Simd>(simd: S, values: &[f32]) -> V<S> {
+    if values.len() == LANES {
+        return V::from_slice(simd, values);
+    }
+    let mut lanes = [0.0; LANES];
+    lanes[..values.len()].copy_from_slice(values);
+    V::simd_from(simd, lanes)
+}
+
+/// Up to 16 bytes as values in `[0, 1]`, zeros after them.
+#[inline(always)]
+fn load_bytes<S: Simd>(simd: S, bytes: &[u8]) -> V<S> {
+    let mut lanes = [0.0; LANES];
+    if let Ok(bytes) = <&[u8; LANES]>::try_from(bytes) {
+        for lane in 0..LANES {
+            lanes[lane] = f32::from(bytes[lane]);
+        }
+    } else {
+        for (lane, &byte) in lanes.iter_mut().zip(bytes) {
+            *lane = f32::from(byte);
+        }
+    }
+    V::simd_from(simd, lanes) * (1.0 / 255.0)
 }
 
 /// `dL/dx` of one row.
@@ -335,15 +380,13 @@ fn gradient_row<S: Simd>(
 ) {
     let (l1_weight, ssim_weight) = ((1.0 - LAMBDA_DSSIM) / values as f32, -LAMBDA_DSSIM / values as f32);
     for first in (0..render.len()).step_by(LANES) {
-        let [by_mean, by_square, by_product] =
-            std::array::from_fn(|quantity| blur_column(simd, window, partials, y, quantity, first));
+        let [by_mean, by_square, by_product] = array(
+            #[inline(always)]
+            |quantity| blur_column(simd, window, partials, y, quantity, first),
+        );
         let count = LANES.min(render.len() - first);
-        let (mut x, mut target) = ([0.0; LANES], [0.0; LANES]);
-        x[..count].copy_from_slice(&render[first..first + count]);
-        for (value, &byte) in target.iter_mut().zip(&photo[first..first + count]) {
-            *value = f32::from(byte) * (1.0 / 255.0);
-        }
-        let (x, target) = (V::simd_from(simd, x), V::simd_from(simd, target));
+        let x = load_part(simd, &render[first..first + count]);
+        let target = load_bytes(simd, &photo[first..first + count]);
         let zero = V::splat(simd, 0.0);
         let difference = x - target;
         // The subgradient of |x| at 0 is 0.

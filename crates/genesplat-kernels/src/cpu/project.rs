@@ -9,7 +9,7 @@ use genesplat_core::{Camera, Gaussians, RenderSettings, ScreenFilter};
 use rayon::prelude::*;
 
 use super::colour;
-use super::simd::{LANES, LOG2_E, V, exp, sigmoid};
+use super::simd::{LANES, LOG2_E, V, array, exp, lanes_of, sigmoid};
 
 /// Rows that one task projects; also the unit of the backward pass. A constant, so that results do not depend on the
 /// number of threads.
@@ -44,7 +44,10 @@ impl From<&Camera> for Pinhole {
         let translation = camera.camera_from_world_translation;
         let tan = camera.tan_half_fov();
         Self {
-            rotation: std::array::from_fn(|row| rotation.row(row).to_array().map(|v| v as f32)),
+            rotation: array(
+                #[inline(always)]
+                |row| rotation.row(row).to_array().map(|v| v as f32),
+            ),
             translation: translation.to_array().map(|v| v as f32),
             centre: centre.to_array().map(|v| v as f32),
             focal: camera.focal_px.map(|v| v as f32),
@@ -219,9 +222,18 @@ impl<S: Simd> Params<S> {
         }
         let load = |values: &[f32; LANES]| V::simd_from(simd, *values);
         Self {
-            position: std::array::from_fn(|k| load(&gene_lanes[k])),
-            log_scale: std::array::from_fn(|k| load(&gene_lanes[3 + k])),
-            rotation: std::array::from_fn(|k| load(&rotation_lanes[k])),
+            position: array(
+                #[inline(always)]
+                |k| load(&gene_lanes[k]),
+            ),
+            log_scale: array(
+                #[inline(always)]
+                |k| load(&gene_lanes[3 + k]),
+            ),
+            rotation: array(
+                #[inline(always)]
+                |k| load(&rotation_lanes[k]),
+            ),
             opacity_logit: load(&gene_lanes[6]),
             filter_3d: load(&filter),
         }
@@ -271,36 +283,62 @@ impl<S: Simd> Geometry<S> {
         let [qw, qx, qy, qz] = params.rotation;
         let length = (qw * qw + qx * qx + qy * qy + qz * qz).sqrt().max(1e-12);
         let inverse_length = one / length;
-        let unit = params.rotation.map(|q| q * inverse_length);
+        let unit = array(
+            #[inline(always)]
+            |k| params.rotation[k] * inverse_length,
+        );
         let r = rotation_matrix(unit);
-        let variance_raw = params.log_scale.map(|value| exp(value * 2.0));
+        let variance_raw: [V<S>; 3] = array(
+            #[inline(always)]
+            |k| exp(params.log_scale[k] * 2.0),
+        );
         let filter_variance = params.filter_3d * params.filter_3d;
-        let variance = variance_raw.map(|value| value + filter_variance);
+        let variance = array(
+            #[inline(always)]
+            |k| variance_raw[k] + filter_variance,
+        );
 
         // 2. Camera coordinates.
-        let t: [V<S>; 3] = std::array::from_fn(|row| {
-            let m = camera.rotation[row];
-            params.position[0] * m[0]
-                + params.position[1] * m[1]
-                + params.position[2] * m[2]
-                + camera.translation[row]
-        });
+        let t: [V<S>; 3] = array(
+            #[inline(always)]
+            |row| {
+                let m = camera.rotation[row];
+                params.position[0] * m[0]
+                    + params.position[1] * m[1]
+                    + params.position[2] * m[2]
+                    + camera.translation[row]
+            },
+        );
         let inverse_z = one / t[2];
 
         // 3. Jacobian of the projection, with x/z and y/z clamped.
         let ratio = [t[0] * inverse_z, t[1] * inverse_z];
-        let clamped_ratio: [V<S>; 2] =
-            std::array::from_fn(|axis| ratio[axis].max(-camera.limit[axis]).min(camera.limit[axis]));
-        let u: [[V<S>; 3]; 2] = std::array::from_fn(|axis| {
-            let diagonal = inverse_z * camera.focal[axis];
-            let third = -(diagonal * clamped_ratio[axis]);
-            std::array::from_fn(|k| diagonal * camera.rotation[axis][k] + third * camera.rotation[2][k])
-        });
+        let clamped_ratio: [V<S>; 2] = array(
+            #[inline(always)]
+            |axis| ratio[axis].max(-camera.limit[axis]).min(camera.limit[axis]),
+        );
+        let u: [[V<S>; 3]; 2] = array(
+            #[inline(always)]
+            |axis| {
+                let diagonal = inverse_z * camera.focal[axis];
+                let third = -(diagonal * clamped_ratio[axis]);
+                array(
+                    #[inline(always)]
+                    |k| diagonal * camera.rotation[axis][k] + third * camera.rotation[2][k],
+                )
+            },
+        );
 
         // 4. Covariance on the screen: sum over the own axes of variance · w wᵀ.
-        let w: [[V<S>; 3]; 2] = std::array::from_fn(|axis| {
-            std::array::from_fn(|k| u[axis][0] * r[0][k] + u[axis][1] * r[1][k] + u[axis][2] * r[2][k])
-        });
+        let w: [[V<S>; 3]; 2] = array(
+            #[inline(always)]
+            |axis| {
+                array(
+                    #[inline(always)]
+                    |k| u[axis][0] * r[0][k] + u[axis][1] * r[1][k] + u[axis][2] * r[2][k],
+                )
+            },
+        );
         let weighted = |i: usize, j: usize| {
             variance[0] * w[i][0] * w[j][0]
                 + variance[1] * w[i][1] * w[j][1]
@@ -347,9 +385,9 @@ impl<S: Simd> Geometry<S> {
     #[inline(always)]
     fn lanes(&self) -> Lanes {
         Lanes {
-            t: self.t.map(|v| *v),
-            ratio: self.ratio.map(|v| *v),
-            cov: self.cov.map(|v| *v),
+            t: lanes_of(&self.t),
+            ratio: lanes_of(&self.ratio),
+            cov: lanes_of(&self.cov),
             det: *self.det,
             opacity: *self.opacity_effective,
         }
@@ -403,7 +441,10 @@ impl Lanes {
 
     #[inline(always)]
     fn mean(&self, lane: usize, camera: &Pinhole) -> [f32; 2] {
-        std::array::from_fn(|axis| camera.focal[axis] * self.ratio[axis][lane] + camera.axis_px[axis])
+        array(
+            #[inline(always)]
+            |axis| camera.focal[axis] * self.ratio[axis][lane] + camera.axis_px[axis],
+        )
     }
 
     /// 3DGS's rule: the square of `ceil(3 sqrt(λ_max))` px around the mean meets at least one tile.

@@ -16,7 +16,7 @@ use rayon::prelude::*;
 
 use super::bin::{BLOCK, BLOCKS_ACROSS, Bins, LOG2_255, TileSplat};
 use super::project::{Pinhole, Splat, TILE};
-use super::simd::{LANES, V, exp2};
+use super::simd::{LANES, V, array, exp2};
 
 /// Blocks of a tile.
 pub const BLOCKS: usize = BLOCKS_ACROSS * BLOCKS_ACROSS;
@@ -77,14 +77,20 @@ pub enum Extra {
     Pixels,
 }
 
-/// Lists of one tile's entries by block; reused from tile to tile.
+/// One tile's splats, copied together, and which of them reach each block; reused from tile to tile.
+///
+/// The copy costs a cache line a splat and pays for itself: the blocks read each splat several times, and the reads of
+/// the copy loop do not wait for one another.
 #[derive(Clone, Debug, Default)]
-struct BlockLists {
+struct TileLists {
+    splats: Vec<Splat>,
     lists: [Vec<u32>; BLOCKS],
 }
 
-impl BlockLists {
-    fn fill(&mut self, entries: &[TileSplat]) {
+impl TileLists {
+    fn fill(&mut self, entries: &[TileSplat], splats: &[Splat]) {
+        self.splats.clear();
+        self.splats.extend(entries.iter().map(|entry| splats[entry.rank as usize]));
         for list in &mut self.lists {
             list.clear();
         }
@@ -102,30 +108,27 @@ impl BlockLists {
 pub fn forward(level: Level, bins: &Bins, camera: &Pinhole, tiles: &mut Vec<TileImage>) {
     let grid = camera.grid();
     tiles.resize_with(grid[0] * grid[1], TileImage::default);
-    tiles.par_iter_mut().enumerate().for_each_init(BlockLists::default, |lists, (tile, out)| {
+    tiles.par_iter_mut().enumerate().for_each_init(TileLists::default, |lists, (tile, out)| {
         let origin = [tile % grid[0] * TILE, tile / grid[0] * TILE];
-        let entries = bins.tile(tile);
-        lists.fill(entries);
-        dispatch!(level, simd => forward_tile(simd, entries, &bins.splats, &lists.lists, origin, camera.size, out));
+        lists.fill(bins.tile(tile), &bins.splats);
+        dispatch!(level, simd => forward_tile(simd, lists, origin, camera.size, out));
     });
 }
 
 #[inline(always)]
 fn forward_tile<S: Simd>(
     simd: S,
-    entries: &[TileSplat],
-    splats: &[Splat],
-    lists: &[Vec<u32>; BLOCKS],
+    lists: &TileLists,
     origin: [usize; 2],
     size: [u32; 2],
     out: &mut TileImage,
 ) {
     for block in 0..BLOCKS {
         let pixels = BlockPixels::new(simd, origin, block, size);
-        let list = lists[block].iter().map(|&index| &splats[entries[index as usize].rank as usize]);
+        let list = lists.lists[block].iter().map(|&index| &lists.splats[index as usize]);
         let (state, consumed) = blend(simd, list, &pixels);
-        for (channel, value) in state.rgb.into_iter().enumerate() {
-            out.blocks[block][channel] = *value;
+        for channel in 0..3 {
+            out.blocks[block][channel] = *state.rgb[channel];
         }
         out.blocks[block][3] = *state.transmittance;
         out.consumed[block] = consumed;
@@ -145,8 +148,16 @@ impl<S: Simd> BlockPixels<S> {
     pub fn new(simd: S, origin: [usize; 2], block: usize, size: [u32; 2]) -> Self {
         let left = (origin[0] + block % BLOCKS_ACROSS * BLOCK) as f32;
         let top = (origin[1] + block / BLOCKS_ACROSS * BLOCK) as f32;
-        let x = V::from_fn(simd, |lane| left + (lane % BLOCK) as f32);
-        let y = V::from_fn(simd, |lane| top + (lane / BLOCK) as f32);
+        let x = V::from_fn(
+            simd,
+            #[inline(always)]
+            |lane| left + (lane % BLOCK) as f32,
+        );
+        let y = V::from_fn(
+            simd,
+            #[inline(always)]
+            |lane| top + (lane / BLOCK) as f32,
+        );
         let inside = x.simd_lt(size[0] as f32) & y.simd_lt(size[1] as f32);
         Self { x, y, inside }
     }
@@ -220,7 +231,7 @@ pub fn compose(tiles: &[TileImage], camera: &Pinhole, background: [f32; 3], imag
             for (column, values) in row.chunks_mut(BLOCK).enumerate() {
                 let block = &tiles[column / BLOCKS_ACROSS].blocks[block_row + column % BLOCKS_ACROSS];
                 for (x, value) in values.iter_mut().enumerate() {
-                    *value = background[channel].mul_add(block[3][lane + x], block[channel][lane + x]);
+                    *value = block[channel][lane + x] + background[channel] * block[3][lane + x];
                 }
             }
         });
@@ -250,28 +261,41 @@ pub fn backward(level: Level, bins: &Bins, camera: &Pinhole, inputs: &Backward, 
         by_tile.push(own);
         rest = others;
     }
-    by_tile.into_par_iter().enumerate().for_each_init(BlockLists::default, |lists, (tile, rows)| {
-        let entries = bins.tile(tile);
-        lists.fill(entries);
-        let origin = [tile % grid[0] * TILE, tile / grid[0] * TILE];
-        let task = TileTask { entries, splats: &bins.splats, origin, size: camera.size };
+    by_tile.into_par_iter().enumerate().for_each_init(Workspace::default, |work, (tile, rows)| {
+        work.lists.fill(bins.tile(tile), &bins.splats);
+        let task =
+            TileTask { origin: [tile % grid[0] * TILE, tile / grid[0] * TILE], size: camera.size, inputs };
         dispatch!(level, simd => match inputs.extra {
-            Extra::None => backward_tile::<S_NONE, _>(simd, &task, inputs, tile, &lists.lists, rows),
-            Extra::Absolute => backward_tile::<S_ABSOLUTE, _>(simd, &task, inputs, tile, &lists.lists, rows),
-            Extra::Pixels => backward_tile::<S_PIXELS, _>(simd, &task, inputs, tile, &lists.lists, rows),
+            Extra::None => backward_tile::<NONE, _>(simd, &task, tile, work, rows),
+            Extra::Absolute => backward_tile::<ABSOLUTE, _>(simd, &task, tile, work, rows),
+            Extra::Pixels => backward_tile::<PIXELS, _>(simd, &task, tile, work, rows),
         });
     });
 }
 
-const S_NONE: u8 = 0;
-const S_ABSOLUTE: u8 = 1;
-const S_PIXELS: u8 = 2;
+const NONE: u8 = 0;
+const ABSOLUTE: u8 = 1;
+const PIXELS: u8 = 2;
 
 struct TileTask<'a> {
-    entries: &'a [TileSplat],
-    splats: &'a [Splat],
     origin: [usize; 2],
     size: [u32; 2],
+    inputs: &'a Backward<'a>,
+}
+
+/// One thread's working memory.
+#[derive(Default)]
+struct Workspace {
+    lists: TileLists,
+    shares: Vec<Share>,
+}
+
+/// What one splat does to the 16 pixels of a block: `p` and `w` of the module's documentation.
+#[derive(Clone, Copy, Default)]
+#[repr(C, align(64))]
+struct Share {
+    p: [f32; LANES],
+    w: [f32; LANES],
 }
 
 /// Coordinates of moments within a tile are taken from its centre: small numbers, exact in f32.
@@ -281,21 +305,24 @@ const TILE_CENTRE: f32 = (TILE - 1) as f32 / 2.0;
 fn backward_tile<const EXTRA: u8, S: Simd>(
     simd: S,
     task: &TileTask,
-    inputs: &Backward,
     tile: usize,
-    lists: &[Vec<u32>; BLOCKS],
+    work: &mut Workspace,
     rows: &mut [GradientRow],
 ) {
     rows.fill(GradientRow::default());
+    let Workspace { lists, shares } = work;
     for block in 0..BLOCKS {
-        let list = &lists[block][..inputs.tiles[tile].consumed[block] as usize];
-        backward_block::<EXTRA, S>(simd, task, inputs, block, list, rows);
+        let list = &lists.lists[block][..task.inputs.tiles[tile].consumed[block] as usize];
+        let gradient = load_block(simd, task.inputs.gradient, task, block);
+        replay::<EXTRA, S>(simd, task, block, list, &lists.splats, &gradient, shares, rows);
+        accumulate(simd, block, list, &gradient, shares, rows);
     }
     // From moments about the tile's centre to moments about each splat's mean.
-    for (row, entry) in rows.iter_mut().zip(task.entries) {
-        let mean = task.splats[entry.rank as usize].mean;
-        let offset: [f32; 2] =
-            std::array::from_fn(|axis| mean[axis] - task.origin[axis] as f32 - TILE_CENTRE);
+    for (row, splat) in rows.iter_mut().zip(&lists.splats) {
+        let offset = array(
+            #[inline(always)]
+            |axis| splat.mean[axis] - task.origin[axis] as f32 - TILE_CENTRE,
+        );
         shift_moments(&mut row.0, offset);
     }
 }
@@ -310,30 +337,29 @@ fn shift_moments(row: &mut [f32; LANES], [ox, oy]: [f32; 2]) {
     row[column::YY] = yy - 2.0 * oy * y + oy * oy * one;
 }
 
+/// Walks a block's list front to back and writes each splat's share.
 #[inline(always)]
-fn backward_block<const EXTRA: u8, S: Simd>(
+fn replay<const EXTRA: u8, S: Simd>(
     simd: S,
     task: &TileTask,
-    inputs: &Backward,
     block: usize,
     list: &[u32],
+    splats: &[Splat],
+    gradient: &[V<S>; 3],
+    shares: &mut Vec<Share>,
     rows: &mut [GradientRow],
 ) {
-    // 1. The block's pixels, their gradient, and the light that all splats and the background send along it.
+    // 1. The light that all splats and the background send along the gradient.
     let pixels = BlockPixels::new(simd, task.origin, block, task.size);
-    let gradient = load_block(simd, inputs.gradient, task, block);
-    let image = load_block(simd, &inputs.image.planes, task, block);
+    let image = load_block(simd, &task.inputs.image.planes, task, block);
     let mut remaining = image[0] * gradient[0] + image[1] * gradient[1] + image[2] * gradient[2];
-    let powers = powers(simd, block);
-    let colours: [f32x4<S>; LANES] = std::array::from_fn(|lane| {
-        f32x4::simd_from(simd, [gradient[0][lane], gradient[1][lane], gradient[2][lane], 0.0])
-    });
 
     let (zero, one) = (V::splat(simd, 0.0), V::splat(simd, 1.0));
     let mut alive = pixels.inside;
     let mut transmittance = one;
-    for &index in list {
-        let splat = &task.splats[task.entries[index as usize].rank as usize];
+    shares.resize(list.len(), Share::default());
+    for (&index, share) in list.iter().zip(shares.iter_mut()) {
+        let splat = &splats[index as usize];
 
         // 2. Alpha, as in the forward pass.
         let exponent = exponent(splat, &pixels);
@@ -358,28 +384,54 @@ fn backward_block<const EXTRA: u8, S: Simd>(
         let alpha_gradient = transmittance * own - remaining * reciprocal(one - alpha);
         let p = hit.select(unclamped * alpha_gradient, zero);
         transmittance = next;
+        p.store_slice(&mut share.p);
+        weight.store_slice(&mut share.w);
 
-        // 4. Moments of p and colour gradient, added to the splat's row.
-        let row = &mut rows[index as usize].0;
-        let (moments, colour) = row.split_at_mut(8);
-        let (mut even, mut odd) = (f32x8::from_slice(simd, moments), f32x8::splat(simd, 0.0));
-        let (mut even_rgb, mut odd_rgb) = (f32x4::from_slice(simd, &colour[..4]), f32x4::splat(simd, 0.0));
-        for lane in (0..LANES).step_by(2) {
-            even = powers[lane].mul_add(f32x8::splat(simd, p[lane]), even);
-            odd = powers[lane + 1].mul_add(f32x8::splat(simd, p[lane + 1]), odd);
-            even_rgb = colours[lane].mul_add(f32x4::splat(simd, weight[lane]), even_rgb);
-            odd_rgb = colours[lane + 1].mul_add(f32x4::splat(simd, weight[lane + 1]), odd_rgb);
+        if EXTRA == PIXELS {
+            rows[index as usize].0[column::PIXELS] += hit.to_bitmask().count_ones() as f32;
         }
-        (even + odd).store_slice(moments);
-        (even_rgb + odd_rgb).store_slice(&mut colour[..4]);
-
-        if EXTRA == S_PIXELS {
-            row[column::PIXELS] += hit.to_bitmask().count_ones() as f32;
-        }
-        if EXTRA == S_ABSOLUTE {
+        if EXTRA == ABSOLUTE {
             let absolute = absolute_gradient(splat, &pixels, p);
-            row[column::ABS_X] += absolute[0];
-            row[column::ABS_Y] += absolute[1];
+            rows[index as usize].0[column::ABS_X] += absolute[0];
+            rows[index as usize].0[column::ABS_Y] += absolute[1];
+        }
+    }
+}
+
+/// Splats that [`accumulate`] takes at once: each constant is loaded once for all of them.
+const GROUP: usize = 4;
+
+/// Adds the block's shares to the splats' rows: two products of a `[n, 16]` matrix with a constant one.
+#[inline(always)]
+fn accumulate<S: Simd>(
+    simd: S,
+    block: usize,
+    list: &[u32],
+    gradient: &[V<S>; 3],
+    shares: &[Share],
+    rows: &mut [GradientRow],
+) {
+    let powers = powers(block);
+    let mut colours = [[0.0f32; 4]; LANES];
+    for lane in 0..LANES {
+        colours[lane] = [gradient[0][lane], gradient[1][lane], gradient[2][lane], 0.0];
+    }
+    for (group, shares) in list.chunks(GROUP).zip(shares.chunks(GROUP)) {
+        let mut moments = [f32x8::splat(simd, 0.0); GROUP];
+        let mut rgb = [f32x4::splat(simd, 0.0); GROUP];
+        for lane in 0..LANES {
+            let power = f32x8::simd_from(simd, powers[lane]);
+            let colour = f32x4::simd_from(simd, colours[lane]);
+            for k in 0..GROUP {
+                let share = &shares[k.min(shares.len() - 1)];
+                moments[k] = power.mul_add(f32x8::splat(simd, share.p[lane]), moments[k]);
+                rgb[k] = colour.mul_add(f32x4::splat(simd, share.w[lane]), rgb[k]);
+            }
+        }
+        for (k, &index) in group.iter().enumerate() {
+            let (first, second) = rows[index as usize].0.split_at_mut(8);
+            (f32x8::from_slice(simd, first) + moments[k]).store_slice(first);
+            (f32x4::from_slice(simd, &second[..4]) + rgb[k]).store_slice(&mut second[..4]);
         }
     }
 }
@@ -395,18 +447,21 @@ fn reciprocal<S: Simd>(x: V<S>) -> V<S> {
 fn absolute_gradient<S: Simd>(splat: &Splat, pixels: &BlockPixels<S>, p: V<S>) -> [f32; 2] {
     let [a, b, c] = splat.conic_log2.map(|v| v * -std::f32::consts::LN_2);
     let (dx, dy) = (pixels.x - splat.mean[0], pixels.y - splat.mean[1]);
-    let gradient = [p * (dx * (2.0 * a) + dy * b), p * (dx * b + dy * (2.0 * c))];
-    gradient.map(|values| values.abs().iter().sum())
+    let [x, y] = [(p * (dx * (2.0 * a) + dy * b)).abs(), (p * (dx * b + dy * (2.0 * c))).abs()];
+    [x.iter().sum(), y.iter().sum()]
 }
 
 /// `1, x, y, x², xy, y²` of a block's pixels, from the tile's centre.
 #[inline(always)]
-fn powers<S: Simd>(simd: S, block: usize) -> [f32x8<S>; LANES] {
-    std::array::from_fn(|lane| {
-        let x = (block % BLOCKS_ACROSS * BLOCK + lane % BLOCK) as f32 - TILE_CENTRE;
-        let y = (block / BLOCKS_ACROSS * BLOCK + lane / BLOCK) as f32 - TILE_CENTRE;
-        f32x8::simd_from(simd, [1.0, x, y, x * x, x * y, y * y, 0.0, 0.0])
-    })
+fn powers(block: usize) -> [[f32; 8]; LANES] {
+    array(
+        #[inline(always)]
+        |lane| {
+            let x = (block % BLOCKS_ACROSS * BLOCK + lane % BLOCK) as f32 - TILE_CENTRE;
+            let y = (block / BLOCKS_ACROSS * BLOCK + lane / BLOCK) as f32 - TILE_CENTRE;
+            [1.0, x, y, x * x, x * y, y * y, 0.0, 0.0]
+        },
+    )
 }
 
 /// The three channels of a block of a planar image; 0 outside of it.
@@ -416,12 +471,15 @@ fn load_block<S: Simd>(simd: S, planes: &[f32], task: &TileTask, block: usize) -
     let left = width.min(task.origin[0] + block % BLOCKS_ACROSS * BLOCK);
     let top = task.origin[1] + block / BLOCKS_ACROSS * BLOCK;
     let columns = BLOCK.min(width - left);
-    std::array::from_fn(|channel| {
-        let mut values = [0.0; LANES];
-        for row in 0..BLOCK.min(height.saturating_sub(top)) {
-            let at = channel * width * height + (top + row) * width + left;
-            values[row * BLOCK..][..columns].copy_from_slice(&planes[at..at + columns]);
-        }
-        V::simd_from(simd, values)
-    })
+    array(
+        #[inline(always)]
+        |channel| {
+            let mut values = [0.0; LANES];
+            for row in 0..BLOCK.min(height.saturating_sub(top)) {
+                let at = channel * width * height + (top + row) * width + left;
+                values[row * BLOCK..][..columns].copy_from_slice(&planes[at..at + columns]);
+            }
+            V::simd_from(simd, values)
+        },
+    )
 }

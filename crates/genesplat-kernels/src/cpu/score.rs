@@ -228,7 +228,7 @@ fn write_tile(
                 let (lane, at) = (row * BLOCK + column, (top + row) * width + left + column);
                 for channel in 0..3 {
                     image.planes[channel * width * height + at] =
-                        background[channel].mul_add(values[3][lane], values[channel][lane]);
+                        values[channel][lane] + background[channel] * values[3][lane];
                 }
             }
         }

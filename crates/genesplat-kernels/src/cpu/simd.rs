@@ -19,6 +19,26 @@ pub const LOG2_E: f32 = std::f32::consts::LOG2_E;
 /// the low mantissa bits.
 const ROUND: f32 = 12_582_912.0;
 
+/// `[f(0), f(1), ...]`, always inlined: `std::array::from_fn` and `map` are not, and a vector operation that is not
+/// inlined into the function that dispatched it becomes a call through memory.
+#[inline(always)]
+pub fn array<const K: usize, T: Copy>(mut f: impl FnMut(usize) -> T) -> [T; K] {
+    let mut out = [f(0); K];
+    for k in 1..K {
+        out[k] = f(k);
+    }
+    out
+}
+
+/// The lanes of several vectors.
+#[inline(always)]
+pub fn lanes_of<const K: usize, S: Simd>(vectors: &[V<S>; K]) -> [[f32; LANES]; K] {
+    array(
+        #[inline(always)]
+        |k| *vectors[k],
+    )
+}
+
 /// `2^x` for `x` in `[-126, 126]`, relative error below 3e-7: round, minimax polynomial of degree 5 on
 /// `[-½, ½]`, add to the exponent.
 #[inline(always)]

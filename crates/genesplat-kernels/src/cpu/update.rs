@@ -17,7 +17,7 @@ use super::bin::Bins;
 use super::colour;
 use super::project::{ANTIALIAS_RATIO_MIN, CHUNK, Geometry, Params, Pinhole, ProjectedChunk, Splat};
 use super::rasterise::{GradientRow, column};
-use super::simd::{LANES, V};
+use super::simd::{LANES, V, array};
 
 /// What the backward pass of the parameters reads.
 pub struct Inputs<'a> {
@@ -212,18 +212,53 @@ impl ChunkView<'_> {
     fn params<S: Simd>(&self, simd: S, row: impl Fn(usize) -> usize) -> Params<S> {
         let rows = self.rows;
         Params {
-            position: std::array::from_fn(|k| gather(simd, |lane| rows.positions[row(lane)][k])),
-            log_scale: std::array::from_fn(|k| gather(simd, |lane| rows.log_scales[row(lane)][k])),
-            rotation: std::array::from_fn(|k| gather(simd, |lane| rows.rotations[row(lane)][k])),
-            opacity_logit: gather(simd, |lane| rows.opacity_logits[row(lane)]),
-            filter_3d: gather(simd, |lane| self.filter.map_or(0.0, |filter| filter[row(lane)])),
+            position: array(
+                #[inline(always)]
+                |k| {
+                    gather(
+                        simd,
+                        #[inline(always)]
+                        |lane| rows.positions[row(lane)][k],
+                    )
+                },
+            ),
+            log_scale: array(
+                #[inline(always)]
+                |k| {
+                    gather(
+                        simd,
+                        #[inline(always)]
+                        |lane| rows.log_scales[row(lane)][k],
+                    )
+                },
+            ),
+            rotation: array(
+                #[inline(always)]
+                |k| {
+                    gather(
+                        simd,
+                        #[inline(always)]
+                        |lane| rows.rotations[row(lane)][k],
+                    )
+                },
+            ),
+            opacity_logit: gather(
+                simd,
+                #[inline(always)]
+                |lane| rows.opacity_logits[row(lane)],
+            ),
+            filter_3d: gather(
+                simd,
+                #[inline(always)]
+                |lane| self.filter.map_or(0.0, |filter| filter[row(lane)]),
+            ),
         }
     }
 }
 
 #[inline(always)]
 fn gather<S: Simd>(simd: S, value: impl Fn(usize) -> f32) -> V<S> {
-    V::simd_from(simd, std::array::from_fn::<f32, LANES, _>(value))
+    V::simd_from(simd, array(value))
 }
 
 #[inline(always)]
@@ -249,7 +284,10 @@ fn chunk_gradients<S: Simd>(
         let local = |lane: usize| splats[lane.min(splats.len() - 1)].global as usize - view.first_row;
         let params = view.params(simd, local);
         let geometry = Geometry::new(&params, inputs.camera, inputs.settings.filter);
-        let columns: [V<S>; LANES] = std::array::from_fn(|k| V::simd_from(simd, sums[k]));
+        let columns: [V<S>; LANES] = array(
+            #[inline(always)]
+            |k| V::simd_from(simd, sums[k]),
+        );
         let gradients = backward(&params, &geometry, &columns, inputs.camera, inputs.settings.filter);
         // 3. Colours, and everything to its row.
         for (lane, splat) in splats.iter().enumerate() {
@@ -306,38 +344,66 @@ fn backward<S: Simd>(
 
     // 3. Covariance = Σ_k variance_k w_k w_kᵀ.
     let [ga, gb, gc] = cov_gradient;
-    let variance: [V<S>; 3] = std::array::from_fn(|k| {
-        ga * g.w[0][k] * g.w[0][k] + gb * g.w[0][k] * g.w[1][k] + gc * g.w[1][k] * g.w[1][k]
-    });
+    let variance: [V<S>; 3] = array(
+        #[inline(always)]
+        |k| ga * g.w[0][k] * g.w[0][k] + gb * g.w[0][k] * g.w[1][k] + gc * g.w[1][k] * g.w[1][k],
+    );
     let w: [[V<S>; 3]; 2] = [
-        std::array::from_fn(|k| g.variance[k] * (ga * g.w[0][k] * 2.0 + gb * g.w[1][k])),
-        std::array::from_fn(|k| g.variance[k] * (gb * g.w[0][k] + gc * g.w[1][k] * 2.0)),
+        array(
+            #[inline(always)]
+            |k| g.variance[k] * (ga * g.w[0][k] * 2.0 + gb * g.w[1][k]),
+        ),
+        array(
+            #[inline(always)]
+            |k| g.variance[k] * (gb * g.w[0][k] + gc * g.w[1][k] * 2.0),
+        ),
     ];
 
     // 4. Scales: variance = exp(2 · log-scale) + filter²; the 3D filter also scales the opacity by
     // sqrt(Π raw / Π filtered).
     let product_gradient = effective_gradient * g.opacity_effective;
-    let log_scale: [V<S>; 3] = std::array::from_fn(|k| {
-        let filtered = params
-            .filter_3d
-            .simd_gt(0.0)
-            .select(product_gradient * (one - g.variance_raw[k] / g.variance[k]), V::splat(simd, 0.0));
-        variance[k] * g.variance_raw[k] * 2.0 + filtered
-    });
+    let log_scale: [V<S>; 3] = array(
+        #[inline(always)]
+        |k| {
+            let filtered = params
+                .filter_3d
+                .simd_gt(0.0)
+                .select(product_gradient * (one - g.variance_raw[k] / g.variance[k]), V::splat(simd, 0.0));
+            variance[k] * g.variance_raw[k] * 2.0 + filtered
+        },
+    );
 
     // 5. w = u R: rotation and u.
-    let u: [[V<S>; 3]; 2] = std::array::from_fn(|axis| {
-        std::array::from_fn(|j| w[axis][0] * g.r[j][0] + w[axis][1] * g.r[j][1] + w[axis][2] * g.r[j][2])
-    });
-    let r: [[V<S>; 3]; 3] =
-        std::array::from_fn(|j| std::array::from_fn(|k| g.u[0][j] * w[0][k] + g.u[1][j] * w[1][k]));
+    let u: [[V<S>; 3]; 2] = array(
+        #[inline(always)]
+        |axis| {
+            array(
+                #[inline(always)]
+                |j| w[axis][0] * g.r[j][0] + w[axis][1] * g.r[j][1] + w[axis][2] * g.r[j][2],
+            )
+        },
+    );
+    let r: [[V<S>; 3]; 3] = array(
+        #[inline(always)]
+        |j| {
+            array(
+                #[inline(always)]
+                |k| g.u[0][j] * w[0][k] + g.u[1][j] * w[1][k],
+            )
+        },
+    );
     let rotation = quaternion_gradient(g, &r);
 
     // 6. u = J R_view: camera coordinates, with the clamp's exact derivative.
     let t = camera_gradient(g, &u, mean_px, camera);
-    let position = std::array::from_fn(|axis| {
-        t[0] * camera.rotation[0][axis] + t[1] * camera.rotation[1][axis] + t[2] * camera.rotation[2][axis]
-    });
+    let position = array(
+        #[inline(always)]
+        |axis| {
+            t[0] * camera.rotation[0][axis]
+                + t[1] * camera.rotation[1][axis]
+                + t[2] * camera.rotation[2][axis]
+        },
+    );
     LaneGradients { mean_px, position, log_scale, rotation, opacity_logit }
 }
 
@@ -421,7 +487,10 @@ fn quaternion_gradient<S: Simd>(g: &Geometry<S>, d: &[[V<S>; 3]; 3]) -> [V<S>; 4
             - z * (d[0][0] + d[1][1]) * 4.0,
     ];
     let radial = unit[0] * w + unit[1] * x + unit[2] * y + unit[3] * z;
-    std::array::from_fn(|k| (unit[k] - g.unit[k] * radial) * g.inverse_length)
+    array(
+        #[inline(always)]
+        |k| (unit[k] - g.unit[k] * radial) * g.inverse_length,
+    )
 }
 
 #[inline(always)]
@@ -437,9 +506,12 @@ fn store<S: Simd>(
     out: &mut ChunkGradients,
 ) {
     let local = splat.global as usize - view.first_row;
-    let rgb = std::array::from_fn(|channel| {
-        if splat.clamped >> channel & 1 == 1 { 0.0 } else { sums[column::RED + channel][lane] }
-    });
+    let rgb = array(
+        #[inline(always)]
+        |channel| {
+            if splat.clamped >> channel & 1 == 1 { 0.0 } else { sums[column::RED + channel][lane] }
+        },
+    );
     let position = view.rows.positions[local];
     let (sh, degree) = (&view.rows.sh[local], inputs.settings.sh_degree);
     let by_direction = colour::backward(sh, position, inputs.camera.centre, degree, rgb, &mut out.sh[local]);
@@ -449,7 +521,10 @@ fn store<S: Simd>(
         gene[3 + axis] = gradients.log_scale[axis][lane];
     }
     gene[6] = gradients.opacity_logit[lane];
-    out.rotations[local] = std::array::from_fn(|k| gradients.rotation[k][lane]);
+    out.rotations[local] = array(
+        #[inline(always)]
+        |k| gradients.rotation[k][lane],
+    );
     let mean_px = [gradients.mean_px[0][lane], gradients.mean_px[1][lane]];
     out.density[local] = density(signal, mean_px, lane, sums, inputs.camera, depth[lane]);
     out.touched.push(local as u32);
