@@ -1,1 +1,63 @@
-//! placeholder
+//! The genetic algorithm of "An Evolutionary Boost to Gaussian Splatting Optimization", and nothing else: it knows no
+//! renderer, no file and no clock.
+//!
+//! [`GeneticAlgorithm`] is Algorithm 1 turned inside out: it *asks* for the losses of individuals and is *told* them, so
+//! that a renderer, a toy function or a replayed log can judge. An individual is a sparse difference from one shared
+//! base, never a copy of the scene; how memory grows is stated in [`population`].
+//!
+//! ```
+//! use genesplat_core::{Gene, Rng, SparseDelta};
+//! use genesplat_evolve::{GeneticAlgorithm, Magnitude, PaperConfig};
+//!
+//! // Fifty Gaussians that would like all their genes to be zero.
+//! let base: Vec<Gene> = (0..50).map(|row| [1.0 + (row % 7) as f32; 7]).collect();
+//! let loss = |delta: &SparseDelta| {
+//!     let mut genes = base.clone();
+//!     delta.rows.iter().zip(&delta.genes).for_each(|(&row, gene)| genes[row as usize] = *gene);
+//!     genes.as_flattened().iter().map(|&x| f64::from(x).powi(2)).sum::<f64>()
+//! };
+//! let config = PaperConfig { generations: 20, magnitude: Magnitude::Unit, ..PaperConfig::default() };
+//! let base_loss = loss(&SparseDelta::default());
+//! let mut search = GeneticAlgorithm::new(config, base.clone(), None, base_loss, Rng::new(7))?;
+//! while !search.is_finished() {
+//!     let losses: Vec<f64> = (0..search.ask()).map(|index| loss(&search.delta(index))).collect();
+//!     search.tell(&losses)?;
+//! }
+//! assert!(search.best_loss() < base_loss);
+//! assert_eq!(search.best().map(loss), Some(search.best_loss()));
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! | module | what it decides |
+//! |---|---|
+//! | [`genetic`] | the order of everything: Algorithm 1 |
+//! | [`config`] | the settings of Table 1, and the rates of each generation |
+//! | [`population`] | how individuals are stored, and what that costs |
+//! | `individual`, `column` | one individual: which genes differ from the base, and their values |
+//! | `selection`, `crossover`, `mutation`, `survival` | the four operators |
+//! | `sampling` | exact random subsets |
+//! | [`record`] | the logbook |
+//!
+//! **Randomness.** Every number comes from `Rng::at(stream, generation, individual or pair, row or draw)`, so neither the
+//! number of threads nor the order in which individuals are scored can change a result.
+//!
+//! **Resuming.** The search is a pure function of what [`GeneticAlgorithm::new`] was given and of the losses it was told:
+//! to resume it, build it again and tell it the recorded losses, without a single render.
+
+mod column;
+pub mod config;
+mod crossover;
+pub mod genetic;
+mod group;
+mod individual;
+mod mutation;
+pub mod population;
+pub mod record;
+mod sampling;
+mod selection;
+mod survival;
+
+pub use config::{ConfigError, Crossover, Magnitude, PaperConfig, Rates, SigmaScope, Space};
+pub use genetic::{GeneticAlgorithm, TellError};
+pub use mutation::GeneGradients;
+pub use record::GenerationRecord;

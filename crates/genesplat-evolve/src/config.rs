@@ -1,0 +1,372 @@
+//! The settings of the paper's genetic algorithm (its Table 1), each with default, unit, range and effect.
+//!
+//! Where the paper is silent there is an option, and its doc says what the paper leaves open. Not here: the evaluation
+//! cameras of Table 1, since this crate knows no renderer.
+
+use serde::{Deserialize, Serialize};
+
+/// Settings of one search. [`PaperConfig::default`] is Table 1.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields, rename_all = "snake_case")]
+pub struct PaperConfig {
+    /// K, generations bred after the initial population. Default 100; from 0. Time grows in proportion; 0 scores
+    /// mutants of the base only.
+    pub generations: u32,
+    /// P, individuals a generation. Default 100; from 1. Time grows in proportion; memory hardly does (see
+    /// [`crate::population`]).
+    pub population: u32,
+    /// T, individuals drawn for each tournament, without replacement. Default 10; 1 to P. More means stronger selection,
+    /// less diversity and less memory.
+    pub tournament: u32,
+    /// Share of the population carried over unchanged. Default 0.10; from 0, and `round(share * P)` must be below P.
+    pub elite_fraction: f64,
+    /// Share of the Gaussians that a mutation may touch, drawn afresh for each individual. Default 0.10; above 0, up to 1.
+    /// Exactly `round(share * N)` are selected, and at least one.
+    ///
+    /// Table 1 says "subject to crossover and mutation". Section 3.1 defines crossover on whole parameter vectors, so it
+    /// is read here as the share that *mutation* selects.
+    pub selection_fraction: f64,
+    /// alpha of Eq. 4: the step in units of `u_i` times the parameter's standard deviation. Default 0.10; from 0.
+    pub intensity: f64,
+    /// Probability that a gene group of a selected Gaussian mutates in the initial population. Default 0.03; 0 to 1. Low,
+    /// so that the first individuals stay close to the base.
+    pub initial_mutation_rate: f64,
+    /// The same in the early, middle and late generations. Default 0.15, 0.05, 0.02; each 0 to 1.
+    pub mutation_rates: [f64; 3],
+    /// Probability that a pair of parents is crossed rather than copied, in the early, middle and late generations.
+    /// Default 0.85, 0.70, 0.50; each 0 to 1.
+    pub crossover_rates: [f64; 3],
+    /// Where early ends and where middle ends, as shares of K. Default 0.30, 0.70; 0 to 1, ascending. Generation k of K
+    /// (from 1) is early while `(k - 1) / K` is below the first: with K = 100, generations 1-30, 31-70 and 71-100.
+    pub rate_breaks: [f64; 2],
+    /// How two parents are recombined. Default 100 points.
+    pub crossover: Crossover,
+    /// Where `u_i` of Eq. 4 comes from. Default the gradients.
+    pub magnitude: Magnitude,
+    /// Over what `sigma_x` of Eq. 4 is taken. Default each component.
+    pub sigma_scope: SigmaScope,
+    /// The space in which genes are mutated. Default raw.
+    pub space: Space,
+}
+
+/// Recombination of two parents (section 3.1). The two children are complementary: what one takes from the first parent,
+/// the other takes from the second.
+///
+/// The paper cuts "the parent parameters" without saying where a cut may fall. Here cuts fall *between Gaussians*, in the
+/// order of the cloud's rows, so that a Gaussian's genes stay together; only `Uniform` mixes within a Gaussian.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
+pub enum Crossover {
+    /// One cut: two segments are swapped.
+    OnePoint,
+    /// Distinct cuts: `points + 1` segments are exchanged alternately (100 in the paper). A cloud of `N` rows has
+    /// `N - 1` places for a cut; where that is fewer, all are used.
+    Points {
+        /// Number of cuts; from 1.
+        points: u32,
+    },
+    /// "Each parameter is independently inherited from either parent with equal probability": a coin for each gene group
+    /// (position, scale, opacity) of each Gaussian.
+    Uniform,
+}
+
+/// Where `u_i` of Eq. 4 comes from.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Magnitude {
+    /// From accumulated gene gradients, standardised over the selected Gaussians and squashed into (0, 1).
+    #[default]
+    Gradient,
+    /// `u_i = 1`: fully gradient-free.
+    Unit,
+}
+
+/// Over what `sigma_x`, "the standard deviation of x", is taken. Always over the Gaussians of the base, once a search.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum SigmaScope {
+    /// Each of the seven components has its own: steps follow the scene's proportions.
+    #[default]
+    Component,
+    /// One for all values of a group, around their common mean (what `tensor.std()` of an `[N, 3]` tensor gives).
+    Group,
+}
+
+/// The space in which a gene is mutated. The paper does not say.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Space {
+    /// As the optimiser sees it: log-scales and opacity logits, where every value is valid.
+    #[default]
+    Raw,
+    /// As the renderer sees it: scales in world units and opacities in (0, 1); `sigma_x` is taken in the same space, and
+    /// a step that would leave the valid range stops at its edge.
+    Activated,
+}
+
+impl Default for Crossover {
+    fn default() -> Self {
+        Self::Points { points: 100 }
+    }
+}
+
+impl Default for PaperConfig {
+    fn default() -> Self {
+        Self {
+            generations: 100,
+            population: 100,
+            tournament: 10,
+            elite_fraction: 0.10,
+            selection_fraction: 0.10,
+            intensity: 0.10,
+            initial_mutation_rate: 0.03,
+            mutation_rates: [0.15, 0.05, 0.02],
+            crossover_rates: [0.85, 0.70, 0.50],
+            rate_breaks: [0.30, 0.70],
+            crossover: Crossover::default(),
+            magnitude: Magnitude::default(),
+            sigma_scope: SigmaScope::default(),
+            space: Space::default(),
+        }
+    }
+}
+
+/// The rates of one generation.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Rates {
+    /// Probability that a gene group of a selected Gaussian mutates.
+    pub mutation: f64,
+    /// Probability that a pair is crossed.
+    pub crossover: f64,
+}
+
+impl PaperConfig {
+    /// True when a search needs [`crate::GeneGradients`].
+    pub fn uses_gradients(&self) -> bool {
+        self.magnitude == Magnitude::Gradient
+    }
+
+    /// E, individuals carried over unchanged.
+    pub fn elites(&self) -> u32 {
+        (self.elite_fraction * f64::from(self.population)).round() as u32
+    }
+
+    /// k, Gaussians of a cloud of `n` that one mutation selects.
+    pub fn selected(&self, n: u32) -> u32 {
+        ((self.selection_fraction * f64::from(n)).round() as u32).clamp(n.min(1), n)
+    }
+
+    /// Individuals that a whole search scores: `P + K * (P - E)`.
+    pub fn evaluations(&self) -> u64 {
+        let (population, children) = (self.population, self.population - self.elites());
+        u64::from(population) + u64::from(self.generations) * u64::from(children)
+    }
+
+    /// The rates that make generation `generation`: 0 is the initial population, then 1 to K.
+    pub fn rates(&self, generation: u32) -> Rates {
+        let Some(bred_before) = generation.checked_sub(1) else {
+            return Rates { mutation: self.initial_mutation_rate, crossover: 0.0 };
+        };
+        // Two integers: the quotient is the double nearest to the fraction, as the literal 0.30 is, so that the
+        // comparison is exact at the breaks.
+        let progress = f64::from(bred_before) / f64::from(self.generations);
+        let piece = self.rate_breaks.iter().filter(|&&end| progress >= end).count();
+        Rates { mutation: self.mutation_rates[piece], crossover: self.crossover_rates[piece] }
+    }
+
+    /// Checks every range; the first setting that is out of its range is named.
+    pub fn validate(&self) -> Result<(), ConfigError> {
+        check("population", self.population, self.population >= 1, "at least 1")?;
+        let tournament = 1..=self.population;
+        check(
+            "tournament",
+            self.tournament,
+            tournament.contains(&self.tournament),
+            "between 1 and population",
+        )?;
+        check("elite_fraction", self.elite_fraction, is_share(self.elite_fraction), "between 0 and 1")?;
+        let has_children = self.elites() < self.population;
+        check("elite_fraction", self.elite_fraction, has_children, "low enough to leave room for a child")?;
+        let selects = is_share(self.selection_fraction) && self.selection_fraction > 0.0;
+        check("selection_fraction", self.selection_fraction, selects, "above 0 and at most 1")?;
+        let is_step = self.intensity.is_finite() && self.intensity >= 0.0;
+        check("intensity", self.intensity, is_step, "finite and not negative")?;
+        check_share("initial_mutation_rate", self.initial_mutation_rate)?;
+        self.mutation_rates.iter().try_for_each(|&rate| check_share("mutation_rates", rate))?;
+        self.crossover_rates.iter().try_for_each(|&rate| check_share("crossover_rates", rate))?;
+        let [early, middle] = self.rate_breaks;
+        self.rate_breaks.iter().try_for_each(|&end| check_share("rate_breaks", end))?;
+        check("rate_breaks", middle, early <= middle, "in ascending order")?;
+        match self.crossover {
+            Crossover::Points { points } => check("crossover.points", points, points >= 1, "at least 1"),
+            Crossover::OnePoint | Crossover::Uniform => Ok(()),
+        }
+    }
+}
+
+fn is_share(value: f64) -> bool {
+    (0.0..=1.0).contains(&value)
+}
+
+fn check_share(setting: &'static str, value: f64) -> Result<(), ConfigError> {
+    check(setting, value, is_share(value), "between 0 and 1")
+}
+
+fn check(
+    setting: &'static str,
+    value: impl Into<f64>,
+    holds: bool,
+    allowed: &'static str,
+) -> Result<(), ConfigError> {
+    if holds { Ok(()) } else { Err(ConfigError::OutOfRange { setting, value: value.into(), allowed }) }
+}
+
+/// Why a search cannot start.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum ConfigError {
+    /// A setting makes no sense.
+    #[error("{setting} is {value}, but must be {allowed}")]
+    OutOfRange {
+        /// Name of the field.
+        setting: &'static str,
+        /// What it was set to.
+        value: f64,
+        /// What it may be.
+        allowed: &'static str,
+    },
+    /// [`Magnitude::Gradient`] without gradients.
+    #[error("magnitude is \"gradient\", but no gene gradients were accumulated; set it to \"unit\"")]
+    MissingGradients,
+    /// Gradients of another cloud.
+    #[error(
+        "there are gene gradients of {sums} Gaussians and view counts of {views}, but the base has {base}"
+    )]
+    GradientRows {
+        /// Rows of the sums.
+        sums: usize,
+        /// Rows of the view counts.
+        views: usize,
+        /// Rows of the base.
+        base: usize,
+    },
+    /// A NaN or an infinity in the gradient sums.
+    #[error(
+        "the gene gradient of Gaussian {row} is not finite; lower the learning rates or set magnitude to \"unit\""
+    )]
+    GradientNotFinite {
+        /// Row of the base.
+        row: usize,
+    },
+    /// A NaN or an infinity in the base.
+    #[error("Gaussian {row} of the base has a gene that is not finite; remove it before evolving")]
+    BaseNotFinite {
+        /// Row of the base.
+        row: usize,
+    },
+    /// The base could not be judged.
+    #[error(
+        "the loss of the base is {loss}, so individuals have nothing to be better than; check the render"
+    )]
+    BaseLossNotFinite {
+        /// What was given.
+        loss: f64,
+    },
+    /// Random numbers are addressed with 32 bits.
+    #[error("the base has {rows} Gaussians, more than the {limit} that random numbers can be addressed for")]
+    TooManyGaussians {
+        /// Rows of the base.
+        rows: usize,
+        /// The most that is possible.
+        limit: usize,
+    },
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rates_change_exactly_at_the_breaks() {
+        let config = PaperConfig::default();
+        let pieces: Vec<(u32, f64, f64)> = [0, 1, 30, 31, 70, 71, 100]
+            .into_iter()
+            .map(|generation| {
+                let rates = config.rates(generation);
+                (generation, rates.mutation, rates.crossover)
+            })
+            .collect();
+        let expected = [
+            (0, 0.03, 0.0),
+            (1, 0.15, 0.85),
+            (30, 0.15, 0.85),
+            (31, 0.05, 0.70),
+            (70, 0.05, 0.70),
+            (71, 0.02, 0.50),
+            (100, 0.02, 0.50),
+        ];
+        assert_eq!(pieces, expected);
+    }
+
+    #[test]
+    fn every_multiple_of_ten_generations_is_split_30_40_30() {
+        for tens in 1..=100u32 {
+            let config = PaperConfig { generations: 10 * tens, ..PaperConfig::default() };
+            let count =
+                |rate: f64| (1..=10 * tens).filter(|&k| config.rates(k).mutation == rate).count() as u32;
+            assert_eq!([count(0.15), count(0.05), count(0.02)], [3 * tens, 4 * tens, 3 * tens]);
+        }
+    }
+
+    #[test]
+    fn table_1_is_valid_and_survives_toml() {
+        let config = PaperConfig::default();
+        assert_eq!(config.validate(), Ok(()));
+        assert_eq!((config.elites(), config.evaluations()), (10, 9100));
+        let text = toml::to_string(&config).expect("plain values");
+        assert_eq!(toml::from_str::<PaperConfig>(&text), Ok(config));
+        let partial: PaperConfig =
+            toml::from_str("crossover = { kind = \"uniform\" }\nspace = \"activated\"").unwrap();
+        assert_eq!((partial.crossover, partial.space), (Crossover::Uniform, Space::Activated));
+        assert!(toml::from_str::<PaperConfig>("tournaments = 3").is_err(), "unknown names are refused");
+        assert!(toml::from_str::<PaperConfig>("crossover = { kind = \"points\", cuts = 3 }").is_err());
+    }
+
+    #[test]
+    fn at_least_one_gaussian_is_selected() {
+        let config = PaperConfig::default();
+        assert_eq!([0, 1, 4, 14, 16, 1000].map(|n| config.selected(n)), [0, 1, 1, 1, 2, 100]);
+        let all = PaperConfig { selection_fraction: 1.0, ..config };
+        assert_eq!(all.selected(7), 7);
+    }
+
+    #[test]
+    fn each_setting_out_of_range_is_named() {
+        type Change = fn(&mut PaperConfig);
+        let changes: [(Change, &str); 12] = [
+            (|c| c.population = 0, "population is 0, but must be at least 1"),
+            (|c| c.tournament = 0, "tournament is 0, but must be between 1 and population"),
+            (|c| c.tournament = 101, "tournament is 101, but must be between 1 and population"),
+            (
+                |c| c.elite_fraction = 1.0,
+                "elite_fraction is 1, but must be low enough to leave room for a child",
+            ),
+            (|c| c.elite_fraction = -0.5, "elite_fraction is -0.5, but must be between 0 and 1"),
+            (|c| c.selection_fraction = 0.0, "selection_fraction is 0, but must be above 0 and at most 1"),
+            (|c| c.intensity = f64::NAN, "intensity is NaN, but must be finite and not negative"),
+            (|c| c.initial_mutation_rate = 1.5, "initial_mutation_rate is 1.5, but must be between 0 and 1"),
+            (|c| c.mutation_rates[2] = -0.1, "mutation_rates is -0.1, but must be between 0 and 1"),
+            (|c| c.crossover_rates[0] = f64::NAN, "crossover_rates is NaN, but must be between 0 and 1"),
+            (|c| c.rate_breaks = [0.7, 0.3], "rate_breaks is 0.3, but must be in ascending order"),
+            (
+                |c| c.crossover = Crossover::Points { points: 0 },
+                "crossover.points is 0, but must be at least 1",
+            ),
+        ];
+        for (change, sentence) in changes {
+            let mut config = PaperConfig::default();
+            change(&mut config);
+            assert_eq!(config.validate().map_err(|error| error.to_string()), Err(sentence.to_owned()));
+        }
+    }
+}

@@ -1,0 +1,284 @@
+//! Algorithm 1 of the paper, asked and told.
+//!
+//! Lines 1-6 are [`GeneticAlgorithm::new`]; lines 7-10 and 22-26 are [`GeneticAlgorithm::tell`], which then breeds the next
+//! generation (lines 13-21). "The best individual is better than BG" means a strictly lower loss. BG never feeds back into
+//! breeding, in the paper as here: the population evolves on, and BG remembers.
+
+use std::ops::Range;
+use std::sync::Arc;
+
+use genesplat_core::{Gene, Rng, SparseDelta};
+use rayon::prelude::*;
+
+use crate::config::{ConfigError, PaperConfig};
+use crate::individual::Genome;
+use crate::mutation::{GeneGradients, MAX_GAUSSIANS, Mutation, first_non_finite};
+use crate::population::{Breeder, Brood, Elite, MatingPlan, Pair, distinct_bytes};
+use crate::record::{GenerationRecord, LossStatistics};
+use crate::survival::Ranking;
+
+/// A search over the genes of one base. Losses are minimised.
+///
+/// ```text
+/// let mut search = GeneticAlgorithm::new(config, base, gradients, base_loss, rng)?;
+/// while !search.is_finished() {
+///     let losses = (0..search.ask()).map(|index| score(search.delta(index))).collect();
+///     search.tell(&losses)?;
+/// }
+/// if let Some(delta) = search.best() { cloud.apply(delta); }
+/// ```
+#[derive(Debug)]
+pub struct GeneticAlgorithm {
+    config: PaperConfig,
+    breeder: Breeder,
+    /// Generation of the brood; the last one when finished.
+    generation: u32,
+    /// Best first.
+    elites: Vec<Elite>,
+    brood: Brood,
+    base_loss: f64,
+    /// BG: the best individual and its loss, once one is better than the base.
+    best: Option<(SparseDelta, f64)>,
+    logbook: Vec<GenerationRecord>,
+    peak_bytes: usize,
+}
+
+/// Why losses were refused; the search is as it was.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum TellError {
+    /// Not one loss an individual.
+    #[error(
+        "generation {generation} has {expected} individuals without a loss, but {given} losses were given"
+    )]
+    Count {
+        /// The generation.
+        generation: u32,
+        /// [`GeneticAlgorithm::ask`].
+        expected: usize,
+        /// What was given.
+        given: usize,
+    },
+    /// All generations are done.
+    #[error("the search is finished after generation {generation}; take its best individual")]
+    Finished {
+        /// The last generation.
+        generation: u32,
+    },
+}
+
+impl GeneticAlgorithm {
+    /// A search that starts from mutants of `base`.
+    ///
+    /// - `base`: raw genes of every Gaussian `[N, 7]`.
+    /// - `gradients`: accumulated gene gradients of the same Gaussians; needed when
+    ///   [`PaperConfig::uses_gradients`], ignored otherwise.
+    /// - `base_loss`: the loss of `base` itself, measured as individuals will be.
+    /// - `rng`: give each search of a run its own, by [`Rng::fork`].
+    pub fn new(
+        config: PaperConfig,
+        base: Vec<Gene>,
+        gradients: Option<GeneGradients>,
+        base_loss: f64,
+        rng: Rng,
+    ) -> Result<Self, ConfigError> {
+        config.validate()?;
+        check_base(&base, base_loss)?;
+        let mutation = Mutation::new(&config, &base, gradients, rng)?;
+        let breeder = Breeder { base, mutation, crossover: config.crossover, rng };
+        let brood = Brood::Founders { count: config.population };
+        let mut search = Self {
+            config,
+            breeder,
+            generation: 0,
+            elites: Vec::new(),
+            brood,
+            base_loss,
+            best: None,
+            logbook: Vec::new(),
+            peak_bytes: 0,
+        };
+        search.peak_bytes = search.population_bytes();
+        Ok(search)
+    }
+
+    /// How many individuals of this generation have no loss yet: all of the initial population, later all but the elites.
+    /// 0 when the search is finished.
+    pub fn ask(&self) -> usize {
+        self.brood.len() as usize
+    }
+
+    /// Individual `index` of `0..ask()`, made on the spot: ask for as many at a time as memory allows. The same index
+    /// gives the same individual until [`GeneticAlgorithm::tell`].
+    ///
+    /// # Panics
+    /// If `index` is not below [`GeneticAlgorithm::ask`].
+    pub fn delta(&self, index: usize) -> SparseDelta {
+        assert!(index < self.ask(), "individual {index} of a generation of {}", self.ask());
+        self.genome(index as u32).to_delta(&self.breeder.base)
+    }
+
+    /// Several individuals, made in parallel.
+    ///
+    /// # Panics
+    /// As [`GeneticAlgorithm::delta`].
+    pub fn deltas(&self, indices: Range<usize>) -> Vec<SparseDelta> {
+        indices.into_par_iter().map(|index| self.delta(index)).collect()
+    }
+
+    /// Takes the losses of the individuals `0..ask()`, keeps the best if it is strictly better than all before, and breeds
+    /// the next generation, in parallel. A loss that is not finite ranks last.
+    pub fn tell(&mut self, losses: &[f64]) -> Result<&GenerationRecord, TellError> {
+        self.check_losses(losses)?;
+        let elites = self.elites.iter().map(|elite| elite.loss);
+        let ranking = Ranking::new(&elites.chain(losses.iter().copied()).collect::<Vec<f64>>());
+        let improved = self.replace_best(&ranking);
+        let record = self.record(&ranking, improved);
+        if self.generation == self.config.generations {
+            (self.elites, self.brood) = (Vec::new(), Brood::NONE);
+        } else {
+            self.breed(&ranking);
+        }
+        Ok(self.logbook.push_mut(record))
+    }
+
+    /// True when all generations are done.
+    pub fn is_finished(&self) -> bool {
+        self.ask() == 0
+    }
+
+    /// The generation that [`GeneticAlgorithm::ask`] speaks of, 0 for the initial population; the last when finished.
+    pub fn generation(&self) -> u32 {
+        self.generation
+    }
+
+    /// The best individual so far as a difference from the base, if any is strictly better than the base.
+    pub fn best(&self) -> Option<&SparseDelta> {
+        self.best.as_ref().map(|(delta, _)| delta)
+    }
+
+    /// The lowest loss so far, the base's included.
+    pub fn best_loss(&self) -> f64 {
+        self.best.as_ref().map_or(self.base_loss, |(_, loss)| *loss)
+    }
+
+    /// The loss of the base.
+    pub fn base_loss(&self) -> f64 {
+        self.base_loss
+    }
+
+    /// The settings.
+    pub fn config(&self) -> &PaperConfig {
+        &self.config
+    }
+
+    /// A record of each generation that was told.
+    pub fn logbook(&self) -> &[GenerationRecord] {
+        &self.logbook
+    }
+
+    /// Bytes that the search holds now, its copy of the base's genes included; [`crate::population`] states how they grow.
+    pub fn population_bytes(&self) -> usize {
+        self.bytes_with(&[])
+    }
+
+    /// The most it has held, which is while two generations of parents are alive.
+    pub fn peak_population_bytes(&self) -> usize {
+        self.peak_bytes
+    }
+
+    fn bytes_with(&self, next_parents: &[Arc<Genome>]) -> usize {
+        let elites = self.elites.iter().map(|elite| &elite.genome);
+        let genomes = distinct_bytes(elites.chain(self.brood.parents()).chain(next_parents));
+        genomes + self.breeder.bytes() + self.best().map_or(0, SparseDelta::bytes)
+    }
+
+    fn check_losses(&self, losses: &[f64]) -> Result<(), TellError> {
+        let generation = self.generation;
+        match (self.ask(), losses.len()) {
+            (0, _) => Err(TellError::Finished { generation }),
+            (expected, given) if expected != given => Err(TellError::Count { generation, expected, given }),
+            _ => Ok(()),
+        }
+    }
+
+    /// Lines 8-10 and 23-25. Elites are never better than what they were remembered for, so a new best is a new child.
+    fn replace_best(&mut self, ranking: &Ranking) -> bool {
+        let improved = ranking.finite().first().is_some_and(|&loss| loss < self.best_loss());
+        if improved {
+            let genome = self.individual(ranking.individual(0));
+            self.best = Some((genome.to_delta(&self.breeder.base), ranking.loss(0)));
+        }
+        improved
+    }
+
+    /// Lines 13-21: which ranks breed is decided first; then only their genomes are made; then the recipes of the children.
+    fn breed(&mut self, ranking: &Ranking) {
+        let generation = self.generation + 1;
+        let plan = MatingPlan::draw(&self.config, &self.breeder.rng, generation);
+        let kept: Vec<Arc<Genome>> =
+            plan.kept.par_iter().map(|&rank| self.individual(ranking.individual(rank))).collect();
+        self.peak_bytes = self.peak_bytes.max(self.bytes_with(&kept));
+        let of_rank = |rank: u32| {
+            let slot = plan.kept.partition_point(|&kept| kept < rank);
+            Arc::clone(&kept[slot])
+        };
+        let elites = self.config.elites();
+        let pairs = plan
+            .pairs
+            .iter()
+            .map(|&(ranks, crossed)| Pair { parents: ranks.map(of_rank), crossed })
+            .collect();
+        self.elites =
+            (0..elites).map(|rank| Elite { genome: of_rank(rank), loss: ranking.loss(rank) }).collect();
+        self.brood = Brood::Children { count: self.config.population - elites, pairs };
+        self.generation = generation;
+    }
+
+    /// Individual `index` of the whole population: elites first, then the brood.
+    fn individual(&self, index: usize) -> Arc<Genome> {
+        match self.elites.get(index) {
+            Some(elite) => Arc::clone(&elite.genome),
+            None => Arc::new(self.genome((index - self.elites.len()) as u32)),
+        }
+    }
+
+    fn genome(&self, index: u32) -> Genome {
+        let rate = self.config.rates(self.generation).mutation;
+        self.breeder.genome(&self.brood, self.generation, index, rate)
+    }
+
+    fn record(&self, ranking: &Ranking, improved: bool) -> GenerationRecord {
+        let LossStatistics { best, mean, median, worst, std } = LossStatistics::of(ranking);
+        let mut parents: Vec<_> = self.brood.parents().map(Arc::as_ptr).collect();
+        parents.sort_unstable();
+        parents.dedup();
+        GenerationRecord {
+            generation: self.generation,
+            evaluations: self.logbook.last().map_or(0, |record| record.evaluations) + self.ask() as u64,
+            best,
+            mean,
+            median,
+            worst,
+            std,
+            non_finite: self.config.population as usize - ranking.finite().len(),
+            best_so_far: self.best_loss(),
+            improved,
+            changed_rows: self.best().map_or(0, |delta| delta.rows.len()),
+            parents: parents.len(),
+        }
+    }
+}
+
+fn check_base(base: &[Gene], base_loss: f64) -> Result<(), ConfigError> {
+    if base.len() > MAX_GAUSSIANS {
+        return Err(ConfigError::TooManyGaussians { rows: base.len(), limit: MAX_GAUSSIANS });
+    }
+    if !base_loss.is_finite() {
+        return Err(ConfigError::BaseLossNotFinite { loss: base_loss });
+    }
+    match first_non_finite(base) {
+        Some(row) => Err(ConfigError::BaseNotFinite { row }),
+        None => Ok(()),
+    }
+}

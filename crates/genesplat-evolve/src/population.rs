@@ -1,0 +1,201 @@
+//! How a population is stored: only individuals that breed are kept; all others are recipes.
+//!
+//! A million Gaussians times seven genes times a hundred individuals would be 2.8 GB, and twice that while the next
+//! generation is bred. Three things keep a search far below it:
+//!
+//! 1. An individual is a difference from the shared base, group by group: `3/8` byte a Gaussian for three columns of
+//!    bits, and 12, 12 and 4 bytes for each position, scale and opacity that differs.
+//! 2. A child that has not been judged is a *recipe*: two parents and the address of its random numbers, a few dozen
+//!    bytes. Its genes are made when it is asked for, and made again, bit for bit the same, if it is chosen to breed.
+//! 3. Tournaments choose few: of P = 100 with T = 10 and 10 elites, about 26 distinct individuals breed or are carried
+//!    over. Elites are shared between generations, not copied.
+//!
+//! **Growth law.** With selection fraction `f` and mutation rates `m_j`, a gene group of a Gaussian differs from the base
+//! after generation `k` with probability at most `rho_k = 1 - (1 - f m_0) · ... · (1 - f m_k)`: crossover only moves
+//! differences about, and elites gain none. A kept individual takes `N (3/8 + 28 rho_k)` bytes, and `D` distinct
+//! individuals are kept, `2 D` while the next parents are made from the old ones. At the paper's settings `rho` is 0.003
+//! at the beginning, 0.37 after 30 generations and 0.51 after 100, so that a million Gaussians take at most
+//! `2 · 26 · 14.7 MB = 0.76 GB` for a moment at the very end, if every generation descends from the last one's children and
+//! never from an elite; a search in which elites hold out takes a fraction. It does not depend on P except through `D`,
+//! which grows as the tournament shrinks: T = 2 keeps about two thirds of P.
+//!
+//! **Time.** A child costs one pass over its columns (a copy, for cuts between rows) and one random word a Gaussian for
+//! the selection; those that breed cost it twice.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use genesplat_core::{Gene, Rng};
+
+use crate::config::{Crossover, PaperConfig};
+use crate::crossover::{Inheritance, is_crossed};
+use crate::individual::{Genome, Parents};
+use crate::mutation::Mutation;
+use crate::sampling::Address;
+use crate::selection::parent_ranks;
+
+/// An individual carried over, and its loss, which is not asked for again.
+#[derive(Clone, Debug)]
+pub(crate) struct Elite {
+    pub(crate) genome: Arc<Genome>,
+    pub(crate) loss: f64,
+}
+
+/// Two parents of two children.
+#[derive(Clone, Debug)]
+pub(crate) struct Pair {
+    pub(crate) parents: [Arc<Genome>; 2],
+    /// Otherwise the children start as copies, one of each parent.
+    pub(crate) crossed: bool,
+}
+
+/// The individuals of a generation that have no loss yet, as recipes.
+#[derive(Clone, Debug)]
+pub(crate) enum Brood {
+    /// Mutants of the base.
+    Founders {
+        /// How many.
+        count: u32,
+    },
+    /// Children `2 i` and `2 i + 1` are of pair `i`; of an odd count, the second child of the last pair is dropped.
+    Children {
+        /// How many.
+        count: u32,
+        /// Their parents.
+        pairs: Vec<Pair>,
+    },
+}
+
+impl Brood {
+    /// No individual: the search is over.
+    pub(crate) const NONE: Self = Self::Founders { count: 0 };
+
+    /// Number of individuals.
+    pub(crate) fn len(&self) -> u32 {
+        match self {
+            Self::Founders { count } | Self::Children { count, .. } => *count,
+        }
+    }
+
+    /// The individuals that the recipes refer to, with repetitions.
+    pub(crate) fn parents(&self) -> impl Iterator<Item = &Arc<Genome>> {
+        let pairs: &[Pair] = match self {
+            Self::Founders { .. } => &[],
+            Self::Children { pairs, .. } => pairs,
+        };
+        pairs.iter().flat_map(|pair| &pair.parents)
+    }
+}
+
+/// Which ranks breed a generation: decided before any genome is made, so that only theirs are.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct MatingPlan {
+    /// Ranks of both parents, and whether they are crossed.
+    pub(crate) pairs: Vec<([u32; 2], bool)>,
+    /// Ranks that are needed as parents or as elites, ascending.
+    pub(crate) kept: Vec<u32>,
+}
+
+impl MatingPlan {
+    /// Two tournaments and one coin a pair, until there are enough children.
+    pub(crate) fn draw(config: &PaperConfig, rng: &Rng, generation: u32) -> Self {
+        let children = config.population - config.elites();
+        let rate = config.rates(generation).crossover;
+        let pair = |pair| {
+            let ranks = parent_ranks(rng, generation, pair, config.population, config.tournament);
+            (ranks, is_crossed(rng, generation, pair, rate))
+        };
+        let pairs: Vec<([u32; 2], bool)> = (0..children.div_ceil(2)).map(pair).collect();
+        let mut kept: Vec<u32> =
+            pairs.iter().flat_map(|(ranks, _)| *ranks).chain(0..config.elites()).collect();
+        kept.sort_unstable();
+        kept.dedup();
+        Self { pairs, kept }
+    }
+}
+
+/// Makes genomes from recipes.
+#[derive(Debug)]
+pub(crate) struct Breeder {
+    pub(crate) base: Vec<Gene>,
+    pub(crate) mutation: Mutation,
+    pub(crate) crossover: Crossover,
+    pub(crate) rng: Rng,
+}
+
+impl Breeder {
+    /// Individual `index` of a brood: crossover, then mutation, by the paper's order.
+    pub(crate) fn genome(&self, brood: &Brood, generation: u32, index: u32, mutation_rate: f64) -> Genome {
+        let address = Address { generation, individual: index };
+        let mutate = |parents: Parents<'_>| self.mutation.apply(parents, &self.base, address, mutation_rate);
+        match brood {
+            Brood::Founders { .. } => mutate(Parents::One(&Genome::base(self.base.len()))),
+            Brood::Children { pairs, .. } => {
+                let (pair, child) = (index / 2, index as usize % 2);
+                let Pair { parents, crossed } = &pairs[pair as usize];
+                let (own, other) = (&parents[child], &parents[1 - child]);
+                if !crossed {
+                    return mutate(Parents::One(own));
+                }
+                let n = self.base.len() as u32;
+                let inheritance = Inheritance::draw(self.crossover, &self.rng, generation, pair, n);
+                mutate(Parents::Crossed(own, other, &inheritance))
+            }
+        }
+    }
+
+    /// Bytes of the base and of the gradients' signal.
+    pub(crate) fn bytes(&self) -> usize {
+        self.base.capacity() * size_of::<Gene>() + self.mutation.bytes()
+    }
+}
+
+/// Bytes of some genomes, each counted once however often it is shared.
+pub(crate) fn distinct_bytes<'a>(genomes: impl Iterator<Item = &'a Arc<Genome>>) -> usize {
+    let by_address: BTreeMap<*const Genome, usize> =
+        genomes.map(|genome| (Arc::as_ptr(genome), genome.bytes())).collect();
+    by_address.values().sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_plan_keeps_elites_and_parents_and_no_one_else() {
+        let config =
+            PaperConfig { population: 31, tournament: 4, elite_fraction: 0.2, ..PaperConfig::default() };
+        let plan = MatingPlan::draw(&config, &Rng::new(4), 9);
+        assert_eq!((config.elites(), plan.pairs.len()), (6, 13), "25 children of 13 pairs");
+        let is_parent = |rank: &u32| plan.pairs.iter().any(|(ranks, _)| ranks.contains(rank));
+        assert!((0..31).all(|rank| plan.kept.contains(&rank) == (rank < 6 || is_parent(&rank))));
+        assert!(plan.kept.is_sorted());
+    }
+
+    /// The `D` of the module's growth law: the expectation is
+    /// `E + sum over ranks r >= E of 1 - (1 - C(P-1-r, T-1) / C(P, T))^(P-E)`.
+    #[test]
+    fn about_a_quarter_of_the_papers_population_is_kept() {
+        let config = PaperConfig::default();
+        let kept: Vec<f64> = (1..=200)
+            .map(|generation| MatingPlan::draw(&config, &Rng::new(1), generation).kept.len() as f64)
+            .collect();
+        let mean = kept.iter().sum::<f64>() / kept.len() as f64;
+        let mut expected = 10.0;
+        let mut p = 0.1; // C(99 - r, 9) / C(100, 10) at r = 0
+        for rank in 0..91 {
+            expected += if rank < 10 { 0.0 } else { 1.0 - (1.0f64 - p).powi(90) };
+            p *= f64::from(90 - rank) / f64::from(99 - rank);
+        }
+        assert!((expected - 26.0).abs() < 1.0, "the docs say about 26: {expected}");
+        assert!((mean - expected).abs() < 0.5, "{mean} {expected}");
+    }
+
+    #[test]
+    fn shared_genomes_are_counted_once() {
+        let genome = Arc::new(Genome::base(1000));
+        let other = Arc::new(Genome::base(1000));
+        let bytes = genome.bytes();
+        assert_eq!(distinct_bytes([&genome, &genome, &other].into_iter()), 2 * bytes);
+    }
+}

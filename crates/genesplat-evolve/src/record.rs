@@ -1,0 +1,73 @@
+//! The logbook: one record a generation.
+
+use serde::Serialize;
+
+use crate::survival::Ranking;
+
+/// What a generation's losses were. Statistics are over the whole population, elites included, and over finite losses
+/// only; where there is none they are NaN (`null` in JSON).
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct GenerationRecord {
+    /// 0 for the initial population, then 1 to K.
+    pub generation: u32,
+    /// Individuals scored so far, this generation included.
+    pub evaluations: u64,
+    /// Lowest loss of the generation.
+    pub best: f64,
+    /// Mean loss.
+    pub mean: f64,
+    /// Median loss (of an even number, the mean of the middle two).
+    pub median: f64,
+    /// Highest finite loss.
+    pub worst: f64,
+    /// Population standard deviation of the losses.
+    pub std: f64,
+    /// Losses that were NaN or infinite.
+    pub non_finite: usize,
+    /// Lowest loss so far, the base's included: never rises.
+    pub best_so_far: f64,
+    /// This generation lowered it.
+    pub improved: bool,
+    /// Gaussians in which the best so far differs from the base; 0 while that is the base itself.
+    pub changed_rows: usize,
+    /// Distinct individuals that bred this generation: a measure of diversity. 0 for the initial population.
+    pub parents: usize,
+}
+
+/// Statistics of a generation's losses.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct LossStatistics {
+    pub(crate) best: f64,
+    pub(crate) mean: f64,
+    pub(crate) median: f64,
+    pub(crate) worst: f64,
+    pub(crate) std: f64,
+}
+
+impl LossStatistics {
+    pub(crate) fn of(ranking: &Ranking) -> Self {
+        let losses = ranking.finite();
+        let (Some(&best), Some(&worst)) = (losses.first(), losses.last()) else {
+            return Self { best: f64::NAN, mean: f64::NAN, median: f64::NAN, worst: f64::NAN, std: f64::NAN };
+        };
+        let n = losses.len();
+        let mean = losses.iter().sum::<f64>() / n as f64;
+        let variance = losses.iter().map(|loss| (loss - mean).powi(2)).sum::<f64>() / n as f64;
+        let median = f64::midpoint(losses[(n - 1) / 2], losses[n / 2]);
+        Self { best, mean, median, worst, std: variance.sqrt() }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn statistics_are_over_finite_losses() {
+        let statistics = LossStatistics::of(&Ranking::new(&[8.0, f64::NAN, 2.0, 4.0, 2.0]));
+        let expected = LossStatistics { best: 2.0, mean: 4.0, median: 3.0, worst: 8.0, std: 6f64.sqrt() };
+        assert_eq!(statistics, expected);
+        assert_eq!(LossStatistics::of(&Ranking::new(&[5.0, 1.0, 3.0])).median, 3.0);
+        assert!(LossStatistics::of(&Ranking::new(&[f64::NAN])).mean.is_nan());
+    }
+}

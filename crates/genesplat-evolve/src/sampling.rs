@@ -1,0 +1,97 @@
+//! Exact random subsets, each a pure function of its address.
+
+use std::collections::BTreeSet;
+
+use genesplat_core::{Rng, Stream};
+
+/// Who a random number belongs to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Address {
+    /// 0 for the initial population.
+    pub(crate) generation: u32,
+    /// Position among the individuals that this generation adds (elites do not count).
+    pub(crate) individual: u32,
+}
+
+/// `wanted` of the rows `0..total`, ascending; every subset is equally likely.
+///
+/// Knuth's algorithm S (The Art of Computer Programming 2, section 3.4.2): a row is taken with probability
+/// `still wanted / rows left`. One word a row, four rows a call of the generator.
+pub(crate) fn choose_rows(rng: &Rng, address: Address, total: u32, wanted: u32) -> Vec<u32> {
+    let mut chosen = Vec::with_capacity(wanted as usize);
+    let mut missing = wanted;
+    for block in 0..total.div_ceil(4) {
+        let draw = rng.at(Stream::GeneSelection, address.generation, address.individual, block);
+        for (lane, row) in (4 * block..total.min(4 * block + 4)).enumerate() {
+            if draw.below(lane, total - row) < missing {
+                chosen.push(row);
+                missing -= 1;
+            }
+        }
+        if missing == 0 {
+            break;
+        }
+    }
+    chosen
+}
+
+/// `wanted` distinct numbers of `0..total`; every subset is equally likely. `below(k, n)` is draw `k`, in `0..n`.
+///
+/// Floyd's algorithm (Bentley and Floyd, "A sample of brilliance", CACM 1987): one draw each, whatever `total` is.
+pub(crate) fn distinct(total: u32, wanted: u32, below: impl Fn(u32, u32) -> u32) -> BTreeSet<u32> {
+    let mut sample = BTreeSet::new();
+    for (draw, last) in (total - wanted..total).enumerate() {
+        let pick = below(draw as u32, last + 1);
+        if !sample.insert(pick) {
+            sample.insert(last);
+        }
+    }
+    sample
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use genesplat_core::Rng;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn exactly_as_many_rows_as_wanted(seed in any::<u64>(), total in 0u32..300, share in 0.0f64..=1.0) {
+            let wanted = (share * f64::from(total)).round() as u32;
+            let rows = choose_rows(&Rng::new(seed), Address { generation: 1, individual: 2 }, total, wanted);
+            prop_assert_eq!(rows.len() as u32, wanted);
+            prop_assert!(rows.windows(2).all(|pair| pair[0] < pair[1]));
+            prop_assert!(rows.iter().all(|&row| row < total));
+        }
+
+        #[test]
+        fn a_sample_is_distinct(seed in any::<u64>(), total in 1u32..60, share in 0.0f64..=1.0) {
+            let wanted = (share * f64::from(total)).round() as u32;
+            let rng = Rng::new(seed);
+            let sample = distinct(total, wanted, |k, n| rng.at(Stream::Test, 0, 0, k).below(0, n));
+            prop_assert_eq!(sample.len() as u32, wanted);
+            prop_assert!(sample.iter().all(|&value| value < total));
+        }
+    }
+
+    /// Both kinds of subset: how often each of ten items is drawn in 10,000 samples of three.
+    #[test]
+    fn every_item_is_equally_likely() {
+        let rng = Rng::new(5);
+        let mut counts = [[0u32; 10]; 2];
+        for individual in 0..10_000 {
+            for row in choose_rows(&rng, Address { generation: 0, individual }, 10, 3) {
+                counts[0][row as usize] += 1;
+            }
+            for item in distinct(10, 3, |k, n| rng.at(Stream::Test, 0, individual, k).below(0, n)) {
+                counts[1][item as usize] += 1;
+            }
+        }
+        // Four and a half standard errors of a binomial with n = 10,000 and p = 0.3.
+        let bound = 4.5 * (10_000.0f64 * 0.3 * 0.7).sqrt();
+        for count in counts.as_flattened() {
+            assert!((f64::from(*count) - 3000.0).abs() < bound, "{counts:?}");
+        }
+    }
+}

@@ -1,0 +1,45 @@
+//! The contract: a search is a function of its inputs and of the losses it is told. Neither the number of threads nor the
+//! order in which individuals are asked for changes a bit.
+
+mod common;
+
+use common::{normal_base, on_sphere, run, small, sphere};
+use genesplat_core::SparseDelta;
+use genesplat_evolve::{Crossover, GenerationRecord, PaperConfig};
+
+fn result(threads: usize, crossover: Crossover) -> (Option<SparseDelta>, Vec<GenerationRecord>) {
+    let base = normal_base(500);
+    let config = PaperConfig { crossover, ..small(10, 30) };
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads can be started");
+    let search = pool.install(|| run(on_sphere(config, &base, 12), |delta| sphere(&base, delta)));
+    (search.best().cloned(), search.logbook().to_vec())
+}
+
+#[test]
+fn one_two_and_seven_threads_agree_to_the_bit() {
+    for crossover in [Crossover::OnePoint, Crossover::default(), Crossover::Uniform] {
+        let one = result(1, crossover);
+        assert!(one.0.is_some(), "the search must find something for the comparison to mean anything");
+        assert_eq!(one, result(2, crossover));
+        assert_eq!(one, result(7, crossover));
+    }
+}
+
+#[test]
+fn another_seed_gives_another_search() {
+    let base = normal_base(500);
+    let best = |seed| run(on_sphere(small(3, 30), &base, seed), |delta| sphere(&base, delta)).best().cloned();
+    assert_ne!(best(1), best(2));
+    assert_eq!(best(1), best(1));
+}
+
+#[test]
+fn the_order_of_asking_does_not_matter() {
+    let base = normal_base(500);
+    let mut search = on_sphere(small(2, 30), &base, 3);
+    search.tell(&(0..30).map(f64::from).collect::<Vec<f64>>()).expect("one loss each");
+    let forward = search.deltas(0..search.ask());
+    let mut backward: Vec<SparseDelta> = (0..search.ask()).rev().map(|index| search.delta(index)).collect();
+    backward.reverse();
+    assert_eq!(forward, backward);
+}
