@@ -8,6 +8,10 @@ use genesplat_core::{DensitySignal, LearningRates, StatisticsRequest};
 
 use crate::config::{Background, EvolutionMode, OptimiserConfig, TrainConfig, Trigger, Variant};
 
+/// A schedule that densifies more often than this makes the optimiser steps that the reference would lose: one in a
+/// hundred does not matter, but a run compressed until every iteration densifies would never learn anything.
+const LOSING_INTERVAL_MIN: u32 = 10;
+
 /// A part of an iteration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Phase {
@@ -199,9 +203,10 @@ impl Schedule {
     ///
     /// The reference replaces its parameter tensors when it densifies, and that of opacity when it resets; the new ones
     /// have no gradients, so the step that follows does nothing and counters stand still (facts: quirk 2). The last
-    /// iteration makes no step.
+    /// iteration makes no step. Schedules compressed beyond one densification in ten iterations lose none.
     pub fn optimiser_step(&self, i: u32) -> OptimiserStep {
-        if self.is_densify(i) || i >= self.iterations {
+        let loses = self.is_densify(i) && self.densify_every >= LOSING_INTERVAL_MIN;
+        if loses || i >= self.iterations {
             OptimiserStep::Lost
         } else if self.is_reset(i) {
             OptimiserStep::AllButOpacity
@@ -288,6 +293,18 @@ mod tests {
         let made = (1..=30_000).filter(|&i| schedule.optimiser_step(i) == OptimiserStep::All).count();
         assert_eq!(made, 29_855);
         assert_eq!(schedule.optimiser_step(30_000), OptimiserStep::Lost);
+    }
+
+    #[test]
+    fn a_strongly_compressed_schedule_keeps_its_steps() {
+        let made = |scale| {
+            let schedule = schedule(|config| config.steps_scale = scale);
+            let lost =
+                (1..=schedule.iterations).filter(|&i| schedule.optimiser_step(i) == OptimiserStep::Lost);
+            schedule.iterations - lost.count() as u32
+        };
+        assert_eq!(made(0.1), 3000 - 145);
+        assert_eq!(made(0.01), 300 - 1, "which densifies in every iteration from 6 to 149");
     }
 
     #[test]

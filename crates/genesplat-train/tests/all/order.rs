@@ -1,5 +1,5 @@
-//! The order of events, call by call, on a schedule a hundred times shorter than the published one: densification after
-//! 5, every iteration, until 150; resets every 30; size pruning after 30; 300 iterations.
+//! The order of events, call by call, on a schedule ten times shorter than the published one: densification after 50,
+//! every 10, until 1500; resets every 300; size pruning after 300; 3000 iterations.
 
 use std::sync::atomic::AtomicBool;
 
@@ -12,7 +12,7 @@ use genesplat_train::{
 use crate::support::{Call, FakeBackend, added, points, views};
 
 fn short(change: impl FnOnce(&mut TrainConfig)) -> TrainConfig {
-    let mut config = TrainConfig { steps_scale: 0.01, ..TrainConfig::default() };
+    let mut config = TrainConfig { steps_scale: 0.1, ..TrainConfig::default() };
     change(&mut config);
     config
 }
@@ -45,12 +45,12 @@ fn a_run_begins_with_views_and_cloud_and_makes_every_step() {
     let outcome = run(&mut backend, short(|_| {})).unwrap();
     assert_eq!(backend.calls[0], Call::SetViews(7));
     assert_eq!(backend.calls[1], Call::Upload { rows: 20, moments: false, filter: false });
-    assert_eq!(backend.steps().count(), 300);
-    // 6..=149 densify, 300 makes no step: the same 144 + 1 as at full length.
-    assert_eq!(outcome.summary.optimiser_steps, 300 - 144 - 1);
-    assert_eq!(backend.steps().filter(|step| step.update.is_some()).count(), 155);
+    assert_eq!(backend.steps().count(), 3000);
+    // 60, 70, ..., 1490 densify, 3000 makes no step: the same 144 + 1 as at full length.
+    assert_eq!(outcome.summary.optimiser_steps, 3000 - 144 - 1);
+    assert_eq!(backend.steps().filter(|step| step.update.is_some()).count(), 2855);
     assert!(!outcome.summary.interrupted && outcome.checkpoint.is_none());
-    assert_eq!((outcome.summary.iterations, outcome.summary.gaussians), (300, 20));
+    assert_eq!((outcome.summary.iterations, outcome.summary.gaussians), (3000, 20));
 }
 
 #[test]
@@ -59,26 +59,27 @@ fn counters_stand_still_where_steps_are_lost() {
     run(&mut backend, short(|_| {})).unwrap();
     let counters: Vec<Option<(u32, u32)>> =
         backend.steps().map(|step| step.update.map(|update| (update.step, update.opacity_step))).collect();
-    assert_eq!(counters[4], Some((5, 5)));
-    assert_eq!(counters[5], None, "iteration 6 densifies");
-    assert_eq!(counters[148], None, "iteration 149, too");
-    assert_eq!(counters[149], Some((6, 6)), "iteration 150 does not");
-    assert_eq!(counters[298], Some((155, 155)));
-    assert_eq!(counters[299], None, "the last iteration makes no step");
+    assert_eq!(counters[58], Some((59, 59)));
+    assert_eq!(counters[59], None, "iteration 60 densifies");
+    assert_eq!(counters[60], Some((60, 60)));
+    assert_eq!(counters[1489], None, "iteration 1490, too");
+    assert_eq!(counters[1499], Some((1356, 1356)), "iteration 1500 does not");
+    assert_eq!(counters[2998], Some((2855, 2855)));
+    assert_eq!(counters[2999], None, "the last iteration makes no step");
 }
 
 #[test]
 fn the_white_reset_costs_opacity_alone_a_step() {
     let mut backend = FakeBackend::new();
     run(&mut backend, short(|config| config.background = Background::White)).unwrap();
-    let [Call::Step(step), Call::ResetOpacity(ceiling)] = iteration(&backend, 5) else {
-        panic!("iteration 5: {:?}", iteration(&backend, 5))
+    let [Call::Step(step), Call::ResetOpacity(ceiling)] = iteration(&backend, 50) else {
+        panic!("iteration 50: {:?}", iteration(&backend, 50))
     };
     let update = step.update.unwrap();
-    assert_eq!((update.step, update.opacity_step, *ceiling), (5, 0, 0.01));
+    assert_eq!((update.step, update.opacity_step, *ceiling), (50, 0, 0.01));
     assert_eq!(step.settings.background, [1.0; 3]);
-    let later = backend.steps().nth(149).unwrap().update.unwrap();
-    assert_eq!((later.step, later.opacity_step), (6, 5));
+    let later = backend.steps().nth(1499).unwrap().update.unwrap();
+    assert_eq!((later.step, later.opacity_step), (1356, 1355));
 }
 
 #[test]
@@ -89,7 +90,7 @@ fn densification_precedes_the_reset_and_evolution_follows_it() {
         (config.evolution.paper.generations, config.evolution.paper.population) = (2, 12);
     });
     let outcome = run(&mut backend, config).unwrap();
-    let kinds: Vec<&str> = iteration(&backend, 30)
+    let kinds: Vec<&str> = iteration(&backend, 300)
         .iter()
         .map(|call| match call {
             Call::Step(_) => "step",
@@ -104,9 +105,9 @@ fn densification_precedes_the_reset_and_evolution_follows_it() {
     assert_eq!(kinds[..4], ["step", "edit", "reset", "score"]);
     assert_eq!(kinds.last(), Some(&"forget"), "gene sums start anew: {kinds:?}");
     let at: Vec<u32> = outcome.summary.stages.iter().map(|stage| stage.iteration).collect();
-    assert_eq!(at, [30, 60, 90, 120]);
+    assert_eq!(at, [300, 600, 900, 1200]);
     let genes: Vec<bool> = backend.steps().map(|step| step.statistics.genes).collect();
-    assert!(genes[..120].iter().all(|&on| on) && genes[120..].iter().all(|&on| !on));
+    assert!(genes[..1200].iter().all(|&on| on) && genes[1200..].iter().all(|&on| !on));
 }
 
 #[test]
@@ -114,14 +115,14 @@ fn statistics_rates_and_degrees_follow_the_schedule() {
     let mut backend = FakeBackend::new();
     run(&mut backend, short(|_| {})).unwrap();
     let steps: Vec<_> = backend.steps().collect();
-    assert_eq!(steps[148].statistics.density, Some(DensitySignal::Signed));
-    assert_eq!(steps[149].statistics.density, None);
+    assert_eq!(steps[1498].statistics.density, Some(DensitySignal::Signed));
+    assert_eq!(steps[1499].statistics.density, None);
     assert!(steps.iter().all(|step| !step.statistics.genes), "nobody reads gene sums");
-    let degrees = [9, 10, 20, 30, 300].map(|i| steps[i - 1].settings.sh_degree);
+    let degrees = [99, 100, 200, 300, 3000].map(|i| steps[i - 1].settings.sh_degree);
     assert_eq!(degrees, [0, 1, 2, 3, 3]);
     let first = steps[0].update.unwrap().rates;
-    // Extent 2.2; one three-hundredth of the way from 1.6e-4 to 1.6e-6.
-    let expected = 2.2 * 1.6e-4 * 0.01f64.powf(1.0 / 300.0);
+    // Extent 2.2; one three-thousandth of the way from 1.6e-4 to 1.6e-6.
+    let expected = 2.2 * 1.6e-4 * 0.01f64.powf(1.0 / 3000.0);
     assert!((f64::from(first.position) / expected - 1.0).abs() < 1e-6, "{}", first.position);
     assert_eq!((first.opacity, first.sh_rest), (0.05, 1.25e-4));
 }
@@ -143,13 +144,13 @@ fn rows_with_large_gradients_grow_in_the_published_order() {
     let mut backend = FakeBackend::new();
     backend.gradient = |row| if row % 10 == 3 { 3e-4 } else { 1e-4 };
     run(&mut backend, short(|config| config.densify.until = 700)).unwrap();
-    let [Call::Step(_), Call::Edit(edit)] = iteration(&backend, 6) else {
-        panic!("iteration 6: {:?}", iteration(&backend, 6))
+    let [Call::Step(_), Call::Edit(edit)] = iteration(&backend, 60) else {
+        panic!("iteration 60: {:?}", iteration(&backend, 60))
     };
     // Points are 0.1 apart and the extent is 2.2, so all are larger than 0.022 and split.
     let survivors: Vec<u32> = (0..20).filter(|row| row % 10 != 3).collect();
     assert_eq!(edit.sources, [survivors, vec![3, 13, 3, 13]].concat());
-    assert_eq!((added(edit), edit.iteration), (4, 6));
+    assert_eq!((added(edit), edit.iteration), (4, 60));
 }
 
 #[test]
@@ -158,12 +159,12 @@ fn size_prunes_only_after_the_first_reset() {
     let mut config = short(|_| {});
     config.densify.prune_size = 0.08; // 0.176 world units: the line's ends are 0.216 wide, all others 0.141.
     let outcome = run(&mut backend, config).unwrap();
-    let [Call::Step(_), Call::Edit(at_30), Call::ResetOpacity(_)] = iteration(&backend, 30) else {
-        panic!("iteration 30: {:?}", iteration(&backend, 30))
+    let [Call::Step(_), Call::Edit(at_300), Call::ResetOpacity(_)] = iteration(&backend, 300) else {
+        panic!("iteration 300: {:?}", iteration(&backend, 300))
     };
-    assert_eq!(at_30.sources.len(), 20);
-    let Call::Edit(at_31) = &iteration(&backend, 31)[1] else { panic!("iteration 31 does not densify") };
-    assert_eq!(at_31.sources, (1..19).collect::<Vec<u32>>());
+    assert_eq!(at_300.sources.len(), 20);
+    let Call::Edit(at_310) = &iteration(&backend, 310)[1] else { panic!("iteration 310 does not densify") };
+    assert_eq!(at_310.sources, (1..19).collect::<Vec<u32>>());
     assert_eq!(outcome.cloud.len(), 18);
 }
 
@@ -187,14 +188,14 @@ fn mip_splatting_refreshes_its_filter_before_the_reset() {
     let mut backend = FakeBackend::new();
     run(&mut backend, short(|config| config.variant = Variant::MipSplatting)).unwrap();
     assert_eq!(backend.calls[1], Call::Upload { rows: 20, moments: false, filter: true });
-    let at_30 = iteration(&backend, 30);
+    let at_300 = iteration(&backend, 300);
     assert!(
-        matches!(at_30, [Call::Step(_), Call::Edit(_), Call::Filter(20), Call::ResetOpacity(_)]),
-        "{at_30:?}"
+        matches!(at_300, [Call::Step(_), Call::Edit(_), Call::Filter(20), Call::ResetOpacity(_)]),
+        "{at_300:?}"
     );
-    assert!(matches!(iteration(&backend, 150), [Call::Step(_)]), "not at the end of densification");
-    assert!(matches!(iteration(&backend, 298), [Call::Step(_), Call::Filter(20)]));
-    assert!(matches!(iteration(&backend, 299), [Call::Step(_)]), "frozen at the end");
+    assert!(matches!(iteration(&backend, 1500), [Call::Step(_)]), "not at the end of densification");
+    assert!(matches!(iteration(&backend, 2980), [Call::Step(_), Call::Filter(20)]));
+    assert!(matches!(iteration(&backend, 2990), [Call::Step(_)]), "frozen at the end");
 }
 
 #[test]
@@ -244,7 +245,7 @@ fn the_cap_holds_and_is_told_once() {
     assert!(listener.notices[0].contains("50 Gaussians"));
     assert_eq!(listener.densifications.len(), 144);
     assert!(listener.densifications.iter().all(|log| log.gaussians <= 50));
-    assert_eq!(listener.reports, (1..=30).map(|k| 10 * k).collect::<Vec<_>>());
+    assert_eq!(listener.reports, (1..=300).map(|k| 10 * k).collect::<Vec<_>>());
     assert_eq!(listener.clouds, [17]);
 }
 
@@ -254,14 +255,14 @@ fn an_emptied_cloud_is_an_error() {
     config.densify.prune_opacity = 0.2;
     config.densify.reset_opacity = 0.3;
     let error = run(&mut FakeBackend::new(), config).unwrap_err();
-    assert!(matches!(error, TrainError::NothingLeft { iteration: 6 }), "{error}");
+    assert!(matches!(error, TrainError::NothingLeft { iteration: 60 }), "{error}");
 }
 
 #[test]
 fn divergence_is_named() {
     let mut backend = FakeBackend::new();
     let error = run(&mut backend, short(|config| config.optimiser.position_start = 1e300)).unwrap_err();
-    assert!(error.to_string().contains("position that is not finite after 5 optimiser steps"), "{error}");
+    assert!(error.to_string().contains("position that is not finite after 59 optimiser steps"), "{error}");
 }
 
 #[test]

@@ -69,6 +69,7 @@ fn scene() -> (Vec<View>, Vec<View>, Vec<ColouredPoint>) {
 
 fn config(change: impl FnOnce(&mut TrainConfig)) -> Resolved {
     let mut config = TrainConfig { steps_scale: 0.01, ..TrainConfig::default() };
+    config.max_gaussians = Some(600);
     config.evolution.mode = EvolutionMode::Paper;
     (config.evolution.paper.generations, config.evolution.paper.population) = (3, 12);
     change(&mut config);
@@ -93,8 +94,8 @@ fn every_variant_reconstructs_unseen_views() {
     let before = evaluate(&mut untrained, &test, &Default::default(), None, |_, _| {}).unwrap().psnr;
     for variant in Variant::ALL {
         let (outcome, after) = reconstruct(&config(|config| config.variant = variant));
-        // 300 steps at 48x40: measured gains are far larger; a pipeline that steps the wrong way loses.
-        assert!(after > before + 4.0, "{variant}: {before:.2} dB before, {after:.2} dB after");
+        // 300 steps gain 10 dB here; a pipeline that hardly steps, or the wrong way, does not gain 7.
+        assert!(after > before + 7.0, "{variant}: {before:.2} dB before, {after:.2} dB after");
         assert_eq!(outcome.summary.stages.len(), 4);
         assert!(outcome.summary.stages.iter().all(|stage| stage.fitness_after <= stage.fitness_before));
         assert_eq!(outcome.cloud.filter_3d.is_some(), variant == Variant::MipSplatting);
