@@ -1,0 +1,77 @@
+//! The map is the territory: dependencies between crates point only where ARCHITECTURE.md says, and the files that the
+//! documents name exist.
+
+use std::path::{Path, PathBuf};
+
+fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../..")
+}
+
+/// What each crate may depend on.
+const ARROWS: [(&str, &[&str]); 6] = [
+    ("genesplat-core", &[]),
+    ("genesplat-io", &["genesplat-core"]),
+    ("genesplat-kernels", &["genesplat-core"]),
+    ("genesplat-evolve", &["genesplat-core"]),
+    ("genesplat-train", &["genesplat-core", "genesplat-evolve"]),
+    (
+        "genesplat",
+        &["genesplat-core", "genesplat-evolve", "genesplat-io", "genesplat-kernels", "genesplat-train"],
+    ),
+];
+
+/// Crates of this workspace that a manifest depends on (tests may use more).
+fn dependencies(manifest: &str) -> Vec<String> {
+    let manifest: toml::Table = manifest.parse().expect("a manifest is TOML");
+    manifest["dependencies"].as_table().expect("a table").keys().filter(|name| name.starts_with("genesplat")).cloned().collect()
+}
+
+fn forbidden(name: &str, dependencies: &[String]) -> Option<String> {
+    let allowed = ARROWS.iter().find(|(from, _)| *from == name).expect("every crate is in the table").1;
+    dependencies.iter().find(|to| !allowed.contains(&to.as_str())).map(|to| format!("{name} -> {to}"))
+}
+
+#[test]
+fn arrows_between_crates_point_one_way() {
+    let folders = std::fs::read_dir(root().join("crates")).expect("crates");
+    let mut seen = 0;
+    for folder in folders {
+        let folder = folder.expect("readable");
+        let manifest = std::fs::read_to_string(folder.path().join("Cargo.toml")).expect("a manifest");
+        let name = folder.file_name().into_string().expect("UTF-8");
+        assert_eq!(forbidden(&name, &dependencies(&manifest)), None);
+        seen += 1;
+    }
+    assert_eq!(seen, ARROWS.len(), "ARROWS lists every crate");
+}
+
+#[test]
+fn a_forbidden_arrow_is_found() {
+    let planted = "[dependencies]\ngenesplat-core.workspace = true\ngenesplat-kernels.workspace = true\n";
+    assert_eq!(forbidden("genesplat-train", &dependencies(planted)).as_deref(), Some("genesplat-train -> genesplat-kernels"));
+}
+
+/// Paths in backquotes, with a folder or a known ending.
+fn named_paths(text: &str) -> Vec<String> {
+    text.split('`')
+        .skip(1)
+        .step_by(2)
+        .filter(|word| word.ends_with(".rs") || word.ends_with(".md") || word.ends_with(".toml"))
+        .filter(|word| word.contains('/') && !word.contains(' ') && !word.contains('*') && !word.starts_with(".."))
+        .map(str::to_owned)
+        .collect()
+}
+
+#[test]
+fn documents_name_files_that_exist() {
+    let mut seen = 0;
+    for document in ["README.md", "ARCHITECTURE.md", "CONTRIBUTING.md", "CHANGELOG.md"] {
+        let text = std::fs::read_to_string(root().join(document)).expect(document);
+        for path in named_paths(&text) {
+            assert!(root().join(&path).exists(), "{document} names {path}, which is not there");
+            seen += 1;
+        }
+    }
+    assert!(seen > 5, "the search finds paths: {seen}");
+    assert_eq!(named_paths("see `a/b.rs` and `c d/e.rs` and `x`"), ["a/b.rs"]);
+}
