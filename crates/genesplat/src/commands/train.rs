@@ -1,0 +1,54 @@
+//! `genesplat train`: a scene in, a run folder out.
+
+use std::time::Instant;
+
+use anyhow::Result;
+
+use crate::args::TrainArgs;
+use crate::run_folder::RunFolder;
+use crate::settings::Settings;
+use crate::training::{Finished, Run};
+use crate::{device, interrupt, output, scene};
+
+/// Trains. The folder is proved writable before anything slow begins.
+pub fn run(args: &TrainArgs) -> Result<()> {
+    let began = Instant::now();
+    let settings = Settings::of_training(args)?;
+    let folder = if args.resume { RunFolder::reopen } else { RunFolder::create };
+    let folder = folder(&args.out, &settings.to_toml())?;
+    device::use_threads(settings.threads)?;
+    let stop = interrupt::stop_flag()?;
+    let config = settings.train.config();
+    let scene =
+        scene::load(&args.dataset, settings.dataset.size(), config.background.fixed_colour(), config.seed)?;
+    let load = (began.elapsed().as_secs_f64(), began);
+    let run =
+        Run { settings: &settings, scene: &scene, folder: &folder, resume: args.resume, stop: &stop, load };
+    report(&run.execute()?, &folder)
+}
+
+fn report(finished: &Finished, folder: &RunFolder) -> Result<()> {
+    let metrics = &finished.metrics;
+    for (name, scores) in [("test", &metrics.test), ("train", &metrics.train)] {
+        if scores.views.is_empty() {
+            output::print(&format!("{name:<6} no photos"))?;
+        } else {
+            let (psnr, ssim, photos) = (scores.psnr, scores.ssim, scores.views.len());
+            output::print(&format!("{name:<6} PSNR {psnr:.2} dB  SSIM {ssim:.4}  ({photos} photos)"))?;
+        }
+    }
+    output::print(&format!(
+        "{} Gaussians after {} iterations in {:.0} s: {}",
+        metrics.gaussians,
+        metrics.iterations,
+        metrics.seconds.total,
+        folder.cloud_path().display()
+    ))?;
+    if finished.interrupted {
+        let last = metrics.iterations;
+        output::print(&format!(
+            "stopped after iteration {last}; the same command with --resume goes on from there"
+        ))?;
+    }
+    Ok(())
+}

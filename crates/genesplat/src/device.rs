@@ -1,0 +1,45 @@
+//! Where the numbers are crunched.
+
+use anyhow::{Result, anyhow, bail};
+use clap::ValueEnum;
+use genesplat::kernels::cpu::CpuBackend;
+use serde::{Deserialize, Serialize};
+
+/// A choice of device.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Device {
+    /// The best that this build and this machine have.
+    #[default]
+    Auto,
+    /// All cores of the processor.
+    Cpu,
+    /// A graphics card; this build has no backend for one yet.
+    Gpu,
+}
+
+impl Device {
+    /// The device that is meant, once it is clear that there is one.
+    pub fn resolve(self) -> Result<Self> {
+        match self {
+            Self::Auto => {
+                eprintln!("device: CPU (auto: this build has no GPU backend)");
+                Ok(Self::Cpu)
+            }
+            Self::Cpu => Ok(Self::Cpu),
+            Self::Gpu => bail!("this build of genesplat has no GPU backend; use --device cpu"),
+        }
+    }
+}
+
+/// An empty backend, for a run with `seed`.
+pub fn open(seed: u64) -> CpuBackend {
+    CpuBackend::new(seed)
+}
+
+/// Sets the number of threads of everything that follows; `None` takes all cores.
+pub fn use_threads(threads: Option<usize>) -> Result<()> {
+    rayon::ThreadPoolBuilder::new().num_threads(threads.unwrap_or(0)).build_global().map_err(|error| {
+        anyhow!("cannot start {} threads: {error}; use fewer --threads", threads.unwrap_or(0))
+    })
+}

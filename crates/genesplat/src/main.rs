@@ -1,0 +1,46 @@
+//! The `genesplat` command: a table of contents.
+//!
+//! | module | what it does |
+//! |---|---|
+//! | [`args`] | what can be asked for, and its help |
+//! | [`commands`] | one module a command |
+//! | [`settings`] | flags, configuration file and defaults become one resolved configuration |
+//! | [`training`] | one run from a loaded scene to a finished run folder |
+//! | [`run_folder`], [`metrics`] | what a run leaves behind |
+//! | [`reporter`], [`progress`] | what a run tells while it is under way |
+//! | [`device`], [`interrupt`], [`memory`], [`scene`], [`output`] | the machine, Ctrl-C, and other plumbing |
+//!
+//! Exit status: 0 done, 1 failed with one sentence on stderr, 2 wrong usage.
+
+mod args;
+mod commands;
+mod device;
+mod interrupt;
+mod memory;
+mod metrics;
+mod output;
+mod progress;
+mod reporter;
+mod run_folder;
+mod scene;
+mod settings;
+mod training;
+
+use std::panic;
+use std::process::ExitCode;
+
+use clap::Parser;
+
+fn main() -> ExitCode {
+    output::explain_panics();
+    let arguments = args::Arguments::parse();
+    match panic::catch_unwind(|| commands::run(arguments)) {
+        Ok(Ok(())) => ExitCode::SUCCESS,
+        Ok(Err(error)) => {
+            eprintln!("{}", output::error_line(&error));
+            ExitCode::FAILURE
+        }
+        // The hook has explained it already.
+        Err(_) => ExitCode::FAILURE,
+    }
+}

@@ -1,0 +1,49 @@
+//! The figures of a run: `metrics.json`.
+
+use genesplat::train::evaluate::Evaluation;
+use genesplat::train::{EvolutionMode, StageRecord, Variant};
+use serde::Serialize;
+
+/// `metrics.json`; keys are fixed.
+#[derive(Clone, Debug, Serialize)]
+pub struct Metrics {
+    /// Version of this layout.
+    pub schema: u32,
+    /// Name of the scene's folder.
+    pub dataset: String,
+    /// Which method was trained.
+    pub variant: Variant,
+    /// What ran after opacity resets.
+    pub evolve: EvolutionMode,
+    /// Seed of all random streams.
+    pub seed: u64,
+    /// Iterations completed.
+    pub iterations: u32,
+    /// Gaussians at the end.
+    pub gaussians: usize,
+    /// Photos that training never saw.
+    pub test: Evaluation,
+    /// Photos that it saw.
+    pub train: Evaluation,
+    /// Wall-clock seconds.
+    pub seconds: PhaseSeconds,
+    /// Most memory held at once; `null` where the system does not tell.
+    pub peak_memory_bytes: Option<u64>,
+    /// One entry an evolution stage.
+    pub evolution: Vec<StageRecord>,
+}
+
+/// Wall-clock seconds of a run, those before a resume included.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+pub struct PhaseSeconds {
+    /// Reading cameras, points and photos.
+    pub load: f64,
+    /// Gradient steps and density control.
+    pub gradient: f64,
+    /// Evolution stages.
+    pub evolution: f64,
+    /// Rendering and scoring at the end.
+    pub evaluate: f64,
+    /// All of it, writing included.
+    pub total: f64,
+}

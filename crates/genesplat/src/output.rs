@@ -1,0 +1,51 @@
+//! What the command says: results on stdout, errors as one line on stderr.
+
+use std::io::{self, ErrorKind, Write};
+use std::panic;
+
+use anyhow::{Result, anyhow};
+
+/// Writes `text` and a line break to stdout. A reader that has heard enough (`| head`) is no error.
+pub fn print(text: &str) -> Result<()> {
+    match writeln!(io::stdout().lock(), "{text}") {
+        Err(error) if error.kind() != ErrorKind::BrokenPipe => {
+            Err(anyhow!("cannot write to stdout: {error}"))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// `error` as the one line that scripts may rely on.
+///
+/// Only the outermost sentence is shown: the typed errors of all crates include their cause in it.
+pub fn error_line(error: &anyhow::Error) -> String {
+    let sentence = error.to_string();
+    format!("error: {}", sentence.split_whitespace().collect::<Vec<_>>().join(" "))
+}
+
+/// Replaces the panic message by one that a user can act on.
+pub fn explain_panics() {
+    panic::set_hook(Box::new(|info| eprintln!("{}", bug_line(&info.to_string()))));
+}
+
+fn bug_line(panic: &str) -> String {
+    let detail = panic.split_whitespace().collect::<Vec<_>>().join(" ");
+    format!(
+        "error: this is a bug in genesplat {}, not a mistake of yours: {detail}; please report this line and the command \
+         that you ran to the project's issue tracker",
+        env!("CARGO_PKG_VERSION")
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn errors_and_bugs_are_one_line() {
+        let error = anyhow!("line 1: unknown field\n  in `evolution`");
+        assert_eq!(error_line(&error), "error: line 1: unknown field in `evolution`");
+        let bug = bug_line("panicked at src/x.rs:1:2:\nindex out of bounds");
+        assert!(bug.lines().count() == 1 && bug.contains("src/x.rs:1:2: index out of bounds"), "{bug}");
+    }
+}

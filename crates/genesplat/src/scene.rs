@@ -1,0 +1,46 @@
+//! Scenes, as the command loads them.
+
+use std::path::Path;
+
+use anyhow::Result;
+use genesplat::core::View;
+use genesplat::io::{LoadOptions, PhotoSize, Scene, load_scene};
+use genesplat::train::initialise::ColouredPoint;
+
+use crate::progress::LoadBar;
+
+/// Loads a scene with a progress bar, and passes its notices on.
+pub fn load(path: &Path, size: PhotoSize, background: [f32; 3], seed: u64) -> Result<Scene> {
+    let background = background.map(|value| (255.0 * value).round() as u8);
+    let options = LoadOptions { size, background, seed, ..LoadOptions::default() };
+    let scene = load_scene(path, &options, &LoadBar::default())?;
+    scene.notices.iter().for_each(|notice| eprintln!("notice: {notice}"));
+    Ok(scene)
+}
+
+/// The points that training starts from.
+pub fn points(scene: &Scene) -> Vec<ColouredPoint> {
+    scene.points.iter().map(|point| (point.position, point.rgb)).collect()
+}
+
+/// File names for pictures of `views`: `0001.jpg` becomes `0001.png`. Where two photos differ in their ending only, all
+/// names keep theirs (`0001.jpg.png`).
+pub fn picture_names(views: &[View]) -> Vec<String> {
+    let mut stems: Vec<&str> = views.iter().map(|view| stem(&view.name)).collect();
+    let short: Vec<String> = stems.iter().map(|stem| format!("{stem}.png")).collect();
+    stems.sort_unstable();
+    if stems.windows(2).all(|pair| pair[0] != pair[1]) {
+        return short;
+    }
+    views.iter().map(|view| format!("{}.png", view.name)).collect()
+}
+
+/// A photo's name without the ending of a picture format.
+pub fn stem(name: &str) -> &str {
+    match name.rsplit_once('.') {
+        Some((stem, end)) if ["png", "jpg", "jpeg"].iter().any(|known| end.eq_ignore_ascii_case(known)) => {
+            stem
+        }
+        _ => name,
+    }
+}

@@ -1,0 +1,191 @@
+//! Flags, configuration file and defaults become one resolved configuration.
+//!
+//! A flag wins over the file, the file over the default. What comes out is written to the run folder as `config.toml`,
+//! which is itself such a file: the settings of training at the top level, and beside them `device`, `threads` and a
+//! table `dataset`.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Result, anyhow, bail};
+use genesplat::io::PhotoSize;
+use genesplat::train::{Resolved, TrainConfig};
+use serde::{Deserialize, Serialize};
+
+use crate::args::{EvolutionArgs, ScheduleArgs, SizeArgs, TrainArgs};
+use crate::device::Device;
+use crate::run_folder::RunFolder;
+
+/// Iterations between two checkpoints, where neither flag nor file says.
+const CHECKPOINT_EVERY: u32 = 1000;
+
+/// Everything that a run depends on.
+#[derive(Clone, Debug)]
+pub struct Settings {
+    /// The scene's folder and the size of its photos.
+    pub dataset: Dataset,
+    /// Never `Auto`.
+    pub device: Device,
+    /// `None` for all cores.
+    pub threads: Option<usize>,
+    /// The settings of training, checked.
+    pub train: Resolved,
+}
+
+/// Where the photos are and how large they are loaded.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Dataset {
+    /// The scene's folder, as it was given.
+    pub path: PathBuf,
+    /// Longest side, px.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub max_side: Option<u32>,
+    /// Divisor of both sides.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub downscale: Option<u32>,
+}
+
+impl Dataset {
+    /// The size that photos are loaded at.
+    pub fn size(&self) -> PhotoSize {
+        SizeArgs { max_side: self.max_side, downscale: self.downscale }.size().unwrap_or_default()
+    }
+
+    fn override_size(&mut self, size: SizeArgs) {
+        if size.size().is_some() {
+            (self.max_side, self.downscale) = (size.max_side, size.downscale);
+        }
+    }
+}
+
+/// What a configuration file says.
+#[derive(Clone, Debug, Default)]
+pub struct ConfigFile {
+    device: Option<Device>,
+    threads: Option<usize>,
+    dataset: Dataset,
+    /// The settings of training.
+    pub train: TrainConfig,
+}
+
+impl ConfigFile {
+    /// Nothing but defaults.
+    pub fn defaults() -> Self {
+        let train = TrainConfig { checkpoint_every: CHECKPOINT_EVERY, ..TrainConfig::default() };
+        Self { train, ..Self::default() }
+    }
+
+    /// Reads a file.
+    pub fn read(path: &Path) -> Result<Self> {
+        let text = fs::read_to_string(path)
+            .map_err(|error| anyhow!("cannot read the configuration {}: {error}", path.display()))?;
+        Self::parse(&text).map_err(|problem| {
+            anyhow!("the configuration {} is not valid: {problem}; correct it there", path.display())
+        })
+    }
+
+    fn parse(text: &str) -> Result<Self, toml::de::Error> {
+        let mut table: toml::Table = text.parse()?;
+        let (device, threads) = (take(&mut table, "device")?, take(&mut table, "threads")?);
+        let dataset = take(&mut table, "dataset")?.unwrap_or_default();
+        table.entry("checkpoint_every").or_insert(CHECKPOINT_EVERY.into());
+        Ok(Self { device, threads, dataset, train: table.try_into()? })
+    }
+
+    /// The size that photos were loaded at.
+    pub fn size(&self) -> PhotoSize {
+        self.dataset.size()
+    }
+}
+
+impl Settings {
+    /// The settings of `genesplat train`.
+    pub fn of_training(args: &TrainArgs) -> Result<Self> {
+        let saved = args.resume.then(|| ConfigFile::read(&RunFolder::config_in(&args.out))).transpose()?;
+        let mut file = match (&args.config, &saved) {
+            (Some(path), _) => ConfigFile::read(path)?,
+            (None, Some(saved)) => saved.clone(),
+            (None, None) => ConfigFile::defaults(),
+        };
+        file.dataset.path.clone_from(&args.dataset);
+        file.dataset.override_size(args.size);
+        override_schedule(&mut file.train, &args.schedule);
+        override_evolution(&mut file.train, &args.evolution);
+        if let Some(saved) = saved {
+            check_same(&saved, &file, &args.out)?;
+        }
+        Ok(Self {
+            dataset: file.dataset,
+            device: args.machine.device.or(file.device).unwrap_or_default().resolve()?,
+            threads: args.machine.threads.or(file.threads),
+            train: file.train.resolve()?,
+        })
+    }
+
+    /// As `config.toml` holds them.
+    pub fn to_toml(&self) -> String {
+        #[derive(Serialize)]
+        struct Written<'a> {
+            device: Device,
+            #[serde(skip_serializing_if = "Option::is_none")]
+            threads: Option<usize>,
+            #[serde(flatten)]
+            train: &'a TrainConfig,
+            dataset: &'a Dataset,
+        }
+        let Self { dataset, device, threads, train } = self;
+        let written = Written { device: *device, threads: *threads, train: train.config(), dataset };
+        let settings = toml::to_string(&written).expect("settings are plain tables of numbers and words");
+        format!(
+            "# All settings of a run of genesplat {}; --config repeats it.\n{settings}",
+            env!("CARGO_PKG_VERSION")
+        )
+    }
+}
+
+/// Removes an entry that is not one of training's.
+fn take<'a, T: Deserialize<'a>>(table: &mut toml::Table, key: &str) -> Result<Option<T>, toml::de::Error> {
+    table.remove(key).map(toml::Value::try_into).transpose()
+}
+
+/// Flags over the file.
+pub fn override_schedule(train: &mut TrainConfig, flags: &ScheduleArgs) {
+    let ScheduleArgs { variant, iterations, steps_scale, seed, max_gaussians, checkpoint_every } = flags;
+    replace(&mut train.variant, variant.map(Into::into));
+    replace(&mut train.iterations, *iterations);
+    replace(&mut train.steps_scale, *steps_scale);
+    replace(&mut train.seed, *seed);
+    train.max_gaussians = max_gaussians.or(train.max_gaussians);
+    replace(&mut train.checkpoint_every, *checkpoint_every);
+}
+
+/// Flags over the file. A tournament cannot draw more individuals than there are, so a small population shrinks it.
+pub fn override_evolution(train: &mut TrainConfig, flags: &EvolutionArgs) {
+    let evolution = &mut train.evolution;
+    replace(&mut evolution.mode, flags.evolve.map(Into::into));
+    replace(&mut evolution.paper.generations, flags.generations);
+    if let Some(population) = flags.population {
+        evolution.paper.population = population;
+        evolution.paper.tournament = evolution.paper.tournament.min(population);
+    }
+}
+
+fn replace<T>(setting: &mut T, flag: Option<T>) {
+    if let Some(value) = flag {
+        *setting = value;
+    }
+}
+
+/// A resumed run goes on with the settings that it began with, or its result would belong to neither.
+fn check_same(saved: &ConfigFile, wanted: &ConfigFile, out: &Path) -> Result<()> {
+    let timeless =
+        |file: &ConfigFile| TrainConfig { checkpoint_every: 0, report_every: 0, ..file.train.clone() };
+    if timeless(saved) != timeless(wanted) || saved.size() != wanted.size() {
+        bail!(
+            "--resume goes on with the settings in {}, and others were given; leave them out, or train into another folder",
+            RunFolder::config_in(out).display()
+        );
+    }
+    Ok(())
+}
