@@ -34,6 +34,13 @@ impl<const W: usize> Steps<W> {
         self.rows.push(row);
         self.by.push(by);
     }
+
+    /// One bit a row, in `words` words.
+    fn bits(&self, words: usize) -> Vec<u64> {
+        let mut bits = vec![0; words];
+        self.rows.iter().for_each(|&row| bits[row as usize / WORD] |= 1 << (row as usize % WORD));
+        bits
+    }
 }
 
 impl<const W: usize> Column<W> {
@@ -57,49 +64,40 @@ impl<const W: usize> Column<W> {
         Reader { column: self, word: 0, rank: 0 }
     }
 
-    /// The child that has `first`'s rows where a bit of `from_first` is set, and `second`'s elsewhere.
-    pub(crate) fn cross(first: &Self, second: &Self, from_first: &[u64]) -> Self {
-        let select = |((a, b), m): ((&u64, &u64), &u64)| (a & m) | (b & !m);
-        let changed: Vec<u64> =
-            first.changed.iter().zip(&second.changed).zip(from_first).map(select).collect();
-        let mut values = Vec::with_capacity(count(&changed));
-        let (mut a_rest, mut b_rest) = (first.values.as_slice(), second.values.as_slice());
-        for (word, &mask) in from_first.iter().enumerate() {
-            let (a, b) = (first.changed[word], second.changed[word]);
-            let a_values = take(&mut a_rest, a);
-            let b_values = take(&mut b_rest, b);
-            match mask {
-                u64::MAX => values.extend_from_slice(a_values),
-                0 => values.extend_from_slice(b_values),
-                _ => values.extend(ones(changed[word]).map(|bit| match mask >> bit & 1 {
-                    1 => a_values[rank(a, bit)],
-                    _ => b_values[rank(b, bit)],
-                })),
-            }
-        }
-        Self { changed, values }
-    }
-
-    /// The column after a mutation: `step(current value, by)` for each row of `steps`, where the current value is the
-    /// individual's own, or `base(row)` if it has none.
-    pub(crate) fn stepped(
-        &self,
+    /// Crossover and mutation in one pass. The child has `first`'s rows where a bit of `from_first` is set and `second`'s
+    /// elsewhere; then each row of `steps` becomes `step(value, by)`, where the value is the inherited one, or `base(row)`
+    /// if that equals the base.
+    pub(crate) fn child(
+        parents: [&Self; 2],
+        from_first: impl Fn(usize) -> u64,
         steps: &Steps<W>,
         base: impl Fn(usize) -> [f32; W],
         step: impl Fn([f32; W], [f32; W]) -> [f32; W],
     ) -> Self {
-        let mut changed = self.changed.clone();
-        steps.rows.iter().for_each(|&row| changed[row as usize / WORD] |= 1 << (row as usize % WORD));
+        let stepped = steps.bits(parents[0].changed.len());
+        let changed: Vec<u64> = (0..stepped.len())
+            .map(|word| select(from_first(word), parents.map(|parent| parent.changed[word])) | stepped[word])
+            .collect();
         let mut values = Vec::with_capacity(count(&changed));
-        let mut reader = self.reader();
-        let mut copied = 0;
-        for (&row, &by) in steps.rows.iter().zip(&steps.by) {
-            let (rank, own) = reader.seek(row as usize);
-            values.extend_from_slice(&self.values[copied..rank]);
-            values.push(step(own.unwrap_or_else(|| base(row as usize)), by));
-            copied = rank + usize::from(own.is_some());
+        let mut rest = parents.map(|parent| parent.values.as_slice());
+        let mut by = steps.by.iter();
+        for word in 0..changed.len() {
+            let bits = parents.map(|parent| parent.changed[word]);
+            let runs = [take(&mut rest[0], bits[0]), take(&mut rest[1], bits[1])];
+            match (from_first(word), stepped[word]) {
+                (u64::MAX, 0) => values.extend_from_slice(runs[0]),
+                (0, 0) => values.extend_from_slice(runs[1]),
+                (mask, stepped) => values.extend(ones(changed[word]).map(|bit| {
+                    let parent = usize::from(!is_set(mask, bit));
+                    let value = match is_set(bits[parent], bit) {
+                        true => runs[parent][rank(bits[parent], bit)],
+                        false => base(word * WORD + bit),
+                    };
+                    let by = if is_set(stepped, bit) { by.next() } else { None };
+                    by.map_or(value, |&by| step(value, by))
+                })),
+            }
         }
-        values.extend_from_slice(&self.values[copied..]);
         Self { changed, values }
     }
 }
@@ -115,19 +113,13 @@ pub(crate) struct Reader<'a, const W: usize> {
 }
 
 impl<const W: usize> Reader<'_, W> {
-    /// The row's own value, if it differs from the base.
+    /// The row's own value, if it differs from the base. `row` must not be before the last one's word.
     pub(crate) fn get(&mut self, row: usize) -> Option<[f32; W]> {
-        self.seek(row).1
-    }
-
-    /// Changed rows before `row`, and the row's own value. `row` must not be before the last one's word.
-    fn seek(&mut self, row: usize) -> (usize, Option<[f32; W]>) {
         let (word, bit) = (row / WORD, row % WORD);
         self.rank += count(&self.column.changed[self.word..word]);
         self.word = word;
         let bits = self.column.changed[word];
-        let at = self.rank + rank(bits, bit);
-        (at, (bits >> bit & 1 == 1).then(|| self.column.values[at]))
+        is_set(bits, bit).then(|| self.column.values[self.rank + rank(bits, bit)])
     }
 }
 
@@ -143,6 +135,15 @@ pub(crate) fn ones(mut bits: u64) -> impl Iterator<Item = usize> {
 /// Set bits of all words.
 pub(crate) fn count(bits: &[u64]) -> usize {
     bits.iter().map(|word| word.count_ones() as usize).sum()
+}
+
+/// The first word's bits where `mask` is set, the second's elsewhere.
+fn select(mask: u64, [first, second]: [u64; 2]) -> u64 {
+    (first & mask) | (second & !mask)
+}
+
+fn is_set(bits: u64, bit: usize) -> bool {
+    bits >> bit & 1 == 1
 }
 
 /// Set bits below `bit`.
@@ -164,11 +165,16 @@ mod tests {
 
     const N: usize = 200;
 
+    fn steps(by: &[(u32, f32)]) -> Steps<1> {
+        let mut steps = Steps::default();
+        by.iter().for_each(|&(row, by)| steps.push(row, [by]));
+        steps
+    }
+
     /// A column of `N` rows in which the rows of `own` have the given values.
     fn column(own: &[(u32, f32)]) -> Column<1> {
-        let mut steps = Steps::default();
-        own.iter().for_each(|&(row, value)| steps.push(row, [value]));
-        Column::unchanged(N).stepped(&steps, |_| [0.0], |_, value| value)
+        let base = Column::unchanged(N);
+        Column::child([&base, &base], |_| 0, &steps(own), |_| [0.0], |_, value| value)
     }
 
     fn read(column: &Column<1>) -> Vec<Option<[f32; 1]>> {
@@ -181,35 +187,34 @@ mod tests {
         prop::collection::btree_map(0..N as u32, -9.0f32..9.0, 0..N).prop_map(|map| map.into_iter().collect())
     }
 
+    /// Any bits, with words of one parent only among them: those take another path than mixed ones.
+    fn mask() -> impl Strategy<Value = Vec<u64>> {
+        prop::collection::vec(prop_oneof![any::<u64>(), Just(0), Just(u64::MAX)], words(N))
+    }
+
     proptest! {
         #[test]
-        fn a_step_changes_its_rows_and_no_other(before in own(), steps in own()) {
-            let old = column(&before);
-            let mut by = Steps::default();
-            steps.iter().for_each(|&(row, value)| by.push(row, [value]));
-            let new = old.stepped(&by, |row| [row as f32], |current, step| [current[0] + step[0]]);
-            let mut expected = read(&old);
-            for &(row, step) in &steps {
-                let current = expected[row as usize].map_or(row as f32, |own| own[0]);
-                expected[row as usize] = Some([current + step]);
-            }
-            prop_assert_eq!(read(&new), expected);
-            prop_assert_eq!(new.values.len(), new.values.capacity());
+        fn what_was_stored_is_read(own in own()) {
+            let mut expected = vec![None; N];
+            own.iter().for_each(|&(row, value)| expected[row as usize] = Some([value]));
+            prop_assert_eq!(read(&column(&own)), expected);
         }
 
         #[test]
-        fn a_child_has_each_row_from_the_parent_that_the_mask_names(
-            a in own(), b in own(), mask in prop::collection::vec(any::<u64>(), words(N)), plain in any::<[bool; 4]>(),
+        fn a_child_inherits_by_the_mask_and_then_steps(
+            a in own(), b in own(), mask in mask(), by in prop_oneof![Just(Vec::new()), own()],
         ) {
-            // Words of one parent only take another path than mixed ones.
-            let mask: Vec<u64> = mask.into_iter().zip(plain)
-                .map(|(word, plain)| match (plain, word & 1) { (true, 1) => u64::MAX, (true, _) => 0, _ => word })
-                .collect();
             let (a, b) = (column(&a), column(&b));
-            let child = Column::cross(&a, &b, &mask);
-            let from_a = |row: usize| mask[row / WORD] >> (row % WORD) & 1 == 1;
+            let base = |row: usize| [row as f32];
+            let add = |value: [f32; 1], by: [f32; 1]| [value[0] + by[0]];
+            let child = Column::child([&a, &b], |word| mask[word], &steps(&by), base, add);
             let (a, b) = (read(&a), read(&b));
-            let expected: Vec<_> = (0..N).map(|row| if from_a(row) { a[row] } else { b[row] }).collect();
+            let from_first = |row: usize| mask[row / WORD] >> (row % WORD) & 1 == 1;
+            let mut expected: Vec<_> = (0..N).map(|row| if from_first(row) { a[row] } else { b[row] }).collect();
+            for &(row, by) in &by {
+                let row = row as usize;
+                expected[row] = Some(add(expected[row].unwrap_or_else(|| base(row)), [by]));
+            }
             prop_assert_eq!(read(&child), expected);
             prop_assert_eq!(child.values.len(), child.values.capacity());
         }

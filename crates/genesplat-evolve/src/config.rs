@@ -158,7 +158,7 @@ impl PaperConfig {
 
     /// Individuals that a whole search scores: `P + K * (P - E)`.
     pub fn evaluations(&self) -> u64 {
-        let (population, children) = (self.population, self.population - self.elites());
+        let (population, children) = (self.population, self.population.saturating_sub(self.elites()));
         u64::from(population) + u64::from(self.generations) * u64::from(children)
     }
 

@@ -150,6 +150,31 @@ mod tests {
     }
 
     #[test]
+    fn each_pair_of_each_generation_has_its_own_inheritance() {
+        let rng = Rng::new(4);
+        for kind in [Crossover::OnePoint, Crossover::default(), Crossover::Uniform] {
+            let at = |generation, pair| Inheritance::draw(kind, &rng, generation, pair, 100_000);
+            assert_ne!(at(1, 0), at(1, 1));
+            assert_ne!(at(1, 0), at(2, 0));
+            assert_eq!(at(1, 0), at(1, 0));
+        }
+    }
+
+    /// Every gap between two rows is equally likely, the first and the last included.
+    #[test]
+    fn a_cut_may_fall_between_any_two_rows() {
+        let (n, draws) = (9, 16_000);
+        let mut at = [0u32; 8];
+        for pair in 0..draws {
+            let inheritance = Inheritance::draw(Crossover::OnePoint, &Rng::new(6), 1, pair, n);
+            at[bits(&inheritance, Group::Opacity, n).iter().filter(|&&bit| bit).count() - 1] += 1;
+        }
+        // Four and a half standard errors of a binomial with p = 1/8.
+        let bound = 4.5 * (f64::from(draws) * 0.125 * 0.875).sqrt();
+        assert!(at.iter().all(|&count| (f64::from(count) - 2000.0).abs() < bound), "{at:?}");
+    }
+
+    #[test]
     fn uniform_flips_a_fair_coin_for_each_group_of_each_row() {
         let n = 20_000;
         let inheritance = Inheritance::draw(Crossover::Uniform, &Rng::new(2), 1, 7, n);

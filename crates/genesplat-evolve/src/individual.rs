@@ -44,7 +44,7 @@ impl Genome {
         size_of::<Self>() + self.position.bytes() + self.scale.bytes() + self.opacity.bytes()
     }
 
-    /// A child: crossover, then mutation. Column by column, so that never more than one column is in the making.
+    /// A child: crossover, then mutation.
     pub(crate) fn child(parents: Parents<'_>, mutations: &Mutations, base: &[Gene], space: Space) -> Self {
         Self {
             position: column(parents, Group::Position, |own| &own.position, &mutations.position, base, space),
@@ -91,13 +91,13 @@ fn column<'a, const W: usize>(
     base: &[Gene],
     space: Space,
 ) -> Column<W> {
-    let mutated = |inherited: &Column<W>| {
-        inherited.stepped(steps, |row| group.of(&base[row]), |current, by| step(space, group, current, by))
-    };
+    let gene = |row: usize| group.of(&base[row]);
+    let step = |value, by| step(space, group, value, by);
     match parents {
-        Parents::One(parent) => mutated(of(parent)),
+        Parents::One(parent) => Column::child([of(parent); 2], |_| u64::MAX, steps, gene, step),
         Parents::Crossed(first, second, inheritance) => {
-            mutated(&Column::cross(of(first), of(second), inheritance.mask(group)))
+            let mask = inheritance.mask(group);
+            Column::child([of(first), of(second)], |word| mask[word], steps, gene, step)
         }
     }
 }

@@ -119,7 +119,7 @@ pub(crate) fn first_non_finite(rows: &[[f32; GENES]]) -> Option<usize> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::{Magnitude, Space};
+    use crate::config::{Magnitude, SigmaScope, Space};
     use genesplat_core::SparseDelta;
 
     /// A base whose component `c` has standard deviation `c + 1`.
@@ -219,6 +219,57 @@ mod tests {
             // alpha = 0.1, sigma of the opacity column = 7; four and a half standard errors of 10,000 draws.
             assert!((square.sqrt() / (0.1 * 7.0 * u) - 1.0).abs() < 4.5 / 20_000f64.sqrt(), "{square}");
         }
+    }
+
+    #[test]
+    fn each_individual_of_each_generation_mutates_in_its_own_way() {
+        let base = base(1000);
+        let config =
+            PaperConfig { magnitude: Magnitude::Unit, selection_fraction: 1.0, ..PaperConfig::default() };
+        let mutation = mutation(&config, &base, None);
+        let at = |generation, individual| mutation.draw(Address { generation, individual }, 0.5);
+        // All rows are selected, so that only coins and normal numbers can differ.
+        let draws = [at(1, 2), at(1, 3), at(2, 2)];
+        for (a, b) in [(0, 1), (0, 2), (1, 2)] {
+            assert_ne!(draws[a].position.rows, draws[b].position.rows);
+            assert_ne!(draws[a].position.by[0], draws[b].position.by[0]);
+        }
+        assert_eq!(draws[0], at(1, 2));
+    }
+
+    /// The options reach Eq. 4: deviations of the moves, measured in the space that they are made in.
+    #[test]
+    fn scope_and_space_set_the_scale_of_moves() {
+        let base = base(1000);
+        let shrunk: Vec<Gene> = base.iter().map(|gene| gene.map(|x| x * 0.1)).collect();
+        let config =
+            PaperConfig { magnitude: Magnitude::Unit, selection_fraction: 0.5, ..PaperConfig::default() };
+        let group = PaperConfig { sigma_scope: SigmaScope::Group, ..config.clone() };
+        for moves in &moves(&mutation(&group, &base, None), &base, 0.5, 20)[..3] {
+            // Deviations 1, 2 and 3 around a common mean of 0.
+            let expected = 0.1 * (14f64 / 3.0).sqrt();
+            let (_, std) = mean_and_std(moves);
+            assert!((std / expected - 1.0).abs() < 4.5 / (2.0 * moves.len() as f64).sqrt(), "{std}");
+        }
+        // Small steps, so that none stops at an edge.
+        let activated = PaperConfig { space: Space::Activated, ..config };
+        let mutation = mutation(&activated, &shrunk, None);
+        let mut opacity_moves = Vec::new();
+        for individual in 0..20 {
+            let delta = mutant(&mutation, &shrunk, Address { generation: 1, individual }, 0.5);
+            for (&row, gene) in delta.rows.iter().zip(&delta.genes) {
+                let activate = |logit: f32| 1.0 / (1.0 + (-f64::from(logit)).exp());
+                let by = activate(gene[6]) - activate(shrunk[row as usize][6]);
+                opacity_moves.extend((gene[6] != shrunk[row as usize][6]).then_some(by));
+            }
+        }
+        // Logits of 0.7 and -0.7: opacities 0.668 and 0.332, a deviation of 0.168.
+        let expected = 0.1 * (1.0 / (1.0 + (-0.7f64).exp()) - 0.5);
+        let (_, std) = mean_and_std(&opacity_moves);
+        assert!(
+            (std / expected - 1.0).abs() < 4.5 / (2.0 * opacity_moves.len() as f64).sqrt(),
+            "{std} {expected}"
+        );
     }
 
     #[test]

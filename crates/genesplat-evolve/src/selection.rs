@@ -51,6 +51,17 @@ mod tests {
     }
 
     #[test]
+    fn the_two_tournaments_of_a_pair_are_independent() {
+        let rng = Rng::new(12);
+        let pairs = 20_000;
+        let both_best =
+            (0..pairs).filter(|&pair| parent_ranks(&rng, 1, pair, 10, 4) == [0, 0]).count() as f64;
+        // (C(9, 3) / C(10, 4))^2 = 0.16; four and a half standard errors.
+        let bound = 4.5 * (f64::from(pairs) * 0.16 * 0.84).sqrt();
+        assert!((both_best - 0.16 * f64::from(pairs)).abs() < bound, "{both_best}");
+    }
+
+    #[test]
     fn a_tournament_of_all_elects_the_best_and_of_one_elects_anyone() {
         let rng = Rng::new(1);
         assert!((0..50).all(|pair| parent_ranks(&rng, 1, pair, 20, 20) == [0, 0]));

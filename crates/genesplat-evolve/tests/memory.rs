@@ -69,7 +69,7 @@ fn a_hundred_individuals_over_a_million_gaussians() {
             let losses: Vec<f64> = (0..search.ask()).map(|index| dummy(search.generation(), index)).collect();
             search.tell(&losses).expect("one loss each");
             println!(
-                "generation {}: {:.0} MB held, {:.0} MB at most, {} rows changed a individual",
+                "generation {}: {:.0} MB held, {:.0} MB at most, {} rows changed an individual",
                 search.generation(),
                 search.population_bytes() as f64 / 1e6,
                 search.peak_population_bytes() as f64 / 1e6,
