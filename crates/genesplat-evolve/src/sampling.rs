@@ -75,6 +75,15 @@ mod tests {
         }
     }
 
+    #[test]
+    fn each_individual_of_each_generation_has_its_own_rows() {
+        let at =
+            |generation, individual| choose_rows(&Rng::new(8), Address { generation, individual }, 1000, 100);
+        assert_ne!(at(1, 2), at(2, 2));
+        assert_ne!(at(1, 2), at(1, 3));
+        assert_eq!(at(1, 2), at(1, 2));
+    }
+
     /// Both kinds of subset: how often each of ten items is drawn in 10,000 samples of three.
     #[test]
     fn every_item_is_equally_likely() {

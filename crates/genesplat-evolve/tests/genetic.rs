@@ -77,6 +77,37 @@ fn crossover_makes_no_gene_that_no_parent_had() {
     }
 }
 
+/// Two children of a pair hold between them exactly what two founders hold.
+#[test]
+fn siblings_share_their_parents_out() {
+    let base = normal_base(150);
+    for crossover in [Crossover::OnePoint, Crossover::default(), Crossover::Uniform] {
+        let rates = PaperConfig { mutation_rates: [0.0; 3], crossover_rates: [1.0; 3], ..small(1, 8) };
+        // Every gene of every founder is its own.
+        let everywhere = PaperConfig { initial_mutation_rate: 1.0, selection_fraction: 1.0, ..rates };
+        let config = PaperConfig { tournament: 1, elite_fraction: 0.0, crossover, ..everywhere };
+        let mut search = on_sphere(config, &base, 3);
+        let genomes = |search: &GeneticAlgorithm| {
+            search.deltas(0..8).iter().map(|delta| applied(&base, delta)).collect()
+        };
+        let founders: Vec<Vec<Gene>> = genomes(&search);
+        search.tell(&[1.0; 8]).expect("one loss each");
+        let children: Vec<Vec<Gene>> = genomes(&search);
+        let mut mixed = 0;
+        for siblings in children.chunks(2) {
+            let [c, d] = [&siblings[0], &siblings[1]].map(|child| child.as_flattened());
+            let is_shared_out = |p: &[f32], q: &[f32]| {
+                (0..c.len()).all(|i| (c[i], d[i]) == (p[i], q[i]) || (c[i], d[i]) == (q[i], p[i]))
+            };
+            let all =
+                founders.iter().flat_map(|p| founders.iter().map(move |q| [p, q].map(|x| x.as_flattened())));
+            assert!(all.into_iter().any(|[p, q]| is_shared_out(p, q)), "{crossover:?}");
+            mixed += usize::from(founders.iter().all(|founder| founder.as_flattened() != c));
+        }
+        assert!(mixed > 0, "{crossover:?}: some pair must have had two parents for this to mean anything");
+    }
+}
+
 #[test]
 fn elites_survive_unchanged_and_are_not_asked_again() {
     // One founder is far better than all that follow: it must stay the best of every generation, at its own loss.
