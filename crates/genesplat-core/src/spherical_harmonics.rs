@@ -1,6 +1,6 @@
 //! Real spherical harmonics up to degree 3, as every splat format orders and signs them.
 
-/// Floats a Gaussian spends on colour: 3 channels x 16 coefficients.
+/// Floats a Gaussian spends on colour: 16 coefficients x 3 channels.
 pub const SH_STRIDE: usize = 48;
 /// Coefficients a channel at degree 3.
 pub const SH_COEFFICIENTS: usize = 16;
@@ -24,6 +24,12 @@ pub const C3: [f64; 7] = [
     1.445305721320277,
     -0.5900435899266435,
 ];
+
+/// Where a coefficient of a channel is in a row of [`crate::Gaussians::sh`]: coefficients outermost, so that low degrees, which
+/// training starts with, touch one cache line instead of three.
+pub const fn sh_index(channel: usize, coefficient: usize) -> usize {
+    3 * coefficient + channel
+}
 
 /// Number of active coefficients a channel.
 pub const fn coefficients(degree: u8) -> usize {

@@ -5,7 +5,7 @@
 //! nearest other points, opacity 0.1, colour in the base coefficient only.
 
 use genesplat_core::gaussians::logit;
-use genesplat_core::spherical_harmonics::{SH_COEFFICIENTS, dc_from_rgb};
+use genesplat_core::spherical_harmonics::{dc_from_rgb, sh_index};
 use genesplat_core::{Camera, Gaussians};
 use glam::DVec3;
 
@@ -67,7 +67,7 @@ pub fn cloud_from_points(points: &[ColouredPoint]) -> Result<Gaussians, Initiali
     for (row, squared) in mean_squared_distances(&positions).into_iter().enumerate() {
         cloud.log_scales[row] = [squared.max(SQUARED_DISTANCE_MIN).sqrt().ln(); 3];
         for (channel, &value) in points[row].1.iter().enumerate() {
-            cloud.sh[row][channel * SH_COEFFICIENTS] = dc_from_rgb(f32::from(value) / 255.0);
+            cloud.sh[row][sh_index(channel, 0)] = dc_from_rgb(f32::from(value) / 255.0);
         }
     }
     cloud.positions = positions;
@@ -130,8 +130,8 @@ mod tests {
         assert_eq!(cloud.rotations[1], [1.0, 0.0, 0.0, 0.0]);
         // (1 − 0.5) / C0 and its mirror image; everything view-dependent starts at zero.
         assert!((cloud.sh[3][0] - 1.772_453_9).abs() < 1e-5);
-        assert!((cloud.sh[3][16] + 1.772_453_9).abs() < 1e-5);
-        assert!(cloud.sh[3].iter().enumerate().all(|(k, &v)| k % 16 == 0 || v == 0.0));
+        assert!((cloud.sh[3][1] + 1.772_453_9).abs() < 1e-5);
+        assert!(cloud.sh[3].iter().enumerate().all(|(k, &v)| k < 3 || v == 0.0));
     }
 
     #[test]

@@ -4,7 +4,7 @@ use std::io::{self, Read, Write};
 use std::path::Path;
 
 use genesplat_core::Gaussians;
-use genesplat_core::spherical_harmonics::{SH_COEFFICIENTS, SH_STRIDE, coefficients};
+use genesplat_core::spherical_harmonics::{SH_COEFFICIENTS, SH_STRIDE, coefficients, sh_index};
 
 use super::PlyError;
 use super::header::{PlyHeader, Property, Scalar};
@@ -119,9 +119,8 @@ impl Field {
 fn sh_properties(degree: u8) -> impl Iterator<Item = (usize, String)> {
     let rest = coefficients(degree) - 1;
     (0..3).flat_map(move |channel| {
-        let base = channel * SH_COEFFICIENTS;
-        let dc = std::iter::once((base, format!("f_dc_{channel}")));
-        dc.chain((0..rest).map(move |k| (base + 1 + k, format!("f_rest_{}", channel * rest + k))))
+        let dc = std::iter::once((sh_index(channel, 0), format!("f_dc_{channel}")));
+        dc.chain((0..rest).map(move |k| (sh_index(channel, 1 + k), format!("f_rest_{}", channel * rest + k))))
     })
 }
 
@@ -149,11 +148,12 @@ pub(super) fn write(cloud: &Gaussians, out: &mut impl Write) -> io::Result<()> {
     const NORMAL: [f32; 3] = [0.0; 3];
     let mut bytes = Vec::new();
     for row in 0..cloud.len() {
-        let channels = cloud.sh[row].chunks_exact(SH_COEFFICIENTS);
+        let sh = &cloud.sh[row];
+        let rest = (0..3).flat_map(|channel| (1..SH_COEFFICIENTS).map(move |k| &sh[sh_index(channel, k)]));
         let values = (cloud.positions[row].iter())
             .chain(&NORMAL)
-            .chain(channels.clone().map(|channel| &channel[0]))
-            .chain(channels.flat_map(|channel| &channel[1..]))
+            .chain(&sh[..3])
+            .chain(rest)
             .chain([&cloud.opacity_logits[row]])
             .chain(&cloud.log_scales[row])
             .chain(&cloud.rotations[row])

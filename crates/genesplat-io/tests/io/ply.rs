@@ -103,8 +103,9 @@ fn the_layout_is_the_authors() {
     let start = bytes.windows(end.len()).position(|window| window == end).unwrap() + end.len();
     let values: Vec<f32> =
         bytes[start..].chunks_exact(4).map(|v| f32::from_le_bytes(v.try_into().unwrap())).collect();
-    let mut expected = vec![1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 0.0, 16.0, 32.0];
-    expected.extend((0..48).filter(|i| i % 16 != 0).map(|i| i as f32));
+    // The file is channel-major after the base colours; memory holds the three channels of each coefficient together.
+    let mut expected = vec![1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 0.0, 1.0, 2.0];
+    expected.extend((0..3).flat_map(|channel| (1..16).map(move |k| (3 * k + channel) as f32)));
     expected.extend((100..108).map(|i| i as f32));
     assert_eq!(values, expected);
     let header = ply::read_ply_header(&path).unwrap();
@@ -133,9 +134,8 @@ fn other_orders_types_and_degrees_are_read() {
     assert_eq!(cloud.log_scales, [[6.0, 5.0, 4.0]]);
     assert_eq!(cloud.opacity_logits, [7.0]);
     let sh = cloud.sh[0];
-    assert_eq!(sh[..5], [10.0, 20.0, 21.0, 22.0, 0.0]);
-    assert_eq!(sh[16..21], [9.0, 23.0, 24.0, 25.0, 0.0]);
-    assert_eq!(sh[32..37], [8.0, 26.0, 27.0, 28.0, 0.0]);
+    assert_eq!(sh[..12], [10.0, 9.0, 8.0, 20.0, 23.0, 26.0, 21.0, 24.0, 27.0, 22.0, 25.0, 28.0]);
+    assert!(sh[12..].iter().all(|v| *v == 0.0));
 }
 
 #[test]

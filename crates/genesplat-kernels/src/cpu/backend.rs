@@ -158,8 +158,8 @@ impl Backend for CpuBackend {
         if !loss.is_finite() {
             return Err(self.non_finite());
         }
-        let Frame { chunks, bins, rows, seconds, .. } = &mut self.frame;
-        let inputs = Inputs { chunks, bins, rows, camera: &camera, settings: &settings };
+        let Frame { splats, bins, rows, seconds, .. } = &mut self.frame;
+        let inputs = Inputs { splats, bins, rows, camera: &camera, settings: &settings };
         timed(&mut seconds.update, || {
             let (cloud, moments) = (&mut self.cloud, &mut self.moments);
             update(
@@ -173,7 +173,7 @@ impl Backend for CpuBackend {
             );
         });
         self.steps += u32::from(step.update.is_some());
-        self.report = StepReport { loss, visible: bins.splats.len(), tile_splats: bins.entries.len() };
+        self.report = StepReport { loss, visible: splats.len(), tile_splats: bins.entries.len() };
         Ok(())
     }
 

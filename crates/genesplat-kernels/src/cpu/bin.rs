@@ -8,15 +8,17 @@
 use fearless_simd::{Level, Simd, dispatch, i32x16, prelude::*};
 use rayon::prelude::*;
 
-use super::project::{Pinhole, ProjectedChunk, Splat, TILE};
+use super::project::{Pinhole, Splat, Splats, TILE};
 use super::simd::{LANES, V, array};
 
 /// Side of a block, px: one block is one vector.
 pub const BLOCK: usize = 4;
 /// Blocks across a tile.
 pub const BLOCKS_ACROSS: usize = TILE / BLOCK;
-/// Splats that one task visits.
+/// Splats that one task visits, in depth order.
 const RANKS: usize = 1024;
+/// Splats copied at once.
+const GATHER: usize = 64;
 /// Widens every ellipse a little (in powers of two of alpha): lists may hold a splat in vain, never miss one.
 const SLACK_LOG2: f32 = 1e-3;
 /// The same for the interval ends, px.
@@ -27,8 +29,8 @@ pub const LOG2_255: f32 = 7.994_353_4;
 /// One splat in one tile.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct TileSplat {
-    /// Position in the depth-sorted splats.
-    pub rank: u32,
+    /// Index of the splat (see [`super::project::Splats`]).
+    pub splat: u32,
     /// Bit `4·row + column` is set where the splat reaches that block of the tile.
     pub blocks: u32,
 }
@@ -39,38 +41,41 @@ struct Emission {
     entry: TileSplat,
 }
 
-/// The depth-sorted splats of a view and its tile lists.
+/// The tile lists of a view.
 #[derive(Clone, Debug, Default)]
 pub struct Bins {
-    /// Splats, nearest first `[V]`.
-    pub splats: Vec<Splat>,
-    /// For each splat in row order (chunk after chunk), its rank `[V]`.
-    pub rank_of_visible: Vec<u32>,
     /// Entries of all tiles, tile after tile, each front to back `[E]`.
     pub entries: Vec<TileSplat>,
     /// Where each tile's entries start; one more at the end `[tiles + 1]`.
     pub tile_starts: Vec<u32>,
-    /// For each rank, where its positions start in `positions`; one more at the end `[V + 1]`.
-    pub position_starts: Vec<u32>,
-    /// Positions in `entries` of each rank's entries, rank after rank `[E]`.
+    /// For each splat index, where its positions start in `positions`, and how many there are.
+    pub position_ranges: Vec<[u32; 2]>,
+    /// Positions in `entries` of each splat's entries, nearest splat first `[E]`.
     pub positions: Vec<u32>,
     scratch: Scratch,
 }
 
 #[derive(Clone, Debug, Default)]
 struct Scratch {
+    /// Depth bits and splat index, nearest first.
     order: Vec<u64>,
     swap: Vec<u64>,
-    unsorted: Vec<Splat>,
     emissions: Vec<Vec<Emission>>,
     counts: Vec<Vec<u32>>,
 }
 
 impl Bins {
-    /// Sorts the chunks' splats by depth and lists them by tile.
-    pub fn build(&mut self, level: Level, chunks: &[ProjectedChunk], camera: &Pinhole) {
-        self.sort(chunks);
-        self.list(level, camera);
+    /// Sorts the splats by depth and lists them by tile.
+    pub fn build(&mut self, level: Level, splats: &Splats, camera: &Pinhole) {
+        let order = &mut self.scratch.order;
+        order.clear();
+        // Depths are positive, so their bits order as they do.
+        order.extend(
+            splats.iter().map(|(index, splat)| u64::from(splat.depth.to_bits()) << 32 | u64::from(index)),
+        );
+        radix_sort_high_half(order, &mut self.scratch.swap);
+        self.emit(level, splats, camera.grid());
+        self.list(splats, camera.grid());
     }
 
     /// The entries of one tile.
@@ -78,32 +83,9 @@ impl Bins {
         &self.entries[self.tile_starts[tile] as usize..self.tile_starts[tile + 1] as usize]
     }
 
-    fn sort(&mut self, chunks: &[ProjectedChunk]) {
-        let scratch = &mut self.scratch;
-        scratch.unsorted.clear();
-        for chunk in chunks {
-            scratch.unsorted.extend_from_slice(&chunk.splats);
-        }
-        scratch.order.clear();
-        // Depths are positive, so their bits order as they do.
-        scratch.order.extend(
-            scratch.unsorted.iter().enumerate().map(|(i, s)| u64::from(s.depth.to_bits()) << 32 | i as u64),
-        );
-        radix_sort_high_half(&mut scratch.order, &mut scratch.swap);
-        self.splats.clear();
-        self.splats.extend(scratch.order.iter().map(|&key| scratch.unsorted[key as u32 as usize]));
-        self.rank_of_visible.resize(scratch.order.len(), 0);
-        for (rank, &key) in scratch.order.iter().enumerate() {
-            self.rank_of_visible[key as u32 as usize] = rank as u32;
-        }
-    }
-
-    fn list(&mut self, level: Level, camera: &Pinhole) {
-        let grid = camera.grid();
-        self.emit(level, grid);
+    /// Counting sort of the emissions by tile: starts, then a stable fill.
+    fn list(&mut self, splats: &Splats, grid: [usize; 2]) {
         let scratch = &self.scratch;
-
-        // Counting sort by tile: starts, then a stable fill.
         let tiles = grid[0] * grid[1];
         self.tile_starts.clear();
         self.tile_starts.resize(tiles + 1, 0);
@@ -123,39 +105,40 @@ impl Bins {
             *position = *slot;
             *slot += 1;
         }
-
-        self.position_starts.clear();
-        self.position_starts.push(0);
-        let mut sum = 0;
-        for &count in scratch.counts.iter().flatten() {
-            sum += count;
-            self.position_starts.push(sum);
+        self.position_ranges.resize(splats.capacity(), [0; 2]);
+        let mut first = 0;
+        for (&key, &count) in scratch.order.iter().zip(scratch.counts.iter().flatten()) {
+            self.position_ranges[key as u32 as usize] = [first, count];
+            first += count;
         }
     }
 
-    fn emit(&mut self, level: Level, grid: [usize; 2]) {
-        let tasks = self.splats.len().div_ceil(RANKS);
-        let scratch = &mut self.scratch;
-        scratch.emissions.resize_with(tasks, Vec::new);
-        scratch.counts.resize_with(tasks, Vec::new);
-        let splats = &self.splats;
-        scratch.emissions.par_iter_mut().zip(&mut scratch.counts).enumerate().for_each(
-            |(task, (emissions, counts))| {
-                emissions.clear();
-                counts.clear();
-                let first = task * RANKS;
-                let end = splats.len().min(first + RANKS);
+    fn emit(&mut self, level: Level, splats: &Splats, grid: [usize; 2]) {
+        let Scratch { order, emissions, counts, .. } = &mut self.scratch;
+        let tasks = order.len().div_ceil(RANKS);
+        emissions.resize_with(tasks, Vec::new);
+        counts.resize_with(tasks, Vec::new);
+        let outputs = emissions.par_iter_mut().zip(counts);
+        order.par_chunks(RANKS).zip(outputs).for_each(|(order, (emissions, counts))| {
+            emissions.clear();
+            counts.clear();
+            // Copied in small groups: the reads are scattered, and those of a copy do not wait for one another.
+            for keys in order.chunks(GATHER) {
+                let mut group = [Splat::default(); GATHER];
+                for (copy, &key) in group.iter_mut().zip(keys) {
+                    *copy = *splats.get(key as u32);
+                }
                 dispatch!(level, simd => {
-                    for rank in first..end {
+                    for (splat, &key) in group.iter().zip(keys) {
                         let before = emissions.len();
-                        for_each_tile(simd, &splats[rank], grid, |tile, blocks| {
-                            emissions.push(Emission { tile, entry: TileSplat { rank: rank as u32, blocks } });
+                        for_each_tile(simd, splat, grid, |tile, blocks| {
+                            emissions.push(Emission { tile, entry: TileSplat { splat: key as u32, blocks } });
                         });
                         counts.push((emissions.len() - before) as u32);
                     }
                 });
-            },
-        );
+            }
+        });
     }
 }
 

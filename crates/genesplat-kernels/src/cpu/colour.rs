@@ -15,32 +15,35 @@ pub struct Colour {
 /// Colour of a Gaussian at `position` as seen from `centre`.
 #[inline(always)]
 pub fn evaluate(sh: &[f32; SH_STRIDE], position: [f32; 3], centre: [f32; 3], degree: u8) -> Colour {
-    let raw: [f32; 3] = if degree == 0 {
-        array(
-            #[inline(always)]
-            |channel| C0 as f32 * sh[channel * SH_COEFFICIENTS],
-        )
+    let raw = if degree == 0 {
+        [C0 as f32 * sh[0], C0 as f32 * sh[1], C0 as f32 * sh[2]]
     } else {
         let (direction, _) = direction(position, centre);
-        let basis = basis(degree, direction);
-        array(
-            #[inline(always)]
-            |channel| dot(&basis, sh, channel),
-        )
+        sum(coefficients(degree), &basis(direction), sh)
     };
     let mut clamped = 0;
-    let rgb = array(
-        #[inline(always)]
-        |channel| {
-            let value = raw[channel] + 0.5;
-            clamped |= u32::from(value < 0.0) << channel;
-            value.max(0.0)
-        },
-    );
+    let mut rgb = [0.0; 3];
+    for channel in 0..3 {
+        let value = raw[channel] + 0.5;
+        clamped |= u32::from(value < 0.0) << channel;
+        rgb[channel] = value.max(0.0);
+    }
     Colour { rgb, clamped }
 }
 
-/// Gradients of the coefficients (added to `sh_gradient`) and of the mean (returned), from `dL/drgb`.
+/// `Σ_k basis_k · sh_k` of the first `count` coefficients, for each channel.
+#[inline(always)]
+fn sum(count: usize, basis: &[f32; SH_COEFFICIENTS], sh: &[f32; SH_STRIDE]) -> [f32; 3] {
+    let mut total = [0.0; 3];
+    for (b, rgb) in basis[..count].iter().zip(sh.as_chunks::<3>().0) {
+        for channel in 0..3 {
+            total[channel] += b * rgb[channel];
+        }
+    }
+    total
+}
+
+/// Gradients of the coefficients (written to `sh_gradient`) and of the mean (returned), from `dL/drgb`.
 #[inline(always)]
 pub fn backward(
     sh: &[f32; SH_STRIDE],
@@ -52,23 +55,23 @@ pub fn backward(
 ) -> [f32; 3] {
     if degree == 0 {
         for channel in 0..3 {
-            sh_gradient[channel * SH_COEFFICIENTS] = C0 as f32 * rgb_gradient[channel];
+            sh_gradient[channel] = C0 as f32 * rgb_gradient[channel];
         }
         return [0.0; 3];
     }
     let (direction, inverse_distance) = direction(position, centre);
-    let basis = basis(degree, direction);
+    let basis = basis(direction);
     let mut weights = [0.0f32; SH_COEFFICIENTS];
-    for channel in 0..3 {
-        for k in 0..SH_COEFFICIENTS {
-            let at = channel * SH_COEFFICIENTS + k;
-            sh_gradient[at] = basis[k] * rgb_gradient[channel];
-            weights[k] += sh[at] * rgb_gradient[channel];
+    let rows = sh.as_chunks::<3>().0.iter().zip(sh_gradient.as_chunks_mut::<3>().0);
+    for (k, (rgb, out)) in rows.take(coefficients(degree)).enumerate() {
+        for channel in 0..3 {
+            out[channel] = basis[k] * rgb_gradient[channel];
         }
+        weights[k] = rgb[0] * rgb_gradient[0] + rgb[1] * rgb_gradient[1] + rgb[2] * rgb_gradient[2];
     }
     let along = direction_gradient(degree, direction, &weights);
     // (I − d dᵀ) / distance: the direction's length is fixed.
-    let radial: f32 = (0..3).map(|axis| along[axis] * direction[axis]).sum();
+    let radial = along[0] * direction[0] + along[1] * direction[1] + along[2] * direction[2];
     array(
         #[inline(always)]
         |axis| (along[axis] - radial * direction[axis]) * inverse_distance,
@@ -85,25 +88,15 @@ fn direction(position: [f32; 3], centre: [f32; 3]) -> ([f32; 3], f32) {
     (d.map(|v| v * inverse), inverse)
 }
 
+/// The basis of [`genesplat_core::spherical_harmonics::basis`] in f32, all 16 of it.
 #[inline(always)]
-fn dot(basis: &[f32; SH_COEFFICIENTS], sh: &[f32; SH_STRIDE], channel: usize) -> f32 {
-    // Four partial sums: a fixed order that the compiler can still vectorise.
-    let mut sums = [0.0f32; 4];
-    for k in 0..SH_COEFFICIENTS {
-        sums[k % 4] += basis[k] * sh[channel * SH_COEFFICIENTS + k];
-    }
-    (sums[0] + sums[1]) + (sums[2] + sums[3])
-}
-
-/// The basis of [`genesplat_core::spherical_harmonics::basis`] in f32; zero above `degree`.
-#[inline(always)]
-fn basis(degree: u8, [x, y, z]: [f32; 3]) -> [f32; SH_COEFFICIENTS] {
+fn basis([x, y, z]: [f32; 3]) -> [f32; SH_COEFFICIENTS] {
     const D2: [f32; 5] = [C2[0] as f32, C2[1] as f32, C2[2] as f32, C2[3] as f32, C2[4] as f32];
     const D3: [f32; 7] =
         [C3[0] as f32, C3[1] as f32, C3[2] as f32, C3[3] as f32, C3[4] as f32, C3[5] as f32, C3[6] as f32];
     let c1 = C1 as f32;
     let (xx, yy, zz) = (x * x, y * y, z * z);
-    let mut b = [
+    [
         C0 as f32,
         -c1 * y,
         c1 * z,
@@ -120,17 +113,13 @@ fn basis(degree: u8, [x, y, z]: [f32; 3]) -> [f32; SH_COEFFICIENTS] {
         D3[4] * x * (4.0 * zz - xx - yy),
         D3[5] * z * (xx - yy),
         D3[6] * x * (xx - 3.0 * yy),
-    ];
-    b[coefficients(degree)..].fill(0.0);
-    b
+    ]
 }
 
-/// `Σ_k weights[k] · ∂basis_k/∂direction`.
+/// `Σ_k weights[k] · ∂basis_k/∂direction`; weights above `degree` are 0.
 #[inline(always)]
 fn direction_gradient(degree: u8, [x, y, z]: [f32; 3], weights: &[f32; SH_COEFFICIENTS]) -> [f32; 3] {
-    let mut w = *weights;
-    w[coefficients(degree)..].fill(0.0);
-    let c = |k: usize, constant: f64| w[k] * constant as f32;
+    let c = |k: usize, constant: f64| weights[k] * constant as f32;
     let (xx, yy, zz) = (x * x, y * y, z * z);
     let (mut gx, mut gy, mut gz) = (-c(3, C1), -c(1, C1), c(2, C1));
     if degree >= 2 {

@@ -7,7 +7,7 @@ use genesplat_core::{Gaussians, Image, RenderSettings};
 
 use super::bin::Bins;
 use super::loss::{Target, loss};
-use super::project::{Pinhole, ProjectedChunk, project};
+use super::project::{Pinhole, Splats, project};
 use super::rasterise::{self, Backward, Extra, GradientRow, TileImage};
 
 /// Seconds spent in each stage since the counters were last taken.
@@ -30,9 +30,9 @@ pub struct StageSeconds {
 /// Buffers of one view, reused from step to step.
 #[derive(Default)]
 pub struct Frame {
-    /// Splats by chunk of rows.
-    pub chunks: Vec<ProjectedChunk>,
-    /// Depth order and tile lists.
+    /// Splats of the view.
+    pub splats: Splats,
+    /// Tile lists.
     pub bins: Bins,
     /// Blended tiles.
     pub tiles: Vec<TileImage>,
@@ -49,10 +49,10 @@ pub struct Frame {
 impl Frame {
     /// Renders into `self.image`.
     pub fn render(&mut self, level: Level, cloud: &Gaussians, camera: &Pinhole, settings: &RenderSettings) {
-        timed(&mut self.seconds.project, || project(level, cloud, camera, settings, &mut self.chunks));
-        timed(&mut self.seconds.bin, || self.bins.build(level, &self.chunks, camera));
+        timed(&mut self.seconds.project, || project(level, cloud, camera, settings, &mut self.splats));
+        timed(&mut self.seconds.bin, || self.bins.build(level, &self.splats, camera));
         timed(&mut self.seconds.rasterise, || {
-            rasterise::forward(level, &self.bins, camera, &mut self.tiles);
+            rasterise::forward(level, &self.splats, &self.bins, camera, &mut self.tiles);
             rasterise::compose(&self.tiles, camera, settings.background, &mut self.image);
         });
     }
@@ -62,7 +62,13 @@ impl Frame {
         let value =
             timed(&mut self.seconds.loss, || loss(level, &self.image, target, Some(&mut self.gradient)));
         timed(&mut self.seconds.rasterise_backward, || {
-            let inputs = Backward { tiles: &self.tiles, image: &self.image, gradient: &self.gradient, extra };
+            let inputs = Backward {
+                splats: &self.splats,
+                tiles: &self.tiles,
+                image: &self.image,
+                gradient: &self.gradient,
+                extra,
+            };
             rasterise::backward(level, &self.bins, camera, &inputs, &mut self.rows);
         });
         value

@@ -8,6 +8,7 @@ mod colour;
 mod loss;
 mod project;
 mod rasterise;
+mod roofline;
 mod score;
 mod simd;
 mod update;
@@ -17,6 +18,7 @@ mod frame;
 
 pub use backend::CpuBackend;
 pub use frame::{Frame, StageSeconds};
+pub use roofline::roofline_nanoseconds_per_tile_splat;
 
 #[cfg(test)]
 mod tests;

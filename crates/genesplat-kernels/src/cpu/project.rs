@@ -8,6 +8,7 @@ use genesplat_core::constants::{ALPHA_MIN, JACOBIAN_LIMIT, NEAR_DEPTH};
 use genesplat_core::{Camera, Gaussians, RenderSettings, ScreenFilter};
 use rayon::prelude::*;
 
+use super::bin::LOG2_255;
 use super::colour;
 use super::simd::{LANES, LOG2_E, V, array, exp, lanes_of, sigmoid};
 
@@ -87,48 +88,100 @@ pub struct Splat {
     pub clamped: u32,
 }
 
-/// The splats of one chunk of rows, in row order, and which rows are visible in 3DGS's geometric sense.
+/// The splats of a view, where projection put them: those of a chunk of rows lie together, in row order, at the start of
+/// the chunk's room. A splat's index is its place in that room, so nothing is moved or counted twice.
 #[derive(Clone, Debug, Default)]
-pub struct ProjectedChunk {
-    /// Splats that can reach a pixel.
-    pub splats: Vec<Splat>,
-    /// A row's 3-sigma square meets a tile: what the densification average counts (facts.md, quirk 6).
-    pub seen: Vec<bool>,
+pub struct Splats {
+    /// Room for one splat a row `[N]`.
+    room: Vec<Splat>,
+    /// Splats in each chunk's room.
+    counts: Vec<u32>,
+    /// A row's 3-sigma square meets a tile: what the densification average counts (facts.md, quirk 6) `[N]`.
+    seen: Vec<bool>,
 }
 
-/// Projects the whole cloud; `chunks` is reused from call to call.
+impl Splats {
+    /// The splat of an index.
+    #[inline(always)]
+    pub fn get(&self, index: u32) -> &Splat {
+        &self.room[index as usize]
+    }
+
+    /// All splats with their indices, in row order.
+    pub fn iter(&self) -> impl Iterator<Item = (u32, &Splat)> {
+        self.room.chunks(CHUNK).zip(&self.counts).enumerate().flat_map(|(chunk, (room, &count))| {
+            let first = (chunk * CHUNK) as u32;
+            room[..count as usize].iter().enumerate().map(move |(k, splat)| (first + k as u32, splat))
+        })
+    }
+
+    /// The splats of one chunk of rows; the first one's index is `chunk * CHUNK`.
+    pub fn chunk(&self, chunk: usize) -> &[Splat] {
+        &self.room[chunk * CHUNK..][..self.counts[chunk] as usize]
+    }
+
+    /// Geometric visibility of the rows of one chunk.
+    pub fn seen(&self, chunk: usize) -> &[bool] {
+        &self.seen[chunk * CHUNK..self.seen.len().min((chunk + 1) * CHUNK)]
+    }
+
+    /// Number of splats.
+    pub fn len(&self) -> usize {
+        self.counts.iter().map(|&count| count as usize).sum()
+    }
+
+    /// Above every index.
+    pub fn capacity(&self) -> usize {
+        self.room.len()
+    }
+}
+
+/// Projects the whole cloud; the room is reused from call to call.
 pub fn project(
     level: Level,
     cloud: &Gaussians,
     camera: &Pinhole,
     settings: &RenderSettings,
-    chunks: &mut Vec<ProjectedChunk>,
+    out: &mut Splats,
 ) {
     let n = cloud.len();
-    chunks.resize_with(n.div_ceil(CHUNK), ProjectedChunk::default);
-    chunks.par_iter_mut().enumerate().for_each(|(index, chunk)| {
-        let rows = index * CHUNK..n.min((index + 1) * CHUNK);
-        chunk.splats.clear();
-        chunk.seen.clear();
-        dispatch!(level, simd => project_rows(simd, cloud, rows.clone(), camera, settings, chunk));
+    out.room.resize(n, Splat::default());
+    out.seen.resize(n, false);
+    out.counts.resize(n.div_ceil(CHUNK), 0);
+    let rooms = out.room.par_chunks_mut(CHUNK).zip(out.seen.par_chunks_mut(CHUNK)).zip(&mut out.counts);
+    rooms.enumerate().for_each(|(chunk, ((room, seen), count))| {
+        let first_row = chunk * CHUNK;
+        *count = dispatch!(level, simd => project_rows(simd, cloud, first_row, camera, settings, room, seen));
     });
 }
 
+/// Fills the room of the rows from `first_row` on and returns how many splats they have.
 #[inline(always)]
 fn project_rows<S: Simd>(
     simd: S,
     cloud: &Gaussians,
-    rows: std::ops::Range<usize>,
+    first_row: usize,
     camera: &Pinhole,
     settings: &RenderSettings,
-    out: &mut ProjectedChunk,
-) {
-    for first in rows.clone().step_by(LANES) {
-        let count = LANES.min(rows.end - first);
-        let params = Params::load(simd, cloud, |lane| first + lane.min(count - 1));
-        let geometry = Geometry::new(&params, camera, settings.filter);
-        emit(cloud, first, count, camera, settings, &geometry, out);
+    room: &mut [Splat],
+    seen: &mut [bool],
+) -> u32 {
+    let mut splats = 0;
+    for (group, seen) in seen.chunks_mut(LANES).enumerate() {
+        let first = first_row + group * LANES;
+        let params = Params::load(simd, cloud, |lane| first + lane.min(seen.len() - 1));
+        let lanes = Geometry::new(&params, camera, settings.filter).lanes();
+        for (lane, seen) in seen.iter_mut().enumerate() {
+            *seen = lanes.is_seen(lane, camera);
+            let Some(splat) = lanes.splat(lane, camera) else { continue };
+            let row = first + lane;
+            let colour =
+                colour::evaluate(&cloud.sh[row], cloud.positions[row], camera.centre, settings.sh_degree);
+            room[splats] = Splat { rgb: colour.rgb, clamped: colour.clamped, global: row as u32, ..splat };
+            splats += 1;
+        }
     }
+    splats as u32
 }
 
 /// Projects single rows, in the order given: what scoring needs for the rows that an individual changed.
@@ -157,27 +210,6 @@ pub fn project_group<S: Simd>(
             });
             each(group * LANES + lane, splat);
         }
-    }
-}
-
-#[inline(always)]
-fn emit<S: Simd>(
-    cloud: &Gaussians,
-    first: usize,
-    count: usize,
-    camera: &Pinhole,
-    settings: &RenderSettings,
-    geometry: &Geometry<S>,
-    out: &mut ProjectedChunk,
-) {
-    let lanes = geometry.lanes();
-    for lane in 0..count {
-        out.seen.push(lanes.is_seen(lane, camera));
-        let Some(splat) = lanes.splat(lane, camera) else { continue };
-        let row = first + lane;
-        let colour =
-            colour::evaluate(&cloud.sh[row], cloud.positions[row], camera.centre, settings.sh_degree);
-        out.splats.push(Splat { rgb: colour.rgb, clamped: colour.clamped, global: row as u32, ..splat });
     }
 }
 
@@ -478,7 +510,8 @@ impl Lanes {
         }
         let mean = self.mean(lane, camera);
         // alpha ≥ 1/255 ⟺ dᵀ Σ'⁻¹ d ≤ 2 ln(255 o): half extents sqrt(2 ln(255 o) Σ'ₖₖ).
-        let reach = 2.0 * (opacity / ALPHA_MIN).ln();
+        let log2_opacity = opacity.log2();
+        let reach = 2.0 * std::f32::consts::LN_2 * (log2_opacity + LOG2_255);
         let half_extent = [(reach * self.cov[0][lane]).sqrt(), (reach * self.cov[2][lane]).sqrt()];
         let inside = (0..2).all(|axis| {
             mean[axis] + half_extent[axis] >= 0.0
@@ -495,7 +528,7 @@ impl Lanes {
                 scale * self.cov[1][lane],
                 -0.5 * scale * self.cov[0][lane],
             ],
-            log2_opacity: opacity.log2(),
+            log2_opacity,
             depth: self.t[2][lane],
             half_extent,
             ..Splat::default()

@@ -15,7 +15,7 @@ use genesplat_core::constants::{ALPHA_MAX, TRANSMITTANCE_MIN};
 use rayon::prelude::*;
 
 use super::bin::{BLOCK, BLOCKS_ACROSS, Bins, LOG2_255, TileSplat};
-use super::project::{Pinhole, Splat, TILE};
+use super::project::{Pinhole, Splat, Splats, TILE};
 use super::simd::{LANES, V, array, exp2};
 
 /// Blocks of a tile.
@@ -88,9 +88,9 @@ struct TileLists {
 }
 
 impl TileLists {
-    fn fill(&mut self, entries: &[TileSplat], splats: &[Splat]) {
+    fn fill(&mut self, entries: &[TileSplat], splats: &Splats) {
         self.splats.clear();
-        self.splats.extend(entries.iter().map(|entry| splats[entry.rank as usize]));
+        self.splats.extend(entries.iter().map(|entry| *splats.get(entry.splat)));
         for list in &mut self.lists {
             list.clear();
         }
@@ -105,12 +105,12 @@ impl TileLists {
 }
 
 /// Forward pass of all tiles.
-pub fn forward(level: Level, bins: &Bins, camera: &Pinhole, tiles: &mut Vec<TileImage>) {
+pub fn forward(level: Level, splats: &Splats, bins: &Bins, camera: &Pinhole, tiles: &mut Vec<TileImage>) {
     let grid = camera.grid();
     tiles.resize_with(grid[0] * grid[1], TileImage::default);
     tiles.par_iter_mut().enumerate().for_each_init(TileLists::default, |lists, (tile, out)| {
         let origin = [tile % grid[0] * TILE, tile / grid[0] * TILE];
-        lists.fill(bins.tile(tile), &bins.splats);
+        lists.fill(bins.tile(tile), splats);
         dispatch!(level, simd => forward_tile(simd, lists, origin, camera.size, out));
     });
 }
@@ -240,6 +240,8 @@ pub fn compose(tiles: &[TileImage], camera: &Pinhole, background: [f32; 3], imag
 
 /// Everything the backward pass reads besides the lists.
 pub struct Backward<'a> {
+    /// Splats of the view.
+    pub splats: &'a Splats,
     /// What the forward pass left.
     pub tiles: &'a [TileImage],
     /// The composed image `[3, H, W]`.
@@ -262,7 +264,7 @@ pub fn backward(level: Level, bins: &Bins, camera: &Pinhole, inputs: &Backward, 
         rest = others;
     }
     by_tile.into_par_iter().enumerate().for_each_init(Workspace::default, |work, (tile, rows)| {
-        work.lists.fill(bins.tile(tile), &bins.splats);
+        work.lists.fill(bins.tile(tile), inputs.splats);
         let task =
             TileTask { origin: [tile % grid[0] * TILE, tile / grid[0] * TILE], size: camera.size, inputs };
         dispatch!(level, simd => match inputs.extra {

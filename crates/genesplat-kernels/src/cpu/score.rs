@@ -11,34 +11,33 @@ use rayon::prelude::*;
 
 use super::bin::{Bins, TileSplat, for_each_tile};
 use super::loss::{Target, loss_serial};
-use super::project::{Pinhole, ProjectedChunk, Splat, TILE, project, project_group};
+use super::project::{Pinhole, Splat, Splats, TILE, project, project_group};
 use super::rasterise::{BLOCKS, BlockPixels, TileImage, blend, forward};
 
-/// Stands for "not visible" where a rank is expected.
+/// Stands for "not visible" where the index of a splat is expected.
 const NOT_VISIBLE: u32 = u32::MAX;
 
 /// The base as one view sees it.
 pub struct BaseView {
     camera: Pinhole,
+    splats: Splats,
     bins: Bins,
     tiles: Vec<TileImage>,
-    rank_of_global: Vec<u32>,
+    splat_of_row: Vec<u32>,
 }
 
 impl BaseView {
     /// Projects, sorts and renders the base.
     pub fn new(level: Level, cloud: &Gaussians, camera: Pinhole, settings: &RenderSettings) -> Self {
-        let mut chunks: Vec<ProjectedChunk> = Vec::new();
-        project(level, cloud, &camera, settings, &mut chunks);
-        let mut bins = Bins::default();
-        bins.build(level, &chunks, &camera);
-        let mut tiles = Vec::new();
-        forward(level, &bins, &camera, &mut tiles);
-        let mut rank_of_global = vec![NOT_VISIBLE; cloud.len()];
-        for (rank, splat) in bins.splats.iter().enumerate() {
-            rank_of_global[splat.global as usize] = rank as u32;
+        let (mut splats, mut bins, mut tiles) = (Splats::default(), Bins::default(), Vec::new());
+        project(level, cloud, &camera, settings, &mut splats);
+        bins.build(level, &splats, &camera);
+        forward(level, &splats, &bins, &camera, &mut tiles);
+        let mut splat_of_row = vec![NOT_VISIBLE; cloud.len()];
+        for (index, splat) in splats.iter() {
+            splat_of_row[splat.global as usize] = index;
         }
-        Self { camera, bins, tiles, rank_of_global }
+        Self { camera, splats, bins, tiles, splat_of_row }
     }
 }
 
@@ -65,9 +64,9 @@ pub fn score(
 struct Scratch {
     /// Splats of the changed rows, nearest first.
     added: Vec<Splat>,
-    /// Base splats that the individual does not have `[V]`.
+    /// Base splats that the individual does not have, by index.
     removed: Vec<bool>,
-    /// Entries of the added splats by tile; `rank` counts in `added`.
+    /// Entries of the added splats by tile; `splat` counts in `added`.
     added_entries: Vec<(u32, TileSplat)>,
     /// Blocks that differ from the base, by tile.
     dirty: Vec<u32>,
@@ -129,12 +128,12 @@ impl Scratch {
         dirty.clear();
         dirty.resize(grid[0] * grid[1], 0);
         removed.clear();
-        removed.resize(view.bins.splats.len(), false);
+        removed.resize(view.splats.capacity(), false);
         for &row in &individual.rows {
-            let rank = view.rank_of_global[row as usize];
-            if rank != NOT_VISIBLE {
-                removed[rank as usize] = true;
-                for_each_tile(simd, &view.bins.splats[rank as usize], grid, |tile, blocks| {
+            let index = view.splat_of_row[row as usize];
+            if index != NOT_VISIBLE {
+                removed[index as usize] = true;
+                for_each_tile(simd, view.splats.get(index), grid, |tile, blocks| {
                     dirty[tile as usize] |= blocks
                 });
             }
@@ -146,13 +145,13 @@ impl Scratch {
         });
         added.sort_unstable_by_key(order);
         added_entries.clear();
-        for (rank, splat) in added.iter().enumerate() {
+        for (index, splat) in added.iter().enumerate() {
             for_each_tile(simd, splat, grid, |tile, blocks| {
                 dirty[tile as usize] |= blocks;
-                added_entries.push((tile, TileSplat { rank: rank as u32, blocks }));
+                added_entries.push((tile, TileSplat { splat: index as u32, blocks }));
             });
         }
-        added_entries.sort_unstable_by_key(|(tile, entry)| (*tile, entry.rank));
+        added_entries.sort_unstable_by_key(|(tile, entry)| (*tile, entry.splat));
     }
 
     /// Lists of the dirty blocks: the base's splats without the removed ones, and the added ones, in depth order.
@@ -163,17 +162,17 @@ impl Scratch {
         let dirty = self.dirty[tile];
         let mut added = self.added_entries[added].iter().map(|(_, entry)| *entry).peekable();
         for entry in view.bins.tile(tile) {
-            if self.removed[entry.rank as usize] {
+            if self.removed[entry.splat as usize] {
                 continue;
             }
-            let key = order(&view.bins.splats[entry.rank as usize]);
-            while let Some(next) = added.next_if(|next| order(&self.added[next.rank as usize]) < key) {
-                push(&mut self.lists, next.blocks & dirty, Source::Added(next.rank));
+            let key = order(view.splats.get(entry.splat));
+            while let Some(next) = added.next_if(|next| order(&self.added[next.splat as usize]) < key) {
+                push(&mut self.lists, next.blocks & dirty, Source::Added(next.splat));
             }
-            push(&mut self.lists, entry.blocks & dirty, Source::Base(entry.rank));
+            push(&mut self.lists, entry.blocks & dirty, Source::Base(entry.splat));
         }
         for next in added {
-            push(&mut self.lists, next.blocks & dirty, Source::Added(next.rank));
+            push(&mut self.lists, next.blocks & dirty, Source::Added(next.splat));
         }
     }
 
@@ -188,8 +187,8 @@ impl Scratch {
             }
             let pixels = BlockPixels::new(simd, origin, block, view.camera.size);
             let splats = self.lists[block].iter().map(|source| match *source {
-                Source::Base(rank) => &view.bins.splats[rank as usize],
-                Source::Added(rank) => &self.added[rank as usize],
+                Source::Base(index) => view.splats.get(index),
+                Source::Added(index) => &self.added[index as usize],
             });
             let (state, _) = blend(simd, splats, &pixels);
             let [red, green, blue] = state.rgb.map(|values| *values);

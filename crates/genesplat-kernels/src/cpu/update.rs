@@ -6,7 +6,7 @@
 
 use fearless_simd::{Level, Simd, dispatch, prelude::*};
 use genesplat_core::constants::{ADAM_BETA1, ADAM_BETA2, ADAM_EPSILON};
-use genesplat_core::spherical_harmonics::{SH_COEFFICIENTS, SH_STRIDE, coefficients};
+use genesplat_core::spherical_harmonics::{SH_STRIDE, coefficients};
 use genesplat_core::{
     DensitySignal, Gaussians, Gene, Moments, RenderSettings, ScreenFilter, Statistics, StatisticsRequest,
     Update,
@@ -15,14 +15,14 @@ use rayon::prelude::*;
 
 use super::bin::Bins;
 use super::colour;
-use super::project::{ANTIALIAS_RATIO_MIN, CHUNK, Geometry, Params, Pinhole, ProjectedChunk, Splat};
+use super::project::{ANTIALIAS_RATIO_MIN, CHUNK, Geometry, Params, Pinhole, Splat, Splats};
 use super::rasterise::{GradientRow, column};
 use super::simd::{LANES, V, array};
 
 /// What the backward pass of the parameters reads.
 pub struct Inputs<'a> {
-    /// Splats by chunk, as `project` made them.
-    pub chunks: &'a [ProjectedChunk],
+    /// Splats of the view, as `project` made them.
+    pub splats: &'a Splats,
     /// Tile lists.
     pub bins: &'a Bins,
     /// One row per entry of the lists.
@@ -136,7 +136,6 @@ pub fn update(
     request: StatisticsRequest,
     step: Option<&Update>,
 ) {
-    let starts = visible_starts(inputs.chunks);
     let filter_3d = cloud.filter_3d.take();
     let work: Vec<ChunkMut> = chunks_mut(cloud)
         .zip(chunks_mut(&mut moments.first))
@@ -147,13 +146,13 @@ pub fn update(
     work.into_par_iter().enumerate().for_each_init(
         ChunkGradients::default,
         |gradients, (index, mut chunk)| {
-            let splats = &inputs.chunks[index].splats;
+            let splats = inputs.splats.chunk(index);
             let filter = filter_3d.as_deref().map(|filter| &filter[index * CHUNK..]);
             dispatch!(level, simd => {
                 gradients.clear();
                 let view = ChunkView { first_row: index * CHUNK, rows: &chunk.parameters, filter };
-                chunk_gradients(simd, inputs, splats, starts[index], &view, request.density, gradients);
-                add_statistics(&mut chunk.statistics, gradients, &inputs.chunks[index].seen, request);
+                chunk_gradients(simd, inputs, splats, &view, request.density, gradients);
+                add_statistics(&mut chunk.statistics, gradients, inputs.splats.seen(index), request);
                 if let Some(step) = step {
                     adam(simd, step, inputs.settings.sh_degree, gradients, &mut chunk);
                 }
@@ -164,21 +163,21 @@ pub fn update(
 }
 
 /// Gradients of the whole cloud in one piece: what tests compare with the reference.
+#[cfg(test)]
 pub fn gradients(
     level: Level,
     inputs: &Inputs,
     cloud: &Gaussians,
     signal: Option<DensitySignal>,
 ) -> (Gaussians, Vec<[f32; 2]>) {
-    let starts = visible_starts(inputs.chunks);
     let mut copy = cloud.clone();
     let (mut out, mut density) = (Gaussians::zeros(cloud.len()), vec![[0.0; 2]; cloud.len()]);
     for (index, rows) in chunks_mut(&mut copy).enumerate() {
         let mut gradients = ChunkGradients::default();
         let filter = cloud.filter_3d.as_deref().map(|filter| &filter[index * CHUNK..]);
         let view = ChunkView { first_row: index * CHUNK, rows: &rows, filter };
-        let splats = &inputs.chunks[index].splats;
-        dispatch!(level, simd => chunk_gradients(simd, inputs, splats, starts[index], &view, signal, &mut gradients));
+        let splats = inputs.splats.chunk(index);
+        dispatch!(level, simd => chunk_gradients(simd, inputs, splats, &view, signal, &mut gradients));
         for local in 0..rows.positions.len() {
             let row = index * CHUNK + local;
             out.set_genes(row, &gradients.genes[local]);
@@ -187,17 +186,6 @@ pub fn gradients(
         }
     }
     (out, density)
-}
-
-fn visible_starts(chunks: &[ProjectedChunk]) -> Vec<usize> {
-    chunks
-        .iter()
-        .scan(0, |sum, chunk| {
-            let start = *sum;
-            *sum += chunk.splats.len();
-            Some(start)
-        })
-        .collect()
 }
 
 /// Read access to the rows of a chunk.
@@ -266,7 +254,6 @@ fn chunk_gradients<S: Simd>(
     simd: S,
     inputs: &Inputs,
     splats: &[Splat],
-    first_visible: usize,
     view: &ChunkView,
     signal: Option<DensitySignal>,
     out: &mut ChunkGradients,
@@ -275,7 +262,7 @@ fn chunk_gradients<S: Simd>(
         // 1. Sum the rows of each splat over its tiles, in a fixed order.
         let mut sums = [[0.0f32; LANES]; LANES];
         for lane in 0..splats.len() {
-            let row = sum_rows(inputs, first_visible + group * LANES + lane);
+            let row = sum_rows(inputs, view.first_row + group * LANES + lane);
             for (column, value) in sums.iter_mut().zip(row) {
                 column[lane] = value;
             }
@@ -297,11 +284,10 @@ fn chunk_gradients<S: Simd>(
 }
 
 #[inline(always)]
-fn sum_rows(inputs: &Inputs, visible: usize) -> [f32; LANES] {
-    let rank = inputs.bins.rank_of_visible[visible] as usize;
-    let starts = &inputs.bins.position_starts;
+fn sum_rows(inputs: &Inputs, index: usize) -> [f32; LANES] {
+    let [first, count] = inputs.bins.position_ranges[index];
     let mut sum = [0.0f32; LANES];
-    for &position in &inputs.bins.positions[starts[rank] as usize..starts[rank + 1] as usize] {
+    for &position in &inputs.bins.positions[first as usize..][..count as usize] {
         for (total, value) in sum.iter_mut().zip(inputs.rows[position as usize].0) {
             *total += value;
         }
@@ -690,7 +676,7 @@ fn step_column<S: Simd>(simd: S, rate: Rate, gradient: &[f32], p: &mut [f32], m:
     }
 }
 
-/// The 48 coefficients of one row; inactive ones have no gradient and no moments yet, so they cannot move.
+/// The coefficients of one row; inactive ones have no gradient and no moments yet, so they cannot move.
 #[inline(always)]
 fn step_sh<S: Simd>(
     simd: S,
@@ -702,33 +688,23 @@ fn step_sh<S: Simd>(
     m: &mut [f32; SH_STRIDE],
     v: &mut [f32; SH_STRIDE],
 ) {
-    for channel in 0..3 {
-        let at = channel * SH_COEFFICIENTS;
-        if coefficients(degree) == 1 {
-            let range = at..at + 1;
-            step_column(
-                simd,
-                dc,
-                &gradient[range.clone()],
-                &mut p[range.clone()],
-                &mut m[range.clone()],
-                &mut v[range],
-            );
-        } else {
-            let range = at..at + SH_COEFFICIENTS;
-            let mut steps = [rest.step; LANES];
-            steps[0] = dc.step;
-            let steps = V::simd_from(simd, steps);
-            step_vector(
-                simd,
-                steps,
-                rest.root,
-                &gradient[range.clone()],
-                &mut p[range.clone()],
-                &mut m[range.clone()],
-                &mut v[range],
-            );
-        }
+    if degree == 0 {
+        return step_column(simd, dc, &gradient[..3], &mut p[..3], &mut m[..3], &mut v[..3]);
+    }
+    let mut steps = [rest.step; LANES];
+    steps[..3].fill(dc.step);
+    for first in (0..3 * coefficients(degree)).step_by(LANES) {
+        let range = first..first + LANES;
+        step_vector(
+            simd,
+            V::simd_from(simd, steps),
+            rest.root,
+            &gradient[range.clone()],
+            &mut p[range.clone()],
+            &mut m[range.clone()],
+            &mut v[range],
+        );
+        steps.fill(rest.step);
     }
 }
 

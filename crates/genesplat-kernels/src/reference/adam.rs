@@ -5,7 +5,7 @@
 
 use genesplat_core::backend::Exploration;
 use genesplat_core::constants::{ADAM_BETA1, ADAM_BETA2, ADAM_EPSILON};
-use genesplat_core::spherical_harmonics::SH_COEFFICIENTS;
+use genesplat_core::spherical_harmonics::SH_STRIDE;
 use genesplat_core::{Rng, Stream, Update};
 use glam::DVec3;
 
@@ -68,7 +68,7 @@ fn step_groups(cloud: &mut Cloud64, moments: &mut Moments64, gradient: &Cloud64,
 
     let columns = (cloud.sh.as_flattened_mut(), gradient.sh.as_flattened());
     let history = (m.sh.as_flattened_mut(), v.sh.as_flattened_mut());
-    let is_dc = |index: usize| index.is_multiple_of(SH_COEFFICIENTS);
+    let is_dc = |index: usize| index % SH_STRIDE < 3;
     step_column(columns, history, step, |i| f64::from(if is_dc(i) { rates.sh_dc } else { rates.sh_rest }));
 
     if update.opacity_step > 0 {

@@ -1,18 +1,20 @@
 //! Colour of a Gaussian as one camera sees it: `max(0, 0.5 + Σ basis_k(direction) · coefficient_k)` per channel.
 
-use genesplat_core::spherical_harmonics::{C1, C2, C3, SH_COEFFICIENTS, SH_STRIDE, basis, coefficients};
+use genesplat_core::spherical_harmonics::{
+    C1, C2, C3, SH_COEFFICIENTS, SH_STRIDE, basis, coefficients, sh_index,
+};
 use glam::DVec3;
 
 /// Gradients of one colour.
 #[derive(Clone, Copy, Debug)]
 pub struct ColourGradient {
-    /// By the coefficients `[3 channels, 16]`; zero above the active degree.
+    /// By the coefficients `[16, 3 channels]`; zero above the active degree.
     pub sh: [f64; SH_STRIDE],
     /// By the position in world coordinates, through the viewing direction.
     pub position: DVec3,
 }
 
-/// Colour of a Gaussian at `offset` (mean − camera centre, world axes), from its coefficients `[3 channels, 16]`.
+/// Colour of a Gaussian at `offset` (mean − camera centre, world axes), from its coefficients `[16, 3 channels]`.
 pub fn colour(sh: &[f64; SH_STRIDE], offset: DVec3, degree: u8) -> [f64; 3] {
     unclamped(sh, offset, degree).map(|value| if value < 0.0 { 0.0 } else { value })
 }
@@ -21,8 +23,7 @@ pub fn colour(sh: &[f64; SH_STRIDE], offset: DVec3, degree: u8) -> [f64; 3] {
 fn unclamped(sh: &[f64; SH_STRIDE], offset: DVec3, degree: u8) -> [f64; 3] {
     let basis = basis(degree, offset.normalize().to_array());
     std::array::from_fn(|channel| {
-        let row = &sh[channel * SH_COEFFICIENTS..];
-        0.5 + (0..coefficients(degree)).map(|k| basis[k] * row[k]).sum::<f64>()
+        0.5 + (0..coefficients(degree)).map(|k| basis[k] * sh[sh_index(channel, k)]).sum::<f64>()
     })
 }
 
@@ -36,7 +37,7 @@ pub fn backward(sh: &[f64; SH_STRIDE], offset: DVec3, degree: u8, by_colour: [f6
     let mut by_direction = DVec3::ZERO;
     for channel in (0..3).filter(|&channel| before_clamp[channel] >= 0.0) {
         for k in 0..coefficients(degree) {
-            let at = channel * SH_COEFFICIENTS + k;
+            let at = sh_index(channel, k);
             gradient.sh[at] = basis[k] * by_colour[channel];
             by_direction += slopes[k] * (sh[at] * by_colour[channel]);
         }
@@ -84,7 +85,7 @@ mod tests {
     fn the_base_colour_is_the_same_from_everywhere_and_never_negative() {
         let mut sh = [0.0; SH_STRIDE];
         sh[0] = 0.3 / C0;
-        sh[32] = -0.9 / C0;
+        sh[2] = -0.9 / C0;
         for offset in [DVec3::X, DVec3::new(-3.0, 1.0, 2.0)] {
             let [r, g, b] = colour(&sh, offset, 3);
             assert!((r - 0.8).abs() < 1e-12 && g == 0.5 && b == 0.0);

@@ -66,7 +66,7 @@ pub fn random_cloud(n: usize, seed: u64) -> Cloud64 {
         cloud.opacity_logits[row] = uniform.between(-2.5, 2.5);
         cloud.sh[row] = uniform.array(-0.25, 0.25);
         for channel in 0..3 {
-            cloud.sh[row][16 * channel] = uniform.between(-0.5, 1.5);
+            cloud.sh[row][channel] = uniform.between(-0.5, 1.5);
         }
     }
     cloud
@@ -86,7 +86,7 @@ pub fn push(cloud: &mut Cloud64, position: [f64; 3], scale: f64, opacity: f64, r
     cloud.rotations.push([1.0, 0.0, 0.0, 0.0]);
     cloud.opacity_logits.push((opacity / (1.0 - opacity)).ln());
     let mut sh = [0.0; SH_STRIDE];
-    (0..3).for_each(|channel| sh[16 * channel] = (rgb[channel] - 0.5) / C0);
+    (0..3).for_each(|channel| sh[channel] = (rgb[channel] - 0.5) / C0);
     cloud.sh.push(sh);
 }
 
