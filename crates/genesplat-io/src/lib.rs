@@ -13,10 +13,12 @@ pub mod atomic;
 pub mod colmap;
 mod cursor;
 mod error;
+pub mod gallery;
 pub mod photos;
 pub mod ply;
 mod scene;
 
 pub use error::SceneError;
+pub use gallery::{Gallery, GalleryOptions};
 pub use ply::{PlyError, PlyOptions, read_ply, write_ply};
 pub use scene::{HoldOut, LoadOptions, LoadProgress, PhotoSize, Point, Scene, load_scene};

@@ -154,16 +154,32 @@ fn list(path: &Path, options: &LoadOptions) -> Result<Listing, SceneError> {
 }
 
 /// Training and test frames, each sorted by name.
-fn split(mut frames: Vec<Frame>, hold_out: HoldOut) -> (Vec<Frame>, Vec<Frame>) {
-    // The reference sorts by the file name up to its first dot; the whole name breaks ties.
-    frames.sort_by(|a, b| stem(&a.name).cmp(stem(&b.name)).then_with(|| a.name.cmp(&b.name)));
-    let prescribed = frames.iter().any(|frame| frame.held_out == Some(true));
-    let mut index = 0;
-    frames.into_iter().partition(|frame| {
-        let held_out = if prescribed { frame.held_out == Some(true) } else { index % 8 == 0 };
-        index += 1;
-        hold_out == HoldOut::None || !held_out
-    })
+fn split(frames: Vec<Frame>, hold_out: HoldOut) -> (Vec<Frame>, Vec<Frame>) {
+    if !frames.iter().any(|frame| frame.held_out == Some(true)) {
+        return every_eighth(frames, |frame| &frame.name, hold_out);
+    }
+    // The scene itself says which photos are for testing.
+    let (frames, _) = every_eighth(frames, |frame| &frame.name, HoldOut::None);
+    frames.into_iter().partition(|frame| hold_out == HoldOut::None || frame.held_out != Some(true))
+}
+
+/// Training and test views, as [`load_scene`] would split them.
+pub(crate) fn split_views(views: Vec<View>, hold_out: HoldOut) -> (Vec<View>, Vec<View>) {
+    every_eighth(views, |view| &view.name, hold_out)
+}
+
+/// The reference's split: sorted by the file name up to its first dot (the whole name breaks ties), every eighth for
+/// testing, from the first on.
+fn every_eighth<T>(mut items: Vec<T>, name: impl Fn(&T) -> &str, hold_out: HoldOut) -> (Vec<T>, Vec<T>) {
+    items.sort_by(|a, b| {
+        let (a, b) = (name(a), name(b));
+        stem(a).cmp(stem(b)).then_with(|| a.cmp(b))
+    });
+    let numbered = items.into_iter().enumerate();
+    let (train, test): (Vec<_>, Vec<_>) =
+        numbered.partition(|(index, _)| hold_out == HoldOut::None || index % 8 != 0);
+    let items = |part: Vec<(usize, T)>| part.into_iter().map(|(_, item)| item).collect();
+    (items(train), items(test))
 }
 
 fn stem(name: &str) -> &str {
