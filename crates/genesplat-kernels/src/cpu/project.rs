@@ -371,12 +371,11 @@ impl<S: Simd> Geometry<S> {
                 )
             },
         );
-        let weighted = |i: usize, j: usize| {
-            variance[0] * w[i][0] * w[j][0]
-                + variance[1] * w[i][1] * w[j][1]
-                + variance[2] * w[i][2] * w[j][2]
-        };
-        let cov_raw = [weighted(0, 0), weighted(0, 1), weighted(1, 1)];
+        let cov_raw = [
+            weighted_dot(&variance, &w[0], &w[0]),
+            weighted_dot(&variance, &w[0], &w[1]),
+            weighted_dot(&variance, &w[1], &w[1]),
+        ];
         let dilation = filter.dilation();
         let cov = [cov_raw[0] + dilation, cov_raw[1], cov_raw[2] + dilation];
         let det_raw = cov_raw[0] * cov_raw[2] - cov_raw[1] * cov_raw[1];
@@ -424,6 +423,12 @@ impl<S: Simd> Geometry<S> {
             opacity: *self.opacity_effective,
         }
     }
+}
+
+/// `Σ_k weight_k a_k b_k`.
+#[inline(always)]
+fn weighted_dot<S: Simd>(weight: &[V<S>; 3], a: &[V<S>; 3], b: &[V<S>; 3]) -> V<S> {
+    weight[0] * a[0] * b[0] + weight[1] * a[1] * b[1] + weight[2] * a[2] * b[2]
 }
 
 /// Smallest determinant that Mip-Splatting's filter accepts, px⁴.

@@ -84,23 +84,29 @@ pub enum Extra {
 #[derive(Clone, Debug, Default)]
 struct TileLists {
     splats: Vec<Splat>,
+    /// Room for every entry in each block's list.
     lists: [Vec<u32>; BLOCKS],
+    lengths: [usize; BLOCKS],
 }
 
 impl TileLists {
     fn fill(&mut self, entries: &[TileSplat], splats: &Splats) {
         self.splats.clear();
         self.splats.extend(entries.iter().map(|entry| *splats.get(entry.splat)));
-        for list in &mut self.lists {
-            list.clear();
-        }
-        for (index, entry) in entries.iter().enumerate() {
-            let mut blocks = entry.blocks;
-            while blocks != 0 {
-                self.lists[blocks.trailing_zeros() as usize].push(index as u32);
-                blocks &= blocks - 1;
+        for (block, (list, length)) in self.lists.iter_mut().zip(&mut self.lengths).enumerate() {
+            list.resize(list.len().max(entries.len() + 1), 0);
+            // Every index is written; those of other blocks are overwritten by the next one. No branch to mispredict.
+            *length = 0;
+            for (index, entry) in entries.iter().enumerate() {
+                list[*length] = index as u32;
+                *length += (entry.blocks >> block & 1) as usize;
             }
         }
+    }
+
+    /// Indices of the splats that reach a block, front to back.
+    fn list(&self, block: usize) -> &[u32] {
+        &self.lists[block][..self.lengths[block]]
     }
 }
 
@@ -125,7 +131,7 @@ fn forward_tile<S: Simd>(
 ) {
     for block in 0..BLOCKS {
         let pixels = BlockPixels::new(simd, origin, block, size);
-        let list = lists.lists[block].iter().map(|&index| &lists.splats[index as usize]);
+        let list = lists.list(block).iter().map(|&index| &lists.splats[index as usize]);
         let (state, consumed) = blend(simd, list, &pixels);
         for channel in 0..3 {
             out.blocks[block][channel] = *state.rgb[channel];
@@ -192,7 +198,7 @@ pub fn blend<'a, S: Simd>(
             // The splat that would end a pixel is not blended into it.
             weight = stops.select(zero, weight);
             next = stops.select(state.transmittance, next);
-            alive = alive & !stops;
+            alive &= !stops;
             if alive.all_false() {
                 break;
             }
@@ -314,7 +320,7 @@ fn backward_tile<const EXTRA: u8, S: Simd>(
     rows.fill(GradientRow::default());
     let Workspace { lists, shares } = work;
     for block in 0..BLOCKS {
-        let list = &lists.lists[block][..task.inputs.tiles[tile].consumed[block] as usize];
+        let list = &lists.list(block)[..task.inputs.tiles[tile].consumed[block] as usize];
         let gradient = load_block(simd, task.inputs.gradient, task, block);
         replay::<EXTRA, S>(simd, task, block, list, &lists.splats, &gradient, shares, rows);
         accumulate(simd, block, list, &gradient, shares, rows);
@@ -372,8 +378,8 @@ fn replay<const EXTRA: u8, S: Simd>(
         let mut next = transmittance - weight;
         let stops = next.simd_lt(TRANSMITTANCE_MIN);
         if stops.any_true() {
-            alive = alive & !stops;
-            hit = hit & !stops;
+            alive &= !stops;
+            hit &= !stops;
             alpha = stops.select(zero, alpha);
             weight = stops.select(zero, weight);
             next = stops.select(transmittance, next);
@@ -382,7 +388,7 @@ fn replay<const EXTRA: u8, S: Simd>(
         // 3. dL/dα: what the splat adds itself, less what it takes from everything behind it. The clamp at 0.99 is
         // ignored, as published (straight-through).
         let own = gradient[0] * splat.rgb[0] + gradient[1] * splat.rgb[1] + gradient[2] * splat.rgb[2];
-        remaining = remaining - weight * own;
+        remaining -= weight * own;
         let alpha_gradient = transmittance * own - remaining * reciprocal(one - alpha);
         let p = hit.select(unclamped * alpha_gradient, zero);
         transmittance = next;
