@@ -4,6 +4,7 @@ use std::io;
 use std::path::PathBuf;
 
 use crate::photos::PhotoError;
+use crate::ply::PlyError;
 
 /// Why a scene could not be loaded.
 #[derive(Debug, thiserror::Error)]
@@ -239,4 +240,7 @@ pub enum SceneError {
     /// A photo that cannot be decoded.
     #[error(transparent)]
     Photo(#[from] PhotoError),
+    /// A point cloud that cannot be read.
+    #[error(transparent)]
+    Points(#[from] PlyError),
 }

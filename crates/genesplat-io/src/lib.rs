@@ -1,7 +1,7 @@
 //! The outside world of genesplat: scenes in, splats out.
 //!
 //! What it does, and in which direction data flows:
-//! - [`load_scene`] detects how a folder describes its photos ([`colmap`], [`blender`], [`nerfstudio`]), reads cameras
+//! - [`load_scene`] detects how a folder describes its photos ([`colmap`], or the `transforms.json` of nerfstudio, instant-ngp and Blender), reads cameras
 //!   and points, decodes the photos in parallel ([`photos`]) and splits them into training and test views.
 //! - [`ply`] reads and writes clouds in the layout that every splat viewer opens.
 //! - [`gallery`] makes the bundled scene, so that everything can be tried without a download.
@@ -14,9 +14,13 @@ pub mod colmap;
 mod cursor;
 mod error;
 pub mod gallery;
+mod lens;
+mod listing;
 pub mod photos;
 pub mod ply;
 mod scene;
+mod start_points;
+mod transforms;
 
 pub use error::SceneError;
 pub use gallery::{Gallery, GalleryOptions};

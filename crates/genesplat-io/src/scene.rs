@@ -1,17 +1,18 @@
 //! Scenes: which form a folder has, which photos are held out, and the photos themselves.
 //!
-//! Each reader ([`crate::colmap`], ...) turns its files into a [`Listing`]: photos by path, with cameras, and points.
-//! What follows is the same for all: split, then decode, check and resize in parallel.
+//! Each reader ([`crate::colmap`], `transforms`) turns its files into a [`Listing`]: photos by path, with cameras, and
+//! points. What follows is the same for all: split, then decode, check, straighten and resize in parallel.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use genesplat_core::{Camera, View};
+use genesplat_core::{Camera, Photo, View};
 use rayon::prelude::*;
 
 use crate::error::SceneError;
+use crate::listing::{Frame, Listing};
 pub use crate::photos::PhotoSize;
-use crate::{colmap, photos};
+use crate::{colmap, lens, photos, transforms};
 
 /// A point of a reconstruction.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -92,31 +93,8 @@ impl LoadProgress for () {
 /// Least side of a loaded photo, px: SSIM's window alone has 11.
 pub const LEAST_SIDE_PX: u32 = 16;
 
-/// What a reader finds in a scene's files, before any photo is decoded.
-pub(crate) struct Listing {
-    /// The file that lists the photos, for errors.
-    pub(crate) list: PathBuf,
-    /// Photos in any order.
-    pub(crate) frames: Vec<Frame>,
-    /// Points in file order.
-    pub(crate) points: Vec<Point>,
-    /// What the user should know.
-    pub(crate) notices: Vec<String>,
-}
-
-/// A photo before it is decoded.
-pub(crate) struct Frame {
-    /// Unique within the scene and free of separators.
-    pub(crate) name: String,
-    /// Where the photo is.
-    pub(crate) photo: PathBuf,
-    /// At the size that the listing states.
-    pub(crate) camera: Camera,
-    /// Whether the scene itself holds the photo out for testing; `None` where it does not say.
-    pub(crate) held_out: Option<bool>,
-}
-
-/// Loads the scene in the folder `path`: a COLMAP model with its photos.
+/// Loads the scene in the folder `path`: a COLMAP model with its photos, a Blender pair of `transforms_*.json`, or the
+/// `transforms.json` of nerfstudio and instant-ngp; the first of these that is there.
 ///
 /// Photos are decoded in parallel on rayon's current pool. The result does not depend on the number of threads.
 pub fn load_scene(
@@ -149,6 +127,12 @@ fn list(path: &Path, options: &LoadOptions) -> Result<Listing, SceneError> {
     }
     if let Some(model) = colmap::find_model(path) {
         return colmap::list(&model, &path.join(&options.image_folder));
+    }
+    if path.join("transforms_train.json").is_file() {
+        return transforms::list_blender(path, options.seed);
+    }
+    if path.join("transforms.json").is_file() {
+        return transforms::list_nerfstudio(path, options.seed);
     }
     Err(SceneError::Unrecognised { path: path.to_owned() })
 }
@@ -208,9 +192,25 @@ fn load_view(
             least: LEAST_SIDE_PX,
         });
     }
+    let (photo, camera) = straighten(frame, list, photo, camera)?;
     let photo = Arc::new(photos::resize(&photo, width, height));
     progress.photo_done();
     Ok(View { name: frame.name.clone(), camera: camera.resized(width, height), photo })
+}
+
+/// The photo as a pinhole would have taken it, and that pinhole.
+fn straighten(
+    frame: &Frame,
+    list: &Path,
+    photo: Photo,
+    camera: Camera,
+) -> Result<(Photo, Camera), SceneError> {
+    let Some(distortion) = &frame.distortion else { return Ok((photo, camera)) };
+    lens::straighten(&photo, &camera, distortion).ok_or_else(|| SceneError::BadCamera {
+        file: list.to_owned(),
+        camera: frame.name.clone(),
+        problem: "has distortion coefficients that cannot be undone",
+    })
 }
 
 /// The listed camera at the photo's own size.

@@ -12,8 +12,8 @@ mod check;
 mod text;
 mod write;
 
-use std::collections::{BTreeMap, HashMap};
-use std::path::{Component, Path, PathBuf};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
 
 use genesplat_core::Camera;
 use glam::{DQuat, DVec3};
@@ -21,7 +21,8 @@ use glam::{DQuat, DVec3};
 pub use write::write_model;
 
 use crate::error::SceneError;
-use crate::scene::{Frame, Listing, Point};
+use crate::listing::{Frame, Listing, base_name, inside, missing_photo, view_names};
+use crate::scene::Point;
 
 /// The two forms in which COLMAP writes a model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -130,10 +131,11 @@ pub(crate) fn list(folder: &ModelFolder, image_folder: &Path) -> Result<Listing,
         return Err(SceneError::TooFewPoints { file, points: model.points.len(), least: LEAST_POINTS });
     }
     let photos = find_photos(&model.images, image_folder, &list)?;
-    let names = view_names(&model.images);
+    let paths: Vec<&str> = model.images.iter().map(|image| image.name.as_str()).collect();
+    let names = view_names(&paths);
     let frames = (model.images.iter().zip(photos).zip(names))
         .map(|((image, photo), name)| {
-            Ok(Frame { name, photo, camera: camera(&model, image, &list)?, held_out: None })
+            Ok(Frame { name, photo, camera: camera(&model, image, &list)?, distortion: None, held_out: None })
         })
         .collect::<Result<_, SceneError>>()?;
     Ok(Listing { list, frames, points: model.points, notices: other_models(&folder.path) })
@@ -159,48 +161,22 @@ fn camera(model: &Model, image: &ImageRecord, list: &Path) -> Result<Camera, Sce
 /// Path of every photo: by the record's whole name, or else by its last part, as the reference trainer looks.
 fn find_photos(images: &[ImageRecord], folder: &Path, list: &Path) -> Result<Vec<PathBuf>, SceneError> {
     let mut found = Vec::with_capacity(images.len());
-    let mut first_missing = None;
+    let mut missing = None;
     for image in images {
-        let relative = inside(&image.name, list)?;
-        let candidates = [folder.join(relative), folder.join(base_name(&image.name))];
-        match candidates.iter().find(|path| path.is_file()) {
-            Some(path) => found.push(path.clone()),
-            None => first_missing = first_missing.or_else(|| candidates.into_iter().next()),
+        let whole = folder.join(inside(&image.name, list)?);
+        let flat = folder.join(base_name(&image.name));
+        if whole.is_file() {
+            found.push(whole);
+        } else if flat.is_file() {
+            found.push(flat);
+        } else {
+            missing = missing.or(Some(whole));
         }
     }
-    match first_missing {
+    match missing {
         None => Ok(found),
-        Some(photo) if !found.is_empty() => Err(SceneError::PhotoMissing { photo, list: list.to_owned() }),
-        Some(_) => Err(SceneError::AllPhotosMissing {
-            count: images.len(),
-            list: list.to_owned(),
-            folder: folder.to_owned(),
-        }),
+        Some(photo) => Err(missing_photo(list, photo, found.len(), images.len(), folder)),
     }
-}
-
-/// `name` as a path, if it stays inside the image folder: a downloaded scene must not make us read other files.
-fn inside<'a>(name: &'a str, list: &Path) -> Result<&'a Path, SceneError> {
-    let path = Path::new(name);
-    let stays = !name.is_empty() && path.components().all(|part| matches!(part, Component::Normal(_)));
-    stays.then_some(path).ok_or_else(|| SceneError::NameOutside { file: list.to_owned(), name: name.into() })
-}
-
-fn base_name(name: &str) -> &str {
-    name.rsplit('/').next().unwrap_or(name)
-}
-
-/// A name for each view, fit for a file: the photo's own, or its whole path with `_` where photos share a name.
-fn view_names(images: &[ImageRecord]) -> Vec<String> {
-    let mut uses = HashMap::new();
-    for image in images {
-        *uses.entry(base_name(&image.name)).or_insert(0usize) += 1;
-    }
-    let name = |image: &ImageRecord| match uses[base_name(&image.name)] {
-        1 => base_name(&image.name).to_owned(),
-        _ => image.name.replace('/', "_"),
-    };
-    images.iter().map(name).collect()
 }
 
 /// A notice where COLMAP split the photos into several models, of which only the first is used.

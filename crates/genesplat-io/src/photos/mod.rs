@@ -13,6 +13,7 @@ use std::path::{Path, PathBuf};
 use genesplat_core::Photo;
 use image::{ColorType, DynamicImage, ImageEncoder, ImageFormat, ImageReader};
 
+pub(crate) use resize::cubic;
 pub use resize::resize;
 
 use crate::atomic::write_atomically;

@@ -20,12 +20,33 @@ pub struct PlyHeader {
     pub render_mode: Option<RenderMode>,
     /// Header comments in order.
     pub comments: Vec<String>,
+    /// How rows are written.
+    pub(super) encoding: Encoding,
     /// Properties of a vertex in file order.
     pub(super) properties: Vec<Property>,
     /// Bytes of a row.
     pub(super) row_bytes: usize,
     /// Bytes of the elements that precede the vertices.
     pub(super) bytes_before: u64,
+}
+
+impl PlyHeader {
+    /// Fewest bytes of a row: in ASCII a digit and a separator for each value, the last line's end being optional.
+    pub(super) fn least_row_bytes(&self) -> u64 {
+        match self.encoding {
+            Encoding::Binary => self.row_bytes as u64,
+            Encoding::Ascii => (2 * self.properties.len() as u64).saturating_sub(1).max(1),
+        }
+    }
+}
+
+/// How rows are written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Encoding {
+    /// Little-endian.
+    Binary,
+    /// Words, one row a line.
+    Ascii,
 }
 
 /// One value of a row.
@@ -96,18 +117,20 @@ pub(super) fn read(reader: &mut impl BufRead, path: &Path) -> Result<(PlyHeader,
     let text = std::str::from_utf8(&bytes).map_err(|_| bad("its header is not text".into()))?;
     let mut comments = Vec::new();
     let mut elements = Vec::new();
+    let mut encoding = None;
     for line in text.lines().skip(1) {
         let (keyword, rest) = line.trim_end().split_once(' ').unwrap_or((line.trim_end(), ""));
         match keyword {
             "comment" | "obj_info" => comments.push(rest.to_owned()),
-            "format" => check_format(rest).map_err(bad)?,
+            "format" => encoding = Some(parse_encoding(rest).map_err(bad)?),
             "element" => elements.push(element(rest).map_err(bad)?),
             "property" => add_property(elements.last_mut(), rest).map_err(bad)?,
             "end_header" | "" => {}
             other => return Err(bad(format!("its header has the unknown keyword {other:?}"))),
         }
     }
-    let header = assemble(elements, comments).map_err(bad)?;
+    let encoding = encoding.ok_or_else(|| bad("its header states no format".into()))?;
+    let header = assemble(elements, comments, encoding).map_err(bad)?;
     Ok((header, bytes.len() as u64))
 }
 
@@ -131,10 +154,10 @@ fn header_bytes(reader: &mut impl BufRead, path: &Path) -> Result<Vec<u8>, PlyEr
     }
 }
 
-fn check_format(format: &str) -> Result<(), String> {
+fn parse_encoding(format: &str) -> Result<Encoding, String> {
     match format.split(' ').next() {
-        Some("binary_little_endian") => Ok(()),
-        Some("ascii") => Err("it is an ASCII file, and only binary ones are read".into()),
+        Some("binary_little_endian") => Ok(Encoding::Binary),
+        Some("ascii") => Ok(Encoding::Ascii),
         Some("binary_big_endian") => Err("it is big-endian, and only little-endian files are read".into()),
         _ => Err(format!("its format {format:?} is unknown")),
     }
@@ -161,7 +184,11 @@ fn add_property(element: Option<&mut Element>, rest: &str) -> Result<(), String>
     Ok(())
 }
 
-fn assemble(mut elements: Vec<Element>, comments: Vec<String>) -> Result<PlyHeader, String> {
+fn assemble(
+    mut elements: Vec<Element>,
+    comments: Vec<String>,
+    encoding: Encoding,
+) -> Result<PlyHeader, String> {
     let at = elements.iter().position(|element| element.name == "vertex").ok_or("it has no vertices")?;
     let before = &elements[..=at];
     if let Some(element) = before.iter().find(|element| element.has_list) {
@@ -182,6 +209,7 @@ fn assemble(mut elements: Vec<Element>, comments: Vec<String>) -> Result<PlyHead
         has_filter_3d: vertex.properties.iter().any(|property| property.name == "filter_3D"),
         render_mode: comments.iter().find_map(|comment| render_mode(comment)),
         comments,
+        encoding,
         properties: vertex.properties,
         row_bytes: vertex.row_bytes,
         bytes_before,

@@ -8,6 +8,7 @@
 //! between them, and with fewer harmonics (degree 0 to 2). What is written and read again has the same bits.
 
 mod header;
+mod points;
 mod rows;
 
 use std::fs::File;
@@ -17,7 +18,9 @@ use std::path::{Path, PathBuf};
 use genesplat_core::gaussians::{logit, sigmoid};
 use genesplat_core::{Gaussians, ScreenFilter};
 
+use header::Encoding;
 pub use header::PlyHeader;
+pub(crate) use points::read_points;
 
 use crate::atomic::write_atomically;
 
@@ -53,7 +56,8 @@ pub enum PlyError {
     },
     /// A PLY file of something else.
     #[error(
-        "{path} is not a cloud of Gaussians: its vertices lack {property}; it may be a plain point cloud or a mesh"
+        "{path} is not the kind of cloud that is needed here: its vertices lack {property}; it may be a plain \
+         point cloud, a splat or a mesh"
     )]
     MissingProperty {
         /// The file.
@@ -63,7 +67,7 @@ pub enum PlyError {
     },
     /// Fewer bytes than the header promises.
     #[error(
-        "{path} promises {promised} Gaussians but holds bytes for {held}; the file was cut off, so copy or export it again"
+        "{path} promises {promised} rows but holds bytes for {held}; the file was cut off, so copy or export it again"
     )]
     Truncated {
         /// The file.
@@ -72,6 +76,14 @@ pub enum PlyError {
         promised: u64,
         /// Whole rows that are there.
         held: u64,
+    },
+    /// A row of an ASCII file that is not numbers.
+    #[error("{path}: row {row} does not hold one number for each property; export the file again")]
+    Row {
+        /// The file.
+        path: PathBuf,
+        /// 0-based row.
+        row: usize,
     },
     /// A value that is not finite.
     #[error("{path}: Gaussian {row} has a {parameter} that is not finite; remove it in a splat editor")]
@@ -141,6 +153,10 @@ pub fn read_ply_header(path: &Path) -> Result<PlyHeader, PlyError> {
 /// Reads a cloud of Gaussians. Values are returned as they are, NaN included: see [`check_finite`].
 pub fn read_ply(path: &Path) -> Result<Gaussians, PlyError> {
     let (header, mut rest) = open(path)?;
+    if header.encoding == Encoding::Ascii {
+        let problem = "it is an ASCII file, and only binary ones hold Gaussians".into();
+        return Err(PlyError::Header { path: path.to_owned(), problem });
+    }
     let layout = rows::Layout::of(&header, path)?;
     layout.read(header.gaussians as usize, &mut rest).map_err(|source| read_error(path, source))
 }
@@ -193,7 +209,7 @@ fn open(path: &Path) -> Result<(PlyHeader, BufReader<File>), PlyError> {
     let mut reader = BufReader::with_capacity(1 << 18, file);
     let (header, header_bytes) = header::read(&mut reader, path)?;
     let bytes = size.saturating_sub(header_bytes + header.bytes_before);
-    let held = bytes / header.row_bytes as u64;
+    let held = bytes / header.least_row_bytes();
     if held < header.gaussians {
         return Err(PlyError::Truncated { path: path.to_owned(), promised: header.gaussians, held });
     }

@@ -38,8 +38,9 @@ pub(super) struct Layout {
     row_bytes: usize,
 }
 
+/// Where a value lies in a row.
 #[derive(Clone, Copy)]
-struct Field {
+pub(super) struct Field {
     scalar: Scalar,
     offset: usize,
 }
@@ -47,10 +48,7 @@ struct Field {
 impl Layout {
     /// Finds every parameter among the properties of `header`.
     pub(super) fn of(header: &PlyHeader, path: &Path) -> Result<Self, PlyError> {
-        let find = |name: String| match header.properties.iter().find(|property| property.name == name) {
-            Some(&Property { scalar, offset, .. }) => Ok(Field { scalar, offset }),
-            None => Err(PlyError::MissingProperty { path: path.to_owned(), property: name }),
-        };
+        let find = |name: String| Field::find(header, &name, path);
         let position = ["x", "y", "z"].map(|name| find(name.into()));
         let scale: [_; 3] = std::array::from_fn(|axis| find(format!("scale_{axis}")));
         let rotation: [_; 4] = std::array::from_fn(|part| find(format!("rot_{part}")));
@@ -97,7 +95,16 @@ impl Layout {
 }
 
 impl Field {
-    fn value(self, row: &[u8]) -> f32 {
+    /// The property `name` of `header`.
+    pub(super) fn find(header: &PlyHeader, name: &str, path: &Path) -> Result<Self, PlyError> {
+        match header.properties.iter().find(|property| property.name == name) {
+            Some(&Property { scalar, offset, .. }) => Ok(Self { scalar, offset }),
+            None => Err(PlyError::MissingProperty { path: path.to_owned(), property: name.to_owned() }),
+        }
+    }
+
+    /// The value in the bytes of a row.
+    pub(super) fn value(self, row: &[u8]) -> f32 {
         fn bytes<const K: usize>(row: &[u8], offset: usize) -> [u8; K] {
             std::array::from_fn(|i| row[offset + i])
         }

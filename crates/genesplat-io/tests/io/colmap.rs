@@ -108,8 +108,7 @@ fn any_changed_byte_is_read_or_refused() {
         for stem in FILES {
             let path = file_of(folder.path(), form, stem);
             let whole = fs::read(&path).unwrap();
-            for (at, byte) in (0..whole.len()).flat_map(|at| [0x00, 0x7F, 0x80, 0xFF].map(|byte| (at, byte)))
-            {
+            for (at, byte) in (0..whole.len()).flat_map(|at| [0x7F, 0xFF].map(|byte| (at, byte))) {
                 let mut bytes = whole.clone();
                 bytes[at] = byte;
                 fs::write(&path, &bytes).unwrap();

@@ -6,3 +6,4 @@ mod gallery;
 mod photos;
 mod ply;
 mod real_scenes;
+mod transforms;

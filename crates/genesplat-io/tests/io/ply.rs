@@ -144,7 +144,7 @@ fn bad_files_are_named_with_what_is_wrong() {
     let little = "format binary_little_endian 1.0\nelement vertex";
     let cases: [(Vec<u8>, &str); 9] = [
         (b"\x89PNG\r\n".to_vec(), "does not begin with"),
-        (header("format ascii 1.0\nelement vertex 1\nproperty float x"), "ASCII"),
+        (header("format ascii 1.0\nelement vertex 0\nproperty float x"), "ASCII"),
         (header("format binary_big_endian 1.0\nelement vertex 1\nproperty float x"), "big-endian"),
         (header("format binary_little_endian 1.0\nelement face 0"), "no vertices"),
         (header(&format!("{little} 0\nproperty float x\nproperty float y")), "lack z"),

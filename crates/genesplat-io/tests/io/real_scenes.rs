@@ -40,6 +40,34 @@ fn seen_share(scene: &genesplat_io::Scene) -> f64 {
 }
 
 #[test]
+fn a_blender_scene_loads_whole() {
+    let Some(folder) = real_scene("lego") else { return };
+    let scene = load_scene(&folder, &LoadOptions::default(), &()).unwrap();
+    assert_eq!((scene.train.len(), scene.test.len(), scene.points.len()), (50, 25, 100_000));
+    let camera = scene.train[0].camera;
+    assert_eq!((camera.width, camera.height), (200, 200));
+    // Every camera of this data set is about 4 units from the object at the origin, and looks at it.
+    for view in scene.train.iter().chain(&scene.test) {
+        assert!((view.camera.centre_in_world().length() - 4.03).abs() < 0.05);
+        assert!(view.camera.camera_from_world(glam::DVec3::ZERO).z > 4.0);
+        assert_eq!(view.photo.pixel(0, 0), [0; 3], "transparent on black");
+    }
+}
+
+#[test]
+fn a_scene_with_bent_photos_loads_and_names_what_is_absent() {
+    let Some(folder) = real_scene("fox_transforms") else { return };
+    let options = LoadOptions { size: PhotoSize::Downscale(4), ..LoadOptions::default() };
+    let scene = load_scene(&folder, &options, &()).unwrap();
+    assert_eq!((scene.train.len(), scene.test.len()), (43, 7));
+    assert!(scene.notices[0].starts_with("17 of the 67 photos"), "{}", scene.notices[0]);
+    let camera = scene.train[0].camera;
+    assert_eq!((camera.width, camera.height), (135, 240));
+    assert!((camera.focal_px[0] / (687.76 / 4.0) - 1.0).abs() < 0.05);
+    assert!(seen_share(&scene) > 0.1);
+}
+
+#[test]
 fn a_splat_of_another_trainer_loads() {
     let Some(folder) = real_scene("peer") else { return };
     let cloud = read_ply(&folder.join("opensplat_fox.ply")).unwrap();

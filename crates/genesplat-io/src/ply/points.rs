@@ -1,0 +1,62 @@
+//! Plain coloured points, binary or ASCII: what a `transforms.json` may name as its point cloud.
+
+use std::io::{BufRead, Read};
+use std::path::Path;
+
+use super::header::{Encoding, PlyHeader};
+use super::rows::Field;
+use super::{PlyError, open, read_error};
+use crate::scene::Point;
+
+/// Properties that a point is read from.
+const PROPERTIES: [&str; 6] = ["x", "y", "z", "red", "green", "blue"];
+
+/// Reads the points of `path`; positions are in the file's own frame, colours 0 to 255.
+pub(crate) fn read_points(path: &Path) -> Result<Vec<Point>, PlyError> {
+    let (header, reader) = open(path)?;
+    let rows = match header.encoding {
+        Encoding::Binary => binary(&header, reader, path)?,
+        Encoding::Ascii => ascii(&header, reader, path)?,
+    };
+    match rows.iter().position(|[x, y, z, ..]| ![x, y, z].iter().all(|v| v.is_finite())) {
+        Some(row) => Err(PlyError::NonFinite { path: path.to_owned(), row, parameter: "position" }),
+        None => Ok(rows.into_iter().map(point).collect()),
+    }
+}
+
+fn point([x, y, z, red, green, blue]: [f32; 6]) -> Point {
+    Point { position: [x, y, z], rgb: [red, green, blue].map(|value| value as u8) }
+}
+
+fn binary(header: &PlyHeader, mut reader: impl Read, path: &Path) -> Result<Vec<[f32; 6]>, PlyError> {
+    let fields = PROPERTIES.map(|name| Field::find(header, name, path));
+    let fields = fields.into_iter().collect::<Result<Vec<_>, _>>()?;
+    let mut row = vec![0; header.row_bytes];
+    (0..header.gaussians)
+        .map(|_| {
+            reader.read_exact(&mut row).map_err(|source| read_error(path, source))?;
+            Ok(std::array::from_fn(|property| fields[property].value(&row)))
+        })
+        .collect()
+}
+
+fn ascii(header: &PlyHeader, reader: impl BufRead, path: &Path) -> Result<Vec<[f32; 6]>, PlyError> {
+    let column = |name: &str| header.properties.iter().position(|property| property.name == name);
+    let columns = PROPERTIES.map(|name| {
+        column(name).ok_or_else(|| PlyError::MissingProperty { path: path.to_owned(), property: name.into() })
+    });
+    let columns = columns.into_iter().collect::<Result<Vec<_>, _>>()?;
+    let mut lines = reader.lines();
+    (0..header.gaussians as usize)
+        .map(|row| {
+            let bad = || PlyError::Row { path: path.to_owned(), row };
+            let line = lines.next().ok_or_else(bad)?.map_err(|source| read_error(path, source))?;
+            let words: Vec<&str> = line.split_whitespace().collect();
+            let mut values = [0.0; 6];
+            for (value, &column) in values.iter_mut().zip(&columns) {
+                *value = words.get(column).and_then(|word| word.parse().ok()).ok_or_else(bad)?;
+            }
+            Ok(values)
+        })
+        .collect()
+}

@@ -1,0 +1,225 @@
+//! Scenes described by `transforms.json`: nerfstudio's and instant-ngp's, and Blender's pair of files.
+//!
+//! Poses are `world_from_camera` in OpenGL's camera axes (y up, z backwards); two axes are turned and the whole is
+//! inverted. Lenses that bend are undone when the photos are loaded ([`crate::lens`]). Scenes without points start
+//! from random ones ([`crate::start_points`]). Poses are used as they are: no re-centring, no scaling.
+
+mod schema;
+
+use std::path::{Path, PathBuf};
+
+use genesplat_core::Camera;
+use glam::{DMat3, DQuat, DVec3};
+
+use self::schema::{Entry, Lens, Transforms};
+use crate::error::SceneError;
+use crate::lens::Distortion;
+use crate::listing::{Frame, Listing, inside, missing_photo, view_names};
+use crate::start_points::{COUNT, Cube};
+use crate::{photos, ply};
+
+/// The scene of `folder/transforms_train.json` and, if it exists, `transforms_test.json`: Blender's.
+pub(crate) fn list_blender(folder: &Path, seed: u64) -> Result<Listing, SceneError> {
+    let list = folder.join("transforms_train.json");
+    let test = folder.join("transforms_test.json");
+    let mut found = read_photos(&list, |_, _| Some(false))?;
+    if test.is_file() {
+        found.append(read_photos(&test, |_, _| Some(true))?);
+    }
+    if let Some(missing) = found.missing.first() {
+        let (there, all) = (found.photos.len(), found.photos.len() + found.missing.len());
+        return Err(missing_photo(&list, missing.clone(), there, all, folder));
+    }
+    let notices = vec![format!("the scene has no points, so training starts from {COUNT} random ones")];
+    Ok(Listing { list, frames: found.into_frames(), points: Cube::BLENDER.points(seed), notices })
+}
+
+/// The scene of `folder/transforms.json`. Photos that are listed but absent are left out with a notice: published
+/// scenes list photos that were removed as blurred.
+pub(crate) fn list_nerfstudio(folder: &Path, seed: u64) -> Result<Listing, SceneError> {
+    let list = folder.join("transforms.json");
+    let found = read_photos(&list, held_out_by_name)?;
+    let mut notices = Vec::new();
+    if let Some(first) = found.missing.first() {
+        let (gone, all) = (found.missing.len(), found.photos.len() + found.missing.len());
+        if gone == all {
+            return Err(missing_photo(&list, first.clone(), 0, all, folder));
+        }
+        let first = first.display();
+        notices.push(format!(
+            "{gone} of the {all} photos that {} lists do not exist and are left out, first {first}",
+            list.display()
+        ));
+    }
+    let cameras: Vec<Camera> = found.photos.iter().map(|photo| photo.camera).collect();
+    let points = match &found.points {
+        Some(name) => ply::read_points(&folder.join(inside(name, &list)?))?,
+        None => {
+            notices.push(format!("the scene has no points, so training starts from {COUNT} random ones"));
+            Cube::seen_by(&cameras).points(seed)
+        }
+    };
+    Ok(Listing { list, frames: found.into_frames(), points, notices })
+}
+
+/// What the file's own lists say about a photo, if it has lists.
+fn held_out_by_name(file: &Transforms, path: &str) -> Option<bool> {
+    let lists = [&file.test_filenames, &file.val_filenames];
+    let mut lists = lists.into_iter().flatten().peekable();
+    lists.peek()?;
+    Some(lists.any(|list| list.iter().any(|name| name == path)))
+}
+
+/// A photo that exists.
+struct Found {
+    path: String,
+    photo: PathBuf,
+    camera: Camera,
+    distortion: Option<Distortion>,
+    held_out: Option<bool>,
+}
+
+/// What a file lists.
+#[derive(Default)]
+struct Photos {
+    photos: Vec<Found>,
+    missing: Vec<PathBuf>,
+    points: Option<String>,
+}
+
+impl Photos {
+    fn append(&mut self, other: Self) {
+        self.photos.extend(other.photos);
+        self.missing.extend(other.missing);
+    }
+
+    fn into_frames(self) -> Vec<Frame> {
+        let paths: Vec<&str> = self.photos.iter().map(|photo| photo.path.as_str()).collect();
+        let names = view_names(&paths);
+        let frame = |(name, found): (String, Found)| Frame {
+            name,
+            photo: found.photo,
+            camera: found.camera,
+            distortion: found.distortion,
+            held_out: found.held_out,
+        };
+        names.into_iter().zip(self.photos).map(frame).collect()
+    }
+}
+
+fn read_photos(
+    list: &Path,
+    held_out: impl Fn(&Transforms, &str) -> Option<bool>,
+) -> Result<Photos, SceneError> {
+    let file = schema::read(list)?;
+    if file.frames.is_empty() {
+        return Err(SceneError::NoPhotos { file: list.to_owned() });
+    }
+    let folder = list.parent().unwrap_or(Path::new(""));
+    let mut found = Photos { points: file.ply_file_path.clone(), ..Photos::default() };
+    for entry in &file.frames {
+        let relative = inside(&entry.file_path, list)?;
+        let Some((path, photo)) = find_photo(folder, relative, &entry.file_path) else {
+            found.missing.push(folder.join(relative));
+            continue;
+        };
+        let (camera, distortion) = camera(list, entry, &entry.lens.or(&file.lens), &photo)?;
+        let held_out = held_out(&file, &entry.file_path);
+        found.photos.push(Found { path, photo, camera, distortion, held_out });
+    }
+    Ok(found)
+}
+
+/// The photo as it is named, or with the extension that Blender's script leaves out.
+fn find_photo(folder: &Path, relative: &Path, name: &str) -> Option<(String, PathBuf)> {
+    let candidates = ["", ".png", ".jpg"].map(|extension| {
+        let mut whole = folder.join(relative).into_os_string();
+        whole.push(extension);
+        (format!("{name}{extension}"), PathBuf::from(whole))
+    });
+    candidates.into_iter().find(|(_, path)| path.is_file())
+}
+
+fn camera(
+    list: &Path,
+    entry: &Entry,
+    lens: &Lens,
+    photo: &Path,
+) -> Result<(Camera, Option<Distortion>), SceneError> {
+    let (rotation, translation) = pose(list, entry)?;
+    check_model(list, lens)?;
+    let bad =
+        |problem| SceneError::BadCamera { file: list.to_owned(), camera: entry.file_path.clone(), problem };
+    let [width, height] = match (lens.w, lens.h) {
+        (Some(w), Some(h)) => [w, h],
+        _ => photos::photo_size(photo).map(|(w, h)| [w, h].map(f64::from))?,
+    };
+    if ![width, height].iter().all(|side| (1.0..=f64::from(1 << 20)).contains(side)) {
+        return Err(bad("has an impossible image size"));
+    }
+    let from_angle = lens.camera_angle_x.map(|angle| 0.5 * width / (0.5 * angle).tan());
+    let fx = lens.fl_x.or(from_angle).ok_or_else(|| bad("has neither fl_x nor camera_angle_x"))?;
+    let fy = lens.fl_y.unwrap_or(fx);
+    if ![fx, fy].iter().all(|focal| focal.is_finite() && *focal > 0.0) {
+        return Err(bad("has a focal length that is not a positive number"));
+    }
+    let camera = Camera {
+        width: width as u32,
+        height: height as u32,
+        focal_px: [fx, fy],
+        principal_px: [lens.cx.unwrap_or(0.5 * width), lens.cy.unwrap_or(0.5 * height)],
+        camera_from_world_rotation: rotation,
+        camera_from_world_translation: translation,
+    };
+    Ok((camera, distortion(lens)))
+}
+
+/// COLMAP's names of the models whose coefficients mean what [`crate::lens`] takes them for.
+const KNOWN_MODELS: [&str; 6] =
+    ["PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "FULL_OPENCV", "SIMPLE_RADIAL", "RADIAL"];
+
+fn check_model(list: &Path, lens: &Lens) -> Result<(), SceneError> {
+    let model = match (&lens.camera_model, lens.is_fisheye) {
+        (_, Some(true)) => "OPENCV_FISHEYE",
+        (Some(model), _) => model,
+        (None, _) => return Ok(()),
+    };
+    // FULL_OPENCV divides by a second polynomial, whose coefficients this format cannot hold.
+    if KNOWN_MODELS.contains(&model) {
+        return Ok(());
+    }
+    Err(SceneError::UnknownLens { file: list.to_owned(), model: model.to_owned() })
+}
+
+fn distortion(lens: &Lens) -> Option<Distortion> {
+    let value = |coefficient: Option<f64>| coefficient.unwrap_or(0.0);
+    let distortion = Distortion {
+        radial: [value(lens.k1), value(lens.k2), value(lens.k3), value(lens.k4)],
+        tangential: [value(lens.p1), value(lens.p2)],
+    };
+    (!distortion.is_none()).then_some(distortion)
+}
+
+/// `camera_from_world` of an entry.
+fn pose(list: &Path, entry: &Entry) -> Result<(DQuat, DVec3), SceneError> {
+    let bad = |problem| SceneError::BadPose { file: list.to_owned(), name: entry.file_path.clone(), problem };
+    let [x, y, z, ..] = entry.transform_matrix.as_slice() else {
+        return Err(bad("has fewer than three rows"));
+    };
+    let row = |row: &[f64; 4]| DVec3::new(row[0], row[1], row[2]);
+    let world_from_gl = DMat3::from_cols(row(x), row(y), row(z)).transpose();
+    let centre = DVec3::new(x[3], y[3], z[3]);
+    if !(world_from_gl.is_finite() && centre.is_finite()) {
+        return Err(bad("is not finite"));
+    }
+    // Writers print few digits, so a per cent is allowed; a mirror image or a scale is not.
+    let deviation = world_from_gl * world_from_gl.transpose() - DMat3::IDENTITY;
+    if deviation.to_cols_array().iter().any(|v| v.abs() > 0.01) || world_from_gl.determinant() < 0.0 {
+        return Err(bad("is not a rotation"));
+    }
+    // OpenGL's camera looks along −z with y up; ours along z with y down.
+    let world_from_camera =
+        DMat3::from_cols(world_from_gl.x_axis, -world_from_gl.y_axis, -world_from_gl.z_axis);
+    let rotation = DQuat::from_mat3(&world_from_camera.transpose()).normalize();
+    Ok((rotation, -(rotation * centre)))
+}

@@ -1,0 +1,93 @@
+//! The JSON of `transforms*.json`: one schema for Blender, instant-ngp and nerfstudio, which grew from each other.
+
+use std::path::Path;
+
+use serde::Deserialize;
+
+use crate::error::SceneError;
+
+/// A file.
+#[derive(Debug, Deserialize)]
+pub(super) struct Transforms {
+    /// For all photos, unless a photo has its own.
+    #[serde(flatten)]
+    pub(super) lens: Lens,
+    /// The photos.
+    #[serde(default)]
+    pub(super) frames: Vec<Entry>,
+    /// A point cloud in the frame of the poses, relative to the file.
+    pub(super) ply_file_path: Option<String>,
+    /// Photos to test on, by path; newer nerfstudio writes these.
+    pub(super) test_filenames: Option<Vec<String>>,
+    /// Photos to validate on, by path.
+    pub(super) val_filenames: Option<Vec<String>>,
+}
+
+/// A photo.
+#[derive(Debug, Deserialize)]
+pub(super) struct Entry {
+    /// Relative to the file; Blender leaves the extension out.
+    pub(super) file_path: String,
+    /// `world_from_camera`, row by row; camera axes x right, y up, z backwards (OpenGL).
+    pub(super) transform_matrix: Vec<[f64; 4]>,
+    /// What differs from the file's.
+    #[serde(flatten)]
+    pub(super) lens: Lens,
+}
+
+/// Intrinsics, all of them optional.
+#[derive(Clone, Debug, Default, Deserialize)]
+pub(super) struct Lens {
+    /// Horizontal field of view, radians.
+    pub(super) camera_angle_x: Option<f64>,
+    /// Focal lengths, px.
+    pub(super) fl_x: Option<f64>,
+    pub(super) fl_y: Option<f64>,
+    /// Principal point, px from the top-left corner.
+    pub(super) cx: Option<f64>,
+    pub(super) cy: Option<f64>,
+    /// Size, px; some writers use a decimal point.
+    pub(super) w: Option<f64>,
+    pub(super) h: Option<f64>,
+    /// OpenCV's radial coefficients.
+    pub(super) k1: Option<f64>,
+    pub(super) k2: Option<f64>,
+    pub(super) k3: Option<f64>,
+    pub(super) k4: Option<f64>,
+    /// OpenCV's tangential coefficients.
+    pub(super) p1: Option<f64>,
+    pub(super) p2: Option<f64>,
+    /// COLMAP's name of the model.
+    pub(super) camera_model: Option<String>,
+    /// instant-ngp's way to say OPENCV_FISHEYE.
+    pub(super) is_fisheye: Option<bool>,
+}
+
+impl Lens {
+    /// This photo's values, completed by the file's.
+    pub(super) fn or(&self, file: &Self) -> Self {
+        Self {
+            camera_angle_x: self.camera_angle_x.or(file.camera_angle_x),
+            fl_x: self.fl_x.or(file.fl_x),
+            fl_y: self.fl_y.or(file.fl_y),
+            cx: self.cx.or(file.cx),
+            cy: self.cy.or(file.cy),
+            w: self.w.or(file.w),
+            h: self.h.or(file.h),
+            k1: self.k1.or(file.k1),
+            k2: self.k2.or(file.k2),
+            k3: self.k3.or(file.k3),
+            k4: self.k4.or(file.k4),
+            p1: self.p1.or(file.p1),
+            p2: self.p2.or(file.p2),
+            camera_model: self.camera_model.clone().or_else(|| file.camera_model.clone()),
+            is_fisheye: self.is_fisheye.or(file.is_fisheye),
+        }
+    }
+}
+
+/// Reads and checks a file's grammar.
+pub(super) fn read(file: &Path) -> Result<Transforms, SceneError> {
+    let text = std::fs::read(file).map_err(|source| SceneError::Read { file: file.to_owned(), source })?;
+    serde_json::from_slice(&text).map_err(|source| SceneError::Json { file: file.to_owned(), source })
+}

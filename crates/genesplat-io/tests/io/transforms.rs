@@ -1,0 +1,236 @@
+//! `transforms.json` scenes: poses, lenses, splits, what is missing, and what is wrong.
+
+use std::fs;
+use std::path::Path;
+
+use genesplat_core::Camera;
+use genesplat_io::{HoldOut, LoadOptions, Scene, load_scene, photos};
+use glam::{DMat3, DQuat, DVec3};
+use serde_json::{Value, json};
+
+use crate::common::tiny_photo;
+
+/// A camera of a photo of 40x30 px.
+fn camera(index: usize) -> Camera {
+    Camera {
+        width: 40,
+        height: 30,
+        focal_px: [44.0, 45.0],
+        principal_px: [19.5, 16.0],
+        camera_from_world_rotation: DQuat::from_euler(glam::EulerRot::XYZ, 0.3 * index as f64, -0.2, 0.9),
+        camera_from_world_translation: DVec3::new(0.1, index as f64, 3.0),
+    }
+}
+
+/// `world_from_camera` in OpenGL's axes, as these files hold it.
+fn matrix(camera: &Camera) -> Value {
+    let world_from_gl = camera.rotation().transpose() * DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0));
+    let centre = camera.centre_in_world();
+    let row = |axis: usize| {
+        let r = world_from_gl.row(axis);
+        json!([r.x, r.y, r.z, centre[axis]])
+    };
+    json!([row(0), row(1), row(2), [0, 0, 0, 1]])
+}
+
+fn frames(range: std::ops::Range<usize>, path: impl Fn(usize) -> String) -> Vec<Value> {
+    range
+        .map(|i| json!({"file_path": path(i), "transform_matrix": matrix(&camera(i)), "sharpness": 3.5}))
+        .collect()
+}
+
+/// A nerfstudio scene of three photos.
+fn nerfstudio() -> Value {
+    json!({"w": 40.0, "h": 30, "fl_x": 44, "fl_y": 45, "cx": 19.5, "cy": 16.0, "aabb_scale": 4,
+        "camera_model": "OPENCV", "k1": 0.0, "frames": frames(0..3, |i| format!("./images/{i}.png"))})
+}
+
+fn write(folder: &Path, name: &str, description: &Value) {
+    for index in 0..3 {
+        let photo = folder.join(format!("images/{index}.png"));
+        photos::write_png(&photo, &tiny_photo(index, [40, 30])).unwrap();
+    }
+    fs::write(folder.join(name), description.to_string()).unwrap();
+}
+
+fn load(folder: &Path) -> Result<Scene, genesplat_io::SceneError> {
+    load_scene(folder, &LoadOptions::default(), &())
+}
+
+fn load_description(description: &Value) -> Result<Scene, genesplat_io::SceneError> {
+    let folder = tempfile::tempdir().unwrap();
+    write(folder.path(), "transforms.json", description);
+    load(folder.path())
+}
+
+fn assert_same_camera(a: &Camera, b: &Camera) {
+    assert_eq!(
+        (a.width, a.height, a.focal_px, a.principal_px),
+        (b.width, b.height, b.focal_px, b.principal_px)
+    );
+    assert!((a.centre_in_world() - b.centre_in_world()).length() < 1e-9);
+    assert!((a.rotation() - b.rotation()).to_cols_array().iter().all(|v| v.abs() < 1e-9));
+}
+
+#[test]
+fn poses_and_intrinsics_are_the_cameras() {
+    let scene = load_description(&nerfstudio()).unwrap();
+    assert_eq!((scene.train.len(), scene.test.len(), scene.points.len()), (2, 1, 100_000));
+    for (index, view) in scene.test.iter().chain(&scene.train).enumerate() {
+        assert_eq!(view.name, format!("{index}.png"));
+        assert_eq!(*view.photo, tiny_photo(index, [40, 30]));
+        assert_same_camera(&view.camera, &camera(index));
+    }
+    assert!(scene.notices[0].contains("no points"));
+}
+
+#[test]
+fn a_photo_may_have_its_own_intrinsics() {
+    let mut description = nerfstudio();
+    description["frames"][1]["fl_x"] = json!(50.0);
+    let scene = load_description(&description).unwrap();
+    assert_eq!(scene.train[0].camera.focal_px, [50.0, 45.0]);
+    assert_eq!(scene.train[1].camera.focal_px, [44.0, 45.0]);
+}
+
+#[test]
+fn listed_test_photos_are_held_out() {
+    let mut description = nerfstudio();
+    description["test_filenames"] = json!(["./images/2.png"]);
+    description["train_filenames"] = json!(["./images/0.png", "./images/1.png"]);
+    let scene = load_description(&description).unwrap();
+    assert_eq!((scene.train.len(), scene.test[0].name.as_str()), (2, "2.png"));
+}
+
+#[test]
+fn absent_photos_are_left_out_with_a_notice() {
+    let mut description = nerfstudio();
+    description["frames"].as_array_mut().unwrap().extend(frames(3..5, |i| format!("images/{i}.png")));
+    let scene = load_description(&description).unwrap();
+    assert_eq!(scene.train.len() + scene.test.len(), 3);
+    assert!(scene.notices[0].starts_with("2 of the 5 photos") && scene.notices[0].contains("3.png"));
+}
+
+#[test]
+fn a_bent_lens_is_straightened() {
+    let mut description = nerfstudio();
+    description["k1"] = json!(0.1);
+    let scene = load_description(&description).unwrap();
+    let view = &scene.train[0];
+    assert_ne!(*view.photo, tiny_photo(1, [40, 30]));
+    // A lens that pulls the corners outwards sees less of the world: the pinhole's focal length grows.
+    assert!(view.camera.focal_px[0] > 44.0 && view.camera.focal_px[0] < 50.0, "{:?}", view.camera.focal_px);
+    assert!((view.camera.focal_px[0] / view.camera.focal_px[1] - 44.0 / 45.0).abs() < 1e-9);
+}
+
+#[test]
+fn named_points_are_read_in_both_encodings() {
+    let header = |format: &str| {
+        format!(
+            "ply\nformat {format} 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n\
+             property uint8 red\nproperty uint8 green\nproperty uint8 blue\nend_header\n"
+        )
+    };
+    let mut binary = header("binary_little_endian").into_bytes();
+    for (position, rgb) in [([1.0f32, -2.0, 0.5], [1u8, 2, 3]), ([0.0, 4.0, 8.0], [255, 128, 0])] {
+        position.iter().for_each(|v| binary.extend(v.to_le_bytes()));
+        binary.extend(rgb);
+    }
+    let ascii = (header("ascii") + "1 -2 0.5 1 2 3\n0 4 8 255 128 0").into_bytes();
+    for bytes in [binary, ascii] {
+        let folder = tempfile::tempdir().unwrap();
+        let mut description = nerfstudio();
+        description["ply_file_path"] = json!("points.ply");
+        write(folder.path(), "transforms.json", &description);
+        fs::write(folder.path().join("points.ply"), &bytes).unwrap();
+        let points = load(folder.path()).unwrap().points;
+        assert_eq!((points.len(), points[0].position, points[1].rgb), (2, [1.0, -2.0, 0.5], [255, 128, 0]));
+        fs::write(folder.path().join("points.ply"), &bytes[..bytes.len() - 10]).unwrap();
+        assert!(load(folder.path()).unwrap_err().to_string().contains("points.ply"));
+    }
+}
+
+#[test]
+fn blender_scenes_keep_their_own_split_and_background() {
+    let folder = tempfile::tempdir().unwrap();
+    for split in ["train", "test"] {
+        fs::create_dir(folder.path().join(split)).unwrap();
+        for index in 0..2 {
+            let glass = image::RgbaImage::from_pixel(32, 32, image::Rgba([10, 20, 30, 0]));
+            glass.save(folder.path().join(format!("{split}/r_{index}.png"))).unwrap();
+        }
+        let description = json!({"camera_angle_x": 2.0 * (0.5f64).atan(),
+            "frames": frames(0..2, |i| format!("./{split}/r_{i}"))});
+        fs::write(folder.path().join(format!("transforms_{split}.json")), description.to_string()).unwrap();
+    }
+    let options = LoadOptions { background: [255; 3], ..LoadOptions::default() };
+    let scene = load_scene(folder.path(), &options, &()).unwrap();
+    let names = |views: &[genesplat_core::View]| views.iter().map(|v| v.name.clone()).collect::<Vec<_>>();
+    assert_eq!(names(&scene.train), ["train_r_0.png", "train_r_1.png"]);
+    assert_eq!(names(&scene.test), ["test_r_0.png", "test_r_1.png"]);
+    assert_eq!(scene.train[0].photo.pixel(3, 3), [255; 3]);
+    // Half the width over the tangent of half the field of view, in both directions.
+    scene.train[0].camera.focal_px.iter().for_each(|focal| assert!((focal - 32.0).abs() < 1e-9));
+    assert!(scene.points.iter().all(|p| p.position.iter().all(|v| v.abs() <= 1.3) && p.rgb == [127; 3]));
+    let everything = LoadOptions { hold_out: HoldOut::None, ..options };
+    assert_eq!(load_scene(folder.path(), &everything, &()).unwrap().train.len(), 4);
+}
+
+#[test]
+fn mistakes_are_named() {
+    type Spoil = fn(&mut Value);
+    let cases: [(Spoil, &str); 13] = [
+        (|d| d["frames"] = json!([]), "lists no photos"),
+        (|d| d["frames"] = json!("none"), "not a valid description"),
+        (|d| d["frames"][0]["transform_matrix"] = json!([[1, 0, 0, 0]]), "fewer than three rows"),
+        (|d| d["frames"][0]["transform_matrix"][0] = json!([0, 0, 0, 0]), "is not a rotation"),
+        (|d| d["frames"][0]["transform_matrix"][0][3] = json!("x"), "not a valid description"),
+        (|d| d["frames"][0]["file_path"] = json!("../../etc/passwd"), "not a path inside"),
+        (|d| d["fl_x"] = json!(-3.0), "focal length that is not a positive number"),
+        (
+            |d| {
+                d.as_object_mut().unwrap().remove("fl_x");
+            },
+            "neither fl_x nor camera_angle_x",
+        ),
+        (|d| d["w"] = json!(0), "impossible image size"),
+        (|d| d["w"] = json!(80), "which is another shape"),
+        (|d| d["camera_model"] = json!("OPENCV_FISHEYE"), "model OPENCV_FISHEYE"),
+        (|d| d["is_fisheye"] = json!(true), "model OPENCV_FISHEYE"),
+        (|d| d["ply_file_path"] = json!("absent.ply"), "absent.ply"),
+    ];
+    for (spoil, expected) in cases {
+        let mut description = nerfstudio();
+        spoil(&mut description);
+        let sentence = load_description(&description).unwrap_err().to_string();
+        assert!(sentence.contains(expected) && !sentence.contains('\n'), "{sentence}");
+    }
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(folder.path().join("transforms.json"), nerfstudio().to_string()).unwrap();
+    let sentence = load(folder.path()).unwrap_err().to_string();
+    assert!(sentence.contains("none of the 3 photos"), "{sentence}");
+}
+
+#[test]
+fn a_description_cut_anywhere_is_an_error() {
+    let folder = tempfile::tempdir().unwrap();
+    write(folder.path(), "transforms.json", &nerfstudio());
+    let path = folder.path().join("transforms.json");
+    let whole = fs::read(&path).unwrap();
+    for length in 0..whole.len() {
+        fs::write(&path, &whole[..length]).unwrap();
+        assert!(load(folder.path()).is_err(), "cut to {length} of {} bytes", whole.len());
+    }
+}
+
+/// Cameras that look at one another's focus are written with random points around it, not around the origin.
+#[test]
+fn random_points_lie_before_the_cameras() {
+    let scene = load_description(&nerfstudio()).unwrap();
+    let camera = &scene.train[0].camera;
+    let ahead = |p: &&genesplat_io::Point| camera.camera_from_world(p.position.map(f64::from).into()).z > 0.0;
+    let share = scene.points.iter().filter(ahead).count() as f64 / scene.points.len() as f64;
+    assert!(share > 0.5, "{share} of the points are before the camera");
+    let again = load_description(&nerfstudio()).unwrap();
+    assert_eq!(scene.points, again.points);
+}
