@@ -1,15 +1,15 @@
 //! Stage `bin`: which splats reach which tile, front to back, and which 4x4-pixel blocks of it.
 //!
 //! Exact and opacity-aware: a splat is listed where its ellipse `alpha ≥ 1/255` meets the pixel centres of a block. The
-//! ellipse is convex, so within a band of four pixel rows it covers one interval of columns; 16 bands are solved at
+//! ellipse is convex, so within a band of four pixel rows it covers one interval of columns; eight bands are solved at
 //! once, one a lane. Order: splats are sorted by depth once (ties by row), visited in that order, and a counting sort
 //! by tile keeps it (as Splatshop and Faster-GS do; nothing is sorted per tile).
 
-use fearless_simd::{Level, Simd, dispatch, i32x16, prelude::*};
+use fearless_simd::{Level, Simd, dispatch, f32x8, i32x8, prelude::*};
 use rayon::prelude::*;
 
 use super::project::{Pinhole, Splat, Splats, TILE};
-use super::simd::{LANES, V, array};
+use super::simd::array;
 
 /// Side of a block, px: one block is one vector.
 pub const BLOCK: usize = 4;
@@ -17,6 +17,8 @@ pub const BLOCK: usize = 4;
 pub const BLOCKS_ACROSS: usize = TILE / BLOCK;
 /// Splats that one task visits, in depth order.
 const RANKS: usize = 1024;
+/// Bands of four pixel rows that are solved at once: two rows of tiles, enough for most splats.
+const BANDS: usize = 8;
 /// Splats copied at once.
 const GATHER: usize = 64;
 /// Widens every ellipse a little (in powers of two of alpha): lists may hold a splat in vain, never miss one.
@@ -150,11 +152,12 @@ pub fn for_each_tile<S: Simd>(simd: S, splat: &Splat, grid: [usize; 2], mut each
     let first_band = to_band(splat.mean[1] - splat.half_extent[1] - SLACK_PX).clamp(0, band_limit);
     let end_band = (to_band(splat.mean[1] + splat.half_extent[1] + SLACK_PX) + 1).clamp(0, band_limit);
     let column_limit = (grid[0] * BLOCKS_ACROSS) as i32;
-    // Groups of 16 bands start at a tile row, so that a tile row never straddles two groups.
+    // Groups of bands start at a tile row, so that a tile row never straddles two groups.
     let mut band = first_band - first_band % BLOCKS_ACROSS as i32;
     while band < end_band {
         let (from, to) = column_spans(simd, splat, band, column_limit);
-        let last_row = ((end_band - band + BLOCKS_ACROSS as i32 - 1) / BLOCKS_ACROSS as i32).min(4);
+        let last_row = ((end_band - band + BLOCKS_ACROSS as i32 - 1) / BLOCKS_ACROSS as i32)
+            .min(BANDS as i32 / BLOCKS_ACROSS as i32);
         for row in 0..last_row as usize {
             let spans: [(i32, i32); BLOCKS_ACROSS] = array(
                 #[inline(always)]
@@ -163,20 +166,20 @@ pub fn for_each_tile<S: Simd>(simd: S, splat: &Splat, grid: [usize; 2], mut each
             let tile_y = band as usize / BLOCKS_ACROSS + row;
             emit_tile_row(spans, |tile_x, blocks| each((tile_y * grid[0] + tile_x) as u32, blocks));
         }
-        band += LANES as i32;
+        band += BANDS as i32;
     }
 }
 
-/// Block columns `[from, to)` that the ellipse covers in each of 16 bands; empty where `from ≥ to`.
+/// Block columns `[from, to)` that the ellipse covers in each of eight bands; empty where `from ≥ to`.
 #[inline(always)]
 fn column_spans<S: Simd>(
     simd: S,
     splat: &Splat,
     first_band: i32,
     column_limit: i32,
-) -> ([i32; LANES], [i32; LANES]) {
+) -> ([i32; BANDS], [i32; BANDS]) {
     let ellipse = Ellipse::of(splat);
-    let lane = V::simd_from(simd, LANE);
+    let lane = f32x8::simd_from(simd, LANE);
     let top = lane * BLOCK as f32 + (first_band as f32 * BLOCK as f32 - splat.mean[1]);
     let bottom = top + (BLOCK - 1) as f32;
     let height = splat.half_extent[1] + SLACK_PX;
@@ -187,21 +190,20 @@ fn column_spans<S: Simd>(
     let extreme = -ellipse.b * splat.half_extent[0] / ellipse.c;
     let (low, high) = (top.max(-height), bottom.min(height));
     let right =
-        ellipse.boundary(V::splat(simd, extreme).max(low).min(high), 1.0) + (splat.mean[0] + SLACK_PX);
+        ellipse.boundary(f32x8::splat(simd, extreme).max(low).min(high), 1.0) + (splat.mean[0] + SLACK_PX);
     let left =
-        ellipse.boundary(V::splat(simd, -extreme).max(low).min(high), -1.0) + (splat.mean[0] - SLACK_PX);
+        ellipse.boundary(f32x8::splat(simd, -extreme).max(low).min(high), -1.0) + (splat.mean[0] - SLACK_PX);
 
     // Block j covers pixel centres 4j to 4j + 3.
     let limit = column_limit as f32;
     let from = ((left - (BLOCK - 1) as f32) * (1.0 / BLOCK as f32)).ceil().max(0.0).min(limit);
     let to = ((right * (1.0 / BLOCK as f32)).floor() + 1.0).max(0.0).min(limit);
-    let to = outside.select(V::splat(simd, 0.0), to);
-    (*from.to_int::<i32x16<S>>(), *to.to_int::<i32x16<S>>())
+    let to = outside.select(f32x8::splat(simd, 0.0), to);
+    (*from.to_int::<i32x8<S>>(), *to.to_int::<i32x8<S>>())
 }
 
 /// The lane numbers.
-const LANE: [f32; LANES] =
-    [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0, 13.0, 14.0, 15.0];
+const LANE: [f32; BANDS] = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0];
 
 /// `a dx² + 2b dx dy + c dy² ≤ reach`: where alpha is at least 1/255, in powers of two of alpha.
 struct Ellipse {
@@ -222,7 +224,7 @@ impl Ellipse {
 
     /// The column of the right (`sign` 1) or left (-1) boundary at each row, from the mean.
     #[inline(always)]
-    fn boundary<S: Simd>(&self, row: V<S>, sign: f32) -> V<S> {
+    fn boundary<S: Simd>(&self, row: f32x8<S>, sign: f32) -> f32x8<S> {
         let squared = row * row * -self.det + self.a_reach;
         (squared.max(0.0).sqrt() * sign - row * self.b) * self.inverse_a
     }

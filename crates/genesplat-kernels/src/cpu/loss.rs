@@ -110,6 +110,13 @@ impl<const K: usize> Ring<K> {
         &self.data[(slot * K + quantity) * self.stride..][..self.stride]
     }
 
+    /// The 11 rows of each quantity around `y`, topmost first.
+    fn around(&self, y: isize) -> [[&[f32]; TAPS]; K] {
+        std::array::from_fn(|quantity| {
+            std::array::from_fn(|tap| self.row(y + tap as isize - SSIM_RADIUS as isize, quantity))
+        })
+    }
+
     fn row_mut(&mut self, y: isize, quantity: usize) -> &mut [f32] {
         let slot = y.rem_euclid(TAPS as isize) as usize;
         &mut self.data[(slot * K + quantity) * self.stride..][..self.stride]
@@ -243,21 +250,14 @@ fn blur_row<S: Simd>(simd: S, window: &[f32; TAPS], row: &[f32], out: &mut [f32]
     }
 }
 
-/// Vertical blur at 16 columns: the ring's rows around `y`.
+/// Vertical blur at the 16 columns from `first` on, of the 11 rows around a centre.
 #[inline(always)]
-fn blur_column<const K: usize, S: Simd>(
-    simd: S,
-    window: &[f32; TAPS],
-    ring: &Ring<K>,
-    y: isize,
-    quantity: usize,
-    first: usize,
-) -> V<S> {
-    let at = |offset: isize| V::from_slice(simd, &ring.row(y + offset, quantity)[first..first + LANES]);
-    let mut sum = at(0) * window[SSIM_RADIUS];
+fn blur_column<S: Simd>(simd: S, window: &[f32; TAPS], rows: &[&[f32]; TAPS], first: usize) -> V<S> {
+    let mut sum = V::from_slice(simd, &rows[SSIM_RADIUS][first..first + LANES]) * window[SSIM_RADIUS];
     for tap in 0..SSIM_RADIUS {
-        let offset = SSIM_RADIUS as isize - tap as isize;
-        sum = (at(-offset) + at(offset)).mul_add(V::splat(simd, window[tap]), sum);
+        let above = V::from_slice(simd, &rows[tap][first..first + LANES]);
+        let below = V::from_slice(simd, &rows[TAPS - 1 - tap][first..first + LANES]);
+        sum = (above + below).mul_add(V::splat(simd, window[tap]), sum);
     }
     sum
 }
@@ -272,11 +272,12 @@ fn ssim_row<S: Simd>(
     width: usize,
     partial: &mut [Vec<f32>; 3],
 ) -> f64 {
+    let rows = moments.around(y);
     let mut sum = V::splat(simd, 0.0);
     for first in (0..width).step_by(LANES) {
         let [mx, my, exx, eyy, exy] = array(
             #[inline(always)]
-            |quantity| blur_column(simd, window, moments, y, quantity, first),
+            |quantity| blur_column(simd, window, &rows[quantity], first),
         );
         let ssim = Ssim::new(mx, my, exx, eyy, exy);
         let count = LANES.min(width - first);
@@ -379,10 +380,11 @@ fn gradient_row<S: Simd>(
     out: &mut [f32],
 ) {
     let (l1_weight, ssim_weight) = ((1.0 - LAMBDA_DSSIM) / values as f32, -LAMBDA_DSSIM / values as f32);
+    let rows = partials.around(y);
     for first in (0..render.len()).step_by(LANES) {
         let [by_mean, by_square, by_product] = array(
             #[inline(always)]
-            |quantity| blur_column(simd, window, partials, y, quantity, first),
+            |quantity| blur_column(simd, window, &rows[quantity], first),
         );
         let count = LANES.min(render.len() - first);
         let x = load_part(simd, &render[first..first + count]);

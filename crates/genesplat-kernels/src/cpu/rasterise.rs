@@ -444,10 +444,16 @@ fn accumulate<S: Simd>(
     }
 }
 
-/// `1/x` to f32 accuracy for `x` in `[0.01, 1]`.
+/// `1/x` for `x` in `[0.01, 1]`: the machine's estimate and two Newton steps, cheaper than a division. The relative error
+/// is that of f32 where the estimate has 12 bits, and 2e-9 beyond rounding where it has only 8.
 #[inline(always)]
 fn reciprocal<S: Simd>(x: V<S>) -> V<S> {
-    V::splat(x.simd, 1.0) / x
+    let two = V::splat(x.simd, 2.0);
+    let mut estimate = x.approximate_recip();
+    for _ in 0..2 {
+        estimate *= (-x).mul_add(estimate, two);
+    }
+    estimate
 }
 
 /// Sums over the block of `|∂L/∂u|` and `|∂L/∂v|`: `∂L/∂mean = p · Σ'⁻¹ (pixel − mean)`.
