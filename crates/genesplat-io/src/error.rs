@@ -94,6 +94,14 @@ pub enum SceneError {
         /// The name.
         name: String,
     },
+    /// Two entries for one photo.
+    #[error("{file} lists the photo {name} twice; remove one of its entries")]
+    ListedTwice {
+        /// The file with the list.
+        file: PathBuf,
+        /// The photo.
+        name: String,
+    },
     /// A lens that is not a pinhole.
     #[error(
         "{file}: camera {camera} uses the model {model}, which bends straight lines; run COLMAP's image_undistorter on \

@@ -67,10 +67,21 @@ pub(crate) fn base_name(path: &str) -> &str {
 }
 
 /// A name for each view, fit for a file: the photo's own; or, where photos share one, the whole path joined by `_`.
-pub(crate) fn view_names(paths: &[&str]) -> Vec<String> {
-    let mut seen = HashSet::new();
-    if paths.iter().all(|path| seen.insert(base_name(path))) {
-        return paths.iter().map(|path| base_name(path).to_owned()).collect();
+pub(crate) fn view_names(paths: &[&str], list: &Path) -> Result<Vec<String>, SceneError> {
+    let own: Vec<String> = paths.iter().map(|path| base_name(path).to_owned()).collect();
+    if repeated(&own).is_none() {
+        return Ok(own);
     }
-    paths.iter().map(|path| path.trim_start_matches("./").replace('/', "_")).collect()
+    let joined: Vec<String> =
+        paths.iter().map(|path| path.trim_start_matches("./").replace('/', "_")).collect();
+    match repeated(&joined) {
+        None => Ok(joined),
+        Some(name) => Err(SceneError::ListedTwice { file: list.to_owned(), name: name.to_owned() }),
+    }
+}
+
+/// The first name that occurred before.
+fn repeated(names: &[String]) -> Option<&String> {
+    let mut seen = HashSet::new();
+    names.iter().find(|name| !seen.insert(*name))
 }

@@ -1,6 +1,6 @@
 //! COLMAP reconstructions: `sparse/0/{cameras,images,points3D}.{bin,txt}` beside a folder of photos.
 //!
-//! Both forms are read into one [`Model`] ([`binary`], [`text`]), checked there record by record, and joined here to
+//! Both forms are read into one [`Model`] (`binary`, `text`), checked there record by record, and joined here to
 //! photos with cameras. Only pinhole cameras are taken: a rasteriser of splats projects along straight lines, so a
 //! distorted reconstruction must be undistorted first (COLMAP's `image_undistorter`).
 //!
@@ -132,7 +132,7 @@ pub(crate) fn list(folder: &ModelFolder, image_folder: &Path) -> Result<Listing,
     }
     let photos = find_photos(&model.images, image_folder, &list)?;
     let paths: Vec<&str> = model.images.iter().map(|image| image.name.as_str()).collect();
-    let names = view_names(&paths);
+    let names = view_names(&paths, &list)?;
     let frames = (model.images.iter().zip(photos).zip(names))
         .map(|((image, photo), name)| {
             Ok(Frame { name, photo, camera: camera(&model, image, &list)?, distortion: None, held_out: None })

@@ -1,7 +1,7 @@
 //! The bundled scene: a small art gallery, ray-cast here, so that everything can be tried without a download.
 //!
-//! The room ([`room`]) is lit once ([`light`]), photographed from a path of cameras ([`cameras`], [`render`]) and given
-//! points as structure from motion would find them ([`points`]). It holds what splats find hard: plain walls, fine
+//! The room (`room`) is lit once (`light`), photographed from a path of cameras (`cameras`, `render`) and given
+//! points as structure from motion would find them (`points`). It holds what splats find hard: plain walls, fine
 //! prints, thin rods, metal and glaze. The same options give the same bytes on one machine, for any number of threads.
 
 mod cameras;

@@ -120,12 +120,25 @@ pub fn write_png(path: &Path, photo: &Photo) -> Result<(), PhotoError> {
     write_atomically(path, |out| out.write_all(&bytes)).map_err(write)
 }
 
+/// Most pixels of a photo: a few damaged bytes must not ask for all memory.
+const PIXELS_MAX: u64 = 1 << 28;
+
+fn dimensions(bytes: &[u8]) -> Result<(u32, u32), String> {
+    let reader =
+        ImageReader::new(Cursor::new(bytes)).with_guessed_format().map_err(|error| error.to_string())?;
+    reader.into_dimensions().map_err(|error| error.to_string())
+}
+
 fn decode(bytes: &[u8]) -> Result<DynamicImage, String> {
     let reader =
         ImageReader::new(Cursor::new(bytes)).with_guessed_format().map_err(|error| error.to_string())?;
     let format = reader.format().ok_or("it is neither a PNG nor a JPEG")?;
     if format == ImageFormat::Jpeg && !jpeg_is_whole(bytes) {
         return Err("the file was cut off before the end of the picture".into());
+    }
+    let (width, height) = dimensions(bytes)?;
+    if u64::from(width) * u64::from(height) > PIXELS_MAX {
+        return Err(format!("it has {width}x{height} pixels, and at most {PIXELS_MAX} in all are read"));
     }
     reader.decode().map_err(|error| error.to_string())
 }

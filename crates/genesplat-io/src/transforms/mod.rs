@@ -31,7 +31,7 @@ pub(crate) fn list_blender(folder: &Path, seed: u64) -> Result<Listing, SceneErr
         return Err(missing_photo(&list, missing.clone(), there, all, folder));
     }
     let notices = vec![format!("the scene has no points, so training starts from {COUNT} random ones")];
-    Ok(Listing { list, frames: found.into_frames(), points: Cube::BLENDER.points(seed), notices })
+    Ok(Listing { frames: found.into_frames(&list)?, points: Cube::BLENDER.points(seed), notices, list })
 }
 
 /// The scene of `folder/transforms.json`. Photos that are listed but absent are left out with a notice: published
@@ -59,7 +59,7 @@ pub(crate) fn list_nerfstudio(folder: &Path, seed: u64) -> Result<Listing, Scene
             Cube::seen_by(&cameras).points(seed)
         }
     };
-    Ok(Listing { list, frames: found.into_frames(), points, notices })
+    Ok(Listing { frames: found.into_frames(&list)?, points, notices, list })
 }
 
 /// What the file's own lists say about a photo, if it has lists.
@@ -93,9 +93,9 @@ impl Photos {
         self.missing.extend(other.missing);
     }
 
-    fn into_frames(self) -> Vec<Frame> {
+    fn into_frames(self, list: &Path) -> Result<Vec<Frame>, SceneError> {
         let paths: Vec<&str> = self.photos.iter().map(|photo| photo.path.as_str()).collect();
-        let names = view_names(&paths);
+        let names = view_names(&paths, list)?;
         let frame = |(name, found): (String, Found)| Frame {
             name,
             photo: found.photo,
@@ -103,7 +103,7 @@ impl Photos {
             distortion: found.distortion,
             held_out: found.held_out,
         };
-        names.into_iter().zip(self.photos).map(frame).collect()
+        Ok(names.into_iter().zip(self.photos).map(frame).collect())
     }
 }
 

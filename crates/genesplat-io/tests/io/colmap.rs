@@ -207,6 +207,16 @@ fn names_that_leave_the_image_folder_are_refused() {
 }
 
 #[test]
+fn a_photo_listed_twice_is_named() {
+    let sentence = refusal(Form::Binary, &tiny_model(2), |scene| {
+        let mut model = tiny_model(2);
+        model.images[1].name = model.images[0].name.clone();
+        write_model(&scene.join("sparse/0"), Form::Binary, &model).unwrap();
+    });
+    assert!(sentence.contains("a b_000.png twice"), "{sentence}");
+}
+
+#[test]
 fn one_photo_is_not_enough_unless_none_is_held_out() {
     let sentence = refusal(Form::Binary, &tiny_model(1), |_| {});
     assert!(sentence.contains("not enough photos"), "{sentence}");

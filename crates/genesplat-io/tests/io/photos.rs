@@ -85,6 +85,21 @@ fn grey_and_deep_pictures_are_read() {
     assert_eq!(photos::read_photo(&deep).unwrap().rgb, [9, 0, 255]);
 }
 
+/// A header may claim 65,535 x 65,535 pixels: 12 GB.
+#[test]
+fn a_photo_that_claims_to_be_huge_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("photo.jpg");
+    image::RgbImage::new(16, 16).save(&path).unwrap();
+    let mut bytes = fs::read(&path).unwrap();
+    // Start of frame: marker, length, precision, then height and width.
+    let frame = bytes.windows(2).position(|pair| pair == [0xFF, 0xC0]).unwrap();
+    bytes[frame + 5..frame + 9].fill(0xFF);
+    fs::write(&path, bytes).unwrap();
+    let error = photos::read_photo(&path).unwrap_err().to_string();
+    assert!(error.contains("65535x65535 pixels"), "{error}");
+}
+
 /// Decoders fill the lost half of a torn JPEG with grey and report success; we must not.
 #[test]
 fn a_jpeg_cut_anywhere_is_an_error() {
