@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use genesplat::io::PhotoSize;
 use genesplat::train::{EvolutionMode, Variant};
+use serde::Serialize;
 
 use crate::device::Device;
 
@@ -22,8 +23,187 @@ pub struct Arguments {
 /// The commands.
 #[derive(Debug, Subcommand)]
 pub enum Command {
+    /// Start here: build a small scene, train it without and with evolution, show the difference (a few minutes)
+    Demo(DemoArgs),
     /// Train a scene: photos with known cameras in, a splat and its figures out
     Train(TrainArgs),
+    /// Measure how well a splat reproduces photos: PSNR and SSIM
+    Evaluate(EvaluateArgs),
+    /// Render a splat from the viewpoints of photos, as PNG
+    Render(RenderArgs),
+    /// Evolve a finished splat, from any trainer, without further training
+    Refine(RefineArgs),
+    /// Measure how alike two pictures are: PSNR and SSIM
+    Compare(CompareArgs),
+    /// Measure how fast this machine trains
+    Bench {
+        /// What to measure
+        #[command(subcommand)]
+        what: Bench,
+    },
+    /// List what this machine can train on
+    Devices,
+}
+
+/// What can be measured.
+#[derive(Debug, Subcommand)]
+pub enum Bench {
+    /// Time training steps stage by stage, at a fixed number of Gaussians, beside the best that blending could reach
+    Step(BenchStepArgs),
+}
+
+/// `genesplat demo`.
+#[derive(Debug, Args)]
+pub struct DemoArgs {
+    /// Folder for the scene, both runs and the picture that compares them; made if it is missing
+    #[arg(long, value_name = "DIR", default_value = "runs/demo")]
+    pub out: PathBuf,
+    /// Seed of the scene and of both runs. Same seed, same bytes
+    #[arg(long, value_name = "S", default_value_t = 0, value_parser = clap::value_parser!(u64).range(..1 << 63))]
+    pub seed: u64,
+    #[command(flatten)]
+    #[allow(missing_docs, reason = "clap would show it as help")]
+    pub machine: MachineArgs,
+}
+
+/// `genesplat evaluate`.
+#[derive(Debug, Args)]
+pub struct EvaluateArgs {
+    /// A splat (.ply), or the folder of a run
+    #[arg(value_name = "PLY|RUN")]
+    pub splat: PathBuf,
+    /// Folder of the scene with the photos to compare with
+    #[arg(long, value_name = "DATASET")]
+    pub data: PathBuf,
+    /// Which photos: those that training never saw (every 8th), or those that it saw
+    #[arg(long, value_enum, value_name = "SPLIT", default_value_t = Split::Test)]
+    pub split: Split,
+    /// Also write the figures, photo by photo, to this file [default: none]
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+    #[command(flatten)]
+    #[allow(missing_docs, reason = "clap would show it as help")]
+    pub size: SizeArgs,
+    #[command(flatten)]
+    #[allow(missing_docs, reason = "clap would show it as help")]
+    pub machine: MachineArgs,
+}
+
+/// `genesplat render`.
+#[derive(Debug, Args)]
+#[command(group(clap::ArgGroup::new("which").required(true).args(["image", "split"])))]
+pub struct RenderArgs {
+    /// A splat (.ply), or the folder of a run
+    #[arg(value_name = "PLY|RUN")]
+    pub splat: PathBuf,
+    /// Folder of the scene with the cameras to render from
+    #[arg(long, value_name = "DATASET")]
+    pub data: PathBuf,
+    /// Render the viewpoint of one photo, by its file name
+    #[arg(long, value_name = "NAME")]
+    pub image: Option<String>,
+    /// Render the viewpoints of many photos
+    #[arg(long, value_enum, value_name = "SPLIT")]
+    pub split: Option<RenderSplit>,
+    /// With --image the PNG to write, with --split the folder for PNGs
+    #[arg(long, value_name = "FILE|DIR")]
+    pub out: PathBuf,
+    #[command(flatten)]
+    #[allow(missing_docs, reason = "clap would show it as help")]
+    pub size: SizeArgs,
+    #[command(flatten)]
+    #[allow(missing_docs, reason = "clap would show it as help")]
+    pub machine: MachineArgs,
+}
+
+/// `genesplat refine`.
+#[derive(Debug, Args)]
+pub struct RefineArgs {
+    /// The splat to start from: a .ply in the layout of the 3DGS authors, as nearly every trainer writes it
+    #[arg(value_name = "PLY")]
+    pub splat: PathBuf,
+    /// Folder of the scene that it shows
+    #[arg(long, value_name = "DATASET")]
+    pub data: PathBuf,
+    /// The .ply to write
+    #[arg(long, value_name = "PLY")]
+    pub out: PathBuf,
+    /// Generations of the search [default: 100]. Time grows in proportion
+    #[arg(long, value_name = "N")]
+    pub generations: Option<u32>,
+    /// Individuals a generation, at least 1 [default: 100]. Time grows in proportion
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    pub population: Option<u32>,
+    /// Seed of all random numbers [default: 0]. Same seed, same bytes
+    #[arg(long, value_name = "S", value_parser = clap::value_parser!(u64).range(..1 << 63))]
+    pub seed: Option<u64>,
+    /// TOML file with settings, as for train; its evolution section counts here [default: none]
+    #[arg(long, value_name = "FILE.toml")]
+    pub config: Option<PathBuf>,
+    #[command(flatten)]
+    #[allow(missing_docs, reason = "clap would show it as help")]
+    pub size: SizeArgs,
+    #[command(flatten)]
+    #[allow(missing_docs, reason = "clap would show it as help")]
+    pub machine: MachineArgs,
+}
+
+/// `genesplat compare`.
+#[derive(Debug, Args)]
+pub struct CompareArgs {
+    /// A PNG or JPEG
+    #[arg(value_name = "A.png")]
+    pub first: PathBuf,
+    /// Another one of the same size
+    #[arg(value_name = "B.png")]
+    pub second: PathBuf,
+    /// Also write the figures to this file [default: none]
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+}
+
+/// `genesplat bench step`.
+#[derive(Debug, Args)]
+pub struct BenchStepArgs {
+    /// Folder of a scene to take cameras, photos and points from [default: a synthetic cloud before one camera of 268x478]
+    #[arg(long, value_name = "DATASET")]
+    pub data: Option<PathBuf>,
+    /// Number of Gaussians, at least 4 [default: as many as the scene has points; 55000 without --data]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(4..))]
+    pub gaussians: Option<u32>,
+    /// Steps to time; medians are reported
+    #[arg(long, value_name = "N", default_value_t = 30, value_parser = clap::value_parser!(u32).range(1..))]
+    pub steps: u32,
+    /// Also write the figures to this file [default: none]
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+    #[command(flatten)]
+    #[allow(missing_docs, reason = "clap would show it as help")]
+    pub size: SizeArgs,
+    #[command(flatten)]
+    #[allow(missing_docs, reason = "clap would show it as help")]
+    pub machine: MachineArgs,
+}
+
+/// One part of a scene's photos.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Split {
+    /// Photos that training never saw
+    Test,
+    /// Photos that it saw
+    Train,
+}
+
+/// Which viewpoints to render.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum RenderSplit {
+    /// Photos that training never saw
+    Test,
+    /// Photos that it saw
+    Train,
+    /// Both
+    All,
 }
 
 /// How large photos are loaded.

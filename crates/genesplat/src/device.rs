@@ -5,6 +5,8 @@ use clap::ValueEnum;
 use genesplat::kernels::cpu::CpuBackend;
 use serde::{Deserialize, Serialize};
 
+use crate::args::MachineArgs;
+
 /// A choice of device.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -35,6 +37,12 @@ impl Device {
 /// An empty backend, for a run with `seed`.
 pub fn open(seed: u64) -> CpuBackend {
     CpuBackend::new(seed)
+}
+
+/// Makes the machine ready for a command that does not train.
+pub fn prepare(args: MachineArgs) -> Result<()> {
+    args.device.unwrap_or_default().resolve()?;
+    use_threads(args.threads)
 }
 
 /// Sets the number of threads of everything that follows; `None` takes all cores.

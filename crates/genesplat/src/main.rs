@@ -24,6 +24,7 @@ mod reporter;
 mod run_folder;
 mod scene;
 mod settings;
+mod splat;
 mod training;
 
 use std::panic;

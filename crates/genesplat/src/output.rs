@@ -4,6 +4,7 @@ use std::io::{self, ErrorKind, Write};
 use std::panic;
 
 use anyhow::{Result, anyhow};
+use genesplat::train::evaluate::Evaluation;
 
 /// Writes `text` and a line break to stdout. A reader that has heard enough (`| head`) is no error.
 pub fn print(text: &str) -> Result<()> {
@@ -12,6 +13,15 @@ pub fn print(text: &str) -> Result<()> {
             Err(anyhow!("cannot write to stdout: {error}"))
         }
         _ => Ok(()),
+    }
+}
+
+/// The means of an evaluation, as a line that starts with `name`.
+pub fn scores_line(name: &str, scores: &Evaluation) -> String {
+    let Evaluation { psnr, ssim, views, .. } = scores;
+    match views.len() {
+        0 => format!("{name:<6} no photos"),
+        photos => format!("{name:<6} PSNR {psnr:.2} dB  SSIM {ssim:.4}  ({photos} photos)"),
     }
 }
 

@@ -7,7 +7,6 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use anyhow::Result;
-use genesplat::core::Gaussians;
 use genesplat::train::observe::{
     DensifyLog, GenerationLog, LogRecord, StageLog, StageRecord, StartLog, StepLog,
 };
@@ -39,7 +38,7 @@ impl<'a> Reporter<'a> {
         Self { folder: Some((folder, log)), ..Self::without_folder(stop) }
     }
 
-    /// Reports to the terminal only.
+    /// Reports to the terminal only, and only on evolution.
     pub fn without_folder(stop: &'a AtomicBool) -> Self {
         Self { folder: None, stop, steps: None, stage: None, loss: f32::NAN, trouble: None }
     }
@@ -68,7 +67,9 @@ impl Observer for Reporter<'_> {
     fn on_start(&mut self, log: &StartLog) {
         let StartLog { device, gaussians, views, .. } = log;
         eprintln!("{device}: {gaussians} Gaussians, {views} training photos");
-        self.steps = Some(Bar::at("training", u64::from(log.iteration) - 1, log.iterations.into()));
+        if self.folder.is_some() {
+            self.steps = Some(Bar::at("training", u64::from(log.iteration) - 1, log.iterations.into()));
+        }
         self.log(&LogRecord::Start(log.clone()));
     }
 
@@ -126,6 +127,4 @@ impl Observer for Reporter<'_> {
         let written = folder.write_checkpoint(&checkpoint);
         self.keep(written);
     }
-
-    fn on_cloud(&mut self, _iteration: u32, _cloud: Gaussians) {}
 }

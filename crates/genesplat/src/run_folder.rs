@@ -12,7 +12,7 @@
 //! All but the log are written whole or not at all, so that a full disk or a power cut leaves what was there before.
 
 use std::fs::{self, File, OpenOptions};
-use std::io::{BufReader, BufWriter, Write};
+use std::io::{self, BufReader, BufWriter, ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Result, anyhow, bail};
@@ -23,6 +23,9 @@ use genesplat::train::Checkpoint;
 use genesplat::train::observe::LogRecord;
 use serde::Serialize;
 
+/// How a run's `config.toml` begins.
+const CONFIG_MARK: &str = "# All settings of a run of genesplat";
+
 /// A folder that exists and can be written to.
 #[derive(Clone, Debug)]
 pub struct RunFolder {
@@ -32,37 +35,52 @@ pub struct RunFolder {
 impl RunFolder {
     /// A folder for a new run: made, proved writable by writing `config`, and freed of what an older run left.
     ///
-    /// An unfinished run is not overwritten.
+    /// Neither an interrupted run nor a folder that is something else is overwritten.
     pub fn create(path: &Path, config: &str) -> Result<Self> {
-        let folder = Self { path: path.to_owned() };
-        if folder.checkpoint_path().exists() {
+        if Self::checkpoint_in(path).exists() {
             bail!(
                 "{} holds a run that was interrupted; add --resume to go on, or remove its checkpoint folder to start anew",
                 path.display()
             );
         }
-        folder.write(&Self::config_in(path), |out| out.write_all(config.as_bytes()))?;
-        for stale in ["metrics.json", "log.jsonl", "point_cloud.ply"] {
-            remove_if_there(&path.join(stale), |stale| fs::remove_file(stale))?;
+        Self::replace(path, config)
+    }
+
+    /// The same, whatever state an older run is in.
+    pub fn replace(path: &Path, config: &str) -> Result<Self> {
+        let old_config = fs::read_to_string(Self::config_in(path)).ok();
+        if old_config.as_ref().is_some_and(|text| !text.starts_with(CONFIG_MARK)) {
+            bail!("{} belongs to something else; choose another folder", Self::config_in(path).display());
         }
-        remove_if_there(&path.join("test"), |stale| fs::remove_dir_all(stale))?;
+        let folder = Self::claim(path, config)?;
+        if old_config.is_some() {
+            folder.remove_results()?;
+        }
         fs::create_dir_all(path.join("checkpoint")).map_err(|error| unwritable(path, &error))?;
         Ok(folder)
     }
 
-    /// The folder of a run that is to go on; its configuration is rewritten, which proves it writable.
+    /// The folder of a run that is to go on.
     pub fn reopen(path: &Path, config: &str) -> Result<Self> {
-        let folder = Self { path: path.to_owned() };
-        if !folder.checkpoint_path().exists() {
+        if !Self::checkpoint_in(path).exists() {
             bail!("{} holds no checkpoint to go on from; start the run without --resume", path.display());
         }
-        folder.write(&Self::config_in(path), |out| out.write_all(config.as_bytes()))?;
-        Ok(folder)
+        Self::claim(path, config)
     }
 
-    /// Where renders of test photos go.
-    pub fn test_path(&self) -> PathBuf {
-        self.path.join("test")
+    fn claim(path: &Path, config: &str) -> Result<Self> {
+        let text = format!("{CONFIG_MARK} {}; --config repeats it.\n{config}", env!("CARGO_PKG_VERSION"));
+        write_file(&Self::config_in(path), |out| out.write_all(text.as_bytes()))?;
+        Ok(Self { path: path.to_owned() })
+    }
+
+    fn remove_results(&self) -> Result<()> {
+        let files = ["metrics.json", "log.jsonl", "point_cloud.ply"].map(|name| self.path.join(name));
+        let pictures =
+            fs::read_dir(self.test_path()).into_iter().flatten().flatten().map(|entry| entry.path());
+        let pictures = pictures.filter(|path| path.extension().is_some_and(|end| end == "png"));
+        files.into_iter().chain(pictures).try_for_each(|path| remove_if_there(&path))?;
+        self.remove_checkpoint()
     }
 
     /// Where a run in the folder `path` has its settings.
@@ -70,13 +88,23 @@ impl RunFolder {
         path.join("config.toml")
     }
 
-    /// The splat.
-    pub fn cloud_path(&self) -> PathBuf {
-        self.path.join("point_cloud.ply")
+    /// Where a run in the folder `path` has its splat.
+    pub fn cloud_in(path: &Path) -> PathBuf {
+        path.join("point_cloud.ply")
     }
 
-    fn checkpoint_path(&self) -> PathBuf {
-        self.path.join("checkpoint").join("latest.checkpoint")
+    fn checkpoint_in(path: &Path) -> PathBuf {
+        path.join("checkpoint").join("latest.checkpoint")
+    }
+
+    /// The splat.
+    pub fn cloud_path(&self) -> PathBuf {
+        Self::cloud_in(&self.path)
+    }
+
+    /// Where renders of test photos go.
+    pub fn test_path(&self) -> PathBuf {
+        self.path.join("test")
     }
 
     /// Opens the log: anew, or at its end.
@@ -101,43 +129,26 @@ impl RunFolder {
 
     /// Replaces the checkpoint.
     pub fn write_checkpoint(&self, checkpoint: &Checkpoint) -> Result<()> {
-        self.write(&self.checkpoint_path(), |out| checkpoint.write(out))
+        write_file(&Self::checkpoint_in(&self.path), |out| checkpoint.write(out))
     }
 
     /// Reads the checkpoint.
     pub fn read_checkpoint(&self) -> Result<Checkpoint> {
-        let path = self.checkpoint_path();
+        let path = Self::checkpoint_in(&self.path);
         let file = File::open(&path).map_err(|error| anyhow!("cannot read {}: {error}", path.display()))?;
         Checkpoint::read(BufReader::new(file)).map_err(|error| anyhow!("{}: {error}", path.display()))
     }
 
     /// A finished run needs no checkpoint.
     pub fn remove_checkpoint(&self) -> Result<()> {
-        remove_if_there(&self.checkpoint_path(), |path| fs::remove_file(path))
+        remove_if_there(&Self::checkpoint_in(&self.path))
     }
 
     /// The end of the sentence for a run that failed midway: what is left of it.
     pub fn what_is_left(&self) -> &'static str {
-        if self.checkpoint_path().exists() {
-            " (an earlier checkpoint is kept; --resume goes on from it)"
-        } else {
-            ""
-        }
+        let kept = Self::checkpoint_in(&self.path).exists();
+        if kept { " (an earlier checkpoint is kept; --resume goes on from it)" } else { "" }
     }
-
-    fn write(
-        &self,
-        path: &Path,
-        fill: impl FnOnce(&mut BufWriter<File>) -> std::io::Result<()>,
-    ) -> Result<()> {
-        write_atomically(path, fill).map_err(|error| unwritable(path, &error))
-    }
-}
-
-/// Writes `value` to `path` as indented JSON, whole or not at all.
-pub fn write_json(path: &Path, value: &impl Serialize) -> Result<()> {
-    let text = serde_json::to_string_pretty(value).expect("plain data with text keys is always JSON");
-    write_atomically(path, |out| writeln!(out, "{text}")).map_err(|error| unwritable(path, &error))
 }
 
 /// Where the reports of a run go.
@@ -156,15 +167,34 @@ impl Log {
     }
 }
 
-fn remove_if_there(path: &Path, remove: impl FnOnce(&Path) -> std::io::Result<()>) -> Result<()> {
-    if !path.exists() {
-        return Ok(());
-    }
-    remove(path)
-        .map_err(|error| anyhow!("cannot remove {}, which an older run left: {error}", path.display()))
+/// Writes `value` to `path` as indented JSON, whole or not at all.
+pub fn write_json(path: &Path, value: &impl Serialize) -> Result<()> {
+    let text = serde_json::to_string_pretty(value).expect("plain data with text keys is always JSON");
+    write_file(path, |out| writeln!(out, "{text}"))
 }
 
-fn unwritable(path: &Path, error: &std::io::Error) -> anyhow::Error {
+/// Fails now, rather than after an hour, where the file `path` could not be written.
+pub fn check_writable(path: &Path) -> Result<()> {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let probe = path.with_file_name(format!(".{name}.{}.probe", std::process::id()));
+    write_atomically(&probe, |_| Ok(())).map_err(|error| unwritable(path, &error))?;
+    remove_if_there(&probe)
+}
+
+fn write_file(path: &Path, fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>) -> Result<()> {
+    write_atomically(path, fill).map_err(|error| unwritable(path, &error))
+}
+
+fn remove_if_there(path: &Path) -> Result<()> {
+    match fs::remove_file(path) {
+        Err(error) if error.kind() != ErrorKind::NotFound => {
+            Err(anyhow!("cannot remove {}, which is out of date: {error}; remove it by hand", path.display()))
+        }
+        _ => Ok(()),
+    }
+}
+
+fn unwritable(path: &Path, error: &io::Error) -> anyhow::Error {
     anyhow!(
         "cannot write {}: {error}; choose a folder that can be written to, or free some space",
         path.display()

@@ -76,6 +76,18 @@ impl ConfigFile {
         Self { train, ..Self::default() }
     }
 
+    /// The file in the folder of a run.
+    pub fn of_run(folder: &Path) -> Result<Self> {
+        let path = RunFolder::config_in(folder);
+        if !path.exists() {
+            bail!(
+                "{} is not the folder of a run: it has no config.toml; give one that train made",
+                folder.display()
+            );
+        }
+        Self::read(&path)
+    }
+
     /// Reads a file.
     pub fn read(path: &Path) -> Result<Self> {
         let text = fs::read_to_string(path)
@@ -102,7 +114,7 @@ impl ConfigFile {
 impl Settings {
     /// The settings of `genesplat train`.
     pub fn of_training(args: &TrainArgs) -> Result<Self> {
-        let saved = args.resume.then(|| ConfigFile::read(&RunFolder::config_in(&args.out))).transpose()?;
+        let saved = args.resume.then(|| ConfigFile::of_run(&args.out)).transpose()?;
         let mut file = match (&args.config, &saved) {
             (Some(path), _) => ConfigFile::read(path)?,
             (None, Some(saved)) => saved.clone(),
@@ -136,11 +148,7 @@ impl Settings {
         }
         let Self { dataset, device, threads, train } = self;
         let written = Written { device: *device, threads: *threads, train: train.config(), dataset };
-        let settings = toml::to_string(&written).expect("settings are plain tables of numbers and words");
-        format!(
-            "# All settings of a run of genesplat {}; --config repeats it.\n{settings}",
-            env!("CARGO_PKG_VERSION")
-        )
+        toml::to_string(&written).expect("settings are plain tables of numbers and words")
     }
 }
 

@@ -23,7 +23,13 @@ const ARROWS: [(&str, &[&str]); 6] = [
 /// Crates of this workspace that a manifest depends on (tests may use more).
 fn dependencies(manifest: &str) -> Vec<String> {
     let manifest: toml::Table = manifest.parse().expect("a manifest is TOML");
-    manifest["dependencies"].as_table().expect("a table").keys().filter(|name| name.starts_with("genesplat")).cloned().collect()
+    manifest["dependencies"]
+        .as_table()
+        .expect("a table")
+        .keys()
+        .filter(|name| name.starts_with("genesplat"))
+        .cloned()
+        .collect()
 }
 
 fn forbidden(name: &str, dependencies: &[String]) -> Option<String> {
@@ -48,7 +54,10 @@ fn arrows_between_crates_point_one_way() {
 #[test]
 fn a_forbidden_arrow_is_found() {
     let planted = "[dependencies]\ngenesplat-core.workspace = true\ngenesplat-kernels.workspace = true\n";
-    assert_eq!(forbidden("genesplat-train", &dependencies(planted)).as_deref(), Some("genesplat-train -> genesplat-kernels"));
+    assert_eq!(
+        forbidden("genesplat-train", &dependencies(planted)).as_deref(),
+        Some("genesplat-train -> genesplat-kernels")
+    );
 }
 
 /// Paths in backquotes, with a folder or a known ending.
@@ -57,7 +66,9 @@ fn named_paths(text: &str) -> Vec<String> {
         .skip(1)
         .step_by(2)
         .filter(|word| word.ends_with(".rs") || word.ends_with(".md") || word.ends_with(".toml"))
-        .filter(|word| word.contains('/') && !word.contains(' ') && !word.contains('*') && !word.starts_with(".."))
+        .filter(|word| {
+            word.contains('/') && !word.contains(' ') && !word.contains('*') && !word.starts_with("..")
+        })
         .map(str::to_owned)
         .collect()
 }

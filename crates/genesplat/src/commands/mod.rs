@@ -1,14 +1,28 @@
 //! One module a command.
 
+mod bench_step;
+mod compare;
+mod demo;
+mod devices;
+mod evaluate;
+mod refine;
+mod render;
 mod train;
 
 use anyhow::Result;
 
-use crate::args::{Arguments, Command};
+use crate::args::{Arguments, Bench, Command};
 
 /// Does what was asked for.
 pub fn run(arguments: Arguments) -> Result<()> {
     match arguments.command {
+        Command::Demo(args) => demo::run(&args),
         Command::Train(args) => train::run(&args),
+        Command::Evaluate(args) => evaluate::run(&args),
+        Command::Render(args) => render::run(&args),
+        Command::Refine(args) => refine::run(&args),
+        Command::Compare(args) => compare::run(&args),
+        Command::Bench { what: Bench::Step(args) } => bench_step::run(&args),
+        Command::Devices => devices::run(),
     }
 }

@@ -29,14 +29,8 @@ pub fn run(args: &TrainArgs) -> Result<()> {
 
 fn report(finished: &Finished, folder: &RunFolder) -> Result<()> {
     let metrics = &finished.metrics;
-    for (name, scores) in [("test", &metrics.test), ("train", &metrics.train)] {
-        if scores.views.is_empty() {
-            output::print(&format!("{name:<6} no photos"))?;
-        } else {
-            let (psnr, ssim, photos) = (scores.psnr, scores.ssim, scores.views.len());
-            output::print(&format!("{name:<6} PSNR {psnr:.2} dB  SSIM {ssim:.4}  ({photos} photos)"))?;
-        }
-    }
+    output::print(&output::scores_line("test", &metrics.test))?;
+    output::print(&output::scores_line("train", &metrics.train))?;
     output::print(&format!(
         "{} Gaussians after {} iterations in {:.0} s: {}",
         metrics.gaussians,

@@ -1,0 +1,117 @@
+//! A cloud that resembles a trained one, at any number of Gaussians.
+//!
+//! Points of a scene, or of a synthetic one, are sampled again with a jitter of their own spacing until there are as many
+//! as wanted; Gaussians as wide as the distance to their new neighbours then cover the same surfaces with the same total
+//! area, as densification does. Opacities are mixed, shapes stretched and turned.
+
+use std::sync::Arc;
+
+use anyhow::{Result, bail};
+use genesplat::core::gaussians::logit;
+use genesplat::core::{Camera, Gaussians, Photo, Rng, Stream, View};
+use genesplat::train::initialise::{ColouredPoint, cloud_from_points};
+use glam::{DQuat, DVec3};
+
+use crate::args::BenchStepArgs;
+use crate::scene;
+
+/// Gaussians where neither flag nor scene says.
+const GAUSSIANS: usize = 55_000;
+/// Size of the synthetic photo: that of the figures in the design, which were measured on a phone's portrait.
+const SIZE_PX: [u32; 2] = [268, 478];
+/// Opacities are spread evenly over this range.
+const OPACITY: [f32; 2] = [0.02, 0.98];
+/// Standard deviation of the natural logarithm of an axis against the mean of the axes.
+const STRETCH: f32 = 0.6;
+
+/// What is timed.
+pub struct Workload {
+    /// Photos and cameras to step through.
+    pub views: Vec<View>,
+    /// The cloud.
+    pub cloud: Gaussians,
+}
+
+impl Workload {
+    /// As asked for.
+    pub fn of(args: &BenchStepArgs) -> Result<Self> {
+        let (views, points) = match &args.data {
+            Some(data) => {
+                let scene = scene::load(data, args.size.size().unwrap_or_default(), [0.0; 3], 0)?;
+                (scene.train.clone(), scene::points(&scene))
+            }
+            None => (vec![synthetic_view()], synthetic_points()),
+        };
+        let default = if args.data.is_some() { points.len() } else { GAUSSIANS };
+        let count = args.gaussians.map_or(default, |count| count as usize);
+        if points.len() < 4 {
+            bail!("a workload needs at least 4 points to sample from, but the scene has {}", points.len());
+        }
+        Ok(Self { views, cloud: trained_looking(&resample(&points, count)?)? })
+    }
+}
+
+/// `count` points, each near a random one of `points`.
+fn resample(points: &[ColouredPoint], count: usize) -> Result<Vec<ColouredPoint>> {
+    let spacing = cloud_from_points(points)?.log_scales;
+    let rng = Rng::new(0);
+    let sample = |row: usize| {
+        let draw = rng.at(Stream::Test, 0, row as u32, 0);
+        let index = draw.below(0, points.len() as u32) as usize;
+        let (position, rgb) = points[index];
+        let jitter = normals(&rng, 1, row);
+        let width = spacing[index][0].exp();
+        (std::array::from_fn(|axis| position[axis] + width * jitter[axis]), rgb)
+    };
+    Ok((0..count).map(sample).collect())
+}
+
+fn trained_looking(points: &[ColouredPoint]) -> Result<Gaussians> {
+    let mut cloud = cloud_from_points(points)?;
+    let rng = Rng::new(0);
+    for row in 0..cloud.len() {
+        let stretch = normals(&rng, 2, row);
+        cloud.log_scales[row].iter_mut().zip(stretch).for_each(|(axis, normal)| *axis += STRETCH * normal);
+        cloud.rotations[row] = normals(&rng, 3, row);
+        let uniform = rng.at(Stream::Test, 4, row as u32, 0).uniform(0);
+        cloud.opacity_logits[row] = logit(OPACITY[0] + (OPACITY[1] - OPACITY[0]) * uniform);
+    }
+    Ok(cloud)
+}
+
+fn normals(rng: &Rng, purpose: u32, row: usize) -> [f32; 4] {
+    let draw = rng.at(Stream::Test, purpose, row as u32, 0);
+    let ([a, b], [c, d]) = (draw.normals(0), draw.normals(1));
+    [a, b, c, d]
+}
+
+/// A camera at the origin that looks along z, and a photo of soft colours.
+fn synthetic_view() -> View {
+    let [width, height] = SIZE_PX;
+    let camera = Camera {
+        width,
+        height,
+        focal_px: [f64::from(height); 2],
+        principal_px: [f64::from(width) / 2.0, f64::from(height) / 2.0],
+        camera_from_world_rotation: DQuat::IDENTITY,
+        camera_from_world_translation: DVec3::ZERO,
+    };
+    let pixel = |x: u32, y: u32| [(255 * x / width) as u8, (255 * y / height) as u8, 128];
+    let rgb = (0..height).flat_map(|y| (0..width).flat_map(move |x| pixel(x, y))).collect();
+    View { name: "synthetic".into(), camera, photo: Arc::new(Photo { width, height, rgb }) }
+}
+
+/// A wavy wall that fills the picture, twice as wide, with a second one behind it.
+fn synthetic_points() -> Vec<ColouredPoint> {
+    const POINTS: u32 = 15_000;
+    let [width, height] = SIZE_PX.map(|side| side as f32);
+    let rng = Rng::new(0);
+    let point = |row: u32| {
+        let draw = rng.at(Stream::Test, 5, row, 0);
+        let depth = if draw.uniform(2) < 0.6 { 4.0 } else { 6.0 };
+        let (x, y) = (2.0 * draw.uniform(0) - 1.0, 2.0 * draw.uniform(1) - 1.0);
+        let position = [depth * x * width / height, 0.6 * depth * y, depth + 0.3 * (5.0 * x).sin()];
+        (position, [(255.0 * draw.uniform(0)) as u8, (255.0 * draw.uniform(1)) as u8, 128])
+    };
+    (0..POINTS).map(point).collect()
+}

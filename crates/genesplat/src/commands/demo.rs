@@ -1,0 +1,195 @@
+//! `genesplat demo`: the bundled scene, trained without and with evolution.
+//!
+//! Both runs have the same scene, seed and schedule: the published one in a tenth of its steps, so that it densifies,
+//! resets opacities and evolves as often as a full run does.
+
+use std::path::{Path, PathBuf};
+use std::sync::atomic::AtomicBool;
+use std::time::Instant;
+
+use anyhow::Result;
+use genesplat::core::Photo;
+use genesplat::io::photos::{read_photo, write_png};
+use genesplat::io::{GalleryOptions, PhotoSize, Scene, gallery};
+use genesplat::train::{EvolutionMode, TrainConfig};
+
+use crate::args::DemoArgs;
+use crate::metrics::Metrics;
+use crate::run_folder::RunFolder;
+use crate::settings::{Dataset, Settings};
+use crate::training::Run;
+use crate::{device, interrupt, output, scene};
+
+/// The published schedule in this share of its steps.
+const STEPS_SCALE: f64 = 0.1;
+/// Generations of each stage, and individuals a generation: a fifth of the paper's.
+const GENERATIONS: u32 = 20;
+const POPULATION: u32 = 20;
+/// White between the pictures of the comparison, px.
+const GAP_PX: u32 = 4;
+
+/// Builds, trains twice, compares.
+pub fn run(args: &DemoArgs) -> Result<()> {
+    let began = Instant::now();
+    let without = Half::plan(args, "without", EvolutionMode::Off)?;
+    let with = Half::plan(args, "with", EvolutionMode::Paper)?;
+    device::use_threads(args.machine.threads)?;
+    let stop = interrupt::stop_flag()?;
+    let scene = build_scene(&gallery_in(&args.out), args.seed)?;
+    let load = began.elapsed().as_secs_f64();
+    let mut results = Vec::new();
+    for half in [&without, &with] {
+        eprintln!("\ntraining {} evolution", half.name);
+        let Some(metrics) = half.train(&scene, load, &stop)? else {
+            return output::print("stopped; the demo cannot go on from here, so run it again");
+        };
+        results.push(metrics);
+    }
+    output::print(&table(&results[0], &results[1]))?;
+    let view = most_changed(&results[0], &results[1]);
+    let picture = args.out.join("comparison.png");
+    write_png(&picture, &side_by_side(&comparison(&scene, view, [&without, &with])?))?;
+    output::print(&format!(
+        "splats    {}\n          {}\npicture   {} (the photo {}, without, with evolution)\nphotos    {}",
+        without.folder.cloud_path().display(),
+        with.folder.cloud_path().display(),
+        picture.display(),
+        scene.test[view].name,
+        gallery_in(&args.out).display()
+    ))
+}
+
+fn gallery_in(out: &Path) -> PathBuf {
+    out.join("gallery")
+}
+
+/// Writes the gallery as an ordinary COLMAP scene, and loads it as any other.
+fn build_scene(folder: &Path, seed: u64) -> Result<Scene> {
+    eprintln!("building the gallery in {}", folder.display());
+    let options = GalleryOptions { seed, ..GalleryOptions::default() };
+    gallery::generate(&options).write_colmap(folder)?;
+    scene::load(folder, PhotoSize::default(), [0.0; 3], seed)
+}
+
+/// One of the two runs.
+struct Half {
+    name: &'static str,
+    settings: Settings,
+    folder: RunFolder,
+}
+
+impl Half {
+    fn plan(args: &DemoArgs, name: &'static str, mode: EvolutionMode) -> Result<Self> {
+        let mut train = TrainConfig { seed: args.seed, steps_scale: STEPS_SCALE, ..TrainConfig::default() };
+        train.evolution.mode = mode;
+        train.evolution.paper.generations = GENERATIONS;
+        train.evolution.paper.population = POPULATION;
+        let settings = Settings {
+            dataset: Dataset { path: gallery_in(&args.out), ..Dataset::default() },
+            device: args.machine.device.unwrap_or_default().resolve()?,
+            threads: args.machine.threads,
+            train: train.resolve()?,
+        };
+        let folder = RunFolder::replace(&args.out.join(name), &settings.to_toml())?;
+        Ok(Self { name, settings, folder })
+    }
+
+    /// `None` for a run that was stopped.
+    fn train(&self, scene: &Scene, load: f64, stop: &AtomicBool) -> Result<Option<Metrics>> {
+        let Self { settings, folder, .. } = self;
+        let run = Run { settings, scene, folder, resume: false, stop, load: (load, Instant::now()) };
+        let finished = run.execute()?;
+        Ok((!finished.interrupted).then_some(finished.metrics))
+    }
+}
+
+/// What both runs have reached, and what evolution changed.
+fn table(without: &Metrics, with: &Metrics) -> String {
+    let figures = |metrics: &Metrics| {
+        let Metrics { test, train, seconds, gaussians, .. } = metrics;
+        [
+            test.psnr,
+            test.ssim,
+            train.psnr,
+            train.ssim,
+            seconds.gradient + seconds.evolution,
+            *gaussians as f64,
+        ]
+    };
+    let (a, b) = (figures(without), figures(with));
+    let change: [f64; 6] = std::array::from_fn(|column| b[column] - a[column]);
+    let row = |name: &str, [psnr, ssim, train_psnr, train_ssim, seconds, gaussians]: [f64; 6]| {
+        format!(
+            "{name:<18} {psnr:>9.2} {ssim:>8.4} {train_psnr:>10.2} {train_ssim:>8.4} {seconds:>9.1} {gaussians:>10.0}\n"
+        )
+    };
+    let signed = |value: f64, digits: usize| format!("{value:+.digits$}");
+    let digits = [2, 4, 2, 4, 1, 0];
+    let changes: [String; 6] = std::array::from_fn(|column| signed(change[column], digits[column]));
+    let [psnr, ssim, train_psnr, train_ssim, seconds, gaussians] = changes;
+    format!(
+        "\n{:<18} {:>9} {:>8} {:>10} {:>8} {:>9} {:>10}\n{}{}{:<18} {psnr:>9} {ssim:>8} {train_psnr:>10} \
+         {train_ssim:>8} {seconds:>9} {gaussians:>10}\n",
+        "",
+        "test PSNR",
+        "SSIM",
+        "train PSNR",
+        "SSIM",
+        "seconds",
+        "Gaussians",
+        row("without evolution", a),
+        row("with evolution", b),
+        "difference",
+    )
+}
+
+/// Index of the test view whose PSNR differs most between the runs.
+fn most_changed(without: &Metrics, with: &Metrics) -> usize {
+    let pairs = without.test.views.iter().zip(&with.test.views);
+    let changes = pairs.map(|(a, b)| (a.psnr - b.psnr).abs());
+    changes.enumerate().max_by(|a, b| a.1.total_cmp(&b.1)).map_or(0, |(index, _)| index)
+}
+
+/// The photo, and what both runs made of it.
+fn comparison(scene: &Scene, view: usize, halves: [&Half; 2]) -> Result<[Photo; 3]> {
+    let name = &scene::picture_names(&scene.test)[view];
+    let [without, with] = halves.map(|half| read_photo(&half.folder.test_path().join(name)));
+    Ok([scene.test[view].photo.as_ref().clone(), without?, with?])
+}
+
+/// Pictures of one height, from left to right, with white between them.
+fn side_by_side(pictures: &[Photo]) -> Photo {
+    let height = pictures[0].height;
+    let width = pictures.iter().map(|picture| picture.width + GAP_PX).sum::<u32>() - GAP_PX;
+    let mut rgb = Vec::with_capacity(3 * width as usize * height as usize);
+    for y in 0..height as usize {
+        for (index, picture) in pictures.iter().enumerate() {
+            let gap = if index == 0 { 0 } else { 3 * GAP_PX as usize };
+            rgb.extend(std::iter::repeat_n(255, gap));
+            let stride = 3 * picture.width as usize;
+            rgb.extend_from_slice(&picture.rgb[y * stride..(y + 1) * stride]);
+        }
+    }
+    Photo { width, height, rgb }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pictures_stand_side_by_side() {
+        let picture = |value: u8| Photo { width: 1, height: 2, rgb: vec![value; 6] };
+        let joined = side_by_side(&[picture(1), picture(2)]);
+        assert_eq!(
+            (joined.width, joined.height, joined.rgb.len()),
+            (2 + GAP_PX, 2, 3 * 2 * (2 + GAP_PX as usize))
+        );
+        for y in 0..2 {
+            assert_eq!(
+                [joined.pixel(0, y), joined.pixel(1, y), joined.pixel(5, y)],
+                [[1; 3], [255; 3], [2; 3]]
+            );
+        }
+    }
+}

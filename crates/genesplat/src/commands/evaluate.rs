@@ -1,0 +1,42 @@
+//! `genesplat evaluate`: how well a splat reproduces photos.
+
+use anyhow::{Result, bail};
+use genesplat::core::Backend;
+use genesplat::train::evaluate::Evaluation;
+use serde::Serialize;
+
+use crate::args::{EvaluateArgs, Split};
+use crate::training::evaluate_into;
+use crate::{device, output, run_folder, scene, splat};
+
+/// What `--json` writes.
+#[derive(Serialize)]
+struct Report {
+    dataset: String,
+    split: Split,
+    gaussians: usize,
+    #[serde(flatten)]
+    scores: Evaluation,
+}
+
+/// Renders every photo's viewpoint and measures.
+pub fn run(args: &EvaluateArgs) -> Result<()> {
+    device::prepare(args.machine)?;
+    let splat = splat::open(&args.splat)?;
+    let scene =
+        scene::load(&args.data, args.size.size().unwrap_or(splat.size), splat.settings.background, 0)?;
+    let (views, name, other) = match args.split {
+        Split::Test => (&scene.test, "test", "train"),
+        Split::Train => (&scene.train, "train", "test"),
+    };
+    if views.is_empty() {
+        bail!("{} has no {name} photos; use --split {other}", args.data.display());
+    }
+    let mut backend = device::open(0);
+    let gaussians = splat.cloud.len();
+    backend.upload(splat.cloud, None)?;
+    let scores = evaluate_into(&mut backend, views, &splat.settings, None)?;
+    output::print(&output::scores_line(name, &scores))?;
+    let report = Report { dataset: scene.name, split: args.split, gaussians, scores };
+    args.json.as_ref().map_or(Ok(()), |path| run_folder::write_json(path, &report))
+}

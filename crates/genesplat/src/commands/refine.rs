@@ -1,0 +1,71 @@
+//! `genesplat refine`: evolution alone, on a splat from any trainer.
+
+use anyhow::{Result, bail};
+use genesplat::core::{Backend, RenderSettings, ScreenFilter};
+use genesplat::io::{PlyOptions, Scene, write_ply};
+use genesplat::kernels::cpu::CpuBackend;
+use genesplat::train::{EvolutionMode, Resolved, TrainConfig, Variant, refine};
+
+use crate::args::{EvolutionArgs, RefineArgs};
+use crate::reporter::Reporter;
+use crate::settings::{ConfigFile, override_evolution};
+use crate::splat::Splat;
+use crate::training::evaluate_into;
+use crate::{device, interrupt, output, run_folder, scene, splat};
+
+/// Searches, and writes the best that it has found; Ctrl-C ends the search early.
+pub fn run(args: &RefineArgs) -> Result<()> {
+    device::prepare(args.machine)?;
+    run_folder::check_writable(&args.out)?;
+    let splat = splat::open(&args.splat)?;
+    let config = configure(args, &splat)?;
+    let size = args.size.size().unwrap_or(splat.size);
+    let scene = scene::load(&args.data, size, splat.settings.background, config.config().seed)?;
+    let stop = interrupt::stop_flag()?;
+    let mut backend = device::open(config.config().seed);
+    backend.upload(splat.cloud.clone(), None)?;
+    print_scores("before", &mut backend, &scene, &splat.settings)?;
+    let mut reporter = Reporter::without_folder(&stop);
+    let outcome = refine(&mut backend, &scene.train, splat.cloud, &config, &mut reporter, &stop)?;
+    let options = PlyOptions { render_mode: splat.settings.filter.into(), ..PlyOptions::default() };
+    write_ply(&args.out, &outcome.cloud, &options)?;
+    print_scores("after", &mut backend, &scene, &splat.settings)?;
+    output::print(&format!("{} Gaussians written to {}", outcome.cloud.len(), args.out.display()))
+}
+
+/// The settings of the search; what the splat dictates is taken from it.
+fn configure(args: &RefineArgs, splat: &Splat) -> Result<Resolved> {
+    let file = args.config.as_deref().map_or_else(|| Ok(ConfigFile::defaults()), ConfigFile::read)?;
+    let mut train = TrainConfig { sh_degree: splat.settings.sh_degree, ..file.train };
+    train.seed = args.seed.unwrap_or(train.seed);
+    if train.evolution.mode == EvolutionMode::Off {
+        train.evolution.mode = EvolutionMode::Paper;
+    }
+    let RefineArgs { generations, population, .. } = args;
+    override_evolution(
+        &mut train,
+        &EvolutionArgs { evolve: None, generations: *generations, population: *population },
+    );
+    train.variant = match (splat.settings.filter, &splat.cloud.filter_3d) {
+        (ScreenFilter::Classic, _) => Variant::ThreeDgs,
+        (ScreenFilter::Mip, Some(_)) => Variant::MipSplatting,
+        _ => bail!(
+            "{} is a Mip-Splatting cloud whose 3D filter was baked in; refine the cloud that training wrote",
+            args.splat.display()
+        ),
+    };
+    Ok(train.resolve()?)
+}
+
+fn print_scores(
+    when: &str,
+    backend: &mut CpuBackend,
+    scene: &Scene,
+    settings: &RenderSettings,
+) -> Result<()> {
+    for (name, views) in [("test", &scene.test), ("train", &scene.train)] {
+        let scores = evaluate_into(backend, views, settings, None)?;
+        output::print(&format!("{when:<6} {}", output::scores_line(name, &scores)))?;
+    }
+    Ok(())
+}
