@@ -321,6 +321,9 @@ fn backward_tile<const EXTRA: u8, S: Simd>(
     let Workspace { lists, shares } = work;
     for block in 0..BLOCKS {
         let list = &lists.list(block)[..task.inputs.tiles[tile].consumed[block] as usize];
+        if list.is_empty() {
+            continue;
+        }
         let gradient = load_block(simd, task.inputs.gradient, task, block);
         replay::<EXTRA, S>(simd, task, block, list, &lists.splats, &gradient, shares, rows);
         accumulate(simd, block, list, &gradient, shares, rows);
@@ -490,8 +493,14 @@ fn load_block<S: Simd>(simd: S, planes: &[f32], task: &TileTask, block: usize) -
         |channel| {
             let mut values = [0.0; LANES];
             for row in 0..BLOCK.min(height.saturating_sub(top)) {
-                let at = channel * width * height + (top + row) * width + left;
-                values[row * BLOCK..][..columns].copy_from_slice(&planes[at..at + columns]);
+                let start = channel * width * height + (top + row) * width + left;
+                let pixels = &planes[start..start + columns];
+                let lanes = &mut values[row * BLOCK..][..BLOCK];
+                // A copy of known length is one instruction, not a call.
+                match pixels.first_chunk::<BLOCK>() {
+                    Some(pixels) => lanes.copy_from_slice(pixels),
+                    None => lanes[..columns].copy_from_slice(pixels),
+                }
             }
             V::simd_from(simd, values)
         },
