@@ -131,8 +131,8 @@ pub struct RefineArgs {
     /// Generations of the search [default: 100]. Time grows in proportion
     #[arg(long, value_name = "N")]
     pub generations: Option<u32>,
-    /// Individuals a generation, at least 1 [default: 100]. Time grows in proportion
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    /// Individuals a generation, 1 to 10000 [default: 100]. Time grows in proportion
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=10_000))]
     pub population: Option<u32>,
     /// Seed of all random numbers [default: 0]. Same seed, same bytes
     #[arg(long, value_name = "S", value_parser = clap::value_parser!(u64).range(..1 << 63))]
@@ -231,9 +231,9 @@ pub struct MachineArgs {
     /// Where to compute; results do not depend on the number of threads, but may on the kind of device [default: auto]
     #[arg(long, value_enum, value_name = "DEVICE")]
     pub device: Option<Device>,
-    /// Processor threads to use, at least 1 [default: all cores]
-    #[arg(long, value_name = "N", value_parser = positive)]
-    pub threads: Option<usize>,
+    /// Processor threads to use, 1 to 1024 [default: all cores]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    pub threads: Option<u16>,
 }
 
 /// `genesplat train`.
@@ -299,8 +299,8 @@ pub struct EvolutionArgs {
     /// Generations of each evolution stage [default: 100]. Time grows in proportion
     #[arg(long, value_name = "N")]
     pub generations: Option<u32>,
-    /// Individuals a generation, at least 1 [default: 100]. Time grows in proportion
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    /// Individuals a generation, 1 to 10000 [default: 100]. Time grows in proportion
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=10_000))]
     pub population: Option<u32>,
 }
 

@@ -24,12 +24,15 @@ impl Device {
     /// The device that is meant, once it is clear that there is one.
     pub fn resolve(self) -> Result<Self> {
         match self {
-            Self::Auto => {
-                eprintln!("device: CPU (auto: this build has no GPU backend)");
-                Ok(Self::Cpu)
-            }
-            Self::Cpu => Ok(Self::Cpu),
+            Self::Auto | Self::Cpu => Ok(Self::Cpu),
             Self::Gpu => bail!("this build of genesplat has no GPU backend; use --device cpu"),
+        }
+    }
+
+    /// Says what was chosen for someone who left the choice to us.
+    pub fn announce(self) {
+        if self == Self::Auto {
+            eprintln!("device: auto means the CPU, since this build has no GPU backend");
         }
     }
 }
@@ -46,8 +49,8 @@ pub fn prepare(args: MachineArgs) -> Result<()> {
 }
 
 /// Sets the number of threads of everything that follows; `None` takes all cores.
-pub fn use_threads(threads: Option<usize>) -> Result<()> {
-    rayon::ThreadPoolBuilder::new().num_threads(threads.unwrap_or(0)).build_global().map_err(|error| {
+pub fn use_threads(threads: Option<u16>) -> Result<()> {
+    rayon::ThreadPoolBuilder::new().num_threads(threads.unwrap_or(0).into()).build_global().map_err(|error| {
         anyhow!("cannot start {} threads: {error}; use fewer --threads", threads.unwrap_or(0))
     })
 }

@@ -10,6 +10,31 @@
 //! | [`kernels`] | the numeric stages: the f64 reference and the CPU backend |
 //! | [`evolve`] | the genetic algorithm, without a renderer |
 //! | [`train`] | the training algorithm, the evolution stage, evaluation |
+//!
+//! From photos to figures, here with the bundled scene (made tiny, and trained for a moment):
+//!
+//! ```
+//! use std::sync::atomic::AtomicBool;
+//!
+//! use genesplat::io::{GalleryOptions, HoldOut, gallery};
+//! use genesplat::kernels::cpu::CpuBackend;
+//! use genesplat::train::evaluate::evaluate;
+//! use genesplat::train::{Silent, Start, TrainConfig, train};
+//!
+//! let options = GalleryOptions { width: 48, height: 32, views: 9, points: 200, seed: 1 };
+//! let scene = gallery::generate(&options).into_scene(HoldOut::EveryEighth);
+//! let points = scene.points.iter().map(|point| (point.position, point.rgb)).collect();
+//!
+//! let config = TrainConfig { seed: 1, iterations: 40, ..TrainConfig::default() }.resolve()?;
+//! let mut backend = CpuBackend::new(1);
+//! let stop = AtomicBool::new(false);
+//! let outcome = train(&mut backend, &scene.train, Start::Points(points), &config, &mut Silent, &stop)?;
+//!
+//! let scores = evaluate(&mut backend, &scene.test, &config.render_settings(), None, |_view, _render| {})?;
+//! println!("{} Gaussians, {:.1} dB on photos that training never saw", outcome.cloud.len(), scores.psnr);
+//! # assert!(scores.psnr > 12.0, "{}", scores.psnr);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 pub use genesplat_core as core;
 pub use genesplat_evolve as evolve;

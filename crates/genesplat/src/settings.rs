@@ -27,7 +27,7 @@ pub struct Settings {
     /// Never `Auto`.
     pub device: Device,
     /// `None` for all cores.
-    pub threads: Option<usize>,
+    pub threads: Option<u16>,
     /// The settings of training, checked.
     pub train: Resolved,
 }
@@ -63,7 +63,7 @@ impl Dataset {
 #[derive(Clone, Debug, Default)]
 pub struct ConfigFile {
     device: Option<Device>,
-    threads: Option<usize>,
+    threads: Option<u16>,
     dataset: Dataset,
     /// The settings of training.
     pub train: TrainConfig,
@@ -141,7 +141,7 @@ impl Settings {
         struct Written<'a> {
             device: Device,
             #[serde(skip_serializing_if = "Option::is_none")]
-            threads: Option<usize>,
+            threads: Option<u16>,
             #[serde(flatten)]
             train: &'a TrainConfig,
             dataset: &'a Dataset,

@@ -36,6 +36,7 @@ pub fn run(args: &DemoArgs) -> Result<()> {
     device::use_threads(args.machine.threads)?;
     let stop = interrupt::stop_flag()?;
     let scene = build_scene(&gallery_in(&args.out), args.seed)?;
+    args.machine.device.unwrap_or_default().announce();
     let load = began.elapsed().as_secs_f64();
     let mut results = Vec::new();
     for half in [&without, &with] {

@@ -21,6 +21,7 @@ pub fn run(args: &TrainArgs) -> Result<()> {
     let config = settings.train.config();
     let scene =
         scene::load(&args.dataset, settings.dataset.size(), config.background.fixed_colour(), config.seed)?;
+    args.machine.device.unwrap_or_default().announce();
     let load = (began.elapsed().as_secs_f64(), began);
     let run =
         Run { settings: &settings, scene: &scene, folder: &folder, resume: args.resume, stop: &stop, load };

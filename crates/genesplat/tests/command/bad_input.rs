@@ -1,0 +1,211 @@
+//! Torn, empty and hostile inputs: exit status 1 and one sentence, never a panic, never all of the memory.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use genesplat::io::photos::{read_photo, write_png};
+use tempfile::TempDir;
+
+use crate::support::{fail, run, scene, succeed, text, train, write_gallery};
+
+/// A scene that `spoil` has damaged, and a place for results.
+struct Spoilt {
+    folder: TempDir,
+}
+
+impl Spoilt {
+    fn new(spoil: impl FnOnce(&Path)) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let scene = folder.path().join("scene");
+        write_gallery(&scene);
+        spoil(&scene);
+        Self { folder }
+    }
+
+    fn fails(&self, words: &[&str]) {
+        let (scene, out) = (self.folder.path().join("scene"), self.folder.path().join("run"));
+        fail(train(&scene, &out, &["--iterations", "10"]), words);
+    }
+}
+
+fn points(scene: &Path) -> PathBuf {
+    scene.join("sparse/0/points3D.bin")
+}
+
+fn photo(scene: &Path) -> PathBuf {
+    scene.join("images/gallery_003.png")
+}
+
+fn edit(path: &Path, change: impl FnOnce(&mut Vec<u8>)) {
+    let mut bytes = fs::read(path).unwrap();
+    change(&mut bytes);
+    fs::write(path, bytes).unwrap();
+}
+
+#[test]
+fn a_truncated_points_file() {
+    Spoilt::new(|scene| edit(&points(scene), |bytes| bytes.truncate(bytes.len() - 7)))
+        .fails(&["points3D.bin", "again"]);
+}
+
+#[test]
+fn a_count_of_two_to_the_sixtieth() {
+    Spoilt::new(|scene| {
+        edit(&points(scene), |bytes| bytes[..8].copy_from_slice(&(1u64 << 60).to_le_bytes()))
+    })
+    .fails(&["points3D.bin", "1152921504606846976", "again"]);
+}
+
+#[test]
+fn a_position_that_is_not_a_number() {
+    // After the count (8 bytes) and the first point's id (8 bytes) come three f64.
+    Spoilt::new(|scene| edit(&points(scene), |bytes| bytes[16..24].copy_from_slice(&f64::NAN.to_le_bytes())))
+        .fails(&["points3D.bin", "point 1", "not finite"]);
+}
+
+#[test]
+fn no_points() {
+    Spoilt::new(|scene| fs::write(points(scene), 0u64.to_le_bytes()).unwrap())
+        .fails(&["points3D.bin", "0 points"]);
+}
+
+#[test]
+fn a_missing_photo() {
+    Spoilt::new(|scene| fs::remove_file(photo(scene)).unwrap()).fails(&["gallery_003.png", "does not exist"]);
+}
+
+#[test]
+fn no_photos_at_all() {
+    Spoilt::new(|scene| fs::remove_dir_all(scene.join("images")).unwrap()).fails(&["none of the 12 photos"]);
+}
+
+#[test]
+fn a_photo_of_another_size() {
+    let shrink = |scene: &Path| {
+        let mut picture = read_photo(&photo(scene)).unwrap();
+        picture.height -= 16;
+        picture.rgb.truncate(3 * (picture.width * picture.height) as usize);
+        write_png(&photo(scene), &picture).unwrap();
+    };
+    Spoilt::new(shrink).fails(&["gallery_003.png", "64x32", "64x48"]);
+}
+
+#[test]
+fn a_photo_that_is_none() {
+    Spoilt::new(|scene| fs::write(photo(scene), b"hello").unwrap())
+        .fails(&["gallery_003.png", "neither a PNG nor"]);
+}
+
+#[test]
+fn a_single_camera() {
+    let keep_one = |scene: &Path| {
+        // The first record: id, 7 f64, camera id, name and its zero, no features.
+        let record = 4 + 7 * 8 + 4 + "gallery_000.png".len() + 1 + 8;
+        edit(&scene.join("sparse/0/images.bin"), |bytes| {
+            bytes.truncate(8 + record);
+            bytes[..8].copy_from_slice(&1u64.to_le_bytes());
+        });
+    };
+    Spoilt::new(keep_one).fails(&["not enough photos"]);
+}
+
+#[test]
+fn folders_that_are_no_scene() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("run");
+    fail(train(&folder.path().join("absent"), &out, &[]), &["absent", "does not exist"]);
+    fail(train(folder.path(), &out, &[]), &["not a scene", "COLMAP"]);
+}
+
+#[test]
+fn a_results_folder_that_cannot_be_written_fails_before_anything_is_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("file");
+    fs::write(&file, b"in the way").unwrap();
+    // A folder below a file cannot be made, whoever asks (root ignores permissions).
+    let absent_scene = folder.path().join("absent");
+    fail(train(&absent_scene, &file.join("run"), &[]), &["cannot write", "config.toml"]);
+    let splat = folder.path().join("absent.ply");
+    let out = file.join("splat.ply");
+    fail(
+        ["refine", text(&splat), "--data", text(scene()), "--out", text(&out)],
+        &["cannot write", "splat.ply"],
+    );
+}
+
+#[test]
+fn a_folder_that_belongs_to_something_else_is_left_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = folder.path().join("config.toml");
+    fs::write(&config, "title = 'my site'").unwrap();
+    fail(train(scene(), folder.path(), &[]), &["config.toml", "something else"]);
+    assert_eq!(fs::read_to_string(config).unwrap(), "title = 'my site'");
+}
+
+#[test]
+fn splats_that_are_torn_or_none() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("run");
+    succeed(train(scene(), &out, &["--iterations", "3"]));
+    let evaluate = |path: &Path| ["evaluate", text(path), "--data", text(scene())].map(str::to_owned);
+
+    let torn = folder.path().join("torn.ply");
+    fs::copy(out.join("point_cloud.ply"), &torn).unwrap();
+    edit(&torn, |bytes| bytes.truncate(bytes.len() / 2));
+    fail(evaluate(&torn), &["torn.ply", "cut off"]);
+
+    let poisoned = folder.path().join("nan.ply");
+    fs::copy(out.join("point_cloud.ply"), &poisoned).unwrap();
+    edit(&poisoned, |bytes| {
+        let last = bytes.len() - 4;
+        bytes[last..].copy_from_slice(&f32::NAN.to_le_bytes());
+    });
+    fail(evaluate(&poisoned), &["nan.ply", "not finite"]);
+
+    fail(evaluate(&folder.path().join("absent.ply")), &["absent.ply", "cannot read"]);
+    fail(evaluate(folder.path()), &["not the folder of a run"]);
+    fail(evaluate(&scene().join("images/gallery_000.png")), &["gallery_000.png", "not a PLY"]);
+}
+
+#[test]
+fn configurations_that_are_wrong() {
+    let folder = tempfile::tempdir().unwrap();
+    let (config, out) = (folder.path().join("c.toml"), folder.path().join("run"));
+    for (content, words) in [
+        ("iteration = 7", &["c.toml", "iteration"][..]),
+        ("iterations = 'many'", &["c.toml", "iterations"]),
+        ("iterations = ", &["c.toml"]),
+        ("[densify]\nevery = 0", &["densify.every", "at least 1"]),
+        ("[dataset]\nside = 3", &["c.toml", "side"]),
+        ("device = 'toaster'", &["c.toml", "toaster"]),
+    ] {
+        fs::write(&config, content).unwrap();
+        fail(train(scene(), &out, &["--config", text(&config)]), words);
+    }
+    fail(train(scene(), &out, &["--config", text(&folder.path().join("absent.toml"))]), &["absent.toml"]);
+}
+
+#[test]
+fn a_device_that_is_not_there() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("run");
+    fail(
+        ["train", text(scene()), "--out", text(&out), "--device", "gpu"],
+        &["no GPU backend", "--device cpu"],
+    );
+}
+
+#[test]
+fn wrong_usage_has_status_2() {
+    for arguments in [
+        &["train"][..],
+        &["train", "x", "--out", "y", "--iterations", "0"],
+        &["train", "x", "--out", "y", "--steps-scale", "0"],
+        &["train", "x", "--out", "y", "--evolve", "sometimes"],
+        &["train", "x", "--out", "y", "--max-side", "100", "--downscale", "2"],
+        &["render", "x", "--data", "y", "--out", "z"],
+        &["nonsense"],
+    ] {
+        assert_eq!(run(arguments).status.code(), Some(2), "{arguments:?}");
+    }
+}

@@ -1,0 +1,44 @@
+//! Same seed, same bytes: for any number of threads, and from the configuration that a run has saved.
+
+use crate::support::{cloud, json, scene, succeed, text, train};
+
+/// Densifies, resets opacities, and evolves after each reset.
+const SCHEDULE: [&str; 8] =
+    ["--steps-scale", "0.02", "--evolve", "paper", "--generations", "3", "--population", "8"];
+
+#[test]
+fn threads_change_nothing_and_seeds_do() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = |name: &str, more: &[&str]| {
+        let out = folder.path().join(name);
+        succeed(train(scene(), &out, &[&SCHEDULE, more].concat()));
+        (cloud(&out), json(&out.join("metrics.json")))
+    };
+    let (one, metrics) = run("one", &["--threads", "1", "--seed", "3"]);
+    let stages = metrics["evolution"].as_array().unwrap();
+    assert_eq!(stages.len(), 4);
+    assert!(
+        stages.iter().any(|stage| stage["changed"].as_u64() > Some(0)),
+        "evolution took part: {stages:?}"
+    );
+    assert!(one == run("two", &["--threads", "2", "--seed", "3"]).0, "two threads");
+    assert!(one == run("seven", &["--threads", "7", "--seed", "3"]).0, "seven threads");
+    assert!(one != run("other", &["--threads", "2", "--seed", "4"]).0, "another seed");
+}
+
+#[test]
+fn a_saved_configuration_repeats_its_run_and_flags_win_over_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let [first, again, other] = ["first", "again", "other"].map(|name| folder.path().join(name));
+    let flags = ["--iterations", "40", "--seed", "9", "--max-side", "40", "--variant", "mip-splatting"];
+    succeed(train(scene(), &first, &flags));
+    let config = first.join("config.toml");
+    succeed(train(scene(), &again, &["--config", text(&config)]));
+    assert!(cloud(&first) == cloud(&again));
+    let saved = |run: &std::path::Path| std::fs::read_to_string(run.join("config.toml")).unwrap();
+    assert_eq!(saved(&first), saved(&again));
+    succeed(train(scene(), &other, &["--config", text(&config), "--seed", "10", "--iterations", "20"]));
+    let metrics = json(&other.join("metrics.json"));
+    assert_eq!((&metrics["seed"], &metrics["iterations"]), (&10.into(), &20.into()));
+    assert_eq!(metrics["variant"], "mip-splatting");
+}

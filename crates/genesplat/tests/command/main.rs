@@ -1,0 +1,9 @@
+//! The built command, as a user runs it: files in, files and exit status out.
+
+mod bad_input;
+mod determinism;
+mod peer;
+mod resume;
+mod run_folder;
+mod support;
+mod tools;

@@ -1,0 +1,78 @@
+//! A run that Ctrl-C interrupted and `--resume` finished has the bytes of one that was never interrupted.
+
+#![cfg(unix)]
+
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+use crate::support::{cloud, command, fail, json, scene, succeed, train};
+
+/// Long enough to be caught in the act; evolves four times.
+const SCHEDULE: [&str; 8] =
+    ["--steps-scale", "0.1", "--evolve", "paper", "--generations", "2", "--population", "6"];
+
+/// Starts a run, and presses Ctrl-C once its log holds a line with `sign`. Returns what it said.
+fn interrupt(out: &Path, more: &[&str], sign: &str) -> String {
+    let arguments = train(scene(), out, &[&SCHEDULE, more].concat());
+    let child = command(arguments).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    let log = out.join("log.jsonl");
+    let deadline = Instant::now() + Duration::from_secs(100);
+    while !std::fs::read_to_string(&log).is_ok_and(|text| text.contains(sign)) {
+        assert!(Instant::now() < deadline, "no {sign} in the log");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
+    let output = child.wait_with_output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout).unwrap()
+}
+
+#[test]
+fn an_interrupted_run_is_saved_and_resumed_exactly() {
+    let folder = tempfile::tempdir().unwrap();
+    let [whole, broken] = ["whole", "broken"].map(|name| folder.path().join(name));
+    succeed(train(scene(), &whole, &SCHEDULE));
+
+    let said = interrupt(&broken, &[], r#""event":"step""#);
+    assert!(said.contains("--resume"), "{said}");
+    let metrics = json(&broken.join("metrics.json"));
+    assert!(metrics["iterations"].as_u64().unwrap() < 3000, "it was stopped before its end");
+    assert!(broken.join("checkpoint/latest.checkpoint").exists() && !cloud(&broken).is_empty());
+
+    // Once more, at another place; then to the end, with the settings repeated or left out.
+    interrupt(&broken, &["--resume"], r#""event":"generation""#);
+    succeed(train(scene(), &broken, &["--resume"]));
+    assert!(cloud(&whole) == cloud(&broken), "the same bytes");
+    let figures = |run: &Path| {
+        let metrics = json(&run.join("metrics.json"));
+        [metrics["test"].clone(), metrics["iterations"].clone(), metrics["gaussians"].clone()]
+    };
+    assert_eq!(figures(&whole), figures(&broken));
+    assert!(!broken.join("checkpoint/latest.checkpoint").exists(), "a finished run has nothing to resume");
+    fail(train(scene(), &broken, &["--resume"]), &["no checkpoint", "without --resume"]);
+}
+
+#[test]
+fn an_interrupted_run_is_neither_overwritten_nor_resumed_as_another() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("run");
+    interrupt(&out, &[], r#""event":"step""#);
+    fail(train(scene(), &out, &SCHEDULE), &["interrupted", "--resume"]);
+    fail(train(scene(), &out, &["--resume", "--seed", "77"]), &["--resume", "others were given"]);
+    fail(train(scene(), &out, &["--resume", "--max-side", "32"]), &["--resume", "others were given"]);
+    // A torn checkpoint is noticed.
+    let checkpoint = out.join("checkpoint/latest.checkpoint");
+    let bytes = std::fs::read(&checkpoint).unwrap();
+    std::fs::write(&checkpoint, &bytes[..bytes.len() - 9]).unwrap();
+    fail(train(scene(), &out, &["--resume"]), &["latest.checkpoint"]);
+}
+
+#[test]
+fn without_a_run_there_is_nothing_to_resume() {
+    let folder = tempfile::tempdir().unwrap();
+    fail(
+        train(scene(), &folder.path().join("absent"), &["--resume"]),
+        &["absent", "not the folder of a run"],
+    );
+}

@@ -1,0 +1,91 @@
+//! A tiny scene, and how the command is run and judged.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+use std::sync::LazyLock;
+
+use genesplat::io::{GalleryOptions, gallery};
+use tempfile::TempDir;
+
+/// A gallery of twelve photos of 64x48 pixels, made once; nobody may change it.
+static GALLERY: LazyLock<TempDir> = LazyLock::new(|| {
+    let folder = tempfile::tempdir().unwrap();
+    write_gallery(folder.path());
+    folder
+});
+
+/// The shared scene's folder.
+pub fn scene() -> &'static Path {
+    GALLERY.path()
+}
+
+/// A scene of one's own, to be spoilt.
+pub fn write_gallery(folder: &Path) {
+    let options = GalleryOptions { width: 64, height: 48, views: 12, points: 300, seed: 5 };
+    gallery::generate(&options).write_colmap(folder).unwrap();
+}
+
+/// The command with these arguments, not yet started.
+pub fn command<S: AsRef<std::ffi::OsStr>>(arguments: impl IntoIterator<Item = S>) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_genesplat"));
+    command.args(arguments);
+    command
+}
+
+/// Runs the command to its end.
+pub fn run<S: AsRef<std::ffi::OsStr>>(arguments: impl IntoIterator<Item = S>) -> Output {
+    command(arguments).output().unwrap()
+}
+
+/// Runs the command, which must succeed; returns what it wrote to stdout.
+pub fn succeed<S: AsRef<std::ffi::OsStr>>(arguments: impl IntoIterator<Item = S>) -> String {
+    let output = run(arguments);
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "exit status {}: {stderr}", output.status);
+    String::from_utf8(output.stdout).unwrap()
+}
+
+/// Runs the command, which must fail with status 1 and say one sentence that holds all of `words`.
+pub fn fail<S: AsRef<std::ffi::OsStr>>(arguments: impl IntoIterator<Item = S>, words: &[&str]) {
+    let output = run(arguments);
+    let stderr = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(1), "{stderr}");
+    let errors: Vec<&str> = stderr.lines().filter(|line| line.starts_with("error: ")).collect();
+    assert_eq!(errors.len(), 1, "{stderr}");
+    assert_eq!(stderr.lines().last(), errors.last().copied(), "nothing follows the sentence: {stderr}");
+    assert!(!errors[0].contains("bug in genesplat"), "{stderr}");
+    words.iter().for_each(|word| assert!(errors[0].contains(word), "{word:?} is not in: {}", errors[0]));
+}
+
+/// `train` on `scene` into `out`.
+pub fn train(scene: &Path, out: &Path, more: &[&str]) -> Vec<String> {
+    let fixed = ["train", text(scene), "--out", text(out), "--device", "cpu"];
+    fixed.iter().chain(more).map(|word| (*word).to_owned()).collect()
+}
+
+/// A path that is certainly UTF-8, since the tests made it.
+pub fn text(path: &Path) -> &str {
+    path.to_str().unwrap()
+}
+
+/// The bytes of a run's splat.
+pub fn cloud(run: &Path) -> Vec<u8> {
+    std::fs::read(run.join("point_cloud.ply")).unwrap()
+}
+
+/// A JSON file.
+pub fn json(path: &Path) -> serde_json::Value {
+    serde_json::from_slice(&std::fs::read(path).unwrap()).unwrap()
+}
+
+/// The folder of real data for tests, if this machine has it; in CI it must be there.
+pub fn real_data() -> Option<PathBuf> {
+    let beside = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
+    let folder = std::env::var_os("GENESPLAT_DATA").map_or(beside, PathBuf::from);
+    if folder.is_dir() {
+        return Some(folder);
+    }
+    assert_ne!(std::env::var("CI").as_deref(), Ok("true"), "CI has no data in {}", folder.display());
+    eprintln!("skipped: there is no data in {} (set GENESPLAT_DATA)", folder.display());
+    None
+}

@@ -1,0 +1,127 @@
+//! The commands that look at finished splats, and those that look at the machine.
+
+use std::path::PathBuf;
+use std::sync::LazyLock;
+
+use genesplat::io::photos::read_photo;
+use tempfile::TempDir;
+
+use crate::support::{fail, json, scene, succeed, text, train};
+
+/// A short run that several tests look at.
+static RUN: LazyLock<TempDir> = LazyLock::new(|| {
+    let folder = tempfile::tempdir().unwrap();
+    succeed(train(scene(), &folder.path().join("run"), &["--iterations", "200", "--max-side", "56"]));
+    folder
+});
+
+fn finished_run() -> PathBuf {
+    RUN.path().join("run")
+}
+
+#[test]
+fn evaluating_a_run_repeats_its_metrics() {
+    let folder = tempfile::tempdir().unwrap();
+    let (run, file) = (finished_run(), folder.path().join("scores.json"));
+    let metrics = json(&run.join("metrics.json"));
+    for split in ["test", "train"] {
+        let arguments =
+            ["evaluate", text(&run), "--data", text(scene()), "--split", split, "--json", text(&file)];
+        assert!(succeed(arguments).contains("PSNR"));
+        let scores = json(&file);
+        assert_eq!(scores["psnr"], metrics[split]["psnr"], "at the size that the run was trained at");
+        assert_eq!(scores["views"], metrics[split]["views"]);
+        assert_eq!(scores["split"], split);
+    }
+    // The bare PLY does not know that size; given by flag, the figures are the same.
+    let ply = run.join("point_cloud.ply");
+    let arguments =
+        ["evaluate", text(&ply), "--data", text(scene()), "--max-side", "56", "--json", text(&file)];
+    succeed(arguments);
+    assert_eq!(json(&file)["psnr"], metrics["test"]["psnr"]);
+}
+
+#[test]
+fn renders_are_those_of_the_evaluation() {
+    let folder = tempfile::tempdir().unwrap();
+    let (run, all) = (finished_run(), folder.path().join("all"));
+    succeed(["render", text(&run), "--data", text(scene()), "--split", "all", "--out", text(&all)]);
+    assert_eq!(std::fs::read_dir(&all).unwrap().count(), 12);
+    let one = folder.path().join("one.png");
+    succeed([
+        "render",
+        text(&run),
+        "--data",
+        text(scene()),
+        "--image",
+        "gallery_008.png",
+        "--out",
+        text(&one),
+    ]);
+    let truth = read_photo(&run.join("test/gallery_008.png")).unwrap();
+    assert_eq!(read_photo(&one).unwrap(), truth);
+    assert_eq!(read_photo(&all.join("gallery_008.png")).unwrap(), truth);
+    let arguments = ["render", text(&run), "--data", text(scene()), "--image", "nobody", "--out", text(&one)];
+    fail(arguments, &["no photo called nobody", "gallery_00"]);
+}
+
+#[test]
+fn pictures_are_compared() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("scores.json");
+    let [a, b] = ["gallery_000.png", "gallery_001.png"].map(|name| scene().join("images").join(name));
+    succeed(["compare", text(&a), text(&b), "--json", text(&file)]);
+    let scores = json(&file);
+    assert!(
+        scores["psnr"].as_f64() > Some(5.0)
+            && scores["ssim"].as_f64() < Some(1.0)
+            && scores["lpips"].is_null()
+    );
+    succeed(["compare", text(&a), text(&a), "--json", text(&file)]);
+    assert_eq!((&json(&file)["psnr"], &json(&file)["ssim"]), (&serde_json::Value::Null, &1.0.into()));
+    let smaller = finished_run().join("test/gallery_000.png");
+    fail(["compare", text(&a), text(&smaller)], &["64x48", "56x42"]);
+}
+
+#[test]
+fn refining_never_makes_fitness_worse_and_keeps_colours() {
+    let folder = tempfile::tempdir().unwrap();
+    let (ply, out) = (finished_run().join("point_cloud.ply"), folder.path().join("refined.ply"));
+    let small = ["--generations", "4", "--population", "10", "--max-side", "56"];
+    let arguments = ["refine", text(&ply), "--data", text(scene()), "--out", text(&out)];
+    let said = succeed(arguments.iter().chain(&small));
+    assert!(said.contains("before") && said.contains("after"), "{said}");
+    let [before, after] = [&ply, &out].map(|path| genesplat::io::read_ply(path).unwrap());
+    assert_eq!((before.len(), &before.sh, &before.rotations), (after.len(), &after.sh, &after.rotations));
+}
+
+#[test]
+fn a_step_is_timed() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("step.json");
+    let more = ["--gaussians", "2000", "--steps", "3", "--json", text(&file)];
+    for data in [&["--data", text(scene())][..], &[]] {
+        succeed(["bench", "step"].iter().chain(data).chain(&more));
+        let report = json(&file);
+        assert_eq!(report["gaussians"], 2000);
+        for stage in ["project", "bin", "rasterise", "loss", "rasterise_backward", "update"] {
+            assert!(report["stages"][stage].as_f64() > Some(0.0), "{stage}");
+        }
+        for figure in [
+            "milliseconds",
+            "tile_splats",
+            "blend_nanoseconds_per_tile_splat",
+            "roofline_nanoseconds_per_tile_splat",
+        ] {
+            assert!(report[figure].as_f64() > Some(0.0), "{figure}");
+        }
+    }
+}
+
+#[test]
+fn devices_are_listed() {
+    let said = succeed(["devices"]);
+    assert!(
+        said.lines().any(|line| line.starts_with("cpu")) && said.lines().any(|line| line.starts_with("gpu"))
+    );
+}
