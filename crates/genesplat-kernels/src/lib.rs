@@ -9,7 +9,7 @@
 //! | `adam` | the optimiser step |
 //! | `score` | Eq. 5 of a whole population, forward only |
 //!
-//! [`reference`] is the oracle: f64, scalar, no tiles. [`cpu`] is the fast twin: f32, rayon, SIMD picked at run time.
+//! [`mod@reference`] is the oracle: f64, scalar, no tiles. [`mod@cpu`] is the fast twin: f32, rayon, SIMD picked at run time.
 
 pub mod cpu;
 pub mod reference;
