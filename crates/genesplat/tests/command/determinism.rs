@@ -3,8 +3,18 @@
 use crate::support::{cloud, json, scene, succeed, text, train};
 
 /// Densifies, resets opacities, and evolves after each reset.
-const SCHEDULE: [&str; 8] =
-    ["--steps-scale", "0.02", "--evolve", "paper", "--generations", "3", "--population", "8"];
+const SCHEDULE: [&str; 10] = [
+    "--steps-scale",
+    "0.02",
+    "--max-gaussians",
+    "1200",
+    "--evolve",
+    "paper",
+    "--generations",
+    "3",
+    "--population",
+    "8",
+];
 
 #[test]
 fn threads_change_nothing_and_seeds_do() {

@@ -9,8 +9,18 @@ use std::time::{Duration, Instant};
 use crate::support::{cloud, command, fail, json, scene, succeed, train};
 
 /// Long enough to be caught in the act; evolves four times.
-const SCHEDULE: [&str; 8] =
-    ["--steps-scale", "0.1", "--evolve", "paper", "--generations", "2", "--population", "6"];
+const SCHEDULE: [&str; 10] = [
+    "--steps-scale",
+    "0.1",
+    "--max-gaussians",
+    "1200",
+    "--evolve",
+    "paper",
+    "--generations",
+    "2",
+    "--population",
+    "6",
+];
 
 /// Starts a run, and presses Ctrl-C once its log holds a line with `sign`. Returns what it said.
 fn interrupt(out: &Path, more: &[&str], sign: &str) -> String {

@@ -20,22 +20,9 @@ fn assert_keys(found: &Value, wanted: &[&str]) {
 fn a_run_folder_is_complete() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("deep/run");
-    let said = succeed(train(
-        scene(),
-        &out,
-        &[
-            "--steps-scale",
-            "0.02",
-            "--evolve",
-            "paper",
-            "--generations",
-            "2",
-            "--population",
-            "6",
-            "--seed",
-            "11",
-        ],
-    ));
+    let schedule = ["--steps-scale", "0.02", "--max-gaussians", "1200", "--seed", "11"];
+    let evolution = ["--evolve", "paper", "--generations", "2", "--population", "6"];
+    let said = succeed(train(scene(), &out, &[&schedule[..], &evolution].concat()));
     assert!(said.contains("test") && said.contains("PSNR") && said.contains("point_cloud.ply"), "{said}");
 
     let metrics = json(&out.join("metrics.json"));
