@@ -13,7 +13,7 @@ use crate::device::Device;
 ///
 /// New here? `genesplat demo` builds a small scene, trains it without and with evolution, and shows the difference.
 #[derive(Debug, Parser)]
-#[command(name = "genesplat", version, max_term_width = 120, infer_long_args = false)]
+#[command(name = "genesplat", version, max_term_width = 120)]
 pub struct Arguments {
     /// What to do.
     #[command(subcommand)]

@@ -147,7 +147,7 @@ impl RunFolder {
     /// The end of the sentence for a run that failed midway: what is left of it.
     pub fn what_is_left(&self) -> &'static str {
         let kept = Self::checkpoint_in(&self.path).exists();
-        if kept { " (an earlier checkpoint is kept; --resume goes on from it)" } else { "" }
+        if kept { " (a checkpoint is kept, and --resume goes on from it)" } else { "" }
     }
 }
 

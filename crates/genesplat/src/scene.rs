@@ -44,3 +44,34 @@ pub fn stem(name: &str) -> &str {
         _ => name,
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use genesplat::core::{Camera, Photo};
+    use glam::{DQuat, DVec3};
+
+    use super::*;
+
+    fn view(name: &str) -> View {
+        let camera = Camera {
+            width: 1,
+            height: 1,
+            focal_px: [1.0; 2],
+            principal_px: [0.5; 2],
+            camera_from_world_rotation: DQuat::IDENTITY,
+            camera_from_world_translation: DVec3::ZERO,
+        };
+        View { name: name.into(), camera, photo: Arc::new(Photo { width: 1, height: 1, rgb: vec![0; 3] }) }
+    }
+
+    #[test]
+    fn pictures_are_named_after_photos_and_never_share_a_name() {
+        assert_eq!(
+            picture_names(&[view("a.JPG"), view("b.c.png"), view("r_0.5")]),
+            ["a.png", "b.c.png", "r_0.5.png"]
+        );
+        assert_eq!(picture_names(&[view("a.jpg"), view("a.png")]), ["a.jpg.png", "a.png.png"]);
+    }
+}

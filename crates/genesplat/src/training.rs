@@ -5,15 +5,17 @@ use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
 use anyhow::{Result, anyhow};
-use genesplat::core::{Backend, RenderSettings, View};
+use genesplat::core::{RenderSettings, View};
 use genesplat::io::Scene;
+use genesplat::io::photos::write_png;
 use genesplat::kernels::cpu::CpuBackend;
 use genesplat::train::evaluate::{Evaluation, evaluate};
-use genesplat::train::{Outcome, Start, train};
+use genesplat::train::{Outcome, RunSummary, Start, train};
 
 use crate::metrics::{Metrics, PhaseSeconds};
+use crate::progress::Bar;
 use crate::reporter::Reporter;
-use crate::run_folder::RunFolder;
+use crate::run_folder::{Log, RunFolder};
 use crate::settings::Settings;
 use crate::{device, memory, scene};
 
@@ -42,17 +44,32 @@ pub struct Finished {
 }
 
 impl Run<'_> {
-    /// Trains, saves, evaluates. What is most precious is saved first.
+    /// Trains, saves, evaluates. What is most precious is saved first, and the checkpoint is kept until all is done.
     pub fn execute(&self) -> Result<Finished> {
+        let log = self.folder.open_log(self.resume)?;
+        let (seconds_before, start) = self.start()?;
+        let finished = self.train(start, log, seconds_before);
+        finished.map_err(|error| anyhow!("{error}{}", self.folder.what_is_left()))
+    }
+
+    fn train(&self, start: Start, log: Log, seconds_before: f64) -> Result<Finished> {
         let mut backend = device::open(self.settings.train.config().seed);
-        let (before, start) = self.start()?;
-        let mut reporter = Reporter::new(self.folder, self.folder.open_log(self.resume)?, self.stop);
+        let mut reporter = Reporter::new(self.folder, log, self.stop);
         let (views, config) = (&self.scene.train, &self.settings.train);
-        let outcome = train(&mut backend, views, start, config, &mut reporter, self.stop)
-            .map_err(|error| anyhow!("{error}{}", self.folder.what_is_left()))?;
-        self.save(&outcome)?;
+        let Outcome { cloud, summary, checkpoint } =
+            train(&mut backend, views, start, config, &mut reporter, self.stop)?;
+        if let Some(checkpoint) = checkpoint {
+            self.folder.write_checkpoint(&checkpoint)?;
+        }
+        self.folder.write_cloud(&cloud, config.render_settings().filter)?;
+        drop(cloud);
         reporter.into_result()?;
-        self.evaluate(&mut backend, outcome, before)
+        let metrics = self.measure(&mut backend, &summary, seconds_before)?;
+        self.folder.write_metrics(&metrics)?;
+        if !summary.interrupted {
+            self.folder.remove_checkpoint()?;
+        }
+        Ok(Finished { metrics, interrupted: summary.interrupted })
     }
 
     /// Where to start, and the seconds spent before.
@@ -65,27 +82,19 @@ impl Run<'_> {
         Ok((before, Start::Checkpoint(Box::new(checkpoint))))
     }
 
-    fn save(&self, outcome: &Outcome) -> Result<()> {
-        let filter = self.settings.train.render_settings().filter;
-        if let Some(checkpoint) = &outcome.checkpoint {
-            self.folder.write_checkpoint(checkpoint)?;
-        }
-        self.folder.write_cloud(&outcome.cloud, filter)?;
-        if outcome.checkpoint.is_none() {
-            self.folder.remove_checkpoint()?;
-        }
-        Ok(())
-    }
-
-    fn evaluate(&self, backend: &mut CpuBackend, outcome: Outcome, before: f64) -> Result<Finished> {
+    /// The figures of the cloud that `backend` holds.
+    fn measure(
+        &self,
+        backend: &mut CpuBackend,
+        summary: &RunSummary,
+        seconds_before: f64,
+    ) -> Result<Metrics> {
         let clock = Instant::now();
-        let settings = self.settings.train.render_settings();
-        backend.upload(outcome.cloud, None)?;
+        let (config, settings) = (self.settings.train.config(), self.settings.train.render_settings());
         let test = evaluate_into(backend, &self.scene.test, &settings, Some(&self.folder.test_path()))?;
         let train = evaluate_into(backend, &self.scene.train, &settings, None)?;
         let (load, began) = self.load;
-        let (config, summary) = (self.settings.train.config(), outcome.summary);
-        let metrics = Metrics {
+        Ok(Metrics {
             schema: 1,
             dataset: self.scene.name.clone(),
             variant: config.variant,
@@ -100,13 +109,11 @@ impl Run<'_> {
                 gradient: summary.seconds.gradient,
                 evolution: summary.seconds.evolution,
                 evaluate: clock.elapsed().as_secs_f64(),
-                total: before + began.elapsed().as_secs_f64(),
+                total: seconds_before + began.elapsed().as_secs_f64(),
             },
             peak_memory_bytes: memory::peak_bytes(),
-            evolution: summary.stages,
-        };
-        self.folder.write_metrics(&metrics)?;
-        Ok(Finished { metrics, interrupted: summary.interrupted })
+            evolution: summary.stages.clone(),
+        })
     }
 }
 
@@ -117,11 +124,14 @@ pub fn evaluate_into(
     settings: &RenderSettings,
     folder: Option<&Path>,
 ) -> Result<Evaluation> {
-    let mut names = scene::picture_names(views).into_iter();
+    let mut names = (1..).zip(scene::picture_names(views));
+    let mut bar = Bar::new("scores", views.len() as u64);
     let mut written = Ok(());
     let evaluation = evaluate(backend, views, settings, None, |_, picture| {
-        if let (Some(folder), Some(name), Ok(())) = (folder, names.next(), &written) {
-            written = genesplat::io::photos::write_png(&folder.join(name), &picture);
+        let Some((done, name)) = names.next() else { return };
+        bar.set(done, String::new);
+        if let (Some(folder), Ok(())) = (folder, &written) {
+            written = write_png(&folder.join(name), &picture);
         }
     })?;
     written?;

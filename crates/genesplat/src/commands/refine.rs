@@ -29,6 +29,9 @@ pub fn run(args: &RefineArgs) -> Result<()> {
     let outcome = refine(&mut backend, &scene.train, splat.cloud, &config, &mut reporter, &stop)?;
     let options = PlyOptions { render_mode: splat.settings.filter.into(), ..PlyOptions::default() };
     write_ply(&args.out, &outcome.cloud, &options)?;
+    if outcome.summary.interrupted {
+        output::print("the search was stopped early; what follows is the best that it had found")?;
+    }
     print_scores("after", &mut backend, &scene, &splat.settings)?;
     output::print(&format!("{} Gaussians written to {}", outcome.cloud.len(), args.out.display()))
 }

@@ -133,6 +133,23 @@ fn a_results_folder_that_cannot_be_written_fails_before_anything_is_read() {
     );
 }
 
+/// `/dev/full` is a disk without room: the log is sent there, and training stops at its first line.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_full_disk_stops_training_and_keeps_what_could_be_saved() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("run");
+    fs::create_dir(&out).unwrap();
+    std::os::unix::fs::symlink("/dev/full", out.join("log.jsonl")).unwrap();
+    fail(
+        train(scene(), &out, &["--iterations", "20"]),
+        &["log.jsonl", "No space left", "checkpoint is kept", "--resume"],
+    );
+    assert!(out.join("point_cloud.ply").exists() && !out.join("metrics.json").exists());
+    fs::remove_file(out.join("log.jsonl")).unwrap();
+    succeed(train(scene(), &out, &["--resume", "--iterations", "20"]));
+}
+
 #[test]
 fn a_folder_that_belongs_to_something_else_is_left_alone() {
     let folder = tempfile::tempdir().unwrap();

@@ -9,7 +9,7 @@ use std::time::Instant;
 
 use anyhow::Result;
 use genesplat::core::{
-    Backend, DensitySignal, LearningRates, RenderSettings, StatisticsRequest, TrainStep, Update,
+    Backend, Camera, DensitySignal, LearningRates, RenderSettings, StatisticsRequest, TrainStep, Update,
 };
 use genesplat::kernels::cpu::{CpuBackend, StageSeconds, roofline_nanoseconds_per_tile_splat};
 use serde::Serialize;
@@ -59,13 +59,14 @@ struct Sample {
 /// Times, prints, and writes the figures.
 pub fn run(args: &BenchStepArgs) -> Result<()> {
     device::prepare(args.machine)?;
-    let workload = Workload::of(args)?;
+    let Workload { views, cloud } = Workload::of(args)?;
     let mut backend = device::open(0);
-    backend.set_views(&workload.views)?;
-    backend.upload(workload.cloud.clone(), None)?;
-    let steps = (0..WARM_UP + args.steps).map(|step| time_step(&mut backend, step, workload.views.len()));
-    let samples = steps.skip(WARM_UP as usize).collect::<Result<Vec<_>>>()?;
-    let report = Report::new(&workload, &samples);
+    backend.set_views(&views)?;
+    // Moved, not copied: the memory reported is that of training.
+    backend.upload(cloud, None)?;
+    let steps = (0..WARM_UP + args.steps).map(|step| time_step(&mut backend, step, views.len()));
+    let samples = steps.collect::<Result<Vec<_>>>()?;
+    let report = Report::new(backend.len(), &views[0].camera, &samples[WARM_UP as usize..]);
     output::print(&report.to_text())?;
     args.json.as_ref().map_or(Ok(()), |path| run_folder::write_json(path, &report))
 }
@@ -87,7 +88,7 @@ fn time_step(backend: &mut CpuBackend, step: u32, views: usize) -> Result<Sample
 }
 
 impl Report {
-    fn new(workload: &Workload, samples: &[Sample]) -> Self {
+    fn new(gaussians: usize, camera: &Camera, samples: &[Sample]) -> Self {
         let threads = rayon::current_num_threads();
         let stage = |seconds: fn(&StageSeconds) -> f64| {
             1e3 * median(samples.iter().map(|sample| seconds(&sample.stages)).collect())
@@ -97,9 +98,8 @@ impl Report {
             let each = |sample: &Sample| 1e9 * seconds(&sample.stages) * threads as f64 / sample.tile_splats;
             median(samples.iter().map(each).collect())
         };
-        let camera = &workload.views[0].camera;
         Self {
-            gaussians: workload.cloud.len(),
+            gaussians,
             width: camera.width,
             height: camera.height,
             threads,
