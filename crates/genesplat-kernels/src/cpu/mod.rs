@@ -3,10 +3,12 @@
 //! Work is cut into pieces of fixed size and every sum has a fixed order, so that results are the same bytes for any
 //! number of threads. Threads are those of the ambient rayon pool.
 
+mod adam;
 mod bin;
 mod colour;
 mod loss;
 mod project;
+mod project_backward;
 mod rasterise;
 mod roofline;
 mod score;

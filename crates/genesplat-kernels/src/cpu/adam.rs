@@ -1,0 +1,173 @@
+//! Stage `adam`: one dense optimiser step over a chunk of rows (facts.md section 3).
+
+use fearless_simd::{Simd, prelude::*};
+use genesplat_core::Update;
+use genesplat_core::constants::{ADAM_BETA1, ADAM_BETA2, ADAM_EPSILON};
+use genesplat_core::spherical_harmonics::{SH_STRIDE, coefficients};
+
+use super::project::CHUNK;
+use super::simd::{LANES, V};
+use super::update::{ChunkGradients, ChunkMut};
+
+/// Adam's bias-corrected factors of one parameter group.
+#[derive(Clone, Copy)]
+struct Rate {
+    /// `lr / (1 − β1ᵗ)`
+    step: f32,
+    /// `1 / sqrt(1 − β2ᵗ)`
+    root: f32,
+}
+
+impl Rate {
+    fn new(rate: f32, step: u32) -> Self {
+        let step = step.max(1) as i32;
+        let first = 1.0 - f64::from(ADAM_BETA1).powi(step);
+        let second = 1.0 - f64::from(ADAM_BETA2).powi(step);
+        Self { step: (f64::from(rate) / first) as f32, root: (1.0 / second.sqrt()) as f32 }
+    }
+}
+
+#[inline(always)]
+pub fn adam<S: Simd>(
+    simd: S,
+    update: &Update,
+    sh_degree: u8,
+    gradients: &ChunkGradients,
+    chunk: &mut ChunkMut,
+) {
+    let (p, m, v) = (&mut chunk.parameters, &mut chunk.first, &mut chunk.second);
+    let n = p.positions.len();
+    let rates = &update.rates;
+    let rate = |rate: f32| Rate::new(rate, update.step);
+    let (position, scale, rotation) = (rate(rates.position), rate(rates.scale), rate(rates.rotation));
+    let mut positions = [[0.0; 3]; CHUNK];
+    let mut log_scales = [[0.0; 3]; CHUNK];
+    let mut opacity_logits = [0.0; CHUNK];
+    for (row, gene) in gradients.genes[..n].iter().enumerate() {
+        positions[row] = [gene[0], gene[1], gene[2]];
+        log_scales[row] = [gene[3], gene[4], gene[5]];
+        opacity_logits[row] = gene[6];
+    }
+    step_column(
+        simd,
+        position,
+        positions[..n].as_flattened(),
+        p.positions.as_flattened_mut(),
+        m.positions.as_flattened_mut(),
+        v.positions.as_flattened_mut(),
+    );
+    step_column(
+        simd,
+        scale,
+        log_scales[..n].as_flattened(),
+        p.log_scales.as_flattened_mut(),
+        m.log_scales.as_flattened_mut(),
+        v.log_scales.as_flattened_mut(),
+    );
+    step_column(
+        simd,
+        rotation,
+        gradients.rotations[..n].as_flattened(),
+        p.rotations.as_flattened_mut(),
+        m.rotations.as_flattened_mut(),
+        v.rotations.as_flattened_mut(),
+    );
+    if update.opacity_step > 0 {
+        let opacity = Rate::new(rates.opacity, update.opacity_step);
+        step_column(
+            simd,
+            opacity,
+            &opacity_logits[..n],
+            p.opacity_logits,
+            m.opacity_logits,
+            v.opacity_logits,
+        );
+    }
+    let (dc, rest) = (rate(rates.sh_dc), rate(rates.sh_rest));
+    for row in 0..n {
+        step_sh(
+            simd,
+            dc,
+            rest,
+            sh_degree,
+            &gradients.sh[row],
+            &mut p.sh[row],
+            &mut m.sh[row],
+            &mut v.sh[row],
+        );
+    }
+}
+
+#[inline(always)]
+fn step_column<S: Simd>(simd: S, rate: Rate, gradient: &[f32], p: &mut [f32], m: &mut [f32], v: &mut [f32]) {
+    let whole = gradient.len() - gradient.len() % LANES;
+    for at in (0..whole).step_by(LANES) {
+        let range = at..at + LANES;
+        let steps = V::splat(simd, rate.step);
+        step_vector(
+            simd,
+            steps,
+            rate.root,
+            &gradient[range.clone()],
+            &mut p[range.clone()],
+            &mut m[range.clone()],
+            &mut v[range],
+        );
+    }
+    for at in whole..gradient.len() {
+        m[at] = ADAM_BETA1 * m[at] + (1.0 - ADAM_BETA1) * gradient[at];
+        v[at] = ADAM_BETA2 * v[at] + (1.0 - ADAM_BETA2) * gradient[at] * gradient[at];
+        p[at] -= rate.step * m[at] / (v[at].sqrt() * rate.root + ADAM_EPSILON);
+    }
+}
+
+/// The coefficients of one row; inactive ones have no gradient and no moments yet, so they cannot move.
+#[inline(always)]
+fn step_sh<S: Simd>(
+    simd: S,
+    dc: Rate,
+    rest: Rate,
+    degree: u8,
+    gradient: &[f32; SH_STRIDE],
+    p: &mut [f32; SH_STRIDE],
+    m: &mut [f32; SH_STRIDE],
+    v: &mut [f32; SH_STRIDE],
+) {
+    if degree == 0 {
+        return step_column(simd, dc, &gradient[..3], &mut p[..3], &mut m[..3], &mut v[..3]);
+    }
+    let mut steps = [rest.step; LANES];
+    steps[..3].fill(dc.step);
+    for first in (0..3 * coefficients(degree)).step_by(LANES) {
+        let range = first..first + LANES;
+        step_vector(
+            simd,
+            V::simd_from(simd, steps),
+            rest.root,
+            &gradient[range.clone()],
+            &mut p[range.clone()],
+            &mut m[range.clone()],
+            &mut v[range],
+        );
+        steps.fill(rest.step);
+    }
+}
+
+#[inline(always)]
+fn step_vector<S: Simd>(
+    simd: S,
+    steps: V<S>,
+    root: f32,
+    gradient: &[f32],
+    p: &mut [f32],
+    m: &mut [f32],
+    v: &mut [f32],
+) {
+    let gradient = V::from_slice(simd, gradient);
+    let first = V::from_slice(simd, m) * ADAM_BETA1 + gradient * (1.0 - ADAM_BETA1);
+    let second = V::from_slice(simd, v) * ADAM_BETA2 + gradient * gradient * (1.0 - ADAM_BETA2);
+    let moved = V::from_slice(simd, p) - steps * first / (second.sqrt() * root + ADAM_EPSILON);
+    first.store_slice(m);
+    second.store_slice(v);
+    moved.store_slice(p);
+}
