@@ -10,7 +10,7 @@ use genesplat_core::{
 use super::frame::{Frame, StageSeconds, timed};
 use super::loss::Target;
 use super::project::Pinhole;
-use super::rasterise::Extra;
+use super::rasterise_backward::Extra;
 use super::score::{BaseView, score};
 use super::update::{Inputs, update};
 

@@ -8,7 +8,8 @@ use genesplat_core::{Gaussians, Image, RenderSettings};
 use super::bin::Bins;
 use super::loss::{Target, loss};
 use super::project::{Pinhole, Splats, project};
-use super::rasterise::{self, Backward, Extra, GradientRow, TileImage};
+use super::rasterise::{self, TileImage};
+use super::rasterise_backward::{self, Backward, Extra, GradientRow};
 
 /// Seconds spent in each stage since the counters were last taken.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -62,14 +63,9 @@ impl Frame {
         let value =
             timed(&mut self.seconds.loss, || loss(level, &self.image, target, Some(&mut self.gradient)));
         timed(&mut self.seconds.rasterise_backward, || {
-            let inputs = Backward {
-                splats: &self.splats,
-                tiles: &self.tiles,
-                image: &self.image,
-                gradient: &self.gradient,
-                extra,
-            };
-            rasterise::backward(level, &self.bins, camera, &inputs, &mut self.rows);
+            let inputs =
+                Backward { splats: &self.splats, image: &self.image, gradient: &self.gradient, extra };
+            rasterise_backward::backward(level, &self.bins, camera, &inputs, &mut self.rows);
         });
         value
     }

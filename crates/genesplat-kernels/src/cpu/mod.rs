@@ -10,6 +10,7 @@ mod loss;
 mod project;
 mod project_backward;
 mod rasterise;
+mod rasterise_backward;
 mod roofline;
 mod score;
 mod simd;

@@ -88,6 +88,14 @@ pub struct Splat {
     pub clamped: u32,
 }
 
+impl Splat {
+    /// The same with its mean in px from `origin` (the corner of a tile).
+    #[inline(always)]
+    pub fn seen_from(&self, origin: [usize; 2]) -> Self {
+        Self { mean: [self.mean[0] - origin[0] as f32, self.mean[1] - origin[1] as f32], ..*self }
+    }
+}
+
 /// The splats of a view, where projection put them: those of a chunk of rows lie together, in row order, at the start of
 /// the chunk's room. A splat's index is its place in that room, so nothing is moved or counted twice.
 #[derive(Clone, Debug, Default)]

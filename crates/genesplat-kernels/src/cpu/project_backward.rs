@@ -6,7 +6,7 @@ use fearless_simd::{Simd, prelude::*};
 use genesplat_core::ScreenFilter;
 
 use super::project::{ANTIALIAS_RATIO_MIN, Geometry, Params, Pinhole};
-use super::rasterise::column;
+use super::rasterise_backward::column;
 use super::simd::{LANES, V, array};
 
 /// Gradients of 16 Gaussians' raw parameters.

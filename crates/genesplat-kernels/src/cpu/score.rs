@@ -12,7 +12,7 @@ use rayon::prelude::*;
 use super::bin::{Bins, TileSplat, for_each_tile};
 use super::loss::{Target, loss_serial};
 use super::project::{Pinhole, Splat, Splats, TILE, project, project_group};
-use super::rasterise::{BLOCKS, BlockPixels, TileImage, blend, forward};
+use super::rasterise::{ALL_BLOCKS, TileImage, blend, each_block, forward};
 
 /// Stands for "not visible" where the index of a splat is expected.
 const NOT_VISIBLE: u32 = u32::MAX;
@@ -70,7 +70,8 @@ struct Scratch {
     added_entries: Vec<(u32, TileSplat)>,
     /// Blocks that differ from the base, by tile.
     dirty: Vec<u32>,
-    lists: [Vec<Source>; BLOCKS],
+    /// Splats of one tile, nearest first, and the dirty blocks that they reach.
+    merged: Vec<(Source, u32)>,
     image: Image,
 }
 
@@ -154,59 +155,49 @@ impl Scratch {
         added_entries.sort_unstable_by_key(|(tile, entry)| (*tile, entry.splat));
     }
 
-    /// Lists of the dirty blocks: the base's splats without the removed ones, and the added ones, in depth order.
+    /// The splats of a tile's dirty blocks: the base's without the removed ones, and the added ones, in depth order.
     fn merge(&mut self, view: &BaseView, tile: usize, added: std::ops::Range<usize>) {
-        for list in &mut self.lists {
-            list.clear();
-        }
-        let dirty = self.dirty[tile];
-        let mut added = self.added_entries[added].iter().map(|(_, entry)| *entry).peekable();
+        let Self { merged, added: splats, removed, added_entries, dirty, .. } = self;
+        merged.clear();
+        let dirty = dirty[tile];
+        let mut added = added_entries[added].iter().map(|(_, entry)| *entry).peekable();
         for entry in view.bins.tile(tile) {
-            if self.removed[entry.splat as usize] {
+            if removed[entry.splat as usize] || entry.blocks & dirty == 0 {
                 continue;
             }
             let key = order(view.splats.get(entry.splat));
-            while let Some(next) = added.next_if(|next| order(&self.added[next.splat as usize]) < key) {
-                push(&mut self.lists, next.blocks & dirty, Source::Added(next.splat));
+            while let Some(next) = added.next_if(|next| order(&splats[next.splat as usize]) < key) {
+                merged.push((Source::Added(next.splat), next.blocks));
             }
-            push(&mut self.lists, entry.blocks & dirty, Source::Base(entry.splat));
+            merged.push((Source::Base(entry.splat), entry.blocks & dirty));
         }
-        for next in added {
-            push(&mut self.lists, next.blocks & dirty, Source::Added(next.splat));
-        }
+        merged.extend(added.map(|next| (Source::Added(next.splat), next.blocks)));
     }
 
     #[inline(always)]
     fn blend_tile<S: Simd>(&self, simd: S, view: &BaseView, tile: usize, out: &mut TileImage) {
         let across = view.camera.grid()[0];
         let origin = [tile % across * TILE, tile / across * TILE];
-        for block in 0..BLOCKS {
-            if self.dirty[tile] >> block & 1 == 0 {
-                out.blocks[block] = view.tiles[tile].blocks[block];
-                continue;
-            }
-            let pixels = BlockPixels::new(simd, origin, block, view.camera.size);
-            let splats = self.lists[block].iter().map(|source| match *source {
+        let dirty = self.dirty[tile];
+        each_block(ALL_BLOCKS & !dirty, |block| out.blocks[block] = view.tiles[tile].blocks[block]);
+        let mut live = out.begin(simd, origin, view.camera.size, dirty);
+        for &(source, blocks) in &self.merged {
+            let splat = match source {
                 Source::Base(index) => view.splats.get(index),
                 Source::Added(index) => &self.added[index as usize],
-            });
-            let (state, _) = blend(simd, splats, &pixels);
-            let [red, green, blue] = state.rgb.map(|values| *values);
-            out.blocks[block] = [red, green, blue, *state.transmittance];
+            };
+            blend(simd, &splat.seen_from(origin), blocks & live, out, &mut live);
+            if live == 0 {
+                break;
+            }
         }
+        out.end(simd, dirty);
     }
 }
 
 /// Depth order, ties by row: the order of [`Bins`].
 fn order(splat: &Splat) -> u64 {
     u64::from(splat.depth.to_bits()) << 32 | u64::from(splat.global)
-}
-
-fn push(lists: &mut [Vec<Source>; BLOCKS], mut blocks: u32, source: Source) {
-    while blocks != 0 {
-        lists[blocks.trailing_zeros() as usize].push(source);
-        blocks &= blocks - 1;
-    }
 }
 
 fn write_tile(

@@ -18,7 +18,7 @@ use genesplat_core::{
 use glam::{DQuat, DVec3};
 
 use super::project::Pinhole;
-use super::rasterise::Extra;
+use super::rasterise_backward::Extra;
 use super::update::{Inputs, gradients};
 use super::{CpuBackend, Frame, loss};
 use crate::reference::{self, Cloud64, Cutoff};

@@ -16,7 +16,7 @@ use super::bin::Bins;
 use super::colour;
 use super::project::{CHUNK, Geometry, Params, Pinhole, Splat, Splats};
 use super::project_backward::{LaneGradients, backward};
-use super::rasterise::{GradientRow, column};
+use super::rasterise_backward::{GradientRow, column};
 use super::simd::{LANES, V, array};
 
 /// What the backward pass of the parameters reads.

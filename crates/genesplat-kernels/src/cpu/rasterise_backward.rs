@@ -1,0 +1,352 @@
+//! Stage `rasterise_backward`: from `dL/dimage` to one row of sums per splat and tile (facts.md, section 5).
+//!
+//! Walks the lists front to back once more, as the forward pass does: with the final image known, the light behind a
+//! splat is what remains of it, so neither alphas nor transmittances are stored. Per pixel it finds `p = o·G · dL/dα` and
+//! `w = α·T`. All gradients of a splat are sums of `p` times `1, x, y, x², xy, y²` and of `w` times `dL/dpixel`. Each
+//! splat visits its blocks twice: first for `p` and `w`, which do not depend on one another's blocks, then for the sums,
+//! which stay in registers and are reduced over the lanes once per tile. No two tasks write the same row, so there are no
+//! atomics and the result does not depend on the number of threads.
+
+use fearless_simd::{Level, Simd, dispatch, f32x4, f32x8, f64x2, prelude::*};
+use genesplat_core::Image;
+use rayon::prelude::*;
+
+use super::bin::{BLOCK, BLOCKS_ACROSS, Bins, TileSplat};
+use super::project::{Pinhole, Splat, Splats, TILE};
+use super::rasterise::{
+    ALL_BLOCKS, Alpha, BLOCKS, COLUMN_PX, GROUP, ROW_PX, absorb, alpha, each_block, finish,
+    full_transmittance, gather,
+};
+use super::simd::{LANES, V, array, keep};
+
+/// Gradient row of one splat in one tile; see the constants for its columns.
+#[derive(Clone, Copy, Debug, Default)]
+#[repr(C, align(64))]
+pub struct GradientRow(pub [f32; LANES]);
+
+/// Columns of a [`GradientRow`]: sums of `p` times powers of the offset `pixel − mean`.
+pub mod column {
+    /// Σ p
+    pub const ONE: usize = 0;
+    /// Σ p·dx
+    pub const X: usize = 1;
+    /// Σ p·dy
+    pub const Y: usize = 2;
+    /// Σ p·dx²
+    pub const XX: usize = 3;
+    /// Σ p·dx·dy
+    pub const XY: usize = 4;
+    /// Σ p·dy²
+    pub const YY: usize = 5;
+    /// Σ |∂L/∂u|, by pixel ([`super::Extra::Absolute`] only)
+    pub const ABS_X: usize = 6;
+    /// Σ |∂L/∂v|, by pixel ([`super::Extra::Absolute`] only)
+    pub const ABS_Y: usize = 7;
+    /// dL/drgb
+    pub const RED: usize = 8;
+    /// Number of pixels blended ([`super::Extra::Pixels`] only)
+    pub const PIXELS: usize = 11;
+}
+
+/// What the backward pass sums besides the gradients.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Extra {
+    /// Nothing.
+    None,
+    /// Absolute screen gradients (gsplat's "absgrad").
+    Absolute,
+    /// Pixels blended (Pixel-GS).
+    Pixels,
+}
+
+/// Everything the backward pass reads besides the lists.
+pub struct Backward<'a> {
+    /// Splats of the view.
+    pub splats: &'a Splats,
+    /// The composed image `[3, H, W]`.
+    pub image: &'a Image,
+    /// `dL/dimage` `[3, H, W]`.
+    pub gradient: &'a [f32],
+    /// What to sum besides.
+    pub extra: Extra,
+}
+
+/// Backward pass of all tiles: fills one row per entry of `bins.entries`.
+pub fn backward(level: Level, bins: &Bins, camera: &Pinhole, inputs: &Backward, rows: &mut Vec<GradientRow>) {
+    let grid = camera.grid();
+    rows.resize(bins.entries.len(), GradientRow::default());
+    let mut rest = rows.as_mut_slice();
+    let mut by_tile = Vec::with_capacity(grid[0] * grid[1]);
+    for tile in 0..grid[0] * grid[1] {
+        let (own, others) = rest.split_at_mut(bins.tile(tile).len());
+        by_tile.push(own);
+        rest = others;
+    }
+    by_tile.into_par_iter().enumerate().for_each_init(TileState::default, |state, (tile, rows)| {
+        let origin = [tile % grid[0] * TILE, tile / grid[0] * TILE];
+        let task = TileTask { origin, size: camera.size, entries: bins.tile(tile), inputs };
+        dispatch!(level, simd => match inputs.extra {
+            Extra::None => backward_tile::<NONE, _>(simd, &task, state, rows),
+            Extra::Absolute => backward_tile::<ABSOLUTE, _>(simd, &task, state, rows),
+            Extra::Pixels => backward_tile::<PIXELS, _>(simd, &task, state, rows),
+        });
+    });
+}
+
+const NONE: u8 = 0;
+const ABSOLUTE: u8 = 1;
+const PIXELS: u8 = 2;
+
+struct TileTask<'a> {
+    origin: [usize; 2],
+    size: [u32; 2],
+    entries: &'a [TileSplat],
+    inputs: &'a Backward<'a>,
+}
+
+/// One thread's working memory: the pixels of a tile, block by block.
+#[derive(Clone, Default)]
+#[repr(C, align(64))]
+struct TileState {
+    blocks: [BlockState; BLOCKS],
+    shares: [Share; BLOCKS],
+}
+
+#[derive(Clone, Copy, Default)]
+#[repr(C, align(64))]
+struct BlockState {
+    /// As in the forward pass.
+    transmittance: [f32; LANES],
+    /// Light that the splats still to come and the background send along the gradient.
+    remaining: [f32; LANES],
+    /// `dL/dimage`.
+    gradient: [[f32; LANES]; 3],
+}
+
+/// What one splat does to the 16 pixels of a block: `p` and `w` of the module's documentation.
+#[derive(Clone, Copy, Default)]
+#[repr(C, align(64))]
+struct Share {
+    p: [f32; LANES],
+    w: [f32; LANES],
+}
+
+#[inline(always)]
+fn backward_tile<const EXTRA: u8, S: Simd>(
+    simd: S,
+    task: &TileTask,
+    state: &mut TileState,
+    rows: &mut [GradientRow],
+) {
+    let mut live = begin(simd, task, state);
+    let mut group = [Splat::default(); GROUP];
+    for (entries, rows) in task.entries.chunks(GROUP).zip(rows.chunks_mut(GROUP)) {
+        if live == 0 {
+            rows.fill(GradientRow::default());
+            continue;
+        }
+        gather(task.inputs.splats, entries, task.origin, &mut group);
+        for ((splat, entry), row) in group.iter().zip(entries).zip(rows) {
+            let blocks = entry.blocks & live;
+            if blocks == 0 {
+                *row = GradientRow::default();
+                continue;
+            }
+            let extra = replay::<EXTRA, S>(simd, splat, blocks, state, &mut live);
+            accumulate(simd, blocks, state, extra, row);
+            shift_moments(&mut row.0, splat.mean.map(|mean| mean - TILE_CENTRE));
+        }
+    }
+}
+
+/// Loads the pixels; returns the blocks that lie in the image.
+#[inline(always)]
+fn begin<S: Simd>(simd: S, task: &TileTask, state: &mut TileState) -> u32 {
+    let mut live = 0;
+    each_block(
+        ALL_BLOCKS,
+        #[inline(always)]
+        |block| {
+            let transmittance = full_transmittance(simd, block, task.origin, task.size);
+            let image = load_block(simd, &task.inputs.image.planes, task, block);
+            let gradient = load_block(simd, task.inputs.gradient, task, block);
+            let remaining = image[0] * gradient[0] + image[1] * gradient[1] + image[2] * gradient[2];
+            let state = &mut state.blocks[block];
+            transmittance.store_slice(&mut state.transmittance);
+            remaining.store_slice(&mut state.remaining);
+            for channel in 0..3 {
+                gradient[channel].store_slice(&mut state.gradient[channel]);
+            }
+            live |= u32::from(transmittance.simd_gt(0.0).any_true()) << block;
+        },
+    );
+    live
+}
+
+/// Blends one splat once more and leaves its share of each block; returns the extra sums: `|∂L/∂u|`, `|∂L/∂v|`, pixels.
+#[inline(always)]
+fn replay<const EXTRA: u8, S: Simd>(
+    simd: S,
+    splat: &Splat,
+    blocks: u32,
+    state: &mut TileState,
+    live: &mut u32,
+) -> [f32; 3] {
+    let mut extra = [0.0; 3];
+    each_block(
+        blocks,
+        #[inline(always)]
+        |block| {
+            // 1. Alpha and weight, as in the forward pass.
+            let Alpha { offset, unclamped, alpha, hit } = alpha(simd, splat, block);
+            let (state, share) = (&mut state.blocks[block], &mut state.shares[block]);
+            let transmittance = V::from_slice(simd, &state.transmittance);
+            let absorbed = absorb(transmittance, alpha);
+            absorbed.transmittance.store_slice(&mut state.transmittance);
+            if absorbed.goes_on.all_false() {
+                finish(block, live);
+            }
+
+            // 2. dL/dα: what the splat adds itself, less what it takes from everything behind it. The clamp at 0.99 is
+            // ignored, as published (straight-through).
+            let gradient: [V<S>; 3] = array(
+                #[inline(always)]
+                |channel| V::from_slice(simd, &state.gradient[channel]),
+            );
+            let own = gradient[0] * splat.rgb[0] + gradient[1] * splat.rgb[1] + gradient[2] * splat.rgb[2];
+            let remaining = V::from_slice(simd, &state.remaining) - absorbed.weight * own;
+            remaining.store_slice(&mut state.remaining);
+            let alpha_gradient = transmittance * own - remaining / (V::splat(simd, 1.0) - alpha);
+            let blended = hit & absorbed.goes_on;
+            let p = keep(blended, unclamped * alpha_gradient);
+            p.store_slice(&mut share.p);
+            absorbed.weight.store_slice(&mut share.w);
+
+            // 3. Sums that only some trainers ask for.
+            if EXTRA == PIXELS {
+                extra[2] += blended.to_bitmask().count_ones() as f32;
+            }
+            if EXTRA == ABSOLUTE {
+                let absolute = absolute_gradient(splat, offset, p);
+                extra = [extra[0] + absolute[0], extra[1] + absolute[1], 0.0];
+            }
+        },
+    );
+    extra
+}
+
+/// Sums over the block of `|∂L/∂u|` and `|∂L/∂v|`: `∂L/∂mean = p · Σ'⁻¹ (pixel − mean)`.
+#[inline(always)]
+fn absolute_gradient<S: Simd>(splat: &Splat, [dx, dy]: [V<S>; 2], p: V<S>) -> [f32; 2] {
+    let [a, b, c] = splat.conic_log2.map(|v| v * -std::f32::consts::LN_2);
+    let [x, y] = [(p * (dx * (2.0 * a) + dy * b)).abs(), (p * (dx * b + dy * (2.0 * c))).abs()];
+    [x.iter().sum(), y.iter().sum()]
+}
+
+/// Coordinates of moments are taken from the tile's centre: small numbers, exact in f32.
+const TILE_CENTRE: f32 = (TILE - 1) as f32 / 2.0;
+
+/// Lanes of half a block: what the sums are made of, so that nine of them fit the registers of a 256-bit machine.
+const HALF: usize = LANES / 2;
+
+/// Sums the shares of a splat over its blocks into a row, with moments about the tile's centre.
+#[inline(always)]
+fn accumulate<S: Simd>(simd: S, blocks: u32, state: &TileState, extra: [f32; 3], row: &mut GradientRow) {
+    let zero = f32x8::splat(simd, 0.0);
+    let [mut one, mut x, mut y, mut xx, mut xy, mut yy] = [zero; 6];
+    let mut rgb = [zero; 3];
+    let centre = f32x8::splat(simd, TILE_CENTRE);
+    let half = |values: &[f32; LANES], half: usize| f32x8::from_slice(simd, &values[half * HALF..][..HALF]);
+    each_block(
+        blocks,
+        #[inline(always)]
+        |block| {
+            let (gradient, share) = (&state.blocks[block].gradient, &state.shares[block]);
+            let (columns, rows) = (&COLUMN_PX[block % BLOCKS_ACROSS], &ROW_PX[block / BLOCKS_ACROSS]);
+            // Both halves of a block have the same columns, so what only depends on them is summed before it is used.
+            let px = half(columns, 0) - centre;
+            let (upper_y, lower_y) = (half(rows, 0) - centre, half(rows, 1) - centre);
+            let (upper, lower) = (half(&share.p, 0), half(&share.p, 1));
+            let p = upper + lower;
+            let p_x = p * px;
+            let (upper_p_y, lower_p_y) = (upper * upper_y, lower * lower_y);
+            let p_y = upper_p_y + lower_p_y;
+            one += p;
+            x += p_x;
+            y += p_y;
+            xx = p_x.mul_add(px, xx);
+            xy = p_y.mul_add(px, xy);
+            yy = lower_p_y.mul_add(lower_y, upper_p_y.mul_add(upper_y, yy));
+            for part in 0..2 {
+                let w = half(&share.w, part);
+                for channel in 0..3 {
+                    rgb[channel] = w.mul_add(half(&gradient[channel], part), rgb[channel]);
+                }
+            }
+        },
+    );
+    let [absolute_x, absolute_y, pixels] = extra;
+    let sums = [
+        sum_lanes([one, x, y, xx]),
+        sum_lanes([xy, yy, zero, zero]) + f32x4::simd_from(simd, [0.0, 0.0, absolute_x, absolute_y]),
+        sum_lanes([rgb[0], rgb[1], rgb[2], zero]) + f32x4::simd_from(simd, [0.0, 0.0, 0.0, pixels]),
+        f32x4::splat(simd, 0.0),
+    ];
+    for (columns, sum) in row.0.as_chunks_mut::<4>().0.iter_mut().zip(sums) {
+        sum.store_slice(columns);
+    }
+}
+
+/// The sums of the lanes of four vectors.
+#[inline(always)]
+fn sum_lanes<S: Simd>(vectors: [f32x8<S>; 4]) -> f32x4<S> {
+    let [a, b, c, d] = array(
+        #[inline(always)]
+        |k| {
+            let (low, high) = vectors[k].split();
+            low + high
+        },
+    );
+    // Lanes a0+a2, b0+b2, a1+a3, b1+b3; the same of c and d; then both.
+    let ab = a.zip_low(b) + a.zip_high(b);
+    let cd = c.zip_low(d) + c.zip_high(d);
+    let (ab, cd) = (ab.bitcast::<f64x2<S>>(), cd.bitcast::<f64x2<S>>());
+    ab.zip_low(cd).bitcast::<f32x4<S>>() + ab.zip_high(cd).bitcast::<f32x4<S>>()
+}
+
+/// From moments about the tile's centre to moments about a mean at `[ox, oy]` from it.
+#[inline(always)]
+fn shift_moments(row: &mut [f32; LANES], [ox, oy]: [f32; 2]) {
+    let [one, x, y, xx, xy, yy] = [row[0], row[1], row[2], row[3], row[4], row[5]];
+    row[column::X] = x - ox * one;
+    row[column::Y] = y - oy * one;
+    row[column::XX] = xx - 2.0 * ox * x + ox * ox * one;
+    row[column::XY] = xy - ox * y - oy * x + ox * oy * one;
+    row[column::YY] = yy - 2.0 * oy * y + oy * oy * one;
+}
+
+/// The three channels of a block of a planar image; 0 outside of it.
+#[inline(always)]
+fn load_block<S: Simd>(simd: S, planes: &[f32], task: &TileTask, block: usize) -> [V<S>; 3] {
+    let [width, height] = task.size.map(|v| v as usize);
+    let left = width.min(task.origin[0] + block % BLOCKS_ACROSS * BLOCK);
+    let top = task.origin[1] + block / BLOCKS_ACROSS * BLOCK;
+    let columns = BLOCK.min(width - left);
+    array(
+        #[inline(always)]
+        |channel| {
+            let mut values = [0.0; LANES];
+            for row in 0..BLOCK.min(height.saturating_sub(top)) {
+                let start = channel * width * height + (top + row) * width + left;
+                let pixels = &planes[start..start + columns];
+                let lanes = &mut values[row * BLOCK..][..BLOCK];
+                // A copy of known length is one instruction, not a call.
+                match pixels.first_chunk::<BLOCK>() {
+                    Some(pixels) => lanes.copy_from_slice(pixels),
+                    None => lanes[..columns].copy_from_slice(pixels),
+                }
+            }
+            V::simd_from(simd, values)
+        },
+    )
+}
