@@ -84,6 +84,31 @@ fn check_positions(positions: &[[f32; 3]]) -> Result<(), InitialiseError> {
     }
 }
 
+/// The points along a Morton curve through their bounding box (ties in the order given).
+///
+/// Rows of the cloud follow it from then on, so that Gaussians that share tiles share cache lines, blocks of rows are
+/// blocks of space, and a crossover at a few points of the genome exchanges whole regions.
+pub fn in_spatial_order(points: &[ColouredPoint]) -> Vec<ColouredPoint> {
+    let mut ordered = points.to_vec();
+    let finite = |axis: usize| points.iter().map(move |point| point.0[axis]).filter(|v| v.is_finite());
+    let low: [f32; 3] = std::array::from_fn(|axis| finite(axis).fold(f32::INFINITY, f32::min));
+    let high: [f32; 3] = std::array::from_fn(|axis| finite(axis).fold(f32::NEG_INFINITY, f32::max));
+    let widest = (0..3).map(|axis| high[axis] - low[axis]).fold(f32::MIN_POSITIVE, f32::max);
+    let cell = |value: f32, axis: usize| ((value - low[axis]) / widest * MORTON_CELLS) as u64;
+    ordered.sort_by_cached_key(|(position, _)| {
+        (0..3).map(|axis| spread_bits(cell(position[axis], axis)) << axis).fold(0, |code, bits| code | bits)
+    });
+    ordered
+}
+
+/// Cells of the curve along the widest axis.
+const MORTON_CELLS: f32 = ((1 << 21) - 1) as f32;
+
+/// Moves bit `k` to bit `3k`, for 21 bits.
+fn spread_bits(value: u64) -> u64 {
+    (0..21).fold(0, |spread, bit| spread | (value >> bit & 1) << (3 * bit))
+}
+
 /// Size of the scene in world units: 1.1 times the largest distance of a training camera from their mean centre.
 ///
 /// The position rate and every size threshold of density control are multiples of it.
@@ -138,6 +163,18 @@ mod tests {
     fn duplicate_points_get_the_smallest_size_instead_of_minus_infinity() {
         let cloud = cloud_from_points(&[([1.0; 3], [0; 3]); 5]).unwrap();
         assert!((cloud.log_scales[0][0] - 1e-7f32.sqrt().ln()).abs() < 1e-5);
+    }
+
+    #[test]
+    fn spatial_order_visits_octants_one_after_another() {
+        let corner = |index: u32| std::array::from_fn(|axis| (index >> axis & 1) as f32);
+        let point = |index: u32| -> ColouredPoint { (corner(index), [index as u8; 3]) };
+        let ordered = in_spatial_order(&[6, 1, 7, 0, 3, 2, 5, 4].map(point));
+        assert_eq!(ordered, [0, 1, 2, 3, 4, 5, 6, 7].map(point));
+        // A point beside another one stays beside it, wherever it was listed.
+        let near = ([0.01, 0.0, 0.99], [9; 3]);
+        let ordered = in_spatial_order(&[point(4), point(7), point(0), near, point(1)]);
+        assert_eq!(ordered.iter().map(|p| p.1[0]).collect::<Vec<_>>(), [0, 1, 9, 4, 7]);
     }
 
     #[test]

@@ -12,7 +12,7 @@ use crate::config::{Background, Resolved, TrainConfig};
 use crate::densify::adaptive::Rules;
 use crate::filter_3d::filter_3d;
 use crate::fitness::Stage;
-use crate::initialise::{cloud_from_points, scene_extent};
+use crate::initialise::{cloud_from_points, in_spatial_order, scene_extent};
 use crate::observe::{Observer, StartLog, StepFindings};
 use crate::run::{Outcome, RunSummary, Seconds, Start, TrainError};
 use crate::schedule::{OptimiserStep, Phase, Schedule};
@@ -73,7 +73,7 @@ impl<'a, B: Backend> Trainer<'a, B> {
     /// Fills the device; returns where to go on.
     pub(crate) fn begin(&mut self, start: Start) -> Result<Cursor, TrainError> {
         let cursor = match start {
-            Start::Points(points) => self.upload_new(cloud_from_points(&points)?)?,
+            Start::Points(points) => self.upload_new(cloud_from_points(&in_spatial_order(&points))?)?,
             Start::Cloud(cloud) => self.upload_new(cloud)?,
             Start::Checkpoint(checkpoint) => self.restore(*checkpoint)?,
         };

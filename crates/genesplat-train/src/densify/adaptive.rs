@@ -75,19 +75,17 @@ fn refuse_beyond_cap(growth: &mut [Growth], statistics: &Statistics, cap: Option
     growing.len() - room
 }
 
+/// New rows lie beside the row that they come from: the cloud stays in the spatial order in which it was started, and
+/// what lies together on the screen stays together in memory. (The reference appends them at the end.)
 fn grow(growth: &[Growth], iteration: u32) -> RowEdit {
-    let rows_with = |wanted: Growth| {
-        growth.iter().enumerate().filter(move |&(_, found)| *found == wanted).map(|(row, _)| row as u32)
-    };
     let mut edit = RowEdit { iteration, ..RowEdit::default() };
-    for (row, found) in growth.iter().enumerate() {
-        if *found != Growth::Split {
-            edit.push(row as u32, Origin::Kept);
-        }
-    }
-    rows_with(Growth::Clone).for_each(|row| edit.push(row, Origin::Clone));
-    for child in 0..2 {
-        rows_with(Growth::Split).for_each(|row| edit.push(row, Origin::SplitChild { child }));
+    for (row, found) in (0..).zip(growth) {
+        let origins: &[Origin] = match found {
+            Growth::None => &[Origin::Kept],
+            Growth::Clone => &[Origin::Kept, Origin::Clone],
+            Growth::Split => &[Origin::SplitChild { child: 0 }, Origin::SplitChild { child: 1 }],
+        };
+        origins.iter().for_each(|&origin| edit.push(row, origin));
     }
     edit
 }
@@ -148,7 +146,7 @@ mod tests {
     }
 
     #[test]
-    fn rows_come_out_in_the_published_order() {
+    fn new_rows_lie_beside_the_row_that_they_come_from() {
         let (statistics, cloud) = scene(&[
             (3e-4, 0.5, 0.5),  // split
             (3e-4, 0.05, 0.5), // clone
@@ -160,15 +158,15 @@ mod tests {
         assert_eq!(
             rows(&plan),
             [
-                (1, KEPT),
-                (2, KEPT),
-                (4, KEPT),
-                (1, Origin::Clone),
-                (4, Origin::Clone),
                 (0, FIRST),
-                (3, FIRST),
                 (0, SECOND),
-                (3, SECOND)
+                (1, KEPT),
+                (1, Origin::Clone),
+                (2, KEPT),
+                (3, FIRST),
+                (3, SECOND),
+                (4, KEPT),
+                (4, Origin::Clone),
             ]
         );
         assert_eq!((plan.cloned, plan.split, plan.pruned, plan.refused), (2, 2, 0, 0));
@@ -202,7 +200,7 @@ mod tests {
         let plan = plan(&statistics, &cloud, &RULES, 3100);
         assert_eq!(rows(&plan), [(0, FIRST), (0, SECOND)]);
         let early = Rules { prune_size: None, ..RULES };
-        assert_eq!(super::plan(&statistics, &cloud, &early, 3000).edit.sources, [2, 0, 1, 0, 1]);
+        assert_eq!(super::plan(&statistics, &cloud, &early, 3000).edit.sources, [0, 0, 1, 1, 2]);
     }
 
     #[test]
@@ -219,7 +217,8 @@ mod tests {
         let capped = Rules { cap: Some(6), ..RULES };
         let plan = plan(&statistics, &cloud, &capped, 600);
         assert_eq!(plan.edit.sources.len(), 6);
-        assert_eq!(rows(&plan)[3..], [(2, Origin::Clone), (1, FIRST), (1, SECOND)]);
+        let grown = [(0, KEPT), (1, FIRST), (1, SECOND), (2, KEPT), (2, Origin::Clone), (3, KEPT)];
+        assert_eq!(rows(&plan), grown);
         assert_eq!((plan.cloned, plan.split, plan.refused), (1, 1, 2));
         let full = super::plan(&statistics, &cloud, &Rules { cap: Some(3), ..RULES }, 600);
         assert!(full.edit.is_identity(4), "a cloud above its cap does not shrink");

@@ -9,7 +9,7 @@ use std::sync::Arc;
 use anyhow::{Result, bail};
 use genesplat::core::gaussians::logit;
 use genesplat::core::{Camera, Gaussians, Photo, Rng, Stream, View};
-use genesplat::train::initialise::{ColouredPoint, cloud_from_points};
+use genesplat::train::initialise::{ColouredPoint, cloud_from_points, in_spatial_order};
 use glam::{DQuat, DVec3};
 
 use crate::args::BenchStepArgs;
@@ -50,7 +50,7 @@ impl Workload {
         if points.len() < 4 {
             bail!("a workload needs at least 4 points to sample from, but the scene has {}", points.len());
         }
-        Ok(Self { views, cloud: trained_looking(&resample(&points, count)?)? })
+        Ok(Self { views, cloud: trained_looking(&in_spatial_order(&resample(&points, count)?))? })
     }
 }
 
