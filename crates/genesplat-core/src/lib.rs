@@ -18,6 +18,7 @@ pub mod image;
 pub mod rng;
 pub mod spherical_harmonics;
 pub mod statistics;
+pub mod tensor;
 
 pub use backend::{
     Backend, BackendError, LearningRates, RenderSettings, ScreenFilter, TrainStep, Update, View,
@@ -29,3 +30,4 @@ pub use genes::{GENES, Gene, SparseDelta};
 pub use image::{Image, Photo};
 pub use rng::{Rng, Stream};
 pub use statistics::{DensitySignal, Statistics, StatisticsRequest};
+pub use tensor::{NamedTensors, Tensor};

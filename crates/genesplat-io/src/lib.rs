@@ -4,6 +4,7 @@
 //! - [`load_scene`] detects how a folder describes its photos ([`colmap`], or the `transforms.json` of nerfstudio, instant-ngp and Blender), reads cameras
 //!   and points, decodes the photos in parallel ([`photos`]) and splits them into training and test views.
 //! - [`ply`] reads and writes clouds in the layout that every splat viewer opens.
+//! - [`weights`] reads the tensors of networks, which LPIPS needs.
 //! - [`gallery`] makes the bundled scene, so that everything can be tried without a download.
 //!
 //! Every file is hostile until read: a count is believed only as far as the bytes behind it reach, and whatever is
@@ -21,6 +22,7 @@ pub mod ply;
 mod scene;
 mod start_points;
 mod transforms;
+pub mod weights;
 
 pub use error::SceneError;
 pub use gallery::{Gallery, GalleryOptions};

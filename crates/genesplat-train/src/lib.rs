@@ -12,7 +12,7 @@
 //! | [`densify`] | where Gaussians are added and removed |
 //! | [`filter_3d`] | Mip-Splatting's limit on detail |
 //! | [`fitness`], [`views`] | the evolution stage and the photos it is judged on |
-//! | [`evaluate`] | PSNR and SSIM |
+//! | [`evaluate`] | PSNR, SSIM and LPIPS |
 //! | [`observe`], [`checkpoint`] | what is reported, what is saved |
 
 pub mod checkpoint;

@@ -27,14 +27,20 @@ pub enum Command {
     Demo(DemoArgs),
     /// Train a scene: photos with known cameras in, a splat and its figures out
     Train(TrainArgs),
-    /// Measure how well a splat reproduces photos: PSNR and SSIM
+    /// Measure how well a splat reproduces photos: PSNR, SSIM and LPIPS
     Evaluate(EvaluateArgs),
     /// Render a splat from the viewpoints of photos, as PNG
     Render(RenderArgs),
     /// Evolve a finished splat, from any trainer, without further training
     Refine(RefineArgs),
-    /// Measure how alike two pictures are: PSNR and SSIM
+    /// Measure how alike two pictures are: PSNR, SSIM and LPIPS
     Compare(CompareArgs),
+    /// Set up LPIPS, a measure that needs the weights of a network
+    Lpips {
+        /// What to do
+        #[command(subcommand)]
+        what: LpipsCommand,
+    },
     /// Measure how fast this machine trains
     Bench {
         /// What to measure
@@ -52,6 +58,33 @@ pub enum Bench {
     Step(BenchStepArgs),
 }
 
+/// What can be done about LPIPS.
+#[derive(Debug, Subcommand)]
+pub enum LpipsCommand {
+    /// Check files of weights and put them where LPIPS is looked for
+    Install(LpipsInstallArgs),
+}
+
+/// `genesplat lpips install`.
+#[derive(Debug, Args)]
+pub struct LpipsInstallArgs {
+    /// torchvision's VGG16 or AlexNet (.pth) and the heads of the Python package lpips (weights/v0.1/*.pth), or safetensors
+    /// with both
+    #[arg(value_name = "FILE", required = true)]
+    pub files: Vec<PathBuf>,
+}
+
+/// The learned measure LPIPS.
+#[derive(Clone, Debug, Default, Args)]
+pub struct LpipsArgs {
+    /// Weights of LPIPS: a file, or a folder of files [default: those that `genesplat lpips install` has put in place]
+    #[arg(long, value_name = "FILE|FOLDER", env = "GENESPLAT_LPIPS", hide_env_values = true)]
+    pub lpips_weights: Option<PathBuf>,
+    /// Leave LPIPS out, though its weights are there: it takes about 5 seconds of a core for a photo of 512x512
+    #[arg(long)]
+    pub no_lpips: bool,
+}
+
 /// `genesplat demo`.
 #[derive(Debug, Args)]
 pub struct DemoArgs {
@@ -64,6 +97,9 @@ pub struct DemoArgs {
     #[command(flatten)]
     #[allow(missing_docs, reason = "clap would show it as help")]
     pub machine: MachineArgs,
+    #[command(flatten)]
+    #[allow(missing_docs, reason = "clap would show it as help")]
+    pub lpips: LpipsArgs,
 }
 
 /// `genesplat evaluate`.
@@ -87,6 +123,9 @@ pub struct EvaluateArgs {
     #[command(flatten)]
     #[allow(missing_docs, reason = "clap would show it as help")]
     pub machine: MachineArgs,
+    #[command(flatten)]
+    #[allow(missing_docs, reason = "clap would show it as help")]
+    pub lpips: LpipsArgs,
 }
 
 /// `genesplat render`.
@@ -160,6 +199,9 @@ pub struct CompareArgs {
     /// Also write the figures to this file [default: none]
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
+    #[command(flatten)]
+    #[allow(missing_docs, reason = "clap would show it as help")]
+    pub lpips: LpipsArgs,
 }
 
 /// `genesplat bench step`.
@@ -257,6 +299,9 @@ pub struct TrainArgs {
     #[command(flatten)]
     #[allow(missing_docs, reason = "clap would show it as help")]
     pub evolution: EvolutionArgs,
+    #[command(flatten)]
+    #[allow(missing_docs, reason = "clap would show it as help")]
+    pub lpips: LpipsArgs,
     /// TOML file with settings (the config.toml of any run is one); flags given here win over it [default: none]
     #[arg(long, value_name = "FILE.toml")]
     pub config: Option<PathBuf>,

@@ -8,6 +8,7 @@
 //! | [`training`] | one run from a loaded scene to a finished run folder |
 //! | [`run_folder`], [`metrics`] | what a run leaves behind |
 //! | [`reporter`], [`progress`] | what a run tells while it is under way |
+//! | [`lpips`] | where the weights of LPIPS come from |
 //! | [`device`], [`interrupt`], [`memory`], [`scene`], [`output`] | the machine, Ctrl-C, and other plumbing |
 //!
 //! Exit status: 0 done, 1 failed with one sentence on stderr, 2 wrong usage.
@@ -16,6 +17,7 @@ mod args;
 mod commands;
 mod device;
 mod interrupt;
+mod lpips;
 mod memory;
 mod metrics;
 mod output;

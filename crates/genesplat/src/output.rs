@@ -18,10 +18,11 @@ pub fn print(text: &str) -> Result<()> {
 
 /// The means of an evaluation, as a line that starts with `name`.
 pub fn scores_line(name: &str, scores: &Evaluation) -> String {
-    let Evaluation { psnr, ssim, views, .. } = scores;
+    let Evaluation { psnr, ssim, lpips, views } = scores;
+    let lpips = lpips.map_or(String::new(), |lpips| format!("  LPIPS {lpips:.4}"));
     match views.len() {
         0 => format!("{name:<6} no photos"),
-        photos => format!("{name:<6} PSNR {psnr:.2} dB  SSIM {ssim:.4}  ({photos} photos)"),
+        photos => format!("{name:<6} PSNR {psnr:.2} dB  SSIM {ssim:.4}{lpips}  ({photos} photos)"),
     }
 }
 

@@ -9,7 +9,7 @@ use genesplat::core::{RenderSettings, View};
 use genesplat::io::Scene;
 use genesplat::io::photos::write_png;
 use genesplat::kernels::cpu::CpuBackend;
-use genesplat::train::evaluate::{Evaluation, evaluate};
+use genesplat::train::evaluate::{Evaluation, Lpips, Perceptual, evaluate};
 use genesplat::train::{Outcome, RunSummary, Start, train};
 
 use crate::metrics::{Metrics, PhaseSeconds};
@@ -17,7 +17,7 @@ use crate::progress::Bar;
 use crate::reporter::Reporter;
 use crate::run_folder::{Log, RunFolder};
 use crate::settings::Settings;
-use crate::{device, memory, scene};
+use crate::{device, lpips, memory, scene};
 
 /// A run about to start.
 pub struct Run<'a> {
@@ -29,6 +29,8 @@ pub struct Run<'a> {
     pub folder: &'a RunFolder,
     /// Go on from the folder's checkpoint.
     pub resume: bool,
+    /// The learned measure, if it can be taken.
+    pub lpips: Option<&'a Lpips>,
     /// Set by Ctrl-C.
     pub stop: &'a AtomicBool,
     /// Seconds that loading took, and the moment at which it began.
@@ -91,8 +93,9 @@ impl Run<'_> {
     ) -> Result<Metrics> {
         let clock = Instant::now();
         let (config, settings) = (self.settings.train.config(), self.settings.train.render_settings());
-        let test = evaluate_into(backend, &self.scene.test, &settings, Some(&self.folder.test_path()))?;
-        let train = evaluate_into(backend, &self.scene.train, &settings, None)?;
+        let test =
+            evaluate_into(backend, &self.scene.test, &settings, self.lpips, Some(&self.folder.test_path()))?;
+        let train = evaluate_into(backend, &self.scene.train, &settings, self.lpips, None)?;
         let (load, began) = self.load;
         Ok(Metrics {
             schema: 1,
@@ -122,12 +125,15 @@ pub fn evaluate_into(
     backend: &mut CpuBackend,
     views: &[View],
     settings: &RenderSettings,
+    lpips: Option<&Lpips>,
     folder: Option<&Path>,
 ) -> Result<Evaluation> {
     let mut names = (1..).zip(scene::picture_names(views));
     let mut bar = Bar::new("scores", views.len() as u64);
     let mut written = Ok(());
-    let evaluation = evaluate(backend, views, settings, None, |_, picture| {
+    let distance = lpips.map(lpips::published);
+    let perceptual = distance.as_ref().map(|distance| distance as Perceptual<'_>);
+    let evaluation = evaluate(backend, views, settings, perceptual, |_, picture| {
         let Some((done, name)) = names.next() else { return };
         bar.set(done, String::new);
         if let (Some(folder), Ok(())) = (folder, &written) {

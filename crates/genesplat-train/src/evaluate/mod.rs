@@ -1,12 +1,14 @@
-//! How good a reconstruction is on photos: PSNR and SSIM by view, and their means.
+//! How good a reconstruction is on photos: PSNR, SSIM and LPIPS by view, and their means.
 //!
 //! The convention of the published numbers: render and photo are both 8-bit, a metric is taken for each image over all
 //! pixels and channels, and the scene's value is the mean over its images.
 
+pub mod lpips;
 pub mod psnr;
 pub mod report;
 pub mod ssim;
 
+pub use lpips::Lpips;
 pub use psnr::psnr;
 pub use report::{Evaluation, Perceptual, ViewScore, compare, evaluate};
 pub use ssim::ssim;

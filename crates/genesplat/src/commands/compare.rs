@@ -1,17 +1,75 @@
 //! `genesplat compare`: how alike two pictures are.
 
+use std::collections::BTreeMap;
+
 use anyhow::{Result, anyhow};
+use genesplat::core::Photo;
 use genesplat::io::photos::read_photo;
-use genesplat::train::evaluate::compare;
+use genesplat::train::evaluate::lpips::{InputRange, LpipsError, Net};
+use genesplat::train::evaluate::{Lpips, ViewScore, compare};
+use serde::Serialize;
 
 use crate::args::CompareArgs;
-use crate::{output, run_folder};
+use crate::{lpips, output, run_folder};
+
+/// LPIPS with both conventions of what the network is fed.
+#[derive(Clone, Copy, Serialize)]
+struct Conventions {
+    /// As published tables of this field have it.
+    zero_to_one: f64,
+    /// As the authors of LPIPS meant it.
+    minus_one_to_one: f64,
+}
+
+/// What `--json` writes.
+#[derive(Serialize)]
+struct Report {
+    /// Its `lpips` is VGG16's with inputs from 0 to 1.
+    #[serde(flatten)]
+    score: ViewScore,
+    /// By network; `null` where its weights are not there, or the pictures are too small for it.
+    lpips_by_network: BTreeMap<&'static str, Option<Conventions>>,
+}
 
 /// Measures, and prints.
 pub fn run(args: &CompareArgs) -> Result<()> {
+    let metrics = lpips::open_all(&args.lpips)?;
     let (first, second) = (read_photo(&args.first)?, read_photo(&args.second)?);
     let name = args.first.file_name().unwrap_or_default().to_string_lossy();
-    let score = compare(&name, &first, &second, None).map_err(|mismatch| anyhow!("{mismatch}"))?;
+    let mut score = compare(&name, &first, &second, None).map_err(|mismatch| anyhow!("{mismatch}"))?;
     output::print(&format!("PSNR {:.4} dB  SSIM {:.6}", score.psnr, score.ssim))?;
-    args.json.as_ref().map_or(Ok(()), |path| run_folder::write_json(path, &score))
+    let mut lpips_by_network = BTreeMap::new();
+    for net in Net::ALL {
+        let metric = metrics.iter().find(|metric| metric.net() == net);
+        if metric.is_none() && !args.lpips.no_lpips {
+            lpips::notify_absent(net);
+        }
+        let distances = metric.map_or(Ok(None), |metric| measure(metric, &first, &second))?;
+        if let Some(Conventions { zero_to_one, minus_one_to_one }) = distances {
+            output::print(&format!(
+                "LPIPS {:<8} {zero_to_one:.6} (inputs from 0 to 1, as published tables)  {minus_one_to_one:.6} (from -1 to 1, as its authors)",
+                net.to_string()
+            ))?;
+        }
+        lpips_by_network.insert(net.name(), distances);
+    }
+    score.lpips = lpips_by_network[Net::Vgg16.name()].map(|distances| distances.zero_to_one);
+    let report = Report { score, lpips_by_network };
+    args.json.as_ref().map_or(Ok(()), |path| run_folder::write_json(path, &report))
+}
+
+/// Both conventions; `None`, with a notice, for pictures that are too small.
+fn measure(metric: &Lpips, first: &Photo, second: &Photo) -> Result<Option<Conventions>> {
+    let distance = |range| metric.distance(first, second, range);
+    match distance(InputRange::ZeroToOne) {
+        Ok(zero_to_one) => {
+            let minus_one_to_one = distance(InputRange::MinusOneToOne)?;
+            Ok(Some(Conventions { zero_to_one, minus_one_to_one }))
+        }
+        Err(error @ LpipsError::TooSmall { .. }) => {
+            eprintln!("notice: {error}");
+            Ok(None)
+        }
+        Err(error) => Err(error.into()),
+    }
 }

@@ -11,6 +11,7 @@ use anyhow::Result;
 use genesplat::core::Photo;
 use genesplat::io::photos::{read_photo, write_png};
 use genesplat::io::{GalleryOptions, PhotoSize, Scene, gallery};
+use genesplat::train::evaluate::Lpips;
 use genesplat::train::{EvolutionMode, TrainConfig};
 
 use crate::args::DemoArgs;
@@ -18,7 +19,7 @@ use crate::metrics::Metrics;
 use crate::run_folder::RunFolder;
 use crate::settings::{Dataset, Settings};
 use crate::training::Run;
-use crate::{device, interrupt, output, scene};
+use crate::{device, interrupt, lpips, output, scene};
 
 /// The published schedule in this share of its steps.
 const STEPS_SCALE: f64 = 0.1;
@@ -40,13 +41,14 @@ pub fn run(args: &DemoArgs) -> Result<()> {
     let with = Half::plan(args, "with", EvolutionMode::Paper)?;
     device::use_threads(args.machine.threads)?;
     let stop = interrupt::stop_flag()?;
+    let lpips = lpips::open(&args.lpips)?;
     let scene = build_scene(&gallery_in(&args.out), args.seed)?;
     args.machine.device.unwrap_or_default().announce();
     let load = began.elapsed().as_secs_f64();
     let mut results = Vec::new();
     for half in [&without, &with] {
         eprintln!("\ntraining {} evolution", half.name);
-        let Some(metrics) = half.train(&scene, load, &stop)? else {
+        let Some(metrics) = half.train(&scene, lpips.as_ref(), load, &stop)? else {
             return output::print("stopped; the demo cannot go on from here, so run it again");
         };
         results.push(metrics);
@@ -103,9 +105,15 @@ impl Half {
     }
 
     /// `None` for a run that was stopped.
-    fn train(&self, scene: &Scene, load: f64, stop: &AtomicBool) -> Result<Option<Metrics>> {
+    fn train(
+        &self,
+        scene: &Scene,
+        lpips: Option<&Lpips>,
+        load: f64,
+        stop: &AtomicBool,
+    ) -> Result<Option<Metrics>> {
         let Self { settings, folder, .. } = self;
-        let run = Run { settings, scene, folder, resume: false, stop, load: (load, Instant::now()) };
+        let run = Run { settings, scene, folder, resume: false, lpips, stop, load: (load, Instant::now()) };
         let finished = run.execute()?;
         Ok((!finished.interrupted).then_some(finished.metrics))
     }

@@ -7,7 +7,7 @@ use serde::Serialize;
 
 use crate::args::{EvaluateArgs, Split};
 use crate::training::evaluate_into;
-use crate::{device, output, run_folder, scene, splat};
+use crate::{device, lpips, output, run_folder, scene, splat};
 
 /// What `--json` writes.
 #[derive(Serialize)]
@@ -22,6 +22,7 @@ struct Report {
 /// Renders every photo's viewpoint and measures.
 pub fn run(args: &EvaluateArgs) -> Result<()> {
     device::prepare(args.machine)?;
+    let lpips = lpips::open(&args.lpips)?;
     let splat = splat::open(&args.splat)?;
     let scene =
         scene::load(&args.data, args.size.size().unwrap_or(splat.size), splat.settings.background, 0)?;
@@ -35,7 +36,7 @@ pub fn run(args: &EvaluateArgs) -> Result<()> {
     let mut backend = device::open(0);
     let gaussians = splat.cloud.len();
     backend.upload(splat.cloud, None)?;
-    let scores = evaluate_into(&mut backend, views, &splat.settings, None)?;
+    let scores = evaluate_into(&mut backend, views, &splat.settings, lpips.as_ref(), None)?;
     output::print(&output::scores_line(name, &scores))?;
     let report = Report { dataset: scene.name, split: args.split, gaussians, scores };
     args.json.as_ref().map_or(Ok(()), |path| run_folder::write_json(path, &report))

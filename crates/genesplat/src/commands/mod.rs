@@ -5,13 +5,14 @@ mod compare;
 mod demo;
 mod devices;
 mod evaluate;
+mod lpips_install;
 mod refine;
 mod render;
 mod train;
 
 use anyhow::Result;
 
-use crate::args::{Arguments, Bench, Command};
+use crate::args::{Arguments, Bench, Command, LpipsCommand};
 
 /// Does what was asked for.
 pub fn run(arguments: Arguments) -> Result<()> {
@@ -22,6 +23,7 @@ pub fn run(arguments: Arguments) -> Result<()> {
         Command::Render(args) => render::run(&args),
         Command::Refine(args) => refine::run(&args),
         Command::Compare(args) => compare::run(&args),
+        Command::Lpips { what: LpipsCommand::Install(args) } => lpips_install::run(&args),
         Command::Bench { what: Bench::Step(args) } => bench_step::run(&args),
         Command::Devices => devices::run(),
     }

@@ -67,7 +67,7 @@ fn print_scores(
     settings: &RenderSettings,
 ) -> Result<()> {
     for (name, views) in [("test", &scene.test), ("train", &scene.train)] {
-        let scores = evaluate_into(backend, views, settings, None)?;
+        let scores = evaluate_into(backend, views, settings, None, None)?;
         output::print(&format!("{when:<6} {}", output::scores_line(name, &scores)))?;
     }
     Ok(())

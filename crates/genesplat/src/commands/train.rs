@@ -8,7 +8,7 @@ use crate::args::TrainArgs;
 use crate::run_folder::RunFolder;
 use crate::settings::Settings;
 use crate::training::{Finished, Run};
-use crate::{device, interrupt, output, scene};
+use crate::{device, interrupt, lpips, output, scene};
 
 /// Trains. The folder is proved writable before anything slow begins.
 pub fn run(args: &TrainArgs) -> Result<()> {
@@ -18,13 +18,22 @@ pub fn run(args: &TrainArgs) -> Result<()> {
     let folder = folder(&args.out, &settings.to_toml())?;
     device::use_threads(settings.threads)?;
     let stop = interrupt::stop_flag()?;
+    // Now, since weights that cannot be read should not stop a run at its end.
+    let lpips = lpips::open(&args.lpips)?;
     let config = settings.train.config();
     let scene =
         scene::load(&args.dataset, settings.dataset.size(), config.background.fixed_colour(), config.seed)?;
     args.machine.device.unwrap_or_default().announce();
     let load = (began.elapsed().as_secs_f64(), began);
-    let run =
-        Run { settings: &settings, scene: &scene, folder: &folder, resume: args.resume, stop: &stop, load };
+    let run = Run {
+        settings: &settings,
+        scene: &scene,
+        folder: &folder,
+        resume: args.resume,
+        lpips: lpips.as_ref(),
+        stop: &stop,
+        load,
+    };
     report(&run.execute()?, &folder)
 }
 

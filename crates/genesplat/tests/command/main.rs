@@ -2,6 +2,7 @@
 
 mod bad_input;
 mod determinism;
+mod lpips;
 mod peer;
 mod resume;
 mod run_folder;

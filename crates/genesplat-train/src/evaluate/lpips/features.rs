@@ -1,0 +1,154 @@
+//! What a network does to a picture: convolve, rectify, pool.
+//!
+//! Features are `[H, W, C]`, so that a kernel row meets one run of memory, and a strip of output rows is one chunk of it.
+//! A convolution is a matrix product: the neighbourhoods of a strip's pixels are copied side by side (`im2col`) and
+//! multiplied with the kernel. Strips have a fixed number of pixels and run in parallel: what is copied stays below about
+//! 10 MB a thread, and results do not depend on the number of threads.
+
+use genesplat_core::{NamedTensors, Photo};
+use ndarray::linalg::general_mat_mul;
+use ndarray::{Array2, ArrayView2, ArrayViewMut2};
+use rayon::prelude::*;
+
+use super::InputRange;
+use super::network::{POOL_STRIDE, Shape, places};
+
+/// Mean of the training pictures' colours and their spread, as the authors of LPIPS scale `[-1, 1]`.
+const SHIFT: [f32; 3] = [-0.030, -0.088, -0.188];
+const SCALE: [f32; 3] = [0.458, 0.448, 0.450];
+
+/// Least pixels of a strip (it has whole rows): enough to be worth reading a kernel of 9 MB for.
+const STRIP_PIXELS: usize = 256;
+
+/// Features of a picture, `[H, W, C]`.
+#[derive(Clone, Debug)]
+pub(super) struct Features {
+    pub width: usize,
+    pub height: usize,
+    pub channels: usize,
+    pub values: Vec<f32>,
+}
+
+impl Features {
+    /// The picture as a network's input.
+    pub fn of_photo(photo: &Photo, range: InputRange) -> Self {
+        let level = |value: u8| match range {
+            InputRange::ZeroToOne => f32::from(value) / 255.0,
+            InputRange::MinusOneToOne => f32::from(value) / 127.5 - 1.0,
+        };
+        // Three channels and as many shifts: the colours of a pixel follow each other.
+        let scaled = |(at, &value): (usize, &u8)| (level(value) - SHIFT[at % 3]) / SCALE[at % 3];
+        Self {
+            width: photo.width as usize,
+            height: photo.height as usize,
+            channels: 3,
+            values: photo.rgb.iter().enumerate().map(scaled).collect(),
+        }
+    }
+
+    /// The largest value of each window, channel by channel.
+    ///
+    /// # Panics
+    /// When the window does not fit.
+    pub fn max_pool(&self, window: usize) -> Self {
+        let side = |side| places(side, window, POOL_STRIDE, 0).expect("the window fits");
+        let (width, height, channels) = (side(self.width), side(self.height), self.channels);
+        let mut values = vec![f32::NEG_INFINITY; width * height * channels];
+        values.par_chunks_mut(width * channels).enumerate().for_each(|(y, row)| {
+            for (x, pixel) in row.chunks_exact_mut(channels).enumerate() {
+                for source_y in POOL_STRIDE * y..POOL_STRIDE * y + window {
+                    let first = channels * (source_y * self.width + POOL_STRIDE * x);
+                    for source in self.values[first..first + channels * window].chunks_exact(channels) {
+                        pixel.iter_mut().zip(source).for_each(|(most, &value)| *most = most.max(value));
+                    }
+                }
+            }
+        });
+        Self { width, height, channels, values }
+    }
+}
+
+/// A convolution with its rectifier.
+#[derive(Debug)]
+pub(super) struct Convolution {
+    shape: Shape,
+    /// `[kernel row, kernel column, input; output]`: the order of a copied neighbourhood.
+    kernel: Array2<f32>,
+    bias: Vec<f32>,
+}
+
+impl Convolution {
+    /// Takes its kernel and bias, whose shapes were checked, from `tensors`.
+    pub fn new(shape: Shape, tensors: &NamedTensors) -> Self {
+        let Shape { inputs, outputs, kernel: side, .. } = shape;
+        let weight = &tensors[&shape.weight()].values;
+        // From [output, input, row, column].
+        let value = |(at, output): (usize, usize)| {
+            let (place, input) = (at / inputs, at % inputs);
+            weight[(output * inputs + input) * side * side + place]
+        };
+        let kernel = Array2::from_shape_fn((side * side * inputs, outputs), value);
+        Self { shape, kernel, bias: tensors[&shape.bias()].values.clone() }
+    }
+
+    /// `max(0, kernel * input + bias)`.
+    ///
+    /// # Panics
+    /// When the kernel does not fit, or the channels differ.
+    pub fn apply(&self, input: &Features) -> Features {
+        let Shape { inputs, outputs, .. } = self.shape;
+        assert_eq!(input.channels, inputs, "layers follow each other");
+        let side = |side| self.shape.output_side(side).expect("the kernel fits");
+        let (width, height) = (side(input.width), side(input.height));
+        let rows = STRIP_PIXELS.div_ceil(width);
+        let mut values = vec![0.0; width * height * outputs];
+        values.par_chunks_mut(rows * width * outputs).enumerate().for_each_init(
+            Vec::new,
+            |columns, (strip, out)| {
+                self.neighbourhoods(input, strip * rows, width, out.len() / (width * outputs), columns);
+                self.multiply(columns, out);
+            },
+        );
+        Features { width, height, channels: outputs, values }
+    }
+
+    /// Copies what `rows` output rows from `first` on see: `[pixel; kernel row, kernel column, input]`, zero outside.
+    fn neighbourhoods(
+        &self,
+        input: &Features,
+        first: usize,
+        width: usize,
+        rows: usize,
+        columns: &mut Vec<f32>,
+    ) {
+        let Shape { inputs, kernel: side, stride, padding, .. } = self.shape;
+        columns.clear();
+        columns.resize(rows * width * side * side * inputs, 0.0);
+        for (place, run) in columns.chunks_exact_mut(side * inputs).enumerate() {
+            let (pixel, kernel_row) = (place / side, place % side);
+            // Below zero it wraps to a huge number, which is as much outside as one beyond the last row.
+            let y = ((first + pixel / width) * stride + kernel_row).wrapping_sub(padding);
+            if y >= input.height {
+                continue;
+            }
+            // The columns of the padded picture that this run covers, and the part of them that is picture.
+            let left = (pixel % width) * stride;
+            let (from, to) = (left.max(padding), (left + side).min(input.width + padding));
+            if from < to {
+                let at = (y * input.width + from - padding) * inputs;
+                let length = (to - from) * inputs;
+                run[(from - left) * inputs..][..length].copy_from_slice(&input.values[at..at + length]);
+            }
+        }
+    }
+
+    fn multiply(&self, columns: &[f32], out: &mut [f32]) {
+        let (taps, outputs) = self.kernel.dim();
+        let pixels = columns.len() / taps;
+        out.chunks_exact_mut(outputs).for_each(|pixel| pixel.copy_from_slice(&self.bias));
+        let columns = ArrayView2::from_shape((pixels, taps), columns).expect("whole neighbourhoods");
+        let mut product = ArrayViewMut2::from_shape((pixels, outputs), out).expect("whole pixels");
+        general_mat_mul(1.0, &columns, &self.kernel, 1.0, &mut product);
+        product.mapv_inplace(|value| value.max(0.0));
+    }
+}

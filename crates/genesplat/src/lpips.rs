@@ -1,0 +1,121 @@
+//! Where the weights of LPIPS come from: a flag, an environment variable, or the user's cache folder.
+//!
+//! Weights are pooled: a file may hold the convolutions of a network, the heads of LPIPS, or both, and which network it
+//! belongs to is told by names and shapes. Without weights the measure is left out, and one sentence says how to get it.
+
+use std::collections::BTreeMap;
+use std::env;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Result, anyhow, bail};
+use genesplat::core::{NamedTensors, Photo};
+use genesplat::io::weights::read_weights;
+use genesplat::train::evaluate::Lpips;
+use genesplat::train::evaluate::lpips::{InputRange, Net, belongs_to};
+
+use crate::args::LpipsArgs;
+
+/// The measure of published tables, VGG16; `None`, with a notice, where there are no weights for it.
+pub fn open(args: &LpipsArgs) -> Result<Option<Lpips>> {
+    let metric = open_all(args)?.into_iter().find(|metric| metric.net() == Net::Vgg16);
+    if metric.is_none() && !args.no_lpips {
+        notify_absent(Net::Vgg16);
+    }
+    Ok(metric)
+}
+
+/// The measure with every network whose weights are there.
+pub fn open_all(args: &LpipsArgs) -> Result<Vec<Lpips>> {
+    if args.no_lpips {
+        return Ok(Vec::new());
+    }
+    let source = match &args.lpips_weights {
+        Some(path) if !path.exists() => bail!(
+            "there are no LPIPS weights at {}, where --lpips-weights or GENESPLAT_LPIPS says; correct that, or give --no-lpips",
+            path.display()
+        ),
+        Some(path) => path.clone(),
+        None => match cache_folder() {
+            Some(folder) if folder.is_dir() => folder,
+            _ => return Ok(Vec::new()),
+        },
+    };
+    let pool = pool(&weight_files(&source)?)?;
+    let metrics: Vec<Lpips> = pool
+        .iter()
+        .map(|(&net, tensors)| Lpips::new(net, tensors))
+        .collect::<Result<_, _>>()
+        .map_err(|error| anyhow!("{}: {error}; install the weights again", source.display()))?;
+    if metrics.is_empty() && args.lpips_weights.is_some() {
+        bail!("{} holds no file of LPIPS weights; give a folder or a file that does", source.display());
+    }
+    Ok(metrics)
+}
+
+/// Says in one sentence that LPIPS with `net` is left out.
+pub fn notify_absent(net: Net) {
+    eprintln!(
+        "notice: LPIPS with {net} is not measured: its weights are not installed, and `genesplat lpips install --help` says \
+         which files to give it"
+    );
+}
+
+/// `(render, photo)` to LPIPS as published tables have it. Renders have the size of their photo, and photos are large
+/// enough for VGG16 (the loader sees to both).
+pub fn published(metric: &Lpips) -> impl Fn(&Photo, &Photo) -> f64 {
+    |render, photo| {
+        let distance = metric.distance(render, photo, InputRange::ZeroToOne);
+        distance.expect("loaded photos are not smaller than VGG16 needs")
+    }
+}
+
+/// The tensors of `files` by network; later files win.
+pub fn pool(files: &[PathBuf]) -> Result<BTreeMap<Net, NamedTensors>> {
+    let mut pool: BTreeMap<Net, NamedTensors> = BTreeMap::new();
+    for file in files {
+        let (net, tensors) = read(file)?;
+        pool.entry(net).or_default().extend(tensors);
+    }
+    Ok(pool)
+}
+
+/// What `file` holds for LPIPS, and for which network.
+pub fn read(file: &Path) -> Result<(Net, NamedTensors)> {
+    let wanted = |name: &str| Net::ALL.iter().any(|net| net.tensors().any(|(wanted, _)| wanted == name));
+    let tensors = read_weights(file, wanted)?;
+    let net = Net::ALL.into_iter().find(|&net| belongs_to(net, &tensors));
+    net.map(|net| (net, tensors)).ok_or_else(|| {
+        anyhow!(
+            "{} holds weights of neither VGG16 nor AlexNet as torchvision has them, nor heads of LPIPS 0.1 for them; \
+             give other files",
+            file.display()
+        )
+    })
+}
+
+/// `path` itself, or the files in it that could be weights, by name.
+fn weight_files(path: &Path) -> Result<Vec<PathBuf>> {
+    if !path.is_dir() {
+        return Ok(vec![path.to_owned()]);
+    }
+    let entries = fs::read_dir(path)
+        .map_err(|error| anyhow!("cannot look for LPIPS weights in {}: {error}", path.display()))?;
+    let mut files: Vec<PathBuf> = entries.flatten().map(|entry| entry.path()).collect();
+    files.retain(|file| file.extension().is_some_and(|end| end == "safetensors" || end == "pth"));
+    files.sort();
+    Ok(files)
+}
+
+/// Where installed weights are: below the user's folder for what can be had again. `None` where there is no such folder.
+pub fn cache_folder() -> Option<PathBuf> {
+    let folder = |variable: &str| env::var_os(variable).filter(|value| !value.is_empty()).map(PathBuf::from);
+    let user = if cfg!(windows) {
+        folder("LOCALAPPDATA")
+    } else {
+        let below_home = if cfg!(target_os = "macos") { "Library/Caches" } else { ".cache" };
+        folder("HOME").map(|home| home.join(below_home))
+    };
+    // Explicit everywhere, not only where freedesktop.org's rules hold.
+    Some(folder("XDG_CACHE_HOME").or(user)?.join("genesplat").join("lpips"))
+}
