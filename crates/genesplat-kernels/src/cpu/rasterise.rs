@@ -93,11 +93,15 @@ fn forward_tile<S: Simd>(
 /// Every block of a tile.
 pub const ALL_BLOCKS: u32 = (1 << BLOCKS) - 1;
 
-/// Copies the splats of some entries, with their means in px from the tile's corner.
+/// Copies the splats of some entries, with their means in px from the tile's corner. Two loops, since reads that miss the
+/// cache overlap only while few instructions lie between them.
 #[inline(always)]
 pub fn gather(splats: &Splats, entries: &[TileSplat], origin: [usize; 2], group: &mut [Splat; GROUP]) {
     for (copy, entry) in group.iter_mut().zip(entries) {
-        *copy = splats.get(entry.splat).seen_from(origin);
+        *copy = *splats.get(entry.splat);
+    }
+    for copy in &mut group[..entries.len()] {
+        *copy = copy.seen_from(origin);
     }
 }
 
