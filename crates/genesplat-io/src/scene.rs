@@ -54,6 +54,9 @@ pub enum HoldOut {
 pub struct LoadOptions {
     /// Size of the photos.
     pub size: PhotoSize,
+    /// Both sides of that size are divided by this and rounded as [`PhotoSize::Downscale`] does, in one reduction with it:
+    /// how a splat looks at a fraction of the size that it was trained at. 1 leaves the size alone.
+    pub divisor: u32,
     /// Which photos are held out.
     pub hold_out: HoldOut,
     /// Colour behind transparent photos.
@@ -68,11 +71,20 @@ impl Default for LoadOptions {
     fn default() -> Self {
         Self {
             size: PhotoSize::default(),
+            divisor: 1,
             hold_out: HoldOut::default(),
             background: [0; 3],
             image_folder: "images".into(),
             seed: 0,
         }
+    }
+}
+
+impl LoadOptions {
+    /// The loaded size of a photo of `width` x `height` px.
+    fn size_of(&self, width: u32, height: u32) -> (u32, u32) {
+        let (width, height) = self.size.of(width, height);
+        PhotoSize::Downscale(self.divisor).of(width, height)
     }
 }
 
@@ -183,7 +195,7 @@ fn load_view(
 ) -> Result<View, SceneError> {
     let photo = photos::read_photo_on(&frame.photo, options.background)?;
     let camera = camera_of_photo(frame, list, photo.width, photo.height)?;
-    let (width, height) = options.size.of(photo.width, photo.height);
+    let (width, height) = options.size_of(photo.width, photo.height);
     if width.min(height) < LEAST_SIDE_PX {
         return Err(SceneError::PhotoTooSmall {
             photo: frame.photo.clone(),

@@ -255,7 +255,8 @@ pub struct SizeArgs {
     /// Smaller trains faster and shows less detail
     #[arg(long, value_name = "PX", value_parser = clap::value_parser!(u32).range(16..), conflicts_with = "downscale")]
     pub max_side: Option<u32>,
-    /// Divide both sides of the photos by K (the field's benchmarks use 1, 2, 4 and 8)
+    /// Divide both sides of the photos by K (the field's benchmarks use 1, 2, 4 and 8). Where a finished RUN is given, it is
+    /// the size that it was trained at that is divided: how the splat looks from farther away
     #[arg(long, value_name = "K", value_parser = clap::value_parser!(u32).range(1..=64))]
     pub downscale: Option<u32>,
 }

@@ -11,8 +11,18 @@ use crate::progress::LoadBar;
 
 /// Loads a scene with a progress bar, and passes its notices on.
 pub fn load(path: &Path, size: PhotoSize, background: [f32; 3], seed: u64) -> Result<Scene> {
+    load_fraction(path, (size, 1), background, seed)
+}
+
+/// The same with both sides of the size divided by the second number.
+pub fn load_fraction(
+    path: &Path,
+    (size, divisor): (PhotoSize, u32),
+    background: [f32; 3],
+    seed: u64,
+) -> Result<Scene> {
     let background = background.map(|value| (255.0 * value).round() as u8);
-    let options = LoadOptions { size, background, seed, ..LoadOptions::default() };
+    let options = LoadOptions { size, divisor, background, seed, ..LoadOptions::default() };
     let scene = load_scene(path, &options, &LoadBar::default())?;
     scene.notices.iter().for_each(|notice| eprintln!("notice: {notice}"));
     Ok(scene)

@@ -4,10 +4,12 @@ use std::path::Path;
 
 use anyhow::Result;
 use genesplat::core::{Gaussians, RenderSettings, ScreenFilter};
-use genesplat::io::PhotoSize;
 use genesplat::io::ply::{check_finite, read_ply, read_ply_header};
+use genesplat::io::{PhotoSize, Scene};
 
+use crate::args::SizeArgs;
 use crate::run_folder::RunFolder;
+use crate::scene;
 use crate::settings::ConfigFile;
 
 /// A cloud and how it is meant to be shown.
@@ -16,8 +18,24 @@ pub struct Splat {
     pub cloud: Gaussians,
     /// How to render it.
     pub settings: RenderSettings,
-    /// The size of photos that it was trained on, where that is known.
-    pub size: PhotoSize,
+    /// The size of photos that it was trained on; `None` for a bare PLY, which does not say.
+    trained_size: Option<PhotoSize>,
+}
+
+impl Splat {
+    /// Loads the photos in `data` to compare it with, as large as it was trained on unless another size is asked for; `seed`
+    /// is that of random points, where the scene has none of its own.
+    pub fn load_scene(&self, data: &Path, asked: SizeArgs, seed: u64) -> Result<Scene> {
+        scene::load_fraction(data, self.size(asked), self.settings.background, seed)
+    }
+
+    /// Of a run's splat, a fraction is one of the size that it was trained at: that is what multi-scale evaluation means.
+    fn size(&self, asked: SizeArgs) -> (PhotoSize, u32) {
+        match (self.trained_size, asked) {
+            (Some(trained), SizeArgs { downscale: Some(divisor), .. }) => (trained, divisor),
+            _ => (asked.size().or(self.trained_size).unwrap_or_default(), 1),
+        }
+    }
 }
 
 /// Reads a PLY, or the splat of a run.
@@ -27,9 +45,9 @@ pub fn open(path: &Path) -> Result<Splat> {
 
 fn open_run(folder: &Path) -> Result<Splat> {
     let config = ConfigFile::of_run(folder)?;
-    let size = config.size();
+    let trained_size = config.size();
     let settings = config.train.resolve()?.render_settings();
-    Ok(Splat { cloud: read_cloud(&RunFolder::cloud_in(folder))?, settings, size })
+    Ok(Splat { cloud: read_cloud(&RunFolder::cloud_in(folder))?, settings, trained_size: Some(trained_size) })
 }
 
 fn open_ply(path: &Path) -> Result<Splat> {
@@ -38,7 +56,7 @@ fn open_ply(path: &Path) -> Result<Splat> {
     let declared = header.render_mode.map(ScreenFilter::from).unwrap_or_default();
     let filter = if header.has_filter_3d { ScreenFilter::Mip } else { declared };
     let settings = RenderSettings { sh_degree: header.sh_degree, filter, ..RenderSettings::default() };
-    Ok(Splat { cloud, settings, size: PhotoSize::default() })
+    Ok(Splat { cloud, settings, trained_size: None })
 }
 
 fn read_cloud(path: &Path) -> Result<Gaussians> {

@@ -159,6 +159,32 @@ fn bad_numbers_are_named_in_both_forms() {
     }
 }
 
+/// Half of the size of training, in one reduction from the photo as it is, and the camera with it.
+#[test]
+fn a_fraction_of_a_size_is_loaded_with_its_cameras() {
+    let (folder, model) = (tempfile::tempdir().unwrap(), tiny_model(9));
+    write_scene(folder.path(), Form::Binary, &model);
+    // Photos of twice the size that the model was calibrated at.
+    for (index, image) in model.images.iter().enumerate() {
+        let path = folder.path().join("images").join(&image.name);
+        photos::write_png(&path, &tiny_photo(index, SIZE.map(|side| 2 * side))).unwrap();
+    }
+    let load = |size, divisor| {
+        let options = LoadOptions { size, divisor, ..LoadOptions::default() };
+        load_scene(folder.path(), &options, &()).unwrap().test.remove(0)
+    };
+    let (whole, half) = (load(PhotoSize::Auto, 1), load(PhotoSize::MaxSide(70), 2));
+    // 80x60 to 70x53 (52.5 rounds up), and half of that is 35x26 (26.5 goes to the even neighbour).
+    assert_eq!((half.camera.width, half.camera.height), (35, 26));
+    assert_eq!(*half.photo, photos::resize(&whole.photo, 35, 26), "not resampled twice");
+    let scale = [35.0 / 40.0, 26.0 / 30.0];
+    for axis in 0..2 {
+        assert!((half.camera.focal_px[axis] - scale[axis] * [35.5, 36.25][axis]).abs() < 1e-12);
+        assert!((half.camera.principal_px[axis] - scale[axis] * [20.5, 14.75][axis]).abs() < 1e-12);
+    }
+    assert_eq!(half.camera.camera_from_world_translation, whole.camera.camera_from_world_translation);
+}
+
 #[test]
 fn a_distorted_camera_names_its_model_and_the_remedy() {
     let text = refusal(Form::Text, &tiny_model(2), |scene| {

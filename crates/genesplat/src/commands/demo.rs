@@ -53,7 +53,7 @@ pub fn run(args: &DemoArgs) -> Result<()> {
         };
         results.push(metrics);
     }
-    output::print(&table(&results[0], &results[1]))?;
+    output::print(&format!("\n{}", table(&results[0], &results[1])))?;
     let view = most_changed(&results[0], &results[1]);
     let picture = args.out.join("comparison.png");
     write_png(&picture, &side_by_side(&comparison(&scene, view, [&without, &with])?))?;
@@ -121,42 +121,46 @@ impl Half {
 
 /// What both runs have reached, and what evolution changed.
 fn table(without: &Metrics, with: &Metrics) -> String {
-    let figures = |metrics: &Metrics| {
-        let Metrics { test, train, seconds, gaussians, .. } = metrics;
-        [
-            test.psnr,
-            test.ssim,
-            train.psnr,
-            train.ssim,
-            seconds.gradient + seconds.evolution,
-            *gaussians as f64,
-        ]
+    let (without, with) = (columns(without), columns(with));
+    let value = |column: &Column| column.value.map(|value| format!("{value:.*}", column.digits));
+    let change = |(before, after): (&Column, &Column)| {
+        Some(format!("{:+.*}", before.digits, after.value? - before.value?))
     };
-    let (a, b) = (figures(without), figures(with));
-    let change: [f64; 6] = std::array::from_fn(|column| b[column] - a[column]);
-    let row = |name: &str, [psnr, ssim, train_psnr, train_ssim, seconds, gaussians]: [f64; 6]| {
-        format!(
-            "{name:<18} {psnr:>9.2} {ssim:>8.4} {train_psnr:>10.2} {train_ssim:>8.4} {seconds:>9.1} {gaussians:>10.0}\n"
-        )
-    };
-    let signed = |value: f64, digits: usize| format!("{value:+.digits$}");
-    let digits = [2, 4, 2, 4, 1, 0];
-    let changes: [String; 6] = std::array::from_fn(|column| signed(change[column], digits[column]));
-    let [psnr, ssim, train_psnr, train_ssim, seconds, gaussians] = changes;
-    format!(
-        "\n{:<18} {:>9} {:>8} {:>10} {:>8} {:>9} {:>10}\n{}{}{:<18} {psnr:>9} {ssim:>8} {train_psnr:>10} \
-         {train_ssim:>8} {seconds:>9} {gaussians:>10}\n",
-        "",
-        "test PSNR",
-        "SSIM",
-        "train PSNR",
-        "SSIM",
-        "seconds",
-        "Gaussians",
-        row("without evolution", a),
-        row("with evolution", b),
-        "difference",
-    )
+    [
+        row("", without.iter().map(|column| Some(column.heading.to_owned()))),
+        row("without evolution", without.iter().map(value)),
+        row("with evolution", with.iter().map(value)),
+        row("difference", without.iter().zip(&with).map(change)),
+    ]
+    .concat()
+}
+
+/// One figure of the table.
+struct Column {
+    heading: &'static str,
+    digits: usize,
+    /// `None` where it was not measured.
+    value: Option<f64>,
+}
+
+fn columns(metrics: &Metrics) -> [Column; 8] {
+    let Metrics { test, train, seconds, gaussians, .. } = metrics;
+    let column = |heading, digits, value| Column { heading, digits, value };
+    [
+        column("test PSNR", 2, Some(test.psnr)),
+        column("SSIM", 4, Some(test.ssim)),
+        column("LPIPS", 4, test.lpips),
+        column("train PSNR", 2, Some(train.psnr)),
+        column("SSIM", 4, Some(train.ssim)),
+        column("LPIPS", 4, train.lpips),
+        column("seconds", 1, Some(seconds.gradient + seconds.evolution)),
+        column("Gaussians", 0, Some(*gaussians as f64)),
+    ]
+}
+
+fn row(name: &str, cells: impl Iterator<Item = Option<String>>) -> String {
+    let cells: String = cells.map(|cell| format!(" {:>10}", cell.as_deref().unwrap_or("-"))).collect();
+    format!("{name:<18}{cells}\n")
 }
 
 /// Index of the test view whose PSNR differs most between the runs.
@@ -192,6 +196,12 @@ fn side_by_side(pictures: &[Photo]) -> Photo {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_was_not_measured_is_a_dash() {
+        let cells = [Some("30.25".to_owned()), None].into_iter();
+        assert_eq!(row("with evolution", cells), "with evolution          30.25          -\n");
+    }
 
     #[test]
     fn pictures_stand_side_by_side() {

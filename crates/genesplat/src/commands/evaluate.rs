@@ -7,13 +7,15 @@ use serde::Serialize;
 
 use crate::args::{EvaluateArgs, Split};
 use crate::training::evaluate_into;
-use crate::{device, lpips, output, run_folder, scene, splat};
+use crate::{device, lpips, output, run_folder, splat};
 
 /// What `--json` writes.
 #[derive(Serialize)]
 struct Report {
     dataset: String,
     split: Split,
+    /// Width and height of the first photo as it was compared, px.
+    size: [u32; 2],
     gaussians: usize,
     #[serde(flatten)]
     scores: Evaluation,
@@ -24,8 +26,7 @@ pub fn run(args: &EvaluateArgs) -> Result<()> {
     device::prepare(args.machine)?;
     let lpips = lpips::open(&args.lpips)?;
     let splat = splat::open(&args.splat)?;
-    let scene =
-        scene::load(&args.data, args.size.size().unwrap_or(splat.size), splat.settings.background, 0)?;
+    let scene = splat.load_scene(&args.data, args.size, 0)?;
     let (views, name, other) = match args.split {
         Split::Test => (&scene.test, "test", "train"),
         Split::Train => (&scene.train, "train", "test"),
@@ -37,7 +38,8 @@ pub fn run(args: &EvaluateArgs) -> Result<()> {
     let gaussians = splat.cloud.len();
     backend.upload(splat.cloud, None)?;
     let scores = evaluate_into(&mut backend, views, &splat.settings, lpips.as_ref(), None)?;
-    output::print(&output::scores_line(name, &scores))?;
-    let report = Report { dataset: scene.name, split: args.split, gaussians, scores };
+    let size @ [width, height] = [views[0].camera.width, views[0].camera.height];
+    output::print(&format!("{}, at {width}x{height} pixels", output::scores_line(name, &scores)))?;
+    let report = Report { dataset: scene.name, split: args.split, size, gaussians, scores };
     args.json.as_ref().map_or(Ok(()), |path| run_folder::write_json(path, &report))
 }

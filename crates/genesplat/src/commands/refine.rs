@@ -11,7 +11,7 @@ use crate::reporter::Reporter;
 use crate::settings::{ConfigFile, override_evolution};
 use crate::splat::Splat;
 use crate::training::evaluate_into;
-use crate::{device, interrupt, output, run_folder, scene, splat};
+use crate::{device, interrupt, output, run_folder, splat};
 
 /// Searches, and writes the best that it has found; Ctrl-C ends the search early.
 pub fn run(args: &RefineArgs) -> Result<()> {
@@ -19,8 +19,7 @@ pub fn run(args: &RefineArgs) -> Result<()> {
     run_folder::check_writable(&args.out)?;
     let splat = splat::open(&args.splat)?;
     let config = configure(args, &splat)?;
-    let size = args.size.size().unwrap_or(splat.size);
-    let scene = scene::load(&args.data, size, splat.settings.background, config.config().seed)?;
+    let scene = splat.load_scene(&args.data, args.size, config.config().seed)?;
     let stop = interrupt::stop_flag()?;
     let mut backend = device::open(config.config().seed);
     backend.upload(splat.cloud.clone(), None)?;

@@ -14,8 +14,7 @@ use crate::{device, output, scene, splat};
 pub fn run(args: &RenderArgs) -> Result<()> {
     device::prepare(args.machine)?;
     let splat = splat::open(&args.splat)?;
-    let scene =
-        scene::load(&args.data, args.size.size().unwrap_or(splat.size), splat.settings.background, 0)?;
+    let scene = splat.load_scene(&args.data, args.size, 0)?;
     let jobs = match &args.image {
         Some(name) => vec![(find(&scene, name, &args.data)?, args.out.clone())],
         None => {

@@ -42,6 +42,36 @@ fn evaluating_a_run_repeats_its_metrics() {
 }
 
 #[test]
+fn a_run_is_evaluated_at_a_fraction_of_its_size() {
+    let folder = tempfile::tempdir().unwrap();
+    let (run, file) = (finished_run(), folder.path().join("scores.json"));
+    let ply = run.join("point_cloud.ply");
+    // Trained at 56x42; a bare PLY does not say so, and then photos of 64x48 are divided.
+    let cases = [
+        (&run, ["--downscale", "2"], [28, 21]),
+        (&run, ["--max-side", "28"], [28, 21]),
+        (&ply, ["--downscale", "2"], [32, 24]),
+    ];
+    let scores = cases.map(|(splat, flag, size)| {
+        let arguments = ["evaluate", text(splat), "--data", text(scene()), "--json", text(&file)];
+        let said = succeed(arguments.iter().chain(&flag));
+        assert!(said.contains(&format!("{}x{} pixels", size[0], size[1])), "{said}");
+        let scores = json(&file);
+        assert_eq!(scores["size"], serde_json::json!(size));
+        scores
+    });
+    assert_eq!(scores[0]["views"], scores[1]["views"], "two ways to ask for the same size");
+    let full = json(&run.join("metrics.json"))["test"]["psnr"].as_f64().unwrap();
+    let half = scores[0]["psnr"].as_f64().unwrap();
+    // Cameras that did not follow their photos would cost far more than the other size does.
+    assert!(half > full - 3.0, "{half} dB at half the size, {full} dB at the full one");
+    let picture = folder.path().join("half.png");
+    let arguments = ["render", text(&run), "--data", text(scene()), "--image", "gallery_008"];
+    succeed(arguments.iter().chain(&["--downscale", "2", "--out", text(&picture)]));
+    assert_eq!(read_photo(&picture).unwrap().width, 28);
+}
+
+#[test]
 fn renders_are_those_of_the_evaluation() {
     let folder = tempfile::tempdir().unwrap();
     let (run, all) = (finished_run(), folder.path().join("all"));
