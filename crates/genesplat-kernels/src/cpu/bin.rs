@@ -9,7 +9,7 @@ use fearless_simd::{Level, Simd, dispatch, f32x8, i32x8, prelude::*};
 use rayon::prelude::*;
 
 use super::project::{Pinhole, Splat, Splats, TILE};
-use super::simd::array;
+use super::simd::{array, prefetch};
 
 /// Side of a block, px: one block is one vector.
 pub const BLOCK: usize = 4;
@@ -19,8 +19,8 @@ pub const BLOCKS_ACROSS: usize = TILE / BLOCK;
 const RANKS: usize = 1024;
 /// Bands of four pixel rows that are solved at once: two rows of tiles, enough for most splats.
 const BANDS: usize = 8;
-/// Splats copied at once.
-const GATHER: usize = 64;
+/// Splats between one that is asked for (they lie scattered) and the one that is listed.
+const AHEAD: usize = 16;
 /// Widens every ellipse a little (in powers of two of alpha): lists may hold a splat in vain, never miss one.
 const SLACK_LOG2: f32 = 1e-3;
 /// The same for the interval ends, px.
@@ -124,22 +124,18 @@ impl Bins {
         order.par_chunks(RANKS).zip(outputs).for_each(|(order, (emissions, counts))| {
             emissions.clear();
             counts.clear();
-            // Copied in small groups: the reads are scattered, and those of a copy do not wait for one another.
-            for keys in order.chunks(GATHER) {
-                let mut group = [Splat::default(); GATHER];
-                for (copy, &key) in group.iter_mut().zip(keys) {
-                    *copy = *splats.get(key as u32);
-                }
-                dispatch!(level, simd => {
-                    for (splat, &key) in group.iter().zip(keys) {
-                        let before = emissions.len();
-                        for_each_tile(simd, splat, grid, |tile, blocks| {
-                            emissions.push(Emission { tile, entry: TileSplat { splat: key as u32, blocks } });
-                        });
-                        counts.push((emissions.len() - before) as u32);
+            dispatch!(level, simd => {
+                for (rank, &key) in order.iter().enumerate() {
+                    if let Some(&ahead) = order.get(rank + AHEAD) {
+                        prefetch(splats.get(ahead as u32));
                     }
-                });
-            }
+                    let before = emissions.len();
+                    for_each_tile(simd, splats.get(key as u32), grid, |tile, blocks| {
+                        emissions.push(Emission { tile, entry: TileSplat { splat: key as u32, blocks } });
+                    });
+                    counts.push((emissions.len() - before) as u32);
+                }
+            });
         });
     }
 }

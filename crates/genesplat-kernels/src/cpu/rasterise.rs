@@ -16,13 +16,12 @@ use rayon::prelude::*;
 
 use super::bin::{BLOCK, BLOCKS_ACROSS, Bins, LOG2_255, TileSplat};
 use super::project::{Pinhole, Splat, Splats, TILE};
-use super::simd::{LANES, V, exp2_of_alpha, keep};
+use super::simd::{LANES, V, exp2_of_alpha, keep, prefetch};
 
 /// Blocks of a tile.
 pub const BLOCKS: usize = BLOCKS_ACROSS * BLOCKS_ACROSS;
-/// Splats copied together before they are blended: the copy's scattered reads do not wait for one another, and a tile
-/// whose pixels are soon finished does not copy what lies behind.
-pub const GROUP: usize = 32;
+/// Entries between a splat that is asked for and the one that is blended.
+const AHEAD: usize = 16;
 
 /// What the forward pass leaves of one tile.
 #[derive(Clone, Debug)]
@@ -77,32 +76,46 @@ fn forward_tile<S: Simd>(
     out: &mut TileImage,
 ) {
     let mut live = out.begin(simd, origin, size, ALL_BLOCKS);
-    let mut group = [Splat::default(); GROUP];
-    for entries in entries.chunks(GROUP) {
-        gather(splats, entries, origin, &mut group);
-        for (splat, entry) in group.iter().zip(entries) {
-            blend(simd, splat, entry.blocks & live, out, &mut live);
-        }
-        if live == 0 {
-            break;
-        }
-    }
+    each_splat(
+        splats,
+        entries,
+        origin,
+        #[inline(always)]
+        |index, splat| {
+            blend(simd, splat, entries[index].blocks & live, out, &mut live);
+            live != 0
+        },
+    );
     out.end(simd, ALL_BLOCKS);
 }
 
 /// Every block of a tile.
 pub const ALL_BLOCKS: u32 = (1 << BLOCKS) - 1;
 
-/// Copies the splats of some entries, with their means in px from the tile's corner. Two loops, since reads that miss the
-/// cache overlap only while few instructions lie between them.
+/// Calls `visit(entry index, splat seen from the tile's corner)` for each entry of a tile, front to back, until it says
+/// that no block is left; returns how many entries were visited.
+///
+/// The splats lie scattered, so those a little ahead are asked for early.
 #[inline(always)]
-pub fn gather(splats: &Splats, entries: &[TileSplat], origin: [usize; 2], group: &mut [Splat; GROUP]) {
-    for (copy, entry) in group.iter_mut().zip(entries) {
-        *copy = *splats.get(entry.splat);
+pub fn each_splat(
+    splats: &Splats,
+    entries: &[TileSplat],
+    origin: [usize; 2],
+    mut visit: impl FnMut(usize, &Splat) -> bool,
+) -> usize {
+    let ahead = |index: usize| {
+        if let Some(entry) = entries.get(index) {
+            prefetch(splats.get(entry.splat));
+        }
+    };
+    (0..AHEAD).for_each(ahead);
+    for (index, entry) in entries.iter().enumerate() {
+        ahead(index + AHEAD);
+        if !visit(index, &splats.get(entry.splat).seen_from(origin)) {
+            return index + 1;
+        }
     }
-    for copy in &mut group[..entries.len()] {
-        *copy = copy.seen_from(origin);
-    }
+    entries.len()
 }
 
 /// The bits of a mask of blocks, lowest first.

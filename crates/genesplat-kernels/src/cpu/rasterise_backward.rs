@@ -14,8 +14,8 @@ use rayon::prelude::*;
 use super::bin::{BLOCK, BLOCKS_ACROSS, Bins, TileSplat};
 use super::project::{Pinhole, Splat, Splats, TILE};
 use super::rasterise::{
-    ALL_BLOCKS, Alpha, BLOCKS, COLUMN_PX, GROUP, ROW_PX, absorb, alpha, each_block, finish,
-    full_transmittance, gather,
+    ALL_BLOCKS, Alpha, BLOCKS, COLUMN_PX, ROW_PX, absorb, alpha, each_block, each_splat, finish,
+    full_transmittance,
 };
 use super::simd::{LANES, V, array, keep};
 
@@ -139,24 +139,25 @@ fn backward_tile<const EXTRA: u8, S: Simd>(
     rows: &mut [GradientRow],
 ) {
     let mut live = begin(simd, task, state);
-    let mut group = [Splat::default(); GROUP];
-    for (entries, rows) in task.entries.chunks(GROUP).zip(rows.chunks_mut(GROUP)) {
-        if live == 0 {
-            rows.fill(GradientRow::default());
-            continue;
-        }
-        gather(task.inputs.splats, entries, task.origin, &mut group);
-        for ((splat, entry), row) in group.iter().zip(entries).zip(rows) {
-            let blocks = entry.blocks & live;
-            if blocks == 0 {
-                *row = GradientRow::default();
-                continue;
-            }
-            let extra = replay::<EXTRA, S>(simd, splat, blocks, state, &mut live);
-            accumulate(simd, blocks, state, extra, row);
-            shift_moments(&mut row.0, splat.mean.map(|mean| mean - TILE_CENTRE));
-        }
-    }
+    let visited = each_splat(
+        task.inputs.splats,
+        task.entries,
+        task.origin,
+        #[inline(always)]
+        |index, splat| {
+            let blocks = task.entries[index].blocks & live;
+            rows[index] = if blocks == 0 {
+                GradientRow::default()
+            } else {
+                let extra = replay::<EXTRA, S>(simd, splat, blocks, state, &mut live);
+                let mut row = accumulate(simd, blocks, state, extra);
+                shift_moments(&mut row.0, splat.mean.map(|mean| mean - TILE_CENTRE));
+                row
+            };
+            live != 0
+        },
+    );
+    rows[visited..].fill(GradientRow::default());
 }
 
 /// Loads the pixels; returns the blocks that lie in the image.
@@ -259,7 +260,7 @@ const HALF: usize = LANES / 2;
 
 /// Sums the shares of a splat over its blocks into a row, with moments about the tile's centre.
 #[inline(always)]
-fn accumulate<S: Simd>(simd: S, blocks: u32, state: &TileState, extra: [f32; 3], row: &mut GradientRow) {
+fn accumulate<S: Simd>(simd: S, blocks: u32, state: &TileState, extra: [f32; 3]) -> GradientRow {
     let zero = f32x8::splat(simd, 0.0);
     let [mut one, mut x, mut y, mut xx, mut xy, mut yy] = [zero; 6];
     let mut rgb = [zero; 3];
@@ -300,9 +301,11 @@ fn accumulate<S: Simd>(simd: S, blocks: u32, state: &TileState, extra: [f32; 3],
         sum_lanes([rgb[0], rgb[1], rgb[2], zero]) + f32x4::simd_from(simd, [0.0, 0.0, 0.0, pixels]),
         f32x4::splat(simd, 0.0),
     ];
+    let mut row = GradientRow::default();
     for (columns, sum) in row.0.as_chunks_mut::<4>().0.iter_mut().zip(sums) {
         sum.store_slice(columns);
     }
+    row
 }
 
 /// The sums of the lanes of four vectors.
