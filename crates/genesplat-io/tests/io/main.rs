@@ -7,3 +7,4 @@ mod photos;
 mod ply;
 mod real_scenes;
 mod transforms;
+mod weights;

@@ -152,3 +152,69 @@ impl Convolution {
         product.mapv_inplace(|value| value.max(0.0));
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use genesplat_core::{Rng, Stream, Tensor};
+
+    use super::*;
+
+    fn noise(count: usize, seed: u32) -> Vec<f32> {
+        let rng = Rng::new(3);
+        (0..count as u32).map(|i| rng.at(Stream::Test, seed, i, 0).uniform(0) - 0.5).collect()
+    }
+
+    /// One output by the definition of a convolution, with torchvision's order of weights.
+    fn direct(shape: &Shape, input: &Features, weight: &[f32], bias: f32, [x, y, output]: [usize; 3]) -> f32 {
+        let side = shape.kernel;
+        let mut sum = f64::from(bias);
+        for at in 0..shape.inputs * side * side {
+            let (channel, row, column) = (at / (side * side), at / side % side, at % side);
+            let [px, py] =
+                [x * shape.stride + column, y * shape.stride + row].map(|at| at.wrapping_sub(shape.padding));
+            if px < input.width && py < input.height {
+                let value = input.values[(py * input.width + px) * shape.inputs + channel];
+                sum += f64::from(value * weight[output * shape.inputs * side * side + at]);
+            }
+        }
+        sum.max(0.0) as f32
+    }
+
+    #[test]
+    fn strips_of_products_equal_the_definition() {
+        // VGG's kind over several strips, AlexNet's first kind, and one wider than its picture.
+        for (kernel, stride, padding, width, height) in
+            [(3, 1, 1, 37, 23), (11, 4, 2, 41, 31), (5, 1, 2, 2, 3)]
+        {
+            let shape = Shape { index: 0, inputs: 3, outputs: 4, kernel, stride, padding };
+            let weight = Tensor { shape: Vec::new(), values: noise(4 * 3 * kernel * kernel, 0) };
+            let bias = Tensor { shape: vec![4], values: noise(4, 1) };
+            let tensors = [(shape.weight(), weight.clone()), (shape.bias(), bias.clone())].into();
+            let input = Features { width, height, channels: 3, values: noise(3 * width * height, 2) };
+            let out = Convolution::new(shape, &tensors).apply(&input);
+            for (at, &value) in out.values.iter().enumerate() {
+                let place = [at / 4 % out.width, at / 4 / out.width, at % 4];
+                let expected = direct(&shape, &input, &weight.values, bias.values[at % 4], place);
+                assert!((value - expected).abs() < 1e-5, "{kernel}: {place:?}: {value} against {expected}");
+            }
+            assert!(out.values.contains(&0.0) && out.values.iter().any(|&value| value > 0.0), "rectified");
+        }
+    }
+
+    #[test]
+    fn pooling_takes_the_largest_of_each_window() {
+        let input =
+            Features { width: 5, height: 3, channels: 1, values: (0..15).map(|i| i as f32).collect() };
+        assert_eq!(input.max_pool(2).values, [6.0, 8.0]);
+        assert_eq!(input.max_pool(3).values, [12.0, 14.0]);
+    }
+
+    #[test]
+    fn inputs_are_scaled_as_the_authors_do() {
+        let photo = Photo { width: 1, height: 1, rgb: vec![0, 255, 255] };
+        let values = |range| Features::of_photo(&photo, range).values;
+        let close = |a: Vec<f32>, b: [f32; 3]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-6);
+        assert!(close(values(InputRange::ZeroToOne), [0.03 / 0.458, 1.088 / 0.448, 1.188 / 0.45]));
+        assert!(close(values(InputRange::MinusOneToOne), [-0.97 / 0.458, 1.088 / 0.448, 1.188 / 0.45]));
+    }
+}
