@@ -1,12 +1,12 @@
 //! Stage `loss`: `0.8 · mean |I − P| + 0.2 · (1 − mean SSIM)` and its gradient, fused.
 //!
 //! SSIM's 11x11 window is separable, so everything is a sum over 11 rows of horizontally blurred rows. A task walks down
-//! one strip of one channel and keeps only the last 11 rows of what it needs: the five moments on the way in, and the
+//! one strip of one channel and keeps only the last 11 rows of what it needs: the four moments on the way in, and the
 //! three partial derivatives on the way out. Nothing of the size of the image is stored besides the gradient.
 //!
 //! With raw moments `E[x], E[y], E[x²], E[y²], E[xy]` (x the render, y the photo) SSIM is
 //! `S = (2 μx μy + C1)(2 σxy + C2) / ((μx² + μy² + C1)(σx² + σy² + C2))`, variances as `E[x²] − μ²` (facts.md, section
-//! 9). Its gradient is `blur(∂S/∂E[x]) + 2x · blur(∂S/∂E[x²]) + y · blur(∂S/∂E[xy])`: the window is symmetric.
+//! 9). The two variances only enter as their sum, so `E[x² + y²]` is one moment. Its gradient is `blur(∂S/∂E[x]) + 2x · blur(∂S/∂E[x²]) + y · blur(∂S/∂E[xy])`: the window is symmetric.
 
 use fearless_simd::{Level, Simd, dispatch, prelude::*};
 use genesplat_core::Image;
@@ -145,7 +145,7 @@ fn walk_strip<S: Simd>(
     let (first, end, height) = (strip.start as isize, strip.end as isize, height as isize);
     // Rows whose SSIM is needed: the strip's own, and those whose windows reach into it.
     let reach = if gradient.is_some() { radius } else { 0 };
-    let mut moments = Ring::<5>::new(stride);
+    let mut moments = Ring::<4>::new(stride);
     let mut partials = Ring::<3>::new(stride);
     let mut scratch = Rows::new(stride);
     let mut sums = [0.0f64; 2];
@@ -197,14 +197,15 @@ fn walk_strip<S: Simd>(
 struct Rows {
     x: Vec<f32>,
     y: Vec<f32>,
-    products: [Vec<f32>; 3],
+    /// `x² + y²` and `xy`.
+    products: [Vec<f32>; 2],
     partial: [Vec<f32>; 3],
 }
 
 impl Rows {
     fn new(stride: usize) -> Self {
         let row = || vec![0.0; stride + 2 * MARGIN];
-        Self { x: row(), y: row(), products: [row(), row(), row()], partial: [row(), row(), row()] }
+        Self { x: row(), y: row(), products: [row(), row()], partial: [row(), row(), row()] }
     }
 
     #[inline(always)]
@@ -215,16 +216,16 @@ impl Rows {
             let x = load_part(simd, &self.x[at..at + count]);
             let target = load_bytes(simd, &photo[y * width + first..][..count]);
             target.store_slice(&mut self.y[at..at + LANES]);
-            for (row, product) in self.products.iter_mut().zip([x * x, target * target, x * target]) {
+            for (row, product) in self.products.iter_mut().zip([x.mul_add(x, target * target), x * target]) {
                 product.store_slice(&mut row[at..at + LANES]);
             }
         }
     }
 
     #[inline(always)]
-    fn blur_products<S: Simd>(&self, simd: S, window: &[f32; TAPS], out: &mut Ring<5>, y: isize) {
-        let [xx, yy, xy] = &self.products;
-        for (quantity, row) in [&self.x, &self.y, xx, yy, xy].into_iter().enumerate() {
+    fn blur_products<S: Simd>(&self, simd: S, window: &[f32; TAPS], out: &mut Ring<4>, y: isize) {
+        let [squares, product] = &self.products;
+        for (quantity, row) in [&self.x, &self.y, squares, product].into_iter().enumerate() {
             blur_row(simd, window, row, out.row_mut(y, quantity));
         }
     }
@@ -267,7 +268,7 @@ fn blur_column<S: Simd>(simd: S, window: &[f32; TAPS], rows: &[&[f32]; TAPS], fi
 fn ssim_row<S: Simd>(
     simd: S,
     window: &[f32; TAPS],
-    moments: &Ring<5>,
+    moments: &Ring<4>,
     y: isize,
     width: usize,
     partial: &mut [Vec<f32>; 3],
@@ -275,11 +276,11 @@ fn ssim_row<S: Simd>(
     let rows = moments.around(y);
     let mut sum = V::splat(simd, 0.0);
     for first in (0..width).step_by(LANES) {
-        let [mx, my, exx, eyy, exy] = array(
+        let [mx, my, squares, product] = array(
             #[inline(always)]
             |quantity| blur_column(simd, window, &rows[quantity], first),
         );
-        let ssim = Ssim::new(mx, my, exx, eyy, exy);
+        let ssim = Ssim::new(mx, my, squares, product);
         let count = LANES.min(width - first);
         sum += mask_tail(simd, ssim.value, count);
         for (row, value) in partial.iter_mut().zip(ssim.partials(mx, my)) {
@@ -312,10 +313,10 @@ struct Ssim<S: Simd> {
 
 impl<S: Simd> Ssim<S> {
     #[inline(always)]
-    fn new(mx: V<S>, my: V<S>, exx: V<S>, eyy: V<S>, exy: V<S>) -> Self {
+    fn new(mx: V<S>, my: V<S>, squares: V<S>, product: V<S>) -> Self {
         let (mxx, myy, mxy) = (mx * mx, my * my, mx * my);
-        let numerator = [mxy * 2.0 + SSIM_C1, (exy - mxy) * 2.0 + SSIM_C2];
-        let denominator = [mxx + myy + SSIM_C1, (exx - mxx) + (eyy - myy) + SSIM_C2];
+        let numerator = [mxy * 2.0 + SSIM_C1, (product - mxy) * 2.0 + SSIM_C2];
+        let denominator = [mxx + myy + SSIM_C1, (squares - (mxx + myy)) + SSIM_C2];
         let value = (numerator[0] * numerator[1]) / (denominator[0] * denominator[1]);
         Self { value, numerator, denominator }
     }
