@@ -102,8 +102,8 @@ pub struct Exploration {
     pub opacity_weight: f32,
     /// Weight of the mean scale in the loss.
     pub scale_weight: f32,
-    /// Counter of the noise stream: the iteration.
-    pub iteration: u32,
+    /// Counter of the noise stream, which no two steps of a run may share: the optimiser step's.
+    pub counter: u32,
 }
 
 /// One training step.

@@ -53,6 +53,11 @@ pub const ADAM_BETA2: f32 = 0.999;
 /// Adam's stabiliser: far below torch's default, so that even tiny gradients make full-size steps (3DGS).
 pub const ADAM_EPSILON: f32 = 1e-15;
 
+/// MCMC's exploration noise fades out over opacities around this value (Kheradmand et al. 2024) ...
+pub const NOISE_OPACITY: f32 = 0.005;
+/// ... with this steepness: `σ(−100 (opacity − 0.005))`.
+pub const NOISE_STEEPNESS: f32 = 100.0;
+
 #[cfg(test)]
 mod tests {
     use super::*;

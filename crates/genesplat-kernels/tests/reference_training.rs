@@ -225,7 +225,7 @@ fn exploration_regularises_and_jiggles() {
     push(&mut cloud, [0.0; 3], 0.5, 0.9, [0.5; 3]);
     let before = cloud.clone();
     let mut moments = Moments64::zeros(2);
-    let exploration = Exploration { noise: 0.1, opacity_weight: 0.01, scale_weight: 0.02, iteration: 7 };
+    let exploration = Exploration { noise: 0.1, opacity_weight: 0.01, scale_weight: 0.02, counter: 7 };
     let update = Update {
         rates: LearningRates { scale: 0.0, opacity: 0.0, ..RATES },
         exploration: Some(exploration),

@@ -14,6 +14,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::schedule::Schedule;
 pub use crate::validate::ConfigError;
+pub use density::{DensifyConfig, McmcConfig};
+
+mod density;
 
 /// Which published method is trained.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -28,11 +31,14 @@ pub enum Variant {
     /// Mip-Splatting (Yu et al. 2024): a 2D and a 3D filter against aliasing.
     #[serde(rename = "mip-splatting")]
     MipSplatting,
+    /// 3DGS-MCMC (Kheradmand et al. 2024): exploration noise and relocation instead of density control and resets.
+    #[serde(rename = "mcmc")]
+    Mcmc,
 }
 
 impl Variant {
     /// All of them.
-    pub const ALL: [Self; 3] = [Self::ThreeDgs, Self::PixelGs, Self::MipSplatting];
+    pub const ALL: [Self; 4] = [Self::ThreeDgs, Self::PixelGs, Self::MipSplatting, Self::Mcmc];
 
     /// As the command and the configuration file write it.
     pub fn name(self) -> &'static str {
@@ -40,13 +46,14 @@ impl Variant {
             Self::ThreeDgs => "3dgs",
             Self::PixelGs => "pixel-gs",
             Self::MipSplatting => "mip-splatting",
+            Self::Mcmc => "mcmc",
         }
     }
 
     /// The screen-space filter that it renders with.
     pub fn screen_filter(self) -> ScreenFilter {
         match self {
-            Self::ThreeDgs | Self::PixelGs => ScreenFilter::Classic,
+            Self::ThreeDgs | Self::PixelGs | Self::Mcmc => ScreenFilter::Classic,
             Self::MipSplatting => ScreenFilter::Mip,
         }
     }
@@ -65,7 +72,7 @@ impl FromStr for Variant {
         Self::ALL.into_iter().find(|variant| variant.name() == name).ok_or_else(|| ConfigError::Range {
             setting: "variant",
             value: format!("`{name}`"),
-            wanted: "3dgs, pixel-gs or mip-splatting",
+            wanted: "3dgs, pixel-gs, mip-splatting or mcmc",
         })
     }
 }
@@ -99,7 +106,7 @@ impl Background {
 pub struct TrainConfig {
     /// Seed of every random stream. Default 0; below 2⁶³, so that the file can hold it.
     pub seed: u64,
-    /// Method. Default `3dgs`; or `pixel-gs`, `mip-splatting`.
+    /// Method. Default `3dgs`; or `pixel-gs`, `mip-splatting`, `mcmc`.
     pub variant: Variant,
     /// Iterations, one view each. Default 30,000; at least 1. Changing it alone truncates: rates and events stay.
     pub iterations: u32,
@@ -115,7 +122,8 @@ pub struct TrainConfig {
     /// Scales the position rate and every size threshold.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub extent: Option<f64>,
-    /// Densification stops at this many Gaussians, and serves the strongest gradients until then. Default: no limit.
+    /// Densification stops at this many Gaussians, and serves the strongest gradients until then. Default: no limit;
+    /// 1,000,000 with `mcmc`, which grows to it whatever the gradients.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub max_gaussians: Option<usize>,
     /// Iterations between two read-backs of the loss, which make a GPU wait. Default 10; 0 for none. Not scaled.
@@ -126,6 +134,8 @@ pub struct TrainConfig {
     pub optimiser: OptimiserConfig,
     /// Density control.
     pub densify: DensifyConfig,
+    /// What the variant `mcmc` has instead of it.
+    pub mcmc: McmcConfig,
     /// The evolution stage.
     pub evolution: EvolutionConfig,
 }
@@ -146,6 +156,7 @@ impl Default for TrainConfig {
             checkpoint_every: 0,
             optimiser: OptimiserConfig::default(),
             densify: DensifyConfig::default(),
+            mcmc: McmcConfig::default(),
             evolution: EvolutionConfig::default(),
         }
     }
@@ -188,56 +199,6 @@ impl Default for OptimiserConfig {
     }
 }
 
-/// Density control; defaults are those of the published numbers.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct DensifyConfig {
-    /// Densification starts after this iteration. Default 500.
-    pub from: u32,
-    /// Densification and opacity resets end before this iteration. Default 15,000; 0 switches both off.
-    pub until: u32,
-    /// Iterations between two densifications. Default 100; at least 1.
-    pub every: u32,
-    /// Mean screen-space gradient from which a Gaussian grows, in normalised device coordinates. Default 2e-4; above 0.
-    /// Lower grows more Gaussians.
-    pub gradient_threshold: f32,
-    /// Growing Gaussians up to this size are cloned, larger ones split; in scene extents. Default 0.01; above 0.
-    pub clone_size: f64,
-    /// Fainter Gaussians are pruned. Default 0.005; 0 to 1.
-    pub prune_opacity: f32,
-    /// Larger Gaussians are pruned; in scene extents. Default 0.1; above 0.
-    pub prune_size: f64,
-    /// Iteration after which they are. Default 3000.
-    pub size_prune_after: u32,
-    /// Iterations between two opacity resets. Default 3000; at least 1.
-    pub reset_every: u32,
-    /// A reset limits opacity to this. Default 0.01; above 0, below 1.
-    pub reset_opacity: f32,
-    /// Iteration of the additional reset with a white background. Default 500; 0 for none.
-    pub white_reset_at: u32,
-    /// Pixel-GS: depth below which gradients count less, in scene extents. Default 0.37; above 0.
-    pub depth_threshold: f64,
-}
-
-impl Default for DensifyConfig {
-    fn default() -> Self {
-        Self {
-            from: 500,
-            until: 15_000,
-            every: 100,
-            gradient_threshold: 2e-4,
-            clone_size: 0.01,
-            prune_opacity: 0.005,
-            prune_size: 0.1,
-            size_prune_after: 3000,
-            reset_every: 3000,
-            reset_opacity: 0.01,
-            white_reset_at: 500,
-            depth_threshold: 0.37,
-        }
-    }
-}
-
 /// What runs at a trigger.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -275,7 +236,8 @@ pub struct EvolutionConfig {
     /// When. Default `after-reset`; or `before-reset`, `after-densify`, `before-densify`.
     pub trigger: Trigger,
     /// Run at every n-th occurrence of the trigger. Default 1; at least 1. A published run has 4 resets and 144
-    /// densifications, so 36 gives the densification triggers four stages, too.
+    /// densifications, so 36 gives the densification triggers four stages, too. (`mcmc` has 244; it resets nothing,
+    /// but its reset triggers fall where 3DGS's would, so that stages can be compared.)
     pub stride: u32,
     /// Training views that fitness is measured on, spread evenly over the views in order of name. Default 6; at least 1.
     pub views: usize,

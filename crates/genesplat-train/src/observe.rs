@@ -59,6 +59,8 @@ pub struct StepFindings {
 pub struct DensifyLog {
     /// Counted from 1.
     pub iteration: u32,
+    /// Dead Gaussians moved to living ones (MCMC).
+    pub relocated: usize,
     /// Gaussians duplicated.
     pub cloned: usize,
     /// Gaussians replaced by two children.

@@ -8,6 +8,9 @@
 //! 4. **Evolve.** Just then, when the well-optimised structure is disturbed, a genetic algorithm explores positions,
 //!    scales and opacities that gradients do not reach; the best individual becomes the new base if it is better.
 //!
+//! With MCMC, a step also jiggles positions, 2 relocates dead Gaussians and adds others, and 3 does not happen; 4 keeps
+//! its place.
+//!
 //! What is due when is for [`crate::schedule`] to say. This file does it, in that order, and can stop between any two
 //! phases: a resumed run repeats the numbers of one that was never interrupted.
 //! References: "An Evolutionary Boost to Gaussian Splatting Optimization" (Fig. 1, Algorithm 1);
@@ -19,8 +22,8 @@ use std::time::Instant;
 use genesplat_core::{Backend, View};
 
 use crate::checkpoint::{Checkpoint, Cursor};
-use crate::config::{EvolutionMode, Resolved};
-use crate::densify::{Plan, adaptive};
+use crate::config::{EvolutionMode, Resolved, Variant};
+use crate::densify::{Plan, adaptive, mcmc};
 use crate::fitness;
 use crate::observe::{DensifyLog, Observer, StageRecord, StepLog};
 use crate::run::{Outcome, Start, TrainError};
@@ -107,15 +110,19 @@ impl<B: Backend> Trainer<'_, B> {
     }
 
     fn densify(&mut self, i: u32) -> Result<(), TrainError> {
-        let (statistics, cloud) = (self.backend.statistics()?, self.healthy_cloud()?);
-        let plan = adaptive::plan(&statistics, &cloud, &self.rules(i), i);
+        let cloud = self.healthy_cloud()?;
+        let plan = match self.config.variant {
+            Variant::Mcmc => mcmc::plan(&cloud.opacity_logits, &self.mcmc_rules(), &self.rng, i),
+            _ => adaptive::plan(&self.backend.statistics()?, &cloud, &self.rules(i), i),
+        };
         if plan.edit.sources.is_empty() {
             return Err(TrainError::NothingLeft { iteration: i });
         }
         self.backend.edit_rows(&plan.edit)?;
         self.tell_of_cap(i, &plan);
-        let Plan { cloned, split, pruned, .. } = plan;
-        let log = DensifyLog { iteration: i, cloned, split, pruned, gaussians: self.backend.len() };
+        let Plan { relocated, cloned, split, pruned, .. } = plan;
+        let gaussians = self.backend.len();
+        let log = DensifyLog { iteration: i, relocated, cloned, split, pruned, gaussians };
         self.observer.on_densify(&log);
         Ok(())
     }

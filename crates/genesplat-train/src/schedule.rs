@@ -19,7 +19,7 @@ pub enum Phase {
     Step,
     /// The evolution stage, when it is triggered before densification.
     EvolveBeforeDensify,
-    /// Clone, split, prune.
+    /// Clone, split, prune; with MCMC, relocate and add.
     Densify,
     /// Mip-Splatting: the 3D filter follows the new positions.
     RefreshFilter,
@@ -82,7 +82,7 @@ pub struct Schedule {
     pub position_steps: u32,
     /// Densification starts after this iteration.
     pub densify_from: u32,
-    /// Densification and resets end before this iteration.
+    /// Densification ends before this iteration.
     pub densify_until: u32,
     /// Iterations between two densifications.
     pub densify_every: u32,
@@ -90,6 +90,12 @@ pub struct Schedule {
     pub size_prune_after: u32,
     /// Iterations between two opacity resets.
     pub reset_every: u32,
+    /// Resets end before this iteration.
+    pub reset_until: u32,
+    /// Opacities are reset. MCMC does not, but evolution's triggers lie where resets would be.
+    pub resets: bool,
+    /// Densifying iterations lose their optimiser step, as in 3DGS's code and not in MCMC's.
+    pub loses_steps: bool,
     /// The one-off reset with a white background.
     pub white_reset_at: Option<u32>,
     /// Mip-Splatting's 3D filter is in use.
@@ -112,6 +118,7 @@ impl Schedule {
         let scaled = |steps: u32| (f64::from(steps) * config.steps_scale).round() as u32;
         let interval = |steps: u32| scaled(steps).max(1);
         let (densify, evolution) = (&config.densify, &config.evolution);
+        let mcmc = config.variant == Variant::Mcmc;
         let white = config.background == Background::White && densify.white_reset_at > 0;
         Self {
             iterations: interval(config.iterations),
@@ -119,10 +126,13 @@ impl Schedule {
             sh_degree_max: config.sh_degree,
             position_steps: interval(config.optimiser.position_steps),
             densify_from: scaled(densify.from),
-            densify_until: scaled(densify.until),
+            densify_until: scaled(if mcmc { config.mcmc.until } else { densify.until }),
             densify_every: interval(densify.every),
             size_prune_after: scaled(densify.size_prune_after),
             reset_every: interval(densify.reset_every),
+            reset_until: scaled(densify.until),
+            resets: !mcmc || config.mcmc.resets,
+            loses_steps: !mcmc,
             white_reset_at: white.then(|| interval(densify.white_reset_at)),
             filter_3d: config.variant == Variant::MipSplatting,
             evolution_phase: (evolution.mode != EvolutionMode::Off).then(|| trigger_phase(evolution.trigger)),
@@ -148,25 +158,27 @@ impl Schedule {
         }
     }
 
+    /// Gaussians are cloned, split and pruned (MCMC: relocated and added) at the end of iteration `i`.
+    pub fn is_densify(&self, i: u32) -> bool {
+        self.is_before(self.densify_until, i) && i > self.densify_from && i.is_multiple_of(self.densify_every)
+    }
+
     /// The last iteration only measures: a model that was just densified or reset is not worth keeping, and the
     /// reference saves before it does either.
-    fn controls_density(&self, i: u32) -> bool {
-        i < self.densify_until && i < self.iterations
+    fn is_before(&self, until: u32, i: u32) -> bool {
+        i < until && i < self.iterations
     }
 
-    /// Gaussians are cloned, split and pruned at the end of iteration `i`.
-    pub fn is_densify(&self, i: u32) -> bool {
-        self.controls_density(i) && i > self.densify_from && i.is_multiple_of(self.densify_every)
-    }
-
-    /// A reset that comes round every few thousand iterations (the others are for white backgrounds).
+    /// A reset that comes round every few thousand iterations (the others are for white backgrounds), or its place in a
+    /// run without resets.
     fn is_periodic_reset(&self, i: u32) -> bool {
-        self.controls_density(i) && i.is_multiple_of(self.reset_every)
+        self.is_before(self.reset_until, i) && i.is_multiple_of(self.reset_every)
     }
 
     /// Opacities are reset at the end of iteration `i`.
     pub fn is_reset(&self, i: u32) -> bool {
-        self.is_periodic_reset(i) || (self.controls_density(i) && self.white_reset_at == Some(i))
+        let white = self.is_before(self.reset_until, i) && self.white_reset_at == Some(i);
+        self.resets && (self.is_periodic_reset(i) || white)
     }
 
     /// The 3D filter is computed anew: after each densification, and later now and then until shortly before the end.
@@ -205,7 +217,7 @@ impl Schedule {
     /// have no gradients, so the step that follows does nothing and counters stand still (facts: quirk 2). The last
     /// iteration makes no step. Schedules compressed beyond one densification in ten iterations lose none.
     pub fn optimiser_step(&self, i: u32) -> OptimiserStep {
-        let loses = self.is_densify(i) && self.densify_every >= LOSING_INTERVAL_MIN;
+        let loses = self.loses_steps && self.is_densify(i) && self.densify_every >= LOSING_INTERVAL_MIN;
         if loses || i >= self.iterations {
             OptimiserStep::Lost
         } else if self.is_reset(i) {
@@ -234,11 +246,11 @@ impl Schedule {
         }
     }
 
-    /// What iteration `i` adds to the statistics; `signal` is the variant's. Gene gradients are summed only while a
+    /// What iteration `i` adds to the statistics; `signal` is the variant's, if it has one. Gene gradients are summed only while a
     /// stage that reads them lies ahead (`last_stage` is its iteration, 0 for none).
-    pub fn statistics(&self, signal: DensitySignal, last_stage: u32, i: u32) -> StatisticsRequest {
+    pub fn statistics(&self, signal: Option<DensitySignal>, last_stage: u32, i: u32) -> StatisticsRequest {
         StatisticsRequest {
-            density: (i < self.densify_until).then_some(signal),
+            density: signal.filter(|_| i < self.densify_until),
             genes: self.gene_gradients && i <= last_stage,
         }
     }
@@ -349,6 +361,30 @@ mod tests {
     }
 
     #[test]
+    fn mcmc_densifies_longer_loses_no_step_and_resets_nothing() {
+        let schedule = schedule(|config| {
+            (config.variant, config.background) = (Variant::Mcmc, Background::White);
+            config.evolution.mode = EvolutionMode::Paper;
+        });
+        let densify = iterations_with(&schedule, Phase::Densify);
+        assert_eq!((densify.len(), densify[0], densify[243]), (244, 600, 24_900));
+        assert_eq!(iterations_with(&schedule, Phase::ResetOpacity), [] as [u32; 0]);
+        let lost = (1..=30_000).filter(|&i| schedule.optimiser_step(i) != OptimiserStep::All);
+        assert_eq!(lost.collect::<Vec<_>>(), [30_000], "the last one only measures");
+        assert_eq!(schedule.stages().collect::<Vec<_>>(), [3000, 6000, 9000, 12_000], "where 3DGS resets");
+        assert_eq!(
+            schedule.phases(3000).collect::<Vec<_>>(),
+            [Phase::Step, Phase::Densify, Phase::EvolveAfterReset]
+        );
+    }
+
+    #[test]
+    fn mcmc_resets_if_told_to() {
+        let schedule = schedule(|config| (config.variant, config.mcmc.resets) = (Variant::Mcmc, true));
+        assert_eq!(iterations_with(&schedule, Phase::ResetOpacity), [3000, 6000, 9000, 12_000]);
+    }
+
+    #[test]
     fn the_3d_filter_follows_densification_and_then_every_hundredth_iteration() {
         let schedule = schedule(|config| config.variant = Variant::MipSplatting);
         let refreshed = iterations_with(&schedule, Phase::RefreshFilter);
@@ -395,7 +431,7 @@ mod tests {
     #[test]
     fn statistics_end_with_densification_and_gene_sums_with_the_last_stage() {
         let schedule = schedule(|config| config.evolution.mode = EvolutionMode::Paper);
-        let at = |i| schedule.statistics(DensitySignal::Signed, 12_000, i);
+        let at = |i| schedule.statistics(Some(DensitySignal::Signed), 12_000, i);
         assert!(at(14_999).density.is_some() && at(15_000).density.is_none());
         assert!(at(12_000).genes && !at(12_001).genes);
     }

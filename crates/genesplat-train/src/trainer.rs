@@ -2,17 +2,19 @@
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use genesplat_core::backend::Exploration;
 use genesplat_core::{
     Backend, BackendError, DensitySignal, Gaussians, LearningRates, RenderSettings, Rng, StatisticsRequest,
     Stream, TrainStep, Update, View,
 };
 
 use crate::checkpoint::{Checkpoint, Cursor, Progress};
-use crate::config::{Background, Resolved, TrainConfig};
+use crate::config::{Background, McmcConfig, Resolved, TrainConfig, Variant};
 use crate::densify::adaptive::Rules;
+use crate::densify::mcmc;
 use crate::filter_3d::filter_3d;
 use crate::fitness::Stage;
-use crate::initialise::{cloud_from_points, in_spatial_order, scene_extent};
+use crate::initialise::{ColouredPoint, cloud_from_points, in_spatial_order, scene_extent};
 use crate::observe::{Observer, StartLog, StepFindings};
 use crate::run::{Outcome, RunSummary, Seconds, Start, TrainError};
 use crate::schedule::{OptimiserStep, Phase, Schedule};
@@ -29,7 +31,7 @@ pub(crate) struct Trainer<'a, B> {
     pub(crate) rng: Rng,
     /// Size of the scene, world units.
     extent: f64,
-    pub(crate) signal: DensitySignal,
+    pub(crate) signal: Option<DensitySignal>,
     /// Iteration of the last evolution stage; 0 for none.
     pub(crate) last_stage: u32,
     pub(crate) order: ViewOrder,
@@ -73,7 +75,7 @@ impl<'a, B: Backend> Trainer<'a, B> {
     /// Fills the device; returns where to go on.
     pub(crate) fn begin(&mut self, start: Start) -> Result<Cursor, TrainError> {
         let cursor = match start {
-            Start::Points(points) => self.upload_new(cloud_from_points(&in_spatial_order(&points))?)?,
+            Start::Points(points) => self.upload_new(self.first_cloud(&points)?)?,
             Start::Cloud(cloud) => self.upload_new(cloud)?,
             Start::Checkpoint(checkpoint) => self.restore(*checkpoint)?,
         };
@@ -86,6 +88,14 @@ impl<'a, B: Backend> Trainer<'a, B> {
             iterations: self.schedule.iterations,
         });
         Ok(cursor)
+    }
+
+    fn first_cloud(&self, points: &[ColouredPoint]) -> Result<Gaussians, TrainError> {
+        let mut cloud = cloud_from_points(&in_spatial_order(points))?;
+        if self.config.variant == Variant::Mcmc {
+            mcmc::initialise(&mut cloud, self.config.mcmc.initial_opacity, self.config.mcmc.initial_scale);
+        }
+        Ok(cloud)
     }
 
     fn upload_new(&mut self, mut cloud: Gaussians) -> Result<Cursor, TrainError> {
@@ -182,11 +192,23 @@ impl<'a, B: Backend> Trainer<'a, B> {
         let opacity = step == OptimiserStep::All;
         self.progress.steps += 1;
         self.progress.opacity_steps += u32::from(opacity);
+        let rates = self.rates(i);
         Some(Update {
-            rates: self.rates(i),
+            rates,
             step: self.progress.steps,
             opacity_step: if opacity { self.progress.opacity_steps } else { 0 },
-            exploration: None,
+            exploration: self.exploration(rates.position),
+        })
+    }
+
+    /// MCMC's part of the step that was counted last.
+    fn exploration(&self, position_rate: f32) -> Option<Exploration> {
+        let mcmc = &self.config.mcmc;
+        (self.config.variant == Variant::Mcmc).then_some(Exploration {
+            noise: position_rate * mcmc.noise,
+            opacity_weight: mcmc.opacity_weight,
+            scale_weight: mcmc.scale_weight,
+            counter: self.progress.steps,
         })
     }
 
@@ -232,6 +254,12 @@ impl<'a, B: Backend> Trainer<'a, B> {
             prune_size: self.schedule.prunes_by_size(i).then(|| world(densify.prune_size)),
             cap: self.config.max_gaussians,
         }
+    }
+
+    /// MCMC's counterpart of [`Self::rules`], which does not depend on the iteration.
+    pub(crate) fn mcmc_rules(&self) -> mcmc::Rules {
+        let McmcConfig { min_opacity, growth, .. } = self.config.mcmc;
+        mcmc::Rules { min_opacity, growth, cap: self.config.max_gaussians.unwrap_or(mcmc::DEFAULT_CAP) }
     }
 
     /// The evolution stage of iteration `i`.

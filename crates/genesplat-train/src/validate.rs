@@ -4,7 +4,7 @@ use std::fmt;
 
 use genesplat_core::spherical_harmonics::SH_DEGREE_MAX;
 
-use crate::config::{DensifyConfig, EvolutionConfig, OptimiserConfig, TrainConfig};
+use crate::config::{DensifyConfig, EvolutionConfig, McmcConfig, OptimiserConfig, TrainConfig};
 
 /// A setting that cannot be used.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -42,6 +42,7 @@ impl TrainConfig {
         }
         self.optimiser.validate()?;
         self.densify.validate()?;
+        self.mcmc.validate()?;
         self.evolution.validate()
     }
 }
@@ -69,7 +70,7 @@ impl DensifyConfig {
         positive("densify.depth_threshold", self.depth_threshold)?;
         let (prune, reset) = (self.prune_opacity, self.reset_opacity);
         check("densify.prune_opacity", prune, (0.0..=1.0).contains(&prune), "between 0 and 1")?;
-        check("densify.reset_opacity", reset, reset > 0.0 && reset < 1.0, "above 0 and below 1")?;
+        open_unit("densify.reset_opacity", reset)?;
         let survives = prune < reset;
         check(
             "densify.prune_opacity",
@@ -77,6 +78,18 @@ impl DensifyConfig {
             survives,
             "below densify.reset_opacity, or each reset empties the cloud",
         )
+    }
+}
+
+impl McmcConfig {
+    fn validate(&self) -> Result<(), ConfigError> {
+        open_unit("mcmc.min_opacity", self.min_opacity)?;
+        open_unit("mcmc.initial_opacity", self.initial_opacity)?;
+        positive("mcmc.initial_scale", self.initial_scale.into())?;
+        not_negative("mcmc.growth", self.growth)?;
+        not_negative("mcmc.noise", self.noise.into())?;
+        not_negative("mcmc.opacity_weight", self.opacity_weight.into())?;
+        not_negative("mcmc.scale_weight", self.scale_weight.into())
     }
 }
 
@@ -108,4 +121,8 @@ fn positive(setting: &'static str, value: f64) -> Result<(), ConfigError> {
 
 fn not_negative(setting: &'static str, value: f64) -> Result<(), ConfigError> {
     check(setting, value, value >= 0.0 && value.is_finite(), "a number that is not negative")
+}
+
+fn open_unit(setting: &'static str, value: f32) -> Result<(), ConfigError> {
+    check(setting, value, value > 0.0 && value < 1.0, "above 0 and below 1")
 }

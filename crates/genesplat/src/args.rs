@@ -314,7 +314,7 @@ pub struct TrainArgs {
 /// How long, and what kind of training.
 #[derive(Clone, Debug, Default, Args)]
 pub struct ScheduleArgs {
-    /// Method: the original, or one of two improvements on it [default: 3dgs]
+    /// Method: the original, or one of three improvements on it [default: 3dgs]
     #[arg(long, value_enum, value_name = "METHOD")]
     pub variant: Option<VariantName>,
     /// Training steps, one photo each [default: 30000]. More is better and slower; alone it cuts the schedule short,
@@ -328,7 +328,7 @@ pub struct ScheduleArgs {
     /// Seed of all random numbers [default: 0]. Same seed, same bytes
     #[arg(long, value_name = "S", value_parser = clap::value_parser!(u64).range(..1 << 63))]
     pub seed: Option<u64>,
-    /// Stop adding Gaussians at this many [default: no limit]. Bounds memory (about 1.5 KB a Gaussian) and time
+    /// Stop adding Gaussians at this many [default: no limit; 1000000 with mcmc, which always grows to it]. Bounds memory (about 1.5 KB a Gaussian) and time
     #[arg(long, value_name = "N", value_parser = positive)]
     pub max_gaussians: Option<usize>,
     /// Iterations between two checkpoints [default: 1000]; 0 for none but that of Ctrl-C
@@ -360,6 +360,8 @@ pub enum VariantName {
     PixelGs,
     /// Mip-Splatting (Yu et al. 2024): stays sharp when seen from nearer or farther than the photos
     MipSplatting,
+    /// 3DGS-MCMC (Kheradmand et al. 2024): Gaussians wander, dead ones move to where they are needed, up to --max-gaussians
+    Mcmc,
 }
 
 impl From<VariantName> for Variant {
@@ -368,6 +370,7 @@ impl From<VariantName> for Variant {
             VariantName::ThreeDgs => Self::ThreeDgs,
             VariantName::PixelGs => Self::PixelGs,
             VariantName::MipSplatting => Self::MipSplatting,
+            VariantName::Mcmc => Self::Mcmc,
         }
     }
 }

@@ -144,11 +144,6 @@ impl Backend for CpuBackend {
     }
 
     fn train_step(&mut self, step: &TrainStep) -> Result<(), BackendError> {
-        if step.update.is_some_and(|update| update.exploration.is_some()) {
-            return Err(BackendError::Unsupported(
-                "exploration noise is not available on the CPU backend yet".into(),
-            ));
-        }
         self.touch();
         self.grow_statistics(step.statistics.genes);
         let view = &self.views[step.view];
@@ -170,6 +165,7 @@ impl Backend for CpuBackend {
                 &mut self.statistics,
                 step.statistics,
                 step.update.as_ref(),
+                &self.rng,
             );
         });
         self.steps += u32::from(step.update.is_some());

@@ -6,6 +6,7 @@
 mod adam;
 mod bin;
 mod colour;
+mod explore;
 mod loss;
 mod project;
 mod project_backward;

@@ -5,12 +5,12 @@
 //! | image | 2e-4 absolute | f32 rounding; a pixel exactly at alpha = 1/255 may flip, worth up to 1/255 of one splat: 0.1 % of the values may be off by 8e-3 |
 //! | loss | 1e-5 relative | f32 blur, f64 sums |
 //! | gradients | 1e-3 relative L2, cosine 0.99999 | the bound; seen: 1e-5 |
-//! | Adam | 1e-6 absolute of a step of 1e-2 | f32 rounding |
+//! | Adam, MCMC's exploration | 1e-5 relative, absolute below 1 | f32 rounding over ten steps |
 
 use std::sync::Arc;
 
 use fearless_simd::Level;
-use genesplat_core::backend::MomentPolicy;
+use genesplat_core::backend::{Exploration, MomentPolicy};
 use genesplat_core::{
     Backend, Camera, DensitySignal, Gaussians, Image, LearningRates, Photo, RenderSettings, Rng, RowEdit,
     ScreenFilter, SparseDelta, StatisticsRequest, Stream, TrainStep, Update, View,
@@ -261,15 +261,29 @@ fn step(number: u32) -> TrainStep {
     }
 }
 
-/// Ten steps from the same gradients as the reference's Adam.
 #[test]
 fn adam_matches_the_reference() {
-    let (start, settings) = (cloud(300), settings(2, ScreenFilter::Classic));
+    ten_steps_match_the_reference(None);
+}
+
+/// Regularisers and noise of MCMC; a third of the cloud is faint enough to be moved.
+#[test]
+fn explore_matches_the_reference() {
+    let exploration = Exploration { noise: 0.3, opacity_weight: 0.01, scale_weight: 0.02, counter: 0 };
+    ten_steps_match_the_reference(Some(exploration));
+}
+
+/// Ten steps from the same gradients as the reference's.
+fn ten_steps_match_the_reference(exploration: Option<Exploration>) {
+    let (mut start, settings) = (cloud(300), settings(2, ScreenFilter::Classic));
+    start.opacity_logits.iter_mut().step_by(3).for_each(|logit| *logit -= 6.0);
     let mut backend = backend_with(&start);
     let mut expected = Cloud64::from(&start);
     let mut moments = reference::Moments64::zeros(300);
     for number in 1..=10 {
-        let step = step(number);
+        let mut step = step(number);
+        let update = step.update.as_mut().unwrap();
+        update.exploration = exploration.map(|exploration| Exploration { counter: number, ..exploration });
         // Gradients of the f32 state, so that only the optimiser is compared.
         let now = backend.download().unwrap();
         let (frame, camera) = frame_of(&now, &settings, Extra::None);
@@ -350,7 +364,14 @@ fn results_do_not_depend_on_the_number_of_threads() {
         pool.install(|| {
             let mut backend = backend_with(&cloud(700));
             for number in 1..=5 {
-                backend.train_step(&step(number)).unwrap();
+                let mut step = step(number);
+                step.update.as_mut().unwrap().exploration = (number % 2 == 0).then_some(Exploration {
+                    noise: 0.3,
+                    opacity_weight: 0.01,
+                    scale_weight: 0.02,
+                    counter: number,
+                });
+                backend.train_step(&step).unwrap();
             }
             let mut edit = RowEdit::keep((0..650).collect());
             edit.push(3, genesplat_core::Origin::SplitChild { child: 0 });

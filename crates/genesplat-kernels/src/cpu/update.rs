@@ -7,13 +7,14 @@
 use fearless_simd::{Level, Simd, dispatch, prelude::*};
 use genesplat_core::spherical_harmonics::SH_STRIDE;
 use genesplat_core::{
-    DensitySignal, Gaussians, Gene, Moments, RenderSettings, Statistics, StatisticsRequest, Update,
+    DensitySignal, Gaussians, Gene, Moments, RenderSettings, Rng, Statistics, StatisticsRequest, Update,
 };
 use rayon::prelude::*;
 
 use super::adam::adam;
 use super::bin::Bins;
 use super::colour;
+use super::explore::{explore, regularise};
 use super::project::{CHUNK, Geometry, Params, Pinhole, Splat, Splats};
 use super::project_backward::{LaneGradients, backward};
 use super::rasterise_backward::{GradientRow, column};
@@ -67,6 +68,12 @@ impl ChunkGradients {
             (self.sh[row], self.density[row]) = ([0.0; SH_STRIDE], [0.0; 2]);
         }
         self.touched.clear();
+    }
+
+    /// Every row of the chunk (of `rows`) has a gradient now.
+    pub fn touch_all(&mut self, rows: usize) {
+        self.touched.clear();
+        self.touched.extend(0..rows as u32);
     }
 }
 
@@ -126,7 +133,7 @@ fn statistics_mut(statistics: &mut Statistics) -> impl Iterator<Item = Statistic
     })
 }
 
-/// Gradients of all parameters, statistics, and the Adam step if there is one.
+/// Gradients of all parameters, statistics, and the Adam step if there is one; `rng` is read for MCMC's noise only.
 pub fn update(
     level: Level,
     inputs: &Inputs,
@@ -135,7 +142,9 @@ pub fn update(
     statistics: &mut Statistics,
     request: StatisticsRequest,
     step: Option<&Update>,
+    rng: &Rng,
 ) {
+    let cloud_rows = cloud.len();
     let filter_3d = cloud.filter_3d.take();
     let work: Vec<ChunkMut> = chunks_mut(cloud)
         .zip(chunks_mut(&mut moments.first))
@@ -154,9 +163,15 @@ pub fn update(
                 chunk_gradients(simd, inputs, splats, &view, request.density, gradients);
                 add_statistics(&mut chunk.statistics, gradients, inputs.splats.seen(index), request);
                 if let Some(step) = step {
+                    if let Some(exploration) = &step.exploration {
+                        regularise(gradients, &chunk.parameters, exploration, cloud_rows);
+                    }
                     adam(simd, step, inputs.settings.sh_degree, gradients, &mut chunk);
                 }
             });
+            if let Some(exploration) = step.and_then(|step| step.exploration.as_ref()) {
+                explore(&mut chunk.parameters, index * CHUNK, exploration, rng);
+            }
         },
     );
     cloud.filter_3d = filter_3d;

@@ -1,22 +1,14 @@
 //! The optimiser step: Adam (Kingma and Ba 2015) in torch's form, `p ← p − lr · m̂ / (sqrt(v̂) + ε)`, six groups.
 //!
-//! It is dense: rows without a gradient keep moving on their momentum, as in 3DGS. For 3DGS-MCMC (Kheradmand et al.
-//! 2024) the step also regularises opacity and scale, and jiggles the positions of faint Gaussians afterwards.
+//! It is dense: rows without a gradient keep moving on their momentum, as in 3DGS. What 3DGS-MCMC adds to a step is in
+//! [`super::explore`].
 
-use genesplat_core::backend::Exploration;
 use genesplat_core::constants::{ADAM_BETA1, ADAM_BETA2, ADAM_EPSILON};
 use genesplat_core::spherical_harmonics::SH_STRIDE;
-use genesplat_core::{Rng, Stream, Update};
-use glam::DVec3;
+use genesplat_core::{Rng, Update};
 
 use super::Cloud64;
-use super::cloud::sigmoid;
-use super::covariance::Shape;
-
-/// MCMC's noise fades out over opacities around this value ...
-const NOISE_OPACITY: f64 = 0.005;
-/// ... with this steepness.
-const NOISE_STEEPNESS: f64 = 100.0;
+use super::explore::{explore, regularised};
 
 /// Adam's moments; rows match those of the cloud.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -92,32 +84,5 @@ fn step_column(
         second[i] = beta2 * second[i] + (1.0 - beta2) * gradients[i] * gradients[i];
         let denominator = (second[i] / unbias2).sqrt() + f64::from(ADAM_EPSILON);
         values[i] -= rate(i) * (first[i] / unbias1) / denominator;
-    }
-}
-
-/// MCMC: the gradient with those of `opacity_weight · mean(opacity) + scale_weight · mean(scale)` added.
-fn regularised(gradient: &Cloud64, cloud: &Cloud64, exploration: &Exploration) -> Cloud64 {
-    let n = cloud.len() as f64;
-    let mut gradient = gradient.clone();
-    for row in 0..cloud.len() {
-        let opacity = sigmoid(cloud.opacity_logits[row]);
-        gradient.opacity_logits[row] += f64::from(exploration.opacity_weight) / n * opacity * (1.0 - opacity);
-        for axis in 0..3 {
-            let scale = cloud.log_scales[row][axis].exp();
-            gradient.log_scales[row][axis] += f64::from(exploration.scale_weight) / (3.0 * n) * scale;
-        }
-    }
-    gradient
-}
-
-/// MCMC: moves each mean by `noise · σ(−100 (opacity − 0.005)) · Σ ξ`, with `ξ` standard normal.
-fn explore(cloud: &mut Cloud64, exploration: &Exploration, rng: &Rng) {
-    for row in 0..cloud.len() {
-        let draw = rng.at(Stream::ExplorationNoise, exploration.iteration, row as u32, 0);
-        let ([x, y], [z, _]) = (draw.normals(0), draw.normals(1));
-        let xi = DVec3::new(f64::from(x), f64::from(y), f64::from(z));
-        let faintness = sigmoid(-NOISE_STEEPNESS * (sigmoid(cloud.opacity_logits[row]) - NOISE_OPACITY));
-        let step = Shape::new(cloud, row).covariance() * xi * (f64::from(exploration.noise) * faintness);
-        (0..3).for_each(|axis| cloud.positions[row][axis] += step[axis]);
     }
 }

@@ -18,6 +18,7 @@ pub mod cloud;
 pub mod colour;
 pub mod covariance;
 pub mod cutoff;
+pub mod explore;
 pub mod loss;
 pub mod project;
 pub mod project_backward;

@@ -48,6 +48,7 @@ pub fn plan(statistics: &Statistics, cloud: &Gaussians, rules: &Rules, iteration
         pruned: grown - edit.sources.len(),
         refused,
         edit,
+        ..Plan::default()
     }
 }
 

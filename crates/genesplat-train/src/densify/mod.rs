@@ -5,6 +5,7 @@
 //! ([`pixel_gs`]) differ only in the [`DensitySignal`] that they ask the backend for.
 
 pub mod adaptive;
+pub mod mcmc;
 pub mod pixel_gs;
 
 use genesplat_core::{DensitySignal, RowEdit};
@@ -16,6 +17,8 @@ use crate::config::Variant;
 pub struct Plan {
     /// The new rows.
     pub edit: RowEdit,
+    /// Dead Gaussians moved to living ones (MCMC).
+    pub relocated: usize,
     /// Gaussians duplicated.
     pub cloned: usize,
     /// Gaussians replaced by two children.
@@ -26,12 +29,13 @@ pub struct Plan {
     pub refused: usize,
 }
 
-/// The density signal that a variant accumulates; `extent` is the scene's, world units.
+/// The density signal that a variant accumulates, if it needs one; `extent` is the scene's, world units.
 ///
 /// Mip-Splatting's paper changes nothing here (facts of its first release; the later one adopts GOF's metric).
-pub fn signal(variant: Variant, depth_fraction: f64, extent: f64) -> DensitySignal {
+pub fn signal(variant: Variant, depth_fraction: f64, extent: f64) -> Option<DensitySignal> {
     match variant {
-        Variant::ThreeDgs | Variant::MipSplatting => DensitySignal::Signed,
-        Variant::PixelGs => pixel_gs::signal(depth_fraction, extent),
+        Variant::ThreeDgs | Variant::MipSplatting => Some(DensitySignal::Signed),
+        Variant::PixelGs => Some(pixel_gs::signal(depth_fraction, extent)),
+        Variant::Mcmc => None,
     }
 }

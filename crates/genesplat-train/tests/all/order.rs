@@ -4,6 +4,7 @@
 use std::sync::atomic::AtomicBool;
 
 use genesplat_core::DensitySignal;
+use genesplat_train::initialise::cloud_from_points;
 use genesplat_train::observe::{DensifyLog, StepLog};
 use genesplat_train::{
     Background, EvolutionMode, Observer, Outcome, Silent, Start, TrainConfig, TrainError, Variant, train,
@@ -196,6 +197,53 @@ fn mip_splatting_refreshes_its_filter_before_the_reset() {
     assert!(matches!(iteration(&backend, 1500), [Call::Step(_)]), "not at the end of densification");
     assert!(matches!(iteration(&backend, 2980), [Call::Step(_), Call::Filter(20)]));
     assert!(matches!(iteration(&backend, 2990), [Call::Step(_)]), "frozen at the end");
+}
+
+#[test]
+fn mcmc_explores_in_every_step_and_relocates_instead_of_resetting() {
+    let mut backend = FakeBackend::new();
+    let outcome = run(
+        &mut backend,
+        short(|config| {
+            (config.variant, config.max_gaussians) = (Variant::Mcmc, Some(27));
+            config.evolution.mode = EvolutionMode::Control;
+            config.evolution.control_seconds = 0.001;
+        }),
+    )
+    .unwrap();
+    let updates: Vec<_> = backend.steps().filter_map(|step| step.update).collect();
+    for (update, step) in updates.iter().zip(1..) {
+        let exploration = update.exploration.unwrap();
+        assert_eq!(
+            exploration.counter, step,
+            "no two steps share their noise, those of the control included"
+        );
+        assert_eq!(exploration.noise, update.rates.position * 5e5);
+        assert_eq!((exploration.opacity_weight, exploration.scale_weight), (0.01, 0.01));
+    }
+    assert!(backend.steps().all(|step| step.statistics.density.is_none()), "nobody reads gradients");
+    assert!(!backend.calls.iter().any(|call| matches!(call, Call::ResetOpacity(_))));
+    let stages: Vec<u32> = outcome.summary.stages.iter().map(|stage| stage.iteration).collect();
+    assert_eq!(stages, [300, 600, 900, 1200], "where 3DGS would have reset");
+    // A twentieth of 20 to 26 is one a time.
+    let edits =
+        backend.calls.iter().filter_map(|call| if let Call::Edit(edit) = call { Some(edit) } else { None });
+    let rows: Vec<usize> = edits.map(|edit| edit.sources.len()).collect();
+    assert_eq!((rows.len(), &rows[..9]), (244, &[21, 22, 23, 24, 25, 26, 27, 27, 27][..]));
+    assert_eq!(outcome.cloud.len(), 27);
+}
+
+#[test]
+fn mcmc_starts_small_and_half_transparent() {
+    let mut backend = FakeBackend::new();
+    let config = short(|config| (config.variant, config.iterations) = (Variant::Mcmc, 1));
+    let outcome = run(&mut backend, config).unwrap();
+    let usual = cloud_from_points(&points(20)).unwrap();
+    for row in 0..20 {
+        assert_eq!(outcome.cloud.opacity_logits[row], 0.0, "a half");
+        let ratio = (outcome.cloud.log_scales[row][0] - usual.log_scales[row][0]).exp();
+        assert!((ratio - 0.1).abs() < 1e-6, "{ratio}");
+    }
 }
 
 #[test]

@@ -1,0 +1,63 @@
+//! Stage `explore`: what 3DGS-MCMC adds to an optimiser step (facts.md section 12), over a chunk of rows.
+//!
+//! [`regularise`] runs before `adam`, [`explore`] after it. Noise is a pure function of (seed, step, row), so chunks may
+//! run on any thread. Gaussians so opaque that their noise is below anything that f32 can hold are skipped, which is
+//! most of them: drawing normal numbers would cost more than Adam.
+
+use genesplat_core::backend::Exploration;
+use genesplat_core::constants::{NOISE_OPACITY, NOISE_STEEPNESS};
+use genesplat_core::covariance::{rotation_matrix, world_offset};
+use genesplat_core::gaussians::sigmoid;
+use genesplat_core::{Rng, Stream};
+
+use super::update::{ChunkGradients, RowsMut};
+
+/// Noise fainter than this is left out; it is reached at an opacity of 0.28. At the published rates, a Gaussian as large
+/// as a scene of extent 1 would have moved by 1e-10.
+const FAINTNESS_MIN: f32 = 1e-12;
+
+/// Adds the gradients of `opacity_weight · mean(opacity) + scale_weight · mean(scale)`, means over a cloud of
+/// `cloud_rows` Gaussians.
+pub fn regularise(
+    gradients: &mut ChunkGradients,
+    rows: &RowsMut,
+    exploration: &Exploration,
+    cloud_rows: usize,
+) {
+    let opacity_weight = exploration.opacity_weight / cloud_rows as f32;
+    let scale_weight = exploration.scale_weight / (3.0 * cloud_rows as f32);
+    for (row, gene) in gradients.genes[..rows.positions.len()].iter_mut().enumerate() {
+        for axis in 0..3 {
+            gene[3 + axis] += scale_weight * rows.log_scales[row][axis].exp();
+        }
+        let opacity = sigmoid(rows.opacity_logits[row]);
+        gene[6] += opacity_weight * opacity * (1.0 - opacity);
+    }
+    gradients.touch_all(rows.positions.len());
+}
+
+/// Moves each mean by `noise · σ(−100 (opacity − 0.005)) · Σ ξ`, with `ξ` standard normal.
+pub fn explore(rows: &mut RowsMut, first_row: usize, exploration: &Exploration, rng: &Rng) {
+    for row in 0..rows.positions.len() {
+        let faintness = sigmoid(-NOISE_STEEPNESS * (sigmoid(rows.opacity_logits[row]) - NOISE_OPACITY));
+        if faintness > FAINTNESS_MIN {
+            let address = (first_row + row) as u32;
+            let draw = rng.at(Stream::ExplorationNoise, exploration.counter, address, 0);
+            let ([x, y], [z, _]) = (draw.normals(0), draw.normals(1));
+            let step = covariance_times(rows.rotations[row], rows.log_scales[row], [x, y, z]);
+            for (mean, step) in rows.positions[row].iter_mut().zip(step) {
+                *mean += exploration.noise * faintness * step;
+            }
+        }
+    }
+}
+
+/// `Σ ξ = R S² Rᵀ ξ`, world units squared.
+fn covariance_times(rotation: [f32; 4], log_scale: [f32; 3], xi: [f32; 3]) -> [f32; 3] {
+    let r = rotation_matrix(rotation);
+    let scaled = std::array::from_fn(|axis| {
+        let along_axis: f32 = (0..3).map(|row| r[row][axis] * xi[row]).sum();
+        log_scale[axis].exp() * along_axis
+    });
+    world_offset(rotation, log_scale, scaled)
+}

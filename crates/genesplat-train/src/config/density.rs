@@ -1,0 +1,95 @@
+//! Settings of density control: that of 3DGS and its variants, and what MCMC has in its place.
+
+use serde::{Deserialize, Serialize};
+
+/// Density control; defaults are those of the published numbers.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct DensifyConfig {
+    /// Densification starts after this iteration. Default 500.
+    pub from: u32,
+    /// Densification and opacity resets end before this iteration. Default 15,000; 0 switches both off. (With `mcmc`,
+    /// only where evolution's reset triggers end; see `mcmc.until`.)
+    pub until: u32,
+    /// Iterations between two densifications. Default 100; at least 1.
+    pub every: u32,
+    /// Mean screen-space gradient from which a Gaussian grows, in normalised device coordinates. Default 2e-4; above 0.
+    /// Lower grows more Gaussians.
+    pub gradient_threshold: f32,
+    /// Growing Gaussians up to this size are cloned, larger ones split; in scene extents. Default 0.01; above 0.
+    pub clone_size: f64,
+    /// Fainter Gaussians are pruned. Default 0.005; 0 to 1.
+    pub prune_opacity: f32,
+    /// Larger Gaussians are pruned; in scene extents. Default 0.1; above 0.
+    pub prune_size: f64,
+    /// Iteration after which they are. Default 3000.
+    pub size_prune_after: u32,
+    /// Iterations between two opacity resets. Default 3000; at least 1.
+    pub reset_every: u32,
+    /// A reset limits opacity to this. Default 0.01; above 0, below 1.
+    pub reset_opacity: f32,
+    /// Iteration of the additional reset with a white background. Default 500; 0 for none.
+    pub white_reset_at: u32,
+    /// Pixel-GS: depth below which gradients count less, in scene extents. Default 0.37; above 0.
+    pub depth_threshold: f64,
+}
+
+impl Default for DensifyConfig {
+    fn default() -> Self {
+        Self {
+            from: 500,
+            until: 15_000,
+            every: 100,
+            gradient_threshold: 2e-4,
+            clone_size: 0.01,
+            prune_opacity: 0.005,
+            prune_size: 0.1,
+            size_prune_after: 3000,
+            reset_every: 3000,
+            reset_opacity: 0.01,
+            white_reset_at: 500,
+            depth_threshold: 0.37,
+        }
+    }
+}
+
+/// 3DGS-MCMC; defaults are those of gsplat, which reproduces the published numbers. `densify.from` and `densify.every`
+/// hold here, too; the rest of `densify` does not.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct McmcConfig {
+    /// Relocation and growth end before this iteration. Default 25,000; 0 switches both off.
+    pub until: u32,
+    /// Gaussians not more opaque than this are dead, and are relocated. Default 0.005; above 0, below 1.
+    pub min_opacity: f32,
+    /// Share of Gaussians added each time, until `max_gaussians` are reached. Default 0.05; not negative.
+    pub growth: f64,
+    /// Exploration noise, in multiples of the position rate. Default 5e5; not negative.
+    pub noise: f32,
+    /// Weight of the mean opacity in the loss. Default 0.01; not negative. Higher leaves more Gaussians to relocate.
+    pub opacity_weight: f32,
+    /// Weight of the mean scale in the loss. Default 0.01; not negative. Higher makes Gaussians smaller.
+    pub scale_weight: f32,
+    /// Opacity of the first Gaussians. Default 0.5; above 0, below 1.
+    pub initial_opacity: f32,
+    /// Size of the first Gaussians, in distances to their neighbours. Default 0.1; above 0.
+    pub initial_scale: f32,
+    /// Reset opacities as `densify` says. Default false, as published; true for studies of evolution after resets.
+    pub resets: bool,
+}
+
+impl Default for McmcConfig {
+    fn default() -> Self {
+        Self {
+            until: 25_000,
+            min_opacity: 0.005,
+            growth: 0.05,
+            noise: 5e5,
+            opacity_weight: 0.01,
+            scale_weight: 0.01,
+            initial_opacity: 0.5,
+            initial_scale: 0.1,
+            resets: false,
+        }
+    }
+}
