@@ -1,0 +1,153 @@
+use super::*;
+
+fn schedule(change: impl FnOnce(&mut TrainConfig)) -> Schedule {
+    let mut config = TrainConfig::default();
+    change(&mut config);
+    Schedule::new(&config)
+}
+
+fn iterations_with(schedule: &Schedule, phase: Phase) -> Vec<u32> {
+    (1..=schedule.iterations).filter(|&i| schedule.phases(i).any(|due| due == phase)).collect()
+}
+
+#[test]
+fn the_published_schedule_densifies_144_times_and_resets_4_times() {
+    let schedule = schedule(|_| {});
+    let densify = iterations_with(&schedule, Phase::Densify);
+    assert_eq!((densify.len(), densify[0], densify[143]), (144, 600, 14_900));
+    assert_eq!(iterations_with(&schedule, Phase::ResetOpacity), [3000, 6000, 9000, 12_000]);
+    assert_eq!(iterations_with(&schedule, Phase::EvolveAfterReset), [] as [u32; 0]);
+    assert!(!schedule.prunes_by_size(3000) && schedule.prunes_by_size(3100));
+}
+
+#[test]
+fn lost_steps_leave_29_855() {
+    let schedule = schedule(|_| {});
+    let made = (1..=30_000).filter(|&i| schedule.optimiser_step(i) == OptimiserStep::All).count();
+    assert_eq!(made, 29_855);
+    assert_eq!(schedule.optimiser_step(30_000), OptimiserStep::Lost);
+}
+
+#[test]
+fn a_strongly_compressed_schedule_keeps_its_steps() {
+    let made = |scale| {
+        let schedule = schedule(|config| config.steps_scale = scale);
+        let lost = (1..=schedule.iterations).filter(|&i| schedule.optimiser_step(i) == OptimiserStep::Lost);
+        schedule.iterations - lost.count() as u32
+    };
+    assert_eq!(made(0.1), 3000 - 145);
+    assert_eq!(made(0.01), 300 - 1, "which densifies in every iteration from 6 to 149");
+}
+
+#[test]
+fn a_white_background_resets_once_more_and_costs_opacity_one_step() {
+    let schedule = schedule(|config| config.background = Background::White);
+    assert_eq!(iterations_with(&schedule, Phase::ResetOpacity), [500, 3000, 6000, 9000, 12_000]);
+    assert_eq!(schedule.optimiser_step(500), OptimiserStep::AllButOpacity);
+    assert_eq!(schedule.optimiser_step(3000), OptimiserStep::Lost, "it densifies, too");
+    assert_eq!(schedule.phases(500).collect::<Vec<_>>(), [Phase::Step, Phase::ResetOpacity]);
+}
+
+#[test]
+fn evolution_follows_the_four_resets_but_not_the_white_one() {
+    let schedule = schedule(|config| {
+        config.evolution.mode = EvolutionMode::Paper;
+        config.background = Background::White;
+    });
+    assert_eq!(schedule.stages().collect::<Vec<_>>(), [3000, 6000, 9000, 12_000]);
+    assert_eq!(
+        schedule.phases(3000).collect::<Vec<_>>(),
+        [Phase::Step, Phase::Densify, Phase::ResetOpacity, Phase::EvolveAfterReset]
+    );
+}
+
+#[test]
+fn other_triggers_move_the_stage_and_a_stride_thins_it() {
+    let with = |trigger, stride| {
+        schedule(|config| {
+            config.evolution.mode = EvolutionMode::Paper;
+            (config.evolution.trigger, config.evolution.stride) = (trigger, stride);
+        })
+    };
+    let before = with(Trigger::BeforeReset, 2);
+    assert_eq!(before.stages().collect::<Vec<_>>(), [6000, 12_000]);
+    let phases = [Phase::Step, Phase::Densify, Phase::EvolveBeforeReset, Phase::ResetOpacity];
+    assert_eq!(before.phases(6000).collect::<Vec<_>>(), phases);
+    assert_eq!(with(Trigger::AfterDensify, 1).stages().count(), 144);
+    let quarter = with(Trigger::BeforeDensify, 36);
+    assert_eq!(quarter.stages().collect::<Vec<_>>(), [4100, 7700, 11_300, 14_900]);
+    let phases = [Phase::Step, Phase::EvolveBeforeDensify, Phase::Densify];
+    assert_eq!(quarter.phases(4100).collect::<Vec<_>>(), phases);
+}
+
+#[test]
+fn mcmc_densifies_longer_loses_no_step_and_resets_nothing() {
+    let schedule = schedule(|config| {
+        (config.variant, config.background) = (Variant::Mcmc, Background::White);
+        config.evolution.mode = EvolutionMode::Paper;
+    });
+    let densify = iterations_with(&schedule, Phase::Densify);
+    assert_eq!((densify.len(), densify[0], densify[243]), (244, 600, 24_900));
+    assert_eq!(iterations_with(&schedule, Phase::ResetOpacity), [] as [u32; 0]);
+    let lost = (1..=30_000).filter(|&i| schedule.optimiser_step(i) != OptimiserStep::All);
+    assert_eq!(lost.collect::<Vec<_>>(), [30_000], "the last one only measures");
+    assert_eq!(schedule.stages().collect::<Vec<_>>(), [3000, 6000, 9000, 12_000], "where 3DGS resets");
+    assert_eq!(
+        schedule.phases(3000).collect::<Vec<_>>(),
+        [Phase::Step, Phase::Densify, Phase::EvolveAfterReset]
+    );
+}
+
+#[test]
+fn mcmc_resets_if_told_to() {
+    let schedule = schedule(|config| (config.variant, config.mcmc.resets) = (Variant::Mcmc, true));
+    assert_eq!(iterations_with(&schedule, Phase::ResetOpacity), [3000, 6000, 9000, 12_000]);
+}
+
+#[test]
+fn the_3d_filter_follows_densification_and_then_every_hundredth_iteration() {
+    let schedule = schedule(|config| config.variant = Variant::MipSplatting);
+    let refreshed = iterations_with(&schedule, Phase::RefreshFilter);
+    let late: Vec<u32> = refreshed.iter().copied().filter(|&i| i >= 15_000).collect();
+    assert_eq!((late[0], late[late.len() - 1], late.len()), (15_100, 29_800, 148));
+    assert_eq!((refreshed[0], refreshed.len()), (600, 144 + 148));
+}
+
+#[test]
+fn scaling_keeps_the_shape_and_truncation_keeps_the_rates() {
+    let tenth = schedule(|config| config.steps_scale = 0.1);
+    assert_eq!(tenth.iterations, 3000);
+    assert_eq!(iterations_with(&tenth, Phase::Densify).len(), 144);
+    assert_eq!(iterations_with(&tenth, Phase::ResetOpacity), [300, 600, 900, 1200]);
+    let short = schedule(|config| config.iterations = 3000);
+    assert_eq!(iterations_with(&short, Phase::ResetOpacity), [] as [u32; 0], "the last one only measures");
+    assert_eq!(iterations_with(&short, Phase::Densify).last(), Some(&2900));
+    let (rates, extent) = (OptimiserConfig::default(), 2.0);
+    let long = schedule(|_| {});
+    assert_eq!(short.rates(&rates, extent, 3000), long.rates(&rates, extent, 3000));
+    assert_eq!(tenth.rates(&rates, extent, 300), long.rates(&rates, extent, 3000));
+}
+
+#[test]
+fn the_position_rate_decays_a_hundredfold() {
+    let (schedule, rates) = (schedule(|_| {}), OptimiserConfig::default());
+    let at = |i| f64::from(schedule.rates(&rates, 5.0, i).position);
+    for (i, expected) in [(0, 8e-4), (15_000, 8e-5), (30_000, 8e-6), (40_000, 8e-6)] {
+        assert!((at(i) / expected - 1.0).abs() < 1e-6, "iteration {i}: {}", at(i));
+    }
+}
+
+#[test]
+fn the_degree_rises_at_the_start_of_every_thousandth_iteration() {
+    let schedule = schedule(|_| {});
+    let degrees: Vec<u8> = [1, 999, 1000, 1999, 2000, 3000, 9000].map(|i| schedule.sh_degree(i)).to_vec();
+    assert_eq!(degrees, [0, 0, 1, 1, 2, 3, 3]);
+}
+
+#[test]
+fn statistics_end_with_densification_and_gene_sums_with_the_last_stage() {
+    let schedule = schedule(|config| config.evolution.mode = EvolutionMode::Paper);
+    let at = |i| schedule.statistics(Some(DensitySignal::Signed), 12_000, i);
+    assert!(at(14_999).density.is_some() && at(15_000).density.is_none());
+    assert!(at(12_000).genes && !at(12_001).genes);
+}
