@@ -77,6 +77,30 @@ impl Gaussians {
             .or_else(|| first(&self.sh, "colour"))
     }
 
+    /// Factor by which the 3D filter dims a row: `sqrt(Π s² / (s² + f²))` over the three axes; 1 without a filter.
+    pub fn filter_dimming(&self, row: usize) -> f32 {
+        let Some(filter) = &self.filter_3d else { return 1.0 };
+        let variance = filter[row] * filter[row];
+        let ratio = |log_scale: f32| {
+            let raw = (2.0 * log_scale).exp();
+            raw / (raw + variance)
+        };
+        self.log_scales[row].map(ratio).iter().product::<f32>().sqrt()
+    }
+
+    /// The cloud with its 3D filter baked into scales and opacities, for viewers that do not know the filter; it renders
+    /// alike (up to opacities that f32's logit cannot hold), but can no longer be trained as Mip-Splatting.
+    pub fn fused(&self) -> Self {
+        let mut fused = self.clone();
+        let Some(filter) = fused.filter_3d.take() else { return fused };
+        for (row, std) in filter.into_iter().enumerate() {
+            fused.log_scales[row] = self.log_scales[row].map(|s| 0.5 * ((2.0 * s).exp() + std * std).ln());
+            let opacity = sigmoid(self.opacity_logits[row]) * self.filter_dimming(row);
+            fused.opacity_logits[row] = logit(opacity.clamp(f32::MIN_POSITIVE, 1.0 - f32::EPSILON));
+        }
+        fused
+    }
+
     /// True when every column has `N` rows.
     pub fn is_consistent(&self) -> bool {
         let n = self.len();

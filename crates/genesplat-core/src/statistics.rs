@@ -9,6 +9,9 @@ pub enum DensitySignal {
     Signed,
     /// gsplat's "absgrad": absolute values per pixel before they are summed.
     Absolute,
+    /// [`Self::Signed`], and beside it the sum over pixels and both axes of absolute values (Gaussian Opacity Fields;
+    /// later releases of Mip-Splatting).
+    SignedAndAbsolute,
     /// Pixel-GS: weighted by the number of pixels blended, and scaled down near the camera by
     /// `min(1, (z / depth_threshold)²)`; the threshold is in world units (0.37 x scene extent).
     PixelWeighted {
@@ -33,6 +36,8 @@ pub struct Statistics {
     pub gradient_sum: Vec<f32>,
     /// Sum of its weights: views, or pixels for [`DensitySignal::PixelWeighted`] `[N]`.
     pub weight_sum: Vec<f32>,
+    /// Sum of absolute gradients for [`DensitySignal::SignedAndAbsolute`], same weights `[N]`; empty when never asked for.
+    pub absolute_sum: Vec<f32>,
     /// Sum of signed gene gradients `[N, 7]`; empty when never asked for.
     pub gene_gradient_sum: Vec<Gene>,
     /// Views that contributed to `gene_gradient_sum` `[N]`; empty when never asked for.
@@ -43,5 +48,13 @@ impl Statistics {
     /// The density signal per unit of weight; 0 where there was none.
     pub fn mean_gradient(&self, row: usize) -> f32 {
         if self.weight_sum[row] > 0.0 { self.gradient_sum[row] / self.weight_sum[row] } else { 0.0 }
+    }
+
+    /// The absolute gradient per unit of weight; 0 where there was none, or nobody asked.
+    pub fn mean_absolute(&self, row: usize) -> f32 {
+        match self.absolute_sum.get(row) {
+            Some(sum) if self.weight_sum[row] > 0.0 => sum / self.weight_sum[row],
+            _ => 0.0,
+        }
     }
 }

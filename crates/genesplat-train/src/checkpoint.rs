@@ -12,7 +12,7 @@ use crate::observe::StageRecord;
 use crate::schedule::Phase;
 
 /// Opens every checkpoint; the last byte is the version of the format.
-const MAGIC: [u8; 8] = *b"GSPLATC\x01";
+const MAGIC: [u8; 8] = *b"GSPLATC\x02";
 
 /// The next thing to do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -90,6 +90,7 @@ impl Checkpoint {
         out.cloud(&self.moments.second)?;
         out.floats(&self.statistics.gradient_sum)?;
         out.floats(&self.statistics.weight_sum)?;
+        out.floats(&self.statistics.absolute_sum)?;
         out.floats(self.statistics.gene_gradient_sum.as_flattened())?;
         out.counts(&self.statistics.gene_views)?;
         let checksum = out.checksum.0;
@@ -119,6 +120,7 @@ impl Checkpoint {
             .into_iter()
             .all(|columns| columns.is_consistent() && columns.len() == n)
             && [statistics.gradient_sum.len(), statistics.weight_sum.len()] == [n, n]
+            && [0, n].contains(&statistics.absolute_sum.len())
             && (genes == [n, n] || genes == [0, 0]);
         if consistent { Ok(()) } else { Err(CheckpointError::Damaged("its columns differ in length")) }
     }
@@ -221,6 +223,7 @@ impl<R: Read> Decoder<R> {
             statistics: Statistics {
                 gradient_sum: self.floats()?,
                 weight_sum: self.floats()?,
+                absolute_sum: self.floats()?,
                 gene_gradient_sum: self.rows()?,
                 gene_views: self.words()?.into_iter().map(u32::from_le_bytes).collect(),
             },
@@ -344,6 +347,7 @@ mod tests {
             statistics: Statistics {
                 gradient_sum: vec![1.0, 2.0, 3.0],
                 weight_sum: vec![4.0, 5.0, 6.0],
+                absolute_sum: vec![7.0, 8.0, 9.0],
                 gene_gradient_sum: vec![[0.5; 7]; 3],
                 gene_views: vec![7, 8, 9],
             },
@@ -363,6 +367,7 @@ mod tests {
         checkpoint.cloud.filter_3d = None;
         checkpoint.statistics.gene_gradient_sum.clear();
         checkpoint.statistics.gene_views.clear();
+        checkpoint.statistics.absolute_sum.clear();
         assert_eq!(Checkpoint::read(bytes(&checkpoint).as_slice()).unwrap(), checkpoint);
     }
 

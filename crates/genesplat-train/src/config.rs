@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::schedule::Schedule;
 pub use crate::validate::ConfigError;
-pub use density::{DensifyConfig, McmcConfig};
+pub use density::{DensifyConfig, McmcConfig, Signal};
 
 mod density;
 
@@ -47,14 +47,6 @@ impl Variant {
             Self::PixelGs => "pixel-gs",
             Self::MipSplatting => "mip-splatting",
             Self::Mcmc => "mcmc",
-        }
-    }
-
-    /// The screen-space filter that it renders with.
-    pub fn screen_filter(self) -> ScreenFilter {
-        match self {
-            Self::ThreeDgs | Self::PixelGs | Self::Mcmc => ScreenFilter::Classic,
-            Self::MipSplatting => ScreenFilter::Mip,
         }
     }
 }
@@ -118,6 +110,9 @@ pub struct TrainConfig {
     pub sh_every: u32,
     /// Colour behind the splats. Default `black`; or `white`, `random`.
     pub background: Background,
+    /// Dim Gaussians by as much as the screen filter widens them ("antialiasing" of 3DGS's later releases). Default
+    /// false; not with `mip-splatting`, which has a filter of its own.
+    pub antialiasing: bool,
     /// Size of the scene, world units. Default: 1.1 x the largest distance of a training camera from their mean.
     /// Scales the position rate and every size threshold.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -150,6 +145,7 @@ impl Default for TrainConfig {
             sh_degree: SH_DEGREE_MAX,
             sh_every: 1000,
             background: Background::default(),
+            antialiasing: false,
             extent: None,
             max_gaussians: None,
             report_every: 10,
@@ -298,12 +294,21 @@ impl Resolved {
         RenderSettings {
             sh_degree: self.config.sh_degree,
             background: self.config.background.fixed_colour(),
-            filter: self.config.variant.screen_filter(),
+            filter: self.config.screen_filter(),
         }
     }
 }
 
 impl TrainConfig {
+    /// The screen-space filter that training and evaluation render with.
+    pub fn screen_filter(&self) -> ScreenFilter {
+        match self.variant {
+            Variant::MipSplatting => ScreenFilter::Mip,
+            _ if self.antialiasing => ScreenFilter::Antialiased,
+            Variant::ThreeDgs | Variant::PixelGs | Variant::Mcmc => ScreenFilter::Classic,
+        }
+    }
+
     /// Checks every setting, and scales steps.
     pub fn resolve(self) -> Result<Resolved, ConfigError> {
         self.validate()?;

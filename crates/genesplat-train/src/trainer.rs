@@ -9,7 +9,7 @@ use genesplat_core::{
 };
 
 use crate::checkpoint::{Checkpoint, Cursor, Progress};
-use crate::config::{Background, McmcConfig, Resolved, TrainConfig, Variant};
+use crate::config::{Background, McmcConfig, Resolved, Signal, TrainConfig, Variant};
 use crate::densify::adaptive::Rules;
 use crate::densify::mcmc;
 use crate::filter_3d::filter_3d;
@@ -56,7 +56,7 @@ impl<'a, B: Backend> Trainer<'a, B> {
         let rng = Rng::new(config.seed);
         backend.set_views(views)?;
         Ok(Self {
-            signal: crate::densify::signal(config.variant, config.densify.depth_threshold, extent),
+            signal: crate::densify::signal(config, extent),
             last_stage: schedule.stages().last().unwrap_or(0),
             order: ViewOrder::new(rng, views.len()),
             progress: Progress::default(),
@@ -102,7 +102,9 @@ impl<'a, B: Backend> Trainer<'a, B> {
         if cloud.is_empty() {
             return Err(TrainError::EmptyCloud);
         }
-        cloud.filter_3d = self.schedule.filter_3d.then(|| self.filter_of(&cloud));
+        let own_filter = cloud.filter_3d.take();
+        cloud.filter_3d =
+            self.schedule.filter_3d.then(|| own_filter.unwrap_or_else(|| self.filter_of(&cloud)));
         self.backend.upload(cloud, None)?;
         self.backend.reset_statistics(true);
         Ok(Cursor::start_of(1))
@@ -235,7 +237,7 @@ impl<'a, B: Backend> Trainer<'a, B> {
         RenderSettings {
             sh_degree: self.schedule.sh_degree(i),
             background: self.config.background.fixed_colour(),
-            filter: self.config.variant.screen_filter(),
+            filter: self.config.screen_filter(),
         }
     }
 
@@ -248,7 +250,11 @@ impl<'a, B: Backend> Trainer<'a, B> {
         let densify = &self.config.densify;
         let world = |extents: f64| (extents * self.extent) as f32;
         Rules {
-            gradient_threshold: densify.gradient_threshold,
+            gradient_threshold: match densify.signal {
+                Signal::Absolute => densify.absolute_threshold,
+                Signal::Published | Signal::Gof => densify.gradient_threshold,
+            },
+            or_absolute: densify.signal == Signal::Gof,
             clone_size_max: world(densify.clone_size),
             prune_opacity: densify.prune_opacity,
             prune_size: self.schedule.prunes_by_size(i).then(|| world(densify.prune_size)),

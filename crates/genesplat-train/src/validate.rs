@@ -4,7 +4,9 @@ use std::fmt;
 
 use genesplat_core::spherical_harmonics::SH_DEGREE_MAX;
 
-use crate::config::{DensifyConfig, EvolutionConfig, McmcConfig, OptimiserConfig, TrainConfig};
+use crate::config::{
+    DensifyConfig, EvolutionConfig, McmcConfig, OptimiserConfig, Signal, TrainConfig, Variant,
+};
 
 /// A setting that cannot be used.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -40,10 +42,31 @@ impl TrainConfig {
         if let Some(cap) = self.max_gaussians {
             check("max_gaussians", cap, cap > 0, "at least 1 (leave it out for no limit)")?;
         }
+        self.validate_options()?;
         self.optimiser.validate()?;
         self.densify.validate()?;
         self.mcmc.validate()?;
         self.evolution.validate()
+    }
+}
+
+impl TrainConfig {
+    /// Options that only some variants have.
+    fn validate_options(&self) -> Result<(), ConfigError> {
+        let mip = self.variant == Variant::MipSplatting;
+        check(
+            "antialiasing",
+            true,
+            !(mip && self.antialiasing),
+            "false with mip-splatting, which has its own filter",
+        )?;
+        let signal_is_free = matches!(self.variant, Variant::ThreeDgs | Variant::MipSplatting);
+        check(
+            "densify.signal",
+            self.densify.signal.name(),
+            signal_is_free || self.densify.signal == Signal::Published,
+            "published with pixel-gs, which is a signal of its own, and with mcmc, which needs none",
+        )
     }
 }
 
@@ -65,6 +88,7 @@ impl DensifyConfig {
         at_least_one("densify.every", self.every)?;
         at_least_one("densify.reset_every", self.reset_every)?;
         positive("densify.gradient_threshold", self.gradient_threshold.into())?;
+        positive("densify.absolute_threshold", self.absolute_threshold.into())?;
         positive("densify.clone_size", self.clone_size)?;
         positive("densify.prune_size", self.prune_size)?;
         positive("densify.depth_threshold", self.depth_threshold)?;

@@ -9,6 +9,10 @@ use serde::Serialize;
 
 use crate::device::Device;
 
+mod method;
+
+pub use method::MethodArgs;
+
 /// Reconstruct a scene from photos as 3D Gaussians, and evolve them.
 ///
 /// New here? `genesplat demo` builds a small scene, trains it without and with evolution, and shows the difference.
@@ -297,6 +301,9 @@ pub struct TrainArgs {
     #[command(flatten)]
     #[allow(missing_docs, reason = "clap would show it as help")]
     pub schedule: ScheduleArgs,
+    #[command(flatten)]
+    #[allow(missing_docs, reason = "clap would show it as help")]
+    pub method: MethodArgs,
     #[command(flatten)]
     #[allow(missing_docs, reason = "clap would show it as help")]
     pub evolution: EvolutionArgs,

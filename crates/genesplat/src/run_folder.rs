@@ -5,6 +5,7 @@
 //! | `config.toml` | every setting, resolved; `--config` repeats the run |
 //! | `log.jsonl` | one line a report |
 //! | `point_cloud.ply` | the splat, in the layout that every viewer opens |
+//! | `point_cloud_fused.ply` | Mip-Splatting: the same with its 3D filter baked in, for viewers that do not know it |
 //! | `test/NAME.png` | renders of the photos that training never saw |
 //! | `metrics.json` | the figures |
 //! | `checkpoint/latest.checkpoint` | the state of an unfinished run |
@@ -22,6 +23,9 @@ use genesplat::io::{PlyOptions, write_ply};
 use genesplat::train::Checkpoint;
 use genesplat::train::observe::LogRecord;
 use serde::Serialize;
+
+/// Name of the splat that has its 3D filter baked in.
+const FUSED_CLOUD: &str = "point_cloud_fused.ply";
 
 /// How a run's `config.toml` begins.
 const CONFIG_MARK: &str = "# All settings of a run of genesplat";
@@ -75,7 +79,8 @@ impl RunFolder {
     }
 
     fn remove_results(&self) -> Result<()> {
-        let files = ["metrics.json", "log.jsonl", "point_cloud.ply"].map(|name| self.path.join(name));
+        let names = ["metrics.json", "log.jsonl", "point_cloud.ply", FUSED_CLOUD];
+        let files = names.map(|name| self.path.join(name));
         let pictures =
             fs::read_dir(self.test_path()).into_iter().flatten().flatten().map(|entry| entry.path());
         let pictures = pictures.filter(|path| path.extension().is_some_and(|end| end == "png"));
@@ -116,9 +121,12 @@ impl RunFolder {
         Ok(Log { path, writer: BufWriter::new(file) })
     }
 
-    /// Writes the splat, so that viewers know its screen filter.
+    /// Writes the splat, so that viewers know its screen filter, and without its 3D filter, if it has one.
     pub fn write_cloud(&self, cloud: &Gaussians, filter: ScreenFilter) -> Result<()> {
         let options = PlyOptions { render_mode: filter.into(), ..PlyOptions::default() };
+        if cloud.filter_3d.is_some() {
+            write_ply(&self.path.join(FUSED_CLOUD), &cloud.fused(), &options)?;
+        }
         Ok(write_ply(&self.cloud_path(), cloud, &options)?)
     }
 

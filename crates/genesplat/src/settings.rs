@@ -123,6 +123,7 @@ impl Settings {
         file.dataset.path.clone_from(&args.dataset);
         file.dataset.override_size(args.size);
         override_schedule(&mut file.train, &args.schedule);
+        args.method.override_method(&mut file.train);
         override_evolution(&mut file.train, &args.evolution);
         if let Some(saved) = saved {
             check_same(&saved, &file, &args.out)?;

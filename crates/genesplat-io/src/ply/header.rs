@@ -207,7 +207,7 @@ fn assemble(
         gaussians: vertex.count,
         sh_degree: degree(rest)?,
         has_filter_3d: vertex.properties.iter().any(|property| property.name == "filter_3D"),
-        render_mode: comments.iter().find_map(|comment| render_mode(comment)),
+        render_mode: render_mode(&comments),
         comments,
         encoding,
         properties: vertex.properties,
@@ -225,15 +225,23 @@ fn degree(rest: usize) -> Result<u8, String> {
     })
 }
 
-fn render_mode(comment: &str) -> Option<RenderMode> {
-    let mode = comment.strip_prefix("SplatRenderMode:")?.trim();
-    [RenderMode::Default, RenderMode::Mip].into_iter().find(|known| known.name() == mode)
+/// Says that opacities are compensated for the classic dilation.
+const ANTIALIASED: &str = "SplatDilation: 0.3";
+
+fn render_mode(comments: &[String]) -> Option<RenderMode> {
+    let mode = comments.iter().find_map(|comment| comment.strip_prefix("SplatRenderMode:"))?.trim();
+    let antialiased = comments.iter().any(|comment| comment == ANTIALIASED);
+    let compensated = if antialiased { RenderMode::Antialiased } else { RenderMode::Mip };
+    [RenderMode::Default, compensated].into_iter().find(|known| known.name() == mode)
 }
 
 /// The header of `cloud` at degree 3.
 pub(super) fn text(cloud: &Gaussians, options: &PlyOptions) -> String {
     let mut text = String::from("ply\nformat binary_little_endian 1.0\n");
     text += &format!("comment SplatRenderMode: {}\n", options.render_mode.name());
+    if options.render_mode == RenderMode::Antialiased {
+        text += &format!("comment {ANTIALIASED}\n");
+    }
     for comment in &options.comments {
         text += &format!("comment {}\n", comment.replace(['\n', '\r'], " "));
     }

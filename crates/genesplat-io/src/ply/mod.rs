@@ -104,7 +104,10 @@ pub enum RenderMode {
     /// Dilation by 0.3 px², opacity unchanged.
     #[default]
     Default,
-    /// Opacity compensated for the dilation.
+    /// Dilation by 0.3 px², opacity compensated for it. Viewers know one word for both kinds of compensation, so a second
+    /// comment, `SplatDilation: 0.3`, tells this one from the next.
+    Antialiased,
+    /// Mip-Splatting's dilation by 0.1 px², opacity compensated for it.
     Mip,
 }
 
@@ -113,7 +116,7 @@ impl RenderMode {
     pub fn name(self) -> &'static str {
         match self {
             Self::Default => "default",
-            Self::Mip => "mip",
+            Self::Antialiased | Self::Mip => "mip",
         }
     }
 }
@@ -122,7 +125,8 @@ impl From<ScreenFilter> for RenderMode {
     fn from(filter: ScreenFilter) -> Self {
         match filter {
             ScreenFilter::Classic => Self::Default,
-            ScreenFilter::Antialiased | ScreenFilter::Mip => Self::Mip,
+            ScreenFilter::Antialiased => Self::Antialiased,
+            ScreenFilter::Mip => Self::Mip,
         }
     }
 }
@@ -131,6 +135,7 @@ impl From<RenderMode> for ScreenFilter {
     fn from(mode: RenderMode) -> Self {
         match mode {
             RenderMode::Default => Self::Classic,
+            RenderMode::Antialiased => Self::Antialiased,
             RenderMode::Mip => Self::Mip,
         }
     }

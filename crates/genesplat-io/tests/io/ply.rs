@@ -4,7 +4,7 @@ use std::fs;
 use std::path::PathBuf;
 
 use genesplat_core::gaussians::{logit, sigmoid};
-use genesplat_core::{Gaussians, Rng, Stream};
+use genesplat_core::{Gaussians, Rng, ScreenFilter, Stream};
 use genesplat_io::ply::{self, PlyError, RenderMode};
 use genesplat_io::{PlyOptions, read_ply, write_ply};
 use proptest::prelude::*;
@@ -111,6 +111,20 @@ fn the_layout_is_the_authors() {
     let header = ply::read_ply_header(&path).unwrap();
     assert_eq!((header.gaussians, header.sh_degree, header.render_mode), (1, 3, Some(RenderMode::Mip)));
     assert_eq!(header.comments[1], "a b");
+}
+
+#[test]
+fn screen_filters_survive_the_file() {
+    let (folder, cloud) = (Folder::new(), Gaussians::zeros(1));
+    for filter in [ScreenFilter::Classic, ScreenFilter::Antialiased, ScreenFilter::Mip] {
+        let path = folder.file("cloud.ply");
+        write_ply(&path, &cloud, &PlyOptions { render_mode: filter.into(), ..PlyOptions::default() })
+            .unwrap();
+        let header = ply::read_ply_header(&path).unwrap();
+        assert_eq!(header.render_mode.map(ScreenFilter::from), Some(filter));
+        let known = if filter == ScreenFilter::Classic { "default" } else { "mip" };
+        assert_eq!(header.comments[0], format!("SplatRenderMode: {known}"), "a word that viewers know");
+    }
 }
 
 #[test]

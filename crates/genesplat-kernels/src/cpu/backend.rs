@@ -4,7 +4,7 @@ use fearless_simd::Level;
 use genesplat_core::gaussians::{logit, sigmoid};
 use genesplat_core::{
     Backend, BackendError, Camera, DensitySignal, Gaussians, Image, Moments, RenderSettings, Rng, RowEdit,
-    SparseDelta, Statistics, TrainStep, View, backend::MomentPolicy, backend::StepReport,
+    SparseDelta, Statistics, StatisticsRequest, TrainStep, View, backend::MomentPolicy, backend::StepReport,
 };
 
 use super::frame::{Frame, StageSeconds, timed};
@@ -68,14 +68,18 @@ impl CpuBackend {
             column.clear();
             column.resize(n, 0.0);
         }
+        self.statistics.absolute_sum.clear();
     }
 
-    /// Gene columns exist from the first step that asks for them.
-    fn grow_statistics(&mut self, genes: bool) {
+    /// Gene columns and the absolute one exist from the first step that asks for them.
+    fn grow_statistics(&mut self, request: StatisticsRequest) {
         let n = self.cloud.len();
         self.statistics.gradient_sum.resize(n, 0.0);
         self.statistics.weight_sum.resize(n, 0.0);
-        if genes {
+        if request.density == Some(DensitySignal::SignedAndAbsolute) {
+            self.statistics.absolute_sum.resize(n, 0.0);
+        }
+        if request.genes {
             self.statistics.gene_gradient_sum.resize(n, [0.0; 7]);
             self.statistics.gene_views.resize(n, 0);
         }
@@ -94,7 +98,7 @@ impl CpuBackend {
 
 fn extra(signal: Option<DensitySignal>) -> Extra {
     match signal {
-        Some(DensitySignal::Absolute) => Extra::Absolute,
+        Some(DensitySignal::Absolute | DensitySignal::SignedAndAbsolute) => Extra::Absolute,
         Some(DensitySignal::PixelWeighted { .. }) => Extra::Pixels,
         Some(DensitySignal::Signed) | None => Extra::None,
     }
@@ -145,7 +149,7 @@ impl Backend for CpuBackend {
 
     fn train_step(&mut self, step: &TrainStep) -> Result<(), BackendError> {
         self.touch();
-        self.grow_statistics(step.statistics.genes);
+        self.grow_statistics(step.statistics);
         let view = &self.views[step.view];
         let (camera, settings) = (view.camera, step.settings);
         self.frame.render(self.level, &self.cloud, &camera, &settings);
@@ -208,14 +212,7 @@ impl Backend for CpuBackend {
     fn reset_opacity(&mut self, ceiling: f32) -> Result<(), BackendError> {
         self.touch();
         for row in 0..self.cloud.len() {
-            let factor = self.cloud.filter_3d.as_ref().map_or(1.0, |filter| {
-                let variance = filter[row] * filter[row];
-                let ratio = |log_scale: f32| {
-                    let raw = (2.0 * log_scale).exp();
-                    raw / (raw + variance)
-                };
-                self.cloud.log_scales[row].map(ratio).iter().product::<f32>().sqrt()
-            });
+            let factor = self.cloud.filter_dimming(row);
             let opacity = sigmoid(self.cloud.opacity_logits[row]) * factor;
             self.cloud.opacity_logits[row] = logit(opacity.min(ceiling) / factor);
         }

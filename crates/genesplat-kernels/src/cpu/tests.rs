@@ -216,6 +216,11 @@ fn density_signals_match_the_reference() {
         |row: usize| expected.mean2d_ndc[row][0].hypot(expected.mean2d_ndc[row][1]) * f64::from(seen[row]);
     compare("signed", signed.gradient_sum.iter().map(|&v| f64::from(v)), (0..400).map(norm)).unwrap();
 
+    let both = statistics(&cloud, &settings, DensitySignal::SignedAndAbsolute);
+    assert_eq!((&both.gradient_sum, &both.weight_sum), (&signed.gradient_sum, &signed.weight_sum));
+    let absolute = |row: usize| expected.mean2d_abs_ndc[row].iter().sum::<f64>() * f64::from(seen[row]);
+    compare("absolute", both.absolute_sum.iter().map(|&v| f64::from(v)), (0..400).map(absolute)).unwrap();
+
     let weighted = statistics(&cloud, &settings, DensitySignal::PixelWeighted { depth_threshold: 2.0 });
     let near = |row: usize| (expected.depth[row] / 2.0).powi(2).min(1.0);
     let pixels = |row: usize| f64::from(expected.pixels[row]) * f64::from(seen[row]);

@@ -42,7 +42,7 @@ pub struct ChunkGradients {
     pub rotations: Box<[[f32; 4]; CHUNK]>,
     /// Spherical harmonics `[CHUNK, 48]`.
     pub sh: Box<[[f32; SH_STRIDE]; CHUNK]>,
-    /// Density signal and its weight `[CHUNK, 2]`.
+    /// Density signal, and what goes with it: see [`density`] `[CHUNK, 2]`.
     pub density: Box<[[f32; 2]; CHUNK]>,
     /// Rows with a splat.
     pub touched: Vec<u32>,
@@ -97,6 +97,7 @@ pub struct RowsMut<'a> {
 pub struct StatisticsMut<'a> {
     gradient_sum: &'a mut [f32],
     weight_sum: &'a mut [f32],
+    absolute_sum: &'a mut [f32],
     gene_gradient_sum: &'a mut [Gene],
     gene_views: &'a mut [u32],
 }
@@ -121,12 +122,14 @@ fn chunks_mut(cloud: &mut Gaussians) -> impl Iterator<Item = RowsMut<'_>> {
 fn statistics_mut(statistics: &mut Statistics) -> impl Iterator<Item = StatisticsMut<'_>> {
     let mut gradient_sum = statistics.gradient_sum.chunks_mut(CHUNK);
     let mut weight_sum = statistics.weight_sum.chunks_mut(CHUNK);
+    let mut absolute_sum = statistics.absolute_sum.chunks_mut(CHUNK);
     let mut gene_gradient_sum = statistics.gene_gradient_sum.chunks_mut(CHUNK);
     let mut gene_views = statistics.gene_views.chunks_mut(CHUNK);
     std::iter::from_fn(move || {
         Some(StatisticsMut {
             gradient_sum: gradient_sum.next().unwrap_or_default(),
             weight_sum: weight_sum.next().unwrap_or_default(),
+            absolute_sum: absolute_sum.next().unwrap_or_default(),
             gene_gradient_sum: gene_gradient_sum.next().unwrap_or_default(),
             gene_views: gene_views.next().unwrap_or_default(),
         })
@@ -362,7 +365,8 @@ fn store<S: Simd>(
     out.touched.push(local as u32);
 }
 
-/// The density signal of one view and its weight; gradients by normalised device coordinate.
+/// The density signal of one view, and its weight or, where that is 1, the absolute gradient; by normalised device
+/// coordinate.
 #[inline(always)]
 fn density(
     signal: Option<DensitySignal>,
@@ -372,14 +376,19 @@ fn density(
     camera: &Pinhole,
     depth: f32,
 ) -> [f32; 2] {
+    let by_ndc = |gradient: [f32; 2]| {
+        [gradient[0] * 0.5 * camera.size[0] as f32, gradient[1] * 0.5 * camera.size[1] as f32]
+    };
     let ndc = |gradient: [f32; 2]| {
-        let [x, y] = [gradient[0] * 0.5 * camera.size[0] as f32, gradient[1] * 0.5 * camera.size[1] as f32];
+        let [x, y] = by_ndc(gradient);
         (x * x + y * y).sqrt()
     };
+    let absolute = [sums[column::ABS_X][lane], sums[column::ABS_Y][lane]];
     match signal {
         None => [0.0; 2],
         Some(DensitySignal::Signed) => [ndc(mean_px), 1.0],
-        Some(DensitySignal::Absolute) => [ndc([sums[column::ABS_X][lane], sums[column::ABS_Y][lane]]), 1.0],
+        Some(DensitySignal::Absolute) => [ndc(absolute), 1.0],
+        Some(DensitySignal::SignedAndAbsolute) => [ndc(mean_px), by_ndc(absolute).iter().sum()],
         Some(DensitySignal::PixelWeighted { depth_threshold }) => {
             let near = (depth / depth_threshold).powi(2).min(1.0);
             let pixels = sums[column::PIXELS][lane];
@@ -396,12 +405,19 @@ fn add_statistics(
     request: StatisticsRequest,
 ) {
     if let Some(signal) = request.density {
-        let counts_pixels = matches!(signal, DensitySignal::PixelWeighted { .. });
         for (local, &is_seen) in seen.iter().enumerate() {
             // Geometric visibility counts, even where no pixel was touched (quirk 6).
             if is_seen {
-                out.gradient_sum[local] += gradients.density[local][0];
-                out.weight_sum[local] += if counts_pixels { gradients.density[local][1] } else { 1.0 };
+                let [strength, beside] = gradients.density[local];
+                out.gradient_sum[local] += strength;
+                match signal {
+                    DensitySignal::PixelWeighted { .. } => out.weight_sum[local] += beside,
+                    DensitySignal::Signed | DensitySignal::Absolute => out.weight_sum[local] += 1.0,
+                    DensitySignal::SignedAndAbsolute => {
+                        out.weight_sum[local] += 1.0;
+                        out.absolute_sum[local] += beside;
+                    }
+                }
             }
         }
     }

@@ -14,6 +14,8 @@ pub struct Statistics64 {
     pub gradient_sum: Vec<f64>,
     /// Sum of its weights `[N]`.
     pub weight_sum: Vec<f64>,
+    /// Sum of absolute gradients, for [`DensitySignal::SignedAndAbsolute`] `[N]`.
+    pub absolute_sum: Vec<f64>,
     /// Sum of signed gene gradients `[N, 7]`.
     pub gene_gradient_sum: Vec<[f64; GENES]>,
     /// Views that contributed to `gene_gradient_sum` `[N]`.
@@ -26,6 +28,7 @@ impl Statistics64 {
         Self {
             gradient_sum: vec![0.0; n],
             weight_sum: vec![0.0; n],
+            absolute_sum: vec![0.0; n],
             gene_gradient_sum: vec![[0.0; GENES]; n],
             gene_views: vec![0; n],
         }
@@ -38,6 +41,10 @@ impl Statistics64 {
                 let (strength, weight) = density(gradients, row, signal);
                 self.gradient_sum[row] += weight * strength;
                 self.weight_sum[row] += weight;
+                if signal == DensitySignal::SignedAndAbsolute {
+                    let [x, y] = gradients.mean2d_abs_ndc[row];
+                    self.absolute_sum[row] += x + y;
+                }
             }
             if request.genes {
                 let genes = gene_gradient(gradients, row);
@@ -52,7 +59,7 @@ impl Statistics64 {
 fn density(gradients: &Gradients, row: usize, signal: DensitySignal) -> (f64, f64) {
     let norm = |[x, y]: [f64; 2]| x.hypot(y);
     match signal {
-        DensitySignal::Signed => (norm(gradients.mean2d_ndc[row]), 1.0),
+        DensitySignal::Signed | DensitySignal::SignedAndAbsolute => (norm(gradients.mean2d_ndc[row]), 1.0),
         DensitySignal::Absolute => (norm(gradients.mean2d_abs_ndc[row]), 1.0),
         DensitySignal::PixelWeighted { depth_threshold } => {
             let nearness = gradients.depth[row] / f64::from(depth_threshold);

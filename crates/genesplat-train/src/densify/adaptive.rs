@@ -16,6 +16,8 @@ use super::Plan;
 pub struct Rules {
     /// Mean screen-space gradient from which a Gaussian grows, in normalised device coordinates.
     pub gradient_threshold: f32,
+    /// As many Gaussians again may grow for their absolute gradient as reach that threshold; see [`absolute_threshold`].
+    pub or_absolute: bool,
     /// Growing Gaussians up to this size are cloned, larger ones split; longest axis, world units.
     pub clone_size_max: f32,
     /// Gaussians fainter than this are pruned.
@@ -36,8 +38,9 @@ enum Growth {
 
 /// Decides one densification; `iteration` addresses the random offsets of split children.
 pub fn plan(statistics: &Statistics, cloud: &Gaussians, rules: &Rules, iteration: u32) -> Plan {
+    let absolute = rules.or_absolute.then(|| absolute_threshold(statistics, rules.gradient_threshold));
     let mut growth: Vec<Growth> =
-        (0..cloud.len()).map(|row| wanted_growth(statistics, cloud, rules, row)).collect();
+        (0..cloud.len()).map(|row| wanted_growth(statistics, cloud, rules, absolute, row)).collect();
     let refused = refuse_beyond_cap(&mut growth, statistics, rules.cap);
     let mut edit = grow(&growth, iteration);
     let grown = edit.sources.len();
@@ -52,8 +55,27 @@ pub fn plan(statistics: &Statistics, cloud: &Gaussians, rules: &Rules, iteration
     }
 }
 
-fn wanted_growth(statistics: &Statistics, cloud: &Gaussians, rules: &Rules, row: usize) -> Growth {
-    let grows = statistics.mean_gradient(row) >= rules.gradient_threshold;
+/// The absolute gradient from which Gaussians grow, too (Gaussian Opacity Fields): the quantile above which lies the
+/// same share of the cloud as reaches `gradient_threshold`, interpolated linearly between rows. Never less than one row.
+fn absolute_threshold(statistics: &Statistics, gradient_threshold: f32) -> f32 {
+    let n = statistics.weight_sum.len();
+    let mut sorted: Vec<f32> = (0..n).map(|row| statistics.mean_absolute(row)).collect();
+    sorted.sort_unstable_by(f32::total_cmp);
+    let reaching = (0..n).filter(|&row| statistics.mean_gradient(row) >= gradient_threshold).count();
+    let rank = (n - reaching) as f64 / n.max(1) as f64 * n.saturating_sub(1) as f64;
+    let at = |rank: f64| sorted.get(rank as usize).copied().unwrap_or(f32::INFINITY);
+    at(rank.floor()) + (at(rank.ceil()) - at(rank.floor())) * rank.fract() as f32
+}
+
+fn wanted_growth(
+    statistics: &Statistics,
+    cloud: &Gaussians,
+    rules: &Rules,
+    absolute_threshold: Option<f32>,
+    row: usize,
+) -> Growth {
+    let grows = statistics.mean_gradient(row) >= rules.gradient_threshold
+        || absolute_threshold.is_some_and(|threshold| statistics.mean_absolute(row) >= threshold);
     match (grows, size(cloud.log_scales[row]) <= rules.clone_size_max) {
         (false, _) => Growth::None,
         (true, true) => Growth::Clone,
@@ -120,6 +142,7 @@ mod tests {
 
     const RULES: Rules = Rules {
         gradient_threshold: 2e-4,
+        or_absolute: false,
         clone_size_max: 0.1,
         prune_opacity: 0.005,
         prune_size: Some(1.0),
@@ -202,6 +225,29 @@ mod tests {
         assert_eq!(rows(&plan), [(0, FIRST), (0, SECOND)]);
         let early = Rules { prune_size: None, ..RULES };
         assert_eq!(super::plan(&statistics, &cloud, &early, 3000).edit.sources, [0, 0, 1, 1, 2]);
+    }
+
+    #[test]
+    fn with_gof_as_many_rows_again_may_grow_for_their_absolute_gradient() {
+        let (mut statistics, cloud) = scene(&[
+            (3e-4, 0.5, 0.5), // splits for its signed gradient, though its absolute one is small
+            (1e-4, 0.5, 0.5), // splits for its absolute one
+            (1e-4, 0.05, 0.5),
+            (0.0, 0.05, 0.5),
+            (0.0, 0.05, 0.5),
+        ]);
+        statistics.absolute_sum = [5.0, 9.0, 8.0, 1.0, 2.0].map(|mean| 4.0 * mean).to_vec();
+        // One of five reaches the threshold. Rank 4/5 · 4 = 3.2 of (1, 2, 5, 8, 9) is 8.2.
+        assert!((absolute_threshold(&statistics, RULES.gradient_threshold) - 8.2).abs() < 1e-6);
+        let gof = Rules { or_absolute: true, ..RULES };
+        let found = plan(&statistics, &cloud, &gof, 600);
+        assert_eq!((found.cloned, found.split), (0, 2));
+        assert_eq!(found.edit.sources, [0, 0, 1, 1, 2, 3, 4]);
+        assert_eq!(plan(&statistics, &cloud, &RULES, 600).split, 1, "only where it is asked for");
+        // Where no row reaches the threshold, the quantile is the maximum, and that row grows, as published.
+        let high = Rules { gradient_threshold: 1.0, ..gof };
+        assert_eq!(plan(&statistics, &cloud, &high, 600).edit.sources, [0, 1, 1, 2, 3, 4]);
+        assert!(plan(&Statistics::default(), &Gaussians::default(), &gof, 600).edit.sources.is_empty());
     }
 
     #[test]

@@ -55,13 +55,15 @@ pub fn initialise(cloud: &mut Gaussians, opacity: f32, scale: f32) {
 
 /// Decides one event from the opacities before their sigmoid, `[N]`; `iteration` addresses the random draws.
 ///
-/// Relocated Gaussians keep their row and lose their moments, and so do the Gaussians that they were moved to. Added
-/// ones come last, without moments; the Gaussians that they were added to keep theirs.
+/// Copies lie beside the row that they are of, wherever the dead ones lay: what is together on the screen stays
+/// together in memory. Relocated Gaussians lose their moments, and so do the Gaussians that they were moved to; added
+/// ones have none, and the Gaussians that they were added to keep theirs.
 pub fn plan(opacity_logits: &[f32], rules: &Rules, rng: &Rng, iteration: u32) -> Plan {
     let mut rows: Vec<Row> =
         opacity_logits.iter().zip(0..).map(|(&logit, row)| Row::kept(row, logit)).collect();
     let relocated = relocate(&mut rows, rules, rng, iteration);
     let cloned = grow(&mut rows, rules, rng, iteration);
+    rows.sort_by_key(|row| row.source);
     let mut edit = RowEdit { iteration, ..RowEdit::default() };
     rows.iter().for_each(|row| edit.push(row.source, row.origin()));
     Plan { edit, relocated, cloned, ..Plan::default() }

@@ -10,7 +10,7 @@ pub mod pixel_gs;
 
 use genesplat_core::{DensitySignal, RowEdit};
 
-use crate::config::Variant;
+use crate::config::{Signal, TrainConfig, Variant};
 
 /// What density control has decided.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -29,13 +29,15 @@ pub struct Plan {
     pub refused: usize,
 }
 
-/// The density signal that a variant accumulates, if it needs one; `extent` is the scene's, world units.
+/// The density signal that a run accumulates, if it needs one; `extent` is the scene's, world units.
 ///
-/// Mip-Splatting's paper changes nothing here (facts of its first release; the later one adopts GOF's metric).
-pub fn signal(variant: Variant, depth_fraction: f64, extent: f64) -> Option<DensitySignal> {
-    match variant {
-        Variant::ThreeDgs | Variant::MipSplatting => Some(DensitySignal::Signed),
-        Variant::PixelGs => Some(pixel_gs::signal(depth_fraction, extent)),
-        Variant::Mcmc => None,
+/// Mip-Splatting's paper changes nothing here; its later releases adopt that of Gaussian Opacity Fields.
+pub fn signal(config: &TrainConfig, extent: f64) -> Option<DensitySignal> {
+    match (config.variant, config.densify.signal) {
+        (Variant::Mcmc, _) => None,
+        (Variant::PixelGs, _) => Some(pixel_gs::signal(config.densify.depth_threshold, extent)),
+        (_, Signal::Published) => Some(DensitySignal::Signed),
+        (_, Signal::Absolute) => Some(DensitySignal::Absolute),
+        (_, Signal::Gof) => Some(DensitySignal::SignedAndAbsolute),
     }
 }

@@ -1,6 +1,7 @@
 //! Configuration files: every setting round-trips, any subset is enough, and mistakes get a sentence.
 
 use genesplat_core::backend::MomentPolicy;
+use genesplat_train::config::Signal;
 use genesplat_train::{Background, EvolutionMode, TrainConfig, Trigger, Variant};
 
 #[test]
@@ -9,7 +10,9 @@ fn a_configuration_survives_its_file() {
     let defaults = toml::to_string(&config).unwrap();
     assert_eq!(toml::from_str::<TrainConfig>(&defaults).unwrap(), config);
     config.variant = Variant::MipSplatting;
-    config.background = Background::Random;
+    (config.background, config.antialiasing) = (Background::Random, true);
+    config.densify.signal = Signal::Absolute;
+    config.mcmc.resets = true;
     (config.extent, config.max_gaussians) = (Some(2.5), Some(1_000_000));
     config.evolution.mode = EvolutionMode::Control;
     config.evolution.trigger = Trigger::BeforeDensify;
@@ -46,7 +49,7 @@ fn unknown_settings_are_errors_that_name_them() {
 #[test]
 fn values_out_of_range_get_a_sentence() {
     type Change = fn(&mut TrainConfig);
-    let cases: [(Change, &str); 10] = [
+    let cases: [(Change, &str); 14] = [
         (|c| c.iterations = 0, "iterations is 0, but must be at least 1"),
         (|c| c.seed = 1 << 63, "seed"),
         (|c| c.steps_scale = f64::NAN, "steps_scale is NaN"),
@@ -57,6 +60,16 @@ fn values_out_of_range_get_a_sentence() {
         (|c| c.densify.every = 0, "densify.every"),
         (|c| c.densify.prune_opacity = 0.5, "each reset empties the cloud"),
         (|c| c.evolution.views = 0, "evolution.views"),
+        (|c| c.mcmc.min_opacity = 0.0, "mcmc.min_opacity is 0"),
+        (|c| c.mcmc.growth = f64::INFINITY, "mcmc.growth is inf"),
+        (
+            |c| (c.variant, c.antialiasing) = (Variant::MipSplatting, true),
+            "antialiasing is true, but must be false with mip-splatting",
+        ),
+        (
+            |c| (c.variant, c.densify.signal) = (Variant::PixelGs, Signal::Gof),
+            "densify.signal is gof, but must be published with pixel-gs",
+        ),
     ];
     for (change, expected) in cases {
         let mut config = TrainConfig::default();

@@ -7,3 +7,4 @@ mod reconstruct;
 mod resume;
 mod stage;
 mod support;
+mod three_splats;

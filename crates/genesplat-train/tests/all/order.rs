@@ -3,7 +3,8 @@
 
 use std::sync::atomic::AtomicBool;
 
-use genesplat_core::DensitySignal;
+use genesplat_core::{DensitySignal, ScreenFilter};
+use genesplat_train::config::Signal;
 use genesplat_train::initialise::cloud_from_points;
 use genesplat_train::observe::{DensifyLog, StepLog};
 use genesplat_train::{
@@ -182,6 +183,31 @@ fn pixel_gs_asks_for_another_signal_and_nothing_else() {
     assert!((f64::from(depth_threshold) - 0.37 * 2.2).abs() < 1e-6);
     let updates = |backend: &FakeBackend| backend.steps().map(|step| step.update).collect::<Vec<_>>();
     assert_eq!(updates(&plain), updates(&pixel));
+}
+
+#[test]
+fn other_signals_are_asked_for_and_judged_by_their_thresholds() {
+    let grown = |signal, gradient: fn(usize) -> f32| {
+        let mut backend = FakeBackend::new();
+        backend.gradient = gradient;
+        let config = short(|config| (config.densify.signal, config.iterations) = (signal, 700));
+        let gaussians = run(&mut backend, config).unwrap().summary.gaussians;
+        (backend.steps().next().unwrap().statistics.density.unwrap(), gaussians)
+    };
+    // One densification, at iteration 60; gsplat's threshold for absolute gradients is 8e-4.
+    assert_eq!(grown(Signal::Published, |_| 7e-4), (DensitySignal::Signed, 40));
+    assert_eq!(grown(Signal::Absolute, |_| 7e-4), (DensitySignal::Absolute, 20));
+    assert_eq!(grown(Signal::Absolute, |_| 9e-4), (DensitySignal::Absolute, 40));
+    assert_eq!(grown(Signal::Gof, |_| 7e-4), (DensitySignal::SignedAndAbsolute, 40));
+}
+
+#[test]
+fn antialiasing_is_a_filter_of_every_render() {
+    let mut backend = FakeBackend::new();
+    let config = short(|config| (config.antialiasing, config.iterations) = (true, 10));
+    assert_eq!(config.clone().resolve().unwrap().render_settings().filter, ScreenFilter::Antialiased);
+    run(&mut backend, config).unwrap();
+    assert!(backend.steps().all(|step| step.settings.filter == ScreenFilter::Antialiased));
 }
 
 #[test]

@@ -4,11 +4,12 @@ use std::f64::consts::TAU;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
-use genesplat_core::{Backend, Camera, Gaussians, Rng, Stream, View};
+use genesplat_core::{Backend, Camera, Gaussians, Rng, SparseDelta, Stream, View};
 use genesplat_kernels::cpu::CpuBackend;
 use genesplat_train::evaluate::evaluate;
 use genesplat_train::initialise::{ColouredPoint, cloud_from_points};
-use genesplat_train::{EvolutionMode, Outcome, Resolved, Silent, Start, TrainConfig, Variant, train};
+use genesplat_train::views::spread_evenly;
+use genesplat_train::{EvolutionMode, Outcome, Resolved, Silent, Start, TrainConfig, Variant, refine, train};
 use glam::{DMat3, DVec3};
 
 const WIDTH: u32 = 48;
@@ -106,6 +107,32 @@ fn every_variant_reconstructs_unseen_views() {
         assert!(outcome.summary.stages.iter().all(|stage| stage.fitness_after <= stage.fitness_before));
         assert_eq!(outcome.cloud.filter_3d.is_some(), variant == Variant::MipSplatting);
     }
+}
+
+/// Between two refreshes Mip-Splatting's 3D filter belongs to the row, for mutations as for gradient steps: what a stage
+/// has scored is what it leaves behind, and what is written.
+#[test]
+fn a_stage_leaves_what_it_scored_in_mip_splatting_too() {
+    let (views, _, points) = scene();
+    let config = config(|config| {
+        config.variant = Variant::MipSplatting;
+        config.evolution.paper.generations = 12;
+    });
+    let mut backend = CpuBackend::new(0);
+    let stop = AtomicBool::new(false);
+    let mut cloud = cloud_from_points(&points).unwrap();
+    cloud.filter_3d = Some(vec![0.03; cloud.len()]);
+    let outcome = refine(&mut backend, &views, cloud, &config, &mut Silent, &stop).unwrap();
+    let stage = outcome.summary.stages[0];
+    assert!(stage.changed > 0, "a search that finds nothing tests nothing");
+    assert_eq!(outcome.cloud.filter_3d, Some(vec![0.03; points.len()]), "a finished cloud brings its filter");
+    let mut fresh = CpuBackend::new(0);
+    fresh.set_views(&views).unwrap();
+    fresh.upload(outcome.cloud, None).unwrap();
+    let six = spread_evenly(&views, 6, &Rng::new(0), 0);
+    let losses = fresh.score(&[SparseDelta::default()], &six, &config.render_settings()).unwrap();
+    let mean = losses.iter().map(|&loss| f64::from(loss)).sum::<f64>() / 6.0;
+    assert_eq!(mean, stage.fitness_after);
 }
 
 #[test]

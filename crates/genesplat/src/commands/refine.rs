@@ -4,7 +4,7 @@ use anyhow::{Result, bail};
 use genesplat::core::{Backend, RenderSettings, ScreenFilter};
 use genesplat::io::{PlyOptions, Scene, write_ply};
 use genesplat::kernels::cpu::CpuBackend;
-use genesplat::train::{EvolutionMode, Resolved, TrainConfig, Variant, refine};
+use genesplat::train::{Background, EvolutionMode, Resolved, TrainConfig, Variant, refine};
 
 use crate::args::{EvolutionArgs, RefineArgs};
 use crate::reporter::Reporter;
@@ -17,8 +17,9 @@ use crate::{device, interrupt, output, run_folder, splat};
 pub fn run(args: &RefineArgs) -> Result<()> {
     device::prepare(args.machine)?;
     run_folder::check_writable(&args.out)?;
-    let splat = splat::open(&args.splat)?;
+    let mut splat = splat::open(&args.splat)?;
     let config = configure(args, &splat)?;
+    splat.settings = config.render_settings();
     let scene = splat.load_scene(&args.data, args.size, config.config().seed)?;
     let stop = interrupt::stop_flag()?;
     let mut backend = device::open(config.config().seed);
@@ -48,8 +49,12 @@ fn configure(args: &RefineArgs, splat: &Splat) -> Result<Resolved> {
         &mut train,
         &EvolutionArgs { evolve: None, generations: *generations, population: *population },
     );
+    train.antialiasing = splat.settings.filter == ScreenFilter::Antialiased;
+    if splat.settings.background == Background::White.fixed_colour() {
+        train.background = Background::White;
+    }
     train.variant = match (splat.settings.filter, &splat.cloud.filter_3d) {
-        (ScreenFilter::Classic, _) => Variant::ThreeDgs,
+        (ScreenFilter::Classic | ScreenFilter::Antialiased, _) => Variant::ThreeDgs,
         (ScreenFilter::Mip, Some(_)) => Variant::MipSplatting,
         _ => bail!(
             "{} is a Mip-Splatting cloud whose 3D filter was baked in; refine the cloud that training wrote",

@@ -4,7 +4,9 @@ use std::collections::BTreeSet;
 
 use serde_json::Value;
 
-use crate::support::{json, scene, succeed, train};
+use genesplat::io::ply::{RenderMode, read_ply_header};
+
+use crate::support::{fail, json, scene, succeed, text, train};
 
 fn keys(value: &Value) -> BTreeSet<&str> {
     value.as_object().unwrap().keys().map(String::as_str).collect()
@@ -93,6 +95,67 @@ fn a_run_may_be_repeated_in_its_folder() {
     succeed(train(scene(), &out, &["--iterations", "20"]));
     assert!(!stale.exists());
     assert_eq!(json(&out.join("metrics.json"))["iterations"], 20);
+}
+
+#[test]
+fn options_of_the_methods_reach_the_run_and_its_splat() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("run");
+    let options =
+        ["--background", "white", "--antialiasing", "--densify-signal", "absgrad", "--iterations", "30"];
+    succeed(train(scene(), &out, &options));
+    let config: toml::Table = std::fs::read_to_string(out.join("config.toml")).unwrap().parse().unwrap();
+    assert_eq!(
+        (config["background"].as_str(), config["antialiasing"].as_bool()),
+        (Some("white"), Some(true))
+    );
+    assert_eq!(config["densify"]["signal"].as_str(), Some("absolute"));
+    assert!(!out.join("point_cloud_fused.ply").exists());
+    // The splat alone says how it is to be rendered; only its background is not in it.
+    let header = read_ply_header(&out.join("point_cloud.ply")).unwrap();
+    assert_eq!(header.render_mode, Some(RenderMode::Antialiased));
+
+    let refined = folder.path().join("refined.ply");
+    let search = ["--generations", "1", "--population", "2"];
+    let files = ["refine", text(&out), "--data", text(scene()), "--out", text(&refined)];
+    let said = succeed(files.iter().chain(&search));
+    let psnr = json(&out.join("metrics.json"))["test"]["psnr"].as_f64().unwrap();
+    assert!(said.contains(&format!("before test   PSNR {psnr:.2}")), "white and antialiased, too: {said}");
+
+    let wrong = ["--variant", "mip-splatting", "--antialiasing"];
+    fail(train(scene(), &out, &wrong), &["antialiasing is true", "mip-splatting"]);
+}
+
+#[test]
+fn mip_splatting_leaves_a_splat_for_any_viewer() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("run");
+    succeed(train(scene(), &out, &["--variant", "mip-splatting", "--iterations", "30"]));
+    let [own, fused] = ["point_cloud.ply", "point_cloud_fused.ply"].map(|name| {
+        let scores = folder.path().join(name).with_extension("json");
+        let files = [text(&out.join(name)).to_owned(), "--data".into(), text(scene()).to_owned()];
+        succeed([
+            "evaluate".into(),
+            files[0].clone(),
+            files[1].clone(),
+            files[2].clone(),
+            "--json".into(),
+            text(&scores).to_owned(),
+        ]);
+        (read_ply_header(&out.join(name)).unwrap().has_filter_3d, json(&scores)["psnr"].as_f64().unwrap())
+    });
+    assert!(own.0 && !fused.0);
+    assert!((own.1 - fused.1).abs() < 1e-3, "{own:?} {fused:?}");
+}
+
+#[test]
+fn mcmc_grows_to_its_limit_and_no_further() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("run");
+    succeed(train(scene(), &out, &["--variant", "mcmc", "--steps-scale", "0.02", "--max-gaussians", "400"]));
+    let metrics = json(&out.join("metrics.json"));
+    assert_eq!((&metrics["variant"], &metrics["gaussians"]), (&"mcmc".into(), &400.into()));
+    assert!(metrics["test"]["psnr"].as_f64() > Some(15.0), "{metrics}");
 }
 
 #[test]
