@@ -27,4 +27,4 @@ pub mod weights;
 pub use error::SceneError;
 pub use gallery::{Gallery, GalleryOptions};
 pub use ply::{PlyError, PlyOptions, read_ply, write_ply};
-pub use scene::{HoldOut, LoadOptions, LoadProgress, PhotoSize, Point, Scene, load_scene};
+pub use scene::{HoldOut, LoadOptions, LoadProgress, PhotoSize, Point, Scene, load_points, load_scene};

@@ -133,6 +133,11 @@ pub fn load_scene(
     })
 }
 
+/// The points of [`load_scene`] without the photos: for a scene that comes with none, they depend on the seed.
+pub fn load_points(path: &Path, options: &LoadOptions) -> Result<Vec<Point>, SceneError> {
+    Ok(list(path, options)?.points)
+}
+
 fn list(path: &Path, options: &LoadOptions) -> Result<Listing, SceneError> {
     if !path.exists() {
         return Err(SceneError::Missing { path: path.to_owned() });

@@ -55,11 +55,12 @@ pub(crate) fn search<B: Backend>(
     observer.on_stage_start(&stage_log(stage, base_fitness));
     while !algorithm.is_finished() {
         let Some(losses) = score_generation(backend, stage, &algorithm, stop)? else { break };
-        algorithm.tell(&losses)?;
+        let population = algorithm.tell(&losses)?;
+        let spread = [population.mean, population.std];
         record.renders += (losses.len() * stage.views.len()) as u64;
         record.fitness_after = algorithm.best_loss();
         record.population_bytes = algorithm.peak_population_bytes() as u64;
-        observer.on_generation(&generation_log(&record, &losses));
+        observer.on_generation(&generation_log(&record, &losses, spread));
         record.generations += 1;
     }
     let better = algorithm.best().cloned();
@@ -180,13 +181,15 @@ fn stage_log(stage: &Stage<'_>, fitness: f64) -> StageLog {
     }
 }
 
-fn generation_log(record: &StageRecord, losses: &[f64]) -> GenerationLog {
+fn generation_log(record: &StageRecord, losses: &[f64], [mean, spread]: [f64; 2]) -> GenerationLog {
     let best = losses.iter().copied().fold(f64::INFINITY, f64::min);
     GenerationLog {
         iteration: record.iteration,
         generation: record.generations,
         generation_best: best.is_finite().then_some(best),
         best: record.fitness_after,
+        mean: mean.is_finite().then_some(mean),
+        spread: spread.is_finite().then_some(spread),
         renders: record.renders,
     }
 }

@@ -95,6 +95,10 @@ pub struct GenerationLog {
     pub generation_best: Option<f64>,
     /// Lowest fitness so far, the base included.
     pub best: f64,
+    /// Mean fitness of the whole population, elites included, over what could be rendered; `null` when nothing could.
+    pub mean: Option<f64>,
+    /// Standard deviation of the same.
+    pub spread: Option<f64>,
     /// Renders made by the stage so far.
     pub renders: u64,
 }
@@ -168,6 +172,13 @@ pub enum LogRecord {
     Generation(GenerationLog),
     /// See [`Observer::on_stage_end`].
     StageEnd(StageRecord),
+    /// What a run's owner measured on a cloud that it wanted ([`Observer::wants_cloud`]).
+    TestScore {
+        /// Counted from 1.
+        iteration: u32,
+        /// Mean PSNR of the test photos, dB; `null` when a photo is reproduced exactly.
+        psnr: Option<f64>,
+    },
     /// See [`Observer::notice`].
     Notice {
         /// The sentence.

@@ -45,6 +45,8 @@ pub enum Command {
         #[command(subcommand)]
         what: LpipsCommand,
     },
+    /// Repeat a comparison over scenes, methods and seeds, and make its tables; can be interrupted and goes on
+    Experiment(ExperimentArgs),
     /// Measure how fast this machine trains
     Bench {
         /// What to measure
@@ -203,6 +205,37 @@ pub struct CompareArgs {
     /// Also write the figures to this file [default: none]
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
+    #[command(flatten)]
+    #[allow(missing_docs, reason = "clap would show it as help")]
+    pub lpips: LpipsArgs,
+}
+
+/// `genesplat experiment`.
+#[derive(Debug, Args)]
+pub struct ExperimentArgs {
+    /// What to compare: smoke (minutes, no data needed), paper-table-2-3, ablation-crossover, ablation-trigger,
+    /// ablation-population, ablation-views, ablation-gradient, or a TOML file of one's own
+    #[arg(value_name = "NAME|FILE.toml")]
+    pub what: String,
+    /// Folder for the runs, the tables and report.html; made if it is missing. The same command goes on with what is
+    /// unfinished in it
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// Folder that holds the folders of the scenes [default: none; the bundled gallery needs none]
+    #[arg(long, value_name = "FOLDER")]
+    pub data: Option<PathBuf>,
+    /// Training steps of every run [default: as the experiment says]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    pub iterations: Option<u32>,
+    /// Multiply every setting that counts steps by F, 0.001 to 1000 [default: as the experiment says]
+    #[arg(long, value_name = "F", value_parser = scale)]
+    pub steps_scale: Option<f64>,
+    #[command(flatten)]
+    #[allow(missing_docs, reason = "clap would show it as help")]
+    pub size: SizeArgs,
+    #[command(flatten)]
+    #[allow(missing_docs, reason = "clap would show it as help")]
+    pub machine: MachineArgs,
     #[command(flatten)]
     #[allow(missing_docs, reason = "clap would show it as help")]
     pub lpips: LpipsArgs,

@@ -7,26 +7,32 @@
 //! | [`settings`] | flags, configuration file and defaults become one resolved configuration |
 //! | [`training`] | one run from a loaded scene to a finished run folder |
 //! | [`run_folder`], [`metrics`] | what a run leaves behind |
-//! | [`reporter`], [`progress`] | what a run tells while it is under way |
+//! | [`experiment`] | many runs, and the tables and pictures that compare them |
+//! | [`report`] | `report.html` |
+//! | [`reporter`], [`progress`], [`test_curve`] | what a run tells while it is under way |
 //! | [`lpips`] | where the weights of LPIPS come from |
-//! | [`device`], [`interrupt`], [`memory`], [`scene`], [`output`] | the machine, Ctrl-C, and other plumbing |
+//! | [`device`], [`interrupt`], [`memory`], [`scene`], [`sheet`], [`output`] | the machine, Ctrl-C, and other plumbing |
 //!
 //! Exit status: 0 done, 1 failed with one sentence on stderr, 2 wrong usage.
 
 mod args;
 mod commands;
 mod device;
+mod experiment;
 mod interrupt;
 mod lpips;
 mod memory;
 mod metrics;
 mod output;
 mod progress;
+mod report;
 mod reporter;
 mod run_folder;
 mod scene;
 mod settings;
+mod sheet;
 mod splat;
+mod test_curve;
 mod training;
 
 use std::panic;

@@ -24,6 +24,10 @@ enum Form {
     Drawn(ProgressBar),
     /// Lines.
     Lines(Lines),
+    /// Redrawn in place, and wiped away at the end.
+    Fleeting(ProgressBar),
+    /// Nothing.
+    Silent,
 }
 
 impl Bar {
@@ -35,14 +39,7 @@ impl Bar {
     /// The same for work that goes on from `position` (a resumed run).
     pub fn at(what: &str, position: u64, total: u64) -> Self {
         let form = if io::stderr().is_terminal() {
-            let template = "{prefix:>9} {bar:30} {pos}/{len}  {msg}  [{elapsed} + {eta}]";
-            let style = ProgressStyle::with_template(template).expect("the template is a constant");
-            Form::Drawn(
-                ProgressBar::new(total)
-                    .with_style(style)
-                    .with_prefix(what.to_owned())
-                    .with_position(position),
-            )
+            Form::Drawn(drawn(what, position, total))
         } else {
             let (due_percent, now) = (percent(position, total) + LINE_PERCENT, Instant::now());
             Form::Lines(Lines { due_percent, started: now, last: now })
@@ -50,13 +47,21 @@ impl Bar {
         Self { what: what.to_owned(), total, form }
     }
 
+    /// A bar that leaves no trace, for work whose outcome someone else reports; nothing where stderr is no terminal.
+    pub fn fleeting(what: &str, position: u64, total: u64) -> Self {
+        let terminal = io::stderr().is_terminal();
+        let form = if terminal { Form::Fleeting(drawn(what, position, total)) } else { Form::Silent };
+        Self { what: what.to_owned(), total, form }
+    }
+
     /// `position` pieces are done; `note` says how it goes.
     pub fn set(&mut self, position: u64, note: impl FnOnce() -> String) {
         match &mut self.form {
-            Form::Drawn(bar) => {
+            Form::Drawn(bar) | Form::Fleeting(bar) => {
                 bar.set_message(note());
                 bar.set_position(position);
             }
+            Form::Silent => {}
             Form::Lines(lines) => {
                 let done = percent(position, self.total);
                 if let Some(seconds) = lines.take_turn(done, position >= self.total) {
@@ -71,8 +76,8 @@ impl Bar {
     /// Says something without tearing the bar.
     pub fn say(&self, text: &str) {
         match &self.form {
-            Form::Drawn(bar) => bar.suspend(|| eprintln!("{text}")),
-            Form::Lines(_) => eprintln!("{text}"),
+            Form::Drawn(bar) | Form::Fleeting(bar) => bar.suspend(|| eprintln!("{text}")),
+            Form::Lines(_) | Form::Silent => eprintln!("{text}"),
         }
     }
 }
@@ -98,10 +103,18 @@ impl Lines {
 
 impl Drop for Bar {
     fn drop(&mut self) {
-        if let Form::Drawn(bar) = &self.form {
-            bar.abandon();
+        match &self.form {
+            Form::Drawn(bar) => bar.abandon(),
+            Form::Fleeting(bar) => bar.finish_and_clear(),
+            Form::Lines(_) | Form::Silent => {}
         }
     }
+}
+
+fn drawn(what: &str, position: u64, total: u64) -> ProgressBar {
+    let template = "{prefix:>9} {bar:30} {pos}/{len}  {msg}  [{elapsed} + {eta}]";
+    let style = ProgressStyle::with_template(template).expect("the template is a constant");
+    ProgressBar::new(total).with_style(style).with_prefix(what.to_owned()).with_position(position)
 }
 
 fn percent(position: u64, total: u64) -> u64 {

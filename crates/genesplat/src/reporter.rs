@@ -7,6 +7,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use anyhow::Result;
+use genesplat::core::Gaussians;
 use genesplat::train::observe::{
     DensifyLog, GenerationLog, LogRecord, StageLog, StageRecord, StartLog, StepLog,
 };
@@ -14,10 +15,14 @@ use genesplat::train::{Checkpoint, Observer};
 
 use crate::progress::Bar;
 use crate::run_folder::{Log, RunFolder};
+use crate::test_curve::TestCurve;
 
 /// Listens to one run.
 pub struct Reporter<'a> {
     folder: Option<(&'a RunFolder, Log)>,
+    /// Says nothing, and draws bars that vanish.
+    quiet: bool,
+    curve: Option<TestCurve<'a>>,
     stop: &'a AtomicBool,
     steps: Option<Bar>,
     stage: Option<Stage>,
@@ -40,12 +45,43 @@ impl<'a> Reporter<'a> {
 
     /// Reports to the terminal only, and only on evolution.
     pub fn without_folder(stop: &'a AtomicBool) -> Self {
-        Self { folder: None, stop, steps: None, stage: None, loss: f32::NAN, trouble: None }
+        Self {
+            folder: None,
+            quiet: false,
+            curve: None,
+            stop,
+            steps: None,
+            stage: None,
+            loss: f32::NAN,
+            trouble: None,
+        }
+    }
+
+    /// The same with the terminal left to someone else, but for bars that vanish; the log is kept as ever.
+    pub fn quiet(self) -> Self {
+        Self { quiet: true, ..self }
+    }
+
+    /// The same with the test photos scored now and then.
+    pub fn with_curve(self, curve: Option<TestCurve<'a>>) -> Self {
+        Self { curve, ..self }
     }
 
     /// What went wrong, if anything did.
     pub fn into_result(self) -> Result<()> {
         self.trouble.map_or(Ok(()), Err)
+    }
+
+    fn bar(&self, what: &str, position: u64, total: u64) -> Bar {
+        if self.quiet { Bar::fleeting(what, position, total) } else { Bar::at(what, position, total) }
+    }
+
+    fn say(&self, text: &str) {
+        match &self.steps {
+            _ if self.quiet => {}
+            Some(bar) => bar.say(text),
+            None => eprintln!("{text}"),
+        }
     }
 
     fn log(&mut self, record: &LogRecord) {
@@ -66,9 +102,9 @@ impl<'a> Reporter<'a> {
 impl Observer for Reporter<'_> {
     fn on_start(&mut self, log: &StartLog) {
         let StartLog { device, gaussians, views, .. } = log;
-        eprintln!("{device}: {gaussians} Gaussians, {views} training photos");
+        self.say(&format!("{device}: {gaussians} Gaussians, {views} training photos"));
         if self.folder.is_some() {
-            self.steps = Some(Bar::at("training", u64::from(log.iteration) - 1, log.iterations.into()));
+            self.steps = Some(self.bar("training", u64::from(log.iteration) - 1, log.iterations.into()));
         }
         self.log(&LogRecord::Start(log.clone()));
     }
@@ -90,7 +126,7 @@ impl Observer for Reporter<'_> {
 
     fn on_stage_start(&mut self, log: &StageLog) {
         // Generation 0 is the initial population.
-        let bar = Bar::new("evolution", u64::from(log.generations) + 1);
+        let bar = self.bar("evolution", 0, u64::from(log.generations) + 1);
         self.stage = Some(Stage { bar, base_fitness: log.fitness, started: Instant::now() });
         self.log(&LogRecord::StageStart(log.clone()));
     }
@@ -112,14 +148,25 @@ impl Observer for Reporter<'_> {
             "evolution at iteration {iteration}: fitness {fitness_before:.6} -> {fitness_after:.6}, {changed} Gaussians \
              changed, {renders} renders in {seconds:.1} s"
         );
-        self.steps.as_ref().map_or_else(|| eprintln!("{text}"), |bar| bar.say(&text));
+        self.say(&text);
         self.log(&LogRecord::StageEnd(*record));
     }
 
     fn notice(&mut self, text: &str) {
-        let line = format!("notice: {text}");
-        self.steps.as_ref().map_or_else(|| eprintln!("{line}"), |bar| bar.say(&line));
+        self.say(&format!("notice: {text}"));
         self.log(&LogRecord::Notice { text: text.to_owned() });
+    }
+
+    fn wants_cloud(&mut self, iteration: u32) -> bool {
+        self.curve.as_ref().is_some_and(|curve| curve.is_due(iteration))
+    }
+
+    fn on_cloud(&mut self, iteration: u32, cloud: Gaussians) {
+        let Some(curve) = &mut self.curve else { return };
+        match curve.score(cloud) {
+            Ok(psnr) => self.log(&LogRecord::TestScore { iteration, psnr }),
+            Err(error) => self.keep(Err(error)),
+        }
     }
 
     fn on_checkpoint(&mut self, checkpoint: Checkpoint) {

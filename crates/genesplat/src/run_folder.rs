@@ -8,6 +8,7 @@
 //! | `point_cloud_fused.ply` | Mip-Splatting: the same with its 3D filter baked in, for viewers that do not know it |
 //! | `test/NAME.png` | renders of the photos that training never saw |
 //! | `metrics.json` | the figures |
+//! | `report.html` | all of it, to look at |
 //! | `checkpoint/latest.checkpoint` | the state of an unfinished run |
 //!
 //! All but the log are written whole or not at all, so that a full disk or a power cut leaves what was there before.
@@ -56,10 +57,11 @@ impl RunFolder {
         if old_config.as_ref().is_some_and(|text| !text.starts_with(CONFIG_MARK)) {
             bail!("{} belongs to something else; choose another folder", Self::config_in(path).display());
         }
-        let folder = Self::claim(path, config)?;
+        // Before the new settings are there: results never stand beside settings that are not theirs.
         if old_config.is_some() {
-            folder.remove_results()?;
+            Self { path: path.to_owned() }.remove_results()?;
         }
+        let folder = Self::claim(path, config)?;
         fs::create_dir_all(path.join("checkpoint")).map_err(|error| unwritable(path, &error))?;
         Ok(folder)
     }
@@ -79,7 +81,7 @@ impl RunFolder {
     }
 
     fn remove_results(&self) -> Result<()> {
-        let names = ["metrics.json", "log.jsonl", "point_cloud.ply", FUSED_CLOUD];
+        let names = ["metrics.json", "log.jsonl", "report.html", "point_cloud.ply", FUSED_CLOUD];
         let files = names.map(|name| self.path.join(name));
         let pictures =
             fs::read_dir(self.test_path()).into_iter().flatten().flatten().map(|entry| entry.path());
@@ -135,6 +137,16 @@ impl RunFolder {
         write_json(&self.path.join("metrics.json"), metrics)
     }
 
+    /// Writes `report.html`.
+    pub fn write_report(&self, page: &str) -> Result<()> {
+        write_file(&self.path.join("report.html"), |out| out.write_all(page.as_bytes()))
+    }
+
+    /// The folder itself.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
     /// Replaces the checkpoint.
     pub fn write_checkpoint(&self, checkpoint: &Checkpoint) -> Result<()> {
         write_file(&Self::checkpoint_in(&self.path), |out| checkpoint.write(out))
@@ -142,7 +154,16 @@ impl RunFolder {
 
     /// Reads the checkpoint.
     pub fn read_checkpoint(&self) -> Result<Checkpoint> {
-        let path = Self::checkpoint_in(&self.path);
+        Self::read_checkpoint_in(&self.path)
+    }
+
+    /// The checkpoint of a run in the folder `path`, if it has left one.
+    pub fn saved_checkpoint(path: &Path) -> Option<Result<Checkpoint>> {
+        Self::checkpoint_in(path).exists().then(|| Self::read_checkpoint_in(path))
+    }
+
+    fn read_checkpoint_in(folder: &Path) -> Result<Checkpoint> {
+        let path = Self::checkpoint_in(folder);
         let file = File::open(&path).map_err(|error| anyhow!("cannot read {}: {error}", path.display()))?;
         Checkpoint::read(BufReader::new(file)).map_err(|error| anyhow!("{}: {error}", path.display()))
     }

@@ -12,7 +12,7 @@ use genesplat::io::PhotoSize;
 use genesplat::train::{Resolved, TrainConfig};
 use serde::{Deserialize, Serialize};
 
-use crate::args::{EvolutionArgs, ScheduleArgs, SizeArgs, TrainArgs};
+use crate::args::{EvolutionArgs, MachineArgs, ScheduleArgs, SizeArgs, TrainArgs};
 use crate::device::Device;
 use crate::run_folder::RunFolder;
 
@@ -64,7 +64,8 @@ impl Dataset {
 pub struct ConfigFile {
     device: Option<Device>,
     threads: Option<u16>,
-    dataset: Dataset,
+    /// The scene's folder and the size of its photos.
+    pub dataset: Dataset,
     /// The settings of training.
     pub train: TrainConfig,
 }
@@ -98,7 +99,11 @@ impl ConfigFile {
     }
 
     fn parse(text: &str) -> Result<Self, toml::de::Error> {
-        let mut table: toml::Table = text.parse()?;
+        Self::from_table(text.parse()?)
+    }
+
+    /// What a file with this content would say.
+    pub fn from_table(mut table: toml::Table) -> Result<Self, toml::de::Error> {
         let (device, threads) = (take(&mut table, "device")?, take(&mut table, "threads")?);
         let dataset = take(&mut table, "dataset")?.unwrap_or_default();
         table.entry("checkpoint_every").or_insert(CHECKPOINT_EVERY.into());
@@ -109,6 +114,33 @@ impl ConfigFile {
     pub fn size(&self) -> PhotoSize {
         self.dataset.size()
     }
+
+    /// The settings of a run of this file; flags win over it.
+    pub fn resolve(self, machine: MachineArgs) -> Result<Settings> {
+        Ok(Settings {
+            dataset: self.dataset,
+            device: machine.device.or(self.device).unwrap_or_default().resolve()?,
+            threads: machine.threads.or(self.threads),
+            train: self.train.resolve()?,
+        })
+    }
+
+    /// True when a run of this file and a run with `settings` have the same result: how often it reports and saves, and
+    /// how many threads it has, do not matter.
+    pub fn repeats(&self, settings: &Settings) -> bool {
+        let same_folder = match (self.dataset.path.canonicalize(), settings.dataset.path.canonicalize()) {
+            (Ok(here), Ok(there)) => here == there,
+            _ => self.dataset.path == settings.dataset.path,
+        };
+        let same_device = self.device.unwrap_or_default() == settings.device;
+        let same_size = self.size() == settings.dataset.size();
+        same_folder && same_device && same_size && timeless(&self.train) == timeless(settings.train.config())
+    }
+}
+
+/// The settings without those that do not change a result.
+fn timeless(train: &TrainConfig) -> TrainConfig {
+    TrainConfig { checkpoint_every: 0, report_every: 0, ..train.clone() }
 }
 
 impl Settings {
@@ -128,12 +160,7 @@ impl Settings {
         if let Some(saved) = saved {
             check_same(&saved, &file, &args.out)?;
         }
-        Ok(Self {
-            dataset: file.dataset,
-            device: args.machine.device.or(file.device).unwrap_or_default().resolve()?,
-            threads: args.machine.threads.or(file.threads),
-            train: file.train.resolve()?,
-        })
+        file.resolve(args.machine)
     }
 
     /// As `config.toml` holds them.
@@ -188,9 +215,7 @@ fn replace<T>(setting: &mut T, flag: Option<T>) {
 
 /// A resumed run goes on with the settings that it began with, or its result would belong to neither.
 fn check_same(saved: &ConfigFile, wanted: &ConfigFile, out: &Path) -> Result<()> {
-    let timeless =
-        |file: &ConfigFile| TrainConfig { checkpoint_every: 0, report_every: 0, ..file.train.clone() };
-    if timeless(saved) != timeless(wanted) || saved.size() != wanted.size() {
+    if timeless(&saved.train) != timeless(&wanted.train) || saved.size() != wanted.size() {
         bail!(
             "--resume goes on with the settings in {}, and others were given; leave them out, or train into another folder",
             RunFolder::config_in(out).display()

@@ -14,9 +14,11 @@ use genesplat::train::{Outcome, RunSummary, Start, train};
 
 use crate::metrics::{Metrics, PhaseSeconds};
 use crate::progress::Bar;
+use crate::report::run::{RunPage, command_line};
 use crate::reporter::Reporter;
 use crate::run_folder::{Log, RunFolder};
 use crate::settings::Settings;
+use crate::test_curve::TestCurve;
 use crate::{device, lpips, memory, scene};
 
 /// A run about to start.
@@ -31,6 +33,8 @@ pub struct Run<'a> {
     pub resume: bool,
     /// The learned measure, if it can be taken.
     pub lpips: Option<&'a Lpips>,
+    /// Leave the terminal to whoever runs this run, but for bars that vanish.
+    pub quiet: bool,
     /// Set by Ctrl-C.
     pub stop: &'a AtomicBool,
     /// Seconds that loading took, and the moment at which it began.
@@ -56,7 +60,8 @@ impl Run<'_> {
 
     fn train(&self, start: Start, log: Log, seconds_before: f64) -> Result<Finished> {
         let mut backend = device::open(self.settings.train.config().seed);
-        let mut reporter = Reporter::new(self.folder, log, self.stop);
+        let reporter = Reporter::new(self.folder, log, self.stop).with_curve(self.curve());
+        let mut reporter = if self.quiet { reporter.quiet() } else { reporter };
         let (views, config) = (&self.scene.train, &self.settings.train);
         let Outcome { cloud, summary, checkpoint } =
             train(&mut backend, views, start, config, &mut reporter, self.stop)?;
@@ -67,11 +72,30 @@ impl Run<'_> {
         drop(cloud);
         reporter.into_result()?;
         let metrics = self.measure(&mut backend, &summary, seconds_before)?;
+        self.folder.write_report(&self.report(&metrics)?)?;
+        // Last: complete metrics are the sign of a finished run.
         self.folder.write_metrics(&metrics)?;
         if !summary.interrupted {
             self.folder.remove_checkpoint()?;
         }
         Ok(Finished { metrics, interrupted: summary.interrupted })
+    }
+
+    /// The page that shows the run.
+    fn report(&self, metrics: &Metrics) -> Result<String> {
+        let (folder, config) = (self.folder.path(), self.settings.to_toml());
+        let path = |path: &Path| path.display().to_string();
+        let dataset = path(&self.settings.dataset.path);
+        let (out, saved) = (path(folder), path(&RunFolder::config_in(folder)));
+        let words = ["genesplat", "train", &dataset, "--out", &out, "--config", &saved];
+        RunPage { metrics, scene: self.scene, folder, config: &config, command: &command_line(words) }
+            .to_html()
+    }
+
+    /// The curve of the test photos; its backend draws no random number.
+    fn curve(&self) -> Option<TestCurve<'_>> {
+        let (train, backend) = (&self.settings.train, device::open(0));
+        TestCurve::new(&self.scene.test, train.render_settings(), train.schedule().iterations, backend)
     }
 
     /// Where to start, and the seconds spent before.
@@ -93,9 +117,11 @@ impl Run<'_> {
     ) -> Result<Metrics> {
         let clock = Instant::now();
         let (config, settings) = (self.settings.train.config(), self.settings.train.render_settings());
-        let test =
-            evaluate_into(backend, &self.scene.test, &settings, self.lpips, Some(&self.folder.test_path()))?;
-        let train = evaluate_into(backend, &self.scene.train, &settings, self.lpips, None)?;
+        let bar = |views: &[View]| if self.quiet { Bar::fleeting } else { Bar::at }("scores", 0, views.len() as u64);
+        let Scene { test, train, .. } = self.scene;
+        let pictures = self.folder.test_path();
+        let test = evaluate_into(backend, test, &settings, self.lpips, Some(&pictures), bar(test))?;
+        let train = evaluate_into(backend, train, &settings, self.lpips, None, bar(train))?;
         let (load, began) = self.load;
         Ok(Metrics {
             schema: 1,
@@ -127,9 +153,9 @@ pub fn evaluate_into(
     settings: &RenderSettings,
     lpips: Option<&Lpips>,
     folder: Option<&Path>,
+    mut bar: Bar,
 ) -> Result<Evaluation> {
     let mut names = (1..).zip(scene::picture_names(views));
-    let mut bar = Bar::new("scores", views.len() as u64);
     let mut written = Ok(());
     let distance = lpips.map(lpips::published);
     let perceptual = distance.as_ref().map(|distance| distance as Perceptual<'_>);

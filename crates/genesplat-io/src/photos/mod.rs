@@ -120,6 +120,18 @@ pub fn write_png(path: &Path, photo: &Photo) -> Result<(), PhotoError> {
     write_atomically(path, |out| out.write_all(&bytes)).map_err(write)
 }
 
+/// `photo` as a JPEG of `quality` 1 to 100, for pages and previews.
+///
+/// # Panics
+/// If a side is beyond 65,535 px, which the format cannot hold.
+pub fn encode_jpeg(photo: &Photo, quality: u8) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    image::codecs::jpeg::JpegEncoder::new_with_quality(&mut bytes, quality)
+        .write_image(&photo.rgb, photo.width, photo.height, ColorType::Rgb8.into())
+        .expect("memory takes every picture that the format can hold");
+    bytes
+}
+
 /// Most pixels of a photo: a few damaged bytes must not ask for all memory.
 const PIXELS_MAX: u64 = 1 << 28;
 

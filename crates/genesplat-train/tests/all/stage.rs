@@ -152,6 +152,8 @@ fn the_observer_follows_the_generations() {
     assert_eq!((starts.len(), generations.len(), ends.len()), (1, GENERATIONS as usize + 1, 1));
     assert_eq!((starts[0].views.len(), starts[0].generations), (6, GENERATIONS));
     assert!(generations.windows(2).all(|pair| pair[1].best <= pair[0].best), "never worse");
+    let founders = &generations[0];
+    assert!(founders.mean > founders.generation_best && founders.spread > Some(0.0), "{founders:?}");
     assert_eq!(generations[GENERATIONS as usize].best, ends[0].fitness_after);
     // Renders: the base once, then whatever had no fitness yet, on six views each.
     let scored: usize = backend

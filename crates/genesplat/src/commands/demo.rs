@@ -18,6 +18,7 @@ use crate::args::DemoArgs;
 use crate::metrics::Metrics;
 use crate::run_folder::RunFolder;
 use crate::settings::{Dataset, Settings};
+use crate::sheet::side_by_side;
 use crate::training::Run;
 use crate::{device, interrupt, lpips, output, scene};
 
@@ -31,8 +32,6 @@ const MAX_GAUSSIANS: usize = 35_000;
 /// Generations of each stage, and individuals a generation: a fifth of the paper's.
 const GENERATIONS: u32 = 20;
 const POPULATION: u32 = 20;
-/// White between the pictures of the comparison, px.
-const GAP_PX: u32 = 4;
 
 /// Builds, trains twice, compares.
 pub fn run(args: &DemoArgs) -> Result<()> {
@@ -113,7 +112,8 @@ impl Half {
         stop: &AtomicBool,
     ) -> Result<Option<Metrics>> {
         let Self { settings, folder, .. } = self;
-        let run = Run { settings, scene, folder, resume: false, lpips, stop, load: (load, Instant::now()) };
+        let load = (load, Instant::now());
+        let run = Run { settings, scene, folder, resume: false, lpips, quiet: false, stop, load };
         let finished = run.execute()?;
         Ok((!finished.interrupted).then_some(finished.metrics))
     }
@@ -177,22 +177,6 @@ fn comparison(scene: &Scene, view: usize, halves: [&Half; 2]) -> Result<[Photo; 
     Ok([scene.test[view].photo.as_ref().clone(), without?, with?])
 }
 
-/// Pictures of one height, from left to right, with white between them.
-fn side_by_side(pictures: &[Photo]) -> Photo {
-    let height = pictures[0].height;
-    let width = pictures.iter().map(|picture| picture.width + GAP_PX).sum::<u32>() - GAP_PX;
-    let mut rgb = Vec::with_capacity(3 * width as usize * height as usize);
-    for y in 0..height as usize {
-        for (index, picture) in pictures.iter().enumerate() {
-            let gap = if index == 0 { 0 } else { 3 * GAP_PX as usize };
-            rgb.extend(std::iter::repeat_n(255, gap));
-            let stride = 3 * picture.width as usize;
-            rgb.extend_from_slice(&picture.rgb[y * stride..(y + 1) * stride]);
-        }
-    }
-    Photo { width, height, rgb }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -201,21 +185,5 @@ mod tests {
     fn what_was_not_measured_is_a_dash() {
         let cells = [Some("30.25".to_owned()), None].into_iter();
         assert_eq!(row("with evolution", cells), "with evolution          30.25          -\n");
-    }
-
-    #[test]
-    fn pictures_stand_side_by_side() {
-        let picture = |value: u8| Photo { width: 1, height: 2, rgb: vec![value; 6] };
-        let joined = side_by_side(&[picture(1), picture(2)]);
-        assert_eq!(
-            (joined.width, joined.height, joined.rgb.len()),
-            (2 + GAP_PX, 2, 3 * 2 * (2 + GAP_PX as usize))
-        );
-        for y in 0..2 {
-            assert_eq!(
-                [joined.pixel(0, y), joined.pixel(1, y), joined.pixel(5, y)],
-                [[1; 3], [255; 3], [2; 3]]
-            );
-        }
     }
 }

@@ -6,6 +6,7 @@ use genesplat::train::evaluate::Evaluation;
 use serde::Serialize;
 
 use crate::args::{EvaluateArgs, Split};
+use crate::progress::Bar;
 use crate::training::evaluate_into;
 use crate::{device, lpips, output, run_folder, splat};
 
@@ -37,7 +38,8 @@ pub fn run(args: &EvaluateArgs) -> Result<()> {
     let mut backend = device::open(0);
     let gaussians = splat.cloud.len();
     backend.upload(splat.cloud, None)?;
-    let scores = evaluate_into(&mut backend, views, &splat.settings, lpips.as_ref(), None)?;
+    let bar = Bar::new("scores", views.len() as u64);
+    let scores = evaluate_into(&mut backend, views, &splat.settings, lpips.as_ref(), None, bar)?;
     let size @ [width, height] = [views[0].camera.width, views[0].camera.height];
     output::print(&format!("{}, at {width}x{height} pixels", output::scores_line(name, &scores)))?;
     let report = Report { dataset: scene.name, split: args.split, size, gaussians, scores };

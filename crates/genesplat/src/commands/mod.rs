@@ -5,6 +5,7 @@ mod compare;
 mod demo;
 mod devices;
 mod evaluate;
+mod experiment;
 mod lpips_install;
 mod refine;
 mod render;
@@ -24,6 +25,7 @@ pub fn run(arguments: Arguments) -> Result<()> {
         Command::Refine(args) => refine::run(&args),
         Command::Compare(args) => compare::run(&args),
         Command::Lpips { what: LpipsCommand::Install(args) } => lpips_install::run(&args),
+        Command::Experiment(args) => experiment::run(&args),
         Command::Bench { what: Bench::Step(args) } => bench_step::run(&args),
         Command::Devices => devices::run(),
     }

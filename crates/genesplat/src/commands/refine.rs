@@ -7,6 +7,7 @@ use genesplat::kernels::cpu::CpuBackend;
 use genesplat::train::{Background, EvolutionMode, Resolved, TrainConfig, Variant, refine};
 
 use crate::args::{EvolutionArgs, RefineArgs};
+use crate::progress::Bar;
 use crate::reporter::Reporter;
 use crate::settings::{ConfigFile, override_evolution};
 use crate::splat::Splat;
@@ -71,7 +72,8 @@ fn print_scores(
     settings: &RenderSettings,
 ) -> Result<()> {
     for (name, views) in [("test", &scene.test), ("train", &scene.train)] {
-        let scores = evaluate_into(backend, views, settings, None, None)?;
+        let bar = Bar::new("scores", views.len() as u64);
+        let scores = evaluate_into(backend, views, settings, None, None, bar)?;
         output::print(&format!("{when:<6} {}", output::scores_line(name, &scores)))?;
     }
     Ok(())

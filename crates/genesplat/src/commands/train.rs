@@ -31,6 +31,7 @@ pub fn run(args: &TrainArgs) -> Result<()> {
         folder: &folder,
         resume: args.resume,
         lpips: lpips.as_ref(),
+        quiet: false,
         stop: &stop,
         load,
     };

@@ -2,6 +2,7 @@
 
 mod bad_input;
 mod determinism;
+mod experiment;
 mod lpips;
 mod peer;
 mod resume;

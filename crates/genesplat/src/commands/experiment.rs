@@ -1,0 +1,70 @@
+//! `genesplat experiment`: many runs, and the tables that compare them.
+
+use std::path::Path;
+
+use anyhow::{Result, anyhow};
+use genesplat::io::atomic::write_atomically;
+
+use crate::args::ExperimentArgs;
+use crate::experiment::plan::Experiment;
+use crate::experiment::results::Results;
+use crate::experiment::runner::Runner;
+use crate::experiment::{page, preset, qualitative, record, summary};
+use crate::report::run::command_line;
+use crate::{device, interrupt, lpips, output, run_folder};
+
+/// Runs what is unfinished, then writes tables and pages of all that is finished.
+pub fn run(args: &ExperimentArgs) -> Result<()> {
+    let mut file = preset::open(&args.what)?;
+    file.override_by(args);
+    let experiment = Experiment::new(file)?;
+    run_folder::check_writable(&args.out.join("tables.md"))?;
+    device::prepare(args.machine)?;
+    let stop = interrupt::stop_flag()?;
+    let lpips = lpips::open(&args.lpips)?;
+    let runner = Runner {
+        experiment: &experiment,
+        out: &args.out,
+        data: args.data.as_deref(),
+        machine: args.machine,
+        lpips: lpips.as_ref(),
+        stop: &stop,
+    };
+    let results = runner.run()?;
+    let (finished, cells) = (results.finished(), experiment.cells().len());
+    if finished > 0 {
+        write(&runner, &results)?;
+    }
+    if finished < cells {
+        return output::print(&format!(
+            "stopped: {finished} of {cells} runs are finished; the same command goes on with the rest"
+        ));
+    }
+    Ok(())
+}
+
+fn write(runner: &Runner<'_>, results: &Results<'_>) -> Result<()> {
+    let tables = summary::tables(results);
+    let pages = qualitative::write_pages(runner, results)?;
+    let command = command_line(std::env::args().collect::<Vec<_>>().iter().map(String::as_str));
+    let markdown = tables.iter().map(|table| table.to_markdown() + "\n").collect::<String>();
+    let latex = tables.iter().map(|table| table.to_latex() + "\n").collect::<String>();
+    let files = [
+        ("experiment.toml", page::to_toml(results)),
+        ("tables.md", markdown.clone()),
+        ("tables.tex", format!("% Needs \\usepackage{{booktabs}} and \\usepackage{{xcolor}}.\n{latex}")),
+        ("tables.csv", record::table(results)),
+        ("cells.csv", record::cells(results)),
+        ("report.html", page::to_html(results, &tables, &pages, &command)?),
+    ];
+    files.iter().try_for_each(|(name, text)| write_text(&runner.out.join(name), text))?;
+    output::print(&markdown)?;
+    let names = files.map(|(name, _)| name).join(", ");
+    output::print(&format!("{}: {names}, and {} pages in qualitative/", runner.out.display(), pages.len()))
+}
+
+fn write_text(path: &Path, text: &str) -> Result<()> {
+    write_atomically(path, |out| std::io::Write::write_all(out, text.as_bytes())).map_err(|error| {
+        anyhow!("cannot write {}: {error}; free some space, and run the command again", path.display())
+    })
+}

@@ -1,0 +1,31 @@
+//! Experiments: many runs that differ in one thing each, and the tables that compare them.
+//!
+//! An experiment is a matrix. Its scenes, variants and seeds are lists; its *arms* are what is compared (without
+//! evolution, with it, with another crossover). One run of one arm is a *cell*, an ordinary run folder, and cells of the
+//! same scene, variant and seed are *paired*: they share all random streams but those that their difference touches.
+//!
+//! ```text
+//! TOML -> Experiment -> [Cell] -> run folders -> Results -> [Table] -> Markdown, LaTeX, CSV, HTML
+//! ```
+//!
+//! | module | what it does |
+//! |---|---|
+//! | [`preset`], [`plan`] | from a TOML file to the list of cells and their settings |
+//! | [`runner`] | runs what is unfinished, scene by scene |
+//! | [`results`] | what the cells have measured, and their paired differences |
+//! | [`statistics`] | means, spreads, and two exact tests |
+//! | [`summary`], [`table`], [`record`] | the paper's tables, how they are written, and everything as CSV |
+//! | [`boxes`], [`qualitative`] | pictures in which the program itself marks what got better and worse |
+//! | [`page`] | `report.html` |
+
+pub mod boxes;
+pub mod page;
+pub mod plan;
+pub mod preset;
+pub mod qualitative;
+pub mod record;
+pub mod results;
+pub mod runner;
+pub mod statistics;
+pub mod summary;
+pub mod table;

@@ -1,0 +1,100 @@
+//! `report.html` of an experiment.
+
+use anyhow::Result;
+use genesplat::io::photos::read_photo;
+
+use super::qualitative::Page;
+use super::results::Results;
+use super::table::Table;
+use crate::report::html::{Html, document};
+use crate::report::picture;
+use crate::report::run::write_repeat;
+
+/// Pictures in the page itself; further ones are linked.
+const PICTURES_MAX: usize = 6;
+/// Longer side of a picture, px.
+const PICTURE_PX: u32 = 1000;
+
+/// The page.
+pub fn to_html(results: &Results<'_>, tables: &[Table], pages: &[Page], command: &str) -> Result<String> {
+    let (experiment, file) = (results.experiment, &results.experiment.file);
+    let cells = experiment.cells();
+    let mut page = Html::new();
+    page.element("h1", &file.title).element("p", &file.description);
+    page.element("p class=\"dim\"", &format!("{} of {} runs are finished.", results.finished(), cells.len()));
+    page.element("h2", "Tables");
+    tables.iter().for_each(|table| table.write_html(&mut page));
+    write_pictures(&mut page, pages)?;
+    page.element("h2", "Runs").open("figure class=\"table\"").open("table").open("tr");
+    ["run", "test PSNR", "train PSNR", "Gaussians", "seconds"]
+        .iter()
+        .for_each(|name| _ = page.element("th", name));
+    page.close("tr");
+    for (cell, metrics) in cells.into_iter().filter_map(|cell| Some((cell, results.get(cell)?))) {
+        let folder = experiment.folder(cell).display().to_string();
+        let psnr = |value: Option<f64>| value.map_or("-".into(), |value| format!("{value:.2}"));
+        page.open("tr").open("th").attribute_of("a", "href", &encoded(&format!("{folder}/report.html")));
+        page.text(folder.trim_start_matches("cells/")).close("a").close("th");
+        page.element("td", &psnr(metrics.test.psnr)).element("td", &psnr(metrics.train.psnr));
+        page.element("td", &metrics.gaussians.to_string());
+        page.element("td", &format!("{:.1}", metrics.seconds.gradient + metrics.seconds.evolution))
+            .close("tr");
+    }
+    page.close("table").close("figure");
+    write_repeat(&mut page, command);
+    page.element("h2", "Experiment").element("pre", &to_toml(results));
+    Ok(document(&file.title, page))
+}
+
+fn write_pictures(page: &mut Html, pages: &[Page]) -> Result<()> {
+    if pages.is_empty() {
+        return Ok(());
+    }
+    page.element("h2", "What changed");
+    for (index, Page { path, caption }) in pages.iter().enumerate() {
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        page.open("figure");
+        if index < PICTURES_MAX {
+            picture::write(page, &read_photo(path)?, PICTURE_PX, caption);
+        }
+        page.open("figcaption").text(caption).text(" ");
+        page.attribute_of("a", "href", &encoded(&format!("qualitative/{name}"))).text("Full size").close("a");
+        page.close("figcaption").close("figure");
+    }
+    Ok(())
+}
+
+/// A relative path as a link: whatever is not plain is percent-encoded.
+fn encoded(path: &str) -> String {
+    let plain = |byte: u8| byte.is_ascii_alphanumeric() || b"-_./".contains(&byte);
+    let encode = |byte: u8| if plain(byte) { char::from(byte).to_string() } else { format!("%{byte:02X}") };
+    path.bytes().map(encode).collect()
+}
+
+/// The experiment as a file that repeats it.
+pub fn to_toml(results: &Results<'_>) -> String {
+    toml::to_string(&results.experiment.file).expect("an experiment came from TOML")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::experiment::plan::Experiment;
+    use crate::experiment::summary::tables;
+
+    #[test]
+    fn hostile_names_stay_text_and_nothing_is_loaded() {
+        let text = "title = \"<script>x</script>\"\ndescription = \"a & b\"\nscenes = [\"<script>\"]\nseeds = [0]\n\
+                    evolve = [\"off\", \"paper\"]";
+        let experiment = Experiment::new(toml::from_str(text).unwrap()).unwrap();
+        let results = Results::none(&experiment);
+        let page = to_html(&results, &tables(&results), &[], "genesplat experiment '<img src=x>'").unwrap();
+        assert!(!page.contains("<script") && page.contains("&lt;script&gt;"), "{page}");
+        assert!(!page.contains("<img") && !page.contains("http:") && !page.contains("https:"), "{page}");
+        assert_eq!(encoded("cells/<a b>/é"), "cells/%3Ca%20b%3E/%C3%A9");
+        assert_eq!(
+            toml::from_str::<crate::experiment::plan::ExperimentFile>(&to_toml(&results)).unwrap(),
+            experiment.file
+        );
+    }
+}

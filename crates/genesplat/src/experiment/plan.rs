@@ -1,0 +1,454 @@
+//! From a TOML file to a checked list of cells.
+//!
+//! Nothing here runs or touches a disk. The file is small on purpose: whatever a run's `config.toml` can say, `[config]`
+//! can say for all cells and `[arms.config]` for one arm; tables are merged key by key, and one that has a `kind`
+//! replaces the other, since kinds have keys of their own.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Result, anyhow, bail, ensure};
+use genesplat::io::GalleryOptions;
+use genesplat::train::{EvolutionMode, Variant};
+use serde::{Deserialize, Serialize};
+use toml::{Table, Value};
+
+use crate::args::{ExperimentArgs, MachineArgs};
+use crate::settings::{ConfigFile, Settings};
+
+/// The scene that needs no folder.
+pub const BUNDLED: &str = "gallery";
+/// The mode whose arms spend the seconds of another arm on gradient steps.
+const CONTROL: &str = "control";
+/// Settings that belong to the matrix or to the machine.
+const NOT_FOR_CONFIG: [&str; 5] = ["seed", "variant", "dataset", "device", "threads"];
+
+/// An experiment, as a file describes it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ExperimentFile {
+    /// One line for headings.
+    pub title: String,
+    /// What it is about.
+    #[serde(default)]
+    pub description: String,
+    /// Folders below `--data`; `gallery` is the bundled scene.
+    pub scenes: Vec<String>,
+    /// Methods. Default: 3dgs.
+    #[serde(default = "plain_3dgs")]
+    pub variants: Vec<Variant>,
+    /// Each cell is repeated with each of these.
+    pub seeds: Vec<u64>,
+    /// Longest side of the photos, px. Default: as `train` has it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub max_side: Option<u32>,
+    /// Or their divisor.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub downscale: Option<u32>,
+    /// Name of the arm that differences are taken from. Default: the first.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub baseline: Option<String>,
+    /// Modes of evolution, each an arm of that name; `control` stands for one equal-time control for each of the others.
+    #[serde(default)]
+    pub evolve: Vec<String>,
+    /// How the bundled scene is photographed.
+    #[serde(default)]
+    pub gallery: GalleryTable,
+    /// Settings of all cells, as in a run's `config.toml`.
+    #[serde(default)]
+    pub config: Table,
+    /// Further arms.
+    #[serde(default)]
+    pub arms: Vec<ArmTable>,
+}
+
+fn plain_3dgs() -> Vec<Variant> {
+    vec![Variant::ThreeDgs]
+}
+
+/// How the bundled scene is photographed; defaults are those of `genesplat demo`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct GalleryTable {
+    width: u32,
+    height: u32,
+    views: u32,
+    points: u32,
+}
+
+impl Default for GalleryTable {
+    fn default() -> Self {
+        let GalleryOptions { width, height, views, points, .. } = GalleryOptions::default();
+        Self { width, height, views, points }
+    }
+}
+
+impl GalleryTable {
+    /// As the generator wants it.
+    pub fn options(self) -> GalleryOptions {
+        let Self { width, height, views, points } = self;
+        GalleryOptions { width, height, views, points, seed: 0 }
+    }
+}
+
+/// One arm of a file.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ArmTable {
+    /// A word for tables and folders.
+    pub name: String,
+    /// The arm whose evolution seconds this one spends on gradient steps; it has that arm's settings otherwise.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub control_of: Option<String>,
+    /// What is different about it.
+    #[serde(default)]
+    pub config: Table,
+}
+
+/// What is compared.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Arm {
+    /// A word for tables and folders.
+    pub name: String,
+    /// Index of the arm whose seconds it spends.
+    pub control_of: Option<usize>,
+    /// All of its settings that differ from the defaults.
+    config: Table,
+}
+
+/// One run. Indices are into the lists of an [`Experiment`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Cell {
+    /// Of `file.scenes`.
+    pub scene: usize,
+    /// Of `file.variants`.
+    pub variant: usize,
+    /// Of `arms`.
+    pub arm: usize,
+    /// Of `file.seeds`.
+    pub seed: usize,
+}
+
+/// A checked experiment.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Experiment {
+    /// As it was described, flags included.
+    pub file: ExperimentFile,
+    /// In the order of the tables: the baseline first, a control right after what it controls.
+    pub arms: Vec<Arm>,
+}
+
+impl ExperimentFile {
+    /// Flags win over the file.
+    pub fn override_by(&mut self, args: &ExperimentArgs) {
+        if args.size.size().is_some() {
+            (self.max_side, self.downscale) = (args.size.max_side, args.size.downscale);
+        }
+        if let Some(iterations) = args.iterations {
+            self.config.insert("iterations".into(), i64::from(iterations).into());
+        }
+        if let Some(scale) = args.steps_scale {
+            self.config.insert("steps_scale".into(), scale.into());
+        }
+    }
+
+    /// The arms of `evolve`, then those of `arms`.
+    fn all_arms(&self) -> Vec<ArmTable> {
+        let controlled: Vec<&String> =
+            self.evolve.iter().filter(|mode| !["off", CONTROL].contains(&mode.as_str())).collect();
+        let of_mode = |mode: &String| match mode.as_str() {
+            CONTROL => controlled.iter().map(|of| control_arm(of, controlled.len() == 1)).collect(),
+            _ => vec![ArmTable { name: mode.clone(), control_of: None, config: mode_table(mode) }],
+        };
+        self.evolve.iter().flat_map(of_mode).chain(self.arms.clone()).collect()
+    }
+}
+
+fn control_arm(of: &str, alone: bool) -> ArmTable {
+    let name = if alone { CONTROL.to_owned() } else { format!("{CONTROL}-{of}") };
+    ArmTable { name, control_of: Some(of.to_owned()), config: Table::new() }
+}
+
+/// `evolution.mode = mode`; whether there is such a mode is for the settings to say.
+fn mode_table(mode: &str) -> Table {
+    let evolution = Table::from_iter([("mode".to_owned(), Value::from(mode))]);
+    Table::from_iter([("evolution".to_owned(), Value::Table(evolution))])
+}
+
+impl Experiment {
+    /// Checks everything that can be known before the first run: an error after a night is an expensive one.
+    pub fn new(file: ExperimentFile) -> Result<Self> {
+        let arms = resolve_arms(&file)?;
+        check_names("scenes", file.scenes.iter().map(|scene| scene_label(scene)))?;
+        check_names("variants", file.variants.iter().map(|variant| variant.name()))?;
+        check_names("arms", arms.iter().map(|arm| arm.name.as_str()))?;
+        check_list("seeds", &file.seeds)?;
+        ensure!(
+            file.max_side.is_none() || file.downscale.is_none(),
+            "the experiment sets both max_side and downscale; keep one of them"
+        );
+        let GalleryTable { width, height, views, .. } = file.gallery;
+        ensure!(width.min(height) >= 16 && views >= 2, "[gallery] needs 2 photos of 16x16 pixels at least");
+        let experiment = Self { file, arms };
+        experiment.check_settings()?;
+        Ok(experiment)
+    }
+
+    fn check_settings(&self) -> Result<()> {
+        for arm in 0..self.arms.len() {
+            for variant in 0..self.file.variants.len() {
+                for seed in 0..self.file.seeds.len() {
+                    let cell = Cell { scene: 0, variant, arm, seed };
+                    self.settings(cell, Path::new(""), MachineArgs::default(), Some(0.0))
+                        .map_err(|error| anyhow!("arm `{}`: {error}", self.arms[arm].name))?;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// All cells in the order in which they are run: scene by scene, so that each is loaded once, pairs together, and a
+    /// control after the cell whose seconds it spends.
+    pub fn cells(&self) -> Vec<Cell> {
+        let (file, mut order) = (&self.file, Vec::from_iter(0..self.arms.len()));
+        order.sort_by_key(|&arm| self.arms[arm].control_of.is_some());
+        let mut cells = Vec::new();
+        for scene in 0..file.scenes.len() {
+            for variant in 0..file.variants.len() {
+                for seed in 0..file.seeds.len() {
+                    cells.extend(order.iter().map(|&arm| Cell { scene, variant, arm, seed }));
+                }
+            }
+        }
+        cells
+    }
+
+    /// Name of a scene, for tables and folders.
+    pub fn scene_name(&self, scene: usize) -> &str {
+        scene_label(&self.file.scenes[scene])
+    }
+
+    /// Where a cell's run folder is, below the experiment's.
+    pub fn folder(&self, cell: Cell) -> PathBuf {
+        let (scene, variant) = (self.scene_name(cell.scene), self.file.variants[cell.variant].name());
+        let seed = format!("seed-{}", self.file.seeds[cell.seed]);
+        ["cells", scene, variant, &self.arms[cell.arm].name, &seed].iter().collect()
+    }
+
+    /// The settings of a cell of the scene at `path`. A control needs its seconds a stage.
+    pub fn settings(
+        &self,
+        cell: Cell,
+        path: &Path,
+        machine: MachineArgs,
+        control_seconds: Option<f64>,
+    ) -> Result<Settings> {
+        let (file, arm) = (&self.file, &self.arms[cell.arm]);
+        let mut config = ConfigFile::from_table(arm.config.clone()).map_err(|error| anyhow!("{error}"))?;
+        config.train.seed = file.seeds[cell.seed];
+        config.train.variant = file.variants[cell.variant];
+        config.dataset.path = path.to_owned();
+        (config.dataset.max_side, config.dataset.downscale) = (file.max_side, file.downscale);
+        if let (Some(_), Some(seconds)) = (arm.control_of, control_seconds) {
+            config.train.evolution.control_seconds = seconds;
+        }
+        config.resolve(machine)
+    }
+}
+
+/// The last part of a path.
+fn scene_label(scene: &str) -> &str {
+    Path::new(scene).file_name().and_then(|name| name.to_str()).unwrap_or(scene)
+}
+
+/// Settings merged, controls resolved, and all of them in the order of the tables.
+fn resolve_arms(file: &ExperimentFile) -> Result<Vec<Arm>> {
+    let tables = in_table_order(file)?;
+    let index = |name: &str| tables.iter().position(|arm| arm.name == name);
+    let mut arms = Vec::new();
+    for table in &tables {
+        check_word(&table.name)?;
+        [&file.config, &table.config].into_iter().try_for_each(|config| check_config(config, &table.name))?;
+        let control_of = table.control_of.as_deref().and_then(index);
+        let mut config = file.config.clone();
+        if let Some(target) = control_of {
+            merge(&mut config, &tables[target].config);
+            check_controlled(&config, table, &tables[target])?;
+            merge(&mut config, &mode_table(CONTROL));
+        }
+        merge(&mut config, &table.config);
+        arms.push(Arm { name: table.name.clone(), control_of, config });
+    }
+    Ok(arms)
+}
+
+/// The baseline, then the others as given, each followed by its controls.
+fn in_table_order(file: &ExperimentFile) -> Result<Vec<ArmTable>> {
+    let arms = file.all_arms();
+    let baseline = file.baseline.as_deref().or(arms.first().map(|arm| arm.name.as_str()));
+    let is_baseline = |arm: &ArmTable| Some(arm.name.as_str()) == baseline;
+    let known = |name: &str| arms.iter().any(|arm| arm.name == name && arm.control_of.is_none());
+    match baseline {
+        None => bail!("the experiment has no arms; list modes in `evolve`, or add [[arms]]"),
+        Some(name) if !known(name) => bail!("the baseline `{name}` is not an arm that trains on its own"),
+        Some(_) => {}
+    }
+    if let Some(lost) = arms.iter().filter_map(|arm| arm.control_of.as_deref()).find(|of| !known(of)) {
+        bail!("control_of names `{lost}`, which is not an arm that evolves");
+    }
+    let (first, rest): (Vec<_>, Vec<_>) =
+        arms.iter().filter(|arm| arm.control_of.is_none()).partition(|arm| is_baseline(arm));
+    let with_controls = |arm: &ArmTable| {
+        let controls = arms.iter().filter(|control| control.control_of.as_ref() == Some(&arm.name));
+        std::iter::once(arm.clone()).chain(controls.cloned()).collect::<Vec<_>>()
+    };
+    Ok(first.into_iter().chain(rest).flat_map(with_controls).collect())
+}
+
+/// Only seconds of an evolution stage can be spent otherwise.
+fn check_controlled(config: &Table, control: &ArmTable, target: &ArmTable) -> Result<()> {
+    let parsed = ConfigFile::from_table(config.clone()).map_err(|error| anyhow!("{error}"))?;
+    let evolves = !matches!(parsed.train.evolution.mode, EvolutionMode::Off | EvolutionMode::Control);
+    ensure!(evolves, "arm `{}` is the control of `{}`, which does not evolve", control.name, target.name);
+    Ok(())
+}
+
+fn check_config(config: &Table, arm: &str) -> Result<()> {
+    if let Some(key) = NOT_FOR_CONFIG.into_iter().find(|key| config.contains_key(*key)) {
+        bail!(
+            "arm `{arm}`: `{key}` cannot be set in a config table, since the experiment sets it for each cell"
+        );
+    }
+    Ok(())
+}
+
+/// Arms become folders and columns.
+fn check_word(name: &str) -> Result<()> {
+    let allowed = |c: char| c.is_ascii_alphanumeric() || "-_.=".contains(c);
+    ensure!(
+        name.starts_with(|c: char| c.is_ascii_alphanumeric()) && name.chars().all(allowed),
+        "`{name}` cannot be the name of an arm; use letters, digits and - _ . ="
+    );
+    Ok(())
+}
+
+fn check_names<'a>(what: &str, names: impl Iterator<Item = &'a str>) -> Result<()> {
+    check_list(what, &names.collect::<Vec<_>>())
+}
+
+fn check_list<T: PartialEq + std::fmt::Display>(what: &str, items: &[T]) -> Result<()> {
+    ensure!(!items.is_empty(), "the experiment has no {what}; list at least one");
+    match items.iter().enumerate().find(|(at, item)| items[..*at].contains(item)) {
+        Some((_, item)) => {
+            bail!("`{item}` is there twice among the experiment's {what}; give each a name of its own")
+        }
+        None => Ok(()),
+    }
+}
+
+/// Writes `over` into `base`, key by key.
+fn merge(base: &mut Table, over: &Table) {
+    for (key, value) in over {
+        match (base.get_mut(key), value) {
+            (Some(Value::Table(old)), Value::Table(new)) if !new.contains_key("kind") => merge(old, new),
+            _ => {
+                base.insert(key.clone(), value.clone());
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn file(text: &str) -> ExperimentFile {
+        toml::from_str(&format!("title = \"t\"\n{text}")).unwrap()
+    }
+
+    fn names(experiment: &Experiment) -> Vec<(&str, Option<usize>)> {
+        experiment.arms.iter().map(|arm| (arm.name.as_str(), arm.control_of)).collect()
+    }
+
+    #[test]
+    fn the_matrix_is_expanded_scene_by_scene_with_controls_last() {
+        let experiment = Experiment::new(file(
+            "scenes = [\"a\", \"deep/b\"]\nvariants = [\"3dgs\", \"pixel-gs\"]\nseeds = [7, 8, 9]\n\
+             evolve = [\"off\", \"control\", \"paper\"]",
+        ))
+        .unwrap();
+        assert_eq!(names(&experiment), [("off", None), ("paper", None), ("control", Some(1))]);
+        let cells = experiment.cells();
+        assert_eq!(cells.len(), 2 * 2 * 3 * 3);
+        assert_eq!(cells.iter().map(|cell| cell.arm).collect::<Vec<_>>(), [0, 1, 2].repeat(12));
+        assert!(cells.is_sorted_by_key(|cell| (cell.scene, cell.variant, cell.seed)));
+        let last = experiment.folder(cells[35]);
+        assert_eq!(last, Path::new("cells/b/pixel-gs/control/seed-9"));
+        let folders: std::collections::HashSet<_> =
+            cells.iter().map(|&cell| experiment.folder(cell)).collect();
+        assert_eq!(folders.len(), cells.len(), "no two cells share a folder");
+    }
+
+    #[test]
+    fn arms_override_the_common_settings_and_a_control_has_those_of_its_arm() {
+        let experiment = Experiment::new(file(
+            "scenes = [\"a\"]\nseeds = [1]\nbaseline = \"off\"\n\
+             [config]\nsteps_scale = 0.5\nevolution.paper.crossover = { kind = \"points\", points = 3 }\n\
+             [[arms]]\nname = \"equal-time\"\ncontrol_of = \"one\"\n\
+             [[arms]]\nname = \"one\"\n\
+             config.evolution = { mode = \"paper\", trigger = \"before-reset\", paper.crossover.kind = \"one_point\" }\n\
+             [[arms]]\nname = \"off\"",
+        ))
+        .unwrap();
+        assert_eq!(names(&experiment), [("off", None), ("one", None), ("equal-time", Some(1))]);
+        let settings = |arm| {
+            let cell = Cell { scene: 0, variant: 0, arm, seed: 0 };
+            experiment.settings(cell, Path::new("a"), MachineArgs::default(), Some(2.5)).unwrap().train
+        };
+        let (one, control) = (settings(1), settings(2));
+        let (one, control) = (one.config(), control.config());
+        assert_eq!((one.seed, one.steps_scale, one.evolution.mode), (1, 0.5, EvolutionMode::Paper));
+        assert_eq!(
+            (control.evolution.mode, control.evolution.control_seconds),
+            (EvolutionMode::Control, 2.5)
+        );
+        assert_eq!(one.evolution.trigger, control.evolution.trigger);
+        assert_eq!(one.evolution.paper.crossover, genesplat::evolve::Crossover::OnePoint);
+        assert_eq!(settings(0).config().evolution.mode, EvolutionMode::Off);
+    }
+
+    #[test]
+    fn two_modes_have_a_control_each() {
+        let arms =
+            file("scenes = [\"a\"]\nseeds = [0]\nevolve = [\"off\", \"x\", \"y\", \"control\"]").all_arms();
+        let names: Vec<&str> = arms.iter().map(|arm| arm.name.as_str()).collect();
+        assert_eq!(names, ["off", "x", "y", "control-x", "control-y"]);
+    }
+
+    #[test]
+    fn what_cannot_be_run_is_refused_at_once() {
+        let cases = [
+            ("scenes = []\nseeds = [0]\nevolve = [\"off\"]", "no scenes"),
+            ("scenes = [\"a\"]\nseeds = []\nevolve = [\"off\"]", "no seeds"),
+            ("scenes = [\"a\"]\nseeds = [0, 0]\nevolve = [\"off\"]", "twice"),
+            ("scenes = [\"x/a\", \"y/a\"]\nseeds = [0]\nevolve = [\"off\"]", "twice"),
+            ("scenes = [\"a\"]\nseeds = [0]", "no arms"),
+            ("scenes = [\"a\"]\nseeds = [0]\nevolve = [\"none\"]", "arm `none`"),
+            ("scenes = [\"a\"]\nseeds = [0]\nevolve = [\"off\"]\nbaseline = \"on\"", "baseline `on`"),
+            ("scenes = [\"a\"]\nseeds = [0]\n[[arms]]\nname = \"../up\"", "../up"),
+            ("scenes = [\"a\"]\nseeds = [0]\nevolve = [\"off\"]\n[config]\nseed = 3", "`seed`"),
+            ("scenes = [\"a\"]\nseeds = [0]\nevolve = [\"off\"]\n[config]\nsteps_scale = 0", "steps_scale"),
+            (
+                "scenes = [\"a\"]\nseeds = [0]\nevolve = [\"off\"]\n[[arms]]\nname = \"c\"\ncontrol_of = \"off\"",
+                "does not evolve",
+            ),
+            (
+                "scenes = [\"a\"]\nseeds = [0]\nevolve = [\"off\"]\n[[arms]]\nname = \"c\"\ncontrol_of = \"d\"",
+                "control_of names `d`",
+            ),
+        ];
+        for (text, word) in cases {
+            let error = Experiment::new(file(text)).unwrap_err().to_string();
+            assert!(error.contains(word), "{word:?} is not in: {error}");
+        }
+    }
+}

@@ -1,0 +1,70 @@
+//! The experiments that come with the program, and those from files.
+//!
+//! Presets are files like any other, compiled in; `crates/genesplat/presets` holds them, and they are meant to be copied.
+
+use std::fs;
+use std::path::Path;
+
+use anyhow::{Result, anyhow, bail};
+
+use super::plan::ExperimentFile;
+
+/// Name and text of each.
+pub const PRESETS: [(&str, &str); 7] = [
+    ("smoke", include_str!("../../presets/smoke.toml")),
+    ("paper-table-2-3", include_str!("../../presets/paper-table-2-3.toml")),
+    ("ablation-crossover", include_str!("../../presets/ablation-crossover.toml")),
+    ("ablation-trigger", include_str!("../../presets/ablation-trigger.toml")),
+    ("ablation-population", include_str!("../../presets/ablation-population.toml")),
+    ("ablation-views", include_str!("../../presets/ablation-views.toml")),
+    ("ablation-gradient", include_str!("../../presets/ablation-gradient.toml")),
+];
+
+/// The experiment called `what`: a preset, or a file.
+pub fn open(what: &str) -> Result<ExperimentFile> {
+    let preset = PRESETS.iter().find(|(name, _)| *name == what);
+    let text = match preset {
+        Some((_, text)) => (*text).to_owned(),
+        None => read(Path::new(what))?,
+    };
+    let file = toml::from_str(&text);
+    file.map_err(|problem| anyhow!("the experiment {what} is not valid: {problem}; correct it there"))
+}
+
+fn read(path: &Path) -> Result<String> {
+    if !path.exists() && path.extension().is_none() {
+        let names = PRESETS.map(|(name, _)| name).join(", ");
+        bail!("there is no experiment called {}; take {names}, or a TOML file", path.display());
+    }
+    fs::read_to_string(path)
+        .map_err(|error| anyhow!("cannot read the experiment {}: {error}", path.display()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::experiment::plan::Experiment;
+
+    #[test]
+    fn every_preset_is_valid_and_has_a_control() {
+        for (name, _) in PRESETS {
+            let experiment =
+                Experiment::new(open(name).unwrap()).unwrap_or_else(|error| panic!("{name}: {error}"));
+            assert!(experiment.arms.iter().any(|arm| arm.control_of.is_some()), "{name}");
+            assert_eq!(experiment.arms[0].name, "off", "{name}: differences are from plain training");
+            assert!(experiment.file.seeds.len() >= 3, "{name}");
+        }
+    }
+
+    #[test]
+    fn the_papers_tables_are_the_whole_matrix() {
+        let experiment = Experiment::new(open("paper-table-2-3").unwrap()).unwrap();
+        assert_eq!(experiment.cells().len(), 8 * 3 * 3 * 3);
+    }
+
+    #[test]
+    fn an_unknown_name_lists_the_known_ones() {
+        let error = open("smoked").unwrap_err().to_string();
+        assert!(error.contains("smoked") && error.contains("ablation-views"), "{error}");
+    }
+}

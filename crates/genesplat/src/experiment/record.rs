@@ -1,0 +1,114 @@
+//! Everything as CSV: a line a cell, and a line a comparison.
+
+use super::plan::Cell;
+use super::results::{Results, Split};
+use super::statistics::{Summary, sign_test, signs, wilcoxon_test};
+use super::summary::comparisons;
+
+/// Every finished cell.
+pub fn cells(results: &Results<'_>) -> String {
+    let experiment = results.experiment;
+    let mut text = csv_line(&[
+        "scene",
+        "variant",
+        "arm",
+        "seed",
+        "test_psnr",
+        "test_ssim",
+        "test_lpips",
+        "train_psnr",
+        "train_ssim",
+        "train_lpips",
+        "gaussians",
+        "iterations",
+        "gradient_seconds",
+        "evolution_seconds",
+        "folder",
+    ]);
+    let finished = experiment.cells().into_iter().filter_map(|cell| Some((cell, results.get(cell)?)));
+    for (cell, metrics) in finished {
+        let Cell { scene, variant, arm, seed } = cell;
+        let mut fields = vec![
+            experiment.scene_name(scene).to_owned(),
+            experiment.file.variants[variant].to_string(),
+            experiment.arms[arm].name.clone(),
+            experiment.file.seeds[seed].to_string(),
+        ];
+        for split in Split::ALL {
+            let scores = metrics.scores(split);
+            fields.extend([scores.psnr, scores.ssim, scores.lpips].map(number));
+        }
+        fields.extend([metrics.gaussians.to_string(), metrics.iterations.to_string()]);
+        fields.extend(
+            [metrics.seconds.gradient, metrics.seconds.evolution].map(|seconds| number(Some(seconds))),
+        );
+        fields.push(experiment.folder(cell).display().to_string());
+        text += &csv_line(&fields);
+    }
+    text
+}
+
+/// Every comparison.
+pub fn table(results: &Results<'_>) -> String {
+    let experiment = results.experiment;
+    let mut text = csv_line(&[
+        "split",
+        "metric",
+        "variant",
+        "scene",
+        "arm",
+        "against",
+        "pairs",
+        "mean_gain",
+        "spread",
+        "better",
+        "worse",
+        "sign_test_p",
+        "wilcoxon_p",
+    ]);
+    for comparison in comparisons(results) {
+        let summary = Summary::of(&comparison.gains);
+        let [better, worse, _] = signs(&comparison.gains);
+        text += &csv_line(&[
+            comparison.split.name().to_owned(),
+            comparison.metric.name().to_owned(),
+            experiment.file.variants[comparison.variant].to_string(),
+            comparison.scene.map_or("", |scene| experiment.scene_name(scene)).to_owned(),
+            experiment.arms[comparison.arm].name.clone(),
+            experiment.arms[comparison.against].name.clone(),
+            comparison.gains.len().to_string(),
+            number(summary.map(|summary| summary.mean)),
+            number(summary.and_then(|summary| summary.spread)),
+            better.to_string(),
+            worse.to_string(),
+            number(Some(sign_test(&comparison.gains))),
+            number(Some(wilcoxon_test(&comparison.gains))),
+        ]);
+    }
+    text
+}
+
+/// Six digits are more than any of these figures deserve; nothing where there is none.
+fn number(value: Option<f64>) -> String {
+    value.map_or(String::new(), |value| format!("{value:.6}"))
+}
+
+/// Fields as RFC 4180 has them.
+fn csv_line(fields: &[impl AsRef<str>]) -> String {
+    let quote = |field: &str| {
+        let plain = !field.contains([',', '"', '\n', '\r']);
+        if plain { field.to_owned() } else { format!("\"{}\"", field.replace('"', "\"\"")) }
+    };
+    fields.iter().map(|field| quote(field.as_ref())).collect::<Vec<_>>().join(",") + "\n"
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn fields_with_commas_and_quotes_are_quoted() {
+        assert_eq!(csv_line(&["a", "b,c", "say \"x\""]), "a,\"b,c\",\"say \"\"x\"\"\"\n");
+        assert_eq!((number(None), number(Some(-0.5))), (String::new(), "-0.500000".into()));
+    }
+}

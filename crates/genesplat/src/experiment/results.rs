@@ -1,0 +1,234 @@
+//! What the cells have measured, and their paired differences.
+
+use std::fs;
+use std::path::Path;
+
+use serde::Deserialize;
+
+use super::plan::{Cell, Experiment};
+
+/// What experiments read of a run's `metrics.json`.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+pub struct CellMetrics {
+    /// Iterations completed.
+    pub iterations: u32,
+    /// Gaussians at the end.
+    pub gaussians: usize,
+    /// Photos that training never saw.
+    pub test: Scores,
+    /// Photos that it saw.
+    pub train: Scores,
+    /// Wall-clock seconds.
+    pub seconds: CellSeconds,
+    /// Evolution stages, or controls in their place.
+    pub evolution: Vec<StageSeconds>,
+}
+
+/// Means of a split; `None` where the file says `null`.
+#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
+pub struct Scores {
+    /// dB.
+    pub psnr: Option<f64>,
+    /// At most 1.
+    pub ssim: Option<f64>,
+    /// A distance.
+    #[serde(default)]
+    pub lpips: Option<f64>,
+    /// Photo by photo.
+    #[serde(default)]
+    pub views: Vec<ViewPsnr>,
+}
+
+/// One photo.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+pub struct ViewPsnr {
+    /// Its file name.
+    pub name: String,
+    /// dB.
+    pub psnr: Option<f64>,
+}
+
+/// Wall-clock seconds of a cell.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
+pub struct CellSeconds {
+    /// Gradient steps and density control.
+    pub gradient: f64,
+    /// Evolution stages, or controls in their place.
+    pub evolution: f64,
+}
+
+/// One stage.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+pub struct StageSeconds {
+    /// Wall-clock seconds.
+    pub seconds: f64,
+}
+
+impl CellMetrics {
+    /// Those of the run in `folder`; `None` where there are none, or a torn file.
+    pub fn read(folder: &Path) -> Option<Self> {
+        serde_json::from_slice(&fs::read(folder.join("metrics.json")).ok()?).ok()
+    }
+
+    /// Mean seconds of an evolution stage; 0 where none ran.
+    pub fn stage_seconds(&self) -> f64 {
+        let stages = &self.evolution;
+        stages.iter().map(|stage| stage.seconds).sum::<f64>() / stages.len().max(1) as f64
+    }
+}
+
+/// Which photos.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Split {
+    /// Those that training never saw.
+    Test,
+    /// Those that it saw.
+    Train,
+}
+
+impl Split {
+    /// Test first: that is what counts.
+    pub const ALL: [Self; 2] = [Self::Test, Self::Train];
+
+    /// As files call it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Test => "test",
+            Self::Train => "train",
+        }
+    }
+}
+
+/// What is measured.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Metric {
+    /// Peak signal-to-noise ratio, dB.
+    Psnr,
+    /// Structural similarity.
+    Ssim,
+    /// Learned perceptual distance.
+    Lpips,
+}
+
+impl Metric {
+    /// In the order of the paper's tables.
+    pub const ALL: [Self; 3] = [Self::Psnr, Self::Ssim, Self::Lpips];
+
+    /// As tables call it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Psnr => "PSNR",
+            Self::Ssim => "SSIM",
+            Self::Lpips => "LPIPS",
+        }
+    }
+
+    /// Its first letter, after a delta.
+    pub fn letter(self) -> &'static str {
+        &self.name()[..1]
+    }
+
+    /// Digits after the point, as in the paper.
+    pub fn digits(self) -> usize {
+        match self {
+            Self::Psnr => 2,
+            Self::Ssim => 4,
+            Self::Lpips => 3,
+        }
+    }
+
+    /// The sign convention of the paper's Table 2: positive is better, for the distance LPIPS, too.
+    pub fn gain(self, baseline: f64, value: f64) -> f64 {
+        match self {
+            Self::Psnr | Self::Ssim => value - baseline,
+            Self::Lpips => baseline - value,
+        }
+    }
+
+    fn of(self, scores: &Scores) -> Option<f64> {
+        match self {
+            Self::Psnr => scores.psnr,
+            Self::Ssim => scores.ssim,
+            Self::Lpips => scores.lpips,
+        }
+    }
+}
+
+/// Finished cells by their place in the matrix.
+pub struct Results<'a> {
+    /// What was to be run.
+    pub experiment: &'a Experiment,
+    cells: Vec<Option<CellMetrics>>,
+}
+
+impl<'a> Results<'a> {
+    /// None yet.
+    pub fn none(experiment: &'a Experiment) -> Self {
+        let cells = vec![None; experiment.cells().len()];
+        Self { experiment, cells }
+    }
+
+    /// A cell has finished.
+    pub fn put(&mut self, cell: Cell, metrics: CellMetrics) {
+        let at = self.index(cell);
+        self.cells[at] = Some(metrics);
+    }
+
+    /// What a cell has measured, if it is finished.
+    pub fn get(&self, cell: Cell) -> Option<&CellMetrics> {
+        self.cells[self.index(cell)].as_ref()
+    }
+
+    /// How many are finished.
+    pub fn finished(&self) -> usize {
+        self.cells.iter().flatten().count()
+    }
+
+    fn index(&self, Cell { scene, variant, arm, seed }: Cell) -> usize {
+        let Experiment { file, arms } = self.experiment;
+        ((scene * file.variants.len() + variant) * arms.len() + arm) * file.seeds.len() + seed
+    }
+
+    /// `value` of every finished repeat of an arm.
+    pub fn repeats<T>(&self, cell: Cell, value: impl Fn(&CellMetrics) -> Option<T>) -> Vec<T> {
+        let seeds = 0..self.experiment.file.seeds.len();
+        seeds.filter_map(|seed| self.get(Cell { seed, ..cell }).and_then(&value)).collect()
+    }
+
+    /// A metric of every finished repeat of an arm.
+    pub fn values(&self, cell: Cell, split: Split, metric: Metric) -> Vec<f64> {
+        self.repeats(cell, |metrics| metric.of(metrics.scores(split)))
+    }
+
+    /// Gains over the arm `against`, one for each seed that both have finished.
+    pub fn gains(&self, cell: Cell, against: usize, split: Split, metric: Metric) -> Vec<f64> {
+        let value = |cell: Cell| self.get(cell).and_then(|metrics| metric.of(metrics.scores(split)));
+        let seeds = 0..self.experiment.file.seeds.len();
+        let gain = |seed| {
+            let cell = Cell { seed, ..cell };
+            Some(metric.gain(value(Cell { arm: against, ..cell })?, value(cell)?))
+        };
+        seeds.filter_map(gain).collect()
+    }
+
+    /// The metrics that at least one cell has.
+    pub fn metrics(&self) -> Vec<Metric> {
+        let has = |metric: &Metric| {
+            self.cells
+                .iter()
+                .flatten()
+                .any(|cell| Split::ALL.iter().any(|&split| metric.of(cell.scores(split)).is_some()))
+        };
+        Metric::ALL.into_iter().filter(has).collect()
+    }
+}
+
+impl CellMetrics {
+    /// Those of one split.
+    pub fn scores(&self, split: Split) -> &Scores {
+        match split {
+            Split::Test => &self.test,
+            Split::Train => &self.train,
+        }
+    }
+}

@@ -1,0 +1,279 @@
+//! Runs the cells that are unfinished.
+//!
+//! A cell is finished when its folder holds the settings that it would be run with, and the metrics of a whole run; then
+//! it is not touched. One that was interrupted goes on from its checkpoint, and anything else starts anew. What
+//! remains is therefore decided by the disk alone, however the last attempt ended.
+
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
+
+use anyhow::{Result, anyhow, bail, ensure};
+use genesplat::io::{LoadOptions, PhotoSize, Scene, gallery, load_points};
+use genesplat::train::evaluate::Lpips;
+
+use super::plan::{BUNDLED, Cell, Experiment};
+use super::results::{CellMetrics, Results};
+use crate::args::MachineArgs;
+use crate::run_folder::RunFolder;
+use crate::scene;
+use crate::settings::{ConfigFile, Settings};
+use crate::training::Run;
+
+/// How to run an experiment.
+pub struct Runner<'a> {
+    /// What.
+    pub experiment: &'a Experiment,
+    /// The experiment's folder.
+    pub out: &'a Path,
+    /// Where scenes are.
+    pub data: Option<&'a Path>,
+    /// On what.
+    pub machine: MachineArgs,
+    /// The learned measure, if it can be taken.
+    pub lpips: Option<&'a Lpips>,
+    /// Set by Ctrl-C.
+    pub stop: &'a AtomicBool,
+}
+
+/// What a cell's folder says about it.
+enum State {
+    Finished(CellMetrics),
+    Interrupted,
+    Missing,
+}
+
+impl<'a> Runner<'a> {
+    /// Runs everything, or until it is stopped; returns what is finished.
+    pub fn run(&self) -> Result<Results<'a>> {
+        self.check_scenes()?;
+        self.check_folders()?;
+        let cells = self.experiment.cells();
+        let (mut results, mut scenes) = (Results::none(self.experiment), Scenes::default());
+        let mut board = Board::new(self.experiment, cells.len());
+        for cell in cells {
+            if self.stop.load(Ordering::Relaxed) {
+                break;
+            }
+            let settings = self.settings(cell, &results)?;
+            let metrics = match self.state(cell, &settings) {
+                State::Finished(metrics) => {
+                    board.kept(cell, &metrics);
+                    metrics
+                }
+                state => {
+                    let resume = matches!(state, State::Interrupted);
+                    let Some(metrics) = self.train(cell, &settings, resume, &mut scenes)? else { break };
+                    board.ran(cell, &metrics);
+                    metrics
+                }
+            };
+            results.put(cell, metrics);
+        }
+        Ok(results)
+    }
+
+    /// The settings of a cell; those of a control depend on what its arm has taken.
+    pub fn settings(&self, cell: Cell, results: &Results<'_>) -> Result<Settings> {
+        let target = self.experiment.arms[cell.arm].control_of;
+        let seconds =
+            target.and_then(|arm| results.get(Cell { arm, ..cell })).map(CellMetrics::stage_seconds);
+        self.experiment.settings(cell, &self.scene_path(cell.scene), self.machine, seconds)
+    }
+
+    /// Where a scene's photos are.
+    pub fn scene_path(&self, scene: usize) -> PathBuf {
+        let (file, name) = (&self.experiment.file, &self.experiment.file.scenes[scene]);
+        if name == BUNDLED {
+            // The options are in the path, so that runs on another gallery are not taken for runs on this one.
+            let options = file.gallery.options();
+            let kind = format!("{}x{}-{}-{}", options.width, options.height, options.views, options.points);
+            return self.out.join("scenes").join(kind).join(BUNDLED);
+        }
+        self.data.unwrap_or(Path::new("")).join(name)
+    }
+
+    /// The scene of a cell, at the size and on the background that it is trained with.
+    pub fn load(&self, cell: Cell, settings: &Settings) -> Result<Scene> {
+        let (path, config) = (self.scene_path(cell.scene), settings.train.config());
+        if self.experiment.file.scenes[cell.scene] == BUNDLED {
+            gallery::generate(&self.experiment.file.gallery.options()).write_colmap(&path)?;
+        }
+        scene::load(&path, settings.dataset.size(), config.background.fixed_colour(), config.seed)
+    }
+
+    /// `None` for a run that was stopped.
+    fn train(
+        &self,
+        cell: Cell,
+        settings: &Settings,
+        resume: bool,
+        scenes: &mut Scenes,
+    ) -> Result<Option<CellMetrics>> {
+        let path = self.out.join(self.experiment.folder(cell));
+        let interrupted = self.train_into(&path, cell, settings, resume, scenes);
+        let interrupted = interrupted.map_err(|error| anyhow!("{}: {error}", path.display()))?;
+        Ok(if interrupted { None } else { Some(read_back(&path)?) })
+    }
+
+    fn train_into(
+        &self,
+        path: &Path,
+        cell: Cell,
+        settings: &Settings,
+        resume: bool,
+        scenes: &mut Scenes,
+    ) -> Result<bool> {
+        let began = Instant::now();
+        let scene = scenes.get(self, cell, settings)?;
+        let folder = if resume { RunFolder::reopen } else { RunFolder::replace };
+        let folder = folder(path, &settings.to_toml())?;
+        let load = (began.elapsed().as_secs_f64(), began);
+        let Self { lpips, stop, .. } = *self;
+        let run = Run { settings, scene, folder: &folder, resume, lpips, quiet: true, stop, load };
+        Ok(run.execute()?.interrupted)
+    }
+
+    fn state(&self, cell: Cell, settings: &Settings) -> State {
+        let path = self.out.join(self.experiment.folder(cell));
+        let is_this_run = ConfigFile::of_run(&path).is_ok_and(|config| config.repeats(settings));
+        let whole = settings.train.schedule().iterations;
+        if !is_this_run {
+            return State::Missing;
+        }
+        match CellMetrics::read(&path) {
+            Some(metrics) if metrics.iterations == whole => State::Finished(metrics),
+            // A torn checkpoint is of no use.
+            _ if matches!(RunFolder::saved_checkpoint(&path), Some(Ok(_))) => State::Interrupted,
+            _ => State::Missing,
+        }
+    }
+
+    /// Fails where a scene is missing, before anything has begun.
+    fn check_scenes(&self) -> Result<()> {
+        let scenes = &self.experiment.file.scenes;
+        let foreign = scenes.iter().filter(|name| *name != BUNDLED);
+        if let (None, Some(name)) = (self.data, foreign.clone().next()) {
+            bail!("the experiment needs the scene {name}; give the folder that holds it as --data FOLDER");
+        }
+        let missing: Vec<&str> = foreign
+            .filter(|name| !self.data.unwrap_or(Path::new("")).join(name).is_dir())
+            .map(String::as_str)
+            .collect();
+        ensure!(
+            missing.is_empty(),
+            "{} has no folder called {}; put the scenes there, or take them out of the experiment",
+            self.data.unwrap_or(Path::new("")).display(),
+            missing.join(", ")
+        );
+        Ok(())
+    }
+
+    /// Finished cells of another experiment are not overwritten. A control is no cell of another experiment just because
+    /// the arm that it controls was run again.
+    fn check_folders(&self) -> Result<()> {
+        let results = Results::none(self.experiment);
+        for cell in self.experiment.cells() {
+            if self.experiment.arms[cell.arm].control_of.is_some() {
+                continue;
+            }
+            let path = self.out.join(self.experiment.folder(cell));
+            let settings = self.settings(cell, &results)?;
+            let other = ConfigFile::of_run(&path).is_ok_and(|config| !config.repeats(&settings));
+            ensure!(
+                !other || CellMetrics::read(&path).is_none(),
+                "{} holds a run with other settings; choose another --out, or remove that folder to have it run anew",
+                path.display()
+            );
+        }
+        Ok(())
+    }
+}
+
+fn read_back(path: &Path) -> Result<CellMetrics> {
+    CellMetrics::read(path)
+        .ok_or_else(|| anyhow!("{} cannot be read back; check the disk", path.join("metrics.json").display()))
+}
+
+/// The scene that was used last: cells come scene by scene.
+#[derive(Default)]
+struct Scenes(Option<Loaded>);
+
+/// A scene, and what it was loaded for.
+struct Loaded {
+    key: (usize, PhotoSize, [u32; 3]),
+    seed: u64,
+    scene: Scene,
+}
+
+impl Scenes {
+    fn get(&mut self, runner: &Runner<'_>, cell: Cell, settings: &Settings) -> Result<&Scene> {
+        let config = settings.train.config();
+        let key = (cell.scene, settings.dataset.size(), config.background.fixed_colour().map(f32::to_bits));
+        let loaded = match self.0.take().filter(|loaded| loaded.key == key) {
+            Some(loaded) => loaded,
+            None => Loaded { key, seed: config.seed, scene: runner.load(cell, settings)? },
+        };
+        let loaded = self.0.insert(loaded);
+        if loaded.seed != config.seed {
+            // A scene without points starts from random ones.
+            let options = LoadOptions { seed: config.seed, ..LoadOptions::default() };
+            loaded.scene.points = load_points(&settings.dataset.path, &options)?;
+            loaded.seed = config.seed;
+        }
+        Ok(&loaded.scene)
+    }
+}
+
+/// The progress table: one row a cell, on stderr, the same on a terminal and in a file.
+struct Board<'a> {
+    experiment: &'a Experiment,
+    cells: usize,
+    done: usize,
+    ran: usize,
+    began: Instant,
+}
+
+impl<'a> Board<'a> {
+    fn new(experiment: &'a Experiment, cells: usize) -> Self {
+        eprintln!(
+            "{:>9}  {:<14} {:<14} {:<14} {:>5} {:>10} {:>10} {:>10} {:>8}",
+            "cell", "scene", "variant", "arm", "seed", "test PSNR", "train PSNR", "Gaussians", "seconds"
+        );
+        Self { experiment, cells, done: 0, ran: 0, began: Instant::now() }
+    }
+
+    fn kept(&mut self, cell: Cell, metrics: &CellMetrics) {
+        self.row(cell, metrics, "finished before");
+    }
+
+    fn ran(&mut self, cell: Cell, metrics: &CellMetrics) {
+        self.ran += 1;
+        let left = self.cells - self.done - 1;
+        let minutes = self.began.elapsed().as_secs_f64() / self.ran as f64 * left as f64 / 60.0;
+        self.row(
+            cell,
+            metrics,
+            &if left > 0 { format!("about {minutes:.0} min left") } else { String::new() },
+        );
+    }
+
+    fn row(&mut self, cell: Cell, metrics: &CellMetrics, note: &str) {
+        self.done += 1;
+        let (experiment, file) = (self.experiment, &self.experiment.file);
+        let place = format!("{}/{}", self.done, self.cells);
+        let psnr = |value: Option<f64>| value.map_or("-".into(), |value| format!("{value:.2}"));
+        let line = format!(
+            "{place:>9}  {:<14} {:<14} {:<14} {:>5} {:>10} {:>10} {:>10} {:>8.1}  {note}",
+            experiment.scene_name(cell.scene),
+            file.variants[cell.variant].name(),
+            experiment.arms[cell.arm].name,
+            file.seeds[cell.seed],
+            psnr(metrics.test.psnr),
+            psnr(metrics.train.psnr),
+            metrics.gaussians,
+            metrics.seconds.gradient + metrics.seconds.evolution,
+        );
+        eprintln!("{}", line.trim_end());
+    }
+}

@@ -1,0 +1,336 @@
+//! The tables of an experiment, in the form of the paper's Tables 2 and 3.
+//!
+//! For each variant and split: a row a scene, the baseline's figures, then for each other arm its differences from the
+//! baseline, where positive is better ([`Metric::gain`]). Differences are taken seed by seed, then averaged. A further
+//! table tests them. Within a scene the pairs are its seeds; over all scenes the pairs are the scenes' means, since the
+//! repeats of one scene are no independent witnesses.
+
+use super::plan::{Cell, Experiment};
+use super::results::{CellMetrics, Metric, Results, Split};
+use super::statistics::{Summary, sign_test, signs, wilcoxon_test};
+use super::table::{Column, Entry, Table};
+
+/// The name of the row of means over scenes.
+const ALL: &str = "mean of scenes";
+
+/// A comparison of two arms on one scene, or on all.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Comparison {
+    /// Index of the variant.
+    pub variant: usize,
+    /// `None` for the means of all scenes.
+    pub scene: Option<usize>,
+    /// Index of the arm.
+    pub arm: usize,
+    /// Index of the arm that it is compared with.
+    pub against: usize,
+    /// Which photos.
+    pub split: Split,
+    /// Which metric.
+    pub metric: Metric,
+    /// One difference a pair; positive is better.
+    pub gains: Vec<f64>,
+}
+
+/// All tables, test photos first.
+pub fn tables(results: &Results<'_>) -> Vec<Table> {
+    let variants = 0..results.experiment.file.variants.len();
+    let mut tables: Vec<Table> = Split::ALL
+        .into_iter()
+        .flat_map(|split| variants.clone().map(move |variant| quality(results, split, variant)))
+        .collect();
+    tables.extend(Split::ALL.map(|split| tests(results, split)));
+    tables.extend(variants.map(|variant| cost(results, variant)));
+    tables
+}
+
+/// Every comparison that the experiment makes: each arm with the baseline, each evolution with its control.
+pub fn comparisons(results: &Results<'_>) -> Vec<Comparison> {
+    let mut all = Vec::new();
+    for split in Split::ALL {
+        for metric in results.metrics() {
+            for variant in 0..results.experiment.file.variants.len() {
+                for (arm, against) in pairs_of_arms(results.experiment) {
+                    for scene in scenes_and_all(results.experiment) {
+                        let gains = gains(results, split, metric, variant, scene, arm, against);
+                        all.push(Comparison { variant, scene, arm, against, split, metric, gains });
+                    }
+                }
+            }
+        }
+    }
+    all
+}
+
+/// Who is compared with whom.
+fn pairs_of_arms(experiment: &Experiment) -> Vec<(usize, usize)> {
+    let with_baseline = (1..experiment.arms.len()).map(|arm| (arm, 0));
+    let controls = experiment.arms.iter().enumerate();
+    let with_control = controls.filter_map(|(control, arm)| arm.control_of.map(|target| (target, control)));
+    with_baseline.chain(with_control).collect()
+}
+
+/// Each scene, and all of them together where there are several.
+fn scenes_and_all(experiment: &Experiment) -> Vec<Option<usize>> {
+    let scenes = experiment.file.scenes.len();
+    (0..scenes).map(Some).chain((scenes > 1).then_some(None)).collect()
+}
+
+fn cell(variant: usize, scene: usize, arm: usize) -> Cell {
+    Cell { scene, variant, arm, seed: 0 }
+}
+
+/// The differences that a comparison rests on.
+fn gains(
+    results: &Results<'_>,
+    split: Split,
+    metric: Metric,
+    variant: usize,
+    scene: Option<usize>,
+    arm: usize,
+    against: usize,
+) -> Vec<f64> {
+    let of_scene = |scene| results.gains(cell(variant, scene, arm), against, split, metric);
+    match scene {
+        Some(scene) => of_scene(scene),
+        None => means_of_scenes(results, of_scene),
+    }
+}
+
+/// One mean a scene, of the scenes that have values.
+fn means_of_scenes(results: &Results<'_>, of_scene: impl Fn(usize) -> Vec<f64>) -> Vec<f64> {
+    let scenes = 0..results.experiment.file.scenes.len();
+    scenes.filter_map(|scene| Summary::of(&of_scene(scene))).map(|summary| summary.mean).collect()
+}
+
+fn figure(values: &[f64], digits: usize, gain: bool) -> Entry {
+    Summary::of(values).map_or(Entry::Absent, |Summary { mean, spread, .. }| Entry::Figure {
+        mean,
+        spread,
+        digits,
+        gain,
+    })
+}
+
+fn row_name(experiment: &Experiment, scene: Option<usize>) -> String {
+    scene.map_or(ALL.to_owned(), |scene| experiment.scene_name(scene).to_owned())
+}
+
+/// The paper's table for one variant and one split.
+fn quality(results: &Results<'_>, split: Split, variant: usize) -> Table {
+    let (experiment, metrics) = (results.experiment, results.metrics());
+    let variant_name = experiment.file.variants[variant].name();
+    let baseline = format!("{variant_name} {}", experiment.arms[0].name);
+    let mut columns: Vec<Column> =
+        metrics.iter().map(|metric| Column { group: baseline.clone(), name: metric.name().into() }).collect();
+    for arm in &experiment.arms[1..] {
+        let delta =
+            |metric: &Metric| Column { group: arm.name.clone(), name: format!("Δ{}", metric.letter()) };
+        columns.extend(metrics.iter().map(delta));
+    }
+    let entries = |scene: Option<usize>| {
+        let base = |&metric: &Metric| {
+            let of_scene = |scene| results.values(cell(variant, scene, 0), split, metric);
+            let values = scene.map_or_else(|| means_of_scenes(results, of_scene), of_scene);
+            figure(&values, metric.digits(), false)
+        };
+        let of_arm = |arm: usize| {
+            let delta = move |&metric: &Metric| {
+                figure(&gains(results, split, metric, variant, scene, arm, 0), metric.digits(), true)
+            };
+            metrics.iter().map(delta)
+        };
+        metrics.iter().map(base).chain((1..experiment.arms.len()).flat_map(of_arm)).collect()
+    };
+    let rows = scenes_and_all(experiment)
+        .into_iter()
+        .map(|scene| (row_name(experiment, scene), entries(scene)))
+        .collect();
+    let caption = format!(
+        "{variant_name}, {} photos: `{}`, and the differences of the other arms from it, paired by seed ({}). Differences \
+         are arm - baseline for PSNR and SSIM, baseline - arm for LPIPS: positive is better. ± is the standard deviation.",
+        split.name(),
+        experiment.arms[0].name,
+        repeats(experiment),
+    );
+    Table { caption, columns, rows }
+}
+
+fn repeats(experiment: &Experiment) -> String {
+    match experiment.file.seeds.len() {
+        1 => "one seed".into(),
+        seeds => format!("{seeds} seeds"),
+    }
+}
+
+/// The tests of one split.
+fn tests(results: &Results<'_>, split: Split) -> Table {
+    let experiment = results.experiment;
+    let columns = ["pairs", "mean difference", "better", "worse", "sign test p", "Wilcoxon p"];
+    let row = |comparison: &Comparison| {
+        let Comparison { variant, scene, arm, against, metric, gains, .. } = comparison;
+        let (arm, against) = (&experiment.arms[*arm].name, &experiment.arms[*against].name);
+        let (variant, scene) = (experiment.file.variants[*variant].name(), row_name(experiment, *scene));
+        let [better, worse, _] = signs(gains);
+        let count = |count: usize| Entry::Text(count.to_string());
+        let p = |p: f64| Entry::Text(format!("{p:.3}"));
+        let entries = vec![
+            count(gains.len()),
+            figure(gains, metric.digits(), true),
+            count(better),
+            count(worse),
+            p(sign_test(gains)),
+            p(wilcoxon_test(gains)),
+        ];
+        (format!("{scene}, {variant}: {arm} against {against}, {}", metric.name()), entries)
+    };
+    Table {
+        caption: format!(
+            "Tests on {} photos, two-sided and exact. Within a scene the pairs are seeds, and n of them cannot give a p below \
+             2^(1-n): 0.25 with three. Over scenes the pairs are the scenes' means. No p is corrected for their number.",
+            split.name()
+        ),
+        columns: columns.map(|name| Column { group: String::new(), name: name.into() }).into(),
+        rows: comparisons(results).iter().filter(|comparison| comparison.split == split).map(row).collect(),
+    }
+}
+
+/// Seconds and Gaussians of one variant.
+fn cost(results: &Results<'_>, variant: usize) -> Table {
+    let experiment = results.experiment;
+    let columns = experiment.arms.iter().flat_map(|arm| {
+        ["seconds", "of these evolution", "Gaussians"]
+            .map(|name| Column { group: arm.name.clone(), name: name.into() })
+    });
+    let entries = |scene: usize| {
+        let of_arm = |arm: usize| {
+            let values = |value: fn(&CellMetrics) -> f64| {
+                results.repeats(cell(variant, scene, arm), |metrics| Some(value(metrics)))
+            };
+            [
+                figure(&values(|metrics| metrics.seconds.gradient + metrics.seconds.evolution), 1, false),
+                figure(&values(|metrics| metrics.seconds.evolution), 1, false),
+                figure(&values(|metrics| metrics.gaussians as f64), 0, false),
+            ]
+        };
+        (0..experiment.arms.len()).flat_map(of_arm).collect()
+    };
+    let rows = (0..experiment.file.scenes.len())
+        .map(|scene| (experiment.scene_name(scene).to_owned(), entries(scene)))
+        .collect();
+    let caption = format!(
+        "{}: wall-clock seconds of training on this machine, loading and scoring left out, and Gaussians at the end.",
+        experiment.file.variants[variant].name()
+    );
+    Table { caption, columns: columns.collect(), rows }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::experiment::results::{CellSeconds, Scores, StageSeconds};
+
+    /// Two scenes, three seeds, off and paper and its control, with these PSNRs on test photos.
+    fn experiment() -> Experiment {
+        let text = "title = \"t\"\nscenes = [\"a\", \"b\"]\nseeds = [0, 1, 2]\nevolve = [\"off\", \"paper\", \"control\"]";
+        Experiment::new(toml::from_str(text).unwrap()).unwrap()
+    }
+
+    fn metrics(psnr: f64, lpips: Option<f64>) -> CellMetrics {
+        let scores = |psnr| Scores { psnr: Some(psnr), ssim: Some(0.5), lpips, views: Vec::new() };
+        CellMetrics {
+            iterations: 1,
+            gaussians: 100,
+            test: scores(psnr),
+            train: scores(psnr + 1.0),
+            seconds: CellSeconds { gradient: 2.0, evolution: 1.0 },
+            evolution: vec![StageSeconds { seconds: 0.25 }; 4],
+        }
+    }
+
+    /// Hand-made: scene a gains 0.1, 0.2, 0.3 from evolution, scene b loses 0.1 each; the control does nothing.
+    fn results(experiment: &Experiment) -> Results<'_> {
+        let mut results = Results::none(experiment);
+        for cell in experiment.cells() {
+            let base = [30.0, 20.0][cell.scene] + cell.seed as f64;
+            let evolved = [[0.1, 0.2, 0.3], [-0.1; 3]][cell.scene][cell.seed];
+            let (psnr, lpips) = if cell.arm == 1 { (base + evolved, 0.2 - evolved) } else { (base, 0.2) };
+            results.put(cell, metrics(psnr, Some(lpips)));
+        }
+        results
+    }
+
+    fn row<'t>(table: &'t Table, start: &str) -> &'t [Entry] {
+        &table.rows.iter().find(|(name, _)| name.starts_with(start)).unwrap().1
+    }
+
+    fn assert_figure(entry: &Entry, mean: f64, spread: f64) {
+        let Entry::Figure { mean: found, spread: Some(found_spread), .. } = *entry else {
+            panic!("{entry:?}")
+        };
+        assert!((found - mean).abs() < 1e-9 && (found_spread - spread).abs() < 1e-9, "{entry:?}");
+    }
+
+    #[test]
+    fn the_papers_table_by_hand() {
+        let experiment = experiment();
+        let results = results(&experiment);
+        let table = quality(&results, Split::Test, 0);
+        let headings: Vec<&str> = table.columns.iter().map(|column| column.name.as_str()).collect();
+        assert_eq!(headings, ["PSNR", "SSIM", "LPIPS", "ΔP", "ΔS", "ΔL", "ΔP", "ΔS", "ΔL"]);
+        assert_eq!([3, 6].map(|at| table.columns[at].group.as_str()), ["paper", "control"]);
+        let a = row(&table, "a");
+        assert_figure(&a[0], 31.0, 1.0);
+        assert_figure(&a[3], 0.2, 0.1);
+        // A smaller distance is an improvement: positive.
+        assert_figure(&a[5], 0.2, 0.1);
+        assert_figure(&a[6], 0.0, 0.0);
+        // Over scenes: +0.2 and -0.1.
+        let all = row(&table, ALL);
+        assert_figure(&all[0], 26.0, 50f64.sqrt());
+        assert_figure(&all[3], 0.05, 0.045f64.sqrt());
+    }
+
+    #[test]
+    fn comparisons_are_paired_and_tested() {
+        let experiment = experiment();
+        let results = results(&experiment);
+        let table = tests(&results, Split::Test);
+        let texts = |start: &str| -> Vec<String> {
+            let text =
+                |entry: &Entry| if let Entry::Text(text) = entry { text.clone() } else { String::new() };
+            row(&table, start).iter().map(text).collect()
+        };
+        assert_eq!(texts("a, 3dgs: paper against off, PSNR"), ["3", "", "3", "0", "0.250", "0.250"]);
+        assert_eq!(texts("b, 3dgs: paper against control, PSNR"), ["3", "", "0", "3", "0.250", "0.250"]);
+        assert_eq!(
+            texts("mean of scenes, 3dgs: paper against off, PSNR"),
+            ["2", "", "1", "1", "1.000", "1.000"]
+        );
+    }
+
+    #[test]
+    fn only_pairs_that_are_complete_count() {
+        let experiment = experiment();
+        let mut results = Results::none(&experiment);
+        let all = self::results(&experiment);
+        // The second seed of the baseline is missing.
+        let there = |cell: &Cell| (cell.arm, cell.seed) != (0, 1);
+        for cell in experiment.cells().into_iter().filter(there) {
+            results.put(cell, all.get(cell).unwrap().clone());
+        }
+        let gains = results.gains(cell(0, 0, 1), 0, Split::Test, Metric::Psnr);
+        assert_eq!(gains.len(), 2);
+        assert!((gains[0] - 0.1).abs() < 1e-9 && (gains[1] - 0.3).abs() < 1e-9, "{gains:?}");
+    }
+
+    #[test]
+    fn a_metric_that_was_not_measured_has_no_column() {
+        let experiment = experiment();
+        let mut results = Results::none(&experiment);
+        experiment.cells().into_iter().for_each(|cell| results.put(cell, metrics(30.0, None)));
+        let table = quality(&results, Split::Train, 0);
+        assert!(table.columns.iter().all(|column| column.name != "LPIPS" && column.name != "ΔL"));
+        assert_eq!(results.get(cell(0, 0, 0)).unwrap().stage_seconds(), 0.25);
+    }
+}

@@ -1,0 +1,210 @@
+//! Curves as SVG.
+//!
+//! A chart is drawn 360 units wide, the width of a narrow screen, so that its labels are as large as the page's text
+//! there; wider screens put several side by side.
+
+use crate::report::html::Html;
+
+const WIDTH: f64 = 360.0;
+const HEIGHT: f64 = 200.0;
+const LEFT: f64 = 52.0;
+const RIGHT: f64 = 22.0;
+const TOP: f64 = 12.0;
+const BOTTOM: f64 = 34.0;
+/// Ticks that an axis aims for.
+const TICKS: f64 = 4.0;
+/// Told apart by most eyes, on light and dark ground (Okabe and Ito).
+const COLOURS: [&str; 4] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7"];
+
+/// A chart.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Chart {
+    /// What it shows.
+    pub caption: String,
+    /// What is along the horizontal axis.
+    pub x_name: String,
+    /// The curves.
+    pub series: Vec<Series>,
+}
+
+/// A curve.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Series {
+    /// For the legend.
+    pub name: String,
+    /// From left to right.
+    pub points: Vec<[f64; 2]>,
+    /// Half the height of a band around each point; empty for none.
+    pub spread: Vec<f64>,
+}
+
+/// An axis: values `low..high` on `from..to` units of the drawing.
+struct Axis {
+    low: f64,
+    high: f64,
+    from: f64,
+    to: f64,
+}
+
+impl Axis {
+    /// Around all of `values`; never empty.
+    fn around(values: impl Iterator<Item = f64>, from: f64, to: f64) -> Self {
+        let (mut low, mut high) =
+            values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| (low.min(v), high.max(v)));
+        if !(low.is_finite() && high.is_finite()) {
+            (low, high) = (0.0, 1.0);
+        }
+        if high - low <= 1e-12 * high.abs().max(1e-12) {
+            let room = if high == 0.0 { 1.0 } else { 0.5 * high.abs() };
+            (low, high) = (low - room, high + room);
+        }
+        Self { low, high, from, to }
+    }
+
+    fn at(&self, value: f64) -> f64 {
+        self.from + (value - self.low) / (self.high - self.low) * (self.to - self.from)
+    }
+
+    /// Round values within the axis: steps of 1, 2 or 5 times a power of ten.
+    fn ticks(&self) -> Vec<f64> {
+        let rough = (self.high - self.low) / TICKS;
+        let power = 10f64.powf(rough.log10().floor());
+        let step = [1.0, 2.0, 5.0, 10.0].map(|nice| nice * power).into_iter().find(|step| *step >= rough);
+        let step = step.unwrap_or(10.0 * power);
+        let (first, last) = ((self.low / step).ceil() as i64, (self.high / step).floor() as i64);
+        (first..=last).map(|k| k as f64 * step).collect()
+    }
+}
+
+impl Chart {
+    /// Writes the chart as a figure; nothing where no curve has two points.
+    pub fn write(&self, page: &mut Html) {
+        if self.series.iter().all(|series| series.points.len() < 2) {
+            return;
+        }
+        let points = || self.series.iter().flat_map(|series| &series.points);
+        let x = Axis::around(points().map(|point| point[0]), LEFT, WIDTH - RIGHT);
+        let y = Axis::around(self.series.iter().flat_map(Series::reach), HEIGHT - BOTTOM, TOP);
+        page.open("figure").element("figcaption", &self.caption);
+        page.open(&format!("svg viewBox=\"0 0 {WIDTH} {HEIGHT}\" role=\"img\""));
+        page.element("title", &self.caption);
+        self.write_axes(page, &x, &y);
+        for (series, colour) in self.series.iter().zip(COLOURS.iter().cycle()) {
+            series.write(page, &x, &y, colour);
+        }
+        self.write_legend(page);
+        page.close("svg").close("figure");
+    }
+
+    fn write_axes(&self, page: &mut Html, x: &Axis, y: &Axis) {
+        let bottom = HEIGHT - BOTTOM;
+        for value in y.ticks() {
+            let at = y.at(value);
+            page.open(&format!("path class=\"grid\" d=\"M{LEFT} {at:.1}H{}\"/", WIDTH - RIGHT));
+            let place = format!("text x=\"{}\" y=\"{:.1}\" text-anchor=\"end\"", LEFT - 5.0, at + 4.0);
+            page.element(&place, &label(value));
+        }
+        for value in x.ticks() {
+            let at = x.at(value);
+            page.open(&format!("path class=\"grid\" d=\"M{at:.1} {bottom}v4\"/"));
+            let place = format!("text x=\"{at:.1}\" y=\"{}\" text-anchor=\"middle\"", bottom + 15.0);
+            page.element(&place, &label(value));
+        }
+        let middle = f64::midpoint(LEFT, WIDTH - RIGHT);
+        let place = format!("text x=\"{middle}\" y=\"{}\" text-anchor=\"middle\"", HEIGHT - 4.0);
+        page.element(&place, &self.x_name);
+    }
+
+    /// Names of the curves, if there are several.
+    fn write_legend(&self, page: &mut Html) {
+        if self.series.len() < 2 {
+            return;
+        }
+        for (index, (series, colour)) in self.series.iter().zip(COLOURS.iter().cycle()).enumerate() {
+            let y = TOP + 10.0 + 14.0 * index as f64;
+            let x = WIDTH - RIGHT - 4.0;
+            let place = format!(
+                "text x=\"{x}\" y=\"{y}\" text-anchor=\"end\" style=\"fill:{colour};font-weight:600\""
+            );
+            page.element(&place, &series.name);
+        }
+    }
+}
+
+impl Series {
+    /// All heights that the curve and its band reach.
+    fn reach(&self) -> impl Iterator<Item = f64> + '_ {
+        let spread = self.spread.iter().copied().chain(std::iter::repeat(0.0));
+        self.points.iter().zip(spread).flat_map(|(point, spread)| [point[1] - spread, point[1] + spread])
+    }
+
+    fn write(&self, page: &mut Html, x: &Axis, y: &Axis, colour: &str) {
+        let path = |points: &mut dyn Iterator<Item = [f64; 2]>| {
+            points.map(|[px, py]| format!("{:.1} {:.1}", x.at(px), y.at(py))).collect::<Vec<_>>().join("L")
+        };
+        if !self.spread.is_empty() {
+            let band = || self.points.iter().zip(&self.spread);
+            let mut outline = band()
+                .map(|(point, spread)| [point[0], point[1] + spread])
+                .chain(band().rev().map(|(point, spread)| [point[0], point[1] - spread]));
+            page.open(&format!(
+                "path class=\"band\" style=\"fill:{colour}\" d=\"M{}Z\"/",
+                path(&mut outline)
+            ));
+        }
+        let line = path(&mut self.points.iter().copied());
+        page.open(&format!("path class=\"line\" style=\"stroke:{colour}\" d=\"M{line}\"/"));
+    }
+}
+
+/// A value in as few characters as tell it from its neighbours on an axis.
+fn label(value: f64) -> String {
+    let size = value.abs();
+    if size >= 1e6 {
+        return format!("{}M", short(value / 1e6));
+    }
+    if size >= 1e4 { format!("{}k", short(value / 1e3)) } else { short(value) }
+}
+
+fn short(value: f64) -> String {
+    let digits = format!("{value:.6}");
+    let trimmed = digits.trim_end_matches('0').trim_end_matches('.');
+    if trimmed == "-0" { "0".into() } else { trimmed.to_owned() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ticks_are_round_and_inside() {
+        let axis = |low, high| Axis { low, high, from: 0.0, to: 1.0 }.ticks();
+        assert_eq!(axis(0.0, 30_000.0), [0.0, 10_000.0, 20_000.0, 30_000.0]);
+        assert_eq!(axis(1.0, 9.0), [2.0, 4.0, 6.0, 8.0]);
+        assert_eq!([0.0, 12_000.0, 2_500_000.0, 0.25, -0.5].map(label), ["0", "12k", "2.5M", "0.25", "-0.5"]);
+    }
+
+    #[test]
+    fn points_are_drawn_where_they_belong() {
+        let series =
+            Series { name: "loss".into(), points: vec![[0.0, 1.0], [10.0, 3.0]], spread: Vec::new() };
+        let mut page = Html::new();
+        Chart { caption: "c<".into(), x_name: "iteration".into(), series: vec![series] }.write(&mut page);
+        let text = page.into_text();
+        // Low and left, then high and right.
+        assert!(text.contains("d=\"M52.0 166.0L338.0 12.0\""), "{text}");
+        assert!(text.contains("c&lt;"));
+    }
+
+    #[test]
+    fn a_band_widens_the_axis_and_a_constant_is_drawable() {
+        let series =
+            Series { name: "mean".into(), points: vec![[0.0, 2.0], [1.0, 2.0]], spread: vec![1.0, 1.0] };
+        assert_eq!(series.reach().fold(0.0, f64::max), 3.0);
+        let flat = Axis::around([5.0, 5.0].into_iter(), 0.0, 1.0);
+        assert!(flat.low < 5.0 && flat.high > 5.0 && flat.at(5.0) == 0.5);
+        let mut page = Html::new();
+        Chart::default().write(&mut page);
+        assert!(page.into_text().is_empty(), "no curve, no chart");
+    }
+}

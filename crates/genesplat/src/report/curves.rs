@@ -1,0 +1,177 @@
+//! The log of a run as curves.
+//!
+//! A log may hold more than one attempt: a run that was killed and resumed repeats the iterations since its checkpoint.
+//! What comes later wins.
+
+use std::path::Path;
+
+use anyhow::{Result, anyhow};
+use serde::Deserialize;
+
+/// A line of `log.jsonl`, as far as curves need it.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(tag = "event", rename_all = "kebab-case")]
+enum Line {
+    Start {
+        iteration: u32,
+    },
+    Step {
+        iteration: u32,
+        gaussians: f64,
+        loss: Option<f64>,
+    },
+    StageStart {
+        iteration: u32,
+        fitness: f64,
+    },
+    Generation {
+        iteration: u32,
+        generation: f64,
+        best: f64,
+        mean: Option<f64>,
+        spread: Option<f64>,
+    },
+    TestScore {
+        iteration: u32,
+        psnr: Option<f64>,
+    },
+    Notice {
+        text: String,
+    },
+    #[serde(other)]
+    Other,
+}
+
+/// A run over time. Points are `[iteration, value]`.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Curves {
+    /// Eq. 5 on the view of the iteration.
+    pub loss: Vec<[f64; 2]>,
+    /// Gaussians held.
+    pub gaussians: Vec<[f64; 2]>,
+    /// Mean PSNR of the test photos, dB.
+    pub test_psnr: Vec<[f64; 2]>,
+    /// Evolution stages, in order.
+    pub stages: Vec<Stage>,
+    /// What the user should know.
+    pub notices: Vec<String>,
+}
+
+/// One evolution stage. Points are `[generation, fitness]`.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Stage {
+    /// Iteration of the trigger.
+    pub iteration: u32,
+    /// Fitness of the base.
+    pub base: f64,
+    /// Lowest fitness so far.
+    pub best: Vec<[f64; 2]>,
+    /// Mean of the population.
+    pub mean: Vec<[f64; 2]>,
+    /// Standard deviation of the population, one for each mean.
+    pub spread: Vec<f64>,
+}
+
+impl Curves {
+    /// Reads a log.
+    pub fn read(path: &Path) -> Result<Self> {
+        let text = std::fs::read_to_string(path)
+            .map_err(|error| anyhow!("cannot read the log {}: {error}", path.display()))?;
+        Ok(Self::parse(&text))
+    }
+
+    /// A line that a killed process has torn is left out.
+    fn parse(text: &str) -> Self {
+        let mut curves = Self::default();
+        text.lines().filter_map(|line| serde_json::from_str(line).ok()).for_each(|line| curves.add(line));
+        curves
+    }
+
+    fn add(&mut self, line: Line) {
+        match line {
+            Line::Start { iteration } => self.forget_from(iteration.into()),
+            Line::Step { iteration, gaussians, loss } => {
+                self.loss.extend(loss.map(|loss| [iteration.into(), loss]));
+                self.gaussians.push([iteration.into(), gaussians]);
+            }
+            Line::TestScore { iteration, psnr } => {
+                self.test_psnr.extend(psnr.map(|psnr| [iteration.into(), psnr]));
+            }
+            Line::StageStart { iteration, fitness } => {
+                self.stages.retain(|stage| stage.iteration != iteration);
+                self.stages.push(Stage { iteration, base: fitness, ..Stage::default() });
+            }
+            Line::Generation { iteration, generation, best, mean, spread } => {
+                let Some(stage) = self.stages.last_mut().filter(|stage| stage.iteration == iteration) else {
+                    return;
+                };
+                stage.best.push([generation, best]);
+                if let (Some(mean), Some(spread)) = (mean, spread) {
+                    stage.mean.push([generation, mean]);
+                    stage.spread.push(spread);
+                }
+            }
+            Line::Notice { text } => self.notices.push(text),
+            Line::Other => {}
+        }
+    }
+
+    /// A resumed run repeats what lies beyond its checkpoint.
+    fn forget_from(&mut self, iteration: f64) {
+        for curve in [&mut self.loss, &mut self.gaussians, &mut self.test_psnr] {
+            curve.retain(|point| point[0] < iteration);
+        }
+    }
+}
+
+/// At most `count` points: means of neighbours.
+pub fn thinned(points: &[[f64; 2]], count: usize) -> Vec<[f64; 2]> {
+    let mean = |run: &[[f64; 2]]| {
+        let n = run.len() as f64;
+        [0, 1].map(|axis| run.iter().map(|point| point[axis]).sum::<f64>() / n)
+    };
+    points.chunks(points.len().div_ceil(count).max(1)).map(mean).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_log_becomes_curves_and_what_was_repeated_wins() {
+        let log = r#"
+{"event":"start","iteration":1,"device":"cpu"}
+{"event":"step","iteration":10,"gaussians":5,"loss":0.5}
+{"event":"step","iteration":20,"gaussians":6,"loss":null}
+{"event":"step","iteration":30,"gaussians":7,"loss":0.9}
+{"event":"stage-start","iteration":30,"fitness":0.4,"views":[]}
+{"event":"generation","iteration":30,"generation":0,"best":0.4,"mean":0.6,"spread":0.1}
+{"event":"start","iteration":30}
+{"event":"step","iteration":30,"gaussians":8,"loss":0.3}
+{"event":"stage-start","iteration":30,"fitness":0.3}
+{"event":"generation","iteration":30,"generation":0,"best":0.3,"mean":null,"spread":null}
+{"event":"generation","iteration":30,"generation":1,"best":0.2,"mean":0.5,"spread":0.2}
+{"event":"notice","text":"full"}
+{"event":"of another version"}
+{"event":"step","itera"#;
+        let curves = Curves::parse(log);
+        assert_eq!(curves.loss, [[10.0, 0.5], [30.0, 0.3]]);
+        assert_eq!(curves.gaussians, [[10.0, 5.0], [20.0, 6.0], [30.0, 8.0]]);
+        let stage = Stage {
+            iteration: 30,
+            base: 0.3,
+            best: vec![[0.0, 0.3], [1.0, 0.2]],
+            mean: vec![[1.0, 0.5]],
+            spread: vec![0.2],
+        };
+        assert_eq!((curves.stages, curves.notices), (vec![stage], vec!["full".to_owned()]));
+    }
+
+    #[test]
+    fn thinning_averages_neighbours() {
+        let points = [[1.0, 10.0], [3.0, 20.0], [5.0, 30.0]];
+        assert_eq!(thinned(&points, 2), [[2.0, 15.0], [5.0, 30.0]]);
+        assert_eq!(thinned(&points, 9), points);
+        assert!(thinned(&[], 9).is_empty());
+    }
+}

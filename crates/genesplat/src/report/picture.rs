@@ -1,0 +1,79 @@
+//! Pictures for pages: reduced, encoded, and errors made visible.
+
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
+use genesplat::core::Photo;
+use genesplat::io::PhotoSize;
+use genesplat::io::photos::{encode_jpeg, resize};
+
+use crate::report::html::Html;
+
+/// Of 100: no artefact that could be taken for one of the splat's, at about a bit a pixel.
+const JPEG_QUALITY: u8 = 85;
+/// The error map's brightest colour stands for this mean absolute difference, of 255.
+const ERROR_WHITE: f64 = 64.0;
+/// From no error to the largest: black, violet, red, yellow, white. Brightness rises all the way, so that it can be read
+/// without seeing colours.
+const RAMP: [[f64; 3]; 5] =
+    [[0.0, 0.0, 0.0], [80.0, 18.0, 110.0], [200.0, 50.0, 50.0], [250.0, 170.0, 30.0], [255.0, 255.0, 230.0]];
+
+/// What the colours of [`error_map`] mean, for captions.
+pub const ERROR_LEGEND: &str =
+    "error: black none, violet, red, yellow, white a quarter of full scale or more";
+
+/// Writes `photo` into the page, with its longer side at most `side` px.
+pub fn write(page: &mut Html, photo: &Photo, side: u32, alt: &str) {
+    page.attribute_of(&format!("img src=\"{}\"", data_uri(photo, side)), "alt", alt);
+}
+
+fn data_uri(photo: &Photo, side: u32) -> String {
+    let (width, height) = PhotoSize::MaxSide(side).of(photo.width, photo.height);
+    let jpeg = encode_jpeg(&resize(photo, width, height), JPEG_QUALITY);
+    format!("data:image/jpeg;base64,{}", STANDARD.encode(jpeg))
+}
+
+/// Mean absolute difference of the channels, pixel by pixel, as colour. Both pictures have one size.
+pub fn error_map(a: &Photo, b: &Photo) -> Photo {
+    let error =
+        |(a, b): (&[u8], &[u8])| a.iter().zip(b).map(|(a, b)| f64::from(a.abs_diff(*b))).sum::<f64>() / 3.0;
+    let pixels = a.rgb.chunks_exact(3).zip(b.rgb.chunks_exact(3));
+    Photo { rgb: pixels.map(error).flat_map(|error| colour(error / ERROR_WHITE)).collect(), ..*a }
+}
+
+/// The ramp at `share` of its length.
+fn colour(share: f64) -> [u8; 3] {
+    let place = share.clamp(0.0, 1.0) * (RAMP.len() - 1) as f64;
+    let index = (place as usize).min(RAMP.len() - 2);
+    let rest = place - index as f64;
+    std::array::from_fn(|channel| {
+        ((1.0 - rest) * RAMP[index][channel] + rest * RAMP[index + 1][channel]).round() as u8
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn errors_have_the_colours_of_the_ramp() {
+        let photo = |rgb: Vec<u8>| Photo { width: 3, height: 1, rgb };
+        let (a, b) = (photo(vec![10; 9]), photo(vec![10, 10, 10, 42, 42, 42, 255, 255, 255]));
+        assert_eq!(error_map(&a, &b).rgb, [0, 0, 0, 200, 50, 50, 255, 255, 230]);
+        assert!((0..100).all(|step| {
+            let sum = |share: f64| colour(share).iter().map(|&value| u32::from(value)).sum::<u32>();
+            sum(f64::from(step) / 100.0) <= sum(f64::from(step + 1) / 100.0)
+        }));
+    }
+
+    #[test]
+    fn pictures_are_inline_and_small() {
+        let photo = Photo { width: 900, height: 600, rgb: vec![90; 3 * 900 * 600] };
+        let mut page = Html::new();
+        write(&mut page, &photo, 300, "a\"b");
+        let text = page.into_text();
+        assert!(
+            text.starts_with("<img src=\"data:image/jpeg;base64,/9j/") && text.ends_with("alt=\"a&quot;b\">")
+        );
+        assert!(text.len() < 10_000, "{}", text.len());
+    }
+}

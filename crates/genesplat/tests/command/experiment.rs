@@ -1,0 +1,176 @@
+//! Experiments: the matrix is run once, what is finished is left alone, and an interruption changes no figure.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::time::SystemTime;
+
+use crate::support::{command, fail, json, run, succeed, text};
+
+/// Small enough for a test; resets once, and evolves then.
+const SMALL: &str = r#"
+title = "<script>alert(1)</script>"
+scenes = ["gallery"]
+seeds = [0, 1]
+gallery = { width = 48, height = 32, views = 9, points = 120 }
+
+[config]
+iterations = 60
+densify.reset_every = 30
+evolution.paper = { generations = 2, population = 4, tournament = 2 }
+"#;
+
+fn write(folder: &Path, more: &str) -> PathBuf {
+    let file = folder.join("small.toml");
+    fs::write(&file, SMALL.replacen("seeds", &format!("{more}\nseeds"), 1)).unwrap();
+    file
+}
+
+fn experiment(file: &Path, out: &Path, more: &[&str]) -> Vec<String> {
+    let fixed = ["experiment", text(file), "--out", text(out), "--threads", "1"];
+    fixed.iter().chain(more).map(|word| (*word).to_owned()).collect()
+}
+
+/// When each cell's results were written.
+fn times(out: &Path) -> BTreeMap<String, SystemTime> {
+    let mut times = BTreeMap::new();
+    for arm in fs::read_dir(out.join("cells/gallery/3dgs")).unwrap().map(Result::unwrap) {
+        for seed in fs::read_dir(arm.path()).unwrap().map(Result::unwrap) {
+            let name = format!("{}/{}", arm.file_name().display(), seed.file_name().display());
+            times.insert(name, fs::metadata(seed.path().join("metrics.json")).unwrap().modified().unwrap());
+        }
+    }
+    times
+}
+
+/// The cells' figures without seconds and without controls, whose work depends on seconds.
+fn figures(out: &Path) -> Vec<Vec<String>> {
+    let text = fs::read_to_string(out.join("cells.csv")).unwrap();
+    let lines = text.lines().map(|line| line.split(',').map(str::to_owned).collect::<Vec<_>>());
+    let header: Vec<String> = text.lines().next().unwrap().split(',').map(str::to_owned).collect();
+    let kept: Vec<usize> = (0..header.len()).filter(|&at| !header[at].ends_with("_seconds")).collect();
+    lines
+        .filter(|line| line[2] != "control")
+        .map(|line| kept.iter().map(|&at| line[at].clone()).collect())
+        .collect()
+}
+
+#[test]
+fn finished_cells_are_left_alone_and_spoilt_ones_repeated() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = write(folder.path(), r#"evolve = ["off", "control", "paper"]"#);
+    let out = folder.path().join("out");
+    let said = succeed(experiment(&file, &out, &[]));
+    assert!(said.contains("| gallery |") && said.contains("tables.tex"), "{said}");
+    let (first, whole) = (times(&out), figures(&out));
+    assert_eq!((first.len(), whole.len()), (6, 1 + 4));
+
+    // A control spends what its arm has taken, and nothing else about it differs.
+    let cell = |name: &str| out.join("cells/gallery/3dgs").join(name);
+    let taken = json(&cell("paper/seed-1/metrics.json"))["evolution"][0]["seconds"].as_f64().unwrap();
+    let config: toml::Table =
+        fs::read_to_string(cell("control/seed-1/config.toml")).unwrap().parse().unwrap();
+    assert_eq!(config["evolution"]["control_seconds"].as_float(), Some(taken));
+    assert_eq!(config["evolution"]["mode"].as_str(), Some("control"));
+
+    // Nothing to do.
+    succeed(experiment(&file, &out, &[]));
+    assert_eq!(times(&out), first);
+
+    // One cell's metrics are gone, another's are torn; the control of the second follows it.
+    fs::remove_file(cell("off/seed-0/metrics.json")).unwrap();
+    let torn = cell("paper/seed-1/metrics.json");
+    let bytes = fs::read(&torn).unwrap();
+    fs::write(&torn, &bytes[..bytes.len() / 2]).unwrap();
+    let output = run(experiment(&file, &out, &[]));
+    assert!(output.status.success());
+    let board = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(board.lines().filter(|line| line.ends_with("finished before")).count(), 3, "{board}");
+    let again = times(&out);
+    let repeated: Vec<&str> =
+        first.keys().filter(|name| first[*name] != again[*name]).map(String::as_str).collect();
+    assert_eq!(repeated, ["control/seed-1", "off/seed-0", "paper/seed-1"]);
+    assert_eq!(figures(&out), whole, "the same figures");
+}
+
+#[cfg(unix)]
+#[test]
+fn an_interrupted_experiment_goes_on_to_the_same_tables() {
+    use std::process::{Command, Stdio};
+    use std::time::{Duration, Instant};
+
+    /// Long enough to be caught in the act.
+    const LONGER: [&str; 2] = ["--iterations", "300"];
+    let folder = tempfile::tempdir().unwrap();
+    let file = write(folder.path(), r#"evolve = ["off", "paper"]"#);
+    let [whole, broken] = ["whole", "broken"].map(|name| folder.path().join(name));
+    succeed(experiment(&file, &whole, &LONGER));
+
+    let mut child = command(experiment(&file, &broken, &LONGER));
+    let child = child.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    let deadline = Instant::now() + Duration::from_secs(100);
+    let second = broken.join("cells/gallery/3dgs/paper/seed-0/log.jsonl");
+    while !fs::read_to_string(&second).is_ok_and(|log| log.contains(r#""event":"step""#)) {
+        assert!(Instant::now() < deadline, "the second cell never began");
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
+    let output = child.wait_with_output().unwrap();
+    let said = String::from_utf8(output.stdout).unwrap();
+    assert!(output.status.success() && said.contains("the same command goes on"), "{said}");
+    let kept = fs::metadata(broken.join("cells/gallery/3dgs/off/seed-0/metrics.json")).unwrap();
+
+    succeed(experiment(&file, &broken, &LONGER));
+    let now = fs::metadata(broken.join("cells/gallery/3dgs/off/seed-0/metrics.json")).unwrap();
+    assert_eq!(kept.modified().unwrap(), now.modified().unwrap());
+    assert_eq!(figures(&whole), figures(&broken));
+    let table = |out: &Path| fs::read_to_string(out.join("tables.csv")).unwrap();
+    assert_eq!(table(&whole), table(&broken));
+}
+
+#[test]
+fn pages_are_whole_escaped_and_load_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = write(folder.path(), r#"evolve = ["off", "paper"]"#);
+    let out = folder.path().join("out");
+    succeed(experiment(&file, &out, &["--iterations", "40"]));
+    let run = "cells/gallery/3dgs/paper/seed-0/report.html";
+    for page in ["report.html", run] {
+        let html = fs::read_to_string(out.join(page)).unwrap();
+        assert!(html.starts_with("<!doctype html>") && html.trim_end().ends_with("</html>"));
+        assert!(!html.contains("<script") && !html.contains("http:") && !html.contains("https:"), "{page}");
+        assert!(html.matches("src=").count() == html.matches("src=\"data:image/jpeg;base64,").count());
+        assert!(html.contains("src=") && html.len() < 900_000, "{page} has {} bytes", html.len());
+    }
+    let html = fs::read_to_string(out.join(run)).unwrap();
+    for part in ["<svg", "PSNR of the test photos", "Iteration 30", "steps_scale", "genesplat train", "Worst"]
+    {
+        assert!(html.contains(part), "{part}");
+    }
+    let html = fs::read_to_string(out.join("report.html")).unwrap();
+    assert!(html.contains("&lt;script&gt;alert(1)") && html.contains(&format!("href=\"{run}\"")));
+    assert!(out.join("qualitative/gallery-3dgs-paper.png").is_file());
+    for name in ["tables.md", "tables.tex", "tables.csv", "cells.csv", "experiment.toml"] {
+        assert!(fs::metadata(out.join(name)).unwrap().len() > 100, "{name}");
+    }
+    // What was written repeats the experiment, flags included.
+    succeed(experiment(&out.join("experiment.toml"), &out, &[]));
+    // And another experiment does not overwrite it.
+    fail(experiment(&file, &out, &[]), &["other settings", "--out"]);
+}
+
+#[test]
+fn what_cannot_be_run_is_said_at_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("out");
+    let preset = |more: &[&str]| {
+        let fixed = ["experiment", "paper-table-2-3", "--out", text(&out)];
+        fixed.iter().chain(more).map(|word| (*word).to_owned()).collect::<Vec<_>>()
+    };
+    fail(preset(&[]), &["poster", "--data"]);
+    fail(preset(&["--data", text(folder.path())]), &["no folder called poster, library"]);
+    fail(["experiment", "smokee", "--out", text(&out)], &["smokee", "ablation-trigger"]);
+    let file = write(folder.path(), r#"evolve = ["off", "sideways"]"#);
+    fail(experiment(&file, &out, &[]), &["sideways"]);
+    assert!(!out.join("cells").exists());
+}
