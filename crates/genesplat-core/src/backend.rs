@@ -2,6 +2,7 @@
 //!
 //! The trait is coarse on purpose: one training step is one call, so that a GPU needs no read-back within it.
 
+use std::borrow::Cow;
 use std::sync::Arc;
 
 use crate::camera::Camera;
@@ -192,11 +193,11 @@ pub trait Backend {
     /// Replaces the cloud; moments start at zero unless given.
     fn upload(&mut self, cloud: Gaussians, moments: Option<Moments>) -> Result<(), BackendError>;
 
-    /// A copy of the cloud.
-    fn download(&mut self) -> Result<Gaussians, BackendError>;
+    /// The cloud: lent by a backend whose memory is the host's, copied by others.
+    fn download(&mut self) -> Result<Cow<'_, Gaussians>, BackendError>;
 
-    /// A copy of the moments (for checkpoints).
-    fn download_moments(&mut self) -> Result<Moments, BackendError>;
+    /// The moments (for checkpoints), lent or copied likewise.
+    fn download_moments(&mut self) -> Result<Cow<'_, Moments>, BackendError>;
 
     /// Renders the cloud as `camera` sees it.
     fn render(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<Image, BackendError>;

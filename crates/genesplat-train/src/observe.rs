@@ -3,7 +3,7 @@
 //! An observer is called between device calls and must return at once; training never waits for an answer.
 //! Every call carries a record that serialises to one line of `log.jsonl` ([`LogRecord`]).
 
-use genesplat_core::Gaussians;
+use genesplat_core::{BackendError, Camera, Image};
 use serde::Serialize;
 
 use crate::checkpoint::Checkpoint;
@@ -124,6 +124,9 @@ pub struct StageRecord {
     pub seconds: f64,
 }
 
+/// Renders the cloud in training as it will be evaluated.
+pub type Render<'a> = &'a mut dyn FnMut(&Camera) -> Result<Image, BackendError>;
+
 /// Hears what training does. All methods do nothing unless overridden.
 pub trait Observer {
     /// The run begins.
@@ -142,12 +145,12 @@ pub trait Observer {
     fn notice(&mut self, _text: &str) {}
     /// A checkpoint that the schedule asked for.
     fn on_checkpoint(&mut self, _checkpoint: Checkpoint) {}
-    /// True to receive the cloud after this iteration, which costs a read-back.
-    fn wants_cloud(&mut self, _iteration: u32) -> bool {
+    /// True to look at the cloud after this iteration.
+    fn wants_renders(&mut self, _iteration: u32) -> bool {
         false
     }
-    /// The cloud that was wanted.
-    fn on_cloud(&mut self, _iteration: u32, _cloud: Gaussians) {}
+    /// The looks that were wanted; training goes on when it returns.
+    fn on_renders(&mut self, _iteration: u32, _render: Render<'_>) {}
 }
 
 /// Hears nothing.

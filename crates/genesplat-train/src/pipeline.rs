@@ -28,7 +28,7 @@ use crate::fitness;
 use crate::observe::{DensifyLog, Observer, StageRecord, StepLog};
 use crate::run::{Outcome, Start, TrainError};
 use crate::schedule::Phase;
-use crate::trainer::Trainer;
+use crate::trainer::{Trainer, filter_of};
 
 /// Trains on `views` until the schedule ends or `stop` is set.
 ///
@@ -110,10 +110,12 @@ impl<B: Backend> Trainer<'_, B> {
     }
 
     fn densify(&mut self, i: u32) -> Result<(), TrainError> {
-        let cloud = self.healthy_cloud()?;
-        let plan = match self.config.variant {
-            Variant::Mcmc => mcmc::plan(&cloud.opacity_logits, &self.mcmc_rules(), &self.rng, i),
-            _ => adaptive::plan(&self.backend.statistics()?, &cloud, &self.rules(i), i),
+        let plan = if self.config.variant == Variant::Mcmc {
+            let (rules, rng) = (self.mcmc_rules(), self.rng);
+            mcmc::plan(&self.healthy_cloud()?.opacity_logits, &rules, &rng, i)
+        } else {
+            let (rules, statistics) = (self.rules(i), self.backend.statistics()?);
+            adaptive::plan(&statistics, &*self.healthy_cloud()?, &rules, i)
         };
         if plan.edit.sources.is_empty() {
             return Err(TrainError::NothingLeft { iteration: i });
@@ -141,8 +143,8 @@ impl<B: Backend> Trainer<'_, B> {
     }
 
     fn refresh_filter(&mut self) -> Result<(), TrainError> {
-        let cloud = self.backend.download()?;
-        Ok(self.backend.set_filter_3d(self.filter_of(&cloud))?)
+        let filter = filter_of(self.views, &*self.backend.download()?);
+        Ok(self.backend.set_filter_3d(filter)?)
     }
 
     /// Searches, then applies. An interrupted search counts with the best it has, but a resumed run repeats it in full.

@@ -1,5 +1,6 @@
 //! The state of a run, and its plumbing: how it begins, what it saves, how it ends.
 
+use std::borrow::Cow;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use genesplat_core::backend::Exploration;
@@ -104,7 +105,7 @@ impl<'a, B: Backend> Trainer<'a, B> {
         }
         let own_filter = cloud.filter_3d.take();
         cloud.filter_3d =
-            self.schedule.filter_3d.then(|| own_filter.unwrap_or_else(|| self.filter_of(&cloud)));
+            self.schedule.filter_3d.then(|| own_filter.unwrap_or_else(|| filter_of(self.views, &cloud)));
         self.backend.upload(cloud, None)?;
         self.backend.reset_statistics(true);
         Ok(Cursor::start_of(1))
@@ -125,27 +126,28 @@ impl<'a, B: Backend> Trainer<'a, B> {
         Ok(Box::new(Checkpoint {
             cursor,
             progress: self.progress.clone(),
-            cloud: self.backend.download()?,
-            moments: self.backend.download_moments()?,
+            cloud: self.backend.download()?.into_owned(),
+            moments: self.backend.download_moments()?.into_owned(),
             statistics: self.backend.statistics()?,
         }))
     }
 
-    /// The end of iteration `i`: what others want a copy of.
+    /// The end of iteration `i`: what others want to see or to keep.
     pub(crate) fn share(&mut self, i: u32) -> Result<(), TrainError> {
         if self.schedule.is_checkpoint(i) {
             let checkpoint = self.capture(Cursor::start_of(i + 1))?;
             self.observer.on_checkpoint(*checkpoint);
         }
-        if self.observer.wants_cloud(i) {
-            self.observer.on_cloud(i, self.backend.download()?);
+        if self.observer.wants_renders(i) {
+            let (settings, backend) = (self.settings(i), &mut *self.backend);
+            self.observer.on_renders(i, &mut |camera| backend.render(camera, &settings));
         }
         Ok(())
     }
 
     /// The result of a run that reached its end, or was stopped at `checkpoint`.
     pub(crate) fn finish(mut self, checkpoint: Option<Box<Checkpoint>>) -> Result<Outcome, TrainError> {
-        let cloud = self.healthy_cloud()?;
+        let cloud = self.healthy_cloud()?.into_owned();
         let progress = self.progress;
         let summary = RunSummary {
             iterations: checkpoint.as_ref().map_or(self.schedule.iterations, |c| c.cursor.iteration - 1),
@@ -164,13 +166,12 @@ impl<'a, B: Backend> Trainer<'a, B> {
     }
 
     /// The cloud, which the rest of the host may trust to be finite.
-    pub(crate) fn healthy_cloud(&mut self) -> Result<Gaussians, TrainError> {
+    pub(crate) fn healthy_cloud(&mut self) -> Result<Cow<'_, Gaussians>, TrainError> {
+        let steps = self.progress.steps;
         let cloud = self.backend.download()?;
         match cloud.first_non_finite() {
             None => Ok(cloud),
-            Some((row, parameter)) => {
-                Err(BackendError::NonFinite { row, parameter, steps: self.progress.steps }.into())
-            }
+            Some((row, parameter)) => Err(BackendError::NonFinite { row, parameter, steps }.into()),
         }
     }
 
@@ -283,10 +284,6 @@ impl<'a, B: Backend> Trainer<'a, B> {
         }
     }
 
-    pub(crate) fn filter_of(&self, cloud: &Gaussians) -> Vec<f32> {
-        filter_3d(&cloud.positions, self.views.iter().map(|view| &view.camera))
-    }
-
     /// The next stage sums gene gradients anew; density statistics, which may be under way, stay.
     pub(crate) fn forget_gene_gradients(&mut self) -> Result<(), TrainError> {
         if self.config.evolution.wants_gene_gradients() {
@@ -306,4 +303,9 @@ impl<'a, B: Backend> Trainer<'a, B> {
             self.progress.gradient_seconds += seconds;
         }
     }
+}
+
+/// Mip-Splatting's 3D filter of a cloud, from all training views.
+pub(crate) fn filter_of(views: &[View], cloud: &Gaussians) -> Vec<f32> {
+    filter_3d(&cloud.positions, views.iter().map(|view| &view.camera))
 }

@@ -7,9 +7,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use anyhow::Result;
-use genesplat::core::Gaussians;
 use genesplat::train::observe::{
-    DensifyLog, GenerationLog, LogRecord, StageLog, StageRecord, StartLog, StepLog,
+    DensifyLog, GenerationLog, LogRecord, Render, StageLog, StageRecord, StartLog, StepLog,
 };
 use genesplat::train::{Checkpoint, Observer};
 
@@ -157,13 +156,13 @@ impl Observer for Reporter<'_> {
         self.log(&LogRecord::Notice { text: text.to_owned() });
     }
 
-    fn wants_cloud(&mut self, iteration: u32) -> bool {
+    fn wants_renders(&mut self, iteration: u32) -> bool {
         self.curve.as_ref().is_some_and(|curve| curve.is_due(iteration))
     }
 
-    fn on_cloud(&mut self, iteration: u32, cloud: Gaussians) {
-        let Some(curve) = &mut self.curve else { return };
-        match curve.score(cloud) {
+    fn on_renders(&mut self, iteration: u32, render: Render<'_>) {
+        let Some(curve) = &self.curve else { return };
+        match curve.score(render) {
             Ok(psnr) => self.log(&LogRecord::TestScore { iteration, psnr }),
             Err(error) => self.keep(Err(error)),
         }

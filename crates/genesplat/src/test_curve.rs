@@ -1,34 +1,27 @@
 //! PSNR of the test photos while training goes on, for the curve in `report.html`.
 //!
-//! A dozen looks a run, on a backend of its own: training neither waits for a score nor sees one, and the time is billed
-//! to neither gradients nor evolution.
+//! A dozen looks a run, rendered by the training backend: no second copy of the cloud exists. Training does not see the
+//! scores, and the time is billed to neither gradients nor evolution.
 
 use anyhow::Result;
-use genesplat::core::{Backend, Gaussians, RenderSettings, View};
-use genesplat::kernels::cpu::CpuBackend;
+use genesplat::core::View;
 use genesplat::train::evaluate::psnr;
+use genesplat::train::observe::Render;
 
 /// Looks a run.
 const POINTS: u32 = 12;
 
-/// Scores clouds on test photos.
+/// Scores renders of test photos.
 pub struct TestCurve<'a> {
     views: &'a [View],
-    settings: RenderSettings,
     every: u32,
-    backend: CpuBackend,
 }
 
 impl<'a> TestCurve<'a> {
     /// For a run of `iterations`; `None` where no photo was held out.
-    pub fn new(
-        views: &'a [View],
-        settings: RenderSettings,
-        iterations: u32,
-        backend: CpuBackend,
-    ) -> Option<Self> {
+    pub fn new(views: &'a [View], iterations: u32) -> Option<Self> {
         let every = iterations.div_ceil(POINTS).max(1);
-        (!views.is_empty()).then_some(Self { views, settings, every, backend })
+        (!views.is_empty()).then_some(Self { views, every })
     }
 
     /// True where a point of the curve is due.
@@ -37,11 +30,10 @@ impl<'a> TestCurve<'a> {
     }
 
     /// Mean PSNR, dB; `None` when a photo is reproduced exactly.
-    pub fn score(&mut self, cloud: Gaussians) -> Result<Option<f64>> {
-        self.backend.upload(cloud, None)?;
+    pub fn score(&self, render: Render<'_>) -> Result<Option<f64>> {
         let mut sum = 0.0;
         for view in self.views {
-            let picture = self.backend.render(&view.camera, &self.settings)?.to_photo();
+            let picture = render(&view.camera)?.to_photo();
             sum += psnr(&picture, &view.photo)?;
         }
         let mean = sum / self.views.len() as f64;

@@ -60,7 +60,9 @@ impl Run<'_> {
 
     fn train(&self, start: Start, log: Log, seconds_before: f64) -> Result<Finished> {
         let mut backend = device::open(self.settings.train.config().seed);
-        let reporter = Reporter::new(self.folder, log, self.stop).with_curve(self.curve());
+        let iterations = self.settings.train.schedule().iterations;
+        let curve = TestCurve::new(&self.scene.test, iterations);
+        let reporter = Reporter::new(self.folder, log, self.stop).with_curve(curve);
         let mut reporter = if self.quiet { reporter.quiet() } else { reporter };
         let (views, config) = (&self.scene.train, &self.settings.train);
         let Outcome { cloud, summary, checkpoint } =
@@ -90,12 +92,6 @@ impl Run<'_> {
         let words = ["genesplat", "train", &dataset, "--out", &out, "--config", &saved];
         RunPage { metrics, scene: self.scene, folder, config: &config, command: &command_line(words) }
             .to_html()
-    }
-
-    /// The curve of the test photos; its backend draws no random number.
-    fn curve(&self) -> Option<TestCurve<'_>> {
-        let (train, backend) = (&self.settings.train, device::open(0));
-        TestCurve::new(&self.scene.test, train.render_settings(), train.schedule().iterations, backend)
     }
 
     /// Where to start, and the seconds spent before.

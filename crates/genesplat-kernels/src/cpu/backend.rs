@@ -1,5 +1,7 @@
 //! [`Backend`] for the CPU.
 
+use std::borrow::Cow;
+
 use fearless_simd::Level;
 use genesplat_core::gaussians::{logit, sigmoid};
 use genesplat_core::{
@@ -96,6 +98,12 @@ impl CpuBackend {
     }
 }
 
+/// In plain words, `AVX2` say: the name of the variant, without what it holds.
+fn instruction_set(level: Level) -> String {
+    let variant = format!("{level:?}");
+    variant.split('(').next().unwrap_or_default().replace('_', ".").to_uppercase()
+}
+
 fn extra(signal: Option<DensitySignal>) -> Extra {
     match signal {
         Some(DensitySignal::Absolute | DensitySignal::SignedAndAbsolute) => Extra::Absolute,
@@ -106,7 +114,7 @@ fn extra(signal: Option<DensitySignal>) -> Extra {
 
 impl Backend for CpuBackend {
     fn describe(&self) -> String {
-        format!("CPU, {} threads, {:?}", rayon::current_num_threads(), self.level)
+        format!("CPU, {} threads, {}", rayon::current_num_threads(), instruction_set(self.level))
     }
 
     fn len(&self) -> usize {
@@ -134,12 +142,12 @@ impl Backend for CpuBackend {
         Ok(())
     }
 
-    fn download(&mut self) -> Result<Gaussians, BackendError> {
-        Ok(self.cloud.clone())
+    fn download(&mut self) -> Result<Cow<'_, Gaussians>, BackendError> {
+        Ok(Cow::Borrowed(&self.cloud))
     }
 
-    fn download_moments(&mut self) -> Result<Moments, BackendError> {
-        Ok(self.moments.clone())
+    fn download_moments(&mut self) -> Result<Cow<'_, Moments>, BackendError> {
+        Ok(Cow::Borrowed(&self.moments))
     }
 
     fn render(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<Image, BackendError> {

@@ -290,7 +290,7 @@ fn ten_steps_match_the_reference(exploration: Option<Exploration>) {
         let update = step.update.as_mut().unwrap();
         update.exploration = exploration.map(|exploration| Exploration { counter: number, ..exploration });
         // Gradients of the f32 state, so that only the optimiser is compared.
-        let now = backend.download().unwrap();
+        let now = backend.download().unwrap().into_owned();
         let (frame, camera) = frame_of(&now, &settings, Extra::None);
         let Frame { splats, bins, rows, .. } = &frame;
         let inputs = Inputs { splats, bins, rows, camera: &camera, settings: &settings };
@@ -385,7 +385,8 @@ fn results_do_not_depend_on_the_number_of_threads() {
             let population: Vec<SparseDelta> =
                 (0..4).map(|index| individual_of(&backend.download().unwrap(), index)).collect();
             let scores = backend.score(&population, &[0], &step(1).settings).unwrap();
-            (backend.download().unwrap(), backend.statistics().unwrap(), scores)
+            let cloud = backend.download().unwrap().into_owned();
+            (cloud, backend.statistics().unwrap(), scores)
         })
     };
     let one = run(1);

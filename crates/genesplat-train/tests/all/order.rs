@@ -6,7 +6,7 @@ use std::sync::atomic::AtomicBool;
 use genesplat_core::{DensitySignal, ScreenFilter};
 use genesplat_train::config::Signal;
 use genesplat_train::initialise::cloud_from_points;
-use genesplat_train::observe::{DensifyLog, StepLog};
+use genesplat_train::observe::{DensifyLog, Render, StepLog};
 use genesplat_train::{
     Background, EvolutionMode, Observer, Outcome, Silent, Start, TrainConfig, TrainError, Variant, train,
 };
@@ -286,7 +286,7 @@ struct Listener {
     notices: Vec<String>,
     densifications: Vec<DensifyLog>,
     reports: Vec<u32>,
-    clouds: Vec<u32>,
+    looks: Vec<u32>,
 }
 
 impl Observer for Listener {
@@ -299,12 +299,12 @@ impl Observer for Listener {
     fn notice(&mut self, text: &str) {
         self.notices.push(text.into());
     }
-    fn wants_cloud(&mut self, iteration: u32) -> bool {
+    fn wants_renders(&mut self, iteration: u32) -> bool {
         iteration == 17
     }
-    fn on_cloud(&mut self, iteration: u32, cloud: genesplat_core::Gaussians) {
-        assert!(!cloud.is_empty());
-        self.clouds.push(iteration);
+    fn on_renders(&mut self, iteration: u32, render: Render<'_>) {
+        assert_eq!(render(&views(1)[0].camera).unwrap().width, views(1)[0].camera.width);
+        self.looks.push(iteration);
     }
 }
 
@@ -320,7 +320,7 @@ fn the_cap_holds_and_is_told_once() {
     assert_eq!(listener.densifications.len(), 144);
     assert!(listener.densifications.iter().all(|log| log.gaussians <= 50));
     assert_eq!(listener.reports, (1..=300).map(|k| 10 * k).collect::<Vec<_>>());
-    assert_eq!(listener.clouds, [17]);
+    assert_eq!(listener.looks, [17]);
 }
 
 #[test]

@@ -1,6 +1,7 @@
 //! A backend without a renderer: parameters drift in a way that depends on everything a step is told, fitness is the
 //! distance from a target, and every call is recorded.
 
+use std::borrow::Cow;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -137,12 +138,12 @@ impl Backend for FakeBackend {
         Ok(())
     }
 
-    fn download(&mut self) -> Result<Gaussians, BackendError> {
-        Ok(self.cloud.clone())
+    fn download(&mut self) -> Result<Cow<'_, Gaussians>, BackendError> {
+        Ok(Cow::Borrowed(&self.cloud))
     }
 
-    fn download_moments(&mut self) -> Result<Moments, BackendError> {
-        Ok(self.moments.clone())
+    fn download_moments(&mut self) -> Result<Cow<'_, Moments>, BackendError> {
+        Ok(Cow::Borrowed(&self.moments))
     }
 
     fn render(&mut self, camera: &Camera, _: &RenderSettings) -> Result<Image, BackendError> {
