@@ -400,7 +400,8 @@ pub enum VariantName {
     PixelGs,
     /// Mip-Splatting (Yu et al. 2024): stays sharp when seen from nearer or farther than the photos
     MipSplatting,
-    /// 3DGS-MCMC (Kheradmand et al. 2024): Gaussians wander, dead ones move to where they are needed, up to --max-gaussians
+    /// 3DGS-MCMC (Kheradmand et al. 2024): Gaussians wander, dead ones move to where they are needed, up to --max-gaussians;
+    /// give it several thousand iterations
     Mcmc,
 }
 
