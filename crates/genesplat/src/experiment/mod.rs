@@ -10,7 +10,7 @@
 //!
 //! | module | what it does |
 //! |---|---|
-//! | [`preset`], [`plan`] | from a TOML file to the list of cells and their settings |
+//! | [`preset`], [`file`], [`plan`] | from a TOML file to the list of cells and their settings |
 //! | [`runner`] | runs what is unfinished, scene by scene |
 //! | [`results`] | what the cells have measured, and their paired differences |
 //! | [`statistics`] | means, spreads, and two exact tests |
@@ -19,6 +19,7 @@
 //! | [`page`] | `report.html` |
 
 pub mod boxes;
+pub mod file;
 pub mod page;
 pub mod plan;
 pub mod preset;

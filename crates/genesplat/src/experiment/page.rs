@@ -93,7 +93,7 @@ mod tests {
         assert!(!page.contains("<img") && !page.contains("http:") && !page.contains("https:"), "{page}");
         assert_eq!(encoded("cells/<a b>/é"), "cells/%3Ca%20b%3E/%C3%A9");
         assert_eq!(
-            toml::from_str::<crate::experiment::plan::ExperimentFile>(&to_toml(&results)).unwrap(),
+            toml::from_str::<crate::experiment::file::ExperimentFile>(&to_toml(&results)).unwrap(),
             experiment.file
         );
     }

@@ -1,108 +1,22 @@
-//! From a TOML file to a checked list of cells.
+//! From a file to a checked list of cells. Nothing here runs or touches a disk.
 //!
-//! Nothing here runs or touches a disk. The file is small on purpose: whatever a run's `config.toml` can say, `[config]`
-//! can say for all cells and `[arms.config]` for one arm; tables are merged key by key, and one that has a `kind`
+//! Settings of an arm are those of all cells with its own written over them, key by key; a table that has a `kind`
 //! replaces the other, since kinds have keys of their own.
 
 use std::path::{Path, PathBuf};
 
 use anyhow::{Result, anyhow, bail, ensure};
-use genesplat::io::GalleryOptions;
-use genesplat::train::{EvolutionMode, Variant};
-use serde::{Deserialize, Serialize};
+use genesplat::train::EvolutionMode;
 use toml::{Table, Value};
 
-use crate::args::{ExperimentArgs, MachineArgs};
+use super::file::{ArmTable, ExperimentFile, GalleryTable, control_table};
+use crate::args::MachineArgs;
 use crate::settings::{ConfigFile, Settings};
 
 /// The scene that needs no folder.
 pub const BUNDLED: &str = "gallery";
-/// The mode whose arms spend the seconds of another arm on gradient steps.
-const CONTROL: &str = "control";
 /// Settings that belong to the matrix or to the machine.
 const NOT_FOR_CONFIG: [&str; 5] = ["seed", "variant", "dataset", "device", "threads"];
-
-/// An experiment, as a file describes it.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct ExperimentFile {
-    /// One line for headings.
-    pub title: String,
-    /// What it is about.
-    #[serde(default)]
-    pub description: String,
-    /// Folders below `--data`; `gallery` is the bundled scene.
-    pub scenes: Vec<String>,
-    /// Methods. Default: 3dgs.
-    #[serde(default = "plain_3dgs")]
-    pub variants: Vec<Variant>,
-    /// Each cell is repeated with each of these.
-    pub seeds: Vec<u64>,
-    /// Longest side of the photos, px. Default: as `train` has it.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub max_side: Option<u32>,
-    /// Or their divisor.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub downscale: Option<u32>,
-    /// Name of the arm that differences are taken from. Default: the first.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub baseline: Option<String>,
-    /// Modes of evolution, each an arm of that name; `control` stands for one equal-time control for each of the others.
-    #[serde(default)]
-    pub evolve: Vec<String>,
-    /// How the bundled scene is photographed.
-    #[serde(default)]
-    pub gallery: GalleryTable,
-    /// Settings of all cells, as in a run's `config.toml`.
-    #[serde(default)]
-    pub config: Table,
-    /// Further arms.
-    #[serde(default)]
-    pub arms: Vec<ArmTable>,
-}
-
-fn plain_3dgs() -> Vec<Variant> {
-    vec![Variant::ThreeDgs]
-}
-
-/// How the bundled scene is photographed; defaults are those of `genesplat demo`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct GalleryTable {
-    width: u32,
-    height: u32,
-    views: u32,
-    points: u32,
-}
-
-impl Default for GalleryTable {
-    fn default() -> Self {
-        let GalleryOptions { width, height, views, points, .. } = GalleryOptions::default();
-        Self { width, height, views, points }
-    }
-}
-
-impl GalleryTable {
-    /// As the generator wants it.
-    pub fn options(self) -> GalleryOptions {
-        let Self { width, height, views, points } = self;
-        GalleryOptions { width, height, views, points, seed: 0 }
-    }
-}
-
-/// One arm of a file.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct ArmTable {
-    /// A word for tables and folders.
-    pub name: String,
-    /// The arm whose evolution seconds this one spends on gradient steps; it has that arm's settings otherwise.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub control_of: Option<String>,
-    /// What is different about it.
-    #[serde(default)]
-    pub config: Table,
-}
 
 /// What is compared.
 #[derive(Clone, Debug, PartialEq)]
@@ -135,43 +49,6 @@ pub struct Experiment {
     pub file: ExperimentFile,
     /// In the order of the tables: the baseline first, a control right after what it controls.
     pub arms: Vec<Arm>,
-}
-
-impl ExperimentFile {
-    /// Flags win over the file.
-    pub fn override_by(&mut self, args: &ExperimentArgs) {
-        if args.size.size().is_some() {
-            (self.max_side, self.downscale) = (args.size.max_side, args.size.downscale);
-        }
-        if let Some(iterations) = args.iterations {
-            self.config.insert("iterations".into(), i64::from(iterations).into());
-        }
-        if let Some(scale) = args.steps_scale {
-            self.config.insert("steps_scale".into(), scale.into());
-        }
-    }
-
-    /// The arms of `evolve`, then those of `arms`.
-    fn all_arms(&self) -> Vec<ArmTable> {
-        let controlled: Vec<&String> =
-            self.evolve.iter().filter(|mode| !["off", CONTROL].contains(&mode.as_str())).collect();
-        let of_mode = |mode: &String| match mode.as_str() {
-            CONTROL => controlled.iter().map(|of| control_arm(of, controlled.len() == 1)).collect(),
-            _ => vec![ArmTable { name: mode.clone(), control_of: None, config: mode_table(mode) }],
-        };
-        self.evolve.iter().flat_map(of_mode).chain(self.arms.clone()).collect()
-    }
-}
-
-fn control_arm(of: &str, alone: bool) -> ArmTable {
-    let name = if alone { CONTROL.to_owned() } else { format!("{CONTROL}-{of}") };
-    ArmTable { name, control_of: Some(of.to_owned()), config: Table::new() }
-}
-
-/// `evolution.mode = mode`; whether there is such a mode is for the settings to say.
-fn mode_table(mode: &str) -> Table {
-    let evolution = Table::from_iter([("mode".to_owned(), Value::from(mode))]);
-    Table::from_iter([("evolution".to_owned(), Value::Table(evolution))])
 }
 
 impl Experiment {
@@ -273,7 +150,7 @@ fn resolve_arms(file: &ExperimentFile) -> Result<Vec<Arm>> {
         if let Some(target) = control_of {
             merge(&mut config, &tables[target].config);
             check_controlled(&config, table, &tables[target])?;
-            merge(&mut config, &mode_table(CONTROL));
+            merge(&mut config, &control_table());
         }
         merge(&mut config, &table.config);
         arms.push(Arm { name: table.name.clone(), control_of, config });
@@ -414,14 +291,6 @@ mod tests {
         assert_eq!(one.evolution.trigger, control.evolution.trigger);
         assert_eq!(one.evolution.paper.crossover, genesplat::evolve::Crossover::OnePoint);
         assert_eq!(settings(0).config().evolution.mode, EvolutionMode::Off);
-    }
-
-    #[test]
-    fn two_modes_have_a_control_each() {
-        let arms =
-            file("scenes = [\"a\"]\nseeds = [0]\nevolve = [\"off\", \"x\", \"y\", \"control\"]").all_arms();
-        let names: Vec<&str> = arms.iter().map(|arm| arm.name.as_str()).collect();
-        assert_eq!(names, ["off", "x", "y", "control-x", "control-y"]);
     }
 
     #[test]

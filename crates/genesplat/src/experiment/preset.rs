@@ -7,7 +7,7 @@ use std::path::Path;
 
 use anyhow::{Result, anyhow, bail};
 
-use super::plan::ExperimentFile;
+use super::file::ExperimentFile;
 
 /// Name and text of each.
 pub const PRESETS: [(&str, &str); 7] = [
@@ -60,6 +60,14 @@ mod tests {
     fn the_papers_tables_are_the_whole_matrix() {
         let experiment = Experiment::new(open("paper-table-2-3").unwrap()).unwrap();
         assert_eq!(experiment.cells().len(), 8 * 3 * 3 * 3);
+    }
+
+    #[test]
+    fn the_readmes_example_is_valid() {
+        let readme = fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/../../README.md")).unwrap();
+        let example = readme.split("```toml").nth(1).and_then(|rest| rest.split("```").next()).unwrap();
+        let experiment = Experiment::new(toml::from_str(example).unwrap()).unwrap();
+        assert_eq!(experiment.cells().len(), 2 * 3 * 5);
     }
 
     #[test]

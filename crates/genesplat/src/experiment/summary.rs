@@ -147,7 +147,7 @@ fn quality(results: &Results<'_>, split: Split, variant: usize) -> Table {
         .map(|scene| (row_name(experiment, scene), entries(scene)))
         .collect();
     let caption = format!(
-        "{variant_name}, {} photos: `{}`, and the differences of the other arms from it, paired by seed ({}). Differences \
+        "{variant_name}, {} photos: {}, and the differences of the other arms from it, paired by seed ({}). Differences \
          are arm - baseline for PSNR and SSIM, baseline - arm for LPIPS: positive is better. ± is the standard deviation.",
         split.name(),
         experiment.arms[0].name,
@@ -219,7 +219,8 @@ fn cost(results: &Results<'_>, variant: usize) -> Table {
         .map(|scene| (experiment.scene_name(scene).to_owned(), entries(scene)))
         .collect();
     let caption = format!(
-        "{}: wall-clock seconds of training on this machine, loading and scoring left out, and Gaussians at the end.",
+        "{}: wall-clock seconds of training on this machine, loading and scoring left out, and Gaussians at the end. A \
+         control trains for as many seconds as another arm evolves, so its figures are the only ones that depend on the machine.",
         experiment.file.variants[variant].name()
     );
     Table { caption, columns: columns.collect(), rows }

@@ -89,18 +89,20 @@ impl Table {
 
     /// As a LaTeX table that needs the packages `booktabs` and `xcolor`; blue where it improves, as in the paper.
     pub fn to_latex(&self) -> String {
-        let groups = self.groups();
         let group =
             |(name, width): &(&str, usize)| format!("\\multicolumn{{{width}}}{{c}}{{{}}}", latex(name));
+        let groups: Vec<String> = self.groups().iter().map(group).collect();
+        let names: Vec<String> = self.columns.iter().map(|column| latex(&column.name)).collect();
         let mut lines = vec![
             "\\begin{table}".to_owned(),
             format!("\\caption{{{}}}", latex(&self.caption)),
             format!("\\begin{{tabular}}{{l{}}}", "r".repeat(self.columns.len())),
             "\\toprule".to_owned(),
-            format!("& {} \\\\", groups.iter().map(group).collect::<Vec<_>>().join(" & ")),
-            format!("& {} \\\\", self.columns.iter().map(|c| latex(&c.name)).collect::<Vec<_>>().join(" & ")),
-            "\\midrule".to_owned(),
         ];
+        let headings = [groups, names];
+        let headings = headings.iter().filter(|row| !row.is_empty());
+        lines.extend(headings.map(|row| format!("& {} \\\\", row.join(" & "))));
+        lines.push("\\midrule".to_owned());
         for (name, entries) in &self.rows {
             let cells = entries.iter().map(latex_entry).collect::<Vec<_>>().join(" & ");
             lines.push(format!("{} & {cells} \\\\", latex(name)));
@@ -114,11 +116,15 @@ impl Table {
         page.open("figure class=\"table\"");
         page.element("figcaption", &self.caption);
         page.open("table");
-        page.open("tr").element("th", "");
-        for (name, width) in self.groups() {
-            page.element(&format!("th colspan=\"{width}\""), name);
+        let groups = self.groups();
+        if !groups.is_empty() {
+            page.open("tr").element("th", "");
+            groups
+                .iter()
+                .for_each(|(name, width)| _ = page.element(&format!("th colspan=\"{width}\""), name));
+            page.close("tr");
         }
-        page.close("tr").open("tr").element("th", "");
+        page.open("tr").element("th", "");
         self.columns.iter().for_each(|column| _ = page.element("th", &column.name));
         page.close("tr");
         for (name, entries) in &self.rows {
@@ -136,10 +142,11 @@ impl Table {
         page.close("table").close("figure");
     }
 
-    /// Neighbouring columns of the same group: its name and how many there are.
+    /// Neighbouring columns of the same group: its name and how many there are. Empty where no group has a name.
     fn groups(&self) -> Vec<(&str, usize)> {
         let runs = self.columns.chunk_by(|a, b| a.group == b.group);
-        runs.map(|run| (run[0].group.as_str(), run.len())).collect()
+        let groups: Vec<_> = runs.map(|run| (run[0].group.as_str(), run.len())).collect();
+        if groups.iter().any(|(name, _)| !name.is_empty()) { groups } else { Vec::new() }
     }
 }
 

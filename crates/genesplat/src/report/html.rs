@@ -101,21 +101,27 @@ figcaption,.dim{color:var(--dim);font-size:.875rem;max-width:90ch;overflow-wrap:
 table{border-collapse:collapse;font-variant-numeric:tabular-nums;margin:.25rem 0}
 th,td{padding:.2rem .6rem;text-align:right;border-bottom:1px solid var(--line);white-space:nowrap}
 th{font-weight:600}
-th:first-child{text-align:left}
+th:first-child{text-align:left;position:sticky;left:0;background:var(--paper)}
 th[colspan]{text-align:center;border-left:1px solid var(--line)}
 td small{color:var(--dim)}
 .better{color:var(--good);font-weight:600}
-.row{display:grid;gap:1rem;grid-template-columns:repeat(auto-fit,minmax(min(100%,20rem),28rem));align-items:start}
+.row{display:grid;gap:1rem;grid-template-columns:repeat(auto-fit,minmax(min(100%,20rem),27rem));align-items:start}
 .views{display:grid;gap:.5rem;grid-template-columns:repeat(3,1fr);margin:.25rem 0 1rem}
 img,svg{display:block;width:100%;height:auto;background:var(--soft)}
-.views img{image-rendering:auto}
+.views img{max-height:80vh;object-fit:contain}
 svg text{fill:var(--ink);font:11px system-ui,sans-serif}
 svg .grid{stroke:var(--line);stroke-width:1}
 svg .line{fill:none;stroke-width:1.8;stroke-linejoin:round}
 svg .band{stroke:none;opacity:.22}
 pre{background:var(--soft);padding:.75rem;overflow-x:auto;font-size:.8125rem;line-height:1.4;margin:.5rem 0}
+.command{white-space:pre-wrap;overflow-wrap:anywhere}
 a{color:var(--good);overflow-wrap:anywhere}
-@media(max-width:600px){.views{grid-template-columns:1fr}}
+@media(max-width:600px){
+.views{grid-template-columns:1fr}
+table{font-size:.8125rem;width:max-content}
+th,td{padding:.2rem .3rem}
+th:first-child{white-space:normal;max-width:8rem}
+}
 ";
 
 #[cfg(test)]

@@ -60,16 +60,16 @@ impl RunPage<'_> {
     fn write_figures(&self, page: &mut Html) {
         let metrics = self.metrics;
         page.open("figure class=\"table\"").open("table").open("tr");
-        ["photos", "number", "PSNR", "SSIM", "LPIPS"].iter().for_each(|name| _ = page.element("th", name));
+        ["", "photos", "PSNR", "SSIM", "LPIPS"].iter().for_each(|name| _ = page.element("th", name));
         page.close("tr");
-        write_scores(page, "test (never seen)", &metrics.test);
+        write_scores(page, "test", &metrics.test);
         write_scores(page, "train", &metrics.train);
         page.close("table").close("figure");
         let seconds = &metrics.seconds;
         page.element(
             "p",
             &format!(
-                "{} Gaussians after {} iterations; {:.1} s of gradient steps, {:.1} s of evolution, {:.1} s in all{}.",
+                "Training never saw the test photos. {} Gaussians after {} iterations; {:.1} s of gradient steps, {:.1} s of evolution, {:.1} s in all{}.",
                 metrics.gaussians,
                 metrics.iterations,
                 seconds.gradient,
@@ -165,7 +165,7 @@ fn stage_chart(stage: &Stage) -> Chart {
 
 /// How to come by the same result.
 pub fn write_repeat(page: &mut Html, command: &str) {
-    page.element("h2", "Repeat").element("pre", command);
+    page.element("h2", "Repeat").element("pre class=\"command\"", command);
     let (version, os, architecture) =
         (env!("CARGO_PKG_VERSION"), std::env::consts::OS, std::env::consts::ARCH);
     page.element("p class=\"dim\"", &format!("genesplat {version}, {os} {architecture}"));
