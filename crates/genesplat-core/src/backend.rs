@@ -11,6 +11,7 @@ use crate::edit::RowEdit;
 use crate::gaussians::{Gaussians, Moments};
 use crate::genes::SparseDelta;
 use crate::image::{Image, Photo};
+use crate::running_mean::RunningMean;
 use crate::statistics::{Statistics, StatisticsRequest};
 
 /// A camera and the photo it took; both have the same size.
@@ -229,6 +230,20 @@ pub trait Backend {
 
     /// Overwrites the genes of the rows that `delta` names.
     fn apply(&mut self, delta: &SparseDelta, moments: MomentPolicy) -> Result<(), BackendError>;
+
+    /// Adds the cloud as it is to the mean of remembered states. Uploading a cloud, changing
+    /// its rows and resetting opacities forget them.
+    fn remember(&mut self) -> Result<(), BackendError>;
+
+    /// Exchanges the cloud with the mean of the remembered states (the 3D filter stays); false when there are none.
+    /// Twice is as never.
+    fn exchange_with_mean(&mut self) -> Result<bool, BackendError>;
+
+    /// The mean of the remembered states (for checkpoints), lent or copied.
+    fn running_mean(&mut self) -> Result<Cow<'_, RunningMean>, BackendError>;
+
+    /// Puts back what [`Backend::running_mean`] gave (resume).
+    fn restore_running_mean(&mut self, mean: RunningMean) -> Result<(), BackendError>;
 
     /// Eq. 5 of every individual on every view, `[P, V]`: individuals are deltas over the cloud held.
     fn score(

@@ -6,13 +6,13 @@
 
 use std::io::{self, Read, Write};
 
-use genesplat_core::{Gaussians, Moments, Statistics};
+use genesplat_core::{Gaussians, Moments, RunningMean, Statistics};
 
 use crate::observe::StageRecord;
 use crate::schedule::Phase;
 
 /// Opens every checkpoint; the last byte is the version of the format.
-const MAGIC: [u8; 8] = *b"GSPLATC\x02";
+const MAGIC: [u8; 8] = *b"GSPLATC\x03";
 
 /// The next thing to do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -58,6 +58,8 @@ pub struct Checkpoint {
     pub moments: Moments,
     /// Sums for density control and evolution.
     pub statistics: Statistics,
+    /// States that recombination averages.
+    pub remembered: RunningMean,
 }
 
 /// Why a checkpoint cannot be read.
@@ -93,6 +95,8 @@ impl Checkpoint {
         out.floats(&self.statistics.absolute_sum)?;
         out.floats(self.statistics.gene_gradient_sum.as_flattened())?;
         out.counts(&self.statistics.gene_views)?;
+        out.u32(self.remembered.states())?;
+        out.cloud(self.remembered.mean())?;
         let checksum = out.checksum.0;
         out.writer.write_all(&checksum.to_le_bytes())?;
         out.writer.flush()
@@ -121,7 +125,8 @@ impl Checkpoint {
             .all(|columns| columns.is_consistent() && columns.len() == n)
             && [statistics.gradient_sum.len(), statistics.weight_sum.len()] == [n, n]
             && [0, n].contains(&statistics.absolute_sum.len())
-            && (genes == [n, n] || genes == [0, 0]);
+            && (genes == [n, n] || genes == [0, 0])
+            && [0, n].contains(&self.remembered.mean().len());
         if consistent { Ok(()) } else { Err(CheckpointError::Damaged("its columns differ in length")) }
     }
 }
@@ -227,6 +232,7 @@ impl<R: Read> Decoder<R> {
                 gene_gradient_sum: self.rows()?,
                 gene_views: self.words()?.into_iter().map(u32::from_le_bytes).collect(),
             },
+            remembered: RunningMean::new(self.u32()?, self.cloud()?),
         })
     }
 
@@ -351,6 +357,7 @@ mod tests {
                 gene_gradient_sum: vec![[0.5; 7]; 3],
                 gene_views: vec![7, 8, 9],
             },
+            remembered: RunningMean::new(4, Gaussians::zeros(3)),
         }
     }
 

@@ -206,6 +206,8 @@ pub enum EvolutionMode {
     Paper,
     /// The equal-time control: the seconds that a stage would take are spent on additional gradient steps.
     Control,
+    /// Beyond the paper: once, at the end, the mean of the run's last states replaces the last one if it is better.
+    Recombine,
 }
 
 /// When a stage runs: the four places that the paper tried. The published results have `after-reset`.
@@ -227,7 +229,7 @@ pub enum Trigger {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct EvolutionConfig {
-    /// What runs. Default `off`; or `paper`, `control`.
+    /// What runs. Default `off`; or `paper`, `control`, `recombine`.
     pub mode: EvolutionMode,
     /// When. Default `after-reset`; or `before-reset`, `after-densify`, `before-densify`.
     pub trigger: Trigger,
@@ -244,8 +246,29 @@ pub struct EvolutionConfig {
     pub moments: MomentPolicy,
     /// Mode `control`: seconds a stage. Default 60; not negative.
     pub control_seconds: f64,
+    /// Mode `recombine`: the run's last states.
+    pub recombine: RecombineConfig,
     /// Mode `paper`: the genetic algorithm.
     pub paper: PaperConfig,
+}
+
+/// Mode `recombine`: which states are averaged, and what judges their mean.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct RecombineConfig {
+    /// Share of the run, at its end, whose states are averaged. Default 0.05; above 0, below 1. Longer averages more
+    /// noise away, and lags behind what still moves. Only states since the last densification or reset count.
+    pub share: f64,
+    /// States that are averaged, evenly over that share. Default 50; at least 1.
+    pub states: u32,
+    /// Training views that the mean is judged on, spread evenly. Default 32; at least 1.
+    pub views: usize,
+}
+
+impl Default for RecombineConfig {
+    fn default() -> Self {
+        Self { share: 0.05, states: 50, views: 32 }
+    }
 }
 
 impl Default for EvolutionConfig {
@@ -258,6 +281,7 @@ impl Default for EvolutionConfig {
             rotate_views: false,
             moments: MomentPolicy::Keep,
             control_seconds: 60.0,
+            recombine: RecombineConfig::default(),
             paper: PaperConfig::default(),
         }
     }

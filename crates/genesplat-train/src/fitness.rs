@@ -52,7 +52,7 @@ pub(crate) fn search<B: Backend>(
     let base_fitness = of_base(backend, stage)?;
     let mut algorithm = algorithm(backend, stage, base_fitness)?;
     let mut record = empty_record(stage, base_fitness);
-    observer.on_stage_start(&stage_log(stage, base_fitness));
+    observer.on_stage_start(&stage_log(stage, stage.config.paper.generations, base_fitness));
     while !algorithm.is_finished() {
         let Some(losses) = score_generation(backend, stage, &algorithm, stop)? else { break };
         let population = algorithm.tell(&losses)?;
@@ -159,7 +159,7 @@ pub(crate) fn control_record(
 }
 
 /// A stage that has scored its base.
-fn empty_record(stage: &Stage<'_>, fitness: f64) -> StageRecord {
+pub(crate) fn empty_record(stage: &Stage<'_>, fitness: f64) -> StageRecord {
     StageRecord {
         iteration: stage.iteration,
         generations: 0,
@@ -172,13 +172,9 @@ fn empty_record(stage: &Stage<'_>, fitness: f64) -> StageRecord {
     }
 }
 
-fn stage_log(stage: &Stage<'_>, fitness: f64) -> StageLog {
-    StageLog {
-        iteration: stage.iteration,
-        generations: stage.config.paper.generations,
-        views: stage.view_names.clone(),
-        fitness,
-    }
+/// What is told at the beginning of a stage of so many generations after the first.
+pub(crate) fn stage_log(stage: &Stage<'_>, generations: u32, fitness: f64) -> StageLog {
+    StageLog { iteration: stage.iteration, generations, views: stage.view_names.clone(), fitness }
 }
 
 fn generation_log(record: &StageRecord, losses: &[f64], [mean, spread]: [f64; 2]) -> GenerationLog {

@@ -25,6 +25,7 @@ pub mod initialise;
 mod nearest;
 pub mod observe;
 pub mod pipeline;
+mod recombine;
 mod refine;
 mod run;
 pub mod schedule;

@@ -78,11 +78,13 @@ impl<B: Backend> Trainer<'_, B> {
             Phase::Densify => self.densify(i)?,
             Phase::RefreshFilter => self.refresh_filter()?,
             Phase::ResetOpacity => self.backend.reset_opacity(self.config.densify.reset_opacity)?,
+            Phase::Remember => self.backend.remember()?,
+            Phase::Recombine => self.recombine(i)?,
             Phase::EvolveBeforeDensify
             | Phase::EvolveAfterDensify
             | Phase::EvolveBeforeReset
             | Phase::EvolveAfterReset => match self.config.evolution.mode {
-                EvolutionMode::Off => {}
+                EvolutionMode::Off | EvolutionMode::Recombine => {}
                 EvolutionMode::Paper => checkpoint = self.evolve(Cursor { iteration: i, phase })?,
                 EvolutionMode::Control => self.control(i)?,
             },

@@ -28,6 +28,9 @@ pub fn refine<B: Backend>(
     if config.config().evolution.mode == EvolutionMode::Off {
         return Err(TrainError::NothingToRefine);
     }
+    if config.config().evolution.mode == EvolutionMode::Recombine {
+        return Err(TrainError::NothingToRecombine);
+    }
     let mut trainer = Trainer::new(backend, views, config, observer, stop)?;
     trainer.begin(Start::Cloud(cloud))?;
     let last = finished_iteration(config.schedule());

@@ -110,4 +110,10 @@ pub enum TrainError {
     /// Refinement was asked for, and switched off.
     #[error("evolution.mode is off, so there is nothing to refine with; set it to paper (or control)")]
     NothingToRefine,
+    /// A finished cloud has no earlier states.
+    #[error(
+        "evolution.mode recombine averages the last states of a run, and a finished cloud has only one; \
+         set it to paper (or control), or train with it"
+    )]
+    NothingToRecombine,
 }

@@ -31,11 +31,15 @@ pub enum Phase {
     ResetOpacity,
     /// The evolution stage, where the paper has it.
     EvolveAfterReset,
+    /// Recombination: the state is added to the mean of the last ones.
+    Remember,
+    /// Recombination: the mean replaces the last state if it is better.
+    Recombine,
 }
 
 impl Phase {
     /// The phases of one iteration, in order.
-    pub const ORDER: [Self; 8] = [
+    pub const ORDER: [Self; 10] = [
         Self::Step,
         Self::EvolveBeforeDensify,
         Self::Densify,
@@ -44,9 +48,11 @@ impl Phase {
         Self::EvolveBeforeReset,
         Self::ResetOpacity,
         Self::EvolveAfterReset,
+        Self::Remember,
+        Self::Recombine,
     ];
 
-    /// One of the four places of the evolution stage.
+    /// One of the four places of the evolution stage, or recombination in its place.
     pub fn is_evolution(self) -> bool {
         matches!(
             self,
@@ -54,6 +60,8 @@ impl Phase {
                 | Self::EvolveAfterDensify
                 | Self::EvolveBeforeReset
                 | Self::EvolveAfterReset
+                | Self::Remember
+                | Self::Recombine
         )
     }
 }
@@ -104,6 +112,10 @@ pub struct Schedule {
     pub evolution_phase: Option<Phase>,
     /// Evolution runs at every n-th occurrence of its trigger.
     pub evolution_stride: u32,
+    /// Recombination remembers states after this iteration, if it does.
+    pub remember_from: Option<u32>,
+    /// Iterations between two states that recombination remembers.
+    pub remember_every: u32,
     /// Evolution wants the gradients of the genes.
     pub gene_gradients: bool,
     /// Iterations between two checkpoints; 0: none.
@@ -120,8 +132,12 @@ impl Schedule {
         let (densify, evolution) = (&config.densify, &config.evolution);
         let mcmc = config.variant == Variant::Mcmc;
         let white = config.background == Background::White && densify.white_reset_at > 0;
+        let iterations = interval(config.iterations);
+        let recombines = evolution.mode == EvolutionMode::Recombine;
+        let stages = matches!(evolution.mode, EvolutionMode::Paper | EvolutionMode::Control);
+        let remember_from = (f64::from(iterations) * (1.0 - evolution.recombine.share)) as u32;
         Self {
-            iterations: interval(config.iterations),
+            iterations,
             sh_every: interval(config.sh_every),
             sh_degree_max: config.sh_degree,
             position_steps: interval(config.optimiser.position_steps),
@@ -135,8 +151,10 @@ impl Schedule {
             loses_steps: !mcmc,
             white_reset_at: white.then(|| interval(densify.white_reset_at)),
             filter_3d: config.variant == Variant::MipSplatting,
-            evolution_phase: (evolution.mode != EvolutionMode::Off).then(|| trigger_phase(evolution.trigger)),
+            evolution_phase: stages.then(|| trigger_phase(evolution.trigger)),
             evolution_stride: evolution.stride,
+            remember_from: recombines.then_some(remember_from),
+            remember_every: ((iterations - remember_from) / evolution.recombine.states).max(1),
             gene_gradients: evolution.wants_gene_gradients(),
             checkpoint_every: config.checkpoint_every,
             report_every: config.report_every,
@@ -154,6 +172,8 @@ impl Schedule {
             Phase::Densify => self.is_densify(i),
             Phase::RefreshFilter => self.is_filter_refresh(i),
             Phase::ResetOpacity => self.is_reset(i),
+            Phase::Remember => self.is_remembered(i),
+            Phase::Recombine => self.remember_from.is_some() && i == self.iterations,
             evolve => self.evolution_phase == Some(evolve) && self.is_stage(i),
         }
     }
@@ -204,6 +224,14 @@ impl Schedule {
             Some(_) => (self.is_periodic_reset(i), i / self.reset_every),
         };
         happens && occurrence.is_multiple_of(self.evolution_stride)
+    }
+
+    /// The state at the end of iteration `i` is one of those that recombination averages; the last iteration makes no
+    /// step.
+    fn is_remembered(&self, i: u32) -> bool {
+        self.remember_from.is_some_and(|from| {
+            i > from && i < self.iterations && (i - from).is_multiple_of(self.remember_every)
+        })
     }
 
     /// The iterations at which evolution stages run.

@@ -5,7 +5,8 @@ use std::fmt;
 use genesplat_core::spherical_harmonics::SH_DEGREE_MAX;
 
 use crate::config::{
-    DensifyConfig, EvolutionConfig, McmcConfig, OptimiserConfig, Signal, TrainConfig, Variant,
+    DensifyConfig, EvolutionConfig, McmcConfig, OptimiserConfig, RecombineConfig, Signal, TrainConfig,
+    Variant,
 };
 
 /// A setting that cannot be used.
@@ -122,6 +123,10 @@ impl EvolutionConfig {
         at_least_one("evolution.stride", self.stride)?;
         check("evolution.views", self.views, self.views > 0, "at least 1")?;
         not_negative("evolution.control_seconds", self.control_seconds)?;
+        let RecombineConfig { share, states, views } = self.recombine;
+        check("evolution.recombine.share", share, share > 0.0 && share < 1.0, "above 0 and below 1")?;
+        at_least_one("evolution.recombine.states", states)?;
+        check("evolution.recombine.views", views, views > 0, "at least 1")?;
         Ok(self.paper.validate()?)
     }
 }

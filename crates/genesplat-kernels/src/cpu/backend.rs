@@ -6,7 +6,8 @@ use fearless_simd::Level;
 use genesplat_core::gaussians::{logit, sigmoid};
 use genesplat_core::{
     Backend, BackendError, Camera, DensitySignal, Gaussians, Image, Moments, RenderSettings, Rng, RowEdit,
-    SparseDelta, Statistics, StatisticsRequest, TrainStep, View, backend::MomentPolicy, backend::StepReport,
+    RunningMean, SparseDelta, Statistics, StatisticsRequest, TrainStep, View, backend::MomentPolicy,
+    backend::StepReport,
 };
 
 use super::frame::{Frame, StageSeconds, timed};
@@ -33,6 +34,7 @@ pub struct CpuBackend {
     report: StepReport,
     steps: u32,
     bases: Bases,
+    remembered: RunningMean,
 }
 
 /// Base views of the scoring stage, kept while the cloud does not change.
@@ -56,6 +58,7 @@ impl CpuBackend {
             report: StepReport::default(),
             steps: 0,
             bases: Bases::default(),
+            remembered: RunningMean::default(),
         }
     }
 
@@ -137,6 +140,7 @@ impl Backend for CpuBackend {
         self.touch();
         self.moments = moments.unwrap_or_else(|| Moments::zeros(cloud.len()));
         self.cloud = cloud;
+        self.remembered = RunningMean::default();
         self.statistics = Statistics::default();
         self.reset_density();
         Ok(())
@@ -208,6 +212,7 @@ impl Backend for CpuBackend {
 
     fn edit_rows(&mut self, edit: &RowEdit) -> Result<(), BackendError> {
         self.touch();
+        self.remembered = RunningMean::default();
         edit.apply(&mut self.cloud, &mut self.moments, &self.rng);
         if !self.statistics.gene_views.is_empty() {
             self.statistics.gene_gradient_sum = edit.gather(&self.statistics.gene_gradient_sum);
@@ -219,6 +224,7 @@ impl Backend for CpuBackend {
 
     fn reset_opacity(&mut self, ceiling: f32) -> Result<(), BackendError> {
         self.touch();
+        self.remembered = RunningMean::default();
         for row in 0..self.cloud.len() {
             let factor = self.cloud.filter_dimming(row);
             let opacity = sigmoid(self.cloud.opacity_logits[row]) * factor;
@@ -245,6 +251,29 @@ impl Backend for CpuBackend {
                 }
             }
         }
+        Ok(())
+    }
+
+    fn remember(&mut self) -> Result<(), BackendError> {
+        self.remembered.add(&self.cloud);
+        Ok(())
+    }
+
+    fn exchange_with_mean(&mut self) -> Result<bool, BackendError> {
+        if self.remembered.states() == 0 {
+            return Ok(false);
+        }
+        self.touch();
+        self.remembered.exchange(&mut self.cloud);
+        Ok(true)
+    }
+
+    fn running_mean(&mut self) -> Result<Cow<'_, RunningMean>, BackendError> {
+        Ok(Cow::Borrowed(&self.remembered))
+    }
+
+    fn restore_running_mean(&mut self, mean: RunningMean) -> Result<(), BackendError> {
+        self.remembered = mean;
         Ok(())
     }
 

@@ -81,6 +81,15 @@ fn other_triggers_move_the_stage_and_a_stride_thins_it() {
 }
 
 #[test]
+fn recombination_remembers_the_last_states_and_judges_their_mean_at_the_end() {
+    let schedule = schedule(|config| config.evolution.mode = EvolutionMode::Recombine);
+    assert_eq!(schedule.stages().count(), 0);
+    let remembered = iterations_with(&schedule, Phase::Remember);
+    assert_eq!((remembered.len(), remembered[0], remembered[48]), (49, 28_530, 29_970));
+    assert_eq!(iterations_with(&schedule, Phase::Recombine), [30_000]);
+}
+
+#[test]
 fn mcmc_densifies_longer_loses_no_step_and_resets_nothing() {
     let schedule = schedule(|config| {
         (config.variant, config.background) = (Variant::Mcmc, Background::White);

@@ -3,6 +3,7 @@
 mod config;
 mod evaluate;
 mod order;
+mod recombine;
 mod reconstruct;
 mod resume;
 mod stage;

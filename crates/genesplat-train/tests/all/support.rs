@@ -10,7 +10,7 @@ use genesplat_core::edit::carry_genes;
 use genesplat_core::gaussians::{logit, sigmoid};
 use genesplat_core::{
     Backend, BackendError, Camera, Gaussians, Image, Moments, Origin, Photo, RenderSettings, Rng, RowEdit,
-    SparseDelta, Statistics, TrainStep, View,
+    RunningMean, SparseDelta, Statistics, TrainStep, View,
 };
 use genesplat_train::initialise::ColouredPoint;
 use glam::{DQuat, DVec3};
@@ -26,12 +26,15 @@ pub enum Call {
     Filter(usize),
     Restore { genes: bool },
     Apply { rows: usize, moments: MomentPolicy },
+    Remember,
+    Exchange,
     Score { individuals: usize, views: Vec<usize>, settings: RenderSettings },
 }
 
 /// See the module.
 pub struct FakeBackend {
     pub calls: Vec<Call>,
+    remembered: RunningMean,
     pub cloud: Gaussians,
     pub moments: Moments,
     pub statistics: Statistics,
@@ -59,6 +62,7 @@ impl FakeBackend {
             poison: None,
             stop_after: None,
             scores: 0,
+            remembered: RunningMean::default(),
             rng: Rng::new(0),
         }
     }
@@ -181,6 +185,7 @@ impl Backend for FakeBackend {
 
     fn edit_rows(&mut self, edit: &RowEdit) -> Result<(), BackendError> {
         self.calls.push(Call::Edit(edit.clone()));
+        self.remembered = RunningMean::default();
         edit.apply(&mut self.cloud, &mut self.moments, &self.rng);
         if !self.statistics.gene_views.is_empty() {
             self.statistics.gene_gradient_sum = carry_genes(edit, &self.statistics.gene_gradient_sum);
@@ -207,6 +212,27 @@ impl Backend for FakeBackend {
     fn apply(&mut self, delta: &SparseDelta, moments: MomentPolicy) -> Result<(), BackendError> {
         self.calls.push(Call::Apply { rows: delta.rows.len(), moments });
         self.cloud.apply(delta);
+        Ok(())
+    }
+
+    fn remember(&mut self) -> Result<(), BackendError> {
+        self.calls.push(Call::Remember);
+        self.remembered.add(&self.cloud);
+        Ok(())
+    }
+
+    fn exchange_with_mean(&mut self) -> Result<bool, BackendError> {
+        self.calls.push(Call::Exchange);
+        self.remembered.exchange(&mut self.cloud);
+        Ok(self.remembered.states() > 0)
+    }
+
+    fn running_mean(&mut self) -> Result<Cow<'_, RunningMean>, BackendError> {
+        Ok(Cow::Borrowed(&self.remembered))
+    }
+
+    fn restore_running_mean(&mut self, mean: RunningMean) -> Result<(), BackendError> {
+        self.remembered = mean;
         Ok(())
     }
 
