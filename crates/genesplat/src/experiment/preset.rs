@@ -10,9 +10,11 @@ use anyhow::{Result, anyhow, bail};
 use super::file::ExperimentFile;
 
 /// Name and text of each.
-pub const PRESETS: [(&str, &str); 7] = [
+pub const PRESETS: [(&str, &str); 9] = [
     ("smoke", include_str!("../../presets/smoke.toml")),
     ("paper-table-2-3", include_str!("../../presets/paper-table-2-3.toml")),
+    ("study-evolution", include_str!("../../presets/study-evolution.toml")),
+    ("study-variants", include_str!("../../presets/study-variants.toml")),
     ("ablation-crossover", include_str!("../../presets/ablation-crossover.toml")),
     ("ablation-trigger", include_str!("../../presets/ablation-trigger.toml")),
     ("ablation-population", include_str!("../../presets/ablation-population.toml")),
