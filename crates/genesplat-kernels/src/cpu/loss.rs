@@ -94,39 +94,51 @@ fn combine<'a>(sums: impl Iterator<Item = &'a [f64; 2]>, values: usize) -> f32 {
     ((1.0 - lambda) * l1 / values as f64 + lambda * (1.0 - ssim / values as f64)) as f32
 }
 
-/// The last 11 rows of `K` quantities, blurred horizontally; row `y` is at `y % 11`.
+/// The last 11 rows of `K` quantities, blurred horizontally; row `y` is in slot `y % 11`. What is summed together lies
+/// together: 16 columns of all slots, quantity by quantity.
 struct Ring<const K: usize> {
-    data: Vec<f32>,
-    stride: usize,
+    columns: Vec<[[[f32; LANES]; TAPS]; K]>,
 }
 
 impl<const K: usize> Ring<K> {
-    fn new(stride: usize) -> Self {
-        Self { data: vec![0.0; TAPS * K * stride], stride }
-    }
-
-    fn row(&self, y: isize, quantity: usize) -> &[f32] {
-        let slot = y.rem_euclid(TAPS as isize) as usize;
-        &self.data[(slot * K + quantity) * self.stride..][..self.stride]
-    }
-
-    /// The 11 rows of each quantity around `y`, topmost first.
-    fn around(&self, y: isize) -> [[&[f32]; TAPS]; K] {
-        std::array::from_fn(|quantity| {
-            std::array::from_fn(|tap| self.row(y + tap as isize - SSIM_RADIUS as isize, quantity))
-        })
-    }
-
-    fn row_mut(&mut self, y: isize, quantity: usize) -> &mut [f32] {
-        let slot = y.rem_euclid(TAPS as isize) as usize;
-        &mut self.data[(slot * K + quantity) * self.stride..][..self.stride]
+    fn new(width: usize) -> Self {
+        Self { columns: vec![[[[0.0; LANES]; TAPS]; K]; width.div_ceil(LANES)] }
     }
 
     fn clear_row(&mut self, y: isize) {
-        for quantity in 0..K {
-            self.row_mut(y, quantity).fill(0.0);
-        }
+        let slot = slot(y);
+        self.columns.as_flattened_mut().iter_mut().for_each(|slots| slots[slot].fill(0.0));
     }
+
+    /// Vertical blur of every quantity at 16 columns; `weights` are those of [`by_slot`].
+    #[inline(always)]
+    fn blur<S: Simd>(&self, simd: S, weights: &[f32; TAPS], columns: usize) -> [V<S>; K] {
+        let quantities = &self.columns[columns];
+        array(
+            #[inline(always)]
+            |k| {
+                let mut sum = V::simd_from(simd, quantities[k][0]) * weights[0];
+                for slot in 1..TAPS {
+                    sum = V::simd_from(simd, quantities[k][slot]).mul_add(V::splat(simd, weights[slot]), sum);
+                }
+                sum
+            },
+        )
+    }
+}
+
+/// Where a ring holds row `y`.
+fn slot(y: isize) -> usize {
+    y.rem_euclid(TAPS as isize) as usize
+}
+
+/// The window's weight of each slot, for the 11 rows around `y`.
+fn by_slot(window: &[f32; TAPS], y: isize) -> [f32; TAPS] {
+    let mut weights = [0.0; TAPS];
+    for (row, &weight) in (y - SSIM_RADIUS as isize..).zip(window) {
+        weights[slot(row)] = weight;
+    }
+    weights
 }
 
 /// Sums of `|I − P|` and of SSIM over the strip; writes the strip's gradient when asked.
@@ -145,8 +157,8 @@ fn walk_strip<S: Simd>(
     let (first, end, height) = (strip.start as isize, strip.end as isize, height as isize);
     // Rows whose SSIM is needed: the strip's own, and those whose windows reach into it.
     let reach = if gradient.is_some() { radius } else { 0 };
-    let mut moments = Ring::<4>::new(stride);
-    let mut partials = Ring::<3>::new(stride);
+    let mut moments = Ring::<4>::new(width);
+    let mut partials = Ring::<3>::new(width);
     let mut scratch = Rows::new(stride);
     let mut sums = [0.0f64; 2];
 
@@ -226,41 +238,40 @@ impl Rows {
     fn blur_products<S: Simd>(&self, simd: S, window: &[f32; TAPS], out: &mut Ring<4>, y: isize) {
         let [squares, product] = &self.products;
         for (quantity, row) in [&self.x, &self.y, squares, product].into_iter().enumerate() {
-            blur_row(simd, window, row, out.row_mut(y, quantity));
+            blur_row(simd, window, row, out, quantity, slot(y));
         }
     }
 
     #[inline(always)]
     fn blur_partials<S: Simd>(&self, simd: S, window: &[f32; TAPS], out: &mut Ring<3>, y: isize) {
         for (quantity, row) in self.partial.iter().enumerate() {
-            blur_row(simd, window, row, out.row_mut(y, quantity));
+            blur_row(simd, window, row, out, quantity, slot(y));
         }
     }
 }
 
-/// Horizontal blur of a padded row; the window's symmetry halves the multiplications.
+/// Horizontal blur of a padded row into a slot of a ring; the window's symmetry halves the multiplications.
 #[inline(always)]
-fn blur_row<S: Simd>(simd: S, window: &[f32; TAPS], row: &[f32], out: &mut [f32]) {
-    for first in (0..out.len()).step_by(LANES) {
-        let at = |offset: usize| V::from_slice(simd, &row[MARGIN + first + offset - SSIM_RADIUS..][..LANES]);
+fn blur_row<S: Simd, const K: usize>(
+    simd: S,
+    window: &[f32; TAPS],
+    row: &[f32],
+    out: &mut Ring<K>,
+    quantity: usize,
+    slot: usize,
+) {
+    const NEAR: usize = LANES + 2 * SSIM_RADIUS;
+    for (columns, out) in out.columns.iter_mut().enumerate() {
+        let first = MARGIN + columns * LANES - SSIM_RADIUS;
+        // Of known length, so that one check serves all taps.
+        let Some(near) = row[first..].first_chunk::<NEAR>() else { unreachable!("rows are padded") };
+        let at = |tap: usize| V::from_slice(simd, &near[tap..tap + LANES]);
         let mut sum = at(SSIM_RADIUS) * window[SSIM_RADIUS];
         for tap in 0..SSIM_RADIUS {
             sum = (at(tap) + at(TAPS - 1 - tap)).mul_add(V::splat(simd, window[tap]), sum);
         }
-        sum.store_slice(&mut out[first..first + LANES]);
+        out[quantity][slot] = *sum;
     }
-}
-
-/// Vertical blur at the 16 columns from `first` on, of the 11 rows around a centre.
-#[inline(always)]
-fn blur_column<S: Simd>(simd: S, window: &[f32; TAPS], rows: &[&[f32]; TAPS], first: usize) -> V<S> {
-    let mut sum = V::from_slice(simd, &rows[SSIM_RADIUS][first..first + LANES]) * window[SSIM_RADIUS];
-    for tap in 0..SSIM_RADIUS {
-        let above = V::from_slice(simd, &rows[tap][first..first + LANES]);
-        let below = V::from_slice(simd, &rows[TAPS - 1 - tap][first..first + LANES]);
-        sum = (above + below).mul_add(V::splat(simd, window[tap]), sum);
-    }
-    sum
 }
 
 /// Sum of SSIM over a row; writes `∂S/∂E[x]`, `∂S/∂E[x²]`, `∂S/∂E[xy]` into padded rows.
@@ -273,13 +284,10 @@ fn ssim_row<S: Simd>(
     width: usize,
     partial: &mut [Vec<f32>; 3],
 ) -> f64 {
-    let rows = moments.around(y);
+    let weights = by_slot(window, y);
     let mut sum = V::splat(simd, 0.0);
     for first in (0..width).step_by(LANES) {
-        let [mx, my, squares, product] = array(
-            #[inline(always)]
-            |quantity| blur_column(simd, window, &rows[quantity], first),
-        );
+        let [mx, my, squares, product] = moments.blur(simd, &weights, first / LANES);
         let ssim = Ssim::new(mx, my, squares, product);
         let count = LANES.min(width - first);
         sum += mask_tail(simd, ssim.value, count);
@@ -381,12 +389,9 @@ fn gradient_row<S: Simd>(
     out: &mut [f32],
 ) {
     let (l1_weight, ssim_weight) = ((1.0 - LAMBDA_DSSIM) / values as f32, -LAMBDA_DSSIM / values as f32);
-    let rows = partials.around(y);
+    let weights = by_slot(window, y);
     for first in (0..render.len()).step_by(LANES) {
-        let [by_mean, by_square, by_product] = array(
-            #[inline(always)]
-            |quantity| blur_column(simd, window, &rows[quantity], first),
-        );
+        let [by_mean, by_square, by_product] = partials.blur(simd, &weights, first / LANES);
         let count = LANES.min(render.len() - first);
         let x = load_part(simd, &render[first..first + count]);
         let target = load_bytes(simd, &photo[first..first + count]);
