@@ -62,6 +62,8 @@ pub enum Command {
 pub enum Bench {
     /// Time training steps stage by stage, at a fixed number of Gaussians, beside the best that blending could reach
     Step(BenchStepArgs),
+    /// Time the scoring of a population just after an opacity reset, beside rendering each individual in full
+    Evolution(BenchEvolutionArgs),
 }
 
 /// What can be done about LPIPS.
@@ -241,15 +243,26 @@ pub struct ExperimentArgs {
     pub lpips: LpipsArgs,
 }
 
-/// `genesplat bench step`.
+/// A cloud to measure on.
 #[derive(Debug, Args)]
-pub struct BenchStepArgs {
+pub struct WorkloadArgs {
     /// Folder of a scene to take cameras, photos and points from [default: a synthetic cloud before one camera of 268x478]
     #[arg(long, value_name = "DATASET")]
     pub data: Option<PathBuf>,
     /// Number of Gaussians, at least 4 [default: as many as the scene has points; 55000 without --data]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(4..))]
     pub gaussians: Option<u32>,
+    #[command(flatten)]
+    #[allow(missing_docs, reason = "clap would show it as help")]
+    pub size: SizeArgs,
+}
+
+/// `genesplat bench step`.
+#[derive(Debug, Args)]
+pub struct BenchStepArgs {
+    #[command(flatten)]
+    #[allow(missing_docs, reason = "clap would show it as help")]
+    pub workload: WorkloadArgs,
     /// Steps to time; medians are reported
     #[arg(long, value_name = "N", default_value_t = 30, value_parser = clap::value_parser!(u32).range(1..))]
     pub steps: u32,
@@ -258,7 +271,24 @@ pub struct BenchStepArgs {
     pub json: Option<PathBuf>,
     #[command(flatten)]
     #[allow(missing_docs, reason = "clap would show it as help")]
-    pub size: SizeArgs,
+    pub machine: MachineArgs,
+}
+
+/// `genesplat bench evolution`.
+#[derive(Debug, Args)]
+pub struct BenchEvolutionArgs {
+    #[command(flatten)]
+    #[allow(missing_docs, reason = "clap would show it as help")]
+    pub workload: WorkloadArgs,
+    /// Individuals to score
+    #[arg(long, value_name = "P", default_value_t = 20, value_parser = clap::value_parser!(u32).range(2..))]
+    pub population: u32,
+    /// Views to score them on
+    #[arg(long, value_name = "V", default_value_t = 6, value_parser = clap::value_parser!(u32).range(1..))]
+    pub views: u32,
+    /// Also write the figures to this file [default: none]
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
     #[command(flatten)]
     #[allow(missing_docs, reason = "clap would show it as help")]
     pub machine: MachineArgs,

@@ -11,7 +11,7 @@ use genesplat_core::{
 };
 
 use super::frame::{Frame, StageSeconds, timed};
-use super::loss::Target;
+use super::loss::{Target, loss};
 use super::project::Pinhole;
 use super::rasterise_backward::Extra;
 use super::score::{BaseView, score};
@@ -65,6 +65,13 @@ impl CpuBackend {
     /// Time spent in each stage since the last call.
     pub fn take_stage_seconds(&mut self) -> StageSeconds {
         std::mem::take(&mut self.frame.seconds)
+    }
+
+    /// Eq. 5 of the cloud on one training view, rendered in full: the plain way, which scoring is measured against.
+    pub fn loss_of_view(&mut self, view: usize, settings: &RenderSettings) -> f32 {
+        let TrainView { camera, target } = &self.views[view];
+        self.frame.render(self.level, &self.cloud, camera, settings);
+        loss(self.level, &self.frame.image, target, None)
     }
 
     fn reset_density(&mut self) {

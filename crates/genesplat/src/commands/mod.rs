@@ -1,6 +1,6 @@
 //! One module a command.
 
-mod bench_step;
+mod bench;
 mod compare;
 mod demo;
 mod devices;
@@ -26,7 +26,8 @@ pub fn run(arguments: Arguments) -> Result<()> {
         Command::Compare(args) => compare::run(&args),
         Command::Lpips { what: LpipsCommand::Install(args) } => lpips_install::run(&args),
         Command::Experiment(args) => experiment::run(&args),
-        Command::Bench { what: Bench::Step(args) } => bench_step::run(&args),
+        Command::Bench { what: Bench::Step(args) } => bench::step::run(&args),
+        Command::Bench { what: Bench::Evolution(args) } => bench::evolution::run(&args),
         Command::Devices => devices::run(),
     }
 }

@@ -149,6 +149,20 @@ fn a_step_is_timed() {
 }
 
 #[test]
+fn bench_evolution_finds_the_same_losses_both_ways() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("bench.json");
+    let size = ["--gaussians", "1500", "--population", "3", "--json", text(&file)];
+    succeed(["bench", "evolution"].iter().chain(&size));
+    let report = json(&file);
+    assert_eq!((report["gaussians"].as_u64(), report["views"].as_u64()), (Some(1500), Some(1)));
+    assert!(report["max_relative_difference"].as_f64() <= Some(1e-5), "{report}");
+    for figure in ["renders_per_second", "plain_renders_per_second", "ratio", "population_bytes"] {
+        assert!(report[figure].as_f64() > Some(0.0), "{figure}");
+    }
+}
+
+#[test]
 fn devices_are_listed() {
     let said = succeed(["devices"]);
     assert!(

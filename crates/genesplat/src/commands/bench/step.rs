@@ -3,8 +3,6 @@
 //! Steps are real ones (render, loss, backward, statistics, Adam) with learning rates of zero, so that the cloud stays
 //! the same and every step on one view costs the same. Medians are reported: a step can only be slowed down by others.
 
-mod workload;
-
 use std::time::Instant;
 
 use anyhow::Result;
@@ -17,7 +15,8 @@ use serde::Serialize;
 use crate::args::BenchStepArgs;
 use crate::{device, memory, output, run_folder};
 
-use workload::Workload;
+use super::median;
+use super::workload::Workload;
 
 /// Steps before the clock counts: buffers grow, caches fill.
 const WARM_UP: u32 = 3;
@@ -59,7 +58,7 @@ struct Sample {
 /// Times, prints, and writes the figures.
 pub fn run(args: &BenchStepArgs) -> Result<()> {
     device::prepare(args.machine)?;
-    let Workload { views, cloud } = Workload::of(args)?;
+    let Workload { views, cloud } = Workload::of(&args.workload)?;
     let mut backend = device::open(0);
     backend.set_views(&views)?;
     // Moved, not copied: the memory reported is that of training.
@@ -147,10 +146,4 @@ impl Report {
             ratio(self.blend_backward_nanoseconds_per_tile_splat),
         )
     }
-}
-
-/// The middle one of some values (the upper one of two).
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values[values.len() / 2]
 }

@@ -12,7 +12,7 @@ use genesplat::core::{Camera, Gaussians, Photo, Rng, Stream, View};
 use genesplat::train::initialise::{ColouredPoint, cloud_from_points, in_spatial_order};
 use glam::{DQuat, DVec3};
 
-use crate::args::BenchStepArgs;
+use crate::args::WorkloadArgs;
 use crate::scene;
 
 /// Gaussians where neither flag nor scene says.
@@ -37,7 +37,7 @@ pub struct Workload {
 
 impl Workload {
     /// As asked for.
-    pub fn of(args: &BenchStepArgs) -> Result<Self> {
+    pub fn of(args: &WorkloadArgs) -> Result<Self> {
         let (views, points) = match &args.data {
             Some(data) => {
                 let scene = scene::load(data, args.size.size().unwrap_or_default(), [0.0; 3], 0)?;

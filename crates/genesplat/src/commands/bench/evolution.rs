@@ -1,0 +1,206 @@
+//! `genesplat bench evolution`: how fast a population is scored, against rendering each individual in full.
+//!
+//! The state is the one that evolution meets: a cloud just after an opacity reset, and the initial population of the
+//! paper's search. The *plain way* is our own render with all its culling, and the whole loss, one individual and view
+//! after the other, all threads on each; the changes themselves are made off the clock. Both ways must find the same
+//! losses.
+
+use std::time::Instant;
+
+use anyhow::Result;
+use genesplat::core::backend::MomentPolicy;
+use genesplat::core::gaussians::{logit, sigmoid};
+use genesplat::core::{Backend, Gaussians, Gene, RenderSettings, Rng, SparseDelta, View};
+use genesplat::evolve::{GeneticAlgorithm, Magnitude, PaperConfig};
+use genesplat::kernels::cpu::CpuBackend;
+use serde::Serialize;
+
+use super::workload::Workload;
+use crate::args::BenchEvolutionArgs;
+use crate::{device, output, run_folder};
+
+/// What a reset limits opacities to.
+const RESET_OPACITY: f32 = 0.01;
+
+/// What `--json` writes; keys are fixed.
+#[derive(Serialize)]
+struct Report {
+    gaussians: usize,
+    views: usize,
+    individuals: usize,
+    threads: usize,
+    renders_per_second: f64,
+    plain_renders_per_second: f64,
+    ratio: f64,
+    max_relative_difference: f64,
+    population_bytes: usize,
+    growth: Vec<Growth>,
+}
+
+/// Scoring at another size.
+#[derive(Serialize)]
+struct Growth {
+    what: &'static str,
+    gaussians: usize,
+    individuals: usize,
+    views: usize,
+    renders_per_second: f64,
+    population_bytes: usize,
+}
+
+/// Times, prints, and writes the figures.
+pub fn run(args: &BenchEvolutionArgs) -> Result<()> {
+    device::prepare(args.machine)?;
+    let Workload { views, cloud } = Workload::of(&args.workload)?;
+    let population = args.population as usize;
+    let mut bench = Bench::new(&views, just_reset(cloud))?;
+    let judges: Vec<usize> = (0..views.len().min(args.views as usize)).collect();
+    let individuals = bench.founders(population)?;
+    let (scored, seconds) = bench.score(&individuals, &judges)?;
+    let (plain, plain_seconds) = bench.plain(&individuals, &judges)?;
+    let renders = scored.len() as f64;
+    let report = Report {
+        gaussians: bench.backend.len(),
+        views: judges.len(),
+        individuals: population,
+        threads: rayon::current_num_threads(),
+        renders_per_second: renders / seconds,
+        plain_renders_per_second: renders / plain_seconds,
+        ratio: plain_seconds / seconds,
+        max_relative_difference: max_relative_difference(&scored, &plain),
+        population_bytes: bytes(&individuals),
+        growth: bench.growth(&individuals, &judges)?,
+    };
+    output::print(&report.to_text())?;
+    args.json.as_ref().map_or(Ok(()), |path| run_folder::write_json(path, &report))
+}
+
+fn just_reset(mut cloud: Gaussians) -> Gaussians {
+    let limited = |value: f32| logit(sigmoid(value).min(RESET_OPACITY));
+    cloud.opacity_logits.iter_mut().for_each(|value| *value = limited(*value));
+    cloud
+}
+
+fn bytes(individuals: &[SparseDelta]) -> usize {
+    individuals.iter().map(SparseDelta::bytes).sum()
+}
+
+fn max_relative_difference(actual: &[f32], expected: &[f32]) -> f64 {
+    let difference = |(&a, &b): (&f32, &f32)| (f64::from(a) / f64::from(b) - 1.0).abs();
+    actual.iter().zip(expected).map(difference).fold(0.0, f64::max)
+}
+
+struct Bench {
+    backend: CpuBackend,
+    settings: RenderSettings,
+}
+
+impl Bench {
+    fn new(views: &[View], cloud: Gaussians) -> Result<Self> {
+        let mut backend = device::open(0);
+        backend.set_views(views)?;
+        backend.upload(cloud, None)?;
+        Ok(Self { backend, settings: RenderSettings::default() })
+    }
+
+    /// The initial population of a paper search, which needs no loss.
+    fn founders(&mut self, population: usize) -> Result<Vec<SparseDelta>> {
+        let cloud = self.backend.download()?;
+        let base: Vec<Gene> = (0..cloud.len()).map(|row| cloud.genes(row)).collect();
+        let paper = PaperConfig::default();
+        let config = PaperConfig {
+            population: population as u32,
+            // Never held here, but it must fit.
+            tournament: paper.tournament.min(population as u32),
+            magnitude: Magnitude::Unit,
+            ..paper
+        };
+        Ok(GeneticAlgorithm::new(config, base, None, 0.0, Rng::new(0))?.deltas(0..population))
+    }
+
+    /// Losses, and the seconds that they took, what is shared between individuals included.
+    fn score(&mut self, individuals: &[SparseDelta], views: &[usize]) -> Result<(Vec<f32>, f64)> {
+        // The cloud is "changed", so that nothing is remembered from before.
+        self.backend.apply(&SparseDelta::default(), MomentPolicy::Keep)?;
+        let clock = Instant::now();
+        let losses = self.backend.score(individuals, views, &self.settings)?;
+        Ok((losses, clock.elapsed().as_secs_f64()))
+    }
+
+    fn plain(&mut self, individuals: &[SparseDelta], views: &[usize]) -> Result<(Vec<f32>, f64)> {
+        let (mut losses, mut seconds) = (Vec::new(), 0.0);
+        for individual in individuals {
+            let base = self.genes_of(&individual.rows)?;
+            self.backend.apply(individual, MomentPolicy::Keep)?;
+            let clock = Instant::now();
+            losses.extend(views.iter().map(|&view| self.backend.loss_of_view(view, &self.settings)));
+            seconds += clock.elapsed().as_secs_f64();
+            self.backend.apply(&base, MomentPolicy::Keep)?;
+        }
+        Ok((losses, seconds))
+    }
+
+    fn genes_of(&mut self, rows: &[u32]) -> Result<SparseDelta> {
+        let cloud = self.backend.download()?;
+        Ok(SparseDelta {
+            rows: rows.to_vec(),
+            genes: rows.iter().map(|&row| cloud.genes(row as usize)).collect(),
+        })
+    }
+
+    /// How throughput and memory change when one thing is halved.
+    fn growth(&mut self, individuals: &[SparseDelta], views: &[usize]) -> Result<Vec<Growth>> {
+        let half = |count: usize| count.div_ceil(2);
+        let fewer = &individuals[..half(individuals.len())];
+        let mut rows = vec![
+            self.row("half the individuals", fewer, views)?,
+            self.row("half the views", individuals, &views[..half(views.len())])?,
+        ];
+        let cloud = self.backend.download()?.into_owned();
+        let kept = (0..cloud.len() as u32).step_by(2).collect();
+        self.backend.edit_rows(&genesplat::core::RowEdit::keep(kept))?;
+        let of_half = self.founders(individuals.len())?;
+        rows.push(self.row("half the Gaussians", &of_half, views)?);
+        self.backend.upload(cloud, None)?;
+        Ok(rows)
+    }
+
+    fn row(&mut self, what: &'static str, individuals: &[SparseDelta], views: &[usize]) -> Result<Growth> {
+        let (losses, seconds) = self.score(individuals, views)?;
+        Ok(Growth {
+            what,
+            gaussians: self.backend.len(),
+            individuals: individuals.len(),
+            views: views.len(),
+            renders_per_second: losses.len() as f64 / seconds,
+            population_bytes: bytes(individuals),
+        })
+    }
+}
+
+impl Report {
+    fn to_text(&self) -> String {
+        let megabytes = |bytes: usize| bytes as f64 / 1e6;
+        let growth = self.growth.iter().map(|row| {
+            let Growth { what, renders_per_second, population_bytes, .. } = row;
+            format!("{what:<24}{renders_per_second:>8.1} renders/s{:>10.1} MB", megabytes(*population_bytes))
+        });
+        format!(
+            "{} Gaussians just after an opacity reset, {} individuals on {} views, {} threads\n\
+             scoring                 {:>8.1} renders/s{:>10.1} MB\n\
+             plain way               {:>8.1} renders/s\n\
+             ratio                   {:>8.2} x\n\
+             largest relative difference of a loss {:.1e}\n{}",
+            self.gaussians,
+            self.individuals,
+            self.views,
+            self.threads,
+            self.renders_per_second,
+            megabytes(self.population_bytes),
+            self.plain_renders_per_second,
+            self.ratio,
+            self.max_relative_difference,
+            growth.collect::<Vec<_>>().join("\n"),
+        )
+    }
+}
