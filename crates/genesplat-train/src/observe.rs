@@ -175,7 +175,7 @@ pub enum LogRecord {
     Generation(GenerationLog),
     /// See [`Observer::on_stage_end`].
     StageEnd(StageRecord),
-    /// What a run's owner measured on a cloud that it wanted ([`Observer::wants_cloud`]).
+    /// What a run's owner measured on a cloud that it wanted ([`Observer::wants_renders`]).
     TestScore {
         /// Counted from 1.
         iteration: u32,

@@ -1,6 +1,6 @@
 //! LPIPS (Zhang et al. 2018, version 0.1): how different two pictures look to a network that was trained to see.
 //!
-//! Both pictures pass the same network. At five depths ([`network`]) each pixel's features are scaled to unit length,
+//! Both pictures pass the same network. At five depths (`network.rs`) each pixel's features are scaled to unit length,
 //! their squared difference is weighted by a learned head, summed over channels and averaged over pixels; the distance
 //! is the sum of the five. 0 is identical; splats are usually between 0.05 and 0.5.
 //!
