@@ -10,6 +10,8 @@
 //!
 //! With MCMC, a step also jiggles positions, 2 relocates dead Gaussians and adds others, and 3 does not happen; 4 keeps
 //! its place.
+//! 5. **Recombine** (ours, in place of 4). Over the last iterations the states are averaged, and at the end their mean
+//!    replaces the last state if it is better.
 //!
 //! What is due when is for [`crate::schedule`] to say. This file does it, in that order, and can stop between any two
 //! phases: a resumed run repeats the numbers of one that was never interrupted.

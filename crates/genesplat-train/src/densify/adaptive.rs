@@ -16,7 +16,7 @@ use super::Plan;
 pub struct Rules {
     /// Mean screen-space gradient from which a Gaussian grows, in normalised device coordinates.
     pub gradient_threshold: f32,
-    /// As many Gaussians again may grow for their absolute gradient as reach that threshold; see `absolute_threshold` below.
+    /// As many Gaussians again may grow for their absolute gradient as reach that threshold (`absolute_threshold`, below).
     pub or_absolute: bool,
     /// Growing Gaussians up to this size are cloned, larger ones split; longest axis, world units.
     pub clone_size_max: f32,
