@@ -215,8 +215,8 @@ pub struct CompareArgs {
 /// `genesplat experiment`.
 #[derive(Debug, Args)]
 pub struct ExperimentArgs {
-    /// What to compare: smoke (minutes, no data needed), paper-table-2-3, ablation-crossover, ablation-trigger,
-    /// ablation-population, ablation-views, ablation-gradient, or a TOML file of one's own
+    /// What to compare: smoke (minutes, no data needed), paper-table-2-3, study-evolution, study-variants,
+    /// ablation-crossover, ablation-trigger, ablation-population, ablation-views, ablation-gradient, or a TOML file of one's own
     #[arg(value_name = "NAME|FILE.toml")]
     pub what: String,
     /// Folder for the runs, the tables and report.html; made if it is missing. The same command goes on with what is
