@@ -210,6 +210,18 @@ pub enum EvolutionMode {
     Recombine,
 }
 
+impl EvolutionMode {
+    /// As the command and the configuration file write it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Off => "off",
+            Self::Paper => "paper",
+            Self::Control => "control",
+            Self::Recombine => "recombine",
+        }
+    }
+}
+
 /// When a stage runs: the four places that the paper tried. The published results have `after-reset`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]

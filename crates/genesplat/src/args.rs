@@ -99,6 +99,9 @@ pub struct DemoArgs {
     /// Folder for the scene, both runs and the picture that compares them; made if it is missing
     #[arg(long, value_name = "DIR", default_value = "runs/demo")]
     pub out: PathBuf,
+    /// What the second run evolves with
+    #[arg(long, value_enum, value_name = "MODE", default_value_t = Evolve::Recombine)]
+    pub evolve: Evolve,
     /// Seed of the scene and of both runs. Same seed, same bytes
     #[arg(long, value_name = "S", default_value_t = 0, value_parser = clap::value_parser!(u64).range(..1 << 63))]
     pub seed: u64,

@@ -1,7 +1,8 @@
 //! `genesplat demo`: the bundled scene, trained without and with evolution.
 //!
 //! Both runs have the same scene, seed and schedule: the published one in a tenth of its steps, so that it densifies,
-//! resets opacities and evolves as often as a full run does.
+//! resets opacities and evolves as often as a full run does. `--evolve` says how: by default in the way that has been worth
+//! something on photos that training never saw (docs/evolution.md).
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
@@ -37,7 +38,7 @@ const POPULATION: u32 = 20;
 pub fn run(args: &DemoArgs) -> Result<()> {
     let began = Instant::now();
     let without = Half::plan(args, "without", EvolutionMode::Off)?;
-    let with = Half::plan(args, "with", EvolutionMode::Paper)?;
+    let with = Half::plan(args, "with", args.evolve.into())?;
     device::use_threads(args.machine.threads)?;
     let stop = interrupt::stop_flag()?;
     let lpips = lpips::open(&args.lpips)?;
@@ -46,7 +47,8 @@ pub fn run(args: &DemoArgs) -> Result<()> {
     let load = began.elapsed().as_secs_f64();
     let mut results = Vec::new();
     for half in [&without, &with] {
-        eprintln!("\ntraining {} evolution", half.name);
+        let mode = half.settings.train.config().evolution.mode;
+        eprintln!("\ntraining {} evolution (mode {})", half.name, mode.name());
         let Some(metrics) = half.train(&scene, lpips.as_ref(), load, &stop)? else {
             return output::print("stopped; the demo cannot go on from here, so run it again");
         };
