@@ -1,13 +1,12 @@
 //! Recombination: the mean of the last states replaces the last one only where it is better, and survives a stop.
 
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::AtomicBool;
 
-use genesplat_train::observe::StepLog;
 use genesplat_train::{
     Checkpoint, EvolutionMode, Observer, Outcome, Silent, Start, TrainConfig, TrainError, refine, train,
 };
 
-use crate::support::{Call, FakeBackend, points, views};
+use crate::support::{Call, FakeBackend, StopAt, points, views};
 
 /// 300 iterations, the last 30 of which are averaged.
 fn config() -> TrainConfig {
@@ -54,24 +53,27 @@ fn the_better_of_mean_and_last_state_is_kept() {
     assert_eq!(exchanges, [1, 2], "accepted once, taken back once");
 }
 
-struct StopAt<'a>(u32, &'a AtomicBool);
-
-impl Observer for StopAt<'_> {
-    fn on_iteration(&mut self, log: &StepLog) {
-        self.1.fetch_or(log.iteration == self.0, Ordering::Relaxed);
-    }
-}
-
 #[test]
 fn a_stop_within_the_remembered_states_changes_nothing() {
-    let whole = run(&mut FakeBackend::new(), Start::Points(points(20)), &mut Silent, &AtomicBool::new(false));
+    // The target on whose side the mean lies: were the mean lost, the result would differ.
+    let backend = |target: f32| {
+        let mut backend = FakeBackend::new();
+        backend.target = target;
+        backend
+    };
+    let uninterrupted = |target: f32| {
+        run(&mut backend(target), Start::Points(points(20)), &mut Silent, &AtomicBool::new(false))
+    };
+    let whole = [1e2, -1e2].map(|target| (target, uninterrupted(target)));
+    let accepted = whole.into_iter().find(|(_, outcome)| outcome.summary.stages[0].changed > 0);
+    let (target, whole) = accepted.expect("one of two opposite targets prefers the mean");
     for i in [271, 285, 299] {
         let stop = AtomicBool::new(false);
-        let stopped = run(&mut FakeBackend::new(), Start::Points(points(20)), &mut StopAt(i, &stop), &stop);
+        let stopped = run(&mut backend(target), Start::Points(points(20)), &mut StopAt(i, &stop), &stop);
         let mut bytes = Vec::new();
         stopped.checkpoint.unwrap().write(&mut bytes).unwrap();
         let start = Start::Checkpoint(Box::new(Checkpoint::read(bytes.as_slice()).unwrap()));
-        let resumed = run(&mut FakeBackend::new(), start, &mut Silent, &AtomicBool::new(false));
+        let resumed = run(&mut backend(target), start, &mut Silent, &AtomicBool::new(false));
         assert_eq!(resumed.cloud, whole.cloud, "stopped in iteration {i}");
     }
 }

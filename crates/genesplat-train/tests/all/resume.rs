@@ -1,15 +1,14 @@
 //! A run that is stopped anywhere and resumed from its checkpoint's bytes ends as if it had never stopped.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::AtomicBool;
 
-use genesplat_train::observe::StepLog;
 use genesplat_train::{
     Background, Checkpoint, EvolutionMode, Observer, Outcome, Silent, StageRecord, Start, TrainConfig,
     TrainError, Variant, train,
 };
 
-use crate::support::{FakeBackend, points, views};
+use crate::support::{FakeBackend, StopAt, points, views};
 
 /// 300 iterations that densify, reset (30, 60, ...), filter and evolve.
 fn config() -> TrainConfig {
@@ -58,15 +57,6 @@ fn assert_same(resumed: &Outcome, whole: &Outcome, context: &str) {
     assert_eq!(timeless(resumed), timeless(whole), "{context}");
     assert_eq!(resumed.summary.optimiser_steps, whole.summary.optimiser_steps, "{context}");
     assert!(!resumed.summary.interrupted && whole.summary.stages.len() == 4);
-}
-
-/// Sets the flag during an iteration, as Ctrl-C would.
-struct StopAt<'a>(u32, &'a AtomicBool);
-
-impl Observer for StopAt<'_> {
-    fn on_iteration(&mut self, log: &StepLog) {
-        self.1.fetch_or(log.iteration == self.0, Ordering::Relaxed);
-    }
 }
 
 #[test]

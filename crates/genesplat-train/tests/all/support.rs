@@ -12,7 +12,9 @@ use genesplat_core::{
     Backend, BackendError, Camera, Gaussians, Image, Moments, Origin, Photo, RenderSettings, Rng, RowEdit,
     RunningMean, SparseDelta, Statistics, TrainStep, View,
 };
+use genesplat_train::Observer;
 use genesplat_train::initialise::ColouredPoint;
+use genesplat_train::observe::StepLog;
 use glam::{DQuat, DVec3};
 
 /// What the pipeline asked for, in order; reads are not recorded.
@@ -280,4 +282,13 @@ pub fn points(n: usize) -> Vec<ColouredPoint> {
 /// New rows of an edit that are not old ones kept.
 pub fn added(edit: &RowEdit) -> usize {
     edit.origins.iter().filter(|&&origin| origin != Origin::Kept).count()
+}
+
+/// Sets the flag during an iteration, as Ctrl-C would.
+pub struct StopAt<'a>(pub u32, pub &'a AtomicBool);
+
+impl Observer for StopAt<'_> {
+    fn on_iteration(&mut self, log: &StepLog) {
+        self.1.fetch_or(log.iteration == self.0, Ordering::Relaxed);
+    }
 }
