@@ -11,7 +11,7 @@ use crate::edit::RowEdit;
 use crate::gaussians::{Gaussians, Moments};
 use crate::genes::SparseDelta;
 use crate::image::{Image, Photo};
-use crate::running_mean::RunningMean;
+use crate::lineage::{Blend, Judgement, Lineage};
 use crate::statistics::{Statistics, StatisticsRequest};
 
 /// A camera and the photo it took; both have the same size.
@@ -231,19 +231,29 @@ pub trait Backend {
     /// Overwrites the genes of the rows that `delta` names.
     fn apply(&mut self, delta: &SparseDelta, moments: MomentPolicy) -> Result<(), BackendError>;
 
-    /// Adds the cloud as it is to the mean of remembered states. Uploading a cloud, changing
-    /// its rows and resetting opacities forget them.
-    fn remember(&mut self) -> Result<(), BackendError>;
+    /// Adds the cloud as it is to a parent of its lineage, 0 for the older one. Uploading a cloud, changing its rows and
+    /// resetting opacities end the line.
+    fn remember(&mut self, parent: usize) -> Result<(), BackendError>;
 
-    /// Exchanges the cloud with the mean of the remembered states (the 3D filter stays); false when there are none.
-    /// Twice is as never.
-    fn exchange_with_mean(&mut self) -> Result<bool, BackendError>;
+    /// Ends the line: nothing is remembered.
+    fn forget(&mut self);
 
-    /// The mean of the remembered states (for checkpoints), lent or copied.
-    fn running_mean(&mut self) -> Result<Cow<'_, RunningMean>, BackendError>;
+    /// What is remembered (for checkpoints), lent or copied.
+    fn lineage(&mut self) -> Result<Cow<'_, Lineage>, BackendError>;
 
-    /// Puts back what [`Backend::running_mean`] gave (resume).
-    fn restore_running_mean(&mut self, mean: RunningMean) -> Result<(), BackendError>;
+    /// Puts back what [`Backend::lineage`] gave (resume).
+    fn restore_lineage(&mut self, lineage: Lineage) -> Result<(), BackendError>;
+
+    /// How the children that `blends` make of the cloud and its lineage do on every view, `[P, V]`; the cloud stays.
+    fn judge(
+        &mut self,
+        blends: &[Blend],
+        views: &[usize],
+        settings: &RenderSettings,
+    ) -> Result<Vec<Judgement>, BackendError>;
+
+    /// The child takes the cloud's place. Moments and the 3D filter stay; the line ends.
+    fn breed(&mut self, blend: &Blend) -> Result<(), BackendError>;
 
     /// Eq. 5 of every individual on every view, `[P, V]`: individuals are deltas over the cloud held.
     fn score(

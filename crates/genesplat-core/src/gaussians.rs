@@ -21,6 +21,9 @@ pub struct Gaussians {
 }
 
 impl Gaussians {
+    /// Bytes of a row, without the 3D filter.
+    pub const BYTES_PER_ROW: usize = (3 + 3 + 4 + 1 + SH_STRIDE) * size_of::<f32>();
+
     /// `N`.
     pub fn len(&self) -> usize {
         self.positions.len()

@@ -55,6 +55,7 @@ pub mod population;
 pub mod record;
 mod sampling;
 mod selection;
+pub mod strategy;
 mod survival;
 
 pub use config::{ConfigError, Crossover, Magnitude, PaperConfig, Rates, SigmaScope, Space};

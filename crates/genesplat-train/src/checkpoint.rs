@@ -6,13 +6,14 @@
 
 use std::io::{self, Read, Write};
 
-use genesplat_core::{Gaussians, Moments, RunningMean, Statistics};
+use genesplat_core::lineage::{Lineage, Parent};
+use genesplat_core::{Gaussians, Moments, Statistics};
 
 use crate::observe::StageRecord;
 use crate::schedule::Phase;
 
 /// Opens every checkpoint; the last byte is the version of the format.
-const MAGIC: [u8; 8] = *b"GSPLATC\x03";
+const MAGIC: [u8; 8] = *b"GSPLATC\x04";
 
 /// The next thing to do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -59,7 +60,7 @@ pub struct Checkpoint {
     /// Sums for density control and evolution.
     pub statistics: Statistics,
     /// States that recombination averages.
-    pub remembered: RunningMean,
+    pub lineage: Lineage,
 }
 
 /// Why a checkpoint cannot be read.
@@ -95,8 +96,10 @@ impl Checkpoint {
         out.floats(&self.statistics.absolute_sum)?;
         out.floats(self.statistics.gene_gradient_sum.as_flattened())?;
         out.counts(&self.statistics.gene_views)?;
-        out.u32(self.remembered.states())?;
-        out.cloud(self.remembered.mean())?;
+        for parent in self.lineage.parents() {
+            out.u32(parent.states())?;
+            out.cloud(parent.mean())?;
+        }
         let checksum = out.checksum.0;
         out.writer.write_all(&checksum.to_le_bytes())?;
         out.writer.flush()
@@ -126,7 +129,7 @@ impl Checkpoint {
             && [statistics.gradient_sum.len(), statistics.weight_sum.len()] == [n, n]
             && [0, n].contains(&statistics.absolute_sum.len())
             && (genes == [n, n] || genes == [0, 0])
-            && [0, n].contains(&self.remembered.mean().len());
+            && self.lineage.parents().iter().all(|parent| [0, n].contains(&parent.mean().len()));
         if consistent { Ok(()) } else { Err(CheckpointError::Damaged("its columns differ in length")) }
     }
 }
@@ -197,6 +200,8 @@ impl<W: Write> Encoder<W> {
         self.u64(stage.renders)?;
         self.f64(stage.fitness_before)?;
         self.f64(stage.fitness_after)?;
+        // No guards: not a number, twice.
+        stage.guard_psnr.unwrap_or([f64::NAN; 2]).into_iter().try_for_each(|psnr| self.f64(psnr))?;
         self.u64(stage.changed as u64)?;
         self.u64(stage.population_bytes)?;
         self.f64(stage.seconds)
@@ -232,8 +237,12 @@ impl<R: Read> Decoder<R> {
                 gene_gradient_sum: self.rows()?,
                 gene_views: self.words()?.into_iter().map(u32::from_le_bytes).collect(),
             },
-            remembered: RunningMean::new(self.u32()?, self.cloud()?),
+            lineage: Lineage::new([self.parent()?, self.parent()?]),
         })
+    }
+
+    fn parent(&mut self) -> Result<Parent, CheckpointError> {
+        Ok(Parent::new(self.u32()?, self.cloud()?))
     }
 
     fn array<const N: usize>(&mut self) -> Result<[u8; N], CheckpointError> {
@@ -300,6 +309,7 @@ impl<R: Read> Decoder<R> {
             renders: self.u64()?,
             fitness_before: self.f64()?,
             fitness_after: self.f64()?,
+            guard_psnr: Some([self.f64()?, self.f64()?]).filter(|[before, _]| !before.is_nan()),
             changed: self.u64()? as usize,
             population_bytes: self.u64()?,
             seconds: self.f64()?,
@@ -335,6 +345,7 @@ mod tests {
             renders: 54_606,
             fitness_before: 0.5,
             fitness_after: 0.25,
+            guard_psnr: Some([30.0, 30.5]),
             changed: 17,
             population_bytes: 1 << 40,
             seconds: 1.5,
@@ -357,7 +368,7 @@ mod tests {
                 gene_gradient_sum: vec![[0.5; 7]; 3],
                 gene_views: vec![7, 8, 9],
             },
-            remembered: RunningMean::new(4, Gaussians::zeros(3)),
+            lineage: Lineage::new([Parent::default(), Parent::new(4, Gaussians::zeros(3))]),
         }
     }
 

@@ -206,7 +206,8 @@ pub enum EvolutionMode {
     Paper,
     /// The equal-time control: the seconds that a stage would take are spent on additional gradient steps.
     Control,
-    /// Beyond the paper: once, at the end, the mean of the run's last states replaces the last one if it is better.
+    /// Beyond the paper: five times in the second half of the run, a child of the last states replaces the last one if
+    /// it is better.
     Recombine,
 }
 
@@ -258,28 +259,36 @@ pub struct EvolutionConfig {
     pub moments: MomentPolicy,
     /// Mode `control`: seconds a stage. Default 60; not negative.
     pub control_seconds: f64,
-    /// Mode `recombine`: the run's last states.
+    /// Mode `recombine`: the line of the run's last states.
     pub recombine: RecombineConfig,
     /// Mode `paper`: the genetic algorithm.
     pub paper: PaperConfig,
 }
 
-/// Mode `recombine`: which states are averaged, and what judges their mean.
+/// Mode `recombine`: which states breed, and how their children are judged.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RecombineConfig {
-    /// Share of the run, at its end, whose states are averaged. Default 0.05; above 0, below 1. Longer averages more
-    /// noise away, and lags behind what still moves. Only states since the last densification or reset count.
-    pub share: f64,
-    /// States that are averaged, evenly over that share. Default 50; at least 1.
+    /// Length of a window, as a share of the run. Default 0.1; above 0, at most 0.5. There is a stage at the end of each
+    /// window in which rows stay what they are for at least half of the time, and one at the end of the run.
+    pub window: f64,
+    /// States that are averaged, evenly over a window, into its two parents. Default 20; at least 2.
     pub states: u32,
-    /// Training views that the mean is judged on, spread evenly. Default 32; at least 1.
+    /// Generations of a stage. Default 4; 0 leaves only the mean to be judged.
+    pub generations: u32,
+    /// Each group of parameters (positions, scales, rotations, opacities, base colours, other colours) has genes of its
+    /// own. Default false: one child costs as much, but it takes more of them.
+    pub by_group: bool,
+    /// Training views that a generation is judged on, drawn anew for each. Default 8; at least 1.
     pub views: usize,
+    /// Training views held back from the search, which the child must render better before it is kept; spread evenly, drawn anew
+    /// for each stage, and never more than a quarter of the views. Default 8; at least 1.
+    pub guards: usize,
 }
 
 impl Default for RecombineConfig {
     fn default() -> Self {
-        Self { share: 0.05, states: 50, views: 32 }
+        Self { window: 0.1, states: 20, generations: 4, by_group: false, views: 8, guards: 8 }
     }
 }
 

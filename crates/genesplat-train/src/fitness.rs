@@ -166,6 +166,7 @@ pub(crate) fn empty_record(stage: &Stage<'_>, fitness: f64) -> StageRecord {
         renders: stage.views.len() as u64,
         fitness_before: fitness,
         fitness_after: fitness,
+        guard_psnr: None,
         changed: 0,
         population_bytes: 0,
         seconds: 0.0,

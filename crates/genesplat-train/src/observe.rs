@@ -116,6 +116,8 @@ pub struct StageRecord {
     pub fitness_before: f64,
     /// The same after it; never above `fitness_before` for evolution.
     pub fitness_after: f64,
+    /// Mean PSNR of the guard views before and after it, dB, where a stage has guards; the second is never below the first.
+    pub guard_psnr: Option<[f64; 2]>,
     /// Gaussians that the stage changed; 0 when nothing beat the base.
     pub changed: usize,
     /// Bytes that the population took at most.

@@ -10,8 +10,8 @@
 //!
 //! With MCMC, a step also jiggles positions, 2 relocates dead Gaussians and adds others, and 3 does not happen; 4 keeps
 //! its place.
-//! 5. **Recombine** (ours, in place of 4). Over the last iterations the states are averaged, and at the end their mean
-//!    replaces the last state if it is better.
+//! 5. **Recombine** (ours, in place of 4). Once rows stay what they are, the states of each tenth of the run are averaged,
+//!    and a child of their line replaces the last of them if it is better.
 //!
 //! What is due when is for [`crate::schedule`] to say. This file does it, in that order, and can stop between any two
 //! phases: a resumed run repeats the numbers of one that was never interrupted.
@@ -80,8 +80,8 @@ impl<B: Backend> Trainer<'_, B> {
             Phase::Densify => self.densify(i)?,
             Phase::RefreshFilter => self.refresh_filter()?,
             Phase::ResetOpacity => self.backend.reset_opacity(self.config.densify.reset_opacity)?,
-            Phase::Remember => self.backend.remember()?,
-            Phase::Recombine => self.recombine(i)?,
+            Phase::Remember => self.backend.remember(self.schedule.parent(i))?,
+            Phase::Recombine => checkpoint = self.recombine(Cursor { iteration: i, phase })?,
             Phase::EvolveBeforeDensify
             | Phase::EvolveAfterDensify
             | Phase::EvolveBeforeReset

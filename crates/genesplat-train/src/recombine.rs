@@ -1,44 +1,231 @@
-//! The end of a run: its last states are a population, and their mean is the child that may replace the last of them.
+//! Recombination: the states that a run has just passed through breed a child that takes the place of the last one.
 //!
-//! Adam's steps on single views keep every parameter in motion around its optimum, to the last iteration: the rates of
-//! all parameters but positions are constant. The states of the last few percent of a run scatter around a better one,
-//! and intermediate recombination (their mean, gene by gene, colours and rotations included) finds it without a gradient
-//! and nearly without a render. The child is judged like any individual: Eq. 5 on training views, and it replaces the
-//! base only if it is strictly better. Prior art under another name: Izmailov et al., "Averaging weights leads to wider
-//! optima and better generalization", 2018.
+//! Why. Adam's steps on single views keep every parameter in motion around its optimum, to the last iteration: the rates
+//! of all parameters but positions are constant. At the same time much still drifts, slowly, in directions that no
+//! single step can tell from that noise. The states of the last tenth of a run hold both: their mean is free of the
+//! noise, and the way from the older half of them to the younger one points where the run is going. A child is the mean
+//! plus some way along that line (extended line recombination). Its genome is two numbers for each group of parameters,
+//! and a genome that small can be judged by a few renders, where the paper's, of seven numbers a Gaussian, cannot.
+//!
+//! How. While rows stay what they are, the run is cut into windows. In each, states are averaged into two parents
+//! ([`genesplat_core::lineage`]); at its end an evolution strategy ([`genesplat_evolve::strategy`]) searches the genome
+//! on training views that change from generation to generation. What it finds must also be better on *guard* views, held
+//! back from its search, or the run goes on as if nothing had been. No gradient is computed.
+//!
+//! Prior art under other names: Izmailov et al., "Averaging weights leads to wider optima and better generalization",
+//! 2018; Zhang et al., "Lookahead optimizer", 2019.
 
 use std::time::Instant;
 
-use genesplat_core::Backend;
+use genesplat_core::lineage::{PARAMETER_GROUPS, PARENTS};
+use genesplat_core::{Backend, BackendError, Blend, Judgement, RenderSettings, Rng, Stream, View};
+use genesplat_evolve::strategy::EvolutionStrategy;
 
-use crate::fitness;
-use crate::observe::StageRecord;
+use crate::checkpoint::{Checkpoint, Cursor};
+use crate::config::RecombineConfig;
+use crate::observe::{GenerationLog, StageLog, StageRecord};
 use crate::run::TrainError;
 use crate::trainer::Trainer;
+use crate::views::spread_evenly;
+
+/// Genes of a group of parameters: how far towards the mean of the states, and how far along the line.
+const GENES: usize = 2;
+/// Where the search starts: near the mean, and half-way from there to the end of the line.
+const START: [f64; GENES] = [0.8, 0.6];
+/// First length of its steps.
+const STEP: f64 = 0.3;
+/// The least squared error that a PSNR is taken of: 120 dB.
+const SQUARED_ERROR_MIN: f64 = 1e-12;
+
+/// Views of one stage.
+struct Judges {
+    /// Not searched on.
+    guards: Vec<usize>,
+    /// The others; where there are too few of them, all views.
+    searched: Vec<usize>,
+}
+
+impl Judges {
+    /// At most a quarter of the views are guards, unless there is only one.
+    fn new(views: &[View], config: &RecombineConfig, rng: &Rng) -> Self {
+        let guards = spread_evenly(views, config.guards.min(views.len() / 4).max(1), rng, 0);
+        let searched: Vec<usize> = (0..views.len()).filter(|view| !guards.contains(view)).collect();
+        let searched = if searched.is_empty() { guards.clone() } else { searched };
+        Self { guards, searched }
+    }
+
+    /// The views of one generation, in a random order of its own.
+    fn of_generation(&self, generation: u32, count: usize, rng: &Rng) -> Vec<usize> {
+        let order = rng.permutation(Stream::FitnessViews, generation + 1, self.searched.len());
+        order.into_iter().take(count).map(|index| self.searched[index as usize]).collect()
+    }
+}
+
+/// What guards say of an individual.
+#[derive(Clone, Copy)]
+struct Verdict {
+    /// Mean of Eq. 5.
+    loss: f64,
+    /// Mean PSNR, dB.
+    psnr: f64,
+}
+
+impl Verdict {
+    fn of(judgements: &[Judgement]) -> Self {
+        let count = judgements.len() as f64;
+        let psnr = |judgement: &Judgement| {
+            -10.0 * f64::from(judgement.squared_error).max(SQUARED_ERROR_MIN).log10()
+        };
+        Self { loss: mean_loss(judgements), psnr: judgements.iter().map(psnr).sum::<f64>() / count }
+    }
+
+    /// Better in the measure that training lowers, and not worse in the one that users read.
+    fn improves(&self, base: &Self) -> bool {
+        self.loss < base.loss && self.psnr >= base.psnr
+    }
+}
+
+fn mean_loss(judgements: &[Judgement]) -> f64 {
+    judgements.iter().map(|judgement| f64::from(judgement.loss)).sum::<f64>() / judgements.len() as f64
+}
+
+/// The child that a genome stands for. With the parents' mean `m` and the cloud `c`, gene 0 weighs `m − c`, and gene 1 the
+/// way from the older parent to the younger one. A parent without states makes the other one the mean.
+fn blend(genome: &[f64], has_older: bool, has_younger: bool) -> Blend {
+    let of_group = |group: usize| -> [f32; PARENTS] {
+        let genes = if genome.len() == GENES { genome } else { &genome[group * GENES..] };
+        let (mean, line) = (genes[0], genes[1]);
+        match (has_older, has_younger) {
+            (true, true) => [(0.5 * mean - line) as f32, (0.5 * mean + line) as f32],
+            _ => [mean as f32; PARENTS],
+        }
+    };
+    Blend { weights: std::array::from_fn::<_, PARAMETER_GROUPS, _>(of_group) }
+}
 
 impl<B: Backend> Trainer<'_, B> {
-    /// Judges the mean of the remembered states, and keeps the better of it and the last state.
-    pub(crate) fn recombine(&mut self, i: u32) -> Result<(), TrainError> {
+    /// Breeds a child of the window that ends here, and keeps the better of it and the cloud. Returns a checkpoint when
+    /// it was stopped; the best so far counts, but a resumed run repeats the stage in full.
+    pub(crate) fn recombine(&mut self, cursor: Cursor) -> Result<Option<Box<Checkpoint>>, TrainError> {
+        if self.backend.lineage()?.is_empty() {
+            return Ok(None);
+        }
+        let (chosen, record, interrupted) = self.search_line(cursor.iteration)?;
+        let checkpoint = if interrupted { Some(self.capture(cursor)?) } else { None };
+        match chosen {
+            Some(child) => self.backend.breed(&child)?,
+            None => self.backend.forget(),
+        }
+        self.end_stage(record)?;
+        Ok(checkpoint)
+    }
+
+    /// Searches, and asks the guards. Returns the child if it is better, and whether the search was stopped.
+    fn search_line(&mut self, i: u32) -> Result<(Option<Blend>, StageRecord, bool), TrainError> {
         let clock = Instant::now();
-        let stage = self.stage(i);
-        let before = fitness::of_base(self.backend, &stage)?;
-        if !self.backend.exchange_with_mean()? {
-            return Ok(());
+        let (config, settings) = (&self.config.evolution.recombine, self.settings(i));
+        let rng = self.rng.fork(i);
+        let judges = Judges::new(self.views, config, &rng);
+        let [has_older, has_younger] = self.has_parents()?;
+        let child = |genome: &[f64]| blend(genome, has_older, has_younger);
+
+        // 1. How good is the cloud as it is?
+        let before = self.verdicts(&[Blend::default()], &judges.guards, &settings)?[0];
+        if !before.loss.is_finite() {
+            return Err(TrainError::NoFitness { iteration: i, loss: before.loss });
         }
-        self.observer.on_stage_start(&fitness::stage_log(&stage, 0, before));
-        let of_mean = fitness::of_base(self.backend, &stage)?;
-        let is_better = of_mean < before;
-        if !is_better {
-            self.backend.exchange_with_mean()?;
+        let mut record = StageRecord { population_bytes: self.bytes_of_line()?, ..record(i, before) };
+        self.observer.on_stage_start(&self.line_log(i, &judges, before.loss));
+
+        // 2. Search the line.
+        let groups = if config.by_group { PARAMETER_GROUPS } else { 1 };
+        let mut strategy = EvolutionStrategy::new(START.repeat(groups), STEP, rng);
+        while strategy.generation() < config.generations && !self.stopped() {
+            let views = judges.of_generation(strategy.generation(), config.views, &rng);
+            let blends: Vec<Blend> = strategy.ask().iter().map(|genome| child(genome)).collect();
+            let judgements = self.backend.judge(&blends, &views, &settings)?;
+            let losses: Vec<f64> = judgements.chunks_exact(views.len()).map(mean_loss).collect();
+            strategy.tell(&losses);
+            record.renders += judgements.len() as u64;
+            self.observer.on_generation(&generation_log(&record, before.loss, &losses));
+            record.generations += 1;
         }
-        let record = StageRecord {
-            generations: 1,
-            renders: 2 * stage.views.len() as u64,
-            fitness_after: before.min(of_mean),
-            changed: if is_better { self.backend.len() } else { 0 },
-            seconds: clock.elapsed().as_secs_f64(),
-            ..fitness::empty_record(&stage, before)
-        };
-        self.end_stage(record)
+
+        // 3. Let the guards choose between the cloud, what was found, and the plain mean.
+        let finalists = [child(strategy.mean()), child(&[1.0, 0.0])];
+        let verdicts = self.verdicts(&finalists, &judges.guards, &settings)?;
+        record.renders += ((finalists.len() + 1) * judges.guards.len()) as u64;
+        let mut best: Option<(Blend, Verdict)> = None;
+        for (&finalist, verdict) in finalists.iter().zip(verdicts) {
+            if verdict.improves(&best.map_or(before, |(_, verdict)| verdict)) {
+                best = Some((finalist, verdict));
+            }
+        }
+        if let Some((_, after)) = best {
+            (record.fitness_after, record.changed) = (after.loss, self.backend.len());
+            record.guard_psnr = Some([before.psnr, after.psnr]);
+        }
+        record.seconds = clock.elapsed().as_secs_f64();
+        Ok((best.map(|(child, _)| child), record, strategy.generation() < config.generations))
+    }
+
+    fn verdicts(
+        &mut self,
+        blends: &[Blend],
+        guards: &[usize],
+        settings: &RenderSettings,
+    ) -> Result<Vec<Verdict>, BackendError> {
+        let judgements = self.backend.judge(blends, guards, settings)?;
+        Ok(judgements.chunks_exact(guards.len()).map(Verdict::of).collect())
+    }
+
+    fn has_parents(&mut self) -> Result<[bool; PARENTS], BackendError> {
+        Ok(self.backend.lineage()?.parents().each_ref().map(|parent| parent.states() > 0))
+    }
+
+    /// What the lineage and a child take, in bytes.
+    fn bytes_of_line(&mut self) -> Result<u64, BackendError> {
+        let parents = self.has_parents()?.into_iter().filter(|&has| has).count();
+        let row = genesplat_core::Gaussians::BYTES_PER_ROW;
+        Ok(((parents + 1) * self.backend.len() * row) as u64)
+    }
+
+    fn line_log(&self, i: u32, judges: &Judges, fitness: f64) -> StageLog {
+        let names = judges.guards.iter().map(|&view| self.views[view].name.clone());
+        let generations = self.config.evolution.recombine.generations;
+        StageLog { iteration: i, generations, views: names.collect(), fitness }
+    }
+}
+
+/// A stage in which nothing has happened yet.
+fn record(iteration: u32, before: Verdict) -> StageRecord {
+    StageRecord {
+        iteration,
+        generations: 0,
+        renders: 0,
+        fitness_before: before.loss,
+        fitness_after: before.loss,
+        guard_psnr: Some([before.psnr; 2]),
+        changed: 0,
+        population_bytes: 0,
+        seconds: 0.0,
+    }
+}
+
+/// One generation; its losses are those of its own views, so the best so far is the guards' last word.
+fn generation_log(record: &StageRecord, best: f64, losses: &[f64]) -> GenerationLog {
+    let finite: Vec<f64> = losses.iter().copied().filter(|loss| loss.is_finite()).collect();
+    let count = finite.len() as f64;
+    let mean = finite.iter().sum::<f64>() / count;
+    let variance = finite.iter().map(|loss| (loss - mean).powi(2)).sum::<f64>() / count;
+    let some = |value: f64| (!finite.is_empty()).then_some(value);
+    GenerationLog {
+        iteration: record.iteration,
+        generation: record.generations,
+        generation_best: some(finite.iter().copied().fold(f64::INFINITY, f64::min)),
+        best,
+        mean: some(mean),
+        spread: some(variance.sqrt()),
+        renders: record.renders,
     }
 }

@@ -112,8 +112,8 @@ pub struct Schedule {
     pub evolution_phase: Option<Phase>,
     /// Evolution runs at every n-th occurrence of its trigger.
     pub evolution_stride: u32,
-    /// Recombination remembers states after this iteration, if it does.
-    pub remember_from: Option<u32>,
+    /// Iterations of a window of recombination, if it runs; the last window ends with the run.
+    pub window: Option<u32>,
     /// Iterations between two states that recombination remembers.
     pub remember_every: u32,
     /// Evolution wants the gradients of the genes.
@@ -135,7 +135,7 @@ impl Schedule {
         let iterations = interval(config.iterations);
         let recombines = evolution.mode == EvolutionMode::Recombine;
         let stages = matches!(evolution.mode, EvolutionMode::Paper | EvolutionMode::Control);
-        let remember_from = (f64::from(iterations) * (1.0 - evolution.recombine.share)) as u32;
+        let window = ((f64::from(iterations) * evolution.recombine.window).round() as u32).max(1);
         Self {
             iterations,
             sh_every: interval(config.sh_every),
@@ -153,8 +153,8 @@ impl Schedule {
             filter_3d: config.variant == Variant::MipSplatting,
             evolution_phase: stages.then(|| trigger_phase(evolution.trigger)),
             evolution_stride: evolution.stride,
-            remember_from: recombines.then_some(remember_from),
-            remember_every: ((iterations - remember_from) / evolution.recombine.states).max(1),
+            window: recombines.then_some(window),
+            remember_every: (window / evolution.recombine.states).max(1),
             gene_gradients: evolution.wants_gene_gradients(),
             checkpoint_every: config.checkpoint_every,
             report_every: config.report_every,
@@ -173,7 +173,7 @@ impl Schedule {
             Phase::RefreshFilter => self.is_filter_refresh(i),
             Phase::ResetOpacity => self.is_reset(i),
             Phase::Remember => self.is_remembered(i),
-            Phase::Recombine => self.remember_from.is_some() && i == self.iterations,
+            Phase::Recombine => self.window.is_some_and(|window| self.window_end(window, i) == Some(i)),
             evolve => self.evolution_phase == Some(evolve) && self.is_stage(i),
         }
     }
@@ -229,9 +229,21 @@ impl Schedule {
     /// The state at the end of iteration `i` is one of those that recombination averages; the last iteration makes no
     /// step.
     fn is_remembered(&self, i: u32) -> bool {
-        self.remember_from.is_some_and(|from| {
-            i > from && i < self.iterations && (i - from).is_multiple_of(self.remember_every)
-        })
+        let in_window = self.window.is_some_and(|window| self.window_end(window, i).is_some());
+        in_window && i < self.iterations && (self.iterations - i).is_multiple_of(self.remember_every)
+    }
+
+    /// The end of the window that iteration `i` is in. Windows end with the run and at whole windows before that, where
+    /// rows stay what they are for at least the younger half.
+    fn window_end(&self, window: u32, i: u32) -> Option<u32> {
+        let end = self.iterations - (self.iterations - i) / window * window;
+        (end == self.iterations || end - window / 2 >= self.densify_until).then_some(end)
+    }
+
+    /// Which parent a remembered state belongs to: 0 for the older half of a window, 1 for the younger one.
+    pub fn parent(&self, i: u32) -> usize {
+        let window = self.window.unwrap_or(1);
+        usize::from((self.iterations - i) % window <= window / 2)
     }
 
     /// The iterations at which evolution stages run.

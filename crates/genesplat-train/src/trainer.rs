@@ -10,7 +10,7 @@ use genesplat_core::{
 };
 
 use crate::checkpoint::{Checkpoint, Cursor, Progress};
-use crate::config::{Background, EvolutionMode, McmcConfig, Resolved, Signal, TrainConfig, Variant};
+use crate::config::{Background, McmcConfig, Resolved, Signal, TrainConfig, Variant};
 use crate::densify::adaptive::Rules;
 use crate::densify::mcmc;
 use crate::filter_3d::filter_3d;
@@ -117,7 +117,7 @@ impl<'a, B: Backend> Trainer<'a, B> {
         }
         self.backend.upload(checkpoint.cloud, Some(checkpoint.moments))?;
         self.backend.restore_statistics(checkpoint.statistics)?;
-        self.backend.restore_running_mean(checkpoint.remembered)?;
+        self.backend.restore_lineage(checkpoint.lineage)?;
         self.progress = checkpoint.progress;
         Ok(checkpoint.cursor)
     }
@@ -130,7 +130,7 @@ impl<'a, B: Backend> Trainer<'a, B> {
             cloud: self.backend.download()?.into_owned(),
             moments: self.backend.download_moments()?.into_owned(),
             statistics: self.backend.statistics()?,
-            remembered: self.backend.running_mean()?.into_owned(),
+            lineage: self.backend.lineage()?.into_owned(),
         }))
     }
 
@@ -275,11 +275,7 @@ impl<'a, B: Backend> Trainer<'a, B> {
     pub(crate) fn stage(&self, i: u32) -> Stage<'a> {
         let evolution = &self.config.evolution;
         let draw = if evolution.rotate_views { i } else { 0 };
-        let wanted = match evolution.mode {
-            EvolutionMode::Recombine => evolution.recombine.views,
-            _ => evolution.views,
-        };
-        let views = spread_evenly(self.views, wanted, &self.rng, draw);
+        let views = spread_evenly(self.views, evolution.views, &self.rng, draw);
         Stage {
             iteration: i,
             config: evolution,

@@ -5,9 +5,9 @@ use std::borrow::Cow;
 use fearless_simd::Level;
 use genesplat_core::gaussians::{logit, sigmoid};
 use genesplat_core::{
-    Backend, BackendError, Camera, DensitySignal, Gaussians, Image, Moments, RenderSettings, Rng, RowEdit,
-    RunningMean, SparseDelta, Statistics, StatisticsRequest, TrainStep, View, backend::MomentPolicy,
-    backend::StepReport,
+    Backend, BackendError, Blend, Camera, DensitySignal, Gaussians, Image, Judgement, Lineage, Moments,
+    RenderSettings, Rng, RowEdit, SparseDelta, Statistics, StatisticsRequest, TrainStep, View,
+    backend::MomentPolicy, backend::StepReport,
 };
 
 use super::frame::{Frame, StageSeconds, timed};
@@ -34,7 +34,9 @@ pub struct CpuBackend {
     report: StepReport,
     steps: u32,
     bases: Bases,
-    remembered: RunningMean,
+    lineage: Lineage,
+    /// Room for a child of the lineage.
+    child: Gaussians,
 }
 
 /// Base views of the scoring stage, kept while the cloud does not change.
@@ -58,7 +60,8 @@ impl CpuBackend {
             report: StepReport::default(),
             steps: 0,
             bases: Bases::default(),
-            remembered: RunningMean::default(),
+            lineage: Lineage::default(),
+            child: Gaussians::default(),
         }
     }
 
@@ -114,6 +117,16 @@ fn instruction_set(level: Level) -> String {
     variant.split('(').next().unwrap_or_default().replace('_', ".").to_uppercase()
 }
 
+/// Mean of `(I − P)²` over all values, summed row by row of a channel: the order does not depend on the machine.
+fn squared_error(image: &Image, target: &Target) -> f32 {
+    let rows = image.planes.chunks(target.width).zip(target.planes.chunks(target.width));
+    let of_row = |(image, photo): (&[f32], &[u8])| {
+        let square = |(&value, &level): (&f32, &u8)| (value - f32::from(level) * (1.0 / 255.0)).powi(2);
+        f64::from(image.iter().zip(photo).map(square).sum::<f32>())
+    };
+    (rows.map(of_row).sum::<f64>() / target.planes.len() as f64) as f32
+}
+
 fn extra(signal: Option<DensitySignal>) -> Extra {
     match signal {
         Some(DensitySignal::Absolute | DensitySignal::SignedAndAbsolute) => Extra::Absolute,
@@ -147,7 +160,7 @@ impl Backend for CpuBackend {
         self.touch();
         self.moments = moments.unwrap_or_else(|| Moments::zeros(cloud.len()));
         self.cloud = cloud;
-        self.remembered = RunningMean::default();
+        self.lineage = Lineage::default();
         self.statistics = Statistics::default();
         self.reset_density();
         Ok(())
@@ -219,7 +232,7 @@ impl Backend for CpuBackend {
 
     fn edit_rows(&mut self, edit: &RowEdit) -> Result<(), BackendError> {
         self.touch();
-        self.remembered = RunningMean::default();
+        self.lineage = Lineage::default();
         edit.apply(&mut self.cloud, &mut self.moments, &self.rng);
         if !self.statistics.gene_views.is_empty() {
             self.statistics.gene_gradient_sum = edit.gather(&self.statistics.gene_gradient_sum);
@@ -231,7 +244,7 @@ impl Backend for CpuBackend {
 
     fn reset_opacity(&mut self, ceiling: f32) -> Result<(), BackendError> {
         self.touch();
-        self.remembered = RunningMean::default();
+        self.lineage = Lineage::default();
         for row in 0..self.cloud.len() {
             let factor = self.cloud.filter_dimming(row);
             let opacity = sigmoid(self.cloud.opacity_logits[row]) * factor;
@@ -261,26 +274,48 @@ impl Backend for CpuBackend {
         Ok(())
     }
 
-    fn remember(&mut self) -> Result<(), BackendError> {
-        self.remembered.add(&self.cloud);
+    fn remember(&mut self, parent: usize) -> Result<(), BackendError> {
+        self.lineage.add(parent, &self.cloud);
         Ok(())
     }
 
-    fn exchange_with_mean(&mut self) -> Result<bool, BackendError> {
-        if self.remembered.states() == 0 {
-            return Ok(false);
+    fn forget(&mut self) {
+        self.lineage = Lineage::default();
+    }
+
+    fn lineage(&mut self) -> Result<Cow<'_, Lineage>, BackendError> {
+        Ok(Cow::Borrowed(&self.lineage))
+    }
+
+    fn restore_lineage(&mut self, lineage: Lineage) -> Result<(), BackendError> {
+        self.lineage = lineage;
+        Ok(())
+    }
+
+    fn judge(
+        &mut self,
+        blends: &[Blend],
+        views: &[usize],
+        settings: &RenderSettings,
+    ) -> Result<Vec<Judgement>, BackendError> {
+        let mut judgements = Vec::with_capacity(blends.len() * views.len());
+        for blend in blends {
+            self.lineage.breed(&self.cloud, blend, &mut self.child);
+            for &view in views {
+                let TrainView { camera, target } = &self.views[view];
+                self.frame.render(self.level, &self.child, camera, settings);
+                let loss = loss(self.level, &self.frame.image, target, None);
+                judgements.push(Judgement { loss, squared_error: squared_error(&self.frame.image, target) });
+            }
         }
+        Ok(judgements)
+    }
+
+    fn breed(&mut self, blend: &Blend) -> Result<(), BackendError> {
         self.touch();
-        self.remembered.exchange(&mut self.cloud);
-        Ok(true)
-    }
-
-    fn running_mean(&mut self) -> Result<Cow<'_, RunningMean>, BackendError> {
-        Ok(Cow::Borrowed(&self.remembered))
-    }
-
-    fn restore_running_mean(&mut self, mean: RunningMean) -> Result<(), BackendError> {
-        self.remembered = mean;
+        self.lineage.breed(&self.cloud, blend, &mut self.child);
+        std::mem::swap(&mut self.cloud, &mut self.child);
+        self.forget();
         Ok(())
     }
 

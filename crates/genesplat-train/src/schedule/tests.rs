@@ -81,12 +81,27 @@ fn other_triggers_move_the_stage_and_a_stride_thins_it() {
 }
 
 #[test]
-fn recombination_remembers_the_last_states_and_judges_their_mean_at_the_end() {
-    let schedule = schedule(|config| config.evolution.mode = EvolutionMode::Recombine);
-    assert_eq!(schedule.stages().count(), 0);
-    let remembered = iterations_with(&schedule, Phase::Remember);
-    assert_eq!((remembered.len(), remembered[0], remembered[48]), (49, 28_530, 29_970));
-    assert_eq!(iterations_with(&schedule, Phase::Recombine), [30_000]);
+fn recombination_has_a_stage_after_each_tenth_in_which_rows_stay() {
+    let recombining = |mcmc: bool, iterations: u32| {
+        schedule(|config| {
+            config.evolution.mode = EvolutionMode::Recombine;
+            config.iterations = iterations;
+            if mcmc {
+                config.variant = Variant::Mcmc;
+            }
+        })
+    };
+    let full = recombining(false, 30_000);
+    assert_eq!(full.stages().count(), 0, "none of the paper's");
+    assert_eq!(iterations_with(&full, Phase::Recombine), [18_000, 21_000, 24_000, 27_000, 30_000]);
+    let remembered = iterations_with(&full, Phase::Remember);
+    assert_eq!((remembered.len(), remembered[0], remembered[1], remembered[98]), (99, 15_150, 15_300, 29_850));
+    let parents = [15_150, 16_350, 16_500, 18_000, 18_150].map(|i| full.parent(i));
+    assert_eq!(parents, [0, 0, 1, 1, 0], "the older half of each window, and the younger one");
+    // MCMC moves rows until 25,000: a window needs half its length after that.
+    assert_eq!(iterations_with(&recombining(true, 30_000), Phase::Recombine), [27_000, 30_000]);
+    // A run that is cut short densifies to its end, and has the last stage only.
+    assert_eq!(iterations_with(&recombining(false, 7000), Phase::Recombine), [7000]);
 }
 
 #[test]

@@ -1,30 +1,41 @@
-//! Recombination: the mean of the last states replaces the last one only where it is better, and survives a stop.
+//! Recombination: a child of the run's states replaces the last one only where the guards agree, and survives a stop.
 
+use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
+use genesplat_core::Blend;
 use genesplat_train::{
     Checkpoint, EvolutionMode, Observer, Outcome, Silent, Start, TrainConfig, TrainError, refine, train,
 };
 
 use crate::support::{Call, FakeBackend, StopAt, points, views};
 
-/// 300 iterations, the last 30 of which are averaged.
+/// 300 iterations; the windows end at 180, 210, 240, 270 and 300.
 fn config() -> TrainConfig {
     let mut config = TrainConfig { steps_scale: 0.01, ..TrainConfig::default() };
     // Still in motion at the end, by more than rounding.
     config.optimiser.position_end = 1e-2;
     config.evolution.mode = EvolutionMode::Recombine;
-    config.evolution.recombine.share = 0.1;
     config.evolution.recombine.states = 10;
+    config.evolution.recombine.views = 3;
     config
 }
 
-fn run(backend: &mut FakeBackend, start: Start, observer: &mut dyn Observer, stop: &AtomicBool) -> Outcome {
-    train(backend, &views(7), start, &config().resolve().unwrap(), observer, stop).unwrap()
+fn run_with(config: &TrainConfig, backend: &mut FakeBackend) -> Outcome {
+    let (config, start) = (config.clone().resolve().unwrap(), Start::Points(points(20)));
+    train(backend, &views(20), start, &config, &mut Silent, &AtomicBool::new(false)).unwrap()
 }
 
-fn count(backend: &FakeBackend, wanted: &Call) -> usize {
-    backend.calls.iter().filter(|call| *call == wanted).count()
+/// A backend with its target far on one side: some child of the line is always better.
+fn backend() -> FakeBackend {
+    let mut backend = FakeBackend::new();
+    backend.target = 1e2;
+    backend
+}
+
+fn bred(backend: &FakeBackend) -> Vec<Blend> {
+    let blend = |call: &Call| if let Call::Breed(blend) = call { Some(*blend) } else { None };
+    backend.calls.iter().filter_map(blend).collect()
 }
 
 fn mean_squared_distance(outcome: &Outcome, target: f32) -> f64 {
@@ -33,49 +44,129 @@ fn mean_squared_distance(outcome: &Outcome, target: f32) -> f64 {
 }
 
 #[test]
-fn the_better_of_mean_and_last_state_is_kept() {
-    // Mean and last state differ; whichever lies further right wins with a target on the right, and loses with one on the left.
-    let mut exchanges = Vec::new();
-    for target in [1e2, -1e2] {
-        let mut backend = FakeBackend::new();
-        backend.target = target;
-        let outcome = run(&mut backend, Start::Points(points(20)), &mut Silent, &AtomicBool::new(false));
-        assert_eq!(count(&backend, &Call::Remember), 9, "every third of the last 30, but not the very last");
-        let [stage] = outcome.summary.stages[..] else { panic!("{:?}", outcome.summary.stages) };
-        assert_eq!(stage.iteration, 300);
-        assert!(stage.fitness_after <= stage.fitness_before);
-        assert_eq!(stage.changed > 0, stage.fitness_after < stage.fitness_before);
-        let found = mean_squared_distance(&outcome, target);
-        assert!((found / stage.fitness_after - 1.0).abs() < 1e-6, "what was judged is what is kept");
-        exchanges.push(count(&backend, &Call::Exchange));
+fn a_better_child_replaces_the_cloud_after_each_window() {
+    let mut backend = backend();
+    let outcome = run_with(&config(), &mut backend);
+    let stages = &outcome.summary.stages;
+    let iterations: Vec<u32> = stages.iter().map(|stage| stage.iteration).collect();
+    assert_eq!(iterations, [180, 210, 240, 270, 300]);
+    for stage in stages {
+        let [before, after] = stage.guard_psnr.unwrap();
+        assert!(stage.fitness_after < stage.fitness_before && after > before, "{stage:?}");
+        assert_eq!((stage.generations, stage.changed), (4, 20));
+        // Six individuals on three views in four generations; the cloud and two finalists on five guards.
+        assert_eq!(stage.renders, 6 * 3 * 4 + 3 * 5);
     }
-    exchanges.sort_unstable();
-    assert_eq!(exchanges, [1, 2], "accepted once, taken back once");
+    assert_eq!(bred(&backend).len(), 5);
+    let found = mean_squared_distance(&outcome, backend.target);
+    assert!((found / stages[4].fitness_after - 1.0).abs() < 1e-6, "what was judged is what is kept");
 }
 
 #[test]
-fn a_stop_within_the_remembered_states_changes_nothing() {
-    // The target on whose side the mean lies: were the mean lost, the result would differ.
-    let backend = |target: f32| {
-        let mut backend = FakeBackend::new();
-        backend.target = target;
-        backend
+fn the_search_goes_beyond_the_mean() {
+    // The target lies where the run comes from or where it goes: a child beyond the mean is nearer to it.
+    let plain = |generations| {
+        let mut config = config();
+        config.evolution.recombine.generations = generations;
+        run_with(&config, &mut backend()).summary.stages[0].fitness_after
     };
-    let uninterrupted = |target: f32| {
-        run(&mut backend(target), Start::Points(points(20)), &mut Silent, &AtomicBool::new(false))
+    assert!(plain(4) < plain(0), "four generations against the starting point and the mean");
+}
+
+#[test]
+fn guards_that_do_not_agree_leave_everything_as_it_was() {
+    let mut off = config();
+    off.evolution.mode = EvolutionMode::Off;
+    let without = run_with(&off, &mut backend());
+    let mut refusing = backend();
+    refusing.guards_disagree = true;
+    let outcome = run_with(&config(), &mut refusing);
+    assert_eq!(outcome.cloud, without.cloud);
+    assert_eq!(bred(&refusing), []);
+    for stage in &outcome.summary.stages {
+        let [before, after] = stage.guard_psnr.unwrap();
+        assert_eq!((after, stage.changed, stage.fitness_after), (before, 0, stage.fitness_before));
+    }
+    assert_eq!(refusing.calls.iter().filter(|call| **call == Call::Forget).count(), 5, "the line ends all the same");
+}
+
+#[test]
+fn guards_take_no_part_in_the_search_and_every_generation_has_views_of_its_own() {
+    let mut backend = backend();
+    run_with(&config(), &mut backend);
+    let judged: Vec<(usize, Vec<usize>)> = (backend.calls.iter())
+        .filter_map(|call| match call {
+            Call::Judge { blends, views } => Some((blends.len(), views.clone())),
+            _ => None,
+        })
+        .collect();
+    let stages: Vec<_> = judged.chunks_exact(6).collect();
+    assert_eq!(stages.len(), 5);
+    for stage in &stages {
+        let [(1, guards), generations @ .., (2, again)] = stage else { panic!("{stage:?}") };
+        assert_eq!((guards.len(), guards), (5, again));
+        assert!(generations.iter().all(|(individuals, views)| *individuals == 6
+            && views.len() == 3
+            && views.iter().all(|view| !guards.contains(view))));
+        assert!(generations.windows(2).any(|pair| pair[0].1 != pair[1].1));
+    }
+    assert!(stages.windows(2).any(|pair| pair[0][0] != pair[1][0]), "guards rotate");
+}
+
+#[test]
+fn genes_by_group_make_a_longer_genome() {
+    let mut config = config();
+    config.evolution.recombine.by_group = true;
+    let mut backend = backend();
+    let outcome = run_with(&config, &mut backend);
+    assert_eq!(outcome.summary.stages[0].renders, 11 * 3 * 4 + 3 * 5, "eleven individuals of twelve genes");
+    let [first, ..] = bred(&backend)[..] else { panic!("no child") };
+    assert_ne!(first.weights[0], first.weights[1]);
+}
+
+#[test]
+fn few_views_judge_alone_and_what_cannot_be_rendered_is_an_error() {
+    let train_on = |backend: &mut FakeBackend, count: usize| {
+        let (config, start) = (config().resolve().unwrap(), Start::Points(points(20)));
+        train(backend, &views(count), start, &config, &mut Silent, &AtomicBool::new(false))
     };
-    let whole = [1e2, -1e2].map(|target| (target, uninterrupted(target)));
-    let accepted = whole.into_iter().find(|(_, outcome)| outcome.summary.stages[0].changed > 0);
-    let (target, whole) = accepted.expect("one of two opposite targets prefers the mean");
-    for i in [271, 285, 299] {
+    assert_eq!(train_on(&mut backend(), 2).unwrap().summary.stages.len(), 5);
+    let mut poisoned = backend();
+    poisoned.poison = Some(f32::NAN);
+    assert!(matches!(train_on(&mut poisoned, 8), Err(TrainError::NoFitness { iteration: 180, .. })));
+}
+
+/// Runs until `observer` or `backend` sets the flag, writes and reads the checkpoint, and runs to the end.
+fn interrupted(backend: &mut FakeBackend, observer: &mut dyn Observer, stop: &AtomicBool) -> Outcome {
+    let config = config().resolve().unwrap();
+    let stopped = train(backend, &views(20), Start::Points(points(20)), &config, observer, stop).unwrap();
+    let mut bytes = Vec::new();
+    stopped.checkpoint.unwrap().write(&mut bytes).unwrap();
+    let start = Start::Checkpoint(Box::new(Checkpoint::read(bytes.as_slice()).unwrap()));
+    train(&mut self::backend(), &views(20), start, &config, &mut Silent, &AtomicBool::new(false)).unwrap()
+}
+
+#[test]
+fn a_stop_between_the_remembered_states_changes_nothing() {
+    let whole = run_with(&config(), &mut backend());
+    assert!(whole.summary.stages.iter().all(|stage| stage.changed > 0), "a lost state would show");
+    for i in [155, 175, 180, 199, 271, 299] {
         let stop = AtomicBool::new(false);
-        let stopped = run(&mut backend(target), Start::Points(points(20)), &mut StopAt(i, &stop), &stop);
-        let mut bytes = Vec::new();
-        stopped.checkpoint.unwrap().write(&mut bytes).unwrap();
-        let start = Start::Checkpoint(Box::new(Checkpoint::read(bytes.as_slice()).unwrap()));
-        let resumed = run(&mut backend(target), start, &mut Silent, &AtomicBool::new(false));
+        let resumed = interrupted(&mut backend(), &mut StopAt(i, &stop), &stop);
         assert_eq!(resumed.cloud, whole.cloud, "stopped in iteration {i}");
     }
+}
+
+#[test]
+fn a_stop_within_a_stage_repeats_it() {
+    let whole = run_with(&config(), &mut backend());
+    // The third call of the first stage is its second generation.
+    let stop = Arc::new(AtomicBool::new(false));
+    let mut stopping = backend();
+    stopping.stop_after = Some((3, stop.clone()));
+    let resumed = interrupted(&mut stopping, &mut Silent, &stop);
+    assert_eq!(bred(&stopping).len(), 1, "the best so far was kept");
+    assert_eq!(resumed.cloud, whole.cloud);
 }
 
 #[test]

@@ -9,8 +9,8 @@ use genesplat_core::backend::{MomentPolicy, StepReport};
 use genesplat_core::edit::carry_genes;
 use genesplat_core::gaussians::{logit, sigmoid};
 use genesplat_core::{
-    Backend, BackendError, Camera, Gaussians, Image, Moments, Origin, Photo, RenderSettings, Rng, RowEdit,
-    RunningMean, SparseDelta, Statistics, TrainStep, View,
+    Backend, BackendError, Blend, Camera, Gaussians, Image, Judgement, Lineage, Moments, Origin, Photo,
+    RenderSettings, Rng, RowEdit, SparseDelta, Statistics, TrainStep, View,
 };
 use genesplat_train::Observer;
 use genesplat_train::initialise::ColouredPoint;
@@ -28,15 +28,17 @@ pub enum Call {
     Filter(usize),
     Restore { genes: bool },
     Apply { rows: usize, moments: MomentPolicy },
-    Remember,
-    Exchange,
+    Remember { parent: usize },
+    Judge { blends: Vec<Blend>, views: Vec<usize> },
+    Breed(Blend),
+    Forget,
     Score { individuals: usize, views: Vec<usize>, settings: RenderSettings },
 }
 
 /// See the module.
 pub struct FakeBackend {
     pub calls: Vec<Call>,
-    remembered: RunningMean,
+    lineage: Lineage,
     pub cloud: Gaussians,
     pub moments: Moments,
     pub statistics: Statistics,
@@ -44,9 +46,11 @@ pub struct FakeBackend {
     pub gradient: fn(usize) -> f32,
     /// Fitness is the mean squared distance of x from here.
     pub target: f32,
+    /// Squared errors rise where losses fall.
+    pub guards_disagree: bool,
     /// Every fitness is this instead.
     pub poison: Option<f32>,
-    /// Set after this many calls of `score`.
+    /// Set after this many calls of `score` or `judge`.
     pub stop_after: Option<(usize, Arc<AtomicBool>)>,
     scores: usize,
     rng: Rng,
@@ -64,7 +68,8 @@ impl FakeBackend {
             poison: None,
             stop_after: None,
             scores: 0,
-            remembered: RunningMean::default(),
+            lineage: Lineage::default(),
+            guards_disagree: false,
             rng: Rng::new(0),
         }
     }
@@ -76,8 +81,19 @@ impl FakeBackend {
     fn fitness(&self, delta: &SparseDelta) -> f32 {
         let mut cloud = self.cloud.clone();
         cloud.apply(delta);
+        self.distance(&cloud)
+    }
+
+    fn distance(&self, cloud: &Gaussians) -> f32 {
         let squares: f64 = cloud.positions.iter().map(|p| f64::from(p[0] - self.target).powi(2)).sum();
         (squares / cloud.len() as f64) as f32
+    }
+
+    fn count_score(&mut self) {
+        self.scores += 1;
+        if let Some((after, stop)) = &self.stop_after {
+            stop.fetch_or(self.scores >= *after, Ordering::Relaxed);
+        }
     }
 
     fn zero_density(&mut self) {
@@ -187,7 +203,7 @@ impl Backend for FakeBackend {
 
     fn edit_rows(&mut self, edit: &RowEdit) -> Result<(), BackendError> {
         self.calls.push(Call::Edit(edit.clone()));
-        self.remembered = RunningMean::default();
+        self.lineage = Lineage::default();
         edit.apply(&mut self.cloud, &mut self.moments, &self.rng);
         if !self.statistics.gene_views.is_empty() {
             self.statistics.gene_gradient_sum = carry_genes(edit, &self.statistics.gene_gradient_sum);
@@ -217,24 +233,49 @@ impl Backend for FakeBackend {
         Ok(())
     }
 
-    fn remember(&mut self) -> Result<(), BackendError> {
-        self.calls.push(Call::Remember);
-        self.remembered.add(&self.cloud);
+    fn remember(&mut self, parent: usize) -> Result<(), BackendError> {
+        self.calls.push(Call::Remember { parent });
+        self.lineage.add(parent, &self.cloud);
         Ok(())
     }
 
-    fn exchange_with_mean(&mut self) -> Result<bool, BackendError> {
-        self.calls.push(Call::Exchange);
-        self.remembered.exchange(&mut self.cloud);
-        Ok(self.remembered.states() > 0)
+    fn forget(&mut self) {
+        self.calls.push(Call::Forget);
+        self.lineage = Lineage::default();
     }
 
-    fn running_mean(&mut self) -> Result<Cow<'_, RunningMean>, BackendError> {
-        Ok(Cow::Borrowed(&self.remembered))
+    fn lineage(&mut self) -> Result<Cow<'_, Lineage>, BackendError> {
+        Ok(Cow::Borrowed(&self.lineage))
     }
 
-    fn restore_running_mean(&mut self, mean: RunningMean) -> Result<(), BackendError> {
-        self.remembered = mean;
+    fn restore_lineage(&mut self, lineage: Lineage) -> Result<(), BackendError> {
+        self.lineage = lineage;
+        Ok(())
+    }
+
+    fn judge(
+        &mut self,
+        blends: &[Blend],
+        views: &[usize],
+        _: &RenderSettings,
+    ) -> Result<Vec<Judgement>, BackendError> {
+        self.calls.push(Call::Judge { blends: blends.to_vec(), views: views.to_vec() });
+        self.count_score();
+        let mut child = Gaussians::default();
+        let judge = |blend: &Blend| {
+            self.lineage.breed(&self.cloud, blend, &mut child);
+            let loss = self.poison.unwrap_or_else(|| self.distance(&child));
+            let squared_error = if self.guards_disagree { 1.0 / loss } else { loss };
+            vec![Judgement { loss, squared_error }; views.len()]
+        };
+        Ok(blends.iter().flat_map(judge).collect())
+    }
+
+    fn breed(&mut self, blend: &Blend) -> Result<(), BackendError> {
+        self.calls.push(Call::Breed(*blend));
+        let mut child = Gaussians::default();
+        self.lineage.breed(&self.cloud, blend, &mut child);
+        (self.cloud, self.lineage) = (child, Lineage::default());
         Ok(())
     }
 
@@ -246,10 +287,7 @@ impl Backend for FakeBackend {
     ) -> Result<Vec<f32>, BackendError> {
         let (individuals, settings) = (population.len(), *settings);
         self.calls.push(Call::Score { individuals, views: views.to_vec(), settings });
-        self.scores += 1;
-        if let Some((after, stop)) = &self.stop_after {
-            stop.fetch_or(self.scores >= *after, Ordering::Relaxed);
-        }
+        self.count_score();
         let fitness = |delta| self.poison.unwrap_or_else(|| self.fitness(delta));
         Ok(population.iter().flat_map(|delta| vec![fitness(delta); views.len()]).collect())
     }
