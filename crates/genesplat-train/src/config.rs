@@ -274,12 +274,12 @@ pub struct RecombineConfig {
     pub window: f64,
     /// States that are averaged, evenly over a window, into its two parents. Default 20; at least 2.
     pub states: u32,
-    /// Generations of a stage. Default 4; 0 leaves only the mean to be judged.
+    /// Generations of each stage but the last. Default 3; with 0, only the start of the search and the mean are judged.
     pub generations: u32,
-    /// Each group of parameters (positions, scales, rotations, opacities, base colours, other colours) has genes of its
-    /// own. Default false: one child costs as much, but it takes more of them.
-    pub by_group: bool,
-    /// Training views that a generation is judged on, drawn anew for each. Default 8; at least 1.
+    /// Generations of the last stage, in which each group of parameters (positions, scales, rotations, opacities, base
+    /// colours, other colours) has genes of its own. Default 8.
+    pub last_generations: u32,
+    /// Training views that a generation is judged on, drawn anew for each. Default 6; at least 1.
     pub views: usize,
     /// Training views held back from the search, which the child must render better before it is kept; spread evenly, drawn anew
     /// for each stage, and never more than a quarter of the views. Default 8; at least 1.
@@ -288,7 +288,7 @@ pub struct RecombineConfig {
 
 impl Default for RecombineConfig {
     fn default() -> Self {
-        Self { window: 0.1, states: 20, generations: 4, by_group: false, views: 8, guards: 8 }
+        Self { window: 0.1, states: 20, generations: 3, last_generations: 8, views: 6, guards: 8 }
     }
 }
 

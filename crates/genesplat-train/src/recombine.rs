@@ -4,8 +4,8 @@
 //! of all parameters but positions are constant. At the same time much still drifts, slowly, in directions that no
 //! single step can tell from that noise. The states of the last tenth of a run hold both: their mean is free of the
 //! noise, and the way from the older half of them to the younger one points where the run is going. A child is the mean
-//! plus some way along that line (extended line recombination). Its genome is two numbers for each group of parameters,
-//! and a genome that small can be judged by a few renders, where the paper's, of seven numbers a Gaussian, cannot.
+//! plus some way along that line (extended line recombination). Its genome is two numbers,
+//! or two for each group of parameters, and a genome that small can be judged by a few renders, where the paper's, of seven numbers a Gaussian, cannot.
 //!
 //! How. While rows stay what they are, the run is cut into windows. In each, states are averaged into two parents
 //! ([`genesplat_core::lineage`]); at its end an evolution strategy ([`genesplat_evolve::strategy`]) searches the genome
@@ -135,12 +135,14 @@ impl<B: Backend> Trainer<'_, B> {
             return Err(TrainError::NoFitness { iteration: i, loss: before.loss });
         }
         let mut record = StageRecord { population_bytes: self.bytes_of_line()?, ..record(i, before) };
-        self.observer.on_stage_start(&self.line_log(i, &judges, before.loss));
 
-        // 2. Search the line.
-        let groups = if config.by_group { PARAMETER_GROUPS } else { 1 };
+        // 2. Search the line. At the end of the run, what is found is kept: then a longer genome is worth its renders.
+        let is_last = i == self.schedule.iterations;
+        let groups = if is_last { PARAMETER_GROUPS } else { 1 };
+        let generations = if is_last { config.last_generations } else { config.generations };
+        self.observer.on_stage_start(&self.line_log(i, &judges, generations, before.loss));
         let mut strategy = EvolutionStrategy::new(START.repeat(groups), STEP, rng);
-        while strategy.generation() < config.generations && !self.stopped() {
+        while strategy.generation() < generations && !self.stopped() {
             let views = judges.of_generation(strategy.generation(), config.views, &rng);
             let blends: Vec<Blend> = strategy.ask().iter().map(|genome| child(genome)).collect();
             let judgements = self.backend.judge(&blends, &views, &settings)?;
@@ -166,7 +168,7 @@ impl<B: Backend> Trainer<'_, B> {
             record.guard_psnr = Some([before.psnr, after.psnr]);
         }
         record.seconds = clock.elapsed().as_secs_f64();
-        Ok((best.map(|(child, _)| child), record, strategy.generation() < config.generations))
+        Ok((best.map(|(child, _)| child), record, strategy.generation() < generations))
     }
 
     fn verdicts(
@@ -190,9 +192,8 @@ impl<B: Backend> Trainer<'_, B> {
         Ok(((parents + 1) * self.backend.len() * row) as u64)
     }
 
-    fn line_log(&self, i: u32, judges: &Judges, fitness: f64) -> StageLog {
+    fn line_log(&self, i: u32, judges: &Judges, generations: u32, fitness: f64) -> StageLog {
         let names = judges.guards.iter().map(|&view| self.views[view].name.clone());
-        let generations = self.config.evolution.recombine.generations;
         StageLog { iteration: i, generations, views: names.collect(), fitness }
     }
 }
