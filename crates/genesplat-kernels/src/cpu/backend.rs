@@ -330,14 +330,15 @@ impl Backend for CpuBackend {
         }
         for &view in views {
             if !self.bases.views.iter().any(|(index, _)| *index == view) {
-                let base = BaseView::new(self.level, &self.cloud, self.views[view].camera, settings);
+                let TrainView { camera, target } = &self.views[view];
+                let base = BaseView::new(self.level, &self.cloud, *camera, target, settings);
                 self.bases.views.push((view, base));
             }
         }
         let bases: Vec<_> = views
             .iter()
             .filter_map(|view| self.bases.views.iter().find(|(index, _)| index == view))
-            .map(|(index, base)| (base, &self.views[*index].target))
+            .map(|(_, base)| base)
             .collect();
         Ok(score(self.level, &self.cloud, population, &bases, settings))
     }

@@ -85,6 +85,11 @@ impl Bins {
         &self.entries[self.tile_starts[tile] as usize..self.tile_starts[tile + 1] as usize]
     }
 
+    /// Depth bits and splat index, nearest first, of the last build: taken, not copied.
+    pub fn take_order(&mut self) -> Vec<u64> {
+        std::mem::take(&mut self.scratch.order)
+    }
+
     /// Counting sort of the emissions by tile: starts, then a stable fill.
     fn list(&mut self, splats: &Splats, grid: [usize; 2]) {
         let scratch = &self.scratch;

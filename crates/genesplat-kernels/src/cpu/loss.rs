@@ -16,12 +16,12 @@ use rayon::prelude::*;
 use super::simd::{LANES, V, array};
 
 /// Taps of the window.
-const TAPS: usize = 2 * SSIM_RADIUS + 1;
+pub const TAPS: usize = 2 * SSIM_RADIUS + 1;
 /// Rows of a strip: a multiple that keeps the overlap between strips small. A constant, so that the order of summation
 /// does not depend on the number of threads.
 const STRIP: usize = 64;
 /// Zeros before and after each row: at least the window's radius, and whole vectors.
-const MARGIN: usize = LANES;
+pub const MARGIN: usize = LANES;
 
 /// A photo as the loss reads it: 8-bit planes `[3, H, W]`.
 #[derive(Clone, Debug)]
@@ -68,27 +68,11 @@ pub fn loss(level: Level, image: &Image, target: &Target, gradient: Option<&mut 
             strips_out.into_par_iter().enumerate().map(|(index, out)| task(index, Some(out))).collect()
         }
     };
-    combine(sums.iter(), 3 * pixels)
-}
-
-/// Loss of `image` against `target`, on the calling thread: for callers that are parallel themselves.
-pub fn loss_serial(level: Level, image: &Image, target: &Target) -> f32 {
-    let (width, height) = (target.width, target.height);
-    let pixels = width * height;
-    let mut sums = Vec::with_capacity(3 * height.div_ceil(STRIP));
-    for (plane, photo) in image.planes.chunks(pixels).zip(target.planes.chunks(pixels)) {
-        for first in (0..height).step_by(STRIP) {
-            let rows = first..height.min(first + STRIP);
-            sums.push(
-                dispatch!(level, simd => walk_strip(simd, plane, photo, [width, height], rows.clone(), None)),
-            );
-        }
-    }
-    combine(sums.iter(), 3 * pixels)
+    combine(sums.into_iter(), 3 * pixels)
 }
 
 /// The loss from sums of `|I − P|` and of SSIM over `values` values.
-fn combine<'a>(sums: impl Iterator<Item = &'a [f64; 2]>, values: usize) -> f32 {
+pub fn combine(sums: impl Iterator<Item = [f64; 2]>, values: usize) -> f32 {
     let [l1, ssim] = sums.fold([0.0; 2], |a, b| [a[0] + b[0], a[1] + b[1]]);
     let lambda = f64::from(LAMBDA_DSSIM);
     ((1.0 - lambda) * l1 / values as f64 + lambda * (1.0 - ssim / values as f64)) as f32
@@ -96,23 +80,25 @@ fn combine<'a>(sums: impl Iterator<Item = &'a [f64; 2]>, values: usize) -> f32 {
 
 /// The last 11 rows of `K` quantities, blurred horizontally; row `y` is in slot `y % 11`. What is summed together lies
 /// together: 16 columns of all slots, quantity by quantity.
-struct Ring<const K: usize> {
-    columns: Vec<[[[f32; LANES]; TAPS]; K]>,
+pub struct Ring<const K: usize> {
+    pub columns: Vec<[[[f32; LANES]; TAPS]; K]>,
 }
 
 impl<const K: usize> Ring<K> {
-    fn new(width: usize) -> Self {
+    /// Room for rows of `width`, all zero.
+    pub fn new(width: usize) -> Self {
         Self { columns: vec![[[[0.0; LANES]; TAPS]; K]; width.div_ceil(LANES)] }
     }
 
-    fn clear_row(&mut self, y: isize) {
+    /// Makes row `y` zero.
+    pub fn clear_row(&mut self, y: isize) {
         let slot = slot(y);
         self.columns.as_flattened_mut().iter_mut().for_each(|slots| slots[slot].fill(0.0));
     }
 
     /// Vertical blur of every quantity at 16 columns; `weights` are those of [`by_slot`].
     #[inline(always)]
-    fn blur<S: Simd>(&self, simd: S, weights: &[f32; TAPS], columns: usize) -> [V<S>; K] {
+    pub fn blur<S: Simd>(&self, simd: S, weights: &[f32; TAPS], columns: usize) -> [V<S>; K] {
         let quantities = &self.columns[columns];
         array(
             #[inline(always)]
@@ -128,12 +114,12 @@ impl<const K: usize> Ring<K> {
 }
 
 /// Where a ring holds row `y`.
-fn slot(y: isize) -> usize {
+pub fn slot(y: isize) -> usize {
     y.rem_euclid(TAPS as isize) as usize
 }
 
 /// The window's weight of each slot, for the 11 rows around `y`.
-fn by_slot(window: &[f32; TAPS], y: isize) -> [f32; TAPS] {
+pub fn by_slot(window: &[f32; TAPS], y: isize) -> [f32; TAPS] {
     let mut weights = [0.0; TAPS];
     for (row, &weight) in (y - SSIM_RADIUS as isize..).zip(window) {
         weights[slot(row)] = weight;
@@ -252,7 +238,7 @@ impl Rows {
 
 /// Horizontal blur of a padded row into a slot of a ring; the window's symmetry halves the multiplications.
 #[inline(always)]
-fn blur_row<S: Simd, const K: usize>(
+pub fn blur_row<S: Simd, const K: usize>(
     simd: S,
     window: &[f32; TAPS],
     row: &[f32],
@@ -300,7 +286,7 @@ fn ssim_row<S: Simd>(
 
 /// Zero beyond the first `count` lanes: the end of a row.
 #[inline(always)]
-fn mask_tail<S: Simd>(simd: S, value: V<S>, count: usize) -> V<S> {
+pub fn mask_tail<S: Simd>(simd: S, value: V<S>, count: usize) -> V<S> {
     if count == LANES {
         return value;
     }
@@ -363,7 +349,7 @@ fn load_part<S: Simd>(simd: S, values: &[f32]) -> V<S> {
 
 /// Up to 16 bytes as values in `[0, 1]`, zeros after them.
 #[inline(always)]
-fn load_bytes<S: Simd>(simd: S, bytes: &[u8]) -> V<S> {
+pub fn load_bytes<S: Simd>(simd: S, bytes: &[u8]) -> V<S> {
     let mut lanes = [0.0; LANES];
     if let Ok(bytes) = <&[u8; LANES]>::try_from(bytes) {
         for lane in 0..LANES {

@@ -1,0 +1,133 @@
+//! What an individual changes in one view: which blocks lose or gain which splats, front to back.
+
+use fearless_simd::Simd;
+use genesplat_core::{Gaussians, RenderSettings, SparseDelta};
+
+use super::super::bin::for_each_tile;
+use super::super::project::{Splat, project_group};
+use super::super::rasterise::{BLOCKS, each_block};
+use super::base::{BaseView, NOT_VISIBLE};
+
+/// A splat that the individual has and the base has not, or the other way round.
+#[derive(Clone, Copy, Debug)]
+pub struct Changed {
+    /// The splat.
+    pub splat: Splat,
+    /// Base splats in front of it.
+    pub rank: u32,
+    /// The base's, else the individual's.
+    pub removed: bool,
+}
+
+/// The changes of one individual in one view.
+#[derive(Default)]
+pub struct Change {
+    /// Changed splats, in the order in which they were found.
+    changed: Vec<Changed>,
+    /// Depth bits, row, and place in `changed`, nearest first.
+    order: Vec<(u64, u32)>,
+    /// Block and place in `changed` of every change of a block, nearest first.
+    found: Vec<[u32; 2]>,
+    /// The same by block: places in `changed`, and where those of each block end.
+    sorted: Vec<u32>,
+    ends: Vec<u32>,
+}
+
+impl Change {
+    /// Finds the changes.
+    #[inline(always)]
+    pub fn find<S: Simd>(
+        &mut self,
+        simd: S,
+        cloud: &Gaussians,
+        individual: &SparseDelta,
+        view: &BaseView,
+        settings: &RenderSettings,
+    ) {
+        // 1. The splats of the changed rows before and after, nearest first.
+        let Self { changed, order, found, .. } = self;
+        changed.clear();
+        let genes = |index: usize| individual.genes[index];
+        project_group(
+            simd,
+            cloud,
+            &individual.rows,
+            genes,
+            &view.camera,
+            settings,
+            #[inline(always)]
+            |index, splat| push_both(changed, individual.rows[index], splat, view),
+        );
+        order.clear();
+        order.extend(changed.iter().zip(0..).map(|(changed, index)| (key(&changed.splat), index)));
+        order.sort_unstable();
+        // 2. The blocks that each reaches.
+        let grid = view.camera.grid();
+        found.clear();
+        self.ends.clear();
+        self.ends.resize(grid[0] * grid[1] * BLOCKS, 0);
+        for &(_, index) in order.iter() {
+            for_each_tile(simd, &changed[index as usize].splat, grid, |tile, blocks| {
+                each_block(blocks, |block| {
+                    let block = tile as usize * BLOCKS + block;
+                    self.ends[block] += 1;
+                    found.push([block as u32, index]);
+                });
+            });
+        }
+        self.sort();
+    }
+
+    /// Counting sort by block, which keeps the order.
+    fn sort(&mut self) {
+        let Self { found, sorted, ends, .. } = self;
+        let mut sum = 0;
+        for end in ends.iter_mut() {
+            sum += std::mem::replace(end, sum);
+        }
+        sorted.resize(found.len(), 0);
+        for &[block, index] in found.iter() {
+            let slot = &mut ends[block as usize];
+            sorted[*slot as usize] = index;
+            *slot += 1;
+        }
+    }
+
+    /// Calls `visit(block, changes)` for each block with changes: places in [`Self::changed`], nearest first.
+    #[inline(always)]
+    pub fn each_block(&self, mut visit: impl FnMut(usize, &[u32])) {
+        let mut first = 0;
+        for (block, &end) in self.ends.iter().enumerate() {
+            if end > first {
+                visit(block, &self.sorted[first as usize..end as usize]);
+                first = end;
+            }
+        }
+    }
+
+    /// A changed splat.
+    #[inline(always)]
+    pub fn get(&self, place: u32) -> &Changed {
+        &self.changed[place as usize]
+    }
+}
+
+/// Lists the splats of a row before and after.
+#[inline(always)]
+fn push_both(changed: &mut Vec<Changed>, row: u32, after: Option<Splat>, view: &BaseView) {
+    let rank = view.rank_of_row[row as usize];
+    let before = (rank != NOT_VISIBLE).then(|| view.splat(rank));
+    if let Some(&splat) = before {
+        changed.push(Changed { splat, rank, removed: true });
+    }
+    if let Some(splat) = after {
+        let same_depth = before.is_some_and(|before| before.depth == splat.depth);
+        let rank = if same_depth { rank } else { view.rank(&splat) };
+        changed.push(Changed { splat, rank, removed: false });
+    }
+}
+
+/// Depth order, ties by row: the order of the base's splats.
+fn key(splat: &Splat) -> u64 {
+    u64::from(splat.depth.to_bits()) << 32 | u64::from(splat.global)
+}

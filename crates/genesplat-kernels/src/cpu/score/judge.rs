@@ -1,0 +1,265 @@
+//! The loss of a picture against one photo, forward only, for many pictures of one view.
+//!
+//! SSIM needs four blurred moments. That of the photo, and of its square, are the same for all pictures: they are kept,
+//! and three are left, `E[x]`, `E[x²]` and `E[xy]` (see [`super::super::loss`]). Pictures and photo have rows of whole
+//! vectors with zeros around them, so that no load needs care. A channel is walked in columns of 144 px from top to
+//! bottom: what the last 11 rows leave stays in the first-level cache.
+
+use fearless_simd::{Level, Simd, dispatch, prelude::*};
+use genesplat_core::constants::{SSIM_C1, SSIM_C2, SSIM_RADIUS, ssim_window};
+
+use super::super::loss::{
+    MARGIN, Ring, TAPS, Target, blur_row, by_slot, combine, load_bytes, mask_tail, slot,
+};
+use super::super::simd::{LANES, V, array};
+
+/// Most vectors across a column of the walk.
+const COLUMN_VECTORS: usize = 9;
+/// Rows whose sums are added in f32 before they are added in f64.
+const ROWS_A_SUM: usize = 8;
+
+/// Where the values of a padded picture lie: planes of rows of whole vectors, zeros before and after each row.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Layout {
+    /// Size, px.
+    pub size: [usize; 2],
+}
+
+impl Layout {
+    /// Vectors that hold a row.
+    fn vectors(&self) -> usize {
+        self.size[0].div_ceil(LANES)
+    }
+
+    /// From a pixel to the one below it. The zeros after a row are those before the next one.
+    pub fn stride(&self) -> usize {
+        self.vectors() * LANES + MARGIN
+    }
+
+    /// From a pixel to the same of the next channel.
+    pub fn plane(&self) -> usize {
+        self.size[1] * self.stride()
+    }
+
+    /// Place of the first pixel of a row of the first channel.
+    pub fn row(&self, y: usize) -> usize {
+        MARGIN + y * self.stride()
+    }
+
+    /// Values of a picture.
+    pub fn len(&self) -> usize {
+        3 * self.plane() + MARGIN
+    }
+
+    /// The walk's columns: first vector and count of each, as even as can be.
+    fn columns(&self) -> impl Iterator<Item = (usize, usize)> + use<> {
+        let vectors = self.vectors();
+        let each = vectors.div_ceil(vectors.div_ceil(COLUMN_VECTORS).max(1)).max(1);
+        (0..vectors).step_by(each).map(move |first| (first, each.min(vectors - first)))
+    }
+}
+
+/// A photo and what SSIM needs of it, in the [`Layout`] of the pictures that it judges.
+#[derive(Debug)]
+pub struct Judge {
+    layout: Layout,
+    photo: Vec<u8>,
+    /// `E[y]`.
+    mean: Vec<f32>,
+    /// `E[y²] − E[y]² + C2`.
+    spread: Vec<f32>,
+}
+
+/// The working memory of one walk: the last 11 rows of `K` quantities blurred along the row, and one row of them unblurred.
+pub struct Walk<const K: usize> {
+    ring: Ring<K>,
+    rows: [Vec<f32>; K],
+}
+
+impl<const K: usize> Default for Walk<K> {
+    fn default() -> Self {
+        let row = || vec![0.0; COLUMN_VECTORS * LANES + 2 * MARGIN];
+        Self { ring: Ring::new(0), rows: std::array::from_fn(|_| row()) }
+    }
+}
+
+impl Judge {
+    /// Blurs the photo and its square.
+    pub fn new(level: Level, target: &Target) -> Self {
+        let layout = Layout { size: [target.width, target.height] };
+        let mut judge = Self {
+            layout,
+            photo: padded(&target.planes, layout),
+            mean: vec![0.0; layout.len()],
+            spread: vec![0.0; layout.len()],
+        };
+        dispatch!(level, simd => judge.blur_photo(simd));
+        judge
+    }
+
+    #[inline(always)]
+    fn blur_photo<S: Simd>(&mut self, simd: S) {
+        let Self { layout, photo, mean, spread } = self;
+        let mut walk = Walk::<2>::default();
+        for (channel, (first, count)) in each_column(*layout) {
+            walk.down(
+                simd,
+                *layout,
+                (channel, first, count),
+                #[inline(always)]
+                |at| {
+                    let y = load_bytes(simd, &photo[at..at + LANES]);
+                    [y, y * y]
+                },
+                #[inline(always)]
+                |at, _, [y, yy]| {
+                    y.store_slice(&mut mean[at..at + LANES]);
+                    (yy - y * y + SSIM_C2).store_slice(&mut spread[at..at + LANES]);
+                },
+            );
+        }
+    }
+
+    /// Loss of a picture.
+    #[inline(always)]
+    pub fn loss<S: Simd>(&self, simd: S, picture: &[f32], walk: &mut Walk<3>) -> f32 {
+        let columns = each_column(self.layout).map(
+            #[inline(always)]
+            |(channel, (first, count))| self.column_sums(simd, picture, (channel, first, count), walk),
+        );
+        let [width, height] = self.layout.size;
+        combine(columns, 3 * width * height)
+    }
+
+    /// Sums of `|x − y|` and of SSIM over one column of one channel.
+    #[inline(always)]
+    fn column_sums<S: Simd>(
+        &self,
+        simd: S,
+        picture: &[f32],
+        column: (usize, usize, usize),
+        walk: &mut Walk<3>,
+    ) -> [f64; 2] {
+        let zero = V::splat(simd, 0.0);
+        let (mut near, mut sums) = ([zero; 2], [0.0f64; 2]);
+        let mut left = ROWS_A_SUM * column.2;
+        let last = self.layout.vectors() - 1;
+        let tail = self.layout.size[0] - last * LANES;
+        walk.down(
+            simd,
+            self.layout,
+            column,
+            #[inline(always)]
+            |at| {
+                let x = V::from_slice(simd, &picture[at..at + LANES]);
+                [x, x * x, x * load_bytes(simd, &self.photo[at..at + LANES])]
+            },
+            #[inline(always)]
+            |at, vector, moments| {
+                let x = V::from_slice(simd, &picture[at..at + LANES]);
+                // Beyond the row both are zero.
+                near[0] += (x - load_bytes(simd, &self.photo[at..at + LANES])).abs();
+                let ssim = self.ssim(simd, at, moments);
+                near[1] += if vector == last { mask_tail(simd, ssim, tail) } else { ssim };
+                left -= 1;
+                if left == 0 {
+                    add(&mut sums, &near);
+                    (near, left) = ([zero; 2], ROWS_A_SUM * column.2);
+                }
+            },
+        );
+        add(&mut sums, &near);
+        sums
+    }
+
+    #[inline(always)]
+    fn ssim<S: Simd>(&self, simd: S, at: usize, [x, xx, xy]: [V<S>; 3]) -> V<S> {
+        let mean = V::from_slice(simd, &self.mean[at..at + LANES]);
+        let spread = V::from_slice(simd, &self.spread[at..at + LANES]);
+        let (product, square) = (x * mean, x * x);
+        let numerator = (product * 2.0 + SSIM_C1) * ((xy - product) * 2.0 + SSIM_C2);
+        let denominator = (mean.mul_add(mean, square) + SSIM_C1) * (xx - square + spread);
+        numerator / denominator
+    }
+}
+
+#[inline(always)]
+fn add<S: Simd>(sums: &mut [f64; 2], near: &[V<S>; 2]) {
+    for (sum, near) in sums.iter_mut().zip(near) {
+        *sum += near.iter().map(|&v| f64::from(v)).sum::<f64>();
+    }
+}
+
+/// Columns of all channels.
+fn each_column(layout: Layout) -> impl Iterator<Item = (usize, (usize, usize))> {
+    (0..3).flat_map(move |channel| layout.columns().map(move |column| (channel, column)))
+}
+
+fn padded(planes: &[u8], layout: Layout) -> Vec<u8> {
+    let mut out = vec![0; layout.len()];
+    let [width, height] = layout.size;
+    for (index, row) in planes.chunks_exact(width).enumerate() {
+        let at = index / height * layout.plane() + layout.row(index % height);
+        out[at..at + width].copy_from_slice(row);
+    }
+    out
+}
+
+impl<const K: usize> Walk<K> {
+    /// Walks down a column `(channel, first vector, vectors)`: calls `visit(place, vector, blurred quantities)` for each of
+    /// its vectors, row by row; `load(place)` gives the quantities.
+    #[inline(always)]
+    fn down<S: Simd>(
+        &mut self,
+        simd: S,
+        layout: Layout,
+        (channel, first, count): (usize, usize, usize),
+        mut load: impl FnMut(usize) -> [V<S>; K],
+        mut visit: impl FnMut(usize, usize, [V<S>; K]),
+    ) {
+        let window = ssim_window().map(|v| v as f32);
+        let weights: [[f32; TAPS]; TAPS] = array(|y| by_slot(&window, y as isize));
+        let Self { ring, rows } = self;
+        // Rows above the picture are zero.
+        ring.columns.clear();
+        ring.columns.resize(count, [[[0.0; LANES]; TAPS]; K]);
+        let origin = channel * layout.plane() + first * LANES;
+        let height = layout.size[1];
+        for y in 0..height + SSIM_RADIUS {
+            // 1. The quantities of row y, blurred along the row; those beside the column are needed, too.
+            if y < height {
+                let from = origin + layout.row(y) - MARGIN;
+                for vector in 0..count + 2 {
+                    let quantities = load(from + vector * LANES);
+                    for k in 0..K {
+                        quantities[k].store_slice(&mut rows[k][vector * LANES..][..LANES]);
+                    }
+                }
+                for k in 0..K {
+                    blur_row(simd, &window, &rows[k], ring, k, slot(y as isize));
+                }
+            } else {
+                ring.clear_row(y as isize);
+            }
+            // 2. The row whose window is now complete.
+            let Some(centre) = y.checked_sub(SSIM_RADIUS) else { continue };
+            let at = origin + layout.row(centre);
+            for vector in 0..count {
+                let blurred = ring.blur(simd, &weights[centre % TAPS], vector);
+                visit(at + vector * LANES, first + vector, blurred);
+            }
+        }
+    }
+}
+
+/// Loss of a picture that is not padded yet.
+#[cfg(test)]
+pub fn loss_by_judge(level: Level, image: &genesplat_core::Image, target: &Target) -> f32 {
+    let judge = Judge::new(level, target);
+    let mut picture = vec![0.0; judge.layout.len()];
+    for (index, row) in image.planes.chunks_exact(target.width).enumerate() {
+        let at = index / target.height * judge.layout.plane() + judge.layout.row(index % target.height);
+        picture[at..at + target.width].copy_from_slice(row);
+    }
+    dispatch!(level, simd => judge.loss(simd, &picture, &mut Walk::default()))
+}

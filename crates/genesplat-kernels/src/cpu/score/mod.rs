@@ -1,0 +1,104 @@
+//! Stage `score`: Eq. 5 of a whole population over a set of views, forward only.
+//!
+//! What individuals share is computed once a view ([`BaseView`]): the base's projection, colours, depth order, block
+//! lists, picture and light, and the blurred photo. An individual costs the projection of the rows that it changed
+//! ([`Change`]), the blocks that those rows touch before or after ([`Block::patched`]: only around the changed splats), and
+//! the loss ([`Judge`](judge::Judge)). Where no pixel is finished, what lies between changes is taken over from the base up
+//! to a factor, so results equal those of rendering the changed cloud up to rounding.
+
+mod base;
+mod change;
+mod judge;
+mod patch;
+
+use fearless_simd::{Level, Simd, dispatch, prelude::*};
+use genesplat_core::{Gaussians, RenderSettings, SparseDelta};
+use rayon::prelude::*;
+
+use super::project::TILE;
+use super::rasterise::BLOCKS;
+use super::simd::{V, array};
+#[cfg(test)]
+pub use judge::loss_by_judge;
+pub use base::BaseView;
+use base::{Light, corner, write_block};
+use change::Change;
+use judge::Walk;
+use patch::Block;
+
+/// Losses `[P, V]` of the individuals on the views.
+pub fn score(
+    level: Level,
+    cloud: &Gaussians,
+    population: &[SparseDelta],
+    views: &[&BaseView],
+    settings: &RenderSettings,
+) -> Vec<f32> {
+    // View after view, so that what a thread reads of a view stays near it.
+    let by_view: Vec<f32> = (0..population.len() * views.len())
+        .into_par_iter()
+        .map_init(Scratch::default, |scratch, task| {
+            let (view, individual) = (views[task / population.len()], &population[task % population.len()]);
+            dispatch!(level, simd => scratch.loss(simd, cloud, individual, view, settings))
+        })
+        .collect();
+    let places = (0..population.len()).flat_map(|individual| (0..views.len()).map(move |view| [individual, view]));
+    places.map(|[individual, view]| by_view[view * population.len() + individual]).collect()
+}
+
+/// One thread's working memory.
+#[derive(Default)]
+struct Scratch {
+    change: Change,
+    picture: Vec<f32>,
+    walk: Walk<3>,
+}
+
+impl Scratch {
+    #[inline(always)]
+    fn loss<S: Simd>(
+        &mut self,
+        simd: S,
+        cloud: &Gaussians,
+        individual: &SparseDelta,
+        view: &BaseView,
+        settings: &RenderSettings,
+    ) -> f32 {
+        self.change.find(simd, cloud, individual, view, settings);
+        self.picture.clone_from(&view.picture);
+        self.patch(simd, view, settings.background);
+        view.judge.loss(simd, &self.picture, &mut self.walk)
+    }
+
+    /// Writes the blocks that differ from the base over its picture.
+    #[inline(always)]
+    fn patch<S: Simd>(&mut self, simd: S, view: &BaseView, background: [f32; 3]) {
+        let Self { change, picture, .. } = self;
+        let (layout, across) = (view.layout(), view.camera.grid()[0]);
+        change.each_block(
+            #[inline(always)]
+            |block, places| {
+                let [left, top] = corner(block, across);
+                if left >= layout.size[0] || top >= layout.size[1] {
+                    return;
+                }
+                let of_base = Block {
+                    tile: &view.tiles[block / BLOCKS],
+                    block: block % BLOCKS,
+                    origin: [left / TILE * TILE, top / TILE * TILE],
+                    splats: &view.splats,
+                };
+                let Some(light) = of_base.patched(simd, change, places) else { return };
+                write_block(&on_background(simd, &light, background), layout, block, across, picture);
+            },
+        );
+    }
+}
+
+#[inline(always)]
+fn on_background<S: Simd>(simd: S, light: &Light<S>, background: [f32; 3]) -> [[f32; super::simd::LANES]; 3] {
+    array(
+        #[inline(always)]
+        |channel| *light.transmittance.mul_add(V::splat(simd, background[channel]), light.colour[channel]),
+    )
+}
