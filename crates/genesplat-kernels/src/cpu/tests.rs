@@ -10,7 +10,7 @@
 use std::sync::Arc;
 
 use fearless_simd::Level;
-use genesplat_core::backend::{Exploration, MomentPolicy};
+use genesplat_core::backend::Exploration;
 use genesplat_core::{
     Backend, Camera, DensitySignal, Gaussians, Image, LearningRates, Photo, RenderSettings, Rng, RowEdit,
     ScreenFilter, SparseDelta, StatisticsRequest, Stream, TrainStep, Update, View,
@@ -19,7 +19,7 @@ use glam::{DQuat, DVec3};
 
 use super::project::Pinhole;
 use super::rasterise_backward::Extra;
-use super::score::loss_by_judge;
+use super::score::{judge::loss_by_judge, tests::individual_of};
 use super::update::{Inputs, gradients};
 use super::{CpuBackend, Frame, loss};
 use crate::reference::{self, Cloud64, Cutoff};
@@ -27,12 +27,12 @@ use crate::reference::{self, Cloud64, Cutoff};
 const WIDTH: u32 = 75;
 const HEIGHT: u32 = 53;
 
-fn uniform(row: usize, index: usize) -> f32 {
+pub fn uniform(row: usize, index: usize) -> f32 {
     Rng::new(11).at(Stream::Test, row as u32, index as u32, 0).uniform(0)
 }
 
 /// Gaussians in front of, beside and behind the camera, from a fifth of a pixel to a third of the image.
-fn cloud(n: usize) -> Gaussians {
+pub fn cloud(n: usize) -> Gaussians {
     let mut cloud = Gaussians::zeros(n);
     for row in 0..n {
         let u = |index: usize| uniform(row, index);
@@ -47,7 +47,7 @@ fn cloud(n: usize) -> Gaussians {
     cloud
 }
 
-fn camera() -> Camera {
+pub fn camera() -> Camera {
     Camera {
         width: WIDTH,
         height: HEIGHT,
@@ -67,11 +67,11 @@ fn view() -> View {
     View { name: "test".into(), camera: camera(), photo: Arc::new(photo()) }
 }
 
-fn settings(sh_degree: u8, filter: ScreenFilter) -> RenderSettings {
+pub fn settings(sh_degree: u8, filter: ScreenFilter) -> RenderSettings {
     RenderSettings { sh_degree, background: [0.3, 0.1, 0.6], filter }
 }
 
-fn filters() -> [ScreenFilter; 3] {
+pub fn filters() -> [ScreenFilter; 3] {
     [ScreenFilter::Classic, ScreenFilter::Antialiased, ScreenFilter::Mip]
 }
 
@@ -320,48 +320,6 @@ fn ten_steps_match_the_reference(exploration: Option<Exploration>) {
         assert!(close(actual.opacity_logits[row], expected.opacity_logits[row]), "opacity of row {row}");
     }
     assert_ne!(actual.positions, start.positions);
-}
-
-#[test]
-fn scoring_equals_rendering_the_changed_cloud() {
-    for filter in filters() {
-        let (mut base, settings) = (cloud(500), settings(3, filter));
-        base.filter_3d = (filter == ScreenFilter::Mip).then(|| vec![0.02; 500]);
-        let population: Vec<SparseDelta> =
-            (0..6).map(|individual| individual_of(&base, individual)).collect();
-        let mut backend = backend_with(&base);
-        let scores = backend.score(&population, &[0], &settings).unwrap();
-        for (individual, &score) in population.iter().zip(&scores) {
-            let mut changed = backend_with(&base);
-            changed.apply(individual, MomentPolicy::Keep).unwrap();
-            let image = changed.render(&camera(), &settings).unwrap();
-            let plain = loss::loss(Level::new(), &image, &loss::Target::from(&photo()), None);
-            assert!((score / plain - 1.0).abs() < 1e-6, "{score} {plain}");
-        }
-        assert!(scores.windows(2).any(|pair| pair[0] != pair[1]), "individuals differ");
-    }
-}
-
-/// Changes one row in `individual`, among them rows that move behind the camera or vanish.
-fn individual_of(base: &Gaussians, individual: usize) -> SparseDelta {
-    let mut delta = SparseDelta::default();
-    if individual == 0 {
-        return delta;
-    }
-    for row in (individual..base.len()).step_by(3 * individual) {
-        let mut genes = base.genes(row);
-        for (k, gene) in genes.iter_mut().enumerate() {
-            *gene += 0.3 * (uniform(row, 200 + 10 * individual + k) - 0.5);
-        }
-        match row % 7 {
-            0 => genes[2] -= 20.0,
-            1 => genes[6] = -9.0,
-            _ => {}
-        }
-        delta.rows.push(row as u32);
-        delta.genes.push(genes);
-    }
-    delta
 }
 
 #[test]

@@ -143,8 +143,7 @@ impl BaseView {
     pub fn rank(&self, splat: &Splat) -> u32 {
         let depth = u64::from(splat.depth.to_bits());
         self.order.partition_point(|&key| {
-            key >> 32 < depth
-                || key >> 32 == depth && self.splats.get(key as u32).global < splat.global
+            key >> 32 < depth || key >> 32 == depth && self.splats.get(key as u32).global < splat.global
         }) as u32
     }
 
@@ -163,7 +162,13 @@ impl BaseView {
                     })
                 };
                 let values = [value(0), value(1), value(2)];
-                write_block(&values, self.layout(), tile * BLOCKS + block, self.camera.grid()[0], &mut picture);
+                write_block(
+                    &values,
+                    self.layout(),
+                    tile * BLOCKS + block,
+                    self.camera.grid()[0],
+                    &mut picture,
+                );
             }
         }
         picture

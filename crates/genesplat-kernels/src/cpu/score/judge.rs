@@ -64,10 +64,8 @@ impl Layout {
 pub struct Judge {
     layout: Layout,
     photo: Vec<u8>,
-    /// `E[y]`.
-    mean: Vec<f32>,
-    /// `E[y²] − E[y]² + C2`.
-    spread: Vec<f32>,
+    /// `E[y]` and `E[y²] − E[y]² + C2` of each vector, in the order of the walk: a stream, which the machine fetches ahead.
+    blurred: Vec<[[f32; LANES]; 2]>,
 }
 
 /// The working memory of one walk: the last 11 rows of `K` quantities blurred along the row, and one row of them unblurred.
@@ -87,19 +85,15 @@ impl Judge {
     /// Blurs the photo and its square.
     pub fn new(level: Level, target: &Target) -> Self {
         let layout = Layout { size: [target.width, target.height] };
-        let mut judge = Self {
-            layout,
-            photo: padded(&target.planes, layout),
-            mean: vec![0.0; layout.len()],
-            spread: vec![0.0; layout.len()],
-        };
+        let blurred = Vec::with_capacity(3 * layout.vectors() * target.height);
+        let mut judge = Self { layout, photo: padded(&target.planes, layout), blurred };
         dispatch!(level, simd => judge.blur_photo(simd));
         judge
     }
 
     #[inline(always)]
     fn blur_photo<S: Simd>(&mut self, simd: S) {
-        let Self { layout, photo, mean, spread } = self;
+        let Self { layout, photo, blurred } = self;
         let mut walk = Walk::<2>::default();
         for (channel, (first, count)) in each_column(*layout) {
             walk.down(
@@ -112,10 +106,7 @@ impl Judge {
                     [y, y * y]
                 },
                 #[inline(always)]
-                |at, _, [y, yy]| {
-                    y.store_slice(&mut mean[at..at + LANES]);
-                    (yy - y * y + SSIM_C2).store_slice(&mut spread[at..at + LANES]);
-                },
+                |_, _, [y, yy]| blurred.push([*y, *(yy - y * y + SSIM_C2)]),
             );
         }
     }
@@ -123,12 +114,14 @@ impl Judge {
     /// Loss of a picture.
     #[inline(always)]
     pub fn loss<S: Simd>(&self, simd: S, picture: &[f32], walk: &mut Walk<3>) -> f32 {
-        let columns = each_column(self.layout).map(
-            #[inline(always)]
-            |(channel, (first, count))| self.column_sums(simd, picture, (channel, first, count), walk),
-        );
+        // A loop: what is passed to an iterator's methods is not always inlined.
+        let (mut sums, mut blurred) = ([0.0; 2], self.blurred.iter());
+        for (channel, (first, count)) in each_column(self.layout) {
+            let [l1, ssim] = self.column_sums(simd, picture, (channel, first, count), &mut blurred, walk);
+            sums = [sums[0] + l1, sums[1] + ssim];
+        }
         let [width, height] = self.layout.size;
-        combine(columns, 3 * width * height)
+        combine([sums].into_iter(), 3 * width * height)
     }
 
     /// Sums of `|x − y|` and of SSIM over one column of one channel.
@@ -138,6 +131,7 @@ impl Judge {
         simd: S,
         picture: &[f32],
         column: (usize, usize, usize),
+        blurred: &mut std::slice::Iter<'_, [[f32; LANES]; 2]>,
         walk: &mut Walk<3>,
     ) -> [f64; 2] {
         let zero = V::splat(simd, 0.0);
@@ -159,7 +153,9 @@ impl Judge {
                 let x = V::from_slice(simd, &picture[at..at + LANES]);
                 // Beyond the row both are zero.
                 near[0] += (x - load_bytes(simd, &self.photo[at..at + LANES])).abs();
-                let ssim = self.ssim(simd, at, moments);
+                let Some(&[mean, spread]) = blurred.next() else { unreachable!("one for each vector") };
+                let of_photo = [V::simd_from(simd, mean), V::simd_from(simd, spread)];
+                let ssim = ssim(of_photo, moments);
                 near[1] += if vector == last { mask_tail(simd, ssim, tail) } else { ssim };
                 left -= 1;
                 if left == 0 {
@@ -171,16 +167,15 @@ impl Judge {
         add(&mut sums, &near);
         sums
     }
+}
 
-    #[inline(always)]
-    fn ssim<S: Simd>(&self, simd: S, at: usize, [x, xx, xy]: [V<S>; 3]) -> V<S> {
-        let mean = V::from_slice(simd, &self.mean[at..at + LANES]);
-        let spread = V::from_slice(simd, &self.spread[at..at + LANES]);
-        let (product, square) = (x * mean, x * x);
-        let numerator = (product * 2.0 + SSIM_C1) * ((xy - product) * 2.0 + SSIM_C2);
-        let denominator = (mean.mul_add(mean, square) + SSIM_C1) * (xx - square + spread);
-        numerator / denominator
-    }
+/// SSIM from the photo's mean and spread and the blurred moments of a picture.
+#[inline(always)]
+fn ssim<S: Simd>([mean, spread]: [V<S>; 2], [x, xx, xy]: [V<S>; 3]) -> V<S> {
+    let (product, square) = (x * mean, x * x);
+    let numerator = (product * 2.0 + SSIM_C1) * ((xy - product) * 2.0 + SSIM_C2);
+    let denominator = (mean.mul_add(mean, square) + SSIM_C1) * (xx - square + spread);
+    numerator / denominator
 }
 
 #[inline(always)]
@@ -218,7 +213,10 @@ impl<const K: usize> Walk<K> {
         mut visit: impl FnMut(usize, usize, [V<S>; K]),
     ) {
         let window = ssim_window().map(|v| v as f32);
-        let weights: [[f32; TAPS]; TAPS] = array(|y| by_slot(&window, y as isize));
+        let weights: [[f32; TAPS]; TAPS] = array(
+            #[inline(always)]
+            |y| by_slot(&window, y as isize),
+        );
         let Self { ring, rows } = self;
         // Rows above the picture are zero.
         ring.columns.clear();

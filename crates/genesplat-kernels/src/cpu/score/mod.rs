@@ -8,7 +8,7 @@
 
 mod base;
 mod change;
-mod judge;
+pub mod judge;
 mod patch;
 
 use fearless_simd::{Level, Simd, dispatch, prelude::*};
@@ -18,8 +18,6 @@ use rayon::prelude::*;
 use super::project::TILE;
 use super::rasterise::BLOCKS;
 use super::simd::{V, array};
-#[cfg(test)]
-pub use judge::loss_by_judge;
 pub use base::BaseView;
 use base::{Light, corner, write_block};
 use change::Change;
@@ -42,7 +40,8 @@ pub fn score(
             dispatch!(level, simd => scratch.loss(simd, cloud, individual, view, settings))
         })
         .collect();
-    let places = (0..population.len()).flat_map(|individual| (0..views.len()).map(move |view| [individual, view]));
+    let places =
+        (0..population.len()).flat_map(|individual| (0..views.len()).map(move |view| [individual, view]));
     places.map(|[individual, view]| by_view[view * population.len() + individual]).collect()
 }
 
@@ -102,3 +101,6 @@ fn on_background<S: Simd>(simd: S, light: &Light<S>, background: [f32; 3]) -> [[
         |channel| *light.transmittance.mul_add(V::splat(simd, background[channel]), light.colour[channel]),
     )
 }
+
+#[cfg(test)]
+pub mod tests;

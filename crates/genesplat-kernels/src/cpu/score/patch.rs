@@ -69,13 +69,13 @@ impl Block<'_> {
             let weight = base.light.transmittance * alpha;
             let (weight_of_individual, sign) = if changed.removed {
                 base.light.add(weight, changed.splat.rgb);
-                base.light.transmittance = base.light.transmittance - weight;
+                base.light.transmittance -= weight;
                 base.at += 1;
-                ratio = ratio / (one - alpha);
+                ratio /= one - alpha;
                 (weight, -1.0)
             } else {
                 let weight = weight * ratio;
-                ratio = ratio - ratio * alpha;
+                ratio -= ratio * alpha;
                 (weight, 1.0)
             };
             for (more, value) in more.iter_mut().zip(changed.splat.rgb) {
@@ -105,7 +105,7 @@ impl Block<'_> {
             let splat = self.splats.get(index).seen_from(self.origin);
             let weight = base.light.transmittance * alpha(simd, &splat, self.block).alpha;
             base.light.add(weight, splat.rgb);
-            base.light.transmittance = base.light.transmittance - weight;
+            base.light.transmittance -= weight;
         }
         base.at = to;
     }
@@ -137,10 +137,12 @@ impl Block<'_> {
     /// Blends splats of the base; false where no pixel goes on.
     #[inline(always)]
     fn blend<S: Simd>(&self, simd: S, light: &mut Light<S>, indices: &[u32]) -> bool {
-        indices.iter().all(
-            #[inline(always)]
-            |&index| light.blend(simd, &self.splats.get(index).seen_from(self.origin), self.block),
-        )
+        for &index in indices {
+            if !light.blend(simd, &self.splats.get(index).seen_from(self.origin), self.block) {
+                return false;
+            }
+        }
+        true
     }
 }
 

@@ -1,0 +1,182 @@
+//! Scores against the loss of the changed cloud, rendered in full. Both compute in f32, in different orders: a loss may be
+//! off by 1e-6 of itself (seen: 4e-7), which is what a handful of roundings in the sums comes to.
+
+use std::sync::Arc;
+
+use fearless_simd::Level;
+use genesplat_core::backend::MomentPolicy;
+use genesplat_core::{Backend, Camera, Gaussians, Photo, RenderSettings, ScreenFilter, SparseDelta, View};
+use glam::DVec3;
+
+use super::super::tests::{camera, cloud, filters, settings, uniform};
+use super::super::{CpuBackend, loss};
+use super::base::{NOT_VISIBLE, STEP};
+use super::*;
+
+const TOLERANCE: f32 = 1e-6;
+
+/// Two views of other sizes: neither is a multiple of a tile, a block or a vector.
+fn views_of(sizes: [[u32; 2]; 2]) -> Vec<View> {
+    let view = |(index, [width, height]): (usize, [u32; 2])| {
+        let rgb = (0..3 * width * height).map(|i| (uniform(index + 9, i as usize) * 255.0) as u8).collect();
+        let shift = DVec3::new(0.3, -0.2, 0.4) * index as f64;
+        let camera = camera().resized(width, height);
+        let camera_from_world_translation = camera.camera_from_world_translation + shift;
+        let camera = Camera { camera_from_world_translation, ..camera };
+        View { name: "test".into(), camera, photo: Arc::new(Photo { width, height, rgb }) }
+    };
+    sizes.into_iter().enumerate().map(view).collect()
+}
+
+/// Scores the population; returns the largest relative difference from the plain way, and fails when it is too large.
+fn check(base: &Gaussians, population: &[SparseDelta], views: &[View], settings: &RenderSettings) {
+    let mut backend = CpuBackend::new(0);
+    backend.set_views(views).unwrap();
+    backend.upload(base.clone(), None).unwrap();
+    let numbers: Vec<usize> = (0..views.len()).rev().collect();
+    let scores = backend.score(population, &numbers, settings).unwrap();
+    for (individual, scores) in population.iter().zip(scores.chunks(views.len())) {
+        let mut changed = CpuBackend::new(0);
+        changed.upload(base.clone(), None).unwrap();
+        changed.apply(individual, MomentPolicy::Keep).unwrap();
+        for (&view, &score) in numbers.iter().zip(scores) {
+            let image = changed.render(&views[view].camera, settings).unwrap();
+            let target = loss::Target::from(views[view].photo.as_ref());
+            let plain = loss::loss(Level::new(), &image, &target, None);
+            assert!((score / plain - 1.0).abs() < TOLERANCE, "{score} instead of {plain}, view {view}");
+        }
+    }
+    let first = scores.chunks(views.len()).map(|scores| scores[0]);
+    assert!(first.collect::<Vec<_>>().windows(2).any(|pair| pair[0] != pair[1]), "individuals differ");
+}
+
+/// Changes every `step`-th row from `first` on.
+pub fn change_rows(
+    base: &Gaussians,
+    rows: impl Iterator<Item = usize>,
+    change: impl Fn(usize, &mut genesplat_core::Gene),
+) -> SparseDelta {
+    let mut delta = SparseDelta::default();
+    for row in rows {
+        let mut genes = base.genes(row);
+        change(row, &mut genes);
+        delta.rows.push(row as u32);
+        delta.genes.push(genes);
+    }
+    delta
+}
+
+/// Changes one row in `3 * individual`, among them rows that move behind the camera or vanish; 0 changes nothing.
+pub fn individual_of(base: &Gaussians, individual: usize) -> SparseDelta {
+    let rows = (individual..if individual == 0 { 0 } else { base.len() }).step_by(3 * individual.max(1));
+    change_rows(base, rows, |row, genes| {
+        for (k, gene) in genes.iter_mut().enumerate() {
+            *gene += 0.3 * (uniform(row, 200 + 10 * individual + k) - 0.5);
+        }
+        match row % 7 {
+            0 => genes[2] -= 20.0,
+            1 => genes[6] = -9.0,
+            _ => {}
+        }
+    })
+}
+
+/// Opacities from faint (as after a reset: no pixel is finished) to opaque (most are).
+fn cloud_of(n: usize, logit: f32) -> Gaussians {
+    let mut cloud = cloud(n);
+    cloud.opacity_logits.iter_mut().for_each(|value| *value = 0.3 * *value + logit);
+    cloud
+}
+
+#[test]
+fn scoring_equals_rendering_the_changed_cloud() {
+    for filter in filters() {
+        for logit in [-3.0, 0.0, 7.0] {
+            let mut base = cloud_of(1500, logit);
+            base.filter_3d = (filter == ScreenFilter::Mip).then(|| vec![0.02; 1500]);
+            let population: Vec<SparseDelta> =
+                (0..6).map(|individual| individual_of(&base, individual)).collect();
+            check(&base, &population, &views_of([[75, 53], [310, 37]]), &settings(3, filter));
+        }
+    }
+}
+
+#[test]
+fn every_size_and_background_is_scored() {
+    let base = cloud_of(300, -2.0);
+    let population: Vec<SparseDelta> = (0..4).map(|individual| individual_of(&base, individual)).collect();
+    for (size, background) in
+        [([1, 1], 0.0), ([5, 3], 1.0), ([16, 130], 0.5), ([64, 48], 0.0), ([161, 17], 1.0)]
+    {
+        let settings =
+            RenderSettings { background: [background, 0.2, 0.7], ..settings(1, ScreenFilter::Classic) };
+        check(&base, &population, &views_of([size, [33, 20]]), &settings);
+    }
+}
+
+/// One change an individual: the nearest splats, the farthest, and some between.
+#[test]
+fn single_changes_are_scored_wherever_they_are() {
+    for logit in [-4.0, 1.0] {
+        let base = cloud_of(200, logit);
+        let depth = |row: &usize| (1e6 * f64::from(base.positions[*row][2])) as i64;
+        let mut rows: Vec<usize> = (0..base.len()).collect();
+        rows.sort_by_key(depth);
+        let some: Vec<usize> = rows[..70].iter().chain(&rows[180..]).copied().collect();
+        let population: Vec<SparseDelta> = some
+            .iter()
+            .map(|&row| {
+                change_rows(&base, [row].into_iter(), |row, genes| match row % 4 {
+                    0 => genes[6] = 6.0,
+                    1 => genes[6] = -9.0,
+                    2 => genes[2] += 0.8,
+                    _ => genes[3] += 0.5,
+                })
+            })
+            .collect();
+        check(&base, &population, &views_of([[75, 53], [33, 20]]), &settings(2, ScreenFilter::Classic));
+    }
+}
+
+/// All rows change, their depth order is turned round, and splats that nobody saw appear.
+#[test]
+fn large_changes_are_scored() {
+    let mut base = cloud_of(250, -1.0);
+    base.opacity_logits.iter_mut().step_by(5).for_each(|logit| *logit = -9.0);
+    let everything =
+        |change: &dyn Fn(usize, &mut genesplat_core::Gene)| change_rows(&base, 0..base.len(), change);
+    let population = [
+        everything(&|_, genes| genes[2] = 4.0 - genes[2]),
+        everything(&|_, genes| genes[6] = 0.5),
+        everything(&|_, genes| genes[6] = -9.0),
+        everything(&|_, genes| genes[6] = 9.0),
+        everything(&|_, genes| (0..3).for_each(|k| genes[3 + k] += 1.0)),
+        everything(&|row, genes| genes[0] += if row % 2 == 0 { 30.0 } else { 0.1 }),
+    ];
+    check(&base, &population, &views_of([[75, 53], [33, 20]]), &settings(3, ScreenFilter::Classic));
+}
+
+/// Without this, the tests above might never walk from one stored light to the next, nor blend splat by splat.
+#[test]
+fn the_tests_reach_every_path() {
+    let pinhole = super::super::project::Pinhole::from(&camera());
+    let photo = views_of([[75, 53], [1, 1]])[0].photo.clone();
+    let base_of = |logit: f32| {
+        let target = loss::Target::from(photo.as_ref());
+        BaseView::new(
+            Level::new(),
+            &cloud_of(1500, logit),
+            pinhole,
+            &target,
+            &settings(3, ScreenFilter::Classic),
+        )
+    };
+    let opaque = |base: &BaseView| base.tiles.iter().map(|tile| tile.opaque.count_ones()).sum::<u32>();
+    let longest =
+        |base: &BaseView| base.tiles.iter().flat_map(|tile| (0..BLOCKS).map(|b| tile.ranks(b).len())).max();
+    let faint = base_of(-3.0);
+    let blocks = [-3.0, 0.0, 1.0, 3.0, 7.0].map(|logit| opaque(&base_of(logit)));
+    assert!(blocks[0] == 0 && (30..300).contains(&blocks[4]), "of 320 blocks are opaque: {blocks:?}");
+    assert!(longest(&faint) > Some(3 * STEP));
+    assert!(faint.rank_of_row.contains(&NOT_VISIBLE) && faint.rank_of_row.contains(&0));
+}
