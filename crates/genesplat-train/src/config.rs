@@ -223,7 +223,7 @@ impl EvolutionMode {
     }
 }
 
-/// When a stage runs: the four places that the paper tried. The published results have `after-reset`.
+/// When a stage runs: the four places that the paper tried, of which the published results have `after-reset`; and ours.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Trigger {
@@ -236,6 +236,8 @@ pub enum Trigger {
     AfterDensify,
     /// Before a densification.
     BeforeDensify,
+    /// Once, after the last step of the run.
+    AtEnd,
 }
 
 /// The evolution stage.
@@ -244,7 +246,7 @@ pub enum Trigger {
 pub struct EvolutionConfig {
     /// What runs. Default `off`; or `paper`, `control`, `recombine`.
     pub mode: EvolutionMode,
-    /// When. Default `after-reset`; or `before-reset`, `after-densify`, `before-densify`.
+    /// When. Default `after-reset`; or `before-reset`, `after-densify`, `before-densify`, `at-end`.
     pub trigger: Trigger,
     /// Run at every n-th occurrence of the trigger. Default 1; at least 1. A published run has 4 resets and 144
     /// densifications, so 36 gives the densification triggers four stages, too. (`mcmc` has 244; it resets nothing,

@@ -85,7 +85,8 @@ impl<B: Backend> Trainer<'_, B> {
             Phase::EvolveBeforeDensify
             | Phase::EvolveAfterDensify
             | Phase::EvolveBeforeReset
-            | Phase::EvolveAfterReset => match self.config.evolution.mode {
+            | Phase::EvolveAfterReset
+            | Phase::EvolveAtEnd => match self.config.evolution.mode {
                 EvolutionMode::Off | EvolutionMode::Recombine => {}
                 EvolutionMode::Paper => checkpoint = self.evolve(Cursor { iteration: i, phase })?,
                 EvolutionMode::Control => self.control(i)?,

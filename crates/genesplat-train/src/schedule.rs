@@ -31,6 +31,8 @@ pub enum Phase {
     ResetOpacity,
     /// The evolution stage, where the paper has it.
     EvolveAfterReset,
+    /// The evolution stage, once, after the last step.
+    EvolveAtEnd,
     /// Recombination: the state is added to the mean of the last ones.
     Remember,
     /// Recombination: the mean replaces the last state if it is better.
@@ -39,7 +41,7 @@ pub enum Phase {
 
 impl Phase {
     /// The phases of one iteration, in order.
-    pub const ORDER: [Self; 10] = [
+    pub const ORDER: [Self; 11] = [
         Self::Step,
         Self::EvolveBeforeDensify,
         Self::Densify,
@@ -48,11 +50,12 @@ impl Phase {
         Self::EvolveBeforeReset,
         Self::ResetOpacity,
         Self::EvolveAfterReset,
+        Self::EvolveAtEnd,
         Self::Remember,
         Self::Recombine,
     ];
 
-    /// One of the four places of the evolution stage, or recombination in its place.
+    /// One of the five places of the evolution stage, or recombination in its place.
     pub fn is_evolution(self) -> bool {
         matches!(
             self,
@@ -60,6 +63,7 @@ impl Phase {
                 | Self::EvolveAfterDensify
                 | Self::EvolveBeforeReset
                 | Self::EvolveAfterReset
+                | Self::EvolveAtEnd
                 | Self::Remember
                 | Self::Recombine
         )
@@ -221,6 +225,7 @@ impl Schedule {
             Some(Phase::EvolveBeforeDensify | Phase::EvolveAfterDensify) => {
                 (self.is_densify(i), i / self.densify_every - self.densify_from / self.densify_every)
             }
+            Some(Phase::EvolveAtEnd) => (i == self.iterations, 0),
             Some(_) => (self.is_periodic_reset(i), i / self.reset_every),
         };
         happens && occurrence.is_multiple_of(self.evolution_stride)
@@ -309,6 +314,7 @@ impl Schedule {
 fn trigger_phase(trigger: Trigger) -> Phase {
     match trigger {
         Trigger::AfterReset => Phase::EvolveAfterReset,
+        Trigger::AtEnd => Phase::EvolveAtEnd,
         Trigger::BeforeReset => Phase::EvolveBeforeReset,
         Trigger::AfterDensify => Phase::EvolveAfterDensify,
         Trigger::BeforeDensify => Phase::EvolveBeforeDensify,

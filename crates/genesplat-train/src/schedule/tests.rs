@@ -78,6 +78,9 @@ fn other_triggers_move_the_stage_and_a_stride_thins_it() {
     assert_eq!(quarter.stages().collect::<Vec<_>>(), [4100, 7700, 11_300, 14_900]);
     let phases = [Phase::Step, Phase::EvolveBeforeDensify, Phase::Densify];
     assert_eq!(quarter.phases(4100).collect::<Vec<_>>(), phases);
+    let once = with(Trigger::AtEnd, 1);
+    assert_eq!(once.stages().collect::<Vec<_>>(), [30_000]);
+    assert_eq!(once.phases(30_000).collect::<Vec<_>>(), [Phase::Step, Phase::EvolveAtEnd]);
 }
 
 #[test]

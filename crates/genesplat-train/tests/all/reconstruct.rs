@@ -132,7 +132,8 @@ fn a_stage_leaves_what_it_scored_in_mip_splatting_too() {
     let six = spread_evenly(&views, 6, &Rng::new(0), 0);
     let losses = fresh.score(&[SparseDelta::default()], &six, &config.render_settings()).unwrap();
     let mean = losses.iter().map(|&loss| f64::from(loss)).sum::<f64>() / 6.0;
-    assert_eq!(mean, stage.fitness_after);
+    // Scored around changes there and in full here, which is the same up to rounding.
+    assert!((mean / stage.fitness_after - 1.0).abs() < 1e-6, "{mean} and {}", stage.fitness_after);
 }
 
 #[test]

@@ -111,7 +111,7 @@ impl Experiment {
         ["cells", scene, variant, &self.arms[cell.arm].name, &seed].iter().collect()
     }
 
-    /// The settings of a cell of the scene at `path`. A control needs its seconds a stage.
+    /// The settings of a cell of the scene at `path`. A control needs the seconds that it may spend in all.
     pub fn settings(
         &self,
         cell: Cell,
@@ -126,7 +126,8 @@ impl Experiment {
         config.dataset.path = path.to_owned();
         (config.dataset.max_side, config.dataset.downscale) = (file.max_side, file.downscale);
         if let (Some(_), Some(seconds)) = (arm.control_of, control_seconds) {
-            config.train.evolution.control_seconds = seconds;
+            let stages = config.train.clone().resolve()?.schedule().stages().count();
+            config.train.evolution.control_seconds = seconds / stages.max(1) as f64;
         }
         config.resolve(machine)
     }

@@ -70,10 +70,9 @@ impl CellMetrics {
         serde_json::from_slice(&fs::read(folder.join("metrics.json")).ok()?).ok()
     }
 
-    /// Mean seconds of an evolution stage; 0 where none ran.
+    /// Seconds of all evolution stages; 0 where none ran.
     pub fn stage_seconds(&self) -> f64 {
-        let stages = &self.evolution;
-        stages.iter().map(|stage| stage.seconds).sum::<f64>() / stages.len().max(1) as f64
+        self.evolution.iter().map(|stage| stage.seconds).sum()
     }
 }
 

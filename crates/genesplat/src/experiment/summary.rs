@@ -332,6 +332,6 @@ mod tests {
         experiment.cells().into_iter().for_each(|cell| results.put(cell, metrics(30.0, None)));
         let table = quality(&results, Split::Train, 0);
         assert!(table.columns.iter().all(|column| column.name != "LPIPS" && column.name != "ΔL"));
-        assert_eq!(results.get(cell(0, 0, 0)).unwrap().stage_seconds(), 0.25);
+        assert_eq!(results.get(cell(0, 0, 0)).unwrap().stage_seconds(), 1.0);
     }
 }
