@@ -274,23 +274,27 @@ mod tests {
              [[arms]]\nname = \"equal-time\"\ncontrol_of = \"one\"\n\
              [[arms]]\nname = \"one\"\n\
              config.evolution = { mode = \"paper\", trigger = \"before-reset\", paper.crossover.kind = \"one_point\" }\n\
+             [[arms]]\nname = \"late\"\ncontrol_of = \"one\"\nconfig.evolution.trigger = \"at-end\"\n\
              [[arms]]\nname = \"off\"",
         ))
         .unwrap();
-        assert_eq!(names(&experiment), [("off", None), ("one", None), ("equal-time", Some(1))]);
+        let controls = [("equal-time", Some(1)), ("late", Some(1))];
+        assert_eq!(names(&experiment), [("off", None), ("one", None), controls[0], controls[1]]);
         let settings = |arm| {
             let cell = Cell { scene: 0, variant: 0, arm, seed: 0 };
-            experiment.settings(cell, Path::new("a"), MachineArgs::default(), Some(2.5)).unwrap().train
+            experiment.settings(cell, Path::new("a"), MachineArgs::default(), Some(10.0)).unwrap().train
         };
         let (one, control) = (settings(1), settings(2));
         let (one, control) = (one.config(), control.config());
         assert_eq!((one.seed, one.steps_scale, one.evolution.mode), (1, 0.5, EvolutionMode::Paper));
         assert_eq!(
             (control.evolution.mode, control.evolution.control_seconds),
-            (EvolutionMode::Control, 2.5)
+            (EvolutionMode::Control, 2.5),
+            "ten seconds in all, at four resets"
         );
         assert_eq!(one.evolution.trigger, control.evolution.trigger);
         assert_eq!(one.evolution.paper.crossover, genesplat::evolve::Crossover::OnePoint);
+        assert_eq!(settings(3).config().evolution.control_seconds, 10.0, "all of them at the end");
         assert_eq!(settings(0).config().evolution.mode, EvolutionMode::Off);
     }
 
