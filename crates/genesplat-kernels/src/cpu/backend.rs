@@ -10,6 +10,8 @@ use genesplat_core::{
     backend::MomentPolicy, backend::StepReport,
 };
 
+use rayon::prelude::*;
+
 use super::frame::{Frame, StageSeconds, timed};
 use super::loss::{Target, loss};
 use super::project::Pinhole;
@@ -328,13 +330,15 @@ impl Backend for CpuBackend {
         if self.bases.settings != *settings {
             self.bases = Bases { settings: *settings, views: Vec::new() };
         }
-        for &view in views {
-            if !self.bases.views.iter().any(|(index, _)| *index == view) {
-                let TrainView { camera, target } = &self.views[view];
-                let base = BaseView::new(self.level, &self.cloud, *camera, target, settings);
-                self.bases.views.push((view, base));
-            }
-        }
+        let mut missing: Vec<usize> = views.to_vec();
+        missing.retain(|view| !self.bases.views.iter().any(|(index, _)| index == view));
+        missing.sort_unstable();
+        missing.dedup();
+        // Several at once: each has stages that use one thread only.
+        self.bases.views.par_extend(missing.into_par_iter().map(|view| {
+            let TrainView { camera, target } = &self.views[view];
+            (view, BaseView::new(self.level, &self.cloud, *camera, target, settings))
+        }));
         let bases: Vec<_> = views
             .iter()
             .filter_map(|view| self.bases.views.iter().find(|(index, _)| index == view))

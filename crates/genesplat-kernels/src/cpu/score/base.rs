@@ -14,6 +14,7 @@ use super::super::project::{Pinhole, Splat, Splats, TILE, project};
 use super::super::rasterise::{Absorbed, BLOCKS, absorb, alpha, each_block};
 use super::super::simd::{LANES, V, array, prefetch};
 use super::judge::{Judge, Layout};
+use super::patch::Block;
 
 /// Stands for "not visible" where a rank is expected.
 pub const NOT_VISIBLE: u32 = u32::MAX;
@@ -132,6 +133,14 @@ impl BaseView {
     /// Where the values of a picture of this view lie.
     pub fn layout(&self) -> Layout {
         Layout { size: self.camera.size.map(|v| v as usize) }
+    }
+
+    /// A block; they count tile after tile.
+    #[inline(always)]
+    pub fn block(&self, block: usize) -> Block<'_> {
+        let (tile, across) = (block / BLOCKS, self.camera.grid()[0]);
+        let origin = [tile % across * TILE, tile / across * TILE];
+        Block { tile: &self.tiles[tile], block: block % BLOCKS, origin, splats: &self.splats }
     }
 
     /// Splat of a rank.

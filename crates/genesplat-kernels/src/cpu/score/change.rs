@@ -31,6 +31,19 @@ pub struct Change {
     /// The same by block: places in `changed`, and where those of each block end.
     sorted: Vec<u32>,
     ends: Vec<u32>,
+    /// Blocks with changes.
+    dirty: Vec<Dirty>,
+}
+
+/// A block with changes.
+#[derive(Clone, Copy)]
+pub struct Dirty {
+    /// Its number; they count tile after tile.
+    pub block: usize,
+    /// Where its changes are among those of all blocks.
+    pub first: usize,
+    /// Where they end.
+    pub end: usize,
 }
 
 impl Change {
@@ -80,7 +93,7 @@ impl Change {
 
     /// Counting sort by block, which keeps the order.
     fn sort(&mut self) {
-        let Self { found, sorted, ends, .. } = self;
+        let Self { found, sorted, ends, dirty, .. } = self;
         let mut sum = 0;
         for end in ends.iter_mut() {
             sum += std::mem::replace(end, sum);
@@ -91,18 +104,30 @@ impl Change {
             sorted[*slot as usize] = index;
             *slot += 1;
         }
-    }
-
-    /// Calls `visit(block, changes)` for each block with changes: places in [`Self::changed`], nearest first.
-    #[inline(always)]
-    pub fn each_block(&self, mut visit: impl FnMut(usize, &[u32])) {
+        dirty.clear();
         let mut first = 0;
-        for (block, &end) in self.ends.iter().enumerate() {
+        for (block, end) in ends.iter().map(|&end| end as usize).enumerate() {
             if end > first {
-                visit(block, &self.sorted[first as usize..end as usize]);
+                dirty.push(Dirty { block, first, end });
                 first = end;
             }
         }
+    }
+
+    /// The blocks with changes, tile after tile.
+    pub fn dirty(&self) -> &[Dirty] {
+        &self.dirty
+    }
+
+    /// Changes of all blocks.
+    pub fn count(&self) -> usize {
+        self.sorted.len()
+    }
+
+    /// The changed splats of a block, nearest first.
+    #[inline(always)]
+    pub fn of(&self, dirty: &Dirty) -> &[u32] {
+        &self.sorted[dirty.first..dirty.end]
     }
 
     /// A changed splat.
@@ -112,18 +137,19 @@ impl Change {
     }
 }
 
-/// Lists the splats of a row before and after.
+/// Lists the splats of a row after and before: of two at the same depth the new one comes first, so that places in a list
+/// never go back.
 #[inline(always)]
 fn push_both(changed: &mut Vec<Changed>, row: u32, after: Option<Splat>, view: &BaseView) {
     let rank = view.rank_of_row[row as usize];
     let before = (rank != NOT_VISIBLE).then(|| view.splat(rank));
-    if let Some(&splat) = before {
-        changed.push(Changed { splat, rank, removed: true });
-    }
     if let Some(splat) = after {
         let same_depth = before.is_some_and(|before| before.depth == splat.depth);
         let rank = if same_depth { rank } else { view.rank(&splat) };
         changed.push(Changed { splat, rank, removed: false });
+    }
+    if let Some(&splat) = before {
+        changed.push(Changed { splat, rank, removed: true });
     }
 }
 

@@ -15,14 +15,12 @@ use fearless_simd::{Level, Simd, dispatch, prelude::*};
 use genesplat_core::{Gaussians, RenderSettings, SparseDelta};
 use rayon::prelude::*;
 
-use super::project::TILE;
-use super::rasterise::BLOCKS;
 use super::simd::{V, array};
 pub use base::BaseView;
-use base::{Light, corner, write_block};
+use base::{Light, write_block};
 use change::Change;
 use judge::Walk;
-use patch::Block;
+use patch::Changes;
 
 /// Losses `[P, V]` of the individuals on the views.
 pub fn score(
@@ -45,10 +43,15 @@ pub fn score(
     places.map(|[individual, view]| by_view[view * population.len() + individual]).collect()
 }
 
+/// Blocks between what is asked for and where it is needed.
+const AHEAD: usize = 4;
+
 /// One thread's working memory.
 #[derive(Default)]
 struct Scratch {
     change: Change,
+    /// Where in its block's list each change belongs.
+    positions: Vec<u32>,
     picture: Vec<f32>,
     walk: Walk<3>,
 }
@@ -69,28 +72,30 @@ impl Scratch {
         view.judge.loss(simd, &self.picture, &mut self.walk)
     }
 
-    /// Writes the blocks that differ from the base over its picture.
+    /// Writes the blocks that differ from the base over its picture. What they need of the base lies scattered: it is asked
+    /// for some blocks ahead, first the lists, then what lies where the lists say.
     #[inline(always)]
     fn patch<S: Simd>(&mut self, simd: S, view: &BaseView, background: [f32; 3]) {
-        let Self { change, picture, .. } = self;
-        let (layout, across) = (view.layout(), view.camera.grid()[0]);
-        change.each_block(
-            #[inline(always)]
-            |block, places| {
-                let [left, top] = corner(block, across);
-                if left >= layout.size[0] || top >= layout.size[1] {
-                    return;
+        let Self { change, positions, picture, .. } = self;
+        let (layout, across, dirty) = (view.layout(), view.camera.grid()[0], change.dirty());
+        positions.resize(change.count(), 0);
+        for step in 0..dirty.len() + 2 * AHEAD {
+            if let Some(dirty) = dirty.get(step) {
+                view.block(dirty.block).prefetch_list();
+            }
+            if let Some(dirty) = step.checked_sub(AHEAD).and_then(|index| dirty.get(index)) {
+                let block = view.block(dirty.block);
+                for (position, &place) in positions[dirty.first..dirty.end].iter_mut().zip(change.of(dirty)) {
+                    *position = block.locate(change.get(place));
                 }
-                let of_base = Block {
-                    tile: &view.tiles[block / BLOCKS],
-                    block: block % BLOCKS,
-                    origin: [left / TILE * TILE, top / TILE * TILE],
-                    splats: &view.splats,
-                };
-                let Some(light) = of_base.patched(simd, change, places) else { return };
-                write_block(&on_background(simd, &light, background), layout, block, across, picture);
-            },
-        );
+            }
+            let Some(dirty) = step.checked_sub(2 * AHEAD).map(|index| &dirty[index]) else { continue };
+            let changes =
+                Changes { change, places: change.of(dirty), positions: &positions[dirty.first..dirty.end] };
+            if let Some(light) = view.block(dirty.block).patched(simd, &changes) {
+                write_block(&on_background(simd, &light, background), layout, dirty.block, across, picture);
+            }
+        }
     }
 }
 

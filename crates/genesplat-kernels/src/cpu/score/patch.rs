@@ -14,7 +14,7 @@ use genesplat_core::constants::TRANSMITTANCE_MIN;
 
 use super::super::project::Splats;
 use super::super::rasterise::alpha;
-use super::super::simd::V;
+use super::super::simd::{LANES, V, prefetch};
 use super::base::{BaseTile, Light, STEP};
 use super::change::{Change, Changed};
 
@@ -30,39 +30,77 @@ pub struct Block<'a> {
     pub splats: &'a Splats,
 }
 
-impl Block<'_> {
-    /// The light of an individual behind all splats; `None` where it is the base's. `places` are the block's changes.
+/// The changes of a block, nearest first.
+pub struct Changes<'a> {
+    /// Where the splats are found.
+    pub change: &'a Change,
+    /// Their places there.
+    pub places: &'a [u32],
+    /// Where in the block's list each belongs.
+    pub positions: &'a [u32],
+}
+
+impl<'a> Changes<'a> {
+    /// Positions and splats.
     #[inline(always)]
-    pub fn patched<S: Simd>(&self, simd: S, change: &Change, places: &[u32]) -> Option<Light<S>> {
-        if self.tile.opaque >> self.block & 1 == 0 {
-            let light = self.between_changes(simd, change, places);
+    fn iter(&self) -> impl Iterator<Item = (usize, &'a Changed)> {
+        let change = self.change;
+        let splats = self.places.iter().map(
+            #[inline(always)]
+            move |&place| change.get(place),
+        );
+        self.positions.iter().map(|&position| position as usize).zip(splats)
+    }
+}
+
+impl Block<'_> {
+    /// Asks for the block's list.
+    #[inline(always)]
+    pub fn prefetch_list(&self) {
+        self.tile.ranks(self.block).iter().step_by(LANES).for_each(prefetch);
+    }
+
+    /// Where in the block's list a change belongs; asks for what [`Self::patched`] will read around there.
+    #[inline(always)]
+    pub fn locate(&self, changed: &Changed) -> u32 {
+        let position = self.tile.ranks(self.block).partition_point(|&rank| rank < changed.rank);
+        let (number, indices) = self.before(position);
+        self.tile.light(self.block, number).0.iter().for_each(prefetch);
+        indices[number * STEP..position].iter().for_each(|&index| prefetch(self.splats.get(index)));
+        position as u32
+    }
+
+    /// The last stored light that is not behind a position, and the block's splats.
+    #[inline(always)]
+    fn before(&self, position: usize) -> (usize, &[u32]) {
+        let indices = self.tile.indices(self.block);
+        // Behind the last splat there is the end, but no stored light.
+        (position.min(indices.len().saturating_sub(1)) / STEP, indices)
+    }
+
+    /// The light of an individual behind all splats; `None` where it is the base's.
+    #[inline(always)]
+    pub fn patched<S: Simd>(&self, simd: S, changes: &Changes) -> Option<Light<S>> {
+        let opaque = self.tile.opaque >> self.block & 1 == 1;
+        if opaque && changes.positions[0] >= self.tile.live[self.block] {
+            return None;
+        }
+        if !opaque {
+            let light = self.between_changes(simd, changes);
             if light.transmittance.simd_ge(TRANSMITTANCE_MIN).all_true() {
                 return Some(light);
             }
         }
-        let first = self.position(0, change.get(places[0]));
-        if first >= self.tile.live[self.block] as usize && self.tile.opaque >> self.block & 1 == 1 {
-            return None;
-        }
-        Some(self.splat_by_splat(simd, change, places, first))
-    }
-
-    /// Where in the block's list a change belongs; not before `from`.
-    #[inline(always)]
-    fn position(&self, from: usize, changed: &Changed) -> usize {
-        let ranks = &self.tile.ranks(self.block)[from..];
-        from + ranks.partition_point(|&rank| rank < changed.rank)
+        Some(self.splat_by_splat(simd, changes))
     }
 
     #[inline(always)]
-    fn between_changes<S: Simd>(&self, simd: S, change: &Change, places: &[u32]) -> Light<S> {
+    fn between_changes<S: Simd>(&self, simd: S, changes: &Changes) -> Light<S> {
         let one = V::splat(simd, 1.0);
         let mut base = Base { at: 0, light: Light::load(simd, self.tile.light(self.block, 0)) };
         // Of the individual; and the base's colour when `more` was last brought up to date.
         let (mut ratio, mut more, mut mark) = (one, base.light.colour, base.light.colour);
-        for &place in places {
-            let changed = change.get(place);
-            let to = self.position(base.at, changed);
+        for (to, changed) in changes.iter() {
             self.forward(simd, &mut base, to);
             grow(&mut more, ratio - one, &base.light, &mark);
             let alpha = alpha(simd, &changed.splat.seen_from(self.origin), self.block).alpha;
@@ -95,9 +133,7 @@ impl Block<'_> {
     /// Brings the base's light to before the splat `to` of the list, from a stored light if one is nearer.
     #[inline(always)]
     fn forward<S: Simd>(&self, simd: S, base: &mut Base<S>, to: usize) {
-        let indices = self.tile.indices(self.block);
-        // Behind the last splat there is the end, but no stored light.
-        let number = to.min(indices.len().saturating_sub(1)) / STEP;
+        let (number, indices) = self.before(to);
         if number * STEP > base.at {
             *base = Base { at: number * STEP, light: Light::load(simd, self.tile.light(self.block, number)) };
         }
@@ -110,17 +146,14 @@ impl Block<'_> {
         base.at = to;
     }
 
-    /// From the stored light in front of list position `first` on, as the renderer does it.
+    /// From the stored light in front of the first change on, as the renderer does it.
     #[inline(always)]
-    fn splat_by_splat<S: Simd>(&self, simd: S, change: &Change, places: &[u32], first: usize) -> Light<S> {
-        let indices = self.tile.indices(self.block);
-        let number = first.min(indices.len().saturating_sub(1)) / STEP;
+    fn splat_by_splat<S: Simd>(&self, simd: S, changes: &Changes) -> Light<S> {
+        let (number, indices) = self.before(changes.positions[0] as usize);
         let mut light = Light::load(simd, self.tile.light(self.block, number));
         let mut at = number * STEP;
         let mut goes_on = true;
-        for &place in places {
-            let changed = change.get(place);
-            let to = self.position(at, changed);
+        for (to, changed) in changes.iter() {
             goes_on = goes_on && self.blend(simd, &mut light, &indices[at..to]);
             at = to + usize::from(changed.removed);
             if goes_on && !changed.removed {
