@@ -90,7 +90,10 @@ impl Lineage {
     /// have no say.
     pub fn breed(&self, cloud: &Gaussians, blend: &Blend, child: &mut Gaussians) {
         if child.len() == cloud.len() {
-            columns_mut(child).into_iter().zip(columns(cloud)).for_each(|(to, from)| to.copy_from_slice(from));
+            columns_mut(child)
+                .into_iter()
+                .zip(columns(cloud))
+                .for_each(|(to, from)| to.copy_from_slice(from));
             child.filter_3d.clone_from(&cloud.filter_3d);
         } else {
             child.clone_from(cloud);
@@ -202,7 +205,11 @@ mod tests {
         let (line, cloud) = (line(&[1.0, 3.0], &[4.0]), state(5.0));
         assert_eq!(child(&line, &cloud, [[0.0; 2]; 6]), cloud, "no weight is no change");
         let intermediate = Gaussians { filter_3d: Some(vec![5.0; 2]), ..state(3.0) };
-        assert_eq!(child(&line, &cloud, [[0.5; 2]; 6]), intermediate, "half of each parent, none of the cloud");
+        assert_eq!(
+            child(&line, &cloud, [[0.5; 2]; 6]),
+            intermediate,
+            "half of each parent, none of the cloud"
+        );
         let beyond = Gaussians { filter_3d: Some(vec![5.0; 2]), ..state(6.0) };
         assert_eq!(child(&line, &cloud, [[-1.0, 2.0]; 6]), beyond, "5 − (2 − 5) + 2 (4 − 5)");
     }
@@ -214,7 +221,10 @@ mod tests {
         let found = child(&line, &cloud, weights);
         let columns = [found.positions[1][2], found.log_scales[1][0], found.rotations[0][3]];
         assert_eq!(columns, [2.0, 3.0, 4.0], "the older parent has no states, and no say");
-        assert_eq!((found.opacity_logits[1], found.sh[1][2], found.sh[1][3], found.sh[0][47]), (5.0, 6.0, 7.0, 7.0));
+        assert_eq!(
+            (found.opacity_logits[1], found.sh[1][2], found.sh[1][3], found.sh[0][47]),
+            (5.0, 6.0, 7.0, 7.0)
+        );
     }
 
     #[test]

@@ -1,5 +1,5 @@
-//! The genetic algorithm of "An Evolutionary Boost to Gaussian Splatting Optimization", and nothing else: it knows no
-//! renderer, no file and no clock.
+//! The genetic algorithm of "An Evolutionary Boost to Gaussian Splatting Optimization", a small evolution strategy, and
+//! nothing else: they know no renderer, no file and no clock.
 //!
 //! [`GeneticAlgorithm`] is Algorithm 1 turned inside out: it *asks* for the losses of individuals and is *told* them, so
 //! that a renderer, a toy function or a replayed log can judge. An individual is a sparse difference from one shared
@@ -37,6 +37,7 @@
 //! | `selection`, `crossover`, `mutation`, `survival` | the four operators |
 //! | `sampling` | exact random subsets |
 //! | [`record`] | the logbook |
+//! | [`strategy`] | the other search: a normal distribution over a few numbers, for recombination |
 //!
 //! **Randomness.** Every number comes from `Rng::at(stream, generation, individual or pair, row or draw)`, so neither the
 //! number of threads nor the order in which individuals are scored can change a result.

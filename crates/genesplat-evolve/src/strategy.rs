@@ -112,8 +112,7 @@ impl EvolutionStrategy {
             let draw = self.rng.at(Stream::Proposal, self.generation, index as u32, (gene / 2) as u32);
             f64::from(draw.normals(0)[gene % 2])
         };
-        let value =
-            |gene: usize| self.mean[gene] + self.sigma * self.variances[gene].sqrt() * normal(gene);
+        let value = |gene: usize| self.mean[gene] + self.sigma * self.variances[gene].sqrt() * normal(gene);
         (0..self.mean.len()).map(value).collect()
     }
 
@@ -136,7 +135,9 @@ impl EvolutionStrategy {
         // Steps of the better half, in units of sigma.
         let steps: Vec<Vec<f64>> = ranks[..self.constants.weights.len()]
             .iter()
-            .map(|&rank| individuals[rank].iter().zip(&self.mean).map(|(x, m)| (x - m) / self.sigma).collect())
+            .map(|&rank| {
+                individuals[rank].iter().zip(&self.mean).map(|(x, m)| (x - m) / self.sigma).collect()
+            })
             .collect();
         self.move_by(&steps);
     }
@@ -236,7 +237,8 @@ mod tests {
     #[test]
     fn it_learns_which_genes_matter_most() {
         let steep = |gene: usize| 10f64.powi(gene as i32);
-        let ellipsoid = |x: &[f64]| x.iter().enumerate().map(|(k, x)| steep(k) * (x - 1.0).powi(2)).sum::<f64>();
+        let ellipsoid =
+            |x: &[f64]| x.iter().enumerate().map(|(k, x)| steep(k) * (x - 1.0).powi(2)).sum::<f64>();
         let strategy = search(5, 300, 4, ellipsoid);
         assert!(distance(&strategy, |_| 1.0) < 1e-3, "{:?}", strategy.mean());
         let [flat, .., steepest] = strategy.variances[..] else { panic!("five genes") };

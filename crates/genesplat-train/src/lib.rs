@@ -11,7 +11,8 @@
 //! | [`initialise`] | the first cloud, the size of the scene |
 //! | [`densify`] | where Gaussians are added and removed |
 //! | [`filter_3d`] | Mip-Splatting's limit on detail |
-//! | [`fitness`], [`views`] | the evolution stage and the photos it is judged on |
+//! | [`fitness`], [`views`] | the paper's evolution stage and the photos it is judged on |
+//! | `recombine` | ours: what is bred from the states of a run |
 //! | [`evaluate`] | PSNR, SSIM and LPIPS |
 //! | [`observe`], [`checkpoint`] | what is reported, what is saved |
 

@@ -73,9 +73,8 @@ struct Verdict {
 impl Verdict {
     fn of(judgements: &[Judgement]) -> Self {
         let count = judgements.len() as f64;
-        let psnr = |judgement: &Judgement| {
-            -10.0 * f64::from(judgement.squared_error).max(SQUARED_ERROR_MIN).log10()
-        };
+        let psnr =
+            |judgement: &Judgement| -10.0 * f64::from(judgement.squared_error).max(SQUARED_ERROR_MIN).log10();
         Self { loss: mean_loss(judgements), psnr: judgements.iter().map(psnr).sum::<f64>() / count }
     }
 

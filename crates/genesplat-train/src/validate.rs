@@ -124,7 +124,12 @@ impl EvolutionConfig {
         check("evolution.views", self.views, self.views > 0, "at least 1")?;
         not_negative("evolution.control_seconds", self.control_seconds)?;
         let RecombineConfig { window, states, views, guards, .. } = self.recombine;
-        check("evolution.recombine.window", window, window > 0.0 && window <= 0.5, "above 0 and at most 0.5")?;
+        check(
+            "evolution.recombine.window",
+            window,
+            window > 0.0 && window <= 0.5,
+            "above 0 and at most 0.5",
+        )?;
         check("evolution.recombine.states", states, states >= 2, "at least 2")?;
         check("evolution.recombine.views", views, views > 0, "at least 1")?;
         check("evolution.recombine.guards", guards, guards > 0, "at least 1")?;

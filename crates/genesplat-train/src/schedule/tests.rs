@@ -98,7 +98,10 @@ fn recombination_has_a_stage_after_each_tenth_in_which_rows_stay() {
     assert_eq!(full.stages().count(), 0, "none of the paper's");
     assert_eq!(iterations_with(&full, Phase::Recombine), [18_000, 21_000, 24_000, 27_000, 30_000]);
     let remembered = iterations_with(&full, Phase::Remember);
-    assert_eq!((remembered.len(), remembered[0], remembered[1], remembered[98]), (99, 15_150, 15_300, 29_850));
+    assert_eq!(
+        (remembered.len(), remembered[0], remembered[1], remembered[98]),
+        (99, 15_150, 15_300, 29_850)
+    );
     let parents = [15_150, 16_350, 16_500, 18_000, 18_150].map(|i| full.parent(i));
     assert_eq!(parents, [0, 0, 1, 1, 0], "the older half of each window, and the younger one");
     // MCMC moves rows until 25,000: a window needs half its length after that.

@@ -89,7 +89,11 @@ fn guards_that_do_not_agree_leave_everything_as_it_was() {
         let [before, after] = stage.guard_psnr.unwrap();
         assert_eq!((after, stage.changed, stage.fitness_after), (before, 0, stage.fitness_before));
     }
-    assert_eq!(refusing.calls.iter().filter(|call| **call == Call::Forget).count(), 5, "the line ends all the same");
+    assert_eq!(
+        refusing.calls.iter().filter(|call| **call == Call::Forget).count(),
+        5,
+        "the line ends all the same"
+    );
 }
 
 #[test]
