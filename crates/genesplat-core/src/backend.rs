@@ -163,6 +163,14 @@ pub enum BackendError {
         /// What for.
         purpose: String,
     },
+    /// The device has stopped working, and what it held is gone.
+    #[error("{device} was lost: {reason}; resume from the last checkpoint, or train with --device cpu")]
+    DeviceLost {
+        /// Name of the device.
+        device: String,
+        /// What its driver says.
+        reason: String,
+    },
 }
 
 /// What happens to Adam's moments of rows that evolution changed. The paper is silent.

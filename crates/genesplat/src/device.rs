@@ -1,22 +1,24 @@
-//! Where the numbers are crunched.
+//! Where the numbers are crunched: what a user may ask for, and what that comes to on this machine.
 
 use anyhow::{Result, anyhow, bail};
 use clap::ValueEnum;
+use genesplat::gpu::{AdapterReport, GpuBackend, adapters};
 use genesplat::kernels::cpu::CpuBackend;
 use serde::{Deserialize, Serialize};
 
+use crate::any_backend::AnyBackend;
 use crate::args::MachineArgs;
 
 /// A choice of device.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Device {
-    /// The best that this build and this machine have.
+    /// The graphics card if this machine has one that can be used, else the processor.
     #[default]
     Auto,
     /// All cores of the processor.
     Cpu,
-    /// A graphics card; this build has no backend for one yet.
+    /// The best graphics device with a Vulkan, Metal or DX12 driver, even one in software.
     Gpu,
 }
 
@@ -24,28 +26,75 @@ impl Device {
     /// The device that is meant, once it is clear that there is one.
     pub fn resolve(self) -> Result<Self> {
         match self {
-            Self::Auto | Self::Cpu => Ok(Self::Cpu),
-            Self::Gpu => bail!("this build of genesplat has no GPU backend; use --device cpu"),
+            Self::Cpu => Ok(Self::Cpu),
+            Self::Auto => Ok(if auto_adapter(&adapters()).is_ok() { Self::Gpu } else { Self::Cpu }),
+            Self::Gpu => match adapters().iter().find(|adapter| adapter.unusable.is_none()) {
+                Some(_) => Ok(Self::Gpu),
+                None => bail!("{}; use --device cpu", why_none(&adapters())),
+            },
         }
     }
 
     /// Says what was chosen for someone who left the choice to us.
     pub fn announce(self) {
         if self == Self::Auto {
-            eprintln!("device: auto means the CPU, since this build has no GPU backend");
+            match auto_adapter(&adapters()) {
+                Ok(adapter) => eprintln!("device: auto means {} ({})", adapter.name, adapter.api),
+                Err(reason) => eprintln!("device: auto means the CPU, since {reason}"),
+            }
         }
     }
 }
 
-/// An empty backend, for a run with `seed`.
-pub fn open(seed: u64) -> CpuBackend {
-    CpuBackend::new(seed)
+/// The graphics device that `auto` takes, or why it takes none. One in software is for tests: the CPU backend is many
+/// times faster.
+fn auto_adapter(adapters: &[AdapterReport]) -> Result<&AdapterReport, String> {
+    let usable = || adapters.iter().filter(|adapter| adapter.unusable.is_none());
+    match usable().find(|adapter| !adapter.is_software()) {
+        Some(adapter) => Ok(adapter),
+        None => Err(usable().next().map_or_else(
+            || why_none(adapters),
+            |software| {
+                format!("{} is no graphics card but software, slower than the CPU itself", software.name)
+            },
+        )),
+    }
 }
 
-/// Makes the machine ready for a command that does not train.
-pub fn prepare(args: MachineArgs) -> Result<()> {
-    args.device.unwrap_or_default().resolve()?;
-    use_threads(args.threads)
+/// Why no graphics device can be used, as the middle of a sentence.
+fn why_none(adapters: &[AdapterReport]) -> String {
+    let reason = |adapter: &AdapterReport| {
+        adapter.unusable.as_ref().map(|reason| format!("{} {reason}", adapter.name))
+    };
+    let reasons: Vec<String> = adapters.iter().filter_map(reason).collect();
+    if reasons.is_empty() {
+        return "this machine has no graphics device with a Vulkan, Metal or DX12 driver".into();
+    }
+    reasons.join("; ")
+}
+
+/// An empty backend on a resolved device, for a run with `seed`.
+pub fn open(device: Device, seed: u64) -> Result<AnyBackend> {
+    match device.resolve()? {
+        Device::Gpu => Ok(AnyBackend::Gpu(Box::new(GpuBackend::new(seed)?))),
+        Device::Cpu | Device::Auto => Ok(AnyBackend::Cpu(Box::new(CpuBackend::new(seed)))),
+    }
+}
+
+/// Makes the machine ready for a command that does not train; returns the device that it runs on.
+pub fn prepare(args: MachineArgs) -> Result<Device> {
+    let device = args.device.unwrap_or_default().resolve()?;
+    use_threads(args.threads)?;
+    Ok(device)
+}
+
+/// Makes the machine ready for a command that measures the CPU backend.
+pub fn prepare_cpu(args: MachineArgs) -> Result<CpuBackend> {
+    if args.device == Some(Device::Gpu) {
+        bail!("this measures the CPU backend; for a graphics device there is genesplat bench gpu");
+    }
+    use_threads(args.threads)?;
+    Ok(CpuBackend::new(0))
 }
 
 /// Sets the number of threads of everything that follows; `None` takes all cores.
@@ -53,4 +102,34 @@ pub fn use_threads(threads: Option<u16>) -> Result<()> {
     rayon::ThreadPoolBuilder::new().num_threads(threads.unwrap_or(0).into()).build_global().map_err(|error| {
         anyhow!("cannot start {} threads: {error}; use fewer --threads", threads.unwrap_or(0))
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn adapter(name: &str, kind: &'static str, unusable: Option<&str>) -> AdapterReport {
+        AdapterReport {
+            name: name.into(),
+            kind,
+            api: "Vulkan".into(),
+            driver: String::new(),
+            binding_bytes: 1 << 30,
+            buffer_bytes: 1 << 30,
+            workgroup_bytes: 32 << 10,
+            timestamps: true,
+            unusable: unusable.map(str::to_owned),
+        }
+    }
+
+    #[test]
+    fn auto_takes_a_card_and_no_software() {
+        let (card, software) = (adapter("card", "discrete", None), adapter("soft", "software", None));
+        let small = adapter("small", "discrete", Some("has too few bytes"));
+        let chosen = |adapters: &[AdapterReport]| auto_adapter(adapters).map(|adapter| adapter.name.clone());
+        assert_eq!(chosen(&[small.clone(), card, software.clone()]), Ok("card".into()));
+        assert!(chosen(&[software]).unwrap_err().contains("soft"));
+        assert!(chosen(&[small]).unwrap_err().contains("too few bytes"));
+        assert!(chosen(&[]).unwrap_err().contains("no graphics device"));
+    }
 }

@@ -7,6 +7,7 @@
 //! |---|---|
 //! | [`core`] | clouds, cameras, pictures, randomness, and the `Backend` trait |
 //! | [`io`] | scenes in, splats out, and the bundled scene |
+//! | [`gpu`] | the same stages as WGSL kernels: the backend for graphics cards |
 //! | [`kernels`] | the numeric stages: the f64 reference and the CPU backend |
 //! | [`evolve`] | the genetic algorithm, without a renderer |
 //! | [`train`] | the training algorithm, the evolution stage, evaluation |
@@ -38,6 +39,7 @@
 
 pub use genesplat_core as core;
 pub use genesplat_evolve as evolve;
+pub use genesplat_gpu as gpu;
 pub use genesplat_io as io;
 pub use genesplat_kernels as kernels;
 pub use genesplat_train as train;

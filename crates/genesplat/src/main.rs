@@ -11,10 +11,11 @@
 //! | [`report`] | `report.html` |
 //! | [`reporter`], [`progress`], [`test_curve`] | what a run tells while it is under way |
 //! | [`lpips`] | where the weights of LPIPS come from |
-//! | [`device`], [`interrupt`], [`memory`], [`scene`], [`sheet`], [`output`] | the machine, Ctrl-C, and other plumbing |
+//! | [`device`], [`any_backend`], [`interrupt`], [`memory`], [`scene`], [`sheet`], [`output`] | the machine, Ctrl-C, and other plumbing |
 //!
 //! Exit status: 0 done, 1 failed with one sentence on stderr, 2 wrong usage.
 
+mod any_backend;
 mod args;
 mod commands;
 mod device;

@@ -8,10 +8,10 @@ use anyhow::{Result, anyhow};
 use genesplat::core::{RenderSettings, View};
 use genesplat::io::Scene;
 use genesplat::io::photos::write_png;
-use genesplat::kernels::cpu::CpuBackend;
 use genesplat::train::evaluate::{Evaluation, Lpips, Perceptual, evaluate};
 use genesplat::train::{Outcome, RunSummary, Start, train};
 
+use crate::any_backend::AnyBackend;
 use crate::metrics::{Metrics, PhaseSeconds};
 use crate::progress::Bar;
 use crate::report::run::{RunPage, command_line};
@@ -59,7 +59,7 @@ impl Run<'_> {
     }
 
     fn train(&self, start: Start, log: Log, seconds_before: f64) -> Result<Finished> {
-        let mut backend = device::open(self.settings.train.config().seed);
+        let mut backend = device::open(self.settings.device, self.settings.train.config().seed)?;
         let iterations = self.settings.train.schedule().iterations;
         let curve = TestCurve::new(&self.scene.test, iterations);
         let reporter = Reporter::new(self.folder, log, self.stop).with_curve(curve);
@@ -107,7 +107,7 @@ impl Run<'_> {
     /// The figures of the cloud that `backend` holds.
     fn measure(
         &self,
-        backend: &mut CpuBackend,
+        backend: &mut AnyBackend,
         summary: &RunSummary,
         seconds_before: f64,
     ) -> Result<Metrics> {
@@ -144,7 +144,7 @@ impl Run<'_> {
 
 /// Scores the renders of `views`, and writes them to `folder` as PNG.
 pub fn evaluate_into(
-    backend: &mut CpuBackend,
+    backend: &mut AnyBackend,
     views: &[View],
     settings: &RenderSettings,
     lpips: Option<&Lpips>,

@@ -8,15 +8,23 @@ fn root() -> PathBuf {
 }
 
 /// What each crate may depend on.
-const ARROWS: [(&str, &[&str]); 6] = [
+const ARROWS: [(&str, &[&str]); 7] = [
     ("genesplat-core", &[]),
     ("genesplat-io", &["genesplat-core"]),
     ("genesplat-kernels", &["genesplat-core"]),
+    ("genesplat-gpu", &["genesplat-core"]),
     ("genesplat-evolve", &["genesplat-core"]),
     ("genesplat-train", &["genesplat-core", "genesplat-evolve"]),
     (
         "genesplat",
-        &["genesplat-core", "genesplat-evolve", "genesplat-io", "genesplat-kernels", "genesplat-train"],
+        &[
+            "genesplat-core",
+            "genesplat-evolve",
+            "genesplat-gpu",
+            "genesplat-io",
+            "genesplat-kernels",
+            "genesplat-train",
+        ],
     ),
 ];
 

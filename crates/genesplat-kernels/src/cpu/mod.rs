@@ -22,6 +22,9 @@ mod frame;
 
 pub use backend::CpuBackend;
 pub use frame::{Frame, StageSeconds};
+pub use loss::Target;
+pub use project::Pinhole;
+pub use rasterise_backward::Extra;
 pub use roofline::roofline_nanoseconds_per_tile_splat;
 
 #[cfg(test)]

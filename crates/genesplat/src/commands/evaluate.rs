@@ -24,7 +24,7 @@ struct Report {
 
 /// Renders every photo's viewpoint and measures.
 pub fn run(args: &EvaluateArgs) -> Result<()> {
-    device::prepare(args.machine)?;
+    let device = device::prepare(args.machine)?;
     let lpips = lpips::open(&args.lpips)?;
     let splat = splat::open(&args.splat)?;
     let scene = splat.load_scene(&args.data, args.size, 0)?;
@@ -35,7 +35,7 @@ pub fn run(args: &EvaluateArgs) -> Result<()> {
     if views.is_empty() {
         bail!("{} has no {name} photos; use --split {other}", args.data.display());
     }
-    let mut backend = device::open(0);
+    let mut backend = device::open(device, 0)?;
     let gaussians = splat.cloud.len();
     backend.upload(splat.cloud, None)?;
     let bar = Bar::new("scores", views.len() as u64);

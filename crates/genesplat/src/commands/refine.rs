@@ -3,9 +3,9 @@
 use anyhow::{Result, bail};
 use genesplat::core::{Backend, RenderSettings, ScreenFilter};
 use genesplat::io::{PlyOptions, Scene, write_ply};
-use genesplat::kernels::cpu::CpuBackend;
 use genesplat::train::{Background, EvolutionMode, Resolved, TrainConfig, Variant, refine};
 
+use crate::any_backend::AnyBackend;
 use crate::args::{EvolutionArgs, RefineArgs};
 use crate::progress::Bar;
 use crate::reporter::Reporter;
@@ -16,14 +16,14 @@ use crate::{device, interrupt, output, run_folder, splat};
 
 /// Searches, and writes the best that it has found; Ctrl-C ends the search early.
 pub fn run(args: &RefineArgs) -> Result<()> {
-    device::prepare(args.machine)?;
+    let device = device::prepare(args.machine)?;
     run_folder::check_writable(&args.out)?;
     let mut splat = splat::open(&args.splat)?;
     let config = configure(args, &splat)?;
     splat.settings = config.render_settings();
     let scene = splat.load_scene(&args.data, args.size, config.config().seed)?;
     let stop = interrupt::stop_flag()?;
-    let mut backend = device::open(config.config().seed);
+    let mut backend = device::open(device, config.config().seed)?;
     backend.upload(splat.cloud.clone(), None)?;
     print_scores("before", &mut backend, &scene, &splat.settings)?;
     let mut reporter = Reporter::without_folder(&stop);
@@ -67,7 +67,7 @@ fn configure(args: &RefineArgs, splat: &Splat) -> Result<Resolved> {
 
 fn print_scores(
     when: &str,
-    backend: &mut CpuBackend,
+    backend: &mut AnyBackend,
     scene: &Scene,
     settings: &RenderSettings,
 ) -> Result<()> {

@@ -12,7 +12,7 @@ use crate::{device, output, scene, splat};
 
 /// Renders one viewpoint into a file, or many into a folder.
 pub fn run(args: &RenderArgs) -> Result<()> {
-    device::prepare(args.machine)?;
+    let device = device::prepare(args.machine)?;
     let splat = splat::open(&args.splat)?;
     let scene = splat.load_scene(&args.data, args.size, 0)?;
     let jobs = match &args.image {
@@ -23,7 +23,7 @@ pub fn run(args: &RenderArgs) -> Result<()> {
             views.into_iter().zip(names).map(|(view, name)| (view, args.out.join(name))).collect()
         }
     };
-    let mut backend = device::open(0);
+    let mut backend = device::open(device, 0)?;
     backend.upload(splat.cloud, None)?;
     let mut bar = Bar::new("renders", jobs.len() as u64);
     for (done, (view, path)) in (1..).zip(&jobs) {

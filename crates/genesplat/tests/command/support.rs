@@ -29,6 +29,17 @@ pub fn write_gallery(folder: &Path) {
 pub fn command<S: AsRef<std::ffi::OsStr>>(arguments: impl IntoIterator<Item = S>) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_genesplat"));
     command.args(arguments).env_remove("GENESPLAT_LPIPS").env("XDG_CACHE_HOME", GALLERY.path().join("cache"));
+    // Mesa's choice of a device asks for a desktop, and complains on stderr where there is none.
+    command.env("NODEVICE_SELECT", "1");
+    command
+}
+
+/// The same on a machine without any graphics driver.
+pub fn without_drivers<S: AsRef<std::ffi::OsStr>>(arguments: impl IntoIterator<Item = S>) -> Command {
+    let mut command = command(arguments);
+    // Vulkan's loader reads its drivers from here instead (the older name, and the newer).
+    let nowhere = GALLERY.path().join("no-such-driver.json");
+    command.env("VK_ICD_FILENAMES", &nowhere).env("VK_DRIVER_FILES", &nowhere);
     command
 }
 
@@ -47,7 +58,11 @@ pub fn succeed<S: AsRef<std::ffi::OsStr>>(arguments: impl IntoIterator<Item = S>
 
 /// Runs the command, which must fail with status 1 and say one sentence that holds all of `words`.
 pub fn fail<S: AsRef<std::ffi::OsStr>>(arguments: impl IntoIterator<Item = S>, words: &[&str]) {
-    let output = run(arguments);
+    judge_failure(run(arguments), words);
+}
+
+/// What [`fail`] asks of a command that has ended.
+pub fn judge_failure(output: Output, words: &[&str]) {
     let stderr = String::from_utf8(output.stderr).unwrap();
     assert_eq!(output.status.code(), Some(1), "{stderr}");
     let errors: Vec<&str> = stderr.lines().filter(|line| line.starts_with("error: ")).collect();

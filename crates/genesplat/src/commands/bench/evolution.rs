@@ -50,10 +50,10 @@ struct Growth {
 
 /// Times, prints, and writes the figures.
 pub fn run(args: &BenchEvolutionArgs) -> Result<()> {
-    device::prepare(args.machine)?;
+    let backend = device::prepare_cpu(args.machine)?;
     let Workload { views, cloud } = Workload::of(&args.workload)?;
     let population = args.population as usize;
-    let mut bench = Bench::new(&views, just_reset(cloud))?;
+    let mut bench = Bench::new(backend, &views, just_reset(cloud))?;
     let judges: Vec<usize> = (0..views.len().min(args.views as usize)).collect();
     let individuals = bench.founders(population)?;
     let (scored, seconds) = bench.score(&individuals, &judges)?;
@@ -96,8 +96,7 @@ struct Bench {
 }
 
 impl Bench {
-    fn new(views: &[View], cloud: Gaussians) -> Result<Self> {
-        let mut backend = device::open(0);
+    fn new(mut backend: CpuBackend, views: &[View], cloud: Gaussians) -> Result<Self> {
         backend.set_views(views)?;
         backend.upload(cloud, None)?;
         Ok(Self { backend, settings: RenderSettings::default() })

@@ -57,9 +57,8 @@ struct Sample {
 
 /// Times, prints, and writes the figures.
 pub fn run(args: &BenchStepArgs) -> Result<()> {
-    device::prepare(args.machine)?;
+    let mut backend = device::prepare_cpu(args.machine)?;
     let Workload { views, cloud } = Workload::of(&args.workload)?;
-    let mut backend = device::open(0);
     backend.set_views(&views)?;
     // Moved, not copied: the memory reported is that of training.
     backend.upload(cloud, None)?;

@@ -1,0 +1,24 @@
+// What every stage uses. Grids wider than GRID_WIDTH workgroups wrap into the second dimension.
+
+fn group_of(id: vec3<u32>) -> u32 {
+    return id.x + id.y * GRID_WIDTH;
+}
+
+fn is_finite(x: f32) -> bool {
+    // By bits: a compiler may assume that there is no NaN.
+    return (bitcast<u32>(x) & 0x7f800000u) != 0x7f800000u;
+}
+
+// e^x, with the exponent limited as on the CPU.
+fn exp_limited(x: f32) -> f32 {
+    return exp2(clamp(x * LOG2_E, -126.0, 126.0));
+}
+
+fn sigmoid(x: f32) -> f32 {
+    return 1.0 / (1.0 + exp_limited(-x));
+}
+
+// High bits of a tile count: the row's 3-sigma square meets a tile (what density averages count); the row has a splat.
+const SEEN_BIT: u32 = 0x80000000u;
+const SPLAT_BIT: u32 = 0x40000000u;
+const COUNT_BITS: u32 = 0x3fffffffu;

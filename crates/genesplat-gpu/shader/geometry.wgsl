@@ -1,0 +1,151 @@
+// Steps 1 to 5 of the projection: everything between raw parameters and the screen. The backward pass computes it again
+// rather than reading hundreds of bytes a Gaussian. Formulas: 3DGS, section 4 and appendix A; Zwicker et al. 2001.
+
+struct Params {
+    position: vec3<f32>,
+    opacity_logit: f32,
+    log_scale: vec3<f32>,
+    // Standard deviation of Mip-Splatting's 3D filter; 0 without one.
+    filter_3d: f32,
+    // (w, x, y, z)
+    rotation: vec4<f32>,
+}
+
+struct Geometry {
+    inverse_length: f32,
+    unit: vec4<f32>,
+    // Columns are the own axes in world coordinates.
+    r: mat3x3<f32>,
+    variance_raw: vec3<f32>,
+    variance: vec3<f32>,
+    // Mean in camera coordinates.
+    t: vec3<f32>,
+    inverse_z: f32,
+    ratio: vec2<f32>,
+    clamped_ratio: vec2<f32>,
+    // Rows of J R_view, and those times R.
+    u0: vec3<f32>,
+    u1: vec3<f32>,
+    w0: vec3<f32>,
+    w1: vec3<f32>,
+    // [a, b, c] before and after the screen filter, px^2.
+    cov_raw: vec3<f32>,
+    cov: vec3<f32>,
+    det_raw: f32,
+    det: f32,
+    factor_3d: f32,
+    factor_2d: f32,
+    opacity: f32,
+    opacity_effective: f32,
+}
+
+fn params_from(a: vec4<f32>, b: vec4<f32>, c: vec4<f32>) -> Params {
+    return Params(a.xyz, a.w, b.xyz, b.w, c);
+}
+
+// Factor on the opacity that keeps a splat's energy under the screen filter.
+fn screen_factor(det_raw: f32, det: f32) -> f32 {
+    if frame.filter_kind == FILTER_ANTIALIASED {
+        return sqrt(max(det_raw / det, ANTIALIAS_RATIO_MIN));
+    }
+    if frame.filter_kind == FILTER_MIP {
+        if det_raw <= MIP_DET_MIN || det <= MIP_DET_MIN {
+            return 0.0;
+        }
+        return sqrt(det_raw / (det + 1e-6) + 1e-6);
+    }
+    return 1.0;
+}
+
+fn geometry_of(p: Params) -> Geometry {
+    var g: Geometry;
+    // 1. Own axes: rotation of the unit quaternion, variances with the 3D filter.
+    g.inverse_length = 1.0 / max(sqrt(dot(p.rotation, p.rotation)), 1e-12);
+    g.unit = p.rotation * g.inverse_length;
+    g.r = rotation_matrix(g.unit);
+    g.variance_raw = vec3(
+        exp_limited(2.0 * p.log_scale.x), exp_limited(2.0 * p.log_scale.y), exp_limited(2.0 * p.log_scale.z));
+    g.variance = g.variance_raw + p.filter_3d * p.filter_3d;
+
+    // 2. Camera coordinates.
+    g.t = vec3(
+        dot(p.position, frame.camera_x.xyz) + frame.camera_x.w,
+        dot(p.position, frame.camera_y.xyz) + frame.camera_y.w,
+        dot(p.position, frame.camera_z.xyz) + frame.camera_z.w,
+    );
+    g.inverse_z = 1.0 / g.t.z;
+
+    // 3. Jacobian of the projection, with x/z and y/z clamped.
+    let limit = vec2(frame.limit_x, frame.limit_y);
+    g.ratio = g.t.xy * g.inverse_z;
+    g.clamped_ratio = min(max(g.ratio, -limit), limit);
+    let diagonal = g.inverse_z * vec2(frame.focal_x, frame.focal_y);
+    let third = -diagonal * g.clamped_ratio;
+    g.u0 = diagonal.x * frame.camera_x.xyz + third.x * frame.camera_z.xyz;
+    g.u1 = diagonal.y * frame.camera_y.xyz + third.y * frame.camera_z.xyz;
+
+    // 4. Covariance on the screen: sum over the own axes of variance * w w^T.
+    g.w0 = g.u0 * g.r;
+    g.w1 = g.u1 * g.r;
+    g.cov_raw = vec3(
+        dot(g.variance * g.w0, g.w0), dot(g.variance * g.w0, g.w1), dot(g.variance * g.w1, g.w1));
+    g.cov = g.cov_raw + vec3(frame.dilation, 0.0, frame.dilation);
+    g.det_raw = g.cov_raw.x * g.cov_raw.z - g.cov_raw.y * g.cov_raw.y;
+    g.det = g.cov.x * g.cov.z - g.cov.y * g.cov.y;
+
+    // 5. Opacity, with what the filters take from it.
+    g.opacity = sigmoid(p.opacity_logit);
+    let ratio = g.variance_raw / g.variance;
+    g.factor_3d = select(1.0, sqrt(ratio.x * ratio.y * ratio.z), p.filter_3d > 0.0);
+    g.factor_2d = screen_factor(g.det_raw, g.det);
+    g.opacity_effective = g.opacity * g.factor_3d * g.factor_2d;
+    return g;
+}
+
+// In front of the near plane, with an invertible covariance; false for anything that is not finite.
+fn is_valid(g: Geometry) -> bool {
+    return g.t.z > NEAR_DEPTH && g.det > 0.0 && is_finite(g.det) && is_finite(g.t.z);
+}
+
+fn mean_px(g: Geometry) -> vec2<f32> {
+    return vec2(frame.focal_x, frame.focal_y) * g.ratio + vec2(frame.axis_x, frame.axis_y);
+}
+
+// 3DGS's rule: the square of ceil(3 sqrt(lambda_max)) px around the mean meets at least one tile.
+fn is_seen(g: Geometry) -> bool {
+    if !is_valid(g) {
+        return false;
+    }
+    let middle = 0.5 * (g.cov.x + g.cov.z);
+    let largest = middle + sqrt(max(middle * middle - g.det, 0.1));
+    let radius = ceil(3.0 * sqrt(largest));
+    let mean = mean_px(g);
+    let grid = vec2(f32(frame.tiles_x), f32(frame.tiles_y));
+    let side = f32(TILE);
+    let first = clamp(trunc((mean - radius) / side), vec2(0.0), grid);
+    let end = clamp(trunc((mean + radius + (side - 1.0)) / side), vec2(0.0), grid);
+    return all(end > first);
+}
+
+// True where the splat reaches the image; then `out` is the splat without its colour.
+fn splat_of(g: Geometry, out: ptr<function, Splat>) -> bool {
+    // `>` is false for NaN, so that a poisoned Gaussian disappears instead of spreading.
+    if !is_valid(g) || !(g.opacity_effective > ALPHA_MIN) {
+        return false;
+    }
+    let mean = mean_px(g);
+    // alpha >= 1/255 <=> d^T cov^-1 d <= 2 ln(255 o): half extents sqrt(2 ln(255 o) cov_kk).
+    let log2_opacity = log2(g.opacity_effective);
+    let reach = 2.0 * LN_2 * (log2_opacity + LOG2_255);
+    let half_extent = sqrt(reach * g.cov.xz);
+    let size = vec2(f32(frame.width), f32(frame.height));
+    if !(all(mean + half_extent >= vec2(0.0)) && all(mean - half_extent <= size - 1.0)) {
+        return false;
+    }
+    let scale = LOG2_E / g.det;
+    (*out).mean = mean;
+    (*out).log2_opacity = log2_opacity;
+    (*out).half_extent = half_extent;
+    (*out).conic_log2 = vec3(-0.5 * scale * g.cov.z, scale * g.cov.y, -0.5 * scale * g.cov.x);
+    return true;
+}

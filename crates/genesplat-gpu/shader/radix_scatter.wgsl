@@ -1,0 +1,64 @@
+// Radix sort, step 2 of each pass: every key to its place, keys of equal digits in their old order.
+//
+// A workgroup takes 256 keys at a time. Each invocation sets its bit in the mask of its digit; the bits below it are the
+// equal digits before it. This needs neither subgroups nor any promise about the order of workgroups.
+
+override LENGTH: u32;
+override SHIFT: u32;
+// The values are the places of the keys before the first pass.
+override COUNT_UP: bool;
+@group(0) @binding(0) var<storage, read> lengths: array<u32>;
+@group(0) @binding(1) var<storage, read> starts: array<u32>;
+@group(0) @binding(2) var<storage, read> keys: array<u32>;
+@group(0) @binding(3) var<storage, read> values: array<u32>;
+@group(0) @binding(4) var<storage, read_write> keys_out: array<u32>;
+@group(0) @binding(5) var<storage, read_write> values_out: array<u32>;
+
+const WORDS: u32 = GROUP / 32u;
+var<workgroup> masks: array<atomic<u32>, DIGITS * WORDS>;
+var<workgroup> next: array<u32, DIGITS>;
+
+@compute @workgroup_size(GROUP)
+fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let length = lengths[LENGTH];
+    let blocks = (length + SORT_BLOCK - 1u) / SORT_BLOCK;
+    let block = group_of(group);
+    if block < blocks {
+        next[lane] = starts[lane * blocks + block];
+    }
+    for (var word = 0u; word < WORDS; word++) {
+        atomicStore(&masks[lane * WORDS + word], 0u);
+    }
+    workgroupBarrier();
+    for (var i = 0u; i < SORT_BLOCK / GROUP; i++) {
+        let at = block * SORT_BLOCK + i * GROUP + lane;
+        var key = 0u;
+        var digit = 0u;
+        if at < length {
+            key = keys[at];
+            digit = (key >> SHIFT) & (DIGITS - 1u);
+            atomicOr(&masks[digit * WORDS + lane / 32u], 1u << (lane % 32u));
+        }
+        workgroupBarrier();
+        if at < length {
+            let own = atomicLoad(&masks[digit * WORDS + lane / 32u]);
+            var place = next[digit] + countOneBits(own & ((1u << (lane % 32u)) - 1u));
+            for (var word = 0u; word < lane / 32u; word++) {
+                place += countOneBits(atomicLoad(&masks[digit * WORDS + word]));
+            }
+            keys_out[place] = key;
+            if COUNT_UP {
+                values_out[place] = at;
+            } else {
+                values_out[place] = values[at];
+            }
+        }
+        workgroupBarrier();
+        var count = 0u;
+        for (var word = 0u; word < WORDS; word++) {
+            count += countOneBits(atomicExchange(&masks[lane * WORDS + word], 0u));
+        }
+        next[lane] += count;
+        workgroupBarrier();
+    }
+}

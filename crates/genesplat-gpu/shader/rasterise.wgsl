@@ -1,0 +1,82 @@
+// Stage `rasterise`: blends the splats of each tile front to back, one pixel an invocation.
+//
+// A pixel is finished when a splat would leave less than 1e-4 of its light: that splat is not blended into it, nor is any
+// other.
+
+@group(0) @binding(0) var<uniform> frame: Frame;
+@group(0) @binding(1) var<storage, read> ranges: array<vec2<u32>>;
+// Numbers of the entries, tile after tile.
+@group(0) @binding(2) var<storage, read> entries: array<u32>;
+@group(0) @binding(3) var<storage, read> entry_splats: array<u32>;
+@group(0) @binding(4) var<storage, read> splats: array<vec4<f32>>;
+// [3, H, W]
+@group(0) @binding(5) var<storage, read_write> image: array<f32>;
+
+var<workgroup> range: vec2<u32>;
+var<workgroup> batch: array<TileSplat, TILE_PIXELS>;
+var<workgroup> finished_pixels: atomic<u32>;
+var<workgroup> all_finished: u32;
+
+@compute @workgroup_size(TILE, TILE)
+fn main(
+    @builtin(workgroup_id) tile: vec3<u32>,
+    @builtin(local_invocation_id) local: vec3<u32>,
+    @builtin(local_invocation_index) lane: u32,
+) {
+    let origin = vec2(f32(tile.x * TILE), f32(tile.y * TILE));
+    let pixel = tile.xy * TILE + local.xy;
+    let inside = pixel.x < frame.width && pixel.y < frame.height;
+    let at = vec2<f32>(local.xy);
+    if lane == 0u {
+        range = ranges[tile.y * frame.tiles_x + tile.x];
+        atomicStore(&finished_pixels, 0u);
+    }
+    let entry_range = workgroupUniformLoad(&range);
+
+    var colour = vec3(0.0);
+    var transmittance = 1.0;
+    var finished = !inside;
+    if finished {
+        atomicAdd(&finished_pixels, 1u);
+    }
+    for (var first = entry_range.x; first < entry_range.y; first += TILE_PIXELS) {
+        // 1. Has anyone still something to do? The barriers in this also end the batch before.
+        workgroupBarrier();
+        if lane == 0u {
+            all_finished = u32(atomicLoad(&finished_pixels) == TILE_PIXELS);
+        }
+        if workgroupUniformLoad(&all_finished) == 1u {
+            break;
+        }
+        // 2. Load the next splats, one an invocation.
+        if first + lane < entry_range.y {
+            batch[lane] = load_tile_splat(entry_splats[entries[first + lane]], origin);
+        }
+        workgroupBarrier();
+        // 3. Blend.
+        let count = min(TILE_PIXELS, entry_range.y - first);
+        for (var i = 0u; i < count && !finished; i++) {
+            let exponent = exponent_at(batch[i].conic_log2, batch[i].log2_opacity, batch[i].mean - at);
+            if exponent < -LOG2_255 {
+                continue;
+            }
+            let weight = transmittance * min(exp2(exponent), ALPHA_MAX);
+            let next = transmittance - weight;
+            if next < TRANSMITTANCE_MIN {
+                finished = true;
+                atomicAdd(&finished_pixels, 1u);
+            } else {
+                colour += weight * batch[i].rgb;
+                transmittance = next;
+            }
+        }
+    }
+    if inside {
+        let value = colour + transmittance * frame.background.xyz;
+        let pixels = frame.width * frame.height;
+        let out = pixel.y * frame.width + pixel.x;
+        image[out] = value.x;
+        image[pixels + out] = value.y;
+        image[2u * pixels + out] = value.z;
+    }
+}

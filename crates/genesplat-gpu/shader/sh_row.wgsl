@@ -1,0 +1,32 @@
+// Reads the coefficients of one row of `sh`.
+
+// Four coefficients, from coefficient 4 * group on: columns are their colours.
+fn sh_group(row: u32, group: u32) -> array<vec3<f32>, 4> {
+    let at = 12u * row + 3u * group;
+    let a = sh[at];
+    let b = sh[at + 1u];
+    let c = sh[at + 2u];
+    return array(a.xyz, vec3(a.w, b.xy), vec3(b.zw, c.x), c.yzw);
+}
+
+// Groups of four coefficients that hold the active ones.
+fn sh_groups(degree: u32) -> u32 {
+    return ((degree + 1u) * (degree + 1u) + 3u) / 4u;
+}
+
+// Colour before 0.5 is added and it is clamped.
+fn sh_colour(row: u32, degree: u32, position: vec3<f32>) -> vec3<f32> {
+    if degree == 0u {
+        return SH_C0 * sh[12u * row].xyz;
+    }
+    let basis = sh_basis(degree, view_direction(position).xyz);
+    var sum = vec3(0.0);
+    let groups = sh_groups(degree);
+    for (var group = 0u; group < groups; group++) {
+        let rgb = sh_group(row, group);
+        for (var k = 0u; k < 4u; k++) {
+            sum += basis[4u * group + k] * rgb[k];
+        }
+    }
+    return sum;
+}

@@ -1,0 +1,165 @@
+//! Which graphics devices there are, which of them can be used, and which is best.
+
+use genesplat_core::BackendError;
+use wgpu::{Adapter, Backends, DeviceType, Features, Instance, InstanceDescriptor, Limits};
+
+/// Workgroup memory that the backward pass needs, bytes.
+const WORKGROUP_BYTES: u32 = 24 << 10;
+/// Storage buffers that the widest stage binds (WebGPU's default limit).
+const STORAGE_BUFFERS: u32 = 8;
+/// Smallest binding that a backend can work with: 128 MiB, WebGPU's default limit.
+const BINDING_BYTES: u64 = 128 << 20;
+
+/// What a graphics device is, in words for people.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct AdapterReport {
+    /// Name of the device.
+    pub name: String,
+    /// `discrete`, `integrated`, `virtual`, `software` or `other`.
+    pub kind: &'static str,
+    /// Programming interface: Vulkan, Metal or DX12.
+    pub api: String,
+    /// Driver, with its version where it says one.
+    pub driver: String,
+    /// Largest part of a buffer that a kernel can see, bytes.
+    pub binding_bytes: u64,
+    /// Largest buffer, bytes.
+    pub buffer_bytes: u64,
+    /// Memory that a workgroup shares, bytes.
+    pub workgroup_bytes: u32,
+    /// Times stages (for `bench gpu`).
+    pub timestamps: bool,
+    /// Why it cannot be used; `None` when it can.
+    pub unusable: Option<String>,
+}
+
+impl AdapterReport {
+    /// True for an implementation on the processor: right for tests, and far slower than the CPU backend.
+    pub fn is_software(&self) -> bool {
+        self.kind == "software"
+    }
+}
+
+/// All graphics devices of this machine, best first; none where there is no driver.
+pub fn adapters() -> Vec<AdapterReport> {
+    found(&instance()).iter().map(report).collect()
+}
+
+/// An instance of the interfaces that this build speaks.
+pub(crate) fn instance() -> Instance {
+    Instance::new(InstanceDescriptor {
+        backends: Backends::PRIMARY,
+        ..InstanceDescriptor::new_without_display_handle()
+    })
+}
+
+fn found(instance: &Instance) -> Vec<Adapter> {
+    let mut adapters = pollster::block_on(instance.enumerate_adapters(Backends::PRIMARY));
+    adapters.sort_by_key(|adapter| rank(adapter.get_info().device_type));
+    adapters
+}
+
+/// Best first.
+fn rank(kind: DeviceType) -> u32 {
+    match kind {
+        DeviceType::DiscreteGpu => 0,
+        DeviceType::IntegratedGpu => 1,
+        DeviceType::VirtualGpu => 2,
+        DeviceType::Other => 3,
+        DeviceType::Cpu => 4,
+    }
+}
+
+/// The best usable device.
+pub(crate) fn best(instance: &Instance) -> Result<Adapter, BackendError> {
+    let mut reasons = Vec::new();
+    for adapter in found(instance) {
+        match unmet(&adapter.limits()) {
+            None => return Ok(adapter),
+            Some(reason) => reasons.push(format!("{} {reason}", adapter.get_info().name)),
+        }
+    }
+    Err(BackendError::Unsupported(none_usable(&reasons)))
+}
+
+fn none_usable(reasons: &[String]) -> String {
+    if reasons.is_empty() {
+        return "there is no graphics device with a Vulkan, Metal or DX12 driver on this machine".into();
+    }
+    format!("no graphics device of this machine can be used: {}", reasons.join("; "))
+}
+
+fn report(adapter: &Adapter) -> AdapterReport {
+    let (info, limits) = (adapter.get_info(), adapter.limits());
+    let kind = match info.device_type {
+        DeviceType::DiscreteGpu => "discrete",
+        DeviceType::IntegratedGpu => "integrated",
+        DeviceType::VirtualGpu => "virtual",
+        DeviceType::Cpu => "software",
+        DeviceType::Other => "other",
+    };
+    AdapterReport {
+        kind,
+        api: format!("{:?}", info.backend),
+        driver: format!("{} {}", info.driver, info.driver_info).trim().to_owned(),
+        name: info.name,
+        binding_bytes: limits.max_storage_buffer_binding_size,
+        buffer_bytes: limits.max_buffer_size,
+        workgroup_bytes: limits.max_compute_workgroup_storage_size,
+        timestamps: adapter.features().contains(Features::TIMESTAMP_QUERY),
+        unusable: unmet(&limits),
+    }
+}
+
+/// What an adapter with these limits lacks.
+fn unmet(limits: &Limits) -> Option<String> {
+    let needs = [
+        (
+            "memory a workgroup, bytes",
+            limits.max_compute_workgroup_storage_size.into(),
+            WORKGROUP_BYTES.into(),
+        ),
+        (
+            "storage buffers a kernel",
+            limits.max_storage_buffers_per_shader_stage.into(),
+            STORAGE_BUFFERS.into(),
+        ),
+        ("bytes a binding", limits.max_storage_buffer_binding_size, BINDING_BYTES),
+    ];
+    needs
+        .into_iter()
+        .find(|(_, has, needs)| has < needs)
+        .map(|(what, has, needs)| format!("has too few {what}: {has}, and {needs} are needed"))
+}
+
+/// What is asked of a device: no more than the kernels use, but as much memory as it has.
+pub(crate) fn required_limits(adapter: &Adapter) -> Limits {
+    let has = adapter.limits();
+    Limits {
+        max_storage_buffer_binding_size: has.max_storage_buffer_binding_size,
+        max_buffer_size: has.max_buffer_size,
+        max_compute_workgroup_storage_size: WORKGROUP_BYTES,
+        max_storage_buffers_per_shader_stage: STORAGE_BUFFERS,
+        ..Limits::default()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_adapter_below_the_limits_is_refused_with_the_reason() {
+        let enough = Limits { max_compute_workgroup_storage_size: 32 << 10, ..Limits::default() };
+        assert_eq!(unmet(&enough), None);
+        let small = Limits { max_compute_workgroup_storage_size: 16 << 10, ..enough };
+        let reason = unmet(&small).expect("too little");
+        assert!(reason.contains("16384") && reason.contains("24576"), "{reason}");
+    }
+
+    #[test]
+    fn no_adapter_is_one_sentence() {
+        assert!(none_usable(&[]).starts_with("there is no graphics device"));
+        assert!(none_usable(&["toy has too few bytes".into()]).contains("toy"));
+    }
+}

@@ -1,0 +1,349 @@
+//! [`Backend`] for a graphics device.
+//!
+//! **No read-back in a step.** A step is submitted and forgotten. What can go wrong in it, the device finds out itself: when
+//! the tile lists do not fit their buffers, or the loss is not finite, it sets a flag, and from there on no step changes
+//! anything. The host keeps the steps that it has not heard of ([`GpuBackend::settle`]) and looks at the flag before it
+//! reads or edits anything, and every so often in between. After an overflow it makes room and submits the steps that were
+//! not done once more, so the run is the one that enough room would have given.
+
+use std::borrow::Cow;
+
+use genesplat_core::backend::{MomentPolicy, StepReport};
+use genesplat_core::{
+    Backend, BackendError, Camera, DensitySignal, Gaussians, Image, Moments, RenderSettings, RowEdit,
+    RunningMean, SparseDelta, Statistics, TrainStep, View,
+};
+
+use crate::cloud::Parameters;
+use crate::engine::{Engine, Memory};
+use crate::frame::{frame_of, optimiser_of, with_statistics};
+use crate::layout::{Counters, Frame, HALT_NON_FINITE, HALT_OVERFLOW, Optimiser};
+use crate::lists::{Lists, tiles_of};
+use crate::optimise::Optimise;
+use crate::pixels::{Pixels, image_bytes, pack_photo, row_bytes};
+use crate::recorder::Recorder;
+use crate::state::State;
+use crate::timing::Timestamps;
+
+/// Steps after which the host looks at the device's flag. A look costs a round trip, and an overflow costs the steps
+/// submitted since.
+const STEPS_UNSEEN: usize = 32;
+/// Tile entries that there is room for at first, a Gaussian (a cloud in training has 2 to 4).
+const FIRST_ENTRIES: u64 = 4;
+/// At least so many, for clouds of few and large Gaussians.
+const ENTRIES_MIN: u64 = 1 << 16;
+
+/// A training view on the device.
+pub(crate) struct TrainView {
+    pub(crate) camera: Camera,
+    pub(crate) photo: Memory,
+}
+
+/// A cloud in the memory of a graphics device, trained by its kernels.
+pub struct GpuBackend {
+    pub(crate) engine: Engine,
+    seed: u64,
+    pub(crate) state: State,
+    pub(crate) views: Vec<TrainView>,
+    pub(crate) lists: Lists,
+    pub(crate) pixels: Pixels,
+    optimiser: Memory,
+    /// Room for tile entries that was found to be needed.
+    entry_room: Option<u64>,
+    /// Steps submitted since the host last looked.
+    unseen: Vec<TrainStep>,
+    report: StepReport,
+    /// Optimiser steps made.
+    steps: u32,
+    pub(crate) timestamps: Option<Timestamps>,
+}
+
+impl GpuBackend {
+    /// An empty backend on the best device of this machine; `seed` is that of the run.
+    pub fn new(seed: u64) -> Result<Self, BackendError> {
+        Self::on(Engine::new()?, seed)
+    }
+
+    /// An empty backend on a device.
+    pub fn on(engine: Engine, seed: u64) -> Result<Self, BackendError> {
+        Ok(Self {
+            state: State::upload(&engine, &Gaussians::default(), None)?,
+            lists: Lists::new(&engine)?,
+            pixels: Pixels::new(&engine)?,
+            optimiser: engine.allocate("the optimiser", size_of::<Optimiser>() as u64)?,
+            engine,
+            seed,
+            entry_room: None,
+            views: Vec::new(),
+            unseen: Vec::new(),
+            report: StepReport::default(),
+            steps: 0,
+            timestamps: None,
+        })
+    }
+
+    /// Bytes that this backend holds on the device.
+    pub fn allocated_bytes(&self) -> u64 {
+        self.engine.allocated_bytes()
+    }
+
+    /// Tile entries that there is room for: grows by itself; tests make it small.
+    pub fn set_entry_room(&mut self, entries: u64) {
+        self.entry_room = Some(entries);
+    }
+
+    /// Tile entries that there is room for.
+    pub fn entry_room(&self) -> u64 {
+        self.lists.entries
+    }
+
+    /// Submits one step.
+    fn submit(&mut self, step: &TrainStep) -> Result<(), BackendError> {
+        let view = &self.views[step.view];
+        let frame = with_statistics(frame_of(&view.camera, &step.settings, self.state.rows), step.statistics);
+        self.reserve_lists(&frame)?;
+        self.pixels.reserve_training(&self.engine, &frame, self.lists.entries)?;
+        self.state.reserve_step(&self.engine, step.statistics.genes)?;
+        self.state.has_absolute |= step.statistics.density == Some(DensitySignal::SignedAndAbsolute);
+        let optimiser = step.update.as_ref().map(|update| optimiser_of(update, self.seed));
+        self.engine.write(&self.optimiser, 0, optimiser.as_slice());
+        self.lists.begin(&self.engine, &frame);
+
+        let (state, lists, pixels) = (&self.state, &self.lists, &self.pixels);
+        let mut recorder = Recorder::new(&self.engine, self.timestamps.as_mut());
+        lists.record(&mut recorder, &state.cloud, &state.windows, &frame);
+        pixels.record_rasterise(&mut recorder, lists, &frame);
+        pixels.record_loss(&mut recorder, lists, &self.views[step.view].photo, &frame);
+        pixels.record_backward(&mut recorder, lists, &frame);
+        let (memory, request) = (&self.optimiser, step.statistics);
+        Optimise { state, lists, pixels, memory, optimiser: optimiser.as_ref(), request }
+            .record(&mut recorder);
+        recorder.submit();
+        Ok(())
+    }
+
+    pub(crate) fn reserve_lists(&mut self, frame: &Frame) -> Result<(), BackendError> {
+        let guess = (FIRST_ENTRIES * self.state.rows).max(ENTRIES_MIN).min(self.entries_max());
+        let entries = self.entry_room.unwrap_or(guess);
+        self.lists.reserve(&self.engine, self.state.rows, entries, tiles_of(frame))
+    }
+
+    /// Entries whose gradient rows a kernel can see at once.
+    fn entries_max(&self) -> u64 {
+        self.engine.binding_bytes / row_bytes(1)
+    }
+
+    /// Makes room for the entries that the device wanted, and a quarter more.
+    pub(crate) fn grow(&mut self, wanted: u32) -> Result<(), BackendError> {
+        let (wanted, most) = (u64::from(wanted), self.entries_max());
+        if wanted > most {
+            return Err(BackendError::OutOfMemory {
+                device: self.engine.name.clone(),
+                wanted: row_bytes(wanted),
+                purpose: "the tile lists of one view".into(),
+            });
+        }
+        self.set_entry_room((wanted + wanted / 4).min(most));
+        Ok(())
+    }
+
+    /// What the device has counted since it was last told to forget it.
+    pub(crate) fn counters(&self) -> Result<Counters, BackendError> {
+        let [counters] = self.engine.read([(&self.lists.counters, 0..size_of::<Counters>() as u64)])?;
+        Ok(bytemuck::pod_read_unaligned(&counters))
+    }
+
+    pub(crate) fn clear_counters(&self) {
+        self.engine.write(&self.lists.counters, 0, &[Counters::default()]);
+    }
+
+    /// Waits until every submitted step is done, repeating those that an overflow has stopped.
+    pub(crate) fn settle(&mut self) -> Result<(), BackendError> {
+        while !self.unseen.is_empty() {
+            let counters = self.counters()?;
+            let done: Vec<TrainStep> = self.unseen.drain(..counters.completed as usize).collect();
+            self.steps += done.iter().filter(|step| step.update.is_some()).count() as u32;
+            if !done.is_empty() {
+                self.report = StepReport {
+                    loss: counters.loss,
+                    visible: counters.step_visible as usize,
+                    tile_splats: counters.step_entries as usize,
+                };
+            }
+            self.clear_counters();
+            if counters.halted & HALT_NON_FINITE != 0 {
+                self.unseen.clear();
+                return Err(self.non_finite()?);
+            }
+            if counters.halted & HALT_OVERFLOW != 0 {
+                self.grow(counters.wanted)?;
+            }
+            for step in self.unseen.clone() {
+                self.submit(&step)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn non_finite(&self) -> Result<BackendError, BackendError> {
+        let cloud = self.state.download(&self.engine)?;
+        let (row, parameter) = cloud.first_non_finite().unwrap_or((0, "gradient"));
+        Ok(BackendError::NonFinite { row, parameter, steps: self.steps })
+    }
+
+    /// Renders, and makes room until the lists fit.
+    fn render_frame(&mut self, frame: &Frame) -> Result<Vec<u8>, BackendError> {
+        loop {
+            self.reserve_lists(frame)?;
+            self.pixels.reserve_image(&self.engine, frame)?;
+            self.lists.begin(&self.engine, frame);
+            let mut recorder = Recorder::new(&self.engine, self.timestamps.as_mut());
+            self.lists.record(&mut recorder, &self.state.cloud, &self.state.windows, frame);
+            self.pixels.record_rasterise(&mut recorder, &self.lists, frame);
+            recorder.submit();
+            let counters_bytes = size_of::<Counters>() as u64;
+            let [counters, image] = self.engine.read([
+                (&self.lists.counters, 0..counters_bytes),
+                (&self.pixels.image, 0..image_bytes(frame)),
+            ])?;
+            self.clear_counters();
+            let counters: Counters = bytemuck::pod_read_unaligned(&counters);
+            if counters.halted == 0 {
+                return Ok(image);
+            }
+            self.grow(counters.wanted)?;
+        }
+    }
+}
+
+impl Backend for GpuBackend {
+    fn describe(&self) -> String {
+        self.engine.name.clone()
+    }
+
+    fn len(&self) -> usize {
+        self.state.rows as usize
+    }
+
+    fn set_views(&mut self, views: &[View]) -> Result<(), BackendError> {
+        self.settle()?;
+        self.views.clear();
+        for view in views {
+            let photo = self.engine.upload("a photo", &pack_photo(&view.photo))?;
+            self.views.push(TrainView { camera: view.camera, photo });
+        }
+        Ok(())
+    }
+
+    fn upload(&mut self, cloud: Gaussians, moments: Option<Moments>) -> Result<(), BackendError> {
+        self.settle()?;
+        self.state = State::upload(&self.engine, &cloud, moments.as_ref())?;
+        Ok(())
+    }
+
+    fn download(&mut self) -> Result<Cow<'_, Gaussians>, BackendError> {
+        self.settle()?;
+        Ok(Cow::Owned(self.state.download(&self.engine)?))
+    }
+
+    fn download_moments(&mut self) -> Result<Cow<'_, Moments>, BackendError> {
+        self.settle()?;
+        Ok(Cow::Owned(self.state.download_moments(&self.engine)?))
+    }
+
+    fn render(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<Image, BackendError> {
+        self.settle()?;
+        let frame = frame_of(camera, settings, self.state.rows);
+        let planes = bytemuck::pod_collect_to_vec(&self.render_frame(&frame)?);
+        Ok(Image { width: camera.width, height: camera.height, planes })
+    }
+
+    fn train_step(&mut self, step: &TrainStep) -> Result<(), BackendError> {
+        if self.unseen.len() >= STEPS_UNSEEN {
+            self.settle()?;
+        }
+        self.engine.check()?;
+        self.submit(step)?;
+        self.unseen.push(*step);
+        Ok(())
+    }
+
+    fn report(&mut self) -> Result<StepReport, BackendError> {
+        self.settle()?;
+        Ok(self.report)
+    }
+
+    fn statistics(&mut self) -> Result<Statistics, BackendError> {
+        self.settle()?;
+        self.state.statistics(&self.engine)
+    }
+
+    fn restore_statistics(&mut self, statistics: Statistics) -> Result<(), BackendError> {
+        self.settle()?;
+        self.state.restore_statistics(&self.engine, &statistics)
+    }
+
+    fn reset_statistics(&mut self, genes: bool) {
+        // A failure of steps before comes back with the next verb that can say so.
+        if self.settle().is_ok() {
+            self.state.reset_statistics(&self.engine, genes);
+        }
+    }
+
+    fn edit_rows(&mut self, edit: &RowEdit) -> Result<(), BackendError> {
+        self.settle()?;
+        self.state.edit_rows(&self.engine, edit, self.seed)
+    }
+
+    fn reset_opacity(&mut self, ceiling: f32) -> Result<(), BackendError> {
+        self.settle()?;
+        self.state.reset_opacity(&self.engine, ceiling)
+    }
+
+    fn set_filter_3d(&mut self, filter: Vec<f32>) -> Result<(), BackendError> {
+        self.settle()?;
+        self.state.set_filter_3d(&self.engine, &filter)
+    }
+
+    fn apply(&mut self, delta: &SparseDelta, moments: MomentPolicy) -> Result<(), BackendError> {
+        self.settle()?;
+        self.state.apply(&self.engine, delta, moments)
+    }
+
+    fn remember(&mut self) -> Result<(), BackendError> {
+        self.settle()?;
+        self.state.remember(&self.engine)
+    }
+
+    fn exchange_with_mean(&mut self) -> Result<bool, BackendError> {
+        self.settle()?;
+        Ok(self.state.exchange_with_mean(&self.engine))
+    }
+
+    fn running_mean(&mut self) -> Result<Cow<'_, RunningMean>, BackendError> {
+        self.settle()?;
+        self.state.running_mean(&self.engine)
+    }
+
+    fn restore_running_mean(&mut self, mean: RunningMean) -> Result<(), BackendError> {
+        self.settle()?;
+        self.state.mean = None;
+        if mean.states() > 0 {
+            let values = Parameters::upload(&self.engine, "the mean of states", mean.mean())?;
+            self.state.mean = Some((mean.states(), values));
+        }
+        Ok(())
+    }
+
+    fn score(
+        &mut self,
+        _population: &[SparseDelta],
+        _views: &[usize],
+        _settings: &RenderSettings,
+    ) -> Result<Vec<f32>, BackendError> {
+        self.settle()?;
+        Err(BackendError::Unsupported(
+            "scoring on a graphics device is not there yet; use --device cpu".into(),
+        ))
+    }
+}

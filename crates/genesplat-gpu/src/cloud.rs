@@ -1,0 +1,148 @@
+//! The cloud on the device: parameters, moments and what goes with each row.
+//!
+//! A row's floats lie in two columns: its geometry (12 floats) and its colour (48). Columns may be larger than a kernel can
+//! see at once; then kernels run window by window.
+
+use genesplat_core::{BackendError, Gaussians};
+
+use crate::engine::{Engine, Memory};
+use crate::layout::{GEOMETRY_FLOATS, SH_FLOATS, Window};
+use crate::recorder::Part;
+
+/// A window begins at a multiple of this many rows, so that every column is bound at a multiple of 256 bytes.
+const WINDOW_STEP: u64 = 64;
+
+/// Rows that kernels see at once.
+pub struct RowWindow {
+    pub(crate) first: u64,
+    pub(crate) count: u64,
+    /// A [`Window`] for kernels.
+    pub(crate) uniform: Memory,
+}
+
+/// Cuts `rows` so that the widest column fits a binding; there is always a window.
+pub(crate) fn windows(engine: &Engine, rows: u64) -> Result<Vec<RowWindow>, BackendError> {
+    let step = (engine.window_rows / WINDOW_STEP * WINDOW_STEP).max(WINDOW_STEP);
+    (0..rows.div_ceil(step).max(1))
+        .map(|index| {
+            let first = index * step;
+            let count = step.min(rows - first);
+            let content = Window { first: first as u32, count: count as u32, ..Window::default() };
+            Ok(RowWindow { first, count, uniform: engine.upload("row window", &[content])? })
+        })
+        .collect()
+}
+
+/// Floats of all rows.
+pub struct Column {
+    pub(crate) memory: Memory,
+    floats: u64,
+}
+
+impl Column {
+    /// Zeros.
+    pub(crate) fn zeros(
+        engine: &Engine,
+        purpose: &'static str,
+        rows: u64,
+        floats: u32,
+    ) -> Result<Self, BackendError> {
+        let floats = u64::from(floats);
+        Ok(Self { memory: engine.allocate(purpose, 4 * floats * rows)?, floats })
+    }
+
+    /// What kernels see of it.
+    pub(crate) fn at(&self, window: &RowWindow) -> Part<'_> {
+        let bytes = 4 * self.floats;
+        self.memory.part(window.first * bytes, window.count * bytes)
+    }
+
+    /// Bytes of the first `rows`.
+    pub(crate) fn bytes(&self, rows: u64) -> u64 {
+        4 * self.floats * rows
+    }
+}
+
+/// One value for each parameter of each row: the cloud itself, a moment, or a mean.
+pub struct Parameters {
+    pub(crate) geometry: Column,
+    pub(crate) sh: Column,
+}
+
+impl Parameters {
+    pub(crate) fn zeros(engine: &Engine, purpose: &'static str, rows: u64) -> Result<Self, BackendError> {
+        Ok(Self {
+            geometry: Column::zeros(engine, purpose, rows, GEOMETRY_FLOATS)?,
+            sh: Column::zeros(engine, purpose, rows, SH_FLOATS)?,
+        })
+    }
+
+    pub(crate) fn upload(
+        engine: &Engine,
+        purpose: &'static str,
+        values: &Gaussians,
+    ) -> Result<Self, BackendError> {
+        let parameters = Self::zeros(engine, purpose, values.len() as u64)?;
+        engine.write(&parameters.geometry.memory, 0, &pack_geometry(values));
+        engine.write(&parameters.sh.memory, 0, &values.sh);
+        Ok(parameters)
+    }
+
+    /// Copies `rows` rows to the host; `filter` keeps the 3D filter.
+    pub(crate) fn download(
+        &self,
+        engine: &Engine,
+        rows: u64,
+        filter: bool,
+    ) -> Result<Gaussians, BackendError> {
+        let (geometry, sh) = (&self.geometry, &self.sh);
+        let [geometry, sh] =
+            engine.read([(&geometry.memory, 0..geometry.bytes(rows)), (&sh.memory, 0..sh.bytes(rows))])?;
+        Ok(unpack(&geometry, &sh, filter))
+    }
+}
+
+/// Position and opacity logit; log-scales and 3D filter; rotation.
+type GeometryRow = [f32; GEOMETRY_FLOATS as usize];
+
+fn pack_geometry(values: &Gaussians) -> Vec<GeometryRow> {
+    (0..values.len())
+        .map(|row| {
+            let ([px, py, pz], [sx, sy, sz]) = (values.positions[row], values.log_scales[row]);
+            let [qw, qx, qy, qz] = values.rotations[row];
+            let filter = values.filter_3d.as_ref().map_or(0.0, |filter| filter[row]);
+            [px, py, pz, values.opacity_logits[row], sx, sy, sz, filter, qw, qx, qy, qz]
+        })
+        .collect()
+}
+
+fn unpack(geometry: &[u8], sh: &[u8], filter: bool) -> Gaussians {
+    // Read-backs are bytes of any alignment, so values are copied out.
+    let rows: Vec<GeometryRow> = bytemuck::pod_collect_to_vec(geometry);
+    Gaussians {
+        positions: rows.iter().map(|r| [r[0], r[1], r[2]]).collect(),
+        log_scales: rows.iter().map(|r| [r[4], r[5], r[6]]).collect(),
+        rotations: rows.iter().map(|r| [r[8], r[9], r[10], r[11]]).collect(),
+        opacity_logits: rows.iter().map(|r| r[3]).collect(),
+        sh: bytemuck::pod_collect_to_vec(sh),
+        filter_3d: filter.then(|| rows.iter().map(|r| r[7]).collect()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn packing_keeps_every_parameter() {
+        let mut cloud = Gaussians::zeros(2);
+        cloud.positions[1] = [1.0, 2.0, 3.0];
+        cloud.log_scales[1] = [4.0, 5.0, 6.0];
+        cloud.rotations[1] = [7.0, 8.0, 9.0, 10.0];
+        cloud.opacity_logits[1] = 11.0;
+        cloud.sh[1][47] = 12.0;
+        cloud.filter_3d = Some(vec![0.5, 0.25]);
+        let (geometry, sh) = (pack_geometry(&cloud), cloud.sh.clone());
+        assert_eq!(unpack(bytemuck::cast_slice(&geometry), bytemuck::cast_slice(&sh), true), cloud);
+    }
+}

@@ -1,0 +1,269 @@
+//! The device: memory, kernels, command lists and read-backs, without knowing what any of it is for.
+
+use std::cell::{Cell, RefCell};
+use std::collections::HashMap;
+use std::rc::Rc;
+use std::sync::{Arc, Mutex, mpsc};
+
+use bytemuck::Pod;
+use genesplat_core::BackendError;
+use wgpu::{
+    Buffer, BufferDescriptor, BufferUsages, ComputePipeline, ComputePipelineDescriptor, Device,
+    DeviceDescriptor, ErrorFilter, Features, MapMode, PipelineCompilationOptions, PollType, Queue,
+    ShaderModuleDescriptor, ShaderSource,
+};
+
+use crate::adapter;
+use crate::layout::SH_FLOATS;
+use crate::shaders::Shader;
+
+/// Smallest buffer, bytes: an empty cloud has buffers, too.
+const BUFFER_BYTES_MIN: u64 = 256;
+
+/// A shader with values for its `override` constants.
+type KernelKey = (&'static str, Vec<(&'static str, u32)>);
+
+/// A device, and the kernels that it has compiled.
+pub struct Engine {
+    pub(crate) device: Device,
+    pub(crate) queue: Queue,
+    /// Name and programming interface, for the log.
+    pub(crate) name: String,
+    /// Largest part of a buffer that a kernel can see, bytes.
+    pub(crate) binding_bytes: u64,
+    /// Rows of the cloud that a kernel can see at once.
+    pub(crate) window_rows: u64,
+    buffer_bytes: u64,
+    pub(crate) timestamps: bool,
+    kernels: RefCell<HashMap<KernelKey, ComputePipeline>>,
+    lost: Arc<Mutex<Option<String>>>,
+    allocated: Rc<Cell<u64>>,
+}
+
+impl Engine {
+    /// The best device of this machine.
+    pub fn new() -> Result<Self, BackendError> {
+        let instance = adapter::instance();
+        let adapter = adapter::best(&instance)?;
+        let info = adapter.get_info();
+        let name = format!("{} ({:?})", info.name, info.backend);
+        let timestamps = adapter.features().contains(Features::TIMESTAMP_QUERY);
+        let descriptor = DeviceDescriptor {
+            label: Some("genesplat"),
+            required_features: if timestamps { Features::TIMESTAMP_QUERY } else { Features::empty() },
+            required_limits: adapter::required_limits(&adapter),
+            ..DeviceDescriptor::default()
+        };
+        let (device, queue) = pollster::block_on(adapter.request_device(&descriptor))
+            .map_err(|error| BackendError::Unsupported(format!("{name} cannot be opened: {error}")))?;
+        let lost = Arc::new(Mutex::new(None));
+        let remember = Arc::clone(&lost);
+        device.set_device_lost_callback(move |_, message| note(&remember, message));
+        let remember = Arc::clone(&lost);
+        device.on_uncaptured_error(Arc::new(move |error| note(&remember, error.to_string())));
+        let limits = device.limits();
+        Ok(Self {
+            binding_bytes: limits.max_storage_buffer_binding_size,
+            window_rows: limits.max_storage_buffer_binding_size / (4 * u64::from(SH_FLOATS)),
+            buffer_bytes: limits.max_buffer_size,
+            device,
+            queue,
+            name,
+            timestamps,
+            kernels: RefCell::default(),
+            lost,
+            allocated: Rc::default(),
+        })
+    }
+
+    /// The same, but kernels see at most `rows` rows of the cloud at once: how tests exercise the splitting of columns.
+    pub fn with_window_rows(mut self, rows: u64) -> Self {
+        self.window_rows = self.window_rows.min(rows);
+        self
+    }
+
+    /// A buffer that kernels read and write, of at least `bytes`; its content is zero.
+    pub(crate) fn allocate(&self, purpose: &'static str, bytes: u64) -> Result<Memory, BackendError> {
+        let bytes = bytes.next_multiple_of(16).max(BUFFER_BYTES_MIN);
+        if bytes > self.buffer_bytes {
+            return Err(self.out_of_memory(purpose, bytes));
+        }
+        let scope = self.device.push_error_scope(ErrorFilter::OutOfMemory);
+        let usage = BufferUsages::STORAGE
+            | BufferUsages::COPY_SRC
+            | BufferUsages::COPY_DST
+            | BufferUsages::UNIFORM
+            | BufferUsages::INDIRECT;
+        let buffer = self.create(purpose, bytes, usage);
+        if pollster::block_on(scope.pop()).is_some() {
+            return Err(self.out_of_memory(purpose, bytes));
+        }
+        self.allocated.set(self.allocated.get() + bytes);
+        Ok(Memory { buffer, bytes, purpose, allocated: Rc::clone(&self.allocated) })
+    }
+
+    /// The same, for what a kernel must see as a whole.
+    pub(crate) fn allocate_whole(&self, purpose: &'static str, bytes: u64) -> Result<Memory, BackendError> {
+        if bytes > self.binding_bytes {
+            return Err(self.out_of_memory(purpose, bytes));
+        }
+        self.allocate(purpose, bytes)
+    }
+
+    /// A buffer with content.
+    pub(crate) fn upload<T: Pod>(
+        &self,
+        purpose: &'static str,
+        content: &[T],
+    ) -> Result<Memory, BackendError> {
+        let bytes: &[u8] = bytemuck::cast_slice(content);
+        let memory = self.allocate(purpose, bytes.len() as u64)?;
+        self.write(&memory, 0, content);
+        Ok(memory)
+    }
+
+    /// Makes `memory` at least `bytes` large; what it held is lost when it has to grow.
+    pub(crate) fn reserve(&self, memory: &mut Memory, bytes: u64) -> Result<(), BackendError> {
+        if memory.bytes < bytes {
+            *memory = self.allocate_whole(memory.purpose, bytes)?;
+        }
+        Ok(())
+    }
+
+    /// Bytes of all buffers that are in use.
+    pub fn allocated_bytes(&self) -> u64 {
+        self.allocated.get()
+    }
+
+    /// Overwrites part of a buffer, before whatever is submitted next.
+    pub(crate) fn write<T: Pod>(&self, memory: &Memory, first_byte: u64, content: &[T]) {
+        if !content.is_empty() {
+            self.queue.write_buffer(&memory.buffer, first_byte, bytemuck::cast_slice(content));
+        }
+    }
+
+    /// Waits for the device and copies parts of buffers (byte ranges, multiples of 4) to the host, all at once.
+    pub(crate) fn read<const K: usize>(
+        &self,
+        parts: [(&Memory, std::ops::Range<u64>); K],
+    ) -> Result<[Vec<u8>; K], BackendError> {
+        let total: u64 = parts.iter().map(|(_, range)| range.end - range.start).sum();
+        let staging = self.create(
+            "read-back",
+            total.max(BUFFER_BYTES_MIN),
+            BufferUsages::MAP_READ | BufferUsages::COPY_DST,
+        );
+        let mut encoder = self.device.create_command_encoder(&Default::default());
+        let mut at = 0;
+        for (memory, range) in &parts {
+            let bytes = range.end - range.start;
+            if bytes > 0 {
+                encoder.copy_buffer_to_buffer(&memory.buffer, range.start, &staging, at, bytes);
+            }
+            at += bytes;
+        }
+        self.queue.submit([encoder.finish()]);
+        let (sender, receiver) = mpsc::channel();
+        staging.slice(..).map_async(MapMode::Read, move |result| {
+            // Nobody listens any more only when waiting failed already.
+            let _ = sender.send(result);
+        });
+        let waited = self.device.poll(PollType::wait_indefinitely());
+        if let Err(error) = waited {
+            return Err(self.is_lost(&error.to_string()));
+        }
+        self.check()?;
+        match receiver.recv() {
+            Ok(Ok(())) => {}
+            Ok(Err(error)) => return Err(self.is_lost(&error.to_string())),
+            Err(error) => return Err(self.is_lost(&error.to_string())),
+        }
+        let mapped =
+            staging.slice(..).get_mapped_range().map_err(|error| self.is_lost(&error.to_string()))?;
+        let mut at = 0;
+        let parts = parts.map(|(_, range)| {
+            let bytes = (range.end - range.start) as usize;
+            at += bytes;
+            mapped[at - bytes..at].to_vec()
+        });
+        Ok(parts)
+    }
+
+    /// An error if the device is lost or has refused something.
+    pub(crate) fn check(&self) -> Result<(), BackendError> {
+        let lost =
+            self.lost.lock().map_or_else(|poisoned| poisoned.into_inner().clone(), |lost| lost.clone());
+        lost.map_or(Ok(()), |reason| Err(self.is_lost(&reason)))
+    }
+
+    fn is_lost(&self, reason: &str) -> BackendError {
+        BackendError::DeviceLost { device: self.name.clone(), reason: reason.replace('\n', " ") }
+    }
+
+    fn out_of_memory(&self, purpose: &str, wanted: u64) -> BackendError {
+        BackendError::OutOfMemory { device: self.name.clone(), wanted, purpose: purpose.into() }
+    }
+
+    fn create(&self, label: &str, size: u64, usage: BufferUsages) -> Buffer {
+        self.device.create_buffer(&BufferDescriptor {
+            label: Some(label),
+            size,
+            usage,
+            mapped_at_creation: false,
+        })
+    }
+
+    /// A compiled kernel; compiled when it is first asked for.
+    pub(crate) fn kernel(
+        &self,
+        shader: &'static Shader,
+        overrides: &[(&'static str, u32)],
+    ) -> ComputePipeline {
+        let key = (shader.name, overrides.to_vec());
+        if let Some(kernel) = self.kernels.borrow().get(&key) {
+            return kernel.clone();
+        }
+        let module = self.device.create_shader_module(ShaderModuleDescriptor {
+            label: Some(shader.name),
+            source: ShaderSource::Wgsl(shader.source().into()),
+        });
+        let constants: Vec<(&str, f64)> =
+            overrides.iter().map(|&(name, value)| (name, value.into())).collect();
+        let kernel = self.device.create_compute_pipeline(&ComputePipelineDescriptor {
+            label: Some(shader.name),
+            layout: None,
+            module: &module,
+            entry_point: Some("main"),
+            // Every kernel writes its workgroup memory before it reads it.
+            compilation_options: PipelineCompilationOptions {
+                constants: &constants,
+                zero_initialize_workgroup_memory: false,
+            },
+            cache: None,
+        });
+        self.kernels.borrow_mut().insert(key, kernel.clone());
+        kernel
+    }
+}
+
+fn note(lost: &Mutex<Option<String>>, message: String) {
+    let mut lost = lost.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+    lost.get_or_insert(message);
+}
+
+/// Memory of the device.
+#[derive(Debug)]
+pub struct Memory {
+    pub(crate) buffer: Buffer,
+    /// Size.
+    pub(crate) bytes: u64,
+    purpose: &'static str,
+    allocated: Rc<Cell<u64>>,
+}
+
+impl Drop for Memory {
+    /// The device frees the buffer once it has done what was submitted before.
+    fn drop(&mut self) {
+        self.allocated.set(self.allocated.get().saturating_sub(self.bytes));
+    }
+}

@@ -1,0 +1,272 @@
+//! Stages `project` and `bin`: a cloud becomes splats, and splats become tile lists, without the host knowing how many.
+//!
+//! How many splats are visible and how many entries the lists have is counted on the device; later dispatches take
+//! their sizes from there. The entries' buffers are sized by what earlier views needed. Where a view needs more, the
+//! device sets a flag and lists nothing, and the host makes room and repeats (see [`crate::backend`]).
+//!
+//! The order is that of the CPU: splats are sorted by depth once (ties by row), emit their entries in that order, and a
+//! stable sort by tile keeps it.
+
+use genesplat_core::BackendError;
+
+use crate::cloud::{Parameters, RowWindow};
+use crate::engine::{Engine, Memory};
+use crate::layout::{
+    Counters, DIGITS, Frame, GRID_DEPTH_SCAN, GRID_DEPTH_SORT, GRID_ENTRIES, GRID_TILE_SCAN, GRID_TILE_SORT,
+    GRID_VISIBLE, GRID_VISIBLE_SCAN, GRIDS, LENGTH_DEPTH_DIGITS, LENGTH_ENTRIES, LENGTH_ROWS,
+    LENGTH_TILE_DIGITS, LENGTH_VISIBLE, LENGTHS, SCAN_BLOCK, SORT_BLOCK, SPLAT_FLOATS,
+};
+use crate::recorder::{Grid, Recorder};
+use crate::shaders;
+
+/// Bits that one pass of the radix sort sorts by.
+const DIGIT_BITS: u32 = 8;
+
+/// Buffers of the splats and the tile lists of one view, reused from view to view.
+pub struct Lists {
+    /// A [`Frame`].
+    pub(crate) frame: Memory,
+    /// [`Counters`].
+    pub(crate) counters: Memory,
+    pub(crate) lengths: Memory,
+    grids: Memory,
+    /// `[N]` splats.
+    pub(crate) splats: Memory,
+    /// Camera z of each splat, as bits `[N]`.
+    pub(crate) depths: Memory,
+    /// Tiles that each row reaches, and whether it is seen `[N]`.
+    pub(crate) tile_counts: Memory,
+    marks: Memory,
+    ranks: Memory,
+    sums: Memory,
+    keys: [Memory; 2],
+    values: [Memory; 2],
+    digit_counts: Memory,
+    digit_starts: Memory,
+    /// Splat of each entry `[E]`.
+    pub(crate) entry_splats: Memory,
+    /// First entry of each splat `[N]`.
+    pub(crate) first_entries: Memory,
+    /// Begin and end of each tile's entries `[tiles]`.
+    pub(crate) ranges: Memory,
+    /// Rows of the cloud that there is room for.
+    rows: u64,
+    /// Entries that there is room for.
+    pub(crate) entries: u64,
+}
+
+impl Lists {
+    /// Room for nothing yet.
+    pub(crate) fn new(engine: &Engine) -> Result<Self, BackendError> {
+        let small = |purpose| engine.allocate(purpose, 0);
+        Ok(Self {
+            frame: engine.allocate("the frame", size_of::<Frame>() as u64)?,
+            counters: engine.allocate("counters", size_of::<Counters>() as u64)?,
+            lengths: engine.allocate("lengths", 4 * u64::from(LENGTHS))?,
+            grids: engine.allocate("grids", 12 * u64::from(GRIDS))?,
+            splats: small("splats")?,
+            depths: small("depths")?,
+            tile_counts: small("tile counts")?,
+            marks: small("marks")?,
+            ranks: small("ranks")?,
+            sums: small("sums of a prefix sum")?,
+            keys: [small("sort keys")?, small("sort keys")?],
+            values: [small("sort values")?, small("sort values")?],
+            digit_counts: small("digit counts")?,
+            digit_starts: small("digit starts")?,
+            entry_splats: small("splats of tile entries")?,
+            first_entries: small("first tile entries")?,
+            ranges: small("tile ranges")?,
+            rows: 0,
+            entries: 0,
+        })
+    }
+
+    /// Makes room for so many rows, entries and tiles.
+    pub(crate) fn reserve(
+        &mut self,
+        engine: &Engine,
+        rows: u64,
+        entries: u64,
+        tiles: u64,
+    ) -> Result<(), BackendError> {
+        engine.reserve(&mut self.ranges, 8 * tiles)?;
+        if rows <= self.rows && entries <= self.entries {
+            return Ok(());
+        }
+        let (rows, entries) = (rows.max(self.rows), entries.max(self.entries));
+        let sorted = rows.max(entries);
+        let digits = u64::from(DIGITS) * sorted.div_ceil(SORT_BLOCK.into());
+        engine.reserve(&mut self.splats, 4 * u64::from(SPLAT_FLOATS) * rows)?;
+        for memory in [
+            &mut self.depths,
+            &mut self.tile_counts,
+            &mut self.marks,
+            &mut self.ranks,
+            &mut self.first_entries,
+        ] {
+            engine.reserve(memory, 4 * rows)?;
+        }
+        for memory in self.keys.iter_mut().chain(&mut self.values) {
+            engine.reserve(memory, 4 * sorted)?;
+        }
+        engine.reserve(&mut self.entry_splats, 4 * entries)?;
+        engine.reserve(&mut self.digit_counts, 4 * digits)?;
+        engine.reserve(&mut self.digit_starts, 4 * digits)?;
+        engine.reserve(&mut self.sums, 4 * (sorted.max(digits).div_ceil(SCAN_BLOCK.into()) + 2))?;
+        (self.rows, self.entries) = (rows, entries);
+        Ok(())
+    }
+
+    /// Tells the device what the next frame is.
+    pub(crate) fn begin(&self, engine: &Engine, frame: &Frame) {
+        engine.write(&self.frame, 0, &[Frame { entry_capacity: self.entries as u32, ..*frame }]);
+        engine.write(&self.lengths, 0, &[frame.rows]);
+    }
+
+    /// Stages `project` and `bin` of a whole cloud.
+    pub(crate) fn record(
+        &self,
+        recorder: &mut Recorder,
+        cloud: &Parameters,
+        windows: &[RowWindow],
+        frame: &Frame,
+    ) {
+        recorder.stage("project");
+        for window in windows {
+            let parts = [
+                self.frame.all(),
+                window.uniform.all(),
+                cloud.geometry.at(window),
+                cloud.sh.at(window),
+                self.splats.all(),
+                self.depths.all(),
+                self.tile_counts.all(),
+                self.marks.all(),
+            ];
+            recorder.run(&shaders::PROJECT, &parts, Grid::Items(window.count));
+        }
+        self.record_bin(recorder, frame);
+    }
+
+    /// Stage `bin`, from splats to tile lists.
+    pub(crate) fn record_bin(&self, recorder: &mut Recorder, frame: &Frame) {
+        recorder.stage("bin");
+        self.record_depth_order(recorder, frame);
+        self.record_tile_lists(recorder, frame);
+    }
+
+    /// Steps 1 and 2: splats without gaps, nearest first; rows are left in `values[0]`.
+    fn record_depth_order(&self, recorder: &mut Recorder, frame: &Frame) {
+        let rows = u64::from(frame.rows);
+        self.scan(
+            recorder,
+            LENGTH_ROWS,
+            Grid::Groups(rows.div_ceil(SCAN_BLOCK.into())),
+            &self.marks,
+            &self.ranks,
+        );
+        let parts = [self.lengths.all(), self.sums.all(), self.grids.all(), self.counters.all()];
+        recorder.run(&shaders::PLAN_VISIBLE, &parts, Grid::Groups(1));
+        let [lengths, marks, ranks, depths] =
+            [&self.lengths, &self.marks, &self.ranks, &self.depths].map(Memory::all);
+        let parts = [lengths, marks, ranks, depths, self.keys[0].all(), self.values[0].all()];
+        recorder.run(&shaders::COMPACT, &parts, Grid::Items(rows));
+        let grids = [GRID_DEPTH_SORT, GRID_DEPTH_SCAN];
+        self.sort(recorder, [LENGTH_VISIBLE, LENGTH_DEPTH_DIGITS], grids, 32, 0, false);
+    }
+
+    /// Steps 3 and 4: entries in depth order, sorted by tile; their numbers are left in [`Self::entry_numbers`].
+    fn record_tile_lists(&self, recorder: &mut Recorder, frame: &Frame) {
+        let visible = Grid::Device(&self.grids, GRID_VISIBLE);
+        let (lengths, order, counts) = (self.lengths.all(), self.values[0].all(), &self.marks);
+        recorder.run(&shaders::RANK_COUNTS, &[lengths, order, self.tile_counts.all(), counts.all()], visible);
+        let grid = Grid::Device(&self.grids, GRID_VISIBLE_SCAN);
+        self.scan(recorder, LENGTH_VISIBLE, grid, counts, &self.ranks);
+        let [frame_part, sums, grids, counters] =
+            [&self.frame, &self.sums, &self.grids, &self.counters].map(Memory::all);
+        recorder.run(&shaders::PLAN_ENTRIES, &[frame_part, lengths, sums, grids, counters], Grid::Groups(1));
+        let [starts, splats, keys, entry_splats, first_entries] =
+            [&self.ranks, &self.splats, &self.keys[1], &self.entry_splats, &self.first_entries]
+                .map(Memory::all);
+        let parts =
+            [frame_part, lengths, order, counts.all(), starts, splats, keys, entry_splats, first_entries];
+        recorder.run(&shaders::EMIT, &parts, visible);
+
+        let grids = [GRID_TILE_SORT, GRID_TILE_SCAN];
+        let bits = tile_bits(frame);
+        let sorted = self.sort(recorder, [LENGTH_ENTRIES, LENGTH_TILE_DIGITS], grids, bits, 1, true);
+        recorder.clear(&self.ranges, 8 * tiles_of(frame));
+        let parts = [lengths, self.keys[sorted].all(), self.ranges.all()];
+        recorder.run(&shaders::TILE_RANGES, &parts, Grid::Device(&self.grids, GRID_ENTRIES));
+    }
+
+    /// Numbers of the entries, tile after tile, nearest first `[E]`.
+    pub(crate) fn entry_numbers(&self, frame: &Frame) -> &Memory {
+        &self.values[(1 + tile_bits(frame).div_ceil(DIGIT_BITS) as usize) % 2]
+    }
+
+    /// Exclusive prefix sum; the total is left after the last block in `sums`.
+    fn scan(&self, recorder: &mut Recorder, length: u32, grid: Grid, input: &Memory, output: &Memory) {
+        let overrides = [("LENGTH", length)];
+        let (lengths, sums) = (self.lengths.all(), self.sums.all());
+        recorder.run_with(&shaders::SCAN_SUMS, &overrides, &[lengths, input.all(), sums], grid);
+        recorder.run_with(&shaders::SCAN_BLOCKS, &overrides, &[lengths, sums], Grid::Groups(1));
+        recorder.run_with(
+            &shaders::SCAN_APPLY,
+            &overrides,
+            &[lengths, input.all(), sums, output.all()],
+            grid,
+        );
+    }
+
+    /// Stable radix sort of `keys[first]` and `values[first]` by the lowest `bits`; returns where the result is. With
+    /// `count_up`, the values are the places that keys had before.
+    fn sort(
+        &self,
+        recorder: &mut Recorder,
+        [length, digits]: [u32; 2],
+        [blocks, scan]: [u32; 2],
+        bits: u32,
+        first: usize,
+        count_up: bool,
+    ) -> usize {
+        let mut from = first;
+        for pass in 0..bits.div_ceil(DIGIT_BITS) {
+            let grid = Grid::Device(&self.grids, blocks);
+            let overrides = [("LENGTH", length), ("SHIFT", pass * DIGIT_BITS)];
+            let (lengths, keys) = (self.lengths.all(), self.keys[from].all());
+            recorder.run_with(
+                &shaders::RADIX_COUNT,
+                &overrides,
+                &[lengths, keys, self.digit_counts.all()],
+                grid,
+            );
+            let scan = Grid::Device(&self.grids, scan);
+            self.scan(recorder, digits, scan, &self.digit_counts, &self.digit_starts);
+            let to = 1 - from;
+            let parts = [
+                lengths,
+                self.digit_starts.all(),
+                keys,
+                self.values[from].all(),
+                self.keys[to].all(),
+                self.values[to].all(),
+            ];
+            let overrides = [overrides[0], overrides[1], ("COUNT_UP", u32::from(count_up && pass == 0))];
+            recorder.run_with(&shaders::RADIX_SCATTER, &overrides, &parts, grid);
+            from = to;
+        }
+        from
+    }
+}
+
+/// Tiles of all layers.
+pub(crate) fn tiles_of(frame: &Frame) -> u64 {
+    u64::from(frame.tiles_x) * u64::from(frame.tiles_y) * u64::from(frame.layers)
+}
+
+/// Bits of the largest tile number; at least one, so that entries are numbered.
+fn tile_bits(frame: &Frame) -> u32 {
+    (64 - tiles_of(frame).saturating_sub(1).leading_zeros()).max(1)
+}

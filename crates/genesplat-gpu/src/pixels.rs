@@ -1,0 +1,123 @@
+//! Stages `rasterise`, `loss` and `rasterise_backward`: tile lists become pixels, pixels a loss, and the loss becomes
+//! gradient rows.
+
+use genesplat_core::{BackendError, Photo};
+
+use crate::engine::{Engine, Memory};
+use crate::layout::{Frame, ROW_FLOATS};
+use crate::lists::{Lists, tiles_of};
+use crate::recorder::{Grid, Recorder};
+use crate::shaders;
+
+/// Buffers of the size of a picture, and of the tile lists, reused from view to view.
+pub struct Pixels {
+    /// The render `[3, H, W]`.
+    pub(crate) image: Memory,
+    /// SSIM's partial derivatives `[3, 3, H, W]`.
+    partials: Memory,
+    /// Sums of each tile of each channel `[3, tiles, 2]`.
+    loss_sums: Memory,
+    /// dL/dimage `[3, H, W]`.
+    pub(crate) gradient: Memory,
+    /// Gradient rows `[E, 12]`.
+    pub(crate) rows: Memory,
+}
+
+impl Pixels {
+    /// Room for nothing yet.
+    pub(crate) fn new(engine: &Engine) -> Result<Self, BackendError> {
+        Ok(Self {
+            image: engine.allocate("the image", 0)?,
+            partials: engine.allocate("the derivatives of SSIM", 0)?,
+            loss_sums: engine.allocate("the sums of the loss", 0)?,
+            gradient: engine.allocate("the gradient of the image", 0)?,
+            rows: engine.allocate("gradient rows", 0)?,
+        })
+    }
+
+    /// Room for a render.
+    pub(crate) fn reserve_image(&mut self, engine: &Engine, frame: &Frame) -> Result<(), BackendError> {
+        engine.reserve(&mut self.image, image_bytes(frame))
+    }
+
+    /// Room for a render, its loss and its gradient.
+    pub(crate) fn reserve_training(
+        &mut self,
+        engine: &Engine,
+        frame: &Frame,
+        entries: u64,
+    ) -> Result<(), BackendError> {
+        self.reserve_image(engine, frame)?;
+        engine.reserve(&mut self.partials, 3 * image_bytes(frame))?;
+        engine.reserve(&mut self.loss_sums, 24 * tiles_of(frame))?;
+        engine.reserve(&mut self.gradient, image_bytes(frame))?;
+        engine.reserve(&mut self.rows, row_bytes(entries))
+    }
+
+    /// Stage `rasterise`.
+    pub(crate) fn record_rasterise(&self, recorder: &mut Recorder, lists: &Lists, frame: &Frame) {
+        recorder.stage("rasterise");
+        let entries = lists.entry_numbers(frame);
+        let parts = [&lists.frame, &lists.ranges, entries, &lists.entry_splats, &lists.splats, &self.image];
+        recorder.run(&shaders::RASTERISE, &parts.map(Memory::all), tile_grid(frame, 1));
+    }
+
+    /// Stage `loss` against `photo`; leaves the gradient, too.
+    pub(crate) fn record_loss(&self, recorder: &mut Recorder, lists: &Lists, photo: &Memory, frame: &Frame) {
+        recorder.stage("loss");
+        let parts = [&lists.frame, &self.image, photo, &self.partials, &self.loss_sums].map(Memory::all);
+        recorder.run_with(&shaders::LOSS, &[("FORWARD_ONLY", 0)], &parts, tile_grid(frame, 3));
+        let parts = [&lists.frame, &self.loss_sums, &lists.counters].map(Memory::all);
+        recorder.run(&shaders::LOSS_SUM, &parts, Grid::Groups(1));
+        let parts = [&lists.frame, &self.image, photo, &self.partials, &self.gradient].map(Memory::all);
+        recorder.run(&shaders::LOSS_GRADIENT, &parts, tile_grid(frame, 3));
+    }
+
+    /// Stage `rasterise_backward`.
+    pub(crate) fn record_backward(&self, recorder: &mut Recorder, lists: &Lists, frame: &Frame) {
+        recorder.stage("rasterise_backward");
+        let entries = lists.entry_numbers(frame);
+        let parts = [
+            &lists.frame,
+            &lists.ranges,
+            entries,
+            &lists.entry_splats,
+            &lists.splats,
+            &self.image,
+            &self.gradient,
+            &self.rows,
+        ];
+        recorder.run(&shaders::RASTERISE_BACKWARD, &parts.map(Memory::all), tile_grid(frame, 1));
+    }
+}
+
+/// One workgroup a tile, in so many layers.
+pub(crate) fn tile_grid(frame: &Frame, layers: u32) -> Grid<'static> {
+    Grid::Exact([frame.tiles_x, frame.tiles_y, layers])
+}
+
+/// Bytes of a render.
+pub(crate) fn image_bytes(frame: &Frame) -> u64 {
+    12 * u64::from(frame.width) * u64::from(frame.height)
+}
+
+/// Bytes of the gradient rows of so many entries.
+pub(crate) fn row_bytes(entries: u64) -> u64 {
+    4 * u64::from(ROW_FLOATS) * entries
+}
+
+/// A photo as the loss reads it: red in the lowest byte of a word, then green and blue `[H, W]`.
+pub(crate) fn pack_photo(photo: &Photo) -> Vec<u32> {
+    photo.rgb.chunks_exact(3).map(|rgb| u32::from_le_bytes([rgb[0], rgb[1], rgb[2], 0])).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_photo_keeps_its_channels() {
+        let photo = Photo { width: 2, height: 1, rgb: vec![1, 2, 3, 255, 0, 128] };
+        assert_eq!(pack_photo(&photo), [0x0003_0201, 0x0080_00ff]);
+    }
+}

@@ -1,0 +1,253 @@
+//! The verbs that change rows: plans of density control, opacity resets, genes, filters, and the mean of states.
+
+use genesplat_core::backend::MomentPolicy;
+use genesplat_core::{BackendError, Origin, RowEdit, SparseDelta};
+
+use crate::cloud::{Column, Parameters, RowWindow, windows};
+use crate::engine::{Engine, Memory};
+use crate::layout::{
+    DENSITY_FLOATS, Edit, GENE_FLOATS, GEOMETRY_FLOATS, ORIGIN_CLONE, ORIGIN_KEPT, ORIGIN_RELOCATED,
+    ORIGIN_RELOCATED_KEPT, ORIGIN_SPLIT, SH_FLOATS, Window,
+};
+use crate::recorder::{Grid, Part, Recorder};
+use crate::shaders;
+use crate::state::State;
+
+/// Stands for no vector of a row where [`shaders::EXCHANGE`] expects that of the 3D filter.
+const NO_FILTER: u32 = u32::MAX;
+
+/// One row of a plan: source, origin, parameters of the origin.
+type PlanRow = [u32; 4];
+
+fn plan_row(source: u32, origin: Origin) -> PlanRow {
+    match origin {
+        Origin::Kept => [source, ORIGIN_KEPT, 0, 0],
+        Origin::Clone => [source, ORIGIN_CLONE, 0, 0],
+        Origin::SplitChild { child } => [source, ORIGIN_SPLIT + u32::from(child), 0, 0],
+        Origin::Relocated { opacity_logit, log_scale_shift, keep_moments } => {
+            let code = if keep_moments { ORIGIN_RELOCATED_KEPT } else { ORIGIN_RELOCATED };
+            [source, code, opacity_logit.to_bits(), log_scale_shift.to_bits()]
+        }
+    }
+}
+
+impl State {
+    /// Applies a plan of density control to parameters, moments and gene statistics; density statistics are zeroed.
+    /// Column by column, so that at most one column exists twice.
+    pub(crate) fn edit_rows(
+        &mut self,
+        engine: &Engine,
+        edit: &RowEdit,
+        seed: u64,
+    ) -> Result<(), BackendError> {
+        let rows = edit.sources.len() as u64;
+        let plan: Vec<PlanRow> = edit
+            .sources
+            .iter()
+            .zip(&edit.origins)
+            .map(|(&source, &origin)| plan_row(source, origin))
+            .collect();
+        let job = EditJob {
+            engine,
+            rows,
+            plan: engine.upload("the plan of a row edit", &plan)?,
+            edit: edit_uniform(engine, seed, edit.iteration, 0.0)?,
+            old: std::mem::take(&mut self.windows),
+            new: windows(engine, rows)?,
+        };
+        job.geometry(&mut self.cloud.geometry)?;
+        job.gather(&mut self.cloud.sh, SH_FLOATS, false)?;
+        for moments in [&mut self.first, &mut self.second] {
+            job.gather(&mut moments.geometry, GEOMETRY_FLOATS, true)?;
+            job.gather(&mut moments.sh, SH_FLOATS, true)?;
+        }
+        if let Some(genes) = &mut self.genes {
+            job.gather(genes, GENE_FLOATS, false)?;
+        }
+        self.density = Column::zeros(engine, "density statistics", rows, DENSITY_FLOATS)?;
+        self.has_absolute = false;
+        self.windows = job.new;
+        self.rows = rows;
+        self.mean = None;
+        Ok(())
+    }
+
+    /// `opacity ← min(opacity, ceiling)` of the filtered opacity; opacity moments are zeroed.
+    pub(crate) fn reset_opacity(&mut self, engine: &Engine, ceiling: f32) -> Result<(), BackendError> {
+        let edit = edit_uniform(engine, 0, 0, ceiling)?;
+        let mut recorder = Recorder::new(engine, None);
+        for window in &self.windows {
+            let columns = [&self.cloud, &self.first, &self.second].map(|values| values.geometry.at(window));
+            let parts = [&[window.uniform.all(), edit.all()][..], &columns].concat();
+            recorder.run(&shaders::RESET_OPACITY, &parts, Grid::Items(window.count));
+        }
+        recorder.submit();
+        self.mean = None;
+        Ok(())
+    }
+
+    /// Overwrites the genes of the rows that `delta` names.
+    pub(crate) fn apply(
+        &mut self,
+        engine: &Engine,
+        delta: &SparseDelta,
+        moments: MomentPolicy,
+    ) -> Result<(), BackendError> {
+        if delta.is_empty() {
+            return Ok(());
+        }
+        let rows = engine.upload("rows of an individual", &delta.rows)?;
+        let genes: Vec<[f32; 8]> =
+            delta.genes.iter().map(|g| [g[0], g[1], g[2], g[6], g[3], g[4], g[5], 0.0]).collect();
+        let genes = engine.upload("genes of an individual", &genes)?;
+        let mut recorder = Recorder::new(engine, None);
+        for window in &self.windows {
+            let uniform = window_uniform(engine, window, [0, delta.rows.len() as u32])?;
+            let columns = [&self.cloud, &self.first, &self.second].map(|values| values.geometry.at(window));
+            let parts = [&[uniform.all(), rows.all(), genes.all()][..], &columns].concat();
+            let overrides = [("ZERO_MOMENTS", u32::from(moments == MomentPolicy::Zero))];
+            recorder.run_with(&shaders::APPLY, &overrides, &parts, Grid::Items(delta.rows.len() as u64));
+        }
+        recorder.submit();
+        Ok(())
+    }
+
+    /// Replaces Mip-Splatting's 3D filter `[N]`.
+    pub(crate) fn set_filter_3d(&mut self, engine: &Engine, filter: &[f32]) -> Result<(), BackendError> {
+        let filter = engine.upload("the 3D filter", filter)?;
+        let mut recorder = Recorder::new(engine, None);
+        for window in &self.windows {
+            let parts = [window.uniform.all(), filter.all(), self.cloud.geometry.at(window)];
+            recorder.run(&shaders::SET_FILTER, &parts, Grid::Items(window.count));
+        }
+        recorder.submit();
+        self.has_filter = true;
+        Ok(())
+    }
+
+    /// Adds the cloud to the mean of remembered states.
+    pub(crate) fn remember(&mut self, engine: &Engine) -> Result<(), BackendError> {
+        if self.mean.is_none() {
+            self.mean = Some((0, Parameters::zeros(engine, "the mean of states", self.rows)?));
+        }
+        let Some((states, mean)) = &mut self.mean else { return Ok(()) };
+        *states += 1;
+        let edit = edit_uniform(engine, 0, 0, 1.0 / *states as f32)?;
+        let mut recorder = Recorder::new(engine, None);
+        for window in &self.windows {
+            let pairs = [
+                (&self.cloud.geometry, &mean.geometry, GEOMETRY_FLOATS),
+                (&self.cloud.sh, &mean.sh, SH_FLOATS),
+            ];
+            for (values, means, floats) in pairs {
+                let parts = [window.uniform.all(), edit.all(), values.at(window), means.at(window)];
+                run_vectors(&mut recorder, &shaders::AVERAGE, &[], &parts, window, floats);
+            }
+        }
+        recorder.submit();
+        Ok(())
+    }
+
+    /// Exchanges the cloud with the mean; false when there is none.
+    pub(crate) fn exchange_with_mean(&mut self, engine: &Engine) -> bool {
+        let Some((_, mean)) = &self.mean else { return false };
+        let mut recorder = Recorder::new(engine, None);
+        for window in &self.windows {
+            let pairs = [
+                (&self.cloud.geometry, &mean.geometry, GEOMETRY_FLOATS, 1),
+                (&self.cloud.sh, &mean.sh, SH_FLOATS, NO_FILTER),
+            ];
+            for (ours, theirs, floats, filter) in pairs {
+                let parts = [window.uniform.all(), ours.at(window), theirs.at(window)];
+                let overrides = [("FILTER_VECTOR", filter)];
+                run_vectors(&mut recorder, &shaders::EXCHANGE, &overrides, &parts, window, floats);
+            }
+        }
+        recorder.submit();
+        true
+    }
+}
+
+/// Runs a kernel that has one invocation a vector of a row.
+fn run_vectors(
+    recorder: &mut Recorder,
+    shader: &'static shaders::Shader,
+    overrides: &[(&'static str, u32)],
+    parts: &[Part],
+    window: &RowWindow,
+    floats: u32,
+) {
+    let vectors = floats / 4;
+    let overrides = [&[("VECTORS", vectors)][..], overrides].concat();
+    recorder.run_with(shader, &overrides, parts, Grid::Items(u64::from(vectors) * window.count));
+}
+
+fn edit_uniform(engine: &Engine, seed: u64, iteration: u32, amount: f32) -> Result<Memory, BackendError> {
+    let edit = Edit { iteration, seed_low: seed as u32, seed_high: (seed >> 32) as u32, amount };
+    engine.upload("parameters of a row edit", &[edit])
+}
+
+/// A [`Window`] with parameters of its own.
+fn window_uniform(
+    engine: &Engine,
+    window: &RowWindow,
+    [source_first, source_count]: [u32; 2],
+) -> Result<Memory, BackendError> {
+    let (first, count) = (window.first as u32, window.count as u32);
+    engine.upload("row window", &[Window { first, count, source_first, source_count }])
+}
+
+/// One row edit under way.
+struct EditJob<'a> {
+    engine: &'a Engine,
+    rows: u64,
+    plan: Memory,
+    edit: Memory,
+    old: Vec<RowWindow>,
+    new: Vec<RowWindow>,
+}
+
+impl EditJob<'_> {
+    /// Positions, scales, opacities and rotations.
+    fn geometry(&self, column: &mut Column) -> Result<(), BackendError> {
+        self.replace(column, GEOMETRY_FLOATS, |recorder, window, uniform, old, new| {
+            let parts = [uniform, self.edit.all(), self.plan.all(), old, new];
+            recorder.run(&shaders::EDIT_GEOMETRY, &parts, Grid::Items(window.count));
+        })
+    }
+
+    /// Copies; with `fresh`, rows of a new identity begin at zero.
+    fn gather(&self, column: &mut Column, floats: u32, fresh: bool) -> Result<(), BackendError> {
+        self.replace(column, floats, |recorder, window, uniform, old, new| {
+            let overrides = [("FRESH", u32::from(fresh))];
+            run_vectors(
+                recorder,
+                &shaders::GATHER,
+                &overrides,
+                &[uniform, self.plan.all(), old, new],
+                window,
+                floats,
+            );
+        })
+    }
+
+    /// A new column, made by `record` from every pair of an old and a new window.
+    fn replace(
+        &self,
+        column: &mut Column,
+        floats: u32,
+        record: impl Fn(&mut Recorder, &RowWindow, Part, Part, Part),
+    ) -> Result<(), BackendError> {
+        let made = Column::zeros(self.engine, "an edited column", self.rows, floats)?;
+        let mut recorder = Recorder::new(self.engine, None);
+        for new in &self.new {
+            for old in &self.old {
+                let uniform = window_uniform(self.engine, new, [old.first as u32, old.count as u32])?;
+                record(&mut recorder, new, uniform.all(), column.at(old), made.at(new));
+            }
+        }
+        recorder.submit();
+        *column = made;
+        Ok(())
+    }
+}

@@ -1,0 +1,192 @@
+//! The table of shaders: which texts make each of them.
+//!
+//! A shader is the prelude of [`crate::layout`], the parts that it shares with others, and its own file, whose entry point
+//! is `main`. Everything is compiled in, and validated by a test that needs no device.
+
+use crate::layout;
+
+/// One shader.
+#[derive(Debug)]
+pub struct Shader {
+    /// Name of the stage, or of its step.
+    pub name: &'static str,
+    /// Texts after the prelude.
+    parts: &'static [&'static str],
+}
+
+impl Shader {
+    /// The whole text.
+    pub fn source(&self) -> String {
+        let mut source = layout::prelude();
+        source.extend(self.parts.iter().copied());
+        source
+    }
+}
+
+macro_rules! shaders {
+    ($($(#[$doc:meta])* $name:ident = $file:literal + [$($part:ident),*];)*) => {
+        $($(#[$doc])* pub static $name: Shader = Shader {
+            name: $file,
+            parts: &[parts::COMMON, $(parts::$part,)* include_str!(concat!("../shader/", $file, ".wgsl"))],
+        };)*
+
+        /// All of them.
+        #[cfg(test)]
+        pub static ALL: &[&Shader] = &[$(&$name),*];
+    };
+}
+
+/// What shaders share.
+mod parts {
+    macro_rules! parts {
+        ($($name:ident = $file:literal;)*) => {
+            $(pub const $name: &str = include_str!(concat!("../shader/", $file));)*
+        };
+    }
+    parts! {
+        COMMON = "common.wgsl";
+        SPLAT = "splat.wgsl";
+        GEOMETRY = "geometry.wgsl";
+        OVERLAP = "overlap.wgsl";
+        COLOUR = "colour.wgsl";
+        SH_ROW = "sh_row.wgsl";
+        GROUP_SCAN = "group_scan.wgsl";
+        GRIDS = "grids.wgsl";
+        TILE_SPLAT = "tile_splat.wgsl";
+        ROTATION = "rotation.wgsl";
+        SSIM = "ssim.wgsl";
+        ADAM_STEP = "adam_step.wgsl";
+        RANDOM = "random.wgsl";
+    }
+}
+
+shaders! {
+    /// Cloud to splats.
+    PROJECT = "project" + [SPLAT, ROTATION, GEOMETRY, OVERLAP, COLOUR, SH_ROW];
+    /// Prefix sum: sums of blocks.
+    SCAN_SUMS = "scan_sums" + [GROUP_SCAN];
+    /// Prefix sum: over the blocks.
+    SCAN_BLOCKS = "scan_blocks" + [GROUP_SCAN];
+    /// Prefix sum: within the blocks.
+    SCAN_APPLY = "scan_apply" + [GROUP_SCAN];
+    /// Splats without gaps.
+    COMPACT = "compact" + [];
+    /// Work that the splats are.
+    PLAN_VISIBLE = "plan_visible" + [GRIDS];
+    /// Work that the tile lists are.
+    PLAN_ENTRIES = "plan_entries" + [GRIDS];
+    /// Radix sort: digits by block.
+    RADIX_COUNT = "radix_count" + [];
+    /// Radix sort: every key to its place.
+    RADIX_SCATTER = "radix_scatter" + [];
+    /// Tile counts by depth.
+    RANK_COUNTS = "rank_counts" + [];
+    /// Entries of the tile lists.
+    EMIT = "emit" + [SPLAT, OVERLAP];
+    /// Where each tile's entries are.
+    TILE_RANGES = "tile_ranges" + [];
+    /// Splats to pixels.
+    RASTERISE = "rasterise" + [SPLAT, TILE_SPLAT];
+    /// Loss of each tile.
+    LOSS = "loss" + [SSIM];
+    /// Loss of the image.
+    LOSS_SUM = "loss_sum" + [];
+    /// Gradient of the image.
+    LOSS_GRADIENT = "loss_gradient" + [SSIM];
+    /// Gradient rows of the splats.
+    RASTERISE_BACKWARD = "rasterise_backward" + [SPLAT, TILE_SPLAT];
+    /// Gradients of the parameters.
+    PROJECT_BACKWARD = "project_backward" + [SPLAT, ROTATION, GEOMETRY, COLOUR, SH_ROW];
+    /// Sums for density control.
+    STATISTICS = "statistics" + [];
+    /// Sums for evolution.
+    GENE_STATISTICS = "gene_statistics" + [];
+    /// Optimiser, colours.
+    ADAM_COLOUR = "adam_colour" + [ADAM_STEP, COLOUR];
+    /// Optimiser, everything else.
+    ADAM_GEOMETRY = "adam_geometry" + [ADAM_STEP];
+    /// MCMC's noise.
+    EXPLORE = "explore" + [ROTATION, RANDOM];
+    /// Row edits: copies.
+    GATHER = "gather" + [];
+    /// Row edits: clones, children, relocations.
+    EDIT_GEOMETRY = "edit_geometry" + [ROTATION, RANDOM];
+    /// Opacity reset.
+    RESET_OPACITY = "reset_opacity" + [];
+    /// Genes of single rows.
+    APPLY = "apply" + [];
+    /// Mip-Splatting's 3D filter.
+    SET_FILTER = "set_filter" + [];
+    /// Mean of states.
+    AVERAGE = "average" + [];
+    /// State and mean change places.
+    EXCHANGE = "exchange" + [];
+}
+
+#[cfg(test)]
+mod tests {
+    use naga::valid::{Capabilities, ValidationFlags, Validator};
+
+    use super::*;
+    use crate::layout::{Counters, Edit, Frame, Optimiser, Window};
+
+    fn parse(shader: &Shader) -> naga::Module {
+        naga::front::wgsl::parse_str(&shader.source())
+            .unwrap_or_else(|error| panic!("{}: {}", shader.name, error.emit_to_string(&shader.source())))
+    }
+
+    /// Without any device: what no driver is needed for must not wait for one.
+    #[test]
+    fn every_shader_is_valid() {
+        assert!(ALL.len() > 20, "the table lists all shaders");
+        for shader in ALL {
+            let module = parse(shader);
+            let validated = Validator::new(ValidationFlags::all(), Capabilities::empty()).validate(&module);
+            if let Err(error) = validated {
+                panic!("{}: {}", shader.name, error.emit_to_string(&shader.source()));
+            }
+        }
+    }
+
+    #[test]
+    fn a_planted_error_is_found() {
+        let source = PROJECT.source().replace("window.count", "window.length");
+        assert!(naga::front::wgsl::parse_str(&source).is_err());
+    }
+
+    #[test]
+    fn every_file_is_in_the_table() {
+        let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("shader");
+        let text: String = ALL.iter().map(|shader| shader.source()).collect();
+        for file in std::fs::read_dir(folder).expect("the shaders") {
+            let path = file.expect("readable").path();
+            let source = std::fs::read_to_string(&path).expect("UTF-8");
+            assert!(text.contains(&source), "{} is in no shader", path.display());
+        }
+    }
+
+    #[test]
+    fn rust_and_wgsl_agree_on_every_offset() {
+        let module = parse(&PROJECT);
+        let structs = [
+            ("Frame", Frame::fields(), size_of::<Frame>()),
+            ("Optimiser", Optimiser::fields(), size_of::<Optimiser>()),
+            ("Window", Window::fields(), size_of::<Window>()),
+            ("Counters", Counters::fields(), size_of::<Counters>()),
+            ("Edit", Edit::fields(), size_of::<Edit>()),
+        ];
+        for (name, fields, size) in structs {
+            let found = module.types.iter().find(|(_, ty)| ty.name.as_deref() == Some(name)).expect(name).1;
+            let naga::TypeInner::Struct { members, span } = &found.inner else {
+                panic!("{name} is a struct")
+            };
+            let wgsl: Vec<_> = members
+                .iter()
+                .map(|member| (member.name.as_deref().unwrap_or_default(), member.offset as usize))
+                .collect();
+            assert_eq!(wgsl, fields, "{name}");
+            assert_eq!(*span as usize, size, "{name}: the sizes");
+            assert_eq!(size % 16, 0, "{name}: uniforms are whole vectors");
+        }
+    }
+}

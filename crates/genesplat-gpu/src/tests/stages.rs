@@ -1,0 +1,176 @@
+//! Every stage's buffers against those of the CPU.
+
+use fearless_simd::Level;
+use genesplat_kernels::cpu::{Extra, Frame, Pinhole, Target};
+
+use super::*;
+use crate::frame::frame_of;
+use crate::layout::{ROW_FLOATS, SPLAT_FLOATS, TILE};
+
+const ROW: usize = ROW_FLOATS as usize;
+
+/// A frame of the CPU, forward and backward.
+fn cpu_frame(cloud: &Gaussians, settings: &RenderSettings) -> (Frame, f32) {
+    let (level, camera) = (Level::new(), Pinhole::from(&camera()));
+    let mut frame = Frame::default();
+    frame.render(level, cloud, &camera, settings);
+    let loss = frame.backward(level, &camera, &Target::from(&photo()), Extra::None);
+    (frame, loss)
+}
+
+/// Reads `count` values of a buffer.
+fn read<T: bytemuck::Pod>(gpu: &GpuBackend, memory: &crate::engine::Memory, count: usize) -> Vec<T> {
+    let [bytes] = gpu.engine.read([(memory, 0..(size_of::<T>() * count) as u64)]).unwrap();
+    bytemuck::pod_collect_to_vec(&bytes)
+}
+
+/// Entry numbers of each tile, nearest first, and the splat of each entry.
+fn tile_lists(gpu: &GpuBackend, settings: &RenderSettings, rows: usize) -> (Vec<Vec<u32>>, Vec<u32>) {
+    let frame = frame_of(&camera(), settings, rows as u64);
+    let entries = gpu.lists.entries as usize;
+    let numbers: Vec<u32> = read(gpu, gpu.lists.entry_numbers(&frame), entries);
+    let ranges: Vec<[u32; 2]> = read(gpu, &gpu.lists.ranges, (frame.tiles_x * frame.tiles_y) as usize);
+    let lists = ranges.iter().map(|&[begin, end]| numbers[begin as usize..end as usize].to_vec()).collect();
+    (lists, read(gpu, &gpu.lists.entry_splats, entries))
+}
+
+#[test]
+fn every_stage_matches() {
+    let Some(mut gpu) = gpu() else { return };
+    for filter in filters() {
+        for degree in 0..=3 {
+            let (cloud, settings) = (filtered_cloud(400, filter), settings(degree, filter));
+            let (frame, loss) = cpu_frame(&cloud, &settings);
+            gpu.upload(cloud, None).unwrap();
+            let mut step = step(1, settings);
+            step.update = None;
+            gpu.train_step(&step).unwrap();
+            let report = gpu.report().unwrap();
+            let context = |error: String| panic!("{filter:?}, degree {degree}: {error}");
+            splats_match(&gpu, &frame).unwrap_or_else(context);
+            lists_match(&gpu, &frame, &settings).unwrap_or_else(context);
+            assert_eq!((report.visible, report.tile_splats), (frame.splats.len(), frame.bins.entries.len()));
+            let values = frame.image.planes.len();
+            let image = read(&gpu, &gpu.pixels.image, values);
+            compare("rasterise", "image", image, frame.image.planes.clone()).unwrap_or_else(context);
+            compare("loss", "value", [report.loss], [loss]).unwrap_or_else(context);
+            let gradient = read(&gpu, &gpu.pixels.gradient, values);
+            compare("loss gradient", "dL/dimage", gradient, frame.gradient.clone()).unwrap_or_else(context);
+        }
+    }
+}
+
+fn splats_match(gpu: &GpuBackend, frame: &Frame) -> Result<(), String> {
+    let splats: Vec<[f32; SPLAT_FLOATS as usize]> = read(gpu, &gpu.lists.splats, 400);
+    let (mut actual, mut expected) = (Vec::new(), Vec::new());
+    for (_, splat) in frame.splats.iter() {
+        let s = &splats[splat.global as usize];
+        actual.push([s[0], s[1], s[2], s[3], s[7], s[4], s[5], s[6], s[8], s[9], s[10]]);
+        let ([u, v], [a, b, c]) = (splat.mean, splat.conic_log2);
+        let ([width, height], [red, green, blue]) = (splat.half_extent, splat.rgb);
+        expected.push([u, v, splat.log2_opacity, width, height, a, b, c, red, green, blue]);
+    }
+    // Column by column: some are thousands, some are parts of one.
+    (0..11).try_for_each(|k| {
+        let (actual, expected) = (actual.iter().map(|s| s[k]), expected.iter().map(|s| s[k]));
+        compare("project", &format!("splats, float {k}"), actual, expected)
+    })
+}
+
+/// The same splats in every tile in the same order, and the same sums of each of them.
+fn lists_match(gpu: &GpuBackend, frame: &Frame, settings: &RenderSettings) -> Result<(), String> {
+    let (lists, entry_splats) = tile_lists(gpu, settings, 400);
+    let rows: Vec<[f32; ROW]> = read(gpu, &gpu.pixels.rows, gpu.lists.entries as usize);
+    let (mut actual, mut expected) = (Vec::new(), Vec::new());
+    for (tile, numbers) in lists.iter().enumerate() {
+        let ours: Vec<u32> = numbers.iter().map(|&number| entry_splats[number as usize]).collect();
+        let theirs: Vec<u32> =
+            frame.bins.tile(tile).iter().map(|entry| frame.splats.get(entry.splat).global).collect();
+        if ours != theirs {
+            return Err(format!("bin: tile {tile} lists {ours:?}, not {theirs:?}"));
+        }
+        actual.extend(numbers.iter().map(|&number| rows[number as usize]));
+        let first = frame.bins.tile_starts[tile] as usize;
+        expected.extend(frame.rows[first..][..numbers.len()].iter().map(|row| row.0));
+    }
+    // The CPU's rows have the moments, the absolute sums, the colours and the pixels in this order.
+    let place = |column: usize| if column < 6 { column } else { column + 2 };
+    (0..9).try_for_each(|k| {
+        let actual = actual.iter().map(|row: &[f32; ROW]| row[k]);
+        let expected = expected.iter().map(|row: &[f32; 16]| row[place(k)]);
+        compare("rasterise_backward", &format!("column {k}"), actual, expected)
+    })
+}
+
+#[test]
+fn gradients_and_statistics_match() {
+    let (Some(mut gpu), mut cpu) = (gpu(), cpu()) else { return };
+    let signals = [
+        DensitySignal::Signed,
+        DensitySignal::Absolute,
+        DensitySignal::SignedAndAbsolute,
+        DensitySignal::PixelWeighted { depth_threshold: 2.0 },
+    ];
+    for filter in filters() {
+        for signal in signals {
+            let mut step = step(1, settings(3, filter));
+            step.statistics.density = Some(signal);
+            let twins: [&mut dyn Backend; 2] = [&mut gpu, &mut cpu];
+            let [actual, expected] = twins.map(|twin| {
+                twin.upload(filtered_cloud(400, filter), None).unwrap();
+                twin.train_step(&step).unwrap();
+                // After one step, the first moments are a tenth of the gradients.
+                (twin.download_moments().unwrap().into_owned(), twin.statistics().unwrap())
+            });
+            let context = |error: String| panic!("{filter:?}, {signal:?}: {error}");
+            compare_clouds("project_backward", &actual.0.first, &expected.0.first).unwrap_or_else(context);
+            let (actual, expected) = (actual.1, expected.1);
+            assert_eq!(actual.weight_sum, expected.weight_sum, "what is counted is equal");
+            assert_eq!(actual.gene_views, expected.gene_views);
+            compare("statistics", "gradient", actual.gradient_sum, expected.gradient_sum)
+                .unwrap_or_else(context);
+            compare("statistics", "absolute", actual.absolute_sum, expected.absolute_sum)
+                .unwrap_or_else(context);
+            let genes = |sums: Vec<[f32; 7]>| sums.as_flattened().to_vec();
+            let (actual, expected) = (genes(actual.gene_gradient_sum), genes(expected.gene_gradient_sum));
+            compare("statistics", "genes", actual, expected).unwrap_or_else(context);
+        }
+    }
+}
+
+/// Tiles lie on the border of the picture, and pictures may be smaller than a tile or than SSIM's window.
+#[test]
+fn any_size_of_picture_is_rendered() {
+    let Some(mut gpu) = gpu() else { return };
+    let mut cpu = cpu();
+    let settings = settings(1, ScreenFilter::Classic);
+    gpu.upload(cloud(60), None).unwrap();
+    cpu.upload(cloud(60), None).unwrap();
+    for (width, height) in [(1, 1), (5, 3), (TILE, TILE), (17, 40)] {
+        let camera = camera().resized(width, height);
+        let image = gpu.render(&camera, &settings).unwrap();
+        let expected = cpu.render(&camera, &settings).unwrap();
+        compare("rasterise", &format!("{width}x{height}"), image.planes, expected.planes).unwrap();
+    }
+    gpu.upload(Gaussians::default(), None).unwrap();
+    assert_eq!(gpu.render(&camera(), &settings).unwrap().pixel(3, 4), settings.background, "an empty cloud");
+}
+
+#[test]
+fn poison_never_reaches_a_pixel() {
+    let Some(mut gpu) = gpu() else { return };
+    let mut cloud = cloud(60);
+    let poison = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 1e30, -1e30, 1e-40];
+    for (index, value) in poison.into_iter().enumerate() {
+        cloud.positions[6 * index][index % 3] = value;
+        cloud.log_scales[6 * index + 1][index % 3] = value;
+        cloud.rotations[6 * index + 2][index % 4] = value;
+        cloud.opacity_logits[6 * index + 3] = value;
+        cloud.rotations[6 * index + 4] = [0.0; 4];
+    }
+    for filter in filters() {
+        gpu.upload(cloud.clone(), None).unwrap();
+        let image = gpu.render(&camera(), &settings(3, filter)).unwrap();
+        assert!(image.planes.iter().all(|v| v.is_finite()), "{filter:?}");
+    }
+}

@@ -1,0 +1,197 @@
+//! Every verb of the backend, and what happens when memory is short.
+
+use genesplat_core::backend::{Exploration, MomentPolicy};
+use genesplat_core::{BackendError, Moments, Origin, RowEdit, SparseDelta};
+
+use super::*;
+
+/// Both twins after the same verbs; clouds, moments and reports must agree.
+fn twins_agree(stage: &str, gpu: &mut GpuBackend, verbs: impl Fn(&mut dyn Backend)) {
+    let mut cpu = cpu();
+    let twins: [&mut dyn Backend; 2] = [gpu, &mut cpu];
+    let [actual, expected] = twins.map(|twin| {
+        verbs(twin);
+        (twin.download().unwrap().into_owned(), twin.download_moments().unwrap().into_owned())
+    });
+    compare_clouds(stage, &actual.0, &expected.0).unwrap();
+    let Moments { first, second } = &actual.1;
+    compare_clouds("project_backward", first, &expected.1.first).unwrap();
+    compare_clouds("project_backward", second, &expected.1.second).unwrap();
+}
+
+/// Ten steps of everything that a step can do.
+fn ten_steps(twin: &mut dyn Backend, exploration: Option<Exploration>) {
+    let mut start = cloud(300);
+    start.opacity_logits.iter_mut().step_by(3).for_each(|logit| *logit -= 6.0);
+    twin.upload(start, None).unwrap();
+    for number in 1..=10 {
+        let mut step = step(number, settings(2, ScreenFilter::Classic));
+        let update = step.update.as_mut().unwrap();
+        update.exploration = exploration.map(|exploration| Exploration { counter: number, ..exploration });
+        // One step in the middle leaves opacities alone.
+        update.opacity_step = if number == 5 { 0 } else { number };
+        twin.train_step(&step).unwrap();
+    }
+}
+
+#[test]
+fn adam_matches() {
+    let Some(mut gpu) = gpu() else { return };
+    twins_agree("adam", &mut gpu, |twin| ten_steps(twin, None));
+}
+
+#[test]
+fn explore_matches() {
+    let Some(mut gpu) = gpu() else { return };
+    let exploration = Exploration { noise: 0.3, opacity_weight: 0.01, scale_weight: 0.02, counter: 0 };
+    twins_agree("adam", &mut gpu, |twin| ten_steps(twin, Some(exploration)));
+}
+
+/// Kept, cloned, split, relocated and pruned rows, then a reset, single genes, a filter and another step.
+fn change_rows(twin: &mut dyn Backend) {
+    twin.upload(cloud(300), None).unwrap();
+    twin.train_step(&step(1, settings(2, ScreenFilter::Classic))).unwrap();
+    let mut edit = RowEdit { iteration: 600, ..RowEdit::keep((0..250).rev().collect()) };
+    edit.push(7, Origin::Clone);
+    for child in 0..2 {
+        (260..290).for_each(|row| edit.push(row, Origin::SplitChild { child }));
+    }
+    for (row, keep_moments) in [(3, true), (250, false)] {
+        edit.push(row, Origin::Relocated { opacity_logit: -1.5, log_scale_shift: -0.25, keep_moments });
+    }
+    twin.edit_rows(&edit).unwrap();
+    assert_eq!(twin.len(), edit.sources.len());
+    twin.reset_opacity(0.01).unwrap();
+    let delta = SparseDelta {
+        rows: vec![2, 100, 305],
+        genes: (0..3).map(|k| std::array::from_fn(|gene| uniform(k, gene) - 0.5)).collect(),
+    };
+    twin.apply(&delta, MomentPolicy::Zero).unwrap();
+    twin.set_filter_3d((0..twin.len()).map(|row| 0.01 + 0.02 * uniform(row, 3)).collect()).unwrap();
+    twin.reset_opacity(0.005).unwrap();
+}
+
+#[test]
+fn edits_match() {
+    let Some(mut gpu) = gpu() else { return };
+    twins_agree("edit", &mut gpu, change_rows);
+    let mut cpu = cpu();
+    change_rows(&mut cpu);
+    let (actual, expected) = (gpu.statistics().unwrap(), cpu.statistics().unwrap());
+    assert_eq!(actual.gene_views, expected.gene_views, "children inherit");
+    let [actual_sums, expected_sums] =
+        [&actual, &expected].map(|statistics| statistics.gene_gradient_sum.as_flattened().to_vec());
+    compare("statistics", "genes", actual_sums, expected_sums).unwrap();
+    assert_eq!((actual.gradient_sum, actual.weight_sum), (expected.gradient_sum, expected.weight_sum));
+}
+
+/// Columns in three windows.
+#[test]
+fn columns_that_no_binding_can_hold_are_split() {
+    let Some(engine) = engine() else { return };
+    let mut gpu = GpuBackend::on(engine.with_window_rows(128), SEED).unwrap();
+    gpu.set_views(&[view()]).unwrap();
+    twins_agree("adam", &mut gpu, |twin| ten_steps(twin, None));
+    assert_eq!(gpu.state.windows.len(), 3);
+    twins_agree("edit", &mut gpu, change_rows);
+    assert_eq!(gpu.state.windows.len(), 3);
+}
+
+/// Too little room for the tile lists, at the first step and again in the middle: nothing is lost.
+#[test]
+fn an_overflow_grows_and_runs_again() {
+    let Some(mut gpu) = gpu() else { return };
+    gpu.set_entry_room(50);
+    twins_agree("adam", &mut gpu, |twin| ten_steps(twin, None));
+    let wanted = gpu.report().unwrap().tile_splats as u64;
+    assert!(wanted > 50 && gpu.entry_room() >= wanted, "{} entries, room for {}", wanted, gpu.entry_room());
+
+    let Some(engine) = engine() else { return };
+    let mut fresh = GpuBackend::on(engine, SEED).unwrap();
+    fresh.set_entry_room(50);
+    fresh.upload(cloud(300), None).unwrap();
+    let mut cpu = cpu();
+    cpu.upload(cloud(300), None).unwrap();
+    let settings = settings(2, ScreenFilter::Classic);
+    let (image, expected) =
+        (fresh.render(&camera(), &settings).unwrap(), cpu.render(&camera(), &settings).unwrap());
+    compare("rasterise", "after an overflow", image.planes, expected.planes).unwrap();
+}
+
+#[test]
+fn lists_beyond_any_binding_are_one_sentence() {
+    let Some(mut gpu) = gpu() else { return };
+    gpu.upload(cloud(300), None).unwrap();
+    gpu.set_entry_room(50);
+    gpu.engine.binding_bytes = 64 * 300;
+    let error = gpu.render(&camera(), &settings(0, ScreenFilter::Classic)).unwrap_err();
+    assert!(matches!(error, BackendError::OutOfMemory { .. }), "{error}");
+    assert!(error.to_string().contains("--max-side"), "{error}");
+}
+
+#[test]
+fn a_loss_that_is_not_finite_is_reported_and_changes_nothing() {
+    let Some(mut gpu) = gpu() else { return };
+    let mut poisoned = cloud(50);
+    poisoned.sh[20][0] = f32::INFINITY;
+    poisoned.positions[20] = [0.0, 0.0, 2.0];
+    poisoned.opacity_logits[20] = 4.0;
+    gpu.upload(poisoned.clone(), None).unwrap();
+    gpu.train_step(&step(1, settings(0, ScreenFilter::Classic))).unwrap();
+    gpu.train_step(&step(2, settings(0, ScreenFilter::Classic))).unwrap();
+    let error = gpu.report().unwrap_err();
+    assert!(matches!(error, BackendError::NonFinite { row: 20, parameter: "colour", .. }), "{error}");
+    assert_eq!(gpu.download().unwrap().positions, poisoned.positions);
+}
+
+#[test]
+fn states_are_remembered_and_exchanged() {
+    let Some(mut gpu) = gpu() else { return };
+    let twice = |twin: &mut dyn Backend| {
+        twin.upload(filtered_cloud(100, ScreenFilter::Mip), None).unwrap();
+        assert!(!twin.exchange_with_mean().unwrap(), "nothing is remembered yet");
+        for number in 1..=3 {
+            twin.train_step(&step(number, settings(1, ScreenFilter::Mip))).unwrap();
+            twin.remember().unwrap();
+        }
+        assert!(twin.exchange_with_mean().unwrap());
+    };
+    twins_agree("adam", &mut gpu, twice);
+    let mean = gpu.running_mean().unwrap().into_owned();
+    assert_eq!(mean.states(), 3);
+    gpu.restore_running_mean(mean.clone()).unwrap();
+    assert_eq!(*gpu.running_mean().unwrap(), mean);
+}
+
+#[test]
+fn what_is_uploaded_comes_back() {
+    let Some(mut gpu) = gpu() else { return };
+    let cloud = filtered_cloud(130, ScreenFilter::Mip);
+    let moments = Moments { first: super::cloud(130), second: super::cloud(130) };
+    gpu.upload(cloud.clone(), Some(moments.clone())).unwrap();
+    assert_eq!(*gpu.download().unwrap(), cloud);
+    assert_eq!(*gpu.download_moments().unwrap(), moments);
+    let mut step = step(1, settings(1, ScreenFilter::Mip));
+    step.statistics.density = Some(DensitySignal::SignedAndAbsolute);
+    gpu.train_step(&step).unwrap();
+    let statistics = gpu.statistics().unwrap();
+    gpu.reset_statistics(true);
+    assert!(gpu.statistics().unwrap().gene_views.is_empty());
+    gpu.restore_statistics(statistics.clone()).unwrap();
+    assert_eq!(gpu.statistics().unwrap(), statistics);
+}
+
+#[test]
+fn stages_are_timed() {
+    let Some(mut gpu) = gpu() else { return };
+    gpu.upload(cloud(50), None).unwrap();
+    if !gpu.start_timing() {
+        return;
+    }
+    gpu.train_step(&step(1, settings(1, ScreenFilter::Classic))).unwrap();
+    let seconds = gpu.take_stage_seconds().unwrap();
+    let names: Vec<&str> = seconds.iter().map(|(name, _)| *name).collect();
+    let stages = ["project", "bin", "rasterise", "loss", "rasterise_backward", "project_backward", "update"];
+    assert_eq!(names, stages);
+    assert!(seconds.iter().map(|(_, seconds)| seconds).sum::<f64>() > 0.0);
+}

@@ -1,0 +1,89 @@
+//! What each stage costs, by the device's own clock.
+
+use genesplat_core::BackendError;
+use wgpu::{BufferDescriptor, BufferUsages, QuerySet, QuerySetDescriptor, QueryType};
+
+use crate::backend::GpuBackend;
+use crate::engine::Engine;
+
+/// Passes that a query set has room for: a step has about twenty.
+pub(crate) const TIMED_PASSES: u32 = 64;
+
+/// Two timestamps for each pass, and the stage that it belongs to.
+pub(crate) struct Timestamps {
+    pub(crate) queries: QuerySet,
+    pub(crate) stages: Vec<&'static str>,
+}
+
+impl Timestamps {
+    fn new(engine: &Engine) -> Self {
+        let descriptor =
+            QuerySetDescriptor { label: Some("stages"), ty: QueryType::Timestamp, count: 2 * TIMED_PASSES };
+        Self { queries: engine.device.create_query_set(&descriptor), stages: Vec::new() }
+    }
+
+    /// Seconds of each stage, in the order in which they began.
+    fn seconds(&self, engine: &Engine) -> Result<Vec<(&'static str, f64)>, BackendError> {
+        let bytes = 16 * u64::from(TIMED_PASSES);
+        let resolved = engine.device.create_buffer(&BufferDescriptor {
+            label: Some("timestamps"),
+            size: bytes,
+            usage: BufferUsages::QUERY_RESOLVE | BufferUsages::COPY_SRC,
+            mapped_at_creation: false,
+        });
+        let memory = engine.allocate("timestamps", bytes)?;
+        let mut encoder = engine.device.create_command_encoder(&Default::default());
+        encoder.resolve_query_set(&self.queries, 0..2 * self.stages.len() as u32, &resolved, 0);
+        encoder.copy_buffer_to_buffer(&resolved, 0, &memory.buffer, 0, bytes);
+        engine.queue.submit([encoder.finish()]);
+        let [ticks] = engine.read([(&memory, 0..bytes)])?;
+        let ticks: Vec<[u64; 2]> = bytemuck::pod_collect_to_vec(&ticks);
+        let second = 1e-9 * f64::from(engine.queue.get_timestamp_period());
+        let passes = self
+            .stages
+            .iter()
+            .zip(&ticks)
+            .map(|(&stage, &[begin, end])| (stage, second * end.saturating_sub(begin) as f64));
+        Ok(sum_by_stage(passes))
+    }
+}
+
+fn sum_by_stage(passes: impl Iterator<Item = (&'static str, f64)>) -> Vec<(&'static str, f64)> {
+    let mut stages: Vec<(&'static str, f64)> = Vec::new();
+    for (name, seconds) in passes {
+        match stages.iter_mut().find(|(stage, _)| *stage == name) {
+            Some((_, sum)) => *sum += seconds,
+            None => stages.push((name, seconds)),
+        }
+    }
+    stages
+}
+
+impl GpuBackend {
+    /// From here on, stages are timed; false where the device has no clock.
+    pub fn start_timing(&mut self) -> bool {
+        self.timestamps = self.engine.timestamps.then(|| Timestamps::new(&self.engine));
+        self.timestamps.is_some()
+    }
+
+    /// Waits for the device and returns the seconds of each stage since the last call; none unless they are timed.
+    pub fn take_stage_seconds(&mut self) -> Result<Vec<(&'static str, f64)>, BackendError> {
+        self.settle()?;
+        let Some(timestamps) = &mut self.timestamps else { return Ok(Vec::new()) };
+        let seconds =
+            if timestamps.stages.is_empty() { Vec::new() } else { timestamps.seconds(&self.engine)? };
+        timestamps.stages.clear();
+        Ok(seconds)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn passes_of_a_stage_are_one_figure() {
+        let passes = [("bin", 1.0), ("loss", 2.0), ("bin", 4.0)];
+        assert_eq!(sum_by_stage(passes.into_iter()), [("bin", 5.0), ("loss", 2.0)]);
+    }
+}

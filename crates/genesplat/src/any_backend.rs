@@ -1,0 +1,120 @@
+//! A backend that was chosen when the program ran. Everything else is generic over [`Backend`].
+
+use std::borrow::Cow;
+
+use genesplat::core::backend::{MomentPolicy, StepReport};
+use genesplat::core::{
+    Backend, BackendError, Camera, Gaussians, Image, Moments, RenderSettings, RowEdit, RunningMean,
+    SparseDelta, Statistics, TrainStep, View,
+};
+use genesplat::gpu::GpuBackend;
+use genesplat::kernels::cpu::CpuBackend;
+
+/// The processor or a graphics device.
+pub enum AnyBackend {
+    /// All cores.
+    Cpu(Box<CpuBackend>),
+    /// A graphics device.
+    Gpu(Box<GpuBackend>),
+}
+
+/// The same verb of whichever backend it is.
+macro_rules! delegate {
+    ($self:ident.$verb:ident($($argument:expr),*)) => {
+        match $self {
+            Self::Cpu(backend) => backend.$verb($($argument),*),
+            Self::Gpu(backend) => backend.$verb($($argument),*),
+        }
+    };
+}
+
+impl Backend for AnyBackend {
+    fn describe(&self) -> String {
+        delegate!(self.describe())
+    }
+
+    fn len(&self) -> usize {
+        delegate!(self.len())
+    }
+
+    fn set_views(&mut self, views: &[View]) -> Result<(), BackendError> {
+        delegate!(self.set_views(views))
+    }
+
+    fn upload(&mut self, cloud: Gaussians, moments: Option<Moments>) -> Result<(), BackendError> {
+        delegate!(self.upload(cloud, moments))
+    }
+
+    fn download(&mut self) -> Result<Cow<'_, Gaussians>, BackendError> {
+        delegate!(self.download())
+    }
+
+    fn download_moments(&mut self) -> Result<Cow<'_, Moments>, BackendError> {
+        delegate!(self.download_moments())
+    }
+
+    fn render(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<Image, BackendError> {
+        delegate!(self.render(camera, settings))
+    }
+
+    fn train_step(&mut self, step: &TrainStep) -> Result<(), BackendError> {
+        delegate!(self.train_step(step))
+    }
+
+    fn report(&mut self) -> Result<StepReport, BackendError> {
+        delegate!(self.report())
+    }
+
+    fn statistics(&mut self) -> Result<Statistics, BackendError> {
+        delegate!(self.statistics())
+    }
+
+    fn restore_statistics(&mut self, statistics: Statistics) -> Result<(), BackendError> {
+        delegate!(self.restore_statistics(statistics))
+    }
+
+    fn reset_statistics(&mut self, genes: bool) {
+        delegate!(self.reset_statistics(genes));
+    }
+
+    fn edit_rows(&mut self, edit: &RowEdit) -> Result<(), BackendError> {
+        delegate!(self.edit_rows(edit))
+    }
+
+    fn reset_opacity(&mut self, ceiling: f32) -> Result<(), BackendError> {
+        delegate!(self.reset_opacity(ceiling))
+    }
+
+    fn set_filter_3d(&mut self, filter: Vec<f32>) -> Result<(), BackendError> {
+        delegate!(self.set_filter_3d(filter))
+    }
+
+    fn apply(&mut self, delta: &SparseDelta, moments: MomentPolicy) -> Result<(), BackendError> {
+        delegate!(self.apply(delta, moments))
+    }
+
+    fn remember(&mut self) -> Result<(), BackendError> {
+        delegate!(self.remember())
+    }
+
+    fn exchange_with_mean(&mut self) -> Result<bool, BackendError> {
+        delegate!(self.exchange_with_mean())
+    }
+
+    fn running_mean(&mut self) -> Result<Cow<'_, RunningMean>, BackendError> {
+        delegate!(self.running_mean())
+    }
+
+    fn restore_running_mean(&mut self, mean: RunningMean) -> Result<(), BackendError> {
+        delegate!(self.restore_running_mean(mean))
+    }
+
+    fn score(
+        &mut self,
+        population: &[SparseDelta],
+        views: &[usize],
+        settings: &RenderSettings,
+    ) -> Result<Vec<f32>, BackendError> {
+        delegate!(self.score(population, views, settings))
+    }
+}
