@@ -6,13 +6,13 @@
 // Leave the partial derivatives out: scoring needs the loss only.
 override FORWARD_ONLY: bool;
 @group(0) @binding(0) var<uniform> frame: Frame;
-// [3, H, W]
+// [layers, 3, H, W]; a workgroup takes one plane
 @group(0) @binding(1) var<storage, read> image: array<f32>;
 // 8-bit RGB a word [H, W]
 @group(0) @binding(2) var<storage, read> photo: array<u32>;
 // [3 partials, 3 channels, H, W]
 @group(0) @binding(3) var<storage, read_write> partials: array<f32>;
-// Sums of |x - y| and of SSIM [channels, tiles]
+// Sums of |x - y| and of SSIM [layers, channels, tiles]
 @group(0) @binding(4) var<storage, read_write> sums: array<vec2<f32>>;
 
 var<workgroup> x_halo: array<f32, HALO * HALO>;
@@ -26,7 +26,8 @@ fn main(
     @builtin(local_invocation_index) lane: u32,
 ) {
     let pixels = frame.width * frame.height;
-    let channel = tile.z;
+    let plane = tile.z;
+    let channel = plane % 3u;
     // 1. The tile with its margins.
     for (var at = lane; at < HALO * HALO; at += TILE_PIXELS) {
         let x = i32(tile.x * TILE + at % HALO) - i32(SSIM_RADIUS);
@@ -35,7 +36,7 @@ fn main(
         y_halo[at] = 0.0;
         if x >= 0 && y >= 0 && x < i32(frame.width) && y < i32(frame.height) {
             let index = u32(y) * frame.width + u32(x);
-            x_halo[at] = image[channel * pixels + index];
+            x_halo[at] = image[plane * pixels + index];
             y_halo[at] = photo_value(photo[index], channel);
         }
     }
@@ -76,7 +77,7 @@ fn main(
     workgroupBarrier();
     let total = sum_of_tile(lane, value);
     if lane == 0u {
-        sums[(channel * frame.tiles_y + tile.y) * frame.tiles_x + tile.x] = total;
+        sums[(plane * frame.tiles_y + tile.y) * frame.tiles_x + tile.x] = total;
     }
 }
 

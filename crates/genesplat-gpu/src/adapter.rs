@@ -5,8 +5,8 @@ use wgpu::{Adapter, Backends, DeviceType, Features, Instance, InstanceDescriptor
 
 /// Workgroup memory that the backward pass needs, bytes.
 const WORKGROUP_BYTES: u32 = 24 << 10;
-/// Storage buffers that the widest stage binds (WebGPU's default limit).
-const STORAGE_BUFFERS: u32 = 8;
+/// Storage buffers that the widest stage binds: scoring, which reads two sets of tile lists.
+const STORAGE_BUFFERS: u32 = 15;
 /// Smallest binding that a backend can work with: 128 MiB, WebGPU's default limit.
 const BINDING_BYTES: u64 = 128 << 20;
 
@@ -150,7 +150,11 @@ mod tests {
 
     #[test]
     fn an_adapter_below_the_limits_is_refused_with_the_reason() {
-        let enough = Limits { max_compute_workgroup_storage_size: 32 << 10, ..Limits::default() };
+        let enough = Limits {
+            max_compute_workgroup_storage_size: 32 << 10,
+            max_storage_buffers_per_shader_stage: 16,
+            ..Limits::default()
+        };
         assert_eq!(unmet(&enough), None);
         let small = Limits { max_compute_workgroup_storage_size: 16 << 10, ..enough };
         let reason = unmet(&small).expect("too little");

@@ -22,6 +22,7 @@ use crate::lists::{Lists, tiles_of};
 use crate::optimise::Optimise;
 use crate::pixels::{Pixels, image_bytes, pack_photo, row_bytes};
 use crate::recorder::Recorder;
+use crate::score::Scratch;
 use crate::state::State;
 use crate::timing::Timestamps;
 
@@ -47,6 +48,7 @@ pub struct GpuBackend {
     pub(crate) views: Vec<TrainView>,
     pub(crate) lists: Lists,
     pub(crate) pixels: Pixels,
+    pub(crate) scratch: Scratch,
     optimiser: Memory,
     /// Room for tile entries that was found to be needed.
     entry_room: Option<u64>,
@@ -70,6 +72,7 @@ impl GpuBackend {
             state: State::upload(&engine, &Gaussians::default(), None)?,
             lists: Lists::new(&engine)?,
             pixels: Pixels::new(&engine)?,
+            scratch: Scratch::new(&engine)?,
             optimiser: engine.allocate("the optimiser", size_of::<Optimiser>() as u64)?,
             engine,
             seed,
@@ -337,13 +340,11 @@ impl Backend for GpuBackend {
 
     fn score(
         &mut self,
-        _population: &[SparseDelta],
-        _views: &[usize],
-        _settings: &RenderSettings,
+        population: &[SparseDelta],
+        views: &[usize],
+        settings: &RenderSettings,
     ) -> Result<Vec<f32>, BackendError> {
         self.settle()?;
-        Err(BackendError::Unsupported(
-            "scoring on a graphics device is not there yet; use --device cpu".into(),
-        ))
+        self.score_population(population, views, settings)
     }
 }

@@ -13,6 +13,7 @@ mod optimise;
 mod pixels;
 mod recorder;
 mod rows;
+mod score;
 mod shaders;
 mod state;
 mod timing;

@@ -36,7 +36,8 @@ pub struct Lists {
     pub(crate) depths: Memory,
     /// Tiles that each row reaches, and whether it is seen `[N]`.
     pub(crate) tile_counts: Memory,
-    marks: Memory,
+    /// 1 for each row that has a splat `[N]`.
+    pub(crate) marks: Memory,
     ranks: Memory,
     sums: Memory,
     keys: [Memory; 2],

@@ -107,6 +107,14 @@ shaders! {
     ADAM_GEOMETRY = "adam_geometry" + [ADAM_STEP];
     /// MCMC's noise.
     EXPLORE = "explore" + [ROTATION, RANDOM];
+    /// Scoring: splats of the changed Gaussians.
+    SCORE_PROJECT = "score_project" + [SPLAT, ROTATION, GEOMETRY, OVERLAP, COLOUR, SH_ROW];
+    /// Scoring: what individuals change.
+    SCORE_MARK = "score_mark" + [SPLAT, OVERLAP];
+    /// Scoring: pictures of individuals.
+    SCORE_RASTERISE = "score_rasterise" + [SPLAT, TILE_SPLAT];
+    /// Scoring: losses of individuals.
+    SCORE_SUM = "score_sum" + [];
     /// Row edits: copies.
     GATHER = "gather" + [];
     /// Row edits: clones, children, relocations.

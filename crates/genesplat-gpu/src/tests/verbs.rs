@@ -195,3 +195,81 @@ fn stages_are_timed() {
     assert_eq!(names, stages);
     assert!(seconds.iter().map(|(_, seconds)| seconds).sum::<f64>() > 0.0);
 }
+
+/// Changes some rows in `individual`, among them rows that move behind the camera or vanish; the first changes none.
+fn individual_of(base: &Gaussians, individual: usize) -> SparseDelta {
+    let mut delta = SparseDelta::default();
+    if individual == 0 {
+        return delta;
+    }
+    for row in (individual..base.len()).step_by(3 * individual) {
+        let mut genes = base.genes(row);
+        for (k, gene) in genes.iter_mut().enumerate() {
+            *gene += 0.3 * (uniform(row, 200 + 10 * individual + k) - 0.5);
+        }
+        match row % 7 {
+            0 => genes[2] -= 20.0,
+            1 => genes[6] = -9.0,
+            _ => {}
+        }
+        delta.rows.push(row as u32);
+        delta.genes.push(genes);
+    }
+    delta
+}
+
+#[test]
+fn scores_match() {
+    let Some(mut gpu) = gpu() else { return };
+    let small = View { camera: camera().resized(30, 41), ..view() };
+    let small = View {
+        photo: Arc::new(Photo { width: 30, height: 41, rgb: photo().rgb[..3 * 30 * 41].into() }),
+        ..small
+    };
+    let views = [view(), small];
+    for filter in filters() {
+        let base = filtered_cloud(500, filter);
+        let population: Vec<SparseDelta> = (0..6).map(|index| individual_of(&base, index)).collect();
+        let mut cpu = cpu();
+        let twins: [&mut dyn Backend; 2] = [&mut gpu, &mut cpu];
+        let [actual, expected] = twins.map(|twin| {
+            twin.set_views(&views).unwrap();
+            twin.upload(base.clone(), None).unwrap();
+            twin.score(&population, &[0, 1, 0], &settings(3, filter)).unwrap()
+        });
+        assert!(expected.windows(2).any(|pair| pair[0] != pair[1]), "individuals differ");
+        for (actual, expected) in actual.iter().zip(&expected) {
+            compare("score", &format!("{filter:?}"), [*actual], [*expected]).unwrap();
+        }
+    }
+}
+
+/// Hundreds of splats in one tile, so that both lists are loaded several times, and too little room for either.
+#[test]
+fn scores_of_crowded_tiles_match() {
+    let Some(engine) = engine() else { return };
+    let mut gpu = GpuBackend::on(engine.with_window_rows(256), SEED).unwrap();
+    gpu.set_views(&[view()]).unwrap();
+    gpu.set_entry_room(64);
+    let mut cpu = cpu();
+    let mut base = cloud(700);
+    base.opacity_logits.iter_mut().for_each(|logit| *logit = -4.0);
+    for row in 0..700 {
+        base.positions[row] = std::array::from_fn(|k| 0.2 * (uniform(row, k) - 0.5) + [0.1, 0.1, 2.0][k]);
+        // Ties in depth between what is changed and what is not.
+        if row % 3 == 0 {
+            base.positions[row][2] = 2.0;
+        }
+    }
+    let population: Vec<SparseDelta> = (1..4).map(|index| individual_of(&base, index)).collect();
+    let settings = settings(1, ScreenFilter::Classic);
+    let twins: [&mut dyn Backend; 2] = [&mut gpu, &mut cpu];
+    let [actual, expected] = twins.map(|twin| {
+        twin.upload(base.clone(), None).unwrap();
+        twin.score(&population, &[0], &settings).unwrap()
+    });
+    for (actual, expected) in actual.iter().zip(&expected) {
+        compare("score", "crowded", [*actual], [*expected]).unwrap();
+    }
+    assert!(gpu.entry_room() > 64);
+}
