@@ -15,7 +15,9 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     let block = group_of(group);
     atomicStore(&counts[lane], 0u);
     workgroupBarrier();
-    for (var i = 0u; i < SORT_BLOCK / GROUP; i++) {
+    // The last block may be short.
+    let rounds = (min(length - min(length, block * SORT_BLOCK), SORT_BLOCK) + GROUP - 1u) / GROUP;
+    for (var i = 0u; i < rounds; i++) {
         let at = block * SORT_BLOCK + i * GROUP + lane;
         if at < length {
             atomicAdd(&counts[(keys[at] >> SHIFT) & (DIGITS - 1u)], 1u);

@@ -23,14 +23,17 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     let length = lengths[LENGTH];
     let blocks = (length + SORT_BLOCK - 1u) / SORT_BLOCK;
     let block = group_of(group);
-    if block < blocks {
-        next[lane] = starts[lane * blocks + block];
+    if block >= blocks {
+        return;
     }
+    next[lane] = starts[lane * blocks + block];
     for (var word = 0u; word < WORDS; word++) {
         atomicStore(&masks[lane * WORDS + word], 0u);
     }
     workgroupBarrier();
-    for (var i = 0u; i < SORT_BLOCK / GROUP; i++) {
+    // The last block may be short.
+    let rounds = (min(length - block * SORT_BLOCK, SORT_BLOCK) + GROUP - 1u) / GROUP;
+    for (var i = 0u; i < rounds; i++) {
         let at = block * SORT_BLOCK + i * GROUP + lane;
         var key = 0u;
         var digit = 0u;

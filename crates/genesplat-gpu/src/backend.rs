@@ -194,6 +194,28 @@ impl GpuBackend {
         Ok(BackendError::NonFinite { row, parameter, steps: self.steps })
     }
 
+    /// Eq. 5 of the cloud on one training view, rendered in full: the plain way, which scoring is measured against.
+    pub fn loss_of_view(&mut self, view: usize, settings: &RenderSettings) -> Result<f32, BackendError> {
+        self.settle()?;
+        let frame = frame_of(&self.views[view].camera, settings, self.state.rows);
+        loop {
+            self.reserve_lists(&frame)?;
+            self.pixels.reserve_loss(&self.engine, &frame)?;
+            self.lists.begin(&self.engine, &frame);
+            let mut recorder = Recorder::new(&self.engine, self.timestamps.as_mut());
+            self.lists.record(&mut recorder, &self.state.cloud, &self.state.windows, &frame);
+            self.pixels.record_rasterise(&mut recorder, &self.lists, &frame);
+            self.pixels.record_loss_value(&mut recorder, &self.lists, &self.views[view].photo, &frame, false);
+            recorder.submit();
+            let counters = self.counters()?;
+            self.clear_counters();
+            if counters.halted & HALT_OVERFLOW == 0 {
+                return Ok(counters.loss);
+            }
+            self.grow(counters.wanted)?;
+        }
+    }
+
     /// Renders, and makes room until the lists fit.
     fn render_frame(&mut self, frame: &Frame) -> Result<Vec<u8>, BackendError> {
         loop {

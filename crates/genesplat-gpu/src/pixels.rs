@@ -40,6 +40,12 @@ impl Pixels {
         engine.reserve(&mut self.image, image_bytes(frame))
     }
 
+    /// Room for a render and its loss.
+    pub(crate) fn reserve_loss(&mut self, engine: &Engine, frame: &Frame) -> Result<(), BackendError> {
+        self.reserve_image(engine, frame)?;
+        engine.reserve(&mut self.loss_sums, 24 * tiles_of(frame))
+    }
+
     /// Room for a render, its loss and its gradient.
     pub(crate) fn reserve_training(
         &mut self,
@@ -47,9 +53,8 @@ impl Pixels {
         frame: &Frame,
         entries: u64,
     ) -> Result<(), BackendError> {
-        self.reserve_image(engine, frame)?;
+        self.reserve_loss(engine, frame)?;
         engine.reserve(&mut self.partials, 3 * image_bytes(frame))?;
-        engine.reserve(&mut self.loss_sums, 24 * tiles_of(frame))?;
         engine.reserve(&mut self.gradient, image_bytes(frame))?;
         engine.reserve(&mut self.rows, row_bytes(entries))
     }
@@ -64,13 +69,26 @@ impl Pixels {
 
     /// Stage `loss` against `photo`; leaves the gradient, too.
     pub(crate) fn record_loss(&self, recorder: &mut Recorder, lists: &Lists, photo: &Memory, frame: &Frame) {
-        recorder.stage("loss");
-        let parts = [&lists.frame, &self.image, photo, &self.partials, &self.loss_sums].map(Memory::all);
-        recorder.run_with(&shaders::LOSS, &[("FORWARD_ONLY", 0)], &parts, tile_grid(frame, 3));
-        let parts = [&lists.frame, &self.loss_sums, &lists.counters].map(Memory::all);
-        recorder.run(&shaders::LOSS_SUM, &parts, Grid::Groups(1));
+        self.record_loss_value(recorder, lists, photo, frame, true);
         let parts = [&lists.frame, &self.image, photo, &self.partials, &self.gradient].map(Memory::all);
         recorder.run(&shaders::LOSS_GRADIENT, &parts, tile_grid(frame, 3));
+    }
+
+    /// The value alone; with `partials`, SSIM's derivatives are left for the gradient.
+    pub(crate) fn record_loss_value(
+        &self,
+        recorder: &mut Recorder,
+        lists: &Lists,
+        photo: &Memory,
+        frame: &Frame,
+        partials: bool,
+    ) {
+        recorder.stage("loss");
+        let parts = [&lists.frame, &self.image, photo, &self.partials, &self.loss_sums].map(Memory::all);
+        let overrides = [("FORWARD_ONLY", u32::from(!partials))];
+        recorder.run_with(&shaders::LOSS, &overrides, &parts, tile_grid(frame, 3));
+        let parts = [&lists.frame, &self.loss_sums, &lists.counters].map(Memory::all);
+        recorder.run(&shaders::LOSS_SUM, &parts, Grid::Groups(1));
     }
 
     /// Stage `rasterise_backward`.

@@ -66,6 +66,11 @@ impl GpuBackend {
         self.timestamps.is_some()
     }
 
+    /// From here on, stages are not timed.
+    pub fn stop_timing(&mut self) {
+        self.timestamps = None;
+    }
+
     /// Waits for the device and returns the seconds of each stage since the last call; none unless they are timed.
     pub fn take_stage_seconds(&mut self) -> Result<Vec<(&'static str, f64)>, BackendError> {
         self.settle()?;

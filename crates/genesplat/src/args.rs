@@ -64,6 +64,8 @@ pub enum Bench {
     Step(BenchStepArgs),
     /// Time the scoring of a population just after an opacity reset, beside rendering each individual in full
     Evolution(BenchEvolutionArgs),
+    /// Time training steps by stage and the scoring of a population on the graphics device, at several numbers of Gaussians
+    Gpu(BenchGpuArgs),
 }
 
 /// What can be done about LPIPS.
@@ -295,6 +297,38 @@ pub struct BenchEvolutionArgs {
     #[command(flatten)]
     #[allow(missing_docs, reason = "clap would show it as help")]
     pub machine: MachineArgs,
+}
+
+/// `genesplat bench gpu`.
+#[derive(Debug, Args)]
+pub struct BenchGpuArgs {
+    /// Numbers of Gaussians, separated by commas; those that there is no time for within eight minutes are left out
+    #[arg(
+        long,
+        value_name = "N,..",
+        value_delimiter = ',',
+        default_value = "100000,1000000,3000000",
+        value_parser = clap::value_parser!(u32).range(4..)
+    )]
+    pub gaussians: Vec<u32>,
+    /// Width of the photo, pixels
+    #[arg(long, value_name = "PX", default_value_t = 1920, value_parser = clap::value_parser!(u32).range(1..=16384))]
+    pub width: u32,
+    /// Its height
+    #[arg(long, value_name = "PX", default_value_t = 1080, value_parser = clap::value_parser!(u32).range(1..=16384))]
+    pub height: u32,
+    /// Steps to time
+    #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..))]
+    pub steps: u32,
+    /// Individuals to score
+    #[arg(long, value_name = "P", default_value_t = 16, value_parser = clap::value_parser!(u32).range(2..))]
+    pub population: u32,
+    /// Processor threads to make the cloud with [default: all cores]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    pub threads: Option<u16>,
+    /// Also write the figures to this file [default: none]
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
 }
 
 /// One part of a scene's photos.

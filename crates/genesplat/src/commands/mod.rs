@@ -28,6 +28,7 @@ pub fn run(arguments: Arguments) -> Result<()> {
         Command::Experiment(args) => experiment::run(&args),
         Command::Bench { what: Bench::Step(args) } => bench::step::run(&args),
         Command::Bench { what: Bench::Evolution(args) } => bench::evolution::run(&args),
+        Command::Bench { what: Bench::Gpu(args) } => bench::gpu::run(&args),
         Command::Devices => devices::run(),
     }
 }

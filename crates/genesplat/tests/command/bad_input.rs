@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use genesplat::io::photos::{read_photo, write_png};
 use tempfile::TempDir;
 
-use crate::support::{fail, run, scene, succeed, text, train, write_gallery};
+use crate::support::{fail, judge_failure, run, scene, succeed, text, train, without_drivers, write_gallery};
 
 /// A scene that `spoil` has damaged, and a place for results.
 struct Spoilt {

@@ -6,7 +6,7 @@ use std::sync::LazyLock;
 use genesplat::io::photos::read_photo;
 use tempfile::TempDir;
 
-use crate::support::{fail, json, scene, succeed, text, train};
+use crate::support::{fail, json, judge_failure, scene, succeed, text, train, without_drivers};
 
 /// A short run that several tests look at.
 static RUN: LazyLock<TempDir> = LazyLock::new(|| {
@@ -160,6 +160,43 @@ fn bench_evolution_finds_the_same_losses_both_ways() {
     for figure in ["renders_per_second", "plain_renders_per_second", "ratio", "population_bytes"] {
         assert!(report[figure].as_f64() > Some(0.0), "{figure}");
     }
+}
+
+/// Needs a driver, like the tests of genesplat-gpu, but not a fast one.
+#[test]
+fn bench_gpu_measures_or_says_why_not() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("gpu.json");
+    let arguments =
+        ["bench", "gpu", "--gaussians", "300,600", "--width", "64", "--height", "48", "--steps", "2"];
+    let arguments = arguments.into_iter().chain(["--population", "3", "--json", text(&file)]);
+    judge_failure(without_drivers(arguments.clone()).output().unwrap(), &["no graphics device"]);
+    if !succeed(["devices"]).contains("--device") {
+        assert!(std::env::var_os("GENESPLAT_REQUIRE_GPU").is_none(), "CI has no graphics device");
+        return;
+    }
+    succeed(arguments);
+    let report = json(&file);
+    let sizes = report["sizes"].as_array().unwrap();
+    assert_eq!(sizes.len(), 2, "{report}");
+    for size in sizes {
+        assert!(size["milliseconds"].as_f64() > Some(0.0) && size["ratio"].as_f64() > Some(0.0), "{size}");
+        assert!(size["max_relative_difference"].as_f64() <= Some(1e-5), "{size}");
+    }
+}
+
+#[test]
+fn auto_without_a_driver_trains_on_the_cpu_and_says_so() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("run");
+    let mut arguments = train(scene(), &out, &["--iterations", "3", "--no-lpips"]);
+    let device = arguments.iter().position(|word| word == "cpu").unwrap();
+    arguments[device] = "auto".into();
+    let output = without_drivers(arguments).output().unwrap();
+    let stderr = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.success(), "{stderr}");
+    let lines = stderr.lines().filter(|line| line.contains("auto means the CPU")).count();
+    assert_eq!(lines, 1, "{stderr}");
 }
 
 #[test]

@@ -75,7 +75,8 @@ pub fn run(args: &BenchEvolutionArgs) -> Result<()> {
     args.json.as_ref().map_or(Ok(()), |path| run_folder::write_json(path, &report))
 }
 
-fn just_reset(mut cloud: Gaussians) -> Gaussians {
+/// The cloud as an opacity reset leaves it.
+pub fn just_reset(mut cloud: Gaussians) -> Gaussians {
     let limited = |value: f32| logit(sigmoid(value).min(RESET_OPACITY));
     cloud.opacity_logits.iter_mut().for_each(|value| *value = limited(*value));
     cloud
@@ -85,9 +86,29 @@ fn bytes(individuals: &[SparseDelta]) -> usize {
     individuals.iter().map(SparseDelta::bytes).sum()
 }
 
-fn max_relative_difference(actual: &[f32], expected: &[f32]) -> f64 {
+/// Between losses of two ways to find them.
+pub fn max_relative_difference(actual: &[f32], expected: &[f32]) -> f64 {
     let difference = |(&a, &b): (&f32, &f32)| (f64::from(a) / f64::from(b) - 1.0).abs();
     actual.iter().zip(expected).map(difference).fold(0.0, f64::max)
+}
+
+/// The initial population of a paper search, which needs no loss.
+pub fn founders(cloud: &Gaussians, population: usize) -> Result<Vec<SparseDelta>> {
+    let base: Vec<Gene> = (0..cloud.len()).map(|row| cloud.genes(row)).collect();
+    let paper = PaperConfig::default();
+    let config = PaperConfig {
+        population: population as u32,
+        // Never held here, but it must fit.
+        tournament: paper.tournament.min(population as u32),
+        magnitude: Magnitude::Unit,
+        ..paper
+    };
+    Ok(GeneticAlgorithm::new(config, base, None, 0.0, Rng::new(0))?.deltas(0..population))
+}
+
+/// What these rows are, as a change.
+pub fn genes_of(cloud: &Gaussians, rows: &[u32]) -> SparseDelta {
+    SparseDelta { rows: rows.to_vec(), genes: rows.iter().map(|&row| cloud.genes(row as usize)).collect() }
 }
 
 struct Bench {
@@ -102,19 +123,8 @@ impl Bench {
         Ok(Self { backend, settings: RenderSettings::default() })
     }
 
-    /// The initial population of a paper search, which needs no loss.
     fn founders(&mut self, population: usize) -> Result<Vec<SparseDelta>> {
-        let cloud = self.backend.download()?;
-        let base: Vec<Gene> = (0..cloud.len()).map(|row| cloud.genes(row)).collect();
-        let paper = PaperConfig::default();
-        let config = PaperConfig {
-            population: population as u32,
-            // Never held here, but it must fit.
-            tournament: paper.tournament.min(population as u32),
-            magnitude: Magnitude::Unit,
-            ..paper
-        };
-        Ok(GeneticAlgorithm::new(config, base, None, 0.0, Rng::new(0))?.deltas(0..population))
+        founders(&*self.backend.download()?, population)
     }
 
     /// Losses, and the seconds that they took, what is shared between individuals included.
@@ -129,7 +139,7 @@ impl Bench {
     fn plain(&mut self, individuals: &[SparseDelta], views: &[usize]) -> Result<(Vec<f32>, f64)> {
         let (mut losses, mut seconds) = (Vec::new(), 0.0);
         for individual in individuals {
-            let base = self.genes_of(&individual.rows)?;
+            let base = genes_of(&*self.backend.download()?, &individual.rows);
             self.backend.apply(individual, MomentPolicy::Keep)?;
             let clock = Instant::now();
             losses.extend(views.iter().map(|&view| self.backend.loss_of_view(view, &self.settings)));
@@ -137,14 +147,6 @@ impl Bench {
             self.backend.apply(&base, MomentPolicy::Keep)?;
         }
         Ok((losses, seconds))
-    }
-
-    fn genes_of(&mut self, rows: &[u32]) -> Result<SparseDelta> {
-        let cloud = self.backend.download()?;
-        Ok(SparseDelta {
-            rows: rows.to_vec(),
-            genes: rows.iter().map(|&row| cloud.genes(row as usize)).collect(),
-        })
     }
 
     /// How throughput and memory change when one thing is halved.

@@ -43,7 +43,7 @@ impl Workload {
                 let scene = scene::load(data, args.size.size().unwrap_or_default(), [0.0; 3], 0)?;
                 (scene.train.clone(), scene::points(&scene))
             }
-            None => (vec![synthetic_view()], synthetic_points()),
+            None => (vec![synthetic_view(SIZE_PX)], synthetic_points(SIZE_PX)),
         };
         let default = if args.data.is_some() { points.len() } else { GAUSSIANS };
         let count = args.gaussians.map_or(default, |count| count as usize);
@@ -51,6 +51,14 @@ impl Workload {
             bail!("a workload needs at least 4 points to sample from, but the scene has {}", points.len());
         }
         Ok(Self { views, cloud: trained_looking(&in_spatial_order(&resample(&points, count)?))? })
+    }
+}
+
+impl Workload {
+    /// The synthetic one, for a photo of any size.
+    pub fn synthetic(count: usize, size_px: [u32; 2]) -> Result<Self> {
+        let points = in_spatial_order(&resample(&synthetic_points(size_px), count)?);
+        Ok(Self { views: vec![synthetic_view(size_px)], cloud: trained_looking(&points)? })
     }
 }
 
@@ -92,8 +100,7 @@ fn normals(rng: &Rng, purpose: u32, row: usize) -> [f32; 4] {
 }
 
 /// A camera at the origin that looks along z, and a photo of soft colours.
-fn synthetic_view() -> View {
-    let [width, height] = SIZE_PX;
+fn synthetic_view([width, height]: [u32; 2]) -> View {
     let camera = Camera {
         width,
         height,
@@ -108,9 +115,9 @@ fn synthetic_view() -> View {
 }
 
 /// A wavy wall that fills the picture, twice as wide, with a second one behind it.
-fn synthetic_points() -> Vec<ColouredPoint> {
+fn synthetic_points(size_px: [u32; 2]) -> Vec<ColouredPoint> {
     const POINTS: u32 = 15_000;
-    let [width, height] = SIZE_PX.map(|side| side as f32);
+    let [width, height] = size_px.map(|side| side as f32);
     let rng = Rng::new(0);
     let point = |row: u32| {
         let draw = rng.at(Stream::Test, 5, row, 0);

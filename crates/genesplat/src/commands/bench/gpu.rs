@@ -1,0 +1,214 @@
+//! `genesplat bench gpu`: what training steps and scoring cost on the graphics device, at several sizes, in one call.
+//!
+//! The cloud is the synthetic one of `bench step`, at 1080p. Steps are real ones with learning rates of zero. Two clocks
+//! are read: the device's own, stage by stage, and the host's, over steps that are submitted one after the other without
+//! waiting, as in training. Scoring is measured as in `bench evolution`: the founders of a paper search just after an
+//! opacity reset, beside a full render and loss of each.
+
+use std::time::{Duration, Instant};
+
+use anyhow::{Result, bail};
+use genesplat::core::backend::MomentPolicy;
+use genesplat::core::{
+    Backend, DensitySignal, LearningRates, RenderSettings, SparseDelta, StatisticsRequest, TrainStep, Update,
+};
+use genesplat::gpu::GpuBackend;
+use serde::Serialize;
+
+use super::evolution::{founders, genes_of, just_reset, max_relative_difference};
+use super::median;
+use super::workload::Workload;
+use crate::args::BenchGpuArgs;
+use crate::device::{self, Device};
+use crate::{output, run_folder};
+
+/// Steps before a clock counts: buffers grow, kernels are compiled.
+const WARM_UP: u32 = 3;
+/// No further size is begun after this time, so that the call ends within eight minutes.
+const ENOUGH: Duration = Duration::from_secs(240);
+
+/// What `--json` writes; keys are fixed.
+#[derive(Serialize)]
+struct Report {
+    device: String,
+    width: u32,
+    height: u32,
+    sizes: Vec<Size>,
+    /// Sizes that there was no time for.
+    left_out: Vec<u32>,
+}
+
+/// What was measured at one number of Gaussians.
+#[derive(Serialize)]
+struct Size {
+    gaussians: usize,
+    /// Of a step among others, by the host's clock.
+    milliseconds: f64,
+    /// Of a step's stages, by the device's clock; empty where it has none.
+    stages: Vec<(&'static str, f64)>,
+    visible: usize,
+    tile_splats: usize,
+    device_memory_bytes: u64,
+    individuals: usize,
+    changed_gaussians: usize,
+    scored_renders_per_second: f64,
+    plain_renders_per_second: f64,
+    ratio: f64,
+    max_relative_difference: f64,
+}
+
+/// Times, prints, and writes the figures.
+pub fn run(args: &BenchGpuArgs) -> Result<()> {
+    let began = Instant::now();
+    device::use_threads(args.threads)?;
+    Device::Gpu.resolve()?;
+    let [width, height] = [args.width, args.height];
+    let mut report = Report { device: String::new(), width, height, sizes: Vec::new(), left_out: Vec::new() };
+    for &gaussians in &args.gaussians {
+        if began.elapsed() > ENOUGH {
+            report.left_out.push(gaussians);
+            continue;
+        }
+        eprintln!("making {gaussians} Gaussians");
+        let mut bench = Bench::new(args, gaussians as usize)?;
+        report.device = bench.backend.describe();
+        let size = bench.measure(args)?;
+        output::print(&size.to_text(&report.device, [width, height]))?;
+        report.sizes.push(size);
+    }
+    if !report.left_out.is_empty() {
+        output::print(&format!("no time was left for {:?} Gaussians", report.left_out))?;
+    }
+    args.json.as_ref().map_or(Ok(()), |path| run_folder::write_json(path, &report))
+}
+
+struct Bench {
+    backend: GpuBackend,
+    settings: RenderSettings,
+}
+
+impl Bench {
+    fn new(args: &BenchGpuArgs, gaussians: usize) -> Result<Self> {
+        let Workload { views, cloud } = Workload::synthetic(gaussians, [args.width, args.height])?;
+        let mut backend = GpuBackend::new(0)?;
+        backend.set_views(&views)?;
+        backend.upload(cloud, None)?;
+        Ok(Self { backend, settings: RenderSettings::default() })
+    }
+
+    fn measure(&mut self, args: &BenchGpuArgs) -> Result<Size> {
+        self.steps(0, WARM_UP)?;
+        let clock = Instant::now();
+        self.steps(WARM_UP, args.steps)?;
+        let milliseconds = 1e3 * clock.elapsed().as_secs_f64() / f64::from(args.steps);
+        let report = self.backend.report()?;
+        let stages = self.stages(WARM_UP + args.steps, args.steps)?;
+        let device_memory_bytes = self.backend.allocated_bytes();
+
+        let cloud = just_reset(self.backend.download()?.into_owned());
+        let individuals = founders(&cloud, args.population as usize)?;
+        self.backend.upload(cloud, None)?;
+        // Once unmeasured: kernels are compiled, buffers grow.
+        self.backend.score(&individuals, &[0], &self.settings)?;
+        let clock = Instant::now();
+        let scored = self.backend.score(&individuals, &[0], &self.settings)?;
+        let scored_seconds = clock.elapsed().as_secs_f64();
+        let (plain, plain_seconds) = self.plain(&individuals)?;
+        let renders = individuals.len() as f64;
+        Ok(Size {
+            gaussians: self.backend.len(),
+            milliseconds,
+            stages,
+            visible: report.visible,
+            tile_splats: report.tile_splats,
+            device_memory_bytes,
+            individuals: individuals.len(),
+            changed_gaussians: individuals.iter().map(|individual| individual.rows.len()).sum(),
+            scored_renders_per_second: renders / scored_seconds,
+            plain_renders_per_second: renders / plain_seconds,
+            ratio: plain_seconds / scored_seconds,
+            max_relative_difference: max_relative_difference(&scored, &plain),
+        })
+    }
+
+    /// Submits steps and waits for the last.
+    fn steps(&mut self, first: u32, count: u32) -> Result<()> {
+        const REST: LearningRates = LearningRates {
+            position: 0.0,
+            sh_dc: 0.0,
+            sh_rest: 0.0,
+            opacity: 0.0,
+            scale: 0.0,
+            rotation: 0.0,
+        };
+        for step in first + 1..=first + count {
+            self.backend.train_step(&TrainStep {
+                view: 0,
+                settings: self.settings,
+                update: Some(Update { rates: REST, step, opacity_step: step, exploration: None }),
+                statistics: StatisticsRequest { density: Some(DensitySignal::Signed), genes: false },
+            })?;
+        }
+        self.backend.report()?;
+        Ok(())
+    }
+
+    /// Medians of the stages, milliseconds.
+    fn stages(&mut self, first: u32, count: u32) -> Result<Vec<(&'static str, f64)>> {
+        if !self.backend.start_timing() {
+            return Ok(Vec::new());
+        }
+        let mut samples = Vec::new();
+        for step in first..first + count {
+            self.steps(step, 1)?;
+            samples.push(self.backend.take_stage_seconds()?);
+        }
+        self.backend.stop_timing();
+        let Some(names) = samples.first() else { bail!("no step was timed") };
+        let stage = |index: usize| 1e3 * median(samples.iter().map(|sample| sample[index].1).collect());
+        Ok(names.iter().enumerate().map(|(index, (name, _))| (*name, stage(index))).collect())
+    }
+
+    /// Losses of full renders, and their seconds; the changes themselves are made off the clock.
+    fn plain(&mut self, individuals: &[SparseDelta]) -> Result<(Vec<f32>, f64)> {
+        let cloud = self.backend.download()?.into_owned();
+        let (mut losses, mut seconds) = (Vec::new(), 0.0);
+        for individual in individuals {
+            self.backend.apply(individual, MomentPolicy::Keep)?;
+            self.backend.report()?;
+            let clock = Instant::now();
+            losses.push(self.backend.loss_of_view(0, &self.settings)?);
+            seconds += clock.elapsed().as_secs_f64();
+            self.backend.apply(&genes_of(&cloud, &individual.rows), MomentPolicy::Keep)?;
+        }
+        Ok((losses, seconds))
+    }
+}
+
+impl Size {
+    fn to_text(&self, device: &str, [width, height]: [u32; 2]) -> String {
+        let stages: String = self
+            .stages
+            .iter()
+            .map(|(name, milliseconds)| format!("\n  {name:<20}{milliseconds:>9.3} ms"))
+            .collect();
+        format!(
+            "{} Gaussians at {width}x{height} px on {device}: {} visible, {} tile entries, {:.0} MB\n\
+             step {:>26.3} ms, one after the other{stages}\n\
+             scoring {} individuals with {} changed Gaussians, one view\n\
+             scored {:>24.1} renders/s\nplain  {:>24.1} renders/s\nratio  {:>24.2} x\n\
+             largest relative difference of a loss {:.1e}",
+            self.gaussians,
+            self.visible,
+            self.tile_splats,
+            self.device_memory_bytes as f64 / 1e6,
+            self.milliseconds,
+            self.individuals,
+            self.changed_gaussians,
+            self.scored_renders_per_second,
+            self.plain_renders_per_second,
+            self.ratio,
+            self.max_relative_difference,
+        )
+    }
+}
