@@ -12,8 +12,8 @@ override FORWARD_ONLY: bool;
 @group(0) @binding(2) var<storage, read> photo: array<u32>;
 // [3 partials, 3 channels, H, W]
 @group(0) @binding(3) var<storage, read_write> partials: array<f32>;
-// Sums of |x - y| and of SSIM [layers, channels, tiles]
-@group(0) @binding(4) var<storage, read_write> sums: array<vec2<f32>>;
+// Sums of |x - y|, of SSIM and of (x - y)^2 [layers, channels, tiles]
+@group(0) @binding(4) var<storage, read_write> sums: array<vec4<f32>>;
 
 var<workgroup> x_halo: array<f32, HALO * HALO>;
 var<workgroup> y_halo: array<f32, HALO * HALO>;
@@ -62,10 +62,10 @@ fn main(
     let difference = abs(x_halo[centre] - y_halo[centre]);
     let pixel = tile.xy * TILE + local.xy;
     let inside = pixel.x < frame.width && pixel.y < frame.height;
-    var value = vec2(0.0);
+    var value = vec4(0.0);
     if inside {
         let ssim = ssim_of(moments);
-        value = vec2(difference, ssim.value);
+        value = vec4(difference, ssim.value, difference * difference, 0.0);
         if !FORWARD_ONLY {
             let at = channel * pixels + pixel.y * frame.width + pixel.x;
             partials[at] = ssim.partials.x;
@@ -82,8 +82,8 @@ fn main(
 }
 
 // The sum over the workgroup, for invocation 0; `blurred` is free by now.
-fn sum_of_tile(lane: u32, value: vec2<f32>) -> vec2<f32> {
-    blurred[lane] = vec4(value, 0.0, 0.0);
+fn sum_of_tile(lane: u32, value: vec4<f32>) -> vec4<f32> {
+    blurred[lane] = value;
     workgroupBarrier();
     if lane < TILE {
         var sum = vec4(0.0);
@@ -97,5 +97,5 @@ fn sum_of_tile(lane: u32, value: vec2<f32>) -> vec2<f32> {
     for (var i = 0u; i < TILE; i++) {
         total += blurred[i];
     }
-    return total.xy;
+    return total;
 }

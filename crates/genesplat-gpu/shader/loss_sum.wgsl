@@ -1,15 +1,15 @@
 // Stage `loss`, step 2: one loss from the sums of all tiles; ends the step's account.
 
 @group(0) @binding(0) var<uniform> frame: Frame;
-@group(0) @binding(1) var<storage, read> sums: array<vec2<f32>>;
+@group(0) @binding(1) var<storage, read> sums: array<vec4<f32>>;
 @group(0) @binding(2) var<storage, read_write> counters: Counters;
 
-var<workgroup> totals: array<vec2<f32>, GROUP>;
+var<workgroup> totals: array<vec4<f32>, GROUP>;
 
 @compute @workgroup_size(GROUP)
 fn main(@builtin(local_invocation_index) lane: u32) {
     let blocks = 3u * frame.tiles_x * frame.tiles_y;
-    var sum = vec2(0.0);
+    var sum = vec4(0.0);
     for (var at = lane; at < blocks; at += GROUP) {
         sum += sums[at];
     }
@@ -18,7 +18,7 @@ fn main(@builtin(local_invocation_index) lane: u32) {
     if lane != 0u || counters.halted != 0u {
         return;
     }
-    var total = vec2(0.0);
+    var total = vec4(0.0);
     for (var i = 0u; i < GROUP; i++) {
         total += totals[i];
     }

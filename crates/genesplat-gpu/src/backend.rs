@@ -10,11 +10,10 @@ use std::borrow::Cow;
 
 use genesplat_core::backend::{MomentPolicy, StepReport};
 use genesplat_core::{
-    Backend, BackendError, Camera, DensitySignal, Gaussians, Image, Moments, RenderSettings, RowEdit,
-    RunningMean, SparseDelta, Statistics, TrainStep, View,
+    Backend, BackendError, Blend, Camera, DensitySignal, Gaussians, Image, Judgement, Lineage, Moments,
+    RenderSettings, RowEdit, SparseDelta, Statistics, TrainStep, View,
 };
 
-use crate::cloud::Parameters;
 use crate::engine::{Engine, Memory};
 use crate::frame::{frame_of, optimiser_of, with_statistics};
 use crate::layout::{Counters, Frame, HALT_NON_FINITE, HALT_OVERFLOW, Optimiser};
@@ -335,29 +334,38 @@ impl Backend for GpuBackend {
         self.state.apply(&self.engine, delta, moments)
     }
 
-    fn remember(&mut self) -> Result<(), BackendError> {
+    fn remember(&mut self, parent: usize) -> Result<(), BackendError> {
         self.settle()?;
-        self.state.remember(&self.engine)
+        self.state.remember(&self.engine, parent)
     }
 
-    fn exchange_with_mean(&mut self) -> Result<bool, BackendError> {
-        self.settle()?;
-        Ok(self.state.exchange_with_mean(&self.engine))
+    fn forget(&mut self) {
+        self.state.forget();
     }
 
-    fn running_mean(&mut self) -> Result<Cow<'_, RunningMean>, BackendError> {
+    fn lineage(&mut self) -> Result<Cow<'_, Lineage>, BackendError> {
         self.settle()?;
-        self.state.running_mean(&self.engine)
+        Ok(Cow::Owned(self.state.lineage(&self.engine)?))
     }
 
-    fn restore_running_mean(&mut self, mean: RunningMean) -> Result<(), BackendError> {
+    fn restore_lineage(&mut self, lineage: Lineage) -> Result<(), BackendError> {
         self.settle()?;
-        self.state.mean = None;
-        if mean.states() > 0 {
-            let values = Parameters::upload(&self.engine, "the mean of states", mean.mean())?;
-            self.state.mean = Some((mean.states(), values));
-        }
-        Ok(())
+        self.state.restore_lineage(&self.engine, &lineage)
+    }
+
+    fn judge(
+        &mut self,
+        blends: &[Blend],
+        views: &[usize],
+        settings: &RenderSettings,
+    ) -> Result<Vec<Judgement>, BackendError> {
+        self.settle()?;
+        self.judge_children(blends, views, settings)
+    }
+
+    fn breed(&mut self, blend: &Blend) -> Result<(), BackendError> {
+        self.settle()?;
+        self.state.breed(&self.engine, blend)
     }
 
     fn score(

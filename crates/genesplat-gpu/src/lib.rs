@@ -8,6 +8,7 @@ mod cloud;
 mod engine;
 mod frame;
 mod layout;
+mod lineage;
 mod lists;
 mod optimise;
 mod pixels;

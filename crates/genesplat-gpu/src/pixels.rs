@@ -15,8 +15,8 @@ pub struct Pixels {
     pub(crate) image: Memory,
     /// SSIM's partial derivatives `[3, 3, H, W]`.
     partials: Memory,
-    /// Sums of each tile of each channel `[3, tiles, 2]`.
-    loss_sums: Memory,
+    /// Sums of each tile of each channel `[3, tiles, 4]`.
+    pub(crate) loss_sums: Memory,
     /// dL/dimage `[3, H, W]`.
     pub(crate) gradient: Memory,
     /// Gradient rows `[E, 12]`.
@@ -43,7 +43,7 @@ impl Pixels {
     /// Room for a render and its loss.
     pub(crate) fn reserve_loss(&mut self, engine: &Engine, frame: &Frame) -> Result<(), BackendError> {
         self.reserve_image(engine, frame)?;
-        engine.reserve(&mut self.loss_sums, 24 * tiles_of(frame))
+        engine.reserve(&mut self.loss_sums, loss_sum_bytes(frame))
     }
 
     /// Room for a render, its loss and its gradient.
@@ -83,12 +83,24 @@ impl Pixels {
         frame: &Frame,
         partials: bool,
     ) {
+        self.record_loss_sums(recorder, lists, photo, frame, partials);
+        let parts = [&lists.frame, &self.loss_sums, &lists.counters].map(Memory::all);
+        recorder.run(&shaders::LOSS_SUM, &parts, Grid::Groups(1));
+    }
+
+    /// The sums of all tiles.
+    pub(crate) fn record_loss_sums(
+        &self,
+        recorder: &mut Recorder,
+        lists: &Lists,
+        photo: &Memory,
+        frame: &Frame,
+        partials: bool,
+    ) {
         recorder.stage("loss");
         let parts = [&lists.frame, &self.image, photo, &self.partials, &self.loss_sums].map(Memory::all);
         let overrides = [("FORWARD_ONLY", u32::from(!partials))];
         recorder.run_with(&shaders::LOSS, &overrides, &parts, tile_grid(frame, 3));
-        let parts = [&lists.frame, &self.loss_sums, &lists.counters].map(Memory::all);
-        recorder.run(&shaders::LOSS_SUM, &parts, Grid::Groups(1));
     }
 
     /// Stage `rasterise_backward`.
@@ -117,6 +129,11 @@ pub(crate) fn tile_grid(frame: &Frame, layers: u32) -> Grid<'static> {
 /// Bytes of a render.
 pub(crate) fn image_bytes(frame: &Frame) -> u64 {
     12 * u64::from(frame.width) * u64::from(frame.height)
+}
+
+/// Bytes of the sums of the loss, for all layers.
+pub(crate) fn loss_sum_bytes(frame: &Frame) -> u64 {
+    48 * tiles_of(frame)
 }
 
 /// Bytes of the gradient rows of so many entries.

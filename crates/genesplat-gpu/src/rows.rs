@@ -1,9 +1,9 @@
-//! The verbs that change rows: plans of density control, opacity resets, genes, filters, and the mean of states.
+//! The verbs that change rows: plans of density control, opacity resets, genes, filters.
 
 use genesplat_core::backend::MomentPolicy;
 use genesplat_core::{BackendError, Origin, RowEdit, SparseDelta};
 
-use crate::cloud::{Column, Parameters, RowWindow, windows};
+use crate::cloud::{Column, RowWindow, windows};
 use crate::engine::{Engine, Memory};
 use crate::layout::{
     DENSITY_FLOATS, Edit, GENE_FLOATS, GEOMETRY_FLOATS, ORIGIN_CLONE, ORIGIN_KEPT, ORIGIN_RELOCATED,
@@ -12,9 +12,6 @@ use crate::layout::{
 use crate::recorder::{Grid, Part, Recorder};
 use crate::shaders;
 use crate::state::State;
-
-/// Stands for no vector of a row where [`shaders::EXCHANGE`] expects that of the 3D filter.
-const NO_FILTER: u32 = u32::MAX;
 
 /// One row of a plan: source, origin, parameters of the origin.
 type PlanRow = [u32; 4];
@@ -68,7 +65,7 @@ impl State {
         self.has_absolute = false;
         self.windows = job.new;
         self.rows = rows;
-        self.mean = None;
+        self.forget();
         Ok(())
     }
 
@@ -82,7 +79,7 @@ impl State {
             recorder.run(&shaders::RESET_OPACITY, &parts, Grid::Items(window.count));
         }
         recorder.submit();
-        self.mean = None;
+        self.forget();
         Ok(())
     }
 
@@ -124,52 +121,10 @@ impl State {
         self.has_filter = true;
         Ok(())
     }
-
-    /// Adds the cloud to the mean of remembered states.
-    pub(crate) fn remember(&mut self, engine: &Engine) -> Result<(), BackendError> {
-        if self.mean.is_none() {
-            self.mean = Some((0, Parameters::zeros(engine, "the mean of states", self.rows)?));
-        }
-        let Some((states, mean)) = &mut self.mean else { return Ok(()) };
-        *states += 1;
-        let edit = edit_uniform(engine, 0, 0, 1.0 / *states as f32)?;
-        let mut recorder = Recorder::new(engine, None);
-        for window in &self.windows {
-            let pairs = [
-                (&self.cloud.geometry, &mean.geometry, GEOMETRY_FLOATS),
-                (&self.cloud.sh, &mean.sh, SH_FLOATS),
-            ];
-            for (values, means, floats) in pairs {
-                let parts = [window.uniform.all(), edit.all(), values.at(window), means.at(window)];
-                run_vectors(&mut recorder, &shaders::AVERAGE, &[], &parts, window, floats);
-            }
-        }
-        recorder.submit();
-        Ok(())
-    }
-
-    /// Exchanges the cloud with the mean; false when there is none.
-    pub(crate) fn exchange_with_mean(&mut self, engine: &Engine) -> bool {
-        let Some((_, mean)) = &self.mean else { return false };
-        let mut recorder = Recorder::new(engine, None);
-        for window in &self.windows {
-            let pairs = [
-                (&self.cloud.geometry, &mean.geometry, GEOMETRY_FLOATS, 1),
-                (&self.cloud.sh, &mean.sh, SH_FLOATS, NO_FILTER),
-            ];
-            for (ours, theirs, floats, filter) in pairs {
-                let parts = [window.uniform.all(), ours.at(window), theirs.at(window)];
-                let overrides = [("FILTER_VECTOR", filter)];
-                run_vectors(&mut recorder, &shaders::EXCHANGE, &overrides, &parts, window, floats);
-            }
-        }
-        recorder.submit();
-        true
-    }
 }
 
 /// Runs a kernel that has one invocation a vector of a row.
-fn run_vectors(
+pub(crate) fn run_vectors(
     recorder: &mut Recorder,
     shader: &'static shaders::Shader,
     overrides: &[(&'static str, u32)],
@@ -182,7 +137,12 @@ fn run_vectors(
     recorder.run_with(shader, &overrides, parts, Grid::Items(u64::from(vectors) * window.count));
 }
 
-fn edit_uniform(engine: &Engine, seed: u64, iteration: u32, amount: f32) -> Result<Memory, BackendError> {
+pub(crate) fn edit_uniform(
+    engine: &Engine,
+    seed: u64,
+    iteration: u32,
+    amount: f32,
+) -> Result<Memory, BackendError> {
     let edit = Edit { iteration, seed_low: seed as u32, seed_high: (seed >> 32) as u32, amount };
     engine.upload("parameters of a row edit", &[edit])
 }

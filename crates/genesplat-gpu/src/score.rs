@@ -14,7 +14,7 @@ use crate::engine::{Engine, Memory};
 use crate::frame::frame_of;
 use crate::layout::{Counters, Frame, GENE_FLOATS, Window};
 use crate::lists::{Lists, tiles_of};
-use crate::pixels::{image_bytes, tile_grid};
+use crate::pixels::{image_bytes, loss_sum_bytes, tile_grid};
 use crate::recorder::{Grid, Recorder};
 use crate::shaders;
 
@@ -37,7 +37,7 @@ pub struct Scratch {
     dirty: Memory,
     /// Pictures `[layers, 3, H, W]`.
     images: Memory,
-    /// Sums of the loss `[layers, 3, tiles, 2]`.
+    /// Sums of the loss `[layers, 3, tiles, 4]`.
     sums: Memory,
     /// Bound where the loss would leave its derivatives.
     unused: Memory,
@@ -71,7 +71,7 @@ impl Scratch {
         engine.reserve(&mut self.removed, removed_bytes(base_rows, layers))?;
         engine.reserve(&mut self.dirty, 4 * tiles_of(frame))?;
         engine.reserve(&mut self.images, layers * image_bytes(frame))?;
-        engine.reserve(&mut self.sums, 24 * tiles_of(frame))
+        engine.reserve(&mut self.sums, loss_sum_bytes(frame))
     }
 }
 
@@ -148,7 +148,7 @@ impl GpuBackend {
             views.iter().map(|&view| image_bytes(&self.frame_of_view(view, settings))).max().unwrap_or(1);
         let fitting = PICTURE_BYTES.min(self.engine.binding_bytes) / largest.max(1);
         let population = Population::upload(&self.engine, population, (fitting as usize).clamp(1, LAYERS))?;
-        let bytes = 4 * (population.individuals * views.len()) as u64;
+        let bytes = 8 * (population.individuals * views.len()) as u64;
         let losses = self.engine.allocate("losses", bytes)?;
         loop {
             for (index, &view) in views.iter().enumerate() {
@@ -168,7 +168,8 @@ impl GpuBackend {
             self.clear_counters();
             self.engine.write(&self.scratch.added.counters, 0, &[Counters::default()]);
             if base.halted == 0 && added.halted == 0 {
-                return Ok(bytemuck::pod_collect_to_vec(&losses));
+                let judgements: Vec<[f32; 2]> = bytemuck::pod_collect_to_vec(&losses);
+                return Ok(judgements.into_iter().map(|[loss, _]| loss).collect());
             }
             if base.halted != 0 {
                 self.grow(base.wanted)?;

@@ -127,8 +127,8 @@ shaders! {
     SET_FILTER = "set_filter" + [];
     /// Mean of states.
     AVERAGE = "average" + [];
-    /// State and mean change places.
-    EXCHANGE = "exchange" + [];
+    /// A child of the cloud and its parents.
+    BREED = "breed" + [];
 }
 
 #[cfg(test)]

@@ -1,12 +1,12 @@
 //! What a training run keeps on the device: the cloud, its moments, and the sums of its statistics.
 
-use std::borrow::Cow;
-
-use genesplat_core::{BackendError, Gaussians, Gene, Moments, RunningMean, Statistics};
+use genesplat_core::lineage::PARENTS;
+use genesplat_core::{BackendError, Gaussians, Gene, Moments, Statistics};
 
 use crate::cloud::{Column, Parameters, RowWindow, windows};
 use crate::engine::Engine;
 use crate::layout::{DENSITY_FLOATS, GENE_FLOATS, GRADIENT_FLOATS};
+use crate::lineage::DeviceParent;
 use crate::recorder::Recorder;
 
 /// Rows of the cloud and everything that belongs to them.
@@ -27,8 +27,10 @@ pub struct State {
     pub(crate) has_absolute: bool,
     /// The cloud has a 3D filter.
     pub(crate) has_filter: bool,
-    /// How many states were remembered, and their mean.
-    pub(crate) mean: Option<(u32, Parameters)>,
+    /// The older and the younger parent of the line.
+    pub(crate) parents: [DeviceParent; PARENTS],
+    /// Room for a child.
+    pub(crate) child: Option<Parameters>,
 }
 
 impl State {
@@ -54,7 +56,8 @@ impl State {
             genes: None,
             has_absolute: false,
             has_filter: cloud.filter_3d.is_some(),
-            mean: None,
+            parents: Default::default(),
+            child: None,
         })
     }
 
@@ -137,11 +140,6 @@ impl State {
             }
         }
         Ok(())
-    }
-
-    pub(crate) fn running_mean(&self, engine: &Engine) -> Result<Cow<'static, RunningMean>, BackendError> {
-        let Some((states, mean)) = &self.mean else { return Ok(Cow::Owned(RunningMean::default())) };
-        Ok(Cow::Owned(RunningMean::new(*states, mean.download(engine, self.rows, false)?)))
     }
 }
 

@@ -47,7 +47,10 @@ fn the_gallery_comes_out_as_on_the_cpu() {
     let mut gpu = match GpuBackend::new(1) {
         Ok(gpu) => gpu,
         Err(error) => {
-            assert!(std::env::var_os("GENESPLAT_REQUIRE_GPU").is_none(), "CI has no graphics device: {error}");
+            assert!(
+                std::env::var_os("GENESPLAT_REQUIRE_GPU").is_none(),
+                "CI has no graphics device: {error}"
+            );
             return eprintln!("skipped: {error}");
         }
     };

@@ -4,8 +4,8 @@ use std::borrow::Cow;
 
 use genesplat::core::backend::{MomentPolicy, StepReport};
 use genesplat::core::{
-    Backend, BackendError, Camera, Gaussians, Image, Moments, RenderSettings, RowEdit, RunningMean,
-    SparseDelta, Statistics, TrainStep, View,
+    Backend, BackendError, Blend, Camera, Gaussians, Image, Judgement, Lineage, Moments, RenderSettings,
+    RowEdit, SparseDelta, Statistics, TrainStep, View,
 };
 use genesplat::gpu::GpuBackend;
 use genesplat::kernels::cpu::CpuBackend;
@@ -93,20 +93,33 @@ impl Backend for AnyBackend {
         delegate!(self.apply(delta, moments))
     }
 
-    fn remember(&mut self) -> Result<(), BackendError> {
-        delegate!(self.remember())
+    fn remember(&mut self, parent: usize) -> Result<(), BackendError> {
+        delegate!(self.remember(parent))
     }
 
-    fn exchange_with_mean(&mut self) -> Result<bool, BackendError> {
-        delegate!(self.exchange_with_mean())
+    fn forget(&mut self) {
+        delegate!(self.forget());
     }
 
-    fn running_mean(&mut self) -> Result<Cow<'_, RunningMean>, BackendError> {
-        delegate!(self.running_mean())
+    fn lineage(&mut self) -> Result<Cow<'_, Lineage>, BackendError> {
+        delegate!(self.lineage())
     }
 
-    fn restore_running_mean(&mut self, mean: RunningMean) -> Result<(), BackendError> {
-        delegate!(self.restore_running_mean(mean))
+    fn restore_lineage(&mut self, lineage: Lineage) -> Result<(), BackendError> {
+        delegate!(self.restore_lineage(lineage))
+    }
+
+    fn judge(
+        &mut self,
+        blends: &[Blend],
+        views: &[usize],
+        settings: &RenderSettings,
+    ) -> Result<Vec<Judgement>, BackendError> {
+        delegate!(self.judge(blends, views, settings))
+    }
+
+    fn breed(&mut self, blend: &Blend) -> Result<(), BackendError> {
+        delegate!(self.breed(blend))
     }
 
     fn score(

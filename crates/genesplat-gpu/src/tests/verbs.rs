@@ -1,7 +1,7 @@
 //! Every verb of the backend, and what happens when memory is short.
 
 use genesplat_core::backend::{Exploration, MomentPolicy};
-use genesplat_core::{BackendError, Moments, Origin, RowEdit, SparseDelta};
+use genesplat_core::{BackendError, Blend, Judgement, Moments, Origin, RowEdit, SparseDelta};
 
 use super::*;
 
@@ -145,22 +145,48 @@ fn a_loss_that_is_not_finite_is_reported_and_changes_nothing() {
 }
 
 #[test]
-fn states_are_remembered_and_exchanged() {
+fn children_of_remembered_states_match() {
     let Some(mut gpu) = gpu() else { return };
-    let twice = |twin: &mut dyn Backend| {
-        twin.upload(filtered_cloud(100, ScreenFilter::Mip), None).unwrap();
-        assert!(!twin.exchange_with_mean().unwrap(), "nothing is remembered yet");
-        for number in 1..=3 {
-            twin.train_step(&step(number, settings(1, ScreenFilter::Mip))).unwrap();
-            twin.remember().unwrap();
-        }
-        assert!(twin.exchange_with_mean().unwrap());
+    let settings = settings(1, ScreenFilter::Mip);
+    let blend = |k: usize| Blend {
+        weights: std::array::from_fn(|group| [uniform(k, group) - 0.3, 1.4 * uniform(k, 10 + group)]),
     };
-    twins_agree("adam", &mut gpu, twice);
-    let mean = gpu.running_mean().unwrap().into_owned();
-    assert_eq!(mean.states(), 3);
-    gpu.restore_running_mean(mean.clone()).unwrap();
-    assert_eq!(*gpu.running_mean().unwrap(), mean);
+    let blends = [Blend::default(), blend(1), blend(2)];
+    let run = |twin: &mut dyn Backend| {
+        twin.upload(filtered_cloud(100, ScreenFilter::Mip), None).unwrap();
+        for number in 1..=4 {
+            twin.train_step(&step(number, settings)).unwrap();
+            twin.remember(usize::from(number > 2)).unwrap();
+        }
+        twin.train_step(&step(5, settings)).unwrap();
+    };
+    let mut cpu = cpu();
+    let twins: [&mut dyn Backend; 2] = [&mut gpu, &mut cpu];
+    let [actual, expected] = twins.map(|twin| {
+        run(twin);
+        twin.judge(&blends, &[0, 0], &settings).unwrap()
+    });
+    for (actual, expected) in actual.iter().zip(&expected) {
+        let numbers = |judgement: &Judgement| [judgement.loss, judgement.squared_error];
+        compare("score", "judgement", numbers(actual), numbers(expected)).unwrap();
+    }
+    let lineage = gpu.lineage().unwrap().into_owned();
+    assert_eq!(lineage.parents().each_ref().map(|parent| parent.states()), [2, 2]);
+    gpu.restore_lineage(lineage.clone()).unwrap();
+    assert_eq!(*gpu.lineage().unwrap(), lineage);
+    twins_agree("adam", &mut gpu, |twin| {
+        run(twin);
+        twin.breed(&blends[1]).unwrap();
+        assert!(twin.lineage().unwrap().is_empty(), "the line ends");
+    });
+    // A line of one parent.
+    twins_agree("adam", &mut gpu, |twin| {
+        run(twin);
+        twin.forget();
+        twin.remember(1).unwrap();
+        twin.train_step(&step(6, settings)).unwrap();
+        twin.breed(&blends[2]).unwrap();
+    });
 }
 
 #[test]
