@@ -8,8 +8,8 @@ use std::sync::{Arc, Mutex, mpsc};
 use bytemuck::Pod;
 use genesplat_core::BackendError;
 use wgpu::{
-    Buffer, BufferDescriptor, BufferUsages, ComputePipeline, ComputePipelineDescriptor, Device,
-    DeviceDescriptor, ErrorFilter, Features, MapMode, PipelineCompilationOptions, PollType, Queue,
+    BindGroupLayout, Buffer, BufferDescriptor, BufferUsages, ComputePipeline, ComputePipelineDescriptor,
+    Device, DeviceDescriptor, ErrorFilter, Features, MapMode, PipelineCompilationOptions, PollType, Queue,
     ShaderModuleDescriptor, ShaderSource,
 };
 
@@ -23,6 +23,13 @@ const BUFFER_BYTES_MIN: u64 = 256;
 /// A shader with values for its `override` constants.
 type KernelKey = (&'static str, Vec<(&'static str, u32)>);
 
+/// A compiled shader, and how its buffers are bound.
+#[derive(Clone)]
+pub(crate) struct Kernel {
+    pub(crate) pipeline: ComputePipeline,
+    pub(crate) layout: BindGroupLayout,
+}
+
 /// A device, and the kernels that it has compiled.
 pub struct Engine {
     pub(crate) device: Device,
@@ -35,7 +42,7 @@ pub struct Engine {
     pub(crate) window_rows: u64,
     buffer_bytes: u64,
     pub(crate) timestamps: bool,
-    kernels: RefCell<HashMap<KernelKey, ComputePipeline>>,
+    kernels: RefCell<HashMap<KernelKey, Kernel>>,
     lost: Arc<Mutex<Option<String>>>,
     allocated: Rc<Cell<u64>>,
 }
@@ -214,11 +221,7 @@ impl Engine {
     }
 
     /// A compiled kernel; compiled when it is first asked for.
-    pub(crate) fn kernel(
-        &self,
-        shader: &'static Shader,
-        overrides: &[(&'static str, u32)],
-    ) -> ComputePipeline {
+    pub(crate) fn kernel(&self, shader: &'static Shader, overrides: &[(&'static str, u32)]) -> Kernel {
         let key = (shader.name, overrides.to_vec());
         if let Some(kernel) = self.kernels.borrow().get(&key) {
             return kernel.clone();
@@ -229,7 +232,7 @@ impl Engine {
         });
         let constants: Vec<(&str, f64)> =
             overrides.iter().map(|&(name, value)| (name, value.into())).collect();
-        let kernel = self.device.create_compute_pipeline(&ComputePipelineDescriptor {
+        let pipeline = self.device.create_compute_pipeline(&ComputePipelineDescriptor {
             label: Some(shader.name),
             layout: None,
             module: &module,
@@ -241,6 +244,7 @@ impl Engine {
             },
             cache: None,
         });
+        let kernel = Kernel { layout: pipeline.get_bind_group_layout(0), pipeline };
         self.kernels.borrow_mut().insert(key, kernel.clone());
         kernel
     }

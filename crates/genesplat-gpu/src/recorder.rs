@@ -97,14 +97,14 @@ impl<'a> Recorder<'a> {
             .collect();
         let group = self.engine.device.create_bind_group(&BindGroupDescriptor {
             label: Some(shader.name),
-            layout: &kernel.get_bind_group_layout(0),
+            layout: &kernel.layout,
             entries: &entries,
         });
         if self.pass.is_none() {
             self.pass = Some(self.begin_pass());
         }
         let Some(pass) = &mut self.pass else { return };
-        pass.set_pipeline(&kernel);
+        pass.set_pipeline(&kernel.pipeline);
         pass.set_bind_group(0, &group, &[]);
         match grid {
             Grid::Items(items) => dispatch_row(pass, items.div_ceil(GROUP.into())),

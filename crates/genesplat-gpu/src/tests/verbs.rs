@@ -299,3 +299,15 @@ fn scores_of_crowded_tiles_match() {
     }
     assert!(gpu.entry_room() > 64);
 }
+
+#[test]
+fn a_lost_device_is_one_sentence() {
+    let Some(mut gpu) = gpu() else { return };
+    gpu.upload(cloud(50), None).unwrap();
+    gpu.engine.device.destroy();
+    let step = step(1, settings(0, ScreenFilter::Classic));
+    let error = gpu.train_step(&step).and_then(|()| gpu.report()).unwrap_err();
+    assert!(matches!(error, BackendError::DeviceLost { .. }), "{error}");
+    let sentence = error.to_string();
+    assert!(sentence.contains("checkpoint") && !sentence.contains('\n'), "{sentence}");
+}
