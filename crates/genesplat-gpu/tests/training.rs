@@ -28,7 +28,7 @@ fn config(variant: Variant) -> Resolved {
     config.densify.every = 3000;
     config.densify.reset_every = 9000;
     config.max_gaussians = Some(600);
-    config.evolution.mode = EvolutionMode::Recombine;
+    config.evolution.mode = EvolutionMode::Off;
     config.resolve().unwrap()
 }
 
