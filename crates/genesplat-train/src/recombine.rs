@@ -18,7 +18,7 @@
 use std::time::Instant;
 
 use genesplat_core::lineage::{PARAMETER_GROUPS, PARENTS};
-use genesplat_core::{Backend, BackendError, Blend, Judgement, RenderSettings, Rng, Stream, View};
+use genesplat_core::{Backend, BackendError, Blend, Gaussians, Judgement, RenderSettings, Rng, Stream, View};
 use genesplat_evolve::strategy::EvolutionStrategy;
 
 use crate::checkpoint::{Checkpoint, Cursor};
@@ -90,16 +90,35 @@ fn mean_loss(judgements: &[Judgement]) -> f64 {
 
 /// The child that a genome stands for. With the parents' mean `m` and the cloud `c`, gene 0 weighs `m − c`, and gene 1 the
 /// way from the older parent to the younger one. A parent without states makes the other one the mean.
-fn blend(genome: &[f64], has_older: bool, has_younger: bool) -> Blend {
+fn blend(genome: &[f64], has_states: [bool; PARENTS]) -> Blend {
     let of_group = |group: usize| -> [f32; PARENTS] {
         let genes = if genome.len() == GENES { genome } else { &genome[group * GENES..] };
         let (mean, line) = (genes[0], genes[1]);
-        match (has_older, has_younger) {
-            (true, true) => [(0.5 * mean - line) as f32, (0.5 * mean + line) as f32],
+        match has_states {
+            [true, true] => [(0.5 * mean - line) as f32, (0.5 * mean + line) as f32],
             _ => [mean as f32; PARENTS],
         }
     };
     Blend { weights: std::array::from_fn::<_, PARAMETER_GROUPS, _>(of_group) }
+}
+
+/// One stage.
+struct Line {
+    iteration: u32,
+    judges: Judges,
+    settings: RenderSettings,
+    rng: Rng,
+    /// Which parents have states.
+    parents: [bool; PARENTS],
+    generations: u32,
+    /// Groups of parameters with genes of their own.
+    groups: usize,
+}
+
+impl Line {
+    fn child(&self, genome: &[f64]) -> Blend {
+        blend(genome, self.parents)
+    }
 }
 
 impl<B: Backend> Trainer<'_, B> {
@@ -109,98 +128,104 @@ impl<B: Backend> Trainer<'_, B> {
         if self.backend.lineage()?.is_empty() {
             return Ok(None);
         }
-        let (chosen, record, interrupted) = self.search_line(cursor.iteration)?;
+        let clock = Instant::now();
+        let line = self.line(cursor.iteration)?;
+        let before = self.verdicts(&line, &[Blend::default()])?[0];
+        if !before.loss.is_finite() {
+            return Err(TrainError::NoFitness { iteration: line.iteration, loss: before.loss });
+        }
+        let mut record = StageRecord { population_bytes: self.bytes_of_line(&line), ..record(&line, before) };
+        let genome = self.search_line(&line, &mut record)?;
+        let chosen = self.ask_guards(&line, &genome, before, &mut record)?;
+        let interrupted = record.generations < line.generations;
         let checkpoint = if interrupted { Some(self.capture(cursor)?) } else { None };
         match chosen {
             Some(child) => self.backend.breed(&child)?,
             None => self.backend.forget(),
         }
+        record.seconds = clock.elapsed().as_secs_f64();
         self.end_stage(record)?;
         Ok(checkpoint)
     }
 
-    /// Searches, and asks the guards. Returns the child if it is better, and whether the search was stopped.
-    fn search_line(&mut self, i: u32) -> Result<(Option<Blend>, StageRecord, bool), TrainError> {
-        let clock = Instant::now();
-        let (config, settings) = (&self.config.evolution.recombine, self.settings(i));
-        let rng = self.rng.fork(i);
-        let judges = Judges::new(self.views, config, &rng);
-        let [has_older, has_younger] = self.has_parents()?;
-        let child = |genome: &[f64]| blend(genome, has_older, has_younger);
+    /// What is found at the end of the run is kept: there a longer genome is worth its renders.
+    fn line(&mut self, iteration: u32) -> Result<Line, BackendError> {
+        let (config, rng) = (&self.config.evolution.recombine, self.rng.fork(iteration));
+        let is_last = iteration == self.schedule.iterations;
+        Ok(Line {
+            iteration,
+            judges: Judges::new(self.views, config, &rng),
+            settings: self.settings(iteration),
+            rng,
+            parents: self.backend.lineage()?.parents().each_ref().map(|parent| parent.states() > 0),
+            generations: if is_last { config.last_generations } else { config.generations },
+            groups: if is_last { PARAMETER_GROUPS } else { 1 },
+        })
+    }
 
-        // 1. How good is the cloud as it is?
-        let before = self.verdicts(&[Blend::default()], &judges.guards, &settings)?[0];
-        if !before.loss.is_finite() {
-            return Err(TrainError::NoFitness { iteration: i, loss: before.loss });
-        }
-        let mut record = StageRecord { population_bytes: self.bytes_of_line()?, ..record(i, before) };
-
-        // 2. Search the line. At the end of the run, what is found is kept: then a longer genome is worth its renders.
-        let is_last = i == self.schedule.iterations;
-        let groups = if is_last { PARAMETER_GROUPS } else { 1 };
-        let generations = if is_last { config.last_generations } else { config.generations };
-        self.observer.on_stage_start(&self.line_log(i, &judges, generations, before.loss));
-        let mut strategy = EvolutionStrategy::new(START.repeat(groups), STEP, rng);
-        while strategy.generation() < generations && !self.stopped() {
-            let views = judges.of_generation(strategy.generation(), config.views, &rng);
-            let blends: Vec<Blend> = strategy.ask().iter().map(|genome| child(genome)).collect();
-            let judgements = self.backend.judge(&blends, &views, &settings)?;
+    /// The best genome that the evolution strategy finds until it ends or is stopped.
+    fn search_line(&mut self, line: &Line, record: &mut StageRecord) -> Result<Vec<f64>, TrainError> {
+        self.observer.on_stage_start(&self.line_log(line, record.fitness_before));
+        let mut strategy = EvolutionStrategy::new(START.repeat(line.groups), STEP, line.rng);
+        while strategy.generation() < line.generations && !self.stopped() {
+            let count = self.config.evolution.recombine.views;
+            let views = line.judges.of_generation(strategy.generation(), count, &line.rng);
+            let blends: Vec<Blend> = strategy.ask().iter().map(|genome| line.child(genome)).collect();
+            let judgements = self.backend.judge(&blends, &views, &line.settings)?;
             let losses: Vec<f64> = judgements.chunks_exact(views.len()).map(mean_loss).collect();
             strategy.tell(&losses);
             record.renders += judgements.len() as u64;
-            self.observer.on_generation(&generation_log(&record, before.loss, &losses));
+            self.observer.on_generation(&generation_log(record, &losses));
             record.generations += 1;
         }
-
-        // 3. Let the guards choose between the cloud, what was found, and the plain mean.
-        let finalists = [child(strategy.mean()), child(&[1.0, 0.0])];
-        let verdicts = self.verdicts(&finalists, &judges.guards, &settings)?;
-        record.renders += ((finalists.len() + 1) * judges.guards.len()) as u64;
-        let mut best: Option<(Blend, Verdict)> = None;
-        for (&finalist, verdict) in finalists.iter().zip(verdicts) {
-            if verdict.improves(&best.map_or(before, |(_, verdict)| verdict)) {
-                best = Some((finalist, verdict));
-            }
-        }
-        if let Some((_, after)) = best {
-            (record.fitness_after, record.changed) = (after.loss, self.backend.len());
-            record.guard_psnr = Some([before.psnr, after.psnr]);
-        }
-        record.seconds = clock.elapsed().as_secs_f64();
-        Ok((best.map(|(child, _)| child), record, strategy.generation() < generations))
+        Ok(strategy.mean().to_vec())
     }
 
-    fn verdicts(
+    /// Lets the guards choose between the cloud, what was found, and the plain mean; `None` is the cloud.
+    fn ask_guards(
         &mut self,
-        blends: &[Blend],
-        guards: &[usize],
-        settings: &RenderSettings,
-    ) -> Result<Vec<Verdict>, BackendError> {
-        let judgements = self.backend.judge(blends, guards, settings)?;
+        line: &Line,
+        genome: &[f64],
+        before: Verdict,
+        record: &mut StageRecord,
+    ) -> Result<Option<Blend>, TrainError> {
+        let finalists = [line.child(genome), line.child(&[1.0, 0.0])];
+        let verdicts = self.verdicts(line, &finalists)?;
+        record.renders += ((finalists.len() + 1) * line.judges.guards.len()) as u64;
+        let (mut chosen, mut best) = (None, before);
+        for (finalist, verdict) in finalists.into_iter().zip(verdicts) {
+            if verdict.improves(&best) {
+                (chosen, best) = (Some(finalist), verdict);
+            }
+        }
+        record.fitness_after = best.loss;
+        record.guard_psnr = Some([before.psnr, best.psnr]);
+        record.changed = if chosen.is_some() { self.backend.len() } else { 0 };
+        Ok(chosen)
+    }
+
+    fn verdicts(&mut self, line: &Line, blends: &[Blend]) -> Result<Vec<Verdict>, BackendError> {
+        let guards = &line.judges.guards;
+        let judgements = self.backend.judge(blends, guards, &line.settings)?;
         Ok(judgements.chunks_exact(guards.len()).map(Verdict::of).collect())
     }
 
-    fn has_parents(&mut self) -> Result<[bool; PARENTS], BackendError> {
-        Ok(self.backend.lineage()?.parents().each_ref().map(|parent| parent.states() > 0))
+    /// What the parents and a child take, in bytes.
+    fn bytes_of_line(&self, line: &Line) -> u64 {
+        let parents = line.parents.into_iter().filter(|&has_states| has_states).count();
+        ((parents + 1) * self.backend.len() * Gaussians::BYTES_PER_ROW) as u64
     }
 
-    /// What the lineage and a child take, in bytes.
-    fn bytes_of_line(&mut self) -> Result<u64, BackendError> {
-        let parents = self.has_parents()?.into_iter().filter(|&has| has).count();
-        let row = genesplat_core::Gaussians::BYTES_PER_ROW;
-        Ok(((parents + 1) * self.backend.len() * row) as u64)
-    }
-
-    fn line_log(&self, i: u32, judges: &Judges, generations: u32, fitness: f64) -> StageLog {
-        let names = judges.guards.iter().map(|&view| self.views[view].name.clone());
-        StageLog { iteration: i, generations, views: names.collect(), fitness }
+    fn line_log(&self, line: &Line, fitness: f64) -> StageLog {
+        let views = line.judges.guards.iter().map(|&view| self.views[view].name.clone()).collect();
+        StageLog { iteration: line.iteration, generations: line.generations, views, fitness }
     }
 }
 
 /// A stage in which nothing has happened yet.
-fn record(iteration: u32, before: Verdict) -> StageRecord {
+fn record(line: &Line, before: Verdict) -> StageRecord {
     StageRecord {
-        iteration,
+        iteration: line.iteration,
         generations: 0,
         renders: 0,
         fitness_before: before.loss,
@@ -213,7 +238,7 @@ fn record(iteration: u32, before: Verdict) -> StageRecord {
 }
 
 /// One generation; its losses are those of its own views, so the best so far is the guards' last word.
-fn generation_log(record: &StageRecord, best: f64, losses: &[f64]) -> GenerationLog {
+fn generation_log(record: &StageRecord, losses: &[f64]) -> GenerationLog {
     let finite: Vec<f64> = losses.iter().copied().filter(|loss| loss.is_finite()).collect();
     let count = finite.len() as f64;
     let mean = finite.iter().sum::<f64>() / count;
@@ -223,7 +248,7 @@ fn generation_log(record: &StageRecord, best: f64, losses: &[f64]) -> Generation
         iteration: record.iteration,
         generation: record.generations,
         generation_best: some(finite.iter().copied().fold(f64::INFINITY, f64::min)),
-        best,
+        best: record.fitness_before,
         mean: some(mean),
         spread: some(variance.sqrt()),
         renders: record.renders,
