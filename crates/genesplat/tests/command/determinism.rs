@@ -36,6 +36,40 @@ fn threads_change_nothing_and_seeds_do() {
     assert!(one != run("other", &["--threads", "2", "--seed", "4"]).0, "another seed");
 }
 
+/// The guards are 32-bit sums of whole pictures, and a child that they choose at one number of threads they must choose
+/// at any.
+#[test]
+fn threads_change_nothing_in_recombination_either() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = |threads: &str| {
+        let out = folder.path().join(threads);
+        let flags = [
+            "--steps-scale",
+            "0.01",
+            "--max-gaussians",
+            "1200",
+            "--evolve",
+            "recombine",
+            "--threads",
+            threads,
+        ];
+        succeed(train(scene(), &out, &flags));
+        (cloud(&out), json(&out.join("metrics.json")))
+    };
+    let (one, metrics) = run("1");
+    let stages = metrics["evolution"].as_array().unwrap();
+    assert_eq!(stages.len(), 5);
+    assert!(
+        stages.iter().any(|stage| stage["changed"].as_u64() > Some(0)),
+        "evolution took part: {stages:?}"
+    );
+    let never_worse =
+        |stage: &serde_json::Value| stage["guard_psnr"][1].as_f64() >= stage["guard_psnr"][0].as_f64();
+    assert!(stages.iter().all(never_worse), "{stages:?}");
+    assert!(one == run("2").0, "two threads");
+    assert!(one == run("7").0, "seven threads");
+}
+
 #[test]
 fn a_saved_configuration_repeats_its_run_and_flags_win_over_it() {
     let folder = tempfile::tempdir().unwrap();
