@@ -73,9 +73,9 @@ impl Lineage {
         &self.parents
     }
 
-    /// True when no state was remembered since the line began.
-    pub fn is_empty(&self) -> bool {
-        self.parents.iter().all(|parent| parent.states == 0)
+    /// How many states each parent is the mean of.
+    pub fn states(&self) -> [u32; PARENTS] {
+        self.parents.each_ref().map(|parent| parent.states)
     }
 
     /// Adds a state to a parent, 0 for the older one.
@@ -197,7 +197,7 @@ mod tests {
         let line = line(&[1.0, 2.0, 6.0], &[]);
         assert_eq!(line.parents()[0].states(), 3);
         assert_eq!(*line.parents()[0].mean(), Gaussians { filter_3d: None, ..state(3.0) });
-        assert!(!line.is_empty() && Lineage::default().is_empty());
+        assert_eq!((line.states(), Lineage::default().states()), ([3, 0], [0, 0]));
     }
 
     #[test]

@@ -9,6 +9,7 @@
 use std::borrow::Cow;
 
 use genesplat_core::backend::{MomentPolicy, StepReport};
+use genesplat_core::lineage::PARENTS;
 use genesplat_core::{
     Backend, BackendError, Blend, Camera, DensitySignal, Gaussians, Image, Judgement, Lineage, Moments,
     RenderSettings, RowEdit, SparseDelta, Statistics, TrainStep, View,
@@ -337,6 +338,10 @@ impl Backend for GpuBackend {
     fn remember(&mut self, parent: usize) -> Result<(), BackendError> {
         self.settle()?;
         self.state.remember(&self.engine, parent)
+    }
+
+    fn remembered(&self) -> [u32; PARENTS] {
+        self.state.remembered()
     }
 
     fn forget(&mut self) {

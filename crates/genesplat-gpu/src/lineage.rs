@@ -54,6 +54,11 @@ impl State {
         Ok(())
     }
 
+    /// States of each parent.
+    pub(crate) fn remembered(&self) -> [u32; PARENTS] {
+        self.parents.each_ref().map(|parent| parent.as_ref().map_or(0, |(states, _)| *states))
+    }
+
     /// Ends the line.
     pub(crate) fn forget(&mut self) {
         self.parents = Default::default();

@@ -38,14 +38,14 @@ const STEP: f64 = 0.3;
 const SQUARED_ERROR_MIN: f64 = 1e-12;
 
 /// Views of one stage.
-struct Judges {
+struct LineViews {
     /// Not searched on.
     guards: Vec<usize>,
     /// The others; where there are too few of them, all views.
     searched: Vec<usize>,
 }
 
-impl Judges {
+impl LineViews {
     /// At most a quarter of the views are guards, unless there is only one.
     fn new(views: &[View], config: &RecombineConfig, rng: &Rng) -> Self {
         let guards = spread_evenly(views, config.guards.min(views.len() / 4).max(1), rng, 0);
@@ -105,7 +105,7 @@ fn blend(genome: &[f64], has_states: [bool; PARENTS]) -> Blend {
 /// One stage.
 struct Line {
     iteration: u32,
-    judges: Judges,
+    views: LineViews,
     settings: RenderSettings,
     rng: Rng,
     /// Which parents have states.
@@ -125,11 +125,11 @@ impl<B: Backend> Trainer<'_, B> {
     /// Breeds a child of the window that ends here, and keeps the better of it and the cloud. Returns a checkpoint when
     /// it was stopped; the best so far counts, but a resumed run repeats the stage in full.
     pub(crate) fn recombine(&mut self, cursor: Cursor) -> Result<Option<Box<Checkpoint>>, TrainError> {
-        if self.backend.lineage()?.is_empty() {
+        if self.backend.remembered() == [0; PARENTS] {
             return Ok(None);
         }
         let clock = Instant::now();
-        let line = self.line(cursor.iteration)?;
+        let line = self.line(cursor.iteration);
         let before = self.verdicts(&line, &[Blend::default()])?[0];
         if !before.loss.is_finite() {
             return Err(TrainError::NoFitness { iteration: line.iteration, loss: before.loss });
@@ -149,18 +149,18 @@ impl<B: Backend> Trainer<'_, B> {
     }
 
     /// What is found at the end of the run is kept: there a longer genome is worth its renders.
-    fn line(&mut self, iteration: u32) -> Result<Line, BackendError> {
+    fn line(&self, iteration: u32) -> Line {
         let (config, rng) = (&self.config.evolution.recombine, self.rng.fork(iteration));
         let is_last = iteration == self.schedule.iterations;
-        Ok(Line {
+        Line {
             iteration,
-            judges: Judges::new(self.views, config, &rng),
+            views: LineViews::new(self.views, config, &rng),
             settings: self.settings(iteration),
             rng,
-            parents: self.backend.lineage()?.parents().each_ref().map(|parent| parent.states() > 0),
+            parents: self.backend.remembered().map(|states| states > 0),
             generations: if is_last { config.last_generations } else { config.generations },
             groups: if is_last { PARAMETER_GROUPS } else { 1 },
-        })
+        }
     }
 
     /// The best genome that the evolution strategy finds until it ends or is stopped.
@@ -169,7 +169,7 @@ impl<B: Backend> Trainer<'_, B> {
         let mut strategy = EvolutionStrategy::new(START.repeat(line.groups), STEP, line.rng);
         while strategy.generation() < line.generations && !self.stopped() {
             let count = self.config.evolution.recombine.views;
-            let views = line.judges.of_generation(strategy.generation(), count, &line.rng);
+            let views = line.views.of_generation(strategy.generation(), count, &line.rng);
             let blends: Vec<Blend> = strategy.ask().iter().map(|genome| line.child(genome)).collect();
             let judgements = self.backend.judge(&blends, &views, &line.settings)?;
             let losses: Vec<f64> = judgements.chunks_exact(views.len()).map(mean_loss).collect();
@@ -191,7 +191,7 @@ impl<B: Backend> Trainer<'_, B> {
     ) -> Result<Option<Blend>, TrainError> {
         let finalists = [line.child(genome), line.child(&[1.0, 0.0])];
         let verdicts = self.verdicts(line, &finalists)?;
-        record.renders += ((finalists.len() + 1) * line.judges.guards.len()) as u64;
+        record.renders += ((finalists.len() + 1) * line.views.guards.len()) as u64;
         let (mut chosen, mut best) = (None, before);
         for (finalist, verdict) in finalists.into_iter().zip(verdicts) {
             if verdict.improves(&best) {
@@ -205,7 +205,7 @@ impl<B: Backend> Trainer<'_, B> {
     }
 
     fn verdicts(&mut self, line: &Line, blends: &[Blend]) -> Result<Vec<Verdict>, BackendError> {
-        let guards = &line.judges.guards;
+        let guards = &line.views.guards;
         let judgements = self.backend.judge(blends, guards, &line.settings)?;
         Ok(judgements.chunks_exact(guards.len()).map(Verdict::of).collect())
     }
@@ -217,8 +217,10 @@ impl<B: Backend> Trainer<'_, B> {
     }
 
     fn line_log(&self, line: &Line, fitness: f64) -> StageLog {
-        let views = line.judges.guards.iter().map(|&view| self.views[view].name.clone()).collect();
-        StageLog { iteration: line.iteration, generations: line.generations, views, fitness }
+        let views = line.views.guards.iter().map(|&view| self.views[view].name.clone()).collect();
+        // The first generation counts as the initial population.
+        let generations = line.generations.saturating_sub(1);
+        StageLog { iteration: line.iteration, generations, views, fitness }
     }
 }
 

@@ -3,6 +3,7 @@
 use std::borrow::Cow;
 
 use genesplat::core::backend::{MomentPolicy, StepReport};
+use genesplat::core::lineage::PARENTS;
 use genesplat::core::{
     Backend, BackendError, Blend, Camera, Gaussians, Image, Judgement, Lineage, Moments, RenderSettings,
     RowEdit, SparseDelta, Statistics, TrainStep, View,
@@ -95,6 +96,10 @@ impl Backend for AnyBackend {
 
     fn remember(&mut self, parent: usize) -> Result<(), BackendError> {
         delegate!(self.remember(parent))
+    }
+
+    fn remembered(&self) -> [u32; PARENTS] {
+        delegate!(self.remembered())
     }
 
     fn forget(&mut self) {

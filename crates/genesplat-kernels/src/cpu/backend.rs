@@ -4,12 +4,12 @@ use std::borrow::Cow;
 
 use fearless_simd::Level;
 use genesplat_core::gaussians::{logit, sigmoid};
+use genesplat_core::lineage::PARENTS;
 use genesplat_core::{
     Backend, BackendError, Blend, Camera, DensitySignal, Gaussians, Image, Judgement, Lineage, Moments,
     RenderSettings, Rng, RowEdit, SparseDelta, Statistics, StatisticsRequest, TrainStep, View,
     backend::MomentPolicy, backend::StepReport,
 };
-
 use rayon::prelude::*;
 
 use super::frame::{Frame, StageSeconds, timed};
@@ -162,7 +162,7 @@ impl Backend for CpuBackend {
         self.touch();
         self.moments = moments.unwrap_or_else(|| Moments::zeros(cloud.len()));
         self.cloud = cloud;
-        self.lineage = Lineage::default();
+        self.forget();
         self.statistics = Statistics::default();
         self.reset_density();
         Ok(())
@@ -234,7 +234,7 @@ impl Backend for CpuBackend {
 
     fn edit_rows(&mut self, edit: &RowEdit) -> Result<(), BackendError> {
         self.touch();
-        self.lineage = Lineage::default();
+        self.forget();
         edit.apply(&mut self.cloud, &mut self.moments, &self.rng);
         if !self.statistics.gene_views.is_empty() {
             self.statistics.gene_gradient_sum = edit.gather(&self.statistics.gene_gradient_sum);
@@ -246,7 +246,7 @@ impl Backend for CpuBackend {
 
     fn reset_opacity(&mut self, ceiling: f32) -> Result<(), BackendError> {
         self.touch();
-        self.lineage = Lineage::default();
+        self.forget();
         for row in 0..self.cloud.len() {
             let factor = self.cloud.filter_dimming(row);
             let opacity = sigmoid(self.cloud.opacity_logits[row]) * factor;
@@ -279,6 +279,10 @@ impl Backend for CpuBackend {
     fn remember(&mut self, parent: usize) -> Result<(), BackendError> {
         self.lineage.add(parent, &self.cloud);
         Ok(())
+    }
+
+    fn remembered(&self) -> [u32; PARENTS] {
+        self.lineage.states()
     }
 
     fn forget(&mut self) {

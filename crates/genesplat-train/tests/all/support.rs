@@ -8,6 +8,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use genesplat_core::backend::{MomentPolicy, StepReport};
 use genesplat_core::edit::carry_genes;
 use genesplat_core::gaussians::{logit, sigmoid};
+use genesplat_core::lineage::PARENTS;
 use genesplat_core::{
     Backend, BackendError, Blend, Camera, Gaussians, Image, Judgement, Lineage, Moments, Origin, Photo,
     RenderSettings, Rng, RowEdit, SparseDelta, Statistics, TrainStep, View,
@@ -237,6 +238,10 @@ impl Backend for FakeBackend {
         self.calls.push(Call::Remember { parent });
         self.lineage.add(parent, &self.cloud);
         Ok(())
+    }
+
+    fn remembered(&self) -> [u32; PARENTS] {
+        self.lineage.states()
     }
 
     fn forget(&mut self) {
