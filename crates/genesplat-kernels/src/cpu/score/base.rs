@@ -160,17 +160,12 @@ impl BaseView {
         let mut picture = vec![0.0; self.layout().len()];
         for (tile, base) in self.tiles.iter().enumerate() {
             for (block, end) in base.ends.iter().enumerate() {
-                let [red, green, blue, transmittance] = &end.0;
-                let rgb = [red, green, blue].map(|colour| {
-                    let value = |lane: usize| (colour[lane], transmittance[lane]);
-                    std::array::from_fn(value)
-                });
-                let value = |channel: usize| {
-                    rgb[channel].map(|(colour, transmittance): (f32, f32)| {
-                        colour + background[channel] * transmittance.abs()
-                    })
+                let transmittance = &end.0[3];
+                // Finished pixels carry theirs negated.
+                let value = |channel: usize, lane: usize| {
+                    end.0[channel][lane] + background[channel] * transmittance[lane].abs()
                 };
-                let values = [value(0), value(1), value(2)];
+                let values = std::array::from_fn(|channel| std::array::from_fn(|lane| value(channel, lane)));
                 write_block(
                     &values,
                     self.layout(),
