@@ -50,15 +50,14 @@ pub struct Engine {
 impl Engine {
     /// The best device of this machine.
     pub fn new() -> Result<Self, BackendError> {
-        let instance = adapter::instance();
-        let adapter = adapter::best(&instance)?;
+        let adapter = adapter::best()?;
         let info = adapter.get_info();
         let name = format!("{} ({:?})", info.name, info.backend);
         let timestamps = adapter.features().contains(Features::TIMESTAMP_QUERY);
         let descriptor = DeviceDescriptor {
             label: Some("genesplat"),
             required_features: if timestamps { Features::TIMESTAMP_QUERY } else { Features::empty() },
-            required_limits: adapter::required_limits(&adapter),
+            required_limits: adapter::required_limits(adapter),
             ..DeviceDescriptor::default()
         };
         let (device, queue) = pollster::block_on(adapter.request_device(&descriptor))
