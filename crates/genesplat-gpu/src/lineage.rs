@@ -33,12 +33,13 @@ fn weights_of(blend: &Blend, parent: usize) -> [[f32; 4]; 5] {
 impl State {
     /// Adds the cloud to the mean of a parent.
     pub(crate) fn remember(&mut self, engine: &Engine, parent: usize) -> Result<(), BackendError> {
+        // Whatever needs memory comes first: a parent never counts a state that it does not hold.
+        let edit = edit_uniform(engine, 0, 0, 1.0 / (self.remembered()[parent] + 1) as f32)?;
         if self.parents[parent].is_none() {
             self.parents[parent] = Some((0, Parameters::zeros(engine, "a parent", self.rows)?));
         }
         let Some((states, mean)) = &mut self.parents[parent] else { return Ok(()) };
         *states += 1;
-        let edit = edit_uniform(engine, 0, 0, 1.0 / *states as f32)?;
         let mut recorder = Recorder::new(engine, None);
         for window in &self.windows {
             let pairs = [
