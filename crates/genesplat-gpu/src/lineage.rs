@@ -5,10 +5,10 @@ use genesplat_core::lineage::{PARENTS, Parent};
 use genesplat_core::{BackendError, Blend, Judgement, Lineage, RenderSettings};
 
 use crate::backend::GpuBackend;
-use crate::cloud::Parameters;
+use crate::cloud::{Parameters, window_uniform};
 use crate::engine::{Engine, Memory};
 use crate::frame::frame_of;
-use crate::layout::{Counters, GEOMETRY_FLOATS, SH_FLOATS, Window};
+use crate::layout::{Counters, GEOMETRY_FLOATS, SH_FLOATS};
 use crate::recorder::{Grid, Recorder};
 use crate::rows::{edit_uniform, run_vectors};
 use crate::shaders;
@@ -175,8 +175,7 @@ impl GpuBackend {
         self.lists.begin(&self.engine, &frame);
         let Some(child) = &self.state.child else { return Ok(()) };
         let (pixels, lists, photo) = (&self.pixels, &self.lists, &self.views[view].photo);
-        let place = Window { first: individual, count: 1, source_first: view_index, source_count: views };
-        let place = self.engine.upload("place of a judgement", &[place])?;
+        let place = window_uniform(&self.engine, [individual, 1], [view_index, views])?;
         let mut recorder = Recorder::new(&self.engine, self.timestamps.as_mut());
         lists.record(&mut recorder, child, &self.state.windows, &frame);
         pixels.record_rasterise(&mut recorder, lists, &frame);

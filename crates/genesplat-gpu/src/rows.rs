@@ -3,11 +3,11 @@
 use genesplat_core::backend::MomentPolicy;
 use genesplat_core::{BackendError, Origin, RowEdit, SparseDelta};
 
-use crate::cloud::{Column, Parameters, RowWindow, windows};
+use crate::cloud::{Column, Parameters, RowWindow, pack_gene, window_uniform, windows};
 use crate::engine::{Engine, Memory};
 use crate::layout::{
     DENSITY_FLOATS, Edit, GENE_FLOATS, GEOMETRY_FLOATS, GRADIENT_FLOATS, ORIGIN_CLONE, ORIGIN_KEPT,
-    ORIGIN_RELOCATED, ORIGIN_RELOCATED_KEPT, ORIGIN_SPLIT, SH_FLOATS, Window,
+    ORIGIN_RELOCATED, ORIGIN_RELOCATED_KEPT, ORIGIN_SPLIT, SH_FLOATS,
 };
 use crate::recorder::{Grid, Part, Recorder};
 use crate::shaders;
@@ -105,12 +105,11 @@ impl State {
             return Ok(());
         }
         let rows = engine.upload("rows of an individual", &delta.rows)?;
-        let genes: Vec<[f32; 8]> =
-            delta.genes.iter().map(|g| [g[0], g[1], g[2], g[6], g[3], g[4], g[5], 0.0]).collect();
+        let genes: Vec<_> = delta.genes.iter().map(pack_gene).collect();
         let genes = engine.upload("genes of an individual", &genes)?;
         let mut recorder = Recorder::new(engine, None);
         for window in &self.windows {
-            let uniform = window_uniform(engine, window, [0, delta.rows.len() as u32])?;
+            let uniform = window_uniform(engine, window.range(), [0, delta.rows.len() as u32])?;
             let columns = [&self.cloud, &self.first, &self.second].map(|values| values.geometry.at(window));
             let parts = [&[uniform.all(), rows.all(), genes.all()][..], &columns].concat();
             let overrides = [("ZERO_MOMENTS", u32::from(moments == MomentPolicy::Zero))];
@@ -156,16 +155,6 @@ pub(crate) fn edit_uniform(
 ) -> Result<Memory, BackendError> {
     let edit = Edit { iteration, seed_low: seed as u32, seed_high: (seed >> 32) as u32, amount };
     engine.upload("parameters of a row edit", &[edit])
-}
-
-/// A [`Window`] with parameters of its own.
-fn window_uniform(
-    engine: &Engine,
-    window: &RowWindow,
-    [source_first, source_count]: [u32; 2],
-) -> Result<Memory, BackendError> {
-    let (first, count) = (window.first as u32, window.count as u32);
-    engine.upload("row window", &[Window { first, count, source_first, source_count }])
 }
 
 /// One row edit under way.
@@ -221,7 +210,7 @@ impl EditJob<'_> {
         let mut recorder = Recorder::new(self.engine, None);
         for new in &self.new {
             for old in self.old {
-                let uniform = window_uniform(self.engine, new, [old.first as u32, old.count as u32])?;
+                let uniform = window_uniform(self.engine, new.range(), old.range())?;
                 record(&mut recorder, new, uniform.all(), column.at(old), made.at(new));
             }
         }
