@@ -224,37 +224,10 @@ fn stages_are_timed() {
     assert!(seconds.iter().map(|(_, seconds)| seconds).sum::<f64>() > 0.0);
 }
 
-/// Changes some rows in `individual`, among them rows that move behind the camera or vanish; the first changes none.
-fn individual_of(base: &Gaussians, individual: usize) -> SparseDelta {
-    let mut delta = SparseDelta::default();
-    if individual == 0 {
-        return delta;
-    }
-    for row in (individual..base.len()).step_by(3 * individual) {
-        let mut genes = base.genes(row);
-        for (k, gene) in genes.iter_mut().enumerate() {
-            *gene += 0.3 * (uniform(row, 200 + 10 * individual + k) - 0.5);
-        }
-        match row % 7 {
-            0 => genes[2] -= 20.0,
-            1 => genes[6] = -9.0,
-            _ => {}
-        }
-        delta.rows.push(row as u32);
-        delta.genes.push(genes);
-    }
-    delta
-}
-
 #[test]
 fn scores_match() {
     let Some(mut gpu) = gpu() else { return };
-    let small = View { camera: camera().resized(30, 41), ..view() };
-    let small = View {
-        photo: Arc::new(Photo { width: 30, height: 41, rgb: photo().rgb[..3 * 30 * 41].into() }),
-        ..small
-    };
-    let views = [view(), small];
+    let views = [view(), small_view()];
     for filter in filters() {
         let base = filtered_cloud(500, filter);
         let population: Vec<SparseDelta> = (0..6).map(|index| individual_of(&base, index)).collect();
@@ -365,7 +338,8 @@ fn an_edit_takes_the_room_that_steps_can_do_without() {
     gpu.engine.memory_bytes = gpu.allocated_bytes();
     gpu.edit_rows(&RowEdit::keep((0..300).collect())).unwrap();
     gpu.engine.memory_bytes = u64::MAX;
-    gpu.train_step(&step(2, settings(2, ScreenFilter::Classic))).unwrap();
+    let classic = settings(2, ScreenFilter::Classic);
+    gpu.train_step(&step(2, classic)).unwrap();
     assert!(gpu.report().unwrap().visible > 0);
 }
 
@@ -373,12 +347,7 @@ fn an_edit_takes_the_room_that_steps_can_do_without() {
 #[test]
 fn steps_without_room_are_left_undone_and_counted() {
     let Some(mut gpu) = gpu() else { return };
-    let small = View {
-        camera: camera().resized(30, 41),
-        photo: Arc::new(Photo { width: 30, height: 41, rgb: photo().rgb[..3 * 30 * 41].into() }),
-        ..view()
-    };
-    let views = [small, view()];
+    let views = [small_view(), view()];
     let classic = settings(2, ScreenFilter::Classic);
     let steps = [(1, 0), (2, 0), (3, 1), (4, 0), (5, 1)];
     let steps = steps.map(|(number, view)| TrainStep { view, ..step(number, classic) });
