@@ -215,10 +215,10 @@ impl GpuBackend {
 
     /// Gives back what steps, scores and children need; there must be no step that the host has not heard of.
     fn give_back(&mut self) -> Result<(), BackendError> {
-        self.lists = Lists::new(&self.engine)?;
-        self.pixels = Pixels::new(&self.engine)?;
-        self.scratch = Scratch::new(&self.engine)?;
-        self.state.give_back(&self.engine)?;
+        self.lists.release();
+        self.pixels.release();
+        self.scratch.release();
+        self.state.release();
         self.engine.wait()
     }
 

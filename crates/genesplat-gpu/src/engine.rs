@@ -129,7 +129,8 @@ impl Engine {
 
     /// Makes `memory` at least `bytes` large; what it held is lost when it has to grow.
     pub(crate) fn reserve(&self, memory: &mut Memory, bytes: u64) -> Result<(), BackendError> {
-        if memory.bytes < bytes {
+        // Even no bytes are a buffer, which may have been released.
+        if memory.bytes < bytes.max(BUFFER_BYTES_MIN) {
             *memory = self.allocate_whole(memory.purpose, bytes)?;
         }
         Ok(())
@@ -267,6 +268,16 @@ pub struct Memory {
     pub(crate) bytes: u64,
     purpose: &'static str,
     allocated: Rc<Cell<u64>>,
+}
+
+impl Memory {
+    /// Gives all of it back, once the device has done what was submitted before, and without needing any. Whoever uses
+    /// it next has to [`Engine::reserve`] it.
+    pub(crate) fn release(&mut self) {
+        self.buffer.destroy();
+        self.allocated.set(self.allocated.get().saturating_sub(self.bytes));
+        self.bytes = 0;
+    }
 }
 
 impl Drop for Memory {

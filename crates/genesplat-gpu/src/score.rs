@@ -59,6 +59,13 @@ impl Scratch {
         })
     }
 
+    /// Gives everything back until it is reserved anew.
+    pub(crate) fn release(&mut self) {
+        self.added.release();
+        let Self { removed, dirty, images, sums, .. } = self;
+        [removed, dirty, images, sums].into_iter().for_each(Memory::release);
+    }
+
     fn reserve(
         &mut self,
         engine: &Engine,

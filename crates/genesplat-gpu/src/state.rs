@@ -63,7 +63,7 @@ impl State {
 
     /// Room for what a step computes besides.
     pub(crate) fn reserve_step(&mut self, engine: &Engine, genes: bool) -> Result<(), BackendError> {
-        if self.gradients.memory.bytes < self.gradients.bytes(self.rows) {
+        if self.gradients.memory.bytes < self.gradients.bytes(self.rows).max(1) {
             self.gradients = Column::zeros(engine, "gradients", self.rows, GRADIENT_FLOATS)?;
         }
         if genes && self.genes.is_none() {
@@ -73,10 +73,9 @@ impl State {
     }
 
     /// Gives back what can be made again: room for gradients and for a child.
-    pub(crate) fn give_back(&mut self, engine: &Engine) -> Result<(), BackendError> {
-        self.gradients = Column::zeros(engine, "gradients", 0, GRADIENT_FLOATS)?;
+    pub(crate) fn release(&mut self) {
+        self.gradients.memory.release();
         self.child = None;
-        Ok(())
     }
 
     pub(crate) fn download(&self, engine: &Engine) -> Result<Gaussians, BackendError> {

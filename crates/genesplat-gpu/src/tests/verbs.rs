@@ -339,8 +339,18 @@ fn an_edit_takes_the_room_that_steps_can_do_without() {
     gpu.edit_rows(&RowEdit::keep((0..300).collect())).unwrap();
     gpu.engine.memory_bytes = u64::MAX;
     let classic = settings(2, ScreenFilter::Classic);
-    gpu.train_step(&step(2, classic)).unwrap();
-    assert!(gpu.report().unwrap().visible > 0);
+    let use_all = |gpu: &mut GpuBackend, verb: usize| match verb {
+        0 => drop(gpu.train_step(&step(2, classic)).and_then(|()| gpu.report()).unwrap()),
+        1 => drop(gpu.score(&[SparseDelta::default()], &[0], &classic).unwrap()),
+        2 => drop(gpu.judge(&[Blend::default()], &[0], &classic).unwrap()),
+        3 => drop(gpu.loss_of_view(0, &classic).unwrap()),
+        _ => drop(gpu.render(&camera(), &classic).unwrap()),
+    };
+    // Whatever comes first finds nothing, and reserves what it needs.
+    for verb in 0..5 {
+        use_all(&mut gpu, verb);
+        gpu.abandon().unwrap();
+    }
 }
 
 /// Five steps are queued, the lists of the third do not fit, and there is no memory for larger ones.

@@ -134,7 +134,8 @@ fn failed(call: usize, failure: Failure, queues: bool) -> (TrainError, Keep, Fak
 
 /// Calls of a whole run that can fail, and those of its start, which leave nothing to save.
 fn fallible(queues: bool) -> std::ops::Range<usize> {
-    let mut backend = FakeBackend { queues, ..backend() };
+    let mut backend = backend();
+    backend.queues = queues;
     let config = TrainConfig { checkpoint_every: 140, ..config() }.resolve().unwrap();
     let stop = AtomicBool::new(false);
     train(&mut backend, &views(7), Start::Points(points(20)), &config, &mut Silent, &stop).unwrap();
@@ -155,8 +156,8 @@ fn out_of_memory_saves_a_run_that_resumes_exactly() {
                 assert_same(&resume(checkpoint), &whole, &format!("call {call}, queues: {queues}"));
             }
         }
-        // All but the read after each of the four searches, whose best was in the cloud already.
-        assert!(saved + 4 >= calls.len(), "{saved} of {} failures were survived", calls.len());
+        // All but two calls in each of the four stages: when gene gradients are forgotten, the best is in the cloud already.
+        assert_eq!(saved + 8, calls.len());
     }
 }
 
