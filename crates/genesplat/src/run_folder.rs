@@ -319,7 +319,7 @@ mod tests {
         assert!(parts.iter().all(|part| sentence.contains(part)), "{sentence}");
         assert!(says(other()).ends_with("--resume goes on from there)"));
 
-        std::fs::write(&file, "torn").unwrap();
+        fs::write(&file, "torn").unwrap();
         assert!(says(other()).contains("cannot be read"));
     }
 }
