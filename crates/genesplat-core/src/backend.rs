@@ -153,8 +153,11 @@ pub enum BackendError {
     /// A request that this backend cannot serve.
     #[error("{0}")]
     Unsupported(String),
-    /// The device is out of memory.
-    #[error("out of memory on {device}: {wanted} bytes for {purpose}; lower --max-gaussians or --max-side")]
+    /// The device is out of memory, and lives: it holds every row, moment, sum and parent that it held before.
+    #[error(
+        "out of memory on {device}: {wanted} bytes for {purpose}; lower --max-gaussians or --max-side, or use \
+         --device cpu"
+    )]
     OutOfMemory {
         /// Name of the device.
         device: String,
@@ -164,7 +167,7 @@ pub enum BackendError {
         purpose: String,
     },
     /// The device has stopped working, and what it held is gone.
-    #[error("{device} was lost: {reason}; resume from the last checkpoint, or train with --device cpu")]
+    #[error("{device} was lost: {reason}; try again, or use --device cpu")]
     DeviceLost {
         /// Name of the device.
         device: String,
@@ -184,6 +187,10 @@ pub enum MomentPolicy {
 }
 
 /// A device that holds one cloud, its moments and the training views.
+///
+/// A verb that finds no memory ([`BackendError::OutOfMemory`]) does nothing: what was held before it can still be
+/// downloaded. Steps may wait in a queue, so the verb that fails for want of memory may be one after them;
+/// [`Backend::abandon`] tells how many of them were not done.
 pub trait Backend {
     /// In plain words, for the log.
     fn describe(&self) -> String;
@@ -213,6 +220,11 @@ pub trait Backend {
 
     /// Render, loss, backward, statistics, Adam.
     fn train_step(&mut self, step: &TrainStep) -> Result<(), BackendError>;
+
+    /// After [`BackendError::OutOfMemory`]: waits for the steps asked for, forgets those that cannot be done, and returns
+    /// how many these are; all before them are done, and none is done in part. What can be made again is given back, to
+    /// leave room for downloads.
+    fn abandon(&mut self) -> Result<usize, BackendError>;
 
     /// What the last [`Backend::train_step`] found.
     fn report(&mut self) -> Result<StepReport, BackendError>;

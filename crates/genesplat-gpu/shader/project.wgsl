@@ -19,23 +19,6 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     if local >= window.count {
         return;
     }
-    let row = window.first + local;
     let params = params_from(geometry[3u * local], geometry[3u * local + 1u], geometry[3u * local + 2u]);
-    let g = geometry_of(params);
-    var splat: Splat;
-    var count = 0u;
-    let has_splat = splat_of(g, &splat);
-    if has_splat {
-        count = count_tiles(splat) | SPLAT_BIT;
-        let colour = sh_colour(local, frame.sh_degree, params.position) + 0.5;
-        let below = colour < vec3(0.0);
-        splat.rgb = max(colour, vec3(0.0));
-        splat.clamped = u32(below.x) | u32(below.y) << 1u | u32(below.z) << 2u;
-        splats[3u * row] = first_vector(splat);
-        splats[3u * row + 1u] = second_vector(splat);
-        splats[3u * row + 2u] = third_vector(splat);
-        depths[row] = bitcast<u32>(g.t.z);
-    }
-    tile_counts[row] = count | select(0u, SEEN_BIT, is_seen(g));
-    marks[row] = u32(has_splat);
+    write_splat(params, local, 0u, window.first + local);
 }

@@ -29,19 +29,5 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     }
     let scale = vec4(genes[2u * at + 1u].xyz, geometry[3u * row + 1u].w);
     let params = params_from(genes[2u * at], scale, geometry[3u * row + 2u]);
-    let g = geometry_of(params);
-    var splat: Splat;
-    var count = 0u;
-    let has_splat = splat_of(g, &splat);
-    if has_splat {
-        count = count_tiles(splat) | SPLAT_BIT;
-        splat.rgb = max(sh_colour(row, frame.sh_degree, params.position) + 0.5, vec3(0.0));
-        splat.layer = items[at].y;
-        splats[3u * item] = first_vector(splat);
-        splats[3u * item + 1u] = second_vector(splat);
-        splats[3u * item + 2u] = third_vector(splat);
-        depths[item] = bitcast<u32>(g.t.z);
-    }
-    tile_counts[item] = count;
-    marks[item] = u32(has_splat);
+    write_splat(params, row, items[at].y, item);
 }

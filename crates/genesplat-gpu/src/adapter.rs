@@ -1,5 +1,7 @@
 //! Which graphics devices there are, which of them can be used, and which is best.
 
+use std::sync::OnceLock;
+
 use genesplat_core::BackendError;
 use wgpu::{Adapter, Backends, DeviceType, Features, Instance, InstanceDescriptor, InstanceFlags, Limits};
 
@@ -41,12 +43,23 @@ impl AdapterReport {
 }
 
 /// All graphics devices of this machine, best first; none where there is no driver.
-pub fn adapters() -> Vec<AdapterReport> {
-    found(&instance()).iter().map(report).collect()
+pub fn adapters() -> &'static [AdapterReport] {
+    static REPORTS: OnceLock<Vec<AdapterReport>> = OnceLock::new();
+    REPORTS.get_or_init(|| found().iter().map(report).collect())
+}
+
+/// The devices, best first. A process asks the drivers once: it takes a while, and some of them write to stderr each time.
+fn found() -> &'static [Adapter] {
+    static FOUND: OnceLock<Vec<Adapter>> = OnceLock::new();
+    FOUND.get_or_init(|| {
+        let mut adapters = pollster::block_on(instance().enumerate_adapters(Backends::PRIMARY));
+        adapters.sort_by_key(|adapter| rank(adapter.get_info().device_type));
+        adapters
+    })
 }
 
 /// An instance of the interfaces that this build speaks.
-pub(crate) fn instance() -> Instance {
+fn instance() -> Instance {
     Instance::new(InstanceDescriptor {
         backends: Backends::PRIMARY,
         // Without wgpu's check of every grid that the device writes, which is a dispatch each: ours are within limits by
@@ -54,12 +67,6 @@ pub(crate) fn instance() -> Instance {
         flags: InstanceFlags::empty(),
         ..InstanceDescriptor::new_without_display_handle()
     })
-}
-
-fn found(instance: &Instance) -> Vec<Adapter> {
-    let mut adapters = pollster::block_on(instance.enumerate_adapters(Backends::PRIMARY));
-    adapters.sort_by_key(|adapter| rank(adapter.get_info().device_type));
-    adapters
 }
 
 /// Best first.
@@ -74,9 +81,9 @@ fn rank(kind: DeviceType) -> u32 {
 }
 
 /// The best usable device.
-pub(crate) fn best(instance: &Instance) -> Result<Adapter, BackendError> {
+pub(crate) fn best() -> Result<&'static Adapter, BackendError> {
     let mut reasons = Vec::new();
-    for adapter in found(instance) {
+    for adapter in found() {
         match unmet(&adapter.limits()) {
             None => return Ok(adapter),
             Some(reason) => reasons.push(format!("{} {reason}", adapter.get_info().name)),
@@ -162,6 +169,12 @@ mod tests {
         let small = Limits { max_compute_workgroup_storage_size: 16 << 10, ..enough };
         let reason = unmet(&small).expect("too little");
         assert!(reason.contains("16384") && reason.contains("24576"), "{reason}");
+    }
+
+    #[test]
+    fn drivers_are_asked_once() {
+        assert!(std::ptr::eq(found(), found()) && std::ptr::eq(adapters(), adapters()));
+        assert_eq!(adapters().len(), found().len());
     }
 
     #[test]

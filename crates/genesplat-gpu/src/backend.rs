@@ -5,6 +5,10 @@
 //! anything. The host keeps the steps that it has not heard of ([`GpuBackend::settle`]) and looks at the flag before it
 //! reads or edits anything, and every so often in between. After an overflow it makes room and submits the steps that were
 //! not done once more, so the run is the one that enough room would have given.
+//!
+//! **Out of memory.** Every verb allocates what it needs before it changes anything, so one that finds no room leaves the
+//! rows as they were, and the run can be saved. A row edit holds all rows twice for a moment: where that does not fit, the
+//! buffers of steps and scores, which can be made again, are given back first ([`GpuBackend::with_room`]).
 
 use std::borrow::Cow;
 
@@ -163,17 +167,7 @@ impl GpuBackend {
     /// Waits until every submitted step is done, repeating those that an overflow has stopped.
     pub(crate) fn settle(&mut self) -> Result<(), BackendError> {
         while !self.unseen.is_empty() {
-            let counters = self.counters()?;
-            let done: Vec<TrainStep> = self.unseen.drain(..counters.completed as usize).collect();
-            self.steps += done.iter().filter(|step| step.update.is_some()).count() as u32;
-            if !done.is_empty() {
-                self.report = StepReport {
-                    loss: counters.loss,
-                    visible: counters.step_visible as usize,
-                    tile_splats: counters.step_entries as usize,
-                };
-            }
-            self.clear_counters();
+            let counters = self.hear()?;
             if counters.halted & HALT_NON_FINITE != 0 {
                 self.unseen.clear();
                 return Err(self.non_finite()?);
@@ -186,6 +180,46 @@ impl GpuBackend {
             }
         }
         Ok(())
+    }
+
+    /// Waits for what was submitted, and takes the steps that were done off the list.
+    fn hear(&mut self) -> Result<Counters, BackendError> {
+        let counters = self.counters()?;
+        let done: Vec<TrainStep> = self.unseen.drain(..counters.completed as usize).collect();
+        self.steps += done.iter().filter(|step| step.update.is_some()).count() as u32;
+        if !done.is_empty() {
+            self.report = StepReport {
+                loss: counters.loss,
+                visible: counters.step_visible as usize,
+                tile_splats: counters.step_entries as usize,
+            };
+        }
+        self.clear_counters();
+        Ok(counters)
+    }
+
+    /// Does `verb`; where there is no room for it, once more after everything that can be made again was given back.
+    fn with_room(
+        &mut self,
+        verb: impl Fn(&mut State, &Engine) -> Result<(), BackendError>,
+    ) -> Result<(), BackendError> {
+        self.settle()?;
+        match verb(&mut self.state, &self.engine) {
+            Err(BackendError::OutOfMemory { .. }) => {
+                self.give_back()?;
+                verb(&mut self.state, &self.engine)
+            }
+            result => result,
+        }
+    }
+
+    /// Gives back what steps, scores and children need; there must be no step that the host has not heard of.
+    fn give_back(&mut self) -> Result<(), BackendError> {
+        self.lists.release();
+        self.pixels.release();
+        self.scratch.release();
+        self.state.release();
+        self.engine.wait()
     }
 
     fn non_finite(&self) -> Result<BackendError, BackendError> {
@@ -293,6 +327,15 @@ impl Backend for GpuBackend {
         Ok(())
     }
 
+    fn abandon(&mut self) -> Result<usize, BackendError> {
+        if !self.unseen.is_empty() {
+            self.hear()?;
+        }
+        let undone = std::mem::take(&mut self.unseen).len();
+        self.give_back()?;
+        Ok(undone)
+    }
+
     fn report(&mut self) -> Result<StepReport, BackendError> {
         self.settle()?;
         Ok(self.report)
@@ -316,8 +359,8 @@ impl Backend for GpuBackend {
     }
 
     fn edit_rows(&mut self, edit: &RowEdit) -> Result<(), BackendError> {
-        self.settle()?;
-        self.state.edit_rows(&self.engine, edit, self.seed)
+        let seed = self.seed;
+        self.with_room(|state, engine| state.edit_rows(engine, edit, seed))
     }
 
     fn reset_opacity(&mut self, ceiling: f32) -> Result<(), BackendError> {
@@ -336,8 +379,7 @@ impl Backend for GpuBackend {
     }
 
     fn remember(&mut self, parent: usize) -> Result<(), BackendError> {
-        self.settle()?;
-        self.state.remember(&self.engine, parent)
+        self.with_room(|state, engine| state.remember(engine, parent))
     }
 
     fn remembered(&self) -> [u32; PARENTS] {
@@ -369,8 +411,7 @@ impl Backend for GpuBackend {
     }
 
     fn breed(&mut self, blend: &Blend) -> Result<(), BackendError> {
-        self.settle()?;
-        self.state.breed(&self.engine, blend)
+        self.with_room(|state, engine| state.breed(engine, blend))
     }
 
     fn score(

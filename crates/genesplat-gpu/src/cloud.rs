@@ -3,7 +3,7 @@
 //! A row's floats lie in two columns: its geometry (12 floats) and its colour (48). Columns may be larger than a kernel can
 //! see at once; then kernels run window by window.
 
-use genesplat_core::{BackendError, Gaussians};
+use genesplat_core::{BackendError, Gaussians, Gene};
 
 use crate::engine::{Engine, Memory};
 use crate::layout::{GEOMETRY_FLOATS, SH_FLOATS, Window};
@@ -20,6 +20,13 @@ pub struct RowWindow {
     pub(crate) uniform: Memory,
 }
 
+impl RowWindow {
+    /// First row and number of rows, as kernels count.
+    pub(crate) fn range(&self) -> [u32; 2] {
+        [self.first as u32, self.count as u32]
+    }
+}
+
 /// Cuts `rows` so that the widest column fits a binding; there is always a window.
 pub(crate) fn windows(engine: &Engine, rows: u64) -> Result<Vec<RowWindow>, BackendError> {
     let step = (engine.window_rows / WINDOW_STEP * WINDOW_STEP).max(WINDOW_STEP);
@@ -27,10 +34,19 @@ pub(crate) fn windows(engine: &Engine, rows: u64) -> Result<Vec<RowWindow>, Back
         .map(|index| {
             let first = index * step;
             let count = step.min(rows - first);
-            let content = Window { first: first as u32, count: count as u32, ..Window::default() };
-            Ok(RowWindow { first, count, uniform: engine.upload("row window", &[content])? })
+            let uniform = window_uniform(engine, [first as u32, count as u32], [0; 2])?;
+            Ok(RowWindow { first, count, uniform })
         })
         .collect()
+}
+
+/// Two ranges of rows, each its first row and their number, for a kernel; the second may be a stage's own two numbers.
+pub(crate) fn window_uniform(
+    engine: &Engine,
+    [first, count]: [u32; 2],
+    [source_first, source_count]: [u32; 2],
+) -> Result<Memory, BackendError> {
+    engine.upload("row window", &[Window { first, count, source_first, source_count }])
 }
 
 /// Floats of all rows.
@@ -127,6 +143,12 @@ fn unpack(geometry: &[u8], sh: &[u8], filter: bool) -> Gaussians {
         sh: bytemuck::pod_collect_to_vec(sh),
         filter_3d: filter.then(|| rows.iter().map(|r| r[7]).collect()),
     }
+}
+
+/// The genes of one row as a kernel reads them: two vectors of a geometry row, without the 3D filter.
+pub(crate) fn pack_gene(gene: &Gene) -> [f32; 8] {
+    let [px, py, pz, sx, sy, sz, opacity] = *gene;
+    [px, py, pz, opacity, sx, sy, sz, 0.0]
 }
 
 #[cfg(test)]

@@ -41,6 +41,8 @@ pub struct Engine {
     /// Rows of the cloud that a kernel can see at once.
     pub(crate) window_rows: u64,
     buffer_bytes: u64,
+    /// Bytes that may be allocated: all that the device has, unless a test wants less.
+    pub(crate) memory_bytes: u64,
     pub(crate) timestamps: bool,
     kernels: RefCell<HashMap<KernelKey, Kernel>>,
     lost: Arc<Mutex<Option<String>>>,
@@ -50,15 +52,14 @@ pub struct Engine {
 impl Engine {
     /// The best device of this machine.
     pub fn new() -> Result<Self, BackendError> {
-        let instance = adapter::instance();
-        let adapter = adapter::best(&instance)?;
+        let adapter = adapter::best()?;
         let info = adapter.get_info();
         let name = format!("{} ({:?})", info.name, info.backend);
         let timestamps = adapter.features().contains(Features::TIMESTAMP_QUERY);
         let descriptor = DeviceDescriptor {
             label: Some("genesplat"),
             required_features: if timestamps { Features::TIMESTAMP_QUERY } else { Features::empty() },
-            required_limits: adapter::required_limits(&adapter),
+            required_limits: adapter::required_limits(adapter),
             ..DeviceDescriptor::default()
         };
         let (device, queue) = pollster::block_on(adapter.request_device(&descriptor))
@@ -73,6 +74,7 @@ impl Engine {
             binding_bytes: limits.max_storage_buffer_binding_size,
             window_rows: limits.max_storage_buffer_binding_size / (4 * u64::from(SH_FLOATS)),
             buffer_bytes: limits.max_buffer_size,
+            memory_bytes: u64::MAX,
             device,
             queue,
             name,
@@ -92,19 +94,15 @@ impl Engine {
     /// A buffer that kernels read and write, of at least `bytes`; its content is zero.
     pub(crate) fn allocate(&self, purpose: &'static str, bytes: u64) -> Result<Memory, BackendError> {
         let bytes = bytes.next_multiple_of(16).max(BUFFER_BYTES_MIN);
-        if bytes > self.buffer_bytes {
+        if self.allocated.get().saturating_add(bytes) > self.memory_bytes {
             return Err(self.out_of_memory(purpose, bytes));
         }
-        let scope = self.device.push_error_scope(ErrorFilter::OutOfMemory);
         let usage = BufferUsages::STORAGE
             | BufferUsages::COPY_SRC
             | BufferUsages::COPY_DST
             | BufferUsages::UNIFORM
             | BufferUsages::INDIRECT;
-        let buffer = self.create(purpose, bytes, usage);
-        if pollster::block_on(scope.pop()).is_some() {
-            return Err(self.out_of_memory(purpose, bytes));
-        }
+        let buffer = self.create(purpose, bytes, usage)?;
         self.allocated.set(self.allocated.get() + bytes);
         Ok(Memory { buffer, bytes, purpose, allocated: Rc::clone(&self.allocated) })
     }
@@ -131,7 +129,8 @@ impl Engine {
 
     /// Makes `memory` at least `bytes` large; what it held is lost when it has to grow.
     pub(crate) fn reserve(&self, memory: &mut Memory, bytes: u64) -> Result<(), BackendError> {
-        if memory.bytes < bytes {
+        // Even no bytes are a buffer, which may have been released.
+        if memory.bytes < bytes.max(BUFFER_BYTES_MIN) {
             *memory = self.allocate_whole(memory.purpose, bytes)?;
         }
         Ok(())
@@ -155,11 +154,8 @@ impl Engine {
         parts: [(&Memory, std::ops::Range<u64>); K],
     ) -> Result<[Vec<u8>; K], BackendError> {
         let total: u64 = parts.iter().map(|(_, range)| range.end - range.start).sum();
-        let staging = self.create(
-            "read-back",
-            total.max(BUFFER_BYTES_MIN),
-            BufferUsages::MAP_READ | BufferUsages::COPY_DST,
-        );
+        let usage = BufferUsages::MAP_READ | BufferUsages::COPY_DST;
+        let staging = self.create("a read-back", total.max(BUFFER_BYTES_MIN), usage)?;
         let mut encoder = self.device.create_command_encoder(&Default::default());
         let mut at = 0;
         for (memory, range) in &parts {
@@ -175,11 +171,7 @@ impl Engine {
             // Nobody listens any more only when waiting failed already.
             let _ = sender.send(result);
         });
-        let waited = self.device.poll(PollType::wait_indefinitely());
-        if let Err(error) = waited {
-            return Err(self.is_lost(&error.to_string()));
-        }
-        self.check()?;
+        self.wait()?;
         match receiver.recv() {
             Ok(Ok(())) => {}
             Ok(Err(error)) => return Err(self.is_lost(&error.to_string())),
@@ -194,6 +186,14 @@ impl Engine {
             mapped[at - bytes..at].to_vec()
         });
         Ok(parts)
+    }
+
+    /// Waits until everything submitted is done; only then is the memory of dropped buffers free.
+    pub(crate) fn wait(&self) -> Result<(), BackendError> {
+        match self.device.poll(PollType::wait_indefinitely()) {
+            Ok(_) => self.check(),
+            Err(error) => Err(self.is_lost(&error.to_string())),
+        }
     }
 
     /// An error if the device is lost or has refused something.
@@ -211,13 +211,18 @@ impl Engine {
         BackendError::OutOfMemory { device: self.name.clone(), wanted, purpose: purpose.into() }
     }
 
-    fn create(&self, label: &str, size: u64, usage: BufferUsages) -> Buffer {
-        self.device.create_buffer(&BufferDescriptor {
-            label: Some(label),
-            size,
-            usage,
-            mapped_at_creation: false,
-        })
+    /// A buffer, or what there is no room for; the device lives on after that.
+    fn create(&self, purpose: &str, size: u64, usage: BufferUsages) -> Result<Buffer, BackendError> {
+        if size > self.buffer_bytes {
+            return Err(self.out_of_memory(purpose, size));
+        }
+        let scope = self.device.push_error_scope(ErrorFilter::OutOfMemory);
+        let descriptor = BufferDescriptor { label: Some(purpose), size, usage, mapped_at_creation: false };
+        let buffer = self.device.create_buffer(&descriptor);
+        match pollster::block_on(scope.pop()) {
+            None => Ok(buffer),
+            Some(_) => Err(self.out_of_memory(purpose, size)),
+        }
     }
 
     /// A compiled kernel; compiled when it is first asked for.
@@ -263,6 +268,16 @@ pub struct Memory {
     pub(crate) bytes: u64,
     purpose: &'static str,
     allocated: Rc<Cell<u64>>,
+}
+
+impl Memory {
+    /// Gives all of it back, once the device has done what was submitted before, and without needing any. Whoever uses
+    /// it next has to [`Engine::reserve`] it.
+    pub(crate) fn release(&mut self) {
+        self.buffer.destroy();
+        self.allocated.set(self.allocated.get().saturating_sub(self.bytes));
+        self.bytes = 0;
+    }
 }
 
 impl Drop for Memory {

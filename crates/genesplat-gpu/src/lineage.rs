@@ -5,10 +5,10 @@ use genesplat_core::lineage::{PARENTS, Parent};
 use genesplat_core::{BackendError, Blend, Judgement, Lineage, RenderSettings};
 
 use crate::backend::GpuBackend;
-use crate::cloud::Parameters;
+use crate::cloud::{Parameters, window_uniform};
 use crate::engine::{Engine, Memory};
 use crate::frame::frame_of;
-use crate::layout::{Counters, GEOMETRY_FLOATS, SH_FLOATS, Window};
+use crate::layout::{Counters, GEOMETRY_FLOATS, SH_FLOATS};
 use crate::recorder::{Grid, Recorder};
 use crate::rows::{edit_uniform, run_vectors};
 use crate::shaders;
@@ -33,12 +33,13 @@ fn weights_of(blend: &Blend, parent: usize) -> [[f32; 4]; 5] {
 impl State {
     /// Adds the cloud to the mean of a parent.
     pub(crate) fn remember(&mut self, engine: &Engine, parent: usize) -> Result<(), BackendError> {
+        // Whatever needs memory comes first: a parent never counts a state that it does not hold.
+        let edit = edit_uniform(engine, 0, 0, 1.0 / (self.remembered()[parent] + 1) as f32)?;
         if self.parents[parent].is_none() {
             self.parents[parent] = Some((0, Parameters::zeros(engine, "a parent", self.rows)?));
         }
         let Some((states, mean)) = &mut self.parents[parent] else { return Ok(()) };
         *states += 1;
-        let edit = edit_uniform(engine, 0, 0, 1.0 / *states as f32)?;
         let mut recorder = Recorder::new(engine, None);
         for window in &self.windows {
             let pairs = [
@@ -174,8 +175,7 @@ impl GpuBackend {
         self.lists.begin(&self.engine, &frame);
         let Some(child) = &self.state.child else { return Ok(()) };
         let (pixels, lists, photo) = (&self.pixels, &self.lists, &self.views[view].photo);
-        let place = Window { first: individual, count: 1, source_first: view_index, source_count: views };
-        let place = self.engine.upload("place of a judgement", &[place])?;
+        let place = window_uniform(&self.engine, [individual, 1], [view_index, views])?;
         let mut recorder = Recorder::new(&self.engine, self.timestamps.as_mut());
         lists.record(&mut recorder, child, &self.state.windows, &frame);
         pixels.record_rasterise(&mut recorder, lists, &frame);

@@ -83,6 +83,25 @@ impl Lists {
         })
     }
 
+    /// Gives back all that grows until it is reserved anew.
+    pub(crate) fn release(&mut self) {
+        (self.rows, self.entries) = (0, 0);
+        let single = [
+            &mut self.splats,
+            &mut self.depths,
+            &mut self.tile_counts,
+            &mut self.marks,
+            &mut self.ranks,
+            &mut self.sums,
+            &mut self.digit_counts,
+            &mut self.digit_starts,
+            &mut self.entry_splats,
+            &mut self.first_entries,
+            &mut self.ranges,
+        ];
+        single.into_iter().chain(&mut self.keys).chain(&mut self.values).for_each(Memory::release);
+    }
+
     /// Makes room for so many rows, entries and tiles.
     pub(crate) fn reserve(
         &mut self,
@@ -92,7 +111,8 @@ impl Lists {
         tiles: u64,
     ) -> Result<(), BackendError> {
         engine.reserve(&mut self.ranges, 8 * tiles)?;
-        if rows <= self.rows && entries <= self.entries {
+        let is_released = self.splats.bytes == 0;
+        if rows <= self.rows && entries <= self.entries && !is_released {
             return Ok(());
         }
         let (rows, entries) = (rows.max(self.rows), entries.max(self.entries));

@@ -35,6 +35,12 @@ impl Pixels {
         })
     }
 
+    /// Gives everything back until it is reserved anew.
+    pub(crate) fn release(&mut self) {
+        let Self { image, partials, loss_sums, gradient, rows } = self;
+        [image, partials, loss_sums, gradient, rows].into_iter().for_each(Memory::release);
+    }
+
     /// Room for a render.
     pub(crate) fn reserve_image(&mut self, engine: &Engine, frame: &Frame) -> Result<(), BackendError> {
         engine.reserve(&mut self.image, image_bytes(frame))
@@ -43,6 +49,8 @@ impl Pixels {
     /// Room for a render and its loss.
     pub(crate) fn reserve_loss(&mut self, engine: &Engine, frame: &Frame) -> Result<(), BackendError> {
         self.reserve_image(engine, frame)?;
+        // Bound, but not written, where no gradient is wanted.
+        engine.reserve(&mut self.partials, 0)?;
         engine.reserve(&mut self.loss_sums, loss_sum_bytes(frame))
     }
 

@@ -3,11 +3,11 @@
 use genesplat_core::backend::MomentPolicy;
 use genesplat_core::{BackendError, Origin, RowEdit, SparseDelta};
 
-use crate::cloud::{Column, RowWindow, windows};
+use crate::cloud::{Column, Parameters, RowWindow, pack_gene, window_uniform, windows};
 use crate::engine::{Engine, Memory};
 use crate::layout::{
-    DENSITY_FLOATS, Edit, GENE_FLOATS, GEOMETRY_FLOATS, ORIGIN_CLONE, ORIGIN_KEPT, ORIGIN_RELOCATED,
-    ORIGIN_RELOCATED_KEPT, ORIGIN_SPLIT, SH_FLOATS, Window,
+    DENSITY_FLOATS, Edit, GENE_FLOATS, GEOMETRY_FLOATS, GRADIENT_FLOATS, ORIGIN_CLONE, ORIGIN_KEPT,
+    ORIGIN_RELOCATED, ORIGIN_RELOCATED_KEPT, ORIGIN_SPLIT, SH_FLOATS,
 };
 use crate::recorder::{Grid, Part, Recorder};
 use crate::shaders;
@@ -30,13 +30,21 @@ fn plan_row(source: u32, origin: Origin) -> PlanRow {
 
 impl State {
     /// Applies a plan of density control to parameters, moments and gene statistics; density statistics are zeroed.
-    /// Column by column, so that at most one column exists twice.
+    /// All new columns are made before an old one goes, so that an edit that finds no room changes nothing.
     pub(crate) fn edit_rows(
         &mut self,
         engine: &Engine,
         edit: &RowEdit,
         seed: u64,
     ) -> Result<(), BackendError> {
+        let edited = self.edited(engine, edit, seed)?;
+        let old = std::mem::replace(self, edited);
+        self.gradients = old.gradients;
+        Ok(())
+    }
+
+    /// The state after an edit, as yet without room for gradients.
+    fn edited(&self, engine: &Engine, edit: &RowEdit, seed: u64) -> Result<Self, BackendError> {
         let rows = edit.sources.len() as u64;
         let plan: Vec<PlanRow> = edit
             .sources
@@ -49,24 +57,27 @@ impl State {
             rows,
             plan: engine.upload("the plan of a row edit", &plan)?,
             edit: edit_uniform(engine, seed, edit.iteration, 0.0)?,
-            old: std::mem::take(&mut self.windows),
+            old: &self.windows,
             new: windows(engine, rows)?,
         };
-        job.geometry(&mut self.cloud.geometry)?;
-        job.gather(&mut self.cloud.sh, SH_FLOATS, false)?;
-        for moments in [&mut self.first, &mut self.second] {
-            job.gather(&mut moments.geometry, GEOMETRY_FLOATS, true)?;
-            job.gather(&mut moments.sh, SH_FLOATS, true)?;
-        }
-        if let Some(genes) = &mut self.genes {
-            job.gather(genes, GENE_FLOATS, false)?;
-        }
-        self.density = Column::zeros(engine, "density statistics", rows, DENSITY_FLOATS)?;
-        self.has_absolute = false;
-        self.windows = job.new;
-        self.rows = rows;
-        self.forget();
-        Ok(())
+        let genes = self.genes.as_ref().map(|genes| job.gather(genes, GENE_FLOATS, false)).transpose()?;
+        Ok(Self {
+            rows,
+            cloud: Parameters {
+                geometry: job.geometry(&self.cloud.geometry)?,
+                sh: job.gather(&self.cloud.sh, SH_FLOATS, false)?,
+            },
+            first: job.moments(&self.first)?,
+            second: job.moments(&self.second)?,
+            gradients: Column::zeros(engine, "gradients", 0, GRADIENT_FLOATS)?,
+            density: Column::zeros(engine, "density statistics", rows, DENSITY_FLOATS)?,
+            genes,
+            has_absolute: false,
+            has_filter: self.has_filter,
+            parents: Default::default(),
+            child: None,
+            windows: job.new,
+        })
     }
 
     /// `opacity ← min(opacity, ceiling)` of the filtered opacity; opacity moments are zeroed.
@@ -94,12 +105,11 @@ impl State {
             return Ok(());
         }
         let rows = engine.upload("rows of an individual", &delta.rows)?;
-        let genes: Vec<[f32; 8]> =
-            delta.genes.iter().map(|g| [g[0], g[1], g[2], g[6], g[3], g[4], g[5], 0.0]).collect();
+        let genes: Vec<_> = delta.genes.iter().map(pack_gene).collect();
         let genes = engine.upload("genes of an individual", &genes)?;
         let mut recorder = Recorder::new(engine, None);
         for window in &self.windows {
-            let uniform = window_uniform(engine, window, [0, delta.rows.len() as u32])?;
+            let uniform = window_uniform(engine, window.range(), [0, delta.rows.len() as u32])?;
             let columns = [&self.cloud, &self.first, &self.second].map(|values| values.geometry.at(window));
             let parts = [&[uniform.all(), rows.all(), genes.all()][..], &columns].concat();
             let overrides = [("ZERO_MOMENTS", u32::from(moments == MomentPolicy::Zero))];
@@ -147,38 +157,36 @@ pub(crate) fn edit_uniform(
     engine.upload("parameters of a row edit", &[edit])
 }
 
-/// A [`Window`] with parameters of its own.
-fn window_uniform(
-    engine: &Engine,
-    window: &RowWindow,
-    [source_first, source_count]: [u32; 2],
-) -> Result<Memory, BackendError> {
-    let (first, count) = (window.first as u32, window.count as u32);
-    engine.upload("row window", &[Window { first, count, source_first, source_count }])
-}
-
 /// One row edit under way.
 struct EditJob<'a> {
     engine: &'a Engine,
     rows: u64,
     plan: Memory,
     edit: Memory,
-    old: Vec<RowWindow>,
+    old: &'a [RowWindow],
     new: Vec<RowWindow>,
 }
 
 impl EditJob<'_> {
     /// Positions, scales, opacities and rotations.
-    fn geometry(&self, column: &mut Column) -> Result<(), BackendError> {
-        self.replace(column, GEOMETRY_FLOATS, |recorder, window, uniform, old, new| {
+    fn geometry(&self, column: &Column) -> Result<Column, BackendError> {
+        self.make(column, GEOMETRY_FLOATS, |recorder, window, uniform, old, new| {
             let parts = [uniform, self.edit.all(), self.plan.all(), old, new];
             recorder.run(&shaders::EDIT_GEOMETRY, &parts, Grid::Items(window.count));
         })
     }
 
+    /// Copies of a moment; rows of a new identity begin at zero.
+    fn moments(&self, moments: &Parameters) -> Result<Parameters, BackendError> {
+        Ok(Parameters {
+            geometry: self.gather(&moments.geometry, GEOMETRY_FLOATS, true)?,
+            sh: self.gather(&moments.sh, SH_FLOATS, true)?,
+        })
+    }
+
     /// Copies; with `fresh`, rows of a new identity begin at zero.
-    fn gather(&self, column: &mut Column, floats: u32, fresh: bool) -> Result<(), BackendError> {
-        self.replace(column, floats, |recorder, window, uniform, old, new| {
+    fn gather(&self, column: &Column, floats: u32, fresh: bool) -> Result<Column, BackendError> {
+        self.make(column, floats, |recorder, window, uniform, old, new| {
             let overrides = [("FRESH", u32::from(fresh))];
             run_vectors(
                 recorder,
@@ -192,22 +200,21 @@ impl EditJob<'_> {
     }
 
     /// A new column, made by `record` from every pair of an old and a new window.
-    fn replace(
+    fn make(
         &self,
-        column: &mut Column,
+        column: &Column,
         floats: u32,
         record: impl Fn(&mut Recorder, &RowWindow, Part, Part, Part),
-    ) -> Result<(), BackendError> {
+    ) -> Result<Column, BackendError> {
         let made = Column::zeros(self.engine, "an edited column", self.rows, floats)?;
         let mut recorder = Recorder::new(self.engine, None);
         for new in &self.new {
-            for old in &self.old {
-                let uniform = window_uniform(self.engine, new, [old.first as u32, old.count as u32])?;
+            for old in self.old {
+                let uniform = window_uniform(self.engine, new.range(), old.range())?;
                 record(&mut recorder, new, uniform.all(), column.at(old), made.at(new));
             }
         }
         recorder.submit();
-        *column = made;
-        Ok(())
+        Ok(made)
     }
 }

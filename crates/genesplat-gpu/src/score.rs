@@ -10,9 +10,10 @@ use std::ops::Range;
 use genesplat_core::{BackendError, RenderSettings, SparseDelta};
 
 use crate::backend::GpuBackend;
+use crate::cloud::{pack_gene, window_uniform};
 use crate::engine::{Engine, Memory};
 use crate::frame::frame_of;
-use crate::layout::{Counters, Frame, GENE_FLOATS, Window};
+use crate::layout::{Counters, Frame};
 use crate::lists::{Lists, tiles_of};
 use crate::pixels::{image_bytes, loss_sum_bytes, tile_grid};
 use crate::recorder::{Grid, Recorder};
@@ -58,6 +59,13 @@ impl Scratch {
         })
     }
 
+    /// Gives everything back until it is reserved anew.
+    pub(crate) fn release(&mut self) {
+        self.added.release();
+        let Self { removed, dirty, images, sums, .. } = self;
+        [removed, dirty, images, sums].into_iter().for_each(Memory::release);
+    }
+
     fn reserve(
         &mut self,
         engine: &Engine,
@@ -99,12 +107,11 @@ impl Population {
     fn upload(engine: &Engine, population: &[SparseDelta], layers: usize) -> Result<Self, BackendError> {
         let batches = batches(population, layers);
         let mut items: Vec<[u32; 2]> = Vec::new();
-        let mut genes: Vec<[f32; GENE_FLOATS as usize]> = Vec::new();
+        let mut genes = Vec::new();
         for batch in &batches {
             for (layer, individual) in (0..).zip(&population[batch.individuals.clone()]) {
                 items.extend(individual.rows.iter().map(|&row| [row, layer]));
-                genes
-                    .extend(individual.genes.iter().map(|g| [g[0], g[1], g[2], g[6], g[3], g[4], g[5], 0.0]));
+                genes.extend(individual.genes.iter().map(pack_gene));
             }
         }
         let genes = engine.upload("genes of a population", &genes)?;
@@ -218,7 +225,7 @@ impl GpuBackend {
         recorder.clear(&scratch.dirty, 4 * tiles_of(&frame));
         recorder.stage("score_project");
         for window in &state.windows {
-            let uniform = uniform(engine, [window.first as u32, window.count as u32], item_range)?;
+            let uniform = window_uniform(engine, window.range(), item_range)?;
             let parts = [
                 added.frame.all(),
                 uniform.all(),
@@ -233,7 +240,7 @@ impl GpuBackend {
             ];
             recorder.run(&shaders::SCORE_PROJECT, &parts, Grid::Items(items as u64));
         }
-        let uniform_of_all = uniform(engine, [0, state.rows as u32], item_range)?;
+        let uniform_of_all = window_uniform(engine, [0, state.rows as u32], item_range)?;
         let parts = [
             &added.frame,
             &uniform_of_all,
@@ -275,20 +282,12 @@ impl GpuBackend {
         let parts = [&added.frame, &scratch.images, photo, &scratch.unused, &scratch.sums].map(Memory::all);
         recorder.run_with(&shaders::LOSS, &[("FORWARD_ONLY", 1)], &parts, tile_grid(&frame, 3 * layers));
         let (first, of_views) = (batch.individuals.start as u32, [view_index as u32, views as u32]);
-        let place = uniform(engine, [first, layers], of_views)?;
+        let place = window_uniform(engine, [first, layers], of_views)?;
         let parts = [&added.frame, &place, &scratch.sums, losses].map(Memory::all);
         recorder.run(&shaders::SCORE_SUM, &parts, Grid::Groups(layers.into()));
         recorder.submit();
         Ok(())
     }
-}
-
-fn uniform(
-    engine: &Engine,
-    [first, count]: [u32; 2],
-    [source_first, source_count]: [u32; 2],
-) -> Result<Memory, BackendError> {
-    engine.upload("window of a batch", &[Window { first, count, source_first, source_count }])
 }
 
 #[cfg(test)]

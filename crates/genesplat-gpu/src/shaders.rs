@@ -50,6 +50,7 @@ mod parts {
         OVERLAP = "overlap.wgsl";
         COLOUR = "colour.wgsl";
         SH_ROW = "sh_row.wgsl";
+        WRITE_SPLAT = "write_splat.wgsl";
         GROUP_SCAN = "group_scan.wgsl";
         GRIDS = "grids.wgsl";
         TILE_SPLAT = "tile_splat.wgsl";
@@ -62,7 +63,7 @@ mod parts {
 
 shaders! {
     /// Cloud to splats.
-    PROJECT = "project" + [SPLAT, ROTATION, GEOMETRY, OVERLAP, COLOUR, SH_ROW];
+    PROJECT = "project" + [SPLAT, ROTATION, GEOMETRY, OVERLAP, COLOUR, SH_ROW, WRITE_SPLAT];
     /// Prefix sum: sums of blocks.
     SCAN_SUMS = "scan_sums" + [GROUP_SCAN];
     /// Prefix sum: over the blocks.
@@ -108,7 +109,7 @@ shaders! {
     /// MCMC's noise.
     EXPLORE = "explore" + [ROTATION, RANDOM];
     /// Scoring: splats of the changed Gaussians.
-    SCORE_PROJECT = "score_project" + [SPLAT, ROTATION, GEOMETRY, OVERLAP, COLOUR, SH_ROW];
+    SCORE_PROJECT = "score_project" + [SPLAT, ROTATION, GEOMETRY, OVERLAP, COLOUR, SH_ROW, WRITE_SPLAT];
     /// Scoring: what individuals change.
     SCORE_MARK = "score_mark" + [SPLAT, OVERLAP];
     /// Scoring: pictures of individuals.

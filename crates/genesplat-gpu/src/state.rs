@@ -63,13 +63,19 @@ impl State {
 
     /// Room for what a step computes besides.
     pub(crate) fn reserve_step(&mut self, engine: &Engine, genes: bool) -> Result<(), BackendError> {
-        if self.gradients.memory.bytes < self.gradients.bytes(self.rows) {
+        if self.gradients.memory.bytes < self.gradients.bytes(self.rows).max(1) {
             self.gradients = Column::zeros(engine, "gradients", self.rows, GRADIENT_FLOATS)?;
         }
         if genes && self.genes.is_none() {
             self.genes = Some(Column::zeros(engine, "gene statistics", self.rows, GENE_FLOATS)?);
         }
         Ok(())
+    }
+
+    /// Gives back what can be made again: room for gradients and for a child.
+    pub(crate) fn release(&mut self) {
+        self.gradients.memory.release();
+        self.child = None;
     }
 
     pub(crate) fn download(&self, engine: &Engine) -> Result<Gaussians, BackendError> {
@@ -120,6 +126,10 @@ impl State {
         engine: &Engine,
         statistics: &Statistics,
     ) -> Result<(), BackendError> {
+        // First, since it can fail.
+        let with_genes = !statistics.gene_views.is_empty();
+        let column = with_genes.then(|| Column::zeros(engine, "gene statistics", self.rows, GENE_FLOATS));
+        self.genes = column.transpose()?;
         let absolute = |row: usize| statistics.absolute_sum.get(row).copied().unwrap_or(0.0);
         let density: Vec<[f32; DENSITY_FLOATS as usize]> = statistics
             .gradient_sum
@@ -130,14 +140,10 @@ impl State {
             .collect();
         engine.write(&self.density.memory, 0, &density);
         self.has_absolute = !statistics.absolute_sum.is_empty();
-        self.genes = None;
-        if !statistics.gene_views.is_empty() {
-            self.reserve_step(engine, true)?;
+        if let Some(column) = &self.genes {
             let sums = statistics.gene_gradient_sum.iter().zip(&statistics.gene_views);
             let rows: Vec<GeneRow> = sums.map(|(sum, &views)| row_of(sum, views)).collect();
-            if let Some(column) = &self.genes {
-                engine.write(&column.memory, 0, &rows);
-            }
+            engine.write(&column.memory, 0, &rows);
         }
         Ok(())
     }

@@ -6,14 +6,12 @@
 mod stages;
 mod verbs;
 
-use std::sync::Arc;
-
-use genesplat_core::{
-    Backend, Camera, DensitySignal, Gaussians, LearningRates, Photo, RenderSettings, Rng, ScreenFilter,
-    StatisticsRequest, Stream, TrainStep, Update, View,
-};
+use genesplat_core::{Backend, DensitySignal, Gaussians, RenderSettings, ScreenFilter, TrainStep};
 use genesplat_kernels::cpu::CpuBackend;
-use glam::{DQuat, DVec3};
+use genesplat_kernels::fixtures::{
+    camera, cloud, filtered_cloud, filters, individual_of, photo, poisoned_cloud, settings, small_view, step,
+    uniform, view,
+};
 
 use crate::{Engine, GpuBackend};
 
@@ -98,82 +96,6 @@ fn cpu() -> CpuBackend {
 }
 
 const SEED: u64 = 5;
-const WIDTH: u32 = 75;
-const HEIGHT: u32 = 53;
-
-fn uniform(row: usize, index: usize) -> f32 {
-    Rng::new(11).at(Stream::Test, row as u32, index as u32, 0).uniform(0)
-}
-
-/// Gaussians in front of, beside and behind the camera, from a fifth of a pixel to a third of the image.
-fn cloud(n: usize) -> Gaussians {
-    let mut cloud = Gaussians::zeros(n);
-    for row in 0..n {
-        let u = |index: usize| uniform(row, index);
-        cloud.positions[row] = [6.0 * (u(0) - 0.5), 4.0 * (u(1) - 0.5), 5.0 * u(2) - 0.6];
-        cloud.log_scales[row] = std::array::from_fn(|k| (0.01 + 0.4 * u(3 + k).powi(3)).ln());
-        cloud.rotations[row] = std::array::from_fn(|k| 2.0 * u(6 + k) - 1.0);
-        cloud.opacity_logits[row] = 7.0 * u(10) - 3.5;
-        for k in 0..48 {
-            cloud.sh[row][k] = if k < 3 { 2.0 * u(11 + k) - 0.8 } else { 0.4 * (u(11 + k) - 0.5) };
-        }
-    }
-    cloud
-}
-
-fn camera() -> Camera {
-    Camera {
-        width: WIDTH,
-        height: HEIGHT,
-        focal_px: [60.0, 64.0],
-        principal_px: [35.0, 28.5],
-        camera_from_world_rotation: DQuat::from_euler(glam::EulerRot::XYZ, 0.1, -0.15, 0.2),
-        camera_from_world_translation: DVec3::new(0.1, -0.05, 0.7),
-    }
-}
-
-fn photo() -> Photo {
-    let rgb = (0..3 * WIDTH * HEIGHT).map(|i| (uniform(1_000_000, i as usize) * 255.0) as u8).collect();
-    Photo { width: WIDTH, height: HEIGHT, rgb }
-}
-
-fn view() -> View {
-    View { name: "test".into(), camera: camera(), photo: Arc::new(photo()) }
-}
-
-fn settings(sh_degree: u8, filter: ScreenFilter) -> RenderSettings {
-    RenderSettings { sh_degree, background: [0.3, 0.1, 0.6], filter }
-}
-
-fn filters() -> [ScreenFilter; 3] {
-    [ScreenFilter::Classic, ScreenFilter::Antialiased, ScreenFilter::Mip]
-}
-
-/// A cloud for a filter: Mip-Splatting's has a 3D filter.
-fn filtered_cloud(n: usize, filter: ScreenFilter) -> Gaussians {
-    let mut cloud = cloud(n);
-    cloud.filter_3d =
-        (filter == ScreenFilter::Mip).then(|| (0..n).map(|row| 0.02 * uniform(row, 99)).collect());
-    cloud
-}
-
-fn step(number: u32, settings: RenderSettings) -> TrainStep {
-    let rates = LearningRates {
-        position: 1e-3,
-        sh_dc: 2.5e-3,
-        sh_rest: 1.25e-4,
-        opacity: 0.05,
-        scale: 5e-3,
-        rotation: 1e-3,
-    };
-    TrainStep {
-        view: 0,
-        settings,
-        update: Some(Update { rates, step: number, opacity_step: number, exploration: None }),
-        statistics: StatisticsRequest { density: Some(DensitySignal::Signed), genes: true },
-    }
-}
-
 /// Every parameter of two clouds.
 fn compare_clouds(stage: &str, actual: &Gaussians, expected: &Gaussians) -> Result<(), String> {
     let flat = |rows: &[[f32; 3]]| rows.as_flattened().to_vec();

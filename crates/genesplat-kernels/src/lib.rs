@@ -12,4 +12,6 @@
 //! [`mod@reference`] is the oracle: f64, scalar, no tiles. [`mod@cpu`] is the fast twin: f32, rayon, SIMD picked at run time.
 
 pub mod cpu;
+#[cfg(any(test, feature = "fixtures"))]
+pub mod fixtures;
 pub mod reference;

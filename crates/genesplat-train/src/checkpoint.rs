@@ -29,6 +29,11 @@ impl Cursor {
     pub fn start_of(iteration: u32) -> Self {
         Self { iteration, phase: Phase::Step }
     }
+
+    /// What follows the gradient step of an iteration.
+    pub fn after_step(iteration: u32) -> Self {
+        Self { iteration, phase: Phase::ORDER[1] }
+    }
 }
 
 /// What a run has done so far.

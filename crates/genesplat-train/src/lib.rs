@@ -13,6 +13,7 @@
 //! | [`filter_3d`] | Mip-Splatting's limit on detail |
 //! | [`fitness`], [`views`] | the paper's evolution stage and the photos it is judged on |
 //! | `recombine` | ours: what is bred from the states of a run |
+//! | `rescue` | what is saved of a run whose device is out of memory |
 //! | [`evaluate`] | PSNR, SSIM and LPIPS |
 //! | [`observe`], [`checkpoint`] | what is reported, what is saved |
 
@@ -28,6 +29,7 @@ pub mod observe;
 pub mod pipeline;
 mod recombine;
 mod refine;
+mod rescue;
 mod run;
 pub mod schedule;
 mod trainer;

@@ -34,7 +34,8 @@ use crate::trainer::{Trainer, filter_of};
 
 /// Trains on `views` until the schedule ends or `stop` is set.
 ///
-/// A run that was stopped returns what it has, and a checkpoint that [`Start::Checkpoint`] resumes exactly.
+/// A run that was stopped returns what it has, and a checkpoint that [`Start::Checkpoint`] resumes exactly. One whose
+/// device runs out of memory hands such a checkpoint to [`Observer::on_checkpoint`] before it fails.
 pub fn train<B: Backend>(
     backend: &mut B,
     views: &[View],
@@ -45,8 +46,10 @@ pub fn train<B: Backend>(
 ) -> Result<Outcome, TrainError> {
     let mut trainer = Trainer::new(backend, views, config, observer, stop)?;
     let cursor = trainer.begin(start)?;
-    let checkpoint = trainer.run_from(cursor)?;
-    trainer.finish(checkpoint)
+    match trainer.run_from(cursor) {
+        Ok(checkpoint) => trainer.finish(checkpoint),
+        Err(error) => Err(trainer.rescue(error)),
+    }
 }
 
 impl<B: Backend> Trainer<'_, B> {
@@ -56,15 +59,19 @@ impl<B: Backend> Trainer<'_, B> {
         for i in from.iteration..=schedule.iterations {
             let done = |phase| i == from.iteration && phase < from.phase;
             for phase in schedule.phases(i).filter(|&phase| !done(phase)) {
+                self.cursor = Cursor { iteration: i, phase };
                 if self.stopped() {
-                    return Ok(Some(self.capture(Cursor { iteration: i, phase })?));
+                    return Ok(Some(self.capture(self.cursor)?));
                 }
                 if let Some(checkpoint) = self.perform(i, phase)? {
                     return Ok(Some(checkpoint));
                 }
             }
+            self.cursor = Cursor::start_of(i + 1);
             self.share(i)?;
         }
+        // What is still queued must fail, if it does, while the run can be saved.
+        self.wait_for_device()?;
         Ok(None)
     }
 
@@ -92,6 +99,7 @@ impl<B: Backend> Trainer<'_, B> {
                 EvolutionMode::Control => self.control(i)?,
             },
         }
+        self.torn = false;
         self.bill(phase, clock.elapsed().as_secs_f64());
         Ok(checkpoint)
     }
@@ -99,9 +107,15 @@ impl<B: Backend> Trainer<'_, B> {
     fn step(&mut self, i: u32) -> Result<(), TrainError> {
         let schedule = self.schedule;
         let view = self.order.view(i - 1);
+        let counters = [self.progress.steps, self.progress.opacity_steps];
         let update = self.next_update(i, schedule.optimiser_step(i));
         let statistics = schedule.statistics(self.signal, self.last_stage, i);
-        self.train_step(view, i, update, statistics)?;
+        if let Err(error) = self.train_step(view, i, update, statistics) {
+            // It was not taken on, so it does not count.
+            [self.progress.steps, self.progress.opacity_steps] = counters;
+            return Err(error);
+        }
+        self.cursor = Cursor::after_step(i);
         let log = StepLog {
             iteration: i,
             iterations: schedule.iterations,
@@ -158,6 +172,7 @@ impl<B: Backend> Trainer<'_, B> {
         let search = fitness::search(self.backend, &stage, self.observer, self.stop)?;
         let checkpoint = if search.interrupted { Some(self.capture(cursor)?) } else { None };
         let record = fitness::apply(self.backend, &stage, search)?;
+        self.torn = true;
         self.end_stage(record)?;
         Ok(checkpoint)
     }

@@ -143,6 +143,7 @@ impl<B: Backend> Trainer<'_, B> {
             Some(child) => self.backend.breed(&child)?,
             None => self.backend.forget(),
         }
+        self.torn = true;
         record.seconds = clock.elapsed().as_secs_f64();
         self.end_stage(record)?;
         Ok(checkpoint)

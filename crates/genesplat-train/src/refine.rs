@@ -58,6 +58,7 @@ impl<B: Backend> Trainer<'_, B> {
         let mut order = ViewOrder::new(self.rng.fork(i), self.views.len());
         let mut steps = 0;
         while !self.stopped() && clock.elapsed().as_secs_f64() < stage.config.control_seconds {
+            self.torn = true;
             let update = self.next_update(i, OptimiserStep::All);
             self.train_step(order.view(steps), i, update, StatisticsRequest::default())?;
             self.wait_for_device()?;

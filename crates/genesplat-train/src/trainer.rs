@@ -37,6 +37,10 @@ pub(crate) struct Trainer<'a, B> {
     pub(crate) last_stage: u32,
     pub(crate) order: ViewOrder,
     pub(crate) progress: Progress,
+    /// What is done next, or is under way.
+    pub(crate) cursor: Cursor,
+    /// The phase under way has changed the state, and has more to change.
+    pub(crate) torn: bool,
     /// The user knows that the cap is reached.
     pub(crate) cap_noticed: bool,
 }
@@ -61,6 +65,8 @@ impl<'a, B: Backend> Trainer<'a, B> {
             last_stage: schedule.stages().last().unwrap_or(0),
             order: ViewOrder::new(rng, views.len()),
             progress: Progress::default(),
+            cursor: Cursor::start_of(1),
+            torn: false,
             cap_noticed: false,
             backend,
             views,

@@ -62,6 +62,10 @@ impl Backend for AnyBackend {
         delegate!(self.train_step(step))
     }
 
+    fn abandon(&mut self) -> Result<usize, BackendError> {
+        delegate!(self.abandon())
+    }
+
     fn report(&mut self) -> Result<StepReport, BackendError> {
         delegate!(self.report())
     }

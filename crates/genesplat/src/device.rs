@@ -27,10 +27,10 @@ impl Device {
     pub fn resolve(self) -> Result<Self> {
         match self {
             Self::Cpu => Ok(Self::Cpu),
-            Self::Auto => Ok(if auto_adapter(&adapters()).is_ok() { Self::Gpu } else { Self::Cpu }),
+            Self::Auto => Ok(if auto_adapter(adapters()).is_ok() { Self::Gpu } else { Self::Cpu }),
             Self::Gpu => match adapters().iter().find(|adapter| adapter.unusable.is_none()) {
                 Some(_) => Ok(Self::Gpu),
-                None => bail!("{}; use --device cpu", why_none(&adapters())),
+                None => bail!("{}; use --device cpu", why_none(adapters())),
             },
         }
     }
@@ -38,7 +38,7 @@ impl Device {
     /// Says what was chosen for someone who left the choice to us.
     pub fn announce(self) {
         if self == Self::Auto {
-            match auto_adapter(&adapters()) {
+            match auto_adapter(adapters()) {
                 Ok(adapter) => eprintln!("device: auto means {} ({})", adapter.name, adapter.api),
                 Err(reason) => eprintln!("device: auto means the CPU, since {reason}"),
             }

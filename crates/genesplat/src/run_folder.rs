@@ -18,11 +18,11 @@ use std::io::{self, BufReader, BufWriter, ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Result, anyhow, bail};
-use genesplat::core::{Gaussians, ScreenFilter};
+use genesplat::core::{BackendError, Gaussians, ScreenFilter};
 use genesplat::io::atomic::write_atomically;
 use genesplat::io::{PlyOptions, write_ply};
-use genesplat::train::Checkpoint;
 use genesplat::train::observe::LogRecord;
+use genesplat::train::{Checkpoint, TrainError};
 use serde::Serialize;
 
 /// Name of the splat that has its 3D filter baked in.
@@ -173,10 +173,49 @@ impl RunFolder {
         remove_if_there(&Self::checkpoint_in(&self.path))
     }
 
-    /// The end of the sentence for a run that failed midway: what is left of it.
-    pub fn what_is_left(&self) -> &'static str {
-        let kept = Self::checkpoint_in(&self.path).exists();
-        if kept { " (a checkpoint is kept, and --resume goes on from it)" } else { "" }
+    /// The end of the sentence for a run that failed midway: what is left of it, and how to go on.
+    pub fn what_is_left(&self, error: &anyhow::Error) -> String {
+        let failed = DeviceFailure::behind(error);
+        let path = Self::checkpoint_in(&self.path);
+        if !path.exists() {
+            let nothing = " (no checkpoint had been saved, so the run has to begin anew)";
+            return if failed.is_some() { nothing.into() } else { String::new() };
+        }
+        let Ok(checkpoint) = self.read_checkpoint() else {
+            return format!(" ({} cannot be read, so the run has to begin anew)", path.display());
+        };
+        let how = match failed {
+            None => "--resume goes on from there",
+            Some(DeviceFailure::Lost) => {
+                "the same command with --resume goes on from there, also with --device cpu"
+            }
+            Some(DeviceFailure::OutOfMemory) => {
+                "the same command with --resume --device cpu goes on from there, while other limits need a new run"
+            }
+        };
+        format!(" ({} holds the run at iteration {}; {how})", path.display(), checkpoint.cursor.iteration)
+    }
+}
+
+/// How a device ended a run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum DeviceFailure {
+    OutOfMemory,
+    Lost,
+}
+
+impl DeviceFailure {
+    /// The failure that `error` reports, if it reports one.
+    fn behind(error: &anyhow::Error) -> Option<Self> {
+        let of_training = error.downcast_ref().and_then(|error| match error {
+            TrainError::Backend(error) => Some(error),
+            _ => None,
+        });
+        match of_training.or_else(|| error.downcast_ref())? {
+            BackendError::OutOfMemory { .. } => Some(Self::OutOfMemory),
+            BackendError::DeviceLost { .. } => Some(Self::Lost),
+            _ => None,
+        }
     }
 }
 
@@ -228,4 +267,59 @@ fn unwritable(path: &Path, error: &io::Error) -> anyhow::Error {
         "cannot write {}: {error}; choose a folder that can be written to, or free some space",
         path.display()
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use genesplat::core::lineage::Lineage;
+    use genesplat::core::{Moments, Statistics};
+    use genesplat::train::checkpoint::{Cursor, Progress};
+
+    use super::*;
+
+    fn out_of_memory() -> BackendError {
+        BackendError::OutOfMemory { device: "toy".into(), wanted: 7, purpose: "a test".into() }
+    }
+
+    fn lost() -> BackendError {
+        BackendError::DeviceLost { device: "toy".into(), reason: "it was unplugged".into() }
+    }
+
+    fn checkpoint(iteration: u32) -> Checkpoint {
+        Checkpoint {
+            cursor: Cursor::start_of(iteration),
+            progress: Progress::default(),
+            cloud: Gaussians::default(),
+            moments: Moments::default(),
+            statistics: Statistics::default(),
+            lineage: Lineage::default(),
+        }
+    }
+
+    #[test]
+    fn a_failed_device_is_followed_by_what_is_left() {
+        let place = tempfile::tempdir().unwrap();
+        let folder = RunFolder::create(&place.path().join("run"), "").unwrap();
+        let says = |error: anyhow::Error| format!("{error}{}", folder.what_is_left(&error));
+        let other = || anyhow!("the moon is full");
+
+        assert_eq!(says(other()), "the moon is full");
+        assert!(says(TrainError::Backend(lost()).into()).ends_with("the run has to begin anew)"));
+
+        folder.write_checkpoint(&checkpoint(4213)).unwrap();
+        let file = RunFolder::checkpoint_in(folder.path()).display().to_string();
+        let errors = [TrainError::Backend(out_of_memory()).into(), out_of_memory().into()];
+        for sentence in errors.map(says) {
+            let parts =
+                ["out of memory on toy", &file, "iteration 4213", "--resume --device cpu", "--max-side"];
+            assert!(parts.iter().all(|part| sentence.contains(part)), "{sentence}");
+        }
+        let sentence = says(TrainError::Backend(lost()).into());
+        let parts = ["unplugged", &file, "iteration 4213", "--resume"];
+        assert!(parts.iter().all(|part| sentence.contains(part)), "{sentence}");
+        assert!(says(other()).ends_with("--resume goes on from there)"));
+
+        fs::write(&file, "torn").unwrap();
+        assert!(says(other()).contains("cannot be read"));
+    }
 }

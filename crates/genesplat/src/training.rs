@@ -55,7 +55,7 @@ impl Run<'_> {
         let log = self.folder.open_log(self.resume)?;
         let (seconds_before, start) = self.start()?;
         let finished = self.train(start, log, seconds_before);
-        finished.map_err(|error| anyhow!("{error}{}", self.folder.what_is_left()))
+        finished.map_err(|error| anyhow!("{error}{}", self.folder.what_is_left(&error)))
     }
 
     fn train(&self, start: Start, log: Log, seconds_before: f64) -> Result<Finished> {

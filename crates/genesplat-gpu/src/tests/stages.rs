@@ -159,15 +159,7 @@ fn any_size_of_picture_is_rendered() {
 #[test]
 fn poison_never_reaches_a_pixel() {
     let Some(mut gpu) = gpu() else { return };
-    let mut cloud = cloud(60);
-    let poison = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 1e30, -1e30, 1e-40];
-    for (index, value) in poison.into_iter().enumerate() {
-        cloud.positions[6 * index][index % 3] = value;
-        cloud.log_scales[6 * index + 1][index % 3] = value;
-        cloud.rotations[6 * index + 2][index % 4] = value;
-        cloud.opacity_logits[6 * index + 3] = value;
-        cloud.rotations[6 * index + 4] = [0.0; 4];
-    }
+    let cloud = poisoned_cloud();
     for filter in filters() {
         gpu.upload(cloud.clone(), None).unwrap();
         let image = gpu.render(&camera(), &settings(3, filter)).unwrap();

@@ -1,7 +1,9 @@
 //! Every verb of the backend, and what happens when memory is short.
 
 use genesplat_core::backend::{Exploration, MomentPolicy};
-use genesplat_core::{BackendError, Blend, Judgement, Moments, Origin, RowEdit, SparseDelta};
+use genesplat_core::{
+    BackendError, Blend, Judgement, Lineage, Moments, Origin, RowEdit, SparseDelta, Statistics,
+};
 
 use super::*;
 
@@ -222,37 +224,10 @@ fn stages_are_timed() {
     assert!(seconds.iter().map(|(_, seconds)| seconds).sum::<f64>() > 0.0);
 }
 
-/// Changes some rows in `individual`, among them rows that move behind the camera or vanish; the first changes none.
-fn individual_of(base: &Gaussians, individual: usize) -> SparseDelta {
-    let mut delta = SparseDelta::default();
-    if individual == 0 {
-        return delta;
-    }
-    for row in (individual..base.len()).step_by(3 * individual) {
-        let mut genes = base.genes(row);
-        for (k, gene) in genes.iter_mut().enumerate() {
-            *gene += 0.3 * (uniform(row, 200 + 10 * individual + k) - 0.5);
-        }
-        match row % 7 {
-            0 => genes[2] -= 20.0,
-            1 => genes[6] = -9.0,
-            _ => {}
-        }
-        delta.rows.push(row as u32);
-        delta.genes.push(genes);
-    }
-    delta
-}
-
 #[test]
 fn scores_match() {
     let Some(mut gpu) = gpu() else { return };
-    let small = View { camera: camera().resized(30, 41), ..view() };
-    let small = View {
-        photo: Arc::new(Photo { width: 30, height: 41, rgb: photo().rgb[..3 * 30 * 41].into() }),
-        ..small
-    };
-    let views = [view(), small];
+    let views = [view(), small_view()];
     for filter in filters() {
         let base = filtered_cloud(500, filter);
         let population: Vec<SparseDelta> = (0..6).map(|index| individual_of(&base, index)).collect();
@@ -309,5 +284,103 @@ fn a_lost_device_is_one_sentence() {
     let error = gpu.train_step(&step).and_then(|()| gpu.report()).unwrap_err();
     assert!(matches!(error, BackendError::DeviceLost { .. }), "{error}");
     let sentence = error.to_string();
-    assert!(sentence.contains("checkpoint") && !sentence.contains('\n'), "{sentence}");
+    assert!(sentence.contains("--device cpu") && !sentence.contains('\n'), "{sentence}");
+}
+
+/// All that a checkpoint holds of a backend.
+fn held(gpu: &mut GpuBackend) -> (Gaussians, Moments, Statistics, Lineage) {
+    (
+        gpu.download().unwrap().into_owned(),
+        gpu.download_moments().unwrap().into_owned(),
+        gpu.statistics().unwrap(),
+        gpu.lineage().unwrap().into_owned(),
+    )
+}
+
+/// From no room at all to enough of it: an edit is done in full or not at all, and the device lives on.
+#[test]
+fn an_edit_that_finds_no_room_changes_nothing() {
+    let Some(engine) = engine() else { return };
+    let mut gpu = GpuBackend::on(engine.with_window_rows(128), SEED).unwrap();
+    gpu.set_views(&[view()]).unwrap();
+    gpu.upload(cloud(300), None).unwrap();
+    gpu.train_step(&step(1, settings(2, ScreenFilter::Classic))).unwrap();
+    gpu.remember(0).unwrap();
+    let before = held(&mut gpu);
+    let mut edit = RowEdit { iteration: 600, ..RowEdit::keep((0..300).collect()) };
+    (0..200).for_each(|row| edit.push(row, Origin::Clone));
+
+    gpu.abandon().unwrap();
+    let (least, mut failures) = (gpu.allocated_bytes(), 0);
+    for room in (0..).step_by(20_000) {
+        gpu.engine.memory_bytes = least + room;
+        match gpu.edit_rows(&edit) {
+            Ok(()) => break,
+            Err(error) => assert!(matches!(error, BackendError::OutOfMemory { .. }), "{error}"),
+        }
+        failures += 1;
+        gpu.engine.memory_bytes = u64::MAX;
+        assert!(held(&mut gpu) == before, "room of {room} bytes");
+    }
+    assert!(failures > 10, "it failed at every column: {failures} times");
+    assert_eq!(gpu.len(), 500);
+    gpu.engine.memory_bytes = u64::MAX;
+    assert_eq!(gpu.download().unwrap().positions[300..], before.0.positions[..200]);
+}
+
+/// Buffers of steps make way for rows.
+#[test]
+fn an_edit_takes_the_room_that_steps_can_do_without() {
+    let Some(mut gpu) = gpu() else { return };
+    gpu.upload(cloud(300), None).unwrap();
+    gpu.train_step(&step(1, settings(2, ScreenFilter::Classic))).unwrap();
+    gpu.report().unwrap();
+    gpu.engine.memory_bytes = gpu.allocated_bytes();
+    gpu.edit_rows(&RowEdit::keep((0..300).collect())).unwrap();
+    gpu.engine.memory_bytes = u64::MAX;
+    let classic = settings(2, ScreenFilter::Classic);
+    let use_all = |gpu: &mut GpuBackend, verb: usize| match verb {
+        0 => drop(gpu.train_step(&step(2, classic)).and_then(|()| gpu.report()).unwrap()),
+        1 => drop(gpu.score(&[SparseDelta::default()], &[0], &classic).unwrap()),
+        2 => drop(gpu.judge(&[Blend::default()], &[0], &classic).unwrap()),
+        3 => drop(gpu.loss_of_view(0, &classic).unwrap()),
+        _ => drop(gpu.render(&camera(), &classic).unwrap()),
+    };
+    // Whatever comes first finds nothing, and reserves what it needs.
+    for verb in 0..5 {
+        use_all(&mut gpu, verb);
+        gpu.abandon().unwrap();
+    }
+}
+
+/// Five steps are queued, the lists of the third do not fit, and there is no memory for larger ones.
+#[test]
+fn steps_without_room_are_left_undone_and_counted() {
+    let Some(mut gpu) = gpu() else { return };
+    let views = [small_view(), view()];
+    let classic = settings(2, ScreenFilter::Classic);
+    let steps = [(1, 0), (2, 0), (3, 1), (4, 0), (5, 1)];
+    let steps = steps.map(|(number, view)| TrainStep { view, ..step(number, classic) });
+    let mut cpu = cpu();
+    for twin in [&mut gpu as &mut dyn Backend, &mut cpu] {
+        twin.set_views(&views).unwrap();
+        twin.upload(cloud(300), None).unwrap();
+    }
+    steps[..2].iter().for_each(|step| cpu.train_step(step).unwrap());
+    gpu.set_entry_room(cpu.report().unwrap().tile_splats as u64 + 20);
+    steps.iter().for_each(|step| gpu.train_step(step).unwrap());
+
+    gpu.engine.memory_bytes = gpu.allocated_bytes();
+    let error = gpu.download().unwrap_err();
+    assert!(matches!(error, BackendError::OutOfMemory { .. }), "{error}");
+    assert_eq!(gpu.abandon().unwrap(), 3);
+    compare_clouds("adam", &gpu.download().unwrap(), &cpu.download().unwrap()).unwrap();
+
+    gpu.engine.memory_bytes = u64::MAX;
+    for step in &steps[2..] {
+        gpu.train_step(step).unwrap();
+        cpu.train_step(step).unwrap();
+    }
+    compare_clouds("adam", &gpu.download().unwrap(), &cpu.download().unwrap()).unwrap();
+    assert_eq!(gpu.abandon().unwrap(), 0);
 }

@@ -211,6 +211,11 @@ impl Backend for CpuBackend {
         Ok(())
     }
 
+    /// A step is done when it returns.
+    fn abandon(&mut self) -> Result<usize, BackendError> {
+        Ok(0)
+    }
+
     fn report(&mut self) -> Result<StepReport, BackendError> {
         Ok(self.report)
     }

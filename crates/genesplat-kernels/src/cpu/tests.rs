@@ -7,73 +7,23 @@
 //! | gradients | 1e-3 relative L2, cosine 0.99999 | the bound; seen: 1e-5 |
 //! | Adam, MCMC's exploration | 1e-5 relative, absolute below 1 | f32 rounding over ten steps |
 
-use std::sync::Arc;
-
 use fearless_simd::Level;
 use genesplat_core::backend::Exploration;
 use genesplat_core::{
-    Backend, Camera, DensitySignal, Gaussians, Image, LearningRates, Photo, RenderSettings, Rng, RowEdit,
-    ScreenFilter, SparseDelta, StatisticsRequest, Stream, TrainStep, Update, View,
+    Backend, DensitySignal, Gaussians, Image, Photo, RenderSettings, Rng, RowEdit, ScreenFilter, SparseDelta,
+    StatisticsRequest, TrainStep,
 };
-use glam::{DQuat, DVec3};
 
 use super::project::Pinhole;
 use super::rasterise_backward::Extra;
-use super::score::{judge::loss_by_judge, tests::individual_of};
+use super::score::judge::loss_by_judge;
 use super::update::{Inputs, gradients};
 use super::{CpuBackend, Frame, loss};
+use crate::fixtures::{
+    HEIGHT, WIDTH, camera, cloud, filters, individual_of, photo, poisoned_cloud, settings, step, uniform,
+    view,
+};
 use crate::reference::{self, Cloud64, Cutoff};
-
-const WIDTH: u32 = 75;
-const HEIGHT: u32 = 53;
-
-pub fn uniform(row: usize, index: usize) -> f32 {
-    Rng::new(11).at(Stream::Test, row as u32, index as u32, 0).uniform(0)
-}
-
-/// Gaussians in front of, beside and behind the camera, from a fifth of a pixel to a third of the image.
-pub fn cloud(n: usize) -> Gaussians {
-    let mut cloud = Gaussians::zeros(n);
-    for row in 0..n {
-        let u = |index: usize| uniform(row, index);
-        cloud.positions[row] = [6.0 * (u(0) - 0.5), 4.0 * (u(1) - 0.5), 5.0 * u(2) - 0.6];
-        cloud.log_scales[row] = std::array::from_fn(|k| (0.01 + 0.4 * u(3 + k).powi(3)).ln());
-        cloud.rotations[row] = std::array::from_fn(|k| 2.0 * u(6 + k) - 1.0);
-        cloud.opacity_logits[row] = 7.0 * u(10) - 3.5;
-        for k in 0..48 {
-            cloud.sh[row][k] = if k < 3 { 2.0 * u(11 + k) - 0.8 } else { 0.4 * (u(11 + k) - 0.5) };
-        }
-    }
-    cloud
-}
-
-pub fn camera() -> Camera {
-    Camera {
-        width: WIDTH,
-        height: HEIGHT,
-        focal_px: [60.0, 64.0],
-        principal_px: [35.0, 28.5],
-        camera_from_world_rotation: DQuat::from_euler(glam::EulerRot::XYZ, 0.1, -0.15, 0.2),
-        camera_from_world_translation: DVec3::new(0.1, -0.05, 0.7),
-    }
-}
-
-fn photo() -> Photo {
-    let rgb = (0..3 * WIDTH * HEIGHT).map(|i| (uniform(1_000_000, i as usize) * 255.0) as u8).collect();
-    Photo { width: WIDTH, height: HEIGHT, rgb }
-}
-
-fn view() -> View {
-    View { name: "test".into(), camera: camera(), photo: Arc::new(photo()) }
-}
-
-pub fn settings(sh_degree: u8, filter: ScreenFilter) -> RenderSettings {
-    RenderSettings { sh_degree, background: [0.3, 0.1, 0.6], filter }
-}
-
-pub fn filters() -> [ScreenFilter; 3] {
-    [ScreenFilter::Classic, ScreenFilter::Antialiased, ScreenFilter::Mip]
-}
 
 /// Relative L2 distance and cosine of two vectors.
 fn compare(
@@ -251,21 +201,8 @@ fn backend_with(cloud: &Gaussians) -> CpuBackend {
     backend
 }
 
-fn step(number: u32) -> TrainStep {
-    let rates = LearningRates {
-        position: 1e-3,
-        sh_dc: 2.5e-3,
-        sh_rest: 1.25e-4,
-        opacity: 0.05,
-        scale: 5e-3,
-        rotation: 1e-3,
-    };
-    TrainStep {
-        view: 0,
-        settings: settings(2, ScreenFilter::Classic),
-        update: Some(Update { rates, step: number, opacity_step: number, exploration: None }),
-        statistics: StatisticsRequest { density: Some(DensitySignal::Signed), genes: true },
-    }
+fn classic_step(number: u32) -> TrainStep {
+    step(number, settings(2, ScreenFilter::Classic))
 }
 
 #[test]
@@ -288,7 +225,7 @@ fn ten_steps_match_the_reference(exploration: Option<Exploration>) {
     let mut expected = Cloud64::from(&start);
     let mut moments = reference::Moments64::zeros(300);
     for number in 1..=10 {
-        let mut step = step(number);
+        let mut step = classic_step(number);
         let update = step.update.as_mut().unwrap();
         update.exploration = exploration.map(|exploration| Exploration { counter: number, ..exploration });
         // Gradients of the f32 state, so that only the optimiser is compared.
@@ -329,7 +266,7 @@ fn results_do_not_depend_on_the_number_of_threads() {
         pool.install(|| {
             let mut backend = backend_with(&cloud(700));
             for number in 1..=5 {
-                let mut step = step(number);
+                let mut step = classic_step(number);
                 step.update.as_mut().unwrap().exploration = (number % 2 == 0).then_some(Exploration {
                     noise: 0.3,
                     opacity_weight: 0.01,
@@ -341,10 +278,10 @@ fn results_do_not_depend_on_the_number_of_threads() {
             let mut edit = RowEdit::keep((0..650).collect());
             edit.push(3, genesplat_core::Origin::SplitChild { child: 0 });
             backend.edit_rows(&edit).unwrap();
-            backend.train_step(&step(6)).unwrap();
+            backend.train_step(&classic_step(6)).unwrap();
             let population: Vec<SparseDelta> =
                 (0..4).map(|index| individual_of(&backend.download().unwrap(), index)).collect();
-            let scores = backend.score(&population, &[0], &step(1).settings).unwrap();
+            let scores = backend.score(&population, &[0], &classic_step(1).settings).unwrap();
             let cloud = backend.download().unwrap().into_owned();
             (cloud, backend.statistics().unwrap(), scores)
         })
@@ -355,15 +292,7 @@ fn results_do_not_depend_on_the_number_of_threads() {
 
 #[test]
 fn poison_never_reaches_a_pixel() {
-    let mut cloud = cloud(60);
-    let poison = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 1e30, -1e30, 1e-40];
-    for (index, value) in poison.into_iter().enumerate() {
-        cloud.positions[6 * index][index % 3] = value;
-        cloud.log_scales[6 * index + 1][index % 3] = value;
-        cloud.rotations[6 * index + 2][index % 4] = value;
-        cloud.opacity_logits[6 * index + 3] = value;
-        cloud.rotations[6 * index + 4] = [0.0; 4];
-    }
+    let cloud = poisoned_cloud();
     for filter in filters() {
         let mut backend = backend_with(&cloud);
         let image = backend.render(&camera(), &settings(3, filter)).unwrap();

@@ -3,12 +3,13 @@
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
+use genesplat_core::BackendError;
 use genesplat_train::{
     Background, Checkpoint, EvolutionMode, Observer, Outcome, Silent, StageRecord, Start, TrainConfig,
     TrainError, Variant, train,
 };
 
-use crate::support::{FakeBackend, StopAt, points, views};
+use crate::support::{Call, Failure, FakeBackend, StopAt, points, views};
 
 /// 300 iterations that densify, reset (30, 60, ...), filter and evolve.
 fn config() -> TrainConfig {
@@ -87,15 +88,17 @@ fn an_interrupted_stage_counts_now_and_is_repeated_in_full_later() {
     }
 }
 
+#[derive(Default)]
+struct Keep(Vec<Checkpoint>);
+
+impl Observer for Keep {
+    fn on_checkpoint(&mut self, checkpoint: Checkpoint) {
+        self.0.push(checkpoint);
+    }
+}
+
 #[test]
 fn a_scheduled_checkpoint_is_as_good() {
-    #[derive(Default)]
-    struct Keep(Vec<Checkpoint>);
-    impl Observer for Keep {
-        fn on_checkpoint(&mut self, checkpoint: Checkpoint) {
-            self.0.push(checkpoint);
-        }
-    }
     let mut keep = Keep::default();
     let mut config = config();
     config.checkpoint_every = 70;
@@ -116,4 +119,54 @@ fn a_checkpoint_of_another_variant_is_refused() {
     let other = TrainConfig { variant: Variant::ThreeDgs, ..config() }.resolve().unwrap();
     let error = train(&mut backend(), &views(7), start, &other, &mut Silent, &stop).unwrap_err();
     assert!(matches!(error, TrainError::OtherVariant { wanted: Variant::ThreeDgs }), "{error}");
+}
+
+/// A run with a checkpoint in iteration 140 whose device fails in a call; steps are queued, unless `queues` is false.
+fn failed(call: usize, failure: Failure, queues: bool) -> (TrainError, Keep, FakeBackend) {
+    let mut backend = backend();
+    (backend.failure, backend.queues) = (Some((call, failure)), queues);
+    let (mut keep, stop) = (Keep::default(), AtomicBool::new(false));
+    let config = TrainConfig { checkpoint_every: 140, ..config() }.resolve().unwrap();
+    let start = Start::Points(points(20));
+    let error = train(&mut backend, &views(7), start, &config, &mut keep, &stop).unwrap_err();
+    (error, keep, backend)
+}
+
+/// Calls of a whole run that can fail, and those of its start, which leave nothing to save.
+fn fallible(queues: bool) -> std::ops::Range<usize> {
+    let mut backend = backend();
+    backend.queues = queues;
+    let config = TrainConfig { checkpoint_every: 140, ..config() }.resolve().unwrap();
+    let stop = AtomicBool::new(false);
+    train(&mut backend, &views(7), Start::Points(points(20)), &config, &mut Silent, &stop).unwrap();
+    3..backend.fallible
+}
+
+#[test]
+fn out_of_memory_saves_a_run_that_resumes_exactly() {
+    let whole = uninterrupted();
+    // Every call of a run whose steps are queued, and some of one whose steps are not.
+    for (queues, every) in [(true, 1), (false, 13)] {
+        let mut unsaved = 0;
+        for call in fallible(queues).step_by(every) {
+            let (error, keep, backend) = failed(call, Failure::OutOfMemory, queues);
+            assert!(matches!(error, TrainError::Backend(BackendError::OutOfMemory { .. })), "{error}");
+            unsaved += usize::from(backend.calls.last() != Some(&Call::Abandon));
+            if let Some(checkpoint) = keep.0.last() {
+                assert_same(&resume(checkpoint), &whole, &format!("call {call}, queues: {queues}"));
+            }
+        }
+        // Two calls in each of the four stages: when gene gradients are forgotten, the best is in the cloud already.
+        assert!(unsaved <= 8, "{unsaved} failures left only what the schedule had saved");
+    }
+}
+
+#[test]
+fn a_lost_device_leaves_what_the_schedule_saved() {
+    for call in fallible(true).step_by(11) {
+        let (error, keep, backend) = failed(call, Failure::Lost, true);
+        assert!(matches!(error, TrainError::Backend(BackendError::DeviceLost { .. })), "{error}");
+        assert!(!backend.calls.contains(&Call::Abandon), "there is nothing to ask for");
+        assert!(keep.0.iter().all(|checkpoint| [141, 281].contains(&checkpoint.cursor.iteration)));
+    }
 }

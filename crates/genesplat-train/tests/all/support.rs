@@ -2,6 +2,7 @@
 //! distance from a target, and every call is recorded.
 
 use std::borrow::Cow;
+use std::collections::VecDeque;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -24,6 +25,7 @@ pub enum Call {
     SetViews(usize),
     Upload { rows: usize, moments: bool, filter: bool },
     Step(TrainStep),
+    Abandon,
     Edit(RowEdit),
     ResetOpacity(f32),
     Filter(usize),
@@ -53,8 +55,32 @@ pub struct FakeBackend {
     pub poison: Option<f32>,
     /// Set after this many calls of `score` or `judge`.
     pub stop_after: Option<(usize, Arc<AtomicBool>)>,
+    /// The call that fails, counted from 1, and how; reads count, too.
+    pub failure: Option<(usize, Failure)>,
+    /// Calls that could have failed.
+    pub fallible: usize,
+    /// Steps wait for the next other call, as on a graphics device.
+    pub queues: bool,
+    queue: VecDeque<TrainStep>,
     scores: usize,
     rng: Rng,
+}
+
+/// How a device fails.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Failure {
+    OutOfMemory,
+    Lost,
+}
+
+impl From<Failure> for BackendError {
+    fn from(failure: Failure) -> Self {
+        let device = "fake".to_owned();
+        match failure {
+            Failure::OutOfMemory => Self::OutOfMemory { device, wanted: 7, purpose: "a test".into() },
+            Failure::Lost => Self::DeviceLost { device, reason: "a test".into() },
+        }
+    }
 }
 
 impl FakeBackend {
@@ -68,6 +94,10 @@ impl FakeBackend {
             target: 3.0,
             poison: None,
             stop_after: None,
+            failure: None,
+            fallible: 0,
+            queues: false,
+            queue: VecDeque::new(),
             scores: 0,
             lineage: Lineage::default(),
             guards_disagree: false,
@@ -88,6 +118,31 @@ impl FakeBackend {
     fn distance(&self, cloud: &Gaussians) -> f32 {
         let squares: f64 = cloud.positions.iter().map(|p| f64::from(p[0] - self.target).powi(2)).sum();
         (squares / cloud.len() as f64) as f32
+    }
+
+    /// Counts a call that can fail, and says how it fails, if it does. A lost device fails ever after.
+    fn fails(&mut self) -> Option<Failure> {
+        self.fallible += 1;
+        let (call, failure) = self.failure?;
+        let now = self.fallible == call || failure == Failure::Lost && self.fallible > call;
+        now.then_some(failure)
+    }
+
+    /// Does the steps that wait; half of them when memory ends.
+    fn settle(&mut self) -> Result<(), BackendError> {
+        let failure = self.fails();
+        let left = if failure.is_some() { self.queue.len() / 2 } else { 0 };
+        self.do_steps(left);
+        failure.map_or(Ok(()), |failure| Err(failure.into()))
+    }
+
+    /// Does the steps that wait, but for the last `left`.
+    fn do_steps(&mut self, left: usize) {
+        while self.queue.len() > left {
+            let Some(step) = self.queue.pop_front() else { return };
+            self.accumulate(&step);
+            self.drift(&step);
+        }
     }
 
     fn count_score(&mut self) {
@@ -145,11 +200,13 @@ impl Backend for FakeBackend {
     }
 
     fn set_views(&mut self, views: &[View]) -> Result<(), BackendError> {
+        self.settle()?;
         self.calls.push(Call::SetViews(views.len()));
         Ok(())
     }
 
     fn upload(&mut self, cloud: Gaussians, moments: Option<Moments>) -> Result<(), BackendError> {
+        self.settle()?;
         self.calls.push(Call::Upload {
             rows: cloud.len(),
             moments: moments.is_some(),
@@ -162,33 +219,49 @@ impl Backend for FakeBackend {
     }
 
     fn download(&mut self) -> Result<Cow<'_, Gaussians>, BackendError> {
+        self.settle()?;
         Ok(Cow::Borrowed(&self.cloud))
     }
 
     fn download_moments(&mut self) -> Result<Cow<'_, Moments>, BackendError> {
+        self.settle()?;
         Ok(Cow::Borrowed(&self.moments))
     }
 
     fn render(&mut self, camera: &Camera, _: &RenderSettings) -> Result<Image, BackendError> {
+        self.settle()?;
         Ok(Image::zeros(camera.width, camera.height))
     }
 
     fn train_step(&mut self, step: &TrainStep) -> Result<(), BackendError> {
+        if let Some(failure) = self.fails() {
+            return Err(failure.into());
+        }
         self.calls.push(Call::Step(*step));
-        self.accumulate(step);
-        self.drift(step);
+        self.queue.push_back(*step);
+        if !self.queues {
+            self.do_steps(0);
+        }
         Ok(())
     }
 
+    fn abandon(&mut self) -> Result<usize, BackendError> {
+        self.calls.push(Call::Abandon);
+        Ok(std::mem::take(&mut self.queue).len())
+    }
+
     fn report(&mut self) -> Result<StepReport, BackendError> {
+        self.settle()?;
         Ok(StepReport { loss: 0.5, visible: self.cloud.len(), tile_splats: 1 })
     }
 
     fn statistics(&mut self) -> Result<Statistics, BackendError> {
+        self.settle()?;
         Ok(self.statistics.clone())
     }
 
     fn restore_statistics(&mut self, statistics: Statistics) -> Result<(), BackendError> {
+        self.settle()?;
         self.calls.push(Call::Restore { genes: !statistics.gene_views.is_empty() });
         self.statistics = statistics;
         Ok(())
@@ -203,6 +276,7 @@ impl Backend for FakeBackend {
     }
 
     fn edit_rows(&mut self, edit: &RowEdit) -> Result<(), BackendError> {
+        self.settle()?;
         self.calls.push(Call::Edit(edit.clone()));
         self.lineage = Lineage::default();
         edit.apply(&mut self.cloud, &mut self.moments, &self.rng);
@@ -215,6 +289,7 @@ impl Backend for FakeBackend {
     }
 
     fn reset_opacity(&mut self, ceiling: f32) -> Result<(), BackendError> {
+        self.settle()?;
         self.calls.push(Call::ResetOpacity(ceiling));
         for value in &mut self.cloud.opacity_logits {
             *value = logit(sigmoid(*value).min(ceiling));
@@ -223,18 +298,21 @@ impl Backend for FakeBackend {
     }
 
     fn set_filter_3d(&mut self, filter: Vec<f32>) -> Result<(), BackendError> {
+        self.settle()?;
         self.calls.push(Call::Filter(filter.len()));
         self.cloud.filter_3d = Some(filter);
         Ok(())
     }
 
     fn apply(&mut self, delta: &SparseDelta, moments: MomentPolicy) -> Result<(), BackendError> {
+        self.settle()?;
         self.calls.push(Call::Apply { rows: delta.rows.len(), moments });
         self.cloud.apply(delta);
         Ok(())
     }
 
     fn remember(&mut self, parent: usize) -> Result<(), BackendError> {
+        self.settle()?;
         self.calls.push(Call::Remember { parent });
         self.lineage.add(parent, &self.cloud);
         Ok(())
@@ -250,10 +328,12 @@ impl Backend for FakeBackend {
     }
 
     fn lineage(&mut self) -> Result<Cow<'_, Lineage>, BackendError> {
+        self.settle()?;
         Ok(Cow::Borrowed(&self.lineage))
     }
 
     fn restore_lineage(&mut self, lineage: Lineage) -> Result<(), BackendError> {
+        self.settle()?;
         self.lineage = lineage;
         Ok(())
     }
@@ -264,6 +344,7 @@ impl Backend for FakeBackend {
         views: &[usize],
         _: &RenderSettings,
     ) -> Result<Vec<Judgement>, BackendError> {
+        self.settle()?;
         self.calls.push(Call::Judge { blends: blends.to_vec(), views: views.to_vec() });
         self.count_score();
         let mut child = Gaussians::default();
@@ -277,6 +358,7 @@ impl Backend for FakeBackend {
     }
 
     fn breed(&mut self, blend: &Blend) -> Result<(), BackendError> {
+        self.settle()?;
         self.calls.push(Call::Breed(*blend));
         let mut child = Gaussians::default();
         self.lineage.breed(&self.cloud, blend, &mut child);
@@ -290,6 +372,7 @@ impl Backend for FakeBackend {
         views: &[usize],
         settings: &RenderSettings,
     ) -> Result<Vec<f32>, BackendError> {
+        self.settle()?;
         let (individuals, settings) = (population.len(), *settings);
         self.calls.push(Call::Score { individuals, views: views.to_vec(), settings });
         self.count_score();

@@ -9,10 +9,10 @@ use genesplat_core::{Backend, Camera, Gaussians, Photo, RenderSettings, ScreenFi
 use glam::DVec3;
 
 use super::super::rasterise::BLOCKS;
-use super::super::tests::{camera, cloud, filters, settings, uniform};
 use super::super::{CpuBackend, loss};
 use super::base::{NOT_VISIBLE, STEP};
 use super::*;
+use crate::fixtures::{camera, change_rows, cloud, filters, individual_of, settings, uniform};
 
 const TOLERANCE: f32 = 1e-6;
 
@@ -49,37 +49,6 @@ fn check(base: &Gaussians, population: &[SparseDelta], views: &[View], settings:
     }
     let first = scores.chunks(views.len()).map(|scores| scores[0]);
     assert!(first.collect::<Vec<_>>().windows(2).any(|pair| pair[0] != pair[1]), "individuals differ");
-}
-
-/// An individual that changes some rows.
-pub fn change_rows(
-    base: &Gaussians,
-    rows: impl Iterator<Item = usize>,
-    change: impl Fn(usize, &mut genesplat_core::Gene),
-) -> SparseDelta {
-    let mut delta = SparseDelta::default();
-    for row in rows {
-        let mut genes = base.genes(row);
-        change(row, &mut genes);
-        delta.rows.push(row as u32);
-        delta.genes.push(genes);
-    }
-    delta
-}
-
-/// Changes one row in `3 * individual`, among them rows that move behind the camera or vanish; 0 changes nothing.
-pub fn individual_of(base: &Gaussians, individual: usize) -> SparseDelta {
-    let rows = (individual..if individual == 0 { 0 } else { base.len() }).step_by(3 * individual.max(1));
-    change_rows(base, rows, |row, genes| {
-        for (k, gene) in genes.iter_mut().enumerate() {
-            *gene += 0.3 * (uniform(row, 200 + 10 * individual + k) - 0.5);
-        }
-        match row % 7 {
-            0 => genes[2] -= 20.0,
-            1 => genes[6] = -9.0,
-            _ => {}
-        }
-    })
 }
 
 /// Opacities from faint (as after a reset: no pixel is finished) to opaque (most are).

@@ -1,0 +1,51 @@
+//! What is saved of a run whose device is out of memory.
+//!
+//! Such a device lives and holds what it held before the verb that failed ([`Backend`]), so the run can go on elsewhere
+//! from where it stands, instead of from the last checkpoint of the schedule. Where it stands takes some care: steps are
+//! queued, and the verb that failed may have waited for steps that are not done and never will be. These are always the
+//! last ones, since every other phase waits for all steps before it begins. So the cursor goes back to the first step that
+//! is not done, and whoever resumes does exactly what would have been done with enough memory.
+//!
+//! A device that is lost has taken all with it; the last checkpoint of the schedule is what is left then.
+
+use genesplat_core::{Backend, BackendError};
+
+use crate::checkpoint::{Checkpoint, Cursor};
+use crate::run::TrainError;
+use crate::schedule::{OptimiserStep, Phase};
+use crate::trainer::Trainer;
+
+impl<B: Backend> Trainer<'_, B> {
+    /// Hands over a checkpoint, if the device still holds the work of whole phases; returns the error that ends the run.
+    pub(crate) fn rescue(&mut self, error: TrainError) -> TrainError {
+        let lives = matches!(error, TrainError::Backend(BackendError::OutOfMemory { .. }));
+        if lives && !self.torn {
+            match self.capture_what_is_done() {
+                Ok(checkpoint) => self.observer.on_checkpoint(*checkpoint),
+                Err(second) => self.observer.notice(&format!("the run could not be saved: {second}")),
+            }
+        }
+        error
+    }
+
+    fn capture_what_is_done(&mut self) -> Result<Box<Checkpoint>, TrainError> {
+        let undone = self.backend.abandon()? as u32;
+        self.take_back(undone);
+        self.capture(self.cursor)
+    }
+
+    /// Goes back before the last `undone` steps, and counts them no more.
+    fn take_back(&mut self, undone: u32) {
+        let Cursor { iteration, phase } = self.cursor;
+        let next = if phase == Phase::Step { iteration } else { iteration + 1 };
+        let first = next - undone;
+        for i in first..next {
+            let step = self.schedule.optimiser_step(i);
+            self.progress.steps -= u32::from(step != OptimiserStep::Lost);
+            self.progress.opacity_steps -= u32::from(step == OptimiserStep::All);
+        }
+        if undone > 0 {
+            self.cursor = Cursor::start_of(first);
+        }
+    }
+}
