@@ -12,6 +12,7 @@ use crate::gaussians::{Gaussians, Moments};
 use crate::genes::SparseDelta;
 use crate::image::{Image, Photo};
 use crate::lineage::{Blend, Judgement, Lineage, PARENTS};
+use crate::merit::Merit;
 use crate::statistics::{Statistics, StatisticsRequest};
 
 /// A camera and the photo it took; both have the same size.
@@ -254,6 +255,9 @@ pub trait Backend {
     /// Adds the cloud as it is to a parent of its lineage, 0 for the older one. Uploading a cloud, changing its rows and
     /// resetting opacities end the line.
     fn remember(&mut self, parent: usize) -> Result<(), BackendError>;
+
+    /// What each Gaussian is worth to training views, and how much is wrong where it is seen `[N]`.
+    fn weigh(&mut self, views: &[usize], settings: &RenderSettings) -> Result<Vec<Merit>, BackendError>;
 
     /// How many states each parent of the line is the mean of, without a read-back.
     fn remembered(&self) -> [u32; PARENTS];

@@ -1,7 +1,7 @@
 //! A change of the rows of a cloud, decided by density control and applied by the backend to parameters and moments.
 
 use crate::covariance::world_offset;
-use crate::gaussians::{Gaussians, Moments};
+use crate::gaussians::{Gaussians, Moments, logit, sigmoid};
 use crate::genes::Gene;
 use crate::rng::{Rng, Stream};
 
@@ -14,6 +14,13 @@ pub enum Origin {
     Clone,
     /// One of two children, drawn from the parent's own distribution, scales divided by 1.6, fresh moments.
     SplitChild {
+        /// 0 or 1.
+        child: u8,
+    },
+    /// One of two that together render (nearly) like the one before: opacity and scales as if both stayed in its place
+    /// (MCMC's Eq. 9 for two), each moved by [`TWIN_OFFSET`] to its own side along the longest axis, so that they part.
+    /// Fresh moments.
+    Twin {
         /// 0 or 1.
         child: u8,
     },
@@ -66,8 +73,14 @@ impl RowEdit {
         let positions: Vec<[f32; 3]> =
             self.rows().map(|(row, origin)| self.position(cloud, row, origin, rng)).collect();
         cloud.positions = positions;
-        cloud.log_scales =
-            self.rows().map(|(row, origin)| new_log_scale(cloud.log_scales[row], origin)).collect();
+        // Twins' scales depend on opacities, so these come later.
+        cloud.log_scales = self
+            .rows()
+            .map(|(row, origin)| match origin {
+                Origin::Twin { .. } => twin(cloud.opacity_logits[row], cloud.log_scales[row]).1,
+                _ => new_log_scale(cloud.log_scales[row], origin),
+            })
+            .collect();
         cloud.opacity_logits =
             self.rows().map(|(row, origin)| new_opacity(cloud.opacity_logits[row], origin)).collect();
         cloud.rotations = self.gather(&cloud.rotations);
@@ -98,10 +111,16 @@ impl RowEdit {
 
     fn position(&self, cloud: &Gaussians, row: usize, origin: Origin, rng: &Rng) -> [f32; 3] {
         let mean = cloud.positions[row];
-        let Origin::SplitChild { child } = origin else { return mean };
-        let draw = rng.at(Stream::SplitOffset, self.iteration, row as u32, u32::from(child));
-        let ([a, b], [c, _]) = (draw.normals(0), draw.normals(1));
-        let offset = world_offset(cloud.rotations[row], cloud.log_scales[row], [a, b, c]);
+        let offset_sigmas = match origin {
+            Origin::SplitChild { child } => {
+                let draw = rng.at(Stream::SplitOffset, self.iteration, row as u32, u32::from(child));
+                let ([a, b], [c, _]) = (draw.normals(0), draw.normals(1));
+                [a, b, c]
+            }
+            Origin::Twin { child } => twin_offset(cloud.log_scales[row], child),
+            _ => return mean,
+        };
+        let offset = world_offset(cloud.rotations[row], cloud.log_scales[row], offset_sigmas);
         std::array::from_fn(|axis| mean[axis] + offset[axis])
     }
 }
@@ -113,18 +132,44 @@ fn keeps_moments(origin: Origin) -> bool {
 /// Children are 1.6 times smaller: two of them at 0.8 of half the parent's size (3DGS: `s / (0.8 · 2)`).
 pub const SPLIT_SHRINK: f32 = 1.6;
 
+/// How far a twin moves, in standard deviations of the one before.
+pub const TWIN_OFFSET: f32 = 0.3;
+
+/// Twins of anything more opaque than this are made as if it had this opacity, at which they have 0.97.
+pub const TWIN_OPACITY_MAX: f32 = 0.999;
+
+/// Opacity logit and log-scales of the twins of a Gaussian. Kheradmand et al., "3D Gaussian Splatting as Markov Chain Monte
+/// Carlo", 2024, Eq. 9: `o' = 1 − sqrt(1 − o)`, `s'/s = o / (2 o' − o'² / √2)`.
+fn twin(opacity_logit: f32, log_scale: [f32; 3]) -> (f32, [f32; 3]) {
+    let opacity = sigmoid(opacity_logit).min(TWIN_OPACITY_MAX);
+    let root = (1.0 - opacity).sqrt();
+    // 1 − root and o / o', without the cancellation and the division by zero at small o.
+    let (each, ratio) = (opacity / (1.0 + root), 1.0 + root);
+    let shrink = ratio / (2.0 - each * std::f32::consts::FRAC_1_SQRT_2);
+    (logit(each), log_scale.map(|value| value + shrink.ln()))
+}
+
+/// Along the longest axis, the first of equal ones; the two children go opposite ways.
+fn twin_offset(log_scale: [f32; 3], child: u8) -> [f32; 3] {
+    let longest = (1..3).fold(0, |best, axis| if log_scale[axis] > log_scale[best] { axis } else { best });
+    let mut offset = [0.0; 3];
+    offset[longest] = if child == 0 { TWIN_OFFSET } else { -TWIN_OFFSET };
+    offset
+}
+
 /// The log-scale that a new row gets.
 pub fn new_log_scale(log_scale: [f32; 3], origin: Origin) -> [f32; 3] {
     match origin {
         Origin::SplitChild { .. } => log_scale.map(|value| (value.exp() / SPLIT_SHRINK).ln()),
         Origin::Relocated { log_scale_shift, .. } => log_scale.map(|value| value + log_scale_shift),
-        Origin::Kept | Origin::Clone => log_scale,
+        Origin::Kept | Origin::Clone | Origin::Twin { .. } => log_scale,
     }
 }
 
 fn new_opacity(opacity_logit: f32, origin: Origin) -> f32 {
     match origin {
         Origin::Relocated { opacity_logit, .. } => opacity_logit,
+        Origin::Twin { .. } => twin(opacity_logit, [0.0; 3]).0,
         _ => opacity_logit,
     }
 }
@@ -184,6 +229,28 @@ mod tests {
         for (axis, expected) in [4.0, 1.0, 0.25].into_iter().enumerate() {
             // Four standard errors of a variance estimate: 4 · sqrt(2/n) = 9 %.
             assert!((sums[axis] / expected - 1.0).abs() < 0.09, "axis {axis}: {}", sums[axis]);
+        }
+    }
+
+    #[test]
+    fn twins_stand_side_by_side_and_render_like_the_one_before() {
+        let mut cloud = Gaussians::zeros(1);
+        (cloud.log_scales[0], cloud.opacity_logits[0]) = ([-1.0, 0.5, -2.0], logit(0.8));
+        let mut edit = RowEdit::default();
+        edit.push(0, Origin::Twin { child: 0 });
+        edit.push(0, Origin::Twin { child: 1 });
+        edit.apply(&mut cloud, &mut Moments::zeros(1), &Rng::new(1));
+        let offset = TWIN_OFFSET * 0.5f32.exp();
+        assert_eq!(cloud.positions, [[0.0, offset, 0.0], [0.0, -offset, 0.0]]);
+        // Together they absorb at the centre what one did: 1 − (1 − o')² = o.
+        let each = sigmoid(cloud.opacity_logits[0]);
+        assert!((1.0 - (1.0 - each).powi(2) - 0.8).abs() < 1e-6);
+        // Along a line through the centre, too: ∫ 1 − (1 − o' g)² = s' sqrt(2π) (2 o' − o'²/√2) = s sqrt(2π) o.
+        let shrink = (cloud.log_scales[0][0] + 1.0).exp();
+        assert!((shrink * (2.0 * each - each * each / 2f32.sqrt()) - 0.8).abs() < 1e-6);
+        for opacity in [0.0, 1e-8, 0.5, 1.0] {
+            let (logit, log_scale) = twin(logit(opacity), [0.0; 3]);
+            assert!(!logit.is_nan() && log_scale[0].is_finite() && log_scale[0] <= 1e-6, "{opacity}");
         }
     }
 

@@ -37,6 +37,7 @@
 //! | `selection`, `crossover`, `mutation`, `survival` | the four operators |
 //! | `sampling` | exact random subsets |
 //! | [`record`] | the logbook |
+//! | [`renewal`] | the other selection: among the Gaussians of one cloud, who dies and who becomes two |
 //! | [`strategy`] | the other search: a normal distribution over a few numbers, for recombination |
 //!
 //! **Randomness.** Every number comes from `Rng::at(stream, generation, individual or pair, row or draw)`, so neither the
@@ -54,6 +55,7 @@ mod individual;
 mod mutation;
 pub mod population;
 pub mod record;
+pub mod renewal;
 mod sampling;
 mod selection;
 pub mod strategy;

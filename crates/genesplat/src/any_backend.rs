@@ -5,8 +5,8 @@ use std::borrow::Cow;
 use genesplat::core::backend::{MomentPolicy, StepReport};
 use genesplat::core::lineage::PARENTS;
 use genesplat::core::{
-    Backend, BackendError, Blend, Camera, Gaussians, Image, Judgement, Lineage, Moments, RenderSettings,
-    RowEdit, SparseDelta, Statistics, TrainStep, View,
+    Backend, BackendError, Blend, Camera, Gaussians, Image, Judgement, Lineage, Merit, Moments,
+    RenderSettings, RowEdit, SparseDelta, Statistics, TrainStep, View,
 };
 use genesplat::gpu::GpuBackend;
 use genesplat::kernels::cpu::CpuBackend;
@@ -100,6 +100,10 @@ impl Backend for AnyBackend {
 
     fn remember(&mut self, parent: usize) -> Result<(), BackendError> {
         delegate!(self.remember(parent))
+    }
+
+    fn weigh(&mut self, views: &[usize], settings: &RenderSettings) -> Result<Vec<Merit>, BackendError> {
+        delegate!(self.weigh(views, settings))
     }
 
     fn remembered(&self) -> [u32; PARENTS] {

@@ -6,8 +6,8 @@ use fearless_simd::Level;
 use genesplat_core::gaussians::{logit, sigmoid};
 use genesplat_core::lineage::PARENTS;
 use genesplat_core::{
-    Backend, BackendError, Blend, Camera, DensitySignal, Gaussians, Image, Judgement, Lineage, Moments,
-    RenderSettings, Rng, RowEdit, SparseDelta, Statistics, StatisticsRequest, TrainStep, View,
+    Backend, BackendError, Blend, Camera, DensitySignal, Gaussians, Image, Judgement, Lineage, Merit,
+    Moments, RenderSettings, Rng, RowEdit, SparseDelta, Statistics, StatisticsRequest, TrainStep, View,
     backend::MomentPolicy, backend::StepReport,
 };
 use rayon::prelude::*;
@@ -18,6 +18,7 @@ use super::project::Pinhole;
 use super::rasterise_backward::Extra;
 use super::score::{BaseView, score};
 use super::update::{Inputs, update};
+use super::weigh::weigh;
 
 struct TrainView {
     camera: Pinhole,
@@ -284,6 +285,15 @@ impl Backend for CpuBackend {
     fn remember(&mut self, parent: usize) -> Result<(), BackendError> {
         self.lineage.add(parent, &self.cloud);
         Ok(())
+    }
+
+    fn weigh(&mut self, views: &[usize], settings: &RenderSettings) -> Result<Vec<Merit>, BackendError> {
+        let mut merits = vec![Merit::default(); self.cloud.len()];
+        for &view in views {
+            let TrainView { camera, target } = &self.views[view];
+            weigh(self.level, &mut self.frame, &self.cloud, (camera, target), settings, &mut merits);
+        }
+        Ok(merits)
     }
 
     fn remembered(&self) -> [u32; PARENTS] {

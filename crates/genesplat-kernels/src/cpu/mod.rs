@@ -16,6 +16,7 @@ mod roofline;
 mod score;
 mod simd;
 mod update;
+mod weigh;
 
 mod backend;
 mod frame;

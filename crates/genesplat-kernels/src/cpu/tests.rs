@@ -20,8 +20,8 @@ use super::score::judge::loss_by_judge;
 use super::update::{Inputs, gradients};
 use super::{CpuBackend, Frame, loss};
 use crate::fixtures::{
-    HEIGHT, WIDTH, camera, cloud, filters, individual_of, photo, poisoned_cloud, settings, step, uniform,
-    view,
+    HEIGHT, WIDTH, camera, cloud, filtered_cloud, filters, individual_of, photo, poisoned_cloud, settings,
+    small_view, step, uniform, view,
 };
 use crate::reference::{self, Cloud64, Cutoff};
 
@@ -124,6 +124,24 @@ fn loss_and_image_gradient_match_the_reference() {
         assert_eq!(actual, loss::loss(level, &image, &target, None), "forward only");
         let judged = loss_by_judge(level, &image, &target);
         assert!((judged - actual).abs() < 1e-6 * actual, "forward only: {judged} {actual}");
+    }
+}
+
+#[test]
+fn merits_match_the_reference() {
+    for filter in filters() {
+        let (cloud, settings) = (filtered_cloud(400, filter), settings(3, filter));
+        let mut backend = CpuBackend::new(0);
+        backend.set_views(&[view(), small_view()]).unwrap();
+        backend.upload(cloud.clone(), None).unwrap();
+        let merits = backend.weigh(&[0, 1], &settings).unwrap();
+        let of_view = |view| reference::weigh(&Cloud64::from(&cloud), view, &settings, Cutoff::Hard);
+        let (first, second) = (of_view(&view()), of_view(&small_view()));
+        let weights = first.iter().zip(&second).map(|(a, b)| a[0] + b[0]);
+        let errors = first.iter().zip(&second).map(|(a, b)| a[1].max(b[1]));
+        compare("weights", merits.iter().map(|merit| f64::from(merit.weight)), weights).unwrap();
+        compare("errors", merits.iter().map(|merit| f64::from(merit.error)), errors).unwrap();
+        assert!(merits.iter().any(|merit| merit.weight == 0.0), "some Gaussians are not seen");
     }
 }
 

@@ -121,6 +121,25 @@ pub fn gradients(
     (loss, backward(cloud, &view.camera, settings, cutoff, &rendered, &by_image))
 }
 
+/// What each Gaussian is worth to `view`, and the error that it has part in: `[Σ α·T, Σ α·T·|I − P|]`, `[N]`.
+pub fn weigh(cloud: &Cloud64, view: &View, settings: &RenderSettings, cutoff: Cutoff) -> Vec<[f64; 2]> {
+    let rendered = render(cloud, &view.camera, settings, cutoff);
+    let (image, photo) = (&rendered.frame.image, planes(&view.photo));
+    let plane = photo.len() / 3;
+    let error =
+        |pixel: usize| (0..3).map(|c| (image[c * plane + pixel] - photo[c * plane + pixel]).abs()).sum();
+    let mut by_image = vec![1.0; plane];
+    by_image.extend((0..plane).map(|pixel| -> f64 { error(pixel) }));
+    by_image.resize(3 * plane, 0.0);
+    let splats = &rendered.splats;
+    let by_splats = rasterise::backward(splats, size(&view.camera), background(settings), cutoff, &by_image);
+    let mut merits = vec![[0.0; 2]; cloud.len()];
+    for (splat, by_splat) in splats.iter().zip(&by_splats) {
+        merits[splat.row] = [by_splat.colour[0], by_splat.colour[1]];
+    }
+    merits
+}
+
 impl Gradients {
     /// No gradient, for `n` rows.
     fn zeros(n: usize) -> Self {

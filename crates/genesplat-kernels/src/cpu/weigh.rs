@@ -1,0 +1,52 @@
+//! Stage `weigh`: what each Gaussian is worth to a view, and the error that it has part in.
+//!
+//! The backward blending already sums `α·T · dL/dpixel` for every splat, channel by channel, as the gradient of its colour.
+//! With a picture of ones for the first channel and one of errors for the second it sums what is asked for here.
+
+use fearless_simd::Level;
+use genesplat_core::{Gaussians, Image, Merit, RenderSettings};
+
+use super::frame::Frame;
+use super::loss::Target;
+use super::project::Pinhole;
+use super::rasterise_backward::{self, Backward, Extra, column};
+
+/// Adds one view to `merits`, `[N]`.
+pub fn weigh(
+    level: Level,
+    frame: &mut Frame,
+    cloud: &Gaussians,
+    (camera, target): (&Pinhole, &Target),
+    settings: &RenderSettings,
+    merits: &mut [Merit],
+) {
+    frame.render(level, cloud, camera, settings);
+    ones_and_errors(&frame.image, target, &mut frame.gradient);
+    let Frame { splats, bins, image, gradient, rows, .. } = frame;
+    let inputs = Backward { splats, image, gradient, extra: Extra::None };
+    rasterise_backward::backward(level, bins, camera, &inputs, rows);
+    let mut of_view = vec![Merit::default(); cloud.len()];
+    for (entry, row) in bins.entries.iter().zip(rows.iter()) {
+        let merit = &mut of_view[splats.get(entry.splat).global as usize];
+        merit.weight += row.0[column::RED];
+        merit.error += row.0[column::RED + 1];
+    }
+    for (merit, of_view) in merits.iter_mut().zip(of_view) {
+        merit.weight += of_view.weight;
+        merit.error = merit.error.max(of_view.error);
+    }
+}
+
+/// In the place of the image's gradient `[3, H, W]`: ones, the errors of all channels together, zeros.
+fn ones_and_errors(image: &Image, target: &Target, gradient: &mut Vec<f32>) {
+    let plane = image.planes.len() / 3;
+    gradient.clear();
+    gradient.resize(plane, 1.0);
+    gradient.resize(3 * plane, 0.0);
+    let errors = &mut gradient[plane..2 * plane];
+    for (image, photo) in image.planes.chunks_exact(plane).zip(target.planes.chunks_exact(plane)) {
+        for ((error, &value), &level) in errors.iter_mut().zip(image).zip(photo) {
+            *error += (value - f32::from(level) * (1.0 / 255.0)).abs();
+        }
+    }
+}
