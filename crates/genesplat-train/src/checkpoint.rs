@@ -9,11 +9,12 @@ use std::io::{self, Read, Write};
 use genesplat_core::lineage::{Lineage, Parent};
 use genesplat_core::{Gaussians, Moments, Statistics};
 
-use crate::observe::StageRecord;
+use crate::observe::{StageKind, StageRecord};
+use crate::renew::Trial;
 use crate::schedule::Phase;
 
 /// Opens every checkpoint; the last byte is the version of the format.
-const MAGIC: [u8; 8] = *b"GSPLATC\x04";
+const MAGIC: [u8; 8] = *b"GSPLATC\x05";
 
 /// The next thing to do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -66,6 +67,8 @@ pub struct Checkpoint {
     pub statistics: Statistics,
     /// States that recombination averages.
     pub lineage: Lineage,
+    /// The renewal that has yet to prove itself.
+    pub trial: Option<Trial>,
 }
 
 /// Why a checkpoint cannot be read.
@@ -105,6 +108,8 @@ impl Checkpoint {
             out.u32(parent.states())?;
             out.cloud(parent.mean())?;
         }
+        out.u32(u32::from(self.trial.is_some()))?;
+        self.trial.as_ref().map_or(Ok(()), |trial| out.trial(trial))?;
         let checksum = out.checksum.0;
         out.writer.write_all(&checksum.to_le_bytes())?;
         out.writer.flush()
@@ -134,6 +139,7 @@ impl Checkpoint {
             && [statistics.gradient_sum.len(), statistics.weight_sum.len()] == [n, n]
             && [0, n].contains(&statistics.absolute_sum.len())
             && (genes == [n, n] || genes == [0, 0])
+            && self.trial.as_ref().is_none_or(Trial::is_consistent)
             && self.lineage.parents().iter().all(|parent| [0, n].contains(&parent.mean().len()));
         if consistent { Ok(()) } else { Err(CheckpointError::Damaged("its columns differ in length")) }
     }
@@ -199,7 +205,15 @@ impl<W: Write> Encoder<W> {
         progress.stages.iter().try_for_each(|stage| self.stage(stage))
     }
 
+    fn trial(&mut self, trial: &Trial) -> io::Result<()> {
+        self.stage(&trial.record)?;
+        self.cloud(&trial.cloud)?;
+        self.cloud(&trial.moments.first)?;
+        self.cloud(&trial.moments.second)
+    }
+
     fn stage(&mut self, stage: &StageRecord) -> io::Result<()> {
+        self.u32(stage.kind as u32)?;
         self.u32(stage.iteration)?;
         self.u32(stage.generations)?;
         self.u64(stage.renders)?;
@@ -243,6 +257,15 @@ impl<R: Read> Decoder<R> {
                 gene_views: self.words()?.into_iter().map(u32::from_le_bytes).collect(),
             },
             lineage: Lineage::new([self.parent()?, self.parent()?]),
+            trial: if self.u32()? == 0 { None } else { Some(self.trial()?) },
+        })
+    }
+
+    fn trial(&mut self) -> Result<Trial, CheckpointError> {
+        Ok(Trial {
+            record: self.stage()?,
+            cloud: self.cloud()?,
+            moments: Moments { first: self.cloud()?, second: self.cloud()? },
         })
     }
 
@@ -307,8 +330,14 @@ impl<R: Read> Decoder<R> {
         })
     }
 
+    fn stage_kind(&mut self) -> Result<StageKind, CheckpointError> {
+        let kind = StageKind::ALL.get(self.u32()? as usize).copied();
+        kind.ok_or(CheckpointError::Damaged("it names an unknown kind of stage"))
+    }
+
     fn stage(&mut self) -> Result<StageRecord, CheckpointError> {
         Ok(StageRecord {
+            kind: self.stage_kind()?,
             iteration: self.u32()?,
             generations: self.u32()?,
             renders: self.u64()?,
@@ -345,6 +374,7 @@ mod tests {
         let mut moments = Moments::zeros(3);
         moments.second.rotations[0] = [1.0, 2.0, 3.0, 4.0];
         let stage = StageRecord {
+            kind: StageKind::Renewal,
             iteration: 3000,
             generations: 101,
             renders: 54_606,
@@ -374,6 +404,7 @@ mod tests {
                 gene_views: vec![7, 8, 9],
             },
             lineage: Lineage::new([Parent::default(), Parent::new(4, Gaussians::zeros(3))]),
+            trial: Some(Trial { record: stage, cloud: Gaussians::zeros(2), moments: Moments::zeros(2) }),
         }
     }
 
@@ -388,6 +419,7 @@ mod tests {
         let mut checkpoint = example();
         assert_eq!(Checkpoint::read(bytes(&checkpoint).as_slice()).unwrap(), checkpoint);
         checkpoint.cloud.filter_3d = None;
+        checkpoint.trial = None;
         checkpoint.statistics.gene_gradient_sum.clear();
         checkpoint.statistics.gene_views.clear();
         checkpoint.statistics.absolute_sum.clear();

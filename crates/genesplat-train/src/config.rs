@@ -209,6 +209,9 @@ pub enum EvolutionMode {
     /// Beyond the paper: five times in the second half of the run, a child of the last states replaces the last one if
     /// it is better.
     Recombine,
+    /// Beyond the paper, and the best measured: recombine, and before that, the Gaussians that matter least make room
+    /// for more where most is wrong.
+    Renew,
 }
 
 impl EvolutionMode {
@@ -219,6 +222,7 @@ impl EvolutionMode {
             Self::Paper => "paper",
             Self::Control => "control",
             Self::Recombine => "recombine",
+            Self::Renew => "renew",
         }
     }
 }
@@ -244,7 +248,7 @@ pub enum Trigger {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct EvolutionConfig {
-    /// What runs. Default `off`; or `paper`, `control`, `recombine`.
+    /// What runs. Default `off`; or `paper`, `control`, `recombine`, `renew`.
     pub mode: EvolutionMode,
     /// When. Default `after-reset`; or `before-reset`, `after-densify`, `before-densify`, `at-end`.
     pub trigger: Trigger,
@@ -261,13 +265,34 @@ pub struct EvolutionConfig {
     pub moments: MomentPolicy,
     /// Mode `control`: seconds a stage. Default 60; not negative.
     pub control_seconds: f64,
-    /// Mode `recombine`: the line of the run's last states.
+    /// Mode `renew`: how many Gaussians make room for others, and when.
+    pub renewal: RenewalConfig,
+    /// Modes `recombine` and `renew`: the line of the run's last states.
     pub recombine: RecombineConfig,
     /// Mode `paper`: the genetic algorithm.
     pub paper: PaperConfig,
 }
 
-/// Mode `recombine`: which states breed, and how their children are judged.
+/// Mode `renew`: how many Gaussians make room for others, and when.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct RenewalConfig {
+    /// Share of the Gaussians that die in a renewal; as many others become two. Default 0.05; above 0, at most 0.5.
+    pub share: f64,
+    /// Steps between two renewals, the first of which comes when density control has ended, as a share of the run. Default
+    /// 0.05; above 0, at most 0.5.
+    pub every: f64,
+    /// No renewal begins after this share of the run: the last Gaussians need time to become good ones. Default 0.75; 0 to 1.
+    pub until: f64,
+}
+
+impl Default for RenewalConfig {
+    fn default() -> Self {
+        Self { share: 0.05, every: 0.05, until: 0.75 }
+    }
+}
+
+/// Modes `recombine` and `renew`: which states breed, and how their children are judged.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RecombineConfig {
@@ -304,6 +329,7 @@ impl Default for EvolutionConfig {
             rotate_views: false,
             moments: MomentPolicy::Keep,
             control_seconds: 60.0,
+            renewal: RenewalConfig::default(),
             recombine: RecombineConfig::default(),
             paper: PaperConfig::default(),
         }

@@ -12,7 +12,7 @@ use genesplat_core::{Backend, BackendError, Gene, RenderSettings, Rng, SparseDel
 use genesplat_evolve::{GeneGradients, GeneticAlgorithm};
 
 use crate::config::EvolutionConfig;
-use crate::observe::{GenerationLog, Observer, StageLog, StageRecord};
+use crate::observe::{GenerationLog, Observer, StageKind, StageLog, StageRecord};
 use crate::run::TrainError;
 
 /// Individuals are handed to the backend until they take this many bytes: enough to keep a device busy, and small
@@ -151,6 +151,7 @@ pub(crate) fn control_record(
     clock: Instant,
 ) -> StageRecord {
     StageRecord {
+        kind: StageKind::Control,
         renders: steps.into(),
         fitness_after: after,
         seconds: clock.elapsed().as_secs_f64(),
@@ -161,6 +162,7 @@ pub(crate) fn control_record(
 /// A stage that has scored its base.
 pub(crate) fn empty_record(stage: &Stage<'_>, fitness: f64) -> StageRecord {
     StageRecord {
+        kind: StageKind::Paper,
         iteration: stage.iteration,
         generations: 0,
         renders: stage.views.len() as u64,

@@ -12,7 +12,7 @@
 //! | [`densify`] | where Gaussians are added and removed |
 //! | [`filter_3d`] | Mip-Splatting's limit on detail |
 //! | [`fitness`], [`views`] | the paper's evolution stage and the photos it is judged on |
-//! | `recombine` | ours: what is bred from the states of a run |
+//! | `renew`, `recombine`, `guards` | ours: which Gaussians make room for others, what is bred from the states of a run, and who checks |
 //! | `rescue` | what is saved of a run whose device is out of memory |
 //! | [`evaluate`] | PSNR, SSIM and LPIPS |
 //! | [`observe`], [`checkpoint`] | what is reported, what is saved |
@@ -23,12 +23,14 @@ pub mod densify;
 pub mod evaluate;
 pub mod filter_3d;
 pub mod fitness;
+mod guards;
 pub mod initialise;
 mod nearest;
 pub mod observe;
 pub mod pipeline;
 mod recombine;
 mod refine;
+mod renew;
 mod rescue;
 mod run;
 pub mod schedule;
@@ -38,7 +40,8 @@ pub mod views;
 
 pub use checkpoint::Checkpoint;
 pub use config::{Background, ConfigError, EvolutionMode, Resolved, TrainConfig, Trigger, Variant};
-pub use observe::{Observer, Silent, StageRecord};
+pub use observe::{Observer, Silent, StageKind, StageRecord};
 pub use pipeline::train;
 pub use refine::refine;
+pub use renew::Trial;
 pub use run::{Outcome, RunSummary, Seconds, Start, TrainError};

@@ -103,9 +103,30 @@ pub struct GenerationLog {
     pub renders: u64,
 }
 
+/// What a stage did.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum StageKind {
+    /// Algorithm 1 of the paper.
+    Paper,
+    /// Gradient steps in its place.
+    Control,
+    /// A child of the run's last states.
+    Recombination,
+    /// A renewal and its trial.
+    Renewal,
+}
+
+impl StageKind {
+    /// All of them, in the order of their numbers in a checkpoint.
+    pub const ALL: [Self; 4] = [Self::Paper, Self::Control, Self::Recombination, Self::Renewal];
+}
+
 /// An evolution stage, or the control in its place, as `metrics.json` reports it.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct StageRecord {
+    /// What it did.
+    pub kind: StageKind,
     /// Iteration of the trigger.
     pub iteration: u32,
     /// Generations completed, the initial population included; 0 for the control.

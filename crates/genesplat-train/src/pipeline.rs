@@ -88,13 +88,14 @@ impl<B: Backend> Trainer<'_, B> {
             Phase::RefreshFilter => self.refresh_filter()?,
             Phase::ResetOpacity => self.backend.reset_opacity(self.config.densify.reset_opacity)?,
             Phase::Remember => self.backend.remember(self.schedule.parent(i))?,
+            Phase::Renew => self.renew(i)?,
             Phase::Recombine => checkpoint = self.recombine(Cursor { iteration: i, phase })?,
             Phase::EvolveBeforeDensify
             | Phase::EvolveAfterDensify
             | Phase::EvolveBeforeReset
             | Phase::EvolveAfterReset
             | Phase::EvolveAtEnd => match self.config.evolution.mode {
-                EvolutionMode::Off | EvolutionMode::Recombine => {}
+                EvolutionMode::Off | EvolutionMode::Recombine | EvolutionMode::Renew => {}
                 EvolutionMode::Paper => checkpoint = self.evolve(Cursor { iteration: i, phase })?,
                 EvolutionMode::Control => self.control(i)?,
             },

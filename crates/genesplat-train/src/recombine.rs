@@ -18,15 +18,14 @@
 use std::time::Instant;
 
 use genesplat_core::lineage::{PARAMETER_GROUPS, PARENTS};
-use genesplat_core::{Backend, BackendError, Blend, Gaussians, Judgement, RenderSettings, Rng, Stream, View};
+use genesplat_core::{Backend, BackendError, Blend, Gaussians, RenderSettings, Rng};
 use genesplat_evolve::strategy::EvolutionStrategy;
 
 use crate::checkpoint::{Checkpoint, Cursor};
-use crate::config::RecombineConfig;
-use crate::observe::{GenerationLog, StageLog, StageRecord};
+use crate::guards::{StageViews, Verdict, mean_loss};
+use crate::observe::{GenerationLog, StageKind, StageLog, StageRecord};
 use crate::run::TrainError;
 use crate::trainer::Trainer;
-use crate::views::spread_evenly;
 
 /// Genes of a group of parameters: how far towards the mean of the states, and how far along the line.
 const GENES: usize = 2;
@@ -34,60 +33,6 @@ const GENES: usize = 2;
 const START: [f64; GENES] = [0.8, 0.6];
 /// First length of its steps.
 const STEP: f64 = 0.3;
-/// The least squared error that a PSNR is taken of: 120 dB.
-const SQUARED_ERROR_MIN: f64 = 1e-12;
-
-/// Views of one stage.
-struct LineViews {
-    /// Not searched on.
-    guards: Vec<usize>,
-    /// The others; where there are too few of them, all views.
-    searched: Vec<usize>,
-}
-
-impl LineViews {
-    /// At most a quarter of the views are guards, unless there is only one.
-    fn new(views: &[View], config: &RecombineConfig, rng: &Rng) -> Self {
-        let guards = spread_evenly(views, config.guards.min(views.len() / 4).max(1), rng, 0);
-        let searched: Vec<usize> = (0..views.len()).filter(|view| !guards.contains(view)).collect();
-        let searched = if searched.is_empty() { guards.clone() } else { searched };
-        Self { guards, searched }
-    }
-
-    /// The views of one generation, in a random order of its own.
-    fn of_generation(&self, generation: u32, count: usize, rng: &Rng) -> Vec<usize> {
-        let order = rng.permutation(Stream::FitnessViews, generation + 1, self.searched.len());
-        order.into_iter().take(count).map(|index| self.searched[index as usize]).collect()
-    }
-}
-
-/// What guards say of an individual.
-#[derive(Clone, Copy)]
-struct Verdict {
-    /// Mean of Eq. 5.
-    loss: f64,
-    /// Mean PSNR, dB.
-    psnr: f64,
-}
-
-impl Verdict {
-    fn of(judgements: &[Judgement]) -> Self {
-        let count = judgements.len() as f64;
-        let psnr =
-            |judgement: &Judgement| -10.0 * f64::from(judgement.squared_error).max(SQUARED_ERROR_MIN).log10();
-        Self { loss: mean_loss(judgements), psnr: judgements.iter().map(psnr).sum::<f64>() / count }
-    }
-
-    /// Better in the measure that training lowers, and not worse in the one that users read.
-    fn improves(&self, base: &Self) -> bool {
-        self.loss < base.loss && self.psnr >= base.psnr
-    }
-}
-
-fn mean_loss(judgements: &[Judgement]) -> f64 {
-    judgements.iter().map(|judgement| f64::from(judgement.loss)).sum::<f64>() / judgements.len() as f64
-}
-
 /// The child that a genome stands for. With the parents' mean `m` and the cloud `c`, gene 0 weighs `m − c`, and gene 1 the
 /// way from the older parent to the younger one. A parent without states makes the other one the mean.
 fn blend(genome: &[f64], has_states: [bool; PARENTS]) -> Blend {
@@ -105,7 +50,7 @@ fn blend(genome: &[f64], has_states: [bool; PARENTS]) -> Blend {
 /// One stage.
 struct Line {
     iteration: u32,
-    views: LineViews,
+    views: StageViews,
     settings: RenderSettings,
     rng: Rng,
     /// Which parents have states.
@@ -155,7 +100,7 @@ impl<B: Backend> Trainer<'_, B> {
         let is_last = iteration == self.schedule.iterations;
         Line {
             iteration,
-            views: LineViews::new(self.views, config, &rng),
+            views: StageViews::new(self.views, config.guards, &rng),
             settings: self.settings(iteration),
             rng,
             parents: self.backend.remembered().map(|states| states > 0),
@@ -228,6 +173,7 @@ impl<B: Backend> Trainer<'_, B> {
 /// A stage in which nothing has happened yet.
 fn record(line: &Line, before: Verdict) -> StageRecord {
     StageRecord {
+        kind: StageKind::Recombination,
         iteration: line.iteration,
         generations: 0,
         renders: 0,

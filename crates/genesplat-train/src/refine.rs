@@ -28,7 +28,7 @@ pub fn refine<B: Backend>(
     if config.config().evolution.mode == EvolutionMode::Off {
         return Err(TrainError::NothingToRefine);
     }
-    if config.config().evolution.mode == EvolutionMode::Recombine {
+    if matches!(config.config().evolution.mode, EvolutionMode::Recombine | EvolutionMode::Renew) {
         return Err(TrainError::NothingToRecombine);
     }
     let mut trainer = Trainer::new(backend, views, config, observer, stop)?;

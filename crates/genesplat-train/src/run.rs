@@ -112,7 +112,7 @@ pub enum TrainError {
     NothingToRefine,
     /// A finished cloud has no earlier states.
     #[error(
-        "evolution.mode recombine averages the last states of a run, and a finished cloud has only one; \
+        "evolution.mode recombine and renew need the steps of a run, and a finished cloud makes none; \
          set it to paper (or control), or train with it"
     )]
     NothingToRecombine,

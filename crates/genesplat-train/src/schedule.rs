@@ -37,11 +37,13 @@ pub enum Phase {
     Remember,
     /// Recombination: the mean replaces the last state if it is better.
     Recombine,
+    /// Renewal: the last one is judged, and the next one begins.
+    Renew,
 }
 
 impl Phase {
     /// The phases of one iteration, in order.
-    pub const ORDER: [Self; 11] = [
+    pub const ORDER: [Self; 12] = [
         Self::Step,
         Self::EvolveBeforeDensify,
         Self::Densify,
@@ -53,6 +55,7 @@ impl Phase {
         Self::EvolveAtEnd,
         Self::Remember,
         Self::Recombine,
+        Self::Renew,
     ];
 
     /// One of the five places of the evolution stage, or recombination in its place.
@@ -66,6 +69,7 @@ impl Phase {
                 | Self::EvolveAtEnd
                 | Self::Remember
                 | Self::Recombine
+                | Self::Renew
         )
     }
 }
@@ -116,6 +120,10 @@ pub struct Schedule {
     pub evolution_phase: Option<Phase>,
     /// Evolution runs at every n-th occurrence of its trigger.
     pub evolution_stride: u32,
+    /// Iterations between two renewals, if there are any: from the end of density control on.
+    pub renew_every: Option<u32>,
+    /// The last renewal is begun at or before this iteration.
+    pub renew_until: u32,
     /// Iterations of a window of recombination, if it runs; the last window ends with the run.
     pub window: Option<u32>,
     /// Iterations between two states that recombination remembers.
@@ -137,9 +145,10 @@ impl Schedule {
         let mcmc = config.variant == Variant::Mcmc;
         let white = config.background == Background::White && densify.white_reset_at > 0;
         let iterations = interval(config.iterations);
-        let recombines = evolution.mode == EvolutionMode::Recombine;
+        let recombines = matches!(evolution.mode, EvolutionMode::Recombine | EvolutionMode::Renew);
+        let share_of_run = |share: f64| (f64::from(iterations) * share).round() as u32;
         let stages = matches!(evolution.mode, EvolutionMode::Paper | EvolutionMode::Control);
-        let window = ((f64::from(iterations) * evolution.recombine.window).round() as u32).max(1);
+        let window = share_of_run(evolution.recombine.window).max(1);
         Self {
             iterations,
             sh_every: interval(config.sh_every),
@@ -157,6 +166,9 @@ impl Schedule {
             filter_3d: config.variant == Variant::MipSplatting,
             evolution_phase: stages.then(|| trigger_phase(evolution.trigger)),
             evolution_stride: evolution.stride,
+            renew_every: (evolution.mode == EvolutionMode::Renew)
+                .then(|| share_of_run(evolution.renewal.every).max(1)),
+            renew_until: share_of_run(evolution.renewal.until),
             window: recombines.then_some(window),
             remember_every: (window / evolution.recombine.states).max(1),
             gene_gradients: evolution.wants_gene_gradients(),
@@ -178,6 +190,7 @@ impl Schedule {
             Phase::ResetOpacity => self.is_reset(i),
             Phase::Remember => self.is_remembered(i),
             Phase::Recombine => self.window.is_some_and(|window| self.window_end(window, i) == Some(i)),
+            Phase::Renew => self.is_renewal(i),
             evolve => self.evolution_phase == Some(evolve) && self.is_stage(i),
         }
     }
@@ -229,6 +242,18 @@ impl Schedule {
             Some(_) => (self.is_periodic_reset(i), i / self.reset_every),
         };
         happens && occurrence.is_multiple_of(self.evolution_stride)
+    }
+
+    /// A renewal begins at the end of iteration `i`, and there is time to judge it.
+    pub fn renews(&self, i: u32) -> bool {
+        let Some(every) = self.renew_every else { return false };
+        let has_begun = i >= self.densify_until && (i - self.densify_until).is_multiple_of(every);
+        has_begun && i <= self.renew_until && i + every < self.iterations
+    }
+
+    /// A renewal begins or is judged.
+    fn is_renewal(&self, i: u32) -> bool {
+        self.renews(i) || self.renew_every.is_some_and(|every| i >= every && self.renews(i - every))
     }
 
     /// The state at the end of iteration `i` is one of those that recombination averages; the last iteration makes no

@@ -17,6 +17,7 @@ use crate::filter_3d::filter_3d;
 use crate::fitness::Stage;
 use crate::initialise::{ColouredPoint, cloud_from_points, in_spatial_order, scene_extent};
 use crate::observe::{Observer, StartLog, StepFindings};
+use crate::renew::Trial;
 use crate::run::{Outcome, RunSummary, Seconds, Start, TrainError};
 use crate::schedule::{OptimiserStep, Phase, Schedule};
 use crate::views::{ViewOrder, spread_evenly};
@@ -37,6 +38,8 @@ pub(crate) struct Trainer<'a, B> {
     pub(crate) last_stage: u32,
     pub(crate) order: ViewOrder,
     pub(crate) progress: Progress,
+    /// The renewal that has yet to prove itself.
+    pub(crate) trial: Option<Trial>,
     /// What is done next, or is under way.
     pub(crate) cursor: Cursor,
     /// The phase under way has changed the state, and has more to change.
@@ -65,6 +68,7 @@ impl<'a, B: Backend> Trainer<'a, B> {
             last_stage: schedule.stages().last().unwrap_or(0),
             order: ViewOrder::new(rng, views.len()),
             progress: Progress::default(),
+            trial: None,
             cursor: Cursor::start_of(1),
             torn: false,
             cap_noticed: false,
@@ -125,6 +129,7 @@ impl<'a, B: Backend> Trainer<'a, B> {
         self.backend.restore_statistics(checkpoint.statistics)?;
         self.backend.restore_lineage(checkpoint.lineage)?;
         self.progress = checkpoint.progress;
+        self.trial = checkpoint.trial;
         Ok(checkpoint.cursor)
     }
 
@@ -137,6 +142,7 @@ impl<'a, B: Backend> Trainer<'a, B> {
             moments: self.backend.download_moments()?.into_owned(),
             statistics: self.backend.statistics()?,
             lineage: self.backend.lineage()?.into_owned(),
+            trial: self.trial.clone(),
         }))
     }
 

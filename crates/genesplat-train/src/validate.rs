@@ -5,8 +5,8 @@ use std::fmt;
 use genesplat_core::spherical_harmonics::SH_DEGREE_MAX;
 
 use crate::config::{
-    DensifyConfig, EvolutionConfig, McmcConfig, OptimiserConfig, RecombineConfig, Signal, TrainConfig,
-    Variant,
+    DensifyConfig, EvolutionConfig, McmcConfig, OptimiserConfig, RecombineConfig, RenewalConfig, Signal,
+    TrainConfig, Variant,
 };
 
 /// A setting that cannot be used.
@@ -123,6 +123,11 @@ impl EvolutionConfig {
         at_least_one("evolution.stride", self.stride)?;
         check("evolution.views", self.views, self.views > 0, "at least 1")?;
         not_negative("evolution.control_seconds", self.control_seconds)?;
+        let RenewalConfig { share, every, until } = self.renewal;
+        for (setting, value) in [("evolution.renewal.share", share), ("evolution.renewal.every", every)] {
+            check(setting, value, value > 0.0 && value <= 0.5, "above 0 and at most 0.5")?;
+        }
+        check("evolution.renewal.until", until, (0.0..=1.0).contains(&until), "0 to 1")?;
         let RecombineConfig { window, states, views, guards, .. } = self.recombine;
         check(
             "evolution.recombine.window",

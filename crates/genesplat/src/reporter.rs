@@ -8,7 +8,7 @@ use std::time::Instant;
 
 use anyhow::Result;
 use genesplat::train::observe::{
-    DensifyLog, GenerationLog, LogRecord, Render, StageLog, StageRecord, StartLog, StepLog,
+    DensifyLog, GenerationLog, LogRecord, Render, StageKind, StageLog, StageRecord, StartLog, StepLog,
 };
 use genesplat::train::{Checkpoint, Observer};
 
@@ -142,11 +142,7 @@ impl Observer for Reporter<'_> {
 
     fn on_stage_end(&mut self, record: &StageRecord) {
         self.stage = None;
-        let StageRecord { iteration, fitness_before, fitness_after, changed, renders, seconds, .. } = record;
-        let text = format!(
-            "evolution at iteration {iteration}: fitness {fitness_before:.6} -> {fitness_after:.6}, {changed} Gaussians \
-             changed, {renders} renders in {seconds:.1} s"
-        );
+        let text = stage_sentence(record);
         self.say(&text);
         self.log(&LogRecord::StageEnd(*record));
     }
@@ -172,5 +168,25 @@ impl Observer for Reporter<'_> {
         let Some((folder, _)) = &self.folder else { return };
         let written = folder.write_checkpoint(&checkpoint);
         self.keep(written);
+    }
+}
+
+/// What a stage did, for the terminal.
+fn stage_sentence(record: &StageRecord) -> String {
+    let StageRecord { kind, iteration, fitness_before, fitness_after, changed, renders, seconds, .. } =
+        record;
+    match (kind, record.guard_psnr) {
+        (StageKind::Renewal, Some([before, after])) if *changed > 0 => format!(
+            "renewal at iteration {iteration}: {} Gaussians made room for as many others; since then guards rose from \
+             {before:.2} to {after:.2} dB",
+            changed / 2
+        ),
+        (StageKind::Renewal, _) => {
+            format!("renewal at iteration {iteration}: taken back, since guards did not like what came of it")
+        }
+        _ => format!(
+            "evolution at iteration {iteration}: fitness {fitness_before:.6} -> {fitness_after:.6}, {changed} Gaussians \
+             changed, {renders} renders in {seconds:.1} s"
+        ),
     }
 }

@@ -293,6 +293,7 @@ mod tests {
             moments: Moments::default(),
             statistics: Statistics::default(),
             lineage: Lineage::default(),
+            trial: None,
         }
     }
 

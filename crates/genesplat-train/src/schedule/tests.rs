@@ -111,6 +111,35 @@ fn recombination_has_a_stage_after_each_tenth_in_which_rows_stay() {
 }
 
 #[test]
+fn renewal_begins_when_density_control_has_ended_and_leaves_time_to_learn() {
+    let renewing = |mcmc: bool, iterations: u32| {
+        schedule(|config| {
+            config.evolution.mode = EvolutionMode::Renew;
+            config.iterations = iterations;
+            if mcmc {
+                config.variant = Variant::Mcmc;
+            }
+        })
+    };
+    let full = renewing(false, 30_000);
+    let begun: Vec<u32> = (1..=30_000).filter(|&i| full.renews(i)).collect();
+    assert_eq!(begun, [15_000, 16_500, 18_000, 19_500, 21_000, 22_500]);
+    assert_eq!(
+        iterations_with(&full, Phase::Renew),
+        [&begun[..], &[24_000]].concat(),
+        "the last is only judged"
+    );
+    assert_eq!(iterations_with(&full, Phase::Recombine), [18_000, 21_000, 24_000, 27_000, 30_000]);
+    assert_eq!(
+        full.phases(18_000).collect::<Vec<_>>(),
+        [Phase::Step, Phase::Remember, Phase::Recombine, Phase::Renew]
+    );
+    // MCMC relocates until 25,000, and a run that is cut short densifies to its end.
+    assert!(iterations_with(&renewing(true, 30_000), Phase::Renew).is_empty());
+    assert!(iterations_with(&renewing(false, 7000), Phase::Renew).is_empty());
+}
+
+#[test]
 fn mcmc_densifies_longer_loses_no_step_and_resets_nothing() {
     let schedule = schedule(|config| {
         (config.variant, config.background) = (Variant::Mcmc, Background::White);

@@ -5,6 +5,7 @@ mod evaluate;
 mod order;
 mod recombine;
 mod reconstruct;
+mod renew;
 mod resume;
 mod stage;
 mod support;

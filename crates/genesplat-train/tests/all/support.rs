@@ -11,8 +11,8 @@ use genesplat_core::edit::carry_genes;
 use genesplat_core::gaussians::{logit, sigmoid};
 use genesplat_core::lineage::PARENTS;
 use genesplat_core::{
-    Backend, BackendError, Blend, Camera, Gaussians, Image, Judgement, Lineage, Moments, Origin, Photo,
-    RenderSettings, Rng, RowEdit, SparseDelta, Statistics, TrainStep, View,
+    Backend, BackendError, Blend, Camera, Gaussians, Image, Judgement, Lineage, Merit, Moments, Origin,
+    Photo, RenderSettings, Rng, RowEdit, SparseDelta, Statistics, TrainStep, View,
 };
 use genesplat_train::Observer;
 use genesplat_train::initialise::ColouredPoint;
@@ -32,6 +32,7 @@ pub enum Call {
     Restore { genes: bool },
     Apply { rows: usize, moments: MomentPolicy },
     Remember { parent: usize },
+    Weigh { views: usize },
     Judge { blends: Vec<Blend>, views: Vec<usize> },
     Breed(Blend),
     Forget,
@@ -51,6 +52,10 @@ pub struct FakeBackend {
     pub target: f32,
     /// Squared errors rise where losses fall.
     pub guards_disagree: bool,
+    /// Squared errors grow by this factor with every call of `judge`.
+    pub decline: f32,
+    /// Calls of `judge` so far.
+    pub verdicts: i32,
     /// Every fitness is this instead.
     pub poison: Option<f32>,
     /// Set after this many calls of `score` or `judge`.
@@ -101,6 +106,8 @@ impl FakeBackend {
             scores: 0,
             lineage: Lineage::default(),
             guards_disagree: false,
+            decline: 1.0,
+            verdicts: 0,
             rng: Rng::new(0),
         }
     }
@@ -214,6 +221,7 @@ impl Backend for FakeBackend {
         });
         self.moments = moments.unwrap_or_else(|| Moments::zeros(cloud.len()));
         self.cloud = cloud;
+        self.lineage = Lineage::default();
         self.reset_statistics(true);
         Ok(())
     }
@@ -318,6 +326,14 @@ impl Backend for FakeBackend {
         Ok(())
     }
 
+    fn weigh(&mut self, views: &[usize], _: &RenderSettings) -> Result<Vec<Merit>, BackendError> {
+        self.settle()?;
+        self.calls.push(Call::Weigh { views: views.len() });
+        let distance = |p: &[f32; 3]| (p[0] - self.target).abs();
+        let merit = |(row, p)| Merit { weight: row as f32, error: distance(p) };
+        Ok(self.cloud.positions.iter().enumerate().map(merit).collect())
+    }
+
     fn remembered(&self) -> [u32; PARENTS] {
         self.lineage.states()
     }
@@ -347,12 +363,14 @@ impl Backend for FakeBackend {
         self.settle()?;
         self.calls.push(Call::Judge { blends: blends.to_vec(), views: views.to_vec() });
         self.count_score();
+        self.verdicts += 1;
+        let decline = self.decline.powi(self.verdicts);
         let mut child = Gaussians::default();
         let judge = |blend: &Blend| {
             self.lineage.breed(&self.cloud, blend, &mut child);
             let loss = self.poison.unwrap_or_else(|| self.distance(&child));
             let squared_error = if self.guards_disagree { 1.0 / loss } else { loss };
-            vec![Judgement { loss, squared_error }; views.len()]
+            vec![Judgement { loss, squared_error: squared_error * decline }; views.len()]
         };
         Ok(blends.iter().flat_map(judge).collect())
     }

@@ -1,0 +1,59 @@
+//! Training views that a search never sees, and what they say of what it found.
+
+use genesplat_core::{Judgement, Rng, Stream, View};
+
+use crate::views::spread_evenly;
+
+/// The least squared error that a PSNR is taken of: 120 dB.
+const SQUARED_ERROR_MIN: f64 = 1e-12;
+
+/// Views of one stage.
+pub(crate) struct StageViews {
+    /// Not searched on.
+    pub(crate) guards: Vec<usize>,
+    /// The others; where there are too few of them, all views.
+    searched: Vec<usize>,
+}
+
+impl StageViews {
+    /// At most a quarter of the views are guards, unless there is only one.
+    pub(crate) fn new(views: &[View], guards: usize, rng: &Rng) -> Self {
+        let guards = spread_evenly(views, guards.min(views.len() / 4).max(1), rng, 0);
+        let searched: Vec<usize> = (0..views.len()).filter(|view| !guards.contains(view)).collect();
+        let searched = if searched.is_empty() { guards.clone() } else { searched };
+        Self { guards, searched }
+    }
+
+    /// The views of one generation, in a random order of its own.
+    pub(crate) fn of_generation(&self, generation: u32, count: usize, rng: &Rng) -> Vec<usize> {
+        let order = rng.permutation(Stream::FitnessViews, generation + 1, self.searched.len());
+        order.into_iter().take(count).map(|index| self.searched[index as usize]).collect()
+    }
+}
+
+/// What guards say of an individual.
+#[derive(Clone, Copy)]
+pub(crate) struct Verdict {
+    /// Mean of Eq. 5.
+    pub(crate) loss: f64,
+    /// Mean PSNR, dB.
+    pub(crate) psnr: f64,
+}
+
+impl Verdict {
+    pub(crate) fn of(judgements: &[Judgement]) -> Self {
+        let count = judgements.len() as f64;
+        let psnr =
+            |judgement: &Judgement| -10.0 * f64::from(judgement.squared_error).max(SQUARED_ERROR_MIN).log10();
+        Self { loss: mean_loss(judgements), psnr: judgements.iter().map(psnr).sum::<f64>() / count }
+    }
+
+    /// Better in the measure that training lowers, and not worse in the one that users read.
+    pub(crate) fn improves(&self, base: &Self) -> bool {
+        self.loss < base.loss && self.psnr >= base.psnr
+    }
+}
+
+pub(crate) fn mean_loss(judgements: &[Judgement]) -> f64 {
+    judgements.iter().map(|judgement| f64::from(judgement.loss)).sum::<f64>() / judgements.len() as f64
+}

@@ -1,0 +1,132 @@
+//! Renewal on trial: now and then the Gaussians that nobody would miss make room for more where most is wrong.
+//!
+//! Why. 3DGS looks for the right Gaussians in the first half of a run and then leaves them as they are. By that time many
+//! are worth next to nothing, while others stand for more than one Gaussian can show. Gradients cannot mend that: what is
+//! not there has no gradient.
+//!
+//! How. Once density control has ended, a twentieth of the run apart, every Gaussian is weighed
+//! ([`genesplat_core::merit`]), and a share of the cloud is renewed ([`genesplat_evolve::renewal`]). A new Gaussian needs
+//! some gradient steps before it is worth anything, so a renewal is judged when the next one is due: if the *guard* views
+//! are rendered worse by then than before it, the state before it comes back, moments and all, and the steps in between
+//! were in vain.
+//!
+//! Prior art: 3DGS-MCMC relocates by opacity (Kheradmand et al., 2024), "Revising Densification" grows by error (Rota Bulò
+//! et al., 2024); neither weighs, or takes anything back.
+
+use std::time::Instant;
+
+use genesplat_core::{Backend, Blend, Gaussians, Moments, Origin};
+use genesplat_evolve::renewal;
+
+use crate::guards::{StageViews, Verdict};
+use crate::observe::{StageKind, StageRecord};
+use crate::run::TrainError;
+use crate::trainer::Trainer;
+
+/// A renewal that has yet to prove itself.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Trial {
+    /// What is reported of it, as if it failed.
+    pub record: StageRecord,
+    /// The cloud before it.
+    pub cloud: Gaussians,
+    /// Adam's moments before it.
+    pub moments: Moments,
+}
+
+impl Trial {
+    /// All columns have the same number of rows.
+    pub(crate) fn is_consistent(&self) -> bool {
+        let columns = [&self.cloud, &self.moments.first, &self.moments.second];
+        columns.iter().all(|columns| columns.is_consistent() && columns.len() == self.cloud.len())
+    }
+}
+
+/// Clouds that a trial keeps: one, and its two moments.
+const CLOUDS_KEPT: usize = 3;
+
+impl<B: Backend> Trainer<'_, B> {
+    /// Judges the renewal that is on trial, and begins the next one if there is to be one.
+    pub(crate) fn renew(&mut self, i: u32) -> Result<(), TrainError> {
+        let clock = Instant::now();
+        let guards = self.guards();
+        let mut verdict = self.verdict(&guards, i)?;
+        if let Some(trial) = self.trial.take() {
+            verdict = self.end_trial(trial, verdict, clock)?;
+        }
+        if self.schedule.renews(i) {
+            let record = StageRecord { renders: guards.len() as u64, ..record(i, verdict) };
+            self.begin_trial(record, Instant::now())?;
+        }
+        Ok(())
+    }
+
+    /// The same in all trials of a run, so that one verdict ends a trial and begins the next.
+    fn guards(&self) -> Vec<usize> {
+        StageViews::new(self.views, self.config.evolution.recombine.guards, &self.rng).guards
+    }
+
+    fn verdict(&mut self, guards: &[usize], i: u32) -> Result<Verdict, TrainError> {
+        let settings = self.settings(i);
+        let verdict = Verdict::of(&self.backend.judge(&[Blend::default()], guards, &settings)?);
+        if verdict.loss.is_finite() {
+            Ok(verdict)
+        } else {
+            Err(TrainError::NoFitness { iteration: i, loss: verdict.loss })
+        }
+    }
+
+    /// Keeps what was renewed, or takes it back; returns what guards say of the state that stays.
+    fn end_trial(&mut self, trial: Trial, verdict: Verdict, clock: Instant) -> Result<Verdict, TrainError> {
+        let Trial { mut record, cloud, moments } = trial;
+        let before =
+            Verdict { loss: record.fitness_before, psnr: record.guard_psnr.map_or(f64::NAN, |psnr| psnr[0]) };
+        let stays = if verdict.psnr >= before.psnr {
+            verdict
+        } else {
+            self.backend.upload(cloud, Some(moments))?;
+            record.changed = 0;
+            before
+        };
+        self.torn = true;
+        record.fitness_after = stays.loss;
+        record.guard_psnr = Some([before.psnr, stays.psnr]);
+        record.seconds += clock.elapsed().as_secs_f64();
+        self.end_stage(record)?;
+        Ok(stays)
+    }
+
+    /// Weighs all Gaussians on all training views, and renews a share of them.
+    fn begin_trial(&mut self, mut record: StageRecord, clock: Instant) -> Result<(), TrainError> {
+        let i = record.iteration;
+        let views: Vec<usize> = (0..self.views.len()).collect();
+        let merits = self.backend.weigh(&views, &self.settings(i))?;
+        let edit = renewal::plan(&merits, self.config.evolution.renewal.share, i);
+        record.renders += views.len() as u64;
+        record.changed = edit.origins.iter().filter(|origin| matches!(origin, Origin::Twin { .. })).count();
+        record.population_bytes = (CLOUDS_KEPT * self.backend.len() * Gaussians::BYTES_PER_ROW) as u64;
+        let cloud = self.backend.download()?.into_owned();
+        let moments = self.backend.download_moments()?.into_owned();
+        self.backend.edit_rows(&edit)?;
+        record.seconds = clock.elapsed().as_secs_f64();
+        self.trial = Some(Trial { record, cloud, moments });
+        self.torn = true;
+        Ok(())
+    }
+}
+
+/// A trial that has not begun.
+fn record(iteration: u32, before: Verdict) -> StageRecord {
+    StageRecord {
+        kind: StageKind::Renewal,
+        iteration,
+        generations: 1,
+        renders: 0,
+        fitness_before: before.loss,
+        fitness_after: before.loss,
+        guard_psnr: Some([before.psnr; 2]),
+        changed: 0,
+        population_bytes: 0,
+        seconds: 0.0,
+    }
+}

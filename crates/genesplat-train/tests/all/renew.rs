@@ -1,0 +1,128 @@
+//! Renewal: those of least weight make room for twins, and what has not paid by the next renewal is taken back.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use genesplat_core::{Gaussians, Moments, Origin, RowEdit};
+use genesplat_train::{
+    Checkpoint, EvolutionMode, Observer, Outcome, Silent, StageKind, StageRecord, Start, TrainConfig, train,
+};
+
+use crate::support::{Call, FakeBackend, StopAt, points, views};
+
+/// 300 iterations; density control ends after 150, renewals begin at 150, 165, ... 225, the last is judged at 240.
+fn config() -> TrainConfig {
+    let mut config = TrainConfig { steps_scale: 0.01, ..TrainConfig::default() };
+    config.evolution.mode = EvolutionMode::Renew;
+    config.evolution.renewal.share = 0.1;
+    config
+}
+
+/// Guards find every state better than the one before, or worse.
+fn backend(decline: f32) -> FakeBackend {
+    let mut backend = FakeBackend::new();
+    (backend.decline, backend.target) = (decline, 1e2);
+    backend
+}
+
+fn run(backend: &mut FakeBackend, start: Start, observer: &mut dyn Observer, stop: &AtomicBool) -> Outcome {
+    train(backend, &views(20), start, &config().resolve().unwrap(), observer, stop).unwrap()
+}
+
+fn run_whole(backend: &mut FakeBackend) -> Outcome {
+    run(backend, Start::Points(points(20)), &mut Silent, &AtomicBool::new(false))
+}
+
+fn renewals(outcome: &Outcome) -> Vec<StageRecord> {
+    let stages = outcome.summary.stages.iter();
+    stages.filter(|stage| stage.kind == StageKind::Renewal).copied().collect()
+}
+
+fn edits(backend: &FakeBackend) -> Vec<&RowEdit> {
+    let edit = |call| if let &Call::Edit(ref edit) = call { Some(edit) } else { None };
+    let is_renewal = |edit: &&RowEdit| edit.origins.contains(&Origin::Twin { child: 1 });
+    backend.calls.iter().filter_map(edit).filter(is_renewal).collect()
+}
+
+#[test]
+fn a_share_is_renewed_from_the_end_of_density_control_on() {
+    let mut backend = backend(0.9);
+    let outcome = run_whole(&mut backend);
+    let stages = renewals(&outcome);
+    let iterations: Vec<u32> = stages.iter().map(|stage| stage.iteration).collect();
+    assert_eq!(iterations, [150, 165, 180, 195, 210, 225]);
+    for stage in &stages {
+        let [before, after] = stage.guard_psnr.unwrap();
+        assert!(after > before);
+        // All views are weighed on, five guards are asked before.
+        assert_eq!((stage.changed, stage.renders), (2 * 2, 20 + 5));
+    }
+    let edits = edits(&backend);
+    assert_eq!(edits.len(), 6);
+    for edit in edits {
+        // The fake's first rows weigh least.
+        assert_eq!(edit.sources.len(), 20);
+        assert!(!edit.sources.contains(&0) && !edit.sources.contains(&1));
+    }
+    let uploads = backend.calls.iter().filter(|call| matches!(call, Call::Upload { .. })).count();
+    assert_eq!(uploads, 1, "nothing was taken back");
+}
+
+/// Sets the flag when the first stage ends.
+struct StopAfterStage<'a>(&'a AtomicBool);
+
+impl Observer for StopAfterStage<'_> {
+    fn on_stage_end(&mut self, _: &StageRecord) {
+        self.0.store(true, Ordering::Relaxed);
+    }
+}
+
+/// Cloud and moments when `observer` stops the run.
+fn state_at(observer: &mut dyn Observer, stop: &AtomicBool) -> (Gaussians, Moments) {
+    let start = Start::Points(points(20));
+    let checkpoint = run(&mut backend(1.1), start, observer, stop).checkpoint.unwrap();
+    (checkpoint.cloud, checkpoint.moments)
+}
+
+#[test]
+fn what_guards_find_worse_is_taken_back_to_the_bit() {
+    let mut refusing = backend(1.1);
+    for stage in renewals(&run_whole(&mut refusing)) {
+        let [before, after] = stage.guard_psnr.unwrap();
+        assert_eq!((after, stage.changed, stage.fitness_after), (before, 0, stage.fitness_before));
+    }
+    assert_eq!(edits(&refusing).len(), 6, "each was tried");
+    // Stopped after the step of iteration 150, before anything was renewed; and when the first renewal had failed. The
+    // second begins in the same phase, so what came back is seen by whoever is judged next: there must be none.
+    let (stop, stop_again) = (AtomicBool::new(false), AtomicBool::new(false));
+    let before = state_at(&mut StopAt(150, &stop), &stop);
+    let start = Start::Points(points(20));
+    let mut once = config();
+    once.evolution.renewal.until = 0.5;
+    let config = once.resolve().unwrap();
+    let observer = &mut StopAfterStage(&stop_again);
+    let stopped = train(&mut backend(1.1), &views(20), start, &config, observer, &stop_again).unwrap();
+    let after = stopped.checkpoint.unwrap();
+    assert_eq!(after.cursor.iteration, 166);
+    assert!(after.trial.is_none());
+    assert_eq!((after.cloud, after.moments), before);
+}
+
+#[test]
+fn a_stop_during_a_trial_changes_nothing() {
+    for decline in [0.9, 1.1] {
+        let whole = run_whole(&mut backend(decline));
+        for i in [150, 157, 165, 180, 239] {
+            let stop = AtomicBool::new(false);
+            let mut stopping = backend(decline);
+            let start = Start::Points(points(20));
+            let stopped = run(&mut stopping, start, &mut StopAt(i, &stop), &stop);
+            let mut bytes = Vec::new();
+            stopped.checkpoint.unwrap().write(&mut bytes).unwrap();
+            let start = Start::Checkpoint(Box::new(Checkpoint::read(bytes.as_slice()).unwrap()));
+            let mut resumed = backend(decline);
+            resumed.verdicts = stopping.verdicts;
+            let outcome = run(&mut resumed, start, &mut Silent, &AtomicBool::new(false));
+            assert_eq!(outcome.cloud, whole.cloud, "stopped in iteration {i}");
+        }
+    }
+}
