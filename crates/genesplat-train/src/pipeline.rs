@@ -8,10 +8,15 @@
 //! 4. **Evolve.** Just then, when the well-optimised structure is disturbed, a genetic algorithm explores positions,
 //!    scales and opacities that gradients do not reach; the best individual becomes the new base if it is better.
 //!
-//! With MCMC, a step also jiggles positions, 2 relocates dead Gaussians and adds others, and 3 does not happen; 4 keeps
-//! its place.
-//! 5. **Recombine** (ours, in place of 4). Once rows stay what they are, the states of each tenth of the run are averaged,
-//!    and a child of their line replaces the last of them if it is better.
+//! Ours, in place of 4, in the second half of the run, where the published method only takes steps:
+//!
+//! 5. **Recombine.** The states of each tenth of the run are averaged, and a child of their line replaces the last of them
+//!    if it is better.
+//! 6. **Renew.** Now and then the Gaussians that nobody would miss make room for more where most is wrong. What has not
+//!    paid by the next renewal is taken back.
+//!
+//! With MCMC, a step also jiggles positions, 2 relocates dead Gaussians and adds others until shortly before the end, and 3
+//! does not happen; 4 and 5 keep their places, 6 has none.
 //!
 //! What is due when is for [`crate::schedule`] to say. This file does it, in that order, and can stop between any two
 //! phases: a resumed run repeats the numbers of one that was never interrupted.

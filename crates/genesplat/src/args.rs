@@ -102,7 +102,7 @@ pub struct DemoArgs {
     #[arg(long, value_name = "DIR", default_value = "runs/demo")]
     pub out: PathBuf,
     /// What the second run evolves with
-    #[arg(long, value_enum, value_name = "MODE", default_value_t = Evolve::Recombine)]
+    #[arg(long, value_enum, value_name = "MODE", default_value_t = Evolve::Renew)]
     pub evolve: Evolve,
     /// Seed of the scene and of both runs. Same seed, same bytes
     #[arg(long, value_name = "S", default_value_t = 0, value_parser = clap::value_parser!(u64).range(..1 << 63))]
@@ -495,6 +495,9 @@ pub enum Evolve {
     /// Ours: five times in the second half of the run, a child bred from its last states takes over if photos held back
     /// from that search agree
     Recombine,
+    /// Ours, and worth most: recombine, and once density control has ended, the Gaussians that matter least make room for
+    /// more where most is wrong
+    Renew,
 }
 
 impl From<Evolve> for EvolutionMode {
@@ -504,6 +507,7 @@ impl From<Evolve> for EvolutionMode {
             Evolve::Paper => Self::Paper,
             Evolve::Control => Self::Control,
             Evolve::Recombine => Self::Recombine,
+            Evolve::Renew => Self::Renew,
         }
     }
 }

@@ -37,32 +37,25 @@ fn threads_change_nothing_and_seeds_do() {
 }
 
 /// The guards are 32-bit sums of whole pictures, and a child that they choose at one number of threads they must choose
-/// at any.
+/// at any; so must those that are weighed.
 #[test]
-fn threads_change_nothing_in_recombination_either() {
+fn threads_change_nothing_in_renewal_and_recombination_either() {
     let folder = tempfile::tempdir().unwrap();
     let run = |threads: &str| {
         let out = folder.path().join(threads);
-        let flags = [
-            "--steps-scale",
-            "0.01",
-            "--max-gaussians",
-            "1200",
-            "--evolve",
-            "recombine",
-            "--threads",
-            threads,
-        ];
+        let flags =
+            ["--steps-scale", "0.01", "--max-gaussians", "1200", "--evolve", "renew", "--threads", threads];
         succeed(train(scene(), &out, &flags));
         (cloud(&out), json(&out.join("metrics.json")))
     };
     let (one, metrics) = run("1");
     let stages = metrics["evolution"].as_array().unwrap();
-    assert_eq!(stages.len(), 5);
-    assert!(
-        stages.iter().any(|stage| stage["changed"].as_u64() > Some(0)),
-        "evolution took part: {stages:?}"
-    );
+    for (kind, count) in [("renewal", 6), ("recombination", 5)] {
+        let of_kind: Vec<_> = stages.iter().filter(|stage| stage["kind"] == kind).collect();
+        assert_eq!(of_kind.len(), count);
+        let took_part = of_kind.iter().any(|stage| stage["changed"].as_u64() > Some(0));
+        assert!(took_part, "{kind}: {of_kind:?}");
+    }
     let never_worse =
         |stage: &serde_json::Value| stage["guard_psnr"][1].as_f64() >= stage["guard_psnr"][0].as_f64();
     assert!(stages.iter().all(never_worse), "{stages:?}");
