@@ -301,10 +301,10 @@ pub struct RecombineConfig {
     pub window: f64,
     /// States that are averaged, evenly over a window, into its two parents. Default 20; at least 2.
     pub states: u32,
-    /// Generations of each stage but the last. Default 3; with 0, only the start of the search and the mean are judged.
+    /// Generations of each stage but the last. Default 1; with 0, only the start of the search and the mean are judged.
     pub generations: u32,
     /// Generations of the last stage, in which each group of parameters (positions, scales, rotations, opacities, base
-    /// colours, other colours) has genes of its own. Default 8.
+    /// colours, other colours) has genes of its own. Default 3.
     pub last_generations: u32,
     /// Training views that a generation is judged on, drawn anew for each. Default 6; at least 1.
     pub views: usize,
@@ -315,7 +315,7 @@ pub struct RecombineConfig {
 
 impl Default for RecombineConfig {
     fn default() -> Self {
-        Self { window: 0.1, states: 20, generations: 3, last_generations: 8, views: 6, guards: 8 }
+        Self { window: 0.1, states: 20, generations: 1, last_generations: 3, views: 6, guards: 8 }
     }
 }
 
