@@ -28,8 +28,3 @@ fn ssim_of(moments: vec4<f32>) -> Ssim {
 
 // Side of a tile with its margins.
 const HALO: u32 = TILE + 2u * SSIM_RADIUS;
-
-// A channel of an 8-bit photo in [0, 1].
-fn photo_value(rgb: u32, channel: u32) -> f32 {
-    return f32((rgb >> (8u * channel)) & 0xffu) * (1.0 / 255.0);
-}

@@ -15,8 +15,8 @@ use std::borrow::Cow;
 use genesplat_core::backend::{MomentPolicy, StepReport};
 use genesplat_core::lineage::PARENTS;
 use genesplat_core::{
-    Backend, BackendError, Blend, Camera, DensitySignal, Gaussians, Image, Judgement, Lineage, Moments,
-    RenderSettings, RowEdit, SparseDelta, Statistics, TrainStep, View,
+    Backend, BackendError, Blend, Camera, DensitySignal, Gaussians, Image, Judgement, Lineage, Merit,
+    Moments, RenderSettings, RowEdit, SparseDelta, Statistics, TrainStep, View,
 };
 
 use crate::engine::{Engine, Memory};
@@ -380,6 +380,11 @@ impl Backend for GpuBackend {
 
     fn remember(&mut self, parent: usize) -> Result<(), BackendError> {
         self.with_room(|state, engine| state.remember(engine, parent))
+    }
+
+    fn weigh(&mut self, views: &[usize], settings: &RenderSettings) -> Result<Vec<Merit>, BackendError> {
+        self.settle()?;
+        self.weigh_views(views, settings)
     }
 
     fn remembered(&self) -> [u32; PARENTS] {

@@ -8,7 +8,7 @@ use genesplat_core::constants::{
     ADAM_BETA1, ADAM_BETA2, ADAM_EPSILON, ALPHA_MAX, ALPHA_MIN, LAMBDA_DSSIM, NEAR_DEPTH, NOISE_OPACITY,
     NOISE_STEEPNESS, SSIM_C1, SSIM_C2, SSIM_RADIUS, TRANSMITTANCE_MIN, ssim_window,
 };
-use genesplat_core::edit::SPLIT_SHRINK;
+use genesplat_core::edit::{SPLIT_SHRINK, TWIN_OFFSET, TWIN_OPACITY_MAX};
 use genesplat_core::rng::Stream;
 use genesplat_core::spherical_harmonics::{C0, C1, C2, C3};
 
@@ -40,6 +40,8 @@ pub const GRADIENT_FLOATS: u32 = 16;
 pub const DENSITY_FLOATS: u32 = 4;
 /// Floats of the gene statistics of one Gaussian: seven sums, then the number of views (as bits of a `u32`).
 pub const GENE_FLOATS: u32 = 8;
+/// Floats of the merit of one Gaussian: weight, error.
+pub const MERIT_FLOATS: u32 = 2;
 
 /// Declares a `#[repr(C)]` struct and its WGSL twin.
 macro_rules! device_struct {
@@ -280,6 +282,8 @@ pub const ORIGIN_SPLIT: u32 = 2;
 pub const ORIGIN_RELOCATED: u32 = 4;
 /// Relocated, moments kept.
 pub const ORIGIN_RELOCATED_KEPT: u32 = 5;
+/// First twin; the second is one more.
+pub const ORIGIN_TWIN: u32 = 6;
 
 /// Constants and structs in WGSL, for the head of every shader.
 pub fn prelude() -> String {
@@ -334,6 +338,9 @@ fn float_constants() -> Vec<(&'static str, f32)> {
         // Noise fainter than this is left out, as on the CPU.
         ("FAINTNESS_MIN", 1e-12),
         ("SPLIT_SHRINK", SPLIT_SHRINK),
+        ("TWIN_OFFSET", TWIN_OFFSET),
+        ("TWIN_OPACITY_MAX", TWIN_OPACITY_MAX),
+        ("FRAC_1_SQRT_2", std::f32::consts::FRAC_1_SQRT_2),
         ("SH_C0", C0 as f32),
         ("SH_C1", C1 as f32),
     ]
@@ -365,6 +372,7 @@ fn integer_constants() -> Vec<(&'static str, u32)> {
         ("ORIGIN_SPLIT", ORIGIN_SPLIT),
         ("ORIGIN_RELOCATED", ORIGIN_RELOCATED),
         ("ORIGIN_RELOCATED_KEPT", ORIGIN_RELOCATED_KEPT),
+        ("ORIGIN_TWIN", ORIGIN_TWIN),
         ("LENGTH_ROWS", LENGTH_ROWS),
         ("LENGTH_VISIBLE", LENGTH_VISIBLE),
         ("LENGTH_ENTRIES", LENGTH_ENTRIES),

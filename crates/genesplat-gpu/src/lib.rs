@@ -23,6 +23,7 @@
 //! | `rows` | row edits, opacity resets, genes, filters |
 //! | `score` | stage `score`: many individuals at once |
 //! | `lineage` | parents and children of recombination |
+//! | `weigh` | what Gaussians are worth to views, and the error that they have part in |
 //! | `timing` | seconds of each stage, by the device's clock |
 
 pub mod adapter;
@@ -41,6 +42,7 @@ mod score;
 mod shaders;
 mod state;
 mod timing;
+mod weigh;
 
 pub use adapter::{AdapterReport, adapters};
 pub use backend::GpuBackend;

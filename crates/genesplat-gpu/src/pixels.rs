@@ -63,6 +63,17 @@ impl Pixels {
     ) -> Result<(), BackendError> {
         self.reserve_loss(engine, frame)?;
         engine.reserve(&mut self.partials, 3 * image_bytes(frame))?;
+        self.reserve_backward(engine, frame, entries)
+    }
+
+    /// Room for a render, whatever goes backward from it, and its gradient rows.
+    pub(crate) fn reserve_backward(
+        &mut self,
+        engine: &Engine,
+        frame: &Frame,
+        entries: u64,
+    ) -> Result<(), BackendError> {
+        self.reserve_image(engine, frame)?;
         engine.reserve(&mut self.gradient, image_bytes(frame))?;
         engine.reserve(&mut self.rows, row_bytes(entries))
     }
@@ -109,6 +120,19 @@ impl Pixels {
         let parts = [&lists.frame, &self.image, photo, &self.partials, &self.loss_sums].map(Memory::all);
         let overrides = [("FORWARD_ONLY", u32::from(!partials))];
         recorder.run_with(&shaders::LOSS, &overrides, &parts, tile_grid(frame, 3));
+    }
+
+    /// Stage `weigh`, step 1: what it wants to have summed takes the place of the image's gradient.
+    pub(crate) fn record_weigh_pixels(
+        &self,
+        recorder: &mut Recorder,
+        lists: &Lists,
+        photo: &Memory,
+        frame: &Frame,
+    ) {
+        recorder.stage("weigh_pixels");
+        let parts = [&lists.frame, &self.image, photo, &self.gradient].map(Memory::all);
+        recorder.run(&shaders::WEIGH_PIXELS, &parts, tile_grid(frame, 1));
     }
 
     /// Stage `rasterise_backward`.

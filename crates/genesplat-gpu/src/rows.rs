@@ -7,7 +7,7 @@ use crate::cloud::{Column, Parameters, RowWindow, pack_gene, window_uniform, win
 use crate::engine::{Engine, Memory};
 use crate::layout::{
     DENSITY_FLOATS, Edit, GENE_FLOATS, GEOMETRY_FLOATS, GRADIENT_FLOATS, ORIGIN_CLONE, ORIGIN_KEPT,
-    ORIGIN_RELOCATED, ORIGIN_RELOCATED_KEPT, ORIGIN_SPLIT, SH_FLOATS,
+    ORIGIN_RELOCATED, ORIGIN_RELOCATED_KEPT, ORIGIN_SPLIT, ORIGIN_TWIN, SH_FLOATS,
 };
 use crate::recorder::{Grid, Part, Recorder};
 use crate::shaders;
@@ -21,6 +21,7 @@ fn plan_row(source: u32, origin: Origin) -> PlanRow {
         Origin::Kept => [source, ORIGIN_KEPT, 0, 0],
         Origin::Clone => [source, ORIGIN_CLONE, 0, 0],
         Origin::SplitChild { child } => [source, ORIGIN_SPLIT + u32::from(child), 0, 0],
+        Origin::Twin { child } => [source, ORIGIN_TWIN + u32::from(child), 0, 0],
         Origin::Relocated { opacity_logit, log_scale_shift, keep_moments } => {
             let code = if keep_moments { ORIGIN_RELOCATED_KEPT } else { ORIGIN_RELOCATED };
             [source, code, opacity_logit.to_bits(), log_scale_shift.to_bits()]

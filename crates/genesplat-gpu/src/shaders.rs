@@ -56,6 +56,7 @@ mod parts {
         TILE_SPLAT = "tile_splat.wgsl";
         ROTATION = "rotation.wgsl";
         SSIM = "ssim.wgsl";
+        PHOTO = "photo.wgsl";
         ADAM_STEP = "adam_step.wgsl";
         RANDOM = "random.wgsl";
     }
@@ -89,11 +90,11 @@ shaders! {
     /// Splats to pixels.
     RASTERISE = "rasterise" + [SPLAT, TILE_SPLAT];
     /// Loss of each tile.
-    LOSS = "loss" + [SSIM];
+    LOSS = "loss" + [SSIM, PHOTO];
     /// Loss of the image.
     LOSS_SUM = "loss_sum" + [];
     /// Gradient of the image.
-    LOSS_GRADIENT = "loss_gradient" + [SSIM];
+    LOSS_GRADIENT = "loss_gradient" + [SSIM, PHOTO];
     /// Gradient rows of the splats.
     RASTERISE_BACKWARD = "rasterise_backward" + [SPLAT, TILE_SPLAT];
     /// Gradients of the parameters.
@@ -108,6 +109,10 @@ shaders! {
     ADAM_GEOMETRY = "adam_geometry" + [ADAM_STEP];
     /// MCMC's noise.
     EXPLORE = "explore" + [ROTATION, RANDOM];
+    /// Merits: what takes the place of the image's gradient.
+    WEIGH_PIXELS = "weigh_pixels" + [PHOTO];
+    /// Merits: sums of each Gaussian.
+    WEIGH_SUM = "weigh_sum" + [];
     /// Scoring: splats of the changed Gaussians.
     SCORE_PROJECT = "score_project" + [SPLAT, ROTATION, GEOMETRY, OVERLAP, COLOUR, SH_ROW, WRITE_SPLAT];
     /// Scoring: what individuals change.
@@ -118,7 +123,7 @@ shaders! {
     SCORE_SUM = "score_sum" + [];
     /// Row edits: copies.
     GATHER = "gather" + [];
-    /// Row edits: clones, children, relocations.
+    /// Row edits: clones, children, twins, relocations.
     EDIT_GEOMETRY = "edit_geometry" + [ROTATION, RANDOM];
     /// Opacity reset.
     RESET_OPACITY = "reset_opacity" + [];

@@ -2,7 +2,7 @@
 
 use genesplat_core::backend::{Exploration, MomentPolicy};
 use genesplat_core::{
-    BackendError, Blend, Judgement, Lineage, Moments, Origin, RowEdit, SparseDelta, Statistics,
+    BackendError, Blend, Judgement, Lineage, Merit, Moments, Origin, RowEdit, SparseDelta, Statistics,
 };
 
 use super::*;
@@ -87,6 +87,56 @@ fn edits_match() {
     assert_eq!((actual.gradient_sum, actual.weight_sum), (expected.gradient_sum, expected.weight_sum));
 }
 
+/// Both twins of rows.
+fn push_twins(edit: &mut RowEdit, rows: std::ops::Range<u32>) {
+    for child in 0..2 {
+        rows.clone().for_each(|row| edit.push(row, Origin::Twin { child }));
+    }
+}
+
+/// Twins of half of the rows, among them opaque ones and such whose longest axis is not the only one.
+fn make_twins(twin: &mut dyn Backend) {
+    let mut start = filtered_cloud(300, ScreenFilter::Mip);
+    start.opacity_logits.iter_mut().step_by(5).for_each(|logit| *logit = 12.0);
+    for (row, scales) in [(200, [-1.0; 3]), (201, [-2.0, -1.0, -1.0]), (202, [-1.0, -2.0, -1.0])] {
+        start.log_scales[row] = scales;
+    }
+    twin.upload(start, None).unwrap();
+    twin.train_step(&step(1, settings(2, ScreenFilter::Mip))).unwrap();
+    let mut edit = RowEdit::keep((0..150).collect());
+    push_twins(&mut edit, 150..300);
+    twin.edit_rows(&edit).unwrap();
+    assert_eq!(twin.len(), 450);
+}
+
+#[test]
+fn edits_with_twins_match() {
+    let Some(mut gpu) = gpu() else { return };
+    twins_agree("edit", &mut gpu, make_twins);
+}
+
+/// Twins of poison are poison at most; all others are what they would be without it.
+#[test]
+fn poison_stays_with_its_twins() {
+    let Some(mut gpu) = gpu() else { return };
+    let (poisoned, rows) = (poisoned_cloud(), 60);
+    let mut edit = RowEdit::default();
+    push_twins(&mut edit, 0..rows);
+    gpu.upload(poisoned.clone(), None).unwrap();
+    gpu.edit_rows(&edit).unwrap();
+    let logits = gpu.download().unwrap().opacity_logits.clone();
+    for (&source, logit) in edit.sources.iter().zip(logits) {
+        // Even where the opacity is zero.
+        assert!(logit.is_finite() || poisoned.opacity_logits[source as usize].is_nan(), "{source}: {logit}");
+    }
+    twins_agree("edit", &mut gpu, |twin| {
+        twin.upload(poisoned.clone(), None).unwrap();
+        twin.edit_rows(&edit).unwrap();
+        let healthy = (0..2 * rows).filter(|row| row % rows >= 36 || row % 6 == 5);
+        twin.edit_rows(&RowEdit::keep(healthy.collect())).unwrap();
+    });
+}
+
 /// Columns in three windows.
 #[test]
 fn columns_that_no_binding_can_hold_are_split() {
@@ -97,6 +147,7 @@ fn columns_that_no_binding_can_hold_are_split() {
     assert_eq!(gpu.state.windows.len(), 3);
     twins_agree("edit", &mut gpu, change_rows);
     assert_eq!(gpu.state.windows.len(), 3);
+    twins_agree("edit", &mut gpu, make_twins);
 }
 
 /// Too little room for the tile lists, at the first step and again in the middle: nothing is lost.
@@ -275,6 +326,62 @@ fn scores_of_crowded_tiles_match() {
     assert!(gpu.entry_room() > 64);
 }
 
+fn compare_merits(what: &str, actual: &[Merit], expected: &[Merit]) -> Result<(), String> {
+    let weights = |merits: &[Merit]| merits.iter().map(|merit| merit.weight).collect::<Vec<_>>();
+    let errors = |merits: &[Merit]| merits.iter().map(|merit| merit.error).collect::<Vec<_>>();
+    compare("weigh", &format!("weights, {what}"), weights(actual), weights(expected))?;
+    compare("weigh", &format!("errors, {what}"), errors(actual), errors(expected))
+}
+
+/// Tile entries of a view.
+fn entries_of(gpu: &mut GpuBackend, view: usize, settings: RenderSettings) -> u64 {
+    gpu.train_step(&TrainStep { view, update: None, ..step(1, settings) }).unwrap();
+    gpu.report().unwrap().tile_splats as u64
+}
+
+/// The lists of the second view do not fit at first, when the first has been added; rows are in four windows.
+#[test]
+fn merits_match() {
+    let Some(engine) = engine() else { return };
+    let mut gpu = GpuBackend::on(engine.with_window_rows(128), SEED).unwrap();
+    let mut cpu = cpu();
+    for filter in filters() {
+        let settings = settings(3, filter);
+        for twin in [&mut gpu as &mut dyn Backend, &mut cpu] {
+            twin.set_views(&[view(), small_view()]).unwrap();
+            twin.upload(filtered_cloud(400, filter), None).unwrap();
+        }
+        let [large, small] = [0, 1].map(|view| entries_of(&mut gpu, view, settings));
+        assert!(small < large, "{small} and {large}");
+        gpu.abandon().unwrap();
+        gpu.set_entry_room(small);
+        let [actual, expected] =
+            [&mut gpu as &mut dyn Backend, &mut cpu].map(|twin| twin.weigh(&[1, 0, 1], &settings).unwrap());
+        assert!(gpu.entry_room() >= large);
+        compare_merits(&format!("{filter:?}"), &actual, &expected).unwrap();
+    }
+    gpu.upload(Gaussians::default(), None).unwrap();
+    assert!(gpu.weigh(&[0], &settings(0, ScreenFilter::Classic)).unwrap().is_empty());
+}
+
+/// Merits are those of the cloud after all steps, also of those that an overflow has stopped.
+#[test]
+fn merits_are_of_the_cloud_after_queued_steps() {
+    let Some(mut gpu) = gpu() else { return };
+    let settings = settings(2, ScreenFilter::Classic);
+    gpu.set_entry_room(50);
+    gpu.upload(cloud(300), None).unwrap();
+    let before = gpu.weigh(&[0], &settings).unwrap();
+    gpu.set_entry_room(50);
+    gpu.abandon().unwrap();
+    (1..=3).for_each(|number| gpu.train_step(&step(number, settings)).unwrap());
+    let queued = gpu.weigh(&[0], &settings).unwrap();
+    gpu.report().unwrap();
+    assert_eq!(queued, gpu.weigh(&[0], &settings).unwrap());
+    assert_ne!(queued, before);
+    assert_eq!(gpu.weigh(&[], &settings).unwrap(), [Merit::default(); 300]);
+}
+
 #[test]
 fn a_lost_device_is_one_sentence() {
     let Some(mut gpu) = gpu() else { return };
@@ -344,10 +451,11 @@ fn an_edit_takes_the_room_that_steps_can_do_without() {
         1 => drop(gpu.score(&[SparseDelta::default()], &[0], &classic).unwrap()),
         2 => drop(gpu.judge(&[Blend::default()], &[0], &classic).unwrap()),
         3 => drop(gpu.loss_of_view(0, &classic).unwrap()),
+        4 => drop(gpu.weigh(&[0], &classic).unwrap()),
         _ => drop(gpu.render(&camera(), &classic).unwrap()),
     };
     // Whatever comes first finds nothing, and reserves what it needs.
-    for verb in 0..5 {
+    for verb in 0..6 {
         use_all(&mut gpu, verb);
         gpu.abandon().unwrap();
     }
