@@ -141,7 +141,8 @@ pub const TWIN_OPACITY_MAX: f32 = 0.999;
 /// Opacity logit and log-scales of the twins of a Gaussian. Kheradmand et al., "3D Gaussian Splatting as Markov Chain Monte
 /// Carlo", 2024, Eq. 9: `o' = 1 − sqrt(1 − o)`, `s'/s = o / (2 o' − o'² / √2)`.
 fn twin(opacity_logit: f32, log_scale: [f32; 3]) -> (f32, [f32; 3]) {
-    let opacity = sigmoid(opacity_logit).min(TWIN_OPACITY_MAX);
+    // Never 0, whose logit is not finite.
+    let opacity = sigmoid(opacity_logit).clamp(f32::MIN_POSITIVE, TWIN_OPACITY_MAX);
     let root = (1.0 - opacity).sqrt();
     // 1 − root and o / o', without the cancellation and the division by zero at small o.
     let (each, ratio) = (opacity / (1.0 + root), 1.0 + root);
@@ -250,7 +251,7 @@ mod tests {
         assert!((shrink * (2.0 * each - each * each / 2f32.sqrt()) - 0.8).abs() < 1e-6);
         for opacity in [0.0, 1e-8, 0.5, 1.0] {
             let (logit, log_scale) = twin(logit(opacity), [0.0; 3]);
-            assert!(!logit.is_nan() && log_scale[0].is_finite() && log_scale[0] <= 1e-6, "{opacity}");
+            assert!(logit.is_finite() && log_scale[0].is_finite() && log_scale[0] <= 1e-6, "{opacity}");
         }
     }
 

@@ -38,9 +38,11 @@ fn renewals(outcome: &Outcome) -> Vec<StageRecord> {
 }
 
 fn edits(backend: &FakeBackend) -> Vec<&RowEdit> {
-    let edit = |call| if let &Call::Edit(ref edit) = call { Some(edit) } else { None };
-    let is_renewal = |edit: &&RowEdit| edit.origins.contains(&Origin::Twin { child: 1 });
-    backend.calls.iter().filter_map(edit).filter(is_renewal).collect()
+    let is_renewal = |edit: &RowEdit| edit.origins.contains(&Origin::Twin { child: 1 });
+    fn edit(call: &Call) -> Option<&RowEdit> {
+        if let Call::Edit(edit) = call { Some(edit) } else { None }
+    }
+    backend.calls.iter().filter_map(edit).filter(|edit| is_renewal(edit)).collect()
 }
 
 #[test]
