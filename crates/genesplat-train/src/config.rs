@@ -206,7 +206,7 @@ pub enum EvolutionMode {
     Paper,
     /// The equal-time control: the seconds that a stage would take are spent on additional gradient steps.
     Control,
-    /// Beyond the paper: five times in the second half of the run, a child of the last states replaces the last one if
+    /// Beyond the paper: every twentieth of the second half of the run, a child of the last states replaces the last one if
     /// it is better.
     Recombine,
     /// Beyond the paper, and the best measured: recombine, and before that, the Gaussians that matter least make room
@@ -296,12 +296,12 @@ impl Default for RenewalConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RecombineConfig {
-    /// Length of a window, as a share of the run. Default 0.1; above 0, at most 0.5. There is a stage at the end of each
+    /// Length of a window, as a share of the run. Default 0.05; above 0, at most 0.5. There is a stage at the end of each
     /// window in which rows stay what they are for at least half of the time, and one at the end of the run.
     pub window: f64,
-    /// States that are averaged, evenly over a window, into its two parents. Default 20; at least 2.
+    /// States that are averaged, evenly over a window, into its two parents. Default 10; at least 2.
     pub states: u32,
-    /// Generations of each stage but the last. Default 1; with 0, only the start of the search and the mean are judged.
+    /// Generations of each stage but the last. Default 0: only the start of the search and the mean are judged.
     pub generations: u32,
     /// Generations of the last stage, in which each group of parameters (positions, scales, rotations, opacities, base
     /// colours, other colours) has genes of its own. Default 3.
@@ -315,7 +315,7 @@ pub struct RecombineConfig {
 
 impl Default for RecombineConfig {
     fn default() -> Self {
-        Self { window: 0.1, states: 20, generations: 1, last_generations: 3, views: 6, guards: 8 }
+        Self { window: 0.05, states: 10, generations: 0, last_generations: 3, views: 6, guards: 8 }
     }
 }
 

@@ -10,7 +10,7 @@
 //!
 //! Ours, in place of 4, in the second half of the run, where the published method only takes steps:
 //!
-//! 5. **Recombine.** The states of each tenth of the run are averaged, and a child of their line replaces the last of them
+//! 5. **Recombine.** The states of each twentieth of the run are averaged, and a child of their line replaces the last of them
 //!    if it is better.
 //! 6. **Renew.** Now and then the Gaussians that nobody would miss make room for more where most is wrong. What has not
 //!    paid by the next renewal is taken back.

@@ -2,10 +2,11 @@
 //!
 //! Why. Adam's steps on single views keep every parameter in motion around its optimum, to the last iteration: the rates
 //! of all parameters but positions are constant. At the same time much still drifts, slowly, in directions that no
-//! single step can tell from that noise. The states of the last tenth of a run hold both: their mean is free of the
+//! single step can tell from that noise. The states of the last twentieth of a run hold both: their mean is free of the
 //! noise, and the way from the older half of them to the younger one points where the run is going. A child is the mean
-//! plus some way along that line (extended line recombination). Its genome is two numbers,
-//! or two for each group of parameters, and a genome that small can be judged by a few renders, where the paper's, of seven numbers a Gaussian, cannot.
+//! plus some way along that line (extended line recombination). Its genome is two numbers, or two for each group of
+//! parameters, and a genome that small can be judged by a few renders, where the paper's, of seven numbers a Gaussian,
+//! cannot.
 //!
 //! How. While rows stay what they are, the run is cut into windows. In each, states are averaged into two parents
 //! ([`genesplat_core::lineage`]); at its end an evolution strategy ([`genesplat_evolve::strategy`]) searches the genome

@@ -8,7 +8,8 @@
 //! ([`genesplat_core::merit`]), and a share of the cloud is renewed ([`genesplat_evolve::renewal`]). A new Gaussian needs
 //! some gradient steps before it is worth anything, so a renewal is judged when the next one is due: if the *guard* views
 //! are rendered worse by then than before it, the state before it comes back, moments and all, and the steps in between
-//! were in vain.
+//! were in vain. Recombination (`recombine`) comes first wherever both are due, so that the states which guards compare
+//! are alike free of the noise of single steps.
 //!
 //! Prior art: 3DGS-MCMC relocates by opacity (Kheradmand et al., 2024), "Revising Densification" grows by error (Rota Bulò
 //! et al., 2024); neither weighs, or takes anything back.

@@ -492,7 +492,7 @@ pub enum Evolve {
     Paper,
     /// For comparison: the same time (evolution.control_seconds of the configuration file) spent on more gradient steps
     Control,
-    /// Ours: five times in the second half of the run, a child bred from its last states takes over if photos held back
+    /// Ours: every twentieth of the second half of the run, a child bred from its last states takes over if photos held back
     /// from that search agree
     Recombine,
     /// Ours, and worth most: recombine, and once density control has ended, the Gaussians that matter least make room for

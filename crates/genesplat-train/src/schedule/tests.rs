@@ -84,10 +84,11 @@ fn other_triggers_move_the_stage_and_a_stride_thins_it() {
 }
 
 #[test]
-fn recombination_has_a_stage_after_each_tenth_in_which_rows_stay() {
+fn recombination_has_a_stage_after_each_window_in_which_rows_stay() {
     let recombining = |mcmc: bool, iterations: u32| {
         schedule(|config| {
             config.evolution.mode = EvolutionMode::Recombine;
+            (config.evolution.recombine.window, config.evolution.recombine.states) = (0.1, 20);
             config.iterations = iterations;
             if mcmc {
                 config.variant = Variant::Mcmc;
@@ -129,7 +130,9 @@ fn renewal_begins_when_density_control_has_ended_and_leaves_time_to_learn() {
         [&begun[..], &[24_000]].concat(),
         "the last is only judged"
     );
-    assert_eq!(iterations_with(&full, Phase::Recombine), [18_000, 21_000, 24_000, 27_000, 30_000]);
+    // So that guards compare states that are alike free of noise, a child is bred first.
+    let bred = iterations_with(&full, Phase::Recombine);
+    assert!(begun[1..].iter().all(|i| bred.contains(i)), "{bred:?}");
     assert_eq!(
         full.phases(18_000).collect::<Vec<_>>(),
         [Phase::Step, Phase::Remember, Phase::Recombine, Phase::Renew]

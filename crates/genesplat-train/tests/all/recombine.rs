@@ -18,6 +18,7 @@ fn config() -> TrainConfig {
     config.evolution.mode = EvolutionMode::Recombine;
     config.evolution.recombine.states = 10;
     config.evolution.recombine.views = 3;
+    config.evolution.recombine.window = 0.1;
     // Enough of them for a search to show.
     config.evolution.recombine.generations = 3;
     config.evolution.recombine.last_generations = 8;

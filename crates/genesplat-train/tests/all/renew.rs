@@ -69,12 +69,12 @@ fn a_share_is_renewed_from_the_end_of_density_control_on() {
     assert_eq!(uploads, 1, "nothing was taken back");
 }
 
-/// Sets the flag when the first stage ends.
-struct StopAfterStage<'a>(&'a AtomicBool);
+/// Sets the flag when the first renewal has been judged.
+struct StopAfterRenewal<'a>(&'a AtomicBool);
 
-impl Observer for StopAfterStage<'_> {
-    fn on_stage_end(&mut self, _: &StageRecord) {
-        self.0.store(true, Ordering::Relaxed);
+impl Observer for StopAfterRenewal<'_> {
+    fn on_stage_end(&mut self, record: &StageRecord) {
+        self.0.fetch_or(record.kind == StageKind::Renewal, Ordering::Relaxed);
     }
 }
 
@@ -101,7 +101,7 @@ fn what_guards_find_worse_is_taken_back_to_the_bit() {
     let mut once = config();
     once.evolution.renewal.until = 0.5;
     let config = once.resolve().unwrap();
-    let observer = &mut StopAfterStage(&stop_again);
+    let observer = &mut StopAfterRenewal(&stop_again);
     let stopped = train(&mut backend(1.1), &views(20), start, &config, observer, &stop_again).unwrap();
     let after = stopped.checkpoint.unwrap();
     assert_eq!(after.cursor.iteration, 166);

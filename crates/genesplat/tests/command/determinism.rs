@@ -50,7 +50,7 @@ fn threads_change_nothing_in_renewal_and_recombination_either() {
     };
     let (one, metrics) = run("1");
     let stages = metrics["evolution"].as_array().unwrap();
-    for (kind, count) in [("renewal", 6), ("recombination", 5)] {
+    for (kind, count) in [("renewal", 6), ("recombination", 10)] {
         let of_kind: Vec<_> = stages.iter().filter(|stage| stage["kind"] == kind).collect();
         assert_eq!(of_kind.len(), count);
         let took_part = of_kind.iter().any(|stage| stage["changed"].as_u64() > Some(0));
