@@ -143,7 +143,7 @@ fn a_full_disk_stops_training_and_keeps_what_could_be_saved() {
     std::os::unix::fs::symlink("/dev/full", out.join("log.jsonl")).unwrap();
     fail(
         train(scene(), &out, &["--iterations", "20"]),
-        &["log.jsonl", "No space left", "checkpoint is kept", "--resume"],
+        &["log.jsonl", "No space left", "--resume goes on from there", "--resume"],
     );
     assert!(out.join("point_cloud.ply").exists() && !out.join("metrics.json").exists());
     fs::remove_file(out.join("log.jsonl")).unwrap();
