@@ -98,7 +98,21 @@ impl<'a, B: Backend> Trainer<'a, B> {
             iteration: cursor.iteration,
             iterations: self.schedule.iterations,
         });
+        self.tell_of_missing_renewals();
         Ok(cursor)
+    }
+
+    /// Who asks for renewal should know that a run has no place for it.
+    fn tell_of_missing_renewals(&mut self) {
+        let schedule = self.schedule;
+        if schedule.renew_every.is_none() || (1..=schedule.iterations).any(|i| schedule.renews(i)) {
+            return;
+        }
+        self.observer.notice(&format!(
+            "mode renew begins when density control ends, after iteration {}, which is too late in a run of {}: it only \
+             recombines (--steps-scale shortens a run without changing its shape; mcmc relocates by itself)",
+            schedule.densify_until, schedule.iterations
+        ));
     }
 
     fn first_cloud(&self, points: &[ColouredPoint]) -> Result<Gaussians, TrainError> {

@@ -69,6 +69,30 @@ fn a_share_is_renewed_from_the_end_of_density_control_on() {
     assert_eq!(uploads, 1, "nothing was taken back");
 }
 
+/// Remembers what users are told.
+#[derive(Default)]
+struct Notices(Vec<String>);
+
+impl Observer for Notices {
+    fn notice(&mut self, text: &str) {
+        self.0.push(text.to_owned());
+    }
+}
+
+#[test]
+fn a_run_that_has_no_place_for_renewal_says_so() {
+    let told = |iterations: u32| {
+        let (mut notices, stop) = (Notices::default(), AtomicBool::new(false));
+        let config = TrainConfig { iterations, ..config() }.resolve().unwrap();
+        let start = Start::Points(points(20));
+        train(&mut backend(0.9), &views(20), start, &config, &mut notices, &stop).unwrap();
+        notices.0
+    };
+    assert!(told(30_000).is_empty());
+    let [notice] = &told(7000)[..] else { panic!("one notice") };
+    assert!(notice.contains("after iteration 150") && notice.contains("a run of 70"), "{notice}");
+}
+
 /// Sets the flag when the first renewal has been judged.
 struct StopAfterRenewal<'a>(&'a AtomicBool);
 
