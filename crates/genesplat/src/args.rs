@@ -446,7 +446,7 @@ pub struct ScheduleArgs {
 /// The genetic algorithm.
 #[derive(Clone, Debug, Default, Args)]
 pub struct EvolutionArgs {
-    /// What runs after each opacity reset (every 3000 steps by default) [default: off]
+    /// How the Gaussians evolve besides: paper and control after each opacity reset, ours in the second half of the run [default: off]
     #[arg(long, value_enum, value_name = "MODE")]
     pub evolve: Option<Evolve>,
     /// Generations of each evolution stage [default: 100]. Time grows in proportion
