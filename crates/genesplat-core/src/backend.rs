@@ -252,12 +252,12 @@ pub trait Backend {
     /// Overwrites the genes of the rows that `delta` names.
     fn apply(&mut self, delta: &SparseDelta, moments: MomentPolicy) -> Result<(), BackendError>;
 
+    /// What each Gaussian is worth to training views, and how much is wrong where it is seen `[N]`.
+    fn weigh(&mut self, views: &[usize], settings: &RenderSettings) -> Result<Vec<Merit>, BackendError>;
+
     /// Adds the cloud as it is to a parent of its lineage, 0 for the older one. Uploading a cloud, changing its rows and
     /// resetting opacities end the line.
     fn remember(&mut self, parent: usize) -> Result<(), BackendError>;
-
-    /// What each Gaussian is worth to training views, and how much is wrong where it is seen `[N]`.
-    fn weigh(&mut self, views: &[usize], settings: &RenderSettings) -> Result<Vec<Merit>, BackendError>;
 
     /// How many states each parent of the line is the mean of, without a read-back.
     fn remembered(&self) -> [u32; PARENTS];

@@ -76,10 +76,7 @@ impl RowEdit {
         // Twins' scales depend on opacities, so these come later.
         cloud.log_scales = self
             .rows()
-            .map(|(row, origin)| match origin {
-                Origin::Twin { .. } => twin(cloud.opacity_logits[row], cloud.log_scales[row]).1,
-                _ => new_log_scale(cloud.log_scales[row], origin),
-            })
+            .map(|(row, origin)| new_log_scale(cloud.log_scales[row], cloud.opacity_logits[row], origin))
             .collect();
         cloud.opacity_logits =
             self.rows().map(|(row, origin)| new_opacity(cloud.opacity_logits[row], origin)).collect();
@@ -138,16 +135,16 @@ pub const TWIN_OFFSET: f32 = 0.3;
 /// Twins of anything more opaque than this are made as if it had this opacity, at which they have 0.97.
 pub const TWIN_OPACITY_MAX: f32 = 0.999;
 
-/// Opacity logit and log-scales of the twins of a Gaussian. Kheradmand et al., "3D Gaussian Splatting as Markov Chain Monte
+/// Opacity logit of the twins of a Gaussian, and what is added to its log-scales. Kheradmand et al., "3D Gaussian Splatting as Markov Chain Monte
 /// Carlo", 2024, Eq. 9: `o' = 1 − sqrt(1 − o)`, `s'/s = o / (2 o' − o'² / √2)`.
-fn twin(opacity_logit: f32, log_scale: [f32; 3]) -> (f32, [f32; 3]) {
+fn twin(opacity_logit: f32) -> (f32, f32) {
     // Never 0, whose logit is not finite.
     let opacity = sigmoid(opacity_logit).clamp(f32::MIN_POSITIVE, TWIN_OPACITY_MAX);
     let root = (1.0 - opacity).sqrt();
     // 1 − root and o / o', without the cancellation and the division by zero at small o.
     let (each, ratio) = (opacity / (1.0 + root), 1.0 + root);
     let shrink = ratio / (2.0 - each * std::f32::consts::FRAC_1_SQRT_2);
-    (logit(each), log_scale.map(|value| value + shrink.ln()))
+    (logit(each), shrink.ln())
 }
 
 /// Along the longest axis, the first of equal ones; the two children go opposite ways.
@@ -158,19 +155,20 @@ fn twin_offset(log_scale: [f32; 3], child: u8) -> [f32; 3] {
     offset
 }
 
-/// The log-scale that a new row gets.
-pub fn new_log_scale(log_scale: [f32; 3], origin: Origin) -> [f32; 3] {
+/// The log-scale that a new row gets from a row with this log-scale and opacity logit.
+pub fn new_log_scale(log_scale: [f32; 3], opacity_logit: f32, origin: Origin) -> [f32; 3] {
     match origin {
         Origin::SplitChild { .. } => log_scale.map(|value| (value.exp() / SPLIT_SHRINK).ln()),
         Origin::Relocated { log_scale_shift, .. } => log_scale.map(|value| value + log_scale_shift),
-        Origin::Kept | Origin::Clone | Origin::Twin { .. } => log_scale,
+        Origin::Twin { .. } => log_scale.map(|value| value + twin(opacity_logit).1),
+        Origin::Kept | Origin::Clone => log_scale,
     }
 }
 
 fn new_opacity(opacity_logit: f32, origin: Origin) -> f32 {
     match origin {
         Origin::Relocated { opacity_logit, .. } => opacity_logit,
-        Origin::Twin { .. } => twin(opacity_logit, [0.0; 3]).0,
+        Origin::Twin { .. } => twin(opacity_logit).0,
         _ => opacity_logit,
     }
 }
@@ -250,8 +248,8 @@ mod tests {
         let shrink = (cloud.log_scales[0][0] + 1.0).exp();
         assert!((shrink * (2.0 * each - each * each / 2f32.sqrt()) - 0.8).abs() < 1e-6);
         for opacity in [0.0, 1e-8, 0.5, 1.0] {
-            let (logit, log_scale) = twin(logit(opacity), [0.0; 3]);
-            assert!(logit.is_finite() && log_scale[0].is_finite() && log_scale[0] <= 1e-6, "{opacity}");
+            let (logit, log_scale_shift) = twin(logit(opacity));
+            assert!(logit.is_finite() && log_scale_shift.is_finite() && log_scale_shift <= 1e-6, "{opacity}");
         }
     }
 

@@ -124,7 +124,7 @@ fn prune(edit: &mut RowEdit, cloud: &Gaussians, prune_opacity: f32, prune_size: 
     for (source, origin) in sources.into_iter().zip(origins) {
         let row = source as usize;
         let faint = sigmoid(cloud.opacity_logits[row]) < prune_opacity;
-        let new_size = size(new_log_scale(cloud.log_scales[row], origin));
+        let new_size = size(new_log_scale(cloud.log_scales[row], cloud.opacity_logits[row], origin));
         if !faint && prune_size.is_none_or(|limit| new_size <= limit) {
             edit.push(source, origin);
         }
