@@ -161,18 +161,8 @@ pub(crate) fn control_record(
 
 /// A stage that has scored its base.
 pub(crate) fn empty_record(stage: &Stage<'_>, fitness: f64) -> StageRecord {
-    StageRecord {
-        kind: StageKind::Paper,
-        iteration: stage.iteration,
-        generations: 0,
-        renders: stage.views.len() as u64,
-        fitness_before: fitness,
-        fitness_after: fitness,
-        guard_psnr: None,
-        changed: 0,
-        population_bytes: 0,
-        seconds: 0.0,
-    }
+    let renders = stage.views.len() as u64;
+    StageRecord { renders, ..StageRecord::begun(StageKind::Paper, stage.iteration, fitness, None) }
 }
 
 /// What is told at the beginning of a stage of so many generations after the first.

@@ -147,6 +147,24 @@ pub struct StageRecord {
     pub seconds: f64,
 }
 
+impl StageRecord {
+    /// A stage that has scored its base at `fitness` and done nothing yet.
+    pub(crate) fn begun(kind: StageKind, iteration: u32, fitness: f64, guard_psnr: Option<f64>) -> Self {
+        Self {
+            kind,
+            iteration,
+            generations: 0,
+            renders: 0,
+            fitness_before: fitness,
+            fitness_after: fitness,
+            guard_psnr: guard_psnr.map(|psnr| [psnr; 2]),
+            changed: 0,
+            population_bytes: 0,
+            seconds: 0.0,
+        }
+    }
+}
+
 /// Renders the cloud in training as it will be evaluated.
 pub type Render<'a> = &'a mut dyn FnMut(&Camera) -> Result<Image, BackendError>;
 

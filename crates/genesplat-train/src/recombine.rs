@@ -80,7 +80,9 @@ impl<B: Backend> Trainer<'_, B> {
         if !before.loss.is_finite() {
             return Err(TrainError::NoFitness { iteration: line.iteration, loss: before.loss });
         }
-        let mut record = StageRecord { population_bytes: self.bytes_of_line(&line), ..record(&line, before) };
+        let Verdict { loss, psnr } = before;
+        let record = StageRecord::begun(StageKind::Recombination, line.iteration, loss, Some(psnr));
+        let mut record = StageRecord { population_bytes: self.bytes_of_line(&line), ..record };
         let genome = self.search_line(&line, &mut record)?;
         let chosen = self.ask_guards(&line, &genome, before, &mut record)?;
         let interrupted = record.generations < line.generations;
@@ -168,22 +170,6 @@ impl<B: Backend> Trainer<'_, B> {
         // The first generation counts as the initial population.
         let generations = line.generations.saturating_sub(1);
         StageLog { iteration: line.iteration, generations, views, fitness }
-    }
-}
-
-/// A stage in which nothing has happened yet.
-fn record(line: &Line, before: Verdict) -> StageRecord {
-    StageRecord {
-        kind: StageKind::Recombination,
-        iteration: line.iteration,
-        generations: 0,
-        renders: 0,
-        fitness_before: before.loss,
-        fitness_after: before.loss,
-        guard_psnr: Some([before.psnr; 2]),
-        changed: 0,
-        population_bytes: 0,
-        seconds: 0.0,
     }
 }
 

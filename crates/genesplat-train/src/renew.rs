@@ -56,8 +56,10 @@ impl<B: Backend> Trainer<'_, B> {
             verdict = self.end_trial(trial, verdict, clock)?;
         }
         if self.schedule.renews(i) {
-            let record = StageRecord { renders: guards.len() as u64, ..record(i, verdict) };
-            self.begin_trial(record, Instant::now())?;
+            let Verdict { loss, psnr } = verdict;
+            let record = StageRecord::begun(StageKind::Renewal, i, loss, Some(psnr));
+            let renders = guards.len() as u64;
+            self.begin_trial(StageRecord { generations: 1, renders, ..record }, Instant::now())?;
         }
         Ok(())
     }
@@ -97,7 +99,7 @@ impl<B: Backend> Trainer<'_, B> {
         Ok(stays)
     }
 
-    /// Weighs all Gaussians on all training views, and renews a share of them.
+    /// Weighs all Gaussians on all training views, and renews a share of them, if there are any to renew.
     fn begin_trial(&mut self, mut record: StageRecord, clock: Instant) -> Result<(), TrainError> {
         let i = record.iteration;
         let views: Vec<usize> = (0..self.views.len()).collect();
@@ -105,6 +107,9 @@ impl<B: Backend> Trainer<'_, B> {
         let edit = renewal::plan(&merits, self.config.evolution.renewal.share, i);
         record.renders += views.len() as u64;
         record.changed = edit.origins.iter().filter(|origin| matches!(origin, Origin::Twin { .. })).count();
+        if record.changed == 0 {
+            return Ok(());
+        }
         record.population_bytes = (CLOUDS_KEPT * self.backend.len() * Gaussians::BYTES_PER_ROW) as u64;
         let cloud = self.backend.download()?.into_owned();
         let moments = self.backend.download_moments()?.into_owned();
@@ -113,21 +118,5 @@ impl<B: Backend> Trainer<'_, B> {
         self.trial = Some(Trial { record, cloud, moments });
         self.torn = true;
         Ok(())
-    }
-}
-
-/// A trial that has not begun.
-fn record(iteration: u32, before: Verdict) -> StageRecord {
-    StageRecord {
-        kind: StageKind::Renewal,
-        iteration,
-        generations: 1,
-        renders: 0,
-        fitness_before: before.loss,
-        fitness_after: before.loss,
-        guard_psnr: Some([before.psnr; 2]),
-        changed: 0,
-        population_bytes: 0,
-        seconds: 0.0,
     }
 }

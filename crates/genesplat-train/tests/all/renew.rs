@@ -93,6 +93,17 @@ fn a_run_that_has_no_place_for_renewal_says_so() {
     assert!(notice.contains("after iteration 150") && notice.contains("a run of 70"), "{notice}");
 }
 
+#[test]
+fn a_share_of_less_than_one_gaussian_renews_nothing() {
+    let mut few = config();
+    few.evolution.renewal.share = 0.04;
+    let (mut backend, config) = (backend(0.9), few.resolve().unwrap());
+    let start = Start::Points(points(20));
+    let outcome =
+        train(&mut backend, &views(20), start, &config, &mut Silent, &AtomicBool::new(false)).unwrap();
+    assert_eq!((renewals(&outcome), edits(&backend).len()), (Vec::new(), 0));
+}
+
 /// Sets the flag when the first renewal has been judged.
 struct StopAfterRenewal<'a>(&'a AtomicBool);
 
