@@ -140,7 +140,7 @@ pub struct StepReport {
 pub enum BackendError {
     /// Training diverged.
     #[error(
-        "Gaussian {row} has a {parameter} that is not finite after {steps} optimiser steps; \
+        "the {parameter} of Gaussian {row} is not finite after {steps} optimiser steps; \
          lower the learning rates or check the scene's points"
     )]
     NonFinite {

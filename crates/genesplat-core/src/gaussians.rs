@@ -145,9 +145,34 @@ pub fn logit(p: f32) -> f32 {
     (p / (1.0 - p)).ln()
 }
 
+/// The logit of an opacity that a reset limits: with what the 3D filter dims it by, it is at most `ceiling` afterwards.
+///
+/// One that is low enough already stays what it is. To go through its opacity would lose those that f32 rounds to 1 or to
+/// 0, and a Gaussian far smaller than its filter is dimmed to next to nothing however opaque it is.
+#[inline]
+pub fn limited_opacity(logit: f32, dimming: f32, ceiling: f32) -> f32 {
+    // Above the ceiling, `dimming` is above it, too, so this is the logit of `ceiling / dimming`.
+    if sigmoid(logit) * dimming > ceiling { (ceiling / (dimming - ceiling)).ln() } else { logit }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_limited_opacity_is_finite_and_no_higher() {
+        let near = |found: f32, expected: f32| assert!((found - expected).abs() < 1e-5, "{found} {expected}");
+        near(limited_opacity(logit(0.8), 1.0, 0.01), logit(0.01));
+        near(limited_opacity(logit(0.8), 8.0 / 27.0, 0.01), logit(0.03375));
+        for low in [logit(0.009), -200.0] {
+            assert_eq!(limited_opacity(low, 1.0, 0.01), low);
+        }
+        // Opacities that f32 rounds to 1; dimmed to nothing, to the ceiling, and to just above it.
+        for dimming in [0.0, 1e-30, 0.01, 0.010_000_001, 1.0] {
+            let limited = limited_opacity(40.0, dimming, 0.01);
+            assert!(limited.is_finite() && limited <= 40.0, "{dimming}: {limited}");
+        }
+    }
 
     #[test]
     fn genes_round_trip() {

@@ -13,14 +13,16 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
         return;
     }
     let scale = geometry[3u * local + 1u];
-    var factor = 1.0;
+    var dimming = 1.0;
     if scale.w > 0.0 {
         let raw = exp(2.0 * scale.xyz);
         let ratio = raw / (raw + scale.w * scale.w);
-        factor = sqrt(ratio.x * ratio.y * ratio.z);
+        dimming = sqrt(ratio.x * ratio.y * ratio.z);
     }
-    let opacity = min(factor / (1.0 + exp(-geometry[3u * local].w)), edit.amount) / factor;
-    geometry[3u * local].w = log(opacity / (1.0 - opacity));
+    // As genesplat_core::gaussians::limited_opacity: one that is low enough stays what it is.
+    if dimming / (1.0 + exp(-geometry[3u * local].w)) > edit.amount {
+        geometry[3u * local].w = log(edit.amount / (dimming - edit.amount));
+    }
     first_moments[3u * local].w = 0.0;
     second_moments[3u * local].w = 0.0;
 }

@@ -235,9 +235,10 @@ impl Schedule {
     pub fn is_stage(&self, i: u32) -> bool {
         let (happens, occurrence) = match self.evolution_phase {
             None => (false, 0),
-            Some(Phase::EvolveBeforeDensify | Phase::EvolveAfterDensify) => {
-                (self.is_densify(i), i / self.densify_every - self.densify_from / self.densify_every)
-            }
+            Some(Phase::EvolveBeforeDensify | Phase::EvolveAfterDensify) => (
+                self.is_densify(i),
+                (i / self.densify_every).saturating_sub(self.densify_from / self.densify_every),
+            ),
             Some(Phase::EvolveAtEnd) => (i == self.iterations, 0),
             Some(_) => (self.is_periodic_reset(i), i / self.reset_every),
         };

@@ -51,7 +51,9 @@ fn explore_matches() {
 
 /// Kept, cloned, split, relocated and pruned rows, then a reset, single genes, a filter and another step.
 fn change_rows(twin: &mut dyn Backend) {
-    twin.upload(cloud(300), None).unwrap();
+    let mut cloud = cloud(300);
+    cloud.opacity_logits[5] = 40.0;
+    twin.upload(cloud, None).unwrap();
     twin.train_step(&step(1, settings(2, ScreenFilter::Classic))).unwrap();
     let mut edit = RowEdit { iteration: 600, ..RowEdit::keep((0..250).rev().collect()) };
     edit.push(7, Origin::Clone);

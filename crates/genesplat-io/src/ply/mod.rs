@@ -86,7 +86,7 @@ pub enum PlyError {
         row: usize,
     },
     /// A value that is not finite.
-    #[error("{path}: Gaussian {row} has a {parameter} that is not finite; remove it in a splat editor")]
+    #[error("{path}: the {parameter} of Gaussian {row} is not finite; remove it in a splat editor")]
     NonFinite {
         /// The file.
         path: PathBuf,

@@ -3,7 +3,7 @@
 use std::borrow::Cow;
 
 use fearless_simd::Level;
-use genesplat_core::gaussians::{logit, sigmoid};
+use genesplat_core::gaussians::limited_opacity;
 use genesplat_core::lineage::PARENTS;
 use genesplat_core::{
     Backend, BackendError, Blend, Camera, DensitySignal, Gaussians, Image, Judgement, Lineage, Merit,
@@ -254,9 +254,9 @@ impl Backend for CpuBackend {
         self.touch();
         self.forget();
         for row in 0..self.cloud.len() {
-            let factor = self.cloud.filter_dimming(row);
-            let opacity = sigmoid(self.cloud.opacity_logits[row]) * factor;
-            self.cloud.opacity_logits[row] = logit(opacity.min(ceiling) / factor);
+            let dimming = self.cloud.filter_dimming(row);
+            let logit = &mut self.cloud.opacity_logits[row];
+            *logit = limited_opacity(*logit, dimming, ceiling);
         }
         self.moments.first.opacity_logits.fill(0.0);
         self.moments.second.opacity_logits.fill(0.0);

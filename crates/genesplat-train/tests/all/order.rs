@@ -336,7 +336,11 @@ fn an_emptied_cloud_is_an_error() {
 fn divergence_is_named() {
     let mut backend = FakeBackend::new();
     let error = run(&mut backend, short(|config| config.optimiser.position_start = 1e300)).unwrap_err();
-    assert!(error.to_string().contains("position that is not finite after 59 optimiser steps"), "{error}");
+    let text = error.to_string();
+    assert!(
+        text.starts_with("the position of Gaussian ") && text.contains("not finite after 59 optimiser steps"),
+        "{text}"
+    );
 }
 
 #[test]
