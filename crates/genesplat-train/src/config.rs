@@ -265,7 +265,7 @@ pub struct EvolutionConfig {
     pub moments: MomentPolicy,
     /// Mode `control`: seconds a stage. Default 60; not negative.
     pub control_seconds: f64,
-    /// Mode `renew`: how many Gaussians make room for others, and when.
+    /// Mode `renew`: how many Gaussians there are, how many of them make room for others, and when.
     pub renewal: RenewalConfig,
     /// Modes `recombine` and `renew`: the line of the run's last states.
     pub recombine: RecombineConfig,
@@ -273,7 +273,7 @@ pub struct EvolutionConfig {
     pub paper: PaperConfig,
 }
 
-/// Mode `renew`: how many Gaussians make room for others, and when.
+/// Mode `renew`: how many Gaussians there are, how many of them make room for others, and when.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RenewalConfig {
@@ -284,11 +284,17 @@ pub struct RenewalConfig {
     pub every: f64,
     /// No renewal begins after this share of the run: the last Gaussians need time to become good ones. Default 0.75; 0 to 1.
     pub until: f64,
+    /// Training views that a renewal weighs on, at most, as a share of the run's steps; spread evenly, others each time.
+    /// Default 0.02, where all renewals together take a tenth of the time or less; above 0.
+    pub weighed: f64,
+    /// Training pixels that one Gaussian lives on: density control grows the cloud to at most the pixels of all training photos over
+    /// this. More Gaussians than that learn the photos by heart. Default 12; 0 for no such limit.
+    pub pixels: f64,
 }
 
 impl Default for RenewalConfig {
     fn default() -> Self {
-        Self { share: 0.05, every: 0.05, until: 0.75 }
+        Self { share: 0.05, every: 0.05, until: 0.75, weighed: 0.02, pixels: 12.0 }
     }
 }
 

@@ -156,13 +156,19 @@ impl<B: Backend> Trainer<'_, B> {
 
     /// Once is enough: the cap stays.
     fn tell_of_cap(&mut self, i: u32, plan: &Plan) {
-        let Some(cap) = self.config.max_gaussians.filter(|_| plan.refused > 0 && !self.cap_noticed) else {
-            return;
-        };
+        let Some(cap) = self.cap.filter(|_| plan.refused > 0 && !self.cap_noticed) else { return };
         self.cap_noticed = true;
+        let source = if self.config.max_gaussians == Some(cap) {
+            String::new()
+        } else {
+            format!(
+                ", one to every {} training pixels (evolution.renewal.pixels),",
+                self.config.evolution.renewal.pixels
+            )
+        };
         self.observer.notice(&format!(
-            "iteration {i}: the limit of {cap} Gaussians is reached ({} more wanted to grow); from now on only those \
-             with the strongest gradients grow into the room that pruning leaves",
+            "iteration {i}: the limit of {cap} Gaussians{source} is reached ({} more wanted to grow); from now on only \
+             those with the strongest gradients grow into the room that pruning leaves",
             plan.refused
         ));
     }

@@ -4,7 +4,8 @@
 //! are worth next to nothing, while others stand for more than one Gaussian can show. Gradients cannot mend that: what is
 //! not there has no gradient.
 //!
-//! How. Once density control has ended, a twentieth of the run apart, every Gaussian is weighed
+//! How. There are never more Gaussians than the photos feed: with few pixels to each, a cloud learns photos by heart, and
+//! nothing that comes later makes it forget them. Once density control has ended, a twentieth of the run apart, every Gaussian is weighed
 //! ([`genesplat_core::merit`]), and a share of the cloud is renewed ([`genesplat_evolve::renewal`]). A new Gaussian needs
 //! some gradient steps before it is worth anything, so a renewal is judged when the next one is due: if the *guard* views
 //! are rendered worse by then than before it, the state before it comes back, moments and all, and the steps in between
@@ -16,13 +17,14 @@
 
 use std::time::Instant;
 
-use genesplat_core::{Backend, Blend, Gaussians, Moments, Origin};
+use genesplat_core::{Backend, Blend, Gaussians, Merit, Moments, Origin};
 use genesplat_evolve::renewal;
 
 use crate::guards::{StageViews, Verdict};
 use crate::observe::{StageKind, StageRecord};
 use crate::run::TrainError;
 use crate::trainer::Trainer;
+use crate::views::spread_evenly;
 
 /// A renewal that has yet to prove itself.
 #[derive(Clone, Debug, PartialEq)]
@@ -99,13 +101,11 @@ impl<B: Backend> Trainer<'_, B> {
         Ok(stays)
     }
 
-    /// Weighs all Gaussians on all training views, and renews a share of them, if there are any to renew.
+    /// Weighs all Gaussians, and renews a share of them, if there are any to renew.
     fn begin_trial(&mut self, mut record: StageRecord, clock: Instant) -> Result<(), TrainError> {
         let i = record.iteration;
-        let views: Vec<usize> = (0..self.views.len()).collect();
-        let merits = self.backend.weigh(&views, &self.settings(i))?;
+        let merits = self.weigh(&mut record)?;
         let edit = renewal::plan(&merits, self.config.evolution.renewal.share, i);
-        record.renders += views.len() as u64;
         record.changed = edit.origins.iter().filter(|origin| matches!(origin, Origin::Twin { .. })).count();
         if record.changed == 0 {
             return Ok(());
@@ -118,5 +118,20 @@ impl<B: Backend> Trainer<'_, B> {
         self.trial = Some(Trial { record, cloud, moments });
         self.torn = true;
         Ok(())
+    }
+    /// Weighs on as many training views as there is time for. What none of them shows is worth nothing if they are all
+    /// there are, and is not judged otherwise.
+    fn weigh(&mut self, record: &mut StageRecord) -> Result<Vec<Merit>, TrainError> {
+        let (i, settings) = (record.iteration, self.settings(record.iteration));
+        let views = spread_evenly(self.views, self.schedule.views_weighed, &self.rng, i);
+        let mut merits = self.backend.weigh(&views, &settings)?;
+        if views.len() < self.views.len() {
+            merits
+                .iter_mut()
+                .filter(|merit| merit.weight == 0.0)
+                .for_each(|merit| merit.weight = f32::INFINITY);
+        }
+        record.renders += views.len() as u64;
+        Ok(merits)
     }
 }

@@ -124,6 +124,8 @@ pub struct Schedule {
     pub renew_every: Option<u32>,
     /// The last renewal is begun at or before this iteration.
     pub renew_until: u32,
+    /// Training views that a renewal weighs on, at most.
+    pub views_weighed: usize,
     /// Iterations of a window of recombination, if it runs; the last window ends with the run.
     pub window: Option<u32>,
     /// Iterations between two states that recombination remembers.
@@ -169,6 +171,7 @@ impl Schedule {
             renew_every: (evolution.mode == EvolutionMode::Renew)
                 .then(|| share_of_run(evolution.renewal.every).max(1)),
             renew_until: share_of_run(evolution.renewal.until),
+            views_weighed: share_of_run(evolution.renewal.weighed).max(1) as usize,
             window: recombines.then_some(window),
             remember_every: (window / evolution.recombine.states).max(1),
             gene_gradients: evolution.wants_gene_gradients(),

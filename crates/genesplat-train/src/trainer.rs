@@ -10,7 +10,9 @@ use genesplat_core::{
 };
 
 use crate::checkpoint::{Checkpoint, Cursor, Progress};
-use crate::config::{Background, McmcConfig, Resolved, Signal, TrainConfig, Variant};
+use crate::config::{
+    Background, EvolutionConfig, EvolutionMode, McmcConfig, Resolved, Signal, TrainConfig, Variant,
+};
 use crate::densify::adaptive::Rules;
 use crate::densify::mcmc;
 use crate::filter_3d::filter_3d;
@@ -44,6 +46,8 @@ pub(crate) struct Trainer<'a, B> {
     pub(crate) cursor: Cursor,
     /// The phase under way has changed the state, and has more to change.
     pub(crate) torn: bool,
+    /// The cloud grows to at most so many Gaussians.
+    pub(crate) cap: Option<usize>,
     /// The user knows that the cap is reached.
     pub(crate) cap_noticed: bool,
 }
@@ -71,6 +75,7 @@ impl<'a, B: Backend> Trainer<'a, B> {
             trial: None,
             cursor: Cursor::start_of(1),
             torn: false,
+            cap: population_limit(config, views),
             cap_noticed: false,
             backend,
             views,
@@ -287,14 +292,14 @@ impl<'a, B: Backend> Trainer<'a, B> {
             clone_size_max: world(densify.clone_size),
             prune_opacity: densify.prune_opacity,
             prune_size: self.schedule.prunes_by_size(i).then(|| world(densify.prune_size)),
-            cap: self.config.max_gaussians,
+            cap: self.cap,
         }
     }
 
     /// MCMC's counterpart of [`Self::rules`], which does not depend on the iteration.
     pub(crate) fn mcmc_rules(&self) -> mcmc::Rules {
         let McmcConfig { min_opacity, growth, .. } = self.config.mcmc;
-        mcmc::Rules { min_opacity, growth, cap: self.config.max_gaussians.unwrap_or(mcmc::DEFAULT_CAP) }
+        mcmc::Rules { min_opacity, growth, cap: self.cap.unwrap_or(mcmc::DEFAULT_CAP) }
     }
 
     /// The evolution stage of iteration `i`.
@@ -331,6 +336,16 @@ impl<'a, B: Backend> Trainer<'a, B> {
             self.progress.gradient_seconds += seconds;
         }
     }
+}
+
+/// The user's limit, or what the photos feed in mode `renew`.
+fn population_limit(config: &TrainConfig, views: &[View]) -> Option<usize> {
+    let EvolutionConfig { mode, renewal, .. } = &config.evolution;
+    let pixels: f64 =
+        views.iter().map(|view| f64::from(view.photo.width) * f64::from(view.photo.height)).sum();
+    let fed = (*mode == EvolutionMode::Renew && renewal.pixels > 0.0)
+        .then(|| ((pixels / renewal.pixels) as usize).max(1));
+    [config.max_gaussians, fed].into_iter().flatten().min()
 }
 
 /// Mip-Splatting's 3D filter of a cloud, from all training views.

@@ -13,7 +13,7 @@ use crate::support::{Call, FakeBackend, StopAt, points, views};
 fn config() -> TrainConfig {
     let mut config = TrainConfig { steps_scale: 0.01, ..TrainConfig::default() };
     config.evolution.mode = EvolutionMode::Renew;
-    config.evolution.renewal.share = 0.1;
+    (config.evolution.renewal.share, config.evolution.renewal.weighed) = (0.1, 1.0);
     config
 }
 
@@ -67,6 +67,50 @@ fn a_share_is_renewed_from_the_end_of_density_control_on() {
     }
     let uploads = backend.calls.iter().filter(|call| matches!(call, Call::Upload { .. })).count();
     assert_eq!(uploads, 1, "nothing was taken back");
+}
+
+#[test]
+fn what_no_weighed_view_shows_is_spared() {
+    let mut config = config();
+    config.evolution.renewal.weighed = 0.02;
+    let (mut backend, config) = (backend(0.9), config.resolve().unwrap());
+    let start = Start::Points(points(20));
+    train(&mut backend, &views(20), start, &config, &mut Silent, &AtomicBool::new(false)).unwrap();
+    let weighed: Vec<&Call> =
+        backend.calls.iter().filter(|call| matches!(call, Call::Weigh { .. })).collect();
+    assert_eq!(weighed, [&Call::Weigh { views: 6 }; 6], "2 % of 300 steps");
+    // The fake's first row weighs nothing, and may have been out of sight.
+    let sources = &edits(&backend)[0].sources;
+    assert_eq!([0, 1, 2, 3].map(|row| sources.contains(&row)), [true, false, false, true]);
+}
+
+/// How many Gaussians a run ends with, twenty of which always want to grow, and what users are told.
+fn largest(mode: EvolutionMode, pixels: f64, limit: Option<usize>) -> (usize, Vec<String>) {
+    let mut backend = backend(0.9);
+    backend.gradient = |row| if row < 20 { 1e-3 } else { 0.0 };
+    let mut config = TrainConfig { max_gaussians: limit, ..config() };
+    (config.evolution.mode, config.evolution.renewal.pixels) = (mode, pixels);
+    let (mut notices, views) = (Notices::default(), views(20));
+    let start = Start::Points(points(20));
+    train(&mut backend, &views, start, &config.resolve().unwrap(), &mut notices, &AtomicBool::new(false))
+        .unwrap();
+    (backend.cloud.len(), notices.0)
+}
+
+#[test]
+fn a_cloud_grows_to_what_the_photos_feed() {
+    let photo = &views(1)[0].photo;
+    let pixels = 20.0 * f64::from(photo.width) * f64::from(photo.height);
+    let (rows, notices) = largest(EvolutionMode::Renew, pixels / 50.0, None);
+    assert_eq!(rows, 50);
+    assert!(notices[0].contains("limit of 50 Gaussians, one to every"), "{notices:?}");
+    let (rows, notices) = largest(EvolutionMode::Renew, pixels / 50.0, Some(40));
+    assert_eq!(rows, 40);
+    assert!(notices[0].contains("limit of 40 Gaussians is reached"), "{notices:?}");
+    assert_eq!(largest(EvolutionMode::Renew, pixels / 50.0, Some(60)).0, 50);
+    for (mode, pixels) in [(EvolutionMode::Renew, 0.0), (EvolutionMode::Off, pixels / 50.0)] {
+        assert!(largest(mode, pixels, None).0 > 60);
+    }
 }
 
 /// Remembers what users are told.
