@@ -147,6 +147,9 @@ impl Schedule {
         let mcmc = config.variant == Variant::Mcmc;
         let white = config.background == Background::White && densify.white_reset_at > 0;
         let iterations = interval(config.iterations);
+        let renews = evolution.mode == EvolutionMode::Renew;
+        // What is renewed must have stopped growing, also in runs that are cut short.
+        let growth_until = if renews && !mcmc { iterations / 2 } else { u32::MAX };
         let recombines = matches!(evolution.mode, EvolutionMode::Recombine | EvolutionMode::Renew);
         let share_of_run = |share: f64| (f64::from(iterations) * share).round() as u32;
         let stages = matches!(evolution.mode, EvolutionMode::Paper | EvolutionMode::Control);
@@ -157,19 +160,18 @@ impl Schedule {
             sh_degree_max: config.sh_degree,
             position_steps: interval(config.optimiser.position_steps),
             densify_from: scaled(densify.from),
-            densify_until: scaled(if mcmc { config.mcmc.until } else { densify.until }),
+            densify_until: scaled(if mcmc { config.mcmc.until } else { densify.until }).min(growth_until),
             densify_every: interval(densify.every),
             size_prune_after: scaled(densify.size_prune_after),
             reset_every: interval(densify.reset_every),
-            reset_until: scaled(densify.until),
+            reset_until: scaled(densify.until).min(growth_until),
             resets: !mcmc || config.mcmc.resets,
             loses_steps: !mcmc,
             white_reset_at: white.then(|| interval(densify.white_reset_at)),
             filter_3d: config.variant == Variant::MipSplatting,
             evolution_phase: stages.then(|| trigger_phase(evolution.trigger)),
             evolution_stride: evolution.stride,
-            renew_every: (evolution.mode == EvolutionMode::Renew)
-                .then(|| share_of_run(evolution.renewal.every).max(1)),
+            renew_every: renews.then(|| share_of_run(evolution.renewal.every).max(1)),
             renew_until: share_of_run(evolution.renewal.until),
             views_weighed: share_of_run(evolution.renewal.weighed).max(1) as usize,
             window: recombines.then_some(window),

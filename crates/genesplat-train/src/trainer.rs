@@ -114,8 +114,8 @@ impl<'a, B: Backend> Trainer<'a, B> {
             return;
         }
         self.observer.notice(&format!(
-            "mode renew begins when density control ends, after iteration {}, which is too late in a run of {}: it only \
-             recombines (--steps-scale shortens a run without changing its shape; mcmc relocates by itself)",
+            "mode renew begins when rows stop changing, here after iteration {}, which is too late in a run of {}: it only \
+             recombines",
             schedule.densify_until, schedule.iterations
         ));
     }

@@ -4,7 +4,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use genesplat_core::{Gaussians, Moments, Origin, RowEdit};
 use genesplat_train::{
-    Checkpoint, EvolutionMode, Observer, Outcome, Silent, StageKind, StageRecord, Start, TrainConfig, train,
+    Checkpoint, EvolutionMode, Observer, Outcome, Silent, StageKind, StageRecord, Start, TrainConfig,
+    Variant, train,
 };
 
 use crate::support::{Call, FakeBackend, StopAt, points, views};
@@ -125,16 +126,16 @@ impl Observer for Notices {
 
 #[test]
 fn a_run_that_has_no_place_for_renewal_says_so() {
-    let told = |iterations: u32| {
+    let told = |variant: Variant| {
         let (mut notices, stop) = (Notices::default(), AtomicBool::new(false));
-        let config = TrainConfig { iterations, ..config() }.resolve().unwrap();
+        let config = TrainConfig { variant, ..config() }.resolve().unwrap();
         let start = Start::Points(points(20));
         train(&mut backend(0.9), &views(20), start, &config, &mut notices, &stop).unwrap();
         notices.0
     };
-    assert!(told(30_000).is_empty());
-    let [notice] = &told(7000)[..] else { panic!("one notice") };
-    assert!(notice.contains("after iteration 150") && notice.contains("a run of 70"), "{notice}");
+    assert!(told(Variant::ThreeDgs).is_empty());
+    let [notice] = &told(Variant::Mcmc)[..] else { panic!("one notice") };
+    assert!(notice.contains("after iteration 250") && notice.contains("a run of 300"), "{notice}");
 }
 
 #[test]
