@@ -1,17 +1,21 @@
 //! What can be asked for. Help texts are written for someone who has never trained a splat.
+#![allow(missing_docs, reason = "clap would show the documentation of flattened arguments as help")]
 
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use genesplat::io::PhotoSize;
-use genesplat::train::{EvolutionMode, Variant};
 use serde::Serialize;
 
 use crate::device::Device;
 
+mod bench;
 mod method;
+mod train;
 
+pub use bench::{Bench, BenchEvolutionArgs, BenchGpuArgs, BenchStepArgs, WorkloadArgs};
 pub use method::MethodArgs;
+pub use train::{EvolutionArgs, Evolve, ScheduleArgs, TrainArgs};
 
 /// Reconstruct a scene from photos as 3D Gaussians, and evolve them.
 ///
@@ -57,17 +61,6 @@ pub enum Command {
     Devices,
 }
 
-/// What can be measured.
-#[derive(Debug, Subcommand)]
-pub enum Bench {
-    /// Time training steps stage by stage, at a fixed number of Gaussians, beside the best that blending could reach
-    Step(BenchStepArgs),
-    /// Time the scoring of a population just after an opacity reset, beside rendering each individual in full
-    Evolution(BenchEvolutionArgs),
-    /// Time training steps by stage and the scoring of a population on the graphics device, at several numbers of Gaussians
-    Gpu(BenchGpuArgs),
-}
-
 /// What can be done about LPIPS.
 #[derive(Debug, Subcommand)]
 pub enum LpipsCommand {
@@ -108,10 +101,8 @@ pub struct DemoArgs {
     #[arg(long, value_name = "S", default_value_t = 0, value_parser = clap::value_parser!(u64).range(..1 << 63))]
     pub seed: u64,
     #[command(flatten)]
-    #[allow(missing_docs, reason = "clap would show it as help")]
     pub machine: MachineArgs,
     #[command(flatten)]
-    #[allow(missing_docs, reason = "clap would show it as help")]
     pub lpips: LpipsArgs,
 }
 
@@ -131,13 +122,10 @@ pub struct EvaluateArgs {
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
     #[command(flatten)]
-    #[allow(missing_docs, reason = "clap would show it as help")]
     pub size: SizeArgs,
     #[command(flatten)]
-    #[allow(missing_docs, reason = "clap would show it as help")]
     pub machine: MachineArgs,
     #[command(flatten)]
-    #[allow(missing_docs, reason = "clap would show it as help")]
     pub lpips: LpipsArgs,
 }
 
@@ -161,10 +149,8 @@ pub struct RenderArgs {
     #[arg(long, value_name = "FILE|DIR")]
     pub out: PathBuf,
     #[command(flatten)]
-    #[allow(missing_docs, reason = "clap would show it as help")]
     pub size: SizeArgs,
     #[command(flatten)]
-    #[allow(missing_docs, reason = "clap would show it as help")]
     pub machine: MachineArgs,
 }
 
@@ -193,10 +179,8 @@ pub struct RefineArgs {
     #[arg(long, value_name = "FILE.toml")]
     pub config: Option<PathBuf>,
     #[command(flatten)]
-    #[allow(missing_docs, reason = "clap would show it as help")]
     pub size: SizeArgs,
     #[command(flatten)]
-    #[allow(missing_docs, reason = "clap would show it as help")]
     pub machine: MachineArgs,
 }
 
@@ -213,7 +197,6 @@ pub struct CompareArgs {
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
     #[command(flatten)]
-    #[allow(missing_docs, reason = "clap would show it as help")]
     pub lpips: LpipsArgs,
 }
 
@@ -238,97 +221,11 @@ pub struct ExperimentArgs {
     #[arg(long, value_name = "F", value_parser = scale)]
     pub steps_scale: Option<f64>,
     #[command(flatten)]
-    #[allow(missing_docs, reason = "clap would show it as help")]
     pub size: SizeArgs,
     #[command(flatten)]
-    #[allow(missing_docs, reason = "clap would show it as help")]
     pub machine: MachineArgs,
     #[command(flatten)]
-    #[allow(missing_docs, reason = "clap would show it as help")]
     pub lpips: LpipsArgs,
-}
-
-/// A cloud to measure on.
-#[derive(Debug, Args)]
-pub struct WorkloadArgs {
-    /// Folder of a scene to take cameras, photos and points from [default: a synthetic cloud before one camera of 268x478]
-    #[arg(long, value_name = "DATASET")]
-    pub data: Option<PathBuf>,
-    /// Number of Gaussians, at least 4 [default: as many as the scene has points; 55000 without --data]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(4..))]
-    pub gaussians: Option<u32>,
-    #[command(flatten)]
-    #[allow(missing_docs, reason = "clap would show it as help")]
-    pub size: SizeArgs,
-}
-
-/// `genesplat bench step`.
-#[derive(Debug, Args)]
-pub struct BenchStepArgs {
-    #[command(flatten)]
-    #[allow(missing_docs, reason = "clap would show it as help")]
-    pub workload: WorkloadArgs,
-    /// Steps to time; medians are reported
-    #[arg(long, value_name = "N", default_value_t = 30, value_parser = clap::value_parser!(u32).range(1..))]
-    pub steps: u32,
-    /// Also write the figures to this file [default: none]
-    #[arg(long, value_name = "FILE")]
-    pub json: Option<PathBuf>,
-    #[command(flatten)]
-    #[allow(missing_docs, reason = "clap would show it as help")]
-    pub machine: MachineArgs,
-}
-
-/// `genesplat bench evolution`.
-#[derive(Debug, Args)]
-pub struct BenchEvolutionArgs {
-    #[command(flatten)]
-    #[allow(missing_docs, reason = "clap would show it as help")]
-    pub workload: WorkloadArgs,
-    /// Individuals to score
-    #[arg(long, value_name = "P", default_value_t = 20, value_parser = clap::value_parser!(u32).range(2..))]
-    pub population: u32,
-    /// Views to score them on
-    #[arg(long, value_name = "V", default_value_t = 6, value_parser = clap::value_parser!(u32).range(1..))]
-    pub views: u32,
-    /// Also write the figures to this file [default: none]
-    #[arg(long, value_name = "FILE")]
-    pub json: Option<PathBuf>,
-    #[command(flatten)]
-    #[allow(missing_docs, reason = "clap would show it as help")]
-    pub machine: MachineArgs,
-}
-
-/// `genesplat bench gpu`.
-#[derive(Debug, Args)]
-pub struct BenchGpuArgs {
-    /// Numbers of Gaussians, separated by commas; those that there is no time for within eight minutes are left out
-    #[arg(
-        long,
-        value_name = "N,..",
-        value_delimiter = ',',
-        default_value = "100000,1000000,3000000",
-        value_parser = clap::value_parser!(u32).range(4..)
-    )]
-    pub gaussians: Vec<u32>,
-    /// Width of the photo, pixels
-    #[arg(long, value_name = "PX", default_value_t = 1920, value_parser = clap::value_parser!(u32).range(1..=16384))]
-    pub width: u32,
-    /// Its height
-    #[arg(long, value_name = "PX", default_value_t = 1080, value_parser = clap::value_parser!(u32).range(1..=16384))]
-    pub height: u32,
-    /// Steps to time
-    #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..))]
-    pub steps: u32,
-    /// Individuals to score
-    #[arg(long, value_name = "P", default_value_t = 16, value_parser = clap::value_parser!(u32).range(2..))]
-    pub population: u32,
-    /// Processor threads to make the cloud with [default: all cores]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
-    pub threads: Option<u16>,
-    /// Also write the figures to this file [default: none]
-    #[arg(long, value_name = "FILE")]
-    pub json: Option<PathBuf>,
 }
 
 /// One part of a scene's photos.
@@ -381,142 +278,6 @@ pub struct MachineArgs {
     /// Processor threads to use, 1 to 1024 [default: all cores]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     pub threads: Option<u16>,
-}
-
-/// `genesplat train`.
-#[derive(Debug, Args)]
-pub struct TrainArgs {
-    /// Folder of the scene: a COLMAP model in sparse/0 (cameras, images, points3D as .bin or .txt) and its photos in images
-    pub dataset: PathBuf,
-    /// Folder for the results; made if it is missing. It will hold point_cloud.ply, metrics.json, config.toml, log.jsonl
-    /// and test/*.png
-    #[arg(long, value_name = "DIR")]
-    pub out: PathBuf,
-    #[command(flatten)]
-    #[allow(missing_docs, reason = "clap would show it as help")]
-    pub size: SizeArgs,
-    #[command(flatten)]
-    #[allow(missing_docs, reason = "clap would show it as help")]
-    pub machine: MachineArgs,
-    #[command(flatten)]
-    #[allow(missing_docs, reason = "clap would show it as help")]
-    pub schedule: ScheduleArgs,
-    #[command(flatten)]
-    #[allow(missing_docs, reason = "clap would show it as help")]
-    pub method: MethodArgs,
-    #[command(flatten)]
-    #[allow(missing_docs, reason = "clap would show it as help")]
-    pub evolution: EvolutionArgs,
-    #[command(flatten)]
-    #[allow(missing_docs, reason = "clap would show it as help")]
-    pub lpips: LpipsArgs,
-    /// TOML file with settings (the config.toml of any run is one); flags given here win over it [default: none]
-    #[arg(long, value_name = "FILE.toml")]
-    pub config: Option<PathBuf>,
-    /// Go on with the interrupted run in DIR, from its checkpoint; the result is the same as without the interruption
-    #[arg(long)]
-    pub resume: bool,
-}
-
-/// How long, and what kind of training.
-#[derive(Clone, Debug, Default, Args)]
-pub struct ScheduleArgs {
-    /// Method: the original, or one of three improvements on it [default: 3dgs]
-    #[arg(long, value_enum, value_name = "METHOD")]
-    pub variant: Option<VariantName>,
-    /// Training steps, one photo each [default: 30000]. More is better and slower; alone it cuts the schedule short,
-    /// so 7000 is a good quick run
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
-    pub iterations: Option<u32>,
-    /// Multiply every setting that counts steps by F, 0.001 to 1000 [default: 1]. 0.1 gives a run of the same shape in a
-    /// tenth of the steps
-    #[arg(long, value_name = "F", value_parser = scale)]
-    pub steps_scale: Option<f64>,
-    /// Seed of all random numbers [default: 0]. Same seed, same bytes
-    #[arg(long, value_name = "S", value_parser = clap::value_parser!(u64).range(..1 << 63))]
-    pub seed: Option<u64>,
-    /// Stop adding Gaussians at this many [default: no limit; 1000000 with mcmc, which always grows to it]. Bounds memory (about 1.5 KB a Gaussian) and time
-    #[arg(long, value_name = "N", value_parser = positive)]
-    pub max_gaussians: Option<usize>,
-    /// Iterations between two checkpoints [default: 1000]; 0 for none but that of Ctrl-C
-    #[arg(long, value_name = "N")]
-    pub checkpoint_every: Option<u32>,
-}
-
-/// The genetic algorithm.
-#[derive(Clone, Debug, Default, Args)]
-pub struct EvolutionArgs {
-    /// How the Gaussians evolve besides: paper and control after each opacity reset, ours in the second half of the run [default: off]
-    #[arg(long, value_enum, value_name = "MODE")]
-    pub evolve: Option<Evolve>,
-    /// Generations of each evolution stage [default: 100]. Time grows in proportion
-    #[arg(long, value_name = "N")]
-    pub generations: Option<u32>,
-    /// Individuals a generation, 1 to 10000 [default: 100]. Time grows in proportion
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=10_000))]
-    pub population: Option<u32>,
-}
-
-/// Methods, as `--variant` names them.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum VariantName {
-    /// 3D Gaussian Splatting (Kerbl et al. 2023)
-    #[value(name = "3dgs")]
-    ThreeDgs,
-    /// Pixel-GS (Zhang et al. 2024): adds Gaussians where many pixels need them
-    PixelGs,
-    /// Mip-Splatting (Yu et al. 2024): stays sharp when seen from nearer or farther than the photos
-    MipSplatting,
-    /// 3DGS-MCMC (Kheradmand et al. 2024): Gaussians wander, dead ones move to where they are needed, up to --max-gaussians;
-    /// give it several thousand iterations
-    Mcmc,
-}
-
-impl From<VariantName> for Variant {
-    fn from(name: VariantName) -> Self {
-        match name {
-            VariantName::ThreeDgs => Self::ThreeDgs,
-            VariantName::PixelGs => Self::PixelGs,
-            VariantName::MipSplatting => Self::MipSplatting,
-            VariantName::Mcmc => Self::Mcmc,
-        }
-    }
-}
-
-/// Modes of evolution, as `--evolve` names them.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Evolve {
-    /// Gradient descent only
-    Off,
-    /// The genetic algorithm of "An Evolutionary Boost to Gaussian Splatting Optimization"
-    Paper,
-    /// For comparison: the same time (evolution.control_seconds of the configuration file) spent on more gradient steps
-    Control,
-    /// Ours: every twentieth of the second half of the run, a child bred from its last states takes over if photos held back
-    /// from that search agree
-    Recombine,
-    /// Ours, and worth most: recombine, and once density control has ended, the Gaussians that matter least make room for
-    /// more where most is wrong
-    Renew,
-}
-
-impl From<Evolve> for EvolutionMode {
-    fn from(mode: Evolve) -> Self {
-        match mode {
-            Evolve::Off => Self::Off,
-            Evolve::Paper => Self::Paper,
-            Evolve::Control => Self::Control,
-            Evolve::Recombine => Self::Recombine,
-            Evolve::Renew => Self::Renew,
-        }
-    }
-}
-
-fn positive(text: &str) -> Result<usize, String> {
-    text.parse()
-        .ok()
-        .filter(|&count: &usize| count > 0)
-        .ok_or_else(|| "a whole number from 1 is needed".into())
 }
 
 fn scale(text: &str) -> Result<f64, String> {

@@ -1,0 +1,96 @@
+//! `genesplat bench`.
+
+use std::path::PathBuf;
+
+use clap::{Args, Subcommand};
+
+use super::{MachineArgs, SizeArgs};
+
+/// What can be measured.
+#[derive(Debug, Subcommand)]
+pub enum Bench {
+    /// Time training steps stage by stage, at a fixed number of Gaussians, beside the best that blending could reach
+    Step(BenchStepArgs),
+    /// Time the scoring of a population just after an opacity reset, beside rendering each individual in full
+    Evolution(BenchEvolutionArgs),
+    /// Time training steps by stage and the scoring of a population on the graphics device, at several numbers of Gaussians
+    Gpu(BenchGpuArgs),
+}
+
+/// A cloud to measure on.
+#[derive(Debug, Args)]
+pub struct WorkloadArgs {
+    /// Folder of a scene to take cameras, photos and points from [default: a synthetic cloud before one camera of 268x478]
+    #[arg(long, value_name = "DATASET")]
+    pub data: Option<PathBuf>,
+    /// Number of Gaussians, at least 4 [default: as many as the scene has points; 55000 without --data]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(4..))]
+    pub gaussians: Option<u32>,
+    #[command(flatten)]
+    pub size: SizeArgs,
+}
+
+/// `genesplat bench step`.
+#[derive(Debug, Args)]
+pub struct BenchStepArgs {
+    #[command(flatten)]
+    pub workload: WorkloadArgs,
+    /// Steps to time; medians are reported
+    #[arg(long, value_name = "N", default_value_t = 30, value_parser = clap::value_parser!(u32).range(1..))]
+    pub steps: u32,
+    /// Also write the figures to this file [default: none]
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+    #[command(flatten)]
+    pub machine: MachineArgs,
+}
+
+/// `genesplat bench evolution`.
+#[derive(Debug, Args)]
+pub struct BenchEvolutionArgs {
+    #[command(flatten)]
+    pub workload: WorkloadArgs,
+    /// Individuals to score
+    #[arg(long, value_name = "P", default_value_t = 20, value_parser = clap::value_parser!(u32).range(2..))]
+    pub population: u32,
+    /// Views to score them on
+    #[arg(long, value_name = "V", default_value_t = 6, value_parser = clap::value_parser!(u32).range(1..))]
+    pub views: u32,
+    /// Also write the figures to this file [default: none]
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+    #[command(flatten)]
+    pub machine: MachineArgs,
+}
+
+/// `genesplat bench gpu`.
+#[derive(Debug, Args)]
+pub struct BenchGpuArgs {
+    /// Numbers of Gaussians, separated by commas; those that there is no time for within eight minutes are left out
+    #[arg(
+        long,
+        value_name = "N,..",
+        value_delimiter = ',',
+        default_value = "100000,1000000,3000000",
+        value_parser = clap::value_parser!(u32).range(4..)
+    )]
+    pub gaussians: Vec<u32>,
+    /// Width of the photo, pixels
+    #[arg(long, value_name = "PX", default_value_t = 1920, value_parser = clap::value_parser!(u32).range(1..=16384))]
+    pub width: u32,
+    /// Its height
+    #[arg(long, value_name = "PX", default_value_t = 1080, value_parser = clap::value_parser!(u32).range(1..=16384))]
+    pub height: u32,
+    /// Steps to time
+    #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..))]
+    pub steps: u32,
+    /// Individuals to score
+    #[arg(long, value_name = "P", default_value_t = 16, value_parser = clap::value_parser!(u32).range(2..))]
+    pub population: u32,
+    /// Processor threads to make the cloud with [default: all cores]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    pub threads: Option<u16>,
+    /// Also write the figures to this file [default: none]
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+}

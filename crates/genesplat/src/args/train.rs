@@ -1,0 +1,138 @@
+//! `genesplat train`: how long, by which method, with which evolution.
+
+use std::path::PathBuf;
+
+use clap::{Args, ValueEnum};
+use genesplat::train::{EvolutionMode, Variant};
+
+use super::{LpipsArgs, MachineArgs, MethodArgs, SizeArgs, scale};
+
+/// `genesplat train`.
+#[derive(Debug, Args)]
+pub struct TrainArgs {
+    /// Folder of the scene: a COLMAP model in sparse/0 (cameras, images, points3D as .bin or .txt) and its photos in images
+    pub dataset: PathBuf,
+    /// Folder for the results; made if it is missing. It will hold point_cloud.ply, metrics.json, config.toml, log.jsonl
+    /// and test/*.png
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    #[command(flatten)]
+    pub size: SizeArgs,
+    #[command(flatten)]
+    pub machine: MachineArgs,
+    #[command(flatten)]
+    pub schedule: ScheduleArgs,
+    #[command(flatten)]
+    pub method: MethodArgs,
+    #[command(flatten)]
+    pub evolution: EvolutionArgs,
+    #[command(flatten)]
+    pub lpips: LpipsArgs,
+    /// TOML file with settings (the config.toml of any run is one); flags given here win over it [default: none]
+    #[arg(long, value_name = "FILE.toml")]
+    pub config: Option<PathBuf>,
+    /// Go on with the interrupted run in DIR, from its checkpoint; the result is the same as without the interruption
+    #[arg(long)]
+    pub resume: bool,
+}
+
+/// How long, and what kind of training.
+#[derive(Clone, Debug, Default, Args)]
+pub struct ScheduleArgs {
+    /// Method: the original, or one of three improvements on it [default: 3dgs]
+    #[arg(long, value_enum, value_name = "METHOD")]
+    pub variant: Option<VariantName>,
+    /// Training steps, one photo each [default: 30000]. More is better and slower; alone it cuts the schedule short,
+    /// so 7000 is a good quick run
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    pub iterations: Option<u32>,
+    /// Multiply every setting that counts steps by F, 0.001 to 1000 [default: 1]. 0.1 gives a run of the same shape in a
+    /// tenth of the steps
+    #[arg(long, value_name = "F", value_parser = scale)]
+    pub steps_scale: Option<f64>,
+    /// Seed of all random numbers [default: 0]. Same seed, same bytes
+    #[arg(long, value_name = "S", value_parser = clap::value_parser!(u64).range(..1 << 63))]
+    pub seed: Option<u64>,
+    /// Stop adding Gaussians at this many [default: no limit; 1000000 with mcmc, which always grows to it]. Bounds memory (about 1.5 KB a Gaussian) and time
+    #[arg(long, value_name = "N", value_parser = positive)]
+    pub max_gaussians: Option<usize>,
+    /// Iterations between two checkpoints [default: 1000]; 0 for none but that of Ctrl-C
+    #[arg(long, value_name = "N")]
+    pub checkpoint_every: Option<u32>,
+}
+
+/// The genetic algorithm.
+#[derive(Clone, Debug, Default, Args)]
+pub struct EvolutionArgs {
+    /// How the Gaussians evolve besides: paper and control after each opacity reset, ours in the second half of the run [default: off]
+    #[arg(long, value_enum, value_name = "MODE")]
+    pub evolve: Option<Evolve>,
+    /// Generations of each evolution stage [default: 100]. Time grows in proportion
+    #[arg(long, value_name = "N")]
+    pub generations: Option<u32>,
+    /// Individuals a generation, 1 to 10000 [default: 100]. Time grows in proportion
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    pub population: Option<u32>,
+}
+
+/// Methods, as `--variant` names them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum VariantName {
+    /// 3D Gaussian Splatting (Kerbl et al. 2023)
+    #[value(name = "3dgs")]
+    ThreeDgs,
+    /// Pixel-GS (Zhang et al. 2024): adds Gaussians where many pixels need them
+    PixelGs,
+    /// Mip-Splatting (Yu et al. 2024): stays sharp when seen from nearer or farther than the photos
+    MipSplatting,
+    /// 3DGS-MCMC (Kheradmand et al. 2024): Gaussians wander, dead ones move to where they are needed, up to --max-gaussians;
+    /// give it several thousand iterations
+    Mcmc,
+}
+
+impl From<VariantName> for Variant {
+    fn from(name: VariantName) -> Self {
+        match name {
+            VariantName::ThreeDgs => Self::ThreeDgs,
+            VariantName::PixelGs => Self::PixelGs,
+            VariantName::MipSplatting => Self::MipSplatting,
+            VariantName::Mcmc => Self::Mcmc,
+        }
+    }
+}
+
+/// Modes of evolution, as `--evolve` names them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Evolve {
+    /// Gradient descent only
+    Off,
+    /// The genetic algorithm of "An Evolutionary Boost to Gaussian Splatting Optimization"
+    Paper,
+    /// For comparison: the same time (evolution.control_seconds of the configuration file) spent on more gradient steps
+    Control,
+    /// Ours: every twentieth of the second half of the run, a child bred from its last states takes over if photos held back
+    /// from that search agree
+    Recombine,
+    /// Ours, and worth most: recombine, and once density control has ended, the Gaussians that matter least make room for
+    /// more where most is wrong
+    Renew,
+}
+
+impl From<Evolve> for EvolutionMode {
+    fn from(mode: Evolve) -> Self {
+        match mode {
+            Evolve::Off => Self::Off,
+            Evolve::Paper => Self::Paper,
+            Evolve::Control => Self::Control,
+            Evolve::Recombine => Self::Recombine,
+            Evolve::Renew => Self::Renew,
+        }
+    }
+}
+
+fn positive(text: &str) -> Result<usize, String> {
+    text.parse()
+        .ok()
+        .filter(|&count: &usize| count > 0)
+        .ok_or_else(|| "a whole number from 1 is needed".into())
+}
