@@ -287,14 +287,15 @@ pub struct RenewalConfig {
     /// Training views that a renewal weighs on, at most, as a share of the run's steps; spread evenly, others each time.
     /// Default 0.02, where all renewals together take a tenth of the time or less; above 0.
     pub weighed: f64,
-    /// Training pixels that one Gaussian lives on: density control grows the cloud to at most the pixels of all training photos over
-    /// this. More Gaussians than that learn the photos by heart. Default 12; 0 for no such limit.
+    /// Training pixels that one Gaussian lives on, for each of √(number of photos), since photos show the same things: density
+    /// control grows the cloud to at most the pixels of all photos over `pixels · √photos`. More Gaussians than that learn
+    /// the photos by heart. Default 2.5; 0 for no such limit.
     pub pixels: f64,
 }
 
 impl Default for RenewalConfig {
     fn default() -> Self {
-        Self { share: 0.05, every: 0.05, until: 0.75, weighed: 0.02, pixels: 12.0 }
+        Self { share: 0.05, every: 0.05, until: 0.75, weighed: 0.02, pixels: 2.5 }
     }
 }
 

@@ -159,12 +159,9 @@ impl<B: Backend> Trainer<'_, B> {
         let Some(cap) = self.cap.filter(|_| plan.refused > 0 && !self.cap_noticed) else { return };
         self.cap_noticed = true;
         let source = if self.config.max_gaussians == Some(cap) {
-            String::new()
+            ""
         } else {
-            format!(
-                ", one to every {} training pixels (evolution.renewal.pixels),",
-                self.config.evolution.renewal.pixels
-            )
+            " that the photos feed (evolution.renewal.pixels)"
         };
         self.observer.notice(&format!(
             "iteration {i}: the limit of {cap} Gaussians{source} is reached ({} more wanted to grow); from now on only \

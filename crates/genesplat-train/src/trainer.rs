@@ -341,10 +341,11 @@ impl<'a, B: Backend> Trainer<'a, B> {
 /// The user's limit, or what the photos feed in mode `renew`.
 fn population_limit(config: &TrainConfig, views: &[View]) -> Option<usize> {
     let EvolutionConfig { mode, renewal, .. } = &config.evolution;
-    let pixels: f64 =
-        views.iter().map(|view| f64::from(view.photo.width) * f64::from(view.photo.height)).sum();
-    let fed = (*mode == EvolutionMode::Renew && renewal.pixels > 0.0)
-        .then(|| ((pixels / renewal.pixels) as usize).max(1));
+    let pixels_of = |view: &View| f64::from(view.photo.width) * f64::from(view.photo.height);
+    let pixels: f64 = views.iter().map(pixels_of).sum();
+    let feeds_one = renewal.pixels * (views.len() as f64).sqrt();
+    let fed =
+        (*mode == EvolutionMode::Renew && feeds_one > 0.0).then(|| ((pixels / feeds_one) as usize).max(1));
     [config.max_gaussians, fed].into_iter().flatten().min()
 }
 

@@ -101,10 +101,10 @@ fn largest(mode: EvolutionMode, pixels: f64, limit: Option<usize>) -> (usize, Ve
 #[test]
 fn a_cloud_grows_to_what_the_photos_feed() {
     let photo = &views(1)[0].photo;
-    let pixels = 20.0 * f64::from(photo.width) * f64::from(photo.height);
+    let pixels = f64::from(photo.width) * f64::from(photo.height) * 20f64.sqrt();
     let (rows, notices) = largest(EvolutionMode::Renew, pixels / 50.0, None);
     assert_eq!(rows, 50);
-    assert!(notices[0].contains("limit of 50 Gaussians, one to every"), "{notices:?}");
+    assert!(notices[0].contains("limit of 50 Gaussians that the photos feed"), "{notices:?}");
     let (rows, notices) = largest(EvolutionMode::Renew, pixels / 50.0, Some(40));
     assert_eq!(rows, 40);
     assert!(notices[0].contains("limit of 40 Gaussians is reached"), "{notices:?}");

@@ -18,11 +18,11 @@ pub fn run(args: &TrainArgs) -> Result<()> {
     let folder = folder(&args.out, &settings.to_toml())?;
     device::use_threads(settings.threads)?;
     let stop = interrupt::stop_flag()?;
-    // Now, since weights that cannot be read should not stop a run at its end.
-    let lpips = lpips::open(&args.lpips)?;
     let config = settings.train.config();
     let scene =
         scene::load(&args.dataset, settings.dataset.size(), config.background.fixed_colour(), config.seed)?;
+    // Now, since weights that cannot be read should not stop a run at its end.
+    let lpips = lpips::open(&args.lpips)?;
     args.machine.device.unwrap_or_default().announce();
     let load = (began.elapsed().as_secs_f64(), began);
     let run = Run {
