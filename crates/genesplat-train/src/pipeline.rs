@@ -12,8 +12,8 @@
 //!
 //! 5. **Recombine.** The states of each twentieth of the run are averaged, and a child of their line replaces the last of them
 //!    if it is better.
-//! 6. **Renew.** Now and then the Gaussians that nobody would miss make room for more where most is wrong. What has not
-//!    paid by the next renewal is taken back.
+//! 6. **Renew.** The cloud grows to as many Gaussians as the photos feed. Now and then those that nobody would miss make
+//!    room for more where most is wrong. What has not paid by the next renewal is taken back.
 //!
 //! With MCMC, a step also jiggles positions, 2 relocates dead Gaussians and adds others until shortly before the end, and 3
 //! does not happen; 4 and 5 keep their places, 6 has none.

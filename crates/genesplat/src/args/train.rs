@@ -53,7 +53,7 @@ pub struct ScheduleArgs {
     /// Seed of all random numbers [default: 0]. Same seed, same bytes
     #[arg(long, value_name = "S", value_parser = clap::value_parser!(u64).range(..1 << 63))]
     pub seed: Option<u64>,
-    /// Stop adding Gaussians at this many [default: no limit; 1000000 with mcmc, which always grows to it]. Bounds memory (about 1.5 KB a Gaussian) and time
+    /// Stop adding Gaussians at this many [default: no limit, or with --evolve renew what the photos feed; 1000000 with mcmc, which always grows to it]. Bounds memory (about 1.5 KB a Gaussian) and time
     #[arg(long, value_name = "N", value_parser = positive)]
     pub max_gaussians: Option<usize>,
     /// Iterations between two checkpoints [default: 1000]; 0 for none but that of Ctrl-C
@@ -113,8 +113,8 @@ pub enum Evolve {
     /// Ours: every twentieth of the second half of the run, a child bred from its last states takes over if photos held back
     /// from that search agree
     Recombine,
-    /// Ours, and worth most: recombine, and once density control has ended, the Gaussians that matter least make room for
-    /// more where most is wrong
+    /// Ours, and worth most: no more Gaussians than the photos feed, and from half of the run on those that matter least make
+    /// room for more where most is wrong; and recombine
     Renew,
 }
 
