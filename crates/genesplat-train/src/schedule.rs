@@ -231,9 +231,9 @@ impl Schedule {
         self.filter_3d && (self.is_densify(i) || late)
     }
 
-    /// Oversized Gaussians are pruned in iteration `i`.
+    /// Oversized Gaussians are pruned in iteration `i`. Where Gaussians are weighed, it is what they are worth that decides.
     pub fn prunes_by_size(&self, i: u32) -> bool {
-        i > self.size_prune_after
+        i > self.size_prune_after && self.renew_every.is_none()
     }
 
     /// An evolution stage runs in iteration `i`.

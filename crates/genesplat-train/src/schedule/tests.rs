@@ -151,6 +151,7 @@ fn with_renewal_a_run_that_is_cut_short_grows_for_half_of_it() {
     assert_eq!(iterations_with(&renewing, Phase::ResetOpacity), [3000]);
     assert_eq!(iterations_with(&plain, Phase::Densify).last(), Some(&6900));
     assert_eq!(iterations_with(&plain, Phase::ResetOpacity), [3000, 6000]);
+    assert!(plain.prunes_by_size(3100) && !renewing.prunes_by_size(3100), "what is weighed is not measured");
 }
 
 #[test]
