@@ -288,14 +288,14 @@ pub struct RenewalConfig {
     /// Default 0.02, where all renewals together take a tenth of the time or less; above 0.
     pub weighed: f64,
     /// Training pixels that one Gaussian lives on, for each of √(number of photos), since photos show the same things: density
-    /// control grows the cloud to at most the pixels of all photos over `pixels · √photos`. More Gaussians than that learn
-    /// the photos by heart. Default 3; 0 for no such limit.
+    /// control grows the cloud, evenly, to at most the pixels of all photos over `pixels · √photos`. More Gaussians than that learn
+    /// the photos by heart. Default 2; 0 for no such limit.
     pub pixels: f64,
 }
 
 impl Default for RenewalConfig {
     fn default() -> Self {
-        Self { share: 0.05, every: 0.05, until: 0.75, weighed: 0.02, pixels: 3.0 }
+        Self { share: 0.05, every: 0.05, until: 0.75, weighed: 0.02, pixels: 2.0 }
     }
 }
 

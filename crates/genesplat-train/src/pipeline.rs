@@ -156,7 +156,9 @@ impl<B: Backend> Trainer<'_, B> {
 
     /// Once is enough: the cap stays.
     fn tell_of_cap(&mut self, i: u32, plan: &Plan) {
-        let Some(cap) = self.cap.filter(|_| plan.refused > 0 && !self.cap_noticed) else { return };
+        let grown = plan.edit.sources.len() + plan.pruned;
+        let is_news = |cap: &usize| plan.refused > 0 && grown >= *cap && !self.cap_noticed;
+        let Some(cap) = self.cap.filter(is_news) else { return };
         self.cap_noticed = true;
         let source = if self.config.max_gaussians == Some(cap) {
             ""

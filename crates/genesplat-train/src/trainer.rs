@@ -292,8 +292,20 @@ impl<'a, B: Backend> Trainer<'a, B> {
             clone_size_max: world(densify.clone_size),
             prune_opacity: densify.prune_opacity,
             prune_size: self.schedule.prunes_by_size(i).then(|| world(densify.prune_size)),
-            cap: self.cap,
+            cap: self.cap_at(i),
         }
+    }
+
+    /// How many Gaussians there may be in iteration `i`. Those that are fed come one after the other, over the whole of density
+    /// control: what is wanted first, of photos that were hardly looked at, is not what is needed most.
+    fn cap_at(&self, i: u32) -> Option<usize> {
+        let last = self.schedule.densify_until.saturating_sub(self.schedule.densify_every).max(1);
+        let share = if self.config.evolution.mode == EvolutionMode::Renew {
+            (f64::from(i) / f64::from(last)).min(1.0)
+        } else {
+            1.0
+        };
+        self.cap.map(|cap| (cap as f64 * share) as usize)
     }
 
     /// MCMC's counterpart of [`Self::rules`], which does not depend on the iteration.

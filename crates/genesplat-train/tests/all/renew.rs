@@ -8,6 +8,8 @@ use genesplat_train::{
     Variant, train,
 };
 
+use genesplat_train::observe::DensifyLog;
+
 use crate::support::{Call, FakeBackend, StopAt, points, views};
 
 /// 300 iterations; density control ends after 150, renewals begin at 150, 165, ... 225, the last is judged at 240.
@@ -85,53 +87,65 @@ fn what_no_weighed_view_shows_is_spared() {
     assert_eq!([0, 1, 2, 3].map(|row| sources.contains(&row)), [true, false, false, true]);
 }
 
-/// How many Gaussians a run ends with, twenty of which always want to grow, and what users are told.
-fn largest(mode: EvolutionMode, pixels: f64, limit: Option<usize>) -> (usize, Vec<String>) {
+/// Runs with twenty Gaussians that always want to grow.
+fn grow(mode: EvolutionMode, pixels: f64, limit: Option<usize>) -> Told {
     let mut backend = backend(0.9);
     backend.gradient = |row| if row < 20 { 1e-3 } else { 0.0 };
     let mut config = TrainConfig { max_gaussians: limit, ..config() };
     (config.evolution.mode, config.evolution.renewal.pixels) = (mode, pixels);
-    let (mut notices, views) = (Notices::default(), views(20));
+    let (mut told, views) = (Told::default(), views(20));
     let start = Start::Points(points(20));
-    train(&mut backend, &views, start, &config.resolve().unwrap(), &mut notices, &AtomicBool::new(false))
+    train(&mut backend, &views, start, &config.resolve().unwrap(), &mut told, &AtomicBool::new(false))
         .unwrap();
-    (backend.cloud.len(), notices.0)
+    told
 }
 
 #[test]
 fn a_cloud_grows_to_what_the_photos_feed() {
     let photo = &views(1)[0].photo;
     let pixels = f64::from(photo.width) * f64::from(photo.height) * 20f64.sqrt();
-    let (rows, notices) = largest(EvolutionMode::Renew, pixels / 50.0, None);
-    assert_eq!(rows, 50);
-    assert!(notices[0].contains("limit of 50 Gaussians that the photos feed"), "{notices:?}");
-    let (rows, notices) = largest(EvolutionMode::Renew, pixels / 50.0, Some(40));
-    assert_eq!(rows, 40);
-    assert!(notices[0].contains("limit of 40 Gaussians is reached"), "{notices:?}");
-    assert_eq!(largest(EvolutionMode::Renew, pixels / 50.0, Some(60)).0, 50);
+    let fed = grow(EvolutionMode::Renew, pixels / 50.0, None);
+    // From iteration 6 to 149, evenly.
+    assert!(fed.sizes.iter().all(|&(i, rows)| rows <= (50 * i as usize / 149).max(20)), "{:?}", fed.sizes);
+    assert_eq!(fed.sizes.last(), Some(&(149, 50)));
+    assert!(
+        fed.notices[0].contains("149: the limit of 50 Gaussians that the photos feed"),
+        "{:?}",
+        fed.notices
+    );
+    let limited = grow(EvolutionMode::Renew, pixels / 50.0, Some(40));
+    assert_eq!(limited.sizes.last(), Some(&(149, 40)));
+    assert!(limited.notices[0].contains("limit of 40 Gaussians is reached"), "{:?}", limited.notices);
+    assert_eq!(grow(EvolutionMode::Renew, pixels / 50.0, Some(60)).sizes.last(), Some(&(149, 50)));
     for (mode, pixels) in [(EvolutionMode::Renew, 0.0), (EvolutionMode::Off, pixels / 50.0)] {
-        assert!(largest(mode, pixels, None).0 > 60);
+        assert!(grow(mode, pixels, None).sizes.last().unwrap().1 > 60);
     }
 }
 
-/// Remembers what users are told.
+/// Remembers what users are told, and how large the cloud became.
 #[derive(Default)]
-struct Notices(Vec<String>);
+struct Told {
+    notices: Vec<String>,
+    sizes: Vec<(u32, usize)>,
+}
 
-impl Observer for Notices {
+impl Observer for Told {
     fn notice(&mut self, text: &str) {
-        self.0.push(text.to_owned());
+        self.notices.push(text.to_owned());
+    }
+    fn on_densify(&mut self, log: &DensifyLog) {
+        self.sizes.push((log.iteration, log.gaussians));
     }
 }
 
 #[test]
 fn a_run_that_has_no_place_for_renewal_says_so() {
     let told = |variant: Variant| {
-        let (mut notices, stop) = (Notices::default(), AtomicBool::new(false));
+        let (mut told, stop) = (Told::default(), AtomicBool::new(false));
         let config = TrainConfig { variant, ..config() }.resolve().unwrap();
         let start = Start::Points(points(20));
-        train(&mut backend(0.9), &views(20), start, &config, &mut notices, &stop).unwrap();
-        notices.0
+        train(&mut backend(0.9), &views(20), start, &config, &mut told, &stop).unwrap();
+        told.notices
     };
     assert!(told(Variant::ThreeDgs).is_empty());
     let [notice] = &told(Variant::Mcmc)[..] else { panic!("one notice") };
