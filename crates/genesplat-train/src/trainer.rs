@@ -311,7 +311,7 @@ impl<'a, B: Backend> Trainer<'a, B> {
     /// MCMC's counterpart of [`Self::rules`], which does not depend on the iteration.
     pub(crate) fn mcmc_rules(&self) -> mcmc::Rules {
         let McmcConfig { min_opacity, growth, .. } = self.config.mcmc;
-        mcmc::Rules { min_opacity, growth, cap: self.cap.unwrap_or(mcmc::DEFAULT_CAP) }
+        mcmc::Rules { min_opacity, growth, cap: self.cap.expect("MCMC always has a limit") }
     }
 
     /// The evolution stage of iteration `i`.
@@ -350,18 +350,60 @@ impl<'a, B: Backend> Trainer<'a, B> {
     }
 }
 
-/// The user's limit, or what the photos feed in mode `renew`.
+/// The user's limit or the variant's own, and in mode `renew` never more than the photos feed.
 fn population_limit(config: &TrainConfig, views: &[View]) -> Option<usize> {
-    let EvolutionConfig { mode, renewal, .. } = &config.evolution;
+    let own = (config.variant == Variant::Mcmc).then_some(mcmc::DEFAULT_CAP);
+    [config.max_gaussians.or(own), fed_by(views, &config.evolution)].into_iter().flatten().min()
+}
+
+/// How many Gaussians the photos feed, where that counts.
+fn fed_by(views: &[View], evolution: &EvolutionConfig) -> Option<usize> {
     let pixels_of = |view: &View| f64::from(view.photo.width) * f64::from(view.photo.height);
     let pixels: f64 = views.iter().map(pixels_of).sum();
-    let feeds_one = renewal.pixels * (views.len() as f64).sqrt();
-    let fed =
-        (*mode == EvolutionMode::Renew && feeds_one > 0.0).then(|| ((pixels / feeds_one) as usize).max(1));
-    [config.max_gaussians, fed].into_iter().flatten().min()
+    let feeds_one = evolution.renewal.pixels * (views.len() as f64).sqrt();
+    let counts = evolution.mode == EvolutionMode::Renew && feeds_one > 0.0;
+    counts.then(|| ((pixels / feeds_one) as usize).max(1))
 }
 
 /// Mip-Splatting's 3D filter of a cloud, from all training views.
 pub(crate) fn filter_of(views: &[View], cloud: &Gaussians) -> Vec<f32> {
     filter_3d(&cloud.positions, views.iter().map(|view| &view.camera))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use genesplat_core::{Camera, Photo};
+    use glam::{DQuat, DVec3};
+
+    use super::*;
+
+    #[test]
+    fn photos_feed_what_users_and_variants_do_not_limit() {
+        let camera = Camera {
+            width: 30,
+            height: 20,
+            focal_px: [1.0; 2],
+            principal_px: [15.0, 10.0],
+            camera_from_world_rotation: DQuat::IDENTITY,
+            camera_from_world_translation: DVec3::ZERO,
+        };
+        let photo = Arc::new(Photo { width: 30, height: 20, rgb: vec![0; 1800] });
+        let views = vec![View { name: String::new(), camera, photo }; 9];
+        let limit = |mode, variant, max_gaussians, pixels| {
+            let mut config = TrainConfig { variant, max_gaussians, ..TrainConfig::default() };
+            (config.evolution.mode, config.evolution.renewal.pixels) = (mode, pixels);
+            population_limit(&config, &views)
+        };
+        let (renew, off) = (EvolutionMode::Renew, EvolutionMode::Off);
+        // 9 · 600 pixels over 2 · √9.
+        assert_eq!(limit(renew, Variant::ThreeDgs, None, 2.0), Some(900));
+        assert_eq!(limit(renew, Variant::ThreeDgs, Some(500), 2.0), Some(500));
+        assert_eq!(limit(renew, Variant::Mcmc, None, 2.0), Some(900));
+        assert_eq!(limit(renew, Variant::Mcmc, None, 1e-9), Some(mcmc::DEFAULT_CAP));
+        assert_eq!(limit(renew, Variant::ThreeDgs, None, 0.0), None);
+        assert_eq!(limit(off, Variant::ThreeDgs, None, 2.0), None);
+        assert_eq!(limit(off, Variant::Mcmc, None, 2.0), Some(mcmc::DEFAULT_CAP));
+    }
 }
