@@ -135,8 +135,8 @@ pub const TWIN_OFFSET: f32 = 0.3;
 /// Twins of anything more opaque than this are made as if it had this opacity, at which they have 0.97.
 pub const TWIN_OPACITY_MAX: f32 = 0.999;
 
-/// Opacity logit of the twins of a Gaussian, and what is added to its log-scales. Kheradmand et al., "3D Gaussian Splatting as Markov Chain Monte
-/// Carlo", 2024, Eq. 9: `o' = 1 − sqrt(1 − o)`, `s'/s = o / (2 o' − o'² / √2)`.
+/// Opacity logit of the twins of a Gaussian, and what is added to its log-scales. Kheradmand et al., "3D Gaussian Splatting
+/// as Markov Chain Monte Carlo", 2024, Eq. 9: `o' = 1 − sqrt(1 − o)`, `s'/s = o / (2 o' − o'² / √2)`.
 fn twin(opacity_logit: f32) -> (f32, f32) {
     // Never 0, whose logit is not finite.
     let opacity = sigmoid(opacity_logit).clamp(f32::MIN_POSITIVE, TWIN_OPACITY_MAX);

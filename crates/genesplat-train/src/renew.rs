@@ -119,6 +119,7 @@ impl<B: Backend> Trainer<'_, B> {
         self.torn = true;
         Ok(())
     }
+
     /// Weighs on as many training views as there is time for. What none of them shows is worth nothing if they are all
     /// there are, and is not judged otherwise.
     fn weigh(&mut self, record: &mut StageRecord) -> Result<Vec<Merit>, TrainError> {

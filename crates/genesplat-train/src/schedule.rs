@@ -236,6 +236,13 @@ impl Schedule {
         i > self.size_prune_after && self.renew_every.is_none()
     }
 
+    /// Share of its limit that the cloud may have reached in iteration `i`. With renewal it grows evenly over density control,
+    /// whoever set the limit: what is wanted first, of photos that were hardly looked at, is not what is needed most.
+    pub fn grown(&self, i: u32) -> f64 {
+        let last = self.densify_until.saturating_sub(self.densify_every).max(1);
+        if self.renew_every.is_some() { (f64::from(i) / f64::from(last)).min(1.0) } else { 1.0 }
+    }
+
     /// An evolution stage runs in iteration `i`.
     pub fn is_stage(&self, i: u32) -> bool {
         let (happens, occurrence) = match self.evolution_phase {

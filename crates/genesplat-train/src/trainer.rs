@@ -46,7 +46,7 @@ pub(crate) struct Trainer<'a, B> {
     pub(crate) cursor: Cursor,
     /// The phase under way has changed the state, and has more to change.
     pub(crate) torn: bool,
-    /// The cloud grows to at most so many Gaussians.
+    /// The cloud grows to at most so many Gaussians, by the end of density control.
     pub(crate) cap: Option<usize>,
     /// The user knows that the cap is reached.
     pub(crate) cap_noticed: bool,
@@ -114,9 +114,9 @@ impl<'a, B: Backend> Trainer<'a, B> {
             return;
         }
         self.observer.notice(&format!(
-            "mode renew begins when rows stop changing, here after iteration {}, which is too late in a run of {}: it only \
-             recombines",
-            schedule.densify_until, schedule.iterations
+            "mode renew renews nothing here, and only recombines: no renewal may begin after iteration {} \
+             (evolution.renewal.until), and rows change until {}",
+            schedule.renew_until, schedule.densify_until
         ));
     }
 
@@ -292,20 +292,8 @@ impl<'a, B: Backend> Trainer<'a, B> {
             clone_size_max: world(densify.clone_size),
             prune_opacity: densify.prune_opacity,
             prune_size: self.schedule.prunes_by_size(i).then(|| world(densify.prune_size)),
-            cap: self.cap_at(i),
+            cap: self.cap.map(|cap| (cap as f64 * self.schedule.grown(i)) as usize),
         }
-    }
-
-    /// How many Gaussians there may be in iteration `i`. Those that are fed come one after the other, over the whole of density
-    /// control: what is wanted first, of photos that were hardly looked at, is not what is needed most.
-    fn cap_at(&self, i: u32) -> Option<usize> {
-        let last = self.schedule.densify_until.saturating_sub(self.schedule.densify_every).max(1);
-        let share = if self.config.evolution.mode == EvolutionMode::Renew {
-            (f64::from(i) / f64::from(last)).min(1.0)
-        } else {
-            1.0
-        };
-        self.cap.map(|cap| (cap as f64 * share) as usize)
     }
 
     /// MCMC's counterpart of [`Self::rules`], which does not depend on the iteration.

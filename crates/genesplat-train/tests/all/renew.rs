@@ -32,7 +32,12 @@ fn run(backend: &mut FakeBackend, start: Start, observer: &mut dyn Observer, sto
 }
 
 fn run_whole(backend: &mut FakeBackend) -> Outcome {
-    run(backend, Start::Points(points(20)), &mut Silent, &AtomicBool::new(false))
+    run_observed(backend, config(), &mut Silent)
+}
+
+fn run_observed(backend: &mut FakeBackend, config: TrainConfig, observer: &mut dyn Observer) -> Outcome {
+    let (start, config) = (Start::Points(points(20)), config.resolve().unwrap());
+    train(backend, &views(20), start, &config, observer, &AtomicBool::new(false)).unwrap()
 }
 
 fn renewals(outcome: &Outcome) -> Vec<StageRecord> {
@@ -76,9 +81,8 @@ fn a_share_is_renewed_from_the_end_of_density_control_on() {
 fn what_no_weighed_view_shows_is_spared() {
     let mut config = config();
     config.evolution.renewal.weighed = 0.02;
-    let (mut backend, config) = (backend(0.9), config.resolve().unwrap());
-    let start = Start::Points(points(20));
-    train(&mut backend, &views(20), start, &config, &mut Silent, &AtomicBool::new(false)).unwrap();
+    let mut backend = backend(0.9);
+    run_observed(&mut backend, config, &mut Silent);
     let weighed: Vec<&Call> =
         backend.calls.iter().filter(|call| matches!(call, Call::Weigh { .. })).collect();
     assert_eq!(weighed, [&Call::Weigh { views: 6 }; 6], "2 % of 300 steps");
@@ -93,10 +97,8 @@ fn grow(mode: EvolutionMode, pixels: f64, limit: Option<usize>) -> Told {
     backend.gradient = |row| if row < 20 { 1e-3 } else { 0.0 };
     let mut config = TrainConfig { max_gaussians: limit, ..config() };
     (config.evolution.mode, config.evolution.renewal.pixels) = (mode, pixels);
-    let (mut told, views) = (Told::default(), views(20));
-    let start = Start::Points(points(20));
-    train(&mut backend, &views, start, &config.resolve().unwrap(), &mut told, &AtomicBool::new(false))
-        .unwrap();
+    let mut told = Told::default();
+    run_observed(&mut backend, config, &mut told);
     told
 }
 
@@ -140,26 +142,36 @@ impl Observer for Told {
 
 #[test]
 fn a_run_that_has_no_place_for_renewal_says_so() {
-    let told = |variant: Variant| {
-        let (mut told, stop) = (Told::default(), AtomicBool::new(false));
-        let config = TrainConfig { variant, ..config() }.resolve().unwrap();
-        let start = Start::Points(points(20));
-        train(&mut backend(0.9), &views(20), start, &config, &mut told, &stop).unwrap();
+    let told = |variant: Variant, until: f64| {
+        let (mut told, mut config) = (Told::default(), TrainConfig { variant, ..config() });
+        config.evolution.renewal.until = until;
+        run_observed(&mut backend(0.9), config, &mut told);
         told.notices
     };
-    assert!(told(Variant::ThreeDgs).is_empty());
-    let [notice] = &told(Variant::Mcmc)[..] else { panic!("one notice") };
-    assert!(notice.contains("after iteration 250") && notice.contains("a run of 300"), "{notice}");
+    assert!(told(Variant::ThreeDgs, 0.75).is_empty());
+    for (variant, until, wanted) in [
+        (
+            Variant::Mcmc,
+            0.75,
+            "begin after iteration 225 (evolution.renewal.until), and rows change until 250",
+        ),
+        (
+            Variant::ThreeDgs,
+            0.0,
+            "begin after iteration 0 (evolution.renewal.until), and rows change until 150",
+        ),
+    ] {
+        let [notice] = &told(variant, until)[..] else { panic!("one notice") };
+        assert!(notice.contains(wanted), "{notice}");
+    }
 }
 
 #[test]
 fn a_share_of_less_than_one_gaussian_renews_nothing() {
     let mut few = config();
     few.evolution.renewal.share = 0.04;
-    let (mut backend, config) = (backend(0.9), few.resolve().unwrap());
-    let start = Start::Points(points(20));
-    let outcome =
-        train(&mut backend, &views(20), start, &config, &mut Silent, &AtomicBool::new(false)).unwrap();
+    let mut backend = backend(0.9);
+    let outcome = run_observed(&mut backend, few, &mut Silent);
     assert_eq!((renewals(&outcome), edits(&backend).len()), (Vec::new(), 0));
 }
 

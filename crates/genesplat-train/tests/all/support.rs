@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use genesplat_core::backend::{MomentPolicy, StepReport};
 use genesplat_core::edit::carry_genes;
-use genesplat_core::gaussians::{logit, sigmoid};
+use genesplat_core::gaussians::limited_opacity;
 use genesplat_core::lineage::PARENTS;
 use genesplat_core::{
     Backend, BackendError, Blend, Camera, Gaussians, Image, Judgement, Lineage, Merit, Moments, Origin,
@@ -300,7 +300,7 @@ impl Backend for FakeBackend {
         self.settle()?;
         self.calls.push(Call::ResetOpacity(ceiling));
         for value in &mut self.cloud.opacity_logits {
-            *value = logit(sigmoid(*value).min(ceiling));
+            *value = limited_opacity(*value, 1.0, ceiling);
         }
         Ok(())
     }
