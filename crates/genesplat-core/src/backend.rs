@@ -7,6 +7,7 @@ use std::sync::Arc;
 
 use crate::camera::Camera;
 use crate::constants::{CLASSIC_DILATION, MIP_DILATION};
+use crate::credit::Credits;
 use crate::edit::RowEdit;
 use crate::gaussians::{Gaussians, Moments};
 use crate::genes::SparseDelta;
@@ -254,6 +255,14 @@ pub trait Backend {
 
     /// What each Gaussian is worth to training views, and how much is wrong where it is seen `[N]`.
     fn weigh(&mut self, views: &[usize], settings: &RenderSettings) -> Result<Vec<Merit>, BackendError>;
+
+    /// What views say of mutants of the cloud, Gaussian by Gaussian; the cloud stays.
+    fn credit(
+        &mut self,
+        mutants: &[SparseDelta],
+        views: &[usize],
+        settings: &RenderSettings,
+    ) -> Result<Credits, BackendError>;
 
     /// Adds the cloud as it is to a parent of its lineage, 0 for the older one. Uploading a cloud, changing its rows and
     /// resetting opacities end the line.

@@ -61,6 +61,11 @@ impl Gaussians {
         self.opacity_logits[row] = genes[6];
     }
 
+    /// The genes of `rows`, strictly ascending: what brings them back after they were changed.
+    pub fn genes_of(&self, rows: &[u32]) -> SparseDelta {
+        SparseDelta { rows: rows.to_vec(), genes: rows.iter().map(|&row| self.genes(row as usize)).collect() }
+    }
+
     /// Applies an individual to the cloud that it was bred from.
     pub fn apply(&mut self, delta: &SparseDelta) {
         for (&row, genes) in delta.rows.iter().zip(&delta.genes) {

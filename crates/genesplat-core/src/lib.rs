@@ -11,6 +11,7 @@ pub mod backend;
 pub mod camera;
 pub mod constants;
 pub mod covariance;
+pub mod credit;
 pub mod edit;
 pub mod gaussians;
 pub mod genes;
@@ -26,6 +27,7 @@ pub use backend::{
     Backend, BackendError, LearningRates, RenderSettings, ScreenFilter, TrainStep, Update, View,
 };
 pub use camera::Camera;
+pub use credit::Credits;
 pub use edit::{Origin, RowEdit};
 pub use gaussians::{Gaussians, Moments};
 pub use genes::{GENES, Gene, SparseDelta};

@@ -33,7 +33,7 @@ pub enum Stream {
     Gallery = 12,
     /// Tests and benches.
     Test = 13,
-    /// Proposals of the blockwise search: (generation, individual, row).
+    /// Blocks that a mutant of the mosaic search changes: (generation, mutant, block).
     Proposal = 14,
 }
 

@@ -204,7 +204,7 @@ impl PaperConfig {
     }
 }
 
-fn is_share(value: f64) -> bool {
+pub(crate) fn is_share(value: f64) -> bool {
     (0.0..=1.0).contains(&value)
 }
 
@@ -212,7 +212,7 @@ fn check_share(setting: &'static str, value: f64) -> Result<(), ConfigError> {
     check(setting, value, is_share(value), "between 0 and 1")
 }
 
-fn check(
+pub(crate) fn check(
     setting: &'static str,
     value: impl Into<f64>,
     holds: bool,

@@ -1,4 +1,4 @@
-//! The genetic algorithm of "An Evolutionary Boost to Gaussian Splatting Optimization", a small evolution strategy, and
+//! The genetic algorithm of "An Evolutionary Boost to Gaussian Splatting Optimization", two searches of our own, and
 //! nothing else: they know no renderer, no file and no clock.
 //!
 //! [`GeneticAlgorithm`] is Algorithm 1 turned inside out: it *asks* for the losses of individuals and is *told* them, so
@@ -37,6 +37,7 @@
 //! | `selection`, `crossover`, `mutation`, `survival` | the four operators |
 //! | `sampling` | exact random subsets |
 //! | [`record`] | the logbook |
+//! | [`mosaic`] | the search with credit: a child of many mutants, piece by piece the one that made it better |
 //! | [`renewal`] | the other selection: among the Gaussians of one cloud, who dies and who becomes two |
 //! | [`strategy`] | the other search: a normal distribution over a few numbers, for recombination |
 //!
@@ -52,6 +53,7 @@ mod crossover;
 pub mod genetic;
 mod group;
 mod individual;
+pub mod mosaic;
 mod mutation;
 pub mod population;
 pub mod record;
@@ -63,5 +65,6 @@ mod survival;
 
 pub use config::{ConfigError, Crossover, Magnitude, PaperConfig, Rates, SigmaScope, Space};
 pub use genetic::{GeneticAlgorithm, TellError};
+pub use mosaic::{MosaicConfig, MosaicSearch};
 pub use mutation::GeneGradients;
 pub use record::GenerationRecord;

@@ -15,8 +15,8 @@ use std::borrow::Cow;
 use genesplat_core::backend::{MomentPolicy, StepReport};
 use genesplat_core::lineage::PARENTS;
 use genesplat_core::{
-    Backend, BackendError, Blend, Camera, DensitySignal, Gaussians, Image, Judgement, Lineage, Merit,
-    Moments, RenderSettings, RowEdit, SparseDelta, Statistics, TrainStep, View,
+    Backend, BackendError, Blend, Camera, Credits, DensitySignal, Gaussians, Image, Judgement, Lineage,
+    Merit, Moments, RenderSettings, RowEdit, SparseDelta, Statistics, TrainStep, View,
 };
 
 use crate::engine::{Engine, Memory};
@@ -385,6 +385,16 @@ impl Backend for GpuBackend {
     fn weigh(&mut self, views: &[usize], settings: &RenderSettings) -> Result<Vec<Merit>, BackendError> {
         self.settle()?;
         self.weigh_views(views, settings)
+    }
+
+    fn credit(
+        &mut self,
+        mutants: &[SparseDelta],
+        views: &[usize],
+        settings: &RenderSettings,
+    ) -> Result<Credits, BackendError> {
+        self.settle()?;
+        self.credit_mutants(mutants, views, settings)
     }
 
     fn remembered(&self) -> [u32; PARENTS] {

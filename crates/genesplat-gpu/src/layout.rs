@@ -42,6 +42,10 @@ pub const DENSITY_FLOATS: u32 = 4;
 pub const GENE_FLOATS: u32 = 8;
 /// Floats of the merit of one Gaussian: weight, error.
 pub const MERIT_FLOATS: u32 = 2;
+/// Mutants that one backward pass credits: one a channel.
+pub const MUTANTS_AT_ONCE: u32 = 3;
+/// Floats of the credit of one Gaussian: of three mutants, then the number of views.
+pub const CREDIT_FLOATS: u32 = 4;
 
 /// Declares a `#[repr(C)]` struct and its WGSL twin.
 macro_rules! device_struct {
@@ -348,6 +352,7 @@ fn float_constants() -> Vec<(&'static str, f32)> {
 
 fn integer_constants() -> Vec<(&'static str, u32)> {
     vec![
+        ("MUTANTS_AT_ONCE", MUTANTS_AT_ONCE),
         ("TILE", TILE),
         ("TILE_PIXELS", TILE * TILE),
         ("GROUP", GROUP),

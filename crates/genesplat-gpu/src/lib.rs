@@ -23,12 +23,14 @@
 //! | `rows` | row edits, opacity resets, genes, filters |
 //! | `score` | stage `score`: many individuals at once |
 //! | `lineage` | parents and children of recombination |
+//! | `credit` | which Gaussians the changes that mutants make are owed to |
 //! | `weigh` | what Gaussians are worth to views, and the error that they have part in |
 //! | `timing` | seconds of each stage, by the device's clock |
 
 pub mod adapter;
 mod backend;
 mod cloud;
+mod credit;
 mod engine;
 mod frame;
 mod layout;

@@ -86,7 +86,7 @@ impl State {
     }
 
     /// Makes the child of a blend.
-    fn make_child(&mut self, engine: &Engine, blend: &Blend) -> Result<(), BackendError> {
+    pub(crate) fn make_child(&mut self, engine: &Engine, blend: &Blend) -> Result<(), BackendError> {
         if self.child.is_none() {
             self.child = Some(Parameters::zeros(engine, "a child", self.rows)?);
         }

@@ -135,6 +135,21 @@ impl Pixels {
         recorder.run(&shaders::WEIGH_PIXELS, &parts, tile_grid(frame, 1));
     }
 
+    /// Stage `credit`, step 1: in the place of the image's gradient, the error of a mutant, or, with the base in the image,
+    /// what those of all mutants are above the base's.
+    pub(crate) fn record_credit_pixels(
+        &self,
+        recorder: &mut Recorder,
+        lists: &Lists,
+        photo: &Memory,
+        frame: &Frame,
+        mutant: u32,
+    ) {
+        recorder.stage("credit_pixels");
+        let parts = [&lists.frame, &self.image, photo, &self.gradient].map(Memory::all);
+        recorder.run_with(&shaders::CREDIT_PIXELS, &[("MUTANT", mutant)], &parts, tile_grid(frame, 1));
+    }
+
     /// Stage `rasterise_backward`.
     pub(crate) fn record_backward(&self, recorder: &mut Recorder, lists: &Lists, frame: &Frame) {
         recorder.stage("rasterise_backward");

@@ -105,18 +105,30 @@ impl State {
         if delta.is_empty() {
             return Ok(());
         }
-        let rows = engine.upload("rows of an individual", &delta.rows)?;
-        let genes: Vec<_> = delta.genes.iter().map(pack_gene).collect();
-        let genes = engine.upload("genes of an individual", &genes)?;
+        let delta = DeviceDelta::upload(engine, delta)?;
         let mut recorder = Recorder::new(engine, None);
+        self.record_apply(&mut recorder, engine, &delta, &self.cloud.geometry, moments)?;
+        recorder.submit();
+        Ok(())
+    }
+
+    /// Overwrites genes in `geometry`, the cloud's or a copy of it.
+    pub(crate) fn record_apply(
+        &self,
+        recorder: &mut Recorder,
+        engine: &Engine,
+        delta: &DeviceDelta,
+        geometry: &Column,
+        moments: MomentPolicy,
+    ) -> Result<(), BackendError> {
+        let DeviceDelta { rows, genes, count } = delta;
         for window in &self.windows {
-            let uniform = window_uniform(engine, window.range(), [0, delta.rows.len() as u32])?;
-            let columns = [&self.cloud, &self.first, &self.second].map(|values| values.geometry.at(window));
+            let uniform = window_uniform(engine, window.range(), [0, *count])?;
+            let columns = [geometry, &self.first.geometry, &self.second.geometry].map(|c| c.at(window));
             let parts = [&[uniform.all(), rows.all(), genes.all()][..], &columns].concat();
             let overrides = [("ZERO_MOMENTS", u32::from(moments == MomentPolicy::Zero))];
-            recorder.run_with(&shaders::APPLY, &overrides, &parts, Grid::Items(delta.rows.len() as u64));
+            recorder.run_with(&shaders::APPLY, &overrides, &parts, Grid::Items((*count).into()));
         }
-        recorder.submit();
         Ok(())
     }
 
@@ -156,6 +168,24 @@ pub(crate) fn edit_uniform(
 ) -> Result<Memory, BackendError> {
     let edit = Edit { iteration, seed_low: seed as u32, seed_high: (seed >> 32) as u32, amount };
     engine.upload("parameters of a row edit", &[edit])
+}
+
+/// What an individual changes, on the device.
+pub(crate) struct DeviceDelta {
+    rows: Memory,
+    genes: Memory,
+    count: u32,
+}
+
+impl DeviceDelta {
+    pub(crate) fn upload(engine: &Engine, delta: &SparseDelta) -> Result<Self, BackendError> {
+        let genes: Vec<_> = delta.genes.iter().map(pack_gene).collect();
+        Ok(Self {
+            rows: engine.upload("rows of an individual", &delta.rows)?,
+            genes: engine.upload("genes of an individual", &genes)?,
+            count: delta.rows.len() as u32,
+        })
+    }
 }
 
 /// One row edit under way.

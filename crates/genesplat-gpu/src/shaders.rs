@@ -113,6 +113,10 @@ shaders! {
     WEIGH_PIXELS = "weigh_pixels" + [PHOTO];
     /// Merits: sums of each Gaussian.
     WEIGH_SUM = "weigh_sum" + [];
+    /// Credit: errors of mutants, and what they are above those of the base.
+    CREDIT_PIXELS = "credit_pixels" + [PHOTO];
+    /// Credit: sums of each Gaussian.
+    CREDIT_SUM = "credit_sum" + [];
     /// Scoring: splats of the changed Gaussians.
     SCORE_PROJECT = "score_project" + [SPLAT, ROTATION, GEOMETRY, OVERLAP, COLOUR, SH_ROW, WRITE_SPLAT];
     /// Scoring: what individuals change.

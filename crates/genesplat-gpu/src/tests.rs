@@ -17,7 +17,7 @@ use crate::{Engine, GpuBackend};
 
 /// Largest relative L2 distance between the twins, by stage. Both are f32, so this is rounding; what is sorted or counted
 /// must be equal.
-const TOLERANCES: [(&str, f64); 11] = [
+const TOLERANCES: [(&str, f64); 12] = [
     ("project", 1e-5),
     // Blending multiplies hundreds of rounded factors; a pixel exactly at alpha = 1/255 may flip.
     ("rasterise", 1e-5),
@@ -32,6 +32,8 @@ const TOLERANCES: [(&str, f64); 11] = [
     ("score", 1e-5),
     // Blending weights, as in "rasterise".
     ("weigh", 1e-5),
+    // Differences of errors, in which a pixel of either picture may flip.
+    ("credit", 1e-4),
 ];
 
 /// Is `actual` what the twin says?

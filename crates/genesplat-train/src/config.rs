@@ -9,7 +9,7 @@ use std::str::FromStr;
 use genesplat_core::backend::MomentPolicy;
 use genesplat_core::spherical_harmonics::SH_DEGREE_MAX;
 use genesplat_core::{RenderSettings, ScreenFilter};
-use genesplat_evolve::PaperConfig;
+use genesplat_evolve::{MosaicConfig, PaperConfig};
 use serde::{Deserialize, Serialize};
 
 use crate::schedule::Schedule;
@@ -212,6 +212,9 @@ pub enum EvolutionMode {
     /// Beyond the paper, and the best measured: recombine, and before that, the Gaussians that matter least make room
     /// for more where most is wrong.
     Renew,
+    /// Beyond the paper, for finished clouds from elsewhere: each Gaussian takes the mutation that made the picture better where
+    /// it is seen.
+    Mosaic,
 }
 
 impl EvolutionMode {
@@ -223,16 +226,16 @@ impl EvolutionMode {
             Self::Control => "control",
             Self::Recombine => "recombine",
             Self::Renew => "renew",
+            Self::Mosaic => "mosaic",
         }
     }
 }
 
 /// When a stage runs: the four places that the paper tried, of which the published results have `after-reset`; and ours.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Trigger {
     /// After a periodic opacity reset.
-    #[default]
     AfterReset,
     /// Before a periodic opacity reset (after the densification that coincides with it).
     BeforeReset,
@@ -248,10 +251,12 @@ pub enum Trigger {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct EvolutionConfig {
-    /// What runs. Default `off`; or `paper`, `control`, `recombine`, `renew`.
+    /// What runs. Default `off`; or `paper`, `control`, `recombine`, `renew`, `mosaic`.
     pub mode: EvolutionMode,
-    /// When. Default `after-reset`; or `before-reset`, `after-densify`, `before-densify`, `at-end`.
-    pub trigger: Trigger,
+    /// When modes `paper`, `control` and `mosaic` run. Default `after-reset`, as published, and `at-end` for `mosaic`; or
+    /// `before-reset`, `after-densify`, `before-densify`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub trigger: Option<Trigger>,
     /// Run at every n-th occurrence of the trigger. Default 1; at least 1. A published run has 4 resets and 144
     /// densifications, so 36 gives the densification triggers four stages, too. (`mcmc` has 244; it resets nothing,
     /// but its reset triggers fall where 3DGS's would, so that stages can be compared.)
@@ -269,6 +274,8 @@ pub struct EvolutionConfig {
     pub renewal: RenewalConfig,
     /// Modes `recombine` and `renew`: the line of the run's last states.
     pub recombine: RecombineConfig,
+    /// Mode `mosaic`: how mutants are made, and what it takes to be taken over.
+    pub mosaic: MosaicConfig,
     /// Mode `paper`: the genetic algorithm.
     pub paper: PaperConfig,
 }
@@ -330,7 +337,7 @@ impl Default for EvolutionConfig {
     fn default() -> Self {
         Self {
             mode: EvolutionMode::default(),
-            trigger: Trigger::default(),
+            trigger: None,
             stride: 1,
             views: 6,
             rotate_views: false,
@@ -338,6 +345,7 @@ impl Default for EvolutionConfig {
             control_seconds: 60.0,
             renewal: RenewalConfig::default(),
             recombine: RecombineConfig::default(),
+            mosaic: MosaicConfig::default(),
             paper: PaperConfig::default(),
         }
     }
@@ -398,6 +406,12 @@ impl TrainConfig {
 }
 
 impl EvolutionConfig {
+    /// When a stage runs.
+    pub(crate) fn trigger(&self) -> Trigger {
+        let own = if self.mode == EvolutionMode::Mosaic { Trigger::AtEnd } else { Trigger::AfterReset };
+        self.trigger.unwrap_or(own)
+    }
+
     /// The genetic algorithm scales its mutations by the gradients that training has summed.
     pub(crate) fn wants_gene_gradients(&self) -> bool {
         self.mode == EvolutionMode::Paper && self.paper.uses_gradients()

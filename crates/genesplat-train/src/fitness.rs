@@ -179,6 +179,7 @@ fn generation_log(record: &StageRecord, losses: &[f64], [mean, spread]: [f64; 2]
         best: record.fitness_after,
         mean: mean.is_finite().then_some(mean),
         spread: spread.is_finite().then_some(spread),
+        accepted: None,
         renders: record.renders,
     }
 }

@@ -25,6 +25,7 @@ pub mod filter_3d;
 pub mod fitness;
 mod guards;
 pub mod initialise;
+mod mosaic;
 mod nearest;
 pub mod observe;
 pub mod pipeline;

@@ -99,6 +99,8 @@ pub struct GenerationLog {
     pub mean: Option<f64>,
     /// Standard deviation of the same.
     pub spread: Option<f64>,
+    /// Gaussians that took a mutation over, where each is judged by itself; 0 where guards refused the child.
+    pub accepted: Option<usize>,
     /// Renders made by the stage so far.
     pub renders: u64,
 }
@@ -115,11 +117,13 @@ pub enum StageKind {
     Recombination,
     /// A renewal and its trial.
     Renewal,
+    /// A child of many mutants.
+    Mosaic,
 }
 
 impl StageKind {
     /// All of them, in the order of their numbers in a checkpoint.
-    pub const ALL: [Self; 4] = [Self::Paper, Self::Control, Self::Recombination, Self::Renewal];
+    pub const ALL: [Self; 5] = [Self::Paper, Self::Control, Self::Recombination, Self::Renewal, Self::Mosaic];
 }
 
 /// An evolution stage, or the control in its place, as `metrics.json` reports it.

@@ -102,6 +102,7 @@ impl<B: Backend> Trainer<'_, B> {
             | Phase::EvolveAtEnd => match self.config.evolution.mode {
                 EvolutionMode::Off | EvolutionMode::Recombine | EvolutionMode::Renew => {}
                 EvolutionMode::Paper => checkpoint = self.evolve(Cursor { iteration: i, phase })?,
+                EvolutionMode::Mosaic => checkpoint = self.mosaic(Cursor { iteration: i, phase })?,
                 EvolutionMode::Control => self.control(i)?,
             },
         }

@@ -187,6 +187,7 @@ fn generation_log(record: &StageRecord, losses: &[f64]) -> GenerationLog {
         best: record.fitness_before,
         mean: some(mean),
         spread: some(variance.sqrt()),
+        accepted: None,
         renders: record.renders,
     }
 }

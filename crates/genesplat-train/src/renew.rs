@@ -71,7 +71,7 @@ impl<B: Backend> Trainer<'_, B> {
         StageViews::new(self.views, self.config.evolution.recombine.guards, &self.rng).guards
     }
 
-    fn verdict(&mut self, guards: &[usize], i: u32) -> Result<Verdict, TrainError> {
+    pub(crate) fn verdict(&mut self, guards: &[usize], i: u32) -> Result<Verdict, TrainError> {
         let settings = self.settings(i);
         let verdict = Verdict::of(&self.backend.judge(&[Blend::default()], guards, &settings)?);
         if verdict.loss.is_finite() {

@@ -113,7 +113,7 @@ pub enum TrainError {
     /// A finished cloud has no earlier states.
     #[error(
         "evolution.mode recombine and renew need the steps of a run, and a finished cloud makes none; \
-         set it to paper (or control), or train with it"
+         set it to mosaic (or paper, control), or train with it"
     )]
     NothingToRecombine,
 }

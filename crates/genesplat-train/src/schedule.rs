@@ -152,7 +152,8 @@ impl Schedule {
         let growth_until = if renews && !mcmc { iterations / 2 } else { u32::MAX };
         let recombines = matches!(evolution.mode, EvolutionMode::Recombine | EvolutionMode::Renew);
         let share_of_run = |share: f64| (f64::from(iterations) * share).round() as u32;
-        let stages = matches!(evolution.mode, EvolutionMode::Paper | EvolutionMode::Control);
+        let stages =
+            matches!(evolution.mode, EvolutionMode::Paper | EvolutionMode::Control | EvolutionMode::Mosaic);
         let window = share_of_run(evolution.recombine.window).max(1);
         Self {
             iterations,
@@ -169,7 +170,7 @@ impl Schedule {
             loses_steps: !mcmc,
             white_reset_at: white.then(|| interval(densify.white_reset_at)),
             filter_3d: config.variant == Variant::MipSplatting,
-            evolution_phase: stages.then(|| trigger_phase(evolution.trigger)),
+            evolution_phase: stages.then(|| trigger_phase(evolution.trigger())),
             evolution_stride: evolution.stride,
             renew_every: renews.then(|| share_of_run(evolution.renewal.every).max(1)),
             renew_until: share_of_run(evolution.renewal.until),

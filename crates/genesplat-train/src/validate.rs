@@ -140,6 +140,7 @@ impl EvolutionConfig {
         check("evolution.recombine.states", states, states >= 2, "at least 2")?;
         check("evolution.recombine.views", views, views > 0, "at least 1")?;
         check("evolution.recombine.guards", guards, guards > 0, "at least 1")?;
+        self.mosaic.validate()?;
         Ok(self.paper.validate()?)
     }
 }

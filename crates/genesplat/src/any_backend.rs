@@ -5,7 +5,7 @@ use std::borrow::Cow;
 use genesplat::core::backend::{MomentPolicy, StepReport};
 use genesplat::core::lineage::PARENTS;
 use genesplat::core::{
-    Backend, BackendError, Blend, Camera, Gaussians, Image, Judgement, Lineage, Merit, Moments,
+    Backend, BackendError, Blend, Camera, Credits, Gaussians, Image, Judgement, Lineage, Merit, Moments,
     RenderSettings, RowEdit, SparseDelta, Statistics, TrainStep, View,
 };
 use genesplat::gpu::GpuBackend;
@@ -104,6 +104,15 @@ impl Backend for AnyBackend {
 
     fn weigh(&mut self, views: &[usize], settings: &RenderSettings) -> Result<Vec<Merit>, BackendError> {
         delegate!(self.weigh(views, settings))
+    }
+
+    fn credit(
+        &mut self,
+        mutants: &[SparseDelta],
+        views: &[usize],
+        settings: &RenderSettings,
+    ) -> Result<Credits, BackendError> {
+        delegate!(self.credit(mutants, views, settings))
     }
 
     fn remembered(&self) -> [u32; PARENTS] {

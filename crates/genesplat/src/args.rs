@@ -166,10 +166,13 @@ pub struct RefineArgs {
     /// The .ply to write
     #[arg(long, value_name = "PLY")]
     pub out: PathBuf,
-    /// Generations of the search [default: 100]. Time grows in proportion
+    /// How: mosaic, paper, or control for comparison [default: mosaic]
+    #[arg(long, value_enum, value_name = "MODE")]
+    pub evolve: Option<Evolve>,
+    /// Generations of the search [default: 20, paper: 100]. Time grows in proportion
     #[arg(long, value_name = "N")]
     pub generations: Option<u32>,
-    /// Individuals a generation, 1 to 10000 [default: 100]. Time grows in proportion
+    /// Individuals a generation, 1 to 10000 [default: 12, paper: 100]. Time grows in proportion
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=10_000))]
     pub population: Option<u32>,
     /// Seed of all random numbers [default: 0]. Same seed, same bytes

@@ -201,6 +201,8 @@ pub fn override_evolution(train: &mut TrainConfig, flags: &EvolutionArgs) {
     let evolution = &mut train.evolution;
     replace(&mut evolution.mode, flags.evolve.map(Into::into));
     replace(&mut evolution.paper.generations, flags.generations);
+    replace(&mut evolution.mosaic.generations, flags.generations);
+    replace(&mut evolution.mosaic.mutants, flags.population);
     if let Some(population) = flags.population {
         evolution.paper.population = population;
         evolution.paper.tournament = evolution.paper.tournament.min(population);

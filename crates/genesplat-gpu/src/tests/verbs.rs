@@ -366,6 +366,37 @@ fn merits_match() {
     assert!(gpu.weigh(&[0], &settings(0, ScreenFilter::Classic)).unwrap().is_empty());
 }
 
+/// Four mutants, so that there are two batches; the lists of the second view do not fit at first; rows are in four windows.
+#[test]
+fn credits_match() {
+    let Some(engine) = engine() else { return };
+    let mut gpu = GpuBackend::on(engine.with_window_rows(128), SEED).unwrap();
+    let mut cpu = cpu();
+    for filter in filters() {
+        let settings = settings(3, filter);
+        let base = filtered_cloud(400, filter);
+        let mutants: Vec<SparseDelta> = (0..4).map(|index| individual_of(&base, index)).collect();
+        for twin in [&mut gpu as &mut dyn Backend, &mut cpu] {
+            twin.set_views(&[view(), small_view()]).unwrap();
+            twin.upload(base.clone(), None).unwrap();
+        }
+        let small = entries_of(&mut gpu, 1, settings);
+        gpu.abandon().unwrap();
+        gpu.set_entry_room(small);
+        let twins = [&mut gpu as &mut dyn Backend, &mut cpu];
+        let [actual, expected] = twins.map(|twin| twin.credit(&mutants, &[1, 0, 1], &settings).unwrap());
+        assert!(gpu.entry_room() > small);
+        assert_eq!(actual.views, expected.views);
+        for (index, (actual, expected)) in actual.changes.into_iter().zip(expected.changes).enumerate() {
+            compare("credit", &format!("{filter:?}, mutant {index}"), actual, expected).unwrap();
+        }
+        assert_eq!(gpu.download().unwrap().into_owned(), base, "the cloud stays");
+        let [actual, expected] =
+            [&mut gpu as &mut dyn Backend, &mut cpu].map(|twin| twin.credit(&[], &[0], &settings).unwrap());
+        assert_eq!(actual, expected, "no mutants, but views");
+    }
+}
+
 /// Merits are those of the cloud after all steps, also of those that an overflow has stopped.
 #[test]
 fn merits_are_of_the_cloud_after_queued_steps() {

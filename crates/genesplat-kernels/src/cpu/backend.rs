@@ -6,12 +6,13 @@ use fearless_simd::Level;
 use genesplat_core::gaussians::limited_opacity;
 use genesplat_core::lineage::PARENTS;
 use genesplat_core::{
-    Backend, BackendError, Blend, Camera, DensitySignal, Gaussians, Image, Judgement, Lineage, Merit,
-    Moments, RenderSettings, Rng, RowEdit, SparseDelta, Statistics, StatisticsRequest, TrainStep, View,
-    backend::MomentPolicy, backend::StepReport,
+    Backend, BackendError, Blend, Camera, Credits, DensitySignal, Gaussians, Image, Judgement, Lineage,
+    Merit, Moments, RenderSettings, Rng, RowEdit, SparseDelta, Statistics, StatisticsRequest, TrainStep,
+    View, backend::MomentPolicy, backend::StepReport,
 };
 use rayon::prelude::*;
 
+use super::credit::{Mutants, credit};
 use super::frame::{Frame, StageSeconds, timed};
 use super::loss::{Target, loss};
 use super::project::Pinhole;
@@ -294,6 +295,21 @@ impl Backend for CpuBackend {
             weigh(self.level, &mut self.frame, &self.cloud, (camera, target), settings, &mut merits);
         }
         Ok(merits)
+    }
+
+    fn credit(
+        &mut self,
+        mutants: &[SparseDelta],
+        views: &[usize],
+        settings: &RenderSettings,
+    ) -> Result<Credits, BackendError> {
+        let mut credits = Credits::zeros(mutants.len(), self.cloud.len());
+        let mut mutants = Mutants::new(&self.cloud, mutants);
+        for &view in views {
+            let TrainView { camera, target } = &self.views[view];
+            credit(self.level, &mut self.frame, &mut mutants, (camera, target), settings, &mut credits);
+        }
+        Ok(credits)
     }
 
     fn remembered(&self) -> [u32; PARENTS] {

@@ -6,6 +6,7 @@
 mod adam;
 mod bin;
 mod colour;
+mod credit;
 mod explore;
 mod loss;
 mod project;

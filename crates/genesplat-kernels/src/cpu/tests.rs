@@ -145,6 +145,35 @@ fn merits_match_the_reference() {
     }
 }
 
+/// Four mutants, so that one is credited by a backward pass of its own.
+#[test]
+fn credits_match_the_reference() {
+    for filter in filters() {
+        let (cloud, settings) = (filtered_cloud(400, filter), settings(3, filter));
+        let mutants: Vec<SparseDelta> = (0..4).map(|index| individual_of(&cloud, index)).collect();
+        let mut backend = CpuBackend::new(0);
+        backend.set_views(&[view(), small_view()]).unwrap();
+        backend.upload(cloud.clone(), None).unwrap();
+        let credits = backend.credit(&mutants, &[0, 1], &settings).unwrap();
+        assert_eq!(*backend.download().unwrap(), cloud, "the cloud stays");
+        for (mutant, actual) in mutants.iter().zip(&credits.changes) {
+            let mut child = cloud.clone();
+            child.apply(mutant);
+            let clouds = [&Cloud64::from(&cloud), &Cloud64::from(&child)];
+            let [first, second] =
+                [view(), small_view()].map(|view| reference::credit(clouds, &view, &settings, Cutoff::Hard));
+            let expected = first.iter().zip(&second).map(|(a, b)| a + b);
+            compare("credits", actual.iter().map(|&credit| f64::from(credit)), expected).unwrap();
+        }
+        let weighed = [0, 1].map(|view| backend.weigh(&[view], &settings).unwrap());
+        for (row, &views) in credits.views.iter().enumerate() {
+            let seen = weighed.iter().filter(|merits| merits[row].weight > 0.0).count();
+            assert!((seen..=2).contains(&(views as usize)), "row {row}: {views} views, {seen} with pixels");
+        }
+        assert!(credits.views.contains(&0), "some Gaussians are not seen");
+    }
+}
+
 #[test]
 fn parameter_gradients_match_the_reference() {
     for (filter, with_filter_3d) in filters().into_iter().zip([false, false, true]) {

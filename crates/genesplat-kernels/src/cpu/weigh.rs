@@ -43,10 +43,18 @@ fn ones_and_errors(image: &Image, target: &Target, gradient: &mut Vec<f32>) {
     gradient.clear();
     gradient.resize(plane, 1.0);
     gradient.resize(3 * plane, 0.0);
-    let errors = &mut gradient[plane..2 * plane];
-    for (image, photo) in image.planes.chunks_exact(plane).zip(target.planes.chunks_exact(plane)) {
-        for ((error, &value), &level) in errors.iter_mut().zip(image).zip(photo) {
-            *error += (value - f32::from(level) * (1.0 / 255.0)).abs();
-        }
+    add_errors(image, target, 1.0, &mut gradient[plane..2 * plane]);
+}
+
+/// Adds `sign · |I − P|`, all channels together, to `errors` `[H, W]`.
+pub fn add_errors(image: &Image, target: &Target, sign: f32, errors: &mut [f32]) {
+    let plane = errors.len();
+    let of_channel = |channel: usize| {
+        let (image, photo) = (&image.planes[channel * plane..], &target.planes[channel * plane..]);
+        image.iter().zip(photo).map(|(&value, &level)| (value - f32::from(level) * (1.0 / 255.0)).abs())
+    };
+    let of_pixels = of_channel(0).zip(of_channel(1)).zip(of_channel(2));
+    for (error, ((red, green), blue)) in errors.iter_mut().zip(of_pixels) {
+        *error += sign * (red + green + blue);
     }
 }

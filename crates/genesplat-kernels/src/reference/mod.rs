@@ -124,20 +124,53 @@ pub fn gradients(
 /// What each Gaussian is worth to `view`, and the error that it has part in: `[Σ α·T, Σ α·T·|I − P|]`, `[N]`.
 pub fn weigh(cloud: &Cloud64, view: &View, settings: &RenderSettings, cutoff: Cutoff) -> Vec<[f64; 2]> {
     let rendered = render(cloud, &view.camera, settings, cutoff);
-    let (image, photo) = (&rendered.frame.image, planes(&view.photo));
-    let plane = photo.len() / 3;
-    let error =
-        |pixel: usize| (0..3).map(|c| (image[c * plane + pixel] - photo[c * plane + pixel]).abs()).sum();
-    let mut by_image = vec![1.0; plane];
-    by_image.extend((0..plane).map(|pixel| -> f64 { error(pixel) }));
-    by_image.resize(3 * plane, 0.0);
-    let splats = &rendered.splats;
-    let by_splats = rasterise::backward(splats, size(&view.camera), background(settings), cutoff, &by_image);
-    let mut merits = vec![[0.0; 2]; cloud.len()];
-    for (splat, by_splat) in splats.iter().zip(&by_splats) {
-        merits[splat.row] = [by_splat.colour[0], by_splat.colour[1]];
+    let errors = errors(&rendered.frame.image, &view.photo);
+    let ones = vec![1.0; errors.len()];
+    shares(cloud, &view.camera, settings, cutoff, &rendered, [ones, errors])
+}
+
+/// To which Gaussians of `cloud` the changes are owed that `mutant` makes in `view`: `Σ α·T·(|I' − P| − |I − P|)`, `[N]`.
+pub fn credit(
+    [cloud, mutant]: [&Cloud64; 2],
+    view: &View,
+    settings: &RenderSettings,
+    cutoff: Cutoff,
+) -> Vec<f64> {
+    let [base, mutant] = [cloud, mutant].map(|cloud| render(cloud, &view.camera, settings, cutoff));
+    let [was, is] = [&base, &mutant].map(|rendered| errors(&rendered.frame.image, &view.photo));
+    let changes = is.iter().zip(&was).map(|(is, was)| is - was).collect();
+    let credits = shares(cloud, &view.camera, settings, cutoff, &base, [changes, Vec::new()]);
+    credits.into_iter().map(|[credit, _]| credit).collect()
+}
+
+/// `|I − P|` of each pixel, all channels together `[H, W]`.
+fn errors(image: &[f64], photo: &Photo) -> Vec<f64> {
+    let (photo, plane) = (planes(photo), image.len() / 3);
+    let error = |pixel: usize| -> f64 {
+        (0..3).map(|c| (image[c * plane + pixel] - photo[c * plane + pixel]).abs()).sum()
+    };
+    (0..plane).map(error).collect()
+}
+
+/// Sums of what pixels hold, times the share `α·T` that a Gaussian has in them, for two values a pixel `[N, 2]`: what the
+/// backward blending sums as the gradient of a Gaussian's colour.
+fn shares(
+    cloud: &Cloud64,
+    camera: &Camera,
+    settings: &RenderSettings,
+    cutoff: Cutoff,
+    rendered: &Rendered,
+    values: [Vec<f64>; 2],
+) -> Vec<[f64; 2]> {
+    let mut by_image = values.concat();
+    by_image.resize(rendered.frame.image.len(), 0.0);
+    let by_splats =
+        rasterise::backward(&rendered.splats, size(camera), background(settings), cutoff, &by_image);
+    let mut sums = vec![[0.0; 2]; cloud.len()];
+    for (splat, by_splat) in rendered.splats.iter().zip(&by_splats) {
+        sums[splat.row] = [by_splat.colour[0], by_splat.colour[1]];
     }
-    merits
+    sums
 }
 
 impl Gradients {

@@ -66,7 +66,7 @@ fn other_triggers_move_the_stage_and_a_stride_thins_it() {
     let with = |trigger, stride| {
         schedule(|config| {
             config.evolution.mode = EvolutionMode::Paper;
-            (config.evolution.trigger, config.evolution.stride) = (trigger, stride);
+            (config.evolution.trigger, config.evolution.stride) = (Some(trigger), stride);
         })
     };
     let before = with(Trigger::BeforeReset, 2);

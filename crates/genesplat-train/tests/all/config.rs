@@ -15,7 +15,7 @@ fn a_configuration_survives_its_file() {
     config.mcmc.resets = true;
     (config.extent, config.max_gaussians) = (Some(2.5), Some(1_000_000));
     config.evolution.mode = EvolutionMode::Control;
-    config.evolution.trigger = Trigger::BeforeDensify;
+    config.evolution.trigger = Some(Trigger::BeforeDensify);
     config.evolution.moments = MomentPolicy::Zero;
     let text = toml::to_string(&config).unwrap();
     assert!(text.contains(r#"variant = "mip-splatting""#) && text.contains(r#"trigger = "before-densify""#));

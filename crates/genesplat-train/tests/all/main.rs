@@ -2,6 +2,7 @@
 
 mod config;
 mod evaluate;
+mod mosaic;
 mod order;
 mod recombine;
 mod reconstruct;

@@ -11,8 +11,8 @@ use genesplat_core::edit::carry_genes;
 use genesplat_core::gaussians::limited_opacity;
 use genesplat_core::lineage::PARENTS;
 use genesplat_core::{
-    Backend, BackendError, Blend, Camera, Gaussians, Image, Judgement, Lineage, Merit, Moments, Origin,
-    Photo, RenderSettings, Rng, RowEdit, SparseDelta, Statistics, TrainStep, View,
+    Backend, BackendError, Blend, Camera, Credits, Gaussians, Image, Judgement, Lineage, Merit, Moments,
+    Origin, Photo, RenderSettings, Rng, RowEdit, SparseDelta, Statistics, TrainStep, View,
 };
 use genesplat_train::Observer;
 use genesplat_train::initialise::ColouredPoint;
@@ -33,6 +33,7 @@ pub enum Call {
     Apply { rows: usize, moments: MomentPolicy },
     Remember { parent: usize },
     Weigh { views: usize },
+    Credit { mutants: Vec<SparseDelta>, views: Vec<usize> },
     Judge { blends: Vec<Blend>, views: Vec<usize> },
     Breed(Blend),
     Forget,
@@ -58,7 +59,7 @@ pub struct FakeBackend {
     pub verdicts: i32,
     /// Every fitness is this instead.
     pub poison: Option<f32>,
-    /// Set after this many calls of `score` or `judge`.
+    /// Set after this many calls of `score`, `credit` or `judge`.
     pub stop_after: Option<(usize, Arc<AtomicBool>)>,
     /// The call that fails, counted from 1, and how; reads count, too.
     pub failure: Option<(usize, Failure)>,
@@ -332,6 +333,28 @@ impl Backend for FakeBackend {
         let distance = |p: &[f32; 3]| (p[0] - self.target).abs();
         let merit = |(row, p)| Merit { weight: row as f32, error: distance(p) };
         Ok(self.cloud.positions.iter().enumerate().map(merit).collect())
+    }
+
+    /// A row's credit is what its own distance from the target grows by; every other row is seen in one view only.
+    fn credit(
+        &mut self,
+        mutants: &[SparseDelta],
+        views: &[usize],
+        _: &RenderSettings,
+    ) -> Result<Credits, BackendError> {
+        self.settle()?;
+        self.calls.push(Call::Credit { mutants: mutants.to_vec(), views: views.to_vec() });
+        self.count_score();
+        let n = self.cloud.len();
+        let mut credits = Credits::zeros(mutants.len(), n);
+        credits.views = (0..n).map(|row| if row % 2 == 0 { views.len() as u32 } else { 1 }).collect();
+        for (mutant, changes) in mutants.iter().zip(&mut credits.changes) {
+            for (&row, gene) in mutant.rows.iter().zip(&mutant.genes) {
+                let distance = |x: f32| (x - self.target).abs();
+                changes[row as usize] = distance(gene[0]) - distance(self.cloud.positions[row as usize][0]);
+            }
+        }
+        Ok(credits)
     }
 
     fn remembered(&self) -> [u32; PARENTS] {

@@ -64,13 +64,13 @@ pub struct ScheduleArgs {
 /// The genetic algorithm.
 #[derive(Clone, Debug, Default, Args)]
 pub struct EvolutionArgs {
-    /// How the Gaussians evolve besides: paper and control after each opacity reset, ours in the second half of the run [default: off]
+    /// How the Gaussians evolve besides: paper and control after each opacity reset, mosaic at the end, the others in the second half of the run [default: off]
     #[arg(long, value_enum, value_name = "MODE")]
     pub evolve: Option<Evolve>,
-    /// Generations of each evolution stage [default: 100]. Time grows in proportion
+    /// Generations of each evolution stage [default: 100, mosaic: 20]. Time grows in proportion
     #[arg(long, value_name = "N")]
     pub generations: Option<u32>,
-    /// Individuals a generation, 1 to 10000 [default: 100]. Time grows in proportion
+    /// Individuals a generation, 1 to 10000 [default: 100, mosaic: 12]. Time grows in proportion
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=10_000))]
     pub population: Option<u32>,
 }
@@ -116,6 +116,9 @@ pub enum Evolve {
     /// Ours, and worth most: no more Gaussians than the photos feed, and from half of the run on those that matter least make
     /// room for more where most is wrong; and recombine
     Renew,
+    /// Ours, without gradients: each Gaussian takes the mutation that made the picture better where it is seen, if photos held back
+    /// agree. Worth most on a splat that gradients have not finished
+    Mosaic,
 }
 
 impl From<Evolve> for EvolutionMode {
@@ -126,6 +129,7 @@ impl From<Evolve> for EvolutionMode {
             Evolve::Control => Self::Control,
             Evolve::Recombine => Self::Recombine,
             Evolve::Renew => Self::Renew,
+            Evolve::Mosaic => Self::Mosaic,
         }
     }
 }

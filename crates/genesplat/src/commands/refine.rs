@@ -43,13 +43,10 @@ fn configure(args: &RefineArgs, splat: &Splat) -> Result<Resolved> {
     let mut train = TrainConfig { sh_degree: splat.settings.sh_degree, ..file.train };
     train.seed = args.seed.unwrap_or(train.seed);
     if train.evolution.mode == EvolutionMode::Off {
-        train.evolution.mode = EvolutionMode::Paper;
+        train.evolution.mode = EvolutionMode::Mosaic;
     }
-    let RefineArgs { generations, population, .. } = args;
-    override_evolution(
-        &mut train,
-        &EvolutionArgs { evolve: None, generations: *generations, population: *population },
-    );
+    let RefineArgs { evolve, generations, population, .. } = *args;
+    override_evolution(&mut train, &EvolutionArgs { evolve, generations, population });
     train.antialiasing = splat.settings.filter == ScreenFilter::Antialiased;
     if splat.settings.background == Background::White.fixed_colour() {
         train.background = Background::White;

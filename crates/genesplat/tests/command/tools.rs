@@ -117,12 +117,38 @@ fn pictures_are_compared() {
 fn refining_never_makes_fitness_worse_and_keeps_colours() {
     let folder = tempfile::tempdir().unwrap();
     let (ply, out) = (finished_run().join("point_cloud.ply"), folder.path().join("refined.ply"));
-    let small = ["--generations", "4", "--population", "10", "--max-side", "56"];
-    let arguments = ["refine", text(&ply), "--data", text(scene()), "--out", text(&out)];
-    let said = succeed(arguments.iter().chain(&small));
-    assert!(said.contains("before") && said.contains("after"), "{said}");
-    let [before, after] = [&ply, &out].map(|path| genesplat::io::read_ply(path).unwrap());
-    assert_eq!((before.len(), &before.sh, &before.rotations), (after.len(), &after.sh, &after.rotations));
+    let before = genesplat::io::read_ply(&ply).unwrap();
+    for mode in ["paper", "mosaic"] {
+        let small = ["--evolve", mode, "--generations", "4", "--population", "10", "--max-side", "56"];
+        let arguments = ["refine", text(&ply), "--data", text(scene()), "--out", text(&out)];
+        let said = succeed(arguments.iter().chain(&small));
+        assert!(said.contains("before") && said.contains("after"), "{said}");
+        let after = genesplat::io::read_ply(&out).unwrap();
+        assert_eq!((before.len(), &before.sh, &before.rotations), (after.len(), &after.sh, &after.rotations));
+    }
+    let wrong = ["refine", text(&ply), "--data", text(scene()), "--out", text(&out), "--evolve", "renew"];
+    fail(wrong, &["recombine", "finished"]);
+}
+
+/// Unlike the paper's search, it finds something on a splat that gradients have not finished.
+#[test]
+fn refining_makes_an_unfinished_splat_better_and_threads_change_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let ply = finished_run().join("point_cloud.ply");
+    let refined = |threads: &str| {
+        let out = folder.path().join(threads);
+        let arguments = ["refine", text(&ply), "--data", text(scene()), "--out", text(&out)];
+        let said = succeed(arguments.iter().chain(&["--generations", "6", "--threads", threads]));
+        (std::fs::read(&out).unwrap(), said)
+    };
+    let (one, said) = refined("1");
+    let psnr = |line: &str| {
+        let line = said.lines().find(|text| text.starts_with(line)).expect("a line for each split");
+        line.split_whitespace().nth(3).unwrap().parse::<f64>().unwrap()
+    };
+    assert!(psnr("after  train") > psnr("before train") + 0.05, "{said}");
+    assert!(psnr("after  test") > psnr("before test"), "{said}");
+    assert!(one == refined("2").0 && one == refined("7").0);
 }
 
 #[test]

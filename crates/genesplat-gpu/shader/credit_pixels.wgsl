@@ -1,0 +1,32 @@
+// Stage `credit`, step 1: in the place of dL/dimage, the errors of up to three mutants, a channel each; at last, with the
+// base in the image, what they are above the base's. The backward blending then sums credits where it sums gradients of
+// colours.
+
+// The mutant in the image; beyond the channels, the base.
+override MUTANT: u32;
+@group(0) @binding(0) var<uniform> frame: Frame;
+@group(0) @binding(1) var<storage, read> image: array<f32>;
+@group(0) @binding(2) var<storage, read> photo: array<u32>;
+// [3, H, W]
+@group(0) @binding(3) var<storage, read_write> gradient: array<f32>;
+
+@compute @workgroup_size(TILE, TILE)
+fn main(@builtin(workgroup_id) tile: vec3<u32>, @builtin(local_invocation_id) local: vec3<u32>) {
+    let pixel = tile.xy * TILE + local.xy;
+    if pixel.x >= frame.width || pixel.y >= frame.height {
+        return;
+    }
+    let pixels = frame.width * frame.height;
+    let index = pixel.y * frame.width + pixel.x;
+    var error = 0.0;
+    for (var channel = 0u; channel < 3u; channel++) {
+        error += abs(image[channel * pixels + index] - photo_value(photo[index], channel));
+    }
+    if MUTANT < MUTANTS_AT_ONCE {
+        gradient[MUTANT * pixels + index] = error;
+        return;
+    }
+    for (var mutant = 0u; mutant < MUTANTS_AT_ONCE; mutant++) {
+        gradient[mutant * pixels + index] -= error;
+    }
+}

@@ -1,0 +1,120 @@
+//! Stage `credit`: which Gaussians the changes that mutants make are owed to ([`genesplat_core::credit`]).
+//!
+//! As on the CPU, the errors of three mutants at once take the place of the image's gradient, and the backward blending of the
+//! base sums them for every splat. Mutants are made in a copy of the cloud, so the cloud is whole whatever happens.
+//! Credits stay on the device until all views have been added.
+
+use genesplat_core::backend::MomentPolicy;
+use genesplat_core::{BackendError, Blend, Credits, RenderSettings, SparseDelta};
+
+use crate::backend::GpuBackend;
+use crate::cloud::{Column, Parameters};
+use crate::frame::frame_of;
+use crate::layout::{CREDIT_FLOATS, Counters, Frame, MUTANTS_AT_ONCE};
+use crate::recorder::{Grid, Recorder};
+use crate::rows::DeviceDelta;
+use crate::shaders;
+
+/// Up to three mutants, and their credits.
+struct Batch {
+    mutants: Vec<DeviceDelta>,
+    credits: Column,
+}
+
+impl GpuBackend {
+    /// Credits of mutants on views; waits once, and for every three mutants.
+    pub(crate) fn credit_mutants(
+        &mut self,
+        mutants: &[SparseDelta],
+        views: &[usize],
+        settings: &RenderSettings,
+    ) -> Result<Credits, BackendError> {
+        self.state.make_child(&self.engine, &Blend::default())?;
+        let batches = self.batches(mutants)?;
+        loop {
+            for &view in views {
+                let frame = frame_of(&self.views[view].camera, settings, self.state.rows);
+                for batch in &batches {
+                    self.submit_credit(view, &frame, batch)?;
+                }
+            }
+            let counters = size_of::<Counters>() as u64;
+            let [counters] = self.engine.read([(&self.lists.counters, 0..counters)])?;
+            self.clear_counters();
+            let counters: Counters = bytemuck::pod_read_unaligned(&counters);
+            if counters.halted == 0 {
+                return self.download_credits(mutants.len(), &batches);
+            }
+            self.grow(counters.wanted)?;
+            // Views before the one whose lists did not fit have been added; they will be once more.
+            let mut recorder = Recorder::new(&self.engine, None);
+            batches
+                .iter()
+                .for_each(|Batch { credits, .. }| recorder.clear(&credits.memory, credits.memory.bytes));
+            recorder.submit();
+        }
+    }
+
+    /// There is always one, since views are counted with it.
+    fn batches(&self, mutants: &[SparseDelta]) -> Result<Vec<Batch>, BackendError> {
+        let at_once = MUTANTS_AT_ONCE as usize;
+        let batch = |index: usize| {
+            let mutants = mutants.iter().skip(at_once * index).take(at_once);
+            Ok(Batch {
+                mutants: mutants
+                    .map(|mutant| DeviceDelta::upload(&self.engine, mutant))
+                    .collect::<Result<_, _>>()?,
+                credits: Column::zeros(&self.engine, "credits", self.state.rows, CREDIT_FLOATS)?,
+            })
+        };
+        (0..mutants.len().div_ceil(at_once).max(1)).map(batch).collect()
+    }
+
+    /// Adds one view to the credits of a batch.
+    fn submit_credit(&mut self, view: usize, frame: &Frame, batch: &Batch) -> Result<(), BackendError> {
+        self.reserve_lists(frame)?;
+        self.pixels.reserve_backward(&self.engine, frame, self.lists.entries)?;
+        let (state, pixels, lists) = (&self.state, &self.pixels, &self.lists);
+        let Some(copy) = &state.child else { return Ok(()) };
+        let errors = |recorder: &mut Recorder, cloud: &Parameters, mutant: u32| {
+            lists.record(recorder, cloud, &state.windows, frame);
+            pixels.record_rasterise(recorder, lists, frame);
+            pixels.record_credit_pixels(recorder, lists, &self.views[view].photo, frame, mutant);
+        };
+        for (index, mutant) in (0..).zip(&batch.mutants) {
+            lists.begin(&self.engine, frame);
+            let mut recorder = Recorder::new(&self.engine, self.timestamps.as_mut());
+            recorder.copy(&state.cloud.geometry.memory, &copy.geometry.memory);
+            state.record_apply(&mut recorder, &self.engine, mutant, &copy.geometry, MomentPolicy::Keep)?;
+            errors(&mut recorder, copy, index);
+            recorder.submit();
+        }
+        lists.begin(&self.engine, frame);
+        let mut recorder = Recorder::new(&self.engine, self.timestamps.as_mut());
+        errors(&mut recorder, &state.cloud, MUTANTS_AT_ONCE);
+        pixels.record_backward(&mut recorder, lists, frame);
+        recorder.stage("credit_sum");
+        for window in &state.windows {
+            let [counters, tile_counts, first_entries, rows] =
+                [&lists.counters, &lists.tile_counts, &lists.first_entries, &pixels.rows].map(|m| m.all());
+            let credits = batch.credits.at(window);
+            let parts = [window.uniform.all(), counters, tile_counts, first_entries, rows, credits];
+            recorder.run(&shaders::CREDIT_SUM, &parts, Grid::Items(window.count));
+        }
+        recorder.submit();
+        Ok(())
+    }
+
+    fn download_credits(&self, mutants: usize, batches: &[Batch]) -> Result<Credits, BackendError> {
+        let mut credits = Credits::default();
+        for Batch { credits: column, .. } in batches {
+            let [values] = self.engine.read([(&column.memory, 0..column.bytes(self.state.rows))])?;
+            let values: Vec<[f32; CREDIT_FLOATS as usize]> = bytemuck::pod_collect_to_vec(&values);
+            let of_mutant = |channel: usize| values.iter().map(|of_row| of_row[channel]).collect();
+            credits.changes.extend((0..MUTANTS_AT_ONCE as usize).map(of_mutant));
+            credits.views = values.iter().map(|[.., views]| *views as u32).collect();
+        }
+        credits.changes.truncate(mutants);
+        Ok(credits)
+    }
+}
