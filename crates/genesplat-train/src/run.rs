@@ -108,7 +108,9 @@ pub enum TrainError {
         wanted: Variant,
     },
     /// Refinement was asked for, and switched off.
-    #[error("evolution.mode is off, so there is nothing to refine with; set it to paper (or control)")]
+    #[error(
+        "evolution.mode is off, so there is nothing to refine with; set it to mosaic (or paper, control)"
+    )]
     NothingToRefine,
     /// A finished cloud has no earlier states.
     #[error(

@@ -33,10 +33,9 @@ fn refined(backend: &mut FakeBackend, config: TrainConfig) -> Result<Outcome, Tr
 
 /// Mutants and views of each generation.
 fn credited(backend: &FakeBackend) -> Vec<(&[SparseDelta], &[usize])> {
-    let of_call = |call| match call {
-        Call::Credit { mutants, views } => Some((mutants.as_slice(), views.as_slice())),
-        _ => None,
-    };
+    fn of_call(call: &Call) -> Option<(&[SparseDelta], &[usize])> {
+        if let Call::Credit { mutants, views } = call { Some((mutants, views)) } else { None }
+    }
     backend.calls.iter().filter_map(of_call).collect()
 }
 
