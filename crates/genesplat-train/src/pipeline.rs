@@ -15,6 +15,10 @@
 //! 6. **Renew.** The cloud grows to as many Gaussians as the photos feed. Now and then those that nobody would miss make
 //!    room for more where most is wrong. What has not paid by the next renewal is taken back.
 //!
+//! And for clouds from elsewhere ([`crate::refine`]), once, at the end:
+//!
+//! 7. **Mosaic.** Many small mutations at once; every Gaussian keeps the one that made the picture better where it is seen.
+//!
 //! With MCMC, a step also jiggles positions, 2 relocates dead Gaussians and adds others until shortly before the end, and 3
 //! does not happen; 4 and 5 keep their places, 6 has none.
 //!
