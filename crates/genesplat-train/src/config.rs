@@ -323,7 +323,7 @@ pub struct RecombineConfig {
     /// Training views that a generation is judged on, drawn anew for each. Default 6; at least 1.
     pub views: usize,
     /// Training views held back from the search, which the child must render better before it is kept; spread evenly, drawn anew
-    /// for each stage, and never more than a quarter of the views. Default 8; at least 1.
+    /// for each stage, and never more than a quarter of the views. Mode `mosaic` has as many. Default 8; at least 1.
     pub guards: usize,
 }
 

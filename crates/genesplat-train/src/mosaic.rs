@@ -1,5 +1,5 @@
 //! The mosaic search ([`genesplat_evolve::mosaic`]) as a stage: generation after generation, a child of many mutants takes the
-//! cloud's place if photos agree that gave it no credit.
+//! cloud's place if photos agree that gave no credit.
 //!
 //! Where it belongs. On a cloud that gradients have not brought to its end, a few seconds of it are worth something, and it
 //! asks for neither gradients nor moments: `refine` runs it on splats of any trainer. A finished cloud of our own has no

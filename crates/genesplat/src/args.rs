@@ -15,7 +15,7 @@ mod train;
 
 pub use bench::{Bench, BenchEvolutionArgs, BenchGpuArgs, BenchStepArgs, WorkloadArgs};
 pub use method::MethodArgs;
-pub use train::{EvolutionArgs, Evolve, ScheduleArgs, TrainArgs};
+pub use train::{EvolutionArgs, Evolve, ScheduleArgs, Search, TrainArgs};
 
 /// Reconstruct a scene from photos as 3D Gaussians, and evolve them.
 ///
@@ -166,9 +166,9 @@ pub struct RefineArgs {
     /// The .ply to write
     #[arg(long, value_name = "PLY")]
     pub out: PathBuf,
-    /// How: mosaic, paper, or control for comparison [default: mosaic]
+    /// How [default: mosaic]
     #[arg(long, value_enum, value_name = "MODE")]
-    pub evolve: Option<Evolve>,
+    pub evolve: Option<Search>,
     /// Generations of the search [default: 20, paper: 100]. Time grows in proportion
     #[arg(long, value_name = "N")]
     pub generations: Option<u32>,

@@ -134,6 +134,27 @@ impl From<Evolve> for EvolutionMode {
     }
 }
 
+/// Those of them that a finished splat allows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Search {
+    /// Ours: each Gaussian takes the mutation that made the picture better where it is seen, if photos held back agree
+    Mosaic,
+    /// The genetic algorithm of "An Evolutionary Boost to Gaussian Splatting Optimization"
+    Paper,
+    /// For comparison: gradient steps for evolution.control_seconds of the configuration file
+    Control,
+}
+
+impl From<Search> for Evolve {
+    fn from(search: Search) -> Self {
+        match search {
+            Search::Mosaic => Self::Mosaic,
+            Search::Paper => Self::Paper,
+            Search::Control => Self::Control,
+        }
+    }
+}
+
 fn positive(text: &str) -> Result<usize, String> {
     text.parse()
         .ok()

@@ -46,6 +46,7 @@ fn configure(args: &RefineArgs, splat: &Splat) -> Result<Resolved> {
         train.evolution.mode = EvolutionMode::Mosaic;
     }
     let RefineArgs { evolve, generations, population, .. } = *args;
+    let evolve = evolve.map(Into::into);
     override_evolution(&mut train, &EvolutionArgs { evolve, generations, population });
     train.antialiasing = splat.settings.filter == ScreenFilter::Antialiased;
     if splat.settings.background == Background::White.fixed_colour() {
