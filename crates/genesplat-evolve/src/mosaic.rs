@@ -11,6 +11,7 @@
 
 use genesplat_core::covariance::world_offset;
 use genesplat_core::{Credits, Gaussians, Gene, Rng, SparseDelta, Stream};
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::config::{ConfigError, check, is_share};
@@ -85,12 +86,13 @@ impl<'a> MosaicSearch<'a> {
 
     /// The generation's mutants of `cloud`.
     pub fn mutants(&self, cloud: &Gaussians) -> Vec<SparseDelta> {
-        (0..self.config.mutants).map(|mutant| self.mutant(cloud, mutant)).collect()
+        (0..self.config.mutants).into_par_iter().map(|mutant| self.mutant(cloud, mutant)).collect()
     }
 
     fn mutant(&self, cloud: &Gaussians, mutant: u32) -> SparseDelta {
+        let block_of = self.blocks();
         let changes = |row: &u32| {
-            let draw = self.rng.at(Stream::Proposal, self.generation, mutant, self.block_of(*row));
+            let draw = self.rng.at(Stream::Proposal, self.generation, mutant, block_of(*row));
             f64::from(draw.uniform(0)) < self.config.share
         };
         let rows: Vec<u32> = (0..cloud.len() as u32).filter(changes).collect();
@@ -111,19 +113,21 @@ impl<'a> MosaicSearch<'a> {
         gene
     }
 
-    fn block_of(&self, row: u32) -> u32 {
+    /// The block that a row belongs to in this generation.
+    fn blocks(&self) -> impl Fn(u32) -> u32 {
         let size = self.config.block;
         let offset = self.rng.at(Stream::Proposal, self.generation, u32::MAX, 0).below(0, size);
-        (row + offset) / size
+        move |row| (row + offset) / size
     }
 
     /// Takes each block from the mutant that made it best, if any made it better.
     pub fn child(&self, mutants: &[SparseDelta], credits: &Credits) -> SparseDelta {
-        // Of each row, the best change of its block, and whose it is.
+        let block_of = self.blocks();
+        // Of each row, the best change of its block, and what it then is.
         let mut best: Vec<(f64, Option<Gene>)> = vec![(0.0, None); credits.views.len()];
         for (mutant, changes) in mutants.iter().zip(&credits.changes) {
             let mut genes = mutant.genes.iter();
-            for block in mutant.rows.chunk_by(|&a, &b| self.block_of(a) == self.block_of(b)) {
+            for block in mutant.rows.chunk_by(|&a, &b| block_of(a) == block_of(b)) {
                 let change: f64 = block.iter().map(|&row| f64::from(changes[row as usize])).sum();
                 for (&row, gene) in block.iter().zip(&mut genes) {
                     let best = &mut best[row as usize];
@@ -195,20 +199,17 @@ mod tests {
         let mutants = mutants_of(&search, 41);
         let mut credits = Credits::zeros(3, 41);
         credits.views.fill(2);
+        let block_of = search.blocks();
         for row in 0..41u32 {
-            for other in (0..41).filter(|&other| search.block_of(other) == search.block_of(row)) {
+            for other in (0..41).filter(|&other| block_of(other) == block_of(row)) {
                 for mutant in &mutants {
                     assert_eq!(mutant.rows.contains(&row), mutant.rows.contains(&other));
                 }
             }
         }
         // One row of the second block of a mutant is a little worse, and its neighbours are better.
-        let block: Vec<u32> = mutants[0]
-            .rows
-            .chunk_by(|&a, &b| search.block_of(a) == search.block_of(b))
-            .nth(1)
-            .unwrap()
-            .to_vec();
+        let block: Vec<u32> =
+            mutants[0].rows.chunk_by(|&a, &b| block_of(a) == block_of(b)).nth(1).unwrap().to_vec();
         assert!(block.len() > 1);
         block.iter().for_each(|&row| credits.changes[0][row as usize] = -1.0);
         credits.changes[0][block[0] as usize] = 0.5;
