@@ -59,6 +59,7 @@ pub(crate) fn search<B: Backend>(
         let spread = [population.mean, population.std];
         record.renders += (losses.len() * stage.views.len()) as u64;
         record.fitness_after = algorithm.best_loss();
+        record.seconds = clock.elapsed().as_secs_f64();
         record.population_bytes = algorithm.peak_population_bytes() as u64;
         observer.on_generation(&generation_log(&record, &losses, spread));
         record.generations += 1;
@@ -181,5 +182,6 @@ fn generation_log(record: &StageRecord, losses: &[f64], [mean, spread]: [f64; 2]
         spread: spread.is_finite().then_some(spread),
         accepted: None,
         renders: record.renders,
+        seconds: record.seconds,
     }
 }

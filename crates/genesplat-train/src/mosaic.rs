@@ -19,6 +19,7 @@ use crate::trainer::Trainer;
 /// A search under way.
 struct Mosaic<'a> {
     iteration: u32,
+    begun: Instant,
     settings: RenderSettings,
     views: StageViews,
     search: MosaicSearch<'a>,
@@ -33,7 +34,6 @@ struct Mosaic<'a> {
 impl<'a, B: Backend> Trainer<'a, B> {
     /// Returns a checkpoint when it was stopped; the best so far counts, but a resumed run repeats the stage in full.
     pub(crate) fn mosaic(&mut self, cursor: Cursor) -> Result<Option<Box<Checkpoint>>, TrainError> {
-        let clock = Instant::now();
         let mut mosaic = self.begin_mosaic(cursor.iteration)?;
         let all_rows: Vec<u32> = (0..mosaic.cloud.len() as u32).collect();
         let original = mosaic.cloud.genes_of(&all_rows);
@@ -49,18 +49,19 @@ impl<'a, B: Backend> Trainer<'a, B> {
         record.fitness_after = mosaic.verdict.loss;
         record.guard_psnr = Some([psnr, mosaic.verdict.psnr]);
         record.changed = mosaic.changed.iter().filter(|&&changed| changed).count();
-        record.seconds = clock.elapsed().as_secs_f64();
+        record.seconds = mosaic.begun.elapsed().as_secs_f64();
         self.end_stage(record)?;
         Ok(checkpoint)
     }
 
     fn begin_mosaic(&mut self, iteration: u32) -> Result<Mosaic<'a>, TrainError> {
-        let rng = self.rng.fork(iteration);
+        let (begun, rng) = (Instant::now(), self.rng.fork(iteration));
         let views = StageViews::new(self.views, self.config.evolution.recombine.guards, &rng);
         let verdict = self.verdict(&views.guards, iteration)?;
         let cloud = self.healthy_cloud()?.into_owned();
         Ok(Mosaic {
             iteration,
+            begun,
             settings: self.settings(iteration),
             search: MosaicSearch::new(&self.config.evolution.mosaic, rng),
             changed: vec![false; cloud.len()],
@@ -90,6 +91,7 @@ impl<'a, B: Backend> Trainer<'a, B> {
             spread: None,
             accepted: Some(accepted),
             renders: record.renders,
+            seconds: mosaic.begun.elapsed().as_secs_f64(),
         });
         record.generations += 1;
         Ok(())

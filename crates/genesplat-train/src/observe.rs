@@ -103,6 +103,8 @@ pub struct GenerationLog {
     pub accepted: Option<usize>,
     /// Renders made by the stage so far.
     pub renders: u64,
+    /// Wall-clock seconds since the stage began.
+    pub seconds: f64,
 }
 
 /// What a stage did.

@@ -51,6 +51,7 @@ fn blend(genome: &[f64], has_states: [bool; PARENTS]) -> Blend {
 /// One stage.
 struct Line {
     iteration: u32,
+    begun: Instant,
     views: StageViews,
     settings: RenderSettings,
     rng: Rng,
@@ -74,7 +75,6 @@ impl<B: Backend> Trainer<'_, B> {
         if self.backend.remembered() == [0; PARENTS] {
             return Ok(None);
         }
-        let clock = Instant::now();
         let line = self.line(cursor.iteration);
         let before = self.verdicts(&line, &[Blend::default()])?[0];
         if !before.loss.is_finite() {
@@ -92,7 +92,7 @@ impl<B: Backend> Trainer<'_, B> {
             None => self.backend.forget(),
         }
         self.torn = true;
-        record.seconds = clock.elapsed().as_secs_f64();
+        record.seconds = line.begun.elapsed().as_secs_f64();
         self.end_stage(record)?;
         Ok(checkpoint)
     }
@@ -103,6 +103,7 @@ impl<B: Backend> Trainer<'_, B> {
         let is_last = iteration == self.schedule.iterations;
         Line {
             iteration,
+            begun: Instant::now(),
             views: StageViews::new(self.views, config.guards, &rng),
             settings: self.settings(iteration),
             rng,
@@ -124,6 +125,7 @@ impl<B: Backend> Trainer<'_, B> {
             let losses: Vec<f64> = judgements.chunks_exact(views.len()).map(mean_loss).collect();
             strategy.tell(&losses);
             record.renders += judgements.len() as u64;
+            record.seconds = line.begun.elapsed().as_secs_f64();
             self.observer.on_generation(&generation_log(record, &losses));
             record.generations += 1;
         }
@@ -189,5 +191,6 @@ fn generation_log(record: &StageRecord, losses: &[f64]) -> GenerationLog {
         spread: some(variance.sqrt()),
         accepted: None,
         renders: record.renders,
+        seconds: record.seconds,
     }
 }
