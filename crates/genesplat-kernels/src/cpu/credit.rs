@@ -47,13 +47,16 @@ pub fn credit(
     settings: &RenderSettings,
     credits: &mut Credits,
 ) {
+    // 1. The base, and which Gaussians the view shows.
     base.render(level, mutants.base, camera, settings);
     let Frame { splats, bins, image, gradient, rows, .. } = base;
+    let global = |splat: u32| splats.get(splat).global as usize;
     let mut shown = vec![0; credits.views.len()];
-    bins.entries.iter().for_each(|entry| shown[splats.get(entry.splat).global as usize] = 1);
+    bins.entries.iter().for_each(|entry| shown[global(entry.splat)] = 1);
     credits.views.iter_mut().zip(shown).for_each(|(views, shown)| *views += shown);
     let plane = image.planes.len() / 3;
     for (batch, changes) in credits.changes.chunks_mut(AT_ONCE).enumerate() {
+        // 2. By how much each mutant's error is above the base's, pixel by pixel, a mutant a channel.
         gradient.clear();
         gradient.resize(3 * plane, 0.0);
         for (channel, change) in gradient.chunks_exact_mut(plane).take(changes.len()).enumerate() {
@@ -61,12 +64,12 @@ pub fn credit(
             add_errors(&mutants.frame.image, target, 1.0, change);
             add_errors(image, target, -1.0, change);
         }
+        // 3. Every Gaussian gets its share of it.
         let inputs = Backward { splats, image, gradient, extra: Extra::None };
         rasterise_backward::backward(level, bins, camera, &inputs, rows);
         for (entry, row) in bins.entries.iter().zip(rows.iter()) {
-            let global = splats.get(entry.splat).global as usize;
             for (channel, change) in changes.iter_mut().enumerate() {
-                change[global] += row.0[column::RED + channel];
+                change[global(entry.splat)] += row.0[column::RED + channel];
             }
         }
     }
