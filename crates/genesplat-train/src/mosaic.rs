@@ -7,7 +7,7 @@
 
 use std::time::Instant;
 
-use genesplat_core::{Backend, Gaussians, RenderSettings, SparseDelta, backend::MomentPolicy};
+use genesplat_core::{Backend, Gaussians, Gene, RenderSettings, SparseDelta, backend::MomentPolicy};
 use genesplat_evolve::MosaicSearch;
 
 use crate::checkpoint::{Checkpoint, Cursor};
@@ -27,8 +27,6 @@ struct Mosaic<'a> {
     cloud: Gaussians,
     /// What guards say of it.
     verdict: Verdict,
-    /// Rows that are no longer what they were.
-    changed: Vec<bool>,
 }
 
 impl<'a, B: Backend> Trainer<'a, B> {
@@ -48,7 +46,8 @@ impl<'a, B: Backend> Trainer<'a, B> {
             if interrupted { Some(self.capture_before(&original, &mosaic, cursor)?) } else { None };
         record.fitness_after = mosaic.verdict.loss;
         record.guard_psnr = Some([psnr, mosaic.verdict.psnr]);
-        record.changed = mosaic.changed.iter().filter(|&&changed| changed).count();
+        let is_changed = |&(row, genes): &(usize, &Gene)| mosaic.cloud.genes(row) != *genes;
+        record.changed = original.genes.iter().enumerate().filter(is_changed).count();
         record.seconds = mosaic.begun.elapsed().as_secs_f64();
         self.end_stage(record)?;
         Ok(checkpoint)
@@ -64,7 +63,6 @@ impl<'a, B: Backend> Trainer<'a, B> {
             begun,
             settings: self.settings(iteration),
             search: MosaicSearch::new(&self.config.evolution.mosaic, rng),
-            changed: vec![false; cloud.len()],
             views,
             cloud,
             verdict,
@@ -114,7 +112,6 @@ impl<'a, B: Backend> Trainer<'a, B> {
         }
         mosaic.verdict = verdict;
         mosaic.cloud.apply(child);
-        child.rows.iter().for_each(|&row| mosaic.changed[row as usize] = true);
         Ok((verdict, child.rows.len()))
     }
 

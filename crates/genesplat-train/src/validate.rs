@@ -25,7 +25,10 @@ pub enum ConfigError {
     },
     /// The genetic algorithm's settings are wrong.
     #[error("in evolution.paper: {0}")]
-    Evolution(#[from] genesplat_evolve::ConfigError),
+    Paper(genesplat_evolve::ConfigError),
+    /// The mosaic search's settings are wrong.
+    #[error("in evolution.mosaic: {0}")]
+    Mosaic(genesplat_evolve::ConfigError),
 }
 
 impl TrainConfig {
@@ -140,8 +143,8 @@ impl EvolutionConfig {
         check("evolution.recombine.states", states, states >= 2, "at least 2")?;
         check("evolution.recombine.views", views, views > 0, "at least 1")?;
         check("evolution.recombine.guards", guards, guards > 0, "at least 1")?;
-        self.mosaic.validate()?;
-        Ok(self.paper.validate()?)
+        self.mosaic.validate().map_err(ConfigError::Mosaic)?;
+        self.paper.validate().map_err(ConfigError::Paper)
     }
 }
 

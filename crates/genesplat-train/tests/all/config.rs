@@ -80,6 +80,10 @@ fn values_out_of_range_get_a_sentence() {
     let mut config = TrainConfig::default();
     config.evolution.paper.population = 0;
     assert!(config.resolve().unwrap_err().to_string().contains("evolution.paper"));
+    let mut config = TrainConfig::default();
+    config.evolution.mosaic.views = 0;
+    let error = config.resolve().unwrap_err().to_string();
+    assert_eq!(error, "in evolution.mosaic: views is 0, but must be at least 1");
 }
 
 #[test]
