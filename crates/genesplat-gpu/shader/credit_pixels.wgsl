@@ -4,11 +4,6 @@
 
 // The mutant in the image; beyond the channels, the base.
 override MUTANT: u32;
-@group(0) @binding(0) var<uniform> frame: Frame;
-@group(0) @binding(1) var<storage, read> image: array<f32>;
-@group(0) @binding(2) var<storage, read> photo: array<u32>;
-// [3, H, W]
-@group(0) @binding(3) var<storage, read_write> gradient: array<f32>;
 
 @compute @workgroup_size(TILE, TILE)
 fn main(@builtin(workgroup_id) tile: vec3<u32>, @builtin(local_invocation_id) local: vec3<u32>) {
@@ -18,10 +13,7 @@ fn main(@builtin(workgroup_id) tile: vec3<u32>, @builtin(local_invocation_id) lo
     }
     let pixels = frame.width * frame.height;
     let index = pixel.y * frame.width + pixel.x;
-    var error = 0.0;
-    for (var channel = 0u; channel < 3u; channel++) {
-        error += abs(image[channel * pixels + index] - photo_value(photo[index], channel));
-    }
+    let error = error_at(index);
     if MUTANT < MUTANTS_AT_ONCE {
         gradient[MUTANT * pixels + index] = error;
         return;

@@ -1,33 +1,16 @@
 // Stage `weigh`, step 2: adds the gradient rows of one view to merits, one Gaussian an invocation.
 
-@group(0) @binding(0) var<uniform> window: Window;
-@group(0) @binding(1) var<storage, read> counters: Counters;
-@group(0) @binding(2) var<storage, read> tile_counts: array<u32>;
-@group(0) @binding(3) var<storage, read> first_entries: array<u32>;
-// [E, 3] vectors
-@group(0) @binding(4) var<storage, read> rows: array<vec4<f32>>;
 // Weight, summed over the views; error, the largest of all views [N].
 @group(0) @binding(5) var<storage, read_write> merits: array<vec2<f32>>;
 
 @compute @workgroup_size(GROUP)
 fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     let local = group_of(group) * GROUP + lane;
-    // After an overflow there are no rows; the host repeats all views.
-    if local >= window.count || counters.halted != 0u {
-        return;
-    }
-    let row = window.first + local;
-    let count = tile_counts[row] & COUNT_BITS;
+    let count = entries_of(local);
     if count == 0u {
-        // It has no first entry either.
         return;
     }
-    var of_view = vec2(0.0);
-    let first = first_entries[row];
-    for (var entry = first; entry < first + count; entry++) {
-        // dL/dred and dL/dgreen.
-        of_view += rows[3u * entry + 1u].zw;
-    }
+    let of_view = colour_sum(local, count).xy;
     let merit = merits[local];
     merits[local] = vec2(merit.x + of_view.x, max(merit.y, of_view.y));
 }

@@ -57,6 +57,8 @@ mod parts {
         ROTATION = "rotation.wgsl";
         SSIM = "ssim.wgsl";
         PHOTO = "photo.wgsl";
+        PIXEL_ERROR = "pixel_error.wgsl";
+        ENTRY_SUMS = "entry_sums.wgsl";
         ADAM_STEP = "adam_step.wgsl";
         RANDOM = "random.wgsl";
     }
@@ -110,13 +112,13 @@ shaders! {
     /// MCMC's noise.
     EXPLORE = "explore" + [ROTATION, RANDOM];
     /// Merits: what takes the place of the image's gradient.
-    WEIGH_PIXELS = "weigh_pixels" + [PHOTO];
+    WEIGH_PIXELS = "weigh_pixels" + [PHOTO, PIXEL_ERROR];
     /// Merits: sums of each Gaussian.
-    WEIGH_SUM = "weigh_sum" + [];
+    WEIGH_SUM = "weigh_sum" + [ENTRY_SUMS];
     /// Credit: errors of mutants, and what they are above those of the base.
-    CREDIT_PIXELS = "credit_pixels" + [PHOTO];
+    CREDIT_PIXELS = "credit_pixels" + [PHOTO, PIXEL_ERROR];
     /// Credit: sums of each Gaussian.
-    CREDIT_SUM = "credit_sum" + [];
+    CREDIT_SUM = "credit_sum" + [ENTRY_SUMS];
     /// Scoring: splats of the changed Gaussians.
     SCORE_PROJECT = "score_project" + [SPLAT, ROTATION, GEOMETRY, OVERLAP, COLOUR, SH_ROW, WRITE_SPLAT];
     /// Scoring: what individuals change.

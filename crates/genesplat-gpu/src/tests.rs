@@ -33,7 +33,7 @@ const TOLERANCES: [(&str, f64); 12] = [
     // Blending weights, as in "rasterise".
     ("weigh", 1e-5),
     // Differences of errors, in which a pixel of either picture may flip.
-    ("credit", 1e-4),
+    ("credit", 1e-5),
 ];
 
 /// Is `actual` what the twin says?

@@ -55,14 +55,16 @@ pub fn credit(
     bins.entries.iter().for_each(|entry| shown[global(entry.splat)] = 1);
     credits.views.iter_mut().zip(shown).for_each(|(views, shown)| *views += shown);
     let plane = image.planes.len() / 3;
+    let mut minus_base = vec![0.0; plane];
+    add_errors(image, target, -1.0, &mut minus_base);
     for (batch, changes) in credits.changes.chunks_mut(AT_ONCE).enumerate() {
         // 2. By how much each mutant's error is above the base's, pixel by pixel, a mutant a channel.
         gradient.clear();
         gradient.resize(3 * plane, 0.0);
         for (channel, change) in gradient.chunks_exact_mut(plane).take(changes.len()).enumerate() {
             mutants.render(level, AT_ONCE * batch + channel, camera, settings);
+            change.copy_from_slice(&minus_base);
             add_errors(&mutants.frame.image, target, 1.0, change);
-            add_errors(image, target, -1.0, change);
         }
         // 3. Every Gaussian gets its share of it.
         let inputs = Backward { splats, image, gradient, extra: Extra::None };
