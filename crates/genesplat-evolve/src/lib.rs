@@ -1,4 +1,4 @@
-//! The genetic algorithm of "An Evolutionary Boost to Gaussian Splatting Optimization", two searches of our own, and
+//! The genetic algorithm of "An Evolutionary Boost to Gaussian Splatting Optimization", searches of our own, and
 //! nothing else: they know no renderer, no file and no clock.
 //!
 //! [`GeneticAlgorithm`] is Algorithm 1 turned inside out: it *asks* for the losses of individuals and is *told* them, so
@@ -39,7 +39,7 @@
 //! | [`record`] | the logbook |
 //! | [`mosaic`] | the search with credit: a child of many mutants, piece by piece the one that made it better |
 //! | [`renewal`] | the other selection: among the Gaussians of one cloud, who dies and who becomes two |
-//! | [`strategy`] | the other search: a normal distribution over a few numbers, for recombination |
+//! | [`strategy`] | the search for recombination: a normal distribution over a few numbers |
 //!
 //! **Randomness.** Every number comes from `Rng::at(stream, generation, individual or pair, row or draw)`, so neither the
 //! number of threads nor the order in which individuals are scored can change a result.
