@@ -19,6 +19,7 @@ use genesplat_core::{
     Merit, Moments, RenderSettings, RowEdit, SparseDelta, Statistics, TrainStep, View,
 };
 
+use crate::cloud::Column;
 use crate::engine::{Engine, Memory};
 use crate::frame::{frame_of, optimiser_of, with_statistics};
 use crate::layout::{Counters, Frame, HALT_NON_FINITE, HALT_OVERFLOW, Optimiser};
@@ -164,6 +165,12 @@ impl GpuBackend {
         self.engine.write(&self.lists.counters, 0, &[Counters::default()]);
     }
 
+    pub(crate) fn clear(&self, column: &Column) {
+        let mut recorder = Recorder::new(&self.engine, None);
+        recorder.clear(&column.memory, column.memory.bytes);
+        recorder.submit();
+    }
+
     /// Waits until every submitted step is done, repeating those that an overflow has stopped.
     pub(crate) fn settle(&mut self) -> Result<(), BackendError> {
         while !self.unseen.is_empty() {
@@ -228,50 +235,51 @@ impl GpuBackend {
         Ok(BackendError::NonFinite { row, parameter, steps: self.steps })
     }
 
-    /// Eq. 5 of the cloud on one training view, rendered in full: the plain way, which scoring is measured against.
-    pub fn loss_of_view(&mut self, view: usize, settings: &RenderSettings) -> Result<f32, BackendError> {
-        self.settle()?;
-        let frame = frame_of(&self.views[view].camera, settings, self.state.rows);
+    /// Submits views until their tile lists fit: where they do not, the device lists nothing and says what it wanted, and
+    /// all of them are submitted once more. Returns what was counted in the attempt that went through.
+    pub(crate) fn submit_until_lists_fit(
+        &mut self,
+        mut submit: impl FnMut(&mut Self) -> Result<(), BackendError>,
+    ) -> Result<Counters, BackendError> {
         loop {
-            self.reserve_lists(&frame)?;
-            self.pixels.reserve_loss(&self.engine, &frame)?;
-            self.lists.begin(&self.engine, &frame);
-            let mut recorder = Recorder::new(&self.engine, self.timestamps.as_mut());
-            self.lists.record(&mut recorder, &self.state.cloud, &self.state.windows, &frame);
-            self.pixels.record_rasterise(&mut recorder, &self.lists, &frame);
-            self.pixels.record_loss_value(&mut recorder, &self.lists, &self.views[view].photo, &frame, false);
-            recorder.submit();
+            submit(self)?;
             let counters = self.counters()?;
             self.clear_counters();
             if counters.halted & HALT_OVERFLOW == 0 {
-                return Ok(counters.loss);
+                return Ok(counters);
             }
             self.grow(counters.wanted)?;
         }
     }
 
-    /// Renders, and makes room until the lists fit.
-    fn render_frame(&mut self, frame: &Frame) -> Result<Vec<u8>, BackendError> {
-        loop {
-            self.reserve_lists(frame)?;
-            self.pixels.reserve_image(&self.engine, frame)?;
-            self.lists.begin(&self.engine, frame);
-            let mut recorder = Recorder::new(&self.engine, self.timestamps.as_mut());
-            self.lists.record(&mut recorder, &self.state.cloud, &self.state.windows, frame);
-            self.pixels.record_rasterise(&mut recorder, &self.lists, frame);
+    /// Eq. 5 of the cloud on one training view, rendered in full: the plain way, which scoring is measured against.
+    pub fn loss_of_view(&mut self, view: usize, settings: &RenderSettings) -> Result<f32, BackendError> {
+        self.settle()?;
+        let frame = frame_of(&self.views[view].camera, settings, self.state.rows);
+        let counters = self.submit_until_lists_fit(|gpu| {
+            gpu.reserve_lists(&frame)?;
+            gpu.pixels.reserve_loss(&gpu.engine, &frame)?;
+            gpu.lists.begin(&gpu.engine, &frame);
+            let mut recorder = Recorder::new(&gpu.engine, gpu.timestamps.as_mut());
+            gpu.lists.record(&mut recorder, &gpu.state.cloud, &gpu.state.windows, &frame);
+            gpu.pixels.record_rasterise(&mut recorder, &gpu.lists, &frame);
+            gpu.pixels.record_loss_value(&mut recorder, &gpu.lists, &gpu.views[view].photo, &frame, false);
             recorder.submit();
-            let counters_bytes = size_of::<Counters>() as u64;
-            let [counters, image] = self.engine.read([
-                (&self.lists.counters, 0..counters_bytes),
-                (&self.pixels.image, 0..image_bytes(frame)),
-            ])?;
-            self.clear_counters();
-            let counters: Counters = bytemuck::pod_read_unaligned(&counters);
-            if counters.halted == 0 {
-                return Ok(image);
-            }
-            self.grow(counters.wanted)?;
-        }
+            Ok(())
+        })?;
+        Ok(counters.loss)
+    }
+
+    /// Splats, tile lists and picture of the cloud; the picture stays on the device.
+    pub(crate) fn submit_image(&mut self, frame: &Frame) -> Result<(), BackendError> {
+        self.reserve_lists(frame)?;
+        self.pixels.reserve_image(&self.engine, frame)?;
+        self.lists.begin(&self.engine, frame);
+        let mut recorder = Recorder::new(&self.engine, self.timestamps.as_mut());
+        self.lists.record(&mut recorder, &self.state.cloud, &self.state.windows, frame);
+        self.pixels.record_rasterise(&mut recorder, &self.lists, frame);
+        recorder.submit();
+        Ok(())
     }
 }
 
@@ -313,7 +321,9 @@ impl Backend for GpuBackend {
     fn render(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<Image, BackendError> {
         self.settle()?;
         let frame = frame_of(camera, settings, self.state.rows);
-        let planes = bytemuck::pod_collect_to_vec(&self.render_frame(&frame)?);
+        self.submit_until_lists_fit(|gpu| gpu.submit_image(&frame))?;
+        let [image] = self.engine.read([(&self.pixels.image, 0..image_bytes(&frame))])?;
+        let planes = bytemuck::pod_collect_to_vec(&image);
         Ok(Image { width: camera.width, height: camera.height, planes })
     }
 

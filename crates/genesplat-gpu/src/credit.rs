@@ -10,7 +10,7 @@ use genesplat_core::{BackendError, Blend, Credits, RenderSettings, SparseDelta};
 use crate::backend::GpuBackend;
 use crate::cloud::{Column, Parameters};
 use crate::frame::frame_of;
-use crate::layout::{CREDIT_FLOATS, Counters, Frame, MUTANTS_AT_ONCE};
+use crate::layout::{CREDIT_FLOATS, Frame, MUTANTS_AT_ONCE};
 use crate::recorder::{Grid, Recorder};
 use crate::rows::DeviceDelta;
 use crate::shaders;
@@ -22,7 +22,7 @@ struct Batch {
 }
 
 impl GpuBackend {
-    /// Credits of mutants on views; waits once, and for every three mutants.
+    /// Credits of mutants on views.
     pub(crate) fn credit_mutants(
         &mut self,
         mutants: &[SparseDelta],
@@ -31,28 +31,15 @@ impl GpuBackend {
     ) -> Result<Credits, BackendError> {
         self.state.make_child(&self.engine, &Blend::default())?;
         let batches = self.batches(mutants)?;
-        loop {
-            for &view in views {
-                let frame = frame_of(&self.views[view].camera, settings, self.state.rows);
-                for batch in &batches {
-                    self.submit_credit(view, &frame, batch)?;
-                }
-            }
-            let counters = size_of::<Counters>() as u64;
-            let [counters] = self.engine.read([(&self.lists.counters, 0..counters)])?;
-            self.clear_counters();
-            let counters: Counters = bytemuck::pod_read_unaligned(&counters);
-            if counters.halted == 0 {
-                return self.download_credits(mutants.len(), &batches);
-            }
-            self.grow(counters.wanted)?;
-            // Views before the one whose lists did not fit have been added; they will be once more.
-            let mut recorder = Recorder::new(&self.engine, None);
-            batches
-                .iter()
-                .for_each(|Batch { credits, .. }| recorder.clear(&credits.memory, credits.memory.bytes));
-            recorder.submit();
-        }
+        self.submit_until_lists_fit(|gpu| {
+            // An attempt before may have added some of the views.
+            batches.iter().for_each(|batch| gpu.clear(&batch.credits));
+            views.iter().try_for_each(|&view| {
+                let frame = frame_of(&gpu.views[view].camera, settings, gpu.state.rows);
+                batches.iter().try_for_each(|batch| gpu.submit_credit(view, &frame, batch))
+            })
+        })?;
+        self.download_credits(mutants.len(), &batches)
     }
 
     /// There is always one, since views are counted with it.

@@ -8,7 +8,7 @@ use crate::backend::GpuBackend;
 use crate::cloud::{Parameters, window_uniform};
 use crate::engine::{Engine, Memory};
 use crate::frame::frame_of;
-use crate::layout::{Counters, GEOMETRY_FLOATS, SH_FLOATS};
+use crate::layout::{GEOMETRY_FLOATS, SH_FLOATS};
 use crate::recorder::{Grid, Recorder};
 use crate::rows::{edit_uniform, run_vectors};
 use crate::shaders;
@@ -128,7 +128,7 @@ impl State {
 }
 
 impl GpuBackend {
-    /// Losses and squared errors of children on views `[P, V]`; waits once.
+    /// Losses and squared errors of children on views `[P, V]`.
     pub(crate) fn judge_children(
         &mut self,
         blends: &[Blend],
@@ -137,28 +137,19 @@ impl GpuBackend {
     ) -> Result<Vec<Judgement>, BackendError> {
         let bytes = 8 * (blends.len() * views.len()) as u64;
         let judgements = self.engine.allocate("judgements", bytes)?;
-        loop {
+        self.submit_until_lists_fit(|gpu| {
             for (individual, blend) in blends.iter().enumerate() {
-                self.state.make_child(&self.engine, blend)?;
+                gpu.state.make_child(&gpu.engine, blend)?;
                 for (index, &view) in views.iter().enumerate() {
                     let place = [individual, index, views.len()].map(|number| number as u32);
-                    self.submit_judgement(view, settings, place, &judgements)?;
+                    gpu.submit_judgement(view, settings, place, &judgements)?;
                 }
             }
-            let counters = size_of::<Counters>() as u64;
-            let [judgements, counters] =
-                self.engine.read([(&judgements, 0..bytes), (&self.lists.counters, 0..counters)])?;
-            self.clear_counters();
-            let counters: Counters = bytemuck::pod_read_unaligned(&counters);
-            if counters.halted == 0 {
-                let judgements: Vec<[f32; 2]> = bytemuck::pod_collect_to_vec(&judgements);
-                return Ok(judgements
-                    .into_iter()
-                    .map(|[loss, squared_error]| Judgement { loss, squared_error })
-                    .collect());
-            }
-            self.grow(counters.wanted)?;
-        }
+            Ok(())
+        })?;
+        let [judgements] = self.engine.read([(&judgements, 0..bytes)])?;
+        let judgements: Vec<[f32; 2]> = bytemuck::pod_collect_to_vec(&judgements);
+        Ok(judgements.into_iter().map(|[loss, squared_error]| Judgement { loss, squared_error }).collect())
     }
 
     /// One view of the child, and how it does.

@@ -159,7 +159,8 @@ impl GpuBackend {
         let losses = self.engine.allocate("losses", bytes)?;
         loop {
             for (index, &view) in views.iter().enumerate() {
-                let base = self.submit_base(view, settings)?;
+                let base = self.frame_of_view(view, settings);
+                self.submit_image(&base)?;
                 for batch in &population.batches {
                     self.submit_batch(&population, batch, &base, view, [index, views.len()], &losses)?;
                 }
@@ -188,19 +189,6 @@ impl GpuBackend {
 
     fn frame_of_view(&self, view: usize, settings: &RenderSettings) -> Frame {
         frame_of(&self.views[view].camera, settings, self.state.rows)
-    }
-
-    /// Splats, lists and picture of the base.
-    fn submit_base(&mut self, view: usize, settings: &RenderSettings) -> Result<Frame, BackendError> {
-        let frame = self.frame_of_view(view, settings);
-        self.reserve_lists(&frame)?;
-        self.pixels.reserve_image(&self.engine, &frame)?;
-        self.lists.begin(&self.engine, &frame);
-        let mut recorder = Recorder::new(&self.engine, self.timestamps.as_mut());
-        self.lists.record(&mut recorder, &self.state.cloud, &self.state.windows, &frame);
-        self.pixels.record_rasterise(&mut recorder, &self.lists, &frame);
-        recorder.submit();
-        Ok(frame)
     }
 
     /// Losses of a batch of individuals on one view.

@@ -9,12 +9,12 @@ use genesplat_core::{BackendError, Merit, RenderSettings};
 use crate::backend::GpuBackend;
 use crate::cloud::Column;
 use crate::frame::frame_of;
-use crate::layout::{Counters, MERIT_FLOATS};
+use crate::layout::MERIT_FLOATS;
 use crate::recorder::{Grid, Recorder};
 use crate::shaders;
 
 impl GpuBackend {
-    /// Merits on views `[N]`; waits once.
+    /// Merits on views `[N]`.
     pub(crate) fn weigh_views(
         &mut self,
         views: &[usize],
@@ -22,30 +22,14 @@ impl GpuBackend {
     ) -> Result<Vec<Merit>, BackendError> {
         let rows = self.state.rows;
         let merits = Column::zeros(&self.engine, "merits", rows, MERIT_FLOATS)?;
-        loop {
-            for &view in views {
-                self.submit_weighing(view, settings, &merits)?;
-            }
-            let counters = size_of::<Counters>() as u64;
-            let [values, counters] = self
-                .engine
-                .read([(&merits.memory, 0..merits.bytes(rows)), (&self.lists.counters, 0..counters)])?;
-            self.clear_counters();
-            let counters: Counters = bytemuck::pod_read_unaligned(&counters);
-            if counters.halted == 0 {
-                let values: Vec<[f32; MERIT_FLOATS as usize]> = bytemuck::pod_collect_to_vec(&values);
-                return Ok(values.into_iter().map(|[weight, error]| Merit { weight, error }).collect());
-            }
-            self.grow(counters.wanted)?;
-            self.clear_merits(&merits);
-        }
-    }
-
-    /// Views before the one whose lists did not fit have been added; they will be once more.
-    fn clear_merits(&self, merits: &Column) {
-        let mut recorder = Recorder::new(&self.engine, None);
-        recorder.clear(&merits.memory, merits.memory.bytes);
-        recorder.submit();
+        self.submit_until_lists_fit(|gpu| {
+            // An attempt before may have added some of the views.
+            gpu.clear(&merits);
+            views.iter().try_for_each(|&view| gpu.submit_weighing(view, settings, &merits))
+        })?;
+        let [values] = self.engine.read([(&merits.memory, 0..merits.bytes(rows))])?;
+        let values: Vec<[f32; MERIT_FLOATS as usize]> = bytemuck::pod_collect_to_vec(&values);
+        Ok(values.into_iter().map(|[weight, error]| Merit { weight, error }).collect())
     }
 
     /// Adds one view to merits.
