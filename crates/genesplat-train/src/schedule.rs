@@ -12,6 +12,13 @@ use crate::config::{Background, EvolutionMode, OptimiserConfig, TrainConfig, Tri
 /// hundred does not matter, but a run compressed until every iteration densifies would never learn anything.
 const LOSING_INTERVAL_MIN: u32 = 10;
 
+/// Share of a run after which nothing grows that is to be renewed, also where the run is cut short. Longer, and there is no
+/// time for renewals; at half of it, runs of 2,000 steps at 480 px had too few Gaussians.
+const RENEWED_GROWTH: f64 = 0.65;
+
+/// Share of a run after which there is no reset before renewals: what is faint cannot be weighed.
+const RENEWED_RESETS: f64 = 0.5;
+
 /// A part of an iteration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Phase {
@@ -148,10 +155,9 @@ impl Schedule {
         let white = config.background == Background::White && densify.white_reset_at > 0;
         let iterations = interval(config.iterations);
         let renews = evolution.mode == EvolutionMode::Renew;
-        // What is renewed must have stopped growing, also in runs that are cut short.
-        let growth_until = if renews && !mcmc { iterations / 2 } else { u32::MAX };
         let recombines = matches!(evolution.mode, EvolutionMode::Recombine | EvolutionMode::Renew);
         let share_of_run = |share: f64| (f64::from(iterations) * share).round() as u32;
+        let latest = |share: f64| if renews && !mcmc { share_of_run(share) } else { u32::MAX };
         let stages =
             matches!(evolution.mode, EvolutionMode::Paper | EvolutionMode::Control | EvolutionMode::Mosaic);
         let window = share_of_run(evolution.recombine.window).max(1);
@@ -161,11 +167,12 @@ impl Schedule {
             sh_degree_max: config.sh_degree,
             position_steps: interval(config.optimiser.position_steps),
             densify_from: scaled(densify.from),
-            densify_until: scaled(if mcmc { config.mcmc.until } else { densify.until }).min(growth_until),
+            densify_until: scaled(if mcmc { config.mcmc.until } else { densify.until })
+                .min(latest(RENEWED_GROWTH)),
             densify_every: interval(densify.every),
             size_prune_after: scaled(densify.size_prune_after),
             reset_every: interval(densify.reset_every),
-            reset_until: scaled(densify.until).min(growth_until),
+            reset_until: scaled(densify.until).min(latest(RENEWED_RESETS)),
             resets: !mcmc || config.mcmc.resets,
             loses_steps: !mcmc,
             white_reset_at: white.then(|| interval(densify.white_reset_at)),

@@ -142,12 +142,12 @@ fn renewal_begins_when_density_control_has_ended_and_leaves_time_to_learn() {
 }
 
 #[test]
-fn with_renewal_a_run_that_is_cut_short_grows_for_half_of_it() {
+fn with_renewal_a_run_that_is_cut_short_leaves_time_to_renew() {
     let short = |mode| schedule(|config| (config.evolution.mode, config.iterations) = (mode, 7000));
     let (renewing, plain) = (short(EvolutionMode::Renew), short(EvolutionMode::Off));
     let begun: Vec<u32> = (1..=7000).filter(|&i| renewing.renews(i)).collect();
-    assert_eq!(begun, [3500, 3850, 4200, 4550, 4900, 5250]);
-    assert_eq!(iterations_with(&renewing, Phase::Densify).last(), Some(&3400));
+    assert_eq!(begun, [4550, 4900, 5250]);
+    assert_eq!(iterations_with(&renewing, Phase::Densify).last(), Some(&4500));
     assert_eq!(iterations_with(&renewing, Phase::ResetOpacity), [3000]);
     assert_eq!(iterations_with(&plain, Phase::Densify).last(), Some(&6900));
     assert_eq!(iterations_with(&plain, Phase::ResetOpacity), [3000, 6000]);

@@ -113,7 +113,7 @@ pub enum Evolve {
     /// Ours: every twentieth of the second half of the run, a child bred from its last states takes over if photos held back
     /// from that search agree
     Recombine,
-    /// Ours, and worth most: no more Gaussians than the photos feed, and from half of the run on those that matter least make
+    /// Ours, and worth most: no more Gaussians than the photos feed, and once it has stopped growing those that matter least make
     /// room for more where most is wrong; and recombine
     Renew,
     /// Ours, without gradients: each Gaussian takes the mutation that made the picture better where it is seen, if photos held back
