@@ -1,6 +1,6 @@
 //! The one home of every constant and every struct that Rust and WGSL share.
 //!
-//! Structs are declared once, by [`device_struct!`], which makes both the Rust type and its WGSL text; constants are
+//! Structs are declared once, by `device_struct!`, which makes both the Rust type and its WGSL text; constants are
 //! written into WGSL by [`prelude`]. A test reads the WGSL back with naga and compares offsets.
 
 use bytemuck::{Pod, Zeroable};

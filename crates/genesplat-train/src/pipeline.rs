@@ -15,7 +15,7 @@
 //! 6. **Renew.** The cloud grows to as many Gaussians as the photos feed. Now and then those that nobody would miss make
 //!    room for more where most is wrong. What has not paid by the next renewal is taken back.
 //!
-//! And for clouds from elsewhere ([`crate::refine`]), once, at the end:
+//! And for clouds from elsewhere ([`crate::refine()`]), once, at the end:
 //!
 //! 7. **Mosaic.** Many small mutations at once; every Gaussian keeps the one that made the picture better where it is seen.
 //!

@@ -2,8 +2,8 @@
 //!
 //! What individuals share is computed once a view ([`BaseView`]): the base's projection, colours, depth order, block
 //! lists, picture and light, and the blurred photo. An individual costs the projection of the rows that it changed
-//! ([`Change`]), the blocks that those rows touch before or after ([`Block::patched`]: only around the changed splats), and
-//! the loss ([`Judge`](judge::Judge)). Where no pixel is finished, what lies between changes is taken over from the base up
+//! ([`Change`]), the blocks that those rows touch before or after ([`patch::Block::patched`]: only around the changed splats), and
+//! the loss ([`judge::Judge`]). Where no pixel is finished, what lies between changes is taken over from the base up
 //! to a factor, so results equal those of rendering the changed cloud up to rounding.
 
 mod base;
