@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use anyhow::Result;
+use anyhow::{Result, ensure};
 use genesplat::core::{Gaussians, RenderSettings, ScreenFilter};
 use genesplat::io::ply::{check_finite, read_ply, read_ply_header};
 use genesplat::io::{PhotoSize, Scene};
@@ -40,6 +40,7 @@ impl Splat {
 
 /// Reads a PLY, or the splat of a run.
 pub fn open(path: &Path) -> Result<Splat> {
+    ensure!(path.exists(), "{} does not exist; give a splat's PLY or the folder of a run", path.display());
     if path.is_dir() { open_run(path) } else { open_ply(path) }
 }
 

@@ -179,7 +179,7 @@ fn splats_that_are_torn_or_none() {
     });
     fail(evaluate(&poisoned), &["nan.ply", "not finite"]);
 
-    fail(evaluate(&folder.path().join("absent.ply")), &["absent.ply", "cannot read"]);
+    fail(evaluate(&folder.path().join("absent.ply")), &["absent.ply", "does not exist", "folder of a run"]);
     fail(evaluate(folder.path()), &["not the folder of a run"]);
     fail(evaluate(&scene().join("images/gallery_000.png")), &["gallery_000.png", "not a PLY"]);
 }
