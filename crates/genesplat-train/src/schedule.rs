@@ -16,6 +16,10 @@ const LOSING_INTERVAL_MIN: u32 = 10;
 /// time for renewals; at half of it, runs of 2,000 steps at 480 px had too few Gaussians.
 const RENEWED_GROWTH: f64 = 0.65;
 
+/// Share of a run after which MCMC relocates nothing that is to be renewed: with renewals, longer is worse; without, it makes
+/// no difference.
+const RENEWED_RELOCATION: f64 = 0.5;
+
 /// Share of a run after which there is no reset before renewals: what is faint cannot be weighed.
 const RENEWED_RESETS: f64 = 0.5;
 
@@ -157,7 +161,12 @@ impl Schedule {
         let renews = evolution.mode == EvolutionMode::Renew;
         let recombines = matches!(evolution.mode, EvolutionMode::Recombine | EvolutionMode::Renew);
         let share_of_run = |share: f64| (f64::from(iterations) * share).round() as u32;
-        let latest = |share: f64| if renews && !mcmc { share_of_run(share) } else { u32::MAX };
+        let latest = |share: f64| if renews { share_of_run(share) } else { u32::MAX };
+        let densify_until = if mcmc {
+            scaled(config.mcmc.until).min(latest(RENEWED_RELOCATION))
+        } else {
+            scaled(densify.until).min(latest(RENEWED_GROWTH))
+        };
         let stages =
             matches!(evolution.mode, EvolutionMode::Paper | EvolutionMode::Control | EvolutionMode::Mosaic);
         let window = share_of_run(evolution.recombine.window).max(1);
@@ -167,8 +176,7 @@ impl Schedule {
             sh_degree_max: config.sh_degree,
             position_steps: interval(config.optimiser.position_steps),
             densify_from: scaled(densify.from),
-            densify_until: scaled(if mcmc { config.mcmc.until } else { densify.until })
-                .min(latest(RENEWED_GROWTH)),
+            densify_until,
             densify_every: interval(densify.every),
             size_prune_after: scaled(densify.size_prune_after),
             reset_every: interval(densify.reset_every),

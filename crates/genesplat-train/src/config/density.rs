@@ -92,7 +92,8 @@ impl Default for DensifyConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct McmcConfig {
-    /// Relocation and growth end before this iteration. Default 25,000; 0 switches both off.
+    /// Relocation and growth end before this iteration. Default 25,000; 0 switches both off. With evolution's mode `renew` they
+    /// end at half of the run at the latest.
     pub until: u32,
     /// Gaussians not more opaque than this are dead, and are relocated. Default 0.005; above 0, below 1.
     pub min_opacity: f32,
