@@ -13,7 +13,7 @@
 //! guards compare are alike free of the noise of single steps.
 //!
 //! Prior art: 3DGS-MCMC relocates by opacity (Kheradmand et al., 2024), "Revising Densification" grows by error (Rota Bulò
-//! et al., 2024); neither weighs, or takes anything back.
+//! et al., 2024); neither weighs, or takes anything back. In MCMC renewal takes over from relocation at half of the run.
 
 use std::time::Instant;
 

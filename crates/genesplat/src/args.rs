@@ -206,7 +206,7 @@ pub struct CompareArgs {
 /// `genesplat experiment`.
 #[derive(Debug, Args)]
 pub struct ExperimentArgs {
-    /// What to compare: smoke (minutes, no data needed), paper-table-2-3, study-evolution, study-variants,
+    /// What to compare: smoke (minutes, no data needed), paper-table-2-3, study-evolution, study-variants, study-mcmc,
     /// ablation-crossover, ablation-trigger, ablation-population, ablation-views, ablation-gradient, or a TOML file of one's own
     #[arg(value_name = "NAME|FILE.toml")]
     pub what: String,

@@ -10,11 +10,12 @@ use anyhow::{Result, anyhow, bail};
 use super::file::ExperimentFile;
 
 /// Name and text of each.
-pub const PRESETS: [(&str, &str); 9] = [
+pub const PRESETS: [(&str, &str); 10] = [
     ("smoke", include_str!("../../presets/smoke.toml")),
     ("paper-table-2-3", include_str!("../../presets/paper-table-2-3.toml")),
     ("study-evolution", include_str!("../../presets/study-evolution.toml")),
     ("study-variants", include_str!("../../presets/study-variants.toml")),
+    ("study-mcmc", include_str!("../../presets/study-mcmc.toml")),
     ("ablation-crossover", include_str!("../../presets/ablation-crossover.toml")),
     ("ablation-trigger", include_str!("../../presets/ablation-trigger.toml")),
     ("ablation-population", include_str!("../../presets/ablation-population.toml")),
