@@ -34,7 +34,7 @@ pub struct DensifyConfig {
     /// Densification starts after this iteration. Default 500.
     pub from: u32,
     /// Densification and opacity resets end before this iteration. Default 15,000; 0 switches both off. With
-    /// evolution's mode `renew` they end at 65 % and at half of the run at the latest. (With `mcmc`, only where evolution's
+    /// evolution's mode `renew` densification ends at 65 % of the run at the latest, and resets at half. (With `mcmc`, only where evolution's
     /// reset triggers end; see `mcmc.until`.)
     pub until: u32,
     /// Iterations between two densifications. Default 100; at least 1.
