@@ -56,6 +56,9 @@ pub struct BenchEvolutionArgs {
     /// Views to score them on
     #[arg(long, value_name = "V", default_value_t = 6, value_parser = clap::value_parser!(u32).range(1..))]
     pub views: u32,
+    /// Generations of the paper's search to go through besides: the further it comes, the more rows an individual changes
+    #[arg(long, value_name = "K", default_value_t = 0)]
+    pub generations: u32,
     /// Also write the figures to this file [default: none]
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,

@@ -35,6 +35,16 @@ struct Report {
     max_relative_difference: f64,
     population_bytes: usize,
     growth: Vec<Growth>,
+    search: Vec<Generation>,
+}
+
+/// Scoring as a search goes on.
+#[derive(Serialize)]
+struct Generation {
+    generation: u32,
+    /// Mean share of the rows that an individual changes.
+    changed: f64,
+    renders_per_second: f64,
 }
 
 /// Scoring at another size.
@@ -70,6 +80,7 @@ pub fn run(args: &BenchEvolutionArgs) -> Result<()> {
         max_relative_difference: max_relative_difference(&scored, &plain),
         population_bytes: bytes(&individuals),
         growth: bench.growth(&individuals, &judges)?,
+        search: bench.search(args.population, args.generations, &judges)?,
     };
     output::print(&report.to_text())?;
     args.json.as_ref().map_or(Ok(()), |path| run_folder::write_json(path, &report))
@@ -94,16 +105,17 @@ pub fn max_relative_difference(actual: &[f32], expected: &[f32]) -> f64 {
 
 /// The initial population of a paper search, which needs no loss.
 pub fn founders(cloud: &Gaussians, population: usize) -> Result<Vec<SparseDelta>> {
+    let algorithm = algorithm(cloud, population as u32, PaperConfig::default().generations)?;
+    Ok(algorithm.deltas(0..population))
+}
+
+/// The paper's search, with steps that need no gradients. Nobody asks for the best, so the base's loss does not matter.
+fn algorithm(cloud: &Gaussians, population: u32, generations: u32) -> Result<GeneticAlgorithm> {
     let base: Vec<Gene> = (0..cloud.len()).map(|row| cloud.genes(row)).collect();
     let paper = PaperConfig::default();
-    let config = PaperConfig {
-        population: population as u32,
-        // Never held here, but it must fit.
-        tournament: paper.tournament.min(population as u32),
-        magnitude: Magnitude::Unit,
-        ..paper
-    };
-    Ok(GeneticAlgorithm::new(config, base, None, 0.0, Rng::new(0))?.deltas(0..population))
+    let tournament = paper.tournament.min(population);
+    let config = PaperConfig { generations, population, tournament, magnitude: Magnitude::Unit, ..paper };
+    Ok(GeneticAlgorithm::new(config, base, None, 0.0, Rng::new(0))?)
 }
 
 /// What these rows are, as a change.
@@ -149,6 +161,25 @@ impl Bench {
         Ok((losses, seconds))
     }
 
+    /// How throughput changes over the generations of a search, none for 0.
+    fn search(&mut self, population: u32, generations: u32, views: &[usize]) -> Result<Vec<Generation>> {
+        let mut search = algorithm(&*self.backend.download()?, population, generations)?;
+        let mut found = Vec::new();
+        while generations > 0 && !search.is_finished() {
+            let individuals = search.deltas(0..search.ask());
+            let (losses, seconds) = self.score(&individuals, views)?;
+            let rows: usize = individuals.iter().map(|individual| individual.rows.len()).sum();
+            found.push(Generation {
+                generation: search.generation(),
+                changed: rows as f64 / (individuals.len() * self.backend.len()) as f64,
+                renders_per_second: losses.len() as f64 / seconds,
+            });
+            let mean = |losses: &[f32]| losses.iter().map(|&loss| f64::from(loss)).sum();
+            search.tell(&losses.chunks(views.len()).map(mean).collect::<Vec<f64>>())?;
+        }
+        Ok(found)
+    }
+
     /// How throughput and memory change when one thing is halved.
     fn growth(&mut self, individuals: &[SparseDelta], views: &[usize]) -> Result<Vec<Growth>> {
         let half = |count: usize| count.div_ceil(2);
@@ -186,12 +217,17 @@ impl Report {
             let Growth { what, renders_per_second, population_bytes, .. } = row;
             format!("{what:<24}{renders_per_second:>8.1} renders/s{:>10.1} MB", megabytes(*population_bytes))
         });
+        let search = self.search.iter().map(|row| {
+            let Generation { generation, changed, renders_per_second } = row;
+            let changed = 100.0 * changed;
+            format!("\ngeneration {generation:<13}{renders_per_second:>8.1} renders/s{changed:>8.1} % changed")
+        });
         format!(
             "{} Gaussians just after an opacity reset, {} individuals on {} views, {} threads\n\
              scoring                 {:>8.1} renders/s{:>10.1} MB\n\
              plain way               {:>8.1} renders/s\n\
              ratio                   {:>8.2} x\n\
-             largest relative difference of a loss {:.1e}\n{}",
+             largest relative difference of a loss {:.1e}\n{}{}",
             self.gaussians,
             self.individuals,
             self.views,
@@ -202,6 +238,7 @@ impl Report {
             self.ratio,
             self.max_relative_difference,
             growth.collect::<Vec<_>>().join("\n"),
+            search.collect::<String>(),
         )
     }
 }
