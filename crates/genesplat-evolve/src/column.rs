@@ -59,6 +59,48 @@ impl<const W: usize> Column<W> {
         self.changed.capacity() * size_of::<u64>() + self.values.capacity() * size_of::<[f32; W]>()
     }
 
+    /// Bits of the rows in which two columns of the same base differ.
+    pub(crate) fn differing(&self, other: &Self) -> Vec<u64> {
+        let mut rest = [self.values.as_slice(), other.values.as_slice()];
+        let words = self.changed.iter().zip(&other.changed);
+        words
+            .map(|(&own, &others)| {
+                let [own_run, other_run] = [take(&mut rest[0], own), take(&mut rest[1], others)];
+                let same = ones(own & others)
+                    .filter(|&bit| own_run[rank(own, bit)] == other_run[rank(others, bit)])
+                    .fold(0, |same, bit| same | 1 << bit);
+                (own | others) & !same
+            })
+            .collect()
+    }
+
+    /// What most of some columns hold, row by row: the winner of a majority vote in one pass (Boyer and Moore, 1981), which
+    /// is whatever more than half of the weight agrees on, and one of the values where there is no such.
+    pub(crate) fn majority(voters: &[(&Self, u32)]) -> Self {
+        let words = voters.first().map_or(0, |(column, _)| column.changed.len());
+        let mut rest: Vec<&[[f32; W]]> = voters.iter().map(|(column, _)| column.values.as_slice()).collect();
+        let mut runs = rest.clone();
+        let mut out = Self { changed: vec![0; words], values: Vec::new() };
+        for word in 0..words {
+            for ((run, rest), (column, _)) in runs.iter_mut().zip(&mut rest).zip(voters) {
+                *run = take(rest, column.changed[word]);
+            }
+            let any = voters.iter().fold(0, |bits, (column, _)| bits | column.changed[word]);
+            for bit in ones(any) {
+                let votes = voters.iter().zip(&runs).map(|((column, weight), run)| {
+                    let bits = column.changed[word];
+                    (is_set(bits, bit).then(|| run[rank(bits, bit)]), *weight)
+                });
+                if let Some(value) = elected(votes) {
+                    out.changed[word] |= 1 << bit;
+                    out.values.push(value);
+                }
+            }
+        }
+        out.values.shrink_to_fit();
+        out
+    }
+
     /// Reads rows in ascending order.
     pub(crate) fn reader(&self) -> Reader<'_, W> {
         Reader { column: self, word: 0, rank: 0 }
@@ -121,6 +163,21 @@ impl<const W: usize> Reader<'_, W> {
         let bits = self.column.changed[word];
         is_set(bits, bit).then(|| self.column.values[self.rank + rank(bits, bit)])
     }
+}
+
+/// The candidate that a majority vote leaves standing.
+fn elected<T: PartialEq + Default>(votes: impl Iterator<Item = (T, u32)>) -> T {
+    let (mut candidate, mut lead) = (T::default(), 0);
+    for (vote, weight) in votes {
+        if vote == candidate {
+            lead += weight;
+        } else if weight > lead {
+            (candidate, lead) = (vote, weight - lead);
+        } else {
+            lead -= weight;
+        }
+    }
+    candidate
 }
 
 /// Set bits of a word, lowest first.

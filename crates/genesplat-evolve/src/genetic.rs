@@ -11,6 +11,7 @@ use genesplat_core::{Gene, Rng, SparseDelta};
 use rayon::prelude::*;
 
 use crate::config::{ConfigError, PaperConfig};
+use crate::consensus::Consensus;
 use crate::individual::Genome;
 use crate::mutation::{GeneGradients, MAX_GAUSSIANS, Mutation, first_non_finite};
 use crate::population::{Breeder, Brood, Elite, MatingPlan, Pair, distinct_bytes};
@@ -36,6 +37,8 @@ pub struct GeneticAlgorithm {
     /// Best first.
     elites: Vec<Elite>,
     brood: Brood,
+    /// What the parents of the brood have in common.
+    consensus: Consensus,
     base_loss: f64,
     /// BG: the best individual and its loss, once one is better than the base.
     best: Option<(SparseDelta, f64)>,
@@ -87,12 +90,14 @@ impl GeneticAlgorithm {
         let mutation = Mutation::new(&config, &base, gradients, rng)?;
         let breeder = Breeder { base, mutation, crossover: config.crossover, rng };
         let brood = Brood::Founders { count: config.population };
+        let consensus = Consensus::base(breeder.base.len());
         let mut search = Self {
             config,
             breeder,
             generation: 0,
             elites: Vec::new(),
             brood,
+            consensus,
             base_loss,
             best: None,
             logbook: Vec::new(),
@@ -108,8 +113,8 @@ impl GeneticAlgorithm {
         self.brood.len() as usize
     }
 
-    /// Individual `index` of `0..ask()`, made on the spot: ask for as many at a time as memory allows. The same index
-    /// gives the same individual until [`GeneticAlgorithm::tell`].
+    /// Individual `index` of `0..ask()` as its difference from the base, made on the spot: ask for as many at a time as
+    /// memory allows. The same index gives the same individual until [`GeneticAlgorithm::tell`].
     ///
     /// # Panics
     /// If `index` is not below [`GeneticAlgorithm::ask`].
@@ -126,6 +131,29 @@ impl GeneticAlgorithm {
         indices.into_par_iter().map(|index| self.delta(index)).collect()
     }
 
+    /// What turns the cloud that individuals of the generation before were differences from into the one that those of
+    /// this generation are differences from ([`GeneticAlgorithm::deltas_from_consensus`]); the first is the base. Often
+    /// nothing.
+    pub fn shift(&self) -> &SparseDelta {
+        self.consensus.shift()
+    }
+
+    /// What turns that cloud into the base again.
+    pub fn way_back(&self) -> SparseDelta {
+        self.consensus.way_back(&self.breeder.base)
+    }
+
+    /// Several individuals as differences from what most parents of this generation hold, made in parallel: a few per cent
+    /// of the rows, however far the search has come from its base.
+    ///
+    /// # Panics
+    /// As [`GeneticAlgorithm::delta`].
+    pub fn deltas_from_consensus(&self, indices: Range<usize>) -> Vec<SparseDelta> {
+        assert!(indices.end <= self.ask(), "{indices:?} of a generation of {}", self.ask());
+        let delta = |index| self.consensus.delta_of(&self.genome(index as u32), &self.breeder.base);
+        indices.into_par_iter().map(delta).collect()
+    }
+
     /// Takes the losses of the individuals `0..ask()`, keeps the best if it is strictly better than all before, and breeds
     /// the next generation, in parallel. A loss that is not finite ranks last.
     pub fn tell(&mut self, losses: &[f64]) -> Result<&GenerationRecord, TellError> {
@@ -135,6 +163,7 @@ impl GeneticAlgorithm {
         let improved = self.replace_best(&ranking);
         let record = self.record(&ranking, improved);
         if self.generation == self.config.generations {
+            // The consensus stays what the caller's cloud is, until the caller takes the way back.
             (self.elites, self.brood) = (Vec::new(), Brood::NONE);
         } else {
             self.breed(&ranking);
@@ -190,7 +219,7 @@ impl GeneticAlgorithm {
     fn bytes_with(&self, next_parents: &[Arc<Genome>]) -> usize {
         let elites = self.elites.iter().map(|elite| &elite.genome);
         let genomes = distinct_bytes(elites.chain(self.brood.parents()).chain(next_parents));
-        genomes + self.breeder.bytes() + self.best().map_or(0, SparseDelta::bytes)
+        genomes + self.breeder.bytes() + self.consensus.bytes() + self.best().map_or(0, SparseDelta::bytes)
     }
 
     fn check_losses(&self, losses: &[f64]) -> Result<(), TellError> {
@@ -232,6 +261,7 @@ impl GeneticAlgorithm {
         self.elites =
             (0..elites).map(|rank| Elite { genome: of_rank(rank), loss: ranking.loss(rank) }).collect();
         self.brood = Brood::Children { count: self.config.population - elites, pairs };
+        self.consensus.follow(self.brood.parents(), &self.breeder.base);
         self.generation = generation;
     }
 

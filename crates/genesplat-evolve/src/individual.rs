@@ -5,7 +5,7 @@ use genesplat_core::{Gene, SparseDelta};
 use crate::column::{Column, Steps, WORD, ones};
 use crate::config::Space;
 use crate::crossover::Inheritance;
-use crate::group::Group;
+use crate::group::{GROUPS, Group};
 use crate::mutation::space::step;
 
 /// The genes of one individual, group by group: a row whose position alone has mutated costs 12 bytes, not 28.
@@ -53,9 +53,31 @@ impl Genome {
         }
     }
 
+    /// What most of some individuals hold, gene group by gene group, each individual with its weight.
+    pub(crate) fn majority(voters: &[(&Self, u32)]) -> Self {
+        Self {
+            position: Column::majority(&voters_of(voters, |genome| &genome.position)),
+            scale: Column::majority(&voters_of(voters, |genome| &genome.scale)),
+            opacity: Column::majority(&voters_of(voters, |genome| &genome.opacity)),
+        }
+    }
+
     /// All seven genes of every row of which at least one group differs from the base.
     pub(crate) fn to_delta(&self, base: &[Gene]) -> SparseDelta {
-        let rows = self.changed_rows();
+        self.difference([self.position.changed(), self.scale.changed(), self.opacity.changed()], base)
+    }
+
+    /// All seven genes of every row of which at least one group differs from another individual of the same base.
+    pub(crate) fn to_delta_from(&self, other: &Self, base: &[Gene]) -> SparseDelta {
+        let position = self.position.differing(&other.position);
+        let scale = self.scale.differing(&other.scale);
+        let opacity = self.opacity.differing(&other.opacity);
+        self.difference([&position, &scale, &opacity], base)
+    }
+
+    /// All seven genes of the rows that are set in any of the bit columns.
+    fn difference(&self, differs: [&[u64]; GROUPS], base: &[Gene]) -> SparseDelta {
+        let rows = rows_of_any(differs);
         let (mut position, mut scale) = (self.position.reader(), self.scale.reader());
         let mut opacity = self.opacity.reader();
         let gene = |&row: &u32| {
@@ -68,18 +90,25 @@ impl Genome {
         let genes = rows.iter().map(gene).collect();
         SparseDelta { rows, genes }
     }
+}
 
-    /// Rows of which at least one group differs, ascending.
-    fn changed_rows(&self) -> Vec<u32> {
-        let columns = [self.position.changed(), self.scale.changed(), self.opacity.changed()];
-        let any = |word: usize| columns.iter().fold(0, |bits, column| bits | column[word]);
-        let rows_of_word = |word: usize| ones(any(word)).map(move |bit| (word * WORD + bit) as u32);
-        let words = columns[0].len();
-        let count: usize = (0..words).map(|word| any(word).count_ones() as usize).sum();
-        let mut rows = Vec::with_capacity(count);
-        rows.extend((0..words).flat_map(rows_of_word));
-        rows
-    }
+/// Rows that are set in any of the bit columns, ascending.
+fn rows_of_any(columns: [&[u64]; GROUPS]) -> Vec<u32> {
+    let any = |word: usize| columns.iter().fold(0, |bits, column| bits | column[word]);
+    let rows_of_word = |word: usize| ones(any(word)).map(move |bit| (word * WORD + bit) as u32);
+    let words = columns[0].len();
+    let count: usize = (0..words).map(|word| any(word).count_ones() as usize).sum();
+    let mut rows = Vec::with_capacity(count);
+    rows.extend((0..words).flat_map(rows_of_word));
+    rows
+}
+
+/// One column of each voter, with the voter's weight.
+fn voters_of<'a, const W: usize>(
+    voters: &[(&'a Genome, u32)],
+    of: impl Fn(&'a Genome) -> &'a Column<W>,
+) -> Vec<(&'a Column<W>, u32)> {
+    voters.iter().map(|&(genome, weight)| (of(genome), weight)).collect()
 }
 
 /// One column of a child. A gene that would become non-finite keeps its value.

@@ -33,6 +33,7 @@
 //! | [`genetic`] | the order of everything: Algorithm 1 |
 //! | [`config`] | the settings of Table 1, and the rates of each generation |
 //! | [`population`] | how individuals are stored, and what that costs |
+//! | `consensus` | what the individuals of a generation have in common |
 //! | `individual`, `column` | one individual: which genes differ from the base, and their values |
 //! | `selection`, `crossover`, `mutation`, `survival` | the four operators |
 //! | `sampling` | exact random subsets |
@@ -49,6 +50,7 @@
 
 mod column;
 pub mod config;
+mod consensus;
 mod crossover;
 pub mod genetic;
 mod group;

@@ -1,13 +1,16 @@
 //! The evolution stage: a genetic algorithm whose fitness is Eq. 5 on a few training views.
 //!
 //! The algorithm ([`genesplat_evolve`]) asks for losses and never sees a renderer; the backend scores individuals and
-//! never sees a generation. This module stands between them: it hands individuals over in batches of bounded size, as
-//! differences from the base, and at the end replaces the base by the best individual, if that is strictly better.
+//! never sees a generation. This module stands between them. While a search goes on, the backend's cloud is what most
+//! parents of the generation have in common, since individuals differ from that in few rows, however far they have come
+//! from the base; they are handed over in batches of bounded size. At the end the base comes back, and is replaced by the
+//! best individual, if that is strictly better.
 
 use std::ops::Range;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
+use genesplat_core::backend::MomentPolicy;
 use genesplat_core::{Backend, BackendError, Gene, RenderSettings, Rng, SparseDelta, Statistics};
 use genesplat_evolve::{GeneGradients, GeneticAlgorithm};
 
@@ -41,7 +44,7 @@ pub(crate) struct Search {
     pub(crate) interrupted: bool,
 }
 
-/// Runs the genetic algorithm to its end, or until `stop` is set.
+/// Runs the genetic algorithm to its end, or until `stop` is set; the cloud is then what it was.
 pub(crate) fn search<B: Backend>(
     backend: &mut B,
     stage: &Stage<'_>,
@@ -54,6 +57,7 @@ pub(crate) fn search<B: Backend>(
     let mut record = empty_record(stage, base_fitness);
     observer.on_stage_start(&stage_log(stage, stage.config.paper.generations, base_fitness));
     while !algorithm.is_finished() {
+        move_cloud(backend, algorithm.shift())?;
         let Some(losses) = score_generation(backend, stage, &algorithm, stop)? else { break };
         let population = algorithm.tell(&losses)?;
         let spread = [population.mean, population.std];
@@ -64,6 +68,7 @@ pub(crate) fn search<B: Backend>(
         observer.on_generation(&generation_log(&record, &losses, spread));
         record.generations += 1;
     }
+    move_cloud(backend, &algorithm.way_back())?;
     let better = algorithm.best().cloned();
     record.changed = better.as_ref().map_or(0, |delta| delta.rows.len());
     record.seconds = clock.elapsed().as_secs_f64();
@@ -80,6 +85,12 @@ fn algorithm<B: Backend>(
     let gradients =
         if stage.config.wants_gene_gradients() { gene_gradients(backend.statistics()?) } else { None };
     Ok(GeneticAlgorithm::new(stage.config.paper.clone(), base, gradients, base_fitness, stage.rng)?)
+}
+
+/// Changes what individuals are differences from. What scoring has prepared for the old cloud is lost, so nothing is not
+/// passed on.
+fn move_cloud<B: Backend>(backend: &mut B, shift: &SparseDelta) -> Result<(), BackendError> {
+    if shift.is_empty() { Ok(()) } else { backend.apply(shift, MomentPolicy::Keep) }
 }
 
 /// Losses of all individuals that need one, in batches; `None` when stopped.
@@ -104,9 +115,10 @@ fn score_generation<B: Backend>(
 /// The next individuals, about [`BATCH_BYTES`] of them. Those of one generation are about as large as each other, so the
 /// first tells how many fit.
 fn next_batch(algorithm: &GeneticAlgorithm, wanted: Range<usize>) -> Vec<SparseDelta> {
-    let bytes = algorithm.delta(wanted.start).bytes();
+    let first = algorithm.deltas_from_consensus(wanted.start..wanted.start + 1);
+    let bytes: usize = first.iter().map(SparseDelta::bytes).sum();
     let fitting = (BATCH_BYTES / bytes.max(1)).max(1);
-    algorithm.deltas(wanted.start..wanted.end.min(wanted.start.saturating_add(fitting)))
+    algorithm.deltas_from_consensus(wanted.start..wanted.end.min(wanted.start.saturating_add(fitting)))
 }
 
 /// Mean of Eq. 5 over the stage's views, for each individual.

@@ -85,6 +85,8 @@ pub struct BaseView {
     pub splats: Splats,
     /// The photo.
     pub judge: Judge,
+    /// The base's splats, by tile.
+    pub bins: Bins,
     /// The base's blocks, by tile.
     pub tiles: Vec<BaseTile>,
     /// The base on the background.
@@ -125,7 +127,7 @@ impl BaseView {
             })
             .collect();
         let judge = Judge::new(level, target);
-        let mut view = Self { camera, splats, judge, tiles, picture: Vec::new(), order, rank_of_row };
+        let mut view = Self { camera, splats, judge, bins, tiles, picture: Vec::new(), order, rank_of_row };
         view.picture = view.compose(settings.background);
         view
     }

@@ -154,6 +154,7 @@ fn push_both(changed: &mut Vec<Changed>, row: u32, after: Option<Splat>, view: &
 }
 
 /// Depth order, ties by row: the order of the base's splats.
-fn key(splat: &Splat) -> u64 {
+#[inline(always)]
+pub fn key(splat: &Splat) -> u64 {
     u64::from(splat.depth.to_bits()) << 32 | u64::from(splat.global)
 }

@@ -9,6 +9,7 @@
 mod base;
 mod change;
 pub mod judge;
+mod merge;
 mod patch;
 
 use fearless_simd::{Level, Simd, dispatch, prelude::*};
@@ -20,6 +21,7 @@ pub use base::BaseView;
 use base::{Light, write_block};
 use change::Change;
 use judge::Walk;
+use merge::Merge;
 use patch::Changes;
 
 /// Losses `[P, V]` of the individuals on the views.
@@ -43,6 +45,9 @@ pub fn score(
     places.map(|[individual, view]| by_view[view * population.len() + individual]).collect()
 }
 
+/// Share of the rows beyond which an individual is rendered anew from merged lists, instead of patched block by block.
+const MERGED_SHARE: f64 = 0.02;
+
 /// Blocks between what is asked for and where it is needed.
 const AHEAD: usize = 4;
 
@@ -50,6 +55,7 @@ const AHEAD: usize = 4;
 #[derive(Default)]
 struct Scratch {
     change: Change,
+    merge: Merge,
     /// Where in its block's list each change belongs.
     positions: Vec<u32>,
     picture: Vec<f32>,
@@ -66,9 +72,14 @@ impl Scratch {
         view: &BaseView,
         settings: &RenderSettings,
     ) -> f32 {
-        self.change.find(simd, cloud, individual, view, settings);
-        self.picture.clone_from(&view.picture);
-        self.patch(simd, view, settings.background);
+        if individual.rows.len() as f64 > MERGED_SHARE * cloud.len() as f64 {
+            self.merge.find(simd, cloud, individual, view, settings);
+            self.merge.render(simd, view, settings.background, &mut self.picture);
+        } else {
+            self.change.find(simd, cloud, individual, view, settings);
+            self.picture.clone_from(&view.picture);
+            self.patch(simd, view, settings.background);
+        }
         view.judge.loss(simd, &self.picture, &mut self.walk)
     }
 
