@@ -166,10 +166,7 @@ impl Bench {
         let mut search = algorithm(&*self.backend.download()?, population, generations)?;
         let mut found = Vec::new();
         while generations > 0 && !search.is_finished() {
-            if !search.shift().is_empty() { self.backend.apply(search.shift(), MomentPolicy::Keep)?; }
-            let plain: usize = search.deltas(0..search.ask()).iter().map(|d| d.rows.len()).sum();
-            eprintln!("{} base {:.3} shift {:.3}", search.generation(), plain as f64 / (search.ask() * self.backend.len()) as f64, search.shift().rows.len() as f64 / self.backend.len() as f64);
-            let individuals = search.deltas_from_consensus(0..search.ask());
+            let individuals = search.deltas(0..search.ask());
             let (losses, seconds) = self.score(&individuals, views)?;
             let rows: usize = individuals.iter().map(|individual| individual.rows.len()).sum();
             found.push(Generation {
