@@ -8,9 +8,9 @@ use std::sync::{Arc, Mutex, mpsc};
 use bytemuck::Pod;
 use genesplat_core::BackendError;
 use wgpu::{
-    BindGroupLayout, Buffer, BufferDescriptor, BufferUsages, ComputePipeline, ComputePipelineDescriptor,
-    Device, DeviceDescriptor, ErrorFilter, Features, MapMode, PipelineCompilationOptions, PollType, Queue,
-    ShaderModuleDescriptor, ShaderSource,
+    BindGroupLayout, Buffer, BufferDescriptor, BufferUsages, CommandBuffer, ComputePipeline,
+    ComputePipelineDescriptor, Device, DeviceDescriptor, ErrorFilter, Features, MapMode,
+    PipelineCompilationOptions, PollType, Queue, ShaderModuleDescriptor, ShaderSource,
 };
 
 use crate::adapter;
@@ -19,6 +19,10 @@ use crate::shaders::Shader;
 
 /// Smallest buffer, bytes: an empty cloud has buffers, too.
 const BUFFER_BYTES_MIN: u64 = 256;
+
+/// Bytes that may wait to be copied to the device, 64 MiB: until something is submitted and done, whatever is written lies
+/// in the host's memory once more. All photos of a scene would be gigabytes.
+const WRITTEN_BYTES_MAX: usize = 64 << 20;
 
 /// A shader with values for its `override` constants.
 type KernelKey = (&'static str, Vec<(&'static str, u32)>);
@@ -43,6 +47,10 @@ pub struct Engine {
     buffer_bytes: u64,
     /// Bytes that may be allocated: all that the device has, unless a test wants less.
     pub(crate) memory_bytes: u64,
+    /// Bytes that may wait to be copied to the device: [`WRITTEN_BYTES_MAX`], unless a test wants fewer.
+    pub(crate) written_bytes_max: usize,
+    /// Bytes that wait to be copied to the device.
+    pub(crate) written: Cell<usize>,
     pub(crate) timestamps: bool,
     kernels: RefCell<HashMap<KernelKey, Kernel>>,
     lost: Arc<Mutex<Option<String>>>,
@@ -75,6 +83,8 @@ impl Engine {
             window_rows: limits.max_storage_buffer_binding_size / (4 * u64::from(SH_FLOATS)),
             buffer_bytes: limits.max_buffer_size,
             memory_bytes: u64::MAX,
+            written_bytes_max: WRITTEN_BYTES_MAX,
+            written: Cell::default(),
             device,
             queue,
             name,
@@ -143,9 +153,28 @@ impl Engine {
 
     /// Overwrites part of a buffer, before whatever is submitted next.
     pub(crate) fn write<T: Pod>(&self, memory: &Memory, first_byte: u64, content: &[T]) {
-        if !content.is_empty() {
-            self.queue.write_buffer(&memory.buffer, first_byte, bytemuck::cast_slice(content));
+        let bytes: &[u8] = bytemuck::cast_slice(content);
+        let most = self.written_bytes_max;
+        for (piece, at) in bytes.chunks(most).zip((first_byte..).step_by(most)) {
+            self.queue.write_buffer(&memory.buffer, at, piece);
+            self.written.set(self.written.get() + piece.len());
+            if self.written.get() >= most {
+                self.flush();
+            }
         }
+    }
+
+    /// Copies everything that was written to the device, and frees what it took on the host.
+    fn flush(&self) {
+        self.submit([]);
+        // Whoever waits next, and can say so, hears of a device that is lost.
+        let _ = self.wait();
+    }
+
+    /// Hands commands to the device, and before them all that was written; does not wait.
+    pub(crate) fn submit(&self, commands: impl IntoIterator<Item = CommandBuffer>) {
+        self.written.set(0);
+        self.queue.submit(commands);
     }
 
     /// Waits for the device and copies parts of buffers (byte ranges, multiples of 4) to the host, all at once.
@@ -165,7 +194,7 @@ impl Engine {
             }
             at += bytes;
         }
-        self.queue.submit([encoder.finish()]);
+        self.submit([encoder.finish()]);
         let (sender, receiver) = mpsc::channel();
         staging.slice(..).map_async(MapMode::Read, move |result| {
             // Nobody listens any more only when waiting failed already.

@@ -262,6 +262,28 @@ fn what_is_uploaded_comes_back() {
     assert_eq!(gpu.statistics().unwrap(), statistics);
 }
 
+/// More is written than may wait to be copied, in single columns, too.
+#[test]
+fn what_is_written_never_piles_up() {
+    let Some(mut gpu) = gpu() else { return };
+    gpu.engine.written_bytes_max = 1 << 10;
+    let views = [view(), small_view(), view()];
+    gpu.set_views(&views).unwrap();
+    assert!(gpu.engine.written.get() < 1 << 10);
+    let cloud = cloud(300);
+    gpu.upload(cloud.clone(), None).unwrap();
+    assert!(gpu.engine.written.get() < 1 << 10);
+    assert_eq!(*gpu.download().unwrap(), cloud);
+    let settings = settings(2, ScreenFilter::Classic);
+    let mut cpu = cpu();
+    cpu.set_views(&views).unwrap();
+    cpu.upload(cloud, None).unwrap();
+    for view in 0..3 {
+        let expected = cpu.loss_of_view(view, &settings);
+        compare("loss", "of a view", [gpu.loss_of_view(view, &settings).unwrap()], [expected]).unwrap();
+    }
+}
+
 #[test]
 fn stages_are_timed() {
     let Some(mut gpu) = gpu() else { return };
