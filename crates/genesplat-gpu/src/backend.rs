@@ -59,6 +59,8 @@ pub struct GpuBackend {
     entry_room: Option<u64>,
     /// Steps submitted since the host last looked.
     unseen: Vec<TrainStep>,
+    /// What a verb that cannot fail has met; the next one that can returns it.
+    failure: Option<BackendError>,
     report: StepReport,
     /// Optimiser steps made.
     steps: u32,
@@ -84,6 +86,7 @@ impl GpuBackend {
             entry_room: None,
             views: Vec::new(),
             unseen: Vec::new(),
+            failure: None,
             report: StepReport::default(),
             steps: 0,
             timestamps: None,
@@ -173,6 +176,9 @@ impl GpuBackend {
 
     /// Waits until every submitted step is done, repeating those that an overflow has stopped.
     pub(crate) fn settle(&mut self) -> Result<(), BackendError> {
+        if let Some(failure) = self.failure.take() {
+            return Err(failure);
+        }
         while !self.unseen.is_empty() {
             let counters = self.hear()?;
             if counters.halted & HALT_NON_FINITE != 0 {
@@ -328,7 +334,7 @@ impl Backend for GpuBackend {
     }
 
     fn train_step(&mut self, step: &TrainStep) -> Result<(), BackendError> {
-        if self.unseen.len() >= STEPS_UNSEEN {
+        if self.unseen.len() >= STEPS_UNSEEN || self.failure.is_some() {
             self.settle()?;
         }
         self.engine.check()?;
@@ -362,9 +368,9 @@ impl Backend for GpuBackend {
     }
 
     fn reset_statistics(&mut self, genes: bool) {
-        // A failure of steps before comes back with the next verb that can say so.
-        if self.settle().is_ok() {
-            self.state.reset_statistics(&self.engine, genes);
+        match self.settle() {
+            Ok(()) => self.state.reset_statistics(&self.engine, genes),
+            Err(failure) => self.failure = Some(failure),
         }
     }
 

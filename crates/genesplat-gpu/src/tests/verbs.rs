@@ -184,19 +184,45 @@ fn lists_beyond_any_binding_are_one_sentence() {
     assert!(error.to_string().contains("--max-side"), "{error}");
 }
 
+/// Row 20 is in the middle of the picture, and infinitely bright.
+fn cloud_of_infinite_light() -> Gaussians {
+    let mut cloud = cloud(50);
+    cloud.sh[20][0] = f32::INFINITY;
+    cloud.positions[20] = [0.0, 0.0, 2.0];
+    cloud.opacity_logits[20] = 4.0;
+    cloud
+}
+
 #[test]
 fn a_loss_that_is_not_finite_is_reported_and_changes_nothing() {
     let Some(mut gpu) = gpu() else { return };
-    let mut poisoned = cloud(50);
-    poisoned.sh[20][0] = f32::INFINITY;
-    poisoned.positions[20] = [0.0, 0.0, 2.0];
-    poisoned.opacity_logits[20] = 4.0;
+    let poisoned = cloud_of_infinite_light();
     gpu.upload(poisoned.clone(), None).unwrap();
     gpu.train_step(&step(1, settings(0, ScreenFilter::Classic))).unwrap();
     gpu.train_step(&step(2, settings(0, ScreenFilter::Classic))).unwrap();
     let error = gpu.report().unwrap_err();
     assert!(matches!(error, BackendError::NonFinite { row: 20, parameter: "colour", .. }), "{error}");
     assert_eq!(gpu.download().unwrap().positions, poisoned.positions);
+}
+
+/// Resetting statistics waits for the steps before it, and has no way to say what became of them.
+#[test]
+fn a_failure_met_by_a_verb_that_cannot_fail_is_that_of_the_next() {
+    let Some(mut gpu) = gpu() else { return };
+    let poisoned = cloud_of_infinite_light();
+    let step = step(1, settings(0, ScreenFilter::Classic));
+    for next in 0..2 {
+        gpu.upload(poisoned.clone(), None).unwrap();
+        gpu.train_step(&step).unwrap();
+        gpu.reset_statistics(true);
+        gpu.reset_statistics(false);
+        let error = match next {
+            0 => gpu.train_step(&step).unwrap_err(),
+            _ => gpu.report().unwrap_err(),
+        };
+        assert!(matches!(error, BackendError::NonFinite { row: 20, .. }), "{error}");
+        assert_eq!(gpu.download().unwrap().positions, poisoned.positions);
+    }
 }
 
 #[test]
