@@ -160,8 +160,9 @@ impl GpuBackend {
 
     /// What the device has counted since it was last told to forget it.
     pub(crate) fn counters(&self) -> Result<Counters, BackendError> {
-        let [counters] = self.engine.read([(&self.lists.counters, 0..size_of::<Counters>() as u64)])?;
-        Ok(bytemuck::pod_read_unaligned(&counters))
+        let mut counters = Counters::default();
+        self.engine.read([(&self.lists.counters, bytemuck::bytes_of_mut(&mut counters))])?;
+        Ok(counters)
     }
 
     pub(crate) fn clear_counters(&self) {
@@ -328,8 +329,7 @@ impl Backend for GpuBackend {
         self.settle()?;
         let frame = frame_of(camera, settings, self.state.rows);
         self.submit_until_lists_fit(|gpu| gpu.submit_image(&frame))?;
-        let [image] = self.engine.read([(&self.pixels.image, 0..image_bytes(&frame))])?;
-        let planes = bytemuck::pod_collect_to_vec(&image);
+        let planes = self.engine.read_values(&self.pixels.image, image_bytes(&frame) / 4)?;
         Ok(Image { width: camera.width, height: camera.height, planes })
     }
 

@@ -36,8 +36,7 @@ impl Timestamps {
         encoder.resolve_query_set(&self.queries, 0..2 * self.stages.len() as u32, &resolved, 0);
         encoder.copy_buffer_to_buffer(&resolved, 0, &memory.buffer, 0, bytes);
         engine.submit([encoder.finish()]);
-        let [ticks] = engine.read([(&memory, 0..bytes)])?;
-        let ticks: Vec<[u64; 2]> = bytemuck::pod_collect_to_vec(&ticks);
+        let ticks: Vec<[u64; 2]> = engine.read_values(&memory, TIMED_PASSES.into())?;
         let second = 1e-9 * f64::from(engine.queue.get_timestamp_period());
         let passes = self
             .stages

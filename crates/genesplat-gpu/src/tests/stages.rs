@@ -21,8 +21,7 @@ fn cpu_frame(cloud: &Gaussians, settings: &RenderSettings) -> (Frame, f32) {
 
 /// Reads `count` values of a buffer.
 fn read<T: bytemuck::Pod>(gpu: &GpuBackend, memory: &crate::engine::Memory, count: usize) -> Vec<T> {
-    let [bytes] = gpu.engine.read([(memory, 0..(size_of::<T>() * count) as u64)]).unwrap();
-    bytemuck::pod_collect_to_vec(&bytes)
+    gpu.engine.read_values(memory, count as u64).unwrap()
 }
 
 /// Entry numbers of each tile, nearest first, and the splat of each entry.

@@ -273,6 +273,13 @@ fn children_of_remembered_states_match() {
 #[test]
 fn what_is_uploaded_comes_back() {
     let Some(mut gpu) = gpu() else { return };
+    uploads_come_back(&mut gpu);
+    // Pieces that end within rows, and begin in one column and end in the next.
+    gpu.engine.read_bytes_max = 1000;
+    uploads_come_back(&mut gpu);
+}
+
+fn uploads_come_back(gpu: &mut GpuBackend) {
     let cloud = filtered_cloud(130, ScreenFilter::Mip);
     let moments = Moments { first: super::cloud(130), second: super::cloud(130) };
     gpu.upload(cloud.clone(), Some(moments.clone())).unwrap();
