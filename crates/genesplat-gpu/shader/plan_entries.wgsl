@@ -9,6 +9,7 @@
 
 @compute @workgroup_size(1)
 fn main() {
+    // Where the lists would have more entries than 32 bits can count, as many as these can.
     let wanted = sums[(lengths[LENGTH_VISIBLE] + SCAN_BLOCK - 1u) / SCAN_BLOCK];
     var entries = wanted;
     counters.wanted = max(counters.wanted, wanted);

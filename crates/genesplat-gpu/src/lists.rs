@@ -291,3 +291,37 @@ pub(crate) fn tiles_of(frame: &Frame) -> u64 {
 fn tile_bits(frame: &Frame) -> u32 {
     (64 - tiles_of(frame).saturating_sub(1).leading_zeros()).max(1)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::tests::engine;
+
+    /// Sum of `counts` by the device's prefix sum.
+    fn total(engine: &Engine, counts: &[u32]) -> u32 {
+        let rows = counts.len() as u64;
+        let mut lists = Lists::new(engine).unwrap();
+        lists.reserve(engine, rows, 0, 1).unwrap();
+        engine.write(&lists.marks, 0, counts);
+        engine.write(&lists.lengths, 0, &[counts.len() as u32]);
+        let mut recorder = Recorder::new(engine, None);
+        let blocks = rows.div_ceil(SCAN_BLOCK.into());
+        lists.scan(&mut recorder, LENGTH_ROWS, Grid::Groups(blocks), &lists.marks, &lists.ranks);
+        recorder.submit();
+        let sums: Vec<u32> = engine.read_values(&lists.sums, blocks + 1).unwrap();
+        sums[blocks as usize]
+    }
+
+    /// Within a group, within a block, and over many blocks.
+    #[test]
+    fn a_total_beyond_32_bits_is_the_largest_number() {
+        let Some(engine) = engine() else { return };
+        assert_eq!(total(&engine, &[]), 0);
+        assert_eq!(total(&engine, &[1 << 31, (1 << 31) - 2]), u32::MAX - 1);
+        assert_eq!(total(&engine, &[1 << 30; 4]), u32::MAX);
+        assert_eq!(total(&engine, &[1 << 22; SCAN_BLOCK as usize]), u32::MAX);
+        let many = 600 * SCAN_BLOCK as usize - 5;
+        assert_eq!(total(&engine, &vec![3; many]), 3 * many as u32);
+        assert_eq!(total(&engine, &vec![5_000; many]), u32::MAX);
+    }
+}
