@@ -56,6 +56,7 @@ mod parts {
         TILE_SPLAT = "tile_splat.wgsl";
         ROTATION = "rotation.wgsl";
         SSIM = "ssim.wgsl";
+        TILE_SUMS = "tile_sums.wgsl";
         PHOTO = "photo.wgsl";
         PIXEL_ERROR = "pixel_error.wgsl";
         ENTRY_SUMS = "entry_sums.wgsl";
@@ -94,7 +95,7 @@ shaders! {
     /// Loss of each tile.
     LOSS = "loss" + [SSIM, PHOTO];
     /// Loss of the image.
-    LOSS_SUM = "loss_sum" + [];
+    LOSS_SUM = "loss_sum" + [TILE_SUMS];
     /// Gradient of the image.
     LOSS_GRADIENT = "loss_gradient" + [SSIM, PHOTO];
     /// Gradient rows of the splats.
@@ -126,7 +127,7 @@ shaders! {
     /// Scoring: pictures of individuals.
     SCORE_RASTERISE = "score_rasterise" + [SPLAT, TILE_SPLAT];
     /// Scoring: losses of individuals.
-    SCORE_SUM = "score_sum" + [];
+    SCORE_SUM = "score_sum" + [TILE_SUMS];
     /// Row edits: copies.
     GATHER = "gather" + [];
     /// Row edits: clones, children, twins, relocations.

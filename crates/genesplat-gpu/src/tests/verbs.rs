@@ -2,7 +2,8 @@
 
 use genesplat_core::backend::{Exploration, MomentPolicy};
 use genesplat_core::{
-    BackendError, Blend, Judgement, Lineage, Merit, Moments, Origin, RowEdit, SparseDelta, Statistics,
+    BackendError, Blend, Judgement, Lineage, Merit, Moments, Origin, Photo, RowEdit, SparseDelta, Statistics,
+    View,
 };
 
 use super::*;
@@ -351,6 +352,25 @@ fn scores_match() {
             compare("score", &format!("{filter:?}"), [*actual], [*expected]).unwrap();
         }
     }
+}
+
+/// More sums of tiles than a workgroup takes in one round.
+#[test]
+fn losses_of_large_pictures_match() {
+    let Some(mut gpu) = gpu() else { return };
+    let (width, height) = (330, 320);
+    let rgb = (0..3 * width * height).map(|i| (i % 251) as u8).collect();
+    let photo = Photo { width, height, rgb }.into();
+    let large = View { name: "large".into(), camera: camera().resized(width, height), photo };
+    let (mut cpu, settings) = (cpu(), settings(1, ScreenFilter::Classic));
+    for twin in [&mut gpu as &mut dyn Backend, &mut cpu] {
+        twin.set_views(std::slice::from_ref(&large)).unwrap();
+        twin.upload(cloud(200), None).unwrap();
+    }
+    let expected = cpu.loss_of_view(0, &settings);
+    compare("loss", "of a view", [gpu.loss_of_view(0, &settings).unwrap()], [expected]).unwrap();
+    let score = gpu.score(&[SparseDelta::default()], &[0], &settings).unwrap();
+    compare("score", "of the base", score, [expected]).unwrap();
 }
 
 /// Hundreds of splats in one tile, so that both lists are loaded several times, and too little room for either.
