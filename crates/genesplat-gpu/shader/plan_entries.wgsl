@@ -19,11 +19,8 @@ fn main() {
     if counters.halted != 0u {
         entries = 0u;
     }
-    let digits = digit_counts(entries);
     lengths[LENGTH_ENTRIES] = entries;
-    lengths[LENGTH_TILE_DIGITS] = digits;
     counters.entries = entries;
     write_grid(GRID_ENTRIES, entries, GROUP);
     write_grid(GRID_TILE_SORT, entries, SORT_BLOCK);
-    write_grid(GRID_TILE_SCAN, digits, SCAN_BLOCK);
 }

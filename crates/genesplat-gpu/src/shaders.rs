@@ -82,8 +82,10 @@ shaders! {
     PLAN_ENTRIES = "plan_entries" + [GRIDS];
     /// Radix sort: digits by block.
     RADIX_COUNT = "radix_count" + [];
+    /// Radix sort: where each block's digits begin.
+    DIGIT_SCAN = "digit_scan" + [GROUP_SCAN];
     /// Radix sort: every key to its place.
-    RADIX_SCATTER = "radix_scatter" + [];
+    RADIX_SCATTER = "radix_scatter" + [GROUP_SCAN];
     /// Tile counts by depth.
     RANK_COUNTS = "rank_counts" + [];
     /// Entries of the tile lists.
