@@ -12,6 +12,8 @@ struct Params {
 }
 
 struct Geometry {
+    // A parameter is NaN, which the limits in what follows may have turned into any number.
+    is_poisoned: bool,
     inverse_length: f32,
     unit: vec4<f32>,
     // Columns are the own axes in world coordinates.
@@ -59,6 +61,8 @@ fn screen_factor(det_raw: f32, det: f32) -> f32 {
 
 fn geometry_of(p: Params) -> Geometry {
     var g: Geometry;
+    g.is_poisoned = has_nan(vec4(p.position, p.opacity_logit)) || has_nan(vec4(p.log_scale, p.filter_3d))
+        || has_nan(p.rotation);
     // 1. Own axes: rotation of the unit quaternion, variances with the 3D filter.
     g.inverse_length = 1.0 / max(sqrt(dot(p.rotation, p.rotation)), 1e-12);
     g.unit = p.rotation * g.inverse_length;
@@ -102,9 +106,10 @@ fn geometry_of(p: Params) -> Geometry {
     return g;
 }
 
-// In front of the near plane, with an invertible covariance; false for anything that is not finite.
+// In front of the near plane, with an invertible covariance; false for anything that is not finite, so that a poisoned
+// Gaussian disappears instead of spreading.
 fn is_valid(g: Geometry) -> bool {
-    return g.t.z > NEAR_DEPTH && g.det > 0.0 && is_finite(g.det) && is_finite(g.t.z);
+    return !g.is_poisoned && g.t.z > NEAR_DEPTH && g.det > 0.0 && is_finite(g.det) && is_finite(g.t.z);
 }
 
 fn mean_px(g: Geometry) -> vec2<f32> {
@@ -129,14 +134,14 @@ fn is_seen(g: Geometry) -> bool {
 
 // True where the splat reaches the image; then `out` is the splat without its colour.
 fn splat_of(g: Geometry, out: ptr<function, Splat>) -> bool {
-    // `>` is false for NaN, so that a poisoned Gaussian disappears instead of spreading.
     if !is_valid(g) || !(g.opacity_effective > ALPHA_MIN) {
         return false;
     }
     let mean = mean_px(g);
     // alpha >= 1/255 <=> d^T cov^-1 d <= 2 ln(255 o): half extents sqrt(2 ln(255 o) cov_kk).
     let log2_opacity = log2(g.opacity_effective);
-    let reach = 2.0 * LN_2 * (log2_opacity + LOG2_255);
+    // At alpha = 1/255 the logarithm's rounding may leave it below 0, and the root would be NaN.
+    let reach = max(2.0 * LN_2 * (log2_opacity + LOG2_255), 0.0);
     let half_extent = sqrt(reach * g.cov.xz);
     let size = vec2(f32(frame.width), f32(frame.height));
     if !(all(mean + half_extent >= vec2(0.0)) && all(mean - half_extent <= size - 1.0)) {

@@ -6,7 +6,3 @@ fn write_grid(slot: u32, items: u32, each: u32) {
     grids[3u * slot + 1u] = (groups + GRID_WIDTH - 1u) / GRID_WIDTH;
     grids[3u * slot + 2u] = 1u;
 }
-
-fn digit_counts(items: u32) -> u32 {
-    return DIGITS * ((items + SORT_BLOCK - 1u) / SORT_BLOCK);
-}

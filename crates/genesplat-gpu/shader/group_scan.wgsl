@@ -1,7 +1,12 @@
-// Prefix sum over the 256 invocations of a workgroup: sixteen sums of sixteen, then one of those. Few barriers.
+// Prefix sum over the 256 invocations of a workgroup: sixteen sums of sixteen, then one of those. Few barriers. A sum that
+// exceeds 32 bits is the largest number instead, so that it exceeds every capacity, too.
 
 var<workgroup> scan_values: array<u32, 256>;
 var<workgroup> scan_rows: array<u32, 17>;
+
+fn saturating_add(a: u32, b: u32) -> u32 {
+    return a + min(b, ~a);
+}
 
 // The sum of `value` over the invocations before `lane`; `scan_rows[16]` is that of all.
 fn exclusive_in_group(lane: u32, value: u32) -> u32 {
@@ -13,7 +18,7 @@ fn exclusive_in_group(lane: u32, value: u32) -> u32 {
             let at = 16u * lane + i;
             let here = scan_values[at];
             scan_values[at] = sum;
-            sum += here;
+            sum = saturating_add(sum, here);
         }
         scan_rows[lane] = sum;
     }
@@ -23,7 +28,7 @@ fn exclusive_in_group(lane: u32, value: u32) -> u32 {
         for (var i = 0u; i < 16u; i++) {
             let here = scan_rows[i];
             scan_rows[i] = sum;
-            sum += here;
+            sum = saturating_add(sum, here);
         }
         scan_rows[16] = sum;
     }

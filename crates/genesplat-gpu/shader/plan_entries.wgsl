@@ -9,6 +9,7 @@
 
 @compute @workgroup_size(1)
 fn main() {
+    // Where the lists would have more entries than 32 bits can count, as many as these can.
     let wanted = sums[(lengths[LENGTH_VISIBLE] + SCAN_BLOCK - 1u) / SCAN_BLOCK];
     var entries = wanted;
     counters.wanted = max(counters.wanted, wanted);
@@ -18,11 +19,8 @@ fn main() {
     if counters.halted != 0u {
         entries = 0u;
     }
-    let digits = digit_counts(entries);
     lengths[LENGTH_ENTRIES] = entries;
-    lengths[LENGTH_TILE_DIGITS] = digits;
     counters.entries = entries;
     write_grid(GRID_ENTRIES, entries, GROUP);
     write_grid(GRID_TILE_SORT, entries, SORT_BLOCK);
-    write_grid(GRID_TILE_SCAN, digits, SCAN_BLOCK);
 }

@@ -8,12 +8,9 @@
 @compute @workgroup_size(1)
 fn main() {
     let visible = sums[(lengths[LENGTH_ROWS] + SCAN_BLOCK - 1u) / SCAN_BLOCK];
-    let digits = digit_counts(visible);
     lengths[LENGTH_VISIBLE] = visible;
-    lengths[LENGTH_DEPTH_DIGITS] = digits;
     counters.visible = visible;
     write_grid(GRID_VISIBLE, visible, GROUP);
     write_grid(GRID_VISIBLE_SCAN, visible, SCAN_BLOCK);
     write_grid(GRID_DEPTH_SORT, visible, SORT_BLOCK);
-    write_grid(GRID_DEPTH_SCAN, digits, SCAN_BLOCK);
 }

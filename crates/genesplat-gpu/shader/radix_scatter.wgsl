@@ -1,4 +1,4 @@
-// Radix sort, step 2 of each pass: every key to its place, keys of equal digits in their old order.
+// Radix sort, step 3 of each pass: every key to its place, keys of equal digits in their old order.
 //
 // A workgroup takes 256 keys at a time. Each invocation sets its bit in the mask of its digit; the bits below it are the
 // equal digits before it. This needs neither subgroups nor any promise about the order of workgroups.
@@ -8,11 +8,13 @@ override SHIFT: u32;
 // The values are the places of the keys before the first pass.
 override COUNT_UP: bool;
 @group(0) @binding(0) var<storage, read> lengths: array<u32>;
-@group(0) @binding(1) var<storage, read> starts: array<u32>;
-@group(0) @binding(2) var<storage, read> keys: array<u32>;
-@group(0) @binding(3) var<storage, read> values: array<u32>;
-@group(0) @binding(4) var<storage, read_write> keys_out: array<u32>;
-@group(0) @binding(5) var<storage, read_write> values_out: array<u32>;
+// Where each block begins among the keys of a digit [256, blocks], and the numbers of these keys [256].
+@group(0) @binding(1) var<storage, read> digit_starts: array<u32>;
+@group(0) @binding(2) var<storage, read> digit_totals: array<u32>;
+@group(0) @binding(3) var<storage, read> keys: array<u32>;
+@group(0) @binding(4) var<storage, read> values: array<u32>;
+@group(0) @binding(5) var<storage, read_write> keys_out: array<u32>;
+@group(0) @binding(6) var<storage, read_write> values_out: array<u32>;
 
 const WORDS: u32 = GROUP / 32u;
 var<workgroup> masks: array<atomic<u32>, DIGITS * WORDS>;
@@ -26,7 +28,8 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     if block >= blocks {
         return;
     }
-    next[lane] = starts[lane * blocks + block];
+    // Behind all keys of smaller digits.
+    next[lane] = exclusive_in_group(lane, digit_totals[lane]) + digit_starts[lane * blocks + block];
     for (var word = 0u; word < WORDS; word++) {
         atomicStore(&masks[lane * WORDS + word], 0u);
     }

@@ -1,4 +1,4 @@
-// Counter-based random numbers, the CPU's to the bit: Philox4x32-10 (Salmon et al., SC 2011).
+// Counter-based random words, the CPU's to the bit: Philox4x32-10 (Salmon et al., SC 2011).
 
 // High 32 bits of a product.
 fn multiply_high(a: u32, b: u32) -> u32 {
@@ -25,13 +25,16 @@ fn philox(start: vec4<u32>, seed: vec2<u32>) -> vec4<u32> {
     return c;
 }
 
-// Two standard normal numbers (Box-Muller). The CPU computes these in f64; here they agree to f32's last digits.
+// Two standard normal numbers (Box-Muller), which the CPU computes in f64. The words are the CPU's to the bit, but how near
+// these come is the driver's choice: WGSL promises sines and cosines within 2^-11 (most drivers are far better), and only
+// from -pi to pi.
 fn normals(a: u32, b: u32) -> vec2<f32> {
     // (0, 1]: the logarithm never sees zero.
     let u = (f32(a) + 1.0) * (1.0 / 4294967296.0);
-    let v = f32(b) * (TAU / 4294967296.0);
+    // Half a turn before the CPU's angle, which negates both.
+    let v = f32(bitcast<i32>(b ^ 0x80000000u)) * (TAU / 4294967296.0);
     let radius = sqrt(-2.0 * log(u));
-    return radius * vec2(cos(v), sin(v));
+    return -radius * vec2(cos(v), sin(v));
 }
 
 // Three standard normal numbers for one address.

@@ -26,17 +26,14 @@ fn main(
     let origin = vec2(f32(tile.x * TILE), f32(tile.y * TILE));
     let pixel = tile.xy * TILE + local.xy;
     let inside = pixel.x < frame.width && pixel.y < frame.height;
-    let at = vec2<f32>(local.xy);
     if lane == 0u {
         range = ranges[tile.y * frame.tiles_x + tile.x];
         atomicStore(&finished_pixels, 0u);
     }
     let entry_range = workgroupUniformLoad(&range);
 
-    var colour = vec3(0.0);
-    var transmittance = 1.0;
-    var finished = !inside;
-    if finished {
+    var sight = Sight(vec2<f32>(local.xy), vec3(0.0), 1.0, !inside);
+    if sight.finished {
         atomicAdd(&finished_pixels, 1u);
     }
     for (var first = entry_range.x; first < entry_range.y; first += TILE_PIXELS) {
@@ -55,24 +52,12 @@ fn main(
         workgroupBarrier();
         // 3. Blend.
         let count = min(TILE_PIXELS, entry_range.y - first);
-        for (var i = 0u; i < count && !finished; i++) {
-            let exponent = exponent_at(batch[i].conic_log2, batch[i].log2_opacity, batch[i].mean - at);
-            if exponent < -LOG2_255 {
-                continue;
-            }
-            let weight = transmittance * min(exp2(exponent), ALPHA_MAX);
-            let next = transmittance - weight;
-            if next < TRANSMITTANCE_MIN {
-                finished = true;
-                atomicAdd(&finished_pixels, 1u);
-            } else {
-                colour += weight * batch[i].rgb;
-                transmittance = next;
-            }
+        for (var i = 0u; i < count && !sight.finished; i++) {
+            blend(&sight, i);
         }
     }
     if inside {
-        let value = colour + transmittance * frame.background.xyz;
+        let value = sight.colour + sight.transmittance * frame.background.xyz;
         let pixels = frame.width * frame.height;
         let out = pixel.y * frame.width + pixel.x;
         image[out] = value.x;

@@ -18,7 +18,7 @@ fn main(@builtin(local_invocation_index) lane: u32) {
         if block < blocks {
             sums[block] = before + prefix;
         }
-        before += scan_rows[16];
+        before = saturating_add(before, scan_rows[16]);
         workgroupBarrier();
     }
     if lane == 0u {

@@ -13,7 +13,7 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     for (var i = 0u; i < SCAN_BLOCK / GROUP; i++) {
         let at = block * SCAN_BLOCK + i * GROUP + lane;
         if at < length {
-            sum += input[at];
+            sum = saturating_add(sum, input[at]);
         }
     }
     exclusive_in_group(lane, sum);

@@ -93,11 +93,8 @@ fn main(
         }
         return;
     }
-    let at = vec2<f32>(local.xy);
-    var colour = vec3(0.0);
-    var transmittance = 1.0;
-    var finished = !inside;
-    if finished {
+    var sight = Sight(vec2<f32>(local.xy), vec3(0.0), 1.0, !inside);
+    if sight.finished {
         atomicAdd(&finished_pixels, 1u);
     }
     loop {
@@ -133,22 +130,8 @@ fn main(
             } else {
                 j++;
             }
-            if finished {
-                continue;
-            }
-            let splat = batch[from_list];
-            let exponent = exponent_at(splat.conic_log2, splat.log2_opacity, splat.mean - at);
-            if exponent < -LOG2_255 {
-                continue;
-            }
-            let weight = transmittance * min(exp2(exponent), ALPHA_MAX);
-            let left = transmittance - weight;
-            if left < TRANSMITTANCE_MIN {
-                finished = true;
-                atomicAdd(&finished_pixels, 1u);
-            } else {
-                colour += weight * splat.rgb;
-                transmittance = left;
+            if !sight.finished {
+                blend(&sight, from_list);
             }
         }
         // 4. Where to go on; nowhere when no pixel needs more.
@@ -161,7 +144,7 @@ fn main(
         }
     }
     if inside {
-        let value = colour + transmittance * frame.background.xyz;
+        let value = sight.colour + sight.transmittance * frame.background.xyz;
         for (var channel = 0u; channel < 3u; channel++) {
             images[(3u * layer + channel) * pixels + place] = value[channel];
         }

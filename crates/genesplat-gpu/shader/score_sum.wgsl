@@ -7,26 +7,11 @@
 // Loss and mean squared error [P, V].
 @group(0) @binding(3) var<storage, read_write> judgements: array<vec2<f32>>;
 
-var<workgroup> totals: array<vec4<f32>, GROUP>;
-
 @compute @workgroup_size(GROUP)
 fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     let layer = group_of(group);
-    let blocks = 3u * frame.tiles_x * frame.tiles_y;
-    var sum = vec4(0.0);
-    for (var at = lane; at < blocks; at += GROUP) {
-        sum += sums[layer * blocks + at];
+    let mean = mean_of_layer(layer, lane);
+    if lane == 0u && layer < window.count {
+        judgements[(window.first + layer) * window.source_count + window.source_first] = vec2(loss_of(mean), mean.z);
     }
-    totals[lane] = sum;
-    workgroupBarrier();
-    if lane != 0u || layer >= window.count {
-        return;
-    }
-    var total = vec4(0.0);
-    for (var i = 0u; i < GROUP; i++) {
-        total += totals[i];
-    }
-    let mean = total / f32(3u * frame.width * frame.height);
-    judgements[(window.first + layer) * window.source_count + window.source_first] =
-        vec2((1.0 - LAMBDA_DSSIM) * mean.x + LAMBDA_DSSIM * (1.0 - mean.y), mean.z);
 }

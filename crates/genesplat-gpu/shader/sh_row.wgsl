@@ -1,4 +1,4 @@
-// Reads the coefficients of one row of `sh`.
+// Reads the coefficients of one row of `sh`: array<vec4<f32>>, 12 vectors a row.
 
 // Four coefficients, from coefficient 4 * group on: columns are their colours.
 fn sh_group(row: u32, group: u32) -> array<vec3<f32>, 4> {
@@ -9,23 +9,18 @@ fn sh_group(row: u32, group: u32) -> array<vec3<f32>, 4> {
     return array(a.xyz, vec3(a.w, b.xy), vec3(b.zw, c.x), c.yzw);
 }
 
-// Groups of four coefficients that hold the active ones.
-fn sh_groups(degree: u32) -> u32 {
-    return ((degree + 1u) * (degree + 1u) + 3u) / 4u;
-}
-
 // Colour before 0.5 is added and it is clamped.
 fn sh_colour(row: u32, degree: u32, position: vec3<f32>) -> vec3<f32> {
     if degree == 0u {
         return SH_C0 * sh[12u * row].xyz;
     }
-    let basis = sh_basis(degree, view_direction(position).xyz);
+    let direction = view_direction(position).xyz;
     var sum = vec3(0.0);
-    let groups = sh_groups(degree);
-    for (var group = 0u; group < groups; group++) {
+    for (var group = 0u; group < sh_groups(degree); group++) {
+        let basis = sh_basis(degree, group, direction);
         let rgb = sh_group(row, group);
         for (var k = 0u; k < 4u; k++) {
-            sum += basis[4u * group + k] * rgb[k];
+            sum += basis[k] * rgb[k];
         }
     }
     return sum;

@@ -4,10 +4,15 @@ fn write_splat(params: Params, colours: u32, layer: u32, slot: u32) {
     let g = geometry_of(params);
     var splat: Splat;
     var count = 0u;
-    let has_splat = splat_of(g, &splat);
+    var has_splat = splat_of(g, &splat);
+    var colour = vec3(0.0);
+    if has_splat {
+        colour = sh_colour(colours, frame.sh_degree, params.position) + 0.5;
+        // Clamping could make any colour of a NaN.
+        has_splat = !has_nan(vec4(colour, 0.0));
+    }
     if has_splat {
         count = count_tiles(splat) | SPLAT_BIT;
-        let colour = sh_colour(colours, frame.sh_degree, params.position) + 0.5;
         let below = colour < vec3(0.0);
         splat.rgb = max(colour, vec3(0.0));
         splat.clamped = u32(below.x) | u32(below.y) << 1u | u32(below.z) << 2u;

@@ -59,6 +59,8 @@ pub struct GpuBackend {
     entry_room: Option<u64>,
     /// Steps submitted since the host last looked.
     unseen: Vec<TrainStep>,
+    /// What a verb that cannot fail has met; the next one that can returns it.
+    failure: Option<BackendError>,
     report: StepReport,
     /// Optimiser steps made.
     steps: u32,
@@ -84,6 +86,7 @@ impl GpuBackend {
             entry_room: None,
             views: Vec::new(),
             unseen: Vec::new(),
+            failure: None,
             report: StepReport::default(),
             steps: 0,
             timestamps: None,
@@ -157,8 +160,9 @@ impl GpuBackend {
 
     /// What the device has counted since it was last told to forget it.
     pub(crate) fn counters(&self) -> Result<Counters, BackendError> {
-        let [counters] = self.engine.read([(&self.lists.counters, 0..size_of::<Counters>() as u64)])?;
-        Ok(bytemuck::pod_read_unaligned(&counters))
+        let mut counters = Counters::default();
+        self.engine.read([(&self.lists.counters, bytemuck::bytes_of_mut(&mut counters))])?;
+        Ok(counters)
     }
 
     pub(crate) fn clear_counters(&self) {
@@ -173,6 +177,9 @@ impl GpuBackend {
 
     /// Waits until every submitted step is done, repeating those that an overflow has stopped.
     pub(crate) fn settle(&mut self) -> Result<(), BackendError> {
+        if let Some(failure) = self.failure.take() {
+            return Err(failure);
+        }
         while !self.unseen.is_empty() {
             let counters = self.hear()?;
             if counters.halted & HALT_NON_FINITE != 0 {
@@ -322,13 +329,12 @@ impl Backend for GpuBackend {
         self.settle()?;
         let frame = frame_of(camera, settings, self.state.rows);
         self.submit_until_lists_fit(|gpu| gpu.submit_image(&frame))?;
-        let [image] = self.engine.read([(&self.pixels.image, 0..image_bytes(&frame))])?;
-        let planes = bytemuck::pod_collect_to_vec(&image);
+        let planes = self.engine.read_values(&self.pixels.image, image_bytes(&frame) / 4)?;
         Ok(Image { width: camera.width, height: camera.height, planes })
     }
 
     fn train_step(&mut self, step: &TrainStep) -> Result<(), BackendError> {
-        if self.unseen.len() >= STEPS_UNSEEN {
+        if self.unseen.len() >= STEPS_UNSEEN || self.failure.is_some() {
             self.settle()?;
         }
         self.engine.check()?;
@@ -362,9 +368,9 @@ impl Backend for GpuBackend {
     }
 
     fn reset_statistics(&mut self, genes: bool) {
-        // A failure of steps before comes back with the next verb that can say so.
-        if self.settle().is_ok() {
-            self.state.reset_statistics(&self.engine, genes);
+        match self.settle() {
+            Ok(()) => self.state.reset_statistics(&self.engine, genes),
+            Err(failure) => self.failure = Some(failure),
         }
     }
 

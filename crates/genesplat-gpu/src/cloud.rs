@@ -111,10 +111,13 @@ impl Parameters {
         rows: u64,
         filter: bool,
     ) -> Result<Gaussians, BackendError> {
-        let (geometry, sh) = (&self.geometry, &self.sh);
-        let [geometry, sh] =
-            engine.read([(&geometry.memory, 0..geometry.bytes(rows)), (&sh.memory, 0..sh.bytes(rows))])?;
-        Ok(unpack(&geometry, &sh, filter))
+        let mut geometry = bytemuck::zeroed_vec(rows as usize);
+        let mut sh = bytemuck::zeroed_vec(rows as usize);
+        engine.read([
+            (&self.geometry.memory, bytemuck::cast_slice_mut::<GeometryRow, _>(&mut geometry)),
+            (&self.sh.memory, bytemuck::cast_slice_mut(&mut sh)),
+        ])?;
+        Ok(unpack(&geometry, sh, filter))
     }
 }
 
@@ -132,15 +135,13 @@ fn pack_geometry(values: &Gaussians) -> Vec<GeometryRow> {
         .collect()
 }
 
-fn unpack(geometry: &[u8], sh: &[u8], filter: bool) -> Gaussians {
-    // Read-backs are bytes of any alignment, so values are copied out.
-    let rows: Vec<GeometryRow> = bytemuck::pod_collect_to_vec(geometry);
+fn unpack(rows: &[GeometryRow], sh: Vec<[f32; SH_FLOATS as usize]>, filter: bool) -> Gaussians {
     Gaussians {
         positions: rows.iter().map(|r| [r[0], r[1], r[2]]).collect(),
         log_scales: rows.iter().map(|r| [r[4], r[5], r[6]]).collect(),
         rotations: rows.iter().map(|r| [r[8], r[9], r[10], r[11]]).collect(),
         opacity_logits: rows.iter().map(|r| r[3]).collect(),
-        sh: bytemuck::pod_collect_to_vec(sh),
+        sh,
         filter_3d: filter.then(|| rows.iter().map(|r| r[7]).collect()),
     }
 }
@@ -164,7 +165,6 @@ mod tests {
         cloud.opacity_logits[1] = 11.0;
         cloud.sh[1][47] = 12.0;
         cloud.filter_3d = Some(vec![0.5, 0.25]);
-        let (geometry, sh) = (pack_geometry(&cloud), cloud.sh.clone());
-        assert_eq!(unpack(bytemuck::cast_slice(&geometry), bytemuck::cast_slice(&sh), true), cloud);
+        assert_eq!(unpack(&pack_geometry(&cloud), cloud.sh.clone(), true), cloud);
     }
 }

@@ -95,8 +95,8 @@ impl GpuBackend {
     fn download_credits(&self, mutants: usize, batches: &[Batch]) -> Result<Credits, BackendError> {
         let mut credits = Credits::default();
         for Batch { credits: column, .. } in batches {
-            let [values] = self.engine.read([(&column.memory, 0..column.bytes(self.state.rows))])?;
-            let values: Vec<[f32; CREDIT_FLOATS as usize]> = bytemuck::pod_collect_to_vec(&values);
+            let values: Vec<[f32; CREDIT_FLOATS as usize]> =
+                self.engine.read_values(&column.memory, self.state.rows)?;
             let of_mutant = |channel: usize| values.iter().map(|of_row| of_row[channel]).collect();
             credits.changes.extend((0..MUTANTS_AT_ONCE as usize).map(of_mutant));
             credits.views = values.iter().map(|[.., views]| *views as u32).collect();

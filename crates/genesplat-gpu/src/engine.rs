@@ -8,9 +8,9 @@ use std::sync::{Arc, Mutex, mpsc};
 use bytemuck::Pod;
 use genesplat_core::BackendError;
 use wgpu::{
-    BindGroupLayout, Buffer, BufferDescriptor, BufferUsages, ComputePipeline, ComputePipelineDescriptor,
-    Device, DeviceDescriptor, ErrorFilter, Features, MapMode, PipelineCompilationOptions, PollType, Queue,
-    ShaderModuleDescriptor, ShaderSource,
+    BindGroupLayout, Buffer, BufferDescriptor, BufferUsages, CommandBuffer, ComputePipeline,
+    ComputePipelineDescriptor, Device, DeviceDescriptor, ErrorFilter, Features, MapMode,
+    PipelineCompilationOptions, PollType, Queue, ShaderModuleDescriptor, ShaderSource,
 };
 
 use crate::adapter;
@@ -19,6 +19,21 @@ use crate::shaders::Shader;
 
 /// Smallest buffer, bytes: an empty cloud has buffers, too.
 const BUFFER_BYTES_MIN: u64 = 256;
+
+/// Bytes that may wait to be copied to the device, 64 MiB: until something is submitted and done, whatever is written lies
+/// in the host's memory once more. All photos of a scene would be gigabytes.
+const WRITTEN_BYTES_MAX: usize = 64 << 20;
+
+/// Bytes that are read back at once, 256 MiB: they pass through a buffer, and a whole cloud may exceed the largest that a
+/// device makes.
+const READ_BYTES_MAX: u64 = 256 << 20;
+
+/// A part of a buffer, and where it goes on the host.
+struct Piece<'a> {
+    buffer: &'a Buffer,
+    first_byte: u64,
+    target: &'a mut [u8],
+}
 
 /// A shader with values for its `override` constants.
 type KernelKey = (&'static str, Vec<(&'static str, u32)>);
@@ -43,6 +58,12 @@ pub struct Engine {
     buffer_bytes: u64,
     /// Bytes that may be allocated: all that the device has, unless a test wants less.
     pub(crate) memory_bytes: u64,
+    /// Bytes that may wait to be copied to the device: [`WRITTEN_BYTES_MAX`], unless a test wants fewer.
+    pub(crate) written_bytes_max: usize,
+    /// Bytes that are read back at once: [`READ_BYTES_MAX`], unless a test wants fewer.
+    pub(crate) read_bytes_max: u64,
+    /// Bytes that wait to be copied to the device.
+    pub(crate) written: Cell<usize>,
     pub(crate) timestamps: bool,
     kernels: RefCell<HashMap<KernelKey, Kernel>>,
     lost: Arc<Mutex<Option<String>>>,
@@ -75,6 +96,9 @@ impl Engine {
             window_rows: limits.max_storage_buffer_binding_size / (4 * u64::from(SH_FLOATS)),
             buffer_bytes: limits.max_buffer_size,
             memory_bytes: u64::MAX,
+            written_bytes_max: WRITTEN_BYTES_MAX,
+            read_bytes_max: READ_BYTES_MAX,
+            written: Cell::default(),
             device,
             queue,
             name,
@@ -143,29 +167,84 @@ impl Engine {
 
     /// Overwrites part of a buffer, before whatever is submitted next.
     pub(crate) fn write<T: Pod>(&self, memory: &Memory, first_byte: u64, content: &[T]) {
-        if !content.is_empty() {
-            self.queue.write_buffer(&memory.buffer, first_byte, bytemuck::cast_slice(content));
+        let bytes: &[u8] = bytemuck::cast_slice(content);
+        let most = self.written_bytes_max;
+        for (piece, at) in bytes.chunks(most).zip((first_byte..).step_by(most)) {
+            self.queue.write_buffer(&memory.buffer, at, piece);
+            self.written.set(self.written.get() + piece.len());
+            if self.written.get() >= most {
+                self.flush();
+            }
         }
     }
 
-    /// Waits for the device and copies parts of buffers (byte ranges, multiples of 4) to the host, all at once.
-    pub(crate) fn read<const K: usize>(
-        &self,
-        parts: [(&Memory, std::ops::Range<u64>); K],
-    ) -> Result<[Vec<u8>; K], BackendError> {
-        let total: u64 = parts.iter().map(|(_, range)| range.end - range.start).sum();
+    /// Copies everything that was written to the device, and frees what it took on the host.
+    fn flush(&self) {
+        self.submit([]);
+        // Whoever waits next, and can say so, hears of a device that is lost.
+        let _ = self.wait();
+    }
+
+    /// Hands commands to the device, and before them all that was written; does not wait.
+    pub(crate) fn submit(&self, commands: impl IntoIterator<Item = CommandBuffer>) {
+        self.written.set(0);
+        self.queue.submit(commands);
+    }
+
+    /// Waits for the device and copies the first `count` values of a buffer to the host.
+    pub(crate) fn read_values<T: Pod>(&self, memory: &Memory, count: u64) -> Result<Vec<T>, BackendError> {
+        let mut values = bytemuck::zeroed_vec(count as usize);
+        self.read([(memory, bytemuck::cast_slice_mut(&mut values))])?;
+        Ok(values)
+    }
+
+    /// Waits for the device and fills targets (multiples of 4 bytes) from the beginning of their buffers: all at once, or
+    /// piece by piece where they are larger than what is read at once.
+    pub(crate) fn read<const K: usize>(&self, parts: [(&Memory, &mut [u8]); K]) -> Result<(), BackendError> {
+        let most = (self.read_bytes_max.min(self.buffer_bytes) / 4 * 4) as usize;
+        let total: usize = parts.iter().map(|(_, target)| target.len()).sum();
         let usage = BufferUsages::MAP_READ | BufferUsages::COPY_DST;
-        let staging = self.create("a read-back", total.max(BUFFER_BYTES_MIN), usage)?;
+        let staging = self.create("a read-back", (total.min(most) as u64).max(BUFFER_BYTES_MIN), usage)?;
+        let (mut pieces, mut staged) = (Vec::new(), 0);
+        for (memory, target) in parts {
+            for (first_byte, target) in (0..).step_by(most).zip(target.chunks_mut(most)) {
+                if staged + target.len() > most {
+                    self.read_pieces(&staging, std::mem::take(&mut pieces))?;
+                    staged = 0;
+                }
+                staged += target.len();
+                pieces.push(Piece { buffer: &memory.buffer, first_byte, target });
+            }
+        }
+        self.read_pieces(&staging, pieces)
+    }
+
+    /// Pieces that fit `staging`, with one wait.
+    fn read_pieces(&self, staging: &Buffer, pieces: Vec<Piece>) -> Result<(), BackendError> {
         let mut encoder = self.device.create_command_encoder(&Default::default());
         let mut at = 0;
-        for (memory, range) in &parts {
-            let bytes = range.end - range.start;
-            if bytes > 0 {
-                encoder.copy_buffer_to_buffer(&memory.buffer, range.start, &staging, at, bytes);
-            }
+        for piece in &pieces {
+            let bytes = piece.target.len() as u64;
+            encoder.copy_buffer_to_buffer(piece.buffer, piece.first_byte, staging, at, bytes);
             at += bytes;
         }
-        self.queue.submit([encoder.finish()]);
+        self.submit([encoder.finish()]);
+        self.map(staging)?;
+        let mapped =
+            staging.slice(..).get_mapped_range().map_err(|error| self.is_lost(&error.to_string()))?;
+        let mut rest = &mapped[..];
+        for piece in pieces {
+            let (bytes, behind) = rest.split_at(piece.target.len());
+            piece.target.copy_from_slice(bytes);
+            rest = behind;
+        }
+        drop(mapped);
+        staging.unmap();
+        Ok(())
+    }
+
+    /// Waits until a buffer can be read by the host.
+    fn map(&self, staging: &Buffer) -> Result<(), BackendError> {
         let (sender, receiver) = mpsc::channel();
         staging.slice(..).map_async(MapMode::Read, move |result| {
             // Nobody listens any more only when waiting failed already.
@@ -173,19 +252,10 @@ impl Engine {
         });
         self.wait()?;
         match receiver.recv() {
-            Ok(Ok(())) => {}
-            Ok(Err(error)) => return Err(self.is_lost(&error.to_string())),
-            Err(error) => return Err(self.is_lost(&error.to_string())),
+            Ok(Ok(())) => Ok(()),
+            Ok(Err(error)) => Err(self.is_lost(&error.to_string())),
+            Err(error) => Err(self.is_lost(&error.to_string())),
         }
-        let mapped =
-            staging.slice(..).get_mapped_range().map_err(|error| self.is_lost(&error.to_string()))?;
-        let mut at = 0;
-        let parts = parts.map(|(_, range)| {
-            let bytes = (range.end - range.start) as usize;
-            at += bytes;
-            mapped[at - bytes..at].to_vec()
-        });
-        Ok(parts)
     }
 
     /// Waits until everything submitted is done; only then is the memory of dropped buffers free.

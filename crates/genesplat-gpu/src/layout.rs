@@ -250,14 +250,10 @@ pub const SIGNAL_PIXELS: u32 = 4;
 pub const LENGTH_ROWS: u32 = 0;
 /// ... splats of the view, ...
 pub const LENGTH_VISIBLE: u32 = 1;
-/// ... entries of all tile lists, ...
+/// ... entries of all tile lists.
 pub const LENGTH_ENTRIES: u32 = 2;
-/// ... counts of the digits in all blocks of the depth sort, ...
-pub const LENGTH_DEPTH_DIGITS: u32 = 3;
-/// ... and of the tile sort.
-pub const LENGTH_TILE_DIGITS: u32 = 4;
 /// Slots.
-pub const LENGTHS: u32 = 8;
+pub const LENGTHS: u32 = 3;
 
 /// Grids that only the device knows: an invocation a splat, ...
 pub const GRID_VISIBLE: u32 = 0;
@@ -265,16 +261,12 @@ pub const GRID_VISIBLE: u32 = 0;
 pub const GRID_VISIBLE_SCAN: u32 = 1;
 /// ... a pass of the depth sort, ...
 pub const GRID_DEPTH_SORT: u32 = 2;
-/// ... the prefix sum within it, ...
-pub const GRID_DEPTH_SCAN: u32 = 3;
 /// ... an invocation an entry, ...
-pub const GRID_ENTRIES: u32 = 4;
-/// ... a pass of the tile sort, ...
-pub const GRID_TILE_SORT: u32 = 5;
-/// ... the prefix sum within it.
-pub const GRID_TILE_SCAN: u32 = 6;
+pub const GRID_ENTRIES: u32 = 3;
+/// ... a pass of the tile sort.
+pub const GRID_TILE_SORT: u32 = 4;
 /// Grids.
-pub const GRIDS: u32 = 8;
+pub const GRIDS: u32 = 5;
 
 /// Codes of [`genesplat_core::Origin`].
 pub const ORIGIN_KEPT: u32 = 0;
@@ -381,15 +373,11 @@ fn integer_constants() -> Vec<(&'static str, u32)> {
         ("LENGTH_ROWS", LENGTH_ROWS),
         ("LENGTH_VISIBLE", LENGTH_VISIBLE),
         ("LENGTH_ENTRIES", LENGTH_ENTRIES),
-        ("LENGTH_DEPTH_DIGITS", LENGTH_DEPTH_DIGITS),
-        ("LENGTH_TILE_DIGITS", LENGTH_TILE_DIGITS),
         ("GRID_VISIBLE", GRID_VISIBLE),
         ("GRID_VISIBLE_SCAN", GRID_VISIBLE_SCAN),
         ("GRID_DEPTH_SORT", GRID_DEPTH_SORT),
-        ("GRID_DEPTH_SCAN", GRID_DEPTH_SCAN),
         ("GRID_ENTRIES", GRID_ENTRIES),
         ("GRID_TILE_SORT", GRID_TILE_SORT),
-        ("GRID_TILE_SCAN", GRID_TILE_SCAN),
         ("STREAM_SPLIT_OFFSET", Stream::SplitOffset as u32),
         ("STREAM_EXPLORATION_NOISE", Stream::ExplorationNoise as u32),
     ]

@@ -135,8 +135,8 @@ impl GpuBackend {
         views: &[usize],
         settings: &RenderSettings,
     ) -> Result<Vec<Judgement>, BackendError> {
-        let bytes = 8 * (blends.len() * views.len()) as u64;
-        let judgements = self.engine.allocate("judgements", bytes)?;
+        let count = (blends.len() * views.len()) as u64;
+        let judgements = self.engine.allocate("judgements", 8 * count)?;
         self.submit_until_lists_fit(|gpu| {
             for (individual, blend) in blends.iter().enumerate() {
                 gpu.state.make_child(&gpu.engine, blend)?;
@@ -147,8 +147,7 @@ impl GpuBackend {
             }
             Ok(())
         })?;
-        let [judgements] = self.engine.read([(&judgements, 0..bytes)])?;
-        let judgements: Vec<[f32; 2]> = bytemuck::pod_collect_to_vec(&judgements);
+        let judgements: Vec<[f32; 2]> = self.engine.read_values(&judgements, count)?;
         Ok(judgements.into_iter().map(|[loss, squared_error]| Judgement { loss, squared_error }).collect())
     }
 

@@ -12,9 +12,8 @@ use genesplat_core::BackendError;
 use crate::cloud::{Parameters, RowWindow};
 use crate::engine::{Engine, Memory};
 use crate::layout::{
-    Counters, DIGITS, Frame, GRID_DEPTH_SCAN, GRID_DEPTH_SORT, GRID_ENTRIES, GRID_TILE_SCAN, GRID_TILE_SORT,
-    GRID_VISIBLE, GRID_VISIBLE_SCAN, GRIDS, LENGTH_DEPTH_DIGITS, LENGTH_ENTRIES, LENGTH_ROWS,
-    LENGTH_TILE_DIGITS, LENGTH_VISIBLE, LENGTHS, SCAN_BLOCK, SORT_BLOCK, SPLAT_FLOATS,
+    Counters, DIGITS, Frame, GRID_DEPTH_SORT, GRID_ENTRIES, GRID_TILE_SORT, GRID_VISIBLE, GRID_VISIBLE_SCAN,
+    GRIDS, LENGTH_ENTRIES, LENGTH_ROWS, LENGTH_VISIBLE, LENGTHS, SCAN_BLOCK, SORT_BLOCK, SPLAT_FLOATS,
 };
 use crate::recorder::{Grid, Recorder};
 use crate::shaders;
@@ -42,8 +41,10 @@ pub struct Lists {
     sums: Memory,
     keys: [Memory; 2],
     values: [Memory; 2],
+    /// Of each block, then where these begin `[256, blocks]`.
     digit_counts: Memory,
-    digit_starts: Memory,
+    /// `[256]`
+    digit_totals: Memory,
     /// Splat of each entry `[E]`.
     pub(crate) entry_splats: Memory,
     /// First entry of each splat `[N]`.
@@ -74,7 +75,7 @@ impl Lists {
             keys: [small("sort keys")?, small("sort keys")?],
             values: [small("sort values")?, small("sort values")?],
             digit_counts: small("digit counts")?,
-            digit_starts: small("digit starts")?,
+            digit_totals: engine.allocate("digit totals", 4 * u64::from(DIGITS))?,
             entry_splats: small("splats of tile entries")?,
             first_entries: small("first tile entries")?,
             ranges: small("tile ranges")?,
@@ -94,7 +95,6 @@ impl Lists {
             &mut self.ranks,
             &mut self.sums,
             &mut self.digit_counts,
-            &mut self.digit_starts,
             &mut self.entry_splats,
             &mut self.first_entries,
             &mut self.ranges,
@@ -117,7 +117,7 @@ impl Lists {
         }
         let (rows, entries) = (rows.max(self.rows), entries.max(self.entries));
         let sorted = rows.max(entries);
-        let digits = u64::from(DIGITS) * sorted.div_ceil(SORT_BLOCK.into());
+        let sort_blocks = sorted.div_ceil(SORT_BLOCK.into());
         engine.reserve(&mut self.splats, 4 * u64::from(SPLAT_FLOATS) * rows)?;
         for memory in [
             &mut self.depths,
@@ -132,9 +132,9 @@ impl Lists {
             engine.reserve(memory, 4 * sorted)?;
         }
         engine.reserve(&mut self.entry_splats, 4 * entries)?;
-        engine.reserve(&mut self.digit_counts, 4 * digits)?;
-        engine.reserve(&mut self.digit_starts, 4 * digits)?;
-        engine.reserve(&mut self.sums, 4 * (sorted.max(digits).div_ceil(SCAN_BLOCK.into()) + 2))?;
+        engine.reserve(&mut self.digit_counts, 4 * u64::from(DIGITS) * sort_blocks)?;
+        // One more, for the total.
+        engine.reserve(&mut self.sums, 4 * (rows.div_ceil(SCAN_BLOCK.into()) + 1))?;
         (self.rows, self.entries) = (rows, entries);
         Ok(())
     }
@@ -193,8 +193,7 @@ impl Lists {
             [&self.lengths, &self.marks, &self.ranks, &self.depths].map(Memory::all);
         let parts = [lengths, marks, ranks, depths, self.keys[0].all(), self.values[0].all()];
         recorder.run(&shaders::COMPACT, &parts, Grid::Items(rows));
-        let grids = [GRID_DEPTH_SORT, GRID_DEPTH_SCAN];
-        self.sort(recorder, [LENGTH_VISIBLE, LENGTH_DEPTH_DIGITS], grids, 32, 0, false);
+        self.sort(recorder, LENGTH_VISIBLE, GRID_DEPTH_SORT, 32, 0, false);
     }
 
     /// Steps 3 and 4: entries in depth order, sorted by tile; their numbers are left in [`Self::entry_numbers`].
@@ -214,9 +213,7 @@ impl Lists {
             [frame_part, lengths, order, counts.all(), starts, splats, keys, entry_splats, first_entries];
         recorder.run(&shaders::EMIT, &parts, visible);
 
-        let grids = [GRID_TILE_SORT, GRID_TILE_SCAN];
-        let bits = tile_bits(frame);
-        let sorted = self.sort(recorder, [LENGTH_ENTRIES, LENGTH_TILE_DIGITS], grids, bits, 1, true);
+        let sorted = self.sort(recorder, LENGTH_ENTRIES, GRID_TILE_SORT, tile_bits(frame), 1, true);
         recorder.clear(&self.ranges, 8 * tiles_of(frame));
         let parts = [lengths, self.keys[sorted].all(), self.ranges.all()];
         recorder.run(&shaders::TILE_RANGES, &parts, Grid::Device(&self.grids, GRID_ENTRIES));
@@ -246,36 +243,27 @@ impl Lists {
     fn sort(
         &self,
         recorder: &mut Recorder,
-        [length, digits]: [u32; 2],
-        [blocks, scan]: [u32; 2],
+        length: u32,
+        blocks: u32,
         bits: u32,
         first: usize,
         count_up: bool,
     ) -> usize {
         let mut from = first;
         for pass in 0..bits.div_ceil(DIGIT_BITS) {
-            let grid = Grid::Device(&self.grids, blocks);
-            let overrides = [("LENGTH", length), ("SHIFT", pass * DIGIT_BITS)];
-            let (lengths, keys) = (self.lengths.all(), self.keys[from].all());
-            recorder.run_with(
-                &shaders::RADIX_COUNT,
-                &overrides,
-                &[lengths, keys, self.digit_counts.all()],
-                grid,
-            );
-            let scan = Grid::Device(&self.grids, scan);
-            self.scan(recorder, digits, scan, &self.digit_counts, &self.digit_starts);
-            let to = 1 - from;
-            let parts = [
-                lengths,
-                self.digit_starts.all(),
-                keys,
-                self.values[from].all(),
-                self.keys[to].all(),
-                self.values[to].all(),
-            ];
-            let overrides = [overrides[0], overrides[1], ("COUNT_UP", u32::from(count_up && pass == 0))];
-            recorder.run_with(&shaders::RADIX_SCATTER, &overrides, &parts, grid);
+            let (to, grid) = (1 - from, Grid::Device(&self.grids, blocks));
+            let [length, shift] = [("LENGTH", length), ("SHIFT", pass * DIGIT_BITS)];
+            let count_up = ("COUNT_UP", u32::from(count_up && pass == 0));
+            let [lengths, digit_counts, digit_totals, keys] =
+                [&self.lengths, &self.digit_counts, &self.digit_totals, &self.keys[from]].map(Memory::all);
+            let [values, keys_out, values_out] =
+                [&self.values[from], &self.keys[to], &self.values[to]].map(Memory::all);
+            let parts = [lengths, keys, digit_counts];
+            recorder.run_with(&shaders::RADIX_COUNT, &[length, shift], &parts, grid);
+            let parts = [lengths, digit_counts, digit_totals];
+            recorder.run_with(&shaders::DIGIT_SCAN, &[length], &parts, Grid::Groups(DIGITS.into()));
+            let parts = [lengths, digit_counts, digit_totals, keys, values, keys_out, values_out];
+            recorder.run_with(&shaders::RADIX_SCATTER, &[length, shift, count_up], &parts, grid);
             from = to;
         }
         from
@@ -290,4 +278,76 @@ pub(crate) fn tiles_of(frame: &Frame) -> u64 {
 /// Bits of the largest tile number; at least one, so that entries are numbered.
 fn tile_bits(frame: &Frame) -> u32 {
     (64 - tiles_of(frame).saturating_sub(1).leading_zeros()).max(1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::tests::engine;
+
+    /// Sum of `counts` by the device's prefix sum.
+    fn total(engine: &Engine, counts: &[u32]) -> u32 {
+        let rows = counts.len() as u64;
+        let mut lists = Lists::new(engine).unwrap();
+        lists.reserve(engine, rows, 0, 1).unwrap();
+        engine.write(&lists.marks, 0, counts);
+        engine.write(&lists.lengths, 0, &[counts.len() as u32]);
+        let mut recorder = Recorder::new(engine, None);
+        let blocks = rows.div_ceil(SCAN_BLOCK.into());
+        lists.scan(&mut recorder, LENGTH_ROWS, Grid::Groups(blocks), &lists.marks, &lists.ranks);
+        recorder.submit();
+        let sums: Vec<u32> = engine.read_values(&lists.sums, blocks + 1).unwrap();
+        sums[blocks as usize]
+    }
+
+    /// Within a group, within a block, and over many blocks.
+    #[test]
+    fn a_total_beyond_32_bits_is_the_largest_number() {
+        let Some(engine) = engine() else { return };
+        assert_eq!(total(&engine, &[]), 0);
+        assert_eq!(total(&engine, &[1 << 31, (1 << 31) - 2]), u32::MAX - 1);
+        assert_eq!(total(&engine, &[1 << 30; 4]), u32::MAX);
+        assert_eq!(total(&engine, &[1 << 22; SCAN_BLOCK as usize]), u32::MAX);
+        let many = 600 * SCAN_BLOCK as usize - 5;
+        assert_eq!(total(&engine, &vec![3; many]), 3 * many as u32);
+        assert_eq!(total(&engine, &vec![5_000; many]), u32::MAX);
+    }
+
+    /// Keys and values after a sort by the lowest `bits`.
+    fn sorted(engine: &Engine, keys: &[u32], bits: u32, count_up: bool) -> (Vec<u32>, Vec<u32>) {
+        let count = keys.len() as u64;
+        let mut lists = Lists::new(engine).unwrap();
+        lists.reserve(engine, count, 0, 1).unwrap();
+        engine.write(&lists.keys[0], 0, keys);
+        let values: Vec<u32> = (0..keys.len() as u32).map(|place| 7 * place).collect();
+        engine.write(&lists.values[0], 0, &values);
+        engine.write(&lists.lengths, 4 * u64::from(LENGTH_VISIBLE), &[keys.len() as u32]);
+        let grid = [count.div_ceil(SORT_BLOCK.into()) as u32, 1, 1];
+        engine.write(&lists.grids, 12 * u64::from(GRID_DEPTH_SORT), &grid);
+        let mut recorder = Recorder::new(engine, None);
+        let at = lists.sort(&mut recorder, LENGTH_VISIBLE, GRID_DEPTH_SORT, bits, 0, count_up);
+        recorder.submit();
+        let read = |memory| engine.read_values(memory, count).unwrap();
+        (read(&lists.keys[at]), read(&lists.values[at]))
+    }
+
+    /// From none to more blocks than a workgroup has invocations, the last of them short.
+    #[test]
+    fn a_sort_is_stable_for_any_number_of_keys() {
+        let Some(engine) = engine() else { return };
+        let block = SORT_BLOCK as usize;
+        for count in [0, 1, block, block + 1, 260 * block + 17] {
+            for (bits, count_up) in [(32, false), (13, true), (3, true)] {
+                // Many are equal, and all digits occur.
+                let key = |place: u32| (place / 3).wrapping_mul(0x9e37_79b9) >> (32 - bits);
+                let keys: Vec<u32> = (0..count as u32).rev().map(key).collect();
+                let mut places: Vec<u32> = (0..count as u32).collect();
+                places.sort_by_key(|&place| keys[place as usize]);
+                let expected = places.iter().map(|&place| keys[place as usize]).collect();
+                let value = if count_up { 1 } else { 7 };
+                let values = places.iter().map(|place| value * place).collect();
+                assert!(sorted(&engine, &keys, bits, count_up) == (expected, values), "{count}, {bits} bits");
+            }
+        }
+    }
 }

@@ -11,8 +11,8 @@ use crate::recorder::{Grid, Recorder};
 use crate::shaders;
 use crate::state::State;
 
-/// Vectors of a row of colours.
-const SH_VECTORS: u64 = SH_FLOATS as u64 / 4;
+/// Groups of four coefficients, of three channels each, of a row of colours.
+const SH_GROUPS: u64 = SH_FLOATS as u64 / 12;
 
 /// What is recorded, and from what.
 pub(crate) struct Optimise<'a> {
@@ -82,7 +82,7 @@ impl Optimise<'_> {
         let colour =
             [cloud.geometry.at(window), cloud.sh.at(window), first.sh.at(window), second.sh.at(window)];
         let parts = [&head[..], &colour].concat();
-        recorder.run(&shaders::ADAM_COLOUR, &parts, Grid::Items(SH_VECTORS * window.count));
+        recorder.run(&shaders::ADAM_COLOUR, &parts, Grid::Items(SH_GROUPS * window.count));
         let geometry = [&cloud.geometry, &first.geometry, &second.geometry].map(|column| column.at(window));
         let parts = [&head[..], &geometry].concat();
         recorder.run(&shaders::ADAM_GEOMETRY, &parts, Grid::Items(window.count));

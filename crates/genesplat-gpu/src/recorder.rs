@@ -141,7 +141,7 @@ impl<'a> Recorder<'a> {
     /// Hands everything to the device; does not wait.
     pub(crate) fn submit(mut self) {
         self.pass = None;
-        self.engine.queue.submit([self.encoder.finish()]);
+        self.engine.submit([self.encoder.finish()]);
     }
 }
 

@@ -155,8 +155,8 @@ impl GpuBackend {
             views.iter().map(|&view| image_bytes(&self.frame_of_view(view, settings))).max().unwrap_or(1);
         let fitting = PICTURE_BYTES.min(self.engine.binding_bytes) / largest.max(1);
         let population = Population::upload(&self.engine, population, (fitting as usize).clamp(1, LAYERS))?;
-        let bytes = 8 * (population.individuals * views.len()) as u64;
-        let losses = self.engine.allocate("losses", bytes)?;
+        let mut judgements = vec![[0f32; 2]; population.individuals * views.len()];
+        let losses = self.engine.allocate("losses", 8 * judgements.len() as u64)?;
         loop {
             for (index, &view) in views.iter().enumerate() {
                 let base = self.frame_of_view(view, settings);
@@ -165,18 +165,15 @@ impl GpuBackend {
                     self.submit_batch(&population, batch, &base, view, [index, views.len()], &losses)?;
                 }
             }
-            let counters = size_of::<Counters>() as u64;
-            let [losses, base, added] = self.engine.read([
-                (&losses, 0..bytes),
-                (&self.lists.counters, 0..counters),
-                (&self.scratch.added.counters, 0..counters),
+            let [mut base, mut added] = [Counters::default(); 2];
+            self.engine.read([
+                (&losses, bytemuck::cast_slice_mut(&mut judgements)),
+                (&self.lists.counters, bytemuck::bytes_of_mut(&mut base)),
+                (&self.scratch.added.counters, bytemuck::bytes_of_mut(&mut added)),
             ])?;
-            let [base, added]: [Counters; 2] =
-                [base, added].map(|bytes| bytemuck::pod_read_unaligned(&bytes));
             self.clear_counters();
             self.engine.write(&self.scratch.added.counters, 0, &[Counters::default()]);
             if base.halted == 0 && added.halted == 0 {
-                let judgements: Vec<[f32; 2]> = bytemuck::pod_collect_to_vec(&losses);
                 return Ok(judgements.into_iter().map(|[loss, _]| loss).collect());
             }
             if base.halted != 0 {

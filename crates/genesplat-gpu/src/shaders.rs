@@ -56,6 +56,7 @@ mod parts {
         TILE_SPLAT = "tile_splat.wgsl";
         ROTATION = "rotation.wgsl";
         SSIM = "ssim.wgsl";
+        TILE_SUMS = "tile_sums.wgsl";
         PHOTO = "photo.wgsl";
         PIXEL_ERROR = "pixel_error.wgsl";
         ENTRY_SUMS = "entry_sums.wgsl";
@@ -81,8 +82,10 @@ shaders! {
     PLAN_ENTRIES = "plan_entries" + [GRIDS];
     /// Radix sort: digits by block.
     RADIX_COUNT = "radix_count" + [];
+    /// Radix sort: where each block's digits begin.
+    DIGIT_SCAN = "digit_scan" + [GROUP_SCAN];
     /// Radix sort: every key to its place.
-    RADIX_SCATTER = "radix_scatter" + [];
+    RADIX_SCATTER = "radix_scatter" + [GROUP_SCAN];
     /// Tile counts by depth.
     RANK_COUNTS = "rank_counts" + [];
     /// Entries of the tile lists.
@@ -94,7 +97,7 @@ shaders! {
     /// Loss of each tile.
     LOSS = "loss" + [SSIM, PHOTO];
     /// Loss of the image.
-    LOSS_SUM = "loss_sum" + [];
+    LOSS_SUM = "loss_sum" + [TILE_SUMS];
     /// Gradient of the image.
     LOSS_GRADIENT = "loss_gradient" + [SSIM, PHOTO];
     /// Gradient rows of the splats.
@@ -126,7 +129,7 @@ shaders! {
     /// Scoring: pictures of individuals.
     SCORE_RASTERISE = "score_rasterise" + [SPLAT, TILE_SPLAT];
     /// Scoring: losses of individuals.
-    SCORE_SUM = "score_sum" + [];
+    SCORE_SUM = "score_sum" + [TILE_SUMS];
     /// Row edits: copies.
     GATHER = "gather" + [];
     /// Row edits: clones, children, twins, relocations.

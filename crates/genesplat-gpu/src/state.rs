@@ -101,8 +101,8 @@ impl State {
     }
 
     pub(crate) fn statistics(&self, engine: &Engine) -> Result<Statistics, BackendError> {
-        let [density] = engine.read([(&self.density.memory, 0..self.density.bytes(self.rows))])?;
-        let density: Vec<[f32; DENSITY_FLOATS as usize]> = bytemuck::pod_collect_to_vec(&density);
+        let density: Vec<[f32; DENSITY_FLOATS as usize]> =
+            engine.read_values(&self.density.memory, self.rows)?;
         let mut statistics = Statistics {
             gradient_sum: density.iter().map(|row| row[0]).collect(),
             weight_sum: density.iter().map(|row| row[1]).collect(),
@@ -112,8 +112,7 @@ impl State {
             statistics.absolute_sum = density.iter().map(|row| row[2]).collect();
         }
         if let Some(column) = &self.genes {
-            let [genes] = engine.read([(&column.memory, 0..column.bytes(self.rows))])?;
-            let genes: Vec<GeneRow> = bytemuck::pod_collect_to_vec(&genes);
+            let genes: Vec<GeneRow> = engine.read_values(&column.memory, self.rows)?;
             statistics.gene_gradient_sum = genes.iter().map(gene_of).collect();
             statistics.gene_views = genes.iter().map(|row| row[7] as u32).collect();
         }

@@ -71,7 +71,7 @@ fn the_comparison_can_fail() {
 }
 
 /// A device, if this machine has one; in CI it must.
-fn engine() -> Option<Engine> {
+pub(crate) fn engine() -> Option<Engine> {
     match Engine::new() {
         Ok(engine) => Some(engine),
         Err(error) => {

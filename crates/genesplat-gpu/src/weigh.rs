@@ -27,8 +27,7 @@ impl GpuBackend {
             gpu.clear(&merits);
             views.iter().try_for_each(|&view| gpu.submit_weighing(view, settings, &merits))
         })?;
-        let [values] = self.engine.read([(&merits.memory, 0..merits.bytes(rows))])?;
-        let values: Vec<[f32; MERIT_FLOATS as usize]> = bytemuck::pod_collect_to_vec(&values);
+        let values: Vec<[f32; MERIT_FLOATS as usize]> = self.engine.read_values(&merits.memory, rows)?;
         Ok(values.into_iter().map(|[weight, error]| Merit { weight, error }).collect())
     }
 

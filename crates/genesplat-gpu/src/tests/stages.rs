@@ -1,6 +1,7 @@
 //! Every stage's buffers against those of the CPU.
 
 use fearless_simd::Level;
+use genesplat_core::RowEdit;
 use genesplat_kernels::cpu::{Extra, Frame, Pinhole, Target};
 
 use super::*;
@@ -20,8 +21,7 @@ fn cpu_frame(cloud: &Gaussians, settings: &RenderSettings) -> (Frame, f32) {
 
 /// Reads `count` values of a buffer.
 fn read<T: bytemuck::Pod>(gpu: &GpuBackend, memory: &crate::engine::Memory, count: usize) -> Vec<T> {
-    let [bytes] = gpu.engine.read([(memory, 0..(size_of::<T>() * count) as u64)]).unwrap();
-    bytemuck::pod_collect_to_vec(&bytes)
+    gpu.engine.read_values(memory, count as u64).unwrap()
 }
 
 /// Entry numbers of each tile, nearest first, and the splat of each entry.
@@ -164,5 +164,47 @@ fn poison_never_reaches_a_pixel() {
         gpu.upload(cloud.clone(), None).unwrap();
         let image = gpu.render(&camera(), &settings(3, filter)).unwrap();
         assert!(image.planes.iter().all(|v| v.is_finite()), "{filter:?}");
+    }
+}
+
+/// A cloud whose first rows, in the middle of the picture, have one parameter each that is not a number; and how many these
+/// are.
+fn cloud_with_nans(filter: ScreenFilter) -> (Gaussians, u32) {
+    let mut cloud = filtered_cloud(60, filter);
+    let rows = if cloud.filter_3d.is_some() { 15 } else { 14 };
+    for row in 0..rows {
+        cloud.positions[row] = [0.0, 0.0, 2.0];
+        cloud.opacity_logits[row] = 4.0;
+        match row {
+            0..3 => cloud.positions[row][row] = f32::NAN,
+            3..6 => cloud.log_scales[row][row - 3] = f32::NAN,
+            6..10 => cloud.rotations[row][row - 6] = f32::NAN,
+            10 => cloud.opacity_logits[row] = f32::NAN,
+            11..14 => cloud.sh[row][[0, 5, 47][row - 11]] = f32::NAN,
+            _ => cloud.filter_3d.iter_mut().for_each(|filter| filter[row] = f32::NAN),
+        }
+    }
+    (cloud, rows as u32)
+}
+
+/// On every driver, whatever its minima and maxima make of what is not a number.
+#[test]
+fn a_gaussian_with_a_nan_is_none() {
+    let Some(mut gpu) = gpu() else { return };
+    for filter in filters() {
+        let (cloud, rows) = cloud_with_nans(filter);
+        let mut step = step(1, settings(3, filter));
+        step.update = None;
+        gpu.upload(cloud, None).unwrap();
+        let image = gpu.render(&camera(), &step.settings).unwrap();
+        gpu.train_step(&step).unwrap();
+        assert_eq!(
+            gpu.statistics().unwrap().weight_sum[..11],
+            [0.0; 11],
+            "{filter:?}: where it is, nobody knows"
+        );
+        gpu.edit_rows(&RowEdit::keep((rows..60).collect())).unwrap();
+        let without = gpu.render(&camera(), &step.settings).unwrap();
+        assert!(image == without, "{filter:?}");
     }
 }

@@ -2,7 +2,8 @@
 
 use genesplat_core::backend::{Exploration, MomentPolicy};
 use genesplat_core::{
-    BackendError, Blend, Judgement, Lineage, Merit, Moments, Origin, RowEdit, SparseDelta, Statistics,
+    BackendError, Blend, Judgement, Lineage, Merit, Moments, Origin, Photo, RowEdit, SparseDelta, Statistics,
+    View,
 };
 
 use super::*;
@@ -184,19 +185,45 @@ fn lists_beyond_any_binding_are_one_sentence() {
     assert!(error.to_string().contains("--max-side"), "{error}");
 }
 
+/// Row 20 is in the middle of the picture, and infinitely bright.
+fn cloud_of_infinite_light() -> Gaussians {
+    let mut cloud = cloud(50);
+    cloud.sh[20][0] = f32::INFINITY;
+    cloud.positions[20] = [0.0, 0.0, 2.0];
+    cloud.opacity_logits[20] = 4.0;
+    cloud
+}
+
 #[test]
 fn a_loss_that_is_not_finite_is_reported_and_changes_nothing() {
     let Some(mut gpu) = gpu() else { return };
-    let mut poisoned = cloud(50);
-    poisoned.sh[20][0] = f32::INFINITY;
-    poisoned.positions[20] = [0.0, 0.0, 2.0];
-    poisoned.opacity_logits[20] = 4.0;
+    let poisoned = cloud_of_infinite_light();
     gpu.upload(poisoned.clone(), None).unwrap();
     gpu.train_step(&step(1, settings(0, ScreenFilter::Classic))).unwrap();
     gpu.train_step(&step(2, settings(0, ScreenFilter::Classic))).unwrap();
     let error = gpu.report().unwrap_err();
     assert!(matches!(error, BackendError::NonFinite { row: 20, parameter: "colour", .. }), "{error}");
     assert_eq!(gpu.download().unwrap().positions, poisoned.positions);
+}
+
+/// Resetting statistics waits for the steps before it, and has no way to say what became of them.
+#[test]
+fn a_failure_met_by_a_verb_that_cannot_fail_is_that_of_the_next() {
+    let Some(mut gpu) = gpu() else { return };
+    let poisoned = cloud_of_infinite_light();
+    let step = step(1, settings(0, ScreenFilter::Classic));
+    for next in 0..2 {
+        gpu.upload(poisoned.clone(), None).unwrap();
+        gpu.train_step(&step).unwrap();
+        gpu.reset_statistics(true);
+        gpu.reset_statistics(false);
+        let error = match next {
+            0 => gpu.train_step(&step).unwrap_err(),
+            _ => gpu.report().unwrap_err(),
+        };
+        assert!(matches!(error, BackendError::NonFinite { row: 20, .. }), "{error}");
+        assert_eq!(gpu.download().unwrap().positions, poisoned.positions);
+    }
 }
 
 #[test]
@@ -247,6 +274,13 @@ fn children_of_remembered_states_match() {
 #[test]
 fn what_is_uploaded_comes_back() {
     let Some(mut gpu) = gpu() else { return };
+    uploads_come_back(&mut gpu);
+    // Pieces that end within rows, and begin in one column and end in the next.
+    gpu.engine.read_bytes_max = 1000;
+    uploads_come_back(&mut gpu);
+}
+
+fn uploads_come_back(gpu: &mut GpuBackend) {
     let cloud = filtered_cloud(130, ScreenFilter::Mip);
     let moments = Moments { first: super::cloud(130), second: super::cloud(130) };
     gpu.upload(cloud.clone(), Some(moments.clone())).unwrap();
@@ -260,6 +294,28 @@ fn what_is_uploaded_comes_back() {
     assert!(gpu.statistics().unwrap().gene_views.is_empty());
     gpu.restore_statistics(statistics.clone()).unwrap();
     assert_eq!(gpu.statistics().unwrap(), statistics);
+}
+
+/// More is written than may wait to be copied, in single columns, too.
+#[test]
+fn what_is_written_never_piles_up() {
+    let Some(mut gpu) = gpu() else { return };
+    gpu.engine.written_bytes_max = 1 << 10;
+    let views = [view(), small_view(), view()];
+    gpu.set_views(&views).unwrap();
+    assert!(gpu.engine.written.get() < 1 << 10);
+    let cloud = cloud(300);
+    gpu.upload(cloud.clone(), None).unwrap();
+    assert!(gpu.engine.written.get() < 1 << 10);
+    assert_eq!(*gpu.download().unwrap(), cloud);
+    let settings = settings(2, ScreenFilter::Classic);
+    let mut cpu = cpu();
+    cpu.set_views(&views).unwrap();
+    cpu.upload(cloud, None).unwrap();
+    for view in 0..3 {
+        let expected = cpu.loss_of_view(view, &settings);
+        compare("loss", "of a view", [gpu.loss_of_view(view, &settings).unwrap()], [expected]).unwrap();
+    }
 }
 
 #[test]
@@ -296,6 +352,25 @@ fn scores_match() {
             compare("score", &format!("{filter:?}"), [*actual], [*expected]).unwrap();
         }
     }
+}
+
+/// More sums of tiles than a workgroup takes in one round.
+#[test]
+fn losses_of_large_pictures_match() {
+    let Some(mut gpu) = gpu() else { return };
+    let (width, height) = (330, 320);
+    let rgb = (0..3 * width * height).map(|i| (i % 251) as u8).collect();
+    let photo = Photo { width, height, rgb }.into();
+    let large = View { name: "large".into(), camera: camera().resized(width, height), photo };
+    let (mut cpu, settings) = (cpu(), settings(1, ScreenFilter::Classic));
+    for twin in [&mut gpu as &mut dyn Backend, &mut cpu] {
+        twin.set_views(std::slice::from_ref(&large)).unwrap();
+        twin.upload(cloud(200), None).unwrap();
+    }
+    let expected = cpu.loss_of_view(0, &settings);
+    compare("loss", "of a view", [gpu.loss_of_view(0, &settings).unwrap()], [expected]).unwrap();
+    let score = gpu.score(&[SparseDelta::default()], &[0], &settings).unwrap();
+    compare("score", "of the base", score, [expected]).unwrap();
 }
 
 /// Hundreds of splats in one tile, so that both lists are loaded several times, and too little room for either.
