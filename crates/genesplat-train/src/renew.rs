@@ -53,12 +53,9 @@ impl<B: Backend> Trainer<'_, B> {
     pub(crate) fn renew(&mut self, i: u32) -> Result<(), TrainError> {
         let clock = Instant::now();
         let guards = self.guards();
-        let mut verdict = self.verdict(&guards, i)?;
-        if let Some(trial) = self.trial.take() {
-            verdict = self.end_trial(trial, verdict, clock)?;
-        }
+        let verdict = self.verdict(&guards, i)?;
+        let Verdict { loss, psnr } = self.end_trial(verdict, clock)?;
         if self.schedule.renews(i) {
-            let Verdict { loss, psnr } = verdict;
             let record = StageRecord::begun(StageKind::Renewal, i, loss, Some(psnr));
             let renders = guards.len() as u64;
             self.begin_trial(StageRecord { generations: 1, renders, ..record }, Instant::now())?;
@@ -81,24 +78,35 @@ impl<B: Backend> Trainer<'_, B> {
         }
     }
 
-    /// Keeps what was renewed, or takes it back; returns what guards say of the state that stays.
-    fn end_trial(&mut self, trial: Trial, verdict: Verdict, clock: Instant) -> Result<Verdict, TrainError> {
-        let Trial { mut record, cloud, moments } = trial;
+    /// Keeps what was renewed, or takes it back, if there is a trial; returns what guards say of the state that stays.
+    fn end_trial(&mut self, verdict: Verdict, clock: Instant) -> Result<Verdict, TrainError> {
+        let Some(Trial { record, cloud, moments }) = &self.trial else { return Ok(verdict) };
+        let mut record = *record;
         let before =
             Verdict { loss: record.fitness_before, psnr: record.guard_psnr.map_or(f64::NAN, |psnr| psnr[0]) };
         let stays = if verdict.psnr >= before.psnr {
             verdict
         } else {
-            self.backend.upload(cloud, Some(moments))?;
+            // Copies: where the device has no room for them, what it holds is still on trial.
+            self.backend.upload(cloud.clone(), Some(moments.clone()))?;
             record.changed = 0;
             before
         };
-        self.torn = true;
         record.fitness_after = stays.loss;
         record.guard_psnr = Some([before.psnr, stays.psnr]);
         record.seconds += clock.elapsed().as_secs_f64();
-        self.end_stage(record)?;
+        self.forget_trial(record)?;
         Ok(stays)
+    }
+
+    /// The trial is over. Once it is reported the state is whole again: what is left of the phase is the next renewal,
+    /// which whoever resumes begins likewise.
+    fn forget_trial(&mut self, record: StageRecord) -> Result<(), TrainError> {
+        self.torn = true;
+        self.trial = None;
+        self.end_stage(record)?;
+        self.torn = false;
+        Ok(())
     }
 
     /// Weighs all Gaussians, and renews a share of them, if there are any to renew.
@@ -116,7 +124,6 @@ impl<B: Backend> Trainer<'_, B> {
         self.backend.edit_rows(&edit)?;
         record.seconds = clock.elapsed().as_secs_f64();
         self.trial = Some(Trial { record, cloud, moments });
-        self.torn = true;
         Ok(())
     }
 

@@ -10,7 +10,7 @@ use genesplat_train::{
 
 use genesplat_train::observe::DensifyLog;
 
-use crate::support::{Call, FakeBackend, StopAt, points, views};
+use crate::support::{Call, Failure, FakeBackend, Keep, StopAt, points, views};
 
 /// 300 iterations; density control ends after 150, renewals begin at 150, 165, ... 225, the last is judged at 240.
 fn config() -> TrainConfig {
@@ -221,6 +221,45 @@ fn a_stop_during_a_trial_changes_nothing() {
             resumed.verdicts = stopping.verdicts;
             let outcome = run(&mut resumed, start, &mut Silent, &AtomicBool::new(false));
             assert_eq!(outcome.cloud, whole.cloud, "stopped in iteration {i}");
+        }
+    }
+}
+
+/// Runs on from a checkpoint's bytes, on a fresh device.
+fn resume(checkpoint: &Checkpoint, backend: &mut FakeBackend) -> Outcome {
+    let mut bytes = Vec::new();
+    checkpoint.write(&mut bytes).unwrap();
+    let start = Start::Checkpoint(Box::new(Checkpoint::read(bytes.as_slice()).unwrap()));
+    run(backend, start, &mut Silent, &AtomicBool::new(false))
+}
+
+#[test]
+fn out_of_memory_in_any_call_saves_a_run_that_resumes_exactly() {
+    let timeless = |outcome: &Outcome| -> Vec<StageRecord> {
+        outcome.summary.stages.iter().map(|stage| StageRecord { seconds: 0.0, ..*stage }).collect()
+    };
+    // Guards whose verdict depends on the cloud alone, so that whoever resumes hears the same.
+    for guards_disagree in [true, false] {
+        let device = || {
+            let mut device = backend(1.0);
+            (device.guards_disagree, device.queues) = (guards_disagree, true);
+            device
+        };
+        let mut untroubled = device();
+        let whole = run_whole(&mut untroubled);
+        let trials = renewals(&whole);
+        assert_eq!(trials.len(), 6);
+        assert_eq!(trials.iter().all(|stage| stage.changed == 0), guards_disagree, "some are kept, or none");
+        // The first calls fill the device; nothing is to be saved of them.
+        for call in 3..untroubled.fallible {
+            let (mut failing, mut keep) = (device(), Keep::default());
+            failing.failure = Some((call, Failure::OutOfMemory));
+            let (start, config) = (Start::Points(points(20)), config().resolve().unwrap());
+            train(&mut failing, &views(20), start, &config, &mut keep, &AtomicBool::new(false)).unwrap_err();
+            let [checkpoint] = &keep.0[..] else { panic!("call {call} leaves nothing") };
+            let resumed = resume(checkpoint, &mut device());
+            assert_eq!(resumed.cloud, whole.cloud, "call {call}");
+            assert_eq!(timeless(&resumed), timeless(&whole), "call {call}");
         }
     }
 }
