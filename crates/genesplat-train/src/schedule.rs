@@ -296,7 +296,7 @@ impl Schedule {
     /// rows stay what they are for at least the younger half.
     fn window_end(&self, window: u32, i: u32) -> Option<u32> {
         let end = self.iterations - (self.iterations - i) / window * window;
-        (end == self.iterations || end - window / 2 >= self.densify_until).then_some(end)
+        (end == self.iterations || end >= self.densify_until.saturating_add(window / 2)).then_some(end)
     }
 
     /// Which parent a remembered state belongs to: 0 for the older half of a window, 1 for the younger one.

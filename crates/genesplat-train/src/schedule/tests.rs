@@ -112,6 +112,27 @@ fn recombination_has_a_stage_after_each_window_in_which_rows_stay() {
 }
 
 #[test]
+fn the_younger_half_of_every_window_comes_after_density_control() {
+    let lengths = (1..=1000).chain([1800, 2000, 3000, 7000, 7005, 24_000, 30_000, 40_000]);
+    for iterations in lengths {
+        for (mode, window) in [EvolutionMode::Renew, EvolutionMode::Recombine].into_iter().zip([0.05, 0.1]) {
+            let schedule = schedule(|config| {
+                (config.iterations, config.evolution.mode) = (iterations, mode);
+                config.evolution.recombine.window = window;
+            });
+            let window = schedule.window.unwrap();
+            for end in (1..iterations).filter_map(|i| schedule.window_end(window, i)) {
+                // Signed, so that what is before the beginning of the run stays there.
+                let younger_half = i64::from(end) - i64::from(window / 2);
+                let is_late = younger_half >= i64::from(schedule.densify_until);
+                assert!(end == iterations || is_late, "{iterations} iterations: a window ends at {end}");
+            }
+            assert!(iterations_with(&schedule, Phase::Recombine).ends_with(&[iterations]));
+        }
+    }
+}
+
+#[test]
 fn renewal_begins_when_density_control_has_ended_and_leaves_time_to_learn() {
     let renewing = |variant| {
         schedule(|config| (config.variant, config.evolution.mode) = (variant, EvolutionMode::Renew))
