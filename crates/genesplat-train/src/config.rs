@@ -286,8 +286,8 @@ pub struct EvolutionConfig {
 pub struct RenewalConfig {
     /// Share of the Gaussians that die in a renewal; as many others become two. Default 0.05; above 0, at most 0.5.
     pub share: f64,
-    /// Steps between two renewals, the first of which comes when density control has ended, as a share of the run. Default
-    /// 0.05; above 0, at most 0.5.
+    /// Steps between two renewals, as a share of the run. They are counted back from its end, and the first one comes when density
+    /// control has ended, in the second half of the run. Default 0.05; above 0, at most 0.5.
     pub every: f64,
     /// No renewal begins after this share of the run: the last Gaussians need time to become good ones. Default 0.75; 0 to 1.
     pub until: f64,

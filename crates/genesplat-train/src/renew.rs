@@ -5,12 +5,12 @@
 //! not there has no gradient.
 //!
 //! How. There are never more Gaussians than the photos feed: with few pixels to each, a cloud learns photos by heart, and
-//! nothing that comes later makes it forget them. Once density control has ended, a twentieth of the run apart, every
-//! Gaussian is weighed ([`genesplat_core::merit`]), and a share of the cloud is renewed ([`genesplat_evolve::renewal`]). A
-//! new Gaussian needs some gradient steps before it is worth anything, so a renewal is judged when the next one is due: if
-//! the *guard* views are rendered worse by then than before it, the state before it comes back, moments and all, and the
-//! steps in between were in vain. Recombination (`recombine`) comes first wherever both are due, so that the states which
-//! guards compare are alike free of the noise of single steps.
+//! nothing that comes later makes it forget them. Once density control has ended, in the second half of the run, a
+//! twentieth of it apart, every Gaussian is weighed ([`genesplat_core::merit`]), and a share of the cloud is renewed
+//! ([`genesplat_evolve::renewal`]). A new Gaussian needs some gradient steps before it is worth anything, so a renewal is
+//! judged when the next one is due: if the *guard* views are rendered worse by then than before it, the state before it
+//! comes back, moments and all, and the steps in between were in vain. Recombination (`recombine`) comes first wherever both
+//! are due, so that the states which guards compare are alike free of the noise of single steps.
 //!
 //! Prior art: 3DGS-MCMC relocates by opacity (Kheradmand et al., 2024), "Revising Densification" grows by error (Rota Bulò
 //! et al., 2024); neither weighs, or takes anything back. In MCMC renewal takes over from relocation at half of the run.

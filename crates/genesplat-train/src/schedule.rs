@@ -131,7 +131,8 @@ pub struct Schedule {
     pub evolution_phase: Option<Phase>,
     /// Evolution runs at every n-th occurrence of its trigger.
     pub evolution_stride: u32,
-    /// Iterations between two renewals, if there are any: from the end of density control on.
+    /// Iterations between two renewals, if there are any: counted back from the end of the run, to the end of density control
+    /// or half of the run, whichever is later.
     pub renew_every: Option<u32>,
     /// The last renewal is begun at or before this iteration.
     pub renew_until: u32,
@@ -273,11 +274,18 @@ impl Schedule {
         happens && occurrence.is_multiple_of(self.evolution_stride)
     }
 
-    /// A renewal begins at the end of iteration `i`, and there is time to judge it.
+    /// A renewal begins at the end of iteration `i`, and there is time to judge it. Renewals are counted back from the end of
+    /// the run, as the windows of recombination are, so that a child is bred first wherever both are due.
     pub fn renews(&self, i: u32) -> bool {
         let Some(every) = self.renew_every else { return false };
-        let has_begun = i >= self.densify_until && (i - self.densify_until).is_multiple_of(every);
-        has_begun && i <= self.renew_until && i + every < self.iterations
+        let is_judged = i.saturating_add(every) < self.iterations;
+        let is_in_time = i >= self.renew_from() && i <= self.renew_until;
+        is_judged && is_in_time && (self.iterations - i).is_multiple_of(every)
+    }
+
+    /// No renewal begins before this iteration: rows stay what they are from then on.
+    pub fn renew_from(&self) -> u32 {
+        self.densify_until.max(self.iterations / 2)
     }
 
     /// A renewal begins or is judged.

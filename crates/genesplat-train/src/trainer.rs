@@ -110,13 +110,16 @@ impl<'a, B: Backend> Trainer<'a, B> {
     /// Who asks for renewal should know that a run has no place for it.
     fn tell_of_missing_renewals(&mut self) {
         let schedule = self.schedule;
-        if schedule.renew_every.is_none() || (1..=schedule.iterations).any(|i| schedule.renews(i)) {
+        let Some(every) = schedule.renew_every else { return };
+        if (1..=schedule.iterations).any(|i| schedule.renews(i)) {
             return;
         }
         self.observer.notice(&format!(
-            "mode renew renews nothing here, and only recombines: no renewal may begin after iteration {} \
-             (evolution.renewal.until), and rows change until {}",
-            schedule.renew_until, schedule.densify_until
+            "mode renew renews nothing here, and only recombines: renewals are {every} iterations apart \
+             (evolution.renewal.every), counted back from the end, and none may begin before iteration {} or after \
+             iteration {} (evolution.renewal.until)",
+            schedule.renew_from(),
+            schedule.renew_until
         ));
     }
 

@@ -150,7 +150,7 @@ fn a_run_that_has_no_place_for_renewal_says_so() {
     };
     for variant in [Variant::ThreeDgs, Variant::Mcmc] {
         assert!(told(variant, 0.75).is_empty());
-        let wanted = "begin after iteration 0 (evolution.renewal.until), and rows change until 150";
+        let wanted = "may begin before iteration 150 or after iteration 0 (evolution.renewal.until)";
         let [notice] = &told(variant, 0.0)[..] else { panic!("one notice") };
         assert!(notice.contains(wanted), "{notice}");
     }
