@@ -322,8 +322,9 @@ pub struct RecombineConfig {
     pub last_generations: u32,
     /// Training views that a generation is judged on, drawn anew for each. Default 6; at least 1.
     pub views: usize,
-    /// Training views held back from the search, which the child must render better before it is kept; spread evenly, drawn anew
-    /// for each stage, and never more than a quarter of the views. Mode `mosaic` has as many. Default 8; at least 1.
+    /// Training views held back from the search (and from nothing else: gradient steps see them), which the child must render
+    /// better before it is kept; spread evenly, drawn anew for each stage, and at most a quarter of the views, but always one.
+    /// Mode `mosaic` has as many; so have renewals, the same ones all along. Default 8; at least 1.
     pub guards: usize,
 }
 

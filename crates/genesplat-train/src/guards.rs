@@ -1,4 +1,9 @@
-//! Training views that a search never sees, and what they say of what it found.
+//! Guards: training views that decide whether the cloud keeps what evolution made of it.
+//!
+//! What they have seen. They are held back from what the searches of recombination and mosaic are told, and from nothing
+//! else: gradient steps train on them as on all other photos, before a stage and after it, and a renewal weighs on them where
+//! it weighs on all photos or happens to draw them. So they tell whether a search has only learnt its own views by heart, and
+//! of a renewal no more than any training photo. Test photos take no part in anything.
 
 use genesplat_core::{Judgement, Rng, Stream, View};
 
@@ -16,7 +21,7 @@ pub(crate) struct StageViews {
 }
 
 impl StageViews {
-    /// At most a quarter of the views are guards, unless there is only one.
+    /// At most a quarter of the views are guards, but always one.
     pub(crate) fn new(views: &[View], guards: usize, rng: &Rng) -> Self {
         let guards = spread_evenly(views, guards.min(views.len() / 4).max(1), rng, 0);
         let searched: Vec<usize> = (0..views.len()).filter(|view| !guards.contains(view)).collect();

@@ -9,8 +9,10 @@
 //! twentieth of it apart, every Gaussian is weighed ([`genesplat_core::merit`]), and a share of the cloud is renewed
 //! ([`genesplat_evolve::renewal`]). A new Gaussian needs some gradient steps before it is worth anything, so a renewal is
 //! judged when the next one is due: if the *guard* views are rendered worse by then than before it, the state before it
-//! comes back, moments and all, and the steps in between were in vain. Recombination (`recombine`) comes first wherever both
-//! are due, so that the states which guards compare are alike free of the noise of single steps.
+//! comes back, moments and all, and the steps in between were in vain. (What guards have seen before is said in `guards`.)
+//! Recombination (`recombine`) comes first wherever both are due, so that the states which guards compare are alike free of
+//! the noise of single steps. Only a renewal that begins as soon as density control has ended has none before it, so what
+//! it is compared with is as it is after any step, and the first trial is the easier for that.
 //!
 //! Prior art: 3DGS-MCMC relocates by opacity (Kheradmand et al., 2024), "Revising Densification" grows by error (Rota Bulò
 //! et al., 2024); neither weighs, or takes anything back. In MCMC renewal takes over from relocation at half of the run.
@@ -29,7 +31,7 @@ use crate::views::spread_evenly;
 /// A renewal that has yet to prove itself.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Trial {
-    /// What is reported of it, as if it failed.
+    /// What is reported of it, as if it had succeeded; what guards say of it in the end is not in it yet.
     pub record: StageRecord,
     /// The cloud before it.
     pub cloud: Gaussians,
@@ -63,7 +65,7 @@ impl<B: Backend> Trainer<'_, B> {
         Ok(())
     }
 
-    /// The same in all trials of a run, so that one verdict ends a trial and begins the next.
+    /// The same in all trials of a run, so that one verdict ends a trial and begins the next. Steps and weighing see them, too.
     fn guards(&self) -> Vec<usize> {
         StageViews::new(self.views, self.config.evolution.recombine.guards, &self.rng).guards
     }
