@@ -118,7 +118,8 @@ pub struct TrainConfig {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub extent: Option<f64>,
     /// Densification stops at this many Gaussians, and serves the strongest gradients until then. Default: no limit;
-    /// 1,000,000 with `mcmc`, which grows to it whatever the gradients.
+    /// 1,000,000 with `mcmc`, which grows to it whatever the gradients. Evolution's mode `renew` has a limit of its own, and the
+    /// lower one counts (`evolution.renewal.pixels`).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub max_gaussians: Option<usize>,
     /// Iterations between two read-backs of the loss, which make a GPU wait. Default 10; 0 for none. Not scaled.
@@ -294,9 +295,10 @@ pub struct RenewalConfig {
     /// Training views that a renewal weighs on, at most, as a share of the run's steps; spread evenly, others each time.
     /// Default 0.02, where all renewals together take a tenth of the time or less; above 0.
     pub weighed: f64,
-    /// Training pixels that one Gaussian lives on, for each of √(number of photos), since photos show the same things: density
-    /// control grows the cloud, evenly, to at most the pixels of all photos over `pixels · √photos`. More Gaussians than that learn
-    /// the photos by heart. Default 2; 0 for no such limit.
+    /// Training pixels that one Gaussian lives on, for each of √(number of photos), since photos show the same things: the cloud
+    /// grows to at most the pixels of all photos over `pixels · √photos`, and to less where `max_gaussians` is lower. Density
+    /// control approaches that limit evenly; MCMC by its own share (`mcmc.growth`). More Gaussians than that learn the photos
+    /// by heart. Default 2; 0 for no such limit.
     pub pixels: f64,
 }
 

@@ -254,7 +254,8 @@ impl Schedule {
     }
 
     /// Share of its limit that the cloud may have reached in iteration `i`. With renewal it grows evenly over density control,
-    /// whoever set the limit: what is wanted first, of photos that were hardly looked at, is not what is needed most.
+    /// whoever set the limit: what is wanted first, of photos that were hardly looked at, is not what is needed most. MCMC
+    /// does not ask: it adds a share of the Gaussians each time (`mcmc.growth`), until the limit is reached.
     pub fn grown(&self, i: u32) -> f64 {
         let last = self.densify_until.saturating_sub(self.densify_every).max(1);
         if self.renew_every.is_some() { (f64::from(i) / f64::from(last)).min(1.0) } else { 1.0 }

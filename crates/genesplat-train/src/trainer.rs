@@ -103,8 +103,22 @@ impl<'a, B: Backend> Trainer<'a, B> {
             iteration: cursor.iteration,
             iterations: self.schedule.iterations,
         });
+        self.tell_of_lower_limit();
         self.tell_of_missing_renewals();
         Ok(cursor)
+    }
+
+    /// Who has a limit should know that the photos' is lower. It cannot wait until that is reached: MCMC turns nobody away
+    /// who could be told of.
+    fn tell_of_lower_limit(&mut self) {
+        let (own, fed) = (own_limit(self.config), fed_by(self.views, &self.config.evolution));
+        let (Some(own), Some(fed)) = (own, fed) else { return };
+        if fed < own {
+            self.observer.notice(&format!(
+                "the cloud grows to at most {fed} Gaussians, which is what the photos feed (evolution.renewal.pixels), \
+                 and not to the limit of {own}"
+            ));
+        }
     }
 
     /// Who asks for renewal should know that a run has no place for it.
@@ -343,8 +357,13 @@ impl<'a, B: Backend> Trainer<'a, B> {
 
 /// The user's limit or the variant's own, and in mode `renew` never more than the photos feed.
 fn population_limit(config: &TrainConfig, views: &[View]) -> Option<usize> {
-    let own = (config.variant == Variant::Mcmc).then_some(mcmc::DEFAULT_CAP);
-    [config.max_gaussians.or(own), fed_by(views, &config.evolution)].into_iter().flatten().min()
+    [own_limit(config), fed_by(views, &config.evolution)].into_iter().flatten().min()
+}
+
+/// The user's limit or the variant's own.
+fn own_limit(config: &TrainConfig) -> Option<usize> {
+    let of_variant = (config.variant == Variant::Mcmc).then_some(mcmc::DEFAULT_CAP);
+    config.max_gaussians.or(of_variant)
 }
 
 /// How many Gaussians the photos feed, where that counts.

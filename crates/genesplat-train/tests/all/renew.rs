@@ -124,6 +124,34 @@ fn a_cloud_grows_to_what_the_photos_feed() {
     }
 }
 
+#[test]
+fn who_sets_a_limit_hears_at_once_that_the_photos_feed_fewer() {
+    let photo = &views(1)[0].photo;
+    let pixels = f64::from(photo.width) * f64::from(photo.height) * 20f64.sqrt();
+    let told = |variant, mode, max_gaussians| {
+        let mut config = TrainConfig { variant, max_gaussians, ..config() };
+        (config.evolution.mode, config.evolution.renewal.pixels) = (mode, pixels / 50.0);
+        let mut told = Told::default();
+        run_observed(&mut backend(0.9), config, &mut told);
+        told.notices
+    };
+    for (variant, limit, own) in [
+        (Variant::ThreeDgs, Some(60), 60),
+        (Variant::Mcmc, Some(60), 60),
+        (Variant::Mcmc, None, genesplat_train::densify::mcmc::DEFAULT_CAP),
+    ] {
+        let [notice] = &told(variant, EvolutionMode::Renew, limit)[..] else { panic!("one notice") };
+        let numbers = ["at most 50 Gaussians", "evolution.renewal.pixels", &format!("limit of {own}")];
+        assert!(numbers.iter().all(|part| notice.contains(part)), "{notice}");
+    }
+    assert!(told(Variant::Mcmc, EvolutionMode::Off, Some(60)).is_empty());
+    for (variant, limit) in
+        [(Variant::ThreeDgs, None), (Variant::ThreeDgs, Some(40)), (Variant::Mcmc, Some(50))]
+    {
+        assert!(told(variant, EvolutionMode::Renew, limit).is_empty());
+    }
+}
+
 /// Remembers what users are told, and how large the cloud became.
 #[derive(Default)]
 struct Told {
@@ -144,7 +172,8 @@ impl Observer for Told {
 fn a_run_that_has_no_place_for_renewal_says_so() {
     let told = |variant: Variant, until: f64| {
         let (mut told, mut config) = (Told::default(), TrainConfig { variant, ..config() });
-        config.evolution.renewal.until = until;
+        // Fewer than the photos feed, so that there is nothing else to tell.
+        (config.evolution.renewal.until, config.max_gaussians) = (until, Some(30));
         run_observed(&mut backend(0.9), config, &mut told);
         told.notices
     };
