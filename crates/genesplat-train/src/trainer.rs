@@ -104,6 +104,7 @@ impl<'a, B: Backend> Trainer<'a, B> {
             iterations: self.schedule.iterations,
         });
         self.tell_of_lower_limit();
+        self.tell_of_missing_growth();
         self.tell_of_missing_renewals();
         Ok(cursor)
     }
@@ -119,6 +120,22 @@ impl<'a, B: Backend> Trainer<'a, B> {
                  and not to the limit of {own}"
             ));
         }
+    }
+
+    /// Renewal ends density control early, in short runs before it has begun. Who switched it off needs no telling.
+    fn tell_of_missing_growth(&mut self) {
+        let schedule = self.schedule;
+        let is_wanted = schedule.renew_every.is_some() && schedule.densify_until > 0;
+        if !is_wanted || (1..=schedule.iterations).any(|i| schedule.is_densify(i)) {
+            return;
+        }
+        let first = (schedule.densify_from / schedule.densify_every + 1) * schedule.densify_every;
+        self.observer.notice(&format!(
+            "nothing grows here: in a run of {} iterations with mode renew density control ends before iteration {}, and \
+             the first densification would be at the end of iteration {first}; make the run longer, or lower \
+             densify.from and densify.every",
+            schedule.iterations, schedule.densify_until
+        ));
     }
 
     /// Who asks for renewal should know that a run has no place for it.

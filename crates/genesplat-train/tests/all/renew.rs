@@ -152,6 +152,26 @@ fn who_sets_a_limit_hears_at_once_that_the_photos_feed_fewer() {
     }
 }
 
+#[test]
+fn a_run_too_short_to_grow_says_so() {
+    let told = |variant, iterations, until| {
+        let mut config = TrainConfig { variant, iterations, ..TrainConfig::default() };
+        (config.evolution.mode, config.densify.until) = (EvolutionMode::Renew, until);
+        let mut told = Told::default();
+        run_observed(&mut backend(0.9), config, &mut told);
+        told.notices.into_iter().filter(|notice| notice.contains("nothing grows")).collect::<Vec<_>>()
+    };
+    for (variant, shortest, until) in [(Variant::ThreeDgs, 924, 600), (Variant::Mcmc, 1201, 600)] {
+        let [notice] = &told(variant, shortest - 1, 15_000)[..] else { panic!("one notice") };
+        let wanted = format!(
+            "ends before iteration {until}, and the first densification would be at the end of iteration 600"
+        );
+        assert!(notice.contains(&wanted), "{notice}");
+        assert!(told(variant, shortest, 15_000).is_empty());
+    }
+    assert!(told(Variant::ThreeDgs, 900, 0).is_empty(), "it was switched off");
+}
+
 /// Remembers what users are told, and how large the cloud became.
 #[derive(Default)]
 struct Told {
