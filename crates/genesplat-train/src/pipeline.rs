@@ -121,7 +121,7 @@ impl<B: Backend> Trainer<'_, B> {
         let counters = [self.progress.steps, self.progress.opacity_steps];
         let update = self.next_update(i, schedule.optimiser_step(i));
         let statistics = schedule.statistics(self.signal, self.last_stage, i);
-        if let Err(error) = self.train_step(view, i, update, statistics) {
+        if let Err(error) = self.train_step(view, i, 0, update, statistics) {
             // It was not taken on, so it does not count.
             [self.progress.steps, self.progress.opacity_steps] = counters;
             return Err(error);

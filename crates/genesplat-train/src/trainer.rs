@@ -282,16 +282,18 @@ impl<'a, B: Backend> Trainer<'a, B> {
         })
     }
 
+    /// A step of iteration `i`; `extra` tells those apart that share one: 0 is the iteration's own.
     pub(crate) fn train_step(
         &mut self,
         view: usize,
         i: u32,
+        extra: u32,
         update: Option<Update>,
         statistics: StatisticsRequest,
     ) -> Result<(), TrainError> {
         let background = match self.config.background {
             Background::Random => {
-                let draw = self.rng.at(Stream::Background, i, 0, 0);
+                let draw = self.rng.at(Stream::Background, i, extra, 0);
                 std::array::from_fn(|channel| draw.uniform(channel))
             }
             fixed => fixed.fixed_colour(),
