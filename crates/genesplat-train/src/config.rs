@@ -258,15 +258,17 @@ pub struct EvolutionConfig {
     /// `before-reset`, `after-densify`, `before-densify`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub trigger: Option<Trigger>,
-    /// Run at every n-th occurrence of the trigger. Default 1; at least 1. A published run has 4 resets and 144
-    /// densifications, so 36 gives the densification triggers four stages, too. (`mcmc` has 244; it resets nothing,
-    /// but its reset triggers fall where 3DGS's would, so that stages can be compared.)
+    /// Modes `paper`, `control` and `mosaic` run at every n-th occurrence of the trigger. Default 1; at least 1. A published
+    /// run has 4 resets and 144 densifications, so 36 gives the densification triggers four stages, too. (`mcmc` has 244; it
+    /// resets nothing, but its reset triggers fall where 3DGS's would, so that stages can be compared.)
     pub stride: u32,
-    /// Training views that fitness is measured on, spread evenly over the views in order of name. Default 6; at least 1.
+    /// Modes `paper` and `control`: training views that fitness is measured on, spread evenly over the views in order of name.
+    /// Default 6; at least 1. (The others have `recombine.views`, `mosaic.views` and `renewal.weighed`.)
     pub views: usize,
-    /// Draw other views for each stage. Default false: the paper keeps one subset.
+    /// Modes `paper` and `control`: draw other views for each stage. Default false: the paper keeps one subset.
     pub rotate_views: bool,
-    /// Adam's moments of the Gaussians that a stage changed. Default `keep`; or `zero`. The paper is silent.
+    /// Mode `paper`: Adam's moments of the Gaussians that a stage changed. Default `keep`; or `zero`. The paper is silent.
+    /// (`mosaic` and `recombine` keep all moments, `renew` those of all rows but twins.)
     #[serde(with = "MomentPolicyNames")]
     pub moments: MomentPolicy,
     /// Mode `control`: seconds a stage. Default 60; not negative.
