@@ -17,7 +17,7 @@ use crate::densify::adaptive::Rules;
 use crate::densify::mcmc;
 use crate::filter_3d::filter_3d;
 use crate::fitness::Stage;
-use crate::initialise::{ColouredPoint, cloud_from_points, in_spatial_order, scene_extent};
+use crate::initialise::{ColouredPoint, check_points, cloud_from_points, in_spatial_order, scene_extent};
 use crate::observe::{Observer, StartLog, StepFindings};
 use crate::renew::Trial;
 use crate::run::{Outcome, RunSummary, Seconds, Start, TrainError};
@@ -155,6 +155,8 @@ impl<'a, B: Backend> Trainer<'a, B> {
     }
 
     fn first_cloud(&self, points: &[ColouredPoint]) -> Result<Gaussians, TrainError> {
+        // Before they are in another order, so that users find the one that is named.
+        check_points(points)?;
         let mut cloud = cloud_from_points(&in_spatial_order(points))?;
         if self.config.variant == Variant::Mcmc {
             mcmc::initialise(&mut cloud, self.config.mcmc.initial_opacity, self.config.mcmc.initial_scale);
