@@ -24,7 +24,7 @@ use genesplat_evolve::strategy::EvolutionStrategy;
 
 use crate::checkpoint::{Checkpoint, Cursor};
 use crate::guards::{StageViews, Verdict, mean_loss};
-use crate::observe::{GenerationLog, StageKind, StageLog, StageRecord};
+use crate::observe::{GenerationLog, StageKind, StageRecord};
 use crate::run::TrainError;
 use crate::trainer::Trainer;
 
@@ -87,10 +87,7 @@ impl<B: Backend> Trainer<'_, B> {
             return Ok(None);
         }
         let line = self.line(cursor.iteration);
-        let before = self.verdicts(&line, &[Blend::default()])?[0];
-        if !before.loss.is_finite() {
-            return Err(TrainError::NoFitness { iteration: line.iteration, loss: before.loss });
-        }
+        let before = self.verdict(&line.views.guards, line.iteration)?;
         let Verdict { loss, psnr } = before;
         let record = StageRecord::begun(StageKind::Recombination, line.iteration, loss, Some(psnr));
         let mut record = StageRecord { population_bytes: self.bytes_of_line(&line), ..record };
@@ -128,7 +125,7 @@ impl<B: Backend> Trainer<'_, B> {
 
     /// The best genome that the evolution strategy finds until it ends or is stopped.
     fn search_line(&mut self, line: &Line, record: &mut StageRecord) -> Result<Vec<f64>, TrainError> {
-        self.observer.on_stage_start(&self.line_log(line, record.fitness_before));
+        self.observer.on_stage_start(&self.search_log(record, &line.views.guards, line.generations));
         let mut strategy = EvolutionStrategy::new(START.repeat(line.groups), STEP, line.rng);
         while strategy.generation() < line.generations && !self.stopped() {
             let count = self.config.evolution.recombine.views;
@@ -178,13 +175,6 @@ impl<B: Backend> Trainer<'_, B> {
     fn bytes_of_line(&self, line: &Line) -> u64 {
         let parents = line.parents.into_iter().filter(|&has_states| has_states).count();
         ((parents + 1) * self.backend.len() * Gaussians::BYTES_PER_ROW) as u64
-    }
-
-    fn line_log(&self, line: &Line, fitness: f64) -> StageLog {
-        let views = line.views.guards.iter().map(|&view| self.views[view].name.clone()).collect();
-        // The first generation counts as the initial population.
-        let generations = line.generations.saturating_sub(1);
-        StageLog { iteration: line.iteration, generations, views, fitness }
     }
 }
 

@@ -19,7 +19,7 @@
 
 use std::time::Instant;
 
-use genesplat_core::{Backend, Blend, Gaussians, Merit, Moments, Origin};
+use genesplat_core::{Backend, Gaussians, Merit, Moments, Origin};
 use genesplat_evolve::renewal;
 
 use crate::guards::{StageViews, Verdict};
@@ -68,16 +68,6 @@ impl<B: Backend> Trainer<'_, B> {
     /// The same in all trials of a run, so that one verdict ends a trial and begins the next. Steps and weighing see them, too.
     fn guards(&self) -> Vec<usize> {
         StageViews::new(self.views, self.config.evolution.recombine.guards, &self.rng).guards
-    }
-
-    pub(crate) fn verdict(&mut self, guards: &[usize], i: u32) -> Result<Verdict, TrainError> {
-        let settings = self.settings(i);
-        let verdict = Verdict::of(&self.backend.judge(&[Blend::default()], guards, &settings)?);
-        if verdict.loss.is_finite() {
-            Ok(verdict)
-        } else {
-            Err(TrainError::NoFitness { iteration: i, loss: verdict.loss })
-        }
     }
 
     /// Keeps what was renewed, or takes it back, if there is a trial; returns what guards say of the state that stays.

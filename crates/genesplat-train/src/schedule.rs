@@ -44,9 +44,9 @@ pub enum Phase {
     EvolveAfterReset,
     /// The evolution stage, once, after the last step.
     EvolveAtEnd,
-    /// Recombination: the state is added to the mean of the last ones.
+    /// Recombination: the state is added to one of the two parents, the means of a window's older and younger states.
     Remember,
-    /// Recombination: the mean replaces the last state if it is better.
+    /// Recombination: a child of the states that were remembered replaces the last one if it is better.
     Recombine,
     /// Renewal: the last one is judged, and the next one begins.
     Renew,
@@ -69,7 +69,7 @@ impl Phase {
         Self::Renew,
     ];
 
-    /// One of the five places of the evolution stage, or recombination in its place.
+    /// One of the five places of the evolution stage, or what recombination and renewal do in its place.
     pub fn is_evolution(self) -> bool {
         matches!(
             self,
