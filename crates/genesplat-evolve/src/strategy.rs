@@ -4,9 +4,10 @@
 //! Every generation draws individuals around a mean, and the better half, weighted by rank, becomes the next mean. Two
 //! paths remember where the mean went: one that is longer than chance would have it widens the steps, a shorter one
 //! narrows them; the other stretches single genes. This is the separable CMA-ES (Ros & Hansen, "A simple modification in
-//! CMA-ES achieving linear time and space complexity", PPSN 2008), with the default constants of Hansen, "The CMA
-//! evolution strategy: a tutorial", 2016. Only the order of losses matters, so they may come from other views in every
-//! generation.
+//! CMA-ES achieving linear time and space complexity", PPSN 2008). Its constants follow those of Hansen, "The CMA evolution
+//! strategy: a tutorial", 2016, and are simpler in places: the worse half has no weights, and how fast the stretch's path
+//! forgets depends on the number of genes alone. Only the order of losses matters, so they may come from other views in
+//! every generation.
 //!
 //! Like [`crate::GeneticAlgorithm`] it asks and is told. Every number comes from
 //! `Rng::at(Stream::Proposal, generation, individual, pair of genes)`.

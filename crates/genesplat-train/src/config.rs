@@ -118,7 +118,8 @@ pub struct TrainConfig {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub extent: Option<f64>,
     /// Densification stops at this many Gaussians, and serves the strongest gradients until then. Default: no limit;
-    /// 1,000,000 with `mcmc`, which grows to it whatever the gradients.
+    /// 1,000,000 with `mcmc`, which grows to it whatever the gradients. Evolution's mode `renew` has a limit of its own, and the
+    /// lower one counts (`evolution.renewal.pixels`).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub max_gaussians: Option<usize>,
     /// Iterations between two read-backs of the loss, which make a GPU wait. Default 10; 0 for none. Not scaled.
@@ -257,15 +258,17 @@ pub struct EvolutionConfig {
     /// `before-reset`, `after-densify`, `before-densify`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub trigger: Option<Trigger>,
-    /// Run at every n-th occurrence of the trigger. Default 1; at least 1. A published run has 4 resets and 144
-    /// densifications, so 36 gives the densification triggers four stages, too. (`mcmc` has 244; it resets nothing,
-    /// but its reset triggers fall where 3DGS's would, so that stages can be compared.)
+    /// Modes `paper`, `control` and `mosaic` run at every n-th occurrence of the trigger. Default 1; at least 1. A published
+    /// run has 4 resets and 144 densifications, so 36 gives the densification triggers four stages, too. (`mcmc` has 244; it
+    /// resets nothing, but its reset triggers fall where 3DGS's would, so that stages can be compared.)
     pub stride: u32,
-    /// Training views that fitness is measured on, spread evenly over the views in order of name. Default 6; at least 1.
+    /// Modes `paper` and `control`: training views that fitness is measured on, spread evenly over the views in order of name.
+    /// Default 6; at least 1. (The others have `recombine.views`, `mosaic.views` and `renewal.weighed`.)
     pub views: usize,
-    /// Draw other views for each stage. Default false: the paper keeps one subset.
+    /// Modes `paper` and `control`: draw other views for each stage. Default false: the paper keeps one subset.
     pub rotate_views: bool,
-    /// Adam's moments of the Gaussians that a stage changed. Default `keep`; or `zero`. The paper is silent.
+    /// Mode `paper`: Adam's moments of the Gaussians that a stage changed. Default `keep`; or `zero`. The paper is silent.
+    /// (`mosaic` and `recombine` keep all moments, `renew` those of all rows but twins.)
     #[serde(with = "MomentPolicyNames")]
     pub moments: MomentPolicy,
     /// Mode `control`: seconds a stage. Default 60; not negative.
@@ -286,17 +289,18 @@ pub struct EvolutionConfig {
 pub struct RenewalConfig {
     /// Share of the Gaussians that die in a renewal; as many others become two. Default 0.05; above 0, at most 0.5.
     pub share: f64,
-    /// Steps between two renewals, the first of which comes when density control has ended, as a share of the run. Default
-    /// 0.05; above 0, at most 0.5.
+    /// Steps between two renewals, as a share of the run. They are counted back from its end, and the first one comes when density
+    /// control has ended, in the second half of the run. Default 0.05; above 0, at most 0.5.
     pub every: f64,
     /// No renewal begins after this share of the run: the last Gaussians need time to become good ones. Default 0.75; 0 to 1.
     pub until: f64,
     /// Training views that a renewal weighs on, at most, as a share of the run's steps; spread evenly, others each time.
     /// Default 0.02, where all renewals together take a tenth of the time or less; above 0.
     pub weighed: f64,
-    /// Training pixels that one Gaussian lives on, for each of √(number of photos), since photos show the same things: density
-    /// control grows the cloud, evenly, to at most the pixels of all photos over `pixels · √photos`. More Gaussians than that learn
-    /// the photos by heart. Default 2; 0 for no such limit.
+    /// Training pixels that one Gaussian lives on, for each of √(number of photos), since photos show the same things: the cloud
+    /// grows to at most the pixels of all photos over `pixels · √photos`, and to less where `max_gaussians` is lower. Density
+    /// control approaches that limit evenly; MCMC by its own share (`mcmc.growth`). More Gaussians than that learn the photos
+    /// by heart. Default 2; 0 for no such limit.
     pub pixels: f64,
 }
 
@@ -315,15 +319,17 @@ pub struct RecombineConfig {
     pub window: f64,
     /// States that are averaged, evenly over a window, into its two parents. Default 10; at least 2.
     pub states: u32,
-    /// Generations of each stage but the last. Default 0: only the start of the search and the mean are judged.
+    /// Generations of each stage but the last. Default 0: only the start of the search and the mean are judged. Runs of fewer
+    /// than 3,000 steps have fewer in proportion, but one where there are to be any; so it is with the last stage.
     pub generations: u32,
     /// Generations of the last stage, in which each group of parameters (positions, scales, rotations, opacities, base
     /// colours, other colours) has genes of its own. Default 3.
     pub last_generations: u32,
     /// Training views that a generation is judged on, drawn anew for each. Default 6; at least 1.
     pub views: usize,
-    /// Training views held back from the search, which the child must render better before it is kept; spread evenly, drawn anew
-    /// for each stage, and never more than a quarter of the views. Mode `mosaic` has as many. Default 8; at least 1.
+    /// Training views held back from the search (and from nothing else: gradient steps see them), which the child must render
+    /// better before it is kept; spread evenly, drawn anew for each stage, and at most a quarter of the views, but always one.
+    /// Mode `mosaic` has as many; so have renewals, the same ones all along. Default 8; at least 1.
     pub guards: usize,
 }
 

@@ -7,7 +7,8 @@
 
 use genesplat_core::Camera;
 use genesplat_core::constants::NEAR_DEPTH;
-use glam::DVec3;
+use glam::{DMat3, DVec3};
+use rayon::prelude::*;
 
 /// Variance of the filter in units of the squared sampling interval (Mip-Splatting).
 const FILTER_VARIANCE: f64 = 0.2;
@@ -21,23 +22,25 @@ const BORDER: f64 = 0.15;
 /// nothing to smooth and the filter is zero.
 pub fn filter_3d<'a>(positions: &[[f32; 3]], cameras: impl Iterator<Item = &'a Camera> + Clone) -> Vec<f32> {
     let focal_max = cameras.clone().map(|camera| camera.focal_px[0]).fold(0.0, f64::max);
-    let mut depth_min = vec![f64::INFINITY; positions.len()];
-    for camera in cameras {
-        let rotation = camera.rotation();
-        for (depth, position) in depth_min.iter_mut().zip(positions) {
-            let world = DVec3::from_array(position.map(f64::from));
-            let seen = rotation * world + camera.camera_from_world_translation;
-            if sees(camera, seen) {
-                *depth = depth.min(seen.z);
-            }
-        }
-    }
+    let cameras: Vec<(&Camera, DMat3)> = cameras.map(|camera| (camera, camera.rotation())).collect();
+    let depth_min: Vec<f64> =
+        positions.par_iter().map(|&position| smallest_depth(&cameras, position)).collect();
     let farthest = depth_min.iter().copied().filter(|depth| depth.is_finite()).fold(0.0, f64::max);
     let std_by_depth = FILTER_VARIANCE.sqrt() / focal_max;
     depth_min
         .into_iter()
         .map(|depth| (if depth.is_finite() { depth } else { farthest } * std_by_depth) as f32)
         .collect()
+}
+
+/// Depth of a position in the camera that sees it from nearest by; infinite where none sees it.
+fn smallest_depth(cameras: &[(&Camera, DMat3)], position: [f32; 3]) -> f64 {
+    let world = DVec3::from_array(position.map(f64::from));
+    cameras.iter().fold(f64::INFINITY, |depth, &(camera, rotation)| {
+        let seen = rotation * world + camera.camera_from_world_translation;
+        // The cheap question first: most cameras are no nearer than another that sees it.
+        if seen.z < depth && sees(camera, seen) { seen.z } else { depth }
+    })
 }
 
 fn sees(camera: &Camera, point_in_camera: DVec3) -> bool {
@@ -54,6 +57,7 @@ fn sees(camera: &Camera, point_in_camera: DVec3) -> bool {
 
 #[cfg(test)]
 mod tests {
+    use genesplat_core::{Rng, Stream};
     use glam::DQuat;
 
     use super::*;
@@ -77,6 +81,41 @@ mod tests {
         // The first is 3 in front of the second camera; the second only in front of the first camera.
         for (std, depth) in filter.iter().zip([3.0, 1.0]) {
             assert!((f64::from(*std) - 0.2f64.sqrt() * depth / 200.0).abs() < 1e-8, "{std} at {depth}");
+        }
+    }
+
+    #[test]
+    fn all_cameras_are_asked_of_every_position() {
+        let rng = Rng::new(5);
+        let positions: Vec<[f32; 3]> = (0..5000)
+            .map(|row| {
+                let draw = rng.at(Stream::Test, 0, row, 0);
+                std::array::from_fn(|axis| 12.0 * draw.uniform(axis) - 4.0)
+            })
+            .collect();
+        let cameras: Vec<Camera> = (0..17)
+            .map(|k| Camera {
+                camera_from_world_rotation: DQuat::from_rotation_y(0.4 * f64::from(k)),
+                ..camera_at(0.3 * f64::from(k) - 2.0, 60.0 + 5.0 * f64::from(k))
+            })
+            .collect();
+        let filter = filter_3d(&positions, cameras.iter());
+        let mut depth_min = vec![f64::INFINITY; positions.len()];
+        for camera in &cameras {
+            for (depth, position) in depth_min.iter_mut().zip(&positions) {
+                let world = DVec3::from_array(position.map(f64::from));
+                let seen = camera.rotation() * world + camera.camera_from_world_translation;
+                if sees(camera, seen) {
+                    *depth = depth.min(seen.z);
+                }
+            }
+        }
+        let unseen = depth_min.iter().filter(|depth| depth.is_infinite()).count();
+        assert!((100..4900).contains(&unseen), "{unseen} are seen by nobody");
+        let farthest = depth_min.iter().copied().filter(|depth| depth.is_finite()).fold(0.0, f64::max);
+        let std_by_depth = FILTER_VARIANCE.sqrt() / 140.0;
+        for (std, depth) in filter.into_iter().zip(depth_min) {
+            assert_eq!(std, (depth.min(farthest) * std_by_depth) as f32);
         }
     }
 

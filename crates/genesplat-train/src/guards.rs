@@ -1,7 +1,15 @@
-//! Training views that a search never sees, and what they say of what it found.
+//! Guards: training views that decide whether the cloud keeps what evolution made of it.
+//!
+//! What they have seen. They are held back from what the searches of recombination and mosaic are told, and from nothing
+//! else: gradient steps train on them as on all other photos, before a stage and after it, and a renewal weighs on them where
+//! it weighs on all photos or happens to draw them. So they tell whether a search has only learnt its own views by heart, and
+//! of a renewal no more than any training photo. Test photos take no part in anything.
 
-use genesplat_core::{Judgement, Rng, Stream, View};
+use genesplat_core::{Backend, Blend, Judgement, Rng, Stream, View};
 
+use crate::observe::{StageLog, StageRecord};
+use crate::run::TrainError;
+use crate::trainer::Trainer;
 use crate::views::spread_evenly;
 
 /// The least squared error that a PSNR is taken of: 120 dB.
@@ -16,7 +24,7 @@ pub(crate) struct StageViews {
 }
 
 impl StageViews {
-    /// At most a quarter of the views are guards, unless there is only one.
+    /// At most a quarter of the views are guards, but always one.
     pub(crate) fn new(views: &[View], guards: usize, rng: &Rng) -> Self {
         let guards = spread_evenly(views, guards.min(views.len() / 4).max(1), rng, 0);
         let searched: Vec<usize> = (0..views.len()).filter(|view| !guards.contains(view)).collect();
@@ -56,4 +64,28 @@ impl Verdict {
 
 pub(crate) fn mean_loss(judgements: &[Judgement]) -> f64 {
     judgements.iter().map(|judgement| f64::from(judgement.loss)).sum::<f64>() / judgements.len() as f64
+}
+
+impl<B: Backend> Trainer<'_, B> {
+    /// What guards say of the cloud in iteration `i`; an error where they cannot say anything.
+    pub(crate) fn verdict(&mut self, guards: &[usize], i: u32) -> Result<Verdict, TrainError> {
+        let settings = self.settings(i);
+        let verdict = Verdict::of(&self.backend.judge(&[Blend::default()], guards, &settings)?);
+        if verdict.loss.is_finite() {
+            Ok(verdict)
+        } else {
+            Err(TrainError::NoFitness { iteration: i, loss: verdict.loss })
+        }
+    }
+
+    /// What is told at the beginning of a search of so many generations, the first of which counts as the initial
+    /// population.
+    pub(crate) fn search_log(&self, record: &StageRecord, guards: &[usize], generations: u32) -> StageLog {
+        StageLog {
+            iteration: record.iteration,
+            generations: generations.saturating_sub(1),
+            views: guards.iter().map(|&view| self.views[view].name.clone()).collect(),
+            fitness: record.fitness_before,
+        }
+    }
 }

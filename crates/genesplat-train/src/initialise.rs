@@ -41,7 +41,7 @@ pub enum InitialiseError {
         "point {row} of the scene has a coordinate that is not finite; remove it from the reconstruction"
     )]
     NonFinite {
-        /// Index of the point.
+        /// Index of the point, in the order given.
         row: usize,
     },
     /// All cameras stand at one place, so the scene has no size.
@@ -60,8 +60,8 @@ pub type ColouredPoint = ([f32; 3], [u8; 3]);
 
 /// One Gaussian a point, in the order given.
 pub fn cloud_from_points(points: &[ColouredPoint]) -> Result<Gaussians, InitialiseError> {
+    check_points(points)?;
     let positions: Vec<[f32; 3]> = points.iter().map(|point| point.0).collect();
-    check_positions(&positions)?;
     let mut cloud = Gaussians::zeros(points.len());
     cloud.opacity_logits.fill(logit(INITIAL_OPACITY));
     for (row, squared) in mean_squared_distances(&positions).into_iter().enumerate() {
@@ -74,11 +74,12 @@ pub fn cloud_from_points(points: &[ColouredPoint]) -> Result<Gaussians, Initiali
     Ok(cloud)
 }
 
-fn check_positions(positions: &[[f32; 3]]) -> Result<(), InitialiseError> {
-    if positions.len() <= NEIGHBOURS {
-        return Err(InitialiseError::TooFewPoints { found: positions.len() });
+/// A cloud can be made of these points; what is wrong with them is said of the order given.
+pub(crate) fn check_points(points: &[ColouredPoint]) -> Result<(), InitialiseError> {
+    if points.len() <= NEIGHBOURS {
+        return Err(InitialiseError::TooFewPoints { found: points.len() });
     }
-    match positions.iter().position(|point| point.iter().any(|v| !v.is_finite())) {
+    match points.iter().position(|(position, _)| position.iter().any(|v| !v.is_finite())) {
         Some(row) => Err(InitialiseError::NonFinite { row }),
         None => Ok(()),
     }

@@ -12,7 +12,7 @@ use genesplat_evolve::MosaicSearch;
 
 use crate::checkpoint::{Checkpoint, Cursor};
 use crate::guards::{StageViews, Verdict};
-use crate::observe::{GenerationLog, StageKind, StageLog, StageRecord};
+use crate::observe::{GenerationLog, StageKind, StageRecord};
 use crate::run::TrainError;
 use crate::trainer::Trainer;
 
@@ -37,7 +37,8 @@ impl<'a, B: Backend> Trainer<'a, B> {
         let original = mosaic.cloud.genes_of(&all_rows);
         let Verdict { loss, psnr } = mosaic.verdict;
         let mut record = StageRecord::begun(StageKind::Mosaic, cursor.iteration, loss, Some(psnr));
-        self.observer.on_stage_start(&self.mosaic_log(&mosaic));
+        let generations = self.config.evolution.mosaic.generations;
+        self.observer.on_stage_start(&self.search_log(&record, &mosaic.views.guards, generations));
         while !mosaic.search.is_finished() && !self.stopped() {
             self.next_child(&mut mosaic, &mut record)?;
         }
@@ -126,12 +127,5 @@ impl<'a, B: Backend> Trainer<'a, B> {
         let checkpoint = self.capture(cursor)?;
         self.backend.apply(&mosaic.cloud.genes_of(&original.rows), MomentPolicy::Keep)?;
         Ok(checkpoint)
-    }
-
-    fn mosaic_log(&self, mosaic: &Mosaic) -> StageLog {
-        let views = mosaic.views.guards.iter().map(|&view| self.views[view].name.clone()).collect();
-        // The first generation counts as the initial population.
-        let generations = self.config.evolution.mosaic.generations.saturating_sub(1);
-        StageLog { iteration: mosaic.iteration, generations, views, fitness: mosaic.verdict.loss }
     }
 }

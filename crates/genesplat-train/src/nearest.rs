@@ -89,7 +89,9 @@ impl<'a> Tree<'a> {
         };
         self.search(near.0, near.1, nearest);
         self.visit(self.rows[middle], nearest);
-        if offset * offset <= nearest.worst() {
+        // What is there is no nearer than this, and `insert` takes only what is nearer than the worst. Equality would search
+        // all of the points that share a place.
+        if offset * offset < nearest.worst() {
             self.search(far.0, far.1, nearest);
         }
     }
@@ -150,6 +152,13 @@ mod tests {
                 }
             })
             .collect()
+    }
+
+    /// Each point would look at all others, 400 million pairs, if it did not stop at three that are as near as can be.
+    #[test]
+    fn points_that_share_a_place_are_found_at_once() {
+        let shared = vec![[0.25, -1.0, 3.0]; 20_000];
+        assert!(mean_squared_distances(&shared).iter().all(|&squared| squared == 0.0));
     }
 
     #[test]

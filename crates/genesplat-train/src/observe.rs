@@ -141,7 +141,7 @@ pub struct StageRecord {
     pub renders: u64,
     /// Mean Eq. 5 on the stage's views before it.
     pub fitness_before: f64,
-    /// The same after it; never above `fitness_before` for evolution.
+    /// The same after it. Never above `fitness_before` for evolution but for renewal, of which guards judge the PSNR alone.
     pub fitness_after: f64,
     /// Mean PSNR of the guard views before and after it, dB, where a stage has guards; the second is never below the first.
     pub guard_psnr: Option<[f64; 2]>,

@@ -19,8 +19,8 @@
 //!
 //! 7. **Mosaic.** Many small mutations at once; every Gaussian keeps the one that made the picture better where it is seen.
 //!
-//! With MCMC, a step also jiggles positions, 2 relocates dead Gaussians and adds others until shortly before the end, and 3
-//! does not happen; 4 and 5 keep their places, 6 has none.
+//! With MCMC, a step also jiggles positions, 2 relocates dead Gaussians and adds others until shortly before the end (until
+//! half of the run, where 6 takes over from it), and 3 does not happen; 4, 5 and 6 keep their places.
 //!
 //! What is due when is for [`crate::schedule`] to say. This file does it, in that order, and can stop between any two
 //! phases: a resumed run repeats the numbers of one that was never interrupted.
@@ -121,7 +121,7 @@ impl<B: Backend> Trainer<'_, B> {
         let counters = [self.progress.steps, self.progress.opacity_steps];
         let update = self.next_update(i, schedule.optimiser_step(i));
         let statistics = schedule.statistics(self.signal, self.last_stage, i);
-        if let Err(error) = self.train_step(view, i, update, statistics) {
+        if let Err(error) = self.train_step(view, i, 0, update, statistics) {
             // It was not taken on, so it does not count.
             [self.progress.steps, self.progress.opacity_steps] = counters;
             return Err(error);

@@ -24,7 +24,7 @@ use genesplat_evolve::strategy::EvolutionStrategy;
 
 use crate::checkpoint::{Checkpoint, Cursor};
 use crate::guards::{StageViews, Verdict, mean_loss};
-use crate::observe::{GenerationLog, StageKind, StageLog, StageRecord};
+use crate::observe::{GenerationLog, StageKind, StageRecord};
 use crate::run::TrainError;
 use crate::trainer::Trainer;
 
@@ -34,6 +34,17 @@ const GENES: usize = 2;
 const START: [f64; GENES] = [0.8, 0.6];
 /// First length of its steps.
 const STEP: f64 = 0.3;
+/// Runs of so many steps, and longer ones, have the generations that the configuration asks for. A generation takes as many
+/// renders however short the run is: the last stage's three take 198 with the defaults, 6.6 % of so many steps, and a larger
+/// share of fewer. Fewer generations were measured to cost next to nothing (`docs/evolution.md`).
+const FULL_SEARCH: u32 = 3000;
+
+/// What a run of so many steps has of the generations that are wanted: fewer in proportion to [`FULL_SEARCH`], but one.
+fn affordable(wanted: u32, steps: u32) -> u32 {
+    let in_proportion = u64::from(wanted) * u64::from(steps) / u64::from(FULL_SEARCH);
+    u32::try_from(in_proportion.max(1)).map_or(wanted, |generations| generations.min(wanted))
+}
+
 /// The child that a genome stands for. With the parents' mean `m` and the cloud `c`, gene 0 weighs `m − c`, and gene 1 the
 /// way from the older parent to the younger one. A parent without states makes the other one the mean.
 fn blend(genome: &[f64], has_states: [bool; PARENTS]) -> Blend {
@@ -76,10 +87,7 @@ impl<B: Backend> Trainer<'_, B> {
             return Ok(None);
         }
         let line = self.line(cursor.iteration);
-        let before = self.verdicts(&line, &[Blend::default()])?[0];
-        if !before.loss.is_finite() {
-            return Err(TrainError::NoFitness { iteration: line.iteration, loss: before.loss });
-        }
+        let before = self.verdict(&line.views.guards, line.iteration)?;
         let Verdict { loss, psnr } = before;
         let record = StageRecord::begun(StageKind::Recombination, line.iteration, loss, Some(psnr));
         let mut record = StageRecord { population_bytes: self.bytes_of_line(&line), ..record };
@@ -100,7 +108,9 @@ impl<B: Backend> Trainer<'_, B> {
     /// What is found at the end of the run is kept: there a longer genome is worth its renders.
     fn line(&self, iteration: u32) -> Line {
         let (config, rng) = (&self.config.evolution.recombine, self.rng.fork(iteration));
-        let is_last = iteration == self.schedule.iterations;
+        let steps = self.schedule.iterations;
+        let is_last = iteration == steps;
+        let wanted = if is_last { config.last_generations } else { config.generations };
         Line {
             iteration,
             begun: Instant::now(),
@@ -108,14 +118,14 @@ impl<B: Backend> Trainer<'_, B> {
             settings: self.settings(iteration),
             rng,
             parents: self.backend.remembered().map(|states| states > 0),
-            generations: if is_last { config.last_generations } else { config.generations },
+            generations: affordable(wanted, steps),
             groups: if is_last { PARAMETER_GROUPS } else { 1 },
         }
     }
 
     /// The best genome that the evolution strategy finds until it ends or is stopped.
     fn search_line(&mut self, line: &Line, record: &mut StageRecord) -> Result<Vec<f64>, TrainError> {
-        self.observer.on_stage_start(&self.line_log(line, record.fitness_before));
+        self.observer.on_stage_start(&self.search_log(record, &line.views.guards, line.generations));
         let mut strategy = EvolutionStrategy::new(START.repeat(line.groups), STEP, line.rng);
         while strategy.generation() < line.generations && !self.stopped() {
             let count = self.config.evolution.recombine.views;
@@ -166,13 +176,6 @@ impl<B: Backend> Trainer<'_, B> {
         let parents = line.parents.into_iter().filter(|&has_states| has_states).count();
         ((parents + 1) * self.backend.len() * Gaussians::BYTES_PER_ROW) as u64
     }
-
-    fn line_log(&self, line: &Line, fitness: f64) -> StageLog {
-        let views = line.views.guards.iter().map(|&view| self.views[view].name.clone()).collect();
-        // The first generation counts as the initial population.
-        let generations = line.generations.saturating_sub(1);
-        StageLog { iteration: line.iteration, generations, views, fitness }
-    }
 }
 
 /// One generation; its losses are those of its own views, so the best so far is the guards' last word.
@@ -192,5 +195,31 @@ fn generation_log(record: &StageRecord, losses: &[f64]) -> GenerationLog {
         accepted: None,
         renders: record.renders,
         seconds: record.seconds,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::RecombineConfig;
+
+    #[test]
+    fn runs_of_3000_steps_and_more_have_all_generations() {
+        for steps in [3000, 3001, 7000, 30_000, 1_000_000, u32::MAX] {
+            for wanted in (0..100).chain([u32::MAX]) {
+                assert_eq!(affordable(wanted, steps), wanted, "{steps} steps");
+            }
+        }
+    }
+
+    #[test]
+    fn in_shorter_runs_the_search_takes_no_larger_share_of_the_steps_or_one_generation() {
+        let RecombineConfig { last_generations, views, .. } = RecombineConfig::default();
+        let renders = EvolutionStrategy::individuals(PARAMETER_GROUPS * GENES) * views;
+        let search = |steps| affordable(last_generations, steps) * renders as u32;
+        assert_eq!([300, 1000, 1999, 2000, 2999].map(search), [66, 66, 66, 132, 132]);
+        assert_eq!([3000, 30_000].map(search), [198; 2]);
+        assert!((1000..3000).all(|steps| search(steps) * 3000 <= steps * 198));
+        assert_eq!(affordable(0, 300), 0, "where there is to be no search, there is none");
     }
 }

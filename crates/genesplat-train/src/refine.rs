@@ -36,7 +36,7 @@ pub fn refine<B: Backend>(
     let last = finished_iteration(config.schedule());
     if config.schedule().gene_gradients {
         let genes = StatisticsRequest { density: None, genes: true };
-        (0..views.len()).try_for_each(|view| trainer.train_step(view, last, None, genes))?;
+        (0..views.len()).try_for_each(|view| trainer.train_step(view, last, 0, None, genes))?;
     }
     let checkpoint = trainer.perform(last, Phase::EvolveAfterReset)?;
     let mut outcome = trainer.finish(None)?;
@@ -60,7 +60,7 @@ impl<B: Backend> Trainer<'_, B> {
         while !self.stopped() && clock.elapsed().as_secs_f64() < stage.config.control_seconds {
             self.torn = true;
             let update = self.next_update(i, OptimiserStep::All);
-            self.train_step(order.view(steps), i, update, StatisticsRequest::default())?;
+            self.train_step(order.view(steps), i, steps + 1, update, StatisticsRequest::default())?;
             self.wait_for_device()?;
             steps += 1;
         }

@@ -5,19 +5,21 @@
 //! not there has no gradient.
 //!
 //! How. There are never more Gaussians than the photos feed: with few pixels to each, a cloud learns photos by heart, and
-//! nothing that comes later makes it forget them. Once density control has ended, a twentieth of the run apart, every
-//! Gaussian is weighed ([`genesplat_core::merit`]), and a share of the cloud is renewed ([`genesplat_evolve::renewal`]). A
-//! new Gaussian needs some gradient steps before it is worth anything, so a renewal is judged when the next one is due: if
-//! the *guard* views are rendered worse by then than before it, the state before it comes back, moments and all, and the
-//! steps in between were in vain. Recombination (`recombine`) comes first wherever both are due, so that the states which
-//! guards compare are alike free of the noise of single steps.
+//! nothing that comes later makes it forget them. Once density control has ended, in the second half of the run, a
+//! twentieth of it apart, every Gaussian is weighed ([`genesplat_core::merit`]), and a share of the cloud is renewed
+//! ([`genesplat_evolve::renewal`]). A new Gaussian needs some gradient steps before it is worth anything, so a renewal is
+//! judged when the next one is due: if the *guard* views are rendered worse by then than before it, the state before it
+//! comes back, moments and all, and the steps in between were in vain. (What guards have seen before is said in `guards`.)
+//! Recombination (`recombine`) comes first wherever both are due, so that the states which guards compare are alike free of
+//! the noise of single steps. Only a renewal that begins as soon as density control has ended has none before it, so what
+//! it is compared with is as it is after any step, and the first trial is the easier for that.
 //!
 //! Prior art: 3DGS-MCMC relocates by opacity (Kheradmand et al., 2024), "Revising Densification" grows by error (Rota Bulò
 //! et al., 2024); neither weighs, or takes anything back. In MCMC renewal takes over from relocation at half of the run.
 
 use std::time::Instant;
 
-use genesplat_core::{Backend, Blend, Gaussians, Merit, Moments, Origin};
+use genesplat_core::{Backend, Gaussians, Merit, Moments, Origin};
 use genesplat_evolve::renewal;
 
 use crate::guards::{StageViews, Verdict};
@@ -29,7 +31,7 @@ use crate::views::spread_evenly;
 /// A renewal that has yet to prove itself.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Trial {
-    /// What is reported of it, as if it failed.
+    /// What is reported of it, as if it had succeeded; what guards say of it in the end is not in it yet.
     pub record: StageRecord,
     /// The cloud before it.
     pub cloud: Gaussians,
@@ -53,12 +55,9 @@ impl<B: Backend> Trainer<'_, B> {
     pub(crate) fn renew(&mut self, i: u32) -> Result<(), TrainError> {
         let clock = Instant::now();
         let guards = self.guards();
-        let mut verdict = self.verdict(&guards, i)?;
-        if let Some(trial) = self.trial.take() {
-            verdict = self.end_trial(trial, verdict, clock)?;
-        }
+        let verdict = self.verdict(&guards, i)?;
+        let Verdict { loss, psnr } = self.end_trial(verdict, clock)?;
         if self.schedule.renews(i) {
-            let Verdict { loss, psnr } = verdict;
             let record = StageRecord::begun(StageKind::Renewal, i, loss, Some(psnr));
             let renders = guards.len() as u64;
             self.begin_trial(StageRecord { generations: 1, renders, ..record }, Instant::now())?;
@@ -66,39 +65,40 @@ impl<B: Backend> Trainer<'_, B> {
         Ok(())
     }
 
-    /// The same in all trials of a run, so that one verdict ends a trial and begins the next.
+    /// The same in all trials of a run, so that one verdict ends a trial and begins the next. Steps and weighing see them, too.
     fn guards(&self) -> Vec<usize> {
         StageViews::new(self.views, self.config.evolution.recombine.guards, &self.rng).guards
     }
 
-    pub(crate) fn verdict(&mut self, guards: &[usize], i: u32) -> Result<Verdict, TrainError> {
-        let settings = self.settings(i);
-        let verdict = Verdict::of(&self.backend.judge(&[Blend::default()], guards, &settings)?);
-        if verdict.loss.is_finite() {
-            Ok(verdict)
-        } else {
-            Err(TrainError::NoFitness { iteration: i, loss: verdict.loss })
-        }
-    }
-
-    /// Keeps what was renewed, or takes it back; returns what guards say of the state that stays.
-    fn end_trial(&mut self, trial: Trial, verdict: Verdict, clock: Instant) -> Result<Verdict, TrainError> {
-        let Trial { mut record, cloud, moments } = trial;
+    /// Keeps what was renewed, or takes it back, if there is a trial; returns what guards say of the state that stays.
+    fn end_trial(&mut self, verdict: Verdict, clock: Instant) -> Result<Verdict, TrainError> {
+        let Some(Trial { record, cloud, moments }) = &self.trial else { return Ok(verdict) };
+        let mut record = *record;
         let before =
             Verdict { loss: record.fitness_before, psnr: record.guard_psnr.map_or(f64::NAN, |psnr| psnr[0]) };
         let stays = if verdict.psnr >= before.psnr {
             verdict
         } else {
-            self.backend.upload(cloud, Some(moments))?;
+            // Copies: where the device has no room for them, what it holds is still on trial.
+            self.backend.upload(cloud.clone(), Some(moments.clone()))?;
             record.changed = 0;
             before
         };
-        self.torn = true;
         record.fitness_after = stays.loss;
         record.guard_psnr = Some([before.psnr, stays.psnr]);
         record.seconds += clock.elapsed().as_secs_f64();
-        self.end_stage(record)?;
+        self.forget_trial(record)?;
         Ok(stays)
+    }
+
+    /// The trial is over. Once it is reported the state is whole again: what is left of the phase is the next renewal,
+    /// which whoever resumes begins likewise.
+    fn forget_trial(&mut self, record: StageRecord) -> Result<(), TrainError> {
+        self.torn = true;
+        self.trial = None;
+        self.end_stage(record)?;
+        self.torn = false;
+        Ok(())
     }
 
     /// Weighs all Gaussians, and renews a share of them, if there are any to renew.
@@ -116,7 +116,6 @@ impl<B: Backend> Trainer<'_, B> {
         self.backend.edit_rows(&edit)?;
         record.seconds = clock.elapsed().as_secs_f64();
         self.trial = Some(Trial { record, cloud, moments });
-        self.torn = true;
         Ok(())
     }
 

@@ -44,9 +44,9 @@ pub enum Phase {
     EvolveAfterReset,
     /// The evolution stage, once, after the last step.
     EvolveAtEnd,
-    /// Recombination: the state is added to the mean of the last ones.
+    /// Recombination: the state is added to one of the two parents, the means of a window's older and younger states.
     Remember,
-    /// Recombination: the mean replaces the last state if it is better.
+    /// Recombination: a child of the states that were remembered replaces the last one if it is better.
     Recombine,
     /// Renewal: the last one is judged, and the next one begins.
     Renew,
@@ -69,7 +69,7 @@ impl Phase {
         Self::Renew,
     ];
 
-    /// One of the five places of the evolution stage, or recombination in its place.
+    /// One of the five places of the evolution stage, or what recombination and renewal do in its place.
     pub fn is_evolution(self) -> bool {
         matches!(
             self,
@@ -131,7 +131,8 @@ pub struct Schedule {
     pub evolution_phase: Option<Phase>,
     /// Evolution runs at every n-th occurrence of its trigger.
     pub evolution_stride: u32,
-    /// Iterations between two renewals, if there are any: from the end of density control on.
+    /// Iterations between two renewals, if there are any: counted back from the end of the run, to the end of density control
+    /// or half of the run, whichever is later.
     pub renew_every: Option<u32>,
     /// The last renewal is begun at or before this iteration.
     pub renew_until: u32,
@@ -253,7 +254,8 @@ impl Schedule {
     }
 
     /// Share of its limit that the cloud may have reached in iteration `i`. With renewal it grows evenly over density control,
-    /// whoever set the limit: what is wanted first, of photos that were hardly looked at, is not what is needed most.
+    /// whoever set the limit: what is wanted first, of photos that were hardly looked at, is not what is needed most. MCMC
+    /// does not ask: it adds a share of the Gaussians each time (`mcmc.growth`), until the limit is reached.
     pub fn grown(&self, i: u32) -> f64 {
         let last = self.densify_until.saturating_sub(self.densify_every).max(1);
         if self.renew_every.is_some() { (f64::from(i) / f64::from(last)).min(1.0) } else { 1.0 }
@@ -273,11 +275,18 @@ impl Schedule {
         happens && occurrence.is_multiple_of(self.evolution_stride)
     }
 
-    /// A renewal begins at the end of iteration `i`, and there is time to judge it.
+    /// A renewal begins at the end of iteration `i`, and there is time to judge it. Renewals are counted back from the end of
+    /// the run, as the windows of recombination are, so that a child is bred first wherever both are due.
     pub fn renews(&self, i: u32) -> bool {
         let Some(every) = self.renew_every else { return false };
-        let has_begun = i >= self.densify_until && (i - self.densify_until).is_multiple_of(every);
-        has_begun && i <= self.renew_until && i + every < self.iterations
+        let is_judged = i.saturating_add(every) < self.iterations;
+        let is_in_time = i >= self.renew_from() && i <= self.renew_until;
+        is_judged && is_in_time && (self.iterations - i).is_multiple_of(every)
+    }
+
+    /// No renewal begins before this iteration: rows stay what they are from then on.
+    pub fn renew_from(&self) -> u32 {
+        self.densify_until.max(self.iterations / 2)
     }
 
     /// A renewal begins or is judged.
@@ -296,7 +305,7 @@ impl Schedule {
     /// rows stay what they are for at least the younger half.
     fn window_end(&self, window: u32, i: u32) -> Option<u32> {
         let end = self.iterations - (self.iterations - i) / window * window;
-        (end == self.iterations || end - window / 2 >= self.densify_until).then_some(end)
+        (end == self.iterations || end >= self.densify_until.saturating_add(window / 2)).then_some(end)
     }
 
     /// Which parent a remembered state belongs to: 0 for the older half of a window, 1 for the younger one.

@@ -17,7 +17,7 @@ use crate::densify::adaptive::Rules;
 use crate::densify::mcmc;
 use crate::filter_3d::filter_3d;
 use crate::fitness::Stage;
-use crate::initialise::{ColouredPoint, cloud_from_points, in_spatial_order, scene_extent};
+use crate::initialise::{ColouredPoint, check_points, cloud_from_points, in_spatial_order, scene_extent};
 use crate::observe::{Observer, StartLog, StepFindings};
 use crate::renew::Trial;
 use crate::run::{Outcome, RunSummary, Seconds, Start, TrainError};
@@ -103,24 +103,60 @@ impl<'a, B: Backend> Trainer<'a, B> {
             iteration: cursor.iteration,
             iterations: self.schedule.iterations,
         });
+        self.tell_of_lower_limit();
+        self.tell_of_missing_growth();
         self.tell_of_missing_renewals();
         Ok(cursor)
+    }
+
+    /// Who has a limit should know that the photos' is lower. It cannot wait until that is reached: MCMC turns nobody away
+    /// who could be told of.
+    fn tell_of_lower_limit(&mut self) {
+        let (own, fed) = (own_limit(self.config), fed_by(self.views, &self.config.evolution));
+        let (Some(own), Some(fed)) = (own, fed) else { return };
+        if fed < own {
+            self.observer.notice(&format!(
+                "the cloud grows to at most {fed} Gaussians, which is what the photos feed (evolution.renewal.pixels), \
+                 and not to the limit of {own}"
+            ));
+        }
+    }
+
+    /// Renewal ends density control early, in short runs before it has begun. Who switched it off needs no telling.
+    fn tell_of_missing_growth(&mut self) {
+        let schedule = self.schedule;
+        let is_wanted = schedule.renew_every.is_some() && schedule.densify_until > 0;
+        if !is_wanted || (1..=schedule.iterations).any(|i| schedule.is_densify(i)) {
+            return;
+        }
+        let first = (schedule.densify_from / schedule.densify_every + 1) * schedule.densify_every;
+        self.observer.notice(&format!(
+            "nothing grows here: in a run of {} iterations with mode renew density control ends before iteration {}, and \
+             the first densification would be at the end of iteration {first}; make the run longer, or lower \
+             densify.from and densify.every",
+            schedule.iterations, schedule.densify_until
+        ));
     }
 
     /// Who asks for renewal should know that a run has no place for it.
     fn tell_of_missing_renewals(&mut self) {
         let schedule = self.schedule;
-        if schedule.renew_every.is_none() || (1..=schedule.iterations).any(|i| schedule.renews(i)) {
+        let Some(every) = schedule.renew_every else { return };
+        if (1..=schedule.iterations).any(|i| schedule.renews(i)) {
             return;
         }
         self.observer.notice(&format!(
-            "mode renew renews nothing here, and only recombines: no renewal may begin after iteration {} \
-             (evolution.renewal.until), and rows change until {}",
-            schedule.renew_until, schedule.densify_until
+            "mode renew renews nothing here, and only recombines: renewals are {every} iterations apart \
+             (evolution.renewal.every), counted back from the end, and none may begin before iteration {} or after \
+             iteration {} (evolution.renewal.until)",
+            schedule.renew_from(),
+            schedule.renew_until
         ));
     }
 
     fn first_cloud(&self, points: &[ColouredPoint]) -> Result<Gaussians, TrainError> {
+        // Before they are in another order, so that users find the one that is named.
+        check_points(points)?;
         let mut cloud = cloud_from_points(&in_spatial_order(points))?;
         if self.config.variant == Variant::Mcmc {
             mcmc::initialise(&mut cloud, self.config.mcmc.initial_opacity, self.config.mcmc.initial_scale);
@@ -248,16 +284,18 @@ impl<'a, B: Backend> Trainer<'a, B> {
         })
     }
 
+    /// A step of iteration `i`; `extra` tells those apart that share one: 0 is the iteration's own.
     pub(crate) fn train_step(
         &mut self,
         view: usize,
         i: u32,
+        extra: u32,
         update: Option<Update>,
         statistics: StatisticsRequest,
     ) -> Result<(), TrainError> {
         let background = match self.config.background {
             Background::Random => {
-                let draw = self.rng.at(Stream::Background, i, 0, 0);
+                let draw = self.rng.at(Stream::Background, i, extra, 0);
                 std::array::from_fn(|channel| draw.uniform(channel))
             }
             fixed => fixed.fixed_colour(),
@@ -340,8 +378,13 @@ impl<'a, B: Backend> Trainer<'a, B> {
 
 /// The user's limit or the variant's own, and in mode `renew` never more than the photos feed.
 fn population_limit(config: &TrainConfig, views: &[View]) -> Option<usize> {
-    let own = (config.variant == Variant::Mcmc).then_some(mcmc::DEFAULT_CAP);
-    [config.max_gaussians.or(own), fed_by(views, &config.evolution)].into_iter().flatten().min()
+    [own_limit(config), fed_by(views, &config.evolution)].into_iter().flatten().min()
+}
+
+/// The user's limit or the variant's own.
+fn own_limit(config: &TrainConfig) -> Option<usize> {
+    let of_variant = (config.variant == Variant::Mcmc).then_some(mcmc::DEFAULT_CAP);
+    config.max_gaussians.or(of_variant)
 }
 
 /// How many Gaussians the photos feed, where that counts.

@@ -112,21 +112,47 @@ fn recombination_has_a_stage_after_each_window_in_which_rows_stay() {
 }
 
 #[test]
+fn the_younger_half_of_every_window_comes_after_density_control() {
+    let lengths = (1..=1000).chain([1800, 2000, 3000, 7000, 7005, 24_000, 30_000, 40_000]);
+    for iterations in lengths {
+        for (mode, window) in [EvolutionMode::Renew, EvolutionMode::Recombine].into_iter().zip([0.05, 0.1]) {
+            let schedule = schedule(|config| {
+                (config.iterations, config.evolution.mode) = (iterations, mode);
+                config.evolution.recombine.window = window;
+            });
+            let window = schedule.window.unwrap();
+            for end in (1..iterations).filter_map(|i| schedule.window_end(window, i)) {
+                // Signed, so that what is before the beginning of the run stays there.
+                let younger_half = i64::from(end) - i64::from(window / 2);
+                let is_late = younger_half >= i64::from(schedule.densify_until);
+                assert!(end == iterations || is_late, "{iterations} iterations: a window ends at {end}");
+            }
+            assert!(iterations_with(&schedule, Phase::Recombine).ends_with(&[iterations]));
+        }
+    }
+}
+
+fn renewals(change: impl FnOnce(&mut TrainConfig)) -> Vec<u32> {
+    let schedule = schedule(|config| {
+        config.evolution.mode = EvolutionMode::Renew;
+        change(config);
+    });
+    (1..=schedule.iterations).filter(|&i| schedule.renews(i)).collect()
+}
+
+#[test]
 fn renewal_begins_when_density_control_has_ended_and_leaves_time_to_learn() {
     let renewing = |variant| {
         schedule(|config| (config.variant, config.evolution.mode) = (variant, EvolutionMode::Renew))
     };
     let full = renewing(Variant::ThreeDgs);
-    let begun: Vec<u32> = (1..=30_000).filter(|&i| full.renews(i)).collect();
+    let begun = renewals(|_| {});
     assert_eq!(begun, [15_000, 16_500, 18_000, 19_500, 21_000, 22_500]);
     assert_eq!(
         iterations_with(&full, Phase::Renew),
         [&begun[..], &[24_000]].concat(),
         "the last is only judged"
     );
-    // So that guards compare states that are alike free of noise, a child is bred first.
-    let bred = iterations_with(&full, Phase::Recombine);
-    assert!(begun[1..].iter().all(|i| bred.contains(i)), "{bred:?}");
     assert_eq!(
         full.phases(18_000).collect::<Vec<_>>(),
         [Phase::Step, Phase::Remember, Phase::Recombine, Phase::Renew]
@@ -138,11 +164,65 @@ fn renewal_begins_when_density_control_has_ended_and_leaves_time_to_learn() {
 }
 
 #[test]
+fn renewals_of_runs_of_all_lengths() {
+    let cut_short =
+        |variant, iterations| renewals(|config| (config.variant, config.iterations) = (variant, iterations));
+    for (iterations, begun) in [
+        (300, vec![195, 210, 225]),
+        (1800, vec![1170, 1260, 1350]),
+        (2000, vec![1300, 1400, 1500]),
+        (3000, vec![1950, 2100, 2250]),
+        (7000, vec![4550, 4900, 5250]),
+        (23_080, vec![15_002, 16_156, 17_310]),
+        (24_000, vec![15_600, 16_800, 18_000]),
+        (40_000, vec![20_000, 22_000, 24_000, 26_000, 28_000, 30_000]),
+    ] {
+        assert_eq!(cut_short(Variant::ThreeDgs, iterations), begun);
+    }
+    for (iterations, begun) in [
+        (300, [150, 165, 180, 195, 210, 225]),
+        (1800, [900, 990, 1080, 1170, 1260, 1350]),
+        (2000, [1000, 1100, 1200, 1300, 1400, 1500]),
+        (3000, [1500, 1650, 1800, 1950, 2100, 2250]),
+        (7000, [3500, 3850, 4200, 4550, 4900, 5250]),
+        (30_000, [15_000, 16_500, 18_000, 19_500, 21_000, 22_500]),
+    ] {
+        assert_eq!(cut_short(Variant::Mcmc, iterations), begun);
+        let scale = f64::from(iterations) / 30_000.0;
+        assert_eq!(renewals(|config| config.steps_scale = scale), begun, "the same of the whole schedule");
+    }
+    // Where nothing is densified, or only for a while, renewal waits for the second half all the same.
+    for until in [0, 10_000] {
+        let begun = renewals(|config| config.densify.until = until);
+        assert_eq!(begun, [15_000, 16_500, 18_000, 19_500, 21_000, 22_500]);
+    }
+}
+
+#[test]
+fn a_child_is_bred_before_a_renewal_unless_density_control_has_just_ended() {
+    for (iterations, until) in
+        [(24_000, 15_000), (40_000, 15_000), (23_080, 15_000), (30_000, 10_000), (30_000, 16_000)]
+            .into_iter()
+            .chain((100..=1000).map(|iterations| (iterations, 15_000)))
+    {
+        let schedule = schedule(|config| {
+            (config.iterations, config.densify.until) = (iterations, until);
+            config.evolution.mode = EvolutionMode::Renew;
+        });
+        let bred = iterations_with(&schedule, Phase::Recombine);
+        let settled = schedule.densify_until + schedule.window.unwrap() / 2;
+        let renewed = iterations_with(&schedule, Phase::Renew);
+        assert!(!renewed.is_empty(), "{iterations} iterations");
+        for i in renewed.into_iter().filter(|&i| i >= settled) {
+            assert!(bred.contains(&i), "{iterations} iterations: {i} is not one of {bred:?}");
+        }
+    }
+}
+
+#[test]
 fn with_renewal_a_run_that_is_cut_short_leaves_time_to_renew() {
     let short = |mode| schedule(|config| (config.evolution.mode, config.iterations) = (mode, 7000));
     let (renewing, plain) = (short(EvolutionMode::Renew), short(EvolutionMode::Off));
-    let begun: Vec<u32> = (1..=7000).filter(|&i| renewing.renews(i)).collect();
-    assert_eq!(begun, [4550, 4900, 5250]);
     assert_eq!(iterations_with(&renewing, Phase::Densify).last(), Some(&4500));
     assert_eq!(iterations_with(&renewing, Phase::ResetOpacity), [3000]);
     assert_eq!(iterations_with(&plain, Phase::Densify).last(), Some(&6900));

@@ -5,7 +5,7 @@ use std::sync::atomic::AtomicBool;
 
 use genesplat_core::{DensitySignal, ScreenFilter};
 use genesplat_train::config::Signal;
-use genesplat_train::initialise::cloud_from_points;
+use genesplat_train::initialise::{InitialiseError, cloud_from_points};
 use genesplat_train::observe::{DensifyLog, Render, StepLog};
 use genesplat_train::{
     Background, EvolutionMode, Observer, Outcome, Silent, Start, TrainConfig, TrainError, Variant, train,
@@ -353,4 +353,9 @@ fn missing_inputs_are_named() {
     assert!(matches!(run(&[], Start::Points(points(9))), TrainError::NoViews));
     assert!(matches!(run(&views(3), Start::Points(points(3))), TrainError::Initialise(_)));
     assert!(matches!(run(&views(3), Start::Cloud(Default::default())), TrainError::EmptyCloud));
+    // As it was given, not in the order of the cloud's rows.
+    let mut poisoned = points(9);
+    poisoned[7].0[0] = f32::NAN;
+    let error = run(&views(3), Start::Points(poisoned));
+    assert!(matches!(error, TrainError::Initialise(InitialiseError::NonFinite { row: 7 })), "{error}");
 }

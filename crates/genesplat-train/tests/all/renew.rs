@@ -10,7 +10,7 @@ use genesplat_train::{
 
 use genesplat_train::observe::DensifyLog;
 
-use crate::support::{Call, FakeBackend, StopAt, points, views};
+use crate::support::{Call, Failure, FakeBackend, Keep, StopAt, points, views};
 
 /// 300 iterations; density control ends after 150, renewals begin at 150, 165, ... 225, the last is judged at 240.
 fn config() -> TrainConfig {
@@ -124,6 +124,54 @@ fn a_cloud_grows_to_what_the_photos_feed() {
     }
 }
 
+#[test]
+fn who_sets_a_limit_hears_at_once_that_the_photos_feed_fewer() {
+    let photo = &views(1)[0].photo;
+    let pixels = f64::from(photo.width) * f64::from(photo.height) * 20f64.sqrt();
+    let told = |variant, mode, max_gaussians| {
+        let mut config = TrainConfig { variant, max_gaussians, ..config() };
+        (config.evolution.mode, config.evolution.renewal.pixels) = (mode, pixels / 50.0);
+        let mut told = Told::default();
+        run_observed(&mut backend(0.9), config, &mut told);
+        told.notices
+    };
+    for (variant, limit, own) in [
+        (Variant::ThreeDgs, Some(60), 60),
+        (Variant::Mcmc, Some(60), 60),
+        (Variant::Mcmc, None, genesplat_train::densify::mcmc::DEFAULT_CAP),
+    ] {
+        let [notice] = &told(variant, EvolutionMode::Renew, limit)[..] else { panic!("one notice") };
+        let numbers = ["at most 50 Gaussians", "evolution.renewal.pixels", &format!("limit of {own}")];
+        assert!(numbers.iter().all(|part| notice.contains(part)), "{notice}");
+    }
+    assert!(told(Variant::Mcmc, EvolutionMode::Off, Some(60)).is_empty());
+    for (variant, limit) in
+        [(Variant::ThreeDgs, None), (Variant::ThreeDgs, Some(40)), (Variant::Mcmc, Some(50))]
+    {
+        assert!(told(variant, EvolutionMode::Renew, limit).is_empty());
+    }
+}
+
+#[test]
+fn a_run_too_short_to_grow_says_so() {
+    let told = |variant, iterations, until| {
+        let mut config = TrainConfig { variant, iterations, ..TrainConfig::default() };
+        (config.evolution.mode, config.densify.until) = (EvolutionMode::Renew, until);
+        let mut told = Told::default();
+        run_observed(&mut backend(0.9), config, &mut told);
+        told.notices.into_iter().filter(|notice| notice.contains("nothing grows")).collect::<Vec<_>>()
+    };
+    for (variant, shortest, until) in [(Variant::ThreeDgs, 924, 600), (Variant::Mcmc, 1201, 600)] {
+        let [notice] = &told(variant, shortest - 1, 15_000)[..] else { panic!("one notice") };
+        let wanted = format!(
+            "ends before iteration {until}, and the first densification would be at the end of iteration 600"
+        );
+        assert!(notice.contains(&wanted), "{notice}");
+        assert!(told(variant, shortest, 15_000).is_empty());
+    }
+    assert!(told(Variant::ThreeDgs, 900, 0).is_empty(), "it was switched off");
+}
+
 /// Remembers what users are told, and how large the cloud became.
 #[derive(Default)]
 struct Told {
@@ -144,13 +192,14 @@ impl Observer for Told {
 fn a_run_that_has_no_place_for_renewal_says_so() {
     let told = |variant: Variant, until: f64| {
         let (mut told, mut config) = (Told::default(), TrainConfig { variant, ..config() });
-        config.evolution.renewal.until = until;
+        // Fewer than the photos feed, so that there is nothing else to tell.
+        (config.evolution.renewal.until, config.max_gaussians) = (until, Some(30));
         run_observed(&mut backend(0.9), config, &mut told);
         told.notices
     };
     for variant in [Variant::ThreeDgs, Variant::Mcmc] {
         assert!(told(variant, 0.75).is_empty());
-        let wanted = "begin after iteration 0 (evolution.renewal.until), and rows change until 150";
+        let wanted = "may begin before iteration 150 or after iteration 0 (evolution.renewal.until)";
         let [notice] = &told(variant, 0.0)[..] else { panic!("one notice") };
         assert!(notice.contains(wanted), "{notice}");
     }
@@ -221,6 +270,45 @@ fn a_stop_during_a_trial_changes_nothing() {
             resumed.verdicts = stopping.verdicts;
             let outcome = run(&mut resumed, start, &mut Silent, &AtomicBool::new(false));
             assert_eq!(outcome.cloud, whole.cloud, "stopped in iteration {i}");
+        }
+    }
+}
+
+/// Runs on from a checkpoint's bytes, on a fresh device.
+fn resume(checkpoint: &Checkpoint, backend: &mut FakeBackend) -> Outcome {
+    let mut bytes = Vec::new();
+    checkpoint.write(&mut bytes).unwrap();
+    let start = Start::Checkpoint(Box::new(Checkpoint::read(bytes.as_slice()).unwrap()));
+    run(backend, start, &mut Silent, &AtomicBool::new(false))
+}
+
+#[test]
+fn out_of_memory_in_any_call_saves_a_run_that_resumes_exactly() {
+    let timeless = |outcome: &Outcome| -> Vec<StageRecord> {
+        outcome.summary.stages.iter().map(|stage| StageRecord { seconds: 0.0, ..*stage }).collect()
+    };
+    // Guards whose verdict depends on the cloud alone, so that whoever resumes hears the same.
+    for guards_disagree in [true, false] {
+        let device = || {
+            let mut device = backend(1.0);
+            (device.guards_disagree, device.queues) = (guards_disagree, true);
+            device
+        };
+        let mut untroubled = device();
+        let whole = run_whole(&mut untroubled);
+        let trials = renewals(&whole);
+        assert_eq!(trials.len(), 6);
+        assert_eq!(trials.iter().all(|stage| stage.changed == 0), guards_disagree, "some are kept, or none");
+        // The first calls fill the device; nothing is to be saved of them.
+        for call in 3..untroubled.fallible {
+            let (mut failing, mut keep) = (device(), Keep::default());
+            failing.failure = Some((call, Failure::OutOfMemory));
+            let (start, config) = (Start::Points(points(20)), config().resolve().unwrap());
+            train(&mut failing, &views(20), start, &config, &mut keep, &AtomicBool::new(false)).unwrap_err();
+            let [checkpoint] = &keep.0[..] else { panic!("call {call} leaves nothing") };
+            let resumed = resume(checkpoint, &mut device());
+            assert_eq!(resumed.cloud, whole.cloud, "call {call}");
+            assert_eq!(timeless(&resumed), timeless(&whole), "call {call}");
         }
     }
 }

@@ -9,7 +9,7 @@ use genesplat_train::{
     TrainError, Variant, train,
 };
 
-use crate::support::{Call, Failure, FakeBackend, StopAt, points, views};
+use crate::support::{Call, Failure, FakeBackend, Keep, StopAt, points, views};
 
 /// 300 iterations that densify, reset (30, 60, ...), filter and evolve.
 fn config() -> TrainConfig {
@@ -85,15 +85,6 @@ fn an_interrupted_stage_counts_now_and_is_repeated_in_full_later() {
         let stopped = go(&mut backend, Start::Points(points(20)), &mut Silent, &stop);
         assert!(stopped.summary.interrupted);
         assert_same(&resume(&stopped.checkpoint.unwrap()), &whole, &format!("stopped after {scores} scores"));
-    }
-}
-
-#[derive(Default)]
-struct Keep(Vec<Checkpoint>);
-
-impl Observer for Keep {
-    fn on_checkpoint(&mut self, checkpoint: Checkpoint) {
-        self.0.push(checkpoint);
     }
 }
 

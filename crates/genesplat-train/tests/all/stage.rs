@@ -1,5 +1,6 @@
 //! The evolution stage: it never makes things worse, stops when told, and its control costs what it says.
 
+use std::collections::HashSet;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
@@ -8,7 +9,7 @@ use genesplat_core::backend::MomentPolicy;
 use genesplat_train::initialise::cloud_from_points;
 use genesplat_train::observe::{GenerationLog, StageLog};
 use genesplat_train::{
-    EvolutionMode, Observer, Outcome, Silent, StageRecord, TrainConfig, TrainError, refine,
+    Background, EvolutionMode, Observer, Outcome, Silent, StageRecord, TrainConfig, TrainError, refine,
 };
 
 use crate::support::{Call, FakeBackend, points, views};
@@ -180,6 +181,18 @@ fn the_control_makes_gradient_steps_at_rates_that_stand_still() {
     );
     assert_eq!(outcome.summary.stages[0].renders, updates.len() as u64);
     assert!(applied(&backend).is_empty());
+}
+
+#[test]
+fn every_step_of_the_control_has_a_random_background_of_its_own() {
+    let mut backend = FakeBackend::new();
+    let mut config = config(EvolutionMode::Control);
+    (config.background, config.evolution.control_seconds) = (Background::Random, 0.01);
+    run(&mut backend, config, &AtomicBool::new(false)).unwrap();
+    let colours: Vec<[u32; 3]> =
+        backend.steps().map(|step| step.settings.background.map(f32::to_bits)).collect();
+    let distinct: HashSet<&[u32; 3]> = colours.iter().collect();
+    assert!(colours.len() > 1 && distinct.len() == colours.len(), "{} of {}", distinct.len(), colours.len());
 }
 
 #[test]

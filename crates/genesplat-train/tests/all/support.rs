@@ -14,9 +14,9 @@ use genesplat_core::{
     Backend, BackendError, Blend, Camera, Credits, Gaussians, Image, Judgement, Lineage, Merit, Moments,
     Origin, Photo, RenderSettings, Rng, RowEdit, SparseDelta, Statistics, TrainStep, View,
 };
-use genesplat_train::Observer;
 use genesplat_train::initialise::ColouredPoint;
 use genesplat_train::observe::StepLog;
+use genesplat_train::{Checkpoint, Observer};
 use glam::{DQuat, DVec3};
 
 /// What the pipeline asked for, in order; reads are not recorded.
@@ -457,5 +457,15 @@ pub struct StopAt<'a>(pub u32, pub &'a AtomicBool);
 impl Observer for StopAt<'_> {
     fn on_iteration(&mut self, log: &StepLog) {
         self.1.fetch_or(log.iteration == self.0, Ordering::Relaxed);
+    }
+}
+
+/// Keeps the checkpoints of a run.
+#[derive(Default)]
+pub struct Keep(pub Vec<Checkpoint>);
+
+impl Observer for Keep {
+    fn on_checkpoint(&mut self, checkpoint: Checkpoint) {
+        self.0.push(checkpoint);
     }
 }
