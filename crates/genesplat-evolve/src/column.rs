@@ -258,6 +258,42 @@ mod tests {
         }
 
         #[test]
+        fn columns_differ_where_what_is_read_differs(a in own(), b in own()) {
+            let (a, b) = (column(&a), column(&b));
+            let expected: Vec<bool> = read(&a).iter().zip(read(&b)).map(|(a, b)| *a != b).collect();
+            let bits = a.differing(&b);
+            let found: Vec<bool> = (0..N).map(|row| is_set(bits[row / WORD], row % WORD)).collect();
+            prop_assert_eq!(found, expected);
+        }
+
+        #[test]
+        fn what_more_than_half_of_the_weight_holds_is_the_majority(
+            columns in prop::collection::vec((prop::collection::vec(0..3u8, N), 1..9u32), 1..7),
+        ) {
+            // 0 stands for a row that equals the base.
+            let columns: Vec<(Column<1>, u32)> = columns
+                .iter()
+                .map(|(values, weight)| {
+                    let own: Vec<(u32, f32)> = (0..).zip(values.iter().map(|&v| f32::from(v)))
+                        .filter(|&(_, value)| value > 0.0).collect();
+                    (column(&own), *weight)
+                })
+                .collect();
+            let voters: Vec<(&Column<1>, u32)> = columns.iter().map(|(column, weight)| (column, *weight)).collect();
+            let majority = Column::majority(&voters);
+            let all: u32 = columns.iter().map(|(_, weight)| weight).sum();
+            let votes: Vec<(Vec<_>, u32)> = columns.iter().map(|(column, weight)| (read(column), *weight)).collect();
+            for (row, found) in read(&majority).into_iter().enumerate() {
+                let share = |value: Option<[f32; 1]>| votes.iter().filter(|(rows, _)| rows[row] == value)
+                    .map(|(_, weight)| weight).sum::<u32>();
+                prop_assert!(share(found) > 0, "somebody holds it");
+                for candidate in [None, Some([1.0]), Some([2.0])] {
+                    prop_assert!(2 * share(candidate) <= all || found == candidate);
+                }
+            }
+        }
+
+        #[test]
         fn a_child_inherits_by_the_mask_and_then_steps(
             a in own(), b in own(), mask in mask(), by in prop_oneof![Just(Vec::new()), own()],
         ) {

@@ -108,6 +108,31 @@ fn siblings_share_their_parents_out() {
     }
 }
 
+/// A cloud that follows the shifts, and differences from it, are the same individuals; and the way back leads to the base.
+#[test]
+fn individuals_are_the_same_whatever_they_are_differences_from() {
+    let base = normal_base(300);
+    let config = PaperConfig { tournament: 10, mutation_rates: [0.5; 3], ..small(12, 30) };
+    let mut search = on_sphere(config, &base, 4);
+    let mut cloud = base.clone();
+    let (mut moves, mut from_base, mut from_consensus) = (0, 0, 0);
+    while !search.is_finished() {
+        moves += usize::from(!search.shift().is_empty());
+        cloud = applied(&cloud, search.shift());
+        let all = 0..search.ask();
+        for (near, far) in search.deltas_from_consensus(all.clone()).iter().zip(search.deltas(all)) {
+            assert_eq!(applied(&cloud, near), applied(&base, &far));
+            (from_base, from_consensus) = (from_base + far.rows.len(), from_consensus + near.rows.len());
+        }
+        let losses: Vec<f64> =
+            search.deltas(0..search.ask()).iter().map(|delta| -(delta.rows.len() as f64)).collect();
+        search.tell(&losses).expect("one loss each");
+    }
+    assert_eq!(applied(&cloud, &search.way_back()), base);
+    println!("rows that individuals change: {from_base} from the base, {from_consensus} from the consensus");
+    assert!(moves > 5 && 3 * from_consensus < 2 * from_base);
+}
+
 #[test]
 fn elites_survive_unchanged_and_are_not_asked_again() {
     // One founder is far better than all that follow: it must stay the best of every generation, at its own loss.

@@ -320,7 +320,7 @@ pub struct RecombineConfig {
     /// States that are averaged, evenly over a window, into its two parents. Default 10; at least 2.
     pub states: u32,
     /// Generations of each stage but the last. Default 0: only the start of the search and the mean are judged. Runs of fewer
-    /// than 3,000 steps have fewer in proportion, but one where there are to be any; so it is with the last stage.
+    /// than 1,800 steps have fewer in proportion, but one where there are to be any; so it is with the last stage.
     pub generations: u32,
     /// Generations of the last stage, in which each group of parameters (positions, scales, rotations, opacities, base
     /// colours, other colours) has genes of its own. Default 3.

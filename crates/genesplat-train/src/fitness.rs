@@ -44,35 +44,52 @@ pub(crate) struct Search {
     pub(crate) interrupted: bool,
 }
 
-/// Runs the genetic algorithm to its end, or until `stop` is set; the cloud is then what it was.
+/// Runs the genetic algorithm to its end, or until `stop` is set. Whatever happens, the cloud is then what it was, unless
+/// `torn` says that it is not.
 pub(crate) fn search<B: Backend>(
     backend: &mut B,
     stage: &Stage<'_>,
     observer: &mut dyn Observer,
     stop: &AtomicBool,
+    torn: &mut bool,
 ) -> Result<Search, TrainError> {
     let clock = Instant::now();
     let base_fitness = of_base(backend, stage)?;
     let mut algorithm = algorithm(backend, stage, base_fitness)?;
     let mut record = empty_record(stage, base_fitness);
     observer.on_stage_start(&stage_log(stage, stage.config.paper.generations, base_fitness));
+    *torn = true;
+    let outcome = breed(backend, stage, &mut algorithm, &mut record, (clock, observer, stop));
+    move_cloud(backend, &algorithm.way_back())?;
+    *torn = false;
+    outcome?;
+    let better = algorithm.best().cloned();
+    record.changed = better.as_ref().map_or(0, |delta| delta.rows.len());
+    record.seconds = clock.elapsed().as_secs_f64();
+    Ok(Search { better, record, interrupted: !algorithm.is_finished() })
+}
+
+/// Generation after generation.
+fn breed<B: Backend>(
+    backend: &mut B,
+    stage: &Stage<'_>,
+    algorithm: &mut GeneticAlgorithm,
+    record: &mut StageRecord,
+    (clock, observer, stop): (Instant, &mut dyn Observer, &AtomicBool),
+) -> Result<(), TrainError> {
     while !algorithm.is_finished() {
         move_cloud(backend, algorithm.shift())?;
-        let Some(losses) = score_generation(backend, stage, &algorithm, stop)? else { break };
+        let Some(losses) = score_generation(backend, stage, algorithm, stop)? else { break };
         let population = algorithm.tell(&losses)?;
         let spread = [population.mean, population.std];
         record.renders += (losses.len() * stage.views.len()) as u64;
         record.fitness_after = algorithm.best_loss();
         record.seconds = clock.elapsed().as_secs_f64();
         record.population_bytes = algorithm.peak_population_bytes() as u64;
-        observer.on_generation(&generation_log(&record, &losses, spread));
+        observer.on_generation(&generation_log(record, &losses, spread));
         record.generations += 1;
     }
-    move_cloud(backend, &algorithm.way_back())?;
-    let better = algorithm.best().cloned();
-    record.changed = better.as_ref().map_or(0, |delta| delta.rows.len());
-    record.seconds = clock.elapsed().as_secs_f64();
-    Ok(Search { better, record, interrupted: !algorithm.is_finished() })
+    Ok(())
 }
 
 fn algorithm<B: Backend>(

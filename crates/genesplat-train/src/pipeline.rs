@@ -185,7 +185,7 @@ impl<B: Backend> Trainer<'_, B> {
     /// Searches, then applies. An interrupted search counts with the best it has, but a resumed run repeats it in full.
     fn evolve(&mut self, cursor: Cursor) -> Result<Option<Box<Checkpoint>>, TrainError> {
         let stage = self.stage(cursor.iteration);
-        let search = fitness::search(self.backend, &stage, self.observer, self.stop)?;
+        let search = fitness::search(self.backend, &stage, self.observer, self.stop, &mut self.torn)?;
         let checkpoint = if search.interrupted { Some(self.capture(cursor)?) } else { None };
         let record = fitness::apply(self.backend, &stage, search)?;
         self.torn = true;

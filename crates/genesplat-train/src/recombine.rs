@@ -35,9 +35,9 @@ const START: [f64; GENES] = [0.8, 0.6];
 /// First length of its steps.
 const STEP: f64 = 0.3;
 /// Runs of so many steps, and longer ones, have the generations that the configuration asks for. A generation takes as many
-/// renders however short the run is: the last stage's three take 198 with the defaults, 6.6 % of so many steps, and a larger
+/// renders however short the run is: the last stage's three take 198 with the defaults, a ninth of so many steps, and a larger
 /// share of fewer. Fewer generations were measured to cost next to nothing (`docs/evolution.md`).
-const FULL_SEARCH: u32 = 3000;
+const FULL_SEARCH: u32 = 1800;
 
 /// What a run of so many steps has of the generations that are wanted: fewer in proportion to [`FULL_SEARCH`], but one.
 fn affordable(wanted: u32, steps: u32) -> u32 {
@@ -204,8 +204,8 @@ mod tests {
     use crate::config::RecombineConfig;
 
     #[test]
-    fn runs_of_3000_steps_and_more_have_all_generations() {
-        for steps in [3000, 3001, 7000, 30_000, 1_000_000, u32::MAX] {
+    fn runs_of_1800_steps_and_more_have_all_generations() {
+        for steps in [1800, 1801, 7000, 30_000, 1_000_000, u32::MAX] {
             for wanted in (0..100).chain([u32::MAX]) {
                 assert_eq!(affordable(wanted, steps), wanted, "{steps} steps");
             }
@@ -217,9 +217,9 @@ mod tests {
         let RecombineConfig { last_generations, views, .. } = RecombineConfig::default();
         let renders = EvolutionStrategy::individuals(PARAMETER_GROUPS * GENES) * views;
         let search = |steps| affordable(last_generations, steps) * renders as u32;
-        assert_eq!([300, 1000, 1999, 2000, 2999].map(search), [66, 66, 66, 132, 132]);
-        assert_eq!([3000, 30_000].map(search), [198; 2]);
-        assert!((1000..3000).all(|steps| search(steps) * 3000 <= steps * 198));
+        assert_eq!([300, 1000, 1199, 1200, 1799].map(search), [66, 66, 66, 132, 132]);
+        assert_eq!([1800, 30_000].map(search), [198; 2]);
+        assert!((600..1800).all(|steps| search(steps) * 1800 <= steps * 198));
         assert_eq!(affordable(0, 300), 0, "where there is to be no search, there is none");
     }
 }

@@ -4,7 +4,8 @@
 //! lists, picture and light, and the blurred photo. An individual costs the projection of the rows that it changed
 //! ([`Change`]), the blocks that those rows touch before or after ([`patch::Block::patched`]: only around the changed splats), and
 //! the loss ([`judge::Judge`]). Where no pixel is finished, what lies between changes is taken over from the base up
-//! to a factor, so results equal those of rendering the changed cloud up to rounding.
+//! to a factor, so results equal those of rendering the changed cloud up to rounding. One that changes more than a few rows
+//! in a hundred is blended anew, from the base's tile lists and its own ([`Merge`]).
 
 mod base;
 mod change;
@@ -45,7 +46,8 @@ pub fn score(
     places.map(|[individual, view]| by_view[view * population.len() + individual]).collect()
 }
 
-/// Share of the rows beyond which an individual is rendered anew from merged lists, instead of patched block by block.
+/// Share of the rows beyond which an individual is rendered anew from merged lists, instead of patched block by block: where
+/// both take as long, of a cloud just after a reset.
 const MERGED_SHARE: f64 = 0.02;
 
 /// Blocks between what is asked for and where it is needed.
@@ -72,7 +74,22 @@ impl Scratch {
         view: &BaseView,
         settings: &RenderSettings,
     ) -> f32 {
-        if individual.rows.len() as f64 > MERGED_SHARE * cloud.len() as f64 {
+        let changes_much = individual.rows.len() as f64 > MERGED_SHARE * cloud.len() as f64;
+        self.loss_by(simd, cloud, individual, view, settings, changes_much)
+    }
+
+    /// The same, with one of the two ways to render.
+    #[inline(always)]
+    fn loss_by<S: Simd>(
+        &mut self,
+        simd: S,
+        cloud: &Gaussians,
+        individual: &SparseDelta,
+        view: &BaseView,
+        settings: &RenderSettings,
+        merged: bool,
+    ) -> f32 {
+        if merged {
             self.merge.find(simd, cloud, individual, view, settings);
             self.merge.render(simd, view, settings.background, &mut self.picture);
         } else {

@@ -29,7 +29,7 @@ fn views_of(sizes: [[u32; 2]; 2]) -> Vec<View> {
     sizes.into_iter().enumerate().map(view).collect()
 }
 
-/// Scores the population and compares with the plain way.
+/// Scores the population, and each individual in both ways to render, and compares with the plain way.
 fn check(base: &Gaussians, population: &[SparseDelta], views: &[View], settings: &RenderSettings) {
     let mut backend = CpuBackend::new(0);
     backend.set_views(views).unwrap();
@@ -44,7 +44,15 @@ fn check(base: &Gaussians, population: &[SparseDelta], views: &[View], settings:
             let image = changed.render(&views[view].camera, settings).unwrap();
             let target = loss::Target::from(views[view].photo.as_ref());
             let plain = loss::loss(Level::new(), &image, &target, None);
-            assert!((score / plain - 1.0).abs() < TOLERANCE, "{score} instead of {plain}, view {view}");
+            let base_view =
+                BaseView::new(Level::new(), base, (&views[view].camera).into(), &target, settings);
+            let by = |merged: bool| {
+                let mut scratch = Scratch::default();
+                dispatch!(Level::new(), simd => scratch.loss_by(simd, base, individual, &base_view, settings, merged))
+            };
+            for score in [score, by(false), by(true)] {
+                assert!((score / plain - 1.0).abs() < TOLERANCE, "{score} instead of {plain}, view {view}");
+            }
         }
     }
     let first = scores.chunks(views.len()).map(|scores| scores[0]);

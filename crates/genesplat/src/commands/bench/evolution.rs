@@ -220,7 +220,9 @@ impl Report {
         let search = self.search.iter().map(|row| {
             let Generation { generation, changed, renders_per_second } = row;
             let changed = 100.0 * changed;
-            format!("\ngeneration {generation:<13}{renders_per_second:>8.1} renders/s{changed:>8.1} % changed")
+            format!(
+                "\ngeneration {generation:<13}{renders_per_second:>8.1} renders/s{changed:>8.1} % changed"
+            )
         });
         format!(
             "{} Gaussians just after an opacity reset, {} individuals on {} views, {} threads\n\
