@@ -129,7 +129,7 @@ pub struct TrainStep {
 pub struct StepReport {
     /// `0.8 · L1 + 0.2 · (1 − SSIM)`.
     pub loss: f32,
-    /// Gaussians in front of the camera that reach at least one pixel.
+    /// Gaussians in front of the camera of which the box around `alpha >= 1/255` meets the image.
     pub visible: usize,
     /// Entries of all tile lists.
     pub tile_splats: usize,
@@ -149,6 +149,15 @@ pub enum BackendError {
         row: usize,
         /// Which parameter.
         parameter: &'static str,
+        /// Adam steps made so far.
+        steps: u32,
+    },
+    /// Training diverged, and no parameter shows it yet.
+    #[error(
+        "the loss is not finite after {steps} optimiser steps, though every parameter still is; lower the learning rates \
+         or check the scene's points"
+    )]
+    LossNotFinite {
         /// Adam steps made so far.
         steps: u32,
     },
@@ -176,6 +185,16 @@ pub enum BackendError {
         /// What its driver says.
         reason: String,
     },
+}
+
+impl BackendError {
+    /// Of a cloud whose training diverged after so many steps.
+    pub fn diverged(cloud: &Gaussians, steps: u32) -> Self {
+        match cloud.first_non_finite() {
+            Some((row, parameter)) => Self::NonFinite { row, parameter, steps },
+            None => Self::LossNotFinite { steps },
+        }
+    }
 }
 
 /// What happens to Adam's moments of rows that evolution changed. The paper is silent.
@@ -237,7 +256,7 @@ pub trait Backend {
     /// Puts back sums that [`Backend::statistics`] gave (resume); empty gene columns mean "never asked for".
     fn restore_statistics(&mut self, statistics: Statistics) -> Result<(), BackendError>;
 
-    /// Zeroes the density columns, and the gene columns when `genes`.
+    /// Zeroes the density columns; with `genes`, empties the gene columns, as if nobody had asked for them yet.
     fn reset_statistics(&mut self, genes: bool);
 
     /// Applies a plan of density control to parameters, moments and gene accumulators; density columns are zeroed.

@@ -2,7 +2,6 @@
 
 use crate::covariance::world_offset;
 use crate::gaussians::{Gaussians, Moments, logit, sigmoid};
-use crate::genes::Gene;
 use crate::rng::{Rng, Stream};
 
 /// How a new row is made from an old one.
@@ -25,7 +24,7 @@ pub enum Origin {
         child: u8,
     },
     /// MCMC: a copy whose opacity and scales are set so that the sum of the copies renders like the source;
-    /// moments are fresh.
+    /// moments are fresh unless `keep_moments`.
     Relocated {
         /// New opacity logit.
         opacity_logit: f32,
@@ -171,11 +170,6 @@ fn new_opacity(opacity_logit: f32, origin: Origin) -> f32 {
         Origin::Twin { .. } => twin(opacity_logit).0,
         _ => opacity_logit,
     }
-}
-
-/// Gene accumulators are carried through an edit: children inherit their parent's history.
-pub fn carry_genes(edit: &RowEdit, sums: &[Gene]) -> Vec<Gene> {
-    edit.gather(sums)
 }
 
 #[cfg(test)]

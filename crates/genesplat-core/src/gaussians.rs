@@ -73,7 +73,8 @@ impl Gaussians {
         }
     }
 
-    /// The first row that holds a value that is not finite, with the name of the parameter.
+    /// The first row that holds a parameter that is not finite, with its name: positions are looked at first, then log-scales,
+    /// rotations, opacities and colours, each in all rows. 3D filters are not.
     pub fn first_non_finite(&self) -> Option<(usize, &'static str)> {
         fn first<const K: usize>(rows: &[[f32; K]], name: &'static str) -> Option<(usize, &'static str)> {
             rows.iter().position(|row| row.iter().any(|v| !v.is_finite())).map(|row| (row, name))

@@ -15,11 +15,12 @@ pub enum Stream {
     Background = 3,
     /// Points of a scene that has none: (0, row, 0).
     InitialPoints = 4,
-    /// Choice of the views that fitness is measured on: (stage, position, 0).
+    /// Choice of views: those that fitness is measured on, (stage, 0, 0); an order of them, (generation + 1, position, 0).
     FitnessViews = 5,
-    /// Which Gaussians of an individual are selected: (generation, individual, row).
+    /// Which Gaussians of an individual are selected: (generation, individual, row / 4).
     GeneSelection = 6,
-    /// Which genes mutate, and by how much: (generation, individual, row).
+    /// Which genes mutate, and by how much: (generation, individual, 3 row + draw); of the mosaic search, (generation,
+    /// 2 mutant + draw, row).
     Mutation = 7,
     /// Tournament draws: (generation, pair, draw).
     Tournament = 8,
@@ -29,11 +30,11 @@ pub enum Stream {
     ExplorationNoise = 10,
     /// Draws of MCMC's density control: (iteration, draw, 0 for relocation or 1 for growth).
     Relocation = 11,
-    /// The bundled scene: (purpose, index, 0).
+    /// The bundled scene: (purpose, index, draw).
     Gallery = 12,
     /// Tests and benches.
     Test = 13,
-    /// Blocks that a mutant of the mosaic search changes: (generation, mutant, block).
+    /// Blocks that a mutant of the mosaic search changes: (generation, mutant, block); samples of an evolution strategy.
     Proposal = 14,
 }
 

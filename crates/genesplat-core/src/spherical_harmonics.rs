@@ -74,7 +74,7 @@ pub fn dc_from_rgb(value: f32) -> f32 {
 mod tests {
     use super::*;
 
-    /// Monte-Carlo-free orthonormality on a product quadrature that is exact for degree 6.
+    /// By quadrature, without random numbers.
     #[test]
     fn the_basis_is_orthonormal() {
         let nodes = 64;

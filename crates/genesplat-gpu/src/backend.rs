@@ -200,7 +200,8 @@ impl GpuBackend {
     fn hear(&mut self) -> Result<Counters, BackendError> {
         let counters = self.counters()?;
         let done: Vec<TrainStep> = self.unseen.drain(..counters.completed as usize).collect();
-        self.steps += done.iter().filter(|step| step.update.is_some()).count() as u32;
+        let last = done.iter().rev().find_map(|step| step.update.as_ref());
+        self.steps = last.map_or(self.steps, |update| update.step);
         if !done.is_empty() {
             self.report = StepReport {
                 loss: counters.loss,
@@ -238,8 +239,7 @@ impl GpuBackend {
 
     fn non_finite(&self) -> Result<BackendError, BackendError> {
         let cloud = self.state.download(&self.engine)?;
-        let (row, parameter) = cloud.first_non_finite().unwrap_or((0, "gradient"));
-        Ok(BackendError::NonFinite { row, parameter, steps: self.steps })
+        Ok(BackendError::diverged(&cloud, self.steps))
     }
 
     /// Submits views until their tile lists fit: where they do not, the device lists nothing and says what it wanted, and

@@ -1,4 +1,4 @@
-//! Every numeric stage of genesplat, under one name in every twin.
+//! Every numeric stage of genesplat, under one name in every twin that has it.
 //!
 //! | stage | does |
 //! |---|---|
@@ -7,9 +7,11 @@
 //! | `rasterise` | blends splats front to back; the same backwards |
 //! | `loss` | L1 + SSIM and its gradient |
 //! | `adam` | the optimiser step |
+//! | `explore` | MCMC's noise and regularisers, within the optimiser step |
+//! | `weigh`, `credit` | the backward blending, summing what Gaussians are worth, and what mutants owe to them |
 //! | `score` | Eq. 5 of a whole population, forward only |
 //!
-//! [`mod@reference`] is the oracle: f64, scalar, no tiles. [`mod@cpu`] is the fast twin: f32, rayon, SIMD picked at run time.
+//! [`mod@reference`] is the oracle: f64, scalar, no tiles, so neither `bin` nor `score`. [`mod@cpu`] is the fast twin: f32, rayon, SIMD picked at run time.
 
 pub mod cpu;
 #[cfg(any(test, feature = "fixtures"))]

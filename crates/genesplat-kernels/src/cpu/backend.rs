@@ -110,8 +110,7 @@ impl CpuBackend {
     }
 
     fn non_finite(&self) -> BackendError {
-        let (row, parameter) = self.cloud.first_non_finite().unwrap_or((0, "gradient"));
-        BackendError::NonFinite { row, parameter, steps: self.steps }
+        BackendError::diverged(&self.cloud, self.steps)
     }
 }
 
@@ -208,7 +207,7 @@ impl Backend for CpuBackend {
                 &self.rng,
             );
         });
-        self.steps += u32::from(step.update.is_some());
+        self.steps = step.update.as_ref().map_or(self.steps, |update| update.step);
         self.report = StepReport { loss, visible: splats.len(), tile_splats: bins.entries.len() };
         Ok(())
     }

@@ -151,7 +151,8 @@ pub fn for_each_tile<S: Simd>(simd: S, splat: &Splat, grid: [usize; 2], mut each
     let band_limit = (grid[1] * BLOCKS_ACROSS) as i32;
     let to_band = |y: f32| (y / BLOCK as f32).floor() as i32;
     let first_band = to_band(splat.mean[1] - splat.half_extent[1] - SLACK_PX).clamp(0, band_limit);
-    let end_band = (to_band(splat.mean[1] + splat.half_extent[1] + SLACK_PX) + 1).clamp(0, band_limit);
+    let end_band =
+        to_band(splat.mean[1] + splat.half_extent[1] + SLACK_PX).saturating_add(1).clamp(0, band_limit);
     let column_limit = (grid[0] * BLOCKS_ACROSS) as i32;
     // Groups of bands start at a tile row, so that a tile row never straddles two groups.
     let mut band = first_band - first_band % BLOCKS_ACROSS as i32;

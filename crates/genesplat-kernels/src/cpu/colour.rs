@@ -6,10 +6,18 @@ use genesplat_core::spherical_harmonics::{C0, C1, C2, C3, SH_COEFFICIENTS, SH_ST
 /// A colour and which of its channels were clamped at 0.
 #[derive(Clone, Copy, Debug)]
 pub struct Colour {
-    /// `max(0, SH + 0.5)`.
+    /// `max(0, SH + 0.5)`; NaN where that is.
     pub rgb: [f32; 3],
     /// Bit `c` is set where channel `c` was below 0.
     pub clamped: u32,
+}
+
+impl Colour {
+    /// A Gaussian whose colour is NaN is none.
+    #[inline(always)]
+    pub fn is_number(&self) -> bool {
+        !self.rgb.iter().any(|value| value.is_nan())
+    }
 }
 
 /// Colour of a Gaussian at `position` as seen from `centre`.
@@ -26,7 +34,7 @@ pub fn evaluate(sh: &[f32; SH_STRIDE], position: [f32; 3], centre: [f32; 3], deg
     for channel in 0..3 {
         let value = raw[channel] + 0.5;
         clamped |= u32::from(value < 0.0) << channel;
-        rgb[channel] = value.max(0.0);
+        rgb[channel] = if value < 0.0 { 0.0 } else { value };
     }
     Colour { rgb, clamped }
 }

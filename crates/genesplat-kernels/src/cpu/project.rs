@@ -10,7 +10,7 @@ use rayon::prelude::*;
 
 use super::bin::LOG2_255;
 use super::colour;
-use super::simd::{LANES, LOG2_E, V, array, exp, lanes_of, sigmoid};
+use super::simd::{LANES, LOG2_E, V, array, exp, keep, lanes_of, sigmoid};
 
 /// Rows that one task projects; also the unit of the backward pass. A constant, so that results do not depend on the
 /// number of threads.
@@ -185,8 +185,11 @@ fn project_rows<S: Simd>(
             let row = first + lane;
             let colour =
                 colour::evaluate(&cloud.sh[row], cloud.positions[row], camera.centre, settings.sh_degree);
-            room[splats] = Splat { rgb: colour.rgb, clamped: colour.clamped, global: row as u32, ..splat };
-            splats += 1;
+            if colour.is_number() {
+                room[splats] =
+                    Splat { rgb: colour.rgb, clamped: colour.clamped, global: row as u32, ..splat };
+                splats += 1;
+            }
         }
     }
     splats as u32
@@ -211,10 +214,11 @@ pub fn project_group<S: Simd>(
         let lanes = geometry.lanes();
         for (lane, &global) in rows.iter().enumerate() {
             let position = [params.position[0][lane], params.position[1][lane], params.position[2][lane]];
-            let splat = lanes.splat(lane, camera).map(|splat| {
+            let splat = lanes.splat(lane, camera).and_then(|splat| {
                 let colour =
                     colour::evaluate(&cloud.sh[global as usize], position, camera.centre, settings.sh_degree);
-                Splat { rgb: colour.rgb, clamped: colour.clamped, global, ..splat }
+                let splat = Splat { rgb: colour.rgb, clamped: colour.clamped, global, ..splat };
+                colour.is_number().then_some(splat)
             });
             each(group * LANES + lane, splat);
         }
@@ -387,7 +391,11 @@ impl<S: Simd> Geometry<S> {
         let dilation = filter.dilation();
         let cov = [cov_raw[0] + dilation, cov_raw[1], cov_raw[2] + dilation];
         let det_raw = cov_raw[0] * cov_raw[2] - cov_raw[1] * cov_raw[1];
-        let det = cov[0] * cov[2] - cov[1] * cov[1];
+        // `exp` makes something of a NaN, and a determinant of 0 nothing of the Gaussian. Infinities have a meaning.
+        let [sx, sy, sz] = params.log_scale;
+        let logit = params.opacity_logit;
+        let sane = sx.simd_eq(sx) & sy.simd_eq(sy) & sz.simd_eq(sz) & logit.simd_eq(logit);
+        let det = keep(sane, cov[0] * cov[2] - cov[1] * cov[1]);
 
         // 5. Opacity, with what the filters take from it.
         let opacity = sigmoid(params.opacity_logit);

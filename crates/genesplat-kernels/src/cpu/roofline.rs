@@ -60,15 +60,9 @@ mod tests {
 
     #[test]
     fn every_gaussian_is_blended_into_every_pixel() {
-        let splats: Vec<Splat> = (0..GAUSSIANS).map(faint_splat).collect();
-        let level = Level::new();
-        let (all, most) = (
-            dispatch!(level, simd => blend_tile(simd, &splats)),
-            dispatch!(level, simd => blend_tile(simd, &splats[1..])),
-        );
-        for (block, other) in all.blocks.iter().flatten().zip(most.blocks.iter().flatten()) {
-            assert!(block.iter().zip(other).all(|(a, b)| a != b));
+        for splat in (0..GAUSSIANS).map(faint_splat) {
+            let tile = dispatch!(Level::new(), simd => blend_tile(simd, std::slice::from_ref(&splat)));
+            assert!(tile.blocks.iter().flat_map(|block| block[..3].as_flattened()).all(|&value| value > 0.0));
         }
-        assert!(roofline_nanoseconds_per_tile_splat() > 0.0);
     }
 }

@@ -15,7 +15,7 @@ pub struct Cloud64 {
     pub rotations: Vec<[f64; 4]>,
     /// Opacities before the sigmoid `[N]`.
     pub opacity_logits: Vec<f64>,
-    /// Spherical harmonics `[N, 3 channels, 16 coefficients]`.
+    /// Spherical harmonics `[N, 16 coefficients, 3 channels]`.
     pub sh: Vec<[f64; SH_STRIDE]>,
     /// Mip-Splatting's 3D filter, standard deviation in world units `[N]`; a constant, so it has no gradient.
     pub filter_3d: Option<Vec<f64>>,

@@ -60,6 +60,8 @@ pub struct Gradients {
     pub depth: Vec<f64>,
     /// See [`Splat::radius_px`].
     pub radius_px: Vec<u32>,
+    /// See [`Splat::reaches_image`].
+    pub reached: Vec<bool>,
 }
 
 /// Renders `cloud` as `camera` sees it.
@@ -105,6 +107,7 @@ pub fn backward(
         gradients.pixels[row] = by_splat.pixels;
         gradients.depth[row] = splat.depth;
         gradients.radius_px[row] = splat.radius_px;
+        gradients.reached[row] = splat.reaches_image(size(camera));
     }
     gradients
 }
@@ -183,6 +186,7 @@ impl Gradients {
             pixels: vec![0; n],
             depth: vec![0.0; n],
             radius_px: vec![0; n],
+            reached: vec![false; n],
         }
     }
 }

@@ -75,6 +75,17 @@ pub struct Splat {
     pub radius_px: u32,
 }
 
+impl Splat {
+    /// Whether the box of [`Splat::extent_px`] meets an image of this size, px: beyond it, no pixel has a gradient for it.
+    pub fn reaches_image(&self, size: [u32; 2]) -> bool {
+        self.opacity > f64::from(ALPHA_MIN)
+            && (0..2).all(|axis| {
+                let (mean, extent) = (self.mean_px[axis], self.extent_px[axis]);
+                mean + extent >= 0.0 && mean - extent <= f64::from(size[axis] - 1)
+            })
+    }
+}
+
 /// What projection and its backward share: one Gaussian's geometry in one view.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Geometry {

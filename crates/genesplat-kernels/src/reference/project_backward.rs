@@ -23,7 +23,7 @@ pub struct RowGradient {
     pub rotation: [f64; 4],
     /// By opacity logit.
     pub opacity_logit: f64,
-    /// By spherical harmonics `[3 channels, 16]`.
+    /// By spherical harmonics `[16, 3 channels]`.
     pub sh: [f64; SH_STRIDE],
 }
 

@@ -1,7 +1,8 @@
 //! What one training view adds to the sums that density control and evolution read.
 //!
-//! A view counts for every Gaussian that 3DGS would call visible in it (`radius_px > 0`), even where it receives no
-//! gradient at all: the published thresholds were tuned to averages diluted in this way.
+//! For density control, a view counts for every Gaussian that 3DGS would call visible in it (`radius_px > 0`), even where
+//! it receives no gradient at all: the published thresholds were tuned to averages diluted in this way. For the genes it
+//! counts where the Gaussian reaches the image, which is where it may have a gradient.
 
 use genesplat_core::{DensitySignal, GENES, StatisticsRequest};
 
@@ -36,8 +37,8 @@ impl Statistics64 {
 
     /// Adds one view.
     pub fn accumulate(&mut self, gradients: &Gradients, request: &StatisticsRequest) {
-        for row in (0..gradients.cloud.len()).filter(|&row| gradients.radius_px[row] > 0) {
-            if let Some(signal) = request.density {
+        for row in 0..gradients.cloud.len() {
+            if let Some(signal) = request.density.filter(|_| gradients.radius_px[row] > 0) {
                 let (strength, weight) = density(gradients, row, signal);
                 self.gradient_sum[row] += weight * strength;
                 self.weight_sum[row] += weight;
@@ -46,7 +47,7 @@ impl Statistics64 {
                     self.absolute_sum[row] += x + y;
                 }
             }
-            if request.genes {
+            if request.genes && gradients.reached[row] {
                 let genes = gene_gradient(gradients, row);
                 (0..GENES).for_each(|gene| self.gene_gradient_sum[row][gene] += genes[gene]);
                 self.gene_views[row] += 1;

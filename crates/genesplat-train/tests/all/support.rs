@@ -7,7 +7,6 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use genesplat_core::backend::{MomentPolicy, StepReport};
-use genesplat_core::edit::carry_genes;
 use genesplat_core::gaussians::limited_opacity;
 use genesplat_core::lineage::PARENTS;
 use genesplat_core::{
@@ -290,7 +289,7 @@ impl Backend for FakeBackend {
         self.lineage = Lineage::default();
         edit.apply(&mut self.cloud, &mut self.moments, &self.rng);
         if !self.statistics.gene_views.is_empty() {
-            self.statistics.gene_gradient_sum = carry_genes(edit, &self.statistics.gene_gradient_sum);
+            self.statistics.gene_gradient_sum = edit.gather(&self.statistics.gene_gradient_sum);
             self.statistics.gene_views = edit.gather(&self.statistics.gene_views);
         }
         self.zero_density();
