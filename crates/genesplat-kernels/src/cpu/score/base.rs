@@ -228,7 +228,8 @@ pub struct BaseTile {
     lights: Vec<Stored>,
     /// The light behind all splats.
     pub ends: [Stored; BLOCKS],
-    /// Splats until all pixels of a block are finished.
+    /// Splats until all pixels of a block are finished; more than there are where light passes the last one, so that what
+    /// comes behind it still counts.
     pub live: [u32; BLOCKS],
     /// Blocks of which a pixel is finished before the last splat.
     pub opaque: u32,
@@ -264,7 +265,7 @@ impl BaseTile {
             light_starts,
             lights: Vec::with_capacity(lights as usize),
             ends: [Stored::UNTOUCHED; BLOCKS],
-            live: [0; BLOCKS],
+            live: [u32::MAX; BLOCKS],
             opaque: 0,
         }
     }
@@ -285,8 +286,8 @@ impl BaseTile {
                     self.lights.push(light.store());
                 }
                 if goes_on {
-                    self.live[block] = entry as u32 + 1;
                     goes_on = light.blend(simd, &splats.get(index).seen_from(origin), block);
+                    self.live[block] = if goes_on { u32::MAX } else { entry as u32 + 1 };
                 }
             }
             let finished = light.transmittance.simd_lt(0.0).any_true();

@@ -108,6 +108,30 @@ fn single_changes_are_scored_wherever_they_are() {
     }
 }
 
+/// Narrow splats finish a few pixels and let the light of all others pass; what an individual puts behind them is seen.
+#[test]
+fn what_comes_behind_a_block_that_is_finished_in_part_is_scored() {
+    let mut base = Gaussians::zeros(5);
+    for row in 0..5 {
+        base.positions[row] = [0.0, 0.0, 2.0 + row as f32];
+        base.log_scales[row] = [0.02f32.ln(); 3];
+        base.rotations[row] = [1.0, 0.0, 0.0, 0.0];
+        base.opacity_logits[row] = 12.0;
+        base.sh[row][0] = 1.0;
+    }
+    base.positions[4][0] = 100.0;
+    let wide = change_rows(&base, 4..5, |_, genes| {
+        genes[0] = 0.0;
+        genes[3..6].fill(0.5f32.ln());
+    });
+    check(
+        &base,
+        &[SparseDelta::default(), wide],
+        &views_of([[75, 53], [33, 20]]),
+        &settings(0, ScreenFilter::Classic),
+    );
+}
+
 /// All rows change, their depth order is turned round, and splats that nobody saw appear.
 #[test]
 fn large_changes_are_scored() {
