@@ -91,7 +91,8 @@ pub struct LpipsArgs {
 /// `genesplat demo`.
 #[derive(Debug, Args)]
 pub struct DemoArgs {
-    /// Folder for the scene, both runs and the picture that compares them; made if it is missing
+    /// Folder for the scene, both runs and the picture that compares them; made if it is missing. What an earlier demo left
+    /// there is replaced
     #[arg(long, value_name = "DIR", default_value = "runs/demo")]
     pub out: PathBuf,
     /// What the second run evolves with

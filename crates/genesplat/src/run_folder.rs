@@ -28,6 +28,9 @@ use serde::Serialize;
 /// Name of the splat that has its 3D filter baked in.
 const FUSED_CLOUD: &str = "point_cloud_fused.ply";
 
+/// Name of the file with the figures.
+const METRICS: &str = "metrics.json";
+
 /// How a run's `config.toml` begins.
 const CONFIG_MARK: &str = "# All settings of a run of genesplat";
 
@@ -42,23 +45,14 @@ impl RunFolder {
     ///
     /// Neither an interrupted run nor a folder that is something else is overwritten.
     pub fn create(path: &Path, config: &str) -> Result<Self> {
-        if Self::checkpoint_in(path).exists() {
-            bail!(
-                "{} holds a run that was interrupted; add --resume to go on, or remove its checkpoint folder to start anew",
-                path.display()
-            );
-        }
+        Self::check_free(path)?;
         Self::replace(path, config)
     }
 
     /// The same, whatever state an older run is in.
     pub fn replace(path: &Path, config: &str) -> Result<Self> {
-        let old_config = fs::read_to_string(Self::config_in(path)).ok();
-        if old_config.as_ref().is_some_and(|text| !text.starts_with(CONFIG_MARK)) {
-            bail!("{} belongs to something else; choose another folder", Self::config_in(path).display());
-        }
         // Before the new settings are there: results never stand beside settings that are not theirs.
-        if old_config.is_some() {
+        if Self::check_replaceable(path)? {
             Self { path: path.to_owned() }.remove_results()?;
         }
         let folder = Self::claim(path, config)?;
@@ -68,10 +62,57 @@ impl RunFolder {
 
     /// The folder of a run that is to go on.
     pub fn reopen(path: &Path, config: &str) -> Result<Self> {
-        if !Self::checkpoint_in(path).exists() {
-            bail!("{} holds no checkpoint to go on from; start the run without --resume", path.display());
-        }
+        Self::check_resumable(path)?;
         Self::claim(path, config)
+    }
+
+    /// Fails where [`Self::create`] would, and changes nothing: to be asked before anything slow begins.
+    pub fn check_free(path: &Path) -> Result<()> {
+        if Self::checkpoint_in(path).exists() {
+            bail!(
+                "{} holds a run that was interrupted; add --resume to go on, or remove its checkpoint folder to start anew",
+                path.display()
+            );
+        }
+        Self::check_replaceable(path).map(|_| ())
+    }
+
+    /// True where a run in `path` would replace an older one; fails where the folder is something else's or cannot be
+    /// written to.
+    pub fn check_replaceable(path: &Path) -> Result<bool> {
+        let old_config = fs::read_to_string(Self::config_in(path)).ok();
+        if old_config.as_ref().is_some_and(|text| !text.starts_with(CONFIG_MARK)) {
+            bail!("{} belongs to something else; choose another folder", Self::config_in(path).display());
+        }
+        check_writable(&Self::config_in(path))?;
+        Ok(old_config.is_some())
+    }
+
+    /// Fails where there is no run, or none that could go on.
+    pub fn check_resumable(path: &Path) -> Result<()> {
+        Self::check_is_run(path)?;
+        if Self::checkpoint_in(path).exists() {
+            return check_writable(&Self::config_in(path));
+        }
+        if path.join(METRICS).exists() {
+            bail!(
+                "the run in {} is finished, so there is nothing to resume; to train longer, start a run with more --iterations \
+                 in another folder",
+                path.display()
+            );
+        }
+        bail!("{} holds no checkpoint to go on from; start the run without --resume", path.display())
+    }
+
+    /// Fails where `path` is not the folder of a run.
+    pub fn check_is_run(path: &Path) -> Result<()> {
+        if Self::config_in(path).exists() {
+            return Ok(());
+        }
+        bail!(
+            "{} is not the folder of a run: it has no config.toml; give one that train made",
+            path.display()
+        )
     }
 
     fn claim(path: &Path, config: &str) -> Result<Self> {
@@ -81,7 +122,7 @@ impl RunFolder {
     }
 
     fn remove_results(&self) -> Result<()> {
-        let names = ["metrics.json", "log.jsonl", "report.html", "point_cloud.ply", FUSED_CLOUD];
+        let names = [METRICS, "log.jsonl", "report.html", "point_cloud.ply", FUSED_CLOUD];
         let files = names.map(|name| self.path.join(name));
         let pictures =
             fs::read_dir(self.test_path()).into_iter().flatten().flatten().map(|entry| entry.path());
@@ -134,7 +175,7 @@ impl RunFolder {
 
     /// Writes `metrics.json`.
     pub fn write_metrics(&self, metrics: &impl Serialize) -> Result<()> {
-        write_json(&self.path.join("metrics.json"), metrics)
+        write_json(&self.path.join(METRICS), metrics)
     }
 
     /// Writes `report.html`.

@@ -79,14 +79,8 @@ impl ConfigFile {
 
     /// The file in the folder of a run.
     pub fn of_run(folder: &Path) -> Result<Self> {
-        let path = RunFolder::config_in(folder);
-        if !path.exists() {
-            bail!(
-                "{} is not the folder of a run: it has no config.toml; give one that train made",
-                folder.display()
-            );
-        }
-        Self::read(&path)
+        RunFolder::check_is_run(folder)?;
+        Self::read(&RunFolder::config_in(folder))
     }
 
     /// Reads a file.

@@ -13,7 +13,7 @@ pub struct TrainArgs {
     /// Folder of the scene: a COLMAP model in sparse/0 (cameras, images, points3D as .bin or .txt) and its photos in images
     pub dataset: PathBuf,
     /// Folder for the results; made if it is missing. It will hold point_cloud.ply, metrics.json, config.toml, log.jsonl
-    /// and test/*.png
+    /// and test/*.png; an earlier run's results there are replaced
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
     #[command(flatten)]

@@ -10,12 +10,13 @@ use crate::settings::Settings;
 use crate::training::{Finished, Run};
 use crate::{device, interrupt, lpips, output, scene};
 
-/// Trains. The folder is proved writable before anything slow begins.
+/// Trains. The folder is proved writable before anything slow begins, but an earlier run's results stay in it until scene and
+/// weights are loaded: a mistyped path must not cost them.
 pub fn run(args: &TrainArgs) -> Result<()> {
     let began = Instant::now();
+    let check = if args.resume { RunFolder::check_resumable } else { RunFolder::check_free };
+    check(&args.out)?;
     let settings = Settings::of_training(args)?;
-    let folder = if args.resume { RunFolder::reopen } else { RunFolder::create };
-    let folder = folder(&args.out, &settings.to_toml())?;
     device::use_threads(settings.threads)?;
     let stop = interrupt::stop_flag()?;
     let config = settings.train.config();
@@ -24,6 +25,8 @@ pub fn run(args: &TrainArgs) -> Result<()> {
     // Now, since weights that cannot be read should not stop a run at its end.
     let lpips = lpips::open(&args.lpips)?;
     args.machine.device.unwrap_or_default().announce();
+    let folder = if args.resume { RunFolder::reopen } else { RunFolder::create };
+    let folder = folder(&args.out, &settings.to_toml())?;
     let load = (began.elapsed().as_secs_f64(), began);
     let run = Run {
         settings: &settings,

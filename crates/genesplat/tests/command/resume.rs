@@ -60,7 +60,7 @@ fn an_interrupted_run_is_saved_and_resumed_exactly() {
     };
     assert_eq!(figures(&whole), figures(&broken));
     assert!(!broken.join("checkpoint/latest.checkpoint").exists(), "a finished run has nothing to resume");
-    fail(train(scene(), &broken, &["--resume"]), &["no checkpoint", "without --resume"]);
+    fail(train(scene(), &broken, &["--resume"]), &["is finished", "nothing to resume"]);
 }
 
 #[test]
