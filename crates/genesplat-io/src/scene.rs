@@ -34,6 +34,8 @@ pub struct Scene {
     pub test: Vec<View>,
     /// Points in the order of their file.
     pub points: Vec<Point>,
+    /// Files of the photos, which nobody may write over; none for a scene that never was on a disk.
+    pub photos: Vec<PathBuf>,
     /// What the user should know: one sentence each.
     pub notices: Vec<String>,
 }
@@ -115,6 +117,7 @@ pub fn load_scene(
     progress: &dyn LoadProgress,
 ) -> Result<Scene, SceneError> {
     let listing = list(path, options)?;
+    let photos = listing.frames.iter().map(|frame| frame.photo.clone()).collect();
     let (train, test) = split(listing.frames, options.hold_out);
     if train.is_empty() {
         let (photos, held_out) = (test.len(), test.len());
@@ -129,6 +132,7 @@ pub fn load_scene(
         train: load(&train)?,
         test: load(&test)?,
         points: listing.points,
+        photos,
         notices: listing.notices,
     })
 }

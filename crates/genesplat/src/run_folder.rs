@@ -141,6 +141,11 @@ impl RunFolder {
         path.join("point_cloud.ply")
     }
 
+    /// Where a run in the folder `path` has its renders of test photos.
+    pub fn test_in(path: &Path) -> PathBuf {
+        path.join("test")
+    }
+
     fn checkpoint_in(path: &Path) -> PathBuf {
         path.join("checkpoint").join("latest.checkpoint")
     }
@@ -152,7 +157,7 @@ impl RunFolder {
 
     /// Where renders of test photos go.
     pub fn test_path(&self) -> PathBuf {
-        self.path.join("test")
+        Self::test_in(&self.path)
     }
 
     /// Opens the log: anew, or at its end.

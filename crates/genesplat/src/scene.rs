@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use anyhow::Result;
+use anyhow::{Result, bail};
 use genesplat::core::View;
 use genesplat::io::{LoadOptions, PhotoSize, Scene, load_scene};
 use genesplat::train::initialise::ColouredPoint;
@@ -26,6 +26,29 @@ pub fn load_fraction(
     let scene = load_scene(path, &options, &LoadBar::default())?;
     scene.notices.iter().for_each(|notice| eprintln!("notice: {notice}"));
     Ok(scene)
+}
+
+/// Fails where results would go into the scene's own folder, among names that both may have (`test/`, for one).
+pub fn check_apart(data: &Path, out: &Path) -> Result<()> {
+    match (data.canonicalize(), out.canonicalize()) {
+        (Ok(data), Ok(here)) if data == here => {
+            bail!("{} is the folder of the scene; choose another folder for the results", out.display())
+        }
+        _ => Ok(()),
+    }
+}
+
+/// Fails where `out` is a photo of the scene, or a folder that holds some: pictures that we write may have their names.
+pub fn check_spared(scene: &Scene, out: &Path) -> Result<()> {
+    let Ok(taken) = out.canonicalize() else { return Ok(()) };
+    let is_hit = |photo: &Path| photo == taken || photo.parent() == Some(&taken);
+    if scene.photos.iter().filter_map(|photo| photo.canonicalize().ok()).any(|photo| is_hit(&photo)) {
+        bail!(
+            "{} holds photos of the scene, which would be overwritten; choose another --out",
+            out.display()
+        );
+    }
+    Ok(())
 }
 
 /// The points that training starts from.

@@ -15,6 +15,7 @@ pub fn run(args: &RenderArgs) -> Result<()> {
     let device = device::prepare(args.machine)?;
     let splat = splat::open(&args.splat)?;
     let scene = splat.load_scene(&args.data, args.size, 0)?;
+    scene::check_spared(&scene, &args.out)?;
     let jobs = match &args.image {
         Some(name) => vec![(find(&scene, name, &args.data)?, args.out.clone())],
         None => {

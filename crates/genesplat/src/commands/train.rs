@@ -16,6 +16,7 @@ pub fn run(args: &TrainArgs) -> Result<()> {
     let began = Instant::now();
     let check = if args.resume { RunFolder::check_resumable } else { RunFolder::check_free };
     check(&args.out)?;
+    scene::check_apart(&args.dataset, &args.out)?;
     let settings = Settings::of_training(args)?;
     device::use_threads(settings.threads)?;
     let stop = interrupt::stop_flag()?;
@@ -25,6 +26,7 @@ pub fn run(args: &TrainArgs) -> Result<()> {
     // Now, since weights that cannot be read should not stop a run at its end.
     let lpips = lpips::open(&args.lpips)?;
     args.machine.device.unwrap_or_default().announce();
+    scene::check_spared(&scene, &RunFolder::test_in(&args.out))?;
     let folder = if args.resume { RunFolder::reopen } else { RunFolder::create };
     let folder = folder(&args.out, &settings.to_toml())?;
     let load = (began.elapsed().as_secs_f64(), began);

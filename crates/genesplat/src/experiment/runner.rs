@@ -126,6 +126,7 @@ impl<'a> Runner<'a> {
     ) -> Result<bool> {
         let began = Instant::now();
         let scene = scenes.get(self, cell, settings)?;
+        scene::check_spared(scene, &RunFolder::test_in(path))?;
         let folder = if resume { RunFolder::reopen } else { RunFolder::replace };
         let folder = folder(path, &settings.to_toml())?;
         let load = (began.elapsed().as_secs_f64(), began);
@@ -166,7 +167,7 @@ impl<'a> Runner<'a> {
             self.data.unwrap_or(Path::new("")).display(),
             missing.join(", ")
         );
-        Ok(())
+        (0..scenes.len()).try_for_each(|scene| scene::check_apart(&self.scene_path(scene), self.out))
     }
 
     /// Finished cells of another experiment are not overwritten. A control is no cell of another experiment just because

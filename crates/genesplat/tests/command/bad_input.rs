@@ -3,6 +3,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use genesplat::core::Photo;
 use genesplat::io::photos::{read_photo, write_png};
 use tempfile::TempDir;
 
@@ -157,6 +158,52 @@ fn a_folder_that_belongs_to_something_else_is_left_alone() {
     fs::write(&config, "title = 'my site'").unwrap();
     fail(train(scene(), folder.path(), &[]), &["config.toml", "something else"]);
     assert_eq!(fs::read_to_string(config).unwrap(), "title = 'my site'");
+}
+
+/// A Blender scene has its test photos where a run has its renders of them.
+#[test]
+fn photos_of_the_scene_are_never_written_over() {
+    let folder = tempfile::tempdir().unwrap();
+    let (blender, run) = (folder.path().join("blender"), folder.path().join("run"));
+    write_blender(&blender);
+    let photo = blender.join("test/r_0.png");
+    let before = fs::read(&photo).unwrap();
+    fail(train(&blender, &blender, &["--iterations", "3"]), &["blender", "folder of the scene"]);
+    fail(train(&blender, &blender.join("../blender/."), &[]), &["folder of the scene"]);
+    // From inside, where the folder of the results is another one, but not that of the renders.
+    let inner = blender.join("test/transforms.json");
+    fs::copy(blender.join("transforms_test.json"), &inner).unwrap();
+    fs::write(&inner, fs::read_to_string(&inner).unwrap().replace("./test/", "./")).unwrap();
+    fail(
+        train(&blender.join("test"), &blender, &["--iterations", "3"]),
+        &["test", "holds photos of the scene"],
+    );
+
+    succeed(train(&blender, &run, &["--iterations", "3"]));
+    let render = |more: &[&str]| {
+        let fixed = ["render", text(&run), "--data", text(&blender)];
+        fixed.iter().chain(more).map(|word| (*word).to_owned()).collect::<Vec<_>>()
+    };
+    fail(render(&["--split", "test", "--out", text(&blender.join("test"))]), &["holds photos of the scene"]);
+    fail(render(&["--image", "test_r_0.png", "--out", text(&photo)]), &["r_0.png", "photos of the scene"]);
+    assert!(before == fs::read(&photo).unwrap());
+    succeed(render(&["--split", "test", "--out", text(&blender.join("renders"))]));
+}
+
+/// Two photos to train on and two to test on, 32x32 pixels.
+fn write_blender(scene: &Path) {
+    for split in ["train", "test"] {
+        let frames: Vec<_> = (0..2)
+            .map(|index| {
+                let photo = Photo { width: 32, height: 32, rgb: vec![40 + 90 * index as u8; 3 * 32 * 32] };
+                write_png(&scene.join(format!("{split}/r_{index}.png")), &photo).unwrap();
+                let pose = [[1, 0, 0, index], [0, 1, 0, 0], [0, 0, 1, 4], [0, 0, 0, 1]];
+                serde_json::json!({"file_path": format!("./{split}/r_{index}"), "transform_matrix": pose})
+            })
+            .collect();
+        let description = serde_json::json!({"camera_angle_x": 0.7, "frames": frames});
+        fs::write(scene.join(format!("transforms_{split}.json")), description.to_string()).unwrap();
+    }
 }
 
 #[test]

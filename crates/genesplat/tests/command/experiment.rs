@@ -172,5 +172,9 @@ fn what_cannot_be_run_is_said_at_once() {
     fail(["experiment", "smokee", "--out", text(&out)], &["smokee", "ablation-trigger"]);
     let file = write(folder.path(), r#"evolve = ["off", "sideways"]"#);
     fail(experiment(&file, &out, &[]), &["sideways"]);
+    let own = folder.path().join("fox");
+    fs::create_dir(&own).unwrap();
+    fs::write(&file, SMALL.replace("\"gallery\"]", "\"fox\"]\nevolve = [\"off\"]")).unwrap();
+    fail(experiment(&file, &own, &["--data", text(folder.path())]), &["fox", "folder of the scene"]);
     assert!(!out.join("cells").exists());
 }
