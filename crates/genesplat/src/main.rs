@@ -7,6 +7,7 @@
 //! | [`settings`] | flags, configuration file and defaults become one resolved configuration |
 //! | [`training`] | one run from a loaded scene to a finished run folder |
 //! | [`run_folder`], [`metrics`] | what a run leaves behind |
+//! | [`same_scene`] | whether a resumed run is given the scene that it began with |
 //! | [`experiment`] | many runs, and the tables and pictures that compare them |
 //! | [`report`] | `report.html` |
 //! | [`reporter`], [`progress`], [`test_curve`] | what a run tells while it is under way |
@@ -29,6 +30,7 @@ mod progress;
 mod report;
 mod reporter;
 mod run_folder;
+mod same_scene;
 mod scene;
 mod settings;
 mod sheet;

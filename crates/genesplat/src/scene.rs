@@ -43,10 +43,7 @@ pub fn check_spared(scene: &Scene, out: &Path) -> Result<()> {
     let Ok(taken) = out.canonicalize() else { return Ok(()) };
     let is_hit = |photo: &Path| photo == taken || photo.parent() == Some(&taken);
     if scene.photos.iter().filter_map(|photo| photo.canonicalize().ok()).any(|photo| is_hit(&photo)) {
-        bail!(
-            "{} holds photos of the scene, which would be overwritten; choose another --out",
-            out.display()
-        );
+        bail!("results in {} would overwrite photos of the scene; choose another --out", out.display());
     }
     Ok(())
 }

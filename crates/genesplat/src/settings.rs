@@ -15,6 +15,7 @@ use serde::{Deserialize, Serialize};
 use crate::args::{EvolutionArgs, MachineArgs, ScheduleArgs, SizeArgs, TrainArgs};
 use crate::device::Device;
 use crate::run_folder::RunFolder;
+use crate::same_scene;
 
 /// Iterations between two checkpoints, where neither flag nor file says.
 const CHECKPOINT_EVERY: u32 = 1000;
@@ -217,5 +218,5 @@ fn check_same(saved: &ConfigFile, wanted: &ConfigFile, out: &Path) -> Result<()>
             RunFolder::config_in(out).display()
         );
     }
-    Ok(())
+    same_scene::check_folders(&saved.dataset.path, &wanted.dataset.path)
 }

@@ -8,7 +8,7 @@ use crate::args::TrainArgs;
 use crate::run_folder::RunFolder;
 use crate::settings::Settings;
 use crate::training::{Finished, Run};
-use crate::{device, interrupt, lpips, output, scene};
+use crate::{device, interrupt, lpips, output, same_scene, scene};
 
 /// Trains. The folder is proved writable before anything slow begins, but an earlier run's results stay in it until scene and
 /// weights are loaded: a mistyped path must not cost them.
@@ -27,6 +27,9 @@ pub fn run(args: &TrainArgs) -> Result<()> {
     let lpips = lpips::open(&args.lpips)?;
     args.machine.device.unwrap_or_default().announce();
     scene::check_spared(&scene, &RunFolder::test_in(&args.out))?;
+    if args.resume {
+        same_scene::check_photos(&args.out, &scene)?;
+    }
     let folder = if args.resume { RunFolder::reopen } else { RunFolder::create };
     let folder = folder(&args.out, &settings.to_toml())?;
     let load = (began.elapsed().as_secs_f64(), began);

@@ -2,11 +2,14 @@
 
 #![cfg(unix)]
 
+use std::fs;
 use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use crate::support::{cloud, command, fail, json, scene, succeed, train};
+use genesplat::io::{GalleryOptions, gallery};
+
+use crate::support::{cloud, command, fail, json, scene, succeed, train, write_gallery};
 
 /// Long enough to be caught in the act; evolves four times.
 const SCHEDULE: [&str; 10] = [
@@ -24,11 +27,16 @@ const SCHEDULE: [&str; 10] = [
 
 /// Starts a run, and presses Ctrl-C once its log holds a line with `sign`. Returns what it said.
 fn interrupt(out: &Path, more: &[&str], sign: &str) -> String {
-    let arguments = train(scene(), out, &[&SCHEDULE, more].concat());
+    interrupt_on(scene(), out, more, sign)
+}
+
+/// The same on a scene of one's own.
+fn interrupt_on(scene: &Path, out: &Path, more: &[&str], sign: &str) -> String {
+    let arguments = train(scene, out, &[&SCHEDULE, more].concat());
     let child = command(arguments).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
     let log = out.join("log.jsonl");
     let deadline = Instant::now() + Duration::from_secs(100);
-    while !std::fs::read_to_string(&log).is_ok_and(|text| text.contains(sign)) {
+    while !fs::read_to_string(&log).is_ok_and(|text| text.contains(sign)) {
         assert!(Instant::now() < deadline, "no {sign} in the log");
         std::thread::sleep(Duration::from_millis(5));
     }
@@ -73,9 +81,29 @@ fn an_interrupted_run_is_neither_overwritten_nor_resumed_as_another() {
     fail(train(scene(), &out, &["--resume", "--max-side", "32"]), &["--resume", "others were given"]);
     // A torn checkpoint is noticed.
     let checkpoint = out.join("checkpoint/latest.checkpoint");
-    let bytes = std::fs::read(&checkpoint).unwrap();
-    std::fs::write(&checkpoint, &bytes[..bytes.len() - 9]).unwrap();
+    let bytes = fs::read(&checkpoint).unwrap();
+    fs::write(&checkpoint, &bytes[..bytes.len() - 9]).unwrap();
     fail(train(scene(), &out, &["--resume"]), &["latest.checkpoint"]);
+}
+
+#[test]
+fn a_run_goes_on_with_its_own_scene_only_wherever_that_is_now() {
+    let folder = tempfile::tempdir().unwrap();
+    let [out, before, after, other] =
+        ["run", "before", "after", "other"].map(|name| folder.path().join(name));
+    write_gallery(&before);
+    interrupt_on(&before, &out, &[], r#""event":"step""#);
+    let config = || fs::read(out.join("config.toml")).unwrap();
+    let saved = config();
+    fail(train(scene(), &out, &["--resume"]), &["goes on with the scene", "before", "another folder"]);
+
+    fs::rename(&before, &after).unwrap();
+    let smaller = GalleryOptions { width: 64, height: 48, views: 10, points: 300, seed: 5 };
+    gallery::generate(&smaller).write_colmap(&other).unwrap();
+    fail(train(&other, &out, &["--resume"]), &["other photos"]);
+    assert!(saved == config(), "what was refused has changed nothing");
+    succeed(train(&after, &out, &["--resume"]));
+    assert!(String::from_utf8(config()).unwrap().contains("after"));
 }
 
 #[test]
