@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::any_backend::AnyBackend;
 use crate::args::MachineArgs;
+use crate::output;
 
 /// A choice of device.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
@@ -39,8 +40,10 @@ impl Device {
     pub fn announce(self) {
         if self == Self::Auto {
             match auto_adapter(adapters()) {
-                Ok(adapter) => eprintln!("device: auto means {} ({})", adapter.name, adapter.api),
-                Err(reason) => eprintln!("device: auto means the CPU, since {reason}"),
+                Ok(adapter) => {
+                    output::tell(&format!("device: auto means {} ({})", adapter.name, adapter.api))
+                }
+                Err(reason) => output::tell(&format!("device: auto means the CPU, since {reason}")),
             }
         }
     }

@@ -6,6 +6,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Result, anyhow};
 
+use crate::output;
+
 /// What shells report of a program that Ctrl-C killed: 128 + SIGINT.
 const KILLED_BY_CTRL_C: i32 = 130;
 
@@ -17,7 +19,7 @@ pub fn stop_flag() -> Result<Arc<AtomicBool>> {
         if flag.swap(true, Ordering::Relaxed) {
             process::exit(KILLED_BY_CTRL_C);
         }
-        eprintln!("stopping: results so far are being saved; press Ctrl-C again to abort at once");
+        output::tell("stopping: results so far are being saved; press Ctrl-C again to abort at once");
     };
     ctrlc::set_handler(handler).map_err(|error| anyhow!("cannot listen for Ctrl-C: {error}"))?;
     Ok(stop)

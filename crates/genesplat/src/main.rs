@@ -49,7 +49,7 @@ fn main() -> ExitCode {
     match panic::catch_unwind(|| commands::run(arguments)) {
         Ok(Ok(())) => ExitCode::SUCCESS,
         Ok(Err(error)) => {
-            eprintln!("{}", output::error_line(&error));
+            output::tell(&output::error_line(&error));
             ExitCode::FAILURE
         }
         // The hook has explained it already.

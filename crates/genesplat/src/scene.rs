@@ -7,6 +7,7 @@ use genesplat::core::View;
 use genesplat::io::{LoadOptions, PhotoSize, Scene, load_scene};
 use genesplat::train::initialise::ColouredPoint;
 
+use crate::output;
 use crate::progress::LoadBar;
 
 /// Loads a scene with a progress bar, and passes its notices on.
@@ -24,7 +25,7 @@ pub fn load_fraction(
     let background = background.map(|value| (255.0 * value).round() as u8);
     let options = LoadOptions { size, divisor, background, seed, ..LoadOptions::default() };
     let scene = load_scene(path, &options, &LoadBar::default())?;
-    scene.notices.iter().for_each(|notice| eprintln!("notice: {notice}"));
+    scene.notices.iter().for_each(|notice| output::tell(&format!("notice: {notice}")));
     Ok(scene)
 }
 

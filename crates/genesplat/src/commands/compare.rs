@@ -67,7 +67,7 @@ fn measure(metric: &Lpips, first: &Photo, second: &Photo) -> Result<Option<Conve
             Ok(Some(Conventions { zero_to_one, minus_one_to_one }))
         }
         Err(error @ LpipsError::TooSmall { .. }) => {
-            eprintln!("notice: {error}");
+            output::tell(&format!("notice: {error}"));
             Ok(None)
         }
         Err(error) => Err(error.into()),

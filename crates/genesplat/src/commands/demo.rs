@@ -50,7 +50,7 @@ pub fn run(args: &DemoArgs) -> Result<()> {
     let mut results = Vec::new();
     for half in &halves {
         let mode = half.settings.train.config().evolution.mode;
-        eprintln!("\ntraining {} evolution (mode {})", half.name, mode.name());
+        output::tell(&format!("\ntraining {} evolution (mode {})", half.name, mode.name()));
         let Some(metrics) = half.train(&scene, lpips.as_ref(), load, &stop)? else {
             return output::print("stopped; the demo cannot go on from here, so run it again");
         };
@@ -76,7 +76,7 @@ fn gallery_in(out: &Path) -> PathBuf {
 
 /// Writes the gallery as an ordinary COLMAP scene, and loads it as any other.
 fn build_scene(folder: &Path, seed: u64) -> Result<Scene> {
-    eprintln!("building the gallery in {}", folder.display());
+    output::tell(&format!("building the gallery in {}", folder.display()));
     let options = GalleryOptions { seed, ..GalleryOptions::default() };
     gallery::generate(&options).write_colmap(folder)?;
     scene::load(folder, PhotoSize::default(), [0.0; 3], seed)

@@ -16,9 +16,9 @@ use super::plan::{BUNDLED, Cell, Experiment};
 use super::results::{CellMetrics, Results};
 use crate::args::MachineArgs;
 use crate::run_folder::RunFolder;
-use crate::scene;
 use crate::settings::{ConfigFile, Settings};
 use crate::training::Run;
+use crate::{output, scene};
 
 /// How to run an experiment.
 pub struct Runner<'a> {
@@ -237,10 +237,10 @@ struct Board<'a> {
 
 impl<'a> Board<'a> {
     fn new(experiment: &'a Experiment, cells: usize) -> Self {
-        eprintln!(
+        output::tell(&format!(
             "{:>9}  {:<14} {:<14} {:<14} {:>5} {:>10} {:>10} {:>10} {:>8}",
             "cell", "scene", "variant", "arm", "seed", "test PSNR", "train PSNR", "Gaussians", "seconds"
-        );
+        ));
         Self { experiment, cells, done: 0, ran: 0, began: Instant::now() }
     }
 
@@ -275,6 +275,6 @@ impl<'a> Board<'a> {
             metrics.gaussians,
             metrics.seconds.gradient + metrics.seconds.evolution,
         );
-        eprintln!("{}", line.trim_end());
+        output::tell(line.trim_end());
     }
 }

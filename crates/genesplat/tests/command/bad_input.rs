@@ -151,6 +151,25 @@ fn a_full_disk_stops_training_and_keeps_what_could_be_saved() {
     succeed(train(scene(), &out, &["--resume", "--iterations", "20"]));
 }
 
+/// Where nobody hears what a run says, it goes on; and an error is an exit status, not an abort.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_full_stderr_ends_nothing() {
+    use std::process::Stdio;
+
+    use crate::support::command;
+
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("run");
+    let status = |arguments: Vec<String>| {
+        let full = fs::File::options().write(true).open("/dev/full").unwrap();
+        command(arguments).stderr(full).stdout(Stdio::null()).status().unwrap().code()
+    };
+    assert_eq!(status(train(scene(), &out, &["--iterations", "20"])), Some(0));
+    assert!(out.join("metrics.json").exists());
+    assert_eq!(status(train(&folder.path().join("absent"), &out, &[])), Some(1));
+}
+
 #[test]
 fn a_folder_that_belongs_to_something_else_is_left_alone() {
     let folder = tempfile::tempdir().unwrap();
