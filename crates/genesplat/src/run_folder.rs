@@ -19,7 +19,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Result, anyhow, bail};
 use genesplat::core::{BackendError, Gaussians, ScreenFilter};
-use genesplat::io::atomic::write_atomically;
+use genesplat::io::atomic::{self, write_atomically};
 use genesplat::io::{PlyOptions, write_ply};
 use genesplat::train::observe::LogRecord;
 use genesplat::train::{Checkpoint, TrainError};
@@ -287,12 +287,9 @@ pub fn write_json(path: &Path, value: &impl Serialize) -> Result<()> {
     write_file(path, |out| writeln!(out, "{text}"))
 }
 
-/// Fails now, rather than after an hour, where the file `path` could not be written.
+/// Fails now, rather than after an hour, where the file `path` could not be written; leaves nothing behind.
 pub fn check_writable(path: &Path) -> Result<()> {
-    let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let probe = path.with_file_name(format!(".{name}.{}.probe", std::process::id()));
-    write_atomically(&probe, |_| Ok(())).map_err(|error| unwritable(path, &error))?;
-    remove_if_there(&probe)
+    atomic::check_writable(path).map_err(|error| unwritable(path, &error))
 }
 
 fn write_file(path: &Path, fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>) -> Result<()> {
