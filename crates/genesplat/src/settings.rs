@@ -84,6 +84,11 @@ impl ConfigFile {
         Self::read(&RunFolder::config_in(folder))
     }
 
+    /// Settings of training that no file names, on a scene at the usual size.
+    pub fn of_scene(path: PathBuf, train: TrainConfig) -> Self {
+        Self { dataset: Dataset { path, ..Dataset::default() }, train, ..Self::default() }
+    }
+
     /// Reads a file.
     pub fn read(path: &Path) -> Result<Self> {
         let text = fs::read_to_string(path)
@@ -112,6 +117,13 @@ impl ConfigFile {
 
     /// The settings of a run of this file; flags win over it.
     pub fn resolve(self, machine: MachineArgs) -> Result<Settings> {
+        if self.dataset.path.to_str().is_none() {
+            bail!(
+                "the path of the scene, {}, is not UTF-8 text, and config.toml can hold no other; rename the folder, or give a link \
+                 with another name",
+                self.dataset.path.display()
+            );
+        }
         Ok(Settings {
             dataset: self.dataset,
             device: machine.device.or(self.device).unwrap_or_default().resolve()?,
@@ -171,7 +183,8 @@ impl Settings {
         }
         let Self { dataset, device, threads, train } = self;
         let written = Written { device: *device, threads: *threads, train: train.config(), dataset };
-        toml::to_string(&written).expect("settings are plain tables of numbers and words")
+        toml::to_string(&written)
+            .expect("settings are tables of numbers and text: resolve has checked the path")
     }
 }
 

@@ -18,7 +18,7 @@ use genesplat::train::{EvolutionMode, TrainConfig};
 use crate::args::DemoArgs;
 use crate::metrics::Metrics;
 use crate::run_folder::RunFolder;
-use crate::settings::{Dataset, Settings};
+use crate::settings::{ConfigFile, Settings};
 use crate::sheet::side_by_side;
 use crate::training::Run;
 use crate::{device, interrupt, lpips, output, scene};
@@ -99,12 +99,7 @@ impl Plan {
         train.evolution.mode = mode;
         train.evolution.paper.generations = GENERATIONS;
         train.evolution.paper.population = POPULATION;
-        let settings = Settings {
-            dataset: Dataset { path: gallery_in(&args.out), ..Dataset::default() },
-            device: args.machine.device.unwrap_or_default().resolve()?,
-            threads: args.machine.threads,
-            train: train.resolve()?,
-        };
+        let settings = ConfigFile::of_scene(gallery_in(&args.out), train).resolve(args.machine)?;
         Ok(Self { name, settings, out })
     }
 

@@ -46,7 +46,9 @@ pub fn run(args: &ExperimentArgs) -> Result<()> {
 fn write(runner: &Runner<'_>, results: &Results<'_>) -> Result<()> {
     let tables = summary::tables(results);
     let pages = qualitative::write_pages(runner, results)?;
-    let command = command_line(std::env::args().collect::<Vec<_>>().iter().map(String::as_str));
+    // Shown only, so a path that is no text may lose what cannot be shown.
+    let words: Vec<String> = std::env::args_os().map(|word| word.to_string_lossy().into_owned()).collect();
+    let command = command_line(words.iter().map(String::as_str));
     let markdown = tables.iter().map(|table| table.to_markdown() + "\n").collect::<String>();
     let latex = tables.iter().map(|table| table.to_latex() + "\n").collect::<String>();
     let files = [

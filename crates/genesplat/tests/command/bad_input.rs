@@ -110,6 +110,31 @@ fn a_single_camera() {
     Spoilt::new(keep_one).fails(&["not enough photos"]);
 }
 
+/// Linux takes any bytes as names; settings are text.
+#[cfg(target_os = "linux")]
+#[test]
+fn paths_that_are_no_text() {
+    use std::ffi::OsStr;
+    use std::os::unix::ffi::OsStrExt;
+
+    let folder = tempfile::tempdir().unwrap();
+    let odd = folder.path().join(OsStr::from_bytes(b"sc\xffne"));
+    write_gallery(&odd);
+    let out = folder.path().join("run");
+    let arguments = |out: &Path| {
+        [OsStr::new("train"), odd.as_os_str(), OsStr::new("--out"), out.as_os_str()].map(OsStr::to_owned)
+    };
+    let cpu = ["--device", "cpu", "--iterations", "3"].map(OsStr::new).map(OsStr::to_owned);
+    fail(arguments(&out).iter().chain(&cpu), &["path of the scene", "not UTF-8", "rename"]);
+    assert!(!out.exists());
+    let smoke = ["experiment", "smoke", "--out"].map(OsStr::new);
+    fail(smoke.into_iter().chain([odd.as_os_str()]), &["path of the scene", "not UTF-8"]);
+    // Where the scene's path is text, that of the results need not be.
+    let mut fine = arguments(&odd.join("run"));
+    fine[1] = scene().into();
+    succeed(fine.iter().chain(&cpu));
+}
+
 #[test]
 fn folders_that_are_no_scene() {
     let folder = tempfile::tempdir().unwrap();
