@@ -24,6 +24,15 @@ pub enum Device {
 }
 
 impl Device {
+    /// As flags and files write it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Auto => "auto",
+            Self::Cpu => "cpu",
+            Self::Gpu => "gpu",
+        }
+    }
+
     /// The device that is meant, once it is clear that there is one.
     pub fn resolve(self) -> Result<Self> {
         match self {

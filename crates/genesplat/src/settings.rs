@@ -14,8 +14,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::args::{EvolutionArgs, MachineArgs, ScheduleArgs, SizeArgs, TrainArgs};
 use crate::device::Device;
+use crate::difference::essence;
 use crate::run_folder::RunFolder;
-use crate::same_scene;
+use crate::{difference, same_scene};
 
 /// Iterations between two checkpoints, where neither flag nor file says.
 const CHECKPOINT_EVERY: u32 = 1000;
@@ -132,22 +133,29 @@ impl ConfigFile {
         })
     }
 
-    /// True when a run of this file and a run with `settings` have the same result: how often it reports and saves, and
-    /// how many threads it has, do not matter.
-    pub fn repeats(&self, settings: &Settings) -> bool {
-        let same_folder = match (self.dataset.path.canonicalize(), settings.dataset.path.canonicalize()) {
-            (Ok(here), Ok(there)) => here == there,
-            _ => self.dataset.path == settings.dataset.path,
-        };
-        let same_device = self.device.unwrap_or_default() == settings.device;
-        let same_size = self.size() == settings.dataset.size();
-        same_folder && same_device && same_size && timeless(&self.train) == timeless(settings.train.config())
+    /// What makes the result of a run of this file differ from that of a run with `settings`; `None` where nothing does.
+    ///
+    /// Scenes are the same where the last `parts` of their paths are: folders are moved, and named from here or there.
+    pub fn difference(&self, settings: &Settings, parts: usize) -> Option<String> {
+        let [there, here] = [&self.dataset.path, &settings.dataset.path].map(|path| end_of(path, parts));
+        if there != here {
+            return Some(format!("its scene is {} there and {} here", there.display(), here.display()));
+        }
+        let device = self.device.unwrap_or_default();
+        if device != settings.device {
+            return Some(format!("device is {} there and {} here", device.name(), settings.device.name()));
+        }
+        difference::first(
+            &essence(&self.dataset, &self.train),
+            &essence(&settings.dataset, settings.train.config()),
+        )
     }
 }
 
-/// The settings without those that do not change a result.
-fn timeless(train: &TrainConfig) -> TrainConfig {
-    TrainConfig { checkpoint_every: 0, report_every: 0, ..train.clone() }
+/// The last `parts` of a path.
+fn end_of(path: &Path, parts: usize) -> PathBuf {
+    let components: Vec<_> = path.components().collect();
+    components[components.len().saturating_sub(parts)..].iter().collect()
 }
 
 impl Settings {
@@ -225,9 +233,11 @@ fn replace<T>(setting: &mut T, flag: Option<T>) {
 
 /// A resumed run goes on with the settings that it began with, or its result would belong to neither.
 fn check_same(saved: &ConfigFile, wanted: &ConfigFile, out: &Path) -> Result<()> {
-    if timeless(&saved.train) != timeless(&wanted.train) || saved.size() != wanted.size() {
+    let [there, here] = [saved, wanted].map(|file| essence(&file.dataset, &file.train));
+    if let Some(difference) = difference::first(&there, &here) {
         bail!(
-            "--resume goes on with the settings in {}, and others were given; leave them out, or train into another folder",
+            "--resume goes on with the settings in {}, and others were given ({difference}); leave them out, or train into \
+             another folder",
             RunFolder::config_in(out).display()
         );
     }

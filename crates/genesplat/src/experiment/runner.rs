@@ -18,7 +18,7 @@ use crate::args::MachineArgs;
 use crate::run_folder::RunFolder;
 use crate::settings::{ConfigFile, Settings};
 use crate::training::Run;
-use crate::{output, scene};
+use crate::{output, same_scene, scene};
 
 /// How to run an experiment.
 pub struct Runner<'a> {
@@ -127,6 +127,9 @@ impl<'a> Runner<'a> {
         let began = Instant::now();
         let scene = scenes.get(self, cell, settings)?;
         scene::check_spared(scene, &RunFolder::test_in(path))?;
+        if resume {
+            same_scene::check_photos(path, scene)?;
+        }
         let folder = if resume { RunFolder::reopen } else { RunFolder::replace };
         let folder = folder(path, &settings.to_toml())?;
         let load = (began.elapsed().as_secs_f64(), began);
@@ -137,7 +140,8 @@ impl<'a> Runner<'a> {
 
     fn state(&self, cell: Cell, settings: &Settings) -> State {
         let path = self.out.join(self.experiment.folder(cell));
-        let is_this_run = ConfigFile::of_run(&path).is_ok_and(|config| config.repeats(settings));
+        let is_this_run =
+            ConfigFile::of_run(&path).is_ok_and(|config| self.difference(cell, &config, settings).is_none());
         let whole = settings.train.schedule().iterations;
         if !is_this_run {
             return State::Missing;
@@ -180,14 +184,23 @@ impl<'a> Runner<'a> {
             }
             let path = self.out.join(self.experiment.folder(cell));
             let settings = self.settings(cell, &results)?;
-            let other = ConfigFile::of_run(&path).is_ok_and(|config| !config.repeats(&settings));
-            ensure!(
-                !other || CellMetrics::read(&path).is_none(),
-                "{} holds a run with other settings; choose another --out, or remove that folder to have it run anew",
-                path.display()
-            );
+            let config = ConfigFile::of_run(&path).ok().filter(|_| CellMetrics::read(&path).is_some());
+            if let Some(difference) = config.and_then(|config| self.difference(cell, &config, &settings)) {
+                bail!(
+                    "{} holds a run with other settings ({difference}); choose another --out, or remove that folder to have it \
+                     run anew",
+                    path.display()
+                );
+            }
         }
         Ok(())
+    }
+
+    /// What makes a run of `config` another one than that of a cell with these settings. A scene is known by its name, the bundled
+    /// one by its options, too: where the folders are now, and where the command is started, does not matter.
+    fn difference(&self, cell: Cell, config: &ConfigFile, settings: &Settings) -> Option<String> {
+        let is_bundled = self.experiment.file.scenes[cell.scene] == BUNDLED;
+        config.difference(settings, if is_bundled { 2 } else { 1 })
     }
 }
 
@@ -276,5 +289,70 @@ impl<'a> Board<'a> {
             metrics.seconds.gradient + metrics.seconds.evolution,
         );
         output::tell(line.trim_end());
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+
+    use super::*;
+    use crate::device::Device;
+
+    fn experiment(more: &str) -> Experiment {
+        let text = "title = \"t\"\nscenes = [\"gallery\", \"fox\"]\nseeds = [0]\nevolve = [\"off\"]\n";
+        Experiment::new(toml::from_str(&format!("{text}{more}")).unwrap()).unwrap()
+    }
+
+    fn runner<'a>(
+        experiment: &'a Experiment,
+        out: &'a Path,
+        data: &'a Path,
+        stop: &'a AtomicBool,
+    ) -> Runner<'a> {
+        let machine = MachineArgs { device: Some(Device::Cpu), threads: None };
+        Runner { experiment, out, data: Some(data), machine, lpips: None, stop }
+    }
+
+    /// Settings and metrics of a finished run in the folder of each cell.
+    fn pretend_to_run(runner: &Runner<'_>) {
+        for cell in runner.experiment.cells() {
+            let settings = runner.settings(cell, &Results::none(runner.experiment)).unwrap();
+            let folder = runner.out.join(runner.experiment.folder(cell));
+            let folder = RunFolder::replace(&folder, &settings.to_toml()).unwrap();
+            let scores = serde_json::json!({"psnr": 30.0, "ssim": 0.9});
+            let seconds = serde_json::json!({"gradient": 1.0, "evolution": 0.0});
+            let metrics = serde_json::json!({"iterations": 30_000, "gaussians": 20, "test": scores, "train": scores,
+                "seconds": seconds, "evolution": []});
+            folder.write_metrics(&metrics).unwrap();
+        }
+    }
+
+    #[test]
+    fn finished_cells_are_known_wherever_they_and_their_scenes_are_now() {
+        let place = tempfile::tempdir().unwrap();
+        let [out, moved] = ["out", "deep/moved"].map(|name| place.path().join(name));
+        let (here, stop) = (experiment(""), AtomicBool::new(false));
+        pretend_to_run(&runner(&here, &out, Path::new("scenes"), &stop));
+        fs::create_dir(place.path().join("deep")).unwrap();
+        fs::rename(&out, &moved).unwrap();
+
+        let again = runner(&here, &moved, place.path(), &stop);
+        again.check_folders().unwrap();
+        for cell in here.cells() {
+            let settings = again.settings(cell, &Results::none(&here)).unwrap();
+            assert!(matches!(again.state(cell, &settings), State::Finished(_)));
+        }
+        let others = [
+            ("[gallery]\nwidth = 64", "its scene is"),
+            ("config.iterations = 7", "iterations is 30000 there and 7 here"),
+            ("max_side = 99", "dataset.max_side is not set there and 99 here"),
+        ];
+        for (more, words) in others {
+            let other = experiment(more);
+            let refusal =
+                runner(&other, &moved, place.path(), &stop).check_folders().unwrap_err().to_string();
+            assert!(refusal.contains(words) && refusal.contains("other settings"), "{refusal}");
+        }
     }
 }

@@ -91,6 +91,12 @@ fn finished_cells_are_left_alone_and_spoilt_ones_repeated() {
         first.keys().filter(|name| first[*name] != again[*name]).map(String::as_str).collect();
     assert_eq!(repeated, ["control/seed-1", "off/seed-0", "paper/seed-1"]);
     assert_eq!(figures(&out), whole, "the same figures");
+
+    // Wherever the folder is now, its cells are the same.
+    let moved = folder.path().join("moved");
+    fs::rename(&out, &moved).unwrap();
+    succeed(experiment(&file, &moved, &[]));
+    assert_eq!(times(&moved), again);
 }
 
 #[cfg(unix)]
