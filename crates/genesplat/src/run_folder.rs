@@ -28,6 +28,9 @@ use serde::Serialize;
 /// Name of the splat that has its 3D filter baked in.
 const FUSED_CLOUD: &str = "point_cloud_fused.ply";
 
+/// Name of the file with all settings.
+const CONFIG: &str = "config.toml";
+
 /// Name of the file with the figures.
 const METRICS: &str = "metrics.json";
 
@@ -80,11 +83,11 @@ impl RunFolder {
     /// True where a run in `path` would replace an older one; fails where the folder is something else's or cannot be
     /// written to.
     pub fn check_replaceable(path: &Path) -> Result<bool> {
+        check_folder(path, CONFIG)?;
         let old_config = fs::read_to_string(Self::config_in(path)).ok();
         if old_config.as_ref().is_some_and(|text| !text.starts_with(CONFIG_MARK)) {
             bail!("{} belongs to something else; choose another folder", Self::config_in(path).display());
         }
-        check_writable(&Self::config_in(path))?;
         Ok(old_config.is_some())
     }
 
@@ -133,7 +136,7 @@ impl RunFolder {
 
     /// Where a run in the folder `path` has its settings.
     pub fn config_in(path: &Path) -> PathBuf {
-        path.join("config.toml")
+        path.join(CONFIG)
     }
 
     /// Where a run in the folder `path` has its splat.
@@ -292,6 +295,14 @@ pub fn check_writable(path: &Path) -> Result<()> {
     atomic::check_writable(path).map_err(|error| unwritable(path, &error))
 }
 
+/// The same for the file `name` in the folder `path`, which whoever writes it makes.
+pub fn check_folder(path: &Path, name: &str) -> Result<()> {
+    if path.is_file() {
+        bail!("{} is a file, and results need a folder; choose another --out", path.display());
+    }
+    check_writable(&path.join(name))
+}
+
 fn write_file(path: &Path, fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>) -> Result<()> {
     write_atomically(path, fill).map_err(|error| unwritable(path, &error))
 }
@@ -306,6 +317,12 @@ fn remove_if_there(path: &Path) -> Result<()> {
 }
 
 fn unwritable(path: &Path, error: &io::Error) -> anyhow::Error {
+    if error.kind() == ErrorKind::IsADirectory {
+        return anyhow!(
+            "{} is a folder, and a file is to be written; give the name of a file",
+            path.display()
+        );
+    }
     anyhow!(
         "cannot write {}: {error}; choose a folder that can be written to, or free some space",
         path.display()

@@ -33,6 +33,7 @@ struct Report {
 
 /// Measures, and prints.
 pub fn run(args: &CompareArgs) -> Result<()> {
+    args.json.as_deref().map_or(Ok(()), run_folder::check_writable)?;
     let metrics = lpips::open_all(&args.lpips)?;
     let (first, second) = (read_photo(&args.first)?, read_photo(&args.second)?);
     let name = args.first.file_name().unwrap_or_default().to_string_lossy();

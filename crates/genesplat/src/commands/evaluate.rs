@@ -24,6 +24,7 @@ struct Report {
 
 /// Renders every photo's viewpoint and measures.
 pub fn run(args: &EvaluateArgs) -> Result<()> {
+    args.json.as_deref().map_or(Ok(()), run_folder::check_writable)?;
     let device = device::prepare(args.machine)?;
     let lpips = lpips::open(&args.lpips)?;
     let splat = splat::open(&args.splat)?;

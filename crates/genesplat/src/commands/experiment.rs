@@ -18,7 +18,7 @@ pub fn run(args: &ExperimentArgs) -> Result<()> {
     let mut file = preset::open(&args.what)?;
     file.override_by(args);
     let experiment = Experiment::new(file)?;
-    run_folder::check_writable(&args.out.join("tables.md"))?;
+    run_folder::check_folder(&args.out, "tables.md")?;
     device::prepare(args.machine)?;
     let stop = interrupt::stop_flag()?;
     let lpips = lpips::open(&args.lpips)?;

@@ -16,8 +16,8 @@ use crate::{device, interrupt, output, run_folder, splat};
 
 /// Searches, and writes the best that it has found; Ctrl-C ends the search early.
 pub fn run(args: &RefineArgs) -> Result<()> {
-    let device = device::prepare(args.machine)?;
     run_folder::check_writable(&args.out)?;
+    let device = device::prepare(args.machine)?;
     let mut splat = splat::open(&args.splat)?;
     let config = configure(args, &splat)?;
     splat.settings = config.render_settings();

@@ -8,10 +8,14 @@ use genesplat::io::{Scene, photos};
 
 use crate::args::{RenderArgs, RenderSplit};
 use crate::progress::Bar;
-use crate::{device, output, scene, splat};
+use crate::{device, output, run_folder, scene, splat};
 
 /// Renders one viewpoint into a file, or many into a folder.
 pub fn run(args: &RenderArgs) -> Result<()> {
+    match args.image {
+        Some(_) => run_folder::check_writable(&args.out)?,
+        None => run_folder::check_folder(&args.out, "0001.png")?,
+    }
     let device = device::prepare(args.machine)?;
     let splat = splat::open(&args.splat)?;
     let scene = splat.load_scene(&args.data, args.size, 0)?;
