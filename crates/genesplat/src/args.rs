@@ -17,11 +17,14 @@ pub use bench::{Bench, BenchEvolutionArgs, BenchGpuArgs, BenchStepArgs, Workload
 pub use method::MethodArgs;
 pub use train::{EvolutionArgs, Evolve, ScheduleArgs, Search, TrainArgs};
 
+const EXIT_STATUS: &str = "Exit status: 0 done, 1 failed (one sentence on stderr says why), 2 wrong usage, 130 stopped by Ctrl-C or \
+                           SIGTERM with what there was saved (train, demo, experiment)";
+
 /// Reconstruct a scene from photos as 3D Gaussians, and evolve them.
 ///
 /// New here? `genesplat demo` builds a small scene, trains it without and with evolution, and shows the difference.
 #[derive(Debug, Parser)]
-#[command(name = "genesplat", version, max_term_width = 120)]
+#[command(name = "genesplat", version, max_term_width = 120, after_help = EXIT_STATUS)]
 pub struct Arguments {
     /// What to do.
     #[command(subcommand)]

@@ -13,9 +13,10 @@
 //! | [`report`] | `report.html` |
 //! | [`reporter`], [`progress`], [`test_curve`] | what a run tells while it is under way |
 //! | [`lpips`] | where the weights of LPIPS come from |
-//! | [`device`], [`any_backend`], [`interrupt`], [`memory`], [`scene`], [`sheet`], [`output`] | the machine, Ctrl-C, and other plumbing |
+//! | [`device`], [`any_backend`], [`interrupt`], [`memory`], [`scene`], [`sheet`], [`output`] | the machine, Ctrl-C and SIGTERM, and other plumbing |
 //!
-//! Exit status: 0 done, 1 failed with one sentence on stderr, 2 wrong usage.
+//! Exit status: 0 done, 1 failed with one sentence on stderr, 2 wrong usage, 130 stopped by Ctrl-C or SIGTERM (train, demo
+//! and experiment).
 
 mod any_backend;
 mod args;
@@ -45,11 +46,14 @@ use std::process::ExitCode;
 
 use clap::Parser;
 
+use commands::Ending;
+
 fn main() -> ExitCode {
     output::explain_panics();
     let arguments = args::Arguments::parse();
     match panic::catch_unwind(|| commands::run(arguments)) {
-        Ok(Ok(())) => ExitCode::SUCCESS,
+        Ok(Ok(Ending::Whole)) => ExitCode::SUCCESS,
+        Ok(Ok(Ending::Stopped)) => ExitCode::from(interrupt::STOPPED),
         Ok(Err(error)) => {
             output::tell(&output::error_line(&error));
             ExitCode::FAILURE

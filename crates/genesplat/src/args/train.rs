@@ -56,7 +56,7 @@ pub struct ScheduleArgs {
     /// Stop adding Gaussians at this many [default: no limit, or with --evolve renew what the photos feed; 1000000 with mcmc, which always grows to it]. Bounds memory (about 1.5 KB a Gaussian) and time
     #[arg(long, value_name = "N", value_parser = positive)]
     pub max_gaussians: Option<usize>,
-    /// Iterations between two checkpoints [default: 1000]; 0 for none but that of Ctrl-C
+    /// Iterations between two checkpoints [default: 1000]; 0 for none but that of Ctrl-C and SIGTERM
     #[arg(long, value_name = "N")]
     pub checkpoint_every: Option<u32>,
 }

@@ -15,6 +15,7 @@ use genesplat::io::{GalleryOptions, PhotoSize, Scene, gallery};
 use genesplat::train::evaluate::Lpips;
 use genesplat::train::{EvolutionMode, TrainConfig};
 
+use super::Ending;
 use crate::args::DemoArgs;
 use crate::metrics::Metrics;
 use crate::run_folder::RunFolder;
@@ -35,7 +36,7 @@ const GENERATIONS: u32 = 20;
 const POPULATION: u32 = 20;
 
 /// Builds, trains twice, compares.
-pub fn run(args: &DemoArgs) -> Result<()> {
+pub fn run(args: &DemoArgs) -> Result<Ending> {
     let began = Instant::now();
     let plans = [("without", EvolutionMode::Off), ("with", args.evolve.into())];
     let plans: Vec<Plan> =
@@ -52,7 +53,8 @@ pub fn run(args: &DemoArgs) -> Result<()> {
         let mode = half.settings.train.config().evolution.mode;
         output::tell(&format!("\ntraining {} evolution (mode {})", half.name, mode.name()));
         let Some(metrics) = half.train(&scene, lpips.as_ref(), load, &stop)? else {
-            return output::print("stopped; the demo cannot go on from here, so run it again");
+            output::print("stopped; the demo cannot go on from here, so run it again")?;
+            return Ok(Ending::Stopped);
         };
         results.push(metrics);
     }
@@ -67,7 +69,8 @@ pub fn run(args: &DemoArgs) -> Result<()> {
         picture.display(),
         scene.test[view].name,
         gallery_in(&args.out).display()
-    ))
+    ))?;
+    Ok(Ending::Whole)
 }
 
 fn gallery_in(out: &Path) -> PathBuf {

@@ -5,6 +5,7 @@ use std::path::Path;
 use anyhow::{Result, anyhow};
 use genesplat::io::atomic::write_atomically;
 
+use super::Ending;
 use crate::args::ExperimentArgs;
 use crate::experiment::plan::Experiment;
 use crate::experiment::results::Results;
@@ -14,7 +15,7 @@ use crate::report::run::command_line;
 use crate::{device, interrupt, lpips, output, run_folder};
 
 /// Runs what is unfinished, then writes tables and pages of all that is finished.
-pub fn run(args: &ExperimentArgs) -> Result<()> {
+pub fn run(args: &ExperimentArgs) -> Result<Ending> {
     let mut file = preset::open(&args.what)?;
     file.override_by(args);
     let experiment = Experiment::new(file)?;
@@ -35,12 +36,13 @@ pub fn run(args: &ExperimentArgs) -> Result<()> {
     if finished > 0 {
         write(&runner, &results)?;
     }
-    if finished < cells {
-        return output::print(&format!(
-            "stopped: {finished} of {cells} runs are finished; the same command goes on with the rest"
-        ));
+    if finished == cells {
+        return Ok(Ending::Whole);
     }
-    Ok(())
+    output::print(&format!(
+        "stopped: {finished} of {cells} runs are finished; the same command goes on with the rest"
+    ))?;
+    Ok(Ending::Stopped)
 }
 
 fn write(runner: &Runner<'_>, results: &Results<'_>) -> Result<()> {

@@ -4,6 +4,7 @@ use std::time::Instant;
 
 use anyhow::Result;
 
+use super::Ending;
 use crate::args::TrainArgs;
 use crate::run_folder::RunFolder;
 use crate::settings::Settings;
@@ -12,7 +13,7 @@ use crate::{device, interrupt, lpips, output, same_scene, scene};
 
 /// Trains. The folder is proved writable before anything slow begins, but an earlier run's results stay in it until scene and
 /// weights are loaded: a mistyped path must not cost them.
-pub fn run(args: &TrainArgs) -> Result<()> {
+pub fn run(args: &TrainArgs) -> Result<Ending> {
     let began = Instant::now();
     let check = if args.resume { RunFolder::check_resumable } else { RunFolder::check_free };
     check(&args.out)?;
@@ -43,13 +44,17 @@ pub fn run(args: &TrainArgs) -> Result<()> {
         stop: &stop,
         load,
     };
-    report(&run.execute()?, &folder)
+    let finished = run.execute()?;
+    report(&finished, &folder)?;
+    Ok(if finished.interrupted { Ending::Stopped } else { Ending::Whole })
 }
 
 fn report(finished: &Finished, folder: &RunFolder) -> Result<()> {
     let metrics = &finished.metrics;
     output::print(&output::scores_line("test", &metrics.test))?;
-    output::print(&output::scores_line("train", &metrics.train))?;
+    if !finished.interrupted {
+        output::print(&output::scores_line("train", &metrics.train))?;
+    }
     output::print(&format!(
         "{} Gaussians after {} iterations in {:.0} s: {}",
         metrics.gaussians,

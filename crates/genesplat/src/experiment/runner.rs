@@ -32,7 +32,7 @@ pub struct Runner<'a> {
     pub machine: MachineArgs,
     /// The learned measure, if it can be taken.
     pub lpips: Option<&'a Lpips>,
-    /// Set by Ctrl-C.
+    /// Set by Ctrl-C and SIGTERM.
     pub stop: &'a AtomicBool,
 }
 
