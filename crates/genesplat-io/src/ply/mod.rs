@@ -12,7 +12,7 @@ mod points;
 mod rows;
 
 use std::fs::File;
-use std::io::{self, BufReader, Read, Write};
+use std::io::{self, BufRead, BufReader, Read, Write};
 use std::path::{Path, PathBuf};
 
 use genesplat_core::gaussians::{logit, sigmoid};
@@ -213,14 +213,27 @@ fn open(path: &Path) -> Result<(PlyHeader, BufReader<File>), PlyError> {
     let size = file.metadata().map_err(|source| read_error(path, source))?.len();
     let mut reader = BufReader::with_capacity(1 << 18, file);
     let (header, header_bytes) = header::read(&mut reader, path)?;
-    let bytes = size.saturating_sub(header_bytes + header.bytes_before);
-    let held = bytes / header.least_row_bytes();
+    let skipped = pass_over(&header, &mut reader).map_err(|source| read_error(path, source))?;
+    let held = size.saturating_sub(header_bytes + skipped) / header.least_row_bytes();
     if held < header.gaussians {
         return Err(PlyError::Truncated { path: path.to_owned(), promised: header.gaussians, held });
     }
-    io::copy(&mut reader.by_ref().take(header.bytes_before), &mut io::sink())
-        .map_err(|source| read_error(path, source))?;
     Ok((header, reader))
+}
+
+/// Reads up to the first vertex, or to the end of a file that is torn before; returns how many bytes that were.
+fn pass_over(header: &PlyHeader, reader: &mut impl BufRead) -> io::Result<u64> {
+    if header.encoding == Encoding::Binary {
+        return io::copy(&mut reader.by_ref().take(header.before), &mut io::sink());
+    }
+    let mut bytes = 0;
+    for _ in 0..header.before {
+        match reader.skip_until(b'\n')? {
+            0 => break,
+            line => bytes += line as u64,
+        }
+    }
+    Ok(bytes)
 }
 
 fn read_error(path: &Path, source: io::Error) -> PlyError {
