@@ -33,28 +33,24 @@ impl Device {
         }
     }
 
-    /// The device that is meant, once it is clear that there is one.
-    pub fn resolve(self) -> Result<Self> {
+    /// The device that is meant, once it is clear that there is one; and whether the choice was left to us.
+    pub fn resolve(self) -> Result<(Self, bool)> {
         match self {
-            Self::Cpu => Ok(Self::Cpu),
-            Self::Auto => Ok(if auto_adapter(adapters()).is_ok() { Self::Gpu } else { Self::Cpu }),
+            Self::Cpu => Ok((Self::Cpu, false)),
+            Self::Auto => Ok((if auto_adapter(adapters()).is_ok() { Self::Gpu } else { Self::Cpu }, true)),
             Self::Gpu => match adapters().iter().find(|adapter| adapter.unusable.is_none()) {
-                Some(_) => Ok(Self::Gpu),
+                Some(_) => Ok((Self::Gpu, false)),
                 None => bail!("{}; use --device cpu", why_none(adapters())),
             },
         }
     }
+}
 
-    /// Says what was chosen for someone who left the choice to us.
-    pub fn announce(self) {
-        if self == Self::Auto {
-            match auto_adapter(adapters()) {
-                Ok(adapter) => {
-                    output::tell(&format!("device: auto means {} ({})", adapter.name, adapter.api))
-                }
-                Err(reason) => output::tell(&format!("device: auto means the CPU, since {reason}")),
-            }
-        }
+/// Says what was chosen for someone who left the choice to us: figures of the two kinds differ by rounding, and in time.
+pub fn announce_auto() {
+    match auto_adapter(adapters()) {
+        Ok(adapter) => output::tell(&format!("device: auto means {} ({})", adapter.name, adapter.api)),
+        Err(reason) => output::tell(&format!("device: auto means the CPU, since {reason}")),
     }
 }
 
@@ -87,16 +83,20 @@ fn why_none(adapters: &[AdapterReport]) -> String {
 
 /// An empty backend on a resolved device, for a run with `seed`.
 pub fn open(device: Device, seed: u64) -> Result<AnyBackend> {
-    match device.resolve()? {
+    match device.resolve()?.0 {
         Device::Gpu => Ok(AnyBackend::Gpu(Box::new(GpuBackend::new(seed)?))),
         Device::Cpu | Device::Auto => Ok(AnyBackend::Cpu(Box::new(CpuBackend::new(seed)))),
     }
 }
 
-/// Makes the machine ready for a command that does not train; returns the device that it runs on.
+/// Makes the machine ready for a command that has no configuration; returns the device that it runs on, having said which it
+/// is where the choice was left to us.
 pub fn prepare(args: MachineArgs) -> Result<Device> {
-    let device = args.device.unwrap_or_default().resolve()?;
+    let (device, was_auto) = args.device.unwrap_or_default().resolve()?;
     use_threads(args.threads)?;
+    if was_auto {
+        announce_auto();
+    }
     Ok(device)
 }
 

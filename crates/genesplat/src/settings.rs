@@ -28,6 +28,8 @@ pub struct Settings {
     pub dataset: Dataset,
     /// Never `Auto`.
     pub device: Device,
+    /// Neither flag nor file chose the device.
+    pub device_was_auto: bool,
     /// `None` for all cores.
     pub threads: Option<u16>,
     /// The settings of training, checked.
@@ -125,12 +127,10 @@ impl ConfigFile {
                 self.dataset.path.display()
             );
         }
-        Ok(Settings {
-            dataset: self.dataset,
-            device: machine.device.or(self.device).unwrap_or_default().resolve()?,
-            threads: machine.threads.or(self.threads),
-            train: self.train.resolve()?,
-        })
+        let train = self.train.resolve()?;
+        let (device, device_was_auto) = machine.device.or(self.device).unwrap_or_default().resolve()?;
+        let threads = machine.threads.or(self.threads);
+        Ok(Settings { dataset: self.dataset, device, device_was_auto, threads, train })
     }
 
     /// What makes the result of a run of this file differ from that of a run with `settings`; `None` where nothing does.
@@ -189,7 +189,7 @@ impl Settings {
             train: &'a TrainConfig,
             dataset: &'a Dataset,
         }
-        let Self { dataset, device, threads, train } = self;
+        let Self { dataset, device, threads, train, .. } = self;
         let written = Written { device: *device, threads: *threads, train: train.config(), dataset };
         toml::to_string(&written)
             .expect("settings are tables of numbers and text: resolve has checked the path")

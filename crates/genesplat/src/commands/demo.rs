@@ -45,7 +45,9 @@ pub fn run(args: &DemoArgs) -> Result<Ending> {
     let stop = interrupt::stop_flag()?;
     let lpips = lpips::open(&args.lpips)?;
     let scene = build_scene(&gallery_in(&args.out), args.seed)?;
-    args.machine.device.unwrap_or_default().announce();
+    if plans[0].settings.device_was_auto {
+        device::announce_auto();
+    }
     let halves: Vec<Half> = plans.into_iter().map(Plan::begin).collect::<Result<_>>()?;
     let load = began.elapsed().as_secs_f64();
     let mut results = Vec::new();

@@ -6,7 +6,7 @@ use anyhow::{Result, anyhow};
 use genesplat::io::atomic::write_atomically;
 
 use super::Ending;
-use crate::args::ExperimentArgs;
+use crate::args::{ExperimentArgs, MachineArgs};
 use crate::experiment::plan::Experiment;
 use crate::experiment::results::Results;
 use crate::experiment::runner::Runner;
@@ -20,14 +20,14 @@ pub fn run(args: &ExperimentArgs) -> Result<Ending> {
     file.override_by(args);
     let experiment = Experiment::new(file)?;
     run_folder::check_folder(&args.out, "tables.md")?;
-    device::prepare(args.machine)?;
+    let device = Some(device::prepare(args.machine)?);
     let stop = interrupt::stop_flag()?;
     let lpips = lpips::open(&args.lpips)?;
     let runner = Runner {
         experiment: &experiment,
         out: &args.out,
         data: args.data.as_deref(),
-        machine: args.machine,
+        machine: MachineArgs { device, ..args.machine },
         lpips: lpips.as_ref(),
         stop: &stop,
     };

@@ -26,7 +26,9 @@ pub fn run(args: &TrainArgs) -> Result<Ending> {
         scene::load(&args.dataset, settings.dataset.size(), config.background.fixed_colour(), config.seed)?;
     // Now, since weights that cannot be read should not stop a run at its end.
     let lpips = lpips::open(&args.lpips)?;
-    args.machine.device.unwrap_or_default().announce();
+    if settings.device_was_auto {
+        device::announce_auto();
+    }
     scene::check_spared(&scene, &RunFolder::test_in(&args.out))?;
     if args.resume {
         same_scene::check_photos(&args.out, &scene)?;

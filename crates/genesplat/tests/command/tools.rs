@@ -252,14 +252,23 @@ fn bench_gpu_measures_or_says_why_not() {
 fn auto_without_a_driver_trains_on_the_cpu_and_says_so() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("run");
+    let announced = |arguments: Vec<String>| {
+        let output = without_drivers(arguments).output().unwrap();
+        let stderr = String::from_utf8(output.stderr).unwrap();
+        assert!(output.status.success(), "{stderr}");
+        stderr.lines().filter(|line| line.contains("auto means the CPU")).count()
+    };
     let mut arguments = train(scene(), &out, &["--iterations", "3", "--no-lpips"]);
     let device = arguments.iter().position(|word| word == "cpu").unwrap();
     arguments[device] = "auto".into();
-    let output = without_drivers(arguments).output().unwrap();
-    let stderr = String::from_utf8(output.stderr).unwrap();
-    assert!(output.status.success(), "{stderr}");
-    let lines = stderr.lines().filter(|line| line.contains("auto means the CPU")).count();
-    assert_eq!(lines, 1, "{stderr}");
+    assert_eq!(announced(arguments.clone()), 1);
+    // The configuration of a run names the device that it had, and then nothing was left to us.
+    arguments.drain(device - 1..=device);
+    arguments.extend(["--config".into(), text(&out.join("config.toml")).into()]);
+    assert_eq!(announced(arguments), 0);
+    let evaluate = ["evaluate", text(&out), "--data", text(scene()), "--no-lpips"].map(str::to_owned);
+    assert_eq!(announced(evaluate.to_vec()), 1);
+    assert_eq!(announced([&evaluate[..], &["--device".into(), "cpu".into()]].concat()), 0);
 }
 
 #[test]
