@@ -89,11 +89,12 @@ pub fn open(device: Device, seed: u64) -> Result<AnyBackend> {
     }
 }
 
-/// Makes the machine ready for a command that has no configuration; returns the device that it runs on, having said which it
-/// is where the choice was left to us.
-pub fn prepare(args: MachineArgs) -> Result<Device> {
+/// The device of a command that has no configuration, having said which it is where the choice was left to us.
+///
+/// Asked for once all else is known to be well: drivers may write to stderr when they are looked for, which is none of what a
+/// user with a mistyped path should read.
+pub fn choose(args: MachineArgs) -> Result<Device> {
     let (device, was_auto) = args.device.unwrap_or_default().resolve()?;
-    use_threads(args.threads)?;
     if was_auto {
         announce_auto();
     }

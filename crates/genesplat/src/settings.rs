@@ -92,6 +92,26 @@ impl ConfigFile {
         Self { dataset: Dataset { path, ..Dataset::default() }, train, ..Self::default() }
     }
 
+    /// What `genesplat train` is to do, checked as far as that is possible without a device.
+    pub fn of_training(args: &TrainArgs) -> Result<Self> {
+        let saved = args.resume.then(|| Self::of_run(&args.out)).transpose()?;
+        let mut file = match (&args.config, &saved) {
+            (Some(path), _) => Self::read(path)?,
+            (None, Some(saved)) => saved.clone(),
+            (None, None) => Self::defaults(),
+        };
+        file.dataset.path.clone_from(&args.dataset);
+        file.dataset.override_size(args.size);
+        override_schedule(&mut file.train, &args.schedule);
+        args.method.override_method(&mut file.train);
+        override_evolution(&mut file.train, &args.evolution);
+        if let Some(saved) = saved {
+            check_same(&saved, &file, &args.out)?;
+        }
+        file.check()?;
+        Ok(file)
+    }
+
     /// Reads a file.
     pub fn read(path: &Path) -> Result<Self> {
         let text = fs::read_to_string(path)
@@ -118,8 +138,13 @@ impl ConfigFile {
         self.dataset.size()
     }
 
-    /// The settings of a run of this file; flags win over it.
-    pub fn resolve(self, machine: MachineArgs) -> Result<Settings> {
+    /// How many threads a run of this file has, where the flag does not say.
+    pub fn threads(&self, machine: MachineArgs) -> Option<u16> {
+        machine.threads.or(self.threads)
+    }
+
+    /// Fails where [`Self::resolve`] would, but for the device: to look for one takes a while, and drivers may write to stderr.
+    pub fn check(&self) -> Result<()> {
         if self.dataset.path.to_str().is_none() {
             bail!(
                 "the path of the scene, {}, is not UTF-8 text, and config.toml can hold no other; rename the folder, or give a link \
@@ -127,10 +152,15 @@ impl ConfigFile {
                 self.dataset.path.display()
             );
         }
-        let train = self.train.resolve()?;
+        Ok(self.train.validate()?)
+    }
+
+    /// The settings of a run of this file; flags win over it.
+    pub fn resolve(self, machine: MachineArgs) -> Result<Settings> {
+        self.check()?;
         let (device, device_was_auto) = machine.device.or(self.device).unwrap_or_default().resolve()?;
-        let threads = machine.threads.or(self.threads);
-        Ok(Settings { dataset: self.dataset, device, device_was_auto, threads, train })
+        let threads = self.threads(machine);
+        Ok(Settings { dataset: self.dataset, device, device_was_auto, threads, train: self.train.resolve()? })
     }
 
     /// What makes the result of a run of this file differ from that of a run with `settings`; `None` where nothing does.
@@ -159,25 +189,6 @@ fn end_of(path: &Path, parts: usize) -> PathBuf {
 }
 
 impl Settings {
-    /// The settings of `genesplat train`.
-    pub fn of_training(args: &TrainArgs) -> Result<Self> {
-        let saved = args.resume.then(|| ConfigFile::of_run(&args.out)).transpose()?;
-        let mut file = match (&args.config, &saved) {
-            (Some(path), _) => ConfigFile::read(path)?,
-            (None, Some(saved)) => saved.clone(),
-            (None, None) => ConfigFile::defaults(),
-        };
-        file.dataset.path.clone_from(&args.dataset);
-        file.dataset.override_size(args.size);
-        override_schedule(&mut file.train, &args.schedule);
-        args.method.override_method(&mut file.train);
-        override_evolution(&mut file.train, &args.evolution);
-        if let Some(saved) = saved {
-            check_same(&saved, &file, &args.out)?;
-        }
-        file.resolve(args.machine)
-    }
-
     /// As `config.toml` holds them.
     pub fn to_toml(&self) -> String {
         #[derive(Serialize)]

@@ -20,9 +20,11 @@ pub fn run(args: &ExperimentArgs) -> Result<Ending> {
     file.override_by(args);
     let experiment = Experiment::new(file)?;
     run_folder::check_folder(&args.out, "tables.md")?;
-    let device = Some(device::prepare(args.machine)?);
+    experiment.check_scenes(args.data.as_deref(), &args.out)?;
+    device::use_threads(args.machine.threads)?;
     let stop = interrupt::stop_flag()?;
     let lpips = lpips::open(&args.lpips)?;
+    let device = Some(device::choose(args.machine)?);
     let runner = Runner {
         experiment: &experiment,
         out: &args.out,

@@ -16,7 +16,7 @@ pub fn run(args: &RenderArgs) -> Result<()> {
         Some(_) => run_folder::check_writable(&args.out)?,
         None => run_folder::check_folder(&args.out, "0001.png")?,
     }
-    let device = device::prepare(args.machine)?;
+    device::use_threads(args.machine.threads)?;
     let splat = splat::open(&args.splat)?;
     let scene = splat.load_scene(&args.data, args.size, 0)?;
     scene::check_spared(&scene, &args.out)?;
@@ -28,7 +28,7 @@ pub fn run(args: &RenderArgs) -> Result<()> {
             views.into_iter().zip(names).map(|(view, name)| (view, args.out.join(name))).collect()
         }
     };
-    let mut backend = device::open(device, 0)?;
+    let mut backend = device::open(device::choose(args.machine)?, 0)?;
     backend.upload(splat.cloud, None)?;
     let mut bar = Bar::new("renders", jobs.len() as u64);
     for (done, (view, path)) in (1..).zip(&jobs) {

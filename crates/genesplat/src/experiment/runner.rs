@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
-use anyhow::{Result, anyhow, bail, ensure};
+use anyhow::{Result, anyhow, bail};
 use genesplat::io::{LoadOptions, PhotoSize, Scene, gallery, load_points};
 use genesplat::train::evaluate::Lpips;
 
@@ -46,7 +46,6 @@ enum State {
 impl<'a> Runner<'a> {
     /// Runs everything, or until it is stopped; returns what is finished.
     pub fn run(&self) -> Result<Results<'a>> {
-        self.check_scenes()?;
         self.check_folders()?;
         let cells = self.experiment.cells();
         let (mut results, mut scenes) = (Results::none(self.experiment), Scenes::default());
@@ -83,14 +82,7 @@ impl<'a> Runner<'a> {
 
     /// Where a scene's photos are.
     pub fn scene_path(&self, scene: usize) -> PathBuf {
-        let (file, name) = (&self.experiment.file, &self.experiment.file.scenes[scene]);
-        if name == BUNDLED {
-            // The options are in the path, so that runs on another gallery are not taken for runs on this one.
-            let options = file.gallery.options();
-            let kind = format!("{}x{}-{}-{}", options.width, options.height, options.views, options.points);
-            return self.out.join("scenes").join(kind).join(BUNDLED);
-        }
-        self.data.unwrap_or(Path::new("")).join(name)
+        self.experiment.scene_path(scene, self.data, self.out)
     }
 
     /// The scene of a cell, at the size and on the background that it is trained with.
@@ -152,26 +144,6 @@ impl<'a> Runner<'a> {
             _ if matches!(RunFolder::saved_checkpoint(&path), Some(Ok(_))) => State::Interrupted,
             _ => State::Missing,
         }
-    }
-
-    /// Fails where a scene is missing, before anything has begun.
-    fn check_scenes(&self) -> Result<()> {
-        let scenes = &self.experiment.file.scenes;
-        let foreign = scenes.iter().filter(|name| *name != BUNDLED);
-        if let (None, Some(name)) = (self.data, foreign.clone().next()) {
-            bail!("the experiment needs the scene {name}; give the folder that holds it as --data FOLDER");
-        }
-        let missing: Vec<&str> = foreign
-            .filter(|name| !self.data.unwrap_or(Path::new("")).join(name).is_dir())
-            .map(String::as_str)
-            .collect();
-        ensure!(
-            missing.is_empty(),
-            "{} has no folder called {}; put the scenes there, or take them out of the experiment",
-            self.data.unwrap_or(Path::new("")).display(),
-            missing.join(", ")
-        );
-        (0..scenes.len()).try_for_each(|scene| scene::check_apart(&self.scene_path(scene), self.out))
     }
 
     /// Finished cells of another experiment are not overwritten. A control is no cell of another experiment just because
