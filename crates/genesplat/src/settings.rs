@@ -104,6 +104,7 @@ impl ConfigFile {
         file.dataset.override_size(args.size);
         override_schedule(&mut file.train, &args.schedule);
         args.method.override_method(&mut file.train);
+        args.method.check(file.train.variant)?;
         override_evolution(&mut file.train, &args.evolution);
         if let Some(saved) = saved {
             check_same(&saved, &file, &args.out)?;

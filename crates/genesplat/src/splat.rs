@@ -7,7 +7,7 @@ use genesplat::core::{Gaussians, RenderSettings, ScreenFilter};
 use genesplat::io::ply::{check_finite, read_ply, read_ply_header};
 use genesplat::io::{PhotoSize, Scene};
 
-use crate::args::SizeArgs;
+use crate::args::{SizeArgs, ViewSizeArgs};
 use crate::run_folder::RunFolder;
 use crate::scene;
 use crate::settings::ConfigFile;
@@ -23,10 +23,9 @@ pub struct Splat {
 }
 
 impl Splat {
-    /// Loads the photos in `data` to compare it with, as large as it was trained on unless another size is asked for; `seed`
-    /// is that of random points, where the scene has none of its own.
-    pub fn load_scene(&self, data: &Path, asked: SizeArgs, seed: u64) -> Result<Scene> {
-        scene::load_fraction(data, self.size(asked), self.settings.background, seed)
+    /// Loads the photos in `data` to compare it with, as large as it was trained on unless another size is asked for.
+    pub fn load_scene(&self, data: &Path, asked: ViewSizeArgs) -> Result<Scene> {
+        scene::load_to_look(data, self.size(asked.into()), self.settings.background)
     }
 
     /// Of a run's splat, a fraction is one of the size that it was trained at: that is what multi-scale evaluation means.

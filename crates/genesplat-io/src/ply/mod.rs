@@ -56,14 +56,15 @@ pub enum PlyError {
     },
     /// A PLY file of something else.
     #[error(
-        "{path} is not the kind of cloud that is needed here: its vertices lack {property}; it may be a plain \
-         point cloud, a splat or a mesh"
+        "{path} is not the kind of cloud that is needed here: its vertices lack {property}; give {wanted}"
     )]
     MissingProperty {
         /// The file.
         path: PathBuf,
         /// The first property that is missing.
         property: String,
+        /// What is to be given instead.
+        wanted: &'static str,
     },
     /// Fewer bytes than the header promises.
     #[error(

@@ -11,6 +11,9 @@ use crate::scene::Point;
 /// Properties that a point is read from; the last three are its colour.
 const PROPERTIES: [&str; 6] = ["x", "y", "z", "red", "green", "blue"];
 
+/// What is to be given where points are read.
+const POINTS: &str = "a cloud of points with x, y, z, red, green and blue, or leave ply_file_path out";
+
 /// Reads the points of `path`; positions are in the file's own frame, colours 0 to 255.
 pub(crate) fn read_points(path: &Path) -> Result<Vec<Point>, PlyError> {
     let (header, reader) = open(path)?;
@@ -42,7 +45,7 @@ fn point([x, y, z, red, green, blue]: [f32; 6], full: f32) -> Point {
 }
 
 fn binary(header: &PlyHeader, mut reader: impl Read, path: &Path) -> Result<Vec<[f32; 6]>, PlyError> {
-    let fields = PROPERTIES.map(|name| Field::find(header, name, path));
+    let fields = PROPERTIES.map(|name| Field::find(header, name, path, POINTS));
     let fields = fields.into_iter().collect::<Result<Vec<_>, _>>()?;
     let mut row = vec![0; header.row_bytes];
     (0..header.gaussians)
@@ -56,7 +59,8 @@ fn binary(header: &PlyHeader, mut reader: impl Read, path: &Path) -> Result<Vec<
 fn ascii(header: &PlyHeader, reader: impl BufRead, path: &Path) -> Result<Vec<[f32; 6]>, PlyError> {
     let column = |name: &str| header.properties.iter().position(|property| property.name == name);
     let columns = PROPERTIES.map(|name| {
-        column(name).ok_or_else(|| PlyError::MissingProperty { path: path.to_owned(), property: name.into() })
+        let (path, property) = (path.to_owned(), name.into());
+        column(name).ok_or(PlyError::MissingProperty { path, property, wanted: POINTS })
     });
     let columns = columns.into_iter().collect::<Result<Vec<_>, _>>()?;
     let mut lines = reader.lines();

@@ -20,7 +20,9 @@ use crate::start_points::{COUNT, Cube};
 use crate::{photos, ply};
 
 /// The scene of `folder/transforms_train.json` and, if it exists, `transforms_test.json`: Blender's.
-pub(crate) fn list_blender(folder: &Path, seed: u64) -> Result<Listing, SceneError> {
+///
+/// `seed` is that of random points, where there are no others; `None` where no points are wanted.
+pub(crate) fn list_blender(folder: &Path, seed: Option<u64>) -> Result<Listing, SceneError> {
     let list = folder.join("transforms_train.json");
     let test = folder.join("transforms_test.json");
     let mut found = read_photos(&list, |_, _| Some(false))?;
@@ -32,13 +34,13 @@ pub(crate) fn list_blender(folder: &Path, seed: u64) -> Result<Listing, SceneErr
         return Err(missing_photo(&list, missing.clone(), there, all, folder));
     }
     let mut notices = Vec::new();
-    let points = points(&found, &list, || Cube::BLENDER.points(seed), &mut notices)?;
+    let points = points(&found, &list, seed, || Cube::BLENDER, &mut notices)?;
     Ok(Listing { frames: found.into_frames(&list)?, points, notices, list })
 }
 
 /// The scene of `folder/transforms.json`. Photos that are listed but absent are left out with a notice: published
 /// scenes list photos that were removed as blurred.
-pub(crate) fn list_nerfstudio(folder: &Path, seed: u64) -> Result<Listing, SceneError> {
+pub(crate) fn list_nerfstudio(folder: &Path, seed: Option<u64>) -> Result<Listing, SceneError> {
     let list = folder.join("transforms.json");
     let found = read_photos(&list, held_out_by_name)?;
     let mut notices = Vec::new();
@@ -54,23 +56,25 @@ pub(crate) fn list_nerfstudio(folder: &Path, seed: u64) -> Result<Listing, Scene
         ));
     }
     let cameras: Vec<Camera> = found.photos.iter().map(|photo| photo.camera).collect();
-    let points = points(&found, &list, || Cube::seen_by(&cameras).points(seed), &mut notices)?;
+    let points = points(&found, &list, seed, || Cube::seen_by(&cameras), &mut notices)?;
     Ok(Listing { frames: found.into_frames(&list)?, points, notices, list })
 }
 
-/// The points that the file names, or random ones with a notice.
+/// The points that the file names, or random ones with a notice; none where none are wanted.
 fn points(
     found: &Photos,
     list: &Path,
-    random: impl FnOnce() -> Vec<Point>,
+    seed: Option<u64>,
+    cube: impl FnOnce() -> Cube,
     notices: &mut Vec<String>,
 ) -> Result<Vec<Point>, SceneError> {
+    let Some(seed) = seed else { return Ok(Vec::new()) };
     if let Some(name) = &found.points {
         let folder = list.parent().unwrap_or(Path::new(""));
         return Ok(ply::read_points(&folder.join(inside(name, list)?))?);
     }
     notices.push(format!("the scene has no points, so training starts from {COUNT} random ones"));
-    Ok(random())
+    Ok(cube().points(seed))
 }
 
 /// What the file's own lists say about a photo, if it has lists.
@@ -188,7 +192,7 @@ fn camera(
 /// COLMAP's names of the models whose coefficients mean what [`crate::lens`] takes them for.
 ///
 /// FULL_OPENCV is none of them: it divides by a second polynomial, whose first coefficient it calls k4.
-const KNOWN_MODELS: [&str; 5] = ["PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "SIMPLE_RADIAL", "RADIAL"];
+pub(crate) const KNOWN_MODELS: [&str; 5] = ["PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "SIMPLE_RADIAL", "RADIAL"];
 
 fn check_model(list: &Path, lens: &Lens) -> Result<(), SceneError> {
     let model = match (&lens.camera_model, lens.is_fisheye) {

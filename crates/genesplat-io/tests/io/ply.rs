@@ -164,7 +164,7 @@ fn bad_files_are_named_with_what_is_wrong() {
         (header("format ascii 1.0\nelement vertex 0\nproperty float x"), "ASCII"),
         (header("format binary_big_endian 1.0\nelement vertex 1\nproperty float x"), "big-endian"),
         (header("format binary_little_endian 1.0\nelement face 0"), "no vertices"),
-        (header(&format!("{little} 0\nproperty float x\nproperty float y")), "lack z"),
+        (header(&format!("{little} 0\nproperty float x\nproperty float y")), "lack z; give a splat"),
         (header(&format!("{little} 1152921504606846976\nproperty float x")), "promises 1152921504606846976"),
         (header(&format!("{little} -1\nproperty float x")), "impossible count"),
         (header(&format!("{little} 0\nproperty float f_rest_0")), "1 f_rest"),

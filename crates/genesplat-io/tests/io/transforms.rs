@@ -82,6 +82,11 @@ fn poses_and_intrinsics_are_the_cameras() {
         assert_same_camera(&view.camera, &camera(index));
     }
     assert!(scene.notices[0].contains("no points"));
+    let folder = tempfile::tempdir().unwrap();
+    write(folder.path(), "transforms.json", &nerfstudio());
+    let looked_at = LoadOptions { with_points: false, ..LoadOptions::default() };
+    let scene = load_scene(folder.path(), &looked_at, &()).unwrap();
+    assert!(scene.points.is_empty() && scene.notices.is_empty(), "{:?}", scene.notices);
 }
 
 #[test]
@@ -254,7 +259,10 @@ fn mistakes_are_named() {
         (|d| d["w"] = json!(0), "impossible image size"),
         (|d| d["w"] = json!(80), "which is another shape"),
         (|d| d["camera_model"] = json!("OPENCV_FISHEYE"), "model OPENCV_FISHEYE"),
-        (|d| d["camera_model"] = json!("FULL_OPENCV"), "model FULL_OPENCV"),
+        (
+            |d| d["camera_model"] = json!("FULL_OPENCV"),
+            "reads only PINHOLE, SIMPLE_PINHOLE, OPENCV, SIMPLE_RADIAL, RADIAL; undistort",
+        ),
         (|d| d["is_fisheye"] = json!(true), "model OPENCV_FISHEYE"),
         (|d| d["ply_file_path"] = json!("absent.ply"), "absent.ply"),
     ];

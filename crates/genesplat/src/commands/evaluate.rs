@@ -28,7 +28,7 @@ pub fn run(args: &EvaluateArgs) -> Result<()> {
     device::use_threads(args.machine.threads)?;
     let lpips = lpips::open(&args.lpips)?;
     let splat = splat::open(&args.splat)?;
-    let scene = splat.load_scene(&args.data, args.size, 0)?;
+    let scene = splat.load_scene(&args.data, args.size)?;
     let (views, name, other) = match args.split {
         Split::Test => (&scene.test, "test", "train"),
         Split::Train => (&scene.train, "train", "test"),

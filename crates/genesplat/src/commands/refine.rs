@@ -21,7 +21,7 @@ pub fn run(args: &RefineArgs) -> Result<()> {
     let mut splat = splat::open(&args.splat)?;
     let config = configure(args, &splat)?;
     splat.settings = config.render_settings();
-    let scene = splat.load_scene(&args.data, args.size, config.config().seed)?;
+    let scene = splat.load_scene(&args.data, args.size)?;
     let stop = interrupt::stop_flag()?;
     let mut backend = device::open(device::choose(args.machine)?, config.config().seed)?;
     backend.upload(splat.cloud.clone(), None)?;

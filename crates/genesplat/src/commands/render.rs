@@ -18,7 +18,7 @@ pub fn run(args: &RenderArgs) -> Result<()> {
     }
     device::use_threads(args.machine.threads)?;
     let splat = splat::open(&args.splat)?;
-    let scene = splat.load_scene(&args.data, args.size, 0)?;
+    let scene = splat.load_scene(&args.data, args.size)?;
     scene::check_spared(&scene, &args.out)?;
     let jobs = match &args.image {
         Some(name) => vec![(find(&scene, name, &args.data)?, args.out.clone())],

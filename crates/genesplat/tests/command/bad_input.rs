@@ -291,6 +291,16 @@ fn configurations_that_are_wrong() {
 }
 
 #[test]
+fn flags_that_do_not_go_together() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("run");
+    for variant in ["pixel-gs", "mcmc"] {
+        let flags = ["--densify-signal", "absolute", "--variant", variant];
+        fail(train(scene(), &out, &flags), &["--densify-signal", variant, "leave the flag out"]);
+    }
+}
+
+#[test]
 fn a_device_that_is_not_there() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("run");
@@ -305,6 +315,8 @@ fn wrong_usage_has_status_2() {
         &["train", "x", "--out", "y", "--iterations", "0"],
         &["train", "x", "--out", "y", "--steps-scale", "0"],
         &["train", "x", "--out", "y", "--evolve", "sometimes"],
+        &["train", "x", "--out", "y", "--evolve", "paper", "--generations", "0"],
+        &["refine", "x", "--data", "y", "--out", "z", "--generations", "0"],
         &["train", "x", "--out", "y", "--max-side", "100", "--downscale", "2"],
         &["render", "x", "--data", "y", "--out", "z"],
         &["nonsense"],
