@@ -158,13 +158,20 @@ pub fn read_ply_header(path: &Path) -> Result<PlyHeader, PlyError> {
 
 /// Reads a cloud of Gaussians. Values are returned as they are, NaN included: see [`check_finite`].
 pub fn read_ply(path: &Path) -> Result<Gaussians, PlyError> {
+    read_ply_with_header(path).map(|(_, cloud)| cloud)
+}
+
+/// The same with what the file says about itself.
+pub fn read_ply_with_header(path: &Path) -> Result<(PlyHeader, Gaussians), PlyError> {
     let (header, mut rest) = open(path)?;
     if header.encoding == Encoding::Ascii {
         let problem = "it is an ASCII file, and only binary ones hold Gaussians".into();
         return Err(PlyError::Header { path: path.to_owned(), problem });
     }
     let layout = rows::Layout::of(&header, path)?;
-    layout.read(header.gaussians as usize, &mut rest).map_err(|source| read_error(path, source))
+    let cloud =
+        layout.read(header.gaussians as usize, &mut rest).map_err(|source| read_error(path, source))?;
+    Ok((header, cloud))
 }
 
 /// Names the first row of `cloud` (read from `path`) that holds a value that is not finite.
