@@ -2,11 +2,17 @@
 //!
 //! A file is written under a temporary name in the folder where it belongs, flushed to the disk, and then renamed. A
 //! full disk or a killed process leaves the old file, never a torn one.
+//!
+//! Symbolic links stay: what they lead to is replaced. What is no regular file (a pipe, a terminal, a device) takes the bytes as
+//! they come, since a rename would put a file in its place.
 
 use std::fs::{self, File, OpenOptions};
-use std::io::{self, BufWriter, Write};
+use std::io::{self, BufWriter, ErrorKind};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU32, Ordering};
+
+/// Symbolic links that are followed one after another, as many as Linux follows.
+const LINKS_MAX: u32 = 40;
 
 /// Writes the file at `path` through `fill`; missing parent folders are made.
 ///
@@ -15,6 +21,54 @@ pub fn write_atomically(
     path: &Path,
     fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
 ) -> io::Result<()> {
+    match Target::of(path)? {
+        Target::File(path) => replace(&path, fill),
+        Target::Stream => fill_file(OpenOptions::new().append(true).open(path)?, fill).map(|_| ()),
+    }
+}
+
+/// Fails where [`write_atomically`] would, as far as that is known before there is anything to write. Leaves nothing behind.
+pub fn check_writable(path: &Path) -> io::Result<()> {
+    let Target::File(path) = Target::of(path)? else { return Ok(()) };
+    let name = path.file_name().unwrap_or_default();
+    // Folders that are missing will be made in the first one that is there; nothing else is sure before.
+    let there = path.ancestors().skip(1).find(|folder| folder.exists()).unwrap_or(Path::new(""));
+    let probe = temporary_beside(&there.join(name))?;
+    OpenOptions::new().write(true).create_new(true).open(&probe)?;
+    fs::remove_file(&probe)
+}
+
+/// What a path stands for.
+enum Target {
+    /// A regular file, behind all links, whether it is there or not.
+    File(PathBuf),
+    /// Something that takes bytes as they come.
+    Stream,
+}
+
+impl Target {
+    fn of(path: &Path) -> io::Result<Self> {
+        // `/dev/stdout` may be a regular file, which the shell and we have open: replaced, it would lose what is printed.
+        let is_open_already = ["/dev", "/proc"].iter().any(|system| path.starts_with(system));
+        match fs::metadata(path) {
+            Ok(there) if there.is_dir() => Err(io::Error::new(ErrorKind::IsADirectory, "it is a folder")),
+            Ok(there) if is_open_already || !there.is_file() => Ok(Self::Stream),
+            _ => behind_links(path).map(Self::File),
+        }
+    }
+}
+
+/// Where links lead from `path`, even if nothing is there yet.
+fn behind_links(path: &Path) -> io::Result<PathBuf> {
+    let mut path = path.to_owned();
+    for _ in 0..LINKS_MAX {
+        let Ok(next) = fs::read_link(&path) else { return Ok(path) };
+        path = path.parent().unwrap_or(Path::new("")).join(next);
+    }
+    Err(io::Error::other("its symbolic links lead round and round"))
+}
+
+fn replace(path: &Path, fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>) -> io::Result<()> {
     if let Some(folder) = path.parent() {
         fs::create_dir_all(folder)?;
     }
@@ -29,10 +83,13 @@ pub fn write_atomically(
 
 fn write_new(path: &Path, fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>) -> io::Result<()> {
     let file = OpenOptions::new().write(true).create_new(true).open(path)?;
+    fill_file(file, fill)?.sync_all()
+}
+
+fn fill_file(file: File, fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>) -> io::Result<File> {
     let mut writer = BufWriter::with_capacity(1 << 18, file);
     fill(&mut writer)?;
-    writer.flush()?;
-    writer.get_ref().sync_all()
+    writer.into_inner().map_err(io::IntoInnerError::into_error)
 }
 
 /// A name that no other thread or process uses, hidden, in the folder of `path` (a rename must not cross disks).
@@ -45,7 +102,13 @@ fn temporary_beside(path: &Path) -> io::Result<PathBuf> {
 
 #[cfg(test)]
 mod tests {
+    use std::io::Write;
+
     use super::*;
+
+    fn files_in(folder: &Path) -> usize {
+        fs::read_dir(folder).unwrap().count()
+    }
 
     #[test]
     fn a_failed_write_keeps_the_old_file_and_leaves_no_litter() {
@@ -54,10 +117,63 @@ mod tests {
         write_atomically(&path, |out| out.write_all(b"old")).unwrap();
         let failed = write_atomically(&path, |out| {
             out.write_all(b"half of the new")?;
-            Err(io::Error::from(io::ErrorKind::StorageFull))
+            Err(io::Error::from(ErrorKind::StorageFull))
         });
-        assert_eq!(failed.unwrap_err().kind(), io::ErrorKind::StorageFull);
+        assert_eq!(failed.unwrap_err().kind(), ErrorKind::StorageFull);
         assert_eq!(fs::read(&path).unwrap(), b"old");
-        assert_eq!(fs::read_dir(path.parent().unwrap()).unwrap().count(), 1);
+        assert_eq!(files_in(path.parent().unwrap()), 1);
+    }
+
+    #[test]
+    fn what_cannot_be_written_is_known_before_and_a_check_leaves_nothing() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("file");
+        fs::write(&file, b"in the way").unwrap();
+        check_writable(&file).unwrap();
+        check_writable(&folder.path().join("not/yet/there")).unwrap();
+        assert!(check_writable(&file.join("below")).is_err());
+        for refused in [check_writable(folder.path()), write_atomically(folder.path(), |_| Ok(()))] {
+            assert_eq!(refused.unwrap_err().kind(), ErrorKind::IsADirectory);
+        }
+        assert_eq!((files_in(folder.path()), fs::read(&file).unwrap()), (1, b"in the way".to_vec()));
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn links_stay_and_lead_to_the_file() {
+        use std::os::unix::fs::symlink;
+
+        let folder = tempfile::tempdir().unwrap();
+        let [first, second, round] = ["first", "second", "round"].map(|name| folder.path().join(name));
+        symlink("second", &first).unwrap();
+        symlink("deep/file", &second).unwrap();
+        for text in ["not there before", "there"] {
+            check_writable(&first).unwrap();
+            write_atomically(&first, |out| out.write_all(text.as_bytes())).unwrap();
+            assert_eq!(fs::read_to_string(folder.path().join("deep/file")).unwrap(), text);
+        }
+        assert!([&first, &second].iter().all(|link| link.is_symlink()));
+        symlink("round", &round).unwrap();
+        assert!(write_atomically(&round, |_| Ok(())).unwrap_err().to_string().contains("round and round"));
+    }
+
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn pipes_and_devices_take_the_bytes_and_stay() {
+        let folder = tempfile::tempdir().unwrap();
+        let pipe = folder.path().join("pipe");
+        assert!(std::process::Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+        check_writable(&pipe).unwrap();
+        let reader = std::thread::spawn({
+            let pipe = pipe.clone();
+            move || fs::read(pipe).unwrap()
+        });
+        write_atomically(&pipe, |out| out.write_all(b"through the pipe")).unwrap();
+        assert_eq!(reader.join().unwrap(), b"through the pipe");
+        assert!(!fs::metadata(&pipe).unwrap().is_file());
+        write_atomically(Path::new("/dev/null"), |out| out.write_all(b"gone")).unwrap();
+        let full = write_atomically(Path::new("/dev/full"), |out| out.write_all(b"no room"));
+        assert_eq!(full.unwrap_err().kind(), ErrorKind::StorageFull);
+        assert_eq!(files_in(folder.path()), 1);
     }
 }

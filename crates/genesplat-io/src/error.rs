@@ -25,6 +25,14 @@ pub enum SceneError {
         /// The folder.
         path: PathBuf,
     },
+    /// A folder inside of a scene.
+    #[error("{path} is a part of a scene; give {scene}, the folder that holds sparse and images")]
+    PartOfScene {
+        /// What was asked for.
+        path: PathBuf,
+        /// What was meant.
+        scene: PathBuf,
+    },
     /// The operating system refused.
     #[error("cannot read {file}: {source}")]
     Read {
@@ -117,7 +125,8 @@ pub enum SceneError {
     },
     /// A lens model that genesplat cannot undo.
     #[error(
-        "{file} uses the camera model {model}; genesplat reads PINHOLE, OPENCV and SIMPLE_* lenses, so undistort first"
+        "{file} uses the camera model {model}, and genesplat reads only {}; undistort the photos first",
+        crate::transforms::KNOWN_MODELS.join(", ")
     )]
     UnknownLens {
         /// The file.
@@ -187,7 +196,7 @@ pub enum SceneError {
     },
     /// A split that leaves nothing to train on.
     #[error(
-        "{path} has not enough photos: {photos}, of which {held_out} would be held out for testing and none is left to train on; add photos or hold none out"
+        "{path} has not enough photos: {photos}, of which {held_out} would be held out for testing and none is left to train on; add photos"
     )]
     NotEnoughPhotos {
         /// The scene.
@@ -233,7 +242,8 @@ pub enum SceneError {
     },
     /// A photo too small to learn from.
     #[error(
-        "the photo {photo} would be loaded at {width}x{height} pixels, and both sides must have at least {least}; load it larger"
+        "the photo {photo} would be loaded at {width}x{height} pixels, and both sides must have at least {least}; reduce it less \
+         (--max-side, --downscale), or take a larger photo"
     )]
     PhotoTooSmall {
         /// The photo.

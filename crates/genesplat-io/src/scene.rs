@@ -34,6 +34,8 @@ pub struct Scene {
     pub test: Vec<View>,
     /// Points in the order of their file.
     pub points: Vec<Point>,
+    /// Files of the photos, which nobody may write over; none for a scene that never was on a disk.
+    pub photos: Vec<PathBuf>,
     /// What the user should know: one sentence each.
     pub notices: Vec<String>,
 }
@@ -63,6 +65,8 @@ pub struct LoadOptions {
     pub background: [u8; 3],
     /// Folder of a COLMAP scene's photos, relative to the scene: some data sets ship `images_2`, `images_4`, ...
     pub image_folder: PathBuf,
+    /// Whether points are loaded, or drawn where there are none: to look at a finished cloud takes none.
+    pub with_points: bool,
     /// Seed of the random points that a scene without points starts from.
     pub seed: u64,
 }
@@ -75,6 +79,7 @@ impl Default for LoadOptions {
             hold_out: HoldOut::default(),
             background: [0; 3],
             image_folder: "images".into(),
+            with_points: true,
             seed: 0,
         }
     }
@@ -115,6 +120,7 @@ pub fn load_scene(
     progress: &dyn LoadProgress,
 ) -> Result<Scene, SceneError> {
     let listing = list(path, options)?;
+    let photos = listing.frames.iter().map(|frame| frame.photo.clone()).collect();
     let (train, test) = split(listing.frames, options.hold_out);
     if train.is_empty() {
         let (photos, held_out) = (test.len(), test.len());
@@ -129,6 +135,7 @@ pub fn load_scene(
         train: load(&train)?,
         test: load(&test)?,
         points: listing.points,
+        photos,
         notices: listing.notices,
     })
 }
@@ -142,16 +149,34 @@ fn list(path: &Path, options: &LoadOptions) -> Result<Listing, SceneError> {
     if !path.exists() {
         return Err(SceneError::Missing { path: path.to_owned() });
     }
+    match list_known(path, options) {
+        Err(error @ (SceneError::Unrecognised { .. } | SceneError::AllPhotosMissing { .. })) => {
+            Err(whole_scene(path)
+                .map_or(error, |scene| SceneError::PartOfScene { path: path.to_owned(), scene }))
+        }
+        known => known,
+    }
+}
+
+fn list_known(path: &Path, options: &LoadOptions) -> Result<Listing, SceneError> {
+    let seed = options.with_points.then_some(options.seed);
     if let Some(model) = colmap::find_model(path) {
-        return colmap::list(&model, &path.join(&options.image_folder));
+        return colmap::list(&model, &path.join(&options.image_folder), options.with_points);
     }
     if path.join("transforms_train.json").is_file() {
-        return transforms::list_blender(path, options.seed);
+        return transforms::list_blender(path, seed);
     }
     if path.join("transforms.json").is_file() {
-        return transforms::list_nerfstudio(path, options.seed);
+        return transforms::list_nerfstudio(path, seed);
     }
     Err(SceneError::Unrecognised { path: path.to_owned() })
+}
+
+/// The scene that `path` is a part of, as `sparse/0`, `sparse` and `images` are.
+fn whole_scene(path: &Path) -> Option<PathBuf> {
+    let path = path.canonicalize().ok()?;
+    let is_scene = |folder: &&Path| folder.join("sparse").is_dir() && folder.join("images").is_dir();
+    path.ancestors().skip(1).take(2).find(is_scene).map(Path::to_owned)
 }
 
 /// Training and test frames, each sorted by name.

@@ -17,11 +17,14 @@ pub use bench::{Bench, BenchEvolutionArgs, BenchGpuArgs, BenchStepArgs, Workload
 pub use method::MethodArgs;
 pub use train::{EvolutionArgs, Evolve, ScheduleArgs, Search, TrainArgs};
 
+const EXIT_STATUS: &str = "Exit status: 0 done, 1 failed (one sentence on stderr says why), 2 wrong usage, 130 stopped by Ctrl-C or \
+                           SIGTERM with what there was saved (train, demo, experiment)";
+
 /// Reconstruct a scene from photos as 3D Gaussians, and evolve them.
 ///
 /// New here? `genesplat demo` builds a small scene, trains it without and with evolution, and shows the difference.
 #[derive(Debug, Parser)]
-#[command(name = "genesplat", version, max_term_width = 120)]
+#[command(name = "genesplat", version, max_term_width = 120, after_help = EXIT_STATUS)]
 pub struct Arguments {
     /// What to do.
     #[command(subcommand)]
@@ -91,7 +94,8 @@ pub struct LpipsArgs {
 /// `genesplat demo`.
 #[derive(Debug, Args)]
 pub struct DemoArgs {
-    /// Folder for the scene, both runs and the picture that compares them; made if it is missing
+    /// Folder for the scene, both runs and the picture that compares them; made if it is missing. What an earlier demo left
+    /// there is replaced
     #[arg(long, value_name = "DIR", default_value = "runs/demo")]
     pub out: PathBuf,
     /// What the second run evolves with
@@ -122,7 +126,7 @@ pub struct EvaluateArgs {
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
     #[command(flatten)]
-    pub size: SizeArgs,
+    pub size: ViewSizeArgs,
     #[command(flatten)]
     pub machine: MachineArgs,
     #[command(flatten)]
@@ -149,7 +153,7 @@ pub struct RenderArgs {
     #[arg(long, value_name = "FILE|DIR")]
     pub out: PathBuf,
     #[command(flatten)]
-    pub size: SizeArgs,
+    pub size: ViewSizeArgs,
     #[command(flatten)]
     pub machine: MachineArgs,
 }
@@ -157,8 +161,9 @@ pub struct RenderArgs {
 /// `genesplat refine`.
 #[derive(Debug, Args)]
 pub struct RefineArgs {
-    /// The splat to start from: a .ply in the layout of the 3DGS authors, as nearly every trainer writes it
-    #[arg(value_name = "PLY")]
+    /// The splat to start from: a .ply in the layout of the 3DGS authors, as nearly every trainer writes it, or the folder of
+    /// a run
+    #[arg(value_name = "PLY|RUN")]
     pub splat: PathBuf,
     /// Folder of the scene that it shows
     #[arg(long, value_name = "DATASET")]
@@ -169,8 +174,8 @@ pub struct RefineArgs {
     /// How [default: mosaic]
     #[arg(long, value_enum, value_name = "MODE")]
     pub evolve: Option<Search>,
-    /// Generations of the search [default: 20, paper: 100]. Time grows in proportion
-    #[arg(long, value_name = "N")]
+    /// Generations of the search, at least 1 [default: 20, paper: 100]. Time grows in proportion
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub generations: Option<u32>,
     /// Individuals a generation, 1 to 10000 [default: 12, paper: 100]. Time grows in proportion
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=10_000))]
@@ -182,7 +187,7 @@ pub struct RefineArgs {
     #[arg(long, value_name = "FILE.toml")]
     pub config: Option<PathBuf>,
     #[command(flatten)]
-    pub size: SizeArgs,
+    pub size: ViewSizeArgs,
     #[command(flatten)]
     pub machine: MachineArgs,
 }
@@ -259,8 +264,7 @@ pub struct SizeArgs {
     /// Smaller trains faster and shows less detail
     #[arg(long, value_name = "PX", value_parser = clap::value_parser!(u32).range(16..), conflicts_with = "downscale")]
     pub max_side: Option<u32>,
-    /// Divide both sides of the photos by K (the field's benchmarks use 1, 2, 4 and 8). Where a finished RUN is given, it is
-    /// the size that it was trained at that is divided: how the splat looks from farther away
+    /// Divide both sides of the photos by K (the field's benchmarks use 1, 2, 4 and 8)
     #[arg(long, value_name = "K", value_parser = clap::value_parser!(u32).range(1..=64))]
     pub downscale: Option<u32>,
 }
@@ -269,6 +273,25 @@ impl SizeArgs {
     /// The size that was asked for, if any was.
     pub fn size(self) -> Option<PhotoSize> {
         self.max_side.map(PhotoSize::MaxSide).or(self.downscale.map(PhotoSize::Downscale))
+    }
+}
+
+/// The same for photos that a finished splat is compared with.
+#[derive(Clone, Copy, Debug, Default, Args)]
+pub struct ViewSizeArgs {
+    /// Longest side of the photos in pixels; larger ones are reduced [default: as the RUN was trained; for a PLY, only widths
+    /// above 1600 are reduced, to 1600]
+    #[arg(long, value_name = "PX", value_parser = clap::value_parser!(u32).range(16..), conflicts_with = "downscale")]
+    pub max_side: Option<u32>,
+    /// Divide both sides of the photos by K (the field's benchmarks use 1, 2, 4 and 8). Where the folder of a RUN is given, it is
+    /// the size that it was trained at that is divided: how the splat looks from farther away
+    #[arg(long, value_name = "K", value_parser = clap::value_parser!(u32).range(1..=64))]
+    pub downscale: Option<u32>,
+}
+
+impl From<ViewSizeArgs> for SizeArgs {
+    fn from(ViewSizeArgs { max_side, downscale }: ViewSizeArgs) -> Self {
+        Self { max_side, downscale }
     }
 }
 

@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::any_backend::AnyBackend;
 use crate::args::MachineArgs;
+use crate::output;
 
 /// A choice of device.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
@@ -23,26 +24,33 @@ pub enum Device {
 }
 
 impl Device {
-    /// The device that is meant, once it is clear that there is one.
-    pub fn resolve(self) -> Result<Self> {
+    /// As flags and files write it.
+    pub fn name(self) -> &'static str {
         match self {
-            Self::Cpu => Ok(Self::Cpu),
-            Self::Auto => Ok(if auto_adapter(adapters()).is_ok() { Self::Gpu } else { Self::Cpu }),
+            Self::Auto => "auto",
+            Self::Cpu => "cpu",
+            Self::Gpu => "gpu",
+        }
+    }
+
+    /// The device that is meant, once it is clear that there is one; and whether the choice was left to us.
+    pub fn resolve(self) -> Result<(Self, bool)> {
+        match self {
+            Self::Cpu => Ok((Self::Cpu, false)),
+            Self::Auto => Ok((if auto_adapter(adapters()).is_ok() { Self::Gpu } else { Self::Cpu }, true)),
             Self::Gpu => match adapters().iter().find(|adapter| adapter.unusable.is_none()) {
-                Some(_) => Ok(Self::Gpu),
+                Some(_) => Ok((Self::Gpu, false)),
                 None => bail!("{}; use --device cpu", why_none(adapters())),
             },
         }
     }
+}
 
-    /// Says what was chosen for someone who left the choice to us.
-    pub fn announce(self) {
-        if self == Self::Auto {
-            match auto_adapter(adapters()) {
-                Ok(adapter) => eprintln!("device: auto means {} ({})", adapter.name, adapter.api),
-                Err(reason) => eprintln!("device: auto means the CPU, since {reason}"),
-            }
-        }
+/// Says what was chosen for someone who left the choice to us: figures of the two kinds differ by rounding, and in time.
+pub fn announce_auto() {
+    match auto_adapter(adapters()) {
+        Ok(adapter) => output::tell(&format!("device: auto means {} ({})", adapter.name, adapter.api)),
+        Err(reason) => output::tell(&format!("device: auto means the CPU, since {reason}")),
     }
 }
 
@@ -75,16 +83,21 @@ fn why_none(adapters: &[AdapterReport]) -> String {
 
 /// An empty backend on a resolved device, for a run with `seed`.
 pub fn open(device: Device, seed: u64) -> Result<AnyBackend> {
-    match device.resolve()? {
+    match device.resolve()?.0 {
         Device::Gpu => Ok(AnyBackend::Gpu(Box::new(GpuBackend::new(seed)?))),
         Device::Cpu | Device::Auto => Ok(AnyBackend::Cpu(Box::new(CpuBackend::new(seed)))),
     }
 }
 
-/// Makes the machine ready for a command that does not train; returns the device that it runs on.
-pub fn prepare(args: MachineArgs) -> Result<Device> {
-    let device = args.device.unwrap_or_default().resolve()?;
-    use_threads(args.threads)?;
+/// The device of a command that has no configuration, having said which it is where the choice was left to us.
+///
+/// Asked for once all else is known to be well: drivers may write to stderr when they are looked for, which is none of what a
+/// user with a mistyped path should read.
+pub fn choose(args: MachineArgs) -> Result<Device> {
+    let (device, was_auto) = args.device.unwrap_or_default().resolve()?;
+    if was_auto {
+        announce_auto();
+    }
     Ok(device)
 }
 

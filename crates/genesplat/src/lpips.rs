@@ -15,6 +15,7 @@ use genesplat::train::evaluate::Lpips;
 use genesplat::train::evaluate::lpips::{InputRange, Net, belongs_to};
 
 use crate::args::LpipsArgs;
+use crate::output;
 
 /// The measure of published tables, VGG16; `None`, with a notice, where there are no weights for it.
 pub fn open(args: &LpipsArgs) -> Result<Option<Lpips>> {
@@ -55,10 +56,10 @@ pub fn open_all(args: &LpipsArgs) -> Result<Vec<Lpips>> {
 
 /// Says in one sentence that LPIPS with `net` is left out.
 pub fn notify_absent(net: Net) {
-    eprintln!(
+    output::tell(&format!(
         "notice: LPIPS with {net} is not measured: its weights are not installed, and `genesplat lpips install --help` says \
          which files to give it"
-    );
+    ));
 }
 
 /// `(render, photo)` to LPIPS as published tables have it. Renders have the size of their photo, and photos are large

@@ -7,18 +7,22 @@
 //! | [`settings`] | flags, configuration file and defaults become one resolved configuration |
 //! | [`training`] | one run from a loaded scene to a finished run folder |
 //! | [`run_folder`], [`metrics`] | what a run leaves behind |
+//! | [`difference`] | the first setting in which two runs differ |
+//! | [`same_scene`] | whether a resumed run is given the scene that it began with |
 //! | [`experiment`] | many runs, and the tables and pictures that compare them |
 //! | [`report`] | `report.html` |
 //! | [`reporter`], [`progress`], [`test_curve`] | what a run tells while it is under way |
 //! | [`lpips`] | where the weights of LPIPS come from |
-//! | [`device`], [`any_backend`], [`interrupt`], [`memory`], [`scene`], [`sheet`], [`output`] | the machine, Ctrl-C, and other plumbing |
+//! | [`device`], [`any_backend`], [`interrupt`], [`memory`], [`scene`], [`sheet`], [`output`] | the machine, Ctrl-C and SIGTERM, and other plumbing |
 //!
-//! Exit status: 0 done, 1 failed with one sentence on stderr, 2 wrong usage.
+//! Exit status: 0 done, 1 failed with one sentence on stderr, 2 wrong usage, 130 stopped by Ctrl-C or SIGTERM (train, demo
+//! and experiment).
 
 mod any_backend;
 mod args;
 mod commands;
 mod device;
+mod difference;
 mod experiment;
 mod interrupt;
 mod lpips;
@@ -29,6 +33,7 @@ mod progress;
 mod report;
 mod reporter;
 mod run_folder;
+mod same_scene;
 mod scene;
 mod settings;
 mod sheet;
@@ -41,13 +46,16 @@ use std::process::ExitCode;
 
 use clap::Parser;
 
+use commands::Ending;
+
 fn main() -> ExitCode {
     output::explain_panics();
     let arguments = args::Arguments::parse();
     match panic::catch_unwind(|| commands::run(arguments)) {
-        Ok(Ok(())) => ExitCode::SUCCESS,
+        Ok(Ok(Ending::Whole)) => ExitCode::SUCCESS,
+        Ok(Ok(Ending::Stopped)) => ExitCode::from(interrupt::STOPPED),
         Ok(Err(error)) => {
-            eprintln!("{}", output::error_line(&error));
+            output::tell(&output::error_line(&error));
             ExitCode::FAILURE
         }
         // The hook has explained it already.

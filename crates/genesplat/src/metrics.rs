@@ -23,7 +23,7 @@ pub struct Metrics {
     pub gaussians: usize,
     /// Photos that training never saw.
     pub test: Evaluation,
-    /// Photos that it saw.
+    /// Photos that it saw; none for a run that was stopped.
     pub train: Evaluation,
     /// Wall-clock seconds.
     pub seconds: PhaseSeconds,

@@ -16,6 +16,12 @@ pub fn print(text: &str) -> Result<()> {
     }
 }
 
+/// Writes `text` and a line break to stderr. Where that takes nothing (a full disk, a closed pipe) the text is lost: `eprintln!`
+/// would panic, and a run must not end because nobody listens.
+pub fn tell(text: &str) {
+    let _ = writeln!(io::stderr().lock(), "{text}");
+}
+
 /// The means of an evaluation, as a line that starts with `name`.
 pub fn scores_line(name: &str, scores: &Evaluation) -> String {
     let Evaluation { psnr, ssim, lpips, views } = scores;
@@ -36,7 +42,7 @@ pub fn error_line(error: &anyhow::Error) -> String {
 
 /// Replaces the panic message by one that a user can act on.
 pub fn explain_panics() {
-    panic::set_hook(Box::new(|info| eprintln!("{}", bug_line(&info.to_string()))));
+    panic::set_hook(Box::new(|info| tell(&bug_line(&info.to_string()))));
 }
 
 fn bug_line(panic: &str) -> String {

@@ -7,6 +7,8 @@ use std::time::{Duration, Instant};
 use genesplat::io::LoadProgress;
 use indicatif::{ProgressBar, ProgressStyle};
 
+use crate::output;
+
 /// Plain lines come this often, in percent of the work,
 const LINE_PERCENT: u64 = 5;
 /// but, except for the last, not more often than this.
@@ -67,7 +69,7 @@ impl Bar {
                 if let Some(seconds) = lines.take_turn(done, position >= self.total) {
                     let (what, total, note) = (&self.what, self.total, note());
                     let line = format!("{what}: {done} % ({position} of {total}), {seconds:.0} s  {note}");
-                    eprintln!("{}", line.trim_end());
+                    output::tell(line.trim_end());
                 }
             }
         }
@@ -76,8 +78,8 @@ impl Bar {
     /// Says something without tearing the bar.
     pub fn say(&self, text: &str) {
         match &self.form {
-            Form::Drawn(bar) | Form::Fleeting(bar) => bar.suspend(|| eprintln!("{text}")),
-            Form::Lines(_) | Form::Silent => eprintln!("{text}"),
+            Form::Drawn(bar) | Form::Fleeting(bar) => bar.suspend(|| output::tell(text)),
+            Form::Lines(_) | Form::Silent => output::tell(text),
         }
     }
 }

@@ -12,6 +12,7 @@ use genesplat::train::observe::{
 };
 use genesplat::train::{Checkpoint, Observer};
 
+use crate::output;
 use crate::progress::Bar;
 use crate::run_folder::{Log, RunFolder};
 use crate::test_curve::TestCurve;
@@ -79,7 +80,7 @@ impl<'a> Reporter<'a> {
         match &self.steps {
             _ if self.quiet => {}
             Some(bar) => bar.say(text),
-            None => eprintln!("{text}"),
+            None => output::tell(text),
         }
     }
 

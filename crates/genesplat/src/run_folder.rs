@@ -19,7 +19,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Result, anyhow, bail};
 use genesplat::core::{BackendError, Gaussians, ScreenFilter};
-use genesplat::io::atomic::write_atomically;
+use genesplat::io::atomic::{self, write_atomically};
 use genesplat::io::{PlyOptions, write_ply};
 use genesplat::train::observe::LogRecord;
 use genesplat::train::{Checkpoint, TrainError};
@@ -27,6 +27,12 @@ use serde::Serialize;
 
 /// Name of the splat that has its 3D filter baked in.
 const FUSED_CLOUD: &str = "point_cloud_fused.ply";
+
+/// Name of the file with all settings.
+const CONFIG: &str = "config.toml";
+
+/// Name of the file with the figures.
+const METRICS: &str = "metrics.json";
 
 /// How a run's `config.toml` begins.
 const CONFIG_MARK: &str = "# All settings of a run of genesplat";
@@ -42,23 +48,14 @@ impl RunFolder {
     ///
     /// Neither an interrupted run nor a folder that is something else is overwritten.
     pub fn create(path: &Path, config: &str) -> Result<Self> {
-        if Self::checkpoint_in(path).exists() {
-            bail!(
-                "{} holds a run that was interrupted; add --resume to go on, or remove its checkpoint folder to start anew",
-                path.display()
-            );
-        }
+        Self::check_free(path)?;
         Self::replace(path, config)
     }
 
     /// The same, whatever state an older run is in.
     pub fn replace(path: &Path, config: &str) -> Result<Self> {
-        let old_config = fs::read_to_string(Self::config_in(path)).ok();
-        if old_config.as_ref().is_some_and(|text| !text.starts_with(CONFIG_MARK)) {
-            bail!("{} belongs to something else; choose another folder", Self::config_in(path).display());
-        }
         // Before the new settings are there: results never stand beside settings that are not theirs.
-        if old_config.is_some() {
+        if Self::check_replaceable(path)? {
             Self { path: path.to_owned() }.remove_results()?;
         }
         let folder = Self::claim(path, config)?;
@@ -68,10 +65,57 @@ impl RunFolder {
 
     /// The folder of a run that is to go on.
     pub fn reopen(path: &Path, config: &str) -> Result<Self> {
-        if !Self::checkpoint_in(path).exists() {
-            bail!("{} holds no checkpoint to go on from; start the run without --resume", path.display());
-        }
+        Self::check_resumable(path)?;
         Self::claim(path, config)
+    }
+
+    /// Fails where [`Self::create`] would, and changes nothing: to be asked before anything slow begins.
+    pub fn check_free(path: &Path) -> Result<()> {
+        if Self::checkpoint_in(path).exists() {
+            bail!(
+                "{} holds a run that was interrupted; add --resume to go on, or remove its checkpoint folder to start anew",
+                path.display()
+            );
+        }
+        Self::check_replaceable(path).map(|_| ())
+    }
+
+    /// True where a run in `path` would replace an older one; fails where the folder is something else's or cannot be
+    /// written to.
+    pub fn check_replaceable(path: &Path) -> Result<bool> {
+        check_folder(path, CONFIG)?;
+        let old_config = fs::read_to_string(Self::config_in(path)).ok();
+        if old_config.as_ref().is_some_and(|text| !text.starts_with(CONFIG_MARK)) {
+            bail!("{} belongs to something else; choose another folder", Self::config_in(path).display());
+        }
+        Ok(old_config.is_some())
+    }
+
+    /// Fails where there is no run, or none that could go on.
+    pub fn check_resumable(path: &Path) -> Result<()> {
+        Self::check_is_run(path)?;
+        if Self::checkpoint_in(path).exists() {
+            return check_writable(&Self::config_in(path));
+        }
+        if path.join(METRICS).exists() {
+            bail!(
+                "the run in {} is finished, so there is nothing to resume; to train longer, start a run with more --iterations \
+                 in another folder",
+                path.display()
+            );
+        }
+        bail!("{} holds no checkpoint to go on from; start the run without --resume", path.display())
+    }
+
+    /// Fails where `path` is not the folder of a run.
+    pub fn check_is_run(path: &Path) -> Result<()> {
+        if Self::config_in(path).exists() {
+            return Ok(());
+        }
+        bail!(
+            "{} is not the folder of a run: it has no config.toml; give one that train made",
+            path.display()
+        )
     }
 
     fn claim(path: &Path, config: &str) -> Result<Self> {
@@ -81,7 +125,7 @@ impl RunFolder {
     }
 
     fn remove_results(&self) -> Result<()> {
-        let names = ["metrics.json", "log.jsonl", "report.html", "point_cloud.ply", FUSED_CLOUD];
+        let names = [METRICS, "log.jsonl", "report.html", "point_cloud.ply", FUSED_CLOUD];
         let files = names.map(|name| self.path.join(name));
         let pictures =
             fs::read_dir(self.test_path()).into_iter().flatten().flatten().map(|entry| entry.path());
@@ -92,12 +136,17 @@ impl RunFolder {
 
     /// Where a run in the folder `path` has its settings.
     pub fn config_in(path: &Path) -> PathBuf {
-        path.join("config.toml")
+        path.join(CONFIG)
     }
 
     /// Where a run in the folder `path` has its splat.
     pub fn cloud_in(path: &Path) -> PathBuf {
         path.join("point_cloud.ply")
+    }
+
+    /// Where a run in the folder `path` has its renders of test photos.
+    pub fn test_in(path: &Path) -> PathBuf {
+        path.join("test")
     }
 
     fn checkpoint_in(path: &Path) -> PathBuf {
@@ -111,7 +160,7 @@ impl RunFolder {
 
     /// Where renders of test photos go.
     pub fn test_path(&self) -> PathBuf {
-        self.path.join("test")
+        Self::test_in(&self.path)
     }
 
     /// Opens the log: anew, or at its end.
@@ -134,7 +183,7 @@ impl RunFolder {
 
     /// Writes `metrics.json`.
     pub fn write_metrics(&self, metrics: &impl Serialize) -> Result<()> {
-        write_json(&self.path.join("metrics.json"), metrics)
+        write_json(&self.path.join(METRICS), metrics)
     }
 
     /// Writes `report.html`.
@@ -241,12 +290,17 @@ pub fn write_json(path: &Path, value: &impl Serialize) -> Result<()> {
     write_file(path, |out| writeln!(out, "{text}"))
 }
 
-/// Fails now, rather than after an hour, where the file `path` could not be written.
+/// Fails now, rather than after an hour, where the file `path` could not be written; leaves nothing behind.
 pub fn check_writable(path: &Path) -> Result<()> {
-    let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let probe = path.with_file_name(format!(".{name}.{}.probe", std::process::id()));
-    write_atomically(&probe, |_| Ok(())).map_err(|error| unwritable(path, &error))?;
-    remove_if_there(&probe)
+    atomic::check_writable(path).map_err(|error| unwritable(path, &error))
+}
+
+/// The same for the file `name` in the folder `path`, which whoever writes it makes.
+pub fn check_folder(path: &Path, name: &str) -> Result<()> {
+    if path.is_file() {
+        bail!("{} is a file, and results need a folder; choose another --out", path.display());
+    }
+    check_writable(&path.join(name))
 }
 
 fn write_file(path: &Path, fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>) -> Result<()> {
@@ -263,6 +317,12 @@ fn remove_if_there(path: &Path) -> Result<()> {
 }
 
 fn unwritable(path: &Path, error: &io::Error) -> anyhow::Error {
+    if error.kind() == ErrorKind::IsADirectory {
+        return anyhow!(
+            "{} is a folder, and a file is to be written; give the name of a file",
+            path.display()
+        );
+    }
     anyhow!(
         "cannot write {}: {error}; choose a folder that can be written to, or free some space",
         path.display()

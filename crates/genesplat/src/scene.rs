@@ -2,30 +2,49 @@
 
 use std::path::Path;
 
-use anyhow::Result;
+use anyhow::{Result, bail};
 use genesplat::core::View;
 use genesplat::io::{LoadOptions, PhotoSize, Scene, load_scene};
 use genesplat::train::initialise::ColouredPoint;
 
+use crate::output;
 use crate::progress::LoadBar;
 
-/// Loads a scene with a progress bar, and passes its notices on.
+/// Loads a scene to train on with a progress bar, and passes its notices on.
 pub fn load(path: &Path, size: PhotoSize, background: [f32; 3], seed: u64) -> Result<Scene> {
-    load_fraction(path, (size, 1), background, seed)
+    load_with(path, background, LoadOptions { size, seed, ..LoadOptions::default() })
 }
 
-/// The same with both sides of the size divided by the second number.
-pub fn load_fraction(
-    path: &Path,
-    (size, divisor): (PhotoSize, u32),
-    background: [f32; 3],
-    seed: u64,
-) -> Result<Scene> {
+/// The same to look at a finished splat, for which no points are needed, with both sides of the size divided by the second number.
+pub fn load_to_look(path: &Path, (size, divisor): (PhotoSize, u32), background: [f32; 3]) -> Result<Scene> {
+    load_with(path, background, LoadOptions { size, divisor, with_points: false, ..LoadOptions::default() })
+}
+
+fn load_with(path: &Path, background: [f32; 3], options: LoadOptions) -> Result<Scene> {
     let background = background.map(|value| (255.0 * value).round() as u8);
-    let options = LoadOptions { size, divisor, background, seed, ..LoadOptions::default() };
-    let scene = load_scene(path, &options, &LoadBar::default())?;
-    scene.notices.iter().for_each(|notice| eprintln!("notice: {notice}"));
+    let scene = load_scene(path, &LoadOptions { background, ..options }, &LoadBar::default())?;
+    scene.notices.iter().for_each(|notice| output::tell(&format!("notice: {notice}")));
     Ok(scene)
+}
+
+/// Fails where results would go into the scene's own folder, among names that both may have (`test/`, for one).
+pub fn check_apart(data: &Path, out: &Path) -> Result<()> {
+    match (data.canonicalize(), out.canonicalize()) {
+        (Ok(data), Ok(here)) if data == here => {
+            bail!("{} is the folder of the scene; choose another folder for the results", out.display())
+        }
+        _ => Ok(()),
+    }
+}
+
+/// Fails where `out` is a photo of the scene, or a folder that holds some: pictures that we write may have their names.
+pub fn check_spared(scene: &Scene, out: &Path) -> Result<()> {
+    let Ok(taken) = out.canonicalize() else { return Ok(()) };
+    let is_hit = |photo: &Path| photo == taken || photo.parent() == Some(&taken);
+    if scene.photos.iter().filter_map(|photo| photo.canonicalize().ok()).any(|photo| is_hit(&photo)) {
+        bail!("results in {} would overwrite photos of the scene; choose another --out", out.display());
+    }
+    Ok(())
 }
 
 /// The points that training starts from.

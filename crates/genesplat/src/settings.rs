@@ -14,7 +14,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::args::{EvolutionArgs, MachineArgs, ScheduleArgs, SizeArgs, TrainArgs};
 use crate::device::Device;
+use crate::difference::essence;
 use crate::run_folder::RunFolder;
+use crate::{difference, same_scene};
 
 /// Iterations between two checkpoints, where neither flag nor file says.
 const CHECKPOINT_EVERY: u32 = 1000;
@@ -26,6 +28,8 @@ pub struct Settings {
     pub dataset: Dataset,
     /// Never `Auto`.
     pub device: Device,
+    /// Neither flag nor file chose the device.
+    pub device_was_auto: bool,
     /// `None` for all cores.
     pub threads: Option<u16>,
     /// The settings of training, checked.
@@ -79,14 +83,34 @@ impl ConfigFile {
 
     /// The file in the folder of a run.
     pub fn of_run(folder: &Path) -> Result<Self> {
-        let path = RunFolder::config_in(folder);
-        if !path.exists() {
-            bail!(
-                "{} is not the folder of a run: it has no config.toml; give one that train made",
-                folder.display()
-            );
+        RunFolder::check_is_run(folder)?;
+        Self::read(&RunFolder::config_in(folder))
+    }
+
+    /// Settings of training that no file names, on a scene at the usual size.
+    pub fn of_scene(path: PathBuf, train: TrainConfig) -> Self {
+        Self { dataset: Dataset { path, ..Dataset::default() }, train, ..Self::default() }
+    }
+
+    /// What `genesplat train` is to do, checked as far as that is possible without a device.
+    pub fn of_training(args: &TrainArgs) -> Result<Self> {
+        let saved = args.resume.then(|| Self::of_run(&args.out)).transpose()?;
+        let mut file = match (&args.config, &saved) {
+            (Some(path), _) => Self::read(path)?,
+            (None, Some(saved)) => saved.clone(),
+            (None, None) => Self::defaults(),
+        };
+        file.dataset.path.clone_from(&args.dataset);
+        file.dataset.override_size(args.size);
+        override_schedule(&mut file.train, &args.schedule);
+        args.method.override_method(&mut file.train);
+        args.method.check(file.train.variant)?;
+        override_evolution(&mut file.train, &args.evolution);
+        if let Some(saved) = saved {
+            check_same(&saved, &file, &args.out)?;
         }
-        Self::read(&path)
+        file.check()?;
+        Ok(file)
     }
 
     /// Reads a file.
@@ -115,54 +139,57 @@ impl ConfigFile {
         self.dataset.size()
     }
 
-    /// The settings of a run of this file; flags win over it.
-    pub fn resolve(self, machine: MachineArgs) -> Result<Settings> {
-        Ok(Settings {
-            dataset: self.dataset,
-            device: machine.device.or(self.device).unwrap_or_default().resolve()?,
-            threads: machine.threads.or(self.threads),
-            train: self.train.resolve()?,
-        })
+    /// How many threads a run of this file has, where the flag does not say.
+    pub fn threads(&self, machine: MachineArgs) -> Option<u16> {
+        machine.threads.or(self.threads)
     }
 
-    /// True when a run of this file and a run with `settings` have the same result: how often it reports and saves, and
-    /// how many threads it has, do not matter.
-    pub fn repeats(&self, settings: &Settings) -> bool {
-        let same_folder = match (self.dataset.path.canonicalize(), settings.dataset.path.canonicalize()) {
-            (Ok(here), Ok(there)) => here == there,
-            _ => self.dataset.path == settings.dataset.path,
-        };
-        let same_device = self.device.unwrap_or_default() == settings.device;
-        let same_size = self.size() == settings.dataset.size();
-        same_folder && same_device && same_size && timeless(&self.train) == timeless(settings.train.config())
+    /// Fails where [`Self::resolve`] would, but for the device: to look for one takes a while, and drivers may write to stderr.
+    pub fn check(&self) -> Result<()> {
+        if self.dataset.path.to_str().is_none() {
+            bail!(
+                "the path of the scene, {}, is not UTF-8 text, and config.toml can hold no other; rename the folder, or give a link \
+                 with another name",
+                self.dataset.path.display()
+            );
+        }
+        Ok(self.train.validate()?)
+    }
+
+    /// The settings of a run of this file; flags win over it.
+    pub fn resolve(self, machine: MachineArgs) -> Result<Settings> {
+        self.check()?;
+        let (device, device_was_auto) = machine.device.or(self.device).unwrap_or_default().resolve()?;
+        let threads = self.threads(machine);
+        Ok(Settings { dataset: self.dataset, device, device_was_auto, threads, train: self.train.resolve()? })
+    }
+
+    /// What makes the result of a run of this file differ from that of a run with `settings`; `None` where nothing does.
+    ///
+    /// Scenes are the same where the last `parts` of their paths are: folders are moved, and named from here or there.
+    pub fn difference(&self, settings: &Settings, parts: usize) -> Option<String> {
+        let [there, here] = [&self.dataset.path, &settings.dataset.path].map(|path| end_of(path, parts));
+        if there != here {
+            return Some(format!("its scene is {} there and {} here", there.display(), here.display()));
+        }
+        let device = self.device.unwrap_or_default();
+        if device != settings.device {
+            return Some(format!("device is {} there and {} here", device.name(), settings.device.name()));
+        }
+        difference::first(
+            &essence(&self.dataset, &self.train),
+            &essence(&settings.dataset, settings.train.config()),
+        )
     }
 }
 
-/// The settings without those that do not change a result.
-fn timeless(train: &TrainConfig) -> TrainConfig {
-    TrainConfig { checkpoint_every: 0, report_every: 0, ..train.clone() }
+/// The last `parts` of a path.
+fn end_of(path: &Path, parts: usize) -> PathBuf {
+    let components: Vec<_> = path.components().collect();
+    components[components.len().saturating_sub(parts)..].iter().collect()
 }
 
 impl Settings {
-    /// The settings of `genesplat train`.
-    pub fn of_training(args: &TrainArgs) -> Result<Self> {
-        let saved = args.resume.then(|| ConfigFile::of_run(&args.out)).transpose()?;
-        let mut file = match (&args.config, &saved) {
-            (Some(path), _) => ConfigFile::read(path)?,
-            (None, Some(saved)) => saved.clone(),
-            (None, None) => ConfigFile::defaults(),
-        };
-        file.dataset.path.clone_from(&args.dataset);
-        file.dataset.override_size(args.size);
-        override_schedule(&mut file.train, &args.schedule);
-        args.method.override_method(&mut file.train);
-        override_evolution(&mut file.train, &args.evolution);
-        if let Some(saved) = saved {
-            check_same(&saved, &file, &args.out)?;
-        }
-        file.resolve(args.machine)
-    }
-
     /// As `config.toml` holds them.
     pub fn to_toml(&self) -> String {
         #[derive(Serialize)]
@@ -174,9 +201,10 @@ impl Settings {
             train: &'a TrainConfig,
             dataset: &'a Dataset,
         }
-        let Self { dataset, device, threads, train } = self;
+        let Self { dataset, device, threads, train, .. } = self;
         let written = Written { device: *device, threads: *threads, train: train.config(), dataset };
-        toml::to_string(&written).expect("settings are plain tables of numbers and words")
+        toml::to_string(&written)
+            .expect("settings are tables of numbers and text: resolve has checked the path")
     }
 }
 
@@ -217,11 +245,13 @@ fn replace<T>(setting: &mut T, flag: Option<T>) {
 
 /// A resumed run goes on with the settings that it began with, or its result would belong to neither.
 fn check_same(saved: &ConfigFile, wanted: &ConfigFile, out: &Path) -> Result<()> {
-    if timeless(&saved.train) != timeless(&wanted.train) || saved.size() != wanted.size() {
+    let [there, here] = [saved, wanted].map(|file| essence(&file.dataset, &file.train));
+    if let Some(difference) = difference::first(&there, &here) {
         bail!(
-            "--resume goes on with the settings in {}, and others were given; leave them out, or train into another folder",
+            "--resume goes on with the settings in {}, and others were given ({difference}); leave them out, or train into \
+             another folder",
             RunFolder::config_in(out).display()
         );
     }
-    Ok(())
+    same_scene::check_folders(&saved.dataset.path, &wanted.dataset.path)
 }

@@ -4,10 +4,10 @@ use std::path::Path;
 
 use anyhow::{Result, ensure};
 use genesplat::core::{Gaussians, RenderSettings, ScreenFilter};
-use genesplat::io::ply::{check_finite, read_ply, read_ply_header};
+use genesplat::io::ply::{PlyHeader, check_finite, read_ply_with_header};
 use genesplat::io::{PhotoSize, Scene};
 
-use crate::args::SizeArgs;
+use crate::args::{SizeArgs, ViewSizeArgs};
 use crate::run_folder::RunFolder;
 use crate::scene;
 use crate::settings::ConfigFile;
@@ -23,10 +23,9 @@ pub struct Splat {
 }
 
 impl Splat {
-    /// Loads the photos in `data` to compare it with, as large as it was trained on unless another size is asked for; `seed`
-    /// is that of random points, where the scene has none of its own.
-    pub fn load_scene(&self, data: &Path, asked: SizeArgs, seed: u64) -> Result<Scene> {
-        scene::load_fraction(data, self.size(asked), self.settings.background, seed)
+    /// Loads the photos in `data` to compare it with, as large as it was trained on unless another size is asked for.
+    pub fn load_scene(&self, data: &Path, asked: ViewSizeArgs) -> Result<Scene> {
+        scene::load_to_look(data, self.size(asked.into()), self.settings.background)
     }
 
     /// Of a run's splat, a fraction is one of the size that it was trained at: that is what multi-scale evaluation means.
@@ -48,20 +47,20 @@ fn open_run(folder: &Path) -> Result<Splat> {
     let config = ConfigFile::of_run(folder)?;
     let trained_size = config.size();
     let settings = config.train.resolve()?.render_settings();
-    Ok(Splat { cloud: read_cloud(&RunFolder::cloud_in(folder))?, settings, trained_size: Some(trained_size) })
+    let (_, cloud) = read_cloud(&RunFolder::cloud_in(folder))?;
+    Ok(Splat { cloud, settings, trained_size: Some(trained_size) })
 }
 
 fn open_ply(path: &Path) -> Result<Splat> {
-    let header = read_ply_header(path)?;
-    let cloud = read_cloud(path)?;
+    let (header, cloud) = read_cloud(path)?;
     let declared = header.render_mode.map(ScreenFilter::from).unwrap_or_default();
     let filter = if header.has_filter_3d { ScreenFilter::Mip } else { declared };
     let settings = RenderSettings { sh_degree: header.sh_degree, filter, ..RenderSettings::default() };
     Ok(Splat { cloud, settings, trained_size: None })
 }
 
-fn read_cloud(path: &Path) -> Result<Gaussians> {
-    let cloud = read_ply(path)?;
+fn read_cloud(path: &Path) -> Result<(PlyHeader, Gaussians)> {
+    let (header, cloud) = read_ply_with_header(path)?;
     check_finite(path, &cloud)?;
-    Ok(cloud)
+    Ok((header, cloud))
 }

@@ -35,7 +35,7 @@ pub struct Run<'a> {
     pub lpips: Option<&'a Lpips>,
     /// Leave the terminal to whoever runs this run, but for bars that vanish.
     pub quiet: bool,
-    /// Set by Ctrl-C.
+    /// Set by Ctrl-C and SIGTERM.
     pub stop: &'a AtomicBool,
     /// Seconds that loading took, and the moment at which it began.
     pub load: (f64, Instant),
@@ -115,9 +115,11 @@ impl Run<'_> {
         let (config, settings) = (self.settings.train.config(), self.settings.train.render_settings());
         let bar = |views: &[View]| if self.quiet { Bar::fleeting } else { Bar::at }("scores", 0, views.len() as u64);
         let Scene { test, train, .. } = self.scene;
+        // Who stops a run waits for it, and figures of half a run are replaced by those of the whole.
+        let (train, lpips) = if summary.interrupted { (&[][..], None) } else { (&train[..], self.lpips) };
         let pictures = self.folder.test_path();
-        let test = evaluate_into(backend, test, &settings, self.lpips, Some(&pictures), bar(test))?;
-        let train = evaluate_into(backend, train, &settings, self.lpips, None, bar(train))?;
+        let test = evaluate_into(backend, test, &settings, lpips, Some(&pictures), bar(test))?;
+        let train = evaluate_into(backend, train, &settings, lpips, None, bar(train))?;
         let (load, began) = self.load;
         Ok(Metrics {
             schema: 1,

@@ -6,19 +6,19 @@ use super::{ImageRecord, Intrinsics};
 use crate::error::SceneError;
 use crate::scene::Point;
 
-/// COLMAP's models by id, with their numbers of parameters (COLMAP, `sensor/models.h`).
-pub(super) const MODELS: [(&str, usize); 11] = [
-    ("SIMPLE_PINHOLE", 3),
-    ("PINHOLE", 4),
-    ("SIMPLE_RADIAL", 4),
-    ("RADIAL", 5),
-    ("OPENCV", 8),
-    ("OPENCV_FISHEYE", 8),
-    ("FULL_OPENCV", 12),
-    ("FOV", 5),
-    ("SIMPLE_RADIAL_FISHEYE", 4),
-    ("RADIAL_FISHEYE", 5),
-    ("THIN_PRISM_FISHEYE", 12),
+/// COLMAP's models by id (COLMAP, `sensor/models.h`).
+pub(super) const MODELS: [&str; 11] = [
+    "SIMPLE_PINHOLE",
+    "PINHOLE",
+    "SIMPLE_RADIAL",
+    "RADIAL",
+    "OPENCV",
+    "OPENCV_FISHEYE",
+    "FULL_OPENCV",
+    "FOV",
+    "SIMPLE_RADIAL_FISHEYE",
+    "RADIAL_FISHEYE",
+    "THIN_PRISM_FISHEYE",
 ];
 
 /// Largest side of a photo that is believed, px: beyond it, the file is damaged.

@@ -96,19 +96,27 @@ pub fn find_model(scene: &Path) -> Option<ModelFolder> {
 
 /// Reads the three files of a model. Every record is checked; nothing is believed beyond the bytes that back it.
 pub fn read_model(folder: &ModelFolder) -> Result<Model, SceneError> {
-    let file = |stem| folder.form.file(&folder.path, stem);
-    let (cameras, images, points) = (file("cameras"), file("images"), file("points3D"));
+    let points = read_points(folder)?;
+    Ok(Model { points, ..read_photos(folder)? })
+}
+
+/// The model without its points.
+fn read_photos(folder: &ModelFolder) -> Result<Model, SceneError> {
+    let [cameras, images] = ["cameras", "images"].map(|stem| folder.form.file(&folder.path, stem));
+    let (camera_bytes, image_bytes) = (read(&cameras)?, read(&images)?);
+    let (cameras, images) = match folder.form {
+        Form::Binary => (binary::cameras(&cameras, &camera_bytes)?, binary::images(&images, &image_bytes)?),
+        Form::Text => (text::cameras(&cameras, &camera_bytes)?, text::images(&images, &image_bytes)?),
+    };
+    Ok(Model { cameras, images, points: Vec::new() })
+}
+
+fn read_points(folder: &ModelFolder) -> Result<Vec<Point>, SceneError> {
+    let file = folder.form.file(&folder.path, "points3D");
+    let bytes = read(&file)?;
     match folder.form {
-        Form::Binary => Ok(Model {
-            cameras: binary::cameras(&cameras, &read(&cameras)?)?,
-            images: binary::images(&images, &read(&images)?)?,
-            points: binary::points(&points, &read(&points)?)?,
-        }),
-        Form::Text => Ok(Model {
-            cameras: text::cameras(&cameras, &read(&cameras)?)?,
-            images: text::images(&images, &read(&images)?)?,
-            points: text::points(&points, &read(&points)?)?,
-        }),
+        Form::Binary => binary::points(&file, &bytes),
+        Form::Text => text::points(&file, &bytes),
     }
 }
 
@@ -119,14 +127,18 @@ fn read(file: &Path) -> Result<Vec<u8>, SceneError> {
 /// Fewest points that training starts from: initial scales are distances to the three nearest others.
 const LEAST_POINTS: usize = 4;
 
-/// Photos with cameras and points of the model in `folder`, whose photos are in `image_folder`.
-pub(crate) fn list(folder: &ModelFolder, image_folder: &Path) -> Result<Listing, SceneError> {
-    let model = read_model(folder)?;
+/// Photos with cameras, and points if they are wanted, of the model in `folder`, whose photos are in `image_folder`.
+pub(crate) fn list(
+    folder: &ModelFolder,
+    image_folder: &Path,
+    with_points: bool,
+) -> Result<Listing, SceneError> {
+    let model = if with_points { read_model(folder)? } else { read_photos(folder)? };
     let list = folder.form.file(&folder.path, "images");
     if model.images.is_empty() {
         return Err(SceneError::NoPhotos { file: list });
     }
-    if model.points.len() < LEAST_POINTS {
+    if with_points && model.points.len() < LEAST_POINTS {
         let file = folder.form.file(&folder.path, "points3D");
         return Err(SceneError::TooFewPoints { file, points: model.points.len(), least: LEAST_POINTS });
     }

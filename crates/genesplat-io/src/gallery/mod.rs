@@ -84,7 +84,8 @@ impl Gallery {
     /// As a scene, without a detour over the disk.
     pub fn into_scene(self, hold_out: HoldOut) -> Scene {
         let (train, test) = split_views(self.views, hold_out);
-        Scene { name: "gallery".into(), train, test, points: self.points, notices: Vec::new() }
+        let (photos, notices) = (Vec::new(), Vec::new());
+        Scene { name: "gallery".into(), train, test, points: self.points, photos, notices }
     }
 
     /// Writes an ordinary COLMAP scene into `folder`, which every trainer reads: `images/*.png` and `sparse/0/*.bin`.

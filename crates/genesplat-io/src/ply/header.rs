@@ -26,8 +26,8 @@ pub struct PlyHeader {
     pub(super) properties: Vec<Property>,
     /// Bytes of a row.
     pub(super) row_bytes: usize,
-    /// Bytes of the elements that precede the vertices.
-    pub(super) bytes_before: u64,
+    /// What the elements before the vertices take: bytes, or lines of an ASCII file.
+    pub(super) before: u64,
 }
 
 impl PlyHeader {
@@ -86,6 +86,10 @@ impl Scalar {
             "double" | "float64" => Self::F64,
             _ => return None,
         })
+    }
+
+    pub(super) fn is_float(self) -> bool {
+        matches!(self, Self::F32 | Self::F64)
     }
 
     pub(super) fn bytes(self) -> usize {
@@ -190,14 +194,8 @@ fn assemble(
     encoding: Encoding,
 ) -> Result<PlyHeader, String> {
     let at = elements.iter().position(|element| element.name == "vertex").ok_or("it has no vertices")?;
-    let before = &elements[..=at];
-    if let Some(element) = before.iter().find(|element| element.has_list) {
-        return Err(format!("element {} holds a list, so its rows have no fixed length", element.name));
-    }
-    let bytes_before = before[..at]
-        .iter()
-        .try_fold(0u64, |sum, element| sum.checked_add(element.count.checked_mul(element.row_bytes as u64)?));
-    let bytes_before = bytes_before.ok_or("its elements have impossible counts")?;
+    let before = before(&elements[..at], encoding)?;
+    fixed_length(&elements[at])?;
     let vertex = elements.swap_remove(at);
     if vertex.row_bytes == 0 {
         return Err("its vertices have no properties".into());
@@ -212,8 +210,28 @@ fn assemble(
         encoding,
         properties: vertex.properties,
         row_bytes: vertex.row_bytes,
-        bytes_before,
+        before,
     })
+}
+
+/// What must be passed over to come to the vertices.
+fn before(elements: &[Element], encoding: Encoding) -> Result<u64, String> {
+    let size = |element: &Element| match encoding {
+        Encoding::Binary => fixed_length(element).map(|bytes| element.count.checked_mul(bytes)),
+        Encoding::Ascii => Ok(Some(element.count)),
+    };
+    elements.iter().try_fold(0u64, |sum, element| {
+        let sum = size(element)?.and_then(|size| sum.checked_add(size));
+        sum.ok_or_else(|| "its elements have impossible counts".into())
+    })
+}
+
+/// Bytes of a row, where all rows have as many.
+fn fixed_length(element: &Element) -> Result<u64, String> {
+    if element.has_list {
+        return Err(format!("element {} holds a list, so its rows have no fixed length", element.name));
+    }
+    Ok(element.row_bytes as u64)
 }
 
 /// Degree of spherical harmonics with `rest` coefficients beyond the base colour: `3 (degree + 1)² − 3`.

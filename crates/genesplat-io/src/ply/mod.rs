@@ -12,7 +12,7 @@ mod points;
 mod rows;
 
 use std::fs::File;
-use std::io::{self, BufReader, Read, Write};
+use std::io::{self, BufRead, BufReader, Read, Write};
 use std::path::{Path, PathBuf};
 
 use genesplat_core::gaussians::{logit, sigmoid};
@@ -56,14 +56,15 @@ pub enum PlyError {
     },
     /// A PLY file of something else.
     #[error(
-        "{path} is not the kind of cloud that is needed here: its vertices lack {property}; it may be a plain \
-         point cloud, a splat or a mesh"
+        "{path} is not the kind of cloud that is needed here: its vertices lack {property}; give {wanted}"
     )]
     MissingProperty {
         /// The file.
         path: PathBuf,
         /// The first property that is missing.
         property: String,
+        /// What is to be given instead.
+        wanted: &'static str,
     },
     /// Fewer bytes than the header promises.
     #[error(
@@ -157,13 +158,20 @@ pub fn read_ply_header(path: &Path) -> Result<PlyHeader, PlyError> {
 
 /// Reads a cloud of Gaussians. Values are returned as they are, NaN included: see [`check_finite`].
 pub fn read_ply(path: &Path) -> Result<Gaussians, PlyError> {
+    read_ply_with_header(path).map(|(_, cloud)| cloud)
+}
+
+/// The same with what the file says about itself.
+pub fn read_ply_with_header(path: &Path) -> Result<(PlyHeader, Gaussians), PlyError> {
     let (header, mut rest) = open(path)?;
     if header.encoding == Encoding::Ascii {
         let problem = "it is an ASCII file, and only binary ones hold Gaussians".into();
         return Err(PlyError::Header { path: path.to_owned(), problem });
     }
     let layout = rows::Layout::of(&header, path)?;
-    layout.read(header.gaussians as usize, &mut rest).map_err(|source| read_error(path, source))
+    let cloud =
+        layout.read(header.gaussians as usize, &mut rest).map_err(|source| read_error(path, source))?;
+    Ok((header, cloud))
 }
 
 /// Names the first row of `cloud` (read from `path`) that holds a value that is not finite.
@@ -213,14 +221,27 @@ fn open(path: &Path) -> Result<(PlyHeader, BufReader<File>), PlyError> {
     let size = file.metadata().map_err(|source| read_error(path, source))?.len();
     let mut reader = BufReader::with_capacity(1 << 18, file);
     let (header, header_bytes) = header::read(&mut reader, path)?;
-    let bytes = size.saturating_sub(header_bytes + header.bytes_before);
-    let held = bytes / header.least_row_bytes();
+    let skipped = pass_over(&header, &mut reader).map_err(|source| read_error(path, source))?;
+    let held = size.saturating_sub(header_bytes + skipped) / header.least_row_bytes();
     if held < header.gaussians {
         return Err(PlyError::Truncated { path: path.to_owned(), promised: header.gaussians, held });
     }
-    io::copy(&mut reader.by_ref().take(header.bytes_before), &mut io::sink())
-        .map_err(|source| read_error(path, source))?;
     Ok((header, reader))
+}
+
+/// Reads up to the first vertex, or to the end of a file that is torn before; returns how many bytes that were.
+fn pass_over(header: &PlyHeader, reader: &mut impl BufRead) -> io::Result<u64> {
+    if header.encoding == Encoding::Binary {
+        return io::copy(&mut reader.by_ref().take(header.before), &mut io::sink());
+    }
+    let mut bytes = 0;
+    for _ in 0..header.before {
+        match reader.skip_until(b'\n')? {
+            0 => break,
+            line => bytes += line as u64,
+        }
+    }
+    Ok(bytes)
 }
 
 fn read_error(path: &Path, source: io::Error) -> PlyError {

@@ -8,8 +8,11 @@ use super::rows::Field;
 use super::{PlyError, open, read_error};
 use crate::scene::Point;
 
-/// Properties that a point is read from.
+/// Properties that a point is read from; the last three are its colour.
 const PROPERTIES: [&str; 6] = ["x", "y", "z", "red", "green", "blue"];
+
+/// What is to be given where points are read.
+const POINTS: &str = "a cloud of points with x, y, z, red, green and blue, or leave ply_file_path out";
 
 /// Reads the points of `path`; positions are in the file's own frame, colours 0 to 255.
 pub(crate) fn read_points(path: &Path) -> Result<Vec<Point>, PlyError> {
@@ -20,16 +23,29 @@ pub(crate) fn read_points(path: &Path) -> Result<Vec<Point>, PlyError> {
     };
     match rows.iter().position(|[x, y, z, ..]| ![x, y, z].iter().all(|v| v.is_finite())) {
         Some(row) => Err(PlyError::NonFinite { path: path.to_owned(), row, parameter: "position" }),
-        None => Ok(rows.into_iter().map(point).collect()),
+        None => {
+            let full = full_colour(&header, &rows);
+            Ok(rows.into_iter().map(|row| point(row, full)).collect())
+        }
     }
 }
 
-fn point([x, y, z, red, green, blue]: [f32; 6]) -> Point {
-    Point { position: [x, y, z], rgb: [red, green, blue].map(|value| value as u8) }
+/// The value that stands for a colour's 255: 1 in files that write colours as fractions, which the format leaves open.
+fn full_colour(header: &PlyHeader, rows: &[[f32; 6]]) -> f32 {
+    let is_float = |name: &&str| {
+        header.properties.iter().any(|property| property.name == *name && property.scalar.is_float())
+    };
+    let is_fraction = |[.., red, green, blue]: &[f32; 6]| red.max(*green).max(*blue) <= 1.0;
+    if PROPERTIES[3..].iter().all(is_float) && rows.iter().all(is_fraction) { 1.0 } else { 255.0 }
+}
+
+fn point([x, y, z, red, green, blue]: [f32; 6], full: f32) -> Point {
+    let level = |value: f32| (255.0 / full * value).round() as u8;
+    Point { position: [x, y, z], rgb: [red, green, blue].map(level) }
 }
 
 fn binary(header: &PlyHeader, mut reader: impl Read, path: &Path) -> Result<Vec<[f32; 6]>, PlyError> {
-    let fields = PROPERTIES.map(|name| Field::find(header, name, path));
+    let fields = PROPERTIES.map(|name| Field::find(header, name, path, POINTS));
     let fields = fields.into_iter().collect::<Result<Vec<_>, _>>()?;
     let mut row = vec![0; header.row_bytes];
     (0..header.gaussians)
@@ -43,7 +59,8 @@ fn binary(header: &PlyHeader, mut reader: impl Read, path: &Path) -> Result<Vec<
 fn ascii(header: &PlyHeader, reader: impl BufRead, path: &Path) -> Result<Vec<[f32; 6]>, PlyError> {
     let column = |name: &str| header.properties.iter().position(|property| property.name == name);
     let columns = PROPERTIES.map(|name| {
-        column(name).ok_or_else(|| PlyError::MissingProperty { path: path.to_owned(), property: name.into() })
+        let (path, property) = (path.to_owned(), name.into());
+        column(name).ok_or(PlyError::MissingProperty { path, property, wanted: POINTS })
     });
     let columns = columns.into_iter().collect::<Result<Vec<_>, _>>()?;
     let mut lines = reader.lines();

@@ -9,6 +9,9 @@ use genesplat_core::spherical_harmonics::{SH_COEFFICIENTS, SH_STRIDE, coefficien
 use super::PlyError;
 use super::header::{PlyHeader, Property, Scalar};
 
+/// What is to be given where Gaussians are read.
+const SPLAT: &str = "a splat, as trainers of Gaussians write it (point_cloud.ply)";
+
 /// Rows that are read at once.
 const CHUNK_ROWS: usize = 4096;
 
@@ -48,7 +51,7 @@ pub(super) struct Field {
 impl Layout {
     /// Finds every parameter among the properties of `header`.
     pub(super) fn of(header: &PlyHeader, path: &Path) -> Result<Self, PlyError> {
-        let find = |name: String| Field::find(header, &name, path);
+        let find = |name: String| Field::find(header, &name, path, SPLAT);
         let position = ["x", "y", "z"].map(|name| find(name.into()));
         let scale: [_; 3] = std::array::from_fn(|axis| find(format!("scale_{axis}")));
         let rotation: [_; 4] = std::array::from_fn(|part| find(format!("rot_{part}")));
@@ -95,11 +98,19 @@ impl Layout {
 }
 
 impl Field {
-    /// The property `name` of `header`.
-    pub(super) fn find(header: &PlyHeader, name: &str, path: &Path) -> Result<Self, PlyError> {
+    /// The property `name` of `header`; where it is missing, `wanted` is what to give instead of the file.
+    pub(super) fn find(
+        header: &PlyHeader,
+        name: &str,
+        path: &Path,
+        wanted: &'static str,
+    ) -> Result<Self, PlyError> {
         match header.properties.iter().find(|property| property.name == name) {
             Some(&Property { scalar, offset, .. }) => Ok(Self { scalar, offset }),
-            None => Err(PlyError::MissingProperty { path: path.to_owned(), property: name.to_owned() }),
+            None => {
+                let (path, property) = (path.to_owned(), name.to_owned());
+                Err(PlyError::MissingProperty { path, property, wanted })
+            }
         }
     }
 

@@ -15,11 +15,14 @@ use self::schema::{Entry, Lens, Transforms};
 use crate::error::SceneError;
 use crate::lens::Distortion;
 use crate::listing::{Frame, Listing, inside, missing_photo, view_names};
+use crate::scene::Point;
 use crate::start_points::{COUNT, Cube};
 use crate::{photos, ply};
 
 /// The scene of `folder/transforms_train.json` and, if it exists, `transforms_test.json`: Blender's.
-pub(crate) fn list_blender(folder: &Path, seed: u64) -> Result<Listing, SceneError> {
+///
+/// `seed` is that of random points, where there are no others; `None` where no points are wanted.
+pub(crate) fn list_blender(folder: &Path, seed: Option<u64>) -> Result<Listing, SceneError> {
     let list = folder.join("transforms_train.json");
     let test = folder.join("transforms_test.json");
     let mut found = read_photos(&list, |_, _| Some(false))?;
@@ -30,13 +33,14 @@ pub(crate) fn list_blender(folder: &Path, seed: u64) -> Result<Listing, SceneErr
         let (there, all) = (found.photos.len(), found.photos.len() + found.missing.len());
         return Err(missing_photo(&list, missing.clone(), there, all, folder));
     }
-    let notices = vec![format!("the scene has no points, so training starts from {COUNT} random ones")];
-    Ok(Listing { frames: found.into_frames(&list)?, points: Cube::BLENDER.points(seed), notices, list })
+    let mut notices = Vec::new();
+    let points = points(&found, &list, seed, || Cube::BLENDER, &mut notices)?;
+    Ok(Listing { frames: found.into_frames(&list)?, points, notices, list })
 }
 
 /// The scene of `folder/transforms.json`. Photos that are listed but absent are left out with a notice: published
 /// scenes list photos that were removed as blurred.
-pub(crate) fn list_nerfstudio(folder: &Path, seed: u64) -> Result<Listing, SceneError> {
+pub(crate) fn list_nerfstudio(folder: &Path, seed: Option<u64>) -> Result<Listing, SceneError> {
     let list = folder.join("transforms.json");
     let found = read_photos(&list, held_out_by_name)?;
     let mut notices = Vec::new();
@@ -52,14 +56,25 @@ pub(crate) fn list_nerfstudio(folder: &Path, seed: u64) -> Result<Listing, Scene
         ));
     }
     let cameras: Vec<Camera> = found.photos.iter().map(|photo| photo.camera).collect();
-    let points = match &found.points {
-        Some(name) => ply::read_points(&folder.join(inside(name, &list)?))?,
-        None => {
-            notices.push(format!("the scene has no points, so training starts from {COUNT} random ones"));
-            Cube::seen_by(&cameras).points(seed)
-        }
-    };
+    let points = points(&found, &list, seed, || Cube::seen_by(&cameras), &mut notices)?;
     Ok(Listing { frames: found.into_frames(&list)?, points, notices, list })
+}
+
+/// The points that the file names, or random ones with a notice; none where none are wanted.
+fn points(
+    found: &Photos,
+    list: &Path,
+    seed: Option<u64>,
+    cube: impl FnOnce() -> Cube,
+    notices: &mut Vec<String>,
+) -> Result<Vec<Point>, SceneError> {
+    let Some(seed) = seed else { return Ok(Vec::new()) };
+    if let Some(name) = &found.points {
+        let folder = list.parent().unwrap_or(Path::new(""));
+        return Ok(ply::read_points(&folder.join(inside(name, list)?))?);
+    }
+    notices.push(format!("the scene has no points, so training starts from {COUNT} random ones"));
+    Ok(cube().points(seed))
 }
 
 /// What the file's own lists say about a photo, if it has lists.
@@ -175,8 +190,9 @@ fn camera(
 }
 
 /// COLMAP's names of the models whose coefficients mean what [`crate::lens`] takes them for.
-const KNOWN_MODELS: [&str; 6] =
-    ["PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "FULL_OPENCV", "SIMPLE_RADIAL", "RADIAL"];
+///
+/// FULL_OPENCV is none of them: it divides by a second polynomial, whose first coefficient it calls k4.
+pub(crate) const KNOWN_MODELS: [&str; 5] = ["PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "SIMPLE_RADIAL", "RADIAL"];
 
 fn check_model(list: &Path, lens: &Lens) -> Result<(), SceneError> {
     let model = match (&lens.camera_model, lens.is_fisheye) {
@@ -184,7 +200,6 @@ fn check_model(list: &Path, lens: &Lens) -> Result<(), SceneError> {
         (Some(model), _) => model,
         (None, _) => return Ok(()),
     };
-    // FULL_OPENCV divides by a second polynomial, whose coefficients this format cannot hold.
     if KNOWN_MODELS.contains(&model) {
         return Ok(());
     }

@@ -245,7 +245,7 @@ fn a_photo_listed_twice_is_named() {
 #[test]
 fn one_photo_is_not_enough_unless_none_is_held_out() {
     let sentence = refusal(Form::Binary, &tiny_model(1), |_| {});
-    assert!(sentence.contains("not enough photos"), "{sentence}");
+    assert!(sentence.contains("not enough photos") && sentence.ends_with("add photos"), "{sentence}");
     let folder = tempfile::tempdir().unwrap();
     write_scene(folder.path(), Form::Binary, &tiny_model(1));
     let options = LoadOptions { hold_out: HoldOut::None, ..LoadOptions::default() };
@@ -259,6 +259,30 @@ fn folders_that_are_no_scene_are_told_apart() {
     let load = |path: &Path| load_scene(path, &LoadOptions::default(), &()).unwrap_err();
     assert!(matches!(load(folder.path()), SceneError::Unrecognised { .. }));
     assert!(matches!(load(&folder.path().join("nowhere")), SceneError::Missing { .. }));
+}
+
+#[test]
+fn a_part_of_a_scene_names_the_whole() {
+    let folder = tempfile::tempdir().unwrap();
+    write_scene(folder.path(), Form::Text, &tiny_model(2));
+    let whole = folder.path().canonicalize().unwrap().display().to_string();
+    for part in ["sparse/0", "sparse", "images"] {
+        let part = folder.path().join(part);
+        let sentence = load_scene(&part, &LoadOptions::default(), &()).unwrap_err().to_string();
+        assert!(sentence.contains(&format!("is a part of a scene; give {whole},")), "{sentence}");
+    }
+}
+
+#[test]
+fn points_are_not_read_where_none_are_wanted() {
+    let folder = tempfile::tempdir().unwrap();
+    write_scene(folder.path(), Form::Binary, &tiny_model(2));
+    fs::write(file_of(folder.path(), Form::Binary, "points3D"), b"torn").unwrap();
+    let load =
+        |with_points| load_scene(folder.path(), &LoadOptions { with_points, ..LoadOptions::default() }, &());
+    let scene = load(false).unwrap();
+    assert_eq!((scene.train.len(), scene.points.len()), (1, 0));
+    assert!(load(true).is_err());
 }
 
 /// Counts what it hears.

@@ -82,6 +82,11 @@ fn poses_and_intrinsics_are_the_cameras() {
         assert_same_camera(&view.camera, &camera(index));
     }
     assert!(scene.notices[0].contains("no points"));
+    let folder = tempfile::tempdir().unwrap();
+    write(folder.path(), "transforms.json", &nerfstudio());
+    let looked_at = LoadOptions { with_points: false, ..LoadOptions::default() };
+    let scene = load_scene(folder.path(), &looked_at, &()).unwrap();
+    assert!(scene.points.is_empty() && scene.notices.is_empty(), "{:?}", scene.notices);
 }
 
 #[test]
@@ -150,6 +155,54 @@ fn named_points_are_read_in_both_encodings() {
     }
 }
 
+/// A point cloud of two points; `before` stands between the header's first lines and the vertices' own.
+fn ascii_points(before: &str, colour: &str, rows: &str) -> String {
+    let colours = ["red", "green", "blue"].map(|name| format!("property {colour} {name}\n")).concat();
+    format!(
+        "ply\nformat ascii 1.0\n{before}element vertex 2\nproperty float x\nproperty float y\nproperty float z\n{colours}\
+         end_header\n{rows}"
+    )
+}
+
+/// The points of a nerfstudio scene that names this file.
+fn load_points_of(ply: &str) -> Result<Vec<genesplat_io::Point>, genesplat_io::SceneError> {
+    let folder = tempfile::tempdir().unwrap();
+    let mut description = nerfstudio();
+    description["ply_file_path"] = json!("points.ply");
+    write(folder.path(), "transforms.json", &description);
+    fs::write(folder.path().join("points.ply"), ply).unwrap();
+    load(folder.path()).map(|scene| scene.points)
+}
+
+#[test]
+fn colours_as_fractions_are_brought_to_bytes() {
+    let colours = |ply: &str| load_points_of(ply).unwrap().iter().map(|point| point.rgb).collect::<Vec<_>>();
+    let fractions = "0 0 0 0.5 1 0\n1 1 1 0.2 0.004 0.998\n";
+    for kind in ["float", "double"] {
+        assert_eq!(colours(&ascii_points("", kind, fractions)), [[128, 255, 0], [51, 1, 254]]);
+    }
+    // Levels written as floats, and a picture so dark that its bytes are 0 and 1.
+    assert_eq!(
+        colours(&ascii_points("", "float", "0 0 0 1 2 3\n1 1 1 0.4 0.6 254.7")),
+        [[1, 2, 3], [0, 1, 255]]
+    );
+    assert_eq!(colours(&ascii_points("", "uchar", "0 0 0 1 0 1\n1 1 1 0 0 1")), [[1, 0, 1], [0, 0, 1]]);
+}
+
+/// What comes before the vertices of an ASCII file takes lines, whatever its types.
+#[test]
+fn elements_before_the_vertices_are_passed_over() {
+    let before = "element camera 2\nproperty double f\nproperty list uchar int views\n";
+    let rows = "500.25 3 1 2 3\n7 0\n1 -2 0.5 9 8 7\n4 5 6 255 128 0\n";
+    let points = load_points_of(&ascii_points(before, "uchar", rows)).unwrap();
+    assert_eq!((points.len(), points[0].position, points[1].rgb), (2, [1.0, -2.0, 0.5], [255, 128, 0]));
+    let torn = load_points_of(&ascii_points(before, "uchar", "500.25 3 1 2 3\n7 0\n1 -2"));
+    assert!(torn.unwrap_err().to_string().contains("points.ply"));
+    let endless = "element camera 18446744073709551615\nproperty double f\n";
+    let refused = load_points_of(&ascii_points(endless, "uchar", rows)).unwrap_err().to_string();
+    assert!(refused.contains("cut off"), "{refused}");
+}
+
 #[test]
 fn blender_scenes_keep_their_own_split_and_background() {
     let folder = tempfile::tempdir().unwrap();
@@ -174,12 +227,22 @@ fn blender_scenes_keep_their_own_split_and_background() {
     assert!(scene.points.iter().all(|p| p.position.iter().all(|v| v.abs() <= 1.3) && p.rgb == [127; 3]));
     let everything = LoadOptions { hold_out: HoldOut::None, ..options };
     assert_eq!(load_scene(folder.path(), &everything, &()).unwrap().train.len(), 4);
+
+    // Points that the file of the training photos names are taken instead of random ones.
+    let list = folder.path().join("transforms_train.json");
+    let mut description: Value = serde_json::from_slice(&fs::read(&list).unwrap()).unwrap();
+    description["ply_file_path"] = json!("points.ply");
+    fs::write(&list, description.to_string()).unwrap();
+    let ply = ascii_points("", "uchar", "1 2 3 4 5 6\n0 0 0 7 8 9\n");
+    fs::write(folder.path().join("points.ply"), ply).unwrap();
+    let scene = load(folder.path()).unwrap();
+    assert_eq!((scene.points.len(), scene.points[1].rgb, scene.notices.len()), (2, [7, 8, 9], 0));
 }
 
 #[test]
 fn mistakes_are_named() {
     type Spoil = fn(&mut Value);
-    let cases: [(Spoil, &str); 13] = [
+    let cases: [(Spoil, &str); 14] = [
         (|d| d["frames"] = json!([]), "lists no photos"),
         (|d| d["frames"] = json!("none"), "not a valid description"),
         (|d| d["frames"][0]["transform_matrix"] = json!([[1, 0, 0, 0]]), "fewer than three rows"),
@@ -196,6 +259,10 @@ fn mistakes_are_named() {
         (|d| d["w"] = json!(0), "impossible image size"),
         (|d| d["w"] = json!(80), "which is another shape"),
         (|d| d["camera_model"] = json!("OPENCV_FISHEYE"), "model OPENCV_FISHEYE"),
+        (
+            |d| d["camera_model"] = json!("FULL_OPENCV"),
+            "reads only PINHOLE, SIMPLE_PINHOLE, OPENCV, SIMPLE_RADIAL, RADIAL; undistort",
+        ),
         (|d| d["is_fisheye"] = json!(true), "model OPENCV_FISHEYE"),
         (|d| d["ply_file_path"] = json!("absent.ply"), "absent.ply"),
     ];

@@ -1,8 +1,9 @@
 //! Options of the methods that users of other trainers know.
 
+use anyhow::{Result, ensure};
 use clap::{Args, ValueEnum};
 use genesplat::train::config::Signal;
-use genesplat::train::{Background, TrainConfig};
+use genesplat::train::{Background, TrainConfig, Variant};
 
 /// How Gaussians are shown, and what makes them grow.
 #[derive(Clone, Debug, Default, Args)]
@@ -20,6 +21,18 @@ pub struct MethodArgs {
 }
 
 impl MethodArgs {
+    /// Fails where a flag does not go with the method that is trained.
+    pub fn check(&self, variant: Variant) -> Result<()> {
+        let has_own = matches!(variant, Variant::PixelGs | Variant::Mcmc);
+        let asked = self.densify_signal.filter(|signal| *signal != SignalName::Published);
+        ensure!(
+            !has_own || asked.is_none(),
+            "--densify-signal is for 3dgs and mip-splatting, and {variant} grows by a rule of its own; leave the flag out, or train \
+             another --variant"
+        );
+        Ok(())
+    }
+
     /// Flags over the file.
     pub fn override_method(&self, train: &mut TrainConfig) {
         if let Some(background) = self.background {

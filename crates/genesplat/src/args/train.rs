@@ -10,10 +10,12 @@ use super::{LpipsArgs, MachineArgs, MethodArgs, SizeArgs, scale};
 /// `genesplat train`.
 #[derive(Debug, Args)]
 pub struct TrainArgs {
-    /// Folder of the scene: a COLMAP model in sparse/0 (cameras, images, points3D as .bin or .txt) and its photos in images
+    /// Folder of the scene: a COLMAP model in sparse/0 (cameras, images, points3D as .bin or .txt) and its photos in images; or a
+    /// transforms.json of nerfstudio or instant-ngp, or Blender's transforms_train.json and transforms_test.json, and the photos
+    /// that they name
     pub dataset: PathBuf,
     /// Folder for the results; made if it is missing. It will hold point_cloud.ply, metrics.json, config.toml, log.jsonl
-    /// and test/*.png
+    /// and test/*.png; an earlier run's results there are replaced
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
     #[command(flatten)]
@@ -53,10 +55,11 @@ pub struct ScheduleArgs {
     /// Seed of all random numbers [default: 0]. Same seed, same bytes
     #[arg(long, value_name = "S", value_parser = clap::value_parser!(u64).range(..1 << 63))]
     pub seed: Option<u64>,
-    /// Stop adding Gaussians at this many [default: no limit, or with --evolve renew what the photos feed; 1000000 with mcmc, which always grows to it]. Bounds memory (about 1.5 KB a Gaussian) and time
+    /// Stop adding Gaussians at this many [default: no limit, or with --evolve renew as many as the photos can determine; 1000000
+    /// with mcmc, which always grows to it]. Bounds memory (about 1.5 KB a Gaussian) and time
     #[arg(long, value_name = "N", value_parser = positive)]
     pub max_gaussians: Option<usize>,
-    /// Iterations between two checkpoints [default: 1000]; 0 for none but that of Ctrl-C
+    /// Iterations between two checkpoints [default: 1000]; 0 for none but that of Ctrl-C and SIGTERM
     #[arg(long, value_name = "N")]
     pub checkpoint_every: Option<u32>,
 }
@@ -64,11 +67,12 @@ pub struct ScheduleArgs {
 /// The genetic algorithm.
 #[derive(Clone, Debug, Default, Args)]
 pub struct EvolutionArgs {
-    /// How the Gaussians evolve besides: paper and control after each opacity reset, mosaic at the end, the others in the second half of the run [default: off]
+    /// Evolution beside gradient descent [default: off]. paper, control: after each opacity reset; mosaic: at the end; recombine,
+    /// renew: in the second half of the run
     #[arg(long, value_enum, value_name = "MODE")]
     pub evolve: Option<Evolve>,
-    /// Generations of each evolution stage [default: 100, mosaic: 20]. Time grows in proportion
-    #[arg(long, value_name = "N")]
+    /// Generations of each evolution stage of paper and mosaic, at least 1 [default: 100, mosaic: 20]. Time grows in proportion
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub generations: Option<u32>,
     /// Individuals a generation, 1 to 10000 [default: 100, mosaic: 12]. Time grows in proportion
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=10_000))]
@@ -113,8 +117,8 @@ pub enum Evolve {
     /// Ours: every twentieth of the second half of the run, a child bred from its last states takes over if photos held back
     /// from that search agree
     Recombine,
-    /// Ours, and worth most: no more Gaussians than the photos feed, and once it has stopped growing those that matter least make
-    /// room for more where most is wrong; and recombine
+    /// Ours, and worth most: limits the number of Gaussians to what the photos can determine; after growth ends, replaces the least
+    /// useful by copies where the error is largest; then also does recombine
     Renew,
     /// Ours, without gradients: each Gaussian takes the mutation that made the picture better where it is seen, if photos held back
     /// agree. Worth most on a splat that gradients have not finished

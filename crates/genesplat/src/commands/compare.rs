@@ -33,6 +33,7 @@ struct Report {
 
 /// Measures, and prints.
 pub fn run(args: &CompareArgs) -> Result<()> {
+    args.json.as_deref().map_or(Ok(()), run_folder::check_writable)?;
     let metrics = lpips::open_all(&args.lpips)?;
     let (first, second) = (read_photo(&args.first)?, read_photo(&args.second)?);
     let name = args.first.file_name().unwrap_or_default().to_string_lossy();
@@ -67,7 +68,7 @@ fn measure(metric: &Lpips, first: &Photo, second: &Photo) -> Result<Option<Conve
             Ok(Some(Conventions { zero_to_one, minus_one_to_one }))
         }
         Err(error @ LpipsError::TooSmall { .. }) => {
-            eprintln!("notice: {error}");
+            output::tell(&format!("notice: {error}"));
             Ok(None)
         }
         Err(error) => Err(error.into()),

@@ -15,10 +15,11 @@ use genesplat::io::{GalleryOptions, PhotoSize, Scene, gallery};
 use genesplat::train::evaluate::Lpips;
 use genesplat::train::{EvolutionMode, TrainConfig};
 
+use super::Ending;
 use crate::args::DemoArgs;
 use crate::metrics::Metrics;
 use crate::run_folder::RunFolder;
-use crate::settings::{Dataset, Settings};
+use crate::settings::{ConfigFile, Settings};
 use crate::sheet::side_by_side;
 use crate::training::Run;
 use crate::{device, interrupt, lpips, output, scene};
@@ -35,37 +36,43 @@ const GENERATIONS: u32 = 20;
 const POPULATION: u32 = 20;
 
 /// Builds, trains twice, compares.
-pub fn run(args: &DemoArgs) -> Result<()> {
+pub fn run(args: &DemoArgs) -> Result<Ending> {
     let began = Instant::now();
-    let without = Half::plan(args, "without", EvolutionMode::Off)?;
-    let with = Half::plan(args, "with", args.evolve.into())?;
+    let plans = [("without", EvolutionMode::Off), ("with", args.evolve.into())];
+    let plans: Vec<Plan> =
+        plans.into_iter().map(|(name, mode)| Plan::new(args, name, mode)).collect::<Result<_>>()?;
     device::use_threads(args.machine.threads)?;
     let stop = interrupt::stop_flag()?;
     let lpips = lpips::open(&args.lpips)?;
     let scene = build_scene(&gallery_in(&args.out), args.seed)?;
-    args.machine.device.unwrap_or_default().announce();
+    if plans[0].settings.device_was_auto {
+        device::announce_auto();
+    }
+    let halves: Vec<Half> = plans.into_iter().map(Plan::begin).collect::<Result<_>>()?;
     let load = began.elapsed().as_secs_f64();
     let mut results = Vec::new();
-    for half in [&without, &with] {
+    for half in &halves {
         let mode = half.settings.train.config().evolution.mode;
-        eprintln!("\ntraining {} evolution (mode {})", half.name, mode.name());
+        output::tell(&format!("\ntraining {} evolution (mode {})", half.name, mode.name()));
         let Some(metrics) = half.train(&scene, lpips.as_ref(), load, &stop)? else {
-            return output::print("stopped; the demo cannot go on from here, so run it again");
+            output::print("stopped; the demo cannot go on from here, so run it again")?;
+            return Ok(Ending::Stopped);
         };
         results.push(metrics);
     }
     output::print(&format!("\n{}", table(&results[0], &results[1])))?;
     let view = most_changed(&results[0], &results[1]);
     let picture = args.out.join("comparison.png");
-    write_png(&picture, &side_by_side(&comparison(&scene, view, [&without, &with])?))?;
+    write_png(&picture, &side_by_side(&comparison(&scene, view, &halves)?))?;
     output::print(&format!(
         "splats    {}\n          {}\npicture   {} (the photo {}, without, with evolution)\nphotos    {}",
-        without.folder.cloud_path().display(),
-        with.folder.cloud_path().display(),
+        halves[0].folder.cloud_path().display(),
+        halves[1].folder.cloud_path().display(),
         picture.display(),
         scene.test[view].name,
         gallery_in(&args.out).display()
-    ))
+    ))?;
+    Ok(Ending::Whole)
 }
 
 fn gallery_in(out: &Path) -> PathBuf {
@@ -74,10 +81,37 @@ fn gallery_in(out: &Path) -> PathBuf {
 
 /// Writes the gallery as an ordinary COLMAP scene, and loads it as any other.
 fn build_scene(folder: &Path, seed: u64) -> Result<Scene> {
-    eprintln!("building the gallery in {}", folder.display());
+    output::tell(&format!("building the gallery in {}", folder.display()));
     let options = GalleryOptions { seed, ..GalleryOptions::default() };
     gallery::generate(&options).write_colmap(folder)?;
     scene::load(folder, PhotoSize::default(), [0.0; 3], seed)
+}
+
+/// One of the two runs before it has a folder: an earlier demo's results stay until scene and weights are loaded.
+struct Plan {
+    name: &'static str,
+    settings: Settings,
+    out: PathBuf,
+}
+
+impl Plan {
+    fn new(args: &DemoArgs, name: &'static str, mode: EvolutionMode) -> Result<Self> {
+        let out = args.out.join(name);
+        RunFolder::check_replaceable(&out)?;
+        let mut train = TrainConfig { seed: args.seed, steps_scale: STEPS_SCALE, ..TrainConfig::default() };
+        train.densify.every = DENSIFY_EVERY;
+        train.max_gaussians = Some(MAX_GAUSSIANS);
+        train.evolution.mode = mode;
+        train.evolution.paper.generations = GENERATIONS;
+        train.evolution.paper.population = POPULATION;
+        let settings = ConfigFile::of_scene(gallery_in(&args.out), train).resolve(args.machine)?;
+        Ok(Self { name, settings, out })
+    }
+
+    fn begin(self) -> Result<Half> {
+        let folder = RunFolder::replace(&self.out, &self.settings.to_toml())?;
+        Ok(Half { name: self.name, settings: self.settings, folder })
+    }
 }
 
 /// One of the two runs.
@@ -88,23 +122,6 @@ struct Half {
 }
 
 impl Half {
-    fn plan(args: &DemoArgs, name: &'static str, mode: EvolutionMode) -> Result<Self> {
-        let mut train = TrainConfig { seed: args.seed, steps_scale: STEPS_SCALE, ..TrainConfig::default() };
-        train.densify.every = DENSIFY_EVERY;
-        train.max_gaussians = Some(MAX_GAUSSIANS);
-        train.evolution.mode = mode;
-        train.evolution.paper.generations = GENERATIONS;
-        train.evolution.paper.population = POPULATION;
-        let settings = Settings {
-            dataset: Dataset { path: gallery_in(&args.out), ..Dataset::default() },
-            device: args.machine.device.unwrap_or_default().resolve()?,
-            threads: args.machine.threads,
-            train: train.resolve()?,
-        };
-        let folder = RunFolder::replace(&args.out.join(name), &settings.to_toml())?;
-        Ok(Self { name, settings, folder })
-    }
-
     /// `None` for a run that was stopped.
     fn train(
         &self,
@@ -173,10 +190,10 @@ fn most_changed(without: &Metrics, with: &Metrics) -> usize {
 }
 
 /// The photo, and what both runs made of it.
-fn comparison(scene: &Scene, view: usize, halves: [&Half; 2]) -> Result<[Photo; 3]> {
+fn comparison(scene: &Scene, view: usize, halves: &[Half]) -> Result<Vec<Photo>> {
     let name = &scene::picture_names(&scene.test)[view];
-    let [without, with] = halves.map(|half| read_photo(&half.folder.test_path().join(name)));
-    Ok([scene.test[view].photo.as_ref().clone(), without?, with?])
+    let renders = halves.iter().map(|half| Ok(read_photo(&half.folder.test_path().join(name))?));
+    std::iter::once(Ok(scene.test[view].photo.as_ref().clone())).chain(renders).collect()
 }
 
 #[cfg(test)]

@@ -24,10 +24,11 @@ struct Report {
 
 /// Renders every photo's viewpoint and measures.
 pub fn run(args: &EvaluateArgs) -> Result<()> {
-    let device = device::prepare(args.machine)?;
+    args.json.as_deref().map_or(Ok(()), run_folder::check_writable)?;
+    device::use_threads(args.machine.threads)?;
     let lpips = lpips::open(&args.lpips)?;
     let splat = splat::open(&args.splat)?;
-    let scene = splat.load_scene(&args.data, args.size, 0)?;
+    let scene = splat.load_scene(&args.data, args.size)?;
     let (views, name, other) = match args.split {
         Split::Test => (&scene.test, "test", "train"),
         Split::Train => (&scene.train, "train", "test"),
@@ -35,7 +36,7 @@ pub fn run(args: &EvaluateArgs) -> Result<()> {
     if views.is_empty() {
         bail!("{} has no {name} photos; use --split {other}", args.data.display());
     }
-    let mut backend = device::open(device, 0)?;
+    let mut backend = device::open(device::choose(args.machine)?, 0)?;
     let gaussians = splat.cloud.len();
     backend.upload(splat.cloud, None)?;
     let bar = Bar::new("scores", views.len() as u64);

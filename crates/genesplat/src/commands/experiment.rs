@@ -5,7 +5,8 @@ use std::path::Path;
 use anyhow::{Result, anyhow};
 use genesplat::io::atomic::write_atomically;
 
-use crate::args::ExperimentArgs;
+use super::Ending;
+use crate::args::{ExperimentArgs, MachineArgs};
 use crate::experiment::plan::Experiment;
 use crate::experiment::results::Results;
 use crate::experiment::runner::Runner;
@@ -14,19 +15,21 @@ use crate::report::run::command_line;
 use crate::{device, interrupt, lpips, output, run_folder};
 
 /// Runs what is unfinished, then writes tables and pages of all that is finished.
-pub fn run(args: &ExperimentArgs) -> Result<()> {
+pub fn run(args: &ExperimentArgs) -> Result<Ending> {
     let mut file = preset::open(&args.what)?;
     file.override_by(args);
     let experiment = Experiment::new(file)?;
-    run_folder::check_writable(&args.out.join("tables.md"))?;
-    device::prepare(args.machine)?;
+    run_folder::check_folder(&args.out, "tables.md")?;
+    experiment.check_scenes(args.data.as_deref(), &args.out)?;
+    device::use_threads(args.machine.threads)?;
     let stop = interrupt::stop_flag()?;
     let lpips = lpips::open(&args.lpips)?;
+    let device = Some(device::choose(args.machine)?);
     let runner = Runner {
         experiment: &experiment,
         out: &args.out,
         data: args.data.as_deref(),
-        machine: args.machine,
+        machine: MachineArgs { device, ..args.machine },
         lpips: lpips.as_ref(),
         stop: &stop,
     };
@@ -35,18 +38,21 @@ pub fn run(args: &ExperimentArgs) -> Result<()> {
     if finished > 0 {
         write(&runner, &results)?;
     }
-    if finished < cells {
-        return output::print(&format!(
-            "stopped: {finished} of {cells} runs are finished; the same command goes on with the rest"
-        ));
+    if finished == cells {
+        return Ok(Ending::Whole);
     }
-    Ok(())
+    output::print(&format!(
+        "stopped: {finished} of {cells} runs are finished; the same command goes on with the rest"
+    ))?;
+    Ok(Ending::Stopped)
 }
 
 fn write(runner: &Runner<'_>, results: &Results<'_>) -> Result<()> {
     let tables = summary::tables(results);
     let pages = qualitative::write_pages(runner, results)?;
-    let command = command_line(std::env::args().collect::<Vec<_>>().iter().map(String::as_str));
+    // Shown only, so a path that is no text may lose what cannot be shown.
+    let words: Vec<String> = std::env::args_os().map(|word| word.to_string_lossy().into_owned()).collect();
+    let command = command_line(words.iter().map(String::as_str));
     let markdown = tables.iter().map(|table| table.to_markdown() + "\n").collect::<String>();
     let latex = tables.iter().map(|table| table.to_latex() + "\n").collect::<String>();
     let files = [

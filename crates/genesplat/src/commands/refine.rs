@@ -16,14 +16,14 @@ use crate::{device, interrupt, output, run_folder, splat};
 
 /// Searches, and writes the best that it has found; Ctrl-C ends the search early.
 pub fn run(args: &RefineArgs) -> Result<()> {
-    let device = device::prepare(args.machine)?;
     run_folder::check_writable(&args.out)?;
+    device::use_threads(args.machine.threads)?;
     let mut splat = splat::open(&args.splat)?;
     let config = configure(args, &splat)?;
     splat.settings = config.render_settings();
-    let scene = splat.load_scene(&args.data, args.size, config.config().seed)?;
+    let scene = splat.load_scene(&args.data, args.size)?;
     let stop = interrupt::stop_flag()?;
-    let mut backend = device::open(device, config.config().seed)?;
+    let mut backend = device::open(device::choose(args.machine)?, config.config().seed)?;
     backend.upload(splat.cloud.clone(), None)?;
     print_scores("before", &mut backend, &scene, &splat.settings)?;
     let mut reporter = Reporter::without_folder(&stop);

@@ -8,13 +8,18 @@ use genesplat::io::{Scene, photos};
 
 use crate::args::{RenderArgs, RenderSplit};
 use crate::progress::Bar;
-use crate::{device, output, scene, splat};
+use crate::{device, output, run_folder, scene, splat};
 
 /// Renders one viewpoint into a file, or many into a folder.
 pub fn run(args: &RenderArgs) -> Result<()> {
-    let device = device::prepare(args.machine)?;
+    match args.image {
+        Some(_) => run_folder::check_writable(&args.out)?,
+        None => run_folder::check_folder(&args.out, "0001.png")?,
+    }
+    device::use_threads(args.machine.threads)?;
     let splat = splat::open(&args.splat)?;
-    let scene = splat.load_scene(&args.data, args.size, 0)?;
+    let scene = splat.load_scene(&args.data, args.size)?;
+    scene::check_spared(&scene, &args.out)?;
     let jobs = match &args.image {
         Some(name) => vec![(find(&scene, name, &args.data)?, args.out.clone())],
         None => {
@@ -23,7 +28,7 @@ pub fn run(args: &RenderArgs) -> Result<()> {
             views.into_iter().zip(names).map(|(view, name)| (view, args.out.join(name))).collect()
         }
     };
-    let mut backend = device::open(device, 0)?;
+    let mut backend = device::open(device::choose(args.machine)?, 0)?;
     backend.upload(splat.cloud, None)?;
     let mut bar = Bar::new("renders", jobs.len() as u64);
     for (done, (view, path)) in (1..).zip(&jobs) {

@@ -3,45 +3,64 @@
 use std::time::Instant;
 
 use anyhow::Result;
+use genesplat::io::Scene;
+use genesplat::train::TrainConfig;
 
+use super::Ending;
 use crate::args::TrainArgs;
 use crate::run_folder::RunFolder;
-use crate::settings::Settings;
+use crate::settings::{ConfigFile, Settings};
 use crate::training::{Finished, Run};
-use crate::{device, interrupt, lpips, output, scene};
+use crate::{device, interrupt, lpips, output, same_scene, scene};
 
-/// Trains. The folder is proved writable before anything slow begins.
-pub fn run(args: &TrainArgs) -> Result<()> {
+/// Trains. The folder is proved writable before anything slow begins, but an earlier run's results stay in it until scene and
+/// weights are loaded: a mistyped path must not cost them.
+pub fn run(args: &TrainArgs) -> Result<Ending> {
     let began = Instant::now();
-    let settings = Settings::of_training(args)?;
-    let folder = if args.resume { RunFolder::reopen } else { RunFolder::create };
-    let folder = folder(&args.out, &settings.to_toml())?;
-    device::use_threads(settings.threads)?;
+    let config = configure(args)?;
+    device::use_threads(config.threads(args.machine))?;
     let stop = interrupt::stop_flag()?;
-    let config = settings.train.config();
-    let scene =
-        scene::load(&args.dataset, settings.dataset.size(), config.background.fixed_colour(), config.seed)?;
+    let TrainConfig { background, seed, .. } = config.train;
+    let scene = scene::load(&args.dataset, config.size(), background.fixed_colour(), seed)?;
     // Now, since weights that cannot be read should not stop a run at its end.
     let lpips = lpips::open(&args.lpips)?;
-    args.machine.device.unwrap_or_default().announce();
+    let settings = config.resolve(args.machine)?;
+    if settings.device_was_auto {
+        device::announce_auto();
+    }
+    let folder = open_folder(args, &scene, &settings)?;
     let load = (began.elapsed().as_secs_f64(), began);
-    let run = Run {
-        settings: &settings,
-        scene: &scene,
-        folder: &folder,
-        resume: args.resume,
-        lpips: lpips.as_ref(),
-        quiet: false,
-        stop: &stop,
-        load,
-    };
-    report(&run.execute()?, &folder)
+    let (settings, scene, folder, lpips) = (&settings, &scene, &folder, lpips.as_ref());
+    let run = Run { settings, scene, folder, resume: args.resume, lpips, quiet: false, stop: &stop, load };
+    let finished = run.execute()?;
+    report(&finished, folder)?;
+    Ok(if finished.interrupted { Ending::Stopped } else { Ending::Whole })
+}
+
+/// What is to be done, checked as far as that is possible at once.
+fn configure(args: &TrainArgs) -> Result<ConfigFile> {
+    let check = if args.resume { RunFolder::check_resumable } else { RunFolder::check_free };
+    check(&args.out)?;
+    scene::check_apart(&args.dataset, &args.out)?;
+    ConfigFile::of_training(args)
+}
+
+/// The folder for the results: from here on, those of an earlier run are gone.
+fn open_folder(args: &TrainArgs, scene: &Scene, settings: &Settings) -> Result<RunFolder> {
+    scene::check_spared(scene, &RunFolder::test_in(&args.out))?;
+    if args.resume {
+        same_scene::check_photos(&args.out, scene)?;
+        return RunFolder::reopen(&args.out, &settings.to_toml());
+    }
+    RunFolder::create(&args.out, &settings.to_toml())
 }
 
 fn report(finished: &Finished, folder: &RunFolder) -> Result<()> {
     let metrics = &finished.metrics;
     output::print(&output::scores_line("test", &metrics.test))?;
-    output::print(&output::scores_line("train", &metrics.train))?;
+    if !finished.interrupted {
+        output::print(&output::scores_line("train", &metrics.train))?;
+    }
     output::print(&format!(
         "{} Gaussians after {} iterations in {:.0} s: {}",
         metrics.gaussians,

@@ -1,4 +1,4 @@
-//! From a file to a checked list of cells. Nothing here runs or touches a disk.
+//! From a file to a checked list of cells. Nothing here runs, or touches a disk but to see whether the scenes are there.
 //!
 //! Settings of an arm are those of all cells with its own written over them, key by key; a table that has a `kind`
 //! replaces the other, since kinds have keys of their own.
@@ -11,6 +11,7 @@ use toml::{Table, Value};
 
 use super::file::{ArmTable, ExperimentFile, GalleryTable, control_table};
 use crate::args::MachineArgs;
+use crate::scene;
 use crate::settings::{ConfigFile, Settings};
 
 /// The scene that needs no folder.
@@ -75,7 +76,9 @@ impl Experiment {
             for variant in 0..self.file.variants.len() {
                 for seed in 0..self.file.seeds.len() {
                     let cell = Cell { scene: 0, variant, arm, seed };
-                    self.settings(cell, Path::new(""), MachineArgs::default(), Some(0.0))
+                    let config = self.config(cell, Path::new(""), Some(0.0));
+                    config
+                        .and_then(|config| config.check())
                         .map_err(|error| anyhow!("arm `{}`: {error}", self.arms[arm].name))?;
                 }
             }
@@ -104,6 +107,37 @@ impl Experiment {
         scene_label(&self.file.scenes[scene])
     }
 
+    /// Where a scene's photos are, if `data` holds the scenes and `out` the experiment.
+    pub fn scene_path(&self, scene: usize, data: Option<&Path>, out: &Path) -> PathBuf {
+        let name = &self.file.scenes[scene];
+        if name == BUNDLED {
+            // The options are in the path, so that runs on another gallery are not taken for runs on this one.
+            let options = self.file.gallery.options();
+            let kind = format!("{}x{}-{}-{}", options.width, options.height, options.views, options.points);
+            return out.join("scenes").join(kind).join(BUNDLED);
+        }
+        data.unwrap_or(Path::new("")).join(name)
+    }
+
+    /// Fails where a scene is missing or is the folder `out` itself.
+    pub fn check_scenes(&self, data: Option<&Path>, out: &Path) -> Result<()> {
+        let scenes = &self.file.scenes;
+        let foreign = scenes.iter().filter(|name| *name != BUNDLED);
+        if let (None, Some(name)) = (data, foreign.clone().next()) {
+            bail!("the experiment needs the scene {name}; give the folder that holds it as --data FOLDER");
+        }
+        let folder = data.unwrap_or(Path::new(""));
+        let missing: Vec<&str> =
+            foreign.filter(|name| !folder.join(name).is_dir()).map(String::as_str).collect();
+        ensure!(
+            missing.is_empty(),
+            "{} has no folder called {}; put the scenes there, or take them out of the experiment",
+            folder.display(),
+            missing.join(", ")
+        );
+        (0..scenes.len()).try_for_each(|scene| scene::check_apart(&self.scene_path(scene, data, out), out))
+    }
+
     /// Where a cell's run folder is, below the experiment's.
     pub fn folder(&self, cell: Cell) -> PathBuf {
         let (scene, variant) = (self.scene_name(cell.scene), self.file.variants[cell.variant].name());
@@ -119,6 +153,11 @@ impl Experiment {
         machine: MachineArgs,
         control_seconds: Option<f64>,
     ) -> Result<Settings> {
+        self.config(cell, path, control_seconds)?.resolve(machine)
+    }
+
+    /// The same before there is a device.
+    fn config(&self, cell: Cell, path: &Path, control_seconds: Option<f64>) -> Result<ConfigFile> {
         let (file, arm) = (&self.file, &self.arms[cell.arm]);
         let mut config = ConfigFile::from_table(arm.config.clone()).map_err(|error| anyhow!("{error}"))?;
         config.train.seed = file.seeds[cell.seed];
@@ -129,7 +168,7 @@ impl Experiment {
             let stages = config.train.clone().resolve()?.schedule().stages().count();
             config.train.evolution.control_seconds = seconds / stages.max(1) as f64;
         }
-        config.resolve(machine)
+        Ok(config)
     }
 }
 

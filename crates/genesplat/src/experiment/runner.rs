@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
-use anyhow::{Result, anyhow, bail, ensure};
+use anyhow::{Result, anyhow, bail};
 use genesplat::io::{LoadOptions, PhotoSize, Scene, gallery, load_points};
 use genesplat::train::evaluate::Lpips;
 
@@ -16,9 +16,9 @@ use super::plan::{BUNDLED, Cell, Experiment};
 use super::results::{CellMetrics, Results};
 use crate::args::MachineArgs;
 use crate::run_folder::RunFolder;
-use crate::scene;
 use crate::settings::{ConfigFile, Settings};
 use crate::training::Run;
+use crate::{output, same_scene, scene};
 
 /// How to run an experiment.
 pub struct Runner<'a> {
@@ -32,7 +32,7 @@ pub struct Runner<'a> {
     pub machine: MachineArgs,
     /// The learned measure, if it can be taken.
     pub lpips: Option<&'a Lpips>,
-    /// Set by Ctrl-C.
+    /// Set by Ctrl-C and SIGTERM.
     pub stop: &'a AtomicBool,
 }
 
@@ -46,7 +46,6 @@ enum State {
 impl<'a> Runner<'a> {
     /// Runs everything, or until it is stopped; returns what is finished.
     pub fn run(&self) -> Result<Results<'a>> {
-        self.check_scenes()?;
         self.check_folders()?;
         let cells = self.experiment.cells();
         let (mut results, mut scenes) = (Results::none(self.experiment), Scenes::default());
@@ -83,14 +82,7 @@ impl<'a> Runner<'a> {
 
     /// Where a scene's photos are.
     pub fn scene_path(&self, scene: usize) -> PathBuf {
-        let (file, name) = (&self.experiment.file, &self.experiment.file.scenes[scene]);
-        if name == BUNDLED {
-            // The options are in the path, so that runs on another gallery are not taken for runs on this one.
-            let options = file.gallery.options();
-            let kind = format!("{}x{}-{}-{}", options.width, options.height, options.views, options.points);
-            return self.out.join("scenes").join(kind).join(BUNDLED);
-        }
-        self.data.unwrap_or(Path::new("")).join(name)
+        self.experiment.scene_path(scene, self.data, self.out)
     }
 
     /// The scene of a cell, at the size and on the background that it is trained with.
@@ -126,6 +118,10 @@ impl<'a> Runner<'a> {
     ) -> Result<bool> {
         let began = Instant::now();
         let scene = scenes.get(self, cell, settings)?;
+        scene::check_spared(scene, &RunFolder::test_in(path))?;
+        if resume {
+            same_scene::check_photos(path, scene)?;
+        }
         let folder = if resume { RunFolder::reopen } else { RunFolder::replace };
         let folder = folder(path, &settings.to_toml())?;
         let load = (began.elapsed().as_secs_f64(), began);
@@ -136,7 +132,8 @@ impl<'a> Runner<'a> {
 
     fn state(&self, cell: Cell, settings: &Settings) -> State {
         let path = self.out.join(self.experiment.folder(cell));
-        let is_this_run = ConfigFile::of_run(&path).is_ok_and(|config| config.repeats(settings));
+        let is_this_run =
+            ConfigFile::of_run(&path).is_ok_and(|config| self.difference(cell, &config, settings).is_none());
         let whole = settings.train.schedule().iterations;
         if !is_this_run {
             return State::Missing;
@@ -149,26 +146,6 @@ impl<'a> Runner<'a> {
         }
     }
 
-    /// Fails where a scene is missing, before anything has begun.
-    fn check_scenes(&self) -> Result<()> {
-        let scenes = &self.experiment.file.scenes;
-        let foreign = scenes.iter().filter(|name| *name != BUNDLED);
-        if let (None, Some(name)) = (self.data, foreign.clone().next()) {
-            bail!("the experiment needs the scene {name}; give the folder that holds it as --data FOLDER");
-        }
-        let missing: Vec<&str> = foreign
-            .filter(|name| !self.data.unwrap_or(Path::new("")).join(name).is_dir())
-            .map(String::as_str)
-            .collect();
-        ensure!(
-            missing.is_empty(),
-            "{} has no folder called {}; put the scenes there, or take them out of the experiment",
-            self.data.unwrap_or(Path::new("")).display(),
-            missing.join(", ")
-        );
-        Ok(())
-    }
-
     /// Finished cells of another experiment are not overwritten. A control is no cell of another experiment just because
     /// the arm that it controls was run again.
     fn check_folders(&self) -> Result<()> {
@@ -179,14 +156,23 @@ impl<'a> Runner<'a> {
             }
             let path = self.out.join(self.experiment.folder(cell));
             let settings = self.settings(cell, &results)?;
-            let other = ConfigFile::of_run(&path).is_ok_and(|config| !config.repeats(&settings));
-            ensure!(
-                !other || CellMetrics::read(&path).is_none(),
-                "{} holds a run with other settings; choose another --out, or remove that folder to have it run anew",
-                path.display()
-            );
+            let config = ConfigFile::of_run(&path).ok().filter(|_| CellMetrics::read(&path).is_some());
+            if let Some(difference) = config.and_then(|config| self.difference(cell, &config, &settings)) {
+                bail!(
+                    "{} holds a run with other settings ({difference}); choose another --out, or remove that folder to have it \
+                     run anew",
+                    path.display()
+                );
+            }
         }
         Ok(())
+    }
+
+    /// What makes a run of `config` another one than that of a cell with these settings. A scene is known by its name, the bundled
+    /// one by its options, too: where the folders are now, and where the command is started, does not matter.
+    fn difference(&self, cell: Cell, config: &ConfigFile, settings: &Settings) -> Option<String> {
+        let is_bundled = self.experiment.file.scenes[cell.scene] == BUNDLED;
+        config.difference(settings, if is_bundled { 2 } else { 1 })
     }
 }
 
@@ -236,10 +222,10 @@ struct Board<'a> {
 
 impl<'a> Board<'a> {
     fn new(experiment: &'a Experiment, cells: usize) -> Self {
-        eprintln!(
+        output::tell(&format!(
             "{:>9}  {:<14} {:<14} {:<14} {:>5} {:>10} {:>10} {:>10} {:>8}",
             "cell", "scene", "variant", "arm", "seed", "test PSNR", "train PSNR", "Gaussians", "seconds"
-        );
+        ));
         Self { experiment, cells, done: 0, ran: 0, began: Instant::now() }
     }
 
@@ -274,6 +260,71 @@ impl<'a> Board<'a> {
             metrics.gaussians,
             metrics.seconds.gradient + metrics.seconds.evolution,
         );
-        eprintln!("{}", line.trim_end());
+        output::tell(line.trim_end());
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+
+    use super::*;
+    use crate::device::Device;
+
+    fn experiment(more: &str) -> Experiment {
+        let text = "title = \"t\"\nscenes = [\"gallery\", \"fox\"]\nseeds = [0]\nevolve = [\"off\"]\n";
+        Experiment::new(toml::from_str(&format!("{text}{more}")).unwrap()).unwrap()
+    }
+
+    fn runner<'a>(
+        experiment: &'a Experiment,
+        out: &'a Path,
+        data: &'a Path,
+        stop: &'a AtomicBool,
+    ) -> Runner<'a> {
+        let machine = MachineArgs { device: Some(Device::Cpu), threads: None };
+        Runner { experiment, out, data: Some(data), machine, lpips: None, stop }
+    }
+
+    /// Settings and metrics of a finished run in the folder of each cell.
+    fn pretend_to_run(runner: &Runner<'_>) {
+        for cell in runner.experiment.cells() {
+            let settings = runner.settings(cell, &Results::none(runner.experiment)).unwrap();
+            let folder = runner.out.join(runner.experiment.folder(cell));
+            let folder = RunFolder::replace(&folder, &settings.to_toml()).unwrap();
+            let scores = serde_json::json!({"psnr": 30.0, "ssim": 0.9});
+            let seconds = serde_json::json!({"gradient": 1.0, "evolution": 0.0});
+            let metrics = serde_json::json!({"iterations": 30_000, "gaussians": 20, "test": scores, "train": scores,
+                "seconds": seconds, "evolution": []});
+            folder.write_metrics(&metrics).unwrap();
+        }
+    }
+
+    #[test]
+    fn finished_cells_are_known_wherever_they_and_their_scenes_are_now() {
+        let place = tempfile::tempdir().unwrap();
+        let [out, moved] = ["out", "deep/moved"].map(|name| place.path().join(name));
+        let (here, stop) = (experiment(""), AtomicBool::new(false));
+        pretend_to_run(&runner(&here, &out, Path::new("scenes"), &stop));
+        fs::create_dir(place.path().join("deep")).unwrap();
+        fs::rename(&out, &moved).unwrap();
+
+        let again = runner(&here, &moved, place.path(), &stop);
+        again.check_folders().unwrap();
+        for cell in here.cells() {
+            let settings = again.settings(cell, &Results::none(&here)).unwrap();
+            assert!(matches!(again.state(cell, &settings), State::Finished(_)));
+        }
+        let others = [
+            ("[gallery]\nwidth = 64", "its scene is"),
+            ("config.iterations = 7", "iterations is 30000 there and 7 here"),
+            ("max_side = 99", "dataset.max_side is not set there and 99 here"),
+        ];
+        for (more, words) in others {
+            let other = experiment(more);
+            let refusal =
+                runner(&other, &moved, place.path(), &stop).check_folders().unwrap_err().to_string();
+            assert!(refusal.contains(words) && refusal.contains("other settings"), "{refusal}");
+        }
     }
 }

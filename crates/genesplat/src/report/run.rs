@@ -40,9 +40,7 @@ impl RunPage<'_> {
     /// The page.
     pub fn to_html(&self) -> Result<String> {
         let Metrics { dataset, variant, evolve, seed, .. } = self.metrics;
-        let mode =
-            serde_json::to_value(evolve).map_or(String::new(), |mode| mode.as_str().unwrap_or("").to_owned());
-        let title = format!("{dataset}: {variant}, evolution {mode}, seed {seed}");
+        let title = format!("{dataset}: {variant}, evolution {}, seed {seed}", evolve.name());
         let curves = Curves::read(&self.folder.join("log.jsonl"))?;
         let mut page = Html::new();
         page.element("h1", &title);

@@ -3,6 +3,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use genesplat::core::Photo;
 use genesplat::io::photos::{read_photo, write_png};
 use tempfile::TempDir;
 
@@ -109,6 +110,31 @@ fn a_single_camera() {
     Spoilt::new(keep_one).fails(&["not enough photos"]);
 }
 
+/// Linux takes any bytes as names; settings are text.
+#[cfg(target_os = "linux")]
+#[test]
+fn paths_that_are_no_text() {
+    use std::ffi::OsStr;
+    use std::os::unix::ffi::OsStrExt;
+
+    let folder = tempfile::tempdir().unwrap();
+    let odd = folder.path().join(OsStr::from_bytes(b"sc\xffne"));
+    write_gallery(&odd);
+    let out = folder.path().join("run");
+    let arguments = |out: &Path| {
+        [OsStr::new("train"), odd.as_os_str(), OsStr::new("--out"), out.as_os_str()].map(OsStr::to_owned)
+    };
+    let cpu = ["--device", "cpu", "--iterations", "3"].map(OsStr::new).map(OsStr::to_owned);
+    fail(arguments(&out).iter().chain(&cpu), &["path of the scene", "not UTF-8", "rename"]);
+    assert!(!out.exists());
+    let smoke = ["experiment", "smoke", "--out"].map(OsStr::new);
+    fail(smoke.into_iter().chain([odd.as_os_str()]), &["path of the scene", "not UTF-8"]);
+    // Where the scene's path is text, that of the results need not be.
+    let mut fine = arguments(&odd.join("run"));
+    fine[1] = scene().into();
+    succeed(fine.iter().chain(&cpu));
+}
+
 #[test]
 fn folders_that_are_no_scene() {
     let folder = tempfile::tempdir().unwrap();
@@ -150,6 +176,25 @@ fn a_full_disk_stops_training_and_keeps_what_could_be_saved() {
     succeed(train(scene(), &out, &["--resume", "--iterations", "20"]));
 }
 
+/// Where nobody hears what a run says, it goes on; and an error is an exit status, not an abort.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_full_stderr_ends_nothing() {
+    use std::process::Stdio;
+
+    use crate::support::command;
+
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("run");
+    let status = |arguments: Vec<String>| {
+        let full = fs::File::options().write(true).open("/dev/full").unwrap();
+        command(arguments).stderr(full).stdout(Stdio::null()).status().unwrap().code()
+    };
+    assert_eq!(status(train(scene(), &out, &["--iterations", "20"])), Some(0));
+    assert!(out.join("metrics.json").exists());
+    assert_eq!(status(train(&folder.path().join("absent"), &out, &[])), Some(1));
+}
+
 #[test]
 fn a_folder_that_belongs_to_something_else_is_left_alone() {
     let folder = tempfile::tempdir().unwrap();
@@ -157,6 +202,49 @@ fn a_folder_that_belongs_to_something_else_is_left_alone() {
     fs::write(&config, "title = 'my site'").unwrap();
     fail(train(scene(), folder.path(), &[]), &["config.toml", "something else"]);
     assert_eq!(fs::read_to_string(config).unwrap(), "title = 'my site'");
+}
+
+/// A Blender scene has its test photos where a run has its renders of them.
+#[test]
+fn photos_of_the_scene_are_never_written_over() {
+    let folder = tempfile::tempdir().unwrap();
+    let (blender, run) = (folder.path().join("blender"), folder.path().join("run"));
+    write_blender(&blender);
+    let photo = blender.join("test/r_0.png");
+    let before = fs::read(&photo).unwrap();
+    fail(train(&blender, &blender, &["--iterations", "3"]), &["blender", "folder of the scene"]);
+    fail(train(&blender, &blender.join("../blender/."), &[]), &["folder of the scene"]);
+    // From inside, where the folder of the results is another one, but not that of the renders.
+    let inner = blender.join("test/transforms.json");
+    fs::copy(blender.join("transforms_test.json"), &inner).unwrap();
+    fs::write(&inner, fs::read_to_string(&inner).unwrap().replace("./test/", "./")).unwrap();
+    fail(train(&blender.join("test"), &blender, &["--iterations", "3"]), &["test", "photos of the scene"]);
+
+    succeed(train(&blender, &run, &["--iterations", "3"]));
+    let render = |more: &[&str]| {
+        let fixed = ["render", text(&run), "--data", text(&blender)];
+        fixed.iter().chain(more).map(|word| (*word).to_owned()).collect::<Vec<_>>()
+    };
+    fail(render(&["--split", "test", "--out", text(&blender.join("test"))]), &["photos of the scene"]);
+    fail(render(&["--image", "test_r_0.png", "--out", text(&photo)]), &["r_0.png", "photos of the scene"]);
+    assert!(before == fs::read(&photo).unwrap());
+    succeed(render(&["--split", "test", "--out", text(&blender.join("renders"))]));
+}
+
+/// Two photos to train on and two to test on, 32x32 pixels.
+fn write_blender(scene: &Path) {
+    for split in ["train", "test"] {
+        let frames: Vec<_> = (0..2)
+            .map(|index| {
+                let photo = Photo { width: 32, height: 32, rgb: vec![40 + 90 * index as u8; 3 * 32 * 32] };
+                write_png(&scene.join(format!("{split}/r_{index}.png")), &photo).unwrap();
+                let pose = [[1, 0, 0, index], [0, 1, 0, 0], [0, 0, 1, 4], [0, 0, 0, 1]];
+                serde_json::json!({"file_path": format!("./{split}/r_{index}"), "transform_matrix": pose})
+            })
+            .collect();
+        let description = serde_json::json!({"camera_angle_x": 0.7, "frames": frames});
+        fs::write(scene.join(format!("transforms_{split}.json")), description.to_string()).unwrap();
+    }
 }
 
 #[test]
@@ -203,6 +291,16 @@ fn configurations_that_are_wrong() {
 }
 
 #[test]
+fn flags_that_do_not_go_together() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("run");
+    for variant in ["pixel-gs", "mcmc"] {
+        let flags = ["--densify-signal", "absolute", "--variant", variant];
+        fail(train(scene(), &out, &flags), &["--densify-signal", variant, "leave the flag out"]);
+    }
+}
+
+#[test]
 fn a_device_that_is_not_there() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("run");
@@ -217,6 +315,8 @@ fn wrong_usage_has_status_2() {
         &["train", "x", "--out", "y", "--iterations", "0"],
         &["train", "x", "--out", "y", "--steps-scale", "0"],
         &["train", "x", "--out", "y", "--evolve", "sometimes"],
+        &["train", "x", "--out", "y", "--evolve", "paper", "--generations", "0"],
+        &["refine", "x", "--data", "y", "--out", "z", "--generations", "0"],
         &["train", "x", "--out", "y", "--max-side", "100", "--downscale", "2"],
         &["render", "x", "--data", "y", "--out", "z"],
         &["nonsense"],

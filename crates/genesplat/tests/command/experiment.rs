@@ -91,6 +91,12 @@ fn finished_cells_are_left_alone_and_spoilt_ones_repeated() {
         first.keys().filter(|name| first[*name] != again[*name]).map(String::as_str).collect();
     assert_eq!(repeated, ["control/seed-1", "off/seed-0", "paper/seed-1"]);
     assert_eq!(figures(&out), whole, "the same figures");
+
+    // Wherever the folder is now, its cells are the same.
+    let moved = folder.path().join("moved");
+    fs::rename(&out, &moved).unwrap();
+    succeed(experiment(&file, &moved, &[]));
+    assert_eq!(times(&moved), again);
 }
 
 #[cfg(unix)]
@@ -117,7 +123,7 @@ fn an_interrupted_experiment_goes_on_to_the_same_tables() {
     assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
     let output = child.wait_with_output().unwrap();
     let said = String::from_utf8(output.stdout).unwrap();
-    assert!(output.status.success() && said.contains("the same command goes on"), "{said}");
+    assert!(output.status.code() == Some(130) && said.contains("the same command goes on"), "{said}");
     let kept = fs::metadata(broken.join("cells/gallery/3dgs/off/seed-0/metrics.json")).unwrap();
 
     succeed(experiment(&file, &broken, &LONGER));
@@ -172,5 +178,9 @@ fn what_cannot_be_run_is_said_at_once() {
     fail(["experiment", "smokee", "--out", text(&out)], &["smokee", "ablation-trigger"]);
     let file = write(folder.path(), r#"evolve = ["off", "sideways"]"#);
     fail(experiment(&file, &out, &[]), &["sideways"]);
+    let own = folder.path().join("fox");
+    fs::create_dir(&own).unwrap();
+    fs::write(&file, SMALL.replace("\"gallery\"]", "\"fox\"]\nevolve = [\"off\"]")).unwrap();
+    fail(experiment(&file, &own, &["--data", text(folder.path())]), &["fox", "folder of the scene"]);
     assert!(!out.join("cells").exists());
 }

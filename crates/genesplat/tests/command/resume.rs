@@ -2,11 +2,14 @@
 
 #![cfg(unix)]
 
+use std::fs;
 use std::path::Path;
-use std::process::{Command, Stdio};
+use std::process::{Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
-use crate::support::{cloud, command, fail, json, scene, succeed, train};
+use genesplat::io::{GalleryOptions, gallery};
+
+use crate::support::{cloud, command, fail, json, scene, succeed, train, write_gallery};
 
 /// Long enough to be caught in the act; evolves four times.
 const SCHEDULE: [&str; 10] = [
@@ -25,17 +28,22 @@ const SCHEDULE: [&str; 10] = [
 /// Starts a run, and presses Ctrl-C once its log holds a line with `sign`. Returns what it said.
 fn interrupt(out: &Path, more: &[&str], sign: &str) -> String {
     let arguments = train(scene(), out, &[&SCHEDULE, more].concat());
-    let child = command(arguments).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    let output = signal(&mut command(arguments), out, sign, "-INT");
+    assert_eq!(output.status.code(), Some(130), "{}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout).unwrap()
+}
+
+/// Starts a run that reports to `out`, and sends it a signal once its log holds a line with `sign`.
+fn signal(command: &mut Command, out: &Path, sign: &str, signal: &str) -> Output {
+    let child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
     let log = out.join("log.jsonl");
     let deadline = Instant::now() + Duration::from_secs(100);
-    while !std::fs::read_to_string(&log).is_ok_and(|text| text.contains(sign)) {
+    while !fs::read_to_string(&log).is_ok_and(|text| text.contains(sign)) {
         assert!(Instant::now() < deadline, "no {sign} in the log");
         std::thread::sleep(Duration::from_millis(5));
     }
-    assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
-    let output = child.wait_with_output().unwrap();
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    String::from_utf8(output.stdout).unwrap()
+    assert!(Command::new("kill").args([signal, &child.id().to_string()]).status().unwrap().success());
+    child.wait_with_output().unwrap()
 }
 
 #[test]
@@ -45,9 +53,13 @@ fn an_interrupted_run_is_saved_and_resumed_exactly() {
     succeed(train(scene(), &whole, &SCHEDULE));
 
     let said = interrupt(&broken, &[], r#""event":"step""#);
-    assert!(said.contains("--resume"), "{said}");
+    assert!(said.contains("--resume") && said.contains("test") && !said.contains("train"), "{said}");
     let metrics = json(&broken.join("metrics.json"));
     assert!(metrics["iterations"].as_u64().unwrap() < 3000, "it was stopped before its end");
+    assert!(
+        metrics["test"]["psnr"].is_f64() && metrics["train"]["psnr"].is_null(),
+        "nobody waits for {metrics}"
+    );
     assert!(broken.join("checkpoint/latest.checkpoint").exists() && !cloud(&broken).is_empty());
 
     // Once more, at another place; then to the end, with the settings repeated or left out.
@@ -60,7 +72,7 @@ fn an_interrupted_run_is_saved_and_resumed_exactly() {
     };
     assert_eq!(figures(&whole), figures(&broken));
     assert!(!broken.join("checkpoint/latest.checkpoint").exists(), "a finished run has nothing to resume");
-    fail(train(scene(), &broken, &["--resume"]), &["no checkpoint", "without --resume"]);
+    fail(train(scene(), &broken, &["--resume"]), &["is finished", "nothing to resume"]);
 }
 
 #[test]
@@ -73,9 +85,43 @@ fn an_interrupted_run_is_neither_overwritten_nor_resumed_as_another() {
     fail(train(scene(), &out, &["--resume", "--max-side", "32"]), &["--resume", "others were given"]);
     // A torn checkpoint is noticed.
     let checkpoint = out.join("checkpoint/latest.checkpoint");
-    let bytes = std::fs::read(&checkpoint).unwrap();
-    std::fs::write(&checkpoint, &bytes[..bytes.len() - 9]).unwrap();
+    let bytes = fs::read(&checkpoint).unwrap();
+    fs::write(&checkpoint, &bytes[..bytes.len() - 9]).unwrap();
     fail(train(scene(), &out, &["--resume"]), &["latest.checkpoint"]);
+}
+
+#[test]
+fn a_run_goes_on_with_its_own_scene_only_wherever_that_is_now() {
+    let folder = tempfile::tempdir().unwrap();
+    let [out, before, after, other] =
+        ["run", "before", "after", "other"].map(|name| folder.path().join(name));
+    write_gallery(&before);
+    let output = signal(&mut command(train(&before, &out, &SCHEDULE)), &out, r#""event":"step""#, "-TERM");
+    assert_eq!(output.status.code(), Some(130), "SIGTERM saves, too");
+    let config = || fs::read(out.join("config.toml")).unwrap();
+    let saved = config();
+    fail(train(scene(), &out, &["--resume"]), &["goes on with the scene", "before", "another folder"]);
+
+    fs::rename(&before, &after).unwrap();
+    let smaller = GalleryOptions { width: 64, height: 48, views: 10, points: 300, seed: 5 };
+    gallery::generate(&smaller).write_colmap(&other).unwrap();
+    fail(train(&other, &out, &["--resume"]), &["other photos"]);
+    assert!(saved == config(), "what was refused has changed nothing");
+    succeed(train(&after, &out, &["--resume"]));
+    assert!(String::from_utf8(config()).unwrap().contains("after"));
+}
+
+/// The terminal that a run was started from is closed.
+#[test]
+fn nohup_is_respected() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("run");
+    let run = command(train(scene(), &out, &[&SCHEDULE[..], &["--no-lpips"]].concat()));
+    let mut under_nohup = Command::new("nohup");
+    under_nohup.arg(run.get_program()).args(run.get_args());
+    let output = signal(&mut under_nohup, &out, r#""event":"step""#, "-HUP");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    assert_eq!(json(&out.join("metrics.json"))["iterations"], 3000);
 }
 
 #[test]

@@ -98,6 +98,26 @@ fn a_run_may_be_repeated_in_its_folder() {
 }
 
 #[test]
+fn a_mistyped_path_costs_no_results() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("run");
+    succeed(train(scene(), &out, &["--iterations", "20"]));
+    let results = || {
+        ["metrics.json", "point_cloud.ply", "config.toml", "log.jsonl", "test/gallery_000.png"]
+            .map(|name| std::fs::read(out.join(name)).unwrap())
+    };
+    let before = results();
+    let absent = folder.path().join("absent");
+    fail(train(&absent, &out, &["--iterations", "30"]), &["absent", "does not exist"]);
+    fail(train(scene(), &out, &["--lpips-weights", text(&absent)]), &["no LPIPS weights at", "absent"]);
+    fail(train(scene(), &out, &["--config", text(&absent)]), &["absent"]);
+    assert!(before == results());
+    fail(train(scene(), &out, &["--resume"]), &["is finished", "nothing to resume", "another folder"]);
+    fail(train(scene(), &out, &["--resume", "--iterations", "40"]), &["is finished", "--iterations"]);
+    assert!(before == results());
+}
+
+#[test]
 fn options_of_the_methods_reach_the_run_and_its_splat() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("run");

@@ -149,6 +149,45 @@ fn refining_makes_an_unfinished_splat_better_and_threads_change_nothing() {
     assert!(one == refined("2").0 && one == refined("7").0);
 }
 
+/// After a search of an hour is too late.
+#[test]
+fn what_cannot_be_written_is_said_at_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let (run, here, file) = (finished_run(), text(folder.path()), folder.path().join("file"));
+    std::fs::write(&file, "in the way").unwrap();
+    let photo = scene().join("images/gallery_000.png");
+    // The scene is absent, and would be missed first if it were read.
+    let of_run = |command: &str, more: &[&str]| {
+        let fixed = [command, text(&run), "--data", "absent"];
+        fixed.iter().chain(more).map(|word| (*word).to_owned()).collect::<Vec<_>>()
+    };
+    let is_a_folder = [here, "is a folder", "name of a file"];
+    fail(of_run("refine", &["--out", here]), &is_a_folder);
+    fail(of_run("evaluate", &["--json", here]), &is_a_folder);
+    fail(of_run("render", &["--image", "gallery_000", "--out", here]), &is_a_folder);
+    fail(of_run("render", &["--split", "test", "--out", text(&file)]), &["is a file", "--out"]);
+    fail(["compare", text(&photo), text(&photo), "--json", here], &is_a_folder);
+    fail(train(scene(), &file, &["--iterations", "3"]), &["is a file", "results need a folder"]);
+    fail(["experiment", "smoke", "--out", text(&file)], &["is a file", "results need a folder"]);
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn figures_may_go_to_a_pipe() {
+    use crate::support::command;
+
+    let folder = tempfile::tempdir().unwrap();
+    let picture = text(&finished_run().join("test/gallery_000.png")).to_owned();
+    let said = succeed(["compare", &picture, &picture, "--no-lpips", "--json", "/dev/stdout"]);
+    assert!(said.contains("PSNR") && said.contains("\"ssim\": 1.0"), "{said}");
+    // Where stdout is a file, figures follow what was printed.
+    let file = folder.path().join("said.txt");
+    let stdout = std::fs::File::create(&file).unwrap();
+    let arguments = ["compare", &picture, &picture, "--no-lpips", "--json", "/dev/stdout"];
+    assert!(command(arguments).stdout(stdout).status().unwrap().success());
+    assert_eq!(std::fs::read_to_string(&file).unwrap(), said);
+}
+
 #[test]
 fn a_step_is_timed() {
     let folder = tempfile::tempdir().unwrap();
@@ -213,14 +252,23 @@ fn bench_gpu_measures_or_says_why_not() {
 fn auto_without_a_driver_trains_on_the_cpu_and_says_so() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("run");
+    let announced = |arguments: Vec<String>| {
+        let output = without_drivers(arguments).output().unwrap();
+        let stderr = String::from_utf8(output.stderr).unwrap();
+        assert!(output.status.success(), "{stderr}");
+        stderr.lines().filter(|line| line.contains("auto means the CPU")).count()
+    };
     let mut arguments = train(scene(), &out, &["--iterations", "3", "--no-lpips"]);
     let device = arguments.iter().position(|word| word == "cpu").unwrap();
     arguments[device] = "auto".into();
-    let output = without_drivers(arguments).output().unwrap();
-    let stderr = String::from_utf8(output.stderr).unwrap();
-    assert!(output.status.success(), "{stderr}");
-    let lines = stderr.lines().filter(|line| line.contains("auto means the CPU")).count();
-    assert_eq!(lines, 1, "{stderr}");
+    assert_eq!(announced(arguments.clone()), 1);
+    // The configuration of a run names the device that it had, and then nothing was left to us.
+    arguments.drain(device - 1..=device);
+    arguments.extend(["--config".into(), text(&out.join("config.toml")).into()]);
+    assert_eq!(announced(arguments), 0);
+    let evaluate = ["evaluate", text(&out), "--data", text(scene()), "--no-lpips"].map(str::to_owned);
+    assert_eq!(announced(evaluate.to_vec()), 1);
+    assert_eq!(announced([&evaluate[..], &["--device".into(), "cpu".into()]].concat()), 0);
 }
 
 #[test]

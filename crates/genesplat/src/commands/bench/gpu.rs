@@ -69,7 +69,7 @@ pub fn run(args: &BenchGpuArgs) -> Result<()> {
             report.left_out.push(gaussians);
             continue;
         }
-        eprintln!("making {gaussians} Gaussians");
+        output::tell(&format!("making {gaussians} Gaussians"));
         let mut bench = Bench::new(args, gaussians as usize)?;
         report.device = bench.backend.describe();
         let size = bench.measure(args)?;

@@ -1,0 +1,110 @@
+//! Whether a resumed run is given the scene that it began with.
+//!
+//! A scene may move between two parts of a run, so a path alone decides only while the old one exists. What tells the scene apart
+//! then is what the run has left of it: the number of training photos in the log, and the names of test photos in the figures.
+
+use std::fs::File;
+use std::io::{BufRead, BufReader};
+use std::path::Path;
+
+use anyhow::{Result, ensure};
+use genesplat::io::Scene;
+use serde::Deserialize;
+
+use crate::experiment::results::CellMetrics;
+
+/// Fails where the folders of both scenes exist and are different ones.
+pub fn check_folders(began_with: &Path, given: &Path) -> Result<()> {
+    let differ = match (began_with.canonicalize(), given.canonicalize()) {
+        (Ok(began_with), Ok(given)) => began_with != given,
+        _ => false,
+    };
+    ensure!(
+        !differ,
+        "--resume goes on with the scene {}, and {} was given; give the former, or train into another folder",
+        began_with.display(),
+        given.display()
+    );
+    Ok(())
+}
+
+/// Fails where the run in `folder` is known to have had other photos than those of `scene`.
+pub fn check_photos(folder: &Path, scene: &Scene) -> Result<()> {
+    let had = training_photos(folder);
+    let test_names = CellMetrics::read(folder).map(|metrics| metrics.test.views);
+    let same_names = test_names
+        .is_none_or(|views| views.iter().map(|view| &view.name).eq(scene.test.iter().map(|view| &view.name)));
+    ensure!(
+        had.is_none_or(|had| had == scene.train.len()) && same_names,
+        "the run in {} began with other photos than {} has now; give --resume the scene as it was, or train into another folder",
+        folder.display(),
+        scene.name
+    );
+    Ok(())
+}
+
+/// How many photos the run in `folder` trained on, as the first line of its log has it.
+fn training_photos(folder: &Path) -> Option<usize> {
+    #[derive(Deserialize)]
+    #[serde(tag = "event", rename_all = "kebab-case")]
+    enum Line {
+        Start {
+            views: usize,
+        },
+        #[serde(other)]
+        Other,
+    }
+    let log = BufReader::new(File::open(folder.join("log.jsonl")).ok()?);
+    log.lines().map_while(Result::ok).find_map(|line| match serde_json::from_str(&line) {
+        Ok(Line::Start { views }) => Some(views),
+        _ => None,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+
+    use genesplat::io::{GalleryOptions, HoldOut, gallery};
+
+    use super::*;
+
+    fn scene(views: u32) -> Scene {
+        let options = GalleryOptions { width: 16, height: 16, views, points: 20, seed: 1 };
+        gallery::generate(&options).into_scene(HoldOut::EveryEighth)
+    }
+
+    #[test]
+    fn folders_differ_only_where_both_are_there() {
+        let place = tempfile::tempdir().unwrap();
+        let [one, two] = ["one", "two"].map(|name| place.path().join(name));
+        fs::create_dir(&one).unwrap();
+        assert!(check_folders(&one, &two).is_ok() && check_folders(&one, &one.join(".")).is_ok());
+        fs::create_dir(&two).unwrap();
+        let error = check_folders(&one, &two).unwrap_err().to_string();
+        assert!(error.contains("one") && error.contains("two"), "{error}");
+    }
+
+    #[test]
+    fn what_a_run_has_left_tells_its_scene() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path();
+        assert!(check_photos(path, &scene(9)).is_ok(), "nothing is known");
+        let log = "{\"event\":\"notice\",\"text\":\"x\"}\n{\"event\":\"start\",\"views\":7,\"gaussians\":20}\n\
+                   {\"event\":\"stage-start\",\"views\":[\"a\"]}\n{\"event\":\"start\",\"views\":8}\n";
+        fs::write(path.join("log.jsonl"), log).unwrap();
+        assert!(check_photos(path, &scene(9)).is_ok() && check_photos(path, &scene(8)).is_ok());
+        assert!(check_photos(path, &scene(12)).unwrap_err().to_string().contains("other photos"));
+
+        let metrics = |name: &str| {
+            let test = serde_json::json!({"psnr": 9.0, "ssim": 0.5, "views": [{"name": name, "psnr": 9.0}]});
+            let seconds = serde_json::json!({"gradient": 1.0, "evolution": 0.0});
+            serde_json::json!({"iterations": 3, "gaussians": 20, "test": test, "train": {"psnr": null, "ssim": null},
+                "seconds": seconds, "evolution": []})
+        };
+        fs::write(path.join("metrics.json"), metrics("gallery_000.png").to_string()).unwrap();
+        assert!(check_photos(path, &scene(8)).is_ok());
+        fs::write(path.join("metrics.json"), metrics("IMG_1.png").to_string()).unwrap();
+        assert!(check_photos(path, &scene(8)).is_err());
+    }
+}
