@@ -19,9 +19,9 @@ fn config() -> TrainConfig {
     config.evolution.recombine.states = 10;
     config.evolution.recombine.views = 3;
     config.evolution.recombine.window = 0.1;
-    // Enough of them for a search to show: a run of 300 steps has a tenth of these, 3 and 8.
-    config.evolution.recombine.generations = 30;
-    config.evolution.recombine.last_generations = 80;
+    // Enough of them for a search to show: a run of 300 steps has a sixth of these, 3 and 8.
+    config.evolution.recombine.generations = 18;
+    config.evolution.recombine.last_generations = 48;
     config
 }
 
@@ -76,7 +76,7 @@ fn the_search_goes_beyond_the_mean() {
         config.evolution.recombine.generations = generations;
         run_with(&config, &mut backend()).summary.stages[0].fitness_after
     };
-    assert!(plain(30) < plain(0), "three generations against the starting point and the mean");
+    assert!(plain(18) < plain(0), "three generations against the starting point and the mean");
 }
 
 #[test]

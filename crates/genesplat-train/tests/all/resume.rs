@@ -147,8 +147,9 @@ fn out_of_memory_saves_a_run_that_resumes_exactly() {
                 assert_same(&resume(checkpoint), &whole, &format!("call {call}, queues: {queues}"));
             }
         }
-        // Two calls in each of the four stages: when gene gradients are forgotten, the best is in the cloud already.
-        assert!(unsaved <= 8, "{unsaved} failures left only what the schedule had saved");
+        // Three calls in each of the four stages: where the base cannot come back, and when gene gradients are forgotten,
+        // since the best is in the cloud already.
+        assert!(unsaved <= 12, "{unsaved} failures left only what the schedule had saved");
     }
 }
 
