@@ -42,8 +42,10 @@ struct Report {
 #[derive(Serialize)]
 struct Generation {
     generation: u32,
-    /// Mean share of the rows that an individual changes.
+    /// Mean share of the rows in which an individual differs from what most parents hold: what scoring it costs.
     changed: f64,
+    /// The same from the cloud that the search began with.
+    changed_from_base: f64,
     renders_per_second: f64,
 }
 
@@ -161,23 +163,35 @@ impl Bench {
         Ok((losses, seconds))
     }
 
-    /// How throughput changes over the generations of a search, none for 0.
+    /// How throughput changes over the generations of a search as training makes it, none for 0.
     fn search(&mut self, population: u32, generations: u32, views: &[usize]) -> Result<Vec<Generation>> {
         let mut search = algorithm(&*self.backend.download()?, population, generations)?;
         let mut found = Vec::new();
         while generations > 0 && !search.is_finished() {
-            let individuals = search.deltas(0..search.ask());
-            let (losses, seconds) = self.score(&individuals, views)?;
-            let rows: usize = individuals.iter().map(|individual| individual.rows.len()).sum();
+            let clock = Instant::now();
+            if !search.shift().is_empty() {
+                self.backend.apply(search.shift(), MomentPolicy::Keep)?;
+            }
+            let individuals = search.deltas_from_consensus(0..search.ask());
+            let losses = self.backend.score(&individuals, views, &self.settings)?;
+            let seconds = clock.elapsed().as_secs_f64();
             found.push(Generation {
                 generation: search.generation(),
-                changed: rows as f64 / (individuals.len() * self.backend.len()) as f64,
+                changed: self.share(individuals.iter().map(|individual| individual.rows.len())),
+                changed_from_base: self.share((0..search.ask()).map(|index| search.delta(index).rows.len())),
                 renders_per_second: losses.len() as f64 / seconds,
             });
             let mean = |losses: &[f32]| losses.iter().map(|&loss| f64::from(loss)).sum();
             search.tell(&losses.chunks(views.len()).map(mean).collect::<Vec<f64>>())?;
         }
+        self.backend.apply(&search.way_back(), MomentPolicy::Keep)?;
         Ok(found)
+    }
+
+    /// Mean of some numbers of rows, as a share of all rows.
+    fn share(&self, rows: impl ExactSizeIterator<Item = usize>) -> f64 {
+        let all = rows.len() * self.backend.len();
+        rows.sum::<usize>() as f64 / all as f64
     }
 
     /// How throughput and memory change when one thing is halved.
@@ -218,10 +232,11 @@ impl Report {
             format!("{what:<24}{renders_per_second:>8.1} renders/s{:>10.1} MB", megabytes(*population_bytes))
         });
         let search = self.search.iter().map(|row| {
-            let Generation { generation, changed, renders_per_second } = row;
-            let changed = 100.0 * changed;
+            let Generation { generation, changed, changed_from_base, renders_per_second } = row;
+            let [near, far] = [changed, changed_from_base].map(|share| 100.0 * share);
             format!(
-                "\ngeneration {generation:<13}{renders_per_second:>8.1} renders/s{changed:>8.1} % changed"
+                "\ngeneration {generation:<13}{renders_per_second:>8.1} renders/s, {near:.1} % of the rows scored, {far:.1} % \
+                 other than at the start"
             )
         });
         format!(
