@@ -143,8 +143,8 @@ impl GeneticAlgorithm {
         self.consensus.way_back(&self.breeder.base)
     }
 
-    /// Several individuals as differences from what most parents of this generation hold, made in parallel: a few per cent
-    /// of the rows, however far the search has come from its base.
+    /// Several individuals as differences from what most parents of this generation hold, made in parallel: far
+    /// fewer rows than from the base, once the search has come some way.
     ///
     /// # Panics
     /// As [`GeneticAlgorithm::delta`].
