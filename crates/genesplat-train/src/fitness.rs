@@ -2,7 +2,7 @@
 //!
 //! The algorithm ([`genesplat_evolve`]) asks for losses and never sees a renderer; the backend scores individuals and
 //! never sees a generation. This module stands between them. While a search goes on, the backend's cloud is what most
-//! parents of the generation have in common, since individuals differ from that in few rows, however far they have come
+//! parents of the generation have in common, since individuals differ from that in fewer rows, however far they have come
 //! from the base; they are handed over in batches of bounded size. At the end the base comes back, and is replaced by the
 //! best individual, if that is strictly better.
 
