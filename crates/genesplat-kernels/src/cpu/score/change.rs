@@ -27,7 +27,7 @@ pub struct Change {
     /// Depth bits, row, and place in `changed`, nearest first.
     order: Vec<(u64, u32)>,
     /// Block and place in `changed` of every change of a block, nearest first.
-    found: Vec<[u32; 2]>,
+    found: Vec<(u32, u32)>,
     /// The same by block: places in `changed`, and where those of each block end.
     sorted: Vec<u32>,
     ends: Vec<u32>,
@@ -77,33 +77,20 @@ impl Change {
         // 2. The blocks that each reaches.
         let grid = view.camera.grid();
         found.clear();
-        self.ends.clear();
-        self.ends.resize(grid[0] * grid[1] * BLOCKS, 0);
         for &(_, index) in order.iter() {
             for_each_tile(simd, &changed[index as usize].splat, grid, |tile, blocks| {
                 each_block(blocks, |block| {
-                    let block = tile as usize * BLOCKS + block;
-                    self.ends[block] += 1;
-                    found.push([block as u32, index]);
+                    found.push((tile * BLOCKS as u32 + block as u32, index));
                 });
             });
         }
-        self.sort();
+        self.list(grid[0] * grid[1] * BLOCKS);
     }
 
-    /// Counting sort by block, which keeps the order.
-    fn sort(&mut self) {
+    /// Sorts by block, and lists the blocks with changes.
+    fn list(&mut self, blocks: usize) {
         let Self { found, sorted, ends, dirty, .. } = self;
-        let mut sum = 0;
-        for end in ends.iter_mut() {
-            sum += std::mem::replace(end, sum);
-        }
-        sorted.resize(found.len(), 0);
-        for &[block, index] in found.iter() {
-            let slot = &mut ends[block as usize];
-            sorted[*slot as usize] = index;
-            *slot += 1;
-        }
+        sort_by_place(found, blocks, sorted, ends);
         dirty.clear();
         let mut first = 0;
         for (block, end) in ends.iter().map(|&end| end as usize).enumerate() {
@@ -134,6 +121,30 @@ impl Change {
     #[inline(always)]
     pub fn get(&self, place: u32) -> &Changed {
         &self.changed[place as usize]
+    }
+}
+
+/// Counting sort of what was found by its place (a block, a tile), in the order in which it was found, and where the items of
+/// each of the `places` end.
+#[inline(always)]
+pub fn sort_by_place<T: Copy + Default>(
+    found: &[(u32, T)],
+    places: usize,
+    sorted: &mut Vec<T>,
+    ends: &mut Vec<u32>,
+) {
+    ends.clear();
+    ends.resize(places, 0);
+    found.iter().for_each(|&(place, _)| ends[place as usize] += 1);
+    let mut sum = 0;
+    for end in ends.iter_mut() {
+        sum += std::mem::replace(end, sum);
+    }
+    sorted.resize(found.len(), T::default());
+    for &(place, item) in found {
+        let slot = &mut ends[place as usize];
+        sorted[*slot as usize] = item;
+        *slot += 1;
     }
 }
 

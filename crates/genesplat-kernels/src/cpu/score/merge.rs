@@ -12,7 +12,7 @@ use super::super::project::{Splat, TILE, project_group};
 use super::super::rasterise::{ALL_BLOCKS, BLOCKS, TileImage, blend};
 use super::super::simd::prefetch;
 use super::base::{BaseView, Light, Stored, write_block};
-use super::change::key;
+use super::change::{key, sort_by_place};
 use super::on_background;
 
 /// Entries between a splat that is asked for and the one that is blended.
@@ -70,29 +70,12 @@ impl Merge {
         // 3. The tiles that each reaches.
         let grid = view.camera.grid();
         self.found.clear();
-        self.ends.clear();
-        self.ends.resize(grid[0] * grid[1], 0);
         for &(_, index) in &self.order {
             for_each_tile(simd, &self.own[index as usize], grid, |tile, blocks| {
-                self.ends[tile as usize] += 1;
                 self.found.push((tile, TileSplat { splat: index, blocks }));
             });
         }
-        self.sort();
-    }
-
-    /// Counting sort by tile, which keeps the order.
-    fn sort(&mut self) {
-        let mut sum = 0;
-        for end in &mut self.ends {
-            sum += std::mem::replace(end, sum);
-        }
-        self.entries.resize(self.found.len(), TileSplat::default());
-        for &(tile, entry) in &self.found {
-            let slot = &mut self.ends[tile as usize];
-            self.entries[*slot as usize] = entry;
-            *slot += 1;
-        }
+        sort_by_place(&self.found, grid[0] * grid[1], &mut self.entries, &mut self.ends);
     }
 
     /// Renders the individual.

@@ -38,7 +38,8 @@ pub fn score(
         .into_par_iter()
         .map_init(Scratch::default, |scratch, task| {
             let (view, individual) = (views[task / population.len()], &population[task % population.len()]);
-            dispatch!(level, simd => scratch.loss(simd, cloud, individual, view, settings))
+            let merged = individual.rows.len() as f64 > MERGED_SHARE * cloud.len() as f64;
+            dispatch!(level, simd => scratch.loss(simd, cloud, individual, view, settings, merged))
         })
         .collect();
     let places =
@@ -65,22 +66,9 @@ struct Scratch {
 }
 
 impl Scratch {
+    /// The loss of an individual, blended anew from merged lists or patched.
     #[inline(always)]
     fn loss<S: Simd>(
-        &mut self,
-        simd: S,
-        cloud: &Gaussians,
-        individual: &SparseDelta,
-        view: &BaseView,
-        settings: &RenderSettings,
-    ) -> f32 {
-        let changes_much = individual.rows.len() as f64 > MERGED_SHARE * cloud.len() as f64;
-        self.loss_by(simd, cloud, individual, view, settings, changes_much)
-    }
-
-    /// The same, with one of the two ways to render.
-    #[inline(always)]
-    fn loss_by<S: Simd>(
         &mut self,
         simd: S,
         cloud: &Gaussians,

@@ -48,7 +48,7 @@ fn check(base: &Gaussians, population: &[SparseDelta], views: &[View], settings:
                 BaseView::new(Level::new(), base, (&views[view].camera).into(), &target, settings);
             let by = |merged: bool| {
                 let mut scratch = Scratch::default();
-                dispatch!(Level::new(), simd => scratch.loss_by(simd, base, individual, &base_view, settings, merged))
+                dispatch!(Level::new(), simd => scratch.loss(simd, base, individual, &base_view, settings, merged))
             };
             for score in [score, by(false), by(true)] {
                 assert!((score / plain - 1.0).abs() < TOLERANCE, "{score} instead of {plain}, view {view}");
