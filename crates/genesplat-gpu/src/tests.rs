@@ -3,6 +3,7 @@
 //! These tests need a Vulkan, Metal or DX12 driver; Mesa's `lavapipe` will do. Without one they say that they were skipped,
 //! and where `GENESPLAT_REQUIRE_GPU` is set, as `.ci/run` does, that is a failure.
 
+mod room;
 mod stages;
 mod verbs;
 

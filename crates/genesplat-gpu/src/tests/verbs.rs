@@ -1,15 +1,14 @@
-//! Every verb of the backend, and what happens when memory is short.
+//! Every verb of the backend.
 
 use genesplat_core::backend::{Exploration, MomentPolicy};
 use genesplat_core::{
-    BackendError, Blend, Judgement, Lineage, Merit, Moments, Origin, Photo, RowEdit, SparseDelta, Statistics,
-    View,
+    BackendError, Blend, Judgement, Merit, Moments, Origin, Photo, RowEdit, SparseDelta, View,
 };
 
 use super::*;
 
 /// Both twins after the same verbs; clouds, moments and reports must agree.
-fn twins_agree(stage: &str, gpu: &mut GpuBackend, verbs: impl Fn(&mut dyn Backend)) {
+pub(super) fn twins_agree(stage: &str, gpu: &mut GpuBackend, verbs: impl Fn(&mut dyn Backend)) {
     let mut cpu = cpu();
     let twins: [&mut dyn Backend; 2] = [gpu, &mut cpu];
     let [actual, expected] = twins.map(|twin| {
@@ -23,7 +22,7 @@ fn twins_agree(stage: &str, gpu: &mut GpuBackend, verbs: impl Fn(&mut dyn Backen
 }
 
 /// Ten steps of everything that a step can do.
-fn ten_steps(twin: &mut dyn Backend, exploration: Option<Exploration>) {
+pub(super) fn ten_steps(twin: &mut dyn Backend, exploration: Option<Exploration>) {
     let mut start = cloud(300);
     start.opacity_logits.iter_mut().step_by(3).for_each(|logit| *logit -= 6.0);
     twin.upload(start, None).unwrap();
@@ -51,7 +50,7 @@ fn explore_matches() {
 }
 
 /// Kept, cloned, split, relocated and pruned rows, then a reset, single genes, a filter and another step.
-fn change_rows(twin: &mut dyn Backend) {
+pub(super) fn change_rows(twin: &mut dyn Backend) {
     twin.upload(cloud(300), None).unwrap();
     twin.train_step(&step(1, settings(2, ScreenFilter::Classic))).unwrap();
     let mut edit = RowEdit { iteration: 600, ..RowEdit::keep((0..250).rev().collect()) };
@@ -98,7 +97,7 @@ fn push_twins(edit: &mut RowEdit, rows: std::ops::Range<u32>) {
 }
 
 /// Twins of half of the rows, among them opaque ones and such whose longest axis is not the only one.
-fn make_twins(twin: &mut dyn Backend) {
+pub(super) fn make_twins(twin: &mut dyn Backend) {
     let mut start = filtered_cloud(300, ScreenFilter::Mip);
     start.opacity_logits.iter_mut().step_by(5).for_each(|logit| *logit = 12.0);
     for (row, scales) in [(200, [-1.0; 3]), (201, [-2.0, -1.0, -1.0]), (202, [-1.0, -2.0, -1.0])] {
@@ -138,51 +137,6 @@ fn poison_stays_with_its_twins() {
         let healthy = (0..2 * rows).filter(|row| row % rows >= 36 || row % 6 == 5);
         twin.edit_rows(&RowEdit::keep(healthy.collect())).unwrap();
     });
-}
-
-/// Columns in three windows.
-#[test]
-fn columns_that_no_binding_can_hold_are_split() {
-    let Some(engine) = engine() else { return };
-    let mut gpu = GpuBackend::on(engine.with_window_rows(128), SEED).unwrap();
-    gpu.set_views(&[view()]).unwrap();
-    twins_agree("adam", &mut gpu, |twin| ten_steps(twin, None));
-    assert_eq!(gpu.state.windows.len(), 3);
-    twins_agree("edit", &mut gpu, change_rows);
-    assert_eq!(gpu.state.windows.len(), 3);
-    twins_agree("edit", &mut gpu, make_twins);
-}
-
-/// Too little room for the tile lists, at the first step and again in the middle: nothing is lost.
-#[test]
-fn an_overflow_grows_and_runs_again() {
-    let Some(mut gpu) = gpu() else { return };
-    gpu.set_entry_room(50);
-    twins_agree("adam", &mut gpu, |twin| ten_steps(twin, None));
-    let wanted = gpu.report().unwrap().tile_splats as u64;
-    assert!(wanted > 50 && gpu.entry_room() >= wanted, "{} entries, room for {}", wanted, gpu.entry_room());
-
-    let Some(engine) = engine() else { return };
-    let mut fresh = GpuBackend::on(engine, SEED).unwrap();
-    fresh.set_entry_room(50);
-    fresh.upload(cloud(300), None).unwrap();
-    let mut cpu = cpu();
-    cpu.upload(cloud(300), None).unwrap();
-    let settings = settings(2, ScreenFilter::Classic);
-    let (image, expected) =
-        (fresh.render(&camera(), &settings).unwrap(), cpu.render(&camera(), &settings).unwrap());
-    compare("rasterise", "after an overflow", image.planes, expected.planes).unwrap();
-}
-
-#[test]
-fn lists_beyond_any_binding_are_one_sentence() {
-    let Some(mut gpu) = gpu() else { return };
-    gpu.upload(cloud(300), None).unwrap();
-    gpu.set_entry_room(50);
-    gpu.engine.binding_bytes = 64 * 300;
-    let error = gpu.render(&camera(), &settings(0, ScreenFilter::Classic)).unwrap_err();
-    assert!(matches!(error, BackendError::OutOfMemory { .. }), "{error}");
-    assert!(error.to_string().contains("--max-side"), "{error}");
 }
 
 /// Row 20 is in the middle of the picture, and infinitely bright.
@@ -294,28 +248,6 @@ fn uploads_come_back(gpu: &mut GpuBackend) {
     assert!(gpu.statistics().unwrap().gene_views.is_empty());
     gpu.restore_statistics(statistics.clone()).unwrap();
     assert_eq!(gpu.statistics().unwrap(), statistics);
-}
-
-/// More is written than may wait to be copied, in single columns, too.
-#[test]
-fn what_is_written_never_piles_up() {
-    let Some(mut gpu) = gpu() else { return };
-    gpu.engine.written_bytes_max = 1 << 10;
-    let views = [view(), small_view(), view()];
-    gpu.set_views(&views).unwrap();
-    assert!(gpu.engine.written.get() < 1 << 10);
-    let cloud = cloud(300);
-    gpu.upload(cloud.clone(), None).unwrap();
-    assert!(gpu.engine.written.get() < 1 << 10);
-    assert_eq!(*gpu.download().unwrap(), cloud);
-    let settings = settings(2, ScreenFilter::Classic);
-    let mut cpu = cpu();
-    cpu.set_views(&views).unwrap();
-    cpu.upload(cloud, None).unwrap();
-    for view in 0..3 {
-        let expected = cpu.loss_of_view(view, &settings);
-        compare("loss", "of a view", [gpu.loss_of_view(view, &settings).unwrap()], [expected]).unwrap();
-    }
 }
 
 #[test]
@@ -488,115 +420,4 @@ fn merits_are_of_the_cloud_after_queued_steps() {
     assert_eq!(queued, gpu.weigh(&[0], &settings).unwrap());
     assert_ne!(queued, before);
     assert_eq!(gpu.weigh(&[], &settings).unwrap(), [Merit::default(); 300]);
-}
-
-#[test]
-fn a_lost_device_is_one_sentence() {
-    let Some(mut gpu) = gpu() else { return };
-    gpu.upload(cloud(50), None).unwrap();
-    gpu.engine.device.destroy();
-    let step = step(1, settings(0, ScreenFilter::Classic));
-    let error = gpu.train_step(&step).and_then(|()| gpu.report()).unwrap_err();
-    assert!(matches!(error, BackendError::DeviceLost { .. }), "{error}");
-    let sentence = error.to_string();
-    assert!(sentence.contains("--device cpu") && !sentence.contains('\n'), "{sentence}");
-}
-
-/// All that a checkpoint holds of a backend.
-fn held(gpu: &mut GpuBackend) -> (Gaussians, Moments, Statistics, Lineage) {
-    (
-        gpu.download().unwrap().into_owned(),
-        gpu.download_moments().unwrap().into_owned(),
-        gpu.statistics().unwrap(),
-        gpu.lineage().unwrap().into_owned(),
-    )
-}
-
-/// From no room at all to enough of it: an edit is done in full or not at all, and the device lives on.
-#[test]
-fn an_edit_that_finds_no_room_changes_nothing() {
-    let Some(engine) = engine() else { return };
-    let mut gpu = GpuBackend::on(engine.with_window_rows(128), SEED).unwrap();
-    gpu.set_views(&[view()]).unwrap();
-    gpu.upload(cloud(300), None).unwrap();
-    gpu.train_step(&step(1, settings(2, ScreenFilter::Classic))).unwrap();
-    gpu.remember(0).unwrap();
-    let before = held(&mut gpu);
-    let mut edit = RowEdit { iteration: 600, ..RowEdit::keep((0..300).collect()) };
-    (0..200).for_each(|row| edit.push(row, Origin::Clone));
-
-    gpu.abandon().unwrap();
-    let (least, mut failures) = (gpu.allocated_bytes(), 0);
-    for room in (0..).step_by(20_000) {
-        gpu.engine.memory_bytes = least + room;
-        match gpu.edit_rows(&edit) {
-            Ok(()) => break,
-            Err(error) => assert!(matches!(error, BackendError::OutOfMemory { .. }), "{error}"),
-        }
-        failures += 1;
-        gpu.engine.memory_bytes = u64::MAX;
-        assert!(held(&mut gpu) == before, "room of {room} bytes");
-    }
-    assert!(failures > 10, "it failed at every column: {failures} times");
-    assert_eq!(gpu.len(), 500);
-    gpu.engine.memory_bytes = u64::MAX;
-    assert_eq!(gpu.download().unwrap().positions[300..], before.0.positions[..200]);
-}
-
-/// Buffers of steps make way for rows.
-#[test]
-fn an_edit_takes_the_room_that_steps_can_do_without() {
-    let Some(mut gpu) = gpu() else { return };
-    gpu.upload(cloud(300), None).unwrap();
-    gpu.train_step(&step(1, settings(2, ScreenFilter::Classic))).unwrap();
-    gpu.report().unwrap();
-    gpu.engine.memory_bytes = gpu.allocated_bytes();
-    gpu.edit_rows(&RowEdit::keep((0..300).collect())).unwrap();
-    gpu.engine.memory_bytes = u64::MAX;
-    let classic = settings(2, ScreenFilter::Classic);
-    let use_all = |gpu: &mut GpuBackend, verb: usize| match verb {
-        0 => drop(gpu.train_step(&step(2, classic)).and_then(|()| gpu.report()).unwrap()),
-        1 => drop(gpu.score(&[SparseDelta::default()], &[0], &classic).unwrap()),
-        2 => drop(gpu.judge(&[Blend::default()], &[0], &classic).unwrap()),
-        3 => drop(gpu.loss_of_view(0, &classic).unwrap()),
-        4 => drop(gpu.weigh(&[0], &classic).unwrap()),
-        _ => drop(gpu.render(&camera(), &classic).unwrap()),
-    };
-    // Whatever comes first finds nothing, and reserves what it needs.
-    for verb in 0..6 {
-        use_all(&mut gpu, verb);
-        gpu.abandon().unwrap();
-    }
-}
-
-/// Five steps are queued, the lists of the third do not fit, and there is no memory for larger ones.
-#[test]
-fn steps_without_room_are_left_undone_and_counted() {
-    let Some(mut gpu) = gpu() else { return };
-    let views = [small_view(), view()];
-    let classic = settings(2, ScreenFilter::Classic);
-    let steps = [(1, 0), (2, 0), (3, 1), (4, 0), (5, 1)];
-    let steps = steps.map(|(number, view)| TrainStep { view, ..step(number, classic) });
-    let mut cpu = cpu();
-    for twin in [&mut gpu as &mut dyn Backend, &mut cpu] {
-        twin.set_views(&views).unwrap();
-        twin.upload(cloud(300), None).unwrap();
-    }
-    steps[..2].iter().for_each(|step| cpu.train_step(step).unwrap());
-    gpu.set_entry_room(cpu.report().unwrap().tile_splats as u64 + 20);
-    steps.iter().for_each(|step| gpu.train_step(step).unwrap());
-
-    gpu.engine.memory_bytes = gpu.allocated_bytes();
-    let error = gpu.download().unwrap_err();
-    assert!(matches!(error, BackendError::OutOfMemory { .. }), "{error}");
-    assert_eq!(gpu.abandon().unwrap(), 3);
-    compare_clouds("adam", &gpu.download().unwrap(), &cpu.download().unwrap()).unwrap();
-
-    gpu.engine.memory_bytes = u64::MAX;
-    for step in &steps[2..] {
-        gpu.train_step(step).unwrap();
-        cpu.train_step(step).unwrap();
-    }
-    compare_clouds("adam", &gpu.download().unwrap(), &cpu.download().unwrap()).unwrap();
-    assert_eq!(gpu.abandon().unwrap(), 0);
 }
