@@ -10,14 +10,13 @@ use genesplat_core::{
     Merit, Moments, RenderSettings, Rng, RowEdit, SparseDelta, Statistics, StatisticsRequest, TrainStep,
     View, backend::MomentPolicy, backend::StepReport,
 };
-use rayon::prelude::*;
 
 use super::credit::{Mutants, credit};
 use super::frame::{Frame, StageSeconds, timed};
 use super::loss::{Target, loss};
 use super::project::Pinhole;
 use super::rasterise_backward::Extra;
-use super::score::{BaseView, score};
+use super::score::Scorer;
 use super::update::{Inputs, update};
 use super::weigh::weigh;
 
@@ -37,17 +36,10 @@ pub struct CpuBackend {
     frame: Frame,
     report: StepReport,
     steps: u32,
-    bases: Bases,
+    scorer: Scorer,
     lineage: Lineage,
     /// Room for a child of the lineage.
     child: Gaussians,
-}
-
-/// Base views of the scoring stage, kept while the cloud does not change.
-#[derive(Default)]
-struct Bases {
-    settings: RenderSettings,
-    views: Vec<(usize, BaseView)>,
 }
 
 impl CpuBackend {
@@ -63,7 +55,7 @@ impl CpuBackend {
             frame: Frame::default(),
             report: StepReport::default(),
             steps: 0,
-            bases: Bases::default(),
+            scorer: Scorer::default(),
             lineage: Lineage::default(),
             child: Gaussians::default(),
         }
@@ -106,7 +98,7 @@ impl CpuBackend {
 
     /// The cloud changed: what scoring remembers of it is stale.
     fn touch(&mut self) {
-        self.bases.views.clear();
+        self.scorer.forget();
     }
 
     fn non_finite(&self) -> BackendError {
@@ -270,7 +262,7 @@ impl Backend for CpuBackend {
     }
 
     fn apply(&mut self, delta: &SparseDelta, moments: MomentPolicy) -> Result<(), BackendError> {
-        self.touch();
+        self.scorer.forget_cloud();
         self.cloud.apply(delta);
         if moments == MomentPolicy::Zero {
             for moment in [&mut self.moments.first, &mut self.moments.second] {
@@ -361,23 +353,7 @@ impl Backend for CpuBackend {
         views: &[usize],
         settings: &RenderSettings,
     ) -> Result<Vec<f32>, BackendError> {
-        if self.bases.settings != *settings {
-            self.bases = Bases { settings: *settings, views: Vec::new() };
-        }
-        let mut missing: Vec<usize> = views.to_vec();
-        missing.retain(|view| !self.bases.views.iter().any(|(index, _)| index == view));
-        missing.sort_unstable();
-        missing.dedup();
-        // Several at once: each has stages that use one thread only.
-        self.bases.views.par_extend(missing.into_par_iter().map(|view| {
-            let TrainView { camera, target } = &self.views[view];
-            (view, BaseView::new(self.level, &self.cloud, *camera, target, settings))
-        }));
-        let bases: Vec<_> = views
-            .iter()
-            .filter_map(|view| self.bases.views.iter().find(|(index, _)| index == view))
-            .map(|(_, base)| base)
-            .collect();
-        Ok(score(self.level, &self.cloud, population, &bases, settings))
+        let of_view = |view: usize| (self.views[view].camera, &self.views[view].target);
+        Ok(self.scorer.score(self.level, &self.cloud, population, views, of_view, settings))
     }
 }

@@ -10,6 +10,7 @@ use rayon::prelude::*;
 
 use super::bin::LOG2_255;
 use super::colour;
+use super::score::pool::Allele;
 use super::simd::{LANES, LOG2_E, V, array, exp, keep, lanes_of, sigmoid};
 
 /// Rows that one task projects; also the unit of the backward pass. A constant, so that results do not depend on the
@@ -193,6 +194,33 @@ fn project_rows<S: Simd>(
         }
     }
     splats as u32
+}
+
+/// Projects alleles as if each were a row of its own: a splat's `global` is its allele's place among them.
+pub fn project_alleles(
+    level: Level,
+    cloud: &Gaussians,
+    alleles: &[Allele],
+    camera: &Pinhole,
+    settings: &RenderSettings,
+    out: &mut Splats,
+) {
+    out.seen.clear();
+    out.room.resize(alleles.len(), Splat::default());
+    out.counts.resize(alleles.len().div_ceil(CHUNK), 0);
+    let rooms = out.room.par_chunks_mut(CHUNK).zip(&mut out.counts);
+    rooms.zip(alleles.par_chunks(CHUNK)).enumerate().for_each(|(chunk, ((room, count), alleles))| {
+        let rows: Vec<u32> = alleles.iter().map(|allele| allele.row).collect();
+        let genes = |index: usize| alleles[index].genes;
+        *count = 0;
+        dispatch!(level, simd => project_group(simd, cloud, &rows, genes, camera, settings,
+            #[inline(always)]
+            |index, splat| if let Some(splat) = splat {
+                room[*count as usize] = Splat { global: (chunk * CHUNK + index) as u32, ..splat };
+                *count += 1;
+            }
+        ));
+    });
 }
 
 /// Projects single rows, in the order given: what scoring needs for the rows that an individual changed.

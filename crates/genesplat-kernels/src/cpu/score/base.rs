@@ -9,11 +9,10 @@ use genesplat_core::{Gaussians, RenderSettings};
 use rayon::prelude::*;
 
 use super::super::bin::{BLOCK, BLOCKS_ACROSS, Bins, TileSplat};
-use super::super::loss::Target;
 use super::super::project::{Pinhole, Splat, Splats, TILE, project};
 use super::super::rasterise::{Absorbed, BLOCKS, absorb, alpha, each_block};
 use super::super::simd::{LANES, V, array, prefetch};
-use super::judge::{Judge, Layout};
+use super::judge::Layout;
 use super::patch::Block;
 
 /// Stands for "not visible" where a rank is expected.
@@ -29,7 +28,8 @@ const AHEAD: usize = 16;
 pub struct Stored(pub [[f32; LANES]; 4]);
 
 impl Stored {
-    const UNTOUCHED: Self = Self([[0.0; LANES], [0.0; LANES], [0.0; LANES], [1.0; LANES]]);
+    /// Before the first splat.
+    pub const UNTOUCHED: Self = Self([[0.0; LANES], [0.0; LANES], [0.0; LANES], [1.0; LANES]]);
 }
 
 /// The same in registers. The sign bit of a transmittance is set where the pixel is finished.
@@ -83,10 +83,8 @@ pub struct BaseView {
     pub camera: Pinhole,
     /// All splats.
     pub splats: Splats,
-    /// The photo.
-    pub judge: Judge,
-    /// The base's splats, by tile.
-    pub bins: Bins,
+    /// Where the values of its pictures lie.
+    pub layout: Layout,
     /// The base's blocks, by tile.
     pub tiles: Vec<BaseTile>,
     /// The base on the background.
@@ -103,7 +101,7 @@ impl BaseView {
         level: Level,
         cloud: &Gaussians,
         camera: Pinhole,
-        target: &Target,
+        layout: Layout,
         settings: &RenderSettings,
     ) -> Self {
         let (mut splats, mut bins) = (Splats::default(), Bins::default());
@@ -126,15 +124,9 @@ impl BaseView {
                 out
             })
             .collect();
-        let judge = Judge::new(level, target);
-        let mut view = Self { camera, splats, judge, bins, tiles, picture: Vec::new(), order, rank_of_row };
+        let mut view = Self { camera, layout, splats, tiles, picture: Vec::new(), order, rank_of_row };
         view.picture = view.compose(settings.background);
         view
-    }
-
-    /// Where the values of a picture of this view lie.
-    pub fn layout(&self) -> Layout {
-        Layout { size: self.camera.size.map(|v| v as usize) }
     }
 
     /// A block; they count tile after tile.
@@ -159,7 +151,7 @@ impl BaseView {
     }
 
     fn compose(&self, background: [f32; 3]) -> Vec<f32> {
-        let mut picture = vec![0.0; self.layout().len()];
+        let mut picture = vec![0.0; self.layout.len()];
         for (tile, base) in self.tiles.iter().enumerate() {
             for (block, end) in base.ends.iter().enumerate() {
                 let transmittance = &end.0[3];
@@ -170,7 +162,7 @@ impl BaseView {
                 let values = std::array::from_fn(|channel| std::array::from_fn(|lane| value(channel, lane)));
                 write_block(
                     &values,
-                    self.layout(),
+                    self.layout,
                     tile * BLOCKS + block,
                     self.camera.grid()[0],
                     &mut picture,

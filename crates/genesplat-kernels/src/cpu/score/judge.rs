@@ -111,6 +111,11 @@ impl Judge {
         }
     }
 
+    /// Where the values of the pictures that it judges lie.
+    pub fn layout(&self) -> Layout {
+        self.layout
+    }
+
     /// Loss of a picture.
     #[inline(always)]
     pub fn loss<S: Simd>(&self, simd: S, picture: &[f32], walk: &mut Walk<3>) -> f32 {

@@ -36,21 +36,24 @@ fn check(base: &Gaussians, population: &[SparseDelta], views: &[View], settings:
     backend.upload(base.clone(), None).unwrap();
     let numbers: Vec<usize> = (0..views.len()).rev().collect();
     let scores = backend.score(population, &numbers, settings).unwrap();
-    for (individual, scores) in population.iter().zip(scores.chunks(views.len())) {
+    let pinhole = |view: usize| Pinhole::from(&views[view].camera);
+    let judges = (0..views.len()).map(|view| {
+        (view, Judge::new(Level::new(), &loss::Target::from(views[view].photo.as_ref())))
+    }).collect();
+    let pooled = pooled(Level::new(), base, population, &numbers, (pinhole, &judges), settings, &mut Room::default());
+    for (index, (individual, scores)) in population.iter().zip(scores.chunks(views.len())).enumerate() {
         let mut changed = CpuBackend::new(0);
         changed.upload(base.clone(), None).unwrap();
         changed.apply(individual, MomentPolicy::Keep).unwrap();
-        for (&view, &score) in numbers.iter().zip(scores) {
+        for (number, (&view, &score)) in numbers.iter().zip(scores).enumerate() {
             let image = changed.render(&views[view].camera, settings).unwrap();
             let target = loss::Target::from(views[view].photo.as_ref());
             let plain = loss::loss(Level::new(), &image, &target, None);
-            let base_view =
-                BaseView::new(Level::new(), base, (&views[view].camera).into(), &target, settings);
-            let by = |merged: bool| {
-                let mut scratch = Scratch::default();
-                dispatch!(Level::new(), simd => scratch.loss(simd, base, individual, &base_view, settings, merged))
-            };
-            for score in [score, by(false), by(true)] {
+            let judge = &judges[&view];
+            let base_view = BaseView::new(Level::new(), base, pinhole(view), judge.layout(), settings);
+            let patched =
+                patched(Level::new(), base, std::slice::from_ref(individual), &[(&base_view, judge)], settings)[0];
+            for score in [score, patched, pooled[number * population.len() + index]] {
                 assert!((score / plain - 1.0).abs() < TOLERANCE, "{score} instead of {plain}, view {view}");
             }
         }
@@ -162,14 +165,13 @@ fn large_changes_are_scored() {
 #[test]
 fn the_tests_reach_every_path() {
     let pinhole = super::super::project::Pinhole::from(&camera());
-    let photo = views_of([[75, 53], [1, 1]])[0].photo.clone();
     let base_of = |logit: f32| {
-        let target = loss::Target::from(photo.as_ref());
+        let layout = judge::Layout { size: [75, 53] };
         BaseView::new(
             Level::new(),
             &cloud_of(1500, logit),
             pinhole,
-            &target,
+            layout,
             &settings(3, ScreenFilter::Classic),
         )
     };
