@@ -30,7 +30,7 @@ use pool::{Pool, Room};
 
 /// Mean share of the rows beyond which individuals are blended all at once: where both ways take as long, of a cloud just
 /// after a reset.
-const POOLED_SHARE: f64 = 0.02;
+const POOLED_SHARE: f64 = 0.0;
 
 /// Scores populations, and remembers what those of one cloud, and of one set of photos, have in common.
 #[derive(Default)]

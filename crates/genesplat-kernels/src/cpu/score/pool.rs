@@ -23,8 +23,8 @@ use super::base::{Light, Stored, write_block};
 use super::judge::{Judge, Walk};
 use super::on_background;
 
-/// Bits of a mask of holders.
-const HOLDERS: usize = u64::BITS as usize;
+/// A bit for each individual of a pool.
+type Holders = u128;
 /// Splats of a block that are evaluated before they are blended: a bit each.
 const RUN: usize = u64::BITS as usize;
 /// Rows that one task looks through for alleles.
@@ -40,10 +40,10 @@ pub struct Allele {
     /// Its genes.
     pub genes: Gene,
     /// A bit for each individual of the pool.
-    holders: u64,
+    holders: Holders,
 }
 
-/// Up to 64 individuals.
+/// Up to 128 individuals.
 pub struct Pool {
     individuals: usize,
     /// By row.
@@ -70,7 +70,7 @@ impl Pool {
     /// Individuals that may share a pool whose views have so many tiles.
     pub fn capacity(tiles: usize) -> usize {
         let bytes = tiles * BLOCKS * size_of::<[[f32; LANES]; 3]>();
-        (PICTURES_BYTES / bytes.max(1)).clamp(1, HOLDERS)
+        (PICTURES_BYTES / bytes.max(1)).clamp(1, Holders::BITS as usize)
     }
 
     /// The alleles of some individuals, which are differences from `cloud`.
@@ -167,8 +167,8 @@ impl Pool {
 
 /// What each individual holds of the rows of a range.
 fn alleles(cloud: &Gaussians, individuals: &[SparseDelta], rows: Range<usize>) -> Vec<Allele> {
-    let everyone = u64::MAX >> (HOLDERS - individuals.len());
-    let mut changed = vec![0u64; rows.len()];
+    let everyone = Holders::MAX >> (Holders::BITS as usize - individuals.len());
+    let mut changed = vec![0 as Holders; rows.len()];
     let mut genes: Vec<&[Gene]> = Vec::with_capacity(individuals.len());
     for (individual, delta) in individuals.iter().enumerate() {
         let [first, end] = [rows.start, rows.end].map(|end| delta.rows.partition_point(|&row| (row as usize) < end));
@@ -200,7 +200,7 @@ fn alleles(cloud: &Gaussians, individuals: &[SparseDelta], rows: Range<usize>) -
 #[derive(Default)]
 struct Tile {
     /// The splats of the tile, seen from its corner, and who holds them.
-    splats: Vec<(Splat, u64)>,
+    splats: Vec<(Splat, Holders)>,
     /// Everybody's light in a block so far.
     lights: Vec<Stored>,
     run: Run,
@@ -211,25 +211,27 @@ struct Run {
     /// Alphas of the block's pixels, colour and holders of each.
     alphas: [[f32; LANES]; RUN],
     colours: [[f32; 3]; RUN],
-    holders: [u64; RUN],
+    /// The lower and the upper half of their bits.
+    holders: [[u64; RUN]; 2],
     length: usize,
 }
 
 impl Default for Run {
     fn default() -> Self {
-        Self { alphas: [[0.0; LANES]; RUN], colours: [[0.0; 3]; RUN], holders: [0; RUN], length: 0 }
+        Self { alphas: [[0.0; LANES]; RUN], colours: [[0.0; 3]; RUN], holders: [[0; RUN]; 2], length: 0 }
     }
 }
 
 impl Run {
     /// Adds a splat, unless it touches no pixel of the block.
     #[inline(always)]
-    fn evaluate<S: Simd>(&mut self, simd: S, splat: &Splat, holders: u64, block: usize) {
+    fn evaluate<S: Simd>(&mut self, simd: S, splat: &Splat, holders: Holders, block: usize) {
         let alpha = alpha(simd, splat, block);
         if alpha.hit.any_true() {
             alpha.alpha.store_slice(&mut self.alphas[self.length]);
             self.colours[self.length] = splat.rgb;
-            self.holders[self.length] = holders;
+            self.holders[0][self.length] = holders as u64;
+            self.holders[1][self.length] = (holders >> RUN) as u64;
             self.length += 1;
         }
     }
@@ -237,10 +239,12 @@ impl Run {
     /// Blends the run into the light of each individual, and empties it.
     #[inline(always)]
     fn blend<S: Simd>(&mut self, simd: S, lights: &mut [Stored]) {
-        self.holders[self.length..].fill(0);
+        for holders in &mut self.holders {
+            holders[self.length..].fill(0);
+            transpose(holders);
+        }
         self.length = 0;
-        transpose(&mut self.holders);
-        for (stored, &held) in lights.iter_mut().zip(&self.holders) {
+        for (stored, &held) in lights.iter_mut().zip(self.holders.as_flattened()) {
             let before = Light::load(simd, stored);
             let mut light = self.blend_freely(simd, held, before);
             if light.transmittance.simd_lt(TRANSMITTANCE_MIN).any_true() {
