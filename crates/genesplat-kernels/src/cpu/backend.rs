@@ -96,11 +96,6 @@ impl CpuBackend {
         }
     }
 
-    /// The cloud changed: what scoring remembers of it is stale.
-    fn touch(&mut self) {
-        self.scorer.forget();
-    }
-
     fn non_finite(&self) -> BackendError {
         BackendError::diverged(&self.cloud, self.steps)
     }
@@ -140,7 +135,7 @@ impl Backend for CpuBackend {
     }
 
     fn set_views(&mut self, views: &[View]) -> Result<(), BackendError> {
-        self.touch();
+        self.scorer = Scorer::default();
         self.views = views
             .iter()
             .map(|view| TrainView {
@@ -152,7 +147,6 @@ impl Backend for CpuBackend {
     }
 
     fn upload(&mut self, cloud: Gaussians, moments: Option<Moments>) -> Result<(), BackendError> {
-        self.touch();
         self.moments = moments.unwrap_or_else(|| Moments::zeros(cloud.len()));
         self.cloud = cloud;
         self.forget();
@@ -175,7 +169,8 @@ impl Backend for CpuBackend {
     }
 
     fn train_step(&mut self, step: &TrainStep) -> Result<(), BackendError> {
-        self.touch();
+        // Training has no use for the room that scoring takes.
+        self.scorer = Scorer::default();
         self.grow_statistics(step.statistics);
         let view = &self.views[step.view];
         let (camera, settings) = (view.camera, step.settings);
@@ -231,7 +226,6 @@ impl Backend for CpuBackend {
     }
 
     fn edit_rows(&mut self, edit: &RowEdit) -> Result<(), BackendError> {
-        self.touch();
         self.forget();
         edit.apply(&mut self.cloud, &mut self.moments, &self.rng);
         if !self.statistics.gene_views.is_empty() {
@@ -243,7 +237,6 @@ impl Backend for CpuBackend {
     }
 
     fn reset_opacity(&mut self, ceiling: f32) -> Result<(), BackendError> {
-        self.touch();
         self.forget();
         for row in 0..self.cloud.len() {
             let dimming = self.cloud.filter_dimming(row);
@@ -256,13 +249,11 @@ impl Backend for CpuBackend {
     }
 
     fn set_filter_3d(&mut self, filter: Vec<f32>) -> Result<(), BackendError> {
-        self.touch();
         self.cloud.filter_3d = Some(filter);
         Ok(())
     }
 
     fn apply(&mut self, delta: &SparseDelta, moments: MomentPolicy) -> Result<(), BackendError> {
-        self.scorer.forget_cloud();
         self.cloud.apply(delta);
         if moments == MomentPolicy::Zero {
             for moment in [&mut self.moments.first, &mut self.moments.second] {
@@ -340,7 +331,6 @@ impl Backend for CpuBackend {
     }
 
     fn breed(&mut self, blend: &Blend) -> Result<(), BackendError> {
-        self.touch();
         self.lineage.breed(&self.cloud, blend, &mut self.child);
         std::mem::swap(&mut self.cloud, &mut self.child);
         self.forget();

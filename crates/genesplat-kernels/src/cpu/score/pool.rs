@@ -1,32 +1,19 @@
-//! Individuals that change much, all at once.
-//!
-//! A search whose individuals differ in a quarter of their rows still holds few values of any one row: cousins inherit the same
-//! ones. The pool has each of them once, an *allele*, with who holds it. To a view the alleles are the rows of one cloud:
-//! projected, sorted and listed by tile once for all individuals. A block of pixels evaluates the alpha of each allele
-//! once, too, and what is left for an individual is to blend those that it holds: five operations for 16 pixels and a splat.
-//!
-//! A pixel is finished where the renderer says so: the alphas of up to 64 splats are blended without care, and again with
-//! care where one might have finished a pixel.
+//! The alleles of some individuals, and what a view shows of them.
 
 use std::ops::Range;
 
-use fearless_simd::{Level, Simd, dispatch, prelude::*};
-use genesplat_core::constants::TRANSMITTANCE_MIN;
+use fearless_simd::{Level, dispatch};
 use genesplat_core::{Gaussians, Gene, RenderSettings, SparseDelta};
 use rayon::prelude::*;
 
-use super::super::bin::{Bins, TileSplat};
-use super::super::project::{Pinhole, Splat, Splats, TILE, project_alleles};
-use super::super::rasterise::{BLOCKS, absorb, alpha, each_splat};
-use super::super::simd::{LANES, V};
-use super::base::{Light, Stored, write_block};
-use super::judge::{Judge, Walk};
-use super::on_background;
+use super::super::bin::Bins;
+use super::super::project::{Pinhole, Splats, TILE, project_alleles};
+use super::blend::{Blender, Colours};
+use super::judge::{Judge, Layout, Walk};
 
 /// A bit for each individual of a pool.
-type Holders = u128;
-/// Splats of a block that are evaluated before they are blended: a bit each.
-const RUN: usize = u64::BITS as usize;
+pub type Holders = u128;
+
 /// Rows that one task looks through for alleles.
 const ROWS: usize = 4096;
 /// Bytes that the pictures of a pool may take.
@@ -39,8 +26,8 @@ pub struct Allele {
     pub row: u32,
     /// Its genes.
     pub genes: Gene,
-    /// A bit for each individual of the pool.
-    holders: Holders,
+    /// The individuals that have them.
+    pub holders: Holders,
 }
 
 /// Up to 128 individuals.
@@ -55,8 +42,8 @@ pub struct Pool {
 pub struct Room {
     splats: Splats,
     bins: Bins,
-    /// Colours of the blocks of each tile, individual after individual `[tiles, P, 16]`.
-    pictures: Vec<[[f32; LANES]; 3]>,
+    /// Everybody's colours in each tile `[tiles, P]`.
+    pictures: Vec<Colours>,
 }
 
 /// One thread's working memory while it judges.
@@ -69,15 +56,15 @@ struct Easel {
 impl Pool {
     /// Individuals that may share a pool whose views have so many tiles.
     pub fn capacity(tiles: usize) -> usize {
-        let bytes = tiles * BLOCKS * size_of::<[[f32; LANES]; 3]>();
+        let bytes = tiles * size_of::<Colours>();
         (PICTURES_BYTES / bytes.max(1)).clamp(1, Holders::BITS as usize)
     }
 
     /// The alleles of some individuals, which are differences from `cloud`.
     pub fn new(cloud: &Gaussians, individuals: &[SparseDelta]) -> Self {
         let tasks = (0..cloud.len().div_ceil(ROWS)).into_par_iter();
-        let of_task = |task: usize| alleles(cloud, individuals, task * ROWS..cloud.len().min((task + 1) * ROWS));
-        let alleles = tasks.flat_map_iter(of_task).collect();
+        let rows = |task: usize| task * ROWS..cloud.len().min((task + 1) * ROWS);
+        let alleles = tasks.flat_map_iter(|task| alleles(cloud, individuals, rows(task))).collect();
         Self { individuals: individuals.len(), alleles }
     }
 
@@ -95,225 +82,114 @@ impl Pool {
         project_alleles(level, cloud, &self.alleles, camera, settings, splats);
         bins.build(level, splats, camera);
         // 2. Everybody's pictures, tile by tile.
-        let across = camera.grid()[0];
-        let of_tile = self.individuals * BLOCKS;
-        pictures.resize(across * camera.grid()[1] * of_tile, [[0.0; LANES]; 3]);
-        pictures.par_chunks_mut(of_tile).enumerate().for_each_init(Tile::default, |scratch, (tile, out)| {
-            let origin = [tile % across * TILE, tile / across * TILE];
-            dispatch!(level, simd => {
-                self.blend_tile(simd, splats, bins.tile(tile), origin, settings.background, scratch, out);
-            });
+        let (across, background) = (camera.grid()[0], settings.background);
+        let corner = |tile: usize| [tile % across * TILE, tile / across * TILE];
+        pictures.resize(across * camera.grid()[1] * self.individuals, [[[0.0; TILE]; TILE]; 3]);
+        let tiles = pictures.par_chunks_mut(self.individuals).enumerate();
+        tiles.for_each_init(Blender::default, |blender, (tile, out)| {
+            let entries = (bins.tile(tile), corner(tile));
+            dispatch!(level, simd => blender.blend(simd, splats, &self.alleles, entries, background, out));
         });
         // 3. Their losses.
         let losses = (0..self.individuals).into_par_iter().map_init(Easel::default, |easel, individual| {
             let Easel { picture, walk } = easel;
             picture.resize(judge.layout().len(), 0.0);
-            for (tile, pictures) in pictures.chunks(of_tile).enumerate() {
-                for (block, values) in pictures[individual * BLOCKS..][..BLOCKS].iter().enumerate() {
-                    write_block(values, judge.layout(), tile * BLOCKS + block, across, picture);
-                }
+            for (tile, everybody) in pictures.chunks(self.individuals).enumerate() {
+                write_tile(&everybody[individual], judge.layout(), corner(tile), picture);
             }
             dispatch!(level, simd => judge.loss(simd, picture, walk))
         });
         losses.collect()
     }
+}
 
-    /// Blends a tile for every individual.
-    #[inline(always)]
-    #[expect(clippy::too_many_arguments, reason = "what a tile is, and where it goes")]
-    fn blend_tile<S: Simd>(
-        &self,
-        simd: S,
-        splats: &Splats,
-        entries: &[TileSplat],
-        origin: [usize; 2],
-        background: [f32; 3],
-        scratch: &mut Tile,
-        out: &mut [[[f32; LANES]; 3]],
-    ) {
-        let Tile { splats: near, lights, run } = scratch;
-        near.clear();
-        each_splat(
-            splats,
-            entries,
-            origin,
-            #[inline(always)]
-            |_, splat| {
-                near.push((*splat, self.alleles[splat.global as usize].holders));
-                true
-            },
-        );
-        for block in 0..BLOCKS {
-            lights.clear();
-            lights.resize(self.individuals, Stored::UNTOUCHED);
-            for (entry, index) in entries.iter().zip(0..) {
-                if entry.blocks >> block & 1 == 1 {
-                    let (splat, holders) = near[index];
-                    run.evaluate(simd, &splat, holders, block);
-                }
-                if run.length == RUN {
-                    run.blend(simd, lights);
-                }
-            }
-            run.blend(simd, lights);
-            for (individual, light) in lights.iter().enumerate() {
-                let mut light = Light::load(simd, light);
-                light.transmittance = light.transmittance.abs();
-                out[individual * BLOCKS + block] = on_background(simd, &light, background);
+/// Writes a tile to a picture; pixels outside of it are dropped.
+fn write_tile(colours: &Colours, layout: Layout, [left, top]: [usize; 2], picture: &mut [f32]) {
+    let [columns, rows] = [TILE.min(layout.size[0] - left), TILE.min(layout.size[1] - top)];
+    for (channel, plane) in colours.iter().enumerate() {
+        for (y, values) in plane[..rows].iter().enumerate() {
+            let at = channel * layout.plane() + layout.row(top + y) + left;
+            if columns == TILE {
+                picture[at..at + TILE].copy_from_slice(values);
+            } else {
+                picture[at..at + columns].copy_from_slice(&values[..columns]);
             }
         }
     }
 }
 
-/// What each individual holds of the rows of a range.
+/// What the individuals hold of the rows of a range.
 fn alleles(cloud: &Gaussians, individuals: &[SparseDelta], rows: Range<usize>) -> Vec<Allele> {
-    let everyone = Holders::MAX >> (Holders::BITS as usize - individuals.len());
-    let mut changed = vec![0 as Holders; rows.len()];
-    let mut genes: Vec<&[Gene]> = Vec::with_capacity(individuals.len());
+    // 1. Who has changed each row, and to what.
+    let mut changed_by = vec![Holders::MIN; rows.len()];
+    let mut genes: Vec<_> = Vec::with_capacity(individuals.len());
     for (individual, delta) in individuals.iter().enumerate() {
-        let [first, end] = [rows.start, rows.end].map(|end| delta.rows.partition_point(|&row| (row as usize) < end));
-        delta.rows[first..end].iter().for_each(|&row| changed[row as usize - rows.start] |= 1 << individual);
-        genes.push(&delta.genes[first..end]);
+        let place = |end: usize| delta.rows.partition_point(|&row| (row as usize) < end);
+        let changed = place(rows.start)..place(rows.end);
+        let changes = delta.rows[changed.clone()].iter().map(|&row| row as usize - rows.start);
+        changes.for_each(|row| changed_by[row] |= 1 << individual);
+        genes.push(delta.genes[changed].iter());
     }
+    // 2. Each value once.
+    let everyone = Holders::MAX >> (Holders::BITS as usize - individuals.len());
     let mut alleles: Vec<Allele> = Vec::with_capacity(rows.len());
-    for (row, changed) in rows.zip(changed) {
-        let first = alleles.len();
-        if changed != everyone {
-            alleles.push(Allele { row: row as u32, genes: cloud.genes(row), holders: everyone & !changed });
-        }
-        let mut left = changed;
+    for (row, mut left) in rows.zip(changed_by) {
+        let (first, unchanged) = (alleles.len(), everyone & !left);
+        let allele = |genes, holders| Allele { row: row as u32, genes, holders };
+        alleles.extend((unchanged != 0).then(|| allele(cloud.genes(row), unchanged)));
         while left != 0 {
-            let rest = &mut genes[left.trailing_zeros() as usize];
-            let (genes, holder) = (rest[0], left & left.wrapping_neg());
-            *rest = &rest[1..];
+            let (individual, holder) = (left.trailing_zeros(), left & left.wrapping_neg());
             left ^= holder;
+            let Some(&genes) = genes[individual as usize].next() else { unreachable!("one for each row") };
             match alleles[first..].iter_mut().find(|allele| allele.genes == genes) {
-                Some(allele) => allele.holders |= holder,
-                None => alleles.push(Allele { row: row as u32, genes, holders: holder }),
+                Some(known) => known.holders |= holder,
+                None => alleles.push(allele(genes, holder)),
             }
         }
     }
     alleles
 }
 
-/// One thread's working memory while it blends a tile.
-#[derive(Default)]
-struct Tile {
-    /// The splats of the tile, seen from its corner, and who holds them.
-    splats: Vec<(Splat, Holders)>,
-    /// Everybody's light in a block so far.
-    lights: Vec<Stored>,
-    run: Run,
-}
-
-/// Up to 64 splats of one block, on their way into everybody's light.
-struct Run {
-    /// Alphas of the block's pixels, colour and holders of each.
-    alphas: [[f32; LANES]; RUN],
-    colours: [[f32; 3]; RUN],
-    /// The lower and the upper half of their bits.
-    holders: [[u64; RUN]; 2],
-    length: usize,
-}
-
-impl Default for Run {
-    fn default() -> Self {
-        Self { alphas: [[0.0; LANES]; RUN], colours: [[0.0; 3]; RUN], holders: [[0; RUN]; 2], length: 0 }
-    }
-}
-
-impl Run {
-    /// Adds a splat, unless it touches no pixel of the block.
-    #[inline(always)]
-    fn evaluate<S: Simd>(&mut self, simd: S, splat: &Splat, holders: Holders, block: usize) {
-        let alpha = alpha(simd, splat, block);
-        if alpha.hit.any_true() {
-            alpha.alpha.store_slice(&mut self.alphas[self.length]);
-            self.colours[self.length] = splat.rgb;
-            self.holders[0][self.length] = holders as u64;
-            self.holders[1][self.length] = (holders >> RUN) as u64;
-            self.length += 1;
-        }
-    }
-
-    /// Blends the run into the light of each individual, and empties it.
-    #[inline(always)]
-    fn blend<S: Simd>(&mut self, simd: S, lights: &mut [Stored]) {
-        for holders in &mut self.holders {
-            holders[self.length..].fill(0);
-            transpose(holders);
-        }
-        self.length = 0;
-        for (stored, &held) in lights.iter_mut().zip(self.holders.as_flattened()) {
-            let before = Light::load(simd, stored);
-            let mut light = self.blend_freely(simd, held, before);
-            if light.transmittance.simd_lt(TRANSMITTANCE_MIN).any_true() {
-                light = self.blend_with_care(simd, held, before);
-            }
-            *stored = light.store();
-        }
-    }
-
-    /// Blends the splats of `held` as if no pixel could be finished. One that was finished before stays below the threshold.
-    #[inline(always)]
-    fn blend_freely<S: Simd>(&self, simd: S, mut held: u64, mut light: Light<S>) -> Light<S> {
-        while held != 0 {
-            let index = held.trailing_zeros() as usize;
-            held &= held - 1;
-            let weight = light.transmittance * V::simd_from(simd, self.alphas[index]);
-            light.transmittance -= weight;
-            light.add(weight, self.colours[index]);
-        }
-        light
-    }
-
-    /// The same as the renderer does it; stops where no pixel goes on.
-    #[inline(always)]
-    fn blend_with_care<S: Simd>(&self, simd: S, mut held: u64, mut light: Light<S>) -> Light<S> {
-        while held != 0 {
-            let index = held.trailing_zeros() as usize;
-            held &= held - 1;
-            let absorbed = absorb(light.transmittance, V::simd_from(simd, self.alphas[index]));
-            light.transmittance = absorbed.transmittance;
-            light.add(absorbed.weight, self.colours[index]);
-            if absorbed.goes_on.all_false() {
-                break;
-            }
-        }
-        light
-    }
-}
-
-/// Bit `j` of word `i` changes places with bit `i` of word `j` (Warren, "Hacker's Delight", section 7-3).
-fn transpose(words: &mut [u64; 64]) {
-    let (mut width, mut mask) = (32, u64::MAX >> 32);
-    while width != 0 {
-        let mut at = 0;
-        while at < 64 {
-            let swapped = (words[at] >> width ^ words[at + width]) & mask;
-            words[at] ^= swapped << width;
-            words[at + width] ^= swapped;
-            at = (at + width + 1) & !width;
-        }
-        width >>= 1;
-        mask ^= mask << width;
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::fixtures::{change_rows, cloud};
 
     #[test]
-    fn transposing_swaps_rows_and_columns() {
-        let words: [u64; 64] =
-            std::array::from_fn(|i| (i as u64 + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15).rotate_left(i as u32));
-        let mut transposed = words;
-        transpose(&mut transposed);
-        for (i, word) in words.iter().enumerate() {
-            for (j, across) in transposed.iter().enumerate() {
-                assert_eq!(word >> j & 1, across >> i & 1, "word {i}, bit {j}");
+    fn each_value_of_a_row_is_held_once_by_all_who_have_it() {
+        let base = cloud(ROWS + 3);
+        let brighter = |rows: Range<usize>, by: f32| change_rows(&base, rows, |_, genes| genes[6] += by);
+        let last = ROWS + 2..ROWS + 3;
+        let individuals =
+            [brighter(0..2, 1.0), brighter(1..2, 1.0), brighter(1..2, 2.0), brighter(last, 1.0)];
+        let pool = Pool::new(&base, &individuals);
+        let held = |row: usize| {
+            let of_row = pool.alleles.iter().filter(|allele| allele.row as usize == row);
+            of_row
+                .map(|allele| (allele.genes[6] - base.opacity_logits[row], allele.holders))
+                .collect::<Vec<_>>()
+        };
+        let expect = |row: usize, expected: &[(f32, Holders)]| {
+            let held = held(row);
+            assert_eq!(held.len(), expected.len(), "row {row}: {held:?}");
+            for ((by, holders), expected) in held.into_iter().zip(expected) {
+                assert!(
+                    (by - expected.0).abs() < 1e-5 && holders == expected.1,
+                    "row {row}: {by}, {holders:b}"
+                );
             }
-        }
+        };
+        expect(0, &[(0.0, 0b1110), (1.0, 0b0001)]);
+        expect(1, &[(0.0, 0b1000), (1.0, 0b0011), (2.0, 0b0100)]);
+        expect(2, &[(0.0, 0b1111)]);
+        expect(ROWS + 2, &[(0.0, 0b0111), (1.0, 0b1000)]);
+        assert!(pool.alleles.is_sorted_by_key(|allele| allele.row));
+    }
+
+    #[test]
+    fn a_value_that_nobody_has_is_no_allele() {
+        let base = cloud(2);
+        let all = change_rows(&base, 0..2, |_, genes| genes[0] += 1.0);
+        assert_eq!(Pool::new(&base, &[all.clone(), all]).alleles.len(), 2);
     }
 }

@@ -1,0 +1,289 @@
+//! The picture of one tile for every individual of a pool.
+//!
+//! Block after block of 4x4 pixels, so that everybody's light in it (256 bytes each) stays in the first-level cache. The
+//! alphas of up to 64 splats are evaluated, and then each individual blends those that it holds: five operations for 16
+//! pixels and a splat. A pixel is finished where the renderer says so: a run is blended as if none could be, and again with
+//! care where one might have been.
+
+use fearless_simd::{Simd, prelude::*};
+use genesplat_core::constants::TRANSMITTANCE_MIN;
+
+use super::super::bin::{BLOCK, BLOCKS_ACROSS, TileSplat};
+use super::super::project::{Splat, Splats, TILE};
+use super::super::rasterise::{BLOCKS, absorb, alpha, each_splat};
+use super::super::simd::{LANES, V, array};
+use super::pool::{Allele, Holders};
+
+/// Red, green and blue of a tile's pixels, row by row.
+pub type Colours = [[[f32; TILE]; TILE]; 3];
+
+/// Splats of a block that are evaluated before they are blended: a bit each.
+const RUN: usize = u64::BITS as usize;
+
+/// One thread's working memory.
+#[derive(Default)]
+pub struct Blender {
+    /// The splats of the tile, seen from its corner, and who holds them.
+    splats: Vec<Splat>,
+    holders: Vec<Holders>,
+    /// Everybody's light in a block so far.
+    lights: Vec<Stored>,
+    run: Run,
+}
+
+impl Blender {
+    /// Blends the tile at `origin` (px) for every individual, on `background`. A splat's `global` is its allele's place.
+    #[inline(always)]
+    pub fn blend<S: Simd>(
+        &mut self,
+        simd: S,
+        splats: &Splats,
+        alleles: &[Allele],
+        (entries, origin): (&[TileSplat], [usize; 2]),
+        background: [f32; 3],
+        out: &mut [Colours],
+    ) {
+        let Self { splats: near, holders, lights, run } = self;
+        near.clear();
+        holders.clear();
+        each_splat(
+            splats,
+            entries,
+            origin,
+            #[inline(always)]
+            |_, splat| {
+                near.push(*splat);
+                holders.push(alleles[splat.global as usize].holders);
+                true
+            },
+        );
+        for block in 0..BLOCKS {
+            lights.clear();
+            lights.resize(out.len(), Stored::UNTOUCHED);
+            for ((entry, splat), &holders) in entries.iter().zip(&*near).zip(&*holders) {
+                if entry.blocks >> block & 1 == 1 {
+                    run.evaluate(simd, splat, holders, block);
+                }
+                if run.length == RUN {
+                    run.blend(simd, lights);
+                }
+            }
+            run.blend(simd, lights);
+            for (light, out) in lights.iter().zip(&mut *out) {
+                write_block(&Light::load(simd, light).on(background), block, out);
+            }
+        }
+    }
+}
+
+/// Writes the pixels of a block to its tile.
+#[inline(always)]
+fn write_block(values: &[[f32; LANES]; 3], block: usize, out: &mut Colours) {
+    let [left, top] = [block % BLOCKS_ACROSS * BLOCK, block / BLOCKS_ACROSS * BLOCK];
+    for (values, plane) in values.iter().zip(out) {
+        for (values, row) in values.as_chunks::<BLOCK>().0.iter().zip(&mut plane[top..]) {
+            row[left..left + BLOCK].copy_from_slice(values);
+        }
+    }
+}
+
+/// Red, green, blue (without background) and transmittance of the pixels of a block.
+#[derive(Clone, Copy, Debug)]
+#[repr(align(64))]
+struct Stored([[f32; LANES]; 4]);
+
+impl Stored {
+    /// Before the first splat.
+    const UNTOUCHED: Self = Self([[0.0; LANES], [0.0; LANES], [0.0; LANES], [1.0; LANES]]);
+}
+
+/// The same in registers. The sign bit of a transmittance is set where the pixel is finished.
+#[derive(Clone, Copy)]
+struct Light<S: Simd> {
+    colour: [V<S>; 3],
+    transmittance: V<S>,
+}
+
+impl<S: Simd> Light<S> {
+    #[inline(always)]
+    fn load(simd: S, stored: &Stored) -> Self {
+        let colour = array(
+            #[inline(always)]
+            |channel| V::simd_from(simd, stored.0[channel]),
+        );
+        Self { colour, transmittance: V::simd_from(simd, stored.0[3]) }
+    }
+
+    #[inline(always)]
+    fn store(&self) -> Stored {
+        Stored([*self.colour[0], *self.colour[1], *self.colour[2], *self.transmittance])
+    }
+
+    #[inline(always)]
+    fn add(&mut self, weight: V<S>, rgb: [f32; 3]) {
+        for (sum, value) in self.colour.iter_mut().zip(rgb) {
+            *sum = weight.mul_add(V::splat(weight.simd, value), *sum);
+        }
+    }
+
+    /// The colours in front of a background.
+    #[inline(always)]
+    fn on(&self, background: [f32; 3]) -> [[f32; LANES]; 3] {
+        let passing = self.transmittance.abs();
+        array(
+            #[inline(always)]
+            |channel| *passing.mul_add(V::splat(passing.simd, background[channel]), self.colour[channel]),
+        )
+    }
+}
+
+/// Up to 64 splats of one block, on their way into everybody's light.
+struct Run {
+    /// Alphas of the block's pixels, and the colour, of each.
+    alphas: [[f32; LANES]; RUN],
+    colours: [[f32; 3]; RUN],
+    /// The lower and the upper half of the bits of those who hold it.
+    holders: [[u64; RUN]; 2],
+    length: usize,
+}
+
+impl Default for Run {
+    fn default() -> Self {
+        Self { alphas: [[0.0; LANES]; RUN], colours: [[0.0; 3]; RUN], holders: [[0; RUN]; 2], length: 0 }
+    }
+}
+
+impl Run {
+    /// Adds a splat, unless it touches no pixel of the block.
+    #[inline(always)]
+    fn evaluate<S: Simd>(&mut self, simd: S, splat: &Splat, holders: Holders, block: usize) {
+        let alpha = alpha(simd, splat, block);
+        if alpha.hit.any_true() {
+            self.push(*alpha.alpha, splat.rgb, holders);
+        }
+    }
+
+    #[inline(always)]
+    fn push(&mut self, alphas: [f32; LANES], colour: [f32; 3], holders: Holders) {
+        self.alphas[self.length] = alphas;
+        self.colours[self.length] = colour;
+        self.holders[0][self.length] = holders as u64;
+        self.holders[1][self.length] = (holders >> RUN) as u64;
+        self.length += 1;
+    }
+
+    /// Blends the run into the light of each individual, and empties it.
+    #[inline(always)]
+    fn blend<S: Simd>(&mut self, simd: S, lights: &mut [Stored]) {
+        for holders in &mut self.holders {
+            holders[self.length..].fill(0);
+            transpose(holders);
+        }
+        self.length = 0;
+        for (stored, &held) in lights.iter_mut().zip(self.holders.as_flattened()) {
+            let before = Light::load(simd, stored);
+            let mut light = self.blend_freely(simd, held, before);
+            if light.transmittance.simd_lt(TRANSMITTANCE_MIN).any_true() {
+                light = self.blend_with_care(simd, held, before);
+            }
+            *stored = light.store();
+        }
+    }
+
+    /// Blends the splats of `held` as if no pixel could be finished. One that was finished before stays below the threshold.
+    #[inline(always)]
+    fn blend_freely<S: Simd>(&self, simd: S, mut held: u64, mut light: Light<S>) -> Light<S> {
+        while held != 0 {
+            let index = held.trailing_zeros() as usize;
+            held &= held - 1;
+            let weight = light.transmittance * V::simd_from(simd, self.alphas[index]);
+            light.transmittance -= weight;
+            light.add(weight, self.colours[index]);
+        }
+        light
+    }
+
+    /// The same as the renderer does it; stops where no pixel goes on.
+    #[inline(always)]
+    fn blend_with_care<S: Simd>(&self, simd: S, mut held: u64, mut light: Light<S>) -> Light<S> {
+        while held != 0 {
+            let index = held.trailing_zeros() as usize;
+            held &= held - 1;
+            let absorbed = absorb(light.transmittance, V::simd_from(simd, self.alphas[index]));
+            light.transmittance = absorbed.transmittance;
+            light.add(absorbed.weight, self.colours[index]);
+            if absorbed.goes_on.all_false() {
+                break;
+            }
+        }
+        light
+    }
+}
+
+/// Bit `j` of word `i` changes places with bit `i` of word `j`: squares of bits above and below the diagonal are swapped,
+/// ever smaller ones (Warren, "Hacker's Delight", section 7-3).
+fn transpose(words: &mut [u64; 64]) {
+    for log_side in (0..6).rev() {
+        let side = 1 << log_side;
+        // Bits whose number has no `side` in it.
+        let lower = u64::MAX / ((1 << side) + 1);
+        for word in (0..64).filter(|word| word & side == 0) {
+            let swapped = (words[word] >> side ^ words[word + side]) & lower;
+            words[word] ^= swapped << side;
+            words[word + side] ^= swapped;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use fearless_simd::{Level, dispatch};
+
+    #[test]
+    fn transposing_swaps_rows_and_columns() {
+        let words: [u64; 64] =
+            std::array::from_fn(|i| (i as u64 + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15).rotate_left(i as u32));
+        let mut transposed = words;
+        transpose(&mut transposed);
+        for (i, word) in words.iter().enumerate() {
+            for (j, across) in transposed.iter().enumerate() {
+                assert_eq!(word >> j & 1, across >> i & 1, "word {i}, bit {j}");
+            }
+        }
+    }
+
+    /// Of 40 splats individual 0 holds all and is finished by them, 100 every fourth, and 127 none.
+    #[test]
+    fn pixels_are_finished_for_each_individual_where_they_are() {
+        let mut run = Run::default();
+        for splat in 0..40 {
+            let alphas = std::array::from_fn(|lane| 0.03 * (lane + splat % 5) as f32);
+            let holders = 1 | Holders::from(splat % 4 == 0) << 100;
+            run.push(alphas, [1.0, 0.5, splat as f32], holders);
+        }
+        let mut lights = vec![Stored::UNTOUCHED; 128];
+        dispatch!(Level::new(), simd => run.blend(simd, &mut lights));
+        for (individual, every) in [(0, 1), (100, 4), (127, 100)] {
+            let mut finished = 0;
+            for lane in 0..LANES {
+                let (mut red, mut passing) = (0.0f32, 1.0f32);
+                for splat in (0..40).step_by(every).filter(|splat| every < 100 || splat % every != 0) {
+                    let weight = passing * run.alphas[splat][lane];
+                    if passing - weight < TRANSMITTANCE_MIN {
+                        finished += 1;
+                        break;
+                    }
+                    (red, passing) = (red + weight, passing - weight);
+                }
+                let [actual_red, _, _, actual_passing] = lights[individual].0.map(|values| values[lane]);
+                assert!((actual_red - red).abs() < 1e-5, "{individual}, {lane}: {actual_red}, {red}");
+                assert!(
+                    (actual_passing.abs() - passing).abs() < 1e-6 * passing.max(0.1),
+                    "{individual}, {lane}"
+                );
+            }
+            assert_eq!(finished > 0, individual == 0, "individual {individual}: {finished} pixels");
+        }
+    }
+}
