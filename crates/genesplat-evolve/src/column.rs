@@ -78,20 +78,16 @@ impl<const W: usize> Column<W> {
     /// is whatever more than half of the weight agrees on, and one of the values where there is no such.
     pub(crate) fn majority(voters: &[(&Self, u32)]) -> Self {
         let words = voters.first().map_or(0, |(column, _)| column.changed.len());
-        let mut rest: Vec<&[[f32; W]]> = voters.iter().map(|(column, _)| column.values.as_slice()).collect();
-        let mut runs = rest.clone();
+        let mut values: Vec<_> = voters.iter().map(|(column, _)| column.values.iter()).collect();
         let mut out = Self { changed: vec![0; words], values: Vec::new() };
         for word in 0..words {
-            for ((run, rest), (column, _)) in runs.iter_mut().zip(&mut rest).zip(voters) {
-                *run = take(rest, column.changed[word]);
-            }
             let any = voters.iter().fold(0, |bits, (column, _)| bits | column.changed[word]);
             for bit in ones(any) {
-                let votes = voters.iter().zip(&runs).map(|((column, weight), run)| {
-                    let bits = column.changed[word];
-                    (is_set(bits, bit).then(|| run[rank(bits, bit)]), *weight)
+                let votes = voters.iter().zip(&mut values).map(|((column, weight), values)| {
+                    let own = if is_set(column.changed[word], bit) { values.next() } else { None };
+                    (own, *weight)
                 });
-                if let Some(value) = elected(votes) {
+                if let Some(&value) = elected(votes) {
                     out.changed[word] |= 1 << bit;
                     out.values.push(value);
                 }

@@ -55,11 +55,16 @@ impl Genome {
 
     /// What most of some individuals hold, gene group by gene group, each individual with its weight.
     pub(crate) fn majority(voters: &[(&Self, u32)]) -> Self {
-        Self {
-            position: Column::majority(&voters_of(voters, |genome| &genome.position)),
-            scale: Column::majority(&voters_of(voters, |genome| &genome.scale)),
-            opacity: Column::majority(&voters_of(voters, |genome| &genome.opacity)),
-        }
+        let (position, (scale, opacity)) = rayon::join(
+            || Column::majority(&voters_of(voters, |genome| &genome.position)),
+            || {
+                rayon::join(
+                    || Column::majority(&voters_of(voters, |genome| &genome.scale)),
+                    || Column::majority(&voters_of(voters, |genome| &genome.opacity)),
+                )
+            },
+        );
+        Self { position, scale, opacity }
     }
 
     /// All seven genes of every row of which at least one group differs from the base.

@@ -10,13 +10,15 @@ use genesplat_core::constants::TRANSMITTANCE_MIN;
 
 use super::super::bin::{BLOCK, BLOCKS_ACROSS, TileSplat};
 use super::super::project::{Splat, Splats, TILE};
-use super::super::rasterise::{BLOCKS, absorb, alpha, each_splat};
-use super::super::simd::{LANES, V, array};
-use super::pool::{Allele, Holders};
+use super::super::rasterise::{BLOCKS, absorb, alpha};
+use super::super::simd::{LANES, V, array, prefetch};
+use super::pool::Holders;
 
 /// Red, green and blue of a tile's pixels, row by row.
 pub type Colours = [[[f32; TILE]; TILE]; 3];
 
+/// Entries between a splat that is asked for (they lie scattered) and the one that is taken.
+const AHEAD: usize = 16;
 /// Splats of a block that are evaluated before they are blended: a bit each.
 const RUN: usize = u64::BITS as usize;
 
@@ -32,13 +34,13 @@ pub struct Blender {
 }
 
 impl Blender {
-    /// Blends the tile at `origin` (px) for every individual, on `background`. A splat's `global` is its allele's place.
+    /// Blends the tile at `origin` (px) for every individual, on `background`; `all_holders` are those of each splat.
     #[inline(always)]
     pub fn blend<S: Simd>(
         &mut self,
         simd: S,
         splats: &Splats,
-        alleles: &[Allele],
+        all_holders: &[Holders],
         (entries, origin): (&[TileSplat], [usize; 2]),
         background: [f32; 3],
         out: &mut [Colours],
@@ -46,17 +48,14 @@ impl Blender {
         let Self { splats: near, holders, lights, run } = self;
         near.clear();
         holders.clear();
-        each_splat(
-            splats,
-            entries,
-            origin,
-            #[inline(always)]
-            |_, splat| {
-                near.push(*splat);
-                holders.push(alleles[splat.global as usize].holders);
-                true
-            },
-        );
+        for (index, entry) in entries.iter().enumerate() {
+            if let Some(ahead) = entries.get(index + AHEAD) {
+                prefetch(splats.get(ahead.splat));
+                prefetch(&all_holders[ahead.splat as usize]);
+            }
+            near.push(splats.get(entry.splat).seen_from(origin));
+            holders.push(all_holders[entry.splat as usize]);
+        }
         for block in 0..BLOCKS {
             lights.clear();
             lights.resize(out.len(), Stored::UNTOUCHED);

@@ -27,7 +27,7 @@ pub struct Allele {
     /// Its genes.
     pub genes: Gene,
     /// The individuals that have them.
-    pub holders: Holders,
+    holders: Holders,
 }
 
 /// Up to 128 individuals.
@@ -42,6 +42,8 @@ pub struct Pool {
 pub struct Room {
     splats: Splats,
     bins: Bins,
+    /// Who holds the allele of each splat.
+    holders: Vec<Holders>,
     /// Everybody's colours in each tile `[tiles, P]`.
     pictures: Vec<Colours>,
 }
@@ -77,10 +79,14 @@ impl Pool {
         settings: &RenderSettings,
         room: &mut Room,
     ) -> Vec<f32> {
-        let Room { splats, bins, pictures } = room;
+        let Room { splats, bins, holders, pictures } = room;
         // 1. The alleles as the splats of one cloud.
         project_alleles(level, cloud, &self.alleles, camera, settings, splats);
         bins.build(level, splats, camera);
+        holders.resize(splats.capacity(), Holders::MIN);
+        for (index, splat) in splats.iter() {
+            holders[index as usize] = self.alleles[splat.global as usize].holders;
+        }
         // 2. Everybody's pictures, tile by tile.
         let (across, background) = (camera.grid()[0], settings.background);
         let corner = |tile: usize| [tile % across * TILE, tile / across * TILE];
@@ -88,7 +94,7 @@ impl Pool {
         let tiles = pictures.par_chunks_mut(self.individuals).enumerate();
         tiles.for_each_init(Blender::default, |blender, (tile, out)| {
             let entries = (bins.tile(tile), corner(tile));
-            dispatch!(level, simd => blender.blend(simd, splats, &self.alleles, entries, background, out));
+            dispatch!(level, simd => blender.blend(simd, splats, holders, entries, background, out));
         });
         // 3. Their losses.
         let losses = (0..self.individuals).into_par_iter().map_init(Easel::default, |easel, individual| {
