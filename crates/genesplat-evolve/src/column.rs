@@ -195,7 +195,8 @@ fn select(mask: u64, [first, second]: [u64; 2]) -> u64 {
     (first & mask) | (second & !mask)
 }
 
-fn is_set(bits: u64, bit: usize) -> bool {
+/// Whether a word has a bit.
+pub(crate) fn is_set(bits: u64, bit: usize) -> bool {
     bits >> bit & 1 == 1
 }
 

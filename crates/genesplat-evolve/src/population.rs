@@ -21,8 +21,8 @@
 //! 890 bytes a Gaussian for all of it in that worst case.
 //! P matters only through `D`, which grows as the tournament shrinks: T = 2 keeps about 55 of 100 individuals.
 //!
-//! **Time.** A child costs one pass over its columns (a copy, for cuts between rows) and one random word a Gaussian for
-//! the selection; those that breed cost it twice.
+//! **Time.** A child costs one pass over its columns (a copy, for cuts between rows) and one random word for
+//! each Gaussian that it selects; those that breed cost it twice.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;

@@ -4,6 +4,8 @@ use std::collections::BTreeSet;
 
 use genesplat_core::{Rng, Stream};
 
+use crate::column::{WORD, is_set, ones, words};
+
 /// Who a random number belongs to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Address {
@@ -15,24 +17,23 @@ pub(crate) struct Address {
 
 /// `wanted` of the rows `0..total`, ascending; every subset is equally likely.
 ///
-/// Knuth's algorithm S (The Art of Computer Programming 2, section 3.4.2): a row is taken with probability
-/// `still wanted / rows left`. One word a row, four rows a call of the generator.
+/// Floyd's algorithm, as [`distinct`], on a bit a row: a word for each row that is wanted, four a call of the generator.
 pub(crate) fn choose_rows(rng: &Rng, address: Address, total: u32, wanted: u32) -> Vec<u32> {
-    let mut chosen = Vec::with_capacity(wanted as usize);
-    let mut missing = wanted;
-    for block in 0..total.div_ceil(4) {
-        let draw = rng.at(Stream::GeneSelection, address.generation, address.individual, block);
-        for (lane, row) in (4 * block..total.min(4 * block + 4)).enumerate() {
-            if draw.below(lane, total - row) < missing {
-                chosen.push(row);
-                missing -= 1;
-            }
-        }
-        if missing == 0 {
-            break;
+    let mut chosen = vec![0; words(total as usize)];
+    for (block, first) in (total - wanted..total).step_by(4).enumerate() {
+        let draw = rng.at(Stream::GeneSelection, address.generation, address.individual, block as u32);
+        for (lane, last) in (first..total.min(first + 4)).enumerate() {
+            let pick = draw.below(lane, last + 1);
+            let is_taken = is_set(chosen[pick as usize / WORD], pick as usize % WORD);
+            let row = if is_taken { last } else { pick } as usize;
+            chosen[row / WORD] |= 1 << (row % WORD);
         }
     }
-    chosen
+    let mut rows = Vec::with_capacity(wanted as usize);
+    for (word, &bits) in chosen.iter().enumerate() {
+        rows.extend(ones(bits).map(|bit| (word * WORD + bit) as u32));
+    }
+    rows
 }
 
 /// `wanted` distinct numbers of `0..total`; every subset is equally likely. `below(k, n)` is draw `k`, in `0..n`.

@@ -18,9 +18,9 @@ use crate::config::EvolutionConfig;
 use crate::observe::{GenerationLog, Observer, StageKind, StageLog, StageRecord};
 use crate::run::TrainError;
 
-/// Individuals are handed to the backend until they take this many bytes: enough to keep a device busy, and small
-/// against the cloud itself.
-const BATCH_BYTES: usize = 64 << 20;
+/// Individuals are handed to the backend until they take this many bytes: what they have in common is found once a batch, and
+/// a generation of the paper's is one, up to some 350,000 Gaussians.
+const BATCH_BYTES: usize = 256 << 20;
 
 /// What a stage depends on.
 pub(crate) struct Stage<'a> {
