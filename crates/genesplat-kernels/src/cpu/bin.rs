@@ -148,6 +148,13 @@ impl Bins {
 /// Calls `each(tile, blocks)` for every tile that the splat reaches, row by row.
 #[inline(always)]
 pub fn for_each_tile<S: Simd>(simd: S, splat: &Splat, grid: [usize; 2], mut each: impl FnMut(u32, u32)) {
+    if let Some([column, row]) = only_block(splat, grid) {
+        let (tile, bit) = (
+            row / BLOCKS_ACROSS * grid[0] + column / BLOCKS_ACROSS,
+            row % BLOCKS_ACROSS * BLOCKS_ACROSS + column % BLOCKS_ACROSS,
+        );
+        return each(tile as u32, 1 << bit);
+    }
     let band_limit = (grid[1] * BLOCKS_ACROSS) as i32;
     let to_band = |y: f32| (y / BLOCK as f32).floor() as i32;
     let first_band = to_band(splat.mean[1] - splat.half_extent[1] - SLACK_PX).clamp(0, band_limit);
@@ -170,6 +177,25 @@ pub fn for_each_tile<S: Simd>(simd: S, splat: &Splat, grid: [usize; 2], mut each
         }
         band += BANDS as i32;
     }
+}
+
+/// Column and row of the block that has the splat's mean among its pixel centres, if the splat reaches no other: half of the
+/// splats of a fine cloud need no ellipse.
+#[inline(always)]
+fn only_block(splat: &Splat, grid: [usize; 2]) -> Option<[usize; 2]> {
+    let mut block = [0; 2];
+    for axis in 0..2 {
+        let (mean, extent) = (splat.mean[axis], splat.half_extent[axis] + SLACK_PX);
+        // Beyond the image on the left, 0.
+        block[axis] = (mean * (1.0 / BLOCK as f32)) as usize;
+        let from_first = mean - (block[axis] * BLOCK) as f32;
+        let is_among = (0.0..=(BLOCK - 1) as f32).contains(&from_first);
+        let is_alone = from_first - extent > -1.0 && from_first + extent < BLOCK as f32;
+        if !is_among || !is_alone || block[axis] >= grid[axis] * BLOCKS_ACROSS {
+            return None;
+        }
+    }
+    Some(block)
 }
 
 /// Block columns `[from, to)` that the ellipse covers in each of eight bands; empty where `from ≥ to`.
