@@ -59,8 +59,20 @@ impl<const W: usize> Column<W> {
         self.changed.capacity() * size_of::<u64>() + self.values.capacity() * size_of::<[f32; W]>()
     }
 
+    /// The same values as differences from another base, which differs from this one as `other` does; `base` is this one.
+    pub(crate) fn rebased(&self, other: &Self, base: impl Fn(usize) -> [f32; W]) -> Self {
+        let changed = self.differing(other);
+        let mut values = Vec::with_capacity(count(&changed));
+        let mut own = self.reader();
+        for (word, &bits) in changed.iter().enumerate() {
+            let rows = ones(bits).map(|bit| word * WORD + bit);
+            values.extend(rows.map(|row| own.get(row).unwrap_or_else(|| base(row))));
+        }
+        Self { changed, values }
+    }
+
     /// Bits of the rows in which two columns of the same base differ.
-    pub(crate) fn differing(&self, other: &Self) -> Vec<u64> {
+    fn differing(&self, other: &Self) -> Vec<u64> {
         let mut rest = [self.values.as_slice(), other.values.as_slice()];
         let words = self.changed.iter().zip(&other.changed);
         words
@@ -261,6 +273,18 @@ mod tests {
             let bits = a.differing(&b);
             let found: Vec<bool> = (0..N).map(|row| is_set(bits[row / WORD], row % WORD)).collect();
             prop_assert_eq!(found, expected);
+        }
+
+        #[test]
+        fn a_rebased_column_holds_the_same_values(own in own(), other in own()) {
+            let base = |row: usize| [row as f32];
+            let (own, other) = (column(&own), column(&other));
+            let values = |column: &Column<1>, base: &[[f32; 1]]| -> Vec<[f32; 1]> {
+                read(column).iter().zip(base).map(|(own, base)| own.unwrap_or(*base)).collect()
+            };
+            let bases: Vec<[f32; 1]> = (0..N).map(base).collect();
+            let rebased = own.rebased(&other, base);
+            prop_assert_eq!(values(&rebased, &values(&other, &bases)), values(&own, &bases));
         }
 
         #[test]

@@ -1,50 +1,60 @@
-//! What the individuals of a generation have in common: the cloud that they are scored as differences from.
+//! What the individuals of a generation have in common: the genes that they are differences from.
 //!
-//! Scoring an individual costs what it changes. A search soon leaves its base behind: at the paper's settings individuals
-//! differ from it in two thirds of their rows after 30 generations. But selection makes all individuals of a generation
-//! cousins, a few generations apart, and from what most of their parents hold they differ in a quarter of the rows then, and
-//! in a twentieth towards the end (`docs/performance.md`).
+//! Keeping, breeding and scoring an individual cost what it changes. A search soon leaves its base behind: at the paper's
+//! settings individuals differ from it in two thirds of their rows after 30 generations. But selection makes all
+//! individuals of a generation cousins, a few generations apart, and from what most of their parents hold they differ in a
+//! quarter of the rows then, and in a twentieth towards the end (`docs/performance.md`). So that is what they are
+//! differences from, and it moves on with them.
 
 use std::sync::Arc;
 
 use genesplat_core::{Gene, SparseDelta};
+use rayon::prelude::*;
 
 use crate::individual::Genome;
 
-/// Share of the rows that must have changed hands before the consensus moves: whoever scores has to prepare the new one,
-/// which costs about as much as a few individuals.
+/// Share of the rows that must have changed hands before the consensus moves: whoever scores has to follow it, and so has
+/// every genome.
 const SHIFT_MIN: f64 = 0.005;
 
 /// What most parents of a generation hold, gene group by gene group.
 #[derive(Debug)]
 pub(crate) struct Consensus {
-    genome: Genome,
-    /// What it holds otherwise than the one before.
+    /// Of every row `[N, 7]`.
+    genes: Vec<Gene>,
+    /// Those that the search began with.
+    base: Vec<Gene>,
+    /// What the consensus holds otherwise than the one before.
     shift: SparseDelta,
 }
 
 impl Consensus {
-    /// That of the initial population: the base itself, of `n` rows.
-    pub(crate) fn base(n: usize) -> Self {
-        Self { genome: Genome::base(n), shift: SparseDelta::default() }
+    /// That of the initial population: the base itself.
+    pub(crate) fn new(base: Vec<Gene>) -> Self {
+        Self { genes: base.clone(), base, shift: SparseDelta::default() }
     }
 
-    /// Moves to what most of `parents` hold, who count as often as they breed, if that is far enough from where it is.
-    pub(crate) fn follow<'a>(&mut self, parents: impl Iterator<Item = &'a Arc<Genome>>, base: &[Gene]) {
-        let mut voters: Vec<(&Genome, u32)> = Vec::new();
-        for parent in parents {
-            match voters.iter_mut().find(|(voter, _)| std::ptr::eq(*voter, Arc::as_ptr(parent))) {
-                Some((_, weight)) => *weight += 1,
-                None => voters.push((parent, 1)),
-            }
-        }
-        let next = Genome::majority(&voters);
-        let shift = next.to_delta_from(&self.genome, base);
-        if shift.rows.len() as f64 >= SHIFT_MIN * base.len() as f64 {
-            *self = Self { genome: next, shift };
-        } else {
+    /// What genomes are differences from.
+    pub(crate) fn genes(&self) -> &[Gene] {
+        &self.genes
+    }
+
+    /// Moves to what most of `genomes` hold, each with its weight, if that is far enough from where it is; the genomes move
+    /// along.
+    pub(crate) fn follow(&mut self, genomes: &mut [Arc<Genome>], weights: &[u32]) {
+        let voters: Vec<(&Genome, u32)> =
+            genomes.iter().map(Arc::as_ref).zip(weights.iter().copied()).collect();
+        let majority = Genome::majority(&voters);
+        let shift = majority.to_delta(&self.genes);
+        if (shift.rows.len() as f64) < SHIFT_MIN * self.genes.len() as f64 {
             self.shift = SparseDelta::default();
+            return;
         }
+        genomes.par_iter_mut().for_each(|genome| *genome = Arc::new(genome.rebased(&majority, &self.genes)));
+        for (&row, &genes) in shift.rows.iter().zip(&shift.genes) {
+            self.genes[row as usize] = genes;
+        }
+        self.shift = shift;
     }
 
     /// What makes the consensus of the generation before the one of this generation.
@@ -53,17 +63,29 @@ impl Consensus {
     }
 
     /// What makes it the base again.
-    pub(crate) fn way_back(&self, base: &[Gene]) -> SparseDelta {
-        Genome::base(base.len()).to_delta_from(&self.genome, base)
+    pub(crate) fn way_back(&self) -> SparseDelta {
+        difference(self.base.iter().copied(), &self.genes)
     }
 
-    /// An individual as its difference from the consensus.
-    pub(crate) fn delta_of(&self, genome: &Genome, base: &[Gene]) -> SparseDelta {
-        genome.to_delta_from(&self.genome, base)
+    /// An individual as its difference from the base.
+    pub(crate) fn delta_from_base(&self, genome: &Genome) -> SparseDelta {
+        let own = genome.to_delta(&self.genes);
+        let mut own = own.rows.into_iter().zip(own.genes).peekable();
+        let genes = (0..).zip(&self.genes).map(|(row, &shared)| {
+            own.next_if(|(changed, _)| *changed == row).map_or(shared, |(_, genes)| genes)
+        });
+        difference(genes, &self.base)
     }
 
     /// Bytes held.
     pub(crate) fn bytes(&self) -> usize {
-        self.genome.bytes() + self.shift.bytes()
+        (self.genes.capacity() + self.base.capacity()) * size_of::<Gene>() + self.shift.bytes()
     }
+}
+
+/// What makes `before` the genes that are wanted.
+fn difference(wanted: impl Iterator<Item = Gene>, before: &[Gene]) -> SparseDelta {
+    let changed = (0..).zip(wanted).zip(before).filter(|((_, wanted), before)| wanted != *before);
+    let (rows, genes) = changed.map(|(wanted, _)| wanted).unzip();
+    SparseDelta { rows, genes }
 }

@@ -37,8 +37,6 @@ pub struct GeneticAlgorithm {
     /// Best first.
     elites: Vec<Elite>,
     brood: Brood,
-    /// What the parents of the brood have in common.
-    consensus: Consensus,
     base_loss: f64,
     /// BG: the best individual and its loss, once one is better than the base.
     best: Option<(SparseDelta, f64)>,
@@ -88,16 +86,14 @@ impl GeneticAlgorithm {
         config.validate()?;
         check_base(&base, base_loss)?;
         let mutation = Mutation::new(&config, &base, gradients, rng)?;
-        let breeder = Breeder { base, mutation, crossover: config.crossover, rng };
+        let breeder = Breeder { consensus: Consensus::new(base), mutation, crossover: config.crossover, rng };
         let brood = Brood::Founders { count: config.population };
-        let consensus = Consensus::base(breeder.base.len());
         let mut search = Self {
             config,
             breeder,
             generation: 0,
             elites: Vec::new(),
             brood,
-            consensus,
             base_loss,
             best: None,
             logbook: Vec::new(),
@@ -120,7 +116,7 @@ impl GeneticAlgorithm {
     /// If `index` is not below [`GeneticAlgorithm::ask`].
     pub fn delta(&self, index: usize) -> SparseDelta {
         assert!(index < self.ask(), "individual {index} of a generation of {}", self.ask());
-        self.genome(index as u32).to_delta(&self.breeder.base)
+        self.breeder.consensus.delta_from_base(&self.genome(index as u32))
     }
 
     /// Several individuals, made in parallel.
@@ -135,12 +131,12 @@ impl GeneticAlgorithm {
     /// this generation are differences from ([`GeneticAlgorithm::deltas_from_consensus`]); the first is the base. Often
     /// nothing.
     pub fn shift(&self) -> &SparseDelta {
-        self.consensus.shift()
+        self.breeder.consensus.shift()
     }
 
     /// What turns that cloud into the base again.
     pub fn way_back(&self) -> SparseDelta {
-        self.consensus.way_back(&self.breeder.base)
+        self.breeder.consensus.way_back()
     }
 
     /// Several individuals as differences from what most parents of this generation hold, made in parallel: far
@@ -150,7 +146,7 @@ impl GeneticAlgorithm {
     /// As [`GeneticAlgorithm::delta`].
     pub fn deltas_from_consensus(&self, indices: Range<usize>) -> Vec<SparseDelta> {
         assert!(indices.end <= self.ask(), "{indices:?} of a generation of {}", self.ask());
-        let delta = |index| self.consensus.delta_of(&self.genome(index as u32), &self.breeder.base);
+        let delta = |index| self.genome(index as u32).to_delta(self.breeder.consensus.genes());
         indices.into_par_iter().map(delta).collect()
     }
 
@@ -219,7 +215,7 @@ impl GeneticAlgorithm {
     fn bytes_with(&self, next_parents: &[Arc<Genome>]) -> usize {
         let elites = self.elites.iter().map(|elite| &elite.genome);
         let genomes = distinct_bytes(elites.chain(self.brood.parents()).chain(next_parents));
-        genomes + self.breeder.bytes() + self.consensus.bytes() + self.best().map_or(0, SparseDelta::bytes)
+        genomes + self.breeder.bytes() + self.best().map_or(0, SparseDelta::bytes)
     }
 
     fn check_losses(&self, losses: &[f64]) -> Result<(), TellError> {
@@ -236,7 +232,7 @@ impl GeneticAlgorithm {
         let improved = ranking.finite().first().is_some_and(|&loss| loss < self.best_loss());
         if improved {
             let genome = self.individual(ranking.individual(0));
-            self.best = Some((genome.to_delta(&self.breeder.base), ranking.loss(0)));
+            self.best = Some((self.breeder.consensus.delta_from_base(&genome), ranking.loss(0)));
         }
         improved
     }
@@ -245,9 +241,11 @@ impl GeneticAlgorithm {
     fn breed(&mut self, ranking: &Ranking) {
         let generation = self.generation + 1;
         let plan = MatingPlan::draw(&self.config, &self.breeder.rng, generation);
-        let kept: Vec<Arc<Genome>> =
+        let mut kept: Vec<Arc<Genome>> =
             plan.kept.par_iter().map(|&rank| self.individual(ranking.individual(rank))).collect();
         self.peak_bytes = self.peak_bytes.max(self.bytes_with(&kept));
+        (self.elites, self.brood) = (Vec::new(), Brood::NONE);
+        self.breeder.consensus.follow(&mut kept, &plan.parenthoods());
         let of_rank = |rank: u32| {
             let slot = plan.kept.partition_point(|&kept| kept < rank);
             Arc::clone(&kept[slot])
@@ -261,7 +259,6 @@ impl GeneticAlgorithm {
         self.elites =
             (0..elites).map(|rank| Elite { genome: of_rank(rank), loss: ranking.loss(rank) }).collect();
         self.brood = Brood::Children { count: self.config.population - elites, pairs };
-        self.consensus.follow(self.brood.parents(), &self.breeder.base);
         self.generation = generation;
     }
 

@@ -67,22 +67,18 @@ impl Genome {
         Self { position, scale, opacity }
     }
 
+    /// The same individual as its difference from another base, which differs from this one as `other` does.
+    pub(crate) fn rebased(&self, other: &Self, base: &[Gene]) -> Self {
+        Self {
+            position: self.position.rebased(&other.position, |row| Group::Position.of(&base[row])),
+            scale: self.scale.rebased(&other.scale, |row| Group::Scale.of(&base[row])),
+            opacity: self.opacity.rebased(&other.opacity, |row| Group::Opacity.of(&base[row])),
+        }
+    }
+
     /// All seven genes of every row of which at least one group differs from the base.
     pub(crate) fn to_delta(&self, base: &[Gene]) -> SparseDelta {
-        self.difference([self.position.changed(), self.scale.changed(), self.opacity.changed()], base)
-    }
-
-    /// All seven genes of every row of which at least one group differs from another individual of the same base.
-    pub(crate) fn to_delta_from(&self, other: &Self, base: &[Gene]) -> SparseDelta {
-        let position = self.position.differing(&other.position);
-        let scale = self.scale.differing(&other.scale);
-        let opacity = self.opacity.differing(&other.opacity);
-        self.difference([&position, &scale, &opacity], base)
-    }
-
-    /// All seven genes of the rows that are set in any of the bit columns.
-    fn difference(&self, differs: [&[u64]; GROUPS], base: &[Gene]) -> SparseDelta {
-        let rows = rows_of_any(differs);
+        let rows = rows_of_any([self.position.changed(), self.scale.changed(), self.opacity.changed()]);
         let (mut position, mut scale) = (self.position.reader(), self.scale.reader());
         let mut opacity = self.opacity.reader();
         let gene = |&row: &u32| {

@@ -3,8 +3,9 @@
 //! A million Gaussians times seven genes times a hundred individuals would be 2.8 GB, and twice that while the next
 //! generation is bred. Three things keep a search far below it:
 //!
-//! 1. An individual is a difference from the shared base, group by group: `3/8` byte a Gaussian for three columns of
-//!    bits, and 12, 12 and 4 bytes for each position, scale and opacity that differs.
+//! 1. An individual is a difference from what the parents of its generation have in common ([`crate::consensus`]), group by
+//!    group: `3/8` byte a Gaussian for three columns of bits, and 12, 12 and 4 bytes for each position, scale and opacity
+//!    that differs.
 //! 2. A child that has not been judged is a *recipe*: two parents and the address of its random numbers, a few dozen
 //!    bytes. Its genes are made when it is asked for, and made again, bit for bit the same, if it is chosen to breed.
 //! 3. Tournaments choose few: of P = 100 with T = 10 and 10 elites, about 26 distinct individuals breed or are carried
@@ -12,14 +13,14 @@
 //!
 //! **Growth law.** With selection fraction `f` and mutation rates `m_j`, a gene group of a Gaussian differs from the base
 //! after generation `k` with probability at most `rho_k = 1 - (1 - f m_0) · ... · (1 - f m_k)`: crossover only moves
-//! differences about, and elites gain none. A kept individual takes `N (3/8 + 28 rho_k)` bytes, and `D` distinct
+//! differences about, and elites gain none. A kept individual takes at most `N (3/8 + 28 rho_k)` bytes, and `D` distinct
 //! individuals are kept, `2 D` while the next parents are made from the old ones. At the paper's settings `rho` is 0.003
-//! at the beginning, 0.37 after 30 generations and 0.51 after 100, so that a million Gaussians take at most
-//! `2 · 26 · 14.7 MB = 0.76 GB` for a moment at the very end, if every generation descends from the last one's children and
-//! never from an elite; a search in which elites hold out takes a fraction. The copy of the base's genes (28 bytes a
-//! Gaussian), the gradients' signal (12) and the best so far (32 a changed row) come on top: `tests/memory.rs` measures
-//! 890 bytes a Gaussian for all of it in that worst case.
-//! P matters only through `D`, which grows as the tournament shrinks: T = 2 keeps about 55 of 100 individuals.
+//! at the beginning, 0.37 after 30 generations and 0.51 after 100. That is the bound from the base; from the consensus,
+//! individuals whose parents are cousins differ in far less: `tests/memory.rs` measures 490 bytes a Gaussian at most for a
+//! whole search in which every generation descends from the last one's children and never from an elite, copies of the
+//! base's and of the consensus' genes (28 bytes a Gaussian each), the gradients' signal (12) and the best so far (32 a
+//! changed row) included. P matters only through `D`, which grows as the tournament shrinks: T = 2 keeps about 55 of 100
+//! individuals.
 //!
 //! **Time.** A child costs one pass over its columns (a copy, for cuts between rows) and one random word for
 //! each Gaussian that it selects; those that breed cost it twice.
@@ -27,9 +28,10 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use genesplat_core::{Gene, Rng};
+use genesplat_core::Rng;
 
 use crate::config::{Crossover, PaperConfig};
+use crate::consensus::Consensus;
 use crate::crossover::{Inheritance, is_crossed};
 use crate::individual::{Genome, Parents};
 use crate::mutation::Mutation;
@@ -114,12 +116,18 @@ impl MatingPlan {
         kept.dedup();
         Self { pairs, kept }
     }
+
+    /// How often each of the kept is a parent.
+    pub(crate) fn parenthoods(&self) -> Vec<u32> {
+        let parents = || self.pairs.iter().flat_map(|(ranks, _)| ranks);
+        self.kept.iter().map(|rank| parents().filter(|&parent| parent == rank).count() as u32).collect()
+    }
 }
 
 /// Makes genomes from recipes.
 #[derive(Debug)]
 pub(crate) struct Breeder {
-    pub(crate) base: Vec<Gene>,
+    pub(crate) consensus: Consensus,
     pub(crate) mutation: Mutation,
     pub(crate) crossover: Crossover,
     pub(crate) rng: Rng,
@@ -129,9 +137,10 @@ impl Breeder {
     /// Individual `index` of a brood: crossover, then mutation, by the paper's order.
     pub(crate) fn genome(&self, brood: &Brood, generation: u32, index: u32, mutation_rate: f64) -> Genome {
         let address = Address { generation, individual: index };
-        let mutate = |parents: Parents<'_>| self.mutation.apply(parents, &self.base, address, mutation_rate);
+        let base = self.consensus.genes();
+        let mutate = |parents: Parents<'_>| self.mutation.apply(parents, base, address, mutation_rate);
         match brood {
-            Brood::Founders { .. } => mutate(Parents::One(&Genome::base(self.base.len()))),
+            Brood::Founders { .. } => mutate(Parents::One(&Genome::base(base.len()))),
             Brood::Children { pairs, .. } => {
                 let (pair, child) = (index / 2, index as usize % 2);
                 let Pair { parents, crossed } = &pairs[pair as usize];
@@ -139,16 +148,16 @@ impl Breeder {
                 if !crossed {
                     return mutate(Parents::One(own));
                 }
-                let n = self.base.len() as u32;
+                let n = base.len() as u32;
                 let inheritance = Inheritance::draw(self.crossover, &self.rng, generation, pair, n);
                 mutate(Parents::Crossed(own, other, &inheritance))
             }
         }
     }
 
-    /// Bytes of the base and of the gradients' signal.
+    /// Bytes of the base, of the consensus and of the gradients' signal.
     pub(crate) fn bytes(&self) -> usize {
-        self.base.capacity() * size_of::<Gene>() + self.mutation.bytes()
+        self.consensus.bytes() + self.mutation.bytes()
     }
 }
 
