@@ -5,12 +5,11 @@
 
 use fearless_simd::{Level, Simd, dispatch, prelude::*};
 use genesplat_core::constants::{ALPHA_MIN, JACOBIAN_LIMIT, NEAR_DEPTH};
-use genesplat_core::{Camera, Gaussians, RenderSettings, ScreenFilter};
+use genesplat_core::{Camera, Gaussians, Gene, RenderSettings, ScreenFilter};
 use rayon::prelude::*;
 
 use super::bin::LOG2_255;
 use super::colour;
-use super::score::pool::Allele;
 use super::simd::{LANES, LOG2_E, V, array, exp, keep, lanes_of, sigmoid};
 
 /// Rows that one task projects; also the unit of the backward pass. A constant, so that results do not depend on the
@@ -196,40 +195,43 @@ fn project_rows<S: Simd>(
     splats as u32
 }
 
-/// Projects alleles as if each were a row of its own: a splat's `global` is its allele's place among them.
-pub fn project_alleles(
+/// Projects `count` versions of rows, `version(index)` a row and its genes, as if each were a row of its own: a splat's
+/// `global` is its version's index.
+pub fn project_versions(
     level: Level,
     cloud: &Gaussians,
-    alleles: &[Allele],
+    count: usize,
+    version: impl Fn(usize) -> (u32, Gene) + Sync,
     camera: &Pinhole,
     settings: &RenderSettings,
     out: &mut Splats,
 ) {
     out.seen.clear();
-    out.room.resize(alleles.len(), Splat::default());
-    out.counts.resize(alleles.len().div_ceil(CHUNK), 0);
+    out.room.resize(count, Splat::default());
+    out.counts.resize(count.div_ceil(CHUNK), 0);
     let rooms = out.room.par_chunks_mut(CHUNK).zip(&mut out.counts);
-    rooms.zip(alleles.par_chunks(CHUNK)).enumerate().for_each(|(chunk, ((room, count), alleles))| {
-        let rows: Vec<u32> = alleles.iter().map(|allele| allele.row).collect();
-        let genes = |index: usize| alleles[index].genes;
-        *count = 0;
+    rooms.enumerate().for_each(|(chunk, (room, splats))| {
+        let first = chunk * CHUNK;
+        let rows: Vec<u32> = (first..first + room.len()).map(|index| version(index).0).collect();
+        let genes = |index: usize| version(first + index).1;
+        *splats = 0;
         dispatch!(level, simd => project_group(simd, cloud, &rows, genes, camera, settings,
             #[inline(always)]
             |index, splat| if let Some(splat) = splat {
-                room[*count as usize] = Splat { global: (chunk * CHUNK + index) as u32, ..splat };
-                *count += 1;
+                room[*splats as usize] = Splat { global: (first + index) as u32, ..splat };
+                *splats += 1;
             }
         ));
     });
 }
 
-/// Projects single rows, in the order given: what scoring needs for the rows that an individual changed.
+/// Projects single rows with genes of their own, in the order given.
 #[inline(always)]
-pub fn project_group<S: Simd>(
+fn project_group<S: Simd>(
     simd: S,
     cloud: &Gaussians,
     rows: &[u32],
-    genes: impl Fn(usize) -> genesplat_core::Gene,
+    genes: impl Fn(usize) -> Gene,
     camera: &Pinhole,
     settings: &RenderSettings,
     mut each: impl FnMut(usize, Option<Splat>),
@@ -276,7 +278,7 @@ impl<S: Simd> Params<S> {
         simd: S,
         cloud: &Gaussians,
         row: impl Fn(usize) -> usize,
-        genes: impl Fn(usize) -> genesplat_core::Gene,
+        genes: impl Fn(usize) -> Gene,
     ) -> Self {
         let mut gene_lanes = [[0.0f32; LANES]; genesplat_core::GENES];
         let mut rotation_lanes = [[0.0f32; LANES]; 4];

@@ -7,7 +7,7 @@ use genesplat_core::{Gaussians, Gene, RenderSettings, SparseDelta};
 use rayon::prelude::*;
 
 use super::super::bin::Bins;
-use super::super::project::{Pinhole, Splats, TILE, project_alleles};
+use super::super::project::{Pinhole, Splats, TILE, project_versions};
 use super::blend::{Blender, Colours};
 use super::judge::{Judge, Layout, Walk};
 
@@ -21,11 +21,10 @@ const PICTURES_BYTES: usize = 256 << 20;
 
 /// One value of a row, and who holds it.
 #[derive(Clone, Copy, Debug)]
-pub struct Allele {
-    /// Row of the cloud.
-    pub row: u32,
-    /// Its genes.
-    pub genes: Gene,
+struct Allele {
+    /// Of the cloud.
+    row: u32,
+    genes: Gene,
     /// The individuals that have them.
     holders: Holders,
 }
@@ -81,7 +80,8 @@ impl Pool {
     ) -> Vec<f32> {
         let Room { splats, bins, holders, pictures } = room;
         // 1. The alleles as the splats of one cloud.
-        project_alleles(level, cloud, &self.alleles, camera, settings, splats);
+        let version = |index: usize| (self.alleles[index].row, self.alleles[index].genes);
+        project_versions(level, cloud, self.alleles.len(), version, camera, settings, splats);
         bins.build(level, splats, camera);
         holders.resize(splats.capacity(), Holders::MIN);
         for (index, splat) in splats.iter() {
