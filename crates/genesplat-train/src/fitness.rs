@@ -132,10 +132,12 @@ fn score_generation<B: Backend>(
 /// The next individuals, about [`BATCH_BYTES`] of them. Those of one generation are about as large as each other, so the
 /// first tells how many fit.
 fn next_batch(algorithm: &GeneticAlgorithm, wanted: Range<usize>) -> Vec<SparseDelta> {
-    let first = algorithm.deltas_from_consensus(wanted.start..wanted.start + 1);
-    let bytes: usize = first.iter().map(SparseDelta::bytes).sum();
+    let mut batch = algorithm.deltas_from_consensus(wanted.start..wanted.start + 1);
+    let bytes: usize = batch.iter().map(SparseDelta::bytes).sum();
     let fitting = (BATCH_BYTES / bytes.max(1)).max(1);
-    algorithm.deltas_from_consensus(wanted.start..wanted.end.min(wanted.start.saturating_add(fitting)))
+    let end = wanted.end.min(wanted.start.saturating_add(fitting));
+    batch.extend(algorithm.deltas_from_consensus(wanted.start + 1..end));
+    batch
 }
 
 /// Mean of Eq. 5 over the stage's views, for each individual.
