@@ -27,7 +27,8 @@ use pool::{Pool, Room};
 pub struct Scorer {
     /// By view.
     judges: BTreeMap<usize, Judge>,
-    room: Room,
+    /// Two views at a time: sorting takes one thread, and the other view the rest.
+    rooms: [Room; 2],
 }
 
 impl Scorer {
@@ -48,11 +49,14 @@ impl Scorer {
         let mut losses = Vec::with_capacity(population.len() * views.len());
         for individuals in population.chunks(each) {
             let pool = Pool::new(cloud, individuals);
-            let by_view = views.iter().map(|view| {
-                let judge = &self.judges[view];
-                pool.losses(level, cloud, (&of_view(*view).0, judge), settings, &mut self.room)
-            });
-            let by_view: Vec<Vec<f32>> = by_view.collect();
+            let mut by_view: Vec<Vec<f32>> = Vec::with_capacity(views.len());
+            for views in views.chunks(self.rooms.len().min(rayon::current_num_threads())) {
+                let rooms = views.par_iter().zip(&mut self.rooms);
+                by_view.par_extend(rooms.map(|(view, room)| {
+                    let of_view = (&of_view(*view).0, &self.judges[view]);
+                    pool.losses(level, cloud, of_view, settings, room)
+                }));
+            }
             losses
                 .extend((0..individuals.len()).flat_map(|index| by_view.iter().map(move |view| view[index])));
         }
