@@ -3,7 +3,7 @@
 //! A million Gaussians times seven genes times a hundred individuals would be 2.8 GB, and twice that while the next
 //! generation is bred. Three things keep a search far below it:
 //!
-//! 1. An individual is a difference from what the parents of its generation have in common ([`crate::consensus`]), group by
+//! 1. An individual is a difference from what the parents of its generation have in common (module `consensus`), group by
 //!    group: `3/8` byte a Gaussian for three columns of bits, and 12, 12 and 4 bytes for each position, scale and opacity
 //!    that differs.
 //! 2. A child that has not been judged is a *recipe*: two parents and the address of its random numbers, a few dozen
