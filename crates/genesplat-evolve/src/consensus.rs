@@ -1,7 +1,7 @@
 //! What the individuals of a generation have in common: the genes that they are differences from.
 //!
 //! Keeping, breeding and scoring an individual cost what it changes. A search soon leaves its base behind: at the paper's
-//! settings individuals differ from it in two thirds of their rows after 30 generations. But selection makes all
+//! settings individuals differ from it in more than half of their rows after 30 generations. But selection makes all
 //! individuals of a generation cousins, a few generations apart, and from what most of their parents hold they differ in a
 //! quarter of the rows then, and in a twentieth towards the end (`docs/performance.md`). So that is what they are
 //! differences from, and it moves on with them.

@@ -179,8 +179,8 @@ pub fn for_each_tile<S: Simd>(simd: S, splat: &Splat, grid: [usize; 2], mut each
     }
 }
 
-/// Column and row of the block that has the splat's mean among its pixel centres, if the splat reaches no other: half of the
-/// splats of a fine cloud need no ellipse.
+/// Column and row of the block that has the splat's mean among its pixel centres, if the splat reaches no other: such
+/// small ones need no ellipse.
 #[inline(always)]
 fn only_block(splat: &Splat, grid: [usize; 2]) -> Option<[usize; 2]> {
     let mut block = [0; 2];

@@ -9,7 +9,7 @@
 
 mod blend;
 pub mod judge;
-pub mod pool;
+mod pool;
 
 use std::collections::BTreeMap;
 
