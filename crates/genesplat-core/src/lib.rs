@@ -7,6 +7,7 @@
 //! - **Parameters are raw** (before activation): log-scales, opacity logits, unnormalised `(w, x, y, z)` quaternions.
 //! - **Shapes** are written as `[N, 3]`, outermost first.
 
+pub mod alleles;
 pub mod backend;
 pub mod camera;
 pub mod constants;

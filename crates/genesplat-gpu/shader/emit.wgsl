@@ -31,7 +31,7 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
         let columns = tile_columns_of(spans);
         for (var tile_x = columns.x; tile_x < columns.y; tile_x++) {
             if reaches(spans, tile_x) && at < end {
-                keys[at] = (splat.layer * frame.tiles_y + tile_y) * frame.tiles_x + u32(tile_x);
+                keys[at] = tile_y * frame.tiles_x + u32(tile_x);
                 entry_splats[at] = row;
                 at++;
             }

@@ -20,5 +20,5 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
         return;
     }
     let params = params_from(geometry[3u * local], geometry[3u * local + 1u], geometry[3u * local + 2u]);
-    write_splat(params, local, 0u, window.first + local);
+    write_splat(params, local, window.first + local);
 }

@@ -17,14 +17,38 @@ var<workgroup> batch: array<TileSplat, TILE_PIXELS>;
 var<workgroup> finished_pixels: atomic<u32>;
 var<workgroup> all_finished: u32;
 
+// What one pixel has seen of the list, front to back.
+struct Sight {
+    // px from the tile's corner
+    at: vec2<f32>,
+    colour: vec3<f32>,
+    transmittance: f32,
+    finished: bool,
+}
+
+// Blends a splat of the batch into a pixel, unless that would leave less than 1e-4 of the light: then the pixel is finished.
+fn blend(sight: ptr<function, Sight>, index: u32) {
+    let d = batch[index].mean - (*sight).at;
+    let exponent = exponent_at(batch[index].conic_log2, batch[index].log2_opacity, d);
+    if exponent < -LOG2_255 {
+        return;
+    }
+    let weight = (*sight).transmittance * min(exp2(exponent), ALPHA_MAX);
+    let next = (*sight).transmittance - weight;
+    if next < TRANSMITTANCE_MIN {
+        (*sight).finished = true;
+        atomicAdd(&finished_pixels, 1u);
+        return;
+    }
+    (*sight).colour += weight * batch[index].rgb;
+    (*sight).transmittance = next;
+}
+
 @compute @workgroup_size(TILE, TILE)
-fn main(
-    @builtin(workgroup_id) tile: vec3<u32>,
-    @builtin(local_invocation_id) local: vec3<u32>,
-    @builtin(local_invocation_index) lane: u32,
-) {
+fn main(@builtin(workgroup_id) tile: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     let origin = vec2(f32(tile.x * TILE), f32(tile.y * TILE));
-    let pixel = tile.xy * TILE + local.xy;
+    let local = pixel_of(lane);
+    let pixel = tile.xy * TILE + local;
     let inside = pixel.x < frame.width && pixel.y < frame.height;
     if lane == 0u {
         range = ranges[tile.y * frame.tiles_x + tile.x];
@@ -32,7 +56,7 @@ fn main(
     }
     let entry_range = workgroupUniformLoad(&range);
 
-    var sight = Sight(vec2<f32>(local.xy), vec3(0.0), 1.0, !inside);
+    var sight = Sight(vec2<f32>(local), vec3(0.0), 1.0, !inside);
     if sight.finished {
         atomicAdd(&finished_pixels, 1u);
     }

@@ -1,14 +1,14 @@
-// Stage `score`, step 1: the changed Gaussians of a batch of individuals, one an invocation, become splats of their own.
-// Colour, rotation and 3D filter are the base's.
+// Stage `score`, step 1: the alleles of a pool, one an invocation, become the splats of one cloud. Colour, rotation and 3D
+// filter are those of the row.
 
 @group(0) @binding(0) var<uniform> frame: Frame;
-// The rows of the base that are in sight, and the items of the batch.
+// The rows that are in sight, and their alleles.
 @group(0) @binding(1) var<uniform> window: Window;
 @group(0) @binding(2) var<storage, read> geometry: array<vec4<f32>>;
 @group(0) @binding(3) var<storage, read> sh: array<vec4<f32>>;
-// Row and layer of each item.
-@group(0) @binding(4) var<storage, read> items: array<vec2<u32>>;
-// [K, 2] vectors: position, opacity logit; log-scales, nothing.
+// Row of each allele, and where its genes are: `OWN_GENES` for what the row has itself [K].
+@group(0) @binding(4) var<storage, read> alleles: array<vec2<u32>>;
+// Position, opacity logit; log-scales, nothing [., 2].
 @group(0) @binding(5) var<storage, read> genes: array<vec4<f32>>;
 @group(0) @binding(6) var<storage, read_write> splats: array<vec4<f32>>;
 @group(0) @binding(7) var<storage, read_write> depths: array<u32>;
@@ -17,17 +17,18 @@
 
 @compute @workgroup_size(GROUP)
 fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
-    let item = group_of(group) * GROUP + lane;
-    if item >= window.source_count {
+    let local = group_of(group) * GROUP + lane;
+    if local >= window.source_count {
         return;
     }
-    let at = window.source_first + item;
-    let row = items[at].x - window.first;
-    // Unsigned: rows before the window wrap to large numbers.
-    if row >= window.count {
-        return;
+    let slot = window.source_first + local;
+    let row = alleles[slot].x - window.first;
+    var first = geometry[3u * row];
+    var second = geometry[3u * row + 1u];
+    let at = alleles[slot].y;
+    if at != OWN_GENES {
+        first = genes[2u * at];
+        second = vec4(genes[2u * at + 1u].xyz, second.w);
     }
-    let scale = vec4(genes[2u * at + 1u].xyz, geometry[3u * row + 1u].w);
-    let params = params_from(genes[2u * at], scale, geometry[3u * row + 2u]);
-    write_splat(params, row, items[at].y, item);
+    write_splat(params_from(first, second, geometry[3u * row + 2u]), row, slot);
 }

@@ -1,152 +1,223 @@
-// Stage `score`, step 3: the picture of each individual. Tiles that it does not change are the base's; in the others, the
-// base's list (without the splats that the individual lacks) and its own list are merged by depth, ties by row, which is
-// the order that a plain render has.
+// Stage `score`, step 2: the pictures that sixteen individuals make of one tile, one pixel an invocation.
+//
+// The list of a tile has the alleles of the whole pool. Of the next 256 those that any of the sixteen holds are loaded; the
+// alpha of each is evaluated once, and blended into the light of those who hold it.
 
 @group(0) @binding(0) var<uniform> frame: Frame;
-@group(0) @binding(1) var<uniform> window: Window;
-@group(0) @binding(2) var<storage, read> items: array<vec2<u32>>;
-@group(0) @binding(3) var<storage, read> base_ranges: array<vec2<u32>>;
-@group(0) @binding(4) var<storage, read> base_entries: array<u32>;
-@group(0) @binding(5) var<storage, read> base_entry_splats: array<u32>;
-@group(0) @binding(6) var<storage, read> splats: array<vec4<f32>>;
-@group(0) @binding(7) var<storage, read> base_depths: array<u32>;
-@group(0) @binding(8) var<storage, read> added_ranges: array<vec2<u32>>;
-@group(0) @binding(9) var<storage, read> added_entries: array<u32>;
-@group(0) @binding(10) var<storage, read> added_entry_splats: array<u32>;
-@group(0) @binding(11) var<storage, read> added_splats: array<vec4<f32>>;
-@group(0) @binding(12) var<storage, read> added_depths: array<u32>;
-@group(0) @binding(13) var<storage, read> removed: array<u32>;
-@group(0) @binding(14) var<storage, read> dirty: array<u32>;
-@group(0) @binding(15) var<storage, read> base_image: array<f32>;
+@group(0) @binding(1) var<storage, read> ranges: array<vec2<u32>>;
+@group(0) @binding(2) var<storage, read> entries: array<u32>;
+@group(0) @binding(3) var<storage, read> entry_splats: array<u32>;
+@group(0) @binding(4) var<storage, read> splats: array<vec4<f32>>;
+// A bit an individual [K, HOLDER_WORDS].
+@group(0) @binding(5) var<storage, read> holders: array<u32>;
 // [layers, 3, H, W]
-@group(0) @binding(16) var<storage, read_write> images: array<f32>;
+@group(0) @binding(6) var<storage, read_write> images: array<f32>;
 
-// Splats of each list that are loaded at once.
-const BATCH: u32 = TILE_PIXELS / 2u;
+// Bits of the individuals that have a seat.
+const ALL_SEATS: u32 = (1u << SEATS) - 1u;
+// Words with a bit for each entry that is looked at.
+const WANTED_WORDS: u32 = TILE_PIXELS / 32u;
+// Parts of a power of two in which dimming is counted, and what rounding may add to it.
+const DIMMING_STEPS: f32 = 256.0;
+const DIMMING_SLACK: f32 = 1.001;
 
-var<workgroup> is_dirty: u32;
-// Next entry and end of the base's list, then of the individual's.
-var<workgroup> ranges: vec4<u32>;
-// The base's splats, then the individual's.
+var<workgroup> range: vec2<u32>;
 var<workgroup> batch: array<TileSplat, TILE_PIXELS>;
-// Depth and row of each.
-var<workgroup> keys: array<vec2<u32>, TILE_PIXELS>;
+// Bits of the seats.
+var<workgroup> batch_holders: array<u32, TILE_PIXELS>;
+var<workgroup> wanted: array<atomic<u32>, WANTED_WORDS>;
+// The most that the batch can dim a pixel, in parts of a power of two.
+var<workgroup> batch_dimming: atomic<u32>;
 var<workgroup> finished_pixels: atomic<u32>;
+var<workgroup> all_finished: u32;
 
-fn load_base(entry: u32, layer: u32, lane: u32, origin: vec2<f32>) {
-    let row = base_entry_splats[entry];
-    if row == NO_SPLAT {
-        batch[lane] = absent_splat();
-        keys[lane] = vec2(0u);
-        return;
-    }
-    keys[lane] = vec2(base_depths[row], row);
-    let word = removed[layer * ((window.count + 31u) / 32u) + row / 32u];
-    if (word >> (row % 32u) & 1u) == 1u {
-        batch[lane] = absent_splat();
-    } else {
-        batch[lane] = load_tile_splat(row, origin);
-    }
+// The light of four individuals in a pixel. A transmittance is negative where the pixel is finished.
+struct Lights {
+    transmittance: vec4<f32>,
+    red: vec4<f32>,
+    green: vec4<f32>,
+    blue: vec4<f32>,
 }
 
-fn load_added(entry: u32, lane: u32, origin: vec2<f32>) {
-    let item = added_entry_splats[entry];
-    if item == NO_SPLAT {
-        batch[lane] = absent_splat();
-        keys[lane] = vec2(0u);
-        return;
-    }
-    keys[lane] = vec2(added_depths[item], items[window.source_first + item].x);
-    let a = added_splats[3u * item];
-    batch[lane] = TileSplat(a.xy - origin, a.z, added_splats[3u * item + 1u].xyz, added_splats[3u * item + 2u].xyz);
+// Before the first splat; finished from the start where there is nobody, or no pixel.
+fn untouched(first_seat: u32, seats: u32) -> Lights {
+    let is_taken = first_seat + vec4(0u, 1u, 2u, 3u) < vec4(seats);
+    return Lights(select(vec4(-1.0), vec4(1.0), is_taken), vec4(0.0), vec4(0.0), vec4(0.0));
 }
 
-fn is_before(a: vec2<u32>, b: vec2<u32>) -> bool {
-    return a.x < b.x || (a.x == b.x && a.y < b.y);
+fn smallest(v: vec4<f32>) -> f32 {
+    return min(min(v.x, v.y), min(v.z, v.w));
+}
+
+fn largest(v: vec4<f32>) -> f32 {
+    return max(max(v.x, v.y), max(v.z, v.w));
+}
+
+// Blends a splat into the light of those of four who hold it. With care, as `rasterise` does it: what would leave less than
+// 1e-4 of the light finishes the pixel, and is not blended.
+fn blend(lights: ptr<function, Lights>, held: u32, alpha: f32, rgb: vec3<f32>, with_care: bool) {
+    let alphas = select(vec4(0.0), vec4(alpha), (vec4(held) & vec4(1u, 2u, 4u, 8u)) != vec4(0u));
+    let before = (*lights).transmittance;
+    var weight = before * alphas;
+    var after = before - weight;
+    if with_care {
+        let goes_on = after >= vec4(TRANSMITTANCE_MIN);
+        weight = select(vec4(0.0), weight, goes_on);
+        after = select(-abs(before), after, goes_on);
+    }
+    (*lights).transmittance = after;
+    (*lights).red += weight * rgb.x;
+    (*lights).green += weight * rgb.y;
+    (*lights).blue += weight * rgb.z;
+}
+
+// Splat of an entry of the list, and those in the seats who hold it, if anybody does.
+fn held_splat(entry: u32, first_individual: u32) -> vec2<u32> {
+    let splat = entry_splats[entries[entry]];
+    if splat == NO_SPLAT {
+        return vec2(splat, 0u);
+    }
+    let word = holders[HOLDER_WORDS * splat + first_individual / 32u];
+    return vec2(splat, (word >> (first_individual % 32u)) & ALL_SEATS);
+}
+
+// The most that a splat dims a pixel, rounded up.
+fn dimming_of(log2_opacity: f32) -> u32 {
+    return u32(-log2(1.0 - min(exp2(log2_opacity), ALPHA_MAX)) * DIMMING_STEPS) + 1u;
+}
+
+// Blends a batch of `count` splats into a pixel of sixteen individuals; true where it is finished for all of them.
+fn blend_batch(
+    a: ptr<function, Lights>,
+    b: ptr<function, Lights>,
+    c: ptr<function, Lights>,
+    d: ptr<function, Lights>,
+    pixel: vec2<f32>,
+    count: u32,
+) -> bool {
+    // With care only where the pixel may be finished.
+    let least = min(min(smallest((*a).transmittance), smallest((*b).transmittance)),
+        min(smallest((*c).transmittance), smallest((*d).transmittance)));
+    let left = least * exp2(-f32(atomicLoad(&batch_dimming)) / DIMMING_STEPS);
+    let with_care = left < TRANSMITTANCE_MIN * DIMMING_SLACK;
+    for (var i = 0u; i < count; i++) {
+        let exponent = exponent_at(batch[i].conic_log2, batch[i].log2_opacity, batch[i].mean - pixel);
+        if exponent < -LOG2_255 {
+            continue;
+        }
+        let alpha = min(exp2(exponent), ALPHA_MAX);
+        let held = batch_holders[i];
+        let rgb = batch[i].rgb;
+        if (held & 0xfu) != 0u {
+            blend(a, held, alpha, rgb, with_care);
+        }
+        if (held & 0xf0u) != 0u {
+            blend(b, held >> 4u, alpha, rgb, with_care);
+        }
+        if (held & 0xf00u) != 0u {
+            blend(c, held >> 8u, alpha, rgb, with_care);
+        }
+        if (held & 0xf000u) != 0u {
+            blend(d, held >> 12u, alpha, rgb, with_care);
+        }
+    }
+    let most = max(max(largest((*a).transmittance), largest((*b).transmittance)),
+        max(largest((*c).transmittance), largest((*d).transmittance)));
+    return most < 0.0;
+}
+
+fn write_pixel(layer: u32, place: u32, colour: vec3<f32>, transmittance: f32) {
+    if layer >= frame.layers {
+        return;
+    }
+    let value = colour + abs(transmittance) * frame.background.xyz;
+    let pixels = frame.width * frame.height;
+    images[3u * layer * pixels + place] = value.x;
+    images[(3u * layer + 1u) * pixels + place] = value.y;
+    images[(3u * layer + 2u) * pixels + place] = value.z;
+}
+
+fn write_lights(first_layer: u32, place: u32, lights: Lights) {
+    let t = lights.transmittance;
+    write_pixel(first_layer, place, vec3(lights.red.x, lights.green.x, lights.blue.x), t.x);
+    write_pixel(first_layer + 1u, place, vec3(lights.red.y, lights.green.y, lights.blue.y), t.y);
+    write_pixel(first_layer + 2u, place, vec3(lights.red.z, lights.green.z, lights.blue.z), t.z);
+    write_pixel(first_layer + 3u, place, vec3(lights.red.w, lights.green.w, lights.blue.w), t.w);
 }
 
 @compute @workgroup_size(TILE, TILE)
-fn main(
-    @builtin(workgroup_id) tile: vec3<u32>,
-    @builtin(local_invocation_id) local: vec3<u32>,
-    @builtin(local_invocation_index) lane: u32,
-) {
-    let layer = tile.z;
+fn main(@builtin(workgroup_id) tile: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let first_individual = SEATS * tile.z;
     let origin = vec2(f32(tile.x * TILE), f32(tile.y * TILE));
-    let pixel = tile.xy * TILE + local.xy;
+    let local = pixel_of(lane);
+    let pixel = tile.xy * TILE + local;
     let inside = pixel.x < frame.width && pixel.y < frame.height;
-    let pixels = frame.width * frame.height;
-    let place = pixel.y * frame.width + pixel.x;
-    let index = tile.y * frame.tiles_x + tile.x;
-    let layer_index = layer * frame.tiles_x * frame.tiles_y + index;
     if lane == 0u {
-        is_dirty = dirty[layer_index];
-        ranges = vec4(base_ranges[index], added_ranges[layer_index]);
+        range = ranges[tile.y * frame.tiles_x + tile.x];
         atomicStore(&finished_pixels, 0u);
     }
-    // 1. A tile that does not change is the base's.
-    if workgroupUniformLoad(&is_dirty) == 0u {
-        if inside {
-            for (var channel = 0u; channel < 3u; channel++) {
-                images[(3u * layer + channel) * pixels + place] = base_image[channel * pixels + place];
-            }
-        }
-        return;
-    }
-    var sight = Sight(vec2<f32>(local.xy), vec3(0.0), 1.0, !inside);
-    if sight.finished {
+    let entry_range = workgroupUniformLoad(&range);
+
+    let seats = select(0u, frame.layers - first_individual, inside);
+    var a = untouched(0u, seats);
+    var b = untouched(4u, seats);
+    var c = untouched(8u, seats);
+    var d = untouched(12u, seats);
+    var finished = !inside;
+    if finished {
         atomicAdd(&finished_pixels, 1u);
     }
-    loop {
-        // 2. The next splats of both lists.
-        let next = workgroupUniformLoad(&ranges);
-        if next.x >= next.y && next.z >= next.w {
-            break;
-        }
-        if lane < BATCH {
-            if next.x + lane < next.y {
-                load_base(base_entries[next.x + lane], layer, lane, origin);
-            }
-        } else if next.z + lane - BATCH < next.w {
-            load_added(added_entries[next.z + lane - BATCH], lane, origin);
-        }
-        workgroupBarrier();
-        // 3. Merge and blend, until one list needs to be loaded again. Every invocation takes the same path through the
-        // lists.
-        let base_count = min(BATCH, next.y - next.x);
-        let added_count = min(BATCH, next.w - next.z);
-        let base_goes_on = next.x + base_count < next.y;
-        let added_goes_on = next.z + added_count < next.w;
-        var i = 0u;
-        var j = 0u;
-        while i < base_count || j < added_count {
-            if (i == base_count && base_goes_on) || (j == added_count && added_goes_on) {
-                break;
-            }
-            var from_list = BATCH + j;
-            if j == added_count || (i < base_count && is_before(keys[i], keys[BATCH + j])) {
-                from_list = i;
-                i++;
-            } else {
-                j++;
-            }
-            if !sight.finished {
-                blend(&sight, from_list);
-            }
-        }
-        // 4. Where to go on; nowhere when no pixel needs more.
+    for (var first = entry_range.x; first < entry_range.y; first += TILE_PIXELS) {
+        // 1. Has anyone still something to do? The barriers in this also end the batch before.
         workgroupBarrier();
         if lane == 0u {
-            ranges = vec4(next.x + i, next.y, next.z + j, next.w);
-            if atomicLoad(&finished_pixels) == TILE_PIXELS {
-                ranges = vec4(0u);
+            all_finished = u32(atomicLoad(&finished_pixels) == TILE_PIXELS);
+            atomicStore(&batch_dimming, 0u);
+        }
+        if lane < WANTED_WORDS {
+            atomicStore(&wanted[lane], 0u);
+        }
+        if workgroupUniformLoad(&all_finished) == 1u {
+            break;
+        }
+        // 2. Which of the next splats does anybody here hold?
+        var splat = vec2(NO_SPLAT, 0u);
+        if first + lane < entry_range.y {
+            splat = held_splat(first + lane, first_individual);
+        }
+        if splat.y != 0u {
+            atomicOr(&wanted[lane / 32u], 1u << (lane % 32u));
+        }
+        workgroupBarrier();
+        // 3. Load those, without gaps.
+        var place = 0u;
+        var count = 0u;
+        for (var word = 0u; word < WANTED_WORDS; word++) {
+            let bits = atomicLoad(&wanted[word]);
+            count += countOneBits(bits);
+            if word < lane / 32u {
+                place += countOneBits(bits);
+            } else if word == lane / 32u {
+                place += countOneBits(bits & ((1u << (lane % 32u)) - 1u));
             }
+        }
+        if splat.y != 0u {
+            batch[place] = load_tile_splat(splat.x, origin);
+            batch_holders[place] = splat.y;
+            atomicAdd(&batch_dimming, dimming_of(batch[place].log2_opacity));
+        }
+        workgroupBarrier();
+        // 4. Blend them.
+        if !finished && blend_batch(&a, &b, &c, &d, vec2<f32>(local), count) {
+            finished = true;
+            atomicAdd(&finished_pixels, 1u);
         }
     }
     if inside {
-        let value = sight.colour + sight.transmittance * frame.background.xyz;
-        for (var channel = 0u; channel < 3u; channel++) {
-            images[(3u * layer + channel) * pixels + place] = value[channel];
-        }
+        let at = pixel.y * frame.width + pixel.x;
+        write_lights(first_individual, at, a);
+        write_lights(first_individual + 4u, at, b);
+        write_lights(first_individual + 8u, at, c);
+        write_lights(first_individual + 12u, at, d);
     }
 }

@@ -14,8 +14,6 @@ struct Splat {
     rgb: vec3<f32>,
     // Bit c is set where channel c was clamped at 0.
     clamped: u32,
-    // Which of the clouds that are rendered at once it belongs to.
-    layer: u32,
 }
 
 fn first_vector(splat: Splat) -> vec4<f32> {
@@ -27,13 +25,12 @@ fn second_vector(splat: Splat) -> vec4<f32> {
 }
 
 fn third_vector(splat: Splat) -> vec4<f32> {
-    return vec4(splat.rgb, bitcast<f32>(splat.clamped | splat.layer << 3u | 0x3f800000u));
+    return vec4(splat.rgb, bitcast<f32>(splat.clamped | 0x3f800000u));
 }
 
 fn splat_from(a: vec4<f32>, b: vec4<f32>, c: vec4<f32>) -> Splat {
     // The bits of 1.0 keep the flags from looking like a denormal, which some devices flush to zero.
-    let flags = bitcast<u32>(c.w) & 0x7fffffu;
-    return Splat(a.xy, a.z, vec2(a.w, b.w), b.xyz, c.xyz, flags & 7u, flags >> 3u);
+    return Splat(a.xy, a.z, vec2(a.w, b.w), b.xyz, c.xyz, bitcast<u32>(c.w) & 7u);
 }
 
 // log2(o G) at an offset from the mean.

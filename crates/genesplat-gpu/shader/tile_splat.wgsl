@@ -1,4 +1,4 @@
-// A splat as the pixels of one tile read it from workgroup memory.
+// What the stages that walk the list of a tile share: its pixels, and a splat as they read it from workgroup memory.
 
 struct TileSplat {
     // Mean, px from the tile's corner.
@@ -21,30 +21,8 @@ fn load_tile_splat(row: u32, origin: vec2<f32>) -> TileSplat {
     return TileSplat(a.xy - origin, a.z, splats[3u * row + 1u].xyz, splats[3u * row + 2u].xyz);
 }
 
-// What one pixel has seen of a list, front to back.
-struct Sight {
-    // px from the tile's corner
-    at: vec2<f32>,
-    colour: vec3<f32>,
-    transmittance: f32,
-    finished: bool,
-}
-
-// Blends a splat of the batch into a pixel, unless that would leave less than 1e-4 of the light: then the pixel is finished.
-// Needs `batch` and `finished_pixels`.
-fn blend(sight: ptr<function, Sight>, index: u32) {
-    let d = batch[index].mean - (*sight).at;
-    let exponent = exponent_at(batch[index].conic_log2, batch[index].log2_opacity, d);
-    if exponent < -LOG2_255 {
-        return;
-    }
-    let weight = (*sight).transmittance * min(exp2(exponent), ALPHA_MAX);
-    let next = (*sight).transmittance - weight;
-    if next < TRANSMITTANCE_MIN {
-        (*sight).finished = true;
-        atomicAdd(&finished_pixels, 1u);
-        return;
-    }
-    (*sight).colour += weight * batch[index].rgb;
-    (*sight).transmittance = next;
+// The pixel of an invocation: 32 in a row have a block of 8x4, and 64 one of 8x8. What runs in lockstep passes over a splat
+// only together, and a compact block is missed by more splats than two rows of pixels are.
+fn pixel_of(lane: u32) -> vec2<u32> {
+    return vec2((lane & 7u) | ((lane >> 3u) & 8u), ((lane >> 3u) & 7u) | ((lane >> 4u) & 8u));
 }

@@ -1,6 +1,6 @@
 // The last step of the projection: one Gaussian becomes a splat, or none, in a slot of `splats`, `depths`, `tile_counts` and
-// `marks`, which the shader binds. Its colours are those of row `colours` of `sh`, and it is seen in `layer`.
-fn write_splat(params: Params, colours: u32, layer: u32, slot: u32) {
+// `marks`, which the shader binds. Its colours are those of row `colours` of `sh`.
+fn write_splat(params: Params, colours: u32, slot: u32) {
     let g = geometry_of(params);
     var splat: Splat;
     var count = 0u;
@@ -16,7 +16,6 @@ fn write_splat(params: Params, colours: u32, layer: u32, slot: u32) {
         let below = colour < vec3(0.0);
         splat.rgb = max(colour, vec3(0.0));
         splat.clamped = u32(below.x) | u32(below.y) << 1u | u32(below.z) << 2u;
-        splat.layer = layer;
         splats[3u * slot] = first_vector(splat);
         splats[3u * slot + 1u] = second_vector(splat);
         splats[3u * slot + 2u] = third_vector(splat);

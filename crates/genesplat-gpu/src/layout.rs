@@ -47,6 +47,13 @@ pub const MUTANTS_AT_ONCE: u32 = 3;
 /// Floats of the credit of one Gaussian: of three mutants, then the number of views.
 pub const CREDIT_FLOATS: u32 = 4;
 
+/// Individuals of which a workgroup of stage `score` makes the pictures: as many lights as an invocation has registers for.
+pub const SEATS: u32 = 16;
+/// Words with a bit for each individual of a pool.
+pub const HOLDER_WORDS: u32 = 4;
+/// Where the genes of an allele are, if it is what its row has itself.
+pub const OWN_GENES: u32 = u32::MAX;
+
 /// Declares a `#[repr(C)]` struct and its WGSL twin.
 macro_rules! device_struct {
     ($(#[$doc:meta])* $name:ident { $($(#[$field_doc:meta])* $field:ident: $kind:tt,)* }) => {
@@ -128,7 +135,7 @@ device_struct! {
         entry_capacity: u32,
         /// Sum gene gradients, too.
         genes: u32,
-        /// Clouds that are rendered at once, each into its own image: individuals of a population.
+        /// Pictures that are made at once, one for each individual of a pool.
         layers: u32,
         /// Nothing.
         pad: u32,
@@ -345,6 +352,9 @@ fn float_constants() -> Vec<(&'static str, f32)> {
 fn integer_constants() -> Vec<(&'static str, u32)> {
     vec![
         ("MUTANTS_AT_ONCE", MUTANTS_AT_ONCE),
+        ("SEATS", SEATS),
+        ("HOLDER_WORDS", HOLDER_WORDS),
+        ("OWN_GENES", OWN_GENES),
         ("TILE", TILE),
         ("TILE_PIXELS", TILE * TILE),
         ("GROUP", GROUP),

@@ -270,9 +270,9 @@ impl Lists {
     }
 }
 
-/// Tiles of all layers.
+/// Tiles of a view.
 pub(crate) fn tiles_of(frame: &Frame) -> u64 {
-    u64::from(frame.tiles_x) * u64::from(frame.tiles_y) * u64::from(frame.layers)
+    u64::from(frame.tiles_x) * u64::from(frame.tiles_y)
 }
 
 /// Bits of the largest tile number; at least one, so that entries are numbered.

@@ -180,7 +180,7 @@ pub(crate) fn image_bytes(frame: &Frame) -> u64 {
 
 /// Bytes of the sums of the loss, for all layers.
 pub(crate) fn loss_sum_bytes(frame: &Frame) -> u64 {
-    48 * tiles_of(frame)
+    48 * tiles_of(frame) * u64::from(frame.layers)
 }
 
 /// Bytes of the gradient rows of so many entries.

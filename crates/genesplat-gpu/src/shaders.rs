@@ -122,10 +122,8 @@ shaders! {
     CREDIT_PIXELS = "credit_pixels" + [PHOTO, PIXEL_ERROR];
     /// Credit: sums of each Gaussian.
     CREDIT_SUM = "credit_sum" + [ENTRY_SUMS];
-    /// Scoring: splats of the changed Gaussians.
+    /// Scoring: splats of the alleles.
     SCORE_PROJECT = "score_project" + [SPLAT, ROTATION, GEOMETRY, OVERLAP, COLOUR, SH_ROW, WRITE_SPLAT];
-    /// Scoring: what individuals change.
-    SCORE_MARK = "score_mark" + [SPLAT, OVERLAP];
     /// Scoring: pictures of individuals.
     SCORE_RASTERISE = "score_rasterise" + [SPLAT, TILE_SPLAT];
     /// Scoring: losses of individuals.

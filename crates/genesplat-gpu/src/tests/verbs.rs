@@ -265,13 +265,14 @@ fn stages_are_timed() {
     assert!(seconds.iter().map(|(_, seconds)| seconds).sum::<f64>() > 0.0);
 }
 
+/// Six individuals and their twins: more than a workgroup has seats for, and alleles that several hold.
 #[test]
 fn scores_match() {
     let Some(mut gpu) = gpu() else { return };
     let views = [view(), small_view()];
     for filter in filters() {
         let base = filtered_cloud(500, filter);
-        let population: Vec<SparseDelta> = (0..6).map(|index| individual_of(&base, index)).collect();
+        let population: Vec<SparseDelta> = (0..37).map(|index| individual_of(&base, index % 6)).collect();
         let mut cpu = cpu();
         let twins: [&mut dyn Backend; 2] = [&mut gpu, &mut cpu];
         let [actual, expected] = twins.map(|twin| {
@@ -305,14 +306,12 @@ fn losses_of_large_pictures_match() {
     compare("score", "of the base", score, [expected]).unwrap();
 }
 
-/// Hundreds of splats in one tile, so that both lists are loaded several times, and too little room for either.
+/// Hundreds of splats in one tile, so that a list is loaded several times, and pixels are finished on the way.
 #[test]
 fn scores_of_crowded_tiles_match() {
     let Some(engine) = engine() else { return };
     let mut gpu = GpuBackend::on(engine.with_window_rows(256), SEED).unwrap();
     gpu.set_views(&[view()]).unwrap();
-    gpu.set_entry_room(64);
-    let mut cpu = cpu();
     let mut base = cloud(700);
     base.opacity_logits.iter_mut().for_each(|logit| *logit = -4.0);
     for row in 0..700 {
@@ -322,17 +321,39 @@ fn scores_of_crowded_tiles_match() {
             base.positions[row][2] = 2.0;
         }
     }
-    let population: Vec<SparseDelta> = (1..4).map(|index| individual_of(&base, index)).collect();
-    let settings = settings(1, ScreenFilter::Classic);
-    let twins: [&mut dyn Backend; 2] = [&mut gpu, &mut cpu];
-    let [actual, expected] = twins.map(|twin| {
+    compare_scores(&mut gpu, &base, &[1, 2, 3]);
+    let mut opaque = base;
+    opaque.opacity_logits.iter_mut().for_each(|logit| *logit = 2.0);
+    compare_scores(&mut gpu, &opaque, &[1, 2, 3]);
+}
+
+fn compare_scores(gpu: &mut GpuBackend, base: &Gaussians, individuals: &[usize]) {
+    let population: Vec<SparseDelta> = individuals.iter().map(|&index| individual_of(base, index)).collect();
+    let (mut cpu, settings) = (cpu(), settings(1, ScreenFilter::Classic));
+    let [actual, expected] = [gpu as &mut dyn Backend, &mut cpu].map(|twin| {
         twin.upload(base.clone(), None).unwrap();
         twin.score(&population, &[0], &settings).unwrap()
     });
     for (actual, expected) in actual.iter().zip(&expected) {
-        compare("score", "crowded", [*actual], [*expected]).unwrap();
+        compare("score", &format!("of {}", base.len()), [*actual], [*expected]).unwrap();
     }
-    assert!(gpu.entry_room() > 64);
+}
+
+/// Two individuals have too many alleles for a binding, or these too many entries; one has not.
+#[test]
+fn a_pool_without_room_is_scored_as_two() {
+    let Some(mut gpu) = gpu() else { return };
+    let mut large = cloud(1000);
+    large.log_scales.iter_mut().for_each(|scale| *scale = [1.0; 3]);
+    gpu.upload(large.clone(), None).unwrap();
+    let entries = entries_of(&mut gpu, 0, settings(1, ScreenFilter::Classic));
+    assert!((16_000..20_000).contains(&entries), "{entries} entries, and room for a quarter more is made");
+    gpu.abandon().unwrap();
+
+    // Room for two pictures, 2083 splats, 25,000 entries.
+    gpu.engine.binding_bytes = 100_000;
+    compare_scores(&mut gpu, &cloud(1900), &[1, 2, 3]);
+    compare_scores(&mut gpu, &large, &[1, 2, 3]);
 }
 
 fn compare_merits(what: &str, actual: &[Merit], expected: &[Merit]) -> Result<(), String> {

@@ -6,13 +6,13 @@
 //! care where one might have been.
 
 use fearless_simd::{Simd, prelude::*};
+use genesplat_core::alleles::Holders;
 use genesplat_core::constants::TRANSMITTANCE_MIN;
 
 use super::super::bin::{BLOCK, BLOCKS_ACROSS, TileSplat};
 use super::super::project::{Splat, Splats, TILE};
 use super::super::rasterise::{BLOCKS, absorb, alpha};
 use super::super::simd::{LANES, V, array, prefetch};
-use super::pool::Holders;
 
 /// Red, green and blue of a tile's pixels, row by row.
 pub type Colours = [[[f32; TILE]; TILE]; 3];
