@@ -5,10 +5,10 @@ use std::sync::OnceLock;
 use genesplat_core::BackendError;
 use wgpu::{Adapter, Backends, DeviceType, Features, Instance, InstanceDescriptor, InstanceFlags, Limits};
 
-/// Workgroup memory that the backward pass needs, bytes.
-const WORKGROUP_BYTES: u32 = 24 << 10;
-/// Storage buffers that the widest stage binds: scoring, which reads two sets of tile lists.
-const STORAGE_BUFFERS: u32 = 15;
+/// Workgroup memory that the backward pass needs, bytes; that of all others is less.
+pub(crate) const WORKGROUP_BYTES: u32 = 24 << 10;
+/// Storage buffers that the widest stages bind, which is WebGPU's default limit.
+pub(crate) const STORAGE_BUFFERS: u32 = 8;
 /// Smallest binding that a backend can work with: 128 MiB, WebGPU's default limit.
 const BINDING_BYTES: u64 = 128 << 20;
 
@@ -162,7 +162,7 @@ mod tests {
     fn an_adapter_below_the_limits_is_refused_with_the_reason() {
         let enough = Limits {
             max_compute_workgroup_storage_size: 32 << 10,
-            max_storage_buffers_per_shader_stage: 16,
+            max_storage_buffers_per_shader_stage: 8,
             ..Limits::default()
         };
         assert_eq!(unmet(&enough), None);

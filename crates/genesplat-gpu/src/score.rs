@@ -131,8 +131,7 @@ impl GpuBackend {
         let bytes = |&view: &usize| image_bytes(&self.frame_of_view(view, settings));
         let largest = views.iter().map(bytes).max().unwrap_or(1);
         let fitting = PICTURE_BYTES.min(self.engine.binding_bytes) / largest.max(1);
-        let most = fitting.clamp(1, Holders::BITS.into()) as usize;
-        let each = population.len().div_ceil(population.len().div_ceil(most).max(1)).max(1);
+        let each = individuals_of_a_pool(population.len(), fitting as usize);
         let mut losses = Vec::with_capacity(population.len() * views.len());
         for individuals in population.chunks(each) {
             self.score_pool(individuals, views, settings, &mut losses)?;
@@ -249,5 +248,28 @@ impl GpuBackend {
         recorder.run(&shaders::SCORE_SUM, &parts, Grid::Groups(layers.into()));
         recorder.submit();
         Ok(())
+    }
+}
+
+/// How many of a population share a pool, if the pictures of so many fit. As many pools as are needed, all about as large,
+/// with no seat left free where there is more than one workgroup to a tile.
+fn individuals_of_a_pool(population: usize, fitting: usize) -> usize {
+    let seats = SEATS as usize;
+    let fitting = fitting.clamp(1, Holders::BITS as usize);
+    let most = if fitting < seats { fitting } else { fitting / seats * seats };
+    let each = population.div_ceil(population.div_ceil(most).max(1)).max(1);
+    if each < seats { each } else { each.next_multiple_of(seats) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::individuals_of_a_pool;
+
+    #[test]
+    fn pools_fit_and_take_whole_rows_of_seats() {
+        let each = |population, fitting| individuals_of_a_pool(population, fitting);
+        assert_eq!([each(100, 1000), each(100, 50), each(100, 20), each(100, 9)], [112, 48, 15, 9]);
+        assert_eq!([each(300, 1000), each(12, 1000), each(20, 9)], [112, 12, 7]);
+        assert_eq!([each(100, 0), each(0, 1000)], [1, 1]);
     }
 }

@@ -146,9 +146,11 @@ shaders! {
 
 #[cfg(test)]
 mod tests {
+    use naga::AddressSpace;
     use naga::valid::{Capabilities, ValidationFlags, Validator};
 
     use super::*;
+    use crate::adapter::{STORAGE_BUFFERS, WORKGROUP_BYTES};
     use crate::layout::{Counters, Edit, Frame, Optimiser, Window};
 
     fn parse(shader: &Shader) -> naga::Module {
@@ -167,6 +169,22 @@ mod tests {
                 panic!("{}: {}", shader.name, error.emit_to_string(&shader.source()));
             }
         }
+    }
+
+    #[test]
+    fn no_shader_needs_more_than_devices_are_asked_for() {
+        let (mut buffers, mut bytes) = (0, 0);
+        for module in ALL.iter().map(|shader| parse(shader)) {
+            let of = |wanted: fn(AddressSpace) -> bool| {
+                module.global_variables.iter().map(|(_, variable)| variable).filter(move |v| wanted(v.space))
+            };
+            let size =
+                |variable: &naga::GlobalVariable| module.types[variable.ty].inner.size(module.to_ctx());
+            buffers = buffers.max(of(|space| matches!(space, AddressSpace::Storage { .. })).count() as u32);
+            bytes = bytes.max(of(|space| space == AddressSpace::WorkGroup).map(size).sum::<u32>());
+        }
+        assert_eq!(buffers, STORAGE_BUFFERS);
+        assert!(bytes <= WORKGROUP_BYTES && bytes > WORKGROUP_BYTES / 2, "{bytes} bytes");
     }
 
     #[test]
