@@ -10,7 +10,7 @@ use crate::constants::{CLASSIC_DILATION, MIP_DILATION};
 use crate::credit::Credits;
 use crate::edit::RowEdit;
 use crate::gaussians::{Gaussians, Moments};
-use crate::genes::SparseDelta;
+use crate::genes::{Gene, SparseDelta};
 use crate::image::{Image, Photo};
 use crate::lineage::{Blend, Judgement, Lineage, PARENTS};
 use crate::merit::Merit;
@@ -232,6 +232,12 @@ pub trait Backend {
 
     /// The cloud: lent by a backend whose memory is the host's, copied by others.
     fn download(&mut self) -> Result<Cow<'_, Gaussians>, BackendError>;
+
+    /// The genes of all rows `[N]`, which are all of the cloud that density control and evolution look at: a device copies
+    /// a fifth of what [`Backend::download`] would, or less.
+    fn genes(&mut self) -> Result<Vec<Gene>, BackendError> {
+        Ok(self.download()?.all_genes())
+    }
 
     /// The moments (for checkpoints), lent or copied likewise.
     fn download_moments(&mut self) -> Result<Cow<'_, Moments>, BackendError>;

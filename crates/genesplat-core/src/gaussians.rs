@@ -53,6 +53,11 @@ impl Gaussians {
         [p[0], p[1], p[2], s[0], s[1], s[2], self.opacity_logits[row]]
     }
 
+    /// The genes of every row `[N]`.
+    pub fn all_genes(&self) -> Vec<Gene> {
+        (0..self.len()).map(|row| self.genes(row)).collect()
+    }
+
     /// Overwrites the seven genes of a row.
     #[inline]
     pub fn set_genes(&mut self, row: usize, genes: &Gene) {

@@ -15,7 +15,7 @@ use std::borrow::Cow;
 use genesplat_core::backend::{MomentPolicy, StepReport};
 use genesplat_core::lineage::PARENTS;
 use genesplat_core::{
-    Backend, BackendError, Blend, Camera, Credits, DensitySignal, Gaussians, Image, Judgement, Lineage,
+    Backend, BackendError, Blend, Camera, Credits, DensitySignal, Gaussians, Gene, Image, Judgement, Lineage,
     Merit, Moments, RenderSettings, RowEdit, SparseDelta, Statistics, TrainStep, View,
 };
 
@@ -318,6 +318,11 @@ impl Backend for GpuBackend {
     fn download(&mut self) -> Result<Cow<'_, Gaussians>, BackendError> {
         self.settle()?;
         Ok(Cow::Owned(self.state.download(&self.engine)?))
+    }
+
+    fn genes(&mut self) -> Result<Vec<Gene>, BackendError> {
+        self.settle()?;
+        self.state.cloud.genes(&self.engine, self.state.rows)
     }
 
     fn download_moments(&mut self) -> Result<Cow<'_, Moments>, BackendError> {

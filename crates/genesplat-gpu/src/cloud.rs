@@ -121,6 +121,14 @@ impl Parameters {
     }
 }
 
+impl Parameters {
+    /// Copies the genes of `rows` rows to the host.
+    pub(crate) fn genes(&self, engine: &Engine, rows: u64) -> Result<Vec<Gene>, BackendError> {
+        let geometry: Vec<GeometryRow> = engine.read_values(&self.geometry.memory, rows)?;
+        Ok(geometry.iter().map(|r| [r[0], r[1], r[2], r[4], r[5], r[6], r[3]]).collect())
+    }
+}
+
 /// Position and opacity logit; log-scales and 3D filter; rotation.
 type GeometryRow = [f32; GEOMETRY_FLOATS as usize];
 

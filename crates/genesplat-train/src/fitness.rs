@@ -11,7 +11,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use genesplat_core::backend::MomentPolicy;
-use genesplat_core::{Backend, BackendError, Gene, RenderSettings, Rng, SparseDelta, Statistics};
+use genesplat_core::{Backend, BackendError, RenderSettings, Rng, SparseDelta, Statistics};
 use genesplat_evolve::{GeneGradients, GeneticAlgorithm};
 
 use crate::config::EvolutionConfig;
@@ -97,8 +97,7 @@ fn algorithm<B: Backend>(
     stage: &Stage<'_>,
     base_fitness: f64,
 ) -> Result<GeneticAlgorithm, TrainError> {
-    let cloud = backend.download()?;
-    let base: Vec<Gene> = (0..cloud.len()).map(|row| cloud.genes(row)).collect();
+    let base = backend.genes()?;
     let gradients =
         if stage.config.wants_gene_gradients() { gene_gradients(backend.statistics()?) } else { None };
     Ok(GeneticAlgorithm::new(stage.config.paper.clone(), base, gradients, base_fitness, stage.rng)?)

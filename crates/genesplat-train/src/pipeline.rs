@@ -141,11 +141,11 @@ impl<B: Backend> Trainer<'_, B> {
 
     fn densify(&mut self, i: u32) -> Result<(), TrainError> {
         let plan = if self.config.variant == Variant::Mcmc {
-            let (rules, rng) = (self.mcmc_rules(), self.rng);
-            mcmc::plan(&self.healthy_cloud()?.opacity_logits, &rules, &rng, i)
+            let (rules, genes) = (self.mcmc_rules(), self.healthy_genes()?);
+            mcmc::plan(&genes, &rules, &self.rng, i)
         } else {
             let (rules, statistics) = (self.rules(i), self.backend.statistics()?);
-            adaptive::plan(&statistics, &*self.healthy_cloud()?, &rules, i)
+            adaptive::plan(&statistics, &self.healthy_genes()?, &rules, i)
         };
         if plan.edit.sources.is_empty() {
             return Err(TrainError::NothingLeft { iteration: i });
@@ -178,7 +178,8 @@ impl<B: Backend> Trainer<'_, B> {
     }
 
     fn refresh_filter(&mut self) -> Result<(), TrainError> {
-        let filter = filter_of(self.views, &*self.backend.download()?);
+        let positions: Vec<_> = self.backend.genes()?.into_iter().map(|[x, y, z, ..]| [x, y, z]).collect();
+        let filter = filter_of(self.views, &positions);
         Ok(self.backend.set_filter_3d(filter)?)
     }
 

@@ -5,8 +5,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use genesplat_core::backend::Exploration;
 use genesplat_core::{
-    Backend, BackendError, DensitySignal, Gaussians, LearningRates, RenderSettings, Rng, StatisticsRequest,
-    Stream, TrainStep, Update, View,
+    Backend, BackendError, DensitySignal, Gaussians, Gene, LearningRates, RenderSettings, Rng,
+    StatisticsRequest, Stream, TrainStep, Update, View,
 };
 
 use crate::checkpoint::{Checkpoint, Cursor, Progress};
@@ -169,8 +169,10 @@ impl<'a, B: Backend> Trainer<'a, B> {
             return Err(TrainError::EmptyCloud);
         }
         let own_filter = cloud.filter_3d.take();
-        cloud.filter_3d =
-            self.schedule.filter_3d.then(|| own_filter.unwrap_or_else(|| filter_of(self.views, &cloud)));
+        cloud.filter_3d = self
+            .schedule
+            .filter_3d
+            .then(|| own_filter.unwrap_or_else(|| filter_of(self.views, &cloud.positions)));
         self.backend.upload(cloud, None)?;
         self.backend.reset_statistics(true);
         Ok(Cursor::start_of(1))
@@ -242,6 +244,16 @@ impl<'a, B: Backend> Trainer<'a, B> {
             None => Ok(cloud),
             Some((row, parameter)) => Err(BackendError::NonFinite { row, parameter, steps }.into()),
         }
+    }
+
+    /// The genes of all rows, likewise.
+    pub(crate) fn healthy_genes(&mut self) -> Result<Vec<Gene>, TrainError> {
+        let genes = self.backend.genes()?;
+        if !genes.as_flattened().iter().all(|gene| gene.is_finite()) {
+            // Names the row and the parameter.
+            self.healthy_cloud()?;
+        }
+        Ok(genes)
     }
 
     /// Work may be queued on the device; the clock of the next phase must not pay for it.
@@ -396,9 +408,9 @@ fn fed_by(views: &[View], evolution: &EvolutionConfig) -> Option<usize> {
     counts.then(|| ((pixels / feeds_one) as usize).max(1))
 }
 
-/// Mip-Splatting's 3D filter of a cloud, from all training views.
-pub(crate) fn filter_of(views: &[View], cloud: &Gaussians) -> Vec<f32> {
-    filter_3d(&cloud.positions, views.iter().map(|view| &view.camera))
+/// Mip-Splatting's 3D filter of Gaussians at `positions`, from all training views.
+pub(crate) fn filter_of(views: &[View], positions: &[[f32; 3]]) -> Vec<f32> {
+    filter_3d(positions, views.iter().map(|view| &view.camera))
 }
 
 #[cfg(test)]

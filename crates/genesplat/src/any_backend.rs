@@ -5,8 +5,8 @@ use std::borrow::Cow;
 use genesplat::core::backend::{MomentPolicy, StepReport};
 use genesplat::core::lineage::PARENTS;
 use genesplat::core::{
-    Backend, BackendError, Blend, Camera, Credits, Gaussians, Image, Judgement, Lineage, Merit, Moments,
-    RenderSettings, RowEdit, SparseDelta, Statistics, TrainStep, View,
+    Backend, BackendError, Blend, Camera, Credits, Gaussians, Gene, Image, Judgement, Lineage, Merit,
+    Moments, RenderSettings, RowEdit, SparseDelta, Statistics, TrainStep, View,
 };
 use genesplat::gpu::GpuBackend;
 use genesplat::kernels::cpu::CpuBackend;
@@ -48,6 +48,10 @@ impl Backend for AnyBackend {
 
     fn download(&mut self) -> Result<Cow<'_, Gaussians>, BackendError> {
         delegate!(self.download())
+    }
+
+    fn genes(&mut self) -> Result<Vec<Gene>, BackendError> {
+        delegate!(self.genes())
     }
 
     fn download_moments(&mut self) -> Result<Cow<'_, Moments>, BackendError> {

@@ -239,6 +239,7 @@ fn uploads_come_back(gpu: &mut GpuBackend) {
     let moments = Moments { first: super::cloud(130), second: super::cloud(130) };
     gpu.upload(cloud.clone(), Some(moments.clone())).unwrap();
     assert_eq!(*gpu.download().unwrap(), cloud);
+    assert_eq!(gpu.genes().unwrap(), cloud.all_genes());
     assert_eq!(*gpu.download_moments().unwrap(), moments);
     let mut step = step(1, settings(1, ScreenFilter::Mip));
     step.statistics.density = Some(DensitySignal::SignedAndAbsolute);

@@ -11,7 +11,7 @@
 
 use genesplat_core::edit::new_log_scale;
 use genesplat_core::gaussians::sigmoid;
-use genesplat_core::{Gaussians, Origin, RowEdit, Statistics};
+use genesplat_core::{Gene, Origin, RowEdit, Statistics};
 
 use super::Plan;
 
@@ -42,15 +42,15 @@ enum Growth {
 }
 
 /// Decides one densification; `iteration` addresses the random offsets of split children.
-pub fn plan(statistics: &Statistics, cloud: &Gaussians, rules: &Rules, iteration: u32) -> Plan {
+pub fn plan(statistics: &Statistics, genes: &[Gene], rules: &Rules, iteration: u32) -> Plan {
     let absolute = rules.or_absolute.then(|| absolute_threshold(statistics, rules.gradient_threshold));
     let mut growth: Vec<Growth> =
-        (0..cloud.len()).map(|row| wanted_growth(statistics, cloud, rules, absolute, row)).collect();
+        (0..genes.len()).map(|row| wanted_growth(statistics, genes, rules, absolute, row)).collect();
     let refused = refuse_beyond_cap(&mut growth, statistics, rules.cap);
     let mut edit = grow(&growth, iteration);
     let grown = edit.sources.len();
     let prune_size = rules.prune_size.filter(|_| refused == 0);
-    prune(&mut edit, cloud, rules.prune_opacity, prune_size);
+    prune(&mut edit, genes, rules.prune_opacity, prune_size);
     Plan {
         cloned: count(&growth, Growth::Clone),
         split: count(&growth, Growth::Split),
@@ -75,14 +75,14 @@ fn absolute_threshold(statistics: &Statistics, gradient_threshold: f32) -> f32 {
 
 fn wanted_growth(
     statistics: &Statistics,
-    cloud: &Gaussians,
+    genes: &[Gene],
     rules: &Rules,
     absolute_threshold: Option<f32>,
     row: usize,
 ) -> Growth {
     let grows = statistics.mean_gradient(row) >= rules.gradient_threshold
         || absolute_threshold.is_some_and(|threshold| statistics.mean_absolute(row) >= threshold);
-    match (grows, size(cloud.log_scales[row]) <= rules.clone_size_max) {
+    match (grows, size(log_scale(&genes[row])) <= rules.clone_size_max) {
         (false, _) => Growth::None,
         (true, true) => Growth::Clone,
         (true, false) => Growth::Split,
@@ -119,16 +119,21 @@ fn grow(growth: &[Growth], iteration: u32) -> RowEdit {
     edit
 }
 
-fn prune(edit: &mut RowEdit, cloud: &Gaussians, prune_opacity: f32, prune_size: Option<f32>) {
+fn prune(edit: &mut RowEdit, genes: &[Gene], prune_opacity: f32, prune_size: Option<f32>) {
     let (sources, origins) = (std::mem::take(&mut edit.sources), std::mem::take(&mut edit.origins));
     for (source, origin) in sources.into_iter().zip(origins) {
         let row = source as usize;
-        let faint = sigmoid(cloud.opacity_logits[row]) < prune_opacity;
-        let new_size = size(new_log_scale(cloud.log_scales[row], cloud.opacity_logits[row], origin));
+        let opacity_logit = genes[row][6];
+        let faint = sigmoid(opacity_logit) < prune_opacity;
+        let new_size = size(new_log_scale(log_scale(&genes[row]), opacity_logit, origin));
         if !faint && prune_size.is_none_or(|limit| new_size <= limit) {
             edit.push(source, origin);
         }
     }
+}
+
+fn log_scale(&[_, _, _, x, y, z, _]: &Gene) -> [f32; 3] {
+    [x, y, z]
 }
 
 /// Standard deviation along the longest axis, world units.
@@ -159,16 +164,15 @@ mod tests {
     const SECOND: Origin = Origin::SplitChild { child: 1 };
 
     /// Rows of `(mean gradient, longest axis, opacity)`, each seen by four views.
-    fn scene(rows: &[(f32, f32, f32)]) -> (Statistics, Gaussians) {
-        let mut cloud = Gaussians::zeros(rows.len());
+    fn scene(rows: &[(f32, f32, f32)]) -> (Statistics, Vec<Gene>) {
+        let mut genes = Vec::new();
         let mut statistics = Statistics::default();
-        for (row, &(gradient, size, opacity)) in rows.iter().enumerate() {
-            cloud.log_scales[row] = [size.ln(), -9.0, -8.0];
-            cloud.opacity_logits[row] = logit(opacity);
+        for &(gradient, size, opacity) in rows {
+            genes.push([0.0, 0.0, 0.0, size.ln(), -9.0, -8.0, logit(opacity)]);
             statistics.gradient_sum.push(4.0 * gradient);
             statistics.weight_sum.push(4.0);
         }
-        (statistics, cloud)
+        (statistics, genes)
     }
 
     fn rows(plan: &Plan) -> Vec<(u32, Origin)> {
@@ -177,14 +181,14 @@ mod tests {
 
     #[test]
     fn new_rows_lie_beside_the_row_that_they_come_from() {
-        let (statistics, cloud) = scene(&[
+        let (statistics, genes) = scene(&[
             (3e-4, 0.5, 0.5),  // split
             (3e-4, 0.05, 0.5), // clone
             (1e-4, 0.5, 0.5),  // left alone
             (3e-4, 0.7, 0.5),  // split
             (3e-4, 0.02, 0.5), // clone
         ]);
-        let plan = plan(&statistics, &cloud, &RULES, 600);
+        let plan = plan(&statistics, &genes, &RULES, 600);
         assert_eq!(
             rows(&plan),
             [
@@ -205,19 +209,19 @@ mod tests {
 
     #[test]
     fn thresholds_are_inclusive_where_the_reference_has_them_so() {
-        let (mut statistics, cloud) = scene(&[(0.0, 0.5, 0.5), (0.0, 0.5, 0.5)]);
+        let (mut statistics, genes) = scene(&[(0.0, 0.5, 0.5), (0.0, 0.5, 0.5)]);
         statistics.gradient_sum = vec![4.0 * 2e-4, 4.0 * 1.999e-4];
-        let plan = plan(&statistics, &cloud, &RULES, 600);
+        let plan = plan(&statistics, &genes, &RULES, 600);
         assert_eq!((plan.cloned, plan.split), (0, 1), "a mean of exactly the threshold grows");
-        let exactly = Rules { clone_size_max: size(cloud.log_scales[0]), ..RULES };
-        let plan = super::plan(&statistics, &cloud, &exactly, 600);
+        let exactly = Rules { clone_size_max: size(log_scale(&genes[0])), ..RULES };
+        let plan = super::plan(&statistics, &genes, &exactly, 600);
         assert_eq!((plan.cloned, plan.split), (1, 0), "a size of exactly the limit is cloned");
     }
 
     #[test]
     fn faint_rows_and_their_copies_are_pruned() {
-        let (statistics, cloud) = scene(&[(3e-4, 0.05, 0.004), (0.0, 0.05, 0.006), (3e-4, 0.5, 0.001)]);
-        let plan = plan(&statistics, &cloud, &RULES, 600);
+        let (statistics, genes) = scene(&[(3e-4, 0.05, 0.004), (0.0, 0.05, 0.006), (3e-4, 0.5, 0.001)]);
+        let plan = plan(&statistics, &genes, &RULES, 600);
         assert_eq!(rows(&plan), [(1, KEPT)]);
         // Row 0 and its clone, both children of row 2.
         assert_eq!(plan.pruned, 4);
@@ -226,17 +230,17 @@ mod tests {
     #[test]
     fn size_is_judged_after_splitting() {
         // 1.5 / 1.6 is below the limit of 1, 1.7 / 1.6 above it; 1.2 does not grow and is simply too large.
-        let (statistics, cloud) = scene(&[(3e-4, 1.5, 0.5), (3e-4, 1.7, 0.5), (0.0, 1.2, 0.5)]);
-        let plan = plan(&statistics, &cloud, &RULES, 3100);
+        let (statistics, genes) = scene(&[(3e-4, 1.5, 0.5), (3e-4, 1.7, 0.5), (0.0, 1.2, 0.5)]);
+        let plan = plan(&statistics, &genes, &RULES, 3100);
         assert_eq!(rows(&plan), [(0, FIRST), (0, SECOND)]);
         let early = Rules { prune_size: None, ..RULES };
-        assert_eq!(super::plan(&statistics, &cloud, &early, 3000).edit.sources, [0, 0, 1, 1, 2]);
+        assert_eq!(super::plan(&statistics, &genes, &early, 3000).edit.sources, [0, 0, 1, 1, 2]);
     }
 
     #[test]
     fn oversized_rows_stay_while_the_cap_turns_others_away() {
-        let (statistics, cloud) = scene(&[(3e-4, 0.5, 0.5), (3e-4, 1.5, 0.5), (0.0, 1.2, 0.5)]);
-        let capped = |cap| plan(&statistics, &cloud, &Rules { cap: Some(cap), ..RULES }, 3100);
+        let (statistics, genes) = scene(&[(3e-4, 0.5, 0.5), (3e-4, 1.5, 0.5), (0.0, 1.2, 0.5)]);
+        let capped = |cap| plan(&statistics, &genes, &Rules { cap: Some(cap), ..RULES }, 3100);
         assert_eq!(
             rows(&capped(3)),
             [(0, KEPT), (1, KEPT), (2, KEPT)],
@@ -247,7 +251,7 @@ mod tests {
 
     #[test]
     fn with_gof_as_many_rows_again_may_grow_for_their_absolute_gradient() {
-        let (mut statistics, cloud) = scene(&[
+        let (mut statistics, genes) = scene(&[
             (3e-4, 0.5, 0.5), // splits for its signed gradient, though its absolute one is small
             (1e-4, 0.5, 0.5), // splits for its absolute one
             (1e-4, 0.05, 0.5),
@@ -258,34 +262,34 @@ mod tests {
         // One of five reaches the threshold. Rank 4/5 · 4 = 3.2 of (1, 2, 5, 8, 9) is 8.2.
         assert!((absolute_threshold(&statistics, RULES.gradient_threshold) - 8.2).abs() < 1e-6);
         let gof = Rules { or_absolute: true, ..RULES };
-        let found = plan(&statistics, &cloud, &gof, 600);
+        let found = plan(&statistics, &genes, &gof, 600);
         assert_eq!((found.cloned, found.split), (0, 2));
         assert_eq!(found.edit.sources, [0, 0, 1, 1, 2, 3, 4]);
-        assert_eq!(plan(&statistics, &cloud, &RULES, 600).split, 1, "only where it is asked for");
+        assert_eq!(plan(&statistics, &genes, &RULES, 600).split, 1, "only where it is asked for");
         // Where no row reaches the threshold, the quantile is the maximum, and that row grows, as published.
         let high = Rules { gradient_threshold: 1.0, ..gof };
-        assert_eq!(plan(&statistics, &cloud, &high, 600).edit.sources, [0, 1, 1, 2, 3, 4]);
-        assert!(plan(&Statistics::default(), &Gaussians::default(), &gof, 600).edit.sources.is_empty());
+        assert_eq!(plan(&statistics, &genes, &high, 600).edit.sources, [0, 1, 1, 2, 3, 4]);
+        assert!(plan(&Statistics::default(), &[], &gof, 600).edit.sources.is_empty());
     }
 
     #[test]
     fn unseen_and_poisoned_rows_do_not_grow() {
-        let (mut statistics, cloud) = scene(&[(1.0, 0.5, 0.5), (f32::NAN, 0.5, 0.5)]);
+        let (mut statistics, genes) = scene(&[(1.0, 0.5, 0.5), (f32::NAN, 0.5, 0.5)]);
         statistics.weight_sum[0] = 0.0;
-        assert!(plan(&statistics, &cloud, &RULES, 600).edit.is_identity(2));
+        assert!(plan(&statistics, &genes, &RULES, 600).edit.is_identity(2));
     }
 
     #[test]
     fn the_cap_serves_the_strongest_gradients() {
-        let (statistics, cloud) =
+        let (statistics, genes) =
             scene(&[(3e-4, 0.05, 0.5), (9e-4, 0.5, 0.5), (5e-4, 0.05, 0.5), (5e-4, 0.05, 0.5)]);
         let capped = Rules { cap: Some(6), ..RULES };
-        let plan = plan(&statistics, &cloud, &capped, 600);
+        let plan = plan(&statistics, &genes, &capped, 600);
         assert_eq!(plan.edit.sources.len(), 6);
         let grown = [(0, KEPT), (1, FIRST), (1, SECOND), (2, KEPT), (2, Origin::Clone), (3, KEPT)];
         assert_eq!(rows(&plan), grown);
         assert_eq!((plan.cloned, plan.split, plan.refused), (1, 1, 2));
-        let full = super::plan(&statistics, &cloud, &Rules { cap: Some(3), ..RULES }, 600);
+        let full = super::plan(&statistics, &genes, &Rules { cap: Some(3), ..RULES }, 600);
         assert!(full.edit.is_identity(4), "a cloud above its cap does not shrink");
         assert_eq!(full.refused, 4);
     }
@@ -296,8 +300,8 @@ mod tests {
             rows in proptest::collection::vec((0f32..5e-4, 0.01f32..2.0, 0.001f32..0.9), 0..60),
             cap in proptest::option::of(0usize..80),
         ) {
-            let (statistics, cloud) = scene(&rows);
-            let plan = plan(&statistics, &cloud, &Rules { cap, ..RULES }, 600);
+            let (statistics, genes) = scene(&rows);
+            let plan = plan(&statistics, &genes, &Rules { cap, ..RULES }, 600);
             let n = rows.len();
             assert_eq!(plan.edit.sources.len(), n + plan.cloned + plan.split - plan.pruned);
             assert_eq!(plan.edit.origins.len(), plan.edit.sources.len());

@@ -9,7 +9,7 @@
 
 use genesplat_core::gaussians::{logit, sigmoid};
 use genesplat_core::rng::Draw;
-use genesplat_core::{Gaussians, Origin, Rng, RowEdit, Stream};
+use genesplat_core::{Gaussians, Gene, Origin, Rng, RowEdit, Stream};
 
 use super::Plan;
 
@@ -53,14 +53,13 @@ pub fn initialise(cloud: &mut Gaussians, opacity: f32, scale: f32) {
     cloud.log_scales.as_flattened_mut().iter_mut().for_each(|log_scale| *log_scale += scale.ln());
 }
 
-/// Decides one event from the opacities before their sigmoid, `[N]`; `iteration` addresses the random draws.
+/// Decides one event from the genes `[N]`, of which it reads opacities alone; `iteration` addresses the random draws.
 ///
 /// Copies lie beside the row that they are of, wherever the dead ones lay: what is together on the screen stays
 /// together in memory. Relocated Gaussians lose their moments, and so do the Gaussians that they were moved to; added
 /// ones have none, and the Gaussians that they were added to keep theirs.
-pub fn plan(opacity_logits: &[f32], rules: &Rules, rng: &Rng, iteration: u32) -> Plan {
-    let mut rows: Vec<Row> =
-        opacity_logits.iter().zip(0..).map(|(&logit, row)| Row::kept(row, logit)).collect();
+pub fn plan(genes: &[Gene], rules: &Rules, rng: &Rng, iteration: u32) -> Plan {
+    let mut rows: Vec<Row> = genes.iter().zip(0..).map(|(genes, row)| Row::kept(row, genes[6])).collect();
     let relocated = relocate(&mut rows, rules, rng, iteration);
     let cloned = grow(&mut rows, rules, rng, iteration);
     rows.sort_by_key(|row| row.source);

@@ -10,7 +10,7 @@ use std::time::Instant;
 use anyhow::Result;
 use genesplat::core::backend::MomentPolicy;
 use genesplat::core::gaussians::{logit, sigmoid};
-use genesplat::core::{Backend, Gaussians, Gene, RenderSettings, Rng, SparseDelta, View};
+use genesplat::core::{Backend, Gaussians, RenderSettings, Rng, SparseDelta, View};
 use genesplat::evolve::{GeneticAlgorithm, Magnitude, PaperConfig};
 use genesplat::kernels::cpu::CpuBackend;
 use serde::Serialize;
@@ -113,11 +113,10 @@ pub fn founders(cloud: &Gaussians, population: usize) -> Result<Vec<SparseDelta>
 
 /// The paper's search, with steps that need no gradients. Nobody asks for the best, so the base's loss does not matter.
 fn algorithm(cloud: &Gaussians, population: u32, generations: u32) -> Result<GeneticAlgorithm> {
-    let base: Vec<Gene> = (0..cloud.len()).map(|row| cloud.genes(row)).collect();
     let paper = PaperConfig::default();
     let tournament = paper.tournament.min(population);
     let config = PaperConfig { generations, population, tournament, magnitude: Magnitude::Unit, ..paper };
-    Ok(GeneticAlgorithm::new(config, base, None, 0.0, Rng::new(0))?)
+    Ok(GeneticAlgorithm::new(config, cloud.all_genes(), None, 0.0, Rng::new(0))?)
 }
 
 /// What these rows are, as a change.
