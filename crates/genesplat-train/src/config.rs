@@ -119,7 +119,7 @@ pub struct TrainConfig {
     pub extent: Option<f64>,
     /// Densification stops at this many Gaussians, and serves the strongest gradients until then. Default: no limit;
     /// 1,000,000 with `mcmc`, which grows to it whatever the gradients. Evolution's mode `renew` has a limit of its own, and the
-    /// lower one counts (`evolution.renewal.pixels`).
+    /// lower one counts (`evolution.renewal`).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub max_gaussians: Option<usize>,
     /// Iterations between two read-backs of the loss, which make a GPU wait. Default 10; 0 for none. Not scaled.
@@ -302,11 +302,15 @@ pub struct RenewalConfig {
     /// control approaches that limit evenly; MCMC by its own share (`mcmc.growth`). More Gaussians than that learn the photos
     /// by heart. Default 2; 0 for no such limit.
     pub pixels: f64,
+    /// Pixels of one photo (their mean) that one Gaussian lives on, however many photos there are: the hundredth shows hardly
+    /// anything that the others do not. The lower of both limits counts. Default 0.3, which is the lower from 45 photos on;
+    /// 0 for no such limit.
+    pub photo_pixels: f64,
 }
 
 impl Default for RenewalConfig {
     fn default() -> Self {
-        Self { share: 0.05, every: 0.05, until: 0.75, weighed: 0.02, pixels: 2.0 }
+        Self { share: 0.05, every: 0.05, until: 0.75, weighed: 0.02, pixels: 2.0, photo_pixels: 0.3 }
     }
 }
 

@@ -168,7 +168,7 @@ impl<B: Backend> Trainer<'_, B> {
         let source = if self.config.max_gaussians == Some(cap) {
             ""
         } else {
-            " that the photos feed (evolution.renewal.pixels)"
+            " that the photos feed (evolution.renewal)"
         };
         self.observer.notice(&format!(
             "iteration {i}: the limit of {cap} Gaussians{source} is reached ({} more wanted to grow); from now on only \

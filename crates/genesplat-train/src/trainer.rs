@@ -11,7 +11,8 @@ use genesplat_core::{
 
 use crate::checkpoint::{Checkpoint, Cursor, Progress};
 use crate::config::{
-    Background, EvolutionConfig, EvolutionMode, McmcConfig, Resolved, Signal, TrainConfig, Variant,
+    Background, EvolutionConfig, EvolutionMode, McmcConfig, RenewalConfig, Resolved, Signal, TrainConfig,
+    Variant,
 };
 use crate::densify::adaptive::Rules;
 use crate::densify::mcmc;
@@ -116,7 +117,7 @@ impl<'a, B: Backend> Trainer<'a, B> {
         let (Some(own), Some(fed)) = (own, fed) else { return };
         if fed < own {
             self.observer.notice(&format!(
-                "the cloud grows to at most {fed} Gaussians, which is what the photos feed (evolution.renewal.pixels), \
+                "the cloud grows to at most {fed} Gaussians, which is what the photos feed (evolution.renewal), \
                  and not to the limit of {own}"
             ));
         }
@@ -402,10 +403,12 @@ fn own_limit(config: &TrainConfig) -> Option<usize> {
 /// How many Gaussians the photos feed, where that counts.
 fn fed_by(views: &[View], evolution: &EvolutionConfig) -> Option<usize> {
     let pixels_of = |view: &View| f64::from(view.photo.width) * f64::from(view.photo.height);
-    let pixels: f64 = views.iter().map(pixels_of).sum();
-    let feeds_one = evolution.renewal.pixels * (views.len() as f64).sqrt();
-    let counts = evolution.mode == EvolutionMode::Renew && feeds_one > 0.0;
-    counts.then(|| ((pixels / feeds_one) as usize).max(1))
+    let (all, photos) = (views.iter().map(pixels_of).sum::<f64>(), views.len() as f64);
+    let RenewalConfig { pixels, photo_pixels, .. } = evolution.renewal;
+    let limits = [(all, pixels * photos.sqrt()), (all / photos, photo_pixels)];
+    let counting =
+        limits.into_iter().filter(|(_, each)| *each > 0.0 && evolution.mode == EvolutionMode::Renew);
+    counting.map(|(pixels, each)| ((pixels / each) as usize).max(1)).min()
 }
 
 /// Mip-Splatting's 3D filter of Gaussians at `positions`, from all training views.
@@ -434,11 +437,13 @@ mod tests {
         };
         let photo = Arc::new(Photo { width: 30, height: 20, rgb: vec![0; 1800] });
         let views = vec![View { name: String::new(), camera, photo }; 9];
-        let limit = |mode, variant, max_gaussians, pixels| {
+        let renewal = |pixels, photo_pixels| RenewalConfig { pixels, photo_pixels, ..Default::default() };
+        let limit_with = |mode, variant, max_gaussians, renewal| {
             let mut config = TrainConfig { variant, max_gaussians, ..TrainConfig::default() };
-            (config.evolution.mode, config.evolution.renewal.pixels) = (mode, pixels);
+            (config.evolution.mode, config.evolution.renewal) = (mode, renewal);
             population_limit(&config, &views)
         };
+        let limit = |mode, variant, own, pixels| limit_with(mode, variant, own, renewal(pixels, 0.0));
         let (renew, off) = (EvolutionMode::Renew, EvolutionMode::Off);
         // 9 · 600 pixels over 2 · √9.
         assert_eq!(limit(renew, Variant::ThreeDgs, None, 2.0), Some(900));
@@ -448,5 +453,8 @@ mod tests {
         assert_eq!(limit(renew, Variant::ThreeDgs, None, 0.0), None);
         assert_eq!(limit(off, Variant::ThreeDgs, None, 2.0), None);
         assert_eq!(limit(off, Variant::Mcmc, None, 2.0), Some(mcmc::DEFAULT_CAP));
+        // 600 pixels over 0.3, where that is less.
+        let of_one = |pixels, each| limit_with(renew, Variant::ThreeDgs, None, renewal(pixels, each));
+        assert_eq!([of_one(0.0, 0.3), of_one(0.5, 0.3), of_one(2.0, 0.3)], [2000, 2000, 900].map(Some));
     }
 }

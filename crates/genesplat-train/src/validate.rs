@@ -126,13 +126,14 @@ impl EvolutionConfig {
         at_least_one("evolution.stride", self.stride)?;
         check("evolution.views", self.views, self.views > 0, "at least 1")?;
         not_negative("evolution.control_seconds", self.control_seconds)?;
-        let RenewalConfig { share, every, until, weighed, pixels } = self.renewal;
+        let RenewalConfig { share, every, until, weighed, pixels, photo_pixels } = self.renewal;
         for (setting, value) in [("evolution.renewal.share", share), ("evolution.renewal.every", every)] {
             check(setting, value, value > 0.0 && value <= 0.5, "above 0 and at most 0.5")?;
         }
         check("evolution.renewal.until", until, (0.0..=1.0).contains(&until), "0 to 1")?;
         positive("evolution.renewal.weighed", weighed)?;
         not_negative("evolution.renewal.pixels", pixels)?;
+        not_negative("evolution.renewal.photo_pixels", photo_pixels)?;
         let RecombineConfig { window, states, views, guards, .. } = self.recombine;
         check(
             "evolution.recombine.window",

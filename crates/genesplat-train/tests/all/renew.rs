@@ -96,7 +96,8 @@ fn grow(mode: EvolutionMode, pixels: f64, limit: Option<usize>) -> Told {
     let mut backend = backend(0.9);
     backend.gradient = |row| if row < 20 { 1e-3 } else { 0.0 };
     let mut config = TrainConfig { max_gaussians: limit, ..config() };
-    (config.evolution.mode, config.evolution.renewal.pixels) = (mode, pixels);
+    config.evolution.mode = mode;
+    (config.evolution.renewal.pixels, config.evolution.renewal.photo_pixels) = (pixels, 0.0);
     let mut told = Told::default();
     run_observed(&mut backend, config, &mut told);
     told
@@ -141,7 +142,7 @@ fn who_sets_a_limit_hears_at_once_that_the_photos_feed_fewer() {
         (Variant::Mcmc, None, genesplat_train::densify::mcmc::DEFAULT_CAP),
     ] {
         let [notice] = &told(variant, EvolutionMode::Renew, limit)[..] else { panic!("one notice") };
-        let numbers = ["at most 50 Gaussians", "evolution.renewal.pixels", &format!("limit of {own}")];
+        let numbers = ["at most 50 Gaussians", "evolution.renewal", &format!("limit of {own}")];
         assert!(numbers.iter().all(|part| notice.contains(part)), "{notice}");
     }
     assert!(told(Variant::Mcmc, EvolutionMode::Off, Some(60)).is_empty());
