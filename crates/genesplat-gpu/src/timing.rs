@@ -1,10 +1,13 @@
 //! What each stage costs, by the device's own clock.
 
+use std::time::Instant;
+
 use genesplat_core::BackendError;
 use wgpu::{BufferDescriptor, BufferUsages, QuerySet, QuerySetDescriptor, QueryType};
 
 use crate::backend::GpuBackend;
 use crate::engine::Engine;
+use crate::recorder::Recorder;
 
 /// Passes that are timed between two readings: eight steps of eight passes. What comes after them until the next reading,
 /// the later ones of many views, say, is left out without a word.
@@ -64,6 +67,25 @@ impl GpuBackend {
     pub fn start_timing(&mut self) -> bool {
         self.timestamps = self.engine.timestamps.then(|| Timestamps::new(&self.engine));
         self.timestamps.is_some()
+    }
+
+    /// Bytes a second that the device's memory reads and writes, both counted, when `bytes` are copied again and again; by
+    /// the host's clock.
+    pub fn memory_bandwidth(&mut self, bytes: u64) -> Result<f64, BackendError> {
+        const COPIES: u32 = 16;
+        self.settle()?;
+        let from = self.engine.allocate("bytes to copy", bytes)?;
+        let to = self.engine.allocate("a copy of bytes", bytes)?;
+        let copy = |times| {
+            let mut recorder = Recorder::new(&self.engine, None);
+            (0..times).for_each(|_| recorder.copy(&from, &to));
+            recorder.submit();
+            self.engine.wait()
+        };
+        copy(1)?;
+        let clock = Instant::now();
+        copy(COPIES)?;
+        Ok(2.0 * f64::from(COPIES) * from.bytes as f64 / clock.elapsed().as_secs_f64())
     }
 
     /// From here on, stages are not timed.

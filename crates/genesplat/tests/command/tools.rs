@@ -242,7 +242,13 @@ fn bench_gpu_measures_or_says_why_not() {
     let report = json(&file);
     let sizes = report["sizes"].as_array().unwrap();
     assert_eq!(sizes.len(), 2, "{report}");
+    assert!(report["memory_bytes_per_second"].as_f64() > Some(0.0), "{report}");
     for size in sizes {
+        let floors = size["floor_milliseconds"].as_array().unwrap();
+        assert!(
+            floors.iter().all(|floor| floor[1].as_f64() > Some(0.0)),
+            "a stage that is not known: {size}"
+        );
         assert!(size["milliseconds"].as_f64() > Some(0.0) && size["ratio"].as_f64() > Some(0.0), "{size}");
         assert!(size["max_relative_difference"].as_f64() <= Some(1e-5), "{size}");
     }

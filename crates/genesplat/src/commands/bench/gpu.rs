@@ -16,6 +16,7 @@ use genesplat::gpu::GpuBackend;
 use serde::Serialize;
 
 use super::evolution::{founders, genes_of, just_reset, max_relative_difference};
+use super::floor::Work;
 use super::median;
 use super::workload::Workload;
 use crate::args::BenchGpuArgs;
@@ -26,11 +27,15 @@ use crate::{output, run_folder};
 const WARM_UP: u32 = 3;
 /// No further size is begun after this time, so that the call ends within eight minutes.
 const ENOUGH: Duration = Duration::from_secs(240);
+/// Bytes that are copied to measure the device's memory: more than its caches hold.
+const COPIED_BYTES: u64 = 256 << 20;
 
 /// What `--json` writes; keys are fixed.
 #[derive(Serialize)]
 struct Report {
     device: String,
+    /// Read and written by copies.
+    memory_bytes_per_second: f64,
     width: u32,
     height: u32,
     sizes: Vec<Size>,
@@ -46,6 +51,8 @@ struct Size {
     milliseconds: f64,
     /// Of a step's stages, by the device's clock; empty where it has none.
     stages: Vec<(&'static str, f64)>,
+    /// Time that the device's memory needs for what each of them moves at least.
+    floor_milliseconds: Vec<(&'static str, f64)>,
     visible: usize,
     tile_splats: usize,
     device_memory_bytes: u64,
@@ -63,7 +70,17 @@ pub fn run(args: &BenchGpuArgs) -> Result<()> {
     device::use_threads(args.threads)?;
     Device::Gpu.resolve()?;
     let [width, height] = [args.width, args.height];
-    let mut report = Report { device: String::new(), width, height, sizes: Vec::new(), left_out: Vec::new() };
+    let mut backend = GpuBackend::new(0)?;
+    let mut report = Report {
+        device: backend.describe(),
+        memory_bytes_per_second: backend.memory_bandwidth(COPIED_BYTES)?,
+        width,
+        height,
+        sizes: Vec::new(),
+        left_out: Vec::new(),
+    };
+    drop(backend);
+    output::print(&report.to_text())?;
     for &gaussians in &args.gaussians {
         if began.elapsed() > ENOUGH {
             report.left_out.push(gaussians);
@@ -71,9 +88,8 @@ pub fn run(args: &BenchGpuArgs) -> Result<()> {
         }
         output::tell(&format!("making {gaussians} Gaussians"));
         let mut bench = Bench::new(args, gaussians as usize)?;
-        report.device = bench.backend.describe();
-        let size = bench.measure(args)?;
-        output::print(&size.to_text(&report.device, [width, height]))?;
+        let size = bench.measure(args, report.memory_bytes_per_second)?;
+        output::print(&size.to_text([width, height]))?;
         report.sizes.push(size);
     }
     if !report.left_out.is_empty() {
@@ -96,7 +112,7 @@ impl Bench {
         Ok(Self { backend, settings: RenderSettings::default() })
     }
 
-    fn measure(&mut self, args: &BenchGpuArgs) -> Result<Size> {
+    fn measure(&mut self, args: &BenchGpuArgs, memory_bytes_per_second: f64) -> Result<Size> {
         self.steps(0, WARM_UP)?;
         let clock = Instant::now();
         self.steps(WARM_UP, args.steps)?;
@@ -104,6 +120,10 @@ impl Bench {
         let report = self.backend.report()?;
         let stages = self.stages(WARM_UP + args.steps, args.steps)?;
         let device_memory_bytes = self.backend.allocated_bytes();
+        let [rows, visible, entries] =
+            [self.backend.len(), report.visible, report.tile_splats].map(|count| count as u64);
+        let work = Work { rows, visible, entries, size_px: [args.width, args.height].map(u64::from) };
+        let floor = |name: &'static str| (name, 1e3 * work.bytes(name) as f64 / memory_bytes_per_second);
 
         let cloud = just_reset(self.backend.download()?.into_owned());
         let individuals = founders(&cloud, args.population as usize)?;
@@ -118,6 +138,7 @@ impl Bench {
         Ok(Size {
             gaussians: self.backend.len(),
             milliseconds,
+            floor_milliseconds: stages.iter().map(|&(name, _)| floor(name)).collect(),
             stages,
             visible: report.visible,
             tile_splats: report.tile_splats,
@@ -185,16 +206,27 @@ impl Bench {
     }
 }
 
+impl Report {
+    fn to_text(&self) -> String {
+        format!("{}: copies move {:.1} GB/s", self.device, 1e-9 * self.memory_bytes_per_second)
+    }
+}
+
 impl Size {
-    fn to_text(&self, device: &str, [width, height]: [u32; 2]) -> String {
-        let stages: String = self
-            .stages
-            .iter()
-            .map(|(name, milliseconds)| format!("\n  {name:<20}{milliseconds:>9.3} ms"))
-            .collect();
+    fn to_text(&self, [width, height]: [u32; 2]) -> String {
+        let row = |(&(name, milliseconds), &(_, floor)): (&(&str, f64), &(&str, f64))| {
+            let share = 100.0 * floor / milliseconds;
+            format!("\n  {name:<20}{milliseconds:>9.3} ms, its memory traffic {floor:>9.3} ms ({share:.0} %)")
+        };
+        let stages: String = self.stages.iter().zip(&self.floor_milliseconds).map(row).collect();
+        let busy: f64 = self.stages.iter().map(|(_, milliseconds)| milliseconds).sum();
+        let utilisation = match self.stages.len() {
+            0 => String::new(),
+            _ => format!(": the device computes {:.0} % of it", 100.0 * busy / self.milliseconds),
+        };
         format!(
-            "{} Gaussians at {width}x{height} px on {device}: {} visible, {} tile entries, {:.0} MB\n\
-             step {:>26.3} ms, one after the other{stages}\n\
+            "{} Gaussians at {width}x{height} px: {} visible, {} tile entries, {:.0} MB\n\
+             step {:>26.3} ms, one after the other{utilisation}{stages}\n\
              scoring {} individuals with {} changed Gaussians, one view\n\
              scored {:>24.1} renders/s\nplain  {:>24.1} renders/s\nratio  {:>24.2} x\n\
              largest relative difference of a loss {:.1e}",

@@ -1,0 +1,85 @@
+//! What a stage of a training step on a graphics device has to move through its memory at least, and how long that takes.
+//!
+//! Every value that a stage reads from another, or leaves for one, is counted once, however often it is looked at; what
+//! stays in registers and workgroup memory is not. No cache holds a whole column of a large cloud, so a stage that takes as
+//! long as this is as fast as the device's memory.
+
+/// Bytes of a row's geometry, and of its colours.
+const ROW_BYTES: [u64; 2] = [48, 192];
+/// Bytes of a splat, and of a row of gradients that a tile leaves.
+const SPLAT_BYTES: u64 = 48;
+/// Bytes of the gradients of a row.
+const GRADIENT_BYTES: u64 = 64;
+/// Reading and writing a key and a value, in each pass of a sort.
+const PASS_BYTES: u64 = 16;
+/// Bits that a pass sorts by.
+const PASS_BITS: u64 = 8;
+/// Side of a tile, px.
+const TILE: u64 = 16;
+
+/// How much there is to do.
+#[derive(Clone, Copy, Debug)]
+pub struct Work {
+    /// Gaussians.
+    pub rows: u64,
+    /// Splats of the view.
+    pub visible: u64,
+    /// Entries of its tile lists.
+    pub entries: u64,
+    /// Of the photo.
+    pub size_px: [u64; 2],
+}
+
+impl Work {
+    /// Bytes that a stage moves at least; 0 for one that is not known.
+    pub fn bytes(&self, stage: &str) -> u64 {
+        let Self { rows, visible, entries, size_px: [width, height] } = *self;
+        let [geometry, colour] = ROW_BYTES;
+        let pixels = width * height;
+        match stage {
+            // Tile counts and marks of all rows; depths of splats.
+            "project" => rows * (geometry + 8) + visible * (colour + SPLAT_BYTES + 4),
+            // Marks, counts and splats are read, splats sorted by depth; entries and their splats written, sorted by tile.
+            "bin" => {
+                let sorted = visible * (32 / PASS_BITS) + entries * self.tile_bits().div_ceil(PASS_BITS);
+                rows * 8 + visible * SPLAT_BYTES + entries * 8 + sorted * PASS_BYTES
+            }
+            // Three channels of f32 are written.
+            "rasterise" => entries * 8 + visible * SPLAT_BYTES + pixels * 12,
+            // Both steps read render and photo; nine partial derivatives pass between them; the gradient is written.
+            "loss" => pixels * (2 * (12 + 4) + 2 * 36 + 12),
+            // Render and gradient are read.
+            "rasterise_backward" => entries * (8 + SPLAT_BYTES) + visible * SPLAT_BYTES + pixels * 24,
+            "project_backward" => {
+                entries * SPLAT_BYTES + visible * (geometry + colour + SPLAT_BYTES) + rows * GRADIENT_BYTES
+            }
+            // Parameters and two moments are read and written; so are density statistics.
+            "update" => rows * (6 * (geometry + colour) + GRADIENT_BYTES + 2 * 16),
+            _ => 0,
+        }
+    }
+
+    /// Bits of the largest tile number.
+    fn tile_bits(&self) -> u64 {
+        let [across, down] = self.size_px.map(|side| side.div_ceil(TILE));
+        u64::from((across * down).max(2).next_power_of_two().ilog2())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_step_moves_what_its_columns_hold() {
+        let work = Work { rows: 1000, visible: 0, entries: 0, size_px: [160, 90] };
+        // Six columns of 240 bytes, gradients, and sums of 16 bytes.
+        assert_eq!(work.bytes("update"), 1000 * (1440 + 64 + 32));
+        assert_eq!(work.bytes("loss"), 160 * 90 * 116);
+        assert_eq!(work.bytes("nothing"), 0);
+        // 10 by 6 tiles: six bits, one pass.
+        let listed = Work { visible: 10, entries: 30, ..work };
+        assert_eq!(listed.bytes("bin") - work.bytes("bin"), 10 * (48 + 4 * 16) + 30 * (8 + 16));
+        assert_eq!(Work { size_px: [1920, 1080], ..work }.tile_bits(), 13);
+    }
+}
