@@ -273,7 +273,7 @@ fn scores_match() {
     let views = [view(), small_view()];
     for filter in filters() {
         let base = filtered_cloud(500, filter);
-        let population: Vec<SparseDelta> = (0..37).map(|index| individual_of(&base, index % 6)).collect();
+        let population: Vec<SparseDelta> = (0..121).map(|index| individual_of(&base, index % 6)).collect();
         let mut cpu = cpu();
         let twins: [&mut dyn Backend; 2] = [&mut gpu, &mut cpu];
         let [actual, expected] = twins.map(|twin| {
