@@ -143,7 +143,7 @@ impl Observer for Reporter<'_> {
 
     fn on_stage_end(&mut self, record: &StageRecord) {
         self.stage = None;
-        let text = stage_sentence(record);
+        let text = stage_sentence(record, self.folder.is_none());
         self.say(&text);
         self.log(&LogRecord::StageEnd(*record));
     }
@@ -172,8 +172,8 @@ impl Observer for Reporter<'_> {
     }
 }
 
-/// What a stage did, for the terminal.
-fn stage_sentence(record: &StageRecord) -> String {
+/// What a stage did, for the terminal. One that stands alone is no part of a run, and its iteration says nothing.
+fn stage_sentence(record: &StageRecord, stands_alone: bool) -> String {
     let StageRecord { kind, iteration, fitness_before, fitness_after, changed, renders, seconds, .. } =
         record;
     match (kind, record.guard_psnr) {
@@ -186,8 +186,9 @@ fn stage_sentence(record: &StageRecord) -> String {
             format!("renewal at iteration {iteration}: taken back, since guards did not like what came of it")
         }
         _ => format!(
-            "evolution at iteration {iteration}: fitness {fitness_before:.6} -> {fitness_after:.6}, {changed} Gaussians \
-             changed, {renders} renders in {seconds:.1} s"
+            "evolution{}: fitness {fitness_before:.6} -> {fitness_after:.6}, {changed} Gaussians changed, {renders} renders \
+             in {seconds:.1} s",
+            if stands_alone { String::new() } else { format!(" at iteration {iteration}") }
         ),
     }
 }
