@@ -2,8 +2,8 @@
 //!
 //! Block after block of 4x4 pixels, so that everybody's light in it (256 bytes each) stays in the first-level cache. The
 //! alphas of up to 64 splats are evaluated, and then each individual blends those that it holds: five operations for 16
-//! pixels and a splat. A pixel is finished where the renderer says so: a run is blended as if none could be, and again with
-//! care where one might have been.
+//! pixels and a splat. A pixel is finished where the renderer says so: a run is blended with care where all of its splats
+//! together might finish one, and elsewhere as if none could be.
 
 use fearless_simd::{Simd, prelude::*};
 use genesplat_core::alleles::Holders;
@@ -21,6 +21,9 @@ pub type Colours = [[[f32; TILE]; TILE]; 3];
 const AHEAD: usize = 16;
 /// Splats of a block that are evaluated before they are blended: a bit each.
 const RUN: usize = u64::BITS as usize;
+
+/// What an empty run lets through.
+const PASSING: f32 = 1.0 - 1e-4;
 
 /// One thread's working memory.
 #[derive(Default)]
@@ -143,12 +146,20 @@ struct Run {
     colours: [[f32; 3]; RUN],
     /// The lower and the upper half of the bits of those who hold it.
     holders: [[u64; RUN]; 2],
+    /// What all of them together let through, times a little less than one: the sums of individuals round otherwise.
+    passing: [f32; LANES],
     length: usize,
 }
 
 impl Default for Run {
     fn default() -> Self {
-        Self { alphas: [[0.0; LANES]; RUN], colours: [[0.0; 3]; RUN], holders: [[0; RUN]; 2], length: 0 }
+        Self {
+            alphas: [[0.0; LANES]; RUN],
+            colours: [[0.0; 3]; RUN],
+            holders: [[0; RUN]; 2],
+            passing: [PASSING; LANES],
+            length: 0,
+        }
     }
 }
 
@@ -158,6 +169,8 @@ impl Run {
     fn evaluate<S: Simd>(&mut self, simd: S, splat: &Splat, holders: Holders, block: usize) {
         let alpha = alpha(simd, splat, block);
         if alpha.hit.any_true() {
+            let passing = V::simd_from(simd, self.passing);
+            self.passing = *(passing - passing * alpha.alpha);
             self.push(*alpha.alpha, splat.rgb, holders);
         }
     }
@@ -179,17 +192,19 @@ impl Run {
             transpose(holders);
         }
         self.length = 0;
+        let passing = V::simd_from(simd, std::mem::replace(&mut self.passing, [PASSING; LANES]));
         for (stored, &held) in lights.iter_mut().zip(self.holders.as_flattened()) {
-            let before = Light::load(simd, stored);
-            let mut light = self.blend_freely(simd, held, before);
-            if light.transmittance.simd_lt(TRANSMITTANCE_MIN).any_true() {
-                light = self.blend_with_care(simd, held, before);
-            }
+            let light = Light::load(simd, stored);
+            let may_finish = (light.transmittance * passing).simd_lt(TRANSMITTANCE_MIN);
+            let light = match may_finish.any_true() {
+                true => self.blend_with_care(simd, held, light),
+                false => self.blend_freely(simd, held, light),
+            };
             *stored = light.store();
         }
     }
 
-    /// Blends the splats of `held` as if no pixel could be finished. One that was finished before stays below the threshold.
+    /// Blends the splats of `held`, none of which finishes a pixel.
     #[inline(always)]
     fn blend_freely<S: Simd>(&self, simd: S, mut held: u64, mut light: Light<S>) -> Light<S> {
         while held != 0 {
@@ -257,8 +272,9 @@ mod tests {
     fn pixels_are_finished_for_each_individual_where_they_are() {
         let mut run = Run::default();
         for splat in 0..40 {
-            let alphas = std::array::from_fn(|lane| 0.03 * (lane + splat % 5) as f32);
+            let alphas: [f32; LANES] = std::array::from_fn(|lane| 0.03 * (lane + splat % 5) as f32);
             let holders = 1 | Holders::from(splat % 4 == 0) << 100;
+            run.passing.iter_mut().zip(alphas).for_each(|(passing, alpha)| *passing *= 1.0 - alpha);
             run.push(alphas, [1.0, 0.5, splat as f32], holders);
         }
         let mut lights = vec![Stored::UNTOUCHED; 128];
