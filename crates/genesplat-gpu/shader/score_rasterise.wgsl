@@ -31,6 +31,9 @@ var<workgroup> batch_dimming: atomic<u32>;
 var<workgroup> finished_pixels: atomic<u32>;
 var<workgroup> all_finished: u32;
 
+// Transmittance of a seat that nobody has; a pixel is finished with a hundredth of its light or less.
+const NOBODY: f32 = -1.0;
+
 // The light of four individuals in a pixel. A transmittance is negative where the pixel is finished.
 struct Lights {
     transmittance: vec4<f32>,
@@ -42,10 +45,12 @@ struct Lights {
 // Before the first splat; finished from the start where there is nobody, or no pixel.
 fn untouched(first_seat: u32, seats: u32) -> Lights {
     let is_taken = first_seat + vec4(0u, 1u, 2u, 3u) < vec4(seats);
-    return Lights(select(vec4(-1.0), vec4(1.0), is_taken), vec4(0.0), vec4(0.0), vec4(0.0));
+    return Lights(select(vec4(NOBODY), vec4(1.0), is_taken), vec4(0.0), vec4(0.0), vec4(0.0));
 }
 
-fn smallest(v: vec4<f32>) -> f32 {
+// The smallest transmittance of those who are there.
+fn smallest(transmittance: vec4<f32>) -> f32 {
+    let v = select(transmittance, vec4(1.0), transmittance == vec4(NOBODY));
     return min(min(v.x, v.y), min(v.z, v.w));
 }
 

@@ -1,7 +1,7 @@
-// Stage `score`, step 4: one loss and one squared error a layer, from the sums of its tiles; one workgroup a layer.
+// Stage `score`, step 3: one loss and one squared error a layer, from the sums of its tiles; one workgroup a layer.
 
 @group(0) @binding(0) var<uniform> frame: Frame;
-// First individual of the batch, number of individuals; view, number of views.
+// First individual, number of individuals; view, number of views.
 @group(0) @binding(1) var<uniform> window: Window;
 @group(0) @binding(2) var<storage, read> sums: array<vec4<f32>>;
 // Loss and mean squared error [P, V].

@@ -1,4 +1,5 @@
-// What the stages that walk the list of a tile share: its pixels, and a splat as they read it from workgroup memory.
+// What the stages that walk the list of a tile share: a splat as they read it from workgroup memory, and, going forward, which
+// pixel an invocation has.
 
 struct TileSplat {
     // Mean, px from the tile's corner.

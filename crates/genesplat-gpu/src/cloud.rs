@@ -119,9 +119,7 @@ impl Parameters {
         ])?;
         Ok(unpack(&geometry, sh, filter))
     }
-}
 
-impl Parameters {
     /// Copies the genes of `rows` rows to the host.
     pub(crate) fn genes(&self, engine: &Engine, rows: u64) -> Result<Vec<Gene>, BackendError> {
         let geometry: Vec<GeometryRow> = engine.read_values(&self.geometry.memory, rows)?;

@@ -155,8 +155,10 @@ impl GpuBackend {
             Ok(Some(found)) => losses.extend(found),
             Err(error) if is_one || !matches!(error, BackendError::OutOfMemory { .. }) => return Err(error),
             _ => {
-                // Its lists were longer than those of half of it will be.
+                // All that was made for it is larger than what half of it needs.
+                self.scratch.release();
                 self.scratch.entry_room = 0;
+                self.engine.wait()?;
                 let (first, second) = individuals.split_at(individuals.len() / 2);
                 self.score_pool(first, views, settings, losses)?;
                 self.score_pool(second, views, settings, losses)?;
@@ -175,6 +177,7 @@ impl GpuBackend {
         let mut judgements = vec![[0f32; 2]; pool.individuals as usize * views.len()];
         let losses = self.engine.allocate("losses", 8 * judgements.len() as u64)?;
         loop {
+            self.engine.write(&self.scratch.lists.counters, 0, &[Counters::default()]);
             for (index, &view) in views.iter().enumerate() {
                 self.submit_pool(pool, view, settings, [index, views.len()], &losses)?;
             }
@@ -184,7 +187,6 @@ impl GpuBackend {
                 (&losses, bytemuck::cast_slice_mut(&mut judgements)),
                 (counted, bytemuck::bytes_of_mut(&mut counters)),
             ])?;
-            self.engine.write(counted, 0, &[Counters::default()]);
             if counters.halted == 0 {
                 return Ok(judgements.into_iter().map(|[loss, _]| loss).collect());
             }
@@ -251,14 +253,14 @@ impl GpuBackend {
     }
 }
 
-/// How many of a population share a pool, if the pictures of so many fit. As many pools as are needed, all about as large,
-/// with no seat left free where there is more than one workgroup to a tile.
+/// How many of a population share a pool, if the pictures of so many fit: as many pools as are needed, of whole rows of seats
+/// where a row fits.
 fn individuals_of_a_pool(population: usize, fitting: usize) -> usize {
     let seats = SEATS as usize;
     let fitting = fitting.clamp(1, Holders::BITS as usize);
     let most = if fitting < seats { fitting } else { fitting / seats * seats };
     let each = population.div_ceil(population.div_ceil(most).max(1)).max(1);
-    if each < seats { each } else { each.next_multiple_of(seats) }
+    if most < seats { each } else { each.next_multiple_of(seats) }
 }
 
 #[cfg(test)]
@@ -268,8 +270,8 @@ mod tests {
     #[test]
     fn pools_fit_and_take_whole_rows_of_seats() {
         let each = |population, fitting| individuals_of_a_pool(population, fitting);
-        assert_eq!([each(100, 1000), each(100, 50), each(100, 20), each(100, 9)], [112, 48, 15, 9]);
-        assert_eq!([each(300, 1000), each(12, 1000), each(20, 9)], [112, 12, 7]);
-        assert_eq!([each(100, 0), each(0, 1000)], [1, 1]);
+        assert_eq!([each(100, 1000), each(100, 50), each(100, 20), each(100, 9)], [112, 48, 16, 9]);
+        assert_eq!([each(300, 1000), each(12, 1000), each(20, 9)], [112, 16, 7]);
+        assert_eq!([each(100, 0), each(0, 1000)], [1, 16]);
     }
 }

@@ -69,6 +69,22 @@ impl GpuBackend {
         self.timestamps.is_some()
     }
 
+    /// From here on, stages are not timed.
+    pub fn stop_timing(&mut self) {
+        self.timestamps = None;
+    }
+
+    /// Waits for the device and returns the seconds of each stage since the last call (of the first 64 passes, eight steps);
+    /// none unless they are timed.
+    pub fn take_stage_seconds(&mut self) -> Result<Vec<(&'static str, f64)>, BackendError> {
+        self.settle()?;
+        let Some(timestamps) = &mut self.timestamps else { return Ok(Vec::new()) };
+        let seconds =
+            if timestamps.stages.is_empty() { Vec::new() } else { timestamps.seconds(&self.engine)? };
+        timestamps.stages.clear();
+        Ok(seconds)
+    }
+
     /// Bytes a second that the device's memory reads and writes, both counted, when `bytes` are copied again and again; by
     /// the host's clock.
     pub fn memory_bandwidth(&mut self, bytes: u64) -> Result<f64, BackendError> {
@@ -86,22 +102,6 @@ impl GpuBackend {
         let clock = Instant::now();
         copy(COPIES)?;
         Ok(2.0 * f64::from(COPIES) * from.bytes as f64 / clock.elapsed().as_secs_f64())
-    }
-
-    /// From here on, stages are not timed.
-    pub fn stop_timing(&mut self) {
-        self.timestamps = None;
-    }
-
-    /// Waits for the device and returns the seconds of each stage since the last call (of the first 64 passes, eight steps);
-    /// none unless they are timed.
-    pub fn take_stage_seconds(&mut self) -> Result<Vec<(&'static str, f64)>, BackendError> {
-        self.settle()?;
-        let Some(timestamps) = &mut self.timestamps else { return Ok(Vec::new()) };
-        let seconds =
-            if timestamps.stages.is_empty() { Vec::new() } else { timestamps.seconds(&self.engine)? };
-        timestamps.stages.clear();
-        Ok(seconds)
     }
 }
 

@@ -208,6 +208,7 @@ impl<'a, B: Backend> Trainer<'a, B> {
     pub(crate) fn share(&mut self, i: u32) -> Result<(), TrainError> {
         if self.schedule.is_checkpoint(i) {
             let checkpoint = self.capture(Cursor::start_of(i + 1))?;
+            check_health(&checkpoint.cloud, self.progress.steps)?;
             self.observer.on_checkpoint(*checkpoint);
         }
         if self.observer.wants_renders(i) {
@@ -241,13 +242,11 @@ impl<'a, B: Backend> Trainer<'a, B> {
     pub(crate) fn healthy_cloud(&mut self) -> Result<Cow<'_, Gaussians>, TrainError> {
         let steps = self.progress.steps;
         let cloud = self.backend.download()?;
-        match cloud.first_non_finite() {
-            None => Ok(cloud),
-            Some((row, parameter)) => Err(BackendError::NonFinite { row, parameter, steps }.into()),
-        }
+        check_health(&cloud, steps)?;
+        Ok(cloud)
     }
 
-    /// The genes of all rows, likewise.
+    /// The genes of all rows, likewise. (A rotation or a colour that is not finite is found when a checkpoint is due.)
     pub(crate) fn healthy_genes(&mut self) -> Result<Vec<Gene>, TrainError> {
         let genes = self.backend.genes()?;
         if !genes.as_flattened().iter().all(|gene| gene.is_finite()) {
@@ -387,6 +386,11 @@ impl<'a, B: Backend> Trainer<'a, B> {
             self.progress.gradient_seconds += seconds;
         }
     }
+}
+
+fn check_health(cloud: &Gaussians, steps: u32) -> Result<(), TrainError> {
+    let Some((row, parameter)) = cloud.first_non_finite() else { return Ok(()) };
+    Err(BackendError::NonFinite { row, parameter, steps }.into())
 }
 
 /// The user's limit or the variant's own, and in mode `renew` never more than the photos feed.

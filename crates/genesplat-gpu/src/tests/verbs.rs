@@ -322,10 +322,13 @@ fn scores_of_crowded_tiles_match() {
             base.positions[row][2] = 2.0;
         }
     }
-    compare_scores(&mut gpu, &base, &[1, 2, 3]);
-    let mut opaque = base;
-    opaque.opacity_logits.iter_mut().for_each(|logit| *logit = 2.0);
-    compare_scores(&mut gpu, &opaque, &[1, 2, 3]);
+    // Fourteen in sixteen seats.
+    let everybody: Vec<usize> = (1..15).collect();
+    compare_scores(&mut gpu, &base, &everybody);
+    for logit in [2.0, -6.0] {
+        base.opacity_logits.fill(logit);
+        compare_scores(&mut gpu, &base, &everybody);
+    }
 }
 
 fn compare_scores(gpu: &mut GpuBackend, base: &Gaussians, individuals: &[usize]) {

@@ -146,7 +146,7 @@ struct Run {
     colours: [[f32; 3]; RUN],
     /// The lower and the upper half of the bits of those who hold it.
     holders: [[u64; RUN]; 2],
-    /// What all of them together let through, times a little less than one: the sums of individuals round otherwise.
+    /// What all of them together let through, times a little less than one: the products of individuals round otherwise.
     passing: [f32; LANES],
     length: usize,
 }
@@ -267,12 +267,19 @@ mod tests {
         }
     }
 
-    /// Of 40 splats individual 0 holds all and is finished by them, 100 every fourth, and 127 none.
+    /// From alphas that finish most pixels over ones that finish the last lane's, and ones that just do not, to faint ones.
     #[test]
     fn pixels_are_finished_for_each_individual_where_they_are() {
+        for (alpha_of_lane, finishes) in [(0.03, true), (0.0125, true), (0.01, false), (0.003, false)] {
+            blends_like_the_renderer(alpha_of_lane, finishes);
+        }
+    }
+
+    /// Of 40 splats individual 0 holds all, and is finished by them or not, 100 every fourth, and 127 none.
+    fn blends_like_the_renderer(alpha_of_lane: f32, finishes: bool) {
         let mut run = Run::default();
         for splat in 0..40 {
-            let alphas: [f32; LANES] = std::array::from_fn(|lane| 0.03 * (lane + splat % 5) as f32);
+            let alphas: [f32; LANES] = std::array::from_fn(|lane| alpha_of_lane * (lane + splat % 5) as f32);
             let holders = 1 | Holders::from(splat % 4 == 0) << 100;
             run.passing.iter_mut().zip(alphas).for_each(|(passing, alpha)| *passing *= 1.0 - alpha);
             run.push(alphas, [1.0, 0.5, splat as f32], holders);
@@ -298,7 +305,8 @@ mod tests {
                     "{individual}, {lane}"
                 );
             }
-            assert_eq!(finished > 0, individual == 0, "individual {individual}: {finished} pixels");
+            let expected = finishes && individual == 0;
+            assert_eq!(finished > 0, expected, "individual {individual}: {finished} pixels");
         }
     }
 }

@@ -2,7 +2,7 @@
 //!
 //! Every value that a stage reads from another, or leaves for one, is counted once, however often it is looked at; what
 //! stays in registers and workgroup memory is not. No cache holds a whole column of a large cloud, so a stage that takes as
-//! long as this is as fast as the device's memory.
+//! long as this is as fast as the device's memory. (The columns of a small one may lie in a cache, which is faster.)
 
 /// Bytes of a row's geometry, and of its colours.
 const ROW_BYTES: [u64; 2] = [48, 192];
@@ -39,10 +39,12 @@ impl Work {
         match stage {
             // Tile counts and marks of all rows; depths of splats.
             "project" => rows * (geometry + 8) + visible * (colour + SPLAT_BYTES + 4),
-            // Marks, counts and splats are read, splats sorted by depth; entries and their splats written, sorted by tile.
+            // Marks are read; of splats the depth, the tile count and they themselves, and their first entries written; they are
+            // sorted by depth. Entries' tiles and splats are written and sorted by tile; the first pass needs no values,
+            // but the sorted tiles are read once more.
             "bin" => {
                 let sorted = visible * (32 / PASS_BITS) + entries * self.tile_bits().div_ceil(PASS_BITS);
-                rows * 8 + visible * SPLAT_BYTES + entries * 8 + sorted * PASS_BYTES
+                rows * 4 + visible * (12 + SPLAT_BYTES) + entries * 8 + sorted * PASS_BYTES
             }
             // Three channels of f32 are written.
             "rasterise" => entries * 8 + visible * SPLAT_BYTES + pixels * 12,
@@ -50,11 +52,12 @@ impl Work {
             "loss" => pixels * (2 * (12 + 4) + 2 * 36 + 12),
             // Render and gradient are read.
             "rasterise_backward" => entries * (8 + SPLAT_BYTES) + visible * SPLAT_BYTES + pixels * 24,
+            // Tile counts of all rows; of splats the first entry and the vector with the flags.
             "project_backward" => {
-                entries * SPLAT_BYTES + visible * (geometry + colour + SPLAT_BYTES) + rows * GRADIENT_BYTES
+                entries * SPLAT_BYTES + visible * (geometry + colour + 4 + 16) + rows * (GRADIENT_BYTES + 4)
             }
-            // Parameters and two moments are read and written; so are density statistics.
-            "update" => rows * (6 * (geometry + colour) + GRADIENT_BYTES + 2 * 16),
+            // Parameters and two moments are read and written; so are density statistics, of what is visible.
+            "update" => rows * (6 * (geometry + colour) + GRADIENT_BYTES + 4) + visible * 2 * 16,
             _ => 0,
         }
     }
@@ -73,13 +76,13 @@ mod tests {
     #[test]
     fn a_step_moves_what_its_columns_hold() {
         let work = Work { rows: 1000, visible: 0, entries: 0, size_px: [160, 90] };
-        // Six columns of 240 bytes, gradients, and sums of 16 bytes.
-        assert_eq!(work.bytes("update"), 1000 * (1440 + 64 + 32));
+        // Six columns of 240 bytes, gradients, and tile counts.
+        assert_eq!(work.bytes("update"), 1000 * (1440 + 64 + 4));
         assert_eq!(work.bytes("loss"), 160 * 90 * 116);
         assert_eq!(work.bytes("nothing"), 0);
         // 10 by 6 tiles: six bits, one pass.
         let listed = Work { visible: 10, entries: 30, ..work };
-        assert_eq!(listed.bytes("bin") - work.bytes("bin"), 10 * (48 + 4 * 16) + 30 * (8 + 16));
+        assert_eq!(listed.bytes("bin") - work.bytes("bin"), 10 * (60 + 4 * 16) + 30 * (8 + 16));
         assert_eq!(Work { size_px: [1920, 1080], ..work }.tile_bits(), 13);
     }
 }
