@@ -77,7 +77,7 @@ struct Pool {
     genes: Memory,
     /// A bit for each individual `[K, 4]`.
     holders: Memory,
-    /// Of each window of rows: the rows, the alleles, and these as numbers.
+    /// For each window of rows: its rows and their alleles, as a kernel reads them, and the number of those alleles.
     windows: Vec<(Memory, u64)>,
 }
 

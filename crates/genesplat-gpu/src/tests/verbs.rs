@@ -282,6 +282,7 @@ fn scores_match() {
             twin.score(&population, &[0, 1, 0], &settings(3, filter)).unwrap()
         });
         assert!(expected.windows(2).any(|pair| pair[0] != pair[1]), "individuals differ");
+        assert_eq!(actual.len(), expected.len());
         for (actual, expected) in actual.iter().zip(&expected) {
             compare("score", &format!("{filter:?}"), [*actual], [*expected]).unwrap();
         }
@@ -325,7 +326,8 @@ fn scores_of_crowded_tiles_match() {
     // Fourteen in sixteen seats.
     let everybody: Vec<usize> = (1..15).collect();
     compare_scores(&mut gpu, &base, &everybody);
-    for logit in [2.0, -6.0] {
+    // Opaque; so faint that no batch finishes a pixel, but above 1/255.
+    for logit in [2.0, -5.0] {
         base.opacity_logits.fill(logit);
         compare_scores(&mut gpu, &base, &everybody);
     }
@@ -338,6 +340,7 @@ fn compare_scores(gpu: &mut GpuBackend, base: &Gaussians, individuals: &[usize])
         twin.upload(base.clone(), None).unwrap();
         twin.score(&population, &[0], &settings).unwrap()
     });
+    assert_eq!(actual.len(), expected.len());
     for (actual, expected) in actual.iter().zip(&expected) {
         compare("score", &format!("of {}", base.len()), [*actual], [*expected]).unwrap();
     }
