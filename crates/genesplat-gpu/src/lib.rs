@@ -26,6 +26,7 @@
 //! | `credit` | which Gaussians the changes that mutants make are owed to |
 //! | `weigh` | what Gaussians are worth to views, and the error that they have part in |
 //! | `timing` | seconds of each stage, by the device's clock |
+//! | `traffic` | bytes that a stage moves at least |
 
 pub mod adapter;
 mod backend;
@@ -44,11 +45,13 @@ mod score;
 mod shaders;
 mod state;
 mod timing;
+mod traffic;
 mod weigh;
 
 pub use adapter::{AdapterReport, adapters};
 pub use backend::GpuBackend;
 pub use engine::Engine;
+pub use traffic::Work;
 
 #[cfg(test)]
 mod tests;

@@ -12,11 +12,10 @@ use genesplat::core::backend::MomentPolicy;
 use genesplat::core::{
     Backend, DensitySignal, LearningRates, RenderSettings, SparseDelta, StatisticsRequest, TrainStep, Update,
 };
-use genesplat::gpu::GpuBackend;
+use genesplat::gpu::{GpuBackend, Work};
 use serde::Serialize;
 
 use super::evolution::{founders, genes_of, just_reset, max_relative_difference};
-use super::floor::Work;
 use super::median;
 use super::workload::Workload;
 use crate::args::BenchGpuArgs;

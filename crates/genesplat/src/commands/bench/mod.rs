@@ -1,7 +1,6 @@
 //! `genesplat bench`: the performance claims, as ratios within one run.
 
 pub mod evolution;
-mod floor;
 pub mod gpu;
 pub mod step;
 mod workload;

@@ -1,21 +1,15 @@
-//! What a stage of a training step on a graphics device has to move through its memory at least, and how long that takes.
+//! What a stage of a training step has to move through the memory of the device at least.
 //!
 //! Every value that a stage reads from another, or leaves for one, is counted once, however often it is looked at; what
 //! stays in registers and workgroup memory is not. No cache holds a whole column of a large cloud, so a stage that takes as
 //! long as this is as fast as the device's memory. (The columns of a small one may lie in a cache, which is faster.)
 
-/// Bytes of a row's geometry, and of its colours.
-const ROW_BYTES: [u64; 2] = [48, 192];
-/// Bytes of a splat, and of a row of gradients that a tile leaves.
-const SPLAT_BYTES: u64 = 48;
-/// Bytes of the gradients of a row.
-const GRADIENT_BYTES: u64 = 64;
+use crate::layout::{DIGITS, GEOMETRY_FLOATS, GRADIENT_FLOATS, ROW_FLOATS, SH_FLOATS, SPLAT_FLOATS, TILE};
+
 /// Reading and writing a key and a value, in each pass of a sort.
 const PASS_BYTES: u64 = 16;
 /// Bits that a pass sorts by.
-const PASS_BITS: u64 = 8;
-/// Side of a tile, px.
-const TILE: u64 = 16;
+const PASS_BITS: u64 = DIGITS.ilog2() as u64;
 
 /// How much there is to do.
 #[derive(Clone, Copy, Debug)]
@@ -34,37 +28,39 @@ impl Work {
     /// Bytes that a stage moves at least; 0 for one that is not known.
     pub fn bytes(&self, stage: &str) -> u64 {
         let Self { rows, visible, entries, size_px: [width, height] } = *self;
-        let [geometry, colour] = ROW_BYTES;
+        let [geometry, colour, splat, gradient, tile_row] =
+            [GEOMETRY_FLOATS, SH_FLOATS, SPLAT_FLOATS, GRADIENT_FLOATS, ROW_FLOATS]
+                .map(|floats| 4 * u64::from(floats));
         let pixels = width * height;
         match stage {
             // Tile counts and marks of all rows; depths of splats.
-            "project" => rows * (geometry + 8) + visible * (colour + SPLAT_BYTES + 4),
+            "project" => rows * (geometry + 8) + visible * (colour + splat + 4),
             // Marks are read; of splats the depth, the tile count and they themselves, and their first entries written; they are
             // sorted by depth. Entries' tiles and splats are written and sorted by tile; the first pass needs no values,
             // but the sorted tiles are read once more.
             "bin" => {
                 let sorted = visible * (32 / PASS_BITS) + entries * self.tile_bits().div_ceil(PASS_BITS);
-                rows * 4 + visible * (12 + SPLAT_BYTES) + entries * 8 + sorted * PASS_BYTES
+                rows * 4 + visible * (12 + splat) + entries * 8 + sorted * PASS_BYTES
             }
             // Three channels of f32 are written.
-            "rasterise" => entries * 8 + visible * SPLAT_BYTES + pixels * 12,
+            "rasterise" => entries * 8 + visible * splat + pixels * 12,
             // Both steps read render and photo; nine partial derivatives pass between them; the gradient is written.
             "loss" => pixels * (2 * (12 + 4) + 2 * 36 + 12),
             // Render and gradient are read.
-            "rasterise_backward" => entries * (8 + SPLAT_BYTES) + visible * SPLAT_BYTES + pixels * 24,
+            "rasterise_backward" => entries * (8 + tile_row) + visible * splat + pixels * 24,
             // Tile counts of all rows; of splats the first entry and the vector with the flags.
             "project_backward" => {
-                entries * SPLAT_BYTES + visible * (geometry + colour + 4 + 16) + rows * (GRADIENT_BYTES + 4)
+                entries * tile_row + visible * (geometry + colour + 4 + 16) + rows * (gradient + 4)
             }
             // Parameters and two moments are read and written; so are density statistics, of what is visible.
-            "update" => rows * (6 * (geometry + colour) + GRADIENT_BYTES + 4) + visible * 2 * 16,
+            "update" => rows * (6 * (geometry + colour) + gradient + 4) + visible * 2 * 16,
             _ => 0,
         }
     }
 
     /// Bits of the largest tile number.
     fn tile_bits(&self) -> u64 {
-        let [across, down] = self.size_px.map(|side| side.div_ceil(TILE));
+        let [across, down] = self.size_px.map(|side| side.div_ceil(TILE.into()));
         u64::from((across * down).max(2).next_power_of_two().ilog2())
     }
 }
