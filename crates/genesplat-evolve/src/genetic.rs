@@ -276,7 +276,8 @@ impl GeneticAlgorithm {
     }
 
     fn record(&self, ranking: &Ranking, improved: bool) -> GenerationRecord {
-        let LossStatistics { best, mean, median, worst, std } = LossStatistics::of(ranking);
+        let LossStatistics { best, mean, median, worst, std } =
+            LossStatistics::of(ranking).unwrap_or(LossStatistics::NONE);
         let mut parents: Vec<_> = self.brood.parents().map(Arc::as_ptr).collect();
         parents.sort_unstable();
         parents.dedup();

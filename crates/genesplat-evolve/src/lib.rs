@@ -69,4 +69,4 @@ pub use config::{ConfigError, Crossover, Magnitude, PaperConfig, Rates, SigmaSco
 pub use genetic::{GeneticAlgorithm, TellError};
 pub use mosaic::{MosaicConfig, MosaicSearch};
 pub use mutation::GeneGradients;
-pub use record::GenerationRecord;
+pub use record::{GenerationRecord, LossStatistics};

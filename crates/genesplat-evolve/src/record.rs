@@ -34,27 +34,35 @@ pub struct GenerationRecord {
     pub parents: usize,
 }
 
-/// Statistics of a generation's losses.
+/// Statistics of a generation's finite losses.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct LossStatistics {
-    pub(crate) best: f64,
-    pub(crate) mean: f64,
-    pub(crate) median: f64,
-    pub(crate) worst: f64,
-    pub(crate) std: f64,
+pub struct LossStatistics {
+    /// Lowest.
+    pub best: f64,
+    /// Mean.
+    pub mean: f64,
+    /// Median (of an even number, the mean of the middle two).
+    pub median: f64,
+    /// Highest.
+    pub worst: f64,
+    /// Population standard deviation.
+    pub std: f64,
 }
 
 impl LossStatistics {
-    pub(crate) fn of(ranking: &Ranking) -> Self {
+    /// Of a generation in which nothing could be rendered.
+    pub(crate) const NONE: Self =
+        Self { best: f64::NAN, mean: f64::NAN, median: f64::NAN, worst: f64::NAN, std: f64::NAN };
+
+    /// `None` where no loss is finite.
+    pub(crate) fn of(ranking: &Ranking) -> Option<Self> {
         let losses = ranking.finite();
-        let (Some(&best), Some(&worst)) = (losses.first(), losses.last()) else {
-            return Self { best: f64::NAN, mean: f64::NAN, median: f64::NAN, worst: f64::NAN, std: f64::NAN };
-        };
+        let (&best, &worst) = (losses.first()?, losses.last()?);
         let n = losses.len();
         let mean = losses.iter().sum::<f64>() / n as f64;
         let variance = losses.iter().map(|loss| (loss - mean).powi(2)).sum::<f64>() / n as f64;
         let median = f64::midpoint(losses[(n - 1) / 2], losses[n / 2]);
-        Self { best, mean, median, worst, std: variance.sqrt() }
+        Some(Self { best, mean, median, worst, std: variance.sqrt() })
     }
 }
 
@@ -66,8 +74,8 @@ mod tests {
     fn statistics_are_over_finite_losses() {
         let statistics = LossStatistics::of(&Ranking::new(&[8.0, f64::NAN, 2.0, 4.0, 2.0]));
         let expected = LossStatistics { best: 2.0, mean: 4.0, median: 3.0, worst: 8.0, std: 6f64.sqrt() };
-        assert_eq!(statistics, expected);
-        assert_eq!(LossStatistics::of(&Ranking::new(&[5.0, 1.0, 3.0])).median, 3.0);
-        assert!(LossStatistics::of(&Ranking::new(&[f64::NAN])).mean.is_nan());
+        assert_eq!(statistics, Some(expected));
+        let median = |losses: &[f64]| LossStatistics::of(&Ranking::new(losses)).map(|of| of.median);
+        assert_eq!([median(&[5.0, 1.0, 3.0]), median(&[f64::NAN]), median(&[])], [Some(3.0), None, None]);
     }
 }

@@ -14,6 +14,9 @@
 
 use genesplat_core::{Rng, Stream};
 
+use crate::record::LossStatistics;
+use crate::survival::Ranking;
+
 /// The search. The state is a few vectors of the genome's length.
 #[derive(Clone, Debug)]
 pub struct EvolutionStrategy {
@@ -117,30 +120,29 @@ impl EvolutionStrategy {
         (0..self.mean.len()).map(value).collect()
     }
 
-    /// The losses of what [`Self::ask`] gave, in order; one that is not finite counts as the worst. When none is finite,
-    /// the strategy stays where it is and narrows its steps.
+    /// The losses of what [`Self::ask`] gave, in order; one that is not finite counts as the worst. Returns what they were
+    /// like. When none is finite, the strategy stays where it is and narrows its steps.
     ///
     /// # Panics
     /// When there are more or fewer losses than individuals.
-    pub fn tell(&mut self, losses: &[f64]) {
+    pub fn tell(&mut self, losses: &[f64]) -> Option<LossStatistics> {
         let individuals = self.ask();
         assert_eq!(losses.len(), individuals.len(), "one loss for each individual");
         self.generation += 1;
-        if losses.iter().all(|loss| !loss.is_finite()) {
+        let ranking = Ranking::new(losses);
+        let statistics = LossStatistics::of(&ranking);
+        if statistics.is_some() {
+            let parents =
+                (0..self.constants.weights.len()).map(|rank| &individuals[ranking.individual(rank as u32)]);
+            // Steps of the better half, in units of sigma.
+            let step = |individual: &Vec<f64>| -> Vec<f64> {
+                individual.iter().zip(&self.mean).map(|(x, m)| (x - m) / self.sigma).collect()
+            };
+            self.move_by(&parents.map(step).collect::<Vec<_>>());
+        } else {
             self.sigma /= 2.0;
-            return;
         }
-        let key = |index: usize| if losses[index].is_finite() { losses[index] } else { f64::INFINITY };
-        let mut ranks: Vec<usize> = (0..losses.len()).collect();
-        ranks.sort_by(|&a, &b| key(a).total_cmp(&key(b)).then(a.cmp(&b)));
-        // Steps of the better half, in units of sigma.
-        let steps: Vec<Vec<f64>> = ranks[..self.constants.weights.len()]
-            .iter()
-            .map(|&rank| {
-                individuals[rank].iter().zip(&self.mean).map(|(x, m)| (x - m) / self.sigma).collect()
-            })
-            .collect();
-        self.move_by(&steps);
+        statistics
     }
 
     fn move_by(&mut self, steps: &[Vec<f64>]) {

@@ -11,7 +11,7 @@ use genesplat_core::{Gaussians, Moments, Statistics};
 
 use crate::observe::{StageKind, StageRecord};
 use crate::renew::Trial;
-use crate::schedule::Phase;
+use crate::schedule::{OptimiserStep, Phase};
 
 /// Opens every checkpoint; the last byte is the version of the format.
 const MAGIC: [u8; 8] = *b"GSPLATC\x05";
@@ -50,6 +50,20 @@ pub struct Progress {
     pub evolution_seconds: f64,
     /// Evolution stages so far.
     pub stages: Vec<StageRecord>,
+}
+
+impl Progress {
+    /// A step was taken on.
+    pub(crate) fn count(&mut self, step: OptimiserStep) {
+        self.steps += u32::from(step != OptimiserStep::Lost);
+        self.opacity_steps += u32::from(step == OptimiserStep::All);
+    }
+
+    /// A step that was taken on will never be made.
+    pub(crate) fn take_back(&mut self, step: OptimiserStep) {
+        self.steps -= u32::from(step != OptimiserStep::Lost);
+        self.opacity_steps -= u32::from(step == OptimiserStep::All);
+    }
 }
 
 /// A run that can be resumed exactly.

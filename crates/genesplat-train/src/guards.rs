@@ -7,7 +7,6 @@
 
 use genesplat_core::{Backend, Blend, Judgement, Rng, Stream, View};
 
-use crate::observe::{StageLog, StageRecord};
 use crate::run::TrainError;
 use crate::trainer::Trainer;
 use crate::views::spread_evenly;
@@ -75,17 +74,6 @@ impl<B: Backend> Trainer<'_, B> {
             Ok(verdict)
         } else {
             Err(TrainError::NoFitness { iteration: i, loss: verdict.loss })
-        }
-    }
-
-    /// What is told at the beginning of a search of so many generations, the first of which counts as the initial
-    /// population.
-    pub(crate) fn search_log(&self, record: &StageRecord, guards: &[usize], generations: u32) -> StageLog {
-        StageLog {
-            iteration: record.iteration,
-            generations: generations.saturating_sub(1),
-            views: guards.iter().map(|&view| self.views[view].name.clone()).collect(),
-            fitness: record.fitness_before,
         }
     }
 }

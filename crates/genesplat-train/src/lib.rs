@@ -11,7 +11,10 @@
 //! | [`initialise`] | the first cloud, the size of the scene |
 //! | [`densify`] | where Gaussians are added and removed |
 //! | [`filter_3d`] | Mip-Splatting's limit on detail |
-//! | [`fitness`], [`views`] | the paper's evolution stage and the photos it is judged on |
+//! | `limits` | how many Gaussians there may be |
+//! | `paper`, `fitness`, [`views`] | the paper's evolution stage and the photos it is judged on |
+//! | `control` | gradient steps in its place |
+//! | `refine`, `mosaic` | evolution without training, and the search by credit that it is best done with |
 //! | `renew`, `recombine`, `guards` | ours: which Gaussians make room for others, what is bred from the states of a run, and who checks |
 //! | `rescue` | what is saved of a run whose device is out of memory |
 //! | [`evaluate`] | PSNR, SSIM and LPIPS |
@@ -19,15 +22,18 @@
 
 pub mod checkpoint;
 pub mod config;
+mod control;
 pub mod densify;
 pub mod evaluate;
 pub mod filter_3d;
-pub mod fitness;
+mod fitness;
 mod guards;
 pub mod initialise;
+mod limits;
 mod mosaic;
 mod nearest;
 pub mod observe;
+mod paper;
 pub mod pipeline;
 mod recombine;
 mod refine;

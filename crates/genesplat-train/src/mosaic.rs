@@ -37,15 +37,15 @@ impl<'a, B: Backend> Trainer<'a, B> {
         let original = mosaic.cloud.genes_of(&all_rows);
         let Verdict { loss, psnr } = mosaic.verdict;
         let mut record = StageRecord::begun(StageKind::Mosaic, cursor.iteration, loss, Some(psnr));
-        let generations = self.config.evolution.mosaic.generations;
-        self.observer.on_stage_start(&self.search_log(&record, &mosaic.views.guards, generations));
+        // The first counts as the initial population.
+        let generations = self.config.evolution.mosaic.generations.saturating_sub(1);
+        self.tell_of_stage(&record, &mosaic.views.guards, generations);
         while !mosaic.search.is_finished() && !self.stopped() {
             self.next_child(&mut mosaic, &mut record)?;
         }
         let interrupted = !mosaic.search.is_finished();
         let checkpoint =
             if interrupted { Some(self.capture_before(&original, &mosaic, cursor)?) } else { None };
-        record.fitness_after = mosaic.verdict.loss;
         record.guard_psnr = Some([psnr, mosaic.verdict.psnr]);
         let is_changed = |&(row, genes): &(usize, &Gene)| mosaic.cloud.genes(row) != *genes;
         record.changed = original.genes.iter().enumerate().filter(is_changed).count();
@@ -81,16 +81,11 @@ impl<'a, B: Backend> Trainer<'a, B> {
         record.population_bytes = record.population_bytes.max(bytes);
         record.renders += ((mutants.len() + 1) * views.len() + mosaic.views.guards.len()) as u64;
         let (verdict, accepted) = self.try_child(mosaic, &child)?;
+        record.fitness_after = mosaic.verdict.loss;
+        record.seconds = mosaic.begun.elapsed().as_secs_f64();
         self.observer.on_generation(&GenerationLog {
-            iteration: mosaic.iteration,
-            generation: record.generations,
-            generation_best: Some(verdict.loss),
-            best: mosaic.verdict.loss,
-            mean: None,
-            spread: None,
             accepted: Some(accepted),
-            renders: record.renders,
-            seconds: mosaic.begun.elapsed().as_secs_f64(),
+            ..GenerationLog::of(record, Some(verdict.loss))
         });
         record.generations += 1;
         Ok(())

@@ -107,6 +107,23 @@ pub struct GenerationLog {
     pub seconds: f64,
 }
 
+impl GenerationLog {
+    /// The generation that `record` counts next, and the best loss of its own individuals.
+    pub(crate) fn of(record: &StageRecord, generation_best: Option<f64>) -> Self {
+        Self {
+            iteration: record.iteration,
+            generation: record.generations,
+            generation_best,
+            best: record.fitness_after,
+            mean: None,
+            spread: None,
+            accepted: None,
+            renders: record.renders,
+            seconds: record.seconds,
+        }
+    }
+}
+
 /// What a stage did.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]

@@ -15,7 +15,7 @@
 //! 6. **Renew.** The cloud grows to as many Gaussians as the photos feed. Now and then those that nobody would miss make
 //!    room for more where most is wrong. What has not paid by the next renewal is taken back.
 //!
-//! And for clouds from elsewhere ([`crate::refine()`]), once, at the end:
+//! And in place of 4, for clouds that gradients have not finished ([`crate::refine()`]; in training at the end, if at all):
 //!
 //! 7. **Mosaic.** Many small mutations at once; every Gaussian keeps the one that made the picture better where it is seen.
 //!
@@ -35,7 +35,6 @@ use genesplat_core::{Backend, View};
 use crate::checkpoint::{Checkpoint, Cursor};
 use crate::config::{EvolutionMode, Resolved, Variant};
 use crate::densify::{Plan, adaptive, mcmc};
-use crate::fitness;
 use crate::observe::{DensifyLog, Observer, StageRecord, StepLog};
 use crate::run::{Outcome, Start, TrainError};
 use crate::schedule::Phase;
@@ -103,12 +102,7 @@ impl<B: Backend> Trainer<'_, B> {
             | Phase::EvolveAfterDensify
             | Phase::EvolveBeforeReset
             | Phase::EvolveAfterReset
-            | Phase::EvolveAtEnd => match self.config.evolution.mode {
-                EvolutionMode::Off | EvolutionMode::Recombine | EvolutionMode::Renew => {}
-                EvolutionMode::Paper => checkpoint = self.evolve(Cursor { iteration: i, phase })?,
-                EvolutionMode::Mosaic => checkpoint = self.mosaic(Cursor { iteration: i, phase })?,
-                EvolutionMode::Control => self.control(i)?,
-            },
+            | Phase::EvolveAtEnd => checkpoint = self.run_stage(Cursor { iteration: i, phase })?,
         }
         self.torn = false;
         self.bill(phase, clock.elapsed().as_secs_f64());
@@ -118,14 +112,8 @@ impl<B: Backend> Trainer<'_, B> {
     fn step(&mut self, i: u32) -> Result<(), TrainError> {
         let schedule = self.schedule;
         let view = self.order.view(i - 1);
-        let counters = [self.progress.steps, self.progress.opacity_steps];
-        let update = self.next_update(i, schedule.optimiser_step(i));
         let statistics = schedule.statistics(self.signal, self.last_stage, i);
-        if let Err(error) = self.train_step(view, i, 0, update, statistics) {
-            // It was not taken on, so it does not count.
-            [self.progress.steps, self.progress.opacity_steps] = counters;
-            return Err(error);
-        }
+        self.train_step(view, i, 0, schedule.optimiser_step(i), statistics)?;
         self.cursor = Cursor::after_step(i);
         let log = StepLog {
             iteration: i,
@@ -151,7 +139,7 @@ impl<B: Backend> Trainer<'_, B> {
             return Err(TrainError::NothingLeft { iteration: i });
         }
         self.backend.edit_rows(&plan.edit)?;
-        self.tell_of_cap(i, &plan);
+        self.tell_of_limit(i, &plan);
         let Plan { relocated, cloned, split, pruned, .. } = plan;
         let gaussians = self.backend.len();
         let log = DensifyLog { iteration: i, relocated, cloned, split, pruned, gaussians };
@@ -159,22 +147,14 @@ impl<B: Backend> Trainer<'_, B> {
         Ok(())
     }
 
-    /// Once is enough: the cap stays.
-    fn tell_of_cap(&mut self, i: u32, plan: &Plan) {
+    /// Once is enough: the limit stays.
+    fn tell_of_limit(&mut self, i: u32, plan: &Plan) {
         let grown = plan.edit.sources.len() + plan.pruned;
-        let is_news = |cap: &usize| plan.refused > 0 && grown >= *cap && !self.cap_noticed;
-        let Some(cap) = self.cap.filter(is_news) else { return };
-        self.cap_noticed = true;
-        let source = if self.config.max_gaussians == Some(cap) {
-            ""
-        } else {
-            " that the photos feed (evolution.renewal)"
-        };
-        self.observer.notice(&format!(
-            "iteration {i}: the limit of {cap} Gaussians{source} is reached ({} more wanted to grow); from now on only \
-             those with the strongest gradients grow into the room that pruning leaves",
-            plan.refused
-        ));
+        let is_full = self.limits.cap().is_some_and(|cap| plan.refused > 0 && grown >= cap);
+        if is_full && !self.limit_noticed {
+            self.limit_noticed = true;
+            self.limits.is_reached(i, plan.refused).iter().for_each(|notice| self.observer.notice(notice));
+        }
     }
 
     fn refresh_filter(&mut self) -> Result<(), TrainError> {
@@ -183,15 +163,16 @@ impl<B: Backend> Trainer<'_, B> {
         Ok(self.backend.set_filter_3d(filter)?)
     }
 
-    /// Searches, then applies. An interrupted search counts with the best it has, but a resumed run repeats it in full.
-    fn evolve(&mut self, cursor: Cursor) -> Result<Option<Box<Checkpoint>>, TrainError> {
-        let stage = self.stage(cursor.iteration);
-        let search = fitness::search(self.backend, &stage, self.observer, self.stop, &mut self.torn)?;
-        let checkpoint = if search.interrupted { Some(self.capture(cursor)?) } else { None };
-        let record = fitness::apply(self.backend, &stage, search)?;
-        self.torn = true;
-        self.end_stage(record)?;
-        Ok(checkpoint)
+    /// The stage of the run's mode. Returns a checkpoint when it was stopped within.
+    pub(crate) fn run_stage(&mut self, cursor: Cursor) -> Result<Option<Box<Checkpoint>>, TrainError> {
+        match self.config.evolution.mode {
+            EvolutionMode::Paper => self.evolve(cursor),
+            EvolutionMode::Mosaic => self.mosaic(cursor),
+            EvolutionMode::Control => self.control(cursor),
+            mode @ (EvolutionMode::Off | EvolutionMode::Recombine | EvolutionMode::Renew) => {
+                unreachable!("mode {} has no stages at triggers", mode.name())
+            }
+        }
     }
 
     pub(crate) fn end_stage(&mut self, record: StageRecord) -> Result<(), TrainError> {

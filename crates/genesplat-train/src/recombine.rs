@@ -125,7 +125,8 @@ impl<B: Backend> Trainer<'_, B> {
 
     /// The best genome that the evolution strategy finds until it ends or is stopped.
     fn search_line(&mut self, line: &Line, record: &mut StageRecord) -> Result<Vec<f64>, TrainError> {
-        self.observer.on_stage_start(&self.search_log(record, &line.views.guards, line.generations));
+        // The first counts as the initial population.
+        self.tell_of_stage(record, &line.views.guards, line.generations.saturating_sub(1));
         let mut strategy = EvolutionStrategy::new(START.repeat(line.groups), STEP, line.rng);
         while strategy.generation() < line.generations && !self.stopped() {
             let count = self.config.evolution.recombine.views;
@@ -133,10 +134,15 @@ impl<B: Backend> Trainer<'_, B> {
             let blends: Vec<Blend> = strategy.ask().iter().map(|genome| line.child(genome)).collect();
             let judgements = self.backend.judge(&blends, &views, &line.settings)?;
             let losses: Vec<f64> = judgements.chunks_exact(views.len()).map(mean_loss).collect();
-            strategy.tell(&losses);
+            let population = strategy.tell(&losses);
             record.renders += judgements.len() as u64;
             record.seconds = line.begun.elapsed().as_secs_f64();
-            self.observer.on_generation(&generation_log(record, &losses));
+            // Losses are those of the generation's own views, so the best so far is the guards' last word.
+            self.observer.on_generation(&GenerationLog {
+                mean: population.map(|losses| losses.mean),
+                spread: population.map(|losses| losses.std),
+                ..GenerationLog::of(record, population.map(|losses| losses.best))
+            });
             record.generations += 1;
         }
         Ok(strategy.mean().to_vec())
@@ -175,26 +181,6 @@ impl<B: Backend> Trainer<'_, B> {
     fn bytes_of_line(&self, line: &Line) -> u64 {
         let parents = line.parents.into_iter().filter(|&has_states| has_states).count();
         ((parents + 1) * self.backend.len() * Gaussians::BYTES_PER_ROW) as u64
-    }
-}
-
-/// One generation; its losses are those of its own views, so the best so far is the guards' last word.
-fn generation_log(record: &StageRecord, losses: &[f64]) -> GenerationLog {
-    let finite: Vec<f64> = losses.iter().copied().filter(|loss| loss.is_finite()).collect();
-    let count = finite.len() as f64;
-    let mean = finite.iter().sum::<f64>() / count;
-    let variance = finite.iter().map(|loss| (loss - mean).powi(2)).sum::<f64>() / count;
-    let some = |value: f64| (!finite.is_empty()).then_some(value);
-    GenerationLog {
-        iteration: record.iteration,
-        generation: record.generations,
-        generation_best: some(finite.iter().copied().fold(f64::INFINITY, f64::min)),
-        best: record.fitness_before,
-        mean: some(mean),
-        spread: some(variance.sqrt()),
-        accepted: None,
-        renders: record.renders,
-        seconds: record.seconds,
     }
 }
 

@@ -12,7 +12,7 @@ use genesplat_core::{Backend, BackendError};
 
 use crate::checkpoint::{Checkpoint, Cursor};
 use crate::run::TrainError;
-use crate::schedule::{OptimiserStep, Phase};
+use crate::schedule::Phase;
 use crate::trainer::Trainer;
 
 impl<B: Backend> Trainer<'_, B> {
@@ -40,9 +40,7 @@ impl<B: Backend> Trainer<'_, B> {
         let next = if phase == Phase::Step { iteration } else { iteration + 1 };
         let first = next - undone;
         for i in first..next {
-            let step = self.schedule.optimiser_step(i);
-            self.progress.steps -= u32::from(step != OptimiserStep::Lost);
-            self.progress.opacity_steps -= u32::from(step == OptimiserStep::All);
+            self.progress.take_back(self.schedule.optimiser_step(i));
         }
         if undone > 0 {
             self.cursor = Cursor::start_of(first);

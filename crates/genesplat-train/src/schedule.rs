@@ -24,7 +24,7 @@ const RENEWED_RELOCATION: f64 = 0.5;
 const RENEWED_RESETS: f64 = 0.5;
 
 /// A part of an iteration.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Phase {
     /// Render, loss, backward, statistics, Adam.
     Step,
@@ -322,7 +322,7 @@ impl Schedule {
     /// What Adam does in iteration `i`.
     ///
     /// The reference replaces its parameter tensors when it densifies, and that of opacity when it resets; the new ones
-    /// have no gradients, so the step that follows does nothing and counters stand still (facts: quirk 2). The last
+    /// have no gradients, so the step that follows does nothing and counters stand still. The last
     /// iteration makes no step. Schedules compressed beyond one densification in ten iterations lose none.
     pub fn optimiser_step(&self, i: u32) -> OptimiserStep {
         let loses = self.loses_steps && self.is_densify(i) && self.densify_every >= LOSING_INTERVAL_MIN;

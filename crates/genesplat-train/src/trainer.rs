@@ -10,20 +10,17 @@ use genesplat_core::{
 };
 
 use crate::checkpoint::{Checkpoint, Cursor, Progress};
-use crate::config::{
-    Background, EvolutionConfig, EvolutionMode, McmcConfig, RenewalConfig, Resolved, Signal, TrainConfig,
-    Variant,
-};
+use crate::config::{Background, McmcConfig, Resolved, Signal, TrainConfig, Variant};
 use crate::densify::adaptive::Rules;
 use crate::densify::mcmc;
 use crate::filter_3d::filter_3d;
-use crate::fitness::Stage;
 use crate::initialise::{ColouredPoint, check_points, cloud_from_points, in_spatial_order, scene_extent};
-use crate::observe::{Observer, StartLog, StepFindings};
+use crate::limits::Limits;
+use crate::observe::{Observer, StageLog, StageRecord, StartLog, StepFindings};
 use crate::renew::Trial;
 use crate::run::{Outcome, RunSummary, Seconds, Start, TrainError};
 use crate::schedule::{OptimiserStep, Phase, Schedule};
-use crate::views::{ViewOrder, spread_evenly};
+use crate::views::ViewOrder;
 
 /// A run under way.
 pub(crate) struct Trainer<'a, B> {
@@ -47,10 +44,9 @@ pub(crate) struct Trainer<'a, B> {
     pub(crate) cursor: Cursor,
     /// The phase under way has changed the state, and has more to change.
     pub(crate) torn: bool,
-    /// The cloud grows to at most so many Gaussians, by the end of density control.
-    pub(crate) cap: Option<usize>,
-    /// The user knows that the cap is reached.
-    pub(crate) cap_noticed: bool,
+    pub(crate) limits: Limits,
+    /// The user knows that they are reached.
+    pub(crate) limit_noticed: bool,
 }
 
 impl<'a, B: Backend> Trainer<'a, B> {
@@ -76,8 +72,8 @@ impl<'a, B: Backend> Trainer<'a, B> {
             trial: None,
             cursor: Cursor::start_of(1),
             torn: false,
-            cap: population_limit(config, views),
-            cap_noticed: false,
+            limits: Limits::new(config, views),
+            limit_noticed: false,
             backend,
             views,
             config,
@@ -104,55 +100,8 @@ impl<'a, B: Backend> Trainer<'a, B> {
             iteration: cursor.iteration,
             iterations: self.schedule.iterations,
         });
-        self.tell_of_lower_limit();
-        self.tell_of_missing_growth();
-        self.tell_of_missing_renewals();
+        self.limits.notices(self.schedule).for_each(|notice| self.observer.notice(&notice));
         Ok(cursor)
-    }
-
-    /// Who has a limit should know that the photos' is lower. It cannot wait until that is reached: MCMC turns nobody away
-    /// who could be told of.
-    fn tell_of_lower_limit(&mut self) {
-        let (own, fed) = (own_limit(self.config), fed_by(self.views, &self.config.evolution));
-        let (Some(own), Some(fed)) = (own, fed) else { return };
-        if fed < own {
-            self.observer.notice(&format!(
-                "the cloud grows to at most {fed} Gaussians, which is what the photos feed (evolution.renewal), \
-                 and not to the limit of {own}"
-            ));
-        }
-    }
-
-    /// Renewal ends density control early, in short runs before it has begun. Who switched it off needs no telling.
-    fn tell_of_missing_growth(&mut self) {
-        let schedule = self.schedule;
-        let is_wanted = schedule.renew_every.is_some() && schedule.densify_until > 0;
-        if !is_wanted || (1..=schedule.iterations).any(|i| schedule.is_densify(i)) {
-            return;
-        }
-        let first = (schedule.densify_from / schedule.densify_every + 1) * schedule.densify_every;
-        self.observer.notice(&format!(
-            "nothing grows here: in a run of {} iterations with mode renew density control ends before iteration {}, and \
-             the first densification would be at the end of iteration {first}; make the run longer, or lower \
-             densify.from and densify.every",
-            schedule.iterations, schedule.densify_until
-        ));
-    }
-
-    /// Who asks for renewal should know that a run has no place for it.
-    fn tell_of_missing_renewals(&mut self) {
-        let schedule = self.schedule;
-        let Some(every) = schedule.renew_every else { return };
-        if (1..=schedule.iterations).any(|i| schedule.renews(i)) {
-            return;
-        }
-        self.observer.notice(&format!(
-            "mode renew renews nothing here, and only recombines: renewals are {every} iterations apart \
-             (evolution.renewal.every), counted back from the end, and none may begin before iteration {} or after \
-             iteration {} (evolution.renewal.until)",
-            schedule.renew_from(),
-            schedule.renew_until
-        ));
     }
 
     fn first_cloud(&self, points: &[ColouredPoint]) -> Result<Gaussians, TrainError> {
@@ -268,41 +217,40 @@ impl<'a, B: Backend> Trainer<'a, B> {
         Ok(StepFindings { loss: report.loss, visible: report.visible, tile_splats: report.tile_splats })
     }
 
-    /// Advances Adam's counters, which stand still for what misses the step.
-    pub(crate) fn next_update(&mut self, i: u32, step: OptimiserStep) -> Option<Update> {
+    /// What Adam is told of a step that is about to be made; its counters stand still for what misses the step.
+    fn update(&self, i: u32, step: OptimiserStep) -> Option<Update> {
         if step == OptimiserStep::Lost {
             return None;
         }
+        let (rates, counted) = (self.rates(i), self.progress.steps + 1);
         let opacity = step == OptimiserStep::All;
-        self.progress.steps += 1;
-        self.progress.opacity_steps += u32::from(opacity);
-        let rates = self.rates(i);
         Some(Update {
             rates,
-            step: self.progress.steps,
-            opacity_step: if opacity { self.progress.opacity_steps } else { 0 },
-            exploration: self.exploration(rates.position),
+            step: counted,
+            opacity_step: if opacity { self.progress.opacity_steps + 1 } else { 0 },
+            exploration: self.exploration(rates.position, counted),
         })
     }
 
-    /// MCMC's part of the step that was counted last.
-    fn exploration(&self, position_rate: f32) -> Option<Exploration> {
+    /// MCMC's part of a step.
+    fn exploration(&self, position_rate: f32, counter: u32) -> Option<Exploration> {
         let mcmc = &self.config.mcmc;
         (self.config.variant == Variant::Mcmc).then_some(Exploration {
             noise: position_rate * mcmc.noise,
             opacity_weight: mcmc.opacity_weight,
             scale_weight: mcmc.scale_weight,
-            counter: self.progress.steps,
+            counter,
         })
     }
 
-    /// A step of iteration `i`; `extra` tells those apart that share one: 0 is the iteration's own.
+    /// A step of iteration `i`, which counts once the device has taken it on; `extra` tells those apart that share an
+    /// iteration: 0 is its own.
     pub(crate) fn train_step(
         &mut self,
         view: usize,
         i: u32,
         extra: u32,
-        update: Option<Update>,
+        step: OptimiserStep,
         statistics: StatisticsRequest,
     ) -> Result<(), TrainError> {
         let background = match self.config.background {
@@ -313,7 +261,10 @@ impl<'a, B: Backend> Trainer<'a, B> {
             fixed => fixed.fixed_colour(),
         };
         let settings = RenderSettings { background, ..self.settings(i) };
-        Ok(self.backend.train_step(&TrainStep { view, settings, update, statistics })?)
+        let update = self.update(i, step);
+        self.backend.train_step(&TrainStep { view, settings, update, statistics })?;
+        self.progress.count(step);
+        Ok(())
     }
 
     /// How evolution renders in iteration `i`.
@@ -342,29 +293,21 @@ impl<'a, B: Backend> Trainer<'a, B> {
             clone_size_max: world(densify.clone_size),
             prune_opacity: densify.prune_opacity,
             prune_size: self.schedule.prunes_by_size(i).then(|| world(densify.prune_size)),
-            cap: self.cap.map(|cap| (cap as f64 * self.schedule.grown(i)) as usize),
+            cap: self.limits.cap().map(|cap| (cap as f64 * self.schedule.grown(i)) as usize),
         }
     }
 
     /// MCMC's counterpart of [`Self::rules`], which does not depend on the iteration.
     pub(crate) fn mcmc_rules(&self) -> mcmc::Rules {
         let McmcConfig { min_opacity, growth, .. } = self.config.mcmc;
-        mcmc::Rules { min_opacity, growth, cap: self.cap.expect("MCMC always has a limit") }
+        mcmc::Rules { min_opacity, growth, cap: self.limits.cap().expect("MCMC always has a limit") }
     }
 
-    /// The evolution stage of iteration `i`.
-    pub(crate) fn stage(&self, i: u32) -> Stage<'a> {
-        let evolution = &self.config.evolution;
-        let draw = if evolution.rotate_views { i } else { 0 };
-        let views = spread_evenly(self.views, evolution.views, &self.rng, draw);
-        Stage {
-            iteration: i,
-            config: evolution,
-            view_names: views.iter().map(|&view| self.views[view].name.clone()).collect(),
-            views,
-            settings: self.settings(i),
-            rng: self.rng.fork(i),
-        }
+    /// What is told at the beginning of a stage: what it is judged on, and how many generations follow the first.
+    pub(crate) fn tell_of_stage(&mut self, record: &StageRecord, views: &[usize], generations: u32) {
+        let StageRecord { iteration, fitness_before: fitness, .. } = *record;
+        let views = views.iter().map(|&view| self.views[view].name.clone()).collect();
+        self.observer.on_stage_start(&StageLog { iteration, generations, views, fitness });
     }
 
     /// The next stage sums gene gradients anew; density statistics, which may be under way, stay.
@@ -393,72 +336,7 @@ fn check_health(cloud: &Gaussians, steps: u32) -> Result<(), TrainError> {
     Err(BackendError::NonFinite { row, parameter, steps }.into())
 }
 
-/// The user's limit or the variant's own, and in mode `renew` never more than the photos feed.
-fn population_limit(config: &TrainConfig, views: &[View]) -> Option<usize> {
-    [own_limit(config), fed_by(views, &config.evolution)].into_iter().flatten().min()
-}
-
-/// The user's limit or the variant's own.
-fn own_limit(config: &TrainConfig) -> Option<usize> {
-    let of_variant = (config.variant == Variant::Mcmc).then_some(mcmc::DEFAULT_CAP);
-    config.max_gaussians.or(of_variant)
-}
-
-/// How many Gaussians the photos feed, where that counts.
-fn fed_by(views: &[View], evolution: &EvolutionConfig) -> Option<usize> {
-    let pixels_of = |view: &View| f64::from(view.photo.width) * f64::from(view.photo.height);
-    let (all, photos) = (views.iter().map(pixels_of).sum::<f64>(), views.len() as f64);
-    let RenewalConfig { pixels, photo_pixels, .. } = evolution.renewal;
-    let limits = [(all, pixels * photos.sqrt()), (all / photos, photo_pixels)];
-    let counting =
-        limits.into_iter().filter(|(_, each)| *each > 0.0 && evolution.mode == EvolutionMode::Renew);
-    counting.map(|(pixels, each)| ((pixels / each) as usize).max(1)).min()
-}
-
 /// Mip-Splatting's 3D filter of Gaussians at `positions`, from all training views.
 pub(crate) fn filter_of(views: &[View], positions: &[[f32; 3]]) -> Vec<f32> {
     filter_3d(positions, views.iter().map(|view| &view.camera))
-}
-
-#[cfg(test)]
-mod tests {
-    use std::sync::Arc;
-
-    use genesplat_core::{Camera, Photo};
-    use glam::{DQuat, DVec3};
-
-    use super::*;
-
-    #[test]
-    fn photos_feed_what_users_and_variants_do_not_limit() {
-        let camera = Camera {
-            width: 30,
-            height: 20,
-            focal_px: [1.0; 2],
-            principal_px: [15.0, 10.0],
-            camera_from_world_rotation: DQuat::IDENTITY,
-            camera_from_world_translation: DVec3::ZERO,
-        };
-        let photo = Arc::new(Photo { width: 30, height: 20, rgb: vec![0; 1800] });
-        let views = vec![View { name: String::new(), camera, photo }; 9];
-        let renewal = |pixels, photo_pixels| RenewalConfig { pixels, photo_pixels, ..Default::default() };
-        let limit_with = |mode, variant, max_gaussians, renewal| {
-            let mut config = TrainConfig { variant, max_gaussians, ..TrainConfig::default() };
-            (config.evolution.mode, config.evolution.renewal) = (mode, renewal);
-            population_limit(&config, &views)
-        };
-        let limit = |mode, variant, own, pixels| limit_with(mode, variant, own, renewal(pixels, 0.0));
-        let (renew, off) = (EvolutionMode::Renew, EvolutionMode::Off);
-        // 9 · 600 pixels over 2 · √9.
-        assert_eq!(limit(renew, Variant::ThreeDgs, None, 2.0), Some(900));
-        assert_eq!(limit(renew, Variant::ThreeDgs, Some(500), 2.0), Some(500));
-        assert_eq!(limit(renew, Variant::Mcmc, None, 2.0), Some(900));
-        assert_eq!(limit(renew, Variant::Mcmc, None, 1e-9), Some(mcmc::DEFAULT_CAP));
-        assert_eq!(limit(renew, Variant::ThreeDgs, None, 0.0), None);
-        assert_eq!(limit(off, Variant::ThreeDgs, None, 2.0), None);
-        assert_eq!(limit(off, Variant::Mcmc, None, 2.0), Some(mcmc::DEFAULT_CAP));
-        // 600 pixels over 0.3, where that is less.
-        let of_one = |pixels, each| limit_with(renew, Variant::ThreeDgs, None, renewal(pixels, each));
-        assert_eq!([of_one(0.0, 0.3), of_one(0.5, 0.3), of_one(2.0, 0.3)], [2000, 2000, 900].map(Some));
-    }
 }

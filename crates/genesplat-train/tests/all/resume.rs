@@ -1,15 +1,16 @@
 //! A run that is stopped anywhere and resumed from its checkpoint's bytes ends as if it had never stopped.
 
+use std::collections::HashSet;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use genesplat_core::BackendError;
 use genesplat_train::{
     Background, Checkpoint, EvolutionMode, Observer, Outcome, Silent, StageRecord, Start, TrainConfig,
-    TrainError, Variant, train,
+    TrainError, Trigger, Variant, train,
 };
 
-use crate::support::{Call, Failure, FakeBackend, Keep, StopAt, points, views};
+use crate::support::{Call, Failure, FakeBackend, Keep, points, views};
 
 /// 300 iterations that densify, reset (30, 60, ...), filter and evolve.
 fn config() -> TrainConfig {
@@ -63,14 +64,57 @@ fn assert_same(resumed: &Outcome, whole: &Outcome, context: &str) {
 #[test]
 fn stopping_between_any_two_phases_changes_nothing() {
     let whole = uninterrupted();
-    // Before densifying (29), before densify, filter, reset and evolution (30), in the last phase but one, at the end.
-    for i in [1, 6, 29, 30, 31, 100, 120, 149, 150, 151, 299] {
-        let stop = AtomicBool::new(false);
-        let stopped = go(&mut backend(), Start::Points(points(20)), &mut StopAt(i, &stop), &stop);
+    let mut cursors = HashSet::new();
+    // Every call of the run, so that the flag is first seen before every phase that there is.
+    for call in fallible(false) {
+        let stop = Arc::new(AtomicBool::new(false));
+        let mut backend = backend();
+        backend.stop_in_call = Some((call, stop.clone()));
+        let stopped = go(&mut backend, Start::Points(points(20)), &mut Silent, &stop);
+        let Some(checkpoint) = stopped.checkpoint else {
+            assert_same(&stopped, &whole, &format!("stopped in call {call}, when nothing was left to do"));
+            continue;
+        };
         assert!(stopped.summary.interrupted);
+        cursors.insert((checkpoint.cursor.iteration, checkpoint.cursor.phase));
+        assert_same(&resume(&checkpoint), &whole, &format!("stopped in call {call}"));
+    }
+    let schedule = config().resolve().unwrap().schedule().clone();
+    for i in 2..=schedule.iterations {
+        for phase in schedule.phases(i) {
+            assert!(cursors.contains(&(i, phase)), "never stopped before {phase:?} of iteration {i}");
+        }
+    }
+}
+
+#[test]
+fn a_control_that_was_stopped_spends_its_seconds_anew() {
+    for trigger in [Trigger::AfterReset, Trigger::AtEnd] {
+        let mut config = config();
+        config.evolution.mode = EvolutionMode::Control;
+        config.evolution.trigger = Some(trigger);
+        config.evolution.control_seconds = 1e9;
+        let stop = Arc::new(AtomicBool::new(false));
+        let mut fake = backend();
+        // Beyond the last call of a run without controls, and so within one.
+        fake.stop_in_call = Some((2000, stop.clone()));
+        let resolved = config.clone().resolve().unwrap();
+        let start = Start::Points(points(20));
+        let stopped = train(&mut fake, &views(7), start, &resolved, &mut Silent, &stop).unwrap();
+        assert!(stopped.summary.interrupted, "{trigger:?}");
+        let [half] = stopped.summary.stages[..] else { panic!("{:?}", stopped.summary.stages) };
+        assert!(half.renders > 0 && half.seconds < 1e9, "what was done counts: {half:?}");
+
+        // From before its first step, with seconds that a test can spend.
         let checkpoint = stopped.checkpoint.unwrap();
-        assert!([i, i + 1].contains(&checkpoint.cursor.iteration), "{:?}", checkpoint.cursor);
-        assert_same(&resume(&checkpoint), &whole, &format!("stopped in iteration {i}"));
+        assert_eq!((checkpoint.cursor.iteration, checkpoint.progress.stages.len()), (half.iteration, 0));
+        config.evolution.control_seconds = 0.01;
+        let (resolved, go_on) = (config.resolve().unwrap(), AtomicBool::new(false));
+        let start = Start::Checkpoint(checkpoint);
+        let whole = train(&mut backend(), &views(7), start, &resolved, &mut Silent, &go_on).unwrap();
+        let stages = &whole.summary.stages;
+        assert!(stages.iter().all(|stage| stage.seconds >= 0.01), "{stages:?}");
+        assert_eq!(stages.len(), if trigger == Trigger::AtEnd { 1 } else { 4 });
     }
 }
 

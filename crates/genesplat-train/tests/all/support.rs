@@ -60,7 +60,9 @@ pub struct FakeBackend {
     pub poison: Option<f32>,
     /// Set after this many calls of `score`, `credit` or `judge`.
     pub stop_after: Option<(usize, Arc<AtomicBool>)>,
-    /// The call that fails, counted from 1, and how; reads count, too.
+    /// Set during the call of this number, counted from 1; reads count, too.
+    pub stop_in_call: Option<(usize, Arc<AtomicBool>)>,
+    /// The call that fails, counted likewise, and how.
     pub failure: Option<(usize, Failure)>,
     /// Calls that could have failed.
     pub fallible: usize,
@@ -99,6 +101,7 @@ impl FakeBackend {
             target: 3.0,
             poison: None,
             stop_after: None,
+            stop_in_call: None,
             failure: None,
             fallible: 0,
             queues: false,
@@ -127,9 +130,12 @@ impl FakeBackend {
         (squares / cloud.len() as f64) as f32
     }
 
-    /// Counts a call that can fail, and says how it fails, if it does. A lost device fails ever after.
+    /// Counts a call during which a run may be stopped, and says how it fails, if it does. A lost device fails ever after.
     fn fails(&mut self) -> Option<Failure> {
         self.fallible += 1;
+        if let Some((call, stop)) = &self.stop_in_call {
+            stop.fetch_or(self.fallible == *call, Ordering::Relaxed);
+        }
         let (call, failure) = self.failure?;
         let now = self.fallible == call || failure == Failure::Lost && self.fallible > call;
         now.then_some(failure)

@@ -1,0 +1,140 @@
+//! How many Gaussians there may be, and what a run's owner should be told about it.
+
+use genesplat_core::View;
+
+use crate::config::{EvolutionConfig, EvolutionMode, RenewalConfig, TrainConfig, Variant};
+use crate::densify::mcmc;
+use crate::schedule::Schedule;
+
+/// The most Gaussians that density control may grow to, by who says so.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Limits {
+    /// The user's limit or the variant's own.
+    own: Option<usize>,
+    /// What the photos feed, in mode `renew`.
+    fed: Option<usize>,
+}
+
+impl Limits {
+    pub(crate) fn new(config: &TrainConfig, views: &[View]) -> Self {
+        let of_variant = (config.variant == Variant::Mcmc).then_some(mcmc::DEFAULT_CAP);
+        Self { own: config.max_gaussians.or(of_variant), fed: fed_by(views, &config.evolution) }
+    }
+
+    /// The lower of the two.
+    pub(crate) fn cap(self) -> Option<usize> {
+        self.own.into_iter().chain(self.fed).min()
+    }
+
+    /// What should be known before the first step.
+    pub(crate) fn notices(self, schedule: &Schedule) -> impl Iterator<Item = String> {
+        [self.is_lower_than_wanted(), nothing_grows(schedule), nothing_is_renewed(schedule)]
+            .into_iter()
+            .flatten()
+    }
+
+    /// It cannot wait until that limit is reached: MCMC turns nobody away who could be told of.
+    fn is_lower_than_wanted(self) -> Option<String> {
+        let (own, fed) = (self.own?, self.fed?);
+        (fed < own).then(|| {
+            format!(
+                "the cloud grows to at most {fed} Gaussians, which is what the photos feed (evolution.renewal), \
+                 and not to the limit of {own}"
+            )
+        })
+    }
+
+    /// The limit is reached in iteration `i`, and so many more wanted to grow.
+    pub(crate) fn is_reached(self, i: u32, refused: usize) -> Option<String> {
+        let cap = self.cap()?;
+        let source = if self.own == Some(cap) { "" } else { " that the photos feed (evolution.renewal)" };
+        Some(format!(
+            "iteration {i}: the limit of {cap} Gaussians{source} is reached ({refused} more wanted to grow); from now on only \
+             those with the strongest gradients grow into the room that pruning leaves"
+        ))
+    }
+}
+
+/// How many Gaussians the photos feed, where that counts.
+fn fed_by(views: &[View], evolution: &EvolutionConfig) -> Option<usize> {
+    let pixels_of = |view: &View| f64::from(view.photo.width) * f64::from(view.photo.height);
+    let (all, photos) = (views.iter().map(pixels_of).sum::<f64>(), views.len() as f64);
+    let RenewalConfig { pixels, photo_pixels, .. } = evolution.renewal;
+    let limits = [(all, pixels * photos.sqrt()), (all / photos, photo_pixels)];
+    let counting =
+        limits.into_iter().filter(|(_, each)| *each > 0.0 && evolution.mode == EvolutionMode::Renew);
+    counting.map(|(pixels, each)| ((pixels / each) as usize).max(1)).min()
+}
+
+/// Renewal ends density control early, in short runs before it has begun. Who switched it off needs no telling.
+fn nothing_grows(schedule: &Schedule) -> Option<String> {
+    let is_wanted = schedule.renew_every.is_some() && schedule.densify_until > 0;
+    if !is_wanted || (1..=schedule.iterations).any(|i| schedule.is_densify(i)) {
+        return None;
+    }
+    let every = u64::from(schedule.densify_every);
+    let first = (u64::from(schedule.densify_from) / every + 1) * every;
+    Some(format!(
+        "nothing grows here: in a run of {} iterations with mode renew density control ends before iteration {}, and \
+         the first densification would be at the end of iteration {first}; make the run longer, or lower \
+         densify.from and densify.every",
+        schedule.iterations, schedule.densify_until
+    ))
+}
+
+/// Who asks for renewal should know that a run has no place for it.
+fn nothing_is_renewed(schedule: &Schedule) -> Option<String> {
+    let every = schedule.renew_every?;
+    (1..=schedule.iterations).all(|i| !schedule.renews(i)).then(|| {
+        format!(
+            "mode renew renews nothing here, and only recombines: renewals are {every} iterations apart \
+             (evolution.renewal.every), counted back from the end, and none may begin before iteration {} or after \
+             iteration {} (evolution.renewal.until)",
+            schedule.renew_from(),
+            schedule.renew_until
+        )
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use genesplat_core::{Camera, Photo};
+    use glam::{DQuat, DVec3};
+
+    use super::*;
+
+    #[test]
+    fn photos_feed_what_users_and_variants_do_not_limit() {
+        let camera = Camera {
+            width: 30,
+            height: 20,
+            focal_px: [1.0; 2],
+            principal_px: [15.0, 10.0],
+            camera_from_world_rotation: DQuat::IDENTITY,
+            camera_from_world_translation: DVec3::ZERO,
+        };
+        let photo = Arc::new(Photo { width: 30, height: 20, rgb: vec![0; 1800] });
+        let views = vec![View { name: String::new(), camera, photo }; 9];
+        let renewal = |pixels, photo_pixels| RenewalConfig { pixels, photo_pixels, ..Default::default() };
+        let limit_with = |mode, variant, max_gaussians, renewal| {
+            let mut config = TrainConfig { variant, max_gaussians, ..TrainConfig::default() };
+            (config.evolution.mode, config.evolution.renewal) = (mode, renewal);
+            Limits::new(&config, &views).cap()
+        };
+        let limit = |mode, variant, own, pixels| limit_with(mode, variant, own, renewal(pixels, 0.0));
+        let (renew, off) = (EvolutionMode::Renew, EvolutionMode::Off);
+        // 9 · 600 pixels over 2 · √9.
+        assert_eq!(limit(renew, Variant::ThreeDgs, None, 2.0), Some(900));
+        assert_eq!(limit(renew, Variant::ThreeDgs, Some(500), 2.0), Some(500));
+        assert_eq!(limit(renew, Variant::Mcmc, None, 2.0), Some(900));
+        assert_eq!(limit(renew, Variant::Mcmc, None, 1e-9), Some(mcmc::DEFAULT_CAP));
+        assert_eq!(limit(renew, Variant::ThreeDgs, None, 0.0), None);
+        assert_eq!(limit(off, Variant::ThreeDgs, None, 2.0), None);
+        assert_eq!(limit(off, Variant::Mcmc, None, 2.0), Some(mcmc::DEFAULT_CAP));
+        // 600 pixels over 0.3, where that is less.
+        let of_one = |pixels, each| limit_with(renew, Variant::ThreeDgs, None, renewal(pixels, each));
+        assert_eq!([of_one(0.0, 0.3), of_one(0.5, 0.3), of_one(2.0, 0.3)], [2000, 2000, 900].map(Some));
+    }
+}
