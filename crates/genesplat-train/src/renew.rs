@@ -53,14 +53,19 @@ const CLOUDS_KEPT: usize = 3;
 impl<B: Backend> Trainer<'_, B> {
     /// Judges the renewal that is on trial, and begins the next one if there is to be one.
     pub(crate) fn renew(&mut self, i: u32) -> Result<(), TrainError> {
-        let clock = Instant::now();
+        let mut clock = Instant::now();
         let guards = self.guards();
         let verdict = self.verdict(&guards, i)?;
+        let is_judged = self.trial.is_some();
         let Verdict { loss, psnr } = self.end_trial(verdict, clock)?;
+        if is_judged {
+            // The verdict is on the other one's account.
+            clock = Instant::now();
+        }
         if self.schedule.renews(i) {
             let record = StageRecord::begun(StageKind::Renewal, i, loss, Some(psnr));
             let renders = guards.len() as u64;
-            self.begin_trial(StageRecord { generations: 1, renders, ..record }, Instant::now())?;
+            self.begin_trial(StageRecord { generations: 1, renders, ..record }, clock)?;
         }
         Ok(())
     }

@@ -9,6 +9,9 @@ use crate::config::{
     TrainConfig, Variant,
 };
 
+/// Integers of a TOML file end here.
+const TOML_END: u64 = 1 << 63;
+
 /// A setting that cannot be used.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
@@ -35,7 +38,7 @@ impl TrainConfig {
     /// Checks every setting; the first that is out of range is reported.
     pub fn validate(&self) -> Result<(), ConfigError> {
         at_least_one("iterations", self.iterations)?;
-        check("seed", self.seed, self.seed < 1 << 63, "below 2^63, so that config.toml can hold it")?;
+        check("seed", self.seed, self.seed < TOML_END, "below 2^63, so that config.toml can hold it")?;
         let scale = self.steps_scale;
         check("steps_scale", scale, (1e-3..=1e3).contains(&scale), "between 0.001 and 1000")?;
         check("sh_degree", self.sh_degree, self.sh_degree <= SH_DEGREE_MAX, "between 0 and 3")?;
@@ -44,7 +47,8 @@ impl TrainConfig {
             positive("extent", extent)?;
         }
         if let Some(cap) = self.max_gaussians {
-            check("max_gaussians", cap, cap > 0, "at least 1 (leave it out for no limit)")?;
+            let is_limit = cap > 0 && (cap as u64) < TOML_END;
+            check("max_gaussians", cap, is_limit, "at least 1 and below 2^63 (leave it out for no limit)")?;
         }
         self.validate_options()?;
         self.optimiser.validate()?;

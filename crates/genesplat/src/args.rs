@@ -171,7 +171,7 @@ pub struct RefineArgs {
     /// The .ply to write
     #[arg(long, value_name = "PLY")]
     pub out: PathBuf,
-    /// How [default: mosaic]
+    /// How [default: paper or control where --config says so, else mosaic]
     #[arg(long, value_enum, value_name = "MODE")]
     pub evolve: Option<Search>,
     /// Generations of the search, at least 1 [default: 20, paper: 100]. Time grows in proportion
@@ -183,7 +183,7 @@ pub struct RefineArgs {
     /// Seed of all random numbers [default: 0]. Same seed, same bytes
     #[arg(long, value_name = "S", value_parser = clap::value_parser!(u64).range(..1 << 63))]
     pub seed: Option<u64>,
-    /// TOML file with settings, as for train; its evolution section counts here [default: none]
+    /// TOML file with settings, as for train [default: none]. The dataset, device and threads that it names do not count
     #[arg(long, value_name = "FILE.toml")]
     pub config: Option<PathBuf>,
     #[command(flatten)]

@@ -106,10 +106,10 @@ impl ConfigFile {
         args.method.override_method(&mut file.train);
         args.method.check(file.train.variant)?;
         override_evolution(&mut file.train, &args.evolution);
+        file.check()?;
         if let Some(saved) = saved {
             check_same(&saved, &file, &args.out)?;
         }
-        file.check()?;
         Ok(file)
     }
 

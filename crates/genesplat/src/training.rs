@@ -67,11 +67,11 @@ impl Run<'_> {
         let (views, config) = (&self.scene.train, &self.settings.train);
         let Outcome { cloud, summary, checkpoint } =
             train(&mut backend, views, start, config, &mut reporter, self.stop)?;
-        if let Some(checkpoint) = checkpoint {
-            self.folder.write_checkpoint(&checkpoint)?;
-        }
+        // A disk that has no room for the checkpoint, the larger of the two, may have room for the cloud.
+        let saved = checkpoint.map_or(Ok(()), |checkpoint| self.folder.write_checkpoint(&checkpoint));
         self.folder.write_cloud(&cloud, config.render_settings().filter)?;
         drop(cloud);
+        saved?;
         reporter.into_result()?;
         let metrics = self.measure(&mut backend, &summary, seconds_before)?;
         self.folder.write_report(&self.report(&metrics)?)?;

@@ -56,6 +56,7 @@ fn values_out_of_range_get_a_sentence() {
         (|c| c.sh_degree = 4, "sh_degree is 4, but must be between 0 and 3"),
         (|c| c.extent = Some(0.0), "extent"),
         (|c| c.max_gaussians = Some(0), "max_gaussians"),
+        (|c| c.max_gaussians = Some(usize::MAX), "max_gaussians"),
         (|c| c.optimiser.scale = -1.0, "optimiser.scale is -1"),
         (|c| c.densify.every = 0, "densify.every"),
         (|c| c.densify.prune_opacity = 0.5, "each reset empties the cloud"),

@@ -64,7 +64,7 @@ pub struct ScheduleArgs {
     pub checkpoint_every: Option<u32>,
 }
 
-/// The genetic algorithm.
+/// Which evolution, and how much of it.
 #[derive(Clone, Debug, Default, Args)]
 pub struct EvolutionArgs {
     /// Evolution beside gradient descent [default: off]. paper, control: after each opacity reset; mosaic: at the end; recombine,

@@ -42,7 +42,8 @@ fn configure(args: &RefineArgs, splat: &Splat) -> Result<Resolved> {
     let file = args.config.as_deref().map_or_else(|| Ok(ConfigFile::defaults()), ConfigFile::read)?;
     let mut train = TrainConfig { sh_degree: splat.settings.sh_degree, ..file.train };
     train.seed = args.seed.unwrap_or(train.seed);
-    if train.evolution.mode == EvolutionMode::Off {
+    // A file of `train` may name a mode that has no place here.
+    if matches!(train.evolution.mode, EvolutionMode::Off | EvolutionMode::Recombine | EvolutionMode::Renew) {
         train.evolution.mode = EvolutionMode::Mosaic;
     }
     let RefineArgs { evolve, generations, population, .. } = *args;

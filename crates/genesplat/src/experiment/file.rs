@@ -4,7 +4,8 @@
 //! `[arms.config]` for one arm. `crates/genesplat/presets` holds examples.
 
 use genesplat::io::GalleryOptions;
-use genesplat::train::Variant;
+use genesplat::train::config::EvolutionConfig;
+use genesplat::train::{EvolutionMode, Variant};
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
@@ -132,13 +133,21 @@ fn control_arm(of: &str, alone: bool) -> ArmTable {
 
 /// `evolution.mode = mode`; whether there is such a mode is for the settings to say.
 fn mode_table(mode: &str) -> Table {
-    let evolution = Table::from_iter([("mode".to_owned(), Value::from(mode))]);
+    evolution_table(Table::from_iter([("mode".to_owned(), Value::from(mode))]))
+}
+
+fn evolution_table(evolution: Table) -> Table {
     Table::from_iter([("evolution".to_owned(), Value::Table(evolution))])
 }
 
-/// Settings that turn an arm into a control.
-pub fn control_table() -> Table {
-    mode_table(CONTROL)
+/// Settings that turn an arm into a control. The paper's stages come at a trigger, and so do the steps that stand for them;
+/// those of other modes come after the last step of the run, where they do most good.
+pub fn control_table(controlled: &EvolutionConfig) -> Table {
+    let mut evolution = Table::from_iter([("mode".to_owned(), Value::from(CONTROL))]);
+    if controlled.mode != EvolutionMode::Paper && controlled.trigger.is_none() {
+        evolution.insert("trigger".to_owned(), "at-end".into());
+    }
+    evolution_table(evolution)
 }
 
 #[cfg(test)]

@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Result, anyhow, bail, ensure};
 use genesplat::train::EvolutionMode;
+use genesplat::train::config::EvolutionConfig;
 use toml::{Table, Value};
 
 use super::file::{ArmTable, ExperimentFile, GalleryTable, control_table};
@@ -78,11 +79,23 @@ impl Experiment {
                     let cell = Cell { scene: 0, variant, arm, seed };
                     let config = self.config(cell, Path::new(""), Some(0.0));
                     config
-                        .and_then(|config| config.check())
+                        .and_then(|config| self.check_cell(cell, &config))
                         .map_err(|error| anyhow!("arm `{}`: {error}", self.arms[arm].name))?;
                 }
             }
         }
+        Ok(())
+    }
+
+    /// A control that no stage stands for would be a plain run by another name.
+    fn check_cell(&self, cell: Cell, config: &ConfigFile) -> Result<()> {
+        config.check()?;
+        let is_control = self.arms[cell.arm].control_of.is_some();
+        ensure!(
+            !is_control || config.train.clone().resolve()?.schedule().stages().next().is_some(),
+            "in a run this short its trigger never comes, so it could spend no second; make the run longer, or set \
+             evolution.trigger = \"at-end\""
+        );
         Ok(())
     }
 
@@ -189,8 +202,8 @@ fn resolve_arms(file: &ExperimentFile) -> Result<Vec<Arm>> {
         let mut config = file.config.clone();
         if let Some(target) = control_of {
             merge(&mut config, &tables[target].config);
-            check_controlled(&config, table, &tables[target])?;
-            merge(&mut config, &control_table());
+            let controlled = check_controlled(&config, table, &tables[target])?;
+            merge(&mut config, &control_table(&controlled));
         }
         merge(&mut config, &table.config);
         arms.push(Arm { name: table.name.clone(), control_of, config });
@@ -221,12 +234,13 @@ fn in_table_order(file: &ExperimentFile) -> Result<Vec<ArmTable>> {
     Ok(first.into_iter().chain(rest).flat_map(with_controls).collect())
 }
 
-/// Only seconds of an evolution stage can be spent otherwise.
-fn check_controlled(config: &Table, control: &ArmTable, target: &ArmTable) -> Result<()> {
+/// Only seconds of an evolution stage can be spent otherwise; returns what the stages are.
+fn check_controlled(config: &Table, control: &ArmTable, target: &ArmTable) -> Result<EvolutionConfig> {
     let parsed = ConfigFile::from_table(config.clone()).map_err(|error| anyhow!("{error}"))?;
-    let evolves = !matches!(parsed.train.evolution.mode, EvolutionMode::Off | EvolutionMode::Control);
+    let evolution = parsed.train.evolution;
+    let evolves = !matches!(evolution.mode, EvolutionMode::Off | EvolutionMode::Control);
     ensure!(evolves, "arm `{}` is the control of `{}`, which does not evolve", control.name, target.name);
-    Ok(())
+    Ok(evolution)
 }
 
 fn check_config(config: &Table, arm: &str) -> Result<()> {
@@ -276,6 +290,8 @@ fn merge(base: &mut Table, over: &Table) {
 
 #[cfg(test)]
 mod tests {
+    use genesplat::train::Trigger;
+
     use super::*;
 
     fn file(text: &str) -> ExperimentFile {
@@ -338,6 +354,24 @@ mod tests {
     }
 
     #[test]
+    fn a_control_comes_when_its_arm_does_or_after_the_last_step() {
+        let text = "scenes = [\"a\"]\nseeds = [1]\nevolve = [\"off\", \"paper\", \"renew\", \"recombine\", \"mosaic\", \"control\"]";
+        let experiment = Experiment::new(file(text)).unwrap();
+        let controls = experiment.arms.iter().enumerate().filter(|(_, arm)| arm.control_of.is_some());
+        let triggers: Vec<_> = controls
+            .map(|(arm, _)| {
+                let cell = Cell { scene: 0, variant: 0, arm, seed: 0 };
+                let machine = MachineArgs::default();
+                let settings = experiment.settings(cell, Path::new("a"), machine, Some(8.0)).unwrap();
+                let evolution = &settings.train.config().evolution;
+                (evolution.trigger, evolution.control_seconds)
+            })
+            .collect();
+        let at_end = (Some(Trigger::AtEnd), 8.0);
+        assert_eq!(triggers, [(None, 2.0), at_end, at_end, at_end]);
+    }
+
+    #[test]
     fn what_cannot_be_run_is_refused_at_once() {
         let cases = [
             ("scenes = []\nseeds = [0]\nevolve = [\"off\"]", "no scenes"),
@@ -353,6 +387,10 @@ mod tests {
             (
                 "scenes = [\"a\"]\nseeds = [0]\nevolve = [\"off\"]\n[[arms]]\nname = \"c\"\ncontrol_of = \"off\"",
                 "does not evolve",
+            ),
+            (
+                "scenes = [\"a\"]\nseeds = [0]\nevolve = [\"off\", \"paper\", \"control\"]\n[config]\niterations = 3000",
+                "could spend no second",
             ),
             (
                 "scenes = [\"a\"]\nseeds = [0]\nevolve = [\"off\"]\n[[arms]]\nname = \"c\"\ncontrol_of = \"d\"",

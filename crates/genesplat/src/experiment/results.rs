@@ -20,8 +20,6 @@ pub struct CellMetrics {
     pub train: Scores,
     /// Wall-clock seconds.
     pub seconds: CellSeconds,
-    /// Evolution stages, or controls in their place.
-    pub evolution: Vec<StageSeconds>,
 }
 
 /// Means of a split; `None` where the file says `null`.
@@ -57,22 +55,10 @@ pub struct CellSeconds {
     pub evolution: f64,
 }
 
-/// One stage.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
-pub struct StageSeconds {
-    /// Wall-clock seconds.
-    pub seconds: f64,
-}
-
 impl CellMetrics {
     /// Those of the run in `folder`; `None` where there are none, or a torn file.
     pub fn read(folder: &Path) -> Option<Self> {
         serde_json::from_slice(&fs::read(folder.join("metrics.json")).ok()?).ok()
-    }
-
-    /// Seconds of all evolution stages; 0 where none ran.
-    pub fn stage_seconds(&self) -> f64 {
-        self.evolution.iter().map(|stage| stage.seconds).sum()
     }
 }
 

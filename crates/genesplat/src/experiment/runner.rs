@@ -76,7 +76,7 @@ impl<'a> Runner<'a> {
     pub fn settings(&self, cell: Cell, results: &Results<'_>) -> Result<Settings> {
         let target = self.experiment.arms[cell.arm].control_of;
         let seconds =
-            target.and_then(|arm| results.get(Cell { arm, ..cell })).map(CellMetrics::stage_seconds);
+            target.and_then(|arm| results.get(Cell { arm, ..cell })).map(|metrics| metrics.seconds.evolution);
         self.experiment.settings(cell, &self.scene_path(cell.scene), self.machine, seconds)
     }
 

@@ -229,7 +229,7 @@ fn cost(results: &Results<'_>, variant: usize) -> Table {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::experiment::results::{CellSeconds, Scores, StageSeconds};
+    use crate::experiment::results::{CellSeconds, Scores};
 
     /// Two scenes, three seeds, off and paper and its control, with these PSNRs on test photos.
     fn experiment() -> Experiment {
@@ -245,7 +245,6 @@ mod tests {
             test: scores(psnr),
             train: scores(psnr + 1.0),
             seconds: CellSeconds { gradient: 2.0, evolution: 1.0 },
-            evolution: vec![StageSeconds { seconds: 0.25 }; 4],
         }
     }
 
@@ -332,6 +331,5 @@ mod tests {
         experiment.cells().into_iter().for_each(|cell| results.put(cell, metrics(30.0, None)));
         let table = quality(&results, Split::Train, 0);
         assert!(table.columns.iter().all(|column| column.name != "LPIPS" && column.name != "ΔL"));
-        assert_eq!(results.get(cell(0, 0, 0)).unwrap().stage_seconds(), 1.0);
     }
 }

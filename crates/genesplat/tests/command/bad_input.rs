@@ -301,6 +301,14 @@ fn flags_that_do_not_go_together() {
 }
 
 #[test]
+fn a_limit_that_no_file_can_hold() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("run");
+    let limit = ["--max-gaussians", "9223372036854775808"];
+    fail(train(scene(), &out, &limit), &["max_gaussians is 9223372036854775808", "below 2^63"]);
+}
+
+#[test]
 fn a_device_that_is_not_there() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("run");

@@ -67,7 +67,7 @@ fn finished_cells_are_left_alone_and_spoilt_ones_repeated() {
 
     // A control spends what its arm has taken, and nothing else about it differs.
     let cell = |name: &str| out.join("cells/gallery/3dgs").join(name);
-    let taken = json(&cell("paper/seed-1/metrics.json"))["evolution"][0]["seconds"].as_f64().unwrap();
+    let taken = json(&cell("paper/seed-1/metrics.json"))["seconds"]["evolution"].as_f64().unwrap();
     let config: toml::Table =
         fs::read_to_string(cell("control/seed-1/config.toml")).unwrap().parse().unwrap();
     assert_eq!(config["evolution"]["control_seconds"].as_float(), Some(taken));

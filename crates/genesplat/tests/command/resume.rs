@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use genesplat::io::{GalleryOptions, gallery};
 
-use crate::support::{cloud, command, fail, json, scene, succeed, train, write_gallery};
+use crate::support::{cloud, command, fail, json, judge_failure, scene, succeed, train, write_gallery};
 
 /// Long enough to be caught in the act; evolves four times.
 const SCHEDULE: [&str; 10] = [
@@ -35,6 +35,17 @@ fn interrupt(out: &Path, more: &[&str], sign: &str) -> String {
 
 /// Starts a run that reports to `out`, and sends it a signal once its log holds a line with `sign`.
 fn signal(command: &mut Command, out: &Path, sign: &str, signal: &str) -> Output {
+    meddle_and_signal(command, out, sign, signal, || ())
+}
+
+/// The same, with something done to the folder just before.
+fn meddle_and_signal(
+    command: &mut Command,
+    out: &Path,
+    sign: &str,
+    signal: &str,
+    meddle: impl FnOnce(),
+) -> Output {
     let child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
     let log = out.join("log.jsonl");
     let deadline = Instant::now() + Duration::from_secs(100);
@@ -42,8 +53,22 @@ fn signal(command: &mut Command, out: &Path, sign: &str, signal: &str) -> Output
         assert!(Instant::now() < deadline, "no {sign} in the log");
         std::thread::sleep(Duration::from_millis(5));
     }
+    meddle();
     assert!(Command::new("kill").args([signal, &child.id().to_string()]).status().unwrap().success());
     child.wait_with_output().unwrap()
+}
+
+#[test]
+fn where_no_checkpoint_can_be_written_the_splat_is_saved_all_the_same() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("run");
+    let in_the_way = out.join("checkpoint/latest.checkpoint");
+    let mut command = command(train(scene(), &out, &[&SCHEDULE[..], &["--checkpoint-every", "0"]].concat()));
+    let output = meddle_and_signal(&mut command, &out, r#""event":"step""#, "-INT", || {
+        fs::create_dir_all(in_the_way.join("file")).unwrap();
+    });
+    judge_failure(output, &["latest.checkpoint", "is a folder"]);
+    assert!(out.join("point_cloud.ply").exists());
 }
 
 #[test]
@@ -63,6 +88,8 @@ fn an_interrupted_run_is_saved_and_resumed_exactly() {
     assert!(broken.join("checkpoint/latest.checkpoint").exists() && !cloud(&broken).is_empty());
 
     // Once more, at another place; then to the end, with the settings repeated or left out.
+    let limit = ["--resume", "--max-gaussians", "9223372036854775808"];
+    fail(train(scene(), &broken, &limit), &["max_gaussians", "below 2^63"]);
     interrupt(&broken, &["--resume"], r#""event":"generation""#);
     succeed(train(scene(), &broken, &["--resume"]));
     assert!(cloud(&whole) == cloud(&broken), "the same bytes");

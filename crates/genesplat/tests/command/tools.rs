@@ -128,6 +128,18 @@ fn refining_never_makes_fitness_worse_and_keeps_colours() {
     }
 }
 
+#[test]
+fn refining_with_the_settings_of_a_run_leaves_out_what_needs_steps() {
+    let folder = tempfile::tempdir().unwrap();
+    let (ply, out) = (finished_run().join("point_cloud.ply"), folder.path().join("refined.ply"));
+    for mode in ["off", "recombine", "renew"] {
+        let config = folder.path().join("config.toml");
+        std::fs::write(&config, format!("[evolution]\nmode = \"{mode}\"\nmosaic.generations = 1")).unwrap();
+        let arguments = ["refine", text(&ply), "--data", text(scene()), "--out", text(&out)];
+        succeed(arguments.iter().chain(&["--config", text(&config)]));
+    }
+}
+
 /// Unlike the paper's search, it finds something on a splat that gradients have not finished.
 #[test]
 fn refining_makes_an_unfinished_splat_better_and_threads_change_nothing() {
