@@ -75,44 +75,48 @@ fn colour_position_gradient(local: u32, position: vec3<f32>, rgb_gradient: vec3<
         return vec3(0.0);
     }
     let direction = view_direction(position);
-    var weights = array<f32, 16>();
+    var along = vec3(0.0);
     for (var group = 0u; group < sh_groups(frame.sh_degree); group++) {
         let rgb = sh_group(local, group);
-        for (var k = 0u; k < 4u; k++) {
-            weights[4u * group + k] = dot(rgb[k], rgb_gradient);
-        }
+        let weights = vec4(
+            dot(rgb[0], rgb_gradient), dot(rgb[1], rgb_gradient), dot(rgb[2], rgb_gradient), dot(rgb[3], rgb_gradient));
+        along += sh_direction_gradient(frame.sh_degree, group, direction.xyz, weights);
     }
-    let along = sh_direction_gradient(frame.sh_degree, direction.xyz, weights);
     // (I - d d^T) / distance: the direction's length is fixed.
     return (along - dot(along, direction.xyz) * direction.xyz) * direction.w;
 }
 
-// Sum over k of weights[k] dbasis_k/ddirection.
-fn sh_direction_gradient(degree: u32, d: vec3<f32>, weights: array<f32, 16>) -> vec3<f32> {
+// Sum over the four functions of a group of weights[k] dbasis_k/ddirection (see `sh_basis`).
+fn sh_direction_gradient(degree: u32, group: u32, d: vec3<f32>, weights: vec4<f32>) -> vec3<f32> {
     let x = d.x; let y = d.y; let z = d.z;
     let xx = x * x; let yy = y * y; let zz = z * z;
-    var gx = -SH_C1 * weights[3];
-    var gy = -SH_C1 * weights[1];
-    var gz = SH_C1 * weights[2];
-    if degree >= 2u {
-        let a4 = SH_C2[0] * weights[4]; let a5 = SH_C2[1] * weights[5]; let a6 = SH_C2[2] * weights[6];
-        let a7 = SH_C2[3] * weights[7]; let a8 = SH_C2[4] * weights[8];
-        gx += a4 * y - 2.0 * a6 * x + a7 * z + 2.0 * a8 * x;
-        gy += a4 * x + a5 * z - 2.0 * a6 * y - 2.0 * a8 * y;
-        gz += a5 * y + 4.0 * a6 * z + a7 * x;
+    switch group {
+        case 0u: {
+            return SH_C1 * vec3(-weights.w, -weights.y, weights.z);
+        }
+        case 1u: {
+            let a = vec4(SH_C2[0], SH_C2[1], SH_C2[2], SH_C2[3]) * weights;
+            return vec3(
+                a.x * y - 2.0 * a.z * x + a.w * z, a.x * x + a.y * z - 2.0 * a.z * y,
+                a.y * y + 4.0 * a.z * z + a.w * x);
+        }
+        case 2u: {
+            let second = 2.0 * SH_C2[4] * weights.x * vec3(x, -y, 0.0);
+            let a = vec3(SH_C3[0], SH_C3[1], SH_C3[2]) * weights.yzw;
+            let third = vec3(
+                6.0 * a.x * x * y + a.y * y * z - 2.0 * a.z * x * y,
+                3.0 * a.x * (xx - yy) + a.y * x * z + a.z * (4.0 * zz - xx - 3.0 * yy),
+                a.y * x * y + 8.0 * a.z * y * z);
+            return second + select(vec3(0.0), third, degree >= 3u);
+        }
+        default: {
+            let a = vec4(SH_C3[3], SH_C3[4], SH_C3[5], SH_C3[6]) * weights;
+            return vec3(
+                -6.0 * a.x * x * z + a.y * (4.0 * zz - 3.0 * xx - yy) + 2.0 * a.z * x * z + 3.0 * a.w * (xx - yy),
+                -6.0 * a.x * y * z - 2.0 * a.y * x * y - 2.0 * a.z * y * z - 6.0 * a.w * x * y,
+                a.x * (6.0 * zz - 3.0 * xx - 3.0 * yy) + 8.0 * a.y * x * z + a.z * (xx - yy));
+        }
     }
-    if degree >= 3u {
-        let a9 = SH_C3[0] * weights[9]; let a10 = SH_C3[1] * weights[10]; let a11 = SH_C3[2] * weights[11];
-        let a12 = SH_C3[3] * weights[12]; let a13 = SH_C3[4] * weights[13]; let a14 = SH_C3[5] * weights[14];
-        let a15 = SH_C3[6] * weights[15];
-        gx += 6.0 * a9 * x * y + a10 * y * z - 2.0 * a11 * x * y - 6.0 * a12 * x * z
-            + a13 * (4.0 * zz - 3.0 * xx - yy) + 2.0 * a14 * x * z + 3.0 * a15 * (xx - yy);
-        gy += 3.0 * a9 * (xx - yy) + a10 * x * z + a11 * (4.0 * zz - xx - 3.0 * yy) - 6.0 * a12 * y * z
-            - 2.0 * a13 * x * y - 2.0 * a14 * y * z - 6.0 * a15 * x * y;
-        gz += a10 * x * y + 8.0 * a11 * y * z + a12 * (6.0 * zz - 3.0 * xx - 3.0 * yy) + 8.0 * a13 * x * z
-            + a14 * (xx - yy);
-    }
-    return vec3(gx, gy, gz);
 }
 
 // The density signal of one view and what goes with it: its weight (pixels), or the absolute gradient; by normalised

@@ -17,7 +17,8 @@ override COUNT_UP: bool;
 @group(0) @binding(6) var<storage, read_write> values_out: array<u32>;
 
 const WORDS: u32 = GROUP / 32u;
-var<workgroup> masks: array<atomic<u32>, DIGITS * WORDS>;
+// Word by word, so that neighbours in a workgroup, each of whom keeps one digit, are neighbours in memory.
+var<workgroup> masks: array<atomic<u32>, WORDS * DIGITS>;
 var<workgroup> next: array<u32, DIGITS>;
 
 @compute @workgroup_size(GROUP)
@@ -31,7 +32,7 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     // Behind all keys of smaller digits.
     next[lane] = exclusive_in_group(lane, digit_totals[lane]) + digit_starts[lane * blocks + block];
     for (var word = 0u; word < WORDS; word++) {
-        atomicStore(&masks[lane * WORDS + word], 0u);
+        atomicStore(&masks[word * DIGITS + lane], 0u);
     }
     workgroupBarrier();
     // The last block may be short.
@@ -43,14 +44,14 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
         if at < length {
             key = keys[at];
             digit = (key >> SHIFT) & (DIGITS - 1u);
-            atomicOr(&masks[digit * WORDS + lane / 32u], 1u << (lane % 32u));
+            atomicOr(&masks[lane / 32u * DIGITS + digit], 1u << (lane % 32u));
         }
         workgroupBarrier();
         if at < length {
-            let own = atomicLoad(&masks[digit * WORDS + lane / 32u]);
+            let own = atomicLoad(&masks[lane / 32u * DIGITS + digit]);
             var place = next[digit] + countOneBits(own & ((1u << (lane % 32u)) - 1u));
             for (var word = 0u; word < lane / 32u; word++) {
-                place += countOneBits(atomicLoad(&masks[digit * WORDS + word]));
+                place += countOneBits(atomicLoad(&masks[word * DIGITS + digit]));
             }
             keys_out[place] = key;
             if COUNT_UP {
@@ -62,7 +63,7 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
         workgroupBarrier();
         var count = 0u;
         for (var word = 0u; word < WORDS; word++) {
-            count += countOneBits(atomicExchange(&masks[lane * WORDS + word], 0u));
+            count += countOneBits(atomicExchange(&masks[word * DIGITS + lane], 0u));
         }
         next[lane] += count;
         workgroupBarrier();

@@ -7,8 +7,9 @@
 //! not done once more, so the run is the one that enough room would have given.
 //!
 //! **Out of memory.** Every verb allocates what it needs before it changes anything, so one that finds no room leaves the
-//! rows as they were, and the run can be saved. A row edit holds all rows twice for a moment: where that does not fit, the
-//! buffers of steps and scores, which can be made again, are given back first ([`GpuBackend::with_room`]).
+//! rows as they were, and the run can be saved. Before that it is tried once more without the buffers of steps, scores and
+//! children, which can be made again ([`GpuBackend::with_room`]): no verb needs those of all the others, and a row edit
+//! holds all rows twice for a moment.
 
 use std::borrow::Cow;
 
@@ -23,7 +24,7 @@ use crate::cloud::Column;
 use crate::engine::{Engine, Memory};
 use crate::frame::{frame_of, optimiser_of, with_statistics};
 use crate::layout::{Counters, Frame, HALT_NON_FINITE, HALT_OVERFLOW, Optimiser};
-use crate::lists::{Lists, tiles_of};
+use crate::lists::Lists;
 use crate::optimise::Optimise;
 use crate::pixels::{Pixels, image_bytes, pack_photo, row_bytes};
 use crate::recorder::Recorder;
@@ -34,10 +35,6 @@ use crate::timing::Timestamps;
 /// Steps after which the host looks at the device's flag. A look costs a round trip, and an overflow costs the steps
 /// submitted since.
 const STEPS_UNSEEN: usize = 32;
-/// Tile entries that there is room for at first, a Gaussian (a cloud in training has 2 to 4).
-const FIRST_ENTRIES: u64 = 4;
-/// At least so many, for clouds of few and large Gaussians.
-const ENTRIES_MIN: u64 = 1 << 16;
 
 /// A training view on the device.
 pub(crate) struct TrainView {
@@ -55,8 +52,6 @@ pub struct GpuBackend {
     pub(crate) pixels: Pixels,
     pub(crate) scratch: Scratch,
     optimiser: Memory,
-    /// Room for tile entries that was found to be needed.
-    entry_room: Option<u64>,
     /// Steps submitted since the host last looked.
     unseen: Vec<TrainStep>,
     /// What a verb that cannot fail has met; the next one that can returns it.
@@ -77,13 +72,13 @@ impl GpuBackend {
     pub fn on(engine: Engine, seed: u64) -> Result<Self, BackendError> {
         Ok(Self {
             state: State::upload(&engine, &Gaussians::default(), None)?,
-            lists: Lists::new(&engine)?,
+            // Each entry has a gradient row.
+            lists: Lists::new(&engine, row_bytes(1))?,
             pixels: Pixels::new(&engine)?,
             scratch: Scratch::new(&engine)?,
             optimiser: engine.allocate("the optimiser", size_of::<Optimiser>() as u64)?,
             engine,
             seed,
-            entry_room: None,
             views: Vec::new(),
             unseen: Vec::new(),
             failure: None,
@@ -100,7 +95,7 @@ impl GpuBackend {
 
     /// Tile entries that there is room for: grows by itself; tests make it small.
     pub fn set_entry_room(&mut self, entries: u64) {
-        self.entry_room = Some(entries);
+        self.lists.room = Some(entries);
     }
 
     /// Tile entries that there is room for.
@@ -108,11 +103,24 @@ impl GpuBackend {
         self.lists.entries
     }
 
-    /// Submits one step.
+    /// Submits one step; where there is no room for it, once more without what only scores and children need. (What steps
+    /// need may be in use by those that the host has not heard of.)
     fn submit(&mut self, step: &TrainStep) -> Result<(), BackendError> {
+        match self.submit_step(step) {
+            Err(BackendError::OutOfMemory { .. }) => {
+                self.scratch.release();
+                self.state.child = None;
+                self.engine.wait()?;
+                self.submit_step(step)
+            }
+            result => result,
+        }
+    }
+
+    fn submit_step(&mut self, step: &TrainStep) -> Result<(), BackendError> {
         let view = &self.views[step.view];
         let frame = with_statistics(frame_of(&view.camera, &step.settings, self.state.rows), step.statistics);
-        self.reserve_lists(&frame)?;
+        self.lists.reserve(&self.engine, &frame)?;
         self.pixels.reserve_training(&self.engine, &frame, self.lists.entries)?;
         self.state.reserve_step(&self.engine, step.statistics.genes)?;
         self.state.has_absolute |= step.statistics.density == Some(DensitySignal::SignedAndAbsolute);
@@ -133,42 +141,6 @@ impl GpuBackend {
         Ok(())
     }
 
-    pub(crate) fn reserve_lists(&mut self, frame: &Frame) -> Result<(), BackendError> {
-        let guess = (FIRST_ENTRIES * self.state.rows).max(ENTRIES_MIN).min(self.entries_max());
-        let entries = self.entry_room.unwrap_or(guess);
-        self.lists.reserve(&self.engine, self.state.rows, entries, tiles_of(frame))
-    }
-
-    /// Entries whose gradient rows a kernel can see at once.
-    fn entries_max(&self) -> u64 {
-        self.engine.binding_bytes / row_bytes(1)
-    }
-
-    /// Makes room for the entries that the device wanted, and a quarter more.
-    pub(crate) fn grow(&mut self, wanted: u32) -> Result<(), BackendError> {
-        let (wanted, most) = (u64::from(wanted), self.entries_max());
-        if wanted > most {
-            return Err(BackendError::OutOfMemory {
-                device: self.engine.name.clone(),
-                wanted: row_bytes(wanted),
-                purpose: "the tile lists of one view".into(),
-            });
-        }
-        self.set_entry_room((wanted + wanted / 4).min(most));
-        Ok(())
-    }
-
-    /// What the device has counted since it was last told to forget it.
-    pub(crate) fn counters(&self) -> Result<Counters, BackendError> {
-        let mut counters = Counters::default();
-        self.engine.read([(&self.lists.counters, bytemuck::bytes_of_mut(&mut counters))])?;
-        Ok(counters)
-    }
-
-    pub(crate) fn clear_counters(&self) {
-        self.engine.write(&self.lists.counters, 0, &[Counters::default()]);
-    }
-
     pub(crate) fn clear(&self, column: &Column) {
         let mut recorder = Recorder::new(&self.engine, None);
         recorder.clear(&column.memory, column.memory.bytes);
@@ -187,7 +159,7 @@ impl GpuBackend {
                 return Err(self.non_finite()?);
             }
             if counters.halted & HALT_OVERFLOW != 0 {
-                self.grow(counters.wanted)?;
+                self.lists.grow(&self.engine, counters.wanted)?;
             }
             for step in self.unseen.clone() {
                 self.submit(&step)?;
@@ -198,7 +170,7 @@ impl GpuBackend {
 
     /// Waits for what was submitted, and takes the steps that were done off the list.
     fn hear(&mut self) -> Result<Counters, BackendError> {
-        let counters = self.counters()?;
+        let counters = self.lists.take_counters(&self.engine)?;
         let done: Vec<TrainStep> = self.unseen.drain(..counters.completed as usize).collect();
         let last = done.iter().rev().find_map(|step| step.update.as_ref());
         self.steps = last.map_or(self.steps, |update| update.step);
@@ -209,27 +181,27 @@ impl GpuBackend {
                 tile_splats: counters.step_entries as usize,
             };
         }
-        self.clear_counters();
         Ok(counters)
     }
 
-    /// Does `verb`; where there is no room for it, once more after everything that can be made again was given back.
-    fn with_room(
+    /// Does `verb` after all steps; where there is no room for it, once more after everything that can be made again was
+    /// given back.
+    fn with_room<T>(
         &mut self,
-        verb: impl Fn(&mut State, &Engine) -> Result<(), BackendError>,
-    ) -> Result<(), BackendError> {
+        mut verb: impl FnMut(&mut Self) -> Result<T, BackendError>,
+    ) -> Result<T, BackendError> {
         self.settle()?;
-        match verb(&mut self.state, &self.engine) {
+        match verb(self) {
             Err(BackendError::OutOfMemory { .. }) => {
                 self.give_back()?;
-                verb(&mut self.state, &self.engine)
+                verb(self)
             }
             result => result,
         }
     }
 
     /// Gives back what steps, scores and children need; there must be no step that the host has not heard of.
-    fn give_back(&mut self) -> Result<(), BackendError> {
+    pub(crate) fn give_back(&mut self) -> Result<(), BackendError> {
         self.lists.release();
         self.pixels.release();
         self.scratch.release();
@@ -242,29 +214,35 @@ impl GpuBackend {
         Ok(BackendError::diverged(&cloud, self.steps))
     }
 
-    /// Submits views until their tile lists fit: where they do not, the device lists nothing and says what it wanted, and
-    /// all of them are submitted once more. Returns what was counted in the attempt that went through.
-    pub(crate) fn submit_until_lists_fit(
+    /// Submits views until their tile lists, those of `lists`, fit: where they do not, the device lists nothing and says what
+    /// it wanted, and all of them are submitted once more. Returns what was counted in the attempt that went through.
+    pub(crate) fn until_lists_fit(
         &mut self,
+        lists: impl Fn(&mut Self) -> (&mut Lists, &Engine),
         mut submit: impl FnMut(&mut Self) -> Result<(), BackendError>,
     ) -> Result<Counters, BackendError> {
         loop {
             submit(self)?;
-            let counters = self.counters()?;
-            self.clear_counters();
+            let (lists, engine) = lists(self);
+            let counters = lists.take_counters(engine)?;
             if counters.halted & HALT_OVERFLOW == 0 {
                 return Ok(counters);
             }
-            self.grow(counters.wanted)?;
+            lists.grow(engine, counters.wanted)?;
         }
+    }
+
+    /// The lists of the cloud, as [`Self::until_lists_fit`] wants them.
+    pub(crate) fn lists_of_cloud(&mut self) -> (&mut Lists, &Engine) {
+        (&mut self.lists, &self.engine)
     }
 
     /// Eq. 5 of the cloud on one training view, rendered in full: the plain way, which scoring is measured against.
     pub fn loss_of_view(&mut self, view: usize, settings: &RenderSettings) -> Result<f32, BackendError> {
         self.settle()?;
         let frame = frame_of(&self.views[view].camera, settings, self.state.rows);
-        let counters = self.submit_until_lists_fit(|gpu| {
-            gpu.reserve_lists(&frame)?;
+        let counters = self.until_lists_fit(Self::lists_of_cloud, |gpu| {
+            gpu.lists.reserve(&gpu.engine, &frame)?;
             gpu.pixels.reserve_loss(&gpu.engine, &frame)?;
             gpu.lists.begin(&gpu.engine, &frame);
             let mut recorder = Recorder::new(&gpu.engine, gpu.timestamps.as_mut());
@@ -279,7 +257,7 @@ impl GpuBackend {
 
     /// Splats, tile lists and picture of the cloud; the picture stays on the device.
     pub(crate) fn submit_image(&mut self, frame: &Frame) -> Result<(), BackendError> {
-        self.reserve_lists(frame)?;
+        self.lists.reserve(&self.engine, frame)?;
         self.pixels.reserve_image(&self.engine, frame)?;
         self.lists.begin(&self.engine, frame);
         let mut recorder = Recorder::new(&self.engine, self.timestamps.as_mut());
@@ -301,11 +279,11 @@ impl Backend for GpuBackend {
 
     fn set_views(&mut self, views: &[View]) -> Result<(), BackendError> {
         self.settle()?;
-        self.views.clear();
-        for view in views {
+        let upload = |view: &View| -> Result<TrainView, BackendError> {
             let photo = self.engine.upload("a photo", &pack_photo(&view.photo))?;
-            self.views.push(TrainView { camera: view.camera, photo });
-        }
+            Ok(TrainView { camera: view.camera, photo })
+        };
+        self.views = views.iter().map(upload).collect::<Result<_, _>>()?;
         Ok(())
     }
 
@@ -331,9 +309,8 @@ impl Backend for GpuBackend {
     }
 
     fn render(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<Image, BackendError> {
-        self.settle()?;
         let frame = frame_of(camera, settings, self.state.rows);
-        self.submit_until_lists_fit(|gpu| gpu.submit_image(&frame))?;
+        self.with_room(|gpu| gpu.until_lists_fit(Self::lists_of_cloud, |gpu| gpu.submit_image(&frame)))?;
         let planes = self.engine.read_values(&self.pixels.image, image_bytes(&frame) / 4)?;
         Ok(Image { width: camera.width, height: camera.height, planes })
     }
@@ -381,31 +358,27 @@ impl Backend for GpuBackend {
 
     fn edit_rows(&mut self, edit: &RowEdit) -> Result<(), BackendError> {
         let seed = self.seed;
-        self.with_room(|state, engine| state.edit_rows(engine, edit, seed))
+        self.with_room(|gpu| gpu.state.edit_rows(&gpu.engine, edit, seed))
     }
 
     fn reset_opacity(&mut self, ceiling: f32) -> Result<(), BackendError> {
-        self.settle()?;
-        self.state.reset_opacity(&self.engine, ceiling)
+        self.with_room(|gpu| gpu.state.reset_opacity(&gpu.engine, ceiling))
     }
 
     fn set_filter_3d(&mut self, filter: Vec<f32>) -> Result<(), BackendError> {
-        self.settle()?;
-        self.state.set_filter_3d(&self.engine, &filter)
+        self.with_room(|gpu| gpu.state.set_filter_3d(&gpu.engine, &filter))
     }
 
     fn apply(&mut self, delta: &SparseDelta, moments: MomentPolicy) -> Result<(), BackendError> {
-        self.settle()?;
-        self.state.apply(&self.engine, delta, moments)
+        self.with_room(|gpu| gpu.state.apply(&gpu.engine, delta, moments))
     }
 
     fn remember(&mut self, parent: usize) -> Result<(), BackendError> {
-        self.with_room(|state, engine| state.remember(engine, parent))
+        self.with_room(|gpu| gpu.state.remember(&gpu.engine, parent))
     }
 
     fn weigh(&mut self, views: &[usize], settings: &RenderSettings) -> Result<Vec<Merit>, BackendError> {
-        self.settle()?;
-        self.weigh_views(views, settings)
+        self.with_room(|gpu| gpu.weigh_views(views, settings))
     }
 
     fn credit(
@@ -414,8 +387,7 @@ impl Backend for GpuBackend {
         views: &[usize],
         settings: &RenderSettings,
     ) -> Result<Credits, BackendError> {
-        self.settle()?;
-        self.credit_mutants(mutants, views, settings)
+        self.with_room(|gpu| gpu.credit_mutants(mutants, views, settings))
     }
 
     fn remembered(&self) -> [u32; PARENTS] {
@@ -442,12 +414,11 @@ impl Backend for GpuBackend {
         views: &[usize],
         settings: &RenderSettings,
     ) -> Result<Vec<Judgement>, BackendError> {
-        self.settle()?;
-        self.judge_children(blends, views, settings)
+        self.with_room(|gpu| gpu.judge_children(blends, views, settings))
     }
 
     fn breed(&mut self, blend: &Blend) -> Result<(), BackendError> {
-        self.with_room(|state, engine| state.breed(engine, blend))
+        self.with_room(|gpu| gpu.state.breed(&gpu.engine, blend))
     }
 
     fn score(
@@ -456,7 +427,6 @@ impl Backend for GpuBackend {
         views: &[usize],
         settings: &RenderSettings,
     ) -> Result<Vec<f32>, BackendError> {
-        self.settle()?;
-        self.score_population(population, views, settings)
+        self.with_room(|gpu| gpu.score_population(population, views, settings))
     }
 }

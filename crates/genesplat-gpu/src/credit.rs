@@ -31,7 +31,7 @@ impl GpuBackend {
     ) -> Result<Credits, BackendError> {
         self.state.make_child(&self.engine, &Blend::default())?;
         let batches = self.batches(mutants)?;
-        self.submit_until_lists_fit(|gpu| {
+        self.until_lists_fit(Self::lists_of_cloud, |gpu| {
             // An attempt before may have added some of the views.
             batches.iter().for_each(|batch| gpu.clear(&batch.credits));
             views.iter().try_for_each(|&view| {
@@ -59,7 +59,7 @@ impl GpuBackend {
 
     /// Adds one view to the credits of a batch.
     fn submit_credit(&mut self, view: usize, frame: &Frame, batch: &Batch) -> Result<(), BackendError> {
-        self.reserve_lists(frame)?;
+        self.lists.reserve(&self.engine, frame)?;
         self.pixels.reserve_backward(&self.engine, frame, self.lists.entries)?;
         let (state, pixels, lists) = (&self.state, &self.pixels, &self.lists);
         let Some(copy) = &state.child else { return Ok(()) };

@@ -151,12 +151,21 @@ impl Engine {
         Ok(memory)
     }
 
-    /// Makes `memory` at least `bytes` large; what it held is lost when it has to grow.
+    /// Makes `memory` at least `bytes` large; what it held is lost when it has to grow. Where there is no room for the old
+    /// and the new one at once, the old one goes first; where there is none then, nothing is left of it.
     pub(crate) fn reserve(&self, memory: &mut Memory, bytes: u64) -> Result<(), BackendError> {
         // Even no bytes are a buffer, which may have been released.
-        if memory.bytes < bytes.max(BUFFER_BYTES_MIN) {
-            *memory = self.allocate_whole(memory.purpose, bytes)?;
+        if memory.bytes >= bytes.max(BUFFER_BYTES_MIN) {
+            return Ok(());
         }
+        *memory = match self.allocate_whole(memory.purpose, bytes) {
+            Err(BackendError::OutOfMemory { .. }) => {
+                memory.release();
+                self.wait()?;
+                self.allocate_whole(memory.purpose, bytes)?
+            }
+            made => made?,
+        };
         Ok(())
     }
 
@@ -277,7 +286,7 @@ impl Engine {
         BackendError::DeviceLost { device: self.name.clone(), reason: reason.replace('\n', " ") }
     }
 
-    fn out_of_memory(&self, purpose: &str, wanted: u64) -> BackendError {
+    pub(crate) fn out_of_memory(&self, purpose: &str, wanted: u64) -> BackendError {
         BackendError::OutOfMemory { device: self.name.clone(), wanted, purpose: purpose.into() }
     }
 

@@ -62,7 +62,7 @@ pub(crate) fn with_statistics(frame: Frame, request: StatisticsRequest) -> Frame
         Some(DensitySignal::PixelWeighted { depth_threshold }) => depth_threshold,
         _ => 1.0,
     };
-    Frame { signal, depth_threshold, genes: request.genes.into(), ..frame }
+    Frame { signal, depth_threshold, ..frame }
 }
 
 /// One optimiser step of a run with `seed`.

@@ -16,8 +16,9 @@ use genesplat_core::spherical_harmonics::{C0, C1, C2, C3};
 pub const TILE: u32 = 16;
 /// Invocations of every one-dimensional workgroup.
 pub const GROUP: u32 = 256;
-/// Workgroups in the first dimension of a grid; what is more goes to the second (65,535 is WebGPU's limit for each).
-pub const GRID_WIDTH: u32 = 32_768;
+/// Workgroups in the first dimension of a grid; what is more goes to the second (65,535 is WebGPU's limit for each). So few in
+/// unit tests that grids of theirs have a second dimension, too.
+pub const GRID_WIDTH: u32 = if cfg!(test) { 3 } else { 32_768 };
 /// Elements that one workgroup of a prefix sum handles.
 pub const SCAN_BLOCK: u32 = 8 * GROUP;
 /// Keys that one workgroup of a radix sort handles.
@@ -38,7 +39,7 @@ pub const SH_FLOATS: u32 = 48;
 pub const GRADIENT_FLOATS: u32 = 16;
 /// Floats of the density statistics of one Gaussian: gradient, weight, absolute gradient, nothing.
 pub const DENSITY_FLOATS: u32 = 4;
-/// Floats of the gene statistics of one Gaussian: seven sums, then the number of views (as bits of a `u32`).
+/// Floats of the gene statistics of one Gaussian: seven sums, then the number of views.
 pub const GENE_FLOATS: u32 = 8;
 /// Floats of the merit of one Gaussian: weight, error.
 pub const MERIT_FLOATS: u32 = 2;
@@ -133,12 +134,12 @@ device_struct! {
         signal: u32,
         /// Entries that fit the buffers.
         entry_capacity: u32,
-        /// Sum gene gradients, too.
-        genes: u32,
         /// Pictures that are made at once, one for each individual of a pool.
         layers: u32,
         /// Nothing.
-        pad: u32,
+        pad_0: u32,
+        /// Nothing.
+        pad_1: u32,
     }
 }
 

@@ -137,7 +137,7 @@ impl GpuBackend {
     ) -> Result<Vec<Judgement>, BackendError> {
         let count = (blends.len() * views.len()) as u64;
         let judgements = self.engine.allocate("judgements", 8 * count)?;
-        self.submit_until_lists_fit(|gpu| {
+        self.until_lists_fit(Self::lists_of_cloud, |gpu| {
             for (individual, blend) in blends.iter().enumerate() {
                 gpu.state.make_child(&gpu.engine, blend)?;
                 for (index, &view) in views.iter().enumerate() {
@@ -160,7 +160,7 @@ impl GpuBackend {
         judgements: &Memory,
     ) -> Result<(), BackendError> {
         let frame = frame_of(&self.views[view].camera, settings, self.state.rows);
-        self.reserve_lists(&frame)?;
+        self.lists.reserve(&self.engine, &frame)?;
         self.pixels.reserve_loss(&self.engine, &frame)?;
         self.lists.begin(&self.engine, &frame);
         let Some(child) = &self.state.child else { return Ok(()) };

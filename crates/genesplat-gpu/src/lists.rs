@@ -18,6 +18,11 @@ use crate::layout::{
 use crate::recorder::{Grid, Recorder};
 use crate::shaders;
 
+/// Tile entries that there is room for at first, a row (a cloud in training has 2 to 4).
+const FIRST_ENTRIES: u64 = 4;
+/// At least so many, for clouds of few and large Gaussians.
+const ENTRIES_MIN: u64 = 1 << 16;
+
 /// Bits that one pass of the radix sort sorts by.
 const DIGIT_BITS: u32 = 8;
 
@@ -55,11 +60,15 @@ pub struct Lists {
     rows: u64,
     /// Entries that there is room for.
     pub(crate) entries: u64,
+    /// Room for entries that was found to be needed.
+    pub(crate) room: Option<u64>,
+    /// Bytes of an entry in the widest buffer that a kernel sees all of.
+    entry_bytes: u64,
 }
 
 impl Lists {
-    /// Room for nothing yet.
-    pub(crate) fn new(engine: &Engine) -> Result<Self, BackendError> {
+    /// Room for nothing yet, and later for as many entries as a kernel can see if each takes so many bytes somewhere.
+    pub(crate) fn new(engine: &Engine, entry_bytes: u64) -> Result<Self, BackendError> {
         let small = |purpose| engine.allocate(purpose, 0);
         Ok(Self {
             frame: engine.allocate("the frame", size_of::<Frame>() as u64)?,
@@ -81,6 +90,8 @@ impl Lists {
             ranges: small("tile ranges")?,
             rows: 0,
             entries: 0,
+            room: None,
+            entry_bytes,
         })
     }
 
@@ -102,20 +113,21 @@ impl Lists {
         single.into_iter().chain(&mut self.keys).chain(&mut self.values).for_each(Memory::release);
     }
 
-    /// Makes room for so many rows, entries and tiles.
-    pub(crate) fn reserve(
-        &mut self,
-        engine: &Engine,
-        rows: u64,
-        entries: u64,
-        tiles: u64,
-    ) -> Result<(), BackendError> {
-        engine.reserve(&mut self.ranges, 8 * tiles)?;
-        let is_released = self.splats.bytes == 0;
-        if rows <= self.rows && entries <= self.entries && !is_released {
-            return Ok(());
+    /// Makes room for the rows and tiles of a frame, and for as many entries as were needed so far.
+    pub(crate) fn reserve(&mut self, engine: &Engine, frame: &Frame) -> Result<(), BackendError> {
+        let rows = u64::from(frame.rows);
+        let guess = (FIRST_ENTRIES * rows).max(ENTRIES_MIN);
+        let entries = self.room.unwrap_or(guess).min(self.entries_max(engine));
+        engine.reserve(&mut self.ranges, 8 * tiles_of(frame))?;
+        if rows > self.rows || entries > self.entries || self.splats.bytes == 0 {
+            self.enlarge(engine, rows.max(self.rows), entries.max(self.entries))?;
         }
-        let (rows, entries) = (rows.max(self.rows), entries.max(self.entries));
+        Ok(())
+    }
+
+    fn enlarge(&mut self, engine: &Engine, rows: u64, entries: u64) -> Result<(), BackendError> {
+        // Until all of it is there, nothing is.
+        (self.rows, self.entries) = (0, 0);
         let sorted = rows.max(entries);
         let sort_blocks = sorted.div_ceil(SORT_BLOCK.into());
         engine.reserve(&mut self.splats, 4 * u64::from(SPLAT_FLOATS) * rows)?;
@@ -137,6 +149,28 @@ impl Lists {
         engine.reserve(&mut self.sums, 4 * (rows.div_ceil(SCAN_BLOCK.into()) + 1))?;
         (self.rows, self.entries) = (rows, entries);
         Ok(())
+    }
+
+    /// Makes room for the entries that the device wanted, and a quarter more.
+    pub(crate) fn grow(&mut self, engine: &Engine, wanted: u32) -> Result<(), BackendError> {
+        let (wanted, most) = (u64::from(wanted), self.entries_max(engine));
+        if wanted > most {
+            return Err(engine.out_of_memory("the tile lists of one view", self.entry_bytes * wanted));
+        }
+        self.room = Some((wanted + wanted / 4).min(most));
+        Ok(())
+    }
+
+    fn entries_max(&self, engine: &Engine) -> u64 {
+        engine.binding_bytes / self.entry_bytes
+    }
+
+    /// What the device has counted since this was last asked.
+    pub(crate) fn take_counters(&self, engine: &Engine) -> Result<Counters, BackendError> {
+        let mut counters = Counters::default();
+        engine.read([(&self.counters, bytemuck::bytes_of_mut(&mut counters))])?;
+        engine.write(&self.counters, 0, &[Counters::default()]);
+        Ok(counters)
     }
 
     /// Tells the device what the next frame is.
@@ -261,7 +295,7 @@ impl Lists {
             let parts = [lengths, keys, digit_counts];
             recorder.run_with(&shaders::RADIX_COUNT, &[length, shift], &parts, grid);
             let parts = [lengths, digit_counts, digit_totals];
-            recorder.run_with(&shaders::DIGIT_SCAN, &[length], &parts, Grid::Groups(DIGITS.into()));
+            recorder.run_with(&shaders::DIGIT_SCAN, &[length], &parts, Grid::Exact([DIGITS, 1, 1]));
             let parts = [lengths, digit_counts, digit_totals, keys, values, keys_out, values_out];
             recorder.run_with(&shaders::RADIX_SCATTER, &[length, shift, count_up], &parts, grid);
             from = to;
@@ -283,13 +317,20 @@ fn tile_bits(frame: &Frame) -> u32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::layout::GRID_WIDTH;
     use crate::tests::engine;
+
+    /// Room for so many rows.
+    fn lists_of(engine: &Engine, rows: u64) -> Lists {
+        let mut lists = Lists::new(engine, 4).unwrap();
+        lists.reserve(engine, &Frame { rows: rows as u32, ..Frame::default() }).unwrap();
+        lists
+    }
 
     /// Sum of `counts` by the device's prefix sum.
     fn total(engine: &Engine, counts: &[u32]) -> u32 {
         let rows = counts.len() as u64;
-        let mut lists = Lists::new(engine).unwrap();
-        lists.reserve(engine, rows, 0, 1).unwrap();
+        let lists = lists_of(engine, rows);
         engine.write(&lists.marks, 0, counts);
         engine.write(&lists.lengths, 0, &[counts.len() as u32]);
         let mut recorder = Recorder::new(engine, None);
@@ -316,13 +357,13 @@ mod tests {
     /// Keys and values after a sort by the lowest `bits`.
     fn sorted(engine: &Engine, keys: &[u32], bits: u32, count_up: bool) -> (Vec<u32>, Vec<u32>) {
         let count = keys.len() as u64;
-        let mut lists = Lists::new(engine).unwrap();
-        lists.reserve(engine, count, 0, 1).unwrap();
+        let lists = lists_of(engine, count);
         engine.write(&lists.keys[0], 0, keys);
         let values: Vec<u32> = (0..keys.len() as u32).map(|place| 7 * place).collect();
         engine.write(&lists.values[0], 0, &values);
         engine.write(&lists.lengths, 4 * u64::from(LENGTH_VISIBLE), &[keys.len() as u32]);
-        let grid = [count.div_ceil(SORT_BLOCK.into()) as u32, 1, 1];
+        let blocks = count.div_ceil(SORT_BLOCK.into()) as u32;
+        let grid = [blocks.min(GRID_WIDTH), blocks.div_ceil(GRID_WIDTH), 1];
         engine.write(&lists.grids, 12 * u64::from(GRID_DEPTH_SORT), &grid);
         let mut recorder = Recorder::new(engine, None);
         let at = lists.sort(&mut recorder, LENGTH_VISIBLE, GRID_DEPTH_SORT, bits, 0, count_up);

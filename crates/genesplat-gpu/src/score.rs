@@ -13,8 +13,8 @@ use crate::backend::GpuBackend;
 use crate::cloud::{RowWindow, pack_gene, window_uniform};
 use crate::engine::{Engine, Memory};
 use crate::frame::frame_of;
-use crate::layout::{Counters, Frame, OWN_GENES, SEATS, SPLAT_FLOATS};
-use crate::lists::{Lists, tiles_of};
+use crate::layout::{Frame, OWN_GENES, SEATS, SPLAT_FLOATS};
+use crate::lists::Lists;
 use crate::pixels::{image_bytes, loss_sum_bytes, tile_grid};
 use crate::recorder::{Grid, Recorder};
 use crate::shaders;
@@ -24,8 +24,6 @@ use crate::state::State;
 const PICTURE_BYTES: u64 = 512 << 20;
 /// Rows that one task looks through for alleles.
 const ROWS: usize = 4096;
-/// Tile entries that there is room for at first, an allele.
-const FIRST_ENTRIES: u64 = 4;
 
 /// Buffers of the views of a pool, kept from call to call.
 pub struct Scratch {
@@ -37,31 +35,27 @@ pub struct Scratch {
     sums: Memory,
     /// Bound where the loss would leave its derivatives.
     unused: Memory,
-    /// Room for tile entries that was found to be needed.
-    entry_room: u64,
 }
 
 impl Scratch {
     pub(crate) fn new(engine: &Engine) -> Result<Self, BackendError> {
         Ok(Self {
-            lists: Lists::new(engine)?,
+            lists: Lists::new(engine, 4)?,
             images: engine.allocate("pictures of individuals", 0)?,
             sums: engine.allocate("the sums of the losses", 0)?,
             unused: engine.allocate("nothing", 0)?,
-            entry_room: 0,
         })
     }
 
-    /// Gives everything back until it is reserved anew.
+    /// Gives everything back until it is reserved anew, for what may be fewer individuals.
     pub(crate) fn release(&mut self) {
         self.lists.release();
+        self.lists.room = None;
         [&mut self.images, &mut self.sums].into_iter().for_each(Memory::release);
     }
 
     fn reserve(&mut self, engine: &Engine, frame: &Frame) -> Result<(), BackendError> {
-        let alleles = frame.rows.into();
-        let entries = self.entry_room.max(FIRST_ENTRIES * alleles);
-        self.lists.reserve(engine, alleles, entries, tiles_of(frame))?;
+        self.lists.reserve(engine, frame)?;
         engine.reserve(&mut self.images, u64::from(frame.layers) * image_bytes(frame))?;
         engine.reserve(&mut self.sums, loss_sum_bytes(frame))
     }
@@ -147,24 +141,38 @@ impl GpuBackend {
         settings: &RenderSettings,
         losses: &mut Vec<f32>,
     ) -> Result<(), BackendError> {
-        let is_one = individuals.len() == 1;
-        // What one individual holds is no more than the cloud.
-        let most = if is_one { u64::MAX } else { self.engine.binding_bytes / (4 * u64::from(SPLAT_FLOATS)) };
-        let pool = Pool::upload(&self.engine, &self.state, individuals, most);
-        match pool.and_then(|pool| pool.map(|pool| self.losses_of_pool(&pool, views, settings)).transpose()) {
+        let is_full = |error: &BackendError| matches!(error, BackendError::OutOfMemory { .. });
+        let mut found = self.losses_of_one_pool(individuals, views, settings);
+        if found.as_ref().is_err_and(is_full) {
+            // Steps may hold what a pool needs, or a larger pool what this one does.
+            self.give_back()?;
+            found = self.losses_of_one_pool(individuals, views, settings);
+        }
+        match found {
             Ok(Some(found)) => losses.extend(found),
-            Err(error) if is_one || !matches!(error, BackendError::OutOfMemory { .. }) => return Err(error),
+            Err(error) if individuals.len() == 1 || !is_full(&error) => return Err(error),
             _ => {
-                // All that was made for it is larger than what half of it needs.
-                self.scratch.release();
-                self.scratch.entry_room = 0;
-                self.engine.wait()?;
+                self.give_back()?;
                 let (first, second) = individuals.split_at(individuals.len() / 2);
                 self.score_pool(first, views, settings, losses)?;
                 self.score_pool(second, views, settings, losses)?;
             }
         }
         Ok(())
+    }
+
+    /// Losses `[P, V]` of some individuals, if their alleles can be seen at once; those of one always can, since what one
+    /// holds is no more than the cloud.
+    fn losses_of_one_pool(
+        &mut self,
+        individuals: &[SparseDelta],
+        views: &[usize],
+        settings: &RenderSettings,
+    ) -> Result<Option<Vec<f32>>, BackendError> {
+        let visible = self.engine.binding_bytes / (4 * u64::from(SPLAT_FLOATS));
+        let most = if individuals.len() == 1 { u64::MAX } else { visible };
+        let pool = Pool::upload(&self.engine, &self.state, individuals, most)?;
+        pool.map(|pool| self.losses_of_pool(&pool, views, settings)).transpose()
     }
 
     /// Losses `[P, V]` of a pool.
@@ -174,25 +182,18 @@ impl GpuBackend {
         views: &[usize],
         settings: &RenderSettings,
     ) -> Result<Vec<f32>, BackendError> {
-        let mut judgements = vec![[0f32; 2]; pool.individuals as usize * views.len()];
-        let losses = self.engine.allocate("losses", 8 * judgements.len() as u64)?;
-        loop {
-            self.engine.write(&self.scratch.lists.counters, 0, &[Counters::default()]);
-            for (index, &view) in views.iter().enumerate() {
-                self.submit_pool(pool, view, settings, [index, views.len()], &losses)?;
-            }
-            let mut counters = Counters::default();
-            let counted = &self.scratch.lists.counters;
-            self.engine.read([
-                (&losses, bytemuck::cast_slice_mut(&mut judgements)),
-                (counted, bytemuck::bytes_of_mut(&mut counters)),
-            ])?;
-            if counters.halted == 0 {
-                return Ok(judgements.into_iter().map(|[loss, _]| loss).collect());
-            }
-            let wanted = u64::from(counters.wanted);
-            self.scratch.entry_room = wanted + wanted / 4;
-        }
+        let count = u64::from(pool.individuals) * views.len() as u64;
+        let losses = self.engine.allocate("losses", 8 * count)?;
+        self.until_lists_fit(
+            |gpu| (&mut gpu.scratch.lists, &gpu.engine),
+            |gpu| {
+                views.iter().enumerate().try_for_each(|(index, &view)| {
+                    gpu.submit_pool(pool, view, settings, [index, views.len()], &losses)
+                })
+            },
+        )?;
+        let judgements: Vec<[f32; 2]> = self.engine.read_values(&losses, count)?;
+        Ok(judgements.into_iter().map(|[loss, _]| loss).collect())
     }
 
     fn frame_of_view(&self, view: usize, settings: &RenderSettings) -> Frame {
@@ -247,7 +248,7 @@ impl GpuBackend {
         let parts = [&lists.frame, images, photo, unused, sums].map(Memory::all);
         recorder.run_with(&shaders::LOSS, &[("FORWARD_ONLY", 1)], &parts, tile_grid(&frame, 3 * layers));
         let parts = [&lists.frame, &place, sums, losses].map(Memory::all);
-        recorder.run(&shaders::SCORE_SUM, &parts, Grid::Groups(layers.into()));
+        recorder.run(&shaders::SCORE_SUM, &parts, Grid::Exact([layers, 1, 1]));
         recorder.submit();
         Ok(())
     }

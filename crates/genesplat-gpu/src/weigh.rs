@@ -22,7 +22,7 @@ impl GpuBackend {
     ) -> Result<Vec<Merit>, BackendError> {
         let rows = self.state.rows;
         let merits = Column::zeros(&self.engine, "merits", rows, MERIT_FLOATS)?;
-        self.submit_until_lists_fit(|gpu| {
+        self.until_lists_fit(Self::lists_of_cloud, |gpu| {
             // An attempt before may have added some of the views.
             gpu.clear(&merits);
             views.iter().try_for_each(|&view| gpu.submit_weighing(view, settings, &merits))
@@ -39,7 +39,7 @@ impl GpuBackend {
         merits: &Column,
     ) -> Result<(), BackendError> {
         let frame = frame_of(&self.views[view].camera, settings, self.state.rows);
-        self.reserve_lists(&frame)?;
+        self.lists.reserve(&self.engine, &frame)?;
         self.pixels.reserve_backward(&self.engine, &frame, self.lists.entries)?;
         self.lists.begin(&self.engine, &frame);
         let (state, pixels, lists) = (&self.state, &self.pixels, &self.lists);

@@ -1,5 +1,5 @@
-//! A small scene that exercises every branch of every stage, for the tests of the backends: all of them are compared on the
-//! same one.
+//! A small scene, and a crowded one in which pixels are finished, for the tests of the backends: all of them are compared on
+//! the same ones.
 //!
 //! Compiled for this crate's own tests, and for those of others with the feature `fixtures`.
 
@@ -42,6 +42,25 @@ pub fn filtered_cloud(n: usize, filter: ScreenFilter) -> Gaussians {
     let mut cloud = cloud(n);
     cloud.filter_3d =
         (filter == ScreenFilter::Mip).then(|| (0..n).map(|row| 0.02 * uniform(row, 99)).collect());
+    cloud
+}
+
+/// Rows of a [`crowd`].
+pub const CROWD: usize = 700;
+/// Opacity logits of crowds in which pixels are finished after most of the splats of a tile, after some, and after a few
+/// whose alpha is limited to 0.99.
+pub const CROWD_LOGITS: [f32; 3] = [-4.0, 2.0, 6.0];
+
+/// Gaussians that crowd the middle of the picture, hundreds to a tile, some of them at the same depth.
+pub fn crowd(logit: f32) -> Gaussians {
+    let mut cloud = cloud(CROWD);
+    cloud.opacity_logits.fill(logit);
+    for row in 0..CROWD {
+        cloud.positions[row] = std::array::from_fn(|k| 0.2 * (uniform(row, k) - 0.5) + [0.1, 0.1, 2.0][k]);
+        if row % 3 == 0 {
+            cloud.positions[row][2] = 2.0;
+        }
+    }
     cloud
 }
 

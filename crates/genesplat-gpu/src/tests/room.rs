@@ -1,5 +1,6 @@
 //! What happens when there is no room: in a binding, in the lists of a view, on its way to the device, or in its memory.
 
+use genesplat_core::backend::MomentPolicy;
 use genesplat_core::{BackendError, Blend, Lineage, Moments, Origin, RowEdit, SparseDelta, Statistics};
 
 use super::verbs::{change_rows, make_twins, ten_steps, twins_agree};
@@ -148,6 +149,42 @@ fn an_edit_takes_the_room_that_steps_can_do_without() {
     for verb in 0..6 {
         use_all(&mut gpu, verb);
         gpu.abandon().unwrap();
+    }
+}
+
+/// Memory for steps, or for scores, or for a child, but not for two of them: none keeps what another one needs.
+#[test]
+fn steps_scores_and_children_take_turns() {
+    let Some(mut gpu) = gpu() else { return };
+    gpu.upload(cloud(300), None).unwrap();
+    let classic = settings(2, ScreenFilter::Classic);
+    let population: Vec<SparseDelta> = (1..9).map(|index| individual_of(&cloud(300), index)).collect();
+    let verbs: [&dyn Fn(&mut GpuBackend); 3] = [
+        &|gpu| gpu.train_step(&step(1, classic)).and_then(|()| gpu.report()).map(|_| ()).unwrap(),
+        &|gpu| drop(gpu.score(&population, &[0], &classic).unwrap()),
+        &|gpu| drop(gpu.judge(&[Blend::default()], &[0], &classic).unwrap()),
+    ];
+    gpu.abandon().unwrap();
+    let rows = gpu.allocated_bytes();
+    let alone = verbs.map(|verb| {
+        gpu.abandon().unwrap();
+        verb(&mut gpu);
+        gpu.allocated_bytes() - rows
+    });
+    let [least, _, most] = {
+        let mut sorted = alone;
+        sorted.sort_unstable();
+        sorted
+    };
+    // What a verb holds while it runs is given back at its end.
+    let passing = 200_000;
+    assert!(least > passing, "{alone:?}");
+    gpu.engine.memory_bytes = rows + most + passing;
+    for _ in 0..2 {
+        for verb in verbs {
+            verb(&mut gpu);
+            gpu.apply(&population[0], MomentPolicy::Keep).unwrap();
+        }
     }
 }
 

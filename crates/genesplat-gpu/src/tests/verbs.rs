@@ -314,22 +314,11 @@ fn scores_of_crowded_tiles_match() {
     let Some(engine) = engine() else { return };
     let mut gpu = GpuBackend::on(engine.with_window_rows(256), SEED).unwrap();
     gpu.set_views(&[view()]).unwrap();
-    let mut base = cloud(700);
-    base.opacity_logits.iter_mut().for_each(|logit| *logit = -4.0);
-    for row in 0..700 {
-        base.positions[row] = std::array::from_fn(|k| 0.2 * (uniform(row, k) - 0.5) + [0.1, 0.1, 2.0][k]);
-        // Ties in depth between what is changed and what is not.
-        if row % 3 == 0 {
-            base.positions[row][2] = 2.0;
-        }
-    }
     // Fourteen in sixteen seats.
     let everybody: Vec<usize> = (1..15).collect();
-    compare_scores(&mut gpu, &base, &everybody);
-    // Opaque; so faint that no batch finishes a pixel, but above 1/255.
-    for logit in [2.0, -5.0] {
-        base.opacity_logits.fill(logit);
-        compare_scores(&mut gpu, &base, &everybody);
+    // At the end, so faint that no batch finishes a pixel, but above 1/255.
+    for logit in CROWD_LOGITS.into_iter().chain([-5.0]) {
+        compare_scores(&mut gpu, &crowd(logit), &everybody);
     }
 }
 

@@ -20,8 +20,8 @@ use super::score::judge::loss_by_judge;
 use super::update::{Inputs, gradients};
 use super::{CpuBackend, Frame, loss};
 use crate::fixtures::{
-    HEIGHT, WIDTH, camera, cloud, filtered_cloud, filters, individual_of, photo, poisoned_cloud, settings,
-    small_view, step, uniform, view,
+    CROWD_LOGITS, HEIGHT, WIDTH, camera, cloud, crowd, filtered_cloud, filters, individual_of, photo,
+    poisoned_cloud, settings, small_view, step, uniform, view,
 };
 use crate::reference::{self, Cloud64, Cutoff};
 
@@ -206,11 +206,41 @@ fn parameter_gradients_match_the_reference() {
 }
 
 fn frame_of(cloud: &Gaussians, settings: &RenderSettings, extra: Extra) -> (Frame, Pinhole) {
-    let (level, camera) = (Level::new(), Pinhole::from(&camera()));
     let mut frame = Frame::default();
+    let camera = render_into(&mut frame, cloud, settings, extra);
+    (frame, camera)
+}
+
+/// Forward and backward, in a frame that may hold another one.
+fn render_into(frame: &mut Frame, cloud: &Gaussians, settings: &RenderSettings, extra: Extra) -> Pinhole {
+    let (level, camera) = (Level::new(), Pinhole::from(&camera()));
     frame.render(level, cloud, &camera, settings);
     frame.backward(level, &camera, &loss::Target::from(&photo()), extra);
-    (frame, camera)
+    camera
+}
+
+/// The gradient rows of splats behind finished pixels are zero, whatever an earlier frame has left there.
+#[test]
+fn what_lies_behind_finished_pixels_has_no_part_in_anything() {
+    let (settings, mut frame) = (settings(2, ScreenFilter::Classic), Frame::default());
+    for logit in CROWD_LOGITS {
+        let cloud = crowd(logit);
+        let camera = render_into(&mut frame, &cloud, &settings, Extra::None);
+        let context = |error: String| panic!("logit {logit}: {error}");
+        let expected = reference::render(&Cloud64::from(&cloud), &view().camera, &settings, Cutoff::Hard);
+        compare_images(&frame.image, &expected.frame.image).unwrap_or_else(context);
+
+        let Frame { splats, bins, rows, .. } = &frame;
+        let inputs = Inputs { splats, bins, rows, camera: &camera, settings: &settings };
+        let (actual, _) = gradients(Level::new(), &inputs, &cloud, None);
+        let (_, expected) = reference::gradients(&Cloud64::from(&cloud), &view(), &settings, Cutoff::Hard);
+        compare_gradients(&actual, &expected.cloud).unwrap_or_else(context);
+
+        let ends: Vec<usize> = bins.tile_starts.iter().map(|&start| start as usize).collect();
+        let is_finished = |tile: &[usize]| tile[1] > tile[0] + 300 && rows[tile[1] - 1].0 == [0.0; 16];
+        let finished = ends.windows(2).filter(|tile| is_finished(tile)).count();
+        assert!(finished > 0, "logit {logit}: no tile was finished early");
+    }
 }
 
 #[test]

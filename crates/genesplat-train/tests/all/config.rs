@@ -49,7 +49,7 @@ fn unknown_settings_are_errors_that_name_them() {
 #[test]
 fn values_out_of_range_get_a_sentence() {
     type Change = fn(&mut TrainConfig);
-    let cases: [(Change, &str); 14] = [
+    let cases: [(Change, &str); 15] = [
         (|c| c.iterations = 0, "iterations is 0, but must be at least 1"),
         (|c| c.seed = 1 << 63, "seed"),
         (|c| c.steps_scale = f64::NAN, "steps_scale is NaN"),
