@@ -103,7 +103,8 @@ impl Gaussians {
     }
 
     /// The cloud with its 3D filter baked into scales and opacities, for viewers that do not know the filter; it renders
-    /// alike (up to opacities that f32's logit cannot hold), but can no longer be trained as Mip-Splatting.
+    /// alike (up to opacities that f32's logit cannot hold), but can no longer be trained as Mip-Splatting:
+    /// `s' = √(s² + f²)`, `o' = o · √(Π s² / Π (s² + f²))` (Mip-Splatting, section 5.1).
     pub fn fused(&self) -> Self {
         let mut fused = self.clone();
         let Some(filter) = fused.filter_3d.take() else { return fused };
@@ -169,6 +170,19 @@ pub fn limited_opacity(logit: f32, dimming: f32, ceiling: f32) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// With f = s on all axes, `s' = s √2` and `o' = o / 2^1.5`; what f32 takes for opaque stays finite.
+    #[test]
+    fn fusing_the_filter_widens_and_fades() {
+        let mut cloud = Gaussians::zeros(2);
+        cloud.log_scales.fill([0.1f32.ln(); 3]);
+        cloud.opacity_logits = vec![logit(0.8), 20.0];
+        cloud.filter_3d = Some(vec![0.1, 0.0]);
+        let fused = cloud.fused();
+        assert_eq!((&fused.filter_3d, fused.first_non_finite()), (&None, None));
+        assert!((fused.log_scales[0][2].exp() - 0.1 * 2f32.sqrt()).abs() < 1e-6);
+        assert!((sigmoid(fused.opacity_logits[0]) - 0.8 / 2f32.powf(1.5)).abs() < 1e-6);
+    }
 
     #[test]
     fn a_limited_opacity_is_finite_and_no_higher() {

@@ -194,6 +194,16 @@ pub enum SceneError {
         /// The file.
         file: PathBuf,
     },
+    /// A photo that is to be held out for testing, and is none.
+    #[error(
+        "{file} says that {name} is held out for testing, but none of its frames has that file_path; correct one of them"
+    )]
+    HeldOutUnknown {
+        /// The file.
+        file: PathBuf,
+        /// As it is written there.
+        name: String,
+    },
     /// A split that leaves nothing to train on.
     #[error(
         "{path} has not enough photos: {photos}, of which {held_out} would be held out for testing and none is left to train on; add photos"

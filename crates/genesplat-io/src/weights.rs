@@ -133,6 +133,7 @@ fn read_safetensors(path: &Path, wants: impl Fn(&str) -> bool) -> Result<NamedTe
 }
 
 fn read_pytorch(path: &Path, wants: impl Fn(&str) -> bool) -> Result<NamedTensors, WeightFileError> {
+    let held = fs::metadata(path).map_err(|source| unreadable(path, source))?.len();
     let file = PytorchReader::new(path).map_err(|error| damaged(path, error))?;
     let wanted = file.tensors().iter().map(|(name, tensor)| (canonical(name), tensor));
     let tensor = |(name, stored): (String, &pytorch_reader::Tensor)| {
@@ -141,6 +142,11 @@ fn read_pytorch(path: &Path, wants: impl Fn(&str) -> bool) -> Result<NamedTensor
             DType::F16 => from_f16,
             other => return Err(element_type(path, &name, other)),
         };
+        // A tensor may repeat a stored value as often as it says.
+        let promised = stored.byte_len() as u64;
+        if promised > held {
+            return Err(damaged(path, format!("tensor {name} has {promised} bytes, and the file {held}")));
+        }
         let bytes = stored.read().map_err(|error| damaged(path, error))?;
         Ok((name, Tensor { shape: stored.shape().to_vec(), values: convert(&bytes) }))
     };

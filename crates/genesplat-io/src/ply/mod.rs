@@ -15,7 +15,6 @@ use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read, Write};
 use std::path::{Path, PathBuf};
 
-use genesplat_core::gaussians::{logit, sigmoid};
 use genesplat_core::{Gaussians, ScreenFilter};
 
 use header::Encoding;
@@ -176,7 +175,12 @@ pub fn read_ply_with_header(path: &Path) -> Result<(PlyHeader, Gaussians), PlyEr
 
 /// Names the first row of `cloud` (read from `path`) that holds a value that is not finite.
 pub fn check_finite(path: &Path, cloud: &Gaussians) -> Result<(), PlyError> {
-    match cloud.first_non_finite() {
+    let found = cloud.first_non_finite().or_else(|| {
+        let mut filters = cloud.filter_3d.iter().flatten();
+        let is_none = |filter: &f32| !(filter.is_finite() && *filter >= 0.0);
+        filters.position(is_none).map(|row| (row, "filter_3D"))
+    });
+    match found {
         None => Ok(()),
         Some((row, parameter)) => Err(PlyError::NonFinite { path: path.to_owned(), row, parameter }),
     }
@@ -193,26 +197,6 @@ pub fn write_ply(path: &Path, cloud: &Gaussians, options: &PlyOptions) -> Result
         rows::write(cloud, out)
     })
     .map_err(|source| PlyError::Write { path: path.to_owned(), source })
-}
-
-/// `cloud` with Mip-Splatting's 3D filter baked into scales and opacities, so that a viewer that does not know
-/// `filter_3D` shows it: `s' = √(s² + f²)`, `o' = o · √(Π s² / Π (s² + f²))` (Mip-Splatting, section 5.1).
-pub fn bake_filter_3d(mut cloud: Gaussians) -> Gaussians {
-    let Some(filter) = cloud.filter_3d.take() else { return cloud };
-    for (row, filter) in filter.into_iter().enumerate() {
-        let (mut before, mut after) = (1.0, 1.0);
-        for log_scale in &mut cloud.log_scales[row] {
-            let variance = (2.0 * f64::from(*log_scale)).exp();
-            let widened = variance + f64::from(filter).powi(2);
-            (before, after) = (before * variance, after * widened);
-            *log_scale = (0.5 * widened.ln()) as f32;
-        }
-        if after > before {
-            let opacity = sigmoid(cloud.opacity_logits[row]) * (before / after).sqrt() as f32;
-            cloud.opacity_logits[row] = logit(opacity.max(f32::MIN_POSITIVE));
-        }
-    }
-    cloud
 }
 
 /// The header of the file at `path`, checked against the file's size, and a reader at its first row.

@@ -6,7 +6,7 @@
 
 mod schema;
 
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 
 use genesplat_core::Camera;
 use glam::{DMat3, DQuat, DVec3};
@@ -18,6 +18,9 @@ use crate::listing::{Frame, Listing, inside, missing_photo, view_names};
 use crate::scene::Point;
 use crate::start_points::{COUNT, Cube};
 use crate::{photos, ply};
+
+/// Extensions of photos that a frame may leave out.
+const EXTENSIONS: [&str; 2] = [".png", ".jpg"];
 
 /// The scene of `folder/transforms_train.json` and, if it exists, `transforms_test.json`: Blender's.
 ///
@@ -42,7 +45,9 @@ pub(crate) fn list_blender(folder: &Path, seed: Option<u64>) -> Result<Listing, 
 /// scenes list photos that were removed as blurred.
 pub(crate) fn list_nerfstudio(folder: &Path, seed: Option<u64>) -> Result<Listing, SceneError> {
     let list = folder.join("transforms.json");
-    let found = read_photos(&list, held_out_by_name)?;
+    let found = read_photos(&list, |file, frame| {
+        held_out_names(file).map(|mut names| names.any(|name| is_same_photo(name, frame)))
+    })?;
     let mut notices = Vec::new();
     if let Some(first) = found.missing.first() {
         let (gone, all) = (found.missing.len(), found.photos.len() + found.missing.len());
@@ -77,12 +82,32 @@ fn points(
     Ok(cube().points(seed))
 }
 
-/// What the file's own lists say about a photo, if it has lists.
-fn held_out_by_name(file: &Transforms, path: &str) -> Option<bool> {
+/// Photos that the file's own lists hold out, if it has lists.
+fn held_out_names(file: &Transforms) -> Option<impl Iterator<Item = &String>> {
     let lists = [&file.test_filenames, &file.val_filenames];
-    let mut lists = lists.into_iter().flatten().peekable();
-    lists.peek()?;
-    Some(lists.any(|list| list.iter().any(|name| name == path)))
+    lists.iter().any(|list| list.is_some()).then(|| lists.into_iter().flatten().flatten())
+}
+
+/// Fails where a name in these lists is that of no photo: it was to be held out, and would be trained on.
+fn check_held_out(file: &Transforms, list: &Path) -> Result<(), SceneError> {
+    let is_frame = |name: &String| file.frames.iter().any(|entry| is_same_photo(name, &entry.file_path));
+    let mut names = held_out_names(file).into_iter().flatten();
+    names
+        .find(|name| !is_frame(name))
+        .map_or(Ok(()), |name| Err(SceneError::HeldOutUnknown { file: list.to_owned(), name: name.clone() }))
+}
+
+/// Names mean the same photo with or without `./`, and with an extension where the frame leaves it out.
+fn is_same_photo(name: &str, frame: &str) -> bool {
+    let plain = |name: &str| Path::new(name).components().filter(|part| *part != Component::CurDir).collect();
+    let (name, frame): (PathBuf, PathBuf) = (plain(name), plain(frame));
+    name == frame || EXTENSIONS.iter().any(|end| name == with_end(&frame, end))
+}
+
+fn with_end(path: &Path, end: &str) -> PathBuf {
+    let mut whole = path.to_owned().into_os_string();
+    whole.push(end);
+    whole.into()
 }
 
 /// A photo that exists.
@@ -130,6 +155,7 @@ fn read_photos(
     if file.frames.is_empty() {
         return Err(SceneError::NoPhotos { file: list.to_owned() });
     }
+    check_held_out(&file, list)?;
     let folder = list.parent().unwrap_or(Path::new(""));
     let mut found = Photos { points: file.ply_file_path.clone(), ..Photos::default() };
     for entry in &file.frames {
@@ -147,12 +173,9 @@ fn read_photos(
 
 /// The photo as it is named, or with the extension that Blender's script leaves out.
 fn find_photo(folder: &Path, relative: &Path, name: &str) -> Option<(String, PathBuf)> {
-    let candidates = ["", ".png", ".jpg"].map(|extension| {
-        let mut whole = folder.join(relative).into_os_string();
-        whole.push(extension);
-        (format!("{name}{extension}"), PathBuf::from(whole))
-    });
-    candidates.into_iter().find(|(_, path)| path.is_file())
+    let ends = [""].into_iter().chain(EXTENSIONS);
+    let mut candidates = ends.map(|end| (format!("{name}{end}"), with_end(&folder.join(relative), end)));
+    candidates.find(|(_, path)| path.is_file())
 }
 
 fn camera(

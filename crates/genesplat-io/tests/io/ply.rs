@@ -3,7 +3,6 @@
 use std::fs;
 use std::path::PathBuf;
 
-use genesplat_core::gaussians::{logit, sigmoid};
 use genesplat_core::{Gaussians, Rng, ScreenFilter, Stream};
 use genesplat_io::ply::{self, PlyError, RenderMode};
 use genesplat_io::{PlyOptions, read_ply, write_ply};
@@ -197,6 +196,11 @@ fn a_value_that_is_not_finite_is_named() {
     cloud.opacity_logits[1] = f32::NAN;
     let error = ply::check_finite(&path, &cloud).unwrap_err();
     assert!(matches!(error, PlyError::NonFinite { row: 1, parameter: "opacity", .. }), "{error}");
+    for filter in [f32::NAN, f32::INFINITY, -0.5] {
+        let cloud = Gaussians { filter_3d: Some(vec![0.0, 0.1, filter]), ..Gaussians::zeros(3) };
+        let error = ply::check_finite(&path, &cloud).unwrap_err();
+        assert!(matches!(error, PlyError::NonFinite { row: 2, parameter: "filter_3D", .. }), "{error}");
+    }
 }
 
 #[test]
@@ -204,17 +208,4 @@ fn a_folder_that_cannot_be_written_is_an_error() {
     let (_folder, file) = Folder::holding(b"a file, not a folder");
     let error = write_ply(&file.join("cloud.ply"), &Gaussians::zeros(1), &PlyOptions::default()).unwrap_err();
     assert!(matches!(error, PlyError::Write { .. }), "{error}");
-}
-
-/// With f = s on all axes, `s' = s √2` and `o' = o / 2^1.5`.
-#[test]
-fn baking_the_filter_widens_and_fades() {
-    let mut cloud = Gaussians::zeros(1);
-    cloud.log_scales[0] = [0.1f32.ln(); 3];
-    cloud.opacity_logits[0] = logit(0.8);
-    cloud.filter_3d = Some(vec![0.1]);
-    let baked = ply::bake_filter_3d(cloud);
-    assert_eq!(baked.filter_3d, None);
-    assert!((baked.log_scales[0][2].exp() - 0.1 * 2f32.sqrt()).abs() < 1e-6);
-    assert!((sigmoid(baked.opacity_logits[0]) - 0.8 / 2f32.powf(1.5)).abs() < 1e-6);
 }

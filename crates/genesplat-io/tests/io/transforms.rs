@@ -105,6 +105,16 @@ fn listed_test_photos_are_held_out() {
     description["train_filenames"] = json!(["./images/0.png", "./images/1.png"]);
     let scene = load_description(&description).unwrap();
     assert_eq!((scene.train.len(), scene.test[0].name.as_str()), (2, "2.png"));
+
+    // Written otherwise than in the list of frames.
+    description["test_filenames"] = json!(["images/./2.png"]);
+    let scene = load_description(&description).unwrap();
+    assert_eq!((scene.train.len(), scene.test[0].name.as_str()), (2, "2.png"));
+
+    // Somebody's test photos must not be trained on for a slip of the pen.
+    description["test_filenames"] = json!(["./images/2.png", "./image/1.png"]);
+    let error = load_description(&description).unwrap_err().to_string();
+    assert!(error.contains("./image/1.png") && error.contains("held out"), "{error}");
 }
 
 #[test]

@@ -56,6 +56,19 @@ fn heads_are_read_from_torchs_old_files() {
     assert!(error.contains("tensor x holds I64"), "{error}");
 }
 
+/// Strides of 0 repeat one stored value as often as the shape says.
+#[test]
+fn a_tensor_larger_than_its_file_is_never_made() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("head.pth");
+    let (honest, file) = (b"(K\x01K\x03K\x01K\x01t(K\x03K\x01K\x01K\x01t", float_file());
+    let at = file.windows(honest.len()).position(|bytes| bytes == honest).unwrap();
+    let boast = b"(K\x01M\xe8\x03K\x01K\x01t(K\x00K\x00K\x00K\x00t";
+    fs::write(&path, [&file[..at], boast, &file[at + honest.len()..]].concat()).unwrap();
+    let error = read_weights(&path, |_| true).unwrap_err().to_string();
+    assert!(error.contains("lin0.weight has 4000 bytes"), "{error}");
+}
+
 #[test]
 fn weights_cut_anywhere_are_an_error() {
     let folder = tempfile::tempdir().unwrap();
