@@ -35,7 +35,7 @@ pub enum ScreenFilter {
     Classic,
     /// 3DGS's "antialiasing": 0.3 px² on the diagonal, opacity times `sqrt(max(2.5e-5, det0/det1))`.
     Antialiased,
-    /// Mip-Splatting: 0.1 px² on the diagonal, opacity times its compensation (facts.md section 8).
+    /// Mip-Splatting: 0.1 px² on the diagonal, opacity times its compensation (Yu et al. 2024, section 5.2).
     Mip,
 }
 
@@ -90,14 +90,14 @@ pub struct Update {
     pub rates: LearningRates,
     /// 1-based count of the Adam steps made, this one included (for the bias correction).
     pub step: u32,
-    /// The same for the opacity group, which loses a step at a lone opacity reset (facts.md, quirk 2);
+    /// The same for the opacity group, which loses a step at a lone opacity reset, as its tensor is replaced;
     /// 0 skips the group in this step.
     pub opacity_step: u32,
     /// MCMC only: exploration noise and regularisers.
     pub exploration: Option<Exploration>,
 }
 
-/// 3DGS-MCMC's additions to a step (Kheradmand et al. 2024; facts.md section 12).
+/// 3DGS-MCMC's additions to a step (Kheradmand et al. 2024).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Exploration {
     /// Factor of the positional noise: position rate x 5e5.
@@ -118,7 +118,7 @@ pub struct TrainStep {
     /// How to render it.
     pub settings: RenderSettings,
     /// The optimiser step; `None` computes gradients for the statistics only (the reference loses the optimiser
-    /// step of every densifying iteration: facts.md, quirk 2).
+    /// step of every densifying iteration, whose gradients go with the tensors that it replaces).
     pub update: Option<Update>,
     /// What to accumulate.
     pub statistics: StatisticsRequest,
@@ -269,7 +269,7 @@ pub trait Backend {
     fn edit_rows(&mut self, edit: &RowEdit) -> Result<(), BackendError>;
 
     /// `opacity ← min(opacity, ceiling)`; the opacity moments of all rows are zeroed. With a 3D filter the
-    /// *filtered* opacity is limited (facts.md section 8).
+    /// *filtered* opacity is limited, as in the code released with it.
     fn reset_opacity(&mut self, ceiling: f32) -> Result<(), BackendError>;
 
     /// Replaces the 3D filter of Mip-Splatting `[N]`.

@@ -9,7 +9,7 @@ use crate::rng::{Rng, Stream};
 pub enum Origin {
     /// The same Gaussian; its moments are kept.
     Kept,
-    /// An exact copy with fresh moments (3DGS does not displace clones; facts: quirk 4).
+    /// An exact copy with fresh moments: the code released with 3DGS does not move clones, though its paper does.
     Clone,
     /// One of two children, drawn from the parent's own distribution, scales divided by 1.6, fresh moments.
     SplitChild {

@@ -11,7 +11,7 @@ pub enum Stream {
     ViewOrder = 1,
     /// Offsets of split children: (iteration, old row, child).
     SplitOffset = 2,
-    /// Random backgrounds: (iteration, 0, 0).
+    /// Random backgrounds: (iteration, 0, or a control's extra step, 0).
     Background = 3,
     /// Points of a scene that has none: (0, row, 0).
     InitialPoints = 4,
@@ -34,7 +34,8 @@ pub enum Stream {
     Gallery = 12,
     /// Tests and benches.
     Test = 13,
-    /// Blocks that a mutant of the mosaic search changes: (generation, mutant, block); samples of an evolution strategy.
+    /// Blocks that a mutant of the mosaic search changes: (generation, mutant, block), and where they begin: (generation,
+    /// `u32::MAX`, 0). Individuals of an evolution strategy: (generation, individual, pair of genes).
     Proposal = 14,
 }
 

@@ -34,8 +34,9 @@ pub struct MosaicConfig {
     /// Standard deviation of the first steps: of positions in the Gaussian's own scale, along each of its axes; of
     /// log-scales; of opacity logits. Default 0.05; above 0.
     pub step: f32,
-    /// Gaussians of a block, neighbours along the cloud's Morton curve, which change together. Default 1; at least 1. Where
-    /// blocks begin differs between generations.
+    /// Gaussians of a block, which change together: rows that follow each other, which are neighbours in clouds that we trained
+    /// (along a Morton curve) and may lie anywhere in others. Default 1; at least 1. Where blocks begin differs between
+    /// generations.
     pub block: u32,
     /// Views of a generation in which a Gaussian must be seen, or it stays as it is. Default 2; from 0.
     pub evidence: u32,

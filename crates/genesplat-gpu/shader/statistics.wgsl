@@ -14,7 +14,7 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     if local >= window.count || counters.halted != 0u {
         return;
     }
-    // Geometric visibility counts, even where no pixel was touched (facts: quirk 6).
+    // Geometric visibility counts, even where no pixel was touched, as in 3DGS's code.
     if (tile_counts[window.first + local] & SEEN_BIT) == 0u {
         return;
     }

@@ -196,7 +196,7 @@ impl Default for OptimiserConfig {
     }
 }
 
-/// What runs at a trigger.
+/// What runs beside gradient steps.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum EvolutionMode {

@@ -13,7 +13,7 @@ pub struct Metrics {
     pub dataset: String,
     /// Which method was trained.
     pub variant: Variant,
-    /// What ran after opacity resets.
+    /// What ran beside gradient steps.
     pub evolve: EvolutionMode,
     /// Seed of all random streams.
     pub seed: u64,

@@ -1,4 +1,4 @@
-//! Stage `adam`: one dense optimiser step over a chunk of rows (facts.md section 3).
+//! Stage `adam`: one dense optimiser step over a chunk of rows (Kingma & Ba 2015, with 3DGS's constants).
 
 use fearless_simd::{Simd, prelude::*};
 use genesplat_core::Update;

@@ -1,4 +1,4 @@
-//! Stage `explore`: what 3DGS-MCMC adds to an optimiser step (facts.md section 12), over a chunk of rows.
+//! Stage `explore`: what 3DGS-MCMC adds to an optimiser step (Kheradmand et al. 2024), over a chunk of rows.
 //!
 //! [`regularise`] runs before `adam`, [`explore`] after it. Noise is a pure function of (seed, step, row), so chunks may
 //! run on any thread. Gaussians so opaque that their noise is below anything that f32 can hold are skipped, which is

@@ -5,8 +5,9 @@
 //! three partial derivatives on the way out. Nothing of the size of the image is stored besides the gradient.
 //!
 //! With raw moments `E[x], E[y], E[x²], E[y²], E[xy]` (x the render, y the photo) SSIM is
-//! `S = (2 μx μy + C1)(2 σxy + C2) / ((μx² + μy² + C1)(σx² + σy² + C2))`, variances as `E[x²] − μ²` (facts.md, section
-//! 9). The two variances only enter as their sum, so `E[x² + y²]` is one moment. Its gradient is `blur(∂S/∂E[x]) + 2x · blur(∂S/∂E[x²]) + y · blur(∂S/∂E[xy])`: the window is symmetric.
+//! `S = (2 μx μy + C1)(2 σxy + C2) / ((μx² + μy² + C1)(σx² + σy² + C2))`, variances as `E[x²] − μ²`. The two
+//! variances only enter as their sum, so `E[x² + y²]` is one moment. Its gradient is `blur(∂S/∂E[x]) + 2x · blur(∂S/∂E[x²]) +
+//! y · blur(∂S/∂E[xy])`: the window is symmetric.
 
 use fearless_simd::{Level, Simd, dispatch, prelude::*};
 use genesplat_core::Image;

@@ -104,7 +104,7 @@ pub struct Splats {
     room: Vec<Splat>,
     /// Splats in each chunk's room.
     counts: Vec<u32>,
-    /// A row's 3-sigma square meets a tile: what the densification average counts (facts.md, quirk 6) `[N]`.
+    /// A row's 3-sigma square meets a tile: what 3DGS's densification average counts `[N]`.
     seen: Vec<bool>,
 }
 

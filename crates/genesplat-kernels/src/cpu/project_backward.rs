@@ -1,6 +1,6 @@
 //! Stage `project_backward`: from the sums of a splat's gradient rows back to its raw parameters, 16 Gaussians at a time.
 //!
-//! Exact derivatives of [`Geometry::new`], step by step in reverse; formulas in facts.md section 5.
+//! Exact derivatives of [`Geometry::new`], step by step in reverse; the reference's formulas, checked by finite differences.
 
 use fearless_simd::{Simd, prelude::*};
 use genesplat_core::ScreenFilter;
@@ -173,7 +173,7 @@ fn camera_gradient<S: Simd>(
     t
 }
 
-/// Through `R(q)` (facts.md section 5) and the normalisation of the quaternion.
+/// Through `R(q)` and the normalisation of the quaternion.
 #[inline(always)]
 fn quaternion_gradient<S: Simd>(g: &Geometry<S>, d: &[[V<S>; 3]; 3]) -> [V<S>; 4] {
     let [w, x, y, z] = g.unit;

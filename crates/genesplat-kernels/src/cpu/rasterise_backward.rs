@@ -1,4 +1,4 @@
-//! Stage `rasterise_backward`: from `dL/dimage` to one row of sums per splat and tile (facts.md, section 5).
+//! Stage `rasterise_backward`: from `dL/dimage` to one row of sums per splat and tile.
 //!
 //! Walks the lists front to back once more, as the forward pass does: with the final image known, the light behind a
 //! splat is what remains of it, so neither alphas nor transmittances are stored. Per pixel it finds `p = o·G · dL/dα` and

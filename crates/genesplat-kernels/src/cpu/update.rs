@@ -2,7 +2,7 @@
 //!
 //! A chunk's gradients live in the cache only: they are computed for the splats of the chunk, added to the statistics,
 //! used by Adam and forgotten. So no gradient buffer of the size of the cloud exists, and every parameter is read and
-//! written once a step. Adam is dense, as published: rows without a gradient still move by their momentum (quirk 10).
+//! written once a step. Adam is dense, as published: rows without a gradient still move by their momentum.
 
 use fearless_simd::{Level, Simd, dispatch, prelude::*};
 use genesplat_core::spherical_harmonics::SH_STRIDE;
@@ -406,7 +406,7 @@ fn add_statistics(
 ) {
     if let Some(signal) = request.density {
         for (local, &is_seen) in seen.iter().enumerate() {
-            // Geometric visibility counts, even where no pixel was touched (quirk 6).
+            // Geometric visibility counts, even where no pixel was touched, as in 3DGS's code.
             if is_seen {
                 let [strength, beside] = gradients.density[local];
                 out.gradient_sum[local] += strength;
