@@ -201,12 +201,19 @@ impl GpuBackend {
     }
 
     /// Gives back what steps, scores and children need; there must be no step that the host has not heard of.
-    pub(crate) fn give_back(&mut self) -> Result<(), BackendError> {
+    fn give_back(&mut self) -> Result<(), BackendError> {
+        self.scratch.release();
+        self.give_back_but_scores().map(|_| ())
+    }
+
+    /// The same, but for what scores need; true if there was anything.
+    pub(crate) fn give_back_but_scores(&mut self) -> Result<bool, BackendError> {
+        let before = self.allocated_bytes();
         self.lists.release();
         self.pixels.release();
-        self.scratch.release();
         self.state.release();
-        self.engine.wait()
+        self.engine.wait()?;
+        Ok(self.allocated_bytes() < before)
     }
 
     fn non_finite(&self) -> Result<BackendError, BackendError> {
@@ -221,6 +228,9 @@ impl GpuBackend {
         lists: impl Fn(&mut Self) -> (&mut Lists, &Engine),
         mut submit: impl FnMut(&mut Self) -> Result<(), BackendError>,
     ) -> Result<Counters, BackendError> {
+        // An attempt that ended with an error may have left some.
+        let (begun, engine) = lists(self);
+        begun.clear_counters(engine);
         loop {
             submit(self)?;
             let (lists, engine) = lists(self);
@@ -278,34 +288,33 @@ impl Backend for GpuBackend {
     }
 
     fn set_views(&mut self, views: &[View]) -> Result<(), BackendError> {
-        self.settle()?;
-        let upload = |view: &View| -> Result<TrainView, BackendError> {
-            let photo = self.engine.upload("a photo", &pack_photo(&view.photo))?;
-            Ok(TrainView { camera: view.camera, photo })
-        };
-        self.views = views.iter().map(upload).collect::<Result<_, _>>()?;
-        Ok(())
+        self.with_room(|gpu| {
+            let upload = |view: &View| -> Result<TrainView, BackendError> {
+                let photo = gpu.engine.upload("a photo", &pack_photo(&view.photo))?;
+                Ok(TrainView { camera: view.camera, photo })
+            };
+            gpu.views = views.iter().map(upload).collect::<Result<_, _>>()?;
+            Ok(())
+        })
     }
 
     fn upload(&mut self, cloud: Gaussians, moments: Option<Moments>) -> Result<(), BackendError> {
-        self.settle()?;
-        self.state = State::upload(&self.engine, &cloud, moments.as_ref())?;
-        Ok(())
+        self.with_room(|gpu| {
+            gpu.state = State::upload(&gpu.engine, &cloud, moments.as_ref())?;
+            Ok(())
+        })
     }
 
     fn download(&mut self) -> Result<Cow<'_, Gaussians>, BackendError> {
-        self.settle()?;
-        Ok(Cow::Owned(self.state.download(&self.engine)?))
+        self.with_room(|gpu| Ok(Cow::Owned(gpu.state.download(&gpu.engine)?)))
     }
 
     fn genes(&mut self) -> Result<Vec<Gene>, BackendError> {
-        self.settle()?;
-        self.state.cloud.genes(&self.engine, self.state.rows)
+        self.with_room(|gpu| gpu.state.cloud.genes(&gpu.engine, gpu.state.rows))
     }
 
     fn download_moments(&mut self) -> Result<Cow<'_, Moments>, BackendError> {
-        self.settle()?;
-        Ok(Cow::Owned(self.state.download_moments(&self.engine)?))
+        self.with_room(|gpu| Ok(Cow::Owned(gpu.state.download_moments(&gpu.engine)?)))
     }
 
     fn render(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<Image, BackendError> {
@@ -340,13 +349,11 @@ impl Backend for GpuBackend {
     }
 
     fn statistics(&mut self) -> Result<Statistics, BackendError> {
-        self.settle()?;
-        self.state.statistics(&self.engine)
+        self.with_room(|gpu| gpu.state.statistics(&gpu.engine))
     }
 
     fn restore_statistics(&mut self, statistics: Statistics) -> Result<(), BackendError> {
-        self.settle()?;
-        self.state.restore_statistics(&self.engine, &statistics)
+        self.with_room(|gpu| gpu.state.restore_statistics(&gpu.engine, &statistics))
     }
 
     fn reset_statistics(&mut self, genes: bool) {
@@ -399,13 +406,11 @@ impl Backend for GpuBackend {
     }
 
     fn lineage(&mut self) -> Result<Cow<'_, Lineage>, BackendError> {
-        self.settle()?;
-        Ok(Cow::Owned(self.state.lineage(&self.engine)?))
+        self.with_room(|gpu| Ok(Cow::Owned(gpu.state.lineage(&gpu.engine)?)))
     }
 
     fn restore_lineage(&mut self, lineage: Lineage) -> Result<(), BackendError> {
-        self.settle()?;
-        self.state.restore_lineage(&self.engine, &lineage)
+        self.with_room(|gpu| gpu.state.restore_lineage(&gpu.engine, &lineage))
     }
 
     fn judge(
@@ -427,6 +432,7 @@ impl Backend for GpuBackend {
         views: &[usize],
         settings: &RenderSettings,
     ) -> Result<Vec<f32>, BackendError> {
-        self.with_room(|gpu| gpu.score_population(population, views, settings))
+        self.settle()?;
+        self.score_population(population, views, settings)
     }
 }

@@ -169,8 +169,12 @@ impl Lists {
     pub(crate) fn take_counters(&self, engine: &Engine) -> Result<Counters, BackendError> {
         let mut counters = Counters::default();
         engine.read([(&self.counters, bytemuck::bytes_of_mut(&mut counters))])?;
-        engine.write(&self.counters, 0, &[Counters::default()]);
+        self.clear_counters(engine);
         Ok(counters)
+    }
+
+    pub(crate) fn clear_counters(&self, engine: &Engine) {
+        engine.write(&self.counters, 0, &[Counters::default()]);
     }
 
     /// Tells the device what the next frame is.

@@ -3,7 +3,7 @@
 //! A pool of individuals is uploaded value by value ([`genesplat_core::alleles`]): to a view, the alleles are the rows of
 //! one large cloud, projected, sorted and listed by tile once for everybody. A workgroup then makes the pictures of sixteen
 //! individuals in one tile: an alpha is evaluated once, and blended by those who hold it. Losses are reduced on the device;
-//! the host waits once a pool.
+//! the host waits for a pool, not for its views.
 
 use genesplat_core::alleles::{Allele, Holders, alleles};
 use genesplat_core::{BackendError, RenderSettings, SparseDelta};
@@ -142,23 +142,24 @@ impl GpuBackend {
         losses: &mut Vec<f32>,
     ) -> Result<(), BackendError> {
         let is_full = |error: &BackendError| matches!(error, BackendError::OutOfMemory { .. });
-        let mut found = self.losses_of_one_pool(individuals, views, settings);
-        if found.as_ref().is_err_and(is_full) {
-            // Steps may hold what a pool needs, or a larger pool what this one does.
-            self.give_back()?;
-            found = self.losses_of_one_pool(individuals, views, settings);
-        }
-        match found {
-            Ok(Some(found)) => losses.extend(found),
-            Err(error) if individuals.len() == 1 || !is_full(&error) => return Err(error),
-            _ => {
-                self.give_back()?;
-                let (first, second) = individuals.split_at(individuals.len() / 2);
-                self.score_pool(first, views, settings, losses)?;
-                self.score_pool(second, views, settings, losses)?;
+        loop {
+            match self.losses_of_one_pool(individuals, views, settings) {
+                Ok(Some(found)) => {
+                    losses.extend(found);
+                    return Ok(());
+                }
+                // Steps and children may hold what a pool needs.
+                Err(error) if is_full(&error) && self.give_back_but_scores()? => {}
+                Err(error) if individuals.len() == 1 || !is_full(&error) => return Err(error),
+                _ => break,
             }
         }
-        Ok(())
+        // All that was made for it is larger than what half of it needs.
+        self.scratch.release();
+        self.engine.wait()?;
+        let (first, second) = individuals.split_at(individuals.len() / 2);
+        self.score_pool(first, views, settings, losses)?;
+        self.score_pool(second, views, settings, losses)
     }
 
     /// Losses `[P, V]` of some individuals, if their alleles can be seen at once; those of one always can, since what one

@@ -64,6 +64,8 @@ impl State {
     /// Room for what a step computes besides.
     pub(crate) fn reserve_step(&mut self, engine: &Engine, genes: bool) -> Result<(), BackendError> {
         if self.gradients.memory.bytes < self.gradients.bytes(self.rows).max(1) {
+            // What they hold is of a step that is over.
+            self.gradients.memory.release();
             self.gradients = Column::zeros(engine, "gradients", self.rows, GRADIENT_FLOATS)?;
         }
         if genes && self.genes.is_none() {

@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-use genesplat_core::{Backend, StatisticsRequest};
+use genesplat_core::{Backend, BackendError, StatisticsRequest};
 
 use crate::checkpoint::{Checkpoint, Cursor};
 use crate::observe::{StageKind, StageRecord};
@@ -15,30 +15,43 @@ impl<B: Backend> Trainer<'_, B> {
     /// Steps at the current rates, which the schedule does not count, until the stage's seconds are spent. Returns a
     /// checkpoint when it was stopped: what was done counts, but a resumed run spends all the seconds anew.
     pub(crate) fn control(&mut self, cursor: Cursor) -> Result<Option<Box<Checkpoint>>, TrainError> {
-        let i = cursor.iteration;
-        let seconds = self.config.evolution.control_seconds;
-        let (mut order, mut steps) = (ViewOrder::new(self.rng.fork(i), self.views.len()), 0);
-        // Steps cannot be undone, so what a stopped run resumes from is kept from the start.
+        // Steps cannot be undone, so what a run that is stopped or fails resumes from is kept from the start.
         let start = self.capture(cursor)?;
         let clock = Instant::now();
-        let fitness = self.fitness(i);
-        let before = self.fitness_of_base(&fitness, i)?;
-        let is_over = || clock.elapsed().as_secs_f64() >= seconds;
-        while !is_over() && !self.stopped() {
+        let fitness = self.fitness(cursor.iteration);
+        let before = self.fitness_of_base(&fitness, cursor.iteration)?;
+        let steps = match self.spend(cursor.iteration, clock) {
+            Err(error @ TrainError::Backend(BackendError::OutOfMemory { .. })) => {
+                self.observer.on_checkpoint(*start);
+                return Err(error);
+            }
+            steps => steps?,
+        };
+        let checkpoint = if self.is_spent(clock) { None } else { Some(start) };
+        let after = self.fitness_of_base(&fitness, cursor.iteration)?;
+        self.end_stage(StageRecord {
+            renders: steps.into(),
+            fitness_after: after,
+            seconds: clock.elapsed().as_secs_f64(),
+            ..StageRecord::begun(StageKind::Control, cursor.iteration, before, None)
+        })?;
+        Ok(checkpoint)
+    }
+
+    /// Makes steps until the seconds are spent or the run is stopped; returns how many.
+    fn spend(&mut self, i: u32, clock: Instant) -> Result<u32, TrainError> {
+        let (mut order, mut steps) = (ViewOrder::new(self.rng.fork(i), self.views.len()), 0);
+        while !self.is_spent(clock) && !self.stopped() {
             self.torn = true;
             let view = order.view(steps);
             self.train_step(view, i, steps + 1, OptimiserStep::All, StatisticsRequest::default())?;
             self.wait_for_device()?;
             steps += 1;
         }
-        let checkpoint = if is_over() { None } else { Some(start) };
-        let after = self.fitness_of_base(&fitness, i)?;
-        self.end_stage(StageRecord {
-            renders: steps.into(),
-            fitness_after: after,
-            seconds: clock.elapsed().as_secs_f64(),
-            ..StageRecord::begun(StageKind::Control, i, before, None)
-        })?;
-        Ok(checkpoint)
+        Ok(steps)
+    }
+
+    fn is_spent(&self, clock: Instant) -> bool {
+        clock.elapsed().as_secs_f64() >= self.config.evolution.control_seconds
     }
 }

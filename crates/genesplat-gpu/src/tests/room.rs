@@ -184,6 +184,10 @@ fn steps_scores_and_children_take_turns() {
         for verb in verbs {
             verb(&mut gpu);
             gpu.apply(&population[0], MomentPolicy::Keep).unwrap();
+            verb(&mut gpu);
+            let (cloud, moments) =
+                (gpu.download().unwrap().into_owned(), gpu.download_moments().unwrap().into_owned());
+            gpu.upload(cloud, Some(moments)).unwrap();
         }
     }
 }

@@ -6,6 +6,7 @@
 
 mod schema;
 
+use std::collections::HashSet;
 use std::path::{Component, Path, PathBuf};
 
 use genesplat_core::Camera;
@@ -19,8 +20,8 @@ use crate::scene::Point;
 use crate::start_points::{COUNT, Cube};
 use crate::{photos, ply};
 
-/// Extensions of photos that a frame may leave out.
-const EXTENSIONS: [&str; 2] = [".png", ".jpg"];
+/// What the name of a photo may have in addition to what a frame says.
+const ENDS: [&str; 3] = ["", ".png", ".jpg"];
 
 /// The scene of `folder/transforms_train.json` and, if it exists, `transforms_test.json`: Blender's.
 ///
@@ -28,9 +29,9 @@ const EXTENSIONS: [&str; 2] = [".png", ".jpg"];
 pub(crate) fn list_blender(folder: &Path, seed: Option<u64>) -> Result<Listing, SceneError> {
     let list = folder.join("transforms_train.json");
     let test = folder.join("transforms_test.json");
-    let mut found = read_photos(&list, |_, _| Some(false))?;
+    let mut found = read_photos(&list)?.held_out(false);
     if test.is_file() {
-        found.append(read_photos(&test, |_, _| Some(true))?);
+        found.append(read_photos(&test)?.held_out(true));
     }
     if let Some(missing) = found.missing.first() {
         let (there, all) = (found.photos.len(), found.photos.len() + found.missing.len());
@@ -45,9 +46,7 @@ pub(crate) fn list_blender(folder: &Path, seed: Option<u64>) -> Result<Listing, 
 /// scenes list photos that were removed as blurred.
 pub(crate) fn list_nerfstudio(folder: &Path, seed: Option<u64>) -> Result<Listing, SceneError> {
     let list = folder.join("transforms.json");
-    let found = read_photos(&list, |file, frame| {
-        held_out_names(file).map(|mut names| names.any(|name| is_same_photo(name, frame)))
-    })?;
+    let found = read_photos(&list)?;
     let mut notices = Vec::new();
     if let Some(first) = found.missing.first() {
         let (gone, all) = (found.missing.len(), found.photos.len() + found.missing.len());
@@ -82,26 +81,32 @@ fn points(
     Ok(cube().points(seed))
 }
 
-/// Photos that the file's own lists hold out, if it has lists.
-fn held_out_names(file: &Transforms) -> Option<impl Iterator<Item = &String>> {
+/// Photos that the file's own lists hold out, if it has lists; `./` and the like are left out of their names.
+fn held_out_names(file: &Transforms, list: &Path) -> Result<Option<HashSet<PathBuf>>, SceneError> {
     let lists = [&file.test_filenames, &file.val_filenames];
-    lists.iter().any(|list| list.is_some()).then(|| lists.into_iter().flatten().flatten())
+    if lists.iter().all(|names| names.is_none()) {
+        return Ok(None);
+    }
+    let frames: HashSet<PathBuf> = file.frames.iter().flat_map(|entry| names_of(&entry.file_path)).collect();
+    let mut held_out = HashSet::new();
+    for name in lists.into_iter().flatten().flatten() {
+        // It was to be held out, and would be trained on.
+        if !frames.contains(&plain(name)) {
+            return Err(SceneError::HeldOutUnknown { file: list.to_owned(), name: name.clone() });
+        }
+        held_out.insert(plain(name));
+    }
+    Ok(Some(held_out))
 }
 
-/// Fails where a name in these lists is that of no photo: it was to be held out, and would be trained on.
-fn check_held_out(file: &Transforms, list: &Path) -> Result<(), SceneError> {
-    let is_frame = |name: &String| file.frames.iter().any(|entry| is_same_photo(name, &entry.file_path));
-    let mut names = held_out_names(file).into_iter().flatten();
-    names
-        .find(|name| !is_frame(name))
-        .map_or(Ok(()), |name| Err(SceneError::HeldOutUnknown { file: list.to_owned(), name: name.clone() }))
+fn plain(name: &str) -> PathBuf {
+    Path::new(name).components().filter(|part| *part != Component::CurDir).collect()
 }
 
-/// Names mean the same photo with or without `./`, and with an extension where the frame leaves it out.
-fn is_same_photo(name: &str, frame: &str) -> bool {
-    let plain = |name: &str| Path::new(name).components().filter(|part| *part != Component::CurDir).collect();
-    let (name, frame): (PathBuf, PathBuf) = (plain(name), plain(frame));
-    name == frame || EXTENSIONS.iter().any(|end| name == with_end(&frame, end))
+/// What a frame's photo may be called: as the frame says, or with the extension that it leaves out.
+fn names_of(frame: &str) -> impl Iterator<Item = PathBuf> {
+    let frame = plain(frame);
+    ENDS.into_iter().map(move |end| with_end(&frame, end))
 }
 
 fn with_end(path: &Path, end: &str) -> PathBuf {
@@ -128,6 +133,12 @@ struct Photos {
 }
 
 impl Photos {
+    /// All of them, or none.
+    fn held_out(mut self, all: bool) -> Self {
+        self.photos.iter_mut().for_each(|found| found.held_out = Some(all));
+        self
+    }
+
     fn append(&mut self, other: Self) {
         self.photos.extend(other.photos);
         self.missing.extend(other.missing);
@@ -147,15 +158,12 @@ impl Photos {
     }
 }
 
-fn read_photos(
-    list: &Path,
-    held_out: impl Fn(&Transforms, &str) -> Option<bool>,
-) -> Result<Photos, SceneError> {
+fn read_photos(list: &Path) -> Result<Photos, SceneError> {
     let file = schema::read(list)?;
     if file.frames.is_empty() {
         return Err(SceneError::NoPhotos { file: list.to_owned() });
     }
-    check_held_out(&file, list)?;
+    let held_out = held_out_names(&file, list)?;
     let folder = list.parent().unwrap_or(Path::new(""));
     let mut found = Photos { points: file.ply_file_path.clone(), ..Photos::default() };
     for entry in &file.frames {
@@ -165,7 +173,8 @@ fn read_photos(
             continue;
         };
         let (camera, distortion) = camera(list, entry, &entry.lens.or(&file.lens), &photo)?;
-        let held_out = held_out(&file, &entry.file_path);
+        let held_out =
+            held_out.as_ref().map(|names| names_of(&entry.file_path).any(|name| names.contains(&name)));
         found.photos.push(Found { path, photo, camera, distortion, held_out });
     }
     Ok(found)
@@ -173,9 +182,8 @@ fn read_photos(
 
 /// The photo as it is named, or with the extension that Blender's script leaves out.
 fn find_photo(folder: &Path, relative: &Path, name: &str) -> Option<(String, PathBuf)> {
-    let ends = [""].into_iter().chain(EXTENSIONS);
-    let mut candidates = ends.map(|end| (format!("{name}{end}"), with_end(&folder.join(relative), end)));
-    candidates.find(|(_, path)| path.is_file())
+    let candidates = ENDS.map(|end| (format!("{name}{end}"), with_end(&folder.join(relative), end)));
+    candidates.into_iter().find(|(_, path)| path.is_file())
 }
 
 fn camera(

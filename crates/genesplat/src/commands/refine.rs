@@ -31,7 +31,7 @@ pub fn run(args: &RefineArgs) -> Result<()> {
     let options = PlyOptions { render_mode: splat.settings.filter.into(), ..PlyOptions::default() };
     write_ply(&args.out, &outcome.cloud, &options)?;
     if outcome.summary.interrupted {
-        output::print("the search was stopped early; what follows is the best that it had found")?;
+        output::print("stopped early; what follows is as far as it had come")?;
     }
     print_scores("after", &mut backend, &scene, &splat.settings)?;
     output::print(&format!("{} Gaussians written to {}", outcome.cloud.len(), args.out.display()))

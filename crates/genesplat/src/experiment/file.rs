@@ -140,11 +140,16 @@ fn evolution_table(evolution: Table) -> Table {
     Table::from_iter([("evolution".to_owned(), Value::Table(evolution))])
 }
 
-/// Settings that turn an arm into a control. The paper's stages come at a trigger, and so do the steps that stand for them;
-/// those of other modes come after the last step of the run, where they do most good.
+/// Settings that turn an arm into a control. Where stages come at a trigger, so do the steps that stand for them; for the other
+/// modes they come after the last step of the run, where they do most good.
 pub fn control_table(controlled: &EvolutionConfig) -> Table {
     let mut evolution = Table::from_iter([("mode".to_owned(), Value::from(CONTROL))]);
-    if controlled.mode != EvolutionMode::Paper && controlled.trigger.is_none() {
+    let has_triggers = match controlled.mode {
+        EvolutionMode::Recombine | EvolutionMode::Renew => false,
+        EvolutionMode::Mosaic => controlled.trigger.is_some(),
+        _ => true,
+    };
+    if !has_triggers {
         evolution.insert("trigger".to_owned(), "at-end".into());
     }
     evolution_table(evolution)

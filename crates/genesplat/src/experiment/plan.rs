@@ -355,10 +355,22 @@ mod tests {
 
     #[test]
     fn a_control_comes_when_its_arm_does_or_after_the_last_step() {
-        let text = "scenes = [\"a\"]\nseeds = [1]\nevolve = [\"off\", \"paper\", \"renew\", \"recombine\", \"mosaic\", \"control\"]";
-        let experiment = Experiment::new(file(text)).unwrap();
+        let modes = "evolve = [\"off\", \"paper\", \"renew\", \"recombine\", \"mosaic\", \"control\"]";
+        let triggers = |trigger: &str| {
+            let text = format!("scenes = [\"a\"]\nseeds = [1]\n{modes}\n[config.evolution]\n{trigger}");
+            triggers_of_controls(&Experiment::new(file(&text)).unwrap())
+        };
+        let at_end = (Some(Trigger::AtEnd), 8.0);
+        assert_eq!(triggers(""), [(None, 2.0), at_end, at_end, at_end]);
+        // What the paper's stages and mosaic's are given is none of the others'.
+        let before_reset = (Some(Trigger::BeforeReset), 2.0);
+        assert_eq!(triggers("trigger = \"before-reset\""), [before_reset, at_end, at_end, before_reset]);
+    }
+
+    /// When the controls come, and the seconds of each of their stages.
+    fn triggers_of_controls(experiment: &Experiment) -> Vec<(Option<Trigger>, f64)> {
         let controls = experiment.arms.iter().enumerate().filter(|(_, arm)| arm.control_of.is_some());
-        let triggers: Vec<_> = controls
+        controls
             .map(|(arm, _)| {
                 let cell = Cell { scene: 0, variant: 0, arm, seed: 0 };
                 let machine = MachineArgs::default();
@@ -366,9 +378,7 @@ mod tests {
                 let evolution = &settings.train.config().evolution;
                 (evolution.trigger, evolution.control_seconds)
             })
-            .collect();
-        let at_end = (Some(Trigger::AtEnd), 8.0);
-        assert_eq!(triggers, [(None, 2.0), at_end, at_end, at_end]);
+            .collect()
     }
 
     #[test]
