@@ -287,7 +287,7 @@ pub struct EvolutionConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RenewalConfig {
-    /// Share of the Gaussians that die in a renewal; as many others become two. Default 0.05; above 0, at most 0.5.
+    /// Share of the Gaussians that die in a renewal; as many others become two. Default 0.1; above 0, at most 0.5.
     pub share: f64,
     /// Steps between two renewals, as a share of the run. They are counted back from its end, and the first one comes when density
     /// control has ended, in the second half of the run. Default 0.05; above 0, at most 0.5.
@@ -310,7 +310,7 @@ pub struct RenewalConfig {
 
 impl Default for RenewalConfig {
     fn default() -> Self {
-        Self { share: 0.05, every: 0.05, until: 0.75, weighed: 0.02, pixels: 2.0, photo_pixels: 0.3 }
+        Self { share: 0.1, every: 0.05, until: 0.75, weighed: 0.02, pixels: 2.0, photo_pixels: 0.3 }
     }
 }
 
