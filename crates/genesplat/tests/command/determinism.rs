@@ -44,7 +44,7 @@ fn threads_change_nothing_in_renewal_and_recombination_either() {
     let run = |threads: &str| {
         let out = folder.path().join(threads);
         let flags =
-            ["--steps-scale", "0.01", "--max-gaussians", "1200", "--evolve", "renew", "--threads", threads];
+            ["--steps-scale", "0.02", "--max-gaussians", "1200", "--evolve", "renew", "--threads", threads];
         succeed(train(scene(), &out, &flags));
         (cloud(&out), json(&out.join("metrics.json")))
     };
