@@ -24,7 +24,7 @@ const FIRST_ENTRIES: u64 = 4;
 const ENTRIES_MIN: u64 = 1 << 16;
 
 /// Bits that one pass of the radix sort sorts by.
-const DIGIT_BITS: u32 = 8;
+pub(crate) const DIGIT_BITS: u32 = DIGITS.ilog2();
 
 /// Buffers of the splats and the tile lists of one view, reused from view to view.
 pub struct Lists {
@@ -251,7 +251,7 @@ impl Lists {
             [frame_part, lengths, order, counts.all(), starts, splats, keys, entry_splats, first_entries];
         recorder.run(&shaders::EMIT, &parts, visible);
 
-        let sorted = self.sort(recorder, LENGTH_ENTRIES, GRID_TILE_SORT, tile_bits(frame), 1, true);
+        let sorted = self.sort(recorder, LENGTH_ENTRIES, GRID_TILE_SORT, tile_bits(tiles_of(frame)), 1, true);
         recorder.clear(&self.ranges, 8 * tiles_of(frame));
         let parts = [lengths, self.keys[sorted].all(), self.ranges.all()];
         recorder.run(&shaders::TILE_RANGES, &parts, Grid::Device(&self.grids, GRID_ENTRIES));
@@ -259,7 +259,7 @@ impl Lists {
 
     /// Numbers of the entries, tile after tile, nearest first `[E]`.
     pub(crate) fn entry_numbers(&self, frame: &Frame) -> &Memory {
-        &self.values[(1 + tile_bits(frame).div_ceil(DIGIT_BITS) as usize) % 2]
+        &self.values[(1 + tile_bits(tiles_of(frame)).div_ceil(DIGIT_BITS) as usize) % 2]
     }
 
     /// Exclusive prefix sum; the total is left after the last block in `sums`.
@@ -313,9 +313,9 @@ pub(crate) fn tiles_of(frame: &Frame) -> u64 {
     u64::from(frame.tiles_x) * u64::from(frame.tiles_y)
 }
 
-/// Bits of the largest tile number; at least one, so that entries are numbered.
-fn tile_bits(frame: &Frame) -> u32 {
-    (64 - tiles_of(frame).saturating_sub(1).leading_zeros()).max(1)
+/// Bits of the largest number of so many tiles; at least one, so that entries are numbered.
+pub(crate) fn tile_bits(tiles: u64) -> u32 {
+    (64 - tiles.saturating_sub(1).leading_zeros()).max(1)
 }
 
 #[cfg(test)]

@@ -4,12 +4,11 @@
 //! stays in registers and workgroup memory is not. No cache holds a whole column of a large cloud, so a stage that takes as
 //! long as this is as fast as the device's memory. (The columns of a small one may lie in a cache, which is faster.)
 
-use crate::layout::{DIGITS, GEOMETRY_FLOATS, GRADIENT_FLOATS, ROW_FLOATS, SH_FLOATS, SPLAT_FLOATS, TILE};
+use crate::layout::{GEOMETRY_FLOATS, GRADIENT_FLOATS, ROW_FLOATS, SH_FLOATS, SPLAT_FLOATS, TILE};
+use crate::lists::{DIGIT_BITS, tile_bits};
 
 /// Reading and writing a key and a value, in each pass of a sort.
 const PASS_BYTES: u64 = 16;
-/// Bits that a pass sorts by.
-const PASS_BITS: u64 = DIGITS.ilog2() as u64;
 
 /// How much there is to do.
 #[derive(Clone, Copy, Debug)]
@@ -32,6 +31,7 @@ impl Work {
             [GEOMETRY_FLOATS, SH_FLOATS, SPLAT_FLOATS, GRADIENT_FLOATS, ROW_FLOATS]
                 .map(|floats| 4 * u64::from(floats));
         let pixels = width * height;
+        let tiles = width.div_ceil(TILE.into()) * height.div_ceil(TILE.into());
         match stage {
             // Tile counts and marks of all rows; depths of splats.
             "project" => rows * (geometry + 8) + visible * (colour + splat + 4),
@@ -39,7 +39,7 @@ impl Work {
             // sorted by depth. Entries' tiles and splats are written and sorted by tile; the first pass needs no values,
             // but the sorted tiles are read once more.
             "bin" => {
-                let sorted = visible * (32 / PASS_BITS) + entries * self.tile_bits().div_ceil(PASS_BITS);
+                let sorted = visible * passes(32) + entries * passes(tile_bits(tiles));
                 rows * 4 + visible * (12 + splat) + entries * 8 + sorted * PASS_BYTES
             }
             // Three channels of f32 are written.
@@ -57,12 +57,11 @@ impl Work {
             _ => 0,
         }
     }
+}
 
-    /// Bits of the largest tile number.
-    fn tile_bits(&self) -> u64 {
-        let [across, down] = self.size_px.map(|side| side.div_ceil(TILE.into()));
-        u64::from((across * down).max(2).next_power_of_two().ilog2())
-    }
+/// Passes of a sort by so many bits.
+fn passes(bits: u32) -> u64 {
+    bits.div_ceil(DIGIT_BITS).into()
 }
 
 #[cfg(test)]
@@ -79,6 +78,6 @@ mod tests {
         // 10 by 6 tiles: six bits, one pass.
         let listed = Work { visible: 10, entries: 30, ..work };
         assert_eq!(listed.bytes("bin") - work.bytes("bin"), 10 * (60 + 4 * 16) + 30 * (8 + 16));
-        assert_eq!(Work { size_px: [1920, 1080], ..work }.tile_bits(), 13);
+        assert_eq!(tile_bits(120 * 68), 13);
     }
 }

@@ -219,6 +219,11 @@ pub enum EvolutionMode {
 }
 
 impl EvolutionMode {
+    /// Stages of it come at triggers; the others have moments of their own, in the steps of a run.
+    pub fn has_stages(self) -> bool {
+        matches!(self, Self::Paper | Self::Control | Self::Mosaic)
+    }
+
     /// As the command and the configuration file write it.
     pub fn name(self) -> &'static str {
         match self {
@@ -417,7 +422,7 @@ impl TrainConfig {
 
 impl EvolutionConfig {
     /// When a stage runs.
-    pub(crate) fn trigger(&self) -> Trigger {
+    pub fn trigger(&self) -> Trigger {
         let own = if self.mode == EvolutionMode::Mosaic { Trigger::AtEnd } else { Trigger::AfterReset };
         self.trigger.unwrap_or(own)
     }

@@ -5,6 +5,7 @@ use std::time::Instant;
 use genesplat_core::{Backend, BackendError, StatisticsRequest};
 
 use crate::checkpoint::{Checkpoint, Cursor};
+use crate::fitness::Fitness;
 use crate::observe::{StageKind, StageRecord};
 use crate::run::TrainError;
 use crate::schedule::OptimiserStep;
@@ -20,15 +21,14 @@ impl<B: Backend> Trainer<'_, B> {
         let clock = Instant::now();
         let fitness = self.fitness(cursor.iteration);
         let before = self.fitness_of_base(&fitness, cursor.iteration)?;
-        let steps = match self.spend(cursor.iteration, clock) {
+        let (steps, after) = match self.spend(&fitness, cursor.iteration, clock) {
             Err(error @ TrainError::Backend(BackendError::OutOfMemory { .. })) => {
                 self.observer.on_checkpoint(*start);
                 return Err(error);
             }
-            steps => steps?,
+            spent => spent?,
         };
         let checkpoint = if self.is_spent(clock) { None } else { Some(start) };
-        let after = self.fitness_of_base(&fitness, cursor.iteration)?;
         self.end_stage(StageRecord {
             renders: steps.into(),
             fitness_after: after,
@@ -38,8 +38,8 @@ impl<B: Backend> Trainer<'_, B> {
         Ok(checkpoint)
     }
 
-    /// Makes steps until the seconds are spent or the run is stopped; returns how many.
-    fn spend(&mut self, i: u32, clock: Instant) -> Result<u32, TrainError> {
+    /// Makes steps until the seconds are spent or the run is stopped; returns how many, and the fitness after them.
+    fn spend(&mut self, fitness: &Fitness, i: u32, clock: Instant) -> Result<(u32, f64), TrainError> {
         let (mut order, mut steps) = (ViewOrder::new(self.rng.fork(i), self.views.len()), 0);
         while !self.is_spent(clock) && !self.stopped() {
             self.torn = true;
@@ -48,7 +48,7 @@ impl<B: Backend> Trainer<'_, B> {
             self.wait_for_device()?;
             steps += 1;
         }
-        Ok(steps)
+        Ok((steps, self.fitness_of_base(fitness, i)?))
     }
 
     fn is_spent(&self, clock: Instant) -> bool {

@@ -28,13 +28,13 @@ impl Limits {
 
     /// What should be known before the first step.
     pub(crate) fn notices(self, schedule: &Schedule) -> impl Iterator<Item = String> {
-        [self.is_lower_than_wanted(), nothing_grows(schedule), nothing_is_renewed(schedule)]
+        [self.notice_of_lower_limit(), notice_of_no_growth(schedule), notice_of_no_renewal(schedule)]
             .into_iter()
             .flatten()
     }
 
     /// It cannot wait until that limit is reached: MCMC turns nobody away who could be told of.
-    fn is_lower_than_wanted(self) -> Option<String> {
+    fn notice_of_lower_limit(self) -> Option<String> {
         let (own, fed) = (self.own?, self.fed?);
         (fed < own).then(|| {
             format!(
@@ -44,14 +44,13 @@ impl Limits {
         })
     }
 
-    /// The limit is reached in iteration `i`, and so many more wanted to grow.
-    pub(crate) fn is_reached(self, i: u32, refused: usize) -> Option<String> {
-        let cap = self.cap()?;
+    /// The limit of `cap` is reached in iteration `i`, and so many more wanted to grow.
+    pub(crate) fn notice_of_full_cloud(self, cap: usize, i: u32, refused: usize) -> String {
         let source = if self.own == Some(cap) { "" } else { " that the photos feed (evolution.renewal)" };
-        Some(format!(
+        format!(
             "iteration {i}: the limit of {cap} Gaussians{source} is reached ({refused} more wanted to grow); from now on only \
              those with the strongest gradients grow into the room that pruning leaves"
-        ))
+        )
     }
 }
 
@@ -67,7 +66,7 @@ fn fed_by(views: &[View], evolution: &EvolutionConfig) -> Option<usize> {
 }
 
 /// Renewal ends density control early, in short runs before it has begun. Who switched it off needs no telling.
-fn nothing_grows(schedule: &Schedule) -> Option<String> {
+fn notice_of_no_growth(schedule: &Schedule) -> Option<String> {
     let is_wanted = schedule.renew_every.is_some() && schedule.densify_until > 0;
     if !is_wanted || (1..=schedule.iterations).any(|i| schedule.is_densify(i)) {
         return None;
@@ -83,7 +82,7 @@ fn nothing_grows(schedule: &Schedule) -> Option<String> {
 }
 
 /// Who asks for renewal should know that a run has no place for it.
-fn nothing_is_renewed(schedule: &Schedule) -> Option<String> {
+fn notice_of_no_renewal(schedule: &Schedule) -> Option<String> {
     let every = schedule.renew_every?;
     (1..=schedule.iterations).all(|i| !schedule.renews(i)).then(|| {
         format!(

@@ -150,11 +150,10 @@ impl<B: Backend> Trainer<'_, B> {
     /// Once is enough: the limit stays.
     fn tell_of_limit(&mut self, i: u32, plan: &Plan) {
         let grown = plan.edit.sources.len() + plan.pruned;
-        let is_full = self.limits.cap().is_some_and(|cap| plan.refused > 0 && grown >= cap);
-        if is_full && !self.limit_noticed {
-            self.limit_noticed = true;
-            self.limits.is_reached(i, plan.refused).iter().for_each(|notice| self.observer.notice(notice));
-        }
+        let is_news = |cap: &usize| plan.refused > 0 && grown >= *cap && !self.limit_noticed;
+        let Some(cap) = self.limits.cap().filter(is_news) else { return };
+        self.limit_noticed = true;
+        self.observer.notice(&self.limits.notice_of_full_cloud(cap, i, plan.refused));
     }
 
     fn refresh_filter(&mut self) -> Result<(), TrainError> {

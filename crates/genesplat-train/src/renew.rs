@@ -53,15 +53,13 @@ const CLOUDS_KEPT: usize = 3;
 impl<B: Backend> Trainer<'_, B> {
     /// Judges the renewal that is on trial, and begins the next one if there is to be one.
     pub(crate) fn renew(&mut self, i: u32) -> Result<(), TrainError> {
-        let mut clock = Instant::now();
+        let clock = Instant::now();
         let guards = self.guards();
         let verdict = self.verdict(&guards, i)?;
-        let is_judged = self.trial.is_some();
+        let is_first = self.trial.is_none();
         let Verdict { loss, psnr } = self.end_trial(verdict, clock)?;
-        if is_judged {
-            // The verdict is on the other one's account.
-            clock = Instant::now();
-        }
+        // The verdict is on the account of the trial that it ends, if there is one.
+        let clock = if is_first { clock } else { Instant::now() };
         if self.schedule.renews(i) {
             let record = StageRecord::begun(StageKind::Renewal, i, loss, Some(psnr));
             let renders = guards.len() as u64;

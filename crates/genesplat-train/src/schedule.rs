@@ -24,7 +24,7 @@ const RENEWED_RELOCATION: f64 = 0.5;
 const RENEWED_RESETS: f64 = 0.5;
 
 /// A part of an iteration.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Phase {
     /// Render, loss, backward, statistics, Adam.
     Step,
@@ -168,8 +168,6 @@ impl Schedule {
         } else {
             scaled(densify.until).min(latest(RENEWED_GROWTH))
         };
-        let stages =
-            matches!(evolution.mode, EvolutionMode::Paper | EvolutionMode::Control | EvolutionMode::Mosaic);
         let window = share_of_run(evolution.recombine.window).max(1);
         Self {
             iterations,
@@ -186,7 +184,7 @@ impl Schedule {
             loses_steps: !mcmc,
             white_reset_at: white.then(|| interval(densify.white_reset_at)),
             filter_3d: config.variant == Variant::MipSplatting,
-            evolution_phase: stages.then(|| trigger_phase(evolution.trigger())),
+            evolution_phase: evolution.mode.has_stages().then(|| trigger_phase(evolution.trigger())),
             evolution_stride: evolution.stride,
             renew_every: renews.then(|| share_of_run(evolution.renewal.every).max(1)),
             renew_until: share_of_run(evolution.renewal.until),

@@ -44,6 +44,7 @@ pub(crate) struct Trainer<'a, B> {
     pub(crate) cursor: Cursor,
     /// The phase under way has changed the state, and has more to change.
     pub(crate) torn: bool,
+    /// How many Gaussians the cloud may grow to by the end of density control.
     pub(crate) limits: Limits,
     /// The user knows that they are reached.
     pub(crate) limit_noticed: bool,

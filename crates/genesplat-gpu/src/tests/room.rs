@@ -176,7 +176,7 @@ fn steps_scores_and_children_take_turns() {
         sorted.sort_unstable();
         sorted
     };
-    // What a verb holds while it runs is given back at its end.
+    // Bytes of what a verb holds while it runs and gives back at its end: alleles, losses, uniforms.
     let passing = 200_000;
     assert!(least > passing, "{alone:?}");
     gpu.engine.memory_bytes = rows + most + passing;

@@ -29,9 +29,9 @@ const ENDS: [&str; 3] = ["", ".png", ".jpg"];
 pub(crate) fn list_blender(folder: &Path, seed: Option<u64>) -> Result<Listing, SceneError> {
     let list = folder.join("transforms_train.json");
     let test = folder.join("transforms_test.json");
-    let mut found = read_photos(&list)?.held_out(false);
+    let mut found = read_photos(&list, Some(false))?;
     if test.is_file() {
-        found.append(read_photos(&test)?.held_out(true));
+        found.append(read_photos(&test, Some(true))?);
     }
     if let Some(missing) = found.missing.first() {
         let (there, all) = (found.photos.len(), found.photos.len() + found.missing.len());
@@ -46,7 +46,7 @@ pub(crate) fn list_blender(folder: &Path, seed: Option<u64>) -> Result<Listing, 
 /// scenes list photos that were removed as blurred.
 pub(crate) fn list_nerfstudio(folder: &Path, seed: Option<u64>) -> Result<Listing, SceneError> {
     let list = folder.join("transforms.json");
-    let found = read_photos(&list)?;
+    let found = read_photos(&list, None)?;
     let mut notices = Vec::new();
     if let Some(first) = found.missing.first() {
         let (gone, all) = (found.missing.len(), found.photos.len() + found.missing.len());
@@ -133,12 +133,6 @@ struct Photos {
 }
 
 impl Photos {
-    /// All of them, or none.
-    fn held_out(mut self, all: bool) -> Self {
-        self.photos.iter_mut().for_each(|found| found.held_out = Some(all));
-        self
-    }
-
     fn append(&mut self, other: Self) {
         self.photos.extend(other.photos);
         self.missing.extend(other.missing);
@@ -158,12 +152,13 @@ impl Photos {
     }
 }
 
-fn read_photos(list: &Path) -> Result<Photos, SceneError> {
+/// What `list` lists; all of it is held out, or nothing, or what the file's own lists say.
+fn read_photos(list: &Path, all_held_out: Option<bool>) -> Result<Photos, SceneError> {
     let file = schema::read(list)?;
     if file.frames.is_empty() {
         return Err(SceneError::NoPhotos { file: list.to_owned() });
     }
-    let held_out = held_out_names(&file, list)?;
+    let names = if all_held_out.is_some() { None } else { held_out_names(&file, list)? };
     let folder = list.parent().unwrap_or(Path::new(""));
     let mut found = Photos { points: file.ply_file_path.clone(), ..Photos::default() };
     for entry in &file.frames {
@@ -173,8 +168,9 @@ fn read_photos(list: &Path) -> Result<Photos, SceneError> {
             continue;
         };
         let (camera, distortion) = camera(list, entry, &entry.lens.or(&file.lens), &photo)?;
-        let held_out =
-            held_out.as_ref().map(|names| names_of(&entry.file_path).any(|name| names.contains(&name)));
+        let is_named =
+            |names: &HashSet<PathBuf>| names_of(&entry.file_path).any(|name| names.contains(&name));
+        let held_out = all_held_out.or_else(|| names.as_ref().map(is_named));
         found.photos.push(Found { path, photo, camera, distortion, held_out });
     }
     Ok(found)

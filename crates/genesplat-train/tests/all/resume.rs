@@ -1,6 +1,6 @@
 //! A run that is stopped anywhere and resumed from its checkpoint's bytes ends as if it had never stopped.
 
-use std::collections::HashSet;
+use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
@@ -64,7 +64,7 @@ fn assert_same(resumed: &Outcome, whole: &Outcome, context: &str) {
 #[test]
 fn stopping_between_any_two_phases_changes_nothing() {
     let whole = uninterrupted();
-    let mut cursors = HashSet::new();
+    let mut cursors = BTreeSet::new();
     // Every call of the run, so that the flag is first seen before every phase that there is.
     for call in fallible(false) {
         let stop = Arc::new(AtomicBool::new(false));

@@ -43,7 +43,7 @@ fn configure(args: &RefineArgs, splat: &Splat) -> Result<Resolved> {
     let mut train = TrainConfig { sh_degree: splat.settings.sh_degree, ..file.train };
     train.seed = args.seed.unwrap_or(train.seed);
     // A file of `train` may name a mode that has no place here.
-    if matches!(train.evolution.mode, EvolutionMode::Off | EvolutionMode::Recombine | EvolutionMode::Renew) {
+    if !train.evolution.mode.has_stages() {
         train.evolution.mode = EvolutionMode::Mosaic;
     }
     let RefineArgs { evolve, generations, population, .. } = *args;

@@ -5,7 +5,7 @@
 
 use genesplat::io::GalleryOptions;
 use genesplat::train::config::EvolutionConfig;
-use genesplat::train::{EvolutionMode, Variant};
+use genesplat::train::{Trigger, Variant};
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
@@ -144,12 +144,7 @@ fn evolution_table(evolution: Table) -> Table {
 /// modes they come after the last step of the run, where they do most good.
 pub fn control_table(controlled: &EvolutionConfig) -> Table {
     let mut evolution = Table::from_iter([("mode".to_owned(), Value::from(CONTROL))]);
-    let has_triggers = match controlled.mode {
-        EvolutionMode::Recombine | EvolutionMode::Renew => false,
-        EvolutionMode::Mosaic => controlled.trigger.is_some(),
-        _ => true,
-    };
-    if !has_triggers {
+    if !controlled.mode.has_stages() || controlled.trigger() == Trigger::AtEnd {
         evolution.insert("trigger".to_owned(), "at-end".into());
     }
     evolution_table(evolution)
