@@ -62,9 +62,16 @@ impl Consensus {
         &self.shift
     }
 
-    /// What makes it the base again.
+    /// What makes it the base again, and the consensus before it, too: who follows may have failed to follow the last shift.
     pub(crate) fn way_back(&self) -> SparseDelta {
-        difference(self.base.iter().copied(), &self.genes)
+        let mut shifted = self.shift.rows.iter().peekable();
+        let rows = (0..).zip(self.base.iter().zip(&self.genes));
+        let back = rows.filter(|(row, (base, genes))| {
+            let is_shifted = shifted.next_if(|&&shifted| shifted == *row).is_some();
+            is_shifted || base != genes
+        });
+        let (rows, genes) = back.map(|(row, (&base, _))| (row, base)).unzip();
+        SparseDelta { rows, genes }
     }
 
     /// An individual as its difference from the base.

@@ -276,19 +276,13 @@ impl GeneticAlgorithm {
     }
 
     fn record(&self, ranking: &Ranking, improved: bool) -> GenerationRecord {
-        let LossStatistics { best, mean, median, worst, std } =
-            LossStatistics::of(ranking).unwrap_or(LossStatistics::NONE);
         let mut parents: Vec<_> = self.brood.parents().map(Arc::as_ptr).collect();
         parents.sort_unstable();
         parents.dedup();
         GenerationRecord {
             generation: self.generation,
             evaluations: self.logbook.last().map_or(0, |record| record.evaluations) + self.ask() as u64,
-            best,
-            mean,
-            median,
-            worst,
-            std,
+            losses: LossStatistics::of(ranking),
             non_finite: self.config.population as usize - ranking.finite().len(),
             best_so_far: self.best_loss(),
             improved,

@@ -121,8 +121,10 @@ impl<'a> MosaicSearch<'a> {
         move |row| (row + offset) / size
     }
 
-    /// Takes each block from the mutant that made it best, if any made it better.
-    pub fn child(&self, mutants: &[SparseDelta], credits: &Credits) -> SparseDelta {
+    /// Takes each block from the mutant that made it best, if any made it better. Credit is from so many views; where they are
+    /// fewer than the evidence that is wanted, all of them are enough.
+    pub fn child(&self, mutants: &[SparseDelta], credits: &Credits, view_count: usize) -> SparseDelta {
+        let evidence = self.config.evidence.min(view_count as u32);
         let block_of = self.blocks();
         // Of each row, the best change of its block, and what it then is.
         let mut best: Vec<(f64, Option<Gene>)> = vec![(0.0, None); credits.views.len()];
@@ -140,7 +142,7 @@ impl<'a> MosaicSearch<'a> {
         }
         let mut child = SparseDelta::default();
         for (row, (&views, (_, gene))) in (0..).zip(credits.views.iter().zip(best)) {
-            if let Some(gene) = gene.filter(|_| views >= self.config.evidence) {
+            if let Some(gene) = gene.filter(|_| views >= evidence) {
                 child.rows.push(row);
                 child.genes.push(gene);
             }
@@ -187,10 +189,15 @@ mod tests {
             ],
             views: vec![2, 6, 2, 1, 3],
         };
-        let child = search.child(&mutants, &credits);
+        let child = search.child(&mutants, &credits, 6);
         // Row 1 is better as it was, row 3 was seen in one view only, and of equal ones the first counts.
         assert_eq!(child.rows, [0, 2, 4]);
         assert_eq!(child.genes, [mutants[1].genes[0], mutants[0].genes[2], mutants[2].genes[4]]);
+        assert_eq!(
+            search.child(&mutants, &credits, 1).rows,
+            [0, 2, 3, 4],
+            "where there is one view, it is enough"
+        );
     }
 
     #[test]
@@ -214,7 +221,7 @@ mod tests {
         assert!(block.len() > 1);
         block.iter().for_each(|&row| credits.changes[0][row as usize] = -1.0);
         credits.changes[0][block[0] as usize] = 0.5;
-        assert_eq!(search.child(&mutants, &credits).rows, block);
+        assert_eq!(search.child(&mutants, &credits, 6).rows, block);
     }
 
     #[test]
@@ -276,7 +283,7 @@ mod tests {
                 }
             }
             let mut child = cloud.clone();
-            child.apply(&search.child(&mutants, &credits));
+            child.apply(&search.child(&mutants, &credits, 6));
             let better = total(&child) < total(&cloud);
             if better {
                 cloud = child;

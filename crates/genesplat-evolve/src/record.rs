@@ -4,24 +4,15 @@ use serde::Serialize;
 
 use crate::survival::Ranking;
 
-/// What a generation's losses were. Statistics are over the whole population, elites included, and over finite losses
-/// only; where there is none they are NaN (`null` in JSON).
+/// What a generation's losses were.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct GenerationRecord {
     /// 0 for the initial population, then 1 to K.
     pub generation: u32,
     /// Individuals scored so far, this generation included.
     pub evaluations: u64,
-    /// Lowest loss of the generation.
-    pub best: f64,
-    /// Mean loss.
-    pub mean: f64,
-    /// Median loss (of an even number, the mean of the middle two).
-    pub median: f64,
-    /// Highest finite loss.
-    pub worst: f64,
-    /// Population standard deviation of the losses.
-    pub std: f64,
+    /// Over the whole population, elites included; `None` where no loss is finite.
+    pub losses: Option<LossStatistics>,
     /// Losses that were NaN or infinite.
     pub non_finite: usize,
     /// Lowest loss so far, the base's included: never rises.
@@ -35,7 +26,7 @@ pub struct GenerationRecord {
 }
 
 /// Statistics of a generation's finite losses.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct LossStatistics {
     /// Lowest.
     pub best: f64,
@@ -50,10 +41,6 @@ pub struct LossStatistics {
 }
 
 impl LossStatistics {
-    /// Of a generation in which nothing could be rendered.
-    pub(crate) const NONE: Self =
-        Self { best: f64::NAN, mean: f64::NAN, median: f64::NAN, worst: f64::NAN, std: f64::NAN };
-
     /// `None` where no loss is finite.
     pub(crate) fn of(ranking: &Ranking) -> Option<Self> {
         let losses = ranking.finite();

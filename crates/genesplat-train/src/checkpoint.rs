@@ -14,7 +14,7 @@ use crate::renew::Trial;
 use crate::schedule::{OptimiserStep, Phase};
 
 /// Opens every checkpoint; the last byte is the version of the format.
-const MAGIC: [u8; 8] = *b"GSPLATC\x05";
+const MAGIC: [u8; 8] = *b"GSPLATC\x06";
 
 /// The next thing to do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -122,7 +122,7 @@ impl Checkpoint {
             out.u32(parent.states())?;
             out.cloud(parent.mean())?;
         }
-        out.u32(u32::from(self.trial.is_some()))?;
+        out.flag(self.trial.is_some())?;
         self.trial.as_ref().map_or(Ok(()), |trial| out.trial(trial))?;
         let checksum = out.checksum.0;
         out.writer.write_all(&checksum.to_le_bytes())?;
@@ -154,7 +154,11 @@ impl Checkpoint {
             && [0, n].contains(&statistics.absolute_sum.len())
             && (genes == [n, n] || genes == [0, 0])
             && self.trial.as_ref().is_none_or(Trial::is_consistent)
-            && self.lineage.parents().iter().all(|parent| [0, n].contains(&parent.mean().len()));
+            && self
+                .lineage
+                .parents()
+                .iter()
+                .all(|parent| parent.mean().is_consistent() && [0, n].contains(&parent.mean().len()));
         if consistent { Ok(()) } else { Err(CheckpointError::Damaged("its columns differ in length")) }
     }
 }
@@ -190,6 +194,11 @@ impl<W: Write> Encoder<W> {
 
     fn u32(&mut self, value: u32) -> io::Result<()> {
         self.bytes(&value.to_le_bytes())
+    }
+
+    /// Something follows, or not.
+    fn flag(&mut self, flag: bool) -> io::Result<()> {
+        self.u32(flag.into())
     }
 
     fn u64(&mut self, value: u64) -> io::Result<()> {
@@ -233,8 +242,8 @@ impl<W: Write> Encoder<W> {
         self.u64(stage.renders)?;
         self.f64(stage.fitness_before)?;
         self.f64(stage.fitness_after)?;
-        // No guards: not a number, twice.
-        stage.guard_psnr.unwrap_or([f64::NAN; 2]).into_iter().try_for_each(|psnr| self.f64(psnr))?;
+        self.flag(stage.guard_psnr.is_some())?;
+        stage.guard_psnr.into_iter().flatten().try_for_each(|psnr| self.f64(psnr))?;
         self.u64(stage.changed as u64)?;
         self.u64(stage.population_bytes)?;
         self.f64(stage.seconds)
@@ -246,7 +255,7 @@ impl<W: Write> Encoder<W> {
         self.floats(cloud.rotations.as_flattened())?;
         self.floats(&cloud.opacity_logits)?;
         self.floats(cloud.sh.as_flattened())?;
-        self.u32(u32::from(cloud.filter_3d.is_some()))?;
+        self.flag(cloud.filter_3d.is_some())?;
         cloud.filter_3d.as_ref().map_or(Ok(()), |filter| self.floats(filter))
     }
 }
@@ -271,7 +280,7 @@ impl<R: Read> Decoder<R> {
                 gene_views: self.words()?.into_iter().map(u32::from_le_bytes).collect(),
             },
             lineage: Lineage::new([self.parent()?, self.parent()?]),
-            trial: if self.u32()? == 0 { None } else { Some(self.trial()?) },
+            trial: if self.flag()? { Some(self.trial()?) } else { None },
         })
     }
 
@@ -296,6 +305,10 @@ impl<R: Read> Decoder<R> {
 
     fn u32(&mut self) -> Result<u32, CheckpointError> {
         Ok(u32::from_le_bytes(self.array()?))
+    }
+
+    fn flag(&mut self) -> Result<bool, CheckpointError> {
+        Ok(self.u32()? != 0)
     }
 
     fn u64(&mut self) -> Result<u64, CheckpointError> {
@@ -357,7 +370,7 @@ impl<R: Read> Decoder<R> {
             renders: self.u64()?,
             fitness_before: self.f64()?,
             fitness_after: self.f64()?,
-            guard_psnr: Some([self.f64()?, self.f64()?]).filter(|[before, _]| !before.is_nan()),
+            guard_psnr: if self.flag()? { Some([self.f64()?, self.f64()?]) } else { None },
             changed: self.u64()? as usize,
             population_bytes: self.u64()?,
             seconds: self.f64()?,
@@ -371,7 +384,7 @@ impl<R: Read> Decoder<R> {
             rotations: self.rows()?,
             opacity_logits: self.floats()?,
             sh: self.rows()?,
-            filter_3d: if self.u32()? == 0 { None } else { Some(self.floats()?) },
+            filter_3d: if self.flag()? { Some(self.floats()?) } else { None },
         })
     }
 }
@@ -462,9 +475,30 @@ mod tests {
 
     #[test]
     fn columns_must_agree() {
-        let mut checkpoint = example();
-        checkpoint.statistics.weight_sum.pop();
-        let error = Checkpoint::read(bytes(&checkpoint).as_slice()).unwrap_err();
-        assert!(matches!(error, CheckpointError::Damaged(_)), "{error}");
+        let spoil: [fn(&mut Checkpoint); 7] = [
+            |checkpoint| _ = checkpoint.statistics.weight_sum.pop(),
+            |checkpoint| _ = checkpoint.statistics.absolute_sum.pop(),
+            |checkpoint| _ = checkpoint.statistics.gene_views.pop(),
+            |checkpoint| _ = checkpoint.cloud.sh.pop(),
+            |checkpoint| _ = checkpoint.moments.second.rotations.pop(),
+            |checkpoint| _ = checkpoint.trial.as_mut().unwrap().cloud.log_scales.pop(),
+            |checkpoint| {
+                let mut mean = Gaussians::zeros(3);
+                mean.sh.pop();
+                checkpoint.lineage = Lineage::new([Parent::default(), Parent::new(4, mean)]);
+            },
+        ];
+        for (case, spoil) in spoil.iter().enumerate() {
+            let mut checkpoint = example();
+            spoil(&mut checkpoint);
+            let error = Checkpoint::read(bytes(&checkpoint).as_slice()).unwrap_err();
+            assert!(matches!(error, CheckpointError::Damaged(_)), "{case}: {error}");
+        }
+    }
+
+    #[test]
+    fn numbers_in_the_file_are_places_in_the_lists() {
+        assert!(Phase::ORDER.iter().enumerate().all(|(place, &phase)| phase as usize == place));
+        assert!(StageKind::ALL.iter().enumerate().all(|(place, &kind)| kind as usize == place));
     }
 }

@@ -278,6 +278,8 @@ pub struct EvolutionConfig {
     pub moments: MomentPolicy,
     /// Mode `control`: seconds a stage. Default 60; not negative.
     pub control_seconds: f64,
+    /// Mode `control`: steps a stage in place of seconds, so that a run repeats exactly. Default 0: as many as the seconds allow.
+    pub control_steps: u32,
     /// Mode `renew`: how many Gaussians there are, how many of them make room for others, and when.
     pub renewal: RenewalConfig,
     /// Modes `recombine` and `renew`: the line of the run's last states.
@@ -297,7 +299,8 @@ pub struct RenewalConfig {
     /// Steps between two renewals, as a share of the run. They are counted back from its end, and the first one comes when density
     /// control has ended, in the second half of the run. Default 0.05; above 0, at most 0.5.
     pub every: f64,
-    /// No renewal begins after this share of the run: the last Gaussians need time to become good ones. Default 0.75; 0 to 1.
+    /// No renewal begins after this share of the run: the last Gaussians need time to become good ones. Default 0.75; 0 to 1, and
+    /// 0 for none at all.
     pub until: f64,
     /// Training views that a renewal weighs on, at most, as a share of the run's steps; spread evenly, others each time.
     /// Default 0.02, where all renewals together take a tenth of the time or less; above 0.
@@ -311,11 +314,27 @@ pub struct RenewalConfig {
     /// anything that the others do not. The lower of both limits counts. Default 0.3, which is the lower from 45 photos on;
     /// 0 for no such limit.
     pub photo_pixels: f64,
+    /// The cloud approaches its limit, whoever set it, evenly over density control, not as fast as it wants to. Default true.
+    pub even_growth: bool,
+    /// None is pruned for its size: what it is worth decides. Default true.
+    pub spare_large: bool,
+    /// States breed at the ends of windows, too, as in mode `recombine`. Default true.
+    pub recombine: bool,
 }
 
 impl Default for RenewalConfig {
     fn default() -> Self {
-        Self { share: 0.1, every: 0.05, until: 0.75, weighed: 0.02, pixels: 2.0, photo_pixels: 0.3 }
+        Self {
+            share: 0.1,
+            every: 0.05,
+            until: 0.75,
+            weighed: 0.02,
+            pixels: 2.0,
+            photo_pixels: 0.3,
+            even_growth: true,
+            spare_large: true,
+            recombine: true,
+        }
     }
 }
 
@@ -358,6 +377,7 @@ impl Default for EvolutionConfig {
             rotate_views: false,
             moments: MomentPolicy::Keep,
             control_seconds: 60.0,
+            control_steps: 0,
             renewal: RenewalConfig::default(),
             recombine: RecombineConfig::default(),
             mosaic: MosaicConfig::default(),

@@ -26,7 +26,7 @@ pub fn filter_3d<'a>(positions: &[[f32; 3]], cameras: impl Iterator<Item = &'a C
     let depth_min: Vec<f64> =
         positions.par_iter().map(|&position| smallest_depth(&cameras, position)).collect();
     let farthest = depth_min.iter().copied().filter(|depth| depth.is_finite()).fold(0.0, f64::max);
-    let std_by_depth = FILTER_VARIANCE.sqrt() / focal_max;
+    let std_by_depth = if focal_max > 0.0 { FILTER_VARIANCE.sqrt() / focal_max } else { 0.0 };
     depth_min
         .into_iter()
         .map(|depth| (if depth.is_finite() { depth } else { farthest } * std_by_depth) as f32)

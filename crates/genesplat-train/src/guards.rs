@@ -16,24 +16,25 @@ const SQUARED_ERROR_MIN: f64 = 1e-12;
 
 /// Views of one stage.
 pub(crate) struct StageViews {
+    rng: Rng,
     /// Not searched on.
     pub(crate) guards: Vec<usize>,
-    /// The others; where there are too few of them, all views.
+    /// The others; where there are none, the guards.
     searched: Vec<usize>,
 }
 
 impl StageViews {
     /// At most a quarter of the views are guards, but always one.
-    pub(crate) fn new(views: &[View], guards: usize, rng: &Rng) -> Self {
-        let guards = spread_evenly(views, guards.min(views.len() / 4).max(1), rng, 0);
+    pub(crate) fn new(views: &[View], guards: usize, rng: Rng) -> Self {
+        let guards = spread_evenly(views, guards.min(views.len() / 4).max(1), &rng, 0);
         let searched: Vec<usize> = (0..views.len()).filter(|view| !guards.contains(view)).collect();
         let searched = if searched.is_empty() { guards.clone() } else { searched };
-        Self { guards, searched }
+        Self { rng, guards, searched }
     }
 
     /// The views of one generation, in a random order of its own.
-    pub(crate) fn of_generation(&self, generation: u32, count: usize, rng: &Rng) -> Vec<usize> {
-        let order = rng.permutation(Stream::FitnessViews, generation + 1, self.searched.len());
+    pub(crate) fn of_generation(&self, generation: u32, count: usize) -> Vec<usize> {
+        let order = self.rng.permutation(Stream::FitnessViews, generation + 1, self.searched.len());
         order.into_iter().take(count).map(|index| self.searched[index as usize]).collect()
     }
 }

@@ -86,7 +86,7 @@ fn notice_of_no_renewal(schedule: &Schedule) -> Option<String> {
     let every = schedule.renew_every?;
     (1..=schedule.iterations).all(|i| !schedule.renews(i)).then(|| {
         format!(
-            "mode renew renews nothing here, and only recombines: renewals are {every} iterations apart \
+            "mode renew renews nothing here: renewals are {every} iterations apart \
              (evolution.renewal.every), counted back from the end, and none may begin before iteration {} or after \
              iteration {} (evolution.renewal.until)",
             schedule.renew_from(),

@@ -36,12 +36,16 @@ impl<'a, B: Backend> Trainer<'a, B> {
         let all_rows: Vec<u32> = (0..mosaic.cloud.len() as u32).collect();
         let original = mosaic.cloud.genes_of(&all_rows);
         let Verdict { loss, psnr } = mosaic.verdict;
-        let mut record = StageRecord::begun(StageKind::Mosaic, cursor.iteration, loss, Some(psnr));
+        let record = StageRecord::begun(StageKind::Mosaic, cursor.iteration, loss, Some(psnr));
+        let mut record = StageRecord { renders: mosaic.views.guards.len() as u64, ..record };
         // The first counts as the initial population.
         let generations = self.config.evolution.mosaic.generations.saturating_sub(1);
         self.tell_of_stage(&record, &mosaic.views.guards, generations);
-        while !mosaic.search.is_finished() && !self.stopped() {
-            self.next_child(&mut mosaic, &mut record)?;
+        if let Err(error) = self.search_mosaic(&mut mosaic, &mut record) {
+            // Whoever resumes begins anew.
+            self.backend.apply(&original, MomentPolicy::Keep)?;
+            self.torn = false;
+            return Err(error);
         }
         let interrupted = !mosaic.search.is_finished();
         let checkpoint =
@@ -56,7 +60,7 @@ impl<'a, B: Backend> Trainer<'a, B> {
 
     fn begin_mosaic(&mut self, iteration: u32) -> Result<Mosaic<'a>, TrainError> {
         let (begun, rng) = (Instant::now(), self.rng.fork(iteration));
-        let views = StageViews::new(self.views, self.config.evolution.recombine.guards, &rng);
+        let views = StageViews::new(self.views, self.config.evolution.recombine.guards, rng);
         let verdict = self.verdict(&views.guards, iteration)?;
         let cloud = self.healthy_cloud()?.into_owned();
         Ok(Mosaic {
@@ -70,13 +74,21 @@ impl<'a, B: Backend> Trainer<'a, B> {
         })
     }
 
+    /// Generation after generation, until the last one or a stop.
+    fn search_mosaic(&mut self, mosaic: &mut Mosaic, record: &mut StageRecord) -> Result<(), TrainError> {
+        while !mosaic.search.is_finished() && !self.stopped() {
+            self.next_child(mosaic, record)?;
+        }
+        Ok(())
+    }
+
     /// One generation: what credit puts together is tried.
     fn next_child(&mut self, mosaic: &mut Mosaic, record: &mut StageRecord) -> Result<(), TrainError> {
         let mutants = mosaic.search.mutants(&mosaic.cloud);
-        let (count, rng) = (self.config.evolution.mosaic.views, self.rng.fork(mosaic.iteration));
-        let views = mosaic.views.of_generation(mosaic.search.generation(), count, &rng);
+        let count = self.config.evolution.mosaic.views;
+        let views = mosaic.views.of_generation(mosaic.search.generation(), count);
         let credits = self.backend.credit(&mutants, &views, &mosaic.settings)?;
-        let child = mosaic.search.child(&mutants, &credits);
+        let child = mosaic.search.child(&mutants, &credits, views.len());
         let bytes = mutants.iter().map(|mutant| mutant.bytes() as u64).sum();
         record.population_bytes = record.population_bytes.max(bytes);
         record.renders += ((mutants.len() + 1) * views.len() + mosaic.views.guards.len()) as u64;
@@ -85,6 +97,7 @@ impl<'a, B: Backend> Trainer<'a, B> {
         record.seconds = mosaic.begun.elapsed().as_secs_f64();
         self.observer.on_generation(&GenerationLog {
             accepted: Some(accepted),
+            guard_psnr: Some(verdict.psnr),
             ..GenerationLog::of(record, Some(verdict.loss))
         });
         record.generations += 1;

@@ -1,7 +1,7 @@
 //! How training tells what it does: a log, a progress bar, a live page.
 //!
 //! An observer is called between device calls and must return at once; training never waits for an answer.
-//! Every call carries a record that serialises to one line of `log.jsonl` ([`LogRecord`]).
+//! What happens is told as records that serialise to one line of `log.jsonl` each ([`LogRecord`]).
 
 use genesplat_core::{BackendError, Camera, Image};
 use serde::Serialize;
@@ -74,6 +74,8 @@ pub struct DensifyLog {
 /// An evolution stage begins.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct StageLog {
+    /// What it is about to do.
+    pub kind: StageKind,
     /// Iteration of the trigger.
     pub iteration: u32,
     /// Generations to be bred after the initial population.
@@ -99,8 +101,10 @@ pub struct GenerationLog {
     pub mean: Option<f64>,
     /// Standard deviation of the same.
     pub spread: Option<f64>,
-    /// Gaussians that took a mutation over, where each is judged by itself; 0 where guards refused the child.
+    /// Gaussians that the generation changes for good; 0 where guards refused it, `null` where that is not decided yet.
     pub accepted: Option<usize>,
+    /// Mean PSNR that guard views have of it, dB; `null` where they were not asked.
+    pub guard_psnr: Option<f64>,
     /// Renders made by the stage so far.
     pub renders: u64,
     /// Wall-clock seconds since the stage began.
@@ -118,6 +122,7 @@ impl GenerationLog {
             mean: None,
             spread: None,
             accepted: None,
+            guard_psnr: None,
             renders: record.renders,
             seconds: record.seconds,
         }
@@ -143,6 +148,17 @@ pub enum StageKind {
 impl StageKind {
     /// All of them, in the order of their numbers in a checkpoint.
     pub const ALL: [Self; 5] = [Self::Paper, Self::Control, Self::Recombination, Self::Renewal, Self::Mosaic];
+
+    /// As log and reports write it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Paper => "paper",
+            Self::Control => "control",
+            Self::Recombination => "recombination",
+            Self::Renewal => "renewal",
+            Self::Mosaic => "mosaic",
+        }
+    }
 }
 
 /// An evolution stage, or the control in its place, as `metrics.json` reports it.
@@ -253,65 +269,23 @@ pub enum LogRecord {
     },
 }
 
-/// Turns the calls of an [`Observer`] into records; steps are passed on only where they carry a report.
-#[derive(Debug)]
-pub struct Recorder<F>(pub F);
-
-impl<F: FnMut(LogRecord)> Observer for Recorder<F> {
-    fn on_start(&mut self, log: &StartLog) {
-        self.0(LogRecord::Start(log.clone()));
-    }
-
-    fn on_iteration(&mut self, log: &StepLog) {
-        if log.report.is_some() {
-            self.0(LogRecord::Step(log.clone()));
-        }
-    }
-
-    fn on_densify(&mut self, log: &DensifyLog) {
-        self.0(LogRecord::Densify(*log));
-    }
-
-    fn on_stage_start(&mut self, log: &StageLog) {
-        self.0(LogRecord::StageStart(log.clone()));
-    }
-
-    fn on_generation(&mut self, log: &GenerationLog) {
-        self.0(LogRecord::Generation(*log));
-    }
-
-    fn on_stage_end(&mut self, record: &StageRecord) {
-        self.0(LogRecord::StageEnd(*record));
-    }
-
-    fn notice(&mut self, text: &str) {
-        self.0(LogRecord::Notice { text: text.to_owned() });
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
     fn records_are_tagged_lines() {
-        let mut lines = Vec::new();
-        let mut recorder = Recorder(|record| lines.push(serde_json::to_string(&record).unwrap()));
-        recorder.notice("full");
-        let step = StepLog {
+        let line = |record: &LogRecord| serde_json::to_string(record).unwrap();
+        assert_eq!(line(&LogRecord::Notice { text: "full".into() }), r#"{"event":"notice","text":"full"}"#);
+        let step = line(&LogRecord::Step(StepLog {
             iteration: 7,
             iterations: 9,
             gaussians: 3,
             sh_degree: 0,
             position_rate: 0.5,
-            report: None,
-        };
-        recorder.on_iteration(&step);
-        let report = Some(StepFindings { loss: 0.25, visible: 2, tile_splats: 4 });
-        recorder.on_iteration(&StepLog { report, ..step });
-        assert_eq!(lines.len(), 2, "a step without report is not logged");
-        assert_eq!(lines[0], r#"{"event":"notice","text":"full"}"#);
-        assert!(lines[1].contains(r#""event":"step","iteration":7"#), "{}", lines[1]);
-        assert!(lines[1].contains(r#""loss":0.25"#), "{}", lines[1]);
+            report: Some(StepFindings { loss: 0.25, visible: 2, tile_splats: 4 }),
+        }));
+        assert!(step.contains(r#""event":"step","iteration":7"#), "{step}");
+        assert!(step.contains(r#""loss":0.25"#), "{step}");
     }
 }

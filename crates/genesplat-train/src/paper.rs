@@ -8,7 +8,7 @@ use std::time::Instant;
 
 use genesplat_core::backend::MomentPolicy;
 use genesplat_core::{Backend, BackendError, SparseDelta, Statistics};
-use genesplat_evolve::{GeneGradients, GenerationRecord, GeneticAlgorithm};
+use genesplat_evolve::{GeneGradients, GeneticAlgorithm};
 
 use crate::checkpoint::{Checkpoint, Cursor};
 use crate::fitness::Fitness;
@@ -66,16 +66,16 @@ impl<B: Backend> Trainer<'_, B> {
         while !algorithm.is_finished() {
             self.move_cloud(algorithm.shift())?;
             let Some(losses) = self.score_generation(fitness, algorithm)? else { break };
-            let &GenerationRecord { mean, std, .. } = algorithm.tell(&losses)?;
+            let population = algorithm.tell(&losses)?.losses;
             record.renders += (losses.len() * fitness.views.len()) as u64;
             record.fitness_after = algorithm.best_loss();
             record.seconds = begun.elapsed().as_secs_f64();
             record.population_bytes = algorithm.peak_population_bytes() as u64;
-            let best = losses.iter().copied().fold(f64::INFINITY, f64::min);
+            let best = losses.iter().copied().filter(|loss| loss.is_finite()).min_by(f64::total_cmp);
             self.observer.on_generation(&GenerationLog {
-                mean: finite(mean),
-                spread: finite(std),
-                ..GenerationLog::of(record, finite(best))
+                mean: population.map(|losses| losses.mean),
+                spread: population.map(|losses| losses.std),
+                ..GenerationLog::of(record, best)
             });
             record.generations += 1;
         }
@@ -93,8 +93,4 @@ impl<B: Backend> Trainer<'_, B> {
 fn gene_gradients(statistics: Statistics) -> Option<GeneGradients> {
     let summed = !statistics.gene_views.is_empty();
     summed.then_some(GeneGradients { sum: statistics.gene_gradient_sum, views: statistics.gene_views })
-}
-
-fn finite(value: f64) -> Option<f64> {
-    Some(value).filter(|value| value.is_finite())
 }

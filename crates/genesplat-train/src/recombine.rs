@@ -114,7 +114,7 @@ impl<B: Backend> Trainer<'_, B> {
         Line {
             iteration,
             begun: Instant::now(),
-            views: StageViews::new(self.views, config.guards, &rng),
+            views: StageViews::new(self.views, config.guards, rng),
             settings: self.settings(iteration),
             rng,
             parents: self.backend.remembered().map(|states| states > 0),
@@ -125,12 +125,12 @@ impl<B: Backend> Trainer<'_, B> {
 
     /// The best genome that the evolution strategy finds until it ends or is stopped.
     fn search_line(&mut self, line: &Line, record: &mut StageRecord) -> Result<Vec<f64>, TrainError> {
-        // The first counts as the initial population.
-        self.tell_of_stage(record, &line.views.guards, line.generations.saturating_sub(1));
+        // The first counts as the initial population; the guards' choice is the last.
+        self.tell_of_stage(record, &line.views.guards, line.generations);
         let mut strategy = EvolutionStrategy::new(START.repeat(line.groups), STEP, line.rng);
         while strategy.generation() < line.generations && !self.stopped() {
             let count = self.config.evolution.recombine.views;
-            let views = line.views.of_generation(strategy.generation(), count, &line.rng);
+            let views = line.views.of_generation(strategy.generation(), count);
             let blends: Vec<Blend> = strategy.ask().iter().map(|genome| line.child(genome)).collect();
             let judgements = self.backend.judge(&blends, &views, &line.settings)?;
             let losses: Vec<f64> = judgements.chunks_exact(views.len()).map(mean_loss).collect();
@@ -148,7 +148,7 @@ impl<B: Backend> Trainer<'_, B> {
         Ok(strategy.mean().to_vec())
     }
 
-    /// Lets the guards choose between the cloud, what was found, and the plain mean; `None` is the cloud.
+    /// The last generation of a stage: the guards choose between the cloud, what was found, and the plain mean; `None` is the cloud.
     fn ask_guards(
         &mut self,
         line: &Line,
@@ -160,14 +160,21 @@ impl<B: Backend> Trainer<'_, B> {
         let verdicts = self.verdicts(line, &finalists)?;
         record.renders += ((finalists.len() + 1) * line.views.guards.len()) as u64;
         let (mut chosen, mut best) = (None, before);
-        for (finalist, verdict) in finalists.into_iter().zip(verdicts) {
+        for (finalist, verdict) in finalists.into_iter().zip(&verdicts) {
             if verdict.improves(&best) {
-                (chosen, best) = (Some(finalist), verdict);
+                (chosen, best) = (Some(finalist), *verdict);
             }
         }
         record.fitness_after = best.loss;
         record.guard_psnr = Some([before.psnr, best.psnr]);
         record.changed = if chosen.is_some() { self.backend.len() } else { 0 };
+        record.seconds = line.begun.elapsed().as_secs_f64();
+        let fittest = verdicts.iter().min_by(|a, b| a.loss.total_cmp(&b.loss));
+        self.observer.on_generation(&GenerationLog {
+            accepted: Some(record.changed),
+            guard_psnr: fittest.map(|verdict| verdict.psnr),
+            ..GenerationLog::of(record, fittest.map(|verdict| verdict.loss))
+        });
         Ok(chosen)
     }
 

@@ -38,7 +38,7 @@ pub fn refine<B: Backend>(
     }
     let checkpoint = trainer.perform(last, Phase::EvolveAfterReset)?;
     let mut outcome = trainer.finish(None)?;
-    outcome.summary.interrupted = checkpoint.is_some();
+    (outcome.summary.interrupted, outcome.summary.iterations) = (checkpoint.is_some(), 0);
     Ok(outcome)
 }
 

@@ -23,7 +23,7 @@ use genesplat_core::{Backend, Gaussians, Merit, Moments, Origin};
 use genesplat_evolve::renewal;
 
 use crate::guards::{StageViews, Verdict};
-use crate::observe::{StageKind, StageRecord};
+use crate::observe::{GenerationLog, StageKind, StageRecord};
 use crate::run::TrainError;
 use crate::trainer::Trainer;
 use crate::views::spread_evenly;
@@ -40,10 +40,17 @@ pub struct Trial {
 }
 
 impl Trial {
-    /// All columns have the same number of rows.
+    /// What guards say of the state before it.
+    fn before(&self) -> Verdict {
+        let [psnr, _] = self.record.guard_psnr.expect("a renewal has guards");
+        Verdict { loss: self.record.fitness_before, psnr }
+    }
+
+    /// All columns have the same number of rows, and guards were asked.
     pub(crate) fn is_consistent(&self) -> bool {
         let columns = [&self.cloud, &self.moments.first, &self.moments.second];
-        columns.iter().all(|columns| columns.is_consistent() && columns.len() == self.cloud.len())
+        self.record.guard_psnr.is_some()
+            && columns.iter().all(|columns| columns.is_consistent() && columns.len() == self.cloud.len())
     }
 }
 
@@ -62,6 +69,7 @@ impl<B: Backend> Trainer<'_, B> {
         let clock = if is_first { clock } else { Instant::now() };
         if self.schedule.renews(i) {
             let record = StageRecord::begun(StageKind::Renewal, i, loss, Some(psnr));
+            // The verdict that it is compared with; the one that ends it is the next one's.
             let renders = guards.len() as u64;
             self.begin_trial(StageRecord { generations: 1, renders, ..record }, clock)?;
         }
@@ -70,28 +78,38 @@ impl<B: Backend> Trainer<'_, B> {
 
     /// The same in all trials of a run, so that one verdict ends a trial and begins the next. Steps and weighing see them, too.
     fn guards(&self) -> Vec<usize> {
-        StageViews::new(self.views, self.config.evolution.recombine.guards, &self.rng).guards
+        StageViews::new(self.views, self.config.evolution.recombine.guards, self.rng).guards
     }
 
     /// Keeps what was renewed, or takes it back, if there is a trial; returns what guards say of the state that stays.
     fn end_trial(&mut self, verdict: Verdict, clock: Instant) -> Result<Verdict, TrainError> {
-        let Some(Trial { record, cloud, moments }) = &self.trial else { return Ok(verdict) };
-        let mut record = *record;
-        let before =
-            Verdict { loss: record.fitness_before, psnr: record.guard_psnr.map_or(f64::NAN, |psnr| psnr[0]) };
+        let Some(trial) = &self.trial else { return Ok(verdict) };
+        let (mut record, before) = (trial.record, trial.before());
         let stays = if verdict.psnr >= before.psnr {
             verdict
         } else {
             // Copies: where the device has no room for them, what it holds is still on trial.
-            self.backend.upload(cloud.clone(), Some(moments.clone()))?;
+            self.backend.upload(trial.cloud.clone(), Some(trial.moments.clone()))?;
             record.changed = 0;
             before
         };
         record.fitness_after = stays.loss;
         record.guard_psnr = Some([before.psnr, stays.psnr]);
         record.seconds += clock.elapsed().as_secs_f64();
+        self.observer.on_generation(&GenerationLog {
+            accepted: Some(record.changed),
+            guard_psnr: Some(verdict.psnr),
+            ..GenerationLog::of(&record, Some(verdict.loss))
+        });
         self.forget_trial(record)?;
         Ok(stays)
+    }
+
+    /// The state before the renewal on trial, if there is one, and guards do not find better what has become of it so far.
+    pub(crate) fn better_before_trial(&mut self) -> Result<Option<Gaussians>, TrainError> {
+        let Some(trial) = self.trial.take() else { return Ok(None) };
+        let now = self.verdict(&self.guards(), self.cursor.iteration)?;
+        Ok((now.psnr < trial.before().psnr).then_some(trial.cloud))
     }
 
     /// The trial is over. Once it is reported the state is whole again: what is left of the phase is the next renewal,
@@ -118,6 +136,7 @@ impl<B: Backend> Trainer<'_, B> {
         let moments = self.backend.download_moments()?.into_owned();
         self.backend.edit_rows(&edit)?;
         record.seconds = clock.elapsed().as_secs_f64();
+        self.tell_of_stage(&record, &self.guards(), record.generations);
         self.trial = Some(Trial { record, cloud, moments });
         Ok(())
     }

@@ -13,7 +13,7 @@ use genesplat_core::{Backend, BackendError};
 use crate::checkpoint::{Checkpoint, Cursor};
 use crate::run::TrainError;
 use crate::schedule::Phase;
-use crate::trainer::Trainer;
+use crate::trainer::{Trainer, check_health};
 
 impl<B: Backend> Trainer<'_, B> {
     /// Hands over a checkpoint, if the device still holds the work of whole phases; returns the error that ends the run.
@@ -31,7 +31,10 @@ impl<B: Backend> Trainer<'_, B> {
     fn capture_what_is_done(&mut self) -> Result<Box<Checkpoint>, TrainError> {
         let undone = self.backend.abandon()? as u32;
         self.take_back(undone);
-        self.capture(self.cursor)
+        let checkpoint = self.capture(self.cursor)?;
+        // The last one of the schedule may be in better health, and there is room for one.
+        check_health(&checkpoint.cloud, self.progress.steps)?;
+        Ok(checkpoint)
     }
 
     /// Goes back before the last `undone` steps, and counts them no more.

@@ -138,6 +138,10 @@ pub struct Schedule {
     pub renew_until: u32,
     /// Training views that a renewal weighs on, at most.
     pub views_weighed: usize,
+    /// The cloud's limit rises evenly over density control.
+    pub grows_evenly: bool,
+    /// Nothing is pruned for its size.
+    pub spares_large: bool,
     /// Iterations of a window of recombination, if it runs; the last window ends with the run.
     pub window: Option<u32>,
     /// Iterations between two states that recombination remembers.
@@ -160,7 +164,8 @@ impl Schedule {
         let white = config.background == Background::White && densify.white_reset_at > 0;
         let iterations = interval(config.iterations);
         let renews = evolution.mode == EvolutionMode::Renew;
-        let recombines = matches!(evolution.mode, EvolutionMode::Recombine | EvolutionMode::Renew);
+        let renewal = &evolution.renewal;
+        let recombines = evolution.mode == EvolutionMode::Recombine || renews && renewal.recombine;
         let share_of_run = |share: f64| (f64::from(iterations) * share).round() as u32;
         let latest = |share: f64| if renews { share_of_run(share) } else { u32::MAX };
         let densify_until = if mcmc {
@@ -186,9 +191,11 @@ impl Schedule {
             filter_3d: config.variant == Variant::MipSplatting,
             evolution_phase: evolution.mode.has_stages().then(|| trigger_phase(evolution.trigger())),
             evolution_stride: evolution.stride,
-            renew_every: renews.then(|| share_of_run(evolution.renewal.every).max(1)),
-            renew_until: share_of_run(evolution.renewal.until),
-            views_weighed: share_of_run(evolution.renewal.weighed).max(1) as usize,
+            renew_every: renews.then(|| share_of_run(renewal.every).max(1)),
+            renew_until: share_of_run(renewal.until),
+            views_weighed: share_of_run(renewal.weighed).max(1) as usize,
+            grows_evenly: renews && renewal.even_growth,
+            spares_large: renews && renewal.spare_large,
             window: recombines.then_some(window),
             remember_every: (window / evolution.recombine.states).max(1),
             gene_gradients: evolution.wants_gene_gradients(),
@@ -248,15 +255,15 @@ impl Schedule {
 
     /// Oversized Gaussians are pruned in iteration `i`. Where Gaussians are weighed, it is what they are worth that decides.
     pub fn prunes_by_size(&self, i: u32) -> bool {
-        i > self.size_prune_after && self.renew_every.is_none()
+        i > self.size_prune_after && !self.spares_large
     }
 
-    /// Share of its limit that the cloud may have reached in iteration `i`. With renewal it grows evenly over density control,
-    /// whoever set the limit: what is wanted first, of photos that were hardly looked at, is not what is needed most. MCMC
-    /// does not ask: it adds a share of the Gaussians each time (`mcmc.growth`), until the limit is reached.
+    /// Share of its limit that the cloud may have reached in iteration `i`. With renewal it grows evenly over density control
+    /// (`evolution.renewal.even_growth`), whoever set the limit: what is wanted first, of photos that were hardly looked at, is
+    /// not what is needed most. MCMC does not ask: it adds a share of the Gaussians each time (`mcmc.growth`), until the limit is reached.
     pub fn grown(&self, i: u32) -> f64 {
         let last = self.densify_until.saturating_sub(self.densify_every).max(1);
-        if self.renew_every.is_some() { (f64::from(i) / f64::from(last)).min(1.0) } else { 1.0 }
+        if self.grows_evenly { (f64::from(i) / f64::from(last)).min(1.0) } else { 1.0 }
     }
 
     /// An evolution stage runs in iteration `i`.

@@ -170,7 +170,18 @@ impl<'a, B: Backend> Trainer<'a, B> {
 
     /// The result of a run that reached its end, or was stopped at `checkpoint`.
     pub(crate) fn finish(mut self, checkpoint: Option<Box<Checkpoint>>) -> Result<Outcome, TrainError> {
-        let cloud = self.healthy_cloud()?.into_owned();
+        let cloud = match self.best_so_far() {
+            // The run is lost, but not what it can be resumed from, unless that is as ill.
+            Err(error) => {
+                let ill = matches!(error, TrainError::Backend(BackendError::NonFinite { .. }));
+                checkpoint
+                    .filter(|_| !ill)
+                    .into_iter()
+                    .for_each(|checkpoint| self.observer.on_checkpoint(*checkpoint));
+                return Err(error);
+            }
+            Ok(cloud) => cloud,
+        };
         let progress = self.progress;
         let summary = RunSummary {
             iterations: checkpoint.as_ref().map_or(self.schedule.iterations, |c| c.cursor.iteration - 1),
@@ -182,6 +193,15 @@ impl<'a, B: Backend> Trainer<'a, B> {
             interrupted: checkpoint.is_some(),
         };
         Ok(Outcome { cloud, summary, checkpoint })
+    }
+
+    /// The cloud, which the device holds, too; of a run that was stopped while a renewal was on trial, the state before it
+    /// where guards prefer that. Whoever resumes goes on with the trial.
+    fn best_so_far(&mut self) -> Result<Gaussians, TrainError> {
+        if let Some(cloud) = self.better_before_trial()? {
+            self.backend.upload(cloud, None)?;
+        }
+        Ok(self.healthy_cloud()?.into_owned())
     }
 
     pub(crate) fn stopped(&self) -> bool {
@@ -268,7 +288,7 @@ impl<'a, B: Backend> Trainer<'a, B> {
         Ok(())
     }
 
-    /// How evolution renders in iteration `i`.
+    /// How the cloud is rendered in iteration `i`, by whoever looks at it; a step may have a background of its own.
     pub(crate) fn settings(&self, i: u32) -> RenderSettings {
         RenderSettings {
             sh_degree: self.schedule.sh_degree(i),
@@ -306,9 +326,9 @@ impl<'a, B: Backend> Trainer<'a, B> {
 
     /// What is told at the beginning of a stage: what it is judged on, and how many generations follow the first.
     pub(crate) fn tell_of_stage(&mut self, record: &StageRecord, views: &[usize], generations: u32) {
-        let StageRecord { iteration, fitness_before: fitness, .. } = *record;
+        let StageRecord { kind, iteration, fitness_before: fitness, .. } = *record;
         let views = views.iter().map(|&view| self.views[view].name.clone()).collect();
-        self.observer.on_stage_start(&StageLog { iteration, generations, views, fitness });
+        self.observer.on_stage_start(&StageLog { kind, iteration, generations, views, fitness });
     }
 
     /// The next stage sums gene gradients anew; density statistics, which may be under way, stay.
@@ -332,7 +352,8 @@ impl<'a, B: Backend> Trainer<'a, B> {
     }
 }
 
-fn check_health(cloud: &Gaussians, steps: u32) -> Result<(), TrainError> {
+/// An error where the cloud is not finite.
+pub(crate) fn check_health(cloud: &Gaussians, steps: u32) -> Result<(), TrainError> {
     let Some((row, parameter)) = cloud.first_non_finite() else { return Ok(()) };
     Err(BackendError::NonFinite { row, parameter, steps }.into())
 }

@@ -130,7 +130,7 @@ impl EvolutionConfig {
         at_least_one("evolution.stride", self.stride)?;
         check("evolution.views", self.views, self.views > 0, "at least 1")?;
         not_negative("evolution.control_seconds", self.control_seconds)?;
-        let RenewalConfig { share, every, until, weighed, pixels, photo_pixels } = self.renewal;
+        let RenewalConfig { share, every, until, weighed, pixels, photo_pixels, .. } = self.renewal;
         for (setting, value) in [("evolution.renewal.share", share), ("evolution.renewal.every", every)] {
             check(setting, value, value > 0.0 && value <= 0.5, "above 0 and at most 0.5")?;
         }

@@ -125,9 +125,12 @@ impl Observer for Reporter<'_> {
     }
 
     fn on_stage_start(&mut self, log: &StageLog) {
-        // Generation 0 is the initial population.
-        let bar = self.bar("evolution", 0, u64::from(log.generations) + 1);
-        self.stage = Some(Stage { bar, base_fitness: log.fitness, started: Instant::now() });
+        // A renewal goes on while the run does.
+        if log.kind != StageKind::Renewal {
+            // Generation 0 is the initial population.
+            let bar = self.bar("evolution", 0, u64::from(log.generations) + 1);
+            self.stage = Some(Stage { bar, base_fitness: log.fitness, started: Instant::now() });
+        }
         self.log(&LogRecord::StageStart(log.clone()));
     }
 

@@ -10,7 +10,7 @@ use genesplat_train::{
     train,
 };
 
-use crate::support::{Call, FakeBackend, points, views};
+use crate::support::{Call, Failure, FakeBackend, Keep, points, views};
 
 const GENERATIONS: u32 = 8;
 
@@ -46,8 +46,8 @@ fn every_child_that_guards_like_takes_the_cloud_s_place() {
     let [stage] = outcome.summary.stages[..] else { panic!("one stage") };
     let [before, after] = stage.guard_psnr.unwrap();
     assert!(stage.fitness_after < stage.fitness_before && after > before, "{stage:?}");
-    // The base and four mutants on six views, the child on five guards.
-    assert_eq!((stage.generations, stage.renders), (GENERATIONS, u64::from(GENERATIONS * (5 * 6 + 5))));
+    // The start on five guards; then the base and four mutants on six views, and the child on the guards.
+    assert_eq!((stage.generations, stage.renders), (GENERATIONS, u64::from(5 + GENERATIONS * (5 * 6 + 5))));
     let start = cloud();
     let changed = |row: &usize| outcome.cloud.genes(*row) != start.genes(*row);
     let rows: Vec<usize> = (0..40).filter(changed).collect();
@@ -144,4 +144,28 @@ fn a_stop_within_a_stage_keeps_the_best_and_repeats_the_stage() {
     let start = Start::Checkpoint(Box::new(Checkpoint::read(bytes.as_slice()).unwrap()));
     let resumed = trained(&config, &mut FakeBackend::new(), start, &never);
     assert_eq!(resumed.cloud, whole.cloud);
+}
+
+#[test]
+fn out_of_memory_in_any_call_saves_a_run_that_resumes_exactly() {
+    let (config, never) = (config(), AtomicBool::new(false));
+    let device = || {
+        let mut device = FakeBackend::new();
+        device.queues = true;
+        device
+    };
+    let mut untroubled = device();
+    let whole = trained(&config, &mut untroubled, Start::Points(points(20)), &never);
+    assert!(whole.summary.stages[0].changed > 0);
+    // The first calls fill the device; nothing is to be saved of them.
+    for call in 3..untroubled.fallible {
+        let (mut failing, mut keep) = (device(), Keep::default());
+        failing.failure = Some((call, Failure::OutOfMemory));
+        let (start, resolved) = (Start::Points(points(20)), config.clone().resolve().unwrap());
+        train(&mut failing, &views(20), start, &resolved, &mut keep, &never).unwrap_err();
+        let [checkpoint] = &keep.0[..] else { panic!("call {call} leaves nothing") };
+        let start = Start::Checkpoint(Box::new(checkpoint.clone()));
+        let resumed = trained(&config, &mut device(), start, &never);
+        assert_eq!(resumed.cloud, whole.cloud, "call {call}");
+    }
 }

@@ -2,7 +2,7 @@
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use genesplat_core::{Gaussians, Moments, Origin, RowEdit};
+use genesplat_core::{Backend, Gaussians, Moments, Origin, RowEdit};
 use genesplat_train::{
     Checkpoint, EvolutionMode, Observer, Outcome, Silent, StageKind, StageRecord, Start, TrainConfig,
     Variant, train,
@@ -272,6 +272,26 @@ fn a_stop_during_a_trial_changes_nothing() {
             let outcome = run(&mut resumed, start, &mut Silent, &AtomicBool::new(false));
             assert_eq!(outcome.cloud, whole.cloud, "stopped in iteration {i}");
         }
+    }
+}
+
+#[test]
+fn a_run_that_is_stopped_in_a_trial_hands_out_what_guards_like_better() {
+    // The state before the first renewal, and what a run that is stopped seven steps later hands out.
+    let out_of = |decline: f32, i: u32| {
+        let stop = AtomicBool::new(false);
+        let mut device = backend(decline);
+        let outcome = run(&mut device, Start::Points(points(20)), &mut StopAt(i, &stop), &stop);
+        (outcome, device)
+    };
+    for (decline, is_better) in [(0.9, true), (1.1, false)] {
+        let (outcome, mut device) = out_of(decline, 157);
+        let checkpoint = outcome.checkpoint.unwrap();
+        let before = &checkpoint.trial.as_ref().unwrap().cloud;
+        let wanted = if is_better { &checkpoint.cloud } else { before };
+        assert_eq!(&outcome.cloud, wanted);
+        assert_ne!(before, &checkpoint.cloud);
+        assert_eq!(&*device.download().unwrap(), wanted, "what is measured is what is handed out");
     }
 }
 

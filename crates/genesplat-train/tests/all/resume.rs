@@ -18,8 +18,9 @@ fn config() -> TrainConfig {
     config.background = Background::Random;
     config.max_gaussians = Some(60);
     config.evolution.mode = EvolutionMode::Paper;
-    config.evolution.paper.generations = 3;
-    config.evolution.paper.population = 10;
+    // Losers of small tournaments breed, too, so that what most hold in common goes back and forth.
+    config.evolution.paper.generations = 4;
+    (config.evolution.paper.population, config.evolution.paper.tournament) = (10, 2);
     config.evolution.paper.initial_mutation_rate = 0.5;
     config
 }

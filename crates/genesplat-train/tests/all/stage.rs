@@ -190,6 +190,15 @@ fn the_control_makes_gradient_steps_at_rates_that_stand_still() {
 }
 
 #[test]
+fn a_control_of_so_many_steps_does_not_look_at_the_clock() {
+    let mut backend = FakeBackend::new();
+    let mut config = config(EvolutionMode::Control);
+    (config.evolution.control_seconds, config.evolution.control_steps) = (0.0, 7);
+    let outcome = run(&mut backend, config, &AtomicBool::new(false)).unwrap();
+    assert_eq!((backend.steps().count(), outcome.summary.stages[0].renders), (7, 7));
+}
+
+#[test]
 fn every_step_of_the_control_has_a_random_background_of_its_own() {
     let mut backend = FakeBackend::new();
     let mut config = config(EvolutionMode::Control);

@@ -10,6 +10,7 @@ use crate::args::{ExperimentArgs, MachineArgs};
 use crate::experiment::plan::Experiment;
 use crate::experiment::results::Results;
 use crate::experiment::runner::Runner;
+use crate::experiment::table::Table;
 use crate::experiment::{page, preset, qualitative, record, summary};
 use crate::report::run::command_line;
 use crate::{device, interrupt, lpips, output, run_folder};
@@ -48,23 +49,26 @@ pub fn run(args: &ExperimentArgs) -> Result<Ending> {
 }
 
 fn write(runner: &Runner<'_>, results: &Results<'_>) -> Result<()> {
-    let tables = summary::tables(results);
+    let (tables, costs) = (summary::tables(results), summary::costs(results));
     let pages = qualitative::write_pages(runner, results)?;
     // Shown only, so a path that is no text may lose what cannot be shown.
     let words: Vec<String> = std::env::args_os().map(|word| word.to_string_lossy().into_owned()).collect();
     let command = command_line(words.iter().map(String::as_str));
-    let markdown = tables.iter().map(|table| table.to_markdown() + "\n").collect::<String>();
+    let markdown =
+        |tables: &[Table]| tables.iter().map(|table| table.to_markdown() + "\n").collect::<String>();
+    let (shown, seconds) = (markdown(&tables), markdown(&costs));
     let latex = tables.iter().map(|table| table.to_latex() + "\n").collect::<String>();
     let files = [
         ("experiment.toml", page::to_toml(results)),
-        ("tables.md", markdown.clone()),
+        ("tables.md", shown.clone()),
         ("tables.tex", format!("% Needs \\usepackage{{booktabs}} and \\usepackage{{xcolor}}.\n{latex}")),
         ("tables.csv", record::table(results)),
+        ("costs.md", seconds.clone()),
         ("cells.csv", record::cells(results)),
-        ("report.html", page::to_html(results, &tables, &pages, &command)?),
+        ("report.html", page::to_html(results, &[tables, costs].concat(), &pages, &command)?),
     ];
     files.iter().try_for_each(|(name, text)| write_text(&runner.out.join(name), text))?;
-    output::print(&markdown)?;
+    output::print(&format!("{shown}{seconds}"))?;
     let names = files.map(|(name, _)| name).join(", ");
     output::print(&format!("{}: {names}, and {} pages in qualitative/", runner.out.display(), pages.len()))
 }

@@ -10,7 +10,7 @@ use anyhow::{Result, anyhow, bail};
 use super::file::ExperimentFile;
 
 /// Name and text of each.
-pub const PRESETS: [(&str, &str); 10] = [
+pub const PRESETS: [(&str, &str); 11] = [
     ("smoke", include_str!("../../presets/smoke.toml")),
     ("paper-table-2-3", include_str!("../../presets/paper-table-2-3.toml")),
     ("study-evolution", include_str!("../../presets/study-evolution.toml")),
@@ -21,6 +21,7 @@ pub const PRESETS: [(&str, &str); 10] = [
     ("ablation-population", include_str!("../../presets/ablation-population.toml")),
     ("ablation-views", include_str!("../../presets/ablation-views.toml")),
     ("ablation-gradient", include_str!("../../presets/ablation-gradient.toml")),
+    ("ablation-renew", include_str!("../../presets/ablation-renew.toml")),
 ];
 
 /// The experiment called `what`: a preset, or a file.

@@ -32,7 +32,7 @@ pub struct Comparison {
     pub gains: Vec<f64>,
 }
 
-/// All tables, test photos first.
+/// All tables that depend on seeds alone (but for controls by time), test photos first.
 pub fn tables(results: &Results<'_>) -> Vec<Table> {
     let variants = 0..results.experiment.file.variants.len();
     let mut tables: Vec<Table> = Split::ALL
@@ -40,8 +40,13 @@ pub fn tables(results: &Results<'_>) -> Vec<Table> {
         .flat_map(|split| variants.clone().map(move |variant| quality(results, split, variant)))
         .collect();
     tables.extend(Split::ALL.map(|split| tests(results, split)));
-    tables.extend(variants.map(|variant| cost(results, variant)));
+    tables.extend(variants.map(|variant| sizes(results, variant)));
     tables
+}
+
+/// What another machine, or another day, says differently.
+pub fn costs(results: &Results<'_>) -> Vec<Table> {
+    (0..results.experiment.file.variants.len()).map(|variant| seconds(results, variant)).collect()
 }
 
 /// Every comparison that the experiment makes: each arm with the baseline, each evolution with its control.
@@ -195,35 +200,50 @@ fn tests(results: &Results<'_>, split: Split) -> Table {
     }
 }
 
-/// Seconds and Gaussians of one variant.
-fn cost(results: &Results<'_>, variant: usize) -> Table {
+/// Gaussians of one variant.
+fn sizes(results: &Results<'_>, variant: usize) -> Table {
+    let name = results.experiment.file.variants[variant].name();
+    let caption = format!("{name}: Gaussians at the end.");
+    plain(results, variant, caption, 0, &[("Gaussians", |metrics| metrics.gaussians as f64)])
+}
+
+/// Seconds of one variant.
+fn seconds(results: &Results<'_>, variant: usize) -> Table {
+    let name = results.experiment.file.variants[variant].name();
+    let caption = format!(
+        "{name}: wall-clock seconds of training on this machine, loading and scoring left out. A control trains for as many \
+         seconds as another arm evolves, unless `evolution.control_steps` says how many steps it makes."
+    );
+    let all = |metrics: &CellMetrics| metrics.seconds.gradient + metrics.seconds.evolution;
+    let evolution = |metrics: &CellMetrics| metrics.seconds.evolution;
+    plain(results, variant, caption, 1, &[("seconds", all), ("of these evolution", evolution)])
+}
+
+/// A row a scene, and for each arm what `columns` make of a cell.
+fn plain(
+    results: &Results<'_>,
+    variant: usize,
+    caption: String,
+    digits: usize,
+    columns: &[(&str, fn(&CellMetrics) -> f64)],
+) -> Table {
     let experiment = results.experiment;
-    let columns = experiment.arms.iter().flat_map(|arm| {
-        ["seconds", "of these evolution", "Gaussians"]
-            .map(|name| Column { group: arm.name.clone(), name: name.into() })
-    });
+    let cells = || {
+        let arms = experiment.arms.iter().enumerate();
+        arms.flat_map(|(arm, of)| columns.iter().map(move |&(name, value)| (arm, of, name, value)))
+    };
     let entries = |scene: usize| {
-        let of_arm = |arm: usize| {
-            let values = |value: fn(&CellMetrics) -> f64| {
-                results.repeats(cell(variant, scene, arm), |metrics| Some(value(metrics)))
-            };
-            [
-                figure(&values(|metrics| metrics.seconds.gradient + metrics.seconds.evolution), 1, false),
-                figure(&values(|metrics| metrics.seconds.evolution), 1, false),
-                figure(&values(|metrics| metrics.gaussians as f64), 0, false),
-            ]
+        let repeats = |arm, value: fn(&CellMetrics) -> f64| {
+            results.repeats(cell(variant, scene, arm), |metrics| Some(value(metrics)))
         };
-        (0..experiment.arms.len()).flat_map(of_arm).collect()
+        cells().map(|(arm, _, _, value)| figure(&repeats(arm, value), digits, false)).collect()
     };
     let rows = (0..experiment.file.scenes.len())
         .map(|scene| (experiment.scene_name(scene).to_owned(), entries(scene)))
         .collect();
-    let caption = format!(
-        "{}: wall-clock seconds of training on this machine, loading and scoring left out, and Gaussians at the end. A \
-         control trains for as many seconds as another arm evolves, so its figures are the only ones that depend on the machine.",
-        experiment.file.variants[variant].name()
-    );
-    Table { caption, columns: columns.collect(), rows }
+    let columns =
+        cells().map(|(_, arm, name, _)| Column { group: arm.name.clone(), name: name.into() }).collect();
+    Table { caption, columns, rows }
 }
 
 #[cfg(test)]

@@ -21,6 +21,7 @@ enum Line {
         loss: Option<f64>,
     },
     StageStart {
+        kind: String,
         iteration: u32,
         fitness: f64,
     },
@@ -60,6 +61,8 @@ pub struct Curves {
 /// One evolution stage. Points are `[generation, fitness]`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Stage {
+    /// What it did, as the log calls it.
+    pub kind: String,
     /// Iteration of the trigger.
     pub iteration: u32,
     /// Fitness of the base.
@@ -97,12 +100,13 @@ impl Curves {
             Line::TestScore { iteration, psnr } => {
                 self.test_psnr.extend(psnr.map(|psnr| [iteration.into(), psnr]));
             }
-            Line::StageStart { iteration, fitness } => {
-                self.stages.retain(|stage| stage.iteration != iteration);
-                self.stages.push(Stage { iteration, base: fitness, ..Stage::default() });
+            Line::StageStart { kind, iteration, fitness } => {
+                self.stages.retain(|stage| (&stage.kind, stage.iteration) != (&kind, iteration));
+                self.stages.push(Stage { kind, iteration, base: fitness, ..Stage::default() });
             }
             Line::Generation { iteration, generation, best, mean, spread } => {
-                let Some(stage) = self.stages.last_mut().filter(|stage| stage.iteration == iteration) else {
+                // The younger of two stages of one iteration: the other has ended.
+                let Some(stage) = self.stages.iter_mut().rfind(|stage| stage.iteration == iteration) else {
                     return;
                 };
                 stage.best.push([generation, best]);
@@ -111,8 +115,9 @@ impl Curves {
                     stage.spread.push(spread);
                 }
             }
-            Line::Notice { text } => self.notices.push(text),
-            Line::Other => {}
+            // A resumed run says again what it said before.
+            Line::Notice { text } if !self.notices.contains(&text) => self.notices.push(text),
+            Line::Notice { .. } | Line::Other => {}
         }
     }
 
@@ -144,27 +149,38 @@ mod tests {
 {"event":"step","iteration":10,"gaussians":5,"loss":0.5}
 {"event":"step","iteration":20,"gaussians":6,"loss":null}
 {"event":"step","iteration":30,"gaussians":7,"loss":0.9}
-{"event":"stage-start","iteration":30,"fitness":0.4,"views":[]}
+{"event":"stage-start","kind":"recombination","iteration":30,"fitness":0.6}
+{"event":"generation","iteration":30,"generation":0,"best":0.6,"mean":null,"spread":null}
+{"event":"stage-start","kind":"paper","iteration":30,"fitness":0.4,"views":[]}
 {"event":"generation","iteration":30,"generation":0,"best":0.4,"mean":0.6,"spread":0.1}
 {"event":"start","iteration":30}
 {"event":"step","iteration":30,"gaussians":8,"loss":0.3}
-{"event":"stage-start","iteration":30,"fitness":0.3}
+{"event":"stage-start","kind":"paper","iteration":30,"fitness":0.3}
 {"event":"generation","iteration":30,"generation":0,"best":0.3,"mean":null,"spread":null}
 {"event":"generation","iteration":30,"generation":1,"best":0.2,"mean":0.5,"spread":0.2}
+{"event":"notice","text":"full"}
 {"event":"notice","text":"full"}
 {"event":"of another version"}
 {"event":"step","itera"#;
         let curves = Curves::parse(log);
         assert_eq!(curves.loss, [[10.0, 0.5], [30.0, 0.3]]);
         assert_eq!(curves.gaussians, [[10.0, 5.0], [20.0, 6.0], [30.0, 8.0]]);
+        let other = Stage {
+            kind: "recombination".into(),
+            iteration: 30,
+            base: 0.6,
+            best: vec![[0.0, 0.6]],
+            ..Stage::default()
+        };
         let stage = Stage {
+            kind: "paper".into(),
             iteration: 30,
             base: 0.3,
             best: vec![[0.0, 0.3], [1.0, 0.2]],
             mean: vec![[1.0, 0.5]],
             spread: vec![0.2],
         };
-        assert_eq!((curves.stages, curves.notices), (vec![stage], vec!["full".to_owned()]));
+        assert_eq!((curves.stages, curves.notices), (vec![other, stage], vec!["full".to_owned()]));
     }
 
     #[test]

@@ -7,6 +7,7 @@ use genesplat::core::{Photo, View};
 use genesplat::io::Scene;
 use genesplat::io::photos::read_photo;
 use genesplat::train::evaluate::{Evaluation, ViewScore};
+use genesplat::train::{StageKind, StageRecord};
 
 use super::chart::{Chart, Series};
 use super::curves::{Curves, Stage, thinned};
@@ -49,6 +50,7 @@ impl RunPage<'_> {
             page.element("p", &format!("Notice: {notice}"));
         }
         write_curves(&mut page, &curves);
+        write_evolution(&mut page, &self.metrics.evolution, &curves.stages);
         self.write_views(&mut page)?;
         write_repeat(&mut page, self.command);
         page.element("h2", "Configuration").element("pre", self.config);
@@ -130,20 +132,44 @@ fn write_curves(page: &mut Html, curves: &Curves) {
     curve("PSNR of the test photos, dB", &curves.test_psnr).write(page);
     curve("Gaussians", &curves.gaussians).write(page);
     page.close("div");
-    if curves.stages.is_empty() {
+}
+
+/// What each stage did, and how those of several generations went.
+fn write_evolution(page: &mut Html, records: &[StageRecord], stages: &[Stage]) {
+    if records.is_empty() {
         return;
     }
     page.element("h2", "Evolution").element(
         "p class=\"dim\"",
-        "Fitness is Eq. 5 on a few training photos, and lower is better. The band is one standard deviation of the \
-         population around its mean.",
+        "Fitness is Eq. 5 on a few training photos, and lower is better; guards are training photos that decide what is kept. \
+         Where a stage changed no Gaussian, nothing was better than what there was, or it was taken back. The band in a \
+         chart is one standard deviation of the population around its mean.",
     );
+    page.open("figure class=\"table\"").open("table").open("tr");
+    let names =
+        ["iteration", "stage", "Gaussians changed", "fitness", "PSNR of guards, dB", "renders", "seconds"];
+    names.iter().for_each(|name| _ = page.element("th", name));
+    page.close("tr");
+    records.iter().for_each(|record| write_stage(page, record));
+    page.close("table").close("figure");
     page.open("div class=\"row\"");
-    curves.stages.iter().take(STAGES_MAX).for_each(|stage| stage_chart(stage).write(page));
+    let drawn = || stages.iter().filter(|stage| stage.best.len() > 1);
+    drawn().take(STAGES_MAX).for_each(|stage| stage_chart(stage).write(page));
     page.close("div");
-    if let Some(more) = curves.stages.len().checked_sub(STAGES_MAX).filter(|&more| more > 0) {
-        page.element("p", &format!("{more} more stages are in log.jsonl."));
+    if let Some(more) = drawn().count().checked_sub(STAGES_MAX).filter(|&more| more > 0) {
+        page.element("p", &format!("The generations of {more} more stages are in log.jsonl."));
     }
+}
+
+fn write_stage(page: &mut Html, record: &StageRecord) {
+    let guards = record.guard_psnr.map_or("-".into(), |[before, after]| format!("{before:.2} to {after:.2}"));
+    // A control renders for its steps, and changes all that they move.
+    let changed = if record.kind == StageKind::Control { "-".into() } else { record.changed.to_string() };
+    page.open("tr").element("th", &record.iteration.to_string()).element("td", record.kind.name());
+    page.element("td", &changed);
+    page.element("td", &format!("{:.5} to {:.5}", record.fitness_before, record.fitness_after));
+    page.element("td", &guards).element("td", &record.renders.to_string());
+    page.element("td", &format!("{:.1}", record.seconds)).close("tr");
 }
 
 fn stage_chart(stage: &Stage) -> Chart {
@@ -155,7 +181,7 @@ fn stage_chart(stage: &Stage) -> Chart {
     };
     let last = stage.best.last().map_or(stage.base, |point| point[1]);
     Chart {
-        caption: format!("Iteration {}: {:.6} to {last:.6}", stage.iteration, stage.base),
+        caption: format!("Iteration {}, {}: {:.6} to {last:.6}", stage.iteration, stage.kind, stage.base),
         x_name: "generation".into(),
         series: vec![best, mean],
     }
