@@ -94,8 +94,10 @@ fn geometry_of(p: Params) -> Geometry {
     g.cov_raw = vec3(
         dot(g.variance * g.w0, g.w0), dot(g.variance * g.w0, g.w1), dot(g.variance * g.w1, g.w1));
     g.cov = g.cov_raw + vec3(frame.dilation, 0.0, frame.dilation);
-    g.det_raw = g.cov_raw.x * g.cov_raw.z - g.cov_raw.y * g.cov_raw.y;
-    g.det = g.cov.x * g.cov.z - g.cov.y * g.cov.y;
+    // As a sum of squares (Cauchy and Binet): xx yy - xy^2 of a needle is a small difference of large numbers.
+    let minors = cross(g.w0, g.w1);
+    g.det_raw = dot(minors * minors, g.variance.yzx * g.variance.zxy);
+    g.det = g.det_raw + frame.dilation * (g.cov_raw.x + g.cov_raw.z) + frame.dilation * frame.dilation;
 
     // 5. Opacity, with what the filters take from it.
     g.opacity = sigmoid(p.opacity_logit);

@@ -64,7 +64,8 @@ pub fn crowd(logit: f32) -> Gaussians {
     cloud
 }
 
-/// A cloud in which every kind of parameter has, somewhere, every value that no arithmetic likes.
+/// A cloud in which every kind of parameter but colours, whose infinities the loss reports, has, somewhere, every value that
+/// no arithmetic likes.
 pub fn poisoned_cloud() -> Gaussians {
     let mut cloud = cloud(60);
     let poison = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 1e30, -1e30, 1e-40];

@@ -43,7 +43,7 @@ pub struct CpuBackend {
 }
 
 impl CpuBackend {
-    /// An empty backend; `seed` is that of the run (split children are drawn from it).
+    /// An empty backend; `seed` is that of the run (split children and exploration are drawn from it).
     pub fn new(seed: u64) -> Self {
         Self {
             level: Level::new(),
@@ -169,8 +169,8 @@ impl Backend for CpuBackend {
     }
 
     fn train_step(&mut self, step: &TrainStep) -> Result<(), BackendError> {
-        // Training has no use for the room that scoring takes.
-        self.scorer = Scorer::default();
+        // Training has no use for the room that scoring and breeding take.
+        (self.scorer, self.child) = (Scorer::default(), Gaussians::default());
         self.grow_statistics(step.statistics);
         let view = &self.views[step.view];
         let (camera, settings) = (view.camera, step.settings);
@@ -319,10 +319,15 @@ impl Backend for CpuBackend {
     ) -> Result<Vec<Judgement>, BackendError> {
         let mut judgements = Vec::with_capacity(blends.len() * views.len());
         for blend in blends {
-            self.lineage.breed(&self.cloud, blend, &mut self.child);
+            // The cloud itself needs no copy.
+            let is_child = *blend != Blend::default();
+            if is_child {
+                self.lineage.breed(&self.cloud, blend, &mut self.child);
+            }
+            let judged = if is_child { &self.child } else { &self.cloud };
             for &view in views {
                 let TrainView { camera, target } = &self.views[view];
-                self.frame.render(self.level, &self.child, camera, settings);
+                self.frame.render(self.level, judged, camera, settings);
                 let loss = loss(self.level, &self.frame.image, target, None);
                 judgements.push(Judgement { loss, squared_error: squared_error(&self.frame.image, target) });
             }

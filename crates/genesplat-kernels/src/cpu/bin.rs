@@ -85,9 +85,11 @@ impl Bins {
         &self.entries[self.tile_starts[tile] as usize..self.tile_starts[tile + 1] as usize]
     }
 
-    /// Depth bits and splat index, nearest first, of the last build: taken, not copied.
-    pub fn take_order(&mut self) -> Vec<u64> {
-        std::mem::take(&mut self.scratch.order)
+    /// Where the entries of one splat are, by tile.
+    #[inline(always)]
+    pub fn positions_of(&self, splat: usize) -> &[u32] {
+        let [first, count] = self.position_ranges[splat];
+        &self.positions[first as usize..][..count as usize]
     }
 
     /// Counting sort of the emissions by tile: starts, then a stable fill.

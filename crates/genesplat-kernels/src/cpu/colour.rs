@@ -13,7 +13,7 @@ pub struct Colour {
 }
 
 impl Colour {
-    /// A Gaussian whose colour is NaN is none.
+    /// A Gaussian whose colour is NaN is none. (An infinite one is seen, so that the loss can tell of it.)
     #[inline(always)]
     pub fn is_number(&self) -> bool {
         !self.rgb.iter().any(|value| value.is_nan())

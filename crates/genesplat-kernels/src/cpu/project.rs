@@ -420,12 +420,16 @@ impl<S: Simd> Geometry<S> {
         ];
         let dilation = filter.dilation();
         let cov = [cov_raw[0] + dilation, cov_raw[1], cov_raw[2] + dilation];
-        let det_raw = cov_raw[0] * cov_raw[2] - cov_raw[1] * cov_raw[1];
+        // As a sum of squares (Cauchy and Binet): `xx · yy − xy²` of a needle is a small difference of large numbers.
+        let minor = |j: usize, k: usize| w[0][j] * w[1][k] - w[0][k] * w[1][j];
+        let [xy, xz, yz] = [minor(0, 1), minor(0, 2), minor(1, 2)];
+        let [vx, vy, vz] = variance;
+        let det_raw = vx * vy * xy * xy + vx * vz * xz * xz + vy * vz * yz * yz;
         // `exp` makes something of a NaN, and a determinant of 0 nothing of the Gaussian. Infinities have a meaning.
         let [sx, sy, sz] = params.log_scale;
         let logit = params.opacity_logit;
         let sane = sx.simd_eq(sx) & sy.simd_eq(sy) & sz.simd_eq(sz) & logit.simd_eq(logit);
-        let det = keep(sane, cov[0] * cov[2] - cov[1] * cov[1]);
+        let det = keep(sane, det_raw + (cov_raw[0] + cov_raw[2]) * dilation + dilation * dilation);
 
         // 5. Opacity, with what the filters take from it.
         let opacity = sigmoid(params.opacity_logit);

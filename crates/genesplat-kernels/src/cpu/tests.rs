@@ -80,6 +80,34 @@ fn images_match_the_reference() {
     }
 }
 
+#[test]
+fn needles_match_the_reference() {
+    // Up to hundreds of pixels long and a twentieth of one wide, at any angle.
+    let mut needles = cloud(200);
+    for row in 0..200 {
+        needles.positions[row][2] = 3.0;
+        let length = 1.0 + 30.0 * uniform(row, 200);
+        needles.log_scales[row] = [length, 0.003, 0.002].map(f32::ln);
+    }
+    let (needles64, camera) = (Cloud64::from(&needles), camera());
+    for filter in filters() {
+        let (mut frame, settings) = (Frame::default(), settings(0, filter));
+        frame.render(Level::new(), &needles, &Pinhole::from(&camera), &settings);
+        let (mut actual, mut expected) = (Vec::new(), Vec::new());
+        for (_, splat) in frame.splats.iter() {
+            let reference =
+                reference::project::project(&needles64, splat.global as usize, &camera, &settings).unwrap();
+            let conic = [reference.conic.xx, 2.0 * reference.conic.xy, reference.conic.yy];
+            expected.extend(conic.map(|term| -0.5 * std::f64::consts::LOG2_E * term));
+            expected.push(reference.opacity);
+            actual.extend(splat.conic_log2.map(f64::from));
+            actual.push(f64::from(splat.log2_opacity).exp2());
+        }
+        assert!(expected.len() > 4 * 100, "{filter:?}: few of them are seen");
+        compare(&format!("{filter:?}"), actual, expected).unwrap();
+    }
+}
+
 fn compare_images(actual: &Image, expected: &[f64]) -> Result<(), String> {
     if actual.planes.len() != expected.len() {
         return Err(format!("{} values instead of {}", actual.planes.len(), expected.len()));
@@ -367,7 +395,8 @@ fn results_do_not_depend_on_the_number_of_threads() {
     let run = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {
-            let mut backend = backend_with(&cloud(700));
+            // Several tasks of every stage: rows in chunks, ranks, tiles, strips of pixels.
+            let mut backend = backend_with(&cloud(5000));
             for number in 1..=5 {
                 let mut step = classic_step(number);
                 step.update.as_mut().unwrap().exploration = (number % 2 == 0).then_some(Exploration {

@@ -318,9 +318,8 @@ fn prefetch_rows(inputs: &Inputs, first: usize, count: usize, group: usize) {
 
 #[inline(always)]
 fn sum_rows(inputs: &Inputs, index: usize) -> [f32; LANES] {
-    let [first, count] = inputs.bins.position_ranges[index];
     let mut sum = [0.0f32; LANES];
-    for &position in &inputs.bins.positions[first as usize..][..count as usize] {
+    for &position in inputs.bins.positions_of(index) {
         for (total, value) in sum.iter_mut().zip(inputs.rows[position as usize].0) {
             *total += value;
         }

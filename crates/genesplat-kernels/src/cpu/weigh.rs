@@ -5,10 +5,11 @@
 
 use fearless_simd::Level;
 use genesplat_core::{Gaussians, Image, Merit, RenderSettings};
+use rayon::prelude::*;
 
 use super::frame::Frame;
 use super::loss::Target;
-use super::project::Pinhole;
+use super::project::{CHUNK, Pinhole};
 use super::rasterise_backward::{self, Backward, Extra, column};
 
 /// Adds one view to `merits`, `[N]`.
@@ -25,16 +26,19 @@ pub fn weigh(
     let Frame { splats, bins, image, gradient, rows, .. } = frame;
     let inputs = Backward { splats, image, gradient, extra: Extra::None };
     rasterise_backward::backward(level, bins, camera, &inputs, rows);
-    let mut of_view = vec![Merit::default(); cloud.len()];
-    for (entry, row) in bins.entries.iter().zip(rows.iter()) {
-        let merit = &mut of_view[splats.get(entry.splat).global as usize];
-        merit.weight += row.0[column::RED];
-        merit.error += row.0[column::RED + 1];
-    }
-    for (merit, of_view) in merits.iter_mut().zip(of_view) {
-        merit.weight += of_view.weight;
-        merit.error = merit.error.max(of_view.error);
-    }
+    merits.par_chunks_mut(CHUNK).enumerate().for_each(|(chunk, merits)| {
+        let first = chunk * CHUNK;
+        for (index, splat) in (first..).zip(splats.chunk(chunk)) {
+            let (mut weight, mut error) = (0.0, 0.0);
+            for row in bins.positions_of(index).iter().map(|&position| &rows[position as usize].0) {
+                weight += row[column::RED];
+                error += row[column::RED + 1];
+            }
+            let merit = &mut merits[splat.global as usize - first];
+            merit.weight += weight;
+            merit.error = merit.error.max(error);
+        }
+    });
 }
 
 /// In the place of the image's gradient `[3, H, W]`: ones, the errors of all channels together, zeros.
