@@ -39,7 +39,8 @@ pub struct ExperimentFile {
     /// Name of the arm that differences are taken from. Default: the first.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub baseline: Option<String>,
-    /// Modes of evolution, each an arm of that name; `control` stands for one equal-time control for each of the others.
+    /// Modes of evolution, each an arm of that name; `control` stands for one equal-time control for each of the others, and for
+    /// each of `arms` that sets a mode.
     #[serde(default)]
     pub evolve: Vec<String>,
     /// How the bundled scene is photographed.
@@ -116,14 +117,19 @@ impl ExperimentFile {
 
     /// The arms of `evolve`, then those of `arms`.
     pub fn all_arms(&self) -> Vec<ArmTable> {
-        let controlled: Vec<&String> =
-            self.evolve.iter().filter(|mode| !["off", CONTROL].contains(&mode.as_str())).collect();
+        let modes = self.evolve.iter().filter(|mode| !["off", CONTROL].contains(&mode.as_str()));
+        let arms = self.arms.iter().filter(|arm| sets_mode(&arm.config)).map(|arm| &arm.name);
+        let controlled: Vec<&String> = modes.chain(arms).collect();
         let of_mode = |mode: &String| match mode.as_str() {
             CONTROL => controlled.iter().map(|of| control_arm(of, controlled.len() == 1)).collect(),
             _ => vec![ArmTable { name: mode.clone(), control_of: None, config: mode_table(mode) }],
         };
         self.evolve.iter().flat_map(of_mode).chain(self.arms.clone()).collect()
     }
+}
+
+fn sets_mode(config: &Table) -> bool {
+    config.get("evolution").is_some_and(|evolution| evolution.get("mode").is_some())
 }
 
 fn control_arm(of: &str, alone: bool) -> ArmTable {
@@ -162,5 +168,15 @@ mod tests {
         let names: Vec<&str> = arms.iter().map(|arm| arm.name.as_str()).collect();
         assert_eq!(names, ["off", "x", "y", "control-x", "control-y"]);
         assert_eq!(arms[3].control_of.as_deref(), Some("x"));
+    }
+
+    #[test]
+    fn arms_that_set_a_mode_have_a_control_too() {
+        let text = "title = \"t\"\nscenes = [\"a\"]\nseeds = [0]\nevolve = [\"off\", \"control\"]\n\
+                    [[arms]]\nname = \"x\"\nconfig.evolution.mode = \"paper\"\n[[arms]]\nname = \"y\"\nconfig.seed = 1";
+        let arms = toml::from_str::<ExperimentFile>(text).unwrap().all_arms();
+        let names: Vec<&str> = arms.iter().map(|arm| arm.name.as_str()).collect();
+        assert_eq!(names, ["off", "control", "x", "y"]);
+        assert_eq!(arms[1].control_of.as_deref(), Some("x"));
     }
 }

@@ -50,11 +50,13 @@ mod tests {
     use crate::experiment::plan::Experiment;
 
     #[test]
-    fn every_preset_is_valid_and_has_a_control() {
+    fn every_preset_is_valid_and_has_a_control_for_each_of_its_arms() {
         for (name, _) in PRESETS {
             let experiment =
                 Experiment::new(open(name).unwrap()).unwrap_or_else(|error| panic!("{name}: {error}"));
-            assert!(experiment.arms.iter().any(|arm| arm.control_of.is_some()), "{name}");
+            let controlled: Vec<usize> = experiment.arms.iter().filter_map(|arm| arm.control_of).collect();
+            let evolving = (1..experiment.arms.len()).filter(|&arm| experiment.arms[arm].control_of.is_none());
+            assert_eq!(controlled, evolving.collect::<Vec<_>>(), "{name}: a control for each");
             assert_eq!(experiment.arms[0].name, "off", "{name}: differences are from plain training");
             assert!(experiment.file.seeds.len() >= 3, "{name}");
         }
