@@ -119,11 +119,6 @@ fn algorithm(cloud: &Gaussians, population: u32, generations: u32) -> Result<Gen
     Ok(GeneticAlgorithm::new(config, cloud.all_genes(), None, 0.0, Rng::new(0))?)
 }
 
-/// What these rows are, as a change.
-pub fn genes_of(cloud: &Gaussians, rows: &[u32]) -> SparseDelta {
-    SparseDelta { rows: rows.to_vec(), genes: rows.iter().map(|&row| cloud.genes(row as usize)).collect() }
-}
-
 struct Bench {
     backend: CpuBackend,
     settings: RenderSettings,
@@ -152,7 +147,7 @@ impl Bench {
     fn plain(&mut self, individuals: &[SparseDelta], views: &[usize]) -> Result<(Vec<f32>, f64)> {
         let (mut losses, mut seconds) = (Vec::new(), 0.0);
         for individual in individuals {
-            let base = genes_of(&*self.backend.download()?, &individual.rows);
+            let base = self.backend.download()?.genes_of(&individual.rows);
             self.backend.apply(individual, MomentPolicy::Keep)?;
             let clock = Instant::now();
             losses.extend(views.iter().map(|&view| self.backend.loss_of_view(view, &self.settings)));

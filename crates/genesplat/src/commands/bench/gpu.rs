@@ -10,14 +10,14 @@ use std::time::{Duration, Instant};
 use anyhow::{Result, bail};
 use genesplat::core::backend::MomentPolicy;
 use genesplat::core::{
-    Backend, DensitySignal, LearningRates, RenderSettings, SparseDelta, StatisticsRequest, TrainStep, Update,
+    Backend, DensitySignal, RenderSettings, SparseDelta, StatisticsRequest, TrainStep, Update,
 };
 use genesplat::gpu::{GpuBackend, Work};
 use serde::Serialize;
 
-use super::evolution::{founders, genes_of, just_reset, max_relative_difference};
-use super::median;
+use super::evolution::{founders, just_reset, max_relative_difference};
 use super::workload::Workload;
+use super::{AT_REST, median};
 use crate::args::BenchGpuArgs;
 use crate::device::{self, Device};
 use crate::{output, run_folder};
@@ -153,19 +153,11 @@ impl Bench {
 
     /// Submits steps and waits for the last.
     fn steps(&mut self, first: u32, count: u32) -> Result<()> {
-        const REST: LearningRates = LearningRates {
-            position: 0.0,
-            sh_dc: 0.0,
-            sh_rest: 0.0,
-            opacity: 0.0,
-            scale: 0.0,
-            rotation: 0.0,
-        };
         for step in first + 1..=first + count {
             self.backend.train_step(&TrainStep {
                 view: 0,
                 settings: self.settings,
-                update: Some(Update { rates: REST, step, opacity_step: step, exploration: None }),
+                update: Some(Update { rates: AT_REST, step, opacity_step: step, exploration: None }),
                 statistics: StatisticsRequest { density: Some(DensitySignal::Signed), genes: false },
             })?;
         }
@@ -199,7 +191,7 @@ impl Bench {
             let clock = Instant::now();
             losses.push(self.backend.loss_of_view(0, &self.settings)?);
             seconds += clock.elapsed().as_secs_f64();
-            self.backend.apply(&genes_of(&cloud, &individual.rows), MomentPolicy::Keep)?;
+            self.backend.apply(&cloud.genes_of(&individual.rows), MomentPolicy::Keep)?;
         }
         Ok((losses, seconds))
     }

@@ -6,17 +6,15 @@
 use std::time::Instant;
 
 use anyhow::Result;
-use genesplat::core::{
-    Backend, Camera, DensitySignal, LearningRates, RenderSettings, StatisticsRequest, TrainStep, Update,
-};
+use genesplat::core::{Backend, Camera, DensitySignal, RenderSettings, StatisticsRequest, TrainStep, Update};
 use genesplat::kernels::cpu::{CpuBackend, StageSeconds, roofline_nanoseconds_per_tile_splat};
 use serde::Serialize;
 
 use crate::args::BenchStepArgs;
 use crate::{device, memory, output, run_folder};
 
-use super::median;
 use super::workload::Workload;
+use super::{AT_REST, median};
 
 /// Steps before the clock counts: buffers grow, caches fill.
 const WARM_UP: u32 = 3;
@@ -70,12 +68,10 @@ pub fn run(args: &BenchStepArgs) -> Result<()> {
 }
 
 fn time_step(backend: &mut CpuBackend, step: u32, views: usize) -> Result<Sample> {
-    const REST: LearningRates =
-        LearningRates { position: 0.0, sh_dc: 0.0, sh_rest: 0.0, opacity: 0.0, scale: 0.0, rotation: 0.0 };
     let train_step = TrainStep {
         view: step as usize % views,
         settings: RenderSettings::default(),
-        update: Some(Update { rates: REST, step: step + 1, opacity_step: step + 1, exploration: None }),
+        update: Some(Update { rates: AT_REST, step: step + 1, opacity_step: step + 1, exploration: None }),
         statistics: StatisticsRequest { density: Some(DensitySignal::Signed), genes: false },
     };
     let clock = Instant::now();

@@ -52,9 +52,7 @@ impl Workload {
         }
         Ok(Self { views, cloud: trained_looking(&in_spatial_order(&resample(&points, count)?))? })
     }
-}
 
-impl Workload {
     /// The synthetic one, for a photo of any size.
     pub fn synthetic(count: usize, size_px: [u32; 2]) -> Result<Self> {
         let points = in_spatial_order(&resample(&synthetic_points(size_px), count)?);
