@@ -179,6 +179,11 @@ fn what_cannot_be_written_is_said_at_once() {
     fail(of_run("render", &["--image", "gallery_000", "--out", here]), &is_a_folder);
     fail(of_run("render", &["--split", "test", "--out", text(&file)]), &["is a file", "--out"]);
     fail(["compare", text(&photo), text(&photo), "--json", here], &is_a_folder);
+    for what in ["step", "evolution", "gpu"] {
+        // Before a driver is looked for, or a scene is read.
+        let bench = ["bench", what, "--gaussians", "1000000", "--json", here];
+        judge_failure(without_drivers(bench).output().unwrap(), &is_a_folder);
+    }
     fail(train(scene(), &file, &["--iterations", "3"]), &["is a file", "results need a folder"]);
     fail(["experiment", "smoke", "--out", text(&file)], &["is a file", "results need a folder"]);
 }

@@ -62,6 +62,7 @@ struct Growth {
 
 /// Times, prints, and writes the figures.
 pub fn run(args: &BenchEvolutionArgs) -> Result<()> {
+    args.json.as_deref().map_or(Ok(()), run_folder::check_writable)?;
     let backend = device::prepare_cpu(args.machine)?;
     let Workload { views, cloud } = Workload::of(&args.workload)?;
     let population = args.population as usize;

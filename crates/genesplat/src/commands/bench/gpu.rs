@@ -66,6 +66,7 @@ struct Size {
 /// Times, prints, and writes the figures.
 pub fn run(args: &BenchGpuArgs) -> Result<()> {
     let began = Instant::now();
+    args.json.as_deref().map_or(Ok(()), run_folder::check_writable)?;
     device::use_threads(args.threads)?;
     Device::Gpu.resolve()?;
     let [width, height] = [args.width, args.height];

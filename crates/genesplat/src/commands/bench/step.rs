@@ -55,6 +55,7 @@ struct Sample {
 
 /// Times, prints, and writes the figures.
 pub fn run(args: &BenchStepArgs) -> Result<()> {
+    args.json.as_deref().map_or(Ok(()), run_folder::check_writable)?;
     let mut backend = device::prepare_cpu(args.machine)?;
     let Workload { views, cloud } = Workload::of(&args.workload)?;
     backend.set_views(&views)?;
