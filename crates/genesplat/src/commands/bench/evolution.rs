@@ -100,10 +100,12 @@ fn bytes(individuals: &[SparseDelta]) -> usize {
     individuals.iter().map(SparseDelta::bytes).sum()
 }
 
-/// Between losses of two ways to find them.
+/// Between losses of two ways to find them; NaN where one of them is not a number.
 pub fn max_relative_difference(actual: &[f32], expected: &[f32]) -> f64 {
+    assert_eq!(actual.len(), expected.len(), "both ways must find a loss for each individual and view");
     let difference = |(&a, &b): (&f32, &f32)| (f64::from(a) / f64::from(b) - 1.0).abs();
-    actual.iter().zip(expected).map(difference).fold(0.0, f64::max)
+    // In the total order, NaN without a sign is above all else, while `f64::max` would drop it.
+    actual.iter().zip(expected).map(difference).max_by(f64::total_cmp).unwrap_or(0.0)
 }
 
 /// The initial population of a paper search, which needs no loss.
@@ -252,5 +254,27 @@ impl Report {
             growth.collect::<Vec<_>>().join("\n"),
             search.collect::<String>(),
         )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn losses_that_differ_are_seen_and_so_is_nan() {
+        let losses = [0.5, 0.25, 1.0];
+        assert_eq!(max_relative_difference(&losses, &losses), 0.0);
+        assert_eq!(max_relative_difference(&[0.5, 0.375, 1.0], &losses), 0.5);
+        for poison in [f32::NAN, -f32::NAN] {
+            assert!(max_relative_difference(&[0.5, poison, 1.0], &losses).is_nan());
+            assert!(max_relative_difference(&losses, &[poison, 0.25, 1.0]).is_nan());
+        }
+    }
+
+    #[test]
+    #[should_panic = "a loss for each"]
+    fn a_missing_loss_is_seen() {
+        max_relative_difference(&[0.5], &[0.5, 0.25]);
     }
 }
