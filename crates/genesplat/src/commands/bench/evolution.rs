@@ -64,9 +64,9 @@ struct Growth {
 pub fn run(args: &BenchEvolutionArgs) -> Result<()> {
     args.json.as_deref().map_or(Ok(()), run_folder::check_writable)?;
     let backend = device::prepare_cpu(args.machine)?;
-    let Workload { views, cloud } = Workload::of(&args.workload)?;
+    let Workload { views, settings, cloud } = Workload::of(&args.workload)?;
     let population = args.population as usize;
-    let mut bench = Bench::new(backend, &views, just_reset(cloud))?;
+    let mut bench = Bench::new(backend, &views, just_reset(cloud), settings)?;
     let judges: Vec<usize> = (0..views.len().min(args.views as usize)).collect();
     let individuals = bench.founders(population)?;
     let (scored, seconds) = bench.score(&individuals, &judges)?;
@@ -128,10 +128,15 @@ struct Bench {
 }
 
 impl Bench {
-    fn new(mut backend: CpuBackend, views: &[View], cloud: Gaussians) -> Result<Self> {
+    fn new(
+        mut backend: CpuBackend,
+        views: &[View],
+        cloud: Gaussians,
+        settings: RenderSettings,
+    ) -> Result<Self> {
         backend.set_views(views)?;
         backend.upload(cloud, None)?;
-        Ok(Self { backend, settings: RenderSettings::default() })
+        Ok(Self { backend, settings })
     }
 
     fn founders(&mut self, population: usize) -> Result<Vec<SparseDelta>> {

@@ -1,28 +1,28 @@
 //! `genesplat bench gpu`: what training steps and scoring cost on the graphics device, at several sizes, in one call.
 //!
-//! The cloud is the synthetic one of `bench step`, at 1080p. Steps are real ones with learning rates of zero. Two clocks
-//! are read: the device's own, stage by stage, and the host's, over steps that are submitted one after the other without
-//! waiting, as in training. Scoring is measured as in `bench evolution`: the founders of a paper search just after an
-//! opacity reset, beside a full render and loss of each.
+//! The cloud is the synthetic one of `bench step`, at 1080p, or that of a scene, or a trained one. Steps are real ones with
+//! learning rates of zero, on photos from all over the scene. Two clocks are read: the device's own, stage by stage, and the
+//! host's, over steps that are submitted one after the other without waiting, as in training. Scoring is measured as in
+//! `bench evolution`: the founders of a paper search just after an opacity reset, beside a full render and loss of each.
 
 use std::time::{Duration, Instant};
 
-use anyhow::{Result, bail};
-use genesplat::core::backend::MomentPolicy;
+use anyhow::Result;
+use genesplat::core::backend::{MomentPolicy, StepReport};
 use genesplat::core::{
-    Backend, DensitySignal, RenderSettings, SparseDelta, StatisticsRequest, TrainStep, Update,
+    Backend, DensitySignal, RenderSettings, SparseDelta, StatisticsRequest, TrainStep, Update, View,
 };
 use genesplat::gpu::{GpuBackend, Work};
 use serde::Serialize;
 
 use super::evolution::{founders, just_reset, max_relative_difference};
-use super::workload::Workload;
+use super::workload::Source;
 use super::{AT_REST, median};
 use crate::args::BenchGpuArgs;
 use crate::device::{self, Device};
 use crate::{output, run_folder};
 
-/// Steps before a clock counts: buffers grow, kernels are compiled.
+/// Fewest steps before a clock counts: buffers grow, kernels are compiled.
 const WARM_UP: u32 = 3;
 /// No further size is begun after this time, so that the call ends within eight minutes.
 const ENOUGH: Duration = Duration::from_secs(240);
@@ -35,8 +35,11 @@ struct Report {
     device: String,
     /// Read and written by copies.
     memory_bytes_per_second: f64,
+    /// Of the largest photo.
     width: u32,
     height: u32,
+    /// Photos that steps go through; scoring is measured on the first.
+    views: usize,
     sizes: Vec<Size>,
     /// Sizes that there was no time for.
     left_out: Vec<u32>,
@@ -69,25 +72,30 @@ pub fn run(args: &BenchGpuArgs) -> Result<()> {
     args.json.as_deref().map_or(Ok(()), run_folder::check_writable)?;
     device::use_threads(args.threads)?;
     Device::Gpu.resolve()?;
-    let [width, height] = [args.width, args.height];
+    let (data, splat) = (args.data.as_deref(), args.splat.as_deref());
+    let mut source = Source::of(data, splat, args.size, [args.width, args.height])?;
+    source.views = spread(&source.views, args.steps as usize);
+    let [width, height] = size_px(&source.views);
     let mut backend = GpuBackend::new(0)?;
     let mut report = Report {
         device: backend.describe(),
         memory_bytes_per_second: backend.memory_bandwidth(COPIED_BYTES)?,
         width,
         height,
+        views: source.views.len(),
         sizes: Vec::new(),
         left_out: Vec::new(),
     };
     drop(backend);
     output::print(&report.to_text())?;
-    for &gaussians in &args.gaussians {
+    let sizes = source.trained_count().map_or_else(|| args.gaussians.clone(), |count| vec![count as u32]);
+    for gaussians in sizes {
         if began.elapsed() > ENOUGH {
             report.left_out.push(gaussians);
             continue;
         }
         output::tell(&format!("making {gaussians} Gaussians"));
-        let mut bench = Bench::new(args, gaussians as usize)?;
+        let mut bench = Bench::new(&source, gaussians as usize)?;
         let size = bench.measure(args, report.memory_bytes_per_second)?;
         output::print(&size.to_text([width, height]))?;
         report.sizes.push(size);
@@ -98,31 +106,53 @@ pub fn run(args: &BenchGpuArgs) -> Result<()> {
     args.json.as_ref().map_or(Ok(()), |path| run_folder::write_json(path, &report))
 }
 
+/// At most `count` views, evenly spread over all, so that `count` steps by either clock meet every one.
+fn spread(views: &[View], count: usize) -> Vec<View> {
+    let count = count.min(views.len());
+    (0..count).map(|index| views[index * views.len() / count].clone()).collect()
+}
+
+/// Width and height of the largest photo, by pixels.
+fn size_px(views: &[View]) -> [u32; 2] {
+    let sizes = views.iter().map(|view| [view.camera.width, view.camera.height]);
+    sizes.max_by_key(|size| u64::from(size[0]) * u64::from(size[1])).unwrap_or_default()
+}
+
 struct Bench {
     backend: GpuBackend,
     settings: RenderSettings,
+    views: usize,
+    size_px: [u32; 2],
+}
+
+/// What is known of a step afterwards, as medians.
+struct Timed {
+    /// Milliseconds by the device's clock; empty where it has none.
+    stages: Vec<(&'static str, f64)>,
+    visible: usize,
+    tile_splats: usize,
 }
 
 impl Bench {
-    fn new(args: &BenchGpuArgs, gaussians: usize) -> Result<Self> {
-        let Workload { views, cloud } = Workload::synthetic(gaussians, [args.width, args.height])?;
+    fn new(source: &Source, gaussians: usize) -> Result<Self> {
         let mut backend = GpuBackend::new(0)?;
-        backend.set_views(&views)?;
-        backend.upload(cloud, None)?;
-        Ok(Self { backend, settings: RenderSettings::default() })
+        backend.set_views(&source.views)?;
+        backend.upload(source.cloud(gaussians)?, None)?;
+        let (settings, views) = (source.settings, source.views.len());
+        Ok(Self { backend, settings, views, size_px: size_px(&source.views) })
     }
 
     fn measure(&mut self, args: &BenchGpuArgs, memory_bytes_per_second: f64) -> Result<Size> {
-        self.steps(0, WARM_UP)?;
+        // Every view once, since each may need more room than those before.
+        let warm = WARM_UP.max(self.views as u32);
+        self.steps(0, warm)?;
         let clock = Instant::now();
-        self.steps(WARM_UP, args.steps)?;
+        self.steps(warm, args.steps)?;
         let milliseconds = 1e3 * clock.elapsed().as_secs_f64() / f64::from(args.steps);
-        let report = self.backend.report()?;
-        let stages = self.stages(WARM_UP + args.steps, args.steps)?;
+        let Timed { stages, visible, tile_splats } = self.stages(warm + args.steps, args.steps)?;
         let device_memory_bytes = self.backend.allocated_bytes();
-        let [rows, visible, entries] =
-            [self.backend.len(), report.visible, report.tile_splats].map(|count| count as u64);
-        let work = Work { rows, visible, entries, size_px: [args.width, args.height].map(u64::from) };
+        let [rows, seen, entries] = [self.backend.len(), visible, tile_splats].map(|count| count as u64);
+        let work = Work { rows, visible: seen, entries, size_px: self.size_px.map(u64::from) };
         let floor = |name: &'static str| (name, 1e3 * work.bytes(name) as f64 / memory_bytes_per_second);
 
         let cloud = just_reset(self.backend.download()?.into_owned());
@@ -140,8 +170,8 @@ impl Bench {
             milliseconds,
             floor_milliseconds: stages.iter().map(|&(name, _)| floor(name)).collect(),
             stages,
-            visible: report.visible,
-            tile_splats: report.tile_splats,
+            visible,
+            tile_splats,
             device_memory_bytes,
             individuals: individuals.len(),
             changed_gaussians: individuals.iter().map(|individual| individual.rows.len()).sum(),
@@ -156,7 +186,7 @@ impl Bench {
     fn steps(&mut self, first: u32, count: u32) -> Result<()> {
         for step in first + 1..=first + count {
             self.backend.train_step(&TrainStep {
-                view: 0,
+                view: step as usize % self.views,
                 settings: self.settings,
                 update: Some(Update { rates: AT_REST, step, opacity_step: step, exploration: None }),
                 statistics: StatisticsRequest { density: Some(DensitySignal::Signed), genes: false },
@@ -166,20 +196,28 @@ impl Bench {
         Ok(())
     }
 
-    /// Medians of the stages, milliseconds.
-    fn stages(&mut self, first: u32, count: u32) -> Result<Vec<(&'static str, f64)>> {
-        if !self.backend.start_timing() {
-            return Ok(Vec::new());
-        }
-        let mut samples = Vec::new();
+    /// Steps one by one, each waited for.
+    fn stages(&mut self, first: u32, count: u32) -> Result<Timed> {
+        let has_clock = self.backend.start_timing();
+        let (mut samples, mut reports) = (Vec::new(), Vec::new());
         for step in first..first + count {
             self.steps(step, 1)?;
-            samples.push(self.backend.take_stage_seconds()?);
+            reports.push(self.backend.report()?);
+            if has_clock {
+                samples.push(self.backend.take_stage_seconds()?);
+            }
         }
         self.backend.stop_timing();
-        let Some(names) = samples.first() else { bail!("no step was timed") };
+        let names = samples.first().cloned().unwrap_or_default();
         let stage = |index: usize| 1e3 * median(samples.iter().map(|sample| sample[index].1).collect());
-        Ok(names.iter().enumerate().map(|(index, (name, _))| (*name, stage(index))).collect())
+        let counted = |count: fn(&StepReport) -> usize| {
+            median(reports.iter().map(|report| count(report) as f64).collect()) as usize
+        };
+        Ok(Timed {
+            stages: names.iter().enumerate().map(|(index, (name, _))| (*name, stage(index))).collect(),
+            visible: counted(|report| report.visible),
+            tile_splats: counted(|report| report.tile_splats),
+        })
     }
 
     /// Losses of full renders, and their seconds; the changes themselves are made off the clock.
