@@ -274,7 +274,9 @@ fn bench_evolution_finds_the_same_losses_both_ways() {
     assert_eq!((report["gaussians"].as_u64(), report["views"].as_u64()), (Some(1500), Some(1)));
     // NaN is null in JSON, and `None` would be below any number.
     assert!(report["max_relative_difference"].as_f64().expect("a number") <= 1e-5, "{report}");
-    for figure in ["renders_per_second", "plain_renders_per_second", "ratio", "population_bytes"] {
+    for figure in
+        ["renders_per_second", "plain_renders_per_second", "ratio", "population_bytes", "scoring_bytes"]
+    {
         assert!(report[figure].as_f64() > Some(0.0), "{figure}");
     }
 }

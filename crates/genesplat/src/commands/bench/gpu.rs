@@ -58,6 +58,8 @@ struct Size {
     visible: usize,
     tile_splats: usize,
     device_memory_bytes: u64,
+    /// What scoring takes of it besides.
+    scoring_device_memory_bytes: u64,
     individuals: usize,
     changed_gaussians: usize,
     scored_renders_per_second: f64,
@@ -158,6 +160,7 @@ impl Bench {
         let cloud = just_reset(self.backend.download()?.into_owned());
         let individuals = founders(&cloud, args.population as usize)?;
         self.backend.upload(cloud, None)?;
+        let before = self.backend.allocated_bytes();
         // Once unmeasured: kernels are compiled, buffers grow.
         self.backend.score(&individuals, &[0], &self.settings)?;
         let clock = Instant::now();
@@ -173,6 +176,7 @@ impl Bench {
             visible,
             tile_splats,
             device_memory_bytes,
+            scoring_device_memory_bytes: self.backend.allocated_bytes().saturating_sub(before),
             individuals: individuals.len(),
             changed_gaussians: individuals.iter().map(|individual| individual.rows.len()).sum(),
             scored_renders_per_second: renders / scored_seconds,
@@ -257,7 +261,7 @@ impl Size {
         format!(
             "{} Gaussians at {width}x{height} px: {} visible, {} tile entries, {:.0} MB\n\
              step {:>26.3} ms, one after the other{utilisation}{stages}\n\
-             scoring {} individuals with {} changed Gaussians, one view\n\
+             scoring {} individuals with {} changed Gaussians, one view: {:.0} MB more\n\
              scored {:>24.1} renders/s\nplain  {:>24.1} renders/s\nratio  {:>24.2} x\n\
              largest relative difference of a loss {:.1e}",
             self.gaussians,
@@ -267,6 +271,7 @@ impl Size {
             self.milliseconds,
             self.individuals,
             self.changed_gaussians,
+            self.scoring_device_memory_bytes as f64 / 1e6,
             self.scored_renders_per_second,
             self.plain_renders_per_second,
             self.ratio,
