@@ -369,4 +369,24 @@ proptest! {
         prop_assert_eq!(again.best(), search.best());
         prop_assert_eq!(format!("{:?}", again.logbook()), format!("{:?}", search.logbook()), "NaN equals itself in text");
     }
+
+    /// Whatever children are given, a generation consists of their losses and of the lowest of the generation before: elites
+    /// live on, without being asked again.
+    #[test]
+    fn elites_survive(config in any_config(), seed in any::<u64>(), drawn in prop::collection::vec(0.0f64..1.0, 120)) {
+        let mut search = on_sphere(config.clone(), &normal_base(9), seed);
+        let (mut elites, mut drawn) = (Vec::new(), drawn.into_iter().cycle());
+        while !search.is_finished() {
+            let told: Vec<f64> = drawn.by_ref().take(search.ask()).collect();
+            let mut everybody = [elites, told.clone()].concat();
+            everybody.sort_by(f64::total_cmp);
+            prop_assert_eq!(everybody.len(), config.population as usize);
+            let record = search.tell(&told).expect("one loss each");
+            prop_assert_eq!((record.best, record.worst), (everybody[0], everybody[everybody.len() - 1]));
+            let mean = everybody.iter().sum::<f64>() / everybody.len() as f64;
+            prop_assert!((record.mean - mean).abs() < 1e-12, "{} is not {mean}", record.mean);
+            everybody.truncate(config.elites() as usize);
+            elites = everybody;
+        }
+    }
 }

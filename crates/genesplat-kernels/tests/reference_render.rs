@@ -3,7 +3,8 @@
 mod reference_support;
 
 use genesplat_core::{Camera, RenderSettings, ScreenFilter};
-use genesplat_kernels::reference::{Cloud64, Cutoff, Rendered, render};
+use genesplat_kernels::reference::{Cloud64, Cutoff, Rendered, Splat, Symmetric2, rasterise, render};
+use proptest::prelude::*;
 use reference_support::*;
 
 const RED: [f64; 3] = [1.0, 0.0, 0.0];
@@ -283,4 +284,53 @@ fn an_empty_cloud_and_a_picture_of_one_pixel() {
     assert_eq!(empty.frame.image, [0.25, 0.5, 0.75]);
     let one = render(&one_splat(0.7), &camera, &settings, Cutoff::Hard);
     assert!(close(one.frame.transmittance[0], 0.3));
+}
+
+/// A round splat of any opacity, somewhere on or beside an image of 8x8 px.
+fn any_splat() -> impl Strategy<Value = Splat> {
+    let place = || -2.0f64..10.0;
+    (place(), place(), 0.3f64..6.0, 0.0f64..=1.0, [0.0f64..2.0, 0.0f64..2.0, 0.0f64..2.0]).prop_map(
+        |(x, y, sigma, opacity, colour)| {
+            let round = |value| Symmetric2 { xx: value, xy: 0.0, yy: value };
+            Splat {
+                row: 0,
+                mean_px: [x, y],
+                depth: 1.0,
+                covariance_px: round(sigma * sigma),
+                conic: round(1.0 / (sigma * sigma)),
+                opacity,
+                colour,
+                // Everything: which pixels are left out is for other tests to ask.
+                extent_px: [100.0; 2],
+                radius_px: 1,
+            }
+        },
+    )
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 200, failure_persistence: None, ..ProptestConfig::default() })]
+
+    /// Splat behind splat, under both rules: transmittance starts at one, never rises, is never below zero, and falls by a share
+    /// that is an alpha; and no colour comes from nowhere.
+    #[test]
+    fn alphas_are_shares_and_transmittance_never_rises(
+        splats in prop::collection::vec(any_splat(), 0..40),
+        background in [0.0f64..1.0, 0.0f64..1.0, 0.0f64..1.0],
+    ) {
+        for cutoff in [Cutoff::Hard, Cutoff::Smooth] {
+            let mut before = vec![1.0; 64];
+            for count in 0..=splats.len() {
+                let frame = rasterise::forward(&splats[..count], [8, 8], background, cutoff);
+                for (&after, before) in frame.transmittance.iter().zip(&before) {
+                    let alpha = 1.0 - after / before;
+                    prop_assert!((0.0..=0.99 + 1e-6).contains(&alpha), "{cutoff:?}: an alpha of {alpha}");
+                    prop_assert!(after <= *before && after >= 0.0);
+                }
+                let in_range = |value: &f64| (0.0..=2.0 + 1e-9).contains(value);
+                prop_assert!(frame.image.iter().all(in_range), "{cutoff:?}: weights that are no shares");
+                before = frame.transmittance;
+            }
+        }
+    }
 }

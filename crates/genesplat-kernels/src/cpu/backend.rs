@@ -73,6 +73,11 @@ impl CpuBackend {
         loss(self.level, &self.frame.image, target, None)
     }
 
+    /// Bytes of memory that scoring has taken at most since the views were set, beside the cloud, the photos and the individuals.
+    pub fn scoring_bytes(&self) -> usize {
+        self.scorer.bytes()
+    }
+
     fn reset_density(&mut self) {
         let n = self.cloud.len();
         for column in [&mut self.statistics.gradient_sum, &mut self.statistics.weight_sum] {

@@ -8,6 +8,7 @@
 use fearless_simd::{Level, Simd, dispatch, f32x8, i32x8, prelude::*};
 use rayon::prelude::*;
 
+use super::bytes_of;
 use super::project::{Pinhole, Splat, Splats, TILE};
 use super::simd::{array, prefetch};
 
@@ -67,6 +68,16 @@ struct Scratch {
 }
 
 impl Bins {
+    /// Bytes of memory.
+    pub fn bytes(&self) -> usize {
+        let Self { entries, tile_starts, position_ranges, positions, scratch } = self;
+        let lists =
+            bytes_of(entries) + bytes_of(tile_starts) + bytes_of(position_ranges) + bytes_of(positions);
+        let emissions: usize = scratch.emissions.iter().map(bytes_of).sum();
+        let counts: usize = scratch.counts.iter().map(bytes_of).sum();
+        lists + bytes_of(&scratch.order) + bytes_of(&scratch.swap) + emissions + counts
+    }
+
     /// Sorts the splats by depth and lists them by tile.
     pub fn build(&mut self, level: Level, splats: &Splats, camera: &Pinhole) {
         let order = &mut self.scratch.order;

@@ -29,5 +29,10 @@ pub use project::Pinhole;
 pub use rasterise_backward::Extra;
 pub use roofline::roofline_nanoseconds_per_tile_splat;
 
+/// Memory that a vector has, used or not.
+fn bytes_of<T>(values: &Vec<T>) -> usize {
+    values.capacity() * size_of::<T>()
+}
+
 #[cfg(test)]
 mod tests;

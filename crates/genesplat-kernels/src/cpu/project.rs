@@ -9,8 +9,8 @@ use genesplat_core::{Camera, Gaussians, Gene, RenderSettings, ScreenFilter};
 use rayon::prelude::*;
 
 use super::bin::LOG2_255;
-use super::colour;
 use super::simd::{LANES, LOG2_E, V, array, exp, keep, lanes_of, sigmoid};
+use super::{bytes_of, colour};
 
 /// Rows that one task projects; also the unit of the backward pass. A constant, so that results do not depend on the
 /// number of threads.
@@ -141,6 +141,11 @@ impl Splats {
     /// Above every index.
     pub fn capacity(&self) -> usize {
         self.room.len()
+    }
+
+    /// Bytes of memory.
+    pub fn bytes(&self) -> usize {
+        bytes_of(&self.room) + bytes_of(&self.counts) + bytes_of(&self.seen)
     }
 }
 

@@ -23,8 +23,11 @@ pub struct WorkloadArgs {
     /// Folder of a scene to take cameras, photos and points from [default: a synthetic cloud before one camera of 268x478]
     #[arg(long, value_name = "DATASET")]
     pub data: Option<PathBuf>,
+    /// A trained splat of that scene (.ply), or the folder of a run, instead of Gaussians made from its points [default: none]
+    #[arg(long, value_name = "PLY|RUN", requires = "data")]
+    pub splat: Option<PathBuf>,
     /// Number of Gaussians, at least 4 [default: as many as the scene has points; 55000 without --data]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(4..))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(4..), conflicts_with = "splat")]
     pub gaussians: Option<u32>,
     #[command(flatten)]
     pub size: SizeArgs,
@@ -69,21 +72,42 @@ pub struct BenchEvolutionArgs {
 /// `genesplat bench gpu`.
 #[derive(Debug, Args)]
 pub struct BenchGpuArgs {
+    /// Folder of a scene to take cameras, photos and points from [default: a synthetic cloud before one camera]
+    #[arg(long, value_name = "DATASET")]
+    pub data: Option<PathBuf>,
+    /// A trained splat of that scene (.ply), or the folder of a run, instead of Gaussians made from its points [default: none]
+    #[arg(long, value_name = "PLY|RUN", requires = "data")]
+    pub splat: Option<PathBuf>,
     /// Numbers of Gaussians, separated by commas; those that there is no time for within eight minutes are left out
     #[arg(
         long,
         value_name = "N,..",
         value_delimiter = ',',
         default_value = "100000,1000000,3000000",
-        value_parser = clap::value_parser!(u32).range(4..)
+        value_parser = clap::value_parser!(u32).range(4..),
+        conflicts_with = "splat"
     )]
     pub gaussians: Vec<u32>,
-    /// Width of the photo, pixels
-    #[arg(long, value_name = "PX", default_value_t = 1920, value_parser = clap::value_parser!(u32).range(1..=16384))]
+    /// Width of the synthetic photo, pixels
+    #[arg(
+        long,
+        value_name = "PX",
+        default_value_t = 1920,
+        value_parser = clap::value_parser!(u32).range(1..=16384),
+        conflicts_with = "data"
+    )]
     pub width: u32,
     /// Its height
-    #[arg(long, value_name = "PX", default_value_t = 1080, value_parser = clap::value_parser!(u32).range(1..=16384))]
+    #[arg(
+        long,
+        value_name = "PX",
+        default_value_t = 1080,
+        value_parser = clap::value_parser!(u32).range(1..=16384),
+        conflicts_with = "data"
+    )]
     pub height: u32,
+    #[command(flatten)]
+    pub size: SizeArgs,
     /// Steps to time
     #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..))]
     pub steps: u32,

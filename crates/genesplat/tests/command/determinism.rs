@@ -36,6 +36,24 @@ fn threads_change_nothing_and_seeds_do() {
     assert!(one != run("other", &["--threads", "2", "--seed", "4"]).0, "another seed");
 }
 
+/// What the other variants have of their own: pixel counts, a 3D filter, noise and relocation.
+#[test]
+fn threads_change_nothing_in_other_variants_either() {
+    let folder = tempfile::tempdir().unwrap();
+    for variant in ["pixel-gs", "mip-splatting", "mcmc"] {
+        let run = |threads: &str| {
+            let out = folder.path().join(variant).join(threads);
+            let flags = ["--variant", variant, "--steps-scale", "0.005", "--max-gaussians", "600"];
+            succeed(train(scene(), &out, &[&flags[..], &["--no-lpips", "--threads", threads]].concat()));
+            (cloud(&out), json(&out.join("metrics.json")))
+        };
+        let (one, metrics) = run("1");
+        assert!(metrics["gaussians"].as_u64() > Some(300), "{variant}: density control took part: {metrics}");
+        assert!(one == run("2").0, "{variant}: two threads");
+        assert!(one == run("7").0, "{variant}: seven threads");
+    }
+}
+
 /// The guards are 32-bit sums of whole pictures, and a child that they choose at one number of threads they must choose
 /// at any; so must those that are weighed.
 #[test]

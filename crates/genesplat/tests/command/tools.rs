@@ -6,7 +6,7 @@ use std::sync::LazyLock;
 use genesplat::io::photos::read_photo;
 use tempfile::TempDir;
 
-use crate::support::{fail, json, judge_failure, scene, succeed, text, train, without_drivers};
+use crate::support::{fail, json, judge_failure, run, scene, succeed, text, train, without_drivers};
 
 /// A short run that several tests look at.
 static RUN: LazyLock<TempDir> = LazyLock::new(|| {
@@ -179,6 +179,11 @@ fn what_cannot_be_written_is_said_at_once() {
     fail(of_run("render", &["--image", "gallery_000", "--out", here]), &is_a_folder);
     fail(of_run("render", &["--split", "test", "--out", text(&file)]), &["is a file", "--out"]);
     fail(["compare", text(&photo), text(&photo), "--json", here], &is_a_folder);
+    for what in ["step", "evolution", "gpu"] {
+        // Before a driver is looked for, or a scene is read.
+        let bench = ["bench", what, "--gaussians", "1000000", "--json", here];
+        judge_failure(without_drivers(bench).output().unwrap(), &is_a_folder);
+    }
     fail(train(scene(), &file, &["--iterations", "3"]), &["is a file", "results need a folder"]);
     fail(["experiment", "smoke", "--out", text(&file)], &["is a file", "results need a folder"]);
 }
@@ -224,6 +229,42 @@ fn a_step_is_timed() {
 }
 
 #[test]
+fn benches_measure_trained_splats_too() {
+    let folder = tempfile::tempdir().unwrap();
+    let (run, file) = (finished_run(), folder.path().join("bench.json"));
+    let ply = run.join("point_cloud.ply");
+    let count = genesplat::io::read_ply(&ply).unwrap().len();
+    let trained = |splat| ["--data", text(scene()), "--splat", splat, "--json", text(&file)];
+    succeed(["bench", "step", "--steps", "1"].iter().chain(&trained(text(&run))));
+    let report = json(&file);
+    assert_eq!((&report["gaussians"], &report["width"]), (&count.into(), &56.into()), "as it was trained");
+    let small = ["bench", "evolution", "--population", "2", "--max-side", "32"];
+    succeed(small.iter().chain(&trained(text(&ply))));
+    let report = json(&file);
+    assert_eq!((&report["gaussians"], &report["views"]), (&count.into(), &6.into()));
+    assert!(report["max_relative_difference"].as_f64().expect("a number") <= 1e-5, "{report}");
+}
+
+#[test]
+fn a_bench_is_refused_what_contradicts_itself() {
+    for what in ["step", "evolution", "gpu"] {
+        let (data, splat) = (["--data", "absent"], ["--splat", "absent.ply"]);
+        refuse(["bench", what].iter().chain(&splat), "--data <DATASET>");
+        let counted = ["bench", what, "--gaussians", "9"];
+        refuse(counted.iter().chain(&data).chain(&splat), "cannot be used with");
+    }
+    refuse(["bench", "gpu", "--data", "absent", "--width", "64"], "cannot be used with");
+    fail(["bench", "step", "--data", "absent", "--splat", "absent.ply"], &["absent.ply does not exist"]);
+}
+
+/// Wrong usage, in which something is named.
+fn refuse<S: AsRef<std::ffi::OsStr>>(arguments: impl IntoIterator<Item = S>, named: &str) {
+    let output = run(arguments);
+    let stderr = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.code() == Some(2) && stderr.contains(named), "{stderr}");
+}
+
+#[test]
 fn bench_evolution_finds_the_same_losses_both_ways() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("bench.json");
@@ -231,8 +272,11 @@ fn bench_evolution_finds_the_same_losses_both_ways() {
     succeed(["bench", "evolution"].iter().chain(&size));
     let report = json(&file);
     assert_eq!((report["gaussians"].as_u64(), report["views"].as_u64()), (Some(1500), Some(1)));
-    assert!(report["max_relative_difference"].as_f64() <= Some(1e-5), "{report}");
-    for figure in ["renders_per_second", "plain_renders_per_second", "ratio", "population_bytes"] {
+    // NaN is null in JSON, and `None` would be below any number.
+    assert!(report["max_relative_difference"].as_f64().expect("a number") <= 1e-5, "{report}");
+    for figure in
+        ["renders_per_second", "plain_renders_per_second", "ratio", "population_bytes", "scoring_bytes"]
+    {
         assert!(report[figure].as_f64() > Some(0.0), "{figure}");
     }
 }
@@ -251,9 +295,19 @@ fn bench_gpu_measures_or_says_why_not() {
         return;
     }
     succeed(arguments);
-    let report = json(&file);
+    judge_gpu(&json(&file), &[300, 600], 1);
+    let run = finished_run();
+    let trained = ["bench", "gpu", "--splat", text(&run), "--data", text(scene()), "--steps", "2"];
+    succeed(trained.into_iter().chain(["--max-side", "32", "--population", "3", "--json", text(&file)]));
+    let count = genesplat::io::read_ply(&run.join("point_cloud.ply")).unwrap().len();
+    judge_gpu(&json(&file), &[count], 2);
+}
+
+/// Figures for clouds of these numbers of Gaussians.
+fn judge_gpu(report: &serde_json::Value, gaussians: &[usize], views: usize) {
     let sizes = report["sizes"].as_array().unwrap();
-    assert_eq!(sizes.len(), 2, "{report}");
+    let counts: Vec<_> = sizes.iter().map(|size| size["gaussians"].as_u64().unwrap() as usize).collect();
+    assert_eq!((&counts[..], &report["views"]), (gaussians, &views.into()), "{report}");
     assert!(report["memory_bytes_per_second"].as_f64() > Some(0.0), "{report}");
     for size in sizes {
         let floors = size["floor_milliseconds"].as_array().unwrap();
@@ -262,7 +316,7 @@ fn bench_gpu_measures_or_says_why_not() {
             "a stage that is not known: {size}"
         );
         assert!(size["milliseconds"].as_f64() > Some(0.0) && size["ratio"].as_f64() > Some(0.0), "{size}");
-        assert!(size["max_relative_difference"].as_f64() <= Some(1e-5), "{size}");
+        assert!(size["max_relative_difference"].as_f64().expect("a number") <= 1e-5, "{size}");
     }
 }
 

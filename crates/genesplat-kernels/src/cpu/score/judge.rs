@@ -8,6 +8,7 @@
 use fearless_simd::{Level, Simd, dispatch, prelude::*};
 use genesplat_core::constants::{SSIM_C1, SSIM_C2, SSIM_RADIUS, ssim_window};
 
+use super::super::bytes_of;
 use super::super::loss::{
     MARGIN, Ring, TAPS, Target, blur_row, by_slot, combine, load_bytes, mask_tail, slot,
 };
@@ -82,6 +83,11 @@ impl<const K: usize> Default for Walk<K> {
 }
 
 impl Judge {
+    /// Bytes of memory.
+    pub fn bytes(&self) -> usize {
+        bytes_of(&self.photo) + bytes_of(&self.blurred)
+    }
+
     /// Blurs the photo and its square.
     pub fn new(level: Level, target: &Target) -> Self {
         let layout = Layout { size: [target.width, target.height] };

@@ -29,6 +29,8 @@ pub struct Scorer {
     judges: BTreeMap<usize, Judge>,
     /// Two views at a time: sorting takes one thread, and the other view the rest.
     rooms: [Room; 2],
+    /// Bytes of the largest pool so far.
+    pool_bytes: usize,
 }
 
 impl Scorer {
@@ -49,6 +51,7 @@ impl Scorer {
         let mut losses = Vec::with_capacity(population.len() * views.len());
         for individuals in population.chunks(each) {
             let pool = Pool::new(cloud, individuals);
+            self.pool_bytes = self.pool_bytes.max(pool.bytes());
             let mut by_view: Vec<Vec<f32>> = Vec::with_capacity(views.len());
             for views in views.chunks(self.rooms.len().min(rayon::current_num_threads())) {
                 let rooms = views.par_iter().zip(&mut self.rooms);
@@ -61,6 +64,13 @@ impl Scorer {
                 .extend((0..individuals.len()).flat_map(|index| by_view.iter().map(move |view| view[index])));
         }
         losses
+    }
+
+    /// Bytes of memory that scoring has taken at most, but for what threads have of their own: the judges' grow with the views,
+    /// the pool's and the rooms' with individuals and Gaussians.
+    pub fn bytes(&self) -> usize {
+        let judges: usize = self.judges.values().map(Judge::bytes).sum();
+        judges + self.rooms.iter().map(Room::bytes).sum::<usize>() + self.pool_bytes
     }
 
     /// Finds judges for the views that have none.

@@ -6,6 +6,7 @@ use genesplat_core::{Gaussians, Gene, RenderSettings, SparseDelta};
 use rayon::prelude::*;
 
 use super::super::bin::Bins;
+use super::super::bytes_of;
 use super::super::project::{Pinhole, Splats, TILE, project_versions};
 use super::blend::{Blender, Colours};
 use super::judge::{Judge, Layout, Walk};
@@ -40,6 +41,14 @@ pub struct Room {
     pictures: Vec<Colours>,
 }
 
+impl Room {
+    /// Bytes of memory.
+    pub fn bytes(&self) -> usize {
+        let Self { splats, bins, holders, pictures } = self;
+        splats.bytes() + bins.bytes() + bytes_of(holders) + bytes_of(pictures)
+    }
+}
+
 /// One thread's working memory while it judges.
 #[derive(Default)]
 struct Easel {
@@ -52,6 +61,11 @@ impl Pool {
     pub fn capacity(tiles: usize) -> usize {
         let bytes = tiles * size_of::<Colours>();
         (PICTURES_BYTES / bytes.max(1)).clamp(1, Holders::BITS as usize)
+    }
+
+    /// Bytes of memory.
+    pub fn bytes(&self) -> usize {
+        bytes_of(&self.alleles)
     }
 
     /// The alleles of some individuals, which are differences from `cloud`.

@@ -162,3 +162,20 @@ fn populations_of_several_pools_are_scored() {
     assert_eq!(pool::Pool::capacity(10_000), 8);
     assert_eq!(pool::Pool::capacity(usize::MAX >> 20), 1);
 }
+
+#[test]
+fn memory_grows_with_individuals_views_and_gaussians() {
+    let bytes = |gaussians: usize, individuals: usize, views: usize| {
+        let base = cloud_of(gaussians, -2.0);
+        let population: Vec<SparseDelta> =
+            (0..individuals).map(|individual| individual_of(&base, individual)).collect();
+        let mut backend = CpuBackend::new(0);
+        backend.set_views(&views_of([[75, 53], [64, 48]])).unwrap();
+        backend.upload(base, None).unwrap();
+        assert_eq!(backend.scoring_bytes(), 0);
+        backend.score(&population, &[0, 1][..views], &settings(1, ScreenFilter::Classic)).unwrap();
+        backend.scoring_bytes()
+    };
+    let most = bytes(4000, 8, 2);
+    assert!(most > bytes(2000, 8, 2) && most > bytes(4000, 4, 2) && most > bytes(4000, 8, 1));
+}

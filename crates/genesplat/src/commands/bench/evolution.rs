@@ -4,6 +4,10 @@
 //! paper's search. The *plain way* is our own render with all its culling, and the whole loss, one individual and view
 //! after the other, all threads on each; the changes themselves are made off the clock. Both ways must find the same
 //! losses.
+//!
+//! Memory is told in two figures: what the individuals themselves take, and what scoring them takes besides, which is what
+//! grows with the number of views. Each row of figures starts from a scorer that remembers nothing. It is the scorer that counts:
+//! to the system, memory that an earlier row has freed may look like that of this one.
 
 use std::time::Instant;
 
@@ -33,7 +37,10 @@ struct Report {
     plain_renders_per_second: f64,
     ratio: f64,
     max_relative_difference: f64,
+    /// The individuals, as differences from the cloud: their number and the rows that they change decide, not the views.
     population_bytes: usize,
+    /// What scoring them takes at most beside the cloud, the photos and the individuals.
+    scoring_bytes: usize,
     growth: Vec<Growth>,
     search: Vec<Generation>,
 }
@@ -58,19 +65,28 @@ struct Growth {
     views: usize,
     renders_per_second: f64,
     population_bytes: usize,
+    scoring_bytes: usize,
+}
+
+/// What it took to score some individuals on some views.
+struct Scored {
+    losses: Vec<f32>,
+    seconds: f64,
+    bytes: usize,
 }
 
 /// Times, prints, and writes the figures.
 pub fn run(args: &BenchEvolutionArgs) -> Result<()> {
+    args.json.as_deref().map_or(Ok(()), run_folder::check_writable)?;
     let backend = device::prepare_cpu(args.machine)?;
-    let Workload { views, cloud } = Workload::of(&args.workload)?;
+    let Workload { views, settings, cloud } = Workload::of(&args.workload)?;
     let population = args.population as usize;
-    let mut bench = Bench::new(backend, &views, just_reset(cloud))?;
     let judges: Vec<usize> = (0..views.len().min(args.views as usize)).collect();
+    let mut bench = Bench::new(backend, views, just_reset(cloud), settings)?;
     let individuals = bench.founders(population)?;
-    let (scored, seconds) = bench.score(&individuals, &judges)?;
+    let Scored { losses, seconds, bytes: scoring_bytes } = bench.score(&individuals, &judges)?;
     let (plain, plain_seconds) = bench.plain(&individuals, &judges)?;
-    let renders = scored.len() as f64;
+    let renders = losses.len() as f64;
     let report = Report {
         gaussians: bench.backend.len(),
         views: judges.len(),
@@ -79,8 +95,9 @@ pub fn run(args: &BenchEvolutionArgs) -> Result<()> {
         renders_per_second: renders / seconds,
         plain_renders_per_second: renders / plain_seconds,
         ratio: plain_seconds / seconds,
-        max_relative_difference: max_relative_difference(&scored, &plain),
+        max_relative_difference: max_relative_difference(&losses, &plain),
         population_bytes: bytes(&individuals),
+        scoring_bytes,
         growth: bench.growth(&individuals, &judges)?,
         search: bench.search(args.population, args.generations, &judges)?,
     };
@@ -99,10 +116,12 @@ fn bytes(individuals: &[SparseDelta]) -> usize {
     individuals.iter().map(SparseDelta::bytes).sum()
 }
 
-/// Between losses of two ways to find them.
+/// Between losses of two ways to find them; NaN where one of them is not a number.
 pub fn max_relative_difference(actual: &[f32], expected: &[f32]) -> f64 {
+    assert_eq!(actual.len(), expected.len(), "both ways must find a loss for each individual and view");
     let difference = |(&a, &b): (&f32, &f32)| (f64::from(a) / f64::from(b) - 1.0).abs();
-    actual.iter().zip(expected).map(difference).fold(0.0, f64::max)
+    // In the total order, NaN without a sign is above all else, while `f64::max` would drop it.
+    actual.iter().zip(expected).map(difference).max_by(f64::total_cmp).unwrap_or(0.0)
 }
 
 /// The initial population of a paper search, which needs no loss.
@@ -119,40 +138,42 @@ fn algorithm(cloud: &Gaussians, population: u32, generations: u32) -> Result<Gen
     Ok(GeneticAlgorithm::new(config, cloud.all_genes(), None, 0.0, Rng::new(0))?)
 }
 
-/// What these rows are, as a change.
-pub fn genes_of(cloud: &Gaussians, rows: &[u32]) -> SparseDelta {
-    SparseDelta { rows: rows.to_vec(), genes: rows.iter().map(|&row| cloud.genes(row as usize)).collect() }
-}
-
 struct Bench {
     backend: CpuBackend,
+    views: Vec<View>,
     settings: RenderSettings,
 }
 
 impl Bench {
-    fn new(mut backend: CpuBackend, views: &[View], cloud: Gaussians) -> Result<Self> {
-        backend.set_views(views)?;
+    fn new(
+        mut backend: CpuBackend,
+        views: Vec<View>,
+        cloud: Gaussians,
+        settings: RenderSettings,
+    ) -> Result<Self> {
+        backend.set_views(&views)?;
         backend.upload(cloud, None)?;
-        Ok(Self { backend, settings: RenderSettings::default() })
+        Ok(Self { backend, views, settings })
     }
 
     fn founders(&mut self, population: usize) -> Result<Vec<SparseDelta>> {
         founders(&*self.backend.download()?, population)
     }
 
-    /// Losses, and the seconds that they took, what is shared between individuals included.
-    fn score(&mut self, individuals: &[SparseDelta], views: &[usize]) -> Result<(Vec<f32>, f64)> {
-        // The cloud is "changed", so that nothing is remembered from before.
-        self.backend.apply(&SparseDelta::default(), MomentPolicy::Keep)?;
+    /// What is shared between individuals counts, too.
+    fn score(&mut self, individuals: &[SparseDelta], views: &[usize]) -> Result<Scored> {
+        // Photos that are new, so that nothing is remembered from before, and no room is left.
+        self.backend.set_views(&self.views)?;
         let clock = Instant::now();
         let losses = self.backend.score(individuals, views, &self.settings)?;
-        Ok((losses, clock.elapsed().as_secs_f64()))
+        let (seconds, bytes) = (clock.elapsed().as_secs_f64(), self.backend.scoring_bytes());
+        Ok(Scored { losses, seconds, bytes })
     }
 
     fn plain(&mut self, individuals: &[SparseDelta], views: &[usize]) -> Result<(Vec<f32>, f64)> {
         let (mut losses, mut seconds) = (Vec::new(), 0.0);
         for individual in individuals {
-            let base = genes_of(&*self.backend.download()?, &individual.rows);
+            let base = self.backend.download()?.genes_of(&individual.rows);
             self.backend.apply(individual, MomentPolicy::Keep)?;
             let clock = Instant::now();
             losses.extend(views.iter().map(|&view| self.backend.loss_of_view(view, &self.settings)));
@@ -211,7 +232,7 @@ impl Bench {
     }
 
     fn row(&mut self, what: &'static str, individuals: &[SparseDelta], views: &[usize]) -> Result<Growth> {
-        let (losses, seconds) = self.score(individuals, views)?;
+        let Scored { losses, seconds, bytes: scoring_bytes } = self.score(individuals, views)?;
         Ok(Growth {
             what,
             gaussians: self.backend.len(),
@@ -219,16 +240,23 @@ impl Bench {
             views: views.len(),
             renders_per_second: losses.len() as f64 / seconds,
             population_bytes: bytes(individuals),
+            scoring_bytes,
         })
     }
 }
 
+/// As text.
+fn memory_text(population_bytes: usize, scoring_bytes: usize) -> String {
+    let [population, scoring] = [population_bytes, scoring_bytes].map(|bytes| bytes as f64 / 1e6);
+    format!("{population:>10.1} MB of individuals,{scoring:>10.1} MB to score them")
+}
+
 impl Report {
     fn to_text(&self) -> String {
-        let megabytes = |bytes: usize| bytes as f64 / 1e6;
         let growth = self.growth.iter().map(|row| {
-            let Growth { what, renders_per_second, population_bytes, .. } = row;
-            format!("{what:<24}{renders_per_second:>8.1} renders/s{:>10.1} MB", megabytes(*population_bytes))
+            let Growth { what, renders_per_second, population_bytes, scoring_bytes, .. } = row;
+            let memory = memory_text(*population_bytes, *scoring_bytes);
+            format!("{what:<24}{renders_per_second:>8.1} renders/s{memory}")
         });
         let search = self.search.iter().map(|row| {
             let Generation { generation, changed, changed_from_base, renders_per_second } = row;
@@ -240,7 +268,7 @@ impl Report {
         });
         format!(
             "{} Gaussians just after an opacity reset, {} individuals on {} views, {} threads\n\
-             scoring                 {:>8.1} renders/s{:>10.1} MB\n\
+             scoring                 {:>8.1} renders/s{}\n\
              plain way               {:>8.1} renders/s\n\
              ratio                   {:>8.2} x\n\
              largest relative difference of a loss {:.1e}\n{}{}",
@@ -249,12 +277,34 @@ impl Report {
             self.views,
             self.threads,
             self.renders_per_second,
-            megabytes(self.population_bytes),
+            memory_text(self.population_bytes, self.scoring_bytes),
             self.plain_renders_per_second,
             self.ratio,
             self.max_relative_difference,
             growth.collect::<Vec<_>>().join("\n"),
             search.collect::<String>(),
         )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn losses_that_differ_are_seen_and_so_is_nan() {
+        let losses = [0.5, 0.25, 1.0];
+        assert_eq!(max_relative_difference(&losses, &losses), 0.0);
+        assert_eq!(max_relative_difference(&[0.5, 0.375, 1.0], &losses), 0.5);
+        for poison in [f32::NAN, -f32::NAN] {
+            assert!(max_relative_difference(&[0.5, poison, 1.0], &losses).is_nan());
+            assert!(max_relative_difference(&losses, &[poison, 0.25, 1.0]).is_nan());
+        }
+    }
+
+    #[test]
+    #[should_panic = "a loss for each"]
+    fn a_missing_loss_is_seen() {
+        max_relative_difference(&[0.5], &[0.5, 0.25]);
     }
 }

@@ -1,28 +1,28 @@
 //! `genesplat bench gpu`: what training steps and scoring cost on the graphics device, at several sizes, in one call.
 //!
-//! The cloud is the synthetic one of `bench step`, at 1080p. Steps are real ones with learning rates of zero. Two clocks
-//! are read: the device's own, stage by stage, and the host's, over steps that are submitted one after the other without
-//! waiting, as in training. Scoring is measured as in `bench evolution`: the founders of a paper search just after an
-//! opacity reset, beside a full render and loss of each.
+//! The cloud is the synthetic one of `bench step`, at 1080p, or that of a scene, or a trained one. Steps are real ones with
+//! learning rates of zero, on photos from all over the scene. Two clocks are read: the device's own, stage by stage, and the
+//! host's, over steps that are submitted one after the other without waiting, as in training. Scoring is measured as in
+//! `bench evolution`: the founders of a paper search just after an opacity reset, beside a full render and loss of each.
 
 use std::time::{Duration, Instant};
 
-use anyhow::{Result, bail};
-use genesplat::core::backend::MomentPolicy;
+use anyhow::Result;
+use genesplat::core::backend::{MomentPolicy, StepReport};
 use genesplat::core::{
-    Backend, DensitySignal, LearningRates, RenderSettings, SparseDelta, StatisticsRequest, TrainStep, Update,
+    Backend, DensitySignal, RenderSettings, SparseDelta, StatisticsRequest, TrainStep, Update, View,
 };
 use genesplat::gpu::{GpuBackend, Work};
 use serde::Serialize;
 
-use super::evolution::{founders, genes_of, just_reset, max_relative_difference};
-use super::median;
-use super::workload::Workload;
+use super::evolution::{founders, just_reset, max_relative_difference};
+use super::workload::Source;
+use super::{AT_REST, median};
 use crate::args::BenchGpuArgs;
 use crate::device::{self, Device};
 use crate::{output, run_folder};
 
-/// Steps before a clock counts: buffers grow, kernels are compiled.
+/// Fewest steps before a clock counts: buffers grow, kernels are compiled.
 const WARM_UP: u32 = 3;
 /// No further size is begun after this time, so that the call ends within eight minutes.
 const ENOUGH: Duration = Duration::from_secs(240);
@@ -35,8 +35,11 @@ struct Report {
     device: String,
     /// Read and written by copies.
     memory_bytes_per_second: f64,
+    /// Of the largest photo.
     width: u32,
     height: u32,
+    /// Photos that steps go through; scoring is measured on the first.
+    views: usize,
     sizes: Vec<Size>,
     /// Sizes that there was no time for.
     left_out: Vec<u32>,
@@ -55,6 +58,8 @@ struct Size {
     visible: usize,
     tile_splats: usize,
     device_memory_bytes: u64,
+    /// What scoring takes of it besides.
+    scoring_device_memory_bytes: u64,
     individuals: usize,
     changed_gaussians: usize,
     scored_renders_per_second: f64,
@@ -66,27 +71,33 @@ struct Size {
 /// Times, prints, and writes the figures.
 pub fn run(args: &BenchGpuArgs) -> Result<()> {
     let began = Instant::now();
+    args.json.as_deref().map_or(Ok(()), run_folder::check_writable)?;
     device::use_threads(args.threads)?;
     Device::Gpu.resolve()?;
-    let [width, height] = [args.width, args.height];
+    let (data, splat) = (args.data.as_deref(), args.splat.as_deref());
+    let mut source = Source::of(data, splat, args.size, [args.width, args.height])?;
+    source.views = spread(&source.views, args.steps as usize);
+    let [width, height] = size_px(&source.views);
     let mut backend = GpuBackend::new(0)?;
     let mut report = Report {
         device: backend.describe(),
         memory_bytes_per_second: backend.memory_bandwidth(COPIED_BYTES)?,
         width,
         height,
+        views: source.views.len(),
         sizes: Vec::new(),
         left_out: Vec::new(),
     };
     drop(backend);
     output::print(&report.to_text())?;
-    for &gaussians in &args.gaussians {
+    let sizes = source.trained_count().map_or_else(|| args.gaussians.clone(), |count| vec![count as u32]);
+    for gaussians in sizes {
         if began.elapsed() > ENOUGH {
             report.left_out.push(gaussians);
             continue;
         }
         output::tell(&format!("making {gaussians} Gaussians"));
-        let mut bench = Bench::new(args, gaussians as usize)?;
+        let mut bench = Bench::new(&source, gaussians as usize)?;
         let size = bench.measure(args, report.memory_bytes_per_second)?;
         output::print(&size.to_text([width, height]))?;
         report.sizes.push(size);
@@ -97,36 +108,59 @@ pub fn run(args: &BenchGpuArgs) -> Result<()> {
     args.json.as_ref().map_or(Ok(()), |path| run_folder::write_json(path, &report))
 }
 
+/// At most `count` views, evenly spread over all, so that `count` steps by either clock meet every one.
+fn spread(views: &[View], count: usize) -> Vec<View> {
+    let count = count.min(views.len());
+    (0..count).map(|index| views[index * views.len() / count].clone()).collect()
+}
+
+/// Width and height of the largest photo, by pixels.
+fn size_px(views: &[View]) -> [u32; 2] {
+    let sizes = views.iter().map(|view| [view.camera.width, view.camera.height]);
+    sizes.max_by_key(|size| u64::from(size[0]) * u64::from(size[1])).unwrap_or_default()
+}
+
 struct Bench {
     backend: GpuBackend,
     settings: RenderSettings,
+    views: usize,
+    size_px: [u32; 2],
+}
+
+/// What is known of a step afterwards, as medians.
+struct Timed {
+    /// Milliseconds by the device's clock; empty where it has none.
+    stages: Vec<(&'static str, f64)>,
+    visible: usize,
+    tile_splats: usize,
 }
 
 impl Bench {
-    fn new(args: &BenchGpuArgs, gaussians: usize) -> Result<Self> {
-        let Workload { views, cloud } = Workload::synthetic(gaussians, [args.width, args.height])?;
+    fn new(source: &Source, gaussians: usize) -> Result<Self> {
         let mut backend = GpuBackend::new(0)?;
-        backend.set_views(&views)?;
-        backend.upload(cloud, None)?;
-        Ok(Self { backend, settings: RenderSettings::default() })
+        backend.set_views(&source.views)?;
+        backend.upload(source.cloud(gaussians)?, None)?;
+        let (settings, views) = (source.settings, source.views.len());
+        Ok(Self { backend, settings, views, size_px: size_px(&source.views) })
     }
 
     fn measure(&mut self, args: &BenchGpuArgs, memory_bytes_per_second: f64) -> Result<Size> {
-        self.steps(0, WARM_UP)?;
+        // Every view once, since each may need more room than those before.
+        let warm = WARM_UP.max(self.views as u32);
+        self.steps(0, warm)?;
         let clock = Instant::now();
-        self.steps(WARM_UP, args.steps)?;
+        self.steps(warm, args.steps)?;
         let milliseconds = 1e3 * clock.elapsed().as_secs_f64() / f64::from(args.steps);
-        let report = self.backend.report()?;
-        let stages = self.stages(WARM_UP + args.steps, args.steps)?;
+        let Timed { stages, visible, tile_splats } = self.stages(warm + args.steps, args.steps)?;
         let device_memory_bytes = self.backend.allocated_bytes();
-        let [rows, visible, entries] =
-            [self.backend.len(), report.visible, report.tile_splats].map(|count| count as u64);
-        let work = Work { rows, visible, entries, size_px: [args.width, args.height].map(u64::from) };
+        let [rows, seen, entries] = [self.backend.len(), visible, tile_splats].map(|count| count as u64);
+        let work = Work { rows, visible: seen, entries, size_px: self.size_px.map(u64::from) };
         let floor = |name: &'static str| (name, 1e3 * work.bytes(name) as f64 / memory_bytes_per_second);
 
         let cloud = just_reset(self.backend.download()?.into_owned());
         let individuals = founders(&cloud, args.population as usize)?;
         self.backend.upload(cloud, None)?;
+        let before = self.backend.allocated_bytes();
         // Once unmeasured: kernels are compiled, buffers grow.
         self.backend.score(&individuals, &[0], &self.settings)?;
         let clock = Instant::now();
@@ -139,9 +173,10 @@ impl Bench {
             milliseconds,
             floor_milliseconds: stages.iter().map(|&(name, _)| floor(name)).collect(),
             stages,
-            visible: report.visible,
-            tile_splats: report.tile_splats,
+            visible,
+            tile_splats,
             device_memory_bytes,
+            scoring_device_memory_bytes: self.backend.allocated_bytes().saturating_sub(before),
             individuals: individuals.len(),
             changed_gaussians: individuals.iter().map(|individual| individual.rows.len()).sum(),
             scored_renders_per_second: renders / scored_seconds,
@@ -153,19 +188,11 @@ impl Bench {
 
     /// Submits steps and waits for the last.
     fn steps(&mut self, first: u32, count: u32) -> Result<()> {
-        const REST: LearningRates = LearningRates {
-            position: 0.0,
-            sh_dc: 0.0,
-            sh_rest: 0.0,
-            opacity: 0.0,
-            scale: 0.0,
-            rotation: 0.0,
-        };
         for step in first + 1..=first + count {
             self.backend.train_step(&TrainStep {
-                view: 0,
+                view: step as usize % self.views,
                 settings: self.settings,
-                update: Some(Update { rates: REST, step, opacity_step: step, exploration: None }),
+                update: Some(Update { rates: AT_REST, step, opacity_step: step, exploration: None }),
                 statistics: StatisticsRequest { density: Some(DensitySignal::Signed), genes: false },
             })?;
         }
@@ -173,20 +200,28 @@ impl Bench {
         Ok(())
     }
 
-    /// Medians of the stages, milliseconds.
-    fn stages(&mut self, first: u32, count: u32) -> Result<Vec<(&'static str, f64)>> {
-        if !self.backend.start_timing() {
-            return Ok(Vec::new());
-        }
-        let mut samples = Vec::new();
+    /// Steps one by one, each waited for.
+    fn stages(&mut self, first: u32, count: u32) -> Result<Timed> {
+        let has_clock = self.backend.start_timing();
+        let (mut samples, mut reports) = (Vec::new(), Vec::new());
         for step in first..first + count {
             self.steps(step, 1)?;
-            samples.push(self.backend.take_stage_seconds()?);
+            reports.push(self.backend.report()?);
+            if has_clock {
+                samples.push(self.backend.take_stage_seconds()?);
+            }
         }
         self.backend.stop_timing();
-        let Some(names) = samples.first() else { bail!("no step was timed") };
+        let names = samples.first().cloned().unwrap_or_default();
         let stage = |index: usize| 1e3 * median(samples.iter().map(|sample| sample[index].1).collect());
-        Ok(names.iter().enumerate().map(|(index, (name, _))| (*name, stage(index))).collect())
+        let counted = |count: fn(&StepReport) -> usize| {
+            median(reports.iter().map(|report| count(report) as f64).collect()) as usize
+        };
+        Ok(Timed {
+            stages: names.iter().enumerate().map(|(index, (name, _))| (*name, stage(index))).collect(),
+            visible: counted(|report| report.visible),
+            tile_splats: counted(|report| report.tile_splats),
+        })
     }
 
     /// Losses of full renders, and their seconds; the changes themselves are made off the clock.
@@ -199,7 +234,7 @@ impl Bench {
             let clock = Instant::now();
             losses.push(self.backend.loss_of_view(0, &self.settings)?);
             seconds += clock.elapsed().as_secs_f64();
-            self.backend.apply(&genes_of(&cloud, &individual.rows), MomentPolicy::Keep)?;
+            self.backend.apply(&cloud.genes_of(&individual.rows), MomentPolicy::Keep)?;
         }
         Ok((losses, seconds))
     }
@@ -226,7 +261,7 @@ impl Size {
         format!(
             "{} Gaussians at {width}x{height} px: {} visible, {} tile entries, {:.0} MB\n\
              step {:>26.3} ms, one after the other{utilisation}{stages}\n\
-             scoring {} individuals with {} changed Gaussians, one view\n\
+             scoring {} individuals with {} changed Gaussians, one view: {:.0} MB more\n\
              scored {:>24.1} renders/s\nplain  {:>24.1} renders/s\nratio  {:>24.2} x\n\
              largest relative difference of a loss {:.1e}",
             self.gaussians,
@@ -236,6 +271,7 @@ impl Size {
             self.milliseconds,
             self.individuals,
             self.changed_gaussians,
+            self.scoring_device_memory_bytes as f64 / 1e6,
             self.scored_renders_per_second,
             self.plain_renders_per_second,
             self.ratio,

@@ -6,17 +6,15 @@
 use std::time::Instant;
 
 use anyhow::Result;
-use genesplat::core::{
-    Backend, Camera, DensitySignal, LearningRates, RenderSettings, StatisticsRequest, TrainStep, Update,
-};
+use genesplat::core::{Backend, Camera, DensitySignal, RenderSettings, StatisticsRequest, TrainStep, Update};
 use genesplat::kernels::cpu::{CpuBackend, StageSeconds, roofline_nanoseconds_per_tile_splat};
 use serde::Serialize;
 
 use crate::args::BenchStepArgs;
 use crate::{device, memory, output, run_folder};
 
-use super::median;
 use super::workload::Workload;
+use super::{AT_REST, median};
 
 /// Steps before the clock counts: buffers grow, caches fill.
 const WARM_UP: u32 = 3;
@@ -57,25 +55,24 @@ struct Sample {
 
 /// Times, prints, and writes the figures.
 pub fn run(args: &BenchStepArgs) -> Result<()> {
+    args.json.as_deref().map_or(Ok(()), run_folder::check_writable)?;
     let mut backend = device::prepare_cpu(args.machine)?;
-    let Workload { views, cloud } = Workload::of(&args.workload)?;
+    let Workload { views, settings, cloud } = Workload::of(&args.workload)?;
     backend.set_views(&views)?;
     // Moved, not copied: the memory reported is that of training.
     backend.upload(cloud, None)?;
-    let steps = (0..WARM_UP + args.steps).map(|step| time_step(&mut backend, step, views.len()));
+    let steps = (0..WARM_UP + args.steps).map(|step| time_step(&mut backend, step, views.len(), settings));
     let samples = steps.collect::<Result<Vec<_>>>()?;
     let report = Report::new(backend.len(), &views[0].camera, &samples[WARM_UP as usize..]);
     output::print(&report.to_text())?;
     args.json.as_ref().map_or(Ok(()), |path| run_folder::write_json(path, &report))
 }
 
-fn time_step(backend: &mut CpuBackend, step: u32, views: usize) -> Result<Sample> {
-    const REST: LearningRates =
-        LearningRates { position: 0.0, sh_dc: 0.0, sh_rest: 0.0, opacity: 0.0, scale: 0.0, rotation: 0.0 };
+fn time_step(backend: &mut CpuBackend, step: u32, views: usize, settings: RenderSettings) -> Result<Sample> {
     let train_step = TrainStep {
         view: step as usize % views,
-        settings: RenderSettings::default(),
-        update: Some(Update { rates: REST, step: step + 1, opacity_step: step + 1, exploration: None }),
+        settings,
+        update: Some(Update { rates: AT_REST, step: step + 1, opacity_step: step + 1, exploration: None }),
         statistics: StatisticsRequest { density: Some(DensitySignal::Signed), genes: false },
     };
     let clock = Instant::now();

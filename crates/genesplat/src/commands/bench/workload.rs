@@ -1,19 +1,20 @@
-//! A cloud that resembles a trained one, at any number of Gaussians.
+//! A trained cloud, or one that resembles one, at any number of Gaussians.
 //!
-//! Points of a scene, or of a synthetic one, are sampled again with a jitter of their own spacing until there are as many
-//! as wanted; Gaussians as wide as the distance to their new neighbours then cover the same surfaces with the same total
-//! area, as densification does. Opacities are mixed, shapes stretched and turned.
+//! For the latter, points of a scene, or of a synthetic one, are sampled again with a jitter of their own spacing until there
+//! are as many as wanted; Gaussians as wide as the distance to their new neighbours then cover the same surfaces with the same
+//! total area, as densification does. Opacities are mixed, shapes stretched and turned.
 
+use std::path::Path;
 use std::sync::Arc;
 
 use anyhow::{Result, bail};
 use genesplat::core::gaussians::logit;
-use genesplat::core::{Camera, Gaussians, Photo, Rng, Stream, View};
+use genesplat::core::{Camera, Gaussians, Photo, RenderSettings, Rng, Stream, View};
 use genesplat::train::initialise::{ColouredPoint, cloud_from_points, in_spatial_order};
 use glam::{DQuat, DVec3};
 
-use crate::args::WorkloadArgs;
-use crate::scene;
+use crate::args::{SizeArgs, ViewSizeArgs, WorkloadArgs};
+use crate::{scene, splat};
 
 /// Gaussians where neither flag nor scene says.
 const GAUSSIANS: usize = 55_000;
@@ -27,10 +28,91 @@ const WIDTH: f32 = 0.5;
 /// Standard deviation of the natural logarithm of an axis against the mean of the axes.
 const STRETCH: f32 = 0.6;
 
+/// Photos, and where clouds before them come from.
+pub struct Source {
+    /// Photos and cameras to step through.
+    pub views: Vec<View>,
+    /// How the clouds are to be rendered.
+    pub settings: RenderSettings,
+    origin: Origin,
+}
+
+enum Origin {
+    /// To be sampled from; at least 4.
+    Points(Vec<ColouredPoint>),
+    /// A cloud as it is.
+    Trained(Gaussians),
+}
+
+impl Source {
+    /// The scene in `data` and its splat, if there are any; else the synthetic scene, whose photo has `synthetic_px`.
+    pub fn of(
+        data: Option<&Path>,
+        splat: Option<&Path>,
+        size: SizeArgs,
+        synthetic_px: [u32; 2],
+    ) -> Result<Self> {
+        let source = match (data, splat) {
+            (Some(data), Some(splat)) => Self::trained(data, splat, size)?,
+            (Some(data), None) => Self::scene(data, size)?,
+            (None, _) => Self::synthetic(synthetic_px),
+        };
+        if source.views.is_empty() {
+            bail!("the scene has no photos to train on, and steps need one; give a scene with more photos");
+        }
+        Ok(source)
+    }
+
+    fn synthetic(size_px: [u32; 2]) -> Self {
+        Self {
+            views: vec![synthetic_view(size_px)],
+            settings: RenderSettings::default(),
+            origin: Origin::Points(synthetic_points(size_px)),
+        }
+    }
+
+    fn scene(data: &Path, size: SizeArgs) -> Result<Self> {
+        let scene = scene::load(data, size.size().unwrap_or_default(), [0.0; 3], 0)?;
+        let points = scene::points(&scene);
+        if points.len() < 4 {
+            bail!("a workload needs at least 4 points to sample from, but the scene has {}", points.len());
+        }
+        Ok(Self { views: scene.train, settings: RenderSettings::default(), origin: Origin::Points(points) })
+    }
+
+    /// As large as the splat was trained unless another size is asked for, and rendered as it is meant to be.
+    fn trained(data: &Path, path: &Path, SizeArgs { max_side, downscale }: SizeArgs) -> Result<Self> {
+        let splat = splat::open(path)?;
+        if splat.cloud.is_empty() {
+            bail!("{} has no Gaussians to measure with; give another splat", path.display());
+        }
+        let scene = splat.load_scene(data, ViewSizeArgs { max_side, downscale })?;
+        Ok(Self { views: scene.train, settings: splat.settings, origin: Origin::Trained(splat.cloud) })
+    }
+
+    /// Gaussians of a trained cloud, whose number is what it is.
+    pub fn trained_count(&self) -> Option<usize> {
+        match &self.origin {
+            Origin::Points(_) => None,
+            Origin::Trained(cloud) => Some(cloud.len()),
+        }
+    }
+
+    /// The trained cloud, or one of `count` Gaussians that resembles one.
+    pub fn cloud(&self, count: usize) -> Result<Gaussians> {
+        match &self.origin {
+            Origin::Points(points) => sampled(points, count),
+            Origin::Trained(cloud) => Ok(cloud.clone()),
+        }
+    }
+}
+
 /// What is timed.
 pub struct Workload {
     /// Photos and cameras to step through.
     pub views: Vec<View>,
+    /// How to render the cloud.
+    pub settings: RenderSettings,
     /// The cloud.
     pub cloud: Gaussians,
 }
@@ -38,28 +120,23 @@ pub struct Workload {
 impl Workload {
     /// As asked for.
     pub fn of(args: &WorkloadArgs) -> Result<Self> {
-        let (views, points) = match &args.data {
-            Some(data) => {
-                let scene = scene::load(data, args.size.size().unwrap_or_default(), [0.0; 3], 0)?;
-                (scene.train.clone(), scene::points(&scene))
+        let WorkloadArgs { data, splat, gaussians, size } = args;
+        let Source { views, settings, origin } =
+            Source::of(data.as_deref(), splat.as_deref(), *size, SIZE_PX)?;
+        let cloud = match origin {
+            Origin::Points(points) => {
+                let default = if data.is_some() { points.len() } else { GAUSSIANS };
+                sampled(&points, gaussians.map_or(default, |count| count as usize))?
             }
-            None => (vec![synthetic_view(SIZE_PX)], synthetic_points(SIZE_PX)),
+            Origin::Trained(cloud) => cloud,
         };
-        let default = if args.data.is_some() { points.len() } else { GAUSSIANS };
-        let count = args.gaussians.map_or(default, |count| count as usize);
-        if points.len() < 4 {
-            bail!("a workload needs at least 4 points to sample from, but the scene has {}", points.len());
-        }
-        Ok(Self { views, cloud: trained_looking(&in_spatial_order(&resample(&points, count)?))? })
+        Ok(Self { views, settings, cloud })
     }
 }
 
-impl Workload {
-    /// The synthetic one, for a photo of any size.
-    pub fn synthetic(count: usize, size_px: [u32; 2]) -> Result<Self> {
-        let points = in_spatial_order(&resample(&synthetic_points(size_px), count)?);
-        Ok(Self { views: vec![synthetic_view(size_px)], cloud: trained_looking(&points)? })
-    }
+/// A cloud of `count` Gaussians that resembles a trained one.
+fn sampled(points: &[ColouredPoint], count: usize) -> Result<Gaussians> {
+    trained_looking(&in_spatial_order(&resample(points, count)?))
 }
 
 /// `count` points, each near a random one of `points`.
