@@ -1,22 +1,76 @@
 //! `report.html` of an experiment.
 
+use std::path::Path;
+
 use anyhow::Result;
 use genesplat::io::photos::read_photo;
 
+use super::plan::{Cell, Experiment};
 use super::qualitative::Page;
 use super::results::Results;
 use super::table::Table;
+use crate::report::chart::{Chart, Series};
+use crate::report::curves::{Curves, thinned};
 use crate::report::html::{Html, document};
 use crate::report::picture;
 use crate::report::run::write_repeat;
 
 /// Pictures in the page itself; further ones are linked.
-const PICTURES_MAX: usize = 6;
+const PICTURES_MAX: usize = 24;
 /// Longer side of a picture, px.
 const PICTURE_PX: u32 = 1000;
 
+/// Points of a curve: more than a screen can show.
+const CURVE_POINTS: usize = 150;
+
+/// What a page is made of, beside the results.
+pub struct Parts<'a> {
+    /// All tables.
+    pub tables: &'a [Table],
+    /// Curves over time.
+    pub charts: &'a [Chart],
+    /// Qualitative pages.
+    pub pages: &'a [Page],
+    /// What repeats the experiment.
+    pub command: &'a str,
+}
+
+/// Test PSNR and number of Gaussians over time, an arm a curve, for every scene and variant: the first seed that each arm has
+/// finished, in the folder `out`.
+pub fn charts(results: &Results<'_>, out: &Path) -> Vec<Chart> {
+    let Experiment { file, arms } = results.experiment;
+    let of_arm = |scene: usize, variant: usize, arm: usize| {
+        let mut cells = (0..file.seeds.len()).map(|seed| Cell { scene, variant, arm, seed });
+        let cell = cells.find(|&cell| results.get(cell).is_some())?;
+        // A log that is lost costs a curve, and nothing else.
+        let log = RunFolder::log_in(&out.join(results.experiment.folder(cell)));
+        Some((arms[arm].name.clone(), Curves::read(&log).ok()?))
+    };
+    let mut charts = Vec::new();
+    for (scene, variant) in (0..file.scenes.len()).flat_map(|scene| (0..file.variants.len()).map(move |v| (scene, v))) {
+        let curves: Vec<_> = (0..arms.len()).filter_map(|arm| of_arm(scene, variant, arm)).collect();
+        let name = format!("{}, {}", results.experiment.scene_name(scene), file.variants[variant]);
+        let chart = |what: &str, points: fn(&Curves) -> &[[f64; 2]]| Chart {
+            caption: format!("{name}: {what}"),
+            x_name: "iteration".into(),
+            series: curves
+                .iter()
+                .map(|(arm, curves)| Series {
+                    name: arm.clone(),
+                    points: thinned(points(curves), CURVE_POINTS),
+                    spread: Vec::new(),
+                })
+                .collect(),
+        };
+        charts.push(chart("PSNR of the test photos, dB", |curves| &curves.test_psnr));
+        charts.push(chart("Gaussians", |curves| &curves.gaussians));
+    }
+    charts
+}
+
 /// The page.
-pub fn to_html(results: &Results<'_>, tables: &[Table], pages: &[Page], command: &str) -> Result<String> {
+pub fn to_html(results: &Results<'_>, parts: &Parts<'_>) -> Result<String> {
+    let &Parts { tables, charts, pages, command } = parts;
     let (experiment, file) = (results.experiment, &results.experiment.file);
     let cells = experiment.cells();
     let mut page = Html::new();
@@ -24,6 +78,10 @@ pub fn to_html(results: &Results<'_>, tables: &[Table], pages: &[Page], command:
     page.element("p class=\"dim\"", &format!("{} of {} runs are finished.", results.finished(), cells.len()));
     page.element("h2", "Tables");
     tables.iter().for_each(|table| table.write_html(&mut page));
+    page.element("h2", "Over time").element("p class=\"dim\"", "The first seed of each arm.");
+    page.open("div class=\"row\"");
+    charts.iter().for_each(|chart| chart.write(&mut page));
+    page.close("div");
     write_pictures(&mut page, pages)?;
     page.element("h2", "Runs").open("figure class=\"table\"").open("table").open("tr");
     ["run", "test PSNR", "train PSNR", "Gaussians", "seconds"]
