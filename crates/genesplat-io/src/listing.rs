@@ -19,6 +19,8 @@ pub(crate) struct Listing {
     pub(crate) frames: Vec<Frame>,
     /// Points in file order.
     pub(crate) points: Vec<Point>,
+    /// The file that the points are from, or that names none, for errors.
+    pub(crate) points_file: PathBuf,
     /// What the user should know.
     pub(crate) notices: Vec<String>,
 }

@@ -110,6 +110,9 @@ impl LoadProgress for () {
 /// Least side of a loaded photo, px: SSIM's window alone has 11.
 pub const LEAST_SIDE_PX: u32 = 16;
 
+/// Fewest points that training starts from: initial scales are distances to the three nearest others.
+const LEAST_POINTS: usize = 4;
+
 /// Loads the scene in the folder `path`: a COLMAP model with its photos, a Blender pair of `transforms_*.json`, or the
 /// `transforms.json` of nerfstudio and instant-ngp; the first of these that is there.
 ///
@@ -154,8 +157,17 @@ fn list(path: &Path, options: &LoadOptions) -> Result<Listing, SceneError> {
             Err(whole_scene(path)
                 .map_or(error, |scene| SceneError::PartOfScene { path: path.to_owned(), scene }))
         }
-        known => known,
+        known => enough_points(known?, options),
     }
+}
+
+/// Now, since training would find it out only after the photos are decoded and the folder for its results is cleared.
+fn enough_points(listing: Listing, options: &LoadOptions) -> Result<Listing, SceneError> {
+    let points = listing.points.len();
+    if options.with_points && points < LEAST_POINTS {
+        return Err(SceneError::TooFewPoints { file: listing.points_file, points, least: LEAST_POINTS });
+    }
+    Ok(listing)
 }
 
 fn list_known(path: &Path, options: &LoadOptions) -> Result<Listing, SceneError> {

@@ -9,6 +9,7 @@ use genesplat::core::{RenderSettings, View};
 use genesplat::io::Scene;
 use genesplat::io::photos::write_png;
 use genesplat::train::evaluate::{Evaluation, Lpips, Perceptual, evaluate};
+use genesplat::train::initialise::scene_extent;
 use genesplat::train::{Outcome, RunSummary, Start, train};
 
 use crate::any_backend::AnyBackend;
@@ -50,16 +51,22 @@ pub struct Finished {
 }
 
 impl Run<'_> {
-    /// Trains, saves, evaluates. What is most precious is saved first, and the checkpoint is kept until all is done.
-    pub fn execute(&self) -> Result<Finished> {
+    /// Trains on the device that [`open_device`] gave, saves, evaluates. What is most precious is saved first, and the checkpoint
+    /// is kept until all is done.
+    pub fn execute(&self, backend: AnyBackend) -> Result<Finished> {
         let log = self.folder.open_log(self.resume)?;
         let (seconds_before, start) = self.start()?;
-        let finished = self.train(start, log, seconds_before);
+        let finished = self.train(backend, start, log, seconds_before);
         finished.map_err(|error| anyhow!("{error}{}", self.folder.what_is_left(&error)))
     }
 
-    fn train(&self, start: Start, log: Log, seconds_before: f64) -> Result<Finished> {
-        let mut backend = device::open(self.settings.device, self.settings.train.config().seed)?;
+    fn train(
+        &self,
+        mut backend: AnyBackend,
+        start: Start,
+        log: Log,
+        seconds_before: f64,
+    ) -> Result<Finished> {
         let iterations = self.settings.train.schedule().iterations;
         let curve = TestCurve::new(&self.scene.test, iterations);
         let reporter = Reporter::new(self.folder, log, self.stop).with_curve(curve);
@@ -142,6 +149,16 @@ impl Run<'_> {
             evolution: summary.stages.clone(),
         })
     }
+}
+
+/// The device of a run on `scene`. To be asked for before the folder of the run is: whatever would end a run before its first step
+/// has to be found while the results of an earlier one are still there.
+pub fn open_device(settings: &Settings, scene: &Scene) -> Result<AnyBackend> {
+    let config = settings.train.config();
+    if config.extent.is_none() {
+        scene_extent(scene.train.iter().map(|view| &view.camera))?;
+    }
+    device::open(settings.device, config.seed)
 }
 
 /// Scores the renders of `views`, and writes them to `folder` as PNG.

@@ -39,7 +39,8 @@ pub(crate) fn list_blender(folder: &Path, seed: Option<u64>) -> Result<Listing, 
     }
     let mut notices = Vec::new();
     let points = points(&found, &list, seed, || Cube::BLENDER, &mut notices)?;
-    Ok(Listing { frames: found.into_frames(&list)?, points, notices, list })
+    let points_file = found.points_file(&list)?;
+    Ok(Listing { frames: found.into_frames(&list)?, points, points_file, notices, list })
 }
 
 /// The scene of `folder/transforms.json`. Photos that are listed but absent are left out with a notice: published
@@ -61,7 +62,8 @@ pub(crate) fn list_nerfstudio(folder: &Path, seed: Option<u64>) -> Result<Listin
     }
     let cameras: Vec<Camera> = found.photos.iter().map(|photo| photo.camera).collect();
     let points = points(&found, &list, seed, || Cube::seen_by(&cameras), &mut notices)?;
-    Ok(Listing { frames: found.into_frames(&list)?, points, notices, list })
+    let points_file = found.points_file(&list)?;
+    Ok(Listing { frames: found.into_frames(&list)?, points, points_file, notices, list })
 }
 
 /// The points that the file names, or random ones with a notice; none where none are wanted.
@@ -73,9 +75,8 @@ fn points(
     notices: &mut Vec<String>,
 ) -> Result<Vec<Point>, SceneError> {
     let Some(seed) = seed else { return Ok(Vec::new()) };
-    if let Some(name) = &found.points {
-        let folder = list.parent().unwrap_or(Path::new(""));
-        return Ok(ply::read_points(&folder.join(inside(name, list)?))?);
+    if found.points.is_some() {
+        return Ok(ply::read_points(&found.points_file(list)?)?);
     }
     notices.push(format!("the scene has no points, so training starts from {COUNT} random ones"));
     Ok(cube().points(seed))
@@ -136,6 +137,12 @@ impl Photos {
     fn append(&mut self, other: Self) {
         self.photos.extend(other.photos);
         self.missing.extend(other.missing);
+    }
+
+    /// The file of the points that `list` names, or else `list` itself.
+    fn points_file(&self, list: &Path) -> Result<PathBuf, SceneError> {
+        let name = self.points.as_deref().map(|name| inside(name, list)).transpose()?;
+        Ok(name.map_or_else(|| list.to_owned(), |name| list.parent().unwrap_or(Path::new("")).join(name)))
     }
 
     fn into_frames(self, list: &Path) -> Result<Vec<Frame>, SceneError> {

@@ -142,16 +142,17 @@ fn a_bent_lens_is_straightened() {
 fn named_points_are_read_in_both_encodings() {
     let header = |format: &str| {
         format!(
-            "ply\nformat {format} 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n\
+            "ply\nformat {format} 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n\
              property uint8 red\nproperty uint8 green\nproperty uint8 blue\nend_header\n"
         )
     };
     let mut binary = header("binary_little_endian").into_bytes();
-    for (position, rgb) in [([1.0f32, -2.0, 0.5], [1u8, 2, 3]), ([0.0, 4.0, 8.0], [255, 128, 0])] {
+    let last = ([0.0, 4.0, 8.0], [255, 128, 0]);
+    for (position, rgb) in [([1.0f32, -2.0, 0.5], [1u8, 2, 3]), last, last, last] {
         position.iter().for_each(|v| binary.extend(v.to_le_bytes()));
         binary.extend(rgb);
     }
-    let ascii = (header("ascii") + "1 -2 0.5 1 2 3\n0 4 8 255 128 0").into_bytes();
+    let ascii = (header("ascii") + "1 -2 0.5 1 2 3" + &"\n0 4 8 255 128 0".repeat(3)).into_bytes();
     for bytes in [binary, ascii] {
         let folder = tempfile::tempdir().unwrap();
         let mut description = nerfstudio();
@@ -159,18 +160,20 @@ fn named_points_are_read_in_both_encodings() {
         write(folder.path(), "transforms.json", &description);
         fs::write(folder.path().join("points.ply"), &bytes).unwrap();
         let points = load(folder.path()).unwrap().points;
-        assert_eq!((points.len(), points[0].position, points[1].rgb), (2, [1.0, -2.0, 0.5], [255, 128, 0]));
+        assert_eq!((points.len(), points[0].position, points[1].rgb), (4, [1.0, -2.0, 0.5], [255, 128, 0]));
         fs::write(folder.path().join("points.ply"), &bytes[..bytes.len() - 10]).unwrap();
         assert!(load(folder.path()).unwrap_err().to_string().contains("points.ply"));
     }
 }
 
-/// A point cloud of two points; `before` stands between the header's first lines and the vertices' own.
+/// A point cloud of two points and two black ones, as training needs four; `before` stands between the header's first lines and
+/// the vertices' own.
 fn ascii_points(before: &str, colour: &str, rows: &str) -> String {
     let colours = ["red", "green", "blue"].map(|name| format!("property {colour} {name}\n")).concat();
     format!(
-        "ply\nformat ascii 1.0\n{before}element vertex 2\nproperty float x\nproperty float y\nproperty float z\n{colours}\
-         end_header\n{rows}"
+        "ply\nformat ascii 1.0\n{before}element vertex 4\nproperty float x\nproperty float y\nproperty float z\n{colours}\
+         end_header\n{}\n9 9 9 0 0 0\n9 9 8 0 0 0\n",
+        rows.trim_end()
     )
 }
 
@@ -186,7 +189,7 @@ fn load_points_of(ply: &str) -> Result<Vec<genesplat_io::Point>, genesplat_io::S
 
 #[test]
 fn colours_as_fractions_are_brought_to_bytes() {
-    let colours = |ply: &str| load_points_of(ply).unwrap().iter().map(|point| point.rgb).collect::<Vec<_>>();
+    let colours = |ply: &str| load_points_of(ply).unwrap()[..2].iter().map(|point| point.rgb).collect::<Vec<_>>();
     let fractions = "0 0 0 0.5 1 0\n1 1 1 0.2 0.004 0.998\n";
     for kind in ["float", "double"] {
         assert_eq!(colours(&ascii_points("", kind, fractions)), [[128, 255, 0], [51, 1, 254]]);
@@ -205,7 +208,7 @@ fn elements_before_the_vertices_are_passed_over() {
     let before = "element camera 2\nproperty double f\nproperty list uchar int views\n";
     let rows = "500.25 3 1 2 3\n7 0\n1 -2 0.5 9 8 7\n4 5 6 255 128 0\n";
     let points = load_points_of(&ascii_points(before, "uchar", rows)).unwrap();
-    assert_eq!((points.len(), points[0].position, points[1].rgb), (2, [1.0, -2.0, 0.5], [255, 128, 0]));
+    assert_eq!((points.len(), points[0].position, points[1].rgb), (4, [1.0, -2.0, 0.5], [255, 128, 0]));
     let torn = load_points_of(&ascii_points(before, "uchar", "500.25 3 1 2 3\n7 0\n1 -2"));
     assert!(torn.unwrap_err().to_string().contains("points.ply"));
     let endless = "element camera 18446744073709551615\nproperty double f\n";
@@ -246,7 +249,15 @@ fn blender_scenes_keep_their_own_split_and_background() {
     let ply = ascii_points("", "uchar", "1 2 3 4 5 6\n0 0 0 7 8 9\n");
     fs::write(folder.path().join("points.ply"), ply).unwrap();
     let scene = load(folder.path()).unwrap();
-    assert_eq!((scene.points.len(), scene.points[1].rgb, scene.notices.len()), (2, [7, 8, 9], 0));
+    assert_eq!((scene.points.len(), scene.points[1].rgb, scene.notices.len()), (4, [7, 8, 9], 0));
+}
+
+/// Said before photos are decoded, and by training only after it has made room for its results.
+#[test]
+fn points_that_are_too_few_are_named_with_their_file() {
+    let three = ascii_points("", "uchar", "1 2 3 4 5 6").replace("vertex 4", "vertex 3");
+    let sentence = load_points_of(&three).unwrap_err().to_string();
+    assert!(sentence.contains("points.ply has 3 points") && sentence.contains("at least 4"), "{sentence}");
 }
 
 #[test]

@@ -5,7 +5,7 @@
 //! something on photos that training never saw (docs/evolution.md).
 
 use std::path::{Path, PathBuf};
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use anyhow::Result;
@@ -16,12 +16,13 @@ use genesplat::train::evaluate::Lpips;
 use genesplat::train::{EvolutionMode, TrainConfig};
 
 use super::Ending;
+use crate::any_backend::AnyBackend;
 use crate::args::DemoArgs;
 use crate::metrics::Metrics;
 use crate::run_folder::RunFolder;
 use crate::settings::{ConfigFile, Settings};
 use crate::sheet::side_by_side;
-use crate::training::Run;
+use crate::training::{Run, open_device};
 use crate::{device, interrupt, lpips, output, scene};
 
 /// The published schedule in this share of its steps.
@@ -48,15 +49,19 @@ pub fn run(args: &DemoArgs) -> Result<Ending> {
     if plans[0].settings.device_was_auto {
         device::announce_auto();
     }
+    let mut device = Some(open_device(&plans[0].settings, &scene)?);
+    if stop.load(Ordering::Relaxed) {
+        return stopped();
+    }
     let halves: Vec<Half> = plans.into_iter().map(Plan::begin).collect::<Result<_>>()?;
     let load = began.elapsed().as_secs_f64();
     let mut results = Vec::new();
     for half in &halves {
         let mode = half.settings.train.config().evolution.mode;
         output::tell(&format!("\ntraining {} evolution (mode {})", half.name, mode.name()));
-        let Some(metrics) = half.train(&scene, lpips.as_ref(), load, &stop)? else {
-            output::print("stopped; the demo cannot go on from here, so run it again")?;
-            return Ok(Ending::Stopped);
+        let device = device.take().map_or_else(|| open_device(&half.settings, &scene), Ok)?;
+        let Some(metrics) = half.train(device, &scene, lpips.as_ref(), load, &stop)? else {
+            return stopped();
         };
         results.push(metrics);
     }
@@ -73,6 +78,11 @@ pub fn run(args: &DemoArgs) -> Result<Ending> {
         gallery_in(&args.out).display()
     ))?;
     Ok(Ending::Whole)
+}
+
+fn stopped() -> Result<Ending> {
+    output::print("stopped; the demo cannot go on from here, so run it again")?;
+    Ok(Ending::Stopped)
 }
 
 fn gallery_in(out: &Path) -> PathBuf {
@@ -125,6 +135,7 @@ impl Half {
     /// `None` for a run that was stopped.
     fn train(
         &self,
+        device: AnyBackend,
         scene: &Scene,
         lpips: Option<&Lpips>,
         load: f64,
@@ -133,7 +144,7 @@ impl Half {
         let Self { settings, folder, .. } = self;
         let load = (load, Instant::now());
         let run = Run { settings, scene, folder, resume: false, lpips, quiet: false, stop, load };
-        let finished = run.execute()?;
+        let finished = run.execute(device)?;
         Ok((!finished.interrupted).then_some(finished.metrics))
     }
 }

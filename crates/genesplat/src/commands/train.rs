@@ -1,5 +1,6 @@
 //! `genesplat train`: a scene in, a run folder out.
 
+use std::sync::atomic::Ordering;
 use std::time::Instant;
 
 use anyhow::Result;
@@ -10,11 +11,11 @@ use super::Ending;
 use crate::args::TrainArgs;
 use crate::run_folder::RunFolder;
 use crate::settings::{ConfigFile, Settings};
-use crate::training::{Finished, Run};
+use crate::training::{Finished, Run, open_device};
 use crate::{device, interrupt, lpips, output, same_scene, scene};
 
 /// Trains. The folder is proved writable before anything slow begins, but an earlier run's results stay in it until scene and
-/// weights are loaded: a mistyped path must not cost them.
+/// weights are loaded and the device is open: neither a mistyped path nor a change of mind must cost them.
 pub fn run(args: &TrainArgs) -> Result<Ending> {
     let began = Instant::now();
     let config = configure(args)?;
@@ -28,11 +29,17 @@ pub fn run(args: &TrainArgs) -> Result<Ending> {
     if settings.device_was_auto {
         device::announce_auto();
     }
+    scene::check_spared(&scene, &RunFolder::test_in(&args.out))?;
+    let backend = open_device(&settings, &scene)?;
+    if !args.resume && stop.load(Ordering::Relaxed) {
+        output::print(&format!("stopped before the first step; {} is as it was", args.out.display()))?;
+        return Ok(Ending::Stopped);
+    }
     let folder = open_folder(args, &scene, &settings)?;
     let load = (began.elapsed().as_secs_f64(), began);
     let (settings, scene, folder, lpips) = (&settings, &scene, &folder, lpips.as_ref());
     let run = Run { settings, scene, folder, resume: args.resume, lpips, quiet: false, stop: &stop, load };
-    let finished = run.execute()?;
+    let finished = run.execute(backend)?;
     report(&finished, folder)?;
     Ok(if finished.interrupted { Ending::Stopped } else { Ending::Whole })
 }
@@ -47,7 +54,6 @@ fn configure(args: &TrainArgs) -> Result<ConfigFile> {
 
 /// The folder for the results: from here on, those of an earlier run are gone.
 fn open_folder(args: &TrainArgs, scene: &Scene, settings: &Settings) -> Result<RunFolder> {
-    scene::check_spared(scene, &RunFolder::test_in(&args.out))?;
     if args.resume {
         same_scene::check_photos(&args.out, scene)?;
         return RunFolder::reopen(&args.out, &settings.to_toml());

@@ -17,7 +17,7 @@ use super::results::{CellMetrics, Results};
 use crate::args::MachineArgs;
 use crate::run_folder::RunFolder;
 use crate::settings::{ConfigFile, Settings};
-use crate::training::Run;
+use crate::training::{Run, open_device};
 use crate::{output, same_scene, scene};
 
 /// How to run an experiment.
@@ -122,12 +122,17 @@ impl<'a> Runner<'a> {
         if resume {
             same_scene::check_photos(path, scene)?;
         }
+        // What an earlier attempt left stays until nothing but training itself can fail any more.
+        let backend = open_device(settings, scene)?;
+        if !resume && self.stop.load(Ordering::Relaxed) {
+            return Ok(true);
+        }
         let folder = if resume { RunFolder::reopen } else { RunFolder::replace };
         let folder = folder(path, &settings.to_toml())?;
         let load = (began.elapsed().as_secs_f64(), began);
         let Self { lpips, stop, .. } = *self;
         let run = Run { settings, scene, folder: &folder, resume, lpips, quiet: true, stop, load };
-        Ok(run.execute()?.interrupted)
+        Ok(run.execute(backend)?.interrupted)
     }
 
     fn state(&self, cell: Cell, settings: &Settings) -> State {

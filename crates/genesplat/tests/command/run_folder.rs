@@ -1,12 +1,14 @@
 //! What a run leaves behind: names and keys that people and scripts rely on.
 
 use std::collections::BTreeSet;
+use std::path::Path;
 
 use serde_json::Value;
 
+use genesplat::io::colmap::{Form, find_model, read_model, write_model};
 use genesplat::io::ply::{RenderMode, read_ply_header};
 
-use crate::support::{fail, json, scene, succeed, text, train};
+use crate::support::{fail, json, scene, succeed, text, train, write_gallery};
 
 fn keys(value: &Value) -> BTreeSet<&str> {
     value.as_object().unwrap().keys().map(String::as_str).collect()
@@ -97,6 +99,17 @@ fn a_run_may_be_repeated_in_its_folder() {
     assert_eq!(json(&out.join("metrics.json"))["iterations"], 20);
 }
 
+/// A scene whose cameras all stand at one place, which training cannot know the size of.
+fn write_still(scene: &Path) {
+    write_gallery(scene);
+    let model = scene.join("sparse/0");
+    let mut read = read_model(&find_model(scene).unwrap()).unwrap();
+    for image in &mut read.images {
+        (image.rotation, image.translation) = ([1.0, 0.0, 0.0, 0.0], [0.0; 3]);
+    }
+    write_model(&model, Form::Binary, &read).unwrap();
+}
+
 #[test]
 fn a_mistyped_path_costs_no_results() {
     let folder = tempfile::tempdir().unwrap();
@@ -111,6 +124,9 @@ fn a_mistyped_path_costs_no_results() {
     fail(train(&absent, &out, &["--iterations", "30"]), &["absent", "does not exist"]);
     fail(train(scene(), &out, &["--lpips-weights", text(&absent)]), &["no LPIPS weights at", "absent"]);
     fail(train(scene(), &out, &["--config", text(&absent)]), &["absent"]);
+    let still = folder.path().join("still");
+    write_still(&still);
+    fail(train(&still, &out, &["--iterations", "30"]), &["10 training cameras stand at the same place"]);
     assert!(before == results());
     fail(train(scene(), &out, &["--resume"]), &["is finished", "nothing to resume", "another folder"]);
     fail(train(scene(), &out, &["--resume", "--iterations", "40"]), &["is finished", "--iterations"]);
