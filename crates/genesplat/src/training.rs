@@ -17,7 +17,7 @@ use crate::metrics::{Metrics, PhaseSeconds};
 use crate::progress::Bar;
 use crate::report::run::{RunPage, command_line};
 use crate::reporter::Reporter;
-use crate::run_folder::{Log, RunFolder};
+use crate::run_folder::{Log, RunFolder, WayOn};
 use crate::settings::Settings;
 use crate::test_curve::TestCurve;
 use crate::{device, lpips, memory, scene};
@@ -32,6 +32,8 @@ pub struct Run<'a> {
     pub folder: &'a RunFolder,
     /// Go on from the folder's checkpoint.
     pub resume: bool,
+    /// How to go on where it fails.
+    pub way_on: WayOn,
     /// The learned measure, if it can be taken.
     pub lpips: Option<&'a Lpips>,
     /// Leave the terminal to whoever runs this run, but for bars that vanish.
@@ -57,7 +59,7 @@ impl Run<'_> {
         let log = self.folder.open_log(self.resume)?;
         let (seconds_before, start) = self.start()?;
         let finished = self.train(backend, start, log, seconds_before);
-        finished.map_err(|error| anyhow!("{error}{}", self.folder.what_is_left(&error)))
+        finished.map_err(|error| anyhow!("{error}{}", self.folder.what_is_left(&error, self.way_on)))
     }
 
     fn train(

@@ -189,7 +189,8 @@ fn load_points_of(ply: &str) -> Result<Vec<genesplat_io::Point>, genesplat_io::S
 
 #[test]
 fn colours_as_fractions_are_brought_to_bytes() {
-    let colours = |ply: &str| load_points_of(ply).unwrap()[..2].iter().map(|point| point.rgb).collect::<Vec<_>>();
+    let colours =
+        |ply: &str| load_points_of(ply).unwrap()[..2].iter().map(|point| point.rgb).collect::<Vec<_>>();
     let fractions = "0 0 0 0.5 1 0\n1 1 1 0.2 0.004 0.998\n";
     for kind in ["float", "double"] {
         assert_eq!(colours(&ascii_points("", kind, fractions)), [[128, 255, 0], [51, 1, 254]]);

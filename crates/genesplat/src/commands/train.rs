@@ -9,7 +9,7 @@ use genesplat::train::TrainConfig;
 
 use super::Ending;
 use crate::args::TrainArgs;
-use crate::run_folder::RunFolder;
+use crate::run_folder::{RunFolder, WayOn};
 use crate::settings::{ConfigFile, Settings};
 use crate::training::{Finished, Run, open_device};
 use crate::{device, interrupt, lpips, output, same_scene, scene};
@@ -38,7 +38,8 @@ pub fn run(args: &TrainArgs) -> Result<Ending> {
     let folder = open_folder(args, &scene, &settings)?;
     let load = (began.elapsed().as_secs_f64(), began);
     let (settings, scene, folder, lpips) = (&settings, &scene, &folder, lpips.as_ref());
-    let run = Run { settings, scene, folder, resume: args.resume, lpips, quiet: false, stop: &stop, load };
+    let (resume, way_on) = (args.resume, WayOn::Resume);
+    let run = Run { settings, scene, folder, resume, way_on, lpips, quiet: false, stop: &stop, load };
     let finished = run.execute(backend)?;
     report(&finished, folder)?;
     Ok(if finished.interrupted { Ending::Stopped } else { Ending::Whole })

@@ -15,7 +15,7 @@ use genesplat::train::evaluate::Lpips;
 use super::plan::{BUNDLED, Cell, Experiment};
 use super::results::{CellMetrics, Results};
 use crate::args::MachineArgs;
-use crate::run_folder::RunFolder;
+use crate::run_folder::{RunFolder, WayOn};
 use crate::settings::{ConfigFile, Settings};
 use crate::training::{Run, open_device};
 use crate::{output, same_scene, scene};
@@ -131,7 +131,8 @@ impl<'a> Runner<'a> {
         let folder = folder(path, &settings.to_toml())?;
         let load = (began.elapsed().as_secs_f64(), began);
         let Self { lpips, stop, .. } = *self;
-        let run = Run { settings, scene, folder: &folder, resume, lpips, quiet: true, stop, load };
+        let way_on = WayOn::SameCommand;
+        let run = Run { settings, scene, folder: &folder, resume, way_on, lpips, quiet: true, stop, load };
         Ok(run.execute(backend)?.interrupted)
     }
 
@@ -151,7 +152,7 @@ impl<'a> Runner<'a> {
         }
     }
 
-    /// Finished cells of another experiment are not overwritten. A control is no cell of another experiment just because
+    /// What has cost another experiment its time, finished cells and checkpoints, is not overwritten. A control is no cell of another experiment just because
     /// the arm that it controls was run again.
     fn check_folders(&self) -> Result<()> {
         let results = Results::none(self.experiment);
@@ -161,7 +162,8 @@ impl<'a> Runner<'a> {
             }
             let path = self.out.join(self.experiment.folder(cell));
             let settings = self.settings(cell, &results)?;
-            let config = ConfigFile::of_run(&path).ok().filter(|_| CellMetrics::read(&path).is_some());
+            let is_worth_something = CellMetrics::read(&path).is_some() || RunFolder::has_checkpoint(&path);
+            let config = ConfigFile::of_run(&path).ok().filter(|_| is_worth_something);
             if let Some(difference) = config.and_then(|config| self.difference(cell, &config, &settings)) {
                 bail!(
                     "{} holds a run with other settings ({difference}); choose another --out, or remove that folder to have it \
@@ -331,5 +333,21 @@ mod tests {
                 runner(&other, &moved, place.path(), &stop).check_folders().unwrap_err().to_string();
             assert!(refusal.contains(words) && refusal.contains("other settings"), "{refusal}");
         }
+    }
+
+    /// Memory ran out on one device, and the command is given again for another.
+    #[test]
+    fn a_checkpoint_of_other_settings_is_left_alone() {
+        let place = tempfile::tempdir().unwrap();
+        let (here, stop) = (experiment(""), AtomicBool::new(false));
+        let runner = runner(&here, place.path(), Path::new("scenes"), &stop);
+        let cell = here.cells()[0];
+        let settings = runner.settings(cell, &Results::none(&here)).unwrap().to_toml();
+        let folder = place.path().join(here.folder(cell));
+        RunFolder::replace(&folder, &settings.replace("\"cpu\"", "\"gpu\"")).unwrap();
+        runner.check_folders().unwrap();
+        fs::write(folder.join("checkpoint/latest.checkpoint"), "hours of work").unwrap();
+        let refusal = runner.check_folders().unwrap_err().to_string();
+        assert!(refusal.contains("device is gpu there and cpu here"), "{refusal}");
     }
 }
