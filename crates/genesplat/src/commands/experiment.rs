@@ -9,12 +9,12 @@ use super::Ending;
 use crate::args::{ExperimentArgs, MachineArgs};
 use crate::experiment::plan::Experiment;
 use crate::experiment::results::Results;
-use crate::experiment::runner::Runner;
+use crate::experiment::runner::{Ran, Runner};
 use crate::experiment::{page, preset, qualitative, record, summary};
 use crate::report::run::command_line;
 use crate::{device, interrupt, lpips, output, run_folder};
 
-/// Runs what is unfinished, then writes tables and pages of all that is finished.
+/// Runs what is unfinished, then writes tables and pages of all that is finished, also where a run has failed.
 pub fn run(args: &ExperimentArgs) -> Result<Ending> {
     let mut file = preset::open(&args.what)?;
     file.override_by(args);
@@ -33,11 +33,11 @@ pub fn run(args: &ExperimentArgs) -> Result<Ending> {
         lpips: lpips.as_ref(),
         stop: &stop,
     };
-    let results = runner.run()?;
+    let Ran { results, trouble } = runner.run()?;
     let (finished, cells) = (results.finished(), experiment.cells().len());
-    if finished > 0 {
-        write(&runner, &results)?;
-    }
+    let written = if finished > 0 { write(&runner, &results) } else { Ok(()) };
+    // What stopped the runs comes first: it may well be what kept the tables from being written, too.
+    trouble.map_or(written, Err)?;
     if finished == cells {
         return Ok(Ending::Whole);
     }
@@ -49,7 +49,7 @@ pub fn run(args: &ExperimentArgs) -> Result<Ending> {
 
 fn write(runner: &Runner<'_>, results: &Results<'_>) -> Result<()> {
     let tables = summary::tables(results);
-    let pages = qualitative::write_pages(runner, results)?;
+    let pages = qualitative::write_pages(runner, results);
     // Shown only, so a path that is no text may lose what cannot be shown.
     let words: Vec<String> = std::env::args_os().map(|word| word.to_string_lossy().into_owned()).collect();
     let command = command_line(words.iter().map(String::as_str));

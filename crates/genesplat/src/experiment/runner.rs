@@ -43,33 +43,46 @@ enum State {
     Missing,
 }
 
+/// What running an experiment came to.
+pub struct Ran<'a> {
+    /// All that is finished, whether now or before.
+    pub results: Results<'a>,
+    /// Why a cell failed, if one has; none was begun after it.
+    pub trouble: Option<anyhow::Error>,
+}
+
 impl<'a> Runner<'a> {
-    /// Runs everything, or until it is stopped; returns what is finished.
-    pub fn run(&self) -> Result<Results<'a>> {
+    /// Runs everything, or until it is stopped or a cell fails.
+    pub fn run(&self) -> Result<Ran<'a>> {
         self.check_folders()?;
+        self.check_scenes()?;
         let cells = self.experiment.cells();
-        let (mut results, mut scenes) = (Results::none(self.experiment), Scenes::default());
-        let mut board = Board::new(self.experiment, cells.len());
+        let mut ran = Ran { results: Results::none(self.experiment), trouble: None };
+        let (mut scenes, mut board) = (Scenes::default(), Board::new(self.experiment, cells.len()));
         for cell in cells {
-            if self.stop.load(Ordering::Relaxed) {
-                break;
-            }
-            let settings = self.settings(cell, &results)?;
-            let metrics = match self.state(cell, &settings) {
+            let settings = self.settings(cell, &ran.results)?;
+            let state = self.state(cell, &settings);
+            let goes_on = ran.trouble.is_none() && !self.stop.load(Ordering::Relaxed);
+            let metrics = match state {
+                // Also behind a cell that has failed: tables show all that is finished.
                 State::Finished(metrics) => {
                     board.kept(cell, &metrics);
-                    metrics
+                    Some(metrics)
                 }
+                State::Interrupted | State::Missing if !goes_on => None,
                 state => {
                     let resume = matches!(state, State::Interrupted);
-                    let Some(metrics) = self.train(cell, &settings, resume, &mut scenes)? else { break };
-                    board.ran(cell, &metrics);
-                    metrics
+                    let trained = self.train(cell, &settings, resume, &mut scenes);
+                    let metrics = trained.unwrap_or_else(|error| {
+                        ran.trouble = Some(error);
+                        None
+                    });
+                    metrics.inspect(|metrics| board.ran(cell, metrics))
                 }
             };
-            results.put(cell, metrics);
+            metrics.into_iter().for_each(|metrics| ran.results.put(cell, metrics));
         }
-        Ok(results)
+        Ok(ran)
     }
 
     /// The settings of a cell; those of a control depend on what its arm has taken.
@@ -78,6 +91,11 @@ impl<'a> Runner<'a> {
         let seconds =
             target.and_then(|arm| results.get(Cell { arm, ..cell })).map(|metrics| metrics.seconds.evolution);
         self.experiment.settings(cell, &self.scene_path(cell.scene), self.machine, seconds)
+    }
+
+    /// Where a cell's run is.
+    pub fn folder(&self, cell: Cell) -> PathBuf {
+        self.out.join(self.experiment.folder(cell))
     }
 
     /// Where a scene's photos are.
@@ -102,7 +120,7 @@ impl<'a> Runner<'a> {
         resume: bool,
         scenes: &mut Scenes,
     ) -> Result<Option<CellMetrics>> {
-        let path = self.out.join(self.experiment.folder(cell));
+        let path = self.folder(cell);
         let interrupted = self.train_into(&path, cell, settings, resume, scenes);
         let interrupted = interrupted.map_err(|error| anyhow!("{}: {error}", path.display()))?;
         Ok(if interrupted { None } else { Some(read_back(&path)?) })
@@ -137,7 +155,7 @@ impl<'a> Runner<'a> {
     }
 
     fn state(&self, cell: Cell, settings: &Settings) -> State {
-        let path = self.out.join(self.experiment.folder(cell));
+        let path = self.folder(cell);
         let is_this_run =
             ConfigFile::of_run(&path).is_ok_and(|config| self.difference(cell, &config, settings).is_none());
         let whole = settings.train.schedule().iterations;
@@ -160,7 +178,7 @@ impl<'a> Runner<'a> {
             if self.experiment.arms[cell.arm].control_of.is_some() {
                 continue;
             }
-            let path = self.out.join(self.experiment.folder(cell));
+            let path = self.folder(cell);
             let settings = self.settings(cell, &results)?;
             let is_worth_something = CellMetrics::read(&path).is_some() || RunFolder::has_checkpoint(&path);
             let config = ConfigFile::of_run(&path).ok().filter(|_| is_worth_something);
@@ -173,6 +191,27 @@ impl<'a> Runner<'a> {
             }
         }
         Ok(())
+    }
+
+    /// What is missing in the last scene is said now, not after a night. Photos are not decoded for that; and finished cells need
+    /// no scene.
+    fn check_scenes(&self) -> Result<()> {
+        let foreign = |cell: &Cell| self.experiment.file.scenes[cell.scene] != BUNDLED;
+        let mut listed = None;
+        for cell in self.experiment.cells().into_iter().filter(foreign) {
+            if listed != Some(cell.scene) && !self.is_whole(cell)? {
+                load_points(&self.scene_path(cell.scene), &LoadOptions::default())?;
+                listed = Some(cell.scene);
+            }
+        }
+        Ok(())
+    }
+
+    /// Whether a cell has come to its end, with whatever settings.
+    fn is_whole(&self, cell: Cell) -> Result<bool> {
+        let settings = self.settings(cell, &Results::none(self.experiment))?;
+        let whole = settings.train.schedule().iterations;
+        Ok(CellMetrics::read(&self.folder(cell)).is_some_and(|metrics| metrics.iterations == whole))
     }
 
     /// What makes a run of `config` another one than that of a cell with these settings. A scene is known by its name, the bundled
@@ -297,8 +336,7 @@ mod tests {
     fn pretend_to_run(runner: &Runner<'_>) {
         for cell in runner.experiment.cells() {
             let settings = runner.settings(cell, &Results::none(runner.experiment)).unwrap();
-            let folder = runner.out.join(runner.experiment.folder(cell));
-            let folder = RunFolder::replace(&folder, &settings.to_toml()).unwrap();
+            let folder = RunFolder::replace(&runner.folder(cell), &settings.to_toml()).unwrap();
             let scores = serde_json::json!({"psnr": 30.0, "ssim": 0.9});
             let seconds = serde_json::json!({"gradient": 1.0, "evolution": 0.0});
             let metrics = serde_json::json!({"iterations": 30_000, "gaussians": 20, "test": scores, "train": scores,
@@ -343,7 +381,7 @@ mod tests {
         let runner = runner(&here, place.path(), Path::new("scenes"), &stop);
         let cell = here.cells()[0];
         let settings = runner.settings(cell, &Results::none(&here)).unwrap().to_toml();
-        let folder = place.path().join(here.folder(cell));
+        let folder = runner.folder(cell);
         RunFolder::replace(&folder, &settings.replace("\"cpu\"", "\"gpu\"")).unwrap();
         runner.check_folders().unwrap();
         fs::write(folder.join("checkpoint/latest.checkpoint"), "hours of work").unwrap();
