@@ -14,6 +14,7 @@ mod write;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use genesplat_core::Camera;
 use glam::{DQuat, DVec3};
@@ -138,13 +139,15 @@ pub(crate) fn list(
     let photos = find_photos(&model.images, image_folder, &list)?;
     let paths: Vec<&str> = model.images.iter().map(|image| image.name.as_str()).collect();
     let names = view_names(&paths, &list)?;
+    let shared: Arc<Path> = list.as_path().into();
     let frames = (model.images.iter().zip(photos).zip(names))
         .map(|((image, photo), name)| {
-            Ok(Frame { name, photo, camera: camera(&model, image, &list)?, distortion: None, held_out: None })
+            let (list, camera) = (shared.clone(), camera(&model, image, &list)?);
+            Ok(Frame { name, photo, list, camera, distortion: None, held_out: None })
         })
         .collect::<Result<_, SceneError>>()?;
     let points_file = folder.form.file(&folder.path, "points3D");
-    Ok(Listing { list, frames, points: model.points, points_file, notices: other_models(&folder.path) })
+    Ok(Listing { frames, points: model.points, points_file, notices: other_models(&folder.path) })
 }
 
 fn camera(model: &Model, image: &ImageRecord, list: &Path) -> Result<Camera, SceneError> {

@@ -99,6 +99,30 @@ fn a_photo_may_have_its_own_intrinsics() {
 }
 
 #[test]
+fn fields_of_view_are_each_of_their_side() {
+    let mut description = nerfstudio();
+    let lens = description.as_object_mut().unwrap();
+    lens.retain(|key, _| !key.starts_with("fl_"));
+    lens.insert("camera_angle_x".into(), json!(2.0 * (20.0f64 / 44.0).atan()));
+    let focal = |description: &Value| load_description(description).unwrap().train[0].camera.focal_px;
+    let is = |found: [f64; 2], wanted: [f64; 2]| found.iter().zip(wanted).all(|(a, b)| (a - b).abs() < 1e-9);
+    assert!(is(focal(&description), [44.0, 44.0]), "square pixels");
+    description["camera_angle_y"] = json!(2.0 * (15.0f64 / 45.0).atan());
+    assert!(is(focal(&description), [44.0, 45.0]));
+    description["fl_y"] = json!(46.0);
+    assert!(is(focal(&description), [44.0, 46.0]), "a length wins over an angle");
+}
+
+#[test]
+fn masks_are_left_out_with_a_notice() {
+    let mut description = nerfstudio();
+    description["frames"][0]["mask_path"] = json!("masks/0.png");
+    description["frames"][1]["mask_path"] = Value::Null;
+    let notices = load_description(&description).unwrap().notices;
+    assert!(notices[0].contains("1 of the 3 photos have one (mask_path)"), "{notices:?}");
+}
+
+#[test]
 fn listed_test_photos_are_held_out() {
     let mut description = nerfstudio();
     description["test_filenames"] = json!(["./images/2.png"]);
@@ -241,6 +265,19 @@ fn blender_scenes_keep_their_own_split_and_background() {
     assert!(scene.points.iter().all(|p| p.position.iter().all(|v| v.abs() <= 1.3) && p.rgb == [127; 3]));
     let everything = LoadOptions { hold_out: HoldOut::None, ..options };
     assert_eq!(load_scene(folder.path(), &everything, &()).unwrap().train.len(), 4);
+
+    // What is wrong with a test photo is to be looked for in the file that lists it.
+    let photo = folder.path().join("test/r_1.png");
+    let whole = fs::read(&photo).unwrap();
+    let blames_test = || load(folder.path()).unwrap_err().to_string().contains("transforms_test.json");
+    fs::remove_file(&photo).unwrap();
+    assert!(blames_test());
+    let description = folder.path().join("transforms_test.json");
+    let listed = fs::read_to_string(&description).unwrap();
+    fs::write(&description, listed.replacen('{', "{\"w\": 32, \"h\": 16, ", 1)).unwrap();
+    fs::write(&photo, whole).unwrap();
+    assert!(blames_test(), "of another shape");
+    fs::write(&description, listed).unwrap();
 
     // Points that the file of the training photos names are taken instead of random ones.
     let list = folder.path().join("transforms_train.json");
