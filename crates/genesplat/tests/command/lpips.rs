@@ -166,6 +166,10 @@ fn installed_weights_are_used_by_every_command_and_can_be_switched_off() {
     let output =
         command(evaluate).env("XDG_CACHE_HOME", &cache).env("GENESPLAT_LPIPS", &nowhere).output().unwrap();
     assert!(String::from_utf8_lossy(&output.stderr).contains("no LPIPS weights at"));
+    // Set to nothing, it is not set.
+    let output = command(evaluate).env("XDG_CACHE_HOME", &cache).env("GENESPLAT_LPIPS", "").output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    assert_eq!(json(&file)["lpips"], metrics["test"]["lpips"], "those of the cache folder");
     let arguments = [&evaluate[..], &["--lpips-weights", text(folder.path())]].concat();
     succeed(arguments);
     assert_eq!(json(&file)["lpips"], metrics["test"]["lpips"], "the same weights in two files");

@@ -72,6 +72,17 @@ fn a_run_is_evaluated_at_a_fraction_of_its_size() {
 }
 
 #[test]
+fn a_run_that_has_no_splat_yet_is_named_as_such() {
+    let folder = tempfile::tempdir().unwrap();
+    let evaluate = ["evaluate", text(folder.path()), "--data", text(scene())];
+    std::fs::copy(finished_run().join("config.toml"), folder.path().join("config.toml")).unwrap();
+    fail(evaluate, &["unfinished", "genesplat train", text(scene()), text(folder.path()), "anew"]);
+    std::fs::create_dir(folder.path().join("checkpoint")).unwrap();
+    std::fs::write(folder.path().join("checkpoint/latest.checkpoint"), "hours of work").unwrap();
+    fail(evaluate, &["unfinished", "genesplat train", "--resume goes on"]);
+}
+
+#[test]
 fn renders_are_those_of_the_evaluation() {
     let folder = tempfile::tempdir().unwrap();
     let (run, all) = (finished_run(), folder.path().join("all"));
