@@ -7,6 +7,7 @@
 //! | [`settings`] | flags, configuration file and defaults become one resolved configuration |
 //! | [`training`] | one run from a loaded scene to a finished run folder |
 //! | [`run_folder`], [`metrics`] | what a run leaves behind |
+//! | [`splat`] | a splat to look at: a PLY, or that of a run |
 //! | [`difference`] | the first setting in which two runs differ |
 //! | [`same_scene`] | whether a resumed run is given the scene that it began with |
 //! | [`experiment`] | many runs, and the tables and pictures that compare them |

@@ -33,17 +33,17 @@ pub struct Metrics {
     pub evolution: Vec<StageRecord>,
 }
 
-/// Wall-clock seconds of a run, those before a resume included.
+/// Wall-clock seconds of a run, which may have been resumed: each says what it counts then.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
 pub struct PhaseSeconds {
-    /// Reading cameras, points and photos.
+    /// Reading cameras, points and photos, in its last part.
     pub load: f64,
-    /// Gradient steps and density control.
+    /// Gradient steps and density control, in all parts.
     pub gradient: f64,
-    /// Evolution stages.
+    /// Evolution stages, in all parts.
     pub evolution: f64,
-    /// Rendering and scoring at the end.
+    /// Rendering and scoring at the end of the last part.
     pub evaluate: f64,
-    /// All of it, writing included.
+    /// All of the last part, writing included, and the two phases of training in those before it.
     pub total: f64,
 }

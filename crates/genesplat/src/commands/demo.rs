@@ -23,7 +23,7 @@ use crate::metrics::Metrics;
 use crate::run_folder::{RunFolder, WayOn};
 use crate::settings::{ConfigFile, Settings};
 use crate::sheet::side_by_side;
-use crate::training::{Run, open_device};
+use crate::training::{Ended, Run, open_device};
 use crate::{device, interrupt, lpips, output, scene};
 
 /// The published schedule in this share of its steps.
@@ -167,8 +167,10 @@ impl Half {
         let Self { settings, folder, .. } = self;
         let (load, way_on) = ((load, Instant::now()), WayOn::Never);
         let run = Run { settings, scene, folder, resume: false, way_on, lpips, quiet: false, stop, load };
-        let finished = run.execute(device)?;
-        Ok((!finished.interrupted).then_some(finished.metrics))
+        Ok(match run.execute(device)? {
+            Ended::Whole(metrics) => Some(metrics),
+            Ended::Stopped(_) | Ended::Unscored => None,
+        })
     }
 }
 

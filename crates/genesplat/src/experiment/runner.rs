@@ -17,7 +17,7 @@ use super::results::{CellMetrics, Results};
 use crate::args::MachineArgs;
 use crate::run_folder::{RunFolder, WayOn};
 use crate::settings::{ConfigFile, Settings};
-use crate::training::{Run, open_device};
+use crate::training::{Ended, Run, open_device};
 use crate::{output, same_scene, scene};
 
 /// How to run an experiment.
@@ -151,7 +151,7 @@ impl<'a> Runner<'a> {
         let Self { lpips, stop, .. } = *self;
         let way_on = WayOn::SameCommand;
         let run = Run { settings, scene, folder: &folder, resume, way_on, lpips, quiet: true, stop, load };
-        Ok(run.execute(backend)?.interrupted)
+        Ok(!matches!(run.execute(backend)?, Ended::Whole(_)))
     }
 
     fn state(&self, cell: Cell, settings: &Settings) -> State {
