@@ -4,6 +4,7 @@
 
 use std::collections::HashSet;
 use std::path::{Component, Path, PathBuf};
+use std::sync::Arc;
 
 use genesplat_core::Camera;
 
@@ -13,12 +14,12 @@ use crate::scene::Point;
 
 /// Photos with cameras, and points.
 pub(crate) struct Listing {
-    /// The file that lists the photos, for errors.
-    pub(crate) list: PathBuf,
     /// Photos in any order.
     pub(crate) frames: Vec<Frame>,
     /// Points in file order.
     pub(crate) points: Vec<Point>,
+    /// The file that the points are from, or that names none, for errors.
+    pub(crate) points_file: PathBuf,
     /// What the user should know.
     pub(crate) notices: Vec<String>,
 }
@@ -29,6 +30,8 @@ pub(crate) struct Frame {
     pub(crate) name: String,
     /// Where the photo is.
     pub(crate) photo: PathBuf,
+    /// The file that lists it, for errors; a scene may have several.
+    pub(crate) list: Arc<Path>,
     /// At the size that the listing states.
     pub(crate) camera: Camera,
     /// How the lens bends what the camera would see; `None` for a pinhole.

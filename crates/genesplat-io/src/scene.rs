@@ -110,6 +110,9 @@ impl LoadProgress for () {
 /// Least side of a loaded photo, px: SSIM's window alone has 11.
 pub const LEAST_SIDE_PX: u32 = 16;
 
+/// Fewest points that training starts from: initial scales are distances to the three nearest others.
+const LEAST_POINTS: usize = 4;
+
 /// Loads the scene in the folder `path`: a COLMAP model with its photos, a Blender pair of `transforms_*.json`, or the
 /// `transforms.json` of nerfstudio and instant-ngp; the first of these that is there.
 ///
@@ -128,7 +131,7 @@ pub fn load_scene(
     }
     progress.start(train.len() + test.len());
     let load = |frames: &[Frame]| -> Result<Vec<View>, SceneError> {
-        frames.par_iter().map(|frame| load_view(frame, &listing.list, options, progress)).collect()
+        frames.par_iter().map(|frame| load_view(frame, options, progress)).collect()
     };
     Ok(Scene {
         name: scene_name(path),
@@ -154,8 +157,17 @@ fn list(path: &Path, options: &LoadOptions) -> Result<Listing, SceneError> {
             Err(whole_scene(path)
                 .map_or(error, |scene| SceneError::PartOfScene { path: path.to_owned(), scene }))
         }
-        known => known,
+        known => enough_points(known?, options),
     }
+}
+
+/// Now, since training would find it out only after the photos are decoded and the folder for its results is cleared.
+fn enough_points(listing: Listing, options: &LoadOptions) -> Result<Listing, SceneError> {
+    let points = listing.points.len();
+    if options.with_points && points < LEAST_POINTS {
+        return Err(SceneError::TooFewPoints { file: listing.points_file, points, least: LEAST_POINTS });
+    }
+    Ok(listing)
 }
 
 fn list_known(path: &Path, options: &LoadOptions) -> Result<Listing, SceneError> {
@@ -217,14 +229,9 @@ fn scene_name(path: &Path) -> String {
     whole.file_name().map_or_else(|| "scene".into(), |name| name.to_string_lossy().into_owned())
 }
 
-fn load_view(
-    frame: &Frame,
-    list: &Path,
-    options: &LoadOptions,
-    progress: &dyn LoadProgress,
-) -> Result<View, SceneError> {
+fn load_view(frame: &Frame, options: &LoadOptions, progress: &dyn LoadProgress) -> Result<View, SceneError> {
     let photo = photos::read_photo_on(&frame.photo, options.background)?;
-    let camera = camera_of_photo(frame, list, photo.width, photo.height)?;
+    let camera = camera_of_photo(frame, photo.width, photo.height)?;
     let (width, height) = options.size_of(photo.width, photo.height);
     if width.min(height) < LEAST_SIDE_PX {
         return Err(SceneError::PhotoTooSmall {
@@ -234,22 +241,17 @@ fn load_view(
             least: LEAST_SIDE_PX,
         });
     }
-    let (photo, camera) = straighten(frame, list, photo, camera)?;
+    let (photo, camera) = straighten(frame, photo, camera)?;
     let photo = Arc::new(photos::resize(&photo, width, height));
     progress.photo_done();
     Ok(View { name: frame.name.clone(), camera: camera.resized(width, height), photo })
 }
 
 /// The photo as a pinhole would have taken it, and that pinhole.
-fn straighten(
-    frame: &Frame,
-    list: &Path,
-    photo: Photo,
-    camera: Camera,
-) -> Result<(Photo, Camera), SceneError> {
+fn straighten(frame: &Frame, photo: Photo, camera: Camera) -> Result<(Photo, Camera), SceneError> {
     let Some(distortion) = &frame.distortion else { return Ok((photo, camera)) };
     lens::straighten(&photo, &camera, distortion).ok_or_else(|| SceneError::BadCamera {
-        file: list.to_owned(),
+        file: frame.list.to_path_buf(),
         camera: frame.name.clone(),
         problem: "has distortion coefficients that cannot be undone",
     })
@@ -259,7 +261,7 @@ fn straighten(
 ///
 /// Published scenes calibrate on larger photos than they ship (Tanks and Temples: twice), rounded to whole pixels; so
 /// a camera of the same shape is scaled, and a camera of another shape is a mistake.
-fn camera_of_photo(frame: &Frame, list: &Path, width: u32, height: u32) -> Result<Camera, SceneError> {
+fn camera_of_photo(frame: &Frame, width: u32, height: u32) -> Result<Camera, SceneError> {
     let camera = &frame.camera;
     let scale = f64::from(width) / f64::from(camera.width);
     let expected_height = f64::from(camera.height) * scale;
@@ -269,7 +271,7 @@ fn camera_of_photo(frame: &Frame, list: &Path, width: u32, height: u32) -> Resul
         return Err(SceneError::SizeMismatch {
             photo: frame.photo.clone(),
             photo_size: [width, height],
-            list: list.to_owned(),
+            list: frame.list.to_path_buf(),
             camera_size: [camera.width, camera.height],
         });
     }

@@ -83,8 +83,9 @@ pub struct LpipsInstallArgs {
 /// The learned measure LPIPS.
 #[derive(Clone, Debug, Default, Args)]
 pub struct LpipsArgs {
-    /// Weights of LPIPS: a file, or a folder of files [default: those that `genesplat lpips install` has put in place]
-    #[arg(long, value_name = "FILE|FOLDER", env = "GENESPLAT_LPIPS", hide_env_values = true)]
+    /// Weights of LPIPS: a file, or a folder of files [default: what the environment variable GENESPLAT_LPIPS names, else those that
+    /// `genesplat lpips install` has put in place]
+    #[arg(long, value_name = "FILE|FOLDER")]
     pub lpips_weights: Option<PathBuf>,
     /// Leave LPIPS out, though its weights are there: it takes about 5 seconds of a core for a photo of 512x512
     #[arg(long)]

@@ -31,7 +31,8 @@ pub fn open_all(args: &LpipsArgs) -> Result<Vec<Lpips>> {
     if args.no_lpips {
         return Ok(Vec::new());
     }
-    let source = match &args.lpips_weights {
+    let named = named(args);
+    let source = match &named {
         Some(path) if !path.exists() => bail!(
             "there are no LPIPS weights at {}, where --lpips-weights or GENESPLAT_LPIPS says; correct that, or give --no-lpips",
             path.display()
@@ -48,10 +49,20 @@ pub fn open_all(args: &LpipsArgs) -> Result<Vec<Lpips>> {
         .map(|(&net, tensors)| Lpips::new(net, tensors))
         .collect::<Result<_, _>>()
         .map_err(|error| anyhow!("{}: {error}; install the weights again", source.display()))?;
-    if metrics.is_empty() && args.lpips_weights.is_some() {
+    if metrics.is_empty() && named.is_some() {
         bail!("{} holds no file of LPIPS weights; give a folder or a file that does", source.display());
     }
     Ok(metrics)
+}
+
+/// The weights that somebody chose: the flag wins over the variable, and an empty one, as scripts leave it, is none.
+fn named(args: &LpipsArgs) -> Option<PathBuf> {
+    args.lpips_weights.clone().or_else(|| path_in("GENESPLAT_LPIPS"))
+}
+
+/// What an environment variable names, if it is set to anything.
+fn path_in(variable: &str) -> Option<PathBuf> {
+    env::var_os(variable).filter(|value| !value.is_empty()).map(PathBuf::from)
 }
 
 /// Says in one sentence that LPIPS with `net` is left out.
@@ -110,13 +121,12 @@ fn weight_files(path: &Path) -> Result<Vec<PathBuf>> {
 
 /// Where installed weights are: below the user's folder for what can be had again. `None` where there is no such folder.
 pub fn cache_folder() -> Option<PathBuf> {
-    let folder = |variable: &str| env::var_os(variable).filter(|value| !value.is_empty()).map(PathBuf::from);
     let user = if cfg!(windows) {
-        folder("LOCALAPPDATA")
+        path_in("LOCALAPPDATA")
     } else {
         let below_home = if cfg!(target_os = "macos") { "Library/Caches" } else { ".cache" };
-        folder("HOME").map(|home| home.join(below_home))
+        path_in("HOME").map(|home| home.join(below_home))
     };
     // Explicit everywhere, not only where freedesktop.org's rules hold.
-    Some(folder("XDG_CACHE_HOME").or(user)?.join("genesplat").join("lpips"))
+    Some(path_in("XDG_CACHE_HOME").or(user)?.join("genesplat").join("lpips"))
 }

@@ -7,13 +7,14 @@
 //! | [`settings`] | flags, configuration file and defaults become one resolved configuration |
 //! | [`training`] | one run from a loaded scene to a finished run folder |
 //! | [`run_folder`], [`metrics`] | what a run leaves behind |
+//! | [`splat`] | a splat to look at: a PLY, or that of a run |
 //! | [`difference`] | the first setting in which two runs differ |
 //! | [`same_scene`] | whether a resumed run is given the scene that it began with |
 //! | [`experiment`] | many runs, and the tables and pictures that compare them |
 //! | [`report`] | `report.html` |
 //! | [`reporter`], [`progress`], [`test_curve`] | what a run tells while it is under way |
 //! | [`lpips`] | where the weights of LPIPS come from |
-//! | [`device`], [`any_backend`], [`interrupt`], [`memory`], [`scene`], [`sheet`], [`output`] | the machine, Ctrl-C and SIGTERM, and other plumbing |
+//! | [`device`], [`any_backend`], [`interrupt`], [`memory`], [`scene`], [`sheet`], [`files`], [`output`] | the machine, Ctrl-C and SIGTERM, and other plumbing |
 //!
 //! Exit status: 0 done, 1 failed with one sentence on stderr, 2 wrong usage, 130 stopped by Ctrl-C or SIGTERM (train, demo
 //! and experiment).
@@ -24,6 +25,7 @@ mod commands;
 mod device;
 mod difference;
 mod experiment;
+mod files;
 mod interrupt;
 mod lpips;
 mod memory;

@@ -14,16 +14,19 @@
 //! All but the log are written whole or not at all, so that a full disk or a power cut leaves what was there before.
 
 use std::fs::{self, File, OpenOptions};
-use std::io::{self, BufReader, BufWriter, ErrorKind, Write};
+use std::io::{BufReader, BufWriter, ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Result, anyhow, bail};
 use genesplat::core::{BackendError, Gaussians, ScreenFilter};
-use genesplat::io::atomic::{self, write_atomically};
 use genesplat::io::{PlyOptions, write_ply};
 use genesplat::train::observe::LogRecord;
 use genesplat::train::{Checkpoint, TrainError};
 use serde::Serialize;
+
+use crate::files::{check_folder, check_writable, remove_if_there, unwritable, write_file, write_text};
+
+pub use crate::files::write_json;
 
 /// Name of the splat that has its 3D filter baked in.
 const FUSED_CLOUD: &str = "point_cloud_fused.ply";
@@ -33,6 +36,15 @@ const CONFIG: &str = "config.toml";
 
 /// Name of the file with the figures.
 const METRICS: &str = "metrics.json";
+
+/// Name of the file with the reports.
+const LOG: &str = "log.jsonl";
+
+/// Name of the page that shows the run.
+const REPORT: &str = "report.html";
+
+/// Name of the splat.
+const CLOUD: &str = "point_cloud.ply";
 
 /// How a run's `config.toml` begins.
 const CONFIG_MARK: &str = "# All settings of a run of genesplat";
@@ -71,7 +83,7 @@ impl RunFolder {
 
     /// Fails where [`Self::create`] would, and changes nothing: to be asked before anything slow begins.
     pub fn check_free(path: &Path) -> Result<()> {
-        if Self::checkpoint_in(path).exists() {
+        if Self::has_checkpoint(path) {
             bail!(
                 "{} holds a run that was interrupted; add --resume to go on, or remove its checkpoint folder to start anew",
                 path.display()
@@ -84,20 +96,32 @@ impl RunFolder {
     /// written to.
     pub fn check_replaceable(path: &Path) -> Result<bool> {
         check_folder(path, CONFIG)?;
-        let old_config = fs::read_to_string(Self::config_in(path)).ok();
-        if old_config.as_ref().is_some_and(|text| !text.starts_with(CONFIG_MARK)) {
-            bail!("{} belongs to something else; choose another folder", Self::config_in(path).display());
+        let config = Self::config_in(path);
+        let foreign = match fs::read(&config) {
+            Ok(text) if text.starts_with(CONFIG_MARK.as_bytes()) => return Ok(true),
+            Ok(_) => Some(config),
+            // Results of a run never stand without its settings.
+            Err(error) if error.kind() == ErrorKind::NotFound => {
+                [METRICS, REPORT, CLOUD].map(|name| path.join(name)).into_iter().find(|file| file.exists())
+            }
+            Err(error) => bail!(
+                "cannot read {}, which tells whose folder this is: {error}; choose another folder",
+                config.display()
+            ),
+        };
+        match foreign {
+            None => Ok(false),
+            Some(file) => bail!("{} belongs to something else; choose another folder", file.display()),
         }
-        Ok(old_config.is_some())
     }
 
     /// Fails where there is no run, or none that could go on.
     pub fn check_resumable(path: &Path) -> Result<()> {
         Self::check_is_run(path)?;
-        if Self::checkpoint_in(path).exists() {
+        if Self::has_checkpoint(path) {
             return check_writable(&Self::config_in(path));
         }
-        if path.join(METRICS).exists() {
+        if Self::metrics_in(path).exists() {
             bail!(
                 "the run in {} is finished, so there is nothing to resume; to train longer, start a run with more --iterations \
                  in another folder",
@@ -120,12 +144,12 @@ impl RunFolder {
 
     fn claim(path: &Path, config: &str) -> Result<Self> {
         let text = format!("{CONFIG_MARK} {}; --config repeats it.\n{config}", env!("CARGO_PKG_VERSION"));
-        write_file(&Self::config_in(path), |out| out.write_all(text.as_bytes()))?;
+        write_text(&Self::config_in(path), &text)?;
         Ok(Self { path: path.to_owned() })
     }
 
     fn remove_results(&self) -> Result<()> {
-        let names = [METRICS, "log.jsonl", "report.html", "point_cloud.ply", FUSED_CLOUD];
+        let names = [METRICS, LOG, REPORT, CLOUD, FUSED_CLOUD];
         let files = names.map(|name| self.path.join(name));
         let pictures =
             fs::read_dir(self.test_path()).into_iter().flatten().flatten().map(|entry| entry.path());
@@ -139,9 +163,19 @@ impl RunFolder {
         path.join(CONFIG)
     }
 
+    /// Where a run in the folder `path` has its figures.
+    pub fn metrics_in(path: &Path) -> PathBuf {
+        path.join(METRICS)
+    }
+
+    /// Where a run in the folder `path` has its log.
+    pub fn log_in(path: &Path) -> PathBuf {
+        path.join(LOG)
+    }
+
     /// Where a run in the folder `path` has its splat.
     pub fn cloud_in(path: &Path) -> PathBuf {
-        path.join("point_cloud.ply")
+        path.join(CLOUD)
     }
 
     /// Where a run in the folder `path` has its renders of test photos.
@@ -165,7 +199,7 @@ impl RunFolder {
 
     /// Opens the log: anew, or at its end.
     pub fn open_log(&self, resume: bool) -> Result<Log> {
-        let path = self.path.join("log.jsonl");
+        let path = Self::log_in(&self.path);
         let mut options = OpenOptions::new();
         options.create(true).write(true).append(resume).truncate(!resume);
         let file = options.open(&path).map_err(|error| unwritable(&path, &error))?;
@@ -183,12 +217,12 @@ impl RunFolder {
 
     /// Writes `metrics.json`.
     pub fn write_metrics(&self, metrics: &impl Serialize) -> Result<()> {
-        write_json(&self.path.join(METRICS), metrics)
+        write_json(&Self::metrics_in(&self.path), metrics)
     }
 
     /// Writes `report.html`.
     pub fn write_report(&self, page: &str) -> Result<()> {
-        write_file(&self.path.join("report.html"), |out| out.write_all(page.as_bytes()))
+        write_text(&self.path.join(REPORT), page)
     }
 
     /// The folder itself.
@@ -206,9 +240,14 @@ impl RunFolder {
         Self::read_checkpoint_in(&self.path)
     }
 
+    /// Whether a run in the folder `path` has left a checkpoint, whole or torn.
+    pub fn has_checkpoint(path: &Path) -> bool {
+        Self::checkpoint_in(path).exists()
+    }
+
     /// The checkpoint of a run in the folder `path`, if it has left one.
     pub fn saved_checkpoint(path: &Path) -> Option<Result<Checkpoint>> {
-        Self::checkpoint_in(path).exists().then(|| Self::read_checkpoint_in(path))
+        Self::has_checkpoint(path).then(|| Self::read_checkpoint_in(path))
     }
 
     fn read_checkpoint_in(folder: &Path) -> Result<Checkpoint> {
@@ -223,26 +262,58 @@ impl RunFolder {
     }
 
     /// The end of the sentence for a run that failed midway: what is left of it, and how to go on.
-    pub fn what_is_left(&self, error: &anyhow::Error) -> String {
+    pub fn what_is_left(&self, error: &anyhow::Error, way: WayOn) -> String {
+        let Some(anew) = way.anew() else { return String::new() };
         let failed = DeviceFailure::behind(error);
         let path = Self::checkpoint_in(&self.path);
         if !path.exists() {
-            let nothing = " (no checkpoint had been saved, so the run has to begin anew)";
-            return if failed.is_some() { nothing.into() } else { String::new() };
+            let nothing = format!(" (no checkpoint had been saved, so {anew})");
+            return if failed.is_some() { nothing } else { String::new() };
         }
         let Ok(checkpoint) = self.read_checkpoint() else {
-            return format!(" ({} cannot be read, so the run has to begin anew)", path.display());
+            return format!(" ({} cannot be read, so {anew})", path.display());
         };
-        let how = match failed {
-            None => "--resume goes on from there",
-            Some(DeviceFailure::Lost) => {
+        let (iteration, how) = (checkpoint.cursor.iteration, way.after_checkpoint(failed));
+        format!(" ({} holds the run at iteration {iteration}; {how})", path.display())
+    }
+}
+
+/// How a run that failed goes on, which depends on the command that had begun it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum WayOn {
+    /// `train` goes on when told to, on any device.
+    Resume,
+    /// `experiment` goes on by itself, with settings that are the same, device included.
+    SameCommand,
+    /// `demo` never goes on.
+    Never,
+}
+
+impl WayOn {
+    /// What has to be done where there is no checkpoint; `None` where that goes without saying.
+    fn anew(self) -> Option<&'static str> {
+        match self {
+            Self::Resume => Some("the run has to begin anew"),
+            Self::SameCommand => Some("the same command begins this run anew"),
+            Self::Never => None,
+        }
+    }
+
+    fn after_checkpoint(self, failed: Option<DeviceFailure>) -> &'static str {
+        match (self, failed) {
+            (Self::SameCommand, Some(DeviceFailure::OutOfMemory)) => {
+                "the same command goes on from there where the device has more memory to spare, while other limits or another \
+                 device need another --out"
+            }
+            (Self::SameCommand, _) => "the same command goes on from there",
+            (_, None) => "--resume goes on from there",
+            (_, Some(DeviceFailure::Lost)) => {
                 "the same command with --resume goes on from there, also with --device cpu"
             }
-            Some(DeviceFailure::OutOfMemory) => {
+            (_, Some(DeviceFailure::OutOfMemory)) => {
                 "the same command with --resume --device cpu goes on from there, while other limits need a new run"
             }
-        };
-        format!(" ({} holds the run at iteration {}; {how})", path.display(), checkpoint.cursor.iteration)
+        }
     }
 }
 
@@ -284,51 +355,6 @@ impl Log {
     }
 }
 
-/// Writes `value` to `path` as indented JSON, whole or not at all.
-pub fn write_json(path: &Path, value: &impl Serialize) -> Result<()> {
-    let text = serde_json::to_string_pretty(value).expect("plain data with text keys is always JSON");
-    write_file(path, |out| writeln!(out, "{text}"))
-}
-
-/// Fails now, rather than after an hour, where the file `path` could not be written; leaves nothing behind.
-pub fn check_writable(path: &Path) -> Result<()> {
-    atomic::check_writable(path).map_err(|error| unwritable(path, &error))
-}
-
-/// The same for the file `name` in the folder `path`, which whoever writes it makes.
-pub fn check_folder(path: &Path, name: &str) -> Result<()> {
-    if path.is_file() {
-        bail!("{} is a file, and results need a folder; choose another --out", path.display());
-    }
-    check_writable(&path.join(name))
-}
-
-fn write_file(path: &Path, fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>) -> Result<()> {
-    write_atomically(path, fill).map_err(|error| unwritable(path, &error))
-}
-
-fn remove_if_there(path: &Path) -> Result<()> {
-    match fs::remove_file(path) {
-        Err(error) if error.kind() != ErrorKind::NotFound => {
-            Err(anyhow!("cannot remove {}, which is out of date: {error}; remove it by hand", path.display()))
-        }
-        _ => Ok(()),
-    }
-}
-
-fn unwritable(path: &Path, error: &io::Error) -> anyhow::Error {
-    if error.kind() == ErrorKind::IsADirectory {
-        return anyhow!(
-            "{} is a folder, and a file is to be written; give the name of a file",
-            path.display()
-        );
-    }
-    anyhow!(
-        "cannot write {}: {error}; choose a folder that can be written to, or free some space",
-        path.display()
-    )
-}
-
 #[cfg(test)]
 mod tests {
     use genesplat::core::lineage::Lineage;
@@ -361,7 +387,8 @@ mod tests {
     fn a_failed_device_is_followed_by_what_is_left() {
         let place = tempfile::tempdir().unwrap();
         let folder = RunFolder::create(&place.path().join("run"), "").unwrap();
-        let says = |error: anyhow::Error| format!("{error}{}", folder.what_is_left(&error));
+        let says_by = |way, error: anyhow::Error| format!("{error}{}", folder.what_is_left(&error, way));
+        let says = |error| says_by(WayOn::Resume, error);
         let other = || anyhow!("the moon is full");
 
         assert_eq!(says(other()), "the moon is full");
@@ -379,6 +406,17 @@ mod tests {
         let parts = ["unplugged", &file, "iteration 4213", "--resume"];
         assert!(parts.iter().all(|part| sentence.contains(part)), "{sentence}");
         assert!(says(other()).ends_with("--resume goes on from there)"));
+        // A demo never goes on, and `experiment` knows no --resume.
+        let errors: [fn() -> anyhow::Error; 3] =
+            [|| anyhow!("full"), || out_of_memory().into(), || lost().into()];
+        for error in errors {
+            assert_eq!(says_by(WayOn::Never, error()), error().to_string());
+            let sentence = says_by(WayOn::SameCommand, error());
+            assert!(
+                sentence.contains("the same command goes on") && !sentence.contains("--resume"),
+                "{sentence}"
+            );
+        }
 
         fs::write(&file, "torn").unwrap();
         assert!(says(other()).contains("cannot be read"));

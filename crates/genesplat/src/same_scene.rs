@@ -11,7 +11,8 @@ use anyhow::{Result, ensure};
 use genesplat::io::Scene;
 use serde::Deserialize;
 
-use crate::experiment::results::CellMetrics;
+use crate::metrics::CellMetrics;
+use crate::run_folder::RunFolder;
 
 /// Fails where the folders of both scenes exist and are different ones.
 pub fn check_folders(began_with: &Path, given: &Path) -> Result<()> {
@@ -28,7 +29,8 @@ pub fn check_folders(began_with: &Path, given: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Fails where the run in `folder` is known to have had other photos than those of `scene`.
+/// Fails where the run in `folder` is known to have had other photos than those of `scene`; the sentence is for `train` and
+/// `experiment` alike.
 pub fn check_photos(folder: &Path, scene: &Scene) -> Result<()> {
     let had = training_photos(folder);
     let test_names = CellMetrics::read(folder).map(|metrics| metrics.test.views);
@@ -36,7 +38,7 @@ pub fn check_photos(folder: &Path, scene: &Scene) -> Result<()> {
         .is_none_or(|views| views.iter().map(|view| &view.name).eq(scene.test.iter().map(|view| &view.name)));
     ensure!(
         had.is_none_or(|had| had == scene.train.len()) && same_names,
-        "the run in {} began with other photos than {} has now; give --resume the scene as it was, or train into another folder",
+        "the run in {} began with other photos than {} has now; bring back the scene as it was, or choose another --out",
         folder.display(),
         scene.name
     );
@@ -54,7 +56,7 @@ fn training_photos(folder: &Path) -> Option<usize> {
         #[serde(other)]
         Other,
     }
-    let log = BufReader::new(File::open(folder.join("log.jsonl")).ok()?);
+    let log = BufReader::new(File::open(RunFolder::log_in(folder)).ok()?);
     log.lines().map_while(Result::ok).find_map(|line| match serde_json::from_str(&line) {
         Ok(Line::Start { views }) => Some(views),
         _ => None,

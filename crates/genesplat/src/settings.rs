@@ -134,7 +134,7 @@ impl ConfigFile {
         Ok(Self { device, threads, dataset, train: table.try_into()? })
     }
 
-    /// The size that photos were loaded at.
+    /// The size that photos are loaded at; those of a run that is looked at were.
     pub fn size(&self) -> PhotoSize {
         self.dataset.size()
     }

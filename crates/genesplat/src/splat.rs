@@ -45,10 +45,24 @@ pub fn open(path: &Path) -> Result<Splat> {
 
 fn open_run(folder: &Path) -> Result<Splat> {
     let config = ConfigFile::of_run(folder)?;
+    check_has_cloud(folder, &config)?;
     let trained_size = config.size();
     let settings = config.train.resolve()?.render_settings();
     let (_, cloud) = read_cloud(&RunFolder::cloud_in(folder))?;
     Ok(Splat { cloud, settings, trained_size: Some(trained_size) })
+}
+
+/// A run has its splat once it is stopped or done; the system's word for a missing file would leave open what to do.
+fn check_has_cloud(folder: &Path, config: &ConfigFile) -> Result<()> {
+    let how = if RunFolder::has_checkpoint(folder) { " --resume goes on with it" } else { " begins it anew" };
+    ensure!(
+        RunFolder::cloud_in(folder).exists(),
+        "the run in {} is unfinished and has no splat yet; genesplat train {} --out {}{how}",
+        folder.display(),
+        config.dataset.path.display(),
+        folder.display()
+    );
+    Ok(())
 }
 
 fn open_ply(path: &Path) -> Result<Splat> {

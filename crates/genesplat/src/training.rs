@@ -1,7 +1,8 @@
 //! One run: from a loaded scene to a finished run folder.
 
 use std::path::Path;
-use std::sync::atomic::AtomicBool;
+use std::slice;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use anyhow::{Result, anyhow};
@@ -9,6 +10,7 @@ use genesplat::core::{RenderSettings, View};
 use genesplat::io::Scene;
 use genesplat::io::photos::write_png;
 use genesplat::train::evaluate::{Evaluation, Lpips, Perceptual, evaluate};
+use genesplat::train::initialise::scene_extent;
 use genesplat::train::{Outcome, RunSummary, Start, train};
 
 use crate::any_backend::AnyBackend;
@@ -16,7 +18,7 @@ use crate::metrics::{Metrics, PhaseSeconds};
 use crate::progress::Bar;
 use crate::report::run::{RunPage, command_line};
 use crate::reporter::Reporter;
-use crate::run_folder::{Log, RunFolder};
+use crate::run_folder::{Log, RunFolder, WayOn};
 use crate::settings::Settings;
 use crate::test_curve::TestCurve;
 use crate::{device, lpips, memory, scene};
@@ -31,6 +33,8 @@ pub struct Run<'a> {
     pub folder: &'a RunFolder,
     /// Go on from the folder's checkpoint.
     pub resume: bool,
+    /// How to go on where it fails.
+    pub way_on: WayOn,
     /// The learned measure, if it can be taken.
     pub lpips: Option<&'a Lpips>,
     /// Leave the terminal to whoever runs this run, but for bars that vanish.
@@ -41,25 +45,27 @@ pub struct Run<'a> {
     pub load: (f64, Instant),
 }
 
-/// A run that has ended; its folder is complete.
-pub struct Finished {
-    /// What `metrics.json` says.
-    pub metrics: Metrics,
-    /// It was stopped before its end.
-    pub interrupted: bool,
+/// How a run ended that did not fail.
+pub enum Ended {
+    /// As it was meant to; its folder is complete. What `metrics.json` says.
+    Whole(Metrics),
+    /// Training was stopped; the figures are those of what there was.
+    Stopped(Metrics),
+    /// Training came to its end, and scoring was stopped: the splat is whole, and there are no figures.
+    Unscored,
 }
 
 impl Run<'_> {
-    /// Trains, saves, evaluates. What is most precious is saved first, and the checkpoint is kept until all is done.
-    pub fn execute(&self) -> Result<Finished> {
+    /// Trains on the device that [`open_device`] gave, saves, evaluates. What is most precious is saved first, and the checkpoint
+    /// is kept until all is done.
+    pub fn execute(&self, backend: AnyBackend) -> Result<Ended> {
         let log = self.folder.open_log(self.resume)?;
         let (seconds_before, start) = self.start()?;
-        let finished = self.train(start, log, seconds_before);
-        finished.map_err(|error| anyhow!("{error}{}", self.folder.what_is_left(&error)))
+        let ended = self.train(backend, start, log, seconds_before);
+        ended.map_err(|error| anyhow!("{error}{}", self.folder.what_is_left(&error, self.way_on)))
     }
 
-    fn train(&self, start: Start, log: Log, seconds_before: f64) -> Result<Finished> {
-        let mut backend = device::open(self.settings.device, self.settings.train.config().seed)?;
+    fn train(&self, mut backend: AnyBackend, start: Start, log: Log, seconds_before: f64) -> Result<Ended> {
         let iterations = self.settings.train.schedule().iterations;
         let curve = TestCurve::new(&self.scene.test, iterations);
         let reporter = Reporter::new(self.folder, log, self.stop).with_curve(curve);
@@ -73,14 +79,17 @@ impl Run<'_> {
         drop(cloud);
         saved?;
         reporter.into_result()?;
-        let metrics = self.measure(&mut backend, &summary, seconds_before)?;
+        let Some(metrics) = self.measure(&mut backend, &summary, seconds_before)? else {
+            return Ok(Ended::Unscored);
+        };
         self.folder.write_report(&self.report(&metrics)?)?;
         // Last: complete metrics are the sign of a finished run.
         self.folder.write_metrics(&metrics)?;
-        if !summary.interrupted {
-            self.folder.remove_checkpoint()?;
+        if summary.interrupted {
+            return Ok(Ended::Stopped(metrics));
         }
-        Ok(Finished { metrics, interrupted: summary.interrupted })
+        self.folder.remove_checkpoint()?;
+        Ok(Ended::Whole(metrics))
     }
 
     /// The page that shows the run.
@@ -104,24 +113,32 @@ impl Run<'_> {
         Ok((before, Start::Checkpoint(Box::new(checkpoint))))
     }
 
-    /// The figures of the cloud that `backend` holds.
+    /// The figures of the cloud that `backend` holds; `None` where taking them was stopped.
     fn measure(
         &self,
         backend: &mut AnyBackend,
         summary: &RunSummary,
         seconds_before: f64,
-    ) -> Result<Metrics> {
+    ) -> Result<Option<Metrics>> {
         let clock = Instant::now();
         let (config, settings) = (self.settings.train.config(), self.settings.train.render_settings());
         let bar = |views: &[View]| if self.quiet { Bar::fleeting } else { Bar::at }("scores", 0, views.len() as u64);
         let Scene { test, train, .. } = self.scene;
-        // Who stops a run waits for it, and figures of half a run are replaced by those of the whole.
-        let (train, lpips) = if summary.interrupted { (&[][..], None) } else { (&train[..], self.lpips) };
+        // Who stops a run waits for it, and figures of half a run are replaced by those of the whole. The few that are taken all the
+        // same must not be stopped by what stopped the run.
+        let never = AtomicBool::new(false);
+        let (train, lpips, stop) = match summary.interrupted {
+            true => (&[][..], None, &never),
+            false => (&train[..], self.lpips, self.stop),
+        };
         let pictures = self.folder.test_path();
-        let test = evaluate_into(backend, test, &settings, lpips, Some(&pictures), bar(test))?;
-        let train = evaluate_into(backend, train, &settings, lpips, None, bar(train))?;
+        let mut score = |views: &[View], folder: Option<&Path>| {
+            evaluate_until(stop, backend, views, &settings, lpips, folder, bar(views))
+        };
+        let Some(test) = score(test, Some(pictures.as_path()))? else { return Ok(None) };
+        let Some(train) = score(train, None)? else { return Ok(None) };
         let (load, began) = self.load;
-        Ok(Metrics {
+        Ok(Some(Metrics {
             schema: 1,
             dataset: self.scene.name.clone(),
             variant: config.variant,
@@ -140,8 +157,18 @@ impl Run<'_> {
             },
             peak_memory_bytes: memory::peak_bytes(),
             evolution: summary.stages.clone(),
-        })
+        }))
     }
+}
+
+/// The device of a run on `scene`. To be asked for before the folder of the run is: whatever would end a run before its first step
+/// has to be found while the results of an earlier one are still there.
+pub fn open_device(settings: &Settings, scene: &Scene) -> Result<AnyBackend> {
+    let config = settings.train.config();
+    if config.extent.is_none() {
+        scene_extent(scene.train.iter().map(|view| &view.camera))?;
+    }
+    device::open(settings.device, config.seed)
 }
 
 /// Scores the renders of `views`, and writes them to `folder` as PNG.
@@ -151,19 +178,37 @@ pub fn evaluate_into(
     settings: &RenderSettings,
     lpips: Option<&Lpips>,
     folder: Option<&Path>,
-    mut bar: Bar,
+    bar: Bar,
 ) -> Result<Evaluation> {
-    let mut names = (1..).zip(scene::picture_names(views));
-    let mut written = Ok(());
+    let never = AtomicBool::new(false);
+    let evaluation = evaluate_until(&never, backend, views, settings, lpips, folder, bar)?;
+    Ok(evaluation.expect("nothing sets the flag"))
+}
+
+/// The same, photo by photo, so that `stop` can end it: LPIPS of many takes minutes. `None` where it has.
+fn evaluate_until(
+    stop: &AtomicBool,
+    backend: &mut AnyBackend,
+    views: &[View],
+    settings: &RenderSettings,
+    lpips: Option<&Lpips>,
+    folder: Option<&Path>,
+    mut bar: Bar,
+) -> Result<Option<Evaluation>> {
     let distance = lpips.map(lpips::published);
     let perceptual = distance.as_ref().map(|distance| distance as Perceptual<'_>);
-    let evaluation = evaluate(backend, views, settings, perceptual, |_, picture| {
-        let Some((done, name)) = names.next() else { return };
-        bar.set(done, String::new);
-        if let (Some(folder), Ok(())) = (folder, &written) {
-            written = write_png(&folder.join(name), &picture);
+    let mut scores = Vec::with_capacity(views.len());
+    for ((done, view), name) in (1..).zip(views).zip(scene::picture_names(views)) {
+        if stop.load(Ordering::Relaxed) {
+            return Ok(None);
         }
-    })?;
-    written?;
-    Ok(evaluation)
+        let mut written = Ok(());
+        let of_one = evaluate(backend, slice::from_ref(view), settings, perceptual, |_, picture| {
+            written = folder.map_or(Ok(()), |folder| write_png(&folder.join(&name), &picture));
+        })?;
+        written?;
+        scores.extend(of_one.views);
+        bar.set(done, String::new);
+    }
+    Ok(Some(Evaluation::from_views(scores)))
 }

@@ -28,16 +28,15 @@ const ARROWS: [(&str, &[&str]); 7] = [
     ),
 ];
 
-/// Crates of this workspace that a manifest depends on (tests may use more).
+/// Crates of this workspace that a manifest depends on, on any platform (tests may use more).
 fn dependencies(manifest: &str) -> Vec<String> {
     let manifest: toml::Table = manifest.parse().expect("a manifest is TOML");
-    manifest["dependencies"]
-        .as_table()
-        .expect("a table")
-        .keys()
-        .filter(|name| name.starts_with("genesplat"))
-        .cloned()
-        .collect()
+    let platforms = manifest.get("target").and_then(toml::Value::as_table);
+    let of_platforms = platforms.into_iter().flat_map(toml::Table::values).filter_map(toml::Value::as_table);
+    let parts = std::iter::once(&manifest).chain(of_platforms);
+    let tables = parts.flat_map(|part| ["dependencies", "build-dependencies"].map(|kind| part.get(kind)));
+    let names = tables.flatten().filter_map(toml::Value::as_table).flat_map(toml::Table::keys);
+    names.filter(|name| name.starts_with("genesplat")).cloned().collect()
 }
 
 fn forbidden(name: &str, dependencies: &[String]) -> Option<String> {
@@ -61,11 +60,16 @@ fn arrows_between_crates_point_one_way() {
 
 #[test]
 fn a_forbidden_arrow_is_found() {
-    let planted = "[dependencies]\ngenesplat-core.workspace = true\ngenesplat-kernels.workspace = true\n";
-    assert_eq!(
-        forbidden("genesplat-train", &dependencies(planted)).as_deref(),
-        Some("genesplat-train -> genesplat-kernels")
-    );
+    for kind in ["dependencies", "build-dependencies", "target.'cfg(unix)'.dependencies"] {
+        let planted =
+            format!("[{kind}]\ngenesplat-core.workspace = true\ngenesplat-kernels.workspace = true\n");
+        assert_eq!(
+            forbidden("genesplat-train", &dependencies(&planted)).as_deref(),
+            Some("genesplat-train -> genesplat-kernels"),
+            "{kind}"
+        );
+    }
+    assert_eq!(dependencies("[dev-dependencies]\ngenesplat-kernels.workspace = true\n"), [""; 0]);
 }
 
 /// Paths in backquotes, with a folder or a known ending.

@@ -14,6 +14,7 @@ mod write;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use genesplat_core::Camera;
 use glam::{DQuat, DVec3};
@@ -124,9 +125,6 @@ fn read(file: &Path) -> Result<Vec<u8>, SceneError> {
     std::fs::read(file).map_err(|source| SceneError::Read { file: file.to_owned(), source })
 }
 
-/// Fewest points that training starts from: initial scales are distances to the three nearest others.
-const LEAST_POINTS: usize = 4;
-
 /// Photos with cameras, and points if they are wanted, of the model in `folder`, whose photos are in `image_folder`.
 pub(crate) fn list(
     folder: &ModelFolder,
@@ -138,19 +136,18 @@ pub(crate) fn list(
     if model.images.is_empty() {
         return Err(SceneError::NoPhotos { file: list });
     }
-    if with_points && model.points.len() < LEAST_POINTS {
-        let file = folder.form.file(&folder.path, "points3D");
-        return Err(SceneError::TooFewPoints { file, points: model.points.len(), least: LEAST_POINTS });
-    }
     let photos = find_photos(&model.images, image_folder, &list)?;
     let paths: Vec<&str> = model.images.iter().map(|image| image.name.as_str()).collect();
     let names = view_names(&paths, &list)?;
+    let shared: Arc<Path> = list.as_path().into();
     let frames = (model.images.iter().zip(photos).zip(names))
         .map(|((image, photo), name)| {
-            Ok(Frame { name, photo, camera: camera(&model, image, &list)?, distortion: None, held_out: None })
+            let (list, camera) = (shared.clone(), camera(&model, image, &list)?);
+            Ok(Frame { name, photo, list, camera, distortion: None, held_out: None })
         })
         .collect::<Result<_, SceneError>>()?;
-    Ok(Listing { list, frames, points: model.points, notices: other_models(&folder.path) })
+    let points_file = folder.form.file(&folder.path, "points3D");
+    Ok(Listing { frames, points: model.points, points_file, notices: other_models(&folder.path) })
 }
 
 fn camera(model: &Model, image: &ImageRecord, list: &Path) -> Result<Camera, SceneError> {

@@ -8,6 +8,7 @@ mod schema;
 
 use std::collections::HashSet;
 use std::path::{Component, Path, PathBuf};
+use std::sync::Arc;
 
 use genesplat_core::Camera;
 use glam::{DMat3, DQuat, DVec3};
@@ -35,11 +36,12 @@ pub(crate) fn list_blender(folder: &Path, seed: Option<u64>) -> Result<Listing, 
     }
     if let Some(missing) = found.missing.first() {
         let (there, all) = (found.photos.len(), found.photos.len() + found.missing.len());
-        return Err(missing_photo(&list, missing.clone(), there, all, folder));
+        return Err(missing_photo(&missing.list, missing.photo.clone(), there, all, folder));
     }
-    let mut notices = Vec::new();
+    let mut notices = Vec::from_iter(found.masks_notice());
     let points = points(&found, &list, seed, || Cube::BLENDER, &mut notices)?;
-    Ok(Listing { frames: found.into_frames(&list)?, points, notices, list })
+    let points_file = found.points_file(&list)?;
+    Ok(Listing { frames: found.into_frames(&list)?, points, points_file, notices })
 }
 
 /// The scene of `folder/transforms.json`. Photos that are listed but absent are left out with a notice: published
@@ -47,13 +49,13 @@ pub(crate) fn list_blender(folder: &Path, seed: Option<u64>) -> Result<Listing, 
 pub(crate) fn list_nerfstudio(folder: &Path, seed: Option<u64>) -> Result<Listing, SceneError> {
     let list = folder.join("transforms.json");
     let found = read_photos(&list, None)?;
-    let mut notices = Vec::new();
+    let mut notices = Vec::from_iter(found.masks_notice());
     if let Some(first) = found.missing.first() {
         let (gone, all) = (found.missing.len(), found.photos.len() + found.missing.len());
         if gone == all {
-            return Err(missing_photo(&list, first.clone(), 0, all, folder));
+            return Err(missing_photo(&list, first.photo.clone(), 0, all, folder));
         }
-        let first = first.display();
+        let first = first.photo.display();
         notices.push(format!(
             "{gone} of the {all} photos that {} lists do not exist and are left out, first {first}",
             list.display()
@@ -61,7 +63,8 @@ pub(crate) fn list_nerfstudio(folder: &Path, seed: Option<u64>) -> Result<Listin
     }
     let cameras: Vec<Camera> = found.photos.iter().map(|photo| photo.camera).collect();
     let points = points(&found, &list, seed, || Cube::seen_by(&cameras), &mut notices)?;
-    Ok(Listing { frames: found.into_frames(&list)?, points, notices, list })
+    let points_file = found.points_file(&list)?;
+    Ok(Listing { frames: found.into_frames(&list)?, points, points_file, notices })
 }
 
 /// The points that the file names, or random ones with a notice; none where none are wanted.
@@ -73,9 +76,8 @@ fn points(
     notices: &mut Vec<String>,
 ) -> Result<Vec<Point>, SceneError> {
     let Some(seed) = seed else { return Ok(Vec::new()) };
-    if let Some(name) = &found.points {
-        let folder = list.parent().unwrap_or(Path::new(""));
-        return Ok(ply::read_points(&folder.join(inside(name, list)?))?);
+    if found.points.is_some() {
+        return Ok(ply::read_points(&found.points_file(list)?)?);
     }
     notices.push(format!("the scene has no points, so training starts from {COUNT} random ones"));
     Ok(cube().points(seed))
@@ -119,16 +121,25 @@ fn with_end(path: &Path, end: &str) -> PathBuf {
 struct Found {
     path: String,
     photo: PathBuf,
+    list: Arc<Path>,
     camera: Camera,
     distortion: Option<Distortion>,
     held_out: Option<bool>,
+}
+
+/// A photo that does not.
+struct Missing {
+    photo: PathBuf,
+    list: Arc<Path>,
 }
 
 /// What a file lists.
 #[derive(Default)]
 struct Photos {
     photos: Vec<Found>,
-    missing: Vec<PathBuf>,
+    missing: Vec<Missing>,
+    /// How many photos have a mask.
+    masks: usize,
     points: Option<String>,
 }
 
@@ -136,6 +147,24 @@ impl Photos {
     fn append(&mut self, other: Self) {
         self.photos.extend(other.photos);
         self.missing.extend(other.missing);
+        self.masks += other.masks;
+    }
+
+    /// Who has made masks should know that they do nothing here.
+    fn masks_notice(&self) -> Option<String> {
+        (self.masks > 0).then(|| {
+            let all = self.photos.len() + self.missing.len();
+            format!(
+                "masks are not used, though {} of the {all} photos have one (mask_path): what they cover counts like the rest",
+                self.masks
+            )
+        })
+    }
+
+    /// The file of the points that `list` names, or else `list` itself.
+    fn points_file(&self, list: &Path) -> Result<PathBuf, SceneError> {
+        let name = self.points.as_deref().map(|name| inside(name, list)).transpose()?;
+        Ok(name.map_or_else(|| list.to_owned(), |name| list.parent().unwrap_or(Path::new("")).join(name)))
     }
 
     fn into_frames(self, list: &Path) -> Result<Vec<Frame>, SceneError> {
@@ -144,6 +173,7 @@ impl Photos {
         let frame = |(name, found): (String, Found)| Frame {
             name,
             photo: found.photo,
+            list: found.list,
             camera: found.camera,
             distortion: found.distortion,
             held_out: found.held_out,
@@ -160,18 +190,20 @@ fn read_photos(list: &Path, all_held_out: Option<bool>) -> Result<Photos, SceneE
     }
     let names = if all_held_out.is_some() { None } else { held_out_names(&file, list)? };
     let folder = list.parent().unwrap_or(Path::new(""));
-    let mut found = Photos { points: file.ply_file_path.clone(), ..Photos::default() };
+    let shared: Arc<Path> = list.into();
+    let masks = file.frames.iter().filter(|entry| entry.mask_path.is_some()).count();
+    let mut found = Photos { points: file.ply_file_path.clone(), masks, ..Photos::default() };
     for entry in &file.frames {
         let relative = inside(&entry.file_path, list)?;
         let Some((path, photo)) = find_photo(folder, relative, &entry.file_path) else {
-            found.missing.push(folder.join(relative));
+            found.missing.push(Missing { photo: folder.join(relative), list: shared.clone() });
             continue;
         };
         let (camera, distortion) = camera(list, entry, &entry.lens.or(&file.lens), &photo)?;
         let is_named =
             |names: &HashSet<PathBuf>| names_of(&entry.file_path).any(|name| names.contains(&name));
         let held_out = all_held_out.or_else(|| names.as_ref().map(is_named));
-        found.photos.push(Found { path, photo, camera, distortion, held_out });
+        found.photos.push(Found { path, photo, list: shared.clone(), camera, distortion, held_out });
     }
     Ok(found)
 }
@@ -199,9 +231,10 @@ fn camera(
     if ![width, height].iter().all(|side| (1.0..=f64::from(1 << 20)).contains(side)) {
         return Err(bad("has an impossible image size"));
     }
-    let from_angle = lens.camera_angle_x.map(|angle| 0.5 * width / (0.5 * angle).tan());
-    let fx = lens.fl_x.or(from_angle).ok_or_else(|| bad("has neither fl_x nor camera_angle_x"))?;
-    let fy = lens.fl_y.unwrap_or(fx);
+    let from_angle = |angle: Option<f64>, side: f64| angle.map(|angle| 0.5 * side / (0.5 * angle).tan());
+    let fx = lens.fl_x.or(from_angle(lens.camera_angle_x, width));
+    let fx = fx.ok_or_else(|| bad("has neither fl_x nor camera_angle_x"))?;
+    let fy = lens.fl_y.or(from_angle(lens.camera_angle_y, height)).unwrap_or(fx);
     if ![fx, fy].iter().all(|focal| focal.is_finite() && *focal > 0.0) {
         return Err(bad("has a focal length that is not a positive number"));
     }

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use serde::Deserialize;
+use serde::de::IgnoredAny;
 
 use crate::error::SceneError;
 
@@ -30,6 +31,8 @@ pub(super) struct Entry {
     pub(super) file_path: String,
     /// `world_from_camera`, row by row; camera axes x right, y up, z backwards (OpenGL).
     pub(super) transform_matrix: Vec<[f64; 4]>,
+    /// A picture of what is to be left out. Only that there is one matters here.
+    pub(super) mask_path: Option<IgnoredAny>,
     /// What differs from the file's.
     #[serde(flatten)]
     pub(super) lens: Lens,
@@ -40,6 +43,8 @@ pub(super) struct Entry {
 pub(super) struct Lens {
     /// Horizontal field of view, radians.
     pub(super) camera_angle_x: Option<f64>,
+    /// Vertical field of view, radians; without it and `fl_y`, pixels are square.
+    pub(super) camera_angle_y: Option<f64>,
     /// Focal lengths, px.
     pub(super) fl_x: Option<f64>,
     pub(super) fl_y: Option<f64>,
@@ -68,6 +73,7 @@ impl Lens {
     pub(super) fn or(&self, file: &Self) -> Self {
         Self {
             camera_angle_x: self.camera_angle_x.or(file.camera_angle_x),
+            camera_angle_y: self.camera_angle_y.or(file.camera_angle_y),
             fl_x: self.fl_x.or(file.fl_x),
             fl_y: self.fl_y.or(file.fl_y),
             cx: self.cx.or(file.cx),

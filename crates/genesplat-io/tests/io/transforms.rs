@@ -99,6 +99,30 @@ fn a_photo_may_have_its_own_intrinsics() {
 }
 
 #[test]
+fn fields_of_view_are_each_of_their_side() {
+    let mut description = nerfstudio();
+    let lens = description.as_object_mut().unwrap();
+    lens.retain(|key, _| !key.starts_with("fl_"));
+    lens.insert("camera_angle_x".into(), json!(2.0 * (20.0f64 / 44.0).atan()));
+    let focal = |description: &Value| load_description(description).unwrap().train[0].camera.focal_px;
+    let is = |found: [f64; 2], wanted: [f64; 2]| found.iter().zip(wanted).all(|(a, b)| (a - b).abs() < 1e-9);
+    assert!(is(focal(&description), [44.0, 44.0]), "square pixels");
+    description["camera_angle_y"] = json!(2.0 * (15.0f64 / 45.0).atan());
+    assert!(is(focal(&description), [44.0, 45.0]));
+    description["fl_y"] = json!(46.0);
+    assert!(is(focal(&description), [44.0, 46.0]), "a length wins over an angle");
+}
+
+#[test]
+fn masks_are_left_out_with_a_notice() {
+    let mut description = nerfstudio();
+    description["frames"][0]["mask_path"] = json!("masks/0.png");
+    description["frames"][1]["mask_path"] = Value::Null;
+    let notices = load_description(&description).unwrap().notices;
+    assert!(notices[0].contains("1 of the 3 photos have one (mask_path)"), "{notices:?}");
+}
+
+#[test]
 fn listed_test_photos_are_held_out() {
     let mut description = nerfstudio();
     description["test_filenames"] = json!(["./images/2.png"]);
@@ -142,16 +166,17 @@ fn a_bent_lens_is_straightened() {
 fn named_points_are_read_in_both_encodings() {
     let header = |format: &str| {
         format!(
-            "ply\nformat {format} 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n\
+            "ply\nformat {format} 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n\
              property uint8 red\nproperty uint8 green\nproperty uint8 blue\nend_header\n"
         )
     };
     let mut binary = header("binary_little_endian").into_bytes();
-    for (position, rgb) in [([1.0f32, -2.0, 0.5], [1u8, 2, 3]), ([0.0, 4.0, 8.0], [255, 128, 0])] {
+    let last = ([0.0, 4.0, 8.0], [255, 128, 0]);
+    for (position, rgb) in [([1.0f32, -2.0, 0.5], [1u8, 2, 3]), last, last, last] {
         position.iter().for_each(|v| binary.extend(v.to_le_bytes()));
         binary.extend(rgb);
     }
-    let ascii = (header("ascii") + "1 -2 0.5 1 2 3\n0 4 8 255 128 0").into_bytes();
+    let ascii = (header("ascii") + "1 -2 0.5 1 2 3" + &"\n0 4 8 255 128 0".repeat(3)).into_bytes();
     for bytes in [binary, ascii] {
         let folder = tempfile::tempdir().unwrap();
         let mut description = nerfstudio();
@@ -159,18 +184,20 @@ fn named_points_are_read_in_both_encodings() {
         write(folder.path(), "transforms.json", &description);
         fs::write(folder.path().join("points.ply"), &bytes).unwrap();
         let points = load(folder.path()).unwrap().points;
-        assert_eq!((points.len(), points[0].position, points[1].rgb), (2, [1.0, -2.0, 0.5], [255, 128, 0]));
+        assert_eq!((points.len(), points[0].position, points[1].rgb), (4, [1.0, -2.0, 0.5], [255, 128, 0]));
         fs::write(folder.path().join("points.ply"), &bytes[..bytes.len() - 10]).unwrap();
         assert!(load(folder.path()).unwrap_err().to_string().contains("points.ply"));
     }
 }
 
-/// A point cloud of two points; `before` stands between the header's first lines and the vertices' own.
+/// A point cloud of two points and two black ones, as training needs four; `before` stands between the header's first lines and
+/// the vertices' own.
 fn ascii_points(before: &str, colour: &str, rows: &str) -> String {
     let colours = ["red", "green", "blue"].map(|name| format!("property {colour} {name}\n")).concat();
     format!(
-        "ply\nformat ascii 1.0\n{before}element vertex 2\nproperty float x\nproperty float y\nproperty float z\n{colours}\
-         end_header\n{rows}"
+        "ply\nformat ascii 1.0\n{before}element vertex 4\nproperty float x\nproperty float y\nproperty float z\n{colours}\
+         end_header\n{}\n9 9 9 0 0 0\n9 9 8 0 0 0\n",
+        rows.trim_end()
     )
 }
 
@@ -186,7 +213,8 @@ fn load_points_of(ply: &str) -> Result<Vec<genesplat_io::Point>, genesplat_io::S
 
 #[test]
 fn colours_as_fractions_are_brought_to_bytes() {
-    let colours = |ply: &str| load_points_of(ply).unwrap().iter().map(|point| point.rgb).collect::<Vec<_>>();
+    let colours =
+        |ply: &str| load_points_of(ply).unwrap()[..2].iter().map(|point| point.rgb).collect::<Vec<_>>();
     let fractions = "0 0 0 0.5 1 0\n1 1 1 0.2 0.004 0.998\n";
     for kind in ["float", "double"] {
         assert_eq!(colours(&ascii_points("", kind, fractions)), [[128, 255, 0], [51, 1, 254]]);
@@ -205,7 +233,7 @@ fn elements_before_the_vertices_are_passed_over() {
     let before = "element camera 2\nproperty double f\nproperty list uchar int views\n";
     let rows = "500.25 3 1 2 3\n7 0\n1 -2 0.5 9 8 7\n4 5 6 255 128 0\n";
     let points = load_points_of(&ascii_points(before, "uchar", rows)).unwrap();
-    assert_eq!((points.len(), points[0].position, points[1].rgb), (2, [1.0, -2.0, 0.5], [255, 128, 0]));
+    assert_eq!((points.len(), points[0].position, points[1].rgb), (4, [1.0, -2.0, 0.5], [255, 128, 0]));
     let torn = load_points_of(&ascii_points(before, "uchar", "500.25 3 1 2 3\n7 0\n1 -2"));
     assert!(torn.unwrap_err().to_string().contains("points.ply"));
     let endless = "element camera 18446744073709551615\nproperty double f\n";
@@ -238,6 +266,19 @@ fn blender_scenes_keep_their_own_split_and_background() {
     let everything = LoadOptions { hold_out: HoldOut::None, ..options };
     assert_eq!(load_scene(folder.path(), &everything, &()).unwrap().train.len(), 4);
 
+    // What is wrong with a test photo is to be looked for in the file that lists it.
+    let photo = folder.path().join("test/r_1.png");
+    let whole = fs::read(&photo).unwrap();
+    let blames_test = || load(folder.path()).unwrap_err().to_string().contains("transforms_test.json");
+    fs::remove_file(&photo).unwrap();
+    assert!(blames_test());
+    let description = folder.path().join("transforms_test.json");
+    let listed = fs::read_to_string(&description).unwrap();
+    fs::write(&description, listed.replacen('{', "{\"w\": 32, \"h\": 16, ", 1)).unwrap();
+    fs::write(&photo, whole).unwrap();
+    assert!(blames_test(), "of another shape");
+    fs::write(&description, listed).unwrap();
+
     // Points that the file of the training photos names are taken instead of random ones.
     let list = folder.path().join("transforms_train.json");
     let mut description: Value = serde_json::from_slice(&fs::read(&list).unwrap()).unwrap();
@@ -246,7 +287,15 @@ fn blender_scenes_keep_their_own_split_and_background() {
     let ply = ascii_points("", "uchar", "1 2 3 4 5 6\n0 0 0 7 8 9\n");
     fs::write(folder.path().join("points.ply"), ply).unwrap();
     let scene = load(folder.path()).unwrap();
-    assert_eq!((scene.points.len(), scene.points[1].rgb, scene.notices.len()), (2, [7, 8, 9], 0));
+    assert_eq!((scene.points.len(), scene.points[1].rgb, scene.notices.len()), (4, [7, 8, 9], 0));
+}
+
+/// Said before photos are decoded, and by training only after it has made room for its results.
+#[test]
+fn points_that_are_too_few_are_named_with_their_file() {
+    let three = ascii_points("", "uchar", "1 2 3 4 5 6").replace("vertex 4", "vertex 3");
+    let sentence = load_points_of(&three).unwrap_err().to_string();
+    assert!(sentence.contains("points.ply has 3 points") && sentence.contains("at least 4"), "{sentence}");
 }
 
 #[test]

@@ -4,11 +4,12 @@
 //! resets opacities and evolves as often as a full run does. `--evolve` says how: by default in the way that has been worth
 //! something on photos that training never saw (docs/evolution.md).
 
+use std::fs;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
-use anyhow::Result;
+use anyhow::{Result, ensure};
 use genesplat::core::Photo;
 use genesplat::io::photos::{read_photo, write_png};
 use genesplat::io::{GalleryOptions, PhotoSize, Scene, gallery};
@@ -16,12 +17,13 @@ use genesplat::train::evaluate::Lpips;
 use genesplat::train::{EvolutionMode, TrainConfig};
 
 use super::Ending;
+use crate::any_backend::AnyBackend;
 use crate::args::DemoArgs;
 use crate::metrics::Metrics;
-use crate::run_folder::RunFolder;
+use crate::run_folder::{RunFolder, WayOn};
 use crate::settings::{ConfigFile, Settings};
 use crate::sheet::side_by_side;
-use crate::training::Run;
+use crate::training::{Ended, Run, open_device};
 use crate::{device, interrupt, lpips, output, scene};
 
 /// The published schedule in this share of its steps.
@@ -41,6 +43,7 @@ pub fn run(args: &DemoArgs) -> Result<Ending> {
     let plans = [("without", EvolutionMode::Off), ("with", args.evolve.into())];
     let plans: Vec<Plan> =
         plans.into_iter().map(|(name, mode)| Plan::new(args, name, mode)).collect::<Result<_>>()?;
+    check_gallery(&gallery_in(&args.out))?;
     device::use_threads(args.machine.threads)?;
     let stop = interrupt::stop_flag()?;
     let lpips = lpips::open(&args.lpips)?;
@@ -48,15 +51,19 @@ pub fn run(args: &DemoArgs) -> Result<Ending> {
     if plans[0].settings.device_was_auto {
         device::announce_auto();
     }
+    let mut device = Some(open_device(&plans[0].settings, &scene)?);
+    if stop.load(Ordering::Relaxed) {
+        return stopped();
+    }
     let halves: Vec<Half> = plans.into_iter().map(Plan::begin).collect::<Result<_>>()?;
     let load = began.elapsed().as_secs_f64();
     let mut results = Vec::new();
     for half in &halves {
         let mode = half.settings.train.config().evolution.mode;
         output::tell(&format!("\ntraining {} evolution (mode {})", half.name, mode.name()));
-        let Some(metrics) = half.train(&scene, lpips.as_ref(), load, &stop)? else {
-            output::print("stopped; the demo cannot go on from here, so run it again")?;
-            return Ok(Ending::Stopped);
+        let device = device.take().map_or_else(|| open_device(&half.settings, &scene), Ok)?;
+        let Some(metrics) = half.train(device, &scene, lpips.as_ref(), load, &stop)? else {
+            return stopped();
         };
         results.push(metrics);
     }
@@ -75,8 +82,34 @@ pub fn run(args: &DemoArgs) -> Result<Ending> {
     Ok(Ending::Whole)
 }
 
+fn stopped() -> Result<Ending> {
+    output::print("stopped; the demo cannot go on from here, so run it again")?;
+    Ok(Ending::Stopped)
+}
+
 fn gallery_in(out: &Path) -> PathBuf {
     out.join("gallery")
+}
+
+/// Fails where there is a gallery that no demo has built, since ours would be written over it.
+fn check_gallery(folder: &Path) -> Result<()> {
+    let is_ours = match fs::read_dir(folder.join("images")) {
+        Ok(entries) => entries.flatten().all(|entry| is_gallery_photo(&entry.file_name().to_string_lossy())),
+        Err(_) => !folder.exists(),
+    };
+    ensure!(
+        is_ours,
+        "{} is not the gallery of an earlier demo, and would be written over; choose another --out",
+        folder.display()
+    );
+    Ok(())
+}
+
+/// `gallery_007.png`, or a hidden file: what a demo that was killed midway leaves has such names, and no photo of ours has.
+fn is_gallery_photo(name: &str) -> bool {
+    let number = name.strip_prefix("gallery_").and_then(|rest| rest.strip_suffix(".png"));
+    let counts = |digits: &str| digits.len() >= 3 && digits.bytes().all(|digit| digit.is_ascii_digit());
+    name.starts_with('.') || number.is_some_and(counts)
 }
 
 /// Writes the gallery as an ordinary COLMAP scene, and loads it as any other.
@@ -125,16 +158,19 @@ impl Half {
     /// `None` for a run that was stopped.
     fn train(
         &self,
+        device: AnyBackend,
         scene: &Scene,
         lpips: Option<&Lpips>,
         load: f64,
         stop: &AtomicBool,
     ) -> Result<Option<Metrics>> {
         let Self { settings, folder, .. } = self;
-        let load = (load, Instant::now());
-        let run = Run { settings, scene, folder, resume: false, lpips, quiet: false, stop, load };
-        let finished = run.execute()?;
-        Ok((!finished.interrupted).then_some(finished.metrics))
+        let (load, way_on) = ((load, Instant::now()), WayOn::Never);
+        let run = Run { settings, scene, folder, resume: false, way_on, lpips, quiet: false, stop, load };
+        Ok(match run.execute(device)? {
+            Ended::Whole(metrics) => Some(metrics),
+            Ended::Stopped(_) | Ended::Unscored => None,
+        })
     }
 }
 
@@ -199,6 +235,26 @@ fn comparison(scene: &Scene, view: usize, halves: &[Half]) -> Result<Vec<Photo>>
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn only_a_gallery_of_ours_is_replaced() {
+        let place = tempfile::tempdir().unwrap();
+        let folder = place.path().join("gallery");
+        assert!(check_gallery(&folder).is_ok(), "nothing is there");
+        let options = GalleryOptions { width: 16, height: 16, views: 2, points: 20, seed: 1 };
+        gallery::generate(&options).write_colmap(&folder).unwrap();
+        fs::write(folder.join("images/.gallery_002.png.7-0.tmp"), "left by a demo that was killed").unwrap();
+        assert!(check_gallery(&folder).is_ok());
+
+        fs::write(folder.join("images/IMG_1.png"), "a photo").unwrap();
+        let refusal = check_gallery(&folder).unwrap_err().to_string();
+        assert!(refusal.contains("gallery") && refusal.contains("--out"), "{refusal}");
+        fs::remove_dir_all(folder.join("images")).unwrap();
+        assert!(check_gallery(&folder).is_err(), "a model without photos");
+        fs::remove_dir_all(&folder).unwrap();
+        fs::write(&folder, "a file").unwrap();
+        assert!(check_gallery(&folder).is_err());
+    }
 
     #[test]
     fn what_was_not_measured_is_a_dash() {

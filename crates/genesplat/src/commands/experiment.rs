@@ -1,26 +1,24 @@
 //! `genesplat experiment`: many runs, and the tables that compare them.
 
-use std::path::Path;
-
-use anyhow::{Result, anyhow};
-use genesplat::io::atomic::write_atomically;
+use anyhow::Result;
 
 use super::Ending;
 use crate::args::{ExperimentArgs, MachineArgs};
+use crate::experiment::page::Parts;
 use crate::experiment::plan::Experiment;
 use crate::experiment::results::Results;
-use crate::experiment::runner::Runner;
+use crate::experiment::runner::{Ran, Runner};
 use crate::experiment::table::Table;
 use crate::experiment::{page, preset, qualitative, record, summary};
 use crate::report::run::command_line;
-use crate::{device, interrupt, lpips, output, run_folder};
+use crate::{device, files, interrupt, lpips, output};
 
-/// Runs what is unfinished, then writes tables and pages of all that is finished.
+/// Runs what is unfinished, then writes tables and pages of all that is finished, also where a run has failed.
 pub fn run(args: &ExperimentArgs) -> Result<Ending> {
     let mut file = preset::open(&args.what)?;
     file.override_by(args);
     let experiment = Experiment::new(file)?;
-    run_folder::check_folder(&args.out, "tables.md")?;
+    files::check_folder(&args.out, "tables.md")?;
     experiment.check_scenes(args.data.as_deref(), &args.out)?;
     device::use_threads(args.machine.threads)?;
     let stop = interrupt::stop_flag()?;
@@ -34,11 +32,11 @@ pub fn run(args: &ExperimentArgs) -> Result<Ending> {
         lpips: lpips.as_ref(),
         stop: &stop,
     };
-    let results = runner.run()?;
+    let Ran { results, trouble } = runner.run()?;
     let (finished, cells) = (results.finished(), experiment.cells().len());
-    if finished > 0 {
-        write(&runner, &results)?;
-    }
+    let written = if finished > 0 { write(&runner, &results) } else { Ok(()) };
+    // What stopped the runs comes first: it may well be what kept the tables from being written, too.
+    trouble.map_or(written, Err)?;
     if finished == cells {
         return Ok(Ending::Whole);
     }
@@ -50,7 +48,7 @@ pub fn run(args: &ExperimentArgs) -> Result<Ending> {
 
 fn write(runner: &Runner<'_>, results: &Results<'_>) -> Result<()> {
     let (tables, costs) = (summary::tables(results), summary::costs(results));
-    let pages = qualitative::write_pages(runner, results)?;
+    let pages = qualitative::write_pages(runner, results);
     // Shown only, so a path that is no text may lose what cannot be shown.
     let words: Vec<String> = std::env::args_os().map(|word| word.to_string_lossy().into_owned()).collect();
     let command = command_line(words.iter().map(String::as_str));
@@ -58,6 +56,12 @@ fn write(runner: &Runner<'_>, results: &Results<'_>) -> Result<()> {
         |tables: &[Table]| tables.iter().map(|table| table.to_markdown() + "\n").collect::<String>();
     let (shown, seconds) = (markdown(&tables), markdown(&costs));
     let latex = tables.iter().map(|table| table.to_latex() + "\n").collect::<String>();
+    let parts = Parts {
+        tables: &[tables, costs].concat(),
+        charts: &page::charts(results, runner.out),
+        pages: &pages,
+        command: &command,
+    };
     let files = [
         ("experiment.toml", page::to_toml(results)),
         ("tables.md", shown.clone()),
@@ -65,16 +69,10 @@ fn write(runner: &Runner<'_>, results: &Results<'_>) -> Result<()> {
         ("tables.csv", record::table(results)),
         ("costs.md", seconds.clone()),
         ("cells.csv", record::cells(results)),
-        ("report.html", page::to_html(results, &[tables, costs].concat(), &pages, &command)?),
+        ("report.html", page::to_html(results, &parts)?),
     ];
-    files.iter().try_for_each(|(name, text)| write_text(&runner.out.join(name), text))?;
+    files.iter().try_for_each(|(name, text)| files::write_text(&runner.out.join(name), text))?;
     output::print(&format!("{shown}{seconds}"))?;
     let names = files.map(|(name, _)| name).join(", ");
     output::print(&format!("{}: {names}, and {} pages in qualitative/", runner.out.display(), pages.len()))
-}
-
-fn write_text(path: &Path, text: &str) -> Result<()> {
-    write_atomically(path, |out| std::io::Write::write_all(out, text.as_bytes())).map_err(|error| {
-        anyhow!("cannot write {}: {error}; free some space, and run the command again", path.display())
-    })
 }

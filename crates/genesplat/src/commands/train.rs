@@ -1,5 +1,6 @@
 //! `genesplat train`: a scene in, a run folder out.
 
+use std::sync::atomic::Ordering;
 use std::time::Instant;
 
 use anyhow::Result;
@@ -8,13 +9,14 @@ use genesplat::train::TrainConfig;
 
 use super::Ending;
 use crate::args::TrainArgs;
-use crate::run_folder::RunFolder;
+use crate::metrics::Metrics;
+use crate::run_folder::{RunFolder, WayOn};
 use crate::settings::{ConfigFile, Settings};
-use crate::training::{Finished, Run};
+use crate::training::{Ended, Run, open_device};
 use crate::{device, interrupt, lpips, output, same_scene, scene};
 
 /// Trains. The folder is proved writable before anything slow begins, but an earlier run's results stay in it until scene and
-/// weights are loaded: a mistyped path must not cost them.
+/// weights are loaded and the device is open: neither a mistyped path nor a change of mind must cost them.
 pub fn run(args: &TrainArgs) -> Result<Ending> {
     let began = Instant::now();
     let config = configure(args)?;
@@ -28,13 +30,19 @@ pub fn run(args: &TrainArgs) -> Result<Ending> {
     if settings.device_was_auto {
         device::announce_auto();
     }
+    scene::check_spared(&scene, &RunFolder::test_in(&args.out))?;
+    let backend = open_device(&settings, &scene)?;
+    if !args.resume && stop.load(Ordering::Relaxed) {
+        output::print(&format!("stopped before the first step; {} is as it was", args.out.display()))?;
+        return Ok(Ending::Stopped);
+    }
     let folder = open_folder(args, &scene, &settings)?;
     let load = (began.elapsed().as_secs_f64(), began);
     let (settings, scene, folder, lpips) = (&settings, &scene, &folder, lpips.as_ref());
-    let run = Run { settings, scene, folder, resume: args.resume, lpips, quiet: false, stop: &stop, load };
-    let finished = run.execute()?;
-    report(&finished, folder)?;
-    Ok(if finished.interrupted { Ending::Stopped } else { Ending::Whole })
+    let (resume, way_on) = (args.resume, WayOn::Resume);
+    let run = Run { settings, scene, folder, resume, way_on, lpips, quiet: false, stop: &stop, load };
+    let ended = run.execute(backend)?;
+    report(&ended, args, folder)
 }
 
 /// What is to be done, checked as far as that is possible at once.
@@ -47,7 +55,6 @@ fn configure(args: &TrainArgs) -> Result<ConfigFile> {
 
 /// The folder for the results: from here on, those of an earlier run are gone.
 fn open_folder(args: &TrainArgs, scene: &Scene, settings: &Settings) -> Result<RunFolder> {
-    scene::check_spared(scene, &RunFolder::test_in(&args.out))?;
     if args.resume {
         same_scene::check_photos(&args.out, scene)?;
         return RunFolder::reopen(&args.out, &settings.to_toml());
@@ -55,24 +62,38 @@ fn open_folder(args: &TrainArgs, scene: &Scene, settings: &Settings) -> Result<R
     RunFolder::create(&args.out, &settings.to_toml())
 }
 
-fn report(finished: &Finished, folder: &RunFolder) -> Result<()> {
-    let metrics = &finished.metrics;
-    output::print(&output::scores_line("test", &metrics.test))?;
-    if !finished.interrupted {
-        output::print(&output::scores_line("train", &metrics.train))?;
+fn report(ended: &Ended, args: &TrainArgs, folder: &RunFolder) -> Result<Ending> {
+    match ended {
+        Ended::Whole(metrics) => {
+            output::print(&output::scores_line("test", &metrics.test))?;
+            output::print(&output::scores_line("train", &metrics.train))?;
+            print_size(metrics, folder)?;
+            return Ok(Ending::Whole);
+        }
+        Ended::Stopped(metrics) => {
+            output::print(&output::scores_line("test", &metrics.test))?;
+            print_size(metrics, folder)?;
+            let last = metrics.iterations;
+            output::print(&format!(
+                "stopped after iteration {last}; the same command with --resume goes on from there"
+            ))?;
+        }
+        Ended::Unscored => output::print(&format!(
+            "stopped while photos were scored, so there are no figures; the splat is whole, and genesplat evaluate {} --data {} \
+             scores it",
+            args.out.display(),
+            args.dataset.display()
+        ))?,
     }
+    Ok(Ending::Stopped)
+}
+
+fn print_size(metrics: &Metrics, folder: &RunFolder) -> Result<()> {
     output::print(&format!(
         "{} Gaussians after {} iterations in {:.0} s: {}",
         metrics.gaussians,
         metrics.iterations,
         metrics.seconds.total,
         folder.cloud_path().display()
-    ))?;
-    if finished.interrupted {
-        let last = metrics.iterations;
-        output::print(&format!(
-            "stopped after iteration {last}; the same command with --resume goes on from there"
-        ))?;
-    }
-    Ok(())
+    ))
 }

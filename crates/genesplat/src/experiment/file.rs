@@ -102,17 +102,22 @@ pub struct ArmTable {
 }
 
 impl ExperimentFile {
-    /// Flags win over the file.
+    /// Flags win over the file, for arms with settings of their own, too.
     pub fn override_by(&mut self, args: &ExperimentArgs) {
         if args.size.size().is_some() {
             (self.max_side, self.downscale) = (args.size.max_side, args.size.downscale);
         }
         if let Some(iterations) = args.iterations {
-            self.config.insert("iterations".into(), i64::from(iterations).into());
+            self.set_for_all("iterations", i64::from(iterations).into());
         }
         if let Some(scale) = args.steps_scale {
-            self.config.insert("steps_scale".into(), scale.into());
+            self.set_for_all("steps_scale", scale.into());
         }
+    }
+
+    fn set_for_all(&mut self, key: &str, value: Value) {
+        self.config.insert(key.to_owned(), value);
+        self.arms.iter_mut().for_each(|arm| drop(arm.config.remove(key)));
     }
 
     /// The arms of `evolve`, then those of `arms`.
@@ -158,7 +163,32 @@ pub fn control_table(controlled: &EvolutionConfig) -> Table {
 
 #[cfg(test)]
 mod tests {
+    use clap::Parser;
+
     use super::*;
+    use crate::args::{Arguments, Command};
+
+    #[test]
+    fn flags_win_over_arms_too() {
+        let text = "title = \"t\"\nscenes = [\"a\"]\nseeds = [0]\nconfig.iterations = 9\n\
+                    [[arms]]\nname = \"x\"\nconfig = { iterations = 5, steps_scale = 0.5, seed_of = 1 }";
+        let arm = |more: &str| {
+            let words = format!("genesplat experiment t --out o {more}");
+            let Command::Experiment(args) = Arguments::parse_from(words.split_whitespace()).command else {
+                panic!("another command")
+            };
+            let mut file: ExperimentFile = toml::from_str(text).unwrap();
+            file.override_by(&args);
+            (file.config, file.arms.remove(0).config)
+        };
+        assert_eq!(arm("").1.len(), 3, "nothing is overridden");
+        let (common, own) = arm("--iterations 3 --steps-scale 0.25");
+        assert_eq!(
+            (common["iterations"].as_integer(), common["steps_scale"].as_float()),
+            (Some(3), Some(0.25))
+        );
+        assert_eq!(own.keys().collect::<Vec<_>>(), ["seed_of"], "what no flag speaks of");
+    }
 
     #[test]
     fn two_modes_have_a_control_each() {

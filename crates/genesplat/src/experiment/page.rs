@@ -14,6 +14,7 @@ use crate::report::curves::{Curves, thinned};
 use crate::report::html::{Html, document};
 use crate::report::picture;
 use crate::report::run::write_repeat;
+use crate::run_folder::RunFolder;
 
 /// Pictures in the page itself; further ones are linked.
 const PICTURES_MAX: usize = 24;
@@ -47,7 +48,9 @@ pub fn charts(results: &Results<'_>, out: &Path) -> Vec<Chart> {
         Some((arms[arm].name.clone(), Curves::read(&log).ok()?))
     };
     let mut charts = Vec::new();
-    for (scene, variant) in (0..file.scenes.len()).flat_map(|scene| (0..file.variants.len()).map(move |v| (scene, v))) {
+    for (scene, variant) in
+        (0..file.scenes.len()).flat_map(|scene| (0..file.variants.len()).map(move |v| (scene, v)))
+    {
         let curves: Vec<_> = (0..arms.len()).filter_map(|arm| of_arm(scene, variant, arm)).collect();
         let name = format!("{}, {}", results.experiment.scene_name(scene), file.variants[variant]);
         let chart = |what: &str, points: fn(&Curves) -> &[[f64; 2]]| Chart {
@@ -146,7 +149,13 @@ mod tests {
                     evolve = [\"off\", \"paper\"]";
         let experiment = Experiment::new(toml::from_str(text).unwrap()).unwrap();
         let results = Results::none(&experiment);
-        let page = to_html(&results, &tables(&results), &[], "genesplat experiment '<img src=x>'").unwrap();
+        let parts = Parts {
+            tables: &tables(&results),
+            charts: &charts(&results, Path::new("nowhere")),
+            pages: &[],
+            command: "genesplat experiment '<img src=x>'",
+        };
+        let page = to_html(&results, &parts).unwrap();
         assert!(!page.contains("<script") && page.contains("&lt;script&gt;"), "{page}");
         assert!(!page.contains("<img") && !page.contains("http:") && !page.contains("https:"), "{page}");
         assert_eq!(encoded("cells/<a b>/é"), "cells/%3Ca%20b%3E/%C3%A9");

@@ -132,7 +132,7 @@ impl Experiment {
         data.unwrap_or(Path::new("")).join(name)
     }
 
-    /// Fails where a scene is missing or is the folder `out` itself.
+    /// Fails where a scene has no folder, or is the folder `out` itself; what is in the folder is for the runner to look at.
     pub fn check_scenes(&self, data: Option<&Path>, out: &Path) -> Result<()> {
         let scenes = &self.file.scenes;
         let foreign = scenes.iter().filter(|name| *name != BUNDLED);

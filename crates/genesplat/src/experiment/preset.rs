@@ -55,7 +55,8 @@ mod tests {
             let experiment =
                 Experiment::new(open(name).unwrap()).unwrap_or_else(|error| panic!("{name}: {error}"));
             let controlled: Vec<usize> = experiment.arms.iter().filter_map(|arm| arm.control_of).collect();
-            let evolving = (1..experiment.arms.len()).filter(|&arm| experiment.arms[arm].control_of.is_none());
+            let evolving =
+                (1..experiment.arms.len()).filter(|&arm| experiment.arms[arm].control_of.is_none());
             assert_eq!(controlled, evolving.collect::<Vec<_>>(), "{name}: a control for each");
             assert_eq!(experiment.arms[0].name, "off", "{name}: differences are from plain training");
             assert!(experiment.file.seeds.len() >= 3, "{name}");

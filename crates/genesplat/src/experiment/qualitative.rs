@@ -5,7 +5,7 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::Result;
+use anyhow::{Result, ensure};
 use genesplat::core::Photo;
 use genesplat::io::photos::{read_photo, resize, write_png};
 
@@ -13,8 +13,10 @@ use super::boxes::{Square, changes};
 use super::plan::Cell;
 use super::results::{CellMetrics, Results};
 use super::runner::Runner;
+use crate::run_folder::RunFolder;
 use crate::scene::picture_names;
 use crate::sheet::{GAP_PX, blank, side_by_side, stacked};
+use crate::{output, same_scene};
 
 /// Where error fell.
 const GREEN: [u8; 3] = [0, 200, 60];
@@ -34,31 +36,59 @@ pub struct Page {
     pub caption: String,
 }
 
-/// Writes a page for every scene, variant and evolving arm whose cells are finished.
-pub fn write_pages(runner: &Runner<'_>, results: &Results<'_>) -> Result<Vec<Page>> {
+/// Writes a page for every scene, variant and evolving arm whose cells are finished. A scene whose pages cannot be made gets a
+/// notice instead: its figures stand without them.
+pub fn write_pages(runner: &Runner<'_>, results: &Results<'_>) -> Vec<Page> {
+    let pages = |scene| {
+        write_scene(runner, results, scene).unwrap_or_else(|error| {
+            let name = runner.experiment.scene_name(scene);
+            output::tell(&format!("notice: there are no pictures of {name}: {error}"));
+            Vec::new()
+        })
+    };
+    (0..runner.experiment.file.scenes.len()).flat_map(pages).collect()
+}
+
+/// The pages of one scene. Its photos are loaded as they are now, which need not be as they were when its cells were run.
+fn write_scene(runner: &Runner<'_>, results: &Results<'_>, scene: usize) -> Result<Vec<Page>> {
+    let pairs = pairs_of(results, scene);
+    let Some((first, _)) = pairs.first() else { return Ok(Vec::new()) };
+    let scene = runner.load(*first, &runner.settings(*first, results)?)?;
+    let names = picture_names(&scene.test);
     let mut pages = Vec::new();
-    for scene in 0..runner.experiment.file.scenes.len() {
-        let pairs = pairs_of(results, scene);
-        let Some((first, _)) = pairs.first() else { continue };
-        let photos = runner.load(*first, &runner.settings(*first, results)?)?.test;
-        let names = picture_names(&photos);
-        for (without, with) in pairs {
-            let folders =
-                [without, with].map(|cell| runner.out.join(runner.experiment.folder(cell)).join("test"));
-            let mut rows = Vec::new();
-            for &view in &most_changed(results.get(without), results.get(with)) {
-                let [a, b] = [&folders[0], &folders[1]].map(|folder| read_photo(&folder.join(&names[view])));
-                rows.push(row(&photos[view].photo, &a?, &b?));
-            }
-            if rows.is_empty() {
-                continue;
-            }
-            let page = describe(runner, without, with);
-            write_png(&page.path, &stacked(&rows))?;
-            pages.push(page);
+    for (without, with) in pairs {
+        let folders = [without, with].map(|cell| runner.folder(cell));
+        folders.iter().try_for_each(|folder| same_scene::check_photos(folder, &scene))?;
+        let views = most_changed(results.get(without), results.get(with));
+        let rows = views.into_iter().map(|view| read_row(&scene.test[view].photo, &folders, &names[view]));
+        let rows = rows.collect::<Result<Vec<_>>>()?;
+        if rows.is_empty() {
+            continue;
         }
+        let page = describe(runner, without, with);
+        write_png(&page.path, &stacked(&rows))?;
+        pages.push(page);
     }
     Ok(pages)
+}
+
+/// The row of a photo, whose renders in both runs are called `name`.
+fn read_row(photo: &Photo, runs: &[PathBuf; 2], name: &str) -> Result<Photo> {
+    let render = |run: &PathBuf| {
+        let path = RunFolder::test_in(run).join(name);
+        let render = read_photo(&path)?;
+        ensure!(
+            (render.width, render.height) == (photo.width, photo.height),
+            "{} has {}x{} pixels, and its photo is loaded at {}x{} now; bring back the photos as they were",
+            path.display(),
+            render.width,
+            render.height,
+            photo.width,
+            photo.height
+        );
+        Ok(render)
+    };
+    Ok(row(photo, &render(&runs[0])?, &render(&runs[1])?))
 }
 
 /// The baseline and each evolving arm, with the first seed that both have finished.

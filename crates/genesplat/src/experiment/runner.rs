@@ -15,9 +15,9 @@ use genesplat::train::evaluate::Lpips;
 use super::plan::{BUNDLED, Cell, Experiment};
 use super::results::{CellMetrics, Results};
 use crate::args::MachineArgs;
-use crate::run_folder::RunFolder;
+use crate::run_folder::{RunFolder, WayOn};
 use crate::settings::{ConfigFile, Settings};
-use crate::training::Run;
+use crate::training::{Ended, Run, open_device};
 use crate::{output, same_scene, scene};
 
 /// How to run an experiment.
@@ -43,33 +43,46 @@ enum State {
     Missing,
 }
 
+/// What running an experiment came to.
+pub struct Ran<'a> {
+    /// All that is finished, whether now or before.
+    pub results: Results<'a>,
+    /// Why a cell failed, if one has; none was begun after it.
+    pub trouble: Option<anyhow::Error>,
+}
+
 impl<'a> Runner<'a> {
-    /// Runs everything, or until it is stopped; returns what is finished.
-    pub fn run(&self) -> Result<Results<'a>> {
+    /// Runs everything, or until it is stopped or a cell fails.
+    pub fn run(&self) -> Result<Ran<'a>> {
         self.check_folders()?;
+        self.check_scenes()?;
         let cells = self.experiment.cells();
-        let (mut results, mut scenes) = (Results::none(self.experiment), Scenes::default());
-        let mut board = Board::new(self.experiment, cells.len());
+        let mut ran = Ran { results: Results::none(self.experiment), trouble: None };
+        let (mut scenes, mut board) = (Scenes::default(), Board::new(self.experiment, cells.len()));
         for cell in cells {
-            if self.stop.load(Ordering::Relaxed) {
-                break;
-            }
-            let settings = self.settings(cell, &results)?;
-            let metrics = match self.state(cell, &settings) {
+            let settings = self.settings(cell, &ran.results)?;
+            let state = self.state(cell, &settings);
+            let goes_on = ran.trouble.is_none() && !self.stop.load(Ordering::Relaxed);
+            let metrics = match state {
+                // Also behind a cell that has failed: tables show all that is finished.
                 State::Finished(metrics) => {
                     board.kept(cell, &metrics);
-                    metrics
+                    Some(metrics)
                 }
+                State::Interrupted | State::Missing if !goes_on => None,
                 state => {
                     let resume = matches!(state, State::Interrupted);
-                    let Some(metrics) = self.train(cell, &settings, resume, &mut scenes)? else { break };
-                    board.ran(cell, &metrics);
-                    metrics
+                    let trained = self.train(cell, &settings, resume, &mut scenes);
+                    let metrics = trained.unwrap_or_else(|error| {
+                        ran.trouble = Some(error);
+                        None
+                    });
+                    metrics.inspect(|metrics| board.ran(cell, metrics))
                 }
             };
-            results.put(cell, metrics);
+            metrics.into_iter().for_each(|metrics| ran.results.put(cell, metrics));
         }
-        Ok(results)
+        Ok(ran)
     }
 
     /// The settings of a cell; those of a control depend on what its arm has taken.
@@ -78,6 +91,11 @@ impl<'a> Runner<'a> {
         let seconds =
             target.and_then(|arm| results.get(Cell { arm, ..cell })).map(|metrics| metrics.seconds.evolution);
         self.experiment.settings(cell, &self.scene_path(cell.scene), self.machine, seconds)
+    }
+
+    /// Where a cell's run is.
+    pub fn folder(&self, cell: Cell) -> PathBuf {
+        self.out.join(self.experiment.folder(cell))
     }
 
     /// Where a scene's photos are.
@@ -102,7 +120,7 @@ impl<'a> Runner<'a> {
         resume: bool,
         scenes: &mut Scenes,
     ) -> Result<Option<CellMetrics>> {
-        let path = self.out.join(self.experiment.folder(cell));
+        let path = self.folder(cell);
         let interrupted = self.train_into(&path, cell, settings, resume, scenes);
         let interrupted = interrupted.map_err(|error| anyhow!("{}: {error}", path.display()))?;
         Ok(if interrupted { None } else { Some(read_back(&path)?) })
@@ -122,16 +140,22 @@ impl<'a> Runner<'a> {
         if resume {
             same_scene::check_photos(path, scene)?;
         }
+        // What an earlier attempt left stays until nothing but training itself can fail any more.
+        let backend = open_device(settings, scene)?;
+        if !resume && self.stop.load(Ordering::Relaxed) {
+            return Ok(true);
+        }
         let folder = if resume { RunFolder::reopen } else { RunFolder::replace };
         let folder = folder(path, &settings.to_toml())?;
         let load = (began.elapsed().as_secs_f64(), began);
         let Self { lpips, stop, .. } = *self;
-        let run = Run { settings, scene, folder: &folder, resume, lpips, quiet: true, stop, load };
-        Ok(run.execute()?.interrupted)
+        let way_on = WayOn::SameCommand;
+        let run = Run { settings, scene, folder: &folder, resume, way_on, lpips, quiet: true, stop, load };
+        Ok(!matches!(run.execute(backend)?, Ended::Whole(_)))
     }
 
     fn state(&self, cell: Cell, settings: &Settings) -> State {
-        let path = self.out.join(self.experiment.folder(cell));
+        let path = self.folder(cell);
         let is_this_run =
             ConfigFile::of_run(&path).is_ok_and(|config| self.difference(cell, &config, settings).is_none());
         let whole = settings.train.schedule().iterations;
@@ -146,7 +170,7 @@ impl<'a> Runner<'a> {
         }
     }
 
-    /// Finished cells of another experiment are not overwritten. A control is no cell of another experiment just because
+    /// What has cost another experiment its time, finished cells and checkpoints, is not overwritten. A control is no cell of another experiment just because
     /// the arm that it controls was run again.
     fn check_folders(&self) -> Result<()> {
         let results = Results::none(self.experiment);
@@ -154,9 +178,10 @@ impl<'a> Runner<'a> {
             if self.experiment.arms[cell.arm].control_of.is_some() {
                 continue;
             }
-            let path = self.out.join(self.experiment.folder(cell));
+            let path = self.folder(cell);
             let settings = self.settings(cell, &results)?;
-            let config = ConfigFile::of_run(&path).ok().filter(|_| CellMetrics::read(&path).is_some());
+            let is_worth_something = CellMetrics::read(&path).is_some() || RunFolder::has_checkpoint(&path);
+            let config = ConfigFile::of_run(&path).ok().filter(|_| is_worth_something);
             if let Some(difference) = config.and_then(|config| self.difference(cell, &config, &settings)) {
                 bail!(
                     "{} holds a run with other settings ({difference}); choose another --out, or remove that folder to have it \
@@ -168,6 +193,27 @@ impl<'a> Runner<'a> {
         Ok(())
     }
 
+    /// What is missing in the last scene is said now, not after a night. Photos are not decoded for that; and finished cells need
+    /// no scene.
+    fn check_scenes(&self) -> Result<()> {
+        let foreign = |cell: &Cell| self.experiment.file.scenes[cell.scene] != BUNDLED;
+        let mut listed = None;
+        for cell in self.experiment.cells().into_iter().filter(foreign) {
+            if listed != Some(cell.scene) && !self.is_whole(cell)? {
+                load_points(&self.scene_path(cell.scene), &LoadOptions::default())?;
+                listed = Some(cell.scene);
+            }
+        }
+        Ok(())
+    }
+
+    /// Whether a cell has come to its end, with whatever settings.
+    fn is_whole(&self, cell: Cell) -> Result<bool> {
+        let settings = self.settings(cell, &Results::none(self.experiment))?;
+        let whole = settings.train.schedule().iterations;
+        Ok(CellMetrics::read(&self.folder(cell)).is_some_and(|metrics| metrics.iterations == whole))
+    }
+
     /// What makes a run of `config` another one than that of a cell with these settings. A scene is known by its name, the bundled
     /// one by its options, too: where the folders are now, and where the command is started, does not matter.
     fn difference(&self, cell: Cell, config: &ConfigFile, settings: &Settings) -> Option<String> {
@@ -177,8 +223,9 @@ impl<'a> Runner<'a> {
 }
 
 fn read_back(path: &Path) -> Result<CellMetrics> {
-    CellMetrics::read(path)
-        .ok_or_else(|| anyhow!("{} cannot be read back; check the disk", path.join("metrics.json").display()))
+    CellMetrics::read(path).ok_or_else(|| {
+        anyhow!("{} cannot be read back; check the disk", RunFolder::metrics_in(path).display())
+    })
 }
 
 /// The scene that was used last: cells come scene by scene.
@@ -290,8 +337,7 @@ mod tests {
     fn pretend_to_run(runner: &Runner<'_>) {
         for cell in runner.experiment.cells() {
             let settings = runner.settings(cell, &Results::none(runner.experiment)).unwrap();
-            let folder = runner.out.join(runner.experiment.folder(cell));
-            let folder = RunFolder::replace(&folder, &settings.to_toml()).unwrap();
+            let folder = RunFolder::replace(&runner.folder(cell), &settings.to_toml()).unwrap();
             let scores = serde_json::json!({"psnr": 30.0, "ssim": 0.9});
             let seconds = serde_json::json!({"gradient": 1.0, "evolution": 0.0});
             let metrics = serde_json::json!({"iterations": 30_000, "gaussians": 20, "test": scores, "train": scores,
@@ -326,5 +372,21 @@ mod tests {
                 runner(&other, &moved, place.path(), &stop).check_folders().unwrap_err().to_string();
             assert!(refusal.contains(words) && refusal.contains("other settings"), "{refusal}");
         }
+    }
+
+    /// Memory ran out on one device, and the command is given again for another.
+    #[test]
+    fn a_checkpoint_of_other_settings_is_left_alone() {
+        let place = tempfile::tempdir().unwrap();
+        let (here, stop) = (experiment(""), AtomicBool::new(false));
+        let runner = runner(&here, place.path(), Path::new("scenes"), &stop);
+        let cell = here.cells()[0];
+        let settings = runner.settings(cell, &Results::none(&here)).unwrap().to_toml();
+        let folder = runner.folder(cell);
+        RunFolder::replace(&folder, &settings.replace("\"cpu\"", "\"gpu\"")).unwrap();
+        runner.check_folders().unwrap();
+        fs::write(folder.join("checkpoint/latest.checkpoint"), "hours of work").unwrap();
+        let refusal = runner.check_folders().unwrap_err().to_string();
+        assert!(refusal.contains("device is gpu there and cpu here"), "{refusal}");
     }
 }

@@ -219,13 +219,16 @@ fn seconds(results: &Results<'_>, variant: usize) -> Table {
     plain(results, variant, caption, 1, &[("seconds", all), ("of these evolution", evolution)])
 }
 
+/// A figure of a cell.
+type Figure = fn(&CellMetrics) -> f64;
+
 /// A row a scene, and for each arm what `columns` make of a cell.
 fn plain(
     results: &Results<'_>,
     variant: usize,
     caption: String,
     digits: usize,
-    columns: &[(&str, fn(&CellMetrics) -> f64)],
+    columns: &[(&str, Figure)],
 ) -> Table {
     let experiment = results.experiment;
     let cells = || {
@@ -233,9 +236,8 @@ fn plain(
         arms.flat_map(|(arm, of)| columns.iter().map(move |&(name, value)| (arm, of, name, value)))
     };
     let entries = |scene: usize| {
-        let repeats = |arm, value: fn(&CellMetrics) -> f64| {
-            results.repeats(cell(variant, scene, arm), |metrics| Some(value(metrics)))
-        };
+        let repeats =
+            |arm, value: Figure| results.repeats(cell(variant, scene, arm), |metrics| Some(value(metrics)));
         cells().map(|(arm, _, _, value)| figure(&repeats(arm, value), digits, false)).collect()
     };
     let rows = (0..experiment.file.scenes.len())
@@ -249,7 +251,7 @@ fn plain(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::experiment::results::{CellSeconds, Scores};
+    use crate::metrics::{CellSeconds, Scores};
 
     /// Two scenes, three seeds, off and paper and its control, with these PSNRs on test photos.
     fn experiment() -> Experiment {

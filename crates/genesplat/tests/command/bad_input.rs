@@ -201,7 +201,19 @@ fn a_folder_that_belongs_to_something_else_is_left_alone() {
     let config = folder.path().join("config.toml");
     fs::write(&config, "title = 'my site'").unwrap();
     fail(train(scene(), folder.path(), &[]), &["config.toml", "something else"]);
-    assert_eq!(fs::read_to_string(config).unwrap(), "title = 'my site'");
+    assert_eq!(fs::read_to_string(&config).unwrap(), "title = 'my site'");
+    // Of another program, too, which need not write UTF-8.
+    fs::write(&config, b"title = 'caf\xe9'").unwrap();
+    fail(train(scene(), folder.path(), &[]), &["config.toml", "something else"]);
+    assert_eq!(fs::read(&config).unwrap(), b"title = 'caf\xe9'");
+    fs::remove_file(&config).unwrap();
+    for name in ["metrics.json", "report.html", "point_cloud.ply"] {
+        let file = folder.path().join(name);
+        fs::write(&file, "of another program").unwrap();
+        fail(train(scene(), folder.path(), &[]), &[name, "something else"]);
+        assert_eq!(fs::read_to_string(&file).unwrap(), "of another program");
+        fs::remove_file(&file).unwrap();
+    }
 }
 
 /// A Blender scene has its test photos where a run has its renders of them.

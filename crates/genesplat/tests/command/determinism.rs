@@ -1,6 +1,6 @@
 //! Same seed, same bytes: for any number of threads, and from the configuration that a run has saved.
 
-use crate::support::{cloud, json, scene, succeed, text, train};
+use crate::support::{cloud, json, number, scene, succeed, text, train};
 
 /// Densifies, resets opacities, and evolves after each reset.
 const SCHEDULE: [&str; 10] = [
@@ -75,7 +75,7 @@ fn threads_change_nothing_in_renewal_and_recombination_either() {
         assert!(took_part, "{kind}: {of_kind:?}");
     }
     let never_worse =
-        |stage: &serde_json::Value| stage["guard_psnr"][1].as_f64() >= stage["guard_psnr"][0].as_f64();
+        |stage: &serde_json::Value| number(&stage["guard_psnr"][1]) >= number(&stage["guard_psnr"][0]);
     assert!(stages.iter().all(never_worse), "{stages:?}");
     assert!(one == run("2").0, "two threads");
     assert!(one == run("7").0, "seven threads");

@@ -5,6 +5,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
+use genesplat::io::{GalleryOptions, gallery};
+
 use crate::support::{command, fail, json, run, succeed, text};
 
 /// Small enough for a test; resets once, and evolves then.
@@ -163,6 +165,64 @@ fn pages_are_whole_escaped_and_load_nothing() {
     succeed(experiment(&out.join("experiment.toml"), &out, &[]));
     // And another experiment does not overwrite it.
     fail(experiment(&file, &out, &[]), &["other settings", "--out"]);
+}
+
+/// The file of an experiment on the scenes in the folder `own` beside it, and the arguments that run it there.
+fn on_own_scenes(folder: &Path, scenes: &str) -> Vec<String> {
+    let (file, out) = (folder.join("own.toml"), folder.join("out"));
+    let arms = format!("scenes = {scenes}\nevolve = [\"off\", \"paper\"]");
+    fs::write(&file, SMALL.replace("scenes = [\"gallery\"]", &arms)).unwrap();
+    experiment(&file, &out, &["--data", text(folder)])
+}
+
+fn write_scene(folder: &Path, [width, height]: [u32; 2], views: u32) {
+    let _ = fs::remove_dir_all(folder);
+    let options = GalleryOptions { width, height, views, points: 120, seed: 5 };
+    gallery::generate(&options).write_colmap(folder).unwrap();
+}
+
+#[test]
+fn a_finished_experiment_keeps_its_tables_where_its_scene_has_changed() {
+    let folder = tempfile::tempdir().unwrap();
+    let arguments = on_own_scenes(folder.path(), "[\"one\"]");
+    let (scene, tables) = (folder.path().join("one"), folder.path().join("out/tables.md"));
+    write_scene(&scene, [48, 32], 17);
+    succeed(&arguments);
+    let before = fs::read(&tables).unwrap();
+    // Fewer photos, and as many of another size.
+    for (size, views, sign) in [([48, 32], 5, "other photos"), ([64, 48], 17, "has 48x32 pixels")] {
+        write_scene(&scene, size, views);
+        fs::remove_file(&tables).unwrap();
+        let output = run(&arguments);
+        let stderr = String::from_utf8(output.stderr).unwrap();
+        assert!(
+            output.status.success() && stderr.contains("notice: there are no pictures of one"),
+            "{stderr}"
+        );
+        assert!(stderr.contains(sign) && before == fs::read(&tables).unwrap(), "{stderr}");
+    }
+}
+
+#[test]
+fn a_cell_that_fails_hides_no_finished_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let arguments = on_own_scenes(folder.path(), "[\"one\", \"two\", \"three\"]");
+    let [one, two, three] = ["one", "two", "three"].map(|name| folder.path().join(name));
+    [&one, &two, &three].into_iter().for_each(|scene| write_scene(scene, [48, 32], 9));
+    // What can be seen without decoding photos is seen before the first run.
+    let photo = three.join("images/gallery_003.png");
+    let bytes = fs::read(&photo).unwrap();
+    fs::remove_file(&photo).unwrap();
+    fail(&arguments, &["three/images/gallery_003.png", "does not exist"]);
+    assert!(!folder.path().join("out/cells").exists());
+
+    fs::write(&photo, bytes).unwrap();
+    succeed(&arguments);
+    fs::remove_dir_all(folder.path().join("out/cells/two")).unwrap();
+    fs::write(two.join("images/gallery_003.png"), "torn").unwrap();
+    fail(&arguments, &["two", "gallery_003.png", "neither a PNG nor"]);
+    let tables = fs::read_to_string(folder.path().join("out/tables.md")).unwrap();
+    assert!(["| one |", "| three |"].iter().all(|row| tables.contains(row)), "{tables}");
 }
 
 #[test]

@@ -166,9 +166,37 @@ fn installed_weights_are_used_by_every_command_and_can_be_switched_off() {
     let output =
         command(evaluate).env("XDG_CACHE_HOME", &cache).env("GENESPLAT_LPIPS", &nowhere).output().unwrap();
     assert!(String::from_utf8_lossy(&output.stderr).contains("no LPIPS weights at"));
+    // Set to nothing, it is not set.
+    let output = command(evaluate).env("XDG_CACHE_HOME", &cache).env("GENESPLAT_LPIPS", "").output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    assert_eq!(json(&file)["lpips"], metrics["test"]["lpips"], "those of the cache folder");
     let arguments = [&evaluate[..], &["--lpips-weights", text(folder.path())]].concat();
     succeed(arguments);
     assert_eq!(json(&file)["lpips"], metrics["test"]["lpips"], "the same weights in two files");
+}
+
+/// LPIPS of many photos takes minutes; who presses Ctrl-C then is told that it stops, and has a whole splat.
+#[cfg(unix)]
+#[test]
+fn scoring_is_stopped_between_photos() {
+    use std::process::{Command, Stdio};
+    use std::time::{Duration, Instant};
+
+    let (weights, _) = two_files(Net::Vgg16);
+    let out = weights.path().join("run");
+    let arguments = train(scene(), &out, &["--iterations", "3", "--lpips-weights", text(weights.path())]);
+    let child = command(arguments).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    let deadline = Instant::now() + Duration::from_secs(100);
+    while !out.join("point_cloud.ply").exists() {
+        assert!(Instant::now() < deadline, "training never ended");
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
+    let output = child.wait_with_output().unwrap();
+    let said = String::from_utf8(output.stdout).unwrap();
+    assert!(output.status.code() == Some(130) && said.contains("genesplat evaluate"), "{said}");
+    assert!(["metrics.json", "report.html"].iter().all(|name| !out.join(name).exists()));
+    succeed(["evaluate", text(&out), "--data", text(scene()), "--no-lpips"]);
 }
 
 #[test]

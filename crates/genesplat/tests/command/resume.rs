@@ -102,6 +102,38 @@ fn an_interrupted_run_is_saved_and_resumed_exactly() {
     fail(train(scene(), &broken, &["--resume"]), &["is finished", "nothing to resume"]);
 }
 
+/// The scene's points come from a pipe, so that the test decides when loading ends.
+#[test]
+fn ctrl_c_while_a_scene_is_loaded_costs_no_results() {
+    use std::io::{BufRead, BufReader};
+
+    let folder = tempfile::tempdir().unwrap();
+    let [out, slow] = ["run", "slow"].map(|name| folder.path().join(name));
+    succeed(train(scene(), &out, &["--iterations", "3"]));
+    let results = || ["metrics.json", "point_cloud.ply"].map(|name| fs::read(out.join(name)).unwrap());
+    let before = results();
+    write_gallery(&slow);
+    let points = slow.join("sparse/0/points3D.bin");
+    let bytes = fs::read(&points).unwrap();
+    fs::remove_file(&points).unwrap();
+    assert!(Command::new("mkfifo").arg(&points).status().unwrap().success());
+
+    let arguments = train(&slow, &out, &["--iterations", "3"]);
+    let mut child = command(arguments).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    let mut stderr = BufReader::new(child.stderr.take().unwrap()).lines().map(Result::unwrap);
+    // Opens once the command reads.
+    let mut pipe = fs::File::options().write(true).open(&points).unwrap();
+    assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
+    assert!(stderr.any(|line| line.starts_with("stopping")), "it has heard");
+    std::io::Write::write_all(&mut pipe, &bytes).unwrap();
+    drop(pipe);
+    let rest: Vec<String> = stderr.collect();
+    let output = child.wait_with_output().unwrap();
+    let said = String::from_utf8(output.stdout).unwrap();
+    assert!(output.status.code() == Some(130) && said.contains("is as it was"), "{said} {rest:?}");
+    assert!(before == results());
+}
+
 #[test]
 fn an_interrupted_run_is_neither_overwritten_nor_resumed_as_another() {
     let folder = tempfile::tempdir().unwrap();

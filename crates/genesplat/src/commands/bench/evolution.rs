@@ -21,7 +21,7 @@ use serde::Serialize;
 
 use super::workload::Workload;
 use crate::args::BenchEvolutionArgs;
-use crate::{device, output, run_folder};
+use crate::{device, files, output};
 
 /// What a reset limits opacities to.
 const RESET_OPACITY: f32 = 0.01;
@@ -77,7 +77,7 @@ struct Scored {
 
 /// Times, prints, and writes the figures.
 pub fn run(args: &BenchEvolutionArgs) -> Result<()> {
-    args.json.as_deref().map_or(Ok(()), run_folder::check_writable)?;
+    args.json.as_deref().map_or(Ok(()), files::check_writable)?;
     let backend = device::prepare_cpu(args.machine)?;
     let Workload { views, settings, cloud } = Workload::of(&args.workload)?;
     let population = args.population as usize;
@@ -102,7 +102,7 @@ pub fn run(args: &BenchEvolutionArgs) -> Result<()> {
         search: bench.search(args.population, args.generations, &judges)?,
     };
     output::print(&report.to_text())?;
-    args.json.as_ref().map_or(Ok(()), |path| run_folder::write_json(path, &report))
+    args.json.as_ref().map_or(Ok(()), |path| files::write_json(path, &report))
 }
 
 /// The cloud as an opacity reset leaves it.

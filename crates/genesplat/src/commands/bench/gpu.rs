@@ -20,7 +20,7 @@ use super::workload::Source;
 use super::{AT_REST, median};
 use crate::args::BenchGpuArgs;
 use crate::device::{self, Device};
-use crate::{output, run_folder};
+use crate::{files, output};
 
 /// Fewest steps before a clock counts: buffers grow, kernels are compiled.
 const WARM_UP: u32 = 3;
@@ -71,7 +71,7 @@ struct Size {
 /// Times, prints, and writes the figures.
 pub fn run(args: &BenchGpuArgs) -> Result<()> {
     let began = Instant::now();
-    args.json.as_deref().map_or(Ok(()), run_folder::check_writable)?;
+    args.json.as_deref().map_or(Ok(()), files::check_writable)?;
     device::use_threads(args.threads)?;
     Device::Gpu.resolve()?;
     let (data, splat) = (args.data.as_deref(), args.splat.as_deref());
@@ -105,7 +105,7 @@ pub fn run(args: &BenchGpuArgs) -> Result<()> {
     if !report.left_out.is_empty() {
         output::print(&format!("no time was left for {:?} Gaussians", report.left_out))?;
     }
-    args.json.as_ref().map_or(Ok(()), |path| run_folder::write_json(path, &report))
+    args.json.as_ref().map_or(Ok(()), |path| files::write_json(path, &report))
 }
 
 /// At most `count` views, evenly spread over all, so that `count` steps by either clock meet every one.

@@ -11,7 +11,7 @@ use genesplat::kernels::cpu::{CpuBackend, StageSeconds, roofline_nanoseconds_per
 use serde::Serialize;
 
 use crate::args::BenchStepArgs;
-use crate::{device, memory, output, run_folder};
+use crate::{device, files, memory, output};
 
 use super::workload::Workload;
 use super::{AT_REST, median};
@@ -55,7 +55,7 @@ struct Sample {
 
 /// Times, prints, and writes the figures.
 pub fn run(args: &BenchStepArgs) -> Result<()> {
-    args.json.as_deref().map_or(Ok(()), run_folder::check_writable)?;
+    args.json.as_deref().map_or(Ok(()), files::check_writable)?;
     let mut backend = device::prepare_cpu(args.machine)?;
     let Workload { views, settings, cloud } = Workload::of(&args.workload)?;
     backend.set_views(&views)?;
@@ -65,7 +65,7 @@ pub fn run(args: &BenchStepArgs) -> Result<()> {
     let samples = steps.collect::<Result<Vec<_>>>()?;
     let report = Report::new(backend.len(), &views[0].camera, &samples[WARM_UP as usize..]);
     output::print(&report.to_text())?;
-    args.json.as_ref().map_or(Ok(()), |path| run_folder::write_json(path, &report))
+    args.json.as_ref().map_or(Ok(()), |path| files::write_json(path, &report))
 }
 
 fn time_step(backend: &mut CpuBackend, step: u32, views: usize, settings: RenderSettings) -> Result<Sample> {
