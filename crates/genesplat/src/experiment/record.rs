@@ -81,8 +81,9 @@ pub fn table(results: &Results<'_>) -> String {
             number(summary.and_then(|summary| summary.spread)),
             better.to_string(),
             worse.to_string(),
-            number(Some(sign_test(&comparison.gains))),
-            number(Some(wilcoxon_test(&comparison.gains))),
+            // Exact, and small where there are many pairs.
+            format!("{:.6e}", sign_test(&comparison.gains)),
+            format!("{:.6e}", wilcoxon_test(&comparison.gains)),
         ]);
     }
     text

@@ -178,7 +178,7 @@ fn tests(results: &Results<'_>, split: Split) -> Table {
         let (variant, scene) = (experiment.file.variants[*variant].name(), row_name(experiment, *scene));
         let [better, worse, _] = signs(gains);
         let count = |count: usize| Entry::Text(count.to_string());
-        let p = |p: f64| Entry::Text(format!("{p:.3}"));
+        let p = |p: f64| Entry::Text(if p < 0.001 { "< 0.001".into() } else { format!("{p:.3}") });
         let entries = vec![
             count(gains.len()),
             figure(gains, metric.digits(), true),

@@ -166,6 +166,8 @@ fn latex(text: &str) -> String {
         '\\' => "\\textbackslash{}".into(),
         '<' => "\\textless{}".into(),
         '>' => "\\textgreater{}".into(),
+        // At the start of a row these would be arguments of the line break before it.
+        '[' | ']' | '*' => format!("{{{c}}}"),
         'Δ' => "$\\Delta$".into(),
         '±' => "$\\pm$".into(),
         c => c.to_string(),
