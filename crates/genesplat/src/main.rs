@@ -14,7 +14,7 @@
 //! | [`report`] | `report.html` |
 //! | [`reporter`], [`progress`], [`test_curve`] | what a run tells while it is under way |
 //! | [`lpips`] | where the weights of LPIPS come from |
-//! | [`device`], [`any_backend`], [`interrupt`], [`memory`], [`scene`], [`sheet`], [`output`] | the machine, Ctrl-C and SIGTERM, and other plumbing |
+//! | [`device`], [`any_backend`], [`interrupt`], [`memory`], [`scene`], [`sheet`], [`files`], [`output`] | the machine, Ctrl-C and SIGTERM, and other plumbing |
 //!
 //! Exit status: 0 done, 1 failed with one sentence on stderr, 2 wrong usage, 130 stopped by Ctrl-C or SIGTERM (train, demo
 //! and experiment).
@@ -25,6 +25,7 @@ mod commands;
 mod device;
 mod difference;
 mod experiment;
+mod files;
 mod interrupt;
 mod lpips;
 mod memory;

@@ -14,16 +14,20 @@
 //! All but the log are written whole or not at all, so that a full disk or a power cut leaves what was there before.
 
 use std::fs::{self, File, OpenOptions};
-use std::io::{self, BufReader, BufWriter, ErrorKind, Write};
+use std::io::{BufReader, BufWriter, ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Result, anyhow, bail};
 use genesplat::core::{BackendError, Gaussians, ScreenFilter};
-use genesplat::io::atomic::{self, write_atomically};
 use genesplat::io::{PlyOptions, write_ply};
 use genesplat::train::observe::LogRecord;
 use genesplat::train::{Checkpoint, TrainError};
 use serde::Serialize;
+
+use crate::files::{check_folder, remove_if_there, unwritable, write_file, write_text};
+
+// The benches call them by this path.
+pub use crate::files::{check_writable, write_json};
 
 /// Name of the splat that has its 3D filter baked in.
 const FUSED_CLOUD: &str = "point_cloud_fused.ply";
@@ -33,6 +37,9 @@ const CONFIG: &str = "config.toml";
 
 /// Name of the file with the figures.
 const METRICS: &str = "metrics.json";
+
+/// Name of the file with the reports.
+const LOG: &str = "log.jsonl";
 
 /// Name of the page that shows the run.
 const REPORT: &str = "report.html";
@@ -115,7 +122,7 @@ impl RunFolder {
         if Self::has_checkpoint(path) {
             return check_writable(&Self::config_in(path));
         }
-        if path.join(METRICS).exists() {
+        if Self::metrics_in(path).exists() {
             bail!(
                 "the run in {} is finished, so there is nothing to resume; to train longer, start a run with more --iterations \
                  in another folder",
@@ -138,12 +145,12 @@ impl RunFolder {
 
     fn claim(path: &Path, config: &str) -> Result<Self> {
         let text = format!("{CONFIG_MARK} {}; --config repeats it.\n{config}", env!("CARGO_PKG_VERSION"));
-        write_file(&Self::config_in(path), |out| out.write_all(text.as_bytes()))?;
+        write_text(&Self::config_in(path), &text)?;
         Ok(Self { path: path.to_owned() })
     }
 
     fn remove_results(&self) -> Result<()> {
-        let names = [METRICS, "log.jsonl", REPORT, CLOUD, FUSED_CLOUD];
+        let names = [METRICS, LOG, REPORT, CLOUD, FUSED_CLOUD];
         let files = names.map(|name| self.path.join(name));
         let pictures =
             fs::read_dir(self.test_path()).into_iter().flatten().flatten().map(|entry| entry.path());
@@ -155,6 +162,16 @@ impl RunFolder {
     /// Where a run in the folder `path` has its settings.
     pub fn config_in(path: &Path) -> PathBuf {
         path.join(CONFIG)
+    }
+
+    /// Where a run in the folder `path` has its figures.
+    pub fn metrics_in(path: &Path) -> PathBuf {
+        path.join(METRICS)
+    }
+
+    /// Where a run in the folder `path` has its log.
+    pub fn log_in(path: &Path) -> PathBuf {
+        path.join(LOG)
     }
 
     /// Where a run in the folder `path` has its splat.
@@ -183,7 +200,7 @@ impl RunFolder {
 
     /// Opens the log: anew, or at its end.
     pub fn open_log(&self, resume: bool) -> Result<Log> {
-        let path = self.path.join("log.jsonl");
+        let path = Self::log_in(&self.path);
         let mut options = OpenOptions::new();
         options.create(true).write(true).append(resume).truncate(!resume);
         let file = options.open(&path).map_err(|error| unwritable(&path, &error))?;
@@ -201,12 +218,12 @@ impl RunFolder {
 
     /// Writes `metrics.json`.
     pub fn write_metrics(&self, metrics: &impl Serialize) -> Result<()> {
-        write_json(&self.path.join(METRICS), metrics)
+        write_json(&Self::metrics_in(&self.path), metrics)
     }
 
     /// Writes `report.html`.
     pub fn write_report(&self, page: &str) -> Result<()> {
-        write_file(&self.path.join(REPORT), |out| out.write_all(page.as_bytes()))
+        write_text(&self.path.join(REPORT), page)
     }
 
     /// The folder itself.
@@ -337,51 +354,6 @@ impl Log {
             .and_then(|()| self.writer.flush())
             .map_err(|error| unwritable(&self.path, &error))
     }
-}
-
-/// Writes `value` to `path` as indented JSON, whole or not at all.
-pub fn write_json(path: &Path, value: &impl Serialize) -> Result<()> {
-    let text = serde_json::to_string_pretty(value).expect("plain data with text keys is always JSON");
-    write_file(path, |out| writeln!(out, "{text}"))
-}
-
-/// Fails now, rather than after an hour, where the file `path` could not be written; leaves nothing behind.
-pub fn check_writable(path: &Path) -> Result<()> {
-    atomic::check_writable(path).map_err(|error| unwritable(path, &error))
-}
-
-/// The same for the file `name` in the folder `path`, which whoever writes it makes.
-pub fn check_folder(path: &Path, name: &str) -> Result<()> {
-    if path.is_file() {
-        bail!("{} is a file, and results need a folder; choose another --out", path.display());
-    }
-    check_writable(&path.join(name))
-}
-
-fn write_file(path: &Path, fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>) -> Result<()> {
-    write_atomically(path, fill).map_err(|error| unwritable(path, &error))
-}
-
-fn remove_if_there(path: &Path) -> Result<()> {
-    match fs::remove_file(path) {
-        Err(error) if error.kind() != ErrorKind::NotFound => {
-            Err(anyhow!("cannot remove {}, which is out of date: {error}; remove it by hand", path.display()))
-        }
-        _ => Ok(()),
-    }
-}
-
-fn unwritable(path: &Path, error: &io::Error) -> anyhow::Error {
-    if error.kind() == ErrorKind::IsADirectory {
-        return anyhow!(
-            "{} is a folder, and a file is to be written; give the name of a file",
-            path.display()
-        );
-    }
-    anyhow!(
-        "cannot write {}: {error}; choose a folder that can be written to, or free some space",
-        path.display()
-    )
 }
 
 #[cfg(test)]

@@ -11,7 +11,8 @@ use anyhow::{Result, ensure};
 use genesplat::io::Scene;
 use serde::Deserialize;
 
-use crate::experiment::results::CellMetrics;
+use crate::metrics::CellMetrics;
+use crate::run_folder::RunFolder;
 
 /// Fails where the folders of both scenes exist and are different ones.
 pub fn check_folders(began_with: &Path, given: &Path) -> Result<()> {
@@ -55,7 +56,7 @@ fn training_photos(folder: &Path) -> Option<usize> {
         #[serde(other)]
         Other,
     }
-    let log = BufReader::new(File::open(folder.join("log.jsonl")).ok()?);
+    let log = BufReader::new(File::open(RunFolder::log_in(folder)).ok()?);
     log.lines().map_while(Result::ok).find_map(|line| match serde_json::from_str(&line) {
         Ok(Line::Start { views }) => Some(views),
         _ => None,

@@ -10,7 +10,7 @@ use genesplat::train::evaluate::{Lpips, ViewScore, compare};
 use serde::Serialize;
 
 use crate::args::CompareArgs;
-use crate::{lpips, output, run_folder};
+use crate::{files, lpips, output};
 
 /// LPIPS with both conventions of what the network is fed.
 #[derive(Clone, Copy, Serialize)]
@@ -33,7 +33,7 @@ struct Report {
 
 /// Measures, and prints.
 pub fn run(args: &CompareArgs) -> Result<()> {
-    args.json.as_deref().map_or(Ok(()), run_folder::check_writable)?;
+    args.json.as_deref().map_or(Ok(()), files::check_writable)?;
     let metrics = lpips::open_all(&args.lpips)?;
     let (first, second) = (read_photo(&args.first)?, read_photo(&args.second)?);
     let name = args.first.file_name().unwrap_or_default().to_string_lossy();
@@ -56,7 +56,7 @@ pub fn run(args: &CompareArgs) -> Result<()> {
     }
     score.lpips = lpips_by_network[Net::Vgg16.name()].map(|distances| distances.zero_to_one);
     let report = Report { score, lpips_by_network };
-    args.json.as_ref().map_or(Ok(()), |path| run_folder::write_json(path, &report))
+    args.json.as_ref().map_or(Ok(()), |path| files::write_json(path, &report))
 }
 
 /// Both conventions; `None`, with a notice, for pictures that are too small.

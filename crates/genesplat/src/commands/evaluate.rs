@@ -8,7 +8,7 @@ use serde::Serialize;
 use crate::args::{EvaluateArgs, Split};
 use crate::progress::Bar;
 use crate::training::evaluate_into;
-use crate::{device, lpips, output, run_folder, splat};
+use crate::{device, files, lpips, output, splat};
 
 /// What `--json` writes.
 #[derive(Serialize)]
@@ -24,7 +24,7 @@ struct Report {
 
 /// Renders every photo's viewpoint and measures.
 pub fn run(args: &EvaluateArgs) -> Result<()> {
-    args.json.as_deref().map_or(Ok(()), run_folder::check_writable)?;
+    args.json.as_deref().map_or(Ok(()), files::check_writable)?;
     device::use_threads(args.machine.threads)?;
     let lpips = lpips::open(&args.lpips)?;
     let splat = splat::open(&args.splat)?;
@@ -44,5 +44,5 @@ pub fn run(args: &EvaluateArgs) -> Result<()> {
     let size @ [width, height] = [views[0].camera.width, views[0].camera.height];
     output::print(&format!("{}, at {width}x{height} pixels", output::scores_line(name, &scores)))?;
     let report = Report { dataset: scene.name, split: args.split, size, gaussians, scores };
-    args.json.as_ref().map_or(Ok(()), |path| run_folder::write_json(path, &report))
+    args.json.as_ref().map_or(Ok(()), |path| files::write_json(path, &report))
 }

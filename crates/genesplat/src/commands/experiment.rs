@@ -1,9 +1,6 @@
 //! `genesplat experiment`: many runs, and the tables that compare them.
 
-use std::path::Path;
-
-use anyhow::{Result, anyhow};
-use genesplat::io::atomic::write_atomically;
+use anyhow::Result;
 
 use super::Ending;
 use crate::args::{ExperimentArgs, MachineArgs};
@@ -12,14 +9,14 @@ use crate::experiment::results::Results;
 use crate::experiment::runner::{Ran, Runner};
 use crate::experiment::{page, preset, qualitative, record, summary};
 use crate::report::run::command_line;
-use crate::{device, interrupt, lpips, output, run_folder};
+use crate::{device, files, interrupt, lpips, output};
 
 /// Runs what is unfinished, then writes tables and pages of all that is finished, also where a run has failed.
 pub fn run(args: &ExperimentArgs) -> Result<Ending> {
     let mut file = preset::open(&args.what)?;
     file.override_by(args);
     let experiment = Experiment::new(file)?;
-    run_folder::check_folder(&args.out, "tables.md")?;
+    files::check_folder(&args.out, "tables.md")?;
     experiment.check_scenes(args.data.as_deref(), &args.out)?;
     device::use_threads(args.machine.threads)?;
     let stop = interrupt::stop_flag()?;
@@ -63,14 +60,8 @@ fn write(runner: &Runner<'_>, results: &Results<'_>) -> Result<()> {
         ("cells.csv", record::cells(results)),
         ("report.html", page::to_html(results, &tables, &pages, &command)?),
     ];
-    files.iter().try_for_each(|(name, text)| write_text(&runner.out.join(name), text))?;
+    files.iter().try_for_each(|(name, text)| files::write_text(&runner.out.join(name), text))?;
     output::print(&markdown)?;
     let names = files.map(|(name, _)| name).join(", ");
     output::print(&format!("{}: {names}, and {} pages in qualitative/", runner.out.display(), pages.len()))
-}
-
-fn write_text(path: &Path, text: &str) -> Result<()> {
-    write_atomically(path, |out| std::io::Write::write_all(out, text.as_bytes())).map_err(|error| {
-        anyhow!("cannot write {}: {error}; free some space, and run the command again", path.display())
-    })
 }

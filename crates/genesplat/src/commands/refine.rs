@@ -12,11 +12,11 @@ use crate::reporter::Reporter;
 use crate::settings::{ConfigFile, override_evolution};
 use crate::splat::Splat;
 use crate::training::evaluate_into;
-use crate::{device, interrupt, output, run_folder, splat};
+use crate::{device, files, interrupt, output, splat};
 
 /// Searches, and writes the best that it has found; Ctrl-C ends the search early.
 pub fn run(args: &RefineArgs) -> Result<()> {
-    run_folder::check_writable(&args.out)?;
+    files::check_writable(&args.out)?;
     device::use_threads(args.machine.threads)?;
     let mut splat = splat::open(&args.splat)?;
     let config = configure(args, &splat)?;

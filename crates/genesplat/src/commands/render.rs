@@ -8,13 +8,13 @@ use genesplat::io::{Scene, photos};
 
 use crate::args::{RenderArgs, RenderSplit};
 use crate::progress::Bar;
-use crate::{device, output, run_folder, scene, splat};
+use crate::{device, files, output, scene, splat};
 
 /// Renders one viewpoint into a file, or many into a folder.
 pub fn run(args: &RenderArgs) -> Result<()> {
     match args.image {
-        Some(_) => run_folder::check_writable(&args.out)?,
-        None => run_folder::check_folder(&args.out, "0001.png")?,
+        Some(_) => files::check_writable(&args.out)?,
+        None => files::check_folder(&args.out, "0001.png")?,
     }
     device::use_threads(args.machine.threads)?;
     let splat = splat::open(&args.splat)?;

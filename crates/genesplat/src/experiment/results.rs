@@ -1,66 +1,8 @@
 //! What the cells have measured, and their paired differences.
 
-use std::fs;
-use std::path::Path;
-
-use serde::Deserialize;
-
 use super::plan::{Cell, Experiment};
 
-/// What experiments read of a run's `metrics.json`.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
-pub struct CellMetrics {
-    /// Iterations completed.
-    pub iterations: u32,
-    /// Gaussians at the end.
-    pub gaussians: usize,
-    /// Photos that training never saw.
-    pub test: Scores,
-    /// Photos that it saw.
-    pub train: Scores,
-    /// Wall-clock seconds.
-    pub seconds: CellSeconds,
-}
-
-/// Means of a split; `None` where the file says `null`.
-#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
-pub struct Scores {
-    /// dB.
-    pub psnr: Option<f64>,
-    /// At most 1.
-    pub ssim: Option<f64>,
-    /// A distance.
-    #[serde(default)]
-    pub lpips: Option<f64>,
-    /// Photo by photo.
-    #[serde(default)]
-    pub views: Vec<ViewPsnr>,
-}
-
-/// One photo.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
-pub struct ViewPsnr {
-    /// Its file name.
-    pub name: String,
-    /// dB.
-    pub psnr: Option<f64>,
-}
-
-/// Wall-clock seconds of a cell.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
-pub struct CellSeconds {
-    /// Gradient steps and density control.
-    pub gradient: f64,
-    /// Evolution stages, or controls in their place.
-    pub evolution: f64,
-}
-
-impl CellMetrics {
-    /// Those of the run in `folder`; `None` where there are none, or a torn file.
-    pub fn read(folder: &Path) -> Option<Self> {
-        serde_json::from_slice(&fs::read(folder.join("metrics.json")).ok()?).ok()
-    }
-}
+pub use crate::metrics::{CellMetrics, Scores};
 
 /// Which photos.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -223,8 +223,9 @@ impl<'a> Runner<'a> {
 }
 
 fn read_back(path: &Path) -> Result<CellMetrics> {
-    CellMetrics::read(path)
-        .ok_or_else(|| anyhow!("{} cannot be read back; check the disk", path.join("metrics.json").display()))
+    CellMetrics::read(path).ok_or_else(|| {
+        anyhow!("{} cannot be read back; check the disk", RunFolder::metrics_in(path).display())
+    })
 }
 
 /// The scene that was used last: cells come scene by scene.

@@ -229,7 +229,7 @@ fn cost(results: &Results<'_>, variant: usize) -> Table {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::experiment::results::{CellSeconds, Scores};
+    use crate::metrics::{CellSeconds, Scores};
 
     /// Two scenes, three seeds, off and paper and its control, with these PSNRs on test photos.
     fn experiment() -> Experiment {
