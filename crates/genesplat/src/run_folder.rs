@@ -26,8 +26,6 @@ use serde::Serialize;
 
 use crate::files::{check_folder, check_writable, remove_if_there, unwritable, write_file, write_text};
 
-pub use crate::files::write_json;
-
 /// Name of the splat that has its 3D filter baked in.
 const FUSED_CLOUD: &str = "point_cloud_fused.ply";
 
