@@ -24,7 +24,9 @@ use genesplat::train::observe::LogRecord;
 use genesplat::train::{Checkpoint, TrainError};
 use serde::Serialize;
 
-use crate::files::{check_folder, check_writable, remove_if_there, unwritable, write_file, write_text};
+use crate::files::{
+    check_folder, check_writable, remove_if_there, unwritable, write_file, write_json, write_text,
+};
 
 /// Name of the splat that has its 3D filter baked in.
 const FUSED_CLOUD: &str = "point_cloud_fused.ply";
