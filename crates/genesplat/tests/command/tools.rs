@@ -163,7 +163,7 @@ fn refining_makes_an_unfinished_splat_better_and_threads_change_nothing() {
         let line = said.lines().find(|text| text.starts_with(line)).expect("a line for each split");
         line.split_whitespace().nth(3).unwrap().parse::<f64>().unwrap()
     };
-    assert!(psnr("after  train") > psnr("before train") + 0.05, "{said}");
+    assert!(psnr("after  train") > psnr("before train") + 0.03, "{said}");
     assert!(psnr("after  test") > psnr("before test"), "{said}");
     assert!(one == refined("2").0 && one == refined("7").0);
 }
