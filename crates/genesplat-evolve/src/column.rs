@@ -1,4 +1,4 @@
-//! One gene group of one individual: a bit a row for "differs from the base", and the values of those rows, packed.
+//! One gene group of one individual: a bit a row for "differs from what is shared", and the values of those rows, packed.
 //!
 //! A list of row indices would be smaller while fewer than one row in 32 differs, but a search soon leaves that range
 //! (see [`crate::population`]), and bits make crossover a bitwise select and runs of rows a plain copy.
@@ -11,7 +11,7 @@ pub(crate) fn words(n: usize) -> usize {
     n.div_ceil(WORD)
 }
 
-/// `W` genes of every row that differs from the base.
+/// `W` genes of every row that differs from what is shared.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Column<const W: usize> {
     /// One bit a row, lowest bit first `[⌈N/64⌉]`.
@@ -44,7 +44,7 @@ impl<const W: usize> Steps<W> {
 }
 
 impl<const W: usize> Column<W> {
-    /// A column of `n` rows equal to the base.
+    /// A column of `n` rows, all as they are shared.
     pub(crate) fn unchanged(n: usize) -> Self {
         Self { changed: vec![0; words(n)], values: Vec::new() }
     }
@@ -59,19 +59,19 @@ impl<const W: usize> Column<W> {
         self.changed.capacity() * size_of::<u64>() + self.values.capacity() * size_of::<[f32; W]>()
     }
 
-    /// The same values as differences from another base, which differs from this one as `other` does; `base` is this one.
-    pub(crate) fn rebased(&self, other: &Self, base: impl Fn(usize) -> [f32; W]) -> Self {
+    /// The same values as differences from other shared values, which differ from these as `other` does; `shared` are these.
+    pub(crate) fn rebased(&self, other: &Self, shared: impl Fn(usize) -> [f32; W]) -> Self {
         let changed = self.differing(other);
         let mut values = Vec::with_capacity(count(&changed));
         let mut own = self.reader();
         for (word, &bits) in changed.iter().enumerate() {
             let rows = ones(bits).map(|bit| word * WORD + bit);
-            values.extend(rows.map(|row| own.get(row).unwrap_or_else(|| base(row))));
+            values.extend(rows.map(|row| own.get(row).unwrap_or_else(|| shared(row))));
         }
         Self { changed, values }
     }
 
-    /// Bits of the rows in which two columns of the same base differ.
+    /// Bits of the rows in which two columns that share the same values differ.
     fn differing(&self, other: &Self) -> Vec<u64> {
         let mut rest = [self.values.as_slice(), other.values.as_slice()];
         let words = self.changed.iter().zip(&other.changed);
@@ -115,13 +115,13 @@ impl<const W: usize> Column<W> {
     }
 
     /// Crossover and mutation in one pass. The child has `first`'s rows where a bit of `from_first` is set and `second`'s
-    /// elsewhere; then each row of `steps` becomes `step(value, by)`, where the value is the inherited one, or `base(row)`
-    /// if that equals the base.
+    /// elsewhere; then each row of `steps` becomes `step(value, by)`, where the value is the inherited one, or `shared(row)`
+    /// if that is unchanged.
     pub(crate) fn child(
         parents: [&Self; 2],
         from_first: impl Fn(usize) -> u64,
         steps: &Steps<W>,
-        base: impl Fn(usize) -> [f32; W],
+        shared: impl Fn(usize) -> [f32; W],
         step: impl Fn([f32; W], [f32; W]) -> [f32; W],
     ) -> Self {
         let stepped = steps.bits(parents[0].changed.len());
@@ -141,7 +141,7 @@ impl<const W: usize> Column<W> {
                     let parent = usize::from(!is_set(mask, bit));
                     let value = match is_set(bits[parent], bit) {
                         true => runs[parent][rank(bits[parent], bit)],
-                        false => base(word * WORD + bit),
+                        false => shared(word * WORD + bit),
                     };
                     let by = if is_set(stepped, bit) { by.next() } else { None };
                     by.map_or(value, |&by| step(value, by))
@@ -163,7 +163,7 @@ pub(crate) struct Reader<'a, const W: usize> {
 }
 
 impl<const W: usize> Reader<'_, W> {
-    /// The row's own value, if it differs from the base. `row` must not be before the last one's word.
+    /// The row's own value, if it differs from the shared one. `row` must not be before the last one's word.
     pub(crate) fn get(&mut self, row: usize) -> Option<[f32; W]> {
         let (word, bit) = (row / WORD, row % WORD);
         self.rank += count(&self.column.changed[self.word..word]);
@@ -239,8 +239,8 @@ mod tests {
 
     /// A column of `N` rows in which the rows of `own` have the given values.
     fn column(own: &[(u32, f32)]) -> Column<1> {
-        let base = Column::unchanged(N);
-        Column::child([&base, &base], |_| 0, &steps(own), |_| [0.0], |_, value| value)
+        let unchanged = Column::unchanged(N);
+        Column::child([&unchanged, &unchanged], |_| 0, &steps(own), |_| [0.0], |_, value| value)
     }
 
     fn read(column: &Column<1>) -> Vec<Option<[f32; 1]>> {
@@ -277,21 +277,21 @@ mod tests {
 
         #[test]
         fn a_rebased_column_holds_the_same_values(own in own(), other in own()) {
-            let base = |row: usize| [row as f32];
+            let shared = |row: usize| [row as f32];
             let (own, other) = (column(&own), column(&other));
-            let values = |column: &Column<1>, base: &[[f32; 1]]| -> Vec<[f32; 1]> {
-                read(column).iter().zip(base).map(|(own, base)| own.unwrap_or(*base)).collect()
+            let values = |column: &Column<1>, others: &[[f32; 1]]| -> Vec<[f32; 1]> {
+                read(column).iter().zip(others).map(|(own, other)| own.unwrap_or(*other)).collect()
             };
-            let bases: Vec<[f32; 1]> = (0..N).map(base).collect();
-            let rebased = own.rebased(&other, base);
-            prop_assert_eq!(values(&rebased, &values(&other, &bases)), values(&own, &bases));
+            let shared_values: Vec<[f32; 1]> = (0..N).map(shared).collect();
+            let rebased = own.rebased(&other, shared);
+            prop_assert_eq!(values(&rebased, &values(&other, &shared_values)), values(&own, &shared_values));
         }
 
         #[test]
         fn what_more_than_half_of_the_weight_holds_is_the_majority(
             columns in prop::collection::vec((prop::collection::vec(0..3u8, N), 1..9u32), 1..7),
         ) {
-            // 0 stands for a row that equals the base.
+            // 0 stands for a row that is unchanged.
             let columns: Vec<(Column<1>, u32)> = columns
                 .iter()
                 .map(|(values, weight)| {
@@ -319,15 +319,15 @@ mod tests {
             a in own(), b in own(), mask in mask(), by in prop_oneof![Just(Vec::new()), own()],
         ) {
             let (a, b) = (column(&a), column(&b));
-            let base = |row: usize| [row as f32];
+            let shared = |row: usize| [row as f32];
             let add = |value: [f32; 1], by: [f32; 1]| [value[0] + by[0]];
-            let child = Column::child([&a, &b], |word| mask[word], &steps(&by), base, add);
+            let child = Column::child([&a, &b], |word| mask[word], &steps(&by), shared, add);
             let (a, b) = (read(&a), read(&b));
             let from_first = |row: usize| mask[row / WORD] >> (row % WORD) & 1 == 1;
             let mut expected: Vec<_> = (0..N).map(|row| if from_first(row) { a[row] } else { b[row] }).collect();
             for &(row, by) in &by {
                 let row = row as usize;
-                expected[row] = Some(add(expected[row].unwrap_or_else(|| base(row)), [by]));
+                expected[row] = Some(add(expected[row].unwrap_or_else(|| shared(row)), [by]));
             }
             prop_assert_eq!(read(&child), expected);
             prop_assert_eq!(child.values.len(), child.values.capacity());

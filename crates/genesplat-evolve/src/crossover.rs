@@ -107,7 +107,7 @@ mod tests {
             all.scale.push(row, [mark; 3]);
             all.opacity.push(row, [mark]);
         }
-        Genome::child(Parents::One(&Genome::base(base.len())), &all, base, Space::Raw)
+        Genome::child(Parents::One(&Genome::unchanged(base.len())), &all, base, Space::Raw)
     }
 
     fn genes(delta: &SparseDelta) -> &[f32] {

@@ -1,4 +1,4 @@
-//! An individual: how its genes differ from the shared base.
+//! An individual: how its genes differ from those that a generation shares ([`crate::consensus`]).
 
 use genesplat_core::{Gene, SparseDelta};
 
@@ -34,8 +34,8 @@ pub(crate) struct Mutations {
 }
 
 impl Genome {
-    /// The base itself, of `n` rows.
-    pub(crate) fn base(n: usize) -> Self {
+    /// What is shared, unchanged, of `n` rows.
+    pub(crate) fn unchanged(n: usize) -> Self {
         Self { position: Column::unchanged(n), scale: Column::unchanged(n), opacity: Column::unchanged(n) }
     }
 
@@ -45,11 +45,18 @@ impl Genome {
     }
 
     /// A child: crossover, then mutation.
-    pub(crate) fn child(parents: Parents<'_>, mutations: &Mutations, base: &[Gene], space: Space) -> Self {
+    pub(crate) fn child(parents: Parents<'_>, mutations: &Mutations, shared: &[Gene], space: Space) -> Self {
         Self {
-            position: column(parents, Group::Position, |own| &own.position, &mutations.position, base, space),
-            scale: column(parents, Group::Scale, |own| &own.scale, &mutations.scale, base, space),
-            opacity: column(parents, Group::Opacity, |own| &own.opacity, &mutations.opacity, base, space),
+            position: column(
+                parents,
+                Group::Position,
+                |own| &own.position,
+                &mutations.position,
+                shared,
+                space,
+            ),
+            scale: column(parents, Group::Scale, |own| &own.scale, &mutations.scale, shared, space),
+            opacity: column(parents, Group::Opacity, |own| &own.opacity, &mutations.opacity, shared, space),
         }
     }
 
@@ -67,25 +74,25 @@ impl Genome {
         Self { position, scale, opacity }
     }
 
-    /// The same individual as its difference from another base, which differs from this one as `other` does.
-    pub(crate) fn rebased(&self, other: &Self, base: &[Gene]) -> Self {
+    /// The same individual as its difference from other shared genes, which differs from this one as `other` does.
+    pub(crate) fn rebased(&self, other: &Self, shared: &[Gene]) -> Self {
         Self {
-            position: self.position.rebased(&other.position, |row| Group::Position.of(&base[row])),
-            scale: self.scale.rebased(&other.scale, |row| Group::Scale.of(&base[row])),
-            opacity: self.opacity.rebased(&other.opacity, |row| Group::Opacity.of(&base[row])),
+            position: self.position.rebased(&other.position, |row| Group::Position.of(&shared[row])),
+            scale: self.scale.rebased(&other.scale, |row| Group::Scale.of(&shared[row])),
+            opacity: self.opacity.rebased(&other.opacity, |row| Group::Opacity.of(&shared[row])),
         }
     }
 
-    /// All seven genes of every row of which at least one group differs from the base.
-    pub(crate) fn to_delta(&self, base: &[Gene]) -> SparseDelta {
+    /// All seven genes of every row of which at least one group differs from what is shared.
+    pub(crate) fn to_delta(&self, shared: &[Gene]) -> SparseDelta {
         let rows = rows_of_any([self.position.changed(), self.scale.changed(), self.opacity.changed()]);
         let (mut position, mut scale) = (self.position.reader(), self.scale.reader());
         let mut opacity = self.opacity.reader();
         let gene = |&row: &u32| {
             let row = row as usize;
-            let [x, y, z] = position.get(row).unwrap_or_else(|| Group::Position.of(&base[row]));
-            let [sx, sy, sz] = scale.get(row).unwrap_or_else(|| Group::Scale.of(&base[row]));
-            let [o] = opacity.get(row).unwrap_or_else(|| Group::Opacity.of(&base[row]));
+            let [x, y, z] = position.get(row).unwrap_or_else(|| Group::Position.of(&shared[row]));
+            let [sx, sy, sz] = scale.get(row).unwrap_or_else(|| Group::Scale.of(&shared[row]));
+            let [o] = opacity.get(row).unwrap_or_else(|| Group::Opacity.of(&shared[row]));
             [x, y, z, sx, sy, sz, o]
         };
         let genes = rows.iter().map(gene).collect();
@@ -118,10 +125,10 @@ fn column<'a, const W: usize>(
     group: Group,
     of: impl Fn(&'a Genome) -> &'a Column<W>,
     steps: &Steps<W>,
-    base: &[Gene],
+    shared: &[Gene],
     space: Space,
 ) -> Column<W> {
-    let gene = |row: usize| group.of(&base[row]);
+    let gene = |row: usize| group.of(&shared[row]);
     let step = |value, by| step(space, group, value, by);
     match parents {
         Parents::One(parent) => Column::child([of(parent); 2], |_| u64::MAX, steps, gene, step),
@@ -136,31 +143,31 @@ fn column<'a, const W: usize>(
 mod tests {
     use super::*;
 
-    fn mutated(parent: &Genome, mutations: &Mutations, base: &[Gene]) -> Genome {
-        Genome::child(Parents::One(parent), mutations, base, Space::Raw)
+    fn mutated(parent: &Genome, mutations: &Mutations, shared: &[Gene]) -> Genome {
+        Genome::child(Parents::One(parent), mutations, shared, Space::Raw)
     }
 
     #[test]
     fn a_delta_holds_own_genes_where_they_differ_and_the_bases_elsewhere() {
-        let base: Vec<Gene> = (0..130).map(|row| [row as f32; 7]).collect();
+        let shared: Vec<Gene> = (0..130).map(|row| [row as f32; 7]).collect();
         let mut mutations = Mutations::default();
         mutations.position.push(3, [0.5, 1.5, 2.5]);
         mutations.opacity.push(3, [0.25]);
         mutations.scale.push(129, [1.0, 2.0, 3.0]);
-        let delta = mutated(&Genome::base(130), &mutations, &base).to_delta(&base);
+        let delta = mutated(&Genome::unchanged(130), &mutations, &shared).to_delta(&shared);
         assert_eq!(delta.rows, [3, 129]);
         assert_eq!(delta.genes[0], [3.5, 4.5, 5.5, 3.0, 3.0, 3.0, 3.25]);
         assert_eq!(delta.genes[1], [129.0, 129.0, 129.0, 130.0, 131.0, 132.0, 129.0]);
-        assert!(Genome::base(130).to_delta(&base).is_empty());
+        assert!(Genome::unchanged(130).to_delta(&shared).is_empty());
     }
 
     #[test]
     fn steps_add_up_over_generations() {
-        let base = vec![[1.0; 7]; 2];
+        let shared = vec![[1.0; 7]; 2];
         let mut mutations = Mutations::default();
         mutations.opacity.push(1, [0.5]);
-        let once = mutated(&Genome::base(2), &mutations, &base);
-        let twice = mutated(&once, &mutations, &base);
-        assert_eq!(twice.to_delta(&base).genes[0][6], 2.0, "Eq. 4 starts from the child's current value");
+        let once = mutated(&Genome::unchanged(2), &mutations, &shared);
+        let twice = mutated(&once, &mutations, &shared);
+        assert_eq!(twice.to_delta(&shared).genes[0][6], 2.0, "Eq. 4 starts from the child's current value");
     }
 }

@@ -63,8 +63,8 @@ impl Mutation {
     }
 
     /// The child of `parents` after the mutation at `address`.
-    pub(crate) fn apply(&self, parents: Parents<'_>, base: &[Gene], address: Address, rate: f64) -> Genome {
-        Genome::child(parents, &self.draw(address, rate), base, self.space)
+    pub(crate) fn apply(&self, parents: Parents<'_>, shared: &[Gene], address: Address, rate: f64) -> Genome {
+        Genome::child(parents, &self.draw(address, rate), shared, self.space)
     }
 
     /// Bytes held besides the base.
@@ -133,7 +133,7 @@ mod tests {
     }
 
     fn mutant(mutation: &Mutation, base: &[Gene], address: Address, rate: f64) -> SparseDelta {
-        mutation.apply(Parents::One(&Genome::base(base.len())), base, address, rate).to_delta(base)
+        mutation.apply(Parents::One(&Genome::unchanged(base.len())), base, address, rate).to_delta(base)
     }
 
     /// Differences from the base of `individuals` mutants, component by component; unchanged genes left out.

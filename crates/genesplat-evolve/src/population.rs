@@ -137,10 +137,10 @@ impl Breeder {
     /// Individual `index` of a brood: crossover, then mutation, by the paper's order.
     pub(crate) fn genome(&self, brood: &Brood, generation: u32, index: u32, mutation_rate: f64) -> Genome {
         let address = Address { generation, individual: index };
-        let base = self.consensus.genes();
-        let mutate = |parents: Parents<'_>| self.mutation.apply(parents, base, address, mutation_rate);
+        let shared = self.consensus.genes();
+        let mutate = |parents: Parents<'_>| self.mutation.apply(parents, shared, address, mutation_rate);
         match brood {
-            Brood::Founders { .. } => mutate(Parents::One(&Genome::base(base.len()))),
+            Brood::Founders { .. } => mutate(Parents::One(&Genome::unchanged(shared.len()))),
             Brood::Children { pairs, .. } => {
                 let (pair, child) = (index / 2, index as usize % 2);
                 let Pair { parents, crossed } = &pairs[pair as usize];
@@ -148,7 +148,7 @@ impl Breeder {
                 if !crossed {
                     return mutate(Parents::One(own));
                 }
-                let n = base.len() as u32;
+                let n = shared.len() as u32;
                 let inheritance = Inheritance::draw(self.crossover, &self.rng, generation, pair, n);
                 mutate(Parents::Crossed(own, other, &inheritance))
             }
@@ -212,8 +212,8 @@ mod tests {
 
     #[test]
     fn shared_genomes_are_counted_once() {
-        let genome = Arc::new(Genome::base(1000));
-        let other = Arc::new(Genome::base(1000));
+        let genome = Arc::new(Genome::unchanged(1000));
+        let other = Arc::new(Genome::unchanged(1000));
         let bytes = genome.bytes();
         assert_eq!(distinct_bytes([&genome, &genome, &other].into_iter()), 2 * bytes);
     }

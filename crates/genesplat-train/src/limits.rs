@@ -6,6 +6,9 @@ use crate::config::{EvolutionConfig, EvolutionMode, RenewalConfig, TrainConfig, 
 use crate::densify::mcmc;
 use crate::schedule::Schedule;
 
+/// A reset is late where less than this part of the time between two resets is left after it.
+const LATE_RESET: u64 = 10;
+
 /// The most Gaussians that density control may grow to, by who says so.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Limits {
@@ -28,9 +31,14 @@ impl Limits {
 
     /// What should be known before the first step.
     pub(crate) fn notices(self, schedule: &Schedule) -> impl Iterator<Item = String> {
-        [self.notice_of_lower_limit(), notice_of_no_growth(schedule), notice_of_no_renewal(schedule)]
-            .into_iter()
-            .flatten()
+        [
+            self.notice_of_lower_limit(),
+            notice_of_no_growth(schedule),
+            notice_of_no_renewal(schedule),
+            notice_of_late_reset(schedule),
+        ]
+        .into_iter()
+        .flatten()
     }
 
     /// It cannot wait until that limit is reached: MCMC turns nobody away who could be told of.
@@ -79,6 +87,18 @@ fn notice_of_no_growth(schedule: &Schedule) -> Option<String> {
          densify.from and densify.every",
         schedule.iterations, schedule.densify_until
     ))
+}
+
+/// Opacities are earned back in some hundreds of iterations. A run that is cut short before that shows next to nothing.
+fn notice_of_late_reset(schedule: &Schedule) -> Option<String> {
+    let last = (1..=schedule.iterations).rfind(|&i| schedule.is_reset(i))?;
+    let left = schedule.iterations - last;
+    (u64::from(left) * LATE_RESET < schedule.reset_every.into()).then(|| {
+        format!(
+            "opacities are reset at iteration {last}, and the {left} iterations that are left are too few to earn them back; end the \
+             run before that, or some hundreds of iterations later"
+        )
+    })
 }
 
 /// Who asks for renewal should know that a run has no place for it.
@@ -135,5 +155,21 @@ mod tests {
         // 600 pixels over 0.3, where that is less.
         let of_one = |pixels, each| limit_with(renew, Variant::ThreeDgs, None, renewal(pixels, each));
         assert_eq!([of_one(0.0, 0.3), of_one(0.5, 0.3), of_one(2.0, 0.3)], [2000, 2000, 900].map(Some));
+    }
+
+    #[test]
+    fn who_cuts_a_run_short_just_after_a_reset_hears_of_it() {
+        let notice = |iterations| {
+            let config = TrainConfig { iterations, ..TrainConfig::default() };
+            notice_of_late_reset(config.resolve().unwrap().schedule())
+        };
+        // One that would fall into the last iteration does not happen.
+        for iterations in [2000, 3000, 3300, 7000, 30_000] {
+            assert_eq!(notice(iterations), None);
+        }
+        for iterations in [3001, 3299] {
+            let text = notice(iterations).expect("a notice");
+            assert!(text.contains("reset at iteration 3000"), "{text}");
+        }
     }
 }
