@@ -213,7 +213,8 @@ pub struct CompareArgs {
 #[derive(Debug, Args)]
 pub struct ExperimentArgs {
     /// What to compare: smoke (minutes, no data needed), paper-table-2-3, study-evolution, study-variants, study-mcmc,
-    /// ablation-crossover, ablation-trigger, ablation-population, ablation-views, ablation-gradient, or a TOML file of one's own
+    /// ablation-crossover, ablation-trigger, ablation-population, ablation-views, ablation-gradient,
+    /// ablation-renew, or a TOML file of one's own
     #[arg(value_name = "NAME|FILE.toml")]
     pub what: String,
     /// Folder for the runs, the tables and report.html; made if it is missing. The same command goes on with what is
@@ -321,5 +322,14 @@ mod tests {
     #[test]
     fn the_definition_is_consistent() {
         Arguments::command().debug_assert();
+    }
+
+    #[test]
+    fn help_names_every_preset() {
+        let mut command = Arguments::command();
+        let help = command.find_subcommand_mut("experiment").unwrap().render_long_help().to_string();
+        for (name, _) in crate::experiment::preset::PRESETS {
+            assert!(help.contains(name), "{name}: {help}");
+        }
     }
 }
