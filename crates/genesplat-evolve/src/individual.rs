@@ -74,7 +74,7 @@ impl Genome {
         Self { position, scale, opacity }
     }
 
-    /// The same individual as its difference from other shared genes, which differs from this one as `other` does.
+    /// The same individual as its difference from other shared genes, which differ from these as `other` does.
     pub(crate) fn rebased(&self, other: &Self, shared: &[Gene]) -> Self {
         Self {
             position: self.position.rebased(&other.position, |row| Group::Position.of(&shared[row])),
@@ -148,7 +148,7 @@ mod tests {
     }
 
     #[test]
-    fn a_delta_holds_own_genes_where_they_differ_and_the_bases_elsewhere() {
+    fn a_delta_holds_own_genes_where_they_differ_and_the_shared_ones_elsewhere() {
         let shared: Vec<Gene> = (0..130).map(|row| [row as f32; 7]).collect();
         let mut mutations = Mutations::default();
         mutations.position.push(3, [0.5, 1.5, 2.5]);

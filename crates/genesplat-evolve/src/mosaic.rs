@@ -38,7 +38,8 @@ pub struct MosaicConfig {
     /// (along a Morton curve) and may lie anywhere in others. Default 1; at least 1. Where blocks begin differs between
     /// generations.
     pub block: u32,
-    /// Views of a generation in which a Gaussian must be seen, or it stays as it is. Default 2; from 0.
+    /// Views of a generation in which a Gaussian must be seen, or it stays as it is; where there are fewer views, all of
+    /// them. Default 2; from 0.
     pub evidence: u32,
 }
 

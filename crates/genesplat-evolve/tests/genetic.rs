@@ -367,7 +367,7 @@ proptest! {
         let mut again = on_sphere(config, &base, seed);
         told.iter().for_each(|losses| { again.tell(losses).expect("one loss each"); });
         prop_assert_eq!(again.best(), search.best());
-        prop_assert_eq!(format!("{:?}", again.logbook()), format!("{:?}", search.logbook()), "NaN equals itself in text");
+        prop_assert_eq!(again.logbook(), search.logbook());
     }
 
     /// Whatever children are given, a generation consists of their losses and of the lowest of the generation before: elites

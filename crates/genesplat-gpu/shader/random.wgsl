@@ -33,6 +33,7 @@ fn normals(a: u32, b: u32) -> vec2<f32> {
     let u = (f32(a) + 1.0) * (1.0 / 4294967296.0);
     // Half a turn before the CPU's angle, which negates both.
     let v = f32(bitcast<i32>(b ^ 0x80000000u)) * (TAU / 4294967296.0);
+    // A driver's log may be a little above 0 just below 1.
     let radius = sqrt(max(-2.0 * log(u), 0.0));
     return -radius * vec2(cos(v), sin(v));
 }

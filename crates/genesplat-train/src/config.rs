@@ -308,15 +308,15 @@ pub struct RenewalConfig {
     /// Default 0.02, where all renewals together take a tenth of the time or less; above 0.
     pub weighed: f64,
     /// Training pixels that one Gaussian lives on, for each of √(number of photos), since photos show the same things: the cloud
-    /// grows to at most the pixels of all photos over `pixels · √photos`, and to less where `max_gaussians` is lower. Density
-    /// control approaches that limit evenly; MCMC by its own share (`mcmc.growth`). More Gaussians than that learn the photos
-    /// by heart. Default 2; 0 for no such limit.
+    /// grows to at most the pixels of all photos over `pixels · √photos`, and to less where `max_gaussians` is lower. More
+    /// Gaussians than that learn the photos by heart. Default 2; 0 for no such limit.
     pub pixels: f64,
     /// Pixels of one photo (their mean) that one Gaussian lives on, however many photos there are: the hundredth shows hardly
     /// anything that the others do not. The lower of both limits counts. Default 0.3, which is the lower from 45 photos on;
     /// 0 for no such limit.
     pub photo_pixels: f64,
-    /// The cloud approaches its limit, whoever set it, evenly over density control, not as fast as it wants to. Default true.
+    /// The cloud approaches its limit, whoever set it, evenly over density control, not as fast as it wants to; with `mcmc`,
+    /// by `mcmc.growth` all the same. Default true.
     pub even_growth: bool,
     /// None is pruned for its size: what it is worth decides. Default true.
     pub spare_large: bool,

@@ -22,14 +22,14 @@ impl<B: Backend> Trainer<'_, B> {
         let clock = Instant::now();
         let fitness = self.fitness(cursor.iteration);
         let before = self.fitness_of_base(&fitness, cursor.iteration)?;
-        let (steps, after) = match self.spend(&fitness, cursor.iteration, clock) {
+        let (steps, is_spent, after) = match self.spend(&fitness, cursor.iteration, clock) {
             Err(error @ TrainError::Backend(BackendError::OutOfMemory { .. })) => {
                 self.observer.on_checkpoint(*start);
                 return Err(error);
             }
             spent => spent?,
         };
-        let checkpoint = if self.is_spent(steps, clock) { None } else { Some(start) };
+        let checkpoint = if is_spent { None } else { Some(start) };
         self.end_stage(StageRecord {
             renders: steps.into(),
             fitness_after: after,
@@ -39,8 +39,9 @@ impl<B: Backend> Trainer<'_, B> {
         Ok(checkpoint)
     }
 
-    /// Makes steps until the budget is spent or the run is stopped; returns how many, and the fitness after them.
-    fn spend(&mut self, fitness: &Fitness, i: u32, clock: Instant) -> Result<(u32, f64), TrainError> {
+    /// Makes steps until the budget is spent or the run is stopped; returns how many, whether it is spent, and the
+    /// fitness after them.
+    fn spend(&mut self, fitness: &Fitness, i: u32, clock: Instant) -> Result<(u32, bool, f64), TrainError> {
         let (mut order, mut steps) = (ViewOrder::new(self.rng.fork(i), self.views.len()), 0);
         while !self.is_spent(steps, clock) && !self.stopped() {
             self.torn = true;
@@ -49,7 +50,9 @@ impl<B: Backend> Trainer<'_, B> {
             self.wait_for_device()?;
             steps += 1;
         }
-        Ok((steps, self.fitness_of_base(fitness, i)?))
+        // Before the renders, whose seconds are no steps.
+        let is_spent = self.is_spent(steps, clock);
+        Ok((steps, is_spent, self.fitness_of_base(fitness, i)?))
     }
 
     fn is_spent(&self, steps: u32, clock: Instant) -> bool {

@@ -6,8 +6,8 @@ use crate::config::{EvolutionConfig, EvolutionMode, RenewalConfig, TrainConfig, 
 use crate::densify::mcmc;
 use crate::schedule::Schedule;
 
-/// A reset is late where less than this part of the time between two resets is left after it.
-const LATE_RESET: u64 = 10;
+/// A reset is late where less than the time between two resets, divided by this, is left after it.
+const LATE_RESET_DIVISOR: u64 = 10;
 
 /// The most Gaussians that density control may grow to, by who says so.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -93,7 +93,7 @@ fn notice_of_no_growth(schedule: &Schedule) -> Option<String> {
 fn notice_of_late_reset(schedule: &Schedule) -> Option<String> {
     let last = (1..=schedule.iterations).rfind(|&i| schedule.is_reset(i))?;
     let left = schedule.iterations - last;
-    (u64::from(left) * LATE_RESET < schedule.reset_every.into()).then(|| {
+    (u64::from(left) * LATE_RESET_DIVISOR < schedule.reset_every.into()).then(|| {
         format!(
             "opacities are reset at iteration {last}, and the {left} iterations that are left are too few to earn them back; end the \
              run before that, or some hundreds of iterations later"
@@ -101,9 +101,9 @@ fn notice_of_late_reset(schedule: &Schedule) -> Option<String> {
     })
 }
 
-/// Who asks for renewal should know that a run has no place for it.
+/// Who asks for renewal should know that a run has no place for it. Who switched it off needs no telling.
 fn notice_of_no_renewal(schedule: &Schedule) -> Option<String> {
-    let every = schedule.renew_every?;
+    let every = schedule.renew_every.filter(|_| schedule.renew_until > 0)?;
     (1..=schedule.iterations).all(|i| !schedule.renews(i)).then(|| {
         format!(
             "mode renew renews nothing here: renewals are {every} iterations apart \

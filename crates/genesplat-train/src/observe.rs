@@ -287,5 +287,6 @@ mod tests {
         }));
         assert!(step.contains(r#""event":"step","iteration":7"#), "{step}");
         assert!(step.contains(r#""loss":0.25"#), "{step}");
+        assert!(StageKind::ALL.iter().all(|kind| serde_json::to_value(kind).unwrap() == kind.name()));
     }
 }

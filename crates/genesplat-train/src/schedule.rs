@@ -253,7 +253,8 @@ impl Schedule {
         self.filter_3d && (self.is_densify(i) || late)
     }
 
-    /// Oversized Gaussians are pruned in iteration `i`. Where Gaussians are weighed, it is what they are worth that decides.
+    /// Oversized Gaussians are pruned in iteration `i`. With renewal what they are worth decides
+    /// (`evolution.renewal.spare_large`).
     pub fn prunes_by_size(&self, i: u32) -> bool {
         i > self.size_prune_after && !self.spares_large
     }

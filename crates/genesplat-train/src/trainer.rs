@@ -174,10 +174,9 @@ impl<'a, B: Backend> Trainer<'a, B> {
             // The run is lost, but not what it can be resumed from, unless that is as ill.
             Err(error) => {
                 let ill = matches!(error, TrainError::Backend(BackendError::NonFinite { .. }));
-                checkpoint
-                    .filter(|_| !ill)
-                    .into_iter()
-                    .for_each(|checkpoint| self.observer.on_checkpoint(*checkpoint));
+                if let Some(checkpoint) = checkpoint.filter(|_| !ill) {
+                    self.observer.on_checkpoint(*checkpoint);
+                }
                 return Err(error);
             }
             Ok(cloud) => cloud,

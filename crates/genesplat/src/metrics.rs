@@ -53,7 +53,7 @@ pub struct PhaseSeconds {
     pub total: f64,
 }
 
-/// What experiments read of a run's `metrics.json`.
+/// What is read back of a run's `metrics.json`.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 pub struct CellMetrics {
     /// Iterations completed.

@@ -54,7 +54,11 @@ fn open_run(folder: &Path) -> Result<Splat> {
 
 /// A run has its splat once it is stopped or done; the system's word for a missing file would leave open what to do.
 fn check_has_cloud(folder: &Path, config: &ConfigFile) -> Result<()> {
-    let how = if RunFolder::has_checkpoint(folder) { " --resume goes on with it" } else { " begins it anew" };
+    let how = if RunFolder::has_checkpoint(folder) {
+        " --resume goes on with it".to_owned()
+    } else {
+        format!(" --config {} begins it anew", RunFolder::config_in(folder).display())
+    };
     ensure!(
         RunFolder::cloud_in(folder).exists(),
         "the run in {} is unfinished and has no splat yet; genesplat train {} --out {}{how}",

@@ -39,8 +39,8 @@ pub(crate) fn list_blender(folder: &Path, seed: Option<u64>) -> Result<Listing, 
         return Err(missing_photo(&missing.list, missing.photo.clone(), there, all, folder));
     }
     let mut notices = Vec::from_iter(found.masks_notice());
-    let points = points(&found, &list, seed, || Cube::BLENDER, &mut notices)?;
     let points_file = found.points_file(&list)?;
+    let points = points(&found, &points_file, seed, || Cube::BLENDER, &mut notices)?;
     Ok(Listing { frames: found.into_frames(&list)?, points, points_file, notices })
 }
 
@@ -62,22 +62,22 @@ pub(crate) fn list_nerfstudio(folder: &Path, seed: Option<u64>) -> Result<Listin
         ));
     }
     let cameras: Vec<Camera> = found.photos.iter().map(|photo| photo.camera).collect();
-    let points = points(&found, &list, seed, || Cube::seen_by(&cameras), &mut notices)?;
     let points_file = found.points_file(&list)?;
+    let points = points(&found, &points_file, seed, || Cube::seen_by(&cameras), &mut notices)?;
     Ok(Listing { frames: found.into_frames(&list)?, points, points_file, notices })
 }
 
 /// The points that the file names, or random ones with a notice; none where none are wanted.
 fn points(
     found: &Photos,
-    list: &Path,
+    file: &Path,
     seed: Option<u64>,
     cube: impl FnOnce() -> Cube,
     notices: &mut Vec<String>,
 ) -> Result<Vec<Point>, SceneError> {
     let Some(seed) = seed else { return Ok(Vec::new()) };
     if found.points.is_some() {
-        return Ok(ply::read_points(&found.points_file(list)?)?);
+        return Ok(ply::read_points(file)?);
     }
     notices.push(format!("the scene has no points, so training starts from {COUNT} random ones"));
     Ok(cube().points(seed))

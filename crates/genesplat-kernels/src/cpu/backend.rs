@@ -73,7 +73,7 @@ impl CpuBackend {
         loss(self.level, &self.frame.image, target, None)
     }
 
-    /// Bytes of memory that scoring has taken at most since the views were set, beside the cloud, the photos and the individuals.
+    /// Bytes of memory that scoring has taken at most since the views were set or the last step was made, beside the cloud, the photos and the individuals.
     pub fn scoring_bytes(&self) -> usize {
         self.scorer.bytes()
     }
@@ -325,11 +325,12 @@ impl Backend for CpuBackend {
         let mut judgements = Vec::with_capacity(blends.len() * views.len());
         for blend in blends {
             // The cloud itself needs no copy.
-            let is_child = *blend != Blend::default();
-            if is_child {
+            let judged = if *blend == Blend::default() {
+                &self.cloud
+            } else {
                 self.lineage.breed(&self.cloud, blend, &mut self.child);
-            }
-            let judged = if is_child { &self.child } else { &self.cloud };
+                &self.child
+            };
             for &view in views {
                 let TrainView { camera, target } = &self.views[view];
                 self.frame.render(self.level, judged, camera, settings);

@@ -51,7 +51,8 @@ pub struct DensifyConfig {
     pub clone_size: f64,
     /// Fainter Gaussians are pruned. Default 0.005; 0 to 1.
     pub prune_opacity: f32,
-    /// Larger Gaussians are pruned, except with evolution's mode `renew`; in scene extents. Default 0.1; above 0. (In forward-facing
+    /// Larger Gaussians are pruned, except with evolution's mode `renew` (`evolution.renewal.spare_large`); in scene
+    /// extents. Default 0.1; above 0. (In forward-facing
     /// scenes walls and floors are larger than that, and plain training loses them.)
     pub prune_size: f64,
     /// Iteration after which they are. Default 3000.

@@ -89,22 +89,10 @@ pub struct BenchGpuArgs {
     )]
     pub gaussians: Vec<u32>,
     /// Width of the synthetic photo, pixels
-    #[arg(
-        long,
-        value_name = "PX",
-        default_value_t = 1920,
-        value_parser = clap::value_parser!(u32).range(1..=16384),
-        conflicts_with = "data"
-    )]
+    #[arg(long, value_name = "PX", default_value_t = 1920, value_parser = side(), conflicts_with = "data")]
     pub width: u32,
     /// Its height
-    #[arg(
-        long,
-        value_name = "PX",
-        default_value_t = 1080,
-        value_parser = clap::value_parser!(u32).range(1..=16384),
-        conflicts_with = "data"
-    )]
+    #[arg(long, value_name = "PX", default_value_t = 1080, value_parser = side(), conflicts_with = "data")]
     pub height: u32,
     #[command(flatten)]
     pub size: SizeArgs,
@@ -120,4 +108,9 @@ pub struct BenchGpuArgs {
     /// Also write the figures to this file [default: none]
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
+}
+
+/// What a side of a photo may be, px.
+fn side() -> clap::builder::RangedI64ValueParser<u32> {
+    clap::value_parser!(u32).range(1..=16384)
 }

@@ -21,7 +21,7 @@ const PICTURES_MAX: usize = 24;
 /// Longer side of a picture, px.
 const PICTURE_PX: u32 = 1000;
 
-/// Points of a curve: more than a screen can show.
+/// Points of a curve: half of a run's own page, since there are many charts here.
 const CURVE_POINTS: usize = 150;
 
 /// What a page is made of, beside the results.

@@ -11,8 +11,9 @@ use genesplat::io::photos::{read_photo, resize, write_png};
 
 use super::boxes::{Square, changes};
 use super::plan::Cell;
-use super::results::{CellMetrics, Results};
+use super::results::Results;
 use super::runner::Runner;
+use crate::metrics::CellMetrics;
 use crate::run_folder::RunFolder;
 use crate::scene::picture_names;
 use crate::sheet::{GAP_PX, blank, side_by_side, stacked};

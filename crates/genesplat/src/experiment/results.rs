@@ -2,7 +2,7 @@
 
 use super::plan::{Cell, Experiment};
 
-pub use crate::metrics::{CellMetrics, Scores};
+use crate::metrics::{CellMetrics, Scores};
 
 /// Which photos.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -13,8 +13,9 @@ use genesplat::io::{LoadOptions, PhotoSize, Scene, gallery, load_points};
 use genesplat::train::evaluate::Lpips;
 
 use super::plan::{BUNDLED, Cell, Experiment};
-use super::results::{CellMetrics, Results};
+use super::results::Results;
 use crate::args::MachineArgs;
+use crate::metrics::CellMetrics;
 use crate::run_folder::{RunFolder, WayOn};
 use crate::settings::{ConfigFile, Settings};
 use crate::training::{Ended, Run, open_device};
@@ -170,8 +171,8 @@ impl<'a> Runner<'a> {
         }
     }
 
-    /// What has cost another experiment its time, finished cells and checkpoints, is not overwritten. A control is no cell of another experiment just because
-    /// the arm that it controls was run again.
+    /// What has cost another experiment its time, finished cells and checkpoints, is not overwritten. A control is no cell of
+    /// another experiment just because the arm that it controls was run again.
     fn check_folders(&self) -> Result<()> {
         let results = Results::none(self.experiment);
         for cell in self.experiment.cells() {

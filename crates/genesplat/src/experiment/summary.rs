@@ -6,9 +6,10 @@
 //! repeats of one scene are no independent witnesses.
 
 use super::plan::{Cell, Experiment};
-use super::results::{CellMetrics, Metric, Results, Split};
+use super::results::{Metric, Results, Split};
 use super::statistics::{Summary, sign_test, signs, wilcoxon_test};
 use super::table::{Column, Entry, Table};
+use crate::metrics::CellMetrics;
 
 /// The name of the row of means over scenes.
 const ALL: &str = "mean of scenes";

@@ -76,7 +76,10 @@ fn a_run_that_has_no_splat_yet_is_named_as_such() {
     let folder = tempfile::tempdir().unwrap();
     let evaluate = ["evaluate", text(folder.path()), "--data", text(scene())];
     std::fs::copy(finished_run().join("config.toml"), folder.path().join("config.toml")).unwrap();
-    fail(evaluate, &["unfinished", "genesplat train", text(scene()), text(folder.path()), "anew"]);
+    fail(
+        evaluate,
+        &["unfinished", "genesplat train", text(scene()), text(folder.path()), "--config", "anew"],
+    );
     std::fs::create_dir(folder.path().join("checkpoint")).unwrap();
     std::fs::write(folder.path().join("checkpoint/latest.checkpoint"), "hours of work").unwrap();
     fail(evaluate, &["unfinished", "genesplat train", "--resume goes on"]);
@@ -249,7 +252,7 @@ fn benches_measure_trained_splats_too() {
     succeed(small.iter().chain(&trained(text(&ply))));
     let report = json(&file);
     assert_eq!((&report["gaussians"], &report["views"]), (&count.into(), &6.into()));
-    assert!(report["max_relative_difference"].as_f64().expect("a number") <= 1e-5, "{report}");
+    assert!(number(&report["max_relative_difference"]) <= 1e-5, "{report}");
 }
 
 #[test]

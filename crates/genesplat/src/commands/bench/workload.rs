@@ -38,7 +38,7 @@ pub struct Source {
 }
 
 enum Origin {
-    /// To be sampled from; at least 4.
+    /// To be sampled from; at least 4, as the loader sees to.
     Points(Vec<ColouredPoint>),
     /// A cloud as it is.
     Trained(Gaussians),
@@ -52,15 +52,11 @@ impl Source {
         size: SizeArgs,
         synthetic_px: [u32; 2],
     ) -> Result<Self> {
-        let source = match (data, splat) {
-            (Some(data), Some(splat)) => Self::trained(data, splat, size)?,
-            (Some(data), None) => Self::scene(data, size)?,
-            (None, _) => Self::synthetic(synthetic_px),
-        };
-        if source.views.is_empty() {
-            bail!("the scene has no photos to train on, and steps need one; give a scene with more photos");
+        match (data, splat) {
+            (Some(data), Some(splat)) => Self::trained(data, splat, size),
+            (Some(data), None) => Self::scene(data, size),
+            (None, _) => Ok(Self::synthetic(synthetic_px)),
         }
-        Ok(source)
     }
 
     fn synthetic(size_px: [u32; 2]) -> Self {
@@ -74,9 +70,6 @@ impl Source {
     fn scene(data: &Path, size: SizeArgs) -> Result<Self> {
         let scene = scene::load(data, size.size().unwrap_or_default(), [0.0; 3], 0)?;
         let points = scene::points(&scene);
-        if points.len() < 4 {
-            bail!("a workload needs at least 4 points to sample from, but the scene has {}", points.len());
-        }
         Ok(Self { views: scene.train, settings: RenderSettings::default(), origin: Origin::Points(points) })
     }
 
