@@ -13,6 +13,7 @@
 
 use std::borrow::Cow;
 
+use bytemuck::Pod;
 use genesplat_core::backend::{MomentPolicy, StepReport};
 use genesplat_core::lineage::PARENTS;
 use genesplat_core::{
@@ -40,6 +41,15 @@ const STEPS_UNSEEN: usize = 32;
 pub(crate) struct TrainView {
     pub(crate) camera: Camera,
     pub(crate) photo: Memory,
+}
+
+/// Whose tile lists.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum ListsOf {
+    /// Of the cloud, or of a child that stands in for it.
+    Cloud,
+    /// Of all alleles of a pool.
+    Alleles,
 }
 
 /// A cloud in the memory of a graphics device, trained by its kernels.
@@ -221,37 +231,50 @@ impl GpuBackend {
         Ok(BackendError::diverged(&cloud, self.steps))
     }
 
-    /// Submits views until their tile lists, those of `lists`, fit: where they do not, the device lists nothing and says what
-    /// it wanted, and all of them are submitted once more. Returns what was counted in the attempt that went through.
+    /// Submits views until their tile lists fit: where they do not, the device lists nothing and says what it wanted, and all
+    /// of them are submitted once more. Returns what was counted in the attempt that went through.
     pub(crate) fn until_lists_fit(
         &mut self,
-        lists: impl Fn(&mut Self) -> (&mut Lists, &Engine),
-        mut submit: impl FnMut(&mut Self) -> Result<(), BackendError>,
+        whose: ListsOf,
+        submit: impl FnMut(&mut Self) -> Result<(), BackendError>,
     ) -> Result<Counters, BackendError> {
+        Ok(self.until_lists_fit_and::<u32>(whose, None, submit)?.0)
+    }
+
+    /// The same, and the first values of a buffer that the views fill, if one is named: with one wait for both.
+    pub(crate) fn until_lists_fit_and<T: Pod>(
+        &mut self,
+        whose: ListsOf,
+        filled: Option<(&Memory, u64)>,
+        mut submit: impl FnMut(&mut Self) -> Result<(), BackendError>,
+    ) -> Result<(Counters, Vec<T>), BackendError> {
         // An attempt that ended with an error may have left some.
-        let (begun, engine) = lists(self);
+        let (begun, engine) = self.lists_of(whose);
         begun.clear_counters(engine);
         loop {
             submit(self)?;
-            let (lists, engine) = lists(self);
-            let counters = lists.take_counters(engine)?;
+            let (lists, engine) = self.lists_of(whose);
+            let (counters, values) = lists.take_counters_and(engine, filled)?;
             if counters.halted & HALT_OVERFLOW == 0 {
-                return Ok(counters);
+                return Ok((counters, values));
             }
             lists.grow(engine, counters.wanted)?;
         }
     }
 
-    /// The lists of the cloud, as [`Self::until_lists_fit`] wants them.
-    pub(crate) fn lists_of_cloud(&mut self) -> (&mut Lists, &Engine) {
-        (&mut self.lists, &self.engine)
+    fn lists_of(&mut self, whose: ListsOf) -> (&mut Lists, &Engine) {
+        let lists = match whose {
+            ListsOf::Cloud => &mut self.lists,
+            ListsOf::Alleles => &mut self.scratch.lists,
+        };
+        (lists, &self.engine)
     }
 
     /// Eq. 5 of the cloud on one training view, rendered in full: the plain way, which scoring is measured against.
     pub fn loss_of_view(&mut self, view: usize, settings: &RenderSettings) -> Result<f32, BackendError> {
         self.settle()?;
         let frame = frame_of(&self.views[view].camera, settings, self.state.rows);
-        let counters = self.until_lists_fit(Self::lists_of_cloud, |gpu| {
+        let counters = self.until_lists_fit(ListsOf::Cloud, |gpu| {
             gpu.lists.reserve(&gpu.engine, &frame)?;
             gpu.pixels.reserve_loss(&gpu.engine, &frame)?;
             gpu.lists.begin(&gpu.engine, &frame);
@@ -319,7 +342,7 @@ impl Backend for GpuBackend {
 
     fn render(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<Image, BackendError> {
         let frame = frame_of(camera, settings, self.state.rows);
-        self.with_room(|gpu| gpu.until_lists_fit(Self::lists_of_cloud, |gpu| gpu.submit_image(&frame)))?;
+        self.with_room(|gpu| gpu.until_lists_fit(ListsOf::Cloud, |gpu| gpu.submit_image(&frame)))?;
         let planes = self.engine.read_values(&self.pixels.image, image_bytes(&frame) / 4)?;
         Ok(Image { width: camera.width, height: camera.height, planes })
     }

@@ -7,7 +7,7 @@
 use genesplat_core::backend::MomentPolicy;
 use genesplat_core::{BackendError, Blend, Credits, RenderSettings, SparseDelta};
 
-use crate::backend::GpuBackend;
+use crate::backend::{GpuBackend, ListsOf};
 use crate::cloud::{Column, Parameters};
 use crate::frame::frame_of;
 use crate::layout::{CREDIT_FLOATS, Frame, MUTANTS_AT_ONCE};
@@ -31,7 +31,7 @@ impl GpuBackend {
     ) -> Result<Credits, BackendError> {
         self.state.make_child(&self.engine, &Blend::default())?;
         let batches = self.batches(mutants)?;
-        self.until_lists_fit(Self::lists_of_cloud, |gpu| {
+        self.until_lists_fit(ListsOf::Cloud, |gpu| {
             // An attempt before may have added some of the views.
             batches.iter().for_each(|batch| gpu.clear(&batch.credits));
             views.iter().try_for_each(|&view| {

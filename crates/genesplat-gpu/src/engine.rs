@@ -64,6 +64,8 @@ pub struct Engine {
     pub(crate) read_bytes_max: u64,
     /// Bytes that wait to be copied to the device.
     pub(crate) written: Cell<usize>,
+    /// How often the host has waited: what a test counts.
+    pub(crate) waits: Cell<u32>,
     pub(crate) timestamps: bool,
     kernels: RefCell<HashMap<KernelKey, Kernel>>,
     lost: Arc<Mutex<Option<String>>>,
@@ -99,6 +101,7 @@ impl Engine {
             written_bytes_max: WRITTEN_BYTES_MAX,
             read_bytes_max: READ_BYTES_MAX,
             written: Cell::default(),
+            waits: Cell::default(),
             device,
             queue,
             name,
@@ -269,6 +272,7 @@ impl Engine {
 
     /// Waits until everything submitted is done; only then is the memory of dropped buffers free.
     pub(crate) fn wait(&self) -> Result<(), BackendError> {
+        self.waits.set(self.waits.get() + 1);
         match self.device.poll(PollType::wait_indefinitely()) {
             Ok(_) => self.check(),
             Err(error) => Err(self.is_lost(&error.to_string())),

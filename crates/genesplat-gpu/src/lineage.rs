@@ -4,7 +4,7 @@
 use genesplat_core::lineage::{PARENTS, Parent};
 use genesplat_core::{BackendError, Blend, Judgement, Lineage, RenderSettings};
 
-use crate::backend::GpuBackend;
+use crate::backend::{GpuBackend, ListsOf};
 use crate::cloud::{Parameters, window_uniform};
 use crate::engine::{Engine, Memory};
 use crate::frame::frame_of;
@@ -137,7 +137,8 @@ impl GpuBackend {
     ) -> Result<Vec<Judgement>, BackendError> {
         let count = (blends.len() * views.len()) as u64;
         let judgements = self.engine.allocate("judgements", 8 * count)?;
-        self.until_lists_fit(Self::lists_of_cloud, |gpu| {
+        let filled = Some((&judgements, count));
+        let (_, values): (_, Vec<[f32; 2]>) = self.until_lists_fit_and(ListsOf::Cloud, filled, |gpu| {
             for (individual, blend) in blends.iter().enumerate() {
                 gpu.state.make_child(&gpu.engine, blend)?;
                 for (index, &view) in views.iter().enumerate() {
@@ -147,8 +148,7 @@ impl GpuBackend {
             }
             Ok(())
         })?;
-        let judgements: Vec<[f32; 2]> = self.engine.read_values(&judgements, count)?;
-        Ok(judgements.into_iter().map(|[loss, squared_error]| Judgement { loss, squared_error }).collect())
+        Ok(values.into_iter().map(|[loss, squared_error]| Judgement { loss, squared_error }).collect())
     }
 
     /// One view of the child, and how it does.

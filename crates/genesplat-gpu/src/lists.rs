@@ -7,6 +7,7 @@
 //! The order is that of the CPU: splats are sorted by depth once (ties by row), emit their entries in that order, and a
 //! stable sort by tile keeps it.
 
+use bytemuck::Pod;
 use genesplat_core::BackendError;
 
 use crate::cloud::{Parameters, RowWindow};
@@ -167,10 +168,24 @@ impl Lists {
 
     /// What the device has counted since this was last asked.
     pub(crate) fn take_counters(&self, engine: &Engine) -> Result<Counters, BackendError> {
+        Ok(self.take_counters_and::<u32>(engine, None)?.0)
+    }
+
+    /// The same, and the first values of a buffer, if one is named: with one wait for both.
+    pub(crate) fn take_counters_and<T: Pod>(
+        &self,
+        engine: &Engine,
+        values_of: Option<(&Memory, u64)>,
+    ) -> Result<(Counters, Vec<T>), BackendError> {
+        let (memory, count) = values_of.unwrap_or((&self.counters, 0));
         let mut counters = Counters::default();
-        engine.read([(&self.counters, bytemuck::bytes_of_mut(&mut counters))])?;
+        let mut values = bytemuck::zeroed_vec(count as usize);
+        engine.read([
+            (&self.counters, bytemuck::bytes_of_mut(&mut counters)),
+            (memory, bytemuck::cast_slice_mut(&mut values)),
+        ])?;
         self.clear_counters(engine);
-        Ok(counters)
+        Ok((counters, values))
     }
 
     pub(crate) fn clear_counters(&self, engine: &Engine) {

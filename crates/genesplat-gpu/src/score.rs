@@ -9,7 +9,7 @@ use genesplat_core::alleles::{Allele, Holders, alleles};
 use genesplat_core::{BackendError, RenderSettings, SparseDelta};
 use rayon::prelude::*;
 
-use crate::backend::GpuBackend;
+use crate::backend::{GpuBackend, ListsOf};
 use crate::cloud::{RowWindow, pack_gene, window_uniform};
 use crate::engine::{Engine, Memory};
 use crate::frame::frame_of;
@@ -28,7 +28,7 @@ const ROWS: usize = 4096;
 /// Buffers of the views of a pool, kept from call to call.
 pub struct Scratch {
     /// Tile lists of the alleles.
-    lists: Lists,
+    pub(crate) lists: Lists,
     /// Pictures `[layers, 3, H, W]`.
     images: Memory,
     /// Sums of the loss `[layers, 3, tiles, 4]`.
@@ -185,15 +185,12 @@ impl GpuBackend {
     ) -> Result<Vec<f32>, BackendError> {
         let count = u64::from(pool.individuals) * views.len() as u64;
         let losses = self.engine.allocate("losses", 8 * count)?;
-        self.until_lists_fit(
-            |gpu| (&mut gpu.scratch.lists, &gpu.engine),
-            |gpu| {
+        let (_, judgements): (_, Vec<[f32; 2]>) =
+            self.until_lists_fit_and(ListsOf::Alleles, Some((&losses, count)), |gpu| {
                 views.iter().enumerate().try_for_each(|(index, &view)| {
                     gpu.submit_pool(pool, view, settings, [index, views.len()], &losses)
                 })
-            },
-        )?;
-        let judgements: Vec<[f32; 2]> = self.engine.read_values(&losses, count)?;
+            })?;
         Ok(judgements.into_iter().map(|[loss, _]| loss).collect())
     }
 

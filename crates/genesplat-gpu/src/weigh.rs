@@ -6,7 +6,7 @@
 
 use genesplat_core::{BackendError, Merit, RenderSettings};
 
-use crate::backend::GpuBackend;
+use crate::backend::{GpuBackend, ListsOf};
 use crate::cloud::Column;
 use crate::frame::frame_of;
 use crate::layout::MERIT_FLOATS;
@@ -22,12 +22,13 @@ impl GpuBackend {
     ) -> Result<Vec<Merit>, BackendError> {
         let rows = self.state.rows;
         let merits = Column::zeros(&self.engine, "merits", rows, MERIT_FLOATS)?;
-        self.until_lists_fit(Self::lists_of_cloud, |gpu| {
-            // An attempt before may have added some of the views.
-            gpu.clear(&merits);
-            views.iter().try_for_each(|&view| gpu.submit_weighing(view, settings, &merits))
-        })?;
-        let values: Vec<[f32; MERIT_FLOATS as usize]> = self.engine.read_values(&merits.memory, rows)?;
+        let filled = Some((&merits.memory, rows));
+        let (_, values): (_, Vec<[f32; MERIT_FLOATS as usize]>) =
+            self.until_lists_fit_and(ListsOf::Cloud, filled, |gpu| {
+                // An attempt before may have added some of the views.
+                gpu.clear(&merits);
+                views.iter().try_for_each(|&view| gpu.submit_weighing(view, settings, &merits))
+            })?;
         Ok(values.into_iter().map(|[weight, error]| Merit { weight, error }).collect())
     }
 

@@ -289,6 +289,27 @@ fn scores_match() {
     }
 }
 
+/// A hundred individuals on six views, children on as many, and merits: the host waits once for each.
+#[test]
+fn a_generation_is_read_back_once() {
+    let Some(mut gpu) = gpu() else { return };
+    let (base, settings) = (cloud(300), settings(1, ScreenFilter::Classic));
+    let population: Vec<SparseDelta> = (0..100).map(|index| individual_of(&base, index % 6)).collect();
+    let views = [0; 6];
+    gpu.upload(base, None).unwrap();
+    gpu.remember(0).unwrap();
+    let mut waits = |verb: &dyn Fn(&mut GpuBackend)| {
+        // The first time, room is made.
+        verb(&mut gpu);
+        let before = gpu.engine.waits.get();
+        verb(&mut gpu);
+        gpu.engine.waits.get() - before
+    };
+    assert_eq!(waits(&|gpu| drop(gpu.score(&population, &views, &settings).unwrap())), 1);
+    assert_eq!(waits(&|gpu| drop(gpu.judge(&[Blend::default(); 2], &views, &settings).unwrap())), 1);
+    assert_eq!(waits(&|gpu| drop(gpu.weigh(&views, &settings).unwrap())), 1);
+}
+
 /// More sums of tiles than a workgroup takes in one round.
 #[test]
 fn losses_of_large_pictures_match() {
