@@ -126,6 +126,25 @@ pub fn scene_extent<'a>(cameras: impl Iterator<Item = &'a Camera>) -> Result<f64
     }
 }
 
+/// Points that the median depth is taken of, at most: more do not move it.
+const DEPTH_POINTS: usize = 1000;
+
+/// How far away what the cameras see is: the median camera z of the points in front of them, world units; `None` where
+/// there are none.
+pub(crate) fn median_depth<'a>(
+    cameras: impl Iterator<Item = &'a Camera>,
+    points: &[ColouredPoint],
+) -> Option<f64> {
+    let step = points.len().div_ceil(DEPTH_POINTS).max(1);
+    let depths_from = |camera: &'a Camera| {
+        let positions = points.iter().step_by(step).map(|(position, _)| DVec3::from(position.map(f64::from)));
+        positions.map(|position| camera.camera_from_world(position).z)
+    };
+    let mut depths: Vec<f64> = cameras.flat_map(depths_from).filter(|&depth| depth > 0.0).collect();
+    depths.sort_unstable_by(f64::total_cmp);
+    depths.get(depths.len() / 2).copied()
+}
+
 #[cfg(test)]
 mod tests {
     use glam::DQuat;
@@ -192,6 +211,20 @@ mod tests {
         let cameras = [DVec3::new(5.0, 0.0, 0.0), DVec3::new(9.0, 0.0, 0.0)].map(camera_at);
         let extent = scene_extent(cameras.iter()).unwrap();
         assert!((extent - 2.2).abs() < 1e-12, "{extent}");
+    }
+
+    #[test]
+    fn depth_is_that_of_the_points_in_front() {
+        let points = [-9.0, 1.0, 2.0, 7.0].map(|z| ([0.0, 0.0, z], [0; 3]));
+        let camera = Camera {
+            camera_from_world_rotation: DQuat::IDENTITY,
+            camera_from_world_translation: DVec3::Z,
+            ..camera_at(DVec3::ZERO)
+        };
+        assert_eq!(median_depth([camera].iter(), &points), Some(3.0));
+        assert_eq!(median_depth([camera].iter(), &points[..1]), None);
+        let many: Vec<_> = (0..5000).map(|z| ([0.0, 0.0, z as f32], [0; 3])).collect();
+        assert!((median_depth([camera].iter(), &many).unwrap() - 2500.0).abs() < 10.0);
     }
 
     #[test]

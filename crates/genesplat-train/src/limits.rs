@@ -9,6 +9,10 @@ use crate::schedule::Schedule;
 /// A reset is late where less than the time between two resets, divided by this, is left after it.
 const LATE_RESET_DIVISOR: u64 = 10;
 
+/// Gaussians are pruned for a size that backgrounds need where it is less than this part of their distance. (The published
+/// size is a tenth of the cameras' extent: all round a scene a tenth of the distance, too, and a fiftieth for `fern`.)
+const SMALL_PART_OF_DEPTH: f64 = 0.03;
+
 /// The most Gaussians that density control may grow to, by who says so.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Limits {
@@ -60,6 +64,28 @@ impl Limits {
              those with the strongest gradients grow into the room that pruning leaves"
         )
     }
+}
+
+/// Sizes are measured in the extent of the cameras. Where that is small beside the scene, walls and floors are pruned for
+/// theirs; `depth` is how far away most of it is.
+pub(crate) fn notice_of_lost_background(
+    config: &TrainConfig,
+    schedule: &Schedule,
+    extent: f64,
+    depth: f64,
+) -> Option<String> {
+    let prunes = |&i: &u32| schedule.is_densify(i) && schedule.prunes_by_size(i);
+    let first = (1..=schedule.iterations).find(prunes).filter(|_| config.variant != Variant::Mcmc)?;
+    let largest = config.densify.prune_size * extent;
+    (largest < SMALL_PART_OF_DEPTH * depth).then(|| {
+        format!(
+            "the cameras stand close together, and half of what they see is {:.0} times their extent away or more: from iteration \
+             {first} on Gaussians larger than {:.0} % of that distance are pruned, as published, and much of the background with \
+             them; --evolve renew keeps it, and so does densify.prune_size = 10",
+            depth / extent,
+            100.0 * largest / depth
+        )
+    })
 }
 
 /// How many Gaussians the photos feed, where that counts.
@@ -171,5 +197,25 @@ mod tests {
             let text = notice(iterations).expect("a notice");
             assert!(text.contains("reset at iteration 3000"), "{text}");
         }
+    }
+
+    #[test]
+    fn who_would_lose_the_background_hears_of_it() {
+        let notice = |depth, change: fn(&mut TrainConfig)| {
+            let mut config = TrainConfig::default();
+            change(&mut config);
+            let resolved = config.resolve().unwrap();
+            notice_of_lost_background(resolved.config(), resolved.schedule(), 2.0, depth)
+        };
+        let text = notice(10.0, |_| {}).expect("a notice");
+        assert!(
+            text.contains("5 times") && text.contains("iteration 3100") && text.contains("2 % of"),
+            "{text}"
+        );
+        assert_eq!(notice(2.0, |_| {}), None);
+        assert_eq!(notice(10.0, |config| config.iterations = 3000), None);
+        assert_eq!(notice(10.0, |config| config.variant = Variant::Mcmc), None);
+        assert_eq!(notice(10.0, |config| config.densify.prune_size = 10.0), None);
+        assert_eq!(notice(10.0, |config| config.evolution.mode = EvolutionMode::Renew), None);
     }
 }

@@ -14,8 +14,10 @@ use crate::config::{Background, McmcConfig, Resolved, Signal, TrainConfig, Varia
 use crate::densify::adaptive::Rules;
 use crate::densify::mcmc;
 use crate::filter_3d::filter_3d;
-use crate::initialise::{ColouredPoint, check_points, cloud_from_points, in_spatial_order, scene_extent};
-use crate::limits::Limits;
+use crate::initialise::{
+    ColouredPoint, check_points, cloud_from_points, in_spatial_order, median_depth, scene_extent,
+};
+use crate::limits::{Limits, notice_of_lost_background};
 use crate::observe::{Observer, StageLog, StageRecord, StartLog, StepFindings};
 use crate::renew::Trial;
 use crate::run::{Outcome, RunSummary, Seconds, Start, TrainError};
@@ -88,6 +90,10 @@ impl<'a, B: Backend> Trainer<'a, B> {
 
     /// Fills the device; returns where to go on.
     pub(crate) fn begin(&mut self, start: Start) -> Result<Cursor, TrainError> {
+        let background = match &start {
+            Start::Points(points) => self.notice_of_lost_background(points),
+            Start::Cloud(_) | Start::Checkpoint(_) => None,
+        };
         let cursor = match start {
             Start::Points(points) => self.upload_new(self.first_cloud(&points)?)?,
             Start::Cloud(cloud) => self.upload_new(cloud)?,
@@ -101,8 +107,14 @@ impl<'a, B: Backend> Trainer<'a, B> {
             iteration: cursor.iteration,
             iterations: self.schedule.iterations,
         });
-        self.limits.notices(self.schedule).for_each(|notice| self.observer.notice(&notice));
+        let notices = self.limits.notices(self.schedule).chain(background);
+        notices.for_each(|notice| self.observer.notice(&notice));
         Ok(cursor)
+    }
+
+    fn notice_of_lost_background(&self, points: &[ColouredPoint]) -> Option<String> {
+        let depth = median_depth(self.views.iter().map(|view| &view.camera), points)?;
+        notice_of_lost_background(self.config, self.schedule, self.extent, depth)
     }
 
     fn first_cloud(&self, points: &[ColouredPoint]) -> Result<Gaussians, TrainError> {
