@@ -13,7 +13,7 @@ mod bench;
 mod method;
 mod train;
 
-pub use bench::{Bench, BenchEvolutionArgs, BenchGpuArgs, BenchStepArgs, WorkloadArgs};
+pub use bench::{Bench, BenchEvolutionArgs, BenchGpuArgs, BenchStepArgs, SourceArgs, WorkloadArgs};
 pub use method::MethodArgs;
 pub use train::{EvolutionArgs, Evolve, ScheduleArgs, Search, TrainArgs};
 

@@ -17,20 +17,28 @@ pub enum Bench {
     Gpu(BenchGpuArgs),
 }
 
-/// A cloud to measure on.
+/// Where the cameras, the photos and the Gaussians to measure with come from.
 #[derive(Debug, Args)]
-pub struct WorkloadArgs {
-    /// Folder of a scene to take cameras, photos and points from [default: a synthetic cloud before one camera of 268x478]
+pub struct SourceArgs {
+    /// Folder of a scene to take cameras, photos and points from [default: a synthetic cloud before one camera]
     #[arg(long, value_name = "DATASET")]
     pub data: Option<PathBuf>,
     /// A trained splat of that scene (.ply), or the folder of a run, instead of Gaussians made from its points [default: none]
     #[arg(long, value_name = "PLY|RUN", requires = "data")]
     pub splat: Option<PathBuf>,
-    /// Number of Gaussians, at least 4 [default: as many as the scene has points; 55000 without --data]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(4..), conflicts_with = "splat")]
-    pub gaussians: Option<u32>,
     #[command(flatten)]
     pub size: SizeArgs,
+}
+
+/// A cloud to measure on.
+#[derive(Debug, Args)]
+pub struct WorkloadArgs {
+    #[command(flatten)]
+    pub source: SourceArgs,
+    /// Number of Gaussians, at least 4 [default: as many as the scene has points; 55000 without --data, before a camera of
+    /// 268x478]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(4..), conflicts_with = "splat")]
+    pub gaussians: Option<u32>,
 }
 
 /// `genesplat bench step`.
@@ -72,12 +80,8 @@ pub struct BenchEvolutionArgs {
 /// `genesplat bench gpu`.
 #[derive(Debug, Args)]
 pub struct BenchGpuArgs {
-    /// Folder of a scene to take cameras, photos and points from [default: a synthetic cloud before one camera]
-    #[arg(long, value_name = "DATASET")]
-    pub data: Option<PathBuf>,
-    /// A trained splat of that scene (.ply), or the folder of a run, instead of Gaussians made from its points [default: none]
-    #[arg(long, value_name = "PLY|RUN", requires = "data")]
-    pub splat: Option<PathBuf>,
+    #[command(flatten)]
+    pub source: SourceArgs,
     /// Numbers of Gaussians, separated by commas; those that there is no time for within eight minutes are left out
     #[arg(
         long,
@@ -94,8 +98,6 @@ pub struct BenchGpuArgs {
     /// Its height
     #[arg(long, value_name = "PX", default_value_t = 1080, value_parser = side(), conflicts_with = "data")]
     pub height: u32,
-    #[command(flatten)]
-    pub size: SizeArgs,
     /// Steps to time
     #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..))]
     pub steps: u32,

@@ -265,6 +265,9 @@ fn a_bench_is_refused_what_contradicts_itself() {
     }
     refuse(["bench", "gpu", "--data", "absent", "--width", "64"], "cannot be used with");
     fail(["bench", "step", "--data", "absent", "--splat", "absent.ply"], &["absent.ply does not exist"]);
+    for what in ["step", "evolution"] {
+        fail(["bench", what, "--max-side", "64"], &["name a scene with --data"]);
+    }
 }
 
 /// Wrong usage, in which something is named.

@@ -74,8 +74,7 @@ pub fn run(args: &BenchGpuArgs) -> Result<()> {
     args.json.as_deref().map_or(Ok(()), files::check_writable)?;
     device::use_threads(args.threads)?;
     Device::Gpu.resolve()?;
-    let (data, splat) = (args.data.as_deref(), args.splat.as_deref());
-    let mut source = Source::of(data, splat, args.size, [args.width, args.height])?;
+    let mut source = Source::of(&args.source, [args.width, args.height])?;
     source.views = spread(&source.views, args.steps as usize);
     let [width, height] = size_px(&source.views);
     let mut backend = GpuBackend::new(0)?;

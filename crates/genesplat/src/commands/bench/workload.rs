@@ -13,7 +13,7 @@ use genesplat::core::{Camera, Gaussians, Photo, RenderSettings, Rng, Stream, Vie
 use genesplat::train::initialise::{ColouredPoint, cloud_from_points, in_spatial_order};
 use glam::{DQuat, DVec3};
 
-use crate::args::{SizeArgs, ViewSizeArgs, WorkloadArgs};
+use crate::args::{SizeArgs, SourceArgs, ViewSizeArgs, WorkloadArgs};
 use crate::{scene, splat};
 
 /// Gaussians where neither flag nor scene says.
@@ -45,16 +45,14 @@ enum Origin {
 }
 
 impl Source {
-    /// The scene in `data` and its splat, if there are any; else the synthetic scene, whose photo has `synthetic_px`.
-    pub fn of(
-        data: Option<&Path>,
-        splat: Option<&Path>,
-        size: SizeArgs,
-        synthetic_px: [u32; 2],
-    ) -> Result<Self> {
+    /// The scene and its splat, if there are any; else the synthetic scene, whose photo has `synthetic_px`.
+    pub fn of(SourceArgs { data, splat, size }: &SourceArgs, synthetic_px: [u32; 2]) -> Result<Self> {
         match (data, splat) {
-            (Some(data), Some(splat)) => Self::trained(data, splat, size),
-            (Some(data), None) => Self::scene(data, size),
+            (Some(data), Some(splat)) => Self::trained(data, splat, *size),
+            (Some(data), None) => Self::scene(data, *size),
+            (None, _) if size.size().is_some() => {
+                bail!("--max-side and --downscale reduce photos; name a scene with --data, or leave them out")
+            }
             (None, _) => Ok(Self::synthetic(synthetic_px)),
         }
     }
@@ -113,12 +111,11 @@ pub struct Workload {
 impl Workload {
     /// As asked for.
     pub fn of(args: &WorkloadArgs) -> Result<Self> {
-        let WorkloadArgs { data, splat, gaussians, size } = args;
-        let Source { views, settings, origin } =
-            Source::of(data.as_deref(), splat.as_deref(), *size, SIZE_PX)?;
+        let WorkloadArgs { source, gaussians } = args;
+        let Source { views, settings, origin } = Source::of(source, SIZE_PX)?;
         let cloud = match origin {
             Origin::Points(points) => {
-                let default = if data.is_some() { points.len() } else { GAUSSIANS };
+                let default = if source.data.is_some() { points.len() } else { GAUSSIANS };
                 sampled(&points, gaussians.map_or(default, |count| count as usize))?
             }
             Origin::Trained(cloud) => cloud,
