@@ -40,6 +40,7 @@ impl Limits {
             notice_of_no_growth(schedule),
             notice_of_no_renewal(schedule),
             notice_of_late_reset(schedule),
+            notice_of_no_stage(schedule),
         ]
         .into_iter()
         .flatten()
@@ -127,6 +128,18 @@ fn notice_of_late_reset(schedule: &Schedule) -> Option<String> {
     })
 }
 
+/// Stages come with resets, unless a trigger says otherwise. Who asks for them should know that a run has none.
+fn notice_of_no_stage(schedule: &Schedule) -> Option<String> {
+    let asked = schedule.evolution_phase.is_some();
+    (asked && schedule.stages().next().is_none()).then(|| {
+        format!(
+            "evolution does nothing here: its trigger never comes in a run of {} iterations (the first reset would be at {}); make \
+             the run longer, or set evolution.trigger",
+            schedule.iterations, schedule.reset_every
+        )
+    })
+}
+
 /// Who asks for renewal should know that a run has no place for it. Who switched it off needs no telling.
 fn notice_of_no_renewal(schedule: &Schedule) -> Option<String> {
     let every = schedule.renew_every.filter(|_| schedule.renew_until > 0)?;
@@ -197,6 +210,24 @@ mod tests {
             let text = notice(iterations).expect("a notice");
             assert!(text.contains("reset at iteration 3000"), "{text}");
         }
+    }
+
+    #[test]
+    fn who_asks_for_stages_that_never_come_hears_of_it() {
+        let notice = |mode, iterations| {
+            let mut config = TrainConfig { iterations, ..TrainConfig::default() };
+            config.evolution.mode = mode;
+            notice_of_no_stage(config.resolve().unwrap().schedule())
+        };
+        for mode in [EvolutionMode::Paper, EvolutionMode::Control] {
+            assert_eq!(notice(mode, 3001), None);
+            let text = notice(mode, 3000).expect("a notice");
+            assert!(text.contains("would be at 3000"), "{text}");
+        }
+        assert_eq!(
+            [EvolutionMode::Off, EvolutionMode::Renew, EvolutionMode::Mosaic].map(|mode| notice(mode, 3000)),
+            [const { None }; 3]
+        );
     }
 
     #[test]

@@ -1,9 +1,9 @@
 //! What goes into a run, what comes out, and what can go wrong.
 
-use genesplat_core::{BackendError, Gaussians};
+use genesplat_core::{Backend, BackendError, Gaussians, Lineage};
 use serde::Serialize;
 
-use crate::checkpoint::Checkpoint;
+use crate::checkpoint::{Checkpoint, Cursor, Progress};
 use crate::config::Variant;
 use crate::initialise::{ColouredPoint, InitialiseError};
 use crate::observe::StageRecord;
@@ -39,6 +39,8 @@ pub struct RunSummary {
     pub gaussians: usize,
     /// Adam steps made.
     pub optimiser_steps: u32,
+    /// Adam steps that the opacity group made (it misses some).
+    pub opacity_steps: u32,
     /// Size of the scene, world units.
     pub extent: f64,
     /// Wall-clock seconds, those before a resume included.
@@ -47,6 +49,27 @@ pub struct RunSummary {
     pub stages: Vec<StageRecord>,
     /// The run was stopped before its end.
     pub interrupted: bool,
+}
+
+impl RunSummary {
+    /// What a run that has reached its end can be scored from later: [`Start::Checkpoint`] with it makes no step.
+    pub fn checkpoint_at_end<B: Backend>(&self, backend: &mut B) -> Result<Checkpoint, TrainError> {
+        Ok(Checkpoint {
+            cursor: Cursor::start_of(self.iterations + 1),
+            progress: Progress {
+                steps: self.optimiser_steps,
+                opacity_steps: self.opacity_steps,
+                gradient_seconds: self.seconds.gradient,
+                evolution_seconds: self.seconds.evolution,
+                stages: self.stages.clone(),
+            },
+            cloud: backend.download()?.into_owned(),
+            moments: backend.download_moments()?.into_owned(),
+            statistics: backend.statistics()?,
+            lineage: Lineage::default(),
+            trial: None,
+        })
+    }
 }
 
 /// Wall-clock seconds by what they were spent on.

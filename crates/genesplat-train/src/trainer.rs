@@ -198,6 +198,7 @@ impl<'a, B: Backend> Trainer<'a, B> {
             iterations: checkpoint.as_ref().map_or(self.schedule.iterations, |c| c.cursor.iteration - 1),
             gaussians: cloud.len(),
             optimiser_steps: progress.steps,
+            opacity_steps: progress.opacity_steps,
             extent: self.extent,
             seconds: Seconds { gradient: progress.gradient_seconds, evolution: progress.evolution_seconds },
             stages: progress.stages,

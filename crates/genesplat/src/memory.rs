@@ -1,8 +1,17 @@
 //! How much memory the process has used.
 
+use std::fs;
+
+/// From now on the peak is that of what comes: a process may make several runs. Where the system cannot do that, it stays that of
+/// the whole process.
+pub fn forget_peak() {
+    // Nothing depends on it but a figure.
+    let _ = fs::write("/proc/self/clear_refs", "5");
+}
+
 /// The most memory that this process has held at once, bytes: Linux's `VmHWM`; `None` where the system does not tell.
 pub fn peak_bytes() -> Option<u64> {
-    high_water_mark(&std::fs::read_to_string("/proc/self/status").ok()?)
+    high_water_mark(&fs::read_to_string("/proc/self/status").ok()?)
 }
 
 fn high_water_mark(status: &str) -> Option<u64> {
@@ -14,6 +23,16 @@ fn high_water_mark(status: &str) -> Option<u64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn a_peak_can_be_forgotten() {
+        drop(std::hint::black_box(vec![1u8; 300 << 20]));
+        let before = peak_bytes().unwrap();
+        assert!(before > 300 << 20);
+        forget_peak();
+        assert!(peak_bytes().unwrap() < before - (200 << 20));
+    }
 
     #[test]
     fn the_high_water_mark_is_read_in_bytes() {

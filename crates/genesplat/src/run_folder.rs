@@ -203,7 +203,12 @@ impl RunFolder {
         let mut options = OpenOptions::new();
         options.create(true).write(true).append(resume).truncate(!resume);
         let file = options.open(&path).map_err(|error| unwritable(&path, &error))?;
-        Ok(Log { path, writer: BufWriter::new(file) })
+        let mut writer = BufWriter::new(file);
+        // A full disk may have torn the last line: what comes next must not be part of it.
+        if resume && fs::read(&path).is_ok_and(|text| text.last().is_some_and(|&byte| byte != b'\n')) {
+            writer.write_all(b"\n").map_err(|error| unwritable(&path, &error))?;
+        }
+        Ok(Log { path, writer })
     }
 
     /// Writes the splat, so that viewers know its screen filter, and without its 3D filter, if it has one.
@@ -381,6 +386,21 @@ mod tests {
             lineage: Lineage::default(),
             trial: None,
         }
+    }
+
+    #[test]
+    fn a_torn_line_of_the_log_stays_alone() {
+        let place = tempfile::tempdir().unwrap();
+        let folder = RunFolder::create(&place.path().join("run"), "").unwrap();
+        let path = RunFolder::log_in(folder.path());
+        let logged = |before: &str| {
+            fs::write(&path, before).unwrap();
+            folder.open_log(true).unwrap().append(&LogRecord::Notice { text: "x".into() }).unwrap();
+            fs::read_to_string(&path).unwrap().lines().map(str::len).collect::<Vec<_>>()
+        };
+        let [whole, torn, empty] = ["{}\n", "{}\n{\"ev", ""].map(logged);
+        assert_eq!((whole[..1].to_vec(), torn[..2].to_vec()), (vec![2], vec![2, 4]));
+        assert_eq!([whole.len(), torn.len(), empty.len()], [2, 3, 1]);
     }
 
     #[test]

@@ -8,6 +8,7 @@ use genesplat::io::ply::{PlyHeader, check_finite, read_ply_with_header};
 use genesplat::io::{PhotoSize, Scene};
 
 use crate::args::{SizeArgs, ViewSizeArgs};
+use crate::report::run::command_line;
 use crate::run_folder::RunFolder;
 use crate::scene;
 use crate::settings::ConfigFile;
@@ -54,17 +55,17 @@ fn open_run(folder: &Path) -> Result<Splat> {
 
 /// A run has its splat once it is stopped or done; the system's word for a missing file would leave open what to do.
 fn check_has_cloud(folder: &Path, config: &ConfigFile) -> Result<()> {
-    let how = if RunFolder::has_checkpoint(folder) {
-        " --resume goes on with it".to_owned()
-    } else {
-        format!(" --config {} begins it anew", RunFolder::config_in(folder).display())
+    let [dataset, out, saved] =
+        [&config.dataset.path, folder, &RunFolder::config_in(folder)].map(|path| path.display().to_string());
+    let words = ["genesplat", "train", &dataset, "--out", &out];
+    let (more, what): (&[&str], _) = match RunFolder::has_checkpoint(folder) {
+        true => (&["--resume"], "goes on with it"),
+        false => (&["--config", &saved], "begins it anew"),
     };
     ensure!(
         RunFolder::cloud_in(folder).exists(),
-        "the run in {} is unfinished and has no splat yet; genesplat train {} --out {}{how}",
-        folder.display(),
-        config.dataset.path.display(),
-        folder.display()
+        "the run in {out} is unfinished and has no splat yet; {} {what}",
+        command_line(words.into_iter().chain(more.iter().copied()))
     );
     Ok(())
 }

@@ -5,7 +5,7 @@ use std::slice;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
-use anyhow::{Result, anyhow};
+use anyhow::Result;
 use genesplat::core::{RenderSettings, View};
 use genesplat::io::Scene;
 use genesplat::io::photos::write_png;
@@ -51,7 +51,7 @@ pub enum Ended {
     Whole(Metrics),
     /// Training was stopped; the figures are those of what there was.
     Stopped(Metrics),
-    /// Training came to its end, and scoring was stopped: the splat is whole, and there are no figures.
+    /// Training came to its end, and scoring was stopped: the splat is whole, and there are no figures yet.
     Unscored,
 }
 
@@ -59,10 +59,14 @@ impl Run<'_> {
     /// Trains on the device that [`open_device`] gave, saves, evaluates. What is most precious is saved first, and the checkpoint
     /// is kept until all is done.
     pub fn execute(&self, backend: AnyBackend) -> Result<Ended> {
+        memory::forget_peak();
         let log = self.folder.open_log(self.resume)?;
         let (seconds_before, start) = self.start()?;
         let ended = self.train(backend, start, log, seconds_before);
-        ended.map_err(|error| anyhow!("{error}{}", self.folder.what_is_left(&error, self.way_on)))
+        ended.map_err(|error| {
+            let sentence = format!("{error}{}", self.folder.what_is_left(&error, self.way_on));
+            error.context(sentence)
+        })
     }
 
     fn train(&self, mut backend: AnyBackend, start: Start, log: Log, seconds_before: f64) -> Result<Ended> {
@@ -80,6 +84,8 @@ impl Run<'_> {
         saved?;
         reporter.into_result()?;
         let Some(metrics) = self.measure(&mut backend, &summary, seconds_before)? else {
+            // What was saved on the way would have to be trained to the end once more.
+            self.folder.write_checkpoint(&summary.checkpoint_at_end(&mut backend)?)?;
             return Ok(Ended::Unscored);
         };
         self.folder.write_report(&self.report(&metrics)?)?;

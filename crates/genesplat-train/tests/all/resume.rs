@@ -147,6 +147,19 @@ fn a_scheduled_checkpoint_is_as_good() {
     keep.0.iter().for_each(|checkpoint| assert_same(&resume(checkpoint), &whole, "scheduled"));
 }
 
+/// Of a run that is to be scored later.
+#[test]
+fn from_its_end_a_run_is_what_it_was_without_a_step() {
+    let mut first = backend();
+    let whole = go(&mut first, Start::Points(points(20)), &mut Silent, &AtomicBool::new(false));
+    let checkpoint = whole.summary.checkpoint_at_end(&mut first).unwrap();
+    let mut again = backend();
+    let start = Start::Checkpoint(Box::new(checkpoint));
+    let outcome = go(&mut again, start, &mut Silent, &AtomicBool::new(false));
+    assert_eq!((&outcome.cloud, &outcome.summary), (&whole.cloud, &whole.summary));
+    assert_eq!(again.steps().count(), 0);
+}
+
 #[test]
 fn a_checkpoint_of_another_variant_is_refused() {
     let stop = AtomicBool::new(true);

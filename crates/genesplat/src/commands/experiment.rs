@@ -32,11 +32,14 @@ pub fn run(args: &ExperimentArgs) -> Result<Ending> {
         lpips: lpips.as_ref(),
         stop: &stop,
     };
-    let Ran { results, trouble } = runner.run()?;
+    let Ran { results, mut troubles } = runner.run()?;
     let (finished, cells) = (results.finished(), experiment.cells().len());
+    lpips.iter().for_each(|_| tell_of_unmeasured(&results));
     let written = if finished > 0 { write(&runner, &results) } else { Ok(()) };
-    // What stopped the runs comes first: it may well be what kept the tables from being written, too.
-    trouble.map_or(written, Err)?;
+    // What made runs fail comes first: it may well be what kept the tables from being written, too.
+    let last = troubles.pop();
+    troubles.iter().for_each(|trouble| output::tell(&output::error_line(trouble)));
+    last.map_or(written, Err)?;
     if finished == cells {
         return Ok(Ending::Whole);
     }
@@ -44,6 +47,17 @@ pub fn run(args: &ExperimentArgs) -> Result<Ending> {
         "stopped: {finished} of {cells} runs are finished; the same command goes on with the rest"
     ))?;
     Ok(Ending::Stopped)
+}
+
+/// Weights came after some of the runs.
+fn tell_of_unmeasured(results: &Results<'_>) {
+    let unmeasured = results.without_lpips();
+    if unmeasured > 0 {
+        output::tell(&format!(
+            "notice: {unmeasured} of the finished runs have no LPIPS, since there were no weights then; remove their folders to \
+             have them run anew (cells.csv lists them)"
+        ));
+    }
 }
 
 fn write(runner: &Runner<'_>, results: &Results<'_>) -> Result<()> {

@@ -42,7 +42,7 @@ pub fn run(args: &TrainArgs) -> Result<Ending> {
     let (resume, way_on) = (args.resume, WayOn::Resume);
     let run = Run { settings, scene, folder, resume, way_on, lpips, quiet: false, stop: &stop, load };
     let ended = run.execute(backend)?;
-    report(&ended, args, folder)
+    report(&ended, folder)
 }
 
 /// What is to be done, checked as far as that is possible at once.
@@ -62,7 +62,7 @@ fn open_folder(args: &TrainArgs, scene: &Scene, settings: &Settings) -> Result<R
     RunFolder::create(&args.out, &settings.to_toml())
 }
 
-fn report(ended: &Ended, args: &TrainArgs, folder: &RunFolder) -> Result<Ending> {
+fn report(ended: &Ended, folder: &RunFolder) -> Result<Ending> {
     match ended {
         Ended::Whole(metrics) => {
             output::print(&output::scores_line("test", &metrics.test))?;
@@ -79,10 +79,8 @@ fn report(ended: &Ended, args: &TrainArgs, folder: &RunFolder) -> Result<Ending>
             ))?;
         }
         Ended::Unscored => output::print(&format!(
-            "stopped while photos were scored, so there are no figures; the splat is whole, and genesplat evaluate {} --data {} \
-             scores it",
-            args.out.display(),
-            args.dataset.display()
+            "stopped while photos were scored, so there are no figures yet; {} is whole, and the same command with --resume scores it",
+            folder.cloud_path().display()
         ))?,
     }
     Ok(Ending::Stopped)

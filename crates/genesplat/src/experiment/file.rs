@@ -12,7 +12,7 @@ use toml::{Table, Value};
 use crate::args::ExperimentArgs;
 
 /// The mode whose arms spend the seconds of another arm on gradient steps.
-const CONTROL: &str = "control";
+pub const CONTROL: &str = "control";
 
 /// An experiment, as a file describes it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -40,7 +40,7 @@ pub struct ExperimentFile {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub baseline: Option<String>,
     /// Modes of evolution, each an arm of that name; `control` stands for one equal-time control for each of the others, and for
-    /// each of `arms` that sets a mode.
+    /// each of `arms` that evolves.
     #[serde(default)]
     pub evolve: Vec<String>,
     /// How the bundled scene is photographed.
@@ -123,7 +123,7 @@ impl ExperimentFile {
     /// The arms of `evolve`, then those of `arms`.
     pub fn all_arms(&self) -> Vec<ArmTable> {
         let modes = self.evolve.iter().filter(|mode| !["off", CONTROL].contains(&mode.as_str()));
-        let arms = self.arms.iter().filter(|arm| sets_mode(&arm.config)).map(|arm| &arm.name);
+        let arms = self.arms.iter().filter(|arm| self.evolves(arm)).map(|arm| &arm.name);
         let controlled: Vec<&String> = modes.chain(arms).collect();
         let of_mode = |mode: &String| match mode.as_str() {
             CONTROL => controlled.iter().map(|of| control_arm(of, controlled.len() == 1)).collect(),
@@ -131,10 +131,16 @@ impl ExperimentFile {
         };
         self.evolve.iter().flat_map(of_mode).chain(self.arms.clone()).collect()
     }
+
+    /// Whether one of `arms` has a mode, its own or that of all cells, that spends time on evolution.
+    fn evolves(&self, arm: &ArmTable) -> bool {
+        let mode = mode_of(&arm.config).or(mode_of(&self.config));
+        arm.control_of.is_none() && mode.is_some_and(|mode| !["off", CONTROL].contains(&mode))
+    }
 }
 
-fn sets_mode(config: &Table) -> bool {
-    config.get("evolution").is_some_and(|evolution| evolution.get("mode").is_some())
+fn mode_of(config: &Table) -> Option<&str> {
+    config.get("evolution")?.get("mode")?.as_str()
 }
 
 fn control_arm(of: &str, alone: bool) -> ArmTable {
@@ -201,12 +207,18 @@ mod tests {
     }
 
     #[test]
-    fn arms_that_set_a_mode_have_a_control_too() {
-        let text = "title = \"t\"\nscenes = [\"a\"]\nseeds = [0]\nevolve = [\"off\", \"control\"]\n\
-                    [[arms]]\nname = \"x\"\nconfig.evolution.mode = \"paper\"\n[[arms]]\nname = \"y\"\nconfig.seed = 1";
-        let arms = toml::from_str::<ExperimentFile>(text).unwrap().all_arms();
-        let names: Vec<&str> = arms.iter().map(|arm| arm.name.as_str()).collect();
-        assert_eq!(names, ["off", "control", "x", "y"]);
-        assert_eq!(arms[1].control_of.as_deref(), Some("x"));
+    fn arms_that_evolve_have_a_control_too() {
+        let controlled = |common: &str| -> Vec<String> {
+            let text = format!(
+                "title = \"t\"\nscenes = [\"a\"]\nseeds = [0]\nevolve = [\"off\", \"control\"]\n{common}\
+                 [[arms]]\nname = \"x\"\nconfig.evolution.mode = \"paper\"\n[[arms]]\nname = \"y\"\nconfig.seed = 1\n\
+                 [[arms]]\nname = \"z\"\nconfig.evolution.mode = \"off\""
+            );
+            let arms = toml::from_str::<ExperimentFile>(&text).unwrap().all_arms();
+            arms.into_iter().filter_map(|arm| arm.control_of).collect()
+        };
+        assert_eq!(controlled(""), ["x"]);
+        // A mode of all cells is that of an arm that says nothing else.
+        assert_eq!(controlled("[config]\nevolution.mode = \"renew\"\n"), ["x", "y"]);
     }
 }

@@ -10,7 +10,7 @@ use genesplat::train::EvolutionMode;
 use genesplat::train::config::EvolutionConfig;
 use toml::{Table, Value};
 
-use super::file::{ArmTable, ExperimentFile, GalleryTable, control_table};
+use super::file::{ArmTable, CONTROL, ExperimentFile, GalleryTable, control_table};
 use crate::args::MachineArgs;
 use crate::scene;
 use crate::settings::{ConfigFile, Settings};
@@ -79,7 +79,7 @@ impl Experiment {
                     let cell = Cell { scene: 0, variant, arm, seed };
                     let config = self.config(cell, Path::new(""), Some(0.0));
                     config
-                        .and_then(|config| self.check_cell(cell, &config))
+                        .and_then(|config| self.check_cell(&config))
                         .map_err(|error| anyhow!("arm `{}`: {error}", self.arms[arm].name))?;
                 }
             }
@@ -87,14 +87,14 @@ impl Experiment {
         Ok(())
     }
 
-    /// A control that no stage stands for would be a plain run by another name.
-    fn check_cell(&self, cell: Cell, config: &ConfigFile) -> Result<()> {
+    /// An arm whose stages never come would be a plain run by another name, and so would its control.
+    fn check_cell(&self, config: &ConfigFile) -> Result<()> {
         config.check()?;
-        let is_control = self.arms[cell.arm].control_of.is_some();
         ensure!(
-            !is_control || config.train.clone().resolve()?.schedule().stages().next().is_some(),
-            "in a run this short its trigger never comes, so it could spend no second; make the run longer, or set \
-             evolution.trigger = \"at-end\""
+            !config.train.evolution.mode.has_stages()
+                || config.train.clone().resolve()?.schedule().stages().next().is_some(),
+            "in a run this short its trigger never comes, so it would be a plain run by another name; make the run longer, or \
+             set evolution.trigger = \"at-end\""
         );
         Ok(())
     }
@@ -225,6 +225,11 @@ fn in_table_order(file: &ExperimentFile) -> Result<Vec<ArmTable>> {
     if let Some(lost) = arms.iter().filter_map(|arm| arm.control_of.as_deref()).find(|of| !known(of)) {
         bail!("control_of names `{lost}`, which is not an arm that evolves");
     }
+    let has_controls = arms.iter().any(|arm| arm.control_of.is_some());
+    ensure!(
+        has_controls || !file.evolve.iter().any(|mode| mode == CONTROL),
+        "`evolve` asks for controls, and no arm evolves; add a mode, or take `control` out"
+    );
     let (first, rest): (Vec<_>, Vec<_>) =
         arms.iter().filter(|arm| arm.control_of.is_none()).partition(|arm| is_baseline(arm));
     let with_controls = |arm: &ArmTable| {
@@ -400,7 +405,12 @@ mod tests {
             ),
             (
                 "scenes = [\"a\"]\nseeds = [0]\nevolve = [\"off\", \"paper\", \"control\"]\n[config]\niterations = 3000",
-                "could spend no second",
+                "its trigger never comes",
+            ),
+            ("scenes = [\"a\"]\nseeds = [0]\nevolve = [\"off\", \"control\"]", "no arm evolves"),
+            (
+                "scenes = [\"a\"]\nseeds = [0]\nevolve = [\"off\", \"paper\"]\n[config]\niterations = 3000",
+                "its trigger never comes",
             ),
             (
                 "scenes = [\"a\"]\nseeds = [0]\nevolve = [\"off\"]\n[[arms]]\nname = \"c\"\ncontrol_of = \"d\"",

@@ -81,12 +81,16 @@ pub fn table(results: &Results<'_>) -> String {
             number(summary.and_then(|summary| summary.spread)),
             better.to_string(),
             worse.to_string(),
-            // Exact, and small where there are many pairs.
-            format!("{:.6e}", sign_test(&comparison.gains)),
-            format!("{:.6e}", wilcoxon_test(&comparison.gains)),
+            chance(sign_test, &comparison.gains),
+            chance(wilcoxon_test, &comparison.gains),
         ]);
     }
     text
+}
+
+/// Exact, and small where there are many pairs; nothing where there are none.
+fn chance(test: fn(&[f64]) -> f64, gains: &[f64]) -> String {
+    if gains.is_empty() { String::new() } else { format!("{:.6e}", test(gains)) }
 }
 
 /// Six digits are more than any of these figures deserve; nothing where there is none.
@@ -111,5 +115,6 @@ mod tests {
     fn fields_with_commas_and_quotes_are_quoted() {
         assert_eq!(csv_line(&["a", "b,c", "say \"x\""]), "a,\"b,c\",\"say \"\"x\"\"\"\n");
         assert_eq!((number(None), number(Some(-0.5))), (String::new(), "-0.500000".into()));
+        assert_eq!([chance(sign_test, &[]), chance(sign_test, &[0.1, 0.2])], ["", "5.000000e-1"]);
     }
 }

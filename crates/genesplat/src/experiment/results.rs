@@ -111,6 +111,12 @@ impl<'a> Results<'a> {
         self.cells.iter().flatten().count()
     }
 
+    /// How many of these have photos and no LPIPS.
+    pub fn without_lpips(&self) -> usize {
+        let lacks = |cell: &&CellMetrics| cell.test.psnr.is_some() && cell.test.lpips.is_none();
+        self.cells.iter().flatten().filter(lacks).count()
+    }
+
     fn index(&self, Cell { scene, variant, arm, seed }: Cell) -> usize {
         let Experiment { file, arms } = self.experiment;
         ((scene * file.variants.len() + variant) * arms.len() + arm) * file.seeds.len() + seed

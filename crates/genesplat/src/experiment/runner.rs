@@ -9,7 +9,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use anyhow::{Result, anyhow, bail};
+use genesplat::core::BackendError;
 use genesplat::io::{LoadOptions, PhotoSize, Scene, gallery, load_points};
+use genesplat::train::TrainError;
 use genesplat::train::evaluate::Lpips;
 
 use super::plan::{BUNDLED, Cell, Experiment};
@@ -48,34 +50,69 @@ enum State {
 pub struct Ran<'a> {
     /// All that is finished, whether now or before.
     pub results: Results<'a>,
-    /// Why a cell failed, if one has; none was begun after it.
-    pub trouble: Option<anyhow::Error>,
+    /// Why cells failed.
+    pub troubles: Vec<anyhow::Error>,
+}
+
+/// Why a cell failed, and which others would.
+struct Failure {
+    error: anyhow::Error,
+    reach: Reach,
+}
+
+/// Whom what made a cell fail keeps from being begun.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Reach {
+    /// Training itself came to nothing, with these settings.
+    Cell,
+    /// The scene cannot be used.
+    Scene,
+    /// The device or the disk, most likely.
+    Everybody,
+}
+
+impl Reach {
+    fn of(error: &anyhow::Error) -> Self {
+        match error.downcast_ref() {
+            Some(TrainError::Backend(
+                BackendError::NonFinite { .. } | BackendError::LossNotFinite { .. },
+            )) => Self::Cell,
+            None | Some(TrainError::Backend(_)) => Self::Everybody,
+            Some(_) => Self::Cell,
+        }
+    }
 }
 
 impl<'a> Runner<'a> {
-    /// Runs everything, or until it is stopped or a cell fails.
+    /// Runs everything, or until it is stopped. A cell that fails keeps others from being begun only where they would fail, too.
     pub fn run(&self) -> Result<Ran<'a>> {
         self.check_folders()?;
         self.check_scenes()?;
         let cells = self.experiment.cells();
-        let mut ran = Ran { results: Results::none(self.experiment), trouble: None };
+        let mut ran = Ran { results: Results::none(self.experiment), troubles: Vec::new() };
         let (mut scenes, mut board) = (Scenes::default(), Board::new(self.experiment, cells.len()));
+        let (mut all_fail, mut failed_scene) = (false, None);
         for cell in cells {
             let settings = self.settings(cell, &ran.results)?;
-            let state = self.state(cell, &settings);
-            let goes_on = ran.trouble.is_none() && !self.stop.load(Ordering::Relaxed);
-            let metrics = match state {
+            let may_begin =
+                !(all_fail || failed_scene == Some(cell.scene) || self.stop.load(Ordering::Relaxed));
+            let metrics = match self.state(cell, &settings) {
                 // Also behind a cell that has failed: tables show all that is finished.
                 State::Finished(metrics) => {
                     board.kept(cell, &metrics);
                     Some(metrics)
                 }
-                State::Interrupted | State::Missing if !goes_on => None,
+                _ if !(may_begin && self.has_its_arm(cell, &ran.results)) => None,
                 state => {
                     let resume = matches!(state, State::Interrupted);
                     let trained = self.train(cell, &settings, resume, &mut scenes);
-                    let metrics = trained.unwrap_or_else(|error| {
-                        ran.trouble = Some(error);
+                    let metrics = trained.unwrap_or_else(|Failure { error, reach }| {
+                        board.failed(cell);
+                        ran.troubles.push(error);
+                        all_fail |= reach == Reach::Everybody;
+                        if reach == Reach::Scene {
+                            failed_scene = Some(cell.scene);
+                        }
                         None
                     });
                     metrics.inspect(|metrics| board.ran(cell, metrics))
@@ -84,6 +121,13 @@ impl<'a> Runner<'a> {
             metrics.into_iter().for_each(|metrics| ran.results.put(cell, metrics));
         }
         Ok(ran)
+    }
+
+    /// A control stands beside an arm that has come to its end.
+    fn has_its_arm(&self, cell: Cell, results: &Results<'_>) -> bool {
+        self.experiment.arms[cell.arm]
+            .control_of
+            .is_none_or(|arm| results.get(Cell { arm, ..cell }).is_some())
     }
 
     /// The settings of a cell; those of a control depend on what its arm has taken.
@@ -120,23 +164,29 @@ impl<'a> Runner<'a> {
         settings: &Settings,
         resume: bool,
         scenes: &mut Scenes,
-    ) -> Result<Option<CellMetrics>> {
+    ) -> Result<Option<CellMetrics>, Failure> {
         let path = self.folder(cell);
-        let interrupted = self.train_into(&path, cell, settings, resume, scenes);
-        let interrupted = interrupted.map_err(|error| anyhow!("{}: {error}", path.display()))?;
-        Ok(if interrupted { None } else { Some(read_back(&path)?) })
+        let failure = |error: anyhow::Error, reach| {
+            let sentence = format!("{}: {error}", path.display());
+            Failure { error: error.context(sentence), reach }
+        };
+        let began = Instant::now();
+        let scene = scenes.get(self, cell, settings).map_err(|error| failure(error, Reach::Scene))?;
+        let metrics = self.train_into(&path, settings, resume, scene, began);
+        metrics.map_err(|error| {
+            let reach = Reach::of(&error);
+            failure(error, reach)
+        })
     }
 
     fn train_into(
         &self,
         path: &Path,
-        cell: Cell,
         settings: &Settings,
         resume: bool,
-        scenes: &mut Scenes,
-    ) -> Result<bool> {
-        let began = Instant::now();
-        let scene = scenes.get(self, cell, settings)?;
+        scene: &Scene,
+        began: Instant,
+    ) -> Result<Option<CellMetrics>> {
         scene::check_spared(scene, &RunFolder::test_in(path))?;
         if resume {
             same_scene::check_photos(path, scene)?;
@@ -144,7 +194,7 @@ impl<'a> Runner<'a> {
         // What an earlier attempt left stays until nothing but training itself can fail any more.
         let backend = open_device(settings, scene)?;
         if !resume && self.stop.load(Ordering::Relaxed) {
-            return Ok(true);
+            return Ok(None);
         }
         let folder = if resume { RunFolder::reopen } else { RunFolder::replace };
         let folder = folder(path, &settings.to_toml())?;
@@ -152,7 +202,10 @@ impl<'a> Runner<'a> {
         let Self { lpips, stop, .. } = *self;
         let way_on = WayOn::SameCommand;
         let run = Run { settings, scene, folder: &folder, resume, way_on, lpips, quiet: true, stop, load };
-        Ok(!matches!(run.execute(backend)?, Ended::Whole(_)))
+        match run.execute(backend)? {
+            Ended::Whole(_) => read_back(path).map(Some),
+            Ended::Stopped(_) | Ended::Unscored => Ok(None),
+        }
     }
 
     fn state(&self, cell: Cell, settings: &Settings) -> State {
@@ -171,24 +224,28 @@ impl<'a> Runner<'a> {
         }
     }
 
-    /// What has cost another experiment its time, finished cells and checkpoints, is not overwritten. A control is no cell of
-    /// another experiment just because the arm that it controls was run again.
+    /// What has cost another experiment its time, finished cells and checkpoints, is not overwritten, and neither is what another
+    /// version of this program has made. A control is no cell of another experiment just because the arm that it controls was run
+    /// again.
     fn check_folders(&self) -> Result<()> {
         let results = Results::none(self.experiment);
         for cell in self.experiment.cells() {
-            if self.experiment.arms[cell.arm].control_of.is_some() {
+            let path = self.folder(cell);
+            if CellMetrics::read(&path).is_none() && !RunFolder::has_checkpoint(&path) {
                 continue;
             }
-            let path = self.folder(cell);
-            let settings = self.settings(cell, &results)?;
-            let is_worth_something = CellMetrics::read(&path).is_some() || RunFolder::has_checkpoint(&path);
-            let config = ConfigFile::of_run(&path).ok().filter(|_| is_worth_something);
-            if let Some(difference) = config.and_then(|config| self.difference(cell, &config, &settings)) {
-                bail!(
-                    "{} holds a run with other settings ({difference}); choose another --out, or remove that folder to have it \
-                     run anew",
+            let advice = "choose another --out, or remove that folder to have it run anew";
+            let config = ConfigFile::of_run(&path).map_err(|error| {
+                anyhow!(
+                    "{} holds a run whose settings are not known here ({error}); {advice}",
                     path.display()
-                );
+                )
+            })?;
+            let settings = self.settings(cell, &results)?;
+            let difference = self.difference(cell, &config, &settings);
+            let is_control = self.experiment.arms[cell.arm].control_of.is_some();
+            if let Some(difference) = difference.filter(|_| !is_control) {
+                bail!("{} holds a run with other settings ({difference}); {advice}", path.display());
             }
         }
         Ok(())
@@ -292,23 +349,37 @@ impl<'a> Board<'a> {
         );
     }
 
+    /// Why is said at the end, where it is read.
+    fn failed(&mut self, cell: Cell) {
+        let beginning = self.beginning(cell);
+        output::tell(&format!("{beginning} failed"));
+    }
+
     fn row(&mut self, cell: Cell, metrics: &CellMetrics, note: &str) {
-        self.done += 1;
-        let (experiment, file) = (self.experiment, &self.experiment.file);
-        let place = format!("{}/{}", self.done, self.cells);
         let psnr = |value: Option<f64>| value.map_or("-".into(), |value| format!("{value:.2}"));
         let line = format!(
-            "{place:>9}  {:<14} {:<14} {:<14} {:>5} {:>10} {:>10} {:>10} {:>8.1}  {note}",
-            experiment.scene_name(cell.scene),
-            file.variants[cell.variant].name(),
-            experiment.arms[cell.arm].name,
-            file.seeds[cell.seed],
+            "{} {:>10} {:>10} {:>10} {:>8.1}  {note}",
+            self.beginning(cell),
             psnr(metrics.test.psnr),
             psnr(metrics.train.psnr),
             metrics.gaussians,
             metrics.seconds.gradient + metrics.seconds.evolution,
         );
         output::tell(line.trim_end());
+    }
+
+    /// One cell more, and which.
+    fn beginning(&mut self, cell: Cell) -> String {
+        self.done += 1;
+        let (experiment, file) = (self.experiment, &self.experiment.file);
+        let place = format!("{}/{}", self.done, self.cells);
+        format!(
+            "{place:>9}  {:<14} {:<14} {:<14} {:>5}",
+            experiment.scene_name(cell.scene),
+            file.variants[cell.variant].name(),
+            experiment.arms[cell.arm].name,
+            file.seeds[cell.seed],
+        )
     }
 }
 
@@ -389,5 +460,30 @@ mod tests {
         fs::write(folder.join("checkpoint/latest.checkpoint"), "hours of work").unwrap();
         let refusal = runner.check_folders().unwrap_err().to_string();
         assert!(refusal.contains("device is gpu there and cpu here"), "{refusal}");
+    }
+
+    /// A setting that this version does not have.
+    #[test]
+    fn a_finished_run_of_another_version_is_left_alone() {
+        let place = tempfile::tempdir().unwrap();
+        let (here, stop) = (experiment(""), AtomicBool::new(false));
+        let runner = runner(&here, place.path(), Path::new("scenes"), &stop);
+        pretend_to_run(&runner);
+        let config = RunFolder::config_in(&runner.folder(here.cells()[1]));
+        let text = fs::read_to_string(&config).unwrap();
+        fs::write(&config, text.replace("iterations", "itterations")).unwrap();
+        let refusal = runner.check_folders().unwrap_err().to_string();
+        assert!(refusal.contains("itterations") && refusal.contains("another --out"), "{refusal}");
+    }
+
+    #[test]
+    fn a_failure_reaches_as_far_as_its_reason() {
+        let of = |error: TrainError| Reach::of(&anyhow::Error::new(error).context("in a folder"));
+        let (device, purpose) = (String::from("a card"), String::from("photos"));
+        let out_of_memory = BackendError::OutOfMemory { device, wanted: 1, purpose };
+        assert_eq!(of(TrainError::NothingLeft { iteration: 9 }), Reach::Cell);
+        assert_eq!(of(TrainError::Backend(BackendError::LossNotFinite { steps: 1 })), Reach::Cell);
+        assert_eq!(of(TrainError::Backend(out_of_memory)), Reach::Everybody);
+        assert_eq!(Reach::of(&anyhow!("cannot write")), Reach::Everybody);
     }
 }

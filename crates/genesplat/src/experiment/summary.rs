@@ -157,15 +157,22 @@ fn quality(results: &Results<'_>, split: Split, variant: usize) -> Table {
          are arm - baseline for PSNR and SSIM, baseline - arm for LPIPS: positive is better. ± is the standard deviation.",
         split.name(),
         experiment.arms[0].name,
-        repeats(experiment),
+        repeats(results),
     );
     Table { caption, columns, rows }
 }
 
-fn repeats(experiment: &Experiment) -> String {
-    match experiment.file.seeds.len() {
+/// How many seeds there are, and how much of them, where that is not all.
+fn repeats(results: &Results<'_>) -> String {
+    let seeds = match results.experiment.file.seeds.len() {
         1 => "one seed".into(),
         seeds => format!("{seeds} seeds"),
+    };
+    match (results.finished(), results.experiment.cells().len()) {
+        (finished, cells) if finished < cells => {
+            format!("{seeds}; {finished} of {cells} runs are finished so far")
+        }
+        _ => seeds,
     }
 }
 
@@ -179,14 +186,18 @@ fn tests(results: &Results<'_>, split: Split) -> Table {
         let (variant, scene) = (experiment.file.variants[*variant].name(), row_name(experiment, *scene));
         let [better, worse, _] = signs(gains);
         let count = |count: usize| Entry::Text(count.to_string());
-        let p = |p: f64| Entry::Text(if p < 0.001 { "< 0.001".into() } else { format!("{p:.3}") });
+        let p = |test: fn(&[f64]) -> f64| match test(gains) {
+            _ if gains.is_empty() => Entry::Absent,
+            p if p < 0.001 => Entry::Text("< 0.001".into()),
+            p => Entry::Text(format!("{p:.3}")),
+        };
         let entries = vec![
             count(gains.len()),
             figure(gains, metric.digits(), true),
             count(better),
             count(worse),
-            p(sign_test(gains)),
-            p(wilcoxon_test(gains)),
+            p(sign_test),
+            p(wilcoxon_test),
         ];
         (format!("{scene}, {variant}: {arm} against {against}, {}", metric.name()), entries)
     };
@@ -345,6 +356,18 @@ mod tests {
         let gains = results.gains(cell(0, 0, 1), 0, Split::Test, Metric::Psnr);
         assert_eq!(gains.len(), 2);
         assert!((gains[0] - 0.1).abs() < 1e-9 && (gains[1] - 0.3).abs() < 1e-9, "{gains:?}");
+        let caption = quality(&results, Split::Test, 0).caption;
+        assert!(caption.contains("(3 seeds; 16 of 18 runs are finished so far)"), "{caption}");
+    }
+
+    #[test]
+    fn where_there_are_no_pairs_nothing_is_tested() {
+        let experiment = experiment();
+        let mut results = Results::none(&experiment);
+        results.put(experiment.cells()[0], metrics(30.0, None));
+        let table = tests(&results, Split::Test);
+        let entries = row(&table, "a, 3dgs: paper against off, PSNR");
+        assert!(matches!(entries[4..], [Entry::Absent, Entry::Absent]), "{entries:?}");
     }
 
     #[test]

@@ -15,6 +15,8 @@ const BOTTOM: f64 = 34.0;
 const TICKS: f64 = 4.0;
 /// Told apart by most eyes, on light and dark ground (Okabe and Ito).
 const COLOURS: [&str; 4] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7"];
+/// Lengths of strokes and gaps: where there are more curves than colours, the next four are dashed, and so on.
+const DASHES: [&str; 4] = ["none", "7 3", "2 2", "9 2 2 2"];
 
 /// A chart.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -89,11 +91,12 @@ impl Chart {
         page.open(&format!("svg viewBox=\"0 0 {WIDTH} {HEIGHT}\" role=\"img\""));
         page.element("title", &self.caption);
         self.write_axes(page, &x, &y);
-        for (series, colour) in self.series.iter().zip(COLOURS.iter().cycle()) {
-            series.write(page, &x, &y, colour);
+        for (index, series) in self.series.iter().enumerate() {
+            series.write(page, &x, &y, index);
         }
+        page.close("svg");
         self.write_legend(page);
-        page.close("svg").close("figure");
+        page.close("figure");
     }
 
     fn write_axes(&self, page: &mut Html, x: &Axis, y: &Axis) {
@@ -120,15 +123,23 @@ impl Chart {
         if self.series.len() < 2 {
             return;
         }
-        for (index, (series, colour)) in self.series.iter().zip(COLOURS.iter().cycle()).enumerate() {
-            let y = TOP + 10.0 + 14.0 * index as f64;
-            let x = WIDTH - RIGHT - 4.0;
-            let place = format!(
-                "text x=\"{x}\" y=\"{y}\" text-anchor=\"end\" style=\"fill:{colour};font-weight:600\""
-            );
-            page.element(&place, &series.name);
+        page.open("ul class=\"legend\"");
+        for (index, series) in self.series.iter().enumerate() {
+            page.open("li").open("svg viewBox=\"0 0 24 8\" aria-hidden=\"true\"");
+            page.open(&format!("path class=\"line\" style=\"{}\" d=\"M0 4H24\"/", stroke(index)));
+            page.close("svg").element("span", &series.name).close("li");
         }
+        page.close("ul");
     }
+}
+
+fn colour(index: usize) -> &'static str {
+    COLOURS[index % COLOURS.len()]
+}
+
+/// What tells the curve of this index from the others.
+fn stroke(index: usize) -> String {
+    format!("stroke:{};stroke-dasharray:{}", colour(index), DASHES[index / COLOURS.len() % DASHES.len()])
 }
 
 impl Series {
@@ -138,7 +149,7 @@ impl Series {
         self.points.iter().zip(spread).flat_map(|(point, spread)| [point[1] - spread, point[1] + spread])
     }
 
-    fn write(&self, page: &mut Html, x: &Axis, y: &Axis, colour: &str) {
+    fn write(&self, page: &mut Html, x: &Axis, y: &Axis, index: usize) {
         let path = |points: &mut dyn Iterator<Item = [f64; 2]>| {
             points.map(|[px, py]| format!("{:.1} {:.1}", x.at(px), y.at(py))).collect::<Vec<_>>().join("L")
         };
@@ -148,12 +159,13 @@ impl Series {
                 .map(|(point, spread)| [point[0], point[1] + spread])
                 .chain(band().rev().map(|(point, spread)| [point[0], point[1] - spread]));
             page.open(&format!(
-                "path class=\"band\" style=\"fill:{colour}\" d=\"M{}Z\"/",
+                "path class=\"band\" style=\"fill:{}\" d=\"M{}Z\"/",
+                colour(index),
                 path(&mut outline)
             ));
         }
         let line = path(&mut self.points.iter().copied());
-        page.open(&format!("path class=\"line\" style=\"stroke:{colour}\" d=\"M{line}\"/"));
+        page.open(&format!("path class=\"line\" style=\"{}\" d=\"M{line}\"/", stroke(index)));
     }
 }
 
@@ -194,6 +206,20 @@ mod tests {
         // Low and left, then high and right.
         assert!(text.contains("d=\"M52.0 166.0L338.0 12.0\""), "{text}");
         assert!(text.contains("c&lt;"));
+    }
+
+    #[test]
+    fn no_two_curves_look_alike() {
+        let strokes: std::collections::HashSet<String> = (0..13).map(stroke).collect();
+        assert_eq!(strokes.len(), 13, "as many arms as the largest preset has");
+        let series =
+            |name: &str| Series { name: name.into(), points: vec![[0.0, 1.0]; 2], spread: Vec::new() };
+        let mut page = Html::new();
+        let chart = Chart { series: vec![series("one"), series("two")], ..Chart::default() };
+        chart.write(&mut page);
+        let text = page.into_text();
+        let legend = text.split_once("legend").expect("two curves need names").1;
+        assert!(["one", "two", &stroke(1)].iter().all(|part| legend.contains(part)), "{text}");
     }
 
     #[test]

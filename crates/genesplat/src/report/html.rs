@@ -113,6 +113,8 @@ svg text{fill:var(--ink);font:11px system-ui,sans-serif}
 svg .grid{stroke:var(--line);stroke-width:1}
 svg .line{fill:none;stroke-width:1.8;stroke-linejoin:round}
 svg .band{stroke:none;opacity:.22}
+.legend{display:flex;flex-wrap:wrap;gap:0 1rem;margin:.25rem 0 0;padding:0;list-style:none;font-size:.8125rem}
+.legend svg{display:inline-block;width:1.5rem;margin-right:.375rem;background:none;vertical-align:middle}
 pre{background:var(--soft);padding:.75rem;overflow-x:auto;font-size:.8125rem;line-height:1.4;margin:.5rem 0}
 .command{white-space:pre-wrap;overflow-wrap:anywhere}
 a{color:var(--good);overflow-wrap:anywhere}

@@ -39,7 +39,8 @@ fn times(out: &Path) -> BTreeMap<String, SystemTime> {
     for arm in fs::read_dir(out.join("cells/gallery/3dgs")).unwrap().map(Result::unwrap) {
         for seed in fs::read_dir(arm.path()).unwrap().map(Result::unwrap) {
             let name = format!("{}/{}", arm.file_name().display(), seed.file_name().display());
-            times.insert(name, fs::metadata(seed.path().join("metrics.json")).unwrap().modified().unwrap());
+            let written = fs::metadata(seed.path().join("metrics.json")).and_then(|file| file.modified());
+            times.extend(written.ok().map(|written| (name, written)));
         }
     }
     times
@@ -218,11 +219,29 @@ fn a_cell_that_fails_hides_no_finished_one() {
 
     fs::write(&photo, bytes).unwrap();
     succeed(&arguments);
-    fs::remove_dir_all(folder.path().join("out/cells/two")).unwrap();
+    for name in ["two", "three"] {
+        fs::remove_dir_all(folder.path().join("out/cells").join(name)).unwrap();
+    }
     fs::write(two.join("images/gallery_003.png"), "torn").unwrap();
     fail(&arguments, &["two", "gallery_003.png", "neither a PNG nor"]);
     let tables = fs::read_to_string(folder.path().join("out/tables.md")).unwrap();
     assert!(["| one |", "| three |"].iter().all(|row| tables.contains(row)), "{tables}");
+    assert!(tables.contains("(2 seeds; 8 of 12 runs are finished so far)"), "{tables}");
+}
+
+/// Settings with which nothing is left of a cloud, and those behind them.
+#[test]
+fn an_arm_that_fails_keeps_only_its_control_from_running() {
+    let folder = tempfile::tempdir().unwrap();
+    let bad = "[[arms]]\nname = \"bad\"\nconfig.evolution.mode = \"paper\"\nconfig.densify = { from = 1, every = 2, prune_opacity = 0.2, reset_opacity = 0.3 }\n\
+               [[arms]]\nname = \"good\"\n";
+    let file = folder.path().join("small.toml");
+    fs::write(&file, SMALL.replace("seeds = [0, 1]", "seeds = [0]\nevolve = [\"off\", \"control\"]") + bad)
+        .unwrap();
+    let out = folder.path().join("out");
+    fail(experiment(&file, &out, &[]), &["bad/seed-0", "every Gaussian was pruned"]);
+    let arms: Vec<String> = times(&out).into_keys().collect();
+    assert_eq!(arms, ["good/seed-0", "off/seed-0"]);
 }
 
 #[test]

@@ -175,7 +175,8 @@ fn installed_weights_are_used_by_every_command_and_can_be_switched_off() {
     assert_eq!(json(&file)["lpips"], metrics["test"]["lpips"], "the same weights in two files");
 }
 
-/// LPIPS of many photos takes minutes; who presses Ctrl-C then is told that it stops, and has a whole splat.
+/// LPIPS of many photos takes minutes; who presses Ctrl-C then is told that it stops, has a whole splat, and can have it scored
+/// without another step.
 #[cfg(unix)]
 #[test]
 fn scoring_is_stopped_between_photos() {
@@ -194,9 +195,15 @@ fn scoring_is_stopped_between_photos() {
     assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
     let output = child.wait_with_output().unwrap();
     let said = String::from_utf8(output.stdout).unwrap();
-    assert!(output.status.code() == Some(130) && said.contains("genesplat evaluate"), "{said}");
+    assert!(output.status.code() == Some(130) && said.contains("--resume"), "{said}");
     assert!(["metrics.json", "report.html"].iter().all(|name| !out.join(name).exists()));
-    succeed(["evaluate", text(&out), "--data", text(scene()), "--no-lpips"]);
+    let [splat, log] = ["point_cloud.ply", "log.jsonl"].map(|name| fs::read(out.join(name)).unwrap());
+    succeed(train(scene(), &out, &["--resume", "--lpips-weights", text(weights.path())]));
+    assert_eq!(json(&out.join("metrics.json"))["iterations"], 3);
+    assert_eq!(fs::read(out.join("point_cloud.ply")).unwrap(), splat);
+    let more = fs::read(out.join("log.jsonl")).unwrap().split_off(log.len());
+    assert!(!String::from_utf8(more).unwrap().contains("\"step\""));
+    assert!(!out.join("checkpoint/latest.checkpoint").exists());
 }
 
 #[test]
