@@ -21,6 +21,15 @@ pub const CLASSIC_DILATION: f32 = 0.3;
 /// The 2D Mip filter's variance, px² (Mip-Splatting, section 5.2 and its scripts).
 pub const MIP_DILATION: f32 = 0.1;
 
+/// Smallest determinant that Mip-Splatting's filter accepts, px⁴, and what it adds against division by zero.
+pub const MIP_EPSILON: f32 = 1e-6;
+
+/// Smallest ratio of determinants under 3DGS's antialiasing.
+pub const ANTIALIAS_RATIO_MIN: f32 = 2.5e-5;
+
+/// Floor of the discriminant from which a splat's largest eigenvalue follows, px⁴ (3DGS).
+pub const DISCRIMINANT_MIN: f32 = 0.1;
+
 /// Weight of the structural term in the loss, Eq. 5 of the evolution paper and Eq. 7 of 3DGS.
 pub const LAMBDA_DSSIM: f32 = 0.2;
 

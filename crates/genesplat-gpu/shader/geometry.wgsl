@@ -51,10 +51,10 @@ fn screen_factor(det_raw: f32, det: f32) -> f32 {
         return sqrt(max(det_raw / det, ANTIALIAS_RATIO_MIN));
     }
     if frame.filter_kind == FILTER_MIP {
-        if det_raw <= MIP_DET_MIN || det <= MIP_DET_MIN {
+        if det_raw <= MIP_EPSILON || det <= MIP_EPSILON {
             return 0.0;
         }
-        return sqrt(det_raw / (det + 1e-6) + 1e-6);
+        return sqrt(det_raw / (det + MIP_EPSILON) + MIP_EPSILON);
     }
     return 1.0;
 }
@@ -124,7 +124,7 @@ fn is_seen(g: Geometry) -> bool {
         return false;
     }
     let middle = 0.5 * (g.cov.x + g.cov.z);
-    let largest = middle + sqrt(max(middle * middle - g.det, 0.1));
+    let largest = middle + sqrt(max(middle * middle - g.det, DISCRIMINANT_MIN));
     let radius = ceil(3.0 * sqrt(largest));
     let mean = mean_px(g);
     let grid = vec2(f32(frame.tiles_x), f32(frame.tiles_y));

@@ -21,8 +21,8 @@ fn filter_gradient(g: Geometry, factor_gradient: f32) -> vec3<f32> {
         by_raw = factor_gradient * 0.5 / g.factor_2d / g.det;
         by_dilated = -by_raw * g.det_raw / g.det;
     } else if frame.filter_kind == FILTER_MIP && g.factor_2d > 0.0 {
-        by_raw = factor_gradient * 0.5 / (g.factor_2d * (g.det + 1e-6));
-        by_dilated = -by_raw * g.det_raw / (g.det + 1e-6);
+        by_raw = factor_gradient * 0.5 / (g.factor_2d * (g.det + MIP_EPSILON));
+        by_dilated = -by_raw * g.det_raw / (g.det + MIP_EPSILON);
     }
     return vec3(
         by_raw * g.cov_raw.z + by_dilated * g.cov.z,

@@ -5,8 +5,9 @@
 
 use bytemuck::{Pod, Zeroable};
 use genesplat_core::constants::{
-    ADAM_BETA1, ADAM_BETA2, ADAM_EPSILON, ALPHA_MAX, ALPHA_MIN, LAMBDA_DSSIM, NEAR_DEPTH, NOISE_OPACITY,
-    NOISE_STEEPNESS, SSIM_C1, SSIM_C2, SSIM_RADIUS, TRANSMITTANCE_MIN, ssim_window,
+    ADAM_BETA1, ADAM_BETA2, ADAM_EPSILON, ALPHA_MAX, ALPHA_MIN, ANTIALIAS_RATIO_MIN, DISCRIMINANT_MIN,
+    LAMBDA_DSSIM, MIP_EPSILON, NEAR_DEPTH, NOISE_OPACITY, NOISE_STEEPNESS, SSIM_C1, SSIM_C2, SSIM_RADIUS,
+    TRANSMITTANCE_MIN, ssim_window,
 };
 use genesplat_core::edit::{SPLIT_SHRINK, TWIN_OFFSET, TWIN_OPACITY_MAX};
 use genesplat_core::rng::Stream;
@@ -328,9 +329,9 @@ fn float_constants() -> Vec<(&'static str, f32)> {
         // alpha, and its intervals by this many pixels (as on the CPU).
         ("SLACK_LOG2", 1e-3),
         ("SLACK_PX", 1e-2),
-        // Smallest determinant that Mip-Splatting's filter accepts, px⁴; smallest ratio under 3DGS's antialiasing.
-        ("MIP_DET_MIN", 1e-6),
-        ("ANTIALIAS_RATIO_MIN", 2.5e-5),
+        ("MIP_EPSILON", MIP_EPSILON),
+        ("ANTIALIAS_RATIO_MIN", ANTIALIAS_RATIO_MIN),
+        ("DISCRIMINANT_MIN", DISCRIMINANT_MIN),
         ("LAMBDA_DSSIM", LAMBDA_DSSIM),
         ("SSIM_C1", SSIM_C1),
         ("SSIM_C2", SSIM_C2),

@@ -33,8 +33,7 @@ pub fn check_writable(path: &Path) -> io::Result<()> {
     let name = path.file_name().unwrap_or_default();
     // Folders that are missing will be made in the first one that is there; nothing else is sure before.
     let there = path.ancestors().skip(1).find(|folder| folder.exists()).unwrap_or(Path::new(""));
-    let probe = temporary_beside(&there.join(name))?;
-    OpenOptions::new().write(true).create_new(true).open(&probe)?;
+    let (probe, _) = create_beside(&there.join(name))?;
     fs::remove_file(&probe)
 }
 
@@ -48,14 +47,18 @@ enum Target {
 
 impl Target {
     fn of(path: &Path) -> io::Result<Self> {
-        // `/dev/stdout` may be a regular file, which the shell and we have open: replaced, it would lose what is printed.
-        let is_open_already = ["/dev", "/proc"].iter().any(|system| path.starts_with(system));
         match fs::metadata(path) {
             Ok(there) if there.is_dir() => Err(io::Error::new(ErrorKind::IsADirectory, "it is a folder")),
-            Ok(there) if is_open_already || !there.is_file() => Ok(Self::Stream),
+            Ok(there) if is_open_already(path) || !there.is_file() => Ok(Self::Stream),
             _ => behind_links(path).map(Self::File),
         }
     }
+}
+
+/// `/dev/stdout` may be a regular file, which the shell and we have open: replaced, it would lose what is printed. (In
+/// `/dev/shm` files are like all others.)
+fn is_open_already(path: &Path) -> bool {
+    ["/dev/stdout", "/dev/stderr", "/dev/fd", "/proc"].iter().any(|open| path.starts_with(open))
 }
 
 /// Where links lead from `path`, even if nothing is there yet.
@@ -72,18 +75,14 @@ fn replace(path: &Path, fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()
     if let Some(folder) = path.parent() {
         fs::create_dir_all(folder)?;
     }
-    let temporary = temporary_beside(path)?;
-    let written = write_new(&temporary, fill).and_then(|()| fs::rename(&temporary, path));
-    if written.is_err() {
+    let (temporary, file) = create_beside(path)?;
+    let written = fill_file(file, fill).and_then(|file| file.sync_all());
+    let replaced = written.and_then(|()| fs::rename(&temporary, path));
+    if replaced.is_err() {
         // The first error is the one to report; a leftover is only litter.
         let _ = fs::remove_file(&temporary);
     }
-    written
-}
-
-fn write_new(path: &Path, fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>) -> io::Result<()> {
-    let file = OpenOptions::new().write(true).create_new(true).open(path)?;
-    fill_file(file, fill)?.sync_all()
+    replaced
 }
 
 fn fill_file(file: File, fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>) -> io::Result<File> {
@@ -92,12 +91,19 @@ fn fill_file(file: File, fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<(
     writer.into_inner().map_err(io::IntoInnerError::into_error)
 }
 
-/// A name that no other thread or process uses, hidden, in the folder of `path` (a rename must not cross disks).
-fn temporary_beside(path: &Path) -> io::Result<PathBuf> {
+/// A new file under a name that nobody uses, hidden, in the folder of `path` (a rename must not cross disks). In containers
+/// a process often has the number of the one before, which may have been killed and have left its files.
+fn create_beside(path: &Path) -> io::Result<(PathBuf, File)> {
     static COUNTER: AtomicU32 = AtomicU32::new(0);
-    let name = path.file_name().ok_or_else(|| io::Error::other("the path has no file name"))?;
-    let serial = COUNTER.fetch_add(1, Ordering::Relaxed);
-    Ok(path.with_file_name(format!(".{}.{}-{serial}.tmp", name.to_string_lossy(), std::process::id())))
+    path.file_name().ok_or_else(|| io::Error::other("the path has no file name"))?;
+    loop {
+        let serial = COUNTER.fetch_add(1, Ordering::Relaxed);
+        let temporary = path.with_file_name(format!(".genesplat-{}-{serial}.tmp", std::process::id()));
+        match OpenOptions::new().write(true).create_new(true).open(&temporary) {
+            Err(error) if error.kind() == ErrorKind::AlreadyExists => {}
+            created => return created.map(|file| (temporary, file)),
+        }
+    }
 }
 
 #[cfg(test)]
@@ -122,6 +128,30 @@ mod tests {
         assert_eq!(failed.unwrap_err().kind(), ErrorKind::StorageFull);
         assert_eq!(fs::read(&path).unwrap(), b"old");
         assert_eq!(files_in(path.parent().unwrap()), 1);
+    }
+
+    /// Of a process that had our number.
+    #[test]
+    fn what_a_killed_process_has_left_is_in_nobodys_way() {
+        let folder = tempfile::tempdir().unwrap();
+        let (left, _) = create_beside(&folder.path().join("file")).unwrap();
+        let name = left.file_name().unwrap().to_str().unwrap().to_owned();
+        let serial: u32 = name.trim_end_matches(".tmp").rsplit('-').next().unwrap().parse().unwrap();
+        // The next names are taken as well.
+        let next = |more: u32| {
+            left.with_file_name(format!(".genesplat-{}-{}.tmp", std::process::id(), serial + more))
+        };
+        (1..200).for_each(|more| fs::write(next(more), b"left").unwrap());
+        let path = folder.path().join("x".repeat(250));
+        write_atomically(&path, |out| out.write_all(b"whole")).unwrap();
+        assert_eq!((fs::read(&path).unwrap(), files_in(folder.path())), (b"whole".to_vec(), 201));
+    }
+
+    #[test]
+    fn what_is_open_already_is_known_by_its_name() {
+        let open = |path: &str| is_open_already(Path::new(path));
+        assert!(open("/dev/stdout") && open("/dev/fd/1") && open("/proc/self/fd/1"));
+        assert!(!open("/dev/shm/run/metrics.json") && !open("/development/file"));
     }
 
     #[test]

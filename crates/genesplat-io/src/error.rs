@@ -110,6 +110,20 @@ pub enum SceneError {
         /// The photo.
         name: String,
     },
+    /// Two entries, and one photo for both.
+    #[error(
+        "{file} lists {first} and {second}, and {folder} has one photo of that name for both; put them where the list says"
+    )]
+    OneForTwo {
+        /// The file with the list.
+        file: PathBuf,
+        /// One entry.
+        first: String,
+        /// The other.
+        second: String,
+        /// Where the photos are.
+        folder: PathBuf,
+    },
     /// A lens that is not a pinhole.
     #[error(
         "{file}: camera {camera} uses the model {model}, which bends straight lines; run COLMAP's image_undistorter on \

@@ -2,7 +2,8 @@
 //!
 //! The model is OpenCV's: with `x, y` the pinhole's coordinates at depth 1 and `r² = x² + y²`,
 //! `x' = x·R + 2 p1 x y + p2 (r² + 2 x²)`, `y' = y·R + p1 (r² + 2 y²) + 2 p2 x y`,
-//! `R = 1 + k1 r² + k2 r⁴ + k3 r⁶ + k4 r⁸` (OpenCV, "Camera Calibration and 3D Reconstruction").
+//! `R = 1 + k1 r² + k2 r⁴ + k3 r⁶ + k4 r⁸` (OpenCV, "Camera Calibration and 3D Reconstruction"; but `k4`, which divides there, is
+//! nerfstudio's).
 
 use genesplat_core::{Camera, Photo};
 use rayon::prelude::*;

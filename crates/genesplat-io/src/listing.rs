@@ -69,22 +69,38 @@ pub(crate) fn base_name(path: &str) -> &str {
     path.rsplit('/').next().unwrap_or(path)
 }
 
-/// A name for each view, fit for a file: the photo's own; or, where photos share one, the whole path joined by `_`.
+/// A name for each view, fit for a file: the photo's own; or, where photos share one, the whole path joined by `_`, or by as many as
+/// tell all of them apart.
 pub(crate) fn view_names(paths: &[&str], list: &Path) -> Result<Vec<String>, SceneError> {
+    let whole: Vec<String> = paths.iter().map(|path| path.trim_start_matches("./").to_owned()).collect();
+    if let Some(name) = repeated(&whole) {
+        return Err(SceneError::ListedTwice { file: list.to_owned(), name: name.to_owned() });
+    }
     let own: Vec<String> = paths.iter().map(|path| base_name(path).to_owned()).collect();
-    if repeated(&own).is_none() {
-        return Ok(own);
-    }
-    let joined: Vec<String> =
-        paths.iter().map(|path| path.trim_start_matches("./").replace('/', "_")).collect();
-    match repeated(&joined) {
-        None => Ok(joined),
-        Some(name) => Err(SceneError::ListedTwice { file: list.to_owned(), name: name.to_owned() }),
-    }
+    let joined = (1..).map(|count| whole.iter().map(|path| path.replace('/', &"_".repeat(count))).collect());
+    let mut candidates = std::iter::once(own).chain(joined);
+    // Beyond the longest run of `_` in a path, different paths have different names.
+    Ok(candidates
+        .find(|names| repeated(names).is_none())
+        .expect("different paths end up with different names"))
 }
 
 /// The first name that occurred before.
 fn repeated(names: &[String]) -> Option<&String> {
     let mut seen = HashSet::new();
     names.iter().find(|name| !seen.insert(*name))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn views_are_named_after_photos_and_never_share_a_name() {
+        let names = |paths: &[&str]| view_names(paths, Path::new("list")).map_err(|error| error.to_string());
+        assert_eq!(names(&["a/1.png", "a/2.png"]).unwrap(), ["1.png", "2.png"]);
+        assert_eq!(names(&["./a/1.png", "b/1.png"]).unwrap(), ["a_1.png", "b_1.png"]);
+        assert_eq!(names(&["a/1.png", "b/1.png", "a_1.png"]).unwrap(), ["a__1.png", "b__1.png", "a_1.png"]);
+        assert!(names(&["a/1.png", "./a/1.png"]).unwrap_err().contains("a/1.png twice"));
+    }
 }

@@ -67,7 +67,7 @@ pub enum WeightFileError {
 /// Largest safetensors file that is read at once, bytes: four times VGG16's convolutions and classifier in f16.
 const BYTES_MAX: u64 = 1 << 30;
 
-/// The tensors in the file at `path` whose name `wants` accepts; the others (a classifier, say) are not even read.
+/// The tensors in the file at `path` whose name `wants` accepts; the others (a classifier, say) are not kept.
 ///
 /// The kind of file is told by its content. The heads of LPIPS are called `linK.model.1.weight` by their authors, and
 /// `linK.weight` here.

@@ -110,6 +110,14 @@ pub fn small_view() -> View {
     View { name: "small".into(), camera: camera().resized(width, height), photo }
 }
 
+/// More rows of pixels than a task takes.
+pub fn tall_view() -> View {
+    let (width, height) = (24, 150);
+    let rgb = (0..3 * width * height).map(|i| (i * 7 % 256) as u8).collect();
+    let photo = Arc::new(Photo { width, height, rgb });
+    View { name: "tall".into(), camera: camera().resized(width, height), photo }
+}
+
 /// On a background that no channel shares with another.
 pub fn settings(sh_degree: u8, filter: ScreenFilter) -> RenderSettings {
     RenderSettings { sh_degree, background: [0.3, 0.1, 0.6], filter }

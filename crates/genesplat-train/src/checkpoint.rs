@@ -140,6 +140,9 @@ impl Checkpoint {
         if u64::from_le_bytes(input.array()?) != expected {
             return Err(CheckpointError::Damaged("its checksum does not match"));
         }
+        if input.reader.read(&mut [0])? > 0 {
+            return Err(CheckpointError::Damaged("something follows its end"));
+        }
         checkpoint.check_rows()?;
         Ok(checkpoint)
     }
@@ -465,6 +468,8 @@ mod tests {
             changed[position] ^= 0x10;
             assert!(Checkpoint::read(changed.as_slice()).is_err(), "changed at {position}");
         }
+        let more = [&whole[..], &[0]].concat();
+        assert!(matches!(Checkpoint::read(more.as_slice()), Err(CheckpointError::Damaged(_))), "and more");
     }
 
     #[test]

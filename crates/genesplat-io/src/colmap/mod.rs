@@ -12,7 +12,7 @@ mod check;
 mod text;
 mod write;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -182,10 +182,22 @@ fn find_photos(images: &[ImageRecord], folder: &Path, list: &Path) -> Result<Vec
             missing = missing.or(Some(whole));
         }
     }
-    match missing {
-        None => Ok(found),
-        Some(photo) => Err(missing_photo(list, photo, found.len(), images.len(), folder)),
+    if let Some(photo) = missing {
+        return Err(missing_photo(list, photo, found.len(), images.len(), folder));
     }
+    match shared(&found).map(|pair| pair.map(|at| images[at].name.clone())) {
+        // Two records of one name are found out with the names of the views.
+        Some([first, second]) if first != second => {
+            Err(SceneError::OneForTwo { file: list.to_owned(), first, second, folder: folder.to_owned() })
+        }
+        _ => Ok(found),
+    }
+}
+
+/// The first two records that found one photo: that of one of them is not where the list says.
+fn shared(found: &[PathBuf]) -> Option<[usize; 2]> {
+    let mut finders = HashMap::new();
+    found.iter().enumerate().find_map(|(at, photo)| finders.insert(photo, at).map(|first| [first, at]))
 }
 
 /// A notice where COLMAP split the photos into several models, of which only the first is used.

@@ -134,6 +134,8 @@ pub fn encode_jpeg(photo: &Photo, quality: u8) -> Vec<u8> {
 
 /// Most pixels of a photo: a few damaged bytes must not ask for all memory.
 const PIXELS_MAX: u64 = 1 << 28;
+/// Four channels of 16 bits.
+const PIXEL_BYTES_MAX: u64 = 8;
 
 fn dimensions(bytes: &[u8]) -> Result<(u32, u32), String> {
     let reader =
@@ -142,7 +144,7 @@ fn dimensions(bytes: &[u8]) -> Result<(u32, u32), String> {
 }
 
 fn decode(bytes: &[u8]) -> Result<DynamicImage, String> {
-    let reader =
+    let mut reader =
         ImageReader::new(Cursor::new(bytes)).with_guessed_format().map_err(|error| error.to_string())?;
     let format = reader.format().ok_or("it is neither a PNG nor a JPEG")?;
     if format == ImageFormat::Jpeg && !jpeg_is_whole(bytes) {
@@ -152,6 +154,10 @@ fn decode(bytes: &[u8]) -> Result<DynamicImage, String> {
     if u64::from(width) * u64::from(height) > PIXELS_MAX {
         return Err(format!("it has {width}x{height} pixels, and at most {PIXELS_MAX} in all are read"));
     }
+    // The limit that counts is that of pixels.
+    let mut limits = image::Limits::default();
+    limits.max_alloc = Some(PIXELS_MAX * PIXEL_BYTES_MAX);
+    reader.limits(limits);
     reader.decode().map_err(|error| error.to_string())
 }
 

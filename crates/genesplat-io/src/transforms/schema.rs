@@ -54,7 +54,7 @@ pub(super) struct Lens {
     /// Size, px; some writers use a decimal point.
     pub(super) w: Option<f64>,
     pub(super) h: Option<f64>,
-    /// OpenCV's radial coefficients.
+    /// Radial coefficients, as nerfstudio has them ([`crate::lens`]).
     pub(super) k1: Option<f64>,
     pub(super) k2: Option<f64>,
     pub(super) k3: Option<f64>,
@@ -69,13 +69,16 @@ pub(super) struct Lens {
 }
 
 impl Lens {
-    /// This photo's values, completed by the file's.
+    /// This photo's values, completed by the file's. A length and an angle are two words for one thing: what the photo says
+    /// with either is not completed by the other.
     pub(super) fn or(&self, file: &Self) -> Self {
+        let has_x = self.fl_x.or(self.camera_angle_x).is_some();
+        let has_y = self.fl_y.or(self.camera_angle_y).is_some();
         Self {
-            camera_angle_x: self.camera_angle_x.or(file.camera_angle_x),
-            camera_angle_y: self.camera_angle_y.or(file.camera_angle_y),
-            fl_x: self.fl_x.or(file.fl_x),
-            fl_y: self.fl_y.or(file.fl_y),
+            camera_angle_x: self.camera_angle_x.or(file.camera_angle_x.filter(|_| !has_x)),
+            camera_angle_y: self.camera_angle_y.or(file.camera_angle_y.filter(|_| !has_y)),
+            fl_x: self.fl_x.or(file.fl_x.filter(|_| !has_x)),
+            fl_y: self.fl_y.or(file.fl_y.filter(|_| !has_y)),
             cx: self.cx.or(file.cx),
             cy: self.cy.or(file.cy),
             w: self.w.or(file.w),

@@ -239,7 +239,19 @@ fn a_photo_listed_twice_is_named() {
         model.images[1].name = model.images[0].name.clone();
         write_model(&scene.join("sparse/0"), Form::Binary, &model).unwrap();
     });
-    assert!(sentence.contains("a b_000.png twice"), "{sentence}");
+    assert!(sentence.contains("a b/000.png twice"), "{sentence}");
+}
+
+/// Two cameras had a photo of one name, and somebody has put all photos into one folder.
+#[test]
+fn one_photo_is_not_taken_for_two() {
+    let sentence = refusal(Form::Binary, &tiny_model(3), |scene| {
+        let mut model = tiny_model(3);
+        (model.images[0].name, model.images[1].name) = ("left/1.png".into(), "right/1.png".into());
+        photos::write_png(&scene.join("images/1.png"), &tiny_photo(0, [40, 30])).unwrap();
+        write_model(&scene.join("sparse/0"), Form::Binary, &model).unwrap();
+    });
+    assert!(sentence.contains("lists left/1.png and right/1.png"), "{sentence}");
 }
 
 #[test]

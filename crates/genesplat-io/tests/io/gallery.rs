@@ -83,7 +83,7 @@ fn on_disk_it_is_an_ordinary_colmap_scene() {
 
 /// A test view at the rim would measure extrapolation.
 #[test]
-fn test_views_are_inside_the_hull_of_the_training_views() {
+fn test_views_are_inside_the_box_of_the_training_views() {
     for views in [16, 48] {
         let options = GalleryOptions { width: 16, height: 16, views, points: 0, seed: 0 };
         let scene = generate(&options).into_scene(HoldOut::EveryEighth);

@@ -96,6 +96,12 @@ fn a_photo_may_have_its_own_intrinsics() {
     let scene = load_description(&description).unwrap();
     assert_eq!(scene.train[0].camera.focal_px, [50.0, 45.0]);
     assert_eq!(scene.train[1].camera.focal_px, [44.0, 45.0]);
+    // In words of its own, too.
+    let frame = description["frames"][1].as_object_mut().unwrap();
+    frame.remove("fl_x");
+    frame.insert("camera_angle_x".into(), json!(2.0 * (20.0f64 / 50.0).atan()));
+    let [x, y] = load_description(&description).unwrap().train[0].camera.focal_px;
+    assert!((x - 50.0).abs() < 1e-9 && y == 45.0, "{x} {y}");
 }
 
 #[test]

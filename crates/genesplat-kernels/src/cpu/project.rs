@@ -4,7 +4,9 @@
 //! reading hundreds of bytes a Gaussian from memory. Formulas: 3DGS, section 4 and appendix A; Zwicker et al. 2001.
 
 use fearless_simd::{Level, Simd, dispatch, prelude::*};
-use genesplat_core::constants::{ALPHA_MIN, JACOBIAN_LIMIT, NEAR_DEPTH};
+use genesplat_core::constants::{
+    ALPHA_MIN, ANTIALIAS_RATIO_MIN, DISCRIMINANT_MIN, JACOBIAN_LIMIT, MIP_EPSILON, NEAR_DEPTH,
+};
 use genesplat_core::{Camera, Gaussians, Gene, RenderSettings, ScreenFilter};
 use rayon::prelude::*;
 
@@ -217,47 +219,41 @@ pub fn project_versions(
     let rooms = out.room.par_chunks_mut(CHUNK).zip(&mut out.counts);
     rooms.enumerate().for_each(|(chunk, (room, splats))| {
         let first = chunk * CHUNK;
-        let rows: Vec<u32> = (first..first + room.len()).map(|index| version(index).0).collect();
-        let genes = |index: usize| version(first + index).1;
-        *splats = 0;
-        dispatch!(level, simd => project_group(simd, cloud, &rows, genes, camera, settings,
-            #[inline(always)]
-            |index, splat| if let Some(splat) = splat {
-                room[*splats as usize] = Splat { global: (first + index) as u32, ..splat };
-                *splats += 1;
-            }
-        ));
+        *splats =
+            dispatch!(level, simd => project_group(simd, cloud, first, &version, camera, settings, room));
     });
 }
 
-/// Projects single rows with genes of their own, in the order given.
+/// Projects as many versions as `room` has places, from `first` on; returns how many splats that makes, which come first.
 #[inline(always)]
 fn project_group<S: Simd>(
     simd: S,
     cloud: &Gaussians,
-    rows: &[u32],
-    genes: impl Fn(usize) -> Gene,
+    first: usize,
+    version: &impl Fn(usize) -> (u32, Gene),
     camera: &Pinhole,
     settings: &RenderSettings,
-    mut each: impl FnMut(usize, Option<Splat>),
-) {
-    for (group, rows) in rows.chunks(LANES).enumerate() {
-        let row = |lane: usize| rows[lane.min(rows.len() - 1)] as usize;
-        let params =
-            Params::load_with(simd, cloud, row, |lane| genes(group * LANES + lane.min(rows.len() - 1)));
-        let geometry = Geometry::new(&params, camera, settings.filter);
-        let lanes = geometry.lanes();
-        for (lane, &global) in rows.iter().enumerate() {
+    room: &mut [Splat],
+) -> u32 {
+    let versions: Vec<(u32, Gene)> = (first..first + room.len()).map(version).collect();
+    let mut splats = 0;
+    for (group, versions) in versions.chunks(LANES).enumerate() {
+        let of_lane = |lane: usize| versions[lane.min(versions.len() - 1)];
+        let params = Params::load_with(simd, cloud, |lane| of_lane(lane).0 as usize, |lane| of_lane(lane).1);
+        let lanes = Geometry::new(&params, camera, settings.filter).lanes();
+        for (lane, &(row, _)) in versions.iter().enumerate() {
+            let Some(splat) = lanes.splat(lane, camera) else { continue };
             let position = [params.position[0][lane], params.position[1][lane], params.position[2][lane]];
-            let splat = lanes.splat(lane, camera).and_then(|splat| {
-                let colour =
-                    colour::evaluate(&cloud.sh[global as usize], position, camera.centre, settings.sh_degree);
-                let splat = Splat { rgb: colour.rgb, clamped: colour.clamped, global, ..splat };
-                colour.is_number().then_some(splat)
-            });
-            each(group * LANES + lane, splat);
+            let colour =
+                colour::evaluate(&cloud.sh[row as usize], position, camera.centre, settings.sh_degree);
+            if colour.is_number() {
+                let global = (first + group * LANES + lane) as u32;
+                room[splats] = Splat { rgb: colour.rgb, clamped: colour.clamped, global, ..splat };
+                splats += 1;
+            }
         }
     }
+    splats as u32
 }
 
 /// Raw parameters of 16 Gaussians.
@@ -486,11 +482,6 @@ fn weighted_dot<S: Simd>(weight: &[V<S>; 3], a: &[V<S>; 3], b: &[V<S>; 3]) -> V<
     weight[0] * a[0] * b[0] + weight[1] * a[1] * b[1] + weight[2] * a[2] * b[2]
 }
 
-/// Smallest determinant that Mip-Splatting's filter accepts, px⁴.
-pub const MIP_DET_MIN: f32 = 1e-6;
-/// Smallest ratio of determinants under 3DGS's antialiasing.
-pub const ANTIALIAS_RATIO_MIN: f32 = 2.5e-5;
-
 /// Factor on the opacity that keeps a splat's energy under the screen filter.
 #[inline(always)]
 fn screen_factor<S: Simd>(filter: ScreenFilter, det_raw: V<S>, det: V<S>) -> V<S> {
@@ -499,8 +490,8 @@ fn screen_factor<S: Simd>(filter: ScreenFilter, det_raw: V<S>, det: V<S>) -> V<S
         ScreenFilter::Classic => V::splat(simd, 1.0),
         ScreenFilter::Antialiased => (det_raw / det).max(ANTIALIAS_RATIO_MIN).sqrt(),
         ScreenFilter::Mip => {
-            let vanishes = det_raw.simd_le(MIP_DET_MIN) | det.simd_le(MIP_DET_MIN);
-            let ratio = det_raw.max(MIP_DET_MIN) / (det.max(MIP_DET_MIN) + 1e-6) + 1e-6;
+            let vanishes = det_raw.simd_le(MIP_EPSILON) | det.simd_le(MIP_EPSILON);
+            let ratio = det_raw.max(MIP_EPSILON) / (det.max(MIP_EPSILON) + MIP_EPSILON) + MIP_EPSILON;
             vanishes.select(V::splat(simd, 0.0), ratio.sqrt())
         }
     }
@@ -546,7 +537,7 @@ impl Lanes {
             return false;
         }
         let middle = 0.5 * (self.cov[0][lane] + self.cov[2][lane]);
-        let largest = middle + (middle * middle - self.det[lane]).max(0.1).sqrt();
+        let largest = middle + (middle * middle - self.det[lane]).max(DISCRIMINANT_MIN).sqrt();
         let radius = (3.0 * largest.sqrt()).ceil();
         let mean = self.mean(lane, camera);
         let grid = camera.grid();

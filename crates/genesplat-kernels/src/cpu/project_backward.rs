@@ -4,8 +4,9 @@
 
 use fearless_simd::{Simd, prelude::*};
 use genesplat_core::ScreenFilter;
+use genesplat_core::constants::{ANTIALIAS_RATIO_MIN, MIP_EPSILON};
 
-use super::project::{ANTIALIAS_RATIO_MIN, Geometry, Params, Pinhole};
+use super::project::{Geometry, Params, Pinhole};
 use super::rasterise_backward::column;
 use super::simd::{LANES, V, array};
 
@@ -137,8 +138,8 @@ fn add_filter_gradient<S: Simd>(
         }
         ScreenFilter::Mip => {
             let alive = g.factor_2d.simd_gt(0.0);
-            let by_raw = alive.select(factor_gradient * 0.5 / (g.factor_2d * (g.det + 1e-6)), zero);
-            (by_raw, alive.select(-(by_raw * g.det_raw / (g.det + 1e-6)), zero))
+            let by_raw = alive.select(factor_gradient * 0.5 / (g.factor_2d * (g.det + MIP_EPSILON)), zero);
+            (by_raw, alive.select(-(by_raw * g.det_raw / (g.det + MIP_EPSILON)), zero))
         }
     };
     cov[0] += by_raw * g.cov_raw[2] + by_dilated * g.cov[2];

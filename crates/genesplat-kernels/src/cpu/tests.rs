@@ -10,8 +10,8 @@
 use fearless_simd::Level;
 use genesplat_core::backend::Exploration;
 use genesplat_core::{
-    Backend, DensitySignal, Gaussians, Image, Photo, RenderSettings, Rng, RowEdit, ScreenFilter, SparseDelta,
-    StatisticsRequest, TrainStep,
+    Backend, Blend, DensitySignal, Gaussians, Image, Photo, RenderSettings, Rng, RowEdit, ScreenFilter,
+    SparseDelta, StatisticsRequest, TrainStep,
 };
 
 use super::project::Pinhole;
@@ -21,7 +21,7 @@ use super::update::{Inputs, gradients};
 use super::{CpuBackend, Frame, loss};
 use crate::fixtures::{
     CROWD_LOGITS, HEIGHT, WIDTH, camera, cloud, crowd, filtered_cloud, filters, individual_of, photo,
-    poisoned_cloud, settings, small_view, step, uniform, view,
+    poisoned_cloud, settings, small_view, step, tall_view, uniform, view,
 };
 use crate::reference::{self, Cloud64, Cutoff};
 
@@ -114,7 +114,8 @@ fn compare_images(actual: &Image, expected: &[f64]) -> Result<(), String> {
     }
     let differences: Vec<f64> =
         actual.planes.iter().zip(expected).map(|(&a, &b)| (f64::from(a) - b).abs()).collect();
-    let off = differences.iter().filter(|&&d| d > 2e-4).count();
+    // NaN is off, too.
+    let off = differences.iter().filter(|&&d| d.is_nan() || d > 2e-4).count();
     let worst = differences.iter().copied().fold(0.0, f64::max);
     let spread = expected.iter().copied().fold(0.0, f64::max);
     if spread < 0.5 {
@@ -140,6 +141,8 @@ fn the_comparisons_can_fail() {
     reference[5] += 0.02;
     assert!(compare_images(&image, &reference).is_err());
     assert!(compare_images(&Image::default(), &reference).is_err());
+    let poison = Image { planes: vec![f32::NAN; image.planes.len()], ..image };
+    assert!(compare_images(&poison, &reference).is_err());
 }
 
 #[test]
@@ -397,6 +400,7 @@ fn results_do_not_depend_on_the_number_of_threads() {
         pool.install(|| {
             // Several tasks of every stage: rows in chunks, ranks, tiles, strips of pixels.
             let mut backend = backend_with(&cloud(5000));
+            backend.set_views(&[tall_view()]).unwrap();
             for number in 1..=5 {
                 let mut step = classic_step(number);
                 step.update.as_mut().unwrap().exploration = (number % 2 == 0).then_some(Exploration {
@@ -411,11 +415,32 @@ fn results_do_not_depend_on_the_number_of_threads() {
             edit.push(3, genesplat_core::Origin::SplitChild { child: 0 });
             backend.edit_rows(&edit).unwrap();
             backend.train_step(&classic_step(6)).unwrap();
-            let population: Vec<SparseDelta> =
-                (0..4).map(|index| individual_of(&backend.download().unwrap(), index)).collect();
-            let scores = backend.score(&population, &[0], &classic_step(1).settings).unwrap();
             let cloud = backend.download().unwrap().into_owned();
-            (cloud, backend.statistics().unwrap(), scores)
+            (cloud, backend.statistics().unwrap())
+        })
+    };
+    let one = run(1);
+    assert!(one == run(2) && one == run(7));
+}
+
+/// More views than some have threads, and more rows than a task looks through.
+#[test]
+fn judgements_do_not_depend_on_the_number_of_threads() {
+    let base = cloud(5000);
+    let population: Vec<SparseDelta> = (0..4).map(|index| individual_of(&base, index)).collect();
+    let run = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| {
+            let mut backend = backend_with(&base);
+            backend.set_views(&[view(), tall_view(), small_view()]).unwrap();
+            backend.remember(0).unwrap();
+            backend.train_step(&classic_step(1)).unwrap();
+            let (views, settings) = ([0, 1, 2], classic_step(1).settings);
+            let scores = backend.score(&population, &views, &settings).unwrap();
+            let credits = backend.credit(&population, &views, &settings).unwrap();
+            let merits = backend.weigh(&views, &settings).unwrap();
+            let blends = [Blend::default(), Blend { weights: [[0.5, 0.0]; 6] }];
+            (scores, credits, merits, backend.judge(&blends, &views, &settings).unwrap())
         })
     };
     let one = run(1);

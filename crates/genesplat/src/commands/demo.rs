@@ -243,7 +243,7 @@ mod tests {
         assert!(check_gallery(&folder).is_ok(), "nothing is there");
         let options = GalleryOptions { width: 16, height: 16, views: 2, points: 20, seed: 1 };
         gallery::generate(&options).write_colmap(&folder).unwrap();
-        fs::write(folder.join("images/.gallery_002.png.7-0.tmp"), "left by a demo that was killed").unwrap();
+        fs::write(folder.join("images/.genesplat-7-0.tmp"), "left by a demo that was killed").unwrap();
         assert!(check_gallery(&folder).is_ok());
 
         fs::write(folder.join("images/IMG_1.png"), "a photo").unwrap();
