@@ -56,7 +56,7 @@ const HALF_A_GIGABYTE: usize = 500_000_000;
 fn a_hundred_individuals_over_a_million_gaussians() {
     let _alone = ALONE.lock();
     let n = 1_000_000usize;
-    // Ten times the paper's early rate, so that the few generations of this test hold what dozens of the paper's would.
+    // Nearly seven times the paper's early rate, so that the few generations of this test hold what dozens of the paper's would.
     let config = PaperConfig { generations: 4, mutation_rates: [1.0; 3], ..PaperConfig::default() };
     let (search, peak) = peak_of(|| {
         let base: Vec<Gene> = normal_base(1000).into_iter().cycle().take(n).collect();

@@ -347,7 +347,8 @@ pub struct RecombineConfig {
     /// Length of a window, as a share of the run. Default 0.05; above 0, at most 0.5. There is a stage at the end of each
     /// window in which rows stay what they are for at least half of the time, and one at the end of the run.
     pub window: f64,
-    /// States that are averaged, evenly over a window, into its two parents. Default 10; at least 2.
+    /// States that are averaged, evenly over a window, into its two parents. Default 10; at least 2. More of them, fewer than twice as
+    /// many, where they do not divide the window.
     pub states: u32,
     /// Generations of each stage but the last. Default 0: only the start of the search and the mean are judged. Runs of fewer
     /// than 1,800 steps have fewer in proportion, but one where there are to be any; so it is with the last stage.

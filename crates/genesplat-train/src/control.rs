@@ -35,7 +35,7 @@ impl<B: Backend> Trainer<'_, B> {
             fitness_after: after,
             seconds: clock.elapsed().as_secs_f64(),
             ..StageRecord::begun(StageKind::Control, cursor.iteration, before, None)
-        })?;
+        });
         Ok(checkpoint)
     }
 

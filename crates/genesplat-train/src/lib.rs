@@ -11,7 +11,7 @@
 //! | [`initialise`] | the first cloud, the size of the scene |
 //! | [`densify`] | where Gaussians are added and removed |
 //! | [`filter_3d`] | Mip-Splatting's limit on detail |
-//! | `limits` | how many Gaussians there may be |
+//! | `limits`, `notices` | how many Gaussians there may be; what a run's owner should know |
 //! | `paper`, `fitness`, [`views`] | the paper's evolution stage and the photos it is judged on |
 //! | `control` | gradient steps in its place |
 //! | `refine`, `mosaic` | evolution without training, and the search by credit that it is best done with |
@@ -32,6 +32,7 @@ pub mod initialise;
 mod limits;
 mod mosaic;
 mod nearest;
+mod notices;
 pub mod observe;
 mod paper;
 pub mod pipeline;

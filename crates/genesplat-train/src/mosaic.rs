@@ -54,7 +54,7 @@ impl<'a, B: Backend> Trainer<'a, B> {
         let is_changed = |&(row, genes): &(usize, &Gene)| mosaic.cloud.genes(row) != *genes;
         record.changed = original.genes.iter().enumerate().filter(is_changed).count();
         record.seconds = mosaic.begun.elapsed().as_secs_f64();
-        self.end_stage(record)?;
+        self.end_stage(record);
         Ok(checkpoint)
     }
 

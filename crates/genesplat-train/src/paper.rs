@@ -42,7 +42,8 @@ impl<B: Backend> Trainer<'_, B> {
             record.changed = better.rows.len();
         }
         self.torn = true;
-        self.end_stage(record)?;
+        self.end_stage(record);
+        self.forget_gene_gradients()?;
         Ok(checkpoint)
     }
 

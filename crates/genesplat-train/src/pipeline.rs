@@ -53,7 +53,9 @@ pub fn train<B: Backend>(
     stop: &AtomicBool,
 ) -> Result<Outcome, TrainError> {
     let mut trainer = Trainer::new(backend, views, config, observer, stop)?;
+    let notices = trainer.notices(&start);
     let cursor = trainer.begin(start)?;
+    notices.iter().for_each(|notice| trainer.observer.notice(notice));
     match trainer.run_from(cursor) {
         Ok(checkpoint) => trainer.finish(checkpoint),
         Err(error) => Err(trainer.rescue(error)),
@@ -79,14 +81,14 @@ impl<B: Backend> Trainer<'_, B> {
             self.share(i)?;
         }
         // What is still queued must fail, if it does, while the run can be saved.
-        self.wait_for_device()?;
+        self.wait_for_steps()?;
         Ok(None)
     }
 
     /// Does one phase, on the clock. Returns a checkpoint when it was stopped within.
     pub(crate) fn perform(&mut self, i: u32, phase: Phase) -> Result<Option<Box<Checkpoint>>, TrainError> {
         if phase.is_evolution() {
-            self.wait_for_device()?;
+            self.wait_for_steps()?;
         }
         let clock = Instant::now();
         let mut checkpoint = None;
@@ -107,6 +109,14 @@ impl<B: Backend> Trainer<'_, B> {
         self.torn = false;
         self.bill(phase, clock.elapsed().as_secs_f64());
         Ok(checkpoint)
+    }
+
+    /// Waits until queued steps are done: what that takes is theirs.
+    fn wait_for_steps(&mut self) -> Result<(), TrainError> {
+        let clock = Instant::now();
+        self.wait_for_device()?;
+        self.progress.gradient_seconds += clock.elapsed().as_secs_f64();
+        Ok(())
     }
 
     fn step(&mut self, i: u32) -> Result<(), TrainError> {
@@ -174,9 +184,8 @@ impl<B: Backend> Trainer<'_, B> {
         }
     }
 
-    pub(crate) fn end_stage(&mut self, record: StageRecord) -> Result<(), TrainError> {
+    pub(crate) fn end_stage(&mut self, record: StageRecord) {
         self.observer.on_stage_end(&record);
         self.progress.stages.push(record);
-        self.forget_gene_gradients()
     }
 }

@@ -36,7 +36,7 @@ const START: [f64; GENES] = [0.8, 0.6];
 const STEP: f64 = 0.3;
 /// Runs of so many steps, and longer ones, have the generations that the configuration asks for. A generation takes as many
 /// renders however short the run is: the last stage's three take 198 with the defaults, a ninth of so many steps, and a larger
-/// share of fewer. Fewer generations were measured to cost next to nothing (`docs/evolution.md`).
+/// share of fewer. Fewer generations were measured to cost next to nothing (`docs/evolution-history.md`).
 const FULL_SEARCH: u32 = 1800;
 
 /// What a run of so many steps has of the generations that are wanted: fewer in proportion to [`FULL_SEARCH`], but one.
@@ -99,9 +99,8 @@ impl<B: Backend> Trainer<'_, B> {
             Some(child) => self.backend.breed(&child)?,
             None => self.backend.forget(),
         }
-        self.torn = true;
         record.seconds = line.begun.elapsed().as_secs_f64();
-        self.end_stage(record)?;
+        self.end_stage(record);
         Ok(checkpoint)
     }
 

@@ -33,8 +33,13 @@ pub fn refine<B: Backend>(
     let last = finished_iteration(config.schedule());
     if config.schedule().gene_gradients {
         let genes = StatisticsRequest { density: None, genes: true };
-        (0..views.len())
-            .try_for_each(|view| trainer.train_step(view, last, 0, OptimiserStep::Lost, genes))?;
+        for view in 0..views.len() {
+            trainer.train_step(view, last, 0, OptimiserStep::Lost, genes)?;
+            // The search needs those of one view to begin, and to be stopped.
+            if trainer.stopped() {
+                break;
+            }
+        }
     }
     let checkpoint = trainer.perform(last, Phase::EvolveAfterReset)?;
     let mut outcome = trainer.finish(None)?;

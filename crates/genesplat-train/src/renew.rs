@@ -101,7 +101,7 @@ impl<B: Backend> Trainer<'_, B> {
             guard_psnr: Some(verdict.psnr),
             ..GenerationLog::of(&record, Some(verdict.loss))
         });
-        self.forget_trial(record)?;
+        self.forget_trial(record);
         Ok(stays)
     }
 
@@ -112,14 +112,11 @@ impl<B: Backend> Trainer<'_, B> {
         Ok((now.psnr < trial.before().psnr).then_some(trial.cloud))
     }
 
-    /// The trial is over. Once it is reported the state is whole again: what is left of the phase is the next renewal,
-    /// which whoever resumes begins likewise.
-    fn forget_trial(&mut self, record: StageRecord) -> Result<(), TrainError> {
-        self.torn = true;
+    /// The trial is over, and the state is whole again: what is left of the phase is the next renewal, which whoever resumes
+    /// begins likewise.
+    fn forget_trial(&mut self, record: StageRecord) {
         self.trial = None;
-        self.end_stage(record)?;
-        self.torn = false;
-        Ok(())
+        self.end_stage(record);
     }
 
     /// Weighs all Gaussians, and renews a share of them, if there are any to renew.

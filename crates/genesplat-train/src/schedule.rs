@@ -314,7 +314,8 @@ impl Schedule {
         (end == self.iterations || end >= self.densify_until.saturating_add(window / 2)).then_some(end)
     }
 
-    /// Which parent a remembered state belongs to: 0 for the older half of a window, 1 for the younger one.
+    /// Which parent a remembered state belongs to: 0 for the older half of a window, 1 for the younger one, which the middle state
+    /// and the last of the window before are part of: six of ten.
     pub fn parent(&self, i: u32) -> usize {
         let window = self.window.unwrap_or(1);
         usize::from((self.iterations - i) % window <= window / 2)

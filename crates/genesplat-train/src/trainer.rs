@@ -17,7 +17,8 @@ use crate::filter_3d::filter_3d;
 use crate::initialise::{
     ColouredPoint, check_points, cloud_from_points, in_spatial_order, median_depth, scene_extent,
 };
-use crate::limits::{Limits, notice_of_lost_background};
+use crate::limits::Limits;
+use crate::notices;
 use crate::observe::{Observer, StageLog, StageRecord, StartLog, StepFindings};
 use crate::renew::Trial;
 use crate::run::{Outcome, RunSummary, Seconds, Start, TrainError};
@@ -90,10 +91,6 @@ impl<'a, B: Backend> Trainer<'a, B> {
 
     /// Fills the device; returns where to go on.
     pub(crate) fn begin(&mut self, start: Start) -> Result<Cursor, TrainError> {
-        let background = match &start {
-            Start::Points(points) => self.notice_of_lost_background(points),
-            Start::Cloud(_) | Start::Checkpoint(_) => None,
-        };
         let cursor = match start {
             Start::Points(points) => self.upload_new(self.first_cloud(&points)?)?,
             Start::Cloud(cloud) => self.upload_new(cloud)?,
@@ -107,14 +104,16 @@ impl<'a, B: Backend> Trainer<'a, B> {
             iteration: cursor.iteration,
             iterations: self.schedule.iterations,
         });
-        let notices = self.limits.notices(self.schedule).chain(background);
-        notices.for_each(|notice| self.observer.notice(&notice));
         Ok(cursor)
     }
 
-    fn notice_of_lost_background(&self, points: &[ColouredPoint]) -> Option<String> {
-        let depth = median_depth(self.views.iter().map(|view| &view.camera), points)?;
-        notice_of_lost_background(self.config, self.schedule, self.extent, depth)
+    /// What its owner should know of a run that is about to start.
+    pub(crate) fn notices(&self, start: &Start) -> Vec<String> {
+        let depth = match start {
+            Start::Points(points) => median_depth(self.views.iter().map(|view| &view.camera), points),
+            Start::Cloud(_) | Start::Checkpoint(_) => None,
+        };
+        notices::at_start(self.config, self.schedule, self.limits, self.extent, depth)
     }
 
     fn first_cloud(&self, points: &[ColouredPoint]) -> Result<Gaussians, TrainError> {
@@ -150,6 +149,7 @@ impl<'a, B: Backend> Trainer<'a, B> {
         self.backend.restore_lineage(checkpoint.lineage)?;
         self.progress = checkpoint.progress;
         self.trial = checkpoint.trial;
+        self.limit_noticed = self.limits.cap().is_some_and(|cap| self.backend.len() >= cap);
         Ok(checkpoint.cursor)
     }
 
@@ -186,7 +186,8 @@ impl<'a, B: Backend> Trainer<'a, B> {
             // The run is lost, but not what it can be resumed from, unless that is as ill.
             Err(error) => {
                 let ill = matches!(error, TrainError::Backend(BackendError::NonFinite { .. }));
-                if let Some(checkpoint) = checkpoint.filter(|_| !ill) {
+                let Some(checkpoint) = checkpoint else { return Err(self.rescue(error)) };
+                if !ill {
                     self.observer.on_checkpoint(*checkpoint);
                 }
                 return Err(error);

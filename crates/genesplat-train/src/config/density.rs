@@ -89,7 +89,7 @@ impl Default for DensifyConfig {
 }
 
 /// 3DGS-MCMC; defaults are those of gsplat, which reproduces the published numbers. `densify.from` and `densify.every`
-/// hold here, too; the rest of `densify` does not.
+/// hold here, too; the rest of `densify` does not, but for resets (see `resets`) and evolution's triggers, which lie where resets would be.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct McmcConfig {

@@ -158,7 +158,7 @@ fn out_of_memory_in_any_call_saves_a_run_that_resumes_exactly() {
     let whole = trained(&config, &mut untroubled, Start::Points(points(20)), &never);
     assert!(whole.summary.stages[0].changed > 0);
     // The first calls fill the device; nothing is to be saved of them.
-    for call in 3..untroubled.fallible {
+    for call in 3..=untroubled.fallible {
         let (mut failing, mut keep) = (device(), Keep::default());
         failing.failure = Some((call, Failure::OutOfMemory));
         let (start, resolved) = (Start::Points(points(20)), config.clone().resolve().unwrap());

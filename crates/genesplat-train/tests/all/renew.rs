@@ -317,7 +317,7 @@ fn out_of_memory_in_any_call_saves_a_run_that_resumes_exactly() {
         assert_eq!(trials.len(), 6);
         assert_eq!(trials.iter().all(|stage| stage.changed == 0), guards_disagree, "some are kept, or none");
         // The first calls fill the device; nothing is to be saved of them.
-        for call in 3..untroubled.fallible {
+        for call in 3..=untroubled.fallible {
             let (mut failing, mut keep) = (device(), Keep::default());
             failing.failure = Some((call, Failure::OutOfMemory));
             let (start, config) = (Start::Points(points(20)), config().resolve().unwrap());
