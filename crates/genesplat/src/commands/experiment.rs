@@ -8,8 +8,8 @@ use crate::experiment::page::Parts;
 use crate::experiment::plan::Experiment;
 use crate::experiment::results::Results;
 use crate::experiment::runner::{Ran, Runner};
-use crate::experiment::table::Table;
-use crate::experiment::{page, preset, qualitative, record, summary};
+use crate::experiment::summary::Tables;
+use crate::experiment::{page, preset, qualitative, record};
 use crate::report::run::command_line;
 use crate::{device, files, interrupt, lpips, output};
 
@@ -61,17 +61,16 @@ fn tell_of_unmeasured(results: &Results<'_>) {
 }
 
 fn write(runner: &Runner<'_>, results: &Results<'_>) -> Result<()> {
-    let (tables, costs) = (summary::tables(results), summary::costs(results));
+    let tables = Tables::of(results);
     let pages = qualitative::write_pages(runner, results);
     // Shown only, so a path that is no text may lose what cannot be shown.
     let words: Vec<String> = std::env::args_os().map(|word| word.to_string_lossy().into_owned()).collect();
     let command = command_line(words.iter().map(String::as_str));
-    let markdown =
-        |tables: &[Table]| tables.iter().map(|table| table.to_markdown() + "\n").collect::<String>();
-    let (shown, seconds) = (markdown(&tables), markdown(&costs));
-    let latex = tables.iter().map(|table| table.to_latex() + "\n").collect::<String>();
+    let shown: String = tables.repeatable().map(|table| table.to_markdown() + "\n").collect();
+    let seconds: String = tables.costs.iter().map(|table| table.to_markdown() + "\n").collect();
+    let latex: String = tables.repeatable().map(|table| table.to_latex() + "\n").collect();
     let parts = Parts {
-        tables: &[tables, costs].concat(),
+        tables: &tables,
         charts: &page::charts(results, runner.out),
         pages: &pages,
         command: &command,

@@ -8,7 +8,7 @@ use genesplat::io::photos::read_photo;
 use super::plan::{Cell, Experiment};
 use super::qualitative::Page;
 use super::results::Results;
-use super::table::Table;
+use super::summary::Tables;
 use crate::report::chart::{Chart, Series};
 use crate::report::curves::{Curves, thinned};
 use crate::report::html::{Html, document};
@@ -27,7 +27,7 @@ const CURVE_POINTS: usize = 150;
 /// What a page is made of, beside the results.
 pub struct Parts<'a> {
     /// All tables.
-    pub tables: &'a [Table],
+    pub tables: &'a Tables,
     /// Curves over time.
     pub charts: &'a [Chart],
     /// Qualitative pages.
@@ -80,12 +80,19 @@ pub fn to_html(results: &Results<'_>, parts: &Parts<'_>) -> Result<String> {
     page.element("h1", &file.title).element("p", &file.description);
     page.element("p class=\"dim\"", &format!("{} of {} runs are finished.", results.finished(), cells.len()));
     page.element("h2", "Tables");
-    tables.iter().for_each(|table| table.write_html(&mut page));
+    let Tables { quality, tests, sizes, costs } = tables;
+    quality.iter().chain(sizes).chain(costs).for_each(|table| table.write_html(&mut page));
     page.element("h2", "Over time").element("p class=\"dim\"", "The first seed of each arm.");
     page.open("div class=\"row\"");
     charts.iter().for_each(|chart| chart.write(&mut page));
     page.close("div");
     write_pictures(&mut page, pages)?;
+    // A row for every comparison and metric: to be looked up, not to be scrolled past.
+    page.element("h2", "Tests")
+        .open("details")
+        .element("summary", "Every comparison, and whether it may be chance");
+    tests.iter().for_each(|table| table.write_html(&mut page));
+    page.close("details");
     page.element("h2", "Runs").open("figure class=\"table\"").open("table").open("tr");
     ["run", "test PSNR", "train PSNR", "Gaussians", "seconds"]
         .iter()
@@ -141,7 +148,6 @@ pub fn to_toml(results: &Results<'_>) -> String {
 mod tests {
     use super::*;
     use crate::experiment::plan::Experiment;
-    use crate::experiment::summary::tables;
 
     #[test]
     fn hostile_names_stay_text_and_nothing_is_loaded() {
@@ -150,7 +156,7 @@ mod tests {
         let experiment = Experiment::new(toml::from_str(text).unwrap()).unwrap();
         let results = Results::none(&experiment);
         let parts = Parts {
-            tables: &tables(&results),
+            tables: &Tables::of(&results),
             charts: &charts(&results, Path::new("nowhere")),
             pages: &[],
             command: "genesplat experiment '<img src=x>'",

@@ -33,21 +33,35 @@ pub struct Comparison {
     pub gains: Vec<f64>,
 }
 
-/// All tables that depend on seeds alone (but for controls by time), test photos first.
-pub fn tables(results: &Results<'_>) -> Vec<Table> {
-    let variants = 0..results.experiment.file.variants.len();
-    let mut tables: Vec<Table> = Split::ALL
-        .into_iter()
-        .flat_map(|split| variants.clone().map(move |variant| quality(results, split, variant)))
-        .collect();
-    tables.extend(Split::ALL.map(|split| tests(results, split)));
-    tables.extend(variants.map(|variant| sizes(results, variant)));
-    tables
+/// The tables of an experiment, test photos first.
+pub struct Tables {
+    /// The paper's: quality, and differences.
+    pub quality: Vec<Table>,
+    /// Whether the differences may be chance.
+    pub tests: Vec<Table>,
+    /// Numbers of Gaussians.
+    pub sizes: Vec<Table>,
+    /// What another machine, or another day, says differently.
+    pub costs: Vec<Table>,
 }
 
-/// What another machine, or another day, says differently.
-pub fn costs(results: &Results<'_>) -> Vec<Table> {
-    (0..results.experiment.file.variants.len()).map(|variant| seconds(results, variant)).collect()
+impl Tables {
+    /// Of all that is finished.
+    pub fn of(results: &Results<'_>) -> Self {
+        let variants = 0..results.experiment.file.variants.len();
+        let of_split = |split| variants.clone().map(move |variant| quality(results, split, variant));
+        Self {
+            quality: Split::ALL.into_iter().flat_map(of_split).collect(),
+            tests: Split::ALL.map(|split| tests(results, split)).into(),
+            sizes: variants.clone().map(|variant| sizes(results, variant)).collect(),
+            costs: variants.clone().map(|variant| seconds(results, variant)).collect(),
+        }
+    }
+
+    /// Those that depend on seeds alone (but for controls by time).
+    pub fn repeatable(&self) -> impl Iterator<Item = &Table> {
+        self.quality.iter().chain(&self.tests).chain(&self.sizes)
+    }
 }
 
 /// Every comparison that the experiment makes: each arm with the baseline, each evolution with its control.
