@@ -10,10 +10,12 @@ override FORWARD_ONLY: bool;
 @group(0) @binding(1) var<storage, read> image: array<f32>;
 // 8-bit RGB a word [H, W]
 @group(0) @binding(2) var<storage, read> photo: array<u32>;
-// [3 partials, 3 channels, H, W]
-@group(0) @binding(3) var<storage, read_write> partials: array<f32>;
+// By the mean, by the mean square, by the mean product [3, H, W]
+@group(0) @binding(3) var<storage, read_write> by_mean: array<f32>;
+@group(0) @binding(4) var<storage, read_write> by_square: array<f32>;
+@group(0) @binding(5) var<storage, read_write> by_product: array<f32>;
 // Sums of |x - y|, of SSIM and of (x - y)^2 [layers, channels, tiles]
-@group(0) @binding(4) var<storage, read_write> sums: array<vec4<f32>>;
+@group(0) @binding(6) var<storage, read_write> sums: array<vec4<f32>>;
 
 var<workgroup> x_halo: array<f32, HALO * HALO>;
 var<workgroup> y_halo: array<f32, HALO * HALO>;
@@ -68,9 +70,9 @@ fn main(
         value = vec4(difference, ssim.value, difference * difference, 0.0);
         if !FORWARD_ONLY {
             let at = channel * pixels + pixel.y * frame.width + pixel.x;
-            partials[at] = ssim.partials.x;
-            partials[3u * pixels + at] = ssim.partials.y;
-            partials[6u * pixels + at] = ssim.partials.z;
+            by_mean[at] = ssim.partials.x;
+            by_square[at] = ssim.partials.y;
+            by_product[at] = ssim.partials.z;
         }
     }
     // 4. Sums of the tile, in a fixed order.

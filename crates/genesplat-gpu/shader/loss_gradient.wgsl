@@ -4,9 +4,12 @@
 @group(0) @binding(0) var<uniform> frame: Frame;
 @group(0) @binding(1) var<storage, read> image: array<f32>;
 @group(0) @binding(2) var<storage, read> photo: array<u32>;
-@group(0) @binding(3) var<storage, read> partials: array<f32>;
+// By the mean, by the mean square, by the mean product [3, H, W]
+@group(0) @binding(3) var<storage, read> by_mean: array<f32>;
+@group(0) @binding(4) var<storage, read> by_square: array<f32>;
+@group(0) @binding(5) var<storage, read> by_product: array<f32>;
 // [3, H, W]
-@group(0) @binding(4) var<storage, read_write> gradient: array<f32>;
+@group(0) @binding(6) var<storage, read_write> gradient: array<f32>;
 
 var<workgroup> halo: array<vec3<f32>, HALO * HALO>;
 var<workgroup> blurred: array<vec3<f32>, HALO * TILE>;
@@ -26,7 +29,7 @@ fn main(
         halo[at] = vec3(0.0);
         if x >= 0 && y >= 0 && x < i32(frame.width) && y < i32(frame.height) {
             let index = channel * pixels + u32(y) * frame.width + u32(x);
-            halo[at] = vec3(partials[index], partials[3u * pixels + index], partials[6u * pixels + index]);
+            halo[at] = vec3(by_mean[index], by_square[index], by_product[index]);
         }
     }
     workgroupBarrier();

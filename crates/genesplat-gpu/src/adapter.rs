@@ -5,6 +5,9 @@ use std::sync::OnceLock;
 use genesplat_core::BackendError;
 use wgpu::{Adapter, Backends, DeviceType, Features, Instance, InstanceDescriptor, InstanceFlags, Limits};
 
+use crate::engine::Engine;
+use crate::layout::{GRID_WIDTH, GROUP, TILE};
+
 /// Workgroup memory that the backward pass needs, bytes; that of all others is less.
 pub(crate) const WORKGROUP_BYTES: u32 = 24 << 10;
 /// Storage buffers that the widest stages bind, which is WebGPU's default limit.
@@ -124,34 +127,32 @@ fn report(adapter: &Adapter) -> AdapterReport {
 /// What an adapter with these limits lacks.
 fn unmet(limits: &Limits) -> Option<String> {
     let needs = [
-        (
-            "memory a workgroup, bytes",
-            limits.max_compute_workgroup_storage_size.into(),
-            WORKGROUP_BYTES.into(),
-        ),
-        (
-            "storage buffers a kernel",
-            limits.max_storage_buffers_per_shader_stage.into(),
-            STORAGE_BUFFERS.into(),
-        ),
-        ("bytes a binding", limits.max_storage_buffer_binding_size, BINDING_BYTES),
-    ];
-    needs
-        .into_iter()
-        .find(|(_, has, needs)| has < needs)
-        .map(|(what, has, needs)| format!("has too few {what}: {has}, and {needs} are needed"))
+        ("bytes of memory a workgroup", limits.max_compute_workgroup_storage_size, WORKGROUP_BYTES),
+        ("storage buffers a kernel", limits.max_storage_buffers_per_shader_stage, STORAGE_BUFFERS),
+        ("invocations a workgroup", limits.max_compute_invocations_per_workgroup, GROUP),
+        ("invocations a row of a workgroup", limits.max_compute_workgroup_size_x, GROUP),
+        ("rows a workgroup", limits.max_compute_workgroup_size_y, TILE),
+        ("workgroups a row of a grid", limits.max_compute_workgroups_per_dimension, GRID_WIDTH),
+    ]
+    .map(|(what, has, needs)| (what, u64::from(has), u64::from(needs)));
+    let binding = ("bytes a binding", limits.max_storage_buffer_binding_size, BINDING_BYTES);
+    let unmet = needs.into_iter().chain([binding]).find(|(_, has, needs)| has < needs);
+    unmet.map(|(what, has, needs)| format!("has too few {what}: {has}, and {needs} are needed"))
 }
 
-/// What is asked of a device: no more than the kernels use, but as much memory as it has.
+/// What is asked of a device: all that it has, since it must not be asked for anything that kernels do not need; but of what they share
+/// in a workgroup and bind no more than they do.
 pub(crate) fn required_limits(adapter: &Adapter) -> Limits {
-    let has = adapter.limits();
     Limits {
-        max_storage_buffer_binding_size: has.max_storage_buffer_binding_size,
-        max_buffer_size: has.max_buffer_size,
         max_compute_workgroup_storage_size: WORKGROUP_BYTES,
         max_storage_buffers_per_shader_stage: STORAGE_BUFFERS,
-        ..Limits::default()
+        ..adapter.limits()
     }
+}
+
+/// Opens the best usable device, and closes it again: a driver may refuse what it has promised.
+pub fn check_best() -> Result<(), BackendError> {
+    Engine::new().map(drop)
 }
 
 #[cfg(test)]
@@ -166,7 +167,9 @@ mod tests {
             ..Limits::default()
         };
         assert_eq!(unmet(&enough), None);
-        let small = Limits { max_compute_workgroup_storage_size: 16 << 10, ..enough };
+        let small = Limits { max_compute_workgroup_storage_size: 16 << 10, ..enough.clone() };
+        let narrow = Limits { max_compute_invocations_per_workgroup: 128, ..enough.clone() };
+        assert!(unmet(&narrow).expect("too few").contains("128, and 256"));
         let reason = unmet(&small).expect("too little");
         assert!(reason.contains("16384") && reason.contains("24576"), "{reason}");
     }

@@ -79,7 +79,7 @@ impl GpuBackend {
     }
 
     /// An empty backend on a device.
-    pub fn on(engine: Engine, seed: u64) -> Result<Self, BackendError> {
+    pub(crate) fn on(engine: Engine, seed: u64) -> Result<Self, BackendError> {
         Ok(Self {
             state: State::upload(&engine, &Gaussians::default(), None)?,
             // Each entry has a gradient row.
@@ -103,13 +103,20 @@ impl GpuBackend {
         self.engine.allocated_bytes()
     }
 
+    /// The most that it has held since this was last asked.
+    pub fn take_most_allocated_bytes(&self) -> u64 {
+        self.engine.take_most_allocated()
+    }
+
     /// Tile entries that there is room for: grows by itself; tests make it small.
-    pub fn set_entry_room(&mut self, entries: u64) {
+    #[cfg(test)]
+    pub(crate) fn set_entry_room(&mut self, entries: u64) {
         self.lists.room = Some(entries);
     }
 
     /// Tile entries that there is room for.
-    pub fn entry_room(&self) -> u64 {
+    #[cfg(test)]
+    pub(crate) fn entry_room(&self) -> u64 {
         self.lists.entries
     }
 
@@ -270,22 +277,23 @@ impl GpuBackend {
         (lists, &self.engine)
     }
 
-    /// Eq. 5 of the cloud on one training view, rendered in full: the plain way, which scoring is measured against.
-    pub fn loss_of_view(&mut self, view: usize, settings: &RenderSettings) -> Result<f32, BackendError> {
+    /// Eq. 5 of the cloud on one training view, rendered in full `times` times, with one wait for all: the plain way, which
+    /// scoring is measured against.
+    pub fn losses_of_view(
+        &mut self,
+        view: usize,
+        settings: &RenderSettings,
+        times: u32,
+    ) -> Result<Vec<f32>, BackendError> {
         self.settle()?;
-        let frame = frame_of(&self.views[view].camera, settings, self.state.rows);
-        let counters = self.until_lists_fit(ListsOf::Cloud, |gpu| {
-            gpu.lists.reserve(&gpu.engine, &frame)?;
-            gpu.pixels.reserve_loss(&gpu.engine, &frame)?;
-            gpu.lists.begin(&gpu.engine, &frame);
-            let mut recorder = Recorder::new(&gpu.engine, gpu.timestamps.as_mut());
-            gpu.lists.record(&mut recorder, &gpu.state.cloud, &gpu.state.windows, &frame);
-            gpu.pixels.record_rasterise(&mut recorder, &gpu.lists, &frame);
-            gpu.pixels.record_loss_value(&mut recorder, &gpu.lists, &gpu.views[view].photo, &frame, false);
-            recorder.submit();
-            Ok(())
+        let judgements = self.engine.allocate("judgements", 8 * u64::from(times))?;
+        let filled = Some((&judgements, times.into()));
+        let (_, values): (_, Vec<[f32; 2]>) = self.until_lists_fit_and(ListsOf::Cloud, filled, |gpu| {
+            (0..times).try_for_each(|time| {
+                gpu.submit_judgement(view, settings, [time, 0, 1], &judgements, |state| Some(&state.cloud))
+            })
         })?;
-        Ok(counters.loss)
+        Ok(values.into_iter().map(|[loss, _]| loss).collect())
     }
 
     /// Splats, tile lists and picture of the cloud; the picture stays on the device.

@@ -20,6 +20,9 @@ use crate::shaders::Shader;
 /// Smallest buffer, bytes: an empty cloud has buffers, too.
 const BUFFER_BYTES_MIN: u64 = 256;
 
+/// Buffers are whole vectors.
+pub(crate) const BUFFER_BYTES_STEP: u64 = 16;
+
 /// Bytes that may wait to be copied to the device, 64 MiB: until something is submitted and done, whatever is written lies
 /// in the host's memory once more. All photos of a scene would be gigabytes.
 const WRITTEN_BYTES_MAX: usize = 64 << 20;
@@ -46,7 +49,7 @@ pub(crate) struct Kernel {
 }
 
 /// A device, and the kernels that it has compiled.
-pub struct Engine {
+pub(crate) struct Engine {
     pub(crate) device: Device,
     pub(crate) queue: Queue,
     /// Name and programming interface, for the log.
@@ -70,11 +73,12 @@ pub struct Engine {
     kernels: RefCell<HashMap<KernelKey, Kernel>>,
     lost: Arc<Mutex<Option<String>>>,
     allocated: Rc<Cell<u64>>,
+    most_allocated: Cell<u64>,
 }
 
 impl Engine {
     /// The best device of this machine.
-    pub fn new() -> Result<Self, BackendError> {
+    pub(crate) fn new() -> Result<Self, BackendError> {
         let adapter = adapter::best()?;
         let info = adapter.get_info();
         let name = format!("{} ({:?})", info.name, info.backend);
@@ -109,18 +113,20 @@ impl Engine {
             kernels: RefCell::default(),
             lost,
             allocated: Rc::default(),
+            most_allocated: Cell::default(),
         })
     }
 
     /// The same, but kernels see at most `rows` rows of the cloud at once: how tests exercise the splitting of columns.
-    pub fn with_window_rows(mut self, rows: u64) -> Self {
+    #[cfg(test)]
+    pub(crate) fn with_window_rows(mut self, rows: u64) -> Self {
         self.window_rows = self.window_rows.min(rows);
         self
     }
 
     /// A buffer that kernels read and write, of at least `bytes`; its content is zero.
     pub(crate) fn allocate(&self, purpose: &'static str, bytes: u64) -> Result<Memory, BackendError> {
-        let bytes = bytes.next_multiple_of(16).max(BUFFER_BYTES_MIN);
+        let bytes = buffer_bytes(bytes);
         if self.allocated.get().saturating_add(bytes) > self.memory_bytes {
             return Err(self.out_of_memory(purpose, bytes));
         }
@@ -131,12 +137,13 @@ impl Engine {
             | BufferUsages::INDIRECT;
         let buffer = self.create(purpose, bytes, usage)?;
         self.allocated.set(self.allocated.get() + bytes);
+        self.most_allocated.set(self.most_allocated.get().max(self.allocated.get()));
         Ok(Memory { buffer, bytes, purpose, allocated: Rc::clone(&self.allocated) })
     }
 
     /// The same, for what a kernel must see as a whole.
     pub(crate) fn allocate_whole(&self, purpose: &'static str, bytes: u64) -> Result<Memory, BackendError> {
-        if bytes > self.binding_bytes {
+        if buffer_bytes(bytes) > self.binding_bytes {
             return Err(self.out_of_memory(purpose, bytes));
         }
         self.allocate(purpose, bytes)
@@ -173,8 +180,13 @@ impl Engine {
     }
 
     /// Bytes of all buffers that are in use.
-    pub fn allocated_bytes(&self) -> u64 {
+    pub(crate) fn allocated_bytes(&self) -> u64 {
         self.allocated.get()
+    }
+
+    /// The most that they have been since this was last asked.
+    pub(crate) fn take_most_allocated(&self) -> u64 {
+        self.most_allocated.replace(self.allocated.get())
     }
 
     /// Overwrites part of a buffer, before whatever is submitted next.
@@ -182,11 +194,11 @@ impl Engine {
         let bytes: &[u8] = bytemuck::cast_slice(content);
         let most = self.written_bytes_max;
         for (piece, at) in bytes.chunks(most).zip((first_byte..).step_by(most)) {
-            self.queue.write_buffer(&memory.buffer, at, piece);
-            self.written.set(self.written.get() + piece.len());
-            if self.written.get() >= most {
+            if self.written.get() + piece.len() > most {
                 self.flush();
             }
+            self.queue.write_buffer(&memory.buffer, at, piece);
+            self.written.set(self.written.get() + piece.len());
         }
     }
 
@@ -338,6 +350,11 @@ impl Engine {
     }
 }
 
+/// Size of a buffer that holds so many bytes.
+pub(crate) fn buffer_bytes(bytes: u64) -> u64 {
+    bytes.next_multiple_of(BUFFER_BYTES_STEP).max(BUFFER_BYTES_MIN)
+}
+
 fn note(lost: &Mutex<Option<String>>, message: String) {
     let mut lost = lost.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
     lost.get_or_insert(message);
@@ -345,7 +362,7 @@ fn note(lost: &Mutex<Option<String>>, message: String) {
 
 /// Memory of the device.
 #[derive(Debug)]
-pub struct Memory {
+pub(crate) struct Memory {
     pub(crate) buffer: Buffer,
     /// Size.
     pub(crate) bytes: u64,

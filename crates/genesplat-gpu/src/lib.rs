@@ -48,9 +48,8 @@ mod timing;
 mod traffic;
 mod weigh;
 
-pub use adapter::{AdapterReport, adapters};
+pub use adapter::{AdapterReport, adapters, check_best};
 pub use backend::GpuBackend;
-pub use engine::Engine;
 pub use traffic::Work;
 
 #[cfg(test)]

@@ -143,7 +143,7 @@ impl GpuBackend {
                 gpu.state.make_child(&gpu.engine, blend)?;
                 for (index, &view) in views.iter().enumerate() {
                     let place = [individual, index, views.len()].map(|number| number as u32);
-                    gpu.submit_judgement(view, settings, place, &judgements)?;
+                    gpu.submit_judgement(view, settings, place, &judgements, |state| state.child.as_ref())?;
                 }
             }
             Ok(())
@@ -151,23 +151,24 @@ impl GpuBackend {
         Ok(values.into_iter().map(|[loss, squared_error]| Judgement { loss, squared_error }).collect())
     }
 
-    /// One view of the child, and how it does.
-    fn submit_judgement(
+    /// One view of the cloud or the child, and how it does.
+    pub(crate) fn submit_judgement(
         &mut self,
         view: usize,
         settings: &RenderSettings,
         [individual, view_index, views]: [u32; 3],
         judgements: &Memory,
+        who: impl Fn(&State) -> Option<&Parameters>,
     ) -> Result<(), BackendError> {
         let frame = frame_of(&self.views[view].camera, settings, self.state.rows);
         self.lists.reserve(&self.engine, &frame)?;
         self.pixels.reserve_loss(&self.engine, &frame)?;
         self.lists.begin(&self.engine, &frame);
-        let Some(child) = &self.state.child else { return Ok(()) };
+        let Some(judged) = who(&self.state) else { return Ok(()) };
         let (pixels, lists, photo) = (&self.pixels, &self.lists, &self.views[view].photo);
         let place = window_uniform(&self.engine, [individual, 1], [view_index, views])?;
         let mut recorder = Recorder::new(&self.engine, self.timestamps.as_mut());
-        lists.record(&mut recorder, child, &self.state.windows, &frame);
+        lists.record(&mut recorder, judged, &self.state.windows, &frame);
         pixels.record_rasterise(&mut recorder, lists, &frame);
         pixels.record_loss_sums(&mut recorder, lists, photo, &frame, false);
         let parts = [&lists.frame, &place, &pixels.loss_sums, judgements].map(Memory::all);

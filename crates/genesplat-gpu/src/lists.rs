@@ -11,7 +11,7 @@ use bytemuck::Pod;
 use genesplat_core::BackendError;
 
 use crate::cloud::{Parameters, RowWindow};
-use crate::engine::{Engine, Memory};
+use crate::engine::{BUFFER_BYTES_STEP, Engine, Memory};
 use crate::layout::{
     Counters, DIGITS, Frame, GRID_DEPTH_SORT, GRID_ENTRIES, GRID_TILE_SORT, GRID_VISIBLE, GRID_VISIBLE_SCAN,
     GRIDS, LENGTH_ENTRIES, LENGTH_ROWS, LENGTH_VISIBLE, LENGTHS, SCAN_BLOCK, SORT_BLOCK, SPLAT_FLOATS,
@@ -163,7 +163,7 @@ impl Lists {
     }
 
     fn entries_max(&self, engine: &Engine) -> u64 {
-        engine.binding_bytes / self.entry_bytes
+        engine.binding_bytes / BUFFER_BYTES_STEP * BUFFER_BYTES_STEP / self.entry_bytes
     }
 
     /// What the device has counted since this was last asked.

@@ -13,8 +13,8 @@ use crate::shaders;
 pub struct Pixels {
     /// The render `[3, H, W]`.
     pub(crate) image: Memory,
-    /// SSIM's partial derivatives `[3, 3, H, W]`.
-    partials: Memory,
+    /// SSIM's partial derivatives by each of its moments `[3, H, W]`.
+    partials: [Memory; 3],
     /// Sums of each tile of each channel `[3, tiles, 4]`.
     pub(crate) loss_sums: Memory,
     /// dL/dimage `[3, H, W]`.
@@ -28,7 +28,7 @@ impl Pixels {
     pub(crate) fn new(engine: &Engine) -> Result<Self, BackendError> {
         Ok(Self {
             image: engine.allocate("the image", 0)?,
-            partials: engine.allocate("the derivatives of SSIM", 0)?,
+            partials: no_partials(engine)?,
             loss_sums: engine.allocate("the sums of the loss", 0)?,
             gradient: engine.allocate("the gradient of the image", 0)?,
             rows: engine.allocate("gradient rows", 0)?,
@@ -38,7 +38,7 @@ impl Pixels {
     /// Gives everything back until it is reserved anew.
     pub(crate) fn release(&mut self) {
         let Self { image, partials, loss_sums, gradient, rows } = self;
-        [image, partials, loss_sums, gradient, rows].into_iter().for_each(Memory::release);
+        [image, loss_sums, gradient, rows].into_iter().chain(partials).for_each(Memory::release);
     }
 
     /// Room for a render.
@@ -50,7 +50,7 @@ impl Pixels {
     pub(crate) fn reserve_loss(&mut self, engine: &Engine, frame: &Frame) -> Result<(), BackendError> {
         self.reserve_image(engine, frame)?;
         // Bound, but not written, where no gradient is wanted.
-        engine.reserve(&mut self.partials, 0)?;
+        self.partials.iter_mut().try_for_each(|by_moment| engine.reserve(by_moment, 0))?;
         engine.reserve(&mut self.loss_sums, loss_sum_bytes(frame))
     }
 
@@ -62,7 +62,7 @@ impl Pixels {
         entries: u64,
     ) -> Result<(), BackendError> {
         self.reserve_loss(engine, frame)?;
-        engine.reserve(&mut self.partials, 3 * image_bytes(frame))?;
+        self.partials.iter_mut().try_for_each(|by_moment| engine.reserve(by_moment, image_bytes(frame)))?;
         self.reserve_backward(engine, frame, entries)
     }
 
@@ -88,26 +88,15 @@ impl Pixels {
 
     /// Stage `loss` against `photo`; leaves the gradient, too.
     pub(crate) fn record_loss(&self, recorder: &mut Recorder, lists: &Lists, photo: &Memory, frame: &Frame) {
-        self.record_loss_value(recorder, lists, photo, frame, true);
-        let parts = [&lists.frame, &self.image, photo, &self.partials, &self.gradient].map(Memory::all);
-        recorder.run(&shaders::LOSS_GRADIENT, &parts, tile_grid(frame, 3));
-    }
-
-    /// The value alone; with `partials`, SSIM's derivatives are left for the gradient.
-    pub(crate) fn record_loss_value(
-        &self,
-        recorder: &mut Recorder,
-        lists: &Lists,
-        photo: &Memory,
-        frame: &Frame,
-        partials: bool,
-    ) {
-        self.record_loss_sums(recorder, lists, photo, frame, partials);
+        self.record_loss_sums(recorder, lists, photo, frame, true);
         let parts = [&lists.frame, &self.loss_sums, &lists.counters].map(Memory::all);
         recorder.run(&shaders::LOSS_SUM, &parts, Grid::Groups(1));
+        let [by_mean, by_square, by_product] = &self.partials;
+        let parts = [&lists.frame, &self.image, photo, by_mean, by_square, by_product, &self.gradient];
+        recorder.run(&shaders::LOSS_GRADIENT, &parts.map(Memory::all), tile_grid(frame, 3));
     }
 
-    /// The sums of all tiles.
+    /// The sums of all tiles; with `partials`, SSIM's derivatives are left for the gradient.
     pub(crate) fn record_loss_sums(
         &self,
         recorder: &mut Recorder,
@@ -117,9 +106,10 @@ impl Pixels {
         partials: bool,
     ) {
         recorder.stage("loss");
-        let parts = [&lists.frame, &self.image, photo, &self.partials, &self.loss_sums].map(Memory::all);
+        let [by_mean, by_square, by_product] = &self.partials;
+        let parts = [&lists.frame, &self.image, photo, by_mean, by_square, by_product, &self.loss_sums];
         let overrides = [("FORWARD_ONLY", u32::from(!partials))];
-        recorder.run_with(&shaders::LOSS, &overrides, &parts, tile_grid(frame, 3));
+        recorder.run_with(&shaders::LOSS, &overrides, &parts.map(Memory::all), tile_grid(frame, 3));
     }
 
     /// Stage `weigh`, step 1: what it wants to have summed takes the place of the image's gradient.
@@ -166,6 +156,12 @@ impl Pixels {
         ];
         recorder.run(&shaders::RASTERISE_BACKWARD, &parts.map(Memory::all), tile_grid(frame, 1));
     }
+}
+
+/// What is bound where the loss would leave its derivatives.
+pub(crate) fn no_partials(engine: &Engine) -> Result<[Memory; 3], BackendError> {
+    let none = || engine.allocate("derivatives of SSIM", 0);
+    Ok([none()?, none()?, none()?])
 }
 
 /// One workgroup a tile, in so many layers.

@@ -15,7 +15,7 @@ use crate::engine::{Engine, Memory};
 use crate::frame::frame_of;
 use crate::layout::{Frame, OWN_GENES, SEATS, SPLAT_FLOATS};
 use crate::lists::Lists;
-use crate::pixels::{image_bytes, loss_sum_bytes, tile_grid};
+use crate::pixels::{image_bytes, loss_sum_bytes, no_partials, tile_grid};
 use crate::recorder::{Grid, Recorder};
 use crate::shaders;
 use crate::state::State;
@@ -34,7 +34,7 @@ pub struct Scratch {
     /// Sums of the loss `[layers, 3, tiles, 4]`.
     sums: Memory,
     /// Bound where the loss would leave its derivatives.
-    unused: Memory,
+    unused: [Memory; 3],
 }
 
 impl Scratch {
@@ -43,7 +43,7 @@ impl Scratch {
             lists: Lists::new(engine, 4)?,
             images: engine.allocate("pictures of individuals", 0)?,
             sums: engine.allocate("the sums of the losses", 0)?,
-            unused: engine.allocate("nothing", 0)?,
+            unused: no_partials(engine)?,
         })
     }
 
@@ -243,7 +243,8 @@ impl GpuBackend {
 
         recorder.stage("score_loss");
         let photo = &self.views[view].photo;
-        let parts = [&lists.frame, images, photo, unused, sums].map(Memory::all);
+        let [by_mean, by_square, by_product] = unused;
+        let parts = [&lists.frame, images, photo, by_mean, by_square, by_product, sums].map(Memory::all);
         recorder.run_with(&shaders::LOSS, &[("FORWARD_ONLY", 1)], &parts, tile_grid(&frame, 3 * layers));
         let parts = [&lists.frame, &place, sums, losses].map(Memory::all);
         recorder.run(&shaders::SCORE_SUM, &parts, Grid::Exact([layers, 1, 1]));

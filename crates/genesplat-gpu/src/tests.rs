@@ -14,7 +14,8 @@ use genesplat_kernels::fixtures::{
     settings, small_view, step, uniform, view,
 };
 
-use crate::{Engine, GpuBackend};
+use crate::GpuBackend;
+use crate::engine::Engine;
 
 /// Largest relative L2 distance between the twins, by stage. Both are f32, so this is rounding; what is sorted or counted
 /// must be equal.

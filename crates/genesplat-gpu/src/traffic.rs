@@ -4,7 +4,7 @@
 //! stays in registers and workgroup memory is not. No cache holds a whole column of a large cloud, so a stage that takes as
 //! long as this is as fast as the device's memory. (The columns of a small one may lie in a cache, which is faster.)
 
-use crate::layout::{GEOMETRY_FLOATS, GRADIENT_FLOATS, ROW_FLOATS, SH_FLOATS, SPLAT_FLOATS, TILE};
+use crate::layout::{GEOMETRY_FLOATS, GRADIENT_FLOATS, ROW_FLOATS, SPLAT_FLOATS, TILE};
 use crate::lists::{DIGIT_BITS, tile_bits};
 
 /// Reading and writing a key and a value, in each pass of a sort.
@@ -21,20 +21,22 @@ pub struct Work {
     pub entries: u64,
     /// Of the photo.
     pub size_px: [u64; 2],
+    /// Of the colours that are seen.
+    pub sh_degree: u8,
 }
 
 impl Work {
     /// Bytes that a stage moves at least; 0 for one that is not known.
     pub fn bytes(&self, stage: &str) -> u64 {
-        let Self { rows, visible, entries, size_px: [width, height] } = *self;
-        let [geometry, colour, splat, gradient, tile_row] =
-            [GEOMETRY_FLOATS, SH_FLOATS, SPLAT_FLOATS, GRADIENT_FLOATS, ROW_FLOATS]
-                .map(|floats| 4 * u64::from(floats));
+        let Self { rows, visible, entries, size_px: [width, height], .. } = *self;
+        let [geometry, splat, gradient, tile_row] =
+            [GEOMETRY_FLOATS, SPLAT_FLOATS, GRADIENT_FLOATS, ROW_FLOATS].map(|floats| 4 * u64::from(floats));
+        let Colour { seen, bent, moved } = self.colour();
         let pixels = width * height;
         let tiles = width.div_ceil(TILE.into()) * height.div_ceil(TILE.into());
         match stage {
             // Tile counts and marks of all rows; depths of splats.
-            "project" => rows * (geometry + 8) + visible * (colour + splat + 4),
+            "project" => rows * (geometry + 8) + visible * (seen + splat + 4),
             // Marks are read; of splats the depth, the tile count and they themselves, and their first entries written; they are
             // sorted by depth. Entries' tiles and splats are written and sorted by tile; the first pass needs no values,
             // but the sorted tiles are read once more.
@@ -50,13 +52,36 @@ impl Work {
             "rasterise_backward" => entries * (8 + tile_row) + visible * splat + pixels * 24,
             // Tile counts of all rows; of splats the first entry and the vector with the flags.
             "project_backward" => {
-                entries * tile_row + visible * (geometry + colour + 4 + 16) + rows * (gradient + 4)
+                entries * tile_row + visible * (geometry + bent + 4 + 16) + rows * (gradient + 4)
             }
             // Parameters and two moments are read and written; so are density statistics, of what is visible.
-            "update" => rows * (6 * (geometry + colour) + gradient + 4) + visible * 2 * 16,
+            "update" => rows * (6 * (geometry + moved) + gradient + 4) + visible * 2 * 16,
             _ => 0,
         }
     }
+
+    /// What is touched of a row's colours: groups of four coefficients of three channels, but of the base colour alone no more than
+    /// that and the vector that it is in.
+    fn colour(&self) -> Colour {
+        let functions = (u64::from(self.sh_degree) + 1).pow(2);
+        match self.sh_degree {
+            0 => Colour { seen: 12, bent: 0, moved: 16 },
+            _ => {
+                let groups = functions.div_ceil(4) * 48;
+                Colour { seen: groups, bent: groups, moved: groups }
+            }
+        }
+    }
+}
+
+/// Bytes of a row's colours.
+struct Colour {
+    /// To evaluate them.
+    seen: u64,
+    /// To know how they change with the direction.
+    bent: u64,
+    /// Of those that the optimiser moves.
+    moved: u64,
 }
 
 /// Passes of a sort by so many bits.
@@ -70,10 +95,12 @@ mod tests {
 
     #[test]
     fn a_step_moves_what_its_columns_hold() {
-        let work = Work { rows: 1000, visible: 0, entries: 0, size_px: [160, 90] };
+        let work = Work { rows: 1000, visible: 0, entries: 0, size_px: [160, 90], sh_degree: 3 };
         // Six columns of 240 bytes, gradients, and tile counts.
         assert_eq!(work.bytes("update"), 1000 * (1440 + 64 + 4));
         assert_eq!(work.bytes("loss"), 160 * 90 * 116);
+        let [dull, first] = [0, 1].map(|sh_degree| Work { sh_degree, ..work }.bytes("update") / 1000);
+        assert_eq!([dull, first], [6 * (48 + 16) + 68, 6 * (48 + 48) + 68]);
         assert_eq!(work.bytes("nothing"), 0);
         // 10 by 6 tiles: six bits, one pass.
         let listed = Work { visible: 10, entries: 30, ..work };

@@ -1,8 +1,10 @@
 //! Where the numbers are crunched: what a user may ask for, and what that comes to on this machine.
 
+use std::sync::OnceLock;
+
 use anyhow::{Result, anyhow, bail};
 use clap::ValueEnum;
-use genesplat::gpu::{AdapterReport, GpuBackend, adapters};
+use genesplat::gpu::{AdapterReport, GpuBackend, adapters, check_best};
 use genesplat::kernels::cpu::CpuBackend;
 use serde::{Deserialize, Serialize};
 
@@ -37,7 +39,7 @@ impl Device {
     pub fn resolve(self) -> Result<(Self, bool)> {
         match self {
             Self::Cpu => Ok((Self::Cpu, false)),
-            Self::Auto => Ok((if auto_adapter(adapters()).is_ok() { Self::Gpu } else { Self::Cpu }, true)),
+            Self::Auto => Ok((if auto_choice().is_ok() { Self::Gpu } else { Self::Cpu }, true)),
             Self::Gpu => match adapters().iter().find(|adapter| adapter.unusable.is_none()) {
                 Some(_) => Ok((Self::Gpu, false)),
                 None => bail!("{}; use --device cpu", why_none(adapters())),
@@ -48,10 +50,19 @@ impl Device {
 
 /// Says what was chosen for someone who left the choice to us: figures of the two kinds differ by rounding, and in time.
 pub fn announce_auto() {
-    match auto_adapter(adapters()) {
+    match auto_choice() {
         Ok(adapter) => output::tell(&format!("device: auto means {} ({})", adapter.name, adapter.api)),
         Err(reason) => output::tell(&format!("device: auto means the CPU, since {reason}")),
     }
+}
+
+/// What `auto` comes to on this machine. A driver may refuse what it has promised, so the device is opened once to see.
+fn auto_choice() -> &'static Result<AdapterReport, String> {
+    static CHOICE: OnceLock<Result<AdapterReport, String>> = OnceLock::new();
+    CHOICE.get_or_init(|| {
+        let adapter = auto_adapter(adapters())?;
+        check_best().map(|()| adapter.clone()).map_err(|error| error.to_string())
+    })
 }
 
 /// The graphics device that `auto` takes, or why it takes none. One in software is for tests: the CPU backend is many
@@ -118,10 +129,10 @@ pub fn use_threads(threads: Option<u16>) -> Result<()> {
 }
 
 #[cfg(test)]
-mod tests {
+pub mod tests {
     use super::*;
 
-    fn adapter(name: &str, kind: &'static str, unusable: Option<&str>) -> AdapterReport {
+    pub fn adapter(name: &str, kind: &'static str, unusable: Option<&str>) -> AdapterReport {
         AdapterReport {
             name: name.into(),
             kind,

@@ -14,15 +14,20 @@ pub fn run() -> Result<()> {
     if adapters.is_empty() {
         return output::print("gpu  none: there is no Vulkan, Metal or DX12 driver on this machine");
     }
-    adapters.iter().try_for_each(|adapter| output::print(&describe(adapter)))
+    let chosen = adapters.iter().position(|adapter| adapter.unusable.is_none());
+    let described = adapters.iter().enumerate().map(|(at, adapter)| describe(adapter, chosen == Some(at)));
+    let mut described = described;
+    described.try_for_each(|text| output::print(&text))
 }
 
-fn describe(adapter: &AdapterReport) -> String {
+/// One device; is it the first that can be used?
+fn describe(adapter: &AdapterReport, is_first: bool) -> String {
     let AdapterReport { name, kind, api, driver, binding_bytes, buffer_bytes, workgroup_bytes, .. } = adapter;
     let mib = |bytes: u64| bytes >> 20;
     let clock = if adapter.timestamps { "can time its stages" } else { "cannot time its stages" };
     let verdict = match &adapter.unusable {
         Some(reason) => format!("cannot be used: {reason}"),
+        None if !is_first => "not used: one above comes first".into(),
         None if adapter.is_software() => "used by --device gpu only: the CPU backend is faster".into(),
         None => "used by --device auto and gpu".into(),
     };
@@ -33,4 +38,23 @@ fn describe(adapter: &AdapterReport) -> String {
         mib(*buffer_bytes),
         workgroup_bytes >> 10,
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::device::tests::adapter;
+
+    #[test]
+    fn of_several_devices_one_is_used() {
+        let card = adapter("card", "discrete", None);
+        let software = adapter("soft", "software", None);
+        let small = adapter("small", "discrete", Some("has too few bytes"));
+        assert!(describe(&card, true).contains("used by --device auto and gpu"));
+        assert!(describe(&software, true).contains("used by --device gpu only"));
+        for other in [&card, &software] {
+            assert!(describe(other, false).contains("not used"));
+        }
+        assert!(describe(&small, false).contains("cannot be used: has too few bytes"));
+    }
 }

@@ -10,7 +10,8 @@ use std::time::{Duration, Instant};
 use anyhow::Result;
 use genesplat::core::backend::{MomentPolicy, StepReport};
 use genesplat::core::{
-    Backend, DensitySignal, RenderSettings, SparseDelta, StatisticsRequest, TrainStep, Update, View,
+    Backend, BackendError, DensitySignal, RenderSettings, SparseDelta, StatisticsRequest, TrainStep, Update,
+    View,
 };
 use genesplat::gpu::{GpuBackend, Work};
 use serde::Serialize;
@@ -24,8 +25,10 @@ use crate::{files, output};
 
 /// Fewest steps before a clock counts: buffers grow, kernels are compiled.
 const WARM_UP: u32 = 3;
-/// No further size is begun after this time, so that the call ends within eight minutes.
-const ENOUGH: Duration = Duration::from_secs(240);
+/// A size after the first is begun only where it ends within this time, to judge by the one before.
+const LIMIT: Duration = Duration::from_secs(480);
+/// Times that scoring is measured.
+const SCORINGS: usize = 3;
 /// Bytes that are copied to measure the device's memory: more than its caches hold.
 const COPIED_BYTES: u64 = 256 << 20;
 
@@ -41,8 +44,15 @@ struct Report {
     /// Photos that steps go through; scoring is measured on the first.
     views: usize,
     sizes: Vec<Size>,
-    /// Sizes that there was no time for.
-    left_out: Vec<u32>,
+    /// Sizes that were not measured.
+    left_out: Vec<LeftOut>,
+}
+
+/// A size that was not measured.
+#[derive(Serialize)]
+struct LeftOut {
+    gaussians: u32,
+    why: String,
 }
 
 /// What was measured at one number of Gaussians.
@@ -90,21 +100,38 @@ pub fn run(args: &BenchGpuArgs) -> Result<()> {
     drop(backend);
     output::print(&report.to_text())?;
     let sizes = source.trained_count().map_or_else(|| args.gaussians.clone(), |count| vec![count as u32]);
+    let mut before = None;
     for gaussians in sizes {
-        if began.elapsed() > ENOUGH {
-            report.left_out.push(gaussians);
+        let size_began = Instant::now();
+        if before.is_some_and(|each: f64| {
+            began.elapsed().as_secs_f64() + each * f64::from(gaussians) > LIMIT.as_secs_f64()
+        }) {
+            report.left_out.push(LeftOut { gaussians, why: "there was no time left".into() });
             continue;
         }
         output::tell(&format!("making {gaussians} Gaussians"));
-        let mut bench = Bench::new(&source, gaussians as usize)?;
-        let size = bench.measure(args, report.memory_bytes_per_second)?;
-        output::print(&size.to_text([width, height]))?;
-        report.sizes.push(size);
+        let bandwidth = report.memory_bytes_per_second;
+        match Bench::new(&source, gaussians as usize).and_then(|mut bench| bench.measure(args, bandwidth)) {
+            Ok(size) => {
+                output::print(&size.to_text([width, height]))?;
+                report.sizes.push(size);
+            }
+            Err(error) if has_no_room(&error) => {
+                report.left_out.push(LeftOut { gaussians, why: error.to_string() });
+            }
+            Err(error) => return Err(error),
+        }
+        before = Some(size_began.elapsed().as_secs_f64() / f64::from(gaussians));
     }
-    if !report.left_out.is_empty() {
-        output::print(&format!("no time was left for {:?} Gaussians", report.left_out))?;
+    for LeftOut { gaussians, why } in &report.left_out {
+        output::print(&format!("{gaussians} Gaussians were left out: {why}"))?;
     }
     args.json.as_ref().map_or(Ok(()), |path| files::write_json(path, &report))
+}
+
+/// What is too large for a device says nothing of what is smaller.
+fn has_no_room(error: &anyhow::Error) -> bool {
+    matches!(error.downcast_ref(), Some(BackendError::OutOfMemory { .. }))
 }
 
 /// At most `count` views, evenly spread over all, so that `count` steps by either clock meet every one.
@@ -153,7 +180,13 @@ impl Bench {
         let Timed { stages, visible, tile_splats } = self.stages(warm + args.steps, args.steps)?;
         let device_memory_bytes = self.backend.allocated_bytes();
         let [rows, seen, entries] = [self.backend.len(), visible, tile_splats].map(|count| count as u64);
-        let work = Work { rows, visible: seen, entries, size_px: self.size_px.map(u64::from) };
+        let work = Work {
+            rows,
+            visible: seen,
+            entries,
+            size_px: self.size_px.map(u64::from),
+            sh_degree: self.settings.sh_degree,
+        };
         let floor = |name: &'static str| (name, 1e3 * work.bytes(name) as f64 / memory_bytes_per_second);
 
         let cloud = just_reset(self.backend.download()?.into_owned());
@@ -161,11 +194,18 @@ impl Bench {
         self.backend.upload(cloud, None)?;
         let before = self.backend.allocated_bytes();
         // Once unmeasured: kernels are compiled, buffers grow.
-        self.backend.score(&individuals, &[0], &self.settings)?;
-        let clock = Instant::now();
+        self.backend.take_most_allocated_bytes();
         let scored = self.backend.score(&individuals, &[0], &self.settings)?;
-        let scored_seconds = clock.elapsed().as_secs_f64();
-        let (plain, plain_seconds) = self.plain(&individuals)?;
+        let scoring_bytes = self.backend.take_most_allocated_bytes() - before;
+        let mut seconds = Vec::new();
+        for _ in 0..SCORINGS {
+            let clock = Instant::now();
+            self.backend.score(&individuals, &[0], &self.settings)?;
+            seconds.push(clock.elapsed().as_secs_f64());
+        }
+        let scored_seconds = median(seconds);
+        let plain_seconds = self.plain_seconds(individuals.len() as u32)?;
+        let plain = self.plain(&individuals)?;
         let renders = individuals.len() as f64;
         Ok(Size {
             gaussians: self.backend.len(),
@@ -175,7 +215,7 @@ impl Bench {
             visible,
             tile_splats,
             device_memory_bytes,
-            scoring_device_memory_bytes: self.backend.allocated_bytes().saturating_sub(before),
+            scoring_device_memory_bytes: scoring_bytes,
             individuals: individuals.len(),
             changed_gaussians: individuals.iter().map(|individual| individual.rows.len()).sum(),
             scored_renders_per_second: renders / scored_seconds,
@@ -223,19 +263,25 @@ impl Bench {
         })
     }
 
-    /// Losses of full renders, and their seconds; the changes themselves are made off the clock.
-    fn plain(&mut self, individuals: &[SparseDelta]) -> Result<(Vec<f32>, f64)> {
+    /// Seconds of as many full renders and losses, one wait for all: the cloud's own, since a few changed Gaussians make no
+    /// difference to them.
+    fn plain_seconds(&mut self, renders: u32) -> Result<f64> {
+        self.backend.losses_of_view(0, &self.settings, 1)?;
+        let clock = Instant::now();
+        self.backend.losses_of_view(0, &self.settings, renders)?;
+        Ok(clock.elapsed().as_secs_f64())
+    }
+
+    /// Losses of full renders of individuals.
+    fn plain(&mut self, individuals: &[SparseDelta]) -> Result<Vec<f32>> {
         let cloud = self.backend.download()?.into_owned();
-        let (mut losses, mut seconds) = (Vec::new(), 0.0);
+        let mut losses = Vec::new();
         for individual in individuals {
             self.backend.apply(individual, MomentPolicy::Keep)?;
-            self.backend.report()?;
-            let clock = Instant::now();
-            losses.push(self.backend.loss_of_view(0, &self.settings)?);
-            seconds += clock.elapsed().as_secs_f64();
+            losses.extend(self.backend.losses_of_view(0, &self.settings, 1)?);
             self.backend.apply(&cloud.genes_of(&individual.rows), MomentPolicy::Keep)?;
         }
-        Ok((losses, seconds))
+        Ok(losses)
     }
 }
 
