@@ -1,0 +1,168 @@
+//! What a run's owner should know before the first step.
+
+use crate::config::{TrainConfig, Variant};
+use crate::limits::Limits;
+use crate::schedule::Schedule;
+
+/// A reset is late where less than the time between two resets, divided by this, is left after it.
+const LATE_RESET_DIVISOR: u64 = 10;
+
+/// Gaussians are pruned for a size that backgrounds need where it is less than this part of their distance. (The published
+/// size is a tenth of the cameras' extent: all round a scene a tenth of the distance, too, and a fiftieth for `fern`.)
+const SMALL_PART_OF_DEPTH: f64 = 0.03;
+
+/// All that there is to say of a run; `depth` is how far away most of what its cameras see is, if that is known, and `extent` that of
+/// the cameras, world units.
+pub(crate) fn at_start(
+    config: &TrainConfig,
+    schedule: &Schedule,
+    limits: Limits,
+    extent: f64,
+    depth: Option<f64>,
+) -> Vec<String> {
+    let notices = [
+        limits.notice_of_lower_limit(),
+        notice_of_no_growth(schedule),
+        notice_of_no_renewal(schedule),
+        notice_of_late_reset(schedule),
+        notice_of_no_stage(schedule),
+        depth.and_then(|depth| notice_of_lost_background(config, schedule, extent, depth)),
+    ];
+    notices.into_iter().flatten().collect()
+}
+
+/// Renewal ends density control early, in short runs before it has begun. Who switched it off needs no telling.
+fn notice_of_no_growth(schedule: &Schedule) -> Option<String> {
+    let is_wanted = schedule.renew_every.is_some() && schedule.densify_until > 0;
+    if !is_wanted || (1..=schedule.iterations).any(|i| schedule.is_densify(i)) {
+        return None;
+    }
+    let every = u64::from(schedule.densify_every);
+    let first = (u64::from(schedule.densify_from) / every + 1) * every;
+    Some(format!(
+        "nothing grows here: in a run of {} iterations with mode renew density control ends before iteration {}, and \
+         the first densification would be at the end of iteration {first}; make the run longer, or lower \
+         densify.from and densify.every",
+        schedule.iterations, schedule.densify_until
+    ))
+}
+
+/// Opacities are earned back in some hundreds of iterations. A run that is cut short before that shows next to nothing.
+fn notice_of_late_reset(schedule: &Schedule) -> Option<String> {
+    let last = (1..=schedule.iterations).rfind(|&i| schedule.is_reset(i))?;
+    let left = schedule.iterations - last;
+    (u64::from(left) * LATE_RESET_DIVISOR < schedule.reset_every.into()).then(|| {
+        format!(
+            "opacities are reset at iteration {last}, and the {left} iterations that are left are too few to earn them back; end the \
+             run before that, or some hundreds of iterations later"
+        )
+    })
+}
+
+/// Stages come with resets, unless a trigger says otherwise. Who asks for them should know that a run has none.
+fn notice_of_no_stage(schedule: &Schedule) -> Option<String> {
+    let asked = schedule.evolution_phase.is_some();
+    (asked && schedule.stages().next().is_none()).then(|| {
+        format!(
+            "evolution does nothing here: its trigger (evolution.trigger, every evolution.stride-th time) never comes in a run of {} \
+             iterations",
+            schedule.iterations
+        )
+    })
+}
+
+/// Who asks for renewal should know that a run has no place for it. Who switched it off needs no telling.
+fn notice_of_no_renewal(schedule: &Schedule) -> Option<String> {
+    let every = schedule.renew_every.filter(|_| schedule.renew_until > 0)?;
+    (1..=schedule.iterations).all(|i| !schedule.renews(i)).then(|| {
+        format!(
+            "mode renew renews nothing here: renewals are {every} iterations apart \
+             (evolution.renewal.every), counted back from the end, and none may begin before iteration {} or after \
+             iteration {} (evolution.renewal.until)",
+            schedule.renew_from(),
+            schedule.renew_until
+        )
+    })
+}
+
+/// Sizes are measured in the extent of the cameras. Where that is small beside the scene, walls and floors are pruned for
+/// theirs; `depth` is how far away most of it is.
+fn notice_of_lost_background(
+    config: &TrainConfig,
+    schedule: &Schedule,
+    extent: f64,
+    depth: f64,
+) -> Option<String> {
+    let prunes = |&i: &u32| schedule.is_densify(i) && schedule.prunes_by_size(i);
+    let first = (1..=schedule.iterations).find(prunes).filter(|_| config.variant != Variant::Mcmc)?;
+    let largest = config.densify.prune_size * extent;
+    (largest < SMALL_PART_OF_DEPTH * depth).then(|| {
+        format!(
+            "the cameras stand close together, and half of what they see is {:.0} times their extent away or more: from iteration \
+             {first} on Gaussians larger than {:.0} % of that distance are pruned, as published, and much of the background with \
+             them; --evolve renew keeps it, and so does densify.prune_size = 10",
+            depth / extent,
+            100.0 * largest / depth
+        )
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::EvolutionMode;
+
+    #[test]
+    fn who_cuts_a_run_short_just_after_a_reset_hears_of_it() {
+        let notice = |iterations| {
+            let config = TrainConfig { iterations, ..TrainConfig::default() };
+            notice_of_late_reset(config.resolve().unwrap().schedule())
+        };
+        // One that would fall into the last iteration does not happen.
+        for iterations in [2000, 3000, 3300, 7000, 30_000] {
+            assert_eq!(notice(iterations), None);
+        }
+        for iterations in [3001, 3299] {
+            let text = notice(iterations).expect("a notice");
+            assert!(text.contains("reset at iteration 3000"), "{text}");
+        }
+    }
+
+    #[test]
+    fn who_asks_for_stages_that_never_come_hears_of_it() {
+        let notice = |mode, iterations| {
+            let mut config = TrainConfig { iterations, ..TrainConfig::default() };
+            config.evolution.mode = mode;
+            notice_of_no_stage(config.resolve().unwrap().schedule())
+        };
+        for mode in [EvolutionMode::Paper, EvolutionMode::Control] {
+            assert_eq!(notice(mode, 3001), None);
+            let text = notice(mode, 3000).expect("a notice");
+            assert!(text.contains("a run of 3000 iterations"), "{text}");
+        }
+        assert_eq!(
+            [EvolutionMode::Off, EvolutionMode::Renew, EvolutionMode::Mosaic].map(|mode| notice(mode, 3000)),
+            [const { None }; 3]
+        );
+    }
+
+    #[test]
+    fn who_would_lose_the_background_hears_of_it() {
+        let notice = |depth, change: fn(&mut TrainConfig)| {
+            let mut config = TrainConfig::default();
+            change(&mut config);
+            let resolved = config.resolve().unwrap();
+            notice_of_lost_background(resolved.config(), resolved.schedule(), 2.0, depth)
+        };
+        let text = notice(10.0, |_| {}).expect("a notice");
+        assert!(
+            text.contains("5 times") && text.contains("iteration 3100") && text.contains("2 % of"),
+            "{text}"
+        );
+        assert_eq!(notice(2.0, |_| {}), None);
+        assert_eq!(notice(10.0, |config| config.iterations = 3000), None);
+        assert_eq!(notice(10.0, |config| config.variant = Variant::Mcmc), None);
+        assert_eq!(notice(10.0, |config| config.densify.prune_size = 10.0), None);
+        assert_eq!(notice(10.0, |config| config.evolution.mode = EvolutionMode::Renew), None);
+    }
+}
