@@ -61,8 +61,8 @@ pub struct BenchStepArgs {
 pub struct BenchEvolutionArgs {
     #[command(flatten)]
     pub workload: WorkloadArgs,
-    /// Individuals to score
-    #[arg(long, value_name = "P", default_value_t = 20, value_parser = clap::value_parser!(u32).range(2..))]
+    /// Individuals to score: the paper's number
+    #[arg(long, value_name = "P", default_value_t = 100, value_parser = clap::value_parser!(u32).range(2..))]
     pub population: u32,
     /// Views to score them on
     #[arg(long, value_name = "V", default_value_t = 6, value_parser = clap::value_parser!(u32).range(1..))]
