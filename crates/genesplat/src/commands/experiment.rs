@@ -32,14 +32,14 @@ pub fn run(args: &ExperimentArgs) -> Result<Ending> {
         lpips: lpips.as_ref(),
         stop: &stop,
     };
-    let Ran { results, mut troubles } = runner.run()?;
+    let Ran { results, mut failures } = runner.run()?;
     let (finished, cells) = (results.finished(), experiment.cells().len());
     lpips.iter().for_each(|_| tell_of_unmeasured(&results));
     let written = if finished > 0 { write(&runner, &results) } else { Ok(()) };
     // What made runs fail comes first: it may well be what kept the tables from being written, too.
-    let last = troubles.pop();
-    troubles.iter().for_each(|trouble| output::tell(&output::error_line(trouble)));
-    last.map_or(written, Err)?;
+    let last = failures.pop();
+    failures.iter().for_each(|failure| output::tell(&output::error_line(&failure.error)));
+    last.map_or(written, |failure| Err(failure.error))?;
     if finished == cells {
         return Ok(Ending::Whole);
     }

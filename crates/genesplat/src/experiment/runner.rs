@@ -50,20 +50,33 @@ enum State {
 pub struct Ran<'a> {
     /// All that is finished, whether now or before.
     pub results: Results<'a>,
-    /// Why cells failed.
-    pub troubles: Vec<anyhow::Error>,
+    /// Cells that failed.
+    pub failures: Vec<Failure>,
 }
 
-/// Why a cell failed, and which others would.
-struct Failure {
-    error: anyhow::Error,
+/// A cell that failed.
+pub struct Failure {
+    /// Why.
+    pub error: anyhow::Error,
+    cell: Cell,
     reach: Reach,
 }
 
-/// Whom what made a cell fail keeps from being begun.
+impl Failure {
+    /// Another cell would fail likewise.
+    fn reaches(&self, cell: Cell) -> bool {
+        match self.reach {
+            Reach::Cell => false,
+            Reach::Scene => cell.scene == self.cell.scene,
+            Reach::Everybody => true,
+        }
+    }
+}
+
+/// Whom a failure keeps from being begun.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Reach {
-    /// Training itself came to nothing, with these settings.
+    /// Nobody else: training came to nothing with these settings.
     Cell,
     /// The scene cannot be used.
     Scene,
@@ -89,38 +102,39 @@ impl<'a> Runner<'a> {
         self.check_folders()?;
         self.check_scenes()?;
         let cells = self.experiment.cells();
-        let mut ran = Ran { results: Results::none(self.experiment), troubles: Vec::new() };
+        let mut ran = Ran { results: Results::none(self.experiment), failures: Vec::new() };
         let (mut scenes, mut board) = (Scenes::default(), Board::new(self.experiment, cells.len()));
-        let (mut all_fail, mut failed_scene) = (false, None);
         for cell in cells {
             let settings = self.settings(cell, &ran.results)?;
-            let may_begin =
-                !(all_fail || failed_scene == Some(cell.scene) || self.stop.load(Ordering::Relaxed));
             let metrics = match self.state(cell, &settings) {
                 // Also behind a cell that has failed: tables show all that is finished.
                 State::Finished(metrics) => {
                     board.kept(cell, &metrics);
                     Some(metrics)
                 }
-                _ if !(may_begin && self.has_its_arm(cell, &ran.results)) => None,
+                State::Interrupted | State::Missing if !self.may_begin(cell, &ran) => None,
                 state => {
                     let resume = matches!(state, State::Interrupted);
-                    let trained = self.train(cell, &settings, resume, &mut scenes);
-                    let metrics = trained.unwrap_or_else(|Failure { error, reach }| {
-                        board.failed(cell);
-                        ran.troubles.push(error);
-                        all_fail |= reach == Reach::Everybody;
-                        if reach == Reach::Scene {
-                            failed_scene = Some(cell.scene);
+                    match self.train(cell, &settings, resume, &mut scenes) {
+                        Ok(metrics) => metrics.inspect(|metrics| board.ran(cell, metrics)),
+                        Err(failure) => {
+                            board.failed(cell);
+                            ran.failures.push(failure);
+                            None
                         }
-                        None
-                    });
-                    metrics.inspect(|metrics| board.ran(cell, metrics))
+                    }
                 }
             };
             metrics.into_iter().for_each(|metrics| ran.results.put(cell, metrics));
         }
         Ok(ran)
+    }
+
+    fn may_begin(&self, cell: Cell, ran: &Ran<'_>) -> bool {
+        let is_stopped = self.stop.load(Ordering::Relaxed);
+        !is_stopped
+            && self.has_its_arm(cell, &ran.results)
+            && !ran.failures.iter().any(|failure| failure.reaches(cell))
     }
 
     /// A control stands beside an arm that has come to its end.
@@ -168,7 +182,7 @@ impl<'a> Runner<'a> {
         let path = self.folder(cell);
         let failure = |error: anyhow::Error, reach| {
             let sentence = format!("{}: {error}", path.display());
-            Failure { error: error.context(sentence), reach }
+            Failure { error: error.context(sentence), cell, reach }
         };
         let began = Instant::now();
         let scene = scenes.get(self, cell, settings).map_err(|error| failure(error, Reach::Scene))?;
