@@ -140,8 +140,8 @@ fn unmet(limits: &Limits) -> Option<String> {
     unmet.map(|(what, has, needs)| format!("has too few {what}: {has}, and {needs} are needed"))
 }
 
-/// What is asked of a device: all that it has, since it must not be asked for anything that kernels do not need; but of what they share
-/// in a workgroup and bind no more than they do.
+/// What is asked of a device: what it has, since wgpu's defaults would ask for more than some have of what no kernel needs (large
+/// textures, say). But as much workgroup memory and as many buffers as kernels use, so that one that uses more fails everywhere.
 pub(crate) fn required_limits(adapter: &Adapter) -> Limits {
     Limits {
         max_compute_workgroup_storage_size: WORKGROUP_BYTES,

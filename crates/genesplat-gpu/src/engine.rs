@@ -126,7 +126,7 @@ impl Engine {
 
     /// A buffer that kernels read and write, of at least `bytes`; its content is zero.
     pub(crate) fn allocate(&self, purpose: &'static str, bytes: u64) -> Result<Memory, BackendError> {
-        let bytes = buffer_bytes(bytes);
+        let bytes = whole_vectors(bytes);
         if self.allocated.get().saturating_add(bytes) > self.memory_bytes {
             return Err(self.out_of_memory(purpose, bytes));
         }
@@ -143,7 +143,7 @@ impl Engine {
 
     /// The same, for what a kernel must see as a whole.
     pub(crate) fn allocate_whole(&self, purpose: &'static str, bytes: u64) -> Result<Memory, BackendError> {
-        if buffer_bytes(bytes) > self.binding_bytes {
+        if whole_vectors(bytes) > self.binding_bytes {
             return Err(self.out_of_memory(purpose, bytes));
         }
         self.allocate(purpose, bytes)
@@ -351,7 +351,7 @@ impl Engine {
 }
 
 /// Size of a buffer that holds so many bytes.
-pub(crate) fn buffer_bytes(bytes: u64) -> u64 {
+fn whole_vectors(bytes: u64) -> u64 {
     bytes.next_multiple_of(BUFFER_BYTES_STEP).max(BUFFER_BYTES_MIN)
 }
 

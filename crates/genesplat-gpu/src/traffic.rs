@@ -31,12 +31,12 @@ impl Work {
         let Self { rows, visible, entries, size_px: [width, height], .. } = *self;
         let [geometry, splat, gradient, tile_row] =
             [GEOMETRY_FLOATS, SPLAT_FLOATS, GRADIENT_FLOATS, ROW_FLOATS].map(|floats| 4 * u64::from(floats));
-        let Colour { seen, bent, moved } = self.colour();
+        let [evaluated, differentiated, moved] = self.colour_bytes();
         let pixels = width * height;
         let tiles = width.div_ceil(TILE.into()) * height.div_ceil(TILE.into());
         match stage {
             // Tile counts and marks of all rows; depths of splats.
-            "project" => rows * (geometry + 8) + visible * (seen + splat + 4),
+            "project" => rows * (geometry + 8) + visible * (evaluated + splat + 4),
             // Marks are read; of splats the depth, the tile count and they themselves, and their first entries written; they are
             // sorted by depth. Entries' tiles and splats are written and sorted by tile; the first pass needs no values,
             // but the sorted tiles are read once more.
@@ -52,7 +52,7 @@ impl Work {
             "rasterise_backward" => entries * (8 + tile_row) + visible * splat + pixels * 24,
             // Tile counts of all rows; of splats the first entry and the vector with the flags.
             "project_backward" => {
-                entries * tile_row + visible * (geometry + bent + 4 + 16) + rows * (gradient + 4)
+                entries * tile_row + visible * (geometry + differentiated + 4 + 16) + rows * (gradient + 4)
             }
             // Parameters and two moments are read and written; so are density statistics, of what is visible.
             "update" => rows * (6 * (geometry + moved) + gradient + 4) + visible * 2 * 16,
@@ -60,28 +60,15 @@ impl Work {
         }
     }
 
-    /// What is touched of a row's colours: groups of four coefficients of three channels, but of the base colour alone no more than
-    /// that and the vector that it is in.
-    fn colour(&self) -> Colour {
-        let functions = (u64::from(self.sh_degree) + 1).pow(2);
+    /// Bytes of a row's colours: to evaluate them, to know how they change with the direction, and of those that the optimiser moves.
+    /// They come in groups of four coefficients of three channels; of the base colour alone no more is touched than it, or the vector
+    /// that it is in.
+    fn colour_bytes(&self) -> [u64; 3] {
         match self.sh_degree {
-            0 => Colour { seen: 12, bent: 0, moved: 16 },
-            _ => {
-                let groups = functions.div_ceil(4) * 48;
-                Colour { seen: groups, bent: groups, moved: groups }
-            }
+            0 => [12, 0, 16],
+            degree => [(u64::from(degree) + 1).pow(2).div_ceil(4) * 48; 3],
         }
     }
-}
-
-/// Bytes of a row's colours.
-struct Colour {
-    /// To evaluate them.
-    seen: u64,
-    /// To know how they change with the direction.
-    bent: u64,
-    /// Of those that the optimiser moves.
-    moved: u64,
 }
 
 /// Passes of a sort by so many bits.

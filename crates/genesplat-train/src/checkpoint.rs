@@ -7,7 +7,7 @@
 use std::io::{self, Read, Write};
 
 use genesplat_core::lineage::{Lineage, Parent};
-use genesplat_core::{Gaussians, Moments, Statistics};
+use genesplat_core::{Backend, BackendError, Gaussians, Moments, Statistics};
 
 use crate::observe::{StageKind, StageRecord};
 use crate::renew::Trial;
@@ -103,6 +103,24 @@ pub enum CheckpointError {
 }
 
 impl Checkpoint {
+    /// All that it takes to go on from `cursor` with what the device holds.
+    pub(crate) fn capture<B: Backend>(
+        backend: &mut B,
+        cursor: Cursor,
+        progress: Progress,
+        trial: Option<Trial>,
+    ) -> Result<Self, BackendError> {
+        Ok(Self {
+            cursor,
+            progress,
+            cloud: backend.download()?.into_owned(),
+            moments: backend.download_moments()?.into_owned(),
+            statistics: backend.statistics()?,
+            lineage: backend.lineage()?.into_owned(),
+            trial,
+        })
+    }
+
     /// Writes the checkpoint; wrap files in a `BufWriter`.
     pub fn write(&self, writer: impl Write) -> io::Result<()> {
         let mut out = Encoder { writer, checksum: Checksum::default() };

@@ -1,4 +1,7 @@
 //! What a run's owner should know before the first step.
+//!
+//! Settings that are each valid may come to nothing together, in hours: a run too short for its renewals, say. What the schedule
+//! and the scene tell of that is said at once, a sentence each; none of it stops a run.
 
 use crate::config::{TrainConfig, Variant};
 use crate::limits::Limits;
@@ -61,8 +64,7 @@ fn notice_of_late_reset(schedule: &Schedule) -> Option<String> {
 
 /// Stages come with resets, unless a trigger says otherwise. Who asks for them should know that a run has none.
 fn notice_of_no_stage(schedule: &Schedule) -> Option<String> {
-    let asked = schedule.evolution_phase.is_some();
-    (asked && schedule.stages().next().is_none()).then(|| {
+    schedule.waits_in_vain().then(|| {
         format!(
             "evolution does nothing here: its trigger (evolution.trigger, every evolution.stride-th time) never comes in a run of {} \
              iterations",

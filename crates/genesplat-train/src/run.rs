@@ -1,6 +1,6 @@
 //! What goes into a run, what comes out, and what can go wrong.
 
-use genesplat_core::{Backend, BackendError, Gaussians, Lineage};
+use genesplat_core::{Backend, BackendError, Gaussians};
 use serde::Serialize;
 
 use crate::checkpoint::{Checkpoint, Cursor, Progress};
@@ -54,21 +54,14 @@ pub struct RunSummary {
 impl RunSummary {
     /// What a run that has reached its end can be scored from later: [`Start::Checkpoint`] with it makes no step.
     pub fn checkpoint_at_end<B: Backend>(&self, backend: &mut B) -> Result<Checkpoint, TrainError> {
-        Ok(Checkpoint {
-            cursor: Cursor::start_of(self.iterations + 1),
-            progress: Progress {
-                steps: self.optimiser_steps,
-                opacity_steps: self.opacity_steps,
-                gradient_seconds: self.seconds.gradient,
-                evolution_seconds: self.seconds.evolution,
-                stages: self.stages.clone(),
-            },
-            cloud: backend.download()?.into_owned(),
-            moments: backend.download_moments()?.into_owned(),
-            statistics: backend.statistics()?,
-            lineage: Lineage::default(),
-            trial: None,
-        })
+        let progress = Progress {
+            steps: self.optimiser_steps,
+            opacity_steps: self.opacity_steps,
+            gradient_seconds: self.seconds.gradient,
+            evolution_seconds: self.seconds.evolution,
+            stages: self.stages.clone(),
+        };
+        Ok(Checkpoint::capture(backend, Cursor::start_of(self.iterations + 1), progress, None)?)
     }
 }
 

@@ -321,6 +321,11 @@ impl Schedule {
         usize::from((self.iterations - i) % window <= window / 2)
     }
 
+    /// Stages were asked for, and none will come.
+    pub fn waits_in_vain(&self) -> bool {
+        self.evolution_phase.is_some() && self.stages().next().is_none()
+    }
+
     /// The iterations at which evolution stages run.
     pub fn stages(&self) -> impl Iterator<Item = u32> + '_ {
         (1..=self.iterations).filter(|&i| self.is_stage(i))

@@ -155,15 +155,8 @@ impl<'a, B: Backend> Trainer<'a, B> {
 
     /// All that it takes to go on from `cursor` later.
     pub(crate) fn capture(&mut self, cursor: Cursor) -> Result<Box<Checkpoint>, TrainError> {
-        Ok(Box::new(Checkpoint {
-            cursor,
-            progress: self.progress.clone(),
-            cloud: self.backend.download()?.into_owned(),
-            moments: self.backend.download_moments()?.into_owned(),
-            statistics: self.backend.statistics()?,
-            lineage: self.backend.lineage()?.into_owned(),
-            trial: self.trial.clone(),
-        }))
+        let (progress, trial) = (self.progress.clone(), self.trial.clone());
+        Ok(Box::new(Checkpoint::capture(self.backend, cursor, progress, trial)?))
     }
 
     /// The end of iteration `i`: what others want to see or to keep.

@@ -27,6 +27,10 @@ mod tests {
     #[cfg(target_os = "linux")]
     #[test]
     fn a_peak_can_be_forgotten() {
+        if !std::path::Path::new("/proc/self/clear_refs").exists() {
+            eprintln!("skipped: this kernel forgets no peaks");
+            return;
+        }
         drop(std::hint::black_box(vec![1u8; 300 << 20]));
         let before = peak_bytes().unwrap();
         assert!(before > 300 << 20);

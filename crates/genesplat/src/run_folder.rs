@@ -14,7 +14,7 @@
 //! All but the log are written whole or not at all, so that a full disk or a power cut leaves what was there before.
 
 use std::fs::{self, File, OpenOptions};
-use std::io::{BufReader, BufWriter, ErrorKind, Write};
+use std::io::{BufReader, BufWriter, ErrorKind, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Result, anyhow, bail};
@@ -205,7 +205,7 @@ impl RunFolder {
         let file = options.open(&path).map_err(|error| unwritable(&path, &error))?;
         let mut writer = BufWriter::new(file);
         // A full disk may have torn the last line: what comes next must not be part of it.
-        if resume && fs::read(&path).is_ok_and(|text| text.last().is_some_and(|&byte| byte != b'\n')) {
+        if resume && last_byte(&path).is_some_and(|byte| byte != b'\n') {
             writer.write_all(b"\n").map_err(|error| unwritable(&path, &error))?;
         }
         Ok(Log { path, writer })
@@ -342,6 +342,15 @@ impl DeviceFailure {
             _ => None,
         }
     }
+}
+
+/// `None` where there is none, or no file.
+fn last_byte(path: &Path) -> Option<u8> {
+    let mut file = File::open(path).ok()?;
+    file.seek(SeekFrom::End(-1)).ok()?;
+    let mut byte = [0];
+    file.read_exact(&mut byte).ok()?;
+    Some(byte[0])
 }
 
 /// Where the reports of a run go.

@@ -15,9 +15,10 @@ pub fn run() -> Result<()> {
         return output::print("gpu  none: there is no Vulkan, Metal or DX12 driver on this machine");
     }
     let chosen = adapters.iter().position(|adapter| adapter.unusable.is_none());
-    let described = adapters.iter().enumerate().map(|(at, adapter)| describe(adapter, chosen == Some(at)));
-    let mut described = described;
-    described.try_for_each(|text| output::print(&text))
+    for (at, adapter) in adapters.iter().enumerate() {
+        output::print(&describe(adapter, chosen == Some(at)))?;
+    }
+    Ok(())
 }
 
 /// One device; is it the first that can be used?

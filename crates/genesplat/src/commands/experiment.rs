@@ -34,7 +34,9 @@ pub fn run(args: &ExperimentArgs) -> Result<Ending> {
     };
     let Ran { results, mut failures } = runner.run()?;
     let (finished, cells) = (results.finished(), experiment.cells().len());
-    lpips.iter().for_each(|_| tell_of_unmeasured(&results));
+    if lpips.is_some() {
+        tell_of_unmeasured(&results);
+    }
     let written = if finished > 0 { write(&runner, &results) } else { Ok(()) };
     // What made runs fail comes first: it may well be what kept the tables from being written, too.
     let last = failures.pop();
@@ -49,13 +51,13 @@ pub fn run(args: &ExperimentArgs) -> Result<Ending> {
     Ok(Ending::Stopped)
 }
 
-/// Weights came after some of the runs.
+/// LPIPS is measured now, and was not when some of the runs were made.
 fn tell_of_unmeasured(results: &Results<'_>) {
     let unmeasured = results.without_lpips();
     if unmeasured > 0 {
         output::tell(&format!(
-            "notice: {unmeasured} of the finished runs have no LPIPS, since there were no weights then; remove their folders to \
-             have them run anew (cells.csv lists them)"
+            "notice: {unmeasured} of the finished runs have no LPIPS, which was not measured then; remove their folders to have \
+             them run anew (cells.csv lists them)"
         ));
     }
 }

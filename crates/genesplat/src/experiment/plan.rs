@@ -91,10 +91,9 @@ impl Experiment {
     fn check_cell(&self, config: &ConfigFile) -> Result<()> {
         config.check()?;
         ensure!(
-            !config.train.evolution.mode.has_stages()
-                || config.train.clone().resolve()?.schedule().stages().next().is_some(),
-            "in a run this short its trigger never comes, so it would be a plain run by another name; make the run longer, or \
-             set evolution.trigger = \"at-end\""
+            !config.train.clone().resolve()?.schedule().waits_in_vain(),
+            "its trigger never comes (evolution.trigger, every evolution.stride-th time), so it would be a plain run by another \
+             name; make the run longer, or set evolution.trigger = \"at-end\""
         );
         Ok(())
     }

@@ -86,11 +86,12 @@ enum Reach {
 
 impl Reach {
     fn of(error: &anyhow::Error) -> Self {
+        let diverged = |error: &BackendError| {
+            matches!(error, BackendError::NonFinite { .. } | BackendError::LossNotFinite { .. })
+        };
         match error.downcast_ref() {
-            Some(TrainError::Backend(
-                BackendError::NonFinite { .. } | BackendError::LossNotFinite { .. },
-            )) => Self::Cell,
-            None | Some(TrainError::Backend(_)) => Self::Everybody,
+            None => Self::Everybody,
+            Some(TrainError::Backend(error)) if !diverged(error) => Self::Everybody,
             Some(_) => Self::Cell,
         }
     }

@@ -100,12 +100,11 @@ pub fn run(args: &BenchGpuArgs) -> Result<()> {
     drop(backend);
     output::print(&report.to_text())?;
     let sizes = source.trained_count().map_or_else(|| args.gaussians.clone(), |count| vec![count as u32]);
-    let mut before = None;
+    // Of the size before, for each Gaussian.
+    let mut seconds_each = 0.0;
     for gaussians in sizes {
         let size_began = Instant::now();
-        if before.is_some_and(|each: f64| {
-            began.elapsed().as_secs_f64() + each * f64::from(gaussians) > LIMIT.as_secs_f64()
-        }) {
+        if began.elapsed().as_secs_f64() + seconds_each * f64::from(gaussians) > LIMIT.as_secs_f64() {
             report.left_out.push(LeftOut { gaussians, why: "there was no time left".into() });
             continue;
         }
@@ -115,13 +114,13 @@ pub fn run(args: &BenchGpuArgs) -> Result<()> {
             Ok(size) => {
                 output::print(&size.to_text([width, height]))?;
                 report.sizes.push(size);
+                seconds_each = size_began.elapsed().as_secs_f64() / f64::from(gaussians);
             }
             Err(error) if has_no_room(&error) => {
                 report.left_out.push(LeftOut { gaussians, why: error.to_string() });
             }
             Err(error) => return Err(error),
         }
-        before = Some(size_began.elapsed().as_secs_f64() / f64::from(gaussians));
     }
     for LeftOut { gaussians, why } in &report.left_out {
         output::print(&format!("{gaussians} Gaussians were left out: {why}"))?;
