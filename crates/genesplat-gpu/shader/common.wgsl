@@ -23,6 +23,11 @@ fn sigmoid(x: f32) -> f32 {
     return 1.0 / (1.0 + exp_limited(-x));
 }
 
+// A sum that exceeds 32 bits is the largest number.
+fn saturating_add(a: u32, b: u32) -> u32 {
+    return a + min(b, ~a);
+}
+
 // High bits of a tile count: the row's 3-sigma square meets a tile (what density averages count); the row has a splat.
 const SEEN_BIT: u32 = 0x80000000u;
 const SPLAT_BIT: u32 = 0x40000000u;

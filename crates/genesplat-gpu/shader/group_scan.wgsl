@@ -1,15 +1,22 @@
 // Prefix sum over the 256 invocations of a workgroup: sixteen sums of sixteen, then one of those. Few barriers. A sum that
-// exceeds 32 bits is the largest number instead, so that it exceeds every capacity, too.
+// exceeds 32 bits is the largest number instead, so that it exceeds every capacity, too. Runs everywhere; twin of
+// `group_scan_subgroups.wgsl`.
+
+// Where an invocation is in its workgroup.
+struct Place {
+    @builtin(local_invocation_index) lane: u32,
+}
+
+fn lane_of(place: Place) -> u32 {
+    return place.lane;
+}
 
 var<workgroup> scan_values: array<u32, 256>;
 var<workgroup> scan_rows: array<u32, 17>;
 
-fn saturating_add(a: u32, b: u32) -> u32 {
-    return a + min(b, ~a);
-}
-
-// The sum of `value` over the invocations before `lane`; `scan_rows[16]` is that of all.
-fn exclusive_in_group(lane: u32, value: u32) -> u32 {
+// The sum of `value` over the invocations before this one.
+fn exclusive_in_group(place: Place, value: u32) -> u32 {
+    let lane = place.lane;
     scan_values[lane] = value;
     workgroupBarrier();
     if lane < 16u {
@@ -34,4 +41,9 @@ fn exclusive_in_group(lane: u32, value: u32) -> u32 {
     }
     workgroupBarrier();
     return scan_values[lane] + scan_rows[lane / 16u];
+}
+
+// The sum over all invocations, after `exclusive_in_group`.
+fn group_sum() -> u32 {
+    return scan_rows[16];
 }

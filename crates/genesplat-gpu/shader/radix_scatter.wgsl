@@ -1,7 +1,7 @@
 // Radix sort, step 3 of each pass: every key to its place, keys of equal digits in their old order.
 //
 // A workgroup takes 256 keys at a time. Each invocation sets its bit in the mask of its digit; the bits below it are the
-// equal digits before it. This needs neither subgroups nor any promise about the order of workgroups.
+// equal digits before it. This needs no promise about the order of workgroups.
 
 override LENGTH: u32;
 override SHIFT: u32;
@@ -22,7 +22,8 @@ var<workgroup> masks: array<atomic<u32>, WORDS * DIGITS>;
 var<workgroup> next: array<u32, DIGITS>;
 
 @compute @workgroup_size(GROUP)
-fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+fn main(@builtin(workgroup_id) group: vec3<u32>, place: Place) {
+    let lane = lane_of(place);
     let length = lengths[LENGTH];
     let blocks = (length + SORT_BLOCK - 1u) / SORT_BLOCK;
     let block = group_of(group);
@@ -30,7 +31,7 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
         return;
     }
     // Behind all keys of smaller digits.
-    next[lane] = exclusive_in_group(lane, digit_totals[lane]) + digit_starts[lane * blocks + block];
+    next[lane] = exclusive_in_group(place, digit_totals[lane]) + digit_starts[lane * blocks + block];
     for (var word = 0u; word < WORDS; word++) {
         atomicStore(&masks[word * DIGITS + lane], 0u);
     }
@@ -44,8 +45,8 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
         if at < length {
             key = keys[at];
             digit = (key >> SHIFT) & (DIGITS - 1u);
-            atomicOr(&masks[lane / 32u * DIGITS + digit], 1u << (lane % 32u));
         }
+        mark(place, digit, at < length);
         workgroupBarrier();
         if at < length {
             let own = atomicLoad(&masks[lane / 32u * DIGITS + digit]);

@@ -5,7 +5,8 @@ override LENGTH: u32;
 @group(0) @binding(1) var<storage, read_write> sums: array<u32>;
 
 @compute @workgroup_size(GROUP)
-fn main(@builtin(local_invocation_index) lane: u32) {
+fn main(place: Place) {
+    let lane = lane_of(place);
     let blocks = (lengths[LENGTH] + SCAN_BLOCK - 1u) / SCAN_BLOCK;
     var before = 0u;
     for (var first = 0u; first < blocks; first += GROUP) {
@@ -14,11 +15,11 @@ fn main(@builtin(local_invocation_index) lane: u32) {
         if block < blocks {
             value = sums[block];
         }
-        let prefix = exclusive_in_group(lane, value);
+        let prefix = exclusive_in_group(place, value);
         if block < blocks {
             sums[block] = before + prefix;
         }
-        before = saturating_add(before, scan_rows[16]);
+        before = saturating_add(before, group_sum());
         workgroupBarrier();
     }
     if lane == 0u {

@@ -7,6 +7,7 @@ use wgpu::{Adapter, Backends, DeviceType, Features, Instance, InstanceDescriptor
 
 use crate::engine::Engine;
 use crate::layout::{GRID_WIDTH, GROUP, TILE};
+use crate::shaders::Subgroups;
 
 /// Workgroup memory that the backward pass needs, bytes; that of all others is less.
 pub(crate) const WORKGROUP_BYTES: u32 = 24 << 10;
@@ -34,6 +35,8 @@ pub struct AdapterReport {
     pub workgroup_bytes: u32,
     /// Times stages (for `bench gpu`).
     pub timestamps: bool,
+    /// Sorts and sums by subgroups.
+    pub subgroups: bool,
     /// Why it cannot be used; `None` when it can.
     pub unusable: Option<String>,
 }
@@ -120,6 +123,7 @@ fn report(adapter: &Adapter) -> AdapterReport {
         buffer_bytes: limits.max_buffer_size,
         workgroup_bytes: limits.max_compute_workgroup_storage_size,
         timestamps: adapter.features().contains(Features::TIMESTAMP_QUERY),
+        subgroups: subgroups(adapter.features()) == Subgroups::With,
         unusable: unmet(&limits),
     }
 }
@@ -138,6 +142,11 @@ fn unmet(limits: &Limits) -> Option<String> {
     let binding = ("bytes a binding", limits.max_storage_buffer_binding_size, BINDING_BYTES);
     let unmet = needs.into_iter().chain([binding]).find(|(_, has, needs)| has < needs);
     unmet.map(|(what, has, needs)| format!("has too few {what}: {has}, and {needs} are needed"))
+}
+
+/// Kernels for a device with these features.
+pub(crate) fn subgroups(features: Features) -> Subgroups {
+    if features.contains(Features::SUBGROUP) { Subgroups::With } else { Subgroups::Without }
 }
 
 /// What is asked of a device: what it has, since wgpu's defaults would ask for more than some have of what no kernel needs (large

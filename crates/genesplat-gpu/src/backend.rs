@@ -78,6 +78,11 @@ impl GpuBackend {
         Self::on(Engine::new()?, seed)
     }
 
+    /// The same with the kernels for devices without subgroups, whatever this one has: what `bench gpu` compares with.
+    pub fn without_subgroups(seed: u64) -> Result<Self, BackendError> {
+        Self::on(Engine::new()?.without_subgroups(), seed)
+    }
+
     /// An empty backend on a device.
     pub(crate) fn on(engine: Engine, seed: u64) -> Result<Self, BackendError> {
         Ok(Self {

@@ -15,7 +15,7 @@ use wgpu::{
 
 use crate::adapter;
 use crate::layout::SH_FLOATS;
-use crate::shaders::Shader;
+use crate::shaders::{Shader, Subgroups};
 
 /// Smallest buffer, bytes: an empty cloud has buffers, too.
 const BUFFER_BYTES_MIN: u64 = 256;
@@ -70,6 +70,7 @@ pub(crate) struct Engine {
     /// How often the host has waited: what a test counts.
     pub(crate) waits: Cell<u32>,
     pub(crate) timestamps: bool,
+    subgroups: Subgroups,
     kernels: RefCell<HashMap<KernelKey, Kernel>>,
     lost: Arc<Mutex<Option<String>>>,
     allocated: Rc<Cell<u64>>,
@@ -82,10 +83,10 @@ impl Engine {
         let adapter = adapter::best()?;
         let info = adapter.get_info();
         let name = format!("{} ({:?})", info.name, info.backend);
-        let timestamps = adapter.features().contains(Features::TIMESTAMP_QUERY);
+        let features = adapter.features() & (Features::TIMESTAMP_QUERY | Features::SUBGROUP);
         let descriptor = DeviceDescriptor {
             label: Some("genesplat"),
-            required_features: if timestamps { Features::TIMESTAMP_QUERY } else { Features::empty() },
+            required_features: features,
             required_limits: adapter::required_limits(adapter),
             ..DeviceDescriptor::default()
         };
@@ -109,7 +110,8 @@ impl Engine {
             device,
             queue,
             name,
-            timestamps,
+            timestamps: features.contains(Features::TIMESTAMP_QUERY),
+            subgroups: adapter::subgroups(features),
             kernels: RefCell::default(),
             lost,
             allocated: Rc::default(),
@@ -121,6 +123,12 @@ impl Engine {
     #[cfg(test)]
     pub(crate) fn with_window_rows(mut self, rows: u64) -> Self {
         self.window_rows = self.window_rows.min(rows);
+        self
+    }
+
+    /// The same with the kernels for devices without subgroups.
+    pub(crate) fn without_subgroups(mut self) -> Self {
+        self.subgroups = Subgroups::Without;
         self
     }
 
@@ -328,7 +336,7 @@ impl Engine {
         }
         let module = self.device.create_shader_module(ShaderModuleDescriptor {
             label: Some(shader.name),
-            source: ShaderSource::Wgsl(shader.source().into()),
+            source: ShaderSource::Wgsl(shader.source(self.subgroups).into()),
         });
         let constants: Vec<(&str, f64)> =
             overrides.iter().map(|&(name, value)| (name, value.into())).collect();

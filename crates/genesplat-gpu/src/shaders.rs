@@ -1,7 +1,8 @@
 //! The table of shaders: which texts make each of them.
 //!
 //! A shader is the prelude of [`crate::layout`], the parts that it shares with others, and its own file, whose entry point
-//! is `main`. Everything is compiled in, and validated by a test that needs no device.
+//! is `main`. Two of the shared parts exist twice: for devices with subgroups, and for those without. Everything is compiled
+//! in, and validated by a test that needs no device.
 
 use crate::layout;
 
@@ -11,23 +12,45 @@ pub struct Shader {
     /// Name of the stage, or of its step.
     pub name: &'static str,
     /// Texts after the prelude.
-    parts: &'static [&'static str],
+    parts: &'static [Part],
 }
 
 impl Shader {
     /// The whole text.
-    pub fn source(&self) -> String {
+    pub fn source(&self, subgroups: Subgroups) -> String {
         let mut source = layout::prelude();
-        source.extend(self.parts.iter().copied());
+        source.extend(self.parts.iter().map(|part| match (part, subgroups) {
+            (Part::Only(text), _) => *text,
+            (Part::Twice { without, .. }, Subgroups::Without) => without,
+            (Part::Twice { with, .. }, Subgroups::With) => with,
+        }));
         source
     }
+}
+
+/// Do kernels use subgroups?
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Subgroups {
+    With,
+    Without,
+}
+
+/// Text of a shader.
+#[derive(Debug)]
+enum Part {
+    Only(&'static str),
+    /// The same functions, in two ways.
+    Twice {
+        with: &'static str,
+        without: &'static str,
+    },
 }
 
 macro_rules! shaders {
     ($($(#[$doc:meta])* $name:ident = $file:literal + [$($part:ident),*];)*) => {
         $($(#[$doc])* pub static $name: Shader = Shader {
             name: $file,
-            parts: &[parts::COMMON, $(parts::$part,)* include_str!(concat!("../shader/", $file, ".wgsl"))],
+            parts: &[parts::COMMON, $(parts::$part,)* Part::Only(include_str!(concat!("../shader/", $file, ".wgsl")))],
         };)*
 
         /// All of them.
@@ -38,11 +61,21 @@ macro_rules! shaders {
 
 /// What shaders share.
 mod parts {
-    macro_rules! parts {
-        ($($name:ident = $file:literal;)*) => {
-            $(pub const $name: &str = include_str!(concat!("../shader/", $file));)*
+    use super::Part;
+
+    macro_rules! text {
+        ($file:literal) => {
+            include_str!(concat!("../shader/", $file))
         };
     }
+    macro_rules! parts {
+        ($($name:ident = $file:literal;)*) => {
+            $(pub const $name: Part = Part::Only(text!($file));)*
+        };
+    }
+    pub const GROUP_SCAN: Part =
+        Part::Twice { with: text!("group_scan_subgroups.wgsl"), without: text!("group_scan.wgsl") };
+    pub const MARK: Part = Part::Twice { with: text!("mark_subgroups.wgsl"), without: text!("mark.wgsl") };
     parts! {
         COMMON = "common.wgsl";
         SPLAT = "splat.wgsl";
@@ -51,7 +84,6 @@ mod parts {
         COLOUR = "colour.wgsl";
         SH_ROW = "sh_row.wgsl";
         WRITE_SPLAT = "write_splat.wgsl";
-        GROUP_SCAN = "group_scan.wgsl";
         GRIDS = "grids.wgsl";
         TILE_SPLAT = "tile_splat.wgsl";
         ROTATION = "rotation.wgsl";
@@ -85,7 +117,7 @@ shaders! {
     /// Radix sort: where each block's digits begin.
     DIGIT_SCAN = "digit_scan" + [GROUP_SCAN];
     /// Radix sort: every key to its place.
-    RADIX_SCATTER = "radix_scatter" + [GROUP_SCAN];
+    RADIX_SCATTER = "radix_scatter" + [GROUP_SCAN, MARK];
     /// Tile counts by depth.
     RANK_COUNTS = "rank_counts" + [];
     /// Entries of the tile lists.
@@ -153,20 +185,28 @@ mod tests {
     use crate::adapter::{STORAGE_BUFFERS, WORKGROUP_BYTES};
     use crate::layout::{Counters, Edit, Frame, Optimiser, Window};
 
-    fn parse(shader: &Shader) -> naga::Module {
-        naga::front::wgsl::parse_str(&shader.source())
-            .unwrap_or_else(|error| panic!("{}: {}", shader.name, error.emit_to_string(&shader.source())))
+    /// All of them, in both ways, and what a device must be able to do for that.
+    fn all() -> impl Iterator<Item = (&'static Shader, String, Capabilities)> {
+        let ways = [(Subgroups::Without, Capabilities::empty()), (Subgroups::With, Capabilities::SUBGROUP)];
+        ways.into_iter().flat_map(|(subgroups, capabilities)| {
+            ALL.iter().map(move |&shader| (shader, shader.source(subgroups), capabilities))
+        })
+    }
+
+    fn parse(shader: &Shader, source: &str) -> naga::Module {
+        naga::front::wgsl::parse_str(source)
+            .unwrap_or_else(|error| panic!("{}: {}", shader.name, error.emit_to_string(source)))
     }
 
     /// Without any device: what no driver is needed for must not wait for one.
     #[test]
     fn every_shader_is_valid() {
         assert!(ALL.len() > 20, "the table lists all shaders");
-        for shader in ALL {
-            let module = parse(shader);
-            let validated = Validator::new(ValidationFlags::all(), Capabilities::empty()).validate(&module);
+        for (shader, source, capabilities) in all() {
+            let module = parse(shader, &source);
+            let validated = Validator::new(ValidationFlags::all(), capabilities).validate(&module);
             if let Err(error) = validated {
-                panic!("{}: {}", shader.name, error.emit_to_string(&shader.source()));
+                panic!("{}: {}", shader.name, error.emit_to_string(&source));
             }
         }
     }
@@ -174,7 +214,7 @@ mod tests {
     #[test]
     fn no_shader_needs_more_than_devices_are_asked_for() {
         let (mut buffers, mut bytes) = (0, 0);
-        for module in ALL.iter().map(|shader| parse(shader)) {
+        for module in all().map(|(shader, source, _)| parse(shader, &source)) {
             let of = |wanted: fn(AddressSpace) -> bool| {
                 module.global_variables.iter().map(|(_, variable)| variable).filter(move |v| wanted(v.space))
             };
@@ -189,14 +229,14 @@ mod tests {
 
     #[test]
     fn a_planted_error_is_found() {
-        let source = PROJECT.source().replace("window.count", "window.length");
+        let source = PROJECT.source(Subgroups::Without).replace("window.count", "window.length");
         assert!(naga::front::wgsl::parse_str(&source).is_err());
     }
 
     #[test]
     fn every_file_is_in_the_table() {
         let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("shader");
-        let text: String = ALL.iter().map(|shader| shader.source()).collect();
+        let text: String = all().map(|(_, source, _)| source).collect();
         for file in std::fs::read_dir(folder).expect("the shaders") {
             let path = file.expect("readable").path();
             let source = std::fs::read_to_string(&path).expect("UTF-8");
@@ -206,7 +246,7 @@ mod tests {
 
     #[test]
     fn rust_and_wgsl_agree_on_every_offset() {
-        let module = parse(&PROJECT);
+        let module = parse(&PROJECT, &PROJECT.source(Subgroups::Without));
         let structs = [
             ("Frame", Frame::fields(), size_of::<Frame>()),
             ("Optimiser", Optimiser::fields(), size_of::<Optimiser>()),

@@ -87,6 +87,11 @@ pub(crate) fn engine() -> Option<Engine> {
     }
 }
 
+/// A device with the kernels that it runs, and with those for devices without subgroups; none where there is no device.
+pub(crate) fn engines() -> Vec<Engine> {
+    engine().into_iter().chain(engine().map(Engine::without_subgroups)).collect()
+}
+
 /// A backend with one view.
 fn gpu() -> Option<GpuBackend> {
     let mut gpu = GpuBackend::on(engine()?, SEED).unwrap();

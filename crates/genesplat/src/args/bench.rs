@@ -104,6 +104,9 @@ pub struct BenchGpuArgs {
     /// Individuals to score
     #[arg(long, value_name = "P", default_value_t = 100, value_parser = clap::value_parser!(u32).range(2..))]
     pub population: u32,
+    /// Sort without subgroups, as on devices that have none, to see what they are worth on this one
+    #[arg(long)]
+    pub without_subgroups: bool,
     /// Processor threads to make the cloud with [default: all cores]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     pub threads: Option<u16>,

@@ -36,6 +36,8 @@ const COPIED_BYTES: u64 = 256 << 20;
 #[derive(Serialize)]
 struct Report {
     device: String,
+    /// Kernels are those for devices without subgroups, by request.
+    without_subgroups: bool,
     /// Read and written by copies.
     memory_bytes_per_second: f64,
     /// Of the largest photo.
@@ -87,9 +89,10 @@ pub fn run(args: &BenchGpuArgs) -> Result<()> {
     let mut source = Source::of(&args.source, [args.width, args.height])?;
     source.views = spread(&source.views, args.steps as usize);
     let [width, height] = size_px(&source.views);
-    let mut backend = GpuBackend::new(0)?;
+    let mut backend = new_backend(args)?;
     let mut report = Report {
         device: backend.describe(),
+        without_subgroups: args.without_subgroups,
         memory_bytes_per_second: backend.memory_bandwidth(COPIED_BYTES)?,
         width,
         height,
@@ -110,7 +113,9 @@ pub fn run(args: &BenchGpuArgs) -> Result<()> {
         }
         output::tell(&format!("making {gaussians} Gaussians"));
         let bandwidth = report.memory_bytes_per_second;
-        match Bench::new(&source, gaussians as usize).and_then(|mut bench| bench.measure(args, bandwidth)) {
+        match Bench::new(&source, gaussians as usize, args)
+            .and_then(|mut bench| bench.measure(args, bandwidth))
+        {
             Ok(size) => {
                 output::print(&size.to_text([width, height]))?;
                 report.sizes.push(size);
@@ -126,6 +131,10 @@ pub fn run(args: &BenchGpuArgs) -> Result<()> {
         output::print(&format!("{gaussians} Gaussians were left out: {why}"))?;
     }
     args.json.as_ref().map_or(Ok(()), |path| files::write_json(path, &report))
+}
+
+fn new_backend(args: &BenchGpuArgs) -> Result<GpuBackend, BackendError> {
+    if args.without_subgroups { GpuBackend::without_subgroups(0) } else { GpuBackend::new(0) }
 }
 
 /// What is too large for a device says nothing of what is smaller.
@@ -161,8 +170,8 @@ struct Timed {
 }
 
 impl Bench {
-    fn new(source: &Source, gaussians: usize) -> Result<Self> {
-        let mut backend = GpuBackend::new(0)?;
+    fn new(source: &Source, gaussians: usize, args: &BenchGpuArgs) -> Result<Self> {
+        let mut backend = new_backend(args)?;
         backend.set_views(&source.views)?;
         backend.upload(source.cloud(gaussians)?, None)?;
         let (settings, views) = (source.settings, source.views.len());
