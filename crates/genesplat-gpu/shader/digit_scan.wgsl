@@ -9,8 +9,7 @@ override LENGTH: u32;
 @group(0) @binding(2) var<storage, read_write> digit_totals: array<u32>;
 
 @compute @workgroup_size(GROUP)
-fn main(@builtin(workgroup_id) digit: vec3<u32>, place: Place) {
-    let lane = lane_of(place);
+fn main(@builtin(workgroup_id) digit: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     let blocks = (lengths[LENGTH] + SORT_BLOCK - 1u) / SORT_BLOCK;
     var before = 0u;
     for (var first = 0u; first < blocks; first += GROUP) {
@@ -19,7 +18,7 @@ fn main(@builtin(workgroup_id) digit: vec3<u32>, place: Place) {
         if block < blocks {
             count = digit_counts[digit.x * blocks + block];
         }
-        let prefix = exclusive_in_group(place, count);
+        let prefix = exclusive_in_group(lane, count);
         if block < blocks {
             digit_counts[digit.x * blocks + block] = before + prefix;
         }

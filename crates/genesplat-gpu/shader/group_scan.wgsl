@@ -2,21 +2,11 @@
 // exceeds 32 bits is the largest number instead, so that it exceeds every capacity, too. Runs everywhere; twin of
 // `group_scan_subgroups.wgsl`.
 
-// Where an invocation is in its workgroup.
-struct Place {
-    @builtin(local_invocation_index) lane: u32,
-}
-
-fn lane_of(place: Place) -> u32 {
-    return place.lane;
-}
-
 var<workgroup> scan_values: array<u32, 256>;
 var<workgroup> scan_rows: array<u32, 17>;
 
-// The sum of `value` over the invocations before this one.
-fn exclusive_in_group(place: Place, value: u32) -> u32 {
-    let lane = place.lane;
+// The sum of `value` over the invocations before `lane`.
+fn exclusive_in_group(lane: u32, value: u32) -> u32 {
     scan_values[lane] = value;
     workgroupBarrier();
     if lane < 16u {

@@ -22,8 +22,7 @@ var<workgroup> masks: array<atomic<u32>, WORDS * DIGITS>;
 var<workgroup> next: array<u32, DIGITS>;
 
 @compute @workgroup_size(GROUP)
-fn main(@builtin(workgroup_id) group: vec3<u32>, place: Place) {
-    let lane = lane_of(place);
+fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     let length = lengths[LENGTH];
     let blocks = (length + SORT_BLOCK - 1u) / SORT_BLOCK;
     let block = group_of(group);
@@ -31,7 +30,7 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, place: Place) {
         return;
     }
     // Behind all keys of smaller digits.
-    next[lane] = exclusive_in_group(place, digit_totals[lane]) + digit_starts[lane * blocks + block];
+    next[lane] = exclusive_in_group(lane, digit_totals[lane]) + digit_starts[lane * blocks + block];
     for (var word = 0u; word < WORDS; word++) {
         atomicStore(&masks[word * DIGITS + lane], 0u);
     }
@@ -46,7 +45,7 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, place: Place) {
             key = keys[at];
             digit = (key >> SHIFT) & (DIGITS - 1u);
         }
-        mark(place, digit, at < length);
+        mark(lane, digit, at < length);
         workgroupBarrier();
         if at < length {
             let own = atomicLoad(&masks[lane / 32u * DIGITS + digit]);

@@ -9,8 +9,7 @@ override LENGTH: u32;
 const EACH: u32 = SCAN_BLOCK / GROUP;
 
 @compute @workgroup_size(GROUP)
-fn main(@builtin(workgroup_id) group: vec3<u32>, place: Place) {
-    let lane = lane_of(place);
+fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     let length = lengths[LENGTH];
     let block = group_of(group);
     let first = block * SCAN_BLOCK + lane * EACH;
@@ -23,7 +22,7 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, place: Place) {
         }
         sum += values[i];
     }
-    var prefix = exclusive_in_group(place, sum);
+    var prefix = exclusive_in_group(lane, sum);
     if block * SCAN_BLOCK < length {
         prefix += sums[block];
     }

@@ -5,8 +5,7 @@ override LENGTH: u32;
 @group(0) @binding(1) var<storage, read_write> sums: array<u32>;
 
 @compute @workgroup_size(GROUP)
-fn main(place: Place) {
-    let lane = lane_of(place);
+fn main(@builtin(local_invocation_index) lane: u32) {
     let blocks = (lengths[LENGTH] + SCAN_BLOCK - 1u) / SCAN_BLOCK;
     var before = 0u;
     for (var first = 0u; first < blocks; first += GROUP) {
@@ -15,7 +14,7 @@ fn main(place: Place) {
         if block < blocks {
             value = sums[block];
         }
-        let prefix = exclusive_in_group(place, value);
+        let prefix = exclusive_in_group(lane, value);
         if block < blocks {
             sums[block] = before + prefix;
         }

@@ -6,8 +6,7 @@ override LENGTH: u32;
 @group(0) @binding(2) var<storage, read_write> sums: array<u32>;
 
 @compute @workgroup_size(GROUP)
-fn main(@builtin(workgroup_id) group: vec3<u32>, place: Place) {
-    let lane = lane_of(place);
+fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     let length = lengths[LENGTH];
     let block = group_of(group);
     var sum = 0u;
@@ -17,7 +16,7 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, place: Place) {
             sum = saturating_add(sum, input[at]);
         }
     }
-    exclusive_in_group(place, sum);
+    exclusive_in_group(lane, sum);
     if lane == 0u && block * SCAN_BLOCK < length {
         sums[block] = group_sum();
     }

@@ -7,7 +7,6 @@ use wgpu::{Adapter, Backends, DeviceType, Features, Instance, InstanceDescriptor
 
 use crate::engine::Engine;
 use crate::layout::{GRID_WIDTH, GROUP, TILE};
-use crate::shaders::Subgroups;
 
 /// Workgroup memory that the backward pass needs, bytes; that of all others is less.
 pub(crate) const WORKGROUP_BYTES: u32 = 24 << 10;
@@ -35,7 +34,7 @@ pub struct AdapterReport {
     pub workgroup_bytes: u32,
     /// Times stages (for `bench gpu`).
     pub timestamps: bool,
-    /// Sorts and sums by subgroups.
+    /// Has subgroups, to sort and sum by.
     pub subgroups: bool,
     /// Why it cannot be used; `None` when it can.
     pub unusable: Option<String>,
@@ -123,7 +122,7 @@ fn report(adapter: &Adapter) -> AdapterReport {
         buffer_bytes: limits.max_buffer_size,
         workgroup_bytes: limits.max_compute_workgroup_storage_size,
         timestamps: adapter.features().contains(Features::TIMESTAMP_QUERY),
-        subgroups: subgroups(adapter.features()) == Subgroups::With,
+        subgroups: adapter.features().contains(Features::SUBGROUP),
         unusable: unmet(&limits),
     }
 }
@@ -142,11 +141,6 @@ fn unmet(limits: &Limits) -> Option<String> {
     let binding = ("bytes a binding", limits.max_storage_buffer_binding_size, BINDING_BYTES);
     let unmet = needs.into_iter().chain([binding]).find(|(_, has, needs)| has < needs);
     unmet.map(|(what, has, needs)| format!("has too few {what}: {has}, and {needs} are needed"))
-}
-
-/// Kernels for a device with these features.
-pub(crate) fn subgroups(features: Features) -> Subgroups {
-    if features.contains(Features::SUBGROUP) { Subgroups::With } else { Subgroups::Without }
 }
 
 /// What is asked of a device: what it has, since wgpu's defaults would ask for more than some have of what no kernel needs (large

@@ -15,6 +15,7 @@ use wgpu::{
 
 use crate::adapter;
 use crate::layout::SH_FLOATS;
+use crate::probe;
 use crate::shaders::{Shader, Subgroups};
 
 /// Smallest buffer, bytes: an empty cloud has buffers, too.
@@ -98,7 +99,7 @@ impl Engine {
         let remember = Arc::clone(&lost);
         device.on_uncaptured_error(Arc::new(move |error| note(&remember, error.to_string())));
         let limits = device.limits();
-        Ok(Self {
+        let engine = Self {
             binding_bytes: limits.max_storage_buffer_binding_size,
             window_rows: limits.max_storage_buffer_binding_size / (4 * u64::from(SH_FLOATS)),
             buffer_bytes: limits.max_buffer_size,
@@ -111,12 +112,14 @@ impl Engine {
             queue,
             name,
             timestamps: features.contains(Features::TIMESTAMP_QUERY),
-            subgroups: adapter::subgroups(features),
+            subgroups: Subgroups::With,
             kernels: RefCell::default(),
             lost,
             allocated: Rc::default(),
             most_allocated: Cell::default(),
-        })
+        };
+        let trusts = features.contains(Features::SUBGROUP) && probe::subgroup_seats(&engine)?.is_some();
+        Ok(if trusts { engine } else { engine.without_subgroups() })
     }
 
     /// The same, but kernels see at most `rows` rows of the cloud at once: how tests exercise the splitting of columns.

@@ -39,6 +39,7 @@ mod lineage;
 mod lists;
 mod optimise;
 mod pixels;
+mod probe;
 mod recorder;
 mod rows;
 mod score;

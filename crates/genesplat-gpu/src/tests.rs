@@ -92,6 +92,16 @@ pub(crate) fn engines() -> Vec<Engine> {
     engine().into_iter().chain(engine().map(Engine::without_subgroups)).collect()
 }
 
+/// Else tests of both kinds of kernels would be tests of one. `.ci/run` says how large the software driver makes them.
+#[test]
+fn subgroups_are_as_large_as_they_should_be() {
+    let (Some(engine), Some(wanted)) = (engine(), std::env::var_os("GENESPLAT_REQUIRE_SUBGROUPS")) else {
+        return;
+    };
+    let seats = crate::probe::subgroup_seats(&engine).unwrap().map(|seats| seats.to_string());
+    assert_eq!(seats.as_deref(), wanted.to_str());
+}
+
 /// A backend with one view.
 fn gpu() -> Option<GpuBackend> {
     let mut gpu = GpuBackend::on(engine()?, SEED).unwrap();

@@ -1,0 +1,24 @@
+// Do subgroups do here what the kernels that use them rely on? One workgroup; each invocation writes the size of its subgroup,
+// or 0 where something is wrong.
+
+@group(0) @binding(0) var<storage, read_write> seats_found: array<u32>;
+
+// Bits that any four neighbours tell from another order, and from seats that are left out.
+fn is_marked(lane: u32) -> bool {
+    return ((lane * 0x9e3779b9u) & 0x10000u) != 0u;
+}
+
+@compute @workgroup_size(GROUP)
+fn main(@builtin(local_invocation_index) lane: u32) {
+    let seats = subgroup_seats();
+    let ballot = subgroupBallot(is_marked(lane));
+    let before = subgroupShuffleUp(lane, 1u);
+    let seat = lane % seats;
+    var expected = vec4(0u);
+    for (var other = 0u; other < seats; other++) {
+        expected[other / 32u] |= u32(is_marked(lane - seat + other)) << (other % 32u);
+    }
+    let is_whole = seats >= 4u && seats <= 128u && GROUP % seats == 0u;
+    let is_in_order = seat == 0u || before == lane - 1u;
+    seats_found[lane] = select(0u, seats, is_whole && is_in_order && all(ballot == expected));
+}
