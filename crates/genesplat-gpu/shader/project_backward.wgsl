@@ -143,13 +143,7 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     }
     let row = window.first + local;
     let count = tile_counts[row] & COUNT_BITS;
-    if count == 0u {
-        for (var i = 0u; i < 4u; i++) {
-            gradients[4u * local + i] = vec4(0.0);
-        }
-        return;
-    }
-    // 1. Sums over the splat's tiles.
+    // 1. Sums over the splat's tiles. What no pixel shows, most of all what is hidden by others, has no gradients.
     var a = vec4(0.0);
     var b = vec4(0.0);
     var c = vec4(0.0);
@@ -158,6 +152,12 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
         a += rows[3u * entry];
         b += rows[3u * entry + 1u];
         c += rows[3u * entry + 2u];
+    }
+    if all(a == vec4(0.0)) && all(b == vec4(0.0)) && all(c == vec4(0.0)) {
+        for (var i = 0u; i < 4u; i++) {
+            gradients[4u * local + i] = vec4(0.0);
+        }
+        return;
     }
     let first_moments = a.yz;
     let second_moments = vec3(a.w, b.xy);
