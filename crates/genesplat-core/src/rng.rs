@@ -17,7 +17,7 @@ pub enum Stream {
     InitialPoints = 4,
     /// Choice of views: those that fitness is measured on, (stage, 0, 0); an order of them, (generation + 1, position, 0).
     FitnessViews = 5,
-    /// Which Gaussians of an individual are selected: (generation, individual, row / 4).
+    /// Which Gaussians of an individual are selected: (generation, individual, draw / 4).
     GeneSelection = 6,
     /// Which genes mutate, and by how much: (generation, individual, 3 row + draw); of the mosaic search, (generation,
     /// 2 mutant + draw, row).

@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-use genesplat_core::{Backend, BackendError, StatisticsRequest};
+use genesplat_core::{Backend, StatisticsRequest};
 
 use crate::checkpoint::{Checkpoint, Cursor};
 use crate::fitness::Fitness;
@@ -17,42 +17,45 @@ impl<B: Backend> Trainer<'_, B> {
     /// checkpoint when it was stopped: what was done counts, but a resumed run spends all of it anew.
     pub(crate) fn control(&mut self, cursor: Cursor) -> Result<Option<Box<Checkpoint>>, TrainError> {
         // Steps cannot be undone, so what a run that is stopped or fails resumes from is kept from the start.
-        let start = self.capture(cursor)?;
-        check_health(&start.cloud, self.progress.steps)?;
-        let clock = Instant::now();
+        let mut start = Some(self.capture(cursor)?);
+        if let Some(start) = &start {
+            check_health(&start.cloud, self.progress.steps)?;
+        }
         let fitness = self.fitness(cursor.iteration);
         let before = self.fitness_of_base(&fitness, cursor.iteration)?;
-        let (steps, is_spent, after) = match self.spend(&fitness, cursor.iteration, clock) {
-            Err(error @ TrainError::Backend(BackendError::OutOfMemory { .. })) => {
-                self.observer.on_checkpoint(*start);
-                return Err(error);
-            }
-            spent => spent?,
-        };
-        let checkpoint = if is_spent { None } else { Some(start) };
-        self.end_stage(StageRecord {
-            renders: steps.into(),
-            fitness_after: after,
-            seconds: clock.elapsed().as_secs_f64(),
-            ..StageRecord::begun(StageKind::Control, cursor.iteration, before, None)
-        });
-        Ok(checkpoint)
+        let record = StageRecord::begun(StageKind::Control, cursor.iteration, before, None);
+        let spent = self.spend(&fitness, record);
+        let (record, is_spent) = self.or_hand_over(spent, &mut start)?;
+        self.end_stage(record);
+        Ok(start.filter(|_| !is_spent))
     }
 
-    /// Makes steps until the budget is spent or the run is stopped; returns how many, whether it is spent, and the
-    /// fitness after them.
-    fn spend(&mut self, fitness: &Fitness, i: u32, clock: Instant) -> Result<(u32, bool, f64), TrainError> {
+    /// Makes steps until the budget is spent or the run is stopped; returns what came of it, and whether it is spent. What only
+    /// measures, here and before, costs the budget nothing.
+    fn spend(
+        &mut self,
+        fitness: &Fitness,
+        mut record: StageRecord,
+    ) -> Result<(StageRecord, bool), TrainError> {
+        let (clock, i) = (Instant::now(), record.iteration);
         let (mut order, mut steps) = (ViewOrder::new(self.rng.fork(i), self.views.len()), 0);
+        // As often as training looks: a device that is waited for after every step makes fewer.
+        let every = self.schedule.report_every.max(1);
         while !self.is_spent(steps, clock) && !self.stopped() {
             self.torn = true;
             let view = order.view(steps);
             self.train_step(view, i, steps + 1, OptimiserStep::All, StatisticsRequest::default())?;
-            self.wait_for_device()?;
             steps += 1;
+            if steps.is_multiple_of(every) {
+                self.wait_for_device()?;
+            }
         }
-        // Before the renders, whose seconds are no steps.
+        self.wait_for_device()?;
         let is_spent = self.is_spent(steps, clock);
-        Ok((steps, is_spent, self.fitness_of_base(fitness, i)?))
+        record.renders = steps.into();
+        record.seconds = clock.elapsed().as_secs_f64();
+        record.fitness_after = self.fitness_of_base(fitness, i)?;
+        Ok((record, is_spent))
     }
 
     fn is_spent(&self, steps: u32, clock: Instant) -> bool {

@@ -36,12 +36,16 @@ impl Limits {
         })
     }
 
-    /// The limit of `cap` is reached in iteration `i`, and so many more wanted to grow.
-    pub(crate) fn notice_of_full_cloud(self, cap: usize, i: u32, refused: usize) -> String {
+    /// The limit of `cap` is reached in iteration `i`, and so many more wanted to grow; will any, later?
+    pub(crate) fn notice_of_full_cloud(self, cap: usize, i: u32, refused: usize, is_last: bool) -> String {
         let source = if self.own == Some(cap) { "" } else { " that the photos feed (evolution.renewal)" };
+        let rest = if is_last {
+            ""
+        } else {
+            "; from now on only those with the strongest gradients grow into the room that pruning leaves"
+        };
         format!(
-            "iteration {i}: the limit of {cap} Gaussians{source} is reached ({refused} more wanted to grow); from now on only \
-             those with the strongest gradients grow into the room that pruning leaves"
+            "iteration {i}: the limit of {cap} Gaussians{source} is reached ({refused} more wanted to grow){rest}"
         )
     }
 }

@@ -48,8 +48,7 @@ impl<'a, B: Backend> Trainer<'a, B> {
             return Err(error);
         }
         let interrupted = !mosaic.search.is_finished();
-        let checkpoint =
-            if interrupted { Some(self.capture_before(&original, &mosaic, cursor)?) } else { None };
+        let checkpoint = if interrupted { self.capture_before(&original, &mosaic, cursor)? } else { None };
         record.guard_psnr = Some([psnr, mosaic.verdict.psnr]);
         let is_changed = |&(row, genes): &(usize, &Gene)| mosaic.cloud.genes(row) != *genes;
         record.changed = original.genes.iter().enumerate().filter(is_changed).count();
@@ -130,10 +129,11 @@ impl<'a, B: Backend> Trainer<'a, B> {
         original: &SparseDelta,
         mosaic: &Mosaic,
         cursor: Cursor,
-    ) -> Result<Box<Checkpoint>, TrainError> {
+    ) -> Result<Option<Box<Checkpoint>>, TrainError> {
         self.backend.apply(original, MomentPolicy::Keep)?;
-        let checkpoint = self.capture(cursor)?;
-        self.backend.apply(&mosaic.cloud.genes_of(&original.rows), MomentPolicy::Keep)?;
+        let mut checkpoint = Some(self.capture(cursor)?);
+        let applied = self.backend.apply(&mosaic.cloud.genes_of(&original.rows), MomentPolicy::Keep);
+        self.or_hand_over(applied, &mut checkpoint)?;
         Ok(checkpoint)
     }
 }

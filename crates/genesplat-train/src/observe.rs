@@ -168,7 +168,8 @@ pub struct StageRecord {
     pub kind: StageKind,
     /// Iteration of the trigger.
     pub iteration: u32,
-    /// Generations completed, the initial population included; 0 for the control.
+    /// Generations of its search that were completed, the initial population included (the guards' choice, which recombination logs
+    /// as one more, is none); 1 for a renewal, 0 for the control.
     pub generations: u32,
     /// Renders made; gradient steps for the control.
     pub renders: u64,

@@ -36,14 +36,16 @@ impl<B: Backend> Trainer<'_, B> {
         outcome?;
         let Search { begun, algorithm, mut record, .. } = search;
         record.seconds = begun.elapsed().as_secs_f64();
-        let checkpoint = if algorithm.is_finished() { None } else { Some(self.capture(cursor)?) };
+        let mut checkpoint = if algorithm.is_finished() { None } else { Some(self.capture(cursor)?) };
         if let Some(better) = algorithm.best() {
-            self.backend.apply(better, self.config.evolution.moments)?;
+            let applied = self.backend.apply(better, self.config.evolution.moments);
+            self.or_hand_over(applied, &mut checkpoint)?;
             record.changed = better.rows.len();
         }
         self.torn = true;
         self.end_stage(record);
-        self.forget_gene_gradients()?;
+        let forgotten = self.forget_gene_gradients();
+        self.or_hand_over(forgotten, &mut checkpoint)?;
         Ok(checkpoint)
     }
 

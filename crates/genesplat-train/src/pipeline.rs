@@ -19,8 +19,8 @@
 //!
 //! 7. **Mosaic.** Many small mutations at once; every Gaussian keeps the one that made the picture better where it is seen.
 //!
-//! With MCMC, a step also jiggles positions, 2 relocates dead Gaussians and adds others until shortly before the end (until
-//! half of the run, where 6 takes over from it), and 3 does not happen; 4, 5 and 6 keep their places.
+//! With MCMC, a step also jiggles positions, 2 relocates dead Gaussians and adds others until five sixths of the run (until
+//! half of it, where 6 takes over), and 3 does not happen; 4, 5 and 6 keep their places.
 //!
 //! What is due when is for [`crate::schedule`] to say. This file does it, in that order, and can stop between any two
 //! phases: a resumed run repeats the numbers of one that was never interrupted.
@@ -71,6 +71,7 @@ impl<B: Backend> Trainer<'_, B> {
             for phase in schedule.phases(i).filter(|&phase| !done(phase)) {
                 self.cursor = Cursor { iteration: i, phase };
                 if self.stopped() {
+                    self.wait_for_steps()?;
                     return Ok(Some(self.capture(self.cursor)?));
                 }
                 if let Some(checkpoint) = self.perform(i, phase)? {
@@ -112,7 +113,7 @@ impl<B: Backend> Trainer<'_, B> {
     }
 
     /// Waits until queued steps are done: what that takes is theirs.
-    fn wait_for_steps(&mut self) -> Result<(), TrainError> {
+    pub(crate) fn wait_for_steps(&mut self) -> Result<(), TrainError> {
         let clock = Instant::now();
         self.wait_for_device()?;
         self.progress.gradient_seconds += clock.elapsed().as_secs_f64();
@@ -163,7 +164,8 @@ impl<B: Backend> Trainer<'_, B> {
         let is_news = |cap: &usize| plan.refused > 0 && grown >= *cap && !self.limit_noticed;
         let Some(cap) = self.limits.cap().filter(is_news) else { return };
         self.limit_noticed = true;
-        self.observer.notice(&self.limits.notice_of_full_cloud(cap, i, plan.refused));
+        let is_last = !(i + 1..self.schedule.iterations).any(|later| self.schedule.is_densify(later));
+        self.observer.notice(&self.limits.notice_of_full_cloud(cap, i, plan.refused, is_last));
     }
 
     fn refresh_filter(&mut self) -> Result<(), TrainError> {

@@ -94,9 +94,12 @@ impl<B: Backend> Trainer<'_, B> {
         let genome = self.search_line(&line, &mut record)?;
         let chosen = self.ask_guards(&line, &genome, before, &mut record)?;
         let interrupted = record.generations < line.generations;
-        let checkpoint = if interrupted { Some(self.capture(cursor)?) } else { None };
+        let mut checkpoint = if interrupted { Some(self.capture(cursor)?) } else { None };
         match chosen {
-            Some(child) => self.backend.breed(&child)?,
+            Some(child) => {
+                let bred = self.backend.breed(&child);
+                self.or_hand_over(bred, &mut checkpoint)?;
+            }
             None => self.backend.forget(),
         }
         record.seconds = line.begun.elapsed().as_secs_f64();

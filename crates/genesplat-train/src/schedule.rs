@@ -315,7 +315,7 @@ impl Schedule {
     }
 
     /// Which parent a remembered state belongs to: 0 for the older half of a window, 1 for the younger one, which the middle state
-    /// and the last of the window before are part of: six of ten.
+    /// is part of: six of ten; five of nine in the last window, since the run's last iteration makes no step to remember.
     pub fn parent(&self, i: u32) -> usize {
         let window = self.window.unwrap_or(1);
         usize::from((self.iterations - i) % window <= window / 2)

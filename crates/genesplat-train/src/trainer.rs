@@ -159,14 +159,32 @@ impl<'a, B: Backend> Trainer<'a, B> {
         Ok(Box::new(Checkpoint::capture(self.backend, cursor, progress, trial)?))
     }
 
+    /// A checkpoint that was captured must outlive what is done after that: it is handed over where that fails.
+    pub(crate) fn or_hand_over<T>(
+        &mut self,
+        done: Result<T, impl Into<TrainError>>,
+        captured: &mut Option<Box<Checkpoint>>,
+    ) -> Result<T, TrainError> {
+        done.map_err(|error| {
+            if let Some(checkpoint) = captured.take() {
+                self.observer.on_checkpoint(*checkpoint);
+            }
+            error.into()
+        })
+    }
+
     /// The end of iteration `i`: what others want to see or to keep.
     pub(crate) fn share(&mut self, i: u32) -> Result<(), TrainError> {
+        let wants_renders = self.observer.wants_renders(i);
+        if self.schedule.is_checkpoint(i) || wants_renders {
+            self.wait_for_steps()?;
+        }
         if self.schedule.is_checkpoint(i) {
             let checkpoint = self.capture(Cursor::start_of(i + 1))?;
             check_health(&checkpoint.cloud, self.progress.steps)?;
             self.observer.on_checkpoint(*checkpoint);
         }
-        if self.observer.wants_renders(i) {
+        if wants_renders {
             let (settings, backend) = (self.settings(i), &mut *self.backend);
             self.observer.on_renders(i, &mut |camera| backend.render(camera, &settings));
         }

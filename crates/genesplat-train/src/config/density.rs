@@ -100,7 +100,9 @@ pub struct McmcConfig {
     pub min_opacity: f32,
     /// Share of Gaussians added each time, until `max_gaussians` are reached. Default 0.05; not negative.
     pub growth: f64,
-    /// Exploration noise, in multiples of the position rate. Default 5e5; not negative.
+    /// Exploration noise, in multiples of the position rate. Default 5e5; not negative. As in the authors' code it is in the scene's own
+    /// units: its reach grows with the square of the cameras' extent (gsplat brings scenes to an extent of about 1 first), so scenes
+    /// whose extent is far from 1 to 10 want another value.
     pub noise: f32,
     /// Weight of the mean opacity in the loss. Default 0.01; not negative. Higher leaves more Gaussians to relocate.
     pub opacity_weight: f32,

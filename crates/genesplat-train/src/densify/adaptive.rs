@@ -46,7 +46,7 @@ pub fn plan(statistics: &Statistics, genes: &[Gene], rules: &Rules, iteration: u
     let absolute = rules.or_absolute.then(|| absolute_threshold(statistics, rules.gradient_threshold));
     let mut growth: Vec<Growth> =
         (0..genes.len()).map(|row| wanted_growth(statistics, genes, rules, absolute, row)).collect();
-    let refused = refuse_beyond_cap(&mut growth, statistics, rules.cap);
+    let refused = refuse_beyond_cap(&mut growth, statistics, rules, absolute);
     let mut edit = grow(&growth, iteration);
     let grown = edit.sources.len();
     let prune_size = rules.prune_size.filter(|_| refused == 0);
@@ -89,15 +89,26 @@ fn wanted_growth(
     }
 }
 
-/// Clones and splits alike add one row. Where they do not all fit, the strongest gradients are served; equal ones in
-/// row order. Returns how many were turned away.
-fn refuse_beyond_cap(growth: &mut [Growth], statistics: &Statistics, cap: Option<usize>) -> usize {
-    let room = cap.map_or(usize::MAX, |cap| cap.saturating_sub(growth.len()));
-    let mut growing: Vec<usize> = (0..growth.len()).filter(|&row| growth[row] != Growth::None).collect();
+/// Clones and splits alike add one row. Where they do not all fit, the strongest gradients are served, by what each is above its
+/// threshold; equal ones in row order. Returns how many were turned away.
+fn refuse_beyond_cap(
+    growth: &mut [Growth],
+    statistics: &Statistics,
+    rules: &Rules,
+    absolute_threshold: Option<f32>,
+) -> usize {
+    let strength = |row: usize| {
+        let absolute = absolute_threshold.filter(|&threshold| threshold > 0.0);
+        let above = absolute.map_or(0.0, |threshold| statistics.mean_absolute(row) / threshold);
+        statistics.mean_gradient(row).max(above * rules.gradient_threshold)
+    };
+    let (cap, rows) = (rules.cap, growth.len());
+    let room = cap.map_or(usize::MAX, |cap| cap.saturating_sub(rows));
+    let mut growing: Vec<usize> = (0..rows).filter(|&row| growth[row] != Growth::None).collect();
     if growing.len() <= room {
         return 0;
     }
-    growing.sort_by(|&a, &b| statistics.mean_gradient(b).total_cmp(&statistics.mean_gradient(a)));
+    growing.sort_by(|&a, &b| strength(b).total_cmp(&strength(a)));
     for &row in &growing[room..] {
         growth[row] = Growth::None;
     }
@@ -270,6 +281,9 @@ mod tests {
         let high = Rules { gradient_threshold: 1.0, ..gof };
         assert_eq!(plan(&statistics, &genes, &high, 600).edit.sources, [0, 1, 1, 2, 3, 4]);
         assert!(plan(&Statistics::default(), &[], &gof, 600).edit.sources.is_empty());
+        // Room for one: row 0 is 1.03 times its threshold, row 1 1.10 times.
+        let capped = Rules { gradient_threshold: 2.9e-4, cap: Some(6), ..gof };
+        assert_eq!(plan(&statistics, &genes, &capped, 600).edit.sources, [0, 1, 1, 2, 3, 4]);
     }
 
     #[test]

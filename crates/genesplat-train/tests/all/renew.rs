@@ -112,7 +112,8 @@ fn a_cloud_grows_to_what_the_photos_feed() {
     assert!(fed.sizes.iter().all(|&(i, rows)| rows <= (50 * i as usize / 149).max(20)), "{:?}", fed.sizes);
     assert_eq!(fed.sizes.last(), Some(&(149, 50)));
     assert!(
-        fed.notices[0].contains("149: the limit of 50 Gaussians that the photos feed"),
+        fed.notices[0].contains("149: the limit of 50 Gaussians that the photos feed")
+            && fed.notices[0].ends_with("more wanted to grow)"),
         "{:?}",
         fed.notices
     );
