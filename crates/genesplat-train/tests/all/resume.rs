@@ -174,17 +174,18 @@ fn a_checkpoint_of_another_variant_is_refused() {
 }
 
 #[test]
-fn a_control_that_runs_out_of_memory_leaves_its_beginning() {
-    let mut config = config();
-    (config.evolution.mode, config.evolution.control_seconds) = (EvolutionMode::Control, 1e9);
-    let mut fake = backend();
-    fake.failure = Some((2000, Failure::OutOfMemory));
-    let (mut keep, stop) = (Keep::default(), AtomicBool::new(false));
-    let start = Start::Points(points(20));
-    let error = train(&mut fake, &views(7), start, &config.resolve().unwrap(), &mut keep, &stop).unwrap_err();
-    assert!(matches!(error, TrainError::Backend(BackendError::OutOfMemory { .. })), "{error}");
-    let [checkpoint] = &keep.0[..] else { panic!("{} checkpoints", keep.0.len()) };
-    assert_eq!((checkpoint.cursor.iteration, checkpoint.progress.stages.len()), (30, 0));
+fn a_control_whose_device_fails_leaves_its_beginning() {
+    for failure in [Failure::OutOfMemory, Failure::Lost] {
+        let mut config = config();
+        (config.evolution.mode, config.evolution.control_seconds) = (EvolutionMode::Control, 1e9);
+        let mut fake = backend();
+        fake.failure = Some((2000, failure));
+        let (mut keep, stop) = (Keep::default(), AtomicBool::new(false));
+        let start = Start::Points(points(20));
+        train(&mut fake, &views(7), start, &config.resolve().unwrap(), &mut keep, &stop).unwrap_err();
+        let [checkpoint] = &keep.0[..] else { panic!("{} checkpoints", keep.0.len()) };
+        assert_eq!((checkpoint.cursor.iteration, checkpoint.progress.stages.len()), (30, 0));
+    }
 }
 
 /// A run with a checkpoint in iteration 140 whose device fails in a call; steps are queued, unless `queues` is false.
