@@ -2,8 +2,8 @@
 //! nothing else: they know no renderer, no file and no clock.
 //!
 //! [`GeneticAlgorithm`] is Algorithm 1 turned inside out: it *asks* for the losses of individuals and is *told* them, so
-//! that a renderer, a toy function or a replayed log can judge. An individual is a sparse difference from one shared
-//! base, never a copy of the scene; how memory grows is stated in [`population`].
+//! that a renderer, a toy function or a replayed log can judge. An individual is a sparse difference from a state
+//! that all share and that moves with the search (`consensus`), never a copy of the scene; how memory grows is stated in [`population`].
 //!
 //! ```
 //! use genesplat_core::{Gene, Rng, SparseDelta};

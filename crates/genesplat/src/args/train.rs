@@ -56,7 +56,7 @@ pub struct ScheduleArgs {
     #[arg(long, value_name = "S", value_parser = clap::value_parser!(u64).range(..1 << 63))]
     pub seed: Option<u64>,
     /// Stop adding Gaussians at this many [default: no limit, or with --evolve renew as many as the photos can determine; 1000000
-    /// with mcmc, which always grows to it]. Bounds memory (about 1.5 KB a Gaussian) and time
+    /// with mcmc, which grows towards it by 5 % a time]. Bounds memory (about 1.5 KB a Gaussian) and time
     #[arg(long, value_name = "N", value_parser = positive)]
     pub max_gaussians: Option<usize>,
     /// Iterations between two checkpoints [default: 1000]; 0 for none but that of Ctrl-C and SIGTERM
