@@ -64,6 +64,23 @@ fn text_as_colmap_writes_it_is_read() {
     assert_eq!((model.points[0].position, model.points[0].rgb), ([1.5, -2.0, 0.3], [255, 0, 7]));
 }
 
+/// Somebody's script has removed the empty lines: a photo that stands where features should is not passed over.
+#[test]
+fn a_photo_in_the_place_of_features_is_named_by_its_line() {
+    let poses = ["1 1 0 0 0 0 0 3 7 a b/000.png", "2 1 0 0 0 0 0 4 7 a b/001.png"];
+    for (text, line) in [
+        (poses.join("\n"), 2),
+        (format!("# a\n{}\n\n{}\n1 2 -1 4 5\n", poses[0], poses[1]), 5),
+        (format!("{}\n10.5 3 x\n{}\n\n", poses[0], poses[1]), 2),
+    ] {
+        let sentence = refusal(Form::Text, &tiny_model(2), |scene| {
+            fs::write(file_of(scene, Form::Text, "images"), text).unwrap();
+        });
+        let expected = format!("images.txt, line {line}: expected the features of the photo above");
+        assert!(sentence.contains(&expected) && sentence.contains("or an empty line"), "{sentence}");
+    }
+}
+
 #[test]
 fn features_and_tracks_are_passed_over() {
     let folder = tempfile::tempdir().unwrap();
