@@ -208,14 +208,25 @@ pub enum SceneError {
         /// The file.
         file: PathBuf,
     },
-    /// A photo that is to be held out for testing, and is none.
-    #[error(
-        "{file} says that {name} is held out for testing, but none of its frames has that file_path; correct one of them"
-    )]
-    HeldOutUnknown {
+    /// A photo in a list of those to train or test on, and in none of the frames.
+    #[error("{file} has {name} in its {key}, but none of its frames has that file_path; correct one of them")]
+    ListedUnknown {
         /// The file.
         file: PathBuf,
         /// As it is written there.
+        name: String,
+        /// What the list is called.
+        key: &'static str,
+    },
+    /// A photo that is to be trained on and held out.
+    #[error(
+        "{file} has {name} both in its train_filenames and in its val_filenames or test_filenames; remove it from one of \
+         them, or its figures would be those of a photo that training saw"
+    )]
+    TrainedAndHeldOut {
+        /// The file.
+        file: PathBuf,
+        /// The photo.
         name: String,
     },
     /// A split that leaves nothing to train on.

@@ -36,8 +36,22 @@ pub(crate) struct Frame {
     pub(crate) camera: Camera,
     /// How the lens bends what the camera would see; `None` for a pinhole.
     pub(crate) distortion: Option<Distortion>,
-    /// Whether the scene itself holds the photo out for testing; `None` where it does not say.
-    pub(crate) held_out: Option<bool>,
+    /// What the scene itself wants of the photo.
+    pub(crate) purpose: Purpose,
+}
+
+/// What a scene may say that a photo is for.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) enum Purpose {
+    /// Nothing: where nothing is said of any photo, every eighth is held out; else it is trained on.
+    #[default]
+    Unsaid,
+    /// Training, which sees no photo but these.
+    Train,
+    /// Testing.
+    Test,
+    /// Neither.
+    Unused,
 }
 
 /// `name` as a path, if it stays inside its folder: a downloaded scene must not make us read other files.

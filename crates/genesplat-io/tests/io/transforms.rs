@@ -144,7 +144,56 @@ fn listed_test_photos_are_held_out() {
     // Somebody's test photos must not be trained on for a slip of the pen.
     description["test_filenames"] = json!(["./images/2.png", "./image/1.png"]);
     let error = load_description(&description).unwrap_err().to_string();
-    assert!(error.contains("./image/1.png") && error.contains("held out"), "{error}");
+    assert!(error.contains("./image/1.png") && error.contains("test_filenames"), "{error}");
+}
+
+#[test]
+fn lists_of_file_names_say_what_each_photo_is_for() {
+    // Of photos 0, 1 and 2, the lists to train, to validate and to test on; then what is trained and tested on.
+    let cases: [[&[usize]; 5]; 10] = [
+        [&[1], &[], &[2], &[1], &[2]],
+        [&[1], &[2], &[], &[1], &[2]],
+        [&[1], &[0], &[2], &[1], &[2]],
+        [&[1, 2], &[], &[], &[1, 2], &[0]],
+        [&[0, 1, 2], &[], &[], &[0, 1, 2], &[]],
+        [&[], &[1], &[], &[0, 2], &[1]],
+        [&[], &[1], &[2], &[0], &[2]],
+        [&[], &[1], &[1], &[0, 2], &[1]],
+        [&[], &[], &[1], &[0, 2], &[1]],
+        [&[], &[], &[], &[1, 2], &[0]],
+    ];
+    for [lists @ .., train, test] in cases {
+        let mut description = nerfstudio();
+        for (key, photos) in ["train_filenames", "val_filenames", "test_filenames"].iter().zip(lists) {
+            description[key] = photos.iter().map(|photo| format!("images/{photo}.png")).collect();
+        }
+        let scene = load_description(&description).unwrap();
+        let found = [&scene.train, &scene.test].map(|views| views.iter().map(|view| view.name.clone()));
+        let wanted = [train, test].map(|photos| photos.iter().map(|photo| format!("{photo}.png")));
+        let [found, wanted] = [found.map(Vec::from_iter), wanted.map(Vec::from_iter)];
+        assert_eq!(found, wanted, "{lists:?}");
+        let unused = 3 - train.len() - test.len();
+        let says =
+            scene.notices.iter().any(|notice| notice.starts_with(&format!("{unused} of the 3 photos")));
+        assert_eq!((says, scene.photos.len()), (unused > 0, 3), "{lists:?}: {:?}", scene.notices);
+    }
+}
+
+#[test]
+fn lists_of_file_names_must_make_sense() {
+    let both = |key: &str| {
+        let mut description = nerfstudio();
+        description["train_filenames"] = json!(["images/0.png", "images/1.png"]);
+        description[key] = json!(["./images/1.png"]);
+        load_description(&description).unwrap_err().to_string()
+    };
+    for sentence in ["val_filenames", "test_filenames"].map(both) {
+        assert!(sentence.contains("has ./images/1.png both in") && sentence.contains("remove"), "{sentence}");
+    }
+    let mut description = nerfstudio();
+    description["train_filenames"] = json!(["images/0.png", "images/7.png"]);
+    let sentence = load_description(&description).unwrap_err().to_string();
+    assert!(sentence.contains("images/7.png in its train_filenames"), "{sentence}");
 }
 
 #[test]
