@@ -64,6 +64,17 @@ pub enum SceneError {
         /// How many records the rest of the file could hold.
         fits: usize,
     },
+    /// A binary file that goes on where it should end.
+    #[error(
+        "{file} holds more than the {records} that it counts: something follows its end; the file is damaged, so copy or \
+         export it again"
+    )]
+    Trailing {
+        /// The file.
+        file: PathBuf,
+        /// What it holds.
+        records: &'static str,
+    },
     /// A text file that does not follow its grammar.
     #[error("{file}, line {line}: expected {expected}; repair the line or export the file again")]
     Syntax {
@@ -157,6 +168,14 @@ pub enum SceneError {
         camera: String,
         /// What is wrong.
         problem: &'static str,
+    },
+    /// Two cameras, and no way to tell which of them took a photo.
+    #[error("{file} has two cameras with the ID {camera}; export the model again")]
+    CameraTwice {
+        /// The file.
+        file: PathBuf,
+        /// The ID.
+        camera: u32,
     },
     /// A pose that is none.
     #[error(

@@ -69,7 +69,8 @@ fn lines<'a>(file: &'a Path, bytes: &'a [u8]) -> Result<impl Iterator<Item = Lin
 
 /// `cameras.txt`.
 pub(super) fn cameras(file: &Path, bytes: &[u8]) -> Result<BTreeMap<u32, Intrinsics>, SceneError> {
-    lines(file, bytes)?.filter(|line| !line.text.trim().is_empty()).map(camera).collect()
+    let lines = lines(file, bytes)?.filter(|line| !line.text.trim().is_empty());
+    check::by_id(file, lines.map(camera))
 }
 
 fn camera(line: Line) -> Result<(u32, Intrinsics), SceneError> {

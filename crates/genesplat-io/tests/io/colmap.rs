@@ -150,6 +150,43 @@ fn counts_beyond_the_file_are_refused() {
     }
 }
 
+/// A count that was damaged downwards loses records as surely as a torn file does.
+#[test]
+fn records_beyond_the_count_are_refused() {
+    for stem in FILES {
+        let sentence = refusal(Form::Binary, &tiny_model(2), |scene| {
+            let path = file_of(scene, Form::Binary, stem);
+            let mut bytes = fs::read(&path).unwrap();
+            bytes[0] -= 1;
+            fs::write(&path, bytes).unwrap();
+        });
+        assert!(sentence.contains(stem) && sentence.contains("something follows its end"), "{sentence}");
+    }
+}
+
+#[test]
+fn two_cameras_of_one_id_are_refused_in_both_forms() {
+    let spoil = |form, change: fn(&mut Vec<u8>)| {
+        refusal(form, &tiny_model(2), |scene| {
+            let path = file_of(scene, form, "cameras");
+            let mut bytes = fs::read(&path).unwrap();
+            change(&mut bytes);
+            fs::write(&path, bytes).unwrap();
+        })
+    };
+    let text = spoil(Form::Text, |bytes| bytes.extend(b"7 PINHOLE 40 30 1 2 20 15\n"));
+    let binary = spoil(Form::Binary, |bytes| {
+        bytes.extend_from_within(8..);
+        bytes[0] = 2;
+    });
+    for sentence in [text, binary] {
+        assert!(
+            sentence.contains("cameras.") && sentence.contains("two cameras with the ID 7"),
+            "{sentence}"
+        );
+    }
+}
+
 #[test]
 fn bad_numbers_are_named_in_both_forms() {
     type Spoil = fn(&mut Model);

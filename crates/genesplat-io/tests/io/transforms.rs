@@ -242,6 +242,8 @@ fn named_points_are_read_in_both_encodings() {
         assert_eq!((points.len(), points[0].position, points[1].rgb), (4, [1.0, -2.0, 0.5], [255, 128, 0]));
         fs::write(folder.path().join("points.ply"), &bytes[..bytes.len() - 10]).unwrap();
         assert!(load(folder.path()).unwrap_err().to_string().contains("points.ply"));
+        fs::write(folder.path().join("points.ply"), [&bytes, &b"\n0 4 8 255 128 0"[..]].concat()).unwrap();
+        assert!(load(folder.path()).unwrap_err().to_string().contains("something follows its end"));
     }
 }
 
@@ -289,6 +291,9 @@ fn elements_before_the_vertices_are_passed_over() {
     let rows = "500.25 3 1 2 3\n7 0\n1 -2 0.5 9 8 7\n4 5 6 255 128 0\n";
     let points = load_points_of(&ascii_points(before, "uchar", rows)).unwrap();
     assert_eq!((points.len(), points[0].position, points[1].rgb), (4, [1.0, -2.0, 0.5], [255, 128, 0]));
+    let with_faces = ascii_points("", "uchar", rows.split_once("7 0\n").unwrap().1);
+    let face = "element face 1\nproperty list uchar int vertex_indices\nend_header";
+    assert_eq!(load_points_of(&(with_faces.replace("end_header", face) + "3 0 1 2\n")).unwrap(), points);
     let torn = load_points_of(&ascii_points(before, "uchar", "500.25 3 1 2 3\n7 0\n1 -2"));
     assert!(torn.unwrap_err().to_string().contains("points.ply"));
     let endless = "element camera 18446744073709551615\nproperty double f\n";
