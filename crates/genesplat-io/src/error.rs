@@ -113,6 +113,26 @@ pub enum SceneError {
         /// The name.
         name: String,
     },
+    /// A point cloud whose name leads out of the scene, or is none.
+    #[error(
+        "{file} has the ply_file_path {name:?}, which is not a path inside the scene's folder; correct it, or remove it to \
+         start from random points"
+    )]
+    PointsOutside {
+        /// The file.
+        file: PathBuf,
+        /// As it is written there.
+        name: String,
+    },
+    /// A point cloud that is absent.
+    #[error(
+        "the point cloud {points}, which the scene has as its ply_file_path, does not exist; put it there, or remove \
+         ply_file_path to start from random points"
+    )]
+    PointsMissing {
+        /// Where it should be.
+        points: PathBuf,
+    },
     /// Two entries for one photo.
     #[error("{file} lists the photo {name} twice; remove one of its entries")]
     ListedTwice {

@@ -54,13 +54,16 @@ pub(crate) enum Purpose {
     Unused,
 }
 
-/// `name` as a path, if it stays inside its folder: a downloaded scene must not make us read other files.
+/// The photo `name` as a path, if it stays inside its folder.
 pub(crate) fn inside<'a>(name: &'a str, list: &Path) -> Result<&'a Path, SceneError> {
+    path_inside(name).ok_or_else(|| SceneError::NameOutside { file: list.to_owned(), name: name.into() })
+}
+
+/// `name` as a path, if it stays inside its folder: a downloaded scene must not make us read other files.
+pub(crate) fn path_inside(name: &str) -> Option<&Path> {
     let path = Path::new(name);
     let stays = path.components().all(|part| matches!(part, Component::Normal(_) | Component::CurDir));
-    (stays && path.file_name().is_some())
-        .then_some(path)
-        .ok_or_else(|| SceneError::NameOutside { file: list.to_owned(), name: name.into() })
+    (stays && path.file_name().is_some()).then_some(path)
 }
 
 /// The error for a scene of `count` photos of which `missing` is the first that is absent, `folder` the place of all.

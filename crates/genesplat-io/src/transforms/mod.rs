@@ -17,7 +17,7 @@ use self::lists::Lists;
 use self::schema::{Entry, Lens};
 use crate::error::SceneError;
 use crate::lens::Distortion;
-use crate::listing::{Frame, Listing, Purpose, inside, missing_photo, view_names};
+use crate::listing::{Frame, Listing, Purpose, inside, missing_photo, path_inside, view_names};
 use crate::scene::Point;
 use crate::start_points::{COUNT, Cube};
 use crate::{photos, ply};
@@ -79,6 +79,9 @@ fn points(
 ) -> Result<Vec<Point>, SceneError> {
     let Some(seed) = seed else { return Ok(Vec::new()) };
     if found.points.is_some() {
+        if !file.exists() {
+            return Err(SceneError::PointsMissing { points: file.to_owned() });
+        }
         return Ok(ply::read_points(file)?);
     }
     notices.push(format!("the scene has no points, so training starts from {COUNT} random ones"));
@@ -149,8 +152,9 @@ impl Photos {
 
     /// The file of the points that `list` names, or else `list` itself.
     fn points_file(&self, list: &Path) -> Result<PathBuf, SceneError> {
-        let name = self.points.as_deref().map(|name| inside(name, list)).transpose()?;
-        Ok(name.map_or_else(|| list.to_owned(), |name| list.parent().unwrap_or(Path::new("")).join(name)))
+        let Some(name) = &self.points else { return Ok(list.to_owned()) };
+        let outside = || SceneError::PointsOutside { file: list.to_owned(), name: name.clone() };
+        Ok(list.parent().unwrap_or(Path::new("")).join(path_inside(name).ok_or_else(outside)?))
     }
 
     fn into_frames(self, list: &Path) -> Result<Vec<Frame>, SceneError> {

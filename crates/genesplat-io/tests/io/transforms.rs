@@ -361,7 +361,7 @@ fn points_that_are_too_few_are_named_with_their_file() {
 #[test]
 fn mistakes_are_named() {
     type Spoil = fn(&mut Value);
-    let cases: [(Spoil, &str); 14] = [
+    let cases: [(Spoil, &str); 16] = [
         (|d| d["frames"] = json!([]), "lists no photos"),
         (|d| d["frames"] = json!("none"), "not a valid description"),
         (|d| d["frames"][0]["transform_matrix"] = json!([[1, 0, 0, 0]]), "fewer than three rows"),
@@ -383,7 +383,15 @@ fn mistakes_are_named() {
             "reads only PINHOLE, SIMPLE_PINHOLE, OPENCV, SIMPLE_RADIAL, RADIAL; undistort",
         ),
         (|d| d["is_fisheye"] = json!(true), "model OPENCV_FISHEYE"),
-        (|d| d["ply_file_path"] = json!("absent.ply"), "absent.ply"),
+        (
+            |d| d["ply_file_path"] = json!("absent.ply"),
+            "absent.ply, which the scene has as its ply_file_path, does",
+        ),
+        (
+            |d| d["ply_file_path"] = json!("../p.ply"),
+            "the ply_file_path \"../p.ply\", which is not a path inside",
+        ),
+        (|d| d["ply_file_path"] = json!(""), "the ply_file_path \"\", which is not a path inside"),
     ];
     for (spoil, expected) in cases {
         let mut description = nerfstudio();
