@@ -3,7 +3,8 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use genesplat::core::Photo;
+use genesplat::core::{Gaussians, Photo};
+use genesplat::io::PlyOptions;
 use genesplat::io::photos::{read_photo, write_png};
 use tempfile::TempDir;
 
@@ -278,6 +279,15 @@ fn splats_that_are_torn_or_none() {
         bytes[last..].copy_from_slice(&f32::NAN.to_le_bytes());
     });
     fail(evaluate(&poisoned), &["nan.ply", "not finite"]);
+
+    let empty = folder.path().join("empty.ply");
+    genesplat::io::write_ply(&empty, &Gaussians::default(), &PlyOptions::default()).unwrap();
+    fail(evaluate(&empty), &["empty.ply", "no Gaussians"]);
+    let picture = folder.path().join("picture.png");
+    let render = ["render", text(&empty), "--data", text(scene()), "--image", "gallery_000", "--out"];
+    fail(render.iter().chain(&[text(&picture)]), &["empty.ply", "no Gaussians"]);
+    let refine = ["refine", text(&empty), "--data", text(scene()), "--out", text(&torn)];
+    fail(refine, &["empty.ply", "no Gaussians"]);
 
     fail(evaluate(&folder.path().join("absent.ply")), &["absent.ply", "does not exist", "folder of a run"]);
     fail(evaluate(folder.path()), &["not the folder of a run"]);
