@@ -8,7 +8,7 @@ use serde::Serialize;
 use crate::args::{EvaluateArgs, Split};
 use crate::progress::Bar;
 use crate::training::evaluate_into;
-use crate::{device, files, lpips, output, splat};
+use crate::{device, files, lpips, output, same_scene, splat};
 
 /// What `--json` writes.
 #[derive(Serialize)]
@@ -35,6 +35,9 @@ pub fn run(args: &EvaluateArgs) -> Result<()> {
     };
     if views.is_empty() {
         bail!("{} has no {name} photos; use --split {other}", args.data.display());
+    }
+    if args.split == Split::Test {
+        same_scene::check_test_photos(&args.splat, &scene)?;
     }
     let mut backend = device::open(device::choose(args.machine)?, 0)?;
     let gaussians = splat.cloud.len();

@@ -1,12 +1,15 @@
 //! The commands that look at finished splats, and those that look at the machine.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 
+use genesplat::io::colmap::{find_model, read_model, write_model};
 use genesplat::io::photos::read_photo;
 use tempfile::TempDir;
 
-use crate::support::{fail, json, judge_failure, number, run, scene, succeed, text, train, without_drivers};
+use crate::support::{
+    fail, json, judge_failure, number, run, scene, succeed, text, train, without_drivers, write_gallery,
+};
 
 /// A short run that several tests look at.
 static RUN: LazyLock<TempDir> = LazyLock::new(|| {
@@ -83,6 +86,30 @@ fn a_run_that_has_no_splat_yet_is_named_as_such() {
     std::fs::create_dir(folder.path().join("checkpoint")).unwrap();
     std::fs::write(folder.path().join("checkpoint/latest.checkpoint"), "hours of work").unwrap();
     fail(evaluate, &["unfinished", "genesplat train", "--resume goes on"]);
+}
+
+/// Without its first photo, every eighth of a scene is another one, which this run was trained on.
+#[test]
+fn photos_that_training_saw_are_not_called_test_photos() {
+    let folder = tempfile::tempdir().unwrap();
+    let (run, fewer, out) = (finished_run(), folder.path().join("fewer"), folder.path().join("out"));
+    write_gallery(&fewer);
+    let found = find_model(&fewer).unwrap();
+    let mut model = read_model(&found).unwrap();
+    model.images.retain(|image| image.name != "gallery_000.png");
+    write_model(&found.path, found.form, &model).unwrap();
+    let of = |command: &str, splat: &Path, split: &str| {
+        let fixed = [command, text(splat), "--data", text(&fewer), "--split", split, "--device", "cpu"];
+        let out: &[&str] = if command == "render" { &["--out", text(&out)] } else { &[] };
+        fixed.iter().chain(out).map(|word| (*word).to_owned()).collect::<Vec<_>>()
+    };
+    let words = ["gallery_001.png is a test photo", "was none", "bring back", "point_cloud.ply"];
+    for command in ["evaluate", "render"] {
+        fail(of(command, &run, "test"), &words);
+        succeed(of(command, &run, "train"));
+    }
+    succeed(of("evaluate", &run.join("point_cloud.ply"), "test"));
+    succeed(of("render", &run, "all"));
 }
 
 #[test]
