@@ -27,7 +27,7 @@ pub fn run(args: &EvaluateArgs) -> Result<()> {
     args.json.as_deref().map_or(Ok(()), files::check_writable)?;
     device::use_threads(args.machine.threads)?;
     let lpips = lpips::open(&args.lpips)?;
-    let splat = splat::open(&args.splat)?;
+    let splat = splat::open(&args.splat)?.on(args.on);
     let scene = splat.load_scene(&args.data, args.size)?;
     let (views, name, other) = match args.split {
         Split::Test => (&scene.test, "test", "train"),

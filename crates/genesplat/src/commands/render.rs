@@ -17,7 +17,7 @@ pub fn run(args: &RenderArgs) -> Result<()> {
         None => files::check_folder(&args.out, "0001.png")?,
     }
     device::use_threads(args.machine.threads)?;
-    let splat = splat::open(&args.splat)?;
+    let splat = splat::open(&args.splat)?.on(args.on);
     let scene = splat.load_scene(&args.data, args.size)?;
     scene::check_spared(&scene, &args.out)?;
     if args.split == Some(RenderSplit::Test) {

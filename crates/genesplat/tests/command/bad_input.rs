@@ -349,6 +349,7 @@ fn wrong_usage_has_status_2() {
         &["refine", "x", "--data", "y", "--out", "z", "--generations", "0"],
         &["train", "x", "--out", "y", "--max-side", "100", "--downscale", "2"],
         &["render", "x", "--data", "y", "--out", "z"],
+        &["evaluate", "x", "--data", "y", "--background", "random"],
         &["nonsense"],
     ] {
         assert_eq!(run(arguments).status.code(), Some(2), "{arguments:?}");

@@ -88,6 +88,31 @@ fn a_run_that_has_no_splat_yet_is_named_as_such() {
     fail(evaluate, &["unfinished", "genesplat train", "--resume goes on"]);
 }
 
+#[test]
+fn a_splat_is_shown_on_the_background_of_its_run_unless_another_is_asked_for() {
+    let folder = tempfile::tempdir().unwrap();
+    let (run, file) = (folder.path().join("run"), folder.path().join("scores.json"));
+    let (ply, picture) = (run.join("point_cloud.ply"), folder.path().join("picture.png"));
+    succeed(train(scene(), &run, &["--iterations", "3", "--background", "white"]));
+    let looks = |splat, more: &[&str]| {
+        let fixed = [text(splat), "--data", text(scene()), "--device", "cpu"];
+        let of = |own: &[&str]| {
+            let words = [&own[..1], &fixed, more, &own[1..]].concat();
+            words.into_iter().map(str::to_owned).collect::<Vec<_>>()
+        };
+        succeed(of(&["evaluate", "--json", text(&file)]));
+        succeed(of(&["render", "--image", "gallery_000", "--out", text(&picture)]));
+        (json(&file)["psnr"].clone(), read_photo(&picture).unwrap())
+    };
+    let white = looks(&run, &[]);
+    let truth = read_photo(&run.join("test/gallery_000.png")).unwrap();
+    assert_eq!(white, (json(&run.join("metrics.json"))["test"]["psnr"].clone(), truth));
+    assert_eq!(looks(&ply, &["--background", "white"]), white);
+    let black = looks(&ply, &[]);
+    assert!(black.0 != white.0 && black.1 != white.1, "a PLY does not say what is behind it");
+    assert_eq!(looks(&run, &["--background", "black"]), black);
+}
+
 /// Without its first photo, every eighth of a scene is another one, which this run was trained on.
 #[test]
 fn photos_that_training_saw_are_not_called_test_photos() {
