@@ -3,8 +3,11 @@
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
+use genesplat::core::Photo;
 use genesplat::io::colmap::{find_model, read_model, write_model};
-use genesplat::io::photos::read_photo;
+use genesplat::io::photos::{read_photo, write_png};
 use tempfile::TempDir;
 
 use crate::support::{
@@ -173,6 +176,30 @@ fn pictures_are_compared() {
     assert_eq!((&json(&file)["psnr"], &json(&file)["ssim"]), (&serde_json::Value::Null, &1.0.into()));
     let smaller = finished_run().join("test/gallery_000.png");
     fail(["compare", text(&a), text(&smaller)], &["64x48", "56x42"]);
+}
+
+/// 16x16 pixels of 16 bits, half transparent.
+const DEEP_AND_TRANSPARENT: &str = "iVBORw0KGgoAAAANSUhEUgAAABAAAAAQEAYAAABPYyMiAAAAKElEQVR42mNoVHZg/P+/gWGgaIZRB4w6YNQBow4YdcCoA0YdMNAOAAAqWWMuyTvP7AAAAABJRU5ErkJggg==";
+
+#[test]
+fn what_is_not_compared_is_said() {
+    let folder = tempfile::tempdir().unwrap();
+    let [deep, black, white] = ["deep.png", "black.png", "white.png"].map(|name| folder.path().join(name));
+    std::fs::write(&deep, STANDARD.decode(DEEP_AND_TRANSPARENT).unwrap()).unwrap();
+    for (path, level) in [(&black, 0), (&white, 255)] {
+        write_png(path, &Photo { width: 16, height: 16, rgb: vec![level; 3 * 16 * 16] }).unwrap();
+    }
+    let compared = |a, b| {
+        let output = run(["compare", text(a), text(b), "--no-lpips"]);
+        assert!(output.status.success());
+        [output.stdout, output.stderr].map(|said| String::from_utf8(said).unwrap())
+    };
+    let [_, notices] = compared(&white, &deep);
+    let notices: Vec<&str> = notices.lines().collect();
+    assert!(notices.len() == 2 && notices.iter().all(|notice| notice.contains("deep.png")), "{notices:?}");
+    assert!(notices[0].contains("compared at 8") && notices[1].contains("on black"), "{notices:?}");
+    let [figures, notices] = compared(&black, &white);
+    assert!(figures.starts_with("PSNR 0.0000 dB") && notices.is_empty(), "{figures} {notices}");
 }
 
 #[test]
