@@ -78,6 +78,12 @@ impl<'a> Cursor<'a> {
         })
     }
 
+    /// Fails where something is left; `records` is what the file holds.
+    pub(crate) fn end(&self, records: &'static str) -> Result<(), SceneError> {
+        let trailing = || SceneError::Trailing { file: self.file.to_owned(), records };
+        self.bytes.is_empty().then_some(()).ok_or_else(trailing)
+    }
+
     fn truncated(&self, record: &'static str) -> SceneError {
         SceneError::Truncated { file: self.file.to_owned(), record }
     }
@@ -106,5 +112,8 @@ mod tests {
         assert!(Cursor::new(file, b"no end").text("a name").is_err());
         assert!(Cursor::new(file, &[0; 8]).skip("a track", usize::MAX, 8).is_err());
         assert_eq!(Cursor::new(file, b"a.png\0").text("a name").unwrap(), "a.png");
+        assert!(
+            Cursor::new(file, b"").end("cameras").is_ok() && Cursor::new(file, b"a").end("cameras").is_err()
+        );
     }
 }

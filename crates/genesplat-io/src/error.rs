@@ -64,6 +64,17 @@ pub enum SceneError {
         /// How many records the rest of the file could hold.
         fits: usize,
     },
+    /// A binary file that goes on where it should end.
+    #[error(
+        "{file} holds more than the {records} that it counts: something follows its end; the file is damaged, so copy or \
+         export it again"
+    )]
+    Trailing {
+        /// The file.
+        file: PathBuf,
+        /// What it holds.
+        records: &'static str,
+    },
     /// A text file that does not follow its grammar.
     #[error("{file}, line {line}: expected {expected}; repair the line or export the file again")]
     Syntax {
@@ -101,6 +112,26 @@ pub enum SceneError {
         file: PathBuf,
         /// The name.
         name: String,
+    },
+    /// A point cloud whose name leads out of the scene, or is none.
+    #[error(
+        "{file} has the ply_file_path {name:?}, which is not a path inside the scene's folder; correct it, or remove it to \
+         start from random points"
+    )]
+    PointsOutside {
+        /// The file.
+        file: PathBuf,
+        /// As it is written there.
+        name: String,
+    },
+    /// A point cloud that is absent.
+    #[error(
+        "the point cloud {points}, which the scene has as its ply_file_path, does not exist; put it there, or remove \
+         ply_file_path to start from random points"
+    )]
+    PointsMissing {
+        /// Where it should be.
+        points: PathBuf,
     },
     /// Two entries for one photo.
     #[error("{file} lists the photo {name} twice; remove one of its entries")]
@@ -158,6 +189,14 @@ pub enum SceneError {
         /// What is wrong.
         problem: &'static str,
     },
+    /// Two cameras, and no way to tell which of them took a photo.
+    #[error("{file} has two cameras with the ID {camera}; export the model again")]
+    CameraTwice {
+        /// The file.
+        file: PathBuf,
+        /// The ID.
+        camera: u32,
+    },
     /// A pose that is none.
     #[error(
         "{file}: the pose of photo {name} {problem}; remove the photo from the reconstruction or reconstruct again"
@@ -208,14 +247,25 @@ pub enum SceneError {
         /// The file.
         file: PathBuf,
     },
-    /// A photo that is to be held out for testing, and is none.
-    #[error(
-        "{file} says that {name} is held out for testing, but none of its frames has that file_path; correct one of them"
-    )]
-    HeldOutUnknown {
+    /// A photo in a list of those to train or test on, and in none of the frames.
+    #[error("{file} has {name} in its {key}, but none of its frames has that file_path; correct one of them")]
+    ListedUnknown {
         /// The file.
         file: PathBuf,
         /// As it is written there.
+        name: String,
+        /// What the list is called.
+        key: &'static str,
+    },
+    /// A photo that is to be trained on and held out.
+    #[error(
+        "{file} has {name} both in its train_filenames and in its val_filenames or test_filenames; remove it from one of \
+         them, or its figures would be those of a photo that training saw"
+    )]
+    TrainedAndHeldOut {
+        /// The file.
+        file: PathBuf,
+        /// The photo.
         name: String,
     },
     /// A split that leaves nothing to train on.

@@ -36,17 +36,34 @@ pub(crate) struct Frame {
     pub(crate) camera: Camera,
     /// How the lens bends what the camera would see; `None` for a pinhole.
     pub(crate) distortion: Option<Distortion>,
-    /// Whether the scene itself holds the photo out for testing; `None` where it does not say.
-    pub(crate) held_out: Option<bool>,
+    /// What the scene itself wants of the photo.
+    pub(crate) purpose: Purpose,
+}
+
+/// What a scene may say that a photo is for.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) enum Purpose {
+    /// Nothing: where nothing is said of any photo, every eighth is held out; else it is trained on.
+    #[default]
+    Unsaid,
+    /// Training, which sees no photo but these.
+    Train,
+    /// Testing.
+    Test,
+    /// Neither.
+    Unused,
+}
+
+/// The photo `name` as a path, if it stays inside its folder.
+pub(crate) fn inside<'a>(name: &'a str, list: &Path) -> Result<&'a Path, SceneError> {
+    path_inside(name).ok_or_else(|| SceneError::NameOutside { file: list.to_owned(), name: name.into() })
 }
 
 /// `name` as a path, if it stays inside its folder: a downloaded scene must not make us read other files.
-pub(crate) fn inside<'a>(name: &'a str, list: &Path) -> Result<&'a Path, SceneError> {
+pub(crate) fn path_inside(name: &str) -> Option<&Path> {
     let path = Path::new(name);
     let stays = path.components().all(|part| matches!(part, Component::Normal(_) | Component::CurDir));
-    (stays && path.file_name().is_some())
-        .then_some(path)
-        .ok_or_else(|| SceneError::NameOutside { file: list.to_owned(), name: name.into() })
+    (stays && path.file_name().is_some()).then_some(path)
 }
 
 /// The error for a scene of `count` photos of which `missing` is the first that is absent, `folder` the place of all.

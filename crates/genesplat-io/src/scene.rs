@@ -10,7 +10,7 @@ use genesplat_core::{Camera, Photo, View};
 use rayon::prelude::*;
 
 use crate::error::SceneError;
-use crate::listing::{Frame, Listing};
+use crate::listing::{Frame, Listing, Purpose};
 pub use crate::photos::PhotoSize;
 use crate::{colmap, lens, photos, transforms};
 
@@ -47,7 +47,7 @@ pub enum HoldOut {
     /// photos (Blender, nerfstudio file lists) keeps those instead.
     #[default]
     EveryEighth,
-    /// None: everything is trained on.
+    /// None: everything is trained on, but for what a scene's lists leave out.
     None,
 }
 
@@ -193,12 +193,13 @@ fn whole_scene(path: &Path) -> Option<PathBuf> {
 
 /// Training and test frames, each sorted by name.
 fn split(frames: Vec<Frame>, hold_out: HoldOut) -> (Vec<Frame>, Vec<Frame>) {
-    if !frames.iter().any(|frame| frame.held_out == Some(true)) {
-        return every_eighth(frames, |frame| &frame.name, hold_out);
+    let used: Vec<Frame> = frames.into_iter().filter(|frame| frame.purpose != Purpose::Unused).collect();
+    if used.iter().all(|frame| frame.purpose == Purpose::Unsaid) {
+        return every_eighth(used, |frame| &frame.name, hold_out);
     }
     // The scene itself says which photos are for testing.
-    let (frames, _) = every_eighth(frames, |frame| &frame.name, HoldOut::None);
-    frames.into_iter().partition(|frame| hold_out == HoldOut::None || frame.held_out != Some(true))
+    let (used, _) = every_eighth(used, |frame| &frame.name, HoldOut::None);
+    used.into_iter().partition(|frame| hold_out == HoldOut::None || frame.purpose != Purpose::Test)
 }
 
 /// Training and test views, as [`load_scene`] would split them.

@@ -14,7 +14,7 @@ mod method;
 mod train;
 
 pub use bench::{Bench, BenchEvolutionArgs, BenchGpuArgs, BenchStepArgs, SourceArgs, WorkloadArgs};
-pub use method::MethodArgs;
+pub use method::{MethodArgs, ShownOnArgs};
 pub use train::{EvolutionArgs, Evolve, ScheduleArgs, Search, TrainArgs};
 
 const EXIT_STATUS: &str = "Exit status: 0 done, 1 failed (one sentence on stderr says why), 2 wrong usage, 130 stopped by Ctrl-C or \
@@ -129,6 +129,8 @@ pub struct EvaluateArgs {
     #[command(flatten)]
     pub size: ViewSizeArgs,
     #[command(flatten)]
+    pub on: ShownOnArgs,
+    #[command(flatten)]
     pub machine: MachineArgs,
     #[command(flatten)]
     pub lpips: LpipsArgs,
@@ -155,6 +157,8 @@ pub struct RenderArgs {
     pub out: PathBuf,
     #[command(flatten)]
     pub size: ViewSizeArgs,
+    #[command(flatten)]
+    pub on: ShownOnArgs,
     #[command(flatten)]
     pub machine: MachineArgs,
 }

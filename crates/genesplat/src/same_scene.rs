@@ -1,4 +1,4 @@
-//! Whether a resumed run is given the scene that it began with.
+//! Whether a resumed run is given the scene that it began with, and a finished one that of which it knows the test photos.
 //!
 //! A scene may move between two parts of a run, so a path alone decides only while the old one exists. What tells the scene apart
 //! then is what the run has left of it: the number of training photos in the log, and the names of test photos in the figures.
@@ -7,7 +7,7 @@ use std::fs::File;
 use std::io::{BufRead, BufReader};
 use std::path::Path;
 
-use anyhow::{Result, ensure};
+use anyhow::{Result, bail, ensure};
 use genesplat::io::Scene;
 use serde::Deserialize;
 
@@ -43,6 +43,22 @@ pub fn check_photos(folder: &Path, scene: &Scene) -> Result<()> {
         scene.name
     );
     Ok(())
+}
+
+/// Fails where a test photo of `scene` is none of those of the run whose folder `splat` is: its list of photos has changed since,
+/// and then every eighth of them is another one, which training may have seen. Of a bare PLY nothing is known.
+pub fn check_test_photos(splat: &Path, scene: &Scene) -> Result<()> {
+    let Some(metrics) = CellMetrics::read(splat) else { return Ok(()) };
+    let knows = |name: &String| metrics.test.views.iter().any(|view| view.name == *name);
+    let Some(stranger) = scene.test.iter().find(|view| !knows(&view.name)) else { return Ok(()) };
+    bail!(
+        "{} is a test photo of {} now, and was none when the run in {} was trained, which may have seen it; bring back the scene \
+         as it was, or give {} to measure it all the same",
+        stranger.name,
+        scene.name,
+        splat.display(),
+        RunFolder::cloud_in(splat).display()
+    );
 }
 
 /// How many photos the run in `folder` trained on, as the first line of its log has it.
@@ -92,6 +108,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path();
         assert!(check_photos(path, &scene(9)).is_ok(), "nothing is known");
+        assert!(check_test_photos(path, &scene(9)).is_ok(), "nothing is known");
         let log = "{\"event\":\"notice\",\"text\":\"x\"}\n{\"event\":\"start\",\"views\":7,\"gaussians\":20}\n\
                    {\"event\":\"stage-start\",\"views\":[\"a\"]}\n{\"event\":\"start\",\"views\":8}\n";
         fs::write(path.join("log.jsonl"), log).unwrap();
@@ -105,7 +122,9 @@ mod tests {
                 "seconds": seconds, "evolution": []})
         };
         fs::write(path.join("metrics.json"), metrics("gallery_000.png").to_string()).unwrap();
-        assert!(check_photos(path, &scene(8)).is_ok());
+        assert!(check_photos(path, &scene(8)).is_ok() && check_test_photos(path, &scene(8)).is_ok());
+        let error = check_test_photos(path, &scene(9)).unwrap_err().to_string();
+        assert!(error.contains("gallery_008.png is a test photo") && error.contains("was none"), "{error}");
         fs::write(path.join("metrics.json"), metrics("IMG_1.png").to_string()).unwrap();
         assert!(check_photos(path, &scene(8)).is_err());
     }

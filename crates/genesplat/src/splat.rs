@@ -6,8 +6,9 @@ use anyhow::{Result, ensure};
 use genesplat::core::{Gaussians, RenderSettings, ScreenFilter};
 use genesplat::io::ply::{PlyHeader, check_finite, read_ply_with_header};
 use genesplat::io::{PhotoSize, Scene};
+use genesplat::train::Background;
 
-use crate::args::{SizeArgs, ViewSizeArgs};
+use crate::args::{ShownOnArgs, SizeArgs, ViewSizeArgs};
 use crate::report::run::command_line;
 use crate::run_folder::RunFolder;
 use crate::scene;
@@ -24,6 +25,13 @@ pub struct Splat {
 }
 
 impl Splat {
+    /// The same, on another background where one is asked for.
+    pub fn on(mut self, asked: ShownOnArgs) -> Self {
+        let asked = asked.background.map(|name| Background::from(name).fixed_colour());
+        self.settings.background = asked.unwrap_or(self.settings.background);
+        self
+    }
+
     /// Loads the photos in `data` to compare it with, as large as it was trained on unless another size is asked for.
     pub fn load_scene(&self, data: &Path, asked: ViewSizeArgs) -> Result<Scene> {
         scene::load_to_look(data, self.size(asked.into()), self.settings.background)
@@ -80,6 +88,11 @@ fn open_ply(path: &Path) -> Result<Splat> {
 
 fn read_cloud(path: &Path) -> Result<(PlyHeader, Gaussians)> {
     let (header, cloud) = read_ply_with_header(path)?;
+    ensure!(
+        !cloud.is_empty(),
+        "{} holds no Gaussians, so there is nothing to see; give another splat",
+        path.display()
+    );
     check_finite(path, &cloud)?;
     Ok((header, cloud))
 }

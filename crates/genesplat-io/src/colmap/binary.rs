@@ -23,7 +23,8 @@ const TRACK_BYTES: usize = 8;
 pub(super) fn cameras(file: &Path, bytes: &[u8]) -> Result<BTreeMap<u32, Intrinsics>, SceneError> {
     let mut cursor = Cursor::new(file, bytes);
     let count = cursor.count("cameras", CAMERA_BYTES)?;
-    (0..count).map(|_| camera(file, &mut cursor)).collect()
+    let cameras = check::by_id(file, (0..count).map(|_| camera(file, &mut cursor)))?;
+    cursor.end("cameras").map(|()| cameras)
 }
 
 fn camera(file: &Path, cursor: &mut Cursor) -> Result<(u32, Intrinsics), SceneError> {
@@ -53,7 +54,8 @@ fn camera(file: &Path, cursor: &mut Cursor) -> Result<(u32, Intrinsics), SceneEr
 pub(super) fn images(file: &Path, bytes: &[u8]) -> Result<Vec<ImageRecord>, SceneError> {
     let mut cursor = Cursor::new(file, bytes);
     let count = cursor.count("photos", IMAGE_BYTES)?;
-    (0..count).map(|_| image(file, &mut cursor)).collect()
+    let images = (0..count).map(|_| image(file, &mut cursor)).collect::<Result<_, _>>()?;
+    cursor.end("photos").map(|()| images)
 }
 
 fn image(file: &Path, cursor: &mut Cursor) -> Result<ImageRecord, SceneError> {
@@ -72,7 +74,8 @@ fn image(file: &Path, cursor: &mut Cursor) -> Result<ImageRecord, SceneError> {
 pub(super) fn points(file: &Path, bytes: &[u8]) -> Result<Vec<Point>, SceneError> {
     let mut cursor = Cursor::new(file, bytes);
     let count = cursor.count("points", POINT_BYTES)?;
-    (1..=count).map(|place| point(file, place, &mut cursor)).collect()
+    let points = (1..=count).map(|place| point(file, place, &mut cursor)).collect::<Result<_, _>>()?;
+    cursor.end("points").map(|()| points)
 }
 
 fn point(file: &Path, place: usize, cursor: &mut Cursor) -> Result<Point, SceneError> {

@@ -1,5 +1,6 @@
 //! What must hold for a record of either form; the readers call these, so that both refuse the same things.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use super::{ImageRecord, Intrinsics};
@@ -39,6 +40,21 @@ pub(super) fn pinhole_parameters(
         }
         _ => Err(SceneError::DistortedCamera { file: file.to_owned(), camera, model: model.to_owned() }),
     }
+}
+
+/// The cameras of a file by their IDs, of which each may occur once.
+pub(super) fn by_id(
+    file: &Path,
+    cameras: impl Iterator<Item = Result<(u32, Intrinsics), SceneError>>,
+) -> Result<BTreeMap<u32, Intrinsics>, SceneError> {
+    let mut by_id = BTreeMap::new();
+    for read in cameras {
+        let (camera, intrinsics) = read?;
+        if by_id.insert(camera, intrinsics).is_some() {
+            return Err(SceneError::CameraTwice { file: file.to_owned(), camera });
+        }
+    }
+    Ok(by_id)
 }
 
 /// A camera whose numbers are possible.

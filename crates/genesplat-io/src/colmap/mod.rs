@@ -22,7 +22,7 @@ use glam::{DQuat, DVec3};
 pub use write::write_model;
 
 use crate::error::SceneError;
-use crate::listing::{Frame, Listing, base_name, inside, missing_photo, view_names};
+use crate::listing::{Frame, Listing, Purpose, base_name, inside, missing_photo, view_names};
 use crate::scene::Point;
 
 /// The two forms in which COLMAP writes a model.
@@ -143,7 +143,7 @@ pub(crate) fn list(
     let frames = (model.images.iter().zip(photos).zip(names))
         .map(|((image, photo), name)| {
             let (list, camera) = (shared.clone(), camera(&model, image, &list)?);
-            Ok(Frame { name, photo, list, camera, distortion: None, held_out: None })
+            Ok(Frame { name, photo, list, camera, distortion: None, purpose: Purpose::Unsaid })
         })
         .collect::<Result<_, SceneError>>()?;
     let points_file = folder.form.file(&folder.path, "points3D");

@@ -10,6 +10,7 @@ use crate::scene::Point;
 
 const CAMERA: &str = "CAMERA_ID MODEL WIDTH HEIGHT PARAMETERS";
 const IMAGE: &str = "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME";
+const FEATURES: &str = "the features of the photo above (X Y POINT3D_ID ..., or an empty line)";
 const POINT: &str = "POINT3D_ID X Y Z R G B ERROR TRACK";
 
 /// A line with its 1-based number.
@@ -68,7 +69,8 @@ fn lines<'a>(file: &'a Path, bytes: &'a [u8]) -> Result<impl Iterator<Item = Lin
 
 /// `cameras.txt`.
 pub(super) fn cameras(file: &Path, bytes: &[u8]) -> Result<BTreeMap<u32, Intrinsics>, SceneError> {
-    lines(file, bytes)?.filter(|line| !line.text.trim().is_empty()).map(camera).collect()
+    let lines = lines(file, bytes)?.filter(|line| !line.text.trim().is_empty());
+    check::by_id(file, lines.map(camera))
 }
 
 fn camera(line: Line) -> Result<(u32, Intrinsics), SceneError> {
@@ -82,15 +84,23 @@ fn camera(line: Line) -> Result<(u32, Intrinsics), SceneError> {
     Ok((id, check::intrinsics(line.file, id, size, pinhole)?))
 }
 
-/// `images.txt`: a pose on one line, features on the next; the latter are passed over.
+/// `images.txt`: a pose on one line, features on the next; the latter are looked at only so far as to know them for features.
 pub(super) fn images(file: &Path, bytes: &[u8]) -> Result<Vec<ImageRecord>, SceneError> {
     let mut lines = lines(file, bytes)?;
     let mut images = Vec::new();
     while let Some(line) = lines.find(|line| !line.text.trim().is_empty()) {
         images.push(image(line)?);
-        lines.next();
+        lines.next().map_or(Ok(()), features)?;
     }
     Ok(images)
+}
+
+/// Numbers in threes, or nothing: where these lines were removed, every other photo would be lost unnoticed.
+fn features(line: Line) -> Result<(), SceneError> {
+    let mut count = 0;
+    let mut words = line.text.split_whitespace().inspect(|_| count += 1);
+    let are_numbers = words.all(|word| word.parse::<f64>().is_ok());
+    (are_numbers && count % 3 == 0).then_some(()).ok_or_else(|| line.error(FEATURES))
 }
 
 fn image(line: Line) -> Result<ImageRecord, SceneError> {

@@ -95,10 +95,34 @@ pub fn read_photo(path: &Path) -> Result<Photo, PhotoError> {
 /// The format is told by the content, not by the name. Orientation tags are ignored, as COLMAP and the reference
 /// trainer ignore them.
 pub fn read_photo_on(path: &Path, background: [u8; 3]) -> Result<Photo, PhotoError> {
+    read_image(path).map(|image| composite(&image, background))
+}
+
+/// [`read_photo`], and what the picture has beyond a photo: for who compares pictures, it is lost.
+pub fn read_photo_with_losses(path: &Path) -> Result<(Photo, Losses), PhotoError> {
+    read_image(path).map(|image| (composite(&image, [0; 3]), Losses::of(&image)))
+}
+
+/// What a picture has, and a [`Photo`] cannot hold.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Losses {
+    /// More than 8 bits a channel.
+    pub depth: bool,
+    /// Pixels that are not opaque.
+    pub transparency: bool,
+}
+
+impl Losses {
+    fn of(image: &DynamicImage) -> Self {
+        let color = image.color();
+        let transparency = color.has_alpha() && image.to_rgba8().pixels().any(|pixel| pixel.0[3] < u8::MAX);
+        Self { depth: color.bytes_per_pixel() > color.channel_count(), transparency }
+    }
+}
+
+fn read_image(path: &Path) -> Result<DynamicImage, PhotoError> {
     let bytes = fs::read(path).map_err(|source| PhotoError::Read { path: path.to_owned(), source })?;
-    decode(&bytes)
-        .map(|image| composite(&image, background))
-        .map_err(|reason| PhotoError::Decode { path: path.to_owned(), reason })
+    decode(&bytes).map_err(|reason| PhotoError::Decode { path: path.to_owned(), reason })
 }
 
 /// Width and height of the photo at `path`, from its header alone.

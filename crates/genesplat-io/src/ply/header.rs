@@ -28,6 +28,8 @@ pub struct PlyHeader {
     pub(super) row_bytes: usize,
     /// What the elements before the vertices take: bytes, or lines of an ASCII file.
     pub(super) before: u64,
+    /// Whether the file ends with the last vertex.
+    pub(super) ends_with_vertices: bool,
 }
 
 impl PlyHeader {
@@ -195,6 +197,7 @@ fn assemble(
 ) -> Result<PlyHeader, String> {
     let at = elements.iter().position(|element| element.name == "vertex").ok_or("it has no vertices")?;
     let before = before(&elements[..at], encoding)?;
+    let ends_with_vertices = elements[at + 1..].iter().all(|element| element.count == 0);
     fixed_length(&elements[at])?;
     let vertex = elements.swap_remove(at);
     if vertex.row_bytes == 0 {
@@ -211,6 +214,7 @@ fn assemble(
         properties: vertex.properties,
         row_bytes: vertex.row_bytes,
         before,
+        ends_with_vertices,
     })
 }
 

@@ -77,6 +77,17 @@ pub enum PlyError {
         /// Whole rows that are there.
         held: u64,
     },
+    /// More than the header promises.
+    #[error(
+        "{path} holds more than the {promised} rows that it promises: something follows its end; the file is damaged, so \
+         copy or export it again"
+    )]
+    Trailing {
+        /// The file.
+        path: PathBuf,
+        /// What the header says.
+        promised: u64,
+    },
     /// A row of an ASCII file that is not numbers.
     #[error("{path}: row {row} does not hold one number for each property; export the file again")]
     Row {
@@ -206,9 +217,17 @@ fn open(path: &Path) -> Result<(PlyHeader, BufReader<File>), PlyError> {
     let mut reader = BufReader::with_capacity(1 << 18, file);
     let (header, header_bytes) = header::read(&mut reader, path)?;
     let skipped = pass_over(&header, &mut reader).map_err(|source| read_error(path, source))?;
-    let held = size.saturating_sub(header_bytes + skipped) / header.least_row_bytes();
-    if held < header.gaussians {
-        return Err(PlyError::Truncated { path: path.to_owned(), promised: header.gaussians, held });
+    let (left, promised) = (size.saturating_sub(header_bytes + skipped), header.gaussians);
+    let held = left / header.least_row_bytes();
+    if held < promised {
+        return Err(PlyError::Truncated { path: path.to_owned(), promised, held });
+    }
+    // The rows of an ASCII file have any length; who reads them finds out what follows.
+    if header.encoding == Encoding::Binary
+        && header.ends_with_vertices
+        && left > promised * header.least_row_bytes()
+    {
+        return Err(PlyError::Trailing { path: path.to_owned(), promised });
     }
     Ok((header, reader))
 }

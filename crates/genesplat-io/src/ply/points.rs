@@ -64,7 +64,7 @@ fn ascii(header: &PlyHeader, reader: impl BufRead, path: &Path) -> Result<Vec<[f
     });
     let columns = columns.into_iter().collect::<Result<Vec<_>, _>>()?;
     let mut lines = reader.lines();
-    (0..header.gaussians as usize)
+    let rows = (0..header.gaussians as usize)
         .map(|row| {
             let bad = || PlyError::Row { path: path.to_owned(), row };
             let line = lines.next().ok_or_else(bad)?.map_err(|source| read_error(path, source))?;
@@ -75,5 +75,9 @@ fn ascii(header: &PlyHeader, reader: impl BufRead, path: &Path) -> Result<Vec<[f
             }
             Ok(values)
         })
-        .collect()
+        .collect::<Result<_, _>>()?;
+    if header.ends_with_vertices && lines.any(|line| !line.is_ok_and(|line| line.trim().is_empty())) {
+        return Err(PlyError::Trailing { path: path.to_owned(), promised: header.gaussians });
+    }
+    Ok(rows)
 }

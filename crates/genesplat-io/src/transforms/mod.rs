@@ -4,19 +4,20 @@
 //! inverted. Lenses that bend are undone when the photos are loaded ([`crate::lens`]). Scenes without points start
 //! from random ones ([`crate::start_points`]). Poses are used as they are: no re-centring, no scaling.
 
+mod lists;
 mod schema;
 
-use std::collections::HashSet;
-use std::path::{Component, Path, PathBuf};
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use genesplat_core::Camera;
 use glam::{DMat3, DQuat, DVec3};
 
-use self::schema::{Entry, Lens, Transforms};
+use self::lists::Lists;
+use self::schema::{Entry, Lens};
 use crate::error::SceneError;
 use crate::lens::Distortion;
-use crate::listing::{Frame, Listing, inside, missing_photo, view_names};
+use crate::listing::{Frame, Listing, Purpose, inside, missing_photo, path_inside, view_names};
 use crate::scene::Point;
 use crate::start_points::{COUNT, Cube};
 use crate::{photos, ply};
@@ -30,9 +31,9 @@ const ENDS: [&str; 3] = ["", ".png", ".jpg"];
 pub(crate) fn list_blender(folder: &Path, seed: Option<u64>) -> Result<Listing, SceneError> {
     let list = folder.join("transforms_train.json");
     let test = folder.join("transforms_test.json");
-    let mut found = read_photos(&list, Some(false))?;
+    let mut found = read_photos(&list, Some(Purpose::Unsaid))?;
     if test.is_file() {
-        found.append(read_photos(&test, Some(true))?);
+        found.append(read_photos(&test, Some(Purpose::Test))?);
     }
     if let Some(missing) = found.missing.first() {
         let (there, all) = (found.photos.len(), found.photos.len() + found.missing.len());
@@ -61,6 +62,7 @@ pub(crate) fn list_nerfstudio(folder: &Path, seed: Option<u64>) -> Result<Listin
             list.display()
         ));
     }
+    notices.extend(found.unused_notice(&list));
     let cameras: Vec<Camera> = found.photos.iter().map(|photo| photo.camera).collect();
     let points_file = found.points_file(&list)?;
     let points = points(&found, &points_file, seed, || Cube::seen_by(&cameras), &mut notices)?;
@@ -77,38 +79,13 @@ fn points(
 ) -> Result<Vec<Point>, SceneError> {
     let Some(seed) = seed else { return Ok(Vec::new()) };
     if found.points.is_some() {
+        if !file.exists() {
+            return Err(SceneError::PointsMissing { points: file.to_owned() });
+        }
         return Ok(ply::read_points(file)?);
     }
     notices.push(format!("the scene has no points, so training starts from {COUNT} random ones"));
     Ok(cube().points(seed))
-}
-
-/// Photos that the file's own lists hold out, if it has lists; `./` and the like are left out of their names.
-fn held_out_names(file: &Transforms, list: &Path) -> Result<Option<HashSet<PathBuf>>, SceneError> {
-    let lists = [&file.test_filenames, &file.val_filenames];
-    if lists.iter().all(|names| names.is_none()) {
-        return Ok(None);
-    }
-    let frames: HashSet<PathBuf> = file.frames.iter().flat_map(|entry| names_of(&entry.file_path)).collect();
-    let mut held_out = HashSet::new();
-    for name in lists.into_iter().flatten().flatten() {
-        // It was to be held out, and would be trained on.
-        if !frames.contains(&plain(name)) {
-            return Err(SceneError::HeldOutUnknown { file: list.to_owned(), name: name.clone() });
-        }
-        held_out.insert(plain(name));
-    }
-    Ok(Some(held_out))
-}
-
-fn plain(name: &str) -> PathBuf {
-    Path::new(name).components().filter(|part| *part != Component::CurDir).collect()
-}
-
-/// What a frame's photo may be called: as the frame says, or with the extension that it leaves out.
-fn names_of(frame: &str) -> impl Iterator<Item = PathBuf> {
-    let frame = plain(frame);
-    ENDS.into_iter().map(move |end| with_end(&frame, end))
 }
 
 fn with_end(path: &Path, end: &str) -> PathBuf {
@@ -124,7 +101,7 @@ struct Found {
     list: Arc<Path>,
     camera: Camera,
     distortion: Option<Distortion>,
-    held_out: Option<bool>,
+    purpose: Purpose,
 }
 
 /// A photo that does not.
@@ -161,10 +138,23 @@ impl Photos {
         })
     }
 
+    /// That a photo is in no list may be a slip of the pen.
+    fn unused_notice(&self, list: &Path) -> Option<String> {
+        let unused = self.photos.iter().filter(|photo| photo.purpose == Purpose::Unused).count();
+        (unused > 0).then(|| {
+            let (list, all) = (list.display(), self.photos.len() + self.missing.len());
+            format!(
+                "{unused} of the {all} photos that {list} lists are neither trained nor tested on, as its train_filenames, \
+                 val_filenames and test_filenames have it"
+            )
+        })
+    }
+
     /// The file of the points that `list` names, or else `list` itself.
     fn points_file(&self, list: &Path) -> Result<PathBuf, SceneError> {
-        let name = self.points.as_deref().map(|name| inside(name, list)).transpose()?;
-        Ok(name.map_or_else(|| list.to_owned(), |name| list.parent().unwrap_or(Path::new("")).join(name)))
+        let Some(name) = &self.points else { return Ok(list.to_owned()) };
+        let outside = || SceneError::PointsOutside { file: list.to_owned(), name: name.clone() };
+        Ok(list.parent().unwrap_or(Path::new("")).join(path_inside(name).ok_or_else(outside)?))
     }
 
     fn into_frames(self, list: &Path) -> Result<Vec<Frame>, SceneError> {
@@ -176,19 +166,19 @@ impl Photos {
             list: found.list,
             camera: found.camera,
             distortion: found.distortion,
-            held_out: found.held_out,
+            purpose: found.purpose,
         };
         Ok(names.into_iter().zip(self.photos).map(frame).collect())
     }
 }
 
-/// What `list` lists; all of it is held out, or nothing, or what the file's own lists say.
-fn read_photos(list: &Path, all_held_out: Option<bool>) -> Result<Photos, SceneError> {
+/// What `list` lists; all of it has one purpose, or that which the file's own lists say.
+fn read_photos(list: &Path, purpose: Option<Purpose>) -> Result<Photos, SceneError> {
     let file = schema::read(list)?;
     if file.frames.is_empty() {
         return Err(SceneError::NoPhotos { file: list.to_owned() });
     }
-    let names = if all_held_out.is_some() { None } else { held_out_names(&file, list)? };
+    let lists = if purpose.is_some() { None } else { Some(Lists::of(&file, list)?) };
     let folder = list.parent().unwrap_or(Path::new(""));
     let shared: Arc<Path> = list.into();
     let masks = file.frames.iter().filter(|entry| entry.mask_path.is_some()).count();
@@ -200,10 +190,9 @@ fn read_photos(list: &Path, all_held_out: Option<bool>) -> Result<Photos, SceneE
             continue;
         };
         let (camera, distortion) = camera(list, entry, &entry.lens.or(&file.lens), &photo)?;
-        let is_named =
-            |names: &HashSet<PathBuf>| names_of(&entry.file_path).any(|name| names.contains(&name));
-        let held_out = all_held_out.or_else(|| names.as_ref().map(is_named));
-        found.photos.push(Found { path, photo, list: shared.clone(), camera, distortion, held_out });
+        let listed = lists.as_ref().map(|lists| lists.purpose(&entry.file_path, list)).transpose()?;
+        let purpose = purpose.or(listed).unwrap_or_default();
+        found.photos.push(Found { path, photo, list: shared.clone(), camera, distortion, purpose });
     }
     Ok(found)
 }

@@ -18,10 +18,12 @@ pub(super) struct Transforms {
     pub(super) frames: Vec<Entry>,
     /// A point cloud in the frame of the poses, relative to the file.
     pub(super) ply_file_path: Option<String>,
-    /// Photos to test on, by path; newer nerfstudio writes these.
-    pub(super) test_filenames: Option<Vec<String>>,
-    /// Photos to validate on, by path.
+    /// Photos to train on, by path; newer nerfstudio writes these lists, and [`super::lists`] reads them.
+    pub(super) train_filenames: Option<Vec<String>>,
+    /// Photos to validate on.
     pub(super) val_filenames: Option<Vec<String>>,
+    /// Photos to test on.
+    pub(super) test_filenames: Option<Vec<String>>,
 }
 
 /// A photo.

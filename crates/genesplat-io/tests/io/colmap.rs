@@ -64,6 +64,23 @@ fn text_as_colmap_writes_it_is_read() {
     assert_eq!((model.points[0].position, model.points[0].rgb), ([1.5, -2.0, 0.3], [255, 0, 7]));
 }
 
+/// Somebody's script has removed the empty lines: a photo that stands where features should is not passed over.
+#[test]
+fn a_photo_in_the_place_of_features_is_named_by_its_line() {
+    let poses = ["1 1 0 0 0 0 0 3 7 a b/000.png", "2 1 0 0 0 0 0 4 7 a b/001.png"];
+    for (text, line) in [
+        (poses.join("\n"), 2),
+        (format!("# a\n{}\n\n{}\n1 2 -1 4 5\n", poses[0], poses[1]), 5),
+        (format!("{}\n10.5 3 x\n{}\n\n", poses[0], poses[1]), 2),
+    ] {
+        let sentence = refusal(Form::Text, &tiny_model(2), |scene| {
+            fs::write(file_of(scene, Form::Text, "images"), text).unwrap();
+        });
+        let expected = format!("images.txt, line {line}: expected the features of the photo above");
+        assert!(sentence.contains(&expected) && sentence.contains("or an empty line"), "{sentence}");
+    }
+}
+
 #[test]
 fn features_and_tracks_are_passed_over() {
     let folder = tempfile::tempdir().unwrap();
@@ -130,6 +147,43 @@ fn counts_beyond_the_file_are_refused() {
             fs::write(&path, bytes).unwrap();
         });
         assert!(sentence.contains("claims 1152921504606846976") && sentence.contains(stem), "{sentence}");
+    }
+}
+
+/// A count that was damaged downwards loses records as surely as a torn file does.
+#[test]
+fn records_beyond_the_count_are_refused() {
+    for stem in FILES {
+        let sentence = refusal(Form::Binary, &tiny_model(2), |scene| {
+            let path = file_of(scene, Form::Binary, stem);
+            let mut bytes = fs::read(&path).unwrap();
+            bytes[0] -= 1;
+            fs::write(&path, bytes).unwrap();
+        });
+        assert!(sentence.contains(stem) && sentence.contains("something follows its end"), "{sentence}");
+    }
+}
+
+#[test]
+fn two_cameras_of_one_id_are_refused_in_both_forms() {
+    let spoil = |form, change: fn(&mut Vec<u8>)| {
+        refusal(form, &tiny_model(2), |scene| {
+            let path = file_of(scene, form, "cameras");
+            let mut bytes = fs::read(&path).unwrap();
+            change(&mut bytes);
+            fs::write(&path, bytes).unwrap();
+        })
+    };
+    let text = spoil(Form::Text, |bytes| bytes.extend(b"7 PINHOLE 40 30 1 2 20 15\n"));
+    let binary = spoil(Form::Binary, |bytes| {
+        bytes.extend_from_within(8..);
+        bytes[0] = 2;
+    });
+    for sentence in [text, binary] {
+        assert!(
+            sentence.contains("cameras.") && sentence.contains("two cameras with the ID 7"),
+            "{sentence}"
+        );
     }
 }
 

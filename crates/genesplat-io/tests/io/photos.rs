@@ -85,6 +85,24 @@ fn grey_and_deep_pictures_are_read() {
     assert_eq!(photos::read_photo(&deep).unwrap().rgb, [9, 0, 255]);
 }
 
+#[test]
+fn what_a_photo_cannot_hold_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("picture.png");
+    let losses = |picture: image::DynamicImage| {
+        picture.save(&path).unwrap();
+        let (photo, losses) = photos::read_photo_with_losses(&path).unwrap();
+        assert_eq!(photo, photos::read_photo(&path).unwrap());
+        (losses.depth, losses.transparency)
+    };
+    let glass = |alpha| image::RgbaImage::from_pixel(2, 1, image::Rgba([9, 9, 9, alpha]));
+    assert_eq!(losses(image::RgbImage::new(2, 1).into()), (false, false));
+    assert_eq!(losses(glass(255).into()), (false, false), "nothing is lost of what is opaque");
+    assert_eq!(losses(glass(254).into()), (false, true));
+    assert_eq!(losses(image::DynamicImage::new_luma16(2, 1)), (true, false));
+    assert_eq!(losses(image::DynamicImage::new_rgba16(2, 1)), (true, true));
+}
+
 /// A header may claim 65,535 x 65,535 pixels: 12 GB.
 #[test]
 fn a_photo_that_claims_to_be_huge_is_refused() {

@@ -189,6 +189,24 @@ fn a_file_cut_anywhere_is_an_error() {
 }
 
 #[test]
+fn rows_beyond_the_count_are_an_error() {
+    let folder = Folder::new();
+    let path = folder.file("cloud.ply");
+    write_ply(&path, &any_bits(1, 12, false), &PlyOptions::default()).unwrap();
+    let bytes = fs::read(&path).unwrap();
+    let text = String::from_utf8_lossy(&bytes[..200]).into_owned();
+    let at = text.find("vertex 12").unwrap() + "vertex 1".len();
+    for count in [b'1', b'0'] {
+        let mut fewer = bytes.clone();
+        fewer[at] = count;
+        fs::write(&path, fewer).unwrap();
+        let error = read_ply(&path).unwrap_err().to_string();
+        let promised = format!("more than the 1{} rows", char::from(count));
+        assert!(error.contains(&promised) && error.contains("something follows its end"), "{error}");
+    }
+}
+
+#[test]
 fn a_value_that_is_not_finite_is_named() {
     let mut cloud = Gaussians::zeros(3);
     let path = PathBuf::from("cloud.ply");

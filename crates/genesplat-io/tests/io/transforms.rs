@@ -144,7 +144,56 @@ fn listed_test_photos_are_held_out() {
     // Somebody's test photos must not be trained on for a slip of the pen.
     description["test_filenames"] = json!(["./images/2.png", "./image/1.png"]);
     let error = load_description(&description).unwrap_err().to_string();
-    assert!(error.contains("./image/1.png") && error.contains("held out"), "{error}");
+    assert!(error.contains("./image/1.png") && error.contains("test_filenames"), "{error}");
+}
+
+#[test]
+fn lists_of_file_names_say_what_each_photo_is_for() {
+    // Of photos 0, 1 and 2, the lists to train, to validate and to test on; then what is trained and tested on.
+    let cases: [[&[usize]; 5]; 10] = [
+        [&[1], &[], &[2], &[1], &[2]],
+        [&[1], &[2], &[], &[1], &[2]],
+        [&[1], &[0], &[2], &[1], &[2]],
+        [&[1, 2], &[], &[], &[1, 2], &[0]],
+        [&[0, 1, 2], &[], &[], &[0, 1, 2], &[]],
+        [&[], &[1], &[], &[0, 2], &[1]],
+        [&[], &[1], &[2], &[0], &[2]],
+        [&[], &[1], &[1], &[0, 2], &[1]],
+        [&[], &[], &[1], &[0, 2], &[1]],
+        [&[], &[], &[], &[1, 2], &[0]],
+    ];
+    for [lists @ .., train, test] in cases {
+        let mut description = nerfstudio();
+        for (key, photos) in ["train_filenames", "val_filenames", "test_filenames"].iter().zip(lists) {
+            description[key] = photos.iter().map(|photo| format!("images/{photo}.png")).collect();
+        }
+        let scene = load_description(&description).unwrap();
+        let found = [&scene.train, &scene.test].map(|views| views.iter().map(|view| view.name.clone()));
+        let wanted = [train, test].map(|photos| photos.iter().map(|photo| format!("{photo}.png")));
+        let [found, wanted] = [found.map(Vec::from_iter), wanted.map(Vec::from_iter)];
+        assert_eq!(found, wanted, "{lists:?}");
+        let unused = 3 - train.len() - test.len();
+        let says =
+            scene.notices.iter().any(|notice| notice.starts_with(&format!("{unused} of the 3 photos")));
+        assert_eq!((says, scene.photos.len()), (unused > 0, 3), "{lists:?}: {:?}", scene.notices);
+    }
+}
+
+#[test]
+fn lists_of_file_names_must_make_sense() {
+    let both = |key: &str| {
+        let mut description = nerfstudio();
+        description["train_filenames"] = json!(["images/0.png", "images/1.png"]);
+        description[key] = json!(["./images/1.png"]);
+        load_description(&description).unwrap_err().to_string()
+    };
+    for sentence in ["val_filenames", "test_filenames"].map(both) {
+        assert!(sentence.contains("has ./images/1.png both in") && sentence.contains("remove"), "{sentence}");
+    }
+    let mut description = nerfstudio();
+    description["train_filenames"] = json!(["images/0.png", "images/7.png"]);
+    let sentence = load_description(&description).unwrap_err().to_string();
+    assert!(sentence.contains("images/7.png in its train_filenames"), "{sentence}");
 }
 
 #[test]
@@ -193,6 +242,8 @@ fn named_points_are_read_in_both_encodings() {
         assert_eq!((points.len(), points[0].position, points[1].rgb), (4, [1.0, -2.0, 0.5], [255, 128, 0]));
         fs::write(folder.path().join("points.ply"), &bytes[..bytes.len() - 10]).unwrap();
         assert!(load(folder.path()).unwrap_err().to_string().contains("points.ply"));
+        fs::write(folder.path().join("points.ply"), [&bytes, &b"\n0 4 8 255 128 0"[..]].concat()).unwrap();
+        assert!(load(folder.path()).unwrap_err().to_string().contains("something follows its end"));
     }
 }
 
@@ -240,6 +291,9 @@ fn elements_before_the_vertices_are_passed_over() {
     let rows = "500.25 3 1 2 3\n7 0\n1 -2 0.5 9 8 7\n4 5 6 255 128 0\n";
     let points = load_points_of(&ascii_points(before, "uchar", rows)).unwrap();
     assert_eq!((points.len(), points[0].position, points[1].rgb), (4, [1.0, -2.0, 0.5], [255, 128, 0]));
+    let with_faces = ascii_points("", "uchar", rows.split_once("7 0\n").unwrap().1);
+    let face = "element face 1\nproperty list uchar int vertex_indices\nend_header";
+    assert_eq!(load_points_of(&(with_faces.replace("end_header", face) + "3 0 1 2\n")).unwrap(), points);
     let torn = load_points_of(&ascii_points(before, "uchar", "500.25 3 1 2 3\n7 0\n1 -2"));
     assert!(torn.unwrap_err().to_string().contains("points.ply"));
     let endless = "element camera 18446744073709551615\nproperty double f\n";
@@ -307,7 +361,7 @@ fn points_that_are_too_few_are_named_with_their_file() {
 #[test]
 fn mistakes_are_named() {
     type Spoil = fn(&mut Value);
-    let cases: [(Spoil, &str); 14] = [
+    let cases: [(Spoil, &str); 16] = [
         (|d| d["frames"] = json!([]), "lists no photos"),
         (|d| d["frames"] = json!("none"), "not a valid description"),
         (|d| d["frames"][0]["transform_matrix"] = json!([[1, 0, 0, 0]]), "fewer than three rows"),
@@ -329,7 +383,15 @@ fn mistakes_are_named() {
             "reads only PINHOLE, SIMPLE_PINHOLE, OPENCV, SIMPLE_RADIAL, RADIAL; undistort",
         ),
         (|d| d["is_fisheye"] = json!(true), "model OPENCV_FISHEYE"),
-        (|d| d["ply_file_path"] = json!("absent.ply"), "absent.ply"),
+        (
+            |d| d["ply_file_path"] = json!("absent.ply"),
+            "absent.ply, which the scene has as its ply_file_path, does",
+        ),
+        (
+            |d| d["ply_file_path"] = json!("../p.ply"),
+            "the ply_file_path \"../p.ply\", which is not a path inside",
+        ),
+        (|d| d["ply_file_path"] = json!(""), "the ply_file_path \"\", which is not a path inside"),
     ];
     for (spoil, expected) in cases {
         let mut description = nerfstudio();

@@ -66,6 +66,33 @@ impl From<BackgroundName> for Background {
     }
 }
 
+/// What a finished splat is shown on.
+#[derive(Clone, Copy, Debug, Default, Args)]
+pub struct ShownOnArgs {
+    /// Colour behind the splat, and behind photos that are transparent [default: that of the RUN; for a PLY, which does not say,
+    /// black]
+    #[arg(long, value_enum, value_name = "COLOUR")]
+    pub background: Option<PlainBackground>,
+}
+
+/// Backgrounds that do not change.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum PlainBackground {
+    /// Black
+    Black,
+    /// White
+    White,
+}
+
+impl From<PlainBackground> for Background {
+    fn from(name: PlainBackground) -> Self {
+        match name {
+            PlainBackground::Black => Self::Black,
+            PlainBackground::White => Self::White,
+        }
+    }
+}
+
 /// Signals, as `--densify-signal` names them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum SignalName {

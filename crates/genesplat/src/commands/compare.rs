@@ -1,10 +1,11 @@
 //! `genesplat compare`: how alike two pictures are.
 
 use std::collections::BTreeMap;
+use std::path::Path;
 
 use anyhow::{Result, anyhow};
 use genesplat::core::Photo;
-use genesplat::io::photos::read_photo;
+use genesplat::io::photos::read_photo_with_losses;
 use genesplat::train::evaluate::lpips::{InputRange, LpipsError, Net};
 use genesplat::train::evaluate::{Lpips, ViewScore, compare};
 use serde::Serialize;
@@ -35,7 +36,7 @@ struct Report {
 pub fn run(args: &CompareArgs) -> Result<()> {
     args.json.as_deref().map_or(Ok(()), files::check_writable)?;
     let metrics = lpips::open_all(&args.lpips)?;
-    let (first, second) = (read_photo(&args.first)?, read_photo(&args.second)?);
+    let (first, second) = (read(&args.first)?, read(&args.second)?);
     let name = args.first.file_name().unwrap_or_default().to_string_lossy();
     let mut score = compare(&name, &first, &second, None).map_err(|mismatch| anyhow!("{mismatch}"))?;
     output::print(&format!("PSNR {:.4} dB  SSIM {:.6}", score.psnr, score.ssim))?;
@@ -57,6 +58,21 @@ pub fn run(args: &CompareArgs) -> Result<()> {
     score.lpips = lpips_by_network[Net::Vgg16.name()].map(|distances| distances.zero_to_one);
     let report = Report { score, lpips_by_network };
     args.json.as_ref().map_or(Ok(()), |path| files::write_json(path, &report))
+}
+
+/// A picture, with a notice of what of it is not compared.
+fn read(path: &Path) -> Result<Photo> {
+    let (photo, losses) = read_photo_with_losses(path)?;
+    let path = path.display();
+    if losses.depth {
+        output::tell(&format!("notice: {path} has more than 8 bits a channel, and is compared at 8"));
+    }
+    if losses.transparency {
+        output::tell(&format!(
+            "notice: {path} is transparent in places, and is compared as it looks on black"
+        ));
+    }
+    Ok(photo)
 }
 
 /// Both conventions; `None`, with a notice, for pictures that are too small.

@@ -8,7 +8,7 @@ use serde::Serialize;
 use crate::args::{EvaluateArgs, Split};
 use crate::progress::Bar;
 use crate::training::evaluate_into;
-use crate::{device, files, lpips, output, splat};
+use crate::{device, files, lpips, output, same_scene, splat};
 
 /// What `--json` writes.
 #[derive(Serialize)]
@@ -27,7 +27,7 @@ pub fn run(args: &EvaluateArgs) -> Result<()> {
     args.json.as_deref().map_or(Ok(()), files::check_writable)?;
     device::use_threads(args.machine.threads)?;
     let lpips = lpips::open(&args.lpips)?;
-    let splat = splat::open(&args.splat)?;
+    let splat = splat::open(&args.splat)?.on(args.on);
     let scene = splat.load_scene(&args.data, args.size)?;
     let (views, name, other) = match args.split {
         Split::Test => (&scene.test, "test", "train"),
@@ -35,6 +35,9 @@ pub fn run(args: &EvaluateArgs) -> Result<()> {
     };
     if views.is_empty() {
         bail!("{} has no {name} photos; use --split {other}", args.data.display());
+    }
+    if args.split == Split::Test {
+        same_scene::check_test_photos(&args.splat, &scene)?;
     }
     let mut backend = device::open(device::choose(args.machine)?, 0)?;
     let gaussians = splat.cloud.len();

@@ -8,7 +8,7 @@ use genesplat::io::{Scene, photos};
 
 use crate::args::{RenderArgs, RenderSplit};
 use crate::progress::Bar;
-use crate::{device, files, output, scene, splat};
+use crate::{device, files, output, same_scene, scene, splat};
 
 /// Renders one viewpoint into a file, or many into a folder.
 pub fn run(args: &RenderArgs) -> Result<()> {
@@ -17,9 +17,12 @@ pub fn run(args: &RenderArgs) -> Result<()> {
         None => files::check_folder(&args.out, "0001.png")?,
     }
     device::use_threads(args.machine.threads)?;
-    let splat = splat::open(&args.splat)?;
+    let splat = splat::open(&args.splat)?.on(args.on);
     let scene = splat.load_scene(&args.data, args.size)?;
     scene::check_spared(&scene, &args.out)?;
+    if args.split == Some(RenderSplit::Test) {
+        same_scene::check_test_photos(&args.splat, &scene)?;
+    }
     let jobs = match &args.image {
         Some(name) => vec![(find(&scene, name, &args.data)?, args.out.clone())],
         None => {

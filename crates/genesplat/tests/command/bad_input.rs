@@ -3,7 +3,8 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use genesplat::core::Photo;
+use genesplat::core::{Gaussians, Photo};
+use genesplat::io::PlyOptions;
 use genesplat::io::photos::{read_photo, write_png};
 use tempfile::TempDir;
 
@@ -279,6 +280,15 @@ fn splats_that_are_torn_or_none() {
     });
     fail(evaluate(&poisoned), &["nan.ply", "not finite"]);
 
+    let empty = folder.path().join("empty.ply");
+    genesplat::io::write_ply(&empty, &Gaussians::default(), &PlyOptions::default()).unwrap();
+    fail(evaluate(&empty), &["empty.ply", "no Gaussians"]);
+    let picture = folder.path().join("picture.png");
+    let render = ["render", text(&empty), "--data", text(scene()), "--image", "gallery_000", "--out"];
+    fail(render.iter().chain(&[text(&picture)]), &["empty.ply", "no Gaussians"]);
+    let refine = ["refine", text(&empty), "--data", text(scene()), "--out", text(&torn)];
+    fail(refine, &["empty.ply", "no Gaussians"]);
+
     fail(evaluate(&folder.path().join("absent.ply")), &["absent.ply", "does not exist", "folder of a run"]);
     fail(evaluate(folder.path()), &["not the folder of a run"]);
     fail(evaluate(&scene().join("images/gallery_000.png")), &["gallery_000.png", "not a PLY"]);
@@ -339,6 +349,7 @@ fn wrong_usage_has_status_2() {
         &["refine", "x", "--data", "y", "--out", "z", "--generations", "0"],
         &["train", "x", "--out", "y", "--max-side", "100", "--downscale", "2"],
         &["render", "x", "--data", "y", "--out", "z"],
+        &["evaluate", "x", "--data", "y", "--background", "random"],
         &["nonsense"],
     ] {
         assert_eq!(run(arguments).status.code(), Some(2), "{arguments:?}");

@@ -1,12 +1,18 @@
 //! The commands that look at finished splats, and those that look at the machine.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 
-use genesplat::io::photos::read_photo;
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
+use genesplat::core::Photo;
+use genesplat::io::colmap::{find_model, read_model, write_model};
+use genesplat::io::photos::{read_photo, write_png};
 use tempfile::TempDir;
 
-use crate::support::{fail, json, judge_failure, number, run, scene, succeed, text, train, without_drivers};
+use crate::support::{
+    fail, json, judge_failure, number, run, scene, succeed, text, train, without_drivers, write_gallery,
+};
 
 /// A short run that several tests look at.
 static RUN: LazyLock<TempDir> = LazyLock::new(|| {
@@ -86,6 +92,55 @@ fn a_run_that_has_no_splat_yet_is_named_as_such() {
 }
 
 #[test]
+fn a_splat_is_shown_on_the_background_of_its_run_unless_another_is_asked_for() {
+    let folder = tempfile::tempdir().unwrap();
+    let (run, file) = (folder.path().join("run"), folder.path().join("scores.json"));
+    let (ply, picture) = (run.join("point_cloud.ply"), folder.path().join("picture.png"));
+    succeed(train(scene(), &run, &["--iterations", "3", "--background", "white"]));
+    let looks = |splat, more: &[&str]| {
+        let fixed = [text(splat), "--data", text(scene()), "--device", "cpu"];
+        let of = |own: &[&str]| {
+            let words = [&own[..1], &fixed, more, &own[1..]].concat();
+            words.into_iter().map(str::to_owned).collect::<Vec<_>>()
+        };
+        succeed(of(&["evaluate", "--json", text(&file)]));
+        succeed(of(&["render", "--image", "gallery_000", "--out", text(&picture)]));
+        (json(&file)["psnr"].clone(), read_photo(&picture).unwrap())
+    };
+    let white = looks(&run, &[]);
+    let truth = read_photo(&run.join("test/gallery_000.png")).unwrap();
+    assert_eq!(white, (json(&run.join("metrics.json"))["test"]["psnr"].clone(), truth));
+    assert_eq!(looks(&ply, &["--background", "white"]), white);
+    let black = looks(&ply, &[]);
+    assert!(black.0 != white.0 && black.1 != white.1, "a PLY does not say what is behind it");
+    assert_eq!(looks(&run, &["--background", "black"]), black);
+}
+
+/// Without its first photo, every eighth of a scene is another one, which this run was trained on.
+#[test]
+fn photos_that_training_saw_are_not_called_test_photos() {
+    let folder = tempfile::tempdir().unwrap();
+    let (run, fewer, out) = (finished_run(), folder.path().join("fewer"), folder.path().join("out"));
+    write_gallery(&fewer);
+    let found = find_model(&fewer).unwrap();
+    let mut model = read_model(&found).unwrap();
+    model.images.retain(|image| image.name != "gallery_000.png");
+    write_model(&found.path, found.form, &model).unwrap();
+    let of = |command: &str, splat: &Path, split: &str| {
+        let fixed = [command, text(splat), "--data", text(&fewer), "--split", split, "--device", "cpu"];
+        let out: &[&str] = if command == "render" { &["--out", text(&out)] } else { &[] };
+        fixed.iter().chain(out).map(|word| (*word).to_owned()).collect::<Vec<_>>()
+    };
+    let words = ["gallery_001.png is a test photo", "was none", "bring back", "point_cloud.ply"];
+    for command in ["evaluate", "render"] {
+        fail(of(command, &run, "test"), &words);
+        succeed(of(command, &run, "train"));
+    }
+    succeed(of("evaluate", &run.join("point_cloud.ply"), "test"));
+    succeed(of("render", &run, "all"));
+}
+
+#[test]
 fn renders_are_those_of_the_evaluation() {
     let folder = tempfile::tempdir().unwrap();
     let (run, all) = (finished_run(), folder.path().join("all"));
@@ -121,6 +176,30 @@ fn pictures_are_compared() {
     assert_eq!((&json(&file)["psnr"], &json(&file)["ssim"]), (&serde_json::Value::Null, &1.0.into()));
     let smaller = finished_run().join("test/gallery_000.png");
     fail(["compare", text(&a), text(&smaller)], &["64x48", "56x42"]);
+}
+
+/// 16x16 pixels of 16 bits, half transparent.
+const DEEP_AND_TRANSPARENT: &str = "iVBORw0KGgoAAAANSUhEUgAAABAAAAAQEAYAAABPYyMiAAAAKElEQVR42mNoVHZg/P+/gWGgaIZRB4w6YNQBow4YdcCoA0YdMNAOAAAqWWMuyTvP7AAAAABJRU5ErkJggg==";
+
+#[test]
+fn what_is_not_compared_is_said() {
+    let folder = tempfile::tempdir().unwrap();
+    let [deep, black, white] = ["deep.png", "black.png", "white.png"].map(|name| folder.path().join(name));
+    std::fs::write(&deep, STANDARD.decode(DEEP_AND_TRANSPARENT).unwrap()).unwrap();
+    for (path, level) in [(&black, 0), (&white, 255)] {
+        write_png(path, &Photo { width: 16, height: 16, rgb: vec![level; 3 * 16 * 16] }).unwrap();
+    }
+    let compared = |a, b| {
+        let output = run(["compare", text(a), text(b), "--no-lpips"]);
+        assert!(output.status.success());
+        [output.stdout, output.stderr].map(|said| String::from_utf8(said).unwrap())
+    };
+    let [_, notices] = compared(&white, &deep);
+    let notices: Vec<&str> = notices.lines().collect();
+    assert!(notices.len() == 2 && notices.iter().all(|notice| notice.contains("deep.png")), "{notices:?}");
+    assert!(notices[0].contains("compared at 8") && notices[1].contains("on black"), "{notices:?}");
+    let [figures, notices] = compared(&black, &white);
+    assert!(figures.starts_with("PSNR 0.0000 dB") && notices.is_empty(), "{figures} {notices}");
 }
 
 #[test]
