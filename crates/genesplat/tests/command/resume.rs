@@ -170,6 +170,26 @@ fn a_run_goes_on_with_its_own_scene_only_wherever_that_is_now() {
     assert!(String::from_utf8(config()).unwrap().contains("after"));
 }
 
+/// Schedulers, and `timeout` where it signals a whole group, send several signals in a row.
+#[test]
+fn two_signals_in_quick_succession_are_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("run");
+    let mut run = command(train(scene(), &out, &SCHEDULE));
+    let child = run.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    let deadline = Instant::now() + Duration::from_secs(100);
+    while !fs::read_to_string(out.join("log.jsonl")).is_ok_and(|log| log.contains(r#""event":"step""#)) {
+        assert!(Instant::now() < deadline, "the run never began");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    let both = format!("kill -INT {0}; kill -TERM {0}", child.id());
+    assert!(Command::new("sh").args(["-c", &both]).status().unwrap().success());
+    let output = child.wait_with_output().unwrap();
+    assert_eq!(output.status.code(), Some(130));
+    let said = String::from_utf8(output.stdout).unwrap();
+    assert!(said.contains("--resume") && out.join("checkpoint/latest.checkpoint").exists(), "{said}");
+}
+
 /// The terminal that a run was started from is closed.
 #[test]
 fn nohup_is_respected() {
