@@ -7,6 +7,7 @@
 //! | [`settings`] | flags, configuration file and defaults become one resolved configuration |
 //! | [`training`] | one run from a loaded scene to a finished run folder |
 //! | [`run_folder`], [`metrics`] | what a run leaves behind |
+//! | [`previous`], [`lock`] | results that a run replaces, and who may write to its folder |
 //! | [`splat`] | a splat to look at: a PLY, or that of a run |
 //! | [`difference`] | the first setting in which two runs differ |
 //! | [`same_scene`] | whether a resumed run is given the scene that it began with |
@@ -27,10 +28,12 @@ mod difference;
 mod experiment;
 mod files;
 mod interrupt;
+mod lock;
 mod lpips;
 mod memory;
 mod metrics;
 mod output;
+mod previous;
 mod progress;
 mod report;
 mod reporter;
