@@ -315,7 +315,12 @@ fn configurations_that_are_wrong() {
     let folder = tempfile::tempdir().unwrap();
     let (config, out) = (folder.path().join("c.toml"), folder.path().join("run"));
     for (content, words) in [
-        ("iteration = 7", &["c.toml", "iteration"][..]),
+        ("iteration = 7", &["c.toml", "iteration", "`device`, `threads`, `dataset`, `"][..]),
+        ("threads = 0", &["threads is 0", "from 1 to 1024"]),
+        ("threads = 60000", &["threads is 60000", "from 1 to 1024"]),
+        ("[dataset]\ndownscale = 0", &["downscale is 0", "from 1 to 64"]),
+        ("[dataset]\nmax_side = 3", &["max_side is 3", "from 16"]),
+        ("[dataset]\nmax_side = 64\ndownscale = 2", &["max_side and downscale", "keep one"]),
         ("iterations = 'many'", &["c.toml", "iterations"]),
         ("iterations = ", &["c.toml"]),
         ("[densify]\nevery = 0", &["densify.every", "at least 1"]),
