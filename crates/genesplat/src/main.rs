@@ -8,6 +8,7 @@
 //! | [`training`] | one run from a loaded scene to a finished run folder |
 //! | [`run_folder`], [`metrics`] | what a run leaves behind |
 //! | [`previous`], [`lock`] | results that a run replaces, and who may write to its folder |
+//! | [`precious`] | what is not written over |
 //! | [`splat`] | a splat to look at: a PLY, or that of a run |
 //! | [`difference`] | the first setting in which two runs differ |
 //! | [`same_scene`] | whether a resumed run is given the scene that it began with |
@@ -33,6 +34,7 @@ mod lpips;
 mod memory;
 mod metrics;
 mod output;
+mod precious;
 mod previous;
 mod progress;
 mod report;

@@ -168,6 +168,14 @@ impl RunFolder {
         [CLOUD.into(), FUSED_CLOUD.into(), METRICS.into(), LOG.into(), REPORT.into(), checkpoint]
     }
 
+    /// Whether the file `path` is one that a run has left.
+    pub fn is_part(path: &Path) -> bool {
+        let (folder, name) = (path.parent().unwrap_or(path), path.file_name().unwrap_or_default());
+        let is_run =
+            fs::read(Self::config_in(folder)).is_ok_and(|text| text.starts_with(CONFIG_MARK.as_bytes()));
+        is_run && (name == CONFIG || Self::files().iter().any(|file| file.as_os_str() == name))
+    }
+
     /// Where a run in the folder `path` has its settings.
     pub fn config_in(path: &Path) -> PathBuf {
         path.join(CONFIG)

@@ -1,5 +1,7 @@
 //! `genesplat refine`: evolution alone, on a splat from any trainer.
 
+use std::path::Path;
+
 use anyhow::{Result, bail};
 use genesplat::core::{Backend, RenderSettings, ScreenFilter};
 use genesplat::io::{PlyOptions, Scene, write_ply};
@@ -12,11 +14,12 @@ use crate::reporter::Reporter;
 use crate::settings::{ConfigFile, override_evolution};
 use crate::splat::Splat;
 use crate::training::evaluate_into;
-use crate::{device, files, interrupt, output, splat};
+use crate::{device, interrupt, output, precious, splat};
 
 /// Searches, and writes the best that it has found; Ctrl-C ends the search early.
 pub fn run(args: &RefineArgs) -> Result<()> {
-    files::check_writable(&args.out)?;
+    let inputs: Vec<&Path> = [args.splat.as_path()].into_iter().chain(args.config.as_deref()).collect();
+    precious::check_output(&args.out, &inputs)?;
     device::use_threads(args.machine.threads)?;
     let mut splat = splat::open(&args.splat)?;
     let config = configure(args, &splat)?;
