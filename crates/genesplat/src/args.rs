@@ -19,7 +19,7 @@ pub use method::MethodArgs;
 pub use train::{EvolutionArgs, Evolve, ScheduleArgs, Search, TrainArgs};
 
 const EXIT_STATUS: &str = "Exit status: 0 done, 1 failed (one sentence on stderr says why), 2 wrong usage, 130 stopped by Ctrl-C or \
-                           SIGTERM with what there was saved (train, demo, experiment)";
+                           SIGTERM with what there was saved (train, refine, demo, experiment)";
 
 /// Reconstruct a scene from photos as 3D Gaussians, and evolve them.
 ///
@@ -170,7 +170,7 @@ pub struct RefineArgs {
     /// Folder of the scene that it shows
     #[arg(long, value_name = "DATASET")]
     pub data: PathBuf,
-    /// The .ply to write
+    /// The .ply to write. Ctrl-C ends the search, and what it has found so far is written
     #[arg(long, value_name = "PLY")]
     pub out: PathBuf,
     /// How [default: paper or control where --config says so, else mosaic]

@@ -18,8 +18,8 @@
 //! | [`lpips`] | where the weights of LPIPS come from |
 //! | [`device`], [`any_backend`], [`interrupt`], [`memory`], [`scene`], [`sheet`], [`files`], [`output`] | the machine, Ctrl-C and SIGTERM, and other plumbing |
 //!
-//! Exit status: 0 done, 1 failed with one sentence on stderr, 2 wrong usage, 130 stopped by Ctrl-C or SIGTERM (train, demo
-//! and experiment).
+//! Exit status: 0 done, 1 failed with one sentence on stderr, 2 wrong usage, 130 stopped by Ctrl-C or SIGTERM (train,
+//! refine, demo and experiment).
 
 mod any_backend;
 mod args;

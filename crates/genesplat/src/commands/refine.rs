@@ -7,6 +7,7 @@ use genesplat::core::{Backend, RenderSettings, ScreenFilter};
 use genesplat::io::{PlyOptions, Scene, write_ply};
 use genesplat::train::{Background, EvolutionMode, Resolved, TrainConfig, Variant, refine};
 
+use super::Ending;
 use crate::any_backend::AnyBackend;
 use crate::args::{EvolutionArgs, RefineArgs};
 use crate::progress::Bar;
@@ -17,7 +18,7 @@ use crate::training::evaluate_into;
 use crate::{device, interrupt, output, precious, splat};
 
 /// Searches, and writes the best that it has found; Ctrl-C ends the search early.
-pub fn run(args: &RefineArgs) -> Result<()> {
+pub fn run(args: &RefineArgs) -> Result<Ending> {
     let inputs: Vec<&Path> = [args.splat.as_path()].into_iter().chain(args.config.as_deref()).collect();
     precious::check_output(&args.out, &inputs)?;
     device::use_threads(args.machine.threads)?;
@@ -37,7 +38,8 @@ pub fn run(args: &RefineArgs) -> Result<()> {
         output::print("stopped early; what follows is as far as it had come")?;
     }
     print_scores("after", &mut backend, &scene, &splat.settings)?;
-    output::print(&format!("{} Gaussians written to {}", outcome.cloud.len(), args.out.display()))
+    output::print(&format!("{} Gaussians written to {}", outcome.cloud.len(), args.out.display()))?;
+    Ok(if outcome.summary.interrupted { Ending::Stopped } else { Ending::Whole })
 }
 
 /// The settings of the search; what the splat dictates is taken from it.
