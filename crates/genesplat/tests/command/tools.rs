@@ -183,6 +183,7 @@ fn inputs_are_not_written_over() {
     let evaluate = ["evaluate", text(&run), "--data", "absent", "--json", text(&config)];
     fail(evaluate, &["config.toml is part of a run", "another file"]);
     fail(["compare", text(&photo), text(&photo), "--json", text(&photo)], &["is an input"]);
+    fail(["bench", "step", "--json", text(&photo)], &["gallery_000.png is a picture"]);
     assert!(before == [&photo, &splat, &config].map(|file| std::fs::read(file).unwrap()));
 }
 
