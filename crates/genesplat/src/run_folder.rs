@@ -91,6 +91,8 @@ impl RunFolder {
 
     /// Fails where [`Self::create`] would, and changes nothing: to be asked before anything slow begins.
     pub fn check_free(path: &Path) -> Result<()> {
+        // First: one that is under way has a checkpoint, too, and nobody should remove that.
+        Lock::check(path)?;
         if Self::has_checkpoint(path) {
             bail!(
                 "{} holds a run that was interrupted; add --resume to go on, or remove its checkpoint folder to start anew",

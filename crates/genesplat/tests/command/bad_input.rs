@@ -229,11 +229,15 @@ fn a_folder_has_one_writer() {
     fs::create_dir(&out).unwrap();
     let lock = fs::File::create(out.join(".lock")).unwrap();
     lock.lock().unwrap();
+    // Of the run that is under way; nobody is told to remove it.
+    fs::create_dir(out.join("checkpoint")).unwrap();
+    fs::write(out.join("checkpoint/latest.checkpoint"), "hours of work").unwrap();
     let says = ["another genesplat is writing to", text(&out), "choose another --out"];
     // Before the scene is looked at.
     fail(train(&place.path().join("absent"), &out, &[]), &says);
     fail(["experiment", "smoke", "--out", text(&out)], &says);
     drop(lock);
+    fs::remove_dir_all(out.join("checkpoint")).unwrap();
     succeed(train(scene(), &out, &["--iterations", "3"]));
     succeed(train(scene(), &out, &["--iterations", "3"]));
 }
