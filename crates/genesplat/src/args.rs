@@ -1,6 +1,7 @@
 //! What can be asked for. Help texts are written for someone who has never trained a splat.
 #![allow(missing_docs, reason = "clap would show the documentation of flattened arguments as help")]
 
+use std::ops::RangeInclusive;
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
@@ -18,7 +19,7 @@ pub use method::{MethodArgs, ShownOnArgs};
 pub use train::{EvolutionArgs, Evolve, ScheduleArgs, Search, TrainArgs};
 
 const EXIT_STATUS: &str = "Exit status: 0 done, 1 failed (one sentence on stderr says why), 2 wrong usage, 130 stopped by Ctrl-C or \
-                           SIGTERM with what there was saved (train, demo, experiment)";
+                           SIGTERM with what there was saved (train, refine, demo, experiment)";
 
 /// Reconstruct a scene from photos as 3D Gaussians, and evolve them.
 ///
@@ -173,7 +174,7 @@ pub struct RefineArgs {
     /// Folder of the scene that it shows
     #[arg(long, value_name = "DATASET")]
     pub data: PathBuf,
-    /// The .ply to write
+    /// The .ply to write. Ctrl-C ends the search, and what it has found so far is written
     #[arg(long, value_name = "PLY")]
     pub out: PathBuf,
     /// How [default: paper or control where --config says so, else mosaic]
@@ -263,15 +264,22 @@ pub enum RenderSplit {
     All,
 }
 
+/// Longest sides that can be asked for, px.
+pub const MAX_SIDE: RangeInclusive<i64> = 16..=u32::MAX as i64;
+/// Divisors of both sides that can be asked for.
+pub const DOWNSCALE: RangeInclusive<i64> = 1..=64;
+/// Numbers of threads that can be asked for.
+pub const THREADS: RangeInclusive<i64> = 1..=1024;
+
 /// How large photos are loaded.
 #[derive(Clone, Copy, Debug, Default, Args)]
 pub struct SizeArgs {
     /// Longest side of the photos in pixels; larger ones are reduced [default: only widths above 1600 are reduced, to 1600].
     /// Smaller trains faster and shows less detail
-    #[arg(long, value_name = "PX", value_parser = clap::value_parser!(u32).range(16..), conflicts_with = "downscale")]
+    #[arg(long, value_name = "PX", value_parser = clap::value_parser!(u32).range(MAX_SIDE), conflicts_with = "downscale")]
     pub max_side: Option<u32>,
     /// Divide both sides of the photos by K (the field's benchmarks use 1, 2, 4 and 8)
-    #[arg(long, value_name = "K", value_parser = clap::value_parser!(u32).range(1..=64))]
+    #[arg(long, value_name = "K", value_parser = clap::value_parser!(u32).range(DOWNSCALE))]
     pub downscale: Option<u32>,
 }
 
@@ -287,11 +295,11 @@ impl SizeArgs {
 pub struct ViewSizeArgs {
     /// Longest side of the photos in pixels; larger ones are reduced [default: as the RUN was trained; for a PLY, only widths
     /// above 1600 are reduced, to 1600]
-    #[arg(long, value_name = "PX", value_parser = clap::value_parser!(u32).range(16..), conflicts_with = "downscale")]
+    #[arg(long, value_name = "PX", value_parser = clap::value_parser!(u32).range(MAX_SIDE), conflicts_with = "downscale")]
     pub max_side: Option<u32>,
     /// Divide both sides of the photos by K (the field's benchmarks use 1, 2, 4 and 8). Where the folder of a RUN is given, it is
     /// the size that it was trained at that is divided: how the splat looks from farther away
-    #[arg(long, value_name = "K", value_parser = clap::value_parser!(u32).range(1..=64))]
+    #[arg(long, value_name = "K", value_parser = clap::value_parser!(u32).range(DOWNSCALE))]
     pub downscale: Option<u32>,
 }
 
@@ -308,7 +316,7 @@ pub struct MachineArgs {
     #[arg(long, value_enum, value_name = "DEVICE")]
     pub device: Option<Device>,
     /// Processor threads to use, 1 to 1024 [default: all cores]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(THREADS))]
     pub threads: Option<u16>,
 }
 

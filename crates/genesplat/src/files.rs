@@ -47,6 +47,24 @@ pub fn remove_if_there(path: &Path) -> Result<()> {
     }
 }
 
+/// Removes what processes that were killed while they wrote have left in `folder`; whoever calls holds its lock.
+pub fn remove_leftovers(folder: &Path) {
+    let entries = fs::read_dir(folder).into_iter().flatten().flatten();
+    for entry in entries.filter(|entry| is_leftover(&entry.file_name().to_string_lossy())) {
+        // Only litter.
+        let _ = fs::remove_file(entry.path());
+    }
+}
+
+/// `.genesplat-PROCESS-SERIAL.tmp`, as [`atomic`] names what it has not renamed yet.
+fn is_leftover(name: &str) -> bool {
+    let numbers = name.strip_prefix(".genesplat-").and_then(|rest| rest.strip_suffix(".tmp"));
+    let is_number = |text: &str| !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
+    numbers
+        .and_then(|numbers| numbers.split_once('-'))
+        .is_some_and(|(process, serial)| is_number(process) && is_number(serial))
+}
+
 /// The sentence for a path that cannot be written.
 pub fn unwritable(path: &Path, error: &io::Error) -> anyhow::Error {
     if error.kind() == ErrorKind::IsADirectory {
@@ -59,4 +77,22 @@ pub fn unwritable(path: &Path, error: &io::Error) -> anyhow::Error {
         "cannot write {}: {error}; choose a folder that can be written to, or free some space",
         path.display()
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_what_a_killed_process_has_left_is_removed() {
+        let place = tempfile::tempdir().unwrap();
+        let mine = [".genesplat-7-.tmp", ".genesplat-7-0.tmp.png", ".genesplat-x-1.tmp", "genesplat-7-0.tmp"];
+        let left = ".genesplat-4711-12.tmp";
+        mine.iter().chain([&left]).for_each(|name| fs::write(place.path().join(name), "x").unwrap());
+        remove_leftovers(place.path());
+        assert!(
+            mine.iter().all(|name| place.path().join(name).exists()) && !place.path().join(left).exists()
+        );
+        remove_leftovers(&place.path().join("absent"));
+    }
 }

@@ -1,8 +1,9 @@
-//! Ctrl-C and SIGTERM: the first ends the run cleanly, the second at once.
+//! Ctrl-C and SIGTERM: the first ends the run cleanly, one that comes a second later or more at once.
 
 use std::process;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, OnceLock};
+use std::time::{Duration, Instant};
 
 use anyhow::{Result, anyhow};
 
@@ -11,19 +12,49 @@ use crate::output;
 /// Exit status of a run that was stopped, as shells report one that Ctrl-C killed: 128 + SIGINT.
 pub const STOPPED: u8 = 130;
 
-/// A flag that the first Ctrl-C or SIGTERM sets; the second one ends the process.
+/// Signals that come closer together are one wish: `timeout` and schedulers send several in a row.
+const ONE_WISH: Duration = Duration::from_secs(1);
+
+/// A flag that the first Ctrl-C or SIGTERM sets; one that comes later ends the process. Both are heard in threads of their own, not in
+/// a signal's handler, so that they may do what any thread may.
 pub fn stop_flag() -> Result<Arc<AtomicBool>> {
     let stop = Arc::new(AtomicBool::new(false));
-    let flag = stop.clone();
-    let handler = move || {
-        if flag.swap(true, Ordering::Relaxed) {
-            process::exit(STOPPED.into());
+    let (flag, first) = (stop.clone(), Arc::new(OnceLock::new()));
+    let handler = move || match Wish::at(Instant::now(), &first) {
+        Wish::Stop => {
+            flag.store(true, Ordering::Relaxed);
+            output::tell("stopping: results so far are being saved; press Ctrl-C again to abort at once");
         }
-        output::tell("stopping: results so far are being saved; press Ctrl-C again to abort at once");
+        Wish::Same => {}
+        Wish::Abort => process::exit(STOPPED.into()),
     };
     ctrlc::set_handler(handler.clone()).map_err(|error| anyhow!("cannot listen for Ctrl-C: {error}"))?;
     on_termination(handler)?;
     Ok(stop)
+}
+
+/// What a signal stands for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Wish {
+    Stop,
+    Same,
+    Abort,
+}
+
+impl Wish {
+    /// That of a signal that comes `now`; `first` is when the first one came.
+    fn at(now: Instant, first: &OnceLock<Instant>) -> Self {
+        let mut is_first = false;
+        let began = *first.get_or_init(|| {
+            is_first = true;
+            now
+        });
+        match now.duration_since(began) {
+            _ if is_first => Self::Stop,
+            passed if passed < ONE_WISH => Self::Same,
+            _ => Self::Abort,
+        }
+    }
 }
 
 /// SIGTERM is how schedulers and systems that shut down end a program.
@@ -45,4 +76,16 @@ fn on_termination(handler: impl Fn() + Send + 'static) -> Result<()> {
 #[cfg(not(unix))]
 fn on_termination(_handler: impl Fn()) -> Result<()> {
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn signals_in_quick_succession_are_one() {
+        let (first, now) = (OnceLock::new(), Instant::now());
+        let wishes = [0, 1, 999, 1000, 9000].map(|ms| Wish::at(now + Duration::from_millis(ms), &first));
+        assert_eq!(wishes, [Wish::Stop, Wish::Same, Wish::Same, Wish::Abort, Wish::Abort]);
+    }
 }

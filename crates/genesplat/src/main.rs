@@ -7,6 +7,8 @@
 //! | [`settings`] | flags, configuration file and defaults become one resolved configuration |
 //! | [`training`] | one run from a loaded scene to a finished run folder |
 //! | [`run_folder`], [`metrics`] | what a run leaves behind |
+//! | [`previous`], [`lock`] | results that a run replaces, and who may write to its folder |
+//! | [`precious`] | what is not written over |
 //! | [`splat`] | a splat to look at: a PLY, or that of a run |
 //! | [`difference`] | the first setting in which two runs differ |
 //! | [`same_scene`] | whether a resumed run is given the scene that it began with |
@@ -16,8 +18,8 @@
 //! | [`lpips`] | where the weights of LPIPS come from |
 //! | [`device`], [`any_backend`], [`interrupt`], [`memory`], [`scene`], [`sheet`], [`files`], [`output`] | the machine, Ctrl-C and SIGTERM, and other plumbing |
 //!
-//! Exit status: 0 done, 1 failed with one sentence on stderr, 2 wrong usage, 130 stopped by Ctrl-C or SIGTERM (train, demo
-//! and experiment).
+//! Exit status: 0 done, 1 failed with one sentence on stderr, 2 wrong usage, 130 stopped by Ctrl-C or SIGTERM (train,
+//! refine, demo and experiment).
 
 mod any_backend;
 mod args;
@@ -27,10 +29,13 @@ mod difference;
 mod experiment;
 mod files;
 mod interrupt;
+mod lock;
 mod lpips;
 mod memory;
 mod metrics;
 mod output;
+mod precious;
+mod previous;
 mod progress;
 mod report;
 mod reporter;

@@ -5,6 +5,7 @@ use std::path::Path;
 
 use genesplat::train::evaluate::Evaluation;
 use genesplat::train::{EvolutionMode, StageRecord, Variant};
+use serde::de::IgnoredAny;
 use serde::{Deserialize, Serialize};
 
 use crate::run_folder::RunFolder;
@@ -105,5 +106,16 @@ impl CellMetrics {
     /// Those of the run in `folder`; `None` where there are none, or a torn file.
     pub fn read(folder: &Path) -> Option<Self> {
         serde_json::from_slice(&fs::read(RunFolder::metrics_in(folder)).ok()?).ok()
+    }
+
+    /// Whether what is there in their place is whole, and something else: no run of ours has written it.
+    pub fn are_foreign(folder: &Path) -> bool {
+        let is_json = |bytes: Vec<u8>| serde_json::from_slice::<IgnoredAny>(&bytes).is_ok();
+        Self::read(folder).is_none() && fs::read(RunFolder::metrics_in(folder)).is_ok_and(is_json)
+    }
+
+    /// The photos that training never saw.
+    pub fn test_photos(&self) -> Vec<&str> {
+        self.test.views.iter().map(|view| view.name.as_str()).collect()
     }
 }

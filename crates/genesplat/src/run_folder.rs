@@ -10,6 +10,8 @@
 //! | `metrics.json` | the figures |
 //! | `report.html` | all of it, to look at |
 //! | `checkpoint/latest.checkpoint` | the state of an unfinished run |
+//! | `previous/` | what an older run had left, until this one has come to its end |
+//! | `.lock` | empty; whoever writes to the folder holds its lock |
 //!
 //! All but the log are written whole or not at all, so that a full disk or a power cut leaves what was there before.
 
@@ -17,7 +19,7 @@ use std::fs::{self, File, OpenOptions};
 use std::io::{BufReader, BufWriter, ErrorKind, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
-use anyhow::{Result, anyhow, bail};
+use anyhow::{Result, anyhow, bail, ensure};
 use genesplat::core::{BackendError, Gaussians, ScreenFilter};
 use genesplat::io::{PlyOptions, write_ply};
 use genesplat::train::observe::LogRecord;
@@ -25,8 +27,11 @@ use genesplat::train::{Checkpoint, TrainError};
 use serde::Serialize;
 
 use crate::files::{
-    check_folder, check_writable, remove_if_there, unwritable, write_file, write_json, write_text,
+    check_folder, check_writable, remove_if_there, remove_leftovers, unwritable, write_file, write_json,
+    write_text,
 };
+use crate::lock::Lock;
+use crate::previous;
 
 /// Name of the splat that has its 3D filter baked in.
 const FUSED_CLOUD: &str = "point_cloud_fused.ply";
@@ -49,10 +54,11 @@ const CLOUD: &str = "point_cloud.ply";
 /// How a run's `config.toml` begins.
 const CONFIG_MARK: &str = "# All settings of a run of genesplat";
 
-/// A folder that exists and can be written to.
-#[derive(Clone, Debug)]
+/// A folder that exists and can be written to, by nobody else meanwhile.
+#[derive(Debug)]
 pub struct RunFolder {
     path: PathBuf,
+    _lock: Lock,
 }
 
 impl RunFolder {
@@ -66,11 +72,13 @@ impl RunFolder {
 
     /// The same, whatever state an older run is in.
     pub fn replace(path: &Path, config: &str) -> Result<Self> {
+        let is_used = Self::check_replaceable(path)?;
+        let lock = Lock::take(path)?;
         // Before the new settings are there: results never stand beside settings that are not theirs.
-        if Self::check_replaceable(path)? {
-            Self { path: path.to_owned() }.remove_results()?;
+        if is_used {
+            previous::keep(path)?;
         }
-        let folder = Self::claim(path, config)?;
+        let folder = Self::claim(path, lock, config)?;
         fs::create_dir_all(path.join("checkpoint")).map_err(|error| unwritable(path, &error))?;
         Ok(folder)
     }
@@ -78,11 +86,13 @@ impl RunFolder {
     /// The folder of a run that is to go on.
     pub fn reopen(path: &Path, config: &str) -> Result<Self> {
         Self::check_resumable(path)?;
-        Self::claim(path, config)
+        Self::claim(path, Lock::take(path)?, config)
     }
 
     /// Fails where [`Self::create`] would, and changes nothing: to be asked before anything slow begins.
     pub fn check_free(path: &Path) -> Result<()> {
+        // First: one that is under way has a checkpoint, too, and nobody should remove that.
+        Lock::check(path)?;
         if Self::has_checkpoint(path) {
             bail!(
                 "{} holds a run that was interrupted; add --resume to go on, or remove its checkpoint folder to start anew",
@@ -96,14 +106,18 @@ impl RunFolder {
     /// written to.
     pub fn check_replaceable(path: &Path) -> Result<bool> {
         check_folder(path, CONFIG)?;
+        Lock::check(path)?;
+        previous::check(path)?;
+        ensure!(
+            !Self::test_in(path).is_file(),
+            "{} is a file, and pictures need a folder of that name; choose another --out",
+            Self::test_in(path).display()
+        );
         let config = Self::config_in(path);
         let foreign = match fs::read(&config) {
             Ok(text) if text.starts_with(CONFIG_MARK.as_bytes()) => return Ok(true),
             Ok(_) => Some(config),
-            // Results of a run never stand without its settings.
-            Err(error) if error.kind() == ErrorKind::NotFound => {
-                [METRICS, REPORT, CLOUD].map(|name| path.join(name)).into_iter().find(|file| file.exists())
-            }
+            Err(error) if error.kind() == ErrorKind::NotFound => foreign_in(path),
             Err(error) => bail!(
                 "cannot read {}, which tells whose folder this is: {error}; choose another folder",
                 config.display()
@@ -118,6 +132,7 @@ impl RunFolder {
     /// Fails where there is no run, or none that could go on.
     pub fn check_resumable(path: &Path) -> Result<()> {
         Self::check_is_run(path)?;
+        Lock::check(path)?;
         if Self::has_checkpoint(path) {
             return check_writable(&Self::config_in(path));
         }
@@ -142,20 +157,25 @@ impl RunFolder {
         )
     }
 
-    fn claim(path: &Path, config: &str) -> Result<Self> {
+    fn claim(path: &Path, lock: Lock, config: &str) -> Result<Self> {
         let text = format!("{CONFIG_MARK} {}; --config repeats it.\n{config}", env!("CARGO_PKG_VERSION"));
         write_text(&Self::config_in(path), &text)?;
-        Ok(Self { path: path.to_owned() })
+        [path, &path.join("checkpoint"), &Self::test_in(path)].into_iter().for_each(remove_leftovers);
+        Ok(Self { path: path.to_owned(), _lock: lock })
     }
 
-    fn remove_results(&self) -> Result<()> {
-        let names = [METRICS, LOG, REPORT, CLOUD, FUSED_CLOUD];
-        let files = names.map(|name| self.path.join(name));
-        let pictures =
-            fs::read_dir(self.test_path()).into_iter().flatten().flatten().map(|entry| entry.path());
-        let pictures = pictures.filter(|path| path.extension().is_some_and(|end| end == "png"));
-        files.into_iter().chain(pictures).try_for_each(|path| remove_if_there(&path))?;
-        self.remove_checkpoint()
+    /// The files that a run leaves, relative to its folder, without its settings and pictures; the most precious first.
+    pub fn files() -> [PathBuf; 6] {
+        let checkpoint = Self::checkpoint_in(Path::new(""));
+        [CLOUD.into(), FUSED_CLOUD.into(), METRICS.into(), LOG.into(), REPORT.into(), checkpoint]
+    }
+
+    /// Whether the file `path` is one that a run has left.
+    pub fn is_part(path: &Path) -> bool {
+        let (folder, name) = (path.parent().unwrap_or(path), path.file_name().unwrap_or_default());
+        let is_run =
+            fs::read(Self::config_in(folder)).is_ok_and(|text| text.starts_with(CONFIG_MARK.as_bytes()));
+        is_run && (name == CONFIG || Self::files().iter().any(|file| file.as_os_str() == name))
     }
 
     /// Where a run in the folder `path` has its settings.
@@ -342,6 +362,18 @@ impl DeviceFailure {
             _ => None,
         }
     }
+}
+
+/// What shows that a folder without settings of ours is somebody else's: a scene, or results, which never stand without their
+/// settings.
+fn foreign_in(path: &Path) -> Option<PathBuf> {
+    let is_foreign = |path: &PathBuf| match &*path.file_name().unwrap_or_default().to_string_lossy() {
+        METRICS | REPORT | CLOUD | LOG => path.is_file(),
+        "sparse" => path.is_dir(),
+        "test" => fs::read_dir(path).is_ok_and(|mut entries| entries.next().is_some()),
+        name => name.starts_with("transforms") && name.ends_with(".json"),
+    };
+    fs::read_dir(path).into_iter().flatten().flatten().map(|entry| entry.path()).find(is_foreign)
 }
 
 /// `None` where there is none, or no file.

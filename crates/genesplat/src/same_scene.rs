@@ -33,12 +33,12 @@ pub fn check_folders(began_with: &Path, given: &Path) -> Result<()> {
 /// `experiment` alike.
 pub fn check_photos(folder: &Path, scene: &Scene) -> Result<()> {
     let had = training_photos(folder);
-    let test_names = CellMetrics::read(folder).map(|metrics| metrics.test.views);
-    let same_names = test_names
-        .is_none_or(|views| views.iter().map(|view| &view.name).eq(scene.test.iter().map(|view| &view.name)));
+    let names: Vec<&str> = scene.test.iter().map(|view| view.name.as_str()).collect();
+    let same_names = CellMetrics::read(folder).is_none_or(|metrics| metrics.test_photos() == names);
     ensure!(
         had.is_none_or(|had| had == scene.train.len()) && same_names,
-        "the run in {} began with other photos than {} has now; bring back the scene as it was, or choose another --out",
+        "the run in {} began with other photos than {} has now; bring back the scene as it was, choose another --out, or \
+         remove that folder",
         folder.display(),
         scene.name
     );

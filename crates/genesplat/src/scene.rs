@@ -52,16 +52,21 @@ pub fn points(scene: &Scene) -> Vec<ColouredPoint> {
     scene.points.iter().map(|point| (point.position, point.rgb)).collect()
 }
 
-/// File names for pictures of `views`: `0001.jpg` becomes `0001.png`. Where two photos differ in their ending only, all
-/// names keep theirs (`0001.jpg.png`).
+/// File names for pictures of `views`.
 pub fn picture_names(views: &[View]) -> Vec<String> {
-    let mut stems: Vec<&str> = views.iter().map(|view| stem(&view.name)).collect();
+    names_of_pictures(&views.iter().map(|view| view.name.as_str()).collect::<Vec<_>>())
+}
+
+/// The same for photos of these names: `0001.jpg` becomes `0001.png`. Where two photos differ in their ending only, all names keep
+/// theirs (`0001.jpg.png`).
+pub fn names_of_pictures(photos: &[&str]) -> Vec<String> {
+    let mut stems: Vec<&str> = photos.iter().map(|name| stem(name)).collect();
     let short: Vec<String> = stems.iter().map(|stem| format!("{stem}.png")).collect();
     stems.sort_unstable();
     if stems.windows(2).all(|pair| pair[0] != pair[1]) {
         return short;
     }
-    views.iter().map(|view| format!("{}.png", view.name)).collect()
+    photos.iter().map(|name| format!("{name}.png")).collect()
 }
 
 /// A photo's name without the ending of a picture format.

@@ -5,14 +5,18 @@
 //! table `dataset`.
 
 use std::fs;
+use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Result, anyhow, bail};
+use anyhow::{Result, anyhow, bail, ensure};
 use genesplat::io::PhotoSize;
 use genesplat::train::{Resolved, TrainConfig};
+use serde::de::Error;
 use serde::{Deserialize, Serialize};
 
-use crate::args::{EvolutionArgs, MachineArgs, ScheduleArgs, SizeArgs, TrainArgs};
+use crate::args::{
+    DOWNSCALE, EvolutionArgs, MAX_SIDE, MachineArgs, ScheduleArgs, SizeArgs, THREADS, TrainArgs,
+};
 use crate::device::Device;
 use crate::difference::essence;
 use crate::run_folder::RunFolder;
@@ -123,7 +127,7 @@ impl ConfigFile {
     }
 
     fn parse(text: &str) -> Result<Self, toml::de::Error> {
-        Self::from_table(text.parse()?)
+        Self::from_table(text.parse()?).map_err(with_all_fields)
     }
 
     /// What a file with this content would say.
@@ -153,6 +157,8 @@ impl ConfigFile {
                 self.dataset.path.display()
             );
         }
+        check_size(self.dataset.max_side, self.dataset.downscale)?;
+        check_range("threads", self.threads.map(Into::into), THREADS)?;
         Ok(self.train.validate()?)
     }
 
@@ -205,6 +211,36 @@ impl Settings {
         let written = Written { device: *device, threads: *threads, train: train.config(), dataset };
         toml::to_string(&written)
             .expect("settings are tables of numbers and text: resolve has checked the path")
+    }
+}
+
+/// Fails where flags would: files have the same ranges.
+pub fn check_size(max_side: Option<u32>, downscale: Option<u32>) -> Result<()> {
+    ensure!(
+        max_side.is_none() || downscale.is_none(),
+        "max_side and downscale are both set in the file; keep one of them"
+    );
+    check_range("max_side", max_side.map(Into::into), MAX_SIDE)?;
+    check_range("downscale", downscale.map(Into::into), DOWNSCALE)
+}
+
+fn check_range(name: &str, value: Option<i64>, range: RangeInclusive<i64>) -> Result<()> {
+    let (from, to) = (range.start(), range.end());
+    match value.filter(|value| !range.contains(value)) {
+        Some(value) => {
+            bail!("{name} is {value} in the file, and has to be from {from} to {to}; correct it there")
+        }
+        None => Ok(()),
+    }
+}
+
+/// Where the settings of training are listed (no other list has `iterations`), what else may stand beside them is, too.
+fn with_all_fields(error: toml::de::Error) -> toml::de::Error {
+    let others = "expected one of `device`, `threads`, `dataset`,";
+    let message = error.message();
+    match message.contains("`iterations`,") {
+        true => toml::de::Error::custom(message.replace("expected one of", others)),
+        false => error,
     }
 }
 

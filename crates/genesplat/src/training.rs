@@ -21,7 +21,7 @@ use crate::reporter::Reporter;
 use crate::run_folder::{Log, RunFolder, WayOn};
 use crate::settings::Settings;
 use crate::test_curve::TestCurve;
-use crate::{device, lpips, memory, scene};
+use crate::{device, lpips, memory, previous, scene};
 
 /// A run about to start.
 pub struct Run<'a> {
@@ -64,7 +64,9 @@ impl Run<'_> {
         let (seconds_before, start) = self.start()?;
         let ended = self.train(backend, start, log, seconds_before);
         ended.map_err(|error| {
-            let sentence = format!("{error}{}", self.folder.what_is_left(&error, self.way_on));
+            let (left, kept) =
+                (self.folder.what_is_left(&error, self.way_on), previous::note(self.folder.path()));
+            let sentence = format!("{error}{left}{kept}");
             error.context(sentence)
         })
     }
@@ -94,6 +96,7 @@ impl Run<'_> {
         if summary.interrupted {
             return Ok(Ended::Stopped(metrics));
         }
+        previous::remove(self.folder.path())?;
         self.folder.remove_checkpoint()?;
         Ok(Ended::Whole(metrics))
     }

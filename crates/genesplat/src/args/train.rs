@@ -15,7 +15,7 @@ pub struct TrainArgs {
     /// that they name
     pub dataset: PathBuf,
     /// Folder for the results; made if it is missing. It will hold point_cloud.ply, metrics.json, config.toml, log.jsonl
-    /// and test/*.png; an earlier run's results there are replaced
+    /// and test/*.png; an earlier run's results there are moved to DIR/previous, and removed once this run has come to its end
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
     #[command(flatten)]

@@ -8,7 +8,7 @@ use serde::Serialize;
 use crate::args::{EvaluateArgs, Split};
 use crate::progress::Bar;
 use crate::training::evaluate_into;
-use crate::{device, files, lpips, output, same_scene, splat};
+use crate::{device, files, lpips, output, precious, same_scene, splat};
 
 /// What `--json` writes.
 #[derive(Serialize)]
@@ -24,7 +24,7 @@ struct Report {
 
 /// Renders every photo's viewpoint and measures.
 pub fn run(args: &EvaluateArgs) -> Result<()> {
-    args.json.as_deref().map_or(Ok(()), files::check_writable)?;
+    args.json.as_deref().map_or(Ok(()), |path| precious::check_output(path, &[&args.splat]))?;
     device::use_threads(args.machine.threads)?;
     let lpips = lpips::open(&args.lpips)?;
     let splat = splat::open(&args.splat)?.on(args.on);

@@ -1,24 +1,43 @@
 //! `genesplat experiment`: many runs, and the tables that compare them.
 
-use anyhow::Result;
+use std::fs;
+use std::io::ErrorKind;
+use std::path::Path;
+
+use anyhow::{Result, bail};
 
 use super::Ending;
 use crate::args::{ExperimentArgs, MachineArgs};
+use crate::experiment::file::ExperimentFile;
 use crate::experiment::page::Parts;
 use crate::experiment::plan::Experiment;
 use crate::experiment::results::Results;
 use crate::experiment::runner::{Ran, Runner};
 use crate::experiment::summary::Tables;
 use crate::experiment::{page, preset, qualitative, record};
+use crate::lock::Lock;
 use crate::report::run::command_line;
 use crate::{device, files, interrupt, lpips, output};
+
+/// Name of the file that describes the experiment, flags included.
+const DESCRIPTION: &str = "experiment.toml";
+
+/// How it begins.
+const MARK: &str = "# An experiment of genesplat";
+
+const TABLES: &str = "tables.md";
+
+/// Names of the files with what was measured.
+const FIGURES: [&str; 6] = [TABLES, "tables.tex", "tables.csv", "costs.md", "cells.csv", "report.html"];
 
 /// Runs what is unfinished, then writes tables and pages of all that is finished, also where a run has failed.
 pub fn run(args: &ExperimentArgs) -> Result<Ending> {
     let mut file = preset::open(&args.what)?;
     file.override_by(args);
     let experiment = Experiment::new(file)?;
-    files::check_folder(&args.out, "tables.md")?;
+    files::check_folder(&args.out, TABLES)?;
+    check_ours(&args.out)?;
+    Lock::check(&args.out)?;
     experiment.check_scenes(args.data.as_deref(), &args.out)?;
     device::use_threads(args.machine.threads)?;
     let stop = interrupt::stop_flag()?;
@@ -32,6 +51,7 @@ pub fn run(args: &ExperimentArgs) -> Result<Ending> {
         lpips: lpips.as_ref(),
         stop: &stop,
     };
+    let _lock = Lock::take(&args.out)?;
     let Ran { results, mut failures } = runner.run()?;
     let (finished, cells) = (results.finished(), experiment.cells().len());
     if lpips.is_some() {
@@ -49,6 +69,29 @@ pub fn run(args: &ExperimentArgs) -> Result<Ending> {
         "stopped: {finished} of {cells} runs are finished; the same command goes on with the rest"
     ))?;
     Ok(Ending::Stopped)
+}
+
+/// Fails where files of somebody else's would be written over. What earlier versions have written has no mark, but is to the byte what
+/// we would write of it.
+fn check_ours(out: &Path) -> Result<()> {
+    let path = out.join(DESCRIPTION);
+    let foreign = match fs::read_to_string(&path) {
+        Ok(text) => (!text.starts_with(MARK) && !is_unmarked(&text)).then_some(path),
+        Err(error) if error.kind() == ErrorKind::NotFound => {
+            FIGURES.iter().map(|name| out.join(name)).find(|file| file.exists())
+        }
+        Err(_) => Some(path),
+    };
+    foreign.map_or(Ok(()), |file| {
+        bail!(
+            "{} was not written by genesplat experiment, and would be written over; choose another --out",
+            file.display()
+        )
+    })
+}
+
+fn is_unmarked(text: &str) -> bool {
+    toml::from_str::<ExperimentFile>(text).is_ok_and(|file| page::to_toml(&file) == text)
 }
 
 /// LPIPS is measured now, and was not when some of the runs were made.
@@ -77,17 +120,48 @@ fn write(runner: &Runner<'_>, results: &Results<'_>) -> Result<()> {
         pages: &pages,
         command: &command,
     };
-    let files = [
-        ("experiment.toml", page::to_toml(results)),
-        ("tables.md", shown.clone()),
-        ("tables.tex", format!("% Needs \\usepackage{{booktabs}} and \\usepackage{{xcolor}}.\n{latex}")),
-        ("tables.csv", record::table(results)),
-        ("costs.md", seconds.clone()),
-        ("cells.csv", record::cells(results)),
-        ("report.html", page::to_html(results, &parts)?),
+    let description = page::to_toml(&results.experiment.file);
+    let texts = [
+        shown.clone(),
+        format!("% Needs \\usepackage{{booktabs}} and \\usepackage{{xcolor}}.\n{latex}"),
+        record::table(results),
+        seconds.clone(),
+        record::cells(results),
+        page::to_html(results, &parts)?,
     ];
+    // First, since it tells whose the others are.
+    let described =
+        (DESCRIPTION, format!("{MARK} {}; it can be run again.\n{description}", env!("CARGO_PKG_VERSION")));
+    let files: Vec<_> = std::iter::once(described).chain(FIGURES.into_iter().zip(texts)).collect();
     files.iter().try_for_each(|(name, text)| files::write_text(&runner.out.join(name), text))?;
     output::print(&format!("{shown}{seconds}"))?;
-    let names = files.map(|(name, _)| name).join(", ");
+    let names = files.iter().map(|(name, _)| *name).collect::<Vec<_>>().join(", ");
     output::print(&format!("{}: {names}, and {} pages in qualitative/", runner.out.display(), pages.len()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_files_of_an_experiment_of_ours_are_written_over() {
+        let folder = tempfile::tempdir().unwrap();
+        let (out, file) = (folder.path(), folder.path().join(DESCRIPTION));
+        assert!(check_ours(out).is_ok());
+        let mine = "# Mine.\ntitle = \"t\"\nscenes = [\"a\"]\nseeds = [0]\nevolve = [\"off\"]\n";
+        fs::write(&file, mine).unwrap();
+        let refusal = check_ours(out).unwrap_err().to_string();
+        assert!(refusal.contains(DESCRIPTION) && refusal.contains("--out"), "{refusal}");
+        let unmarked = page::to_toml(&toml::from_str(mine).unwrap());
+        for ours in [format!("{MARK} 7\n{mine}"), unmarked] {
+            fs::write(&file, ours).unwrap();
+            assert!(check_ours(out).is_ok());
+        }
+        fs::remove_file(&file).unwrap();
+        for name in FIGURES {
+            fs::write(out.join(name), "x").unwrap();
+            assert!(check_ours(out).unwrap_err().to_string().contains(name));
+            fs::remove_file(out.join(name)).unwrap();
+        }
+    }
 }

@@ -1,10 +1,13 @@
 //! `genesplat refine`: evolution alone, on a splat from any trainer.
 
+use std::path::Path;
+
 use anyhow::{Result, bail};
 use genesplat::core::{Backend, RenderSettings, ScreenFilter};
 use genesplat::io::{PlyOptions, Scene, write_ply};
 use genesplat::train::{Background, EvolutionMode, Resolved, TrainConfig, Variant, refine};
 
+use super::Ending;
 use crate::any_backend::AnyBackend;
 use crate::args::{EvolutionArgs, RefineArgs};
 use crate::progress::Bar;
@@ -12,16 +15,18 @@ use crate::reporter::Reporter;
 use crate::settings::{ConfigFile, override_evolution};
 use crate::splat::Splat;
 use crate::training::evaluate_into;
-use crate::{device, files, interrupt, output, splat};
+use crate::{device, interrupt, output, precious, same_scene, splat};
 
 /// Searches, and writes the best that it has found; Ctrl-C ends the search early.
-pub fn run(args: &RefineArgs) -> Result<()> {
-    files::check_writable(&args.out)?;
+pub fn run(args: &RefineArgs) -> Result<Ending> {
+    let inputs: Vec<&Path> = [args.splat.as_path()].into_iter().chain(args.config.as_deref()).collect();
+    precious::check_output(&args.out, &inputs)?;
     device::use_threads(args.machine.threads)?;
     let mut splat = splat::open(&args.splat)?;
     let config = configure(args, &splat)?;
     splat.settings = config.render_settings();
     let scene = splat.load_scene(&args.data, args.size)?;
+    same_scene::check_test_photos(&args.splat, &scene)?;
     let stop = interrupt::stop_flag()?;
     let mut backend = device::open(device::choose(args.machine)?, config.config().seed)?;
     backend.upload(splat.cloud.clone(), None)?;
@@ -34,7 +39,8 @@ pub fn run(args: &RefineArgs) -> Result<()> {
         output::print("stopped early; what follows is as far as it had come")?;
     }
     print_scores("after", &mut backend, &scene, &splat.settings)?;
-    output::print(&format!("{} Gaussians written to {}", outcome.cloud.len(), args.out.display()))
+    output::print(&format!("{} Gaussians written to {}", outcome.cloud.len(), args.out.display()))?;
+    Ok(if outcome.summary.interrupted { Ending::Stopped } else { Ending::Whole })
 }
 
 /// The settings of the search; what the splat dictates is taken from it.

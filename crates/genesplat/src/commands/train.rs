@@ -13,7 +13,7 @@ use crate::metrics::Metrics;
 use crate::run_folder::{RunFolder, WayOn};
 use crate::settings::{ConfigFile, Settings};
 use crate::training::{Ended, Run, open_device};
-use crate::{device, interrupt, lpips, output, same_scene, scene};
+use crate::{device, interrupt, lpips, output, previous, same_scene, scene};
 
 /// Trains. The folder is proved writable before anything slow begins, but an earlier run's results stay in it until scene and
 /// weights are loaded and the device is open: neither a mistyped path nor a change of mind must cost them.
@@ -48,12 +48,12 @@ pub fn run(args: &TrainArgs) -> Result<Ending> {
 /// What is to be done, checked as far as that is possible at once.
 fn configure(args: &TrainArgs) -> Result<ConfigFile> {
     let check = if args.resume { RunFolder::check_resumable } else { RunFolder::check_free };
-    check(&args.out)?;
     scene::check_apart(&args.dataset, &args.out)?;
+    check(&args.out)?;
     ConfigFile::of_training(args)
 }
 
-/// The folder for the results: from here on, those of an earlier run are gone.
+/// The folder for the results: from here on, those of an earlier run are out of the way.
 fn open_folder(args: &TrainArgs, scene: &Scene, settings: &Settings) -> Result<RunFolder> {
     if args.resume {
         same_scene::check_photos(&args.out, scene)?;
@@ -75,12 +75,14 @@ fn report(ended: &Ended, folder: &RunFolder) -> Result<Ending> {
             print_size(metrics, folder)?;
             let last = metrics.iterations;
             output::print(&format!(
-                "stopped after iteration {last}; the same command with --resume goes on from there"
+                "stopped after iteration {last}; the same command with --resume goes on from there{}",
+                previous::note(folder.path())
             ))?;
         }
         Ended::Unscored => output::print(&format!(
-            "stopped while photos were scored, so there are no figures yet; {} is whole, and the same command with --resume scores it",
-            folder.cloud_path().display()
+            "stopped while photos were scored, so there are no figures yet; {} is whole, and the same command with --resume scores it{}",
+            folder.cloud_path().display(),
+            previous::note(folder.path())
         ))?,
     }
     Ok(Ending::Stopped)

@@ -5,6 +5,7 @@ use std::path::Path;
 use anyhow::Result;
 use genesplat::io::photos::read_photo;
 
+use super::file::ExperimentFile;
 use super::plan::{Cell, Experiment};
 use super::qualitative::Page;
 use super::results::Results;
@@ -110,7 +111,7 @@ pub fn to_html(results: &Results<'_>, parts: &Parts<'_>) -> Result<String> {
     }
     page.close("table").close("figure");
     write_repeat(&mut page, command);
-    page.element("h2", "Experiment").element("pre", &to_toml(results));
+    page.element("h2", "Experiment").element("pre", &to_toml(file));
     Ok(document(&file.title, page))
 }
 
@@ -140,8 +141,8 @@ fn encoded(path: &str) -> String {
 }
 
 /// The experiment as a file that repeats it.
-pub fn to_toml(results: &Results<'_>) -> String {
-    toml::to_string(&results.experiment.file).expect("an experiment came from TOML")
+pub fn to_toml(file: &ExperimentFile) -> String {
+    toml::to_string(file).expect("an experiment came from TOML")
 }
 
 #[cfg(test)]
@@ -165,9 +166,6 @@ mod tests {
         assert!(!page.contains("<script") && page.contains("&lt;script&gt;"), "{page}");
         assert!(!page.contains("<img") && !page.contains("http:") && !page.contains("https:"), "{page}");
         assert_eq!(encoded("cells/<a b>/é"), "cells/%3Ca%20b%3E/%C3%A9");
-        assert_eq!(
-            toml::from_str::<crate::experiment::file::ExperimentFile>(&to_toml(&results)).unwrap(),
-            experiment.file
-        );
+        assert_eq!(toml::from_str::<ExperimentFile>(&to_toml(&experiment.file)).unwrap(), experiment.file);
     }
 }

@@ -13,7 +13,7 @@ use toml::{Table, Value};
 use super::file::{ArmTable, CONTROL, ExperimentFile, GalleryTable, control_table};
 use crate::args::MachineArgs;
 use crate::scene;
-use crate::settings::{ConfigFile, Settings};
+use crate::settings::{ConfigFile, Settings, check_size};
 
 /// The scene that needs no folder.
 pub const BUNDLED: &str = "gallery";
@@ -61,10 +61,8 @@ impl Experiment {
         check_names("variants", file.variants.iter().map(|variant| variant.name()))?;
         check_names("arms", arms.iter().map(|arm| arm.name.as_str()))?;
         check_list("seeds", &file.seeds)?;
-        ensure!(
-            file.max_side.is_none() || file.downscale.is_none(),
-            "the experiment sets both max_side and downscale; keep one of them"
-        );
+        check_labels(&file.scenes)?;
+        check_size(file.max_side, file.downscale)?;
         let GalleryTable { width, height, views, .. } = file.gallery;
         ensure!(width.min(height) >= 16 && views >= 2, "[gallery] needs 2 photos of 16x16 pixels at least");
         let experiment = Self { file, arms };
@@ -181,6 +179,18 @@ impl Experiment {
             config.train.evolution.control_seconds = seconds / stages.max(1) as f64;
         }
         Ok(config)
+    }
+}
+
+/// `..` would lead out of the experiment's folder.
+fn check_labels(scenes: &[String]) -> Result<()> {
+    match scenes.iter().find(|scene| Path::new(scene).file_name().is_none()) {
+        Some(scene) => {
+            bail!(
+                "`{scene}` cannot be the name of a scene; give the name of its folder, and the folder above as --data"
+            )
+        }
+        None => Ok(()),
     }
 }
 
@@ -391,6 +401,16 @@ mod tests {
             ("scenes = []\nseeds = [0]\nevolve = [\"off\"]", "no scenes"),
             ("scenes = [\"a\"]\nseeds = []\nevolve = [\"off\"]", "no seeds"),
             ("scenes = [\"a\"]\nseeds = [0, 0]\nevolve = [\"off\"]", "twice"),
+            ("scenes = [\"..\"]\nseeds = [0]\nevolve = [\"off\"]", "`..` cannot be the name of a scene"),
+            ("scenes = [\".\"]\nseeds = [0]\nevolve = [\"off\"]", "`.` cannot be"),
+            ("scenes = [\"a/..\"]\nseeds = [0]\nevolve = [\"off\"]", "`a/..` cannot be"),
+            ("scenes = [\"\"]\nseeds = [0]\nevolve = [\"off\"]", "`` cannot be"),
+            ("scenes = [\"a\"]\nseeds = [0]\nevolve = [\"off\"]\ndownscale = 0", "downscale is 0"),
+            ("scenes = [\"a\"]\nseeds = [0]\nevolve = [\"off\"]\nmax_side = 0", "max_side is 0"),
+            (
+                "scenes = [\"a\"]\nseeds = [0]\nevolve = [\"off\"]\nmax_side = 64\ndownscale = 2",
+                "keep one of them",
+            ),
             ("scenes = [\"x/a\", \"y/a\"]\nseeds = [0]\nevolve = [\"off\"]", "twice"),
             ("scenes = [\"a\"]\nseeds = [0]", "no arms"),
             ("scenes = [\"a\"]\nseeds = [0]\nevolve = [\"none\"]", "arm `none`"),

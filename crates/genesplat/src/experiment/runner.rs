@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
-use anyhow::{Result, anyhow, bail};
+use anyhow::{Result, anyhow, bail, ensure};
 use genesplat::core::BackendError;
 use genesplat::io::{LoadOptions, PhotoSize, Scene, gallery, load_points};
 use genesplat::train::TrainError;
@@ -101,6 +101,7 @@ impl<'a> Runner<'a> {
     /// Runs everything, or until it is stopped. A cell that fails keeps others from being begun only where they would fail, too.
     pub fn run(&self) -> Result<Ran<'a>> {
         self.check_folders()?;
+        self.check_photos()?;
         self.check_scenes()?;
         let cells = self.experiment.cells();
         let mut ran = Ran { results: Results::none(self.experiment), failures: Vec::new() };
@@ -187,11 +188,22 @@ impl<'a> Runner<'a> {
         };
         let began = Instant::now();
         let scene = scenes.get(self, cell, settings).map_err(|error| failure(error, Reach::Scene))?;
+        self.check_partners(cell, scene).map_err(|error| failure(error, Reach::Scene))?;
         let metrics = self.train_into(&path, settings, resume, scene, began);
         metrics.map_err(|error| {
             let reach = Reach::of(&error);
             failure(error, reach)
         })
+    }
+
+    /// A cell is compared with those of its scene that are finished: they have to have had the photos that the scene has now.
+    fn check_partners(&self, cell: Cell, scene: &Scene) -> Result<()> {
+        for other in self.experiment.cells().into_iter().filter(|other| other.scene == cell.scene) {
+            if self.is_whole(other)? {
+                same_scene::check_photos(&self.folder(other), scene)?;
+            }
+        }
+        Ok(())
     }
 
     fn train_into(
@@ -246,6 +258,11 @@ impl<'a> Runner<'a> {
         let results = Results::none(self.experiment);
         for cell in self.experiment.cells() {
             let path = self.folder(cell);
+            ensure!(
+                !CellMetrics::are_foreign(&path),
+                "{} is not the figures of a run, and would be replaced; put it elsewhere, or choose another --out",
+                RunFolder::metrics_in(&path).display()
+            );
             if CellMetrics::read(&path).is_none() && !RunFolder::has_checkpoint(&path) {
                 continue;
             }
@@ -261,6 +278,25 @@ impl<'a> Runner<'a> {
             let is_control = self.experiment.arms[cell.arm].control_of.is_some();
             if let Some(difference) = difference.filter(|_| !is_control) {
                 bail!("{} holds a run with other settings ({difference}); {advice}", path.display());
+            }
+        }
+        Ok(())
+    }
+
+    /// Figures are compared only where they are of the same photos.
+    fn check_photos(&self) -> Result<()> {
+        let mut first: Option<(Cell, CellMetrics)> = None;
+        for cell in self.experiment.cells() {
+            let Some(metrics) = self.whole_metrics(cell)? else { continue };
+            match &first {
+                Some((other, of_other)) if other.scene == cell.scene => ensure!(
+                    of_other.test_photos() == metrics.test_photos(),
+                    "{} and {} were measured on different test photos; choose another --out, or remove the one that is out of \
+                     date to have it run anew",
+                    self.folder(*other).display(),
+                    self.folder(cell).display()
+                ),
+                _ => first = Some((cell, metrics)),
             }
         }
         Ok(())
@@ -282,9 +318,13 @@ impl<'a> Runner<'a> {
 
     /// Whether a cell has come to its end, with whatever settings.
     fn is_whole(&self, cell: Cell) -> Result<bool> {
+        self.whole_metrics(cell).map(|metrics| metrics.is_some())
+    }
+
+    fn whole_metrics(&self, cell: Cell) -> Result<Option<CellMetrics>> {
         let settings = self.settings(cell, &Results::none(self.experiment))?;
         let whole = settings.train.schedule().iterations;
-        Ok(CellMetrics::read(&self.folder(cell)).is_some_and(|metrics| metrics.iterations == whole))
+        Ok(CellMetrics::read(&self.folder(cell)).filter(|metrics| metrics.iterations == whole))
     }
 
     /// What makes a run of `config` another one than that of a cell with these settings. A scene is known by its name, the bundled
@@ -489,6 +529,46 @@ mod tests {
         fs::write(&config, text.replace("iterations", "itterations")).unwrap();
         let refusal = runner.check_folders().unwrap_err().to_string();
         assert!(refusal.contains("itterations") && refusal.contains("another --out"), "{refusal}");
+    }
+
+    #[test]
+    fn figures_of_different_photos_are_not_compared() {
+        let place = tempfile::tempdir().unwrap();
+        let (here, stop) = (experiment("variants = [\"3dgs\", \"mcmc\"]"), AtomicBool::new(false));
+        let runner = runner(&here, place.path(), Path::new("scenes"), &stop);
+        pretend_to_run(&runner);
+        let names = |cell: Cell, photo: &str| {
+            let path = RunFolder::metrics_in(&runner.folder(cell));
+            let mut metrics: serde_json::Value = serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
+            metrics["test"]["views"] = serde_json::json!([{"name": photo, "psnr": 30.0}]);
+            fs::write(&path, metrics.to_string()).unwrap();
+        };
+        let [gallery, other, fox] = [0, 1, 2].map(|cell| here.cells()[cell]);
+        names(gallery, "a.png");
+        names(other, "a.png");
+        // Another scene has other photos.
+        assert!(fox.scene != other.scene && runner.check_photos().is_ok());
+        names(other, "b.png");
+        let refusal = runner.check_photos().unwrap_err().to_string();
+        let folders = [gallery, other].map(|cell| runner.folder(cell).display().to_string());
+        assert!(folders.iter().all(|folder| refusal.contains(folder)), "{refusal}");
+    }
+
+    #[test]
+    fn what_no_run_has_written_is_left_alone() {
+        let place = tempfile::tempdir().unwrap();
+        let (here, stop) = (experiment(""), AtomicBool::new(false));
+        let runner = runner(&here, place.path(), Path::new("scenes"), &stop);
+        pretend_to_run(&runner);
+        let metrics = RunFolder::metrics_in(&runner.folder(here.cells()[0]));
+        fs::write(&metrics, "torn {").unwrap();
+        runner.check_folders().unwrap();
+        fs::write(&metrics, "{\"psnr\": 30.0}").unwrap();
+        let refusal = runner.check_folders().unwrap_err().to_string();
+        assert!(
+            refusal.contains("not the figures of a run") && refusal.contains("metrics.json"),
+            "{refusal}"
+        );
     }
 
     #[test]

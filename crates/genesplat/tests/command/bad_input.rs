@@ -208,13 +208,39 @@ fn a_folder_that_belongs_to_something_else_is_left_alone() {
     fail(train(scene(), folder.path(), &[]), &["config.toml", "something else"]);
     assert_eq!(fs::read(&config).unwrap(), b"title = 'caf\xe9'");
     fs::remove_file(&config).unwrap();
-    for name in ["metrics.json", "report.html", "point_cloud.ply"] {
+    let results = ["metrics.json", "report.html", "point_cloud.ply", "log.jsonl"];
+    for name in results.into_iter().chain(["transforms.json", "test/photo.png", "sparse/cameras.bin"]) {
         let file = folder.path().join(name);
+        fs::create_dir_all(file.parent().unwrap()).unwrap();
+        let name = name.split('/').next().unwrap();
         fs::write(&file, "of another program").unwrap();
         fail(train(scene(), folder.path(), &[]), &[name, "something else"]);
         assert_eq!(fs::read_to_string(&file).unwrap(), "of another program");
         fs::remove_file(&file).unwrap();
+        let _ = fs::remove_dir(folder.path().join(name));
     }
+    fs::write(folder.path().join("test"), "a list of mine").unwrap();
+    fail(train(scene(), folder.path(), &[]), &["test is a file", "--out"]);
+}
+
+#[test]
+fn a_folder_has_one_writer() {
+    let place = tempfile::tempdir().unwrap();
+    let out = place.path().join("run");
+    fs::create_dir(&out).unwrap();
+    let lock = fs::File::create(out.join(".lock")).unwrap();
+    lock.lock().unwrap();
+    // Of the run that is under way; nobody is told to remove it.
+    fs::create_dir(out.join("checkpoint")).unwrap();
+    fs::write(out.join("checkpoint/latest.checkpoint"), "hours of work").unwrap();
+    let says = ["another genesplat is writing to", text(&out), "choose another --out"];
+    // Before the scene is looked at.
+    fail(train(&place.path().join("absent"), &out, &[]), &says);
+    fail(["experiment", "smoke", "--out", text(&out)], &says);
+    drop(lock);
+    fs::remove_dir_all(out.join("checkpoint")).unwrap();
+    succeed(train(scene(), &out, &["--iterations", "3"]));
+    succeed(train(scene(), &out, &["--iterations", "3"]));
 }
 
 /// A Blender scene has its test photos where a run has its renders of them.
@@ -227,13 +253,17 @@ fn photos_of_the_scene_are_never_written_over() {
     let before = fs::read(&photo).unwrap();
     fail(train(&blender, &blender, &["--iterations", "3"]), &["blender", "folder of the scene"]);
     fail(train(&blender, &blender.join("../blender/."), &[]), &["folder of the scene"]);
+    // Nor are those of another scene.
+    fail(train(scene(), &blender, &["--iterations", "3"]), &["blender", "something else"]);
     // From inside, where the folder of the results is another one, but not that of the renders.
     let inner = blender.join("test/transforms.json");
     fs::copy(blender.join("transforms_test.json"), &inner).unwrap();
     fs::write(&inner, fs::read_to_string(&inner).unwrap().replace("./test/", "./")).unwrap();
-    fail(train(&blender.join("test"), &blender, &["--iterations", "3"]), &["test", "photos of the scene"]);
-
     succeed(train(&blender, &run, &["--iterations", "3"]));
+    fs::copy(run.join("config.toml"), blender.join("config.toml")).unwrap();
+    fail(train(&blender.join("test"), &blender, &["--iterations", "3"]), &["test", "photos of the scene"]);
+    fs::remove_file(blender.join("config.toml")).unwrap();
+
     let render = |more: &[&str]| {
         let fixed = ["render", text(&run), "--data", text(&blender)];
         fixed.iter().chain(more).map(|word| (*word).to_owned()).collect::<Vec<_>>()
@@ -299,7 +329,12 @@ fn configurations_that_are_wrong() {
     let folder = tempfile::tempdir().unwrap();
     let (config, out) = (folder.path().join("c.toml"), folder.path().join("run"));
     for (content, words) in [
-        ("iteration = 7", &["c.toml", "iteration"][..]),
+        ("iteration = 7", &["c.toml", "iteration", "`device`, `threads`, `dataset`, `"][..]),
+        ("threads = 0", &["threads is 0", "from 1 to 1024"]),
+        ("threads = 60000", &["threads is 60000", "from 1 to 1024"]),
+        ("[dataset]\ndownscale = 0", &["downscale is 0", "from 1 to 64"]),
+        ("[dataset]\nmax_side = 3", &["max_side is 3", "from 16"]),
+        ("[dataset]\nmax_side = 64\ndownscale = 2", &["max_side and downscale", "keep one"]),
         ("iterations = 'many'", &["c.toml", "iterations"]),
         ("iterations = ", &["c.toml"]),
         ("[densify]\nevery = 0", &["densify.every", "at least 1"]),

@@ -205,6 +205,35 @@ fn a_finished_experiment_keeps_its_tables_where_its_scene_has_changed() {
 }
 
 #[test]
+fn a_cell_is_not_run_beside_others_of_other_photos() {
+    let folder = tempfile::tempdir().unwrap();
+    let arguments = on_own_scenes(folder.path(), "[\"one\"]");
+    let scene = folder.path().join("one");
+    write_scene(&scene, [48, 32], 17);
+    succeed(&arguments);
+    let cell = folder.path().join("out/cells/one/3dgs/paper/seed-0");
+    fs::remove_dir_all(&cell).unwrap();
+    write_scene(&scene, [48, 32], 9);
+    fail(
+        &arguments,
+        &["off/seed-0", "other photos than one has now", "choose another --out", "remove that folder"],
+    );
+    assert!(!cell.exists());
+    write_scene(&scene, [48, 32], 17);
+    succeed(&arguments);
+}
+
+#[test]
+fn an_experiment_file_of_ones_own_is_left_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("experiment.toml");
+    fs::rename(write(folder.path(), "evolve = [\"off\"]"), &file).unwrap();
+    let before = fs::read(&file).unwrap();
+    fail(experiment(&file, folder.path(), &[]), &["experiment.toml", "choose another --out"]);
+    assert!(before == fs::read(&file).unwrap() && !folder.path().join("cells").exists());
+}
+
+#[test]
 fn a_cell_that_fails_hides_no_finished_one() {
     let folder = tempfile::tempdir().unwrap();
     let arguments = on_own_scenes(folder.path(), "[\"one\", \"two\", \"three\"]");

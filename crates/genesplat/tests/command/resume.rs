@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use genesplat::io::{GalleryOptions, gallery};
 
-use crate::support::{cloud, command, fail, json, judge_failure, scene, succeed, train, write_gallery};
+use crate::support::{cloud, command, fail, json, judge_failure, scene, succeed, text, train, write_gallery};
 
 /// Long enough to be caught in the act; evolves four times.
 const SCHEDULE: [&str; 10] = [
@@ -168,6 +168,45 @@ fn a_run_goes_on_with_its_own_scene_only_wherever_that_is_now() {
     assert!(saved == config(), "what was refused has changed nothing");
     succeed(train(&after, &out, &["--resume"]));
     assert!(String::from_utf8(config()).unwrap().contains("after"));
+}
+
+/// Schedulers, and `timeout` where it signals a whole group, send several signals in a row.
+#[test]
+fn two_signals_in_quick_succession_are_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("run");
+    let mut run = command(train(scene(), &out, &SCHEDULE));
+    let child = run.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    let deadline = Instant::now() + Duration::from_secs(100);
+    while !fs::read_to_string(out.join("log.jsonl")).is_ok_and(|log| log.contains(r#""event":"step""#)) {
+        assert!(Instant::now() < deadline, "the run never began");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    let both = format!("kill -INT {0}; kill -TERM {0}", child.id());
+    assert!(Command::new("sh").args(["-c", &both]).status().unwrap().success());
+    let output = child.wait_with_output().unwrap();
+    assert_eq!(output.status.code(), Some(130));
+    let said = String::from_utf8(output.stdout).unwrap();
+    assert!(said.contains("--resume") && out.join("checkpoint/latest.checkpoint").exists(), "{said}");
+}
+
+#[test]
+fn a_search_that_is_stopped_says_so_and_writes_what_it_has() {
+    use std::io::{BufRead, BufReader, Read};
+
+    let folder = tempfile::tempdir().unwrap();
+    let [run, out] = ["run", "refined.ply"].map(|name| folder.path().join(name));
+    succeed(train(scene(), &run, &["--iterations", "3"]));
+    let arguments =
+        ["refine", text(&run), "--data", text(scene()), "--out", text(&out), "--generations", "100000"];
+    let mut child = command(arguments).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
+    let mut stdout = BufReader::new(child.stdout.take().unwrap());
+    assert!(stdout.by_ref().lines().any(|line| line.unwrap().starts_with("before train")));
+    assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
+    let mut rest = String::new();
+    stdout.read_to_string(&mut rest).unwrap();
+    assert_eq!(child.wait().unwrap().code(), Some(130), "{rest}");
+    assert!(rest.contains("stopped early") && out.exists(), "{rest}");
 }
 
 /// The terminal that a run was started from is closed.

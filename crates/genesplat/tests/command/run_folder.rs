@@ -92,11 +92,44 @@ fn a_run_may_be_repeated_in_its_folder() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("run");
     succeed(train(scene(), &out, &["--iterations", "30"]));
-    let stale = out.join("test/stale.png");
-    std::fs::write(&stale, b"of another scene").unwrap();
+    let mine = out.join("test/mine.png");
+    std::fs::write(&mine, b"no run has left it").unwrap();
     succeed(train(scene(), &out, &["--iterations", "20"]));
-    assert!(!stale.exists());
+    assert!(mine.exists() && !out.join("previous").exists());
     assert_eq!(json(&out.join("metrics.json"))["iterations"], 20);
+}
+
+/// Settings with which nothing is left of a cloud.
+#[test]
+fn a_run_that_fails_costs_no_results() {
+    let folder = tempfile::tempdir().unwrap();
+    let (out, config) = (folder.path().join("run"), folder.path().join("bad.toml"));
+    succeed(train(scene(), &out, &["--iterations", "30"]));
+    let names = ["metrics.json", "point_cloud.ply", "log.jsonl", "test/gallery_000.png"];
+    let read = |folder: &Path| names.map(|name| std::fs::read(folder.join(name)).unwrap());
+    let before = read(&out);
+    let bad = "iterations = 60\ndensify = { from = 1, every = 2, reset_every = 30, prune_opacity = 0.2, reset_opacity = 0.3 }";
+    std::fs::write(&config, bad).unwrap();
+    for _ in 0..2 {
+        let arguments = train(scene(), &out, &["--config", text(&config)]);
+        fail(arguments, &["every Gaussian was pruned", "results of the run before are in", "previous"]);
+        assert!(before == read(&out.join("previous")) && !out.join("point_cloud.ply").exists());
+    }
+    succeed(train(scene(), &out, &["--iterations", "20"]));
+    assert!(!out.join("previous").exists());
+}
+
+/// What `kill -9` leaves of a checkpoint that is being written.
+#[test]
+fn what_a_killed_run_has_left_is_cleared_away() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("run");
+    succeed(train(scene(), &out, &["--iterations", "3"]));
+    let [torn, mine] = ["checkpoint/.genesplat-4711-3.tmp", "checkpoint/mine.tmp"].map(|name| out.join(name));
+    std::fs::create_dir_all(out.join("checkpoint")).unwrap();
+    [&torn, &mine].iter().for_each(|file| std::fs::write(file, "x").unwrap());
+    succeed(train(scene(), &out, &["--iterations", "3"]));
+    assert!(!torn.exists() && mine.exists());
 }
 
 /// A scene whose cameras all stand at one place, which training cannot know the size of.

@@ -250,6 +250,22 @@ fn refining_makes_an_unfinished_splat_better_and_threads_change_nothing() {
     assert!(one == refined("2").0 && one == refined("7").0);
 }
 
+#[test]
+fn inputs_are_not_written_over() {
+    let (run, photo) = (finished_run(), scene().join("images/gallery_000.png"));
+    let [splat, config] = ["point_cloud.ply", "config.toml"].map(|name| run.join(name));
+    let before = [&photo, &splat, &config].map(|file| std::fs::read(file).unwrap());
+    // The scene is absent, and would be missed first if it were read.
+    let refine = ["refine", text(&splat), "--data", "absent", "--out"];
+    fail(refine.into_iter().chain([text(&photo)]), &["gallery_000.png is a picture"]);
+    fail(refine.into_iter().chain([text(&splat)]), &["point_cloud.ply is an input"]);
+    let evaluate = ["evaluate", text(&run), "--data", "absent", "--json", text(&config)];
+    fail(evaluate, &["config.toml is part of a run", "another file"]);
+    fail(["compare", text(&photo), text(&photo), "--json", text(&photo)], &["is an input"]);
+    fail(["bench", "step", "--json", text(&photo)], &["gallery_000.png is a picture"]);
+    assert!(before == [&photo, &splat, &config].map(|file| std::fs::read(file).unwrap()));
+}
+
 /// After a search of an hour is too late.
 #[test]
 fn what_cannot_be_written_is_said_at_once() {

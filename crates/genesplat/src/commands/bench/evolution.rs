@@ -21,7 +21,7 @@ use serde::Serialize;
 
 use super::workload::Workload;
 use crate::args::BenchEvolutionArgs;
-use crate::{device, files, output};
+use crate::{device, files, output, precious};
 
 /// What a reset limits opacities to.
 const RESET_OPACITY: f32 = 0.01;
@@ -77,7 +77,7 @@ struct Scored {
 
 /// Times, prints, and writes the figures.
 pub fn run(args: &BenchEvolutionArgs) -> Result<()> {
-    args.json.as_deref().map_or(Ok(()), files::check_writable)?;
+    args.json.as_deref().map_or(Ok(()), |path| precious::check_output(path, &[]))?;
     let backend = device::prepare_cpu(args.machine)?;
     let Workload { views, settings, cloud } = Workload::of(&args.workload)?;
     let population = args.population as usize;

@@ -21,7 +21,7 @@ use super::workload::Source;
 use super::{AT_REST, median};
 use crate::args::BenchGpuArgs;
 use crate::device::{self, Device};
-use crate::{files, output};
+use crate::{files, output, precious};
 
 /// Fewest steps before a clock counts: buffers grow, kernels are compiled.
 const WARM_UP: u32 = 3;
@@ -83,7 +83,7 @@ struct Size {
 /// Times, prints, and writes the figures.
 pub fn run(args: &BenchGpuArgs) -> Result<()> {
     let began = Instant::now();
-    args.json.as_deref().map_or(Ok(()), files::check_writable)?;
+    args.json.as_deref().map_or(Ok(()), |path| precious::check_output(path, &[]))?;
     device::use_threads(args.threads)?;
     Device::Gpu.resolve()?;
     let mut source = Source::of(&args.source, [args.width, args.height])?;

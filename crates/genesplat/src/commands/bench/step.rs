@@ -11,7 +11,7 @@ use genesplat::kernels::cpu::{CpuBackend, StageSeconds, roofline_nanoseconds_per
 use serde::Serialize;
 
 use crate::args::BenchStepArgs;
-use crate::{device, files, memory, output};
+use crate::{device, files, memory, output, precious};
 
 use super::workload::Workload;
 use super::{AT_REST, median};
@@ -55,7 +55,7 @@ struct Sample {
 
 /// Times, prints, and writes the figures.
 pub fn run(args: &BenchStepArgs) -> Result<()> {
-    args.json.as_deref().map_or(Ok(()), files::check_writable)?;
+    args.json.as_deref().map_or(Ok(()), |path| precious::check_output(path, &[]))?;
     let mut backend = device::prepare_cpu(args.machine)?;
     let Workload { views, settings, cloud } = Workload::of(&args.workload)?;
     backend.set_views(&views)?;
