@@ -265,7 +265,6 @@ fn accumulate<S: Simd>(simd: S, blocks: u32, state: &TileState, extra: [f32; 3])
     let [mut one, mut x, mut y, mut xx, mut xy, mut yy] = [zero; 6];
     let mut rgb = [zero; 3];
     let centre = f32x8::splat(simd, TILE_CENTRE);
-    let half = |values: &[f32; LANES], half: usize| f32x8::from_slice(simd, &values[half * HALF..][..HALF]);
     each_block(
         blocks,
         #[inline(always)]
@@ -273,9 +272,9 @@ fn accumulate<S: Simd>(simd: S, blocks: u32, state: &TileState, extra: [f32; 3])
             let (gradient, share) = (&state.blocks[block].gradient, &state.shares[block]);
             let (columns, rows) = (&COLUMN_PX[block % BLOCKS_ACROSS], &ROW_PX[block / BLOCKS_ACROSS]);
             // Both halves of a block have the same columns, so what only depends on them is summed before it is used.
-            let px = half(columns, 0) - centre;
-            let (upper_y, lower_y) = (half(rows, 0) - centre, half(rows, 1) - centre);
-            let (upper, lower) = (half(&share.p, 0), half(&share.p, 1));
+            let px = half(simd, columns, 0) - centre;
+            let (upper_y, lower_y) = (half(simd, rows, 0) - centre, half(simd, rows, 1) - centre);
+            let (upper, lower) = (half(simd, &share.p, 0), half(simd, &share.p, 1));
             let p = upper + lower;
             let p_x = p * px;
             let (upper_p_y, lower_p_y) = (upper * upper_y, lower * lower_y);
@@ -287,9 +286,9 @@ fn accumulate<S: Simd>(simd: S, blocks: u32, state: &TileState, extra: [f32; 3])
             xy = p_y.mul_add(px, xy);
             yy = lower_p_y.mul_add(lower_y, upper_p_y.mul_add(upper_y, yy));
             for part in 0..2 {
-                let w = half(&share.w, part);
+                let w = half(simd, &share.w, part);
                 for channel in 0..3 {
-                    rgb[channel] = w.mul_add(half(&gradient[channel], part), rgb[channel]);
+                    rgb[channel] = w.mul_add(half(simd, &gradient[channel], part), rgb[channel]);
                 }
             }
         },
@@ -306,6 +305,12 @@ fn accumulate<S: Simd>(simd: S, blocks: u32, state: &TileState, extra: [f32; 3])
         sum.store_slice(columns);
     }
     row
+}
+
+/// The upper or the lower half of a block.
+#[inline(always)]
+fn half<S: Simd>(simd: S, values: &[f32; LANES], half: usize) -> f32x8<S> {
+    f32x8::from_slice(simd, &values[half * HALF..][..HALF])
 }
 
 /// The sums of the lanes of four vectors.
