@@ -20,8 +20,8 @@ use super::score::judge::loss_by_judge;
 use super::update::{Inputs, gradients};
 use super::{CpuBackend, Frame, loss};
 use crate::fixtures::{
-    CROWD_LOGITS, HEIGHT, WIDTH, camera, cloud, crowd, filtered_cloud, filters, individual_of, photo,
-    poisoned_cloud, settings, small_view, step, tall_view, uniform, view,
+    CROWD_LOGITS, HEIGHT, WIDTH, camera, cloud, crowd, far_needles, filtered_cloud, filters, individual_of,
+    photo, poisoned_cloud, settings, small_view, step, tall_view, uniform, view,
 };
 use crate::reference::{self, Cloud64, Cutoff};
 
@@ -454,6 +454,26 @@ fn poison_never_reaches_a_pixel() {
         let mut backend = backend_with(&cloud);
         let image = backend.render(&camera(), &settings(3, filter)).unwrap();
         assert!(image.planes.iter().all(|v| v.is_finite()), "{filter:?}");
+    }
+}
+
+/// Where a Gaussian exceeds its opacity, by rounding, it counts as its opacity.
+#[test]
+fn far_needles_leave_everything_finite() {
+    let needles = far_needles();
+    for filter in filters() {
+        let mut backend = backend_with(&needles);
+        let image = backend.render(&camera(), &settings(0, filter)).unwrap();
+        assert!(image.planes.iter().all(|v| (0.0..10.0).contains(v)), "{filter:?}: the picture");
+        backend.train_step(&step(1, settings(0, filter))).unwrap();
+        let report = backend.report().unwrap();
+        assert!(report.tile_splats > 100, "{filter:?}: few needles reach the picture");
+        assert!(report.loss.is_finite(), "{filter:?}: the loss");
+        let stepped = backend.download().unwrap();
+        assert!(flat(&stepped.positions).all(f64::is_finite), "{filter:?}: positions");
+        assert!(flat(&stepped.log_scales).all(f64::is_finite), "{filter:?}: scales");
+        assert!(flat(&stepped.rotations).all(f64::is_finite), "{filter:?}: rotations");
+        assert!(stepped.opacity_logits.iter().all(|v| v.is_finite()), "{filter:?}: opacities");
     }
 }
 
