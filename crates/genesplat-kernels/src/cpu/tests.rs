@@ -393,6 +393,30 @@ fn ten_steps_match_the_reference(exploration: Option<Exploration>) {
     assert_ne!(actual.positions, start.positions);
 }
 
+/// They do not end as denormal numbers, which are slow.
+#[test]
+fn moments_without_a_gradient_end_at_zero() {
+    let mut elsewhere = small_view();
+    elsewhere.camera.camera_from_world_translation.z = -1e3;
+    // Whole vectors, and a tail.
+    let mut backend = backend_with(&cloud(37));
+    backend.set_views(&[view(), elsewhere]).unwrap();
+    backend.train_step(&classic_step(1)).unwrap();
+    let is_zero = |m: &Gaussians| {
+        flat(&m.positions)
+            .chain(flat(&m.log_scales))
+            .chain(flat(&m.rotations))
+            .chain(flat(&m.sh))
+            .all(|v| v == 0.0)
+            && m.opacity_logits.iter().all(|&v| v == 0.0)
+    };
+    assert!(!is_zero(&backend.download_moments().unwrap().first));
+    for number in 2..1000 {
+        backend.train_step(&TrainStep { view: 1, ..classic_step(number) }).unwrap();
+    }
+    assert!(is_zero(&backend.download_moments().unwrap().first));
+}
+
 #[test]
 fn results_do_not_depend_on_the_number_of_threads() {
     let run = |threads: usize| {
