@@ -10,8 +10,8 @@ mod verbs;
 use genesplat_core::{Backend, DensitySignal, Gaussians, RenderSettings, ScreenFilter, TrainStep};
 use genesplat_kernels::cpu::CpuBackend;
 use genesplat_kernels::fixtures::{
-    CROWD_LOGITS, camera, cloud, crowd, filtered_cloud, filters, individual_of, photo, poisoned_cloud,
-    settings, small_view, step, uniform, view,
+    CROWD_LOGITS, camera, cloud, crowd, far_needles, filtered_cloud, filters, individual_of, photo,
+    poisoned_cloud, settings, small_view, step, uniform, view,
 };
 
 use crate::GpuBackend;

@@ -64,6 +64,23 @@ pub fn crowd(logit: f32) -> Gaussians {
     cloud
 }
 
+/// Needles that reach the picture from 240,000 px away. There, the terms of an exponent are so large that what rounding leaves
+/// of it can be as large, and positive.
+pub fn far_needles() -> Gaussians {
+    let (mut needles, camera) = (cloud(400), camera());
+    let world_from_camera = camera.camera_from_world_rotation.inverse();
+    for row in 0..needles.len() {
+        let angle = std::f64::consts::TAU * f64::from(uniform(row, 300));
+        let mean = 4000.0 * DVec3::new(angle.cos(), angle.sin(), 0.0) + DVec3::Z;
+        let position = world_from_camera * (mean - camera.camera_from_world_translation);
+        let rotation = world_from_camera * DQuat::from_rotation_z(angle);
+        needles.positions[row] = position.as_vec3().to_array();
+        needles.rotations[row] = [rotation.w, rotation.x, rotation.y, rotation.z].map(|v| v as f32);
+        needles.log_scales[row] = [2000.0f32, 0.003, 0.002].map(f32::ln);
+    }
+    needles
+}
+
 /// A cloud in which every kind of parameter but colours, whose infinities the loss reports, has, somewhere, every value that
 /// no arithmetic likes.
 pub fn poisoned_cloud() -> Gaussians {

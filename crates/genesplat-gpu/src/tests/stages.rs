@@ -178,6 +178,24 @@ fn poison_never_reaches_a_pixel() {
     }
 }
 
+/// Where a Gaussian exceeds its opacity, by rounding, it counts as its opacity.
+#[test]
+fn far_needles_leave_everything_finite() {
+    let Some(mut gpu) = gpu() else { return };
+    for filter in filters() {
+        gpu.upload(far_needles(), None).unwrap();
+        let image = gpu.render(&camera(), &settings(0, filter)).unwrap();
+        assert!(image.planes.iter().all(|v| (0.0..10.0).contains(v)), "{filter:?}: the picture");
+        gpu.train_step(&step(1, settings(0, filter))).unwrap();
+        let report = gpu.report().unwrap();
+        assert!(report.tile_splats > 100 && report.loss.is_finite(), "{filter:?}: {report:?}");
+        let stepped = gpu.download().unwrap();
+        let genes = (0..stepped.len()).flat_map(|row| stepped.genes(row));
+        assert!(genes.into_iter().all(f32::is_finite), "{filter:?}: parameters");
+        assert!(stepped.rotations.as_flattened().iter().all(|v| v.is_finite()), "{filter:?}: rotations");
+    }
+}
+
 /// A cloud whose first rows, in the middle of the picture, have one parameter each that is not a number; and how many these
 /// are.
 fn cloud_with_nans(filter: ScreenFilter) -> (Gaussians, u32) {

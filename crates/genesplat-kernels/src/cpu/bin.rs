@@ -5,10 +5,14 @@
 //! once, one a lane. Order: splats are sorted by depth once (ties by row), visited in that order, and a counting sort
 //! by tile keeps it (as Splatshop and Faster-GS do; nothing is sorted per tile).
 
+use std::sync::atomic::AtomicU64;
+use std::sync::atomic::Ordering::Relaxed;
+
 use fearless_simd::{Level, Simd, dispatch, f32x8, i32x8, prelude::*};
 use rayon::prelude::*;
 
 use super::bytes_of;
+use super::order::{DepthOrder, split};
 use super::project::{Pinhole, Splat, Splats, TILE};
 use super::simd::{array, prefetch};
 
@@ -20,6 +24,10 @@ pub const BLOCKS_ACROSS: usize = TILE / BLOCK;
 const RANKS: usize = 1024;
 /// Bands of four pixel rows that are solved at once: two rows of tiles, enough for most splats.
 const BANDS: usize = 8;
+/// Shares of the emissions for each thread: some take longer than others.
+const SHARES_A_THREAD: usize = 2;
+/// Tiles that one task lists.
+const TILES: usize = 64;
 /// Splats between one that is asked for (they lie scattered) and the one that is listed.
 const AHEAD: usize = 16;
 /// Widens every ellipse a little (in powers of two of alpha): lists may hold a splat in vain, never miss one.
@@ -45,26 +53,38 @@ struct Emission {
 }
 
 /// The tile lists of a view.
-#[derive(Clone, Debug, Default)]
+#[derive(Debug, Default)]
 pub struct Bins {
     /// Entries of all tiles, tile after tile, each front to back `[E]`.
     pub entries: Vec<TileSplat>,
     /// Where each tile's entries start; one more at the end `[tiles + 1]`.
     pub tile_starts: Vec<u32>,
-    /// For each splat index, where its positions start in `positions`, and how many there are.
-    pub position_ranges: Vec<[u32; 2]>,
+    /// For each splat index, where its positions start in `positions` (upper half), and how many there are. Splats are
+    /// visited by depth, so threads write here and there: no two the same one.
+    position_ranges: Vec<AtomicU64>,
     /// Positions in `entries` of each splat's entries, nearest splat first `[E]`.
-    pub positions: Vec<u32>,
+    positions: Vec<u32>,
     scratch: Scratch,
 }
 
-#[derive(Clone, Debug, Default)]
+#[derive(Debug, Default)]
 struct Scratch {
-    /// Depth bits and splat index, nearest first.
-    order: Vec<u64>,
-    swap: Vec<u64>,
+    order: DepthOrder,
     emissions: Vec<Vec<Emission>>,
     counts: Vec<Vec<u32>>,
+    /// For each tile, where the next entry goes.
+    next: Vec<u32>,
+    shares: Vec<Share>,
+}
+
+/// The emissions of consecutive tasks, sorted by tile.
+#[derive(Debug, Default)]
+struct Share {
+    sorted: Vec<TileSplat>,
+    /// Where each tile's entries start in `sorted`; one more at the end `[tiles + 1]`.
+    starts: Vec<u32>,
+    /// For each tile, where the next entry goes in the whole list `[tiles]`.
+    next: Vec<u32>,
 }
 
 impl Bins {
@@ -73,22 +93,28 @@ impl Bins {
         let Self { entries, tile_starts, position_ranges, positions, scratch } = self;
         let lists =
             bytes_of(entries) + bytes_of(tile_starts) + bytes_of(position_ranges) + bytes_of(positions);
-        let emissions: usize = scratch.emissions.iter().map(bytes_of).sum();
-        let counts: usize = scratch.counts.iter().map(bytes_of).sum();
-        lists + bytes_of(&scratch.order) + bytes_of(&scratch.swap) + emissions + counts
+        let Scratch { order, emissions, counts, next, shares } = scratch;
+        let emissions: usize = emissions.iter().map(bytes_of).sum();
+        let counts: usize = counts.iter().map(bytes_of).sum();
+        let share = |share: &Share| bytes_of(&share.sorted) + bytes_of(&share.starts) + bytes_of(&share.next);
+        let shares: usize = shares.iter().map(share).sum();
+        lists + order.bytes() + emissions + counts + bytes_of(next) + shares
     }
 
     /// Sorts the splats by depth and lists them by tile.
     pub fn build(&mut self, level: Level, splats: &Splats, camera: &Pinhole) {
-        let order = &mut self.scratch.order;
-        order.clear();
-        // Depths are positive, so their bits order as they do.
-        order.extend(
-            splats.iter().map(|(index, splat)| u64::from(splat.depth.to_bits()) << 32 | u64::from(index)),
-        );
-        radix_sort_high_half(order, &mut self.scratch.swap);
-        self.emit(level, splats, camera.grid());
-        self.list(splats, camera.grid());
+        let grid = camera.grid();
+        self.scratch.order.sort(splats);
+        self.emit(level, splats, grid);
+        self.entries.resize(self.scratch.emissions.iter().map(Vec::len).sum(), TileSplat::default());
+        self.positions.resize(self.entries.len(), 0);
+        let threads = rayon::current_num_threads();
+        if threads == 1 {
+            self.list(grid[0] * grid[1]);
+        } else {
+            self.list_by_shares(grid[0] * grid[1], SHARES_A_THREAD * threads);
+        }
+        self.find_positions(splats.capacity());
     }
 
     /// The entries of one tile.
@@ -99,42 +125,90 @@ impl Bins {
     /// Where the entries of one splat are, by tile.
     #[inline(always)]
     pub fn positions_of(&self, splat: usize) -> &[u32] {
-        let [first, count] = self.position_ranges[splat];
-        &self.positions[first as usize..][..count as usize]
+        let range = self.position_ranges[splat].load(Relaxed);
+        &self.positions[(range >> 32) as usize..][..range as u32 as usize]
     }
 
     /// Counting sort of the emissions by tile: starts, then a stable fill.
-    fn list(&mut self, splats: &Splats, grid: [usize; 2]) {
-        let scratch = &self.scratch;
-        let tiles = grid[0] * grid[1];
-        self.tile_starts.clear();
-        self.tile_starts.resize(tiles + 1, 0);
-        for emission in scratch.emissions.iter().flatten() {
-            self.tile_starts[emission.tile as usize + 1] += 1;
-        }
-        for tile in 0..tiles {
-            self.tile_starts[tile + 1] += self.tile_starts[tile];
-        }
-        let total = self.tile_starts[tiles] as usize;
-        self.entries.resize(total, TileSplat::default());
-        self.positions.resize(total, 0);
-        let mut next: Vec<u32> = self.tile_starts[..tiles].to_vec();
-        for (emission, position) in scratch.emissions.iter().flatten().zip(&mut self.positions) {
+    fn list(&mut self, tiles: usize) {
+        let Self { entries, tile_starts, positions, scratch: Scratch { emissions, next, .. }, .. } = self;
+        count_by_tile(emissions, tiles, tile_starts);
+        next.clone_from(tile_starts);
+        for (emission, position) in emissions.iter().flatten().zip(positions) {
             let slot = &mut next[emission.tile as usize];
-            self.entries[*slot as usize] = emission.entry;
+            entries[*slot as usize] = emission.entry;
             *position = *slot;
             *slot += 1;
         }
-        self.position_ranges.resize(splats.capacity(), [0; 2]);
-        let mut first = 0;
-        for (&key, &count) in scratch.order.iter().zip(scratch.counts.iter().flatten()) {
-            self.position_ranges[key as u32 as usize] = [first, count];
-            first += count;
+    }
+
+    /// The same by several threads: each sorts its share, then each takes some tiles from all shares.
+    fn list_by_shares(&mut self, tiles: usize, shares: usize) {
+        let Self { entries, tile_starts, positions, scratch, .. } = self;
+        let tasks = scratch.emissions.len().div_ceil(shares).max(1);
+        let emissions: Vec<&[Vec<Emission>]> = scratch.emissions.chunks(tasks).collect();
+        let shares = &mut scratch.shares;
+        shares.resize_with(emissions.len(), Share::default);
+        shares.par_iter_mut().zip(&emissions).for_each(|(share, tasks)| {
+            count_by_tile(tasks, tiles, &mut share.starts);
+            share.next.resize(tiles, 0);
+        });
+        tile_starts.resize(tiles + 1, 0);
+        let mut sum = 0;
+        for tile in 0..tiles {
+            tile_starts[tile] = sum;
+            for share in &mut *shares {
+                share.next[tile] = sum;
+                sum += share.starts[tile + 1] - share.starts[tile];
+            }
         }
+        tile_starts[tiles] = sum;
+
+        let lengths: Vec<usize> = emissions.iter().map(|tasks| tasks.iter().map(Vec::len).sum()).collect();
+        let work = shares.par_iter_mut().zip(emissions).zip(split(positions, &lengths));
+        work.for_each(|((share, tasks), positions)| share.sort(tasks, positions));
+
+        let bands: Vec<&[u32]> = tile_starts[..tiles].chunks(TILES).collect();
+        let end = |band: usize| tile_starts[tiles.min((band + 1) * TILES)];
+        let lengths: Vec<usize> =
+            (0..bands.len()).map(|band| (end(band) - bands[band][0]) as usize).collect();
+        let work = split(entries, &lengths).into_par_iter().enumerate();
+        work.for_each(|(band, mut entries)| {
+            for tile in band * TILES..tiles.min((band + 1) * TILES) {
+                for share in &*shares {
+                    let part = share.of_tile(tile);
+                    entries.split_off_mut(..part.len()).unwrap_or_default().copy_from_slice(part);
+                }
+            }
+        });
+    }
+
+    /// Tells each splat where its positions are.
+    fn find_positions(&mut self, capacity: usize) {
+        let Scratch { order, counts, .. } = &self.scratch;
+        self.position_ranges.resize_with(capacity, AtomicU64::default);
+        let mut sum = 0;
+        let firsts: Vec<u64> = counts
+            .iter()
+            .map(|counts| {
+                let first = sum;
+                sum += counts.iter().map(|&count| u64::from(count)).sum::<u64>();
+                first
+            })
+            .collect();
+        let ranges = &self.position_ranges;
+        let tasks = order.keys().par_chunks(RANKS).zip(counts).zip(firsts);
+        tasks.for_each(|((keys, counts), mut first)| {
+            for (&key, &count) in keys.iter().zip(counts) {
+                ranges[key as u32 as usize].store(first << 32 | u64::from(count), Relaxed);
+                first += u64::from(count);
+            }
+        });
     }
 
     fn emit(&mut self, level: Level, splats: &Splats, grid: [usize; 2]) {
         let Scratch { order, emissions, counts, .. } = &mut self.scratch;
+        let order = order.keys();
         let tasks = order.len().div_ceil(RANKS);
         emissions.resize_with(tasks, Vec::new);
         counts.resize_with(tasks, Vec::new);
@@ -155,6 +229,39 @@ impl Bins {
                 }
             });
         });
+    }
+}
+
+impl Share {
+    /// Sorts emissions by tile; `positions` become those of the whole list.
+    fn sort(&mut self, tasks: &[Vec<Emission>], positions: &mut [u32]) {
+        let Self { sorted, starts, next } = self;
+        sorted.resize(positions.len(), TileSplat::default());
+        // A tile's start here moves on, until it is the next one's.
+        for (emission, position) in tasks.iter().flatten().zip(positions) {
+            let (slot, next) = (&mut starts[emission.tile as usize], &mut next[emission.tile as usize]);
+            sorted[*slot as usize] = emission.entry;
+            *position = *next;
+            (*slot, *next) = (*slot + 1, *next + 1);
+        }
+        starts.rotate_right(1);
+        starts[0] = 0;
+    }
+
+    fn of_tile(&self, tile: usize) -> &[TileSplat] {
+        &self.sorted[self.starts[tile] as usize..self.starts[tile + 1] as usize]
+    }
+}
+
+/// Where each tile's part would start in a list of these emissions by tile; one more at the end.
+fn count_by_tile(emissions: &[Vec<Emission>], tiles: usize, starts: &mut Vec<u32>) {
+    starts.clear();
+    starts.resize(tiles + 1, 0);
+    for emission in emissions.iter().flatten() {
+        starts[emission.tile as usize + 1] += 1;
+    }
+    for tile in 0..tiles {
+        starts[tile + 1] += starts[tile];
     }
 }
 
@@ -291,45 +398,12 @@ fn emit_tile_row(spans: [(i32, i32); BLOCKS_ACROSS], mut each: impl FnMut(usize,
     }
 }
 
-/// Stable least-significant-digit radix sort of `keys` by their upper 32 bits.
-fn radix_sort_high_half(keys: &mut Vec<u64>, swap: &mut Vec<u64>) {
-    const BITS: u32 = 11;
-    swap.resize(keys.len(), 0);
-    for pass in 0..3 {
-        let shift = 32 + pass * BITS;
-        let digit = |key: u64| (key >> shift) as usize & ((1 << BITS) - 1);
-        let mut starts = [0u32; 1 << BITS];
-        for &key in keys.iter() {
-            starts[digit(key)] += 1;
-        }
-        let mut sum = 0;
-        for start in &mut starts {
-            sum += std::mem::replace(start, sum);
-        }
-        for &key in keys.iter() {
-            let slot = &mut starts[digit(key)];
-            swap[*slot as usize] = key;
-            *slot += 1;
-        }
-        std::mem::swap(keys, swap);
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use proptest::prelude::*;
 
     proptest! {
-        #[test]
-        fn radix_sort_is_a_stable_sort(values in prop::collection::vec(any::<u32>(), 0..300)) {
-            let mut keys: Vec<u64> = values.iter().enumerate().map(|(i, &v)| u64::from(v) << 32 | i as u64).collect();
-            let mut expected = keys.clone();
-            expected.sort_unstable();
-            radix_sort_high_half(&mut keys, &mut Vec::new());
-            prop_assert_eq!(keys, expected);
-        }
-
         /// Every pixel with alpha ≥ 1/255 lies in a listed block, and a listed block is not far from such a pixel.
         #[test]
         fn lists_are_exact(

@@ -237,6 +237,14 @@ impl Rows {
     }
 }
 
+/// Values that a blurred vector is made of.
+const NEAR: usize = LANES + 2 * SSIM_RADIUS;
+
+#[inline(always)]
+fn shifted<S: Simd>(simd: S, near: &[f32; NEAR], tap: usize) -> V<S> {
+    V::from_slice(simd, &near[tap..tap + LANES])
+}
+
 /// Horizontal blur of a padded row into a slot of a ring; the window's symmetry halves the multiplications.
 #[inline(always)]
 pub fn blur_row<S: Simd, const K: usize>(
@@ -247,15 +255,14 @@ pub fn blur_row<S: Simd, const K: usize>(
     quantity: usize,
     slot: usize,
 ) {
-    const NEAR: usize = LANES + 2 * SSIM_RADIUS;
     for (columns, out) in out.columns.iter_mut().enumerate() {
         let first = MARGIN + columns * LANES - SSIM_RADIUS;
         // Of known length, so that one check serves all taps.
         let Some(near) = row[first..].first_chunk::<NEAR>() else { unreachable!("rows are padded") };
-        let at = |tap: usize| V::from_slice(simd, &near[tap..tap + LANES]);
-        let mut sum = at(SSIM_RADIUS) * window[SSIM_RADIUS];
+        let mut sum = shifted(simd, near, SSIM_RADIUS) * window[SSIM_RADIUS];
         for tap in 0..SSIM_RADIUS {
-            sum = (at(tap) + at(TAPS - 1 - tap)).mul_add(V::splat(simd, window[tap]), sum);
+            let both = shifted(simd, near, tap) + shifted(simd, near, TAPS - 1 - tap);
+            sum = both.mul_add(V::splat(simd, window[tap]), sum);
         }
         out[quantity][slot] = *sum;
     }

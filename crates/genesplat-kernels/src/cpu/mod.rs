@@ -9,6 +9,7 @@ mod colour;
 mod credit;
 mod explore;
 mod loss;
+mod order;
 mod project;
 mod project_backward;
 mod rasterise;

@@ -422,8 +422,7 @@ impl<S: Simd> Geometry<S> {
         let dilation = filter.dilation();
         let cov = [cov_raw[0] + dilation, cov_raw[1], cov_raw[2] + dilation];
         // As a sum of squares (Cauchy and Binet): `xx · yy − xy²` of a needle is a small difference of large numbers.
-        let minor = |j: usize, k: usize| w[0][j] * w[1][k] - w[0][k] * w[1][j];
-        let [xy, xz, yz] = [minor(0, 1), minor(0, 2), minor(1, 2)];
+        let [xy, xz, yz] = [minor(&w, 0, 1), minor(&w, 0, 2), minor(&w, 1, 2)];
         let [vx, vy, vz] = variance;
         let det_raw = vx * vy * xy * xy + vx * vz * xz * xz + vy * vz * yz * yz;
         // `exp` makes something of a NaN, and a determinant of 0 nothing of the Gaussian. Infinities have a meaning.
@@ -480,6 +479,12 @@ impl<S: Simd> Geometry<S> {
 #[inline(always)]
 fn weighted_dot<S: Simd>(weight: &[V<S>; 3], a: &[V<S>; 3], b: &[V<S>; 3]) -> V<S> {
     weight[0] * a[0] * b[0] + weight[1] * a[1] * b[1] + weight[2] * a[2] * b[2]
+}
+
+/// Determinant of two columns.
+#[inline(always)]
+fn minor<S: Simd>(w: &[[V<S>; 3]; 2], j: usize, k: usize) -> V<S> {
+    w[0][j] * w[1][k] - w[0][k] * w[1][j]
 }
 
 /// Factor on the opacity that keeps a splat's energy under the screen filter.

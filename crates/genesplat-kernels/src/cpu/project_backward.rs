@@ -148,6 +148,11 @@ fn add_filter_gradient<S: Simd>(
 }
 
 #[inline(always)]
+fn dot<S: Simd>(a: &[V<S>; 3], b: &[f32; 3]) -> V<S> {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+#[inline(always)]
 fn camera_gradient<S: Simd>(
     g: &Geometry<S>,
     u: &[[V<S>; 3]; 2],
@@ -159,9 +164,8 @@ fn camera_gradient<S: Simd>(
     let mut t = [zero; 3];
     for axis in 0..2 {
         let rotation = &camera.rotation;
-        let dot = |row: &[f32; 3]| u[axis][0] * row[0] + u[axis][1] * row[1] + u[axis][2] * row[2];
         // J_axis,axis = f/z and J_axis,2 = −f·q/z with q = clamp(x/z).
-        let (diagonal, third) = (dot(&rotation[axis]), dot(&rotation[2]));
+        let (diagonal, third) = (dot(&u[axis], &rotation[axis]), dot(&u[axis], &rotation[2]));
         let focal = camera.focal[axis];
         let clamped = g.ratio[axis].abs().simd_gt(camera.limit[axis]);
         let by_ratio = clamped.select(zero, -(third * g.inverse_z * focal));

@@ -226,7 +226,9 @@ pub fn alpha<S: Simd>(simd: S, splat: &Splat, block: usize) -> Alpha<S> {
     let constant = (dy * c).mul_add(dy, V::splat(simd, splat.log2_opacity));
     let exponent = slope.mul_add(dx, constant);
     let hit = exponent.simd_ge(-LOG2_255);
-    let unclamped = exp2_of_alpha(exponent);
+    // No Gaussian exceeds its opacity, but far from the mean of a needle large terms cancel, and rounding may leave anything.
+    // (Published code draws nothing where it does: near the mean of any splat, a pixel can hang on the last bit.)
+    let unclamped = exp2_of_alpha(exponent.min(splat.log2_opacity));
     Alpha { offset: [dx, dy], unclamped, alpha: keep(hit, unclamped.min(ALPHA_MAX)), hit }
 }
 

@@ -184,7 +184,15 @@ fn begin<S: Simd>(simd: S, task: &TileTask, state: &mut TileState) -> u32 {
     live
 }
 
-/// Blends one splat once more and leaves its share of each block; returns the extra sums: `|∂L/∂u|`, `|∂L/∂v|`, pixels.
+/// What some trainers ask for besides gradients.
+struct ExtraSums<S: Simd> {
+    /// `|∂L/∂u|` and `|∂L/∂v|`, not yet summed over the lanes.
+    absolute: [V<S>; 2],
+    /// Pixels blended.
+    pixels: f32,
+}
+
+/// Blends one splat once more and leaves its share of each block; returns the extra sums.
 #[inline(always)]
 fn replay<const EXTRA: u8, S: Simd>(
     simd: S,
@@ -192,8 +200,8 @@ fn replay<const EXTRA: u8, S: Simd>(
     blocks: u32,
     state: &mut TileState,
     live: &mut u32,
-) -> [f32; 3] {
-    let mut extra = [0.0; 3];
+) -> ExtraSums<S> {
+    let mut extra = ExtraSums { absolute: [V::splat(simd, 0.0); 2], pixels: 0.0 };
     each_block(
         blocks,
         #[inline(always)]
@@ -225,11 +233,12 @@ fn replay<const EXTRA: u8, S: Simd>(
 
             // 3. Sums that only some trainers ask for.
             if EXTRA == PIXELS {
-                extra[2] += blended.to_bitmask().count_ones() as f32;
+                extra.pixels += blended.to_bitmask().count_ones() as f32;
             }
             if EXTRA == ABSOLUTE {
-                let absolute = absolute_gradient(splat, offset, p);
-                extra = [extra[0] + absolute[0], extra[1] + absolute[1], 0.0];
+                let [x, y] = absolute_gradient(splat, offset, p);
+                extra.absolute[0] += x;
+                extra.absolute[1] += y;
             }
         },
     );
@@ -244,12 +253,11 @@ fn reciprocal<S: Simd>(x: V<S>) -> V<S> {
     estimate * (-x).mul_add(estimate, V::splat(x.simd, 2.0))
 }
 
-/// Sums over the block of `|∂L/∂u|` and `|∂L/∂v|`: `∂L/∂mean = p · Σ'⁻¹ (pixel − mean)`.
+/// `|∂L/∂u|` and `|∂L/∂v|` of the pixels of a block: `∂L/∂mean = p · Σ'⁻¹ (pixel − mean)`.
 #[inline(always)]
-fn absolute_gradient<S: Simd>(splat: &Splat, [dx, dy]: [V<S>; 2], p: V<S>) -> [f32; 2] {
+fn absolute_gradient<S: Simd>(splat: &Splat, [dx, dy]: [V<S>; 2], p: V<S>) -> [V<S>; 2] {
     let [a, b, c] = splat.conic_log2.map(|v| v * -std::f32::consts::LN_2);
-    let [x, y] = [(p * (dx * (2.0 * a) + dy * b)).abs(), (p * (dx * b + dy * (2.0 * c))).abs()];
-    [x.iter().sum(), y.iter().sum()]
+    [(p * (dx * (2.0 * a) + dy * b)).abs(), (p * (dx * b + dy * (2.0 * c))).abs()]
 }
 
 /// Coordinates of moments are taken from the tile's centre: small numbers, exact in f32.
@@ -260,12 +268,11 @@ const HALF: usize = LANES / 2;
 
 /// Sums the shares of a splat over its blocks into a row, with moments about the tile's centre.
 #[inline(always)]
-fn accumulate<S: Simd>(simd: S, blocks: u32, state: &TileState, extra: [f32; 3]) -> GradientRow {
+fn accumulate<S: Simd>(simd: S, blocks: u32, state: &TileState, extra: ExtraSums<S>) -> GradientRow {
     let zero = f32x8::splat(simd, 0.0);
     let [mut one, mut x, mut y, mut xx, mut xy, mut yy] = [zero; 6];
     let mut rgb = [zero; 3];
     let centre = f32x8::splat(simd, TILE_CENTRE);
-    let half = |values: &[f32; LANES], half: usize| f32x8::from_slice(simd, &values[half * HALF..][..HALF]);
     each_block(
         blocks,
         #[inline(always)]
@@ -273,9 +280,9 @@ fn accumulate<S: Simd>(simd: S, blocks: u32, state: &TileState, extra: [f32; 3])
             let (gradient, share) = (&state.blocks[block].gradient, &state.shares[block]);
             let (columns, rows) = (&COLUMN_PX[block % BLOCKS_ACROSS], &ROW_PX[block / BLOCKS_ACROSS]);
             // Both halves of a block have the same columns, so what only depends on them is summed before it is used.
-            let px = half(columns, 0) - centre;
-            let (upper_y, lower_y) = (half(rows, 0) - centre, half(rows, 1) - centre);
-            let (upper, lower) = (half(&share.p, 0), half(&share.p, 1));
+            let px = half(simd, columns, 0) - centre;
+            let (upper_y, lower_y) = (half(simd, rows, 0) - centre, half(simd, rows, 1) - centre);
+            let (upper, lower) = (half(simd, &share.p, 0), half(simd, &share.p, 1));
             let p = upper + lower;
             let p_x = p * px;
             let (upper_p_y, lower_p_y) = (upper * upper_y, lower * lower_y);
@@ -287,18 +294,24 @@ fn accumulate<S: Simd>(simd: S, blocks: u32, state: &TileState, extra: [f32; 3])
             xy = p_y.mul_add(px, xy);
             yy = lower_p_y.mul_add(lower_y, upper_p_y.mul_add(upper_y, yy));
             for part in 0..2 {
-                let w = half(&share.w, part);
+                let w = half(simd, &share.w, part);
                 for channel in 0..3 {
-                    rgb[channel] = w.mul_add(half(&gradient[channel], part), rgb[channel]);
+                    rgb[channel] = w.mul_add(half(simd, &gradient[channel], part), rgb[channel]);
                 }
             }
         },
     );
-    let [absolute_x, absolute_y, pixels] = extra;
+    let [absolute_x, absolute_y] = array(
+        #[inline(always)]
+        |axis| {
+            let (low, high) = extra.absolute[axis].split();
+            low + high
+        },
+    );
     let sums = [
         sum_lanes([one, x, y, xx]),
-        sum_lanes([xy, yy, zero, zero]) + f32x4::simd_from(simd, [0.0, 0.0, absolute_x, absolute_y]),
-        sum_lanes([rgb[0], rgb[1], rgb[2], zero]) + f32x4::simd_from(simd, [0.0, 0.0, 0.0, pixels]),
+        sum_lanes([xy, yy, absolute_x, absolute_y]),
+        sum_lanes([rgb[0], rgb[1], rgb[2], zero]) + f32x4::simd_from(simd, [0.0, 0.0, 0.0, extra.pixels]),
         f32x4::splat(simd, 0.0),
     ];
     let mut row = GradientRow::default();
@@ -306,6 +319,12 @@ fn accumulate<S: Simd>(simd: S, blocks: u32, state: &TileState, extra: [f32; 3])
         sum.store_slice(columns);
     }
     row
+}
+
+/// The upper or the lower half of a block.
+#[inline(always)]
+fn half<S: Simd>(simd: S, values: &[f32; LANES], half: usize) -> f32x8<S> {
+    f32x8::from_slice(simd, &values[half * HALF..][..HALF])
 }
 
 /// The sums of the lanes of four vectors.

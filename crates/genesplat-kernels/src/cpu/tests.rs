@@ -20,8 +20,8 @@ use super::score::judge::loss_by_judge;
 use super::update::{Inputs, gradients};
 use super::{CpuBackend, Frame, loss};
 use crate::fixtures::{
-    CROWD_LOGITS, HEIGHT, WIDTH, camera, cloud, crowd, filtered_cloud, filters, individual_of, photo,
-    poisoned_cloud, settings, small_view, step, tall_view, uniform, view,
+    CROWD_LOGITS, HEIGHT, WIDTH, camera, cloud, crowd, far_needles, filtered_cloud, filters, individual_of,
+    photo, poisoned_cloud, settings, small_view, step, tall_view, uniform, view,
 };
 use crate::reference::{self, Cloud64, Cutoff};
 
@@ -393,6 +393,30 @@ fn ten_steps_match_the_reference(exploration: Option<Exploration>) {
     assert_ne!(actual.positions, start.positions);
 }
 
+/// They do not end as denormal numbers, which are slow.
+#[test]
+fn moments_without_a_gradient_end_at_zero() {
+    let mut elsewhere = small_view();
+    elsewhere.camera.camera_from_world_translation.z = -1e3;
+    // Whole vectors, and a tail.
+    let mut backend = backend_with(&cloud(37));
+    backend.set_views(&[view(), elsewhere]).unwrap();
+    backend.train_step(&classic_step(1)).unwrap();
+    let is_zero = |m: &Gaussians| {
+        flat(&m.positions)
+            .chain(flat(&m.log_scales))
+            .chain(flat(&m.rotations))
+            .chain(flat(&m.sh))
+            .all(|v| v == 0.0)
+            && m.opacity_logits.iter().all(|&v| v == 0.0)
+    };
+    assert!(!is_zero(&backend.download_moments().unwrap().first));
+    for number in 2..1000 {
+        backend.train_step(&TrainStep { view: 1, ..classic_step(number) }).unwrap();
+    }
+    assert!(is_zero(&backend.download_moments().unwrap().first));
+}
+
 #[test]
 fn results_do_not_depend_on_the_number_of_threads() {
     let run = |threads: usize| {
@@ -454,6 +478,26 @@ fn poison_never_reaches_a_pixel() {
         let mut backend = backend_with(&cloud);
         let image = backend.render(&camera(), &settings(3, filter)).unwrap();
         assert!(image.planes.iter().all(|v| v.is_finite()), "{filter:?}");
+    }
+}
+
+/// Where a Gaussian exceeds its opacity, by rounding, it counts as its opacity.
+#[test]
+fn far_needles_leave_everything_finite() {
+    let needles = far_needles();
+    for filter in filters() {
+        let mut backend = backend_with(&needles);
+        let image = backend.render(&camera(), &settings(0, filter)).unwrap();
+        assert!(image.planes.iter().all(|v| (0.0..10.0).contains(v)), "{filter:?}: the picture");
+        backend.train_step(&step(1, settings(0, filter))).unwrap();
+        let report = backend.report().unwrap();
+        assert!(report.tile_splats > 100, "{filter:?}: few needles reach the picture");
+        assert!(report.loss.is_finite(), "{filter:?}: the loss");
+        let stepped = backend.download().unwrap();
+        assert!(flat(&stepped.positions).all(f64::is_finite), "{filter:?}: positions");
+        assert!(flat(&stepped.log_scales).all(f64::is_finite), "{filter:?}: scales");
+        assert!(flat(&stepped.rotations).all(f64::is_finite), "{filter:?}: rotations");
+        assert!(stepped.opacity_logits.iter().all(|v| v.is_finite()), "{filter:?}: opacities");
     }
 }
 

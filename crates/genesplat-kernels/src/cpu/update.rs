@@ -307,10 +307,8 @@ fn chunk_gradients<S: Simd>(
 /// Asks for every row of one group of a chunk's `count` splats: they lie scattered, by tile.
 #[inline(always)]
 fn prefetch_rows(inputs: &Inputs, first: usize, count: usize, group: usize) {
-    let ranges =
-        inputs.bins.position_ranges[first..first + count].chunks(LANES).nth(group).unwrap_or_default();
-    for &[start, rows] in ranges {
-        for &position in &inputs.bins.positions[start as usize..][..rows as usize] {
+    for index in first + count.min(group * LANES)..first + count.min((group + 1) * LANES) {
+        for &position in inputs.bins.positions_of(index) {
             prefetch(&inputs.rows[position as usize]);
         }
     }

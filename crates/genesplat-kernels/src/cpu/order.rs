@@ -1,0 +1,189 @@
+//! The splats of a view, nearest first: the sort of stage `bin`.
+//!
+//! A key is a splat's depth above its index, so no two keys are equal and there is one sorted order, whoever sorts. One
+//! thread sorts by radix. Several first deal the keys out by ranges of depth, which are then sorted apart (a sample sort).
+
+use std::ops::Range;
+
+use rayon::prelude::*;
+
+use super::bytes_of;
+use super::project::{CHUNK, Splats};
+
+/// Rows of a cloud below which one thread sorts as fast as several.
+const FEW: usize = 4096;
+/// Ranges of depth for each thread: some are longer than others.
+const RANGES_A_THREAD: usize = 2;
+/// Keys that are looked at to find where a range ends.
+const SAMPLES_A_RANGE: usize = 32;
+
+/// Depth bits and splat index of every splat, nearest first.
+#[derive(Clone, Debug, Default)]
+pub struct DepthOrder {
+    keys: Vec<u64>,
+    swap: Vec<u64>,
+    /// What each task found for each range.
+    dealt: Vec<Vec<Vec<u64>>>,
+}
+
+impl DepthOrder {
+    /// Bytes of memory.
+    pub fn bytes(&self) -> usize {
+        let dealt: usize = self.dealt.iter().flatten().map(bytes_of).sum();
+        bytes_of(&self.keys) + bytes_of(&self.swap) + dealt
+    }
+
+    /// The sorted keys; the lower half of each is the splat's index.
+    pub fn keys(&self) -> &[u64] {
+        &self.keys
+    }
+
+    /// Sorts the splats of a view; ties by index.
+    pub fn sort(&mut self, splats: &Splats) {
+        let threads = rayon::current_num_threads();
+        if threads == 1 || splats.capacity() < FEW {
+            self.sort_by_one(splats);
+        } else {
+            self.sort_by_ranges(splats, RANGES_A_THREAD * threads);
+        }
+    }
+
+    fn sort_by_one(&mut self, splats: &Splats) {
+        self.swap.clear();
+        self.swap.extend(keys_of(splats, 0..chunks(splats)));
+        self.keys.resize(self.swap.len(), 0);
+        radix_sort_high_half(&mut self.swap, &mut self.keys);
+    }
+
+    fn sort_by_ranges(&mut self, splats: &Splats, ranges: usize) {
+        let ends = range_ends(splats, ranges);
+        self.dealt.resize_with(ranges, Vec::new);
+        let share = chunks(splats).div_ceil(ranges);
+        self.dealt.par_iter_mut().enumerate().for_each(|(task, dealt)| {
+            dealt.resize_with(ranges, Vec::new);
+            dealt.iter_mut().for_each(Vec::clear);
+            for key in keys_of(splats, task * share..chunks(splats).min((task + 1) * share)) {
+                dealt[ends.partition_point(|&end| end <= key)].push(key);
+            }
+        });
+        let dealt = &self.dealt;
+        let lengths: Vec<usize> =
+            (0..ranges).map(|range| dealt.iter().map(|dealt| dealt[range].len()).sum()).collect();
+        let total = lengths.iter().sum();
+        self.keys.resize(total, 0);
+        self.swap.resize(total, 0);
+        let rooms = split(&mut self.swap, &lengths).into_par_iter().zip(split(&mut self.keys, &lengths));
+        rooms.enumerate().for_each(|(range, (swap, keys))| {
+            let mut rest = &mut *swap;
+            for dealt in dealt {
+                rest.split_off_mut(..dealt[range].len()).unwrap_or_default().copy_from_slice(&dealt[range]);
+            }
+            radix_sort_high_half(swap, keys);
+        });
+    }
+}
+
+/// Consecutive parts of the given lengths.
+pub fn split<'a, T>(mut values: &'a mut [T], lengths: &[usize]) -> Vec<&'a mut [T]> {
+    let part = |&length: &usize| values.split_off_mut(..length).unwrap_or_default();
+    lengths.iter().map(part).collect()
+}
+
+fn chunks(splats: &Splats) -> usize {
+    splats.capacity().div_ceil(CHUNK)
+}
+
+/// The keys of some chunks of rows, in row order. Depths are positive, so their bits order as they do.
+fn keys_of(splats: &Splats, chunks: Range<usize>) -> impl Iterator<Item = u64> {
+    chunks.flat_map(move |chunk| {
+        let indices = (chunk * CHUNK) as u64..;
+        indices.zip(splats.chunk(chunk)).map(|(index, splat)| u64::from(splat.depth.to_bits()) << 32 | index)
+    })
+}
+
+/// Keys at which all ranges but the first begin: those of a sample, so that ranges are about as long as one another.
+fn range_ends(splats: &Splats, ranges: usize) -> Vec<u64> {
+    let (chunks, wanted) = (chunks(splats), ranges * SAMPLES_A_RANGE);
+    let sampled = (0..chunks).step_by((chunks / wanted).max(1));
+    let apart = CHUNK.div_ceil(wanted.div_ceil(sampled.len().max(1)));
+    let mut sample: Vec<u64> =
+        sampled.flat_map(|chunk| keys_of(splats, chunk..chunk + 1).step_by(apart)).collect();
+    sample.sort_unstable();
+    let at = |range: usize| sample.get(sample.len() * range / ranges).copied().unwrap_or_default();
+    (1..ranges).map(at).collect()
+}
+
+const DIGIT_BITS: u32 = 11;
+const DIGITS: usize = 1 << DIGIT_BITS;
+/// Digits of the upper half of a key.
+const PASSES: usize = 3;
+
+fn digit_of(key: u64, pass: usize) -> usize {
+    (key >> (32 + pass as u32 * DIGIT_BITS)) as usize & (DIGITS - 1)
+}
+
+/// Sorts `keys` by their upper 32 bits into `out`, equal ones in the order in which they were; what is left in `keys` has no
+/// meaning. Least significant digit first.
+fn radix_sort_high_half(keys: &mut [u64], out: &mut [u64]) {
+    let mut counts = [[0u32; DIGITS]; PASSES];
+    for &key in &*keys {
+        for pass in 0..PASSES {
+            counts[pass][digit_of(key, pass)] += 1;
+        }
+    }
+    let (mut from, mut to) = (keys, out);
+    for (pass, starts) in counts.iter_mut().enumerate() {
+        let mut sum = 0;
+        for start in &mut *starts {
+            sum += std::mem::replace(start, sum);
+        }
+        for &key in &*from {
+            let slot = &mut starts[digit_of(key, pass)];
+            to[*slot as usize] = key;
+            *slot += 1;
+        }
+        std::mem::swap(&mut from, &mut to);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use fearless_simd::Level;
+    use genesplat_core::ScreenFilter;
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::cpu::project::{Pinhole, project};
+    use crate::fixtures::{camera, cloud, settings};
+
+    proptest! {
+        #[test]
+        fn radix_sort_is_a_stable_sort(values in prop::collection::vec(any::<u32>(), 0..300)) {
+            let mut keys: Vec<u64> = values.iter().enumerate().map(|(i, &v)| u64::from(v) << 32 | i as u64).collect();
+            let mut expected = keys.clone();
+            expected.sort_unstable();
+            let mut sorted = vec![0; keys.len()];
+            radix_sort_high_half(&mut keys, &mut sorted);
+            prop_assert_eq!(sorted, expected);
+        }
+
+        /// However few splats there are to a range, and however many have the same depth.
+        #[test]
+        fn ranges_sort_as_one_does(rows in 0usize..2000, places in 1usize..300, ranges in 2usize..20) {
+            let mut cloud = cloud(rows);
+            for row in places..rows {
+                cloud.positions[row] = cloud.positions[row % places];
+            }
+            let mut splats = Splats::default();
+            let settings = settings(0, ScreenFilter::Classic);
+            project(Level::new(), &cloud, &Pinhole::from(&camera()), &settings, &mut splats);
+            let (mut one, mut many) = (DepthOrder::default(), DepthOrder::default());
+            one.sort_by_one(&splats);
+            prop_assert!(one.keys.is_sorted() && one.keys.len() == splats.len());
+            for _ in 0..2 {
+                many.sort_by_ranges(&splats, ranges);
+                prop_assert_eq!(&many.keys, &one.keys);
+            }
+        }
+    }
+}
