@@ -26,7 +26,7 @@ fn describe(adapter: &AdapterReport, is_first: bool) -> String {
     let AdapterReport { name, kind, api, driver, binding_bytes, buffer_bytes, workgroup_bytes, .. } = adapter;
     let mib = |bytes: u64| bytes >> 20;
     let clock = if adapter.timestamps { "can time its stages" } else { "cannot time its stages" };
-    let subgroups = if adapter.subgroups { "sorts by subgroups" } else { "sorts without subgroups" };
+    let subgroups = if adapter.subgroups { "has subgroups" } else { "has no subgroups" };
     let verdict = match &adapter.unusable {
         Some(reason) => format!("cannot be used: {reason}"),
         None if !is_first => "not used: one above comes first".into(),
