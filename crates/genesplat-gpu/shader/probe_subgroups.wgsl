@@ -3,7 +3,7 @@
 
 @group(0) @binding(0) var<storage, read_write> seats_found: array<u32>;
 
-// Bits that any four neighbours tell from another order, and from seats that are left out.
+// Bits without a pattern: a ballot in another order, or without some seats, is another one somewhere.
 fn is_marked(lane: u32) -> bool {
     return ((lane * 0x9e3779b9u) & 0x10000u) != 0u;
 }

@@ -30,6 +30,7 @@ use crate::optimise::Optimise;
 use crate::pixels::{Pixels, image_bytes, pack_photo, row_bytes};
 use crate::recorder::Recorder;
 use crate::score::Scratch;
+use crate::shaders::Subgroups;
 use crate::state::State;
 use crate::timing::Timestamps;
 
@@ -101,6 +102,11 @@ impl GpuBackend {
             steps: 0,
             timestamps: None,
         })
+    }
+
+    /// Whether its kernels sort and sum by subgroups.
+    pub fn uses_subgroups(&self) -> bool {
+        self.engine.subgroups == Subgroups::With
     }
 
     /// Bytes that this backend holds on the device.

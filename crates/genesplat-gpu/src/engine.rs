@@ -71,7 +71,8 @@ pub(crate) struct Engine {
     /// How often the host has waited: what a test counts.
     pub(crate) waits: Cell<u32>,
     pub(crate) timestamps: bool,
-    subgroups: Subgroups,
+    /// Which kernels run.
+    pub(crate) subgroups: Subgroups,
     kernels: RefCell<HashMap<KernelKey, Kernel>>,
     lost: Arc<Mutex<Option<String>>>,
     allocated: Rc<Cell<u64>>,

@@ -17,10 +17,9 @@ impl<B: Backend> Trainer<'_, B> {
     /// checkpoint when it was stopped: what was done counts, but a resumed run spends all of it anew.
     pub(crate) fn control(&mut self, cursor: Cursor) -> Result<Option<Box<Checkpoint>>, TrainError> {
         // Steps cannot be undone, so what a run that is stopped or fails resumes from is kept from the start.
-        let mut start = Some(self.capture(cursor)?);
-        if let Some(start) = &start {
-            check_health(&start.cloud, self.progress.steps)?;
-        }
+        let start = self.capture(cursor)?;
+        check_health(&start.cloud, self.progress.steps)?;
+        let mut start = Some(start);
         let fitness = self.fitness(cursor.iteration);
         let before = self.fitness_of_base(&fitness, cursor.iteration)?;
         let record = StageRecord::begun(StageKind::Control, cursor.iteration, before, None);

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
 
-use super::{MachineArgs, SizeArgs};
+use super::{MachineArgs, SizeArgs, THREADS};
 
 /// What can be measured.
 #[derive(Debug, Subcommand)]
@@ -108,7 +108,7 @@ pub struct BenchGpuArgs {
     #[arg(long)]
     pub without_subgroups: bool,
     /// Processor threads to make the cloud with [default: all cores]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(THREADS))]
     pub threads: Option<u16>,
     /// Also write the figures to this file [default: none]
     #[arg(long, value_name = "FILE")]

@@ -36,8 +36,8 @@ const COPIED_BYTES: u64 = 256 << 20;
 #[derive(Serialize)]
 struct Report {
     device: String,
-    /// Kernels are those for devices without subgroups, by request.
-    without_subgroups: bool,
+    /// Kernels sort and sum by subgroups.
+    subgroups: bool,
     /// Read and written by copies.
     memory_bytes_per_second: f64,
     /// Of the largest photo.
@@ -92,7 +92,7 @@ pub fn run(args: &BenchGpuArgs) -> Result<()> {
     let mut backend = new_backend(args)?;
     let mut report = Report {
         device: backend.describe(),
-        without_subgroups: args.without_subgroups,
+        subgroups: backend.uses_subgroups(),
         memory_bytes_per_second: backend.memory_bandwidth(COPIED_BYTES)?,
         width,
         height,
@@ -295,7 +295,8 @@ impl Bench {
 
 impl Report {
     fn to_text(&self) -> String {
-        format!("{}: copies move {:.1} GB/s", self.device, 1e-9 * self.memory_bytes_per_second)
+        let sorts = if self.subgroups { "sorts by subgroups" } else { "sorts without subgroups" };
+        format!("{}: {sorts}; copies move {:.1} GB/s", self.device, 1e-9 * self.memory_bytes_per_second)
     }
 }
 
