@@ -6,7 +6,7 @@
 
 use std::ops::Range;
 
-use crate::genes::{Gene, SparseDelta};
+use crate::genes::{Genes, SparseDelta};
 
 /// A bit for each individual of a pool.
 pub type Holders = u128;
@@ -17,7 +17,7 @@ pub struct Allele<'a> {
     /// Of the cloud.
     pub row: u32,
     /// Nothing where it is what the cloud itself has.
-    pub genes: Option<&'a Gene>,
+    pub genes: Option<&'a Genes>,
     /// The individuals that have them; at least one.
     pub holders: Holders,
 }

@@ -5,15 +5,15 @@
 use std::borrow::Cow;
 use std::sync::Arc;
 
+use crate::averages::{Blend, ViewLoss, WindowAverages};
 use crate::camera::Camera;
 use crate::constants::{CLASSIC_DILATION, MIP_DILATION};
-use crate::credit::Credits;
+use crate::contribution::Contribution;
 use crate::edit::RowEdit;
 use crate::gaussians::{Gaussians, Moments};
-use crate::genes::{Gene, SparseDelta};
+use crate::genes::{Genes, SparseDelta};
 use crate::image::{Image, Photo};
-use crate::lineage::{Blend, Judgement, Lineage, PARENTS};
-use crate::merit::Merit;
+use crate::rng::Rng;
 use crate::statistics::{Statistics, StatisticsRequest};
 
 /// A camera and the photo it took; both have the same size.
@@ -93,19 +93,21 @@ pub struct Update {
     /// The same for the opacity group, which loses a step at a lone opacity reset, as its tensor is replaced;
     /// 0 skips the group in this step.
     pub opacity_step: u32,
-    /// MCMC only: exploration noise and regularisers.
-    pub exploration: Option<Exploration>,
+    /// MCMC only: SGLD noise and regularisers.
+    pub mcmc: Option<McmcStep>,
 }
 
 /// 3DGS-MCMC's additions to a step (Kheradmand et al. 2024).
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Exploration {
-    /// Factor of the positional noise: position rate x 5e5.
-    pub noise: f32,
+pub struct McmcStep {
+    /// Factor of the positional noise (stochastic gradient Langevin dynamics): position rate x 5e5.
+    pub noise_scale: f32,
     /// Weight of the mean opacity in the loss.
     pub opacity_weight: f32,
     /// Weight of the mean scale in the loss.
     pub scale_weight: f32,
+    /// Streams of the run, which the noise is drawn from.
+    pub rng: Rng,
     /// Counter of the noise stream, which no two steps of a run may share: the optimiser step's.
     pub counter: u32,
 }
@@ -131,8 +133,8 @@ pub struct StepReport {
     pub loss: f32,
     /// Gaussians in front of the camera of which the box around `alpha >= 1/255` meets the image.
     pub visible: usize,
-    /// Entries of all tile lists.
-    pub tile_splats: usize,
+    /// Intersections of Gaussians with tiles: entries of all tile lists.
+    pub intersections: usize,
 }
 
 /// Why a backend could not do what it was asked.
@@ -164,7 +166,7 @@ pub enum BackendError {
     /// A request that this backend cannot serve.
     #[error("{0}")]
     Unsupported(String),
-    /// The device is out of memory, and lives: it holds every row, moment, sum and parent that it held before.
+    /// The device is out of memory, and lives: it holds every row, moment, sum and average that it held before.
     #[error(
         "out of memory on {device}: {wanted} bytes for {purpose}; lower --max-gaussians or --max-side, or use \
          --device cpu"
@@ -207,40 +209,55 @@ pub enum MomentPolicy {
     Zero,
 }
 
+/// All that a device holds of a run besides its views: what a checkpoint saves.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct DeviceState {
+    /// The Gaussians `[N]`.
+    pub cloud: Gaussians,
+    /// Adam's moments `[N]`; empty for zeros.
+    pub moments: Moments,
+    /// Sums for density control and evolution `[N]`; empty for zeros.
+    pub statistics: Statistics,
+    /// Means of recent states.
+    pub averages: WindowAverages,
+}
+
+impl From<Gaussians> for DeviceState {
+    /// A cloud that no step has been made with.
+    fn from(cloud: Gaussians) -> Self {
+        Self { cloud, ..Self::default() }
+    }
+}
+
 /// A device that holds one cloud, its moments and the training views.
 ///
 /// A verb that finds no memory ([`BackendError::OutOfMemory`]) does nothing: what was held before it can still be
 /// downloaded. Steps may wait in a queue, so the verb that fails for want of memory may be one after them;
-/// [`Backend::abandon`] tells how many of them were not done.
+/// [`Backend::discard_queued_steps`] tells how many of them were not done.
 pub trait Backend {
     /// In plain words, for the log.
     fn describe(&self) -> String;
 
-    /// Number of Gaussians held.
-    fn len(&self) -> usize;
-
-    /// True when no Gaussian is held.
-    fn is_empty(&self) -> bool {
-        self.len() == 0
-    }
+    /// Number of Gaussians held, N.
+    fn gaussian_count(&self) -> usize;
 
     /// Replaces the training views.
     fn set_views(&mut self, views: &[View]) -> Result<(), BackendError>;
 
-    /// Replaces the cloud; moments start at zero unless given.
-    fn upload(&mut self, cloud: Gaussians, moments: Option<Moments>) -> Result<(), BackendError>;
+    /// Replaces all that is held but the views; a cloud alone starts with zero moments and empty sums.
+    fn upload(&mut self, state: DeviceState) -> Result<(), BackendError>;
+
+    /// A copy of all that is held but the views (for checkpoints and trials).
+    fn state(&mut self) -> Result<DeviceState, BackendError>;
 
     /// The cloud: lent by a backend whose memory is the host's, copied by others.
     fn download(&mut self) -> Result<Cow<'_, Gaussians>, BackendError>;
 
-    /// The genes of all rows `[N]`, which are all of the cloud that density control and evolution look at: a device copies
-    /// a fifth of what [`Backend::download`] would, or less.
-    fn genes(&mut self) -> Result<Vec<Gene>, BackendError> {
+    /// The genes of all rows `[N]`, which are all of the cloud that density control and evolution look at: a fifth of what
+    /// [`Backend::download`] copies.
+    fn genes(&mut self) -> Result<Vec<Genes>, BackendError> {
         Ok(self.download()?.all_genes())
     }
-
-    /// The moments (for checkpoints), lent or copied likewise.
-    fn download_moments(&mut self) -> Result<Cow<'_, Moments>, BackendError>;
 
     /// Renders the cloud as `camera` sees it.
     fn render(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<Image, BackendError>;
@@ -248,74 +265,32 @@ pub trait Backend {
     /// Render, loss, backward, statistics, Adam.
     fn train_step(&mut self, step: &TrainStep) -> Result<(), BackendError>;
 
-    /// After [`BackendError::OutOfMemory`]: waits for the steps asked for, forgets those that cannot be done, and returns
-    /// how many these are; all before them are done, and none is done in part. What can be made again is given back, to
-    /// leave room for downloads.
-    fn abandon(&mut self) -> Result<usize, BackendError>;
-
-    /// What the last [`Backend::train_step`] found.
+    /// What the last [`Backend::train_step`] found; waits for it.
     fn report(&mut self) -> Result<StepReport, BackendError>;
 
-    /// Sums since the last reset.
+    /// After [`BackendError::OutOfMemory`]: waits for the queued steps, drops those that cannot be done, and returns how many these
+    /// are; all before them are done, and none is done in part. Buffers that can be made again are freed, to leave room for downloads.
+    fn discard_queued_steps(&mut self) -> Result<usize, BackendError>;
+
+    /// Sums since the last reset `[N]`.
     fn statistics(&mut self) -> Result<Statistics, BackendError>;
 
-    /// Puts back sums that [`Backend::statistics`] gave (resume); empty gene columns mean "never asked for".
-    fn restore_statistics(&mut self, statistics: Statistics) -> Result<(), BackendError>;
+    /// Forgets the gene columns, as if no step had asked for them; density columns stay.
+    fn clear_gene_gradients(&mut self);
 
-    /// Zeroes the density columns; with `genes`, empties the gene columns, as if nobody had asked for them yet.
-    fn reset_statistics(&mut self, genes: bool);
-
-    /// Applies a plan of density control to parameters, moments and gene accumulators; density columns are zeroed.
+    /// Applies a plan of density control to parameters, moments and gene accumulators; density columns are zeroed, averages emptied.
     fn edit_rows(&mut self, edit: &RowEdit) -> Result<(), BackendError>;
 
-    /// `opacity ← min(opacity, ceiling)`; the opacity moments of all rows are zeroed. With a 3D filter the
+    /// `opacity ← min(opacity, ceiling)`; the opacity moments of all rows are zeroed, averages emptied. With a 3D filter the
     /// *filtered* opacity is limited, as in the code released with it.
     fn reset_opacity(&mut self, ceiling: f32) -> Result<(), BackendError>;
 
     /// Replaces the 3D filter of Mip-Splatting `[N]`.
     fn set_filter_3d(&mut self, filter: Vec<f32>) -> Result<(), BackendError>;
+}
 
-    /// Overwrites the genes of the rows that `delta` names.
-    fn apply(&mut self, delta: &SparseDelta, moments: MomentPolicy) -> Result<(), BackendError>;
-
-    /// What each Gaussian is worth to training views, and how much is wrong where it is seen `[N]`.
-    fn weigh(&mut self, views: &[usize], settings: &RenderSettings) -> Result<Vec<Merit>, BackendError>;
-
-    /// What views say of mutants of the cloud, Gaussian by Gaussian; the cloud stays.
-    fn credit(
-        &mut self,
-        mutants: &[SparseDelta],
-        views: &[usize],
-        settings: &RenderSettings,
-    ) -> Result<Credits, BackendError>;
-
-    /// Adds the cloud as it is to a parent of its lineage, 0 for the older one. Uploading a cloud, changing its rows and
-    /// resetting opacities end the line.
-    fn remember(&mut self, parent: usize) -> Result<(), BackendError>;
-
-    /// How many states each parent of the line is the mean of, without a read-back.
-    fn remembered(&self) -> [u32; PARENTS];
-
-    /// Ends the line: nothing is remembered.
-    fn forget(&mut self);
-
-    /// What is remembered (for checkpoints), lent or copied.
-    fn lineage(&mut self) -> Result<Cow<'_, Lineage>, BackendError>;
-
-    /// Puts back what [`Backend::lineage`] gave (resume).
-    fn restore_lineage(&mut self, lineage: Lineage) -> Result<(), BackendError>;
-
-    /// How the children that `blends` make of the cloud and its lineage do on every view, `[P, V]`; the cloud stays.
-    fn judge(
-        &mut self,
-        blends: &[Blend],
-        views: &[usize],
-        settings: &RenderSettings,
-    ) -> Result<Vec<Judgement>, BackendError>;
-
-    /// The child takes the cloud's place. Moments and the 3D filter stay; the line ends.
-    fn breed(&mut self, blend: &Blend) -> Result<(), BackendError>;
-
+/// What evolution asks of a device besides training.
+pub trait EvolutionBackend: Backend {
     /// Eq. 5 of every individual on every view, `[P, V]`: individuals are deltas over the cloud held.
     fn score(
         &mut self,
@@ -323,4 +298,28 @@ pub trait Backend {
         views: &[usize],
         settings: &RenderSettings,
     ) -> Result<Vec<f32>, BackendError>;
+
+    /// Overwrites the genes of the rows that `delta` names.
+    fn apply(&mut self, delta: &SparseDelta, moments: MomentPolicy) -> Result<(), BackendError>;
+
+    /// How much each Gaussian contributes to training views, and the error where it is seen `[N]`.
+    fn contributions(
+        &mut self,
+        views: &[usize],
+        settings: &RenderSettings,
+    ) -> Result<Vec<Contribution>, BackendError>;
+
+    /// Adds the cloud as it is to a half of the averages, 0 for the older one.
+    fn average(&mut self, half: usize) -> Result<(), BackendError>;
+
+    /// How each blend of cloud and averages does on every view `[B, V]`; the cloud stays. The default blend is the cloud itself.
+    fn measure(
+        &mut self,
+        blends: &[Blend],
+        views: &[usize],
+        settings: &RenderSettings,
+    ) -> Result<Vec<ViewLoss>, BackendError>;
+
+    /// The blend takes the cloud's place, and the averages are emptied. Moments and the 3D filter stay.
+    fn blend(&mut self, blend: &Blend) -> Result<(), BackendError>;
 }

@@ -36,21 +36,28 @@ pub enum Origin {
 }
 
 /// A list of new rows, each made from an old one.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct RowEdit {
     /// Old row of each new row.
     pub sources: Vec<u32>,
     /// How each new row is made.
     pub origins: Vec<Origin>,
-    /// Counter of the random stream that split children are drawn from: the iteration.
+    /// Streams of the run, which split children are drawn from.
+    pub rng: Rng,
+    /// Counter of that stream: the iteration.
     pub iteration: u32,
 }
 
 impl RowEdit {
-    /// Keeps `rows` and drops all others.
+    /// An empty plan of iteration `iteration`.
+    pub fn new(rng: Rng, iteration: u32) -> Self {
+        Self { sources: Vec::new(), origins: Vec::new(), rng, iteration }
+    }
+
+    /// Keeps `rows` and drops all others; nothing is drawn.
     pub fn keep(rows: Vec<u32>) -> Self {
         let origins = vec![Origin::Kept; rows.len()];
-        Self { sources: rows, origins, iteration: 0 }
+        Self { sources: rows, origins, rng: Rng::new(0), iteration: 0 }
     }
 
     /// True when the edit would change nothing in a cloud of `n` rows.
@@ -68,9 +75,9 @@ impl RowEdit {
 
     /// The host's implementation: new parameters and moments. Column by column, so that at most one column
     /// exists twice.
-    pub fn apply(&self, cloud: &mut Gaussians, moments: &mut Moments, rng: &Rng) {
+    pub fn apply(&self, cloud: &mut Gaussians, moments: &mut Moments) {
         let positions: Vec<[f32; 3]> =
-            self.rows().map(|(row, origin)| self.position(cloud, row, origin, rng)).collect();
+            self.rows().map(|(row, origin)| self.position(cloud, row, origin)).collect();
         cloud.positions = positions;
         // Twins' scales depend on opacities, so these come later.
         cloud.log_scales = self
@@ -105,11 +112,11 @@ impl RowEdit {
         self.sources.iter().zip(&self.origins).map(|(&source, &origin)| (source as usize, origin))
     }
 
-    fn position(&self, cloud: &Gaussians, row: usize, origin: Origin, rng: &Rng) -> [f32; 3] {
+    fn position(&self, cloud: &Gaussians, row: usize, origin: Origin) -> [f32; 3] {
         let mean = cloud.positions[row];
         let offset_sigmas = match origin {
             Origin::SplitChild { child } => {
-                let draw = rng.at(Stream::SplitOffset, self.iteration, row as u32, u32::from(child));
+                let draw = self.rng.at(Stream::SplitOffset, self.iteration, row as u32, u32::from(child));
                 let ([a, b], [c, _]) = (draw.normals(0), draw.normals(1));
                 [a, b, c]
             }
@@ -188,14 +195,14 @@ mod tests {
 
     #[test]
     fn kept_rows_keep_moments_and_new_rows_start_fresh() {
-        let mut edit = RowEdit { iteration: 600, ..RowEdit::default() };
+        let mut edit = RowEdit::new(Rng::new(1), 600);
         edit.push(2, Origin::Kept);
         edit.push(2, Origin::Clone);
         edit.push(0, Origin::SplitChild { child: 0 });
         edit.push(0, Origin::SplitChild { child: 1 });
         let (mut cloud, mut moments) = (cloud(), Moments::zeros(3));
         moments.first.opacity_logits = vec![1.0, 2.0, 3.0];
-        edit.apply(&mut cloud, &mut moments, &Rng::new(1));
+        edit.apply(&mut cloud, &mut moments);
         assert!(cloud.is_consistent());
         assert_eq!(cloud.opacity_logits, [2.0, 2.0, 0.0, 0.0]);
         assert_eq!(cloud.positions[1], cloud.positions[0], "a clone is not displaced");
@@ -211,10 +218,10 @@ mod tests {
         let n = 4000u32;
         let mut sums = [0.0f64; 3];
         for iteration in 0..n {
-            let mut edit = RowEdit { iteration, ..RowEdit::default() };
+            let mut edit = RowEdit::new(Rng::new(5), iteration);
             edit.push(0, Origin::SplitChild { child: 0 });
             let mut child = parent.clone();
-            edit.apply(&mut child, &mut Moments::zeros(1), &Rng::new(5));
+            edit.apply(&mut child, &mut Moments::zeros(1));
             for axis in 0..3 {
                 sums[axis] += f64::from(child.positions[0][axis]).powi(2) / f64::from(n);
             }
@@ -229,10 +236,10 @@ mod tests {
     fn twins_stand_side_by_side_and_render_like_the_one_before() {
         let mut cloud = Gaussians::zeros(1);
         (cloud.log_scales[0], cloud.opacity_logits[0]) = ([-1.0, 0.5, -2.0], logit(0.8));
-        let mut edit = RowEdit::default();
+        let mut edit = RowEdit::new(Rng::new(1), 0);
         edit.push(0, Origin::Twin { child: 0 });
         edit.push(0, Origin::Twin { child: 1 });
-        edit.apply(&mut cloud, &mut Moments::zeros(1), &Rng::new(1));
+        edit.apply(&mut cloud, &mut Moments::zeros(1));
         let offset = TWIN_OFFSET * 0.5f32.exp();
         assert_eq!(cloud.positions, [[0.0, offset, 0.0], [0.0, -offset, 0.0]]);
         // Together they absorb at the centre what one did: 1 − (1 − o')² = o.

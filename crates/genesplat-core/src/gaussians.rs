@@ -1,6 +1,6 @@
 //! The cloud of Gaussians, structure of arrays, and Adam's moments in the same shape.
 
-use crate::genes::{Gene, SparseDelta};
+use crate::genes::{Genes, SparseDelta};
 use crate::spherical_harmonics::SH_STRIDE;
 
 /// A cloud of `N` Gaussians; all parameters raw (before activation).
@@ -48,19 +48,19 @@ impl Gaussians {
 
     /// The seven genes of a row: position, log-scale, opacity logit.
     #[inline]
-    pub fn genes(&self, row: usize) -> Gene {
+    pub fn genes(&self, row: usize) -> Genes {
         let (p, s) = (self.positions[row], self.log_scales[row]);
         [p[0], p[1], p[2], s[0], s[1], s[2], self.opacity_logits[row]]
     }
 
     /// The genes of every row `[N]`.
-    pub fn all_genes(&self) -> Vec<Gene> {
+    pub fn all_genes(&self) -> Vec<Genes> {
         (0..self.len()).map(|row| self.genes(row)).collect()
     }
 
     /// Overwrites the seven genes of a row.
     #[inline]
-    pub fn set_genes(&mut self, row: usize, genes: &Gene) {
+    pub fn set_genes(&mut self, row: usize, genes: &Genes) {
         self.positions[row] = [genes[0], genes[1], genes[2]];
         self.log_scales[row] = [genes[3], genes[4], genes[5]];
         self.opacity_logits[row] = genes[6];

@@ -4,7 +4,7 @@
 pub const GENES: usize = 7;
 
 /// One Gaussian's genes: `[x, y, z, ln sx, ln sy, ln sz, logit o]`.
-pub type Gene = [f32; GENES];
+pub type Genes = [f32; GENES];
 
 /// An individual as its difference from a shared base: the rows that differ and their new values.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -12,13 +12,13 @@ pub struct SparseDelta {
     /// Rows of the base that differ, strictly ascending.
     pub rows: Vec<u32>,
     /// Their new genes (absolute, not differences); one entry a row.
-    pub genes: Vec<Gene>,
+    pub genes: Vec<Genes>,
 }
 
 impl SparseDelta {
     /// Bytes held.
     pub fn bytes(&self) -> usize {
-        self.rows.capacity() * size_of::<u32>() + self.genes.capacity() * size_of::<Gene>()
+        self.rows.capacity() * size_of::<u32>() + self.genes.capacity() * size_of::<Genes>()
     }
 
     /// True for an individual equal to its base.

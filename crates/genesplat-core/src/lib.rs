@@ -8,33 +8,32 @@
 //! - **Shapes** are written as `[N, 3]`, outermost first.
 
 pub mod alleles;
+pub mod averages;
 pub mod backend;
 pub mod camera;
 pub mod constants;
+pub mod contribution;
 pub mod covariance;
-pub mod credit;
 pub mod edit;
 pub mod gaussians;
 pub mod genes;
 pub mod image;
-pub mod lineage;
-pub mod merit;
 pub mod rng;
 pub mod spherical_harmonics;
 pub mod statistics;
 pub mod tensor;
 
+pub use averages::{Blend, ViewLoss, WindowAverages};
 pub use backend::{
-    Backend, BackendError, LearningRates, RenderSettings, ScreenFilter, TrainStep, Update, View,
+    Backend, BackendError, DeviceState, EvolutionBackend, LearningRates, RenderSettings, ScreenFilter, TrainStep, Update,
+    View,
 };
 pub use camera::Camera;
-pub use credit::Credits;
+pub use contribution::Contribution;
 pub use edit::{Origin, RowEdit};
 pub use gaussians::{Gaussians, Moments};
-pub use genes::{GENES, Gene, SparseDelta};
+pub use genes::{GENES, Genes, SparseDelta};
 pub use image::{Image, Photo};
-pub use lineage::{Blend, Judgement, Lineage};
-pub use merit::Merit;
 pub use rng::{Rng, Stream};
 pub use statistics::{DensitySignal, Statistics, StatisticsRequest};
 pub use tensor::{NamedTensors, Tensor};

@@ -1,6 +1,6 @@
 //! What a backend accumulates over training steps for density control and evolution.
 
-use crate::genes::Gene;
+use crate::genes::Genes;
 
 /// How strongly a view counts in a Gaussian's density signal.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -39,7 +39,7 @@ pub struct Statistics {
     /// Sum of absolute gradients for [`DensitySignal::SignedAndAbsolute`], same weights `[N]`; empty when never asked for.
     pub absolute_sum: Vec<f32>,
     /// Sum of signed gene gradients `[N, 7]`; empty when never asked for.
-    pub gene_gradient_sum: Vec<Gene>,
+    pub gene_gradient_sum: Vec<Genes>,
     /// Views that contributed to `gene_gradient_sum` `[N]`; empty when never asked for.
     pub gene_views: Vec<u32>,
 }

@@ -8,7 +8,7 @@
 
 use std::sync::Arc;
 
-use genesplat_core::{Gene, SparseDelta};
+use genesplat_core::{Genes, SparseDelta};
 use rayon::prelude::*;
 
 use crate::individual::Genome;
@@ -21,21 +21,21 @@ const SHIFT_MIN: f64 = 0.005;
 #[derive(Debug)]
 pub(crate) struct Consensus {
     /// Of every row `[N, 7]`.
-    genes: Vec<Gene>,
+    genes: Vec<Genes>,
     /// Those that the search began with.
-    base: Vec<Gene>,
+    base: Vec<Genes>,
     /// What the consensus holds otherwise than the one before.
     shift: SparseDelta,
 }
 
 impl Consensus {
     /// That of the initial population: the base itself.
-    pub(crate) fn new(base: Vec<Gene>) -> Self {
+    pub(crate) fn new(base: Vec<Genes>) -> Self {
         Self { genes: base.clone(), base, shift: SparseDelta::default() }
     }
 
     /// What genomes are differences from.
-    pub(crate) fn genes(&self) -> &[Gene] {
+    pub(crate) fn genes(&self) -> &[Genes] {
         &self.genes
     }
 
@@ -86,12 +86,12 @@ impl Consensus {
 
     /// Bytes held.
     pub(crate) fn bytes(&self) -> usize {
-        (self.genes.capacity() + self.base.capacity()) * size_of::<Gene>() + self.shift.bytes()
+        (self.genes.capacity() + self.base.capacity()) * size_of::<Genes>() + self.shift.bytes()
     }
 }
 
 /// What makes `before` the genes that are wanted.
-fn difference(wanted: impl Iterator<Item = Gene>, before: &[Gene]) -> SparseDelta {
+fn difference(wanted: impl Iterator<Item = Genes>, before: &[Genes]) -> SparseDelta {
     let changed = (0..).zip(wanted).zip(before).filter(|((_, wanted), before)| wanted != *before);
     let (rows, genes) = changed.map(|(wanted, _)| wanted).unzip();
     SparseDelta { rows, genes }

@@ -86,7 +86,7 @@ mod tests {
     use super::*;
     use crate::config::Space;
     use crate::individual::{Genome, Mutations, Parents};
-    use genesplat_core::{Gene, Rng, SparseDelta};
+    use genesplat_core::{Genes, Rng, SparseDelta};
     use proptest::prelude::*;
 
     fn bits(inheritance: &Inheritance, group: Group, n: u32) -> Vec<bool> {
@@ -100,7 +100,7 @@ mod tests {
     }
 
     /// Parents in which every gene of every row says whose it is.
-    fn parent(mark: f32, base: &[Gene]) -> Genome {
+    fn parent(mark: f32, base: &[Genes]) -> Genome {
         let mut all = Mutations::default();
         for row in 0..base.len() as u32 {
             all.position.push(row, [mark; 3]);

@@ -7,7 +7,7 @@
 use std::ops::Range;
 use std::sync::Arc;
 
-use genesplat_core::{Gene, Rng, SparseDelta};
+use genesplat_core::{Genes, Rng, SparseDelta};
 use rayon::prelude::*;
 
 use crate::config::{ConfigError, PaperConfig};
@@ -78,7 +78,7 @@ impl GeneticAlgorithm {
     /// - `rng`: give each search of a run its own, by [`Rng::fork`].
     pub fn new(
         config: PaperConfig,
-        base: Vec<Gene>,
+        base: Vec<Genes>,
         gradients: Option<GeneGradients>,
         base_loss: f64,
         rng: Rng,
@@ -292,7 +292,7 @@ impl GeneticAlgorithm {
     }
 }
 
-fn check_base(base: &[Gene], base_loss: f64) -> Result<(), ConfigError> {
+fn check_base(base: &[Genes], base_loss: f64) -> Result<(), ConfigError> {
     if base.len() > MAX_GAUSSIANS {
         return Err(ConfigError::TooManyGaussians { rows: base.len(), limit: MAX_GAUSSIANS });
     }

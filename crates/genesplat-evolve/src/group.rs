@@ -1,6 +1,6 @@
 //! The three primitive gene parameters of section 3.2: position, scale and opacity.
 
-use genesplat_core::Gene;
+use genesplat_core::Genes;
 
 /// Number of groups.
 pub(crate) const GROUPS: usize = 3;
@@ -20,7 +20,7 @@ impl Group {
     /// In the order of the genes of a row.
     pub(crate) const ALL: [Self; GROUPS] = [Self::Position, Self::Scale, Self::Opacity];
 
-    /// Where the group's genes begin in a [`Gene`].
+    /// Where the group's genes begin in a [`Genes`].
     pub(crate) const fn start(self) -> usize {
         match self {
             Self::Position => 0,
@@ -39,7 +39,7 @@ impl Group {
 
     /// The group's genes; `W` is its width.
     #[inline]
-    pub(crate) fn of<const W: usize>(self, gene: &Gene) -> [f32; W] {
+    pub(crate) fn of<const W: usize>(self, gene: &Genes) -> [f32; W] {
         debug_assert_eq!(W, self.width());
         std::array::from_fn(|component| gene[self.start() + component])
     }

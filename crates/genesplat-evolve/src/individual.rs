@@ -1,6 +1,6 @@
 //! An individual: how its genes differ from those that a generation shares ([`crate::consensus`]).
 
-use genesplat_core::{Gene, SparseDelta};
+use genesplat_core::{Genes, SparseDelta};
 
 use crate::column::{Column, Steps, WORD, ones};
 use crate::config::Space;
@@ -45,7 +45,7 @@ impl Genome {
     }
 
     /// A child: crossover, then mutation.
-    pub(crate) fn child(parents: Parents<'_>, mutations: &Mutations, shared: &[Gene], space: Space) -> Self {
+    pub(crate) fn child(parents: Parents<'_>, mutations: &Mutations, shared: &[Genes], space: Space) -> Self {
         Self {
             position: column(
                 parents,
@@ -75,7 +75,7 @@ impl Genome {
     }
 
     /// The same individual as its difference from other shared genes, which differ from these as `other` does.
-    pub(crate) fn rebased(&self, other: &Self, shared: &[Gene]) -> Self {
+    pub(crate) fn rebased(&self, other: &Self, shared: &[Genes]) -> Self {
         Self {
             position: self.position.rebased(&other.position, |row| Group::Position.of(&shared[row])),
             scale: self.scale.rebased(&other.scale, |row| Group::Scale.of(&shared[row])),
@@ -84,7 +84,7 @@ impl Genome {
     }
 
     /// All seven genes of every row of which at least one group differs from what is shared.
-    pub(crate) fn to_delta(&self, shared: &[Gene]) -> SparseDelta {
+    pub(crate) fn to_delta(&self, shared: &[Genes]) -> SparseDelta {
         let rows = rows_of_any([self.position.changed(), self.scale.changed(), self.opacity.changed()]);
         let (mut position, mut scale) = (self.position.reader(), self.scale.reader());
         let mut opacity = self.opacity.reader();
@@ -125,7 +125,7 @@ fn column<'a, const W: usize>(
     group: Group,
     of: impl Fn(&'a Genome) -> &'a Column<W>,
     steps: &Steps<W>,
-    shared: &[Gene],
+    shared: &[Genes],
     space: Space,
 ) -> Column<W> {
     let gene = |row: usize| group.of(&shared[row]);
@@ -143,13 +143,13 @@ fn column<'a, const W: usize>(
 mod tests {
     use super::*;
 
-    fn mutated(parent: &Genome, mutations: &Mutations, shared: &[Gene]) -> Genome {
+    fn mutated(parent: &Genome, mutations: &Mutations, shared: &[Genes]) -> Genome {
         Genome::child(Parents::One(parent), mutations, shared, Space::Raw)
     }
 
     #[test]
     fn a_delta_holds_own_genes_where_they_differ_and_the_shared_ones_elsewhere() {
-        let shared: Vec<Gene> = (0..130).map(|row| [row as f32; 7]).collect();
+        let shared: Vec<Genes> = (0..130).map(|row| [row as f32; 7]).collect();
         let mut mutations = Mutations::default();
         mutations.position.push(3, [0.5, 1.5, 2.5]);
         mutations.opacity.push(3, [0.25]);

@@ -6,11 +6,11 @@
 //! that all share and that moves with the search (`consensus`), never a copy of the scene; how memory grows is stated in [`population`].
 //!
 //! ```
-//! use genesplat_core::{Gene, Rng, SparseDelta};
+//! use genesplat_core::{Genes, Rng, SparseDelta};
 //! use genesplat_evolve::{GeneticAlgorithm, Magnitude, PaperConfig};
 //!
 //! // Fifty Gaussians that would like all their genes to be zero.
-//! let base: Vec<Gene> = (0..50).map(|row| [1.0 + (row % 7) as f32; 7]).collect();
+//! let base: Vec<Genes> = (0..50).map(|row| [1.0 + (row % 7) as f32; 7]).collect();
 //! let loss = |delta: &SparseDelta| {
 //!     let mut genes = base.clone();
 //!     delta.rows.iter().zip(&delta.genes).for_each(|(&row, gene)| genes[row as usize] = *gene);

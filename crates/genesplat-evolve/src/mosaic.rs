@@ -10,7 +10,7 @@
 //! are better than their base, and shrink where they are not (Rechenberg's success rule, 1973).
 
 use genesplat_core::covariance::world_offset;
-use genesplat_core::{Credits, Gaussians, Gene, Rng, SparseDelta, Stream};
+use genesplat_core::{Credits, Gaussians, Genes, Rng, SparseDelta, Stream};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -102,7 +102,7 @@ impl<'a> MosaicSearch<'a> {
         SparseDelta { rows, genes }
     }
 
-    fn mutated(&self, cloud: &Gaussians, mutant: u32, row: u32) -> Gene {
+    fn mutated(&self, cloud: &Gaussians, mutant: u32, row: u32) -> Genes {
         let length = self.config.step * self.reach;
         // A draw has four normal numbers, and a Gaussian seven genes.
         let draws = [0, 1].map(|half| self.rng.at(Stream::Mutation, self.generation, 2 * mutant + half, row));
@@ -128,7 +128,7 @@ impl<'a> MosaicSearch<'a> {
         let evidence = self.config.evidence.min(view_count as u32);
         let block_of = self.blocks();
         // Of each row, the best change of its block, and what it then is.
-        let mut best: Vec<(f64, Option<Gene>)> = vec![(0.0, None); credits.views.len()];
+        let mut best: Vec<(f64, Option<Genes>)> = vec![(0.0, None); credits.views.len()];
         for (mutant, changes) in mutants.iter().zip(&credits.changes) {
             let mut genes = mutant.genes.iter();
             for block in mutant.rows.chunk_by(|&a, &b| block_of(a) == block_of(b)) {
@@ -269,7 +269,7 @@ mod tests {
     /// Where each Gaussian has a loss of its own, and credit tells it, the search finds what all of them want.
     #[test]
     fn a_toy_with_exact_credit_is_solved() {
-        let loss = |gene: &Gene| gene.iter().map(|&x| f64::from(x - 1.0).powi(2)).sum::<f64>();
+        let loss = |gene: &Genes| gene.iter().map(|&x| f64::from(x - 1.0).powi(2)).sum::<f64>();
         let config = MosaicConfig { generations: 200, step: 0.2, ..config() };
         let mut search = MosaicSearch::new(&config, Rng::new(8));
         let mut cloud = cloud(100);

@@ -14,7 +14,7 @@
 pub(crate) mod magnitude;
 pub(crate) mod space;
 
-use genesplat_core::{GENES, Gene, Rng, Stream};
+use genesplat_core::{GENES, Genes, Rng, Stream};
 
 use crate::config::{ConfigError, PaperConfig};
 use crate::group::Group;
@@ -29,7 +29,7 @@ pub(crate) struct Mutation {
     rng: Rng,
     space: space::Space,
     /// alpha times sigma_x of each component, in units of the gene in its space.
-    step: Gene,
+    step: Genes,
     magnitudes: Magnitudes,
     /// N and k.
     gaussians: u32,
@@ -46,7 +46,7 @@ impl Mutation {
     /// For a validated configuration and a finite base.
     pub(crate) fn new(
         config: &PaperConfig,
-        base: &[Gene],
+        base: &[Genes],
         gradients: Option<GeneGradients>,
         rng: Rng,
     ) -> Result<Self, ConfigError> {
@@ -63,7 +63,7 @@ impl Mutation {
     }
 
     /// The child of `parents` after the mutation at `address`.
-    pub(crate) fn apply(&self, parents: Parents<'_>, shared: &[Gene], address: Address, rate: f64) -> Genome {
+    pub(crate) fn apply(&self, parents: Parents<'_>, shared: &[Genes], address: Address, rate: f64) -> Genome {
         Genome::child(parents, &self.draw(address, rate), shared, self.space)
     }
 
@@ -123,21 +123,21 @@ mod tests {
     use genesplat_core::SparseDelta;
 
     /// A base whose component `c` has standard deviation `c + 1`.
-    fn base(n: usize) -> Vec<Gene> {
+    fn base(n: usize) -> Vec<Genes> {
         let sign = |row: usize| if row.is_multiple_of(2) { 1.0 } else { -1.0 };
         (0..n).map(|row| std::array::from_fn(|c| sign(row) * (c + 1) as f32)).collect()
     }
 
-    fn mutation(config: &PaperConfig, base: &[Gene], gradients: Option<GeneGradients>) -> Mutation {
+    fn mutation(config: &PaperConfig, base: &[Genes], gradients: Option<GeneGradients>) -> Mutation {
         Mutation::new(config, base, gradients, Rng::new(3)).expect("valid")
     }
 
-    fn mutant(mutation: &Mutation, base: &[Gene], address: Address, rate: f64) -> SparseDelta {
+    fn mutant(mutation: &Mutation, base: &[Genes], address: Address, rate: f64) -> SparseDelta {
         mutation.apply(Parents::One(&Genome::unchanged(base.len())), base, address, rate).to_delta(base)
     }
 
     /// Differences from the base of `individuals` mutants, component by component; unchanged genes left out.
-    fn moves(mutation: &Mutation, base: &[Gene], rate: f64, individuals: u32) -> [Vec<f64>; GENES] {
+    fn moves(mutation: &Mutation, base: &[Genes], rate: f64, individuals: u32) -> [Vec<f64>; GENES] {
         let mut moves = [(); GENES].map(|()| Vec::new());
         for individual in 0..individuals {
             let address = Address { generation: 1, individual };
@@ -241,7 +241,7 @@ mod tests {
     #[test]
     fn scope_and_space_set_the_scale_of_moves() {
         let base = base(1000);
-        let shrunk: Vec<Gene> = base.iter().map(|gene| gene.map(|x| x * 0.1)).collect();
+        let shrunk: Vec<Genes> = base.iter().map(|gene| gene.map(|x| x * 0.1)).collect();
         let config =
             PaperConfig { magnitude: Magnitude::Unit, selection_fraction: 0.5, ..PaperConfig::default() };
         let group = PaperConfig { sigma_scope: SigmaScope::Group, ..config.clone() };
@@ -286,7 +286,7 @@ mod tests {
 
     #[test]
     fn a_gene_that_would_overflow_keeps_its_value() {
-        let base: Vec<Gene> =
+        let base: Vec<Genes> =
             (0..100).map(|row| [if row % 2 == 0 { f32::MAX } else { -f32::MAX }; GENES]).collect();
         for space in [Space::Raw, Space::Activated] {
             let config = PaperConfig {

@@ -5,7 +5,7 @@
 mod common;
 
 use common::{applied, normal_base, on_sphere, run, small, sphere};
-use genesplat_core::{Gene, Rng, SparseDelta};
+use genesplat_core::{Genes, Rng, SparseDelta};
 use genesplat_evolve::{
     ConfigError, Crossover, GeneGradients, GeneticAlgorithm, Magnitude, PaperConfig, SigmaScope, Space,
     TellError,
@@ -62,7 +62,7 @@ fn crossover_makes_no_gene_that_no_parent_had() {
         let rates = PaperConfig { mutation_rates: [0.0; 3], crossover_rates: [1.0; 3], ..small(2, 8) };
         let config = PaperConfig { tournament: 2, initial_mutation_rate: 1.0, crossover, ..rates };
         let mut search = on_sphere(config, &base, 3);
-        let founders: Vec<Vec<Gene>> =
+        let founders: Vec<Vec<Genes>> =
             search.deltas(0..8).iter().map(|delta| applied(&base, delta)).collect();
         for _ in 0..2 {
             let losses: Vec<f64> = (0..search.ask()).map(|index| (index * 3 % 7) as f64).collect();
@@ -90,9 +90,9 @@ fn siblings_share_their_parents_out() {
         let genomes = |search: &GeneticAlgorithm| {
             search.deltas(0..8).iter().map(|delta| applied(&base, delta)).collect()
         };
-        let founders: Vec<Vec<Gene>> = genomes(&search);
+        let founders: Vec<Vec<Genes>> = genomes(&search);
         search.tell(&[1.0; 8]).expect("one loss each");
-        let children: Vec<Vec<Gene>> = genomes(&search);
+        let children: Vec<Vec<Genes>> = genomes(&search);
         let mut mixed = 0;
         for siblings in children.chunks(2) {
             let [c, d] = [&siblings[0], &siblings[1]].map(|child| child.as_flattened());
@@ -198,7 +198,7 @@ fn losses_that_are_not_finite_rank_last_and_never_win() {
 #[test]
 fn what_makes_no_sense_is_refused_with_a_sentence() {
     let base = normal_base(10);
-    let refused = |config: PaperConfig, base: &[Gene], gradients, loss| {
+    let refused = |config: PaperConfig, base: &[Genes], gradients, loss| {
         GeneticAlgorithm::new(config, base.to_vec(), gradients, loss, Rng::new(1)).map(|_| ()).unwrap_err()
     };
     assert_eq!(refused(PaperConfig::default(), &base, None, 1.0), ConfigError::MissingGradients);

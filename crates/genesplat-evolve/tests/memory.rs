@@ -11,7 +11,7 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
 
 use common::{normal_base, small};
-use genesplat_core::{Gene, Rng};
+use genesplat_core::{Genes, Rng};
 use genesplat_evolve::{GeneGradients, GeneticAlgorithm, Magnitude, PaperConfig};
 
 struct Counting;
@@ -59,7 +59,7 @@ fn a_hundred_individuals_over_a_million_gaussians() {
     // Nearly seven times the paper's early rate, so that the few generations of this test hold what dozens of the paper's would.
     let config = PaperConfig { generations: 4, mutation_rates: [1.0; 3], ..PaperConfig::default() };
     let (search, peak) = peak_of(|| {
-        let base: Vec<Gene> = normal_base(1000).into_iter().cycle().take(n).collect();
+        let base: Vec<Genes> = normal_base(1000).into_iter().cycle().take(n).collect();
         let gradients = GeneGradients { sum: base.clone(), views: vec![3; n] };
         let mut search =
             GeneticAlgorithm::new(config, base, Some(gradients), 1.0, Rng::new(1)).expect("valid settings");

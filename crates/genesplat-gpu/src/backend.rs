@@ -17,7 +17,7 @@ use bytemuck::Pod;
 use genesplat_core::backend::{MomentPolicy, StepReport};
 use genesplat_core::lineage::PARENTS;
 use genesplat_core::{
-    Backend, BackendError, Blend, Camera, Credits, DensitySignal, Gaussians, Gene, Image, Judgement, Lineage,
+    Backend, BackendError, Blend, Camera, Credits, DensitySignal, Gaussians, Genes, Image, Judgement, Lineage,
     Merit, Moments, RenderSettings, RowEdit, SparseDelta, Statistics, TrainStep, View,
 };
 
@@ -351,7 +351,7 @@ impl Backend for GpuBackend {
         self.with_room(|gpu| Ok(Cow::Owned(gpu.state.download(&gpu.engine)?)))
     }
 
-    fn genes(&mut self) -> Result<Vec<Gene>, BackendError> {
+    fn genes(&mut self) -> Result<Vec<Genes>, BackendError> {
         self.with_room(|gpu| gpu.state.cloud.genes(&gpu.engine, gpu.state.rows))
     }
 

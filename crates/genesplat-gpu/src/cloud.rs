@@ -3,7 +3,7 @@
 //! A row's floats lie in two columns: its geometry (12 floats) and its colour (48). Columns may be larger than a kernel can
 //! see at once; then kernels run window by window.
 
-use genesplat_core::{BackendError, Gaussians, Gene};
+use genesplat_core::{BackendError, Gaussians, Genes};
 
 use crate::engine::{Engine, Memory};
 use crate::layout::{GEOMETRY_FLOATS, SH_FLOATS, Window};
@@ -121,7 +121,7 @@ impl Parameters {
     }
 
     /// Copies the genes of `rows` rows to the host.
-    pub(crate) fn genes(&self, engine: &Engine, rows: u64) -> Result<Vec<Gene>, BackendError> {
+    pub(crate) fn genes(&self, engine: &Engine, rows: u64) -> Result<Vec<Genes>, BackendError> {
         let geometry: Vec<GeometryRow> = engine.read_values(&self.geometry.memory, rows)?;
         Ok(geometry.iter().map(|r| [r[0], r[1], r[2], r[4], r[5], r[6], r[3]]).collect())
     }
@@ -153,7 +153,7 @@ fn unpack(rows: &[GeometryRow], sh: Vec<[f32; SH_FLOATS as usize]>, filter: bool
 }
 
 /// The genes of one row as a kernel reads them: two vectors of a geometry row, without the 3D filter.
-pub(crate) fn pack_gene(gene: &Gene) -> [f32; 8] {
+pub(crate) fn pack_gene(gene: &Genes) -> [f32; 8] {
     let [px, py, pz, sx, sy, sz, opacity] = *gene;
     [px, py, pz, opacity, sx, sy, sz, 0.0]
 }

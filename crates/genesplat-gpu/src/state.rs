@@ -1,7 +1,7 @@
 //! What a training run keeps on the device: the cloud, its moments, and the sums of its statistics.
 
 use genesplat_core::lineage::PARENTS;
-use genesplat_core::{BackendError, Gaussians, Gene, Moments, Statistics};
+use genesplat_core::{BackendError, Gaussians, Genes, Moments, Statistics};
 
 use crate::cloud::{Column, Parameters, RowWindow, windows};
 use crate::engine::Engine;
@@ -21,7 +21,7 @@ pub struct State {
     pub(crate) gradients: Column,
     /// Density statistics; zeros until somebody asks for some.
     pub(crate) density: Column,
-    /// Gene statistics, once somebody asked for them.
+    /// Genes statistics, once somebody asked for them.
     pub(crate) genes: Option<Column>,
     /// The absolute column was asked for.
     pub(crate) has_absolute: bool,
@@ -153,11 +153,11 @@ impl State {
 /// Position and x of the log-scale; its y and z, the opacity logit, the number of views.
 type GeneRow = [f32; GENE_FLOATS as usize];
 
-fn gene_of(row: &GeneRow) -> Gene {
+fn gene_of(row: &GeneRow) -> Genes {
     [row[0], row[1], row[2], row[3], row[4], row[5], row[6]]
 }
 
-fn row_of(gene: &Gene, views: u32) -> GeneRow {
+fn row_of(gene: &Genes, views: u32) -> GeneRow {
     let [a, b, c, d, e, f, g] = *gene;
     [a, b, c, d, e, f, g, views as f32]
 }

@@ -6,7 +6,7 @@
 use std::sync::Arc;
 
 use genesplat_core::{
-    Camera, DensitySignal, Gaussians, Gene, LearningRates, Photo, RenderSettings, Rng, ScreenFilter,
+    Camera, DensitySignal, Gaussians, Genes, LearningRates, Photo, RenderSettings, Rng, ScreenFilter,
     SparseDelta, StatisticsRequest, Stream, TrainStep, Update, View,
 };
 use glam::{DQuat, DVec3};
@@ -167,7 +167,7 @@ pub fn step(number: u32, settings: RenderSettings) -> TrainStep {
 pub fn change_rows(
     base: &Gaussians,
     rows: impl Iterator<Item = usize>,
-    change: impl Fn(usize, &mut Gene),
+    change: impl Fn(usize, &mut Genes),
 ) -> SparseDelta {
     let mut delta = SparseDelta::default();
     for row in rows {

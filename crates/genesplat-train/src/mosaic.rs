@@ -7,7 +7,7 @@
 
 use std::time::Instant;
 
-use genesplat_core::{Backend, Gaussians, Gene, RenderSettings, SparseDelta, backend::MomentPolicy};
+use genesplat_core::{Backend, Gaussians, Genes, RenderSettings, SparseDelta, backend::MomentPolicy};
 use genesplat_evolve::MosaicSearch;
 
 use crate::checkpoint::{Checkpoint, Cursor};
@@ -50,7 +50,7 @@ impl<'a, B: Backend> Trainer<'a, B> {
         let interrupted = !mosaic.search.is_finished();
         let checkpoint = if interrupted { self.capture_before(&original, &mosaic, cursor)? } else { None };
         record.guard_psnr = Some([psnr, mosaic.verdict.psnr]);
-        let is_changed = |&(row, genes): &(usize, &Gene)| mosaic.cloud.genes(row) != *genes;
+        let is_changed = |&(row, genes): &(usize, &Genes)| mosaic.cloud.genes(row) != *genes;
         record.changed = original.genes.iter().enumerate().filter(is_changed).count();
         record.seconds = mosaic.begun.elapsed().as_secs_f64();
         self.end_stage(record);

@@ -12,7 +12,7 @@ use crate::trainer::Trainer;
 
 /// Evolution alone (or its control), on a finished cloud from any trainer.
 ///
-/// Gene gradients, where the configuration wants them, come from one pass over all views. A refinement that was stopped
+/// Genes gradients, where the configuration wants them, come from one pass over all views. A refinement that was stopped
 /// returns the best it has; there is nothing to resume.
 pub fn refine<B: Backend>(
     backend: &mut B,

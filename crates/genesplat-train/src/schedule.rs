@@ -366,7 +366,7 @@ impl Schedule {
         }
     }
 
-    /// What iteration `i` adds to the statistics; `signal` is the variant's, if it has one. Gene gradients are summed only while a
+    /// What iteration `i` adds to the statistics; `signal` is the variant's, if it has one. Genes gradients are summed only while a
     /// stage that reads them lies ahead (`last_stage` is its iteration, 0 for none).
     pub fn statistics(&self, signal: Option<DensitySignal>, last_stage: u32, i: u32) -> StatisticsRequest {
         StatisticsRequest {

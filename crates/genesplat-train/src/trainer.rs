@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use genesplat_core::backend::Exploration;
 use genesplat_core::{
-    Backend, BackendError, DensitySignal, Gaussians, Gene, LearningRates, RenderSettings, Rng,
+    Backend, BackendError, DensitySignal, Gaussians, Genes, LearningRates, RenderSettings, Rng,
     StatisticsRequest, Stream, TrainStep, Update, View,
 };
 
@@ -241,7 +241,7 @@ impl<'a, B: Backend> Trainer<'a, B> {
     }
 
     /// The genes of all rows, likewise. (A rotation or a colour that is not finite is found when a checkpoint is due.)
-    pub(crate) fn healthy_genes(&mut self) -> Result<Vec<Gene>, TrainError> {
+    pub(crate) fn healthy_genes(&mut self) -> Result<Vec<Genes>, TrainError> {
         let genes = self.backend.genes()?;
         if !genes.as_flattened().iter().all(|gene| gene.is_finite()) {
             // Names the row and the parameter.

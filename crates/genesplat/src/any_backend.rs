@@ -5,7 +5,7 @@ use std::borrow::Cow;
 use genesplat::core::backend::{MomentPolicy, StepReport};
 use genesplat::core::lineage::PARENTS;
 use genesplat::core::{
-    Backend, BackendError, Blend, Camera, Credits, Gaussians, Gene, Image, Judgement, Lineage, Merit,
+    Backend, BackendError, Blend, Camera, Credits, Gaussians, Genes, Image, Judgement, Lineage, Merit,
     Moments, RenderSettings, RowEdit, SparseDelta, Statistics, TrainStep, View,
 };
 use genesplat::gpu::GpuBackend;
@@ -50,7 +50,7 @@ impl Backend for AnyBackend {
         delegate!(self.download())
     }
 
-    fn genes(&mut self) -> Result<Vec<Gene>, BackendError> {
+    fn genes(&mut self) -> Result<Vec<Genes>, BackendError> {
         delegate!(self.genes())
     }
 

@@ -8,7 +8,7 @@
 //! Where all selected Gaussians have the same `h`, `z` is 0 and `u` is 1/2. A Gaussian that no image contributed to has
 //! `g = 0`. Gradients are those of the raw parameters, also when genes mutate in activated space.
 
-use genesplat_core::Gene;
+use genesplat_core::Genes;
 
 use crate::config::{ConfigError, Magnitude};
 use crate::group::{GROUPS, Group};
@@ -18,7 +18,7 @@ use crate::mutation::first_non_finite;
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct GeneGradients {
     /// Sums of signed gradients by raw gene, `[N, 7]`.
-    pub sum: Vec<Gene>,
+    pub sum: Vec<Genes>,
     /// Images that contributed to each sum, `[N]`.
     pub views: Vec<u32>,
 }
@@ -94,7 +94,7 @@ impl Standardised<'_> {
 /// `h_i = ln(1 + |g_i|)` of one group, `[N]`.
 fn log_norms(gradients: &GeneGradients, group: Group) -> Vec<f32> {
     let components = group.start()..group.start() + group.width();
-    let log_norm = |(sum, &views): (&Gene, &u32)| {
+    let log_norm = |(sum, &views): (&Genes, &u32)| {
         let square: f64 = sum[components.clone()].iter().map(|&x| f64::from(x).powi(2)).sum();
         if views == 0 { 0.0 } else { (square.sqrt() / f64::from(views)).ln_1p() as f32 }
     };
@@ -118,7 +118,7 @@ fn mean_and_deviation(h: &[f32], rows: &[u32]) -> (f64, f64) {
 mod tests {
     use super::*;
 
-    fn magnitudes(sum: Vec<Gene>, views: Vec<u32>) -> Magnitudes {
+    fn magnitudes(sum: Vec<Genes>, views: Vec<u32>) -> Magnitudes {
         let n = sum.len();
         Magnitudes::new(Magnitude::Gradient, Some(GeneGradients { sum, views }), n)
             .expect("finite, of equal length")

@@ -1,7 +1,7 @@
 //! The space that a gene is mutated in: its standard deviation there, and one step.
 
 use genesplat_core::gaussians::{logit, sigmoid};
-use genesplat_core::{GENES, Gene};
+use genesplat_core::{GENES, Genes};
 
 use crate::config::SigmaScope;
 pub(crate) use crate::config::Space;
@@ -15,7 +15,7 @@ const SCALE_MIN: f32 = 1e-8;
 const OPACITY_MARGIN: f32 = 1e-6;
 
 /// `sigma_x` of each gene over the base, in `space`. All zero for an empty base.
-pub(crate) fn sigma(space: Space, scope: SigmaScope, base: &[Gene]) -> [f64; GENES] {
+pub(crate) fn sigma(space: Space, scope: SigmaScope, base: &[Genes]) -> [f64; GENES] {
     let mut sigma = [0.0; GENES];
     for group in Group::ALL {
         let components = group.start()..group.start() + group.width();
@@ -32,7 +32,7 @@ pub(crate) fn sigma(space: Space, scope: SigmaScope, base: &[Gene]) -> [f64; GEN
 }
 
 /// Population standard deviation of all values of some components of a group.
-fn deviation(space: Space, group: Group, base: &[Gene], components: std::ops::Range<usize>) -> f64 {
+fn deviation(space: Space, group: Group, base: &[Genes], components: std::ops::Range<usize>) -> f64 {
     let values =
         || base.iter().flat_map(|gene| &gene[components.clone()]).map(|&x| activated(space, group, x));
     let n = (base.len() * components.len()).max(1) as f64;

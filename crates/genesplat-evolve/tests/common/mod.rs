@@ -2,11 +2,11 @@
 
 #![allow(dead_code, reason = "each test binary uses some of these")]
 
-use genesplat_core::{Gene, Rng, SparseDelta, Stream};
+use genesplat_core::{Genes, Rng, SparseDelta, Stream};
 use genesplat_evolve::{GeneticAlgorithm, Magnitude, PaperConfig};
 
 /// `n` Gaussians with standard normal genes.
-pub fn normal_base(n: u32) -> Vec<Gene> {
+pub fn normal_base(n: u32) -> Vec<Genes> {
     let rng = Rng::new(99);
     let gene = |row| {
         let draws = [rng.at(Stream::Test, 1, row, 0), rng.at(Stream::Test, 1, row, 1)];
@@ -16,14 +16,14 @@ pub fn normal_base(n: u32) -> Vec<Gene> {
 }
 
 /// The genes of an individual.
-pub fn applied(base: &[Gene], delta: &SparseDelta) -> Vec<Gene> {
+pub fn applied(base: &[Genes], delta: &SparseDelta) -> Vec<Genes> {
     let mut genes = base.to_vec();
     delta.rows.iter().zip(&delta.genes).for_each(|(&row, gene)| genes[row as usize] = *gene);
     genes
 }
 
 /// Mean of the squared genes.
-pub fn sphere(base: &[Gene], delta: &SparseDelta) -> f64 {
+pub fn sphere(base: &[Genes], delta: &SparseDelta) -> f64 {
     let genes = applied(base, delta);
     genes.as_flattened().iter().map(|&x| f64::from(x).powi(2)).sum::<f64>() / (7 * base.len().max(1)) as f64
 }
@@ -34,7 +34,7 @@ pub fn small(generations: u32, population: u32) -> PaperConfig {
 }
 
 /// A search on the sphere.
-pub fn on_sphere(config: PaperConfig, base: &[Gene], seed: u64) -> GeneticAlgorithm {
+pub fn on_sphere(config: PaperConfig, base: &[Genes], seed: u64) -> GeneticAlgorithm {
     let base_loss = sphere(base, &SparseDelta::default());
     GeneticAlgorithm::new(config, base.to_vec(), None, base_loss, Rng::new(seed)).expect("valid settings")
 }

@@ -87,7 +87,7 @@ impl CpuBackend {
         self.statistics.absolute_sum.clear();
     }
 
-    /// Gene columns and the absolute one exist from the first step that asks for them.
+    /// Genes columns and the absolute one exist from the first step that asks for them.
     fn grow_statistics(&mut self, request: StatisticsRequest) {
         let n = self.cloud.len();
         self.statistics.gradient_sum.resize(n, 0.0);

@@ -7,7 +7,7 @@ use fearless_simd::{Level, Simd, dispatch, prelude::*};
 use genesplat_core::constants::{
     ALPHA_MIN, ANTIALIAS_RATIO_MIN, DISCRIMINANT_MIN, JACOBIAN_LIMIT, MIP_EPSILON, NEAR_DEPTH,
 };
-use genesplat_core::{Camera, Gaussians, Gene, RenderSettings, ScreenFilter};
+use genesplat_core::{Camera, Gaussians, Genes, RenderSettings, ScreenFilter};
 use rayon::prelude::*;
 
 use super::bin::LOG2_255;
@@ -208,7 +208,7 @@ pub fn project_versions(
     level: Level,
     cloud: &Gaussians,
     count: usize,
-    version: impl Fn(usize) -> (u32, Gene) + Sync,
+    version: impl Fn(usize) -> (u32, Genes) + Sync,
     camera: &Pinhole,
     settings: &RenderSettings,
     out: &mut Splats,
@@ -230,12 +230,12 @@ fn project_group<S: Simd>(
     simd: S,
     cloud: &Gaussians,
     first: usize,
-    version: &impl Fn(usize) -> (u32, Gene),
+    version: &impl Fn(usize) -> (u32, Genes),
     camera: &Pinhole,
     settings: &RenderSettings,
     room: &mut [Splat],
 ) -> u32 {
-    let versions: Vec<(u32, Gene)> = (first..first + room.len()).map(version).collect();
+    let versions: Vec<(u32, Genes)> = (first..first + room.len()).map(version).collect();
     let mut splats = 0;
     for (group, versions) in versions.chunks(LANES).enumerate() {
         let of_lane = |lane: usize| versions[lane.min(versions.len() - 1)];
@@ -279,7 +279,7 @@ impl<S: Simd> Params<S> {
         simd: S,
         cloud: &Gaussians,
         row: impl Fn(usize) -> usize,
-        genes: impl Fn(usize) -> Gene,
+        genes: impl Fn(usize) -> Genes,
     ) -> Self {
         let mut gene_lanes = [[0.0f32; LANES]; genesplat_core::GENES];
         let mut rotation_lanes = [[0.0f32; LANES]; 4];

@@ -7,7 +7,7 @@
 use fearless_simd::{Level, Simd, dispatch, prelude::*};
 use genesplat_core::spherical_harmonics::SH_STRIDE;
 use genesplat_core::{
-    DensitySignal, Gaussians, Gene, Moments, RenderSettings, Rng, Statistics, StatisticsRequest, Update,
+    DensitySignal, Gaussians, Genes, Moments, RenderSettings, Rng, Statistics, StatisticsRequest, Update,
 };
 use rayon::prelude::*;
 
@@ -37,7 +37,7 @@ pub struct Inputs<'a> {
 /// Gradients of the rows of one chunk, by raw parameter.
 pub struct ChunkGradients {
     /// Position, log-scale, opacity logit `[CHUNK, 7]`.
-    pub genes: Box<[Gene; CHUNK]>,
+    pub genes: Box<[Genes; CHUNK]>,
     /// Quaternions `[CHUNK, 4]`.
     pub rotations: Box<[[f32; 4]; CHUNK]>,
     /// Spherical harmonics `[CHUNK, 48]`.
@@ -98,7 +98,7 @@ pub struct StatisticsMut<'a> {
     gradient_sum: &'a mut [f32],
     weight_sum: &'a mut [f32],
     absolute_sum: &'a mut [f32],
-    gene_gradient_sum: &'a mut [Gene],
+    gene_gradient_sum: &'a mut [Genes],
     gene_views: &'a mut [u32],
 }
 

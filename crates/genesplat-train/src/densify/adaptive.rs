@@ -11,7 +11,7 @@
 
 use genesplat_core::edit::new_log_scale;
 use genesplat_core::gaussians::sigmoid;
-use genesplat_core::{Gene, Origin, RowEdit, Statistics};
+use genesplat_core::{Genes, Origin, RowEdit, Statistics};
 
 use super::Plan;
 
@@ -42,7 +42,7 @@ enum Growth {
 }
 
 /// Decides one densification; `iteration` addresses the random offsets of split children.
-pub fn plan(statistics: &Statistics, genes: &[Gene], rules: &Rules, iteration: u32) -> Plan {
+pub fn plan(statistics: &Statistics, genes: &[Genes], rules: &Rules, iteration: u32) -> Plan {
     let absolute = rules.or_absolute.then(|| absolute_threshold(statistics, rules.gradient_threshold));
     let mut growth: Vec<Growth> =
         (0..genes.len()).map(|row| wanted_growth(statistics, genes, rules, absolute, row)).collect();
@@ -75,7 +75,7 @@ fn absolute_threshold(statistics: &Statistics, gradient_threshold: f32) -> f32 {
 
 fn wanted_growth(
     statistics: &Statistics,
-    genes: &[Gene],
+    genes: &[Genes],
     rules: &Rules,
     absolute_threshold: Option<f32>,
     row: usize,
@@ -130,7 +130,7 @@ fn grow(growth: &[Growth], iteration: u32) -> RowEdit {
     edit
 }
 
-fn prune(edit: &mut RowEdit, genes: &[Gene], prune_opacity: f32, prune_size: Option<f32>) {
+fn prune(edit: &mut RowEdit, genes: &[Genes], prune_opacity: f32, prune_size: Option<f32>) {
     let (sources, origins) = (std::mem::take(&mut edit.sources), std::mem::take(&mut edit.origins));
     for (source, origin) in sources.into_iter().zip(origins) {
         let row = source as usize;
@@ -143,7 +143,7 @@ fn prune(edit: &mut RowEdit, genes: &[Gene], prune_opacity: f32, prune_size: Opt
     }
 }
 
-fn log_scale(&[_, _, _, x, y, z, _]: &Gene) -> [f32; 3] {
+fn log_scale(&[_, _, _, x, y, z, _]: &Genes) -> [f32; 3] {
     [x, y, z]
 }
 
@@ -175,7 +175,7 @@ mod tests {
     const SECOND: Origin = Origin::SplitChild { child: 1 };
 
     /// Rows of `(mean gradient, longest axis, opacity)`, each seen by four views.
-    fn scene(rows: &[(f32, f32, f32)]) -> (Statistics, Vec<Gene>) {
+    fn scene(rows: &[(f32, f32, f32)]) -> (Statistics, Vec<Genes>) {
         let mut genes = Vec::new();
         let mut statistics = Statistics::default();
         for &(gradient, size, opacity) in rows {

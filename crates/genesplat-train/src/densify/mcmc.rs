@@ -9,7 +9,7 @@
 
 use genesplat_core::gaussians::{logit, sigmoid};
 use genesplat_core::rng::Draw;
-use genesplat_core::{Gaussians, Gene, Origin, Rng, RowEdit, Stream};
+use genesplat_core::{Gaussians, Genes, Origin, Rng, RowEdit, Stream};
 
 use super::Plan;
 
@@ -58,7 +58,7 @@ pub fn initialise(cloud: &mut Gaussians, opacity: f32, scale: f32) {
 /// Copies lie beside the row that they are of, wherever the dead ones lay: what is together on the screen stays
 /// together in memory. Relocated Gaussians lose their moments, and so do the Gaussians that they were moved to; added
 /// ones have none, and the Gaussians that they were added to keep theirs.
-pub fn plan(genes: &[Gene], rules: &Rules, rng: &Rng, iteration: u32) -> Plan {
+pub fn plan(genes: &[Genes], rules: &Rules, rng: &Rng, iteration: u32) -> Plan {
     let mut rows: Vec<Row> = genes.iter().zip(0..).map(|(genes, row)| Row::kept(row, genes[6])).collect();
     let relocated = relocate(&mut rows, rules, rng, iteration);
     let cloned = grow(&mut rows, rules, rng, iteration);

@@ -2,7 +2,7 @@
 
 use fearless_simd::{Level, dispatch};
 use genesplat_core::alleles::{Holders, alleles};
-use genesplat_core::{Gaussians, Gene, RenderSettings, SparseDelta};
+use genesplat_core::{Gaussians, Genes, RenderSettings, SparseDelta};
 use rayon::prelude::*;
 
 use super::super::bin::Bins;
@@ -19,7 +19,7 @@ const PICTURES_BYTES: usize = 256 << 20;
 /// One value of a row, also of an unchanged one, and who holds it.
 struct Allele {
     row: u32,
-    genes: Gene,
+    genes: Genes,
     holders: Holders,
 }
 

@@ -136,7 +136,7 @@ fn large_changes_are_scored() {
     let mut base = cloud_of(250, -1.0);
     base.opacity_logits.iter_mut().step_by(5).for_each(|logit| *logit = -9.0);
     let everything =
-        |change: &dyn Fn(usize, &mut genesplat_core::Gene)| change_rows(&base, 0..base.len(), change);
+        |change: &dyn Fn(usize, &mut genesplat_core::Genes)| change_rows(&base, 0..base.len(), change);
     let population = [
         everything(&|_, genes| genes[2] = 4.0 - genes[2]),
         everything(&|_, genes| genes[6] = 0.5),

@@ -5,7 +5,7 @@ use super::*;
 const RULES: Rules = Rules { min_opacity: 0.005, growth: 0.0, cap: 1000 };
 
 /// Of which only the opacities are looked at.
-fn genes(opacities: &[f32]) -> Vec<Gene> {
+fn genes(opacities: &[f32]) -> Vec<Genes> {
     opacities.iter().map(|&opacity| [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, logit(opacity)]).collect()
 }
 

@@ -1,0 +1,202 @@
+//! Means of a run's recent states (weight averaging), and the blends of them that may take the cloud's place.
+//!
+//! Steps on single photos keep every parameter in motion around its optimum; the mean of several states is free of that noise (Izmailov
+//! et al., "Averaging weights leads to wider optima and better generalization", 2018). A window of states is averaged in two halves, an
+//! older and a younger one, so that a blend can also go some way along the line from the older mean to the younger one: where the run is
+//! heading. States share their rows with the cloud; a change of rows empties the averages.
+
+use crate::gaussians::Gaussians;
+
+/// Halves of a window: the older states and the younger ones.
+pub const WINDOW_HALVES: usize = 2;
+
+/// A running mean of states.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct StateMean {
+    states: u32,
+    mean: Gaussians,
+}
+
+impl StateMean {
+    /// A mean that was saved: `states` clouds, averaged.
+    pub fn new(states: u32, mean: Gaussians) -> Self {
+        Self { states, mean }
+    }
+
+    /// How many states were added.
+    pub fn states(&self) -> u32 {
+        self.states
+    }
+
+    /// Their mean `[N]`; empty before the first. It has no 3D filter.
+    pub fn mean(&self) -> &Gaussians {
+        &self.mean
+    }
+
+    fn add(&mut self, cloud: &Gaussians) {
+        if self.states == 0 {
+            self.mean = Gaussians { filter_3d: None, ..cloud.clone() };
+        }
+        assert_eq!(self.mean.len(), cloud.len(), "averaged states have the same rows");
+        self.states += 1;
+        let fraction = 1.0 / self.states as f32;
+        for (means, values) in columns_mut(&mut self.mean).into_iter().zip(columns(cloud)) {
+            for (mean, &value) in means.iter_mut().zip(values) {
+                *mean += (value - *mean) * fraction;
+            }
+        }
+    }
+}
+
+/// Means of the older and the younger states of a window.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct WindowAverages {
+    halves: [StateMean; WINDOW_HALVES],
+}
+
+impl WindowAverages {
+    /// Averages that were saved.
+    pub fn new(halves: [StateMean; WINDOW_HALVES]) -> Self {
+        Self { halves }
+    }
+
+    /// The older and the younger half.
+    pub fn halves(&self) -> &[StateMean; WINDOW_HALVES] {
+        &self.halves
+    }
+
+    /// How many states each half is the mean of.
+    pub fn states(&self) -> [u32; WINDOW_HALVES] {
+        self.halves.each_ref().map(|half| half.states)
+    }
+
+    /// Adds a state to a half, 0 for the older one.
+    ///
+    /// # Panics
+    /// When `cloud` has another number of rows than the states before it.
+    pub fn add(&mut self, half: usize, cloud: &Gaussians) {
+        self.halves[half].add(cloud);
+    }
+
+    /// Writes what `blend` makes of `cloud` into `blended`, which keeps the cloud's 3D filter. A half without states has no say.
+    pub fn blend(&self, cloud: &Gaussians, blend: &Blend, blended: &mut Gaussians) {
+        if blended.len() == cloud.len() {
+            columns_mut(blended)
+                .into_iter()
+                .zip(columns(cloud))
+                .for_each(|(to, from)| to.copy_from_slice(from));
+            blended.filter_3d.clone_from(&cloud.filter_3d);
+        } else {
+            blended.clone_from(cloud);
+        }
+        for (half, weight) in self.halves.iter().zip(blend.weights).filter(|(half, _)| half.states > 0) {
+            let columns = columns_mut(blended).into_iter().zip(columns(cloud)).zip(columns(&half.mean));
+            for ((blended, cloud), mean) in columns {
+                add_scaled(blended, cloud, mean, weight);
+            }
+        }
+    }
+}
+
+/// A cloud as its difference from the one held: `cloud + Σ weight · (mean of a half − cloud)`. The default, all zero, is the cloud itself.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Blend {
+    /// Weights of the older and the younger half.
+    pub weights: [f32; WINDOW_HALVES],
+}
+
+/// How a cloud does on one training view.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ViewLoss {
+    /// Eq. 5 of the paper: `0.8 · L1 + 0.2 · (1 − SSIM)`.
+    pub loss: f32,
+    /// Mean squared error of the unclamped picture, in units of full brightness.
+    pub squared_error: f32,
+}
+
+/// `blended += weight · (mean − cloud)`.
+fn add_scaled(blended: &mut [f32], cloud: &[f32], mean: &[f32], weight: f32) {
+    for ((blended, &cloud), &mean) in blended.iter_mut().zip(cloud).zip(mean) {
+        *blended += weight * (mean - cloud);
+    }
+}
+
+fn columns(cloud: &Gaussians) -> [&[f32]; 5] {
+    [
+        cloud.positions.as_flattened(),
+        cloud.log_scales.as_flattened(),
+        cloud.rotations.as_flattened(),
+        &cloud.opacity_logits,
+        cloud.sh.as_flattened(),
+    ]
+}
+
+fn columns_mut(cloud: &mut Gaussians) -> [&mut [f32]; 5] {
+    [
+        cloud.positions.as_flattened_mut(),
+        cloud.log_scales.as_flattened_mut(),
+        cloud.rotations.as_flattened_mut(),
+        &mut cloud.opacity_logits,
+        cloud.sh.as_flattened_mut(),
+    ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn state(value: f32) -> Gaussians {
+        let mut cloud = Gaussians::zeros(2);
+        columns_mut(&mut cloud).into_iter().for_each(|column| column.fill(value));
+        cloud.filter_3d = Some(vec![value; 2]);
+        cloud
+    }
+
+    fn averages(older: &[f32], younger: &[f32]) -> WindowAverages {
+        let mut averages = WindowAverages::default();
+        older.iter().for_each(|&value| averages.add(0, &state(value)));
+        younger.iter().for_each(|&value| averages.add(1, &state(value)));
+        averages
+    }
+
+    fn blended(averages: &WindowAverages, cloud: &Gaussians, weights: [f32; WINDOW_HALVES]) -> Gaussians {
+        let mut blended = Gaussians::default();
+        averages.blend(cloud, &Blend { weights }, &mut blended);
+        blended
+    }
+
+    #[test]
+    fn every_parameter_is_averaged() {
+        let averages = averages(&[1.0, 2.0, 6.0], &[]);
+        assert_eq!(averages.halves()[0].states(), 3);
+        assert_eq!(*averages.halves()[0].mean(), Gaussians { filter_3d: None, ..state(3.0) });
+        assert_eq!((averages.states(), WindowAverages::default().states()), ([3, 0], [0, 0]));
+    }
+
+    #[test]
+    fn blends_lie_on_the_line_and_beyond_it() {
+        let (averages, cloud) = (averages(&[1.0, 3.0], &[4.0]), state(5.0));
+        assert_eq!(blended(&averages, &cloud, [0.0; 2]), cloud, "no weight is no change");
+        let mean = Gaussians { filter_3d: Some(vec![5.0; 2]), ..state(3.0) };
+        assert_eq!(blended(&averages, &cloud, [0.5; 2]), mean, "half of each mean, none of the cloud");
+        let beyond = Gaussians { filter_3d: Some(vec![5.0; 2]), ..state(6.0) };
+        assert_eq!(blended(&averages, &cloud, [-1.0, 2.0]), beyond, "5 − (2 − 5) + 2 (4 − 5)");
+    }
+
+    #[test]
+    fn a_half_without_states_has_no_say() {
+        let (averages, cloud) = (averages(&[], &[2.0]), state(1.0));
+        let expected = Gaussians { filter_3d: Some(vec![1.0; 2]), ..state(4.0) };
+        assert_eq!(blended(&averages, &cloud, [100.0, 3.0]), expected);
+    }
+
+    #[test]
+    fn room_is_reused_whatever_was_in_it() {
+        let (averages, cloud) = (averages(&[1.0], &[2.0]), state(3.0));
+        let blend = Blend { weights: [0.25, 0.5] };
+        let (mut fresh, mut used) = (Gaussians::default(), state(9.0));
+        averages.blend(&cloud, &blend, &mut fresh);
+        averages.blend(&cloud, &blend, &mut used);
+        assert_eq!(fresh, used);
+    }
+}
