@@ -18,13 +18,13 @@ pub struct PaperConfig {
     /// T, individuals drawn for each tournament, without replacement. Default 10; 1 to P. More means stronger selection,
     /// less diversity and less memory.
     pub tournament: u32,
-    /// Share of the population carried over unchanged. Default 0.10; from 0, and `round(share * P)` must be below P.
+    /// Fraction of the population carried over unchanged. Default 0.10; from 0, and `round(fraction * P)` must be below P.
     pub elite_fraction: f64,
-    /// Share of the Gaussians that a mutation may touch, drawn afresh for each individual. Default 0.10; above 0, up to 1.
-    /// Exactly `round(share * N)` are selected, and at least one.
+    /// Fraction of the Gaussians that a mutation may touch, drawn afresh for each individual. Default 0.10; above 0, up to 1.
+    /// Exactly `round(fraction * N)` are selected, and at least one.
     ///
     /// Table 1 says "subject to crossover and mutation". Section 3.1 defines crossover on whole parameter vectors, so it
-    /// is read here as the share that *mutation* selects.
+    /// is read here as the fraction that *mutation* selects.
     pub selection_fraction: f64,
     /// alpha of Eq. 4: the step in units of `u_i` times the parameter's standard deviation. Default 0.10; from 0.
     pub intensity: f64,
@@ -36,17 +36,13 @@ pub struct PaperConfig {
     /// Probability that a pair of parents is crossed rather than copied, in the early, middle and late generations.
     /// Default 0.85, 0.70, 0.50; each 0 to 1.
     pub crossover_rates: [f64; 3],
-    /// Where early ends and where middle ends, as shares of K. Default 0.30, 0.70; 0 to 1, ascending. Generation k of K
+    /// Where early ends and where middle ends, as fractions of K. Default 0.30, 0.70; 0 to 1, ascending. Generation k of K
     /// (from 1) is early while `(k - 1) / K` is below the first: with K = 100, generations 1-30, 31-70 and 71-100.
     pub rate_breaks: [f64; 2],
     /// How two parents are recombined. Default 100 points.
     pub crossover: Crossover,
     /// Where `u_i` of Eq. 4 comes from. Default the gradients.
     pub magnitude: Magnitude,
-    /// Over what `sigma_x` of Eq. 4 is taken. Default each component.
-    pub sigma_scope: SigmaScope,
-    /// The space in which genes are mutated. Default raw.
-    pub space: Space,
 }
 
 /// Recombination of two parents (section 3.1). The two children are complementary: what one takes from the first parent,
@@ -81,29 +77,6 @@ pub enum Magnitude {
     Unit,
 }
 
-/// Over what `sigma_x`, "the standard deviation of x", is taken. Always over the Gaussians of the base, once a search.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum SigmaScope {
-    /// Each of the seven components has its own: steps follow the scene's proportions.
-    #[default]
-    Component,
-    /// One for all values of a group, around their common mean (what `tensor.std()` of an `[N, 3]` tensor gives).
-    Group,
-}
-
-/// The space in which a gene is mutated. The paper does not say.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Space {
-    /// As the optimiser sees it: log-scales and opacity logits, where every value is valid.
-    #[default]
-    Raw,
-    /// As the renderer sees it: scales in world units and opacities in (0, 1); `sigma_x` is taken in the same space, and
-    /// a step that would leave the valid range stops at its edge.
-    Activated,
-}
-
 impl Default for Crossover {
     fn default() -> Self {
         Self::Points { points: 100 }
@@ -125,8 +98,6 @@ impl Default for PaperConfig {
             rate_breaks: [0.30, 0.70],
             crossover: Crossover::default(),
             magnitude: Magnitude::default(),
-            sigma_scope: SigmaScope::default(),
-            space: Space::default(),
         }
     }
 }
@@ -184,18 +155,18 @@ impl PaperConfig {
             tournament.contains(&self.tournament),
             "between 1 and population",
         )?;
-        check("elite_fraction", self.elite_fraction, is_share(self.elite_fraction), "between 0 and 1")?;
+        check("elite_fraction", self.elite_fraction, is_fraction(self.elite_fraction), "between 0 and 1")?;
         let has_children = self.elites() < self.population;
         check("elite_fraction", self.elite_fraction, has_children, "low enough to leave room for a child")?;
-        let selects = is_share(self.selection_fraction) && self.selection_fraction > 0.0;
+        let selects = is_fraction(self.selection_fraction) && self.selection_fraction > 0.0;
         check("selection_fraction", self.selection_fraction, selects, "above 0 and at most 1")?;
         let is_step = self.intensity.is_finite() && self.intensity >= 0.0;
         check("intensity", self.intensity, is_step, "finite and not negative")?;
-        check_share("initial_mutation_rate", self.initial_mutation_rate)?;
-        self.mutation_rates.iter().try_for_each(|&rate| check_share("mutation_rates", rate))?;
-        self.crossover_rates.iter().try_for_each(|&rate| check_share("crossover_rates", rate))?;
+        check_fraction("initial_mutation_rate", self.initial_mutation_rate)?;
+        self.mutation_rates.iter().try_for_each(|&rate| check_fraction("mutation_rates", rate))?;
+        self.crossover_rates.iter().try_for_each(|&rate| check_fraction("crossover_rates", rate))?;
         let [early, middle] = self.rate_breaks;
-        self.rate_breaks.iter().try_for_each(|&end| check_share("rate_breaks", end))?;
+        self.rate_breaks.iter().try_for_each(|&end| check_fraction("rate_breaks", end))?;
         check("rate_breaks", middle, early <= middle, "in ascending order")?;
         match self.crossover {
             Crossover::Points { points } => check("crossover.points", points, points >= 1, "at least 1"),
@@ -204,12 +175,12 @@ impl PaperConfig {
     }
 }
 
-pub(crate) fn is_share(value: f64) -> bool {
+pub(crate) fn is_fraction(value: f64) -> bool {
     (0.0..=1.0).contains(&value)
 }
 
-fn check_share(setting: &'static str, value: f64) -> Result<(), ConfigError> {
-    check(setting, value, is_share(value), "between 0 and 1")
+fn check_fraction(setting: &'static str, value: f64) -> Result<(), ConfigError> {
+    check(setting, value, is_fraction(value), "between 0 and 1")
 }
 
 pub(crate) fn check(
@@ -326,8 +297,8 @@ mod tests {
         let text = toml::to_string(&config).expect("plain values");
         assert_eq!(toml::from_str::<PaperConfig>(&text), Ok(config));
         let partial: PaperConfig =
-            toml::from_str("crossover = { kind = \"uniform\" }\nspace = \"activated\"").unwrap();
-        assert_eq!((partial.crossover, partial.space), (Crossover::Uniform, Space::Activated));
+            toml::from_str("crossover = { kind = \"uniform\" }\nmagnitude = \"unit\"").unwrap();
+        assert_eq!((partial.crossover, partial.magnitude), (Crossover::Uniform, Magnitude::Unit));
         assert!(toml::from_str::<PaperConfig>("tournaments = 3").is_err(), "unknown names are refused");
         assert!(toml::from_str::<PaperConfig>("crossover = { kind = \"points\", cuts = 3 }").is_err());
     }

@@ -11,12 +11,13 @@ use genesplat_core::{Genes, Rng, SparseDelta};
 use rayon::prelude::*;
 
 use crate::config::{ConfigError, PaperConfig};
-use crate::consensus::Consensus;
 use crate::individual::Genome;
-use crate::mutation::{GeneGradients, MAX_GAUSSIANS, Mutation, first_non_finite};
+use crate::operators::magnitude::GeneGradients;
+use crate::operators::mutation::{MAX_GAUSSIANS, Mutation, first_non_finite};
+use crate::operators::survival::Ranking;
+use crate::population::consensus::Consensus;
 use crate::population::{Breeder, Brood, Elite, MatingPlan, Pair, distinct_bytes};
 use crate::record::{GenerationRecord, LossStatistics};
-use crate::survival::Ranking;
 
 /// A search over the genes of one base. Losses are minimised.
 ///

@@ -1,5 +1,5 @@
-//! The genetic algorithm of "An Evolutionary Boost to Gaussian Splatting Optimization", searches of our own, and
-//! nothing else: they know no renderer, no file and no clock.
+//! The genetic algorithm of "An Evolutionary Boost to Gaussian Splatting Optimization", and the selection among the Gaussians of one
+//! cloud that we add to it. Neither knows a renderer, a file or a clock.
 //!
 //! [`GeneticAlgorithm`] is Algorithm 1 turned inside out: it *asks* for the losses of individuals and is *told* them, so
 //! that a renderer, a toy function or a replayed log can judge. An individual is a sparse difference from a state
@@ -30,17 +30,13 @@
 //!
 //! | module | what it decides |
 //! |---|---|
-//! | [`genetic`] | the order of everything: Algorithm 1 |
+//! | [`genetic`] | Algorithm 1, asked and told |
 //! | [`config`] | the settings of Table 1, and the rates of each generation |
-//! | [`population`] | how individuals are stored, and what that costs |
-//! | `consensus` | what the individuals of a generation have in common |
-//! | `individual`, `column` | one individual: which genes differ from the base, and their values |
-//! | `selection`, `crossover`, `mutation`, `survival` | the four operators |
-//! | `sampling` | exact random subsets |
-//! | [`record`] | the logbook |
-//! | [`mosaic`] | the search with credit: a child of many mutants, piece by piece the one that made it better |
-//! | [`renewal`] | the other selection: among the Gaussians of one cloud, who dies and who becomes two |
-//! | [`strategy`] | the search for recombination: a normal distribution over a few numbers |
+//! | [`population`] | how individuals are stored, what that costs, and what a generation has in common |
+//! | `individual` | which genes of an individual differ from what is shared, and their values |
+//! | `operators` | selection, crossover, mutation (Eq. 4), survival |
+//! | [`record`] | what is known of a generation's losses |
+//! | [`renewal`] | selection among the Gaussians of one cloud: which go, and which are split |
 //!
 //! **Randomness.** Every number comes from `Rng::at(stream, generation, individual or pair, row or draw)`, so neither the
 //! number of threads nor the order in which individuals are scored can change a result.
@@ -48,25 +44,15 @@
 //! **Resuming.** The search is a pure function of what [`GeneticAlgorithm::new`] was given and of the losses it was told:
 //! to resume it, build it again and tell it the recorded losses, without a single render.
 
-mod column;
 pub mod config;
-mod consensus;
-mod crossover;
 pub mod genetic;
-mod group;
 mod individual;
-pub mod mosaic;
-mod mutation;
+mod operators;
 pub mod population;
 pub mod record;
 pub mod renewal;
-mod sampling;
-mod selection;
-pub mod strategy;
-mod survival;
 
-pub use config::{ConfigError, Crossover, Magnitude, PaperConfig, Rates, SigmaScope, Space};
+pub use config::{ConfigError, Crossover, Magnitude, PaperConfig, Rates};
 pub use genetic::{GeneticAlgorithm, TellError};
-pub use mosaic::{MosaicConfig, MosaicSearch};
-pub use mutation::GeneGradients;
+pub use operators::magnitude::GeneGradients;
 pub use record::{GenerationRecord, LossStatistics};

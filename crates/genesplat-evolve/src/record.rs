@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use crate::survival::Ranking;
+use crate::operators::survival::Ranking;
 
 /// What a generation's losses were.
 #[derive(Clone, Debug, PartialEq, Serialize)]

@@ -1,25 +1,23 @@
-//! Renewal: the Gaussians that nobody would miss die, and those that most is wrong with become two.
+//! Renewal: the Gaussians of least contribution are replaced by splitting those of largest error.
 //!
-//! Selection and reproduction, with a Gaussian as the individual and the cloud as the population, which stays as large as it
-//! is. An individual's fitness is what it is worth to the pictures ([`Merit::weight`]); who reproduces is decided by the
-//! error that it has part in ([`Merit::error`]), since there more is wanted. Both are measured by rendering. A parent and
-//! its twin render nearly like the parent alone, so a renewal costs little at once, and gradients find out what the new
-//! ones are for.
+//! Selection and reproduction with a Gaussian as the individual and the cloud as the population, whose size stays. An individual's
+//! fitness is the sum of its blending weights ([`Contribution::weight`]); those reproduce that have the largest part in an error
+//! ([`Contribution::error`]), since more detail is wanted there. Both are measured by rendering. Twins together render nearly like their
+//! parent, so a renewal costs little at once, and gradient steps then pull the twins apart.
 
-use genesplat_core::{Merit, Origin, RowEdit};
+use genesplat_core::{Contribution, Origin, Rng, RowEdit};
 
-/// Decides a renewal of `share` of the rows; `iteration` is that of the edit. Changes nothing where no row has part in an
-/// error.
+/// Replaces `fraction` of the rows in iteration `iteration`: as many are removed as are split.
 ///
-/// As many rows die as reproduce. The dead are the rows of least weight, the parents those of the largest error among the
-/// others; of equal ones the first.
-pub fn plan(merits: &[Merit], share: f64, iteration: u32) -> RowEdit {
-    let mut edit = RowEdit { iteration, ..RowEdit::default() };
-    for (row, fate) in (0..).zip(fates(merits, share)) {
+/// Removed are the rows of least weight, split are those of the largest error among the others; of equal ones the first. Changes nothing
+/// where no row has part in an error.
+pub fn plan(contributions: &[Contribution], fraction: f64, rng: Rng, iteration: u32) -> RowEdit {
+    let mut edit = RowEdit::new(rng, iteration);
+    for (row, fate) in (0..).zip(fates(contributions, fraction)) {
         match fate {
-            Fate::Dies => {}
-            Fate::Lives => edit.push(row, Origin::Kept),
-            Fate::Reproduces => {
+            Fate::Removed => {}
+            Fate::Kept => edit.push(row, Origin::Kept),
+            Fate::Split => {
                 edit.push(row, Origin::Twin { child: 0 });
                 edit.push(row, Origin::Twin { child: 1 });
             }
@@ -31,22 +29,23 @@ pub fn plan(merits: &[Merit], share: f64, iteration: u32) -> RowEdit {
 /// What becomes of a row.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Fate {
-    Lives,
-    Dies,
-    Reproduces,
+    Kept,
+    Removed,
+    Split,
 }
 
-fn fates(merits: &[Merit], share: f64) -> Vec<Fate> {
-    let wanted = (share * merits.len() as f64) as usize;
-    let mut by_weight: Vec<usize> = (0..merits.len()).collect();
-    by_weight.sort_by(|&a, &b| merits[a].weight.total_cmp(&merits[b].weight));
-    let (weakest, others) = by_weight.split_at(wanted.min(merits.len() / 2));
-    let mut parents: Vec<usize> = others.iter().copied().filter(|&row| merits[row].error > 0.0).collect();
-    parents.sort_by(|&a, &b| merits[b].error.total_cmp(&merits[a].error).then(a.cmp(&b)));
+fn fates(contributions: &[Contribution], fraction: f64) -> Vec<Fate> {
+    let wanted = (fraction * contributions.len() as f64) as usize;
+    let mut by_weight: Vec<usize> = (0..contributions.len()).collect();
+    by_weight.sort_by(|&a, &b| contributions[a].weight.total_cmp(&contributions[b].weight));
+    let (weakest, others) = by_weight.split_at(wanted.min(contributions.len() / 2));
+    let mut parents: Vec<usize> =
+        others.iter().copied().filter(|&row| contributions[row].error > 0.0).collect();
+    parents.sort_by(|&a, &b| contributions[b].error.total_cmp(&contributions[a].error).then(a.cmp(&b)));
     parents.truncate(weakest.len());
-    let mut fates = vec![Fate::Lives; merits.len()];
-    for (&dead, &parent) in weakest.iter().zip(&parents) {
-        (fates[dead], fates[parent]) = (Fate::Dies, Fate::Reproduces);
+    let mut fates = vec![Fate::Kept; contributions.len()];
+    for (&removed, &parent) in weakest.iter().zip(&parents) {
+        (fates[removed], fates[parent]) = (Fate::Removed, Fate::Split);
     }
     fates
 }
@@ -55,15 +54,16 @@ fn fates(merits: &[Merit], share: f64) -> Vec<Fate> {
 mod tests {
     use super::*;
 
-    fn merits(rows: &[(f32, f32)]) -> Vec<Merit> {
-        rows.iter().map(|&(weight, error)| Merit { weight, error }).collect()
+    fn contributions(rows: &[(f32, f32)]) -> Vec<Contribution> {
+        rows.iter().map(|&(weight, error)| Contribution { weight, error }).collect()
     }
 
     #[test]
-    fn the_weakest_make_room_for_twins_of_those_that_most_is_wrong_with() {
-        let merits = merits(&[(9.0, 1.0), (0.1, 7.0), (5.0, 3.0), (8.0, 2.0), (0.2, 0.0), (7.0, 4.0)]);
-        let edit = plan(&merits, 0.34, 1500);
-        // Rows 1 and 4 die, whatever the error they have part in; 5 and 2 reproduce.
+    fn the_least_contribution_is_replaced_by_twins_of_the_largest_error() {
+        let contributions =
+            contributions(&[(9.0, 1.0), (0.1, 7.0), (5.0, 3.0), (8.0, 2.0), (0.2, 0.0), (7.0, 4.0)]);
+        let edit = plan(&contributions, 0.34, Rng::new(1), 1500);
+        // Rows 1 and 4 are removed, whatever their error; 5 and 2 are split.
         assert_eq!(edit.sources, [0, 2, 2, 3, 5, 5]);
         let twins = [Origin::Twin { child: 0 }, Origin::Twin { child: 1 }];
         assert_eq!(edit.origins[1..3], twins);
@@ -72,19 +72,27 @@ mod tests {
     }
 
     #[test]
-    fn nobody_dies_without_an_heir() {
-        let few = merits(&[(0.0, 0.0), (0.0, 0.0), (3.0, 0.0), (2.0, 1.0)]);
-        assert_eq!(plan(&few, 0.5, 1).sources, [1, 2, 3, 3], "one parent, one death");
-        for (rows, share) in
-            [(merits(&[(1.0, 0.0); 4]), 0.5), (few, 0.0), (merits(&[(1.0, 1.0)]), 1.0), (Vec::new(), 0.5)]
-        {
-            assert!(plan(&rows, share, 1).is_identity(rows.len()));
+    fn nothing_is_removed_without_a_split() {
+        let few = contributions(&[(0.0, 0.0), (0.0, 0.0), (3.0, 0.0), (2.0, 1.0)]);
+        assert_eq!(plan(&few, 0.5, Rng::new(1), 1).sources, [1, 2, 3, 3], "one parent, one removed");
+        for (rows, fraction) in [
+            (contributions(&[(1.0, 0.0); 4]), 0.5),
+            (few, 0.0),
+            (contributions(&[(1.0, 1.0)]), 1.0),
+            (Vec::new(), 0.5),
+        ] {
+            assert!(plan(&rows, fraction, Rng::new(1), 1).is_identity(rows.len()));
         }
     }
 
     #[test]
-    fn poisoned_errors_do_not_reproduce() {
-        let edit = plan(&merits(&[(0.0, 1.0), (1.0, f32::NAN), (2.0, 1.0), (3.0, 0.5)]), 0.25, 1);
+    fn errors_that_are_not_finite_are_not_split() {
+        let edit = plan(
+            &contributions(&[(0.0, 1.0), (1.0, f32::NAN), (2.0, 1.0), (3.0, 0.5)]),
+            0.25,
+            Rng::new(1),
+            1,
+        );
         assert_eq!(edit.sources, [1, 2, 2, 3]);
     }
 
@@ -92,9 +100,9 @@ mod tests {
         #[test]
         fn the_cloud_stays_as_large_as_it_is(
             rows in proptest::collection::vec((0f32..4.0, 0f32..4.0), 0..60),
-            share in 0f64..1.0,
+            fraction in 0f64..1.0,
         ) {
-            let edit = plan(&merits(&rows), share, 1);
+            let edit = plan(&contributions(&rows), fraction, Rng::new(1), 1);
             assert_eq!(edit.sources.len(), rows.len());
             assert!(edit.sources.is_sorted());
         }

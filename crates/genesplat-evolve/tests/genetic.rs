@@ -7,8 +7,7 @@ mod common;
 use common::{applied, normal_base, on_sphere, run, small, sphere};
 use genesplat_core::{Genes, Rng, SparseDelta};
 use genesplat_evolve::{
-    ConfigError, Crossover, GeneGradients, GeneticAlgorithm, Magnitude, PaperConfig, SigmaScope, Space,
-    TellError,
+    ConfigError, Crossover, GeneGradients, GeneticAlgorithm, Magnitude, PaperConfig, TellError,
 };
 use proptest::prelude::*;
 
@@ -301,18 +300,10 @@ fn any_config() -> impl Strategy<Value = PaperConfig> {
         (1u32..130).prop_map(|points| Crossover::Points { points }),
         Just(Crossover::Uniform)
     ];
-    let scope = prop_oneof![Just(SigmaScope::Component), Just(SigmaScope::Group)];
-    let space = prop_oneof![Just(Space::Raw), Just(Space::Activated)];
-    let share = || 0.0f64..=1.0;
-    let numbers = (0u32..5, 1u32..24, share(), 0.0f64..0.9, 0.01f64..=1.0, 0.0f64..2.0);
-    (numbers, [share(), share(), share(), share()], crossover, scope, space).prop_map(
-        |(
-            (generations, population, tournament, elites, selection, intensity),
-            rates,
-            crossover,
-            scope,
-            space,
-        )| {
+    let fraction = || 0.0f64..=1.0;
+    let numbers = (0u32..5, 1u32..24, fraction(), 0.0f64..0.9, 0.01f64..=1.0, 0.0f64..2.0);
+    (numbers, [fraction(), fraction(), fraction(), fraction()], crossover).prop_map(
+        |((generations, population, tournament, elites, selection, intensity), rates, crossover)| {
             let [initial, mutation, pairs, rates_break] = rates;
             PaperConfig {
                 generations,
@@ -328,8 +319,6 @@ fn any_config() -> impl Strategy<Value = PaperConfig> {
                 rate_breaks: [rates_break / 2.0, rates_break],
                 crossover,
                 magnitude: Magnitude::Unit,
-                sigma_scope: scope,
-                space,
             }
         },
     )

@@ -1,12 +1,14 @@
-//! An individual: how its genes differ from those that a generation shares ([`crate::consensus`]).
+//! An individual: how its genes differ from those that a generation shares ([`crate::population::consensus`]).
 
 use genesplat_core::{Genes, SparseDelta};
 
-use crate::column::{Column, Steps, WORD, ones};
-use crate::config::Space;
-use crate::crossover::Inheritance;
-use crate::group::{GROUPS, Group};
-use crate::mutation::space::step;
+pub(crate) mod column;
+pub(crate) mod group;
+
+use column::{Column, Steps, WORD, ones};
+use group::{GROUPS, Group};
+
+use crate::operators::crossover::Inheritance;
 
 /// The genes of one individual, group by group: a row whose position alone has mutated costs 12 bytes, not 28.
 #[derive(Clone, Debug, PartialEq)]
@@ -45,18 +47,11 @@ impl Genome {
     }
 
     /// A child: crossover, then mutation.
-    pub(crate) fn child(parents: Parents<'_>, mutations: &Mutations, shared: &[Genes], space: Space) -> Self {
+    pub(crate) fn child(parents: Parents<'_>, mutations: &Mutations, shared: &[Genes]) -> Self {
         Self {
-            position: column(
-                parents,
-                Group::Position,
-                |own| &own.position,
-                &mutations.position,
-                shared,
-                space,
-            ),
-            scale: column(parents, Group::Scale, |own| &own.scale, &mutations.scale, shared, space),
-            opacity: column(parents, Group::Opacity, |own| &own.opacity, &mutations.opacity, shared, space),
+            position: column(parents, Group::Position, |own| &own.position, &mutations.position, shared),
+            scale: column(parents, Group::Scale, |own| &own.scale, &mutations.scale, shared),
+            opacity: column(parents, Group::Opacity, |own| &own.opacity, &mutations.opacity, shared),
         }
     }
 
@@ -119,6 +114,15 @@ fn voters_of<'a, const W: usize>(
     voters.iter().map(|&(genome, weight)| (of(genome), weight)).collect()
 }
 
+/// The genes after a step. One that would become non-finite keeps its value.
+#[inline]
+fn step<const W: usize>(genes: [f32; W], by: [f32; W]) -> [f32; W] {
+    std::array::from_fn(|component| {
+        let moved = genes[component] + by[component];
+        if moved.is_finite() { moved } else { genes[component] }
+    })
+}
+
 /// One column of a child. A gene that would become non-finite keeps its value.
 fn column<'a, const W: usize>(
     parents: Parents<'a>,
@@ -126,10 +130,8 @@ fn column<'a, const W: usize>(
     of: impl Fn(&'a Genome) -> &'a Column<W>,
     steps: &Steps<W>,
     shared: &[Genes],
-    space: Space,
 ) -> Column<W> {
     let gene = |row: usize| group.of(&shared[row]);
-    let step = |value, by| step(space, group, value, by);
     match parents {
         Parents::One(parent) => Column::child([of(parent); 2], |_| u64::MAX, steps, gene, step),
         Parents::Crossed(first, second, inheritance) => {
@@ -144,7 +146,7 @@ mod tests {
     use super::*;
 
     fn mutated(parent: &Genome, mutations: &Mutations, shared: &[Genes]) -> Genome {
-        Genome::child(Parents::One(parent), mutations, shared, Space::Raw)
+        Genome::child(Parents::One(parent), mutations, shared)
     }
 
     #[test]

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use genesplat_core::{Rng, Stream};
 
-use crate::column::{WORD, is_set, ones, words};
+use crate::individual::column::{WORD, is_set, ones, words};
 
 /// Who a random number belongs to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -6,7 +6,7 @@
 
 use genesplat_core::{Rng, Stream};
 
-use crate::sampling::distinct;
+use crate::operators::sampling::distinct;
 
 /// The ranks (0 is best) of the two parents of a pair. The best of a tournament is its lowest rank, so a tournament needs
 /// no individuals, only `tournament` distinct ranks of `0..population`.

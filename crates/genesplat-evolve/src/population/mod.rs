@@ -25,18 +25,20 @@
 //! **Time.** A child costs one pass over its columns (a copy, for cuts between rows) and one random word for
 //! each Gaussian that it selects; those that breed cost it twice.
 
+pub(crate) mod consensus;
+
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use genesplat_core::Rng;
 
 use crate::config::{Crossover, PaperConfig};
-use crate::consensus::Consensus;
-use crate::crossover::{Inheritance, is_crossed};
 use crate::individual::{Genome, Parents};
-use crate::mutation::Mutation;
-use crate::sampling::Address;
-use crate::selection::parent_ranks;
+use crate::operators::crossover::{Inheritance, is_crossed};
+use crate::operators::mutation::Mutation;
+use crate::operators::sampling::Address;
+use crate::operators::selection::parent_ranks;
+use crate::population::consensus::Consensus;
 
 /// An individual carried over, and its loss, which is not asked for again.
 #[derive(Clone, Debug)]

@@ -11,8 +11,8 @@
 use genesplat_core::Genes;
 
 use crate::config::{ConfigError, Magnitude};
-use crate::group::{GROUPS, Group};
-use crate::mutation::first_non_finite;
+use crate::individual::group::{GROUPS, Group};
+use crate::operators::mutation::first_non_finite;
 
 /// Accumulated gradients of the genes, a side signal of training; rows match those of the base.
 #[derive(Clone, Debug, Default, PartialEq)]

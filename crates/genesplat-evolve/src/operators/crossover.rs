@@ -5,10 +5,10 @@
 
 use genesplat_core::{Rng, Stream};
 
-use crate::column::{WORD, words};
 use crate::config::Crossover;
-use crate::group::{GROUPS, Group};
-use crate::sampling::distinct;
+use crate::individual::column::{WORD, words};
+use crate::individual::group::{GROUPS, Group};
+use crate::operators::sampling::distinct;
 
 /// Bits of the rows that the first child takes from the first parent.
 #[derive(Clone, Debug, PartialEq)]
@@ -84,7 +84,6 @@ fn set_range(bits: &mut [u64], start: usize, end: usize) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::Space;
     use crate::individual::{Genome, Mutations, Parents};
     use genesplat_core::{Genes, Rng, SparseDelta};
     use proptest::prelude::*;
@@ -107,7 +106,7 @@ mod tests {
             all.scale.push(row, [mark; 3]);
             all.opacity.push(row, [mark]);
         }
-        Genome::child(Parents::One(&Genome::unchanged(base.len())), &all, base, Space::Raw)
+        Genome::child(Parents::One(&Genome::unchanged(base.len())), &all, base)
     }
 
     fn genes(delta: &SparseDelta) -> &[f32] {
@@ -130,7 +129,7 @@ mod tests {
             let inheritance = Inheritance::draw(kind, &Rng::new(seed), 4, 2, n);
             let [first, second] = [(&a, &b), (&b, &a)]
                 .map(|(p, q)| Parents::Crossed(p, q, &inheritance))
-                .map(|parents| Genome::child(parents, &Mutations::default(), &base, Space::Raw).to_delta(&base));
+                .map(|parents| Genome::child(parents, &Mutations::default(), &base).to_delta(&base));
             // Each gene is one parent's, and what one child lacks the other has.
             prop_assert!(genes(&first).iter().all(|&gene| gene == 1.0 || gene == 2.0));
             prop_assert!(genes(&first).iter().zip(genes(&second)).all(|(x, y)| x + y == 3.0));
