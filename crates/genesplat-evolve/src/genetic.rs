@@ -14,10 +14,10 @@ use crate::config::{ConfigError, PaperConfig};
 use crate::individual::Genome;
 use crate::operators::magnitude::GeneGradients;
 use crate::operators::mutation::{MAX_GAUSSIANS, Mutation, first_non_finite};
+use crate::operators::survival::LossStatistics;
 use crate::operators::survival::Ranking;
 use crate::population::consensus::Consensus;
 use crate::population::{Breeder, Brood, Elite, MatingPlan, Pair, distinct_bytes};
-use crate::record::{GenerationRecord, LossStatistics};
 
 /// A search over the genes of one base. Losses are minimised.
 ///
@@ -41,7 +41,6 @@ pub struct GeneticAlgorithm {
     base_loss: f64,
     /// BG: the best individual and its loss, once one is better than the base.
     best: Option<(SparseDelta, f64)>,
-    logbook: Vec<GenerationRecord>,
     peak_bytes: usize,
 }
 
@@ -97,7 +96,6 @@ impl GeneticAlgorithm {
             brood,
             base_loss,
             best: None,
-            logbook: Vec::new(),
             peak_bytes: 0,
         };
         search.peak_bytes = search.population_bytes();
@@ -152,20 +150,20 @@ impl GeneticAlgorithm {
     }
 
     /// Takes the losses of the individuals `0..ask()`, keeps the best if it is strictly better than all before, and breeds
-    /// the next generation, in parallel. A loss that is not finite ranks last.
-    pub fn tell(&mut self, losses: &[f64]) -> Result<&GenerationRecord, TellError> {
+    /// the next generation, in parallel. A loss that is not finite ranks last. Returns statistics of the whole population's losses, elites
+    /// included; `None` where none is finite.
+    pub fn tell(&mut self, losses: &[f64]) -> Result<Option<LossStatistics>, TellError> {
         self.check_losses(losses)?;
         let elites = self.elites.iter().map(|elite| elite.loss);
         let ranking = Ranking::new(&elites.chain(losses.iter().copied()).collect::<Vec<f64>>());
-        let improved = self.replace_best(&ranking);
-        let record = self.record(&ranking, improved);
+        self.replace_best(&ranking);
         if self.generation == self.config.generations {
             // The consensus stays what the caller's cloud is, until the caller takes the way back.
             (self.elites, self.brood) = (Vec::new(), Brood::NONE);
         } else {
             self.breed(&ranking);
         }
-        Ok(self.logbook.push_mut(record))
+        Ok(LossStatistics::of(&ranking))
     }
 
     /// True when all generations are done.
@@ -198,11 +196,6 @@ impl GeneticAlgorithm {
         &self.config
     }
 
-    /// A record of each generation that was told.
-    pub fn logbook(&self) -> &[GenerationRecord] {
-        &self.logbook
-    }
-
     /// Bytes that the search holds now, its copy of the base's genes included; [`crate::population`] states how they grow.
     pub fn population_bytes(&self) -> usize {
         self.bytes_with(&[])
@@ -229,13 +222,11 @@ impl GeneticAlgorithm {
     }
 
     /// Lines 8-10 and 23-25. Elites are never better than what they were remembered for, so a new best is a new child.
-    fn replace_best(&mut self, ranking: &Ranking) -> bool {
-        let improved = ranking.finite().first().is_some_and(|&loss| loss < self.best_loss());
-        if improved {
+    fn replace_best(&mut self, ranking: &Ranking) {
+        if ranking.finite().first().is_some_and(|&loss| loss < self.best_loss()) {
             let genome = self.individual(ranking.individual(0));
             self.best = Some((self.breeder.consensus.delta_from_base(&genome), ranking.loss(0)));
         }
-        improved
     }
 
     /// Lines 13-21: which ranks breed is decided first; then only their genomes are made; then the recipes of the children.
@@ -274,22 +265,6 @@ impl GeneticAlgorithm {
     fn genome(&self, index: u32) -> Genome {
         let rate = self.config.rates(self.generation).mutation;
         self.breeder.genome(&self.brood, self.generation, index, rate)
-    }
-
-    fn record(&self, ranking: &Ranking, improved: bool) -> GenerationRecord {
-        let mut parents: Vec<_> = self.brood.parents().map(Arc::as_ptr).collect();
-        parents.sort_unstable();
-        parents.dedup();
-        GenerationRecord {
-            generation: self.generation,
-            evaluations: self.logbook.last().map_or(0, |record| record.evaluations) + self.ask() as u64,
-            losses: LossStatistics::of(ranking),
-            non_finite: self.config.population as usize - ranking.finite().len(),
-            best_so_far: self.best_loss(),
-            improved,
-            changed_rows: self.best().map_or(0, |delta| delta.rows.len()),
-            parents: parents.len(),
-        }
     }
 }
 

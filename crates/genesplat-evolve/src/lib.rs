@@ -35,7 +35,6 @@
 //! | [`population`] | how individuals are stored, what that costs, and what a generation has in common |
 //! | `individual` | which genes of an individual differ from what is shared, and their values |
 //! | `operators` | selection, crossover, mutation (Eq. 4), survival |
-//! | [`record`] | what is known of a generation's losses |
 //! | [`renewal`] | selection among the Gaussians of one cloud: which go, and which are split |
 //!
 //! **Randomness.** Every number comes from `Rng::at(stream, generation, individual or pair, row or draw)`, so neither the
@@ -49,10 +48,9 @@ pub mod genetic;
 mod individual;
 mod operators;
 pub mod population;
-pub mod record;
 pub mod renewal;
 
 pub use config::{ConfigError, Crossover, Magnitude, PaperConfig, Rates};
 pub use genetic::{GeneticAlgorithm, TellError};
 pub use operators::magnitude::GeneGradients;
-pub use record::{GenerationRecord, LossStatistics};
+pub use operators::survival::LossStatistics;

@@ -36,6 +36,34 @@ impl Ranking {
     }
 }
 
+/// Statistics of a generation's finite losses.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LossStatistics {
+    /// Lowest.
+    pub best: f64,
+    /// Mean.
+    pub mean: f64,
+    /// Median (of an even number, the mean of the middle two).
+    pub median: f64,
+    /// Highest.
+    pub worst: f64,
+    /// Population standard deviation.
+    pub std: f64,
+}
+
+impl LossStatistics {
+    /// `None` where no loss is finite.
+    pub(crate) fn of(ranking: &Ranking) -> Option<Self> {
+        let losses = ranking.finite();
+        let (&best, &worst) = (losses.first()?, losses.last()?);
+        let n = losses.len();
+        let mean = losses.iter().sum::<f64>() / n as f64;
+        let variance = losses.iter().map(|loss| (loss - mean).powi(2)).sum::<f64>() / n as f64;
+        let median = f64::midpoint(losses[(n - 1) / 2], losses[n / 2]);
+        Some(Self { best, mean, median, worst, std: variance.sqrt() })
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -52,5 +80,14 @@ mod tests {
     #[test]
     fn equal_losses_keep_their_order() {
         assert_eq!(Ranking::new(&[2.0, 1.0, 2.0, 1.0, 0.0, -0.0]).order, [5, 4, 1, 3, 0, 2]);
+    }
+
+    #[test]
+    fn statistics_are_over_finite_losses() {
+        let statistics = LossStatistics::of(&Ranking::new(&[8.0, f64::NAN, 2.0, 4.0, 2.0]));
+        let expected = LossStatistics { best: 2.0, mean: 4.0, median: 3.0, worst: 8.0, std: 6f64.sqrt() };
+        assert_eq!(statistics, Some(expected));
+        let median = |losses: &[f64]| LossStatistics::of(&Ranking::new(losses)).map(|of| of.median);
+        assert_eq!([median(&[5.0, 1.0, 3.0]), median(&[f64::NAN]), median(&[])], [Some(3.0), None, None]);
     }
 }
