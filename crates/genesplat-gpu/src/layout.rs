@@ -391,6 +391,6 @@ fn integer_constants() -> Vec<(&'static str, u32)> {
         ("GRID_ENTRIES", GRID_ENTRIES),
         ("GRID_TILE_SORT", GRID_TILE_SORT),
         ("STREAM_SPLIT_OFFSET", Stream::SplitOffset as u32),
-        ("STREAM_EXPLORATION_NOISE", Stream::ExplorationNoise as u32),
+        ("STREAM_EXPLORATION_NOISE", Stream::SgldNoise as u32),
     ]
 }
