@@ -1,55 +1,34 @@
 //! The training algorithm: photos and points in, a cloud of Gaussians out.
 //!
-//! [`train`] is the loop of 3D Gaussian Splatting with the evolution stage of "An Evolutionary Boost to Gaussian
-//! Splatting Optimization" in it; `pipeline.rs` reads like the paper. It is generic over [`genesplat_core::Backend`] and
-//! knows nothing of devices, files or windows: a [`Start`] goes in, an [`Observer`] listens, an [`Outcome`] comes out.
+//! [`train`] is the loop of 3D Gaussian Splatting with the evolution stage of "An Evolutionary Boost to Gaussian Splatting
+//! Optimization" in it; `pipeline.rs` reads like the paper. It is built on [`genesplat_core::EvolutionBackend`] and knows nothing of
+//! devices, files or windows: a [`Start`] goes in, an [`Observer`] listens, an [`Outcome`] comes out.
 //!
 //! | module | what it decides |
 //! |---|---|
 //! | [`pipeline`] | the order of everything |
 //! | [`config`], [`schedule`] | what happens at which iteration |
-//! | [`initialise`] | the first cloud, the size of the scene |
-//! | [`densify`] | where Gaussians are added and removed |
-//! | [`filter_3d`] | Mip-Splatting's limit on detail |
-//! | `limits`, `notices` | how many Gaussians there may be; what a run's owner should know |
-//! | `paper`, `fitness`, [`views`] | the paper's evolution stage and the photos it is judged on |
-//! | `control` | gradient steps in its place |
-//! | `refine`, `mosaic` | evolution without training, and the search by credit that it is best done with |
-//! | `renew`, `recombine`, `guards` | ours: which Gaussians make room for others, what is bred from the states of a run, and who checks |
-//! | `rescue` | what is saved of a run whose device is out of memory |
-//! | [`evaluate`] | PSNR, SSIM and LPIPS |
-//! | [`observe`], [`checkpoint`] | what is reported, what is saved |
+//! | [`densify`] | where Gaussians are added and removed: adaptive, MCMC, renewal on trial; how many there may be |
+//! | `evolution` | the paper's search, weight averaging, the equal-time control, and the executor of such stages |
+//! | [`scene`] | the first cloud, the size of the scene, the order of views, Mip-Splatting's 3D filter |
+//! | `run` | a run under way: its state, what it reports, what it saves, what is saved when memory ends |
+//! | [`evaluate`] | PSNR, SSIM and LPIPS of renders |
 
-pub mod checkpoint;
 pub mod config;
-mod control;
 pub mod densify;
 pub mod evaluate;
-pub mod filter_3d;
-mod fitness;
-mod guards;
-pub mod initialise;
-mod limits;
-mod mosaic;
-mod nearest;
-mod notices;
-pub mod observe;
-mod paper;
+mod evolution;
 pub mod pipeline;
-mod recombine;
-mod refine;
-mod renew;
-mod rescue;
 mod run;
+pub mod scene;
 pub mod schedule;
-mod trainer;
-mod validate;
-pub mod views;
 
-pub use checkpoint::Checkpoint;
-pub use config::{Background, ConfigError, EvolutionMode, Resolved, TrainConfig, Trigger, Variant};
-pub use observe::{Observer, Silent, StageKind, StageRecord};
+pub use config::{
+    Background, ConfigError, EvolutionMode, Resolved, StepBudget, TrainConfig, Trigger, Variant,
+};
+pub use densify::renew::Trial;
+pub use evolution::search;
 pub use pipeline::train;
-pub use refine::refine;
-pub use renew::Trial;
+pub use run::checkpoint::{self, Checkpoint};
+pub use run::observe::{self, Observer, Silent, StageKind, StageRecord};
 pub use run::{Outcome, RunSummary, Seconds, Start, TrainError};

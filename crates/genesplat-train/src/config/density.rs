@@ -17,6 +17,9 @@ pub enum Signal {
 }
 
 impl Signal {
+    /// All of them.
+    pub const ALL: [Self; 3] = [Self::Published, Self::Absolute, Self::Gof];
+
     /// As the command and the configuration file write it.
     pub fn name(self) -> &'static str {
         match self {
@@ -41,12 +44,10 @@ pub struct DensifyConfig {
     pub every: u32,
     /// Gradient that is looked at. Default `published`; or `absolute`, `gof`, for `3dgs` and `mip-splatting` only.
     pub signal: Signal,
-    /// Mean screen-space gradient from which a Gaussian grows, in normalised device coordinates. Default 2e-4; above 0.
-    /// Lower grows more Gaussians.
-    pub gradient_threshold: f32,
-    /// The same for the signal `absolute`, which is larger. Default 8e-4 (gsplat's advice; its published comparison has
-    /// 6e-4); above 0.
-    pub absolute_threshold: f32,
+    /// Mean screen-space gradient from which a Gaussian grows, in normalised device coordinates. Default 2e-4, and 8e-4 for the signal
+    /// `absolute`, which is larger (gsplat's advice; its published comparison has 6e-4); above 0. Lower grows more Gaussians.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub gradient_threshold: Option<f32>,
     /// Growing Gaussians up to this size are cloned, larger ones split; in scene extents. Default 0.01; above 0.
     pub clone_size: f64,
     /// Fainter Gaussians are pruned. Default 0.005; 0 to 1.
@@ -61,10 +62,16 @@ pub struct DensifyConfig {
     pub reset_every: u32,
     /// A reset limits opacity to this. Default 0.01; above 0, below 1.
     pub reset_opacity: f32,
-    /// Iteration of the additional reset with a white background. Default 500; 0 for none.
-    pub white_reset_at: u32,
-    /// Pixel-GS: depth below which gradients count less, in scene extents. Default 0.37; above 0.
-    pub depth_threshold: f64,
+}
+
+impl DensifyConfig {
+    /// The signal's threshold.
+    pub fn gradient_threshold(&self) -> f32 {
+        self.gradient_threshold.unwrap_or(match self.signal {
+            Signal::Absolute => 8e-4,
+            Signal::Published | Signal::Gof => 2e-4,
+        })
+    }
 }
 
 impl Default for DensifyConfig {
@@ -74,22 +81,19 @@ impl Default for DensifyConfig {
             until: 15_000,
             every: 100,
             signal: Signal::Published,
-            gradient_threshold: 2e-4,
-            absolute_threshold: 8e-4,
+            gradient_threshold: None,
             clone_size: 0.01,
             prune_opacity: 0.005,
             prune_size: 0.1,
             size_prune_after: 3000,
             reset_every: 3000,
             reset_opacity: 0.01,
-            white_reset_at: 500,
-            depth_threshold: 0.37,
         }
     }
 }
 
 /// 3DGS-MCMC; defaults are those of gsplat, which reproduces the published numbers. `densify.from` and `densify.every`
-/// hold here, too; the rest of `densify` does not, but for resets (see `resets`) and evolution's triggers, which lie where resets would be.
+/// hold here, too; the rest of `densify` does not, but for evolution's triggers, which lie where resets would be.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct McmcConfig {
@@ -98,7 +102,7 @@ pub struct McmcConfig {
     pub until: u32,
     /// Gaussians not more opaque than this are dead, and are relocated. Default 0.005; above 0, below 1.
     pub min_opacity: f32,
-    /// Share of Gaussians added each time, until `max_gaussians` are reached. Default 0.05; not negative.
+    /// Fraction of Gaussians added each time, until `max_gaussians` are reached. Default 0.05; not negative.
     pub growth: f64,
     /// Exploration noise, in multiples of the position rate. Default 5e5; not negative. As in the authors' code it is in the scene's own
     /// units: its reach grows with the square of the cameras' extent (gsplat brings scenes to an extent of about 1 first), so scenes
@@ -108,12 +112,6 @@ pub struct McmcConfig {
     pub opacity_weight: f32,
     /// Weight of the mean scale in the loss. Default 0.01; not negative. Higher makes Gaussians smaller.
     pub scale_weight: f32,
-    /// Opacity of the first Gaussians. Default 0.5; above 0, below 1.
-    pub initial_opacity: f32,
-    /// Size of the first Gaussians, in distances to their neighbours. Default 0.1; above 0.
-    pub initial_scale: f32,
-    /// Reset opacities as `densify` says. Default false, as published; true for studies of evolution after resets.
-    pub resets: bool,
 }
 
 impl Default for McmcConfig {
@@ -125,9 +123,6 @@ impl Default for McmcConfig {
             noise: 5e5,
             opacity_weight: 0.01,
             scale_weight: 0.01,
-            initial_opacity: 0.5,
-            initial_scale: 0.1,
-            resets: false,
         }
     }
 }

@@ -11,7 +11,7 @@
 
 use genesplat_core::edit::new_log_scale;
 use genesplat_core::gaussians::sigmoid;
-use genesplat_core::{Genes, Origin, RowEdit, Statistics};
+use genesplat_core::{Genes, Origin, Rng, RowEdit, Statistics};
 
 use super::Plan;
 
@@ -42,12 +42,12 @@ enum Growth {
 }
 
 /// Decides one densification; `iteration` addresses the random offsets of split children.
-pub fn plan(statistics: &Statistics, genes: &[Genes], rules: &Rules, iteration: u32) -> Plan {
+pub fn plan(statistics: &Statistics, genes: &[Genes], rules: &Rules, rng: Rng, iteration: u32) -> Plan {
     let absolute = rules.or_absolute.then(|| absolute_threshold(statistics, rules.gradient_threshold));
     let mut growth: Vec<Growth> =
         (0..genes.len()).map(|row| wanted_growth(statistics, genes, rules, absolute, row)).collect();
     let refused = refuse_beyond_cap(&mut growth, statistics, rules, absolute);
-    let mut edit = grow(&growth, iteration);
+    let mut edit = grow(&growth, rng, iteration);
     let grown = edit.sources.len();
     let prune_size = rules.prune_size.filter(|_| refused == 0);
     prune(&mut edit, genes, rules.prune_opacity, prune_size);
@@ -56,13 +56,12 @@ pub fn plan(statistics: &Statistics, genes: &[Genes], rules: &Rules, iteration: 
         split: count(&growth, Growth::Split),
         pruned: grown - edit.sources.len(),
         refused,
-        edit,
-        ..Plan::default()
+        ..Plan::of(edit)
     }
 }
 
 /// The absolute gradient from which Gaussians grow, too (Gaussian Opacity Fields): the quantile above which lies the
-/// same share of the cloud as reaches `gradient_threshold`, interpolated linearly between rows. Never less than one row.
+/// same fraction of the cloud as reaches `gradient_threshold`, interpolated linearly between rows. Never less than one row.
 fn absolute_threshold(statistics: &Statistics, gradient_threshold: f32) -> f32 {
     let n = statistics.weight_sum.len();
     let mut sorted: Vec<f32> = (0..n).map(|row| statistics.mean_absolute(row)).collect();
@@ -103,22 +102,22 @@ fn refuse_beyond_cap(
         statistics.mean_gradient(row).max(above * rules.gradient_threshold)
     };
     let (cap, rows) = (rules.cap, growth.len());
-    let room = cap.map_or(usize::MAX, |cap| cap.saturating_sub(rows));
+    let free = cap.map_or(usize::MAX, |cap| cap.saturating_sub(rows));
     let mut growing: Vec<usize> = (0..rows).filter(|&row| growth[row] != Growth::None).collect();
-    if growing.len() <= room {
+    if growing.len() <= free {
         return 0;
     }
     growing.sort_by(|&a, &b| strength(b).total_cmp(&strength(a)));
-    for &row in &growing[room..] {
+    for &row in &growing[free..] {
         growth[row] = Growth::None;
     }
-    growing.len() - room
+    growing.len() - free
 }
 
 /// New rows lie beside the row that they come from: the cloud stays in the spatial order in which it was started, and
 /// what lies together on the screen stays together in memory. (The reference appends them at the end.)
-fn grow(growth: &[Growth], iteration: u32) -> RowEdit {
-    let mut edit = RowEdit { iteration, ..RowEdit::default() };
+fn grow(growth: &[Growth], rng: Rng, iteration: u32) -> RowEdit {
+    let mut edit = RowEdit::new(rng, iteration);
     for (row, found) in (0..).zip(growth) {
         let origins: &[Origin] = match found {
             Growth::None => &[Origin::Kept],

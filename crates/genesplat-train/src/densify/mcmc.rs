@@ -31,7 +31,7 @@ const FOR_GROWTH: u32 = 1;
 pub struct Rules {
     /// Gaussians not more opaque than this are dead.
     pub min_opacity: f32,
-    /// Share of the Gaussians that is added.
+    /// Fraction of the Gaussians that is added.
     pub growth: f64,
     /// Growth ends at this many; more that are there already stay.
     pub cap: usize,
@@ -47,10 +47,16 @@ struct Row {
     changed: bool,
 }
 
-/// MCMC starts from small, half-transparent Gaussians: `scale` multiplies the sizes that [`crate::initialise`] chose.
-pub fn initialise(cloud: &mut Gaussians, opacity: f32, scale: f32) {
-    cloud.opacity_logits.fill(logit(opacity));
-    cloud.log_scales.as_flattened_mut().iter_mut().for_each(|log_scale| *log_scale += scale.ln());
+/// Opacity of the first Gaussians.
+pub const INITIAL_OPACITY: f32 = 0.5;
+
+/// Size of the first Gaussians, in distances to their neighbours.
+pub const INITIAL_SCALE: f32 = 0.1;
+
+/// MCMC starts from small, half-transparent Gaussians.
+pub fn initialise(cloud: &mut Gaussians) {
+    cloud.opacity_logits.fill(logit(INITIAL_OPACITY));
+    cloud.log_scales.as_flattened_mut().iter_mut().for_each(|log_scale| *log_scale += INITIAL_SCALE.ln());
 }
 
 /// Decides one event from the genes `[N]`, of which it reads opacities alone; `iteration` addresses the random draws.
@@ -58,14 +64,14 @@ pub fn initialise(cloud: &mut Gaussians, opacity: f32, scale: f32) {
 /// Copies lie beside the row that they are of, wherever the dead ones lay: what is together on the screen stays
 /// together in memory. Relocated Gaussians lose their moments, and so do the Gaussians that they were moved to; added
 /// ones have none, and the Gaussians that they were added to keep theirs.
-pub fn plan(genes: &[Genes], rules: &Rules, rng: &Rng, iteration: u32) -> Plan {
+pub fn plan(genes: &[Genes], rules: &Rules, rng: Rng, iteration: u32) -> Plan {
     let mut rows: Vec<Row> = genes.iter().zip(0..).map(|(genes, row)| Row::kept(row, genes[6])).collect();
-    let relocated = relocate(&mut rows, rules, rng, iteration);
-    let cloned = grow(&mut rows, rules, rng, iteration);
+    let relocated = relocate(&mut rows, rules, &rng, iteration);
+    let cloned = grow(&mut rows, rules, &rng, iteration);
     rows.sort_by_key(|row| row.source);
-    let mut edit = RowEdit { iteration, ..RowEdit::default() };
+    let mut edit = RowEdit::new(rng, iteration);
     rows.iter().for_each(|row| edit.push(row.source, row.origin()));
-    Plan { edit, relocated, cloned, ..Plan::default() }
+    Plan { relocated, cloned, ..Plan::of(edit) }
 }
 
 /// Moves dead rows to living ones; returns how many there were.

@@ -1,19 +1,25 @@
 //! Density control: where Gaussians are added and removed.
 //!
 //! A strategy is pure: it reads statistics and geometry and returns a [`Plan`], which the backend applies to
-//! parameters and optimiser moments together. Variants that differ only in how strongly a view counts
-//! ([`pixel_gs`]) differ only in the [`DensitySignal`] that they ask the backend for.
+//! parameters and optimiser moments together. Variants that differ only in how strongly a view counts (Pixel-GS) differ only in the
+//! [`DensitySignal`] that they ask the backend for.
 
 pub mod adaptive;
+pub(crate) mod cap;
 pub mod mcmc;
-pub mod pixel_gs;
+pub(crate) mod renew;
 
 use genesplat_core::{DensitySignal, RowEdit};
 
-use crate::config::{Signal, TrainConfig, Variant};
+use crate::config::{McmcConfig, Signal, TrainConfig, Variant};
+use crate::run::TrainError;
+use crate::run::trainer::Trainer;
+
+/// Pixel-GS: depth below which gradients count less, in scene extents.
+const PIXEL_GS_DEPTH: f64 = 0.37;
 
 /// What density control has decided.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Plan {
     /// The new rows.
     pub edit: RowEdit,
@@ -29,13 +35,53 @@ pub struct Plan {
     pub refused: usize,
 }
 
+impl Plan {
+    /// Applies `edit`; what it counts is zero yet.
+    fn of(edit: RowEdit) -> Self {
+        Self { edit, relocated: 0, cloned: 0, split: 0, pruned: 0, refused: 0 }
+    }
+}
+
+impl Trainer<'_> {
+    /// Decides the densification of iteration `i` by the variant's strategy.
+    pub(crate) fn plan_densification(&mut self, i: u32) -> Result<Plan, TrainError> {
+        if self.config.variant == Variant::Mcmc {
+            let McmcConfig { min_opacity, growth, .. } = self.config.mcmc;
+            let cap = self.cap.get().expect("MCMC always has a limit");
+            let rules = mcmc::Rules { min_opacity, growth, cap };
+            return Ok(mcmc::plan(&self.healthy_genes()?, &rules, self.rng, i));
+        }
+        let (rules, statistics) = (self.adaptive_rules(i), self.backend.statistics()?);
+        Ok(adaptive::plan(&statistics, &self.healthy_genes()?, &rules, self.rng, i))
+    }
+
+    /// Thresholds of adaptive density control in iteration `i`, in world units.
+    fn adaptive_rules(&self, i: u32) -> adaptive::Rules {
+        let densify = &self.config.densify;
+        let world = |extents: f64| (extents * self.extent) as f32;
+        adaptive::Rules {
+            gradient_threshold: densify.gradient_threshold(),
+            or_absolute: densify.signal == Signal::Gof,
+            clone_size_max: world(densify.clone_size),
+            prune_opacity: densify.prune_opacity,
+            prune_size: self.schedule.prunes_by_size(i).then(|| world(densify.prune_size)),
+            cap: self.cap.get().map(|cap| (cap as f64 * self.schedule.grown(i)) as usize),
+        }
+    }
+}
+
 /// The density signal that a run accumulates, if it needs one; `extent` is the scene's, world units.
 ///
-/// Mip-Splatting's paper changes nothing here; its later releases adopt that of Gaussian Opacity Fields.
+/// Pixel-GS: large Gaussians are seen by many views but well covered by few, so 3DGS's plain mean over views hides their gradient.
+/// It weights each view by the pixels blended, and scales gradients near the camera by `min(1, (z / (0.37 · extent))²)` where that
+/// would grow floaters (Zhang et al., "Pixel-GS: Density Control with Pixel-aware Gradient for 3D Gaussian Splatting", ECCV 2024).
+/// Mip-Splatting's paper changes nothing here; its later releases adopt the signal of Gaussian Opacity Fields.
 pub fn signal(config: &TrainConfig, extent: f64) -> Option<DensitySignal> {
     match (config.variant, config.densify.signal) {
         (Variant::Mcmc, _) => None,
-        (Variant::PixelGs, _) => Some(pixel_gs::signal(config.densify.depth_threshold, extent)),
+        (Variant::PixelGs, _) => {
+            Some(DensitySignal::PixelWeighted { depth_threshold: (PIXEL_GS_DEPTH * extent) as f32 })
+        }
         (_, Signal::Published) => Some(DensitySignal::Signed),
         (_, Signal::Absolute) => Some(DensitySignal::Absolute),
         (_, Signal::Gof) => Some(DensitySignal::SignedAndAbsolute),

@@ -9,7 +9,7 @@ use genesplat_core::spherical_harmonics::{dc_from_rgb, sh_index};
 use genesplat_core::{Camera, Gaussians};
 use glam::DVec3;
 
-use crate::nearest::mean_squared_distances;
+use super::nearest::mean_squared_distances;
 
 /// Opacity of every initial Gaussian (3DGS).
 const INITIAL_OPACITY: f32 = 0.1;

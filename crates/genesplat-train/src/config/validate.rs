@@ -4,9 +4,9 @@ use std::fmt;
 
 use genesplat_core::spherical_harmonics::SH_DEGREE_MAX;
 
-use crate::config::{
-    DensifyConfig, EvolutionConfig, McmcConfig, OptimiserConfig, RecombineConfig, RenewalConfig, Signal,
-    TrainConfig, Variant,
+use super::{
+    DensifyConfig, EvolutionConfig, EvolutionMode, McmcConfig, OptimiserConfig, RenewalConfig, Signal,
+    StepBudget, TrainConfig, Variant,
 };
 
 /// Integers of a TOML file end here.
@@ -29,9 +29,6 @@ pub enum ConfigError {
     /// The genetic algorithm's settings are wrong.
     #[error("in evolution.paper: {0}")]
     Paper(genesplat_evolve::ConfigError),
-    /// The mosaic search's settings are wrong.
-    #[error("in evolution.mosaic: {0}")]
-    Mosaic(genesplat_evolve::ConfigError),
 }
 
 impl TrainConfig {
@@ -95,11 +92,9 @@ impl DensifyConfig {
     fn validate(&self) -> Result<(), ConfigError> {
         at_least_one("densify.every", self.every)?;
         at_least_one("densify.reset_every", self.reset_every)?;
-        positive("densify.gradient_threshold", self.gradient_threshold.into())?;
-        positive("densify.absolute_threshold", self.absolute_threshold.into())?;
+        positive("densify.gradient_threshold", self.gradient_threshold().into())?;
         positive("densify.clone_size", self.clone_size)?;
         positive("densify.prune_size", self.prune_size)?;
-        positive("densify.depth_threshold", self.depth_threshold)?;
         let (prune, reset) = (self.prune_opacity, self.reset_opacity);
         check("densify.prune_opacity", prune, (0.0..=1.0).contains(&prune), "between 0 and 1")?;
         open_unit("densify.reset_opacity", reset)?;
@@ -116,8 +111,6 @@ impl DensifyConfig {
 impl McmcConfig {
     fn validate(&self) -> Result<(), ConfigError> {
         open_unit("mcmc.min_opacity", self.min_opacity)?;
-        open_unit("mcmc.initial_opacity", self.initial_opacity)?;
-        positive("mcmc.initial_scale", self.initial_scale.into())?;
         not_negative("mcmc.growth", self.growth)?;
         not_negative("mcmc.noise", self.noise.into())?;
         not_negative("mcmc.opacity_weight", self.opacity_weight.into())?;
@@ -129,26 +122,25 @@ impl EvolutionConfig {
     fn validate(&self) -> Result<(), ConfigError> {
         at_least_one("evolution.stride", self.stride)?;
         check("evolution.views", self.views, self.views > 0, "at least 1")?;
-        not_negative("evolution.control_seconds", self.control_seconds)?;
-        let RenewalConfig { share, every, until, weighed, pixels, photo_pixels, .. } = self.renewal;
-        for (setting, value) in [("evolution.renewal.share", share), ("evolution.renewal.every", every)] {
+        if let Some(budget) = self.extra_steps {
+            let is_off = self.mode == EvolutionMode::Off;
+            check(
+                "evolution.extra_steps",
+                "set",
+                is_off,
+                "left out unless evolution.mode is off: it is a control",
+            )?;
+            if let StepBudget::Seconds(seconds) = budget {
+                not_negative("evolution.extra_steps.seconds", seconds)?;
+            }
+        }
+        let RenewalConfig { fraction, every, until, capacity, .. } = self.renewal;
+        for (setting, value) in [("evolution.renewal.fraction", fraction), ("evolution.renewal.every", every)]
+        {
             check(setting, value, value > 0.0 && value <= 0.5, "above 0 and at most 0.5")?;
         }
         check("evolution.renewal.until", until, (0.0..=1.0).contains(&until), "0 to 1")?;
-        positive("evolution.renewal.weighed", weighed)?;
-        not_negative("evolution.renewal.pixels", pixels)?;
-        not_negative("evolution.renewal.photo_pixels", photo_pixels)?;
-        let RecombineConfig { window, states, views, guards, .. } = self.recombine;
-        check(
-            "evolution.recombine.window",
-            window,
-            window > 0.0 && window <= 0.5,
-            "above 0 and at most 0.5",
-        )?;
-        check("evolution.recombine.states", states, states >= 2, "at least 2")?;
-        check("evolution.recombine.views", views, views > 0, "at least 1")?;
-        check("evolution.recombine.guards", guards, guards > 0, "at least 1")?;
-        self.mosaic.validate().map_err(ConfigError::Mosaic)?;
+        not_negative("evolution.renewal.capacity", capacity)?;
         self.paper.validate().map_err(ConfigError::Paper)
     }
 }

@@ -4,7 +4,7 @@
 //! points in one cell. A median-split tree does not care. The tree is implicit: a permutation of the rows, in which
 //! the middle of every range splits it along the range's widest axis; ranges of at most [`LEAF`] points are leaves.
 
-use crate::initialise::NEIGHBOURS;
+use crate::scene::initialise::NEIGHBOURS;
 
 /// Ranges of at most this many points are searched one by one.
 const LEAF: usize = 8;

@@ -12,76 +12,66 @@ use crate::config::{Background, EvolutionMode, OptimiserConfig, TrainConfig, Tri
 /// hundred does not matter, but a run compressed until every iteration densifies would never learn anything.
 const LOSING_INTERVAL_MIN: u32 = 10;
 
-/// Share of a run after which nothing grows that is to be renewed, also where the run is cut short. Longer, and there is no
+/// Fraction of a run after which nothing grows that is to be renewed, also where the run is cut short. Longer, and there is no
 /// time for renewals; at half of it, runs of 2,000 steps at 480 px had too few Gaussians.
 const RENEWED_GROWTH: f64 = 0.65;
 
-/// Share of a run after which MCMC relocates nothing that is to be renewed: with renewals, longer is worse; without, it makes
+/// Fraction of a run after which MCMC relocates nothing that is to be renewed: with renewals, longer is worse; without, it makes
 /// no difference.
 const RENEWED_RELOCATION: f64 = 0.5;
 
-/// Share of a run after which there is no reset before renewals: what is faint cannot be weighed.
+/// Fraction of a run after which there is no reset before renewals: what is faint contributes nothing yet.
 const RENEWED_RESETS: f64 = 0.5;
 
+/// Iteration of the additional reset with a white background, before scaling.
+const WHITE_RESET_AT: u32 = 500;
+
+/// Training views that contributions are measured on, at most, as a fraction of the run's steps: all renewals together take a tenth of the
+/// time or less.
+const CONTRIBUTION_VIEWS: f64 = 0.02;
+
+/// States that a window averages; more, fewer than twice as many, where they do not divide it.
+const WINDOW_STATES: u32 = 10;
+
 /// A part of an iteration.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Phase {
     /// Render, loss, backward, statistics, Adam.
     Step,
-    /// The evolution stage, when it is triggered before densification.
-    EvolveBeforeDensify,
     /// Clone, split, prune; with MCMC, relocate and add.
     Densify,
     /// Mip-Splatting: the 3D filter follows the new positions.
     RefreshFilter,
-    /// The evolution stage, when it is triggered after densification.
-    EvolveAfterDensify,
-    /// The evolution stage, when it is triggered before the opacity reset.
-    EvolveBeforeReset,
     /// Opacities are limited to a small value.
     ResetOpacity,
-    /// The evolution stage, where the paper has it.
-    EvolveAfterReset,
-    /// The evolution stage, once, after the last step.
-    EvolveAtEnd,
-    /// Recombination: the state is added to one of the two parents, the means of a window's older and younger states.
-    Remember,
-    /// Recombination: a child of the states that were remembered replaces the last one if it is better.
-    Recombine,
+    /// The evolution stage, or the control in its place; its [`Trigger`] says where among the others.
+    Evolve,
+    /// Weight averaging: the state is added to the mean of the window's older or younger half.
+    AddToAverage,
+    /// Weight averaging: a mean of the window's states replaces the last one if guards find it better.
+    Average,
     /// Renewal: the last one is judged, and the next one begins.
     Renew,
 }
 
 impl Phase {
-    /// The phases of one iteration, in order.
-    pub const ORDER: [Self; 12] = [
-        Self::Step,
-        Self::EvolveBeforeDensify,
-        Self::Densify,
-        Self::RefreshFilter,
-        Self::EvolveAfterDensify,
-        Self::EvolveBeforeReset,
-        Self::ResetOpacity,
-        Self::EvolveAfterReset,
-        Self::EvolveAtEnd,
-        Self::Remember,
-        Self::Recombine,
-        Self::Renew,
-    ];
+    /// How many there are.
+    pub const COUNT: usize = 8;
 
-    /// One of the five places of the evolution stage, or what recombination and renewal do in its place.
+    /// The phases of an iteration, in order.
+    pub fn order(trigger: Trigger) -> [Self; Self::COUNT] {
+        use Phase::{AddToAverage, Average, Densify, Evolve, RefreshFilter, Renew, ResetOpacity, Step};
+        let [a, b, c, d] = match trigger {
+            Trigger::BeforeDensify => [Evolve, Densify, RefreshFilter, ResetOpacity],
+            Trigger::AfterDensify | Trigger::BeforeReset => [Densify, RefreshFilter, Evolve, ResetOpacity],
+            Trigger::AfterReset | Trigger::AtEnd => [Densify, RefreshFilter, ResetOpacity, Evolve],
+        };
+        [Step, a, b, c, d, AddToAverage, Average, Renew]
+    }
+
+    /// Its time counts as evolution's.
     pub fn is_evolution(self) -> bool {
-        matches!(
-            self,
-            Self::EvolveBeforeDensify
-                | Self::EvolveAfterDensify
-                | Self::EvolveBeforeReset
-                | Self::EvolveAfterReset
-                | Self::EvolveAtEnd
-                | Self::Remember
-                | Self::Recombine
-                | Self::Renew
-        )
+        matches!(self, Self::Evolve | Self::AddToAverage | Self::Average | Self::Renew)
     }
 }
 
@@ -127,31 +117,31 @@ pub struct Schedule {
     pub white_reset_at: Option<u32>,
     /// Mip-Splatting's 3D filter is in use.
     pub filter_3d: bool,
-    /// Phase in which evolution runs, if it does.
-    pub evolution_phase: Option<Phase>,
-    /// Evolution runs at every n-th occurrence of its trigger.
+    /// There are evolution stages, or controls in their place.
+    pub evolves: bool,
+    /// When they run.
+    pub trigger: Trigger,
+    /// They run at every n-th occurrence of the trigger.
     pub evolution_stride: u32,
     /// Iterations between two renewals, if there are any: counted back from the end of the run, to the end of density control
     /// or half of the run, whichever is later.
     pub renew_every: Option<u32>,
     /// The last renewal is begun at or before this iteration.
     pub renew_until: u32,
-    /// Training views that a renewal weighs on, at most.
-    pub views_weighed: usize,
+    /// Training views that a renewal measures contributions on, at most.
+    pub contribution_views: usize,
     /// The cloud's limit rises evenly over density control.
     pub grows_evenly: bool,
     /// Nothing is pruned for its size.
     pub spares_large: bool,
-    /// Iterations of a window of recombination, if it runs; the last window ends with the run.
+    /// Iterations of a window of weight averaging, if it runs; the last window ends with the run.
     pub window: Option<u32>,
-    /// Iterations between two states that recombination remembers.
-    pub remember_every: u32,
+    /// Iterations between two states of a window.
+    pub state_every: u32,
     /// Evolution wants the gradients of the genes.
     pub gene_gradients: bool,
     /// Iterations between two checkpoints; 0: none.
     pub checkpoint_every: u32,
-    /// Iterations between two reports that read back from the device; 0: none.
-    pub report_every: u32,
 }
 
 impl Schedule {
@@ -161,19 +151,18 @@ impl Schedule {
         let interval = |steps: u32| scaled(steps).max(1);
         let (densify, evolution) = (&config.densify, &config.evolution);
         let mcmc = config.variant == Variant::Mcmc;
-        let white = config.background == Background::White && densify.white_reset_at > 0;
+        let white = config.background == Background::White;
         let iterations = interval(config.iterations);
         let renews = evolution.mode == EvolutionMode::Renew;
         let renewal = &evolution.renewal;
-        let recombines = evolution.mode == EvolutionMode::Recombine || renews && renewal.recombine;
-        let share_of_run = |share: f64| (f64::from(iterations) * share).round() as u32;
-        let latest = |share: f64| if renews { share_of_run(share) } else { u32::MAX };
+        let of_run = |fraction: f64| (f64::from(iterations) * fraction).round() as u32;
+        let latest = |fraction: f64| if renews { of_run(fraction) } else { u32::MAX };
         let densify_until = if mcmc {
             scaled(config.mcmc.until).min(latest(RENEWED_RELOCATION))
         } else {
             scaled(densify.until).min(latest(RENEWED_GROWTH))
         };
-        let window = share_of_run(evolution.recombine.window).max(1);
+        let every = of_run(renewal.every).max(1);
         Self {
             iterations,
             sh_every: interval(config.sh_every),
@@ -185,28 +174,38 @@ impl Schedule {
             size_prune_after: scaled(densify.size_prune_after),
             reset_every: interval(densify.reset_every),
             reset_until: scaled(densify.until).min(latest(RENEWED_RESETS)),
-            resets: !mcmc || config.mcmc.resets,
+            resets: !mcmc,
             loses_steps: !mcmc,
-            white_reset_at: white.then(|| interval(densify.white_reset_at)),
+            white_reset_at: white.then(|| interval(WHITE_RESET_AT)),
             filter_3d: config.variant == Variant::MipSplatting,
-            evolution_phase: evolution.mode.has_stages().then(|| trigger_phase(evolution.trigger())),
+            evolves: evolution.mode == EvolutionMode::Paper || evolution.extra_steps.is_some(),
+            trigger: evolution.trigger,
             evolution_stride: evolution.stride,
-            renew_every: renews.then(|| share_of_run(renewal.every).max(1)),
-            renew_until: share_of_run(renewal.until),
-            views_weighed: share_of_run(renewal.weighed).max(1) as usize,
+            renew_every: renews.then_some(every),
+            renew_until: of_run(renewal.until),
+            contribution_views: of_run(CONTRIBUTION_VIEWS).max(1) as usize,
             grows_evenly: renews && renewal.even_growth,
             spares_large: renews && renewal.spare_large,
-            window: recombines.then_some(window),
-            remember_every: (window / evolution.recombine.states).max(1),
+            window: (renews && renewal.averaging).then_some(every),
+            state_every: (every / WINDOW_STATES).max(1),
             gene_gradients: evolution.wants_gene_gradients(),
             checkpoint_every: config.checkpoint_every,
-            report_every: config.report_every,
         }
     }
 
     /// The phases of iteration `i`, in order.
     pub fn phases(&self, i: u32) -> impl Iterator<Item = Phase> + '_ {
-        Phase::ORDER.into_iter().filter(move |&phase| self.is_due(phase, i))
+        self.order().into_iter().filter(move |&phase| self.is_due(phase, i))
+    }
+
+    /// All phases, in the order of this run.
+    pub fn order(&self) -> [Phase; Phase::COUNT] {
+        Phase::order(self.trigger)
+    }
+
+    /// Place of a phase in that order.
+    pub(crate) fn place(&self, phase: Phase) -> usize {
+        self.order().into_iter().take_while(|&earlier| earlier != phase).count()
     }
 
     fn is_due(&self, phase: Phase, i: u32) -> bool {
@@ -215,10 +214,10 @@ impl Schedule {
             Phase::Densify => self.is_densify(i),
             Phase::RefreshFilter => self.is_filter_refresh(i),
             Phase::ResetOpacity => self.is_reset(i),
-            Phase::Remember => self.is_remembered(i),
-            Phase::Recombine => self.window.is_some_and(|window| self.window_end(window, i) == Some(i)),
+            Phase::Evolve => self.is_stage(i),
+            Phase::AddToAverage => self.is_averaged(i),
+            Phase::Average => self.window.is_some_and(|window| self.window_end(window, i) == Some(i)),
             Phase::Renew => self.is_renewal(i),
-            evolve => self.evolution_phase == Some(evolve) && self.is_stage(i),
         }
     }
 
@@ -253,15 +252,15 @@ impl Schedule {
         self.filter_3d && (self.is_densify(i) || late)
     }
 
-    /// Oversized Gaussians are pruned in iteration `i`. With renewal what they are worth decides
+    /// Oversized Gaussians are pruned in iteration `i`. With renewal their contribution decides
     /// (`evolution.renewal.spare_large`).
     pub fn prunes_by_size(&self, i: u32) -> bool {
         i > self.size_prune_after && !self.spares_large
     }
 
-    /// Share of its limit that the cloud may have reached in iteration `i`. With renewal it grows evenly over density control
+    /// Fraction of its limit that the cloud may have reached in iteration `i`. With renewal it grows evenly over density control
     /// (`evolution.renewal.even_growth`), whoever set the limit: what is wanted first, of photos that were hardly looked at, is
-    /// not what is needed most. MCMC does not ask: it adds a share of the Gaussians each time (`mcmc.growth`), until the limit is reached.
+    /// not what is needed most. MCMC does not ask: it adds a fraction of the Gaussians each time (`mcmc.growth`), until the limit is reached.
     pub fn grown(&self, i: u32) -> f64 {
         let last = self.densify_until.saturating_sub(self.densify_every).max(1);
         if self.grows_evenly { (f64::from(i) / f64::from(last)).min(1.0) } else { 1.0 }
@@ -269,20 +268,19 @@ impl Schedule {
 
     /// An evolution stage runs in iteration `i`.
     pub fn is_stage(&self, i: u32) -> bool {
-        let (happens, occurrence) = match self.evolution_phase {
-            None => (false, 0),
-            Some(Phase::EvolveBeforeDensify | Phase::EvolveAfterDensify) => (
+        let (happens, occurrence) = match self.trigger {
+            Trigger::BeforeDensify | Trigger::AfterDensify => (
                 self.is_densify(i),
                 (i / self.densify_every).saturating_sub(self.densify_from / self.densify_every),
             ),
-            Some(Phase::EvolveAtEnd) => (i == self.iterations, 0),
-            Some(_) => (self.is_periodic_reset(i), i / self.reset_every),
+            Trigger::AtEnd => (i == self.iterations, 0),
+            Trigger::BeforeReset | Trigger::AfterReset => (self.is_periodic_reset(i), i / self.reset_every),
         };
-        happens && occurrence.is_multiple_of(self.evolution_stride)
+        self.evolves && happens && occurrence.is_multiple_of(self.evolution_stride)
     }
 
     /// A renewal begins at the end of iteration `i`, and there is time to judge it. Renewals are counted back from the end of
-    /// the run, as the windows of recombination are, so that a child is bred first wherever both are due.
+    /// the run, as the windows of weight averaging are, so that averaging comes first wherever both are due.
     pub fn renews(&self, i: u32) -> bool {
         let Some(every) = self.renew_every else { return false };
         let is_judged = i.saturating_add(every) < self.iterations;
@@ -300,11 +298,10 @@ impl Schedule {
         self.renews(i) || self.renew_every.is_some_and(|every| i >= every && self.renews(i - every))
     }
 
-    /// The state at the end of iteration `i` is one of those that recombination averages; the last iteration makes no
-    /// step.
-    fn is_remembered(&self, i: u32) -> bool {
+    /// The state at the end of iteration `i` is one of those that its window averages; the last iteration makes no step.
+    fn is_averaged(&self, i: u32) -> bool {
         let in_window = self.window.is_some_and(|window| self.window_end(window, i).is_some());
-        in_window && i < self.iterations && (self.iterations - i).is_multiple_of(self.remember_every)
+        in_window && i < self.iterations && (self.iterations - i).is_multiple_of(self.state_every)
     }
 
     /// The end of the window that iteration `i` is in. Windows end with the run and at whole windows before that, where
@@ -314,16 +311,16 @@ impl Schedule {
         (end == self.iterations || end >= self.densify_until.saturating_add(window / 2)).then_some(end)
     }
 
-    /// Which parent a remembered state belongs to: 0 for the older half of a window, 1 for the younger one, which the middle state
-    /// is part of: six of ten; five of nine in the last window, since the run's last iteration makes no step to remember.
-    pub fn parent(&self, i: u32) -> usize {
+    /// Which half of its window a state belongs to: 0 for the older one, 1 for the younger one, which the middle state is part of: six of
+    /// ten; five of nine in the last window, since the run's last iteration makes no step.
+    pub fn window_half(&self, i: u32) -> usize {
         let window = self.window.unwrap_or(1);
         usize::from((self.iterations - i) % window <= window / 2)
     }
 
     /// Stages were asked for, and none will come.
     pub fn waits_in_vain(&self) -> bool {
-        self.evolution_phase.is_some() && self.stages().next().is_none()
+        self.evolves && self.stages().next().is_none()
     }
 
     /// The iterations at which evolution stages run.
@@ -378,21 +375,6 @@ impl Schedule {
     /// The end of iteration `i` is worth a checkpoint.
     pub fn is_checkpoint(&self, i: u32) -> bool {
         self.checkpoint_every > 0 && i.is_multiple_of(self.checkpoint_every) && i < self.iterations
-    }
-
-    /// Iteration `i` reads its loss back from the device.
-    pub fn is_report(&self, i: u32) -> bool {
-        self.report_every > 0 && (i.is_multiple_of(self.report_every) || i == self.iterations)
-    }
-}
-
-fn trigger_phase(trigger: Trigger) -> Phase {
-    match trigger {
-        Trigger::AfterReset => Phase::EvolveAfterReset,
-        Trigger::AtEnd => Phase::EvolveAtEnd,
-        Trigger::BeforeReset => Phase::EvolveBeforeReset,
-        Trigger::AfterDensify => Phase::EvolveAfterDensify,
-        Trigger::BeforeDensify => Phase::EvolveBeforeDensify,
     }
 }
 

@@ -1,12 +1,18 @@
 //! What goes into a run, what comes out, and what can go wrong.
 
+pub mod checkpoint;
+pub(crate) mod notices;
+pub mod observe;
+mod rescue;
+pub(crate) mod trainer;
+
 use genesplat_core::{Backend, BackendError, Gaussians};
 use serde::Serialize;
 
-use crate::checkpoint::{Checkpoint, Cursor, Progress};
 use crate::config::Variant;
-use crate::initialise::{ColouredPoint, InitialiseError};
-use crate::observe::StageRecord;
+use crate::scene::initialise::{ColouredPoint, InitialiseError};
+use checkpoint::{Checkpoint, Cursor, Progress};
+use observe::StageRecord;
 
 /// What a run starts from.
 #[derive(Clone, Debug)]
@@ -45,7 +51,7 @@ pub struct RunSummary {
     pub extent: f64,
     /// Wall-clock seconds, those before a resume included.
     pub seconds: Seconds,
-    /// Evolution stages, or the controls in their place.
+    /// Evolution stages, or controls in their place.
     pub stages: Vec<StageRecord>,
     /// The run was stopped before its end.
     pub interrupted: bool,
@@ -53,7 +59,7 @@ pub struct RunSummary {
 
 impl RunSummary {
     /// What a run that has reached its end can be scored from later: [`Start::Checkpoint`] with it makes no step.
-    pub fn checkpoint_at_end<B: Backend>(&self, backend: &mut B) -> Result<Checkpoint, TrainError> {
+    pub fn checkpoint_at_end(&self, backend: &mut dyn Backend) -> Result<Checkpoint, TrainError> {
         let progress = Progress {
             steps: self.optimiser_steps,
             opacity_steps: self.opacity_steps,
@@ -70,7 +76,7 @@ impl RunSummary {
 pub struct Seconds {
     /// Gradient steps and density control.
     pub gradient: f64,
-    /// Evolution stages, or the controls in their place.
+    /// Evolution stages, or controls in their place.
     pub evolution: f64,
 }
 
@@ -123,15 +129,4 @@ pub enum TrainError {
         /// The configuration's variant.
         wanted: Variant,
     },
-    /// Refinement was asked for, and switched off.
-    #[error(
-        "evolution.mode is off, so there is nothing to refine with; set it to mosaic (or paper, control)"
-    )]
-    NothingToRefine,
-    /// A finished cloud has no earlier states.
-    #[error(
-        "evolution.mode recombine and renew need the steps of a run, and a finished cloud makes none; \
-         set it to mosaic (or paper, control), or train with it"
-    )]
-    NothingToRecombine,
 }

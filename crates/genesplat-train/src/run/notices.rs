@@ -3,8 +3,10 @@
 //! Settings that are each valid may come to nothing together, in hours: a run too short for its renewals, say. What the schedule
 //! and the scene tell of that is said at once, a sentence each; none of it stops a run.
 
+use super::trainer::Trainer;
 use crate::config::{TrainConfig, Variant};
-use crate::limits::Limits;
+use crate::densify::Plan;
+use crate::densify::cap::Cap;
 use crate::schedule::Schedule;
 
 /// A reset is late where less than the time between two resets, divided by this, is left after it.
@@ -19,12 +21,12 @@ const SMALL_PART_OF_DEPTH: f64 = 0.03;
 pub(crate) fn at_start(
     config: &TrainConfig,
     schedule: &Schedule,
-    limits: Limits,
+    cap: Cap,
     extent: f64,
     depth: Option<f64>,
 ) -> Vec<String> {
     let notices = [
-        limits.notice_of_lower_limit(),
+        cap.notice_of_lower_cap(),
         notice_of_no_growth(schedule),
         notice_of_no_renewal(schedule),
         notice_of_late_reset(schedule),
@@ -109,6 +111,18 @@ fn notice_of_lost_background(
     })
 }
 
+impl Trainer<'_> {
+    /// Density control has refused growth because the cap is reached. Once is enough: the cap stays.
+    pub(crate) fn notice_full_cloud(&mut self, i: u32, plan: &Plan) {
+        let grown = plan.edit.sources.len() + plan.pruned;
+        let is_news = |cap: &usize| plan.refused > 0 && grown >= *cap && !self.cap_noticed;
+        let Some(cap) = self.cap.get().filter(is_news) else { return };
+        self.cap_noticed = true;
+        let is_last = !(i + 1..self.schedule.iterations).any(|later| self.schedule.is_densify(later));
+        self.observer.notice(&self.cap.notice_of_full_cloud(cap, i, plan.refused, is_last));
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -117,7 +131,7 @@ mod tests {
     #[test]
     fn who_cuts_a_run_short_just_after_a_reset_hears_of_it() {
         let notice = |iterations| {
-            let config = TrainConfig { iterations, ..TrainConfig::default() };
+            let config = TrainConfig { iterations, ..TrainConfig::published() };
             notice_of_late_reset(config.resolve().unwrap().schedule())
         };
         // One that would fall into the last iteration does not happen.
@@ -133,25 +147,25 @@ mod tests {
     #[test]
     fn who_asks_for_stages_that_never_come_hears_of_it() {
         let notice = |mode, iterations| {
-            let mut config = TrainConfig { iterations, ..TrainConfig::default() };
+            let mut config = TrainConfig { iterations, ..TrainConfig::published() };
             config.evolution.mode = mode;
             notice_of_no_stage(config.resolve().unwrap().schedule())
         };
-        for mode in [EvolutionMode::Paper, EvolutionMode::Control] {
+        for mode in [EvolutionMode::Paper] {
             assert_eq!(notice(mode, 3001), None);
             let text = notice(mode, 3000).expect("a notice");
             assert!(text.contains("a run of 3000 iterations"), "{text}");
         }
         assert_eq!(
-            [EvolutionMode::Off, EvolutionMode::Renew, EvolutionMode::Mosaic].map(|mode| notice(mode, 3000)),
-            [const { None }; 3]
+            [EvolutionMode::Off, EvolutionMode::Renew].map(|mode| notice(mode, 3000)),
+            [const { None }; 2]
         );
     }
 
     #[test]
     fn who_would_lose_the_background_hears_of_it() {
         let notice = |depth, change: fn(&mut TrainConfig)| {
-            let mut config = TrainConfig::default();
+            let mut config = TrainConfig::published();
             change(&mut config);
             let resolved = config.resolve().unwrap();
             notice_of_lost_background(resolved.config(), resolved.schedule(), 2.0, depth)

@@ -1,47 +1,46 @@
-//! Evolution without training.
+//! The paper's search without training.
 
 use std::sync::atomic::AtomicBool;
 
-use genesplat_core::{Backend, Gaussians, StatisticsRequest, View};
+use genesplat_core::{EvolutionBackend, Gaussians, StatisticsRequest, View};
 
-use crate::config::{EvolutionMode, Resolved};
-use crate::observe::Observer;
+use super::GeneticSearch;
+use crate::config::Resolved;
+use crate::run::checkpoint::Cursor;
+use crate::run::observe::Observer;
+use crate::run::trainer::Trainer;
 use crate::run::{Outcome, Start, TrainError};
 use crate::schedule::{OptimiserStep, Phase, Schedule};
-use crate::trainer::Trainer;
 
-/// Evolution alone (or its control), on a finished cloud from any trainer.
+/// One search of `evolution.paper` on a finished cloud from any trainer, without gradient steps.
 ///
-/// Genes gradients, where the configuration wants them, come from one pass over all views. A refinement that was stopped
-/// returns the best it has; there is nothing to resume.
-pub fn refine<B: Backend>(
-    backend: &mut B,
+/// Gene gradients, where the configuration wants them, come from one pass over all views. A search that was stopped returns the best
+/// it has; there is nothing to resume.
+pub fn search(
+    backend: &mut dyn EvolutionBackend,
     views: &[View],
     cloud: Gaussians,
     config: &Resolved,
     observer: &mut dyn Observer,
     stop: &AtomicBool,
 ) -> Result<Outcome, TrainError> {
-    if config.config().evolution.mode == EvolutionMode::Off {
-        return Err(TrainError::NothingToRefine);
-    }
-    if matches!(config.config().evolution.mode, EvolutionMode::Recombine | EvolutionMode::Renew) {
-        return Err(TrainError::NothingToRecombine);
-    }
     let mut trainer = Trainer::new(backend, views, config, observer, stop)?;
     trainer.begin(Start::Cloud(cloud))?;
     let last = finished_iteration(config.schedule());
-    if config.schedule().gene_gradients {
+    if config.config().evolution.paper.uses_gradients() {
         let genes = StatisticsRequest { density: None, genes: true };
         for view in 0..views.len() {
             trainer.train_step(view, last, 0, OptimiserStep::Lost, genes)?;
             // The search needs those of one view to begin, and to be stopped.
-            if trainer.stopped() {
+            if trainer.is_stopped() {
                 break;
             }
         }
     }
-    let checkpoint = trainer.perform(last, Phase::EvolveAfterReset)?;
+    trainer.wait_for_steps()?;
+    let cursor = Cursor { iteration: last, phase: Phase::Evolve };
+    let checkpoint =
+        trainer.on_the_clock(Phase::Evolve, |trainer| trainer.run_stage::<GeneticSearch>(cursor))?;
     let mut outcome = trainer.finish(None)?;
     (outcome.summary.interrupted, outcome.summary.iterations) = (checkpoint.is_some(), 0);
     Ok(outcome)

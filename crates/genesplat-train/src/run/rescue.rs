@@ -1,6 +1,6 @@
 //! What is saved of a run whose device is out of memory.
 //!
-//! Such a device lives and holds what it held before the verb that failed ([`Backend`]), so the run can go on elsewhere
+//! Such a device lives and holds what it held before the verb that failed ([`genesplat_core::Backend`]), so the run can go on elsewhere
 //! from where it stands, instead of from the last checkpoint of the schedule. Where it stands takes some care: steps are
 //! queued, and the verb that failed may have waited for steps that are not done and never will be. These are always the
 //! last ones, since every other phase waits for all steps before it begins. So the cursor goes back to the first step that
@@ -8,18 +8,18 @@
 //!
 //! A device that is lost has taken all with it; the last checkpoint of the schedule is what is left then.
 
-use genesplat_core::{Backend, BackendError};
+use genesplat_core::BackendError;
 
-use crate::checkpoint::{Checkpoint, Cursor};
-use crate::run::TrainError;
+use super::TrainError;
+use super::checkpoint::{Checkpoint, Cursor};
+use super::trainer::Trainer;
 use crate::schedule::Phase;
-use crate::trainer::{Trainer, check_health};
 
-impl<B: Backend> Trainer<'_, B> {
+impl Trainer<'_> {
     /// Hands over a checkpoint, if the device still holds the work of whole phases; returns the error that ends the run.
     pub(crate) fn rescue(&mut self, error: TrainError) -> TrainError {
         let lives = matches!(error, TrainError::Backend(BackendError::OutOfMemory { .. }));
-        if lives && !self.torn {
+        if lives && !self.is_mid_change {
             match self.capture_what_is_done() {
                 Ok(checkpoint) => self.observer.on_checkpoint(*checkpoint),
                 Err(second) => self.observer.notice(&format!("the run could not be saved: {second}")),
@@ -29,12 +29,10 @@ impl<B: Backend> Trainer<'_, B> {
     }
 
     fn capture_what_is_done(&mut self) -> Result<Box<Checkpoint>, TrainError> {
-        let undone = self.backend.abandon()? as u32;
+        let undone = self.backend.discard_queued_steps()? as u32;
         self.take_back(undone);
-        let checkpoint = self.capture(self.cursor)?;
-        // The last one of the schedule may be in better health, and there is room for one.
-        check_health(&checkpoint.cloud, self.progress.steps)?;
-        Ok(checkpoint)
+        // The last one of the schedule may be in better health, and only one is kept.
+        self.capture_healthy(self.cursor)
     }
 
     /// Goes back before the last `undone` steps, and counts them no more.

@@ -2,32 +2,36 @@
 
 use std::borrow::Cow;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
 
-use genesplat_core::backend::Exploration;
+use genesplat_core::averages::WINDOW_HALVES;
+use genesplat_core::backend::McmcStep;
 use genesplat_core::{
-    Backend, BackendError, DensitySignal, Gaussians, Genes, LearningRates, RenderSettings, Rng,
+    BackendError, DensitySignal, EvolutionBackend, Gaussians, Genes, LearningRates, RenderSettings, Rng,
     StatisticsRequest, Stream, TrainStep, Update, View,
 };
 
-use crate::checkpoint::{Checkpoint, Cursor, Progress};
-use crate::config::{Background, McmcConfig, Resolved, Signal, TrainConfig, Variant};
-use crate::densify::adaptive::Rules;
+use super::checkpoint::{Checkpoint, Cursor, Progress};
+use super::notices;
+use super::observe::{Observer, StartLog, StepFindings};
+use super::{Outcome, RunSummary, Seconds, Start, TrainError};
+use crate::config::{Background, Resolved, TrainConfig, Variant};
+use crate::densify::cap::Cap;
 use crate::densify::mcmc;
-use crate::filter_3d::filter_3d;
-use crate::initialise::{
+use crate::densify::renew::Trial;
+use crate::scene::filter_3d::filter_3d;
+use crate::scene::initialise::{
     ColouredPoint, check_points, cloud_from_points, in_spatial_order, median_depth, scene_extent,
 };
-use crate::limits::Limits;
-use crate::notices;
-use crate::observe::{Observer, StageLog, StageRecord, StartLog, StepFindings};
-use crate::renew::Trial;
-use crate::run::{Outcome, RunSummary, Seconds, Start, TrainError};
+use crate::scene::views::ViewOrder;
 use crate::schedule::{OptimiserStep, Phase, Schedule};
-use crate::views::ViewOrder;
+
+/// Iterations between two read-backs of the loss, which make a GPU wait.
+pub(crate) const REPORT_EVERY: u32 = 10;
 
 /// A run under way.
-pub(crate) struct Trainer<'a, B> {
-    pub(crate) backend: &'a mut B,
+pub(crate) struct Trainer<'a> {
+    pub(crate) backend: &'a mut dyn EvolutionBackend,
     pub(crate) views: &'a [View],
     pub(crate) config: &'a TrainConfig,
     pub(crate) schedule: &'a Schedule,
@@ -35,27 +39,29 @@ pub(crate) struct Trainer<'a, B> {
     pub(crate) stop: &'a AtomicBool,
     pub(crate) rng: Rng,
     /// Size of the scene, world units.
-    extent: f64,
+    pub(crate) extent: f64,
     pub(crate) signal: Option<DensitySignal>,
     /// Iteration of the last evolution stage; 0 for none.
     pub(crate) last_stage: u32,
     pub(crate) order: ViewOrder,
     pub(crate) progress: Progress,
-    /// The renewal that has yet to prove itself.
+    /// The renewal that is on trial.
     pub(crate) trial: Option<Trial>,
+    /// States in the older and the younger half of the window's averages.
+    pub(crate) averaged: [u32; WINDOW_HALVES],
     /// What is done next, or is under way.
     pub(crate) cursor: Cursor,
-    /// The phase under way has changed the state, and has more to change.
-    pub(crate) torn: bool,
+    /// The phase under way has changed the state, and has more to change: a checkpoint now could not be resumed.
+    pub(crate) is_mid_change: bool,
     /// How many Gaussians the cloud may grow to by the end of density control.
-    pub(crate) limits: Limits,
-    /// The user knows that they are reached.
-    pub(crate) limit_noticed: bool,
+    pub(crate) cap: Cap,
+    /// The user knows that it is reached.
+    pub(crate) cap_noticed: bool,
 }
 
-impl<'a, B: Backend> Trainer<'a, B> {
+impl<'a> Trainer<'a> {
     pub(crate) fn new(
-        backend: &'a mut B,
+        backend: &'a mut dyn EvolutionBackend,
         views: &'a [View],
         resolved: &'a Resolved,
         observer: &'a mut dyn Observer,
@@ -74,10 +80,11 @@ impl<'a, B: Backend> Trainer<'a, B> {
             order: ViewOrder::new(rng, views.len()),
             progress: Progress::default(),
             trial: None,
+            averaged: [0; WINDOW_HALVES],
             cursor: Cursor::start_of(1),
-            torn: false,
-            limits: Limits::new(config, views),
-            limit_noticed: false,
+            is_mid_change: false,
+            cap: Cap::new(config, views),
+            cap_noticed: false,
             backend,
             views,
             config,
@@ -98,7 +105,7 @@ impl<'a, B: Backend> Trainer<'a, B> {
         };
         self.observer.on_start(&StartLog {
             device: self.backend.describe(),
-            gaussians: self.backend.len(),
+            gaussians: self.backend.gaussian_count(),
             views: self.views.len(),
             extent: self.extent,
             iteration: cursor.iteration,
@@ -113,7 +120,7 @@ impl<'a, B: Backend> Trainer<'a, B> {
             Start::Points(points) => median_depth(self.views.iter().map(|view| &view.camera), points),
             Start::Cloud(_) | Start::Checkpoint(_) => None,
         };
-        notices::at_start(self.config, self.schedule, self.limits, self.extent, depth)
+        notices::at_start(self.config, self.schedule, self.cap, self.extent, depth)
     }
 
     fn first_cloud(&self, points: &[ColouredPoint]) -> Result<Gaussians, TrainError> {
@@ -121,7 +128,7 @@ impl<'a, B: Backend> Trainer<'a, B> {
         check_points(points)?;
         let mut cloud = cloud_from_points(&in_spatial_order(points))?;
         if self.config.variant == Variant::Mcmc {
-            mcmc::initialise(&mut cloud, self.config.mcmc.initial_opacity, self.config.mcmc.initial_scale);
+            mcmc::initialise(&mut cloud);
         }
         Ok(cloud)
     }
@@ -135,21 +142,19 @@ impl<'a, B: Backend> Trainer<'a, B> {
             .schedule
             .filter_3d
             .then(|| own_filter.unwrap_or_else(|| filter_of(self.views, &cloud.positions)));
-        self.backend.upload(cloud, None)?;
-        self.backend.reset_statistics(true);
+        self.backend.upload(cloud.into())?;
         Ok(Cursor::start_of(1))
     }
 
     fn restore(&mut self, checkpoint: Checkpoint) -> Result<Cursor, TrainError> {
-        if checkpoint.cloud.filter_3d.is_some() != self.schedule.filter_3d {
+        if checkpoint.state.cloud.filter_3d.is_some() != self.schedule.filter_3d {
             return Err(TrainError::OtherVariant { wanted: self.config.variant });
         }
-        self.backend.upload(checkpoint.cloud, Some(checkpoint.moments))?;
-        self.backend.restore_statistics(checkpoint.statistics)?;
-        self.backend.restore_lineage(checkpoint.lineage)?;
+        self.averaged = checkpoint.state.averages.states();
+        self.backend.upload(checkpoint.state)?;
         self.progress = checkpoint.progress;
         self.trial = checkpoint.trial;
-        self.limit_noticed = self.limits.cap().is_some_and(|cap| self.backend.len() >= cap);
+        self.cap_noticed = self.cap.get().is_some_and(|cap| self.backend.gaussian_count() >= cap);
         Ok(checkpoint.cursor)
     }
 
@@ -159,29 +164,21 @@ impl<'a, B: Backend> Trainer<'a, B> {
         Ok(Box::new(Checkpoint::capture(self.backend, cursor, progress, trial)?))
     }
 
-    /// A checkpoint that was captured must outlive what is done after that: it is handed over where that fails.
-    pub(crate) fn or_hand_over<T>(
-        &mut self,
-        done: Result<T, impl Into<TrainError>>,
-        captured: &mut Option<Box<Checkpoint>>,
-    ) -> Result<T, TrainError> {
-        done.map_err(|error| {
-            if let Some(checkpoint) = captured.take() {
-                self.observer.on_checkpoint(*checkpoint);
-            }
-            error.into()
-        })
+    /// The same, where the cloud is finite.
+    pub(crate) fn capture_healthy(&mut self, cursor: Cursor) -> Result<Box<Checkpoint>, TrainError> {
+        let checkpoint = self.capture(cursor)?;
+        check_health(&checkpoint.state.cloud, self.progress.steps)?;
+        Ok(checkpoint)
     }
 
-    /// The end of iteration `i`: what others want to see or to keep.
-    pub(crate) fn share(&mut self, i: u32) -> Result<(), TrainError> {
+    /// The end of iteration `i`: a checkpoint where one is due, and renders for the observer where it wants some.
+    pub(crate) fn hand_out(&mut self, i: u32) -> Result<(), TrainError> {
         let wants_renders = self.observer.wants_renders(i);
         if self.schedule.is_checkpoint(i) || wants_renders {
             self.wait_for_steps()?;
         }
         if self.schedule.is_checkpoint(i) {
-            let checkpoint = self.capture(Cursor::start_of(i + 1))?;
-            check_health(&checkpoint.cloud, self.progress.steps)?;
+            let checkpoint = self.capture_healthy(Cursor::start_of(i + 1))?;
             self.observer.on_checkpoint(*checkpoint);
         }
         if wants_renders {
@@ -219,16 +216,16 @@ impl<'a, B: Backend> Trainer<'a, B> {
         Ok(Outcome { cloud, summary, checkpoint })
     }
 
-    /// The cloud, which the device holds, too; of a run that was stopped while a renewal was on trial, the state before it
-    /// where guards prefer that. Whoever resumes goes on with the trial.
+    /// The cloud, which the device holds, too. Of a run that was stopped while a renewal was on trial it is the state before the trial
+    /// where that has the higher guard PSNR; a resumed run goes on with the trial.
     fn best_so_far(&mut self) -> Result<Gaussians, TrainError> {
         if let Some(cloud) = self.better_before_trial()? {
-            self.backend.upload(cloud, None)?;
+            self.backend.upload(cloud.into())?;
         }
         Ok(self.healthy_cloud()?.into_owned())
     }
 
-    pub(crate) fn stopped(&self) -> bool {
+    pub(crate) fn is_stopped(&self) -> bool {
         self.stop.load(Ordering::Relaxed)
     }
 
@@ -259,7 +256,7 @@ impl<'a, B: Backend> Trainer<'a, B> {
     /// What the device found in the last step.
     pub(crate) fn findings(&mut self) -> Result<StepFindings, TrainError> {
         let report = self.backend.report()?;
-        Ok(StepFindings { loss: report.loss, visible: report.visible, tile_splats: report.tile_splats })
+        Ok(StepFindings { loss: report.loss, visible: report.visible, intersections: report.intersections })
     }
 
     /// What Adam is told of a step that is about to be made; its counters stand still for what misses the step.
@@ -273,17 +270,18 @@ impl<'a, B: Backend> Trainer<'a, B> {
             rates,
             step: counted,
             opacity_step: if opacity { self.progress.opacity_steps + 1 } else { 0 },
-            exploration: self.exploration(rates.position, counted),
+            mcmc: self.mcmc_step(rates.position, counted),
         })
     }
 
     /// MCMC's part of a step.
-    fn exploration(&self, position_rate: f32, counter: u32) -> Option<Exploration> {
+    fn mcmc_step(&self, position_rate: f32, counter: u32) -> Option<McmcStep> {
         let mcmc = &self.config.mcmc;
-        (self.config.variant == Variant::Mcmc).then_some(Exploration {
-            noise: position_rate * mcmc.noise,
+        (self.config.variant == Variant::Mcmc).then_some(McmcStep {
+            noise_scale: position_rate * mcmc.noise,
             opacity_weight: mcmc.opacity_weight,
             scale_weight: mcmc.scale_weight,
+            rng: self.rng,
             counter,
         })
     }
@@ -325,54 +323,30 @@ impl<'a, B: Backend> Trainer<'a, B> {
         self.schedule.rates(&self.config.optimiser, self.extent, i)
     }
 
-    /// Density control's thresholds in iteration `i`, in world units.
-    pub(crate) fn rules(&self, i: u32) -> Rules {
-        let densify = &self.config.densify;
-        let world = |extents: f64| (extents * self.extent) as f32;
-        Rules {
-            gradient_threshold: match densify.signal {
-                Signal::Absolute => densify.absolute_threshold,
-                Signal::Published | Signal::Gof => densify.gradient_threshold,
-            },
-            or_absolute: densify.signal == Signal::Gof,
-            clone_size_max: world(densify.clone_size),
-            prune_opacity: densify.prune_opacity,
-            prune_size: self.schedule.prunes_by_size(i).then(|| world(densify.prune_size)),
-            cap: self.limits.cap().map(|cap| (cap as f64 * self.schedule.grown(i)) as usize),
-        }
-    }
-
-    /// MCMC's counterpart of [`Self::rules`], which does not depend on the iteration.
-    pub(crate) fn mcmc_rules(&self) -> mcmc::Rules {
-        let McmcConfig { min_opacity, growth, .. } = self.config.mcmc;
-        mcmc::Rules { min_opacity, growth, cap: self.limits.cap().expect("MCMC always has a limit") }
-    }
-
-    /// What is told at the beginning of a stage: what it is judged on, and how many generations follow the first.
-    pub(crate) fn tell_of_stage(&mut self, record: &StageRecord, views: &[usize], generations: u32) {
-        let StageRecord { kind, iteration, fitness_before: fitness, .. } = *record;
-        let views = views.iter().map(|&view| self.views[view].name.clone()).collect();
-        self.observer.on_stage_start(&StageLog { kind, iteration, generations, views, fitness });
-    }
-
-    /// The next stage sums gene gradients anew; density statistics, which may be under way, stay.
-    pub(crate) fn forget_gene_gradients(&mut self) -> Result<(), TrainError> {
-        if self.config.evolution.wants_gene_gradients() {
-            let mut statistics = self.backend.statistics()?;
-            statistics.gene_gradient_sum.clear();
-            statistics.gene_views.clear();
-            self.backend.restore_statistics(statistics)?;
-        }
-        Ok(())
-    }
-
-    /// Seconds go to evolution or to gradients.
-    pub(crate) fn bill(&mut self, phase: Phase, seconds: f64) {
+    /// Does a part of a phase's work on the clock of gradients or of evolution, whichever the phase belongs to.
+    pub(crate) fn on_the_clock<T>(
+        &mut self,
+        phase: Phase,
+        work: impl FnOnce(&mut Self) -> Result<T, TrainError>,
+    ) -> Result<T, TrainError> {
+        let clock = Instant::now();
+        let done = work(self)?;
+        self.is_mid_change = false;
+        let seconds = clock.elapsed().as_secs_f64();
         if phase.is_evolution() {
             self.progress.evolution_seconds += seconds;
         } else {
             self.progress.gradient_seconds += seconds;
         }
+        Ok(done)
+    }
+
+    /// Waits until queued steps are done, on the clock of gradients.
+    pub(crate) fn wait_for_steps(&mut self) -> Result<(), TrainError> {
+        let clock = Instant::now();
+        self.wait_for_device()?;
+        self.progress.gradient_seconds += clock.elapsed().as_secs_f64();
+        Ok(())
     }
 }
 

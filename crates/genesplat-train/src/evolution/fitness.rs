@@ -5,12 +5,12 @@
 
 use std::ops::Range;
 
-use genesplat_core::{Backend, BackendError, RenderSettings, SparseDelta};
+use genesplat_core::{BackendError, EvolutionBackend, RenderSettings, SparseDelta};
 use genesplat_evolve::GeneticAlgorithm;
 
 use crate::run::TrainError;
-use crate::trainer::Trainer;
-use crate::views::spread_evenly;
+use crate::run::trainer::Trainer;
+use crate::scene::views::spread_evenly;
 
 /// Individuals are handed to the backend until they take this many bytes: what they have in common is found once a batch, and
 /// a generation of the paper's is one, up to some 350,000 Gaussians.
@@ -25,9 +25,9 @@ pub(crate) struct Fitness {
 
 impl Fitness {
     /// Mean of Eq. 5 over the views, for each individual.
-    fn losses<B: Backend>(
+    fn losses(
         &self,
-        backend: &mut B,
+        backend: &mut dyn EvolutionBackend,
         individuals: &[SparseDelta],
     ) -> Result<Vec<f64>, BackendError> {
         let losses = backend.score(individuals, &self.views, &self.settings)?;
@@ -37,12 +37,10 @@ impl Fitness {
     }
 }
 
-impl<B: Backend> Trainer<'_, B> {
-    /// What the stage of iteration `i` is judged on.
+impl Trainer<'_> {
+    /// What the stage of iteration `i` is measured on: the same views in all stages of a run.
     pub(crate) fn fitness(&self, i: u32) -> Fitness {
-        let evolution = &self.config.evolution;
-        let draw = if evolution.rotate_views { i } else { 0 };
-        let views = spread_evenly(self.views, evolution.views, &self.rng, draw);
+        let views = spread_evenly(self.views, self.config.evolution.views, &self.rng, 0);
         Fitness { views, settings: self.settings(i) }
     }
 
@@ -61,7 +59,7 @@ impl<B: Backend> Trainer<'_, B> {
         let wanted = algorithm.ask();
         let mut losses = Vec::with_capacity(wanted);
         while losses.len() < wanted {
-            if self.stopped() {
+            if self.is_stopped() {
                 return Ok(None);
             }
             let batch = next_batch(algorithm, losses.len()..wanted);

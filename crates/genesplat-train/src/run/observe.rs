@@ -6,7 +6,7 @@
 use genesplat_core::{BackendError, Camera, Image};
 use serde::Serialize;
 
-use crate::checkpoint::Checkpoint;
+use super::checkpoint::Checkpoint;
 
 /// The beginning of a run.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -50,8 +50,8 @@ pub struct StepFindings {
     pub loss: f32,
     /// Gaussians that reach at least one pixel of it.
     pub visible: usize,
-    /// Entries of all tile lists.
-    pub tile_splats: usize,
+    /// Intersections of Gaussians with tiles.
+    pub intersections: usize,
 }
 
 /// One densification.
@@ -135,43 +135,40 @@ impl GenerationLog {
 pub enum StageKind {
     /// Algorithm 1 of the paper.
     Paper,
-    /// Gradient steps in its place.
-    Control,
-    /// A child of the run's last states.
-    Recombination,
+    /// Gradient steps in its place: the equal-time control.
+    ExtraSteps,
+    /// A mean of a window's states.
+    Averaging,
     /// A renewal and its trial.
     Renewal,
-    /// A child of many mutants.
-    Mosaic,
 }
 
 impl StageKind {
     /// All of them, in the order of their numbers in a checkpoint.
-    pub const ALL: [Self; 5] = [Self::Paper, Self::Control, Self::Recombination, Self::Renewal, Self::Mosaic];
+    pub const ALL: [Self; 4] = [Self::Paper, Self::ExtraSteps, Self::Averaging, Self::Renewal];
 
     /// As log and reports write it.
     pub fn name(self) -> &'static str {
         match self {
             Self::Paper => "paper",
-            Self::Control => "control",
-            Self::Recombination => "recombination",
+            Self::ExtraSteps => "extra-steps",
+            Self::Averaging => "averaging",
             Self::Renewal => "renewal",
-            Self::Mosaic => "mosaic",
         }
     }
 }
 
-/// An evolution stage, or the control in its place, as `metrics.json` reports it.
+/// An evolution stage, or extra steps in its place, as `metrics.json` reports it.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct StageRecord {
     /// What it did.
     pub kind: StageKind,
     /// Iteration of the trigger.
     pub iteration: u32,
-    /// Generations of its search that were completed, the initial population included (the guards' choice, which recombination logs
-    /// as one more, is none); 1 for a renewal, 0 for the control.
+    /// Generations of its search that were completed, the initial population included (the guards' choice is none); 1 for a renewal,
+    /// 0 for averaging and extra steps.
     pub generations: u32,
-    /// Renders made; gradient steps for the control.
+    /// Renders made; the gradient steps of extra steps.
     pub renders: u64,
     /// Mean Eq. 5 on the stage's views before it.
     pub fitness_before: f64,
@@ -284,7 +281,7 @@ mod tests {
             gaussians: 3,
             sh_degree: 0,
             position_rate: 0.5,
-            report: Some(StepFindings { loss: 0.25, visible: 2, tile_splats: 4 }),
+            report: Some(StepFindings { loss: 0.25, visible: 2, intersections: 4 }),
         }));
         assert!(step.contains(r#""event":"step","iteration":7"#), "{step}");
         assert!(step.contains(r#""loss":0.25"#), "{step}");

@@ -1,0 +1,252 @@
+//! Every setting of training, in one plain struct.
+//!
+//! A file may name any subset; the rest has the published defaults. [`TrainConfig::resolve`] checks ranges and scales
+//! steps once; from then on only [`Resolved`] travels, which cannot hold an invalid setting.
+
+use std::fmt;
+use std::str::FromStr;
+
+use genesplat_core::spherical_harmonics::SH_DEGREE_MAX;
+use genesplat_core::{RenderSettings, ScreenFilter};
+use serde::{Deserialize, Serialize};
+
+use crate::schedule::Schedule;
+pub use density::{DensifyConfig, McmcConfig, Signal};
+pub use evolution::{EvolutionConfig, EvolutionMode, RenewalConfig, StepBudget, Trigger};
+pub use validate::ConfigError;
+
+mod density;
+mod evolution;
+mod validate;
+
+/// Which published method is trained.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Variant {
+    /// 3D Gaussian Splatting (Kerbl et al. 2023).
+    #[default]
+    #[serde(rename = "3dgs")]
+    ThreeDgs,
+    /// Pixel-GS (Zhang et al. 2024): another density signal.
+    #[serde(rename = "pixel-gs")]
+    PixelGs,
+    /// Mip-Splatting (Yu et al. 2024): a 2D and a 3D filter against aliasing.
+    #[serde(rename = "mip-splatting")]
+    MipSplatting,
+    /// 3DGS-MCMC (Kheradmand et al. 2024): exploration noise and relocation instead of density control and resets.
+    #[serde(rename = "mcmc")]
+    Mcmc,
+}
+
+impl Variant {
+    /// All of them.
+    pub const ALL: [Self; 4] = [Self::ThreeDgs, Self::PixelGs, Self::MipSplatting, Self::Mcmc];
+
+    /// As the command and the configuration file write it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::ThreeDgs => "3dgs",
+            Self::PixelGs => "pixel-gs",
+            Self::MipSplatting => "mip-splatting",
+            Self::Mcmc => "mcmc",
+        }
+    }
+}
+
+impl fmt::Display for Variant {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+impl FromStr for Variant {
+    type Err = ConfigError;
+
+    fn from_str(name: &str) -> Result<Self, ConfigError> {
+        Self::ALL.into_iter().find(|variant| variant.name() == name).ok_or_else(|| ConfigError::Range {
+            setting: "variant",
+            value: format!("`{name}`"),
+            wanted: "3dgs, pixel-gs, mip-splatting or mcmc",
+        })
+    }
+}
+
+/// Colour behind all splats.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Background {
+    /// Black.
+    #[default]
+    Black,
+    /// White; opacities are then reset once more, early on.
+    White,
+    /// A new colour every iteration, so that nothing transparent pays off; evaluation uses black.
+    Random,
+}
+
+impl Background {
+    /// The colour that evaluation and evolution see, linear RGB in `[0, 1]`.
+    pub fn fixed_colour(self) -> [f32; 3] {
+        match self {
+            Self::White => [1.0; 3],
+            Self::Black | Self::Random => [0.0; 3],
+        }
+    }
+}
+
+/// Every setting of training.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct TrainConfig {
+    /// Seed of every random stream. Default 0; below 2⁶³, so that the file can hold it.
+    pub seed: u64,
+    /// Method. Default `3dgs`; or `pixel-gs`, `mip-splatting`, `mcmc`.
+    pub variant: Variant,
+    /// Iterations, one view each. Default 30,000; at least 1. Changing it alone truncates: rates and events stay.
+    pub iterations: u32,
+    /// Multiplies every setting that counts iterations, `iterations` included. Default 1; 0.001 to 1000. Each is rounded to whole
+    /// iterations, so a scale that does not divide them shifts events a little: at 0.2333 density control comes every 23 iterations, 147
+    /// times and not 144, and resets fall between two of them. 0.1, 0.2 and 0.3 keep the shape exactly.
+    pub steps_scale: f64,
+    /// Highest degree of the spherical harmonics. Default 3; 0 to 3. Lower is smaller, with less view-dependent colour.
+    pub sh_degree: u8,
+    /// Iterations between two rises of the degree, which starts at 0. Default 1000; at least 1.
+    pub sh_every: u32,
+    /// Colour behind the splats. Default `black`; or `white`, `random`.
+    pub background: Background,
+    /// Dim Gaussians by as much as the screen filter widens them ("antialiasing" of 3DGS's later releases). Default
+    /// false; not with `mip-splatting`, which has a filter of its own.
+    pub antialiasing: bool,
+    /// Size of the scene, world units. Default: 1.1 x the largest distance of a training camera from their mean.
+    /// Scales the position rate and every size threshold.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub extent: Option<f64>,
+    /// Densification stops at this many Gaussians, and serves the strongest gradients until then. Default: no limit;
+    /// 1,000,000 with `mcmc`, which grows to it whatever the gradients. Evolution's mode `renew` has a limit of its own, and the
+    /// lower one counts (`evolution.renewal.capacity`).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub max_gaussians: Option<usize>,
+    /// Iterations between two checkpoints. Default 0: none but that of an interrupted run. Not scaled by `steps_scale`.
+    pub checkpoint_every: u32,
+    /// Adam's step sizes.
+    pub optimiser: OptimiserConfig,
+    /// Density control.
+    pub densify: DensifyConfig,
+    /// What the variant `mcmc` has instead of it.
+    pub mcmc: McmcConfig,
+    /// What runs beside gradient steps.
+    pub evolution: EvolutionConfig,
+}
+
+impl Default for TrainConfig {
+    fn default() -> Self {
+        Self {
+            seed: 0,
+            variant: Variant::default(),
+            iterations: 30_000,
+            steps_scale: 1.0,
+            sh_degree: SH_DEGREE_MAX,
+            sh_every: 1000,
+            background: Background::default(),
+            antialiasing: false,
+            extent: None,
+            max_gaussians: None,
+            checkpoint_every: 0,
+            optimiser: OptimiserConfig::default(),
+            densify: DensifyConfig::default(),
+            mcmc: McmcConfig::default(),
+            evolution: EvolutionConfig::default(),
+        }
+    }
+}
+
+impl TrainConfig {
+    /// The published trainer: every default but evolution, which is off.
+    pub fn published() -> Self {
+        let mut config = Self::default();
+        config.evolution.mode = EvolutionMode::Off;
+        config
+    }
+}
+
+/// Adam's step sizes; defaults are those of the published numbers.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct OptimiserConfig {
+    /// Rate of positions at the start, in scene extents. Default 1.6e-4; above 0.
+    pub position_start: f64,
+    /// Rate of positions at the end, in scene extents. Default 1.6e-6; above 0.
+    pub position_end: f64,
+    /// Iterations over which it decays exponentially. Default 30,000; at least 1.
+    pub position_steps: u32,
+    /// Rate of the base colour. Default 0.0025; not negative.
+    pub sh_dc: f32,
+    /// Rate of the view-dependent colour. Default 0.0025 / 20; not negative.
+    pub sh_rest: f32,
+    /// Rate of the opacity logits. Default 0.05 (later releases of the reference have 0.025); not negative.
+    pub opacity: f32,
+    /// Rate of the log-scales. Default 0.005; not negative.
+    pub scale: f32,
+    /// Rate of the quaternions. Default 0.001; not negative.
+    pub rotation: f32,
+}
+
+impl Default for OptimiserConfig {
+    fn default() -> Self {
+        Self {
+            position_start: 1.6e-4,
+            position_end: 1.6e-6,
+            position_steps: 30_000,
+            sh_dc: 2.5e-3,
+            sh_rest: 1.25e-4,
+            opacity: 0.05,
+            scale: 5e-3,
+            rotation: 1e-3,
+        }
+    }
+}
+
+/// A checked configuration and its schedule.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Resolved {
+    config: TrainConfig,
+    schedule: Schedule,
+}
+
+impl Resolved {
+    /// The settings as given.
+    pub fn config(&self) -> &TrainConfig {
+        &self.config
+    }
+
+    /// What happens when.
+    pub fn schedule(&self) -> &Schedule {
+        &self.schedule
+    }
+
+    /// How the finished cloud is to be rendered.
+    pub fn render_settings(&self) -> RenderSettings {
+        RenderSettings {
+            sh_degree: self.config.sh_degree,
+            background: self.config.background.fixed_colour(),
+            filter: self.config.screen_filter(),
+        }
+    }
+}
+
+impl TrainConfig {
+    /// The screen-space filter that training and evaluation render with.
+    pub fn screen_filter(&self) -> ScreenFilter {
+        match self.variant {
+            Variant::MipSplatting => ScreenFilter::Mip,
+            _ if self.antialiasing => ScreenFilter::Antialiased,
+            Variant::ThreeDgs | Variant::PixelGs | Variant::Mcmc => ScreenFilter::Classic,
+        }
+    }
+
+    /// Checks every setting, and scales steps.
+    pub fn resolve(self) -> Result<Resolved, ConfigError> {
+        self.validate()?;
+        let schedule = Schedule::new(&self);
+        Ok(Resolved { config: self, schedule })
+    }
+}

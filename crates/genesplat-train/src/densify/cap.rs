@@ -1,0 +1,110 @@
+//! How many Gaussians there may be.
+
+use genesplat_core::View;
+
+use crate::config::{EvolutionMode, TrainConfig, Variant};
+use crate::densify::mcmc;
+
+/// Training pixels to each Gaussian, for each of √(number of photos), since photos show the same things.
+const PIXELS: f64 = 2.0;
+
+/// Pixels of one photo (their mean) to each Gaussian, however many photos there are: the hundredth shows hardly anything that the others
+/// do not. The lower limit from 45 photos on.
+const PHOTO_PIXELS: f64 = 0.3;
+
+/// The most Gaussians that density control may grow to, by who says so.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Cap {
+    /// The user's limit or the variant's own.
+    own: Option<usize>,
+    /// What the photos can determine, with `evolution.renewal.capacity`: with more, a cloud learns photos by heart.
+    from_photos: Option<usize>,
+}
+
+impl Cap {
+    pub(crate) fn new(config: &TrainConfig, views: &[View]) -> Self {
+        let of_variant = (config.variant == Variant::Mcmc).then_some(mcmc::DEFAULT_CAP);
+        let (mode, capacity) = (config.evolution.mode, config.evolution.renewal.capacity);
+        let is_limited = mode == EvolutionMode::Renew && capacity > 0.0;
+        let from_photos = is_limited.then(|| cap_from_photos(views, capacity));
+        Self { own: config.max_gaussians.or(of_variant), from_photos }
+    }
+
+    /// The lower of the two.
+    pub(crate) fn get(self) -> Option<usize> {
+        self.own.into_iter().chain(self.from_photos).min()
+    }
+
+    /// It cannot wait until that limit is reached: MCMC refuses nothing, so there would be nothing to tell then.
+    pub(crate) fn notice_of_lower_cap(self) -> Option<String> {
+        let (own, from_photos) = (self.own?, self.from_photos?);
+        (from_photos < own).then(|| {
+            format!(
+                "the cloud grows to at most {from_photos} Gaussians, which is what the photos can determine \
+                 (evolution.renewal.capacity), and not to the limit of {own}"
+            )
+        })
+    }
+
+    /// The limit of `cap` is reached in iteration `i`, and `refused` more wanted to grow; `is_last`: no densification follows.
+    pub(crate) fn notice_of_full_cloud(self, cap: usize, i: u32, refused: usize, is_last: bool) -> String {
+        let source = if self.own == Some(cap) { "" } else { " from the photos (evolution.renewal.capacity)" };
+        let rest = if is_last {
+            ""
+        } else {
+            "; from now on only those with the strongest gradients grow into the room that pruning leaves"
+        };
+        format!(
+            "iteration {i}: the limit of {cap} Gaussians{source} is reached ({refused} more wanted to grow){rest}"
+        )
+    }
+}
+
+/// As many Gaussians as the photos can determine, times `capacity`.
+fn cap_from_photos(views: &[View], capacity: f64) -> usize {
+    let pixels_of = |view: &View| f64::from(view.photo.width) * f64::from(view.photo.height);
+    let (all, photos) = (views.iter().map(pixels_of).sum::<f64>(), views.len() as f64);
+    let cap = |pixels: f64, each: f64| ((pixels * capacity / each) as usize).max(1);
+    cap(all, PIXELS * photos.sqrt()).min(cap(all / photos, PHOTO_PIXELS))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use genesplat_core::{Camera, Photo};
+    use glam::{DQuat, DVec3};
+
+    use super::*;
+
+    #[test]
+    fn the_lower_of_the_limits_counts() {
+        let camera = Camera {
+            width: 30,
+            height: 20,
+            focal_px: [1.0; 2],
+            principal_px: [15.0, 10.0],
+            camera_from_world_rotation: DQuat::IDENTITY,
+            camera_from_world_translation: DVec3::ZERO,
+        };
+        let photo = Arc::new(Photo { width: 30, height: 20, rgb: vec![0; 1800] });
+        let views = vec![View { name: String::new(), camera, photo }; 9];
+        let cap = |mode, variant, max_gaussians, capacity| {
+            let mut config = TrainConfig { variant, max_gaussians, ..TrainConfig::published() };
+            (config.evolution.mode, config.evolution.renewal.capacity) = (mode, capacity);
+            Cap::new(&config, &views).get()
+        };
+        let (renew, off) = (EvolutionMode::Renew, EvolutionMode::Off);
+        // 9 · 600 pixels over 2 · √9, which is less than 600 over 0.3.
+        assert_eq!(cap(renew, Variant::ThreeDgs, None, 1.0), Some(900));
+        assert_eq!(cap(renew, Variant::ThreeDgs, None, 0.5), Some(450));
+        assert_eq!(cap(renew, Variant::ThreeDgs, Some(500), 1.0), Some(500));
+        assert_eq!(cap(renew, Variant::Mcmc, None, 1.0), Some(900));
+        assert_eq!(cap(renew, Variant::Mcmc, None, 1e9), Some(mcmc::DEFAULT_CAP));
+        assert_eq!(cap(renew, Variant::ThreeDgs, None, 0.0), None);
+        assert_eq!(cap(off, Variant::ThreeDgs, None, 1.0), None);
+        assert_eq!(cap(off, Variant::Mcmc, None, 1.0), Some(mcmc::DEFAULT_CAP));
+        let many = vec![views[0].clone(); 100];
+        assert_eq!(cap_from_photos(&many, 1.0), 2000, "600 pixels of one photo over 0.3");
+    }
+}

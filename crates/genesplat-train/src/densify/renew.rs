@@ -1,0 +1,155 @@
+//! Renewal on trial: the Gaussians of least contribution are replaced by splitting those of largest error; rolled back if guard PSNR falls.
+//!
+//! Why. 3DGS looks for the right Gaussians in the first half of a run and then leaves them as they are. By that time many contribute
+//! next to nothing, while others stand for more detail than one Gaussian can show. Gradients cannot mend that: a Gaussian that is not
+//! there has no gradient.
+//!
+//! How. Once density control has ended, in the second half of the run, contributions of all Gaussians are measured
+//! ([`genesplat_core::contribution`]) every twentieth of the run, and a fraction of the cloud is renewed
+//! ([`genesplat_evolve::renewal`]). A new Gaussian needs some gradient steps before it is worth anything, so a renewal is judged when
+//! the next one is due: if the guard views are rendered worse by then than before it, the state before it comes back, moments and all.
+//! Weight averaging comes first wherever both are due, so that the states which guards compare are alike free of the noise of single
+//! steps.
+//!
+//! Prior art: 3DGS-MCMC relocates by opacity (Kheradmand et al., 2024), "Revising Densification" grows by error (Rota Bulò et al.,
+//! 2024); neither takes anything back. In MCMC renewal takes over from relocation at half of the run.
+
+use std::time::Instant;
+
+use genesplat_core::averages::WINDOW_HALVES;
+use genesplat_core::{Contribution, DeviceState, Gaussians, Moments, Origin};
+use genesplat_evolve::renewal;
+
+use crate::evolution::{GuardScore, guards};
+use crate::run::TrainError;
+use crate::run::observe::{GenerationLog, StageKind, StageRecord};
+use crate::run::trainer::Trainer;
+use crate::scene::views::spread_evenly;
+
+/// A renewal that has yet to prove itself.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Trial {
+    /// What is reported of it, as if it had succeeded; the guard score that ends it is not in it yet.
+    pub record: StageRecord,
+    /// The cloud before it.
+    pub cloud: Gaussians,
+    /// Adam's moments before it.
+    pub moments: Moments,
+}
+
+impl Trial {
+    /// The guard score of the state before it.
+    fn before(&self) -> GuardScore {
+        let [psnr, _] = self.record.guard_psnr.expect("a renewal has guards");
+        GuardScore { loss: self.record.fitness_before, psnr }
+    }
+
+    /// All columns have the same number of rows, and guards were asked.
+    pub(crate) fn is_consistent(&self) -> bool {
+        let columns = [&self.cloud, &self.moments.first, &self.moments.second];
+        self.record.guard_psnr.is_some()
+            && columns.iter().all(|columns| columns.is_consistent() && columns.len() == self.cloud.len())
+    }
+}
+
+/// Clouds that a trial keeps: one, and its two moments.
+const CLOUDS_KEPT: usize = 3;
+
+impl Trainer<'_> {
+    /// Judges the renewal that is on trial, and begins the next one if there is to be one.
+    pub(crate) fn renew(&mut self, i: u32) -> Result<(), TrainError> {
+        let clock = Instant::now();
+        let guards = self.trial_guards();
+        let score = self.guard_score(&guards, i)?;
+        let is_first = self.trial.is_none();
+        let GuardScore { loss, psnr } = self.end_trial(score, clock)?;
+        // The time of the score counts for the trial that it ends, if there is one.
+        let clock = if is_first { clock } else { Instant::now() };
+        if self.schedule.renews(i) {
+            let record = StageRecord::begun(StageKind::Renewal, i, loss, Some(psnr));
+            // The score that it is compared with; the one that ends it is the next one's.
+            let renders = guards.len() as u64;
+            self.begin_trial(StageRecord { generations: 1, renders, ..record }, clock)?;
+        }
+        Ok(())
+    }
+
+    /// The same in all trials of a run, so that one score ends a trial and begins the next.
+    fn trial_guards(&self) -> Vec<usize> {
+        guards(self.views, &self.rng)
+    }
+
+    /// Keeps what was renewed, or rolls it back, if there is a trial; returns the guard score of the state that stays.
+    fn end_trial(&mut self, score: GuardScore, clock: Instant) -> Result<GuardScore, TrainError> {
+        let Some(trial) = &self.trial else { return Ok(score) };
+        let (mut record, before) = (trial.record, trial.before());
+        let stays = if score.psnr >= before.psnr {
+            score
+        } else {
+            // Copies: where the device has no room for them, what it holds is still on trial.
+            let (cloud, moments) = (trial.cloud.clone(), trial.moments.clone());
+            self.backend.upload(DeviceState { cloud, moments, ..DeviceState::default() })?;
+            self.averaged = [0; WINDOW_HALVES];
+            record.changed = 0;
+            before
+        };
+        record.fitness_after = stays.loss;
+        record.guard_psnr = Some([before.psnr, stays.psnr]);
+        record.seconds += clock.elapsed().as_secs_f64();
+        self.observer.on_generation(&GenerationLog {
+            accepted: Some(record.changed),
+            guard_psnr: Some(score.psnr),
+            ..GenerationLog::of(&record, Some(score.loss))
+        });
+        self.forget_trial(record);
+        Ok(stays)
+    }
+
+    /// The state before the renewal on trial, if there is one, and guards do not find better what has become of it so far.
+    pub(crate) fn better_before_trial(&mut self) -> Result<Option<Gaussians>, TrainError> {
+        let Some(trial) = self.trial.take() else { return Ok(None) };
+        let now = self.guard_score(&self.trial_guards(), self.cursor.iteration)?;
+        Ok((now.psnr < trial.before().psnr).then_some(trial.cloud))
+    }
+
+    /// The trial is over, and the state is whole again: what is left of the phase is the next renewal, which whoever resumes
+    /// begins likewise.
+    fn forget_trial(&mut self, record: StageRecord) {
+        self.trial = None;
+        self.end_stage(record);
+    }
+
+    /// Renews a fraction of the Gaussians, if there are any to renew.
+    fn begin_trial(&mut self, mut record: StageRecord, clock: Instant) -> Result<(), TrainError> {
+        let i = record.iteration;
+        let contributions = self.contributions(&mut record)?;
+        let edit = renewal::plan(&contributions, self.config.evolution.renewal.fraction, self.rng, i);
+        record.changed = edit.origins.iter().filter(|origin| matches!(origin, Origin::Twin { .. })).count();
+        if record.changed == 0 {
+            return Ok(());
+        }
+        record.population_bytes =
+            (CLOUDS_KEPT * self.backend.gaussian_count() * Gaussians::BYTES_PER_ROW) as u64;
+        let DeviceState { cloud, moments, .. } = self.backend.state()?;
+        self.backend.edit_rows(&edit)?;
+        self.averaged = [0; WINDOW_HALVES];
+        record.seconds = clock.elapsed().as_secs_f64();
+        self.tell_of_stage(&record, &self.trial_guards(), record.generations);
+        self.trial = Some(Trial { record, cloud, moments });
+        Ok(())
+    }
+
+    /// Contributions to as many training views as there is time for. A Gaussian that none of them shows contributes nothing if they are
+    /// all there are, and is spared otherwise.
+    fn contributions(&mut self, record: &mut StageRecord) -> Result<Vec<Contribution>, TrainError> {
+        let (i, settings) = (record.iteration, self.settings(record.iteration));
+        let views = spread_evenly(self.views, self.schedule.contribution_views, &self.rng, i);
+        let mut contributions = self.backend.contributions(&views, &settings)?;
+        if views.len() < self.views.len() {
+            let unseen = contributions.iter_mut().filter(|of| of.weight == 0.0);
+            unseen.for_each(|of| of.weight = f32::INFINITY);
+        }
+        record.renders += views.len() as u64;
+        Ok(contributions)
+    }
+}

@@ -1,0 +1,6 @@
+//! What training reads from the scene: the first cloud, the size of things, the order of views.
+
+pub mod filter_3d;
+pub mod initialise;
+mod nearest;
+pub mod views;
