@@ -72,12 +72,12 @@ fn a_forbidden_arrow_is_found() {
     assert_eq!(dependencies("[dev-dependencies]\ngenesplat-kernels.workspace = true\n"), [""; 0]);
 }
 
-/// Paths in backquotes, with a folder or a known ending.
+/// Paths in backquotes, with a folder and a known ending.
 fn named_paths(text: &str) -> Vec<String> {
     text.split('`')
         .skip(1)
         .step_by(2)
-        .filter(|word| word.ends_with(".rs") || word.ends_with(".md") || word.ends_with(".toml"))
+        .filter(|word| [".rs", ".md", ".toml", ".wgsl"].iter().any(|ending| word.ends_with(ending)))
         .filter(|word| {
             word.contains('/') && !word.contains(' ') && !word.contains('*') && !word.starts_with("..")
         })
@@ -85,13 +85,25 @@ fn named_paths(text: &str) -> Vec<String> {
         .collect()
 }
 
+/// The documents at the root, and those below `docs`.
+fn documents() -> Vec<PathBuf> {
+    let mut documents: Vec<PathBuf> = ["README.md", "ARCHITECTURE.md", "CONTRIBUTING.md", "CHANGELOG.md"]
+        .map(|name| root().join(name))
+        .into();
+    let pages =
+        std::fs::read_dir(root().join("docs")).expect("docs").map(|page| page.expect("readable").path());
+    documents.extend(pages.filter(|page| page.extension().is_some_and(|ending| ending == "md")));
+    documents
+}
+
 #[test]
 fn documents_name_files_that_exist() {
     let mut seen = 0;
-    for document in ["README.md", "ARCHITECTURE.md", "CONTRIBUTING.md", "CHANGELOG.md"] {
-        let text = std::fs::read_to_string(root().join(document)).expect(document);
+    for document in documents() {
+        let text = std::fs::read_to_string(&document).expect("a document");
         for path in named_paths(&text) {
-            assert!(root().join(&path).exists(), "{document} names {path}, which is not there");
+            let exists = root().join(&path).exists();
+            assert!(exists, "{} names {path}, which is not there", document.display());
             seen += 1;
         }
     }

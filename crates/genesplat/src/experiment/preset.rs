@@ -70,9 +70,10 @@ mod tests {
     }
 
     #[test]
-    fn the_readmes_example_is_valid() {
-        let readme = fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/../../README.md")).unwrap();
-        let example = readme.split("```toml").nth(1).and_then(|rest| rest.split("```").next()).unwrap();
+    fn the_example_of_the_documents_is_valid() {
+        let page = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/experiments.md");
+        let text = fs::read_to_string(page).unwrap();
+        let example = text.split("```toml").nth(1).and_then(|rest| rest.split("```").next()).unwrap();
         let experiment = Experiment::new(toml::from_str(example).unwrap()).unwrap();
         assert_eq!(experiment.cells().len(), 2 * 3 * 5);
     }

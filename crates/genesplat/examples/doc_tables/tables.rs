@@ -1,0 +1,314 @@
+//! Tables from CSV files of runs.
+//!
+//! A document has `<!-- table: NAME -->`, the table, and `<!-- /table -->`; everything between the two is replaced. [`TABLES`] says
+//! which runs a table shows. A *line* of a table stands for the runs of one arm of an experiment, and its figures are means over them.
+//! Beside an arm stand its differences from `off`, run by run: a pair has the same scene, size, length, seed, commit and machine.
+
+use std::collections::HashMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, anyhow, bail, ensure};
+
+/// Training without evolution, which the other arms are compared with.
+const BASELINE: &str = "off";
+/// The arm that a user gets by default.
+const EVOLVED: &str = "renew";
+/// What two runs of a pair have in common.
+const PAIRED: [&str; 8] =
+    ["scene", "variant", "max_side", "iterations", "max_gaussians", "seed", "commit", "machine"];
+const END: &str = "<!-- /table -->";
+
+/// A table of the documents.
+struct Table {
+    name: &'static str,
+    /// The CSV file, below `docs/results` and without its ending.
+    file: &'static str,
+    /// The part of the table that a run belongs to, `None` where it is not shown.
+    part: fn(&Run) -> Option<String>,
+    write: fn(&[Part]) -> Result<String>,
+}
+
+const TABLES: [Table; 6] = [
+    Table { name: "results", file: "real-size", part: |run| Some(run.size()), write: scenes },
+    Table { name: "real-size", file: "real-size", part: |run| Some(run.size()), write: arms },
+    Table { name: "renew", file: "earlier", part: |run| run.of("renew", Run::size), write: arms },
+    Table {
+        name: "renew-limited",
+        file: "earlier",
+        part: |run| run.of("renew-limited", Run::trainer),
+        write: arms,
+    },
+    Table {
+        name: "renew-unsqueezed",
+        file: "earlier",
+        part: |run| run.of("renew-unsqueezed", Run::size),
+        write: arms,
+    },
+    Table { name: "paper", file: "earlier", part: |run| run.of("paper", Run::trainer), write: arms },
+];
+
+/// One line of a CSV file: a training run, and its figures on photos that it did not see.
+#[derive(Clone)]
+struct Run(HashMap<String, String>);
+
+impl Run {
+    /// Empty where the file has no such column.
+    fn text(&self, column: &str) -> &str {
+        self.0.get(column).map_or("", String::as_str)
+    }
+
+    fn number(&self, column: &str) -> Option<f64> {
+        self.text(column).parse().ok()
+    }
+
+    fn seconds(&self) -> Option<f64> {
+        Some(self.number("gradient_seconds")? + self.number("evolution_seconds")?)
+    }
+
+    fn is(&self, arm: &str) -> bool {
+        self.text("arm") == arm
+    }
+
+    fn is_paired_with(&self, other: &Self) -> bool {
+        PAIRED.iter().all(|column| self.text(column) == other.text(column))
+    }
+
+    fn size(&self) -> String {
+        let iterations = self.number("iterations").unwrap_or(f64::NAN);
+        format!("{}, {} px, {} iterations", self.text("scene"), self.text("max_side"), thousands(iterations))
+    }
+
+    fn trainer(&self) -> String {
+        let limit = match self.number("max_gaussians") {
+            Some(limit) => format!("at most {} Gaussians", thousands(limit)),
+            None => "no limit".to_owned(),
+        };
+        format!("{}, {limit}", self.text("variant"))
+    }
+
+    /// What `part` says, if the run is of this study.
+    fn of(&self, study: &str, part: fn(&Self) -> String) -> Option<String> {
+        (self.text("study") == study).then(|| part(self))
+    }
+}
+
+/// Runs that stand together in a table, of all arms.
+struct Part {
+    label: String,
+    runs: Vec<Run>,
+}
+
+impl Part {
+    /// In the order of the file.
+    fn arms(&self) -> Vec<&str> {
+        let mut arms: Vec<&str> = Vec::new();
+        for run in &self.runs {
+            if !arms.contains(&run.text("arm")) {
+                arms.push(run.text("arm"));
+            }
+        }
+        arms
+    }
+
+    fn runs_of(&self, arm: &str) -> Vec<&Run> {
+        self.runs.iter().filter(|run| run.is(arm)).collect()
+    }
+
+    /// Runs of the baseline and of `arm`, seed by seed.
+    fn pairs(&self, arm: &str) -> Result<Vec<(&Run, &Run)>> {
+        let mut pairs = Vec::new();
+        for run in self.runs_of(arm) {
+            let mut twins = self.runs.iter().filter(|other| other.is(BASELINE) && other.is_paired_with(run));
+            match (twins.next(), twins.next()) {
+                (Some(plain), None) => pairs.push((plain, run)),
+                (None, _) => {
+                    bail!("{}: {arm} with seed {} has no run `{BASELINE}`", self.label, run.text("seed"))
+                }
+                (Some(_), Some(_)) => bail!("{}: seed {} is there twice", self.label, run.text("seed")),
+            }
+        }
+        Ok(pairs)
+    }
+}
+
+/// README.md and the pages below docs.
+pub(crate) fn documents(root: &Path) -> Result<Vec<PathBuf>> {
+    let mut paths = vec![root.join("README.md")];
+    for entry in fs::read_dir(root.join("docs"))? {
+        paths
+            .extend(Some(entry?.path()).filter(|path| path.extension().is_some_and(|ending| ending == "md")));
+    }
+    paths.sort();
+    Ok(paths)
+}
+
+/// The document with all of its tables made anew from the CSV files in `results`.
+pub(crate) fn update(text: &str, results: &Path) -> Result<String> {
+    const START: &str = "<!-- table: ";
+    let (mut done, mut rest) = (String::new(), text);
+    while let Some((before, after)) = rest.split_once(START) {
+        let (name, after) = after.split_once(" -->").context("a marker of a table has no end")?;
+        let (_, after) = after.split_once(END).with_context(|| format!("table {name} has no {END}"))?;
+        done += &format!("{before}{START}{name} -->\n{}\n{END}", table(name, results)?);
+        rest = after;
+    }
+    Ok(done + rest)
+}
+
+fn table(name: &str, results: &Path) -> Result<String> {
+    let table =
+        TABLES.iter().find(|table| table.name == name).ok_or_else(|| anyhow!("no table is called {name}"))?;
+    let path = results.join(table.file).with_extension("csv");
+    let text = fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))?;
+    let mut parts: Vec<Part> = Vec::new();
+    for run in runs(&text).with_context(|| path.display().to_string())? {
+        let Some(label) = (table.part)(&run) else { continue };
+        match parts.iter_mut().find(|part| part.label == label) {
+            Some(part) => part.runs.push(run),
+            None => parts.push(Part { label, runs: vec![run] }),
+        }
+    }
+    if parts.is_empty() { Ok("*No committed run yet.*".to_owned()) } else { (table.write)(&parts) }
+}
+
+/// Runs of a CSV file with a header. No value but the last of a line has commas.
+fn runs(csv: &str) -> Result<Vec<Run>> {
+    let mut lines = csv.lines();
+    let columns: Vec<&str> = lines.next().unwrap_or_default().split(',').collect();
+    let mut runs = Vec::new();
+    for line in lines {
+        let values: Vec<&str> = line.splitn(columns.len(), ',').collect();
+        ensure!(values.len() == columns.len(), "`{line}` has {} of {} values", values.len(), columns.len());
+        runs.push(Run(columns
+            .iter()
+            .zip(values)
+            .map(|(&column, value)| (column.into(), value.into()))
+            .collect()));
+    }
+    Ok(runs)
+}
+
+/// One line a scene: without evolution and with it.
+fn scenes(parts: &[Part]) -> Result<String> {
+    let head = ["scene", "pairs", "plain: PSNR, dB", "evolved", "difference", "Gaussians", "seconds"];
+    let mut lines = Vec::new();
+    for part in parts {
+        let pairs = part.pairs(EVOLVED)?;
+        if pairs.is_empty() {
+            continue;
+        }
+        let (plain, evolved): (Vec<&Run>, Vec<&Run>) = pairs.iter().copied().unzip();
+        let [before, after] = [&plain, &evolved].map(|runs| Figures::of(runs, |run| run.number("psnr")));
+        let beside = |value: fn(&Run) -> Option<f64>| {
+            [&plain, &evolved].map(|runs| Figures::of(runs, |run| value(run)).mean(thousands)).join(" → ")
+        };
+        let difference = difference(&pairs, "psnr");
+        lines.push([
+            part.label.clone(),
+            pairs.len().to_string(),
+            before.mean(|mean| format!("{mean:.2}")) + &before.plus_minus(),
+            after.mean(|mean| format!("{mean:.2}")) + &after.plus_minus(),
+            format!("**{}{}**", difference.mean(|mean| format!("{mean:+.2}")), difference.plus_minus()),
+            beside(|run| run.number("gaussians")),
+            beside(Run::seconds),
+        ]);
+    }
+    Ok(markdown(head, lines))
+}
+
+/// One line an arm: values of the baseline, and of the others their differences from it.
+fn arms(parts: &[Part]) -> Result<String> {
+    let head =
+        ["", "arm", "pairs", "better", "PSNR, dB", "SSIM", "LPIPS", "train PSNR", "Gaussians", "seconds"];
+    let mut lines = Vec::new();
+    for part in parts {
+        for (nth, arm) in part.arms().into_iter().enumerate() {
+            let (runs, pairs, is_baseline) = (part.runs_of(arm), part.pairs(arm)?, arm == BASELINE);
+            let figures = |column: &str| {
+                if is_baseline {
+                    Figures::of(&runs, |run| run.number(column))
+                } else {
+                    difference(&pairs, column)
+                }
+            };
+            let mean = |column: &str, digits: usize| {
+                figures(column).mean(|mean| {
+                    if is_baseline { format!("{mean:.digits$}") } else { format!("{mean:+.digits$}") }
+                })
+            };
+            let better = figures("psnr").0.iter().filter(|difference| **difference > 0.0).count();
+            lines.push([
+                if nth == 0 { part.label.clone() } else { String::new() },
+                arm.to_owned(),
+                pairs.len().to_string(),
+                if is_baseline { String::new() } else { better.to_string() },
+                mean("psnr", 2) + &figures("psnr").plus_minus(),
+                mean("ssim", 4),
+                mean("lpips", 4),
+                mean("train_psnr", 2),
+                Figures::of(&runs, |run| run.number("gaussians")).mean(thousands),
+                Figures::of(&runs, |run| run.seconds()).mean(thousands),
+            ]);
+        }
+    }
+    Ok(markdown(head, lines))
+}
+
+fn difference(pairs: &[(&Run, &Run)], column: &str) -> Figures {
+    Figures::of(pairs, |(plain, run)| Some(run.number(column)? - plain.number(column)?))
+}
+
+/// One figure of several runs, without those that did not measure it.
+struct Figures(Vec<f64>);
+
+impl Figures {
+    fn of<T>(runs: &[T], value: impl Fn(&T) -> Option<f64>) -> Self {
+        Self(runs.iter().filter_map(value).collect())
+    }
+
+    /// Empty where nothing was measured.
+    fn mean(&self, write: impl Fn(f64) -> String) -> String {
+        if self.0.is_empty() {
+            String::new()
+        } else {
+            write(self.0.iter().sum::<f64>() / self.0.len() as f64)
+        }
+    }
+
+    /// Their standard deviation (n − 1), empty for less than two.
+    fn plus_minus(&self) -> String {
+        let Some(degrees) = self.0.len().checked_sub(1).filter(|&degrees| degrees > 0) else {
+            return String::new();
+        };
+        let mean = self.0.iter().sum::<f64>() / self.0.len() as f64;
+        let squares: f64 = self.0.iter().map(|value| (value - mean).powi(2)).sum();
+        format!(" ± {:.2}", (squares / degrees as f64).sqrt())
+    }
+}
+
+/// 1234567.0 as 1,234,567.
+fn thousands(value: f64) -> String {
+    let digits = format!("{value:.0}");
+    let mut grouped = String::new();
+    for (nth, digit) in digits.chars().enumerate() {
+        if nth > 0 && (digits.len() - nth).is_multiple_of(3) {
+            grouped.push(',');
+        }
+        grouped.push(digit);
+    }
+    grouped
+}
+
+/// Columns that are empty in every line are left out.
+fn markdown<const COLUMNS: usize>(head: [&str; COLUMNS], lines: Vec<[String; COLUMNS]>) -> String {
+    let shown: Vec<usize> =
+        (0..COLUMNS).filter(|&column| lines.iter().any(|line| !line[column].is_empty())).collect();
+    let row = |cell: &dyn Fn(usize) -> String| {
+        let cells: Vec<String> = shown.iter().map(|&column| cell(column)).collect();
+        format!("| {} |", cells.join(" | "))
+    };
+    let mut rows = vec![row(&|column| head[column].to_owned()), row(&|_| "---".to_owned())];
+    rows.extend(lines.iter().map(|line| row(&|column| line[column].clone())));
+    rows.join("\n")
+}

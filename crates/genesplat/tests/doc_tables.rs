@@ -1,0 +1,86 @@
+//! The tables of the documents are what the committed runs say.
+
+use std::fs;
+use std::path::Path;
+
+#[path = "../examples/doc_tables/tables.rs"]
+mod tables;
+
+fn root() -> &'static Path {
+    Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../.."))
+}
+
+/// A document with one table, brought up to date from a CSV file with this text.
+fn updated(document: &str, csv: &str) -> anyhow::Result<String> {
+    let folder = tempfile::tempdir()?;
+    fs::write(folder.path().join("real-size.csv"), csv)?;
+    tables::update(document, folder.path())
+}
+
+const DOCUMENT: &str = "before\n<!-- table: results -->\nold\n<!-- /table -->\nafter\n";
+const CSV: &str =
+    "scene,max_side,iterations,seed,arm,psnr,gaussians,gradient_seconds,evolution_seconds,command
+fox,480,7000,0,off,30.0,1234567,100,0,genesplat train fox
+fox,480,7000,1,off,31.0,1234569,110,0,genesplat train fox
+fox,480,7000,0,renew,30.5,900,100,20,genesplat train fox, twice
+fox,480,7000,1,renew,31.1,902,100,20,genesplat train fox
+";
+
+#[test]
+fn documents_agree_with_the_results() {
+    let mut with_tables = 0;
+    for path in tables::documents(root()).unwrap() {
+        let text = fs::read_to_string(&path).unwrap();
+        let expected = tables::update(&text, &root().join("docs/results")).unwrap();
+        assert!(
+            text == expected,
+            "{} disagrees with docs/results: cargo run --release --example doc_tables",
+            path.display()
+        );
+        with_tables += usize::from(text.contains("<!-- table: "));
+    }
+    assert!(with_tables >= 2, "README.md and docs/evolution.md have tables");
+}
+
+#[test]
+fn a_figure_changed_by_hand_is_found() {
+    let text = fs::read_to_string(root().join("docs/evolution.md")).unwrap();
+    let planted = text.replacen(" ± 0.", " ± 1.", 1);
+    assert_ne!(planted, text);
+    assert_eq!(tables::update(&planted, &root().join("docs/results")).unwrap(), text);
+}
+
+#[test]
+fn figures_are_means_over_pairs() {
+    let expected = "before\n<!-- table: results -->
+| scene | pairs | plain: PSNR, dB | evolved | difference | Gaussians | seconds |
+| --- | --- | --- | --- | --- | --- | --- |
+| fox, 480 px, 7,000 iterations | 2 | 30.50 ± 0.71 | 30.80 ± 0.42 | **+0.30 ± 0.28** | 1,234,568 → 901 | 105 → 120 |
+<!-- /table -->\nafter\n";
+    assert_eq!(updated(DOCUMENT, CSV).unwrap(), expected);
+    assert_eq!(updated(expected, CSV).unwrap(), expected, "a second time changes nothing");
+}
+
+#[test]
+fn a_table_without_runs_says_so() {
+    let header = CSV.lines().next().unwrap();
+    assert!(updated(DOCUMENT, header).unwrap().contains("No committed run yet"));
+}
+
+#[test]
+fn what_cannot_be_shown_is_an_error() {
+    let unpaired = CSV.replace("fox,480,7000,1,off", "fox,480,7000,2,off");
+    let twice = CSV.replace("fox,480,7000,1,off", "fox,480,7000,0,off");
+    let torn = format!("{CSV}fox,480\n");
+    for (csv, problem) in [(&unpaired, "no run `off`"), (&twice, "twice"), (&torn, "2 of 10 values")] {
+        let error = format!("{:#}", updated(DOCUMENT, csv).unwrap_err());
+        assert!(error.contains(problem), "{error}");
+    }
+    for (document, problem) in [
+        ("<!-- table: wishes -->\n<!-- /table -->", "wishes"),
+        ("<!-- table: results -->\n", "has no <!-- /table -->"),
+    ] {
+        let error = format!("{:#}", updated(document, CSV).unwrap_err());
+        assert!(error.contains(problem), "{error}");
+    }
+}
