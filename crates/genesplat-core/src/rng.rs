@@ -26,8 +26,8 @@ pub enum Stream {
     Tournament = 8,
     /// Crossover points and coin flips: (generation, pair, position).
     Crossover = 9,
-    /// Exploration noise of MCMC: (optimiser step, row, 0).
-    ExplorationNoise = 10,
+    /// SGLD noise of MCMC: (optimiser step, row, 0).
+    SgldNoise = 10,
     /// Draws of MCMC's density control: (iteration, draw, 0 for relocation or 1 for growth).
     Relocation = 11,
     /// The bundled scene: (purpose, index, draw).

@@ -158,7 +158,7 @@ pub fn step(number: u32, settings: RenderSettings) -> TrainStep {
     TrainStep {
         view: 0,
         settings,
-        update: Some(Update { rates, step: number, opacity_step: number, exploration: None }),
+        update: Some(Update { rates, step: number, opacity_step: number, mcmc: None }),
         statistics: StatisticsRequest { density: Some(DensitySignal::Signed), genes: true },
     }
 }

@@ -7,8 +7,8 @@
 //! | `rasterise` | blends splats front to back; the same backwards |
 //! | `loss` | L1 + SSIM and its gradient |
 //! | `adam` | the optimiser step |
-//! | `explore` | MCMC's noise and regularisers, within the optimiser step |
-//! | `weigh`, `credit` | the backward blending, summing what Gaussians are worth, and what mutants owe to them |
+//! | `noise` | MCMC's regularisers and SGLD noise, before and after the optimiser step |
+//! | `contribution` | the backward blending once more, summing blending weights and the errors they are part of |
 //! | `score` | Eq. 5 of a whole population, forward only |
 //!
 //! [`mod@reference`] is the oracle: f64, scalar, no tiles, so neither `bin` nor `score`. [`mod@cpu`] is the fast twin: f32, rayon, SIMD picked at run time.

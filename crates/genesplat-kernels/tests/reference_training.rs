@@ -2,7 +2,7 @@
 
 mod reference_support;
 
-use genesplat_core::backend::Exploration;
+use genesplat_core::backend::McmcStep;
 use genesplat_core::{
     Camera, DensitySignal, LearningRates, Photo, RenderSettings, Rng, StatisticsRequest, Stream, Update,
 };
@@ -169,7 +169,7 @@ const RATES: LearningRates =
     LearningRates { position: 0.1, sh_dc: 0.2, sh_rest: 0.3, opacity: 0.4, scale: 0.5, rotation: 0.6 };
 
 fn update(step: u32, opacity_step: u32) -> Update {
-    Update { rates: RATES, step, opacity_step, exploration: None }
+    Update { rates: RATES, step, opacity_step, mcmc: None }
 }
 
 /// A first step has m̂ = g and v̂ = g²: every parameter moves by its own rate against its gradient, however small.
@@ -179,7 +179,7 @@ fn the_first_step_is_the_learning_rate() {
     let mut gradient = Cloud64::zeros(2);
     groups(&mut gradient).into_iter().for_each(|(_, values)| values.fill(-1e-9));
     gradient.positions[1] = [2.0, 0.0, -3.0];
-    adam(&mut cloud, &mut Moments64::zeros(2), &gradient, &update(1, 1), &Rng::new(0));
+    adam(&mut cloud, &mut Moments64::zeros(2), &gradient, &update(1, 1));
     // ε = 1e-15 is a millionth of the gradient; the rates are f32.
     let close = |actual: f64, expected: f64| (actual - expected).abs() < 2e-6;
     assert!((0..3).all(|axis| close(cloud.positions[0][axis], 0.1)));
@@ -201,9 +201,9 @@ fn a_row_without_gradient_keeps_moving() {
     let (mut cloud, mut moments) = (Cloud64::zeros(1), Moments64::zeros(1));
     let mut gradient = Cloud64::zeros(1);
     gradient.opacity_logits[0] = 1.0;
-    adam(&mut cloud, &mut moments, &gradient, &update(1, 1), &Rng::new(0));
+    adam(&mut cloud, &mut moments, &gradient, &update(1, 1));
     let after_first = cloud.opacity_logits[0];
-    adam(&mut cloud, &mut moments, &Cloud64::zeros(1), &update(2, 2), &Rng::new(0));
+    adam(&mut cloud, &mut moments, &Cloud64::zeros(1), &update(2, 2));
     let first: f64 = 0.09 / (1.0 - 0.81);
     let second: f64 = 0.000_999 / (1.0 - 0.998_001);
     let expected = -0.4 * first / second.sqrt();
@@ -218,31 +218,32 @@ fn the_opacity_group_can_sit_a_step_out() {
     let mut gradient = Cloud64::zeros(1);
     gradient.opacity_logits[0] = 1.0;
     gradient.log_scales[0] = [1.0; 3];
-    adam(&mut cloud, &mut moments, &gradient, &update(5, 0), &Rng::new(0));
+    adam(&mut cloud, &mut moments, &gradient, &update(5, 0));
     assert_eq!((cloud.opacity_logits[0], moments.first.opacity_logits[0]), (0.0, 0.0));
     assert!(cloud.log_scales[0][0] < 0.0);
 }
 
 /// MCMC on a cloud whose gradients are zero: the regularisers alone drive Adam, and the noise moves faint rows only.
 #[test]
-fn exploration_regularises_and_jiggles() {
+fn mcmc_regularises_and_moves_means_at_random() {
     let mut cloud = Cloud64::default();
     push(&mut cloud, [0.0; 3], 0.5, 0.001, [0.5; 3]);
     push(&mut cloud, [0.0; 3], 0.5, 0.9, [0.5; 3]);
     let before = cloud.clone();
     let mut moments = Moments64::zeros(2);
-    let exploration = Exploration { noise: 0.1, opacity_weight: 0.01, scale_weight: 0.02, counter: 7 };
+    let mcmc =
+        McmcStep { noise_scale: 0.1, opacity_weight: 0.01, scale_weight: 0.02, rng: Rng::new(3), counter: 7 };
     let update = Update {
         rates: LearningRates { scale: 0.0, opacity: 0.0, ..RATES },
-        exploration: Some(exploration),
+        mcmc: Some(mcmc),
         ..update(1, 1)
     };
-    adam(&mut cloud, &mut moments, &Cloud64::zeros(2), &update, &Rng::new(3));
+    adam(&mut cloud, &mut moments, &Cloud64::zeros(2), &update);
     // First moments are a tenth of the gradient.
     assert!((moments.first.opacity_logits[1] - 0.1 * 0.01 / 2.0 * 0.9 * 0.1).abs() < 1e-9);
     assert!((moments.first.log_scales[0][1] - 0.1 * 0.02 / 6.0 * 0.5).abs() < 1e-9);
     assert_eq!(cloud.log_scales, before.log_scales);
-    let draw = Rng::new(3).at(Stream::ExplorationNoise, 7, 0, 0);
+    let draw = Rng::new(3).at(Stream::SgldNoise, 7, 0, 0);
     let xi = [draw.normals(0)[0], draw.normals(0)[1], draw.normals(1)[0]].map(f64::from);
     let faintness = 1.0 / (1.0 + (100.0f64 * (0.001 - 0.005)).exp());
     for axis in 0..3 {
@@ -280,8 +281,8 @@ fn training_lowers_the_loss() {
         let (value, by_image) = loss(&rendered.frame.image, &photo);
         losses.push(value);
         let gradients = backward(&cloud, &camera, &settings, Cutoff::Hard, &rendered, &by_image);
-        let update = Update { rates, step, opacity_step: step, exploration: None };
-        adam(&mut cloud, &mut moments, &gradients.cloud, &update, &Rng::new(0));
+        let update = Update { rates, step, opacity_step: step, mcmc: None };
+        adam(&mut cloud, &mut moments, &gradients.cloud, &update);
     }
     assert!(losses[99] < 0.2 * losses[0], "{} -> {}", losses[0], losses[99]);
 }

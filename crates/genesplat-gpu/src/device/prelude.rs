@@ -121,7 +121,7 @@ fn integer_constants() -> Vec<(&'static str, u32)> {
         ("TILE_PIXELS", TILE * TILE),
         ("SSIM_RADIUS", SSIM_RADIUS as u32),
         ("STREAM_SPLIT_OFFSET", Stream::SplitOffset as u32),
-        ("STREAM_SGLD_NOISE", Stream::ExplorationNoise as u32),
+        ("STREAM_SGLD_NOISE", Stream::SgldNoise as u32),
     ];
     shared.into_iter().chain(own).collect()
 }

@@ -6,9 +6,9 @@
 mod adam;
 mod bin;
 mod colour;
-mod credit;
-mod explore;
+mod contribution;
 mod loss;
+mod noise;
 mod order;
 mod project;
 mod project_backward;
@@ -18,9 +18,9 @@ mod roofline;
 mod score;
 mod simd;
 mod update;
-mod weigh;
 
 mod backend;
+mod evolution_backend;
 mod frame;
 
 pub use backend::CpuBackend;
@@ -28,7 +28,7 @@ pub use frame::{Frame, StageSeconds};
 pub use loss::Target;
 pub use project::Pinhole;
 pub use rasterise_backward::Extra;
-pub use roofline::roofline_nanoseconds_per_tile_splat;
+pub use roofline::roofline_nanoseconds_per_intersection;
 
 /// Memory that a vector has, used or not.
 fn bytes_of<T>(values: &Vec<T>) -> usize {

@@ -17,7 +17,7 @@ const REPEATS: usize = 50;
 
 /// Nanoseconds per (Gaussian x 16x16 tile) on one core: the fastest of several repeats, since all that can happen to a
 /// repeat is to be interrupted.
-pub fn roofline_nanoseconds_per_tile_splat() -> f64 {
+pub fn roofline_nanoseconds_per_intersection() -> f64 {
     let splats: Vec<Splat> = (0..GAUSSIANS).map(faint_splat).collect();
     let level = Level::new();
     let fastest = (0..REPEATS)

@@ -5,13 +5,13 @@
 //! | image | 2e-4 absolute | f32 rounding; a pixel exactly at alpha = 1/255 may flip, worth up to 1/255 of one splat: 0.1 % of the values may be off by 8e-3 |
 //! | loss | 1e-5 relative | f32 blur, f64 sums |
 //! | gradients | 1e-4 relative L2, cosine 0.99999 | f32 rounding over the splats of a pixel; seen: 1e-5 |
-//! | Adam, MCMC's exploration | 1e-5 relative, absolute below 1 | f32 rounding over ten steps |
+//! | Adam, MCMC's regularisers and noise | 1e-5 relative, absolute below 1 | f32 rounding over ten steps |
 
 use fearless_simd::Level;
-use genesplat_core::backend::Exploration;
+use genesplat_core::backend::McmcStep;
 use genesplat_core::{
-    Backend, Blend, DensitySignal, Gaussians, Image, Photo, RenderSettings, Rng, RowEdit, ScreenFilter,
-    SparseDelta, StatisticsRequest, TrainStep,
+    Backend, Blend, DensitySignal, DeviceState, EvolutionBackend, Gaussians, Image, Photo, RenderSettings,
+    Rng, RowEdit, ScreenFilter, SparseDelta, StatisticsRequest, TrainStep,
 };
 
 use super::project::Pinhole;
@@ -69,8 +69,8 @@ fn images_match_the_reference() {
     for filter in filters() {
         for degree in 0..=3 {
             let settings = settings(degree, filter);
-            let mut backend = CpuBackend::new(0);
-            backend.upload(cloud.clone(), None).unwrap();
+            let mut backend = CpuBackend::new();
+            backend.upload(cloud.clone().into()).unwrap();
             let image = backend.render(&camera(), &settings).unwrap();
             let expected =
                 reference::render(&Cloud64::from(&cloud), &camera(), &settings, Cutoff::Hard).frame.image;
@@ -168,49 +168,20 @@ fn loss_and_image_gradient_match_the_reference() {
 }
 
 #[test]
-fn merits_match_the_reference() {
+fn contributions_match_the_reference() {
     for filter in filters() {
         let (cloud, settings) = (filtered_cloud(400, filter), settings(3, filter));
-        let mut backend = CpuBackend::new(0);
+        let mut backend = CpuBackend::new();
         backend.set_views(&[view(), small_view()]).unwrap();
-        backend.upload(cloud.clone(), None).unwrap();
-        let merits = backend.weigh(&[0, 1], &settings).unwrap();
-        let of_view = |view| reference::weigh(&Cloud64::from(&cloud), view, &settings, Cutoff::Hard);
+        backend.upload(cloud.clone().into()).unwrap();
+        let contributions = backend.contributions(&[0, 1], &settings).unwrap();
+        let of_view = |view| reference::contribution(&Cloud64::from(&cloud), view, &settings, Cutoff::Hard);
         let (first, second) = (of_view(&view()), of_view(&small_view()));
         let weights = first.iter().zip(&second).map(|(a, b)| a[0] + b[0]);
         let errors = first.iter().zip(&second).map(|(a, b)| a[1].max(b[1]));
-        compare("weights", merits.iter().map(|merit| f64::from(merit.weight)), weights).unwrap();
-        compare("errors", merits.iter().map(|merit| f64::from(merit.error)), errors).unwrap();
-        assert!(merits.iter().any(|merit| merit.weight == 0.0), "some Gaussians are not seen");
-    }
-}
-
-/// Four mutants, so that one is credited by a backward pass of its own.
-#[test]
-fn credits_match_the_reference() {
-    for filter in filters() {
-        let (cloud, settings) = (filtered_cloud(400, filter), settings(3, filter));
-        let mutants: Vec<SparseDelta> = (0..4).map(|index| individual_of(&cloud, index)).collect();
-        let mut backend = CpuBackend::new(0);
-        backend.set_views(&[view(), small_view()]).unwrap();
-        backend.upload(cloud.clone(), None).unwrap();
-        let credits = backend.credit(&mutants, &[0, 1], &settings).unwrap();
-        assert_eq!(*backend.download().unwrap(), cloud, "the cloud stays");
-        for (mutant, actual) in mutants.iter().zip(&credits.changes) {
-            let mut child = cloud.clone();
-            child.apply(mutant);
-            let clouds = [&Cloud64::from(&cloud), &Cloud64::from(&child)];
-            let [first, second] =
-                [view(), small_view()].map(|view| reference::credit(clouds, &view, &settings, Cutoff::Hard));
-            let expected = first.iter().zip(&second).map(|(a, b)| a + b);
-            compare("credits", actual.iter().map(|&credit| f64::from(credit)), expected).unwrap();
-        }
-        let weighed = [0, 1].map(|view| backend.weigh(&[view], &settings).unwrap());
-        for (row, &views) in credits.views.iter().enumerate() {
-            let seen = weighed.iter().filter(|merits| merits[row].weight > 0.0).count();
-            assert!((seen..=2).contains(&(views as usize)), "row {row}: {views} views, {seen} with pixels");
-        }
-        assert!(credits.views.contains(&0), "some Gaussians are not seen");
+        compare("weights", contributions.iter().map(|of_row| f64::from(of_row.weight)), weights).unwrap();
+        compare("errors", contributions.iter().map(|of_row| f64::from(of_row.error)), errors).unwrap();
+        assert!(contributions.iter().any(|of_row| of_row.weight == 0.0), "some Gaussians are not seen");
     }
 }
 
@@ -329,9 +300,9 @@ fn statistics(
 }
 
 fn backend_with(cloud: &Gaussians) -> CpuBackend {
-    let mut backend = CpuBackend::new(5);
+    let mut backend = CpuBackend::new();
     backend.set_views(&[view()]).unwrap();
-    backend.upload(cloud.clone(), None).unwrap();
+    backend.upload(cloud.clone().into()).unwrap();
     backend
 }
 
@@ -346,13 +317,16 @@ fn adam_matches_the_reference() {
 
 /// Regularisers and noise of MCMC; a third of the cloud is faint enough to be moved.
 #[test]
-fn explore_matches_the_reference() {
-    let exploration = Exploration { noise: 0.3, opacity_weight: 0.01, scale_weight: 0.02, counter: 0 };
-    ten_steps_match_the_reference(Some(exploration));
+fn noise_matches_the_reference() {
+    ten_steps_match_the_reference(Some(mcmc_step(0)));
+}
+
+fn mcmc_step(counter: u32) -> McmcStep {
+    McmcStep { noise_scale: 0.3, opacity_weight: 0.01, scale_weight: 0.02, rng: Rng::new(5), counter }
 }
 
 /// Ten steps from the same gradients as the reference's.
-fn ten_steps_match_the_reference(exploration: Option<Exploration>) {
+fn ten_steps_match_the_reference(mcmc: Option<McmcStep>) {
     let (mut start, settings) = (cloud(300), settings(2, ScreenFilter::Classic));
     start.opacity_logits.iter_mut().step_by(3).for_each(|logit| *logit -= 6.0);
     let mut backend = backend_with(&start);
@@ -361,7 +335,7 @@ fn ten_steps_match_the_reference(exploration: Option<Exploration>) {
     for number in 1..=10 {
         let mut step = classic_step(number);
         let update = step.update.as_mut().unwrap();
-        update.exploration = exploration.map(|exploration| Exploration { counter: number, ..exploration });
+        update.mcmc = mcmc.map(|mcmc| McmcStep { counter: number, ..mcmc });
         // Gradients of the f32 state, so that only the optimiser is compared.
         let now = backend.download().unwrap().into_owned();
         let (frame, camera) = frame_of(&now, &settings, Extra::None);
@@ -369,7 +343,7 @@ fn ten_steps_match_the_reference(exploration: Option<Exploration>) {
         let inputs = Inputs { splats, bins, rows, camera: &camera, settings: &settings };
         let (gradient, _) = gradients(Level::new(), &inputs, &now, None);
         let gradient = Cloud64::from(&gradient);
-        reference::adam(&mut expected, &mut moments, &gradient, &step.update.unwrap(), &Rng::new(5));
+        reference::adam(&mut expected, &mut moments, &gradient, &step.update.unwrap());
         backend.train_step(&step).unwrap();
     }
     let actual = backend.download().unwrap();
@@ -410,11 +384,11 @@ fn moments_without_a_gradient_end_at_zero() {
             .all(|v| v == 0.0)
             && m.opacity_logits.iter().all(|&v| v == 0.0)
     };
-    assert!(!is_zero(&backend.download_moments().unwrap().first));
+    assert!(!is_zero(&backend.state().unwrap().moments.first));
     for number in 2..1000 {
         backend.train_step(&TrainStep { view: 1, ..classic_step(number) }).unwrap();
     }
-    assert!(is_zero(&backend.download_moments().unwrap().first));
+    assert!(is_zero(&backend.state().unwrap().moments.first));
 }
 
 #[test]
@@ -427,12 +401,7 @@ fn results_do_not_depend_on_the_number_of_threads() {
             backend.set_views(&[tall_view()]).unwrap();
             for number in 1..=5 {
                 let mut step = classic_step(number);
-                step.update.as_mut().unwrap().exploration = (number % 2 == 0).then_some(Exploration {
-                    noise: 0.3,
-                    opacity_weight: 0.01,
-                    scale_weight: 0.02,
-                    counter: number,
-                });
+                step.update.as_mut().unwrap().mcmc = (number % 2 == 0).then(|| mcmc_step(number));
                 backend.train_step(&step).unwrap();
             }
             let mut edit = RowEdit::keep((0..650).collect());
@@ -449,7 +418,7 @@ fn results_do_not_depend_on_the_number_of_threads() {
 
 /// More views than some have threads, and more rows than a task looks through.
 #[test]
-fn judgements_do_not_depend_on_the_number_of_threads() {
+fn what_evolution_asks_does_not_depend_on_the_number_of_threads() {
     let base = cloud(5000);
     let population: Vec<SparseDelta> = (0..4).map(|index| individual_of(&base, index)).collect();
     let run = |threads: usize| {
@@ -457,14 +426,13 @@ fn judgements_do_not_depend_on_the_number_of_threads() {
         pool.install(|| {
             let mut backend = backend_with(&base);
             backend.set_views(&[view(), tall_view(), small_view()]).unwrap();
-            backend.remember(0).unwrap();
+            backend.average(0).unwrap();
             backend.train_step(&classic_step(1)).unwrap();
             let (views, settings) = ([0, 1, 2], classic_step(1).settings);
             let scores = backend.score(&population, &views, &settings).unwrap();
-            let credits = backend.credit(&population, &views, &settings).unwrap();
-            let merits = backend.weigh(&views, &settings).unwrap();
-            let blends = [Blend::default(), Blend { weights: [[0.5, 0.0]; 6] }];
-            (scores, credits, merits, backend.judge(&blends, &views, &settings).unwrap())
+            let contributions = backend.contributions(&views, &settings).unwrap();
+            let blends = [Blend::default(), Blend { weights: [0.5, 0.0] }];
+            (scores, contributions, backend.measure(&blends, &views, &settings).unwrap())
         })
     };
     let one = run(1);
@@ -491,7 +459,7 @@ fn far_needles_leave_everything_finite() {
         assert!(image.planes.iter().all(|v| (0.0..10.0).contains(v)), "{filter:?}: the picture");
         backend.train_step(&step(1, settings(0, filter))).unwrap();
         let report = backend.report().unwrap();
-        assert!(report.tile_splats > 100, "{filter:?}: few needles reach the picture");
+        assert!(report.intersections > 100, "{filter:?}: few needles reach the picture");
         assert!(report.loss.is_finite(), "{filter:?}: the loss");
         let stepped = backend.download().unwrap();
         assert!(flat(&stepped.positions).all(f64::is_finite), "{filter:?}: positions");
@@ -530,12 +498,12 @@ fn a_gaussian_with_a_nan_is_none() {
 
 #[test]
 fn an_empty_cloud_and_a_single_pixel_are_rendered() {
-    let mut backend = CpuBackend::new(0);
-    backend.upload(Gaussians::default(), None).unwrap();
+    let mut backend = CpuBackend::new();
+    backend.upload(DeviceState::default()).unwrap();
     let settings = settings(0, ScreenFilter::Classic);
     let image = backend.render(&camera(), &settings).unwrap();
     assert_eq!(image.pixel(3, 4), settings.background);
     let tiny = camera().resized(1, 1);
-    backend.upload(cloud(50), None).unwrap();
+    backend.upload(cloud(50).into()).unwrap();
     assert_eq!(backend.render(&tiny, &settings).unwrap().planes.len(), 3);
 }

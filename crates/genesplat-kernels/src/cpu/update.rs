@@ -7,14 +7,14 @@
 use fearless_simd::{Level, Simd, dispatch, prelude::*};
 use genesplat_core::spherical_harmonics::SH_STRIDE;
 use genesplat_core::{
-    DensitySignal, Gaussians, Genes, Moments, RenderSettings, Rng, Statistics, StatisticsRequest, Update,
+    DensitySignal, Gaussians, Genes, Moments, RenderSettings, Statistics, StatisticsRequest, Update,
 };
 use rayon::prelude::*;
 
 use super::adam::adam;
 use super::bin::Bins;
 use super::colour;
-use super::explore::{explore, regularise};
+use super::noise::{noise, regularise};
 use super::project::{CHUNK, Geometry, Params, Pinhole, Splat, Splats};
 use super::project_backward::{LaneGradients, backward};
 use super::rasterise_backward::{GradientRow, column};
@@ -136,7 +136,7 @@ fn statistics_mut(statistics: &mut Statistics) -> impl Iterator<Item = Statistic
     })
 }
 
-/// Gradients of all parameters, statistics, and the Adam step if there is one; `rng` is read for MCMC's noise only.
+/// Gradients of all parameters, statistics, and the Adam step if there is one.
 pub fn update(
     level: Level,
     inputs: &Inputs,
@@ -145,7 +145,6 @@ pub fn update(
     statistics: &mut Statistics,
     request: StatisticsRequest,
     step: Option<&Update>,
-    rng: &Rng,
 ) {
     let cloud_rows = cloud.len();
     let filter_3d = cloud.filter_3d.take();
@@ -166,14 +165,14 @@ pub fn update(
                 chunk_gradients(simd, inputs, splats, &view, request.density, gradients);
                 add_statistics(&mut chunk.statistics, gradients, inputs.splats.seen(index), request);
                 if let Some(step) = step {
-                    if let Some(exploration) = &step.exploration {
-                        regularise(gradients, &chunk.parameters, exploration, cloud_rows);
+                    if let Some(mcmc) = &step.mcmc {
+                        regularise(gradients, &chunk.parameters, mcmc, cloud_rows);
                     }
                     adam(simd, step, inputs.settings.sh_degree, gradients, &mut chunk);
                 }
             });
-            if let Some(exploration) = step.and_then(|step| step.exploration.as_ref()) {
-                explore(&mut chunk.parameters, index * CHUNK, exploration, rng);
+            if let Some(mcmc) = step.and_then(|step| step.mcmc.as_ref()) {
+                noise(&mut chunk.parameters, index * CHUNK, mcmc);
             }
         },
     );

@@ -1,14 +1,14 @@
 //! The optimiser step: Adam (Kingma and Ba 2015) in torch's form, `p ← p − lr · m̂ / (sqrt(v̂) + ε)`, six groups.
 //!
 //! It is dense: rows without a gradient keep moving on their momentum, as in 3DGS. What 3DGS-MCMC adds to a step is in
-//! [`super::explore`].
+//! [`super::noise`].
 
+use genesplat_core::Update;
 use genesplat_core::constants::{ADAM_BETA1, ADAM_BETA2, ADAM_EPSILON};
 use genesplat_core::spherical_harmonics::SH_STRIDE;
-use genesplat_core::{Rng, Update};
 
 use super::Cloud64;
-use super::explore::{explore, regularised};
+use super::noise::{noise, regularised};
 
 /// Adam's moments; rows match those of the cloud.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -26,18 +26,18 @@ impl Moments64 {
     }
 }
 
-/// One step. `rng` is read only for MCMC's noise.
+/// One step.
 ///
 /// # Panics
 /// When `update.step` is 0: steps are counted from 1.
-pub fn adam(cloud: &mut Cloud64, moments: &mut Moments64, gradient: &Cloud64, update: &Update, rng: &Rng) {
+pub fn adam(cloud: &mut Cloud64, moments: &mut Moments64, gradient: &Cloud64, update: &Update) {
     assert!(update.step > 0, "Adam steps are counted from 1");
-    match &update.exploration {
+    match &update.mcmc {
         None => step_groups(cloud, moments, gradient, update),
-        Some(exploration) => {
-            let gradient = regularised(gradient, cloud, exploration);
+        Some(mcmc) => {
+            let gradient = regularised(gradient, cloud, mcmc);
             step_groups(cloud, moments, &gradient, update);
-            explore(cloud, exploration, rng);
+            noise(cloud, mcmc);
         }
     }
 }

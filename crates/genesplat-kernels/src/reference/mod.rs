@@ -18,8 +18,8 @@ pub mod cloud;
 pub mod colour;
 pub mod covariance;
 pub mod cutoff;
-pub mod explore;
 pub mod loss;
+pub mod noise;
 pub mod project;
 pub mod project_backward;
 pub mod rasterise;
@@ -124,26 +124,26 @@ pub fn gradients(
     (loss, backward(cloud, &view.camera, settings, cutoff, &rendered, &by_image))
 }
 
-/// What each Gaussian is worth to `view`, and the error that it has part in: `[Σ α·T, Σ α·T·|I − P|]`, `[N]`.
-pub fn weigh(cloud: &Cloud64, view: &View, settings: &RenderSettings, cutoff: Cutoff) -> Vec<[f64; 2]> {
-    let rendered = render(cloud, &view.camera, settings, cutoff);
-    let errors = errors(&rendered.frame.image, &view.photo);
-    let ones = vec![1.0; errors.len()];
-    shares(cloud, &view.camera, settings, cutoff, &rendered, [ones, errors])
-}
-
-/// To which Gaussians of `cloud` the changes are owed that `mutant` makes in `view`: `Σ α·T·(|I' − P| − |I − P|)`, `[N]`.
-pub fn credit(
-    [cloud, mutant]: [&Cloud64; 2],
+/// How much each Gaussian contributes to `view`, and the error where it is seen: `[Σ α·T, Σ α·T·|I − P|]` over its pixels,
+/// `[N]`. The backward blending sums these as the gradient of a Gaussian's colour.
+pub fn contribution(
+    cloud: &Cloud64,
     view: &View,
     settings: &RenderSettings,
     cutoff: Cutoff,
-) -> Vec<f64> {
-    let [base, mutant] = [cloud, mutant].map(|cloud| render(cloud, &view.camera, settings, cutoff));
-    let [was, is] = [&base, &mutant].map(|rendered| errors(&rendered.frame.image, &view.photo));
-    let changes = is.iter().zip(&was).map(|(is, was)| is - was).collect();
-    let credits = shares(cloud, &view.camera, settings, cutoff, &base, [changes, Vec::new()]);
-    credits.into_iter().map(|[credit, _]| credit).collect()
+) -> Vec<[f64; 2]> {
+    let camera = &view.camera;
+    let rendered = render(cloud, camera, settings, cutoff);
+    let errors = errors(&rendered.frame.image, &view.photo);
+    let (ones, zeros) = (vec![1.0; errors.len()], vec![0.0; errors.len()]);
+    let by_image = [ones, errors, zeros].concat();
+    let by_splats =
+        rasterise::backward(&rendered.splats, size(camera), background(settings), cutoff, &by_image);
+    let mut sums = vec![[0.0; 2]; cloud.len()];
+    for (splat, by_splat) in rendered.splats.iter().zip(&by_splats) {
+        sums[splat.row] = [by_splat.colour[0], by_splat.colour[1]];
+    }
+    sums
 }
 
 /// `|I − P|` of each pixel, all channels together `[H, W]`.
@@ -153,27 +153,6 @@ fn errors(image: &[f64], photo: &Photo) -> Vec<f64> {
         (0..3).map(|c| (image[c * plane + pixel] - photo[c * plane + pixel]).abs()).sum()
     };
     (0..plane).map(error).collect()
-}
-
-/// Sums of what pixels hold, times the share `α·T` that a Gaussian has in them, for two values a pixel `[N, 2]`: what the
-/// backward blending sums as the gradient of a Gaussian's colour.
-fn shares(
-    cloud: &Cloud64,
-    camera: &Camera,
-    settings: &RenderSettings,
-    cutoff: Cutoff,
-    rendered: &Rendered,
-    values: [Vec<f64>; 2],
-) -> Vec<[f64; 2]> {
-    let mut by_image = values.concat();
-    by_image.resize(rendered.frame.image.len(), 0.0);
-    let by_splats =
-        rasterise::backward(&rendered.splats, size(camera), background(settings), cutoff, &by_image);
-    let mut sums = vec![[0.0; 2]; cloud.len()];
-    for (splat, by_splat) in rendered.splats.iter().zip(&by_splats) {
-        sums[splat.row] = [by_splat.colour[0], by_splat.colour[1]];
-    }
-    sums
 }
 
 impl Gradients {

@@ -5,7 +5,9 @@ use std::sync::Arc;
 
 use fearless_simd::Level;
 use genesplat_core::backend::MomentPolicy;
-use genesplat_core::{Backend, Camera, Gaussians, Photo, RenderSettings, ScreenFilter, SparseDelta, View};
+use genesplat_core::{
+    Backend, Camera, EvolutionBackend, Gaussians, Photo, RenderSettings, ScreenFilter, SparseDelta, View,
+};
 use glam::DVec3;
 
 use super::super::{CpuBackend, loss};
@@ -29,14 +31,14 @@ fn views_of(sizes: [[u32; 2]; 2]) -> Vec<View> {
 
 /// Scores the population, and compares with the plain way.
 fn check(base: &Gaussians, population: &[SparseDelta], views: &[View], settings: &RenderSettings) {
-    let mut backend = CpuBackend::new(0);
+    let mut backend = CpuBackend::new();
     backend.set_views(views).unwrap();
-    backend.upload(base.clone(), None).unwrap();
+    backend.upload(base.clone().into()).unwrap();
     let numbers: Vec<usize> = (0..views.len()).rev().collect();
     let scores = backend.score(population, &numbers, settings).unwrap();
     for (individual, scores) in population.iter().zip(scores.chunks(views.len())) {
-        let mut changed = CpuBackend::new(0);
-        changed.upload(base.clone(), None).unwrap();
+        let mut changed = CpuBackend::new();
+        changed.upload(base.clone().into()).unwrap();
         changed.apply(individual, MomentPolicy::Keep).unwrap();
         for (&view, &score) in numbers.iter().zip(scores) {
             let image = changed.render(&views[view].camera, settings).unwrap();
@@ -169,9 +171,9 @@ fn memory_grows_with_individuals_views_and_gaussians() {
         let base = cloud_of(gaussians, -2.0);
         let population: Vec<SparseDelta> =
             (0..individuals).map(|individual| individual_of(&base, individual)).collect();
-        let mut backend = CpuBackend::new(0);
+        let mut backend = CpuBackend::new();
         backend.set_views(&views_of([[75, 53], [64, 48]])).unwrap();
-        backend.upload(base, None).unwrap();
+        backend.upload(base.into()).unwrap();
         assert_eq!(backend.scoring_bytes(), 0);
         backend.score(&population, &[0, 1][..views], &settings(1, ScreenFilter::Classic)).unwrap();
         backend.scoring_bytes()

@@ -1,14 +1,14 @@
-//! Stage `explore`: what 3DGS-MCMC adds to an optimiser step (Kheradmand et al. 2024), over a chunk of rows.
+//! Stage `noise`: what 3DGS-MCMC adds to an optimiser step (Kheradmand et al. 2024), over a chunk of rows.
 //!
-//! [`regularise`] runs before `adam`, [`explore`] after it. Noise is a pure function of (seed, step, row), so chunks may
+//! [`regularise`] runs before `adam`, [`noise`] after it (stochastic gradient Langevin dynamics). Noise is a pure function of (seed, step, row), so chunks may
 //! run on any thread. Gaussians so opaque that their noise is below anything that f32 can hold are skipped, which is
 //! most of them: drawing normal numbers would cost more than Adam.
 
-use genesplat_core::backend::Exploration;
+use genesplat_core::Stream;
+use genesplat_core::backend::McmcStep;
 use genesplat_core::constants::{NOISE_OPACITY, NOISE_STEEPNESS};
 use genesplat_core::covariance::{rotation_matrix, world_offset};
 use genesplat_core::gaussians::sigmoid;
-use genesplat_core::{Rng, Stream};
 
 use super::update::{ChunkGradients, RowsMut};
 
@@ -18,14 +18,9 @@ const FAINTNESS_MIN: f32 = 1e-12;
 
 /// Adds the gradients of `opacity_weight · mean(opacity) + scale_weight · mean(scale)`, means over a cloud of
 /// `cloud_rows` Gaussians.
-pub fn regularise(
-    gradients: &mut ChunkGradients,
-    rows: &RowsMut,
-    exploration: &Exploration,
-    cloud_rows: usize,
-) {
-    let opacity_weight = exploration.opacity_weight / cloud_rows as f32;
-    let scale_weight = exploration.scale_weight / (3.0 * cloud_rows as f32);
+pub fn regularise(gradients: &mut ChunkGradients, rows: &RowsMut, mcmc: &McmcStep, cloud_rows: usize) {
+    let opacity_weight = mcmc.opacity_weight / cloud_rows as f32;
+    let scale_weight = mcmc.scale_weight / (3.0 * cloud_rows as f32);
     for (row, gene) in gradients.genes[..rows.positions.len()].iter_mut().enumerate() {
         for axis in 0..3 {
             gene[3 + axis] += scale_weight * rows.log_scales[row][axis].exp();
@@ -36,17 +31,17 @@ pub fn regularise(
     gradients.touch_all(rows.positions.len());
 }
 
-/// Moves each mean by `noise · σ(−100 (opacity − 0.005)) · Σ ξ`, with `ξ` standard normal.
-pub fn explore(rows: &mut RowsMut, first_row: usize, exploration: &Exploration, rng: &Rng) {
+/// Moves each mean by `noise_scale · σ(−100 (opacity − 0.005)) · Σ ξ`, with `ξ` standard normal.
+pub fn noise(rows: &mut RowsMut, first_row: usize, mcmc: &McmcStep) {
     for row in 0..rows.positions.len() {
         let faintness = sigmoid(-NOISE_STEEPNESS * (sigmoid(rows.opacity_logits[row]) - NOISE_OPACITY));
         if faintness > FAINTNESS_MIN {
             let address = (first_row + row) as u32;
-            let draw = rng.at(Stream::ExplorationNoise, exploration.counter, address, 0);
+            let draw = mcmc.rng.at(Stream::SgldNoise, mcmc.counter, address, 0);
             let ([x, y], [z, _]) = (draw.normals(0), draw.normals(1));
             let step = covariance_times(rows.rotations[row], rows.log_scales[row], [x, y, z]);
             for (mean, step) in rows.positions[row].iter_mut().zip(step) {
-                *mean += exploration.noise * faintness * step;
+                *mean += mcmc.noise_scale * faintness * step;
             }
         }
     }

@@ -1,10 +1,10 @@
-//! Stage `weigh`: what each Gaussian is worth to a view, and the error that it has part in.
+//! Stage `contribution`: how much each Gaussian contributes to a view, and the error where it is seen.
 //!
-//! The backward blending already sums `α·T · dL/dpixel` for every splat, channel by channel, as the gradient of its colour.
-//! With a picture of ones for the first channel and one of errors for the second it sums what is asked for here.
+//! The backward blending sums `α·T · dL/dpixel` for every splat and channel, as the gradient of its colour. With ones in the
+//! place of the first channel's gradient and the pixels' errors in that of the second, it sums what is asked for here.
 
 use fearless_simd::Level;
-use genesplat_core::{Gaussians, Image, Merit, RenderSettings};
+use genesplat_core::{Contribution, Gaussians, Image, RenderSettings};
 use rayon::prelude::*;
 
 use super::frame::Frame;
@@ -12,21 +12,21 @@ use super::loss::Target;
 use super::project::{CHUNK, Pinhole};
 use super::rasterise_backward::{self, Backward, Extra, column};
 
-/// Adds one view to `merits`, `[N]`.
-pub fn weigh(
+/// Adds one view to `contributions` `[N]`.
+pub fn contribution(
     level: Level,
     frame: &mut Frame,
     cloud: &Gaussians,
     (camera, target): (&Pinhole, &Target),
     settings: &RenderSettings,
-    merits: &mut [Merit],
+    contributions: &mut [Contribution],
 ) {
     frame.render(level, cloud, camera, settings);
     ones_and_errors(&frame.image, target, &mut frame.gradient);
     let Frame { splats, bins, image, gradient, rows, .. } = frame;
     let inputs = Backward { splats, image, gradient, extra: Extra::None };
     rasterise_backward::backward(level, bins, camera, &inputs, rows);
-    merits.par_chunks_mut(CHUNK).enumerate().for_each(|(chunk, merits)| {
+    contributions.par_chunks_mut(CHUNK).enumerate().for_each(|(chunk, contributions)| {
         let first = chunk * CHUNK;
         for (index, splat) in (first..).zip(splats.chunk(chunk)) {
             let (mut weight, mut error) = (0.0, 0.0);
@@ -34,9 +34,9 @@ pub fn weigh(
                 weight += row[column::RED];
                 error += row[column::RED + 1];
             }
-            let merit = &mut merits[splat.global as usize - first];
-            merit.weight += weight;
-            merit.error = merit.error.max(error);
+            let total = &mut contributions[splat.global as usize - first];
+            total.weight += weight;
+            total.error = total.error.max(error);
         }
     });
 }
@@ -47,11 +47,11 @@ fn ones_and_errors(image: &Image, target: &Target, gradient: &mut Vec<f32>) {
     gradient.clear();
     gradient.resize(plane, 1.0);
     gradient.resize(3 * plane, 0.0);
-    add_errors(image, target, 1.0, &mut gradient[plane..2 * plane]);
+    write_errors(image, target, &mut gradient[plane..2 * plane]);
 }
 
-/// Adds `sign · |I − P|`, all channels together, to `errors` `[H, W]`.
-pub fn add_errors(image: &Image, target: &Target, sign: f32, errors: &mut [f32]) {
+/// `|I − P|` of each pixel, summed over the channels `[H, W]`.
+fn write_errors(image: &Image, target: &Target, errors: &mut [f32]) {
     let plane = errors.len();
     let of_channel = |channel: usize| {
         let (image, photo) = (&image.planes[channel * plane..], &target.planes[channel * plane..]);
@@ -59,6 +59,6 @@ pub fn add_errors(image: &Image, target: &Target, sign: f32, errors: &mut [f32])
     };
     let of_pixels = of_channel(0).zip(of_channel(1)).zip(of_channel(2));
     for (error, ((red, green), blue)) in errors.iter_mut().zip(of_pixels) {
-        *error += sign * (red + green + blue);
+        *error = red + green + blue;
     }
 }

@@ -1,0 +1,95 @@
+//! [`EvolutionBackend`] for the CPU.
+
+use genesplat_core::{
+    BackendError, Blend, Contribution, EvolutionBackend, Image, RenderSettings, SparseDelta, ViewLoss,
+    WindowAverages, backend::MomentPolicy,
+};
+
+use super::backend::{CpuBackend, TrainView};
+use super::contribution::contribution;
+use super::loss::{Target, loss};
+
+impl EvolutionBackend for CpuBackend {
+    fn score(
+        &mut self,
+        population: &[SparseDelta],
+        views: &[usize],
+        settings: &RenderSettings,
+    ) -> Result<Vec<f32>, BackendError> {
+        let of_view = |view: usize| (self.views[view].camera, &self.views[view].target);
+        Ok(self.scorer.score(self.level, &self.cloud, population, views, of_view, settings))
+    }
+
+    fn apply(&mut self, delta: &SparseDelta, moments: MomentPolicy) -> Result<(), BackendError> {
+        self.cloud.apply(delta);
+        if moments == MomentPolicy::Zero {
+            for moment in [&mut self.moments.first, &mut self.moments.second] {
+                for &row in &delta.rows {
+                    moment.set_genes(row as usize, &[0.0; 7]);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn contributions(
+        &mut self,
+        views: &[usize],
+        settings: &RenderSettings,
+    ) -> Result<Vec<Contribution>, BackendError> {
+        let mut contributions = vec![Contribution::default(); self.cloud.len()];
+        for &view in views {
+            let TrainView { camera, target } = &self.views[view];
+            let view = (camera, target);
+            contribution(self.level, &mut self.frame, &self.cloud, view, settings, &mut contributions);
+        }
+        Ok(contributions)
+    }
+
+    fn average(&mut self, half: usize) -> Result<(), BackendError> {
+        self.averages.add(half, &self.cloud);
+        Ok(())
+    }
+
+    fn measure(
+        &mut self,
+        blends: &[Blend],
+        views: &[usize],
+        settings: &RenderSettings,
+    ) -> Result<Vec<ViewLoss>, BackendError> {
+        let mut losses = Vec::with_capacity(blends.len() * views.len());
+        for blend in blends {
+            // The cloud itself needs no copy.
+            let measured = if *blend == Blend::default() {
+                &self.cloud
+            } else {
+                self.averages.blend(&self.cloud, blend, &mut self.blended);
+                &self.blended
+            };
+            for &view in views {
+                let TrainView { camera, target } = &self.views[view];
+                self.frame.render(self.level, measured, camera, settings);
+                let loss = loss(self.level, &self.frame.image, target, None);
+                losses.push(ViewLoss { loss, squared_error: squared_error(&self.frame.image, target) });
+            }
+        }
+        Ok(losses)
+    }
+
+    fn blend(&mut self, blend: &Blend) -> Result<(), BackendError> {
+        self.averages.blend(&self.cloud, blend, &mut self.blended);
+        std::mem::swap(&mut self.cloud, &mut self.blended);
+        self.averages = WindowAverages::default();
+        Ok(())
+    }
+}
+
+/// Mean of `(I − P)²` over all values, summed row by row of a channel: the order does not depend on the machine.
+fn squared_error(image: &Image, target: &Target) -> f32 {
+    let rows = image.planes.chunks(target.width).zip(target.planes.chunks(target.width));
+    let of_row = |(image, photo): (&[f32], &[u8])| {
+        let square = |(&value, &level): (&f32, &u8)| (value - f32::from(level) * (1.0 / 255.0)).powi(2);
+        f64::from(image.iter().zip(photo).map(square).sum::<f32>())
+    };
+    (rows.map(of_row).sum::<f64>() / target.planes.len() as f64) as f32
+}
