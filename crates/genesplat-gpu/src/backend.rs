@@ -5,8 +5,8 @@ use std::borrow::Cow;
 use genesplat_core::averages::ViewLoss;
 use genesplat_core::backend::{MomentPolicy, StepReport};
 use genesplat_core::{
-    Backend, BackendError, Blend, Camera, Contribution, DeviceState, EvolutionBackend, Gaussians, Genes, Image,
-    RenderSettings, RowEdit, SparseDelta, Statistics, TrainStep, View,
+    Backend, BackendError, Blend, Camera, Contribution, DeviceState, EvolutionBackend, Gaussians, Genes,
+    Image, RenderSettings, RowEdit, SparseDelta, Statistics, TrainStep, View,
 };
 
 use crate::device::engine::Engine;

@@ -1,15 +1,15 @@
 //! Steps that wait in a queue, tile lists that overflow, and memory that does not suffice.
 //!
-//! **No read-back in a step.** A step is submitted, and the host does not wait for it. What can go wrong in it, the device finds
-//! out itself: when the tile lists do not fit their buffers, or the loss is not finite, it sets a flag, and from there on no step
-//! changes anything. The host keeps the queued steps ([`GpuBackend::finish_queued_steps`]) and reads the flag before it reads or
-//! edits anything, and every 32 steps. After an overflow it allocates more and submits the steps that were not done once more, so
-//! the run is the one that enough memory would have given.
+//! **No read-back in a step.** A step is submitted, and the host does not wait for it. What can go wrong in it, the
+//! device finds out itself: when the tile lists do not fit their buffers, or the loss is not finite, it sets a flag,
+//! and from there on no step changes anything. The host keeps the queued steps ([`GpuBackend::finish_queued_steps`])
+//! and reads the flag before it reads or edits anything, and every 32 steps. After an overflow it allocates more and
+//! submits the steps that were not done once more, so the run is the one that enough memory would have given.
 //!
-//! **Out of memory.** Every verb allocates what it needs before it changes anything, so one that finds no memory leaves the
-//! rows as they were, and the run can be saved. Before that it is tried once more without the buffers of steps, scores and
-//! blends, which can be made again ([`GpuBackend::with_memory`]): no verb needs those of all the others, and a row edit
-//! holds all rows twice for a moment.
+//! **Out of memory.** Every verb allocates what it needs before it changes anything, so one that finds no memory leaves
+//! the rows as they were, and the run can be saved. Before that it is tried once more without the buffers of steps,
+//! scores and blends, which can be made again ([`GpuBackend::with_memory`]): no verb needs those of all the others, and
+//! a row edit holds all rows twice for a moment.
 
 use bytemuck::Pod;
 use genesplat_core::backend::StepReport;
@@ -37,8 +37,8 @@ pub(crate) enum ListsOf {
 }
 
 impl GpuBackend {
-    /// Submits one step; where there is no memory for it, once more without what only scores and blends need. (What steps
-    /// need may be in use by queued ones.)
+    /// Submits one step; where there is no memory for it, once more without what only scores and blends need. (What
+    /// steps need may be in use by queued ones.)
     pub(crate) fn submit(&mut self, step: &TrainStep) -> Result<(), BackendError> {
         match self.submit_step(step) {
             Err(BackendError::OutOfMemory { .. }) => {
@@ -123,8 +123,8 @@ impl GpuBackend {
         Ok(undone)
     }
 
-    /// Does `verb` after all steps; where there is no memory for it, once more after everything that can be made again was
-    /// freed.
+    /// Does `verb` after all steps; where there is no memory for it, once more after everything that can be made again
+    /// was freed.
     pub(crate) fn with_memory<T>(
         &mut self,
         mut verb: impl FnMut(&mut Self) -> Result<T, BackendError>,
@@ -155,8 +155,8 @@ impl GpuBackend {
         Ok(self.allocated_bytes() < before)
     }
 
-    /// Submits views until their tile lists fit: where they do not, the device lists nothing and says what it wanted, and all
-    /// of them are submitted once more. Returns what was counted in the attempt that went through.
+    /// Submits views until their tile lists fit: where they do not, the device lists nothing and says what it wanted,
+    /// and all of them are submitted once more. Returns what was counted in the attempt that went through.
     pub(crate) fn until_lists_fit(
         &mut self,
         whose: ListsOf,

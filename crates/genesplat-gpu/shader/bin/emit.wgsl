@@ -1,5 +1,5 @@
-// Stage `bin`, step 3: the intersections of splats with tiles, nearest splat first; the number of an intersection is its place
-// here, and never changes.
+// Stage `bin`, step 3: the intersections of splats with tiles, nearest splat first; the number of an intersection is
+// its place here, and never changes.
 
 @group(0) @binding(0) var<uniform> view: ViewPass;
 @group(0) @binding(1) var<storage, read> lengths: array<u32>;

@@ -1,4 +1,5 @@
-// Radix sort: sets the bits of a workgroup's keys in the masks of their digits. Runs everywhere; twin of `mark_digit_subgroups.wgsl`.
+// Radix sort: sets the bits of a workgroup's keys in the masks of their digits. Runs everywhere; twin of
+// `mark_digit_subgroups.wgsl`.
 
 fn mark_digit(lane: u32, digit: u32, is_key: bool) {
     if is_key {

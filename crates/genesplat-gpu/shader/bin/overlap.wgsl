@@ -1,8 +1,8 @@
 // Which tiles a splat reaches: the one function that counting and emitting share.
 //
-// Exact and opacity-aware: a splat is listed where its ellipse alpha >= 1/255 meets the pixel centres of a 4x4-pixel block
-// of the tile. The ellipse is convex, so within a band of four pixel rows it covers one interval of columns; the four
-// bands of a tile row are solved at once.
+// Exact and opacity-aware: a splat is listed where its ellipse alpha >= 1/255 meets the pixel centres of a 4x4-pixel
+// block of the tile. The ellipse is convex, so within a band of four pixel rows it covers one interval of columns; the
+// four bands of a tile row are solved at once.
 
 // Block columns [begin, end) that the ellipse covers in each of the four bands of a tile row.
 struct Spans {

@@ -1,5 +1,5 @@
-// The last step of the projection: one Gaussian becomes a splat, or none, in a slot of `splats`, `depths`, `tile_counts` and
-// `flags`, which the shader binds. Its colours are those of row `colours` of `sh`.
+// The last step of the projection: one Gaussian becomes a splat, or none, in a slot of `splats`, `depths`,
+// `tile_counts` and `flags`, which the shader binds. Its colours are those of row `colours` of `sh`.
 fn write_splat(params: Params, colours: u32, slot: u32) {
     let g = geometry_of(params);
     var splat: Splat;

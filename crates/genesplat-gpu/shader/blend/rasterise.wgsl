@@ -1,7 +1,7 @@
 // Stage `rasterise`: blends the splats of each tile front to back, one pixel an invocation.
 //
-// A pixel is finished when a splat would leave less than 1e-4 of its light: that splat is not blended into it, nor is any
-// other.
+// A pixel is finished when a splat would leave less than 1e-4 of its light: that splat is not blended into it, nor is
+// any other.
 
 @group(0) @binding(0) var<uniform> view: ViewPass;
 @group(0) @binding(1) var<storage, read> ranges: array<vec2<u32>>;
@@ -26,7 +26,8 @@ struct Blended {
     finished: bool,
 }
 
-// Blends a splat of the batch into a pixel, unless that would leave less than 1e-4 of the light: then the pixel is finished.
+// Blends a splat of the batch into a pixel, unless that would leave less than 1e-4 of the light: then the pixel is
+// finished.
 fn blend(blended: ptr<function, Blended>, index: u32) {
     let d = batch[index].mean - (*blended).at;
     let exponent = exponent_at(batch[index].conic_log2, batch[index].log2_opacity, d);

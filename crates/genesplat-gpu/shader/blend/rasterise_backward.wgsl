@@ -1,7 +1,7 @@
 // Stage `rasterise_backward`: from dL/dimage to one row of sums per intersection of a splat with a tile.
 //
-// Walks the lists front to back once more, as the forward pass does: with the final image known, the light behind a splat
-// is what remains of it, so neither alphas nor transmittances are stored. Eight splats at a time:
+// Walks the lists front to back once more, as the forward pass does: with the final image known, the light behind a
+// splat is what remains of it, so neither alphas nor transmittances are stored. Eight splats at a time:
 // 1. each invocation is a pixel and leaves p = o G dL/dalpha and w = alpha T of each splat in workgroup memory;
 // 2. each invocation is one of 32 parts of a splat and sums eight pixels of it;
 // 3. each invocation is one column of a splat's row and sums its 32 parts.
@@ -15,8 +15,8 @@
 @group(0) @binding(4) var<storage, read> splats: array<vec4<f32>>;
 @group(0) @binding(5) var<storage, read> image: array<f32>;
 @group(0) @binding(6) var<storage, read> gradient: array<f32>;
-// [I, 12]: sums of p times 1, dx, dy, dx^2, dx dy, dy^2, offsets (pixel - mean) in px; dL/drgb; then the sums of |dL/du| and
-// |dL/dv| by pixel, and the number of pixels blended.
+// [I, 12]: sums of p times 1, dx, dy, dx^2, dx dy, dy^2, offsets (pixel - mean) in px; dL/drgb; then the sums of the
+// absolute values of dL/du and of dL/dv by pixel, and the number of pixels blended.
 @group(0) @binding(7) var<storage, read_write> intersection_gradients: array<f32>;
 
 const COLUMNS: u32 = 12u;
@@ -62,8 +62,8 @@ fn replay(pixel: ptr<function, Pixel>, splat: BatchSplat) -> vec2<f32> {
         atomicAdd(&finished_pixels, 1u);
         return vec2(0.0);
     }
-    // dL/dalpha: what the splat adds itself, less what it takes from everything behind it. The clamp at 0.99 is ignored,
-    // as published (straight-through).
+    // dL/dalpha: what the splat adds itself, less what it takes from everything behind it. The clamp at 0.99 is
+    // ignored, as published (straight-through).
     let own = dot((*pixel).gradient, splat.rgb);
     let remaining = (*pixel).remaining - weight * own;
     let alpha_gradient = (*pixel).transmittance * own - remaining / (1.0 - alpha);
@@ -98,8 +98,8 @@ fn sum_part(splat: BatchSplat, slot: u32, part: u32) -> array<f32, COLUMNS> {
     );
 }
 
-// Sums the parts of one column. Each invocation begins at another part, so that no two ask the same memory bank; there are
-// four sums, so that no addition waits for the one before it.
+// Sums the parts of one column. Each invocation begins at another part, so that no two ask the same memory bank; there
+// are four sums, so that no addition waits for the one before it.
 fn sum_column(lane: u32) -> f32 {
     let first = lane * PARTS;
     var sums = vec4(0.0);

@@ -1,6 +1,6 @@
 // Stage `adam` of the colours: four coefficients an invocation, which are three vectors, so that neighbours touch
-// neighbouring memory. Runs before the positions move, since a coefficient's gradient is its basis function seen from where
-// the Gaussian was rendered.
+// neighbouring memory. Runs before the positions move, since a coefficient's gradient is its basis function seen from
+// where the Gaussian was rendered.
 
 @group(0) @binding(0) var<uniform> view: ViewPass;
 @group(0) @binding(1) var<uniform> window: Window;

@@ -1,5 +1,5 @@
-// Stage `adam` of positions, scales, rotations and opacities, with MCMC's regularisers before it. Dense, as published: rows
-// without a gradient still move by their momentum.
+// Stage `adam` of positions, scales, rotations and opacities, with MCMC's regularisers before it. Dense, as published:
+// rows without a gradient still move by their momentum.
 
 @group(0) @binding(0) var<uniform> view: ViewPass;
 @group(0) @binding(1) var<uniform> window: Window;

@@ -1,5 +1,6 @@
-// Stage `contribution`, step 1: in the place of dL/dimage, ones and the errors of all channels together. The backward blending then
-// sums blending weights where it sums the gradient of red, and weighted errors where it sums that of green.
+// Stage `contribution`, step 1: in the place of dL/dimage, ones and the errors of all channels together. The backward
+// blending then sums blending weights where it sums the gradient of red, and weighted errors where it sums that of
+// green.
 
 @group(0) @binding(0) var<uniform> view: ViewPass;
 @group(0) @binding(1) var<storage, read> image: array<f32>;

@@ -53,7 +53,8 @@ pub fn adapters() -> &'static [AdapterReport] {
     REPORTS.get_or_init(|| found().iter().map(report).collect())
 }
 
-/// The devices, best first. A process asks the drivers once: it takes a while, and some of them write to stderr each time.
+/// The devices, best first. A process asks the drivers once: it takes a while, and some of them write to stderr each
+/// time.
 fn found() -> &'static [Adapter] {
     static FOUND: OnceLock<Vec<Adapter>> = OnceLock::new();
     FOUND.get_or_init(|| {
@@ -67,8 +68,8 @@ fn found() -> &'static [Adapter] {
 fn instance() -> Instance {
     Instance::new(InstanceDescriptor {
         backends: Backends::PRIMARY,
-        // Without wgpu's check of every grid that the device writes, which is a dispatch each: ours are within limits by
-        // construction.
+        // Without wgpu's check of every grid that the device writes, which is a dispatch each: ours are within limits
+        // by construction.
         flags: InstanceFlags::empty(),
         ..InstanceDescriptor::new_without_display_handle()
     })
@@ -143,8 +144,9 @@ fn unmet(limits: &Limits) -> Option<String> {
     unmet.map(|(what, has, needs)| format!("has too few {what}: {has}, and {needs} are needed"))
 }
 
-/// What is asked of a device: what it has, since wgpu's defaults would ask for more than some have of what no kernel needs (large
-/// textures, say). But as much workgroup memory and as many buffers as kernels use, so that one that uses more fails everywhere.
+/// What is asked of a device: what it has, since wgpu's defaults would ask for more than some have of what no kernel
+/// needs (large textures, say). But as much workgroup memory and as many buffers as kernels use, so that one that uses
+/// more fails everywhere.
 pub(crate) fn required_limits(adapter: &Adapter) -> Limits {
     Limits {
         max_compute_workgroup_storage_size: WORKGROUP_BYTES,

@@ -16,12 +16,12 @@ const BUFFER_BYTES_MIN: u64 = 256;
 /// Buffers are whole vectors.
 pub(crate) const BUFFER_BYTES_STEP: u64 = 16;
 
-/// Bytes that may wait to be copied to the device, 64 MiB: until something is submitted and done, whatever is written lies
-/// in the host's memory once more. All photos of a scene would be gigabytes.
+/// Bytes that may wait to be copied to the device, 64 MiB: until something is submitted and done, whatever is written
+/// lies in the host's memory once more. All photos of a scene would be gigabytes.
 const WRITTEN_BYTES_MAX: usize = 64 << 20;
 
-/// Bytes that are read back at once, 256 MiB: they pass through a buffer, and a whole cloud may exceed the largest that a
-/// device makes.
+/// Bytes that are read back at once, 256 MiB: they pass through a buffer, and a whole cloud may exceed the largest that
+/// a device makes.
 const READ_BYTES_MAX: u64 = 256 << 20;
 
 /// A buffer of the device.
@@ -35,7 +35,8 @@ pub(crate) struct Memory {
 }
 
 impl Memory {
-    /// Frees it, once the device has done what was submitted before. Whoever uses it next has to [`Engine::reserve`] it.
+    /// Frees it, once the device has done what was submitted before. Whoever uses it next has to [`Engine::reserve`]
+    /// it.
     pub(crate) fn release(&mut self) {
         self.buffer.destroy();
         self.allocated.set(self.allocated.get().saturating_sub(self.bytes));
@@ -128,8 +129,8 @@ impl Engine {
         self.allocate(purpose, bytes)
     }
 
-    /// Makes `memory` at least `bytes` large; what it held is lost when it has to grow. Where there is no memory for the old
-    /// and the new one at once, the old one goes first; where there is none then, nothing is left of it.
+    /// Makes `memory` at least `bytes` large; what it held is lost when it has to grow. Where there is no memory for
+    /// the old and the new one at once, the old one goes first; where there is none then, nothing is left of it.
     pub(crate) fn reserve(&self, memory: &mut Memory, bytes: u64) -> Result<(), BackendError> {
         // Even no bytes are a buffer, which may have been released.
         if memory.bytes >= bytes.max(BUFFER_BYTES_MIN) {
@@ -213,8 +214,8 @@ impl Engine {
         Ok(values)
     }
 
-    /// Waits for the device and fills targets (multiples of 4 bytes) from the beginning of their buffers: all at once, or
-    /// piece by piece where they are larger than what is read at once.
+    /// Waits for the device and fills targets (multiples of 4 bytes) from the beginning of their buffers: all at once,
+    /// or piece by piece where they are larger than what is read at once.
     pub(crate) fn read<const K: usize>(&self, parts: [(&Memory, &mut [u8]); K]) -> Result<(), BackendError> {
         let most = (self.accounts.read_bytes_max.min(self.buffer_bytes) / 4 * 4) as usize;
         let total: usize = parts.iter().map(|(_, target)| target.len()).sum();

@@ -1,4 +1,5 @@
-//! What every shader begins with: the constants and structs of [`crate::state::layout`] and of [`genesplat_core`], in WGSL.
+//! What every shader begins with: the constants and structs of [`crate::state::layout`] and of [`genesplat_core`], in
+//! WGSL.
 
 use genesplat_core::constants::{
     ADAM_BETA1, ADAM_BETA2, ADAM_EPSILON, ALPHA_MAX, ALPHA_MIN, ANTIALIAS_RATIO_MIN, DISCRIMINANT_MIN,
@@ -68,8 +69,8 @@ fn float_constants() -> Vec<(&'static str, f32)> {
         ("LN_2", std::f32::consts::LN_2),
         ("TAU", std::f32::consts::TAU),
         ("FRAC_1_SQRT_2", std::f32::consts::FRAC_1_SQRT_2),
-        // A list may have a splat too many, never one too few: every ellipse is widened by this much, in powers of two of
-        // alpha, and its intervals by this many pixels (as on the CPU).
+        // A list may have a splat too many, never one too few: every ellipse is widened by this much, in powers of two
+        // of alpha, and its intervals by this many pixels (as on the CPU).
         ("SLACK_LOG2", 1e-3),
         ("SLACK_PX", 1e-2),
         // Noise fainter than this is left out, as on the CPU.

@@ -1,6 +1,6 @@
-//! What a device's subgroups really do. WGSL promises neither that a subgroup's invocations are neighbours nor that all of them
-//! are there, translators and drivers get ballots wrong, and a sort that loses keys says nothing. So a kernel tests it before any
-//! other relies on it.
+//! What a device's subgroups really do. WGSL promises neither that a subgroup's invocations are neighbours nor that all
+//! of them are there, translators and drivers get ballots wrong, and a sort that loses keys says nothing. So a kernel
+//! tests it before any other relies on it.
 
 use genesplat_core::BackendError;
 use wgpu::ErrorFilter;

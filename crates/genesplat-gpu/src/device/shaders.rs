@@ -1,8 +1,8 @@
 //! The table of shaders: which texts make each of them.
 //!
-//! A shader is the prelude, the parts that it shares with others, and its own file, whose entry point
-//! is `main`. Two of the shared parts exist twice: for devices with subgroups, and for those without. Everything is compiled
-//! in, and validated by a test that needs no device.
+//! A shader is the prelude, the parts that it shares with others, and its own file, whose entry point is `main`. Two of
+//! the shared parts exist twice: for devices with subgroups, and for those without. Everything is compiled in, and
+//! validated by a test that needs no device.
 
 use crate::device::prelude::prelude;
 
@@ -77,10 +77,8 @@ mod parts {
         with: concat!(text!("shared/subgroup.wgsl"), text!("bin/group_scan_subgroups.wgsl")),
         without: text!("bin/group_scan.wgsl"),
     };
-    pub(super) const MARK_DIGIT: Part = Part::Twice {
-        with: text!("bin/mark_digit_subgroups.wgsl"),
-        without: text!("bin/mark_digit.wgsl"),
-    };
+    pub(super) const MARK_DIGIT: Part =
+        Part::Twice { with: text!("bin/mark_digit_subgroups.wgsl"), without: text!("bin/mark_digit.wgsl") };
     parts! {
         COMMON = "shared/common.wgsl";
         SUBGROUP = "shared/subgroup.wgsl";

@@ -9,8 +9,8 @@ use crate::backend::GpuBackend;
 use crate::device::engine::Engine;
 use crate::device::recorder::Recorder;
 
-/// Passes that are timed between two readings: eight steps of eight passes. What comes after them until the next reading,
-/// the later ones of many views, say, is left out.
+/// Passes that are timed between two readings: eight steps of eight passes. What comes after them until the next
+/// reading, the later ones of many views, say, is left out.
 pub(crate) const TIMED_PASSES: u32 = 64;
 
 /// Two timestamps for each pass, and the stage that it belongs to.
@@ -74,8 +74,8 @@ impl GpuBackend {
         self.timestamps = None;
     }
 
-    /// Waits for the device and returns the seconds of each stage since the last call (of the first 64 passes, eight steps);
-    /// none unless they are timed.
+    /// Waits for the device and returns the seconds of each stage since the last call (of the first 64 passes, eight
+    /// steps); none unless they are timed.
     pub fn take_stage_seconds(&mut self) -> Result<Vec<(&'static str, f64)>, BackendError> {
         self.finish_queued_steps()?;
         let Some(timestamps) = &mut self.timestamps else { return Ok(Vec::new()) };
@@ -85,8 +85,8 @@ impl GpuBackend {
         Ok(seconds)
     }
 
-    /// Bytes a second that the device's memory reads and writes, both counted, when `bytes` are copied again and again. By the host's
-    /// clock, of which what it takes to submit and to wait is taken off: many copies less a few.
+    /// Bytes a second that the device's memory reads and writes, both counted, when `bytes` are copied again and again.
+    /// By the host's clock, of which what it takes to submit and to wait is taken off: many copies less a few.
     pub fn memory_bandwidth(&mut self, bytes: u64) -> Result<f64, BackendError> {
         const COPIES: [u32; 2] = [16, 80];
         self.finish_queued_steps()?;

@@ -1,8 +1,9 @@
 //! What a stage of a training step has to move through the memory of the device at least.
 //!
 //! Every value that a stage reads from another, or leaves for one, is counted once, however often it is looked at; what
-//! stays in registers and workgroup memory is not. No cache holds a whole column of a large cloud, so a stage that takes as
-//! long as this is as fast as the device's memory. (The columns of a small one may lie in a cache, which is faster.)
+//! stays in registers and workgroup memory is not. No cache holds a whole column of a large cloud, so a stage that
+//! takes as long as this is as fast as the device's memory. (The columns of a small one may lie in a cache, which is
+//! faster.)
 
 use crate::stages::lists::tile_bits;
 use crate::stages::sort::DIGIT_BITS;
@@ -33,16 +34,17 @@ impl Work {
     pub fn bytes(&self, stage: &str) -> u64 {
         let Self { rows, visible, intersections, size_px: [width, height], .. } = *self;
         let [geometry, splat, gradient, intersection_gradient] =
-            [GEOMETRY_FLOATS, SPLAT_FLOATS, GRADIENT_FLOATS, INTERSECTION_GRADIENT_FLOATS].map(|floats| 4 * u64::from(floats));
+            [GEOMETRY_FLOATS, SPLAT_FLOATS, GRADIENT_FLOATS, INTERSECTION_GRADIENT_FLOATS]
+                .map(|floats| 4 * u64::from(floats));
         let [evaluated, differentiated, moved] = self.colour_bytes();
         let pixels = width * height;
         let tiles = width.div_ceil(TILE.into()) * height.div_ceil(TILE.into());
         match stage {
             // Tile counts and flags of all rows; depths of splats.
             "project" => rows * (geometry + 8) + visible * (evaluated + splat + 4),
-            // Flags are read; of splats the depth, the tile count and they themselves, and their first intersections are written;
-            // they are sorted by depth. Intersections' tiles and splats are written and sorted by tile; the first pass needs no values,
-            // but the sorted tiles are read once more.
+            // Flags are read; of splats the depth, the tile count and they themselves, and their first intersections
+            // are written; they are sorted by depth. Intersections' tiles and splats are written and sorted by tile;
+            // the first pass needs no values, but the sorted tiles are read once more.
             "bin" => {
                 let sorted = visible * passes(32) + intersections * passes(tile_bits(tiles));
                 rows * 4 + visible * (12 + splat) + intersections * 8 + sorted * PASS_BYTES
@@ -52,10 +54,14 @@ impl Work {
             // Both steps read render and photo; nine partial derivatives pass between them; the gradient is written.
             "loss" => pixels * (2 * (12 + 4) + 2 * 36 + 12),
             // Render and gradient are read.
-            "rasterise_backward" => intersections * (8 + intersection_gradient) + visible * splat + pixels * 24,
+            "rasterise_backward" => {
+                intersections * (8 + intersection_gradient) + visible * splat + pixels * 24
+            }
             // Tile counts of all rows; of splats the first intersection and the vector with the flags.
             "project_backward" => {
-                intersections * intersection_gradient + visible * (geometry + differentiated + 4 + 16) + rows * (gradient + 4)
+                intersections * intersection_gradient
+                    + visible * (geometry + differentiated + 4 + 16)
+                    + rows * (gradient + 4)
             }
             // Parameters and two moments are read and written; so are density statistics, of what is visible.
             "update" => rows * (6 * (geometry + moved) + gradient + 4) + visible * 2 * 16,
@@ -63,9 +69,9 @@ impl Work {
         }
     }
 
-    /// Bytes of a row's colours: to evaluate them, to know how they change with the direction, and of those that the optimiser moves.
-    /// They come in groups of four coefficients of three channels; of the base colour alone no more is touched than it, or the vector
-    /// that it is in.
+    /// Bytes of a row's colours: to evaluate them, to know how they change with the direction, and of those that the
+    /// optimiser moves. They come in groups of four coefficients of three channels; of the base colour alone no more is
+    /// touched than it, or the vector that it is in.
     fn colour_bytes(&self) -> [u64; 3] {
         match self.sh_degree {
             0 => [12, 0, 16],

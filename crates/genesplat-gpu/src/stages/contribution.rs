@@ -1,9 +1,9 @@
 //! Stage `contribution`: how much each Gaussian contributes to views, and the error where it is seen
 //! ([`genesplat_core::Contribution`]).
 //!
-//! The backward blending already sums `α·T · dL/dpixel` for every splat and tile, channel by channel, as the gradient of
-//! its colour. With a picture of ones for the first channel and one of errors for the second it sums what is asked for here
-//! (as on the CPU). Contributions stay on the device until all views have been added.
+//! The backward blending already sums `α·T · dL/dpixel` for every splat and tile, channel by channel, as the gradient
+//! of its colour. With a picture of ones for the first channel and one of errors for the second it sums what is asked
+//! for here (as on the CPU). Contributions stay on the device until all views have been added.
 
 use genesplat_core::{BackendError, Contribution, RenderSettings};
 

@@ -1,11 +1,12 @@
 //! Stages `project` and `bin`: a cloud becomes splats, and splats become tile lists, without the host knowing how many.
 //!
-//! How many splats are visible, and how many intersections with tiles they have, is counted on the device; later dispatches take
-//! their sizes from there. Buffers of intersections are sized by what earlier views needed. Where a view needs more, the device sets
-//! a flag and lists nothing, and the host allocates more and repeats (see [`crate::queue`]).
+//! How many splats are visible, and how many intersections with tiles they have, is counted on the device; later
+//! dispatches take their sizes from there. Buffers of intersections are sized by what earlier views needed. Where a
+//! view needs more, the device sets a flag and lists nothing, and the host allocates more and repeats (see
+//! [`crate::queue`]).
 //!
-//! The order is that of the CPU: splats are sorted by depth once (ties by row), emit their intersections in that order, and a
-//! stable sort by tile keeps it.
+//! The order is that of the CPU: splats are sorted by depth once (ties by row), emit their intersections in that order,
+//! and a stable sort by tile keeps it.
 
 use bytemuck::Pod;
 use genesplat_core::BackendError;
@@ -210,7 +211,8 @@ impl Lists {
         sorter.sort(recorder, LENGTH_VISIBLE, GRID_DEPTH_SORT, 32, 0, false);
     }
 
-    /// Steps 3 and 4: intersections in depth order, sorted by tile; their numbers are left in [`Self::sorted_intersections`].
+    /// Steps 3 and 4: intersections in depth order, sorted by tile; their numbers are left in
+    /// [`Self::sorted_intersections`].
     fn record_tile_lists(&self, recorder: &mut Recorder, view: &ViewPass) {
         let Self { sorter, flags: counts, offsets, splats, ranges, .. } = self;
         let (lengths, order) = (&sorter.lengths, &sorter.values[0]);

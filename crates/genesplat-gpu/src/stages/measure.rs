@@ -38,8 +38,8 @@ impl GpuBackend {
         Ok(values.into_iter().map(|[loss, squared_error]| ViewLoss { loss, squared_error }).collect())
     }
 
-    /// Eq. 5 of the cloud on one training view, rendered in full `times` times, with one wait for all: the plain way, which
-    /// scoring is compared with.
+    /// Eq. 5 of the cloud on one training view, rendered in full `times` times, with one wait for all: the plain way,
+    /// which scoring is compared with.
     pub fn losses_of_view(
         &mut self,
         view: usize,

@@ -1,4 +1,5 @@
-//! Stages `project_backward`, the statistics, `adam` and `noise`: from gradients of intersections to stepped parameters.
+//! Stages `project_backward`, the statistics, `adam` and `noise`: from gradients of intersections to stepped
+//! parameters.
 
 use genesplat_core::StatisticsRequest;
 
@@ -60,7 +61,8 @@ impl Optimise<'_> {
             [&self.lists.view, &self.lists.counters, &self.lists.tile_counts].map(Memory::all);
         let (uniform, gradients) = (window.uniform.all(), state.gradients.at(window));
         if self.request.density.is_some() {
-            let parts = [view, uniform, counters, tile_counts, gradients, state.statistics.density.at(window)];
+            let parts =
+                [view, uniform, counters, tile_counts, gradients, state.statistics.density.at(window)];
             recorder.run(&shaders::STATISTICS, &parts, grid);
         }
         if let (true, Some(genes)) = (self.request.genes, &state.statistics.genes) {

@@ -1,5 +1,5 @@
-//! Stages `rasterise`, `loss` and `rasterise_backward`: tile lists become pixels, pixels a loss, and the loss gradients of
-//! intersections.
+//! Stages `rasterise`, `loss` and `rasterise_backward`: tile lists become pixels, pixels a loss, and the loss gradients
+//! of intersections.
 
 use genesplat_core::{BackendError, Photo};
 

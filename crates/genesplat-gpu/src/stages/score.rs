@@ -1,9 +1,9 @@
 //! Stage `score`: Eq. 5 of a whole population over a set of views, forward only.
 //!
-//! A pool of individuals is uploaded value by value ([`genesplat_core::alleles`]): to a view, the alleles are the rows of
-//! one large cloud, projected, sorted and listed by tile once for all individuals. A workgroup then makes the pictures of sixteen
-//! individuals in one tile: an alpha is evaluated once, and blended for those that hold it. Losses are reduced on the device;
-//! the host waits for a pool, not for its views.
+//! A pool of individuals is uploaded value by value ([`genesplat_core::alleles`]): to a view, the alleles are the rows
+//! of one large cloud, projected, sorted and listed by tile once for all individuals. A workgroup then makes the
+//! pictures of sixteen individuals in one tile: an alpha is evaluated once, and blended for those that hold it. Losses
+//! are reduced on the device; the host waits for a pool, not for its views.
 
 use genesplat_core::alleles::{Allele, Holders, alleles};
 use genesplat_core::{BackendError, RenderSettings, SparseDelta};
@@ -185,8 +185,8 @@ impl GpuBackend {
         self.score_pool(second, views, settings, losses)
     }
 
-    /// Losses `[P, V]` of some individuals, if their alleles can be seen at once; those of one always can, since what one
-    /// holds is no more than the cloud.
+    /// Losses `[P, V]` of some individuals, if their alleles can be seen at once; those of one always can, since what
+    /// one holds is no more than the cloud.
     fn losses_of_one_pool(
         &mut self,
         individuals: &[SparseDelta],
@@ -239,8 +239,7 @@ impl GpuBackend {
 
         recorder.stage("score_rasterise");
         let (intersections, splats) = (lists.sorted_intersections(&pass), &lists.intersection_splats);
-        let parts =
-            [&lists.view, &lists.ranges, intersections, splats, &lists.splats, &pool.holders, images];
+        let parts = [&lists.view, &lists.ranges, intersections, splats, &lists.splats, &pool.holders, images];
         let grid = pass.tile_grid(layers.div_ceil(SLOTS));
         recorder.run(&shaders::RASTERISE_INDIVIDUALS, &parts.map(Memory::all), grid);
 
@@ -256,8 +255,8 @@ impl GpuBackend {
     }
 }
 
-/// How many of a population share a pool, if the pictures of so many fit: as many pools as are needed, of as many as whole workgroups
-/// render where one fits.
+/// How many of a population share a pool, if the pictures of so many fit: as many pools as are needed, of as many as
+/// whole workgroups render where one fits.
 fn individuals_of_a_pool(population: usize, fitting: usize) -> usize {
     let slots = SLOTS as usize;
     let fitting = fitting.clamp(1, Holders::BITS as usize);

@@ -37,9 +37,7 @@ pub(super) fn download(
     averages: &[Option<DeviceMean>; WINDOW_HALVES],
 ) -> Result<WindowAverages, BackendError> {
     let half = |held: &Option<DeviceMean>| match held {
-        Some(DeviceMean { states, mean }) => {
-            Ok(StateMean::new(*states, mean.download(engine, rows, false)?))
-        }
+        Some(DeviceMean { states, mean }) => Ok(StateMean::new(*states, mean.download(engine, rows, false)?)),
         None => Ok(StateMean::default()),
     };
     let [older, younger] = averages;
@@ -60,7 +58,8 @@ impl State {
         held.states = states;
         let mut recorder = Recorder::new(engine, None);
         for window in &self.windows {
-            for (values, means) in [(&self.cloud.geometry, &held.mean.geometry), (&self.cloud.sh, &held.mean.sh)]
+            for (values, means) in
+                [(&self.cloud.geometry, &held.mean.geometry), (&self.cloud.sh, &held.mean.sh)]
             {
                 let parts = [window.uniform.all(), edit.all(), values.at(window), means.at(window)];
                 run_vectors(&mut recorder, &shaders::AVERAGE, &[], &parts, window, values.floats());

@@ -1,7 +1,7 @@
 //! The cloud on the device: parameters, moments and what goes with each row.
 //!
-//! A row's floats lie in two columns: its geometry (12 floats) and its colour (48). Columns may be larger than a kernel can
-//! see at once; then kernels run window by window.
+//! A row's floats lie in two columns: its geometry (12 floats) and its colour (48). Columns may be larger than a kernel
+//! can see at once; then kernels run window by window.
 
 use genesplat_core::{BackendError, Gaussians, Genes};
 

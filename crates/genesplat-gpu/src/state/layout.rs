@@ -9,8 +9,8 @@ use bytemuck::{Pod, Zeroable};
 pub(crate) const TILE: u32 = 16;
 /// Invocations of every one-dimensional workgroup.
 pub(crate) const GROUP: u32 = 256;
-/// Workgroups in the first dimension of a grid; what is more goes to the second (65,535 is WebGPU's limit for each). So few in
-/// unit tests that grids of theirs have a second dimension, too.
+/// Workgroups in the first dimension of a grid; what is more goes to the second (65,535 is WebGPU's limit for each). So
+/// few in unit tests that grids of theirs have a second dimension, too.
 pub(crate) const GRID_WIDTH: u32 = if cfg!(test) { 3 } else { 32_768 };
 /// Elements that one workgroup of a prefix sum handles.
 pub(crate) const SCAN_BLOCK: u32 = 8 * GROUP;
@@ -133,7 +133,8 @@ device_struct! {
 }
 
 device_struct! {
-    /// One optimiser step: Adam's bias-corrected factors `lr / (1 − β1ᵗ)` and `1 / sqrt(1 − β2ᵗ)`, and MCMC's additions.
+    /// One optimiser step: Adam's bias-corrected factors `lr / (1 − β1ᵗ)` and `1 / sqrt(1 − β2ᵗ)`, and MCMC's
+    /// additions.
     Optimiser {
         /// Positions.
         position: f32,
