@@ -11,7 +11,7 @@ use wgpu::{
 };
 
 use crate::device::adapter;
-use crate::device::memory::Accounts;
+use crate::device::memory::MemoryUse;
 use crate::device::probe;
 use crate::device::shaders::{Shader, Subgroups};
 use crate::state::layout::SH_FLOATS;
@@ -43,7 +43,7 @@ pub(crate) struct Engine {
     /// Which kernels run.
     pub(crate) subgroups: Subgroups,
     /// Memory that is in use.
-    pub(crate) accounts: Accounts,
+    pub(crate) usage: MemoryUse,
     /// How often the host has waited: what a test counts.
     pub(crate) waits: Cell<u32>,
     kernels: RefCell<HashMap<KernelKey, Kernel>>,
@@ -76,7 +76,7 @@ impl Engine {
             name,
             timestamps: features.contains(Features::TIMESTAMP_QUERY),
             subgroups: Subgroups::With,
-            accounts: Accounts::default(),
+            usage: MemoryUse::default(),
             waits: Cell::default(),
             kernels: RefCell::default(),
         };
@@ -99,7 +99,7 @@ impl Engine {
 
     /// Hands commands to the device, and before them all that was written; does not wait.
     pub(crate) fn submit(&self, commands: impl IntoIterator<Item = CommandBuffer>) {
-        self.accounts.written.set(0);
+        self.usage.written.set(0);
         self.queue.submit(commands);
     }
 

@@ -69,10 +69,10 @@ pub(crate) struct Part<'a> {
     pub(super) bytes: u64,
 }
 
-/// What is allocated, and what is on its way to the device.
-pub(crate) struct Accounts {
+/// How much is allocated, and how much is on its way to the device.
+pub(crate) struct MemoryUse {
     /// Bytes that may be allocated: all that the device has, unless a test wants less.
-    pub(crate) memory_bytes: u64,
+    pub(crate) limit_bytes: u64,
     /// Bytes that may wait to be copied to the device: [`WRITTEN_BYTES_MAX`], unless a test wants fewer.
     pub(crate) written_bytes_max: usize,
     /// Bytes that are read back at once: [`READ_BYTES_MAX`], unless a test wants fewer.
@@ -83,10 +83,10 @@ pub(crate) struct Accounts {
     most_allocated: Cell<u64>,
 }
 
-impl Default for Accounts {
+impl Default for MemoryUse {
     fn default() -> Self {
         Self {
-            memory_bytes: u64::MAX,
+            limit_bytes: u64::MAX,
             written_bytes_max: WRITTEN_BYTES_MAX,
             read_bytes_max: READ_BYTES_MAX,
             written: Cell::default(),
@@ -106,19 +106,19 @@ struct Piece<'a> {
 impl Engine {
     /// A buffer that kernels read and write, of at least `bytes`; its content is zero.
     pub(crate) fn allocate(&self, purpose: &'static str, bytes: u64) -> Result<Memory, BackendError> {
-        let (bytes, accounts) = (whole_vectors(bytes), &self.accounts);
-        if accounts.allocated.get().saturating_add(bytes) > accounts.memory_bytes {
+        let (bytes, usage) = (whole_vectors(bytes), &self.usage);
+        if usage.allocated.get().saturating_add(bytes) > usage.limit_bytes {
             return Err(self.out_of_memory(purpose, bytes));
         }
-        let usage = BufferUsages::STORAGE
+        let kind = BufferUsages::STORAGE
             | BufferUsages::COPY_SRC
             | BufferUsages::COPY_DST
             | BufferUsages::UNIFORM
             | BufferUsages::INDIRECT;
-        let buffer = self.create(purpose, bytes, usage)?;
-        accounts.allocated.set(accounts.allocated.get() + bytes);
-        accounts.most_allocated.set(accounts.most_allocated.get().max(accounts.allocated.get()));
-        Ok(Memory { buffer, bytes, purpose, allocated: Rc::clone(&accounts.allocated) })
+        let buffer = self.create(purpose, bytes, kind)?;
+        usage.allocated.set(usage.allocated.get() + bytes);
+        usage.most_allocated.set(usage.most_allocated.get().max(usage.allocated.get()));
+        Ok(Memory { buffer, bytes, purpose, allocated: Rc::clone(&usage.allocated) })
     }
 
     /// The same, for what a kernel must see as a whole.
@@ -167,12 +167,12 @@ impl Engine {
 
     /// Bytes of all buffers that are in use.
     pub(crate) fn allocated_bytes(&self) -> u64 {
-        self.accounts.allocated.get()
+        self.usage.allocated.get()
     }
 
     /// The most that they have been since this was last asked.
     pub(crate) fn take_most_allocated(&self) -> u64 {
-        self.accounts.most_allocated.replace(self.allocated_bytes())
+        self.usage.most_allocated.replace(self.allocated_bytes())
     }
 
     /// A buffer with content.
@@ -190,7 +190,7 @@ impl Engine {
     /// Overwrites part of a buffer, before whatever is submitted next.
     pub(crate) fn write<T: Pod>(&self, memory: &Memory, first_byte: u64, content: &[T]) {
         let bytes: &[u8] = bytemuck::cast_slice(content);
-        let (most, written) = (self.accounts.written_bytes_max, &self.accounts.written);
+        let (most, written) = (self.usage.written_bytes_max, &self.usage.written);
         for (piece, at) in bytes.chunks(most).zip((first_byte..).step_by(most)) {
             if written.get() + piece.len() > most {
                 self.flush();
@@ -217,7 +217,7 @@ impl Engine {
     /// Waits for the device and fills targets (multiples of 4 bytes) from the beginning of their buffers: all at once,
     /// or piece by piece where they are larger than what is read at once.
     pub(crate) fn read<const K: usize>(&self, parts: [(&Memory, &mut [u8]); K]) -> Result<(), BackendError> {
-        let most = (self.accounts.read_bytes_max.min(self.buffer_bytes) / 4 * 4) as usize;
+        let most = (self.usage.read_bytes_max.min(self.buffer_bytes) / 4 * 4) as usize;
         let total: usize = parts.iter().map(|(_, target)| target.len()).sum();
         let usage = BufferUsages::MAP_READ | BufferUsages::COPY_DST;
         let staging = self.create("a read-back", (total.min(most) as u64).max(BUFFER_BYTES_MIN), usage)?;

@@ -38,30 +38,15 @@ fn array_constant(name: &str, values: &[f64]) -> String {
 
 /// Names and values of constants.
 macro_rules! named {
-    ($($name:ident),* $(,)?) => { [$((stringify!($name), $name)),*] };
+    ($($name:ident)*) => { [$((stringify!($name), $name)),*] };
 }
 
 fn float_constants() -> Vec<(&'static str, f32)> {
-    let shared = named![
-        NEAR_DEPTH,
-        ALPHA_MIN,
-        ALPHA_MAX,
-        TRANSMITTANCE_MIN,
-        MIP_EPSILON,
-        ANTIALIAS_RATIO_MIN,
-        DISCRIMINANT_MIN,
-        LAMBDA_DSSIM,
-        SSIM_C1,
-        SSIM_C2,
-        ADAM_BETA1,
-        ADAM_BETA2,
-        ADAM_EPSILON,
-        NOISE_OPACITY,
-        NOISE_STEEPNESS,
-        SPLIT_SHRINK,
-        TWIN_OFFSET,
-        TWIN_OPACITY_MAX,
-    ];
+    let shared = named! {
+        NEAR_DEPTH ALPHA_MIN ALPHA_MAX TRANSMITTANCE_MIN MIP_EPSILON ANTIALIAS_RATIO_MIN DISCRIMINANT_MIN
+        LAMBDA_DSSIM SSIM_C1 SSIM_C2 ADAM_BETA1 ADAM_BETA2 ADAM_EPSILON NOISE_OPACITY NOISE_STEEPNESS
+        SPLIT_SHRINK TWIN_OFFSET TWIN_OPACITY_MAX
+    };
     let own = [
         // The exponent of two at which alpha is 1/255, negated.
         ("LOG2_255", 255f32.log2()),
@@ -82,42 +67,13 @@ fn float_constants() -> Vec<(&'static str, f32)> {
 }
 
 fn integer_constants() -> Vec<(&'static str, u32)> {
-    let shared = named![
-        SLOTS,
-        HOLDER_WORDS,
-        OWN_GENES,
-        TILE,
-        GROUP,
-        GRID_WIDTH,
-        SCAN_BLOCK,
-        SORT_BLOCK,
-        DIGITS,
-        SPLATS_AT_ONCE,
-        HALT_OVERFLOW,
-        HALT_NON_FINITE,
-        FILTER_CLASSIC,
-        FILTER_ANTIALIASED,
-        FILTER_MIP,
-        SIGNAL_NONE,
-        SIGNAL_SIGNED,
-        SIGNAL_ABSOLUTE,
-        SIGNAL_BOTH,
-        SIGNAL_PIXELS,
-        ORIGIN_KEPT,
-        ORIGIN_CLONE,
-        ORIGIN_SPLIT,
-        ORIGIN_RELOCATED,
-        ORIGIN_RELOCATED_KEPT,
-        ORIGIN_TWIN,
-        LENGTH_ROWS,
-        LENGTH_VISIBLE,
-        LENGTH_INTERSECTIONS,
-        GRID_VISIBLE,
-        GRID_VISIBLE_SCAN,
-        GRID_DEPTH_SORT,
-        GRID_INTERSECTIONS,
-        GRID_TILE_SORT,
-    ];
+    let shared = named! {
+        SLOTS HOLDER_WORDS OWN_GENES TILE GROUP GRID_WIDTH SCAN_BLOCK SORT_BLOCK DIGITS SPLATS_AT_ONCE
+        HALT_OVERFLOW HALT_NON_FINITE FILTER_CLASSIC FILTER_ANTIALIASED FILTER_MIP SIGNAL_NONE SIGNAL_SIGNED
+        SIGNAL_ABSOLUTE SIGNAL_BOTH SIGNAL_PIXELS ORIGIN_KEPT ORIGIN_CLONE ORIGIN_SPLIT ORIGIN_RELOCATED
+        ORIGIN_RELOCATED_KEPT ORIGIN_TWIN LENGTH_ROWS LENGTH_VISIBLE LENGTH_INTERSECTIONS GRID_VISIBLE
+        GRID_VISIBLE_SCAN GRID_DEPTH_SORT GRID_INTERSECTIONS GRID_TILE_SORT
+    };
     let own = [
         ("TILE_PIXELS", TILE * TILE),
         ("SSIM_RADIUS", SSIM_RADIUS as u32),

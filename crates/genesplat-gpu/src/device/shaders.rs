@@ -171,9 +171,9 @@ shaders! {
     /// Losses of pictures.
     VIEW_LOSSES = "score/view_losses" + [TILE_SUMS];
     /// Contributions: what takes the place of the image's gradient.
-    CONTRIBUTION_PIXELS = "score/contribution_pixels" + [PHOTO];
+    CONTRIBUTION_PIXELS = "blend/contribution_pixels" + [PHOTO];
     /// Contributions: sums of each Gaussian.
-    CONTRIBUTION_SUM = "score/contribution_sum" + [];
+    CONTRIBUTION_SUM = "blend/contribution_sum" + [];
 }
 
 #[cfg(test)]

@@ -56,13 +56,13 @@ fn lists_beyond_any_binding_are_one_sentence() {
 #[test]
 fn what_is_written_never_piles_up() {
     let Some(mut gpu) = gpu() else { return };
-    gpu.engine.accounts.written_bytes_max = 1 << 10;
+    gpu.engine.usage.written_bytes_max = 1 << 10;
     let views = [view(), small_view(), view()];
     gpu.set_views(&views).unwrap();
-    assert!(gpu.engine.accounts.written.get() <= 1 << 10);
+    assert!(gpu.engine.usage.written.get() <= 1 << 10);
     let cloud = cloud(300);
     gpu.upload(cloud.clone().into()).unwrap();
-    assert!(gpu.engine.accounts.written.get() <= 1 << 10);
+    assert!(gpu.engine.usage.written.get() <= 1 << 10);
     assert_eq!(*gpu.download().unwrap(), cloud);
     let settings = settings(2, ScreenFilter::Classic);
     let mut cpu = cpu();
@@ -103,18 +103,18 @@ fn an_edit_that_finds_no_memory_changes_nothing() {
     gpu.discard_queued_steps().unwrap();
     let (least, mut failures) = (gpu.allocated_bytes(), 0);
     for bytes in (0..).step_by(20_000) {
-        gpu.engine.accounts.memory_bytes = least + bytes;
+        gpu.engine.usage.limit_bytes = least + bytes;
         match gpu.edit_rows(&edit) {
             Ok(()) => break,
             Err(error) => assert!(matches!(error, BackendError::OutOfMemory { .. }), "{error}"),
         }
         failures += 1;
-        gpu.engine.accounts.memory_bytes = u64::MAX;
+        gpu.engine.usage.limit_bytes = u64::MAX;
         assert!(gpu.state().unwrap() == before, "{bytes} bytes");
     }
     assert!(failures > 10, "it failed at every column: {failures} times");
     assert_eq!(gpu.gaussian_count(), 500);
-    gpu.engine.accounts.memory_bytes = u64::MAX;
+    gpu.engine.usage.limit_bytes = u64::MAX;
     assert_eq!(gpu.download().unwrap().positions[300..], before.cloud.positions[..200]);
 }
 
@@ -125,9 +125,9 @@ fn an_edit_takes_the_memory_that_steps_can_do_without() {
     gpu.upload(cloud(300).into()).unwrap();
     gpu.train_step(&step(1, settings(2, ScreenFilter::Classic))).unwrap();
     gpu.report().unwrap();
-    gpu.engine.accounts.memory_bytes = gpu.allocated_bytes();
+    gpu.engine.usage.limit_bytes = gpu.allocated_bytes();
     gpu.edit_rows(&RowEdit::keep((0..300).collect())).unwrap();
-    gpu.engine.accounts.memory_bytes = u64::MAX;
+    gpu.engine.usage.limit_bytes = u64::MAX;
     let classic = settings(2, ScreenFilter::Classic);
     let use_all = |gpu: &mut GpuBackend, verb: usize| match verb {
         0 => drop(gpu.train_step(&step(2, classic)).and_then(|()| gpu.report()).unwrap()),
@@ -171,7 +171,7 @@ fn steps_scores_and_blends_take_turns() {
     // Bytes of what a verb holds while it runs and frees at its end: alleles, losses, uniforms.
     let passing = 200_000;
     assert!(least > passing, "{alone:?}");
-    gpu.engine.accounts.memory_bytes = rows + most + passing;
+    gpu.engine.usage.limit_bytes = rows + most + passing;
     for _ in 0..2 {
         for verb in verbs {
             verb(&mut gpu);
@@ -200,13 +200,13 @@ fn steps_without_memory_are_left_undone_and_counted() {
     gpu.set_intersection_capacity(cpu.report().unwrap().intersections as u64 + 20);
     steps.iter().for_each(|step| gpu.train_step(step).unwrap());
 
-    gpu.engine.accounts.memory_bytes = gpu.allocated_bytes();
+    gpu.engine.usage.limit_bytes = gpu.allocated_bytes();
     let error = gpu.download().unwrap_err();
     assert!(matches!(error, BackendError::OutOfMemory { .. }), "{error}");
     assert_eq!(gpu.discard_queued_steps().unwrap(), 3);
     compare_clouds("adam", &gpu.download().unwrap(), &cpu.download().unwrap()).unwrap();
 
-    gpu.engine.accounts.memory_bytes = u64::MAX;
+    gpu.engine.usage.limit_bytes = u64::MAX;
     for step in &steps[2..] {
         gpu.train_step(step).unwrap();
         cpu.train_step(step).unwrap();

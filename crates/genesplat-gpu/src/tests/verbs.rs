@@ -192,7 +192,7 @@ fn what_is_uploaded_comes_back() {
     let Some(mut gpu) = gpu() else { return };
     uploads_come_back(&mut gpu);
     // Pieces that end within rows, and begin in one column and end in the next.
-    gpu.engine.accounts.read_bytes_max = 1000;
+    gpu.engine.usage.read_bytes_max = 1000;
     uploads_come_back(&mut gpu);
 }
 
