@@ -1,7 +1,7 @@
 //! Every constant and every struct that Rust and WGSL share.
 //!
 //! Structs are declared once, by `device_struct!`, which makes both the Rust type and its WGSL text; constants are
-//! written into WGSL by [`crate::device::prelude`]. A test reads the WGSL back with naga and compares offsets.
+//! written into WGSL by `device::prelude`. A test reads the WGSL back with naga and compares offsets.
 
 use bytemuck::{Pod, Zeroable};
 
