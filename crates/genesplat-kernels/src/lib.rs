@@ -1,17 +1,19 @@
-//! Every numeric stage of genesplat, under one name in every twin that has it.
+//! Every numeric stage of genesplat, twice: as a reference and for the CPU.
 //!
 //! | stage | does |
 //! |---|---|
-//! | `project` | means, covariances, colours of one view; their gradients back to the parameters |
-//! | `bin` | exact, opacity-aware tile and block lists in depth order |
-//! | `rasterise` | blends splats front to back; the same backwards |
+//! | `project`, `colour` | means, covariances and colours of one view |
+//! | `bin` | exact, opacity-aware lists of the splats of each tile, in depth order |
+//! | `rasterise` | blends splats front to back |
 //! | `loss` | L1 + SSIM and its gradient |
+//! | `rasterise_backward`, `project_backward` | the gradient back to splats, and to raw parameters |
 //! | `adam` | the optimiser step |
 //! | `noise` | MCMC's regularisers and SGLD noise, before and after the optimiser step |
-//! | `contribution` | the backward blending once more, summing blending weights and the errors they are part of |
+//! | `contribution` | blending weights of each Gaussian, and the errors where it is seen |
 //! | `score` | Eq. 5 of a whole population, forward only |
 //!
-//! [`mod@reference`] is the oracle: f64, scalar, no tiles, so neither `bin` nor `score`. [`mod@cpu`] is the fast twin: f32, rayon, SIMD picked at run time.
+//! [`mod@reference`] is the oracle: f64, scalar, no tiles, so neither `bin` nor `score`. [`mod@cpu`] is the fast one: f32,
+//! rayon, SIMD picked at run time. The GPU's stages have the same names.
 
 pub mod cpu;
 #[cfg(any(test, feature = "fixtures"))]

@@ -22,11 +22,12 @@ fn check(cloud: &Cloud64, camera: &Camera, settings: &RenderSettings) -> Cloud64
     let weights: Vec<f64> =
         (0..3 * camera.width * camera.height).map(|_| uniform.between(-1.0, 1.0)).collect();
     let value = |cloud: &Cloud64| {
-        let image = render(cloud, camera, settings, Cutoff::Smooth).frame.image;
+        let image = render(cloud, camera, settings, Cutoff::Smooth).picture.image;
         image.iter().zip(&weights).map(|(c, w)| w * (c + 0.5 * c * c)).sum::<f64>()
     };
     let rendered = render(cloud, camera, settings, Cutoff::Smooth);
-    let by_image: Vec<f64> = rendered.frame.image.iter().zip(&weights).map(|(c, w)| w * (1.0 + c)).collect();
+    let by_image: Vec<f64> =
+        rendered.picture.image.iter().zip(&weights).map(|(c, w)| w * (1.0 + c)).collect();
     let actual = backward(cloud, camera, settings, Cutoff::Smooth, &rendered, &by_image).cloud;
     compare_clouds(&differences(cloud, value), &actual, TOLERANCE).unwrap();
     actual
@@ -145,7 +146,7 @@ fn screen_space_gradients_sum_to_that_of_the_principal_point() {
         let at = |offset: f64| {
             let mut moved = camera;
             moved.principal_px[axis] += offset;
-            let image = render(&cloud, &moved, &settings, Cutoff::Smooth).frame.image;
+            let image = render(&cloud, &moved, &settings, Cutoff::Smooth).picture.image;
             image.iter().zip(&weights).map(|(c, w)| c * w).sum::<f64>()
         };
         let h = 1e-5;
@@ -184,9 +185,10 @@ fn planted_errors_are_detected() {
 #[test]
 fn the_differences_see_a_wrong_gradient() {
     let (cloud, camera, settings) = (random_cloud(6, 15), tilted_camera(), settings(1, ScreenFilter::Mip));
-    let value = |cloud: &Cloud64| render(cloud, &camera, &settings, Cutoff::Smooth).frame.image.iter().sum();
+    let value =
+        |cloud: &Cloud64| render(cloud, &camera, &settings, Cutoff::Smooth).picture.image.iter().sum();
     let rendered = render(&cloud, &camera, &settings, Cutoff::Smooth);
-    let ones = vec![1.0; rendered.frame.image.len()];
+    let ones = vec![1.0; rendered.picture.image.len()];
     let expected = differences(&cloud, value);
     let actual = |settings: &RenderSettings| {
         backward(&cloud, &camera, settings, Cutoff::Smooth, &rendered, &ones).cloud

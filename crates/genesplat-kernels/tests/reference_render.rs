@@ -17,7 +17,7 @@ fn picture(cloud: &Cloud64, settings: &RenderSettings) -> Rendered {
 /// RGB of pixel (x, y).
 fn pixel(rendered: &Rendered, x: u32, y: u32) -> [f64; 3] {
     let plane = (WIDTH * HEIGHT) as usize;
-    std::array::from_fn(|channel| rendered.frame.image[channel * plane + (y * WIDTH + x) as usize])
+    std::array::from_fn(|channel| rendered.picture.image[channel * plane + (y * WIDTH + x) as usize])
 }
 
 fn close(actual: f64, expected: f64) -> bool {
@@ -51,7 +51,7 @@ fn one_splat_by_hand() {
         assert!(close(r, 0.9 * alpha), "({x}, {y})");
         assert!(close(g, 0.6 * alpha + 0.5 * (1.0 - alpha)));
         assert!(close(b, 0.3 * alpha + (1.0 - alpha)));
-        assert!(close(rendered.frame.transmittance[(y * WIDTH + x) as usize], 1.0 - alpha));
+        assert!(close(rendered.picture.transmittance[(y * WIDTH + x) as usize], 1.0 - alpha));
     }
     assert_eq!(pixel(&rendered, 23, 19), [0.0, 0.5, 1.0], "the corner is out of reach");
 }
@@ -149,10 +149,10 @@ fn a_crowd_of_splats_stays_in_range() {
     let cloud = random_cloud(300, 23);
     let settings = RenderSettings { background: [0.5; 3], ..RenderSettings::default() };
     let rendered = render(&cloud, &tilted_camera(), &settings, Cutoff::Hard);
-    let darkest = rendered.frame.transmittance.iter().copied().fold(1.0, f64::min);
+    let darkest = rendered.picture.transmittance.iter().copied().fold(1.0, f64::min);
     assert!((1e-4 * (1.0 - 1e-7)..1e-2).contains(&darkest), "{darkest}");
     let brightest = rendered.splats.iter().flat_map(|splat| splat.colour).fold(0.5, f64::max);
-    assert!(rendered.frame.image.iter().all(|value| (0.0..=brightest).contains(value)));
+    assert!(rendered.picture.image.iter().all(|value| (0.0..=brightest).contains(value)));
 }
 
 #[test]
@@ -160,7 +160,7 @@ fn alpha_is_clamped_below_one() {
     let mut cloud = one_splat(0.5);
     cloud.opacity_logits[0] = 40.0;
     assert!(close(
-        picture(&cloud, &RenderSettings::default()).frame.transmittance[8 * WIDTH as usize + 10],
+        picture(&cloud, &RenderSettings::default()).picture.transmittance[8 * WIDTH as usize + 10],
         0.01
     ));
 }
@@ -213,7 +213,10 @@ fn nothing_behind_the_near_plane_is_drawn() {
         let mut cloud = one_splat(0.7);
         cloud.positions[0][2] = f64::from(z);
         let rendered = picture(&cloud, &RenderSettings::default());
-        assert!(rendered.splats.is_empty() && rendered.frame.transmittance.iter().all(|t| *t == 1.0), "{z}");
+        assert!(
+            rendered.splats.is_empty() && rendered.picture.transmittance.iter().all(|t| *t == 1.0),
+            "{z}"
+        );
     }
 }
 
@@ -239,8 +242,8 @@ fn poison_is_culled_not_spread() {
     let drawn = |cloud: &Cloud64| render(cloud, &tilted_camera(), &settings, Cutoff::Hard);
     let mut without = clean.clone();
     without.positions[2] = [0.0, 0.0, -1e6];
-    let expected = drawn(&without).frame;
-    assert_ne!(expected, drawn(&clean).frame, "row 2 must show for the test to mean anything");
+    let expected = drawn(&without).picture;
+    assert_ne!(expected, drawn(&clean).picture, "row 2 must show for the test to mean anything");
     for poison in [f64::NAN, f64::INFINITY, 1e300] {
         for group in 0..5 {
             let mut cloud = clean.clone();
@@ -252,9 +255,9 @@ fn poison_is_culled_not_spread() {
                 && poison.is_finite()
                 || name == "opacity" && poison == f64::INFINITY;
             let rendered = drawn(&cloud);
-            assert!(rendered.frame.image.iter().all(|value| value.is_finite()), "{name} = {poison}");
+            assert!(rendered.picture.image.iter().all(|value| value.is_finite()), "{name} = {poison}");
             if !harmless {
-                assert_eq!(rendered.frame, expected, "{name} = {poison}");
+                assert_eq!(rendered.picture, expected, "{name} = {poison}");
             }
         }
     }
@@ -270,7 +273,7 @@ fn needles_without_an_ellipse_are_culled() {
         cloud.rotations[0] = [1.0, 0.1, 0.2, 0.3 + 0.01 * f64::from(length)];
         let rendered = picture(&cloud, &RenderSettings::default());
         assert!(rendered.splats.iter().all(|splat| splat.covariance_px.determinant() > 0.0));
-        assert!(rendered.frame.image.iter().all(|value| (0.0..=0.9).contains(value)));
+        assert!(rendered.picture.image.iter().all(|value| (0.0..=0.9).contains(value)));
         drawn += rendered.splats.len();
     }
     assert!((10..lengths as usize).contains(&drawn), "{drawn} of {lengths}");
@@ -281,9 +284,9 @@ fn an_empty_cloud_and_a_picture_of_one_pixel() {
     let settings = RenderSettings { background: [0.25, 0.5, 0.75], ..RenderSettings::default() };
     let camera = Camera { width: 1, height: 1, principal_px: [0.5, 0.5], ..straight_camera() };
     let empty = render(&Cloud64::default(), &camera, &settings, Cutoff::Hard);
-    assert_eq!(empty.frame.image, [0.25, 0.5, 0.75]);
+    assert_eq!(empty.picture.image, [0.25, 0.5, 0.75]);
     let one = render(&one_splat(0.7), &camera, &settings, Cutoff::Hard);
-    assert!(close(one.frame.transmittance[0], 0.3));
+    assert!(close(one.picture.transmittance[0], 0.3));
 }
 
 /// A round splat of any opacity, somewhere on or beside an image of 8x8 px.
@@ -314,22 +317,22 @@ proptest! {
     /// Splat behind splat, under both rules: transmittance starts at one, never rises, is never below zero, and falls by a share
     /// that is an alpha; and no colour comes from nowhere.
     #[test]
-    fn alphas_are_shares_and_transmittance_never_rises(
+    fn alphas_are_fractions_and_transmittance_never_rises(
         splats in prop::collection::vec(any_splat(), 0..40),
         background in [0.0f64..1.0, 0.0f64..1.0, 0.0f64..1.0],
     ) {
         for cutoff in [Cutoff::Hard, Cutoff::Smooth] {
             let mut before = vec![1.0; 64];
             for count in 0..=splats.len() {
-                let frame = rasterise::forward(&splats[..count], [8, 8], background, cutoff);
-                for (&after, before) in frame.transmittance.iter().zip(&before) {
+                let picture = rasterise::rasterise(&splats[..count], [8, 8], background, cutoff);
+                for (&after, before) in picture.transmittance.iter().zip(&before) {
                     let alpha = 1.0 - after / before;
                     prop_assert!((0.0..=f64::from(genesplat_core::constants::ALPHA_MAX) + 1e-12).contains(&alpha), "{cutoff:?}: an alpha of {alpha}");
                     prop_assert!(after <= *before && after >= 0.0);
                 }
                 let in_range = |value: &f64| (0.0..=2.0 + 1e-9).contains(value);
-                prop_assert!(frame.image.iter().all(in_range), "{cutoff:?}: weights that are no shares");
-                before = frame.transmittance;
+                prop_assert!(picture.image.iter().all(in_range), "{cutoff:?}: weights that are no fractions");
+                before = picture.transmittance;
             }
         }
     }

@@ -74,7 +74,7 @@ fn three_splats() -> Cloud64 {
 fn gradients_of(cloud: &Cloud64, image_gradient: f64) -> Gradients {
     let (camera, settings) = (straight_camera(), RenderSettings::default());
     let rendered = render(cloud, &camera, &settings, Cutoff::Hard);
-    let by_image = vec![image_gradient; rendered.frame.image.len()];
+    let by_image = vec![image_gradient; rendered.picture.image.len()];
     backward(cloud, &camera, &settings, Cutoff::Hard, &rendered, &by_image)
 }
 
@@ -114,7 +114,7 @@ fn the_clamp_of_alpha_passes_gradients_straight_through() {
     push(&mut cloud, [0.0, 0.0, 2.0], 0.1, 0.995, [0.75; 3]);
     let settings = RenderSettings { background: [0.25; 3], ..RenderSettings::default() };
     let rendered = render(&cloud, &camera, &settings, Cutoff::Hard);
-    assert!((rendered.frame.transmittance[0] - 0.01).abs() < 1e-7);
+    assert!((rendered.picture.transmittance[0] - 0.01).abs() < 1e-7);
     let gradients = backward(&cloud, &camera, &settings, Cutoff::Hard, &rendered, &[1.0, 0.0, 0.0]);
     assert!((gradients.cloud.opacity_logits[0] - 0.5 * 0.995 * 0.005).abs() < 1e-12);
 }
@@ -257,7 +257,7 @@ fn mcmc_regularises_and_moves_means_at_random() {
 #[test]
 fn training_lowers_the_loss() {
     let (camera, settings) = (straight_camera(), RenderSettings::default());
-    let target = render(&three_splats(), &camera, &settings, Cutoff::Hard).frame.image;
+    let target = render(&three_splats(), &camera, &settings, Cutoff::Hard).picture.image;
     let pixels = (WIDTH * HEIGHT) as usize;
     let rgb = (0..pixels).flat_map(|p| (0..3).map(move |c| c * pixels + p));
     let photo =
@@ -278,7 +278,7 @@ fn training_lowers_the_loss() {
     let mut losses = Vec::new();
     for step in 1..=100 {
         let rendered = render(&cloud, &camera, &settings, Cutoff::Hard);
-        let (value, by_image) = loss(&rendered.frame.image, &photo);
+        let (value, by_image) = loss(&rendered.picture.image, &photo);
         losses.push(value);
         let gradients = backward(&cloud, &camera, &settings, Cutoff::Hard, &rendered, &by_image);
         let update = Update { rates, step, opacity_step: step, mcmc: None };

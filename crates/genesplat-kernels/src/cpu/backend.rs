@@ -9,12 +9,13 @@ use genesplat_core::{
     RowEdit, Statistics, StatisticsRequest, TrainStep, View, WindowAverages, backend::StepReport,
 };
 
-use super::frame::{Frame, StageSeconds, timed};
+use super::blend::rasterise_backward::Extra;
 use super::loss::{Target, loss};
-use super::project::Pinhole;
-use super::rasterise_backward::Extra;
 use super::score::Scorer;
-use super::update::{Inputs, update};
+use super::update::{UpdateInputs, update};
+use super::view::buffers::ViewBuffers;
+use super::view::pinhole::Pinhole;
+use super::view::timings::{StageSeconds, timed};
 
 /// A training view as the kernels read it.
 pub(super) struct TrainView {
@@ -29,7 +30,7 @@ pub struct CpuBackend {
     pub(super) moments: Moments,
     statistics: Statistics,
     pub(super) views: Vec<TrainView>,
-    pub(super) frame: Frame,
+    pub(super) buffers: ViewBuffers,
     report: StepReport,
     steps: u32,
     pub(super) scorer: Scorer,
@@ -53,7 +54,7 @@ impl CpuBackend {
             moments: Moments::default(),
             statistics: Statistics::default(),
             views: Vec::new(),
-            frame: Frame::default(),
+            buffers: ViewBuffers::default(),
             report: StepReport::default(),
             steps: 0,
             scorer: Scorer::default(),
@@ -64,17 +65,18 @@ impl CpuBackend {
 
     /// Time spent in each stage since the last call.
     pub fn take_stage_seconds(&mut self) -> StageSeconds {
-        std::mem::take(&mut self.frame.seconds)
+        std::mem::take(&mut self.buffers.seconds)
     }
 
     /// Eq. 5 of the cloud on one training view, rendered in full: the plain way, which scoring is measured against.
     pub fn loss_of_view(&mut self, view: usize, settings: &RenderSettings) -> f32 {
         let TrainView { camera, target } = &self.views[view];
-        self.frame.render(self.level, &self.cloud, camera, settings);
-        loss(self.level, &self.frame.image, target, None)
+        self.buffers.render(self.level, &self.cloud, camera, settings);
+        loss(self.level, &self.buffers.image, target, None)
     }
 
-    /// Bytes of memory that scoring has taken at most since the views were set or the last step was made, beside the cloud, the photos and the individuals.
+    /// Bytes of memory that scoring has taken at most since the views were set or the last step was made, besides the
+    /// cloud, the photos and the individuals.
     pub fn scoring_bytes(&self) -> usize {
         self.scorer.bytes()
     }
@@ -164,8 +166,8 @@ impl Backend for CpuBackend {
     }
 
     fn render(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<Image, BackendError> {
-        self.frame.render(self.level, &self.cloud, &Pinhole::from(camera), settings);
-        Ok(self.frame.image.clone())
+        self.buffers.render(self.level, &self.cloud, &Pinhole::from(camera), settings);
+        Ok(self.buffers.image.clone())
     }
 
     fn train_step(&mut self, step: &TrainStep) -> Result<(), BackendError> {
@@ -174,13 +176,13 @@ impl Backend for CpuBackend {
         self.grow_statistics(step.statistics);
         let view = &self.views[step.view];
         let (camera, settings) = (view.camera, step.settings);
-        self.frame.render(self.level, &self.cloud, &camera, &settings);
-        let loss = self.frame.backward(self.level, &camera, &view.target, extra(step.statistics.density));
+        self.buffers.render(self.level, &self.cloud, &camera, &settings);
+        let loss = self.buffers.backward(self.level, &camera, &view.target, extra(step.statistics.density));
         if !loss.is_finite() {
             return Err(self.non_finite());
         }
-        let Frame { splats, bins, rows, seconds, .. } = &mut self.frame;
-        let inputs = Inputs { splats, bins, rows, camera: &camera, settings: &settings };
+        let ViewBuffers { splats, bins, gradient_rows, seconds, .. } = &mut self.buffers;
+        let inputs = UpdateInputs { splats, bins, gradient_rows, camera: &camera, settings: &settings };
         timed(&mut seconds.update, || {
             let (cloud, moments) = (&mut self.cloud, &mut self.moments);
             update(
@@ -194,7 +196,7 @@ impl Backend for CpuBackend {
             );
         });
         self.steps = step.update.as_ref().map_or(self.steps, |update| update.step);
-        self.report = StepReport { loss, visible: splats.len(), intersections: bins.entries.len() };
+        self.report = StepReport { loss, visible: splats.len(), intersections: bins.intersections.len() };
         Ok(())
     }
 

@@ -6,7 +6,7 @@ use genesplat_core::{
 };
 
 use super::backend::{CpuBackend, TrainView};
-use super::contribution::contribution;
+use super::blend::contribution::contribution;
 use super::loss::{Target, loss};
 
 impl EvolutionBackend for CpuBackend {
@@ -41,7 +41,7 @@ impl EvolutionBackend for CpuBackend {
         for &view in views {
             let TrainView { camera, target } = &self.views[view];
             let view = (camera, target);
-            contribution(self.level, &mut self.frame, &self.cloud, view, settings, &mut contributions);
+            contribution(self.level, &mut self.buffers, &self.cloud, view, settings, &mut contributions);
         }
         Ok(contributions)
     }
@@ -68,9 +68,9 @@ impl EvolutionBackend for CpuBackend {
             };
             for &view in views {
                 let TrainView { camera, target } = &self.views[view];
-                self.frame.render(self.level, measured, camera, settings);
-                let loss = loss(self.level, &self.frame.image, target, None);
-                losses.push(ViewLoss { loss, squared_error: squared_error(&self.frame.image, target) });
+                self.buffers.render(self.level, measured, camera, settings);
+                let loss = loss(self.level, &self.buffers.image, target, None);
+                losses.push(ViewLoss { loss, squared_error: squared_error(&self.buffers.image, target) });
             }
         }
         Ok(losses)

@@ -1,34 +1,35 @@
 //! The CPU backend: every stage on all cores, with the widest vectors that the machine has.
 //!
+//! | folder | stages |
+//! |---|---|
+//! | `view` | `project`, `colour`; the buffers of one view |
+//! | `bin` | `bin`: depth order and tile lists |
+//! | `blend` | `rasterise`, `rasterise_backward`, `contribution` |
+//! | `loss` | `loss` |
+//! | `update` | `project_backward`, `adam`, `noise`, fused |
+//! | `score` | `score` |
+//!
 //! Work is cut into pieces of fixed size and every sum has a fixed order, so that results are the same bytes for any
 //! number of threads. Threads are those of the ambient rayon pool.
 
-mod adam;
+mod backend;
 mod bin;
-mod colour;
-mod contribution;
+mod blend;
+mod evolution_backend;
 mod loss;
-mod noise;
-mod order;
-mod project;
-mod project_backward;
-mod rasterise;
-mod rasterise_backward;
 mod roofline;
 mod score;
 mod simd;
 mod update;
-
-mod backend;
-mod evolution_backend;
-mod frame;
+mod view;
 
 pub use backend::CpuBackend;
-pub use frame::{Frame, StageSeconds};
+pub use blend::rasterise_backward::Extra;
 pub use loss::Target;
-pub use project::Pinhole;
-pub use rasterise_backward::Extra;
 pub use roofline::roofline_nanoseconds_per_intersection;
+pub use view::buffers::ViewBuffers;
+pub use view::pinhole::Pinhole;
+pub use view::timings::StageSeconds;
 
 /// Memory that a vector has, used or not.
 fn bytes_of<T>(values: &Vec<T>) -> usize {

@@ -1,21 +1,23 @@
 //! The roofline of forward blending: what one core needs for one Gaussian over a whole 16x16 tile when nothing but the
 //! arithmetic is left. 512 Gaussians, all in cache, no lists, no culling, no pixel ever finished.
 //!
-//! `bench step` divides the time of the real stage by its number of (splat, tile) pairs and compares. The real stage
-//! may be *faster*, since it leaves out the blocks that a splat does not reach.
+//! `bench step` divides the time of the real stage by its number of intersections and compares. The real stage may be
+//! *faster*, since it leaves out the blocks that a splat does not reach.
 
 use std::hint::black_box;
 use std::time::Instant;
 
 use fearless_simd::{Level, Simd, dispatch};
 
-use super::project::{Splat, TILE};
-use super::rasterise::{ALL_BLOCKS, TileImage, blend};
+use super::blend::block::ALL_BLOCKS;
+use super::blend::rasterise::{TileImage, blend};
+use super::view::pinhole::TILE;
+use super::view::splats::Splat;
 
 const GAUSSIANS: usize = 512;
 const REPEATS: usize = 50;
 
-/// Nanoseconds per (Gaussian x 16x16 tile) on one core: the fastest of several repeats, since all that can happen to a
+/// Nanoseconds per intersection (one Gaussian over a whole 16x16 tile) on one core: the fastest of several repeats, since all that can happen to a
 /// repeat is to be interrupted.
 pub fn roofline_nanoseconds_per_intersection() -> f64 {
     let splats: Vec<Splat> = (0..GAUSSIANS).map(faint_splat).collect();
@@ -34,7 +36,7 @@ pub fn roofline_nanoseconds_per_intersection() -> f64 {
 fn faint_splat(index: usize) -> Splat {
     let offset = (index % 16) as f32;
     Splat {
-        mean: [offset, 15.0 - offset],
+        mean_px: [offset, 15.0 - offset],
         // At the far corner, 15 px away on both axes: 2^-7.73, still above 1/255.
         conic_log2: [-0.002, 0.001, -0.002],
         log2_opacity: -6.6,

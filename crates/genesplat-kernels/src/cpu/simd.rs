@@ -1,28 +1,39 @@
 //! The few vector helpers that more than one stage uses.
 //!
 //! One source serves every instruction set: stages are generic over `S: Simd` and entered through
-//! [`fearless_simd::dispatch!`], which picks AVX-512, AVX2, SSE or NEON when the program runs. A vector is always 16
+//! [`fearless_simd::dispatch!`], which picks AVX-512, AVX2, SSE or NEON when the program runs. A vector always has 16
 //! lanes; narrower machines use several registers for it.
 
 use fearless_simd::{Simd, f32x16, mask32x16, prelude::*, u32x16};
 
 /// Lanes of the vectors that all stages use.
-pub const LANES: usize = 16;
+pub(crate) const LANES: usize = 16;
 
 /// 16 lanes of f32.
-pub type V<S> = f32x16<S>;
+pub(crate) type V<S> = f32x16<S>;
 
 /// `log2(e)`.
-pub const LOG2_E: f32 = std::f32::consts::LOG2_E;
+pub(crate) const LOG2_E: f32 = std::f32::consts::LOG2_E;
 
 /// Adding and subtracting this rounds an f32 of magnitude below 2²² to the nearest integer, and leaves that integer in
 /// the low mantissa bits.
 const ROUND: f32 = 12_582_912.0;
 
-/// `[f(0), f(1), ...]`, always inlined: `std::array::from_fn` and `map` are not, and a vector operation that is not
-/// inlined into the function that dispatched it becomes a call through memory.
+/// `array!(k => value)` is `[value, ...]` for `k` = 0, 1, ...: always inlined, as `std::array::from_fn` and `map` are not.
+/// A vector operation that is not inlined into the function that dispatched it becomes a call through memory.
+macro_rules! array {
+    ($k:ident => $value:expr) => {
+        $crate::cpu::simd::array_from(
+            #[inline(always)]
+            |$k| $value,
+        )
+    };
+}
+pub(crate) use array;
+
+/// `[f(0), f(1), ...]`; see [`array!`].
 #[inline(always)]
-pub fn array<const K: usize, T: Copy>(mut f: impl FnMut(usize) -> T) -> [T; K] {
+pub(crate) fn array_from<const K: usize, T: Copy>(mut f: impl FnMut(usize) -> T) -> [T; K] {
     let mut out = [f(0); K];
     for k in 1..K {
         out[k] = f(k);
@@ -33,10 +44,10 @@ pub fn array<const K: usize, T: Copy>(mut f: impl FnMut(usize) -> T) -> [T; K] {
 /// Asks the machine to bring a value into its first-level cache, without waiting for it.
 ///
 /// Splats and gradient rows are read in an order that no hardware prefetcher can guess, and a load that misses stops
-/// the machine some 300 instructions later. (Measured: see docs/performance.md.) Does nothing where the language has no
+/// the machine some 300 instructions later (measured: docs/performance.md). Does nothing where the language has no
 /// stable way to say it.
 #[inline(always)]
-pub fn prefetch<T>(value: &T) {
+pub(crate) fn prefetch<T>(value: &T) {
     #[cfg(target_arch = "x86_64")]
     #[expect(
         unsafe_code,
@@ -52,16 +63,13 @@ pub fn prefetch<T>(value: &T) {
 
 /// The lanes of several vectors.
 #[inline(always)]
-pub fn lanes_of<const K: usize, S: Simd>(vectors: &[V<S>; K]) -> [[f32; LANES]; K] {
-    array(
-        #[inline(always)]
-        |k| *vectors[k],
-    )
+pub(crate) fn lanes_of<const K: usize, S: Simd>(vectors: &[V<S>; K]) -> [[f32; LANES]; K] {
+    array!(k => *vectors[k])
 }
 
 /// `2^x` for `x` in `[-126, 126]`, relative error below 3e-7.
 #[inline(always)]
-pub fn exp2<S: Simd>(x: V<S>) -> V<S> {
+pub(crate) fn exp2<S: Simd>(x: V<S>) -> V<S> {
     const POLYNOMIAL: [f32; 6] =
         [1.000_000_1, 0.693_146_97, 0.240_221_2, 0.055_507_13, 0.009_675_541_3, 0.001_327_647_2];
     exp2_by(&POLYNOMIAL, x)
@@ -69,7 +77,7 @@ pub fn exp2<S: Simd>(x: V<S>) -> V<S> {
 
 /// The same with a relative error below 3e-6, for alphas: these are compared with 1/255, and pictures have 8 bits.
 #[inline(always)]
-pub fn exp2_of_alpha<S: Simd>(x: V<S>) -> V<S> {
+pub(crate) fn exp2_of_alpha<S: Simd>(x: V<S>) -> V<S> {
     const POLYNOMIAL: [f32; 5] = [0.999_999_26, 0.693_121_8, 0.240_247_45, 0.055_917_86, 0.009_570_102];
     exp2_by(&POLYNOMIAL, x)
 }
@@ -88,19 +96,19 @@ fn exp2_by<const K: usize, S: Simd>(polynomial: &[f32; K], x: V<S>) -> V<S> {
 
 /// `value` where the mask is set, 0 elsewhere, whatever the value there.
 #[inline(always)]
-pub fn keep<S: Simd>(mask: mask32x16<S>, value: V<S>) -> V<S> {
+pub(crate) fn keep<S: Simd>(mask: mask32x16<S>, value: V<S>) -> V<S> {
     V::from_bits(value.to_bits() & mask.to_vector().bitcast::<u32x16<S>>())
 }
 
 /// `e^x`, clamped to the range of [`exp2`].
 #[inline(always)]
-pub fn exp<S: Simd>(x: V<S>) -> V<S> {
+pub(crate) fn exp<S: Simd>(x: V<S>) -> V<S> {
     exp2((x * LOG2_E).max(-126.0).min(126.0))
 }
 
 /// The logistic function.
 #[inline(always)]
-pub fn sigmoid<S: Simd>(x: V<S>) -> V<S> {
+pub(crate) fn sigmoid<S: Simd>(x: V<S>) -> V<S> {
     let one = V::splat(x.simd, 1.0);
     one / (exp(-x) + one)
 }

@@ -1,4 +1,4 @@
-//! Colour of a Gaussian as one camera sees it: `max(0, 0.5 + Σ basis_k(direction) · coefficient_k)` per channel.
+//! Stage `colour`: colour of a Gaussian as one camera sees it: `max(0, 0.5 + Σ basis_k(direction) · coefficient_k)` per channel.
 
 use genesplat_core::spherical_harmonics::{
     C1, C2, C3, SH_COEFFICIENTS, SH_STRIDE, basis, coefficients, sh_index,
@@ -28,7 +28,12 @@ fn unclamped(sh: &[f64; SH_STRIDE], offset: DVec3, degree: u8) -> [f64; 3] {
 }
 
 /// Back from `∂L/∂colour`. A channel that the forward clamped passes nothing.
-pub fn backward(sh: &[f64; SH_STRIDE], offset: DVec3, degree: u8, by_colour: [f64; 3]) -> ColourGradient {
+pub fn colour_backward(
+    sh: &[f64; SH_STRIDE],
+    offset: DVec3,
+    degree: u8,
+    by_colour: [f64; 3],
+) -> ColourGradient {
     let direction = offset.normalize();
     let basis = basis(degree, direction.to_array());
     let slopes = basis_slopes(degree, direction);

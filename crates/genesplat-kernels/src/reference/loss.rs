@@ -1,4 +1,4 @@
-//! Eq. 5 of the evolution paper, which is Eq. 7 of 3DGS: `0.8 · L1 + 0.2 · (1 − SSIM)`, and its gradient.
+//! Stage `loss`: Eq. 5 of the evolution paper, which is Eq. 7 of 3DGS: `0.8 · L1 + 0.2 · (1 − SSIM)`, and its gradient.
 //!
 //! SSIM (Wang et al. 2004) uses an 11 x 11 Gaussian window of 1.5 px per channel, zeros outside the image (so border
 //! pixels are darkened alike in both), variances as `E[x²] − μ²`, and the mean over all pixels and channels.

@@ -1,13 +1,13 @@
 //! The f64 reference: every stage once more, scalar and without tiles, as close to the formulas as code can be.
 //!
 //! It is the oracle that the other backends are tested against, and its own gradients are tested against finite
-//! differences. Nothing here is meant to be fast. One stage, one file, under the name that its twins use:
+//! differences. Nothing here is meant to be fast. Each stage has one file, under the name that it has in every backend:
 //!
 //! ```text
 //! Cloud64 --project--> splats --rasterise--> image --loss--> image gradient
 //!    ^  (covariance, screen_filter, colour)                       |
-//!    '--adam-- gradients <--project_backward-- splat gradients <--rasterise
-//!                  '--statistics--> sums for density control and evolution
+//!    '--adam-- gradients <--project_backward-- splat gradients <--rasterise_backward
+//!     (noise)      '--statistics--> sums for density control and evolution
 //! ```
 //!
 //! Formulas: Zwicker et al. 2001 (EWA splatting), Kerbl et al. 2023 (3DGS), Yu et al. 2024 (Mip-Splatting), Zhang et
@@ -16,6 +16,7 @@
 pub mod adam;
 pub mod cloud;
 pub mod colour;
+pub mod contribution;
 pub mod covariance;
 pub mod cutoff;
 pub mod loss;
@@ -23,23 +24,27 @@ pub mod noise;
 pub mod project;
 pub mod project_backward;
 pub mod rasterise;
+pub mod rasterise_backward;
 pub mod screen_filter;
 pub mod statistics;
 
 use genesplat_core::{Camera, Photo, RenderSettings, View};
+use project_backward::project_backward;
+use rasterise_backward::rasterise_backward;
 
 pub use adam::{Moments64, adam};
 pub use cloud::Cloud64;
+pub use contribution::contribution;
 pub use cutoff::Cutoff;
 pub use project::{Splat, Symmetric2};
-pub use rasterise::Frame;
+pub use rasterise::Picture64;
 pub use statistics::Statistics64;
 
 /// A rendered view.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Rendered {
     /// The picture and its transmittance.
-    pub frame: Frame,
+    pub picture: Picture64,
     /// All splats in front of the camera, nearest first; equal depths in order of their rows.
     pub splats: Vec<Splat>,
 }
@@ -52,7 +57,7 @@ pub struct Gradients {
     /// By the projected mean, in normalised device coordinates (per px times half the image's size): the signal of
     /// 3DGS's density control.
     pub mean2d_ndc: Vec<[f64; 2]>,
-    /// The same with each pixel's share made positive, per axis.
+    /// The same with each pixel's part made positive, per axis.
     pub mean2d_abs_ndc: Vec<[f64; 2]>,
     /// Pixels in which the Gaussian was blended (Pixel-GS).
     pub pixels: Vec<u32>,
@@ -70,8 +75,8 @@ pub fn render(cloud: &Cloud64, camera: &Camera, settings: &RenderSettings, cutof
         (0..cloud.len()).filter_map(|row| project::project(cloud, row, camera, settings)).collect();
     // Stable: equal depths stay in order of their rows.
     splats.sort_by(|a, b| a.depth.total_cmp(&b.depth));
-    let frame = rasterise::forward(&splats, size(camera), background(settings), cutoff);
-    Rendered { frame, splats }
+    let picture = rasterise::rasterise(&splats, size(camera), background(settings), cutoff);
+    Rendered { picture, splats }
 }
 
 /// Loss of an image `[3, H, W]` against the photo of the same size, and its gradient by the image.
@@ -90,12 +95,12 @@ pub fn backward(
     image_gradient: &[f64],
 ) -> Gradients {
     let splats = &rendered.splats;
-    let by_splats = rasterise::backward(splats, size(camera), background(settings), cutoff, image_gradient);
+    let by_splats = rasterise_backward(splats, size(camera), background(settings), cutoff, image_gradient);
     let half_size = size(camera).map(|side| 0.5 * f64::from(side));
     let mut gradients = Gradients::zeros(cloud.len());
     for (splat, by_splat) in splats.iter().zip(&by_splats) {
         let row = splat.row;
-        let by_row = project_backward::backward(cloud, camera, settings, splat, by_splat);
+        let by_row = project_backward(cloud, camera, settings, splat, by_splat);
         gradients.cloud.positions[row] = by_row.position;
         gradients.cloud.log_scales[row] = by_row.log_scale;
         gradients.cloud.rotations[row] = by_row.rotation;
@@ -120,39 +125,8 @@ pub fn gradients(
     cutoff: Cutoff,
 ) -> (f64, Gradients) {
     let rendered = render(cloud, &view.camera, settings, cutoff);
-    let (loss, by_image) = loss(&rendered.frame.image, &view.photo);
+    let (loss, by_image) = loss(&rendered.picture.image, &view.photo);
     (loss, backward(cloud, &view.camera, settings, cutoff, &rendered, &by_image))
-}
-
-/// How much each Gaussian contributes to `view`, and the error where it is seen: `[Σ α·T, Σ α·T·|I − P|]` over its pixels,
-/// `[N]`. The backward blending sums these as the gradient of a Gaussian's colour.
-pub fn contribution(
-    cloud: &Cloud64,
-    view: &View,
-    settings: &RenderSettings,
-    cutoff: Cutoff,
-) -> Vec<[f64; 2]> {
-    let camera = &view.camera;
-    let rendered = render(cloud, camera, settings, cutoff);
-    let errors = errors(&rendered.frame.image, &view.photo);
-    let (ones, zeros) = (vec![1.0; errors.len()], vec![0.0; errors.len()]);
-    let by_image = [ones, errors, zeros].concat();
-    let by_splats =
-        rasterise::backward(&rendered.splats, size(camera), background(settings), cutoff, &by_image);
-    let mut sums = vec![[0.0; 2]; cloud.len()];
-    for (splat, by_splat) in rendered.splats.iter().zip(&by_splats) {
-        sums[splat.row] = [by_splat.colour[0], by_splat.colour[1]];
-    }
-    sums
-}
-
-/// `|I − P|` of each pixel, all channels together `[H, W]`.
-fn errors(image: &[f64], photo: &Photo) -> Vec<f64> {
-    let (photo, plane) = (planes(photo), image.len() / 3);
-    let error = |pixel: usize| -> f64 {
-        (0..3).map(|c| (image[c * plane + pixel] - photo[c * plane + pixel]).abs()).sum()
-    };
-    (0..plane).map(error).collect()
 }
 
 impl Gradients {

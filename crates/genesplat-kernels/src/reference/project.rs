@@ -1,4 +1,4 @@
-//! From a Gaussian in the world to a splat on the screen (Zwicker et al. 2001, as 3DGS does it).
+//! Stage `project`: from a Gaussian in the world to a splat on the screen (Zwicker et al. 2001, as 3DGS does it).
 //!
 //! The mean goes through the pinhole; the covariance through the pinhole's Jacobian at the mean, `Σ' = U Σ Uᵀ` with
 //! `U = J · R`. `J` is taken at an `x/z` and `y/z` clamped to 1.3 times the half field of view, because far outside
@@ -104,7 +104,7 @@ pub(super) struct Geometry {
 }
 
 impl Geometry {
-    pub fn new(cloud: &Cloud64, row: usize, camera: &Camera) -> Self {
+    pub(crate) fn new(cloud: &Cloud64, row: usize, camera: &Camera) -> Self {
         let point = camera.camera_from_world(DVec3::from_array(cloud.positions[row]));
         let raw_slopes = [point.x / point.z, point.y / point.z];
         let limits = camera.tan_half_fov().map(|tan| f64::from(JACOBIAN_LIMIT) * tan);
@@ -122,7 +122,7 @@ impl Geometry {
     }
 
     /// `Σ' = U Σ Uᵀ`, before the screen filter, px².
-    pub fn covariance_px(&self) -> Symmetric2 {
+    pub(crate) fn covariance_px(&self) -> Symmetric2 {
         let [u, v] = self.screen_rows;
         let (along_u, along_v) = (self.covariance * u, self.covariance * v);
         Symmetric2 { xx: u.dot(along_u), xy: u.dot(along_v), yy: v.dot(along_v) }

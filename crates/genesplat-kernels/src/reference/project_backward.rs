@@ -1,4 +1,4 @@
-//! From the gradients of a splat back to the parameters of its Gaussian.
+//! Stage `project_backward`: from the gradients of a splat back to the parameters of its Gaussian.
 //!
 //! Every derivative is the true one of the forward formulas. The published kernel differs in three places that do
 //! not move results: it stabilises the conic's inverse with 1e-7, it differentiates the Jacobian by depth as if
@@ -9,7 +9,7 @@ use genesplat_core::{Camera, RenderSettings};
 use glam::{DMat3, DVec3};
 
 use super::project::{Geometry, Splat, Symmetric2};
-use super::rasterise::SplatGradient;
+use super::rasterise_backward::SplatGradient;
 use super::{Cloud64, cloud::sigmoid, colour, screen_filter};
 
 /// Gradients of one Gaussian's raw parameters.
@@ -28,7 +28,7 @@ pub struct RowGradient {
 }
 
 /// Back from a splat to its Gaussian.
-pub fn backward(
+pub fn project_backward(
     cloud: &Cloud64,
     camera: &Camera,
     settings: &RenderSettings,
@@ -55,7 +55,7 @@ pub fn backward(
     let by_shape = geometry.shape.backward(by_covariance, by_splat.opacity * own * compensation);
 
     let position = DVec3::from_array(cloud.positions[row]);
-    let by_colour = colour::backward(
+    let by_colour = colour::colour_backward(
         &cloud.sh[row],
         position - camera.centre_in_world(),
         settings.sh_degree,

@@ -1,15 +1,16 @@
 //! Stage `score`: Eq. 5 of a whole population over a set of views, forward only.
 //!
 //! Individuals are not rendered one by one. A search whose individuals differ from each other in a quarter of their rows
-//! still holds few values of any one row: cousins inherit the same ones. A [`Pool`] has each of them once, an *allele*, with
-//! who holds it. To a view the alleles are the rows of one large cloud, projected, sorted and listed by tile once for all
-//! individuals ([`pool`]); a block of pixels evaluates the alpha of each allele once ([`blend`]); and what is left for an
-//! individual is to blend the alphas that it holds, and its loss, which knows the photo's part of it already ([`judge`]).
-//! Losses equal those of rendering the changed cloud up to rounding.
+//! still holds few values of any one row, as related individuals inherit the same ones. A [`Pool`] has each value of a
+//! row once, an *allele*, with the individuals that hold it. To a view the alleles are the rows of one large cloud,
+//! projected, sorted and listed by tile once for all individuals ([`pool`]). In a block of pixels the alpha of each allele
+//! is evaluated once ([`tile`]). What is left for an individual is to blend the alphas that it holds, and its loss, of
+//! which the photo's part is known already ([`photo_loss`]). Losses equal those of rendering the changed cloud up to
+//! rounding.
 
-mod blend;
-pub mod judge;
+pub(crate) mod photo_loss;
 mod pool;
+mod tile;
 
 use std::collections::BTreeMap;
 
@@ -18,24 +19,24 @@ use genesplat_core::{Gaussians, RenderSettings, SparseDelta};
 use rayon::prelude::*;
 
 use super::loss::Target;
-use super::project::Pinhole;
-use judge::Judge;
-use pool::{Pool, Room};
+use super::view::pinhole::Pinhole;
+use photo_loss::PhotoLoss;
+use pool::{Pool, PoolBuffers};
 
 /// Scores populations, and remembers what does not depend on the cloud.
 #[derive(Default)]
-pub struct Scorer {
+pub(crate) struct Scorer {
     /// By view.
-    judges: BTreeMap<usize, Judge>,
+    photos: BTreeMap<usize, PhotoLoss>,
     /// Two views at a time: sorting takes one thread, and the other view the rest.
-    rooms: [Room; 2],
+    buffers: [PoolBuffers; 2],
     /// Bytes of the largest pool so far.
     pool_bytes: usize,
 }
 
 impl Scorer {
     /// Losses `[P, V]` of the individuals on the views; `of_view` gives the camera and the photo of each.
-    pub fn score<'a>(
+    pub(crate) fn score<'a>(
         &mut self,
         level: Level,
         cloud: &Gaussians,
@@ -44,7 +45,7 @@ impl Scorer {
         of_view: impl Fn(usize) -> (Pinhole, &'a Target) + Sync,
         settings: &RenderSettings,
     ) -> Vec<f32> {
-        self.appoint(level, views, |view| of_view(view).1);
+        self.prepare_photos(level, views, |view| of_view(view).1);
         let tiles = |&view: &usize| of_view(view).0.grid().iter().product();
         let most = Pool::capacity(views.iter().map(tiles).max().unwrap_or(0));
         let each = population.len().div_ceil(population.len().div_ceil(most).max(1)).max(1);
@@ -53,11 +54,11 @@ impl Scorer {
             let pool = Pool::new(cloud, individuals);
             self.pool_bytes = self.pool_bytes.max(pool.bytes());
             let mut by_view: Vec<Vec<f32>> = Vec::with_capacity(views.len());
-            for views in views.chunks(self.rooms.len().min(rayon::current_num_threads())) {
-                let rooms = views.par_iter().zip(&mut self.rooms);
-                by_view.par_extend(rooms.map(|(view, room)| {
-                    let of_view = (&of_view(*view).0, &self.judges[view]);
-                    pool.losses(level, cloud, of_view, settings, room)
+            for views in views.chunks(self.buffers.len().min(rayon::current_num_threads())) {
+                let work = views.par_iter().zip(&mut self.buffers);
+                by_view.par_extend(work.map(|(view, buffers)| {
+                    let of_view = (&of_view(*view).0, &self.photos[view]);
+                    pool.losses(level, cloud, of_view, settings, buffers)
                 }));
             }
             losses
@@ -66,22 +67,28 @@ impl Scorer {
         losses
     }
 
-    /// Bytes of memory that scoring has taken at most, but for what threads have of their own: the judges' grow with the views,
-    /// the pool's and the rooms' with individuals and Gaussians.
-    pub fn bytes(&self) -> usize {
-        let judges: usize = self.judges.values().map(Judge::bytes).sum();
-        judges + self.rooms.iter().map(Room::bytes).sum::<usize>() + self.pool_bytes
+    /// Bytes of memory that scoring has taken at most, but for what threads have of their own: photos grow with the views,
+    /// the pool and its buffers with individuals and Gaussians.
+    pub(crate) fn bytes(&self) -> usize {
+        let photos: usize = self.photos.values().map(PhotoLoss::bytes).sum();
+        photos + self.buffers.iter().map(PoolBuffers::bytes).sum::<usize>() + self.pool_bytes
     }
 
-    /// Finds judges for the views that have none.
-    fn appoint<'a>(&mut self, level: Level, views: &[usize], photo: impl Fn(usize) -> &'a Target + Sync) {
+    /// Blurs the photos of the views that were not scored before.
+    fn prepare_photos<'a>(
+        &mut self,
+        level: Level,
+        views: &[usize],
+        photo: impl Fn(usize) -> &'a Target + Sync,
+    ) {
         let mut missing: Vec<usize> =
-            views.iter().copied().filter(|view| !self.judges.contains_key(view)).collect();
+            views.iter().copied().filter(|view| !self.photos.contains_key(view)).collect();
         missing.sort_unstable();
         missing.dedup();
-        self.judges.par_extend(missing.into_par_iter().map(|view| (view, Judge::new(level, photo(view)))));
+        self.photos
+            .par_extend(missing.into_par_iter().map(|view| (view, PhotoLoss::new(level, photo(view)))));
     }
 }
 
 #[cfg(test)]
-pub mod tests;
+mod tests;

@@ -5,11 +5,13 @@ use genesplat_core::alleles::{Holders, alleles};
 use genesplat_core::{Gaussians, Genes, RenderSettings, SparseDelta};
 use rayon::prelude::*;
 
-use super::super::bin::Bins;
-use super::super::bytes_of;
-use super::super::project::{Pinhole, Splats, TILE, project_versions};
-use super::blend::{Blender, Colours};
-use super::judge::{Judge, Layout, Walk};
+use super::photo_loss::{Layout, PhotoLoss, Walk};
+use super::tile::{Colours, TileBlender};
+use crate::cpu::bin::Bins;
+use crate::cpu::bytes_of;
+use crate::cpu::view::pinhole::{Pinhole, TILE};
+use crate::cpu::view::project::project_versions;
+use crate::cpu::view::splats::Splats;
 
 /// Rows that one task looks through for alleles.
 const ROWS: usize = 4096;
@@ -24,52 +26,52 @@ struct Allele {
 }
 
 /// Up to 128 individuals.
-pub struct Pool {
+pub(crate) struct Pool {
     individuals: usize,
     /// By row.
     alleles: Vec<Allele>,
 }
 
-/// The working memory of a pool's view.
+/// Buffers of one view of a pool, reused from view to view.
 #[derive(Default)]
-pub struct Room {
+pub(crate) struct PoolBuffers {
     splats: Splats,
     bins: Bins,
     /// Who holds the allele of each splat.
     holders: Vec<Holders>,
-    /// Everybody's colours in each tile `[tiles, P]`.
+    /// Colours of each tile of each individual `[tiles, P]`.
     pictures: Vec<Colours>,
 }
 
-impl Room {
+impl PoolBuffers {
     /// Bytes of memory.
-    pub fn bytes(&self) -> usize {
+    pub(crate) fn bytes(&self) -> usize {
         let Self { splats, bins, holders, pictures } = self;
         splats.bytes() + bins.bytes() + bytes_of(holders) + bytes_of(pictures)
     }
 }
 
-/// One thread's working memory while it judges.
+/// One thread's working memory for losses.
 #[derive(Default)]
-struct Easel {
+struct LossScratch {
     picture: Vec<f32>,
     walk: Walk<3>,
 }
 
 impl Pool {
     /// Individuals that may share a pool whose views have so many tiles.
-    pub fn capacity(tiles: usize) -> usize {
+    pub(crate) fn capacity(tiles: usize) -> usize {
         let bytes = tiles * size_of::<Colours>();
         (PICTURES_BYTES / bytes.max(1)).clamp(1, Holders::BITS as usize)
     }
 
     /// Bytes of memory.
-    pub fn bytes(&self) -> usize {
+    pub(crate) fn bytes(&self) -> usize {
         bytes_of(&self.alleles)
     }
 
     /// The alleles of some individuals, which are differences from `cloud`.
-    pub fn new(cloud: &Gaussians, individuals: &[SparseDelta]) -> Self {
+    pub(crate) fn new(cloud: &Gaussians, individuals: &[SparseDelta]) -> Self {
         let tasks = (0..cloud.len().div_ceil(ROWS)).into_par_iter();
         let rows = |task: usize| task * ROWS..cloud.len().min((task + 1) * ROWS);
         let alleles = tasks.flat_map_iter(|task| alleles(individuals, rows(task))).map(|allele| Allele {
@@ -81,41 +83,42 @@ impl Pool {
     }
 
     /// The losses of the individuals in one view.
-    pub fn losses(
+    pub(crate) fn losses(
         &self,
         level: Level,
         cloud: &Gaussians,
-        (camera, judge): (&Pinhole, &Judge),
+        (camera, photo_loss): (&Pinhole, &PhotoLoss),
         settings: &RenderSettings,
-        room: &mut Room,
+        buffers: &mut PoolBuffers,
     ) -> Vec<f32> {
-        let Room { splats, bins, holders, pictures } = room;
+        let PoolBuffers { splats, bins, holders, pictures } = buffers;
         // 1. The alleles as the splats of one cloud.
         let version = |index: usize| (self.alleles[index].row, self.alleles[index].genes);
         project_versions(level, cloud, self.alleles.len(), version, camera, settings, splats);
         bins.build(level, splats, camera);
         holders.resize(splats.capacity(), Holders::MIN);
         for (index, splat) in splats.iter() {
-            holders[index as usize] = self.alleles[splat.global as usize].holders;
+            holders[index as usize] = self.alleles[splat.row as usize].holders;
         }
-        // 2. Everybody's pictures, tile by tile.
+        // 2. The pictures of all individuals, tile by tile.
         let (across, background) = (camera.grid()[0], settings.background);
         let corner = |tile: usize| [tile % across * TILE, tile / across * TILE];
         pictures.resize(across * camera.grid()[1] * self.individuals, [[[0.0; TILE]; TILE]; 3]);
         let tiles = pictures.par_chunks_mut(self.individuals).enumerate();
-        tiles.for_each_init(Blender::default, |blender, (tile, out)| {
-            let entries = (bins.tile(tile), corner(tile));
-            dispatch!(level, simd => blender.blend(simd, splats, holders, entries, background, out));
+        tiles.for_each_init(TileBlender::default, |blender, (tile, out)| {
+            let list = (bins.tile(tile), corner(tile));
+            dispatch!(level, simd => blender.blend(simd, splats, holders, list, background, out));
         });
         // 3. Their losses.
-        let losses = (0..self.individuals).into_par_iter().map_init(Easel::default, |easel, individual| {
-            let Easel { picture, walk } = easel;
-            picture.resize(judge.layout().len(), 0.0);
-            for (tile, everybody) in pictures.chunks(self.individuals).enumerate() {
-                write_tile(&everybody[individual], judge.layout(), corner(tile), picture);
-            }
-            dispatch!(level, simd => judge.loss(simd, picture, walk))
-        });
+        let losses =
+            (0..self.individuals).into_par_iter().map_init(LossScratch::default, |scratch, individual| {
+                let (LossScratch { picture, walk }, layout) = (scratch, photo_loss.layout());
+                picture.resize(layout.len(), 0.0);
+                for (tile, of_tile) in pictures.chunks(self.individuals).enumerate() {
+                    write_tile(&of_tile[individual], layout, corner(tile), picture);
+                }
+                dispatch!(level, simd => photo_loss.loss(simd, picture, walk))
+            });
         losses.collect()
     }
 }

@@ -1,5 +1,5 @@
-//! Scores against the loss of the changed cloud, rendered in full. Both compute in f32, in different orders: a loss may be
-//! off by 1e-6 of itself (seen: 4e-7), which is what a handful of roundings in the sums comes to.
+//! Scores against the loss of the changed cloud, rendered in full. Both compute in f32, in different orders: a loss may
+//! be off by 1e-6 of itself (seen: 4e-7), which is what a handful of roundings in the sums comes to.
 
 use std::sync::Arc;
 
@@ -10,8 +10,8 @@ use genesplat_core::{
 };
 use glam::DVec3;
 
-use super::super::{CpuBackend, loss};
 use super::pool;
+use crate::cpu::{CpuBackend, loss};
 use crate::fixtures::{camera, change_rows, cloud, filters, individual_of, settings, uniform};
 
 const TOLERANCE: f32 = 1e-6;

@@ -1,40 +1,42 @@
 //! Stage `contribution`: how much each Gaussian contributes to a view, and the error where it is seen.
 //!
-//! The backward blending sums `α·T · dL/dpixel` for every splat and channel, as the gradient of its colour. With ones in the
-//! place of the first channel's gradient and the pixels' errors in that of the second, it sums what is asked for here.
+//! The backward blending sums `α·T · dL/dpixel` for every splat and channel, as the gradient of its colour. With ones in
+//! the place of the first channel's gradient and the pixels' errors in that of the second, it sums `α·T` and errors.
 
 use fearless_simd::Level;
 use genesplat_core::{Contribution, Gaussians, Image, RenderSettings};
 use rayon::prelude::*;
 
-use super::frame::Frame;
-use super::loss::Target;
-use super::project::{CHUNK, Pinhole};
-use super::rasterise_backward::{self, Backward, Extra, column};
+use super::gradient_row::column;
+use super::rasterise_backward::{BackwardInputs, Extra, rasterise_backward};
+use crate::cpu::loss::Target;
+use crate::cpu::view::buffers::ViewBuffers;
+use crate::cpu::view::pinhole::Pinhole;
+use crate::cpu::view::splats::CHUNK;
 
 /// Adds one view to `contributions` `[N]`.
-pub fn contribution(
+pub(crate) fn contribution(
     level: Level,
-    frame: &mut Frame,
+    buffers: &mut ViewBuffers,
     cloud: &Gaussians,
     (camera, target): (&Pinhole, &Target),
     settings: &RenderSettings,
     contributions: &mut [Contribution],
 ) {
-    frame.render(level, cloud, camera, settings);
-    ones_and_errors(&frame.image, target, &mut frame.gradient);
-    let Frame { splats, bins, image, gradient, rows, .. } = frame;
-    let inputs = Backward { splats, image, gradient, extra: Extra::None };
-    rasterise_backward::backward(level, bins, camera, &inputs, rows);
+    buffers.render(level, cloud, camera, settings);
+    ones_and_errors(&buffers.image, target, &mut buffers.image_gradient);
+    let ViewBuffers { splats, bins, image, image_gradient, gradient_rows, .. } = buffers;
+    let inputs = BackwardInputs { splats, image, image_gradient, extra: Extra::None };
+    rasterise_backward(level, bins, camera, &inputs, gradient_rows);
     contributions.par_chunks_mut(CHUNK).enumerate().for_each(|(chunk, contributions)| {
         let first = chunk * CHUNK;
         for (index, splat) in (first..).zip(splats.chunk(chunk)) {
             let (mut weight, mut error) = (0.0, 0.0);
-            for row in bins.positions_of(index).iter().map(|&position| &rows[position as usize].0) {
+            for row in bins.places_of(index).iter().map(|&place| &gradient_rows[place as usize].0) {
                 weight += row[column::RED];
                 error += row[column::RED + 1];
             }
-            let total = &mut contributions[splat.global as usize - first];
+            let total = &mut contributions[splat.row as usize - first];
             total.weight += weight;
             total.error = total.error.max(error);
         }

@@ -1,76 +1,77 @@
 //! The picture of one tile for every individual of a pool.
 //!
-//! Block after block of 4x4 pixels, so that everybody's light in it (256 bytes each) stays in the first-level cache. The
-//! alphas of up to 64 splats are evaluated, and then each individual blends those that it holds: five operations for 16
-//! pixels and a splat. A pixel is finished where the renderer says so: a run is blended with care where all of its splats
-//! together might finish one, and elsewhere as if none could be.
+//! Block after block of 4x4 pixels, so that the light of all individuals in it (256 bytes each) stays in the first-level
+//! cache. The alphas of a batch of up to 64 splats are evaluated, and then each individual blends those that it holds:
+//! five operations for 16 pixels and a splat. A pixel is finished as in stage `rasterise`, and where all splats of a batch
+//! together could not finish one, none is checked.
 
 use fearless_simd::{Simd, prelude::*};
 use genesplat_core::alleles::Holders;
 use genesplat_core::constants::TRANSMITTANCE_MIN;
 
-use super::super::bin::{BLOCK, BLOCKS_ACROSS, TileSplat};
-use super::super::project::{Splat, Splats, TILE};
-use super::super::rasterise::{BLOCKS, absorb, alpha};
-use super::super::simd::{LANES, V, array, prefetch};
+use crate::cpu::bin::{BLOCK, BLOCKS_ACROSS, Intersection};
+use crate::cpu::blend::block::{BLOCKS, absorb, alpha};
+use crate::cpu::simd::{LANES, V, array, prefetch};
+use crate::cpu::view::pinhole::TILE;
+use crate::cpu::view::splats::{Splat, Splats};
 
 /// Red, green and blue of a tile's pixels, row by row.
-pub type Colours = [[[f32; TILE]; TILE]; 3];
+pub(crate) type Colours = [[[f32; TILE]; TILE]; 3];
 
-/// Entries between a splat that is asked for (they lie scattered) and the one that is taken.
+/// Intersections between a splat that is prefetched (they lie scattered) and the one that is taken.
 const AHEAD: usize = 16;
 /// Splats of a block that are evaluated before they are blended: a bit each.
-const RUN: usize = u64::BITS as usize;
+const BATCH: usize = u64::BITS as usize;
 
-/// What an empty run lets through.
+/// What an empty batch lets through.
 const PASSING: f32 = 1.0 - 1e-4;
 
 /// One thread's working memory.
 #[derive(Default)]
-pub struct Blender {
+pub(crate) struct TileBlender {
     /// The splats of the tile, seen from its corner, and who holds them.
     splats: Vec<Splat>,
     holders: Vec<Holders>,
-    /// Everybody's light in a block so far.
-    lights: Vec<Stored>,
-    run: Run,
+    /// The light of each individual in a block so far.
+    lights: Vec<StoredLight>,
+    batch: Batch,
 }
 
-impl Blender {
+impl TileBlender {
     /// Blends the tile at `origin` (px) for every individual, on `background`; `all_holders` are those of each splat.
     #[inline(always)]
-    pub fn blend<S: Simd>(
+    pub(crate) fn blend<S: Simd>(
         &mut self,
         simd: S,
         splats: &Splats,
         all_holders: &[Holders],
-        (entries, origin): (&[TileSplat], [usize; 2]),
+        (intersections, origin): (&[Intersection], [usize; 2]),
         background: [f32; 3],
         out: &mut [Colours],
     ) {
-        let Self { splats: near, holders, lights, run } = self;
+        let Self { splats: near, holders, lights, batch } = self;
         near.clear();
         holders.clear();
-        for (index, entry) in entries.iter().enumerate() {
-            if let Some(ahead) = entries.get(index + AHEAD) {
+        for (index, intersection) in intersections.iter().enumerate() {
+            if let Some(ahead) = intersections.get(index + AHEAD) {
                 prefetch(splats.get(ahead.splat));
                 prefetch(&all_holders[ahead.splat as usize]);
             }
-            near.push(splats.get(entry.splat).seen_from(origin));
-            holders.push(all_holders[entry.splat as usize]);
+            near.push(splats.get(intersection.splat).seen_from(origin));
+            holders.push(all_holders[intersection.splat as usize]);
         }
         for block in 0..BLOCKS {
             lights.clear();
-            lights.resize(out.len(), Stored::UNTOUCHED);
-            for ((entry, splat), &holders) in entries.iter().zip(&*near).zip(&*holders) {
-                if entry.blocks >> block & 1 == 1 {
-                    run.evaluate(simd, splat, holders, block);
+            lights.resize(out.len(), StoredLight::UNTOUCHED);
+            for ((intersection, splat), &holders) in intersections.iter().zip(&*near).zip(&*holders) {
+                if intersection.blocks >> block & 1 == 1 {
+                    batch.evaluate(simd, splat, holders, block);
                 }
-                if run.length == RUN {
-                    run.blend(simd, lights);
+                if batch.length == BATCH {
+                    batch.blend(simd, lights);
                 }
             }
-            run.blend(simd, lights);
+            batch.blend(simd, lights);
             for (light, out) in lights.iter().zip(&mut *out) {
                 write_block(&Light::load(simd, light).on(background), block, out);
             }
@@ -92,9 +93,9 @@ fn write_block(values: &[[f32; LANES]; 3], block: usize, out: &mut Colours) {
 /// Red, green, blue (without background) and transmittance of the pixels of a block.
 #[derive(Clone, Copy, Debug)]
 #[repr(align(64))]
-struct Stored([[f32; LANES]; 4]);
+struct StoredLight([[f32; LANES]; 4]);
 
-impl Stored {
+impl StoredLight {
     /// Before the first splat.
     const UNTOUCHED: Self = Self([[0.0; LANES], [0.0; LANES], [0.0; LANES], [1.0; LANES]]);
 }
@@ -108,17 +109,14 @@ struct Light<S: Simd> {
 
 impl<S: Simd> Light<S> {
     #[inline(always)]
-    fn load(simd: S, stored: &Stored) -> Self {
-        let colour = array(
-            #[inline(always)]
-            |channel| V::simd_from(simd, stored.0[channel]),
-        );
+    fn load(simd: S, stored: &StoredLight) -> Self {
+        let colour = array!(channel => V::simd_from(simd, stored.0[channel]));
         Self { colour, transmittance: V::simd_from(simd, stored.0[3]) }
     }
 
     #[inline(always)]
-    fn store(&self) -> Stored {
-        Stored([*self.colour[0], *self.colour[1], *self.colour[2], *self.transmittance])
+    fn store(&self) -> StoredLight {
+        StoredLight([*self.colour[0], *self.colour[1], *self.colour[2], *self.transmittance])
     }
 
     #[inline(always)]
@@ -132,38 +130,36 @@ impl<S: Simd> Light<S> {
     #[inline(always)]
     fn on(&self, background: [f32; 3]) -> [[f32; LANES]; 3] {
         let passing = self.transmittance.abs();
-        array(
-            #[inline(always)]
-            |channel| *passing.mul_add(V::splat(passing.simd, background[channel]), self.colour[channel]),
-        )
+        array!(channel => *passing.mul_add(V::splat(passing.simd, background[channel]), self.colour[channel]))
     }
 }
 
-/// Up to 64 splats of one block, on their way into everybody's light.
-struct Run {
+/// Up to 64 splats of one block, before each individual blends those that it holds.
+struct Batch {
     /// Alphas of the block's pixels, and the colour, of each.
-    alphas: [[f32; LANES]; RUN],
-    colours: [[f32; 3]; RUN],
+    alphas: [[f32; LANES]; BATCH],
+    colours: [[f32; 3]; BATCH],
     /// The lower and the upper half of the bits of those who hold it.
-    holders: [[u64; RUN]; 2],
-    /// What all of them together let through, times a little less than one: the products of individuals round otherwise.
+    holders: [[u64; BATCH]; 2],
+    /// What all of them together let through, times a little less than one, as the products of individuals round
+    /// otherwise.
     passing: [f32; LANES],
     length: usize,
 }
 
-impl Default for Run {
+impl Default for Batch {
     fn default() -> Self {
         Self {
-            alphas: [[0.0; LANES]; RUN],
-            colours: [[0.0; 3]; RUN],
-            holders: [[0; RUN]; 2],
+            alphas: [[0.0; LANES]; BATCH],
+            colours: [[0.0; 3]; BATCH],
+            holders: [[0; BATCH]; 2],
             passing: [PASSING; LANES],
             length: 0,
         }
     }
 }
 
-impl Run {
+impl Batch {
     /// Adds a splat, unless it touches no pixel of the block.
     #[inline(always)]
     fn evaluate<S: Simd>(&mut self, simd: S, splat: &Splat, holders: Holders, block: usize) {
@@ -180,13 +176,13 @@ impl Run {
         self.alphas[self.length] = alphas;
         self.colours[self.length] = colour;
         self.holders[0][self.length] = holders as u64;
-        self.holders[1][self.length] = (holders >> RUN) as u64;
+        self.holders[1][self.length] = (holders >> BATCH) as u64;
         self.length += 1;
     }
 
-    /// Blends the run into the light of each individual, and empties it.
+    /// Blends the batch into the light of each individual, and empties it.
     #[inline(always)]
-    fn blend<S: Simd>(&mut self, simd: S, lights: &mut [Stored]) {
+    fn blend<S: Simd>(&mut self, simd: S, lights: &mut [StoredLight]) {
         for holders in &mut self.holders {
             holders[self.length..].fill(0);
             transpose(holders);
@@ -197,16 +193,16 @@ impl Run {
             let light = Light::load(simd, stored);
             let may_finish = (light.transmittance * passing).simd_lt(TRANSMITTANCE_MIN);
             let light = match may_finish.any_true() {
-                true => self.blend_with_care(simd, held, light),
-                false => self.blend_freely(simd, held, light),
+                true => self.blend_checked(simd, held, light),
+                false => self.blend_unchecked(simd, held, light),
             };
             *stored = light.store();
         }
     }
 
-    /// Blends the splats of `held`, none of which finishes a pixel.
+    /// Blends the splats in `held`, none of which finishes a pixel.
     #[inline(always)]
-    fn blend_freely<S: Simd>(&self, simd: S, mut held: u64, mut light: Light<S>) -> Light<S> {
+    fn blend_unchecked<S: Simd>(&self, simd: S, mut held: u64, mut light: Light<S>) -> Light<S> {
         while held != 0 {
             let index = held.trailing_zeros() as usize;
             held &= held - 1;
@@ -217,9 +213,9 @@ impl Run {
         light
     }
 
-    /// The same as the renderer does it; stops where no pixel goes on.
+    /// The same where some may: as stage `rasterise` does it. Stops when no pixel goes on.
     #[inline(always)]
-    fn blend_with_care<S: Simd>(&self, simd: S, mut held: u64, mut light: Light<S>) -> Light<S> {
+    fn blend_checked<S: Simd>(&self, simd: S, mut held: u64, mut light: Light<S>) -> Light<S> {
         while held != 0 {
             let index = held.trailing_zeros() as usize;
             held &= held - 1;
@@ -234,8 +230,8 @@ impl Run {
     }
 }
 
-/// Bit `j` of word `i` changes places with bit `i` of word `j`: squares of bits above and below the diagonal are swapped,
-/// ever smaller ones (Warren, "Hacker's Delight", section 7-3).
+/// Bit `j` of word `i` changes places with bit `i` of word `j`: squares of bits above and below the diagonal are
+/// swapped, ever smaller ones (Warren, "Hacker's Delight", section 7-3).
 fn transpose(words: &mut [u64; 64]) {
     for log_side in (0..6).rev() {
         let side = 1 << log_side;
@@ -267,7 +263,7 @@ mod tests {
         }
     }
 
-    /// From alphas that finish most pixels over ones that finish the last lane's, and ones that just do not, to faint ones.
+    /// From alphas that finish most pixels, over ones that finish the last lane's and ones that just do not, to faint ones.
     #[test]
     fn pixels_are_finished_for_each_individual_where_they_are() {
         for (alpha_of_lane, finishes) in [(0.03, true), (0.0125, true), (0.01, false), (0.003, false)] {
@@ -277,21 +273,21 @@ mod tests {
 
     /// Of 40 splats individual 0 holds all, and is finished by them or not, 100 every fourth, and 127 none.
     fn blends_like_the_renderer(alpha_of_lane: f32, finishes: bool) {
-        let mut run = Run::default();
+        let mut batch = Batch::default();
         for splat in 0..40 {
             let alphas: [f32; LANES] = std::array::from_fn(|lane| alpha_of_lane * (lane + splat % 5) as f32);
             let holders = 1 | Holders::from(splat % 4 == 0) << 100;
-            run.passing.iter_mut().zip(alphas).for_each(|(passing, alpha)| *passing *= 1.0 - alpha);
-            run.push(alphas, [1.0, 0.5, splat as f32], holders);
+            batch.passing.iter_mut().zip(alphas).for_each(|(passing, alpha)| *passing *= 1.0 - alpha);
+            batch.push(alphas, [1.0, 0.5, splat as f32], holders);
         }
-        let mut lights = vec![Stored::UNTOUCHED; 128];
-        dispatch!(Level::new(), simd => run.blend(simd, &mut lights));
+        let mut lights = vec![StoredLight::UNTOUCHED; 128];
+        dispatch!(Level::new(), simd => batch.blend(simd, &mut lights));
         for (individual, every) in [(0, 1), (100, 4), (127, 100)] {
             let mut finished = 0;
             for lane in 0..LANES {
                 let (mut red, mut passing) = (0.0f32, 1.0f32);
                 for splat in (0..40).step_by(every).filter(|splat| every < 100 || splat % every != 0) {
-                    let weight = passing * run.alphas[splat][lane];
+                    let weight = passing * batch.alphas[splat][lane];
                     if passing - weight < TRANSMITTANCE_MIN {
                         finished += 1;
                         break;

@@ -1,52 +1,26 @@
 //! Stage `rasterise_backward`: from `dL/dimage` to one row of sums per splat and tile.
 //!
-//! Walks the lists front to back once more, as the forward pass does: with the final image known, the light behind a
-//! splat is what remains of it, so neither alphas nor transmittances are stored. Per pixel it finds `p = o·G · dL/dα` and
-//! `w = α·T`. All gradients of a splat are sums of `p` times `1, x, y, x², xy, y²` and of `w` times `dL/dpixel`. Each
-//! splat visits its blocks twice: first for `p` and `w`, which do not depend on one another's blocks, then for the sums,
-//! which stay in registers and are reduced over the lanes once per tile. No two tasks write the same row, so there are no
-//! atomics and the result does not depend on the number of threads.
+//! Walks the lists front to back once more, as the forward pass does: with the final image known, the light behind a splat
+//! is what remains of it, so neither alphas nor transmittances are stored. Per pixel it finds `p = o·G · dL/dα` and
+//! `w = α·T`. All gradients of a splat are sums of `p` times `1, x, y, x², xy, y²` and of `w` times `dL/dpixel`.
+//!
+//! Each splat visits its blocks twice: first for `p` and `w`, which do not depend on one another's blocks, then for the
+//! sums, which stay in registers and are reduced over the lanes once per tile. No two tasks write the same row, so there
+//! are no atomics and the result does not depend on the number of threads.
 
-use fearless_simd::{Level, Simd, dispatch, f32x4, f32x8, f64x2, prelude::*};
+use fearless_simd::{Level, Simd, dispatch, f32x4, f32x8, prelude::*};
 use genesplat_core::Image;
 use rayon::prelude::*;
 
-use super::bin::{BLOCK, BLOCKS_ACROSS, Bins, TileSplat};
-use super::project::{Pinhole, Splat, Splats, TILE};
-use super::rasterise::{
+use super::block::{
     ALL_BLOCKS, Alpha, BLOCKS, COLUMN_PX, ROW_PX, absorb, alpha, each_block, each_splat, finish,
     full_transmittance,
 };
-use super::simd::{LANES, V, array, keep};
-
-/// Gradient row of one splat in one tile; see the constants for its columns.
-#[derive(Clone, Copy, Debug, Default)]
-#[repr(C, align(64))]
-pub struct GradientRow(pub [f32; LANES]);
-
-/// Columns of a [`GradientRow`]: sums of `p` times powers of the offset `pixel − mean`.
-pub mod column {
-    /// Σ p
-    pub const ONE: usize = 0;
-    /// Σ p·dx
-    pub const X: usize = 1;
-    /// Σ p·dy
-    pub const Y: usize = 2;
-    /// Σ p·dx²
-    pub const XX: usize = 3;
-    /// Σ p·dx·dy
-    pub const XY: usize = 4;
-    /// Σ p·dy²
-    pub const YY: usize = 5;
-    /// Σ |∂L/∂u|, by pixel ([`super::Extra::Absolute`] only)
-    pub const ABS_X: usize = 6;
-    /// Σ |∂L/∂v|, by pixel ([`super::Extra::Absolute`] only)
-    pub const ABS_Y: usize = 7;
-    /// dL/drgb
-    pub const RED: usize = 8;
-    /// Number of pixels blended ([`super::Extra::Pixels`] only)
-    pub const PIXELS: usize = 11;
-}
+use super::gradient_row::{GradientRow, sum_lanes};
+use crate::cpu::bin::{BLOCK, BLOCKS_ACROSS, Bins, Intersection};
+use crate::cpu::simd::{LANES, V, array, keep};
+use crate::cpu::view::pinhole::{Pinhole, TILE};
+use crate::cpu::view::splats::{Splat, Splats};
 
 /// What the backward pass sums besides the gradients.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -59,22 +33,28 @@ pub enum Extra {
     Pixels,
 }
 
-/// Everything the backward pass reads besides the lists.
-pub struct Backward<'a> {
+/// What the backward pass reads besides the lists.
+pub(crate) struct BackwardInputs<'a> {
     /// Splats of the view.
     pub splats: &'a Splats,
     /// The composed image `[3, H, W]`.
     pub image: &'a Image,
     /// `dL/dimage` `[3, H, W]`.
-    pub gradient: &'a [f32],
+    pub image_gradient: &'a [f32],
     /// What to sum besides.
     pub extra: Extra,
 }
 
-/// Backward pass of all tiles: fills one row per entry of `bins.entries`.
-pub fn backward(level: Level, bins: &Bins, camera: &Pinhole, inputs: &Backward, rows: &mut Vec<GradientRow>) {
+/// Backward pass of all tiles: fills one row for each intersection of `bins`.
+pub(crate) fn rasterise_backward(
+    level: Level,
+    bins: &Bins,
+    camera: &Pinhole,
+    inputs: &BackwardInputs,
+    rows: &mut Vec<GradientRow>,
+) {
     let grid = camera.grid();
-    rows.resize(bins.entries.len(), GradientRow::default());
+    rows.resize(bins.intersections.len(), GradientRow::default());
     let mut rest = rows.as_mut_slice();
     let mut by_tile = Vec::with_capacity(grid[0] * grid[1]);
     for tile in 0..grid[0] * grid[1] {
@@ -84,7 +64,7 @@ pub fn backward(level: Level, bins: &Bins, camera: &Pinhole, inputs: &Backward, 
     }
     by_tile.into_par_iter().enumerate().for_each_init(TileState::default, |state, (tile, rows)| {
         let origin = [tile % grid[0] * TILE, tile / grid[0] * TILE];
-        let task = TileTask { origin, size: camera.size, entries: bins.tile(tile), inputs };
+        let task = TileTask { origin, size_px: camera.size_px, intersections: bins.tile(tile), inputs };
         dispatch!(level, simd => match inputs.extra {
             Extra::None => backward_tile::<NONE, _>(simd, &task, state, rows),
             Extra::Absolute => backward_tile::<ABSOLUTE, _>(simd, &task, state, rows),
@@ -99,9 +79,9 @@ const PIXELS: u8 = 2;
 
 struct TileTask<'a> {
     origin: [usize; 2],
-    size: [u32; 2],
-    entries: &'a [TileSplat],
-    inputs: &'a Backward<'a>,
+    size_px: [u32; 2],
+    intersections: &'a [Intersection],
+    inputs: &'a BackwardInputs<'a>,
 }
 
 /// One thread's working memory: the pixels of a tile, block by block.
@@ -109,7 +89,7 @@ struct TileTask<'a> {
 #[repr(C, align(64))]
 struct TileState {
     blocks: [BlockState; BLOCKS],
-    shares: [Share; BLOCKS],
+    terms: [Terms; BLOCKS],
 }
 
 #[derive(Clone, Copy, Default)]
@@ -126,7 +106,7 @@ struct BlockState {
 /// What one splat does to the 16 pixels of a block: `p` and `w` of the module's documentation.
 #[derive(Clone, Copy, Default)]
 #[repr(C, align(64))]
-struct Share {
+struct Terms {
     p: [f32; LANES],
     w: [f32; LANES],
 }
@@ -141,17 +121,17 @@ fn backward_tile<const EXTRA: u8, S: Simd>(
     let mut live = begin(simd, task, state);
     let visited = each_splat(
         task.inputs.splats,
-        task.entries,
+        task.intersections,
         task.origin,
         #[inline(always)]
         |index, splat| {
-            let blocks = task.entries[index].blocks & live;
+            let blocks = task.intersections[index].blocks & live;
             rows[index] = if blocks == 0 {
                 GradientRow::default()
             } else {
                 let extra = replay::<EXTRA, S>(simd, splat, blocks, state, &mut live);
                 let mut row = accumulate(simd, blocks, state, extra);
-                shift_moments(&mut row.0, splat.mean.map(|mean| mean - TILE_CENTRE));
+                row.shift_moments(splat.mean_px.map(|mean| mean - TILE_CENTRE));
                 row
             };
             live != 0
@@ -168,9 +148,9 @@ fn begin<S: Simd>(simd: S, task: &TileTask, state: &mut TileState) -> u32 {
         ALL_BLOCKS,
         #[inline(always)]
         |block| {
-            let transmittance = full_transmittance(simd, block, task.origin, task.size);
+            let transmittance = full_transmittance(simd, block, task.origin, task.size_px);
             let image = load_block(simd, &task.inputs.image.planes, task, block);
-            let gradient = load_block(simd, task.inputs.gradient, task, block);
+            let gradient = load_block(simd, task.inputs.image_gradient, task, block);
             let remaining = image[0] * gradient[0] + image[1] * gradient[1] + image[2] * gradient[2];
             let state = &mut state.blocks[block];
             transmittance.store_slice(&mut state.transmittance);
@@ -192,7 +172,7 @@ struct ExtraSums<S: Simd> {
     pixels: f32,
 }
 
-/// Blends one splat once more and leaves its share of each block; returns the extra sums.
+/// Blends one splat once more and leaves its terms at each block; returns the extra sums.
 #[inline(always)]
 fn replay<const EXTRA: u8, S: Simd>(
     simd: S,
@@ -208,7 +188,7 @@ fn replay<const EXTRA: u8, S: Simd>(
         |block| {
             // 1. Alpha and weight, as in the forward pass.
             let Alpha { offset, unclamped, alpha, hit } = alpha(simd, splat, block);
-            let (state, share) = (&mut state.blocks[block], &mut state.shares[block]);
+            let (state, terms) = (&mut state.blocks[block], &mut state.terms[block]);
             let transmittance = V::from_slice(simd, &state.transmittance);
             let absorbed = absorb(transmittance, alpha);
             absorbed.transmittance.store_slice(&mut state.transmittance);
@@ -218,18 +198,15 @@ fn replay<const EXTRA: u8, S: Simd>(
 
             // 2. dL/dα: what the splat adds itself, less what it takes from everything behind it. The clamp at 0.99 is
             // ignored, as published (straight-through).
-            let gradient: [V<S>; 3] = array(
-                #[inline(always)]
-                |channel| V::from_slice(simd, &state.gradient[channel]),
-            );
+            let gradient: [V<S>; 3] = array!(channel => V::from_slice(simd, &state.gradient[channel]));
             let own = gradient[0] * splat.rgb[0] + gradient[1] * splat.rgb[1] + gradient[2] * splat.rgb[2];
             let remaining = V::from_slice(simd, &state.remaining) - absorbed.weight * own;
             remaining.store_slice(&mut state.remaining);
             let alpha_gradient = transmittance * own - remaining * reciprocal(V::splat(simd, 1.0) - alpha);
             let blended = hit & absorbed.goes_on;
             let p = keep(blended, unclamped * alpha_gradient);
-            p.store_slice(&mut share.p);
-            absorbed.weight.store_slice(&mut share.w);
+            p.store_slice(&mut terms.p);
+            absorbed.weight.store_slice(&mut terms.w);
 
             // 3. Sums that only some trainers ask for.
             if EXTRA == PIXELS {
@@ -245,8 +222,8 @@ fn replay<const EXTRA: u8, S: Simd>(
     extra
 }
 
-/// `1/x` for `x` in `[0.01, 1]`: the machine's estimate of 8 to 14 bits and one Newton step, so 2e-5 or better. A division
-/// is exact and takes as long as the rest of the block's arithmetic.
+/// `1/x` for `x` in `[0.01, 1]`: the machine's estimate of 8 to 14 bits and one Newton step, so 2e-5 or better. A
+/// division is exact and takes as long as the rest of the block's arithmetic.
 #[inline(always)]
 fn reciprocal<S: Simd>(x: V<S>) -> V<S> {
     let estimate = x.approximate_recip();
@@ -266,7 +243,7 @@ const TILE_CENTRE: f32 = (TILE - 1) as f32 / 2.0;
 /// Lanes of half a block: what the sums are made of, so that nine of them fit the registers of a 256-bit machine.
 const HALF: usize = LANES / 2;
 
-/// Sums the shares of a splat over its blocks into a row, with moments about the tile's centre.
+/// Sums the terms of a splat over its blocks into a row, with moments about the tile's centre.
 #[inline(always)]
 fn accumulate<S: Simd>(simd: S, blocks: u32, state: &TileState, extra: ExtraSums<S>) -> GradientRow {
     let zero = f32x8::splat(simd, 0.0);
@@ -277,12 +254,12 @@ fn accumulate<S: Simd>(simd: S, blocks: u32, state: &TileState, extra: ExtraSums
         blocks,
         #[inline(always)]
         |block| {
-            let (gradient, share) = (&state.blocks[block].gradient, &state.shares[block]);
+            let (gradient, terms) = (&state.blocks[block].gradient, &state.terms[block]);
             let (columns, rows) = (&COLUMN_PX[block % BLOCKS_ACROSS], &ROW_PX[block / BLOCKS_ACROSS]);
-            // Both halves of a block have the same columns, so what only depends on them is summed before it is used.
+            // Both halves of a block have the same columns, so what only depends on them is summed first.
             let px = half(simd, columns, 0) - centre;
             let (upper_y, lower_y) = (half(simd, rows, 0) - centre, half(simd, rows, 1) - centre);
-            let (upper, lower) = (half(simd, &share.p, 0), half(simd, &share.p, 1));
+            let (upper, lower) = (half(simd, &terms.p, 0), half(simd, &terms.p, 1));
             let p = upper + lower;
             let p_x = p * px;
             let (upper_p_y, lower_p_y) = (upper * upper_y, lower * lower_y);
@@ -294,20 +271,17 @@ fn accumulate<S: Simd>(simd: S, blocks: u32, state: &TileState, extra: ExtraSums
             xy = p_y.mul_add(px, xy);
             yy = lower_p_y.mul_add(lower_y, upper_p_y.mul_add(upper_y, yy));
             for part in 0..2 {
-                let w = half(simd, &share.w, part);
+                let w = half(simd, &terms.w, part);
                 for channel in 0..3 {
                     rgb[channel] = w.mul_add(half(simd, &gradient[channel], part), rgb[channel]);
                 }
             }
         },
     );
-    let [absolute_x, absolute_y] = array(
-        #[inline(always)]
-        |axis| {
-            let (low, high) = extra.absolute[axis].split();
-            low + high
-        },
-    );
+    let [absolute_x, absolute_y] = array!(axis => {
+        let (low, high) = extra.absolute[axis].split();
+        low + high
+    });
     let sums = [
         sum_lanes([one, x, y, xx]),
         sum_lanes([xy, yy, absolute_x, absolute_y]),
@@ -327,56 +301,25 @@ fn half<S: Simd>(simd: S, values: &[f32; LANES], half: usize) -> f32x8<S> {
     f32x8::from_slice(simd, &values[half * HALF..][..HALF])
 }
 
-/// The sums of the lanes of four vectors.
-#[inline(always)]
-fn sum_lanes<S: Simd>(vectors: [f32x8<S>; 4]) -> f32x4<S> {
-    let [a, b, c, d] = array(
-        #[inline(always)]
-        |k| {
-            let (low, high) = vectors[k].split();
-            low + high
-        },
-    );
-    // Lanes a0+a2, b0+b2, a1+a3, b1+b3; the same of c and d; then both.
-    let ab = a.zip_low(b) + a.zip_high(b);
-    let cd = c.zip_low(d) + c.zip_high(d);
-    let (ab, cd) = (ab.bitcast::<f64x2<S>>(), cd.bitcast::<f64x2<S>>());
-    ab.zip_low(cd).bitcast::<f32x4<S>>() + ab.zip_high(cd).bitcast::<f32x4<S>>()
-}
-
-/// From moments about the tile's centre to moments about a mean at `[ox, oy]` from it.
-#[inline(always)]
-fn shift_moments(row: &mut [f32; LANES], [ox, oy]: [f32; 2]) {
-    let [one, x, y, xx, xy, yy] = [row[0], row[1], row[2], row[3], row[4], row[5]];
-    row[column::X] = x - ox * one;
-    row[column::Y] = y - oy * one;
-    row[column::XX] = xx - 2.0 * ox * x + ox * ox * one;
-    row[column::XY] = xy - ox * y - oy * x + ox * oy * one;
-    row[column::YY] = yy - 2.0 * oy * y + oy * oy * one;
-}
-
 /// The three channels of a block of a planar image; 0 outside of it.
 #[inline(always)]
 fn load_block<S: Simd>(simd: S, planes: &[f32], task: &TileTask, block: usize) -> [V<S>; 3] {
-    let [width, height] = task.size.map(|v| v as usize);
+    let [width, height] = task.size_px.map(|v| v as usize);
     let left = width.min(task.origin[0] + block % BLOCKS_ACROSS * BLOCK);
     let top = task.origin[1] + block / BLOCKS_ACROSS * BLOCK;
     let columns = BLOCK.min(width - left);
-    array(
-        #[inline(always)]
-        |channel| {
-            let mut values = [0.0; LANES];
-            for row in 0..BLOCK.min(height.saturating_sub(top)) {
-                let start = channel * width * height + (top + row) * width + left;
-                let pixels = &planes[start..start + columns];
-                let lanes = &mut values[row * BLOCK..][..BLOCK];
-                // A copy of known length is one instruction, not a call.
-                match pixels.first_chunk::<BLOCK>() {
-                    Some(pixels) => lanes.copy_from_slice(pixels),
-                    None => lanes[..columns].copy_from_slice(pixels),
-                }
+    array!(channel => {
+        let mut values = [0.0; LANES];
+        for row in 0..BLOCK.min(height.saturating_sub(top)) {
+            let start = channel * width * height + (top + row) * width + left;
+            let pixels = &planes[start..start + columns];
+            let lanes = &mut values[row * BLOCK..][..BLOCK];
+            // A copy of known length is one instruction, not a call.
+            match pixels.first_chunk::<BLOCK>() {
+                Some(pixels) => lanes.copy_from_slice(pixels),
+                None => lanes[..columns].copy_from_slice(pixels),
             }
-            V::simd_from(simd, values)
-        },
-    )
+        }
+        V::simd_from(simd, values)
+    })
 }

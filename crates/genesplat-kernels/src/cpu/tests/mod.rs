@@ -14,11 +14,9 @@ use genesplat_core::{
     Rng, RowEdit, ScreenFilter, SparseDelta, StatisticsRequest, TrainStep,
 };
 
-use super::project::Pinhole;
-use super::rasterise_backward::Extra;
-use super::score::judge::loss_by_judge;
-use super::update::{Inputs, gradients};
-use super::{CpuBackend, Frame, loss};
+use super::score::photo_loss::loss_of_image;
+use super::update::{UpdateInputs, gradients};
+use super::{CpuBackend, Extra, Pinhole, ViewBuffers, loss};
 use crate::fixtures::{
     CROWD_LOGITS, HEIGHT, WIDTH, camera, cloud, crowd, far_needles, filtered_cloud, filters, individual_of,
     photo, poisoned_cloud, settings, small_view, step, tall_view, uniform, view,
@@ -73,7 +71,7 @@ fn images_match_the_reference() {
             backend.upload(cloud.clone().into()).unwrap();
             let image = backend.render(&camera(), &settings).unwrap();
             let expected =
-                reference::render(&Cloud64::from(&cloud), &camera(), &settings, Cutoff::Hard).frame.image;
+                reference::render(&Cloud64::from(&cloud), &camera(), &settings, Cutoff::Hard).picture.image;
             compare_images(&image, &expected)
                 .unwrap_or_else(|error| panic!("{filter:?}, degree {degree}: {error}"));
         }
@@ -91,12 +89,12 @@ fn needles_match_the_reference() {
     }
     let (needles64, camera) = (Cloud64::from(&needles), camera());
     for filter in filters() {
-        let (mut frame, settings) = (Frame::default(), settings(0, filter));
-        frame.render(Level::new(), &needles, &Pinhole::from(&camera), &settings);
+        let (mut buffers, settings) = (ViewBuffers::default(), settings(0, filter));
+        buffers.render(Level::new(), &needles, &Pinhole::from(&camera), &settings);
         let (mut actual, mut expected) = (Vec::new(), Vec::new());
-        for (_, splat) in frame.splats.iter() {
+        for (_, splat) in buffers.splats.iter() {
             let reference =
-                reference::project::project(&needles64, splat.global as usize, &camera, &settings).unwrap();
+                reference::project::project(&needles64, splat.row as usize, &camera, &settings).unwrap();
             let conic = [reference.conic.xx, 2.0 * reference.conic.xy, reference.conic.yy];
             expected.extend(conic.map(|term| -0.5 * std::f64::consts::LOG2_E * term));
             expected.push(reference.opacity);
@@ -162,8 +160,8 @@ fn loss_and_image_gradient_match_the_reference() {
         assert!((f64::from(actual) / expected - 1.0).abs() < 1e-5, "{width}x{height}: {actual} {expected}");
         compare("image gradient", gradient.iter().map(|&v| f64::from(v)), expected_gradient).unwrap();
         assert_eq!(actual, loss::loss(level, &image, &target, None), "forward only");
-        let judged = loss_by_judge(level, &image, &target);
-        assert!((judged - actual).abs() < 1e-6 * actual, "forward only: {judged} {actual}");
+        let scored = loss_of_image(level, &image, &target);
+        assert!((scored - actual).abs() < 1e-6 * actual, "as `score` computes it: {scored} {actual}");
     }
 }
 
@@ -193,9 +191,9 @@ fn parameter_gradients_match_the_reference() {
             cloud.filter_3d =
                 with_filter_3d.then(|| (0..400).map(|row| 0.01 + 0.05 * uniform(row, 90)).collect());
             let settings = settings(degree, filter);
-            let (frame, camera) = frame_of(&cloud, &settings, Extra::Absolute);
-            let Frame { splats, bins, rows, .. } = &frame;
-            let inputs = Inputs { splats, bins, rows, camera: &camera, settings: &settings };
+            let (buffers, camera) = buffers_of(&cloud, &settings, Extra::Absolute);
+            let ViewBuffers { splats, bins, gradient_rows, .. } = &buffers;
+            let inputs = UpdateInputs { splats, bins, gradient_rows, camera: &camera, settings: &settings };
             let (actual, density) = gradients(Level::new(), &inputs, &cloud, Some(DensitySignal::Absolute));
             let (_, expected) =
                 reference::gradients(&Cloud64::from(&cloud), &view(), &settings, Cutoff::Hard);
@@ -207,39 +205,40 @@ fn parameter_gradients_match_the_reference() {
     }
 }
 
-fn frame_of(cloud: &Gaussians, settings: &RenderSettings, extra: Extra) -> (Frame, Pinhole) {
-    let mut frame = Frame::default();
-    let camera = render_into(&mut frame, cloud, settings, extra);
-    (frame, camera)
+fn buffers_of(cloud: &Gaussians, settings: &RenderSettings, extra: Extra) -> (ViewBuffers, Pinhole) {
+    let mut buffers = ViewBuffers::default();
+    let camera = fill(&mut buffers, cloud, settings, extra);
+    (buffers, camera)
 }
 
-/// Forward and backward, in a frame that may hold another one.
-fn render_into(frame: &mut Frame, cloud: &Gaussians, settings: &RenderSettings, extra: Extra) -> Pinhole {
+/// Forward and backward, in buffers that may have been used for another cloud.
+fn fill(buffers: &mut ViewBuffers, cloud: &Gaussians, settings: &RenderSettings, extra: Extra) -> Pinhole {
     let (level, camera) = (Level::new(), Pinhole::from(&camera()));
-    frame.render(level, cloud, &camera, settings);
-    frame.backward(level, &camera, &loss::Target::from(&photo()), extra);
+    buffers.render(level, cloud, &camera, settings);
+    buffers.backward(level, &camera, &loss::Target::from(&photo()), extra);
     camera
 }
 
-/// The gradient rows of splats behind finished pixels are zero, whatever an earlier frame has left there.
+/// The gradient rows of splats behind finished pixels are zero, whatever an earlier view has left there.
 #[test]
 fn what_lies_behind_finished_pixels_has_no_part_in_anything() {
-    let (settings, mut frame) = (settings(2, ScreenFilter::Classic), Frame::default());
+    let (settings, mut buffers) = (settings(2, ScreenFilter::Classic), ViewBuffers::default());
     for logit in CROWD_LOGITS {
         let cloud = crowd(logit);
-        let camera = render_into(&mut frame, &cloud, &settings, Extra::None);
+        let camera = fill(&mut buffers, &cloud, &settings, Extra::None);
         let context = |error: String| panic!("logit {logit}: {error}");
         let expected = reference::render(&Cloud64::from(&cloud), &view().camera, &settings, Cutoff::Hard);
-        compare_images(&frame.image, &expected.frame.image).unwrap_or_else(context);
+        compare_images(&buffers.image, &expected.picture.image).unwrap_or_else(context);
 
-        let Frame { splats, bins, rows, .. } = &frame;
-        let inputs = Inputs { splats, bins, rows, camera: &camera, settings: &settings };
+        let ViewBuffers { splats, bins, gradient_rows, .. } = &buffers;
+        let inputs = UpdateInputs { splats, bins, gradient_rows, camera: &camera, settings: &settings };
         let (actual, _) = gradients(Level::new(), &inputs, &cloud, None);
         let (_, expected) = reference::gradients(&Cloud64::from(&cloud), &view(), &settings, Cutoff::Hard);
         compare_gradients(&actual, &expected.cloud).unwrap_or_else(context);
 
         let ends: Vec<usize> = bins.tile_starts.iter().map(|&start| start as usize).collect();
-        let is_finished = |tile: &[usize]| tile[1] > tile[0] + 300 && rows[tile[1] - 1].0 == [0.0; 16];
+        let is_finished =
+            |tile: &[usize]| tile[1] > tile[0] + 300 && gradient_rows[tile[1] - 1].0 == [0.0; 16];
         let finished = ends.windows(2).filter(|tile| is_finished(tile)).count();
         assert!(finished > 0, "logit {logit}: no tile was finished early");
     }
@@ -338,9 +337,9 @@ fn ten_steps_match_the_reference(mcmc: Option<McmcStep>) {
         update.mcmc = mcmc.map(|mcmc| McmcStep { counter: number, ..mcmc });
         // Gradients of the f32 state, so that only the optimiser is compared.
         let now = backend.download().unwrap().into_owned();
-        let (frame, camera) = frame_of(&now, &settings, Extra::None);
-        let Frame { splats, bins, rows, .. } = &frame;
-        let inputs = Inputs { splats, bins, rows, camera: &camera, settings: &settings };
+        let (buffers, camera) = buffers_of(&now, &settings, Extra::None);
+        let ViewBuffers { splats, bins, gradient_rows, .. } = &buffers;
+        let inputs = UpdateInputs { splats, bins, gradient_rows, camera: &camera, settings: &settings };
         let (gradient, _) = gradients(Level::new(), &inputs, &now, None);
         let gradient = Cloud64::from(&gradient);
         reference::adam(&mut expected, &mut moments, &gradient, &step.update.unwrap());

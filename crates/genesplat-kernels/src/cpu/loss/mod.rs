@@ -1,29 +1,27 @@
 //! Stage `loss`: `0.8 · mean |I − P| + 0.2 · (1 − mean SSIM)` and its gradient, fused.
 //!
-//! SSIM's 11x11 window is separable, so everything is a sum over 11 rows of horizontally blurred rows. A task walks down
-//! one strip of one channel and keeps only the last 11 rows of what it needs: the four moments on the way in, and the
-//! three partial derivatives on the way out. Nothing of the size of the image is stored besides the gradient.
+//! SSIM's 11x11 window is separable, so everything is a sum over 11 rows of horizontally blurred rows ([`blur`]). A task
+//! walks down one strip of one channel and keeps only the last 11 rows of what it needs: the four moments on the way in,
+//! and the three partial derivatives on the way out. Nothing of the size of the image is stored besides the gradient.
 //!
 //! With raw moments `E[x], E[y], E[x²], E[y²], E[xy]` (x the render, y the photo) SSIM is
-//! `S = (2 μx μy + C1)(2 σxy + C2) / ((μx² + μy² + C1)(σx² + σy² + C2))`, variances as `E[x²] − μ²`. The two
-//! variances only enter as their sum, so `E[x² + y²]` is one moment. Its gradient is `blur(∂S/∂E[x]) + 2x · blur(∂S/∂E[x²]) +
-//! y · blur(∂S/∂E[xy])`: the window is symmetric.
+//! `S = (2 μx μy + C1)(2 σxy + C2) / ((μx² + μy² + C1)(σx² + σy² + C2))`, variances as `E[x²] − μ²`. The two variances
+//! only enter as their sum, so `E[x² + y²]` is one moment. The gradient of S is, as the window is symmetric,
+//! `blur(∂S/∂E[x]) + 2x · blur(∂S/∂E[x²]) + y · blur(∂S/∂E[xy])`.
+
+pub(crate) mod blur;
 
 use fearless_simd::{Level, Simd, dispatch, prelude::*};
-use genesplat_core::Image;
 use genesplat_core::constants::{LAMBDA_DSSIM, SSIM_C1, SSIM_C2, SSIM_RADIUS, ssim_window};
+use genesplat_core::{Image, Photo};
 use rayon::prelude::*;
 
-use super::simd::{LANES, V, array};
+use super::simd::{LANES, V};
+use blur::{MARGIN, Ring, TAPS, blur_row, by_slot, load_bytes, load_part, mask_tail, slot};
 
-/// Taps of the window.
-pub const TAPS: usize = 2 * SSIM_RADIUS + 1;
 /// Rows of a strip: a multiple that keeps the overlap between strips small. A constant, so that the order of summation
 /// does not depend on the number of threads.
 const STRIP: usize = 64;
-/// Zeros before and after each row: at least the window's radius, and whole vectors.
-pub const MARGIN: usize = LANES;
-
 /// A photo as the loss reads it: 8-bit planes `[3, H, W]`.
 #[derive(Clone, Debug)]
 pub struct Target {
@@ -35,8 +33,8 @@ pub struct Target {
     pub planes: Vec<u8>,
 }
 
-impl From<&genesplat_core::Photo> for Target {
-    fn from(photo: &genesplat_core::Photo) -> Self {
+impl From<&Photo> for Target {
+    fn from(photo: &Photo) -> Self {
         let pixels = photo.width as usize * photo.height as usize;
         let mut planes = vec![0; 3 * pixels];
         for (index, rgb) in photo.rgb.chunks_exact(3).enumerate() {
@@ -49,7 +47,7 @@ impl From<&genesplat_core::Photo> for Target {
 }
 
 /// Loss of `image` against `target`; `gradient` `[3, H, W]` is overwritten when given.
-pub fn loss(level: Level, image: &Image, target: &Target, gradient: Option<&mut Vec<f32>>) -> f32 {
+pub(crate) fn loss(level: Level, image: &Image, target: &Target, gradient: Option<&mut Vec<f32>>) -> f32 {
     let (width, height) = (target.width, target.height);
     let pixels = width * height;
     let strips = height.div_ceil(STRIP);
@@ -73,59 +71,10 @@ pub fn loss(level: Level, image: &Image, target: &Target, gradient: Option<&mut 
 }
 
 /// The loss from sums of `|I − P|` and of SSIM over `values` values.
-pub fn combine(sums: impl Iterator<Item = [f64; 2]>, values: usize) -> f32 {
+pub(crate) fn combine(sums: impl Iterator<Item = [f64; 2]>, values: usize) -> f32 {
     let [l1, ssim] = sums.fold([0.0; 2], |a, b| [a[0] + b[0], a[1] + b[1]]);
     let lambda = f64::from(LAMBDA_DSSIM);
     ((1.0 - lambda) * l1 / values as f64 + lambda * (1.0 - ssim / values as f64)) as f32
-}
-
-/// The last 11 rows of `K` quantities, blurred horizontally; row `y` is in slot `y % 11`. What is summed together lies
-/// together: 16 columns of all slots, quantity by quantity.
-pub struct Ring<const K: usize> {
-    pub columns: Vec<[[[f32; LANES]; TAPS]; K]>,
-}
-
-impl<const K: usize> Ring<K> {
-    /// Room for rows of `width`, all zero.
-    pub fn new(width: usize) -> Self {
-        Self { columns: vec![[[[0.0; LANES]; TAPS]; K]; width.div_ceil(LANES)] }
-    }
-
-    /// Makes row `y` zero.
-    pub fn clear_row(&mut self, y: isize) {
-        let slot = slot(y);
-        self.columns.as_flattened_mut().iter_mut().for_each(|slots| slots[slot].fill(0.0));
-    }
-
-    /// Vertical blur of every quantity at 16 columns; `weights` are those of [`by_slot`].
-    #[inline(always)]
-    pub fn blur<S: Simd>(&self, simd: S, weights: &[f32; TAPS], columns: usize) -> [V<S>; K] {
-        let quantities = &self.columns[columns];
-        array(
-            #[inline(always)]
-            |k| {
-                let mut sum = V::simd_from(simd, quantities[k][0]) * weights[0];
-                for slot in 1..TAPS {
-                    sum = V::simd_from(simd, quantities[k][slot]).mul_add(V::splat(simd, weights[slot]), sum);
-                }
-                sum
-            },
-        )
-    }
-}
-
-/// Where a ring holds row `y`.
-pub fn slot(y: isize) -> usize {
-    y.rem_euclid(TAPS as isize) as usize
-}
-
-/// The window's weight of each slot, for the 11 rows around `y`.
-pub fn by_slot(window: &[f32; TAPS], y: isize) -> [f32; TAPS] {
-    let mut weights = [0.0; TAPS];
-    for (row, &weight) in (y - SSIM_RADIUS as isize..).zip(window) {
-        weights[slot(row)] = weight;
-    }
-    weights
 }
 
 /// Sums of `|I − P|` and of SSIM over the strip; writes the strip's gradient when asked.
@@ -237,37 +186,6 @@ impl Rows {
     }
 }
 
-/// Values that a blurred vector is made of.
-const NEAR: usize = LANES + 2 * SSIM_RADIUS;
-
-#[inline(always)]
-fn shifted<S: Simd>(simd: S, near: &[f32; NEAR], tap: usize) -> V<S> {
-    V::from_slice(simd, &near[tap..tap + LANES])
-}
-
-/// Horizontal blur of a padded row into a slot of a ring; the window's symmetry halves the multiplications.
-#[inline(always)]
-pub fn blur_row<S: Simd, const K: usize>(
-    simd: S,
-    window: &[f32; TAPS],
-    row: &[f32],
-    out: &mut Ring<K>,
-    quantity: usize,
-    slot: usize,
-) {
-    for (columns, out) in out.columns.iter_mut().enumerate() {
-        let first = MARGIN + columns * LANES - SSIM_RADIUS;
-        // Of known length, so that one check serves all taps.
-        let Some(near) = row[first..].first_chunk::<NEAR>() else { unreachable!("rows are padded") };
-        let mut sum = shifted(simd, near, SSIM_RADIUS) * window[SSIM_RADIUS];
-        for tap in 0..SSIM_RADIUS {
-            let both = shifted(simd, near, tap) + shifted(simd, near, TAPS - 1 - tap);
-            sum = both.mul_add(V::splat(simd, window[tap]), sum);
-        }
-        out[quantity][slot] = *sum;
-    }
-}
-
 /// Sum of SSIM over a row; writes `∂S/∂E[x]`, `∂S/∂E[x²]`, `∂S/∂E[xy]` into padded rows.
 #[inline(always)]
 fn ssim_row<S: Simd>(
@@ -290,20 +208,6 @@ fn ssim_row<S: Simd>(
         }
     }
     sum.iter().map(|&v| f64::from(v)).sum()
-}
-
-/// Zero beyond the first `count` lanes: the end of a row.
-#[inline(always)]
-pub fn mask_tail<S: Simd>(simd: S, value: V<S>, count: usize) -> V<S> {
-    if count == LANES {
-        return value;
-    }
-    let lane = V::from_fn(
-        simd,
-        #[inline(always)]
-        |lane| lane as f32,
-    );
-    lane.simd_lt(count as f32).select(value, V::splat(simd, 0.0))
 }
 
 /// SSIM at 16 pixels and the factors that its derivatives share.
@@ -342,33 +246,6 @@ fn l1_row<S: Simd>(simd: S, x: &[f32], y: &[u8]) -> f64 {
         sum += (load_part(simd, x) - load_bytes(simd, y)).abs();
     }
     sum.iter().map(|&v| f64::from(v)).sum()
-}
-
-/// Up to 16 values, zeros after them.
-#[inline(always)]
-fn load_part<S: Simd>(simd: S, values: &[f32]) -> V<S> {
-    if values.len() == LANES {
-        return V::from_slice(simd, values);
-    }
-    let mut lanes = [0.0; LANES];
-    lanes[..values.len()].copy_from_slice(values);
-    V::simd_from(simd, lanes)
-}
-
-/// Up to 16 bytes as values in `[0, 1]`, zeros after them.
-#[inline(always)]
-pub fn load_bytes<S: Simd>(simd: S, bytes: &[u8]) -> V<S> {
-    let mut lanes = [0.0; LANES];
-    if let Ok(bytes) = <&[u8; LANES]>::try_from(bytes) {
-        for lane in 0..LANES {
-            lanes[lane] = f32::from(bytes[lane]);
-        }
-    } else {
-        for (lane, &byte) in lanes.iter_mut().zip(bytes) {
-            *lane = f32::from(byte);
-        }
-    }
-    V::simd_from(simd, lanes) * (1.0 / 255.0)
 }
 
 /// `dL/dx` of one row.

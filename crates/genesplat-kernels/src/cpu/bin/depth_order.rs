@@ -1,50 +1,52 @@
 //! The splats of a view, nearest first: the sort of stage `bin`.
 //!
-//! A key is a splat's depth above its index, so no two keys are equal and there is one sorted order, whoever sorts. One
-//! thread sorts by radix. Several first deal the keys out by ranges of depth, which are then sorted apart (a sample sort).
+//! A key is a splat's depth above its index, so no two keys are equal and there is one sorted order for any number of
+//! threads. One thread sorts by radix. Several first distribute the keys over ranges of depth, which are then sorted
+//! one by one (a sample sort).
 
 use std::ops::Range;
 
 use rayon::prelude::*;
 
-use super::bytes_of;
-use super::project::{CHUNK, Splats};
+use super::split;
+use crate::cpu::bytes_of;
+use crate::cpu::view::splats::{CHUNK, Splats};
 
 /// Rows of a cloud below which one thread sorts as fast as several.
 const FEW: usize = 4096;
 /// Ranges of depth for each thread: some are longer than others.
-const RANGES_A_THREAD: usize = 2;
+const RANGES_PER_THREAD: usize = 2;
 /// Keys that are looked at to find where a range ends.
-const SAMPLES_A_RANGE: usize = 32;
+const SAMPLES_PER_RANGE: usize = 32;
 
 /// Depth bits and splat index of every splat, nearest first.
 #[derive(Clone, Debug, Default)]
-pub struct DepthOrder {
+pub(crate) struct DepthOrder {
     keys: Vec<u64>,
     swap: Vec<u64>,
-    /// What each task found for each range.
-    dealt: Vec<Vec<Vec<u64>>>,
+    /// Keys that each task found for each range.
+    of_range: Vec<Vec<Vec<u64>>>,
 }
 
 impl DepthOrder {
     /// Bytes of memory.
-    pub fn bytes(&self) -> usize {
-        let dealt: usize = self.dealt.iter().flatten().map(bytes_of).sum();
-        bytes_of(&self.keys) + bytes_of(&self.swap) + dealt
+    pub(crate) fn bytes(&self) -> usize {
+        let of_range: usize = self.of_range.iter().flatten().map(bytes_of).sum();
+        bytes_of(&self.keys) + bytes_of(&self.swap) + of_range
     }
 
     /// The sorted keys; the lower half of each is the splat's index.
-    pub fn keys(&self) -> &[u64] {
+    pub(crate) fn keys(&self) -> &[u64] {
         &self.keys
     }
 
     /// Sorts the splats of a view; ties by index.
-    pub fn sort(&mut self, splats: &Splats) {
+    pub(crate) fn sort(&mut self, splats: &Splats) {
         let threads = rayon::current_num_threads();
         if threads == 1 || splats.capacity() < FEW {
             self.sort_by_one(splats);
         } else {
-            self.sort_by_ranges(splats, RANGES_A_THREAD * threads);
+            self.sort_by_ranges(splats, RANGES_PER_THREAD * threads);
         }
     }
 
@@ -57,36 +59,31 @@ impl DepthOrder {
 
     fn sort_by_ranges(&mut self, splats: &Splats, ranges: usize) {
         let ends = range_ends(splats, ranges);
-        self.dealt.resize_with(ranges, Vec::new);
-        let share = chunks(splats).div_ceil(ranges);
-        self.dealt.par_iter_mut().enumerate().for_each(|(task, dealt)| {
-            dealt.resize_with(ranges, Vec::new);
-            dealt.iter_mut().for_each(Vec::clear);
-            for key in keys_of(splats, task * share..chunks(splats).min((task + 1) * share)) {
-                dealt[ends.partition_point(|&end| end <= key)].push(key);
+        self.of_range.resize_with(ranges, Vec::new);
+        let each = chunks(splats).div_ceil(ranges);
+        self.of_range.par_iter_mut().enumerate().for_each(|(task, of_range)| {
+            of_range.resize_with(ranges, Vec::new);
+            of_range.iter_mut().for_each(Vec::clear);
+            for key in keys_of(splats, task * each..chunks(splats).min((task + 1) * each)) {
+                of_range[ends.partition_point(|&end| end <= key)].push(key);
             }
         });
-        let dealt = &self.dealt;
+        let tasks = &self.of_range;
         let lengths: Vec<usize> =
-            (0..ranges).map(|range| dealt.iter().map(|dealt| dealt[range].len()).sum()).collect();
+            (0..ranges).map(|range| tasks.iter().map(|of_range| of_range[range].len()).sum()).collect();
         let total = lengths.iter().sum();
         self.keys.resize(total, 0);
         self.swap.resize(total, 0);
-        let rooms = split(&mut self.swap, &lengths).into_par_iter().zip(split(&mut self.keys, &lengths));
-        rooms.enumerate().for_each(|(range, (swap, keys))| {
+        let parts = split(&mut self.swap, &lengths).into_par_iter().zip(split(&mut self.keys, &lengths));
+        parts.enumerate().for_each(|(range, (swap, keys))| {
             let mut rest = &mut *swap;
-            for dealt in dealt {
-                rest.split_off_mut(..dealt[range].len()).unwrap_or_default().copy_from_slice(&dealt[range]);
+            for of_range in tasks {
+                let from = &of_range[range];
+                rest.split_off_mut(..from.len()).unwrap_or_default().copy_from_slice(from);
             }
             radix_sort_high_half(swap, keys);
         });
     }
-}
-
-/// Consecutive parts of the given lengths.
-pub fn split<'a, T>(mut values: &'a mut [T], lengths: &[usize]) -> Vec<&'a mut [T]> {
-    let part = |&length: &usize| values.split_off_mut(..length).unwrap_or_default();
-    lengths.iter().map(part).collect()
 }
 
 fn chunks(splats: &Splats) -> usize {
@@ -103,7 +100,7 @@ fn keys_of(splats: &Splats, chunks: Range<usize>) -> impl Iterator<Item = u64> {
 
 /// Keys at which all ranges but the first begin: those of a sample, so that ranges are about as long as one another.
 fn range_ends(splats: &Splats, ranges: usize) -> Vec<u64> {
-    let (chunks, wanted) = (chunks(splats), ranges * SAMPLES_A_RANGE);
+    let (chunks, wanted) = (chunks(splats), ranges * SAMPLES_PER_RANGE);
     let sampled = (0..chunks).step_by((chunks / wanted).max(1));
     let apart = CHUNK.div_ceil(wanted.div_ceil(sampled.len().max(1)));
     let mut sample: Vec<u64> =
@@ -122,8 +119,8 @@ fn digit_of(key: u64, pass: usize) -> usize {
     (key >> (32 + pass as u32 * DIGIT_BITS)) as usize & (DIGITS - 1)
 }
 
-/// Sorts `keys` by their upper 32 bits into `out`, equal ones in the order in which they were; what is left in `keys` has no
-/// meaning. Least significant digit first.
+/// Sorts `keys` by their upper 32 bits into `out`, equal ones in the order in which they were, least significant digit
+/// first; what is left in `keys` has no meaning.
 fn radix_sort_high_half(keys: &mut [u64], out: &mut [u64]) {
     let mut counts = [[0u32; DIGITS]; PASSES];
     for &key in &*keys {
@@ -153,7 +150,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::cpu::project::{Pinhole, project};
+    use crate::cpu::view::{pinhole::Pinhole, project::project};
     use crate::fixtures::{camera, cloud, settings};
 
     proptest! {

@@ -1,27 +1,26 @@
 //! The loss of a picture against one photo, forward only, for many pictures of one view.
 //!
-//! SSIM needs four blurred moments. That of the photo, and of its square, are the same for all pictures: they are kept,
-//! and three are left, `E[x]`, `E[x²]` and `E[xy]` (see [`super::super::loss`]). Pictures and photo have rows of whole
-//! vectors with zeros around them, so that no load needs care. A channel is walked in columns of 144 px from top to
-//! bottom: what the last 11 rows leave stays in the first-level cache.
+//! SSIM needs five blurred moments (see [`crate::cpu::loss`]). Those of the photo and of its square are the same for all
+//! pictures: they are kept, and three are left, `E[x]`, `E[x²]` and `E[xy]`. Pictures and photo have rows of whole
+//! vectors with zeros around them, so that every load is a whole vector. A channel is walked in columns of 144 px from
+//! top to bottom: what the last 11 rows leave stays in the first-level cache.
 
 use fearless_simd::{Level, Simd, dispatch, prelude::*};
 use genesplat_core::constants::{SSIM_C1, SSIM_C2, SSIM_RADIUS, ssim_window};
 
-use super::super::bytes_of;
-use super::super::loss::{
-    MARGIN, Ring, TAPS, Target, blur_row, by_slot, combine, load_bytes, mask_tail, slot,
-};
-use super::super::simd::{LANES, V, array};
+use crate::cpu::bytes_of;
+use crate::cpu::loss::blur::{MARGIN, Ring, TAPS, blur_row, by_slot, load_bytes, mask_tail, slot};
+use crate::cpu::loss::{Target, combine};
+use crate::cpu::simd::{LANES, V, array};
 
 /// Most vectors across a column of the walk.
 const COLUMN_VECTORS: usize = 9;
 /// Rows whose sums are added in f32 before they are added in f64.
-const ROWS_A_SUM: usize = 8;
+const ROWS_PER_SUM: usize = 8;
 
 /// Where the values of a padded picture lie: planes of rows of whole vectors, zeros before and after each row.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Layout {
+pub(crate) struct Layout {
     /// Size, px.
     pub size: [usize; 2],
 }
@@ -33,22 +32,22 @@ impl Layout {
     }
 
     /// From a pixel to the one below it. The zeros after a row are those before the next one.
-    pub fn stride(&self) -> usize {
+    pub(crate) fn stride(&self) -> usize {
         self.vectors() * LANES + MARGIN
     }
 
     /// From a pixel to the same of the next channel.
-    pub fn plane(&self) -> usize {
+    pub(crate) fn plane(&self) -> usize {
         self.size[1] * self.stride()
     }
 
     /// Place of the first pixel of a row of the first channel.
-    pub fn row(&self, y: usize) -> usize {
+    pub(crate) fn row(&self, y: usize) -> usize {
         MARGIN + y * self.stride()
     }
 
     /// Values of a picture.
-    pub fn len(&self) -> usize {
+    pub(crate) fn len(&self) -> usize {
         3 * self.plane() + MARGIN
     }
 
@@ -60,17 +59,18 @@ impl Layout {
     }
 }
 
-/// A photo and what SSIM needs of it, in the [`Layout`] of the pictures that it judges.
+/// A photo and what SSIM needs of it, in the [`Layout`] of the pictures that are compared with it.
 #[derive(Debug)]
-pub struct Judge {
+pub(crate) struct PhotoLoss {
     layout: Layout,
     photo: Vec<u8>,
-    /// `E[y]` and `E[y²] − E[y]² + C2` of each vector, in the order of the walk: a stream, which the machine fetches ahead.
+    /// `E[y]` and `E[y²] − E[y]² + C2` of each vector, in the order of the walk, so that the machine fetches them ahead.
     blurred: Vec<[[f32; LANES]; 2]>,
 }
 
-/// The working memory of one walk: the last 11 rows of `K` quantities blurred along the row, and one row of them unblurred.
-pub struct Walk<const K: usize> {
+/// The working memory of one walk: the last 11 rows of `K` quantities, blurred along the row, and one row of them
+/// unblurred.
+pub(crate) struct Walk<const K: usize> {
     ring: Ring<K>,
     rows: [Vec<f32>; K],
 }
@@ -82,19 +82,19 @@ impl<const K: usize> Default for Walk<K> {
     }
 }
 
-impl Judge {
+impl PhotoLoss {
     /// Bytes of memory.
-    pub fn bytes(&self) -> usize {
+    pub(crate) fn bytes(&self) -> usize {
         bytes_of(&self.photo) + bytes_of(&self.blurred)
     }
 
     /// Blurs the photo and its square.
-    pub fn new(level: Level, target: &Target) -> Self {
+    pub(crate) fn new(level: Level, target: &Target) -> Self {
         let layout = Layout { size: [target.width, target.height] };
         let blurred = Vec::with_capacity(3 * layout.vectors() * target.height);
-        let mut judge = Self { layout, photo: padded(&target.planes, layout), blurred };
-        dispatch!(level, simd => judge.blur_photo(simd));
-        judge
+        let mut photo_loss = Self { layout, photo: padded(&target.planes, layout), blurred };
+        dispatch!(level, simd => photo_loss.blur_photo(simd));
+        photo_loss
     }
 
     #[inline(always)]
@@ -117,14 +117,14 @@ impl Judge {
         }
     }
 
-    /// Where the values of the pictures that it judges lie.
-    pub fn layout(&self) -> Layout {
+    /// Where the values of the pictures lie.
+    pub(crate) fn layout(&self) -> Layout {
         self.layout
     }
 
     /// Loss of a picture.
     #[inline(always)]
-    pub fn loss<S: Simd>(&self, simd: S, picture: &[f32], walk: &mut Walk<3>) -> f32 {
+    pub(crate) fn loss<S: Simd>(&self, simd: S, picture: &[f32], walk: &mut Walk<3>) -> f32 {
         // A loop: what is passed to an iterator's methods is not always inlined.
         let (mut sums, mut blurred) = ([0.0; 2], self.blurred.iter());
         for (channel, (first, count)) in each_column(self.layout) {
@@ -147,7 +147,7 @@ impl Judge {
     ) -> [f64; 2] {
         let zero = V::splat(simd, 0.0);
         let (mut near, mut sums) = ([zero; 2], [0.0f64; 2]);
-        let mut left = ROWS_A_SUM * column.2;
+        let mut left = ROWS_PER_SUM * column.2;
         let last = self.layout.vectors() - 1;
         let tail = self.layout.size[0] - last * LANES;
         walk.down(
@@ -171,7 +171,7 @@ impl Judge {
                 left -= 1;
                 if left == 0 {
                     add(&mut sums, &near);
-                    (near, left) = ([zero; 2], ROWS_A_SUM * column.2);
+                    (near, left) = ([zero; 2], ROWS_PER_SUM * column.2);
                 }
             },
         );
@@ -212,8 +212,8 @@ fn padded(planes: &[u8], layout: Layout) -> Vec<u8> {
 }
 
 impl<const K: usize> Walk<K> {
-    /// Walks down a column `(channel, first vector, vectors)`: calls `visit(place, vector, blurred quantities)` for each of
-    /// its vectors, row by row; `load(place)` gives the quantities.
+    /// Walks down a column `(channel, first vector, vectors)`: calls `visit(place, vector, blurred quantities)` for each
+    /// of its vectors, row by row; `load(place)` gives the quantities.
     #[inline(always)]
     fn down<S: Simd>(
         &mut self,
@@ -224,10 +224,7 @@ impl<const K: usize> Walk<K> {
         mut visit: impl FnMut(usize, usize, [V<S>; K]),
     ) {
         let window = ssim_window().map(|v| v as f32);
-        let weights: [[f32; TAPS]; TAPS] = array(
-            #[inline(always)]
-            |y| by_slot(&window, y as isize),
-        );
+        let weights: [[f32; TAPS]; TAPS] = array!(y => by_slot(&window, y as isize));
         let Self { ring, rows } = self;
         // Rows above the picture are zero.
         ring.columns.clear();
@@ -263,12 +260,13 @@ impl<const K: usize> Walk<K> {
 
 /// Loss of a picture that is not padded yet.
 #[cfg(test)]
-pub fn loss_by_judge(level: Level, image: &genesplat_core::Image, target: &Target) -> f32 {
-    let judge = Judge::new(level, target);
-    let mut picture = vec![0.0; judge.layout.len()];
+pub(crate) fn loss_of_image(level: Level, image: &genesplat_core::Image, target: &Target) -> f32 {
+    let photo_loss = PhotoLoss::new(level, target);
+    let layout = photo_loss.layout;
+    let mut picture = vec![0.0; layout.len()];
     for (index, row) in image.planes.chunks_exact(target.width).enumerate() {
-        let at = index / target.height * judge.layout.plane() + judge.layout.row(index % target.height);
+        let at = index / target.height * layout.plane() + layout.row(index % target.height);
         picture[at..at + target.width].copy_from_slice(row);
     }
-    dispatch!(level, simd => judge.loss(simd, &picture, &mut Walk::default()))
+    dispatch!(level, simd => photo_loss.loss(simd, &picture, &mut Walk::default()))
 }

@@ -1,11 +1,12 @@
 //! Stage `colour`: spherical harmonics of one Gaussian seen from one camera, and their gradient.
 
-use super::simd::array;
 use genesplat_core::spherical_harmonics::{C0, C1, C2, C3, SH_COEFFICIENTS, SH_STRIDE, coefficients};
+
+use crate::cpu::simd::array;
 
 /// A colour and which of its channels were clamped at 0.
 #[derive(Clone, Copy, Debug)]
-pub struct Colour {
+pub(crate) struct Colour {
     /// `max(0, SH + 0.5)`; NaN where that is.
     pub rgb: [f32; 3],
     /// Bit `c` is set where channel `c` was below 0.
@@ -13,16 +14,16 @@ pub struct Colour {
 }
 
 impl Colour {
-    /// A Gaussian whose colour is NaN is none. (An infinite one is seen, so that the loss can tell of it.)
+    /// False for NaN, which drops the Gaussian. (An infinite colour is drawn, so that the loss shows it.)
     #[inline(always)]
-    pub fn is_number(&self) -> bool {
+    pub(crate) fn is_number(&self) -> bool {
         !self.rgb.iter().any(|value| value.is_nan())
     }
 }
 
 /// Colour of a Gaussian at `position` as seen from `centre`.
 #[inline(always)]
-pub fn evaluate(sh: &[f32; SH_STRIDE], position: [f32; 3], centre: [f32; 3], degree: u8) -> Colour {
+pub(crate) fn colour(sh: &[f32; SH_STRIDE], position: [f32; 3], centre: [f32; 3], degree: u8) -> Colour {
     let raw = if degree == 0 {
         [C0 as f32 * sh[0], C0 as f32 * sh[1], C0 as f32 * sh[2]]
     } else {
@@ -53,7 +54,7 @@ fn sum(count: usize, basis: &[f32; SH_COEFFICIENTS], sh: &[f32; SH_STRIDE]) -> [
 
 /// Gradients of the coefficients (written to `sh_gradient`) and of the mean (returned), from `dL/drgb`.
 #[inline(always)]
-pub fn backward(
+pub(crate) fn colour_backward(
     sh: &[f32; SH_STRIDE],
     position: [f32; 3],
     centre: [f32; 3],
@@ -80,18 +81,12 @@ pub fn backward(
     let along = direction_gradient(degree, direction, &weights);
     // (I − d dᵀ) / distance: the direction's length is fixed.
     let radial = along[0] * direction[0] + along[1] * direction[1] + along[2] * direction[2];
-    array(
-        #[inline(always)]
-        |axis| (along[axis] - radial * direction[axis]) * inverse_distance,
-    )
+    array!(axis => (along[axis] - radial * direction[axis]) * inverse_distance)
 }
 
 #[inline(always)]
 fn direction(position: [f32; 3], centre: [f32; 3]) -> ([f32; 3], f32) {
-    let d: [f32; 3] = array(
-        #[inline(always)]
-        |axis| position[axis] - centre[axis],
-    );
+    let d: [f32; 3] = array!(axis => position[axis] - centre[axis]);
     let inverse = 1.0 / (d[0] * d[0] + d[1] * d[1] + d[2] * d[2]).sqrt().max(1e-12);
     (d.map(|v| v * inverse), inverse)
 }

@@ -1,17 +1,18 @@
-//! Stage `project_backward`: from the sums of a splat's gradient rows back to its raw parameters, 16 Gaussians at a time.
+//! Derivatives of [`Geometry::new`], step by step in reverse, for 16 Gaussians at a time.
 //!
-//! Exact derivatives of [`Geometry::new`], step by step in reverse; the reference's formulas, checked by finite differences.
+//! They are exact: the reference's formulas, which are checked by finite differences.
 
 use fearless_simd::{Simd, prelude::*};
 use genesplat_core::ScreenFilter;
 use genesplat_core::constants::{ANTIALIAS_RATIO_MIN, MIP_EPSILON};
 
-use super::project::{Geometry, Params, Pinhole};
-use super::rasterise_backward::column;
-use super::simd::{LANES, V, array};
+use crate::cpu::blend::gradient_row::column;
+use crate::cpu::simd::{LANES, V, array};
+use crate::cpu::view::geometry::{Geometry, Params};
+use crate::cpu::view::pinhole::Pinhole;
 
-/// Gradients of 16 Gaussians' raw parameters.
-pub struct LaneGradients<S: Simd> {
+/// Gradients of 16 Gaussians' means on the screen and raw parameters.
+pub(crate) struct LaneGradients<S: Simd> {
     pub mean_px: [V<S>; 2],
     pub position: [V<S>; 3],
     pub log_scale: [V<S>; 3],
@@ -19,8 +20,9 @@ pub struct LaneGradients<S: Simd> {
     pub opacity_logit: V<S>,
 }
 
+/// From the sums of 16 splats' gradient rows back to raw parameters, colours apart.
 #[inline(always)]
-pub fn backward<S: Simd>(
+pub(crate) fn geometry_backward<S: Simd>(
     params: &Params<S>,
     g: &Geometry<S>,
     sums: &[V<S>; LANES],
@@ -45,66 +47,36 @@ pub fn backward<S: Simd>(
 
     // 3. Covariance = Σ_k variance_k w_k w_kᵀ.
     let [ga, gb, gc] = cov_gradient;
-    let variance: [V<S>; 3] = array(
-        #[inline(always)]
-        |k| ga * g.w[0][k] * g.w[0][k] + gb * g.w[0][k] * g.w[1][k] + gc * g.w[1][k] * g.w[1][k],
-    );
+    let variance: [V<S>; 3] = array!(k => {
+        ga * g.w[0][k] * g.w[0][k] + gb * g.w[0][k] * g.w[1][k] + gc * g.w[1][k] * g.w[1][k]
+    });
     let w: [[V<S>; 3]; 2] = [
-        array(
-            #[inline(always)]
-            |k| g.variance[k] * (ga * g.w[0][k] * 2.0 + gb * g.w[1][k]),
-        ),
-        array(
-            #[inline(always)]
-            |k| g.variance[k] * (gb * g.w[0][k] + gc * g.w[1][k] * 2.0),
-        ),
+        array!(k => g.variance[k] * (ga * g.w[0][k] * 2.0 + gb * g.w[1][k])),
+        array!(k => g.variance[k] * (gb * g.w[0][k] + gc * g.w[1][k] * 2.0)),
     ];
 
     // 4. Scales: variance = exp(2 · log-scale) + filter²; the 3D filter also scales the opacity by
     // sqrt(Π raw / Π filtered).
     let product_gradient = effective_gradient * g.opacity_effective;
-    let log_scale: [V<S>; 3] = array(
-        #[inline(always)]
-        |k| {
-            let filtered = params
-                .filter_3d
-                .simd_gt(0.0)
-                .select(product_gradient * (one - g.variance_raw[k] / g.variance[k]), V::splat(simd, 0.0));
-            variance[k] * g.variance_raw[k] * 2.0 + filtered
-        },
-    );
+    let log_scale: [V<S>; 3] = array!(k => {
+        let filtered = params
+            .filter_3d
+            .simd_gt(0.0)
+            .select(product_gradient * (one - g.variance_raw[k] / g.variance[k]), V::splat(simd, 0.0));
+        variance[k] * g.variance_raw[k] * 2.0 + filtered
+    });
 
     // 5. w = u R: rotation and u.
-    let u: [[V<S>; 3]; 2] = array(
-        #[inline(always)]
-        |axis| {
-            array(
-                #[inline(always)]
-                |j| w[axis][0] * g.r[j][0] + w[axis][1] * g.r[j][1] + w[axis][2] * g.r[j][2],
-            )
-        },
-    );
-    let r: [[V<S>; 3]; 3] = array(
-        #[inline(always)]
-        |j| {
-            array(
-                #[inline(always)]
-                |k| g.u[0][j] * w[0][k] + g.u[1][j] * w[1][k],
-            )
-        },
-    );
+    let u: [[V<S>; 3]; 2] = array!(axis => {
+        array!(j => w[axis][0] * g.r[j][0] + w[axis][1] * g.r[j][1] + w[axis][2] * g.r[j][2])
+    });
+    let r: [[V<S>; 3]; 3] = array!(j => array!(k => g.u[0][j] * w[0][k] + g.u[1][j] * w[1][k]));
     let rotation = quaternion_gradient(g, &r);
 
     // 6. u = J R_view: camera coordinates, with the clamp's exact derivative.
     let t = camera_gradient(g, &u, mean_px, camera);
-    let position = array(
-        #[inline(always)]
-        |axis| {
-            t[0] * camera.rotation[0][axis]
-                + t[1] * camera.rotation[1][axis]
-                + t[2] * camera.rotation[2][axis]
-        },
-    );
+    let m = &camera.rotation;
+    let position = array!(axis => t[0] * m[0][axis] + t[1] * m[1][axis] + t[2] * m[2][axis]);
     LaneGradients { mean_px, position, log_scale, rotation, opacity_logit }
 }
 
@@ -152,6 +124,7 @@ fn dot<S: Simd>(a: &[V<S>; 3], b: &[f32; 3]) -> V<S> {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
+/// By the mean in camera coordinates: through the Jacobian, and through the mean on the screen.
 #[inline(always)]
 fn camera_gradient<S: Simd>(
     g: &Geometry<S>,
@@ -166,8 +139,8 @@ fn camera_gradient<S: Simd>(
         let rotation = &camera.rotation;
         // J_axis,axis = f/z and J_axis,2 = −f·q/z with q = clamp(x/z).
         let (diagonal, third) = (dot(&u[axis], &rotation[axis]), dot(&u[axis], &rotation[2]));
-        let focal = camera.focal[axis];
-        let clamped = g.ratio[axis].abs().simd_gt(camera.limit[axis]);
+        let focal = camera.focal_px[axis];
+        let clamped = g.ratio[axis].abs().simd_gt(camera.slope_limit[axis]);
         let by_ratio = clamped.select(zero, -(third * g.inverse_z * focal));
         // Mean: f·x/z.
         let by_ratio = by_ratio + mean_px[axis] * focal;
@@ -192,8 +165,5 @@ fn quaternion_gradient<S: Simd>(g: &Geometry<S>, d: &[[V<S>; 3]; 3]) -> [V<S>; 4
             - z * (d[0][0] + d[1][1]) * 4.0,
     ];
     let radial = unit[0] * w + unit[1] * x + unit[2] * y + unit[3] * z;
-    array(
-        #[inline(always)]
-        |k| (unit[k] - g.unit[k] * radial) * g.inverse_length,
-    )
+    array!(k => (unit[k] - g.unit[k] * radial) * g.inverse_length)
 }

@@ -5,9 +5,9 @@ use genesplat_core::Update;
 use genesplat_core::constants::{ADAM_BETA1, ADAM_BETA2, ADAM_EPSILON};
 use genesplat_core::spherical_harmonics::{SH_STRIDE, coefficients};
 
-use super::project::CHUNK;
-use super::simd::{LANES, V};
-use super::update::{ChunkGradients, ChunkMut};
+use super::chunk::{ChunkGradients, ChunkMut};
+use crate::cpu::simd::{LANES, V};
+use crate::cpu::view::splats::CHUNK;
 
 /// Adam's bias-corrected factors of one parameter group.
 #[derive(Clone, Copy)]
@@ -27,12 +27,14 @@ impl Rate {
     }
 }
 
-/// First moments below this are 0. Without a gradient they would decay into denormal numbers and stay there, since 0.9 of the
-/// smallest ones rounds to themselves, and many machines take a hundred cycles for each. A step by this much is 1e-15 of a rate.
+/// First moments below this are 0. Without a gradient they would decay into denormal numbers and stay there, since 0.9 of
+/// the smallest ones rounds to themselves, and many machines take a hundred cycles for each. A step by this much is 1e-15
+/// of a rate.
 const FIRST_MIN: f32 = 1e-30;
 
+/// Steps all parameters of a chunk.
 #[inline(always)]
-pub fn adam<S: Simd>(
+pub(crate) fn adam<S: Simd>(
     simd: S,
     update: &Update,
     sh_degree: u8,

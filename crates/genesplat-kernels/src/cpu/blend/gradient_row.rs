@@ -1,0 +1,62 @@
+//! What a splat's gradient is made of in one tile: a row of 16 sums over pixels.
+
+use fearless_simd::{Simd, f32x4, f32x8, f64x2, prelude::*};
+
+use crate::cpu::simd::{LANES, array};
+
+/// Gradient sums of one splat in one tile; see [`column`].
+#[derive(Clone, Copy, Debug, Default)]
+#[repr(C, align(64))]
+pub struct GradientRow(pub [f32; LANES]);
+
+/// Columns of a [`GradientRow`]: sums of `p` times powers of the offset `pixel − mean`.
+pub(crate) mod column {
+    /// Σ p
+    pub(crate) const ONE: usize = 0;
+    /// Σ p·dx
+    pub(crate) const X: usize = 1;
+    /// Σ p·dy
+    pub(crate) const Y: usize = 2;
+    /// Σ p·dx²
+    pub(crate) const XX: usize = 3;
+    /// Σ p·dx·dy
+    pub(crate) const XY: usize = 4;
+    /// Σ p·dy²
+    pub(crate) const YY: usize = 5;
+    /// Σ |∂L/∂u|, by pixel ([`super::rasterise_backward::Extra::Absolute`] only)
+    pub(crate) const ABS_X: usize = 6;
+    /// Σ |∂L/∂v|, by pixel ([`super::rasterise_backward::Extra::Absolute`] only)
+    pub(crate) const ABS_Y: usize = 7;
+    /// dL/drgb
+    pub(crate) const RED: usize = 8;
+    /// Number of pixels blended ([`super::rasterise_backward::Extra::Pixels`] only)
+    pub(crate) const PIXELS: usize = 11;
+}
+
+impl GradientRow {
+    /// From moments about one point to moments about another, which is at `[ox, oy]` px from it.
+    #[inline(always)]
+    pub fn shift_moments(&mut self, [ox, oy]: [f32; 2]) {
+        let row = &mut self.0;
+        let [one, x, y, xx, xy, yy] = [row[0], row[1], row[2], row[3], row[4], row[5]];
+        row[column::X] = x - ox * one;
+        row[column::Y] = y - oy * one;
+        row[column::XX] = xx - 2.0 * ox * x + ox * ox * one;
+        row[column::XY] = xy - ox * y - oy * x + ox * oy * one;
+        row[column::YY] = yy - 2.0 * oy * y + oy * oy * one;
+    }
+}
+
+/// The sums of the lanes of four vectors.
+#[inline(always)]
+pub(crate) fn sum_lanes<S: Simd>(vectors: [f32x8<S>; 4]) -> f32x4<S> {
+    let [a, b, c, d] = array!(k => {
+        let (low, high) = vectors[k].split();
+        low + high
+    });
+    // Lanes a0+a2, b0+b2, a1+a3, b1+b3; the same of c and d; then both.
+    let ab = a.zip_low(b) + a.zip_high(b);
+    let cd = c.zip_low(d) + c.zip_high(d);
+    let (ab, cd) = (ab.bitcast::<f64x2<S>>(), cd.bitcast::<f64x2<S>>());
+    ab.zip_low(cd).bitcast::<f32x4<S>>() + ab.zip_high(cd).bitcast::<f32x4<S>>()
+}

@@ -1,0 +1,146 @@
+//! One chunk of rows of everything that a step changes, and the gradients of those rows.
+
+use genesplat_core::spherical_harmonics::SH_STRIDE;
+use genesplat_core::{Gaussians, Genes, Moments, Statistics};
+
+use crate::cpu::view::geometry::RawRow;
+use crate::cpu::view::splats::CHUNK;
+
+/// Gradients of the rows of one chunk, by raw parameter.
+pub(crate) struct ChunkGradients {
+    /// Position, log-scale, opacity logit `[CHUNK, 7]`.
+    pub genes: Box<[Genes; CHUNK]>,
+    /// Quaternions `[CHUNK, 4]`.
+    pub rotations: Box<[[f32; 4]; CHUNK]>,
+    /// Spherical harmonics `[CHUNK, 48]`.
+    pub sh: Box<[[f32; SH_STRIDE]; CHUNK]>,
+    /// Density signal, and what goes with it: see [`super::statistics::density`] `[CHUNK, 2]`.
+    pub density: Box<[[f32; 2]; CHUNK]>,
+    /// Rows with a splat.
+    pub touched: Vec<u32>,
+}
+
+impl Default for ChunkGradients {
+    fn default() -> Self {
+        Self {
+            genes: Box::new([[0.0; 7]; CHUNK]),
+            rotations: Box::new([[0.0; 4]; CHUNK]),
+            sh: Box::new([[0.0; SH_STRIDE]; CHUNK]),
+            density: Box::new([[0.0; 2]; CHUNK]),
+            touched: Vec::with_capacity(CHUNK),
+        }
+    }
+}
+
+impl ChunkGradients {
+    /// Forgets all gradients.
+    pub(crate) fn clear(&mut self) {
+        for &row in &self.touched {
+            let row = row as usize;
+            (self.genes[row], self.rotations[row]) = ([0.0; 7], [0.0; 4]);
+            (self.sh[row], self.density[row]) = ([0.0; SH_STRIDE], [0.0; 2]);
+        }
+        self.touched.clear();
+    }
+
+    /// Every row of the chunk (of `rows`) has a gradient now.
+    pub(crate) fn touch_all(&mut self, rows: usize) {
+        self.touched.clear();
+        self.touched.extend(0..rows as u32);
+    }
+}
+
+/// One chunk of everything that a step changes.
+pub(crate) struct ChunkMut<'a> {
+    pub parameters: RowsMut<'a>,
+    pub first: RowsMut<'a>,
+    pub second: RowsMut<'a>,
+    pub statistics: StatisticsMut<'a>,
+}
+
+/// One chunk of a cloud's rows, or of what has its shape.
+pub(crate) struct RowsMut<'a> {
+    pub positions: &'a mut [[f32; 3]],
+    pub log_scales: &'a mut [[f32; 3]],
+    pub rotations: &'a mut [[f32; 4]],
+    pub opacity_logits: &'a mut [f32],
+    pub sh: &'a mut [[f32; SH_STRIDE]],
+}
+
+/// One chunk of [`Statistics`]; columns that no step asked for are empty.
+#[derive(Default)]
+pub(crate) struct StatisticsMut<'a> {
+    pub gradient_sum: &'a mut [f32],
+    pub weight_sum: &'a mut [f32],
+    pub absolute_sum: &'a mut [f32],
+    pub gene_gradient_sum: &'a mut [Genes],
+    pub gene_views: &'a mut [u32],
+}
+
+/// All chunks of cloud, moments and statistics.
+pub(crate) fn chunks_mut<'a>(
+    cloud: &'a mut Gaussians,
+    moments: &'a mut Moments,
+    statistics: &'a mut Statistics,
+) -> Vec<ChunkMut<'a>> {
+    rows_mut(cloud)
+        .zip(rows_mut(&mut moments.first))
+        .zip(rows_mut(&mut moments.second))
+        .zip(statistics_mut(statistics))
+        .map(|(((parameters, first), second), statistics)| ChunkMut { parameters, first, second, statistics })
+        .collect()
+}
+
+/// The chunks of a cloud's rows.
+pub(crate) fn rows_mut(cloud: &mut Gaussians) -> impl Iterator<Item = RowsMut<'_>> {
+    cloud
+        .positions
+        .chunks_mut(CHUNK)
+        .zip(cloud.log_scales.chunks_mut(CHUNK))
+        .zip(cloud.rotations.chunks_mut(CHUNK))
+        .zip(cloud.opacity_logits.chunks_mut(CHUNK))
+        .zip(cloud.sh.chunks_mut(CHUNK))
+        .map(|((((positions, log_scales), rotations), opacity_logits), sh)| RowsMut {
+            positions,
+            log_scales,
+            rotations,
+            opacity_logits,
+            sh,
+        })
+}
+
+fn statistics_mut(statistics: &mut Statistics) -> impl Iterator<Item = StatisticsMut<'_>> {
+    let mut gradient_sum = statistics.gradient_sum.chunks_mut(CHUNK);
+    let mut weight_sum = statistics.weight_sum.chunks_mut(CHUNK);
+    let mut absolute_sum = statistics.absolute_sum.chunks_mut(CHUNK);
+    let mut gene_gradient_sum = statistics.gene_gradient_sum.chunks_mut(CHUNK);
+    let mut gene_views = statistics.gene_views.chunks_mut(CHUNK);
+    std::iter::from_fn(move || {
+        Some(StatisticsMut {
+            gradient_sum: gradient_sum.next().unwrap_or_default(),
+            weight_sum: weight_sum.next().unwrap_or_default(),
+            absolute_sum: absolute_sum.next().unwrap_or_default(),
+            gene_gradient_sum: gene_gradient_sum.next().unwrap_or_default(),
+            gene_views: gene_views.next().unwrap_or_default(),
+        })
+    })
+}
+
+/// Read access to the rows of a chunk.
+pub(crate) struct ChunkView<'a> {
+    /// Row of the cloud that the chunk begins with.
+    pub first_row: usize,
+    pub rows: &'a RowsMut<'a>,
+    /// 3D filter of the rows from the first on.
+    pub filter_3d: Option<&'a [f32]>,
+}
+
+impl ChunkView<'_> {
+    /// Raw parameters of a row of the chunk.
+    #[inline(always)]
+    pub(crate) fn raw(&self, local: usize) -> RawRow {
+        let (p, s) = (self.rows.positions[local], self.rows.log_scales[local]);
+        let genes = [p[0], p[1], p[2], s[0], s[1], s[2], self.rows.opacity_logits[local]];
+        (genes, self.rows.rotations[local], self.filter_3d.map_or(0.0, |filter| filter[local]))
+    }
+}

@@ -1,0 +1,97 @@
+//! The splats of a view: what stage `project` writes and all later stages read.
+
+use crate::cpu::bytes_of;
+
+/// Rows that one task projects, and whose parameters one task updates. A constant, so that results do not depend on the
+/// number of threads.
+pub(crate) const CHUNK: usize = 256;
+
+/// One splat of one view: a cache line.
+#[derive(Clone, Copy, Debug, Default)]
+#[repr(C, align(64))]
+pub struct Splat {
+    /// Mean, px.
+    pub mean_px: [f32; 2],
+    /// `[−½·A, −B, −½·C] · log2(e)` of the inverse covariance `[A B; B C]`: the exponent comes out in powers of two.
+    pub conic_log2: [f32; 3],
+    /// `log2` of the effective opacity.
+    pub log2_opacity: f32,
+    /// Colour, not below 0.
+    pub rgb: [f32; 3],
+    /// Camera z, world units.
+    pub depth: f32,
+    /// Half extent of the ellipse `alpha ≥ 1/255`, px.
+    pub half_extent_px: [f32; 2],
+    /// Row of the cloud; of [`super::project::project_versions`], index of the version.
+    pub row: u32,
+    /// Bit `c` is set where channel `c` was clamped at 0.
+    pub clamped: u32,
+}
+
+impl Splat {
+    /// The same with its mean in px from `origin` (the corner of a tile).
+    #[inline(always)]
+    pub fn seen_from(&self, origin: [usize; 2]) -> Self {
+        let mean_px = [self.mean_px[0] - origin[0] as f32, self.mean_px[1] - origin[1] as f32];
+        Self { mean_px, ..*self }
+    }
+}
+
+/// The splats of a view, in the slots that projection wrote them to: each chunk of rows has as many slots as rows, and
+/// its splats fill the first of them, in row order. A splat's index is its slot, so nothing is moved or counted twice.
+#[derive(Clone, Debug, Default)]
+pub struct Splats {
+    /// One slot a row `[N]`.
+    pub(super) slots: Vec<Splat>,
+    /// Splats of each chunk.
+    pub(super) counts: Vec<u32>,
+    /// A row's 3-sigma square meets a tile: what 3DGS's densification average counts `[N]`.
+    pub(super) seen: Vec<bool>,
+}
+
+impl Splats {
+    /// The splat of an index.
+    #[inline(always)]
+    pub fn get(&self, index: u32) -> &Splat {
+        &self.slots[index as usize]
+    }
+
+    /// All splats with their indices, in row order.
+    pub fn iter(&self) -> impl Iterator<Item = (u32, &Splat)> {
+        self.slots.chunks(CHUNK).zip(&self.counts).enumerate().flat_map(|(chunk, (slots, &count))| {
+            let first = (chunk * CHUNK) as u32;
+            slots[..count as usize].iter().enumerate().map(move |(k, splat)| (first + k as u32, splat))
+        })
+    }
+
+    /// The splats of one chunk of rows; the first one's index is `chunk * CHUNK`.
+    pub fn chunk(&self, chunk: usize) -> &[Splat] {
+        &self.slots[chunk * CHUNK..][..self.counts[chunk] as usize]
+    }
+
+    /// Geometric visibility of the rows of one chunk.
+    pub fn seen(&self, chunk: usize) -> &[bool] {
+        &self.seen[chunk * CHUNK..self.seen.len().min((chunk + 1) * CHUNK)]
+    }
+
+    /// Number of splats.
+    pub fn len(&self) -> usize {
+        self.counts.iter().map(|&count| count as usize).sum()
+    }
+
+    /// Above every index.
+    pub fn capacity(&self) -> usize {
+        self.slots.len()
+    }
+
+    /// Bytes of memory.
+    pub fn bytes(&self) -> usize {
+        bytes_of(&self.slots) + bytes_of(&self.counts) + bytes_of(&self.seen)
+    }
+
+    /// Makes slots for `rows` rows.
+    pub(super) fn resize(&mut self, rows: usize) {
+        self.slots.resize(rows, Splat::default());
+        self.counts.resize(rows.div_ceil(CHUNK), 0);
+    }
+}
