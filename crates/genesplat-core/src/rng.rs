@@ -51,6 +51,11 @@ impl Rng {
         Self { key: [seed as u32, (seed >> 32) as u32] }
     }
 
+    /// The key of the generator, for devices that draw themselves.
+    pub fn key(&self) -> [u32; 2] {
+        self.key
+    }
+
     /// The same seed in a sub-universe: used to give each evolution stage its own numbers.
     pub fn fork(self, index: u32) -> Self {
         let [a, b, ..] = philox4x32_10([index, 0x6765_6e65, 0x666f_726b, 0], self.key);

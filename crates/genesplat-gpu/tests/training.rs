@@ -54,7 +54,7 @@ fn evolving(mode: EvolutionMode) -> Resolved {
 
 /// A device, if this machine has one; in CI it must.
 fn gpu() -> Option<GpuBackend> {
-    match GpuBackend::new(SEED) {
+    match GpuBackend::new() {
         Ok(gpu) => {
             eprintln!("runs on {}", gpu.describe());
             Some(gpu)
@@ -98,7 +98,7 @@ fn the_gallery_comes_out_as_on_the_cpu() {
         eprintln!("{variant}:");
         let config = config(variant).resolve().unwrap();
         let (_, ours) = trained(&mut gpu, &scene, &config);
-        let (_, theirs) = trained(&mut CpuBackend::new(SEED), &scene, &config);
+        let (_, theirs) = trained(&mut CpuBackend::new(), &scene, &config);
         // MCMC begins with noise and decay, and has no time to outgrow them here.
         assert!(theirs > 14.0 || variant == Variant::Mcmc, "{variant} learns something: {theirs:.2} dB");
         assert_alike(variant.name(), ours, theirs);
@@ -113,7 +113,7 @@ fn evolution_comes_out_as_on_the_cpu_and_a_stop_changes_nothing() {
         eprintln!("{}:", mode.name());
         let config = evolving(mode);
         let (run, ours) = trained(&mut gpu, &scene, &config);
-        let (twin, theirs) = trained(&mut CpuBackend::new(SEED), &scene, &config);
+        let (twin, theirs) = trained(&mut CpuBackend::new(), &scene, &config);
         eprintln!("{:?}", stages(&run));
         assert_eq!(stages(&run), stages(&twin));
         for &kind in kinds_of(mode) {

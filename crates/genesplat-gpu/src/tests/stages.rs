@@ -5,10 +5,10 @@ use genesplat_core::RowEdit;
 use genesplat_kernels::cpu::{Extra, Frame, Pinhole, Target};
 
 use super::*;
-use crate::frame::frame_of;
-use crate::layout::{ROW_FLOATS, SPLAT_FLOATS, TILE};
+use crate::device::memory::Memory;
+use crate::state::layout::{INTERSECTION_GRADIENT_FLOATS, SPLAT_FLOATS, TILE, ViewPass};
 
-const ROW: usize = ROW_FLOATS as usize;
+const GRADIENT: usize = INTERSECTION_GRADIENT_FLOATS as usize;
 
 /// A frame of the CPU, forward and backward.
 fn cpu_frame(cloud: &Gaussians, settings: &RenderSettings) -> (Frame, f32) {
@@ -20,18 +20,18 @@ fn cpu_frame(cloud: &Gaussians, settings: &RenderSettings) -> (Frame, f32) {
 }
 
 /// Reads `count` values of a buffer.
-fn read<T: bytemuck::Pod>(gpu: &GpuBackend, memory: &crate::engine::Memory, count: usize) -> Vec<T> {
+fn read<T: bytemuck::Pod>(gpu: &GpuBackend, memory: &Memory, count: usize) -> Vec<T> {
     gpu.engine.read_values(memory, count as u64).unwrap()
 }
 
-/// Entry numbers of each tile, nearest first, and the splat of each entry.
+/// Numbers of the intersections of each tile, nearest first, and the splat of each.
 fn tile_lists(gpu: &GpuBackend, settings: &RenderSettings, rows: usize) -> (Vec<Vec<u32>>, Vec<u32>) {
-    let frame = frame_of(&camera(), settings, rows as u64);
-    let entries = gpu.lists.entries as usize;
-    let numbers: Vec<u32> = read(gpu, gpu.lists.entry_numbers(&frame), entries);
-    let ranges: Vec<[u32; 2]> = read(gpu, &gpu.lists.ranges, (frame.tiles_x * frame.tiles_y) as usize);
+    let view = ViewPass::new(&camera(), settings, rows as u64);
+    let capacity = gpu.lists.capacity as usize;
+    let numbers: Vec<u32> = read(gpu, gpu.lists.sorted_intersections(&view), capacity);
+    let ranges: Vec<[u32; 2]> = read(gpu, &gpu.lists.ranges, view.tiles() as usize);
     let lists = ranges.iter().map(|&[begin, end]| numbers[begin as usize..end as usize].to_vec()).collect();
-    (lists, read(gpu, &gpu.lists.entry_splats, entries))
+    (lists, read(gpu, &gpu.lists.intersection_splats, capacity))
 }
 
 #[test]
@@ -45,8 +45,8 @@ fn every_stage_matches() {
     }
 }
 
-/// Lists of several batches, whose ends lie behind finished pixels. The rows of the first cloud are all written, so that those
-/// which the others have to clear are not zero.
+/// Lists of several batches, whose ends lie behind finished pixels. The rows of the first cloud are all written, so
+/// that those which the others have to clear are not zero.
 #[test]
 fn every_stage_matches_where_pixels_are_finished() {
     let Some(mut gpu) = gpu() else { return };
@@ -58,12 +58,12 @@ fn every_stage_matches_where_pixels_are_finished() {
 
 fn stages_match(gpu: &mut GpuBackend, cloud: Gaussians, settings: &RenderSettings) -> Result<(), String> {
     let (frame, loss) = cpu_frame(&cloud, settings);
-    gpu.upload(cloud, None).unwrap();
+    gpu.upload(cloud.into()).unwrap();
     gpu.train_step(&TrainStep { update: None, ..step(1, *settings) }).unwrap();
     let report = gpu.report().unwrap();
     splats_match(gpu, &frame)?;
     lists_match(gpu, &frame, settings)?;
-    assert_eq!((report.visible, report.tile_splats), (frame.splats.len(), frame.bins.entries.len()));
+    assert_eq!((report.visible, report.intersections), (frame.splats.len(), frame.bins.entries.len()));
     let values = frame.image.planes.len();
     compare("rasterise", "image", read(gpu, &gpu.pixels.image, values), frame.image.planes.clone())?;
     compare("loss", "value", [report.loss], [loss])?;
@@ -72,7 +72,7 @@ fn stages_match(gpu: &mut GpuBackend, cloud: Gaussians, settings: &RenderSetting
 }
 
 fn splats_match(gpu: &GpuBackend, frame: &Frame) -> Result<(), String> {
-    let splats: Vec<[f32; SPLAT_FLOATS as usize]> = read(gpu, &gpu.lists.splats, gpu.len());
+    let splats: Vec<[f32; SPLAT_FLOATS as usize]> = read(gpu, &gpu.lists.splats, gpu.gaussian_count());
     let (mut actual, mut expected) = (Vec::new(), Vec::new());
     for (_, splat) in frame.splats.iter() {
         let s = &splats[splat.global as usize];
@@ -90,11 +90,12 @@ fn splats_match(gpu: &GpuBackend, frame: &Frame) -> Result<(), String> {
 
 /// The same splats in every tile in the same order, and the same sums of each of them.
 fn lists_match(gpu: &GpuBackend, frame: &Frame, settings: &RenderSettings) -> Result<(), String> {
-    let (lists, entry_splats) = tile_lists(gpu, settings, gpu.len());
-    let rows: Vec<[f32; ROW]> = read(gpu, &gpu.pixels.rows, gpu.lists.entries as usize);
+    let (lists, splats_of) = tile_lists(gpu, settings, gpu.gaussian_count());
+    let rows: Vec<[f32; GRADIENT]> =
+        read(gpu, &gpu.pixels.intersection_gradients, gpu.lists.capacity as usize);
     let (mut actual, mut expected) = (Vec::new(), Vec::new());
     for (tile, numbers) in lists.iter().enumerate() {
-        let ours: Vec<u32> = numbers.iter().map(|&number| entry_splats[number as usize]).collect();
+        let ours: Vec<u32> = numbers.iter().map(|&number| splats_of[number as usize]).collect();
         let theirs: Vec<u32> =
             frame.bins.tile(tile).iter().map(|entry| frame.splats.get(entry.splat).global).collect();
         if ours != theirs {
@@ -107,7 +108,7 @@ fn lists_match(gpu: &GpuBackend, frame: &Frame, settings: &RenderSettings) -> Re
     // The CPU's rows have the moments, the absolute sums, the colours and the pixels in this order.
     let place = |column: usize| if column < 6 { column } else { column + 2 };
     (0..9).try_for_each(|k| {
-        let actual = actual.iter().map(|row: &[f32; ROW]| row[k]);
+        let actual = actual.iter().map(|row: &[f32; GRADIENT]| row[k]);
         let expected = expected.iter().map(|row: &[f32; 16]| row[place(k)]);
         compare("rasterise_backward", &format!("column {k}"), actual, expected)
     })
@@ -128,10 +129,10 @@ fn gradients_and_statistics_match() {
             step.statistics.density = Some(signal);
             let twins: [&mut dyn Backend; 2] = [&mut gpu, &mut cpu];
             let [actual, expected] = twins.map(|twin| {
-                twin.upload(filtered_cloud(400, filter), None).unwrap();
+                twin.upload(filtered_cloud(400, filter).into()).unwrap();
                 twin.train_step(&step).unwrap();
                 // After one step, the first moments are a tenth of the gradients.
-                (twin.download_moments().unwrap().into_owned(), twin.statistics().unwrap())
+                (twin.state().unwrap().moments, twin.statistics().unwrap())
             });
             let context = |error: String| panic!("{filter:?}, {signal:?}: {error}");
             compare_clouds("project_backward", &actual.0.first, &expected.0.first).unwrap_or_else(context);
@@ -155,15 +156,15 @@ fn any_size_of_picture_is_rendered() {
     let Some(mut gpu) = gpu() else { return };
     let mut cpu = cpu();
     let settings = settings(1, ScreenFilter::Classic);
-    gpu.upload(cloud(60), None).unwrap();
-    cpu.upload(cloud(60), None).unwrap();
+    gpu.upload(cloud(60).into()).unwrap();
+    cpu.upload(cloud(60).into()).unwrap();
     for (width, height) in [(1, 1), (5, 3), (TILE, TILE), (17, 40)] {
         let camera = camera().resized(width, height);
         let image = gpu.render(&camera, &settings).unwrap();
         let expected = cpu.render(&camera, &settings).unwrap();
         compare("rasterise", &format!("{width}x{height}"), image.planes, expected.planes).unwrap();
     }
-    gpu.upload(Gaussians::default(), None).unwrap();
+    gpu.upload(Gaussians::default().into()).unwrap();
     assert_eq!(gpu.render(&camera(), &settings).unwrap().pixel(3, 4), settings.background, "an empty cloud");
 }
 
@@ -172,7 +173,7 @@ fn poison_never_reaches_a_pixel() {
     let Some(mut gpu) = gpu() else { return };
     let cloud = poisoned_cloud();
     for filter in filters() {
-        gpu.upload(cloud.clone(), None).unwrap();
+        gpu.upload(cloud.clone().into()).unwrap();
         let image = gpu.render(&camera(), &settings(3, filter)).unwrap();
         assert!(image.planes.iter().all(|v| v.is_finite()), "{filter:?}");
     }
@@ -183,12 +184,12 @@ fn poison_never_reaches_a_pixel() {
 fn far_needles_leave_everything_finite() {
     let Some(mut gpu) = gpu() else { return };
     for filter in filters() {
-        gpu.upload(far_needles(), None).unwrap();
+        gpu.upload(far_needles().into()).unwrap();
         let image = gpu.render(&camera(), &settings(0, filter)).unwrap();
         assert!(image.planes.iter().all(|v| (0.0..10.0).contains(v)), "{filter:?}: the picture");
         gpu.train_step(&step(1, settings(0, filter))).unwrap();
         let report = gpu.report().unwrap();
-        assert!(report.tile_splats > 100 && report.loss.is_finite(), "{filter:?}: {report:?}");
+        assert!(report.intersections > 100 && report.loss.is_finite(), "{filter:?}: {report:?}");
         let stepped = gpu.download().unwrap();
         let genes = (0..stepped.len()).flat_map(|row| stepped.genes(row));
         assert!(genes.into_iter().all(f32::is_finite), "{filter:?}: parameters");
@@ -196,8 +197,8 @@ fn far_needles_leave_everything_finite() {
     }
 }
 
-/// A cloud whose first rows, in the middle of the picture, have one parameter each that is not a number; and how many these
-/// are.
+/// A cloud whose first rows, in the middle of the picture, have one parameter each that is not a number; and how many
+/// these are.
 fn cloud_with_nans(filter: ScreenFilter) -> (Gaussians, u32) {
     let mut cloud = filtered_cloud(60, filter);
     let rows = if cloud.filter_3d.is_some() { 15 } else { 14 };
@@ -224,14 +225,10 @@ fn a_gaussian_with_a_nan_is_none() {
         let (cloud, rows) = cloud_with_nans(filter);
         let mut step = step(1, settings(3, filter));
         step.update = None;
-        gpu.upload(cloud, None).unwrap();
+        gpu.upload(cloud.into()).unwrap();
         let image = gpu.render(&camera(), &step.settings).unwrap();
         gpu.train_step(&step).unwrap();
-        assert_eq!(
-            gpu.statistics().unwrap().weight_sum[..11],
-            [0.0; 11],
-            "{filter:?}: where it is, nobody knows"
-        );
+        assert_eq!(gpu.statistics().unwrap().weight_sum[..11], [0.0; 11], "{filter:?}: its place is unknown");
         gpu.edit_rows(&RowEdit::keep((rows..60).collect())).unwrap();
         let without = gpu.render(&camera(), &step.settings).unwrap();
         assert!(image == without, "{filter:?}");

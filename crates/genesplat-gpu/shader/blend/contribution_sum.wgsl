@@ -1,0 +1,31 @@
+// Stage `contribution`, step 2: adds what the backward blending has summed on one view, one Gaussian an invocation.
+
+@group(0) @binding(0) var<uniform> window: Window;
+@group(0) @binding(1) var<storage, read> counters: Counters;
+@group(0) @binding(2) var<storage, read> tile_counts: array<u32>;
+@group(0) @binding(3) var<storage, read> first_intersections: array<u32>;
+// [I, 3] vectors
+@group(0) @binding(4) var<storage, read> intersection_gradients: array<vec4<f32>>;
+// Blending weight, summed over the views; error, of the view where it is largest [N].
+@group(0) @binding(5) var<storage, read_write> contributions: array<vec2<f32>>;
+
+@compute @workgroup_size(GROUP)
+fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let local = group_of(group) * GROUP + lane;
+    // After an overflow there are no gradients; the host repeats all views.
+    if local >= window.count || counters.halted != 0u {
+        return;
+    }
+    let row = window.first + local;
+    let count = tile_counts[row] & COUNT_BITS;
+    if count == 0u {
+        return;
+    }
+    var of_view = vec2(0.0);
+    let first = first_intersections[row];
+    for (var intersection = first; intersection < first + count; intersection++) {
+        of_view += intersection_gradients[3u * intersection + 1u].zw;
+    }
+    let before = contributions[local];
+    contributions[local] = vec2(before.x + of_view.x, max(before.y, of_view.y));
+}

@@ -1,0 +1,92 @@
+// Stage `rasterise`: blends the splats of each tile front to back, one pixel an invocation.
+//
+// A pixel is finished when a splat would leave less than 1e-4 of its light: that splat is not blended into it, nor is
+// any other.
+
+@group(0) @binding(0) var<uniform> view: ViewPass;
+@group(0) @binding(1) var<storage, read> ranges: array<vec2<u32>>;
+// Numbers of the intersections, tile after tile.
+@group(0) @binding(2) var<storage, read> intersections: array<u32>;
+@group(0) @binding(3) var<storage, read> intersection_splats: array<u32>;
+@group(0) @binding(4) var<storage, read> splats: array<vec4<f32>>;
+// [3, H, W]
+@group(0) @binding(5) var<storage, read_write> image: array<f32>;
+
+var<workgroup> range: vec2<u32>;
+var<workgroup> batch: array<BatchSplat, TILE_PIXELS>;
+var<workgroup> finished_pixels: atomic<u32>;
+var<workgroup> all_finished: u32;
+
+// One pixel, blended so far.
+struct Blended {
+    // px from the tile's corner
+    at: vec2<f32>,
+    colour: vec3<f32>,
+    transmittance: f32,
+    finished: bool,
+}
+
+// Blends a splat of the batch into a pixel, unless that would leave less than 1e-4 of the light: then the pixel is
+// finished.
+fn blend(blended: ptr<function, Blended>, index: u32) {
+    let d = batch[index].mean - (*blended).at;
+    let exponent = exponent_at(batch[index].conic_log2, batch[index].log2_opacity, d);
+    if exponent < -LOG2_255 {
+        return;
+    }
+    let weight = (*blended).transmittance * min(exp2(exponent), ALPHA_MAX);
+    let next = (*blended).transmittance - weight;
+    if next < TRANSMITTANCE_MIN {
+        (*blended).finished = true;
+        atomicAdd(&finished_pixels, 1u);
+        return;
+    }
+    (*blended).colour += weight * batch[index].rgb;
+    (*blended).transmittance = next;
+}
+
+@compute @workgroup_size(TILE, TILE)
+fn main(@builtin(workgroup_id) tile: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let origin = vec2(f32(tile.x * TILE), f32(tile.y * TILE));
+    let local = pixel_of(lane);
+    let pixel = tile.xy * TILE + local;
+    let inside = pixel.x < view.width && pixel.y < view.height;
+    if lane == 0u {
+        range = ranges[tile.y * view.tiles_x + tile.x];
+        atomicStore(&finished_pixels, 0u);
+    }
+    let intersection_range = workgroupUniformLoad(&range);
+
+    var blended = Blended(vec2<f32>(local), vec3(0.0), 1.0, !inside);
+    if blended.finished {
+        atomicAdd(&finished_pixels, 1u);
+    }
+    for (var first = intersection_range.x; first < intersection_range.y; first += TILE_PIXELS) {
+        // 1. Is any pixel unfinished? The barriers in this also end the batch before.
+        workgroupBarrier();
+        if lane == 0u {
+            all_finished = u32(atomicLoad(&finished_pixels) == TILE_PIXELS);
+        }
+        if workgroupUniformLoad(&all_finished) == 1u {
+            break;
+        }
+        // 2. Load the next splats, one an invocation.
+        if first + lane < intersection_range.y {
+            batch[lane] = load_batch_splat(intersection_splats[intersections[first + lane]], origin);
+        }
+        workgroupBarrier();
+        // 3. Blend.
+        let count = min(TILE_PIXELS, intersection_range.y - first);
+        for (var i = 0u; i < count && !blended.finished; i++) {
+            blend(&blended, i);
+        }
+    }
+    if inside {
+        let value = blended.colour + blended.transmittance * view.background.xyz;
+        let pixels = view.width * view.height;
+        let out = pixel.y * view.width + pixel.x;
+        image[out] = value.x;
+        image[pixels + out] = value.y;
+        image[2u * pixels + out] = value.z;
+    }
+}

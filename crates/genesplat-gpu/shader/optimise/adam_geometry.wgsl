@@ -1,0 +1,48 @@
+// Stage `adam` of positions, scales, rotations and opacities, with MCMC's regularisers before it. Dense, as published:
+// rows without a gradient still move by their momentum.
+
+@group(0) @binding(0) var<uniform> view: ViewPass;
+@group(0) @binding(1) var<uniform> window: Window;
+@group(0) @binding(2) var<uniform> optimiser: Optimiser;
+@group(0) @binding(3) var<storage, read> counters: Counters;
+@group(0) @binding(4) var<storage, read> gradients: array<vec4<f32>>;
+@group(0) @binding(5) var<storage, read_write> geometry: array<vec4<f32>>;
+@group(0) @binding(6) var<storage, read_write> first_moments: array<vec4<f32>>;
+@group(0) @binding(7) var<storage, read_write> second_moments: array<vec4<f32>>;
+
+fn step(at: u32, gradient: vec4<f32>, rate: vec4<f32>, root: vec4<f32>, keep: vec4<bool>) {
+    var m = first_moments[at];
+    var v = second_moments[at];
+    let old = geometry[at];
+    let moved = adam(old, gradient, &m, &v, rate, root);
+    geometry[at] = select(moved, old, keep);
+    first_moments[at] = select(m, first_moments[at], keep);
+    second_moments[at] = select(v, second_moments[at], keep);
+}
+
+@compute @workgroup_size(GROUP)
+fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let local = group_of(group) * GROUP + lane;
+    if local >= window.count || counters.halted != 0u {
+        return;
+    }
+    var position = gradients[4u * local];
+    var scale = gradients[4u * local + 1u];
+    let rotation = gradients[4u * local + 2u];
+    if optimiser.is_mcmc == 1u {
+        // Means over the cloud of opacities and scales, as parts of the loss.
+        let opacity = sigmoid(geometry[3u * local].w);
+        let log_scale = geometry[3u * local + 1u];
+        let rows = f32(view.rows);
+        position.w += optimiser.opacity_weight / rows * opacity * (1.0 - opacity);
+        scale += vec4(exp(log_scale.xyz) * (optimiser.scale_weight / (3.0 * rows)), 0.0);
+    }
+    let root = vec4(optimiser.root);
+    let keep_opacity = optimiser.step_opacity == 0u;
+    step(
+        3u * local, position, vec4(vec3(optimiser.position), optimiser.opacity),
+        vec4(root.xyz, optimiser.opacity_root), vec4(false, false, false, keep_opacity));
+    // The 3D filter is no parameter.
+    step(3u * local + 1u, scale, vec4(optimiser.scale), root, vec4(false, false, false, true));
+    step(3u * local + 2u, rotation, vec4(optimiser.rotation), root, vec4(false));
+}

@@ -1,0 +1,29 @@
+// Sums for density control, one Gaussian an invocation.
+
+@group(0) @binding(0) var<uniform> view: ViewPass;
+@group(0) @binding(1) var<uniform> window: Window;
+@group(0) @binding(2) var<storage, read> counters: Counters;
+@group(0) @binding(3) var<storage, read> tile_counts: array<u32>;
+@group(0) @binding(4) var<storage, read> gradients: array<vec4<f32>>;
+// Gradient, weight, absolute gradient.
+@group(0) @binding(5) var<storage, read_write> density: array<vec4<f32>>;
+
+@compute @workgroup_size(GROUP)
+fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let local = group_of(group) * GROUP + lane;
+    if local >= window.count || counters.halted != 0u {
+        return;
+    }
+    // Geometric visibility counts, even where no pixel was touched, as in 3DGS's code.
+    if (tile_counts[window.first + local] & SEEN_BIT) == 0u {
+        return;
+    }
+    let second = gradients[4u * local + 3u].w;
+    var sum = vec4(gradients[4u * local + 1u].w, 1.0, 0.0, 0.0);
+    if view.signal == SIGNAL_PIXELS {
+        sum.y = second;
+    } else if view.signal == SIGNAL_BOTH {
+        sum.z = second;
+    }
+    density[local] += sum;
+}

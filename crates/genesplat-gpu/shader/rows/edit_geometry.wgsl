@@ -1,0 +1,61 @@
+// Row edits of positions, scales and opacities: clones are exact copies, split children are drawn from their parent's
+// own distribution and are 1.6 times smaller, twins part along their longest axis and together render like the one
+// before, relocated Gaussians take over opacity and scales from the plan.
+
+@group(0) @binding(0) var<uniform> window: Window;
+@group(0) @binding(1) var<uniform> edit: Edit;
+@group(0) @binding(2) var<storage, read> plan: array<vec4<u32>>;
+@group(0) @binding(3) var<storage, read> old: array<vec4<f32>>;
+@group(0) @binding(4) var<storage, read_write> new_rows: array<vec4<f32>>;
+
+// Opacity logit of the twins of a Gaussian, and what is added to its log-scales (MCMC's Eq. 9 for two).
+fn twin_of(opacity_logit: f32) -> vec2<f32> {
+    let opacity = min(sigmoid(opacity_logit), TWIN_OPACITY_MAX);
+    let root = sqrt(1.0 - opacity);
+    let ratio = 1.0 + root;
+    let each = opacity / ratio;
+    // 1 - each is root. In two logarithms: half the smallest opacity is a denormal, which some devices flush to zero.
+    return vec2(log(opacity) - log(ratio * root), log(ratio / (2.0 - each * FRAC_1_SQRT_2)));
+}
+
+// In standard deviations: along the longest axis, the first of equal ones; the two children go opposite ways.
+fn twin_offset(log_scale: vec3<f32>, child: u32) -> vec3<f32> {
+    let offset = select(-TWIN_OFFSET, TWIN_OFFSET, child == 0u);
+    if log_scale.z > max(log_scale.x, log_scale.y) {
+        return vec3(0.0, 0.0, offset);
+    }
+    return select(vec3(offset, 0.0, 0.0), vec3(0.0, offset, 0.0), log_scale.y > log_scale.x);
+}
+
+@compute @workgroup_size(GROUP)
+fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let local = group_of(group) * GROUP + lane;
+    if local >= window.count {
+        return;
+    }
+    let made = plan[window.first + local];
+    let source = made.x - window.source_first;
+    if source >= window.source_count {
+        return;
+    }
+    var position = old[3u * source];
+    var scale = old[3u * source + 1u];
+    let rotation = old[3u * source + 2u];
+    if made.y == ORIGIN_SPLIT || made.y == ORIGIN_SPLIT + 1u {
+        let key = vec2(edit.key_low, edit.key_high);
+        let xi = normals_at(STREAM_SPLIT_OFFSET, edit.iteration, made.x, made.y - ORIGIN_SPLIT, key);
+        position += vec4(unit_rotation(rotation) * (exp(scale.xyz) * xi), 0.0);
+        scale = vec4(log(exp(scale.xyz) / SPLIT_SHRINK), scale.w);
+    } else if made.y == ORIGIN_TWIN || made.y == ORIGIN_TWIN + 1u {
+        let offset = twin_offset(scale.xyz, made.y - ORIGIN_TWIN);
+        let twin = twin_of(position.w);
+        position = vec4(position.xyz + unit_rotation(rotation) * (exp(scale.xyz) * offset), twin.x);
+        scale += vec4(vec3(twin.y), 0.0);
+    } else if made.y == ORIGIN_RELOCATED || made.y == ORIGIN_RELOCATED_KEPT {
+        position.w = bitcast<f32>(made.z);
+        scale += vec4(vec3(bitcast<f32>(made.w)), 0.0);
+    }
+    new_rows[3u * local] = position;
+    new_rows[3u * local + 1u] = scale;
+    new_rows[3u * local + 2u] = rotation;
+}

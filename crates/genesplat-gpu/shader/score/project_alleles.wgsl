@@ -1,0 +1,34 @@
+// Stage `score`, step 1: the alleles of a pool, one an invocation, become the splats of one cloud. Colour, rotation and
+// 3D filter are those of the row.
+
+@group(0) @binding(0) var<uniform> view: ViewPass;
+// The rows of this binding, and their alleles.
+@group(0) @binding(1) var<uniform> window: Window;
+@group(0) @binding(2) var<storage, read> geometry: array<vec4<f32>>;
+@group(0) @binding(3) var<storage, read> sh: array<vec4<f32>>;
+// Row of each allele, and where its genes are: `OWN_GENES` for what the row has itself [K].
+@group(0) @binding(4) var<storage, read> alleles: array<vec2<u32>>;
+// Position, opacity logit; log-scales, nothing [., 2].
+@group(0) @binding(5) var<storage, read> genes: array<vec4<f32>>;
+@group(0) @binding(6) var<storage, read_write> splats: array<vec4<f32>>;
+@group(0) @binding(7) var<storage, read_write> depths: array<u32>;
+@group(0) @binding(8) var<storage, read_write> tile_counts: array<u32>;
+@group(0) @binding(9) var<storage, read_write> flags: array<u32>;
+
+@compute @workgroup_size(GROUP)
+fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let local = group_of(group) * GROUP + lane;
+    if local >= window.source_count {
+        return;
+    }
+    let slot = window.source_first + local;
+    let row = alleles[slot].x - window.first;
+    var first = geometry[3u * row];
+    var second = geometry[3u * row + 1u];
+    let at = alleles[slot].y;
+    if at != OWN_GENES {
+        first = genes[2u * at];
+        second = vec4(genes[2u * at + 1u].xyz, second.w);
+    }
+    write_splat(params_from(first, second, geometry[3u * row + 2u]), row, slot);
+}

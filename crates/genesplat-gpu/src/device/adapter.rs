@@ -1,0 +1,193 @@
+//! Which graphics devices there are, which of them can be used, and which is best.
+
+use std::sync::OnceLock;
+
+use genesplat_core::BackendError;
+use wgpu::{Adapter, Backends, DeviceType, Features, Instance, InstanceDescriptor, InstanceFlags, Limits};
+
+use crate::device::engine::Engine;
+use crate::state::layout::{GRID_WIDTH, GROUP, TILE};
+
+/// Workgroup memory that the backward pass needs, bytes; that of all others is less.
+pub(crate) const WORKGROUP_BYTES: u32 = 24 << 10;
+/// Storage buffers that the widest stages bind, which is WebGPU's default limit.
+pub(crate) const STORAGE_BUFFERS: u32 = 8;
+/// Smallest binding that a backend can work with: 128 MiB, WebGPU's default limit.
+const BINDING_BYTES: u64 = 128 << 20;
+
+/// What a graphics device is, in words for people.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct AdapterReport {
+    /// Name of the device.
+    pub name: String,
+    /// `discrete`, `integrated`, `virtual`, `software` or `other`.
+    pub kind: &'static str,
+    /// Programming interface: Vulkan, Metal or DX12.
+    pub api: String,
+    /// Driver, with its version where it says one.
+    pub driver: String,
+    /// Largest part of a buffer that a kernel can see, bytes.
+    pub binding_bytes: u64,
+    /// Largest buffer, bytes.
+    pub buffer_bytes: u64,
+    /// Memory that a workgroup shares, bytes.
+    pub workgroup_bytes: u32,
+    /// Times stages (for `bench gpu`).
+    pub timestamps: bool,
+    /// Has subgroups, to sort and sum by.
+    pub subgroups: bool,
+    /// Why it cannot be used; `None` when it can.
+    pub unusable: Option<String>,
+}
+
+impl AdapterReport {
+    /// True for an implementation on the processor: right for tests, and far slower than the CPU backend.
+    pub fn is_software(&self) -> bool {
+        self.kind == "software"
+    }
+}
+
+/// All graphics devices of this machine, best first; none where there is no driver.
+pub fn adapters() -> &'static [AdapterReport] {
+    static REPORTS: OnceLock<Vec<AdapterReport>> = OnceLock::new();
+    REPORTS.get_or_init(|| found().iter().map(report).collect())
+}
+
+/// The devices, best first. A process asks the drivers once: it takes a while, and some of them write to stderr each
+/// time.
+fn found() -> &'static [Adapter] {
+    static FOUND: OnceLock<Vec<Adapter>> = OnceLock::new();
+    FOUND.get_or_init(|| {
+        let mut adapters = pollster::block_on(instance().enumerate_adapters(Backends::PRIMARY));
+        adapters.sort_by_key(|adapter| rank(adapter.get_info().device_type));
+        adapters
+    })
+}
+
+/// An instance of the interfaces that this build speaks.
+fn instance() -> Instance {
+    Instance::new(InstanceDescriptor {
+        backends: Backends::PRIMARY,
+        // Without wgpu's check of every grid that the device writes, which is a dispatch each: ours are within limits
+        // by construction.
+        flags: InstanceFlags::empty(),
+        ..InstanceDescriptor::new_without_display_handle()
+    })
+}
+
+/// Best first.
+fn rank(kind: DeviceType) -> u32 {
+    match kind {
+        DeviceType::DiscreteGpu => 0,
+        DeviceType::IntegratedGpu => 1,
+        DeviceType::VirtualGpu => 2,
+        DeviceType::Other => 3,
+        DeviceType::Cpu => 4,
+    }
+}
+
+/// The best usable device.
+pub(crate) fn best() -> Result<&'static Adapter, BackendError> {
+    let mut reasons = Vec::new();
+    for adapter in found() {
+        match unmet(&adapter.limits()) {
+            None => return Ok(adapter),
+            Some(reason) => reasons.push(format!("{} {reason}", adapter.get_info().name)),
+        }
+    }
+    Err(BackendError::Unsupported(none_usable(&reasons)))
+}
+
+fn none_usable(reasons: &[String]) -> String {
+    if reasons.is_empty() {
+        return "there is no graphics device with a Vulkan, Metal or DX12 driver on this machine".into();
+    }
+    format!("no graphics device of this machine can be used: {}", reasons.join("; "))
+}
+
+fn report(adapter: &Adapter) -> AdapterReport {
+    let (info, limits) = (adapter.get_info(), adapter.limits());
+    let kind = match info.device_type {
+        DeviceType::DiscreteGpu => "discrete",
+        DeviceType::IntegratedGpu => "integrated",
+        DeviceType::VirtualGpu => "virtual",
+        DeviceType::Cpu => "software",
+        DeviceType::Other => "other",
+    };
+    AdapterReport {
+        kind,
+        api: format!("{:?}", info.backend),
+        driver: format!("{} {}", info.driver, info.driver_info).trim().to_owned(),
+        name: info.name,
+        binding_bytes: limits.max_storage_buffer_binding_size,
+        buffer_bytes: limits.max_buffer_size,
+        workgroup_bytes: limits.max_compute_workgroup_storage_size,
+        timestamps: adapter.features().contains(Features::TIMESTAMP_QUERY),
+        subgroups: adapter.features().contains(Features::SUBGROUP),
+        unusable: unmet(&limits),
+    }
+}
+
+/// What an adapter with these limits lacks.
+fn unmet(limits: &Limits) -> Option<String> {
+    let needs = [
+        ("bytes of memory a workgroup", limits.max_compute_workgroup_storage_size, WORKGROUP_BYTES),
+        ("storage buffers a kernel", limits.max_storage_buffers_per_shader_stage, STORAGE_BUFFERS),
+        ("invocations a workgroup", limits.max_compute_invocations_per_workgroup, GROUP),
+        ("invocations a row of a workgroup", limits.max_compute_workgroup_size_x, GROUP),
+        ("rows a workgroup", limits.max_compute_workgroup_size_y, TILE),
+        ("workgroups a row of a grid", limits.max_compute_workgroups_per_dimension, GRID_WIDTH),
+    ]
+    .map(|(what, has, needs)| (what, u64::from(has), u64::from(needs)));
+    let binding = ("bytes a binding", limits.max_storage_buffer_binding_size, BINDING_BYTES);
+    let unmet = needs.into_iter().chain([binding]).find(|(_, has, needs)| has < needs);
+    unmet.map(|(what, has, needs)| format!("has too few {what}: {has}, and {needs} are needed"))
+}
+
+/// What is asked of a device: what it has, since wgpu's defaults would ask for more than some have of what no kernel
+/// needs (large textures, say). But as much workgroup memory and as many buffers as kernels use, so that one that uses
+/// more fails everywhere.
+pub(crate) fn required_limits(adapter: &Adapter) -> Limits {
+    Limits {
+        max_compute_workgroup_storage_size: WORKGROUP_BYTES,
+        max_storage_buffers_per_shader_stage: STORAGE_BUFFERS,
+        ..adapter.limits()
+    }
+}
+
+/// Opens the best usable device, and closes it again: a driver may refuse what it has promised.
+pub fn check_best() -> Result<(), BackendError> {
+    Engine::new().map(drop)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_adapter_below_the_limits_is_refused_with_the_reason() {
+        let enough = Limits {
+            max_compute_workgroup_storage_size: 32 << 10,
+            max_storage_buffers_per_shader_stage: 8,
+            ..Limits::default()
+        };
+        assert_eq!(unmet(&enough), None);
+        let small = Limits { max_compute_workgroup_storage_size: 16 << 10, ..enough.clone() };
+        let narrow = Limits { max_compute_invocations_per_workgroup: 128, ..enough.clone() };
+        assert!(unmet(&narrow).expect("too few").contains("128, and 256"));
+        let reason = unmet(&small).expect("too little");
+        assert!(reason.contains("16384") && reason.contains("24576"), "{reason}");
+    }
+
+    #[test]
+    fn drivers_are_asked_once() {
+        assert!(std::ptr::eq(found(), found()) && std::ptr::eq(adapters(), adapters()));
+        assert_eq!(adapters().len(), found().len());
+    }
+
+    #[test]
+    fn no_adapter_is_one_sentence() {
+        assert!(none_usable(&[]).starts_with("there is no graphics device"));
+        assert!(none_usable(&["toy has too few bytes".into()]).contains("toy"));
+    }
+}

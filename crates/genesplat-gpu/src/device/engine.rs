@@ -1,0 +1,167 @@
+//! An open device: compiled kernels, submissions and waits.
+
+use std::cell::{Cell, RefCell};
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use genesplat_core::BackendError;
+use wgpu::{
+    BindGroupLayout, CommandBuffer, ComputePipeline, ComputePipelineDescriptor, Device, DeviceDescriptor,
+    Features, PipelineCompilationOptions, PollType, Queue, ShaderModuleDescriptor, ShaderSource,
+};
+
+use crate::device::adapter;
+use crate::device::memory::MemoryUse;
+use crate::device::probe;
+use crate::device::shaders::{Shader, Subgroups};
+use crate::state::layout::SH_FLOATS;
+
+/// A shader with values for its `override` constants.
+type KernelKey = (&'static str, Vec<(&'static str, u32)>);
+
+/// A compiled shader, and how its buffers are bound.
+#[derive(Clone)]
+pub(crate) struct Kernel {
+    pub(crate) pipeline: ComputePipeline,
+    pub(crate) layout: BindGroupLayout,
+}
+
+/// A device, and the kernels that it has compiled.
+pub(crate) struct Engine {
+    pub(crate) device: Device,
+    pub(crate) queue: Queue,
+    /// Name and programming interface, for the log.
+    pub(crate) name: String,
+    /// Largest part of a buffer that a kernel can see, bytes.
+    pub(crate) binding_bytes: u64,
+    /// Largest buffer, bytes.
+    pub(super) buffer_bytes: u64,
+    /// Rows of the cloud that a kernel can see at once.
+    pub(crate) window_rows: u64,
+    /// The device can time passes.
+    pub(crate) timestamps: bool,
+    /// Which kernels run.
+    pub(crate) subgroups: Subgroups,
+    /// Memory that is in use.
+    pub(crate) usage: MemoryUse,
+    /// How often the host has waited: what a test counts.
+    pub(crate) waits: Cell<u32>,
+    kernels: RefCell<HashMap<KernelKey, Kernel>>,
+    lost: Arc<Mutex<Option<String>>>,
+}
+
+impl Engine {
+    /// The best device of this machine.
+    pub(crate) fn new() -> Result<Self, BackendError> {
+        let adapter = adapter::best()?;
+        let info = adapter.get_info();
+        let name = format!("{} ({:?})", info.name, info.backend);
+        let features = adapter.features() & (Features::TIMESTAMP_QUERY | Features::SUBGROUP);
+        let descriptor = DeviceDescriptor {
+            label: Some("genesplat"),
+            required_features: features,
+            required_limits: adapter::required_limits(adapter),
+            ..DeviceDescriptor::default()
+        };
+        let (device, queue) = pollster::block_on(adapter.request_device(&descriptor))
+            .map_err(|error| BackendError::Unsupported(format!("{name} cannot be opened: {error}")))?;
+        let limits = device.limits();
+        let engine = Self {
+            binding_bytes: limits.max_storage_buffer_binding_size,
+            buffer_bytes: limits.max_buffer_size,
+            window_rows: limits.max_storage_buffer_binding_size / (4 * u64::from(SH_FLOATS)),
+            lost: watch(&device),
+            device,
+            queue,
+            name,
+            timestamps: features.contains(Features::TIMESTAMP_QUERY),
+            subgroups: Subgroups::With,
+            usage: MemoryUse::default(),
+            waits: Cell::default(),
+            kernels: RefCell::default(),
+        };
+        let trusts = features.contains(Features::SUBGROUP) && probe::subgroup_width(&engine)?.is_some();
+        Ok(if trusts { engine } else { engine.without_subgroups() })
+    }
+
+    /// The same, but kernels see at most `rows` rows of the cloud at once: how tests exercise the splitting of columns.
+    #[cfg(test)]
+    pub(crate) fn with_window_rows(mut self, rows: u64) -> Self {
+        self.window_rows = self.window_rows.min(rows);
+        self
+    }
+
+    /// The same with the kernels for devices without subgroups.
+    pub(crate) fn without_subgroups(mut self) -> Self {
+        self.subgroups = Subgroups::Without;
+        self
+    }
+
+    /// Hands commands to the device, and before them all that was written; does not wait.
+    pub(crate) fn submit(&self, commands: impl IntoIterator<Item = CommandBuffer>) {
+        self.usage.written.set(0);
+        self.queue.submit(commands);
+    }
+
+    /// Waits until everything submitted is done; only then is the memory of dropped buffers free.
+    pub(crate) fn wait(&self) -> Result<(), BackendError> {
+        self.waits.set(self.waits.get() + 1);
+        match self.device.poll(PollType::wait_indefinitely()) {
+            Ok(_) => self.check(),
+            Err(error) => Err(self.is_lost(&error.to_string())),
+        }
+    }
+
+    /// An error if the device is lost or has refused something.
+    pub(crate) fn check(&self) -> Result<(), BackendError> {
+        let lost = self.lost.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        lost.map_or(Ok(()), |reason| Err(self.is_lost(&reason)))
+    }
+
+    pub(super) fn is_lost(&self, reason: &str) -> BackendError {
+        BackendError::DeviceLost { device: self.name.clone(), reason: reason.replace('\n', " ") }
+    }
+
+    /// A compiled kernel; compiled when it is first asked for.
+    pub(crate) fn kernel(&self, shader: &'static Shader, overrides: &[(&'static str, u32)]) -> Kernel {
+        let key = (shader.name, overrides.to_vec());
+        if let Some(kernel) = self.kernels.borrow().get(&key) {
+            return kernel.clone();
+        }
+        let module = self.device.create_shader_module(ShaderModuleDescriptor {
+            label: Some(shader.name),
+            source: ShaderSource::Wgsl(shader.source(self.subgroups).into()),
+        });
+        let constants: Vec<(&str, f64)> =
+            overrides.iter().map(|&(name, value)| (name, value.into())).collect();
+        let pipeline = self.device.create_compute_pipeline(&ComputePipelineDescriptor {
+            label: Some(shader.name),
+            layout: None,
+            module: &module,
+            entry_point: Some("main"),
+            // Every kernel writes its workgroup memory before it reads it.
+            compilation_options: PipelineCompilationOptions {
+                constants: &constants,
+                zero_initialize_workgroup_memory: false,
+            },
+            cache: None,
+        });
+        let kernel = Kernel { layout: pipeline.get_bind_group_layout(0), pipeline };
+        self.kernels.borrow_mut().insert(key, kernel.clone());
+        kernel
+    }
+}
+
+/// Where the device notes why it was lost, or what it has refused.
+fn watch(device: &Device) -> Arc<Mutex<Option<String>>> {
+    let lost = Arc::new(Mutex::new(None));
+    let [by_loss, by_error] = [Arc::clone(&lost), Arc::clone(&lost)];
+    device.set_device_lost_callback(move |_, message| note(&by_loss, message));
+    device.on_uncaptured_error(Arc::new(move |error| note(&by_error, error.to_string())));
+    lost
+}
+
+/// The first message stays.
+fn note(lost: &Mutex<Option<String>>, message: String) {
+    lost.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(message);
+}

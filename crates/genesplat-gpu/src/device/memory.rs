@@ -1,0 +1,281 @@
+//! Memory of the device: buffers, what is written to them, and what is read back.
+
+use std::cell::Cell;
+use std::rc::Rc;
+use std::sync::mpsc;
+
+use bytemuck::Pod;
+use genesplat_core::BackendError;
+use wgpu::{Buffer, BufferDescriptor, BufferUsages, ErrorFilter, MapMode};
+
+use crate::device::engine::Engine;
+
+/// Smallest buffer, bytes: an empty cloud has buffers, too.
+const BUFFER_BYTES_MIN: u64 = 256;
+
+/// Buffers are whole vectors.
+pub(crate) const BUFFER_BYTES_STEP: u64 = 16;
+
+/// Bytes that may wait to be copied to the device, 64 MiB: until something is submitted and done, whatever is written
+/// lies in the host's memory once more. All photos of a scene would be gigabytes.
+const WRITTEN_BYTES_MAX: usize = 64 << 20;
+
+/// Bytes that are read back at once, 256 MiB: they pass through a buffer, and a whole cloud may exceed the largest that
+/// a device makes.
+const READ_BYTES_MAX: u64 = 256 << 20;
+
+/// A buffer of the device.
+#[derive(Debug)]
+pub(crate) struct Memory {
+    pub(crate) buffer: Buffer,
+    /// Size.
+    pub(crate) bytes: u64,
+    purpose: &'static str,
+    allocated: Rc<Cell<u64>>,
+}
+
+impl Memory {
+    /// Frees it, once the device has done what was submitted before. Whoever uses it next has to [`Engine::reserve`]
+    /// it.
+    pub(crate) fn release(&mut self) {
+        self.buffer.destroy();
+        self.allocated.set(self.allocated.get().saturating_sub(self.bytes));
+        self.bytes = 0;
+    }
+
+    /// What a kernel sees that is bound to all of it.
+    pub(crate) fn all(&self) -> Part<'_> {
+        Part { buffer: &self.buffer, first_byte: 0, bytes: self.bytes }
+    }
+
+    /// `bytes` from `first_byte` on; at least 16, since no binding may be empty.
+    pub(crate) fn part(&self, first_byte: u64, bytes: u64) -> Part<'_> {
+        Part { buffer: &self.buffer, first_byte, bytes: bytes.max(16) }
+    }
+}
+
+impl Drop for Memory {
+    /// The device frees the buffer once it has done what was submitted before.
+    fn drop(&mut self) {
+        self.allocated.set(self.allocated.get().saturating_sub(self.bytes));
+    }
+}
+
+/// What one binding of a kernel sees of a buffer.
+#[derive(Clone, Copy)]
+pub(crate) struct Part<'a> {
+    pub(super) buffer: &'a Buffer,
+    pub(super) first_byte: u64,
+    pub(super) bytes: u64,
+}
+
+/// How much is allocated, and how much is on its way to the device.
+pub(crate) struct MemoryUse {
+    /// Bytes that may be allocated: all that the device has, unless a test wants less.
+    pub(crate) limit_bytes: u64,
+    /// Bytes that may wait to be copied to the device: [`WRITTEN_BYTES_MAX`], unless a test wants fewer.
+    pub(crate) written_bytes_max: usize,
+    /// Bytes that are read back at once: [`READ_BYTES_MAX`], unless a test wants fewer.
+    pub(crate) read_bytes_max: u64,
+    /// Bytes that wait to be copied to the device.
+    pub(crate) written: Cell<usize>,
+    allocated: Rc<Cell<u64>>,
+    most_allocated: Cell<u64>,
+}
+
+impl Default for MemoryUse {
+    fn default() -> Self {
+        Self {
+            limit_bytes: u64::MAX,
+            written_bytes_max: WRITTEN_BYTES_MAX,
+            read_bytes_max: READ_BYTES_MAX,
+            written: Cell::default(),
+            allocated: Rc::default(),
+            most_allocated: Cell::default(),
+        }
+    }
+}
+
+/// A part of a buffer, and where it goes on the host.
+struct Piece<'a> {
+    buffer: &'a Buffer,
+    first_byte: u64,
+    target: &'a mut [u8],
+}
+
+impl Engine {
+    /// A buffer that kernels read and write, of at least `bytes`; its content is zero.
+    pub(crate) fn allocate(&self, purpose: &'static str, bytes: u64) -> Result<Memory, BackendError> {
+        let (bytes, usage) = (whole_vectors(bytes), &self.usage);
+        if usage.allocated.get().saturating_add(bytes) > usage.limit_bytes {
+            return Err(self.out_of_memory(purpose, bytes));
+        }
+        let kind = BufferUsages::STORAGE
+            | BufferUsages::COPY_SRC
+            | BufferUsages::COPY_DST
+            | BufferUsages::UNIFORM
+            | BufferUsages::INDIRECT;
+        let buffer = self.create(purpose, bytes, kind)?;
+        usage.allocated.set(usage.allocated.get() + bytes);
+        usage.most_allocated.set(usage.most_allocated.get().max(usage.allocated.get()));
+        Ok(Memory { buffer, bytes, purpose, allocated: Rc::clone(&usage.allocated) })
+    }
+
+    /// The same, for what a kernel must see as a whole.
+    fn allocate_whole(&self, purpose: &'static str, bytes: u64) -> Result<Memory, BackendError> {
+        if whole_vectors(bytes) > self.binding_bytes {
+            return Err(self.out_of_memory(purpose, bytes));
+        }
+        self.allocate(purpose, bytes)
+    }
+
+    /// Makes `memory` at least `bytes` large; what it held is lost when it has to grow. Where there is no memory for
+    /// the old and the new one at once, the old one goes first; where there is none then, nothing is left of it.
+    pub(crate) fn reserve(&self, memory: &mut Memory, bytes: u64) -> Result<(), BackendError> {
+        // Even no bytes are a buffer, which may have been released.
+        if memory.bytes >= bytes.max(BUFFER_BYTES_MIN) {
+            return Ok(());
+        }
+        *memory = match self.allocate_whole(memory.purpose, bytes) {
+            Err(BackendError::OutOfMemory { .. }) => {
+                memory.release();
+                self.wait()?;
+                self.allocate_whole(memory.purpose, bytes)?
+            }
+            made => made?,
+        };
+        Ok(())
+    }
+
+    /// A buffer, or an error; the device lives on after that.
+    fn create(&self, purpose: &str, size: u64, usage: BufferUsages) -> Result<Buffer, BackendError> {
+        if size > self.buffer_bytes {
+            return Err(self.out_of_memory(purpose, size));
+        }
+        let scope = self.device.push_error_scope(ErrorFilter::OutOfMemory);
+        let descriptor = BufferDescriptor { label: Some(purpose), size, usage, mapped_at_creation: false };
+        let buffer = self.device.create_buffer(&descriptor);
+        match pollster::block_on(scope.pop()) {
+            None => Ok(buffer),
+            Some(_) => Err(self.out_of_memory(purpose, size)),
+        }
+    }
+
+    pub(crate) fn out_of_memory(&self, purpose: &str, wanted: u64) -> BackendError {
+        BackendError::OutOfMemory { device: self.name.clone(), wanted, purpose: purpose.into() }
+    }
+
+    /// Bytes of all buffers that are in use.
+    pub(crate) fn allocated_bytes(&self) -> u64 {
+        self.usage.allocated.get()
+    }
+
+    /// The most that they have been since this was last asked.
+    pub(crate) fn take_most_allocated(&self) -> u64 {
+        self.usage.most_allocated.replace(self.allocated_bytes())
+    }
+
+    /// A buffer with content.
+    pub(crate) fn upload<T: Pod>(
+        &self,
+        purpose: &'static str,
+        content: &[T],
+    ) -> Result<Memory, BackendError> {
+        let bytes: &[u8] = bytemuck::cast_slice(content);
+        let memory = self.allocate(purpose, bytes.len() as u64)?;
+        self.write(&memory, 0, content);
+        Ok(memory)
+    }
+
+    /// Overwrites part of a buffer, before whatever is submitted next.
+    pub(crate) fn write<T: Pod>(&self, memory: &Memory, first_byte: u64, content: &[T]) {
+        let bytes: &[u8] = bytemuck::cast_slice(content);
+        let (most, written) = (self.usage.written_bytes_max, &self.usage.written);
+        for (piece, at) in bytes.chunks(most).zip((first_byte..).step_by(most)) {
+            if written.get() + piece.len() > most {
+                self.flush();
+            }
+            self.queue.write_buffer(&memory.buffer, at, piece);
+            written.set(written.get() + piece.len());
+        }
+    }
+
+    /// Copies everything that was written to the device, and frees what it took on the host.
+    fn flush(&self) {
+        self.submit([]);
+        // Whoever waits next, and can return an error, finds out about a device that is lost.
+        let _ = self.wait();
+    }
+
+    /// Waits for the device and copies the first `count` values of a buffer to the host.
+    pub(crate) fn read_values<T: Pod>(&self, memory: &Memory, count: u64) -> Result<Vec<T>, BackendError> {
+        let mut values = bytemuck::zeroed_vec(count as usize);
+        self.read([(memory, bytemuck::cast_slice_mut(&mut values))])?;
+        Ok(values)
+    }
+
+    /// Waits for the device and fills targets (multiples of 4 bytes) from the beginning of their buffers: all at once,
+    /// or piece by piece where they are larger than what is read at once.
+    pub(crate) fn read<const K: usize>(&self, parts: [(&Memory, &mut [u8]); K]) -> Result<(), BackendError> {
+        let most = (self.usage.read_bytes_max.min(self.buffer_bytes) / 4 * 4) as usize;
+        let total: usize = parts.iter().map(|(_, target)| target.len()).sum();
+        let usage = BufferUsages::MAP_READ | BufferUsages::COPY_DST;
+        let staging = self.create("a read-back", (total.min(most) as u64).max(BUFFER_BYTES_MIN), usage)?;
+        let (mut pieces, mut staged) = (Vec::new(), 0);
+        for (memory, target) in parts {
+            for (first_byte, target) in (0..).step_by(most).zip(target.chunks_mut(most)) {
+                if staged + target.len() > most {
+                    self.read_pieces(&staging, std::mem::take(&mut pieces))?;
+                    staged = 0;
+                }
+                staged += target.len();
+                pieces.push(Piece { buffer: &memory.buffer, first_byte, target });
+            }
+        }
+        self.read_pieces(&staging, pieces)
+    }
+
+    /// Pieces that fit `staging`, with one wait.
+    fn read_pieces(&self, staging: &Buffer, pieces: Vec<Piece>) -> Result<(), BackendError> {
+        let mut encoder = self.device.create_command_encoder(&Default::default());
+        let mut at = 0;
+        for piece in &pieces {
+            let bytes = piece.target.len() as u64;
+            encoder.copy_buffer_to_buffer(piece.buffer, piece.first_byte, staging, at, bytes);
+            at += bytes;
+        }
+        self.submit([encoder.finish()]);
+        self.map(staging)?;
+        let mapped =
+            staging.slice(..).get_mapped_range().map_err(|error| self.is_lost(&error.to_string()))?;
+        let mut rest = &mapped[..];
+        for piece in pieces {
+            let (bytes, behind) = rest.split_at(piece.target.len());
+            piece.target.copy_from_slice(bytes);
+            rest = behind;
+        }
+        drop(mapped);
+        staging.unmap();
+        Ok(())
+    }
+
+    /// Waits until a buffer can be read by the host.
+    fn map(&self, staging: &Buffer) -> Result<(), BackendError> {
+        let (sender, receiver) = mpsc::channel();
+        staging.slice(..).map_async(MapMode::Read, move |result| {
+            // The receiver is gone only when waiting has failed already.
+            let _ = sender.send(result);
+        });
+        self.wait()?;
+        match receiver.recv() {
+            Ok(Ok(())) => Ok(()),
+            Ok(Err(error)) => Err(self.is_lost(&error.to_string())),
+            Err(error) => Err(self.is_lost(&error.to_string())),
+        }
+    }
+}
+
+/// Size of a buffer that holds so many bytes.
+fn whole_vectors(bytes: u64) -> u64 {
+    bytes.next_multiple_of(BUFFER_BYTES_STEP).max(BUFFER_BYTES_MIN)
+}

@@ -1,0 +1,11 @@
+//! The device, without knowing what it computes: which there are, memory, kernels, command lists, clocks.
+
+pub(crate) mod adapter;
+pub(crate) mod engine;
+pub(crate) mod memory;
+mod prelude;
+pub(crate) mod probe;
+pub(crate) mod recorder;
+pub(crate) mod shaders;
+pub(crate) mod timing;
+pub(crate) mod traffic;

@@ -1,0 +1,26 @@
+//! What a device's subgroups really do. WGSL promises neither that a subgroup's invocations are neighbours nor that all
+//! of them are there, translators and drivers get ballots wrong, and a sort that loses keys says nothing. So a kernel
+//! tests it before any other relies on it.
+
+use genesplat_core::BackendError;
+use wgpu::ErrorFilter;
+
+use crate::device::engine::Engine;
+use crate::device::recorder::{Grid, Recorder};
+use crate::device::shaders;
+use crate::state::layout::GROUP;
+
+/// Invocations of a subgroup, if subgroups do on this device what kernels rely on.
+pub(crate) fn subgroup_width(engine: &Engine) -> Result<Option<u32>, BackendError> {
+    // A kernel that does not compile here is an answer, too.
+    let scopes =
+        [ErrorFilter::Validation, ErrorFilter::Internal].map(|kind| engine.device.push_error_scope(kind));
+    let found = engine.allocate("subgroups", 4 * u64::from(GROUP))?;
+    let mut recorder = Recorder::new(engine, None);
+    recorder.run(&shaders::PROBE_SUBGROUPS, &[found.all()], Grid::Groups(1));
+    recorder.submit();
+    let widths: Vec<u32> = engine.read_values(&found, GROUP.into())?;
+    let errors = scopes.into_iter().rev().filter_map(|scope| pollster::block_on(scope.pop()));
+    let is_right = errors.count() == 0 && widths[0] > 0 && widths.iter().all(|&width| width == widths[0]);
+    Ok(is_right.then_some(widths[0]))
+}

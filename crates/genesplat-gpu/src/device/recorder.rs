@@ -1,0 +1,134 @@
+//! A list of dispatches, stage by stage, that is submitted at once.
+
+use wgpu::{
+    BindGroupDescriptor, BindGroupEntry, BindingResource, BufferBinding, CommandEncoder, ComputePass,
+    ComputePassDescriptor, ComputePassTimestampWrites,
+};
+
+use crate::device::engine::Engine;
+use crate::device::memory::{Memory, Part};
+use crate::device::shaders::Shader;
+use crate::device::timing::{TIMED_PASSES, Timestamps};
+use crate::state::layout::{GRID_WIDTH, GROUP};
+
+/// How many workgroups run.
+#[derive(Clone, Copy)]
+pub(crate) enum Grid<'a> {
+    /// Enough of 256 invocations for so many items.
+    Items(u64),
+    /// So many, in a row that wraps.
+    Groups(u64),
+    /// Exactly these, in three dimensions.
+    Exact([u32; 3]),
+    /// As a slot of this buffer says when it is their turn.
+    Device(&'a Memory, u32),
+}
+
+/// Records dispatches.
+pub(crate) struct Recorder<'a> {
+    engine: &'a Engine,
+    encoder: CommandEncoder,
+    pass: Option<ComputePass<'static>>,
+    stage: &'static str,
+    timestamps: Option<&'a mut Timestamps>,
+}
+
+impl<'a> Recorder<'a> {
+    pub(crate) fn new(engine: &'a Engine, timestamps: Option<&'a mut Timestamps>) -> Self {
+        let encoder = engine.device.create_command_encoder(&Default::default());
+        Self { engine, encoder, pass: None, stage: "", timestamps }
+    }
+
+    /// What follows belongs to this stage.
+    pub(crate) fn stage(&mut self, name: &'static str) {
+        self.pass = None;
+        self.stage = name;
+    }
+
+    /// Zeroes a buffer.
+    pub(crate) fn clear(&mut self, memory: &Memory, bytes: u64) {
+        self.pass = None;
+        self.encoder.clear_buffer(&memory.buffer, 0, Some(bytes.next_multiple_of(16).min(memory.bytes)));
+    }
+
+    /// Copies all of a memory into another of the same size.
+    pub(crate) fn copy(&mut self, from: &Memory, to: &Memory) {
+        self.pass = None;
+        self.encoder.copy_buffer_to_buffer(&from.buffer, 0, &to.buffer, 0, from.bytes);
+    }
+
+    /// Runs a kernel; `parts` are its bindings in order.
+    pub(crate) fn run(&mut self, shader: &'static Shader, parts: &[Part], grid: Grid) {
+        self.run_with(shader, &[], parts, grid);
+    }
+
+    /// The same with values for `override` constants.
+    pub(crate) fn run_with(
+        &mut self,
+        shader: &'static Shader,
+        overrides: &[(&'static str, u32)],
+        parts: &[Part],
+        grid: Grid,
+    ) {
+        let kernel = self.engine.kernel(shader, overrides);
+        let entries: Vec<BindGroupEntry> = (0..)
+            .zip(parts)
+            .map(|(binding, part)| BindGroupEntry {
+                binding,
+                resource: BindingResource::Buffer(BufferBinding {
+                    buffer: part.buffer,
+                    offset: part.first_byte,
+                    size: std::num::NonZero::new(part.bytes),
+                }),
+            })
+            .collect();
+        let group = self.engine.device.create_bind_group(&BindGroupDescriptor {
+            label: Some(shader.name),
+            layout: &kernel.layout,
+            entries: &entries,
+        });
+        if self.pass.is_none() {
+            self.pass = Some(self.begin_pass());
+        }
+        let Some(pass) = &mut self.pass else { return };
+        pass.set_pipeline(&kernel.pipeline);
+        pass.set_bind_group(0, &group, &[]);
+        match grid {
+            Grid::Items(items) => dispatch_row(pass, items.div_ceil(GROUP.into())),
+            Grid::Groups(groups) => dispatch_row(pass, groups),
+            Grid::Exact([x, y, z]) => pass.dispatch_workgroups(x, y, z),
+            Grid::Device(memory, slot) => {
+                pass.dispatch_workgroups_indirect(&memory.buffer, u64::from(slot) * 12)
+            }
+        }
+    }
+
+    fn begin_pass(&mut self) -> ComputePass<'static> {
+        let timestamp_writes = self.timestamps.as_deref_mut().and_then(|timestamps| {
+            let index = timestamps.stages.len() as u32;
+            (index < TIMED_PASSES).then(|| {
+                timestamps.stages.push(self.stage);
+                ComputePassTimestampWrites {
+                    query_set: &timestamps.queries,
+                    beginning_of_pass_write_index: Some(2 * index),
+                    end_of_pass_write_index: Some(2 * index + 1),
+                }
+            })
+        });
+        let descriptor = ComputePassDescriptor { label: Some(self.stage), timestamp_writes };
+        self.encoder.begin_compute_pass(&descriptor).forget_lifetime()
+    }
+
+    /// Hands everything to the device; does not wait.
+    pub(crate) fn submit(mut self) {
+        self.pass = None;
+        self.engine.submit([self.encoder.finish()]);
+    }
+}
+
+fn dispatch_row(pass: &mut ComputePass, groups: u64) {
+    let width = u64::from(GRID_WIDTH);
+    if groups > 0 {
+        pass.dispatch_workgroups(groups.min(width) as u32, groups.div_ceil(width) as u32, 1);
+    }
+}

@@ -1,0 +1,279 @@
+//! The table of shaders: which texts make each of them.
+//!
+//! A shader is the prelude, the parts that it shares with others, and its own file, whose entry point is `main`. Two of
+//! the shared parts exist twice: for devices with subgroups, and for those without. Everything is compiled in, and
+//! validated by a test that needs no device.
+
+use crate::device::prelude::prelude;
+
+/// One shader.
+#[derive(Debug)]
+pub(crate) struct Shader {
+    /// Path of its file in `shader/`, without the extension.
+    pub(crate) name: &'static str,
+    /// Texts after the prelude.
+    parts: &'static [Part],
+}
+
+impl Shader {
+    /// The whole text.
+    pub(super) fn source(&self, subgroups: Subgroups) -> String {
+        let mut source = prelude();
+        source.extend(self.parts.iter().map(|part| match (part, subgroups) {
+            (Part::Only(text), _) => *text,
+            (Part::Twice { without, .. }, Subgroups::Without) => without,
+            (Part::Twice { with, .. }, Subgroups::With) => with,
+        }));
+        source
+    }
+}
+
+/// Do kernels use subgroups? They do the same with and without.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Subgroups {
+    With,
+    Without,
+}
+
+/// Text of a shader.
+#[derive(Debug)]
+enum Part {
+    Only(&'static str),
+    /// The same functions, in two ways.
+    Twice {
+        with: &'static str,
+        without: &'static str,
+    },
+}
+
+macro_rules! shaders {
+    ($($(#[$doc:meta])* $name:ident = $file:literal + [$($part:ident),*];)*) => {
+        $($(#[$doc])* pub(crate) static $name: Shader = Shader {
+            name: $file,
+            parts: &[parts::COMMON, $(parts::$part,)* Part::Only(include_str!(concat!("../../shader/", $file, ".wgsl")))],
+        };)*
+
+        /// All of them.
+        #[cfg(test)]
+        pub(crate) static ALL: &[&Shader] = &[$(&$name),*];
+    };
+}
+
+/// What shaders share.
+mod parts {
+    use super::Part;
+
+    macro_rules! text {
+        ($file:literal) => {
+            include_str!(concat!("../../shader/", $file))
+        };
+    }
+    macro_rules! parts {
+        ($($name:ident = $file:literal;)*) => {
+            $(pub(super) const $name: Part = Part::Only(text!($file));)*
+        };
+    }
+    pub(super) const GROUP_SCAN: Part = Part::Twice {
+        with: concat!(text!("shared/subgroup.wgsl"), text!("bin/group_scan_subgroups.wgsl")),
+        without: text!("bin/group_scan.wgsl"),
+    };
+    pub(super) const MARK_DIGIT: Part =
+        Part::Twice { with: text!("bin/mark_digit_subgroups.wgsl"), without: text!("bin/mark_digit.wgsl") };
+    parts! {
+        COMMON = "shared/common.wgsl";
+        SUBGROUP = "shared/subgroup.wgsl";
+        SPLAT = "shared/splat.wgsl";
+        GEOMETRY = "shared/geometry.wgsl";
+        COLOUR = "shared/colour.wgsl";
+        SH_ROW = "shared/sh_row.wgsl";
+        BATCH_SPLAT = "shared/batch_splat.wgsl";
+        ROTATION = "shared/rotation.wgsl";
+        TILE_SUMS = "shared/tile_sums.wgsl";
+        PHOTO = "shared/photo.wgsl";
+        RANDOM = "shared/random.wgsl";
+        OVERLAP = "bin/overlap.wgsl";
+        WRITE_SPLAT = "bin/write_splat.wgsl";
+        GRIDS = "bin/grids.wgsl";
+        SSIM = "loss/ssim.wgsl";
+        ADAM_STEP = "optimise/adam_step.wgsl";
+    }
+}
+
+shaders! {
+    /// Cloud to splats.
+    PROJECT = "bin/project" + [SPLAT, ROTATION, GEOMETRY, OVERLAP, COLOUR, SH_ROW, WRITE_SPLAT];
+    /// Prefix sum: sums of blocks.
+    SCAN_SUMS = "bin/scan_sums" + [GROUP_SCAN];
+    /// Prefix sum: over the blocks.
+    SCAN_BLOCKS = "bin/scan_blocks" + [GROUP_SCAN];
+    /// Prefix sum: within the blocks.
+    SCAN_APPLY = "bin/scan_apply" + [GROUP_SCAN];
+    /// What subgroups do here.
+    PROBE_SUBGROUPS = "shared/probe_subgroups" + [SUBGROUP];
+    /// Splats without gaps.
+    COMPACT = "bin/compact" + [];
+    /// Work that the splats are.
+    PLAN_VISIBLE = "bin/plan_visible" + [GRIDS];
+    /// Work that the tile lists are.
+    PLAN_INTERSECTIONS = "bin/plan_intersections" + [GRIDS];
+    /// Radix sort: digits by block.
+    RADIX_COUNT = "bin/radix_count" + [];
+    /// Radix sort: where each block's digits begin.
+    DIGIT_SCAN = "bin/digit_scan" + [GROUP_SCAN];
+    /// Radix sort: every key to its place.
+    RADIX_SCATTER = "bin/radix_scatter" + [GROUP_SCAN, MARK_DIGIT];
+    /// Tile counts by depth.
+    TILE_COUNTS_BY_DEPTH = "bin/tile_counts_by_depth" + [];
+    /// Intersections of splats with tiles.
+    EMIT = "bin/emit" + [SPLAT, OVERLAP];
+    /// Where each tile's intersections are.
+    TILE_RANGES = "bin/tile_ranges" + [];
+    /// Splats to pixels.
+    RASTERISE = "blend/rasterise" + [SPLAT, BATCH_SPLAT];
+    /// Gradients of the intersections.
+    RASTERISE_BACKWARD = "blend/rasterise_backward" + [SPLAT, BATCH_SPLAT];
+    /// Loss of each tile.
+    LOSS = "loss/loss" + [SSIM, PHOTO];
+    /// Loss of the image.
+    LOSS_SUM = "loss/loss_sum" + [TILE_SUMS];
+    /// Gradient of the image.
+    LOSS_GRADIENT = "loss/loss_gradient" + [SSIM, PHOTO];
+    /// Gradients of the parameters.
+    PROJECT_BACKWARD = "optimise/project_backward" + [SPLAT, ROTATION, GEOMETRY, COLOUR, SH_ROW];
+    /// Sums for density control.
+    STATISTICS = "optimise/statistics" + [];
+    /// Sums for evolution.
+    GENE_STATISTICS = "optimise/gene_statistics" + [];
+    /// Optimiser, colours.
+    ADAM_COLOUR = "optimise/adam_colour" + [ADAM_STEP, COLOUR];
+    /// Optimiser, everything else.
+    ADAM_GEOMETRY = "optimise/adam_geometry" + [ADAM_STEP];
+    /// SGLD noise of 3DGS-MCMC.
+    NOISE = "optimise/noise" + [ROTATION, RANDOM];
+    /// Row edits: copies.
+    GATHER = "rows/gather" + [];
+    /// Row edits: clones, split children, twins, relocations.
+    EDIT_GEOMETRY = "rows/edit_geometry" + [ROTATION, RANDOM];
+    /// Opacity reset.
+    RESET_OPACITY = "rows/reset_opacity" + [];
+    /// Genes of single rows.
+    APPLY = "rows/apply" + [];
+    /// Mip-Splatting's 3D filter.
+    SET_FILTER = "rows/set_filter" + [];
+    /// Mean of a window's states.
+    AVERAGE = "rows/average" + [];
+    /// Cloud and means to a blend of them.
+    BLEND_AVERAGES = "rows/blend_averages" + [];
+    /// Scoring: splats of the alleles.
+    PROJECT_ALLELES = "score/project_alleles" + [SPLAT, ROTATION, GEOMETRY, OVERLAP, COLOUR, SH_ROW, WRITE_SPLAT];
+    /// Scoring: pictures of individuals.
+    RASTERISE_INDIVIDUALS = "score/rasterise_individuals" + [SPLAT, BATCH_SPLAT];
+    /// Losses of pictures.
+    VIEW_LOSSES = "score/view_losses" + [TILE_SUMS];
+    /// Contributions: what takes the place of the image's gradient.
+    CONTRIBUTION_PIXELS = "blend/contribution_pixels" + [PHOTO];
+    /// Contributions: sums of each Gaussian.
+    CONTRIBUTION_SUM = "blend/contribution_sum" + [];
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::{Path, PathBuf};
+
+    use naga::AddressSpace;
+    use naga::valid::{Capabilities, ValidationFlags, Validator};
+
+    use super::*;
+    use crate::device::adapter::{STORAGE_BUFFERS, WORKGROUP_BYTES};
+    use crate::state::layout::{Counters, Edit, Optimiser, ViewPass, Window};
+
+    /// All of them, in both ways, and what a device must be able to do for that.
+    fn all() -> impl Iterator<Item = (&'static Shader, String, Capabilities)> {
+        let ways = [(Subgroups::Without, Capabilities::empty()), (Subgroups::With, Capabilities::SUBGROUP)];
+        ways.into_iter().flat_map(|(subgroups, capabilities)| {
+            let runs =
+                move |shader: &&&Shader| subgroups == Subgroups::With || shader.name != PROBE_SUBGROUPS.name;
+            ALL.iter().filter(runs).map(move |&shader| (shader, shader.source(subgroups), capabilities))
+        })
+    }
+
+    fn parse(shader: &Shader, source: &str) -> naga::Module {
+        naga::front::wgsl::parse_str(source)
+            .unwrap_or_else(|error| panic!("{}: {}", shader.name, error.emit_to_string(source)))
+    }
+
+    /// Without any device: what no driver is needed for must not wait for one.
+    #[test]
+    fn every_shader_is_valid() {
+        assert!(ALL.len() > 20, "the table lists all shaders");
+        for (shader, source, capabilities) in all() {
+            let module = parse(shader, &source);
+            let validated = Validator::new(ValidationFlags::all(), capabilities).validate(&module);
+            if let Err(error) = validated {
+                panic!("{}: {}", shader.name, error.emit_to_string(&source));
+            }
+        }
+    }
+
+    #[test]
+    fn no_shader_needs_more_than_devices_are_asked_for() {
+        let (mut buffers, mut bytes) = (0, 0);
+        for module in all().map(|(shader, source, _)| parse(shader, &source)) {
+            let of = |wanted: fn(AddressSpace) -> bool| {
+                module.global_variables.iter().map(|(_, variable)| variable).filter(move |v| wanted(v.space))
+            };
+            let size =
+                |variable: &naga::GlobalVariable| module.types[variable.ty].inner.size(module.to_ctx());
+            buffers = buffers.max(of(|space| matches!(space, AddressSpace::Storage { .. })).count() as u32);
+            bytes = bytes.max(of(|space| space == AddressSpace::WorkGroup).map(size).sum::<u32>());
+        }
+        assert_eq!(buffers, STORAGE_BUFFERS);
+        assert!(bytes <= WORKGROUP_BYTES && bytes > WORKGROUP_BYTES / 2, "{bytes} bytes");
+    }
+
+    #[test]
+    fn a_planted_error_is_found() {
+        let source = PROJECT.source(Subgroups::Without).replace("window.count", "window.length");
+        assert!(naga::front::wgsl::parse_str(&source).is_err());
+    }
+
+    #[test]
+    fn every_file_is_in_the_table() {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("shader");
+        let text: String = all().map(|(_, source, _)| source).collect();
+        let list = |folder: &Path| -> Vec<PathBuf> {
+            std::fs::read_dir(folder).unwrap().map(|file| file.unwrap().path()).collect()
+        };
+        let files: Vec<PathBuf> = list(&folder).iter().flat_map(|folder| list(folder)).collect();
+        assert!(files.len() >= ALL.len());
+        for path in files {
+            let source = std::fs::read_to_string(&path).expect("UTF-8");
+            assert!(text.contains(&source), "{} is in no shader", path.display());
+        }
+    }
+
+    #[test]
+    fn rust_and_wgsl_agree_on_every_offset() {
+        let module = parse(&PROJECT, &PROJECT.source(Subgroups::Without));
+        let structs = [
+            ("ViewPass", ViewPass::fields(), size_of::<ViewPass>()),
+            ("Optimiser", Optimiser::fields(), size_of::<Optimiser>()),
+            ("Window", Window::fields(), size_of::<Window>()),
+            ("Counters", Counters::fields(), size_of::<Counters>()),
+            ("Edit", Edit::fields(), size_of::<Edit>()),
+        ];
+        for (name, fields, size) in structs {
+            let found = module.types.iter().find(|(_, ty)| ty.name.as_deref() == Some(name)).expect(name).1;
+            let naga::TypeInner::Struct { members, span } = &found.inner else {
+                panic!("{name} is a struct")
+            };
+            let wgsl: Vec<_> = members
+                .iter()
+                .map(|member| (member.name.as_deref().unwrap_or_default(), member.offset as usize))
+                .collect();
+            assert_eq!(wgsl, fields, "{name}");
+            assert_eq!(*span as usize, size, "{name}: the sizes");
+            assert_eq!(size % 16, 0, "{name}: uniforms are whole vectors");
+        }
+    }
+}

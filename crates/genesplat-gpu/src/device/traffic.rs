@@ -1,0 +1,106 @@
+//! What a stage of a training step has to move through the memory of the device at least.
+//!
+//! Every value that a stage reads from another, or leaves for one, is counted once, however often it is looked at; what
+//! stays in registers and workgroup memory is not. No cache holds a whole column of a large cloud, so a stage that
+//! takes as long as this is as fast as the device's memory. (The columns of a small one may lie in a cache, which is
+//! faster.)
+
+use crate::stages::lists::tile_bits;
+use crate::stages::sort::DIGIT_BITS;
+use crate::state::layout::{
+    GEOMETRY_FLOATS, GRADIENT_FLOATS, INTERSECTION_GRADIENT_FLOATS, SPLAT_FLOATS, TILE,
+};
+
+/// Reading and writing a key and a value, in each pass of a sort.
+const PASS_BYTES: u64 = 16;
+
+/// How much there is to do.
+#[derive(Clone, Copy, Debug)]
+pub struct Work {
+    /// Gaussians.
+    pub rows: u64,
+    /// Splats of the view.
+    pub visible: u64,
+    /// Intersections of its splats with tiles.
+    pub intersections: u64,
+    /// Of the photo.
+    pub size_px: [u64; 2],
+    /// Of the colours that are seen.
+    pub sh_degree: u8,
+}
+
+impl Work {
+    /// Bytes that a stage moves at least; 0 for one that is not known.
+    pub fn bytes(&self, stage: &str) -> u64 {
+        let Self { rows, visible, intersections, size_px: [width, height], .. } = *self;
+        let [geometry, splat, gradient, intersection_gradient] =
+            [GEOMETRY_FLOATS, SPLAT_FLOATS, GRADIENT_FLOATS, INTERSECTION_GRADIENT_FLOATS]
+                .map(|floats| 4 * u64::from(floats));
+        let [evaluated, differentiated, moved] = self.colour_bytes();
+        let pixels = width * height;
+        let tiles = width.div_ceil(TILE.into()) * height.div_ceil(TILE.into());
+        match stage {
+            // Tile counts and flags of all rows; depths of splats.
+            "project" => rows * (geometry + 8) + visible * (evaluated + splat + 4),
+            // Flags are read; of splats the depth, the tile count and they themselves, and their first intersections
+            // are written; they are sorted by depth. Intersections' tiles and splats are written and sorted by tile;
+            // the first pass needs no values, but the sorted tiles are read once more.
+            "bin" => {
+                let sorted = visible * passes(32) + intersections * passes(tile_bits(tiles));
+                rows * 4 + visible * (12 + splat) + intersections * 8 + sorted * PASS_BYTES
+            }
+            // Three channels of f32 are written.
+            "rasterise" => intersections * 8 + visible * splat + pixels * 12,
+            // Both steps read render and photo; nine partial derivatives pass between them; the gradient is written.
+            "loss" => pixels * (2 * (12 + 4) + 2 * 36 + 12),
+            // Render and gradient are read.
+            "rasterise_backward" => {
+                intersections * (8 + intersection_gradient) + visible * splat + pixels * 24
+            }
+            // Tile counts of all rows; of splats the first intersection and the vector with the flags.
+            "project_backward" => {
+                intersections * intersection_gradient
+                    + visible * (geometry + differentiated + 4 + 16)
+                    + rows * (gradient + 4)
+            }
+            // Parameters and two moments are read and written; so are density statistics, of what is visible.
+            "update" => rows * (6 * (geometry + moved) + gradient + 4) + visible * 2 * 16,
+            _ => 0,
+        }
+    }
+
+    /// Bytes of a row's colours: to evaluate them, to know how they change with the direction, and of those that the
+    /// optimiser moves. They come in groups of four coefficients of three channels; of the base colour alone no more is
+    /// touched than it, or the vector that it is in.
+    fn colour_bytes(&self) -> [u64; 3] {
+        match self.sh_degree {
+            0 => [12, 0, 16],
+            degree => [(u64::from(degree) + 1).pow(2).div_ceil(4) * 48; 3],
+        }
+    }
+}
+
+/// Passes of a sort by so many bits.
+fn passes(bits: u32) -> u64 {
+    bits.div_ceil(DIGIT_BITS).into()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_step_moves_what_its_columns_hold() {
+        let work = Work { rows: 1000, visible: 0, intersections: 0, size_px: [160, 90], sh_degree: 3 };
+        // Six columns of 240 bytes, gradients, and tile counts.
+        assert_eq!(work.bytes("update"), 1000 * (1440 + 64 + 4));
+        assert_eq!(work.bytes("loss"), 160 * 90 * 116);
+        let [dull, first] = [0, 1].map(|sh_degree| Work { sh_degree, ..work }.bytes("update") / 1000);
+        assert_eq!([dull, first], [6 * (48 + 16) + 68, 6 * (48 + 48) + 68]);
+        assert_eq!(work.bytes("nothing"), 0);
+        // 10 by 6 tiles: six bits, one pass.
+        let listed = Work { visible: 10, intersections: 30, ..work };
+        assert_eq!(listed.bytes("bin") - work.bytes("bin"), 10 * (60 + 4 * 16) + 30 * (8 + 16));
+        assert_eq!(tile_bits(120 * 68), 13);
+    }
+}

@@ -1,0 +1,196 @@
+//! Steps that wait in a queue, tile lists that overflow, and memory that does not suffice.
+//!
+//! **No read-back in a step.** A step is submitted, and the host does not wait for it. What can go wrong in it, the
+//! device finds out itself: when the tile lists do not fit their buffers, or the loss is not finite, it sets a flag,
+//! and from there on no step changes anything. The host keeps the queued steps ([`GpuBackend::finish_queued_steps`])
+//! and reads the flag before it reads or edits anything, and every 32 steps. After an overflow it allocates more and
+//! submits the steps that were not done once more, so the run is the one that enough memory would have given.
+//!
+//! **Out of memory.** Every verb allocates what it needs before it changes anything, so one that finds no memory leaves
+//! the rows as they were, and the run can be saved. Before that it is tried once more without the buffers of steps,
+//! scores and blends, which can be made again ([`GpuBackend::with_memory`]): no verb needs those of all the others, and
+//! a row edit holds all rows twice for a moment.
+
+use bytemuck::Pod;
+use genesplat_core::backend::StepReport;
+use genesplat_core::{BackendError, DensitySignal, TrainStep};
+
+use crate::backend::GpuBackend;
+use crate::device::engine::Engine;
+use crate::device::memory::Memory;
+use crate::device::recorder::Recorder;
+use crate::stages::lists::Lists;
+use crate::stages::optimise::Optimise;
+use crate::state::layout::{Counters, HALT_NON_FINITE, HALT_OVERFLOW, Optimiser};
+
+/// Steps after which the host reads the device's flag. That costs a round trip, and an overflow costs the steps
+/// submitted since.
+pub(crate) const QUEUED_STEPS_MAX: usize = 32;
+
+/// Whose tile lists.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum ListsOf {
+    /// Of the cloud, or of a blend in its place.
+    Cloud,
+    /// Of all alleles of a pool.
+    Alleles,
+}
+
+impl GpuBackend {
+    /// Submits one step; where there is no memory for it, once more without what only scores and blends need. (What
+    /// steps need may be in use by queued ones.)
+    pub(crate) fn submit(&mut self, step: &TrainStep) -> Result<(), BackendError> {
+        match self.submit_step(step) {
+            Err(BackendError::OutOfMemory { .. }) => {
+                self.pool_buffers.release();
+                self.state.blended = None;
+                self.engine.wait()?;
+                self.submit_step(step)
+            }
+            result => result,
+        }
+    }
+
+    fn submit_step(&mut self, step: &TrainStep) -> Result<(), BackendError> {
+        let pass = self.pass_of(step.view, &step.settings).with_statistics(step.statistics);
+        self.lists.reserve(&self.engine, &pass)?;
+        self.pixels.reserve_training(&self.engine, &pass, self.lists.capacity)?;
+        self.state.reserve_step(&self.engine, step.statistics.genes)?;
+        self.state.statistics.has_absolute |=
+            step.statistics.density == Some(DensitySignal::SignedAndAbsolute);
+        let optimiser = step.update.as_ref().map(Optimiser::new);
+        self.engine.write(&self.optimiser, 0, optimiser.as_slice());
+        self.lists.begin(&self.engine, &pass);
+
+        let (state, lists, pixels) = (&self.state, &self.lists, &self.pixels);
+        let mut recorder = Recorder::new(&self.engine, self.timestamps.as_mut());
+        lists.record(&mut recorder, &state.cloud, &state.windows, &pass);
+        pixels.record_rasterise(&mut recorder, lists, &pass);
+        pixels.record_loss(&mut recorder, lists, &self.views[step.view].photo, &pass);
+        pixels.record_backward(&mut recorder, lists, &pass);
+        let (memory, request) = (&self.optimiser, step.statistics);
+        Optimise { state, lists, pixels, memory, optimiser: optimiser.as_ref(), request }
+            .record(&mut recorder);
+        recorder.submit();
+        Ok(())
+    }
+
+    /// Waits until every queued step is done, repeating those that an overflow has stopped.
+    pub(crate) fn finish_queued_steps(&mut self) -> Result<(), BackendError> {
+        if let Some(failure) = self.failure.take() {
+            return Err(failure);
+        }
+        while !self.queued.is_empty() {
+            let counters = self.take_done_steps()?;
+            if counters.halted & HALT_NON_FINITE != 0 {
+                self.queued.clear();
+                let cloud = self.state.download(&self.engine)?;
+                return Err(BackendError::diverged(&cloud, self.steps));
+            }
+            if counters.halted & HALT_OVERFLOW != 0 {
+                self.lists.grow(&self.engine, counters.wanted)?;
+            }
+            for step in self.queued.clone() {
+                self.submit(&step)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Waits for what was submitted, and takes the steps that were done off the queue.
+    fn take_done_steps(&mut self) -> Result<Counters, BackendError> {
+        let counters = self.lists.take_counters(&self.engine)?;
+        let done: Vec<TrainStep> = self.queued.drain(..counters.completed as usize).collect();
+        let last = done.iter().rev().find_map(|step| step.update.as_ref());
+        self.steps = last.map_or(self.steps, |update| update.step);
+        if !done.is_empty() {
+            self.report = StepReport {
+                loss: counters.loss,
+                visible: counters.step_visible as usize,
+                intersections: counters.step_intersections as usize,
+            };
+        }
+        Ok(counters)
+    }
+
+    /// Waits for the queued steps, and drops those that were not done; returns how many these are.
+    pub(crate) fn drop_undone_steps(&mut self) -> Result<usize, BackendError> {
+        if !self.queued.is_empty() {
+            self.take_done_steps()?;
+        }
+        let undone = std::mem::take(&mut self.queued).len();
+        self.release_buffers()?;
+        Ok(undone)
+    }
+
+    /// Does `verb` after all steps; where there is no memory for it, once more after everything that can be made again
+    /// was freed.
+    pub(crate) fn with_memory<T>(
+        &mut self,
+        mut verb: impl FnMut(&mut Self) -> Result<T, BackendError>,
+    ) -> Result<T, BackendError> {
+        self.finish_queued_steps()?;
+        match verb(self) {
+            Err(BackendError::OutOfMemory { .. }) => {
+                self.release_buffers()?;
+                verb(self)
+            }
+            result => result,
+        }
+    }
+
+    /// Frees what steps, scores and blends need; no step may be queued.
+    fn release_buffers(&mut self) -> Result<(), BackendError> {
+        self.pool_buffers.release();
+        self.release_step_buffers().map(|_| ())
+    }
+
+    /// Frees what steps and blends need; true if there was anything.
+    pub(crate) fn release_step_buffers(&mut self) -> Result<bool, BackendError> {
+        let before = self.allocated_bytes();
+        self.lists.release();
+        self.pixels.release();
+        self.state.release();
+        self.engine.wait()?;
+        Ok(self.allocated_bytes() < before)
+    }
+
+    /// Submits views until their tile lists fit: where they do not, the device lists nothing and says what it wanted,
+    /// and all of them are submitted once more. Returns what was counted in the attempt that went through.
+    pub(crate) fn until_lists_fit(
+        &mut self,
+        whose: ListsOf,
+        submit: impl FnMut(&mut Self) -> Result<(), BackendError>,
+    ) -> Result<Counters, BackendError> {
+        Ok(self.until_lists_fit_and::<u32>(whose, None, submit)?.0)
+    }
+
+    /// The same, and the first values of a buffer that the views fill, if one is named: with one wait for both.
+    pub(crate) fn until_lists_fit_and<T: Pod>(
+        &mut self,
+        whose: ListsOf,
+        filled: Option<(&Memory, u64)>,
+        mut submit: impl FnMut(&mut Self) -> Result<(), BackendError>,
+    ) -> Result<(Counters, Vec<T>), BackendError> {
+        // An attempt that ended with an error may have left some.
+        let (begun, engine) = self.lists_of(whose);
+        begun.clear_counters(engine);
+        loop {
+            submit(self)?;
+            let (lists, engine) = self.lists_of(whose);
+            let (counters, values) = lists.take_counters_and(engine, filled)?;
+            if counters.halted & HALT_OVERFLOW == 0 {
+                return Ok((counters, values));
+            }
+            lists.grow(engine, counters.wanted)?;
+        }
+    }
+
+    fn lists_of(&mut self, whose: ListsOf) -> (&mut Lists, &Engine) {
+        let lists = match whose {
+            ListsOf::Cloud => &mut self.lists,
+            ListsOf::Alleles => &mut self.pool_buffers.lists,
+        };
+        (lists, &self.engine)
+    }
+}

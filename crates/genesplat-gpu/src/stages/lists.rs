@@ -1,0 +1,248 @@
+//! Stages `project` and `bin`: a cloud becomes splats, and splats become tile lists, without the host knowing how many.
+//!
+//! How many splats are visible, and how many intersections with tiles they have, is counted on the device; later
+//! dispatches take their sizes from there. Buffers of intersections are sized by what earlier views needed. Where a
+//! view needs more, the device sets a flag and lists nothing, and the host allocates more and repeats (see
+//! [`crate::queue`]).
+//!
+//! The order is that of the CPU: splats are sorted by depth once (ties by row), emit their intersections in that order,
+//! and a stable sort by tile keeps it.
+
+use bytemuck::Pod;
+use genesplat_core::BackendError;
+
+use crate::device::engine::Engine;
+use crate::device::memory::{BUFFER_BYTES_STEP, Memory};
+use crate::device::recorder::{Grid, Recorder};
+use crate::device::shaders;
+use crate::stages::sort::{DIGIT_BITS, Sorter};
+use crate::state::cloud::{Parameters, RowWindow};
+use crate::state::layout::{
+    Counters, GRID_DEPTH_SORT, GRID_INTERSECTIONS, GRID_TILE_SORT, GRID_VISIBLE, GRID_VISIBLE_SCAN,
+    LENGTH_INTERSECTIONS, LENGTH_ROWS, LENGTH_VISIBLE, SCAN_BLOCK, SPLAT_FLOATS, ViewPass,
+};
+
+/// Intersections a row that buffers hold at first (a cloud in training has 2 to 4).
+const FIRST_INTERSECTIONS_PER_ROW: u64 = 4;
+/// At least so many, for clouds of few and large Gaussians.
+const INTERSECTIONS_MIN: u64 = 1 << 16;
+
+/// Buffers of the splats and the tile lists of one view, reused from view to view. N rows, I intersections.
+pub(crate) struct Lists {
+    /// A [`ViewPass`].
+    pub(crate) view: Memory,
+    /// [`Counters`].
+    pub(crate) counters: Memory,
+    sorter: Sorter,
+    /// `[N]` splats.
+    pub(crate) splats: Memory,
+    /// Camera z of each splat, as bits `[N]`.
+    pub(crate) depths: Memory,
+    /// Tiles that each row reaches, and whether it is seen `[N]`.
+    pub(crate) tile_counts: Memory,
+    /// 1 for each row that has a splat; later tile counts, nearest splat first `[N]`.
+    pub(crate) flags: Memory,
+    /// Sums of what comes before in `flags` `[N]`.
+    offsets: Memory,
+    /// Splat of each intersection `[I]`.
+    pub(crate) intersection_splats: Memory,
+    /// First intersection of each splat `[N]`.
+    pub(crate) first_intersections: Memory,
+    /// Begin and end of each tile's intersections `[tiles]`.
+    pub(crate) ranges: Memory,
+    /// Rows of the cloud that fit.
+    rows: u64,
+    /// Intersections that fit.
+    pub(crate) capacity: u64,
+    /// Capacity that was found to be needed.
+    pub(crate) wanted_capacity: Option<u64>,
+    /// Bytes of an intersection in the widest buffer that a kernel sees all of.
+    intersection_bytes: u64,
+}
+
+impl Lists {
+    /// Empty buffers; later for as many intersections as a kernel can see if each takes so many bytes somewhere.
+    pub(crate) fn new(engine: &Engine, intersection_bytes: u64) -> Result<Self, BackendError> {
+        let empty = |purpose| engine.allocate(purpose, 0);
+        Ok(Self {
+            view: engine.allocate("the view", size_of::<ViewPass>() as u64)?,
+            counters: engine.allocate("counters", size_of::<Counters>() as u64)?,
+            sorter: Sorter::new(engine)?,
+            splats: empty("splats")?,
+            depths: empty("depths")?,
+            tile_counts: empty("tile counts")?,
+            flags: empty("flags")?,
+            offsets: empty("offsets")?,
+            intersection_splats: empty("splats of intersections")?,
+            first_intersections: empty("first intersections")?,
+            ranges: empty("tile ranges")?,
+            rows: 0,
+            capacity: 0,
+            wanted_capacity: None,
+            intersection_bytes,
+        })
+    }
+
+    /// Frees all that grows until it is reserved anew.
+    pub(crate) fn release(&mut self) {
+        (self.rows, self.capacity) = (0, 0);
+        self.sorter.release();
+        let Self { splats, depths, tile_counts, flags, offsets, .. } = self;
+        [splats, depths, tile_counts, flags, offsets].into_iter().for_each(Memory::release);
+        let Self { intersection_splats, first_intersections, ranges, .. } = self;
+        [intersection_splats, first_intersections, ranges].into_iter().for_each(Memory::release);
+    }
+
+    /// Memory for the rows and tiles of a view, and for as many intersections as were needed so far.
+    pub(crate) fn reserve(&mut self, engine: &Engine, view: &ViewPass) -> Result<(), BackendError> {
+        let rows = u64::from(view.rows);
+        let guess = (FIRST_INTERSECTIONS_PER_ROW * rows).max(INTERSECTIONS_MIN);
+        let capacity = self.wanted_capacity.unwrap_or(guess).min(self.capacity_max(engine));
+        engine.reserve(&mut self.ranges, 8 * view.tiles())?;
+        if rows > self.rows || capacity > self.capacity || self.splats.bytes == 0 {
+            self.enlarge(engine, rows.max(self.rows), capacity.max(self.capacity))?;
+        }
+        Ok(())
+    }
+
+    fn enlarge(&mut self, engine: &Engine, rows: u64, capacity: u64) -> Result<(), BackendError> {
+        // Until all of it is there, nothing is.
+        (self.rows, self.capacity) = (0, 0);
+        engine.reserve(&mut self.splats, 4 * u64::from(SPLAT_FLOATS) * rows)?;
+        let Self { depths, tile_counts, flags, offsets, first_intersections, .. } = self;
+        for memory in [depths, tile_counts, flags, offsets, first_intersections] {
+            engine.reserve(memory, 4 * rows)?;
+        }
+        engine.reserve(&mut self.intersection_splats, 4 * capacity)?;
+        self.sorter.reserve(engine, rows, rows.max(capacity))?;
+        (self.rows, self.capacity) = (rows, capacity);
+        Ok(())
+    }
+
+    /// From the next view on, memory for the intersections that the device wanted, and a quarter more.
+    pub(crate) fn grow(&mut self, engine: &Engine, wanted: u32) -> Result<(), BackendError> {
+        let (wanted, most) = (u64::from(wanted), self.capacity_max(engine));
+        if wanted > most {
+            let bytes = self.intersection_bytes * wanted;
+            return Err(engine.out_of_memory("the tile lists of one view", bytes));
+        }
+        self.wanted_capacity = Some((wanted + wanted / 4).min(most));
+        Ok(())
+    }
+
+    fn capacity_max(&self, engine: &Engine) -> u64 {
+        engine.binding_bytes / BUFFER_BYTES_STEP * BUFFER_BYTES_STEP / self.intersection_bytes
+    }
+
+    /// What the device has counted since this was last asked.
+    pub(crate) fn take_counters(&self, engine: &Engine) -> Result<Counters, BackendError> {
+        Ok(self.take_counters_and::<u32>(engine, None)?.0)
+    }
+
+    /// The same, and the first values of a buffer, if one is named: with one wait for both.
+    pub(crate) fn take_counters_and<T: Pod>(
+        &self,
+        engine: &Engine,
+        values_of: Option<(&Memory, u64)>,
+    ) -> Result<(Counters, Vec<T>), BackendError> {
+        let (memory, count) = values_of.unwrap_or((&self.counters, 0));
+        let mut counters = Counters::default();
+        let mut values = bytemuck::zeroed_vec(count as usize);
+        engine.read([
+            (&self.counters, bytemuck::bytes_of_mut(&mut counters)),
+            (memory, bytemuck::cast_slice_mut(&mut values)),
+        ])?;
+        self.clear_counters(engine);
+        Ok((counters, values))
+    }
+
+    pub(crate) fn clear_counters(&self, engine: &Engine) {
+        engine.write(&self.counters, 0, &[Counters::default()]);
+    }
+
+    /// Tells the device what the next view is.
+    pub(crate) fn begin(&self, engine: &Engine, view: &ViewPass) {
+        engine.write(&self.view, 0, &[ViewPass { intersection_capacity: self.capacity as u32, ..*view }]);
+        engine.write(&self.sorter.lengths, 4 * u64::from(LENGTH_ROWS), &[view.rows]);
+    }
+
+    /// Stages `project` and `bin` of a whole cloud.
+    pub(crate) fn record(
+        &self,
+        recorder: &mut Recorder,
+        cloud: &Parameters,
+        windows: &[RowWindow],
+        view: &ViewPass,
+    ) {
+        recorder.stage("project");
+        for window in windows {
+            let parts = [
+                self.view.all(),
+                window.uniform.all(),
+                cloud.geometry.at(window),
+                cloud.sh.at(window),
+                self.splats.all(),
+                self.depths.all(),
+                self.tile_counts.all(),
+                self.flags.all(),
+            ];
+            recorder.run(&shaders::PROJECT, &parts, Grid::Items(window.count));
+        }
+        self.record_bin(recorder, view);
+    }
+
+    /// Stage `bin`, from splats to tile lists.
+    pub(crate) fn record_bin(&self, recorder: &mut Recorder, view: &ViewPass) {
+        recorder.stage("bin");
+        self.record_depth_order(recorder, view.rows.into());
+        self.record_tile_lists(recorder, view);
+    }
+
+    /// Steps 1 and 2: splats without gaps, nearest first; rows are left in `values[0]`.
+    fn record_depth_order(&self, recorder: &mut Recorder, rows: u64) {
+        let Self { sorter, flags, offsets, .. } = self;
+        let blocks = Grid::Groups(rows.div_ceil(SCAN_BLOCK.into()));
+        sorter.scan(recorder, LENGTH_ROWS, blocks, flags, offsets);
+        let parts = [&sorter.lengths, &sorter.sums, &sorter.grids, &self.counters];
+        recorder.run(&shaders::PLAN_VISIBLE, &parts.map(Memory::all), Grid::Groups(1));
+        let [keys, values] = [&sorter.keys[0], &sorter.values[0]];
+        let parts = [&sorter.lengths, flags, offsets, &self.depths, keys, values];
+        recorder.run(&shaders::COMPACT, &parts.map(Memory::all), Grid::Items(rows));
+        sorter.sort(recorder, LENGTH_VISIBLE, GRID_DEPTH_SORT, 32, 0, false);
+    }
+
+    /// Steps 3 and 4: intersections in depth order, sorted by tile; their numbers are left in
+    /// [`Self::sorted_intersections`].
+    fn record_tile_lists(&self, recorder: &mut Recorder, view: &ViewPass) {
+        let Self { sorter, flags: counts, offsets, splats, ranges, .. } = self;
+        let (lengths, order) = (&sorter.lengths, &sorter.values[0]);
+        let visible = Grid::Device(&sorter.grids, GRID_VISIBLE);
+        let parts = [lengths, order, &self.tile_counts, counts];
+        recorder.run(&shaders::TILE_COUNTS_BY_DEPTH, &parts.map(Memory::all), visible);
+        let blocks = Grid::Device(&sorter.grids, GRID_VISIBLE_SCAN);
+        sorter.scan(recorder, LENGTH_VISIBLE, blocks, counts, offsets);
+        let parts = [&self.view, lengths, &sorter.sums, &sorter.grids, &self.counters];
+        recorder.run(&shaders::PLAN_INTERSECTIONS, &parts.map(Memory::all), Grid::Groups(1));
+        let outputs = [&sorter.keys[1], &self.intersection_splats, &self.first_intersections];
+        let parts = [&[&self.view, lengths, order, counts, offsets, splats][..], &outputs].concat();
+        let parts: Vec<_> = parts.into_iter().map(Memory::all).collect();
+        recorder.run(&shaders::EMIT, &parts, visible);
+
+        let bits = tile_bits(view.tiles());
+        let sorted = sorter.sort(recorder, LENGTH_INTERSECTIONS, GRID_TILE_SORT, bits, 1, true);
+        recorder.clear(ranges, 8 * view.tiles());
+        let parts = [lengths, &sorter.keys[sorted], ranges];
+        let grid = Grid::Device(&sorter.grids, GRID_INTERSECTIONS);
+        recorder.run(&shaders::TILE_RANGES, &parts.map(Memory::all), grid);
+    }
+
+    /// Numbers of the intersections, tile after tile, nearest first `[I]`.
+    pub(crate) fn sorted_intersections(&self, view: &ViewPass) -> &Memory {
+        &self.sorter.values[(1 + tile_bits(view.tiles()).div_ceil(DIGIT_BITS) as usize) % 2]
+    }
+}
+
+/// Bits of the largest number of so many tiles; at least one, so that intersections are numbered.
+pub(crate) fn tile_bits(tiles: u64) -> u32 {
+    (64 - tiles.saturating_sub(1).leading_zeros()).max(1)
+}

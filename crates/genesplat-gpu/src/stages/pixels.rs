@@ -1,0 +1,170 @@
+//! Stages `rasterise`, `loss` and `rasterise_backward`: tile lists become pixels, pixels a loss, and the loss gradients
+//! of intersections.
+
+use genesplat_core::{BackendError, Photo};
+
+use crate::device::engine::Engine;
+use crate::device::memory::Memory;
+use crate::device::recorder::{Grid, Recorder};
+use crate::device::shaders;
+use crate::stages::lists::Lists;
+use crate::state::layout::{INTERSECTION_GRADIENT_FLOATS, ViewPass};
+
+/// Bytes of the gradient of an intersection.
+pub(crate) const INTERSECTION_GRADIENT_BYTES: u64 = 4 * INTERSECTION_GRADIENT_FLOATS as u64;
+
+/// Buffers of the size of a picture, and of the tile lists, reused from view to view.
+pub(crate) struct Pixels {
+    /// The render `[3, H, W]`.
+    pub(crate) image: Memory,
+    /// SSIM's partial derivatives by each of its moments `[3, H, W]`.
+    partials: [Memory; 3],
+    /// Sums of each tile of each channel `[3, tiles, 4]`.
+    pub(crate) loss_sums: Memory,
+    /// dL/dimage `[3, H, W]`.
+    pub(crate) gradient: Memory,
+    /// Gradients of the intersections of splats with tiles `[I, 12]`.
+    pub(crate) intersection_gradients: Memory,
+}
+
+impl Pixels {
+    /// Empty buffers.
+    pub(crate) fn new(engine: &Engine) -> Result<Self, BackendError> {
+        Ok(Self {
+            image: engine.allocate("the image", 0)?,
+            partials: no_partials(engine)?,
+            loss_sums: engine.allocate("the sums of the loss", 0)?,
+            gradient: engine.allocate("the gradient of the image", 0)?,
+            intersection_gradients: engine.allocate("gradients of intersections", 0)?,
+        })
+    }
+
+    /// Frees everything until it is reserved anew.
+    pub(crate) fn release(&mut self) {
+        let Self { image, partials, loss_sums, gradient, intersection_gradients } = self;
+        let single = [image, loss_sums, gradient, intersection_gradients];
+        single.into_iter().chain(partials).for_each(Memory::release);
+    }
+
+    /// Memory for a render.
+    pub(crate) fn reserve_image(&mut self, engine: &Engine, view: &ViewPass) -> Result<(), BackendError> {
+        engine.reserve(&mut self.image, view.image_bytes())
+    }
+
+    /// Memory for a render and its loss.
+    pub(crate) fn reserve_loss(&mut self, engine: &Engine, view: &ViewPass) -> Result<(), BackendError> {
+        self.reserve_image(engine, view)?;
+        // Bound, but not written, where no gradient is wanted.
+        self.partials.iter_mut().try_for_each(|by_moment| engine.reserve(by_moment, 0))?;
+        engine.reserve(&mut self.loss_sums, view.loss_sum_bytes())
+    }
+
+    /// Memory for a render, its loss and its gradient.
+    pub(crate) fn reserve_training(
+        &mut self,
+        engine: &Engine,
+        view: &ViewPass,
+        intersections: u64,
+    ) -> Result<(), BackendError> {
+        self.reserve_loss(engine, view)?;
+        self.partials.iter_mut().try_for_each(|by_moment| engine.reserve(by_moment, view.image_bytes()))?;
+        self.reserve_backward(engine, view, intersections)
+    }
+
+    /// Memory for a render, whatever goes backward from it, and the gradients of its intersections.
+    pub(crate) fn reserve_backward(
+        &mut self,
+        engine: &Engine,
+        view: &ViewPass,
+        intersections: u64,
+    ) -> Result<(), BackendError> {
+        self.reserve_image(engine, view)?;
+        engine.reserve(&mut self.gradient, view.image_bytes())?;
+        engine.reserve(&mut self.intersection_gradients, INTERSECTION_GRADIENT_BYTES * intersections)
+    }
+
+    /// Stage `rasterise`.
+    pub(crate) fn record_rasterise(&self, recorder: &mut Recorder, lists: &Lists, view: &ViewPass) {
+        recorder.stage("rasterise");
+        let intersections = lists.sorted_intersections(view);
+        let parts = [
+            &lists.view,
+            &lists.ranges,
+            intersections,
+            &lists.intersection_splats,
+            &lists.splats,
+            &self.image,
+        ];
+        recorder.run(&shaders::RASTERISE, &parts.map(Memory::all), view.tile_grid(1));
+    }
+
+    /// Stage `loss` against `photo`; leaves the gradient, too.
+    pub(crate) fn record_loss(
+        &self,
+        recorder: &mut Recorder,
+        lists: &Lists,
+        photo: &Memory,
+        view: &ViewPass,
+    ) {
+        self.record_loss_sums(recorder, lists, photo, view, true);
+        let parts = [&lists.view, &self.loss_sums, &lists.counters].map(Memory::all);
+        recorder.run(&shaders::LOSS_SUM, &parts, Grid::Groups(1));
+        let [by_mean, by_square, by_product] = &self.partials;
+        let parts = [&lists.view, &self.image, photo, by_mean, by_square, by_product, &self.gradient];
+        recorder.run(&shaders::LOSS_GRADIENT, &parts.map(Memory::all), view.tile_grid(3));
+    }
+
+    /// The sums of all tiles; with `partials`, SSIM's derivatives are left for the gradient.
+    pub(crate) fn record_loss_sums(
+        &self,
+        recorder: &mut Recorder,
+        lists: &Lists,
+        photo: &Memory,
+        view: &ViewPass,
+        partials: bool,
+    ) {
+        recorder.stage("loss");
+        let [by_mean, by_square, by_product] = &self.partials;
+        let parts = [&lists.view, &self.image, photo, by_mean, by_square, by_product, &self.loss_sums];
+        let overrides = [("FORWARD_ONLY", u32::from(!partials))];
+        recorder.run_with(&shaders::LOSS, &overrides, &parts.map(Memory::all), view.tile_grid(3));
+    }
+
+    /// Stage `rasterise_backward`.
+    pub(crate) fn record_backward(&self, recorder: &mut Recorder, lists: &Lists, view: &ViewPass) {
+        recorder.stage("rasterise_backward");
+        let parts = [
+            &lists.view,
+            &lists.ranges,
+            lists.sorted_intersections(view),
+            &lists.intersection_splats,
+            &lists.splats,
+            &self.image,
+            &self.gradient,
+            &self.intersection_gradients,
+        ];
+        recorder.run(&shaders::RASTERISE_BACKWARD, &parts.map(Memory::all), view.tile_grid(1));
+    }
+}
+
+/// What is bound where the loss would leave its derivatives.
+pub(crate) fn no_partials(engine: &Engine) -> Result<[Memory; 3], BackendError> {
+    let none = || engine.allocate("derivatives of SSIM", 0);
+    Ok([none()?, none()?, none()?])
+}
+
+/// A photo as the loss reads it: red in the lowest byte of a word, then green and blue `[H, W]`.
+pub(crate) fn pack_photo(photo: &Photo) -> Vec<u32> {
+    photo.rgb.chunks_exact(3).map(|rgb| u32::from_le_bytes([rgb[0], rgb[1], rgb[2], 0])).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_photo_keeps_its_channels() {
+        let photo = Photo { width: 2, height: 1, rgb: vec![1, 2, 3, 255, 0, 128] };
+        assert_eq!(pack_photo(&photo), [0x0003_0201, 0x0080_00ff]);
+    }
+}

@@ -1,0 +1,210 @@
+//! The verbs that change rows: plans of density control, opacity resets, genes, filters.
+
+use genesplat_core::backend::MomentPolicy;
+use genesplat_core::{BackendError, Origin, RowEdit, SparseDelta};
+
+use crate::device::engine::Engine;
+use crate::device::memory::{Memory, Part};
+use crate::device::recorder::{Grid, Recorder};
+use crate::device::shaders;
+use crate::state::State;
+use crate::state::cloud::{Column, Parameters, RowWindow, pack_genes, window_uniform, windows};
+use crate::state::layout::{
+    Edit, GRADIENT_FLOATS, ORIGIN_CLONE, ORIGIN_KEPT, ORIGIN_RELOCATED, ORIGIN_RELOCATED_KEPT, ORIGIN_SPLIT,
+    ORIGIN_TWIN,
+};
+use crate::state::statistics::DeviceStatistics;
+
+/// One row of a plan: source, origin, parameters of the origin.
+type PlanRow = [u32; 4];
+
+fn plan_row(source: u32, origin: Origin) -> PlanRow {
+    match origin {
+        Origin::Kept => [source, ORIGIN_KEPT, 0, 0],
+        Origin::Clone => [source, ORIGIN_CLONE, 0, 0],
+        Origin::SplitChild { child } => [source, ORIGIN_SPLIT + u32::from(child), 0, 0],
+        Origin::Twin { child } => [source, ORIGIN_TWIN + u32::from(child), 0, 0],
+        Origin::Relocated { opacity_logit, log_scale_shift, keep_moments } => {
+            let code = if keep_moments { ORIGIN_RELOCATED_KEPT } else { ORIGIN_RELOCATED };
+            [source, code, opacity_logit.to_bits(), log_scale_shift.to_bits()]
+        }
+    }
+}
+
+impl State {
+    /// Applies a plan of density control to parameters, moments and gene statistics; density statistics are zeroed.
+    /// All new columns are made before an old one goes, so that an edit that finds no memory changes nothing.
+    pub(crate) fn edit_rows(&mut self, engine: &Engine, edit: &RowEdit) -> Result<(), BackendError> {
+        let edited = self.edited(engine, edit)?;
+        let old = std::mem::replace(self, edited);
+        self.gradients = old.gradients;
+        Ok(())
+    }
+
+    /// The state after an edit, as yet without memory for gradients.
+    fn edited(&self, engine: &Engine, edit: &RowEdit) -> Result<Self, BackendError> {
+        let rows = edit.sources.len() as u64;
+        let plan: Vec<PlanRow> = edit
+            .sources
+            .iter()
+            .zip(&edit.origins)
+            .map(|(&source, &origin)| plan_row(source, origin))
+            .collect();
+        let job = EditJob {
+            engine,
+            rows,
+            plan: engine.upload("the plan of a row edit", &plan)?,
+            edit: edit_uniform(engine, edit.rng.key(), edit.iteration, 0.0)?,
+            old: &self.windows,
+            new: windows(engine, rows)?,
+        };
+        let genes = self.statistics.genes.as_ref().map(|genes| job.gather(genes, false)).transpose()?;
+        Ok(Self {
+            rows,
+            cloud: Parameters {
+                geometry: job.geometry(&self.cloud.geometry)?,
+                sh: job.gather(&self.cloud.sh, false)?,
+            },
+            first: job.moments(&self.first)?,
+            second: job.moments(&self.second)?,
+            gradients: Column::zeros(engine, "gradients", 0, GRADIENT_FLOATS)?,
+            statistics: DeviceStatistics { genes, ..DeviceStatistics::zeros(engine, rows)? },
+            has_filter: self.has_filter,
+            averages: Default::default(),
+            blended: None,
+            windows: job.new,
+        })
+    }
+
+    /// `opacity ← min(opacity, ceiling)` of the filtered opacity; opacity moments are zeroed.
+    pub(crate) fn reset_opacity(&mut self, engine: &Engine, ceiling: f32) -> Result<(), BackendError> {
+        let edit = edit_uniform(engine, [0; 2], 0, ceiling)?;
+        let mut recorder = Recorder::new(engine, None);
+        for window in &self.windows {
+            let columns = [&self.cloud, &self.first, &self.second].map(|values| values.geometry.at(window));
+            let parts = [&[window.uniform.all(), edit.all()][..], &columns].concat();
+            recorder.run(&shaders::RESET_OPACITY, &parts, Grid::Items(window.count));
+        }
+        recorder.submit();
+        self.clear_averages();
+        Ok(())
+    }
+
+    /// Overwrites the genes of the rows that `delta` names.
+    pub(crate) fn apply(
+        &mut self,
+        engine: &Engine,
+        delta: &SparseDelta,
+        moments: MomentPolicy,
+    ) -> Result<(), BackendError> {
+        if delta.is_empty() {
+            return Ok(());
+        }
+        let genes: Vec<_> = delta.genes.iter().map(pack_genes).collect();
+        let rows = engine.upload("rows of an individual", &delta.rows)?;
+        let genes = engine.upload("genes of an individual", &genes)?;
+        let count = delta.rows.len() as u32;
+        let overrides = [("ZERO_MOMENTS", u32::from(moments == MomentPolicy::Zero))];
+        let mut recorder = Recorder::new(engine, None);
+        for window in &self.windows {
+            let uniform = window_uniform(engine, window.range(), [0, count])?;
+            let columns = [&self.cloud, &self.first, &self.second].map(|values| values.geometry.at(window));
+            let parts = [&[uniform.all(), rows.all(), genes.all()][..], &columns].concat();
+            recorder.run_with(&shaders::APPLY, &overrides, &parts, Grid::Items(count.into()));
+        }
+        recorder.submit();
+        Ok(())
+    }
+
+    /// Replaces Mip-Splatting's 3D filter `[N]`.
+    pub(crate) fn set_filter_3d(&mut self, engine: &Engine, filter: &[f32]) -> Result<(), BackendError> {
+        let filter = engine.upload("the 3D filter", filter)?;
+        let mut recorder = Recorder::new(engine, None);
+        for window in &self.windows {
+            let parts = [window.uniform.all(), filter.all(), self.cloud.geometry.at(window)];
+            recorder.run(&shaders::SET_FILTER, &parts, Grid::Items(window.count));
+        }
+        recorder.submit();
+        self.has_filter = true;
+        Ok(())
+    }
+}
+
+/// Runs a kernel that has one invocation a vector of a row.
+pub(crate) fn run_vectors(
+    recorder: &mut Recorder,
+    shader: &'static shaders::Shader,
+    overrides: &[(&'static str, u32)],
+    parts: &[Part],
+    window: &RowWindow,
+    floats: u32,
+) {
+    let vectors = floats / 4;
+    let overrides = [&[("VECTORS", vectors)][..], overrides].concat();
+    recorder.run_with(shader, &overrides, parts, Grid::Items(u64::from(vectors) * window.count));
+}
+
+/// Parameters of a row edit; `amount` is a kernel's own.
+pub(crate) fn edit_uniform(
+    engine: &Engine,
+    [key_low, key_high]: [u32; 2],
+    iteration: u32,
+    amount: f32,
+) -> Result<Memory, BackendError> {
+    engine.upload("parameters of a row edit", &[Edit { iteration, key_low, key_high, amount }])
+}
+
+/// One row edit under way.
+struct EditJob<'a> {
+    engine: &'a Engine,
+    rows: u64,
+    plan: Memory,
+    edit: Memory,
+    old: &'a [RowWindow],
+    new: Vec<RowWindow>,
+}
+
+impl EditJob<'_> {
+    /// Positions, scales, opacities and rotations.
+    fn geometry(&self, column: &Column) -> Result<Column, BackendError> {
+        self.make(column, |recorder, window, uniform, old, new| {
+            let parts = [uniform, self.edit.all(), self.plan.all(), old, new];
+            recorder.run(&shaders::EDIT_GEOMETRY, &parts, Grid::Items(window.count));
+        })
+    }
+
+    /// Copies of a moment; rows of a new identity begin at zero.
+    fn moments(&self, moments: &Parameters) -> Result<Parameters, BackendError> {
+        Ok(Parameters {
+            geometry: self.gather(&moments.geometry, true)?,
+            sh: self.gather(&moments.sh, true)?,
+        })
+    }
+
+    /// Copies; with `fresh`, rows of a new identity begin at zero.
+    fn gather(&self, column: &Column, fresh: bool) -> Result<Column, BackendError> {
+        self.make(column, |recorder, window, uniform, old, new| {
+            let overrides = [("FRESH", u32::from(fresh))];
+            let parts = [uniform, self.plan.all(), old, new];
+            run_vectors(recorder, &shaders::GATHER, &overrides, &parts, window, column.floats());
+        })
+    }
+
+    /// A new column, made by `record` from every pair of an old and a new window.
+    fn make(
+        &self,
+        column: &Column,
+        record: impl Fn(&mut Recorder, &RowWindow, Part, Part, Part),
+    ) -> Result<Column, BackendError> {
+        let made = Column::zeros(self.engine, "an edited column", self.rows, column.floats())?;
+        let mut recorder = Recorder::new(self.engine, None);
+        for new in &self.new {
+            for old in self.old {
+                let uniform = window_uniform(self.engine, new.range(), old.range())?;
+                record(&mut recorder, new, uniform.all(), column.at(old), made.at(new));
+            }
+        }
+        recorder.submit();
+        Ok(made)
+    }
+}

@@ -1,0 +1,279 @@
+//! Stage `score`: Eq. 5 of a whole population over a set of views, forward only.
+//!
+//! A pool of individuals is uploaded value by value ([`genesplat_core::alleles`]): to a view, the alleles are the rows
+//! of one large cloud, projected, sorted and listed by tile once for all individuals. A workgroup then makes the
+//! pictures of sixteen individuals in one tile: an alpha is evaluated once, and blended for those that hold it. Losses
+//! are reduced on the device; the host waits for a pool, not for its views.
+
+use genesplat_core::alleles::{Allele, Holders, alleles};
+use genesplat_core::{BackendError, RenderSettings, SparseDelta};
+use rayon::prelude::*;
+
+use crate::backend::GpuBackend;
+use crate::device::engine::Engine;
+use crate::device::memory::Memory;
+use crate::device::recorder::{Grid, Recorder};
+use crate::device::shaders;
+use crate::queue::ListsOf;
+use crate::stages::lists::Lists;
+use crate::stages::pixels::no_partials;
+use crate::state::State;
+use crate::state::cloud::{RowWindow, pack_genes, window_uniform};
+use crate::state::layout::{OWN_GENES, SLOTS, SPLAT_FLOATS, ViewPass};
+
+/// Bytes of the pictures of a pool: enough to keep a device busy, and small against the cloud itself.
+const PICTURE_BYTES: u64 = 512 << 20;
+/// Rows that one task looks through for alleles.
+const ROWS: usize = 4096;
+
+/// Buffers of the views of a pool, kept from call to call.
+pub(crate) struct PoolBuffers {
+    /// Tile lists of the alleles.
+    pub(crate) lists: Lists,
+    /// Pictures `[layers, 3, H, W]`.
+    images: Memory,
+    /// Sums of the loss `[layers, 3, tiles, 4]`.
+    sums: Memory,
+    /// Bound where the loss would leave its derivatives.
+    unused: [Memory; 3],
+}
+
+impl PoolBuffers {
+    pub(crate) fn new(engine: &Engine) -> Result<Self, BackendError> {
+        Ok(Self {
+            lists: Lists::new(engine, 4)?,
+            images: engine.allocate("pictures of individuals", 0)?,
+            sums: engine.allocate("the sums of the losses", 0)?,
+            unused: no_partials(engine)?,
+        })
+    }
+
+    /// Frees everything until it is reserved anew, for what may be fewer individuals.
+    pub(crate) fn release(&mut self) {
+        self.lists.release();
+        self.lists.wanted_capacity = None;
+        [&mut self.images, &mut self.sums].into_iter().for_each(Memory::release);
+    }
+
+    fn reserve(&mut self, engine: &Engine, view: &ViewPass) -> Result<(), BackendError> {
+        self.lists.reserve(engine, view)?;
+        engine.reserve(&mut self.images, u64::from(view.layers) * view.image_bytes())?;
+        engine.reserve(&mut self.sums, view.loss_sum_bytes())
+    }
+}
+
+/// Some individuals on the device.
+struct Pool {
+    individuals: u32,
+    alleles: u32,
+    /// Row of each allele, and where its genes are `[K, 2]`; row by row.
+    places: Memory,
+    /// Genes that are not the cloud's: position, opacity logit; log-scales, nothing.
+    genes: Memory,
+    /// A bit for each individual `[K, 4]`.
+    holders: Memory,
+    /// For each window of rows: its rows and their alleles, as a kernel reads them, and the number of those alleles.
+    windows: Vec<(Memory, u64)>,
+}
+
+impl Pool {
+    /// The alleles of `individuals`; nothing where they are more than `most`.
+    fn upload(
+        engine: &Engine,
+        state: &State,
+        individuals: &[SparseDelta],
+        most: u64,
+    ) -> Result<Option<Self>, BackendError> {
+        let rows = state.rows as usize;
+        let tasks = (0..rows.div_ceil(ROWS)).into_par_iter();
+        let of_task = |task: usize| alleles(individuals, task * ROWS..rows.min((task + 1) * ROWS));
+        let alleles: Vec<_> = tasks.flat_map_iter(of_task).collect();
+        if alleles.len() as u64 > most {
+            return Ok(None);
+        }
+        let mut genes = Vec::new();
+        let place = |allele: &Allele| {
+            let at = allele.genes.map_or(OWN_GENES, |_| genes.len() as u32);
+            genes.extend(allele.genes.map(pack_genes));
+            [allele.row, at]
+        };
+        let places: Vec<[u32; 2]> = alleles.iter().map(place).collect();
+        let holders: Vec<Holders> = alleles.iter().map(|allele| allele.holders.to_le()).collect();
+        let of_window = |window: &RowWindow| {
+            let until = |row: u64| alleles.partition_point(|allele| u64::from(allele.row) < row) as u32;
+            let [first, end] = [window.first, window.first + window.count].map(until);
+            Ok((window_uniform(engine, window.range(), [first, end - first])?, u64::from(end - first)))
+        };
+        Ok(Some(Self {
+            individuals: individuals.len() as u32,
+            alleles: alleles.len() as u32,
+            places: engine.upload("rows of alleles", &places)?,
+            genes: engine.upload("genes of alleles", &genes)?,
+            holders: engine.upload("holders of alleles", &holders)?,
+            windows: state.windows.iter().map(of_window).collect::<Result<_, BackendError>>()?,
+        }))
+    }
+}
+
+impl Pool {
+    /// Stage `project` of the alleles.
+    fn record_project(&self, recorder: &mut Recorder, state: &State, lists: &Lists) {
+        recorder.stage("score_project");
+        for (window, (uniform, count)) in state.windows.iter().zip(&self.windows) {
+            let parts = [
+                lists.view.all(),
+                uniform.all(),
+                state.cloud.geometry.at(window),
+                state.cloud.sh.at(window),
+                self.places.all(),
+                self.genes.all(),
+                lists.splats.all(),
+                lists.depths.all(),
+                lists.tile_counts.all(),
+                lists.flags.all(),
+            ];
+            recorder.run(&shaders::PROJECT_ALLELES, &parts, Grid::Items(*count));
+        }
+    }
+}
+
+impl GpuBackend {
+    /// Losses `[P, V]`.
+    pub(crate) fn score_population(
+        &mut self,
+        population: &[SparseDelta],
+        views: &[usize],
+        settings: &RenderSettings,
+    ) -> Result<Vec<f32>, BackendError> {
+        let bytes = |&view: &usize| self.pass_of(view, settings).image_bytes();
+        let largest = views.iter().map(bytes).max().unwrap_or(1);
+        let fitting = PICTURE_BYTES.min(self.engine.binding_bytes) / largest.max(1);
+        let each = individuals_of_a_pool(population.len(), fitting as usize);
+        let mut losses = Vec::with_capacity(population.len() * views.len());
+        for individuals in population.chunks(each) {
+            self.score_pool(individuals, views, settings, &mut losses)?;
+        }
+        Ok(losses)
+    }
+
+    /// Appends the losses of some individuals, in two pools where one does not fit.
+    fn score_pool(
+        &mut self,
+        individuals: &[SparseDelta],
+        views: &[usize],
+        settings: &RenderSettings,
+        losses: &mut Vec<f32>,
+    ) -> Result<(), BackendError> {
+        let is_full = |error: &BackendError| matches!(error, BackendError::OutOfMemory { .. });
+        loop {
+            match self.losses_of_one_pool(individuals, views, settings) {
+                Ok(Some(found)) => {
+                    losses.extend(found);
+                    return Ok(());
+                }
+                // Steps and blends may hold what a pool needs.
+                Err(error) if is_full(&error) && self.release_step_buffers()? => {}
+                Err(error) if individuals.len() == 1 || !is_full(&error) => return Err(error),
+                _ => break,
+            }
+        }
+        // All that was made for it is larger than what half of it needs.
+        self.pool_buffers.release();
+        self.engine.wait()?;
+        let (first, second) = individuals.split_at(individuals.len() / 2);
+        self.score_pool(first, views, settings, losses)?;
+        self.score_pool(second, views, settings, losses)
+    }
+
+    /// Losses `[P, V]` of some individuals, if their alleles can be seen at once; those of one always can, since what
+    /// one holds is no more than the cloud.
+    fn losses_of_one_pool(
+        &mut self,
+        individuals: &[SparseDelta],
+        views: &[usize],
+        settings: &RenderSettings,
+    ) -> Result<Option<Vec<f32>>, BackendError> {
+        let visible = self.engine.binding_bytes / (4 * u64::from(SPLAT_FLOATS));
+        let most = if individuals.len() == 1 { u64::MAX } else { visible };
+        let pool = Pool::upload(&self.engine, &self.state, individuals, most)?;
+        pool.map(|pool| self.losses_of_pool(&pool, views, settings)).transpose()
+    }
+
+    /// Losses `[P, V]` of a pool.
+    fn losses_of_pool(
+        &mut self,
+        pool: &Pool,
+        views: &[usize],
+        settings: &RenderSettings,
+    ) -> Result<Vec<f32>, BackendError> {
+        let count = u64::from(pool.individuals) * views.len() as u64;
+        let losses = self.engine.allocate("losses", 8 * count)?;
+        let (_, values): (_, Vec<[f32; 2]>) =
+            self.until_lists_fit_and(ListsOf::Alleles, Some((&losses, count)), |gpu| {
+                views.iter().enumerate().try_for_each(|(index, &view)| {
+                    gpu.submit_pool(pool, view, settings, [index, views.len()], &losses)
+                })
+            })?;
+        Ok(values.into_iter().map(|[loss, _]| loss).collect())
+    }
+
+    /// Losses of a pool on one view.
+    fn submit_pool(
+        &mut self,
+        pool: &Pool,
+        view: usize,
+        settings: &RenderSettings,
+        [view_index, views]: [usize; 2],
+        losses: &Memory,
+    ) -> Result<(), BackendError> {
+        let layers = pool.individuals;
+        let pass = ViewPass { rows: pool.alleles, layers, ..self.pass_of(view, settings) };
+        self.pool_buffers.reserve(&self.engine, &pass)?;
+        let place = window_uniform(&self.engine, [0, layers], [view_index as u32, views as u32])?;
+        let (state, PoolBuffers { lists, images, sums, unused, .. }) = (&self.state, &self.pool_buffers);
+        lists.begin(&self.engine, &pass);
+
+        let mut recorder = Recorder::new(&self.engine, self.timestamps.as_mut());
+        pool.record_project(&mut recorder, state, lists);
+        lists.record_bin(&mut recorder, &pass);
+
+        recorder.stage("score_rasterise");
+        let (intersections, splats) = (lists.sorted_intersections(&pass), &lists.intersection_splats);
+        let parts = [&lists.view, &lists.ranges, intersections, splats, &lists.splats, &pool.holders, images];
+        let grid = pass.tile_grid(layers.div_ceil(SLOTS));
+        recorder.run(&shaders::RASTERISE_INDIVIDUALS, &parts.map(Memory::all), grid);
+
+        recorder.stage("score_loss");
+        let photo = &self.views[view].photo;
+        let [by_mean, by_square, by_product] = unused;
+        let parts = [&lists.view, images, photo, by_mean, by_square, by_product, sums].map(Memory::all);
+        recorder.run_with(&shaders::LOSS, &[("FORWARD_ONLY", 1)], &parts, pass.tile_grid(3 * layers));
+        let parts = [&lists.view, &place, sums, losses].map(Memory::all);
+        recorder.run(&shaders::VIEW_LOSSES, &parts, Grid::Exact([layers, 1, 1]));
+        recorder.submit();
+        Ok(())
+    }
+}
+
+/// How many of a population share a pool, if the pictures of so many fit: as many pools as are needed, of as many as
+/// whole workgroups render where one fits.
+fn individuals_of_a_pool(population: usize, fitting: usize) -> usize {
+    let slots = SLOTS as usize;
+    let fitting = fitting.clamp(1, Holders::BITS as usize);
+    let most = if fitting < slots { fitting } else { fitting / slots * slots };
+    let each = population.div_ceil(population.div_ceil(most).max(1)).max(1);
+    if most < slots { each } else { each.next_multiple_of(slots) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::individuals_of_a_pool;
+
+    #[test]
+    fn pools_fit_and_fill_workgroups() {
+        let each = |population, fitting| individuals_of_a_pool(population, fitting);
+        assert_eq!([each(100, 1000), each(100, 50), each(100, 20), each(100, 9)], [112, 48, 16, 9]);
+        assert_eq!([each(300, 1000), each(12, 1000), each(20, 9)], [112, 16, 7]);
+        assert_eq!([each(100, 0), each(0, 1000)], [1, 16]);
+    }
+}

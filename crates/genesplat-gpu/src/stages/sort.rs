@@ -1,0 +1,192 @@
+//! Prefix sums and the radix sort, over lengths that only the device knows.
+
+use genesplat_core::BackendError;
+
+use crate::device::engine::Engine;
+use crate::device::memory::Memory;
+use crate::device::recorder::{Grid, Recorder};
+use crate::device::shaders;
+use crate::state::layout::{DIGITS, GRIDS, LENGTHS, SCAN_BLOCK, SORT_BLOCK};
+
+/// Bits that one pass of the radix sort sorts by.
+pub(crate) const DIGIT_BITS: u32 = DIGITS.ilog2();
+
+/// What is sorted, and what that needs.
+pub(crate) struct Sorter {
+    /// How much there is of what only the device counts: a slot for each `LENGTH_` constant.
+    pub(super) lengths: Memory,
+    /// Grids of these lengths: a slot for each `GRID_` constant.
+    pub(super) grids: Memory,
+    pub(super) keys: [Memory; 2],
+    pub(super) values: [Memory; 2],
+    /// Sums of the blocks of a prefix sum, and the total after them.
+    pub(super) sums: Memory,
+    /// Of each block, then where these begin `[256, blocks]`.
+    digit_counts: Memory,
+    /// `[256]`
+    digit_totals: Memory,
+}
+
+impl Sorter {
+    /// Empty buffers.
+    pub(super) fn new(engine: &Engine) -> Result<Self, BackendError> {
+        let empty = |purpose| engine.allocate(purpose, 0);
+        Ok(Self {
+            lengths: engine.allocate("lengths", 4 * u64::from(LENGTHS))?,
+            grids: engine.allocate("grids", 12 * u64::from(GRIDS))?,
+            keys: [empty("sort keys")?, empty("sort keys")?],
+            values: [empty("sort values")?, empty("sort values")?],
+            sums: empty("sums of a prefix sum")?,
+            digit_counts: empty("digit counts")?,
+            digit_totals: engine.allocate("digit totals", 4 * u64::from(DIGITS))?,
+        })
+    }
+
+    /// Frees all that grows until it is reserved anew.
+    pub(super) fn release(&mut self) {
+        let single = [&mut self.sums, &mut self.digit_counts];
+        single.into_iter().chain(&mut self.keys).chain(&mut self.values).for_each(Memory::release);
+    }
+
+    /// Memory for prefix sums of so many numbers, and for sorting so many keys.
+    pub(super) fn reserve(&mut self, engine: &Engine, summed: u64, sorted: u64) -> Result<(), BackendError> {
+        for memory in self.keys.iter_mut().chain(&mut self.values) {
+            engine.reserve(memory, 4 * sorted)?;
+        }
+        let blocks = sorted.div_ceil(SORT_BLOCK.into());
+        engine.reserve(&mut self.digit_counts, 4 * u64::from(DIGITS) * blocks)?;
+        // One more, for the total.
+        engine.reserve(&mut self.sums, 4 * (summed.div_ceil(SCAN_BLOCK.into()) + 1))
+    }
+
+    /// Exclusive prefix sum; the total is left after the last block in `sums`.
+    pub(super) fn scan(
+        &self,
+        recorder: &mut Recorder,
+        length: u32,
+        grid: Grid,
+        input: &Memory,
+        output: &Memory,
+    ) {
+        let overrides = [("LENGTH", length)];
+        let [lengths, sums, input, output] = [&self.lengths, &self.sums, input, output].map(Memory::all);
+        recorder.run_with(&shaders::SCAN_SUMS, &overrides, &[lengths, input, sums], grid);
+        recorder.run_with(&shaders::SCAN_BLOCKS, &overrides, &[lengths, sums], Grid::Groups(1));
+        recorder.run_with(&shaders::SCAN_APPLY, &overrides, &[lengths, input, sums, output], grid);
+    }
+
+    /// Stable radix sort of `keys[first]` and `values[first]` by the lowest `bits`; returns where the result is. With
+    /// `count_up`, the values are the places that keys had before.
+    pub(super) fn sort(
+        &self,
+        recorder: &mut Recorder,
+        length: u32,
+        blocks: u32,
+        bits: u32,
+        first: usize,
+        count_up: bool,
+    ) -> usize {
+        let mut from = first;
+        for pass in 0..bits.div_ceil(DIGIT_BITS) {
+            let (to, grid) = (1 - from, Grid::Device(&self.grids, blocks));
+            let [length, shift] = [("LENGTH", length), ("SHIFT", pass * DIGIT_BITS)];
+            let count_up = ("COUNT_UP", u32::from(count_up && pass == 0));
+            let [lengths, digit_counts, digit_totals, keys] =
+                [&self.lengths, &self.digit_counts, &self.digit_totals, &self.keys[from]].map(Memory::all);
+            let [values, keys_out, values_out] =
+                [&self.values[from], &self.keys[to], &self.values[to]].map(Memory::all);
+            let parts = [lengths, keys, digit_counts];
+            recorder.run_with(&shaders::RADIX_COUNT, &[length, shift], &parts, grid);
+            let parts = [lengths, digit_counts, digit_totals];
+            recorder.run_with(&shaders::DIGIT_SCAN, &[length], &parts, Grid::Exact([DIGITS, 1, 1]));
+            let parts = [lengths, digit_counts, digit_totals, keys, values, keys_out, values_out];
+            recorder.run_with(&shaders::RADIX_SCATTER, &[length, shift, count_up], &parts, grid);
+            from = to;
+        }
+        from
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::state::layout::{GRID_DEPTH_SORT, GRID_WIDTH, LENGTH_ROWS, LENGTH_VISIBLE};
+    use crate::tests::engines;
+
+    /// Memory for so many numbers or keys.
+    fn sorter_of(engine: &Engine, count: u64) -> Sorter {
+        let mut sorter = Sorter::new(engine).unwrap();
+        sorter.reserve(engine, count, count).unwrap();
+        sorter
+    }
+
+    /// Sum of `counts` by the device's prefix sum.
+    fn total(engine: &Engine, counts: &[u32]) -> u32 {
+        let count = counts.len() as u64;
+        let sorter = sorter_of(engine, count);
+        let input = engine.upload("counts", counts).unwrap();
+        let output = engine.allocate("offsets", 4 * count).unwrap();
+        engine.write(&sorter.lengths, 4 * u64::from(LENGTH_ROWS), &[counts.len() as u32]);
+        let mut recorder = Recorder::new(engine, None);
+        let blocks = count.div_ceil(SCAN_BLOCK.into());
+        sorter.scan(&mut recorder, LENGTH_ROWS, Grid::Groups(blocks), &input, &output);
+        recorder.submit();
+        let sums: Vec<u32> = engine.read_values(&sorter.sums, blocks + 1).unwrap();
+        sums[blocks as usize]
+    }
+
+    /// Within a group, within a block, and over many blocks.
+    #[test]
+    fn a_total_beyond_32_bits_is_the_largest_number() {
+        for engine in engines() {
+            assert_eq!(total(&engine, &[]), 0);
+            assert_eq!(total(&engine, &[1 << 31, (1 << 31) - 2]), u32::MAX - 1);
+            assert_eq!(total(&engine, &[1 << 30; 4]), u32::MAX);
+            assert_eq!(total(&engine, &[1 << 22; SCAN_BLOCK as usize]), u32::MAX);
+            let many = 600 * SCAN_BLOCK as usize - 5;
+            assert_eq!(total(&engine, &vec![3; many]), 3 * many as u32);
+            assert_eq!(total(&engine, &vec![5_000; many]), u32::MAX);
+        }
+    }
+
+    /// Keys and values after a sort by the lowest `bits`.
+    fn sorted(engine: &Engine, keys: &[u32], bits: u32, count_up: bool) -> (Vec<u32>, Vec<u32>) {
+        let count = keys.len() as u64;
+        let sorter = sorter_of(engine, count);
+        engine.write(&sorter.keys[0], 0, keys);
+        let values: Vec<u32> = (0..keys.len() as u32).map(|place| 7 * place).collect();
+        engine.write(&sorter.values[0], 0, &values);
+        engine.write(&sorter.lengths, 4 * u64::from(LENGTH_VISIBLE), &[keys.len() as u32]);
+        let blocks = count.div_ceil(SORT_BLOCK.into()) as u32;
+        let grid = [blocks.min(GRID_WIDTH), blocks.div_ceil(GRID_WIDTH), 1];
+        engine.write(&sorter.grids, 12 * u64::from(GRID_DEPTH_SORT), &grid);
+        let mut recorder = Recorder::new(engine, None);
+        let at = sorter.sort(&mut recorder, LENGTH_VISIBLE, GRID_DEPTH_SORT, bits, 0, count_up);
+        recorder.submit();
+        let read = |memory| engine.read_values(memory, count).unwrap();
+        (read(&sorter.keys[at]), read(&sorter.values[at]))
+    }
+
+    /// From none to more blocks than a workgroup has invocations, the last of them short.
+    #[test]
+    fn a_sort_is_stable_for_any_number_of_keys() {
+        let engines = engines();
+        let block = SORT_BLOCK as usize;
+        for count in [0, 1, block, block + 1, 260 * block + 17] {
+            for (bits, count_up) in [(32, false), (13, true), (3, true)] {
+                // Many are equal, and all digits occur.
+                let key = |place: u32| (place / 3).wrapping_mul(0x9e37_79b9) >> (32 - bits);
+                let keys: Vec<u32> = (0..count as u32).rev().map(key).collect();
+                let mut places: Vec<u32> = (0..count as u32).collect();
+                places.sort_by_key(|&place| keys[place as usize]);
+                let expected: Vec<u32> = places.iter().map(|&place| keys[place as usize]).collect();
+                let value = if count_up { 1 } else { 7 };
+                let values: Vec<u32> = places.iter().map(|place| value * place).collect();
+                for engine in &engines {
+                    let (sorted_keys, sorted_values) = sorted(engine, &keys, bits, count_up);
+                    assert!(sorted_keys == expected && sorted_values == values, "{count}, {bits} bits");
+                }
+            }
+        }
+    }
+}

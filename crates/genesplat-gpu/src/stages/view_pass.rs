@@ -1,0 +1,129 @@
+//! From cameras, settings and learning rates to what kernels read.
+
+use genesplat_core::backend::{McmcStep, Update};
+use genesplat_core::constants::{ADAM_BETA1, ADAM_BETA2, JACOBIAN_LIMIT};
+use genesplat_core::{Camera, DensitySignal, RenderSettings, ScreenFilter, StatisticsRequest};
+
+use crate::device::recorder::Grid;
+use crate::state::layout::{
+    FILTER_ANTIALIASED, FILTER_CLASSIC, FILTER_MIP, Optimiser, SIGNAL_ABSOLUTE, SIGNAL_BOTH, SIGNAL_NONE,
+    SIGNAL_PIXELS, SIGNAL_SIGNED, TILE, ViewPass,
+};
+
+impl ViewPass {
+    /// A cloud of `rows` rows as `camera` sees it.
+    pub(crate) fn new(camera: &Camera, settings: &RenderSettings, rows: u64) -> Self {
+        let rotation = camera.rotation();
+        let translation = camera.camera_from_world_translation.to_array();
+        let row = |index: usize| {
+            let [x, y, z] = rotation.row(index).to_array().map(|value| value as f32);
+            [x, y, z, translation[index] as f32]
+        };
+        let [cx, cy, cz] = camera.centre_in_world().to_array().map(|value| value as f32);
+        let limit = camera.tan_half_fov().map(|tan| (f64::from(JACOBIAN_LIMIT) * tan) as f32);
+        let [red, green, blue] = settings.background;
+        Self {
+            camera_x: row(0),
+            camera_y: row(1),
+            camera_z: row(2),
+            centre: [cx, cy, cz, 0.0],
+            background: [red, green, blue, 0.0],
+            focal_x: camera.focal_px[0] as f32,
+            focal_y: camera.focal_px[1] as f32,
+            axis_x: (camera.principal_px[0] - 0.5) as f32,
+            axis_y: (camera.principal_px[1] - 0.5) as f32,
+            limit_x: limit[0],
+            limit_y: limit[1],
+            dilation: settings.filter.dilation(),
+            width: camera.width,
+            height: camera.height,
+            tiles_x: camera.width.div_ceil(TILE),
+            tiles_y: camera.height.div_ceil(TILE),
+            rows: rows as u32,
+            sh_degree: settings.sh_degree.into(),
+            filter_kind: match settings.filter {
+                ScreenFilter::Classic => FILTER_CLASSIC,
+                ScreenFilter::Antialiased => FILTER_ANTIALIASED,
+                ScreenFilter::Mip => FILTER_MIP,
+            },
+            layers: 1,
+            ..Self::default()
+        }
+    }
+
+    /// The same, with what a step accumulates.
+    pub(crate) fn with_statistics(self, request: StatisticsRequest) -> Self {
+        let (signal, depth_threshold) = match request.density {
+            None => (SIGNAL_NONE, 1.0),
+            Some(DensitySignal::Signed) => (SIGNAL_SIGNED, 1.0),
+            Some(DensitySignal::Absolute) => (SIGNAL_ABSOLUTE, 1.0),
+            Some(DensitySignal::SignedAndAbsolute) => (SIGNAL_BOTH, 1.0),
+            Some(DensitySignal::PixelWeighted { depth_threshold }) => (SIGNAL_PIXELS, depth_threshold),
+        };
+        Self { signal, depth_threshold, ..self }
+    }
+
+    /// Tiles of the view.
+    pub(crate) fn tiles(&self) -> u64 {
+        u64::from(self.tiles_x) * u64::from(self.tiles_y)
+    }
+
+    /// Bytes of a render.
+    pub(crate) fn image_bytes(&self) -> u64 {
+        12 * u64::from(self.width) * u64::from(self.height)
+    }
+
+    /// Bytes of the sums of the loss, for all layers.
+    pub(crate) fn loss_sum_bytes(&self) -> u64 {
+        48 * self.tiles() * u64::from(self.layers)
+    }
+
+    /// One workgroup a tile, in so many layers.
+    pub(crate) fn tile_grid(&self, layers: u32) -> Grid<'static> {
+        Grid::Exact([self.tiles_x, self.tiles_y, layers])
+    }
+}
+
+impl Optimiser {
+    /// One optimiser step.
+    pub(crate) fn new(update: &Update) -> Self {
+        let rates = &update.rates;
+        let [first, root] = corrections(update.step);
+        let [opacity_first, opacity_root] = corrections(update.opacity_step);
+        let rate = |rate: f32| (f64::from(rate) * first) as f32;
+        let optimiser = Self {
+            position: rate(rates.position),
+            scale: rate(rates.scale),
+            rotation: rate(rates.rotation),
+            opacity: (f64::from(rates.opacity) * opacity_first) as f32,
+            sh_dc: rate(rates.sh_dc),
+            sh_rest: rate(rates.sh_rest),
+            root: root as f32,
+            opacity_root: opacity_root as f32,
+            step_opacity: (update.opacity_step > 0).into(),
+            ..Self::default()
+        };
+        let Some(McmcStep { noise_scale, opacity_weight, scale_weight, rng, counter }) = update.mcmc else {
+            return optimiser;
+        };
+        let [key_low, key_high] = rng.key();
+        Self {
+            is_mcmc: 1,
+            noise_scale,
+            opacity_weight,
+            scale_weight,
+            counter,
+            key_low,
+            key_high,
+            ..optimiser
+        }
+    }
+}
+
+/// Adam's bias corrections: `1 / (1 − β1ᵗ)` and `1 / sqrt(1 − β2ᵗ)`.
+fn corrections(step: u32) -> [f64; 2] {
+    let step = step.max(1) as i32;
+    let first = 1.0 - f64::from(ADAM_BETA1).powi(step);
+    let second = 1.0 - f64::from(ADAM_BETA2).powi(step);
+    [1.0 / first, 1.0 / second.sqrt()]
+}

@@ -1,0 +1,218 @@
+//! What evolution asks of the backend: scores, contributions, and blends of averages.
+
+use genesplat_core::averages::ViewLoss;
+use genesplat_core::{Blend, Contribution, EvolutionBackend, Photo, RowEdit, SparseDelta, View};
+
+use super::verbs::twins_agree;
+use super::*;
+
+#[test]
+fn blends_of_averages_match() {
+    let Some(mut gpu) = gpu() else { return };
+    let settings = settings(1, ScreenFilter::Mip);
+    let blend = |k: usize| Blend { weights: [uniform(k, 0) - 0.3, 1.4 * uniform(k, 10)] };
+    let blends = [Blend::default(), blend(1), blend(2)];
+    let run = |twin: &mut dyn EvolutionBackend| {
+        twin.upload(filtered_cloud(100, ScreenFilter::Mip).into()).unwrap();
+        for number in 1..=4 {
+            twin.train_step(&step(number, settings)).unwrap();
+            twin.average(usize::from(number > 2)).unwrap();
+        }
+        twin.train_step(&step(5, settings)).unwrap();
+    };
+    let mut cpu = cpu();
+    let twins: [&mut dyn EvolutionBackend; 2] = [&mut gpu, &mut cpu];
+    let [actual, expected] = twins.map(|twin| {
+        run(twin);
+        twin.measure(&blends, &[0, 0], &settings).unwrap()
+    });
+    for (actual, expected) in actual.iter().zip(&expected) {
+        let numbers = |view: &ViewLoss| [view.loss, view.squared_error];
+        compare("score", "losses of a blend", numbers(actual), numbers(expected)).unwrap();
+    }
+    let state = gpu.state().unwrap();
+    assert_eq!(state.averages.states(), [2, 2]);
+    gpu.upload(state.clone()).unwrap();
+    assert!(gpu.state().unwrap() == state, "all of it comes back");
+    twins_agree("adam", &mut gpu, |twin| {
+        run(twin);
+        twin.blend(&blends[1]).unwrap();
+        assert_eq!(twin.state().unwrap().averages.states(), [0; 2], "the averages are emptied");
+    });
+    // Averages of one half.
+    twins_agree("adam", &mut gpu, |twin| {
+        run(twin);
+        twin.edit_rows(&RowEdit::keep((0..100).collect())).unwrap();
+        assert_eq!(twin.state().unwrap().averages.states(), [0; 2], "a change of rows empties them, too");
+        twin.average(1).unwrap();
+        twin.train_step(&step(6, settings)).unwrap();
+        twin.blend(&blends[2]).unwrap();
+    });
+}
+
+/// Six individuals and their twins: more than a workgroup has slots for, and alleles that several hold.
+#[test]
+fn scores_match() {
+    let Some(mut gpu) = gpu() else { return };
+    let views = [view(), small_view()];
+    for filter in filters() {
+        let base = filtered_cloud(500, filter);
+        let population: Vec<SparseDelta> = (0..121).map(|index| individual_of(&base, index % 6)).collect();
+        let mut cpu = cpu();
+        let twins: [&mut dyn EvolutionBackend; 2] = [&mut gpu, &mut cpu];
+        let [actual, expected] = twins.map(|twin| {
+            twin.set_views(&views).unwrap();
+            twin.upload(base.clone().into()).unwrap();
+            twin.score(&population, &[0, 1, 0], &settings(3, filter)).unwrap()
+        });
+        assert!(expected.windows(2).any(|pair| pair[0] != pair[1]), "individuals differ");
+        assert_eq!(actual.len(), expected.len());
+        for (actual, expected) in actual.iter().zip(&expected) {
+            compare("score", &format!("{filter:?}"), [*actual], [*expected]).unwrap();
+        }
+    }
+}
+
+/// A hundred individuals on six views, blends on as many, and contributions: the host waits once for each.
+#[test]
+fn a_generation_is_read_back_once() {
+    let Some(mut gpu) = gpu() else { return };
+    let (base, settings) = (cloud(300), settings(1, ScreenFilter::Classic));
+    let population: Vec<SparseDelta> = (0..100).map(|index| individual_of(&base, index % 6)).collect();
+    let views = [0; 6];
+    gpu.upload(base.into()).unwrap();
+    gpu.average(0).unwrap();
+    let mut waits = |verb: &dyn Fn(&mut GpuBackend)| {
+        // The first time, buffers grow.
+        verb(&mut gpu);
+        let before = gpu.engine.waits.get();
+        verb(&mut gpu);
+        gpu.engine.waits.get() - before
+    };
+    assert_eq!(waits(&|gpu| drop(gpu.score(&population, &views, &settings).unwrap())), 1);
+    assert_eq!(waits(&|gpu| drop(gpu.measure(&[Blend::default(); 2], &views, &settings).unwrap())), 1);
+    assert_eq!(waits(&|gpu| drop(gpu.contributions(&views, &settings).unwrap())), 1);
+}
+
+/// More sums of tiles than a workgroup takes in one round.
+#[test]
+fn losses_of_large_pictures_match() {
+    let Some(mut gpu) = gpu() else { return };
+    let (width, height) = (330, 320);
+    let rgb = (0..3 * width * height).map(|i| (i % 251) as u8).collect();
+    let photo = Photo { width, height, rgb }.into();
+    let large = View { name: "large".into(), camera: camera().resized(width, height), photo };
+    let (mut cpu, settings) = (cpu(), settings(1, ScreenFilter::Classic));
+    for twin in [&mut gpu as &mut dyn EvolutionBackend, &mut cpu] {
+        twin.set_views(std::slice::from_ref(&large)).unwrap();
+        twin.upload(cloud(200).into()).unwrap();
+    }
+    let expected = cpu.loss_of_view(0, &settings);
+    compare("loss", "of a view", [gpu.losses_of_view(0, &settings, 2).unwrap()[1]], [expected]).unwrap();
+    let score = gpu.score(&[SparseDelta::default()], &[0], &settings).unwrap();
+    compare("score", "of the base", score, [expected]).unwrap();
+}
+
+/// Hundreds of splats in one tile, so that a list is loaded several times, and pixels are finished on the way.
+#[test]
+fn scores_of_crowded_tiles_match() {
+    let Some(engine) = engine() else { return };
+    let mut gpu = GpuBackend::on(engine.with_window_rows(256)).unwrap();
+    gpu.set_views(&[view()]).unwrap();
+    // Fourteen in sixteen slots.
+    let individuals: Vec<usize> = (1..15).collect();
+    // At the end, so faint that no batch finishes a pixel, but above 1/255.
+    for logit in CROWD_LOGITS.into_iter().chain([-5.0]) {
+        compare_scores(&mut gpu, &crowd(logit), &individuals);
+    }
+}
+
+fn compare_scores(gpu: &mut GpuBackend, base: &Gaussians, individuals: &[usize]) {
+    let population: Vec<SparseDelta> = individuals.iter().map(|&index| individual_of(base, index)).collect();
+    let (mut cpu, settings) = (cpu(), settings(1, ScreenFilter::Classic));
+    let [actual, expected] = [gpu as &mut dyn EvolutionBackend, &mut cpu].map(|twin| {
+        twin.upload(base.clone().into()).unwrap();
+        twin.score(&population, &[0], &settings).unwrap()
+    });
+    assert_eq!(actual.len(), expected.len());
+    for (actual, expected) in actual.iter().zip(&expected) {
+        compare("score", &format!("of {}", base.len()), [*actual], [*expected]).unwrap();
+    }
+}
+
+/// Two individuals have too many alleles for a binding, or these too many intersections; one has not.
+#[test]
+fn a_pool_without_memory_is_scored_as_two() {
+    let Some(mut gpu) = gpu() else { return };
+    let mut large = cloud(1000);
+    large.log_scales.iter_mut().for_each(|scale| *scale = [1.0; 3]);
+    gpu.upload(large.clone().into()).unwrap();
+    let count = intersections_of(&mut gpu, 0, settings(1, ScreenFilter::Classic));
+    assert!((16_000..20_000).contains(&count), "{count} intersections, and buffers hold a quarter more");
+    gpu.discard_queued_steps().unwrap();
+
+    // Enough for two pictures, 2083 splats, 25,000 intersections.
+    gpu.engine.binding_bytes = 100_000;
+    compare_scores(&mut gpu, &cloud(1900), &[1, 2, 3]);
+    compare_scores(&mut gpu, &large, &[1, 2, 3]);
+}
+
+fn compare_contributions(
+    what: &str,
+    actual: &[Contribution],
+    expected: &[Contribution],
+) -> Result<(), String> {
+    let weights = |all: &[Contribution]| all.iter().map(|one| one.weight).collect::<Vec<_>>();
+    let errors = |all: &[Contribution]| all.iter().map(|one| one.error).collect::<Vec<_>>();
+    compare("contribution", &format!("weights, {what}"), weights(actual), weights(expected))?;
+    compare("contribution", &format!("errors, {what}"), errors(actual), errors(expected))
+}
+
+/// Intersections of splats with tiles in a view.
+fn intersections_of(gpu: &mut GpuBackend, view: usize, settings: RenderSettings) -> u64 {
+    gpu.train_step(&TrainStep { view, update: None, ..step(1, settings) }).unwrap();
+    gpu.report().unwrap().intersections as u64
+}
+
+/// The lists of the second view do not fit at first, when the first has been added; rows are in four windows.
+#[test]
+fn contributions_match() {
+    let Some(engine) = engine() else { return };
+    let mut gpu = GpuBackend::on(engine.with_window_rows(128)).unwrap();
+    let mut cpu = cpu();
+    for filter in filters() {
+        let settings = settings(3, filter);
+        for twin in [&mut gpu as &mut dyn EvolutionBackend, &mut cpu] {
+            twin.set_views(&[view(), small_view()]).unwrap();
+            twin.upload(filtered_cloud(400, filter).into()).unwrap();
+        }
+        let [large, small] = [0, 1].map(|view| intersections_of(&mut gpu, view, settings));
+        assert!(small < large, "{small} and {large}");
+        gpu.discard_queued_steps().unwrap();
+        gpu.set_intersection_capacity(small);
+        let [actual, expected] = [&mut gpu as &mut dyn EvolutionBackend, &mut cpu]
+            .map(|twin| twin.contributions(&[1, 0, 1], &settings).unwrap());
+        assert!(gpu.lists.capacity >= large);
+        compare_contributions(&format!("{filter:?}"), &actual, &expected).unwrap();
+    }
+    gpu.upload(Gaussians::default().into()).unwrap();
+    assert!(gpu.contributions(&[0], &settings(0, ScreenFilter::Classic)).unwrap().is_empty());
+}
+
+/// Contributions are those of the cloud after all steps, also of those that an overflow has stopped.
+#[test]
+fn contributions_are_of_the_cloud_after_queued_steps() {
+    let Some(mut gpu) = gpu() else { return };
+    let settings = settings(2, ScreenFilter::Classic);
+    gpu.set_intersection_capacity(50);
+    gpu.upload(cloud(300).into()).unwrap();
+    let before = gpu.contributions(&[0], &settings).unwrap();
+    gpu.set_intersection_capacity(50);
+    gpu.discard_queued_steps().unwrap();
+    (1..=3).for_each(|number| gpu.train_step(&step(number, settings)).unwrap());
+    let queued = gpu.contributions(&[0], &settings).unwrap();
+    gpu.report().unwrap();
+    assert_eq!(queued, gpu.contributions(&[0], &settings).unwrap());
+    assert_ne!(queued, before);
+    assert_eq!(gpu.contributions(&[], &settings).unwrap(), [Contribution::default(); 300]);
+}

@@ -1,0 +1,216 @@
+//! What happens when there is too little memory: in a binding, in the lists of a view, on its way to the device, or on
+//! it.
+
+use genesplat_core::backend::MomentPolicy;
+use genesplat_core::{BackendError, Blend, EvolutionBackend, Origin, RowEdit, SparseDelta};
+
+use super::verbs::{change_rows, make_twins, ten_steps, twins_agree};
+use super::*;
+
+/// Columns in three windows.
+#[test]
+fn columns_that_no_binding_can_hold_are_split() {
+    let Some(engine) = engine() else { return };
+    let mut gpu = GpuBackend::on(engine.with_window_rows(128)).unwrap();
+    gpu.set_views(&[view()]).unwrap();
+    twins_agree("adam", &mut gpu, |twin| ten_steps(twin, None));
+    assert_eq!(gpu.state.windows.len(), 3);
+    twins_agree("edit", &mut gpu, change_rows);
+    assert_eq!(gpu.state.windows.len(), 3);
+    twins_agree("edit", &mut gpu, make_twins);
+}
+
+/// Too small buffers for the tile lists, at the first step and again in the middle: nothing is lost.
+#[test]
+fn an_overflow_grows_and_runs_again() {
+    let Some(mut gpu) = gpu() else { return };
+    gpu.set_intersection_capacity(50);
+    twins_agree("adam", &mut gpu, |twin| ten_steps(twin, None));
+    let wanted = gpu.report().unwrap().intersections as u64;
+    assert!(wanted > 50 && gpu.lists.capacity >= wanted, "{wanted}, and {} fit", gpu.lists.capacity);
+
+    let Some(engine) = engine() else { return };
+    let mut fresh = GpuBackend::on(engine).unwrap();
+    fresh.set_intersection_capacity(50);
+    fresh.upload(cloud(300).into()).unwrap();
+    let mut cpu = cpu();
+    cpu.upload(cloud(300).into()).unwrap();
+    let settings = settings(2, ScreenFilter::Classic);
+    let (image, expected) =
+        (fresh.render(&camera(), &settings).unwrap(), cpu.render(&camera(), &settings).unwrap());
+    compare("rasterise", "after an overflow", image.planes, expected.planes).unwrap();
+}
+
+#[test]
+fn lists_beyond_any_binding_are_one_sentence() {
+    let Some(mut gpu) = gpu() else { return };
+    gpu.upload(cloud(300).into()).unwrap();
+    gpu.set_intersection_capacity(50);
+    gpu.engine.binding_bytes = 64 * 300;
+    let error = gpu.render(&camera(), &settings(0, ScreenFilter::Classic)).unwrap_err();
+    assert!(matches!(error, BackendError::OutOfMemory { .. }), "{error}");
+    assert!(error.to_string().contains("--max-side"), "{error}");
+}
+
+/// More is written than may wait to be copied, in single columns, too.
+#[test]
+fn what_is_written_never_piles_up() {
+    let Some(mut gpu) = gpu() else { return };
+    gpu.engine.usage.written_bytes_max = 1 << 10;
+    let views = [view(), small_view(), view()];
+    gpu.set_views(&views).unwrap();
+    assert!(gpu.engine.usage.written.get() <= 1 << 10);
+    let cloud = cloud(300);
+    gpu.upload(cloud.clone().into()).unwrap();
+    assert!(gpu.engine.usage.written.get() <= 1 << 10);
+    assert_eq!(*gpu.download().unwrap(), cloud);
+    let settings = settings(2, ScreenFilter::Classic);
+    let mut cpu = cpu();
+    cpu.set_views(&views).unwrap();
+    cpu.upload(cloud.into()).unwrap();
+    for view in 0..3 {
+        let expected = cpu.loss_of_view(view, &settings);
+        compare("loss", "of a view", [gpu.losses_of_view(view, &settings, 1).unwrap()[0]], [expected])
+            .unwrap();
+    }
+}
+
+#[test]
+fn a_lost_device_is_one_sentence() {
+    let Some(mut gpu) = gpu() else { return };
+    gpu.upload(cloud(50).into()).unwrap();
+    gpu.engine.device.destroy();
+    let step = step(1, settings(0, ScreenFilter::Classic));
+    let error = gpu.train_step(&step).and_then(|()| gpu.report()).unwrap_err();
+    assert!(matches!(error, BackendError::DeviceLost { .. }), "{error}");
+    let sentence = error.to_string();
+    assert!(sentence.contains("--device cpu") && !sentence.contains('\n'), "{sentence}");
+}
+
+/// From no memory at all to enough of it: an edit is done in full or not at all, and the device lives on.
+#[test]
+fn an_edit_that_finds_no_memory_changes_nothing() {
+    let Some(engine) = engine() else { return };
+    let mut gpu = GpuBackend::on(engine.with_window_rows(128)).unwrap();
+    gpu.set_views(&[view()]).unwrap();
+    gpu.upload(cloud(300).into()).unwrap();
+    gpu.train_step(&step(1, settings(2, ScreenFilter::Classic))).unwrap();
+    gpu.average(0).unwrap();
+    let before = gpu.state().unwrap();
+    let mut edit = RowEdit { iteration: 600, ..RowEdit::keep((0..300).collect()) };
+    (0..200).for_each(|row| edit.push(row, Origin::Clone));
+
+    gpu.discard_queued_steps().unwrap();
+    let (least, mut failures) = (gpu.allocated_bytes(), 0);
+    for bytes in (0..).step_by(20_000) {
+        gpu.engine.usage.limit_bytes = least + bytes;
+        match gpu.edit_rows(&edit) {
+            Ok(()) => break,
+            Err(error) => assert!(matches!(error, BackendError::OutOfMemory { .. }), "{error}"),
+        }
+        failures += 1;
+        gpu.engine.usage.limit_bytes = u64::MAX;
+        assert!(gpu.state().unwrap() == before, "{bytes} bytes");
+    }
+    assert!(failures > 10, "it failed at every column: {failures} times");
+    assert_eq!(gpu.gaussian_count(), 500);
+    gpu.engine.usage.limit_bytes = u64::MAX;
+    assert_eq!(gpu.download().unwrap().positions[300..], before.cloud.positions[..200]);
+}
+
+/// Buffers of steps make way for rows.
+#[test]
+fn an_edit_takes_the_memory_that_steps_can_do_without() {
+    let Some(mut gpu) = gpu() else { return };
+    gpu.upload(cloud(300).into()).unwrap();
+    gpu.train_step(&step(1, settings(2, ScreenFilter::Classic))).unwrap();
+    gpu.report().unwrap();
+    gpu.engine.usage.limit_bytes = gpu.allocated_bytes();
+    gpu.edit_rows(&RowEdit::keep((0..300).collect())).unwrap();
+    gpu.engine.usage.limit_bytes = u64::MAX;
+    let classic = settings(2, ScreenFilter::Classic);
+    let use_all = |gpu: &mut GpuBackend, verb: usize| match verb {
+        0 => drop(gpu.train_step(&step(2, classic)).and_then(|()| gpu.report()).unwrap()),
+        1 => drop(gpu.score(&[SparseDelta::default()], &[0], &classic).unwrap()),
+        2 => drop(gpu.measure(&[Blend::default()], &[0], &classic).unwrap()),
+        3 => drop(gpu.losses_of_view(0, &classic, 1).unwrap()),
+        4 => drop(gpu.contributions(&[0], &classic).unwrap()),
+        _ => drop(gpu.render(&camera(), &classic).unwrap()),
+    };
+    // Whatever comes first finds nothing, and reserves what it needs.
+    for verb in 0..6 {
+        use_all(&mut gpu, verb);
+        gpu.discard_queued_steps().unwrap();
+    }
+}
+
+/// Memory for steps, or for scores, or for a blend, but not for two of them: none keeps what another one needs.
+#[test]
+fn steps_scores_and_blends_take_turns() {
+    let Some(mut gpu) = gpu() else { return };
+    gpu.upload(cloud(300).into()).unwrap();
+    let classic = settings(2, ScreenFilter::Classic);
+    let population: Vec<SparseDelta> = (1..9).map(|index| individual_of(&cloud(300), index)).collect();
+    let verbs: [&dyn Fn(&mut GpuBackend); 3] = [
+        &|gpu| gpu.train_step(&step(1, classic)).and_then(|()| gpu.report()).map(|_| ()).unwrap(),
+        &|gpu| drop(gpu.score(&population, &[0], &classic).unwrap()),
+        &|gpu| drop(gpu.measure(&[Blend::default()], &[0], &classic).unwrap()),
+    ];
+    gpu.discard_queued_steps().unwrap();
+    let rows = gpu.allocated_bytes();
+    let alone = verbs.map(|verb| {
+        gpu.discard_queued_steps().unwrap();
+        verb(&mut gpu);
+        gpu.allocated_bytes() - rows
+    });
+    let [least, _, most] = {
+        let mut sorted = alone;
+        sorted.sort_unstable();
+        sorted
+    };
+    // Bytes of what a verb holds while it runs and frees at its end: alleles, losses, uniforms.
+    let passing = 200_000;
+    assert!(least > passing, "{alone:?}");
+    gpu.engine.usage.limit_bytes = rows + most + passing;
+    for _ in 0..2 {
+        for verb in verbs {
+            verb(&mut gpu);
+            gpu.apply(&population[0], MomentPolicy::Keep).unwrap();
+            verb(&mut gpu);
+            let state = gpu.state().unwrap();
+            gpu.upload(state).unwrap();
+        }
+    }
+}
+
+/// Five steps are queued, the lists of the third do not fit, and there is no memory for larger ones.
+#[test]
+fn steps_without_memory_are_left_undone_and_counted() {
+    let Some(mut gpu) = gpu() else { return };
+    let views = [small_view(), view()];
+    let classic = settings(2, ScreenFilter::Classic);
+    let steps = [(1, 0), (2, 0), (3, 1), (4, 0), (5, 1)];
+    let steps = steps.map(|(number, view)| TrainStep { view, ..step(number, classic) });
+    let mut cpu = cpu();
+    for twin in [&mut gpu as &mut dyn Backend, &mut cpu] {
+        twin.set_views(&views).unwrap();
+        twin.upload(cloud(300).into()).unwrap();
+    }
+    steps[..2].iter().for_each(|step| cpu.train_step(step).unwrap());
+    gpu.set_intersection_capacity(cpu.report().unwrap().intersections as u64 + 20);
+    steps.iter().for_each(|step| gpu.train_step(step).unwrap());
+
+    gpu.engine.usage.limit_bytes = gpu.allocated_bytes();
+    let error = gpu.download().unwrap_err();
+    assert!(matches!(error, BackendError::OutOfMemory { .. }), "{error}");
+    assert_eq!(gpu.discard_queued_steps().unwrap(), 3);
+    compare_clouds("adam", &gpu.download().unwrap(), &cpu.download().unwrap()).unwrap();
+
+    gpu.engine.usage.limit_bytes = u64::MAX;
+    for step in &steps[2..] {
+        gpu.train_step(step).unwrap();
+        cpu.train_step(step).unwrap();
+    }
+    compare_clouds("adam", &gpu.download().unwrap(), &cpu.download().unwrap()).unwrap();
+    assert_eq!(gpu.discard_queued_steps().unwrap(), 0);
+}
