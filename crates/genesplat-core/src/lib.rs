@@ -22,7 +22,6 @@ pub mod merit;
 pub mod rng;
 pub mod spherical_harmonics;
 pub mod statistics;
-pub mod tensor;
 
 pub use backend::{
     Backend, BackendError, LearningRates, RenderSettings, ScreenFilter, TrainStep, Update, View,
@@ -37,4 +36,3 @@ pub use lineage::{Blend, Judgement, Lineage};
 pub use merit::Merit;
 pub use rng::{Rng, Stream};
 pub use statistics::{DensitySignal, Statistics, StatisticsRequest};
-pub use tensor::{NamedTensors, Tensor};

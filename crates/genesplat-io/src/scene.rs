@@ -51,6 +51,13 @@ pub enum HoldOut {
     None,
 }
 
+impl HoldOut {
+    /// Training and test views of a scene that names no test photos, each sorted by name.
+    pub fn split(self, views: Vec<View>) -> (Vec<View>, Vec<View>) {
+        every_eighth(views, |view| &view.name, self)
+    }
+}
+
 /// How a scene is loaded.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LoadOptions {
@@ -200,11 +207,6 @@ fn split(frames: Vec<Frame>, hold_out: HoldOut) -> (Vec<Frame>, Vec<Frame>) {
     // The scene itself says which photos are for testing.
     let (used, _) = every_eighth(used, |frame| &frame.name, HoldOut::None);
     used.into_iter().partition(|frame| hold_out == HoldOut::None || frame.purpose != Purpose::Test)
-}
-
-/// Training and test views, as [`load_scene`] would split them.
-pub(crate) fn split_views(views: Vec<View>, hold_out: HoldOut) -> (Vec<View>, Vec<View>) {
-    every_eighth(views, |view| &view.name, hold_out)
 }
 
 /// The reference's split: sorted by the file name up to its first dot (the whole name breaks ties), every eighth for

@@ -17,14 +17,12 @@
 //! | `refine`, `mosaic` | evolution without training, and the search by credit that it is best done with |
 //! | `renew`, `recombine`, `guards` | ours: which Gaussians make room for others, what is bred from the states of a run, and who checks |
 //! | `rescue` | what is saved of a run whose device is out of memory |
-//! | [`evaluate`] | PSNR, SSIM and LPIPS |
 //! | [`observe`], [`checkpoint`] | what is reported, what is saved |
 
 pub mod checkpoint;
 pub mod config;
 mod control;
 pub mod densify;
-pub mod evaluate;
 pub mod filter_3d;
 mod fitness;
 mod guards;

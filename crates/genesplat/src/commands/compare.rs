@@ -6,8 +6,8 @@ use std::path::Path;
 use anyhow::{Result, anyhow};
 use genesplat::core::Photo;
 use genesplat::io::photos::read_photo_with_losses;
-use genesplat::train::evaluate::lpips::{InputRange, LpipsError, Net};
-use genesplat::train::evaluate::{Lpips, ViewScore, compare};
+use genesplat::metrics::lpips::{InputRange, LpipsError, Net};
+use genesplat::metrics::{Lpips, ViewScore, compare};
 use serde::Serialize;
 
 use crate::args::CompareArgs;

@@ -5,11 +5,11 @@
 
 use glam::{Quat, Vec3};
 
-use super::geometry::Shape;
-use super::light::{Lamps, Skylight, Spot};
-use super::painting::Painting;
-use super::texture::{Texture, hash, paint};
-use super::world::{Finish, Surface, World};
+use crate::geometry::Shape;
+use crate::light::{Lamps, Skylight, Spot};
+use crate::painting::Painting;
+use crate::texture::{Texture, hash, paint};
+use crate::world::{Finish, Surface, World};
 
 /// Corners of the room, metres.
 const LOW: Vec3 = Vec3::new(-3.0, -2.7, 0.0);
@@ -37,7 +37,7 @@ const FRONT: Wall =
     Wall { corner: Vec3::new(HIGH.x, LOW.y, 0.0), right: Vec3::NEG_X, length: HIGH.x - LOW.x };
 
 /// The room and its lamps.
-pub(super) fn build(seed: u32) -> (World, Lamps) {
+pub(crate) fn build(seed: u32) -> (World, Lamps) {
     let lamps = lamps();
     let mut parts = shell();
     parts.extend(fittings(&lamps));

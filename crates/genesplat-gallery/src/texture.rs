@@ -5,11 +5,11 @@
 
 use glam::Vec3;
 
-use super::painting::Painting;
+use crate::painting::Painting;
 
 /// What covers a surface.
 #[derive(Clone, Copy, Debug)]
-pub(super) enum Texture {
+pub(crate) enum Texture {
     /// One colour.
     Plain(Vec3),
     /// Painted plaster: one colour, clouded by a per cent or two.
@@ -26,7 +26,7 @@ pub(super) enum Texture {
 
 impl Texture {
     /// Share of light that is scattered back, linear RGB, at `(u, v)` metres.
-    pub(super) fn albedo(&self, [u, v]: [f32; 2], seed: u32) -> Vec3 {
+    pub(crate) fn albedo(&self, [u, v]: [f32; 2], seed: u32) -> Vec3 {
         match *self {
             Self::Plain(colour) => colour,
             Self::Plaster(colour) => colour * (1.0 + 0.03 * (clouds(1.3 * u, 1.3 * v, seed) - 0.5)),
@@ -41,7 +41,7 @@ impl Texture {
 }
 
 /// Linear colour of a hexadecimal one, with the display's gamma taken as 2.
-pub(super) const fn paint(hex: u32) -> Vec3 {
+pub(crate) const fn paint(hex: u32) -> Vec3 {
     const fn linear(byte: u32) -> f32 {
         let value = (byte & 0xFF) as f32 / 255.0;
         value * value
@@ -50,7 +50,7 @@ pub(super) const fn paint(hex: u32) -> Vec3 {
 }
 
 /// A random number in `[0, 1)` for a cell of a grid.
-pub(super) fn hash(x: i32, y: i32, seed: u32) -> f32 {
+pub(crate) fn hash(x: i32, y: i32, seed: u32) -> f32 {
     let mut h = (x as u32).wrapping_mul(0x9E37_79B1) ^ (y as u32).wrapping_mul(0x85EB_CA77) ^ seed;
     // Two rounds of multiply and fold (after Murmur's finaliser) spread every input bit over the word.
     for multiplier in [0x85EB_CA6B, 0xC2B2_AE35u32] {
@@ -66,7 +66,7 @@ fn floor(x: f32) -> i32 {
 }
 
 /// Smooth noise in `[0, 1)` with a feature a unit.
-pub(super) fn noise(x: f32, y: f32, seed: u32) -> f32 {
+pub(crate) fn noise(x: f32, y: f32, seed: u32) -> f32 {
     let (cx, cy) = (floor(x), floor(y));
     let ease = |t: f32| t * t * (3.0 - 2.0 * t);
     let (fx, fy) = (ease(x - cx as f32), ease(y - cy as f32));
@@ -76,7 +76,7 @@ pub(super) fn noise(x: f32, y: f32, seed: u32) -> f32 {
 }
 
 /// Four octaves of [`noise`], in `[0, 1)`.
-pub(super) fn clouds(x: f32, y: f32, seed: u32) -> f32 {
+pub(crate) fn clouds(x: f32, y: f32, seed: u32) -> f32 {
     let octave = |level: u32| {
         let scale = (1 << level) as f32;
         noise(scale * x, scale * y, seed ^ (level * 0x51)) / (2.0 * scale)
@@ -85,12 +85,12 @@ pub(super) fn clouds(x: f32, y: f32, seed: u32) -> f32 {
 }
 
 /// From `a` to `b`.
-pub(super) fn mix(a: f32, b: f32, share: f32) -> f32 {
+pub(crate) fn mix(a: f32, b: f32, share: f32) -> f32 {
     a + (b - a) * share
 }
 
 /// 0 below `from`, 1 above `to`, smooth between.
-pub(super) fn step(from: f32, to: f32, x: f32) -> f32 {
+pub(crate) fn step(from: f32, to: f32, x: f32) -> f32 {
     let t = ((x - from) / (to - from)).clamp(0.0, 1.0);
     t * t * (3.0 - 2.0 * t)
 }

@@ -6,7 +6,7 @@
 use genesplat_core::Photo;
 use genesplat_core::constants::{SSIM_C1, SSIM_C2, SSIM_RADIUS, ssim_window};
 
-use super::{SizeMismatch, check_sizes};
+use crate::{SizeMismatch, check_sizes};
 
 /// Mean structural similarity of two pictures, at most 1.
 pub fn ssim(a: &Photo, b: &Photo) -> Result<f64, SizeMismatch> {

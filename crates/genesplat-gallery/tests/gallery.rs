@@ -1,7 +1,7 @@
 //! The bundled scene: the same everywhere, geometrically sound, and readable as any COLMAP scene.
 
 use genesplat_core::View;
-use genesplat_io::gallery::{Gallery, GalleryOptions, generate};
+use genesplat_gallery::{Gallery, GalleryOptions, generate};
 use genesplat_io::{HoldOut, LoadOptions, load_scene};
 
 fn small() -> GalleryOptions {

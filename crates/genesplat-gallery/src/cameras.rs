@@ -16,7 +16,7 @@ const TEST_EXCURSION: (f64, f64) = (0.75, -0.1);
 /// `views` cameras on a closed path around the exhibits: to and fro twice in azimuth while height and distance vary.
 ///
 /// Every eighth, from the first on, is what the usual split holds out; those keep closer to the middle.
-pub(super) fn path(views: u32, width: u32, height: u32) -> Vec<Camera> {
+pub(crate) fn path(views: u32, width: u32, height: u32) -> Vec<Camera> {
     (0..views).map(|view| camera(view, views, width, height)).collect()
 }
 

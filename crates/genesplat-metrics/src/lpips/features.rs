@@ -5,13 +5,14 @@
 //! multiplied with the kernel. Strips have a fixed number of pixels and run in parallel: what is copied stays below about
 //! 10 MB a thread, and results do not depend on the number of threads.
 
-use genesplat_core::{NamedTensors, Photo};
+use genesplat_core::Photo;
 use ndarray::linalg::general_mat_mul;
 use ndarray::{Array2, ArrayView2, ArrayViewMut2};
 use rayon::prelude::*;
 
 use super::InputRange;
 use super::network::{POOL_STRIDE, Shape, places};
+use crate::weights::NamedTensors;
 
 /// Mean of the training pictures' colours and their spread, as the authors of LPIPS scale `[-1, 1]`.
 const SHIFT: [f32; 3] = [-0.030, -0.088, -0.188];
@@ -23,15 +24,15 @@ const STRIP_PIXELS: usize = 256;
 /// Features of a picture, `[H, W, C]`.
 #[derive(Clone, Debug)]
 pub(super) struct Features {
-    pub width: usize,
-    pub height: usize,
-    pub channels: usize,
-    pub values: Vec<f32>,
+    pub(super) width: usize,
+    pub(super) height: usize,
+    pub(super) channels: usize,
+    pub(super) values: Vec<f32>,
 }
 
 impl Features {
     /// The picture as a network's input.
-    pub fn of_photo(photo: &Photo, range: InputRange) -> Self {
+    pub(super) fn of_photo(photo: &Photo, range: InputRange) -> Self {
         let level = |value: u8| match range {
             InputRange::ZeroToOne => f32::from(value) / 255.0,
             InputRange::MinusOneToOne => f32::from(value) / 127.5 - 1.0,
@@ -50,7 +51,7 @@ impl Features {
     ///
     /// # Panics
     /// When the window does not fit.
-    pub fn max_pool(&self, window: usize) -> Self {
+    pub(super) fn max_pool(&self, window: usize) -> Self {
         let side = |side| places(side, window, POOL_STRIDE, 0).expect("the window fits");
         let (width, height, channels) = (side(self.width), side(self.height), self.channels);
         let mut values = vec![f32::NEG_INFINITY; width * height * channels];
@@ -79,7 +80,7 @@ pub(super) struct Convolution {
 
 impl Convolution {
     /// Takes its kernel and bias, whose shapes were checked, from `tensors`.
-    pub fn new(shape: Shape, tensors: &NamedTensors) -> Self {
+    pub(super) fn new(shape: Shape, tensors: &NamedTensors) -> Self {
         let Shape { inputs, outputs, kernel: side, .. } = shape;
         let weight = &tensors[&shape.weight()].values;
         // From [output, input, row, column].
@@ -95,7 +96,7 @@ impl Convolution {
     ///
     /// # Panics
     /// When the kernel does not fit, or the channels differ.
-    pub fn apply(&self, input: &Features) -> Features {
+    pub(super) fn apply(&self, input: &Features) -> Features {
         let Shape { inputs, outputs, .. } = self.shape;
         assert_eq!(input.channels, inputs, "layers follow each other");
         let side = |side| self.shape.output_side(side).expect("the kernel fits");
@@ -155,9 +156,10 @@ impl Convolution {
 
 #[cfg(test)]
 mod tests {
-    use genesplat_core::{Rng, Stream, Tensor};
+    use genesplat_core::{Rng, Stream};
 
     use super::*;
+    use crate::weights::Tensor;
 
     fn noise(count: usize, seed: u32) -> Vec<f32> {
         let rng = Rng::new(3);

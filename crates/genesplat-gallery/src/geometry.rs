@@ -6,11 +6,11 @@ use glam::{Vec3, Vec3A};
 
 /// A half line.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Ray {
+pub(crate) struct Ray {
     /// Where it starts.
-    pub(super) origin: Vec3,
+    pub(crate) origin: Vec3,
     /// Unit vector.
-    pub(super) direction: Vec3,
+    pub(crate) direction: Vec3,
     /// `origin`, and one over each component of `direction`, as the box test wants them.
     start: Vec3A,
     inverse: Vec3A,
@@ -18,25 +18,25 @@ pub(super) struct Ray {
 
 impl Ray {
     /// `direction` has unit length.
-    pub(super) fn new(origin: Vec3, direction: Vec3) -> Self {
+    pub(crate) fn new(origin: Vec3, direction: Vec3) -> Self {
         Self { origin, direction, start: origin.into(), inverse: direction.recip().into() }
     }
 
     /// From a point just off a surface, so that the surface itself is not met again.
-    pub(super) fn leaving(point: Vec3, normal: Vec3, direction: Vec3) -> Self {
+    pub(crate) fn leaving(point: Vec3, normal: Vec3, direction: Vec3) -> Self {
         const CLEARANCE: f32 = 1e-3;
         Self::new(point + CLEARANCE * normal, direction)
     }
 
     /// The point at `distance`.
-    pub(super) fn at(&self, distance: f32) -> Vec3 {
+    pub(crate) fn at(&self, distance: f32) -> Vec3 {
         self.origin + distance * self.direction
     }
 }
 
 /// A shape without material.
 #[derive(Clone, Copy, Debug)]
-pub(super) enum Shape {
+pub(crate) enum Shape {
     /// See [`Shape::rectangle`].
     Rectangle {
         /// Where `(u, v)` is (0, 0).
@@ -70,12 +70,12 @@ pub(super) enum Shape {
 
 impl Shape {
     /// A rectangle from `corner`, along orthogonal unit vectors, which is seen from its front, towards `u × v`, only.
-    pub(super) fn rectangle(corner: Vec3, u: Vec3, v: Vec3, size: [f32; 2]) -> Self {
+    pub(crate) fn rectangle(corner: Vec3, u: Vec3, v: Vec3, size: [f32; 2]) -> Self {
         Self::Rectangle { corner, u, v, size, normal: u.cross(v) }
     }
 
     /// Distance of the meeting with a ray, if there is one in front of it and before `farthest`.
-    pub(super) fn meet(&self, ray: &Ray, farthest: f32) -> Option<f32> {
+    pub(crate) fn meet(&self, ray: &Ray, farthest: f32) -> Option<f32> {
         match *self {
             Self::Rectangle { corner, u, v, size, normal } => {
                 let (facing, height) = (ray.direction.dot(normal), (corner - ray.origin).dot(normal));
@@ -95,7 +95,7 @@ impl Shape {
     }
 
     /// Unit normal at a point of the surface.
-    pub(super) fn normal(&self, point: Vec3) -> Vec3 {
+    pub(crate) fn normal(&self, point: Vec3) -> Vec3 {
         match *self {
             Self::Rectangle { normal, .. } => normal,
             Self::Ellipsoid { centre, radii } => ((point - centre) / (radii * radii)).normalize(),
@@ -108,7 +108,7 @@ impl Shape {
     }
 
     /// Coordinates on a rectangle, metres from its corner; (0, 0) on other shapes.
-    pub(super) fn uv(&self, point: Vec3) -> [f32; 2] {
+    pub(crate) fn uv(&self, point: Vec3) -> [f32; 2] {
         match *self {
             Self::Rectangle { corner, u, v, .. } => [(point - corner).dot(u), (point - corner).dot(v)],
             _ => [0.0; 2],
@@ -116,7 +116,7 @@ impl Shape {
     }
 
     /// The middle.
-    pub(super) fn centre(&self) -> Vec3 {
+    pub(crate) fn centre(&self) -> Vec3 {
         match *self {
             Self::Rectangle { corner, u, v, size, .. } => corner + 0.5 * (size[0] * u + size[1] * v),
             Self::Ellipsoid { centre, .. } => centre,
@@ -125,7 +125,7 @@ impl Shape {
     }
 
     /// The axis-aligned box around the shape.
-    pub(super) fn bounds(&self) -> Bounds {
+    pub(crate) fn bounds(&self) -> Bounds {
         match *self {
             Self::Rectangle { corner, u, v, size, .. } => {
                 let (along, up) = (size[0] * u, size[1] * v);
@@ -171,7 +171,7 @@ fn meet_rod(ray: &Ray, from: Vec3, to: Vec3, radius: f32) -> Option<f32> {
 
 /// An axis-aligned box.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Bounds {
+pub(crate) struct Bounds {
     low: Vec3A,
     high: Vec3A,
 }
@@ -183,23 +183,23 @@ impl Bounds {
     }
 
     /// The least box around both.
-    pub(super) fn around(self, other: Self) -> Self {
+    pub(crate) fn around(self, other: Self) -> Self {
         Self { low: self.low.min(other.low), high: self.high.max(other.high) }
     }
 
     /// 0 for x, 1 for y, 2 for z.
-    pub(super) fn longest_axis(&self) -> usize {
+    pub(crate) fn longest_axis(&self) -> usize {
         (self.high - self.low).max_position()
     }
 
     /// Metres.
-    pub(super) fn longest_side(&self) -> f32 {
+    pub(crate) fn longest_side(&self) -> f32 {
         (self.high - self.low).max_element()
     }
 
     /// True when the ray is inside the box somewhere before `farthest`.
     #[inline]
-    pub(super) fn met_before(&self, ray: &Ray, farthest: f32) -> bool {
+    pub(crate) fn met_before(&self, ray: &Ray, farthest: f32) -> bool {
         let (a, b) = ((self.low - ray.start) * ray.inverse, (self.high - ray.start) * ray.inverse);
         let (enter, leave) = (a.min(b).max_element(), a.max(b).min_element());
         leave >= enter.max(0.0) && enter < farthest

@@ -4,19 +4,20 @@
 //! their squared difference is weighted by a learned head, summed over channels and averaged over pixels; the distance
 //! is the sum of the five. 0 is identical; splats are usually between 0.05 and 0.5.
 //!
-//! The weights are not part of this crate: [`Lpips::new`] takes named tensors and checks them.
+//! The weights are files of the user ([`crate::weights`]): [`Lpips::new`] takes named tensors and checks them.
 //!
 //! Memory: about 0.8 KB a pixel of the pictures, most of it in VGG16's first slice.
 
 mod features;
 mod network;
 
-use genesplat_core::{NamedTensors, Photo};
+use genesplat_core::Photo;
 use rayon::prelude::*;
 
 use self::features::{Convolution, Features};
 pub use self::network::{LAYERS, Net};
-use super::SizeMismatch;
+use crate::weights::NamedTensors;
+use crate::{SizeMismatch, check_sizes};
 
 /// What the network is fed, for 8-bit values from 0 to 255.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -123,7 +124,7 @@ impl Lpips {
 
     /// The distance by layer, the shallowest first. Uses rayon's current pool.
     pub fn layers(&self, a: &Photo, b: &Photo, range: InputRange) -> Result<[f64; LAYERS], LpipsError> {
-        super::check_sizes(a, b)?;
+        check_sizes(a, b)?;
         let (least, width, height) = (self.net.least_side_px(), a.width, a.height);
         if width.min(height) < least {
             return Err(LpipsError::TooSmall { net: self.net, least, width, height });

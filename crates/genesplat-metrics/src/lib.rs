@@ -2,15 +2,25 @@
 //!
 //! The convention of the published numbers: render and photo are both 8-bit, a metric is taken for each image over all
 //! pixels and channels, and the scene's value is the mean over its images.
+//!
+//! | item | what it is |
+//! |---|---|
+//! | [`psnr`](fn@psnr), [`ssim`](fn@ssim) | of two pictures |
+//! | [`lpips`] | the learned metric, with VGG16 or AlexNet |
+//! | [`weights`] | named tensors from safetensors and PyTorch files |
+//! | [`evaluate`](fn@evaluate) | renders views, scores them, and takes the means |
 
+mod evaluate;
 pub mod lpips;
-pub mod psnr;
-pub mod report;
-pub mod ssim;
+mod psnr;
+mod ssim;
+pub mod weights;
 
+use genesplat_core::Photo;
+
+pub use evaluate::{Evaluation, Perceptual, ViewScore, compare, evaluate};
 pub use lpips::Lpips;
 pub use psnr::psnr;
-pub use report::{Evaluation, Perceptual, ViewScore, compare, evaluate};
 pub use ssim::ssim;
 
 /// Two pictures of different sizes cannot be compared.
@@ -26,7 +36,7 @@ pub struct SizeMismatch {
     pub second: [u32; 2],
 }
 
-pub(crate) fn check_sizes(a: &genesplat_core::Photo, b: &genesplat_core::Photo) -> Result<(), SizeMismatch> {
+fn check_sizes(a: &Photo, b: &Photo) -> Result<(), SizeMismatch> {
     let (first, second) = ([a.width, a.height], [b.width, b.height]);
     if first == second { Ok(()) } else { Err(SizeMismatch { first, second }) }
 }

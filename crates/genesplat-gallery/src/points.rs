@@ -4,17 +4,17 @@ use genesplat_core::{Camera, Photo, Rng, Stream};
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::geometry::Ray;
-use super::render::{Lens, Stage};
-use super::world::Finish;
-use crate::scene::Point;
+use crate::geometry::Ray;
+use crate::render::{Lens, Stage};
+use crate::world::Finish;
+use genesplat_io::Point;
 
 /// A photo and where it was taken from.
-pub(super) struct Shot<'a> {
+pub(crate) struct Shot<'a> {
     /// The camera.
-    pub(super) camera: &'a Camera,
+    pub(crate) camera: &'a Camera,
     /// Its photo.
-    pub(super) photo: &'a Photo,
+    pub(crate) photo: &'a Photo,
 }
 
 /// Fewest cameras that must see a point.
@@ -29,7 +29,7 @@ const ERROR: f32 = 0.5 / 300.0;
 const TOLERANCE: f32 = 0.01;
 
 /// At most `wanted` points.
-pub(super) fn sample(stage: &Stage, shots: &[Shot], wanted: u32, seed: u64) -> Vec<Point> {
+pub(crate) fn sample(stage: &Stage, shots: &[Shot], wanted: u32, seed: u64) -> Vec<Point> {
     let rng = Rng::new(seed);
     let candidates = (0..wanted.saturating_mul(CANDIDATES)).into_par_iter();
     let mut points: Vec<Point> =

@@ -18,10 +18,9 @@ use std::path::Path;
 use std::sync::Arc;
 
 use genesplat_core::View;
-
-use crate::colmap::{Form, ImageRecord, Intrinsics, Model, write_model};
-use crate::photos::{PhotoError, write_png};
-use crate::scene::{HoldOut, Point, Scene, split_views};
+use genesplat_io::colmap::{Form, ImageRecord, Intrinsics, Model, write_model};
+use genesplat_io::photos::{PhotoError, write_png};
+use genesplat_io::{HoldOut, LEAST_SIDE_PX, Point, Scene};
 
 /// How the gallery is photographed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -59,10 +58,7 @@ pub struct Gallery {
 /// If a side is below 16 px or there are fewer than 2 views.
 pub fn generate(options: &GalleryOptions) -> Gallery {
     let GalleryOptions { width, height, views, points, seed } = *options;
-    assert!(
-        width.min(height) >= crate::scene::LEAST_SIDE_PX && views >= 2,
-        "a gallery needs photos: {options:?}"
-    );
+    assert!(width.min(height) >= LEAST_SIDE_PX && views >= 2, "a gallery needs photos: {options:?}");
     let pattern_seed = (seed ^ (seed >> 32)) as u32;
     let (world, lamps) = room::build(pattern_seed);
     let lighting = light::Lighting::bake(&world, &lamps, pattern_seed);
@@ -83,7 +79,7 @@ pub fn generate(options: &GalleryOptions) -> Gallery {
 impl Gallery {
     /// As a scene, without a detour over the disk.
     pub fn into_scene(self, hold_out: HoldOut) -> Scene {
-        let (train, test) = split_views(self.views, hold_out);
+        let (train, test) = hold_out.split(self.views);
         let (photos, notices) = (Vec::new(), Vec::new());
         Scene { name: "gallery".into(), train, test, points: self.points, photos, notices }
     }

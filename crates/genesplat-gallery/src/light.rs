@@ -9,40 +9,40 @@ use std::f32::consts::PI;
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::geometry::{Ray, Shape};
-use super::world::{Finish, World};
+use crate::geometry::{Ray, Shape};
+use crate::world::{Finish, World};
 
 /// A rectangle in the ceiling that shines downwards.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Skylight {
+pub(crate) struct Skylight {
     /// Least x and y corner, at the ceiling.
-    pub(super) corner: Vec3,
+    pub(crate) corner: Vec3,
     /// Sides along x and y, metres.
-    pub(super) size: [f32; 2],
+    pub(crate) size: [f32; 2],
     /// Radiance.
-    pub(super) radiance: Vec3,
+    pub(crate) radiance: Vec3,
 }
 
 /// A lamp that shines in a cone.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Spot {
+pub(crate) struct Spot {
     /// Where it is.
-    pub(super) position: Vec3,
+    pub(crate) position: Vec3,
     /// Where it points.
-    pub(super) target: Vec3,
+    pub(crate) target: Vec3,
     /// Radiance times area.
-    pub(super) intensity: Vec3,
+    pub(crate) intensity: Vec3,
     /// Cosines of the half angles at which the cone ends and at which it is full.
-    pub(super) cone: [f32; 2],
+    pub(crate) cone: [f32; 2],
 }
 
 /// All that shines.
 #[derive(Clone, Debug)]
-pub(super) struct Lamps {
+pub(crate) struct Lamps {
     /// Daylight.
-    pub(super) skylight: Skylight,
+    pub(crate) skylight: Skylight,
     /// On the rail.
-    pub(super) spots: Vec<Spot>,
+    pub(crate) spots: Vec<Spot>,
 }
 
 /// Spacing of direct light on flat surfaces, metres.
@@ -71,14 +71,14 @@ enum Field {
 
 /// Light at every surface.
 #[derive(Debug)]
-pub(super) struct Lighting {
+pub(crate) struct Lighting {
     direct: Vec<Field>,
     bounced: Vec<Field>,
 }
 
 impl Lighting {
     /// Computes the light of all surfaces of `world`.
-    pub(super) fn bake(world: &World, lamps: &Lamps, seed: u32) -> Self {
+    pub(crate) fn bake(world: &World, lamps: &Lamps, seed: u32) -> Self {
         let direct = fields(world, FINE, |point, normal, own| lamps.light(world, point, normal, own));
         let mut lighting = Self { direct, bounced: Vec::new() };
         lighting.bounced = fields(world, COARSE, |point, normal, own| {
@@ -88,7 +88,7 @@ impl Lighting {
     }
 
     /// Light at a point of surface `index`, from all sides of its normal.
-    pub(super) fn at(&self, index: usize, uv: [f32; 2], normal: Vec3) -> Vec3 {
+    pub(crate) fn at(&self, index: usize, uv: [f32; 2], normal: Vec3) -> Vec3 {
         self.direct[index].at(uv, normal) + self.bounced[index].at(uv, normal)
     }
 
@@ -136,7 +136,7 @@ fn fields(
     spacing: f32,
     light: impl Fn(Vec3, Vec3, Option<usize>) -> Vec3 + Sync,
 ) -> Vec<Field> {
-    let field = |(index, surface): (usize, &super::world::Surface)| match surface.shape {
+    let field = |(index, surface): (usize, &crate::world::Surface)| match surface.shape {
         Shape::Rectangle { corner, u, v, size, normal } => {
             let [columns, rows] = size.map(|side| ((side / spacing).ceil() as usize).max(2));
             let point = |texel: usize| {
@@ -189,7 +189,7 @@ impl Spot {
         let distance = towards.length();
         let ray = Ray::leaving(point, normal, towards / distance);
         let axis = (self.target - self.position).normalize();
-        let cone = super::texture::step(self.cone[0], self.cone[1], -ray.direction.dot(axis));
+        let cone = crate::texture::step(self.cone[0], self.cone[1], -ray.direction.dot(axis));
         let cosine = ray.direction.dot(normal);
         if cone <= 0.0 || cosine <= 0.0 || !world.is_clear(&ray, distance - LAMP_CLEARANCE, own) {
             return Vec3::ZERO;

@@ -80,9 +80,9 @@ pub(super) fn head(layer: usize) -> String {
 #[derive(Debug)]
 pub(super) struct Slice {
     /// Window of the max pooling that comes first, if one does; its stride is [`POOL_STRIDE`].
-    pub pool: Option<usize>,
+    pub(super) pool: Option<usize>,
     /// Convolutions, each with a rectifier behind it.
-    pub convolutions: &'static [Shape],
+    pub(super) convolutions: &'static [Shape],
 }
 
 impl Slice {
@@ -99,32 +99,32 @@ pub(super) const POOL_STRIDE: usize = 2;
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Shape {
     /// Position in torchvision's `features`.
-    pub index: usize,
+    pub(super) index: usize,
     /// Channels in.
-    pub inputs: usize,
+    pub(super) inputs: usize,
     /// Channels out.
-    pub outputs: usize,
+    pub(super) outputs: usize,
     /// Side of the kernel, px.
-    pub kernel: usize,
+    pub(super) kernel: usize,
     /// Pixels from one output to the next.
-    pub stride: usize,
+    pub(super) stride: usize,
     /// Zeros around the picture, px.
-    pub padding: usize,
+    pub(super) padding: usize,
 }
 
 impl Shape {
     /// Name of its kernel.
-    pub fn weight(&self) -> String {
+    pub(super) fn weight(&self) -> String {
         format!("features.{}.weight", self.index)
     }
 
     /// Name of its bias.
-    pub fn bias(&self) -> String {
+    pub(super) fn bias(&self) -> String {
         format!("features.{}.bias", self.index)
     }
 
     /// Outputs along a side of `side` px; `None` where the kernel does not fit.
-    pub fn output_side(&self, side: usize) -> Option<usize> {
+    pub(super) fn output_side(&self, side: usize) -> Option<usize> {
         places(side, self.kernel, self.stride, self.padding)
     }
 }

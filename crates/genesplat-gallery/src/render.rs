@@ -4,9 +4,9 @@ use genesplat_core::{Camera, Photo};
 use glam::{DMat3, DVec2, Vec3};
 use rayon::prelude::*;
 
-use super::geometry::Ray;
-use super::light::Lighting;
-use super::world::{Finish, Hit, World};
+use crate::geometry::Ray;
+use crate::light::Lighting;
+use crate::world::{Finish, Hit, World};
 
 /// Where a pixel is sampled first, in eighths of its side: no two samples share a row or a column, and turning the
 /// pattern by 90 degrees changes nothing, so edges of all directions are smooth.
@@ -24,18 +24,18 @@ const EXPOSURE: f32 = 1.25;
 
 /// A room that can be photographed.
 #[derive(Debug)]
-pub(super) struct Stage {
+pub(crate) struct Stage {
     /// What is there.
-    pub(super) world: World,
+    pub(crate) world: World,
     /// How it is lit.
-    pub(super) lighting: Lighting,
+    pub(crate) lighting: Lighting,
     /// Seed of the patterns.
-    pub(super) seed: u32,
+    pub(crate) seed: u32,
 }
 
 impl Stage {
     /// The photo that `camera` takes; rows are computed in parallel.
-    pub(super) fn photograph(&self, camera: &Camera) -> Photo {
+    pub(crate) fn photograph(&self, camera: &Camera) -> Photo {
         let (width, lens) = (camera.width as usize, Lens::of(camera));
         let mut rgb = vec![0; 3 * width * camera.height as usize];
         rgb.par_chunks_mut(3 * width).enumerate().for_each(|(row, values)| {
@@ -47,7 +47,7 @@ impl Stage {
     }
 
     /// The first surface behind pixel coordinates `(u, v)`, and the ray to it.
-    pub(super) fn look(&self, lens: &Lens, at: [f64; 2]) -> Option<(Ray, Hit)> {
+    pub(crate) fn look(&self, lens: &Lens, at: [f64; 2]) -> Option<(Ray, Hit)> {
         let ray = lens.ray(at);
         self.world.trace(&ray, None).map(|hit| (ray, hit))
     }
@@ -92,7 +92,7 @@ impl Stage {
 }
 
 /// A camera, ready to cast rays.
-pub(super) struct Lens {
+pub(crate) struct Lens {
     centre: Vec3,
     world_from_camera: DMat3,
     focal_px: DVec2,
@@ -101,7 +101,7 @@ pub(super) struct Lens {
 
 impl Lens {
     /// The lens of `camera`.
-    pub(super) fn of(camera: &Camera) -> Self {
+    pub(crate) fn of(camera: &Camera) -> Self {
         Self {
             centre: camera.centre_in_world().as_vec3(),
             world_from_camera: camera.rotation().transpose(),

@@ -2,11 +2,11 @@
 
 use glam::Vec3;
 
-use super::texture::{clouds, hash, mix, noise, paint, step};
+use crate::texture::{clouds, hash, mix, noise, paint, step};
 
 /// Which picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Painting {
+pub(crate) enum Painting {
     /// Hills behind hills, with a low sun over water.
     Ridges,
     /// Quarter circles on a grid of tiles.
@@ -19,7 +19,7 @@ pub(super) enum Painting {
 
 impl Painting {
     /// Colour at `(s, t)` in the unit square, t upwards; `aspect` is width over height.
-    pub(super) fn colour(self, [s, t]: [f32; 2], aspect: f32, seed: u32) -> Vec3 {
+    pub(crate) fn colour(self, [s, t]: [f32; 2], aspect: f32, seed: u32) -> Vec3 {
         let colour = match self {
             Self::Ridges => ridges(s * aspect, t, aspect, seed),
             Self::Arcs => arcs(s * aspect, t, seed),

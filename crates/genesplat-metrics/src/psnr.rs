@@ -2,7 +2,7 @@
 
 use genesplat_core::Photo;
 
-use super::{SizeMismatch, check_sizes};
+use crate::{SizeMismatch, check_sizes};
 
 /// `−10 · log10` of the mean squared error over all pixels and channels (values in `[0, 1]`), in dB.
 ///

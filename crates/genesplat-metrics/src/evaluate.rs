@@ -3,10 +3,9 @@
 use genesplat_core::{Backend, BackendError, Photo, RenderSettings, View};
 use serde::{Serialize, Serializer};
 
-use super::{SizeMismatch, psnr, ssim};
+use crate::{SizeMismatch, psnr, ssim};
 
-/// A learned metric such as LPIPS: `(render, photo)` to distance. It lives in a closure, so that this crate does not
-/// depend on a network.
+/// A learned metric: `(render, photo)` to distance, so that the caller chooses its network and its [`crate::lpips::InputRange`].
 pub type Perceptual<'a> = &'a dyn Fn(&Photo, &Photo) -> f64;
 
 /// Scores of one view.

@@ -4,12 +4,12 @@ use std::ops::{ControlFlow, Range};
 
 use glam::Vec3;
 
-use super::geometry::{Bounds, Ray, Shape};
-use super::texture::Texture;
+use crate::geometry::{Bounds, Ray, Shape};
+use crate::texture::Texture;
 
 /// How a surface answers light.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum Finish {
+pub(crate) enum Finish {
     /// Scatters alike in all directions.
     Matte,
     /// Matte under a clear coat that mirrors `share` of what Fresnel's law allows.
@@ -25,29 +25,29 @@ pub(super) enum Finish {
 
 /// A shape with its material.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Surface {
+pub(crate) struct Surface {
     /// Where it is.
-    pub(super) shape: Shape,
+    pub(crate) shape: Shape,
     /// Its colour.
-    pub(super) texture: Texture,
+    pub(crate) texture: Texture,
     /// Its answer to light.
-    pub(super) finish: Finish,
+    pub(crate) finish: Finish,
 }
 
 /// Where a ray ends.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Hit {
+pub(crate) struct Hit {
     /// Metres from the ray's origin.
-    pub(super) distance: f32,
+    pub(crate) distance: f32,
     /// Index of the surface.
-    pub(super) surface: usize,
+    pub(crate) surface: usize,
 }
 
 /// The room and everything in it, in a tree of boxes: a ray looks only into the boxes that it meets.
 #[derive(Debug)]
-pub(super) struct World {
+pub(crate) struct World {
     /// First the large ones, then those of each leaf in a row.
-    pub(super) surfaces: Vec<Surface>,
+    pub(crate) surfaces: Vec<Surface>,
     /// How many are large: their boxes would reach across the tree, so every ray tries them, and first.
     large: usize,
     /// The first is the root.
@@ -77,7 +77,7 @@ const WAITING: usize = 64;
 
 impl World {
     /// A world of these surfaces, which may be put into another order.
-    pub(super) fn new(surfaces: Vec<Surface>) -> Self {
+    pub(crate) fn new(surfaces: Vec<Surface>) -> Self {
         let is_large = |surface: &Surface| surface.shape.bounds().longest_side() > LARGE;
         let (mut surfaces, mut small): (Vec<_>, Vec<_>) = surfaces.into_iter().partition(is_large);
         let (large, mut nodes) = (surfaces.len(), Vec::new());
@@ -89,7 +89,7 @@ impl World {
     }
 
     /// The first surface on the ray, other than `ignored`.
-    pub(super) fn trace(&self, ray: &Ray, ignored: Option<usize>) -> Option<Hit> {
+    pub(crate) fn trace(&self, ray: &Ray, ignored: Option<usize>) -> Option<Hit> {
         let mut nearest = f32::INFINITY;
         let mut found = None;
         self.visit(ray, |index| {
@@ -105,7 +105,7 @@ impl World {
     }
 
     /// True when nothing but `ignored` lies on the ray before `distance`.
-    pub(super) fn is_clear(&self, ray: &Ray, distance: f32, ignored: Option<usize>) -> bool {
+    pub(crate) fn is_clear(&self, ray: &Ray, distance: f32, ignored: Option<usize>) -> bool {
         let mut clear = true;
         self.visit(ray, |index| {
             if Some(index) != ignored && self.surfaces[index].shape.meet(ray, distance).is_some() {

@@ -6,19 +6,28 @@
 
 use std::collections::BTreeMap;
 use std::fs::{self, File};
-use std::io::{self, Read, Write};
+use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
-use genesplat_core::{NamedTensors, Tensor};
 use half::f16;
 use pytorch_reader::{DType, PytorchReader};
 use safetensors::tensor::TensorView;
 use safetensors::{Dtype, SafeTensors};
 use sha2::{Digest, Sha256};
 
-use crate::atomic::write_atomically;
+/// An array of any number of dimensions, row-major.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Tensor {
+    /// Length of each dimension, the slowest first; their product is the number of `values`.
+    pub shape: Vec<usize>,
+    /// The values, the last dimension's side by side.
+    pub values: Vec<f32>,
+}
 
-/// Why weights could not be read or written.
+/// Tensors in order of their names.
+pub type NamedTensors = BTreeMap<String, Tensor>;
+
+/// Why weights could not be read.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum WeightFileError {
@@ -52,16 +61,6 @@ pub enum WeightFileError {
         /// The type of its values.
         found: String,
     },
-    /// The operating system refused to write.
-    #[error(
-        "cannot write the weights {path}: {source}; choose a folder that can be written to, or free some space"
-    )]
-    Write {
-        /// The file.
-        path: PathBuf,
-        /// Why.
-        source: io::Error,
-    },
 }
 
 /// Largest safetensors file that is read at once, bytes: four times VGG16's convolutions and classifier in f16.
@@ -76,20 +75,18 @@ pub fn read_weights(path: &Path, wants: impl Fn(&str) -> bool) -> Result<NamedTe
     if is_safetensors { read_safetensors(path, wants) } else { read_pytorch(path, wants) }
 }
 
-/// Writes `tensors` as safetensors in f32, whole or not at all.
+/// The bytes of a safetensors file that holds `tensors` in f32.
 ///
 /// # Panics
 /// When a tensor has not as many values as its shape says.
-pub fn write_weights(path: &Path, tensors: &NamedTensors) -> Result<(), WeightFileError> {
+pub fn to_safetensors(tensors: &NamedTensors) -> Vec<u8> {
     let bytes: BTreeMap<&str, Vec<u8>> =
         tensors.iter().map(|(name, tensor)| (name.as_str(), f32_bytes(&tensor.values))).collect();
     let views = bytes.iter().map(|(&name, bytes)| {
         let view = TensorView::new(Dtype::F32, tensors[name].shape.clone(), bytes);
         (name, view.expect("a tensor has as many values as its shape says"))
     });
-    let file = safetensors::serialize(views, None).expect("views of whole tensors fit a file");
-    write_atomically(path, |out| out.write_all(&file))
-        .map_err(|source| WeightFileError::Write { path: path.to_owned(), source })
+    safetensors::serialize(views, None).expect("views of whole tensors fit a file")
 }
 
 /// The SHA-256 sum of the file at `path`, as 64 hexadecimal digits.
