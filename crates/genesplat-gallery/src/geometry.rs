@@ -1,8 +1,10 @@
-//! Shapes of the gallery and the rays that meet them.
+//! Shapes of the gallery, and where rays hit them.
 //!
 //! World axes: x to the right along the back wall, y towards it, z up; metres.
 
 use glam::{Vec3, Vec3A};
+
+use crate::bounds::Bounds;
 
 /// A half line.
 #[derive(Clone, Copy, Debug)]
@@ -11,9 +13,10 @@ pub(crate) struct Ray {
     pub(crate) origin: Vec3,
     /// Unit vector.
     pub(crate) direction: Vec3,
-    /// `origin`, and one over each component of `direction`, as the box test wants them.
-    start: Vec3A,
-    inverse: Vec3A,
+    /// `origin`, for the test of boxes.
+    pub(crate) start: Vec3A,
+    /// One over each component of `direction`, for the test of boxes.
+    pub(crate) inverse: Vec3A,
 }
 
 impl Ray {
@@ -22,7 +25,7 @@ impl Ray {
         Self { origin, direction, start: origin.into(), inverse: direction.recip().into() }
     }
 
-    /// From a point just off a surface, so that the surface itself is not met again.
+    /// From a point just off a surface, so that the surface itself is not hit again.
     pub(crate) fn leaving(point: Vec3, normal: Vec3, direction: Vec3) -> Self {
         const CLEARANCE: f32 = 1e-3;
         Self::new(point + CLEARANCE * normal, direction)
@@ -74,8 +77,8 @@ impl Shape {
         Self::Rectangle { corner, u, v, size, normal: u.cross(v) }
     }
 
-    /// Distance of the meeting with a ray, if there is one in front of it and before `farthest`.
-    pub(crate) fn meet(&self, ray: &Ray, farthest: f32) -> Option<f32> {
+    /// Distance at which the ray hits the shape, if that is in front of it and before `farthest`.
+    pub(crate) fn intersect(&self, ray: &Ray, farthest: f32) -> Option<f32> {
         match *self {
             Self::Rectangle { corner, u, v, size, normal } => {
                 let (facing, height) = (ray.direction.dot(normal), (corner - ray.origin).dot(normal));
@@ -88,8 +91,8 @@ impl Shape {
                 let within = |side: Vec3, length: f32| (0.0..=length).contains(&inside.dot(side));
                 (within(u, size[0]) && within(v, size[1])).then_some(distance)
             }
-            Self::Ellipsoid { centre, radii } => meet_ellipsoid(ray, centre, radii),
-            Self::Rod { from, to, radius } => meet_rod(ray, from, to, radius),
+            Self::Ellipsoid { centre, radii } => intersect_ellipsoid(ray, centre, radii),
+            Self::Rod { from, to, radius } => intersect_rod(ray, from, to, radius),
         }
         .filter(|distance| (0.0..farthest).contains(distance))
     }
@@ -129,18 +132,18 @@ impl Shape {
         match *self {
             Self::Rectangle { corner, u, v, size, .. } => {
                 let (along, up) = (size[0] * u, size[1] * v);
-                Bounds::of(corner, corner + along + up).around(Bounds::of(corner + along, corner + up))
+                Bounds::of(corner, corner + along + up).union(Bounds::of(corner + along, corner + up))
             }
             Self::Ellipsoid { centre, radii } => Bounds::of(centre - radii, centre + radii),
             Self::Rod { from, to, radius } => {
                 let ball = |end: Vec3| Bounds::of(end - radius, end + radius);
-                ball(from).around(ball(to))
+                ball(from).union(ball(to))
             }
         }
     }
 }
 
-fn meet_ellipsoid(ray: &Ray, centre: Vec3, radii: Vec3) -> Option<f32> {
+fn intersect_ellipsoid(ray: &Ray, centre: Vec3, radii: Vec3) -> Option<f32> {
     // In the space in which it is the unit sphere.
     let (origin, direction) = ((ray.origin - centre) / radii, ray.direction / radii);
     let (a, b) = (direction.length_squared(), origin.dot(direction));
@@ -148,7 +151,7 @@ fn meet_ellipsoid(ray: &Ray, centre: Vec3, radii: Vec3) -> Option<f32> {
     (discriminant > 0.0).then(|| (-b - discriminant.sqrt()) / a)
 }
 
-fn meet_rod(ray: &Ray, from: Vec3, to: Vec3, radius: f32) -> Option<f32> {
+fn intersect_rod(ray: &Ray, from: Vec3, to: Vec3, radius: f32) -> Option<f32> {
     let axis = to - from;
     let length_squared = axis.length_squared();
     let start = ray.origin - from;
@@ -166,44 +169,7 @@ fn meet_rod(ray: &Ray, from: Vec3, to: Vec3, radius: f32) -> Option<f32> {
         return Some(distance);
     }
     let end = if along < 0.0 { from } else { to };
-    meet_ellipsoid(ray, end, Vec3::splat(radius))
-}
-
-/// An axis-aligned box.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Bounds {
-    low: Vec3A,
-    high: Vec3A,
-}
-
-impl Bounds {
-    /// Of two points.
-    fn of(a: Vec3, b: Vec3) -> Self {
-        Self { low: a.min(b).into(), high: a.max(b).into() }
-    }
-
-    /// The least box around both.
-    pub(crate) fn around(self, other: Self) -> Self {
-        Self { low: self.low.min(other.low), high: self.high.max(other.high) }
-    }
-
-    /// 0 for x, 1 for y, 2 for z.
-    pub(crate) fn longest_axis(&self) -> usize {
-        (self.high - self.low).max_position()
-    }
-
-    /// Metres.
-    pub(crate) fn longest_side(&self) -> f32 {
-        (self.high - self.low).max_element()
-    }
-
-    /// True when the ray is inside the box somewhere before `farthest`.
-    #[inline]
-    pub(crate) fn met_before(&self, ray: &Ray, farthest: f32) -> bool {
-        let (a, b) = ((self.low - ray.start) * ray.inverse, (self.high - ray.start) * ray.inverse);
-        let (enter, leave) = (a.min(b).max_element(), a.max(b).min_element());
-        leave >= enter.max(0.0) && enter < farthest
-    }
+    intersect_ellipsoid(ray, end, Vec3::splat(radius))
 }
 
 #[cfg(test)]
@@ -215,20 +181,20 @@ mod tests {
     }
 
     #[test]
-    fn shapes_are_met_where_they_are() {
+    fn rays_hit_shapes_where_they_are() {
         let disc = Shape::Ellipsoid { centre: Vec3::new(0.0, 5.0, 0.0), radii: Vec3::new(2.0, 1.0, 2.0) };
         let rod = Shape::Rod { from: Vec3::new(-1.0, 3.0, 0.0), to: Vec3::new(1.0, 3.0, 0.0), radius: 0.5 };
         let wall = Shape::rectangle(Vec3::new(-1.0, 7.0, -1.0), Vec3::X, Vec3::Z, [2.0, 3.0]);
         let ahead = ray([0.0; 3], [0.0, 1.0, 0.0]);
         for (shape, distance) in [(disc, 4.0), (rod, 2.5), (wall, 7.0)] {
-            assert!((shape.meet(&ahead, 100.0).unwrap() - distance).abs() < 1e-5);
-            assert!(shape.meet(&ray([0.0, 0.0, 4.0], [0.0, 1.0, 0.0]), 100.0).is_none());
-            assert!(shape.bounds().met_before(&ahead, 100.0) && !shape.bounds().met_before(&ahead, 1.0));
+            assert!((shape.intersect(&ahead, 100.0).unwrap() - distance).abs() < 1e-5);
+            assert!(shape.intersect(&ray([0.0, 0.0, 4.0], [0.0, 1.0, 0.0]), 100.0).is_none());
+            assert!(shape.bounds().hit_before(&ahead, 100.0) && !shape.bounds().hit_before(&ahead, 1.0));
             let normal = shape.normal(ahead.at(distance));
             assert!((normal - Vec3::NEG_Y).length() < 1e-5, "{normal}");
         }
         // The round end of the rod reaches half a metre beyond its axis.
-        let end = rod.meet(&ray([1.4, 0.0, 0.0], [0.0, 1.0, 0.0]), 100.0).unwrap();
+        let end = rod.intersect(&ray([1.4, 0.0, 0.0], [0.0, 1.0, 0.0]), 100.0).unwrap();
         assert!((end - 2.7).abs() < 1e-5);
     }
 }

@@ -1,11 +1,15 @@
 //! The bundled scene: a small art gallery, ray-cast here, so that everything can be tried without a download.
 //!
-//! The room (`room`) is lit once (`light`), photographed from a path of cameras (`cameras`, `render`) and given
-//! points as structure from motion would find them (`points`). It holds what splats find hard: plain walls, fine
-//! prints, thin rods, metal and glaze. The same options give the same bytes on one machine, for any number of threads.
+//! The room (`room`, `exhibits`) is lit once (`light`), photographed from a path of cameras (`cameras`, `render`) and
+//! given points as structure from motion would find them (`points`). It holds what is hard for splats: plain walls,
+//! fine prints, thin rods, metal and glaze. The same options give the same bytes on one machine, for any number of
+//! threads.
 
+mod bounds;
 mod cameras;
+mod exhibits;
 mod geometry;
+mod lamps;
 mod light;
 mod painting;
 mod points;
@@ -20,7 +24,7 @@ use std::sync::Arc;
 use genesplat_core::View;
 use genesplat_io::colmap::{Form, ImageRecord, Intrinsics, Model, write_model};
 use genesplat_io::photos::{PhotoError, write_png};
-use genesplat_io::{HoldOut, LEAST_SIDE_PX, Point, Scene};
+use genesplat_io::{HoldOut, Point, SIDE_MIN_PX, Scene};
 
 /// How the gallery is photographed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -58,33 +62,31 @@ pub struct Gallery {
 /// If a side is below 16 px or there are fewer than 2 views.
 pub fn generate(options: &GalleryOptions) -> Gallery {
     let GalleryOptions { width, height, views, points, seed } = *options;
-    assert!(width.min(height) >= LEAST_SIDE_PX && views >= 2, "a gallery needs photos: {options:?}");
+    assert!(width.min(height) >= SIDE_MIN_PX && views >= 2, "a gallery needs photos: {options:?}");
     let pattern_seed = (seed ^ (seed >> 32)) as u32;
     let (world, lamps) = room::build(pattern_seed);
     let lighting = light::Lighting::bake(&world, &lamps, pattern_seed);
-    let stage = render::Stage { world, lighting, seed: pattern_seed };
+    let caster = render::RayCaster { world, lighting, seed: pattern_seed };
     let views: Vec<View> = (cameras::path(views, width, height).into_iter().enumerate())
         .map(|(index, camera)| View {
             name: format!("gallery_{index:03}.png"),
-            photo: Arc::new(stage.photograph(&camera)),
+            photo: Arc::new(caster.photograph(&camera)),
             camera,
         })
         .collect();
-    let shots: Vec<_> =
-        views.iter().map(|view| points::Shot { camera: &view.camera, photo: &view.photo }).collect();
-    let points = points::sample(&stage, &shots, points, seed);
+    let points = points::sample(&caster, &views, points, seed);
     Gallery { views, points }
 }
 
 impl Gallery {
-    /// As a scene, without a detour over the disk.
+    /// As a scene, without files.
     pub fn into_scene(self, hold_out: HoldOut) -> Scene {
         let (train, test) = hold_out.split(self.views);
         let (photos, notices) = (Vec::new(), Vec::new());
         Scene { name: "gallery".into(), train, test, points: self.points, photos, notices }
     }
 
-    /// Writes an ordinary COLMAP scene into `folder`, which every trainer reads: `images/*.png` and `sparse/0/*.bin`.
+    /// Writes a COLMAP scene into `folder`, which every trainer reads: `images/*.png` and `sparse/0/*.bin`.
     pub fn write_colmap(&self, folder: &Path) -> Result<(), PhotoError> {
         for view in &self.views {
             write_png(&folder.join("images").join(&view.name), &view.photo)?;

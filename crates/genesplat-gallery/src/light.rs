@@ -10,53 +10,19 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use crate::geometry::{Ray, Shape};
-use crate::world::{Finish, World};
-
-/// A rectangle in the ceiling that shines downwards.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Skylight {
-    /// Least x and y corner, at the ceiling.
-    pub(crate) corner: Vec3,
-    /// Sides along x and y, metres.
-    pub(crate) size: [f32; 2],
-    /// Radiance.
-    pub(crate) radiance: Vec3,
-}
-
-/// A lamp that shines in a cone.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Spot {
-    /// Where it is.
-    pub(crate) position: Vec3,
-    /// Where it points.
-    pub(crate) target: Vec3,
-    /// Radiance times area.
-    pub(crate) intensity: Vec3,
-    /// Cosines of the half angles at which the cone ends and at which it is full.
-    pub(crate) cone: [f32; 2],
-}
-
-/// All that shines.
-#[derive(Clone, Debug)]
-pub(crate) struct Lamps {
-    /// Daylight.
-    pub(crate) skylight: Skylight,
-    /// On the rail.
-    pub(crate) spots: Vec<Spot>,
-}
+use crate::lamps::Lamps;
+use crate::world::{Finish, Surface, World};
 
 /// Spacing of direct light on flat surfaces, metres.
 const FINE: f32 = 0.04;
 /// Spacing of bounced light on flat surfaces, metres.
 const COARSE: f32 = 0.2;
-/// Samples along each side of the skylight.
-const SKY_SAMPLES: usize = 6;
 /// Directions of the bounce: this many squared.
 const BOUNCE_SAMPLES: usize = 12;
 /// Light of all further bounces, as a constant: about what a second bounce adds in this room.
 const AMBIENT: Vec3 = Vec3::new(0.10, 0.095, 0.088);
 
-/// Light at one surface.
+/// Light at one surface, from all sides.
 #[derive(Clone, Debug)]
 enum Field {
     Grid {
@@ -69,7 +35,7 @@ enum Field {
     Cube([Vec3; 6]),
 }
 
-/// Light at every surface.
+/// Baked light of every surface.
 #[derive(Debug)]
 pub(crate) struct Lighting {
     direct: Vec<Field>,
@@ -92,7 +58,7 @@ impl Lighting {
         self.direct[index].at(uv, normal) + self.bounced[index].at(uv, normal)
     }
 
-    /// What the surface that `ray` meets scatters back along it.
+    /// What the surface that `ray` hits scatters back along it.
     fn scattered_back(&self, world: &World, ray: &Ray, own: Option<usize>, seed: u32) -> Vec3 {
         let Some(hit) = world.trace(ray, own) else { return Vec3::ZERO };
         let (surface, point) = (&world.surfaces[hit.surface], ray.at(hit.distance));
@@ -136,7 +102,7 @@ fn fields(
     spacing: f32,
     light: impl Fn(Vec3, Vec3, Option<usize>) -> Vec3 + Sync,
 ) -> Vec<Field> {
-    let field = |(index, surface): (usize, &crate::world::Surface)| match surface.shape {
+    let field = |(index, surface): (usize, &Surface)| match surface.shape {
         Shape::Rectangle { corner, u, v, size, normal } => {
             let [columns, rows] = size.map(|side| ((side / spacing).ceil() as usize).max(2));
             let point = |texel: usize| {
@@ -153,49 +119,6 @@ fn fields(
         }
     };
     world.surfaces.par_iter().enumerate().map(field).collect()
-}
-
-impl Lamps {
-    /// Direct light at a point; `own` casts no shadow on itself.
-    fn light(&self, world: &World, point: Vec3, normal: Vec3, own: Option<usize>) -> Vec3 {
-        let spots: Vec3 = self.spots.iter().map(|spot| spot.light(world, point, normal, own)).sum();
-        self.skylight.light(world, point, normal, own) + spots
-    }
-}
-
-/// A lamp's own body must not shade it: rays end this far before it, metres.
-const LAMP_CLEARANCE: f32 = 0.08;
-
-impl Skylight {
-    fn light(&self, world: &World, point: Vec3, normal: Vec3, own: Option<usize>) -> Vec3 {
-        let patch = self.size[0] * self.size[1] / (SKY_SAMPLES * SKY_SAMPLES) as f32;
-        let share = |sample: usize| {
-            let (a, b) = ((sample % SKY_SAMPLES) as f32 + 0.5, (sample / SKY_SAMPLES) as f32 + 0.5);
-            let offset = Vec3::new(a * self.size[0], b * self.size[1], 0.0) / SKY_SAMPLES as f32;
-            let towards = self.corner + offset - point;
-            let distance = towards.length();
-            let ray = Ray::leaving(point, normal, towards / distance);
-            let (cosine, at_lamp) = (ray.direction.dot(normal), ray.direction.z);
-            let lit = cosine > 0.0 && at_lamp > 0.0 && world.is_clear(&ray, distance - LAMP_CLEARANCE, own);
-            if lit { cosine * at_lamp * patch / (distance * distance) } else { 0.0 }
-        };
-        self.radiance / PI * (0..SKY_SAMPLES * SKY_SAMPLES).map(share).sum::<f32>()
-    }
-}
-
-impl Spot {
-    fn light(&self, world: &World, point: Vec3, normal: Vec3, own: Option<usize>) -> Vec3 {
-        let towards = self.position - point;
-        let distance = towards.length();
-        let ray = Ray::leaving(point, normal, towards / distance);
-        let axis = (self.target - self.position).normalize();
-        let cone = crate::texture::step(self.cone[0], self.cone[1], -ray.direction.dot(axis));
-        let cosine = ray.direction.dot(normal);
-        if cone <= 0.0 || cosine <= 0.0 || !world.is_clear(&ray, distance - LAMP_CLEARANCE, own) {
-            return Vec3::ZERO;
-        }
-        self.intensity / PI * (cone * cosine / (distance * distance))
-    }
 }
 
 /// Mean of `incoming` over the hemisphere around `normal`, weighted by the cosine.

@@ -2,7 +2,7 @@
 
 use glam::Vec3;
 
-use crate::texture::{clouds, hash, mix, noise, paint, step};
+use crate::texture::{clouds, hash, mix, noise, paint, smoothstep};
 
 /// Which picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -39,9 +39,9 @@ fn ridges(x: f32, y: f32, aspect: f32, seed: u32) -> Vec3 {
     let (height, in_water) = if y < WATER { (2.0 * WATER - y + ripple * 4.0, true) } else { (y, false) };
     let sun = Vec3::new(0.68 * aspect - x, 0.66 - height, 0.0).length();
     let glow = (-3.5 * sun).exp();
-    let mut colour = paint(0x8F_B4_C4).lerp(paint(0xF5_C9_91), step(0.95, 0.35, height));
+    let mut colour = paint(0x8F_B4_C4).lerp(paint(0xF5_C9_91), smoothstep(0.95, 0.35, height));
     colour = colour.lerp(paint(0xFF_E9_B8), glow);
-    colour = colour.lerp(paint(0xFF_F4_DC), step(0.088, 0.082, sun));
+    colour = colour.lerp(paint(0xFF_F4_DC), smoothstep(0.088, 0.082, sun));
     // From the nearest hill to the farthest: the first that reaches this height hides the others.
     for layer in (0..LAYERS).rev() {
         let near = layer as f32 / (LAYERS - 1) as f32;
@@ -50,7 +50,7 @@ fn ridges(x: f32, y: f32, aspect: f32, seed: u32) -> Vec3 {
         if below > 0.0 {
             let tone = paint(0xA4_B3_CB).lerp(paint(0x14_2C_33), near.sqrt());
             let strokes = 0.8 + 0.4 * noise(24.0 * x + 60.0 * height, 70.0 * height - 20.0 * x, seed ^ 7);
-            colour = paint(0xEB_CB_A8).lerp(tone * strokes, mix(0.62, 1.0, step(0.0, 0.10, below)));
+            colour = paint(0xEB_CB_A8).lerp(tone * strokes, mix(0.62, 1.0, smoothstep(0.0, 0.10, below)));
             break;
         }
     }
@@ -82,9 +82,9 @@ fn contours(x: f32, y: f32, seed: u32) -> Vec3 {
     let height = clouds(1.4 * x + warp, 1.4 * y - warp, seed);
     let level = 26.0 * height;
     let line = ((level - level.floor()) - 0.5).abs();
-    let field = paint(0xEF_E3_C8).lerp(paint(0x5E_8C_7B), step(0.42, 0.62, height));
-    let field = field.lerp(paint(0xD8_71_46), step(0.42, 0.30, height));
-    field.lerp(paint(0x2A_25_22), step(0.14, 0.06, line))
+    let field = paint(0xEF_E3_C8).lerp(paint(0x5E_8C_7B), smoothstep(0.42, 0.62, height));
+    let field = field.lerp(paint(0xD8_71_46), smoothstep(0.42, 0.30, height));
+    field.lerp(paint(0x2A_25_22), smoothstep(0.14, 0.06, line))
 }
 
 fn mosaic(x: f32, y: f32, seed: u32) -> Vec3 {
@@ -104,5 +104,5 @@ fn mosaic(x: f32, y: f32, seed: u32) -> Vec3 {
         }
     }
     let tile = PALETTE[(5.0 * owner) as usize] * (0.85 + 0.3 * hash((97.0 * owner) as i32, 3, seed));
-    tile.lerp(paint(0x2B_28_26), step(0.09, 0.04, second - first))
+    tile.lerp(paint(0x2B_28_26), smoothstep(0.09, 0.04, second - first))
 }

@@ -1,4 +1,4 @@
-//! Photos of the room.
+//! Casts the rays of a camera into the room: photos.
 
 use genesplat_core::{Camera, Photo};
 use glam::{DMat3, DVec2, Vec3};
@@ -19,12 +19,12 @@ const SMOOTH: f32 = 0.03;
 const REFLECTIONS: u32 = 2;
 /// Radiance that a sample is limited to: a lamp must not outshine the other samples of its pixel.
 const BRIGHTEST: f32 = 4.0;
-/// Exposure of the photos.
+/// Factor of radiance before tone mapping.
 const EXPOSURE: f32 = 1.25;
 
-/// A room that can be photographed.
+/// A lit room, ready to be photographed.
 #[derive(Debug)]
-pub(crate) struct Stage {
+pub(crate) struct RayCaster {
     /// What is there.
     pub(crate) world: World,
     /// How it is lit.
@@ -33,30 +33,30 @@ pub(crate) struct Stage {
     pub(crate) seed: u32,
 }
 
-impl Stage {
+impl RayCaster {
     /// The photo that `camera` takes; rows are computed in parallel.
     pub(crate) fn photograph(&self, camera: &Camera) -> Photo {
-        let (width, lens) = (camera.width as usize, Lens::of(camera));
+        let (width, rays) = (camera.width as usize, CameraRays::of(camera));
         let mut rgb = vec![0; 3 * width * camera.height as usize];
         rgb.par_chunks_mut(3 * width).enumerate().for_each(|(row, values)| {
             for (column, value) in values.chunks_exact_mut(3).enumerate() {
-                value.copy_from_slice(&develop(self.pixel(&lens, [column as f64, row as f64])));
+                value.copy_from_slice(&tone_map(self.pixel(&rays, [column as f64, row as f64])));
             }
         });
         Photo { width: camera.width, height: camera.height, rgb }
     }
 
     /// The first surface behind pixel coordinates `(u, v)`, and the ray to it.
-    pub(crate) fn look(&self, lens: &Lens, at: [f64; 2]) -> Option<(Ray, Hit)> {
-        let ray = lens.ray(at);
+    pub(crate) fn first_hit(&self, rays: &CameraRays, at: [f64; 2]) -> Option<(Ray, Hit)> {
+        let ray = rays.ray(at);
         self.world.trace(&ray, None).map(|hit| (ray, hit))
     }
 
     /// Mean radiance of a pixel.
-    fn pixel(&self, lens: &Lens, [column, row]: [f64; 2]) -> Vec3 {
+    fn pixel(&self, rays: &CameraRays, [column, row]: [f64; 2]) -> Vec3 {
         let sample = |[x, y]: [u8; 2]| {
             let offset = |eighths: u8| (f64::from(eighths) - 3.5) / 8.0;
-            self.radiance(&lens.ray([column + offset(x), row + offset(y)]), 0).min(Vec3::splat(BRIGHTEST))
+            self.radiance(&rays.ray([column + offset(x), row + offset(y)]), 0).min(Vec3::splat(BRIGHTEST))
         };
         let first = FIRST_SAMPLES.map(sample);
         let sum: Vec3 = first.iter().sum();
@@ -80,8 +80,8 @@ impl Stage {
         };
         match surface.finish {
             Finish::Lamp(radiance) => radiance,
-            Finish::Coated { share } if reflections < REFLECTIONS => {
-                scattered().lerp(mirrored(), share * fresnel(0.04, facing))
+            Finish::Coated { specular } if reflections < REFLECTIONS => {
+                scattered().lerp(mirrored(), specular * fresnel(0.04, facing))
             }
             Finish::Metal(tint) if reflections < REFLECTIONS => {
                 mirrored() * tint.lerp(Vec3::ONE, fresnel(0.0, facing))
@@ -91,16 +91,16 @@ impl Stage {
     }
 }
 
-/// A camera, ready to cast rays.
-pub(crate) struct Lens {
+/// The rays of a camera.
+pub(crate) struct CameraRays {
     centre: Vec3,
     world_from_camera: DMat3,
     focal_px: DVec2,
     principal_px: DVec2,
 }
 
-impl Lens {
-    /// The lens of `camera`.
+impl CameraRays {
+    /// Those of `camera`.
     pub(crate) fn of(camera: &Camera) -> Self {
         Self {
             centre: camera.centre_in_world().as_vec3(),
@@ -118,13 +118,13 @@ impl Lens {
     }
 }
 
-/// Share of light that a smooth surface mirrors (Schlick 1994).
+/// Fraction of light that a smooth surface mirrors (Schlick 1994).
 fn fresnel(head_on: f32, cosine: f32) -> f32 {
     head_on + (1.0 - head_on) * (1.0 - cosine.clamp(0.0, 1.0)).powi(5)
 }
 
 /// Radiance to 8-bit sRGB, through the film curve of Narkowicz ("ACES filmic tone mapping curve", 2015).
-fn develop(radiance: Vec3) -> [u8; 3] {
+fn tone_map(radiance: Vec3) -> [u8; 3] {
     let x = EXPOSURE * radiance;
     let film = (x * (2.51 * x + 0.03)) / (x * (2.43 * x + 0.59) + 0.14);
     let encode = |value: f32| {

@@ -25,7 +25,7 @@ pub(crate) enum Texture {
 }
 
 impl Texture {
-    /// Share of light that is scattered back, linear RGB, at `(u, v)` metres.
+    /// Fraction of light that is scattered back, linear RGB, at `(u, v)` metres.
     pub(crate) fn albedo(&self, [u, v]: [f32; 2], seed: u32) -> Vec3 {
         match *self {
             Self::Plain(colour) => colour,
@@ -85,12 +85,12 @@ pub(crate) fn clouds(x: f32, y: f32, seed: u32) -> f32 {
 }
 
 /// From `a` to `b`.
-pub(crate) fn mix(a: f32, b: f32, share: f32) -> f32 {
-    a + (b - a) * share
+pub(crate) fn mix(a: f32, b: f32, t: f32) -> f32 {
+    a + (b - a) * t
 }
 
 /// 0 below `from`, 1 above `to`, smooth between.
-pub(crate) fn step(from: f32, to: f32, x: f32) -> f32 {
+pub(crate) fn smoothstep(from: f32, to: f32, x: f32) -> f32 {
     let t = ((x - from) / (to - from)).clamp(0.0, 1.0);
     t * t * (3.0 - 2.0 * t)
 }
@@ -109,7 +109,7 @@ fn boards(u: f32, v: f32, seed: u32) -> Vec3 {
     let (across, along) = (fraction(u / WIDTH), fraction(shifted));
     let gap = across.min(1.0 - across) * WIDTH;
     let butt = along.min(1.0 - along) * LENGTH;
-    colour * mix(0.45, 1.0, step(0.001, 0.004, gap.min(butt)))
+    colour * mix(0.45, 1.0, smoothstep(0.001, 0.004, gap.min(butt)))
 }
 
 fn rug(u: f32, v: f32, [width, height]: [f32; 2], seed: u32) -> Vec3 {

@@ -1,21 +1,22 @@
-//! All shapes of the room with their materials, and which of them a ray meets first.
+//! All shapes of the room with their materials, and which of them a ray hits first (a bounding volume hierarchy).
 
 use std::ops::{ControlFlow, Range};
 
 use glam::Vec3;
 
-use crate::geometry::{Bounds, Ray, Shape};
+use crate::bounds::Bounds;
+use crate::geometry::{Ray, Shape};
 use crate::texture::Texture;
 
-/// How a surface answers light.
+/// How a surface reflects light.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Finish {
     /// Scatters alike in all directions.
     Matte,
-    /// Matte under a clear coat that mirrors `share` of what Fresnel's law allows.
+    /// Matte under a clear coat that mirrors a fraction of what Fresnel's law allows.
     Coated {
-        /// 1 for glass.
-        share: f32,
+        /// That fraction, 1 for glass.
+        specular: f32,
     },
     /// Mirrors, tinted.
     Metal(Vec3),
@@ -30,7 +31,7 @@ pub(crate) struct Surface {
     pub(crate) shape: Shape,
     /// Its colour.
     pub(crate) texture: Texture,
-    /// Its answer to light.
+    /// How it reflects light.
     pub(crate) finish: Finish,
 }
 
@@ -43,7 +44,7 @@ pub(crate) struct Hit {
     pub(crate) surface: usize,
 }
 
-/// The room and everything in it, in a tree of boxes: a ray looks only into the boxes that it meets.
+/// The room and everything in it, as a bounding volume hierarchy: a ray tries only the surfaces in boxes that it hits.
 #[derive(Debug)]
 pub(crate) struct World {
     /// First the large ones, then those of each leaf in a row.
@@ -69,20 +70,20 @@ enum Content {
 }
 
 /// Longest side of a surface in the tree, metres.
-const LARGE: f32 = 2.8;
+const SIDE_MAX: f32 = 2.8;
 /// Most surfaces of a leaf.
-const LEAF: usize = 2;
-/// Nodes that wait while a ray descends: one for each level, and a tree of halves has at most 64.
-const WAITING: usize = 64;
+const LEAF_MAX: usize = 2;
+/// Nodes on the stack while a ray descends: one for each level, and a tree of halves has at most 64.
+const STACK: usize = 64;
 
 impl World {
     /// A world of these surfaces, which may be put into another order.
     pub(crate) fn new(surfaces: Vec<Surface>) -> Self {
-        let is_large = |surface: &Surface| surface.shape.bounds().longest_side() > LARGE;
+        let is_large = |surface: &Surface| surface.shape.bounds().longest_side() > SIDE_MAX;
         let (mut surfaces, mut small): (Vec<_>, Vec<_>) = surfaces.into_iter().partition(is_large);
         let (large, mut nodes) = (surfaces.len(), Vec::new());
         if !small.is_empty() {
-            grow(&mut small, large, &mut nodes);
+            build_tree(&mut small, large, &mut nodes);
         }
         surfaces.extend(small);
         Self { surfaces, large, nodes }
@@ -93,9 +94,12 @@ impl World {
         let mut nearest = f32::INFINITY;
         let mut found = None;
         self.visit(ray, |index| {
-            let meeting =
-                if Some(index) == ignored { None } else { self.surfaces[index].shape.meet(ray, nearest) };
-            if let Some(distance) = meeting {
+            let distance = if Some(index) == ignored {
+                None
+            } else {
+                self.surfaces[index].shape.intersect(ray, nearest)
+            };
+            if let Some(distance) = distance {
                 nearest = distance;
                 found = Some(Hit { distance, surface: index });
             }
@@ -108,7 +112,7 @@ impl World {
     pub(crate) fn is_clear(&self, ray: &Ray, distance: f32, ignored: Option<usize>) -> bool {
         let mut clear = true;
         self.visit(ray, |index| {
-            if Some(index) != ignored && self.surfaces[index].shape.meet(ray, distance).is_some() {
+            if Some(index) != ignored && self.surfaces[index].shape.intersect(ray, distance).is_some() {
                 clear = false;
                 return ControlFlow::Break(());
             }
@@ -127,13 +131,13 @@ impl World {
                 ControlFlow::Break(()) => return,
             }
         }
-        let mut waiting = [0; WAITING];
+        let mut stack = [0; STACK];
         let mut count = usize::from(!self.nodes.is_empty());
         while count > 0 {
             count -= 1;
-            let at = waiting[count];
+            let at = stack[count];
             let node = &self.nodes[at];
-            if !node.bounds.met_before(ray, farthest) {
+            if !node.bounds.hit_before(ray, farthest) {
                 continue;
             }
             match &node.content {
@@ -145,10 +149,10 @@ impl World {
                         }
                     }
                 }
-                // The last to wait is the first to be visited: the child that the ray comes to first.
+                // The last on the stack is visited first: the child that the ray comes to first.
                 Content::Fork { second, axis } => {
                     let forwards = ray.direction[*axis] > 0.0;
-                    (waiting[count], waiting[count + 1]) =
+                    (stack[count], stack[count + 1]) =
                         if forwards { (*second, at + 1) } else { (at + 1, *second) };
                     count += 2;
                 }
@@ -158,10 +162,10 @@ impl World {
 }
 
 /// Appends the tree of `surfaces`, of which the first has index `start` in the world.
-fn grow(surfaces: &mut [Surface], start: usize, nodes: &mut Vec<Node>) {
-    let bounds = surfaces.iter().map(|surface| surface.shape.bounds()).reduce(Bounds::around);
+fn build_tree(surfaces: &mut [Surface], start: usize, nodes: &mut Vec<Node>) {
+    let bounds = surfaces.iter().map(|surface| surface.shape.bounds()).reduce(Bounds::union);
     let bounds = bounds.expect("a node holds at least one surface");
-    if surfaces.len() <= LEAF {
+    if surfaces.len() <= LEAF_MAX {
         nodes.push(Node { bounds, content: Content::Leaf(start..start + surfaces.len()) });
         return;
     }
@@ -172,9 +176,9 @@ fn grow(surfaces: &mut [Surface], start: usize, nodes: &mut Vec<Node>) {
     let parent = nodes.len();
     nodes.push(Node { bounds, content: Content::Fork { second: 0, axis } });
     let (first, second) = surfaces.split_at_mut(half);
-    grow(first, start, nodes);
+    build_tree(first, start, nodes);
     nodes[parent].content = Content::Fork { second: nodes.len(), axis };
-    grow(second, start + half, nodes);
+    build_tree(second, start + half, nodes);
 }
 
 #[cfg(test)]
@@ -200,16 +204,17 @@ mod tests {
             finish: Finish::Matte,
         };
         let world = World::new((0..100).map(surface).collect());
-        let mut met = 0;
+        let mut hits = 0;
         for i in 0..500 {
             let origin = 6.0 * vector(2, i).normalize();
             let ray = Ray::new(origin, (3.0 * vector(3, i) - origin).normalize());
-            let all = world.surfaces.iter().filter_map(|surface| surface.shape.meet(&ray, f32::INFINITY));
+            let all =
+                world.surfaces.iter().filter_map(|surface| surface.shape.intersect(&ray, f32::INFINITY));
             let nearest = all.reduce(f32::min);
             assert_eq!(world.trace(&ray, None).map(|hit| hit.distance), nearest);
             assert_eq!(world.is_clear(&ray, 5.0, None), nearest.is_none_or(|distance| distance >= 5.0));
-            met += usize::from(nearest.is_some());
+            hits += usize::from(nearest.is_some());
         }
-        assert!(met > 20, "{met} of 500 rays meet anything");
+        assert!(hits > 20, "{hits} of 500 rays hit anything");
     }
 }

@@ -5,7 +5,7 @@ use serde::{Serialize, Serializer};
 
 use crate::{SizeMismatch, psnr, ssim};
 
-/// A learned metric: `(render, photo)` to distance, so that the caller chooses its network and its [`crate::lpips::InputRange`].
+/// A learned metric: `(render, photo)` to distance. The caller chooses the network and the range of its inputs.
 pub type Perceptual<'a> = &'a dyn Fn(&Photo, &Photo) -> f64;
 
 /// Scores of one view.
@@ -75,7 +75,7 @@ pub fn compare(
 ///
 /// # Panics
 /// When a view's camera and photo differ in size, which [`View`] rules out.
-pub fn evaluate<B: Backend>(
+pub fn evaluate<B: Backend + ?Sized>(
     backend: &mut B,
     views: &[View],
     settings: &RenderSettings,

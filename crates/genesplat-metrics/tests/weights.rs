@@ -1,4 +1,4 @@
-//! Weights as `torch.save` wrote them before PyTorch 1.6, which is how torchvision's networks and the heads of LPIPS come.
+//! Weights as `torch.save` wrote them before PyTorch 1.6: torchvision's networks and the heads of LPIPS are such files.
 
 use std::fs;
 
@@ -9,8 +9,8 @@ fn text(value: &str) -> Vec<u8> {
     [&b"X"[..], &(value.len() as u32).to_le_bytes(), value.as_bytes()].concat()
 }
 
-/// A stream of pickles, then the storage: `{name: tensor of shape [1, 3, 1, 1]}` with values of `class` (`FloatStorage`,
-/// say), three in all.
+/// A stream of pickles, then the storage: `{name: tensor of shape [1, 3, 1, 1]}` with three values of `class`
+/// (`FloatStorage`, say).
 fn legacy_file(name: &str, class: &str, values: &[u8]) -> Vec<u8> {
     let pickle = |parts: &[&[u8]]| [&b"\x80\x02"[..], &parts.concat(), b"."].concat();
     let class = format!("ctorch\n{class}\n");
@@ -78,7 +78,8 @@ fn weights_cut_anywhere_are_an_error() {
     for whole in [fs::read(&path).unwrap(), float_file()] {
         for length in 0..whole.len() {
             fs::write(&path, &whole[..length]).unwrap();
-            let error = read_weights(&path, |_| true).expect_err("torn weights must not load").to_string();
+            let error =
+                read_weights(&path, |_| true).expect_err("truncated weights must not load").to_string();
             assert!(error.contains("no whole") && !error.contains('\n'), "cut to {length}: {error}");
         }
     }

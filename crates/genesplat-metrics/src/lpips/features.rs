@@ -1,9 +1,9 @@
 //! What a network does to a picture: convolve, rectify, pool.
 //!
-//! Features are `[H, W, C]`, so that a kernel row meets one run of memory, and a strip of output rows is one chunk of it.
-//! A convolution is a matrix product: the neighbourhoods of a strip's pixels are copied side by side (`im2col`) and
-//! multiplied with the kernel. Strips have a fixed number of pixels and run in parallel: what is copied stays below about
-//! 10 MB a thread, and results do not depend on the number of threads.
+//! Features are `[H, W, C]`, so that a kernel row reads one run of memory, and a strip of output rows is one chunk of
+//! it. A convolution is a matrix product: the neighbourhoods of a strip's pixels are copied side by side (`im2col`) and
+//! multiplied with the kernel. Strips have a fixed number of pixels and run in parallel: what is copied stays below
+//! about 10 MB a thread, and results do not depend on the number of threads.
 
 use genesplat_core::Photo;
 use ndarray::linalg::general_mat_mul;

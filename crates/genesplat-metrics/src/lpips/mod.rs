@@ -22,8 +22,8 @@ use crate::{SizeMismatch, check_sizes};
 /// What the network is fed, for 8-bit values from 0 to 255.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum InputRange {
-    /// `[0, 1]`: the published tables of 3DGS and its descendants. The network expects the other, but a table can only be
-    /// compared with by measuring as it did.
+    /// `[0, 1]`: the published tables of 3DGS and its descendants. The network expects the other, but figures compare
+    /// with a table only where they are measured as it was.
     ZeroToOne,
     /// `[-1, 1]`: what the authors of LPIPS trained with.
     MinusOneToOne,
@@ -125,7 +125,7 @@ impl Lpips {
     /// The distance by layer, the shallowest first. Uses rayon's current pool.
     pub fn layers(&self, a: &Photo, b: &Photo, range: InputRange) -> Result<[f64; LAYERS], LpipsError> {
         check_sizes(a, b)?;
-        let (least, width, height) = (self.net.least_side_px(), a.width, a.height);
+        let (least, width, height) = (self.net.min_side_px(), a.width, a.height);
         if width.min(height) < least {
             return Err(LpipsError::TooSmall { net: self.net, least, width, height });
         }

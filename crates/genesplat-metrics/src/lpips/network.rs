@@ -49,7 +49,7 @@ impl Net {
     }
 
     /// Least side of a picture of which the last slice still sees a pixel, px.
-    pub fn least_side_px(self) -> u32 {
+    pub fn min_side_px(self) -> u32 {
         (1..).find(|&side| self.last_side(side as usize).is_some()).expect("a large picture passes")
     }
 
@@ -182,7 +182,7 @@ mod tests {
     #[test]
     fn small_pictures_vanish_on_the_way() {
         // Four halvings; and 31 -> 7 -> 3 -> 1 through AlexNet's first slices.
-        assert_eq!((Net::Vgg16.least_side_px(), Net::AlexNet.least_side_px()), (16, 31));
+        assert_eq!((Net::Vgg16.min_side_px(), Net::AlexNet.min_side_px()), (16, 31));
         assert_eq!(Net::Vgg16.last_side(512), Some(32));
         assert_eq!(Net::AlexNet.last_side(224), Some(13));
     }

@@ -1,14 +1,14 @@
-//! Lenses that bend straight lines, and photos as a pinhole would have taken them.
+//! Undoes the distortion of lenses: photos as a pinhole would have taken them.
 //!
 //! The model is OpenCV's: with `x, y` the pinhole's coordinates at depth 1 and `r² = x² + y²`,
 //! `x' = x·R + 2 p1 x y + p2 (r² + 2 x²)`, `y' = y·R + p1 (r² + 2 y²) + 2 p2 x y`,
-//! `R = 1 + k1 r² + k2 r⁴ + k3 r⁶ + k4 r⁸` (OpenCV, "Camera Calibration and 3D Reconstruction"; but `k4`, which divides there, is
-//! nerfstudio's).
+//! `R = 1 + k1 r² + k2 r⁴ + k3 r⁶ + k4 r⁸` (OpenCV, "Camera Calibration and 3D Reconstruction"; except for `k4`, which
+//! divides there: this one is nerfstudio's).
 
 use genesplat_core::{Camera, Photo};
 use rayon::prelude::*;
 
-use crate::photos::cubic;
+use super::resize::cubic;
 
 /// Coefficients of a lens.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -26,7 +26,7 @@ impl Distortion {
     }
 
     /// Where the lens maps a point of the pinhole's image plane at depth 1.
-    fn bend(&self, [x, y]: [f64; 2]) -> [f64; 2] {
+    fn distort(&self, [x, y]: [f64; 2]) -> [f64; 2] {
         let ([k1, k2, k3, k4], [p1, p2]) = (self.radial, self.tangential);
         let r2 = x * x + y * y;
         let radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * (k3 + r2 * k4)));
@@ -37,7 +37,7 @@ impl Distortion {
     }
 }
 
-/// Largest change of the focal length, as a factor, with which a photo is straightened.
+/// Largest change of the focal length, as a factor, with which a photo is undistorted.
 const ZOOM_MAX: f64 = 4.0;
 
 /// `photo`, taken by `camera` through a lens, as a pinhole sees it, and that pinhole; `None` if the lens is stronger
@@ -45,8 +45,8 @@ const ZOOM_MAX: f64 = 4.0;
 ///
 /// The size and the principal point stay. The focal length becomes the shortest with which every pixel shows part of
 /// the photo, so no black rim is trained on.
-pub(crate) fn straighten(photo: &Photo, camera: &Camera, lens: &Distortion) -> Option<(Photo, Camera)> {
-    let zoom = least_zoom(camera, lens)?;
+pub(crate) fn undistort(photo: &Photo, camera: &Camera, lens: &Distortion) -> Option<(Photo, Camera)> {
+    let zoom = min_zoom(camera, lens)?;
     let pinhole = Camera { focal_px: camera.focal_px.map(|focal| focal * zoom), ..*camera };
     let mut rgb = vec![0; photo.rgb.len()];
     let stride = 3 * photo.width as usize;
@@ -59,15 +59,15 @@ pub(crate) fn straighten(photo: &Photo, camera: &Camera, lens: &Distortion) -> O
     Some((Photo { rgb, ..*photo }, pinhole))
 }
 
-/// The pixel of the photo that the straightened pixel `(u, v)` shows.
+/// The pixel of the photo that the undistorted pixel `(u, v)` shows.
 fn source_pixel(camera: &Camera, lens: &Distortion, zoom: f64, [u, v]: [f64; 2]) -> [f64; 2] {
     let ([fx, fy], [cx, cy]) = (camera.focal_px, camera.principal_px);
-    let [x, y] = lens.bend([(u + 0.5 - cx) / (zoom * fx), (v + 0.5 - cy) / (zoom * fy)]);
+    let [x, y] = lens.distort([(u + 0.5 - cx) / (zoom * fx), (v + 0.5 - cy) / (zoom * fy)]);
     [fx * x + cx - 0.5, fy * y + cy - 0.5]
 }
 
-/// The least factor of the focal length with which the rim of the straightened photo lies inside the photo.
-fn least_zoom(camera: &Camera, lens: &Distortion) -> Option<f64> {
+/// The least factor of the focal length with which the rim of the undistorted photo lies inside the photo.
+fn min_zoom(camera: &Camera, lens: &Distortion) -> Option<f64> {
     let (mut low, mut high) = (1.0 / ZOOM_MAX, ZOOM_MAX);
     if !rim_is_inside(camera, lens, high) {
         return None;
@@ -92,14 +92,14 @@ fn rim_is_inside(camera: &Camera, lens: &Distortion, zoom: f64) -> bool {
     rows.chain(columns).all(is_inside)
 }
 
-/// True when the lens keeps the order of points on the way from the middle to `(u, v)`: beyond the radius where it
-/// does not, its polynomial folds the picture over.
+/// True when the distorted radius grows all the way from the middle to `(u, v)`. Beyond the radius where it turns
+/// around, the polynomial folds the picture over.
 fn moves_outwards(camera: &Camera, lens: &Distortion, zoom: f64, at: [f64; 2]) -> bool {
     const STEPS: u32 = 16;
     let middle = camera.principal_px.map(|c| c - 0.5);
     let distance = |step: u32| {
-        let share = f64::from(step) / f64::from(STEPS);
-        let between = [0, 1].map(|axis| middle[axis] + share * (at[axis] - middle[axis]));
+        let fraction = f64::from(step) / f64::from(STEPS);
+        let between = [0, 1].map(|axis| middle[axis] + fraction * (at[axis] - middle[axis]));
         let [u, v] = source_pixel(camera, lens, zoom, between);
         (u - middle[0]).hypot(v - middle[1])
     };
@@ -150,37 +150,37 @@ mod tests {
         (128.0 + 60.0 * (9.0 * x).sin() + 50.0 * (11.0 * y + 1.0).cos()) as u8
     }
 
-    /// The photo that `camera` takes of the pattern through `lens`: each pixel is unbent by fixed-point iteration.
+    /// The photo that `camera` takes of the pattern through `lens`: each pixel is undistorted by fixed-point iteration.
     fn photograph(camera: &Camera, lens: &Distortion) -> Photo {
         let ([fx, fy], [cx, cy]) = (camera.focal_px, camera.principal_px);
         let value = |index: u32| {
             let (u, v) = (f64::from(index % camera.width), f64::from(index / camera.width));
-            let bent = [(u + 0.5 - cx) / fx, (v + 0.5 - cy) / fy];
-            let mut straight = bent;
+            let distorted = [(u + 0.5 - cx) / fx, (v + 0.5 - cy) / fy];
+            let mut undistorted = distorted;
             for _ in 0..50 {
-                let again = lens.bend(straight);
-                straight = [0, 1].map(|axis| straight[axis] + bent[axis] - again[axis]);
+                let again = lens.distort(undistorted);
+                undistorted = [0, 1].map(|axis| undistorted[axis] + distorted[axis] - again[axis]);
             }
-            [pattern(straight[0], straight[1]); 3]
+            [pattern(undistorted[0], undistorted[1]); 3]
         };
         let rgb = (0..camera.width * camera.height).flat_map(value).collect();
         Photo { width: camera.width, height: camera.height, rgb }
     }
 
     #[test]
-    fn a_straightened_photo_is_what_a_pinhole_takes() {
-        let bent = photograph(&camera(), &LENS);
-        let (straight, pinhole) = straighten(&bent, &camera(), &LENS).unwrap();
+    fn an_undistorted_photo_is_what_a_pinhole_takes() {
+        let distorted = photograph(&camera(), &LENS);
+        let (undistorted, pinhole) = undistort(&distorted, &camera(), &LENS).unwrap();
         let expected = photograph(&pinhole, &Distortion::default());
         let worst = |a: &Photo| a.rgb.iter().zip(&expected.rgb).map(|(a, b)| a.abs_diff(*b)).max().unwrap();
-        assert!(worst(&straight) <= 3, "differs by {} of 255", worst(&straight));
-        assert!(worst(&bent) > 10, "the lens is too weak to test anything");
+        assert!(worst(&undistorted) <= 3, "differs by {} of 255", worst(&undistorted));
+        assert!(worst(&distorted) > 10, "the lens is too weak to test anything");
     }
 
     #[test]
     fn a_pinhole_stays_as_it_is() {
         let photo = photograph(&camera(), &Distortion::default());
-        let (same, pinhole) = straighten(&photo, &camera(), &Distortion::default()).unwrap();
+        let (same, pinhole) = undistort(&photo, &camera(), &Distortion::default()).unwrap();
         assert!((pinhole.focal_px[0] - 100.0).abs() < 1e-6);
         assert_eq!(same, photo);
     }
@@ -189,11 +189,11 @@ mod tests {
     fn a_lens_that_folds_the_picture_over_is_refused_or_cut_before_the_fold() {
         let fold = Distortion { radial: [-1.0, 0.0, 0.0, 0.0], tangential: [0.0; 2] };
         let photo = photograph(&camera(), &Distortion::default());
-        let (_, pinhole) = straighten(&photo, &camera(), &fold).unwrap();
+        let (_, pinhole) = undistort(&photo, &camera(), &fold).unwrap();
         // r − r³ turns around at 1/√3.
         let corner = 60.0f64.hypot(40.0) / pinhole.focal_px[0];
         assert!(corner < 0.6, "{corner}");
         let hopeless = Distortion { radial: [f64::NAN; 4], tangential: [0.0; 2] };
-        assert!(straighten(&photo, &camera(), &hopeless).is_none());
+        assert!(undistort(&photo, &camera(), &hopeless).is_none());
     }
 }

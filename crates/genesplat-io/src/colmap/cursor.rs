@@ -1,26 +1,26 @@
-//! Reads little-endian records from bytes, and never believes a count.
+//! Reads little-endian records from bytes.
 //!
-//! A damaged file may claim 2⁶⁰ records. [`Cursor::count`] compares each claim with the bytes that are left before
-//! anything is reserved, so memory is bounded by the size of the file, and every read past the end is a typed error.
+//! A damaged file may claim 2⁶⁰ records. [`Cursor::count`] compares each claim with the bytes that are left, before
+//! anything is reserved. So memory is bounded by the size of the file, and every read past the end is a typed error.
 
 use std::path::Path;
 
 use crate::error::SceneError;
 
 /// A position in the bytes of a file.
-pub(crate) struct Cursor<'a> {
+pub(super) struct Cursor<'a> {
     file: &'a Path,
     bytes: &'a [u8],
 }
 
 impl<'a> Cursor<'a> {
     /// At the start of `bytes`; `file` is named in errors.
-    pub(crate) fn new(file: &'a Path, bytes: &'a [u8]) -> Self {
+    pub(super) fn new(file: &'a Path, bytes: &'a [u8]) -> Self {
         Self { file, bytes }
     }
 
     /// The next `K` values of `record`, little-endian.
-    pub(crate) fn f64s<const K: usize>(&mut self, record: &'static str) -> Result<[f64; K], SceneError> {
+    pub(super) fn f64s<const K: usize>(&mut self, record: &'static str) -> Result<[f64; K], SceneError> {
         let mut values = [0.0; K];
         for value in &mut values {
             *value = f64::from_le_bytes(self.array(record)?);
@@ -29,24 +29,24 @@ impl<'a> Cursor<'a> {
     }
 
     /// The next 32-bit signed value.
-    pub(crate) fn i32(&mut self, record: &'static str) -> Result<i32, SceneError> {
+    pub(super) fn i32(&mut self, record: &'static str) -> Result<i32, SceneError> {
         self.array(record).map(i32::from_le_bytes)
     }
 
     /// The next 64-bit unsigned value.
-    pub(crate) fn u64(&mut self, record: &'static str) -> Result<u64, SceneError> {
+    pub(super) fn u64(&mut self, record: &'static str) -> Result<u64, SceneError> {
         self.array(record).map(u64::from_le_bytes)
     }
 
     /// The next `K` bytes.
-    pub(crate) fn array<const K: usize>(&mut self, record: &'static str) -> Result<[u8; K], SceneError> {
+    pub(super) fn array<const K: usize>(&mut self, record: &'static str) -> Result<[u8; K], SceneError> {
         let (head, rest) = self.bytes.split_first_chunk::<K>().ok_or_else(|| self.truncated(record))?;
         self.bytes = rest;
         Ok(*head)
     }
 
     /// A count of `records` that take at least `least_bytes` each, checked against the bytes that are left.
-    pub(crate) fn count(&mut self, records: &'static str, least_bytes: usize) -> Result<usize, SceneError> {
+    pub(super) fn count(&mut self, records: &'static str, least_bytes: usize) -> Result<usize, SceneError> {
         let claimed = self.u64(records)?;
         let fits = self.bytes.len() / least_bytes;
         usize::try_from(claimed)
@@ -56,7 +56,7 @@ impl<'a> Cursor<'a> {
     }
 
     /// Passes over `count` records of `bytes_each`; `count` came from [`Cursor::count`].
-    pub(crate) fn skip(
+    pub(super) fn skip(
         &mut self,
         record: &'static str,
         count: usize,
@@ -68,7 +68,7 @@ impl<'a> Cursor<'a> {
     }
 
     /// Text up to the next NUL byte, which is passed over.
-    pub(crate) fn text(&mut self, record: &'static str) -> Result<&'a str, SceneError> {
+    pub(super) fn text(&mut self, record: &'static str) -> Result<&'a str, SceneError> {
         let end = self.bytes.iter().position(|&byte| byte == 0).ok_or_else(|| self.truncated(record))?;
         let (text, rest) = self.bytes.split_at(end);
         self.bytes = &rest[1..];
@@ -79,7 +79,7 @@ impl<'a> Cursor<'a> {
     }
 
     /// Fails where something is left; `records` is what the file holds.
-    pub(crate) fn end(&self, records: &'static str) -> Result<(), SceneError> {
+    pub(super) fn end(&self, records: &'static str) -> Result<(), SceneError> {
         let trailing = || SceneError::Trailing { file: self.file.to_owned(), records };
         self.bytes.is_empty().then_some(()).ok_or_else(trailing)
     }

@@ -1,8 +1,9 @@
-//! The lists of file names with which a `transforms.json` says what its photos are for (nerfstudio).
+//! The lists of file names by which a `transforms.json` splits its photos (nerfstudio).
 //!
-//! `test_filenames` are tested on, or `val_filenames` where there are none; `train_filenames`, where there are any, are trained on,
-//! and nothing else is. What no list has is left out where there are lists of both kinds; beside a list of one kind, it is of the
-//! other. An empty list says nothing.
+//! - `test_filenames` are tested on, or `val_filenames` where there are none.
+//! - `train_filenames`, where there are any, are trained on, and nothing else is.
+//! - A photo in no list is left out where there are lists of both kinds; beside a list of one kind, it is of the other.
+//! - An empty list says nothing.
 
 use std::collections::HashSet;
 use std::path::{Component, Path, PathBuf};
@@ -14,15 +15,15 @@ use crate::listing::Purpose;
 
 type Names = HashSet<PathBuf>;
 
-/// The lists, `./` and the like left out of their names.
-pub(super) struct Lists {
+/// The three lists, without `./` and the like in their names.
+pub(super) struct Splits {
     train: Names,
     validation: Names,
     test: Names,
 }
 
-impl Lists {
-    /// Those of `file`, read from `list`.
+impl Splits {
+    /// The lists of `file`, read from `list`.
     pub(super) fn of(file: &Transforms, list: &Path) -> Result<Self, SceneError> {
         let frames: Names = file.frames.iter().flat_map(|entry| names_of(&entry.file_path)).collect();
         let names = |names: &Option<Vec<String>>, key| known(names, &frames, key, list);
@@ -59,7 +60,8 @@ impl Lists {
     }
 }
 
-/// The names of a list, each of which some frame must have: what was to be held out would be trained on for a slip of the pen.
+/// The names of a list, each of which must be a photo's: because of a typo, a photo that was to be held out would be
+/// trained on.
 fn known(
     names: &Option<Vec<String>>,
     frames: &Names,

@@ -6,7 +6,7 @@ use glam::{DMat3, DVec3};
 use crate::scene::Point;
 
 /// How many (3DGS, for Blender scenes).
-pub(crate) const COUNT: u32 = 100_000;
+pub(super) const COUNT: u32 = 100_000;
 /// The reference draws colours from a range so narrow that all of them are this grey at 8 bit.
 const GREY: u8 = 127;
 /// Half the side of the cube that Blender scenes fill, world units (3DGS).
@@ -14,21 +14,21 @@ const BLENDER_HALF_SIDE: f64 = 1.3;
 
 /// A cube with axes along the world's.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Cube {
+pub(super) struct Cube {
     /// World units.
-    pub(crate) centre: DVec3,
+    pub(super) centre: DVec3,
     /// World units.
-    pub(crate) half_side: f64,
+    pub(super) half_side: f64,
 }
 
 impl Cube {
     /// Where Blender scenes put their object.
-    pub(crate) const BLENDER: Self = Self { centre: DVec3::ZERO, half_side: BLENDER_HALF_SIDE };
+    pub(super) const BLENDER: Self = Self { centre: DVec3::ZERO, half_side: BLENDER_HALF_SIDE };
 
     /// The cube around what `cameras` look at: the point nearest to all optical axes, as far as the middle camera is.
     ///
     /// Cameras that look in parallel have no such point; a weak pull towards the space before them decides then.
-    pub(crate) fn seen_by(cameras: &[Camera]) -> Self {
+    pub(super) fn seen_by(cameras: &[Camera]) -> Self {
         const PULL: f64 = 1e-2;
         let count = cameras.len() as f64;
         let centres: Vec<DVec3> = cameras.iter().map(Camera::centre_in_world).collect();
@@ -52,7 +52,7 @@ impl Cube {
     }
 
     /// [`COUNT`] points, the same for the same seed.
-    pub(crate) fn points(&self, seed: u64) -> Vec<Point> {
+    pub(super) fn points(&self, seed: u64) -> Vec<Point> {
         let rng = Rng::new(seed);
         let point = |row: u32| {
             let draw = rng.at(Stream::InitialPoints, 0, row, 0);
