@@ -21,7 +21,6 @@ pub mod image;
 pub mod rng;
 pub mod spherical_harmonics;
 pub mod statistics;
-pub mod tensor;
 
 pub use averages::{Blend, ViewLoss, WindowAverages};
 pub use backend::{
@@ -36,4 +35,3 @@ pub use genes::{GENES, Genes, SparseDelta};
 pub use image::{Image, Photo};
 pub use rng::{Rng, Stream};
 pub use statistics::{DensitySignal, Statistics, StatisticsRequest};
-pub use tensor::{NamedTensors, Tensor};

@@ -6,10 +6,11 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use genesplat_core::Backend;
+use genesplat_gallery::GalleryOptions;
 use genesplat_gpu::GpuBackend;
-use genesplat_io::{GalleryOptions, HoldOut, Scene, gallery};
+use genesplat_io::{HoldOut, Scene};
 use genesplat_kernels::cpu::CpuBackend;
-use genesplat_train::evaluate::evaluate;
+use genesplat_metrics::evaluate;
 use genesplat_train::observe::StepLog;
 use genesplat_train::{
     Checkpoint, EvolutionMode, Observer, Outcome, Resolved, Silent, StageKind, StageRecord, Start,
@@ -23,7 +24,7 @@ const SEED: u64 = 1;
 
 fn scene() -> Scene {
     let options = GalleryOptions { width: 64, height: 48, views: 12, points: 300, seed: 5 };
-    gallery::generate(&options).into_scene(HoldOut::EveryEighth)
+    genesplat_gallery::generate(&options).into_scene(HoldOut::EveryEighth)
 }
 
 /// A whole schedule in 150 iterations: densification, an opacity reset, all degrees of the spherical harmonics.

@@ -1,10 +1,10 @@
 //! Files that appear whole or not at all.
 //!
 //! A file is written under a temporary name in the folder where it belongs, flushed to the disk, and then renamed. A
-//! full disk or a killed process leaves the old file, never a torn one.
+//! full disk or a killed process leaves the old file, never a partial one.
 //!
-//! Symbolic links stay: what they lead to is replaced. What is no regular file (a pipe, a terminal, a device) takes the bytes as
-//! they come, since a rename would put a file in its place.
+//! Symbolic links stay: what they lead to is replaced. What is no regular file (a pipe, a terminal, a device) takes the
+//! bytes as they come, since a rename would put a file in its place.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, BufWriter, ErrorKind};
@@ -27,7 +27,7 @@ pub fn write_atomically(
     }
 }
 
-/// Fails where [`write_atomically`] would, as far as that is known before there is anything to write. Leaves nothing behind.
+/// Fails where [`write_atomically`] would, as far as that is known before anything is written. Leaves nothing behind.
 pub fn check_writable(path: &Path) -> io::Result<()> {
     let Target::File(path) = Target::of(path)? else { return Ok(()) };
     let name = path.file_name().unwrap_or_default();
@@ -55,8 +55,8 @@ impl Target {
     }
 }
 
-/// `/dev/stdout` may be a regular file, which the shell and we have open: replaced, it would lose what is printed. (In
-/// `/dev/shm` files are like all others.)
+/// True for names of open files. `/dev/stdout` may be a regular file, which the shell and we have open: replaced, it
+/// would lose what is printed. (In `/dev/shm`, files are like all others.)
 fn is_open_already(path: &Path) -> bool {
     ["/dev/stdout", "/dev/stderr", "/dev/fd", "/proc"].iter().any(|open| path.starts_with(open))
 }
@@ -91,8 +91,8 @@ fn fill_file(file: File, fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<(
     writer.into_inner().map_err(io::IntoInnerError::into_error)
 }
 
-/// A new file under a name that nobody uses, hidden, in the folder of `path` (a rename must not cross disks). In containers
-/// a process often has the number of the one before, which may have been killed and have left its files.
+/// A new hidden file under a free name, in the folder of `path` (a rename must not cross disks). A name may be taken:
+/// in containers a process often has the id of the one before, which may have been killed and have left its files.
 fn create_beside(path: &Path) -> io::Result<(PathBuf, File)> {
     static COUNTER: AtomicU32 = AtomicU32::new(0);
     path.file_name().ok_or_else(|| io::Error::other("the path has no file name"))?;
@@ -130,9 +130,9 @@ mod tests {
         assert_eq!(files_in(path.parent().unwrap()), 1);
     }
 
-    /// Of a process that had our number.
+    /// Files of a process that had our id.
     #[test]
-    fn what_a_killed_process_has_left_is_in_nobodys_way() {
+    fn files_that_a_killed_process_left_do_not_matter() {
         let folder = tempfile::tempdir().unwrap();
         let (left, _) = create_beside(&folder.path().join("file")).unwrap();
         let name = left.file_name().unwrap().to_str().unwrap().to_owned();

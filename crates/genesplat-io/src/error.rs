@@ -66,8 +66,8 @@ pub enum SceneError {
     },
     /// A binary file that goes on where it should end.
     #[error(
-        "{file} holds more than the {records} that it counts: something follows its end; the file is damaged, so copy or \
-         export it again"
+        "{file} holds more than the {records} that it counts: something follows its end; the file is damaged, so \
+         copy or export it again"
     )]
     Trailing {
         /// The file.
@@ -115,8 +115,8 @@ pub enum SceneError {
     },
     /// A point cloud whose name leads out of the scene, or is none.
     #[error(
-        "{file} has the ply_file_path {name:?}, which is not a path inside the scene's folder; correct it, or remove it to \
-         start from random points"
+        "{file} has the ply_file_path {name:?}, which is not a path inside the scene's folder; correct it, or remove \
+         it to start from random points"
     )]
     PointsOutside {
         /// The file.
@@ -143,7 +143,8 @@ pub enum SceneError {
     },
     /// Two entries, and one photo for both.
     #[error(
-        "{file} lists {first} and {second}, and {folder} has one photo of that name for both; put them where the list says"
+        "{file} lists {first} and {second}, and {folder} has one photo of that name for both; put them where the \
+         list says"
     )]
     OneForTwo {
         /// The file with the list.
@@ -231,7 +232,8 @@ pub enum SceneError {
     },
     /// Too little to start from.
     #[error(
-        "{file} has {points} points, and training starts from at least {least}; the reconstruction failed, so run it again"
+        "{file} has {points} points, and training starts from at least {least}; the reconstruction failed, so run it \
+         again"
     )]
     TooFewPoints {
         /// The file.
@@ -259,8 +261,8 @@ pub enum SceneError {
     },
     /// A photo that is to be trained on and held out.
     #[error(
-        "{file} has {name} both in its train_filenames and in its val_filenames or test_filenames; remove it from one of \
-         them, or its figures would be those of a photo that training saw"
+        "{file} has {name} both in its train_filenames and in its val_filenames or test_filenames; remove it from \
+         one of them, or its figures would be those of a photo that training saw"
     )]
     TrainedAndHeldOut {
         /// The file.
@@ -270,7 +272,8 @@ pub enum SceneError {
     },
     /// A split that leaves nothing to train on.
     #[error(
-        "{path} has not enough photos: {photos}, of which {held_out} would be held out for testing and none is left to train on; add photos"
+        "{path} has not enough photos: {photos}, of which {held_out} would be held out for testing and none is left \
+         to train on; add photos"
     )]
     NotEnoughPhotos {
         /// The scene.
@@ -316,8 +319,8 @@ pub enum SceneError {
     },
     /// A photo too small to learn from.
     #[error(
-        "the photo {photo} would be loaded at {width}x{height} pixels, and both sides must have at least {least}; reduce it less \
-         (--max-side, --downscale), or take a larger photo"
+        "the photo {photo} would be loaded at {width}x{height} pixels, and both sides must have at least {least}; \
+         reduce it less (--max-side, --downscale), or take a larger photo"
     )]
     PhotoTooSmall {
         /// The photo.

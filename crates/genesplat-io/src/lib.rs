@@ -1,30 +1,24 @@
-//! The outside world of genesplat: scenes in, splats out.
+//! Files in and out of genesplat: scenes are read, splats are read and written.
 //!
-//! What it does, and in which direction data flows:
-//! - [`load_scene`] detects how a folder describes its photos ([`colmap`], or the `transforms.json` of nerfstudio, instant-ngp and Blender), reads cameras
-//!   and points, decodes the photos in parallel ([`photos`]) and splits them into training and test views.
+//! - [`load_scene`] detects how a folder describes its photos ([`colmap`], or the `transforms.json` of nerfstudio,
+//!   instant-ngp and Blender), reads cameras and points, decodes the photos in parallel ([`photos`]), and splits them
+//!   into training and test views.
 //! - [`ply`] reads and writes clouds in the layout that every splat viewer opens.
-//! - [`weights`] reads the tensors of networks, which LPIPS needs.
-//! - [`gallery`] makes the bundled scene, so that everything can be tried without a download.
+//! - [`atomic`] writes a file whole or not at all.
 //!
-//! Every file is hostile until read: a count is believed only as far as the bytes behind it reach, and whatever is
-//! wrong ends in one sentence that says what, where, and what to do. A panic here is a bug.
+//! Input is not trusted. A count is believed only as far as the bytes behind it reach. Whatever is wrong ends in a
+//! typed error whose one sentence says what, where, and what to do. A panic here is a bug.
 
 pub mod atomic;
 pub mod colmap;
-mod cursor;
 mod error;
-pub mod gallery;
-mod lens;
 mod listing;
 pub mod photos;
 pub mod ply;
 mod scene;
-mod start_points;
 mod transforms;
-pub mod weights;
 
 pub use error::SceneError;
-pub use gallery::{Gallery, GalleryOptions};
+pub use photos::PhotoSize;
 pub use ply::{PlyError, PlyOptions, read_ply, write_ply};
-pub use scene::{HoldOut, LoadOptions, LoadProgress, PhotoSize, Point, Scene, load_points, load_scene};
+pub use scene::{HoldOut, LoadOptions, LoadProgress, Point, SIDE_MIN_PX, Scene, load_points, load_scene};

@@ -1,6 +1,7 @@
-//! What a reader finds in a scene's files before any photo is decoded, and where the photos are.
+//! What the readers of scenes ([`crate::colmap`], `transforms`) have in common: what they return, and what they check.
 //!
-//! Every reader ends in a [`Listing`]; what follows (split, decode, resize) is the same for all.
+//! Every reader ends in a [`Listing`], before any photo is decoded. What follows (split, decode, undistort, resize) is
+//! the same for all.
 
 use std::collections::HashSet;
 use std::path::{Component, Path, PathBuf};
@@ -9,13 +10,13 @@ use std::sync::Arc;
 use genesplat_core::Camera;
 
 use crate::error::SceneError;
-use crate::lens::Distortion;
+use crate::photos::Distortion;
 use crate::scene::Point;
 
 /// Photos with cameras, and points.
 pub(crate) struct Listing {
     /// Photos in any order.
-    pub(crate) frames: Vec<Frame>,
+    pub(crate) photos: Vec<ListedPhoto>,
     /// Points in file order.
     pub(crate) points: Vec<Point>,
     /// The file that the points are from, or that names none, for errors.
@@ -24,19 +25,19 @@ pub(crate) struct Listing {
     pub(crate) notices: Vec<String>,
 }
 
-/// A photo before it is decoded.
-pub(crate) struct Frame {
-    /// Unique within the scene and free of separators.
+/// A photo that exists and is not decoded yet.
+pub(crate) struct ListedPhoto {
+    /// As the list spells its path; [`Listing::name_views`] makes it unique within the scene and free of separators.
     pub(crate) name: String,
     /// Where the photo is.
-    pub(crate) photo: PathBuf,
+    pub(crate) path: PathBuf,
     /// The file that lists it, for errors; a scene may have several.
     pub(crate) list: Arc<Path>,
-    /// At the size that the listing states.
+    /// At the size that the list states.
     pub(crate) camera: Camera,
-    /// How the lens bends what the camera would see; `None` for a pinhole.
+    /// Of the lens; `None` for a pinhole.
     pub(crate) distortion: Option<Distortion>,
-    /// What the scene itself wants of the photo.
+    /// What the scene itself says that the photo is for.
     pub(crate) purpose: Purpose,
 }
 
@@ -54,6 +55,17 @@ pub(crate) enum Purpose {
     Unused,
 }
 
+impl Listing {
+    /// Gives every photo the name of its view.
+    pub(crate) fn name_views(&mut self) -> Result<(), SceneError> {
+        let Some(list) = self.photos.first().map(|photo| photo.list.clone()) else { return Ok(()) };
+        let paths: Vec<&str> = self.photos.iter().map(|photo| photo.name.as_str()).collect();
+        let names = view_names(&paths, &list)?;
+        self.photos.iter_mut().zip(names).for_each(|(photo, name)| photo.name = name);
+        Ok(())
+    }
+}
+
 /// The photo `name` as a path, if it stays inside its folder.
 pub(crate) fn inside<'a>(name: &'a str, list: &Path) -> Result<&'a Path, SceneError> {
     path_inside(name).ok_or_else(|| SceneError::NameOutside { file: list.to_owned(), name: name.into() })
@@ -66,7 +78,7 @@ pub(crate) fn path_inside(name: &str) -> Option<&Path> {
     (stays && path.file_name().is_some()).then_some(path)
 }
 
-/// The error for a scene of `count` photos of which `missing` is the first that is absent, `folder` the place of all.
+/// The error for a scene of `count` photos, `found` of which exist in `folder`; `missing` is the first that does not.
 pub(crate) fn missing_photo(
     list: &Path,
     missing: PathBuf,
@@ -81,14 +93,33 @@ pub(crate) fn missing_photo(
     SceneError::AllPhotosMissing { count, list, folder: folder.to_owned() }
 }
 
+/// What makes a camera's intrinsics impossible, if anything does. All in pixels.
+pub(crate) fn intrinsics_problem(
+    size_px: [f64; 2],
+    focal_px: [f64; 2],
+    principal_px: [f64; 2],
+) -> Option<&'static str> {
+    /// Largest side of a photo that is believed: beyond it, the file is damaged.
+    const SIDE_MAX_PX: f64 = (1 << 20) as f64;
+    if !size_px.iter().all(|side| (1.0..=SIDE_MAX_PX).contains(side)) {
+        Some("has an impossible image size")
+    } else if !focal_px.iter().all(|focal| focal.is_finite() && *focal > 0.0) {
+        Some("has a focal length that is not a positive number")
+    } else if !principal_px.iter().all(|coordinate| coordinate.is_finite()) {
+        Some("has a principal point that is not finite")
+    } else {
+        None
+    }
+}
+
 /// The last part of a path.
 pub(crate) fn base_name(path: &str) -> &str {
     path.rsplit('/').next().unwrap_or(path)
 }
 
-/// A name for each view, fit for a file: the photo's own; or, where photos share one, the whole path joined by `_`, or by as many as
-/// tell all of them apart.
-pub(crate) fn view_names(paths: &[&str], list: &Path) -> Result<Vec<String>, SceneError> {
+/// A file name for each view: that of its photo. Where photos share one, the whole path joined by `_`, or by as many
+/// `_` as tell all of them apart.
+fn view_names(paths: &[&str], list: &Path) -> Result<Vec<String>, SceneError> {
     let whole: Vec<String> = paths.iter().map(|path| path.trim_start_matches("./").to_owned()).collect();
     if let Some(name) = repeated(&whole) {
         return Err(SceneError::ListedTwice { file: list.to_owned(), name: name.to_owned() });

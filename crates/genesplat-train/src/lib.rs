@@ -12,11 +12,9 @@
 //! | `evolution` | the paper's search, weight averaging, the equal-time control, and the executor of such stages |
 //! | [`scene`] | the first cloud, the size of the scene, the order of views, Mip-Splatting's 3D filter |
 //! | `run` | a run under way: its state, what it reports, what it saves, what is saved when memory ends |
-//! | [`evaluate`] | PSNR, SSIM and LPIPS of renders |
 
 pub mod config;
 pub mod densify;
-pub mod evaluate;
 mod evolution;
 pub mod pipeline;
 mod run;

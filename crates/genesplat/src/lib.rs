@@ -6,20 +6,23 @@
 //! | module | what it is |
 //! |---|---|
 //! | [`core`] | clouds, cameras, pictures, randomness, and the `Backend` trait |
-//! | [`io`] | scenes in, splats out, and the bundled scene |
+//! | [`io`] | scenes in, splats out |
+//! | [`gallery`] | the bundled scene, and the ray caster that photographs it |
 //! | [`gpu`] | the same stages as WGSL kernels: the backend for graphics cards |
 //! | [`kernels`] | the numeric stages: the f64 reference and the CPU backend |
 //! | [`evolve`] | the genetic algorithm, without a renderer |
-//! | [`train`] | the training algorithm, the evolution stage, evaluation |
+//! | [`train`] | the training algorithm, the evolution stage |
+//! | [`metrics`] | PSNR, SSIM and LPIPS, of two pictures and of all test photos |
 //!
 //! From photos to figures, here with the bundled scene (made tiny, and trained for a moment):
 //!
 //! ```
 //! use std::sync::atomic::AtomicBool;
 //!
-//! use genesplat::io::{GalleryOptions, HoldOut, gallery};
+//! use genesplat::gallery::{self, GalleryOptions};
+//! use genesplat::io::HoldOut;
 //! use genesplat::kernels::cpu::CpuBackend;
-//! use genesplat::train::evaluate::evaluate;
+//! use genesplat::metrics::evaluate;
 //! use genesplat::train::{Silent, Start, TrainConfig, train};
 //!
 //! let options = GalleryOptions { width: 48, height: 32, views: 9, points: 200, seed: 1 };
@@ -39,7 +42,9 @@
 
 pub use genesplat_core as core;
 pub use genesplat_evolve as evolve;
+pub use genesplat_gallery as gallery;
 pub use genesplat_gpu as gpu;
 pub use genesplat_io as io;
 pub use genesplat_kernels as kernels;
+pub use genesplat_metrics as metrics;
 pub use genesplat_train as train;

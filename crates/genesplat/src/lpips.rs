@@ -9,10 +9,10 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Result, anyhow, bail};
-use genesplat::core::{NamedTensors, Photo};
-use genesplat::io::weights::read_weights;
-use genesplat::train::evaluate::Lpips;
-use genesplat::train::evaluate::lpips::{InputRange, Net, belongs_to};
+use genesplat::core::Photo;
+use genesplat::metrics::Lpips;
+use genesplat::metrics::lpips::{InputRange, Net, belongs_to};
+use genesplat::metrics::weights::{NamedTensors, read_weights};
 
 use crate::args::LpipsArgs;
 use crate::output;

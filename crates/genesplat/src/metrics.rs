@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::Path;
 
-use genesplat::train::evaluate::Evaluation;
+use genesplat::metrics::Evaluation;
 use genesplat::train::{EvolutionMode, StageRecord, Variant};
 use serde::de::IgnoredAny;
 use serde::{Deserialize, Serialize};

@@ -4,7 +4,7 @@ use std::io::{self, ErrorKind, Write};
 use std::panic;
 
 use anyhow::{Result, anyhow};
-use genesplat::train::evaluate::Evaluation;
+use genesplat::metrics::Evaluation;
 
 /// Writes `text` and a line break to stdout. A reader that has heard enough (`| head`) is no error.
 pub fn print(text: &str) -> Result<()> {

@@ -83,7 +83,8 @@ fn training_photos(folder: &Path) -> Option<usize> {
 mod tests {
     use std::fs;
 
-    use genesplat::io::{GalleryOptions, HoldOut, gallery};
+    use genesplat::gallery::{self, GalleryOptions};
+    use genesplat::io::HoldOut;
 
     use super::*;
 

@@ -5,7 +5,7 @@
 
 use anyhow::Result;
 use genesplat::core::View;
-use genesplat::train::evaluate::psnr;
+use genesplat::metrics::psnr;
 use genesplat::train::observe::Render;
 
 /// Looks a run.

@@ -9,7 +9,7 @@ use anyhow::Result;
 use genesplat::core::{RenderSettings, View};
 use genesplat::io::Scene;
 use genesplat::io::photos::write_png;
-use genesplat::train::evaluate::{Evaluation, Lpips, Perceptual, evaluate};
+use genesplat::metrics::{Evaluation, Lpips, Perceptual, evaluate};
 use genesplat::train::initialise::scene_extent;
 use genesplat::train::{Outcome, RunSummary, Start, train};
 

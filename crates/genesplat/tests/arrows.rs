@@ -8,9 +8,11 @@ fn root() -> PathBuf {
 }
 
 /// What each crate may depend on.
-const ARROWS: [(&str, &[&str]); 7] = [
+const ARROWS: [(&str, &[&str]); 9] = [
     ("genesplat-core", &[]),
     ("genesplat-io", &["genesplat-core"]),
+    ("genesplat-gallery", &["genesplat-core", "genesplat-io"]),
+    ("genesplat-metrics", &["genesplat-core"]),
     ("genesplat-kernels", &["genesplat-core"]),
     ("genesplat-gpu", &["genesplat-core"]),
     ("genesplat-evolve", &["genesplat-core"]),
@@ -20,9 +22,11 @@ const ARROWS: [(&str, &[&str]); 7] = [
         &[
             "genesplat-core",
             "genesplat-evolve",
+            "genesplat-gallery",
             "genesplat-gpu",
             "genesplat-io",
             "genesplat-kernels",
+            "genesplat-metrics",
             "genesplat-train",
         ],
     ),

@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use super::cursor::Cursor;
 use super::{ImageRecord, Intrinsics, check};
-use crate::cursor::Cursor;
 use crate::error::SceneError;
 use crate::scene::Point;
 

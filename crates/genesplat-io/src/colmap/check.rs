@@ -1,10 +1,11 @@
-//! What must hold for a record of either form; the readers call these, so that both refuse the same things.
+//! The rules that a record must meet in either form; both readers call these, so that both refuse the same files.
 
 use std::collections::BTreeMap;
 use std::path::Path;
 
 use super::{ImageRecord, Intrinsics};
 use crate::error::SceneError;
+use crate::listing::intrinsics_problem;
 use crate::scene::Point;
 
 /// COLMAP's models by id (COLMAP, `sensor/models.h`).
@@ -21,9 +22,6 @@ pub(super) const MODELS: [&str; 11] = [
     "RADIAL_FISHEYE",
     "THIN_PRISM_FISHEYE",
 ];
-
-/// Largest side of a photo that is believed, px: beyond it, the file is damaged.
-const SIDE_MAX_PX: u64 = 1 << 20;
 
 /// `(fx, fy, cx, cy)` of a pinhole model's parameters; other models are errors.
 pub(super) fn pinhole_parameters(
@@ -64,14 +62,8 @@ pub(super) fn intrinsics(
     size: [u64; 2],
     [fx, fy, cx, cy]: [f64; 4],
 ) -> Result<Intrinsics, SceneError> {
-    if size.iter().any(|side| !(1..=SIDE_MAX_PX).contains(side)) {
-        return Err(bad_camera(file, camera, "has an impossible image size"));
-    }
-    if !(fx.is_finite() && fy.is_finite() && fx > 0.0 && fy > 0.0) {
-        return Err(bad_camera(file, camera, "has a focal length that is not a positive number"));
-    }
-    if !(cx.is_finite() && cy.is_finite()) {
-        return Err(bad_camera(file, camera, "has a principal point that is not finite"));
+    if let Some(problem) = intrinsics_problem(size.map(|side| side as f64), [fx, fy], [cx, cy]) {
+        return Err(bad_camera(file, camera, problem));
     }
     let [width, height] = size.map(|side| side as u32);
     Ok(Intrinsics { width, height, focal_px: [fx, fy], principal_px: [cx, cy] })
@@ -105,6 +97,6 @@ pub(super) fn point(
 }
 
 /// A camera that cannot be.
-pub(super) fn bad_camera(file: &Path, camera: u32, problem: &'static str) -> SceneError {
+fn bad_camera(file: &Path, camera: u32, problem: &'static str) -> SceneError {
     SceneError::BadCamera { file: file.to_owned(), camera: camera.to_string(), problem }
 }

@@ -26,7 +26,7 @@ impl<'a> Line<'a> {
         SceneError::Syntax { file: self.file.to_owned(), line: self.number, expected }
     }
 
-    /// The fields, and a reader of typed values that blames this line.
+    /// A reader of this line's fields, which names the line in its errors.
     fn fields(self, expected: &'static str) -> Fields<'a> {
         Fields { line: self, words: self.text.split_whitespace(), expected }
     }
@@ -84,7 +84,7 @@ fn camera(line: Line) -> Result<(u32, Intrinsics), SceneError> {
     Ok((id, check::intrinsics(line.file, id, size, pinhole)?))
 }
 
-/// `images.txt`: a pose on one line, features on the next; the latter are looked at only so far as to know them for features.
+/// `images.txt`: a pose on one line, features on the next; of the latter it is only checked that they are features.
 pub(super) fn images(file: &Path, bytes: &[u8]) -> Result<Vec<ImageRecord>, SceneError> {
     let mut lines = lines(file, bytes)?;
     let mut images = Vec::new();
@@ -95,7 +95,7 @@ pub(super) fn images(file: &Path, bytes: &[u8]) -> Result<Vec<ImageRecord>, Scen
     Ok(images)
 }
 
-/// Numbers in threes, or nothing: where these lines were removed, every other photo would be lost unnoticed.
+/// Numbers in threes, or nothing: in a file without these lines, every other photo would be lost silently.
 fn features(line: Line) -> Result<(), SceneError> {
     let mut count = 0;
     let mut words = line.text.split_whitespace().inspect(|_| count += 1);

@@ -88,7 +88,7 @@ fn fixed(weight: f64) -> i32 {
 }
 
 /// Keys' cubic with a = −0.5 (Catmull-Rom).
-pub(crate) fn cubic(x: f64) -> f64 {
+pub(super) fn cubic(x: f64) -> f64 {
     const A: f64 = -0.5;
     let x = x.abs();
     if x < 1.0 {

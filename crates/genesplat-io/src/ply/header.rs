@@ -5,6 +5,7 @@ use std::path::Path;
 
 use genesplat_core::Gaussians;
 
+use super::field::{Field, Property, Scalar};
 use super::{PlyError, PlyOptions, RenderMode};
 
 /// What a PLY file says about itself.
@@ -33,6 +34,19 @@ pub struct PlyHeader {
 }
 
 impl PlyHeader {
+    /// Index of the property `name` in a row; where it is missing, `wanted` is what to give instead of the file.
+    pub(super) fn column(&self, name: &str, path: &Path, wanted: &'static str) -> Result<usize, PlyError> {
+        self.properties
+            .iter()
+            .position(|property| property.name == name)
+            .ok_or_else(|| PlyError::MissingProperty { path: path.to_owned(), property: name.into(), wanted })
+    }
+
+    /// Place of the property `name` in the bytes of a row; errors as [`PlyHeader::column`].
+    pub(super) fn field(&self, name: &str, path: &Path, wanted: &'static str) -> Result<Field, PlyError> {
+        Ok(self.properties[self.column(name, path, wanted)?].field)
+    }
+
     /// Fewest bytes of a row: in ASCII a digit and a separator for each value, the last line's end being optional.
     pub(super) fn least_row_bytes(&self) -> u64 {
         match self.encoding {
@@ -49,59 +63,6 @@ pub(super) enum Encoding {
     Binary,
     /// Words, one row a line.
     Ascii,
-}
-
-/// One value of a row.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct Property {
-    /// As the header spells it.
-    pub(super) name: String,
-    /// Its type.
-    pub(super) scalar: Scalar,
-    /// Bytes from the start of the row.
-    pub(super) offset: usize,
-}
-
-/// PLY's scalar types.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Scalar {
-    I8,
-    U8,
-    I16,
-    U16,
-    I32,
-    U32,
-    F32,
-    F64,
-}
-
-impl Scalar {
-    fn parse(name: &str) -> Option<Self> {
-        Some(match name {
-            "char" | "int8" => Self::I8,
-            "uchar" | "uint8" => Self::U8,
-            "short" | "int16" => Self::I16,
-            "ushort" | "uint16" => Self::U16,
-            "int" | "int32" => Self::I32,
-            "uint" | "uint32" => Self::U32,
-            "float" | "float32" => Self::F32,
-            "double" | "float64" => Self::F64,
-            _ => return None,
-        })
-    }
-
-    pub(super) fn is_float(self) -> bool {
-        matches!(self, Self::F32 | Self::F64)
-    }
-
-    pub(super) fn bytes(self) -> usize {
-        match self {
-            Self::I8 | Self::U8 => 1,
-            Self::I16 | Self::U16 => 2,
-            Self::I32 | Self::U32 | Self::F32 => 4,
-            Self::F64 => 8,
-        }
-    }
 }
 
 /// An element while its properties are being read.
@@ -185,7 +146,8 @@ fn add_property(element: Option<&mut Element>, rest: &str) -> Result<(), String>
     }
     let scalar =
         Scalar::parse(kind).ok_or_else(|| format!("property {name} has the unknown type {kind:?}"))?;
-    element.properties.push(Property { name: name.trim().into(), scalar, offset: element.row_bytes });
+    let field = Field { scalar, offset: element.row_bytes };
+    element.properties.push(Property { name: name.trim().into(), field });
     element.row_bytes += scalar.bytes();
     Ok(())
 }

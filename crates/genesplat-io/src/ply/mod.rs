@@ -7,106 +7,24 @@
 //! Reading follows the header, not this list: properties may come in any order, of any scalar type, with others
 //! between them, and with fewer harmonics (degree 0 to 2). What is written and read again has the same bits.
 
+mod error;
+mod field;
 mod header;
 mod points;
 mod rows;
 
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read, Write};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use genesplat_core::{Gaussians, ScreenFilter};
 
+pub use error::PlyError;
 use header::Encoding;
 pub use header::PlyHeader;
 pub(crate) use points::read_points;
 
 use crate::atomic::write_atomically;
-
-/// Why a cloud could not be read or written.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum PlyError {
-    /// The operating system refused to read.
-    #[error("cannot read {path}: {source}")]
-    Read {
-        /// The file.
-        path: PathBuf,
-        /// Why.
-        source: io::Error,
-    },
-    /// The operating system refused to write.
-    #[error("cannot write {path}: {source}; what was there before is unchanged")]
-    Write {
-        /// The file.
-        path: PathBuf,
-        /// Why.
-        source: io::Error,
-    },
-    /// Not a PLY file, or a header that breaks the format's grammar.
-    #[error(
-        "{path} is not a PLY file that genesplat can read: {problem}; export it again as a binary splat PLY"
-    )]
-    Header {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong.
-        problem: String,
-    },
-    /// A PLY file of something else.
-    #[error(
-        "{path} is not the kind of cloud that is needed here: its vertices lack {property}; give {wanted}"
-    )]
-    MissingProperty {
-        /// The file.
-        path: PathBuf,
-        /// The first property that is missing.
-        property: String,
-        /// What is to be given instead.
-        wanted: &'static str,
-    },
-    /// Fewer bytes than the header promises.
-    #[error(
-        "{path} promises {promised} rows but holds bytes for {held}; the file was cut off, so copy or export it again"
-    )]
-    Truncated {
-        /// The file.
-        path: PathBuf,
-        /// What the header says.
-        promised: u64,
-        /// Whole rows that are there.
-        held: u64,
-    },
-    /// More than the header promises.
-    #[error(
-        "{path} holds more than the {promised} rows that it promises: something follows its end; the file is damaged, so \
-         copy or export it again"
-    )]
-    Trailing {
-        /// The file.
-        path: PathBuf,
-        /// What the header says.
-        promised: u64,
-    },
-    /// A row of an ASCII file that is not numbers.
-    #[error("{path}: row {row} does not hold one number for each property; export the file again")]
-    Row {
-        /// The file.
-        path: PathBuf,
-        /// 0-based row.
-        row: usize,
-    },
-    /// A value that is not finite.
-    #[error("{path}: the {parameter} of Gaussian {row} is not finite; remove it in a splat editor")]
-    NonFinite {
-        /// The file.
-        path: PathBuf,
-        /// 0-based row.
-        row: usize,
-        /// Which parameter.
-        parameter: &'static str,
-    },
-}
 
 /// How a viewer should filter the splats, as the header comment `SplatRenderMode` tells it (shared with Brush and
 /// nerfstudio).
@@ -115,8 +33,8 @@ pub enum RenderMode {
     /// Dilation by 0.3 px², opacity unchanged.
     #[default]
     Default,
-    /// Dilation by 0.3 px², opacity compensated for it. Viewers know one word for both kinds of compensation, so a second
-    /// comment, `SplatDilation: 0.3`, tells this one from the next.
+    /// Dilation by 0.3 px², opacity compensated for it. Viewers know one word for both kinds of compensation, so a
+    /// second comment, `SplatDilation: 0.3`, tells this one from the next.
     Antialiased,
     /// Mip-Splatting's dilation by 0.1 px², opacity compensated for it.
     Mip,
@@ -222,7 +140,7 @@ fn open(path: &Path) -> Result<(PlyHeader, BufReader<File>), PlyError> {
     if held < promised {
         return Err(PlyError::Truncated { path: path.to_owned(), promised, held });
     }
-    // The rows of an ASCII file have any length; who reads them finds out what follows.
+    // The rows of an ASCII file have any length; what follows them is found where they are read.
     if header.encoding == Encoding::Binary
         && header.ends_with_vertices
         && left > promised * header.least_row_bytes()
@@ -232,7 +150,7 @@ fn open(path: &Path) -> Result<(PlyHeader, BufReader<File>), PlyError> {
     Ok((header, reader))
 }
 
-/// Reads up to the first vertex, or to the end of a file that is torn before; returns how many bytes that were.
+/// Reads up to the first vertex, or to the end of a file that ends before; returns the number of bytes.
 fn pass_over(header: &PlyHeader, reader: &mut impl BufRead) -> io::Result<u64> {
     if header.encoding == Encoding::Binary {
         return io::copy(&mut reader.by_ref().take(header.before), &mut io::sink());

@@ -4,7 +4,6 @@ use std::io::{BufRead, Read};
 use std::path::Path;
 
 use super::header::{Encoding, PlyHeader};
-use super::rows::Field;
 use super::{PlyError, open, read_error};
 use crate::scene::Point;
 
@@ -33,7 +32,7 @@ pub(crate) fn read_points(path: &Path) -> Result<Vec<Point>, PlyError> {
 /// The value that stands for a colour's 255: 1 in files that write colours as fractions, which the format leaves open.
 fn full_colour(header: &PlyHeader, rows: &[[f32; 6]]) -> f32 {
     let is_float = |name: &&str| {
-        header.properties.iter().any(|property| property.name == *name && property.scalar.is_float())
+        header.properties.iter().any(|property| property.name == *name && property.field.scalar.is_float())
     };
     let is_fraction = |[.., red, green, blue]: &[f32; 6]| red.max(*green).max(*blue) <= 1.0;
     if PROPERTIES[3..].iter().all(is_float) && rows.iter().all(is_fraction) { 1.0 } else { 255.0 }
@@ -45,8 +44,8 @@ fn point([x, y, z, red, green, blue]: [f32; 6], full: f32) -> Point {
 }
 
 fn binary(header: &PlyHeader, mut reader: impl Read, path: &Path) -> Result<Vec<[f32; 6]>, PlyError> {
-    let fields = PROPERTIES.map(|name| Field::find(header, name, path, POINTS));
-    let fields = fields.into_iter().collect::<Result<Vec<_>, _>>()?;
+    let fields = PROPERTIES.iter().map(|name| header.field(name, path, POINTS));
+    let fields = fields.collect::<Result<Vec<_>, _>>()?;
     let mut row = vec![0; header.row_bytes];
     (0..header.gaussians)
         .map(|_| {
@@ -57,12 +56,8 @@ fn binary(header: &PlyHeader, mut reader: impl Read, path: &Path) -> Result<Vec<
 }
 
 fn ascii(header: &PlyHeader, reader: impl BufRead, path: &Path) -> Result<Vec<[f32; 6]>, PlyError> {
-    let column = |name: &str| header.properties.iter().position(|property| property.name == name);
-    let columns = PROPERTIES.map(|name| {
-        let (path, property) = (path.to_owned(), name.into());
-        column(name).ok_or(PlyError::MissingProperty { path, property, wanted: POINTS })
-    });
-    let columns = columns.into_iter().collect::<Result<Vec<_>, _>>()?;
+    let columns = PROPERTIES.iter().map(|name| header.column(name, path, POINTS));
+    let columns = columns.collect::<Result<Vec<_>, _>>()?;
     let mut lines = reader.lines();
     let rows = (0..header.gaussians as usize)
         .map(|row| {

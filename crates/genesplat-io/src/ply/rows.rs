@@ -7,7 +7,8 @@ use genesplat_core::Gaussians;
 use genesplat_core::spherical_harmonics::{SH_COEFFICIENTS, SH_STRIDE, coefficients, sh_index};
 
 use super::PlyError;
-use super::header::{PlyHeader, Property, Scalar};
+use super::field::{Field, Scalar};
+use super::header::PlyHeader;
 
 /// What is to be given where Gaussians are read.
 const SPLAT: &str = "a splat, as trainers of Gaussians write it (point_cloud.ply)";
@@ -41,17 +42,10 @@ pub(super) struct Layout {
     row_bytes: usize,
 }
 
-/// Where a value lies in a row.
-#[derive(Clone, Copy)]
-pub(super) struct Field {
-    scalar: Scalar,
-    offset: usize,
-}
-
 impl Layout {
     /// Finds every parameter among the properties of `header`.
     pub(super) fn of(header: &PlyHeader, path: &Path) -> Result<Self, PlyError> {
-        let find = |name: String| Field::find(header, &name, path, SPLAT);
+        let find = |name: String| header.field(&name, path, SPLAT);
         let position = ["x", "y", "z"].map(|name| find(name.into()));
         let scale: [_; 3] = std::array::from_fn(|axis| find(format!("scale_{axis}")));
         let rotation: [_; 4] = std::array::from_fn(|part| find(format!("rot_{part}")));
@@ -93,42 +87,6 @@ impl Layout {
         cloud.sh.push(sh);
         if let (Some(field), Some(filter)) = (self.filter_3d, &mut cloud.filter_3d) {
             filter.push(field.value(row));
-        }
-    }
-}
-
-impl Field {
-    /// The property `name` of `header`; where it is missing, `wanted` is what to give instead of the file.
-    pub(super) fn find(
-        header: &PlyHeader,
-        name: &str,
-        path: &Path,
-        wanted: &'static str,
-    ) -> Result<Self, PlyError> {
-        match header.properties.iter().find(|property| property.name == name) {
-            Some(&Property { scalar, offset, .. }) => Ok(Self { scalar, offset }),
-            None => {
-                let (path, property) = (path.to_owned(), name.to_owned());
-                Err(PlyError::MissingProperty { path, property, wanted })
-            }
-        }
-    }
-
-    /// The value in the bytes of a row.
-    pub(super) fn value(self, row: &[u8]) -> f32 {
-        fn bytes<const K: usize>(row: &[u8], offset: usize) -> [u8; K] {
-            std::array::from_fn(|i| row[offset + i])
-        }
-        let at = self.offset;
-        match self.scalar {
-            Scalar::F32 => f32::from_le_bytes(bytes(row, at)),
-            Scalar::F64 => f64::from_le_bytes(bytes(row, at)) as f32,
-            Scalar::I8 => f32::from(row[at] as i8),
-            Scalar::U8 => f32::from(row[at]),
-            Scalar::I16 => f32::from(i16::from_le_bytes(bytes(row, at))),
-            Scalar::U16 => f32::from(u16::from_le_bytes(bytes(row, at))),
-            Scalar::I32 => i32::from_le_bytes(bytes(row, at)) as f32,
-            Scalar::U32 => u32::from_le_bytes(bytes(row, at)) as f32,
         }
     }
 }

@@ -12,13 +12,13 @@ use crate::error::SceneError;
 pub(super) struct Transforms {
     /// For all photos, unless a photo has its own.
     #[serde(flatten)]
-    pub(super) lens: Lens,
+    pub(super) intrinsics: OptionalIntrinsics,
     /// The photos.
     #[serde(default)]
-    pub(super) frames: Vec<Entry>,
+    pub(super) frames: Vec<PhotoEntry>,
     /// A point cloud in the frame of the poses, relative to the file.
     pub(super) ply_file_path: Option<String>,
-    /// Photos to train on, by path; newer nerfstudio writes these lists, and [`super::lists`] reads them.
+    /// Photos to train on, by path; newer nerfstudio writes these lists, and [`super::splits`] reads them.
     pub(super) train_filenames: Option<Vec<String>>,
     /// Photos to validate on.
     pub(super) val_filenames: Option<Vec<String>>,
@@ -28,7 +28,7 @@ pub(super) struct Transforms {
 
 /// A photo.
 #[derive(Debug, Deserialize)]
-pub(super) struct Entry {
+pub(super) struct PhotoEntry {
     /// Relative to the file; Blender leaves the extension out.
     pub(super) file_path: String,
     /// `world_from_camera`, row by row; camera axes x right, y up, z backwards (OpenGL).
@@ -37,12 +37,12 @@ pub(super) struct Entry {
     pub(super) mask_path: Option<IgnoredAny>,
     /// What differs from the file's.
     #[serde(flatten)]
-    pub(super) lens: Lens,
+    pub(super) intrinsics: OptionalIntrinsics,
 }
 
 /// Intrinsics, all of them optional.
 #[derive(Clone, Debug, Default, Deserialize)]
-pub(super) struct Lens {
+pub(super) struct OptionalIntrinsics {
     /// Horizontal field of view, radians.
     pub(super) camera_angle_x: Option<f64>,
     /// Vertical field of view, radians; without it and `fl_y`, pixels are square.
@@ -56,7 +56,7 @@ pub(super) struct Lens {
     /// Size, px; some writers use a decimal point.
     pub(super) w: Option<f64>,
     pub(super) h: Option<f64>,
-    /// Radial coefficients, as nerfstudio has them ([`crate::lens`]).
+    /// Radial coefficients, as nerfstudio has them ([`crate::photos::Distortion`]).
     pub(super) k1: Option<f64>,
     pub(super) k2: Option<f64>,
     pub(super) k3: Option<f64>,
@@ -70,9 +70,9 @@ pub(super) struct Lens {
     pub(super) is_fisheye: Option<bool>,
 }
 
-impl Lens {
-    /// This photo's values, completed by the file's. A length and an angle are two words for one thing: what the photo says
-    /// with either is not completed by the other.
+impl OptionalIntrinsics {
+    /// This photo's values, completed by the file's. A focal length and a field of view say the same: where the photo
+    /// has either, the file's other is not taken.
     pub(super) fn or(&self, file: &Self) -> Self {
         let has_x = self.fl_x.or(self.camera_angle_x).is_some();
         let has_y = self.fl_y.or(self.camera_angle_y).is_some();

@@ -150,7 +150,7 @@ fn counts_beyond_the_file_are_refused() {
     }
 }
 
-/// A count that was damaged downwards loses records as surely as a torn file does.
+/// A count that was damaged downwards loses records as surely as a truncated file does.
 #[test]
 fn records_beyond_the_count_are_refused() {
     for stem in FILES {

@@ -7,10 +7,10 @@ use genesplat_io::colmap::{Form, ImageRecord, Intrinsics, Model, write_model};
 use genesplat_io::{Point, photos};
 
 /// Photos of a [`tiny_model`], px.
-pub const SIZE: [u32; 2] = [40, 30];
+pub(crate) const SIZE: [u32; 2] = [40, 30];
 
 /// `photos` photos in two folders, nine points, one camera.
-pub fn tiny_model(photos: usize) -> Model {
+pub(crate) fn tiny_model(photos: usize) -> Model {
     let intrinsics =
         Intrinsics { width: SIZE[0], height: SIZE[1], focal_px: [35.5, 36.25], principal_px: [20.5, 14.75] };
     let image = |index: usize| ImageRecord {
@@ -29,13 +29,13 @@ pub fn tiny_model(photos: usize) -> Model {
 }
 
 /// A photo whose every pixel depends on `index`.
-pub fn tiny_photo(index: usize, [width, height]: [u32; 2]) -> Photo {
+pub(crate) fn tiny_photo(index: usize, [width, height]: [u32; 2]) -> Photo {
     let rgb = (0..3 * width * height).map(|i| (i as usize * 7 + 31 * index) as u8).collect();
     Photo { width, height, rgb }
 }
 
 /// Writes the photos of `model` below `scene/images`, and the model to `scene/sparse/0`.
-pub fn write_scene(scene: &Path, form: Form, model: &Model) {
+pub(crate) fn write_scene(scene: &Path, form: Form, model: &Model) {
     for (index, image) in model.images.iter().enumerate() {
         photos::write_png(&scene.join("images").join(&image.name), &tiny_photo(index, SIZE)).unwrap();
     }
@@ -43,7 +43,7 @@ pub fn write_scene(scene: &Path, form: Form, model: &Model) {
 }
 
 /// The folder of real scenes, or `None` with a line that says so; in CI its absence is a failure.
-pub fn real_scene(name: &str) -> Option<PathBuf> {
+pub(crate) fn real_scene(name: &str) -> Option<PathBuf> {
     let beside = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
     let folder = std::env::var_os("GENESPLAT_DATA").map_or(beside, PathBuf::from).join(name);
     if folder.is_dir() {

@@ -2,9 +2,7 @@
 
 mod colmap;
 mod common;
-mod gallery;
 mod photos;
 mod ply;
 mod real_scenes;
 mod transforms;
-mod weights;

@@ -86,21 +86,21 @@ fn grey_and_deep_pictures_are_read() {
 }
 
 #[test]
-fn what_a_photo_cannot_hold_is_told() {
+fn what_of_a_picture_is_discarded_is_reported() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("picture.png");
-    let losses = |picture: image::DynamicImage| {
+    let discarded = |picture: image::DynamicImage| {
         picture.save(&path).unwrap();
-        let (photo, losses) = photos::read_photo_with_losses(&path).unwrap();
+        let (photo, discarded) = photos::read_photo_and_discarded(&path).unwrap();
         assert_eq!(photo, photos::read_photo(&path).unwrap());
-        (losses.depth, losses.transparency)
+        (discarded.depth, discarded.transparency)
     };
     let glass = |alpha| image::RgbaImage::from_pixel(2, 1, image::Rgba([9, 9, 9, alpha]));
-    assert_eq!(losses(image::RgbImage::new(2, 1).into()), (false, false));
-    assert_eq!(losses(glass(255).into()), (false, false), "nothing is lost of what is opaque");
-    assert_eq!(losses(glass(254).into()), (false, true));
-    assert_eq!(losses(image::DynamicImage::new_luma16(2, 1)), (true, false));
-    assert_eq!(losses(image::DynamicImage::new_rgba16(2, 1)), (true, true));
+    assert_eq!(discarded(image::RgbImage::new(2, 1).into()), (false, false));
+    assert_eq!(discarded(glass(255).into()), (false, false), "an opaque picture keeps all");
+    assert_eq!(discarded(glass(254).into()), (false, true));
+    assert_eq!(discarded(image::DynamicImage::new_luma16(2, 1)), (true, false));
+    assert_eq!(discarded(image::DynamicImage::new_rgba16(2, 1)), (true, true));
 }
 
 /// A header may claim 65,535 x 65,535 pixels: 12 GB.
@@ -118,7 +118,7 @@ fn a_photo_that_claims_to_be_huge_is_refused() {
     assert!(error.contains("65535x65535 pixels"), "{error}");
 }
 
-/// Decoders fill the lost half of a torn JPEG with grey and report success; we must not.
+/// Decoders fill the lost half of a truncated JPEG with grey and report success; we must not.
 #[test]
 fn a_jpeg_cut_anywhere_is_an_error() {
     let folder = tempfile::tempdir().unwrap();
@@ -130,7 +130,7 @@ fn a_jpeg_cut_anywhere_is_an_error() {
     assert_eq!(photos::read_photo(&path).unwrap().width, 48);
     for length in 0..whole.len() - 1 {
         fs::write(&path, &whole[..length]).unwrap();
-        let error = photos::read_photo(&path).expect_err("a torn photo must not load");
+        let error = photos::read_photo(&path).expect_err("a truncated photo must not load");
         assert!(matches!(error, PhotoError::Decode { .. }), "{error}");
     }
 }

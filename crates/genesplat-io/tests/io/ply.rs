@@ -156,7 +156,8 @@ fn bad_files_are_named_with_what_is_wrong() {
     let header = |lines: &str| format!("ply\n{lines}\nend_header\n").into_bytes();
     let little = "format binary_little_endian 1.0\nelement vertex";
     // As many bytes before the vertices as u64 holds: with those of the header they are more.
-    let endless = "format binary_little_endian 1.0\nelement camera 18446744073709551615\nproperty uchar id\nelement vertex 1";
+    let endless = "format binary_little_endian 1.0\nelement camera 18446744073709551615\nproperty uchar id\n\
+                   element vertex 1";
     let cases: [(Vec<u8>, &str); 10] = [
         (header(&format!("{endless}\nproperty float x")), "promises 1 rows but holds bytes for 0"),
         (b"\x89PNG\r\n".to_vec(), "does not begin with"),

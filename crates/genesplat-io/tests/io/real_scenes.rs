@@ -20,13 +20,13 @@ fn colmap_scenes_load_whole() {
             assert_eq!([view.camera.width, view.camera.height], size.map(side));
             assert_eq!(view.photo.rgb.len() as u32, 3 * view.photo.width * view.photo.height);
         }
-        let mean = seen_share(&scene);
+        let mean = seen_fraction(&scene);
         assert!(mean > 0.15, "{name}: on average a view sees {mean} of the points; the poses are wrong");
     }
 }
 
-/// Mean share of the points that lie in front of a view and inside its image.
-fn seen_share(scene: &genesplat_io::Scene) -> f64 {
+/// Mean fraction of the points that lie in front of a view and inside its image.
+fn seen_fraction(scene: &genesplat_io::Scene) -> f64 {
     let inside = |view: &genesplat_core::View, point: &genesplat_io::Point| {
         let in_camera = view.camera.camera_from_world(point.position.map(f64::from).into());
         let [u, v] = view.camera.pixel_from_camera(in_camera);
@@ -55,7 +55,7 @@ fn a_blender_scene_loads_whole() {
 }
 
 #[test]
-fn a_scene_with_bent_photos_loads_and_names_what_is_absent() {
+fn a_scene_with_distorted_photos_loads_and_names_what_is_absent() {
     let Some(folder) = real_scene("fox_transforms") else { return };
     let options = LoadOptions { size: PhotoSize::Downscale(4), ..LoadOptions::default() };
     let scene = load_scene(&folder, &options, &()).unwrap();
@@ -64,7 +64,7 @@ fn a_scene_with_bent_photos_loads_and_names_what_is_absent() {
     let camera = scene.train[0].camera;
     assert_eq!((camera.width, camera.height), (135, 240));
     assert!((camera.focal_px[0] / (687.76 / 4.0) - 1.0).abs() < 0.05);
-    assert!(seen_share(&scene) > 0.1);
+    assert!(seen_fraction(&scene) > 0.1);
 }
 
 #[test]

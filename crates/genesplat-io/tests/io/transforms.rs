@@ -141,7 +141,7 @@ fn listed_test_photos_are_held_out() {
     let scene = load_description(&description).unwrap();
     assert_eq!((scene.train.len(), scene.test[0].name.as_str()), (2, "2.png"));
 
-    // Somebody's test photos must not be trained on for a slip of the pen.
+    // Test photos must not be trained on because of a typo.
     description["test_filenames"] = json!(["./images/2.png", "./image/1.png"]);
     let error = load_description(&description).unwrap_err().to_string();
     assert!(error.contains("./image/1.png") && error.contains("test_filenames"), "{error}");
@@ -206,7 +206,7 @@ fn absent_photos_are_left_out_with_a_notice() {
 }
 
 #[test]
-fn a_bent_lens_is_straightened() {
+fn a_distorted_photo_is_undistorted() {
     let mut description = nerfstudio();
     description["k1"] = json!(0.1);
     let scene = load_description(&description).unwrap();
@@ -247,13 +247,13 @@ fn named_points_are_read_in_both_encodings() {
     }
 }
 
-/// A point cloud of two points and two black ones, as training needs four; `before` stands between the header's first lines and
-/// the vertices' own.
+/// A point cloud of two points and two black ones, as training needs four; `before` stands between the header's first
+/// lines and the vertices' own.
 fn ascii_points(before: &str, colour: &str, rows: &str) -> String {
     let colours = ["red", "green", "blue"].map(|name| format!("property {colour} {name}\n")).concat();
     format!(
-        "ply\nformat ascii 1.0\n{before}element vertex 4\nproperty float x\nproperty float y\nproperty float z\n{colours}\
-         end_header\n{}\n9 9 9 0 0 0\n9 9 8 0 0 0\n",
+        "ply\nformat ascii 1.0\n{before}element vertex 4\nproperty float x\nproperty float y\nproperty float z\n\
+         {colours}end_header\n{}\n9 9 9 0 0 0\n9 9 8 0 0 0\n",
         rows.trim_end()
     )
 }
@@ -294,8 +294,8 @@ fn elements_before_the_vertices_are_passed_over() {
     let with_faces = ascii_points("", "uchar", rows.split_once("7 0\n").unwrap().1);
     let face = "element face 1\nproperty list uchar int vertex_indices\nend_header";
     assert_eq!(load_points_of(&(with_faces.replace("end_header", face) + "3 0 1 2\n")).unwrap(), points);
-    let torn = load_points_of(&ascii_points(before, "uchar", "500.25 3 1 2 3\n7 0\n1 -2"));
-    assert!(torn.unwrap_err().to_string().contains("points.ply"));
+    let cut = load_points_of(&ascii_points(before, "uchar", "500.25 3 1 2 3\n7 0\n1 -2"));
+    assert!(cut.unwrap_err().to_string().contains("points.ply"));
     let endless = "element camera 18446744073709551615\nproperty double f\n";
     let refused = load_points_of(&ascii_points(endless, "uchar", rows)).unwrap_err().to_string();
     assert!(refused.contains("cut off"), "{refused}");
@@ -423,8 +423,8 @@ fn random_points_lie_before_the_cameras() {
     let scene = load_description(&nerfstudio()).unwrap();
     let camera = &scene.train[0].camera;
     let ahead = |p: &&genesplat_io::Point| camera.camera_from_world(p.position.map(f64::from).into()).z > 0.0;
-    let share = scene.points.iter().filter(ahead).count() as f64 / scene.points.len() as f64;
-    assert!(share > 0.5, "{share} of the points are before the camera");
+    let fraction = scene.points.iter().filter(ahead).count() as f64 / scene.points.len() as f64;
+    assert!(fraction > 0.5, "{fraction} of the points are before the camera");
     let again = load_description(&nerfstudio()).unwrap();
     assert_eq!(scene.points, again.points);
 }

@@ -1,7 +1,7 @@
 //! Evaluation renders each view, in order, and hands the pictures on.
 
 use genesplat_core::RenderSettings;
-use genesplat_train::evaluate::evaluate;
+use genesplat_metrics::evaluate;
 
 use crate::support::{FakeBackend, views};
 

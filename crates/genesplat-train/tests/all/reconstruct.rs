@@ -6,7 +6,7 @@ use std::sync::atomic::AtomicBool;
 
 use genesplat_core::{Backend, Camera, Gaussians, Rng, SparseDelta, Stream, View};
 use genesplat_kernels::cpu::CpuBackend;
-use genesplat_train::evaluate::evaluate;
+use genesplat_metrics::evaluate;
 use genesplat_train::initialise::{ColouredPoint, cloud_from_points};
 use genesplat_train::views::spread_evenly;
 use genesplat_train::{EvolutionMode, Outcome, Resolved, Silent, Start, TrainConfig, Variant, refine, train};

@@ -5,9 +5,9 @@ use std::path::Path;
 
 use anyhow::{Result, anyhow};
 use genesplat::core::Photo;
-use genesplat::io::photos::read_photo_with_losses;
-use genesplat::train::evaluate::lpips::{InputRange, LpipsError, Net};
-use genesplat::train::evaluate::{Lpips, ViewScore, compare};
+use genesplat::io::photos::read_photo_and_discarded;
+use genesplat::metrics::lpips::{InputRange, LpipsError, Net};
+use genesplat::metrics::{Lpips, ViewScore, compare};
 use serde::Serialize;
 
 use crate::args::CompareArgs;
@@ -62,12 +62,12 @@ pub fn run(args: &CompareArgs) -> Result<()> {
 
 /// A picture, with a notice of what of it is not compared.
 fn read(path: &Path) -> Result<Photo> {
-    let (photo, losses) = read_photo_with_losses(path)?;
+    let (photo, discarded) = read_photo_and_discarded(path)?;
     let path = path.display();
-    if losses.depth {
+    if discarded.depth {
         output::tell(&format!("notice: {path} has more than 8 bits a channel, and is compared at 8"));
     }
-    if losses.transparency {
+    if discarded.transparency {
         output::tell(&format!(
             "notice: {path} is transparent in places, and is compared as it looks on black"
         ));

@@ -11,9 +11,10 @@ use std::time::Instant;
 
 use anyhow::{Result, ensure};
 use genesplat::core::Photo;
+use genesplat::gallery::{self, GalleryOptions};
 use genesplat::io::photos::{read_photo, write_png};
-use genesplat::io::{GalleryOptions, PhotoSize, Scene, gallery};
-use genesplat::train::evaluate::Lpips;
+use genesplat::io::{PhotoSize, Scene};
+use genesplat::metrics::Lpips;
 use genesplat::train::{EvolutionMode, TrainConfig};
 
 use super::Ending;

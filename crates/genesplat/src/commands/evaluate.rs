@@ -2,7 +2,7 @@
 
 use anyhow::{Result, bail};
 use genesplat::core::Backend;
-use genesplat::train::evaluate::Evaluation;
+use genesplat::metrics::Evaluation;
 use serde::Serialize;
 
 use crate::args::{EvaluateArgs, Split};

@@ -1,13 +1,14 @@
 //! `genesplat lpips install`: weights are checked, and put where LPIPS is looked for.
 
+use std::io::Write;
 use std::path::Path;
 
 use anyhow::{Result, anyhow, bail};
-use genesplat::io::weights::{sha256, write_weights};
-use genesplat::train::evaluate::Lpips;
+use genesplat::metrics::Lpips;
+use genesplat::metrics::weights::{sha256, to_safetensors};
 
 use crate::args::LpipsInstallArgs;
-use crate::{lpips, output};
+use crate::{files, lpips, output};
 
 /// SHA-256 sums of files that were measured with, and whose figures are those of the authors' own program.
 const KNOWN_SUMS: [(&str, &str); 4] = [
@@ -42,7 +43,7 @@ pub fn run(args: &LpipsInstallArgs) -> Result<()> {
     }
     for (net, tensors) in &pool {
         let path = folder.join(format!("lpips_{}.safetensors", net.name()));
-        write_weights(&path, tensors)?;
+        files::write_file(&path, |out| out.write_all(&to_safetensors(tensors)))?;
         output::print(&format!("{net} is installed: {}", path.display()))?;
     }
     Ok(())

@@ -3,7 +3,7 @@
 //! The file is small on purpose: whatever a run's `config.toml` can say, `[config]` can say for all cells and
 //! `[arms.config]` for one arm. `crates/genesplat/presets` holds examples.
 
-use genesplat::io::GalleryOptions;
+use genesplat::gallery::GalleryOptions;
 use genesplat::train::config::EvolutionConfig;
 use genesplat::train::{Trigger, Variant};
 use serde::{Deserialize, Serialize};

@@ -10,9 +10,10 @@ use std::time::Instant;
 
 use anyhow::{Result, anyhow, bail, ensure};
 use genesplat::core::BackendError;
-use genesplat::io::{LoadOptions, PhotoSize, Scene, gallery, load_points};
+use genesplat::gallery;
+use genesplat::io::{LoadOptions, PhotoSize, Scene, load_points};
+use genesplat::metrics::Lpips;
 use genesplat::train::TrainError;
-use genesplat::train::evaluate::Lpips;
 
 use super::plan::{BUNDLED, Cell, Experiment};
 use super::results::Results;

@@ -6,7 +6,7 @@ use anyhow::Result;
 use genesplat::core::{Photo, View};
 use genesplat::io::Scene;
 use genesplat::io::photos::read_photo;
-use genesplat::train::evaluate::{Evaluation, ViewScore};
+use genesplat::metrics::{Evaluation, ViewScore};
 use genesplat::train::{StageKind, StageRecord};
 
 use super::chart::{Chart, Series};

@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
-use genesplat::io::{GalleryOptions, gallery};
+use genesplat::gallery::{self, GalleryOptions};
 
 use crate::support::{command, fail, json, run, succeed, text};
 

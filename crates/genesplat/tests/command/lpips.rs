@@ -4,11 +4,10 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use genesplat::core::{NamedTensors, Tensor};
 use genesplat::io::photos::read_photo;
-use genesplat::io::weights::{read_weights, write_weights};
-use genesplat::train::evaluate::Lpips;
-use genesplat::train::evaluate::lpips::{InputRange, Net, WeightError};
+use genesplat::metrics::Lpips;
+use genesplat::metrics::lpips::{InputRange, Net, WeightError};
+use genesplat::metrics::weights::{NamedTensors, Tensor, read_weights, to_safetensors};
 use serde_json::Value;
 use tempfile::TempDir;
 
@@ -120,7 +119,7 @@ fn two_files(net: Net) -> (TempDir, [PathBuf; 2]) {
     convolutions.insert("classifier.0.bias".into(), Tensor { shape: vec![2], values: vec![1.0; 2] });
     let files = ["network.safetensors", "heads.safetensors"].map(|name| folder.path().join(name));
     for (file, tensors) in files.iter().zip([&convolutions, &heads]) {
-        write_weights(file, tensors).unwrap();
+        fs::write(file, to_safetensors(tensors)).unwrap();
     }
     (folder, files)
 }
@@ -239,16 +238,16 @@ fn weights_that_cannot_be_used() {
     install(&[&promising, &heads], &["promises", "7be5be79", "download it again"]);
 
     let other = folder.path().join("other.safetensors");
-    write_weights(&other, &[("bert.bias".to_owned(), Tensor { shape: vec![1], values: vec![0.0] })].into())
-        .unwrap();
+    let bias = Tensor { shape: vec![1], values: vec![0.0] };
+    fs::write(&other, to_safetensors(&[("bert.bias".to_owned(), bias)].into())).unwrap();
     install(&[&other], &["other.safetensors", "neither VGG16 nor AlexNet"]);
     let mut bent = invented(Net::AlexNet);
     bent.insert("features.6.weight".into(), Tensor { shape: vec![2, 2], values: vec![0.0; 4] });
-    write_weights(&other, &bent).unwrap();
+    fs::write(&other, to_safetensors(&bent)).unwrap();
     install(&[&other], &["other.safetensors", "neither VGG16 nor AlexNet"]);
     bent = invented(Net::AlexNet);
     bent.get_mut("lin1.weight").unwrap().values[3] = f32::NAN;
-    write_weights(&other, &bent).unwrap();
+    fs::write(&other, to_safetensors(&bent)).unwrap();
     install(&[&other], &["lin1.weight", "not finite"]);
 }
 

@@ -7,7 +7,7 @@ use std::path::Path;
 use std::process::{Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
-use genesplat::io::{GalleryOptions, gallery};
+use genesplat::gallery::{self, GalleryOptions};
 
 use crate::support::{cloud, command, fail, json, judge_failure, scene, succeed, text, train, write_gallery};
 

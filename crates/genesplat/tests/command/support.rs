@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::sync::LazyLock;
 
-use genesplat::io::{GalleryOptions, gallery};
+use genesplat::gallery::{self, GalleryOptions};
 use tempfile::TempDir;
 
 /// A gallery of twelve photos of 64x48 pixels, made once; nobody may change it.

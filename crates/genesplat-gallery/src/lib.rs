@@ -1,0 +1,122 @@
+//! The bundled scene: a small art gallery, ray-cast here, so that everything can be tried without a download.
+//!
+//! The room (`room`, `exhibits`) is lit once (`light`), photographed from a path of cameras (`cameras`, `render`) and
+//! given points as structure from motion would find them (`points`). It holds what is hard for splats: plain walls,
+//! fine prints, thin rods, metal and glaze. The same options give the same bytes on one machine, for any number of
+//! threads.
+
+mod bounds;
+mod cameras;
+mod exhibits;
+mod geometry;
+mod lamps;
+mod light;
+mod painting;
+mod points;
+mod render;
+mod room;
+mod texture;
+mod world;
+
+use std::path::Path;
+use std::sync::Arc;
+
+use genesplat_core::View;
+use genesplat_io::colmap::{Form, ImageRecord, Intrinsics, Model, write_model};
+use genesplat_io::photos::{PhotoError, write_png};
+use genesplat_io::{HoldOut, Point, SIDE_MIN_PX, Scene};
+
+/// How the gallery is photographed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct GalleryOptions {
+    /// Width of the photos, px; at least 16.
+    pub width: u32,
+    /// Height of the photos, px; at least 16.
+    pub height: u32,
+    /// Number of photos; at least 2.
+    pub views: u32,
+    /// Number of points at most.
+    pub points: u32,
+    /// Seed of patterns and points.
+    pub seed: u64,
+}
+
+impl Default for GalleryOptions {
+    fn default() -> Self {
+        Self { width: 320, height: 214, views: 48, points: 3500, seed: 0 }
+    }
+}
+
+/// Photos of the gallery, with their cameras, and points.
+#[derive(Clone, Debug)]
+pub struct Gallery {
+    /// In the order of the path; names sort in that order.
+    pub views: Vec<View>,
+    /// Points that at least three views see.
+    pub points: Vec<Point>,
+}
+
+/// Builds the room and photographs it.
+///
+/// # Panics
+/// If a side is below 16 px or there are fewer than 2 views.
+pub fn generate(options: &GalleryOptions) -> Gallery {
+    let GalleryOptions { width, height, views, points, seed } = *options;
+    assert!(width.min(height) >= SIDE_MIN_PX && views >= 2, "a gallery needs photos: {options:?}");
+    let pattern_seed = (seed ^ (seed >> 32)) as u32;
+    let (world, lamps) = room::build(pattern_seed);
+    let lighting = light::Lighting::bake(&world, &lamps, pattern_seed);
+    let caster = render::RayCaster { world, lighting, seed: pattern_seed };
+    let views: Vec<View> = (cameras::path(views, width, height).into_iter().enumerate())
+        .map(|(index, camera)| View {
+            name: format!("gallery_{index:03}.png"),
+            photo: Arc::new(caster.photograph(&camera)),
+            camera,
+        })
+        .collect();
+    let points = points::sample(&caster, &views, points, seed);
+    Gallery { views, points }
+}
+
+impl Gallery {
+    /// As a scene, without files.
+    pub fn into_scene(self, hold_out: HoldOut) -> Scene {
+        let (train, test) = hold_out.split(self.views);
+        let (photos, notices) = (Vec::new(), Vec::new());
+        Scene { name: "gallery".into(), train, test, points: self.points, photos, notices }
+    }
+
+    /// Writes a COLMAP scene into `folder`, which every trainer reads: `images/*.png` and `sparse/0/*.bin`.
+    pub fn write_colmap(&self, folder: &Path) -> Result<(), PhotoError> {
+        for view in &self.views {
+            write_png(&folder.join("images").join(&view.name), &view.photo)?;
+        }
+        let model = folder.join("sparse/0");
+        write_model(&model, Form::Binary, &self.model())
+            .map_err(|source| PhotoError::Write { path: model, source })
+    }
+
+    fn model(&self) -> Model {
+        let camera = &self.views[0].camera;
+        let intrinsics = Intrinsics {
+            width: camera.width,
+            height: camera.height,
+            focal_px: camera.focal_px,
+            principal_px: camera.principal_px,
+        };
+        let image = |view: &View| {
+            let [x, y, z, w] = view.camera.camera_from_world_rotation.to_array();
+            ImageRecord {
+                name: view.name.clone(),
+                camera: 1,
+                rotation: [w, x, y, z],
+                translation: view.camera.camera_from_world_translation.to_array(),
+            }
+        };
+        Model {
+            cameras: [(1, intrinsics)].into(),
+            images: self.views.iter().map(image).collect(),
+            points: self.points.clone(),
+        }
+    }
+}

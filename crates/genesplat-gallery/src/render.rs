@@ -1,0 +1,136 @@
+//! Casts the rays of a camera into the room: photos.
+
+use genesplat_core::{Camera, Photo};
+use glam::{DMat3, DVec2, Vec3};
+use rayon::prelude::*;
+
+use crate::geometry::Ray;
+use crate::light::Lighting;
+use crate::world::{Finish, Hit, World};
+
+/// Where a pixel is sampled first, in eighths of its side: no two samples share a row or a column, and turning the
+/// pattern by 90 degrees changes nothing, so edges of all directions are smooth.
+const FIRST_SAMPLES: [[u8; 2]; 4] = [[0, 2], [5, 0], [7, 5], [2, 7]];
+/// Where it is sampled besides, if the first samples differ: together no two share a row or a column.
+const FURTHER_SAMPLES: [[u8; 2]; 4] = [[1, 3], [4, 1], [6, 4], [3, 6]];
+/// Difference between samples, relative to the brightest and some stray light, that calls for further ones.
+const SMOOTH: f32 = 0.03;
+/// A mirror in a mirror is the last one that is followed.
+const REFLECTIONS: u32 = 2;
+/// Radiance that a sample is limited to: a lamp must not outshine the other samples of its pixel.
+const BRIGHTEST: f32 = 4.0;
+/// Factor of radiance before tone mapping.
+const EXPOSURE: f32 = 1.25;
+
+/// A lit room, ready to be photographed.
+#[derive(Debug)]
+pub(crate) struct RayCaster {
+    /// What is there.
+    pub(crate) world: World,
+    /// How it is lit.
+    pub(crate) lighting: Lighting,
+    /// Seed of the patterns.
+    pub(crate) seed: u32,
+}
+
+impl RayCaster {
+    /// The photo that `camera` takes; rows are computed in parallel.
+    pub(crate) fn photograph(&self, camera: &Camera) -> Photo {
+        let (width, rays) = (camera.width as usize, CameraRays::of(camera));
+        let mut rgb = vec![0; 3 * width * camera.height as usize];
+        rgb.par_chunks_mut(3 * width).enumerate().for_each(|(row, values)| {
+            for (column, value) in values.chunks_exact_mut(3).enumerate() {
+                value.copy_from_slice(&tone_map(self.pixel(&rays, [column as f64, row as f64])));
+            }
+        });
+        Photo { width: camera.width, height: camera.height, rgb }
+    }
+
+    /// The first surface behind pixel coordinates `(u, v)`, and the ray to it.
+    pub(crate) fn first_hit(&self, rays: &CameraRays, at: [f64; 2]) -> Option<(Ray, Hit)> {
+        let ray = rays.ray(at);
+        self.world.trace(&ray, None).map(|hit| (ray, hit))
+    }
+
+    /// Mean radiance of a pixel.
+    fn pixel(&self, rays: &CameraRays, [column, row]: [f64; 2]) -> Vec3 {
+        let sample = |[x, y]: [u8; 2]| {
+            let offset = |eighths: u8| (f64::from(eighths) - 3.5) / 8.0;
+            self.radiance(&rays.ray([column + offset(x), row + offset(y)]), 0).min(Vec3::splat(BRIGHTEST))
+        };
+        let first = FIRST_SAMPLES.map(sample);
+        let sum: Vec3 = first.iter().sum();
+        let (low, high) =
+            first.iter().fold((first[0], first[0]), |(low, high), s| (low.min(*s), high.max(*s)));
+        if (high - low).max_element() < SMOOTH * (0.2 + high.max_element()) {
+            return sum / 4.0;
+        }
+        (sum + FURTHER_SAMPLES.map(sample).iter().sum::<Vec3>()) / 8.0
+    }
+
+    fn radiance(&self, ray: &Ray, reflections: u32) -> Vec3 {
+        let Some(hit) = self.world.trace(ray, None) else { return Vec3::ZERO };
+        let (surface, point) = (&self.world.surfaces[hit.surface], ray.at(hit.distance));
+        let (normal, uv) = (surface.shape.normal(point), surface.shape.uv(point));
+        let scattered = || surface.texture.albedo(uv, self.seed) * self.lighting.at(hit.surface, uv, normal);
+        let facing = -ray.direction.dot(normal);
+        let mirrored = || {
+            let direction = ray.direction + 2.0 * facing * normal;
+            self.radiance(&Ray::leaving(point, normal, direction), reflections + 1)
+        };
+        match surface.finish {
+            Finish::Lamp(radiance) => radiance,
+            Finish::Coated { specular } if reflections < REFLECTIONS => {
+                scattered().lerp(mirrored(), specular * fresnel(0.04, facing))
+            }
+            Finish::Metal(tint) if reflections < REFLECTIONS => {
+                mirrored() * tint.lerp(Vec3::ONE, fresnel(0.0, facing))
+            }
+            Finish::Matte | Finish::Coated { .. } | Finish::Metal(_) => scattered(),
+        }
+    }
+}
+
+/// The rays of a camera.
+pub(crate) struct CameraRays {
+    centre: Vec3,
+    world_from_camera: DMat3,
+    focal_px: DVec2,
+    principal_px: DVec2,
+}
+
+impl CameraRays {
+    /// Those of `camera`.
+    pub(crate) fn of(camera: &Camera) -> Self {
+        Self {
+            centre: camera.centre_in_world().as_vec3(),
+            world_from_camera: camera.rotation().transpose(),
+            focal_px: camera.focal_px.into(),
+            principal_px: camera.principal_px.into(),
+        }
+    }
+
+    /// The ray through pixel coordinates `(u, v)`, pixel centres at integers.
+    fn ray(&self, at: [f64; 2]) -> Ray {
+        let in_plane = (DVec2::from(at) + 0.5 - self.principal_px) / self.focal_px;
+        let in_world = self.world_from_camera * in_plane.extend(1.0).normalize();
+        Ray::new(self.centre, in_world.as_vec3())
+    }
+}
+
+/// Fraction of light that a smooth surface mirrors (Schlick 1994).
+fn fresnel(head_on: f32, cosine: f32) -> f32 {
+    head_on + (1.0 - head_on) * (1.0 - cosine.clamp(0.0, 1.0)).powi(5)
+}
+
+/// Radiance to 8-bit sRGB, through the film curve of Narkowicz ("ACES filmic tone mapping curve", 2015).
+fn tone_map(radiance: Vec3) -> [u8; 3] {
+    let x = EXPOSURE * radiance;
+    let film = (x * (2.51 * x + 0.03)) / (x * (2.43 * x + 0.59) + 0.14);
+    let encode = |value: f32| {
+        let value = value.clamp(0.0, 1.0);
+        let srgb = if value <= 0.003_130_8 { 12.92 * value } else { 1.055 * value.powf(1.0 / 2.4) - 0.055 };
+        (255.0 * srgb + 0.5) as u8
+    };
+    [encode(film.x), encode(film.y), encode(film.z)]
+}

@@ -1,0 +1,96 @@
+//! A model's photos, joined with their cameras and found on the disk.
+
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use genesplat_core::Camera;
+use glam::{DQuat, DVec3};
+
+use super::{ImageRecord, Model, ModelFolder, read_model, read_photos};
+use crate::error::SceneError;
+use crate::listing::{ListedPhoto, Listing, Purpose, base_name, inside, missing_photo};
+
+/// Lists the photos and, if they are wanted, the points of the model in `folder`; photos are in `image_folder`.
+pub(crate) fn list(
+    folder: &ModelFolder,
+    image_folder: &Path,
+    with_points: bool,
+) -> Result<Listing, SceneError> {
+    let model = if with_points { read_model(folder)? } else { read_photos(folder)? };
+    let list = folder.form.file(&folder.path, "images");
+    if model.images.is_empty() {
+        return Err(SceneError::NoPhotos { file: list });
+    }
+    let photos = find_photos(&model.images, image_folder, &list)?;
+    let list: Arc<Path> = list.into();
+    let listed = |(image, path): (&ImageRecord, PathBuf)| {
+        let (name, list, camera) = (image.name.clone(), list.clone(), camera(&model, image, &list)?);
+        Ok(ListedPhoto { name, path, list, camera, distortion: None, purpose: Purpose::Unsaid })
+    };
+    let photos = model.images.iter().zip(photos).map(listed).collect::<Result<_, SceneError>>()?;
+    let points_file = folder.form.file(&folder.path, "points3D");
+    Ok(Listing { photos, points: model.points, points_file, notices: other_models(&folder.path) })
+}
+
+fn camera(model: &Model, image: &ImageRecord, list: &Path) -> Result<Camera, SceneError> {
+    let intrinsics = model.cameras.get(&image.camera).ok_or_else(|| SceneError::NoSuchCamera {
+        file: list.to_owned(),
+        name: image.name.clone(),
+        camera: image.camera,
+    })?;
+    let [w, x, y, z] = image.rotation;
+    Ok(Camera {
+        width: intrinsics.width,
+        height: intrinsics.height,
+        focal_px: intrinsics.focal_px,
+        principal_px: intrinsics.principal_px,
+        camera_from_world_rotation: DQuat::from_xyzw(x, y, z, w).normalize(),
+        camera_from_world_translation: DVec3::from(image.translation),
+    })
+}
+
+/// Path of every photo: by the record's whole name, or else by its last part, as the reference trainer looks.
+fn find_photos(images: &[ImageRecord], folder: &Path, list: &Path) -> Result<Vec<PathBuf>, SceneError> {
+    let mut found = Vec::with_capacity(images.len());
+    let mut missing = None;
+    for image in images {
+        let whole = folder.join(inside(&image.name, list)?);
+        let flat = folder.join(base_name(&image.name));
+        if whole.is_file() {
+            found.push(whole);
+        } else if flat.is_file() {
+            found.push(flat);
+        } else {
+            missing = missing.or(Some(whole));
+        }
+    }
+    if let Some(photo) = missing {
+        return Err(missing_photo(list, photo, found.len(), images.len(), folder));
+    }
+    match shared(&found).map(|pair| pair.map(|at| images[at].name.clone())) {
+        // Two records of one name are an error of `Listing::name_views`.
+        Some([first, second]) if first != second => {
+            Err(SceneError::OneForTwo { file: list.to_owned(), first, second, folder: folder.to_owned() })
+        }
+        _ => Ok(found),
+    }
+}
+
+/// The first two records that found the same file: the photo of one of them is not where the list says.
+fn shared(found: &[PathBuf]) -> Option<[usize; 2]> {
+    let mut finders = HashMap::new();
+    found.iter().enumerate().find_map(|(at, photo)| finders.insert(photo, at).map(|first| [first, at]))
+}
+
+/// A notice where COLMAP split the photos into several models, of which only the first is used.
+fn other_models(folder: &Path) -> Vec<String> {
+    let second = folder.with_file_name("1");
+    if folder.ends_with("sparse/0") && second.is_dir() {
+        return vec![format!(
+            "COLMAP split the photos into several models; only {} is used, and photos of the others are left out",
+            folder.display()
+        )];
+    }
+    Vec::new()
+}

@@ -1,0 +1,190 @@
+//! Scenes: how a folder describes its photos, and the photos as training and test views.
+//!
+//! Each reader ([`crate::colmap`], `transforms`) turns its files into a [`Listing`]: photos by path, with cameras, and
+//! points. What follows is the same for all: the photos are split ([`split`]), then loaded in parallel ([`view`]).
+
+mod split;
+mod view;
+
+use std::path::{Path, PathBuf};
+
+use genesplat_core::View;
+use rayon::prelude::*;
+
+pub use split::HoldOut;
+pub use view::SIDE_MIN_PX;
+
+use crate::error::SceneError;
+use crate::listing::{ListedPhoto, Listing};
+use crate::photos::PhotoSize;
+use crate::{colmap, transforms};
+
+/// A point of a reconstruction.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Point {
+    /// World units.
+    pub position: [f32; 3],
+    /// 8-bit colour.
+    pub rgb: [u8; 3],
+}
+
+/// Photos with cameras, split for training and testing, and the points to start from.
+#[derive(Clone, Debug)]
+pub struct Scene {
+    /// Name of the folder.
+    pub name: String,
+    /// Views to train on, sorted by name.
+    pub train: Vec<View>,
+    /// Views that training must never see, sorted by name.
+    pub test: Vec<View>,
+    /// Points in the order of their file.
+    pub points: Vec<Point>,
+    /// Files of the photos, which must not be written over; empty for a scene that is not from a disk.
+    pub photos: Vec<PathBuf>,
+    /// What the user should know: one sentence each.
+    pub notices: Vec<String>,
+}
+
+/// How a scene is loaded.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct LoadOptions {
+    /// Size of the photos.
+    pub size: PhotoSize,
+    /// Both sides of that size are divided by this and rounded as [`PhotoSize::Downscale`] does, in one reduction with
+    /// it: a splat can be compared at a fraction of the size that it was trained at. 1 leaves the size alone.
+    pub divisor: u32,
+    /// Which photos are held out.
+    pub hold_out: HoldOut,
+    /// Colour behind transparent photos.
+    pub background: [u8; 3],
+    /// Folder of a COLMAP scene's photos, relative to the scene: some data sets ship `images_2`, `images_4`, ...
+    pub image_folder: PathBuf,
+    /// Whether points are loaded, or drawn where there are none: to look at a finished cloud takes none.
+    pub with_points: bool,
+    /// Seed of the random points that a scene without points starts from.
+    pub seed: u64,
+}
+
+impl Default for LoadOptions {
+    fn default() -> Self {
+        Self {
+            size: PhotoSize::default(),
+            divisor: 1,
+            hold_out: HoldOut::default(),
+            background: [0; 3],
+            image_folder: "images".into(),
+            with_points: true,
+            seed: 0,
+        }
+    }
+}
+
+impl LoadOptions {
+    /// The loaded size of a photo of `width` x `height` px.
+    fn size_of(&self, width: u32, height: u32) -> (u32, u32) {
+        let (width, height) = self.size.of(width, height);
+        PhotoSize::Downscale(self.divisor).of(width, height)
+    }
+}
+
+/// Is told how far loading is; called from many threads.
+pub trait LoadProgress: Sync {
+    /// Decoding of `photos` photos begins.
+    fn start(&self, photos: usize);
+    /// One more is ready.
+    fn photo_done(&self);
+}
+
+/// Ignores it.
+impl LoadProgress for () {
+    fn start(&self, _photos: usize) {}
+    fn photo_done(&self) {}
+}
+
+/// Least number of points that training starts from: initial scales are distances to the three nearest others.
+const POINTS_MIN: usize = 4;
+
+/// Loads the scene in the folder `path`: a COLMAP model with its photos, a Blender pair of `transforms_*.json`, or the
+/// `transforms.json` of nerfstudio and instant-ngp; the first of these that is there.
+///
+/// Photos are decoded in parallel on rayon's current pool. The result does not depend on the number of threads.
+pub fn load_scene(
+    path: &Path,
+    options: &LoadOptions,
+    progress: &dyn LoadProgress,
+) -> Result<Scene, SceneError> {
+    let listing = list(path, options)?;
+    let photos = listing.photos.iter().map(|photo| photo.path.clone()).collect();
+    let (train, test) = split::split(listing.photos, options.hold_out);
+    if train.is_empty() {
+        let (photos, held_out) = (test.len(), test.len());
+        return Err(SceneError::NotEnoughPhotos { path: path.to_owned(), photos, held_out });
+    }
+    progress.start(train.len() + test.len());
+    let load = |photos: &[ListedPhoto]| -> Result<Vec<View>, SceneError> {
+        photos.par_iter().map(|photo| view::load(photo, options, progress)).collect()
+    };
+    Ok(Scene {
+        name: scene_name(path),
+        train: load(&train)?,
+        test: load(&test)?,
+        points: listing.points,
+        photos,
+        notices: listing.notices,
+    })
+}
+
+/// The points of [`load_scene`] without the photos: for a scene that comes with none, they depend on the seed.
+pub fn load_points(path: &Path, options: &LoadOptions) -> Result<Vec<Point>, SceneError> {
+    Ok(list(path, options)?.points)
+}
+
+fn list(path: &Path, options: &LoadOptions) -> Result<Listing, SceneError> {
+    if !path.exists() {
+        return Err(SceneError::Missing { path: path.to_owned() });
+    }
+    match list_known(path, options) {
+        Err(error @ (SceneError::Unrecognised { .. } | SceneError::AllPhotosMissing { .. })) => {
+            Err(whole_scene(path)
+                .map_or(error, |scene| SceneError::PartOfScene { path: path.to_owned(), scene }))
+        }
+        known => checked(known?, options),
+    }
+}
+
+/// `listing` with the names of its views. Too few points are an error here already: training would find it out only
+/// after the photos are decoded and the folder for its results is cleared.
+fn checked(mut listing: Listing, options: &LoadOptions) -> Result<Listing, SceneError> {
+    listing.name_views()?;
+    let points = listing.points.len();
+    if options.with_points && points < POINTS_MIN {
+        return Err(SceneError::TooFewPoints { file: listing.points_file, points, least: POINTS_MIN });
+    }
+    Ok(listing)
+}
+
+fn list_known(path: &Path, options: &LoadOptions) -> Result<Listing, SceneError> {
+    let seed = options.with_points.then_some(options.seed);
+    if let Some(model) = colmap::find_model(path) {
+        return colmap::list(&model, &path.join(&options.image_folder), options.with_points);
+    }
+    if path.join("transforms_train.json").is_file() {
+        return transforms::list_blender(path, seed);
+    }
+    if path.join("transforms.json").is_file() {
+        return transforms::list_nerfstudio(path, seed);
+    }
+    Err(SceneError::Unrecognised { path: path.to_owned() })
+}
+
+/// The scene that `path` is a part of, as `sparse/0`, `sparse` and `images` are.
+fn whole_scene(path: &Path) -> Option<PathBuf> {
+    let path = path.canonicalize().ok()?;
+    let is_scene = |folder: &&Path| folder.join("sparse").is_dir() && folder.join("images").is_dir();
+    path.ancestors().skip(1).take(2).find(is_scene).map(Path::to_owned)
+}
+
+fn scene_name(path: &Path) -> String {
+    let whole = path.canonicalize().unwrap_or_else(|_| path.to_owned());
+    whole.file_name().map_or_else(|| "scene".into(), |name| name.to_string_lossy().into_owned())
+}

@@ -1,0 +1,63 @@
+//! From a listed photo to a view: decode, check, undistort, resize.
+
+use std::sync::Arc;
+
+use genesplat_core::{Camera, Photo, View};
+
+use super::{LoadOptions, LoadProgress};
+use crate::error::SceneError;
+use crate::listing::ListedPhoto;
+use crate::photos;
+
+/// Least side of a loaded photo, px: SSIM's window alone has 11.
+pub const SIDE_MIN_PX: u32 = 16;
+
+/// Decodes and prepares one photo.
+pub(super) fn load(
+    listed: &ListedPhoto,
+    options: &LoadOptions,
+    progress: &dyn LoadProgress,
+) -> Result<View, SceneError> {
+    let photo = photos::read_photo_on(&listed.path, options.background)?;
+    let camera = camera_of_photo(listed, photo.width, photo.height)?;
+    let (width, height) = options.size_of(photo.width, photo.height);
+    if width.min(height) < SIDE_MIN_PX {
+        let (photo, least) = (listed.path.clone(), SIDE_MIN_PX);
+        return Err(SceneError::PhotoTooSmall { photo, width, height, least });
+    }
+    let (photo, camera) = undistort(listed, photo, camera)?;
+    let photo = Arc::new(photos::resize(&photo, width, height));
+    progress.photo_done();
+    Ok(View { name: listed.name.clone(), camera: camera.resized(width, height), photo })
+}
+
+/// The photo as a pinhole would have taken it, and that pinhole.
+fn undistort(listed: &ListedPhoto, photo: Photo, camera: Camera) -> Result<(Photo, Camera), SceneError> {
+    let Some(distortion) = &listed.distortion else { return Ok((photo, camera)) };
+    photos::undistort(&photo, &camera, distortion).ok_or_else(|| SceneError::BadCamera {
+        file: listed.list.to_path_buf(),
+        camera: listed.name.clone(),
+        problem: "has distortion coefficients that cannot be undone",
+    })
+}
+
+/// The listed camera at the photo's own size.
+///
+/// Published scenes calibrate on larger photos than they ship (Tanks and Temples: twice), rounded to whole pixels. So
+/// a camera of the same shape is scaled, and a camera of another shape is an error.
+fn camera_of_photo(listed: &ListedPhoto, width: u32, height: u32) -> Result<Camera, SceneError> {
+    let camera = &listed.camera;
+    let scale = f64::from(width) / f64::from(camera.width);
+    let expected_height = f64::from(camera.height) * scale;
+    // Either side may have been rounded by a pixel before and after the reduction; 0.5 % covers large photos.
+    let tolerance = (0.005 * f64::from(height)).max(2.0);
+    if (expected_height - f64::from(height)).abs() > tolerance {
+        return Err(SceneError::SizeMismatch {
+            photo: listed.path.clone(),
+            photo_size: [width, height],
+            list: listed.list.to_path_buf(),
+            camera_size: [camera.width, camera.height],
+        });
+    }
+    Ok(camera.resized(width, height))
+}

@@ -1,0 +1,95 @@
+//! Cameras of a `transforms.json`: intrinsics, distortion, and poses turned from OpenGL's camera axes to ours.
+
+use std::path::Path;
+
+use genesplat_core::Camera;
+use glam::{DMat3, DQuat, DVec3};
+
+use super::schema::{OptionalIntrinsics, PhotoEntry};
+use crate::error::SceneError;
+use crate::listing::intrinsics_problem;
+use crate::photos::{self, Distortion};
+
+/// The camera of `entry`, and what its lens distorts; `photo` is asked for its size where the file does not say it.
+pub(super) fn camera(
+    list: &Path,
+    entry: &PhotoEntry,
+    intrinsics: &OptionalIntrinsics,
+    photo: &Path,
+) -> Result<(Camera, Option<Distortion>), SceneError> {
+    let (rotation, translation) = pose(list, entry)?;
+    check_model(list, intrinsics)?;
+    let bad =
+        |problem| SceneError::BadCamera { file: list.to_owned(), camera: entry.file_path.clone(), problem };
+    let [width, height] = match (intrinsics.w, intrinsics.h) {
+        (Some(w), Some(h)) => [w, h],
+        _ => photos::photo_size(photo).map(|(w, h)| [w, h].map(f64::from))?,
+    };
+    let from_angle = |angle: Option<f64>, side: f64| angle.map(|angle| 0.5 * side / (0.5 * angle).tan());
+    let fx = intrinsics.fl_x.or(from_angle(intrinsics.camera_angle_x, width));
+    let fx = fx.ok_or_else(|| bad("has neither fl_x nor camera_angle_x"))?;
+    let fy = intrinsics.fl_y.or(from_angle(intrinsics.camera_angle_y, height)).unwrap_or(fx);
+    let principal_px = [intrinsics.cx.unwrap_or(0.5 * width), intrinsics.cy.unwrap_or(0.5 * height)];
+    if let Some(problem) = intrinsics_problem([width, height], [fx, fy], principal_px) {
+        return Err(bad(problem));
+    }
+    let camera = Camera {
+        width: width as u32,
+        height: height as u32,
+        focal_px: [fx, fy],
+        principal_px,
+        camera_from_world_rotation: rotation,
+        camera_from_world_translation: translation,
+    };
+    Ok((camera, distortion(intrinsics)))
+}
+
+/// COLMAP's names of the models whose coefficients mean what [`Distortion`] takes them for.
+///
+/// FULL_OPENCV is none of them: it divides by a second polynomial, whose first coefficient it calls k4.
+pub(crate) const KNOWN_MODELS: [&str; 5] = ["PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "SIMPLE_RADIAL", "RADIAL"];
+
+fn check_model(list: &Path, intrinsics: &OptionalIntrinsics) -> Result<(), SceneError> {
+    let model = match (&intrinsics.camera_model, intrinsics.is_fisheye) {
+        (_, Some(true)) => "OPENCV_FISHEYE",
+        (Some(model), _) => model,
+        (None, _) => return Ok(()),
+    };
+    if KNOWN_MODELS.contains(&model) {
+        return Ok(());
+    }
+    Err(SceneError::UnknownLens { file: list.to_owned(), model: model.to_owned() })
+}
+
+fn distortion(intrinsics: &OptionalIntrinsics) -> Option<Distortion> {
+    let value = |coefficient: Option<f64>| coefficient.unwrap_or(0.0);
+    let distortion = Distortion {
+        radial: [value(intrinsics.k1), value(intrinsics.k2), value(intrinsics.k3), value(intrinsics.k4)],
+        tangential: [value(intrinsics.p1), value(intrinsics.p2)],
+    };
+    (!distortion.is_none()).then_some(distortion)
+}
+
+/// `camera_from_world` of an entry.
+fn pose(list: &Path, entry: &PhotoEntry) -> Result<(DQuat, DVec3), SceneError> {
+    let bad = |problem| SceneError::BadPose { file: list.to_owned(), name: entry.file_path.clone(), problem };
+    let [x, y, z, ..] = entry.transform_matrix.as_slice() else {
+        return Err(bad("has fewer than three rows"));
+    };
+    let row = |row: &[f64; 4]| DVec3::new(row[0], row[1], row[2]);
+    let world_from_gl = DMat3::from_cols(row(x), row(y), row(z)).transpose();
+    let centre = DVec3::new(x[3], y[3], z[3]);
+    if !(world_from_gl.is_finite() && centre.is_finite()) {
+        return Err(bad("is not finite"));
+    }
+    // Writers print few digits, so a per cent is allowed; a mirror image or a scale is not.
+    let deviation = world_from_gl * world_from_gl.transpose() - DMat3::IDENTITY;
+    if deviation.to_cols_array().iter().any(|v| v.abs() > 0.01) || world_from_gl.determinant() < 0.0 {
+        return Err(bad("is not a rotation"));
+    }
+    // OpenGL's camera looks along −z with y up; ours along z with y down.
+    let world_from_camera =
+        DMat3::from_cols(world_from_gl.x_axis, -world_from_gl.y_axis, -world_from_gl.z_axis);
+    let rotation = DQuat::from_mat3(&world_from_camera.transpose()).normalize();
+    Ok((rotation, -(rotation * centre)))
+}

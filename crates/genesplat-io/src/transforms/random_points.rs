@@ -1,0 +1,106 @@
+//! Points for scenes that come with none: uniform in a cube, grey.
+
+use genesplat_core::{Camera, Rng, Stream};
+use glam::{DMat3, DVec3};
+
+use crate::scene::Point;
+
+/// How many (3DGS, for Blender scenes).
+pub(super) const COUNT: u32 = 100_000;
+/// The reference draws colours from a range so narrow that all of them are this grey at 8 bit.
+const GREY: u8 = 127;
+/// Half the side of the cube that Blender scenes fill, world units (3DGS).
+const BLENDER_HALF_SIDE: f64 = 1.3;
+
+/// A cube with axes along the world's.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Cube {
+    /// World units.
+    pub(super) centre: DVec3,
+    /// World units.
+    pub(super) half_side: f64,
+}
+
+impl Cube {
+    /// Where Blender scenes put their object.
+    pub(super) const BLENDER: Self = Self { centre: DVec3::ZERO, half_side: BLENDER_HALF_SIDE };
+
+    /// The cube around what `cameras` look at: the point nearest to all optical axes, as far as the middle camera is.
+    ///
+    /// Cameras that look in parallel have no such point; a weak pull towards the space before them decides then.
+    pub(super) fn seen_by(cameras: &[Camera]) -> Self {
+        const PULL: f64 = 1e-2;
+        let count = cameras.len() as f64;
+        let centres: Vec<DVec3> = cameras.iter().map(Camera::centre_in_world).collect();
+        let axis = |camera: &Camera| camera.rotation().transpose() * DVec3::Z;
+        let middle = centres.iter().sum::<DVec3>() / count;
+        let spread = centres.iter().map(|centre| centre.distance(middle)).sum::<f64>() / count;
+        let ahead = middle + spread.max(1.0) * (cameras.iter().map(axis).sum::<DVec3>() / count);
+        // Least squares of the distances to the axes: Σ (I − d dᵀ)(x − c) = 0.
+        let mut sum = DMat3::IDENTITY * (PULL * count);
+        let mut right = PULL * count * ahead;
+        for (camera, centre) in cameras.iter().zip(&centres) {
+            let d = axis(camera);
+            let across = DMat3::IDENTITY - DMat3::from_cols(d * d.x, d * d.y, d * d.z);
+            sum += across;
+            right += across * *centre;
+        }
+        let focus = sum.inverse() * right;
+        let mut distances: Vec<f64> = centres.iter().map(|centre| centre.distance(focus)).collect();
+        distances.sort_by(f64::total_cmp);
+        Self { centre: focus, half_side: distances[distances.len() / 2].max(1e-3) }
+    }
+
+    /// [`COUNT`] points, the same for the same seed.
+    pub(super) fn points(&self, seed: u64) -> Vec<Point> {
+        let rng = Rng::new(seed);
+        let point = |row: u32| {
+            let draw = rng.at(Stream::InitialPoints, 0, row, 0);
+            let unit = DVec3::from_array([0, 1, 2].map(|word| 2.0 * f64::from(draw.uniform(word)) - 1.0));
+            Point { position: (self.centre + self.half_side * unit).as_vec3().into(), rgb: [GREY; 3] }
+        };
+        (0..COUNT).map(point).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DQuat;
+
+    use super::*;
+
+    fn camera(centre: DVec3, forward: DVec3) -> Camera {
+        let rotation = DQuat::from_rotation_arc(forward.normalize(), DVec3::Z);
+        Camera {
+            width: 64,
+            height: 64,
+            focal_px: [60.0; 2],
+            principal_px: [32.0; 2],
+            camera_from_world_rotation: rotation,
+            camera_from_world_translation: -(rotation * centre),
+        }
+    }
+
+    #[test]
+    fn cameras_around_an_object_find_it() {
+        let object = DVec3::new(5.0, -2.0, 1.0);
+        let ring = (0..12).map(|i| f64::from(i) * 0.5).map(|a| 3.0 * DVec3::new(a.cos(), a.sin(), 0.3));
+        let cameras: Vec<Camera> = ring.map(|offset| camera(object + offset, -offset)).collect();
+        let cube = Cube::seen_by(&cameras);
+        assert!(cube.centre.distance(object) < 0.1, "{}", cube.centre);
+        assert!((cube.half_side - 3.0 * 1.09f64.sqrt()).abs() < 0.1);
+        for point in cube.points(1) {
+            let offset = DVec3::from(point.position.map(f64::from)) - cube.centre;
+            assert!(offset.abs().max_element() <= cube.half_side + 1e-5);
+        }
+    }
+
+    #[test]
+    fn parallel_cameras_get_the_space_before_them() {
+        let cameras: Vec<Camera> =
+            (0..5).map(|i| camera(DVec3::new(f64::from(i), 0.0, 0.0), DVec3::Y)).collect();
+        let cube = Cube::seen_by(&cameras);
+        assert!(cube.centre.y > 0.5 && cube.centre.is_finite(), "{}", cube.centre);
+        assert!((cube.centre.x - 2.0).abs() < 1e-6);
+    }
+}

@@ -1,0 +1,128 @@
+//! Scores of views, and their means.
+
+use genesplat_core::{Backend, BackendError, Photo, RenderSettings, View};
+use serde::{Serialize, Serializer};
+
+use crate::{SizeMismatch, psnr, ssim};
+
+/// A learned metric: `(render, photo)` to distance. The caller chooses the network and the range of its inputs.
+pub type Perceptual<'a> = &'a dyn Fn(&Photo, &Photo) -> f64;
+
+/// Scores of one view.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ViewScore {
+    /// File name of the photo.
+    pub name: String,
+    /// Peak signal-to-noise ratio, dB. Infinite for identical pictures, which JSON shows as `null`.
+    #[serde(serialize_with = "finite_or_null")]
+    pub psnr: f64,
+    /// Structural similarity, at most 1.
+    pub ssim: f64,
+    /// Perceptual distance; `None` when not measured.
+    pub lpips: Option<f64>,
+}
+
+/// Means over views, and each view.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Evaluation {
+    /// Mean of the views' PSNR, dB. `null` in JSON when a view is reproduced exactly, or when there is no view.
+    #[serde(serialize_with = "finite_or_null")]
+    pub psnr: f64,
+    /// Mean of the views' SSIM; `null` in JSON when there is no view.
+    #[serde(serialize_with = "finite_or_null")]
+    pub ssim: f64,
+    /// Mean of the views' perceptual distance; `None` when not measured.
+    pub lpips: Option<f64>,
+    /// One entry a view, in the order given.
+    pub views: Vec<ViewScore>,
+}
+
+impl Evaluation {
+    /// The means of `views`.
+    pub fn from_views(views: Vec<ViewScore>) -> Self {
+        let mean = |values: Vec<f64>| values.iter().sum::<f64>() / values.len() as f64;
+        let lpips: Option<Vec<f64>> = views.iter().map(|view| view.lpips).collect();
+        Self {
+            psnr: mean(views.iter().map(|view| view.psnr).collect()),
+            ssim: mean(views.iter().map(|view| view.ssim).collect()),
+            lpips: lpips.filter(|values| !values.is_empty()).map(mean),
+            views,
+        }
+    }
+}
+
+/// JSON knows no infinity and no NaN.
+fn finite_or_null<S: Serializer>(value: &f64, serializer: S) -> Result<S::Ok, S::Error> {
+    value.is_finite().then_some(*value).serialize(serializer)
+}
+
+/// Scores of one picture against the truth.
+pub fn compare(
+    name: &str,
+    picture: &Photo,
+    truth: &Photo,
+    perceptual: Option<Perceptual<'_>>,
+) -> Result<ViewScore, SizeMismatch> {
+    Ok(ViewScore {
+        name: name.to_owned(),
+        psnr: psnr(picture, truth)?,
+        ssim: ssim(picture, truth)?,
+        lpips: perceptual.map(|distance| distance(picture, truth)),
+    })
+}
+
+/// Renders every view and scores it against its photo; `keep` receives each render (to be saved, say).
+///
+/// # Panics
+/// When a view's camera and photo differ in size, which [`View`] rules out.
+pub fn evaluate(
+    backend: &mut dyn Backend,
+    views: &[View],
+    settings: &RenderSettings,
+    perceptual: Option<Perceptual<'_>>,
+    mut keep: impl FnMut(&View, Photo),
+) -> Result<Evaluation, BackendError> {
+    let mut scores = Vec::with_capacity(views.len());
+    for view in views {
+        let picture = backend.render(&view.camera, settings)?.to_photo();
+        let score = compare(&view.name, &picture, &view.photo, perceptual);
+        scores.push(score.expect("a view's camera has the size of its photo"));
+        keep(view, picture);
+    }
+    Ok(Evaluation::from_views(scores))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn score(psnr: f64, lpips: Option<f64>) -> ViewScore {
+        ViewScore { name: "a.png".into(), psnr, ssim: 0.5, lpips }
+    }
+
+    #[test]
+    fn means_are_over_views() {
+        let evaluation = Evaluation::from_views(vec![score(20.0, Some(0.1)), score(30.0, Some(0.3))]);
+        assert_eq!((evaluation.psnr, evaluation.ssim, evaluation.lpips), (25.0, 0.5, Some(0.2)));
+        assert_eq!(Evaluation::from_views(vec![score(20.0, Some(0.1)), score(30.0, None)]).lpips, None);
+        assert_eq!(Evaluation::from_views(Vec::new()).lpips, None);
+    }
+
+    #[test]
+    fn what_json_cannot_say_becomes_null() {
+        let exact = Evaluation::from_views(vec![score(f64::INFINITY, None)]);
+        let json = serde_json::to_value(&exact).unwrap();
+        assert!(json["psnr"].is_null() && json["views"][0]["psnr"].is_null());
+        assert_eq!(json["ssim"], 0.5);
+        assert!(serde_json::to_value(Evaluation::from_views(Vec::new())).unwrap()["ssim"].is_null());
+    }
+
+    #[test]
+    fn a_learned_metric_is_asked_for_render_and_photo() {
+        let (dark, bright) =
+            (Photo { width: 1, height: 1, rgb: vec![1; 3] }, Photo { width: 1, height: 1, rgb: vec![9; 3] });
+        let difference = |a: &Photo, b: &Photo| f64::from(b.rgb[0]) - f64::from(a.rgb[0]);
+        let score = compare("x", &dark, &bright, Some(&difference)).unwrap();
+        assert_eq!(score.lpips, Some(8.0));
+    }
+}

@@ -1,0 +1,140 @@
+//! Structural similarity (Wang et al. 2004), with the window of 3DGS and of the published numbers.
+//!
+//! An 11-tap Gaussian window of 1.5 px, zero padding (so the border counts), per channel, mean over all pixels and
+//! channels. The window is separable: each of the five moment maps is blurred along rows, then along columns.
+
+use genesplat_core::Photo;
+use genesplat_core::constants::{SSIM_C1, SSIM_C2, SSIM_RADIUS, ssim_window};
+
+use crate::{SizeMismatch, check_sizes};
+
+/// Mean structural similarity of two pictures, at most 1.
+pub fn ssim(a: &Photo, b: &Photo) -> Result<f64, SizeMismatch> {
+    check_sizes(a, b)?;
+    let (width, height) = (a.width as usize, a.height as usize);
+    let sum: f64 = (0..3).map(|channel| channel_sum(&plane(a, channel), &plane(b, channel), width)).sum();
+    Ok(sum / (3 * width * height) as f64)
+}
+
+/// One channel with values in `[0, 1]`, `[H, W]`.
+fn plane(photo: &Photo, channel: usize) -> Vec<f64> {
+    photo.rgb.iter().skip(channel).step_by(3).map(|&value| f64::from(value) / 255.0).collect()
+}
+
+/// Sum of the similarity map of one channel.
+fn channel_sum(x: &[f64], y: &[f64], width: usize) -> f64 {
+    let product = |a: &[f64], b: &[f64]| -> Vec<f64> { a.iter().zip(b).map(|(a, b)| a * b).collect() };
+    let (mean_x, mean_y) = (blur(x, width), blur(y, width));
+    let (xx, yy, xy) =
+        (blur(&product(x, x), width), blur(&product(y, y), width), blur(&product(x, y), width));
+    (0..x.len()).map(|i| similarity(mean_x[i], mean_y[i], xx[i], yy[i], xy[i])).sum()
+}
+
+/// Eq. 13 of Wang et al. from the windowed means of x, y, x², y² and xy.
+fn similarity(mean_x: f64, mean_y: f64, mean_xx: f64, mean_yy: f64, mean_xy: f64) -> f64 {
+    let (c1, c2) = (f64::from(SSIM_C1), f64::from(SSIM_C2));
+    let (variance_x, variance_y) = (mean_xx - mean_x * mean_x, mean_yy - mean_y * mean_y);
+    let covariance = mean_xy - mean_x * mean_y;
+    (2.0 * mean_x * mean_y + c1) * (2.0 * covariance + c2)
+        / ((mean_x * mean_x + mean_y * mean_y + c1) * (variance_x + variance_y + c2))
+}
+
+/// The window applied to `[H, W]` values, with zeros beyond the border. Line by line, so that the eleven lines that
+/// one needs stay in cache.
+fn blur(values: &[f64], width: usize) -> Vec<f64> {
+    let (window, height) = (ssim_window(), values.len() / width);
+    let mut rows = vec![0.0; values.len()];
+    for (source, target) in values.chunks_exact(width).zip(rows.chunks_exact_mut(width)) {
+        for (tap, &weight) in window.iter().enumerate() {
+            let (from, to, length) = overlap(tap, width);
+            accumulate(&mut target[to..to + length], &source[from..from + length], weight);
+        }
+    }
+    let mut columns = vec![0.0; values.len()];
+    for (y, target) in columns.chunks_exact_mut(width).enumerate() {
+        for (tap, &weight) in window.iter().enumerate() {
+            // Wraps to a huge number above the first line, which is as much outside as one below the last.
+            let source = (y + tap).wrapping_sub(SSIM_RADIUS);
+            if source < height {
+                accumulate(target, &rows[source * width..(source + 1) * width], weight);
+            }
+        }
+    }
+    columns
+}
+
+/// Where a line of `n` values and the same line shifted by the tap's offset overlap: `(source, target, length)`.
+fn overlap(tap: usize, n: usize) -> (usize, usize, usize) {
+    let (forward, backward) =
+        (tap.saturating_sub(SSIM_RADIUS).min(n), SSIM_RADIUS.saturating_sub(tap).min(n));
+    (forward, backward, n - forward - backward)
+}
+
+fn accumulate(target: &mut [f64], source: &[f64], weight: f64) {
+    for (target, source) in target.iter_mut().zip(source) {
+        *target += weight * source;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use genesplat_core::{Rng, Stream};
+
+    use super::*;
+
+    fn noise(width: u32, height: u32, seed: u32) -> Photo {
+        let rng = Rng::new(2);
+        let rgb =
+            (0..3 * width * height).map(|i| rng.at(Stream::Test, seed, i, 0).below(0, 256) as u8).collect();
+        Photo { width, height, rgb }
+    }
+
+    /// The definition, written as one two-dimensional sum a pixel.
+    fn direct(a: &Photo, b: &Photo) -> f64 {
+        let window = ssim_window();
+        let value = |photo: &Photo, x: i64, y: i64, channel: usize| {
+            let inside =
+                (0..i64::from(photo.width)).contains(&x) && (0..i64::from(photo.height)).contains(&y);
+            if inside { f64::from(photo.pixel(x as u32, y as u32)[channel]) / 255.0 } else { 0.0 }
+        };
+        let mut sum = 0.0;
+        for channel in 0..3 {
+            for y in 0..i64::from(a.height) {
+                for x in 0..i64::from(a.width) {
+                    let mut moments = [0.0; 5];
+                    for (i, wy) in window.iter().enumerate() {
+                        for (j, wx) in window.iter().enumerate() {
+                            let at = (x + j as i64 - 5, y + i as i64 - 5);
+                            let (p, q) = (value(a, at.0, at.1, channel), value(b, at.0, at.1, channel));
+                            for (moment, term) in moments.iter_mut().zip([p, q, p * p, q * q, p * q]) {
+                                *moment += wx * wy * term;
+                            }
+                        }
+                    }
+                    let [mx, my, xx, yy, xy] = moments;
+                    sum += similarity(mx, my, xx, yy, xy);
+                }
+            }
+        }
+        sum / f64::from(3 * a.width * a.height)
+    }
+
+    #[test]
+    fn separable_blurs_equal_the_direct_sum() {
+        // Wider, narrower and much smaller than the window.
+        for (width, height) in [(23, 17), (40, 3), (2, 30), (1, 1)] {
+            let (a, b) = (noise(width, height, 0), noise(width, height, 1));
+            let (fast, slow) = (ssim(&a, &b).unwrap(), direct(&a, &b));
+            assert!((fast - slow).abs() < 1e-12, "{width}x{height}: {fast} against {slow}");
+        }
+    }
+
+    #[test]
+    fn a_picture_equals_itself_and_constants_follow_the_luminance_term() {
+        let a = noise(16, 12, 3);
+        assert!((ssim(&a, &a).unwrap() - 1.0).abs() < 1e-12);
+        assert!(ssim(&a, &noise(16, 12, 4)).unwrap() < 0.5);
+        // Far from the border, two constants have no variance and only their means differ.
+        assert!((similarity(0.2, 0.4, 0.04, 0.16, 0.08) - (0.16 + 1e-4) / (0.2 + 1e-4)).abs() < 1e-7);
+    }
+}
