@@ -12,10 +12,10 @@ struct Spans {
 
 // Tile rows [x, y) that a splat can reach.
 fn tile_rows_of(splat: Splat) -> vec2<u32> {
-    let reach = splat.half_extent.y + SLACK_PX;
+    let reach = splat.half_extent_px.y + SLACK_PX;
     let limit = f32(view.tiles_y);
-    let first = clamp(floor((splat.mean.y - reach) / f32(TILE)), 0.0, limit);
-    let end = clamp(floor((splat.mean.y + reach) / f32(TILE)) + 1.0, 0.0, limit);
+    let first = clamp(floor((splat.mean_px.y - reach) / f32(TILE)), 0.0, limit);
+    let end = clamp(floor((splat.mean_px.y + reach) / f32(TILE)) + 1.0, 0.0, limit);
     return vec2(u32(first), u32(end));
 }
 
@@ -31,17 +31,17 @@ fn spans_of(splat: Splat, tile_y: u32) -> Spans {
     let c = -splat.conic_log2.z;
     let det = a * c - b * b;
     let a_reach = a * (splat.log2_opacity + LOG2_255 + SLACK_LOG2);
-    let top = vec4(0.0, 4.0, 8.0, 12.0) + (f32(tile_y * TILE) - splat.mean.y);
+    let top = vec4(0.0, 4.0, 8.0, 12.0) + (f32(tile_y * TILE) - splat.mean_px.y);
     let bottom = top + 3.0;
-    let height = splat.half_extent.y + SLACK_PX;
+    let height = splat.half_extent_px.y + SLACK_PX;
 
     // Rows of the band where the right and the left boundary reach furthest: the ellipse's own extreme rows, or the
     // nearest row of the band.
-    let extreme = -b * splat.half_extent.x / c;
+    let extreme = -b * splat.half_extent_px.x / c;
     let low = max(top, vec4(-height));
     let high = min(bottom, vec4(height));
-    let right = boundary(min(max(vec4(extreme), low), high), 1.0, a, b, det, a_reach) + (splat.mean.x + SLACK_PX);
-    let left = boundary(min(max(vec4(-extreme), low), high), -1.0, a, b, det, a_reach) + (splat.mean.x - SLACK_PX);
+    let right = boundary(min(max(vec4(extreme), low), high), 1.0, a, b, det, a_reach) + (splat.mean_px.x + SLACK_PX);
+    let left = boundary(min(max(vec4(-extreme), low), high), -1.0, a, b, det, a_reach) + (splat.mean_px.x - SLACK_PX);
 
     // Block j covers pixel centres 4 j to 4 j + 3.
     let limit = vec4(f32(view.tiles_x * 4u));

@@ -29,7 +29,7 @@ struct Blended {
 // Blends a splat of the batch into a pixel, unless that would leave less than 1e-4 of the light: then the pixel is
 // finished.
 fn blend(blended: ptr<function, Blended>, index: u32) {
-    let d = batch[index].mean - (*blended).at;
+    let d = batch[index].mean_px - (*blended).at;
     let exponent = exponent_at(batch[index].conic_log2, batch[index].log2_opacity, d);
     if exponent < -LOG2_255 {
         return;

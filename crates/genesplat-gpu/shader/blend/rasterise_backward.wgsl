@@ -49,7 +49,7 @@ fn replay(pixel: ptr<function, Pixel>, splat: BatchSplat) -> vec2<f32> {
     if (*pixel).finished {
         return vec2(0.0);
     }
-    let exponent = exponent_at(splat.conic_log2, splat.log2_opacity, splat.mean - (*pixel).at);
+    let exponent = exponent_at(splat.conic_log2, splat.log2_opacity, splat.mean_px - (*pixel).at);
     if exponent < -LOG2_255 {
         return vec2(0.0);
     }
@@ -74,7 +74,7 @@ fn replay(pixel: ptr<function, Pixel>, splat: BatchSplat) -> vec2<f32> {
 
 // Sums of eight pixels of one splat: pixels `part`, `part + 32`, ... of the tile, which lie in one column.
 fn sum_part(splat: BatchSplat, slot: u32, part: u32) -> array<f32, COLUMNS> {
-    let dx = f32(part % TILE) - splat.mean.x;
+    let dx = f32(part % TILE) - splat.mean_px.x;
     let a = -LN_2 * splat.conic_log2;
     var moments = vec3(0.0);
     var rgb = vec3(0.0);
@@ -84,7 +84,7 @@ fn sum_part(splat: BatchSplat, slot: u32, part: u32) -> array<f32, COLUMNS> {
         let pixel = part + i * PARTS;
         let p = partial_sums[slot * TILE_PIXELS + pixel];
         let w = partial_sums[(SPLATS_AT_ONCE + slot) * TILE_PIXELS + pixel];
-        let dy = f32(pixel / TILE) - splat.mean.y;
+        let dy = f32(pixel / TILE) - splat.mean_px.y;
         moments += p * vec3(1.0, dy, dy * dy);
         rgb += w * pixel_gradients[pixel];
         if view.signal >= SIGNAL_ABSOLUTE {

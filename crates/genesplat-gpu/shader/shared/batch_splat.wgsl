@@ -3,7 +3,7 @@
 
 struct BatchSplat {
     // Mean, px from the tile's corner.
-    mean: vec2<f32>,
+    mean_px: vec2<f32>,
     log2_opacity: f32,
     conic_log2: vec3<f32>,
     rgb: vec3<f32>,

@@ -144,15 +144,15 @@ fn splat_of(g: Geometry, out: ptr<function, Splat>) -> bool {
     let log2_opacity = log2(g.opacity_effective);
     // At alpha = 1/255 the logarithm's rounding may leave it below 0, and the root would be NaN.
     let reach = max(2.0 * LN_2 * (log2_opacity + LOG2_255), 0.0);
-    let half_extent = sqrt(reach * g.cov.xz);
+    let half_extent_px = sqrt(reach * g.cov.xz);
     let size = vec2(f32(view.width), f32(view.height));
-    if !(all(mean + half_extent >= vec2(0.0)) && all(mean - half_extent <= size - 1.0)) {
+    if !(all(mean + half_extent_px >= vec2(0.0)) && all(mean - half_extent_px <= size - 1.0)) {
         return false;
     }
     let scale = LOG2_E / g.det;
-    (*out).mean = mean;
+    (*out).mean_px = mean;
     (*out).log2_opacity = log2_opacity;
-    (*out).half_extent = half_extent;
+    (*out).half_extent_px = half_extent_px;
     (*out).conic_log2 = vec3(-0.5 * scale * g.cov.z, scale * g.cov.y, -0.5 * scale * g.cov.x);
     return true;
 }

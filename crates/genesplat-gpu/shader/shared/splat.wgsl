@@ -4,11 +4,10 @@
 const NO_SPLAT: u32 = 0xffffffffu;
 
 struct Splat {
-    // px
-    mean: vec2<f32>,
+    mean_px: vec2<f32>,
     log2_opacity: f32,
     // Half extent of the ellipse alpha >= 1/255, px.
-    half_extent: vec2<f32>,
+    half_extent_px: vec2<f32>,
     // [-A/2, -B, -C/2] * log2(e) of the inverse covariance: the exponent comes out in powers of two.
     conic_log2: vec3<f32>,
     rgb: vec3<f32>,
@@ -17,11 +16,11 @@ struct Splat {
 }
 
 fn first_vector(splat: Splat) -> vec4<f32> {
-    return vec4(splat.mean, splat.log2_opacity, splat.half_extent.x);
+    return vec4(splat.mean_px, splat.log2_opacity, splat.half_extent_px.x);
 }
 
 fn second_vector(splat: Splat) -> vec4<f32> {
-    return vec4(splat.conic_log2, splat.half_extent.y);
+    return vec4(splat.conic_log2, splat.half_extent_px.y);
 }
 
 fn third_vector(splat: Splat) -> vec4<f32> {

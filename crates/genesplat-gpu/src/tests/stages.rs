@@ -2,7 +2,7 @@
 
 use fearless_simd::Level;
 use genesplat_core::RowEdit;
-use genesplat_kernels::cpu::{Extra, Frame, Pinhole, Target};
+use genesplat_kernels::cpu::{Extra, Pinhole, Target, ViewBuffers};
 
 use super::*;
 use crate::device::memory::Memory;
@@ -10,13 +10,13 @@ use crate::state::layout::{INTERSECTION_GRADIENT_FLOATS, SPLAT_FLOATS, TILE, Vie
 
 const GRADIENT: usize = INTERSECTION_GRADIENT_FLOATS as usize;
 
-/// A frame of the CPU, forward and backward.
-fn cpu_frame(cloud: &Gaussians, settings: &RenderSettings) -> (Frame, f32) {
+/// The buffers of a view on the CPU, forward and backward, and its loss.
+fn cpu_buffers(cloud: &Gaussians, settings: &RenderSettings) -> (ViewBuffers, f32) {
     let (level, camera) = (Level::new(), Pinhole::from(&camera()));
-    let mut frame = Frame::default();
-    frame.render(level, cloud, &camera, settings);
-    let loss = frame.backward(level, &camera, &Target::from(&photo()), Extra::None);
-    (frame, loss)
+    let mut buffers = ViewBuffers::default();
+    buffers.render(level, cloud, &camera, settings);
+    let loss = buffers.backward(level, &camera, &Target::from(&photo()), Extra::None);
+    (buffers, loss)
 }
 
 /// Reads `count` values of a buffer.
@@ -57,28 +57,31 @@ fn every_stage_matches_where_pixels_are_finished() {
 }
 
 fn stages_match(gpu: &mut GpuBackend, cloud: Gaussians, settings: &RenderSettings) -> Result<(), String> {
-    let (frame, loss) = cpu_frame(&cloud, settings);
+    let (buffers, loss) = cpu_buffers(&cloud, settings);
     gpu.upload(cloud.into()).unwrap();
     gpu.train_step(&TrainStep { update: None, ..step(1, *settings) }).unwrap();
     let report = gpu.report().unwrap();
-    splats_match(gpu, &frame)?;
-    lists_match(gpu, &frame, settings)?;
-    assert_eq!((report.visible, report.intersections), (frame.splats.len(), frame.bins.entries.len()));
-    let values = frame.image.planes.len();
-    compare("rasterise", "image", read(gpu, &gpu.pixels.image, values), frame.image.planes.clone())?;
+    splats_match(gpu, &buffers)?;
+    lists_match(gpu, &buffers, settings)?;
+    assert_eq!(
+        (report.visible, report.intersections),
+        (buffers.splats.len(), buffers.bins.intersections.len())
+    );
+    let values = buffers.image.planes.len();
+    compare("rasterise", "image", read(gpu, &gpu.pixels.image, values), buffers.image.planes.clone())?;
     compare("loss", "value", [report.loss], [loss])?;
     let gradient = read(gpu, &gpu.pixels.gradient, values);
-    compare("loss gradient", "dL/dimage", gradient, frame.gradient.clone())
+    compare("loss gradient", "dL/dimage", gradient, buffers.image_gradient.clone())
 }
 
-fn splats_match(gpu: &GpuBackend, frame: &Frame) -> Result<(), String> {
+fn splats_match(gpu: &GpuBackend, buffers: &ViewBuffers) -> Result<(), String> {
     let splats: Vec<[f32; SPLAT_FLOATS as usize]> = read(gpu, &gpu.lists.splats, gpu.gaussian_count());
     let (mut actual, mut expected) = (Vec::new(), Vec::new());
-    for (_, splat) in frame.splats.iter() {
-        let s = &splats[splat.global as usize];
+    for (_, splat) in buffers.splats.iter() {
+        let s = &splats[splat.row as usize];
         actual.push([s[0], s[1], s[2], s[3], s[7], s[4], s[5], s[6], s[8], s[9], s[10]]);
-        let ([u, v], [a, b, c]) = (splat.mean, splat.conic_log2);
-        let ([width, height], [red, green, blue]) = (splat.half_extent, splat.rgb);
+        let ([u, v], [a, b, c]) = (splat.mean_px, splat.conic_log2);
+        let ([width, height], [red, green, blue]) = (splat.half_extent_px, splat.rgb);
         expected.push([u, v, splat.log2_opacity, width, height, a, b, c, red, green, blue]);
     }
     // Column by column: some are thousands, some are parts of one.
@@ -89,21 +92,25 @@ fn splats_match(gpu: &GpuBackend, frame: &Frame) -> Result<(), String> {
 }
 
 /// The same splats in every tile in the same order, and the same sums of each of them.
-fn lists_match(gpu: &GpuBackend, frame: &Frame, settings: &RenderSettings) -> Result<(), String> {
+fn lists_match(gpu: &GpuBackend, buffers: &ViewBuffers, settings: &RenderSettings) -> Result<(), String> {
     let (lists, splats_of) = tile_lists(gpu, settings, gpu.gaussian_count());
     let rows: Vec<[f32; GRADIENT]> =
         read(gpu, &gpu.pixels.intersection_gradients, gpu.lists.capacity as usize);
     let (mut actual, mut expected) = (Vec::new(), Vec::new());
     for (tile, numbers) in lists.iter().enumerate() {
         let ours: Vec<u32> = numbers.iter().map(|&number| splats_of[number as usize]).collect();
-        let theirs: Vec<u32> =
-            frame.bins.tile(tile).iter().map(|entry| frame.splats.get(entry.splat).global).collect();
+        let theirs: Vec<u32> = buffers
+            .bins
+            .tile(tile)
+            .iter()
+            .map(|intersection| buffers.splats.get(intersection.splat).row)
+            .collect();
         if ours != theirs {
             return Err(format!("bin: tile {tile} lists {ours:?}, not {theirs:?}"));
         }
         actual.extend(numbers.iter().map(|&number| rows[number as usize]));
-        let first = frame.bins.tile_starts[tile] as usize;
-        expected.extend(frame.rows[first..][..numbers.len()].iter().map(|row| row.0));
+        let first = buffers.bins.tile_starts[tile] as usize;
+        expected.extend(buffers.gradient_rows[first..][..numbers.len()].iter().map(|row| row.0));
     }
     // The CPU's rows have the moments, the absolute sums, the colours and the pixels in this order.
     let place = |column: usize| if column < 6 { column } else { column + 2 };
