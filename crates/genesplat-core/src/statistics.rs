@@ -29,7 +29,7 @@ pub struct StatisticsRequest {
     pub genes: bool,
 }
 
-/// Sums since the last [`crate::Backend::reset_statistics`]; rows match those of the cloud.
+/// Sums since the last change of rows; rows match those of the cloud.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Statistics {
     /// Sum of the density signal, in gradients by normalised device coordinate `[N]`.
