@@ -12,7 +12,7 @@ use genesplat::gpu::GpuBackend;
 use genesplat::kernels::cpu::CpuBackend;
 
 /// The processor or a graphics device.
-pub enum AnyBackend {
+pub(crate) enum AnyBackend {
     /// All cores.
     Cpu(Box<CpuBackend>),
     /// A graphics device.

@@ -10,12 +10,15 @@ use serde::{Deserialize, Serialize};
 
 use crate::any_backend::AnyBackend;
 use crate::args::MachineArgs;
-use crate::output;
+use crate::terminal::output;
+
+/// What computes: whichever kind was chosen.
+pub(crate) type Device = AnyBackend;
 
 /// A choice of device.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Device {
+pub(crate) enum DeviceChoice {
     /// The graphics card if this machine has one that can be used, else the processor.
     #[default]
     Auto,
@@ -25,9 +28,8 @@ pub enum Device {
     Gpu,
 }
 
-impl Device {
-    /// As flags and files write it.
-    pub fn name(self) -> &'static str {
+impl DeviceChoice {
+    pub(crate) fn name(self) -> &'static str {
         match self {
             Self::Auto => "auto",
             Self::Cpu => "cpu",
@@ -35,33 +37,32 @@ impl Device {
         }
     }
 
-    /// The device that is meant, once it is clear that there is one; and whether the choice was left to us.
-    pub fn resolve(self) -> Result<(Self, bool)> {
+    /// The device that is meant, never `Auto`, once it is clear that there is one. What `Auto` comes to is said, once: figures of the
+    /// two kinds differ by rounding, and in time.
+    ///
+    /// Asked for once all else is known to be well: drivers may write to stderr when they are looked for, which is none of what a
+    /// user with a mistyped path should read.
+    pub(crate) fn resolve(self) -> Result<Self> {
         match self {
-            Self::Cpu => Ok((Self::Cpu, false)),
-            Self::Auto => Ok((if auto_choice().is_ok() { Self::Gpu } else { Self::Cpu }, true)),
-            Self::Gpu => match adapters().iter().find(|adapter| adapter.unusable.is_none()) {
-                Some(_) => Ok((Self::Gpu, false)),
-                None => bail!("{}; use --device cpu", why_none(adapters())),
-            },
+            Self::Cpu => Ok(Self::Cpu),
+            Self::Auto => Ok(if auto_choice().is_ok() { Self::Gpu } else { Self::Cpu }),
+            Self::Gpu if adapters().iter().any(|adapter| adapter.unusable.is_none()) => Ok(Self::Gpu),
+            Self::Gpu => bail!("{}; use --device cpu", why_none(adapters())),
         }
     }
 }
 
-/// Says what was chosen for someone who left the choice to us: figures of the two kinds differ by rounding, and in time.
-pub fn announce_auto() {
-    match auto_choice() {
-        Ok(adapter) => output::tell(&format!("device: auto means {} ({})", adapter.name, adapter.api)),
-        Err(reason) => output::tell(&format!("device: auto means the CPU, since {reason}")),
-    }
-}
-
-/// What `auto` comes to on this machine. A driver may refuse what it has promised, so the device is opened once to see.
-fn auto_choice() -> &'static Result<AdapterReport, String> {
-    static CHOICE: OnceLock<Result<AdapterReport, String>> = OnceLock::new();
+/// What `auto` comes to on this machine, having said so. A driver may refuse what it has promised, so the device is opened once to see.
+fn auto_choice() -> &'static Result<(), String> {
+    static CHOICE: OnceLock<Result<(), String>> = OnceLock::new();
     CHOICE.get_or_init(|| {
-        let adapter = auto_adapter(adapters())?;
-        check_best().map(|()| adapter.clone()).map_err(|error| error.to_string())
+        let chosen = auto_adapter(adapters())
+            .and_then(|adapter| check_best().map(|()| adapter).map_err(|error| error.to_string()));
+        output::tell(&match &chosen {
+            Ok(adapter) => format!("device: auto means {} ({})", adapter.name, adapter.api),
+            Err(reason) => format!("device: auto means the CPU, since {reason}"),
+        });
+        chosen.map(|_| ())
     })
 }
 
@@ -92,29 +93,17 @@ fn why_none(adapters: &[AdapterReport]) -> String {
     reasons.join("; ")
 }
 
-/// An empty backend on a resolved device, for a run with `seed`.
-pub fn open(device: Device, seed: u64) -> Result<AnyBackend> {
-    match device.resolve()?.0 {
-        Device::Gpu => Ok(AnyBackend::Gpu(Box::new(GpuBackend::new(seed)?))),
-        Device::Cpu | Device::Auto => Ok(AnyBackend::Cpu(Box::new(CpuBackend::new(seed)))),
+/// An empty device for a run with `seed`.
+pub(crate) fn open(choice: DeviceChoice, seed: u64) -> Result<Device> {
+    match choice.resolve()? {
+        DeviceChoice::Gpu => Ok(AnyBackend::Gpu(Box::new(GpuBackend::new(seed)?))),
+        DeviceChoice::Cpu | DeviceChoice::Auto => Ok(AnyBackend::Cpu(Box::new(CpuBackend::new(seed)))),
     }
-}
-
-/// The device of a command that has no configuration, having said which it is where the choice was left to us.
-///
-/// Asked for once all else is known to be well: drivers may write to stderr when they are looked for, which is none of what a
-/// user with a mistyped path should read.
-pub fn choose(args: MachineArgs) -> Result<Device> {
-    let (device, was_auto) = args.device.unwrap_or_default().resolve()?;
-    if was_auto {
-        announce_auto();
-    }
-    Ok(device)
 }
 
 /// Makes the machine ready for a command that measures the CPU backend.
-pub fn prepare_cpu(args: MachineArgs) -> Result<CpuBackend> {
-    if args.device == Some(Device::Gpu) {
+pub(crate) fn prepare_cpu(args: MachineArgs) -> Result<CpuBackend> {
+    if args.device == Some(DeviceChoice::Gpu) {
         bail!("this measures the CPU backend; for a graphics device there is genesplat bench gpu");
     }
     use_threads(args.threads)?;
@@ -122,17 +111,17 @@ pub fn prepare_cpu(args: MachineArgs) -> Result<CpuBackend> {
 }
 
 /// Sets the number of threads of everything that follows; `None` takes all cores.
-pub fn use_threads(threads: Option<u16>) -> Result<()> {
+pub(crate) fn use_threads(threads: Option<u16>) -> Result<()> {
     rayon::ThreadPoolBuilder::new().num_threads(threads.unwrap_or(0).into()).build_global().map_err(|error| {
         anyhow!("cannot start {} threads: {error}; use fewer --threads", threads.unwrap_or(0))
     })
 }
 
 #[cfg(test)]
-pub mod tests {
+pub(crate) mod tests {
     use super::*;
 
-    pub fn adapter(name: &str, kind: &'static str, unusable: Option<&str>) -> AdapterReport {
+    pub(crate) fn adapter(name: &str, kind: &'static str, unusable: Option<&str>) -> AdapterReport {
         AdapterReport {
             name: name.into(),
             kind,

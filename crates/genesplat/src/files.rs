@@ -9,23 +9,23 @@ use genesplat::io::atomic::{self, write_atomically};
 use serde::Serialize;
 
 /// Writes `value` to `path` as indented JSON, whole or not at all.
-pub fn write_json(path: &Path, value: &impl Serialize) -> Result<()> {
+pub(crate) fn write_json(path: &Path, value: &impl Serialize) -> Result<()> {
     let text = serde_json::to_string_pretty(value).expect("plain data with text keys is always JSON");
     write_file(path, |out| writeln!(out, "{text}"))
 }
 
 /// Writes `text` to `path`, whole or not at all.
-pub fn write_text(path: &Path, text: &str) -> Result<()> {
+pub(crate) fn write_text(path: &Path, text: &str) -> Result<()> {
     write_file(path, |out| out.write_all(text.as_bytes()))
 }
 
 /// Fails now, rather than after an hour, where the file `path` could not be written; leaves nothing behind.
-pub fn check_writable(path: &Path) -> Result<()> {
+pub(crate) fn check_writable(path: &Path) -> Result<()> {
     atomic::check_writable(path).map_err(|error| unwritable(path, &error))
 }
 
 /// The same for the file `name` in the folder `path`, which whoever writes it makes.
-pub fn check_folder(path: &Path, name: &str) -> Result<()> {
+pub(crate) fn check_folder(path: &Path, name: &str) -> Result<()> {
     if path.is_file() {
         bail!("{} is a file, and results need a folder; choose another --out", path.display());
     }
@@ -33,12 +33,15 @@ pub fn check_folder(path: &Path, name: &str) -> Result<()> {
 }
 
 /// Writes the file at `path` through `fill`, whole or not at all.
-pub fn write_file(path: &Path, fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>) -> Result<()> {
+pub(crate) fn write_file(
+    path: &Path,
+    fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
+) -> Result<()> {
     write_atomically(path, fill).map_err(|error| unwritable(path, &error))
 }
 
 /// Removes a file that would be taken for something that it no longer is.
-pub fn remove_if_there(path: &Path) -> Result<()> {
+pub(crate) fn remove_if_there(path: &Path) -> Result<()> {
     match fs::remove_file(path) {
         Err(error) if error.kind() != ErrorKind::NotFound => {
             Err(anyhow!("cannot remove {}, which is out of date: {error}; remove it by hand", path.display()))
@@ -48,7 +51,7 @@ pub fn remove_if_there(path: &Path) -> Result<()> {
 }
 
 /// Removes what processes that were killed while they wrote have left in `folder`; whoever calls holds its lock.
-pub fn remove_leftovers(folder: &Path) {
+pub(crate) fn remove_leftovers(folder: &Path) {
     let entries = fs::read_dir(folder).into_iter().flatten().flatten();
     for entry in entries.filter(|entry| is_leftover(&entry.file_name().to_string_lossy())) {
         // Only litter.
@@ -66,7 +69,7 @@ fn is_leftover(name: &str) -> bool {
 }
 
 /// The sentence for a path that cannot be written.
-pub fn unwritable(path: &Path, error: &io::Error) -> anyhow::Error {
+pub(crate) fn unwritable(path: &Path, error: &io::Error) -> anyhow::Error {
     if error.kind() == ErrorKind::IsADirectory {
         return anyhow!(
             "{} is a folder, and a file is to be written; give the name of a file",

@@ -15,10 +15,10 @@ use genesplat::metrics::lpips::{InputRange, Net, belongs_to};
 use genesplat::metrics::weights::{NamedTensors, read_weights};
 
 use crate::args::LpipsArgs;
-use crate::output;
+use crate::terminal::output;
 
 /// The measure of published tables, VGG16; `None`, with a notice, where there are no weights for it.
-pub fn open(args: &LpipsArgs) -> Result<Option<Lpips>> {
+pub(crate) fn open(args: &LpipsArgs) -> Result<Option<Lpips>> {
     let metric = open_all(args)?.into_iter().find(|metric| metric.net() == Net::Vgg16);
     if metric.is_none() && !args.no_lpips {
         notify_absent(Net::Vgg16);
@@ -27,7 +27,7 @@ pub fn open(args: &LpipsArgs) -> Result<Option<Lpips>> {
 }
 
 /// The measure with every network whose weights are there.
-pub fn open_all(args: &LpipsArgs) -> Result<Vec<Lpips>> {
+pub(crate) fn open_all(args: &LpipsArgs) -> Result<Vec<Lpips>> {
     if args.no_lpips {
         return Ok(Vec::new());
     }
@@ -66,7 +66,7 @@ fn path_in(variable: &str) -> Option<PathBuf> {
 }
 
 /// Says in one sentence that LPIPS with `net` is left out.
-pub fn notify_absent(net: Net) {
+pub(crate) fn notify_absent(net: Net) {
     output::tell(&format!(
         "notice: LPIPS with {net} is not measured: its weights are not installed, and `genesplat lpips install --help` says \
          which files to give it"
@@ -75,7 +75,7 @@ pub fn notify_absent(net: Net) {
 
 /// `(render, photo)` to LPIPS as published tables have it. Renders have the size of their photo, and photos are large
 /// enough for VGG16 (the loader sees to both).
-pub fn published(metric: &Lpips) -> impl Fn(&Photo, &Photo) -> f64 {
+pub(crate) fn published(metric: &Lpips) -> impl Fn(&Photo, &Photo) -> f64 {
     |render, photo| {
         let distance = metric.distance(render, photo, InputRange::ZeroToOne);
         distance.expect("loaded photos are not smaller than VGG16 needs")
@@ -83,7 +83,7 @@ pub fn published(metric: &Lpips) -> impl Fn(&Photo, &Photo) -> f64 {
 }
 
 /// The tensors of `files` by network; later files win.
-pub fn pool(files: &[PathBuf]) -> Result<BTreeMap<Net, NamedTensors>> {
+pub(crate) fn pool(files: &[PathBuf]) -> Result<BTreeMap<Net, NamedTensors>> {
     let mut pool: BTreeMap<Net, NamedTensors> = BTreeMap::new();
     for file in files {
         let (net, tensors) = read(file)?;
@@ -93,7 +93,7 @@ pub fn pool(files: &[PathBuf]) -> Result<BTreeMap<Net, NamedTensors>> {
 }
 
 /// What `file` holds for LPIPS, and for which network.
-pub fn read(file: &Path) -> Result<(Net, NamedTensors)> {
+pub(crate) fn read(file: &Path) -> Result<(Net, NamedTensors)> {
     let wanted = |name: &str| Net::ALL.iter().any(|net| net.tensors().any(|(wanted, _)| wanted == name));
     let tensors = read_weights(file, wanted)?;
     let net = Net::ALL.into_iter().find(|&net| belongs_to(net, &tensors));
@@ -120,7 +120,7 @@ fn weight_files(path: &Path) -> Result<Vec<PathBuf>> {
 }
 
 /// Where installed weights are: below the user's folder for what can be had again. `None` where there is no such folder.
-pub fn cache_folder() -> Option<PathBuf> {
+pub(crate) fn cache_folder() -> Option<PathBuf> {
     let user = if cfg!(windows) {
         path_in("LOCALAPPDATA")
     } else {

@@ -5,18 +5,13 @@
 //! | [`args`] | what can be asked for, and its help |
 //! | [`commands`] | one module a command |
 //! | [`settings`] | flags, configuration file and defaults become one resolved configuration |
-//! | [`training`] | one run from a loaded scene to a finished run folder |
-//! | [`run_folder`], [`metrics`] | what a run leaves behind |
-//! | [`previous`], [`lock`] | results that a run replaces, and who may write to its folder |
-//! | [`precious`] | what is not written over |
-//! | [`splat`] | a splat to look at: a PLY, or that of a run |
-//! | [`difference`] | the first setting in which two runs differ |
-//! | [`same_scene`] | whether a resumed run is given the scene that it began with |
+//! | [`run`] | the folder of a run, and training into it |
 //! | [`experiment`] | many runs, and the tables and pictures that compare them |
 //! | [`report`] | `report.html` |
-//! | [`reporter`], [`progress`], [`test_curve`] | what a run tells while it is under way |
-//! | [`lpips`] | where the weights of LPIPS come from |
-//! | [`device`], [`any_backend`], [`interrupt`], [`memory`], [`scene`], [`sheet`], [`files`], [`output`] | the machine, Ctrl-C and SIGTERM, and other plumbing |
+//! | [`terminal`] | what is said, progress bars, Ctrl-C and SIGTERM |
+//! | [`scene`], [`splat`], [`lpips`] | what is loaded: photos with cameras, a cloud, the weights of LPIPS |
+//! | [`device`] | where it is computed |
+//! | [`overwrite`], [`files`] | what is not written over, and how files are written |
 //!
 //! Exit status: 0 done, 1 failed with one sentence on stderr, 2 wrong usage, 130 stopped by Ctrl-C or SIGTERM (train,
 //! refine, demo and experiment).
@@ -25,28 +20,16 @@ mod any_backend;
 mod args;
 mod commands;
 mod device;
-mod difference;
 mod experiment;
 mod files;
-mod interrupt;
-mod lock;
 mod lpips;
-mod memory;
-mod metrics;
-mod output;
-mod precious;
-mod previous;
-mod progress;
+mod overwrite;
 mod report;
-mod reporter;
-mod run_folder;
-mod same_scene;
+mod run;
 mod scene;
 mod settings;
-mod sheet;
 mod splat;
-mod test_curve;
-mod training;
+mod terminal;
 
 use std::panic;
 use std::process::ExitCode;
@@ -54,6 +37,7 @@ use std::process::ExitCode;
 use clap::Parser;
 
 use commands::Ending;
+use terminal::{interrupt, output};
 
 fn main() -> ExitCode {
     output::explain_panics();

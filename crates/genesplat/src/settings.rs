@@ -13,91 +13,74 @@ use genesplat::io::PhotoSize;
 use genesplat::train::{Resolved, TrainConfig};
 use serde::de::Error;
 use serde::{Deserialize, Serialize};
+use toml::{Table, Value};
 
-use crate::args::{
-    DOWNSCALE, EvolutionArgs, MAX_SIDE, MachineArgs, ScheduleArgs, SizeArgs, THREADS, TrainArgs,
-};
-use crate::device::Device;
-use crate::difference::essence;
-use crate::run_folder::RunFolder;
-use crate::{difference, same_scene};
+use crate::args::{DOWNSCALE, MAX_SIDE, MachineArgs, SizeArgs, THREADS, TrainArgs};
+use crate::device::DeviceChoice;
+use crate::run::session::check_is_run;
+use crate::run::{CONFIG, photos};
 
 /// Iterations between two checkpoints, where neither flag nor file says.
 const CHECKPOINT_EVERY: u32 = 1000;
 
 /// Everything that a run depends on.
 #[derive(Clone, Debug)]
-pub struct Settings {
-    /// The scene's folder and the size of its photos.
-    pub dataset: Dataset,
+pub(crate) struct Settings {
+    pub(crate) dataset: Dataset,
     /// Never `Auto`.
-    pub device: Device,
-    /// Neither flag nor file chose the device.
-    pub device_was_auto: bool,
+    pub(crate) device: DeviceChoice,
     /// `None` for all cores.
-    pub threads: Option<u16>,
+    pub(crate) threads: Option<u16>,
     /// The settings of training, checked.
-    pub train: Resolved,
+    pub(crate) train: Resolved,
 }
 
 /// Where the photos are and how large they are loaded.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Dataset {
+pub(crate) struct Dataset {
     /// The scene's folder, as it was given.
-    pub path: PathBuf,
-    /// Longest side, px.
+    pub(crate) path: PathBuf,
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub max_side: Option<u32>,
-    /// Divisor of both sides.
+    pub(crate) max_side: Option<u32>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub downscale: Option<u32>,
+    pub(crate) downscale: Option<u32>,
 }
 
 impl Dataset {
     /// The size that photos are loaded at.
-    pub fn size(&self) -> PhotoSize {
+    pub(crate) fn size(&self) -> PhotoSize {
         SizeArgs { max_side: self.max_side, downscale: self.downscale }.size().unwrap_or_default()
-    }
-
-    fn override_size(&mut self, size: SizeArgs) {
-        if size.size().is_some() {
-            (self.max_side, self.downscale) = (size.max_side, size.downscale);
-        }
     }
 }
 
 /// What a configuration file says.
 #[derive(Clone, Debug, Default)]
-pub struct ConfigFile {
-    device: Option<Device>,
+pub(crate) struct ConfigFile {
+    device: Option<DeviceChoice>,
     threads: Option<u16>,
-    /// The scene's folder and the size of its photos.
-    pub dataset: Dataset,
-    /// The settings of training.
-    pub train: TrainConfig,
+    pub(crate) dataset: Dataset,
+    pub(crate) train: TrainConfig,
 }
 
 impl ConfigFile {
-    /// Nothing but defaults.
-    pub fn defaults() -> Self {
-        let train = TrainConfig { checkpoint_every: CHECKPOINT_EVERY, ..TrainConfig::default() };
-        Self { train, ..Self::default() }
+    pub(crate) fn defaults() -> Self {
+        Self::from_table(Table::new()).expect("every setting has a default")
     }
 
     /// The file in the folder of a run.
-    pub fn of_run(folder: &Path) -> Result<Self> {
-        RunFolder::check_is_run(folder)?;
-        Self::read(&RunFolder::config_in(folder))
+    pub(crate) fn of_run(folder: &Path) -> Result<Self> {
+        check_is_run(folder)?;
+        Self::read(&folder.join(CONFIG))
     }
 
     /// Settings of training that no file names, on a scene at the usual size.
-    pub fn of_scene(path: PathBuf, train: TrainConfig) -> Self {
+    pub(crate) fn of_scene(path: PathBuf, train: TrainConfig) -> Self {
         Self { dataset: Dataset { path, ..Dataset::default() }, train, ..Self::default() }
     }
 
     /// What `genesplat train` is to do, checked as far as that is possible without a device.
-    pub fn of_training(args: &TrainArgs) -> Result<Self> {
+    pub(crate) fn of_training(args: &TrainArgs) -> Result<Self> {
         let saved = args.resume.then(|| Self::of_run(&args.out)).transpose()?;
         let mut file = match (&args.config, &saved) {
             (Some(path), _) => Self::read(path)?,
@@ -105,51 +88,43 @@ impl ConfigFile {
             (None, None) => Self::defaults(),
         };
         file.dataset.path.clone_from(&args.dataset);
-        file.dataset.override_size(args.size);
-        override_schedule(&mut file.train, &args.schedule);
-        args.method.override_method(&mut file.train);
-        args.method.check(file.train.variant)?;
-        override_evolution(&mut file.train, &args.evolution);
+        if args.size.size().is_some() {
+            (file.dataset.max_side, file.dataset.downscale) = (args.size.max_side, args.size.downscale);
+        }
+        file.threads = args.machine.threads.or(file.threads);
+        file.device = args.machine.device.or(file.device);
+        args.override_config(&mut file.train)?;
         file.check()?;
         if let Some(saved) = saved {
-            check_same(&saved, &file, &args.out)?;
+            file.check_goes_on_with(&saved, &args.out)?;
         }
         Ok(file)
     }
 
-    /// Reads a file.
-    pub fn read(path: &Path) -> Result<Self> {
+    pub(crate) fn read(path: &Path) -> Result<Self> {
         let text = fs::read_to_string(path)
             .map_err(|error| anyhow!("cannot read the configuration {}: {error}", path.display()))?;
-        Self::parse(&text).map_err(|problem| {
+        let parsed = text.parse().and_then(Self::from_table).map_err(with_all_fields);
+        parsed.map_err(|problem| {
             anyhow!("the configuration {} is not valid: {problem}; correct it there", path.display())
         })
     }
 
-    fn parse(text: &str) -> Result<Self, toml::de::Error> {
-        Self::from_table(text.parse()?).map_err(with_all_fields)
-    }
-
     /// What a file with this content would say.
-    pub fn from_table(mut table: toml::Table) -> Result<Self, toml::de::Error> {
+    pub(crate) fn from_table(mut table: Table) -> Result<Self, toml::de::Error> {
         let (device, threads) = (take(&mut table, "device")?, take(&mut table, "threads")?);
         let dataset = take(&mut table, "dataset")?.unwrap_or_default();
         table.entry("checkpoint_every").or_insert(CHECKPOINT_EVERY.into());
         Ok(Self { device, threads, dataset, train: table.try_into()? })
     }
 
-    /// The size that photos are loaded at; those of a run that is looked at were.
-    pub fn size(&self) -> PhotoSize {
-        self.dataset.size()
-    }
-
-    /// How many threads a run of this file has, where the flag does not say.
-    pub fn threads(&self, machine: MachineArgs) -> Option<u16> {
-        machine.threads.or(self.threads)
+    /// Processor threads of a run of this file; `None` for all cores.
+    pub(crate) fn threads(&self) -> Option<u16> {
+        self.threads
     }
 
     /// Fails where [`Self::resolve`] would, but for the device: to look for one takes a while, and drivers may write to stderr.
-    pub fn check(&self) -> Result<()> {
+    pub(crate) fn check(&self) -> Result<()> {
         if self.dataset.path.to_str().is_none() {
             bail!(
                 "the path of the scene, {}, is not UTF-8 text, and config.toml can hold no other; rename the folder, or give a link \
@@ -163,29 +138,45 @@ impl ConfigFile {
     }
 
     /// The settings of a run of this file; flags win over it.
-    pub fn resolve(self, machine: MachineArgs) -> Result<Settings> {
+    pub(crate) fn resolve(self, machine: MachineArgs) -> Result<Settings> {
         self.check()?;
-        let (device, device_was_auto) = machine.device.or(self.device).unwrap_or_default().resolve()?;
-        let threads = self.threads(machine);
-        Ok(Settings { dataset: self.dataset, device, device_was_auto, threads, train: self.train.resolve()? })
+        Ok(Settings {
+            device: machine.device.or(self.device).unwrap_or_default().resolve()?,
+            threads: machine.threads.or(self.threads),
+            dataset: self.dataset,
+            train: self.train.resolve()?,
+        })
     }
 
     /// What makes the result of a run of this file differ from that of a run with `settings`; `None` where nothing does.
     ///
     /// Scenes are the same where the last `parts` of their paths are: folders are moved, and named from here or there.
-    pub fn difference(&self, settings: &Settings, parts: usize) -> Option<String> {
+    pub(crate) fn difference(&self, settings: &Settings, parts: usize) -> Option<String> {
         let [there, here] = [&self.dataset.path, &settings.dataset.path].map(|path| end_of(path, parts));
         if there != here {
             return Some(format!("its scene is {} there and {} here", there.display(), here.display()));
         }
-        let device = self.device.unwrap_or_default();
-        if device != settings.device {
-            return Some(format!("device is {} there and {} here", device.name(), settings.device.name()));
+        let (there, here) = (self.device.unwrap_or_default(), settings.device);
+        if there != here {
+            return Some(format!("device is {} there and {} here", there.name(), here.name()));
         }
-        difference::first(
-            &essence(&self.dataset, &self.train),
-            &essence(&settings.dataset, settings.train.config()),
+        first_difference(
+            &result_settings(&self.dataset, &self.train),
+            &result_settings(&settings.dataset, settings.train.config()),
         )
+    }
+
+    /// A resumed run goes on with the settings that it began with, or its result would belong to neither.
+    fn check_goes_on_with(&self, saved: &Self, out: &Path) -> Result<()> {
+        let [there, here] = [saved, self].map(|file| result_settings(&file.dataset, &file.train));
+        if let Some(difference) = first_difference(&there, &here) {
+            bail!(
+                "--resume goes on with the settings in {}, and others were given ({difference}); leave them out, or train into \
+                 another folder",
+                out.join(CONFIG).display()
+            );
+        }
+        photos::check_folders(&saved.dataset.path, &self.dataset.path)
     }
 }
 
@@ -197,17 +188,17 @@ fn end_of(path: &Path, parts: usize) -> PathBuf {
 
 impl Settings {
     /// As `config.toml` holds them.
-    pub fn to_toml(&self) -> String {
+    pub(crate) fn to_toml(&self) -> String {
         #[derive(Serialize)]
         struct Written<'a> {
-            device: Device,
+            device: DeviceChoice,
             #[serde(skip_serializing_if = "Option::is_none")]
             threads: Option<u16>,
             #[serde(flatten)]
             train: &'a TrainConfig,
             dataset: &'a Dataset,
         }
-        let Self { dataset, device, threads, train, .. } = self;
+        let Self { dataset, device, threads, train } = self;
         let written = Written { device: *device, threads: *threads, train: train.config(), dataset };
         toml::to_string(&written)
             .expect("settings are tables of numbers and text: resolve has checked the path")
@@ -215,7 +206,7 @@ impl Settings {
 }
 
 /// Fails where flags would: files have the same ranges.
-pub fn check_size(max_side: Option<u32>, downscale: Option<u32>) -> Result<()> {
+pub(crate) fn check_size(max_side: Option<u32>, downscale: Option<u32>) -> Result<()> {
     ensure!(
         max_side.is_none() || downscale.is_none(),
         "max_side and downscale are both set in the file; keep one of them"
@@ -225,13 +216,9 @@ pub fn check_size(max_side: Option<u32>, downscale: Option<u32>) -> Result<()> {
 }
 
 fn check_range(name: &str, value: Option<i64>, range: RangeInclusive<i64>) -> Result<()> {
+    let Some(value) = value.filter(|value| !range.contains(value)) else { return Ok(()) };
     let (from, to) = (range.start(), range.end());
-    match value.filter(|value| !range.contains(value)) {
-        Some(value) => {
-            bail!("{name} is {value} in the file, and has to be from {from} to {to}; correct it there")
-        }
-        None => Ok(()),
-    }
+    bail!("{name} is {value} in the file, and has to be from {from} to {to}; correct it there")
 }
 
 /// Where the settings of training are listed (no other list has `iterations`), what else may stand beside them is, too.
@@ -245,49 +232,60 @@ fn with_all_fields(error: toml::de::Error) -> toml::de::Error {
 }
 
 /// Removes an entry that is not one of training's.
-fn take<'a, T: Deserialize<'a>>(table: &mut toml::Table, key: &str) -> Result<Option<T>, toml::de::Error> {
-    table.remove(key).map(toml::Value::try_into).transpose()
+fn take<'a, T: Deserialize<'a>>(table: &mut Table, key: &str) -> Result<Option<T>, toml::de::Error> {
+    table.remove(key).map(Value::try_into).transpose()
 }
 
-/// Flags over the file.
-pub fn override_schedule(train: &mut TrainConfig, flags: &ScheduleArgs) {
-    let ScheduleArgs { variant, iterations, steps_scale, seed, max_gaussians, checkpoint_every } = flags;
-    replace(&mut train.variant, variant.map(Into::into));
-    replace(&mut train.iterations, *iterations);
-    replace(&mut train.steps_scale, *steps_scale);
-    replace(&mut train.seed, *seed);
-    train.max_gaussians = max_gaussians.or(train.max_gaussians);
-    replace(&mut train.checkpoint_every, *checkpoint_every);
-}
-
-/// Flags over the file. A tournament cannot draw more individuals than there are, so a small population shrinks it.
-pub fn override_evolution(train: &mut TrainConfig, flags: &EvolutionArgs) {
-    let evolution = &mut train.evolution;
-    replace(&mut evolution.mode, flags.evolve.map(Into::into));
-    replace(&mut evolution.paper.generations, flags.generations);
-    replace(&mut evolution.mosaic.generations, flags.generations);
-    replace(&mut evolution.mosaic.mutants, flags.population);
-    if let Some(population) = flags.population {
-        evolution.paper.population = population;
-        evolution.paper.tournament = evolution.paper.tournament.min(population);
+/// What the result of a run depends on, besides its scene and the kind of its device: neither how often it reports and saves,
+/// nor how many threads it has.
+fn result_settings(dataset: &Dataset, train: &TrainConfig) -> Table {
+    fn to_table(settings: &impl Serialize) -> Table {
+        Table::try_from(settings).expect("settings are tables of numbers and text")
     }
+    let mut table = to_table(&TrainConfig { checkpoint_every: 0, report_every: 0, ..train.clone() });
+    let size = Dataset { path: "".into(), ..dataset.clone() };
+    table.insert("dataset".into(), Value::Table(to_table(&size)));
+    table
 }
 
-fn replace<T>(setting: &mut T, flag: Option<T>) {
-    if let Some(value) = flag {
-        *setting = value;
-    }
+/// The first key, dotted, whose values differ, and both of them; `None` where the tables are the same.
+fn first_difference(there: &Table, here: &Table) -> Option<String> {
+    let new = here.keys().filter(|key| !there.contains_key(*key));
+    let shown = |value: Option<&Value>| value.map_or("not set".into(), Value::to_string);
+    there.keys().chain(new).find_map(|key| match (there.get(key), here.get(key)) {
+        (there, here) if there == here => None,
+        (Some(Value::Table(there)), Some(Value::Table(here))) => {
+            first_difference(there, here).map(|difference| format!("{key}.{difference}"))
+        }
+        (there, here) => Some(format!("{key} is {} there and {} here", shown(there), shown(here))),
+    })
 }
 
-/// A resumed run goes on with the settings that it began with, or its result would belong to neither.
-fn check_same(saved: &ConfigFile, wanted: &ConfigFile, out: &Path) -> Result<()> {
-    let [there, here] = [saved, wanted].map(|file| essence(&file.dataset, &file.train));
-    if let Some(difference) = difference::first(&there, &here) {
-        bail!(
-            "--resume goes on with the settings in {}, and others were given ({difference}); leave them out, or train into \
-             another folder",
-            RunFolder::config_in(out).display()
-        );
+#[cfg(test)]
+mod tests {
+    use genesplat::train::EvolutionMode;
+
+    use super::*;
+
+    #[test]
+    fn the_first_difference_is_named_with_both_values() {
+        let (dataset, train) = (Dataset::default(), TrainConfig::default());
+        let difference = |dataset: &Dataset, other: &TrainConfig| {
+            first_difference(&result_settings(&Dataset::default(), &train), &result_settings(dataset, other))
+        };
+        let elsewhere = Dataset { path: "elsewhere".into(), ..Dataset::default() };
+        let as_often = TrainConfig { checkpoint_every: 7, report_every: 3, ..train.clone() };
+        assert_eq!(difference(&elsewhere, &as_often), None);
+
+        let small = Dataset { max_side: Some(64), ..dataset.clone() };
+        let said = difference(&small, &train);
+        assert_eq!(said.as_deref(), Some("dataset.max_side is not set there and 64 here"));
+        let mut other = train.clone();
+        other.evolution.mode = EvolutionMode::Renew;
+        let said = difference(&dataset, &other);
+        assert_eq!(said.as_deref(), Some("evolution.mode is \"off\" there and \"renew\" here"));
+        let other = TrainConfig { max_gaussians: Some(9), seed: 4, ..train.clone() };
+        let said = difference(&dataset, &other);
+        assert_eq!(said.as_deref(), Some("seed is 0 there and 4 here"));
     }
-    same_scene::check_folders(&saved.dataset.path, &wanted.dataset.path)
 }

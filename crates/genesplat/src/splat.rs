@@ -8,33 +8,33 @@ use genesplat::io::ply::{PlyHeader, check_finite, read_ply_with_header};
 use genesplat::io::{PhotoSize, Scene};
 use genesplat::train::Background;
 
-use crate::args::{ShownOnArgs, SizeArgs, ViewSizeArgs};
+use crate::args::{ShownOnArgs, SizeArgs};
 use crate::report::run::command_line;
-use crate::run_folder::RunFolder;
+use crate::run::session::has_checkpoint;
+use crate::run::{CLOUD, CONFIG};
 use crate::scene;
 use crate::settings::ConfigFile;
 
 /// A cloud and how it is meant to be shown.
-pub struct Splat {
+pub(crate) struct Splat {
     /// The Gaussians; all values are finite.
-    pub cloud: Gaussians,
-    /// How to render it.
-    pub settings: RenderSettings,
+    pub(crate) cloud: Gaussians,
+    pub(crate) settings: RenderSettings,
     /// The size of photos that it was trained on; `None` for a bare PLY, which does not say.
     trained_size: Option<PhotoSize>,
 }
 
 impl Splat {
     /// The same, on another background where one is asked for.
-    pub fn on(mut self, asked: ShownOnArgs) -> Self {
-        let asked = asked.background.map(|name| Background::from(name).fixed_colour());
+    pub(crate) fn on(mut self, asked: ShownOnArgs) -> Self {
+        let asked = asked.background.map(Background::fixed_colour);
         self.settings.background = asked.unwrap_or(self.settings.background);
         self
     }
 
     /// Loads the photos in `data` to compare it with, as large as it was trained on unless another size is asked for.
-    pub fn load_scene(&self, data: &Path, asked: ViewSizeArgs) -> Result<Scene> {
-        scene::load_to_look(data, self.size(asked.into()), self.settings.background)
+    pub(crate) fn load_scene(&self, data: &Path, asked: SizeArgs) -> Result<Scene> {
+        scene::load_to_look(data, self.size(asked), self.settings.background)
     }
 
     /// Of a run's splat, a fraction is one of the size that it was trained at: that is what multi-scale evaluation means.
@@ -47,7 +47,7 @@ impl Splat {
 }
 
 /// Reads a PLY, or the splat of a run.
-pub fn open(path: &Path) -> Result<Splat> {
+pub(crate) fn open(path: &Path) -> Result<Splat> {
     ensure!(path.exists(), "{} does not exist; give a splat's PLY or the folder of a run", path.display());
     if path.is_dir() { open_run(path) } else { open_ply(path) }
 }
@@ -55,23 +55,23 @@ pub fn open(path: &Path) -> Result<Splat> {
 fn open_run(folder: &Path) -> Result<Splat> {
     let config = ConfigFile::of_run(folder)?;
     check_has_cloud(folder, &config)?;
-    let trained_size = config.size();
+    let trained_size = config.dataset.size();
     let settings = config.train.resolve()?.render_settings();
-    let (_, cloud) = read_cloud(&RunFolder::cloud_in(folder))?;
+    let (_, cloud) = read_cloud(&folder.join(CLOUD))?;
     Ok(Splat { cloud, settings, trained_size: Some(trained_size) })
 }
 
 /// A run has its splat once it is stopped or done; the system's word for a missing file would leave open what to do.
 fn check_has_cloud(folder: &Path, config: &ConfigFile) -> Result<()> {
     let [dataset, out, saved] =
-        [&config.dataset.path, folder, &RunFolder::config_in(folder)].map(|path| path.display().to_string());
+        [&config.dataset.path, folder, &folder.join(CONFIG)].map(|path| path.display().to_string());
     let words = ["genesplat", "train", &dataset, "--out", &out];
-    let (more, what): (&[&str], _) = match RunFolder::has_checkpoint(folder) {
+    let (more, what): (&[&str], _) = match has_checkpoint(folder) {
         true => (&["--resume"], "goes on with it"),
         false => (&["--config", &saved], "begins it anew"),
     };
     ensure!(
-        RunFolder::cloud_in(folder).exists(),
+        folder.join(CLOUD).exists(),
         "the run in {out} is unfinished and has no splat yet; {} {what}",
         command_line(words.into_iter().chain(more.iter().copied()))
     );

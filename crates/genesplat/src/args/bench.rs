@@ -8,7 +8,7 @@ use super::{MachineArgs, SizeArgs, THREADS};
 
 /// What can be measured.
 #[derive(Debug, Subcommand)]
-pub enum Bench {
+pub(crate) enum Bench {
     /// Time training steps stage by stage, at a fixed number of Gaussians, beside the best that blending could reach
     Step(BenchStepArgs),
     /// Time the scoring of a population just after an opacity reset, beside rendering each individual in full
@@ -19,70 +19,67 @@ pub enum Bench {
 
 /// Where the cameras, the photos and the Gaussians to measure with come from.
 #[derive(Debug, Args)]
-pub struct SourceArgs {
+pub(crate) struct SourceArgs {
     /// Folder of a scene to take cameras, photos and points from [default: a synthetic cloud before one camera]
     #[arg(long, value_name = "DATASET")]
-    pub data: Option<PathBuf>,
+    pub(crate) data: Option<PathBuf>,
     /// A trained splat of that scene (.ply), or the folder of a run, instead of Gaussians made from its points [default: none]
     #[arg(long, value_name = "PLY|RUN", requires = "data")]
-    pub splat: Option<PathBuf>,
+    pub(crate) splat: Option<PathBuf>,
     #[command(flatten)]
-    pub size: SizeArgs,
+    pub(crate) size: SizeArgs,
 }
 
 /// A cloud to measure on.
 #[derive(Debug, Args)]
-pub struct WorkloadArgs {
+pub(crate) struct WorkloadArgs {
     #[command(flatten)]
-    pub source: SourceArgs,
+    pub(crate) source: SourceArgs,
     /// Number of Gaussians, at least 4 [default: as many as the scene has points; 55000 without --data, before a camera of
     /// 268x478]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(4..), conflicts_with = "splat")]
-    pub gaussians: Option<u32>,
+    pub(crate) gaussians: Option<u32>,
 }
 
 /// `genesplat bench step`.
 #[derive(Debug, Args)]
-pub struct BenchStepArgs {
+pub(crate) struct BenchStepArgs {
     #[command(flatten)]
-    pub workload: WorkloadArgs,
+    pub(crate) workload: WorkloadArgs,
     /// Steps to time; medians are reported
     #[arg(long, value_name = "N", default_value_t = 30, value_parser = clap::value_parser!(u32).range(1..))]
-    pub steps: u32,
+    pub(crate) steps: u32,
     /// Also write the figures to this file [default: none]
     #[arg(long, value_name = "FILE")]
-    pub json: Option<PathBuf>,
+    pub(crate) json: Option<PathBuf>,
     #[command(flatten)]
-    pub machine: MachineArgs,
+    pub(crate) machine: MachineArgs,
 }
 
 /// `genesplat bench evolution`.
 #[derive(Debug, Args)]
-pub struct BenchEvolutionArgs {
+pub(crate) struct BenchEvolutionArgs {
     #[command(flatten)]
-    pub workload: WorkloadArgs,
+    pub(crate) workload: WorkloadArgs,
     /// Individuals to score: the paper's number
     #[arg(long, value_name = "P", default_value_t = 100, value_parser = clap::value_parser!(u32).range(2..))]
-    pub population: u32,
+    pub(crate) population: u32,
     /// Views to score them on
     #[arg(long, value_name = "V", default_value_t = 6, value_parser = clap::value_parser!(u32).range(1..))]
-    pub views: u32,
-    /// Generations of the paper's search to go through besides: the further it comes, the more rows an individual changes
-    #[arg(long, value_name = "K", default_value_t = 0)]
-    pub generations: u32,
+    pub(crate) views: u32,
     /// Also write the figures to this file [default: none]
     #[arg(long, value_name = "FILE")]
-    pub json: Option<PathBuf>,
+    pub(crate) json: Option<PathBuf>,
     #[command(flatten)]
-    pub machine: MachineArgs,
+    pub(crate) machine: MachineArgs,
 }
 
 /// `genesplat bench gpu`.
 #[derive(Debug, Args)]
-pub struct BenchGpuArgs {
+pub(crate) struct BenchGpuArgs {
     #[command(flatten)]
-    pub source: SourceArgs,
-    /// Numbers of Gaussians, separated by commas; those that there is no time for within eight minutes are left out
+    pub(crate) source: SourceArgs,
+    /// Numbers of Gaussians, separated by commas; those that the device has not enough memory for are left out
     #[arg(
         long,
         value_name = "N,..",
@@ -91,28 +88,28 @@ pub struct BenchGpuArgs {
         value_parser = clap::value_parser!(u32).range(4..),
         conflicts_with = "splat"
     )]
-    pub gaussians: Vec<u32>,
+    pub(crate) gaussians: Vec<u32>,
     /// Width of the synthetic photo, pixels
     #[arg(long, value_name = "PX", default_value_t = 1920, value_parser = side(), conflicts_with = "data")]
-    pub width: u32,
+    pub(crate) width: u32,
     /// Its height
     #[arg(long, value_name = "PX", default_value_t = 1080, value_parser = side(), conflicts_with = "data")]
-    pub height: u32,
+    pub(crate) height: u32,
     /// Steps to time
     #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..))]
-    pub steps: u32,
+    pub(crate) steps: u32,
     /// Individuals to score
     #[arg(long, value_name = "P", default_value_t = 100, value_parser = clap::value_parser!(u32).range(2..))]
-    pub population: u32,
+    pub(crate) population: u32,
     /// Sort without subgroups, as on devices that have none, to see what they are worth on this one
     #[arg(long)]
-    pub without_subgroups: bool,
+    pub(crate) without_subgroups: bool,
     /// Processor threads to make the cloud with [default: all cores]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(THREADS))]
-    pub threads: Option<u16>,
+    pub(crate) threads: Option<u16>,
     /// Also write the figures to this file [default: none]
     #[arg(long, value_name = "FILE")]
-    pub json: Option<PathBuf>,
+    pub(crate) json: Option<PathBuf>,
 }
 
 /// What a side of a photo may be, px.

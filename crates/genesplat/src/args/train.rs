@@ -1,161 +1,157 @@
-//! `genesplat train`: how long, by which method, with which evolution.
+//! `genesplat train`: how long, by which method, with which evolution; and how these flags win over a configuration.
 
 use std::path::PathBuf;
 
-use clap::{Args, ValueEnum};
-use genesplat::train::{EvolutionMode, Variant};
+use anyhow::{Result, ensure};
+use clap::Args;
+use genesplat::train::config::Signal;
+use genesplat::train::{Background, EvolutionMode, TrainConfig, Variant};
 
-use super::{LpipsArgs, MachineArgs, MethodArgs, SizeArgs, scale};
+use super::choice::{BACKGROUNDS, EVOLUTION, SIGNALS, VARIANTS, choice};
+use super::{LpipsArgs, MORE, MachineArgs, SEEDS, SizeArgs, scale};
 
 /// `genesplat train`.
 #[derive(Debug, Args)]
-pub struct TrainArgs {
+pub(crate) struct TrainArgs {
     /// Folder of the scene: a COLMAP model in sparse/0 (cameras, images, points3D as .bin or .txt) and its photos in images; or a
     /// transforms.json of nerfstudio or instant-ngp, or Blender's transforms_train.json and transforms_test.json, and the photos
     /// that they name
-    pub dataset: PathBuf,
+    pub(crate) dataset: PathBuf,
     /// Folder for the results; made if it is missing. It will hold point_cloud.ply, metrics.json, config.toml, log.jsonl
     /// and test/*.png; an earlier run's results there are moved to DIR/previous, and removed once this run has come to its end
     #[arg(long, value_name = "DIR")]
-    pub out: PathBuf,
+    pub(crate) out: PathBuf,
     #[command(flatten)]
-    pub size: SizeArgs,
+    pub(crate) schedule: ScheduleArgs,
     #[command(flatten)]
-    pub machine: MachineArgs,
+    pub(crate) evolution: EvolutionArgs,
     #[command(flatten)]
-    pub schedule: ScheduleArgs,
-    #[command(flatten)]
-    pub method: MethodArgs,
-    #[command(flatten)]
-    pub evolution: EvolutionArgs,
-    #[command(flatten)]
-    pub lpips: LpipsArgs,
+    pub(crate) size: SizeArgs,
     /// TOML file with settings (the config.toml of any run is one); flags given here win over it [default: none]
     #[arg(long, value_name = "FILE.toml")]
-    pub config: Option<PathBuf>,
+    pub(crate) config: Option<PathBuf>,
     /// Go on with the interrupted run in DIR, from its checkpoint; the result is the same as without the interruption
     #[arg(long)]
-    pub resume: bool,
+    pub(crate) resume: bool,
+    #[command(flatten)]
+    pub(crate) machine: MachineArgs,
+    #[command(flatten)]
+    pub(crate) method: MethodArgs,
+    #[command(flatten)]
+    pub(crate) lpips: LpipsArgs,
+}
+
+impl TrainArgs {
+    /// Flags over the file. Fails where one does not go with the method that is trained.
+    pub(crate) fn override_config(&self, train: &mut TrainConfig) -> Result<()> {
+        self.schedule.override_config(train);
+        self.evolution.override_config(train);
+        self.method.override_config(train)
+    }
 }
 
 /// How long, and what kind of training.
 #[derive(Clone, Debug, Default, Args)]
-pub struct ScheduleArgs {
+pub(crate) struct ScheduleArgs {
     /// Method: the original, or one of three improvements on it [default: 3dgs]
-    #[arg(long, value_enum, value_name = "METHOD")]
-    pub variant: Option<VariantName>,
+    #[arg(long, value_name = "METHOD", value_parser = choice(VARIANTS))]
+    variant: Option<Variant>,
     /// Training steps, one photo each [default: 30000]. More is better and slower; alone it cuts the schedule short,
     /// so 7000 is a good quick run
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
-    pub iterations: Option<u32>,
+    iterations: Option<u32>,
     /// Multiply every setting that counts steps by F, 0.001 to 1000 [default: 1]. 0.1 gives a run of the same shape in a
     /// tenth of the steps
-    #[arg(long, value_name = "F", value_parser = scale)]
-    pub steps_scale: Option<f64>,
+    #[arg(long, value_name = "F", value_parser = scale, help_heading = MORE)]
+    steps_scale: Option<f64>,
     /// Seed of all random numbers [default: 0]. Same seed, same bytes
-    #[arg(long, value_name = "S", value_parser = clap::value_parser!(u64).range(..1 << 63))]
-    pub seed: Option<u64>,
+    #[arg(long, value_name = "S", value_parser = clap::value_parser!(u64).range(SEEDS))]
+    seed: Option<u64>,
     /// Stop adding Gaussians at this many [default: no limit, or with --evolve renew as many as the photos can determine; 1000000
     /// with mcmc, which grows towards it by 5 % a time]. Bounds memory (about 1.5 KB a Gaussian) and time
     #[arg(long, value_name = "N", value_parser = positive)]
-    pub max_gaussians: Option<usize>,
+    max_gaussians: Option<usize>,
     /// Iterations between two checkpoints [default: 1000]; 0 for none but that of Ctrl-C and SIGTERM
-    #[arg(long, value_name = "N")]
-    pub checkpoint_every: Option<u32>,
+    #[arg(long, value_name = "N", help_heading = MORE)]
+    checkpoint_every: Option<u32>,
+}
+
+impl ScheduleArgs {
+    fn override_config(&self, train: &mut TrainConfig) {
+        replace(&mut train.variant, self.variant);
+        replace(&mut train.iterations, self.iterations);
+        replace(&mut train.steps_scale, self.steps_scale);
+        replace(&mut train.seed, self.seed);
+        train.max_gaussians = self.max_gaussians.or(train.max_gaussians);
+        replace(&mut train.checkpoint_every, self.checkpoint_every);
+    }
 }
 
 /// Which evolution, and how much of it.
 #[derive(Clone, Debug, Default, Args)]
-pub struct EvolutionArgs {
+pub(crate) struct EvolutionArgs {
     /// Evolution beside gradient descent [default: off]. paper, control: after each opacity reset; mosaic: at the end; recombine,
     /// renew: in the second half of the run
-    #[arg(long, value_enum, value_name = "MODE")]
-    pub evolve: Option<Evolve>,
+    #[arg(long, value_name = "MODE", value_parser = choice(EVOLUTION))]
+    pub(crate) evolve: Option<EvolutionMode>,
     /// Generations of each evolution stage of paper and mosaic, at least 1 [default: 100, mosaic: 20]. Time grows in proportion
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
-    pub generations: Option<u32>,
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..), help_heading = MORE)]
+    pub(crate) generations: Option<u32>,
     /// Individuals a generation, 1 to 10000 [default: 100, mosaic: 12]. Time grows in proportion
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=10_000))]
-    pub population: Option<u32>,
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=10_000), help_heading = MORE)]
+    pub(crate) population: Option<u32>,
 }
 
-/// Methods, as `--variant` names them.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum VariantName {
-    /// 3D Gaussian Splatting (Kerbl et al. 2023)
-    #[value(name = "3dgs")]
-    ThreeDgs,
-    /// Pixel-GS (Zhang et al. 2024): adds Gaussians where many pixels need them
-    PixelGs,
-    /// Mip-Splatting (Yu et al. 2024): stays sharp when seen from nearer or farther than the photos
-    MipSplatting,
-    /// 3DGS-MCMC (Kheradmand et al. 2024): Gaussians wander, dead ones move to where they are needed, up to --max-gaussians;
-    /// give it several thousand iterations
-    Mcmc,
-}
-
-impl From<VariantName> for Variant {
-    fn from(name: VariantName) -> Self {
-        match name {
-            VariantName::ThreeDgs => Self::ThreeDgs,
-            VariantName::PixelGs => Self::PixelGs,
-            VariantName::MipSplatting => Self::MipSplatting,
-            VariantName::Mcmc => Self::Mcmc,
+impl EvolutionArgs {
+    /// Flags over the file. A tournament cannot draw more individuals than there are, so a small population shrinks it.
+    pub(crate) fn override_config(&self, train: &mut TrainConfig) {
+        let evolution = &mut train.evolution;
+        replace(&mut evolution.mode, self.evolve);
+        replace(&mut evolution.paper.generations, self.generations);
+        replace(&mut evolution.mosaic.generations, self.generations);
+        replace(&mut evolution.mosaic.mutants, self.population);
+        if let Some(population) = self.population {
+            evolution.paper.population = population;
+            evolution.paper.tournament = evolution.paper.tournament.min(population);
         }
     }
 }
 
-/// Modes of evolution, as `--evolve` names them.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Evolve {
-    /// Gradient descent only
-    Off,
-    /// The genetic algorithm of "An Evolutionary Boost to Gaussian Splatting Optimization"
-    Paper,
-    /// For comparison: the same time (evolution.control_seconds of the configuration file) spent on more gradient steps
-    Control,
-    /// Ours: every twentieth of the second half of the run, a child bred from its last states takes over if photos held back
-    /// from that search agree
-    Recombine,
-    /// Ours, and worth most: limits the number of Gaussians to what the photos can determine; after growth ends, replaces the least
-    /// useful by copies where the error is largest; then also does recombine
-    Renew,
-    /// Ours, without gradients: each Gaussian takes the mutation that made the picture better where it is seen, if photos held back
-    /// agree. Worth most on a splat that gradients have not finished
-    Mosaic,
+/// How Gaussians are shown, and what makes them grow: options that users of other trainers know.
+#[derive(Clone, Debug, Default, Args)]
+#[command(next_help_heading = MORE)]
+pub(crate) struct MethodArgs {
+    /// Colour behind the scene [default: black]. White suits objects cut out of their photos; random keeps them opaque
+    #[arg(long, value_name = "COLOUR", value_parser = choice(BACKGROUNDS))]
+    background: Option<Background>,
+    /// Dim Gaussians smaller than a pixel instead of only widening them, so that views from afar do not swell.
+    /// Not with --variant mip-splatting, which has a filter of its own
+    #[arg(long)]
+    antialiasing: bool,
+    /// Gradient that makes a Gaussian grow, for 3dgs and mip-splatting [default: published]
+    #[arg(long, value_name = "SIGNAL", value_parser = choice(SIGNALS))]
+    densify_signal: Option<Signal>,
 }
 
-impl From<Evolve> for EvolutionMode {
-    fn from(mode: Evolve) -> Self {
-        match mode {
-            Evolve::Off => Self::Off,
-            Evolve::Paper => Self::Paper,
-            Evolve::Control => Self::Control,
-            Evolve::Recombine => Self::Recombine,
-            Evolve::Renew => Self::Renew,
-            Evolve::Mosaic => Self::Mosaic,
-        }
+impl MethodArgs {
+    fn override_config(&self, train: &mut TrainConfig) -> Result<()> {
+        replace(&mut train.background, self.background);
+        replace(&mut train.densify.signal, self.densify_signal);
+        train.antialiasing |= self.antialiasing;
+        let variant = train.variant;
+        let has_own_signal = matches!(variant, Variant::PixelGs | Variant::Mcmc);
+        ensure!(
+            !has_own_signal || self.densify_signal.is_none_or(|signal| signal == Signal::Published),
+            "--densify-signal is for 3dgs and mip-splatting, and {variant} grows by a rule of its own; leave the flag out, or train \
+             another --variant"
+        );
+        Ok(())
     }
 }
 
-/// Those of them that a finished splat allows.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Search {
-    /// Ours: each Gaussian takes the mutation that made the picture better where it is seen, if photos held back agree
-    Mosaic,
-    /// The genetic algorithm of "An Evolutionary Boost to Gaussian Splatting Optimization"
-    Paper,
-    /// For comparison: gradient steps for evolution.control_seconds of the configuration file
-    Control,
-}
-
-impl From<Search> for Evolve {
-    fn from(search: Search) -> Self {
-        match search {
-            Search::Mosaic => Self::Mosaic,
-            Search::Paper => Self::Paper,
-            Search::Control => Self::Control,
-        }
+fn replace<T>(setting: &mut T, flag: Option<T>) {
+    if let Some(value) = flag {
+        *setting = value;
     }
 }
 

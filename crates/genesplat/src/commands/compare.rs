@@ -11,7 +11,8 @@ use genesplat::metrics::{Lpips, ViewScore, compare};
 use serde::Serialize;
 
 use crate::args::CompareArgs;
-use crate::{files, lpips, output, precious};
+use crate::terminal::output;
+use crate::{files, lpips};
 
 /// LPIPS with both conventions of what the network is fed.
 #[derive(Clone, Copy, Serialize)]
@@ -33,8 +34,7 @@ struct Report {
 }
 
 /// Measures, and prints.
-pub fn run(args: &CompareArgs) -> Result<()> {
-    args.json.as_deref().map_or(Ok(()), |path| precious::check_output(path, &[&args.first, &args.second]))?;
+pub(crate) fn run(args: &CompareArgs) -> Result<()> {
     let metrics = lpips::open_all(&args.lpips)?;
     let (first, second) = (read(&args.first)?, read(&args.second)?);
     let name = args.first.file_name().unwrap_or_default().to_string_lossy();

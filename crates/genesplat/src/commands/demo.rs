@@ -6,7 +6,7 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
 use anyhow::{Result, ensure};
@@ -18,16 +18,17 @@ use genesplat::metrics::Lpips;
 use genesplat::train::{EvolutionMode, TrainConfig};
 
 use super::Ending;
-use crate::any_backend::AnyBackend;
 use crate::args::DemoArgs;
-use crate::metrics::Metrics;
-use crate::run_folder::{RunFolder, WayOn};
+use crate::report::sheet::side_by_side;
+use crate::run::metrics::Metrics;
+use crate::run::session::{Caller, RunSession};
+use crate::run::training::{Ended, Run};
+use crate::run::{CLOUD, TEST};
 use crate::settings::{ConfigFile, Settings};
-use crate::sheet::side_by_side;
-use crate::training::{Ended, Run, open_device};
-use crate::{device, interrupt, lpips, output, scene};
+use crate::terminal::{interrupt, output};
+use crate::{device, lpips, scene};
 
-/// The published schedule in this share of its steps.
+/// The published schedule in this fraction of its steps.
 const STEPS_SCALE: f64 = 0.1;
 /// Iterations between densifications, in the published schedule: at a tenth of the steps, growing as often as published would
 /// follow gradients that a few steps have not settled, and end at six Gaussians a pixel.
@@ -40,30 +41,19 @@ const POPULATION: u32 = 20;
 
 /// Builds, trains twice, compares.
 pub fn run(args: &DemoArgs) -> Result<Ending> {
-    let began = Instant::now();
-    let plans = [("without", EvolutionMode::Off), ("with", args.evolve.into())];
-    let plans: Vec<Plan> =
-        plans.into_iter().map(|(name, mode)| Plan::new(args, name, mode)).collect::<Result<_>>()?;
+    let halves = [("without", EvolutionMode::Off), ("with", args.evolve)];
+    let mut halves: Vec<Half> =
+        halves.into_iter().map(|(name, mode)| Half::new(args, name, mode)).collect::<Result<_>>()?;
     check_gallery(&gallery_in(&args.out))?;
     device::use_threads(args.machine.threads)?;
     let stop = interrupt::stop_flag()?;
     let lpips = lpips::open(&args.lpips)?;
     let scene = build_scene(&gallery_in(&args.out), args.seed)?;
-    if plans[0].settings.device_was_auto {
-        device::announce_auto();
-    }
-    let mut device = Some(open_device(&plans[0].settings, &scene)?);
-    if stop.load(Ordering::Relaxed) {
-        return stopped();
-    }
-    let halves: Vec<Half> = plans.into_iter().map(Plan::begin).collect::<Result<_>>()?;
-    let load = began.elapsed().as_secs_f64();
     let mut results = Vec::new();
-    for half in &halves {
+    for half in &mut halves {
         let mode = half.settings.train.config().evolution.mode;
         output::tell(&format!("\ntraining {} evolution (mode {})", half.name, mode.name()));
-        let device = device.take().map_or_else(|| open_device(&half.settings, &scene), Ok)?;
-        let Some(metrics) = half.train(device, &scene, lpips.as_ref(), load, &stop)? else {
+        let Some(metrics) = half.train(&scene, lpips.as_ref(), &stop)? else {
             return stopped();
         };
         results.push(metrics);
@@ -74,8 +64,8 @@ pub fn run(args: &DemoArgs) -> Result<Ending> {
     write_png(&picture, &side_by_side(&comparison(&scene, view, &halves)?))?;
     output::print(&format!(
         "splats    {}\n          {}\npicture   {} (the photo {}, without, with evolution)\nphotos    {}",
-        halves[0].folder.cloud_path().display(),
-        halves[1].folder.cloud_path().display(),
+        halves[0].session.path().join(CLOUD).display(),
+        halves[1].session.path().join(CLOUD).display(),
         picture.display(),
         scene.test[view].name,
         gallery_in(&args.out).display()
@@ -121,17 +111,17 @@ fn build_scene(folder: &Path, seed: u64) -> Result<Scene> {
     scene::load(folder, PhotoSize::default(), [0.0; 3], seed)
 }
 
-/// One of the two runs before it has a folder: an earlier demo's results stay until scene and weights are loaded.
-struct Plan {
+/// One of the two runs.
+struct Half {
     name: &'static str,
     settings: Settings,
-    out: PathBuf,
+    session: RunSession,
 }
 
-impl Plan {
+impl Half {
+    /// Claims its folder; an earlier demo's results stay there until scene and weights are loaded.
     fn new(args: &DemoArgs, name: &'static str, mode: EvolutionMode) -> Result<Self> {
-        let out = args.out.join(name);
-        RunFolder::check_replaceable(&out)?;
+        let session = RunSession::claim(&args.out.join(name), Caller::Demo, false)?;
         let mut train = TrainConfig { seed: args.seed, steps_scale: STEPS_SCALE, ..TrainConfig::default() };
         train.densify.every = DENSIFY_EVERY;
         train.max_gaussians = Some(MAX_GAUSSIANS);
@@ -139,38 +129,15 @@ impl Plan {
         train.evolution.paper.generations = GENERATIONS;
         train.evolution.paper.population = POPULATION;
         let settings = ConfigFile::of_scene(gallery_in(&args.out), train).resolve(args.machine)?;
-        Ok(Self { name, settings, out })
+        Ok(Self { name, settings, session })
     }
 
-    fn begin(self) -> Result<Half> {
-        let folder = RunFolder::replace(&self.out, &self.settings.to_toml())?;
-        Ok(Half { name: self.name, settings: self.settings, folder })
-    }
-}
-
-/// One of the two runs.
-struct Half {
-    name: &'static str,
-    settings: Settings,
-    folder: RunFolder,
-}
-
-impl Half {
     /// `None` for a run that was stopped.
-    fn train(
-        &self,
-        device: AnyBackend,
-        scene: &Scene,
-        lpips: Option<&Lpips>,
-        load: f64,
-        stop: &AtomicBool,
-    ) -> Result<Option<Metrics>> {
-        let Self { settings, folder, .. } = self;
-        let (load, way_on) = ((load, Instant::now()), WayOn::Never);
-        let run = Run { settings, scene, folder, resume: false, way_on, lpips, quiet: false, stop, load };
-        Ok(match run.execute(device)? {
+    fn train(&mut self, scene: &Scene, lpips: Option<&Lpips>, stop: &AtomicBool) -> Result<Option<Metrics>> {
+        let run = Run { settings: &self.settings, scene, lpips, stop, began: Instant::now() };
+        Ok(match run.execute(&mut self.session)? {
             Ended::Whole(metrics) => Some(metrics),
-            Ended::Stopped(_) | Ended::Unscored => None,
+            Ended::Stopped(_) | Ended::Unscored | Ended::NotBegun => None,
         })
     }
 }
@@ -229,7 +196,7 @@ fn most_changed(without: &Metrics, with: &Metrics) -> usize {
 /// The photo, and what both runs made of it.
 fn comparison(scene: &Scene, view: usize, halves: &[Half]) -> Result<Vec<Photo>> {
     let name = &scene::picture_names(&scene.test)[view];
-    let renders = halves.iter().map(|half| Ok(read_photo(&half.folder.test_path().join(name))?));
+    let renders = halves.iter().map(|half| Ok(read_photo(&half.session.path().join(TEST).join(name))?));
     std::iter::once(Ok(scene.test[view].photo.as_ref().clone())).chain(renders).collect()
 }
 

@@ -5,10 +5,10 @@ use genesplat::core::Backend;
 use genesplat::gpu::{AdapterReport, adapters};
 use genesplat::kernels::cpu::CpuBackend;
 
-use crate::output;
+use crate::terminal::output;
 
 /// Prints one line a device, and what a graphics device can do below it.
-pub fn run() -> Result<()> {
+pub(crate) fn run() -> Result<()> {
     output::print(&format!("cpu  {}", CpuBackend::new(0).describe()))?;
     let adapters = adapters();
     if adapters.is_empty() {
@@ -27,14 +27,14 @@ fn describe(adapter: &AdapterReport, is_first: bool) -> String {
     let mib = |bytes: u64| bytes >> 20;
     let clock = if adapter.timestamps { "can time its stages" } else { "cannot time its stages" };
     let subgroups = if adapter.subgroups { "has subgroups" } else { "has no subgroups" };
-    let verdict = match &adapter.unusable {
+    let use_of_it = match &adapter.unusable {
         Some(reason) => format!("cannot be used: {reason}"),
         None if !is_first => "not used: one above comes first".into(),
         None if adapter.is_software() => "used by --device gpu only: the CPU backend is faster".into(),
         None => "used by --device auto and gpu".into(),
     };
     format!(
-        "gpu  {name}: {kind}, {api}, {driver}\n     {verdict}\n     a kernel sees {} MiB of a buffer of up to {} \
+        "gpu  {name}: {kind}, {api}, {driver}\n     {use_of_it}\n     a kernel sees {} MiB of a buffer of up to {} \
          MiB; {} KiB a workgroup; {subgroups}; {clock}",
         mib(*binding_bytes),
         mib(*buffer_bytes),

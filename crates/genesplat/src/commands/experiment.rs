@@ -15,9 +15,10 @@ use crate::experiment::results::Results;
 use crate::experiment::runner::{Ran, Runner};
 use crate::experiment::summary::Tables;
 use crate::experiment::{page, preset, qualitative, record};
-use crate::lock::Lock;
 use crate::report::run::command_line;
-use crate::{device, files, interrupt, lpips, output};
+use crate::run::lock::Lock;
+use crate::terminal::{interrupt, output};
+use crate::{device, files, lpips};
 
 /// Name of the file that describes the experiment, flags included.
 const DESCRIPTION: &str = "experiment.toml";
@@ -31,18 +32,18 @@ const TABLES: &str = "tables.md";
 const FIGURES: [&str; 6] = [TABLES, "tables.tex", "tables.csv", "costs.md", "cells.csv", "report.html"];
 
 /// Runs what is unfinished, then writes tables and pages of all that is finished, also where a run has failed.
-pub fn run(args: &ExperimentArgs) -> Result<Ending> {
+pub(crate) fn run(args: &ExperimentArgs) -> Result<Ending> {
     let mut file = preset::open(&args.what)?;
     file.override_by(args);
     let experiment = Experiment::new(file)?;
     files::check_folder(&args.out, TABLES)?;
     check_ours(&args.out)?;
-    Lock::check(&args.out)?;
     experiment.check_scenes(args.data.as_deref(), &args.out)?;
+    let _lock = Lock::take(&args.out)?;
     device::use_threads(args.machine.threads)?;
     let stop = interrupt::stop_flag()?;
     let lpips = lpips::open(&args.lpips)?;
-    let device = Some(device::choose(args.machine)?);
+    let device = Some(args.machine.device.unwrap_or_default().resolve()?);
     let runner = Runner {
         experiment: &experiment,
         out: &args.out,
@@ -51,7 +52,6 @@ pub fn run(args: &ExperimentArgs) -> Result<Ending> {
         lpips: lpips.as_ref(),
         stop: &stop,
     };
-    let _lock = Lock::take(&args.out)?;
     let Ran { results, mut failures } = runner.run()?;
     let (finished, cells) = (results.finished(), experiment.cells().len());
     if lpips.is_some() {
@@ -71,7 +71,7 @@ pub fn run(args: &ExperimentArgs) -> Result<Ending> {
     Ok(Ending::Stopped)
 }
 
-/// Fails where files of somebody else's would be written over. What earlier versions have written has no mark, but is to the byte what
+/// Fails where files that are not ours would be written over. What earlier versions have written has no mark, but is to the byte what
 /// we would write of it.
 fn check_ours(out: &Path) -> Result<()> {
     let path = out.join(DESCRIPTION);

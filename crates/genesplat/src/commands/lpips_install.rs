@@ -8,7 +8,8 @@ use genesplat::metrics::Lpips;
 use genesplat::metrics::weights::{sha256, to_safetensors};
 
 use crate::args::LpipsInstallArgs;
-use crate::{files, lpips, output};
+use crate::terminal::output;
+use crate::{files, lpips};
 
 /// SHA-256 sums of files that were measured with, and whose figures are those of the authors' own program.
 const KNOWN_SUMS: [(&str, &str); 4] = [
@@ -25,13 +26,13 @@ const KNOWN_SUMS: [(&str, &str); 4] = [
 ];
 
 /// Checks everything, then writes: one file a network, in the user's cache folder.
-pub fn run(args: &LpipsInstallArgs) -> Result<()> {
+pub(crate) fn run(args: &LpipsInstallArgs) -> Result<()> {
     let Some(folder) = lpips::cache_folder() else {
         bail!("there is no cache folder to install to; set HOME or XDG_CACHE_HOME");
     };
     for file in &args.files {
         let (net, _) = lpips::read(file)?;
-        output::print(&format!("{}: for {net}, {}", file.display(), judge(file)?))?;
+        output::print(&format!("{}: for {net}, {}", file.display(), check_sum(file)?))?;
     }
     let mut pool = lpips::pool(&args.files)?;
     for (&net, tensors) in &mut pool {
@@ -50,7 +51,7 @@ pub fn run(args: &LpipsInstallArgs) -> Result<()> {
 }
 
 /// What the sum of `file` says about it.
-fn judge(file: &Path) -> Result<String> {
+fn check_sum(file: &Path) -> Result<String> {
     let sum = sha256(file)?;
     if let Some((_, what)) = KNOWN_SUMS.iter().find(|(known, _)| *known == sum) {
         return Ok(format!("SHA-256 is that of {what}"));

@@ -11,21 +11,25 @@ mod refine;
 mod render;
 mod train;
 
+use std::path::{Path, PathBuf};
+
 use anyhow::Result;
 
 use crate::args::{Arguments, Bench, Command, LpipsCommand};
+use crate::files::check_folder;
+use crate::overwrite::{Content, check_file};
 
 /// How a command ended that did not fail.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Ending {
-    /// All of it was done.
+pub(crate) enum Ending {
     Whole,
     /// It was stopped, and has saved what there was.
     Stopped,
 }
 
 /// Does what was asked for.
-pub fn run(arguments: Arguments) -> Result<Ending> {
+pub(crate) fn run(arguments: Arguments) -> Result<Ending> {
+    check_outputs(&arguments.command)?;
     match arguments.command {
         Command::Demo(args) => return demo::run(&args),
         Command::Train(args) => return train::run(&args),
@@ -41,4 +45,41 @@ pub fn run(arguments: Arguments) -> Result<Ending> {
         Command::Devices => devices::run(),
     }
     .map(|()| Ending::Whole)
+}
+
+/// Every `--out` and `--json` passes here before anything is read, but for the folders of runs, which are claimed by who trains into
+/// them.
+fn check_outputs(command: &Command) -> Result<()> {
+    let figures = |json: &Option<PathBuf>, inputs: &[Option<&Path>]| {
+        json.as_deref().map_or(Ok(()), |path| check_file(path, Content::Figures, inputs))
+    };
+    match command {
+        Command::Evaluate(args) => {
+            figures(&args.json, &[Some(&args.splat), args.lpips.lpips_weights.as_deref()])
+        }
+        Command::Compare(args) => {
+            let weights = args.lpips.lpips_weights.as_deref();
+            figures(&args.json, &[Some(&args.first), Some(&args.second), weights])
+        }
+        Command::Render(args) if args.image.is_some() => {
+            check_file(&args.out, Content::Picture, &[Some(&args.splat)])
+        }
+        Command::Render(args) => check_folder(&args.out, "0001.png"),
+        Command::Refine(args) => {
+            check_file(&args.out, Content::Splat, &[Some(&args.splat), args.config.as_deref()])
+        }
+        Command::Bench { what } => {
+            let (json, source) = match what {
+                Bench::Step(args) => (&args.json, &args.workload.source),
+                Bench::Evolution(args) => (&args.json, &args.workload.source),
+                Bench::Gpu(args) => (&args.json, &args.source),
+            };
+            figures(json, &[source.splat.as_deref()])
+        }
+        Command::Train(_)
+        | Command::Demo(_)
+        | Command::Experiment(_)
+        | Command::Lpips { .. }
+        | Command::Devices => Ok(()),
+    }
 }

@@ -1,34 +1,31 @@
 //! `genesplat refine`: evolution alone, on a splat from any trainer.
 
-use std::path::Path;
-
 use anyhow::{Result, bail};
 use genesplat::core::{Backend, RenderSettings, ScreenFilter};
 use genesplat::io::{PlyOptions, Scene, write_ply};
 use genesplat::train::{Background, EvolutionMode, Resolved, TrainConfig, Variant, refine};
 
 use super::Ending;
-use crate::any_backend::AnyBackend;
 use crate::args::{EvolutionArgs, RefineArgs};
-use crate::progress::Bar;
-use crate::reporter::Reporter;
-use crate::settings::{ConfigFile, override_evolution};
+use crate::device::Device;
+use crate::run::photos;
+use crate::run::training::evaluate_all;
+use crate::settings::ConfigFile;
 use crate::splat::Splat;
-use crate::training::evaluate_into;
-use crate::{device, interrupt, output, precious, same_scene, splat};
+use crate::terminal::reporter::Reporter;
+use crate::terminal::{interrupt, output};
+use crate::{device, splat};
 
 /// Searches, and writes the best that it has found; Ctrl-C ends the search early.
-pub fn run(args: &RefineArgs) -> Result<Ending> {
-    let inputs: Vec<&Path> = [args.splat.as_path()].into_iter().chain(args.config.as_deref()).collect();
-    precious::check_output(&args.out, &inputs)?;
+pub(crate) fn run(args: &RefineArgs) -> Result<Ending> {
     device::use_threads(args.machine.threads)?;
     let mut splat = splat::open(&args.splat)?;
     let config = configure(args, &splat)?;
     splat.settings = config.render_settings();
     let scene = splat.load_scene(&args.data, args.size)?;
-    same_scene::check_test_photos(&args.splat, &scene)?;
+    photos::check_test_photos(&args.splat, &scene)?;
     let stop = interrupt::stop_flag()?;
-    let mut backend = device::open(device::choose(args.machine)?, config.config().seed)?;
+    let mut backend = device::open(args.machine.device.unwrap_or_default(), config.config().seed)?;
     backend.upload(splat.cloud.clone(), None)?;
     print_scores("before", &mut backend, &scene, &splat.settings)?;
     let mut reporter = Reporter::without_folder(&stop);
@@ -53,8 +50,7 @@ fn configure(args: &RefineArgs, splat: &Splat) -> Result<Resolved> {
         train.evolution.mode = EvolutionMode::Mosaic;
     }
     let RefineArgs { evolve, generations, population, .. } = *args;
-    let evolve = evolve.map(Into::into);
-    override_evolution(&mut train, &EvolutionArgs { evolve, generations, population });
+    EvolutionArgs { evolve, generations, population }.override_config(&mut train);
     train.antialiasing = splat.settings.filter == ScreenFilter::Antialiased;
     if splat.settings.background == Background::White.fixed_colour() {
         train.background = Background::White;
@@ -70,15 +66,9 @@ fn configure(args: &RefineArgs, splat: &Splat) -> Result<Resolved> {
     Ok(train.resolve()?)
 }
 
-fn print_scores(
-    when: &str,
-    backend: &mut AnyBackend,
-    scene: &Scene,
-    settings: &RenderSettings,
-) -> Result<()> {
+fn print_scores(when: &str, backend: &mut Device, scene: &Scene, settings: &RenderSettings) -> Result<()> {
     for (name, views) in [("test", &scene.test), ("train", &scene.train)] {
-        let bar = Bar::new("scores", views.len() as u64);
-        let scores = evaluate_into(backend, views, settings, None, None, bar)?;
+        let scores = evaluate_all(backend, views, settings, None)?;
         output::print(&format!("{when:<6} {}", output::scores_line(name, &scores)))?;
     }
     Ok(())

@@ -1,27 +1,30 @@
 //! `genesplat render`: a splat seen from the viewpoints of photos.
 
+use std::io::Write;
 use std::path::Path;
 
 use anyhow::{Result, bail};
-use genesplat::core::{Backend, View};
+use genesplat::core::{Backend, Photo, View};
 use genesplat::io::{Scene, photos};
 
 use crate::args::{RenderArgs, RenderSplit};
-use crate::progress::Bar;
-use crate::{device, files, output, same_scene, scene, splat};
+use crate::overwrite::Content;
+use crate::run::photos::check_test_photos;
+use crate::terminal::output;
+use crate::terminal::progress::Bar;
+use crate::{device, files, overwrite, scene, splat};
+
+/// Of 100: differs from the PNG by less than the eye sees.
+const JPEG_QUALITY: u8 = 95;
 
 /// Renders one viewpoint into a file, or many into a folder.
-pub fn run(args: &RenderArgs) -> Result<()> {
-    match args.image {
-        Some(_) => files::check_writable(&args.out)?,
-        None => files::check_folder(&args.out, "0001.png")?,
-    }
+pub(crate) fn run(args: &RenderArgs) -> Result<()> {
     device::use_threads(args.machine.threads)?;
     let splat = splat::open(&args.splat)?.on(args.on);
     let scene = splat.load_scene(&args.data, args.size)?;
-    scene::check_spared(&scene, &args.out)?;
+    overwrite::check_photos(&scene, &args.out)?;
     if args.split == Some(RenderSplit::Test) {
-        same_scene::check_test_photos(&args.splat, &scene)?;
+        check_test_photos(&args.splat, &scene)?;
     }
     let jobs = match &args.image {
         Some(name) => vec![(find(&scene, name, &args.data)?, args.out.clone())],
@@ -31,15 +34,26 @@ pub fn run(args: &RenderArgs) -> Result<()> {
             views.into_iter().zip(names).map(|(view, name)| (view, args.out.join(name))).collect()
         }
     };
-    let mut backend = device::open(device::choose(args.machine)?, 0)?;
+    jobs.iter().try_for_each(|(_, path)| overwrite::check_existing(path, Content::Picture, &[]))?;
+    let mut backend = device::open(args.machine.device.unwrap_or_default(), 0)?;
     backend.upload(splat.cloud, None)?;
     let mut bar = Bar::new("renders", jobs.len() as u64);
     for (done, (view, path)) in (1..).zip(&jobs) {
-        photos::write_png(path, &backend.render(&view.camera, &splat.settings)?.to_photo())?;
+        write(path, &backend.render(&view.camera, &splat.settings)?.to_photo())?;
         bar.set(done, String::new);
     }
     drop(bar);
     output::print(&format!("{} pictures written to {}", jobs.len(), args.out.display()))
+}
+
+/// As the name's ending says.
+fn write(path: &Path, picture: &Photo) -> Result<()> {
+    let end = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
+    if ["jpg", "jpeg"].contains(&end.as_str()) {
+        let jpeg = photos::encode_jpeg(picture, JPEG_QUALITY);
+        return files::write_file(path, |out| out.write_all(&jpeg));
+    }
+    Ok(photos::write_png(path, picture)?)
 }
 
 /// The photo called `name`, with or without its ending.

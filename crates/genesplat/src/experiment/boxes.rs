@@ -6,28 +6,23 @@
 
 use genesplat::core::Photo;
 
-/// A square of pixels, in a picture.
+/// A square of pixels, by its leftmost column, topmost row and side.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Square {
-    /// Leftmost column.
-    pub x: u32,
-    /// Topmost row.
-    pub y: u32,
-    /// Columns, and rows.
-    pub side: u32,
+pub(crate) struct Square {
+    pub(crate) x: u32,
+    pub(crate) y: u32,
+    pub(crate) side: u32,
 }
 
-/// The two boxes; `None` where error fell (or rose) nowhere.
+/// The boxes where error fell and rose most; `None` where it fell (or rose) nowhere.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Changes {
-    /// Where error fell most.
-    pub fell: Option<Square>,
-    /// Where it rose most.
-    pub rose: Option<Square>,
+pub(crate) struct Changes {
+    pub(crate) fell: Option<Square>,
+    pub(crate) rose: Option<Square>,
 }
 
 /// Finds the boxes. All three pictures have one size.
-pub fn changes(photo: &Photo, without: &Photo, with: &Photo) -> Changes {
+pub(crate) fn changes(photo: &Photo, without: &Photo, with: &Photo) -> Changes {
     let side = (photo.width.max(photo.height) / 6).clamp(1, photo.width.min(photo.height));
     let sums = Sums::new(photo, without, with);
     let windows = (0..=photo.height - side)

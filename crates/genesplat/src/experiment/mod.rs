@@ -10,23 +10,26 @@
 //!
 //! | module | what it does |
 //! |---|---|
-//! | [`preset`], [`file`], [`plan`] | from a TOML file to the list of cells and their settings |
-//! | [`runner`] | runs what is unfinished, scene by scene |
+//! | [`preset`], [`file`], [`arms`], [`plan`] | from a TOML file to the list of cells and their settings |
+//! | [`runner`], [`cells`], [`board`] | runs what is unfinished, scene by scene; what is there already; the rows so far |
 //! | [`results`] | what the cells have measured, and their paired differences |
 //! | [`statistics`] | means, spreads, and two exact tests |
 //! | [`summary`], [`table`], [`record`] | the paper's tables, how they are written, and everything as CSV |
 //! | [`boxes`], [`qualitative`] | pictures in which the program itself marks what got better and worse |
 //! | [`page`] | `report.html` |
 
-pub mod boxes;
-pub mod file;
-pub mod page;
-pub mod plan;
-pub mod preset;
-pub mod qualitative;
-pub mod record;
-pub mod results;
-pub mod runner;
-pub mod statistics;
-pub mod summary;
-pub mod table;
+pub(crate) mod arms;
+pub(crate) mod board;
+pub(crate) mod boxes;
+pub(crate) mod cells;
+pub(crate) mod file;
+pub(crate) mod page;
+pub(crate) mod plan;
+pub(crate) mod preset;
+pub(crate) mod qualitative;
+pub(crate) mod record;
+pub(crate) mod results;
+pub(crate) mod runner;
+pub(crate) mod statistics;
+pub(crate) mod summary;
+pub(crate) mod table;

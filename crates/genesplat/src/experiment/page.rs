@@ -15,7 +15,7 @@ use crate::report::curves::{Curves, thinned};
 use crate::report::html::{Html, document};
 use crate::report::picture;
 use crate::report::run::write_repeat;
-use crate::run_folder::RunFolder;
+use crate::run::LOG;
 
 /// Pictures in the page itself; further ones are linked.
 const PICTURES_MAX: usize = 24;
@@ -26,26 +26,23 @@ const PICTURE_PX: u32 = 1000;
 const CURVE_POINTS: usize = 150;
 
 /// What a page is made of, beside the results.
-pub struct Parts<'a> {
-    /// All tables.
-    pub tables: &'a Tables,
-    /// Curves over time.
-    pub charts: &'a [Chart],
-    /// Qualitative pages.
-    pub pages: &'a [Page],
+pub(crate) struct Parts<'a> {
+    pub(crate) tables: &'a Tables,
+    pub(crate) charts: &'a [Chart],
+    pub(crate) pages: &'a [Page],
     /// What repeats the experiment.
-    pub command: &'a str,
+    pub(crate) command: &'a str,
 }
 
 /// Test PSNR and number of Gaussians over time, an arm a curve, for every scene and variant: the first seed that each arm has
 /// finished, in the folder `out`.
-pub fn charts(results: &Results<'_>, out: &Path) -> Vec<Chart> {
+pub(crate) fn charts(results: &Results<'_>, out: &Path) -> Vec<Chart> {
     let Experiment { file, arms } = results.experiment;
     let of_arm = |scene: usize, variant: usize, arm: usize| {
         let mut cells = (0..file.seeds.len()).map(|seed| Cell { scene, variant, arm, seed });
         let cell = cells.find(|&cell| results.get(cell).is_some())?;
         // A log that is lost costs a curve, and nothing else.
-        let log = RunFolder::log_in(&out.join(results.experiment.folder(cell)));
+        let log = out.join(results.experiment.folder(cell)).join(LOG);
         Some((arms[arm].name.clone(), Curves::read(&log).ok()?))
     };
     let mut charts = Vec::new();
@@ -73,7 +70,7 @@ pub fn charts(results: &Results<'_>, out: &Path) -> Vec<Chart> {
 }
 
 /// The page.
-pub fn to_html(results: &Results<'_>, parts: &Parts<'_>) -> Result<String> {
+pub(crate) fn to_html(results: &Results<'_>, parts: &Parts<'_>) -> Result<String> {
     let &Parts { tables, charts, pages, command } = parts;
     let (experiment, file) = (results.experiment, &results.experiment.file);
     let cells = experiment.cells();
@@ -101,13 +98,12 @@ pub fn to_html(results: &Results<'_>, parts: &Parts<'_>) -> Result<String> {
     page.close("tr");
     for (cell, metrics) in cells.into_iter().filter_map(|cell| Some((cell, results.get(cell)?))) {
         let folder = experiment.folder(cell).display().to_string();
-        let psnr = |value: Option<f64>| value.map_or("-".into(), |value| format!("{value:.2}"));
+        let psnr = |value: f64| if value.is_finite() { format!("{value:.2}") } else { "-".into() };
         page.open("tr").open("th").attribute_of("a", "href", &encoded(&format!("{folder}/report.html")));
         page.text(folder.trim_start_matches("cells/")).close("a").close("th");
         page.element("td", &psnr(metrics.test.psnr)).element("td", &psnr(metrics.train.psnr));
         page.element("td", &metrics.gaussians.to_string());
-        page.element("td", &format!("{:.1}", metrics.seconds.gradient + metrics.seconds.evolution))
-            .close("tr");
+        page.element("td", &format!("{:.1}", metrics.seconds.training())).close("tr");
     }
     page.close("table").close("figure");
     write_repeat(&mut page, command);
@@ -141,7 +137,7 @@ fn encoded(path: &str) -> String {
 }
 
 /// The experiment as a file that repeats it.
-pub fn to_toml(file: &ExperimentFile) -> String {
+pub(crate) fn to_toml(file: &ExperimentFile) -> String {
     toml::to_string(file).expect("an experiment came from TOML")
 }
 

@@ -1,61 +1,38 @@
 //! From a file to a checked list of cells. Nothing here runs, or touches a disk but to see whether the scenes are there.
-//!
-//! Settings of an arm are those of all cells with its own written over them, key by key; a table that has a `kind`
-//! replaces the other, since kinds have keys of their own.
 
 use std::path::{Path, PathBuf};
 
 use anyhow::{Result, anyhow, bail, ensure};
-use genesplat::train::EvolutionMode;
-use genesplat::train::config::EvolutionConfig;
-use toml::{Table, Value};
 
-use super::file::{ArmTable, CONTROL, ExperimentFile, GalleryTable, control_table};
+use super::arms::{Arm, resolve_arms};
+use super::file::{ExperimentFile, GalleryTable};
 use crate::args::MachineArgs;
-use crate::scene;
+use crate::overwrite::check_apart;
 use crate::settings::{ConfigFile, Settings, check_size};
 
 /// The scene that needs no folder.
-pub const BUNDLED: &str = "gallery";
-/// Settings that belong to the matrix or to the machine.
-const NOT_FOR_CONFIG: [&str; 5] = ["seed", "variant", "dataset", "device", "threads"];
-
-/// What is compared.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Arm {
-    /// A word for tables and folders.
-    pub name: String,
-    /// Index of the arm whose seconds it spends.
-    pub control_of: Option<usize>,
-    /// All of its settings that differ from the defaults.
-    config: Table,
-}
-
-/// One run. Indices are into the lists of an [`Experiment`].
+pub(crate) const BUNDLED: &str = "gallery";
+/// One run, by indices into the lists of an [`Experiment`]: `file.scenes`, `file.variants`, `arms`, `file.seeds`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Cell {
-    /// Of `file.scenes`.
-    pub scene: usize,
-    /// Of `file.variants`.
-    pub variant: usize,
-    /// Of `arms`.
-    pub arm: usize,
-    /// Of `file.seeds`.
-    pub seed: usize,
+pub(crate) struct Cell {
+    pub(crate) scene: usize,
+    pub(crate) variant: usize,
+    pub(crate) arm: usize,
+    pub(crate) seed: usize,
 }
 
 /// A checked experiment.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Experiment {
+pub(crate) struct Experiment {
     /// As it was described, flags included.
-    pub file: ExperimentFile,
+    pub(crate) file: ExperimentFile,
     /// In the order of the tables: the baseline first, a control right after what it controls.
-    pub arms: Vec<Arm>,
+    pub(crate) arms: Vec<Arm>,
 }
 
 impl Experiment {
     /// Checks everything that can be known before the first run: an error after a night is an expensive one.
-    pub fn new(file: ExperimentFile) -> Result<Self> {
+    pub(crate) fn new(file: ExperimentFile) -> Result<Self> {
         let arms = resolve_arms(&file)?;
         check_names("scenes", file.scenes.iter().map(|scene| scene_label(scene)))?;
         check_names("variants", file.variants.iter().map(|variant| variant.name()))?;
@@ -98,7 +75,7 @@ impl Experiment {
 
     /// All cells in the order in which they are run: scene by scene, so that each is loaded once, pairs together, and a
     /// control after the cell whose seconds it spends.
-    pub fn cells(&self) -> Vec<Cell> {
+    pub(crate) fn cells(&self) -> Vec<Cell> {
         let (file, mut order) = (&self.file, Vec::from_iter(0..self.arms.len()));
         order.sort_by_key(|&arm| self.arms[arm].control_of.is_some());
         let mut cells = Vec::new();
@@ -113,12 +90,12 @@ impl Experiment {
     }
 
     /// Name of a scene, for tables and folders.
-    pub fn scene_name(&self, scene: usize) -> &str {
+    pub(crate) fn scene_name(&self, scene: usize) -> &str {
         scene_label(&self.file.scenes[scene])
     }
 
     /// Where a scene's photos are, if `data` holds the scenes and `out` the experiment.
-    pub fn scene_path(&self, scene: usize, data: Option<&Path>, out: &Path) -> PathBuf {
+    pub(crate) fn scene_path(&self, scene: usize, data: Option<&Path>, out: &Path) -> PathBuf {
         let name = &self.file.scenes[scene];
         if name == BUNDLED {
             // The options are in the path, so that runs on another gallery are not taken for runs on this one.
@@ -130,7 +107,7 @@ impl Experiment {
     }
 
     /// Fails where a scene has no folder, or is the folder `out` itself; what is in the folder is for the runner to look at.
-    pub fn check_scenes(&self, data: Option<&Path>, out: &Path) -> Result<()> {
+    pub(crate) fn check_scenes(&self, data: Option<&Path>, out: &Path) -> Result<()> {
         let scenes = &self.file.scenes;
         let foreign = scenes.iter().filter(|name| *name != BUNDLED);
         if let (None, Some(name)) = (data, foreign.clone().next()) {
@@ -145,18 +122,18 @@ impl Experiment {
             folder.display(),
             missing.join(", ")
         );
-        (0..scenes.len()).try_for_each(|scene| scene::check_apart(&self.scene_path(scene, data, out), out))
+        (0..scenes.len()).try_for_each(|scene| check_apart(&self.scene_path(scene, data, out), out))
     }
 
     /// Where a cell's run folder is, below the experiment's.
-    pub fn folder(&self, cell: Cell) -> PathBuf {
+    pub(crate) fn folder(&self, cell: Cell) -> PathBuf {
         let (scene, variant) = (self.scene_name(cell.scene), self.file.variants[cell.variant].name());
         let seed = format!("seed-{}", self.file.seeds[cell.seed]);
         ["cells", scene, variant, &self.arms[cell.arm].name, &seed].iter().collect()
     }
 
     /// The settings of a cell of the scene at `path`. A control needs the seconds that it may spend in all.
-    pub fn settings(
+    pub(crate) fn settings(
         &self,
         cell: Cell,
         path: &Path,
@@ -164,6 +141,12 @@ impl Experiment {
         control_seconds: Option<f64>,
     ) -> Result<Settings> {
         self.config(cell, path, control_seconds)?.resolve(machine)
+    }
+
+    /// Training steps of a cell that has come to its end.
+    pub(crate) fn iterations(&self, cell: Cell) -> u32 {
+        let resolved = self.config(cell, Path::new(""), None).map(|config| config.train.resolve());
+        resolved.ok().and_then(Result::ok).expect("settings were checked").schedule().iterations
     }
 
     /// The same before there is a device.
@@ -199,83 +182,6 @@ fn scene_label(scene: &str) -> &str {
     Path::new(scene).file_name().and_then(|name| name.to_str()).unwrap_or(scene)
 }
 
-/// Settings merged, controls resolved, and all of them in the order of the tables.
-fn resolve_arms(file: &ExperimentFile) -> Result<Vec<Arm>> {
-    let tables = in_table_order(file)?;
-    let index = |name: &str| tables.iter().position(|arm| arm.name == name);
-    let mut arms = Vec::new();
-    for table in &tables {
-        check_word(&table.name)?;
-        [&file.config, &table.config].into_iter().try_for_each(|config| check_config(config, &table.name))?;
-        let control_of = table.control_of.as_deref().and_then(index);
-        let mut config = file.config.clone();
-        if let Some(target) = control_of {
-            merge(&mut config, &tables[target].config);
-            let controlled = check_controlled(&config, table, &tables[target])?;
-            merge(&mut config, &control_table(&controlled));
-        }
-        merge(&mut config, &table.config);
-        arms.push(Arm { name: table.name.clone(), control_of, config });
-    }
-    Ok(arms)
-}
-
-/// The baseline, then the others as given, each followed by its controls.
-fn in_table_order(file: &ExperimentFile) -> Result<Vec<ArmTable>> {
-    let arms = file.all_arms();
-    let baseline = file.baseline.as_deref().or(arms.first().map(|arm| arm.name.as_str()));
-    let is_baseline = |arm: &ArmTable| Some(arm.name.as_str()) == baseline;
-    let known = |name: &str| arms.iter().any(|arm| arm.name == name && arm.control_of.is_none());
-    match baseline {
-        None => bail!("the experiment has no arms; list modes in `evolve`, or add [[arms]]"),
-        Some(name) if !known(name) => bail!("the baseline `{name}` is not an arm that trains on its own"),
-        Some(_) => {}
-    }
-    if let Some(lost) = arms.iter().filter_map(|arm| arm.control_of.as_deref()).find(|of| !known(of)) {
-        bail!("control_of names `{lost}`, which is not an arm that evolves");
-    }
-    let has_controls = arms.iter().any(|arm| arm.control_of.is_some());
-    ensure!(
-        has_controls || !file.evolve.iter().any(|mode| mode == CONTROL),
-        "`evolve` asks for controls, and no arm evolves; add a mode, or take `control` out"
-    );
-    let (first, rest): (Vec<_>, Vec<_>) =
-        arms.iter().filter(|arm| arm.control_of.is_none()).partition(|arm| is_baseline(arm));
-    let with_controls = |arm: &ArmTable| {
-        let controls = arms.iter().filter(|control| control.control_of.as_ref() == Some(&arm.name));
-        std::iter::once(arm.clone()).chain(controls.cloned()).collect::<Vec<_>>()
-    };
-    Ok(first.into_iter().chain(rest).flat_map(with_controls).collect())
-}
-
-/// Only seconds of an evolution stage can be spent otherwise; returns what the stages are.
-fn check_controlled(config: &Table, control: &ArmTable, target: &ArmTable) -> Result<EvolutionConfig> {
-    let parsed = ConfigFile::from_table(config.clone()).map_err(|error| anyhow!("{error}"))?;
-    let evolution = parsed.train.evolution;
-    let evolves = !matches!(evolution.mode, EvolutionMode::Off | EvolutionMode::Control);
-    ensure!(evolves, "arm `{}` is the control of `{}`, which does not evolve", control.name, target.name);
-    Ok(evolution)
-}
-
-fn check_config(config: &Table, arm: &str) -> Result<()> {
-    if let Some(key) = NOT_FOR_CONFIG.into_iter().find(|key| config.contains_key(*key)) {
-        bail!(
-            "arm `{arm}`: `{key}` cannot be set in a config table, since the experiment sets it for each cell"
-        );
-    }
-    Ok(())
-}
-
-/// Arms become folders and columns.
-fn check_word(name: &str) -> Result<()> {
-    let allowed = |c: char| c.is_ascii_alphanumeric() || "-_.=".contains(c);
-    ensure!(
-        name.starts_with(|c: char| c.is_ascii_alphanumeric()) && name.chars().all(allowed),
-        "`{name}` cannot be the name of an arm; use letters, digits and - _ . ="
-    );
-    Ok(())
-}
-
 fn check_names<'a>(what: &str, names: impl Iterator<Item = &'a str>) -> Result<()> {
     check_list(what, &names.collect::<Vec<_>>())
 }
@@ -290,22 +196,8 @@ fn check_list<T: PartialEq + std::fmt::Display>(what: &str, items: &[T]) -> Resu
     }
 }
 
-/// Writes `over` into `base`, key by key.
-fn merge(base: &mut Table, over: &Table) {
-    for (key, value) in over {
-        match (base.get_mut(key), value) {
-            (Some(Value::Table(old)), Value::Table(new)) if !new.contains_key("kind") => merge(old, new),
-            _ => {
-                base.insert(key.clone(), value.clone());
-            }
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
-    use genesplat::train::Trigger;
-
     use super::*;
 
     fn file(text: &str) -> ExperimentFile {
@@ -333,66 +225,6 @@ mod tests {
         let folders: std::collections::HashSet<_> =
             cells.iter().map(|&cell| experiment.folder(cell)).collect();
         assert_eq!(folders.len(), cells.len(), "no two cells share a folder");
-    }
-
-    #[test]
-    fn arms_override_the_common_settings_and_a_control_has_those_of_its_arm() {
-        let experiment = Experiment::new(file(
-            "scenes = [\"a\"]\nseeds = [1]\nbaseline = \"off\"\n\
-             [config]\nsteps_scale = 0.5\nevolution.paper.crossover = { kind = \"points\", points = 3 }\n\
-             [[arms]]\nname = \"equal-time\"\ncontrol_of = \"one\"\n\
-             [[arms]]\nname = \"one\"\n\
-             config.evolution = { mode = \"paper\", trigger = \"before-reset\", paper.crossover.kind = \"one_point\" }\n\
-             [[arms]]\nname = \"late\"\ncontrol_of = \"one\"\nconfig.evolution.trigger = \"at-end\"\n\
-             [[arms]]\nname = \"off\"",
-        ))
-        .unwrap();
-        let controls = [("equal-time", Some(1)), ("late", Some(1))];
-        assert_eq!(names(&experiment), [("off", None), ("one", None), controls[0], controls[1]]);
-        let settings = |arm| {
-            let cell = Cell { scene: 0, variant: 0, arm, seed: 0 };
-            experiment.settings(cell, Path::new("a"), MachineArgs::default(), Some(10.0)).unwrap().train
-        };
-        let (one, control) = (settings(1), settings(2));
-        let (one, control) = (one.config(), control.config());
-        assert_eq!((one.seed, one.steps_scale, one.evolution.mode), (1, 0.5, EvolutionMode::Paper));
-        assert_eq!(
-            (control.evolution.mode, control.evolution.control_seconds),
-            (EvolutionMode::Control, 2.5),
-            "ten seconds in all, at four resets"
-        );
-        assert_eq!(one.evolution.trigger, control.evolution.trigger);
-        assert_eq!(one.evolution.paper.crossover, genesplat::evolve::Crossover::OnePoint);
-        assert_eq!(settings(3).config().evolution.control_seconds, 10.0, "all of them at the end");
-        assert_eq!(settings(0).config().evolution.mode, EvolutionMode::Off);
-    }
-
-    #[test]
-    fn a_control_comes_when_its_arm_does_or_after_the_last_step() {
-        let modes = "evolve = [\"off\", \"paper\", \"renew\", \"recombine\", \"mosaic\", \"control\"]";
-        let triggers = |trigger: &str| {
-            let text = format!("scenes = [\"a\"]\nseeds = [1]\n{modes}\n[config.evolution]\n{trigger}");
-            triggers_of_controls(&Experiment::new(file(&text)).unwrap())
-        };
-        let at_end = (Some(Trigger::AtEnd), 8.0);
-        assert_eq!(triggers(""), [(None, 2.0), at_end, at_end, at_end]);
-        // What the paper's stages and mosaic's are given is none of the others'.
-        let before_reset = (Some(Trigger::BeforeReset), 2.0);
-        assert_eq!(triggers("trigger = \"before-reset\""), [before_reset, at_end, at_end, before_reset]);
-    }
-
-    /// When the controls come, and the seconds of each of their stages.
-    fn triggers_of_controls(experiment: &Experiment) -> Vec<(Option<Trigger>, f64)> {
-        let controls = experiment.arms.iter().enumerate().filter(|(_, arm)| arm.control_of.is_some());
-        controls
-            .map(|(arm, _)| {
-                let cell = Cell { scene: 0, variant: 0, arm, seed: 0 };
-                let machine = MachineArgs::default();
-                let settings = experiment.settings(cell, Path::new("a"), machine, Some(8.0)).unwrap();
-                let evolution = &settings.train.config().evolution;
-                (evolution.trigger, evolution.control_seconds)
-            })
-            .collect()
     }
 
     #[test]

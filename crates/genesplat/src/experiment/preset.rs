@@ -10,7 +10,7 @@ use anyhow::{Result, anyhow, bail};
 use super::file::ExperimentFile;
 
 /// Name and text of each.
-pub const PRESETS: [(&str, &str); 11] = [
+pub(crate) const PRESETS: [(&str, &str); 11] = [
     ("smoke", include_str!("../../presets/smoke.toml")),
     ("paper-table-2-3", include_str!("../../presets/paper-table-2-3.toml")),
     ("study-evolution", include_str!("../../presets/study-evolution.toml")),
@@ -25,7 +25,7 @@ pub const PRESETS: [(&str, &str); 11] = [
 ];
 
 /// The experiment called `what`: a preset, or a file.
-pub fn open(what: &str) -> Result<ExperimentFile> {
+pub(crate) fn open(what: &str) -> Result<ExperimentFile> {
     let preset = PRESETS.iter().find(|(name, _)| *name == what);
     let text = match preset {
         Some((_, text)) => (*text).to_owned(),

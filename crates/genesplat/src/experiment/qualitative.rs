@@ -13,11 +13,11 @@ use super::boxes::{Square, changes};
 use super::plan::Cell;
 use super::results::Results;
 use super::runner::Runner;
-use crate::metrics::CellMetrics;
-use crate::run_folder::RunFolder;
+use crate::report::sheet::{GAP_PX, blank, side_by_side, stacked};
+use crate::run::metrics::Metrics;
+use crate::run::{TEST, photos};
 use crate::scene::picture_names;
-use crate::sheet::{GAP_PX, blank, side_by_side, stacked};
-use crate::{output, same_scene};
+use crate::terminal::output;
 
 /// Where error fell.
 const GREEN: [u8; 3] = [0, 200, 60];
@@ -30,16 +30,14 @@ const PANEL_PX: u32 = 320;
 
 /// A page that was written.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Page {
-    /// The PNG.
-    pub path: PathBuf,
-    /// What it shows.
-    pub caption: String,
+pub(crate) struct Page {
+    pub(crate) path: PathBuf,
+    pub(crate) caption: String,
 }
 
 /// Writes a page for every scene, variant and evolving arm whose cells are finished. A scene whose pages cannot be made gets a
 /// notice instead: its figures stand without them.
-pub fn write_pages(runner: &Runner<'_>, results: &Results<'_>) -> Vec<Page> {
+pub(crate) fn write_pages(runner: &Runner<'_>, results: &Results<'_>) -> Vec<Page> {
     let pages = |scene| {
         write_scene(runner, results, scene).unwrap_or_else(|error| {
             let name = runner.experiment.scene_name(scene);
@@ -59,7 +57,7 @@ fn write_scene(runner: &Runner<'_>, results: &Results<'_>, scene: usize) -> Resu
     let mut pages = Vec::new();
     for (without, with) in pairs {
         let folders = [without, with].map(|cell| runner.folder(cell));
-        folders.iter().try_for_each(|folder| same_scene::check_photos(folder, &scene))?;
+        folders.iter().try_for_each(|folder| photos::check(folder, &scene))?;
         let views = most_changed(results.get(without), results.get(with));
         let rows = views.into_iter().map(|view| read_row(&scene.test[view].photo, &folders, &names[view]));
         let rows = rows.collect::<Result<Vec<_>>>()?;
@@ -76,7 +74,7 @@ fn write_scene(runner: &Runner<'_>, results: &Results<'_>, scene: usize) -> Resu
 /// The row of a photo, whose renders in both runs are called `name`.
 fn read_row(photo: &Photo, runs: &[PathBuf; 2], name: &str) -> Result<Photo> {
     let render = |run: &PathBuf| {
-        let path = RunFolder::test_in(run).join(name);
+        let path = run.join(TEST).join(name);
         let render = read_photo(&path)?;
         ensure!(
             (render.width, render.height) == (photo.width, photo.height),
@@ -110,13 +108,11 @@ fn pairs_of(results: &Results<'_>, scene: usize) -> Vec<(Cell, Cell)> {
 }
 
 /// The test views that gained and lost most PSNR.
-fn most_changed(without: Option<&CellMetrics>, with: Option<&CellMetrics>) -> Vec<usize> {
-    let views =
-        |metrics: Option<&CellMetrics>| metrics.map_or(Vec::new(), |metrics| metrics.test.views.clone());
+fn most_changed(without: Option<&Metrics>, with: Option<&Metrics>) -> Vec<usize> {
+    let views = |metrics: Option<&Metrics>| metrics.map_or(Vec::new(), |metrics| metrics.test.views.clone());
     let (without, with) = (views(without), views(with));
-    let gain = |at: usize| Some(with[at].psnr? - without[at].psnr?);
-    let mut gains: Vec<(usize, f64)> =
-        (0..with.len().min(without.len())).filter_map(|at| gain(at).map(|gain| (at, gain))).collect();
+    let gains = with.iter().zip(&without).map(|(with, without)| with.psnr - without.psnr);
+    let mut gains: Vec<(usize, f64)> = gains.enumerate().filter(|(_, gain)| gain.is_finite()).collect();
     gains.sort_by(|a, b| b.1.total_cmp(&a.1));
     let ends = gains.first().into_iter().chain(gains.last().filter(|_| gains.len() > 1));
     ends.map(|(at, _)| *at).collect()
@@ -212,7 +208,7 @@ mod tests {
 
     #[test]
     fn the_views_shown_gained_and_lost_most() {
-        let metrics = |psnr: [f64; 3]| -> CellMetrics {
+        let metrics = |psnr: [f64; 3]| -> Metrics {
             let views: Vec<_> =
                 psnr.iter().map(|psnr| serde_json::json!({"name": "x", "psnr": psnr})).collect();
             let scores = serde_json::json!({"psnr": 1.0, "ssim": 1.0, "lpips": null, "views": views});

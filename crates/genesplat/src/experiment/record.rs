@@ -1,12 +1,13 @@
 //! Everything as CSV: a line a cell, and a line a comparison.
 
 use super::plan::Cell;
-use super::results::{Results, Split};
+use super::results::{Metric, Results};
 use super::statistics::{Summary, sign_test, signs, wilcoxon_test};
 use super::summary::comparisons;
+use crate::args::Split;
 
 /// Every finished cell.
-pub fn cells(results: &Results<'_>) -> String {
+pub(crate) fn cells(results: &Results<'_>) -> String {
     let experiment = results.experiment;
     let mut text = csv_line(&[
         "scene",
@@ -36,7 +37,7 @@ pub fn cells(results: &Results<'_>) -> String {
         ];
         for split in Split::ALL {
             let scores = metrics.scores(split);
-            fields.extend([scores.psnr, scores.ssim, scores.lpips].map(number));
+            fields.extend(Metric::ALL.map(|metric| number(metric.of(scores))));
         }
         fields.extend([metrics.gaussians.to_string(), metrics.iterations.to_string()]);
         fields.extend(
@@ -49,7 +50,7 @@ pub fn cells(results: &Results<'_>) -> String {
 }
 
 /// Every comparison.
-pub fn table(results: &Results<'_>) -> String {
+pub(crate) fn table(results: &Results<'_>) -> String {
     let experiment = results.experiment;
     let mut text = csv_line(&[
         "split",

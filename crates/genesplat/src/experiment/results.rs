@@ -1,48 +1,24 @@
 //! What the cells have measured, and their paired differences.
 
+use genesplat::train::evaluate::Evaluation;
+
 use super::plan::{Cell, Experiment};
-
-use crate::metrics::{CellMetrics, Scores};
-
-/// Which photos.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Split {
-    /// Those that training never saw.
-    Test,
-    /// Those that it saw.
-    Train,
-}
-
-impl Split {
-    /// Test first: that is what counts.
-    pub const ALL: [Self; 2] = [Self::Test, Self::Train];
-
-    /// As files call it.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Test => "test",
-            Self::Train => "train",
-        }
-    }
-}
+use crate::args::Split;
+use crate::run::metrics::Metrics;
 
 /// What is measured.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Metric {
-    /// Peak signal-to-noise ratio, dB.
+pub(crate) enum Metric {
     Psnr,
-    /// Structural similarity.
     Ssim,
-    /// Learned perceptual distance.
     Lpips,
 }
 
 impl Metric {
     /// In the order of the paper's tables.
-    pub const ALL: [Self; 3] = [Self::Psnr, Self::Ssim, Self::Lpips];
+    pub(crate) const ALL: [Self; 3] = [Self::Psnr, Self::Ssim, Self::Lpips];
 
-    /// As tables call it.
-    pub fn name(self) -> &'static str {
+    pub(crate) fn name(self) -> &'static str {
         match self {
             Self::Psnr => "PSNR",
             Self::Ssim => "SSIM",
@@ -51,12 +27,12 @@ impl Metric {
     }
 
     /// Its first letter, after a delta.
-    pub fn letter(self) -> &'static str {
+    pub(crate) fn letter(self) -> &'static str {
         &self.name()[..1]
     }
 
     /// Digits after the point, as in the paper.
-    pub fn digits(self) -> usize {
+    pub(crate) fn digits(self) -> usize {
         match self {
             Self::Psnr => 2,
             Self::Ssim => 4,
@@ -65,55 +41,53 @@ impl Metric {
     }
 
     /// The sign convention of the paper's Table 2: positive is better, for the distance LPIPS, too.
-    pub fn gain(self, baseline: f64, value: f64) -> f64 {
+    pub(crate) fn gain(self, baseline: f64, value: f64) -> f64 {
         match self {
             Self::Psnr | Self::Ssim => value - baseline,
             Self::Lpips => baseline - value,
         }
     }
 
-    fn of(self, scores: &Scores) -> Option<f64> {
-        match self {
-            Self::Psnr => scores.psnr,
-            Self::Ssim => scores.ssim,
+    /// `None` where it was not measured, or is infinite.
+    pub(crate) fn of(self, scores: &Evaluation) -> Option<f64> {
+        let value = match self {
+            Self::Psnr => Some(scores.psnr),
+            Self::Ssim => Some(scores.ssim),
             Self::Lpips => scores.lpips,
-        }
+        };
+        value.filter(|value| value.is_finite())
     }
 }
 
 /// Finished cells by their place in the matrix.
-pub struct Results<'a> {
-    /// What was to be run.
-    pub experiment: &'a Experiment,
-    cells: Vec<Option<CellMetrics>>,
+pub(crate) struct Results<'a> {
+    pub(crate) experiment: &'a Experiment,
+    cells: Vec<Option<Metrics>>,
 }
 
 impl<'a> Results<'a> {
-    /// None yet.
-    pub fn none(experiment: &'a Experiment) -> Self {
+    pub(crate) fn none(experiment: &'a Experiment) -> Self {
         let cells = vec![None; experiment.cells().len()];
         Self { experiment, cells }
     }
 
-    /// A cell has finished.
-    pub fn put(&mut self, cell: Cell, metrics: CellMetrics) {
+    pub(crate) fn put(&mut self, cell: Cell, metrics: Metrics) {
         let at = self.index(cell);
         self.cells[at] = Some(metrics);
     }
 
     /// What a cell has measured, if it is finished.
-    pub fn get(&self, cell: Cell) -> Option<&CellMetrics> {
+    pub(crate) fn get(&self, cell: Cell) -> Option<&Metrics> {
         self.cells[self.index(cell)].as_ref()
     }
 
-    /// How many are finished.
-    pub fn finished(&self) -> usize {
+    pub(crate) fn finished(&self) -> usize {
         self.cells.iter().flatten().count()
     }
 
     /// How many of these have photos and no LPIPS.
-    pub fn without_lpips(&self) -> usize {
-        let lacks = |cell: &&CellMetrics| cell.test.psnr.is_some() && cell.test.lpips.is_none();
+    pub(crate) fn without_lpips(&self) -> usize {
+        let lacks = |cell: &&Metrics| cell.test.psnr.is_finite() && cell.test.lpips.is_none();
         self.cells.iter().flatten().filter(lacks).count()
     }
 
@@ -123,18 +97,18 @@ impl<'a> Results<'a> {
     }
 
     /// `value` of every finished repeat of an arm.
-    pub fn repeats<T>(&self, cell: Cell, value: impl Fn(&CellMetrics) -> Option<T>) -> Vec<T> {
+    pub(crate) fn repeats<T>(&self, cell: Cell, value: impl Fn(&Metrics) -> Option<T>) -> Vec<T> {
         let seeds = 0..self.experiment.file.seeds.len();
         seeds.filter_map(|seed| self.get(Cell { seed, ..cell }).and_then(&value)).collect()
     }
 
     /// A metric of every finished repeat of an arm.
-    pub fn values(&self, cell: Cell, split: Split, metric: Metric) -> Vec<f64> {
+    pub(crate) fn values(&self, cell: Cell, split: Split, metric: Metric) -> Vec<f64> {
         self.repeats(cell, |metrics| metric.of(metrics.scores(split)))
     }
 
     /// Gains over the arm `against`, one for each seed that both have finished.
-    pub fn gains(&self, cell: Cell, against: usize, split: Split, metric: Metric) -> Vec<f64> {
+    pub(crate) fn gains(&self, cell: Cell, against: usize, split: Split, metric: Metric) -> Vec<f64> {
         let value = |cell: Cell| self.get(cell).and_then(|metrics| metric.of(metrics.scores(split)));
         let seeds = 0..self.experiment.file.seeds.len();
         let gain = |seed| {
@@ -145,7 +119,7 @@ impl<'a> Results<'a> {
     }
 
     /// The metrics that at least one cell has.
-    pub fn metrics(&self) -> Vec<Metric> {
+    pub(crate) fn metrics(&self) -> Vec<Metric> {
         let has = |metric: &Metric| {
             self.cells
                 .iter()
@@ -156,9 +130,8 @@ impl<'a> Results<'a> {
     }
 }
 
-impl CellMetrics {
-    /// Those of one split.
-    pub fn scores(&self, split: Split) -> &Scores {
+impl Metrics {
+    pub(crate) fn scores(&self, split: Split) -> &Evaluation {
         match split {
             Split::Test => &self.test,
             Split::Train => &self.train,

@@ -6,18 +6,15 @@
 
 /// Mean and sample standard deviation; the latter needs two values. `None` for no values.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Summary {
-    /// Number of values.
-    pub n: usize,
-    /// Their mean.
-    pub mean: f64,
+pub(crate) struct Summary {
+    pub(crate) n: usize,
+    pub(crate) mean: f64,
     /// Their standard deviation, with `n - 1` below the fraction.
-    pub spread: Option<f64>,
+    pub(crate) spread: Option<f64>,
 }
 
 impl Summary {
-    /// Of `values`.
-    pub fn of(values: &[f64]) -> Option<Self> {
+    pub(crate) fn of(values: &[f64]) -> Option<Self> {
         let n = values.len();
         let mean = values.iter().sum::<f64>() / n as f64;
         let squares = values.iter().map(|value| (value - mean).powi(2)).sum::<f64>();
@@ -27,13 +24,13 @@ impl Summary {
 }
 
 /// How many differences are above zero, below, and at zero.
-pub fn signs(differences: &[f64]) -> [usize; 3] {
+pub(crate) fn signs(differences: &[f64]) -> [usize; 3] {
     let count = |holds: fn(&f64) -> bool| differences.iter().filter(|difference| holds(difference)).count();
     [count(|d| *d > 0.0), count(|d| *d < 0.0), count(|d| *d == 0.0)]
 }
 
 /// The sign test: the probability that a fair coin is as lopsided as these signs.
-pub fn sign_test(differences: &[f64]) -> f64 {
+pub(crate) fn sign_test(differences: &[f64]) -> f64 {
     let [wins, losses, _] = signs(differences);
     let n = wins + losses;
     let mut term = 0.5f64.powi(n as i32);
@@ -47,7 +44,7 @@ pub fn sign_test(differences: &[f64]) -> f64 {
 
 /// Wilcoxon's signed-rank test: as the sign test, with differences weighted by the rank of their size. Equal sizes share
 /// the mean of their ranks, and the distribution is that of the shared ranks.
-pub fn wilcoxon_test(differences: &[f64]) -> f64 {
+pub(crate) fn wilcoxon_test(differences: &[f64]) -> f64 {
     let ranked = doubled_ranks(differences);
     let total: usize = ranked.iter().map(|(rank, _)| rank).sum();
     let positive: usize = ranked.iter().filter(|(_, positive)| *positive).map(|(rank, _)| rank).sum();

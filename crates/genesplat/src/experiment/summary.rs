@@ -6,48 +6,43 @@
 //! repeats of one scene are no independent witnesses.
 
 use super::plan::{Cell, Experiment};
-use super::results::{Metric, Results, Split};
+use super::results::{Metric, Results};
 use super::statistics::{Summary, sign_test, signs, wilcoxon_test};
 use super::table::{Column, Entry, Table};
-use crate::metrics::CellMetrics;
+use crate::args::Split;
+use crate::run::metrics::Metrics;
 
 /// The name of the row of means over scenes.
 const ALL: &str = "mean of scenes";
 
 /// A comparison of two arms on one scene, or on all.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Comparison {
-    /// Index of the variant.
-    pub variant: usize,
+pub(crate) struct Comparison {
+    pub(crate) variant: usize,
     /// `None` for the means of all scenes.
-    pub scene: Option<usize>,
-    /// Index of the arm.
-    pub arm: usize,
-    /// Index of the arm that it is compared with.
-    pub against: usize,
-    /// Which photos.
-    pub split: Split,
-    /// Which metric.
-    pub metric: Metric,
+    pub(crate) scene: Option<usize>,
+    pub(crate) arm: usize,
+    pub(crate) against: usize,
+    pub(crate) split: Split,
+    pub(crate) metric: Metric,
     /// One difference a pair; positive is better.
-    pub gains: Vec<f64>,
+    pub(crate) gains: Vec<f64>,
 }
 
 /// The tables of an experiment, test photos first.
-pub struct Tables {
+pub(crate) struct Tables {
     /// The paper's: quality, and differences.
-    pub quality: Vec<Table>,
+    pub(crate) quality: Vec<Table>,
     /// Whether the differences may be chance.
-    pub tests: Vec<Table>,
+    pub(crate) tests: Vec<Table>,
     /// Numbers of Gaussians.
-    pub sizes: Vec<Table>,
+    pub(crate) sizes: Vec<Table>,
     /// What another machine, or another day, says differently.
-    pub costs: Vec<Table>,
+    pub(crate) costs: Vec<Table>,
 }
 
 impl Tables {
-    /// Of all that is finished.
-    pub fn of(results: &Results<'_>) -> Self {
+    pub(crate) fn of(results: &Results<'_>) -> Self {
         let variants = 0..results.experiment.file.variants.len();
         let of_split = |split| variants.clone().map(move |variant| quality(results, split, variant));
         Self {
@@ -59,13 +54,13 @@ impl Tables {
     }
 
     /// Those that depend on seeds alone (but for controls by time).
-    pub fn repeatable(&self) -> impl Iterator<Item = &Table> {
+    pub(crate) fn repeatable(&self) -> impl Iterator<Item = &Table> {
         self.quality.iter().chain(&self.tests).chain(&self.sizes)
     }
 }
 
 /// Every comparison that the experiment makes: each arm with the baseline, each evolution with its control.
-pub fn comparisons(results: &Results<'_>) -> Vec<Comparison> {
+pub(crate) fn comparisons(results: &Results<'_>) -> Vec<Comparison> {
     let mut all = Vec::new();
     for split in Split::ALL {
         for metric in results.metrics() {
@@ -82,7 +77,7 @@ pub fn comparisons(results: &Results<'_>) -> Vec<Comparison> {
     all
 }
 
-/// Who is compared with whom.
+/// Which arm is compared with which.
 fn pairs_of_arms(experiment: &Experiment) -> Vec<(usize, usize)> {
     let with_baseline = (1..experiment.arms.len()).map(|arm| (arm, 0));
     let controls = experiment.arms.iter().enumerate();
@@ -124,12 +119,8 @@ fn means_of_scenes(results: &Results<'_>, of_scene: impl Fn(usize) -> Vec<f64>) 
 }
 
 fn figure(values: &[f64], digits: usize, gain: bool) -> Entry {
-    Summary::of(values).map_or(Entry::Absent, |Summary { mean, spread, .. }| Entry::Figure {
-        mean,
-        spread,
-        digits,
-        gain,
-    })
+    let Some(Summary { mean, spread, .. }) = Summary::of(values) else { return Entry::Absent };
+    Entry::Figure { mean, spread, digits, gain }
 }
 
 fn row_name(experiment: &Experiment, scene: Option<usize>) -> String {
@@ -182,12 +173,8 @@ fn repeats(results: &Results<'_>) -> String {
         1 => "one seed".into(),
         seeds => format!("{seeds} seeds"),
     };
-    match (results.finished(), results.experiment.cells().len()) {
-        (finished, cells) if finished < cells => {
-            format!("{seeds}; {finished} of {cells} runs are finished so far")
-        }
-        _ => seeds,
-    }
+    let (finished, cells) = (results.finished(), results.experiment.cells().len());
+    if finished == cells { seeds } else { format!("{seeds}; {finished} of {cells} runs are finished so far") }
 }
 
 /// The tests of one split.
@@ -240,13 +227,13 @@ fn seconds(results: &Results<'_>, variant: usize) -> Table {
         "{name}: wall-clock seconds of training on this machine, loading and scoring left out. A control trains for as many \
          seconds as another arm evolves, unless `evolution.control_steps` says how many steps it makes."
     );
-    let all = |metrics: &CellMetrics| metrics.seconds.gradient + metrics.seconds.evolution;
-    let evolution = |metrics: &CellMetrics| metrics.seconds.evolution;
+    let all = |metrics: &Metrics| metrics.seconds.training();
+    let evolution = |metrics: &Metrics| metrics.seconds.evolution;
     plain(results, variant, caption, 1, &[("seconds", all), ("of these evolution", evolution)])
 }
 
 /// A figure of a cell.
-type Figure = fn(&CellMetrics) -> f64;
+type Figure = fn(&Metrics) -> f64;
 
 /// A row a scene, and for each arm what `columns` make of a cell.
 fn plain(
@@ -277,7 +264,6 @@ fn plain(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::metrics::{CellSeconds, Scores};
 
     /// Two scenes, three seeds, off and paper and its control, with these PSNRs on test photos.
     fn experiment() -> Experiment {
@@ -285,15 +271,12 @@ mod tests {
         Experiment::new(toml::from_str(text).unwrap()).unwrap()
     }
 
-    fn metrics(psnr: f64, lpips: Option<f64>) -> CellMetrics {
-        let scores = |psnr| Scores { psnr: Some(psnr), ssim: Some(0.5), lpips, views: Vec::new() };
-        CellMetrics {
-            iterations: 1,
-            gaussians: 100,
-            test: scores(psnr),
-            train: scores(psnr + 1.0),
-            seconds: CellSeconds { gradient: 2.0, evolution: 1.0 },
-        }
+    fn metrics(psnr: f64, lpips: Option<f64>) -> Metrics {
+        let scores = |psnr: f64| serde_json::json!({"psnr": psnr, "ssim": 0.5, "lpips": lpips});
+        let seconds = serde_json::json!({"gradient": 2.0, "evolution": 1.0});
+        let metrics = serde_json::json!({"iterations": 1, "gaussians": 100, "test": scores(psnr), "train": scores(psnr + 1.0),
+            "seconds": seconds});
+        serde_json::from_value(metrics).unwrap()
     }
 
     /// Hand-made: scene a gains 0.1, 0.2, 0.3 from evolution, scene b loses 0.1 each; the control does nothing.

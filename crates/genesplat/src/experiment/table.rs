@@ -1,39 +1,34 @@
 //! A table of figures, and the ways to write it: Markdown, LaTeX, HTML.
 //!
-//! What a figure means is decided once, in the cell ([`Entry`]); the writers only dress it.
+//! What a figure means is decided once, in the cell ([`Entry`]); the writers only format it.
 
 use crate::report::html::Html;
 
 /// A table.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Table {
-    /// What it shows, a sentence.
-    pub caption: String,
+pub(crate) struct Table {
+    pub(crate) caption: String,
     /// Columns after the first, which names the rows.
-    pub columns: Vec<Column>,
+    pub(crate) columns: Vec<Column>,
     /// Name and entries of each row, one entry a column.
-    pub rows: Vec<(String, Vec<Entry>)>,
+    pub(crate) rows: Vec<(String, Vec<Entry>)>,
 }
 
 /// A column; neighbours of the same group share a heading.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Column {
+pub(crate) struct Column {
     /// Heading above its own; may be empty.
-    pub group: String,
-    /// Its own heading.
-    pub name: String,
+    pub(crate) group: String,
+    pub(crate) name: String,
 }
 
 /// One cell of a table.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Entry {
-    /// There is nothing to show.
+pub(crate) enum Entry {
     Absent,
-    /// As it is.
     Text(String),
     /// A mean and its standard deviation.
     Figure {
-        /// The mean.
         mean: f64,
         /// Unless there is one value only.
         spread: Option<f64>,
@@ -68,7 +63,7 @@ fn signed(value: f64, digits: usize) -> String {
 
 impl Table {
     /// As Markdown, bold where it improves.
-    pub fn to_markdown(&self) -> String {
+    pub(crate) fn to_markdown(&self) -> String {
         let line = |cells: Vec<String>| format!("| {} |\n", cells.join(" | "));
         let heading = |column: &Column| format!("{} {}", column.group, column.name).trim().to_owned();
         let first = vec![String::new()];
@@ -88,7 +83,7 @@ impl Table {
     }
 
     /// As a LaTeX table that needs the packages `booktabs` and `xcolor`; blue where it improves, as in the paper.
-    pub fn to_latex(&self) -> String {
+    pub(crate) fn to_latex(&self) -> String {
         let group =
             |(name, width): &(&str, usize)| format!("\\multicolumn{{{width}}}{{c}}{{{}}}", latex(name));
         let groups: Vec<String> = self.groups().iter().map(group).collect();
@@ -111,8 +106,7 @@ impl Table {
         lines.join("\n")
     }
 
-    /// As HTML.
-    pub fn write_html(&self, page: &mut Html) {
+    pub(crate) fn write_html(&self, page: &mut Html) {
         page.open("figure class=\"table\"");
         page.element("figcaption", &self.caption);
         page.open("table");

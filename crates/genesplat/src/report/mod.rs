@@ -10,9 +10,11 @@
 //! | [`chart`] | curves as SVG |
 //! | [`picture`] | pictures as data URIs, error maps |
 //! | [`run`] | the page of one run |
+//! | [`sheet`] | pictures arranged on a white sheet |
 
 pub mod chart;
 pub mod curves;
 pub mod html;
 pub mod picture;
 pub mod run;
+pub mod sheet;

@@ -13,8 +13,8 @@ use super::chart::{Chart, Series};
 use super::curves::{Curves, Stage, thinned};
 use super::html::{Html, document};
 use super::picture::{self, ERROR_LEGEND};
-use crate::metrics::Metrics;
-use crate::run_folder::RunFolder;
+use crate::run::metrics::Metrics;
+use crate::run::{LOG, TEST};
 use crate::scene::picture_names;
 
 /// Points of a curve: more than a screen can show.
@@ -43,7 +43,7 @@ impl RunPage<'_> {
     pub fn to_html(&self) -> Result<String> {
         let Metrics { dataset, variant, evolve, seed, .. } = self.metrics;
         let title = format!("{dataset}: {variant}, evolution {}, seed {seed}", evolve.name());
-        let curves = Curves::read(&RunFolder::log_in(self.folder))?;
+        let curves = Curves::read(&self.folder.join(LOG))?;
         let mut page = Html::new();
         page.element("h1", &title);
         self.write_figures(&mut page);
@@ -96,7 +96,7 @@ impl RunPage<'_> {
         for (word, at) in
             [("Best", best), ("Worst", worst)].into_iter().take(if best == worst { 1 } else { 2 })
         {
-            let render = read_photo(&RunFolder::test_in(self.folder).join(&names[at]))?;
+            let render = read_photo(&self.folder.join(TEST).join(&names[at]))?;
             write_view(page, word, &scores[at], &self.scene.test[at], &render);
         }
         Ok(())

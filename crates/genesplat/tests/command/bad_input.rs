@@ -1,4 +1,4 @@
-//! Torn, empty and hostile inputs: exit status 1 and one sentence, never a panic, never all of the memory.
+//! Partial, empty and hostile inputs: exit status 1 and one sentence, never a panic, never all of the memory.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -160,7 +160,7 @@ fn a_results_folder_that_cannot_be_written_fails_before_anything_is_read() {
     );
 }
 
-/// `/dev/full` is a disk without room: the log is sent there, and training stops at its first line.
+/// `/dev/full` is a full disk: the log is sent there, and training stops at its first line.
 #[cfg(target_os = "linux")]
 #[test]
 fn a_full_disk_stops_training_and_keeps_what_could_be_saved() {
@@ -177,7 +177,7 @@ fn a_full_disk_stops_training_and_keeps_what_could_be_saved() {
     succeed(train(scene(), &out, &["--resume", "--iterations", "20"]));
 }
 
-/// Where nobody hears what a run says, it goes on; and an error is an exit status, not an abort.
+/// A run that is not heard goes on; and an error is an exit status, not an abort.
 #[cfg(target_os = "linux")]
 #[test]
 fn a_full_stderr_ends_nothing() {
@@ -230,7 +230,7 @@ fn a_folder_has_one_writer() {
     fs::create_dir(&out).unwrap();
     let lock = fs::File::create(out.join(".lock")).unwrap();
     lock.lock().unwrap();
-    // Of the run that is under way; nobody is told to remove it.
+    // Of the run that is under way: no sentence says to remove it.
     fs::create_dir(out.join("checkpoint")).unwrap();
     fs::write(out.join("checkpoint/latest.checkpoint"), "hours of work").unwrap();
     let says = ["another genesplat is writing to", text(&out), "choose another --out"];
@@ -291,16 +291,16 @@ fn write_blender(scene: &Path) {
 }
 
 #[test]
-fn splats_that_are_torn_or_none() {
+fn splats_that_are_partial_or_none() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("run");
     succeed(train(scene(), &out, &["--iterations", "3"]));
     let evaluate = |path: &Path| ["evaluate", text(path), "--data", text(scene())].map(str::to_owned);
 
-    let torn = folder.path().join("torn.ply");
-    fs::copy(out.join("point_cloud.ply"), &torn).unwrap();
-    edit(&torn, |bytes| bytes.truncate(bytes.len() / 2));
-    fail(evaluate(&torn), &["torn.ply", "cut off"]);
+    let partial = folder.path().join("partial.ply");
+    fs::copy(out.join("point_cloud.ply"), &partial).unwrap();
+    edit(&partial, |bytes| bytes.truncate(bytes.len() / 2));
+    fail(evaluate(&partial), &["partial.ply", "cut off"]);
 
     let poisoned = folder.path().join("nan.ply");
     fs::copy(out.join("point_cloud.ply"), &poisoned).unwrap();
@@ -316,7 +316,7 @@ fn splats_that_are_torn_or_none() {
     let picture = folder.path().join("picture.png");
     let render = ["render", text(&empty), "--data", text(scene()), "--image", "gallery_000", "--out"];
     fail(render.iter().chain(&[text(&picture)]), &["empty.ply", "no Gaussians"]);
-    let refine = ["refine", text(&empty), "--data", text(scene()), "--out", text(&torn)];
+    let refine = ["refine", text(&empty), "--data", text(scene()), "--out", text(&partial)];
     fail(refine, &["empty.ply", "no Gaussians"]);
 
     fail(evaluate(&folder.path().join("absent.ply")), &["absent.ply", "does not exist", "folder of a run"]);

@@ -80,11 +80,11 @@ fn finished_cells_are_left_alone_and_spoilt_ones_repeated() {
     succeed(experiment(&file, &out, &[]));
     assert_eq!(times(&out), first);
 
-    // One cell's metrics are gone, another's are torn; the control of the second follows it.
+    // One cell's metrics are gone, another's are partial; the control of the second follows it.
     fs::remove_file(cell("off/seed-0/metrics.json")).unwrap();
-    let torn = cell("paper/seed-1/metrics.json");
-    let bytes = fs::read(&torn).unwrap();
-    fs::write(&torn, &bytes[..bytes.len() / 2]).unwrap();
+    let partial = cell("paper/seed-1/metrics.json");
+    let bytes = fs::read(&partial).unwrap();
+    fs::write(&partial, &bytes[..bytes.len() / 2]).unwrap();
     let output = run(experiment(&file, &out, &[]));
     assert!(output.status.success());
     let board = String::from_utf8(output.stderr).unwrap();
@@ -251,7 +251,7 @@ fn a_cell_that_fails_hides_no_finished_one() {
     for name in ["two", "three"] {
         fs::remove_dir_all(folder.path().join("out/cells").join(name)).unwrap();
     }
-    fs::write(two.join("images/gallery_003.png"), "torn").unwrap();
+    fs::write(two.join("images/gallery_003.png"), "partial").unwrap();
     fail(&arguments, &["two", "gallery_003.png", "neither a PNG nor"]);
     let tables = fs::read_to_string(folder.path().join("out/tables.md")).unwrap();
     assert!(["| one |", "| three |"].iter().all(|row| tables.contains(row)), "{tables}");

@@ -1,4 +1,4 @@
-//! LPIPS: against the authors' own figures where the weights are at hand; and weights that are torn, wrong or absent.
+//! LPIPS: against the authors' own figures where the weights are at hand; and weights that are partial, wrong or absent.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -225,9 +225,9 @@ fn weights_that_cannot_be_used() {
     install(&[&network], &["AlexNet", "lin0.weight", "both files"]);
     install(&[&heads], &["AlexNet", "features.0.weight", "both files"]);
 
-    let torn = folder.path().join("torn.safetensors");
-    fs::write(&torn, &fs::read(&network).unwrap()[..5_000_000]).unwrap();
-    install(&[&torn, &heads], &["torn.safetensors", "no whole"]);
+    let partial = folder.path().join("partial.safetensors");
+    fs::write(&partial, &fs::read(&network).unwrap()[..5_000_000]).unwrap();
+    install(&[&partial, &heads], &["partial.safetensors", "no whole"]);
     let text_file = folder.path().join("readme.txt");
     fs::write(&text_file, "no weights").unwrap();
     install(&[&text_file], &["readme.txt", "no whole"]);

@@ -4,6 +4,7 @@ mod bad_input;
 mod determinism;
 mod experiment;
 mod lpips;
+mod overwrite;
 mod peer;
 mod resume;
 mod run_folder;

@@ -29,8 +29,8 @@ fn renders_of_the_peers_splat_match_the_references() {
     for entry in std::fs::read_dir(peer.join("reference")).unwrap() {
         let reference = entry.unwrap().path();
         let ours = folder.path().join(reference.file_name().unwrap());
-        let verdict = difference(&read_photo(&ours).unwrap(), &read_photo(&reference).unwrap());
-        assert_eq!(verdict, Ok(()), "{}", ours.display());
+        let difference = difference(&read_photo(&ours).unwrap(), &read_photo(&reference).unwrap());
+        assert_eq!(difference, Ok(()), "{}", ours.display());
         compared += 1;
     }
     assert!(compared > 0, "there are references");

@@ -83,7 +83,7 @@ fn an_interrupted_run_is_saved_and_resumed_exactly() {
     assert!(metrics["iterations"].as_u64().unwrap() < 3000, "it was stopped before its end");
     assert!(
         metrics["test"]["psnr"].is_f64() && metrics["train"]["psnr"].is_null(),
-        "nobody waits for {metrics}"
+        "scores that would be waited for: {metrics}"
     );
     assert!(broken.join("checkpoint/latest.checkpoint").exists() && !cloud(&broken).is_empty());
 
@@ -142,7 +142,7 @@ fn an_interrupted_run_is_neither_overwritten_nor_resumed_as_another() {
     fail(train(scene(), &out, &SCHEDULE), &["interrupted", "--resume"]);
     fail(train(scene(), &out, &["--resume", "--seed", "77"]), &["--resume", "others were given"]);
     fail(train(scene(), &out, &["--resume", "--max-side", "32"]), &["--resume", "others were given"]);
-    // A torn checkpoint is noticed.
+    // A partial checkpoint is noticed.
     let checkpoint = out.join("checkpoint/latest.checkpoint");
     let bytes = fs::read(&checkpoint).unwrap();
     fs::write(&checkpoint, &bytes[..bytes.len() - 9]).unwrap();

@@ -125,11 +125,12 @@ fn what_a_killed_run_has_left_is_cleared_away() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("run");
     succeed(train(scene(), &out, &["--iterations", "3"]));
-    let [torn, mine] = ["checkpoint/.genesplat-4711-3.tmp", "checkpoint/mine.tmp"].map(|name| out.join(name));
+    let [partial, mine] =
+        ["checkpoint/.genesplat-4711-3.tmp", "checkpoint/mine.tmp"].map(|name| out.join(name));
     std::fs::create_dir_all(out.join("checkpoint")).unwrap();
-    [&torn, &mine].iter().for_each(|file| std::fs::write(file, "x").unwrap());
+    [&partial, &mine].iter().for_each(|file| std::fs::write(file, "x").unwrap());
     succeed(train(scene(), &out, &["--iterations", "3"]));
-    assert!(!torn.exists() && mine.exists());
+    assert!(!partial.exists() && mine.exists());
 }
 
 /// A scene whose cameras all stand at one place, which training cannot know the size of.

@@ -7,7 +7,7 @@ use std::sync::LazyLock;
 use genesplat::gallery::{self, GalleryOptions};
 use tempfile::TempDir;
 
-/// A gallery of twelve photos of 64x48 pixels, made once; nobody may change it.
+/// A gallery of twelve photos of 64x48 pixels, made once, and changed by no test.
 static GALLERY: LazyLock<TempDir> = LazyLock::new(|| {
     let folder = tempfile::tempdir().unwrap();
     write_gallery(folder.path());

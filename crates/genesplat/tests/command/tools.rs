@@ -160,8 +160,8 @@ fn renders_are_those_of_the_evaluation() {
     let truth = read_photo(&run.join("test/gallery_008.png")).unwrap();
     assert_eq!(read_photo(&one).unwrap(), truth);
     assert_eq!(read_photo(&all.join("gallery_008.png")).unwrap(), truth);
-    let arguments = ["render", text(&run), "--data", text(scene()), "--image", "nobody", "--out", text(&one)];
-    fail(arguments, &["no photo called nobody", "gallery_00"]);
+    let arguments = ["render", text(&run), "--data", text(scene()), "--image", "absent", "--out", text(&one)];
+    fail(arguments, &["no photo called absent", "gallery_00"]);
 }
 
 #[test]

@@ -5,28 +5,24 @@
 //! host's, over steps that are submitted one after the other without waiting, as in training. Scoring is measured as in
 //! `bench evolution`: the founders of a paper search just after an opacity reset, beside a full render and loss of each.
 
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use anyhow::Result;
 use genesplat::core::backend::{MomentPolicy, StepReport};
-use genesplat::core::{
-    Backend, BackendError, DensitySignal, RenderSettings, SparseDelta, StatisticsRequest, TrainStep, Update,
-    View,
-};
+use genesplat::core::{Backend, BackendError, RenderSettings, SparseDelta, View};
 use genesplat::gpu::{GpuBackend, Work};
 use serde::Serialize;
 
 use super::evolution::{founders, just_reset, max_relative_difference};
 use super::workload::Source;
-use super::{AT_REST, median};
+use super::{median, step_at_rest};
 use crate::args::BenchGpuArgs;
-use crate::device::{self, Device};
-use crate::{files, output, precious};
+use crate::device::{self, DeviceChoice};
+use crate::files;
+use crate::terminal::output;
 
 /// Fewest steps before a clock counts: buffers grow, kernels are compiled.
 const WARM_UP: u32 = 3;
-/// A size after the first is begun only where it ends within this time, to judge by the one before.
-const LIMIT: Duration = Duration::from_secs(480);
 /// Times that scoring is measured.
 const SCORINGS: usize = 3;
 /// Bytes that are copied to measure the device's memory: more than its caches hold.
@@ -46,15 +42,6 @@ struct Report {
     /// Photos that steps go through; scoring is measured on the first.
     views: usize,
     sizes: Vec<Size>,
-    /// Sizes that were not measured.
-    left_out: Vec<LeftOut>,
-}
-
-/// A size that was not measured.
-#[derive(Serialize)]
-struct LeftOut {
-    gaussians: u32,
-    why: String,
 }
 
 /// What was measured at one number of Gaussians.
@@ -81,11 +68,9 @@ struct Size {
 }
 
 /// Times, prints, and writes the figures.
-pub fn run(args: &BenchGpuArgs) -> Result<()> {
-    let began = Instant::now();
-    args.json.as_deref().map_or(Ok(()), |path| precious::check_output(path, &[]))?;
+pub(crate) fn run(args: &BenchGpuArgs) -> Result<()> {
     device::use_threads(args.threads)?;
-    Device::Gpu.resolve()?;
+    DeviceChoice::Gpu.resolve()?;
     let mut source = Source::of(&args.source, [args.width, args.height])?;
     source.views = spread(&source.views, args.steps as usize);
     let [width, height] = size_px(&source.views);
@@ -98,37 +83,25 @@ pub fn run(args: &BenchGpuArgs) -> Result<()> {
         height,
         views: source.views.len(),
         sizes: Vec::new(),
-        left_out: Vec::new(),
     };
     drop(backend);
     output::print(&report.to_text())?;
     let sizes = source.trained_count().map_or_else(|| args.gaussians.clone(), |count| vec![count as u32]);
-    // Of the size before, for each Gaussian.
-    let mut seconds_each = 0.0;
     for gaussians in sizes {
-        let size_began = Instant::now();
-        if began.elapsed().as_secs_f64() + seconds_each * f64::from(gaussians) > LIMIT.as_secs_f64() {
-            report.left_out.push(LeftOut { gaussians, why: "there was no time left".into() });
-            continue;
-        }
         output::tell(&format!("making {gaussians} Gaussians"));
-        let bandwidth = report.memory_bytes_per_second;
-        match Bench::new(&source, gaussians as usize, args)
-            .and_then(|mut bench| bench.measure(args, bandwidth))
-        {
-            Ok(size) => {
+        let measured = Bench::new(&source, gaussians as usize, args)
+            .and_then(|mut bench| bench.measure(args, report.memory_bytes_per_second));
+        match measured {
+            // What was measured at smaller sizes is worth as much as before.
+            Err(error) if is_too_large(&error) && !report.sizes.is_empty() => {
+                output::print(&format!("{gaussians} Gaussians were left out: {error}"))?;
+            }
+            measured => {
+                let size = measured?;
                 output::print(&size.to_text([width, height]))?;
                 report.sizes.push(size);
-                seconds_each = size_began.elapsed().as_secs_f64() / f64::from(gaussians);
             }
-            Err(error) if has_no_room(&error) => {
-                report.left_out.push(LeftOut { gaussians, why: error.to_string() });
-            }
-            Err(error) => return Err(error),
         }
-    }
-    for LeftOut { gaussians, why } in &report.left_out {
-        output::print(&format!("{gaussians} Gaussians were left out: {why}"))?;
     }
     args.json.as_ref().map_or(Ok(()), |path| files::write_json(path, &report))
 }
@@ -137,8 +110,8 @@ fn new_backend(args: &BenchGpuArgs) -> Result<GpuBackend, BackendError> {
     if args.without_subgroups { GpuBackend::without_subgroups(0) } else { GpuBackend::new(0) }
 }
 
-/// What is too large for a device says nothing of what is smaller.
-fn has_no_room(error: &anyhow::Error) -> bool {
+/// Whether the device has not enough memory, which says nothing of smaller sizes.
+fn is_too_large(error: &anyhow::Error) -> bool {
     matches!(error.downcast_ref(), Some(BackendError::OutOfMemory { .. }))
 }
 
@@ -179,7 +152,7 @@ impl Bench {
     }
 
     fn measure(&mut self, args: &BenchGpuArgs, memory_bytes_per_second: f64) -> Result<Size> {
-        // Every view once, since each may need more room than those before.
+        // Every view once, since each may need larger buffers than those before.
         let warm = WARM_UP.max(self.views as u32);
         self.steps(0, warm)?;
         let clock = Instant::now();
@@ -198,20 +171,19 @@ impl Bench {
         let floor = |name: &'static str| (name, 1e3 * work.bytes(name) as f64 / memory_bytes_per_second);
 
         let cloud = just_reset(self.backend.download()?.into_owned());
-        let individuals = founders(&cloud, args.population as usize)?;
+        let individuals = founders(&cloud, args.population)?;
         self.backend.upload(cloud, None)?;
         let before = self.backend.allocated_bytes();
         // Once unmeasured: kernels are compiled, buffers grow.
         self.backend.take_most_allocated_bytes();
         let scored = self.backend.score(&individuals, &[0], &self.settings)?;
         let scoring_bytes = self.backend.take_most_allocated_bytes() - before;
-        let mut seconds = Vec::new();
-        for _ in 0..SCORINGS {
+        let seconds = (0..SCORINGS).map(|_| {
             let clock = Instant::now();
             self.backend.score(&individuals, &[0], &self.settings)?;
-            seconds.push(clock.elapsed().as_secs_f64());
-        }
-        let scored_seconds = median(seconds);
+            Ok(clock.elapsed().as_secs_f64())
+        });
+        let scored_seconds = median(seconds.collect::<Result<Vec<_>>>()?.into_iter());
         let plain_seconds = self.plain_seconds(individuals.len() as u32)?;
         let plain = self.plain(&individuals)?;
         let renders = individuals.len() as f64;
@@ -236,12 +208,7 @@ impl Bench {
     /// Submits steps and waits for the last.
     fn steps(&mut self, first: u32, count: u32) -> Result<()> {
         for step in first + 1..=first + count {
-            self.backend.train_step(&TrainStep {
-                view: step as usize % self.views,
-                settings: self.settings,
-                update: Some(Update { rates: AT_REST, step, opacity_step: step, exploration: None }),
-                statistics: StatisticsRequest { density: Some(DensitySignal::Signed), genes: false },
-            })?;
+            self.backend.train_step(&step_at_rest(step as usize % self.views, self.settings, step))?;
         }
         self.backend.report()?;
         Ok(())
@@ -260,9 +227,9 @@ impl Bench {
         }
         self.backend.stop_timing();
         let names = samples.first().cloned().unwrap_or_default();
-        let stage = |index: usize| 1e3 * median(samples.iter().map(|sample| sample[index].1).collect());
+        let stage = |index: usize| 1e3 * median(samples.iter().map(|sample| sample[index].1));
         let counted = |count: fn(&StepReport) -> usize| {
-            median(reports.iter().map(|report| count(report) as f64).collect()) as usize
+            median(reports.iter().map(|report| count(report) as f64)) as usize
         };
         Ok(Timed {
             stages: names.iter().enumerate().map(|(index, (name, _))| (*name, stage(index))).collect(),
@@ -303,8 +270,10 @@ impl Report {
 impl Size {
     fn to_text(&self, [width, height]: [u32; 2]) -> String {
         let row = |(&(name, milliseconds), &(_, floor)): (&(&str, f64), &(&str, f64))| {
-            let share = 100.0 * floor / milliseconds;
-            format!("\n  {name:<20}{milliseconds:>9.3} ms, its memory traffic {floor:>9.3} ms ({share:.0} %)")
+            let percent = 100.0 * floor / milliseconds;
+            format!(
+                "\n  {name:<20}{milliseconds:>9.3} ms, its memory traffic {floor:>9.3} ms ({percent:.0} %)"
+            )
         };
         let stages: String = self.stages.iter().zip(&self.floor_milliseconds).map(row).collect();
         let busy: f64 = self.stages.iter().map(|(_, milliseconds)| milliseconds).sum();

@@ -1,18 +1,27 @@
 //! `genesplat bench`: the performance claims, as ratios within one run.
 
-pub mod evolution;
-pub mod gpu;
-pub mod step;
+pub(crate) mod evolution;
+pub(crate) mod gpu;
+pub(crate) mod step;
 mod workload;
 
-use genesplat::core::LearningRates;
+use genesplat::core::{DensitySignal, LearningRates, RenderSettings, StatisticsRequest, TrainStep, Update};
 
-/// Of steps that cost what steps cost and change nothing.
-const AT_REST: LearningRates =
-    LearningRates { position: 0.0, sh_dc: 0.0, sh_rest: 0.0, opacity: 0.0, scale: 0.0, rotation: 0.0 };
+/// A training step that costs what steps cost and changes nothing: its learning rates are zero. `step` counts from 1.
+fn step_at_rest(view: usize, settings: RenderSettings, step: u32) -> TrainStep {
+    let rates =
+        LearningRates { position: 0.0, sh_dc: 0.0, sh_rest: 0.0, opacity: 0.0, scale: 0.0, rotation: 0.0 };
+    TrainStep {
+        view,
+        settings,
+        update: Some(Update { rates, step, opacity_step: step, exploration: None }),
+        statistics: StatisticsRequest { density: Some(DensitySignal::Signed), genes: false },
+    }
+}
 
 /// The middle one of some values (the upper one of two).
-fn median(mut values: Vec<f64>) -> f64 {
+fn median(values: impl Iterator<Item = f64>) -> f64 {
+    let mut values: Vec<f64> = values.collect();
     values.sort_by(f64::total_cmp);
     values[values.len() / 2]
 }

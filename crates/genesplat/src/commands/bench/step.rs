@@ -3,18 +3,20 @@
 //! Steps are real ones (render, loss, backward, statistics, Adam) with learning rates of zero, so that the cloud stays
 //! the same and every step on one view costs the same. Medians are reported: a step can only be slowed down by others.
 
+use std::collections::BTreeMap;
 use std::time::Instant;
 
 use anyhow::Result;
-use genesplat::core::{Backend, Camera, DensitySignal, RenderSettings, StatisticsRequest, TrainStep, Update};
+use genesplat::core::{Backend, Camera, RenderSettings};
 use genesplat::kernels::cpu::{CpuBackend, StageSeconds, roofline_nanoseconds_per_tile_splat};
 use serde::Serialize;
 
+use super::workload::Source;
+use super::{median, step_at_rest};
 use crate::args::BenchStepArgs;
-use crate::{device, files, memory, output, precious};
-
-use super::workload::Workload;
-use super::{AT_REST, median};
+use crate::run::memory;
+use crate::terminal::output;
+use crate::{device, files};
 
 /// Steps before the clock counts: buffers grow, caches fill.
 const WARM_UP: u32 = 3;
@@ -27,7 +29,8 @@ struct Report {
     height: u32,
     threads: usize,
     milliseconds: f64,
-    stages: Stages<f64>,
+    /// Milliseconds.
+    stages: BTreeMap<&'static str, f64>,
     tile_splats: f64,
     blend_nanoseconds_per_tile_splat: f64,
     blend_backward_nanoseconds_per_tile_splat: f64,
@@ -35,16 +38,18 @@ struct Report {
     peak_memory_bytes: Option<u64>,
 }
 
-/// One value a stage of a step, in the order in which they run.
-#[derive(Clone, Copy, Serialize)]
-struct Stages<T> {
-    project: T,
-    bin: T,
-    rasterise: T,
-    loss: T,
-    rasterise_backward: T,
-    update: T,
-}
+/// Seconds of one stage.
+type StageClock = fn(&StageSeconds) -> f64;
+
+/// The stages of a step, in the order in which they run.
+const STAGES: [(&str, StageClock); 6] = [
+    ("project", |seconds| seconds.project),
+    ("bin", |seconds| seconds.bin),
+    ("rasterise", |seconds| seconds.rasterise),
+    ("loss", |seconds| seconds.loss),
+    ("rasterise_backward", |seconds| seconds.rasterise_backward),
+    ("update", |seconds| seconds.update),
+];
 
 /// One timed step.
 struct Sample {
@@ -54,10 +59,9 @@ struct Sample {
 }
 
 /// Times, prints, and writes the figures.
-pub fn run(args: &BenchStepArgs) -> Result<()> {
-    args.json.as_deref().map_or(Ok(()), |path| precious::check_output(path, &[]))?;
+pub(crate) fn run(args: &BenchStepArgs) -> Result<()> {
     let mut backend = device::prepare_cpu(args.machine)?;
-    let Workload { views, settings, cloud } = Workload::of(&args.workload)?;
+    let (views, settings, cloud) = Source::of_cpu(&args.workload)?;
     backend.set_views(&views)?;
     // Moved, not copied: the memory reported is that of training.
     backend.upload(cloud, None)?;
@@ -69,12 +73,7 @@ pub fn run(args: &BenchStepArgs) -> Result<()> {
 }
 
 fn time_step(backend: &mut CpuBackend, step: u32, views: usize, settings: RenderSettings) -> Result<Sample> {
-    let train_step = TrainStep {
-        view: step as usize % views,
-        settings,
-        update: Some(Update { rates: AT_REST, step: step + 1, opacity_step: step + 1, exploration: None }),
-        statistics: StatisticsRequest { density: Some(DensitySignal::Signed), genes: false },
-    };
+    let train_step = step_at_rest(step as usize % views, settings, step + 1);
     let clock = Instant::now();
     backend.train_step(&train_step)?;
     let milliseconds = 1e3 * clock.elapsed().as_secs_f64();
@@ -85,29 +84,21 @@ fn time_step(backend: &mut CpuBackend, step: u32, views: usize, settings: Render
 impl Report {
     fn new(gaussians: usize, camera: &Camera, samples: &[Sample]) -> Self {
         let threads = rayon::current_num_threads();
-        let stage = |seconds: fn(&StageSeconds) -> f64| {
-            1e3 * median(samples.iter().map(|sample| seconds(&sample.stages)).collect())
-        };
+        let milliseconds =
+            |seconds: StageClock| 1e3 * median(samples.iter().map(|sample| seconds(&sample.stages)));
         // Of all threads together, so that it compares with one core's roofline.
-        let core_nanoseconds = |seconds: fn(&StageSeconds) -> f64| {
+        let core_nanoseconds = |seconds: StageClock| {
             let each = |sample: &Sample| 1e9 * seconds(&sample.stages) * threads as f64 / sample.tile_splats;
-            median(samples.iter().map(each).collect())
+            median(samples.iter().map(each))
         };
         Self {
             gaussians,
             width: camera.width,
             height: camera.height,
             threads,
-            milliseconds: median(samples.iter().map(|sample| sample.milliseconds).collect()),
-            stages: Stages {
-                project: stage(|seconds| seconds.project),
-                bin: stage(|seconds| seconds.bin),
-                rasterise: stage(|seconds| seconds.rasterise),
-                loss: stage(|seconds| seconds.loss),
-                rasterise_backward: stage(|seconds| seconds.rasterise_backward),
-                update: stage(|seconds| seconds.update),
-            },
-            tile_splats: median(samples.iter().map(|sample| sample.tile_splats).collect()),
+            milliseconds: median(samples.iter().map(|sample| sample.milliseconds)),
+            stages: STAGES.map(|(name, seconds)| (name, milliseconds(seconds))).into(),
+            tile_splats: median(samples.iter().map(|sample| sample.tile_splats)),
             blend_nanoseconds_per_tile_splat: core_nanoseconds(|seconds| seconds.rasterise),
             blend_backward_nanoseconds_per_tile_splat: core_nanoseconds(|seconds| seconds.rasterise_backward),
             roofline_nanoseconds_per_tile_splat: roofline_nanoseconds_per_tile_splat(),
@@ -116,18 +107,13 @@ impl Report {
     }
 
     fn to_text(&self) -> String {
-        let Stages { project, bin, rasterise, loss, rasterise_backward, update } = self.stages;
+        let stage = |(name, _): &(&str, _)| format!("{name:<20}{:>8.2} ms\n", self.stages[name]);
+        let stages: String = STAGES.iter().map(stage).collect();
         let roofline = self.roofline_nanoseconds_per_tile_splat;
         let ratio = |nanoseconds: f64| format!("{nanoseconds:>8.1} ns  {:>5.2} x", nanoseconds / roofline);
         format!(
             "{} Gaussians, {}x{} px, {} threads, {:.0} (Gaussian x 16x16 tile) pairs\n\
-             step                {:>8.2} ms\n\
-             project             {project:>8.2} ms\n\
-             bin                 {bin:>8.2} ms\n\
-             rasterise           {rasterise:>8.2} ms\n\
-             loss                {loss:>8.2} ms\n\
-             rasterise_backward  {rasterise_backward:>8.2} ms\n\
-             update              {update:>8.2} ms\n\
+             step                {:>8.2} ms\n{stages}\
              core time of one pair, and its ratio to the roofline:\n\
              roofline            {roofline:>8.1} ns\n\
              rasterise           {}\n\

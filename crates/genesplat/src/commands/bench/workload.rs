@@ -13,7 +13,7 @@ use genesplat::core::{Camera, Gaussians, Photo, RenderSettings, Rng, Stream, Vie
 use genesplat::train::initialise::{ColouredPoint, cloud_from_points, in_spatial_order};
 use glam::{DQuat, DVec3};
 
-use crate::args::{SizeArgs, SourceArgs, ViewSizeArgs, WorkloadArgs};
+use crate::args::{SizeArgs, SourceArgs, WorkloadArgs};
 use crate::{scene, splat};
 
 /// Gaussians where neither flag nor scene says.
@@ -29,11 +29,9 @@ const WIDTH: f32 = 0.5;
 const STRETCH: f32 = 0.6;
 
 /// Photos, and where clouds before them come from.
-pub struct Source {
-    /// Photos and cameras to step through.
-    pub views: Vec<View>,
-    /// How the clouds are to be rendered.
-    pub settings: RenderSettings,
+pub(crate) struct Source {
+    pub(crate) views: Vec<View>,
+    pub(crate) settings: RenderSettings,
     origin: Origin,
 }
 
@@ -46,7 +44,7 @@ enum Origin {
 
 impl Source {
     /// The scene and its splat, if there are any; else the synthetic scene, whose photo has `synthetic_px`.
-    pub fn of(SourceArgs { data, splat, size }: &SourceArgs, synthetic_px: [u32; 2]) -> Result<Self> {
+    pub(crate) fn of(SourceArgs { data, splat, size }: &SourceArgs, synthetic_px: [u32; 2]) -> Result<Self> {
         match (data, splat) {
             (Some(data), Some(splat)) => Self::trained(data, splat, *size),
             (Some(data), None) => Self::scene(data, *size),
@@ -72,17 +70,17 @@ impl Source {
     }
 
     /// As large as the splat was trained unless another size is asked for, and rendered as it is meant to be.
-    fn trained(data: &Path, path: &Path, SizeArgs { max_side, downscale }: SizeArgs) -> Result<Self> {
+    fn trained(data: &Path, path: &Path, size: SizeArgs) -> Result<Self> {
         let splat = splat::open(path)?;
         if splat.cloud.is_empty() {
             bail!("{} has no Gaussians to measure with; give another splat", path.display());
         }
-        let scene = splat.load_scene(data, ViewSizeArgs { max_side, downscale })?;
+        let scene = splat.load_scene(data, size)?;
         Ok(Self { views: scene.train, settings: splat.settings, origin: Origin::Trained(splat.cloud) })
     }
 
     /// Gaussians of a trained cloud, whose number is what it is.
-    pub fn trained_count(&self) -> Option<usize> {
+    pub(crate) fn trained_count(&self) -> Option<usize> {
         match &self.origin {
             Origin::Points(_) => None,
             Origin::Trained(cloud) => Some(cloud.len()),
@@ -90,37 +88,24 @@ impl Source {
     }
 
     /// The trained cloud, or one of `count` Gaussians that resembles one.
-    pub fn cloud(&self, count: usize) -> Result<Gaussians> {
+    pub(crate) fn cloud(&self, count: usize) -> Result<Gaussians> {
         match &self.origin {
             Origin::Points(points) => sampled(points, count),
             Origin::Trained(cloud) => Ok(cloud.clone()),
         }
     }
-}
 
-/// What is timed.
-pub struct Workload {
-    /// Photos and cameras to step through.
-    pub views: Vec<View>,
-    /// How to render the cloud.
-    pub settings: RenderSettings,
-    /// The cloud.
-    pub cloud: Gaussians,
-}
-
-impl Workload {
-    /// As asked for.
-    pub fn of(args: &WorkloadArgs) -> Result<Self> {
-        let WorkloadArgs { source, gaussians } = args;
-        let Source { views, settings, origin } = Source::of(source, SIZE_PX)?;
+    /// The photos, how to render, and a cloud as it was asked for.
+    pub(crate) fn of_cpu(args: &WorkloadArgs) -> Result<(Vec<View>, RenderSettings, Gaussians)> {
+        let Self { views, settings, origin } = Self::of(&args.source, SIZE_PX)?;
         let cloud = match origin {
             Origin::Points(points) => {
-                let default = if source.data.is_some() { points.len() } else { GAUSSIANS };
-                sampled(&points, gaussians.map_or(default, |count| count as usize))?
+                let default = if args.source.data.is_some() { points.len() } else { GAUSSIANS };
+                sampled(&points, args.gaussians.map_or(default, |count| count as usize))?
             }
             Origin::Trained(cloud) => cloud,
         };
-        Ok(Self { views, settings, cloud })
+        Ok((views, settings, cloud))
     }
 }
 

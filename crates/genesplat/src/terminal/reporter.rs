@@ -12,14 +12,15 @@ use genesplat::train::observe::{
 };
 use genesplat::train::{Checkpoint, Observer};
 
-use crate::output;
-use crate::progress::Bar;
-use crate::run_folder::{Log, RunFolder};
-use crate::test_curve::TestCurve;
+use super::output;
+use super::progress::Bar;
+use crate::run::log::Log;
+use crate::run::session::RunSession;
+use crate::run::test_curve::TestCurve;
 
 /// Listens to one run.
 pub struct Reporter<'a> {
-    folder: Option<(&'a RunFolder, Log)>,
+    folder: Option<(&'a RunSession, Log)>,
     /// Says nothing, and draws bars that vanish.
     quiet: bool,
     curve: Option<TestCurve<'a>>,
@@ -39,8 +40,8 @@ struct Stage {
 
 impl<'a> Reporter<'a> {
     /// Reports into `folder`, and sets `stop` when that is no longer possible.
-    pub fn new(folder: &'a RunFolder, log: Log, stop: &'a AtomicBool) -> Self {
-        Self { folder: Some((folder, log)), ..Self::without_folder(stop) }
+    pub fn new(session: &'a RunSession, log: Log, stop: &'a AtomicBool) -> Self {
+        Self { folder: Some((session, log)), ..Self::without_folder(stop) }
     }
 
     /// Reports to the terminal only, and only on evolution.

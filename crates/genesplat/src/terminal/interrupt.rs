@@ -7,17 +7,17 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Result, anyhow};
 
-use crate::output;
+use super::output;
 
 /// Exit status of a run that was stopped, as shells report one that Ctrl-C killed: 128 + SIGINT.
-pub const STOPPED: u8 = 130;
+pub(crate) const STOPPED: u8 = 130;
 
 /// Signals that come closer together are one wish: `timeout` and schedulers send several in a row.
 const ONE_WISH: Duration = Duration::from_secs(1);
 
 /// A flag that the first Ctrl-C or SIGTERM sets; one that comes later ends the process. Both are heard in threads of their own, not in
 /// a signal's handler, so that they may do what any thread may.
-pub fn stop_flag() -> Result<Arc<AtomicBool>> {
+pub(crate) fn stop_flag() -> Result<Arc<AtomicBool>> {
     let stop = Arc::new(AtomicBool::new(false));
     let (flag, first) = (stop.clone(), Arc::new(OnceLock::new()));
     let handler = move || match Wish::at(Instant::now(), &first) {

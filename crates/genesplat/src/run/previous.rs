@@ -7,11 +7,11 @@ use std::path::{Component, Path, PathBuf};
 
 use anyhow::{Result, ensure};
 
+use super::metrics::Metrics;
+use super::{CLOUD, CONFIG, RESULTS, TEST};
 use crate::files::{remove_if_there, unwritable, write_text};
-use crate::metrics::CellMetrics;
-use crate::output;
-use crate::run_folder::RunFolder;
 use crate::scene::names_of_pictures;
+use crate::terminal::output;
 
 /// How the settings in `previous/` end: a run of the user's own that is called so does not.
 const NOTE: &str = "# The results here are removed once a run in the folder above has come to its end.\n";
@@ -22,7 +22,7 @@ fn folder_in(run: &Path) -> PathBuf {
 }
 
 /// Fails where there is a `previous/` that is not ours to replace.
-pub fn check(run: &Path) -> Result<()> {
+pub(crate) fn check(run: &Path) -> Result<()> {
     let folder = folder_in(run);
     ensure!(
         !folder.exists() || is_kept(&folder),
@@ -33,36 +33,35 @@ pub fn check(run: &Path) -> Result<()> {
 }
 
 fn is_kept(folder: &Path) -> bool {
-    fs::read_to_string(RunFolder::config_in(folder)).is_ok_and(|text| text.ends_with(NOTE))
+    fs::read_to_string(folder.join(CONFIG)).is_ok_and(|text| text.ends_with(NOTE))
 }
 
 /// Clears the folder of a run for another one. Settings stay until they are written over, so that it is never taken for a folder of
-/// somebody else.
-pub fn keep(run: &Path) -> Result<()> {
+/// something else.
+pub(crate) fn keep(run: &Path) -> Result<()> {
     let (folder, files) = (folder_in(run), results(run));
     tell_of_unnamed(run);
     // Where results are kept already, what came after them has not come to its end.
-    if folder.exists() || !RunFolder::cloud_in(run).exists() {
+    if folder.exists() || !run.join(CLOUD).exists() {
         return remove_all(run, &files);
     }
-    let config = RunFolder::config_in(run);
+    let config = run.join(CONFIG);
     let settings = fs::read_to_string(&config).map_err(|error| unwritable(&config, &error))?;
-    write_text(&RunFolder::config_in(&folder), &format!("{settings}{NOTE}"))?;
+    write_text(&folder.join(CONFIG), &format!("{settings}{NOTE}"))?;
     files.iter().try_for_each(|file| move_file(&run.join(file), &folder.join(file)))
 }
 
 /// Removes what [`keep`] has kept, now that there are other results.
-pub fn remove(run: &Path) -> Result<()> {
+pub(crate) fn remove(run: &Path) -> Result<()> {
     let folder = folder_in(run);
     if !is_kept(&folder) {
         return Ok(());
     }
-    let config = RunFolder::config_in(Path::new(""));
-    remove_all(&folder, &[results(&folder), vec![config]].concat())
+    remove_all(&folder, &[results(&folder), vec![CONFIG.into()]].concat())
 }
 
 /// The end of a sentence about a run that has not come to its end.
-pub fn note(run: &Path) -> String {
+pub(crate) fn note(run: &Path) -> String {
     let folder = folder_in(run);
     if !is_kept(&folder) {
         return String::new();
@@ -72,23 +71,22 @@ pub fn note(run: &Path) -> String {
 
 /// The files that a run has left, relative to its folder, without its settings.
 fn results(run: &Path) -> Vec<PathBuf> {
-    let test = RunFolder::test_in(Path::new(""));
-    let pictures = pictures(run).into_iter().map(|name| test.join(name));
-    RunFolder::files().into_iter().chain(pictures).filter(|file| run.join(file).exists()).collect()
+    let pictures = pictures(run).into_iter().map(|name| Path::new(TEST).join(name));
+    RESULTS.map(PathBuf::from).into_iter().chain(pictures).filter(|file| run.join(file).exists()).collect()
 }
 
 /// The names of a run's pictures, as far as its figures are known.
 fn pictures(run: &Path) -> Vec<String> {
-    let Some(metrics) = CellMetrics::read(run) else { return Vec::new() };
+    let Some(metrics) = Metrics::read(run) else { return Vec::new() };
     let stays_below =
         |name: &String| Path::new(name).components().all(|part| matches!(part, Component::Normal(_)));
     names_of_pictures(&metrics.test_photos()).into_iter().filter(stays_below).collect()
 }
 
 fn tell_of_unnamed(run: &Path) {
-    let test = RunFolder::test_in(run);
+    let test = run.join(TEST);
     let is_filled = fs::read_dir(&test).is_ok_and(|mut entries| entries.next().is_some());
-    if is_filled && CellMetrics::read(run).is_none() {
+    if is_filled && Metrics::read(run).is_none() {
         output::tell(&format!(
             "notice: what is in {} stays, since no metrics.json says which of it the run before has left",
             test.display()
@@ -116,10 +114,15 @@ fn remove_all(folder: &Path, files: &[PathBuf]) -> Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::run::session::{Caller, RunSession};
+
+    fn begin(run: &Path, config: &str) -> Result<()> {
+        RunSession::claim(run, Caller::Experiment, false)?.begin(config)
+    }
 
     /// A run that has come to its end, with a picture that it has left and one that it has not.
     fn write_run(run: &Path, what: &str) {
-        drop(RunFolder::replace(run, what).unwrap());
+        begin(run, what).unwrap();
         let scores = serde_json::json!({"psnr": 9.0, "ssim": 0.5, "views": [{"name": "a.jpg", "psnr": 9.0}, {"name": "../b.jpg", "psnr": 9.0}]});
         let metrics = serde_json::json!({"iterations": 3, "gaussians": 20, "test": scores, "train": scores,
             "seconds": {"gradient": 1.0, "evolution": 0.0}});
@@ -140,7 +143,7 @@ mod tests {
         let kept = || fs::read_to_string(run.join("previous/point_cloud.ply")).ok();
         for _ in 0..2 {
             // One that fails before it has anything, and one that fails later.
-            drop(RunFolder::replace(&run, "fails = 1").unwrap());
+            begin(&run, "fails = 1").unwrap();
             assert_eq!(kept().as_deref(), Some("ten = 10"));
             assert!(note(&run).contains("previous") && !run.join("metrics.json").exists());
             fs::write(run.join("point_cloud.ply"), "half a run").unwrap();
@@ -159,7 +162,7 @@ mod tests {
         let run = place.path().join("run");
         write_run(&run, "one = 1");
         write_run(&run.join("previous"), "two = 2");
-        let refusal = RunFolder::replace(&run, "three = 3").unwrap_err().to_string();
+        let refusal = begin(&run, "three = 3").unwrap_err().to_string();
         assert!(refusal.contains("previous belongs to something else"), "{refusal}");
         remove(&run).unwrap();
         assert!(run.join("previous/point_cloud.ply").exists());

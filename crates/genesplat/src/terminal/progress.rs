@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use genesplat::io::LoadProgress;
 use indicatif::{ProgressBar, ProgressStyle};
 
-use crate::output;
+use super::output;
 
 /// Plain lines come this often, in percent of the work,
 const LINE_PERCENT: u64 = 5;

@@ -4,13 +4,13 @@ use std::fs;
 
 /// From now on the peak is that of what comes: a process may make several runs. Where the system cannot do that, it stays that of
 /// the whole process.
-pub fn forget_peak() {
+pub(crate) fn forget_peak() {
     // Nothing depends on it but a figure.
     let _ = fs::write("/proc/self/clear_refs", "5");
 }
 
 /// The most memory that this process has held at once, bytes: Linux's `VmHWM`; `None` where the system does not tell.
-pub fn peak_bytes() -> Option<u64> {
+pub(crate) fn peak_bytes() -> Option<u64> {
     high_water_mark(&fs::read_to_string("/proc/self/status").ok()?)
 }
 

@@ -11,11 +11,11 @@ use anyhow::{Result, bail, ensure};
 use genesplat::io::Scene;
 use serde::Deserialize;
 
-use crate::metrics::CellMetrics;
-use crate::run_folder::RunFolder;
+use super::metrics::Metrics;
+use super::{CLOUD, LOG};
 
 /// Fails where the folders of both scenes exist and are different ones.
-pub fn check_folders(began_with: &Path, given: &Path) -> Result<()> {
+pub(crate) fn check_folders(began_with: &Path, given: &Path) -> Result<()> {
     let differ = match (began_with.canonicalize(), given.canonicalize()) {
         (Ok(began_with), Ok(given)) => began_with != given,
         _ => false,
@@ -31,10 +31,10 @@ pub fn check_folders(began_with: &Path, given: &Path) -> Result<()> {
 
 /// Fails where the run in `folder` is known to have had other photos than those of `scene`; the sentence is for `train` and
 /// `experiment` alike.
-pub fn check_photos(folder: &Path, scene: &Scene) -> Result<()> {
+pub(crate) fn check(folder: &Path, scene: &Scene) -> Result<()> {
     let had = training_photos(folder);
     let names: Vec<&str> = scene.test.iter().map(|view| view.name.as_str()).collect();
-    let same_names = CellMetrics::read(folder).is_none_or(|metrics| metrics.test_photos() == names);
+    let same_names = Metrics::read(folder).is_none_or(|metrics| metrics.test_photos() == names);
     ensure!(
         had.is_none_or(|had| had == scene.train.len()) && same_names,
         "the run in {} began with other photos than {} has now; bring back the scene as it was, choose another --out, or \
@@ -47,8 +47,8 @@ pub fn check_photos(folder: &Path, scene: &Scene) -> Result<()> {
 
 /// Fails where a test photo of `scene` is none of those of the run whose folder `splat` is: its list of photos has changed since,
 /// and then every eighth of them is another one, which training may have seen. Of a bare PLY nothing is known.
-pub fn check_test_photos(splat: &Path, scene: &Scene) -> Result<()> {
-    let Some(metrics) = CellMetrics::read(splat) else { return Ok(()) };
+pub(crate) fn check_test_photos(splat: &Path, scene: &Scene) -> Result<()> {
+    let Some(metrics) = Metrics::read(splat) else { return Ok(()) };
     let knows = |name: &String| metrics.test.views.iter().any(|view| view.name == *name);
     let Some(stranger) = scene.test.iter().find(|view| !knows(&view.name)) else { return Ok(()) };
     bail!(
@@ -57,7 +57,7 @@ pub fn check_test_photos(splat: &Path, scene: &Scene) -> Result<()> {
         stranger.name,
         scene.name,
         splat.display(),
-        RunFolder::cloud_in(splat).display()
+        splat.join(CLOUD).display()
     );
 }
 
@@ -72,7 +72,7 @@ fn training_photos(folder: &Path) -> Option<usize> {
         #[serde(other)]
         Other,
     }
-    let log = BufReader::new(File::open(RunFolder::log_in(folder)).ok()?);
+    let log = BufReader::new(File::open(folder.join(LOG)).ok()?);
     log.lines().map_while(Result::ok).find_map(|line| match serde_json::from_str(&line) {
         Ok(Line::Start { views }) => Some(views),
         _ => None,
@@ -108,13 +108,13 @@ mod tests {
     fn what_a_run_has_left_tells_its_scene() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path();
-        assert!(check_photos(path, &scene(9)).is_ok(), "nothing is known");
+        assert!(check(path, &scene(9)).is_ok(), "nothing is known");
         assert!(check_test_photos(path, &scene(9)).is_ok(), "nothing is known");
         let log = "{\"event\":\"notice\",\"text\":\"x\"}\n{\"event\":\"start\",\"views\":7,\"gaussians\":20}\n\
                    {\"event\":\"stage-start\",\"views\":[\"a\"]}\n{\"event\":\"start\",\"views\":8}\n";
         fs::write(path.join("log.jsonl"), log).unwrap();
-        assert!(check_photos(path, &scene(9)).is_ok() && check_photos(path, &scene(8)).is_ok());
-        assert!(check_photos(path, &scene(12)).unwrap_err().to_string().contains("other photos"));
+        assert!(check(path, &scene(9)).is_ok() && check(path, &scene(8)).is_ok());
+        assert!(check(path, &scene(12)).unwrap_err().to_string().contains("other photos"));
 
         let metrics = |name: &str| {
             let test = serde_json::json!({"psnr": 9.0, "ssim": 0.5, "views": [{"name": name, "psnr": 9.0}]});
@@ -123,10 +123,10 @@ mod tests {
                 "seconds": seconds, "evolution": []})
         };
         fs::write(path.join("metrics.json"), metrics("gallery_000.png").to_string()).unwrap();
-        assert!(check_photos(path, &scene(8)).is_ok() && check_test_photos(path, &scene(8)).is_ok());
+        assert!(check(path, &scene(8)).is_ok() && check_test_photos(path, &scene(8)).is_ok());
         let error = check_test_photos(path, &scene(9)).unwrap_err().to_string();
         assert!(error.contains("gallery_008.png is a test photo") && error.contains("was none"), "{error}");
         fs::write(path.join("metrics.json"), metrics("IMG_1.png").to_string()).unwrap();
-        assert!(check_photos(path, &scene(8)).is_err());
+        assert!(check(path, &scene(8)).is_err());
     }
 }

@@ -1,22 +1,26 @@
 //! What can be asked for. Help texts are written for someone who has never trained a splat.
 #![allow(missing_docs, reason = "clap would show the documentation of flattened arguments as help")]
 
-use std::ops::RangeInclusive;
+use std::ops::{RangeInclusive, RangeTo};
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use genesplat::io::PhotoSize;
+use genesplat::train::{Background, EvolutionMode};
 use serde::Serialize;
 
-use crate::device::Device;
+use crate::device::DeviceChoice;
+use choice::{EVOLUTION, FIXED_BACKGROUNDS, REFINEMENT, choice};
 
 mod bench;
-mod method;
+mod choice;
 mod train;
 
-pub use bench::{Bench, BenchEvolutionArgs, BenchGpuArgs, BenchStepArgs, SourceArgs, WorkloadArgs};
-pub use method::{MethodArgs, ShownOnArgs};
-pub use train::{EvolutionArgs, Evolve, ScheduleArgs, Search, TrainArgs};
+pub(crate) use bench::{Bench, BenchEvolutionArgs, BenchGpuArgs, BenchStepArgs, SourceArgs, WorkloadArgs};
+pub(crate) use train::{EvolutionArgs, TrainArgs};
+
+/// Heading of the flags that few users need.
+const MORE: &str = "More options";
 
 const EXIT_STATUS: &str = "Exit status: 0 done, 1 failed (one sentence on stderr says why), 2 wrong usage, 130 stopped by Ctrl-C or \
                            SIGTERM with what there was saved (train, refine, demo, experiment)";
@@ -26,15 +30,15 @@ const EXIT_STATUS: &str = "Exit status: 0 done, 1 failed (one sentence on stderr
 /// New here? `genesplat demo` builds a small scene, trains it without and with evolution, and shows the difference.
 #[derive(Debug, Parser)]
 #[command(name = "genesplat", version, max_term_width = 120, after_help = EXIT_STATUS)]
-pub struct Arguments {
+pub(crate) struct Arguments {
     /// What to do.
     #[command(subcommand)]
-    pub command: Command,
+    pub(crate) command: Command,
 }
 
 /// The commands.
 #[derive(Debug, Subcommand)]
-pub enum Command {
+pub(crate) enum Command {
     /// Start here: build a small scene, train it without and with evolution, show the difference (a few minutes)
     Demo(DemoArgs),
     /// Train a scene: photos with known cameras in, a splat and its figures out
@@ -67,195 +71,209 @@ pub enum Command {
 
 /// What can be done about LPIPS.
 #[derive(Debug, Subcommand)]
-pub enum LpipsCommand {
+pub(crate) enum LpipsCommand {
     /// Check files of weights and put them where LPIPS is looked for
     Install(LpipsInstallArgs),
 }
 
 /// `genesplat lpips install`.
 #[derive(Debug, Args)]
-pub struct LpipsInstallArgs {
+pub(crate) struct LpipsInstallArgs {
     /// torchvision's VGG16 or AlexNet (.pth) and the heads of the Python package lpips (weights/v0.1/*.pth), or safetensors
     /// with both
     #[arg(value_name = "FILE", required = true)]
-    pub files: Vec<PathBuf>,
+    pub(crate) files: Vec<PathBuf>,
 }
 
 /// The learned measure LPIPS.
 #[derive(Clone, Debug, Default, Args)]
-pub struct LpipsArgs {
+#[command(next_help_heading = MORE)]
+pub(crate) struct LpipsArgs {
     /// Weights of LPIPS: a file, or a folder of files [default: what the environment variable GENESPLAT_LPIPS names, else those that
     /// `genesplat lpips install` has put in place]
     #[arg(long, value_name = "FILE|FOLDER")]
-    pub lpips_weights: Option<PathBuf>,
+    pub(crate) lpips_weights: Option<PathBuf>,
     /// Leave LPIPS out, though its weights are there: it takes about 5 seconds of a core for a photo of 512x512
     #[arg(long)]
-    pub no_lpips: bool,
+    pub(crate) no_lpips: bool,
 }
 
 /// `genesplat demo`.
 #[derive(Debug, Args)]
-pub struct DemoArgs {
+pub(crate) struct DemoArgs {
     /// Folder for the scene, both runs and the picture that compares them; made if it is missing. What an earlier demo left
     /// there is replaced
     #[arg(long, value_name = "DIR", default_value = "runs/demo")]
-    pub out: PathBuf,
+    pub(crate) out: PathBuf,
     /// What the second run evolves with
-    #[arg(long, value_enum, value_name = "MODE", default_value_t = Evolve::Renew)]
-    pub evolve: Evolve,
+    #[arg(long, value_name = "MODE", value_parser = choice(EVOLUTION), default_value = "renew")]
+    pub(crate) evolve: EvolutionMode,
     /// Seed of the scene and of both runs. Same seed, same bytes
-    #[arg(long, value_name = "S", default_value_t = 0, value_parser = clap::value_parser!(u64).range(..1 << 63))]
-    pub seed: u64,
+    #[arg(long, value_name = "S", default_value_t = 0, value_parser = clap::value_parser!(u64).range(SEEDS))]
+    pub(crate) seed: u64,
     #[command(flatten)]
-    pub machine: MachineArgs,
+    pub(crate) machine: MachineArgs,
     #[command(flatten)]
-    pub lpips: LpipsArgs,
+    pub(crate) lpips: LpipsArgs,
 }
 
 /// `genesplat evaluate`.
 #[derive(Debug, Args)]
-pub struct EvaluateArgs {
+pub(crate) struct EvaluateArgs {
     /// A splat (.ply), or the folder of a run
     #[arg(value_name = "PLY|RUN")]
-    pub splat: PathBuf,
+    pub(crate) splat: PathBuf,
     /// Folder of the scene with the photos to compare with
     #[arg(long, value_name = "DATASET")]
-    pub data: PathBuf,
+    pub(crate) data: PathBuf,
     /// Which photos: those that training never saw (every 8th), or those that it saw
     #[arg(long, value_enum, value_name = "SPLIT", default_value_t = Split::Test)]
-    pub split: Split,
+    pub(crate) split: Split,
     /// Also write the figures, photo by photo, to this file [default: none]
     #[arg(long, value_name = "FILE")]
-    pub json: Option<PathBuf>,
+    pub(crate) json: Option<PathBuf>,
     #[command(flatten)]
-    pub size: ViewSizeArgs,
+    pub(crate) size: SizeArgs,
     #[command(flatten)]
-    pub on: ShownOnArgs,
+    pub(crate) on: ShownOnArgs,
     #[command(flatten)]
-    pub machine: MachineArgs,
+    pub(crate) machine: MachineArgs,
     #[command(flatten)]
-    pub lpips: LpipsArgs,
+    pub(crate) lpips: LpipsArgs,
 }
 
 /// `genesplat render`.
 #[derive(Debug, Args)]
 #[command(group(clap::ArgGroup::new("which").required(true).args(["image", "split"])))]
-pub struct RenderArgs {
+pub(crate) struct RenderArgs {
     /// A splat (.ply), or the folder of a run
     #[arg(value_name = "PLY|RUN")]
-    pub splat: PathBuf,
+    pub(crate) splat: PathBuf,
     /// Folder of the scene with the cameras to render from
     #[arg(long, value_name = "DATASET")]
-    pub data: PathBuf,
+    pub(crate) data: PathBuf,
     /// Render the viewpoint of one photo, by its file name
     #[arg(long, value_name = "NAME")]
-    pub image: Option<String>,
+    pub(crate) image: Option<String>,
     /// Render the viewpoints of many photos
     #[arg(long, value_enum, value_name = "SPLIT")]
-    pub split: Option<RenderSplit>,
-    /// With --image the PNG to write, with --split the folder for PNGs
+    pub(crate) split: Option<RenderSplit>,
+    /// With --image the picture to write, a JPEG where its name ends so and else a PNG; with --split the folder for PNGs
     #[arg(long, value_name = "FILE|DIR")]
-    pub out: PathBuf,
+    pub(crate) out: PathBuf,
     #[command(flatten)]
-    pub size: ViewSizeArgs,
+    pub(crate) size: SizeArgs,
     #[command(flatten)]
-    pub on: ShownOnArgs,
+    pub(crate) on: ShownOnArgs,
     #[command(flatten)]
-    pub machine: MachineArgs,
+    pub(crate) machine: MachineArgs,
 }
 
 /// `genesplat refine`.
 #[derive(Debug, Args)]
-pub struct RefineArgs {
+pub(crate) struct RefineArgs {
     /// The splat to start from: a .ply in the layout of the 3DGS authors, as nearly every trainer writes it, or the folder of
     /// a run
     #[arg(value_name = "PLY|RUN")]
-    pub splat: PathBuf,
+    pub(crate) splat: PathBuf,
     /// Folder of the scene that it shows
     #[arg(long, value_name = "DATASET")]
-    pub data: PathBuf,
+    pub(crate) data: PathBuf,
     /// The .ply to write. Ctrl-C ends the search, and what it has found so far is written
     #[arg(long, value_name = "PLY")]
-    pub out: PathBuf,
+    pub(crate) out: PathBuf,
     /// How [default: paper or control where --config says so, else mosaic]
-    #[arg(long, value_enum, value_name = "MODE")]
-    pub evolve: Option<Search>,
+    #[arg(long, value_name = "MODE", value_parser = choice(REFINEMENT))]
+    pub(crate) evolve: Option<EvolutionMode>,
     /// Generations of the search, at least 1 [default: 20, paper: 100]. Time grows in proportion
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
-    pub generations: Option<u32>,
+    pub(crate) generations: Option<u32>,
     /// Individuals a generation, 1 to 10000 [default: 12, paper: 100]. Time grows in proportion
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=10_000))]
-    pub population: Option<u32>,
+    pub(crate) population: Option<u32>,
     /// Seed of all random numbers [default: 0]. Same seed, same bytes
-    #[arg(long, value_name = "S", value_parser = clap::value_parser!(u64).range(..1 << 63))]
-    pub seed: Option<u64>,
+    #[arg(long, value_name = "S", value_parser = clap::value_parser!(u64).range(SEEDS))]
+    pub(crate) seed: Option<u64>,
     /// TOML file with settings, as for train [default: none]. The dataset, device and threads that it names do not count
     #[arg(long, value_name = "FILE.toml")]
-    pub config: Option<PathBuf>,
+    pub(crate) config: Option<PathBuf>,
     #[command(flatten)]
-    pub size: ViewSizeArgs,
+    pub(crate) size: SizeArgs,
     #[command(flatten)]
-    pub machine: MachineArgs,
+    pub(crate) machine: MachineArgs,
 }
 
 /// `genesplat compare`.
 #[derive(Debug, Args)]
-pub struct CompareArgs {
+pub(crate) struct CompareArgs {
     /// A PNG or JPEG
     #[arg(value_name = "A.png")]
-    pub first: PathBuf,
+    pub(crate) first: PathBuf,
     /// Another one of the same size
     #[arg(value_name = "B.png")]
-    pub second: PathBuf,
+    pub(crate) second: PathBuf,
     /// Also write the figures to this file [default: none]
     #[arg(long, value_name = "FILE")]
-    pub json: Option<PathBuf>,
+    pub(crate) json: Option<PathBuf>,
     #[command(flatten)]
-    pub lpips: LpipsArgs,
+    pub(crate) lpips: LpipsArgs,
 }
 
 /// `genesplat experiment`.
 #[derive(Debug, Args)]
-pub struct ExperimentArgs {
+pub(crate) struct ExperimentArgs {
     /// What to compare: smoke (minutes, no data needed), paper-table-2-3, study-evolution, study-variants, study-mcmc,
     /// ablation-crossover, ablation-trigger, ablation-population, ablation-views, ablation-gradient,
     /// ablation-renew, or a TOML file of one's own
     #[arg(value_name = "NAME|FILE.toml")]
-    pub what: String,
+    pub(crate) what: String,
     /// Folder for the runs, the tables and report.html; made if it is missing. The same command goes on with what is
     /// unfinished in it
     #[arg(long, value_name = "DIR")]
-    pub out: PathBuf,
+    pub(crate) out: PathBuf,
     /// Folder that holds the folders of the scenes [default: none; the bundled gallery needs none]
     #[arg(long, value_name = "FOLDER")]
-    pub data: Option<PathBuf>,
+    pub(crate) data: Option<PathBuf>,
     /// Training steps of every run [default: as the experiment says]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
-    pub iterations: Option<u32>,
+    pub(crate) iterations: Option<u32>,
     /// Multiply every setting that counts steps by F, 0.001 to 1000 [default: as the experiment says]
     #[arg(long, value_name = "F", value_parser = scale)]
-    pub steps_scale: Option<f64>,
+    pub(crate) steps_scale: Option<f64>,
     #[command(flatten)]
-    pub size: SizeArgs,
+    pub(crate) size: SizeArgs,
     #[command(flatten)]
-    pub machine: MachineArgs,
+    pub(crate) machine: MachineArgs,
     #[command(flatten)]
-    pub lpips: LpipsArgs,
+    pub(crate) lpips: LpipsArgs,
 }
 
 /// One part of a scene's photos.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Split {
+pub(crate) enum Split {
     /// Photos that training never saw
     Test,
     /// Photos that it saw
     Train,
 }
 
+impl Split {
+    /// Test first: that is what counts.
+    pub(crate) const ALL: [Self; 2] = [Self::Test, Self::Train];
+
+    /// As flags and files call it.
+    pub(crate) fn name(self) -> &'static str {
+        match self {
+            Self::Test => "test",
+            Self::Train => "train",
+        }
+    }
+}
+
 /// Which viewpoints to render.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum RenderSplit {
+pub(crate) enum RenderSplit {
     /// Photos that training never saw
     Test,
     /// Photos that it saw
@@ -265,59 +283,52 @@ pub enum RenderSplit {
 }
 
 /// Longest sides that can be asked for, px.
-pub const MAX_SIDE: RangeInclusive<i64> = 16..=u32::MAX as i64;
+pub(crate) const MAX_SIDE: RangeInclusive<i64> = 16..=u32::MAX as i64;
 /// Divisors of both sides that can be asked for.
-pub const DOWNSCALE: RangeInclusive<i64> = 1..=64;
+pub(crate) const DOWNSCALE: RangeInclusive<i64> = 1..=64;
+/// Seeds that can be asked for: those that TOML can hold.
+const SEEDS: RangeTo<u64> = ..1 << 63;
 /// Numbers of threads that can be asked for.
-pub const THREADS: RangeInclusive<i64> = 1..=1024;
+pub(crate) const THREADS: RangeInclusive<i64> = 1..=1024;
 
 /// How large photos are loaded.
 #[derive(Clone, Copy, Debug, Default, Args)]
-pub struct SizeArgs {
-    /// Longest side of the photos in pixels; larger ones are reduced [default: only widths above 1600 are reduced, to 1600].
-    /// Smaller trains faster and shows less detail
+pub(crate) struct SizeArgs {
+    /// Longest side of the photos in pixels; larger ones are reduced [default: only widths above 1600 are reduced, to 1600; for the
+    /// splat of a RUN, as the RUN was trained]. Smaller trains faster and shows less detail
     #[arg(long, value_name = "PX", value_parser = clap::value_parser!(u32).range(MAX_SIDE), conflicts_with = "downscale")]
-    pub max_side: Option<u32>,
-    /// Divide both sides of the photos by K (the field's benchmarks use 1, 2, 4 and 8)
-    #[arg(long, value_name = "K", value_parser = clap::value_parser!(u32).range(DOWNSCALE))]
-    pub downscale: Option<u32>,
+    pub(crate) max_side: Option<u32>,
+    /// Divide both sides of the photos by K (the field's benchmarks use 1, 2, 4 and 8). For the splat of a RUN, it is the size that
+    /// the RUN was trained at that is divided: how the splat looks from farther away
+    #[arg(long, value_name = "K", value_parser = clap::value_parser!(u32).range(DOWNSCALE), help_heading = MORE)]
+    pub(crate) downscale: Option<u32>,
 }
 
 impl SizeArgs {
     /// The size that was asked for, if any was.
-    pub fn size(self) -> Option<PhotoSize> {
+    pub(crate) fn size(self) -> Option<PhotoSize> {
         self.max_side.map(PhotoSize::MaxSide).or(self.downscale.map(PhotoSize::Downscale))
     }
 }
 
-/// The same for photos that a finished splat is compared with.
+/// What a finished splat is shown on.
 #[derive(Clone, Copy, Debug, Default, Args)]
-pub struct ViewSizeArgs {
-    /// Longest side of the photos in pixels; larger ones are reduced [default: as the RUN was trained; for a PLY, only widths
-    /// above 1600 are reduced, to 1600]
-    #[arg(long, value_name = "PX", value_parser = clap::value_parser!(u32).range(MAX_SIDE), conflicts_with = "downscale")]
-    pub max_side: Option<u32>,
-    /// Divide both sides of the photos by K (the field's benchmarks use 1, 2, 4 and 8). Where the folder of a RUN is given, it is
-    /// the size that it was trained at that is divided: how the splat looks from farther away
-    #[arg(long, value_name = "K", value_parser = clap::value_parser!(u32).range(DOWNSCALE))]
-    pub downscale: Option<u32>,
-}
-
-impl From<ViewSizeArgs> for SizeArgs {
-    fn from(ViewSizeArgs { max_side, downscale }: ViewSizeArgs) -> Self {
-        Self { max_side, downscale }
-    }
+pub(crate) struct ShownOnArgs {
+    /// Colour behind the splat, and behind photos that are transparent [default: that of the RUN; for a PLY, which does not say,
+    /// black]
+    #[arg(long, value_name = "COLOUR", value_parser = choice(FIXED_BACKGROUNDS))]
+    pub(crate) background: Option<Background>,
 }
 
 /// Which machine power to use.
 #[derive(Clone, Copy, Debug, Default, Args)]
-pub struct MachineArgs {
+pub(crate) struct MachineArgs {
     /// Where to compute; results do not depend on the number of threads, but may on the kind of device [default: auto]
     #[arg(long, value_enum, value_name = "DEVICE")]
-    pub device: Option<Device>,
+    pub(crate) device: Option<DeviceChoice>,
     /// Processor threads to use, 1 to 1024 [default: all cores]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(THREADS))]
-    pub threads: Option<u16>,
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(THREADS), help_heading = MORE)]
+    pub(crate) threads: Option<u16>,
 }
 
 fn scale(text: &str) -> Result<f64, String> {

@@ -1,0 +1,153 @@
+//! Values that a flag takes by name, each with a line of help. The names are those of the configuration file.
+
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use genesplat::train::config::Signal;
+use genesplat::train::{Background, EvolutionMode, Variant};
+
+/// A value, its names (the first is shown, the others are understood, too), and its help.
+type Choice<T> = (T, &'static [&'static str], &'static str);
+
+/// Parses a flag that takes one of these values.
+pub(crate) fn choice<T>(choices: &'static [Choice<T>]) -> impl TypedValueParser<Value = T>
+where
+    T: Copy + Send + Sync + 'static,
+{
+    let shown = choices
+        .iter()
+        .map(|(_, names, help)| PossibleValue::new(names[0]).aliases(names[1..].iter().copied()).help(*help));
+    PossibleValuesParser::new(shown).map(|name| {
+        let found = choices.iter().find(|(_, names, _)| names.contains(&name.as_str()));
+        found.expect("clap has checked the name").0
+    })
+}
+
+/// `--variant`.
+pub(crate) const VARIANTS: &[Choice<Variant>] = &[
+    (Variant::ThreeDgs, &["3dgs"], "3D Gaussian Splatting (Kerbl et al. 2023)"),
+    (
+        Variant::PixelGs,
+        &["pixel-gs"],
+        "Pixel-GS (Zhang et al. 2024): adds Gaussians where many pixels need them",
+    ),
+    (
+        Variant::MipSplatting,
+        &["mip-splatting"],
+        "Mip-Splatting (Yu et al. 2024): stays sharp when seen from nearer or farther than the photos",
+    ),
+    (
+        Variant::Mcmc,
+        &["mcmc"],
+        "3DGS-MCMC (Kheradmand et al. 2024): Gaussians wander, dead ones move to where they are needed, up to --max-gaussians; \
+         give it several thousand iterations",
+    ),
+];
+
+const PAPER: Choice<EvolutionMode> = (
+    EvolutionMode::Paper,
+    &["paper"],
+    "The genetic algorithm of \"An Evolutionary Boost to Gaussian Splatting Optimization\"",
+);
+
+/// `--evolve` of `train` and `demo`.
+pub(crate) const EVOLUTION: &[Choice<EvolutionMode>] = &[
+    (EvolutionMode::Off, &["off"], "Gradient descent only"),
+    PAPER,
+    (
+        EvolutionMode::Control,
+        &["control"],
+        "For comparison: the same time (evolution.control_seconds of the configuration file) spent on more gradient steps",
+    ),
+    (
+        EvolutionMode::Recombine,
+        &["recombine"],
+        "Ours: every twentieth of the second half of the run, a child bred from its last states takes over if photos held back \
+         from that search agree",
+    ),
+    (
+        EvolutionMode::Renew,
+        &["renew"],
+        "Ours, and worth most: limits the number of Gaussians to what the photos can determine; after growth ends, replaces the \
+         least useful by copies where the error is largest; then also does recombine",
+    ),
+    (
+        EvolutionMode::Mosaic,
+        &["mosaic"],
+        "Ours, without gradients: each Gaussian takes the mutation that made the picture better where it is seen, if photos held \
+         back agree. Worth most on a splat that gradients have not finished",
+    ),
+];
+
+/// `--evolve` of `refine`: the modes that a finished splat allows.
+pub(crate) const REFINEMENT: &[Choice<EvolutionMode>] = &[
+    (
+        EvolutionMode::Mosaic,
+        &["mosaic"],
+        "Ours: each Gaussian takes the mutation that made the picture better where it is seen, if photos held back agree",
+    ),
+    PAPER,
+    (
+        EvolutionMode::Control,
+        &["control"],
+        "For comparison: gradient steps for evolution.control_seconds of the configuration file",
+    ),
+];
+
+const BLACK: Choice<Background> = (Background::Black, &["black"], "Black");
+const WHITE: Choice<Background> = (Background::White, &["white"], "White");
+
+/// `--background` of `train`.
+pub(crate) const BACKGROUNDS: &[Choice<Background>] =
+    &[BLACK, WHITE, (Background::Random, &["random"], "A new colour in every step; black when measured")];
+
+/// `--background` of a finished splat.
+pub(crate) const FIXED_BACKGROUNDS: &[Choice<Background>] = &[BLACK, WHITE];
+
+/// `--densify-signal`.
+pub(crate) const SIGNALS: &[Choice<Signal>] = &[
+    (Signal::Published, &["published"], "The method's own"),
+    (
+        Signal::Absolute,
+        &["absolute", "absgrad"],
+        "Absolute values (\"absgrad\" of gsplat): sharper details with fewer Gaussians; its threshold is \
+         densify.absolute_threshold of the configuration file",
+    ),
+    (
+        Signal::Gof,
+        &["gof"],
+        "As in later releases of Mip-Splatting and in Gaussian Opacity Fields: grows about twice as many",
+    ),
+];
+
+#[cfg(test)]
+mod tests {
+    use serde::Serialize;
+
+    use super::*;
+
+    fn assert_named_as_in_files<T: Serialize>(choices: &[Choice<T>]) {
+        for (value, names, _) in choices {
+            assert_eq!(serde_json::to_value(value).unwrap(), names[0]);
+        }
+    }
+
+    #[test]
+    fn flags_name_values_as_files_do() {
+        assert_named_as_in_files(VARIANTS);
+        assert_named_as_in_files(EVOLUTION);
+        assert_named_as_in_files(REFINEMENT);
+        assert_named_as_in_files(BACKGROUNDS);
+        assert_named_as_in_files(FIXED_BACKGROUNDS);
+        assert_named_as_in_files(SIGNALS);
+    }
+
+    #[test]
+    fn a_value_has_other_names_too() {
+        let parser = choice(SIGNALS);
+        let parsed = |name: &str| {
+            let parsed = parser.parse_ref(&clap::Command::new("x"), None, std::ffi::OsStr::new(name));
+            parsed.ok()
+        };
+        assert_eq!([parsed("absolute"), parsed("absgrad")], [Some(Signal::Absolute); 2]);
+        assert_eq!(parsed("relative"), None);
+    }
+}

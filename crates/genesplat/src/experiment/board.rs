@@ -1,0 +1,63 @@
+//! How far an experiment is: a row a cell, on stderr, the same on a terminal and in a file.
+
+use std::time::Instant;
+
+use super::plan::{Cell, Experiment};
+use crate::run::metrics::Metrics;
+use crate::terminal::output;
+
+/// The rows so far.
+pub(crate) struct Board<'a> {
+    experiment: &'a Experiment,
+    cells: usize,
+    done: usize,
+    ran: usize,
+    began: Instant,
+}
+
+impl<'a> Board<'a> {
+    pub(crate) fn new(experiment: &'a Experiment, cells: usize) -> Self {
+        output::tell(&format!(
+            "{:>9}  {:<14} {:<14} {:<14} {:>5} {:>10} {:>10} {:>10} {:>8}",
+            "cell", "scene", "variant", "arm", "seed", "test PSNR", "train PSNR", "Gaussians", "seconds"
+        ));
+        Self { experiment, cells, done: 0, ran: 0, began: Instant::now() }
+    }
+
+    /// A cell that was finished before.
+    pub(crate) fn kept(&mut self, cell: Cell, metrics: &Metrics) {
+        self.row(cell, Some(metrics), "finished before");
+    }
+
+    pub(crate) fn ran(&mut self, cell: Cell, metrics: &Metrics) {
+        self.ran += 1;
+        let left = self.cells - self.done - 1;
+        let minutes = self.began.elapsed().as_secs_f64() / self.ran as f64 * left as f64 / 60.0;
+        let note = if left > 0 { format!("about {minutes:.0} min left") } else { String::new() };
+        self.row(cell, Some(metrics), &note);
+    }
+
+    /// Why is said at the end, where it is read.
+    pub(crate) fn failed(&mut self, cell: Cell) {
+        self.row(cell, None, "failed");
+    }
+
+    fn row(&mut self, cell: Cell, metrics: Option<&Metrics>, note: &str) {
+        self.done += 1;
+        let (experiment, file) = (self.experiment, &self.experiment.file);
+        let psnr = |value: f64| if value.is_finite() { format!("{value:.2}") } else { "-".into() };
+        let figures = metrics.map_or(String::new(), |Metrics { test, train, gaussians, seconds, .. }| {
+            let (test, train) = (psnr(test.psnr), psnr(train.psnr));
+            format!(" {test:>10} {train:>10} {gaussians:>10} {:>8.1} ", seconds.training())
+        });
+        let line = format!(
+            "{:>9}  {:<14} {:<14} {:<14} {:>5}{figures} {note}",
+            format!("{}/{}", self.done, self.cells),
+            experiment.scene_name(cell.scene),
+            file.variants[cell.variant].name(),
+            experiment.arms[cell.arm].name,
+            file.seeds[cell.seed],
+        );
+        output::tell(line.trim_end());
+    }
+}

@@ -1,0 +1,212 @@
+//! One claim of a folder for one run: whose it is, who writes to it, what it replaces, and whether it can go on.
+
+use std::fs::{self, File};
+use std::io::{BufReader, ErrorKind};
+use std::path::{Path, PathBuf};
+
+use anyhow::{Result, anyhow, bail, ensure};
+use genesplat::core::{Gaussians, ScreenFilter};
+use genesplat::io::{PlyOptions, write_ply};
+use genesplat::train::Checkpoint;
+
+use super::lock::Lock;
+use super::metrics::Metrics;
+use super::{
+    CHECKPOINT, CLOUD, CONFIG, CONFIG_MARK, FUSED_CLOUD, LOG, METRICS, REPORT, TEST, is_run, previous,
+};
+use crate::files::{
+    check_folder, check_writable, remove_if_there, remove_leftovers, unwritable, write_file, write_json,
+    write_text,
+};
+
+/// The command that makes a run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Caller {
+    /// Replaces no interrupted run, and goes on with one when told to, on any device.
+    Train,
+    /// Goes on by itself, with settings that are the same, device included; leaves the terminal to the experiment.
+    Experiment,
+    /// Never goes on.
+    Demo,
+}
+
+/// A folder that is claimed for one run: no other process writes to it until this is dropped.
+#[derive(Debug)]
+pub(crate) struct RunSession {
+    path: PathBuf,
+    caller: Caller,
+    resumes: bool,
+    /// `None` until the run begins in a folder that was not there.
+    lock: Option<Lock>,
+}
+
+impl RunSession {
+    /// Claims the folder `path` for a run that begins anew, or goes on from its checkpoint. To be done before anything slow: fails
+    /// where the folder is something else's, cannot be written to, or has another writer; or holds an interrupted run, or none that
+    /// could go on. What is in it stays as it is until [`Self::begin`].
+    pub(crate) fn claim(path: &Path, caller: Caller, resumes: bool) -> Result<Self> {
+        if resumes {
+            check_is_run(path)?
+        } else {
+            check_is_free(path)?
+        }
+        // A run that never begins makes no folder, and where there is none, there is nothing to keep others from.
+        let lock = path.is_dir().then(|| Lock::take(path)).transpose()?;
+        let shown = path.display();
+        match (resumes, has_checkpoint(path)) {
+            (true, true) => check_writable(&path.join(CONFIG))?,
+            (true, false) if path.join(METRICS).exists() => bail!(
+                "the run in {shown} is finished, so there is nothing to resume; to train longer, start a run with more --iterations in \
+                 another folder"
+            ),
+            (true, false) => {
+                bail!("{shown} holds no checkpoint to go on from; start the run without --resume")
+            }
+            (false, true) if caller == Caller::Train => bail!(
+                "{shown} holds a run that was interrupted; add --resume to go on, or remove its checkpoint folder to start anew"
+            ),
+            (false, _) => {}
+        }
+        Ok(Self { path: path.to_owned(), caller, resumes, lock })
+    }
+
+    /// The run begins: results of an older one move out of the way, and the settings `config` are written.
+    pub(crate) fn begin(&mut self, config: &str) -> Result<()> {
+        let path = &self.path;
+        if self.lock.is_none() {
+            self.lock = Some(Lock::take(path)?);
+            ensure!(
+                !path.join(CONFIG).exists(),
+                "another genesplat has written to {} meanwhile; choose another --out",
+                path.display()
+            );
+        }
+        // Before the new settings are there: results never stand beside settings that are not theirs.
+        if !self.resumes && path.join(CONFIG).exists() {
+            previous::keep(path)?;
+        }
+        let text = format!("{CONFIG_MARK} {}; --config repeats it.\n{config}", env!("CARGO_PKG_VERSION"));
+        write_text(&path.join(CONFIG), &text)?;
+        let checkpoints = path.join("checkpoint");
+        [path, &checkpoints, &path.join(TEST)].into_iter().for_each(|folder| remove_leftovers(folder));
+        fs::create_dir_all(&checkpoints).map_err(|error| unwritable(&checkpoints, &error))
+    }
+
+    pub(crate) fn path(&self) -> &Path {
+        &self.path
+    }
+
+    pub(crate) fn caller(&self) -> Caller {
+        self.caller
+    }
+
+    pub(crate) fn resumes(&self) -> bool {
+        self.resumes
+    }
+
+    /// Writes the splat, so that viewers know its screen filter, and without its 3D filter, if it has one.
+    pub(crate) fn write_cloud(&self, cloud: &Gaussians, filter: ScreenFilter) -> Result<()> {
+        let options = PlyOptions { render_mode: filter.into(), ..PlyOptions::default() };
+        if cloud.filter_3d.is_some() {
+            write_ply(&self.path.join(FUSED_CLOUD), &cloud.fused(), &options)?;
+        }
+        Ok(write_ply(&self.path.join(CLOUD), cloud, &options)?)
+    }
+
+    /// Replaces the checkpoint.
+    pub(crate) fn write_checkpoint(&self, checkpoint: &Checkpoint) -> Result<()> {
+        write_file(&self.path.join(CHECKPOINT), |out| checkpoint.write(out))
+    }
+
+    /// Writes the page, then the figures: complete figures are the sign of a finished run.
+    pub(crate) fn write_results(&self, page: &str, metrics: &Metrics) -> Result<()> {
+        write_text(&self.path.join(REPORT), page)?;
+        write_json(&self.path.join(METRICS), metrics)
+    }
+
+    /// The run has come to its end: neither its checkpoint nor older results are needed any more.
+    pub(crate) fn finish(&self) -> Result<()> {
+        previous::remove(&self.path)?;
+        remove_if_there(&self.path.join(CHECKPOINT))
+    }
+}
+
+/// Whether a run in `folder` has left a checkpoint, whole or not.
+pub(crate) fn has_checkpoint(folder: &Path) -> bool {
+    folder.join(CHECKPOINT).exists()
+}
+
+/// The checkpoint of a run in `folder`.
+pub(crate) fn read_checkpoint(folder: &Path) -> Result<Checkpoint> {
+    let path = folder.join(CHECKPOINT);
+    let file = File::open(&path).map_err(|error| anyhow!("cannot read {}: {error}", path.display()))?;
+    Checkpoint::read(BufReader::new(file)).map_err(|error| anyhow!("{}: {error}", path.display()))
+}
+
+/// Fails where `path` is not the folder of a run.
+pub(crate) fn check_is_run(path: &Path) -> Result<()> {
+    let shown = path.display();
+    ensure!(
+        path.join(CONFIG).exists(),
+        "{shown} is not the folder of a run: it has no config.toml; give one that train made"
+    );
+    Ok(())
+}
+
+/// Fails where `path` is no folder for a new run: it belongs to something else, or cannot be written to.
+fn check_is_free(path: &Path) -> Result<()> {
+    check_folder(path, CONFIG)?;
+    previous::check(path)?;
+    let (config, test) = (path.join(CONFIG), path.join(TEST));
+    ensure!(
+        !test.is_file(),
+        "{} is a file, and pictures need a folder of that name; choose another --out",
+        test.display()
+    );
+    let foreign = match fs::metadata(&config) {
+        Ok(_) => (!is_run(path)).then_some(config),
+        Err(error) if error.kind() == ErrorKind::NotFound => foreign_in(path),
+        Err(error) => bail!(
+            "cannot read {}, which tells whose folder this is: {error}; choose another folder",
+            config.display()
+        ),
+    };
+    let Some(file) = foreign else { return Ok(()) };
+    bail!("{} belongs to something else; choose another folder", file.display())
+}
+
+/// What shows that a folder without settings of ours belongs to something else: a scene, or results, which never stand without their
+/// settings.
+fn foreign_in(path: &Path) -> Option<PathBuf> {
+    let is_foreign = |path: &PathBuf| match &*path.file_name().unwrap_or_default().to_string_lossy() {
+        METRICS | REPORT | CLOUD | LOG => path.is_file(),
+        "sparse" => path.is_dir(),
+        TEST => fs::read_dir(path).is_ok_and(|mut entries| entries.next().is_some()),
+        name => name.starts_with("transforms") && name.ends_with(".json"),
+    };
+    fs::read_dir(path).into_iter().flatten().flatten().map(|entry| entry.path()).find(is_foreign)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_claim_keeps_others_out_and_makes_no_folder() {
+        let place = tempfile::tempdir().unwrap();
+        let run = place.path().join("run");
+        let claim = || RunSession::claim(&run, Caller::Train, false);
+        let (mut first, mut second) = (claim().unwrap(), claim().unwrap());
+        assert!(!run.exists());
+        first.begin("").unwrap();
+        for refused in [second.begin("").unwrap_err(), claim().unwrap_err()] {
+            assert!(refused.to_string().contains("another genesplat is writing to"), "{refused}");
+        }
+        // One that is done before the other begins: its results were not there to be kept.
+        drop((first, second));
+        let late = RunSession { path: run.clone(), caller: Caller::Train, resumes: false, lock: None };
+        let refused = { late }.begin("").unwrap_err().to_string();
+        assert!(refused.contains("has written to"), "{refused}");
+        claim().unwrap().begin("").unwrap();
+    }
+}

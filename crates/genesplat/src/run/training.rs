@@ -1,0 +1,225 @@
+//! One run: from a loaded scene to a finished folder.
+
+use std::path::Path;
+use std::slice;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
+
+use anyhow::Result;
+use genesplat::core::{RenderSettings, View};
+use genesplat::io::Scene;
+use genesplat::io::photos::write_png;
+use genesplat::train::evaluate::{Evaluation, Lpips, Perceptual, evaluate};
+use genesplat::train::initialise::scene_extent;
+use genesplat::train::{Outcome, RunSummary, Start, train};
+
+use super::log::Log;
+use super::metrics::{Metrics, PhaseSeconds};
+use super::session::{Caller, RunSession, read_checkpoint};
+use super::test_curve::TestCurve;
+use super::{CONFIG, TEST, failure, memory, photos};
+use crate::device::Device;
+use crate::report::run::{RunPage, command_line};
+use crate::settings::Settings;
+use crate::terminal::progress::Bar;
+use crate::terminal::reporter::Reporter;
+use crate::{device, lpips, overwrite, scene};
+
+/// A run about to start.
+pub(crate) struct Run<'a> {
+    pub(crate) settings: &'a Settings,
+    pub(crate) scene: &'a Scene,
+    pub(crate) lpips: Option<&'a Lpips>,
+    /// Set by Ctrl-C and SIGTERM.
+    pub(crate) stop: &'a AtomicBool,
+    /// When loading began.
+    pub(crate) began: Instant,
+}
+
+/// How a run ended that did not fail.
+pub(crate) enum Ended {
+    /// As it was meant to; its folder is complete. What `metrics.json` says.
+    Whole(Metrics),
+    /// Training was stopped; the figures are those of what there was.
+    Stopped(Metrics),
+    /// Training came to its end, and scoring was stopped: the splat is whole, and there are no figures yet.
+    Unscored,
+    /// It was stopped before its first step, and its folder is as it was.
+    NotBegun,
+}
+
+impl Run<'_> {
+    /// Trains, saves, scores. Whatever would end a run before its first step is found while the results of an earlier one are still
+    /// in its folder.
+    pub(crate) fn execute(&self, session: &mut RunSession) -> Result<Ended> {
+        overwrite::check_photos(self.scene, &session.path().join(TEST))?;
+        if session.resumes() {
+            photos::check(session.path(), self.scene)?;
+        }
+        let mut device = self.open_device()?;
+        if !session.resumes() && self.stop.load(Ordering::Relaxed) {
+            return Ok(Ended::NotBegun);
+        }
+        session.begin(&self.settings.to_toml())?;
+        let load = self.began.elapsed().as_secs_f64();
+        memory::forget_peak();
+        let log = Log::open(session.path(), session.resumes())?;
+        let start = self.start(session)?;
+        let ended = self.train(session, &mut device, start, log, load);
+        ended.map_err(|error| failure::explain(error, session.path(), session.caller()))
+    }
+
+    fn open_device(&self) -> Result<Device> {
+        let config = self.settings.train.config();
+        if config.extent.is_none() {
+            scene_extent(self.scene.train.iter().map(|view| &view.camera))?;
+        }
+        device::open(self.settings.device, config.seed)
+    }
+
+    fn start(&self, session: &RunSession) -> Result<Start> {
+        match session.resumes() {
+            true => Ok(Start::Checkpoint(Box::new(read_checkpoint(session.path())?))),
+            false => Ok(Start::Points(scene::points(self.scene))),
+        }
+    }
+
+    fn train(
+        &self,
+        session: &RunSession,
+        device: &mut Device,
+        start: Start,
+        log: Log,
+        load: f64,
+    ) -> Result<Ended> {
+        let seconds_before = match &start {
+            Start::Checkpoint(saved) => saved.progress.gradient_seconds + saved.progress.evolution_seconds,
+            _ => 0.0,
+        };
+        let Self { settings, scene, stop, .. } = *self;
+        let config = &settings.train;
+        let curve = TestCurve::new(&scene.test, config.schedule().iterations);
+        let mut reporter = Reporter::new(session, log, stop).with_curve(curve);
+        if session.caller() == Caller::Experiment {
+            reporter = reporter.quiet();
+        }
+        let Outcome { cloud, summary, checkpoint } =
+            train(device, &scene.train, start, config, &mut reporter, stop)?;
+        // A disk that has no space for the checkpoint, the larger of the two, may have space for the cloud.
+        let saved = checkpoint.map_or(Ok(()), |checkpoint| session.write_checkpoint(&checkpoint));
+        session.write_cloud(&cloud, config.render_settings().filter)?;
+        drop(cloud);
+        saved?;
+        reporter.into_result()?;
+
+        let clock = Instant::now();
+        let Some((test, train)) = self.score(session, device, &summary)? else {
+            // What was saved on the way would have to be trained to the end once more.
+            session.write_checkpoint(&summary.checkpoint_at_end(device)?)?;
+            return Ok(Ended::Unscored);
+        };
+        let seconds = PhaseSeconds {
+            load,
+            gradient: summary.seconds.gradient,
+            evolution: summary.seconds.evolution,
+            evaluate: clock.elapsed().as_secs_f64(),
+            total: seconds_before + self.began.elapsed().as_secs_f64(),
+        };
+        let metrics = Metrics {
+            schema: 1,
+            dataset: scene.name.clone(),
+            variant: config.config().variant,
+            evolve: config.config().evolution.mode,
+            seed: config.config().seed,
+            iterations: summary.iterations,
+            gaussians: summary.gaussians,
+            test,
+            train,
+            seconds,
+            peak_memory_bytes: memory::peak_bytes(),
+            evolution: summary.stages,
+        };
+        session.write_results(&self.report(session.path(), &metrics)?, &metrics)?;
+        if summary.interrupted {
+            return Ok(Ended::Stopped(metrics));
+        }
+        session.finish()?;
+        Ok(Ended::Whole(metrics))
+    }
+
+    /// Scores of the test and training photos for the cloud that `device` holds; `None` where taking them was stopped.
+    fn score(
+        &self,
+        session: &RunSession,
+        device: &mut Device,
+        summary: &RunSummary,
+    ) -> Result<Option<(Evaluation, Evaluation)>> {
+        // Who stops a run waits for it, and figures of half a run are replaced by those of the whole. The few that are taken all the
+        // same must not be stopped by what stopped the run.
+        let never = AtomicBool::new(false);
+        let (train, lpips, stop) = match summary.interrupted {
+            true => (&[][..], None, &never),
+            false => (&self.scene.train[..], self.lpips, self.stop),
+        };
+        let settings = self.settings.train.render_settings();
+        let pictures = session.path().join(TEST);
+        let bar = if session.caller() == Caller::Experiment { Bar::fleeting } else { Bar::at };
+        let mut score = |views: &[View], folder: Option<&Path>| {
+            let bar = bar("scores", 0, views.len() as u64);
+            evaluate_until(stop, device, views, &settings, lpips, folder, bar)
+        };
+        let Some(test) = score(&self.scene.test, Some(&pictures))? else { return Ok(None) };
+        Ok(score(train, None)?.map(|train| (test, train)))
+    }
+
+    /// The page that shows the run.
+    fn report(&self, folder: &Path, metrics: &Metrics) -> Result<String> {
+        let path = |path: &Path| path.display().to_string();
+        let (dataset, out, saved) =
+            (path(&self.settings.dataset.path), path(folder), path(&folder.join(CONFIG)));
+        let words = ["genesplat", "train", &dataset, "--out", &out, "--config", &saved];
+        let (config, command) = (self.settings.to_toml(), command_line(words));
+        RunPage { metrics, scene: self.scene, folder, config: &config, command: &command }.to_html()
+    }
+}
+
+/// Scores the renders of `views`.
+pub(crate) fn evaluate_all(
+    device: &mut Device,
+    views: &[View],
+    settings: &RenderSettings,
+    lpips: Option<&Lpips>,
+) -> Result<Evaluation> {
+    let bar = Bar::new("scores", views.len() as u64);
+    let evaluation = evaluate_until(&AtomicBool::new(false), device, views, settings, lpips, None, bar)?;
+    Ok(evaluation.expect("nothing sets the flag"))
+}
+
+/// The same for one photo after the other, so that `stop` can end it: LPIPS of many takes minutes. `None` where it has. Renders are
+/// written to `folder` as PNG.
+fn evaluate_until(
+    stop: &AtomicBool,
+    device: &mut Device,
+    views: &[View],
+    settings: &RenderSettings,
+    lpips: Option<&Lpips>,
+    folder: Option<&Path>,
+    mut bar: Bar,
+) -> Result<Option<Evaluation>> {
+    let distance = lpips.map(lpips::published);
+    let perceptual = distance.as_ref().map(|distance| distance as Perceptual<'_>);
+    let mut scores = Vec::with_capacity(views.len());
+    for ((done, view), name) in (1..).zip(views).zip(scene::picture_names(views)) {
+        if stop.load(Ordering::Relaxed) {
+            return Ok(None);
+        }
+        let mut written = Ok(());
+        let of_one = evaluate(device, slice::from_ref(view), settings, perceptual, |_, picture| {
+            written = folder.map_or(Ok(()), |folder| write_png(&folder.join(&name), &picture));
+        })?;
+        written?;
+        scores.extend(of_one.views);
+        bar.set(done, String::new);
+    }
+    Ok(Some(Evaluation::from_views(scores)))
+}
