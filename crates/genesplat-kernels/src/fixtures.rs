@@ -1,5 +1,5 @@
-//! A small scene, and a crowded one in which pixels are finished, for the tests of the backends: all of them are compared on
-//! the same ones.
+//! A small scene, and a crowded one in which pixels are finished, for the tests of the backends: all of them are
+//! compared on the same ones.
 //!
 //! Compiled for this crate's own tests, and for those of others with the feature `fixtures`.
 
@@ -47,8 +47,8 @@ pub fn filtered_cloud(n: usize, filter: ScreenFilter) -> Gaussians {
 
 /// Rows of a [`crowd`].
 pub const CROWD: usize = 700;
-/// Opacity logits of crowds in which pixels are finished after most of the splats of a tile, after some, and after a few
-/// whose alpha is limited to 0.99.
+/// Opacity logits of crowds in which pixels are finished after most of the splats of a tile, after some, and after a
+/// few whose alpha is limited to 0.99.
 pub const CROWD_LOGITS: [f32; 3] = [-4.0, 2.0, 6.0];
 
 /// Gaussians that crowd the middle of the picture, hundreds to a tile, some of them at the same depth.
@@ -64,8 +64,8 @@ pub fn crowd(logit: f32) -> Gaussians {
     cloud
 }
 
-/// Needles that reach the picture from 240,000 px away. There, the terms of an exponent are so large that what rounding leaves
-/// of it can be as large, and positive.
+/// Needles that reach the picture from 240,000 px away. There, the terms of an exponent are so large that what rounding
+/// leaves of it can be as large, and positive.
 pub fn far_needles() -> Gaussians {
     let (mut needles, camera) = (cloud(400), camera());
     let world_from_camera = camera.camera_from_world_rotation.inverse();
@@ -81,8 +81,8 @@ pub fn far_needles() -> Gaussians {
     needles
 }
 
-/// A cloud in which every kind of parameter but colours, whose infinities the loss reports, has, somewhere, every value that
-/// no arithmetic likes.
+/// A cloud in which every kind of parameter but colours, whose infinities the loss reports, has, somewhere, every value
+/// that no arithmetic likes.
 pub fn poisoned_cloud() -> Gaussians {
     let mut cloud = cloud(60);
     let poison = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 1e30, -1e30, 1e-40];

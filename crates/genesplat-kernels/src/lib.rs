@@ -12,8 +12,8 @@
 //! | `contribution` | blending weights of each Gaussian, and the errors where it is seen |
 //! | `score` | Eq. 5 of a whole population, forward only |
 //!
-//! [`mod@reference`] is the oracle: f64, scalar, no tiles, so neither `bin` nor `score`. [`mod@cpu`] is the fast one: f32,
-//! rayon, SIMD picked at run time. The GPU's stages have the same names.
+//! [`mod@reference`] is the oracle: f64, scalar, no tiles, so neither `bin` nor `score`. [`mod@cpu`] is the fast one:
+//! f32, rayon, SIMD picked at run time. The GPU's stages have the same names.
 
 pub mod cpu;
 #[cfg(any(test, feature = "fixtures"))]

@@ -1,7 +1,7 @@
 //! The reference's gradients against central differences of its own forward pass, in f64, every parameter.
 //!
-//! Tolerance 1e-5 (relative). What is seen on these scenes is a few 1e-6, from the stencil itself: the smooth cut-off is
-//! a steep ramp, and rounding is divided by the step.
+//! Tolerance 1e-5 (relative). What is seen on these scenes is a few 1e-6, from the stencil itself: the smooth cut-off
+//! is a steep ramp, and rounding is divided by the step.
 
 mod reference_support;
 

@@ -314,8 +314,8 @@ fn any_splat() -> impl Strategy<Value = Splat> {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 200, failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// Splat behind splat, under both rules: transmittance starts at one, never rises, is never below zero, and falls by a share
-    /// that is an alpha; and no colour comes from nowhere.
+    /// Splat behind splat, under both rules: transmittance starts at one, never rises, is never below zero, and falls
+    /// by a fraction that is an alpha; and no colour comes from nowhere.
     #[test]
     fn alphas_are_fractions_and_transmittance_never_rises(
         splats in prop::collection::vec(any_splat(), 0..40),
@@ -327,7 +327,8 @@ proptest! {
                 let picture = rasterise::rasterise(&splats[..count], [8, 8], background, cutoff);
                 for (&after, before) in picture.transmittance.iter().zip(&before) {
                     let alpha = 1.0 - after / before;
-                    prop_assert!((0.0..=f64::from(genesplat_core::constants::ALPHA_MAX) + 1e-12).contains(&alpha), "{cutoff:?}: an alpha of {alpha}");
+                    let largest = f64::from(genesplat_core::constants::ALPHA_MAX) + 1e-12;
+                    prop_assert!((0.0..=largest).contains(&alpha), "{cutoff:?}: an alpha of {alpha}");
                     prop_assert!(after <= *before && after >= 0.0);
                 }
                 let in_range = |value: &f64| (0.0..=2.0 + 1e-9).contains(value);

@@ -32,6 +32,7 @@ pub struct CpuBackend {
     pub(super) views: Vec<TrainView>,
     pub(super) buffers: ViewBuffers,
     report: StepReport,
+    /// Adam steps made so far.
     steps: u32,
     pub(super) scorer: Scorer,
     pub(super) averages: WindowAverages,
@@ -81,6 +82,7 @@ impl CpuBackend {
         self.scorer.bytes()
     }
 
+    /// Zeroes the density columns, for the rows that the cloud has now.
     fn reset_density(&mut self) {
         let n = self.cloud.len();
         for column in [&mut self.statistics.gradient_sum, &mut self.statistics.weight_sum] {
@@ -103,18 +105,15 @@ impl CpuBackend {
             self.statistics.gene_views.resize(n, 0);
         }
     }
-
-    fn non_finite(&self) -> BackendError {
-        BackendError::diverged(&self.cloud, self.steps)
-    }
 }
 
-/// In plain words, `AVX2` say: the name of the variant, without what it holds.
+/// The name of an instruction set, such as `AVX2`.
 fn instruction_set(level: Level) -> String {
     let variant = format!("{level:?}");
     variant.split('(').next().unwrap_or_default().replace('_', ".").to_uppercase()
 }
 
+/// What a density signal needs besides the gradients.
 fn extra(signal: Option<DensitySignal>) -> Extra {
     match signal {
         Some(DensitySignal::Absolute | DensitySignal::SignedAndAbsolute) => Extra::Absolute,
@@ -179,7 +178,7 @@ impl Backend for CpuBackend {
         self.buffers.render(self.level, &self.cloud, &camera, &settings);
         let loss = self.buffers.backward(self.level, &camera, &view.target, extra(step.statistics.density));
         if !loss.is_finite() {
-            return Err(self.non_finite());
+            return Err(BackendError::diverged(&self.cloud, self.steps));
         }
         let ViewBuffers { splats, bins, gradient_rows, seconds, .. } = &mut self.buffers;
         let inputs = UpdateInputs { splats, bins, gradient_rows, camera: &camera, settings: &settings };

@@ -17,8 +17,8 @@ use super::view::splats::Splat;
 const GAUSSIANS: usize = 512;
 const REPEATS: usize = 50;
 
-/// Nanoseconds per intersection (one Gaussian over a whole 16x16 tile) on one core: the fastest of several repeats, since all that can happen to a
-/// repeat is to be interrupted.
+/// Nanoseconds per intersection (one Gaussian over a whole 16x16 tile) on one core: the fastest of several repeats, as
+/// an interruption can only slow one down.
 pub fn roofline_nanoseconds_per_intersection() -> f64 {
     let splats: Vec<Splat> = (0..GAUSSIANS).map(faint_splat).collect();
     let level = Level::new();

@@ -19,8 +19,8 @@ pub(crate) const LOG2_E: f32 = std::f32::consts::LOG2_E;
 /// the low mantissa bits.
 const ROUND: f32 = 12_582_912.0;
 
-/// `array!(k => value)` is `[value, ...]` for `k` = 0, 1, ...: always inlined, as `std::array::from_fn` and `map` are not.
-/// A vector operation that is not inlined into the function that dispatched it becomes a call through memory.
+/// `array!(k => value)` is `[value, ...]` for `k` = 0, 1, ...: always inlined, as `std::array::from_fn` and `map` are
+/// not. A vector operation that is not inlined into the function that dispatched it becomes a call through memory.
 macro_rules! array {
     ($k:ident => $value:expr) => {
         $crate::cpu::simd::array_from(

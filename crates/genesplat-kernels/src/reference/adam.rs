@@ -1,4 +1,5 @@
-//! Stage `adam`: the optimiser step, Adam (Kingma and Ba 2015) in torch's form, `p ← p − lr · m̂ / (sqrt(v̂) + ε)`, six groups.
+//! Stage `adam`: the optimiser step, Adam (Kingma and Ba 2015) in torch's form, `p ← p − lr · m̂ / (sqrt(v̂) + ε)`, six
+//! groups.
 //!
 //! It is dense: rows without a gradient keep moving on their momentum, as in 3DGS. What 3DGS-MCMC adds to a step is in
 //! [`super::noise`].

@@ -1,4 +1,5 @@
-//! Stage `colour`: colour of a Gaussian as one camera sees it: `max(0, 0.5 + Σ basis_k(direction) · coefficient_k)` per channel.
+//! Stage `colour`: colour of a Gaussian as one camera sees it: `max(0, 0.5 + Σ basis_k(direction) · coefficient_k)` per
+//! channel.
 
 use genesplat_core::spherical_harmonics::{
     C1, C2, C3, SH_COEFFICIENTS, SH_STRIDE, basis, coefficients, sh_index,

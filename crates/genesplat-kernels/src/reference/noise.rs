@@ -1,4 +1,5 @@
-//! Stage `noise`: what 3DGS-MCMC adds to an optimiser step: regularisers of opacity and scale before it, SGLD noise after it.
+//! Stage `noise`: what 3DGS-MCMC adds to an optimiser step: regularisers of opacity and scale before it, SGLD noise
+//! after it.
 //!
 //! Training is read as sampling (stochastic gradient Langevin dynamics): each mean walks at random within its own
 //! covariance, the more the fainter the Gaussian is, so that useless ones wander until they find something to explain.

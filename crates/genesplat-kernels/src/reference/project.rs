@@ -76,7 +76,8 @@ pub struct Splat {
 }
 
 impl Splat {
-    /// Whether the box of [`Splat::extent_px`] meets an image of this size, px: beyond it, no pixel has a gradient for it.
+    /// Whether the box of [`Splat::extent_px`] meets an image of this size, px: beyond it, no pixel has a gradient for
+    /// it.
     pub fn reaches_image(&self, size: [u32; 2]) -> bool {
         self.opacity > f64::from(ALPHA_MIN)
             && (0..2).all(|axis| {

@@ -7,32 +7,32 @@ use genesplat_core::{Camera, Photo, Rng, Stream};
 use genesplat_kernels::reference::Cloud64;
 use glam::{DQuat, DVec3};
 
-pub const WIDTH: u32 = 24;
-pub const HEIGHT: u32 = 20;
+pub(crate) const WIDTH: u32 = 24;
+pub(crate) const HEIGHT: u32 = 20;
 
 /// Uniform numbers in `[low, high)`, addressed by a running counter.
-pub struct Uniform {
+pub(crate) struct Uniform {
     rng: Rng,
     drawn: u32,
 }
 
 impl Uniform {
-    pub fn new(seed: u64) -> Self {
+    pub(crate) fn new(seed: u64) -> Self {
         Self { rng: Rng::new(seed), drawn: 0 }
     }
 
-    pub fn between(&mut self, low: f64, high: f64) -> f64 {
+    pub(crate) fn between(&mut self, low: f64, high: f64) -> f64 {
         self.drawn += 1;
         low + (high - low) * f64::from(self.rng.at(Stream::Test, self.drawn, 0, 0).uniform(0))
     }
 
-    pub fn array<const K: usize>(&mut self, low: f64, high: f64) -> [f64; K] {
+    pub(crate) fn array<const K: usize>(&mut self, low: f64, high: f64) -> [f64; K] {
         std::array::from_fn(|_| self.between(low, high))
     }
 }
 
 /// A tilted camera with a principal point off the centre and two focal lengths.
-pub fn tilted_camera() -> Camera {
+pub(crate) fn tilted_camera() -> Camera {
     Camera {
         width: WIDTH,
         height: HEIGHT,
@@ -44,7 +44,7 @@ pub fn tilted_camera() -> Camera {
 }
 
 /// A camera at the origin that looks along +z, with the principal point on the centre of pixel (10, 8).
-pub fn straight_camera() -> Camera {
+pub(crate) fn straight_camera() -> Camera {
     Camera {
         width: WIDTH,
         height: HEIGHT,
@@ -56,7 +56,7 @@ pub fn straight_camera() -> Camera {
 }
 
 /// `n` Gaussians around the world's origin: mid-grey on average, from faint to nearly opaque.
-pub fn random_cloud(n: usize, seed: u64) -> Cloud64 {
+pub(crate) fn random_cloud(n: usize, seed: u64) -> Cloud64 {
     let mut uniform = Uniform::new(seed);
     let mut cloud = Cloud64::zeros(n);
     for row in 0..n {
@@ -73,14 +73,14 @@ pub fn random_cloud(n: usize, seed: u64) -> Cloud64 {
 }
 
 /// A photo of noise.
-pub fn random_photo(width: u32, height: u32, seed: u64) -> Photo {
+pub(crate) fn random_photo(width: u32, height: u32, seed: u64) -> Photo {
     let mut uniform = Uniform::new(seed);
     let rgb = (0..3 * width * height).map(|_| uniform.between(0.0, 256.0) as u8).collect();
     Photo { width, height, rgb }
 }
 
 /// Appends a round Gaussian of one colour.
-pub fn push(cloud: &mut Cloud64, position: [f64; 3], scale: f64, opacity: f64, rgb: [f64; 3]) {
+pub(crate) fn push(cloud: &mut Cloud64, position: [f64; 3], scale: f64, opacity: f64, rgb: [f64; 3]) {
     cloud.positions.push(position);
     cloud.log_scales.push([scale.ln(); 3]);
     cloud.rotations.push([1.0, 0.0, 0.0, 0.0]);
@@ -91,7 +91,7 @@ pub fn push(cloud: &mut Cloud64, position: [f64; 3], scale: f64, opacity: f64, r
 }
 
 /// The parameter groups of a cloud as flat columns, with their names.
-pub fn groups(cloud: &mut Cloud64) -> [(&'static str, &mut [f64]); 5] {
+pub(crate) fn groups(cloud: &mut Cloud64) -> [(&'static str, &mut [f64]); 5] {
     [
         ("position", cloud.positions.as_flattened_mut()),
         ("log-scale", cloud.log_scales.as_flattened_mut()),
@@ -102,7 +102,7 @@ pub fn groups(cloud: &mut Cloud64) -> [(&'static str, &mut [f64]); 5] {
 }
 
 /// Derivative of `f` by the number that `entry` finds in a cloud: five-point stencil, error of order h⁴.
-pub fn difference(
+pub(crate) fn difference(
     cloud: &Cloud64,
     entry: impl Fn(&mut Cloud64) -> &mut f64,
     f: impl Fn(&Cloud64) -> f64,
@@ -117,7 +117,7 @@ pub fn difference(
 }
 
 /// All derivatives of `f`, in the shape of the cloud.
-pub fn differences(cloud: &Cloud64, f: impl Fn(&Cloud64) -> f64) -> Cloud64 {
+pub(crate) fn differences(cloud: &Cloud64, f: impl Fn(&Cloud64) -> f64) -> Cloud64 {
     let mut result = Cloud64::zeros(cloud.len());
     for group in 0..5 {
         for index in 0..groups(&mut result)[group].1.len() {
@@ -135,7 +135,7 @@ fn nth(cloud: &mut Cloud64, group: usize) -> &mut [f64] {
 
 /// Compares two columns: their difference relative to the column's norm, and entry by entry where an entry is at
 /// least a thousandth of the largest. `Err` names the worst offender.
-pub fn compare(name: &str, expected: &[f64], actual: &[f64], tolerance: f64) -> Result<(), String> {
+pub(crate) fn compare(name: &str, expected: &[f64], actual: &[f64], tolerance: f64) -> Result<(), String> {
     if expected.len() != actual.len() {
         return Err(format!("{name}: {} values instead of {}", actual.len(), expected.len()));
     }
@@ -157,7 +157,7 @@ pub fn compare(name: &str, expected: &[f64], actual: &[f64], tolerance: f64) -> 
 }
 
 /// [`compare`] for every group of two clouds.
-pub fn compare_clouds(expected: &Cloud64, actual: &Cloud64, tolerance: f64) -> Result<(), String> {
+pub(crate) fn compare_clouds(expected: &Cloud64, actual: &Cloud64, tolerance: f64) -> Result<(), String> {
     let (mut expected, mut actual) = (expected.clone(), actual.clone());
     groups(&mut expected)
         .into_iter()

@@ -1,5 +1,5 @@
-//! The counting sort by tile of stage `bin`, by several threads: each sorts its part of the intersections, then each takes
-//! some tiles from all parts.
+//! The counting sort by tile of stage `bin`, by several threads: each sorts its part of the intersections, then each
+//! takes some tiles from all parts.
 
 use rayon::prelude::*;
 

@@ -80,8 +80,9 @@ pub(crate) fn full_transmittance<S: Simd>(
     inside.select(V::splat(simd, 1.0), V::splat(simd, -1.0))
 }
 
-/// Takes a block out of `live`. A call, so that it stays a branch that the machine can predict: computed without one, the
-/// blocks of the next splat would have to wait for the last pixel of this one (measured: a fifth of the stage's time).
+/// Takes a block out of `live`. A call, so that it stays a branch that the machine can predict: computed without one,
+/// the blocks of the next splat would have to wait for the last pixel of this one (measured: a fifth of the stage's
+/// time).
 #[cold]
 #[inline(never)]
 pub(crate) fn finish(block: usize, live: &mut u32) {
@@ -115,7 +116,8 @@ pub(crate) fn alpha<S: Simd>(simd: S, splat: &Splat, block: usize) -> Alpha<S> {
     let exponent = slope.mul_add(dx, constant);
     let hit = exponent.simd_ge(-LOG2_255);
     // No Gaussian exceeds its opacity, but far from the mean of a needle large terms cancel, and rounding may leave
-    // anything. (Published code draws nothing where it does: near the mean of any splat, a pixel can hang on the last bit.)
+    // anything. (Published code draws nothing where it does: near the mean of any splat, a pixel can hang on the last
+    // bit.)
     let unclamped = exp2_of_alpha(exponent.min(splat.log2_opacity));
     Alpha { offset: [dx, dy], unclamped, alpha: keep(hit, unclamped.min(ALPHA_MAX)), hit }
 }

@@ -1,7 +1,7 @@
 //! Stage `contribution`: how much each Gaussian contributes to a view, and the error where it is seen.
 //!
-//! The backward blending sums `α·T · dL/dpixel` for every splat and channel, as the gradient of its colour. With ones in
-//! the place of the first channel's gradient and the pixels' errors in that of the second, it sums `α·T` and errors.
+//! The backward blending sums `α·T · dL/dpixel` for every splat and channel, as the gradient of its colour. With ones
+//! in the place of the first channel's gradient and the pixels' errors in that of the second, it sums `α·T` and errors.
 
 use fearless_simd::Level;
 use genesplat_core::{Contribution, Gaussians, Image, RenderSettings};

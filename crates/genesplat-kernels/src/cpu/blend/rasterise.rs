@@ -1,9 +1,9 @@
 //! Stage `rasterise`: blends the splats of each tile front to back.
 //!
 //! A tile is 16 blocks of 4x4 pixels and a block is one vector, so a splat costs only the blocks that its ellipse
-//! reaches. Splats come one after another, and each visits its blocks. These do not wait for one another, so the machine
-//! works on several at once; a loop over the splats of one block would wait for each alpha in turn. The tile's colours
-//! and transmittances stay in the first-level cache (4 kB).
+//! reaches. Splats come one after another, and each visits its blocks. These do not wait for one another, so the
+//! machine works on several at once; a loop over the splats of one block would wait for each alpha in turn. The tile's
+//! colours and transmittances stay in the first-level cache (4 kB).
 //!
 //! A pixel is finished when a splat would leave less than 1e-4 of its light: that splat is not blended into it, nor is
 //! any other. Its transmittance is kept with the sign bit set; whatever is blended after that finds it below the

@@ -1,12 +1,12 @@
 //! Stage `rasterise_backward`: from `dL/dimage` to one row of sums per splat and tile.
 //!
-//! Walks the lists front to back once more, as the forward pass does: with the final image known, the light behind a splat
-//! is what remains of it, so neither alphas nor transmittances are stored. Per pixel it finds `p = o·G · dL/dα` and
-//! `w = α·T`. All gradients of a splat are sums of `p` times `1, x, y, x², xy, y²` and of `w` times `dL/dpixel`.
+//! Walks the lists front to back once more, as the forward pass does: with the final image known, the light behind a
+//! splat is what remains of it, so neither alphas nor transmittances are stored. Per pixel it finds `p = o·G · dL/dα`
+//! and `w = α·T`. All gradients of a splat are sums of `p` times `1, x, y, x², xy, y²` and of `w` times `dL/dpixel`.
 //!
 //! Each splat visits its blocks twice: first for `p` and `w`, which do not depend on one another's blocks, then for the
-//! sums, which stay in registers and are reduced over the lanes once per tile. No two tasks write the same row, so there
-//! are no atomics and the result does not depend on the number of threads.
+//! sums, which stay in registers and are reduced over the lanes once per tile. No two tasks write the same row, so
+//! there are no atomics and the result does not depend on the number of threads.
 
 use fearless_simd::{Level, Simd, dispatch, f32x4, f32x8, prelude::*};
 use genesplat_core::Image;

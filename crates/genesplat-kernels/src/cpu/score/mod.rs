@@ -1,12 +1,12 @@
 //! Stage `score`: Eq. 5 of a whole population over a set of views, forward only.
 //!
-//! Individuals are not rendered one by one. A search whose individuals differ from each other in a quarter of their rows
-//! still holds few values of any one row, as related individuals inherit the same ones. A [`Pool`] has each value of a
-//! row once, an *allele*, with the individuals that hold it. To a view the alleles are the rows of one large cloud,
-//! projected, sorted and listed by tile once for all individuals ([`pool`]). In a block of pixels the alpha of each allele
-//! is evaluated once ([`tile`]). What is left for an individual is to blend the alphas that it holds, and its loss, of
-//! which the photo's part is known already ([`photo_loss`]). Losses equal those of rendering the changed cloud up to
-//! rounding.
+//! Individuals are not rendered one by one. A search whose individuals differ from each other in a quarter of their
+//! rows still holds few values of any one row, as related individuals inherit the same ones. A [`Pool`] has each value
+//! of a row once, an *allele*, with the individuals that hold it. To a view the alleles are the rows of one large
+//! cloud, projected, sorted and listed by tile once for all individuals ([`pool`]). In a block of pixels the alpha of
+//! each allele is evaluated once ([`tile`]). What is left for an individual is to blend the alphas that it holds, and
+//! its loss, of which the photo's part is known already ([`photo_loss`]). Losses equal those of rendering the changed
+//! cloud up to rounding.
 
 pub(crate) mod photo_loss;
 mod pool;
@@ -67,8 +67,8 @@ impl Scorer {
         losses
     }
 
-    /// Bytes of memory that scoring has taken at most, but for what threads have of their own: photos grow with the views,
-    /// the pool and its buffers with individuals and Gaussians.
+    /// Bytes of memory that scoring has taken at most, but for what threads have of their own: photos grow with the
+    /// views, the pool and its buffers with individuals and Gaussians.
     pub(crate) fn bytes(&self) -> usize {
         let photos: usize = self.photos.values().map(PhotoLoss::bytes).sum();
         photos + self.buffers.iter().map(PoolBuffers::bytes).sum::<usize>() + self.pool_bytes

@@ -1,7 +1,7 @@
 //! The loss of a picture against one photo, forward only, for many pictures of one view.
 //!
-//! SSIM needs five blurred moments (see [`crate::cpu::loss`]). Those of the photo and of its square are the same for all
-//! pictures: they are kept, and three are left, `E[x]`, `E[x²]` and `E[xy]`. Pictures and photo have rows of whole
+//! SSIM needs five blurred moments (see [`crate::cpu::loss`]). Those of the photo and of its square are the same for
+//! all pictures: they are kept, and three are left, `E[x]`, `E[x²]` and `E[xy]`. Pictures and photo have rows of whole
 //! vectors with zeros around them, so that every load is a whole vector. A channel is walked in columns of 144 px from
 //! top to bottom: what the last 11 rows leave stays in the first-level cache.
 
@@ -64,7 +64,8 @@ impl Layout {
 pub(crate) struct PhotoLoss {
     layout: Layout,
     photo: Vec<u8>,
-    /// `E[y]` and `E[y²] − E[y]² + C2` of each vector, in the order of the walk, so that the machine fetches them ahead.
+    /// `E[y]` and `E[y²] − E[y]² + C2` of each vector, in the order of the walk, so that the machine fetches them
+    /// ahead.
     blurred: Vec<[[f32; LANES]; 2]>,
 }
 
@@ -212,8 +213,8 @@ fn padded(planes: &[u8], layout: Layout) -> Vec<u8> {
 }
 
 impl<const K: usize> Walk<K> {
-    /// Walks down a column `(channel, first vector, vectors)`: calls `visit(place, vector, blurred quantities)` for each
-    /// of its vectors, row by row; `load(place)` gives the quantities.
+    /// Walks down a column `(channel, first vector, vectors)`: calls `visit(place, vector, blurred quantities)` for
+    /// each of its vectors, row by row; `load(place)` gives the quantities.
     #[inline(always)]
     fn down<S: Simd>(
         &mut self,

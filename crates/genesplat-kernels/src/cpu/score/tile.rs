@@ -1,9 +1,9 @@
 //! The picture of one tile for every individual of a pool.
 //!
-//! Block after block of 4x4 pixels, so that the light of all individuals in it (256 bytes each) stays in the first-level
-//! cache. The alphas of a batch of up to 64 splats are evaluated, and then each individual blends those that it holds:
-//! five operations for 16 pixels and a splat. A pixel is finished as in stage `rasterise`, and where all splats of a batch
-//! together could not finish one, none is checked.
+//! Block after block of 4x4 pixels, so that the light of all individuals in it (256 bytes each) stays in the
+//! first-level cache. The alphas of a batch of up to 64 splats are evaluated, and then each individual blends those
+//! that it holds: five operations for 16 pixels and a splat. A pixel is finished as in stage `rasterise`, and where all
+//! splats of a batch together could not finish one, none is checked.
 
 use fearless_simd::{Simd, prelude::*};
 use genesplat_core::alleles::Holders;
@@ -263,7 +263,8 @@ mod tests {
         }
     }
 
-    /// From alphas that finish most pixels, over ones that finish the last lane's and ones that just do not, to faint ones.
+    /// From alphas that finish most pixels, over ones that finish the last lane's and ones that just do not, to faint
+    /// ones.
     #[test]
     fn pixels_are_finished_for_each_individual_where_they_are() {
         for (alpha_of_lane, finishes) in [(0.03, true), (0.0125, true), (0.01, false), (0.003, false)] {

@@ -27,9 +27,9 @@ impl Rate {
     }
 }
 
-/// First moments below this are 0. Without a gradient they would decay into denormal numbers and stay there, since 0.9 of
-/// the smallest ones rounds to themselves, and many machines take a hundred cycles for each. A step by this much is 1e-15
-/// of a rate.
+/// First moments below this are 0. Without a gradient they would decay into denormal numbers and stay there, since 0.9
+/// of the smallest ones rounds to themselves, and many machines take a hundred cycles for each. A step by this much is
+/// 1e-15 of a rate.
 const FIRST_MIN: f32 = 1e-30;
 
 /// Steps all parameters of a chunk.
@@ -49,10 +49,10 @@ pub(crate) fn adam<S: Simd>(
     let mut positions = [[0.0; 3]; CHUNK];
     let mut log_scales = [[0.0; 3]; CHUNK];
     let mut opacity_logits = [0.0; CHUNK];
-    for (row, gene) in gradients.genes[..n].iter().enumerate() {
-        positions[row] = [gene[0], gene[1], gene[2]];
-        log_scales[row] = [gene[3], gene[4], gene[5]];
-        opacity_logits[row] = gene[6];
+    for (row, genes) in gradients.genes[..n].iter().enumerate() {
+        positions[row] = [genes[0], genes[1], genes[2]];
+        log_scales[row] = [genes[3], genes[4], genes[5]];
+        opacity_logits[row] = genes[6];
     }
     step_column(
         simd,

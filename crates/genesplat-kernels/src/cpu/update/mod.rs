@@ -1,5 +1,5 @@
-//! From gradient rows to stepped parameters, one chunk of rows at a time: stages `project_backward`, `adam` and `noise`,
-//! fused.
+//! From gradient rows to stepped parameters, one chunk of rows at a time: stages `project_backward`, `adam` and
+//! `noise`, fused.
 //!
 //! A chunk's gradients live in the cache only: they are computed for the splats of the chunk, added to the statistics,
 //! used by Adam and forgotten. So no gradient buffer of the size of the cloud exists, and every parameter is read and

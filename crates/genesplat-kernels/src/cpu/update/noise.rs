@@ -1,8 +1,8 @@
 //! Stage `noise`: what 3DGS-MCMC adds to an optimiser step (Kheradmand et al. 2024), over a chunk of rows.
 //!
-//! [`regularise`] runs before `adam`, [`noise`] after it (stochastic gradient Langevin dynamics). Noise is a pure function
-//! of (seed, step, row), so chunks may run on any thread. Gaussians so opaque that their noise is below anything that f32
-//! can hold are skipped, which is most of them: drawing normal numbers would cost more than Adam.
+//! [`regularise`] runs before `adam`, [`noise`] after it (stochastic gradient Langevin dynamics). Noise is a pure
+//! function of (seed, step, row), so chunks may run on any thread. Gaussians so opaque that their noise is below
+//! anything that f32 can hold are skipped, which is most of them: drawing normal numbers would cost more than Adam.
 
 use genesplat_core::Stream;
 use genesplat_core::backend::McmcStep;
@@ -12,8 +12,8 @@ use genesplat_core::gaussians::sigmoid;
 
 use super::chunk::{ChunkGradients, RowsMut};
 
-/// Noise fainter than this is left out; it is reached at an opacity of 0.28. At the published rates, a Gaussian as large as
-/// a scene of extent 1 would have moved by 1e-10.
+/// Noise fainter than this is left out; it is reached at an opacity of 0.28. At the published rates, a Gaussian as
+/// large as a scene of extent 1 would have moved by 1e-10.
 const FAINTNESS_MIN: f32 = 1e-12;
 
 /// Adds the gradients of `opacity_weight · mean(opacity) + scale_weight · mean(scale)`, means over a cloud of
@@ -21,12 +21,12 @@ const FAINTNESS_MIN: f32 = 1e-12;
 pub(crate) fn regularise(gradients: &mut ChunkGradients, rows: &RowsMut, mcmc: &McmcStep, cloud_rows: usize) {
     let opacity_weight = mcmc.opacity_weight / cloud_rows as f32;
     let scale_weight = mcmc.scale_weight / (3.0 * cloud_rows as f32);
-    for (row, gene) in gradients.genes[..rows.positions.len()].iter_mut().enumerate() {
+    for (row, genes) in gradients.genes[..rows.positions.len()].iter_mut().enumerate() {
         for axis in 0..3 {
-            gene[3 + axis] += scale_weight * rows.log_scales[row][axis].exp();
+            genes[3 + axis] += scale_weight * rows.log_scales[row][axis].exp();
         }
         let opacity = sigmoid(rows.opacity_logits[row]);
-        gene[6] += opacity_weight * opacity * (1.0 - opacity);
+        genes[6] += opacity_weight * opacity * (1.0 - opacity);
     }
     gradients.touch_all(rows.positions.len());
 }

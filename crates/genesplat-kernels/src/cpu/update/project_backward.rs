@@ -1,4 +1,5 @@
-//! Stage `project_backward`: from the gradient rows of a chunk's splats to the gradients of its Gaussians' raw parameters.
+//! Stage `project_backward`: from the gradient rows of a chunk's splats to the gradients of its Gaussians' raw
+//! parameters.
 
 use fearless_simd::{Simd, prelude::*};
 use genesplat_core::DensitySignal;

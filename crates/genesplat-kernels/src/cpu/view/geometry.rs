@@ -175,8 +175,8 @@ fn weighted_dot<S: Simd>(weight: &[V<S>; 3], a: &[V<S>; 3], b: &[V<S>; 3]) -> V<
     weight[0] * a[0] * b[0] + weight[1] * a[1] * b[1] + weight[2] * a[2] * b[2]
 }
 
-/// Determinant of `Σ_k variance_k w_k w_kᵀ`, as a sum of squares (Cauchy and Binet): `xx · yy − xy²` of a needle is a small
-/// difference of large numbers.
+/// Determinant of `Σ_k variance_k w_k w_kᵀ`, as a sum of squares (Cauchy and Binet): `xx · yy − xy²` of a needle is a
+/// small difference of large numbers.
 #[inline(always)]
 fn determinant<S: Simd>(variance: &[V<S>; 3], w: &[[V<S>; 3]; 2]) -> V<S> {
     let [xy, xz, yz] = [minor(w, 0, 1), minor(w, 0, 2), minor(w, 1, 2)];
@@ -184,8 +184,8 @@ fn determinant<S: Simd>(variance: &[V<S>; 3], w: &[[V<S>; 3]; 2]) -> V<S> {
     vx * vy * xy * xy + vx * vz * xz * xz + vy * vz * yz * yz
 }
 
-/// 0 in the place of the determinant where a scale or an opacity is NaN: `exp` would make a number of it, and a Gaussian
-/// of determinant 0 is dropped. Infinities have a meaning.
+/// 0 in the place of the determinant where a scale or an opacity is NaN: `exp` would make a number of it, and a
+/// Gaussian of determinant 0 is dropped. Infinities have a meaning.
 #[inline(always)]
 fn zero_where_nan<S: Simd>(params: &Params<S>, det: V<S>) -> V<S> {
     let [sx, sy, sz] = params.log_scale;

@@ -51,8 +51,8 @@ pub(crate) fn project_versions(
     });
 }
 
-/// Projects as many versions as there are slots, from `first` on, and tells which of them are seen if `seen` has a place
-/// for each; returns how many splats that makes, which come first.
+/// Projects as many versions as there are slots, from `first` on, and tells which of them are seen if `seen` has a
+/// place for each; returns how many splats that makes, which come first.
 #[inline(always)]
 fn project_chunk<S: Simd>(
     simd: S,

@@ -1,0 +1,169 @@
+//! What must hold for any input: no thread, no poison and no order of calls changes a result.
+
+use genesplat_core::{
+    Backend, Blend, DeviceState, EvolutionBackend, Gaussians, RowEdit, ScreenFilter, SparseDelta,
+};
+
+use super::{backend_with, classic_step, flat, mcmc_step};
+use crate::cpu::CpuBackend;
+use crate::fixtures::{
+    camera, cloud, far_needles, filters, individual_of, poisoned_cloud, settings, small_view, step,
+    tall_view, view,
+};
+
+#[test]
+fn results_do_not_depend_on_the_number_of_threads() {
+    let run = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| {
+            // Several tasks of every stage: rows in chunks, ranks, tiles, strips of pixels.
+            let mut backend = backend_with(&cloud(5000));
+            backend.set_views(&[tall_view()]).unwrap();
+            for number in 1..=5 {
+                let mut step = classic_step(number);
+                step.update.as_mut().unwrap().mcmc = (number % 2 == 0).then(|| mcmc_step(number));
+                backend.train_step(&step).unwrap();
+            }
+            let mut edit = RowEdit::keep((0..650).collect());
+            edit.push(3, genesplat_core::Origin::SplitChild { child: 0 });
+            backend.edit_rows(&edit).unwrap();
+            backend.train_step(&classic_step(6)).unwrap();
+            let cloud = backend.download().unwrap().into_owned();
+            (cloud, backend.statistics().unwrap())
+        })
+    };
+    let one = run(1);
+    assert!(one == run(2) && one == run(7));
+}
+
+/// More views than some have threads, and more rows than a task looks through.
+#[test]
+fn what_evolution_asks_does_not_depend_on_the_number_of_threads() {
+    let base = cloud(5000);
+    let population: Vec<SparseDelta> = (0..4).map(|index| individual_of(&base, index)).collect();
+    let run = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| {
+            let mut backend = backend_with(&base);
+            backend.set_views(&[view(), tall_view(), small_view()]).unwrap();
+            backend.average(0).unwrap();
+            backend.train_step(&classic_step(1)).unwrap();
+            let (views, settings) = ([0, 1, 2], classic_step(1).settings);
+            let scores = backend.score(&population, &views, &settings).unwrap();
+            let contributions = backend.contributions(&views, &settings).unwrap();
+            let blends = [Blend::default(), Blend { weights: [0.5, 0.0] }];
+            (scores, contributions, backend.measure(&blends, &views, &settings).unwrap())
+        })
+    };
+    let one = run(1);
+    assert!(one == run(2) && one == run(7));
+}
+
+#[test]
+fn poison_never_reaches_a_pixel() {
+    let cloud = poisoned_cloud();
+    for filter in filters() {
+        let mut backend = backend_with(&cloud);
+        let image = backend.render(&camera(), &settings(3, filter)).unwrap();
+        assert!(image.planes.iter().all(|v| v.is_finite()), "{filter:?}");
+    }
+}
+
+/// Where a Gaussian exceeds its opacity, by rounding, it counts as its opacity.
+#[test]
+fn far_needles_leave_everything_finite() {
+    let needles = far_needles();
+    for filter in filters() {
+        let mut backend = backend_with(&needles);
+        let image = backend.render(&camera(), &settings(0, filter)).unwrap();
+        assert!(image.planes.iter().all(|v| (0.0..10.0).contains(v)), "{filter:?}: the picture");
+        backend.train_step(&step(1, settings(0, filter))).unwrap();
+        let report = backend.report().unwrap();
+        assert!(report.intersections > 100, "{filter:?}: few needles reach the picture");
+        assert!(report.loss.is_finite(), "{filter:?}: the loss");
+        let stepped = backend.download().unwrap();
+        assert!(flat(&stepped.positions).all(f64::is_finite), "{filter:?}: positions");
+        assert!(flat(&stepped.log_scales).all(f64::is_finite), "{filter:?}: scales");
+        assert!(flat(&stepped.rotations).all(f64::is_finite), "{filter:?}: rotations");
+        assert!(stepped.opacity_logits.iter().all(|v| v.is_finite()), "{filter:?}: opacities");
+    }
+}
+
+/// One NaN anywhere in a row, and it is as if the row were not there.
+#[test]
+fn a_gaussian_with_a_nan_is_none() {
+    let clean = cloud(60);
+    let drawn =
+        |cloud: &Gaussians, filter| backend_with(cloud).render(&camera(), &settings(3, filter)).unwrap();
+    for filter in filters() {
+        let mut shown = 0;
+        for parameter in 0..12 {
+            let row = 3 * parameter + 2;
+            let (mut poisoned, mut without) = (clean.clone(), clean.clone());
+            without.positions[row] = [0.0, 0.0, -1e6];
+            match parameter {
+                0..3 => poisoned.positions[row][parameter] = f32::NAN,
+                3..6 => poisoned.log_scales[row][parameter - 3] = f32::NAN,
+                6..10 => poisoned.rotations[row][parameter - 6] = f32::NAN,
+                10 => poisoned.opacity_logits[row] = f32::NAN,
+                _ => poisoned.sh[row][7] = f32::NAN,
+            }
+            let expected = drawn(&without, filter);
+            assert_eq!(drawn(&poisoned, filter), expected, "{filter:?}, parameter {parameter}");
+            shown += usize::from(expected != drawn(&clean, filter));
+        }
+        assert!(shown > 4, "{filter:?}: rows must show for this to mean anything");
+    }
+}
+
+#[test]
+fn an_empty_cloud_and_a_single_pixel_are_rendered() {
+    let mut backend = CpuBackend::new();
+    backend.upload(DeviceState::default()).unwrap();
+    let settings = settings(0, ScreenFilter::Classic);
+    let image = backend.render(&camera(), &settings).unwrap();
+    assert_eq!(image.pixel(3, 4), settings.background);
+    let tiny = camera().resized(1, 1);
+    backend.upload(cloud(50).into()).unwrap();
+    assert_eq!(backend.render(&tiny, &settings).unwrap().planes.len(), 3);
+}
+
+/// As a run does that was saved and is resumed: parameters, moments, sums and averages.
+#[test]
+fn a_state_that_is_uploaded_goes_on_as_the_one_it_was_taken_from() {
+    let mut first = backend_with(&cloud(300));
+    first.train_step(&classic_step(1)).unwrap();
+    first.average(1).unwrap();
+    first.train_step(&classic_step(2)).unwrap();
+    let saved = first.state().unwrap();
+    assert!(saved.averages.states() == [0, 1] && saved.statistics.gene_views.contains(&2));
+    let mut second = backend_with(&cloud(10));
+    second.upload(saved.clone()).unwrap();
+    assert_eq!(second.state().unwrap(), saved);
+    for backend in [&mut first, &mut second] {
+        backend.train_step(&classic_step(3)).unwrap();
+    }
+    assert!(second.state().unwrap() == first.state().unwrap());
+
+    second.clear_gene_gradients();
+    let (before, after) = (first.statistics().unwrap(), second.statistics().unwrap());
+    assert!(after.gene_gradient_sum.is_empty() && after.gene_views.is_empty());
+    assert_eq!((after.gradient_sum, after.weight_sum), (before.gradient_sum, before.weight_sum));
+}
+
+/// The averages go with the rows and opacities that they are means of.
+#[test]
+fn edits_and_resets_empty_the_averages() {
+    let mut backend = backend_with(&cloud(20));
+    let changes: [fn(&mut CpuBackend); 3] = [
+        |backend| backend.edit_rows(&RowEdit::keep(vec![1, 5, 7])).unwrap(),
+        |backend| backend.reset_opacity(0.01).unwrap(),
+        |backend| backend.blend(&Blend { weights: [0.5, 0.0] }).unwrap(),
+    ];
+    for change in changes {
+        backend.average(0).unwrap();
+        assert_eq!(backend.state().unwrap().averages.states(), [1, 0]);
+        change(&mut backend);
+        assert_eq!(backend.state().unwrap().averages.states(), [0, 0]);
+    }
+}
