@@ -100,8 +100,6 @@ pub struct McmcConfig {
     /// Relocation and growth end before this iteration. Default 25,000; 0 switches both off. With evolution's mode `renew` they
     /// end at half of the run at the latest.
     pub until: u32,
-    /// Gaussians not more opaque than this are dead, and are relocated. Default 0.005; above 0, below 1.
-    pub min_opacity: f32,
     /// Fraction of Gaussians added each time, until `max_gaussians` are reached. Default 0.05; not negative.
     pub growth: f64,
     /// Exploration noise, in multiples of the position rate. Default 5e5; not negative. As in the authors' code it is in the scene's own
@@ -116,13 +114,6 @@ pub struct McmcConfig {
 
 impl Default for McmcConfig {
     fn default() -> Self {
-        Self {
-            until: 25_000,
-            min_opacity: 0.005,
-            growth: 0.05,
-            noise: 5e5,
-            opacity_weight: 0.01,
-            scale_weight: 0.01,
-        }
+        Self { until: 25_000, growth: 0.05, noise: 5e5, opacity_weight: 0.01, scale_weight: 0.01 }
     }
 }

@@ -107,10 +107,9 @@ pub struct TrainConfig {
     /// iterations, so a scale that does not divide them shifts events a little: at 0.2333 density control comes every 23 iterations, 147
     /// times and not 144, and resets fall between two of them. 0.1, 0.2 and 0.3 keep the shape exactly.
     pub steps_scale: f64,
-    /// Highest degree of the spherical harmonics. Default 3; 0 to 3. Lower is smaller, with less view-dependent colour.
+    /// Highest degree of the spherical harmonics, which starts at 0 and rises every 1,000 iterations. Default 3; 0 to 3.
+    /// Lower is smaller, with less view-dependent colour.
     pub sh_degree: u8,
-    /// Iterations between two rises of the degree, which starts at 0. Default 1000; at least 1.
-    pub sh_every: u32,
     /// Colour behind the splats. Default `black`; or `white`, `random`.
     pub background: Background,
     /// Dim Gaussians by as much as the screen filter widens them ("antialiasing" of 3DGS's later releases). Default
@@ -145,7 +144,6 @@ impl Default for TrainConfig {
             iterations: 30_000,
             steps_scale: 1.0,
             sh_degree: SH_DEGREE_MAX,
-            sh_every: 1000,
             background: Background::default(),
             antialiasing: false,
             extent: None,

@@ -39,7 +39,6 @@ impl TrainConfig {
         let scale = self.steps_scale;
         check("steps_scale", scale, (1e-3..=1e3).contains(&scale), "between 0.001 and 1000")?;
         check("sh_degree", self.sh_degree, self.sh_degree <= SH_DEGREE_MAX, "between 0 and 3")?;
-        at_least_one("sh_every", self.sh_every)?;
         if let Some(extent) = self.extent {
             positive("extent", extent)?;
         }
@@ -110,7 +109,6 @@ impl DensifyConfig {
 
 impl McmcConfig {
     fn validate(&self) -> Result<(), ConfigError> {
-        open_unit("mcmc.min_opacity", self.min_opacity)?;
         not_negative("mcmc.growth", self.growth)?;
         not_negative("mcmc.noise", self.noise.into())?;
         not_negative("mcmc.opacity_weight", self.opacity_weight.into())?;

@@ -185,6 +185,10 @@ mod tests {
         (statistics, genes)
     }
 
+    fn decide(statistics: &Statistics, genes: &[Genes], rules: &Rules, iteration: u32) -> Plan {
+        plan(statistics, genes, rules, Rng::new(7), iteration)
+    }
+
     fn rows(plan: &Plan) -> Vec<(u32, Origin)> {
         plan.edit.sources.iter().copied().zip(plan.edit.origins.iter().copied()).collect()
     }
@@ -198,7 +202,7 @@ mod tests {
             (3e-4, 0.7, 0.5),  // split
             (3e-4, 0.02, 0.5), // clone
         ]);
-        let plan = plan(&statistics, &genes, &RULES, 600);
+        let plan = decide(&statistics, &genes, &RULES, 600);
         assert_eq!(
             rows(&plan),
             [
@@ -214,24 +218,24 @@ mod tests {
             ]
         );
         assert_eq!((plan.cloned, plan.split, plan.pruned, plan.refused), (2, 2, 0, 0));
-        assert_eq!(plan.edit.iteration, 600);
+        assert_eq!((plan.edit.iteration, plan.edit.rng), (600, Rng::new(7)));
     }
 
     #[test]
     fn thresholds_are_inclusive_where_the_reference_has_them_so() {
         let (mut statistics, genes) = scene(&[(0.0, 0.5, 0.5), (0.0, 0.5, 0.5)]);
         statistics.gradient_sum = vec![4.0 * 2e-4, 4.0 * 1.999e-4];
-        let plan = plan(&statistics, &genes, &RULES, 600);
+        let plan = decide(&statistics, &genes, &RULES, 600);
         assert_eq!((plan.cloned, plan.split), (0, 1), "a mean of exactly the threshold grows");
         let exactly = Rules { clone_size_max: size(log_scale(&genes[0])), ..RULES };
-        let plan = super::plan(&statistics, &genes, &exactly, 600);
+        let plan = decide(&statistics, &genes, &exactly, 600);
         assert_eq!((plan.cloned, plan.split), (1, 0), "a size of exactly the limit is cloned");
     }
 
     #[test]
     fn faint_rows_and_their_copies_are_pruned() {
         let (statistics, genes) = scene(&[(3e-4, 0.05, 0.004), (0.0, 0.05, 0.006), (3e-4, 0.5, 0.001)]);
-        let plan = plan(&statistics, &genes, &RULES, 600);
+        let plan = decide(&statistics, &genes, &RULES, 600);
         assert_eq!(rows(&plan), [(1, KEPT)]);
         // Row 0 and its clone, both children of row 2.
         assert_eq!(plan.pruned, 4);
@@ -241,16 +245,16 @@ mod tests {
     fn size_is_judged_after_splitting() {
         // 1.5 / 1.6 is below the limit of 1, 1.7 / 1.6 above it; 1.2 does not grow and is simply too large.
         let (statistics, genes) = scene(&[(3e-4, 1.5, 0.5), (3e-4, 1.7, 0.5), (0.0, 1.2, 0.5)]);
-        let plan = plan(&statistics, &genes, &RULES, 3100);
+        let plan = decide(&statistics, &genes, &RULES, 3100);
         assert_eq!(rows(&plan), [(0, FIRST), (0, SECOND)]);
         let early = Rules { prune_size: None, ..RULES };
-        assert_eq!(super::plan(&statistics, &genes, &early, 3000).edit.sources, [0, 0, 1, 1, 2]);
+        assert_eq!(decide(&statistics, &genes, &early, 3000).edit.sources, [0, 0, 1, 1, 2]);
     }
 
     #[test]
     fn oversized_rows_stay_while_the_cap_turns_others_away() {
         let (statistics, genes) = scene(&[(3e-4, 0.5, 0.5), (3e-4, 1.5, 0.5), (0.0, 1.2, 0.5)]);
-        let capped = |cap| plan(&statistics, &genes, &Rules { cap: Some(cap), ..RULES }, 3100);
+        let capped = |cap| decide(&statistics, &genes, &Rules { cap: Some(cap), ..RULES }, 3100);
         assert_eq!(
             rows(&capped(3)),
             [(0, KEPT), (1, KEPT), (2, KEPT)],
@@ -272,24 +276,24 @@ mod tests {
         // One of five reaches the threshold. Rank 4/5 · 4 = 3.2 of (1, 2, 5, 8, 9) is 8.2.
         assert!((absolute_threshold(&statistics, RULES.gradient_threshold) - 8.2).abs() < 1e-6);
         let gof = Rules { or_absolute: true, ..RULES };
-        let found = plan(&statistics, &genes, &gof, 600);
+        let found = decide(&statistics, &genes, &gof, 600);
         assert_eq!((found.cloned, found.split), (0, 2));
         assert_eq!(found.edit.sources, [0, 0, 1, 1, 2, 3, 4]);
-        assert_eq!(plan(&statistics, &genes, &RULES, 600).split, 1, "only where it is asked for");
+        assert_eq!(decide(&statistics, &genes, &RULES, 600).split, 1, "only where it is asked for");
         // Where no row reaches the threshold, the quantile is the maximum, and that row grows, as published.
         let high = Rules { gradient_threshold: 1.0, ..gof };
-        assert_eq!(plan(&statistics, &genes, &high, 600).edit.sources, [0, 1, 1, 2, 3, 4]);
-        assert!(plan(&Statistics::default(), &[], &gof, 600).edit.sources.is_empty());
+        assert_eq!(decide(&statistics, &genes, &high, 600).edit.sources, [0, 1, 1, 2, 3, 4]);
+        assert!(decide(&Statistics::default(), &[], &gof, 600).edit.sources.is_empty());
         // Room for one: row 0 is 1.03 times its threshold, row 1 1.10 times.
         let capped = Rules { gradient_threshold: 2.9e-4, cap: Some(6), ..gof };
-        assert_eq!(plan(&statistics, &genes, &capped, 600).edit.sources, [0, 1, 1, 2, 3, 4]);
+        assert_eq!(decide(&statistics, &genes, &capped, 600).edit.sources, [0, 1, 1, 2, 3, 4]);
     }
 
     #[test]
     fn unseen_and_poisoned_rows_do_not_grow() {
         let (mut statistics, genes) = scene(&[(1.0, 0.5, 0.5), (f32::NAN, 0.5, 0.5)]);
         statistics.weight_sum[0] = 0.0;
-        assert!(plan(&statistics, &genes, &RULES, 600).edit.is_identity(2));
+        assert!(decide(&statistics, &genes, &RULES, 600).edit.is_identity(2));
     }
 
     #[test]
@@ -297,12 +301,12 @@ mod tests {
         let (statistics, genes) =
             scene(&[(3e-4, 0.05, 0.5), (9e-4, 0.5, 0.5), (5e-4, 0.05, 0.5), (5e-4, 0.05, 0.5)]);
         let capped = Rules { cap: Some(6), ..RULES };
-        let plan = plan(&statistics, &genes, &capped, 600);
+        let plan = decide(&statistics, &genes, &capped, 600);
         assert_eq!(plan.edit.sources.len(), 6);
         let grown = [(0, KEPT), (1, FIRST), (1, SECOND), (2, KEPT), (2, Origin::Clone), (3, KEPT)];
         assert_eq!(rows(&plan), grown);
         assert_eq!((plan.cloned, plan.split, plan.refused), (1, 1, 2));
-        let full = super::plan(&statistics, &genes, &Rules { cap: Some(3), ..RULES }, 600);
+        let full = decide(&statistics, &genes, &Rules { cap: Some(3), ..RULES }, 600);
         assert!(full.edit.is_identity(4), "a cloud above its cap does not shrink");
         assert_eq!(full.refused, 4);
     }
@@ -314,7 +318,7 @@ mod tests {
             cap in proptest::option::of(0usize..80),
         ) {
             let (statistics, genes) = scene(&rows);
-            let plan = plan(&statistics, &genes, &Rules { cap, ..RULES }, 600);
+            let plan = decide(&statistics, &genes, &Rules { cap, ..RULES }, 600);
             let n = rows.len();
             assert_eq!(plan.edit.sources.len(), n + plan.cloned + plan.split - plan.pruned);
             assert_eq!(plan.edit.origins.len(), plan.edit.sources.len());

@@ -16,6 +16,9 @@ use super::Plan;
 /// Gaussians at which growth ends, unless the configuration says otherwise.
 pub const DEFAULT_CAP: usize = 1_000_000;
 
+/// Gaussians not more opaque than this are dead, and are relocated.
+pub const MIN_OPACITY: f32 = 0.005;
+
 /// At most this many copies are accounted for where they share a place (the authors' kernel has a table of this size).
 const SHARERS_MAX: u32 = 51;
 

@@ -11,7 +11,7 @@ pub(crate) mod renew;
 
 use genesplat_core::{DensitySignal, RowEdit};
 
-use crate::config::{McmcConfig, Signal, TrainConfig, Variant};
+use crate::config::{Signal, TrainConfig, Variant};
 use crate::run::TrainError;
 use crate::run::trainer::Trainer;
 
@@ -46,7 +46,7 @@ impl Trainer<'_> {
     /// Decides the densification of iteration `i` by the variant's strategy.
     pub(crate) fn plan_densification(&mut self, i: u32) -> Result<Plan, TrainError> {
         if self.config.variant == Variant::Mcmc {
-            let McmcConfig { min_opacity, growth, .. } = self.config.mcmc;
+            let (min_opacity, growth) = (mcmc::MIN_OPACITY, self.config.mcmc.growth);
             let cap = self.cap.get().expect("MCMC always has a limit");
             let rules = mcmc::Rules { min_opacity, growth, cap };
             return Ok(mcmc::plan(&self.healthy_genes()?, &rules, self.rng, i));

@@ -7,6 +7,8 @@
 //! learning-rate schedule is Izmailov et al., "Averaging weights leads to wider optima and better generalization", 2018; going beyond
 //! the last state is the step of Zhang et al., "Lookahead optimizer", 2019.
 
+use std::time::Instant;
+
 use genesplat_core::averages::WINDOW_HALVES;
 use genesplat_core::{Blend, Gaussians, RenderSettings};
 
@@ -31,6 +33,7 @@ fn blend((mean, line): (f64, f64), has_states: [bool; WINDOW_HALVES]) -> Blend {
 
 /// The end of one window.
 pub(crate) struct WeightAveraging {
+    begun: Instant,
     guards: Vec<usize>,
     settings: RenderSettings,
     has_states: [bool; WINDOW_HALVES],
@@ -45,13 +48,13 @@ impl Stage for WeightAveraging {
         if has_states == [false; WINDOW_HALVES] {
             return Ok(None);
         }
-        let guards = guards(trainer.views, &trainer.rng.fork(i));
+        let (begun, guards) = (Instant::now(), guards(trainer.views, &trainer.rng.fork(i)));
         let before = trainer.guard_score(&guards, i)?;
         let record = StageRecord::begun(StageKind::Averaging, i, before.loss, Some(before.psnr));
         let clouds = 1 + has_states.into_iter().filter(|&has_states| has_states).count();
         let population_bytes = (clouds * trainer.backend.gaussian_count() * Gaussians::BYTES_PER_ROW) as u64;
         let (settings, chosen) = (trainer.settings(i), Blend::default());
-        let stage = Self { guards, settings, has_states, before, is_done: false, chosen };
+        let stage = Self { begun, guards, settings, has_states, before, is_done: false, chosen };
         Ok(Some((stage, StageRecord { population_bytes, ..record })))
     }
 
@@ -78,6 +81,7 @@ impl Stage for WeightAveraging {
         record.renders += ((candidates.len() + 1) * self.guards.len()) as u64;
         record.fitness_after = best.loss;
         record.guard_psnr = Some([self.before.psnr, best.psnr]);
+        record.seconds = self.begun.elapsed().as_secs_f64();
         record.changed = if self.chosen == Blend::default() { 0 } else { trainer.backend.gaussian_count() };
         let fittest = scores.iter().min_by(|a, b| a.loss.total_cmp(&b.loss));
         trainer.observer.on_generation(&GenerationLog {

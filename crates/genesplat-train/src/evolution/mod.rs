@@ -56,11 +56,11 @@ impl Trainer<'_> {
         cursor: Cursor,
     ) -> Result<Option<Box<Checkpoint>>, TrainError> {
         let clock = Instant::now();
-        let Some((mut stage, mut record)) = S::begin(self, cursor.iteration)? else { return Ok(None) };
         let mut saved = if S::KEEPS_CHANGES { Some(self.capture_healthy(cursor)?) } else { None };
+        let Some((mut stage, mut record)) = S::begin(self, cursor.iteration)? else { return Ok(None) };
         self.announce(&stage, &record);
         self.is_mid_change = true;
-        let outcome = self.go_on(&mut stage, &mut record, clock);
+        let outcome = self.go_on(&mut stage, &mut record);
         let rewound = stage.rewind(self);
         self.is_mid_change = S::KEEPS_CHANGES || rewound.is_err();
         let is_done = stage.is_done();
@@ -82,14 +82,8 @@ impl Trainer<'_> {
     }
 
     /// Piece after piece, until the last one or a stop.
-    fn go_on<S: Stage>(
-        &mut self,
-        stage: &mut S,
-        record: &mut StageRecord,
-        clock: Instant,
-    ) -> Result<(), TrainError> {
+    fn go_on<S: Stage>(&mut self, stage: &mut S, record: &mut StageRecord) -> Result<(), TrainError> {
         while !stage.is_done() && !self.is_stopped() {
-            record.seconds = clock.elapsed().as_secs_f64();
             stage.next(self, record)?;
         }
         Ok(())

@@ -28,8 +28,11 @@ impl Stage for GeneticSearch {
         let (begun, fitness, evolution) = (Instant::now(), trainer.fitness(i), &trainer.config.evolution);
         let of_base = trainer.fitness_of_base(&fitness, i)?;
         let base = trainer.backend.genes()?;
-        let wants_gradients = evolution.wants_gene_gradients();
-        let gradients = if wants_gradients { gene_gradients(trainer.backend.statistics()?) } else { None };
+        let gradients = if evolution.paper.uses_gradients() {
+            gene_gradients(trainer.backend.statistics()?)
+        } else {
+            None
+        };
         let (config, rng) = (evolution.paper.clone(), trainer.rng.fork(i));
         let algorithm = GeneticAlgorithm::new(config, base, gradients, of_base, rng)?;
         let renders = fitness.views.len() as u64;
@@ -75,7 +78,7 @@ impl Stage for GeneticSearch {
             record.changed = better.rows.len();
         }
         // The next stage sums them anew.
-        if trainer.config.evolution.wants_gene_gradients() {
+        if trainer.config.evolution.paper.uses_gradients() {
             trainer.backend.clear_gene_gradients();
         }
         Ok(())

@@ -126,7 +126,7 @@ impl Trainer<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::EvolutionMode;
+    use crate::config::{EvolutionMode, StepBudget};
 
     #[test]
     fn who_cuts_a_run_short_just_after_a_reset_hears_of_it() {
@@ -146,20 +146,22 @@ mod tests {
 
     #[test]
     fn who_asks_for_stages_that_never_come_hears_of_it() {
-        let notice = |mode, iterations| {
+        let notice = |change: fn(&mut TrainConfig), iterations| {
             let mut config = TrainConfig { iterations, ..TrainConfig::published() };
-            config.evolution.mode = mode;
+            change(&mut config);
             notice_of_no_stage(config.resolve().unwrap().schedule())
         };
-        for mode in [EvolutionMode::Paper] {
-            assert_eq!(notice(mode, 3001), None);
-            let text = notice(mode, 3000).expect("a notice");
+        let with_stages: [fn(&mut TrainConfig); 2] = [
+            |config| config.evolution.mode = EvolutionMode::Paper,
+            |config| config.evolution.extra_steps = Some(StepBudget::Steps(7)),
+        ];
+        for change in with_stages {
+            assert_eq!(notice(change, 3001), None);
+            let text = notice(change, 3000).expect("a notice");
             assert!(text.contains("a run of 3000 iterations"), "{text}");
         }
-        assert_eq!(
-            [EvolutionMode::Off, EvolutionMode::Renew].map(|mode| notice(mode, 3000)),
-            [const { None }; 2]
-        );
+        assert_eq!(notice(|_| {}, 3000), None);
+        assert_eq!(notice(|config| config.evolution.mode = EvolutionMode::Renew, 3000), None);
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! What happens at which iteration, as pure functions.
 //!
-//! Iterations count from 1. Each runs the phases of [`Phase::ORDER`] that are due, and training is nothing but this
+//! Iterations count from 1. Each runs the phases of [`Phase::order`] that are due, and training is nothing but this
 //! list of phases, so that it can stop and resume between any two of them. The rules, the reference's quirks included,
 //! are those of the code released with 3DGS (2023), which Pixel-GS and Mip-Splatting share.
 
@@ -22,6 +22,9 @@ const RENEWED_RELOCATION: f64 = 0.5;
 
 /// Fraction of a run after which there is no reset before renewals: what is faint contributes nothing yet.
 const RENEWED_RESETS: f64 = 0.5;
+
+/// Iterations between two rises of the spherical harmonics' degree (3DGS), before scaling.
+const SH_EVERY: u32 = 1000;
 
 /// Iteration of the additional reset with a white background, before scaling.
 const WHITE_RESET_AT: u32 = 500;
@@ -165,7 +168,7 @@ impl Schedule {
         let every = of_run(renewal.every).max(1);
         Self {
             iterations,
-            sh_every: interval(config.sh_every),
+            sh_every: interval(SH_EVERY),
             sh_degree_max: config.sh_degree,
             position_steps: interval(config.optimiser.position_steps),
             densify_from: scaled(densify.from),

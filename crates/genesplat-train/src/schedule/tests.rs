@@ -1,7 +1,9 @@
 use super::*;
+use crate::config::StepBudget;
 
+/// Of the published trainer, unless `change` says otherwise.
 fn schedule(change: impl FnOnce(&mut TrainConfig)) -> Schedule {
-    let mut config = TrainConfig::default();
+    let mut config = TrainConfig::published();
     change(&mut config);
     Schedule::new(&config)
 }
@@ -16,7 +18,7 @@ fn the_published_schedule_densifies_144_times_and_resets_4_times() {
     let densify = iterations_with(&schedule, Phase::Densify);
     assert_eq!((densify.len(), densify[0], densify[143]), (144, 600, 14_900));
     assert_eq!(iterations_with(&schedule, Phase::ResetOpacity), [3000, 6000, 9000, 12_000]);
-    assert_eq!(iterations_with(&schedule, Phase::EvolveAfterReset), [] as [u32; 0]);
+    assert_eq!(iterations_with(&schedule, Phase::Evolve), [] as [u32; 0]);
     assert!(!schedule.prunes_by_size(3000) && schedule.prunes_by_size(3100));
 }
 
@@ -57,7 +59,7 @@ fn evolution_follows_the_four_resets_but_not_the_white_one() {
     assert_eq!(schedule.stages().collect::<Vec<_>>(), [3000, 6000, 9000, 12_000]);
     assert_eq!(
         schedule.phases(3000).collect::<Vec<_>>(),
-        [Phase::Step, Phase::Densify, Phase::ResetOpacity, Phase::EvolveAfterReset]
+        [Phase::Step, Phase::Densify, Phase::ResetOpacity, Phase::Evolve]
     );
 }
 
@@ -66,59 +68,92 @@ fn other_triggers_move_the_stage_and_a_stride_thins_it() {
     let with = |trigger, stride| {
         schedule(|config| {
             config.evolution.mode = EvolutionMode::Paper;
-            (config.evolution.trigger, config.evolution.stride) = (Some(trigger), stride);
+            (config.evolution.trigger, config.evolution.stride) = (trigger, stride);
         })
     };
     let before = with(Trigger::BeforeReset, 2);
     assert_eq!(before.stages().collect::<Vec<_>>(), [6000, 12_000]);
-    let phases = [Phase::Step, Phase::Densify, Phase::EvolveBeforeReset, Phase::ResetOpacity];
+    let phases = [Phase::Step, Phase::Densify, Phase::Evolve, Phase::ResetOpacity];
     assert_eq!(before.phases(6000).collect::<Vec<_>>(), phases);
     assert_eq!(with(Trigger::AfterDensify, 1).stages().count(), 144);
     let quarter = with(Trigger::BeforeDensify, 36);
     assert_eq!(quarter.stages().collect::<Vec<_>>(), [4100, 7700, 11_300, 14_900]);
-    let phases = [Phase::Step, Phase::EvolveBeforeDensify, Phase::Densify];
+    let phases = [Phase::Step, Phase::Evolve, Phase::Densify];
     assert_eq!(quarter.phases(4100).collect::<Vec<_>>(), phases);
     let once = with(Trigger::AtEnd, 1);
     assert_eq!(once.stages().collect::<Vec<_>>(), [30_000]);
-    assert_eq!(once.phases(30_000).collect::<Vec<_>>(), [Phase::Step, Phase::EvolveAtEnd]);
+    assert_eq!(once.phases(30_000).collect::<Vec<_>>(), [Phase::Step, Phase::Evolve]);
 }
 
 #[test]
-fn recombination_has_a_stage_after_each_window_in_which_rows_stay() {
-    let recombining = |mcmc: bool, iterations: u32| {
-        schedule(|config| {
-            config.evolution.mode = EvolutionMode::Recombine;
-            (config.evolution.recombine.window, config.evolution.recombine.states) = (0.1, 20);
-            config.iterations = iterations;
-            if mcmc {
-                config.variant = Variant::Mcmc;
-            }
-        })
-    };
-    let full = recombining(false, 30_000);
-    assert_eq!(full.stages().count(), 0, "none of the paper's");
-    assert_eq!(iterations_with(&full, Phase::Recombine), [18_000, 21_000, 24_000, 27_000, 30_000]);
-    let remembered = iterations_with(&full, Phase::Remember);
+fn the_evolution_stage_has_its_place_by_the_trigger() {
+    use Phase::{AddToAverage, Average, Densify, Evolve, RefreshFilter, Renew, ResetOpacity, Step};
+    let late = [AddToAverage, Average, Renew];
+    for (trigger, early) in [
+        (Trigger::BeforeDensify, [Step, Evolve, Densify, RefreshFilter, ResetOpacity]),
+        (Trigger::AfterDensify, [Step, Densify, RefreshFilter, Evolve, ResetOpacity]),
+        (Trigger::BeforeReset, [Step, Densify, RefreshFilter, Evolve, ResetOpacity]),
+        (Trigger::AfterReset, [Step, Densify, RefreshFilter, ResetOpacity, Evolve]),
+        (Trigger::AtEnd, [Step, Densify, RefreshFilter, ResetOpacity, Evolve]),
+    ] {
+        let order = [&early[..], &late].concat();
+        assert_eq!(Phase::order(trigger)[..], order, "{trigger:?}");
+        let schedule = schedule(|config| config.evolution.trigger = trigger);
+        assert_eq!(schedule.order()[..], order);
+        assert!(order.iter().zip(0..).all(|(&phase, place)| schedule.place(phase) == place));
+    }
+}
+
+#[test]
+fn extra_steps_come_where_the_search_would() {
+    let stages = |change: fn(&mut TrainConfig)| schedule(change).stages().collect::<Vec<_>>();
+    let budget = Some(StepBudget::Steps(7));
+    assert_eq!(stages(|_| {}), [] as [u32; 0]);
+    let extra = schedule(|config| config.evolution.extra_steps = budget);
     assert_eq!(
-        (remembered.len(), remembered[0], remembered[1], remembered[98]),
-        (99, 15_150, 15_300, 29_850)
+        extra.stages().collect::<Vec<_>>(),
+        stages(|config| config.evolution.mode = EvolutionMode::Paper)
     );
-    let parents = [15_150, 16_350, 16_500, 18_000, 18_150].map(|i| full.parent(i));
-    assert_eq!(parents, [0, 0, 1, 1, 0], "the older half of each window, and the younger one");
-    // MCMC moves rows until 25,000: a window needs half its length after that.
-    assert_eq!(iterations_with(&recombining(true, 30_000), Phase::Recombine), [27_000, 30_000]);
-    // A run that is cut short densifies to its end, and has the last stage only.
-    assert_eq!(iterations_with(&recombining(false, 7000), Phase::Recombine), [7000]);
+    assert!(!extra.gene_gradients, "nobody reads them");
+}
+
+/// Windows are a tenth of the run, and nothing is renewed.
+fn averaging(change: impl FnOnce(&mut TrainConfig)) -> Schedule {
+    schedule(|config| {
+        config.evolution.mode = EvolutionMode::Renew;
+        (config.evolution.renewal.every, config.evolution.renewal.until) = (0.1, 0.0);
+        change(config);
+    })
+}
+
+#[test]
+fn weight_averaging_comes_at_the_end_of_each_window_in_which_rows_stay() {
+    let full = averaging(|_| {});
+    assert_eq!(full.stages().count(), 0, "none of the paper's");
+    assert_eq!(iterations_with(&full, Phase::Renew), [] as [u32; 0]);
+    assert_eq!(iterations_with(&full, Phase::Average), [18_000, 21_000, 24_000, 27_000, 30_000]);
+    let averaged = iterations_with(&full, Phase::AddToAverage);
+    // Ten states a window, but for the last step of the run.
+    assert_eq!((averaged.len(), averaged[0], averaged[1], averaged[48]), (49, 15_300, 15_600, 29_700));
+    let halves = [15_300, 16_200, 16_500, 18_000, 18_300].map(|i| full.window_half(i));
+    assert_eq!(halves, [0, 0, 1, 1, 0], "the older half of each window, and the younger one");
+    // MCMC moves rows until half of the run: there is a window more than in a run that densifies as long.
+    let mcmc = averaging(|config| config.variant = Variant::Mcmc);
+    assert_eq!(iterations_with(&mcmc, Phase::Average), iterations_with(&full, Phase::Average));
+    // A window needs half its length after density control, which a run that is cut short ends at 65 %.
+    let short = averaging(|config| config.iterations = 7000);
+    assert_eq!(iterations_with(&short, Phase::Average), [4900, 5600, 6300, 7000]);
+    let none = averaging(|config| config.evolution.renewal.averaging = false);
+    assert!((1..=30_000).all(|i| none.phases(i).all(|phase| !phase.is_evolution())));
 }
 
 #[test]
 fn the_younger_half_of_every_window_comes_after_density_control() {
     let lengths = (1..=1000).chain([1800, 2000, 3000, 7000, 7005, 24_000, 30_000, 40_000]);
     for iterations in lengths {
-        for (mode, window) in [EvolutionMode::Renew, EvolutionMode::Recombine].into_iter().zip([0.05, 0.1]) {
-            let schedule = schedule(|config| {
-                (config.iterations, config.evolution.mode) = (iterations, mode);
-                config.evolution.recombine.window = window;
+        for every in [0.05, 0.1] {
+            let schedule = averaging(|config| {
+                (config.iterations, config.evolution.renewal.every) = (iterations, every);
             });
             let window = schedule.window.unwrap();
             for end in (1..iterations).filter_map(|i| schedule.window_end(window, i)) {
@@ -127,7 +162,7 @@ fn the_younger_half_of_every_window_comes_after_density_control() {
                 let is_late = younger_half >= i64::from(schedule.densify_until);
                 assert!(end == iterations || is_late, "{iterations} iterations: a window ends at {end}");
             }
-            assert!(iterations_with(&schedule, Phase::Recombine).ends_with(&[iterations]));
+            assert!(iterations_with(&schedule, Phase::Average).ends_with(&[iterations]));
         }
     }
 }
@@ -155,7 +190,7 @@ fn renewal_begins_when_density_control_has_ended_and_leaves_time_to_learn() {
     );
     assert_eq!(
         full.phases(18_000).collect::<Vec<_>>(),
-        [Phase::Step, Phase::Remember, Phase::Recombine, Phase::Renew]
+        [Phase::Step, Phase::AddToAverage, Phase::Average, Phase::Renew]
     );
     // MCMC would relocate until 25,000.
     let mcmc = renewing(Variant::Mcmc);
@@ -199,7 +234,7 @@ fn renewals_of_runs_of_all_lengths() {
 }
 
 #[test]
-fn a_child_is_bred_before_a_renewal_unless_density_control_has_just_ended() {
+fn states_are_averaged_before_a_renewal_unless_density_control_has_just_ended() {
     for (iterations, until) in
         [(24_000, 15_000), (40_000, 15_000), (23_080, 15_000), (30_000, 10_000), (30_000, 16_000)]
             .into_iter()
@@ -209,12 +244,12 @@ fn a_child_is_bred_before_a_renewal_unless_density_control_has_just_ended() {
             (config.iterations, config.densify.until) = (iterations, until);
             config.evolution.mode = EvolutionMode::Renew;
         });
-        let bred = iterations_with(&schedule, Phase::Recombine);
+        let averaged = iterations_with(&schedule, Phase::Average);
         let settled = schedule.densify_until + schedule.window.unwrap() / 2;
         let renewed = iterations_with(&schedule, Phase::Renew);
         assert!(!renewed.is_empty(), "{iterations} iterations");
         for i in renewed.into_iter().filter(|&i| i >= settled) {
-            assert!(bred.contains(&i), "{iterations} iterations: {i} is not one of {bred:?}");
+            assert!(averaged.contains(&i), "{iterations} iterations: {i} is not one of {averaged:?}");
         }
     }
 }
@@ -227,7 +262,7 @@ fn with_renewal_a_run_that_is_cut_short_leaves_time_to_renew() {
     assert_eq!(iterations_with(&renewing, Phase::ResetOpacity), [3000]);
     assert_eq!(iterations_with(&plain, Phase::Densify).last(), Some(&6900));
     assert_eq!(iterations_with(&plain, Phase::ResetOpacity), [3000, 6000]);
-    assert!(plain.prunes_by_size(3100) && !renewing.prunes_by_size(3100), "what is weighed is not measured");
+    assert!(plain.prunes_by_size(3100) && !renewing.prunes_by_size(3100), "contributions decide there");
 }
 
 #[test]
@@ -242,16 +277,7 @@ fn mcmc_densifies_longer_loses_no_step_and_resets_nothing() {
     let lost = (1..=30_000).filter(|&i| schedule.optimiser_step(i) != OptimiserStep::All);
     assert_eq!(lost.collect::<Vec<_>>(), [30_000], "the last one only measures");
     assert_eq!(schedule.stages().collect::<Vec<_>>(), [3000, 6000, 9000, 12_000], "where 3DGS resets");
-    assert_eq!(
-        schedule.phases(3000).collect::<Vec<_>>(),
-        [Phase::Step, Phase::Densify, Phase::EvolveAfterReset]
-    );
-}
-
-#[test]
-fn mcmc_resets_if_told_to() {
-    let schedule = schedule(|config| (config.variant, config.mcmc.resets) = (Variant::Mcmc, true));
-    assert_eq!(iterations_with(&schedule, Phase::ResetOpacity), [3000, 6000, 9000, 12_000]);
+    assert_eq!(schedule.phases(3000).collect::<Vec<_>>(), [Phase::Step, Phase::Densify, Phase::Evolve]);
 }
 
 #[test]

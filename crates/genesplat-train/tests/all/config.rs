@@ -2,7 +2,7 @@
 
 use genesplat_core::backend::MomentPolicy;
 use genesplat_train::config::Signal;
-use genesplat_train::{Background, EvolutionMode, TrainConfig, Trigger, Variant};
+use genesplat_train::{Background, EvolutionMode, StepBudget, TrainConfig, Trigger, Variant};
 
 #[test]
 fn a_configuration_survives_its_file() {
@@ -12,10 +12,10 @@ fn a_configuration_survives_its_file() {
     config.variant = Variant::MipSplatting;
     (config.background, config.antialiasing) = (Background::Random, true);
     config.densify.signal = Signal::Absolute;
-    config.mcmc.resets = true;
     (config.extent, config.max_gaussians) = (Some(2.5), Some(1_000_000));
-    config.evolution.mode = EvolutionMode::Control;
-    config.evolution.trigger = Some(Trigger::BeforeDensify);
+    config.evolution.mode = EvolutionMode::Off;
+    config.evolution.extra_steps = Some(StepBudget::Steps(7));
+    config.evolution.trigger = Trigger::BeforeDensify;
     config.evolution.moments = MomentPolicy::Zero;
     let text = toml::to_string(&config).unwrap();
     assert!(text.contains(r#"variant = "mip-splatting""#) && text.contains(r#"trigger = "before-densify""#));
@@ -61,7 +61,7 @@ fn values_out_of_range_get_a_sentence() {
         (|c| c.densify.every = 0, "densify.every"),
         (|c| c.densify.prune_opacity = 0.5, "each reset empties the cloud"),
         (|c| c.evolution.views = 0, "evolution.views"),
-        (|c| c.mcmc.min_opacity = 0.0, "mcmc.min_opacity is 0"),
+        (|c| c.densify.reset_opacity = 0.0, "densify.reset_opacity is 0"),
         (|c| c.mcmc.growth = f64::INFINITY, "mcmc.growth is inf"),
         (
             |c| (c.variant, c.antialiasing) = (Variant::MipSplatting, true),
@@ -81,10 +81,51 @@ fn values_out_of_range_get_a_sentence() {
     let mut config = TrainConfig::default();
     config.evolution.paper.population = 0;
     assert!(config.resolve().unwrap_err().to_string().contains("evolution.paper"));
-    let mut config = TrainConfig::default();
-    config.evolution.mosaic.views = 0;
-    let error = config.resolve().unwrap_err().to_string();
-    assert_eq!(error, "in evolution.mosaic: views is 0, but must be at least 1");
+}
+
+#[test]
+fn extra_steps_are_a_control_and_run_beside_nothing_else() {
+    for mode in EvolutionMode::ALL {
+        for budget in [StepBudget::Steps(7), StepBudget::Seconds(1.0)] {
+            let mut config = TrainConfig::default();
+            (config.evolution.mode, config.evolution.extra_steps) = (mode, Some(budget));
+            match config.validate() {
+                Ok(()) => assert_eq!(mode, EvolutionMode::Off),
+                Err(error) => {
+                    assert_ne!(mode, EvolutionMode::Off);
+                    let text = error.to_string();
+                    assert!(text.contains("evolution.extra_steps") && text.contains("mode is off"), "{text}");
+                }
+            }
+        }
+    }
+    let mut config = TrainConfig::published();
+    config.evolution.extra_steps = Some(StepBudget::Seconds(-1.0));
+    let error = config.validate().unwrap_err().to_string();
+    assert!(error.contains("evolution.extra_steps.seconds is -1"), "{error}");
+}
+
+#[test]
+fn published_training_is_the_default_without_evolution() {
+    let published = TrainConfig::published();
+    assert_eq!(published.evolution.mode, EvolutionMode::Off);
+    assert_eq!(TrainConfig::default().evolution.mode, EvolutionMode::Renew);
+    let mut evolved = published;
+    evolved.evolution.mode = EvolutionMode::Renew;
+    assert_eq!(evolved, TrainConfig::default());
+}
+
+/// Whoever adds a setting takes one away, or says here why there must be more.
+#[test]
+fn there_are_at_most_sixty_settings() {
+    fn settings(value: &toml::Value) -> usize {
+        value.as_table().map_or(1, |table| table.values().map(settings).sum())
+    }
+    let defaults = toml::Value::try_from(TrainConfig::default()).unwrap();
+    // These have no default that a file could name.
+    let unset = ["extent", "max_gaussians", "densify.gradient_threshold", "evolution.extra_steps"];
+    let count = settings(&defaults) + unset.len();
+    assert!(count <= 60, "{count} settings");
 }
 
 #[test]

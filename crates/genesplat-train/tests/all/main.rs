@@ -1,10 +1,9 @@
 //! The training algorithm against a backend that computes next to nothing and records every call.
 
+mod averaging;
 mod config;
 mod evaluate;
-mod mosaic;
 mod order;
-mod recombine;
 mod reconstruct;
 mod renew;
 mod resume;

@@ -3,18 +3,19 @@
 
 use std::sync::atomic::AtomicBool;
 
-use genesplat_core::{DensitySignal, ScreenFilter};
+use genesplat_core::{DensitySignal, Rng, ScreenFilter};
 use genesplat_train::config::Signal;
-use genesplat_train::initialise::{InitialiseError, cloud_from_points};
 use genesplat_train::observe::{DensifyLog, Render, StepLog};
+use genesplat_train::scene::initialise::{InitialiseError, cloud_from_points};
 use genesplat_train::{
-    Background, EvolutionMode, Observer, Outcome, Silent, Start, TrainConfig, TrainError, Variant, train,
+    Background, EvolutionMode, Observer, Outcome, Silent, Start, StepBudget, TrainConfig, TrainError,
+    Variant, train,
 };
 
 use crate::support::{Call, FakeBackend, added, points, views};
 
 fn short(change: impl FnOnce(&mut TrainConfig)) -> TrainConfig {
-    let mut config = TrainConfig { steps_scale: 0.1, ..TrainConfig::default() };
+    let mut config = TrainConfig { steps_scale: 0.1, ..TrainConfig::published() };
     change(&mut config);
     config
 }
@@ -100,12 +101,12 @@ fn densification_precedes_the_reset_and_evolution_follows_it() {
             Call::ResetOpacity(_) => "reset",
             Call::Score { .. } => "score",
             Call::Apply { .. } => "apply",
-            Call::Restore { .. } => "forget",
+            Call::ClearGeneGradients => "clear",
             other => panic!("{other:?}"),
         })
         .collect();
     assert_eq!(kinds[..4], ["step", "edit", "reset", "score"]);
-    assert_eq!(kinds.last(), Some(&"forget"), "gene sums start anew: {kinds:?}");
+    assert_eq!(kinds.last(), Some(&"clear"), "gene sums start anew: {kinds:?}");
     let at: Vec<u32> = outcome.summary.stages.iter().map(|stage| stage.iteration).collect();
     assert_eq!(at, [300, 600, 900, 1200]);
     let genes: Vec<bool> = backend.steps().map(|step| step.statistics.genes).collect();
@@ -153,6 +154,32 @@ fn rows_with_large_gradients_grow_beside_their_sources() {
     let rows = (0..20u32).flat_map(|row| std::iter::repeat_n(row, if row % 10 == 3 { 2 } else { 1 }));
     assert_eq!(edit.sources, rows.collect::<Vec<_>>());
     assert_eq!((added(edit), edit.iteration), (4, 60));
+}
+
+#[test]
+fn every_random_draw_of_the_device_comes_from_the_seed() {
+    let trained = |seed, variant| {
+        let mut backend = FakeBackend::new();
+        backend.gradient = |row| if row % 10 == 3 { 3e-4 } else { 1e-4 };
+        let config = short(|config| (config.seed, config.variant, config.iterations) = (seed, variant, 700));
+        let cloud = run(&mut backend, config).unwrap().cloud;
+        (cloud.positions, backend)
+    };
+    let ((first, device), (again, _)) = (trained(1, Variant::ThreeDgs), trained(1, Variant::ThreeDgs));
+    let (other, _) = trained(2, Variant::ThreeDgs);
+    assert_eq!(first, again);
+    let y = |positions: &[[f32; 3]]| positions.iter().map(|position| position[1]).collect::<Vec<_>>();
+    // Nothing but the offset of split children moves the fake's y.
+    assert!(y(&first).iter().any(|&y| y != 0.0) && y(&first) != y(&other), "children are drawn anew");
+    let edits = |device: &FakeBackend| -> Vec<Rng> {
+        let rng = |call: &Call| if let Call::Edit(edit) = call { Some(edit.rng) } else { None };
+        device.calls.iter().filter_map(rng).collect()
+    };
+    assert!(!edits(&device).is_empty() && edits(&device).iter().all(|&rng| rng == Rng::new(1)));
+    let (_, device) = trained(2, Variant::Mcmc);
+    assert!(!edits(&device).is_empty() && edits(&device).iter().all(|&rng| rng == Rng::new(2)));
+    let mut noise = device.steps().filter_map(|step| step.update?.mcmc);
+    assert!(noise.all(|mcmc| mcmc.rng == Rng::new(2)));
 }
 
 #[test]
@@ -226,26 +253,23 @@ fn mip_splatting_refreshes_its_filter_before_the_reset() {
 }
 
 #[test]
-fn mcmc_explores_in_every_step_and_relocates_instead_of_resetting() {
+fn mcmc_adds_noise_in_every_step_and_relocates_instead_of_resetting() {
     let mut backend = FakeBackend::new();
     let outcome = run(
         &mut backend,
         short(|config| {
             (config.variant, config.max_gaussians) = (Variant::Mcmc, Some(27));
-            config.evolution.mode = EvolutionMode::Control;
-            config.evolution.control_seconds = 0.001;
+            config.evolution.extra_steps = Some(StepBudget::Seconds(0.001));
         }),
     )
     .unwrap();
     let updates: Vec<_> = backend.steps().filter_map(|step| step.update).collect();
     for (update, step) in updates.iter().zip(1..) {
-        let exploration = update.exploration.unwrap();
-        assert_eq!(
-            exploration.counter, step,
-            "no two steps share their noise, those of the control included"
-        );
-        assert_eq!(exploration.noise, update.rates.position * 5e5);
-        assert_eq!((exploration.opacity_weight, exploration.scale_weight), (0.01, 0.01));
+        let mcmc = update.mcmc.unwrap();
+        assert_eq!(mcmc.counter, step, "no two steps share their noise, extra ones included");
+        assert_eq!(mcmc.rng, Rng::new(0), "streams of the run's seed");
+        assert_eq!(mcmc.noise_scale, update.rates.position * 5e5);
+        assert_eq!((mcmc.opacity_weight, mcmc.scale_weight), (0.01, 0.01));
     }
     assert!(backend.steps().all(|step| step.statistics.density.is_none()), "nobody reads gradients");
     assert!(!backend.calls.iter().any(|call| matches!(call, Call::ResetOpacity(_))));
@@ -345,7 +369,7 @@ fn divergence_is_named() {
 
 #[test]
 fn missing_inputs_are_named() {
-    let config = TrainConfig::default().resolve().unwrap();
+    let config = TrainConfig::published().resolve().unwrap();
     let stop = AtomicBool::new(false);
     let run = |views: &[genesplat_core::View], start| {
         train(&mut FakeBackend::new(), views, start, &config, &mut Silent, &stop).unwrap_err()

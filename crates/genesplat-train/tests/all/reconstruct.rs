@@ -4,12 +4,12 @@ use std::f64::consts::TAU;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
-use genesplat_core::{Backend, Camera, Gaussians, Rng, SparseDelta, Stream, View};
+use genesplat_core::{Backend, Camera, EvolutionBackend, Gaussians, Rng, SparseDelta, Stream, View};
 use genesplat_kernels::cpu::CpuBackend;
 use genesplat_metrics::evaluate;
-use genesplat_train::initialise::{ColouredPoint, cloud_from_points};
-use genesplat_train::views::spread_evenly;
-use genesplat_train::{EvolutionMode, Outcome, Resolved, Silent, Start, TrainConfig, Variant, refine, train};
+use genesplat_train::scene::initialise::{ColouredPoint, cloud_from_points};
+use genesplat_train::scene::views::spread_evenly;
+use genesplat_train::{EvolutionMode, Outcome, Resolved, Silent, Start, TrainConfig, Variant, search, train};
 use glam::{DMat3, DVec3};
 
 const WIDTH: u32 = 48;
@@ -51,8 +51,8 @@ fn scene() -> (Vec<View>, Vec<View>, Vec<ColouredPoint>) {
     let mut points = truth_points();
     let mut truth: Gaussians = cloud_from_points(&points).unwrap();
     truth.opacity_logits.fill(1.5);
-    let mut backend = CpuBackend::new(0);
-    backend.upload(truth, None).unwrap();
+    let mut backend = CpuBackend::new();
+    backend.upload(truth.into()).unwrap();
     let mut views: Vec<View> = (0..16)
         .map(|index| {
             let camera = camera(f64::from(index) / 16.0 * TAU);
@@ -69,7 +69,7 @@ fn scene() -> (Vec<View>, Vec<View>, Vec<ColouredPoint>) {
 }
 
 fn config(change: impl FnOnce(&mut TrainConfig)) -> Resolved {
-    let mut config = TrainConfig { steps_scale: 0.01, ..TrainConfig::default() };
+    let mut config = TrainConfig { steps_scale: 0.01, ..TrainConfig::published() };
     config.max_gaussians = Some(600);
     config.evolution.mode = EvolutionMode::Paper;
     (config.evolution.paper.generations, config.evolution.paper.population) = (3, 12);
@@ -79,7 +79,7 @@ fn config(change: impl FnOnce(&mut TrainConfig)) -> Resolved {
 
 fn reconstruct(config: &Resolved) -> (Outcome, f64) {
     let (views, test, points) = scene();
-    let mut backend = CpuBackend::new(config.config().seed);
+    let mut backend = CpuBackend::new();
     let stop = AtomicBool::new(false);
     let outcome = train(&mut backend, &views, Start::Points(points), config, &mut Silent, &stop).unwrap();
     let settings = config.render_settings();
@@ -90,8 +90,8 @@ fn reconstruct(config: &Resolved) -> (Outcome, f64) {
 #[test]
 fn every_variant_reconstructs_unseen_views() {
     let (_, test, points) = scene();
-    let mut untrained = CpuBackend::new(0);
-    untrained.upload(cloud_from_points(&points).unwrap(), None).unwrap();
+    let mut untrained = CpuBackend::new();
+    untrained.upload(cloud_from_points(&points).unwrap().into()).unwrap();
     let before = evaluate(&mut untrained, &test, &Default::default(), None, |_, _| {}).unwrap().psnr;
     for variant in Variant::ALL {
         let (outcome, after) = reconstruct(&config(|config| {
@@ -118,17 +118,17 @@ fn a_stage_leaves_what_it_scored_in_mip_splatting_too() {
         config.variant = Variant::MipSplatting;
         config.evolution.paper.generations = 12;
     });
-    let mut backend = CpuBackend::new(0);
+    let mut backend = CpuBackend::new();
     let stop = AtomicBool::new(false);
     let mut cloud = cloud_from_points(&points).unwrap();
     cloud.filter_3d = Some(vec![0.03; cloud.len()]);
-    let outcome = refine(&mut backend, &views, cloud, &config, &mut Silent, &stop).unwrap();
+    let outcome = search(&mut backend, &views, cloud, &config, &mut Silent, &stop).unwrap();
     let stage = outcome.summary.stages[0];
     assert!(stage.changed > 0, "a search that finds nothing tests nothing");
     assert_eq!(outcome.cloud.filter_3d, Some(vec![0.03; points.len()]), "a finished cloud brings its filter");
-    let mut fresh = CpuBackend::new(0);
+    let mut fresh = CpuBackend::new();
     fresh.set_views(&views).unwrap();
-    fresh.upload(outcome.cloud, None).unwrap();
+    fresh.upload(outcome.cloud.into()).unwrap();
     let six = spread_evenly(&views, 6, &Rng::new(0), 0);
     let losses = fresh.score(&[SparseDelta::default()], &six, &config.render_settings()).unwrap();
     let mean = losses.iter().map(|&loss| f64::from(loss)).sum::<f64>() / 6.0;

@@ -1,4 +1,4 @@
-//! Renewal: those of least weight make room for twins, and what has not paid by the next renewal is taken back.
+//! Renewal: those of least contribution are replaced by twins, and what guards find worse by the next one is rolled back.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -14,11 +14,11 @@ use crate::support::{Call, Failure, FakeBackend, Keep, StopAt, points, views};
 
 /// 300 iterations; density control ends after 150, renewals begin at 150, 165, ... 225, the last is judged at 240.
 fn config() -> TrainConfig {
-    let mut config = TrainConfig { steps_scale: 0.01, ..TrainConfig::default() };
-    config.evolution.mode = EvolutionMode::Renew;
-    (config.evolution.renewal.share, config.evolution.renewal.weighed) = (0.1, 1.0);
-    config
+    TrainConfig { steps_scale: 0.01, ..TrainConfig::default() }
 }
+
+/// As many as contributions are measured on, 2 % of 300 steps: no Gaussian is spared because nobody saw it.
+const VIEWS: usize = 6;
 
 /// Guards find every state better than the one before, or worse.
 fn backend(decline: f32) -> FakeBackend {
@@ -28,7 +28,7 @@ fn backend(decline: f32) -> FakeBackend {
 }
 
 fn run(backend: &mut FakeBackend, start: Start, observer: &mut dyn Observer, stop: &AtomicBool) -> Outcome {
-    train(backend, &views(20), start, &config().resolve().unwrap(), observer, stop).unwrap()
+    train(backend, &views(VIEWS), start, &config().resolve().unwrap(), observer, stop).unwrap()
 }
 
 fn run_whole(backend: &mut FakeBackend) -> Outcome {
@@ -37,7 +37,7 @@ fn run_whole(backend: &mut FakeBackend) -> Outcome {
 
 fn run_observed(backend: &mut FakeBackend, config: TrainConfig, observer: &mut dyn Observer) -> Outcome {
     let (start, config) = (Start::Points(points(20)), config.resolve().unwrap());
-    train(backend, &views(20), start, &config, observer, &AtomicBool::new(false)).unwrap()
+    train(backend, &views(VIEWS), start, &config, observer, &AtomicBool::new(false)).unwrap()
 }
 
 fn renewals(outcome: &Outcome) -> Vec<StageRecord> {
@@ -54,7 +54,7 @@ fn edits(backend: &FakeBackend) -> Vec<&RowEdit> {
 }
 
 #[test]
-fn a_share_is_renewed_from_the_end_of_density_control_on() {
+fn a_fraction_is_renewed_from_the_end_of_density_control_on() {
     let mut backend = backend(0.9);
     let outcome = run_whole(&mut backend);
     let stages = renewals(&outcome);
@@ -63,76 +63,84 @@ fn a_share_is_renewed_from_the_end_of_density_control_on() {
     for stage in &stages {
         let [before, after] = stage.guard_psnr.unwrap();
         assert!(after > before);
-        // All views are weighed on, five guards are asked before.
-        assert_eq!((stage.changed, stage.renders), (2 * 2, 20 + 5));
+        // Contributions come from all views, and one guard is asked before.
+        assert_eq!((stage.changed, stage.renders), (2 * 2, 6 + 1));
     }
     let edits = edits(&backend);
     assert_eq!(edits.len(), 6);
     for edit in edits {
-        // The fake's first rows weigh least.
+        // The fake's first rows contribute least.
         assert_eq!(edit.sources.len(), 20);
         assert!(!edit.sources.contains(&0) && !edit.sources.contains(&1));
     }
     let uploads = backend.calls.iter().filter(|call| matches!(call, Call::Upload { .. })).count();
-    assert_eq!(uploads, 1, "nothing was taken back");
+    assert_eq!(uploads, 1, "nothing was rolled back");
 }
 
 #[test]
-fn what_no_weighed_view_shows_is_spared() {
-    let mut config = config();
-    config.evolution.renewal.weighed = 0.02;
-    let mut backend = backend(0.9);
-    run_observed(&mut backend, config, &mut Silent);
-    let weighed: Vec<&Call> =
-        backend.calls.iter().filter(|call| matches!(call, Call::Weigh { .. })).collect();
-    assert_eq!(weighed, [&Call::Weigh { views: 6 }; 6], "2 % of 300 steps");
-    // The fake's first row weighs nothing, and may have been out of sight.
+fn what_no_measured_view_shows_is_spared() {
+    let (mut backend, start) = (backend(0.9), Start::Points(points(20)));
+    let (config, stop) = (config().resolve().unwrap(), AtomicBool::new(false));
+    let outcome = train(&mut backend, &views(20), start, &config, &mut Silent, &stop).unwrap();
+    let stages = renewals(&outcome);
+    assert!(stages.iter().all(|stage| (stage.changed, stage.renders) == (2 * 2, 6 + 5)), "{stages:?}");
+    let measured: Vec<&Call> =
+        backend.calls.iter().filter(|call| matches!(call, Call::Contributions { .. })).collect();
+    assert_eq!(measured, [&Call::Contributions { views: 6 }; 6], "2 % of 300 steps, of twenty views");
+    // The fake's first row contributes nothing, and may have been out of sight.
     let sources = &edits(&backend)[0].sources;
     assert_eq!([0, 1, 2, 3].map(|row| sources.contains(&row)), [true, false, false, true]);
 }
 
 /// Runs with twenty Gaussians that always want to grow.
-fn grow(mode: EvolutionMode, pixels: f64, limit: Option<usize>) -> Told {
+fn grow(mode: EvolutionMode, capacity: f64, limit: Option<usize>) -> Told {
     let mut backend = backend(0.9);
     backend.gradient = |row| if row < 20 { 1e-3 } else { 0.0 };
     let mut config = TrainConfig { max_gaussians: limit, ..config() };
     config.evolution.mode = mode;
-    (config.evolution.renewal.pixels, config.evolution.renewal.photo_pixels) = (pixels, 0.0);
+    config.evolution.renewal.capacity = capacity;
     let mut told = Told::default();
     run_observed(&mut backend, config, &mut told);
     told
 }
 
-#[test]
-fn a_cloud_grows_to_what_the_photos_feed() {
+/// The factor at which the photos determine fifty Gaussians, and a bit: their pixels over 2 · √6 are 19.6, those of one
+/// over 0.3 are 53.3.
+fn capacity_of_fifty() -> f64 {
     let photo = &views(1)[0].photo;
-    let pixels = f64::from(photo.width) * f64::from(photo.height) * 20f64.sqrt();
-    let fed = grow(EvolutionMode::Renew, pixels / 50.0, None);
+    let pixels = VIEWS as f64 * f64::from(photo.width) * f64::from(photo.height);
+    50.5 / (pixels / (2.0 * (VIEWS as f64).sqrt()))
+}
+
+#[test]
+fn a_cloud_grows_to_what_the_photos_can_determine() {
+    let capacity = capacity_of_fifty();
+    let full = grow(EvolutionMode::Renew, capacity, None);
     // From iteration 6 to 149, evenly.
-    assert!(fed.sizes.iter().all(|&(i, rows)| rows <= (50 * i as usize / 149).max(20)), "{:?}", fed.sizes);
-    assert_eq!(fed.sizes.last(), Some(&(149, 50)));
+    let is_even = |&(i, rows): &(u32, usize)| rows <= (50 * i as usize / 149).max(20);
+    assert!(full.sizes.iter().all(is_even), "{:?}", full.sizes);
+    assert_eq!(full.sizes.last(), Some(&(149, 50)));
     assert!(
-        fed.notices[0].contains("149: the limit of 50 Gaussians that the photos feed")
-            && fed.notices[0].ends_with("more wanted to grow)"),
+        full.notices[0]
+            .contains("149: the limit of 50 Gaussians from the photos (evolution.renewal.capacity)")
+            && full.notices[0].ends_with("more wanted to grow)"),
         "{:?}",
-        fed.notices
+        full.notices
     );
-    let limited = grow(EvolutionMode::Renew, pixels / 50.0, Some(40));
+    let limited = grow(EvolutionMode::Renew, capacity, Some(40));
     assert_eq!(limited.sizes.last(), Some(&(149, 40)));
     assert!(limited.notices[0].contains("limit of 40 Gaussians is reached"), "{:?}", limited.notices);
-    assert_eq!(grow(EvolutionMode::Renew, pixels / 50.0, Some(60)).sizes.last(), Some(&(149, 50)));
-    for (mode, pixels) in [(EvolutionMode::Renew, 0.0), (EvolutionMode::Off, pixels / 50.0)] {
-        assert!(grow(mode, pixels, None).sizes.last().unwrap().1 > 60);
+    assert_eq!(grow(EvolutionMode::Renew, capacity, Some(60)).sizes.last(), Some(&(149, 50)));
+    for (mode, capacity) in [(EvolutionMode::Renew, 0.0), (EvolutionMode::Off, capacity)] {
+        assert!(grow(mode, capacity, None).sizes.last().unwrap().1 > 60);
     }
 }
 
 #[test]
-fn who_sets_a_limit_hears_at_once_that_the_photos_feed_fewer() {
-    let photo = &views(1)[0].photo;
-    let pixels = f64::from(photo.width) * f64::from(photo.height) * 20f64.sqrt();
+fn who_sets_a_limit_hears_at_once_that_the_photos_determine_fewer() {
     let told = |variant, mode, max_gaussians| {
         let mut config = TrainConfig { variant, max_gaussians, ..config() };
-        (config.evolution.mode, config.evolution.renewal.pixels) = (mode, pixels / 50.0);
+        (config.evolution.mode, config.evolution.renewal.capacity) = (mode, capacity_of_fifty());
         let mut told = Told::default();
         run_observed(&mut backend(0.9), config, &mut told);
         told.notices
@@ -143,7 +151,7 @@ fn who_sets_a_limit_hears_at_once_that_the_photos_feed_fewer() {
         (Variant::Mcmc, None, genesplat_train::densify::mcmc::DEFAULT_CAP),
     ] {
         let [notice] = &told(variant, EvolutionMode::Renew, limit)[..] else { panic!("one notice") };
-        let numbers = ["at most 50 Gaussians", "evolution.renewal", &format!("limit of {own}")];
+        let numbers = ["at most 50 Gaussians", "evolution.renewal.capacity", &format!("limit of {own}")];
         assert!(numbers.iter().all(|part| notice.contains(part)), "{notice}");
     }
     assert!(told(Variant::Mcmc, EvolutionMode::Off, Some(60)).is_empty());
@@ -158,7 +166,7 @@ fn who_sets_a_limit_hears_at_once_that_the_photos_feed_fewer() {
 fn a_run_too_short_to_grow_says_so() {
     let told = |variant, iterations, until| {
         let mut config = TrainConfig { variant, iterations, ..TrainConfig::default() };
-        (config.evolution.mode, config.densify.until) = (EvolutionMode::Renew, until);
+        config.densify.until = until;
         let mut told = Told::default();
         run_observed(&mut backend(0.9), config, &mut told);
         told.notices.into_iter().filter(|notice| notice.contains("nothing grows")).collect::<Vec<_>>()
@@ -194,8 +202,9 @@ impl Observer for Told {
 fn a_run_that_has_no_place_for_renewal_says_so() {
     let told = |variant: Variant, until: f64| {
         let (mut told, mut config) = (Told::default(), TrainConfig { variant, ..config() });
-        // Fewer than the photos feed, so that there is nothing else to tell.
-        (config.evolution.renewal.until, config.max_gaussians) = (until, Some(30));
+        // Fewer than the photos can determine, so that there is nothing else to tell.
+        (config.evolution.renewal.until, config.evolution.renewal.capacity) = (until, 2.0);
+        config.max_gaussians = Some(30);
         run_observed(&mut backend(0.9), config, &mut told);
         told.notices
     };
@@ -209,9 +218,9 @@ fn a_run_that_has_no_place_for_renewal_says_so() {
 }
 
 #[test]
-fn a_share_of_less_than_one_gaussian_renews_nothing() {
+fn a_fraction_of_less_than_one_gaussian_renews_nothing() {
     let mut few = config();
-    few.evolution.renewal.share = 0.04;
+    few.evolution.renewal.fraction = 0.04;
     let mut backend = backend(0.9);
     let outcome = run_observed(&mut backend, few, &mut Silent);
     assert_eq!((renewals(&outcome), edits(&backend).len()), (Vec::new(), 0));
@@ -230,11 +239,11 @@ impl Observer for StopAfterRenewal<'_> {
 fn state_at(observer: &mut dyn Observer, stop: &AtomicBool) -> (Gaussians, Moments) {
     let start = Start::Points(points(20));
     let checkpoint = run(&mut backend(1.1), start, observer, stop).checkpoint.unwrap();
-    (checkpoint.cloud, checkpoint.moments)
+    (checkpoint.state.cloud, checkpoint.state.moments)
 }
 
 #[test]
-fn what_guards_find_worse_is_taken_back_to_the_bit() {
+fn what_guards_find_worse_is_rolled_back_to_the_bit() {
     let mut refusing = backend(1.1);
     for stage in renewals(&run_whole(&mut refusing)) {
         let [before, after] = stage.guard_psnr.unwrap();
@@ -250,11 +259,11 @@ fn what_guards_find_worse_is_taken_back_to_the_bit() {
     once.evolution.renewal.until = 0.5;
     let config = once.resolve().unwrap();
     let observer = &mut StopAfterRenewal(&stop_again);
-    let stopped = train(&mut backend(1.1), &views(20), start, &config, observer, &stop_again).unwrap();
+    let stopped = train(&mut backend(1.1), &views(VIEWS), start, &config, observer, &stop_again).unwrap();
     let after = stopped.checkpoint.unwrap();
     assert_eq!(after.cursor.iteration, 166);
     assert!(after.trial.is_none());
-    assert_eq!((after.cloud, after.moments), before);
+    assert_eq!((after.state.cloud, after.state.moments), before);
 }
 
 #[test]
@@ -270,7 +279,7 @@ fn a_stop_during_a_trial_changes_nothing() {
             stopped.checkpoint.unwrap().write(&mut bytes).unwrap();
             let start = Start::Checkpoint(Box::new(Checkpoint::read(bytes.as_slice()).unwrap()));
             let mut resumed = backend(decline);
-            resumed.verdicts = stopping.verdicts;
+            resumed.measured = stopping.measured;
             let outcome = run(&mut resumed, start, &mut Silent, &AtomicBool::new(false));
             assert_eq!(outcome.cloud, whole.cloud, "stopped in iteration {i}");
         }
@@ -285,9 +294,9 @@ fn a_run_that_is_stopped_in_a_trial_hands_out_what_guards_like_better() {
         let outcome = run(&mut device, Start::Points(points(20)), &mut StopAt(157, &stop), &stop);
         let checkpoint = outcome.checkpoint.unwrap();
         let before = &checkpoint.trial.as_ref().unwrap().cloud;
-        let wanted = if is_better { &checkpoint.cloud } else { before };
+        let wanted = if is_better { &checkpoint.state.cloud } else { before };
         assert_eq!(&outcome.cloud, wanted);
-        assert_ne!(before, &checkpoint.cloud);
+        assert_ne!(before, &checkpoint.state.cloud);
         assert_eq!(&*device.download().unwrap(), wanted, "what is measured is what is handed out");
     }
 }
@@ -305,7 +314,7 @@ fn out_of_memory_in_any_call_saves_a_run_that_resumes_exactly() {
     let timeless = |outcome: &Outcome| -> Vec<StageRecord> {
         outcome.summary.stages.iter().map(|stage| StageRecord { seconds: 0.0, ..*stage }).collect()
     };
-    // Guards whose verdict depends on the cloud alone, so that whoever resumes hears the same.
+    // Guards whose score depends on the cloud alone, so that whoever resumes hears the same.
     for guards_disagree in [true, false] {
         let device = || {
             let mut device = backend(1.0);
@@ -322,7 +331,8 @@ fn out_of_memory_in_any_call_saves_a_run_that_resumes_exactly() {
             let (mut failing, mut keep) = (device(), Keep::default());
             failing.failure = Some((call, Failure::OutOfMemory));
             let (start, config) = (Start::Points(points(20)), config().resolve().unwrap());
-            train(&mut failing, &views(20), start, &config, &mut keep, &AtomicBool::new(false)).unwrap_err();
+            train(&mut failing, &views(VIEWS), start, &config, &mut keep, &AtomicBool::new(false))
+                .unwrap_err();
             let [checkpoint] = &keep.0[..] else { panic!("call {call} leaves nothing") };
             let resumed = resume(checkpoint, &mut device());
             assert_eq!(resumed.cloud, whole.cloud, "call {call}");

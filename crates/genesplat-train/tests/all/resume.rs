@@ -6,15 +6,16 @@ use std::sync::atomic::AtomicBool;
 
 use genesplat_core::BackendError;
 use genesplat_train::{
-    Background, Checkpoint, EvolutionMode, Observer, Outcome, Silent, StageRecord, Start, TrainConfig,
-    TrainError, Trigger, Variant, train,
+    Background, Checkpoint, EvolutionMode, Observer, Outcome, Silent, StageRecord, Start, StepBudget,
+    TrainConfig, TrainError, Trigger, Variant, train,
 };
 
 use crate::support::{Call, Failure, FakeBackend, Keep, points, views};
 
 /// 300 iterations that densify, reset (30, 60, ...), filter and evolve.
 fn config() -> TrainConfig {
-    let mut config = TrainConfig { steps_scale: 0.01, variant: Variant::MipSplatting, ..Default::default() };
+    let mut config =
+        TrainConfig { steps_scale: 0.01, variant: Variant::MipSplatting, ..TrainConfig::published() };
     config.background = Background::Random;
     config.max_gaussians = Some(60);
     config.evolution.mode = EvolutionMode::Paper;
@@ -77,27 +78,29 @@ fn stopping_between_any_two_phases_changes_nothing() {
             continue;
         };
         assert!(stopped.summary.interrupted);
-        cursors.insert((checkpoint.cursor.iteration, checkpoint.cursor.phase));
+        cursors.insert((checkpoint.cursor.iteration, checkpoint.cursor.phase as usize));
         assert_same(&resume(&checkpoint), &whole, &format!("stopped in call {call}"));
     }
     let schedule = config().resolve().unwrap().schedule().clone();
     for i in 2..=schedule.iterations {
         for phase in schedule.phases(i) {
-            assert!(cursors.contains(&(i, phase)), "never stopped before {phase:?} of iteration {i}");
+            assert!(
+                cursors.contains(&(i, phase as usize)),
+                "never stopped before {phase:?} of iteration {i}"
+            );
         }
     }
 }
 
 #[test]
-fn a_control_that_was_stopped_spends_its_seconds_anew() {
+fn extra_steps_that_were_stopped_spend_their_seconds_anew() {
     for trigger in [Trigger::AfterReset, Trigger::AtEnd] {
         let mut config = config();
-        config.evolution.mode = EvolutionMode::Control;
-        config.evolution.trigger = Some(trigger);
-        config.evolution.control_seconds = 1e9;
+        (config.evolution.mode, config.evolution.trigger) = (EvolutionMode::Off, trigger);
+        config.evolution.extra_steps = Some(StepBudget::Seconds(1e9));
         let stop = Arc::new(AtomicBool::new(false));
         let mut fake = backend();
-        // Beyond the last call of a run without controls, and so within one.
+        // Beyond the last call of a run without extra steps, and so within them.
         fake.stop_in_call = Some((2000, stop.clone()));
         let resolved = config.clone().resolve().unwrap();
         let start = Start::Points(points(20));
@@ -109,7 +112,7 @@ fn a_control_that_was_stopped_spends_its_seconds_anew() {
         // From before its first step, with seconds that a test can spend.
         let checkpoint = stopped.checkpoint.unwrap();
         assert_eq!((checkpoint.cursor.iteration, checkpoint.progress.stages.len()), (half.iteration, 0));
-        config.evolution.control_seconds = 0.01;
+        config.evolution.extra_steps = Some(StepBudget::Seconds(0.01));
         let (resolved, go_on) = (config.resolve().unwrap(), AtomicBool::new(false));
         let start = Start::Checkpoint(checkpoint);
         let whole = train(&mut backend(), &views(7), start, &resolved, &mut Silent, &go_on).unwrap();
@@ -174,10 +177,11 @@ fn a_checkpoint_of_another_variant_is_refused() {
 }
 
 #[test]
-fn a_control_whose_device_fails_leaves_its_beginning() {
+fn extra_steps_whose_device_fails_leave_their_beginning() {
     for failure in [Failure::OutOfMemory, Failure::Lost] {
         let mut config = config();
-        (config.evolution.mode, config.evolution.control_seconds) = (EvolutionMode::Control, 1e9);
+        config.evolution.mode = EvolutionMode::Off;
+        config.evolution.extra_steps = Some(StepBudget::Seconds(1e9));
         let mut fake = backend();
         fake.failure = Some((2000, failure));
         let (mut keep, stop) = (Keep::default(), AtomicBool::new(false));
@@ -218,16 +222,15 @@ fn out_of_memory_saves_a_run_that_resumes_exactly() {
         for call in fallible(queues).step_by(every) {
             let (error, keep, backend) = failed(call, Failure::OutOfMemory, queues);
             assert!(matches!(error, TrainError::Backend(BackendError::OutOfMemory { .. })), "{error}");
-            let is_rescued = backend.calls.last() == Some(&Call::Abandon);
+            let is_rescued = backend.calls.last() == Some(&Call::DiscardQueuedSteps);
             unsaved += usize::from(!is_rescued);
             assert!(!is_rescued || !keep.0.is_empty(), "call {call}: nothing was saved");
             if let Some(checkpoint) = keep.0.last() {
                 assert_same(&resume(checkpoint), &whole, &format!("call {call}, queues: {queues}"));
             }
         }
-        // Three calls in each of the four stages: where the base cannot come back, and when gene gradients are forgotten,
-        // since the best is in the cloud already.
-        assert!(unsaved <= 12, "{unsaved} failures left only what the schedule had saved");
+        // One call in each of the four stages: where the base cannot come back.
+        assert!(unsaved <= 4, "{unsaved} failures left only what the schedule had saved");
     }
 }
 
@@ -236,7 +239,7 @@ fn a_lost_device_leaves_what_the_schedule_saved() {
     for call in fallible(true).step_by(11) {
         let (error, keep, backend) = failed(call, Failure::Lost, true);
         assert!(matches!(error, TrainError::Backend(BackendError::DeviceLost { .. })), "{error}");
-        assert!(!backend.calls.contains(&Call::Abandon), "there is nothing to ask for");
+        assert!(!backend.calls.contains(&Call::DiscardQueuedSteps), "there is nothing to ask for");
         assert!(keep.0.iter().all(|checkpoint| [141, 281].contains(&checkpoint.cursor.iteration)));
     }
 }

@@ -1,4 +1,4 @@
-//! The evolution stage: it never makes things worse, stops when told, and its control costs what it says.
+//! The paper's search: it never makes things worse, and stops when told; and its control, which costs what it says.
 
 use std::collections::HashSet;
 use std::sync::Arc;
@@ -6,10 +6,11 @@ use std::sync::atomic::AtomicBool;
 
 use genesplat_core::Gaussians;
 use genesplat_core::backend::MomentPolicy;
-use genesplat_train::initialise::cloud_from_points;
 use genesplat_train::observe::{GenerationLog, StageLog};
+use genesplat_train::scene::initialise::cloud_from_points;
 use genesplat_train::{
-    Background, EvolutionMode, Observer, Outcome, Silent, StageRecord, TrainConfig, TrainError, refine,
+    Background, EvolutionMode, Observer, Outcome, Silent, StageKind, StageRecord, Start, StepBudget,
+    TrainConfig, TrainError, Trigger, search, train,
 };
 
 use crate::support::{Call, FakeBackend, points, views};
@@ -17,9 +18,8 @@ use crate::support::{Call, FakeBackend, points, views};
 const GENERATIONS: u32 = 4;
 const POPULATION: u32 = 12;
 
-fn config(mode: EvolutionMode) -> TrainConfig {
+fn config() -> TrainConfig {
     let mut config = TrainConfig::default();
-    config.evolution.mode = mode;
     config.evolution.paper.generations = GENERATIONS;
     config.evolution.paper.population = POPULATION;
     // Bolder than the paper, so that thirty Gaussians improve within a generation.
@@ -33,7 +33,7 @@ fn cloud() -> Gaussians {
 }
 
 fn run(backend: &mut FakeBackend, config: TrainConfig, stop: &AtomicBool) -> Result<Outcome, TrainError> {
-    refine(backend, &views(20), cloud(), &config.resolve().unwrap(), &mut Silent, stop)
+    search(backend, &views(20), cloud(), &config.resolve().unwrap(), &mut Silent, stop)
 }
 
 /// What was applied: moves to where individuals are scored from, the way back, and the best.
@@ -44,7 +44,7 @@ fn applied(backend: &FakeBackend) -> Vec<&Call> {
 #[test]
 fn a_better_individual_replaces_the_base() {
     let mut backend = FakeBackend::new();
-    let outcome = run(&mut backend, config(EvolutionMode::Paper), &AtomicBool::new(false)).unwrap();
+    let outcome = run(&mut backend, config(), &AtomicBool::new(false)).unwrap();
     let stage = outcome.summary.stages[0];
     assert!(stage.fitness_after < stage.fitness_before, "{stage:?}");
     assert_eq!(stage.generations, GENERATIONS + 1, "the initial population counts");
@@ -62,9 +62,9 @@ fn an_optimal_base_stays_as_it_is() {
     let mut backend = FakeBackend::new();
     let mut optimal = cloud();
     optimal.positions.iter_mut().for_each(|position| position[0] = backend.target);
-    let config = config(EvolutionMode::Paper).resolve().unwrap();
+    let config = config().resolve().unwrap();
     let stop = AtomicBool::new(false);
-    let outcome = refine(&mut backend, &views(20), optimal.clone(), &config, &mut Silent, &stop).unwrap();
+    let outcome = search(&mut backend, &views(20), optimal.clone(), &config, &mut Silent, &stop).unwrap();
     let stage = outcome.summary.stages[0];
     assert_eq!((stage.fitness_before, stage.fitness_after, stage.changed), (0.0, 0.0, 0));
     assert!(!applied(&backend).is_empty(), "the cloud was elsewhere in between, or this means nothing");
@@ -75,7 +75,7 @@ fn an_optimal_base_stays_as_it_is() {
 fn an_equal_individual_is_not_better() {
     let mut backend = FakeBackend::new();
     backend.poison = Some(0.25);
-    let outcome = run(&mut backend, config(EvolutionMode::Paper), &AtomicBool::new(false)).unwrap();
+    let outcome = run(&mut backend, config(), &AtomicBool::new(false)).unwrap();
     assert_eq!(outcome.cloud, cloud());
 }
 
@@ -83,14 +83,14 @@ fn an_equal_individual_is_not_better() {
 fn a_base_that_cannot_be_scored_is_an_error() {
     let mut backend = FakeBackend::new();
     backend.poison = Some(f32::NAN);
-    let error = run(&mut backend, config(EvolutionMode::Paper), &AtomicBool::new(false)).unwrap_err();
+    let error = run(&mut backend, config(), &AtomicBool::new(false)).unwrap_err();
     assert!(matches!(error, TrainError::NoFitness { .. }), "{error}");
 }
 
 #[test]
 fn six_spread_views_serve_all_generations_alike() {
     let mut backend = FakeBackend::new();
-    run(&mut backend, config(EvolutionMode::Paper), &AtomicBool::new(false)).unwrap();
+    run(&mut backend, config(), &AtomicBool::new(false)).unwrap();
     let scored: Vec<_> = backend
         .calls
         .iter()
@@ -109,7 +109,7 @@ fn six_spread_views_serve_all_generations_alike() {
 #[test]
 fn gene_gradients_come_from_one_pass_over_all_views_without_a_step() {
     let mut backend = FakeBackend::new();
-    run(&mut backend, config(EvolutionMode::Paper), &AtomicBool::new(false)).unwrap();
+    run(&mut backend, config(), &AtomicBool::new(false)).unwrap();
     let mut seen: Vec<usize> = backend.steps().map(|step| step.view).collect();
     seen.sort_unstable();
     assert_eq!(seen, (0..20).collect::<Vec<_>>());
@@ -122,7 +122,7 @@ fn stopping_within_a_stage_keeps_the_best_so_far() {
     let mut backend = FakeBackend::new();
     // The base, the initial population, one generation; then the flag is seen.
     backend.stop_after = Some((3, stop.clone()));
-    let outcome = run(&mut backend, config(EvolutionMode::Paper), &stop).unwrap();
+    let outcome = run(&mut backend, config(), &stop).unwrap();
     let stage = outcome.summary.stages[0];
     assert!(outcome.summary.interrupted);
     assert_eq!(stage.generations, 2);
@@ -152,9 +152,9 @@ fn the_observer_follows_the_generations() {
         }
     }
     let (mut backend, mut listener) = (FakeBackend::new(), Listener::default());
-    let resolved = config(EvolutionMode::Paper).resolve().unwrap();
+    let resolved = config().resolve().unwrap();
     let stop = AtomicBool::new(false);
-    refine(&mut backend, &views(20), cloud(), &resolved, &mut listener, &stop).unwrap();
+    search(&mut backend, &views(20), cloud(), &resolved, &mut listener, &stop).unwrap();
     let Listener(starts, generations, ends) = listener;
     assert_eq!((starts.len(), generations.len(), ends.len()), (1, GENERATIONS as usize + 1, 1));
     assert_eq!((starts[0].views.len(), starts[0].generations), (6, GENERATIONS));
@@ -172,47 +172,80 @@ fn the_observer_follows_the_generations() {
 }
 
 #[test]
-fn the_control_makes_gradient_steps_at_rates_that_stand_still() {
-    let mut backend = FakeBackend::new();
-    let mut config = config(EvolutionMode::Control);
-    config.evolution.control_seconds = 0.01;
-    let outcome = run(&mut backend, config, &AtomicBool::new(false)).unwrap();
-    let updates: Vec<_> = backend.steps().map(|step| step.update.unwrap()).collect();
+fn the_search_is_the_same_whatever_runs_beside_training() {
+    let found = |mode| {
+        let (mut backend, mut config) = (FakeBackend::new(), config());
+        config.evolution.mode = mode;
+        let outcome = run(&mut backend, config, &AtomicBool::new(false)).unwrap();
+        assert_eq!(outcome.summary.stages[0].kind, StageKind::Paper);
+        assert_eq!(backend.calls.last(), Some(&Call::ClearGeneGradients));
+        outcome.cloud
+    };
+    let [off, paper, renew] = EvolutionMode::ALL.map(found);
+    assert_eq!((&off, &renew), (&paper, &paper), "gene gradients are used by all");
+}
+
+/// Steps of a run of 30 iterations, the last of which makes none.
+const STEPS: usize = 30;
+
+/// Trains with extra steps at the end.
+fn extra_steps(budget: StepBudget, background: Background) -> (FakeBackend, Outcome) {
+    let (mut backend, start) = (FakeBackend::new(), Start::Points(points(30)));
+    let mut config = TrainConfig { steps_scale: 0.001, background, ..TrainConfig::published() };
+    (config.evolution.trigger, config.evolution.extra_steps) = (Trigger::AtEnd, Some(budget));
+    let config = config.resolve().unwrap();
+    let stop = AtomicBool::new(false);
+    let outcome = train(&mut backend, &views(20), start, &config, &mut Silent, &stop).unwrap();
+    assert_eq!(outcome.summary.stages[0].kind, StageKind::ExtraSteps);
+    (backend, outcome)
+}
+
+#[test]
+fn extra_steps_are_made_at_rates_that_stand_still() {
+    let (backend, outcome) = extra_steps(StepBudget::Seconds(0.01), Background::Black);
+    let updates: Vec<_> = backend.steps().skip(STEPS).map(|step| step.update.unwrap()).collect();
     assert!(!updates.is_empty());
     assert!(updates.iter().all(|update| update.rates == updates[0].rates));
-    assert!(updates.iter().zip(1..).all(|(update, step)| update.step == step));
+    assert!(updates.iter().zip(STEPS as u32..).all(|(update, step)| update.step == step));
     assert!(
-        backend.steps().all(|step| step.statistics == Default::default()),
+        backend.steps().skip(STEPS).all(|step| step.statistics == Default::default()),
         "density control sees nothing"
     );
-    assert_eq!(outcome.summary.stages[0].renders, updates.len() as u64);
-    assert!(applied(&backend).is_empty());
+    let stage = outcome.summary.stages[0];
+    assert_eq!((stage.renders, stage.generations), (updates.len() as u64, 0));
+    assert!(stage.seconds >= 0.01 && applied(&backend).is_empty());
 }
 
 #[test]
-fn a_control_of_so_many_steps_does_not_look_at_the_clock() {
-    let mut backend = FakeBackend::new();
-    let mut config = config(EvolutionMode::Control);
-    (config.evolution.control_seconds, config.evolution.control_steps) = (0.0, 7);
-    let outcome = run(&mut backend, config, &AtomicBool::new(false)).unwrap();
-    assert_eq!((backend.steps().count(), outcome.summary.stages[0].renders), (7, 7));
+fn so_many_extra_steps_do_not_look_at_the_clock() {
+    let (backend, outcome) = extra_steps(StepBudget::Steps(7), Background::Black);
+    assert_eq!((backend.steps().count(), outcome.summary.stages[0].renders), (STEPS + 7, 7));
+    let (backend, outcome) = extra_steps(StepBudget::Seconds(0.0), Background::Black);
+    assert_eq!((backend.steps().count(), outcome.summary.stages[0].renders), (STEPS, 0));
 }
 
 #[test]
-fn every_step_of_the_control_has_a_random_background_of_its_own() {
-    let mut backend = FakeBackend::new();
-    let mut config = config(EvolutionMode::Control);
-    (config.background, config.evolution.control_seconds) = (Background::Random, 0.01);
-    run(&mut backend, config, &AtomicBool::new(false)).unwrap();
+fn every_extra_step_has_a_random_background_of_its_own() {
+    let (backend, _) = extra_steps(StepBudget::Seconds(0.01), Background::Random);
     let colours: Vec<[u32; 3]> =
         backend.steps().map(|step| step.settings.background.map(f32::to_bits)).collect();
     let distinct: HashSet<&[u32; 3]> = colours.iter().collect();
-    assert!(colours.len() > 1 && distinct.len() == colours.len(), "{} of {}", distinct.len(), colours.len());
+    assert!(
+        colours.len() > STEPS + 1 && distinct.len() == colours.len(),
+        "{} of {}",
+        distinct.len(),
+        colours.len()
+    );
 }
 
 #[test]
-fn there_is_nothing_to_refine_with_evolution_off() {
-    let error =
-        run(&mut FakeBackend::new(), config(EvolutionMode::Off), &AtomicBool::new(false)).unwrap_err();
-    assert!(matches!(error, TrainError::NothingToRefine), "{error}");
+fn extra_steps_of_a_cloud_that_has_diverged_name_the_row() {
+    let (mut backend, start) = (FakeBackend::new(), Start::Points(points(30)));
+    let mut config = TrainConfig { steps_scale: 0.001, ..TrainConfig::published() };
+    (config.evolution.trigger, config.evolution.extra_steps) = (Trigger::AtEnd, Some(StepBudget::Steps(7)));
+    (config.densify.until, config.optimiser.position_start) = (0, 1e300);
+    let config = config.resolve().unwrap();
+    let stop = AtomicBool::new(false);
+    let error = train(&mut backend, &views(20), start, &config, &mut Silent, &stop).unwrap_err().to_string();
+    assert!(error.starts_with("the position of Gaussian "), "{error}");
 }

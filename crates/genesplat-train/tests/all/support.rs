@@ -8,13 +8,13 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use genesplat_core::backend::{MomentPolicy, StepReport};
 use genesplat_core::gaussians::limited_opacity;
-use genesplat_core::lineage::PARENTS;
 use genesplat_core::{
-    Backend, BackendError, Blend, Camera, Credits, Gaussians, Image, Judgement, Lineage, Merit, Moments,
-    Origin, Photo, RenderSettings, Rng, RowEdit, SparseDelta, Statistics, TrainStep, View,
+    Backend, BackendError, Blend, Camera, Contribution, DeviceState, EvolutionBackend, Gaussians, Image,
+    Moments, Origin, Photo, RenderSettings, RowEdit, SparseDelta, Statistics, TrainStep, View, ViewLoss,
+    WindowAverages,
 };
-use genesplat_train::initialise::ColouredPoint;
 use genesplat_train::observe::StepLog;
+use genesplat_train::scene::initialise::ColouredPoint;
 use genesplat_train::{Checkpoint, Observer};
 use glam::{DQuat, DVec3};
 
@@ -22,27 +22,47 @@ use glam::{DQuat, DVec3};
 #[derive(Clone, Debug, PartialEq)]
 pub enum Call {
     SetViews(usize),
-    Upload { rows: usize, moments: bool, filter: bool },
+    Upload {
+        rows: usize,
+        moments: bool,
+        filter: bool,
+    },
     Step(TrainStep),
-    Abandon,
+    DiscardQueuedSteps,
     Edit(RowEdit),
     ResetOpacity(f32),
     Filter(usize),
-    Restore { genes: bool },
-    Apply { rows: usize, moments: MomentPolicy },
-    Remember { parent: usize },
-    Weigh { views: usize },
-    Credit { mutants: Vec<SparseDelta>, views: Vec<usize> },
-    Judge { blends: Vec<Blend>, views: Vec<usize> },
-    Breed(Blend),
-    Forget,
-    Score { individuals: usize, views: Vec<usize>, settings: RenderSettings },
+    ClearGeneGradients,
+    Apply {
+        rows: usize,
+        moments: MomentPolicy,
+    },
+    Average {
+        half: usize,
+    },
+    Contributions {
+        views: usize,
+    },
+    Measure {
+        blends: Vec<Blend>,
+        views: Vec<usize>,
+    },
+    /// With the states that each half was the mean of.
+    Blend {
+        blend: Blend,
+        states: [u32; 2],
+    },
+    Score {
+        individuals: usize,
+        views: Vec<usize>,
+        settings: RenderSettings,
+    },
 }
 
 /// See the module.
 pub struct FakeBackend {
     pub calls: Vec<Call>,
-    lineage: Lineage,
+    averages: WindowAverages,
     pub cloud: Gaussians,
     pub moments: Moments,
     pub statistics: Statistics,
@@ -52,13 +72,13 @@ pub struct FakeBackend {
     pub target: f32,
     /// Squared errors rise where losses fall.
     pub guards_disagree: bool,
-    /// Squared errors grow by this factor with every call of `judge`.
+    /// Squared errors grow by this factor with every call of `measure`.
     pub decline: f32,
-    /// Calls of `judge` so far.
-    pub verdicts: i32,
+    /// Calls of `measure` so far.
+    pub measured: i32,
     /// Every fitness is this instead.
     pub poison: Option<f32>,
-    /// Set after this many calls of `score`, `credit` or `judge`.
+    /// Set after this many calls of `score` or `measure`.
     pub stop_after: Option<(usize, Arc<AtomicBool>)>,
     /// Set during the call of this number, counted from 1; reads count, too.
     pub stop_in_call: Option<(usize, Arc<AtomicBool>)>,
@@ -70,7 +90,6 @@ pub struct FakeBackend {
     pub queues: bool,
     queue: VecDeque<TrainStep>,
     scores: usize,
-    rng: Rng,
 }
 
 /// How a device fails.
@@ -107,11 +126,10 @@ impl FakeBackend {
             queues: false,
             queue: VecDeque::new(),
             scores: 0,
-            lineage: Lineage::default(),
+            averages: WindowAverages::default(),
             guards_disagree: false,
             decline: 1.0,
-            verdicts: 0,
-            rng: Rng::new(0),
+            measured: 0,
         }
     }
 
@@ -170,6 +188,10 @@ impl FakeBackend {
         self.statistics.weight_sum = vec![0.0; self.cloud.len()];
     }
 
+    fn forget_averages(&mut self) {
+        self.averages = WindowAverages::default();
+    }
+
     fn accumulate(&mut self, step: &TrainStep) {
         let n = self.cloud.len();
         if step.statistics.density.is_some() {
@@ -208,7 +230,7 @@ impl Backend for FakeBackend {
         "fake".into()
     }
 
-    fn len(&self) -> usize {
+    fn gaussian_count(&self) -> usize {
         self.cloud.len()
     }
 
@@ -218,28 +240,34 @@ impl Backend for FakeBackend {
         Ok(())
     }
 
-    fn upload(&mut self, cloud: Gaussians, moments: Option<Moments>) -> Result<(), BackendError> {
+    fn upload(&mut self, state: DeviceState) -> Result<(), BackendError> {
         self.settle()?;
-        self.calls.push(Call::Upload {
-            rows: cloud.len(),
-            moments: moments.is_some(),
-            filter: cloud.filter_3d.is_some(),
-        });
-        self.moments = moments.unwrap_or_else(|| Moments::zeros(cloud.len()));
-        self.cloud = cloud;
-        self.lineage = Lineage::default();
-        self.reset_statistics(true);
+        let DeviceState { cloud, moments, statistics, averages } = state;
+        let (has_moments, n) = (!moments.first.is_empty(), cloud.len());
+        self.calls.push(Call::Upload { rows: n, moments: has_moments, filter: cloud.filter_3d.is_some() });
+        self.moments = if has_moments { moments } else { Moments::zeros(n) };
+        (self.cloud, self.averages) = (cloud, averages);
+        let has_sums = !statistics.gradient_sum.is_empty();
+        self.statistics = statistics;
+        if !has_sums {
+            self.zero_density();
+        }
         Ok(())
+    }
+
+    fn state(&mut self) -> Result<DeviceState, BackendError> {
+        self.settle()?;
+        Ok(DeviceState {
+            cloud: self.cloud.clone(),
+            moments: self.moments.clone(),
+            statistics: self.statistics.clone(),
+            averages: self.averages.clone(),
+        })
     }
 
     fn download(&mut self) -> Result<Cow<'_, Gaussians>, BackendError> {
         self.settle()?;
         Ok(Cow::Borrowed(&self.cloud))
-    }
-
-    fn download_moments(&mut self) -> Result<Cow<'_, Moments>, BackendError> {
-        self.settle()?;
-        Ok(Cow::Borrowed(&self.moments))
     }
 
     fn render(&mut self, camera: &Camera, _: &RenderSettings) -> Result<Image, BackendError> {
@@ -259,14 +287,14 @@ impl Backend for FakeBackend {
         Ok(())
     }
 
-    fn abandon(&mut self) -> Result<usize, BackendError> {
-        self.calls.push(Call::Abandon);
+    fn discard_queued_steps(&mut self) -> Result<usize, BackendError> {
+        self.calls.push(Call::DiscardQueuedSteps);
         Ok(std::mem::take(&mut self.queue).len())
     }
 
     fn report(&mut self) -> Result<StepReport, BackendError> {
         self.settle()?;
-        Ok(StepReport { loss: 0.5, visible: self.cloud.len(), tile_splats: 1 })
+        Ok(StepReport { loss: 0.5, visible: self.cloud.len(), intersections: 1 })
     }
 
     fn statistics(&mut self) -> Result<Statistics, BackendError> {
@@ -274,26 +302,17 @@ impl Backend for FakeBackend {
         Ok(self.statistics.clone())
     }
 
-    fn restore_statistics(&mut self, statistics: Statistics) -> Result<(), BackendError> {
-        self.settle()?;
-        self.calls.push(Call::Restore { genes: !statistics.gene_views.is_empty() });
-        self.statistics = statistics;
-        Ok(())
-    }
-
-    fn reset_statistics(&mut self, genes: bool) {
-        self.zero_density();
-        if genes {
-            self.statistics.gene_gradient_sum.clear();
-            self.statistics.gene_views.clear();
-        }
+    fn clear_gene_gradients(&mut self) {
+        self.calls.push(Call::ClearGeneGradients);
+        self.statistics.gene_gradient_sum.clear();
+        self.statistics.gene_views.clear();
     }
 
     fn edit_rows(&mut self, edit: &RowEdit) -> Result<(), BackendError> {
         self.settle()?;
         self.calls.push(Call::Edit(edit.clone()));
-        self.lineage = Lineage::default();
-        edit.apply(&mut self.cloud, &mut self.moments, &self.rng);
+        self.forget_averages();
+        edit.apply(&mut self.cloud, &mut self.moments);
         if !self.statistics.gene_views.is_empty() {
             self.statistics.gene_gradient_sum = edit.gather(&self.statistics.gene_gradient_sum);
             self.statistics.gene_views = edit.gather(&self.statistics.gene_views);
@@ -305,6 +324,7 @@ impl Backend for FakeBackend {
     fn reset_opacity(&mut self, ceiling: f32) -> Result<(), BackendError> {
         self.settle()?;
         self.calls.push(Call::ResetOpacity(ceiling));
+        self.forget_averages();
         for value in &mut self.cloud.opacity_logits {
             *value = limited_opacity(*value, 1.0, ceiling);
         }
@@ -317,7 +337,9 @@ impl Backend for FakeBackend {
         self.cloud.filter_3d = Some(filter);
         Ok(())
     }
+}
 
+impl EvolutionBackend for FakeBackend {
     fn apply(&mut self, delta: &SparseDelta, moments: MomentPolicy) -> Result<(), BackendError> {
         self.settle()?;
         self.calls.push(Call::Apply { rows: delta.rows.len(), moments });
@@ -325,90 +347,53 @@ impl Backend for FakeBackend {
         Ok(())
     }
 
-    fn remember(&mut self, parent: usize) -> Result<(), BackendError> {
-        self.settle()?;
-        self.calls.push(Call::Remember { parent });
-        self.lineage.add(parent, &self.cloud);
-        Ok(())
-    }
-
-    fn weigh(&mut self, views: &[usize], _: &RenderSettings) -> Result<Vec<Merit>, BackendError> {
-        self.settle()?;
-        self.calls.push(Call::Weigh { views: views.len() });
-        let distance = |p: &[f32; 3]| (p[0] - self.target).abs();
-        let merit = |(row, p)| Merit { weight: row as f32, error: distance(p) };
-        Ok(self.cloud.positions.iter().enumerate().map(merit).collect())
-    }
-
-    /// A row's credit is what its own distance from the target grows by; every other row is seen in one view only.
-    fn credit(
+    fn contributions(
         &mut self,
-        mutants: &[SparseDelta],
         views: &[usize],
         _: &RenderSettings,
-    ) -> Result<Credits, BackendError> {
+    ) -> Result<Vec<Contribution>, BackendError> {
         self.settle()?;
-        self.calls.push(Call::Credit { mutants: mutants.to_vec(), views: views.to_vec() });
-        self.count_score();
-        let n = self.cloud.len();
-        let mut credits = Credits::zeros(mutants.len(), n);
-        credits.views = (0..n).map(|row| if row % 2 == 0 { views.len() as u32 } else { 1 }).collect();
-        for (mutant, changes) in mutants.iter().zip(&mut credits.changes) {
-            for (&row, gene) in mutant.rows.iter().zip(&mutant.genes) {
-                let distance = |x: f32| (x - self.target).abs();
-                changes[row as usize] = distance(gene[0]) - distance(self.cloud.positions[row as usize][0]);
-            }
-        }
-        Ok(credits)
+        self.calls.push(Call::Contributions { views: views.len() });
+        let distance = |p: &[f32; 3]| (p[0] - self.target).abs();
+        let contribution = |(row, p)| Contribution { weight: row as f32, error: distance(p) };
+        Ok(self.cloud.positions.iter().enumerate().map(contribution).collect())
     }
 
-    fn remembered(&self) -> [u32; PARENTS] {
-        self.lineage.states()
-    }
-
-    fn forget(&mut self) {
-        self.calls.push(Call::Forget);
-        self.lineage = Lineage::default();
-    }
-
-    fn lineage(&mut self) -> Result<Cow<'_, Lineage>, BackendError> {
+    fn average(&mut self, half: usize) -> Result<(), BackendError> {
         self.settle()?;
-        Ok(Cow::Borrowed(&self.lineage))
-    }
-
-    fn restore_lineage(&mut self, lineage: Lineage) -> Result<(), BackendError> {
-        self.settle()?;
-        self.lineage = lineage;
+        self.calls.push(Call::Average { half });
+        self.averages.add(half, &self.cloud);
         Ok(())
     }
 
-    fn judge(
+    fn measure(
         &mut self,
         blends: &[Blend],
         views: &[usize],
         _: &RenderSettings,
-    ) -> Result<Vec<Judgement>, BackendError> {
+    ) -> Result<Vec<ViewLoss>, BackendError> {
         self.settle()?;
-        self.calls.push(Call::Judge { blends: blends.to_vec(), views: views.to_vec() });
+        self.calls.push(Call::Measure { blends: blends.to_vec(), views: views.to_vec() });
         self.count_score();
-        self.verdicts += 1;
-        let decline = self.decline.powi(self.verdicts);
-        let mut child = Gaussians::default();
-        let judge = |blend: &Blend| {
-            self.lineage.breed(&self.cloud, blend, &mut child);
-            let loss = self.poison.unwrap_or_else(|| self.distance(&child));
+        self.measured += 1;
+        let decline = self.decline.powi(self.measured);
+        let mut blended = Gaussians::default();
+        let measure = |blend: &Blend| {
+            self.averages.blend(&self.cloud, blend, &mut blended);
+            let loss = self.poison.unwrap_or_else(|| self.distance(&blended));
             let squared_error = if self.guards_disagree { 1.0 / loss } else { loss };
-            vec![Judgement { loss, squared_error: squared_error * decline }; views.len()]
+            vec![ViewLoss { loss, squared_error: squared_error * decline }; views.len()]
         };
-        Ok(blends.iter().flat_map(judge).collect())
+        Ok(blends.iter().flat_map(measure).collect())
     }
 
-    fn breed(&mut self, blend: &Blend) -> Result<(), BackendError> {
+    fn blend(&mut self, blend: &Blend) -> Result<(), BackendError> {
         self.settle()?;
-        self.calls.push(Call::Breed(*blend));
-        let mut child = Gaussians::default();
-        self.lineage.breed(&self.cloud, blend, &mut child);
-        (self.cloud, self.lineage) = (child, Lineage::default());
+        self.calls.push(Call::Blend { blend: *blend, states: self.averages.states() });
+        let mut blended = Gaussians::default();
+        self.averages.blend(&self.cloud, blend, &mut blended);
+        self.cloud = blended;
+        self.forget_averages();
         Ok(())
     }
 

@@ -10,7 +10,7 @@ use genesplat_core::{
 };
 use genesplat_kernels::cpu::CpuBackend;
 use genesplat_kernels::reference::{self, Cloud64, Cutoff, Statistics64};
-use genesplat_train::filter_3d::filter_3d;
+use genesplat_train::scene::filter_3d::filter_3d;
 use glam::{DQuat, DVec3};
 
 /// A round splat: position, standard deviation, opacity, grey.
@@ -52,9 +52,9 @@ fn pixel_gs(cloud: &Gaussians, camera: Camera, depth_threshold: f32) -> [(Vec<f6
     let mut exact = Statistics64::zeros(3);
     exact.accumulate(&gradients, &request);
 
-    let mut backend = CpuBackend::new(0);
+    let mut backend = CpuBackend::new();
     backend.set_views(&[view]).unwrap();
-    backend.upload(cloud.clone(), None).unwrap();
+    backend.upload(cloud.clone().into()).unwrap();
     backend.train_step(&TrainStep { view: 0, settings, update: None, statistics: request }).unwrap();
     let found = backend.statistics().unwrap();
     let widen = |values: Vec<f32>| values.into_iter().map(f64::from).collect();
@@ -139,11 +139,11 @@ fn mip_filters_by_hand() {
 
     let settings = RenderSettings { filter: ScreenFilter::Mip, ..RenderSettings::default() };
     let exact = reference::render(&Cloud64::from(&cloud), &near, &settings, Cutoff::Hard).frame.image;
-    let mut backend = CpuBackend::new(0);
-    backend.upload(cloud, None).unwrap();
+    let mut backend = CpuBackend::new();
+    backend.upload(cloud.into()).unwrap();
     let found = backend.render(&near, &settings).unwrap();
-    let mut fused = CpuBackend::new(0);
-    fused.upload(backend.download().unwrap().fused(), None).unwrap();
+    let mut fused = CpuBackend::new();
+    fused.upload(backend.download().unwrap().fused().into()).unwrap();
     let fused = fused.render(&near, &settings).unwrap();
     // White on black: the first channel is alpha. The second splat is at 20 · 1.2 / 4 = 6 px to the right.
     for (x, alpha) in [(10, 0.112_279_4), (16, 0.162_486_9)] {

@@ -2,7 +2,7 @@ use genesplat_core::Moments;
 
 use super::*;
 
-const RULES: Rules = Rules { min_opacity: 0.005, growth: 0.0, cap: 1000 };
+const RULES: Rules = Rules { min_opacity: MIN_OPACITY, growth: 0.0, cap: 1000 };
 
 /// Of which only the opacities are looked at.
 fn genes(opacities: &[f32]) -> Vec<Genes> {
@@ -10,7 +10,7 @@ fn genes(opacities: &[f32]) -> Vec<Genes> {
 }
 
 fn plan_of(opacities: &[f32], rules: Rules) -> Plan {
-    plan(&genes(opacities), &rules, &Rng::new(7), 600)
+    plan(&genes(opacities), &rules, Rng::new(7), 600)
 }
 
 fn relocated(origin: Origin) -> (f32, f32, bool) {
@@ -142,7 +142,7 @@ fn the_opaque_are_drawn_in_proportion() {
 #[test]
 fn draws_are_addressed_by_iteration() {
     let genes = genes(&(0..200).map(|row| 0.001 + 0.004 * row as f32).collect::<Vec<_>>());
-    let at = |iteration| plan(&genes, &RULES, &Rng::new(7), iteration).edit.sources;
+    let at = |iteration| plan(&genes, &RULES, Rng::new(7), iteration).edit.sources;
     assert_eq!(at(600), at(600));
     assert_ne!(at(600), at(700));
 }
@@ -154,7 +154,7 @@ fn the_edit_moves_parameters_and_moments() {
     cloud.opacity_logits = [0.75, 0.001].map(logit).to_vec();
     let mut moments = Moments::zeros(2);
     moments.first.positions = vec![[0.5; 3], [0.25; 3]];
-    plan(&cloud.all_genes(), &RULES, &Rng::new(7), 600).edit.apply(&mut cloud, &mut moments, &Rng::new(7));
+    plan(&cloud.all_genes(), &RULES, Rng::new(7), 600).edit.apply(&mut cloud, &mut moments);
     assert_eq!(cloud.positions, [[1.0, 2.0, 3.0]; 2]);
     assert!(cloud.opacity_logits.iter().all(|logit| logit.abs() < 1e-5), "two of 0.5");
     assert_eq!(cloud.log_scales[0], cloud.log_scales[1]);

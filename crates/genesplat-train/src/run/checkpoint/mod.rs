@@ -160,7 +160,11 @@ impl Checkpoint {
 
 #[cfg(test)]
 mod tests {
+    use genesplat_core::{Gaussians, Moments, Statistics, WindowAverages};
+
     use super::*;
+    use crate::config::Trigger;
+    use crate::run::observe::StageKind;
 
     fn example() -> Checkpoint {
         let mut cloud = Gaussians::zeros(3);
@@ -182,7 +186,7 @@ mod tests {
             seconds: 1.5,
         };
         Checkpoint {
-            cursor: Cursor { iteration: 6000, phase: Phase::EvolveAfterReset },
+            cursor: Cursor { iteration: 6000, phase: Phase::Evolve },
             progress: Progress {
                 steps: 5945,
                 opacity_steps: 5944,
@@ -190,16 +194,18 @@ mod tests {
                 evolution_seconds: 1.5,
                 stages: vec![stage],
             },
-            cloud,
-            moments,
-            statistics: Statistics {
-                gradient_sum: vec![1.0, 2.0, 3.0],
-                weight_sum: vec![4.0, 5.0, 6.0],
-                absolute_sum: vec![7.0, 8.0, 9.0],
-                gene_gradient_sum: vec![[0.5; 7]; 3],
-                gene_views: vec![7, 8, 9],
+            state: DeviceState {
+                cloud,
+                moments,
+                statistics: Statistics {
+                    gradient_sum: vec![1.0, 2.0, 3.0],
+                    weight_sum: vec![4.0, 5.0, 6.0],
+                    absolute_sum: vec![7.0, 8.0, 9.0],
+                    gene_gradient_sum: vec![[0.5; 7]; 3],
+                    gene_views: vec![7, 8, 9],
+                },
+                averages: WindowAverages::new([StateMean::default(), StateMean::new(4, Gaussians::zeros(3))]),
             },
-            lineage: Lineage::new([Parent::default(), Parent::new(4, Gaussians::zeros(3))]),
             trial: Some(Trial { record: stage, cloud: Gaussians::zeros(2), moments: Moments::zeros(2) }),
         }
     }
@@ -214,11 +220,11 @@ mod tests {
     fn a_checkpoint_survives_the_round_trip_bit_for_bit() {
         let mut checkpoint = example();
         assert_eq!(Checkpoint::read(bytes(&checkpoint).as_slice()).unwrap(), checkpoint);
-        checkpoint.cloud.filter_3d = None;
+        checkpoint.state.cloud.filter_3d = None;
         checkpoint.trial = None;
-        checkpoint.statistics.gene_gradient_sum.clear();
-        checkpoint.statistics.gene_views.clear();
-        checkpoint.statistics.absolute_sum.clear();
+        checkpoint.state.statistics.gene_gradient_sum.clear();
+        checkpoint.state.statistics.gene_views.clear();
+        checkpoint.state.statistics.absolute_sum.clear();
         assert_eq!(Checkpoint::read(bytes(&checkpoint).as_slice()).unwrap(), checkpoint);
     }
 
@@ -247,16 +253,17 @@ mod tests {
     #[test]
     fn columns_must_agree() {
         let spoil: [fn(&mut Checkpoint); 7] = [
-            |checkpoint| _ = checkpoint.statistics.weight_sum.pop(),
-            |checkpoint| _ = checkpoint.statistics.absolute_sum.pop(),
-            |checkpoint| _ = checkpoint.statistics.gene_views.pop(),
-            |checkpoint| _ = checkpoint.cloud.sh.pop(),
-            |checkpoint| _ = checkpoint.moments.second.rotations.pop(),
+            |checkpoint| _ = checkpoint.state.statistics.weight_sum.pop(),
+            |checkpoint| _ = checkpoint.state.statistics.absolute_sum.pop(),
+            |checkpoint| _ = checkpoint.state.statistics.gene_views.pop(),
+            |checkpoint| _ = checkpoint.state.cloud.sh.pop(),
+            |checkpoint| _ = checkpoint.state.moments.second.rotations.pop(),
             |checkpoint| _ = checkpoint.trial.as_mut().unwrap().cloud.log_scales.pop(),
             |checkpoint| {
                 let mut mean = Gaussians::zeros(3);
                 mean.sh.pop();
-                checkpoint.lineage = Lineage::new([Parent::default(), Parent::new(4, mean)]);
+                checkpoint.state.averages =
+                    WindowAverages::new([StateMean::default(), StateMean::new(4, mean)]);
             },
         ];
         for (case, spoil) in spoil.iter().enumerate() {
@@ -268,8 +275,10 @@ mod tests {
     }
 
     #[test]
-    fn numbers_in_the_file_are_places_in_the_lists() {
-        assert!(Phase::ORDER.iter().enumerate().all(|(place, &phase)| phase as usize == place));
+    fn numbers_in_the_file_name_every_phase_and_kind_of_stage() {
+        let mut phases = Phase::order(Trigger::default()).map(|phase| phase as usize);
+        phases.sort_unstable();
+        assert!(phases.into_iter().eq(0..Phase::COUNT), "each has a number of its own");
         assert!(StageKind::ALL.iter().enumerate().all(|(place, &kind)| kind as usize == place));
     }
 }
