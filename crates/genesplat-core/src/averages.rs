@@ -89,7 +89,8 @@ impl WindowAverages {
         } else {
             blended.clone_from(cloud);
         }
-        for (half, weight) in self.halves.iter().zip(blend.weights).filter(|(half, _)| half.states > 0) {
+        let halves = self.halves.iter().zip(blend.weights);
+        for (half, weight) in halves.filter(|(half, weight)| half.states > 0 && *weight != 0.0) {
             let columns = columns_mut(blended).into_iter().zip(columns(cloud)).zip(columns(&half.mean));
             for ((blended, cloud), mean) in columns {
                 add_scaled(blended, cloud, mean, weight);
@@ -176,7 +177,9 @@ mod tests {
     #[test]
     fn blends_lie_on_the_line_and_beyond_it() {
         let (averages, cloud) = (averages(&[1.0, 3.0], &[4.0]), state(5.0));
-        assert_eq!(blended(&averages, &cloud, [0.0; 2]), cloud, "no weight is no change");
+        let bits = |cloud: &Gaussians| cloud.opacity_logits[0].to_bits();
+        let unchanged = blended(&averages, &state(-0.0), [0.0; 2]);
+        assert_eq!(bits(&unchanged), bits(&state(-0.0)), "no weight is no change, to the bit");
         let mean = Gaussians { filter_3d: Some(vec![5.0; 2]), ..state(3.0) };
         assert_eq!(blended(&averages, &cloud, [0.5; 2]), mean, "half of each mean, none of the cloud");
         let beyond = Gaussians { filter_3d: Some(vec![5.0; 2]), ..state(6.0) };

@@ -114,7 +114,7 @@ impl Trainer<'_> {
             iteration: i,
             iterations: schedule.iterations,
             gaussians: self.backend.gaussian_count(),
-            sh_degree: schedule.sh_degree(i),
+            sh_degree: self.sh_degree(i),
             position_rate: self.rates(i).position,
             report: if is_report { Some(self.findings()?) } else { None },
         };

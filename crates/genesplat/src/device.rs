@@ -4,16 +4,16 @@ use std::sync::OnceLock;
 
 use anyhow::{Result, anyhow, bail};
 use clap::ValueEnum;
+use genesplat::core::EvolutionBackend;
 use genesplat::gpu::{AdapterReport, GpuBackend, adapters, check_best};
 use genesplat::kernels::cpu::CpuBackend;
 use serde::{Deserialize, Serialize};
 
-use crate::any_backend::AnyBackend;
 use crate::args::MachineArgs;
 use crate::terminal::output;
 
 /// What computes: whichever kind was chosen.
-pub(crate) type Device = AnyBackend;
+pub(crate) type Device = Box<dyn EvolutionBackend>;
 
 /// A choice of device.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum, Serialize, Deserialize)]
@@ -93,11 +93,11 @@ fn why_none(adapters: &[AdapterReport]) -> String {
     reasons.join("; ")
 }
 
-/// An empty device for a run with `seed`.
-pub(crate) fn open(choice: DeviceChoice, seed: u64) -> Result<Device> {
+/// An empty device.
+pub(crate) fn open(choice: DeviceChoice) -> Result<Device> {
     match choice.resolve()? {
-        DeviceChoice::Gpu => Ok(AnyBackend::Gpu(Box::new(GpuBackend::new(seed)?))),
-        DeviceChoice::Cpu | DeviceChoice::Auto => Ok(AnyBackend::Cpu(Box::new(CpuBackend::new(seed)))),
+        DeviceChoice::Gpu => Ok(Box::new(GpuBackend::new()?)),
+        DeviceChoice::Cpu | DeviceChoice::Auto => Ok(Box::new(CpuBackend::new())),
     }
 }
 
@@ -107,7 +107,7 @@ pub(crate) fn prepare_cpu(args: MachineArgs) -> Result<CpuBackend> {
         bail!("this measures the CPU backend; for a graphics device there is genesplat bench gpu");
     }
     use_threads(args.threads)?;
-    Ok(CpuBackend::new(0))
+    Ok(CpuBackend::new())
 }
 
 /// Sets the number of threads of everything that follows; `None` takes all cores.

@@ -30,7 +30,7 @@
 //! let points = scene.points.iter().map(|point| (point.position, point.rgb)).collect();
 //!
 //! let config = TrainConfig { seed: 1, iterations: 40, ..TrainConfig::default() }.resolve()?;
-//! let mut backend = CpuBackend::new(1);
+//! let mut backend = CpuBackend::new();
 //! let stop = AtomicBool::new(false);
 //! let outcome = train(&mut backend, &scene.train, Start::Points(points), &config, &mut Silent, &stop)?;
 //!

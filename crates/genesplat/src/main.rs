@@ -16,7 +16,6 @@
 //! Exit status: 0 done, 1 failed with one sentence on stderr, 2 wrong usage, 130 stopped by Ctrl-C or SIGTERM (train,
 //! refine, demo and experiment).
 
-mod any_backend;
 mod args;
 mod commands;
 mod device;

@@ -5,7 +5,7 @@ use std::path::Path;
 use anyhow::Result;
 use genesplat::core::View;
 use genesplat::io::{LoadOptions, PhotoSize, Scene, load_scene};
-use genesplat::train::initialise::ColouredPoint;
+use genesplat::train::scene::initialise::ColouredPoint;
 
 use crate::terminal::output;
 use crate::terminal::progress::LoadBar;

@@ -242,7 +242,7 @@ fn result_settings(dataset: &Dataset, train: &TrainConfig) -> Table {
     fn to_table(settings: &impl Serialize) -> Table {
         Table::try_from(settings).expect("settings are tables of numbers and text")
     }
-    let mut table = to_table(&TrainConfig { checkpoint_every: 0, report_every: 0, ..train.clone() });
+    let mut table = to_table(&TrainConfig { checkpoint_every: 0, ..train.clone() });
     let size = Dataset { path: "".into(), ..dataset.clone() };
     table.insert("dataset".into(), Value::Table(to_table(&size)));
     table
@@ -274,7 +274,7 @@ mod tests {
             first_difference(&result_settings(&Dataset::default(), &train), &result_settings(dataset, other))
         };
         let elsewhere = Dataset { path: "elsewhere".into(), ..Dataset::default() };
-        let as_often = TrainConfig { checkpoint_every: 7, report_every: 3, ..train.clone() };
+        let as_often = TrainConfig { checkpoint_every: 7, ..train.clone() };
         assert_eq!(difference(&elsewhere, &as_often), None);
 
         let small = Dataset { max_side: Some(64), ..dataset.clone() };

@@ -105,9 +105,11 @@ impl State {
 
     /// The blend takes the cloud's place, and the averages are emptied.
     pub(crate) fn blend(&mut self, engine: &Engine, blend: &Blend) -> Result<(), BackendError> {
-        self.make_blend(engine, blend)?;
-        if let Some(blended) = self.blended.take() {
-            self.cloud = blended;
+        if *blend != Blend::default() {
+            self.make_blend(engine, blend)?;
+            if let Some(blended) = self.blended.take() {
+                self.cloud = blended;
+            }
         }
         self.clear_averages();
         Ok(())

@@ -77,8 +77,10 @@ impl EvolutionBackend for CpuBackend {
     }
 
     fn blend(&mut self, blend: &Blend) -> Result<(), BackendError> {
-        self.averages.blend(&self.cloud, blend, &mut self.blended);
-        std::mem::swap(&mut self.cloud, &mut self.blended);
+        if *blend != Blend::default() {
+            self.averages.blend(&self.cloud, blend, &mut self.blended);
+            std::mem::swap(&mut self.cloud, &mut self.blended);
+        }
         self.averages = WindowAverages::default();
         Ok(())
     }

@@ -19,7 +19,7 @@ use observe::StageRecord;
 pub enum Start {
     /// The points of a sparse reconstruction.
     Points(Vec<ColouredPoint>),
-    /// A cloud from elsewhere; the schedule starts at its beginning.
+    /// A cloud from elsewhere; the schedule starts at its beginning, with all degrees of the spherical harmonics.
     Cloud(Gaussians),
     /// A stopped run; it goes on as if it had never stopped, provided that the configuration is the same.
     Checkpoint(Box<Checkpoint>),
@@ -61,6 +61,7 @@ impl RunSummary {
     /// What a run that has reached its end can be scored from later: [`Start::Checkpoint`] with it makes no step.
     pub fn checkpoint_at_end(&self, backend: &mut dyn Backend) -> Result<Checkpoint, TrainError> {
         let progress = Progress {
+            sh_degree_start: 0,
             steps: self.optimiser_steps,
             opacity_steps: self.opacity_steps,
             gradient_seconds: self.seconds.gradient,

@@ -100,7 +100,11 @@ impl<'a> Trainer<'a> {
     pub(crate) fn begin(&mut self, start: Start) -> Result<Cursor, TrainError> {
         let cursor = match start {
             Start::Points(points) => self.upload_new(self.first_cloud(&points)?)?,
-            Start::Cloud(cloud) => self.upload_new(cloud)?,
+            Start::Cloud(cloud) => {
+                // Its view-dependent colours are there already.
+                self.progress.sh_degree_start = self.config.sh_degree;
+                self.upload_new(cloud)?
+            }
             Start::Checkpoint(checkpoint) => self.restore(*checkpoint)?,
         };
         self.observer.on_start(&StartLog {
@@ -313,10 +317,15 @@ impl<'a> Trainer<'a> {
     /// How the cloud is rendered in iteration `i`, by whoever looks at it; a step may have a background of its own.
     pub(crate) fn settings(&self, i: u32) -> RenderSettings {
         RenderSettings {
-            sh_degree: self.schedule.sh_degree(i),
+            sh_degree: self.sh_degree(i),
             background: self.config.background.fixed_colour(),
             filter: self.config.screen_filter(),
         }
+    }
+
+    /// Active degree of the spherical harmonics in iteration `i`.
+    pub(crate) fn sh_degree(&self, i: u32) -> u8 {
+        self.schedule.sh_degree(i).max(self.progress.sh_degree_start)
     }
 
     pub(crate) fn rates(&self, i: u32) -> LearningRates {

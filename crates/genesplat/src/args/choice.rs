@@ -48,47 +48,15 @@ const PAPER: Choice<EvolutionMode> = (
     "The genetic algorithm of \"An Evolutionary Boost to Gaussian Splatting Optimization\"",
 );
 
-/// `--evolve` of `train` and `demo`.
+/// `--evolve`.
 pub(crate) const EVOLUTION: &[Choice<EvolutionMode>] = &[
-    (EvolutionMode::Off, &["off"], "Gradient descent only"),
+    (EvolutionMode::Off, &["off"], "Gradient steps only: the published trainer"),
     PAPER,
-    (
-        EvolutionMode::Control,
-        &["control"],
-        "For comparison: the same time (evolution.control_seconds of the configuration file) spent on more gradient steps",
-    ),
-    (
-        EvolutionMode::Recombine,
-        &["recombine"],
-        "Ours: every twentieth of the second half of the run, a child bred from its last states takes over if photos held back \
-         from that search agree",
-    ),
     (
         EvolutionMode::Renew,
         &["renew"],
-        "Ours, and worth most: limits the number of Gaussians to what the photos can determine; after growth ends, replaces the \
-         least useful by copies where the error is largest; then also does recombine",
-    ),
-    (
-        EvolutionMode::Mosaic,
-        &["mosaic"],
-        "Ours, without gradients: each Gaussian takes the mutation that made the picture better where it is seen, if photos held \
-         back agree. Worth most on a splat that gradients have not finished",
-    ),
-];
-
-/// `--evolve` of `refine`: the modes that a finished splat allows.
-pub(crate) const REFINEMENT: &[Choice<EvolutionMode>] = &[
-    (
-        EvolutionMode::Mosaic,
-        &["mosaic"],
-        "Ours: each Gaussian takes the mutation that made the picture better where it is seen, if photos held back agree",
-    ),
-    PAPER,
-    (
-        EvolutionMode::Control,
-        &["control"],
-        "For comparison: gradient steps for evolution.control_seconds of the configuration file",
+        "As many Gaussians as the photos can determine; later in the run those that contribute least are replaced by splitting \
+         those of largest error, and states are averaged. What makes training photos worse is rolled back",
     ),
 ];
 

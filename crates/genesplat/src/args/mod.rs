@@ -10,7 +10,7 @@ use genesplat::train::{Background, EvolutionMode};
 use serde::Serialize;
 
 use crate::device::DeviceChoice;
-use choice::{EVOLUTION, FIXED_BACKGROUNDS, REFINEMENT, choice};
+use choice::{EVOLUTION, FIXED_BACKGROUNDS, choice};
 
 mod bench;
 mod choice;
@@ -47,7 +47,7 @@ pub(crate) enum Command {
     Evaluate(EvaluateArgs),
     /// Render a splat from the viewpoints of photos, as PNG
     Render(RenderArgs),
-    /// Evolve a finished splat, from any trainer, without further training
+    /// Make a finished splat of any trainer better: gradient steps and renewals
     Refine(RefineArgs),
     /// Measure how alike two pictures are: PSNR, SSIM and LPIPS
     Compare(CompareArgs),
@@ -179,18 +179,14 @@ pub(crate) struct RefineArgs {
     /// Folder of the scene that it shows
     #[arg(long, value_name = "DATASET")]
     pub(crate) data: PathBuf,
-    /// The .ply to write. Ctrl-C ends the search, and what it has found so far is written
+    /// The .ply to write. Ctrl-C ends the refinement, and what it has reached so far is written
     #[arg(long, value_name = "PLY")]
     pub(crate) out: PathBuf,
-    /// How [default: paper or control where --config says so, else mosaic]
-    #[arg(long, value_name = "MODE", value_parser = choice(REFINEMENT))]
-    pub(crate) evolve: Option<EvolutionMode>,
-    /// Generations of the search, at least 1 [default: 20, paper: 100]. Time grows in proportion
+    /// Gradient steps, one photo each [default: 2000]; none with --evolve paper
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
-    pub(crate) generations: Option<u32>,
-    /// Individuals a generation, 1 to 10000 [default: 12, paper: 100]. Time grows in proportion
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=10_000))]
-    pub(crate) population: Option<u32>,
+    pub(crate) iterations: Option<u32>,
+    #[command(flatten)]
+    pub(crate) evolution: EvolutionArgs,
     /// Seed of all random numbers [default: 0]. Same seed, same bytes
     #[arg(long, value_name = "S", value_parser = clap::value_parser!(u64).range(SEEDS))]
     pub(crate) seed: Option<u64>,

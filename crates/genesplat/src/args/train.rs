@@ -67,7 +67,7 @@ pub(crate) struct ScheduleArgs {
     /// Seed of all random numbers [default: 0]. Same seed, same bytes
     #[arg(long, value_name = "S", value_parser = clap::value_parser!(u64).range(SEEDS))]
     seed: Option<u64>,
-    /// Stop adding Gaussians at this many [default: no limit, or with --evolve renew as many as the photos can determine; 1000000
+    /// Stop adding Gaussians at this many [default: as many as the photos can determine; without --evolve renew no limit; 1000000
     /// with mcmc, which grows towards it by 5 % a time]. Bounds memory (about 1.5 KB a Gaussian) and time
     #[arg(long, value_name = "N", value_parser = positive)]
     max_gaussians: Option<usize>,
@@ -90,14 +90,13 @@ impl ScheduleArgs {
 /// Which evolution, and how much of it.
 #[derive(Clone, Debug, Default, Args)]
 pub(crate) struct EvolutionArgs {
-    /// Evolution beside gradient descent [default: off]. paper, control: after each opacity reset; mosaic: at the end; recombine,
-    /// renew: in the second half of the run
+    /// Evolution beside gradient descent [default: renew]
     #[arg(long, value_name = "MODE", value_parser = choice(EVOLUTION))]
     pub(crate) evolve: Option<EvolutionMode>,
-    /// Generations of each evolution stage of paper and mosaic, at least 1 [default: 100, mosaic: 20]. Time grows in proportion
+    /// Mode paper: generations of each search, at least 1 [default: 100]. Time grows in proportion
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..), help_heading = MORE)]
     pub(crate) generations: Option<u32>,
-    /// Individuals a generation, 1 to 10000 [default: 100, mosaic: 12]. Time grows in proportion
+    /// Mode paper: individuals a generation, 1 to 10000 [default: 100]. Time grows in proportion
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=10_000), help_heading = MORE)]
     pub(crate) population: Option<u32>,
 }
@@ -108,8 +107,6 @@ impl EvolutionArgs {
         let evolution = &mut train.evolution;
         replace(&mut evolution.mode, self.evolve);
         replace(&mut evolution.paper.generations, self.generations);
-        replace(&mut evolution.mosaic.generations, self.generations);
-        replace(&mut evolution.mosaic.mutants, self.population);
         if let Some(population) = self.population {
             evolution.paper.population = population;
             evolution.paper.tournament = evolution.paper.tournament.min(population);

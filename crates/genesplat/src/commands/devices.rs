@@ -9,7 +9,7 @@ use crate::terminal::output;
 
 /// Prints one line a device, and what a graphics device can do below it.
 pub(crate) fn run() -> Result<()> {
-    output::print(&format!("cpu  {}", CpuBackend::new(0).describe()))?;
+    output::print(&format!("cpu  {}", CpuBackend::new().describe()))?;
     let adapters = adapters();
     if adapters.is_empty() {
         return output::print("gpu  none: there is no Vulkan, Metal or DX12 driver on this machine");

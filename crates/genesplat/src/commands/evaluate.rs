@@ -1,7 +1,6 @@
 //! `genesplat evaluate`: how well a splat reproduces photos.
 
 use anyhow::{Result, bail};
-use genesplat::core::Backend;
 use genesplat::metrics::Evaluation;
 use serde::Serialize;
 
@@ -40,9 +39,9 @@ pub(crate) fn run(args: &EvaluateArgs) -> Result<()> {
     if args.split == Split::Test {
         photos::check_test_photos(&args.splat, &scene)?;
     }
-    let mut backend = device::open(args.machine.device.unwrap_or_default(), 0)?;
+    let mut backend = device::open(args.machine.device.unwrap_or_default())?;
     let gaussians = splat.cloud.len();
-    backend.upload(splat.cloud, None)?;
+    backend.upload(splat.cloud.into())?;
     let scores = evaluate_all(&mut backend, views, &splat.settings, lpips.as_ref())?;
     let size @ [width, height] = [views[0].camera.width, views[0].camera.height];
     output::print(&format!("{}, at {width}x{height} pixels", output::scores_line(name, &scores)))?;

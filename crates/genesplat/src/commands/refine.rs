@@ -1,12 +1,14 @@
-//! `genesplat refine`: evolution alone, on a splat from any trainer.
+//! `genesplat refine`: makes a splat of any trainer better, by gradient steps and renewals, or by the paper's search alone.
 
 use anyhow::{Result, bail};
-use genesplat::core::{Backend, RenderSettings, ScreenFilter};
+use genesplat::core::{RenderSettings, ScreenFilter};
 use genesplat::io::{PlyOptions, Scene, write_ply};
-use genesplat::train::{Background, EvolutionMode, Resolved, TrainConfig, Variant, refine};
+use genesplat::train::{
+    Background, EvolutionMode, Outcome, Resolved, Start, TrainConfig, Variant, search, train,
+};
 
 use super::Ending;
-use crate::args::{EvolutionArgs, RefineArgs};
+use crate::args::RefineArgs;
 use crate::device::Device;
 use crate::run::photos;
 use crate::run::training::evaluate_all;
@@ -16,7 +18,10 @@ use crate::terminal::reporter::Reporter;
 use crate::terminal::{interrupt, output};
 use crate::{device, splat};
 
-/// Searches, and writes the best that it has found; Ctrl-C ends the search early.
+/// Gradient steps, where neither flag nor file says.
+const ITERATIONS: u32 = 2000;
+
+/// Refines, and writes what came of it; Ctrl-C ends it early.
 pub(crate) fn run(args: &RefineArgs) -> Result<Ending> {
     device::use_threads(args.machine.threads)?;
     let mut splat = splat::open(&args.splat)?;
@@ -25,32 +30,36 @@ pub(crate) fn run(args: &RefineArgs) -> Result<Ending> {
     let scene = splat.load_scene(&args.data, args.size)?;
     photos::check_test_photos(&args.splat, &scene)?;
     let stop = interrupt::stop_flag()?;
-    let mut backend = device::open(args.machine.device.unwrap_or_default(), config.config().seed)?;
-    backend.upload(splat.cloud.clone(), None)?;
-    print_scores("before", &mut backend, &scene, &splat.settings)?;
-    let mut reporter = Reporter::without_folder(&stop);
-    let outcome = refine(&mut backend, &scene.train, splat.cloud, &config, &mut reporter, &stop)?;
+    let mut device = device::open(args.machine.device.unwrap_or_default())?;
+    device.upload(splat.cloud.clone().into())?;
+    print_scores("before", &mut device, &scene, &splat.settings)?;
+    let (mut reporter, views) = (Reporter::without_folder(&stop), &scene.train);
+    let outcome: Outcome = if config.config().evolution.mode == EvolutionMode::Paper {
+        search(device.as_mut(), views, splat.cloud, &config, &mut reporter, &stop)?
+    } else {
+        train(device.as_mut(), views, Start::Cloud(splat.cloud), &config, &mut reporter, &stop)?
+    };
     let options = PlyOptions { render_mode: splat.settings.filter.into(), ..PlyOptions::default() };
     write_ply(&args.out, &outcome.cloud, &options)?;
     if outcome.summary.interrupted {
         output::print("stopped early; what follows is as far as it had come")?;
     }
-    print_scores("after", &mut backend, &scene, &splat.settings)?;
+    print_scores("after", &mut device, &scene, &splat.settings)?;
     output::print(&format!("{} Gaussians written to {}", outcome.cloud.len(), args.out.display()))?;
     Ok(if outcome.summary.interrupted { Ending::Stopped } else { Ending::Whole })
 }
 
-/// The settings of the search; what the splat dictates is taken from it.
+/// The settings of the refinement; what the splat dictates is taken from it.
 fn configure(args: &RefineArgs, splat: &Splat) -> Result<Resolved> {
-    let file = args.config.as_deref().map_or_else(|| Ok(ConfigFile::defaults()), ConfigFile::read)?;
-    let mut train = TrainConfig { sh_degree: splat.settings.sh_degree, ..file.train };
+    let mut train = match &args.config {
+        Some(file) => ConfigFile::read(file)?.train,
+        None => TrainConfig { iterations: ITERATIONS, ..TrainConfig::default() },
+    };
+    finish_schedule(&mut train);
+    train.sh_degree = splat.settings.sh_degree;
+    train.iterations = args.iterations.unwrap_or(train.iterations);
     train.seed = args.seed.unwrap_or(train.seed);
-    // A file of `train` may name a mode that has no place here.
-    if !train.evolution.mode.has_stages() {
-        train.evolution.mode = EvolutionMode::Mosaic;
-    }
-    let RefineArgs { evolve, generations, population, .. } = *args;
-    EvolutionArgs { evolve, generations, population }.override_config(&mut train);
+    args.evolution.override_config(&mut train);
     train.antialiasing = splat.settings.filter == ScreenFilter::Antialiased;
     if splat.settings.background == Background::White.fixed_colour() {
         train.background = Background::White;
@@ -66,9 +75,15 @@ fn configure(args: &RefineArgs, splat: &Splat) -> Result<Resolved> {
     Ok(train.resolve()?)
 }
 
-fn print_scores(when: &str, backend: &mut Device, scene: &Scene, settings: &RenderSettings) -> Result<()> {
+/// A finished splat goes on where training ends: positions at their last rate, no density control but renewals, no resets.
+fn finish_schedule(train: &mut TrainConfig) {
+    train.optimiser.position_start = train.optimiser.position_end;
+    train.densify.until = 0;
+}
+
+fn print_scores(when: &str, device: &mut Device, scene: &Scene, settings: &RenderSettings) -> Result<()> {
     for (name, views) in [("test", &scene.test), ("train", &scene.train)] {
-        let scores = evaluate_all(backend, views, settings, None)?;
+        let scores = evaluate_all(device, views, settings, None)?;
         output::print(&format!("{when:<6} {}", output::scores_line(name, &scores)))?;
     }
     Ok(())

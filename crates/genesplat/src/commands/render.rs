@@ -4,7 +4,7 @@ use std::io::Write;
 use std::path::Path;
 
 use anyhow::{Result, bail};
-use genesplat::core::{Backend, Photo, View};
+use genesplat::core::{Photo, View};
 use genesplat::io::{Scene, photos};
 
 use crate::args::{RenderArgs, RenderSplit};
@@ -35,8 +35,8 @@ pub(crate) fn run(args: &RenderArgs) -> Result<()> {
         }
     };
     jobs.iter().try_for_each(|(_, path)| overwrite::check_existing(path, Content::Picture, &[]))?;
-    let mut backend = device::open(args.machine.device.unwrap_or_default(), 0)?;
-    backend.upload(splat.cloud, None)?;
+    let mut backend = device::open(args.machine.device.unwrap_or_default())?;
+    backend.upload(splat.cloud.into())?;
     let mut bar = Bar::new("renders", jobs.len() as u64);
     for (done, (view, path)) in (1..).zip(&jobs) {
         write(path, &backend.render(&view.camera, &splat.settings)?.to_photo())?;

@@ -4,14 +4,14 @@
 //! replaces the other, since kinds have keys of their own.
 
 use anyhow::{Result, anyhow, bail, ensure};
+use genesplat::train::EvolutionMode;
 use genesplat::train::config::EvolutionConfig;
-use genesplat::train::{EvolutionMode, Trigger};
 use toml::{Table, Value};
 
 use super::file::{ArmTable, ExperimentFile};
 use crate::settings::ConfigFile;
 
-/// The mode whose arms spend the seconds of another arm on gradient steps.
+/// Stands in `evolve` for arms that spend the seconds of another arm on gradient steps.
 const CONTROL: &str = "control";
 
 /// Settings that belong to the matrix or to the machine.
@@ -81,7 +81,7 @@ fn in_table_order(file: &ExperimentFile) -> Result<Vec<ArmTable>> {
 fn check_controlled(config: &Table, control: &ArmTable, target: &ArmTable) -> Result<EvolutionConfig> {
     let parsed = ConfigFile::from_table(config.clone()).map_err(|error| anyhow!("{error}"))?;
     let evolution = parsed.train.evolution;
-    let evolves = !matches!(evolution.mode, EvolutionMode::Off | EvolutionMode::Control);
+    let evolves = evolution.mode != EvolutionMode::Off;
     ensure!(evolves, "arm `{}` is the control of `{}`, which does not evolve", control.name, target.name);
     Ok(evolution)
 }
@@ -137,11 +137,11 @@ fn mode_table(mode: &str, more: Option<(&str, &str)>) -> Table {
     Table::from_iter([("evolution".to_owned(), Value::Table(evolution))])
 }
 
-/// Settings that turn an arm into a control. Where stages come at a trigger, so do the steps that stand for them; for the other
-/// modes they come after the last step of the run, where they do most good.
+/// Settings that turn an arm into a control, but for its budget. Where searches come at a trigger, so do the steps that stand for them;
+/// those of `renew` come after the last step of the run, where they do most good.
 fn control_table(controlled: &EvolutionConfig) -> Table {
-    let comes_last = !controlled.mode.has_stages() || controlled.trigger() == Trigger::AtEnd;
-    mode_table(CONTROL, comes_last.then_some(("trigger", "at-end")))
+    let comes_last = controlled.mode == EvolutionMode::Renew;
+    mode_table("off", comes_last.then_some(("trigger", "at-end")))
 }
 
 /// Writes `over` into `base`, key by key.
@@ -159,6 +159,8 @@ fn merge(base: &mut Table, over: &Table) {
 #[cfg(test)]
 mod tests {
     use std::path::Path;
+
+    use genesplat::train::{StepBudget, Trigger};
 
     use super::*;
     use crate::args::MachineArgs;
@@ -216,32 +218,36 @@ mod tests {
         let (one, control) = (one.config(), control.config());
         assert_eq!((one.seed, one.steps_scale, one.evolution.mode), (1, 0.5, EvolutionMode::Paper));
         assert_eq!(
-            (control.evolution.mode, control.evolution.control_seconds),
-            (EvolutionMode::Control, 2.5),
+            (control.evolution.mode, control.evolution.extra_steps),
+            (EvolutionMode::Off, Some(StepBudget::Seconds(2.5))),
             "ten seconds in all, at four resets"
         );
         assert_eq!(one.evolution.trigger, control.evolution.trigger);
         assert_eq!(one.evolution.paper.crossover, genesplat::evolve::Crossover::OnePoint);
-        assert_eq!(settings(3).config().evolution.control_seconds, 10.0, "all of them at the end");
+        assert_eq!(
+            settings(3).config().evolution.extra_steps,
+            Some(StepBudget::Seconds(10.0)),
+            "all of them at the end"
+        );
         assert_eq!(settings(0).config().evolution.mode, EvolutionMode::Off);
     }
 
     #[test]
     fn a_control_comes_when_its_arm_does_or_after_the_last_step() {
-        let modes = "evolve = [\"off\", \"paper\", \"renew\", \"recombine\", \"mosaic\", \"control\"]";
+        let modes = "evolve = [\"off\", \"paper\", \"renew\", \"control\"]";
         let triggers = |trigger: &str| {
             let text = format!("scenes = [\"a\"]\nseeds = [1]\n{modes}\n[config.evolution]\n{trigger}");
             triggers_of_controls(&Experiment::new(file(&text)).unwrap())
         };
-        let at_end = (Some(Trigger::AtEnd), 8.0);
-        assert_eq!(triggers(""), [(None, 2.0), at_end, at_end, at_end]);
-        // What the paper's stages and mosaic's are given is none of the others'.
-        let before_reset = (Some(Trigger::BeforeReset), 2.0);
-        assert_eq!(triggers("trigger = \"before-reset\""), [before_reset, at_end, at_end, before_reset]);
+        let (four_times, at_end) =
+            (Some(StepBudget::Seconds(2.0)), (Trigger::AtEnd, Some(StepBudget::Seconds(8.0))));
+        assert_eq!(triggers(""), [(Trigger::AfterReset, four_times), at_end]);
+        // The trigger of the paper's stages is none of renew's.
+        assert_eq!(triggers("trigger = \"before-reset\""), [(Trigger::BeforeReset, four_times), at_end]);
     }
 
     /// When the controls come, and the seconds of each of their stages.
-    fn triggers_of_controls(experiment: &Experiment) -> Vec<(Option<Trigger>, f64)> {
+    fn triggers_of_controls(experiment: &Experiment) -> Vec<(Trigger, Option<StepBudget>)> {
         let controls = experiment.arms.iter().enumerate().filter(|(_, arm)| arm.control_of.is_some());
         controls
             .map(|(arm, _)| {
@@ -249,7 +255,7 @@ mod tests {
                 let machine = MachineArgs::default();
                 let settings = experiment.settings(cell, Path::new("a"), machine, Some(8.0)).unwrap();
                 let evolution = &settings.train.config().evolution;
-                (evolution.trigger, evolution.control_seconds)
+                (evolution.trigger, evolution.extra_steps)
             })
             .collect()
     }

@@ -38,6 +38,9 @@ pub(crate) struct ExperimentFile {
     /// each of `arms` that evolves.
     #[serde(default)]
     pub(crate) evolve: Vec<String>,
+    /// Gradient steps of a control at each stage of its arm, in place of seconds, so that tables are the same wherever they are made.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) control_steps: Option<u32>,
     /// How the bundled scene is photographed.
     #[serde(default)]
     pub(crate) gallery: GalleryTable,

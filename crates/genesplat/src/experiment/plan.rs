@@ -9,6 +9,7 @@ use super::file::{ExperimentFile, GalleryTable};
 use crate::args::MachineArgs;
 use crate::overwrite::check_apart;
 use crate::settings::{ConfigFile, Settings, check_size};
+use genesplat::train::StepBudget;
 
 /// The scene that needs no folder.
 pub(crate) const BUNDLED: &str = "gallery";
@@ -158,8 +159,10 @@ impl Experiment {
         config.dataset.path = path.to_owned();
         (config.dataset.max_side, config.dataset.downscale) = (file.max_side, file.downscale);
         if let (Some(_), Some(seconds)) = (arm.control_of, control_seconds) {
+            config.train.evolution.extra_steps = Some(StepBudget::Steps(0));
             let stages = config.train.clone().resolve()?.schedule().stages().count();
-            config.train.evolution.control_seconds = seconds / stages.max(1) as f64;
+            let budget = StepBudget::Seconds(seconds / stages.max(1) as f64);
+            config.train.evolution.extra_steps = Some(file.control_steps.map_or(budget, StepBudget::Steps));
         }
         Ok(config)
     }

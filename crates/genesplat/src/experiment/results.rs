@@ -1,6 +1,6 @@
 //! What the cells have measured, and their paired differences.
 
-use genesplat::train::evaluate::Evaluation;
+use genesplat::metrics::Evaluation;
 
 use super::plan::{Cell, Experiment};
 use crate::args::Split;

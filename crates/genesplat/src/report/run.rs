@@ -165,7 +165,7 @@ fn write_evolution(page: &mut Html, records: &[StageRecord], stages: &[Stage]) {
 fn write_stage(page: &mut Html, record: &StageRecord) {
     let guards = record.guard_psnr.map_or("-".into(), |[before, after]| format!("{before:.2} to {after:.2}"));
     // A control renders for its steps, and changes all that they move.
-    let changed = if record.kind == StageKind::Control { "-".into() } else { record.changed.to_string() };
+    let changed = if record.kind == StageKind::ExtraSteps { "-".into() } else { record.changed.to_string() };
     page.open("tr").element("th", &record.iteration.to_string()).element("td", record.kind.name());
     page.element("td", &changed);
     page.element("td", &format!("{:.5} to {:.5}", record.fitness_before, record.fitness_after));

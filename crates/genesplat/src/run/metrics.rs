@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::Path;
 
-use genesplat::train::evaluate::{Evaluation, ViewScore};
+use genesplat::metrics::{Evaluation, ViewScore};
 use genesplat::train::{EvolutionMode, StageRecord, Variant};
 use serde::de::{Deserializer, IgnoredAny};
 use serde::{Deserialize, Serialize};

@@ -9,8 +9,8 @@ use anyhow::Result;
 use genesplat::core::{RenderSettings, View};
 use genesplat::io::Scene;
 use genesplat::io::photos::write_png;
-use genesplat::train::evaluate::{Evaluation, Lpips, Perceptual, evaluate};
-use genesplat::train::initialise::scene_extent;
+use genesplat::metrics::{Evaluation, Lpips, Perceptual, evaluate};
+use genesplat::train::scene::initialise::scene_extent;
 use genesplat::train::{Outcome, RunSummary, Start, train};
 
 use super::log::Log;
@@ -74,7 +74,7 @@ impl Run<'_> {
         if config.extent.is_none() {
             scene_extent(self.scene.train.iter().map(|view| &view.camera))?;
         }
-        device::open(self.settings.device, config.seed)
+        device::open(self.settings.device)
     }
 
     fn start(&self, session: &RunSession) -> Result<Start> {
@@ -104,7 +104,7 @@ impl Run<'_> {
             reporter = reporter.quiet();
         }
         let Outcome { cloud, summary, checkpoint } =
-            train(device, &scene.train, start, config, &mut reporter, stop)?;
+            train(device.as_mut(), &scene.train, start, config, &mut reporter, stop)?;
         // A disk that has no space for the checkpoint, the larger of the two, may have space for the cloud.
         let saved = checkpoint.map_or(Ok(()), |checkpoint| session.write_checkpoint(&checkpoint));
         session.write_cloud(&cloud, config.render_settings().filter)?;
@@ -115,7 +115,7 @@ impl Run<'_> {
         let clock = Instant::now();
         let Some((test, train)) = self.score(session, device, &summary)? else {
             // What was saved on the way would have to be trained to the end once more.
-            session.write_checkpoint(&summary.checkpoint_at_end(device)?)?;
+            session.write_checkpoint(&summary.checkpoint_at_end(device.as_mut())?)?;
             return Ok(Ended::Unscored);
         };
         let seconds = PhaseSeconds {
@@ -214,7 +214,7 @@ fn evaluate_until(
             return Ok(None);
         }
         let mut written = Ok(());
-        let of_one = evaluate(device, slice::from_ref(view), settings, perceptual, |_, picture| {
+        let of_one = evaluate(device.as_mut(), slice::from_ref(view), settings, perceptual, |_, picture| {
             written = folder.map_or(Ok(()), |folder| write_png(&folder.join(&name), &picture));
         })?;
         written?;

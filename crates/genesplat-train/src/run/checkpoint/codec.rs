@@ -3,6 +3,7 @@
 use std::io::{self, Read, Write};
 
 use genesplat_core::averages::StateMean;
+use genesplat_core::spherical_harmonics::SH_DEGREE_MAX;
 use genesplat_core::{DeviceState, Gaussians, Moments, Statistics, WindowAverages};
 
 use super::{Checkpoint, CheckpointError, Cursor, Progress};
@@ -82,6 +83,7 @@ impl<W: Write> Encoder<W> {
     }
 
     pub(super) fn progress(&mut self, progress: &Progress) -> io::Result<()> {
+        self.u32(progress.sh_degree_start.into())?;
         self.u32(progress.steps)?;
         self.u32(progress.opacity_steps)?;
         self.f64(progress.gradient_seconds)?;
@@ -216,8 +218,14 @@ impl<R: Read> Decoder<R> {
         phase.ok_or(CheckpointError::Damaged("it names an unknown phase"))
     }
 
+    fn sh_degree(&mut self) -> Result<u8, CheckpointError> {
+        let degree = u8::try_from(self.u32()?).ok().filter(|&degree| degree <= SH_DEGREE_MAX);
+        degree.ok_or(CheckpointError::Damaged("it names a degree of spherical harmonics that there is not"))
+    }
+
     fn progress(&mut self) -> Result<Progress, CheckpointError> {
         Ok(Progress {
+            sh_degree_start: self.sh_degree()?,
             steps: self.u32()?,
             opacity_steps: self.u32()?,
             gradient_seconds: self.f64()?,

@@ -38,6 +38,8 @@ impl Cursor {
 /// What a run has done so far.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Progress {
+    /// Degree of the spherical harmonics that the run began with: 0 for points, that of a cloud from elsewhere.
+    pub sh_degree_start: u8,
     /// Adam steps made.
     pub steps: u32,
     /// Adam steps that the opacity group made (it misses some).
@@ -188,6 +190,7 @@ mod tests {
         Checkpoint {
             cursor: Cursor { iteration: 6000, phase: Phase::Evolve },
             progress: Progress {
+                sh_degree_start: 2,
                 steps: 5945,
                 opacity_steps: 5944,
                 gradient_seconds: 2.5,

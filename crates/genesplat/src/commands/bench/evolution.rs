@@ -13,7 +13,7 @@ use std::time::Instant;
 use anyhow::Result;
 use genesplat::core::backend::MomentPolicy;
 use genesplat::core::gaussians::{logit, sigmoid};
-use genesplat::core::{Backend, Gaussians, RenderSettings, Rng, SparseDelta};
+use genesplat::core::{Backend, EvolutionBackend, Gaussians, RenderSettings, Rng, SparseDelta};
 use genesplat::evolve::{GeneticAlgorithm, Magnitude, PaperConfig};
 use genesplat::kernels::cpu::CpuBackend;
 use serde::Serialize;
@@ -51,14 +51,14 @@ pub(crate) fn run(args: &BenchEvolutionArgs) -> Result<()> {
     let cloud = just_reset(cloud);
     let individuals = founders(&cloud, args.population)?;
     backend.set_views(&views)?;
-    backend.upload(cloud, None)?;
+    backend.upload(cloud.into())?;
     let clock = Instant::now();
     let losses = backend.score(&individuals, &scored, &settings)?;
     let (seconds, scoring_bytes) = (clock.elapsed().as_secs_f64(), backend.scoring_bytes());
     let (plain, plain_seconds) = score_plainly(&mut backend, &individuals, &scored, &settings)?;
     let renders = losses.len() as f64;
     let report = Report {
-        gaussians: backend.len(),
+        gaussians: backend.gaussian_count(),
         views: scored.len(),
         individuals: individuals.len(),
         threads: rayon::current_num_threads(),

@@ -9,7 +9,7 @@ use std::time::Instant;
 
 use anyhow::Result;
 use genesplat::core::backend::{MomentPolicy, StepReport};
-use genesplat::core::{Backend, BackendError, RenderSettings, SparseDelta, View};
+use genesplat::core::{Backend, BackendError, EvolutionBackend, RenderSettings, SparseDelta, View};
 use genesplat::gpu::{GpuBackend, Work};
 use serde::Serialize;
 
@@ -107,7 +107,7 @@ pub(crate) fn run(args: &BenchGpuArgs) -> Result<()> {
 }
 
 fn new_backend(args: &BenchGpuArgs) -> Result<GpuBackend, BackendError> {
-    if args.without_subgroups { GpuBackend::without_subgroups(0) } else { GpuBackend::new(0) }
+    if args.without_subgroups { GpuBackend::without_subgroups() } else { GpuBackend::new() }
 }
 
 /// Whether the device has not enough memory, which says nothing of smaller sizes.
@@ -139,14 +139,14 @@ struct Timed {
     /// Milliseconds by the device's clock; empty where it has none.
     stages: Vec<(&'static str, f64)>,
     visible: usize,
-    tile_splats: usize,
+    intersections: usize,
 }
 
 impl Bench {
     fn new(source: &Source, gaussians: usize, args: &BenchGpuArgs) -> Result<Self> {
         let mut backend = new_backend(args)?;
         backend.set_views(&source.views)?;
-        backend.upload(source.cloud(gaussians)?, None)?;
+        backend.upload((source.cloud(gaussians)?).into())?;
         let (settings, views) = (source.settings, source.views.len());
         Ok(Self { backend, settings, views, size_px: size_px(&source.views) })
     }
@@ -158,13 +158,14 @@ impl Bench {
         let clock = Instant::now();
         self.steps(warm, args.steps)?;
         let milliseconds = 1e3 * clock.elapsed().as_secs_f64() / f64::from(args.steps);
-        let Timed { stages, visible, tile_splats } = self.stages(warm + args.steps, args.steps)?;
+        let Timed { stages, visible, intersections } = self.stages(warm + args.steps, args.steps)?;
         let device_memory_bytes = self.backend.allocated_bytes();
-        let [rows, seen, entries] = [self.backend.len(), visible, tile_splats].map(|count| count as u64);
+        let [rows, seen, intersections] =
+            [self.backend.gaussian_count(), visible, intersections].map(|count| count as u64);
         let work = Work {
             rows,
             visible: seen,
-            entries,
+            intersections,
             size_px: self.size_px.map(u64::from),
             sh_degree: self.settings.sh_degree,
         };
@@ -172,7 +173,7 @@ impl Bench {
 
         let cloud = just_reset(self.backend.download()?.into_owned());
         let individuals = founders(&cloud, args.population)?;
-        self.backend.upload(cloud, None)?;
+        self.backend.upload(cloud.into())?;
         let before = self.backend.allocated_bytes();
         // Once unmeasured: kernels are compiled, buffers grow.
         self.backend.take_most_allocated_bytes();
@@ -188,12 +189,12 @@ impl Bench {
         let plain = self.plain(&individuals)?;
         let renders = individuals.len() as f64;
         Ok(Size {
-            gaussians: self.backend.len(),
+            gaussians: self.backend.gaussian_count(),
             milliseconds,
             floor_milliseconds: stages.iter().map(|&(name, _)| floor(name)).collect(),
             stages,
             visible,
-            tile_splats,
+            tile_splats: intersections as usize,
             device_memory_bytes,
             scoring_device_memory_bytes: scoring_bytes,
             individuals: individuals.len(),
@@ -234,7 +235,7 @@ impl Bench {
         Ok(Timed {
             stages: names.iter().enumerate().map(|(index, (name, _))| (*name, stage(index))).collect(),
             visible: counted(|report| report.visible),
-            tile_splats: counted(|report| report.tile_splats),
+            intersections: counted(|report| report.intersections),
         })
     }
 

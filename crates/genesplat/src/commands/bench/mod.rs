@@ -14,7 +14,7 @@ fn step_at_rest(view: usize, settings: RenderSettings, step: u32) -> TrainStep {
     TrainStep {
         view,
         settings,
-        update: Some(Update { rates, step, opacity_step: step, exploration: None }),
+        update: Some(Update { rates, step, opacity_step: step, mcmc: None }),
         statistics: StatisticsRequest { density: Some(DensitySignal::Signed), genes: false },
     }
 }

@@ -8,7 +8,7 @@ use std::time::Instant;
 
 use anyhow::Result;
 use genesplat::core::{Backend, Camera, RenderSettings};
-use genesplat::kernels::cpu::{CpuBackend, StageSeconds, roofline_nanoseconds_per_tile_splat};
+use genesplat::kernels::cpu::{CpuBackend, StageSeconds, roofline_nanoseconds_per_intersection};
 use serde::Serialize;
 
 use super::workload::Source;
@@ -34,7 +34,7 @@ struct Report {
     tile_splats: f64,
     blend_nanoseconds_per_tile_splat: f64,
     blend_backward_nanoseconds_per_tile_splat: f64,
-    roofline_nanoseconds_per_tile_splat: f64,
+    roofline_nanoseconds_per_intersection: f64,
     peak_memory_bytes: Option<u64>,
 }
 
@@ -64,10 +64,10 @@ pub(crate) fn run(args: &BenchStepArgs) -> Result<()> {
     let (views, settings, cloud) = Source::of_cpu(&args.workload)?;
     backend.set_views(&views)?;
     // Moved, not copied: the memory reported is that of training.
-    backend.upload(cloud, None)?;
+    backend.upload(cloud.into())?;
     let steps = (0..WARM_UP + args.steps).map(|step| time_step(&mut backend, step, views.len(), settings));
     let samples = steps.collect::<Result<Vec<_>>>()?;
-    let report = Report::new(backend.len(), &views[0].camera, &samples[WARM_UP as usize..]);
+    let report = Report::new(backend.gaussian_count(), &views[0].camera, &samples[WARM_UP as usize..]);
     output::print(&report.to_text())?;
     args.json.as_ref().map_or(Ok(()), |path| files::write_json(path, &report))
 }
@@ -77,7 +77,7 @@ fn time_step(backend: &mut CpuBackend, step: u32, views: usize, settings: Render
     let clock = Instant::now();
     backend.train_step(&train_step)?;
     let milliseconds = 1e3 * clock.elapsed().as_secs_f64();
-    let tile_splats = backend.report()?.tile_splats as f64;
+    let tile_splats = backend.report()?.intersections as f64;
     Ok(Sample { milliseconds, stages: backend.take_stage_seconds(), tile_splats })
 }
 
@@ -101,7 +101,7 @@ impl Report {
             tile_splats: median(samples.iter().map(|sample| sample.tile_splats)),
             blend_nanoseconds_per_tile_splat: core_nanoseconds(|seconds| seconds.rasterise),
             blend_backward_nanoseconds_per_tile_splat: core_nanoseconds(|seconds| seconds.rasterise_backward),
-            roofline_nanoseconds_per_tile_splat: roofline_nanoseconds_per_tile_splat(),
+            roofline_nanoseconds_per_intersection: roofline_nanoseconds_per_intersection(),
             peak_memory_bytes: memory::peak_bytes(),
         }
     }
@@ -109,7 +109,7 @@ impl Report {
     fn to_text(&self) -> String {
         let stage = |(name, _): &(&str, _)| format!("{name:<20}{:>8.2} ms\n", self.stages[name]);
         let stages: String = STAGES.iter().map(stage).collect();
-        let roofline = self.roofline_nanoseconds_per_tile_splat;
+        let roofline = self.roofline_nanoseconds_per_intersection;
         let ratio = |nanoseconds: f64| format!("{nanoseconds:>8.1} ns  {:>5.2} x", nanoseconds / roofline);
         format!(
             "{} Gaussians, {}x{} px, {} threads, {:.0} (Gaussian x 16x16 tile) pairs\n\

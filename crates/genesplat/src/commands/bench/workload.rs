@@ -10,7 +10,7 @@ use std::sync::Arc;
 use anyhow::{Result, bail};
 use genesplat::core::gaussians::logit;
 use genesplat::core::{Camera, Gaussians, Photo, RenderSettings, Rng, Stream, View};
-use genesplat::train::initialise::{ColouredPoint, cloud_from_points, in_spatial_order};
+use genesplat::train::scene::initialise::{ColouredPoint, cloud_from_points, in_spatial_order};
 use glam::{DQuat, DVec3};
 
 use crate::args::{SizeArgs, SourceArgs, WorkloadArgs};
