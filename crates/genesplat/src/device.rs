@@ -37,11 +37,11 @@ impl DeviceChoice {
         }
     }
 
-    /// The device that is meant, never `Auto`, once it is clear that there is one. What `Auto` comes to is said, once: figures of the
-    /// two kinds differ by rounding, and in time.
+    /// The device that is meant, never `Auto`, once it is clear that there is one. What `Auto` comes to is said, once:
+    /// figures of the two kinds differ by rounding, and in time.
     ///
-    /// Asked for once all else is known to be well: drivers may write to stderr when they are looked for, which is none of what a
-    /// user with a mistyped path should read.
+    /// Asked for once all else is known to be well: drivers may write to stderr when they are looked for, which is none
+    /// of what a user with a mistyped path should read.
     pub(crate) fn resolve(self) -> Result<Self> {
         match self {
             Self::Cpu => Ok(Self::Cpu),
@@ -52,7 +52,8 @@ impl DeviceChoice {
     }
 }
 
-/// What `auto` comes to on this machine, having said so. A driver may refuse what it has promised, so the device is opened once to see.
+/// What `auto` comes to on this machine, having said so. A driver may refuse what it has promised, so the device is
+/// opened once to see.
 fn auto_choice() -> &'static Result<(), String> {
     static CHOICE: OnceLock<Result<(), String>> = OnceLock::new();
     CHOICE.get_or_init(|| {

@@ -13,12 +13,13 @@ use super::{LpipsArgs, MORE, MachineArgs, SEEDS, SizeArgs, scale};
 /// `genesplat train`.
 #[derive(Debug, Args)]
 pub(crate) struct TrainArgs {
-    /// Folder of the scene: a COLMAP model in sparse/0 (cameras, images, points3D as .bin or .txt) and its photos in images; or a
-    /// transforms.json of nerfstudio or instant-ngp, or Blender's transforms_train.json and transforms_test.json, and the photos
-    /// that they name
+    /// Folder of the scene: a COLMAP model in sparse/0 (cameras, images, points3D as .bin or .txt) and its photos in
+    /// images; or a transforms.json of nerfstudio or instant-ngp, or Blender's transforms_train.json and
+    /// transforms_test.json, and the photos that they name
     pub(crate) dataset: PathBuf,
-    /// Folder for the results; made if it is missing. It will hold point_cloud.ply, metrics.json, config.toml, log.jsonl
-    /// and test/*.png; an earlier run's results there are moved to DIR/previous, and removed once this run has come to its end
+    /// Folder for the results; made if it is missing. It will hold point_cloud.ply, metrics.json, config.toml,
+    /// log.jsonl and test/*.png; an earlier run's results there are moved to DIR/previous, and removed once this run
+    /// has come to its end
     #[arg(long, value_name = "DIR")]
     pub(crate) out: PathBuf,
     #[command(flatten)]
@@ -60,15 +61,16 @@ pub(crate) struct ScheduleArgs {
     /// so 7000 is a good quick run
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     iterations: Option<u32>,
-    /// Multiply every setting that counts steps by F, 0.001 to 1000 [default: 1]. 0.1 gives a run of the same shape in a
-    /// tenth of the steps
+    /// Multiply every setting that counts steps by F, 0.001 to 1000 [default: 1]. 0.1 gives a run of the same shape in
+    /// a tenth of the steps
     #[arg(long, value_name = "F", value_parser = scale, help_heading = MORE)]
     steps_scale: Option<f64>,
     /// Seed of all random numbers [default: 0]. Same seed, same bytes
     #[arg(long, value_name = "S", value_parser = clap::value_parser!(u64).range(SEEDS))]
     seed: Option<u64>,
-    /// Stop adding Gaussians at this many [default: no limit, or with --evolve renew as many as the photos can determine; 1000000
-    /// with mcmc, which grows towards it by 5 % a time]. Bounds memory (about 1.5 KB a Gaussian) and time
+    /// Stop adding Gaussians at this many [default: no limit, or with --evolve renew as many as the photos can
+    /// determine; 1000000 with mcmc, which grows towards it by 5 % a time]. Bounds memory (about 1.5 KB a Gaussian) and
+    /// time
     #[arg(long, value_name = "N", value_parser = positive)]
     max_gaussians: Option<usize>,
     /// Iterations between two checkpoints [default: 1000]; 0 for none but that of Ctrl-C and SIGTERM
@@ -90,11 +92,12 @@ impl ScheduleArgs {
 /// Which evolution, and how much of it.
 #[derive(Clone, Debug, Default, Args)]
 pub(crate) struct EvolutionArgs {
-    /// Evolution beside gradient descent [default: off]. paper, control: after each opacity reset; mosaic: at the end; recombine,
-    /// renew: in the second half of the run
+    /// Evolution beside gradient descent [default: off]. paper, control: after each opacity reset; mosaic: at the end;
+    /// recombine, renew: in the second half of the run
     #[arg(long, value_name = "MODE", value_parser = choice(EVOLUTION))]
     pub(crate) evolve: Option<EvolutionMode>,
-    /// Generations of each evolution stage of paper and mosaic, at least 1 [default: 100, mosaic: 20]. Time grows in proportion
+    /// Generations of each evolution stage of paper and mosaic, at least 1 [default: 100, mosaic: 20]. Time grows in
+    /// proportion
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..), help_heading = MORE)]
     pub(crate) generations: Option<u32>,
     /// Individuals a generation, 1 to 10000 [default: 100, mosaic: 12]. Time grows in proportion

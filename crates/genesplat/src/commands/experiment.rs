@@ -16,7 +16,7 @@ use crate::experiment::runner::{Ran, Runner};
 use crate::experiment::summary::Tables;
 use crate::experiment::{page, preset, qualitative, record};
 use crate::report::run::command_line;
-use crate::run::lock::Lock;
+use crate::run::session::Lock;
 use crate::terminal::{interrupt, output};
 use crate::{device, files, lpips};
 
@@ -71,8 +71,8 @@ pub(crate) fn run(args: &ExperimentArgs) -> Result<Ending> {
     Ok(Ending::Stopped)
 }
 
-/// Fails where files that are not ours would be written over. What earlier versions have written has no mark, but is to the byte what
-/// we would write of it.
+/// Fails where files that are not ours would be written over. What earlier versions have written has no mark, but is to
+/// the byte what we would write of it.
 fn check_ours(out: &Path) -> Result<()> {
     let path = out.join(DESCRIPTION);
     let foreign = match fs::read_to_string(&path) {

@@ -137,8 +137,8 @@ fn mode_table(mode: &str, more: Option<(&str, &str)>) -> Table {
     Table::from_iter([("evolution".to_owned(), Value::Table(evolution))])
 }
 
-/// Settings that turn an arm into a control. Where stages come at a trigger, so do the steps that stand for them; for the other
-/// modes they come after the last step of the run, where they do most good.
+/// Settings that turn an arm into a control. Where stages come at a trigger, so do the steps that stand for them; for
+/// the other modes they come after the last step of the run, where they do most good.
 fn control_table(controlled: &EvolutionConfig) -> Table {
     let comes_last = !controlled.mode.has_stages() || controlled.trigger() == Trigger::AtEnd;
     mode_table(CONTROL, comes_last.then_some(("trigger", "at-end")))

@@ -1,8 +1,8 @@
 //! Where a picture got better and worse: boxes that the program places, not the author.
 //!
 //! For two renders of one photo, the squared error of each pixel is summed over the channels; its change is then summed
-//! over every square window of a fixed size. The two boxes are the windows where error fell most and where it rose most.
-//! The rule has no parameter to tune but the size of the window, a sixth of the longer side.
+//! over every square window of a fixed size. The two boxes are the windows where error fell most and where it rose
+//! most. The rule has no parameter to tune but the size of the window, a sixth of the longer side.
 
 use genesplat::core::Photo;
 

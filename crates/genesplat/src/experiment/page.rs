@@ -34,13 +34,12 @@ pub(crate) struct Parts<'a> {
     pub(crate) command: &'a str,
 }
 
-/// Test PSNR and number of Gaussians over time, an arm a curve, for every scene and variant: the first seed that each arm has
-/// finished, in the folder `out`.
+/// Test PSNR and number of Gaussians over time, an arm a curve, for every scene and variant: the first seed that each
+/// arm has finished, in the folder `out`.
 pub(crate) fn charts(results: &Results<'_>, out: &Path) -> Vec<Chart> {
     let Experiment { file, arms } = results.experiment;
     let of_arm = |scene: usize, variant: usize, arm: usize| {
-        let mut cells = (0..file.seeds.len()).map(|seed| Cell { scene, variant, arm, seed });
-        let cell = cells.find(|&cell| results.get(cell).is_some())?;
+        let cell = Cell { scene, variant, arm, seed: results.first_seed(scene, variant, &[arm])? };
         // A log that is lost costs a curve, and nothing else.
         let log = out.join(results.experiment.folder(cell)).join(LOG);
         Some((arms[arm].name.clone(), Curves::read(&log).ok()?))

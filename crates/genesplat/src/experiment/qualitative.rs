@@ -35,8 +35,8 @@ pub(crate) struct Page {
     pub(crate) caption: String,
 }
 
-/// Writes a page for every scene, variant and evolving arm whose cells are finished. A scene whose pages cannot be made gets a
-/// notice instead: its figures stand without them.
+/// Writes a page for every scene, variant and evolving arm whose cells are finished. A scene whose pages cannot be made
+/// gets a notice instead: its figures stand without them.
 pub(crate) fn write_pages(runner: &Runner<'_>, results: &Results<'_>) -> Vec<Page> {
     let pages = |scene| {
         write_scene(runner, results, scene).unwrap_or_else(|error| {
@@ -48,7 +48,8 @@ pub(crate) fn write_pages(runner: &Runner<'_>, results: &Results<'_>) -> Vec<Pag
     (0..runner.experiment.file.scenes.len()).flat_map(pages).collect()
 }
 
-/// The pages of one scene. Its photos are loaded as they are now, which need not be as they were when its cells were run.
+/// The pages of one scene. Its photos are loaded as they are now, which need not be as they were when its cells were
+/// run.
 fn write_scene(runner: &Runner<'_>, results: &Results<'_>, scene: usize) -> Result<Vec<Page>> {
     let pairs = pairs_of(results, scene);
     let Some((first, _)) = pairs.first() else { return Ok(Vec::new()) };
@@ -95,13 +96,8 @@ fn pairs_of(results: &Results<'_>, scene: usize) -> Vec<(Cell, Cell)> {
     let experiment = results.experiment;
     let evolving = (1..experiment.arms.len()).filter(|&arm| experiment.arms[arm].control_of.is_none());
     let of_arm = |variant: usize, arm: usize| {
-        let cells = (0..experiment.file.seeds.len()).map(move |seed| {
-            let with = Cell { scene, variant, arm, seed };
-            (Cell { arm: 0, ..with }, with)
-        });
-        cells
-            .into_iter()
-            .find(|(without, with)| results.get(*without).is_some() && results.get(*with).is_some())
+        let with = Cell { scene, variant, arm, seed: results.first_seed(scene, variant, &[0, arm])? };
+        Some((Cell { arm: 0, ..with }, with))
     };
     let variants = 0..experiment.file.variants.len();
     variants.flat_map(|variant| evolving.clone().filter_map(move |arm| of_arm(variant, arm))).collect()
@@ -109,9 +105,9 @@ fn pairs_of(results: &Results<'_>, scene: usize) -> Vec<(Cell, Cell)> {
 
 /// The test views that gained and lost most PSNR.
 fn most_changed(without: Option<&Metrics>, with: Option<&Metrics>) -> Vec<usize> {
-    let views = |metrics: Option<&Metrics>| metrics.map_or(Vec::new(), |metrics| metrics.test.views.clone());
-    let (without, with) = (views(without), views(with));
-    let gains = with.iter().zip(&without).map(|(with, without)| with.psnr - without.psnr);
+    let (Some(without), Some(with)) = (without, with) else { return Vec::new() };
+    let (without, with) = (&without.test.views, &with.test.views);
+    let gains = with.iter().zip(without).map(|(with, without)| with.psnr - without.psnr);
     let mut gains: Vec<(usize, f64)> = gains.enumerate().filter(|(_, gain)| gain.is_finite()).collect();
     gains.sort_by(|a, b| b.1.total_cmp(&a.1));
     let ends = gains.first().into_iter().chain(gains.last().filter(|_| gains.len() > 1));

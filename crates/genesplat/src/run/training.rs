@@ -49,8 +49,8 @@ pub(crate) enum Ended {
 }
 
 impl Run<'_> {
-    /// Trains, saves, scores. Whatever would end a run before its first step is found while the results of an earlier one are still
-    /// in its folder.
+    /// Trains, saves, scores. Whatever would end a run before its first step is found while the results of an earlier
+    /// one are still in its folder.
     pub(crate) fn execute(&self, session: &mut RunSession) -> Result<Ended> {
         overwrite::check_photos(self.scene, &session.path().join(TEST))?;
         if session.resumes() {
@@ -154,8 +154,8 @@ impl Run<'_> {
         device: &mut Device,
         summary: &RunSummary,
     ) -> Result<Option<(Evaluation, Evaluation)>> {
-        // Who stops a run waits for it, and figures of half a run are replaced by those of the whole. The few that are taken all the
-        // same must not be stopped by what stopped the run.
+        // Who stops a run waits for it, and figures of half a run are replaced by those of the whole. The few that are
+        // taken all the same must not be stopped by what stopped the run.
         let never = AtomicBool::new(false);
         let (train, lpips, stop) = match summary.interrupted {
             true => (&[][..], None, &never),
@@ -195,8 +195,8 @@ pub(crate) fn evaluate_all(
     Ok(evaluation.expect("nothing sets the flag"))
 }
 
-/// The same for one photo after the other, so that `stop` can end it: LPIPS of many takes minutes. `None` where it has. Renders are
-/// written to `folder` as PNG.
+/// The same for one photo after the other, so that `stop` can end it: LPIPS of many takes minutes. `None` where it has.
+/// Renders are written to `folder` as PNG.
 fn evaluate_until(
     stop: &AtomicBool,
     device: &mut Device,

@@ -25,7 +25,8 @@ pub fn write_gallery(folder: &Path) {
     gallery::generate(&options).write_colmap(folder).unwrap();
 }
 
-/// The command with these arguments, not yet started; weights of LPIPS that this user may have installed are out of sight.
+/// The command with these arguments, not yet started; weights of LPIPS that this user may have installed are out of
+/// sight.
 pub fn command<S: AsRef<std::ffi::OsStr>>(arguments: impl IntoIterator<Item = S>) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_genesplat"));
     command.args(arguments).env_remove("GENESPLAT_LPIPS").env("XDG_CACHE_HOME", GALLERY.path().join("cache"));
