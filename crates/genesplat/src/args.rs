@@ -9,6 +9,7 @@ use genesplat::io::PhotoSize;
 use serde::Serialize;
 
 use crate::device::Device;
+use crate::output::Volume;
 
 mod bench;
 mod method;
@@ -30,6 +31,31 @@ pub struct Arguments {
     /// What to do.
     #[command(subcommand)]
     pub command: Command,
+    #[command(flatten)]
+    pub volume: VolumeArgs,
+}
+
+/// How much is said on stderr.
+#[derive(Clone, Copy, Debug, Default, Args)]
+#[command(next_help_heading = "Messages")]
+pub struct VolumeArgs {
+    /// Show errors and the final result only
+    #[arg(short, long, global = true)]
+    quiet: bool,
+    /// Show what helps to find a fault, too: the choice of the device, and messages of graphics drivers
+    #[arg(short, long, global = true, conflicts_with = "quiet")]
+    verbose: bool,
+}
+
+impl VolumeArgs {
+    /// What was asked for.
+    pub fn volume(self) -> Volume {
+        match (self.quiet, self.verbose) {
+            (true, _) => Volume::Quiet,
+            (_, true) => Volume::Verbose,
+            _ => Volume::Normal,
+        }
+    }
 }
 
 /// The commands.

@@ -40,19 +40,24 @@ impl Device {
         match self {
             Self::Cpu => Ok((Self::Cpu, false)),
             Self::Auto => Ok((if auto_choice().is_ok() { Self::Gpu } else { Self::Cpu }, true)),
-            Self::Gpu => match adapters().iter().find(|adapter| adapter.unusable.is_none()) {
+            Self::Gpu => match graphics().iter().find(|adapter| adapter.unusable.is_none()) {
                 Some(_) => Ok((Self::Gpu, false)),
-                None => bail!("{}; use --device cpu", why_none(adapters())),
+                None => bail!("{}; use --device cpu", why_none(graphics())),
             },
         }
     }
 }
 
+/// All graphics devices of this machine, best first.
+pub fn graphics() -> &'static [AdapterReport] {
+    output::without_drivers(adapters)
+}
+
 /// Says what was chosen for someone who left the choice to us: figures of the two kinds differ by rounding, and in time.
 pub fn announce_auto() {
     match auto_choice() {
-        Ok(adapter) => output::tell(&format!("device: auto means {} ({})", adapter.name, adapter.api)),
-        Err(reason) => output::tell(&format!("device: auto means the CPU, since {reason}")),
+        Ok(adapter) => output::detail(&format!("device: auto means {} ({})", adapter.name, adapter.api)),
+        Err(reason) => output::note(&format!("notice: the CPU did all the work, since {reason}")),
     }
 }
 
@@ -60,8 +65,8 @@ pub fn announce_auto() {
 fn auto_choice() -> &'static Result<AdapterReport, String> {
     static CHOICE: OnceLock<Result<AdapterReport, String>> = OnceLock::new();
     CHOICE.get_or_init(|| {
-        let adapter = auto_adapter(adapters())?;
-        check_best().map(|()| adapter.clone()).map_err(|error| error.to_string())
+        let adapter = auto_adapter(graphics())?;
+        output::without_drivers(check_best).map(|()| adapter.clone()).map_err(|error| error.to_string())
     })
 }
 
@@ -95,15 +100,13 @@ fn why_none(adapters: &[AdapterReport]) -> String {
 /// An empty backend on a resolved device, for a run with `seed`.
 pub fn open(device: Device, seed: u64) -> Result<AnyBackend> {
     match device.resolve()?.0 {
-        Device::Gpu => Ok(AnyBackend::Gpu(Box::new(GpuBackend::new(seed)?))),
+        Device::Gpu => Ok(AnyBackend::Gpu(Box::new(output::without_drivers(|| GpuBackend::new(seed))?))),
         Device::Cpu | Device::Auto => Ok(AnyBackend::Cpu(Box::new(CpuBackend::new(seed)))),
     }
 }
 
-/// The device of a command that has no configuration, having said which it is where the choice was left to us.
-///
-/// Asked for once all else is known to be well: drivers may write to stderr when they are looked for, which is none of what a
-/// user with a mistyped path should read.
+/// The device of a command that has no configuration, having said which it is where the choice was left to us. Asked for once
+/// all else is known to be well, since drivers take their time.
 pub fn choose(args: MachineArgs) -> Result<Device> {
     let (device, was_auto) = args.device.unwrap_or_default().resolve()?;
     if was_auto {

@@ -16,7 +16,9 @@
 //! | [`report`] | `report.html` |
 //! | [`reporter`], [`progress`], [`test_curve`] | what a run tells while it is under way |
 //! | [`lpips`] | where the weights of LPIPS come from |
-//! | [`device`], [`any_backend`], [`interrupt`], [`memory`], [`scene`], [`sheet`], [`files`], [`output`] | the machine, Ctrl-C and SIGTERM, and other plumbing |
+//! | [`crops`], [`sheet`] | where two renders differ most, and the picture that shows it |
+//! | [`output`], [`numbers`] | what is said, how much of it, and numbers for people |
+//! | [`device`], [`any_backend`], [`interrupt`], [`memory`], [`scene`], [`files`] | the machine, Ctrl-C and SIGTERM, and other plumbing |
 //!
 //! Exit status: 0 done, 1 failed with one sentence on stderr, 2 wrong usage, 130 stopped by Ctrl-C or SIGTERM (train,
 //! refine, demo and experiment).
@@ -24,6 +26,7 @@
 mod any_backend;
 mod args;
 mod commands;
+mod crops;
 mod device;
 mod difference;
 mod experiment;
@@ -33,6 +36,7 @@ mod lock;
 mod lpips;
 mod memory;
 mod metrics;
+mod numbers;
 mod output;
 mod precious;
 mod previous;
@@ -58,14 +62,26 @@ use commands::Ending;
 fn main() -> ExitCode {
     output::explain_panics();
     let arguments = args::Arguments::parse();
+    output::set_volume(arguments.volume.volume());
     match panic::catch_unwind(|| commands::run(arguments)) {
-        Ok(Ok(Ending::Whole)) => ExitCode::SUCCESS,
-        Ok(Ok(Ending::Stopped)) => ExitCode::from(interrupt::STOPPED),
+        Ok(Ok(ending)) => {
+            output::tell_notes();
+            ending.into()
+        }
         Ok(Err(error)) => {
-            output::tell(&output::error_line(&error));
+            output::complain(&output::error_line(&error));
             ExitCode::FAILURE
         }
         // The hook has explained it already.
         Err(_) => ExitCode::FAILURE,
+    }
+}
+
+impl From<Ending> for ExitCode {
+    fn from(ending: Ending) -> Self {
+        match ending {
+            Ending::Whole => Self::SUCCESS,
+            Ending::Stopped => Self::from(interrupt::STOPPED),
+        }
     }
 }

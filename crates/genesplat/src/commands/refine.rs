@@ -10,6 +10,7 @@ use genesplat::train::{Background, EvolutionMode, Resolved, TrainConfig, Variant
 use super::Ending;
 use crate::any_backend::AnyBackend;
 use crate::args::{EvolutionArgs, RefineArgs};
+use crate::numbers::thousands;
 use crate::progress::Bar;
 use crate::reporter::Reporter;
 use crate::settings::{ConfigFile, override_evolution};
@@ -39,7 +40,11 @@ pub fn run(args: &RefineArgs) -> Result<Ending> {
         output::print("stopped early; what follows is as far as it had come")?;
     }
     print_scores("after", &mut backend, &scene, &splat.settings)?;
-    output::print(&format!("{} Gaussians written to {}", outcome.cloud.len(), args.out.display()))?;
+    output::print(&format!(
+        "{} Gaussians written to {}",
+        thousands(outcome.cloud.len()),
+        args.out.display()
+    ))?;
     Ok(if outcome.summary.interrupted { Ending::Stopped } else { Ending::Whole })
 }
 

@@ -10,6 +10,7 @@ use genesplat::train::TrainConfig;
 use super::Ending;
 use crate::args::TrainArgs;
 use crate::metrics::Metrics;
+use crate::numbers::{duration, thousands};
 use crate::run_folder::{RunFolder, WayOn};
 use crate::settings::{ConfigFile, Settings};
 use crate::training::{Ended, Run, open_device};
@@ -90,10 +91,11 @@ fn report(ended: &Ended, folder: &RunFolder) -> Result<Ending> {
 
 fn print_size(metrics: &Metrics, folder: &RunFolder) -> Result<()> {
     output::print(&format!(
-        "{} Gaussians after {} iterations in {:.0} s: {}",
-        metrics.gaussians,
-        metrics.iterations,
-        metrics.seconds.total,
+        "{} Gaussians after {} iterations in {}: {}",
+        thousands(metrics.gaussians),
+        thousands(metrics.iterations as usize),
+        duration(metrics.seconds.total),
         folder.cloud_path().display()
-    ))
+    ))?;
+    output::print(&format!("open   {}", folder.path().join("report.html").display()))
 }

@@ -15,10 +15,9 @@
 //! | [`results`] | what the cells have measured, and their paired differences |
 //! | [`statistics`] | means, spreads, and two exact tests |
 //! | [`summary`], [`table`], [`record`] | the paper's tables, how they are written, and everything as CSV |
-//! | [`boxes`], [`qualitative`] | pictures in which the program itself marks what got better and worse |
+//! | [`qualitative`] | pictures in which the program itself marks what got better and worse |
 //! | [`page`] | `report.html` |
 
-pub mod boxes;
 pub mod file;
 pub mod page;
 pub mod plan;

@@ -8,4 +8,5 @@ mod peer;
 mod resume;
 mod run_folder;
 mod support;
+mod terminal;
 mod tools;

@@ -134,7 +134,8 @@ pub fn run(args: &BenchGpuArgs) -> Result<()> {
 }
 
 fn new_backend(args: &BenchGpuArgs) -> Result<GpuBackend, BackendError> {
-    if args.without_subgroups { GpuBackend::without_subgroups(0) } else { GpuBackend::new(0) }
+    let open = if args.without_subgroups { GpuBackend::without_subgroups } else { GpuBackend::new };
+    output::without_drivers(|| open(0))
 }
 
 /// What is too large for a device says nothing of what is smaller.
