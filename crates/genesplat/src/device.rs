@@ -46,10 +46,15 @@ impl DeviceChoice {
         match self {
             Self::Cpu => Ok(Self::Cpu),
             Self::Auto => Ok(if auto_choice().is_ok() { Self::Gpu } else { Self::Cpu }),
-            Self::Gpu if adapters().iter().any(|adapter| adapter.unusable.is_none()) => Ok(Self::Gpu),
-            Self::Gpu => bail!("{}; use --device cpu", why_none(adapters())),
+            Self::Gpu if graphics().iter().any(|adapter| adapter.unusable.is_none()) => Ok(Self::Gpu),
+            Self::Gpu => bail!("{}; use --device cpu", why_none(graphics())),
         }
     }
+}
+
+/// All graphics devices of this machine, best first.
+pub(crate) fn graphics() -> &'static [AdapterReport] {
+    output::without_drivers(adapters)
 }
 
 /// What `auto` comes to on this machine, having said so. A driver may refuse what it has promised, so the device is
@@ -57,12 +62,12 @@ impl DeviceChoice {
 fn auto_choice() -> &'static Result<(), String> {
     static CHOICE: OnceLock<Result<(), String>> = OnceLock::new();
     CHOICE.get_or_init(|| {
-        let chosen = auto_adapter(adapters())
-            .and_then(|adapter| check_best().map(|()| adapter).map_err(|error| error.to_string()));
-        output::tell(&match &chosen {
-            Ok(adapter) => format!("device: auto means {} ({})", adapter.name, adapter.api),
-            Err(reason) => format!("device: auto means the CPU, since {reason}"),
-        });
+        let opened = || output::without_drivers(check_best).map_err(|error| error.to_string());
+        let chosen = auto_adapter(graphics()).and_then(|adapter| opened().map(|()| adapter));
+        match &chosen {
+            Ok(adapter) => output::detail(&format!("device: auto means {} ({})", adapter.name, adapter.api)),
+            Err(reason) => output::note(&format!("notice: the CPU did all the work, since {reason}")),
+        }
         chosen.map(|_| ())
     })
 }
@@ -97,7 +102,9 @@ fn why_none(adapters: &[AdapterReport]) -> String {
 /// An empty device for a run with `seed`.
 pub(crate) fn open(choice: DeviceChoice, seed: u64) -> Result<Device> {
     match choice.resolve()? {
-        DeviceChoice::Gpu => Ok(AnyBackend::Gpu(Box::new(GpuBackend::new(seed)?))),
+        DeviceChoice::Gpu => {
+            Ok(AnyBackend::Gpu(Box::new(output::without_drivers(|| GpuBackend::new(seed))?)))
+        }
         DeviceChoice::Cpu | DeviceChoice::Auto => Ok(AnyBackend::Cpu(Box::new(CpuBackend::new(seed)))),
     }
 }

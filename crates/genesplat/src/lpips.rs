@@ -68,7 +68,7 @@ fn path_in(variable: &str) -> Option<PathBuf> {
 
 /// Says in one sentence that LPIPS with `net` is left out.
 pub(crate) fn notify_absent(net: Net) {
-    output::tell(&format!(
+    output::note(&format!(
         "notice: LPIPS with {net} is not measured: its weights are not installed, and `genesplat lpips install --help` says \
          which files to give it"
     ));

@@ -10,6 +10,7 @@ use genesplat::train::{Background, EvolutionMode};
 use serde::Serialize;
 
 use crate::device::DeviceChoice;
+use crate::terminal::output::Volume;
 use choice::{EVOLUTION, FIXED_BACKGROUNDS, REFINEMENT, choice};
 
 mod bench;
@@ -34,6 +35,30 @@ pub(crate) struct Arguments {
     /// What to do.
     #[command(subcommand)]
     pub(crate) command: Command,
+    #[command(flatten)]
+    pub(crate) volume: VolumeArgs,
+}
+
+/// How much is said on stderr.
+#[derive(Clone, Copy, Debug, Default, Args)]
+#[command(next_help_heading = "Messages")]
+pub(crate) struct VolumeArgs {
+    /// Show errors and the final result only
+    #[arg(short, long, global = true)]
+    quiet: bool,
+    /// Show what helps to find a fault, too: the choice of the device, and messages of graphics drivers
+    #[arg(short, long, global = true, conflicts_with = "quiet")]
+    verbose: bool,
+}
+
+impl VolumeArgs {
+    pub(crate) fn volume(self) -> Volume {
+        match (self.quiet, self.verbose) {
+            (true, _) => Volume::Quiet,
+            (_, true) => Volume::Verbose,
+            _ => Volume::Normal,
+        }
+    }
 }
 
 /// The commands.

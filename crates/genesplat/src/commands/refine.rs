@@ -12,6 +12,7 @@ use crate::run::photos;
 use crate::run::training::evaluate_all;
 use crate::settings::ConfigFile;
 use crate::splat::Splat;
+use crate::terminal::numbers::thousands;
 use crate::terminal::reporter::Reporter;
 use crate::terminal::{interrupt, output};
 use crate::{device, splat};
@@ -36,7 +37,11 @@ pub(crate) fn run(args: &RefineArgs) -> Result<Ending> {
         output::print("stopped early; what follows is as far as it had come")?;
     }
     print_scores("after", &mut backend, &scene, &splat.settings)?;
-    output::print(&format!("{} Gaussians written to {}", outcome.cloud.len(), args.out.display()))?;
+    output::print(&format!(
+        "{} Gaussians written to {}",
+        thousands(outcome.cloud.len()),
+        args.out.display()
+    ))?;
     Ok(if outcome.summary.interrupted { Ending::Stopped } else { Ending::Whole })
 }
 

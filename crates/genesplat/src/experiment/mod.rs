@@ -16,12 +16,11 @@
 //! | [`results`] | what the cells have measured, and their paired differences |
 //! | [`statistics`] | means, spreads, and two exact tests |
 //! | [`summary`], [`table`], [`record`] | the paper's tables, how they are written, and everything as CSV |
-//! | [`boxes`], [`qualitative`] | pictures in which the program itself marks what got better and worse |
+//! | [`qualitative`] | pictures in which the program itself marks what got better and worse |
 //! | [`page`] | `report.html` |
 
 pub(crate) mod arms;
 pub(crate) mod board;
-pub(crate) mod boxes;
 pub(crate) mod cells;
 pub(crate) mod file;
 pub(crate) mod page;

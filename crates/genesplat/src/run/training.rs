@@ -112,30 +112,42 @@ impl Run<'_> {
         saved?;
         reporter.into_result()?;
 
+        self.conclude(session, device, summary, load, seconds_before)
+    }
+
+    /// Scores the splat, which is saved already, and writes the figures.
+    fn conclude(
+        &self,
+        session: &RunSession,
+        device: &mut Device,
+        summary: RunSummary,
+        load: f64,
+        seconds_before: f64,
+    ) -> Result<Ended> {
         let clock = Instant::now();
         let Some((test, train)) = self.score(session, device, &summary)? else {
             // What was saved on the way would have to be trained to the end once more.
             session.write_checkpoint(&summary.checkpoint_at_end(device)?)?;
             return Ok(Ended::Unscored);
         };
-        let seconds = PhaseSeconds {
-            load,
-            gradient: summary.seconds.gradient,
-            evolution: summary.seconds.evolution,
-            evaluate: clock.elapsed().as_secs_f64(),
-            total: seconds_before + self.began.elapsed().as_secs_f64(),
-        };
+        let config = self.settings.train.config();
         let metrics = Metrics {
             schema: 1,
-            dataset: scene.name.clone(),
-            variant: config.config().variant,
-            evolve: config.config().evolution.mode,
-            seed: config.config().seed,
+            dataset: self.scene.name.clone(),
+            variant: config.variant,
+            evolve: config.evolution.mode,
+            seed: config.seed,
             iterations: summary.iterations,
             gaussians: summary.gaussians,
             test,
             train,
-            seconds,
+            seconds: PhaseSeconds {
+                load,
+                gradient: summary.seconds.gradient,
+                evolution: summary.seconds.evolution,
+                evaluate: clock.elapsed().as_secs_f64(),
+                total: seconds_before + self.began.elapsed().as_secs_f64(),
+            },
             peak_memory_bytes: memory::peak_bytes(),
             evolution: summary.stages,
         };

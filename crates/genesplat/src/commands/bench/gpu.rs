@@ -108,7 +108,8 @@ pub(crate) fn run(args: &BenchGpuArgs) -> Result<()> {
 }
 
 fn new_backend(args: &BenchGpuArgs) -> Result<GpuBackend, BackendError> {
-    if args.without_subgroups { GpuBackend::without_subgroups(0) } else { GpuBackend::new(0) }
+    let open = if args.without_subgroups { GpuBackend::without_subgroups } else { GpuBackend::new };
+    output::without_drivers(|| open(0))
 }
 
 /// Whether the device has not enough memory, which says nothing of smaller sizes.
