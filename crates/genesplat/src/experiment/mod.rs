@@ -12,7 +12,7 @@
 //! | module | what it does |
 //! |---|---|
 //! | [`preset`], [`file`], [`arms`], [`plan`] | from a TOML file to the list of cells and their settings |
-//! | [`runner`], [`cells`], [`board`] | runs what is unfinished, scene by scene; what is there already; the rows so far |
+//! | [`runner`], [`cells`], [`board`] | runs what is unfinished; what is there already; the rows so far |
 //! | [`results`] | what the cells have measured, and their paired differences |
 //! | [`statistics`] | means, spreads, and two exact tests |
 //! | [`summary`], [`table`], [`record`] | the paper's tables, how they are written, and everything as CSV |

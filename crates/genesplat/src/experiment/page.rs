@@ -119,7 +119,8 @@ fn write_runs(page: &mut Html, results: &Results<'_>) {
     page.close("table").close("figure").close("details");
 }
 
-/// For each pair of arms, both renders of the photo that gained most under one slider, and the places of the largest changes.
+/// For each pair of arms, both renders of the photo that gained most under one slider, and the places of the largest
+/// changes.
 fn write_pictures(page: &mut Html, pages: &[Page]) -> Result<()> {
     if pages.is_empty() {
         return Ok(());

@@ -22,26 +22,26 @@ const DASHES: [&str; 4] = ["none", "7 3", "2 2", "9 2 2 2"];
 
 /// A chart.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Chart {
+pub(crate) struct Chart {
     /// What it shows.
-    pub caption: String,
+    pub(crate) caption: String,
     /// What is along the horizontal axis.
-    pub x_name: String,
+    pub(crate) x_name: String,
     /// The curves.
-    pub series: Vec<Series>,
+    pub(crate) series: Vec<Series>,
 }
 
 /// A curve.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Series {
+pub(crate) struct Series {
     /// For the legend.
-    pub name: String,
+    pub(crate) name: String,
     /// From left to right.
-    pub points: Vec<[f64; 2]>,
+    pub(crate) points: Vec<[f64; 2]>,
     /// Half the height of a band around each point; empty for none.
-    pub spread: Vec<f64>,
+    pub(crate) spread: Vec<f64>,
     /// A bar from zero for each point, in place of a line through all of them.
-    pub is_bars: bool,
+    pub(crate) is_bars: bool,
 }
 
 /// An axis: values `low..high` on `from..to` units of the drawing.
@@ -85,7 +85,7 @@ impl Axis {
 
 impl Chart {
     /// Writes the chart as a figure; nothing where no curve has two points, and no bar is there.
-    pub fn write(&self, page: &mut Html) {
+    pub(crate) fn write(&self, page: &mut Html) {
         let is_empty = |series: &Series| series.points.len() < if series.is_bars { 1 } else { 2 };
         if self.series.iter().all(is_empty) {
             return;

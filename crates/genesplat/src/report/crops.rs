@@ -1,20 +1,20 @@
 //! Where two renders of a photo differ most: windows that the program chooses, not the author.
 //!
 //! For each pixel, the absolute errors of both renders are summed over the channels, and their difference over every
-//! square window of a fixed size. The windows of the largest sums are taken, none overlapping an earlier one. The rule has
-//! no parameter to tune but the size of the window, a sixth of the longer side.
+//! square window of a fixed size. The windows of the largest sums are taken, none overlapping an earlier one. The rule
+//! has no parameter to tune but the size of the window, a sixth of the longer side.
 
 use genesplat::core::Photo;
 
 /// A square of pixels, in a picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Square {
+pub(crate) struct Square {
     /// Leftmost column.
-    pub x: u32,
+    pub(crate) x: u32,
     /// Topmost row.
-    pub y: u32,
+    pub(crate) y: u32,
     /// Columns, and rows.
-    pub side: u32,
+    pub(crate) side: u32,
 }
 
 impl Square {
@@ -25,7 +25,7 @@ impl Square {
 
 /// At most `count` windows where the error of `with` is lower than that of `without`, by most first. All three pictures
 /// have one size.
-pub fn where_better(photo: &Photo, without: &Photo, with: &Photo, count: usize) -> Vec<Square> {
+pub(crate) fn where_better(photo: &Photo, without: &Photo, with: &Photo, count: usize) -> Vec<Square> {
     let side = (photo.width.max(photo.height) / 6).clamp(1, photo.width.min(photo.height));
     let sums = Sums::new(photo, without, with);
     let mut found: Vec<Square> = Vec::new();

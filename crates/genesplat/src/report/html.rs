@@ -1,46 +1,46 @@
 //! A writer of HTML in which text cannot become markup.
 //!
-//! Tags and attributes that the program writes itself are given literally (`open("div class=\"wide\"")`); everything else
-//! goes through [`Html::text`] or [`Html::attribute_of`], which escape.
+//! Tags and attributes that the program writes itself are given literally (`open("div class=\"wide\"")`); everything
+//! else goes through [`Html::text`] or [`Html::attribute_of`], which escape.
 
 /// A page under construction.
 #[derive(Clone, Debug, Default)]
-pub struct Html {
+pub(crate) struct Html {
     text: String,
 }
 
 impl Html {
     /// Nothing yet.
-    pub fn new() -> Self {
+    pub(crate) fn new() -> Self {
         Self::default()
     }
 
     /// `<tag>`; `tag` may hold attributes that the program knows.
-    pub fn open(&mut self, tag: &str) -> &mut Self {
+    pub(crate) fn open(&mut self, tag: &str) -> &mut Self {
         self.text += &format!("<{tag}>");
         self
     }
 
     /// The same with an attribute whose value comes from elsewhere.
-    pub fn attribute_of(&mut self, tag: &str, attribute: &str, value: &str) -> &mut Self {
+    pub(crate) fn attribute_of(&mut self, tag: &str, attribute: &str, value: &str) -> &mut Self {
         self.text += &format!("<{tag} {attribute}=\"{}\">", escape(value));
         self
     }
 
     /// `</tag>`.
-    pub fn close(&mut self, tag: &str) -> &mut Self {
+    pub(crate) fn close(&mut self, tag: &str) -> &mut Self {
         self.text += &format!("</{tag}>\n");
         self
     }
 
     /// Text, whatever is in it.
-    pub fn text(&mut self, text: &str) -> &mut Self {
+    pub(crate) fn text(&mut self, text: &str) -> &mut Self {
         self.text += &escape(text);
         self
     }
 
     /// `<tag>text</tag>`; `tag` may hold attributes that the program knows.
-    pub fn element(&mut self, tag: &str, text: &str) -> &mut Self {
+    pub(crate) fn element(&mut self, tag: &str, text: &str) -> &mut Self {
         let name = tag.split(' ').next().unwrap_or(tag);
         self.open(tag).text(text).close_inline(name)
     }
@@ -51,21 +51,21 @@ impl Html {
     }
 
     /// The row of headings of a table; the first one is above the names of the rows.
-    pub fn headings(&mut self, names: &[&str]) -> &mut Self {
+    pub(crate) fn headings(&mut self, names: &[&str]) -> &mut Self {
         self.open("tr");
         names.iter().for_each(|name| _ = self.element("th", name));
         self.close("tr")
     }
 
     /// A row of a table.
-    pub fn row(&mut self, name: &str, cells: &[String]) -> &mut Self {
+    pub(crate) fn row(&mut self, name: &str, cells: &[String]) -> &mut Self {
         self.open("tr").element("th", name);
         cells.iter().for_each(|cell| _ = self.element("td", cell));
         self.close("tr")
     }
 
     /// The figures that matter, large, at the top of a page: name, value, and what else is to be said of it.
-    pub fn figures(&mut self, figures: &[(&str, String, String)]) -> &mut Self {
+    pub(crate) fn figures(&mut self, figures: &[(&str, String, String)]) -> &mut Self {
         self.open("dl class=\"figures\"");
         for (name, value, more) in figures {
             self.open("div").element("dt", name).open("dd").text(value);
@@ -78,13 +78,13 @@ impl Html {
     }
 
     /// What has been written so far.
-    pub fn into_text(self) -> String {
+    pub(crate) fn into_text(self) -> String {
         self.text
     }
 }
 
 /// A whole document with this title and body.
-pub fn document(title: &str, body: Html) -> String {
+pub(crate) fn document(title: &str, body: Html) -> String {
     let mut page = Html::new();
     page.open("!doctype html").open("html lang=\"en\"").open("head").open("meta charset=\"utf-8\"");
     page.open("meta name=\"viewport\" content=\"width=device-width, initial-scale=1\"");

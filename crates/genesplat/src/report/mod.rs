@@ -14,12 +14,12 @@
 //! | [`pair`] | the page that compares two runs |
 //! | [`crops`], [`sheet`] | where two renders differ most, and the picture that shows it |
 
-pub mod chart;
-pub mod crops;
-pub mod curves;
-pub mod html;
-pub mod pair;
-pub mod picture;
-pub mod run;
-pub mod sheet;
+pub(crate) mod chart;
+pub(crate) mod crops;
+pub(crate) mod curves;
+pub(crate) mod html;
+pub(crate) mod pair;
+pub(crate) mod picture;
+pub(crate) mod run;
+pub(crate) mod sheet;
 mod stages;

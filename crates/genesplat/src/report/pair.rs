@@ -22,34 +22,34 @@ const PICTURE_PX: u32 = 1000;
 const SHEET_PX: u32 = 1600;
 
 /// One of the two runs.
-pub struct Side<'a> {
+pub(crate) struct Side<'a> {
     /// `without` or `with`, which is its folder's name, too.
-    pub name: &'static str,
+    pub(crate) name: &'static str,
     /// Its figures.
-    pub metrics: &'a Metrics,
+    pub(crate) metrics: &'a Metrics,
     /// Its folder.
-    pub folder: &'a Path,
+    pub(crate) folder: &'a Path,
     /// Its render of the photo that is shown.
-    pub render: &'a Photo,
+    pub(crate) render: &'a Photo,
 }
 
 /// What a page is made of.
-pub struct PairPage<'a> {
+pub(crate) struct PairPage<'a> {
     /// Name of the scene.
-    pub title: &'a str,
+    pub(crate) title: &'a str,
     /// Without and with evolution.
-    pub sides: [Side<'a>; 2],
+    pub(crate) sides: [Side<'a>; 2],
     /// Name of the photo that is shown.
-    pub photo: &'a str,
+    pub(crate) photo: &'a str,
     /// Where the renders of it differ most ([`crate::report::sheet::comparison`]).
-    pub sheet: &'a Photo,
+    pub(crate) sheet: &'a Photo,
     /// What repeats both runs.
-    pub command: &'a str,
+    pub(crate) command: &'a str,
 }
 
 impl PairPage<'_> {
     /// The page.
-    pub fn to_html(&self) -> Result<String> {
+    pub(crate) fn to_html(&self) -> Result<String> {
         let [without, with] = &self.sides;
         let Metrics { variant, evolve, seed, iterations, .. } = with.metrics;
         let iterations = thousands(*iterations as usize);

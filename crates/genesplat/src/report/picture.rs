@@ -12,30 +12,30 @@ use crate::report::html::Html;
 const JPEG_QUALITY: u8 = 85;
 /// The error map's brightest colour stands for this mean absolute difference, of 255.
 const ERROR_WHITE: f64 = 64.0;
-/// From no error to the largest: black, violet, red, yellow, white. Brightness rises all the way, so that it can be read
-/// without seeing colours.
+/// From no error to the largest: black, violet, red, yellow, white. Brightness rises all the way, so that it can be
+/// read without seeing colours.
 const RAMP: [[f64; 3]; 5] =
     [[0.0, 0.0, 0.0], [80.0, 18.0, 110.0], [200.0, 50.0, 50.0], [250.0, 170.0, 30.0], [255.0, 255.0, 230.0]];
 
 /// What the colours of [`error_map`] mean, for captions.
-pub const ERROR_LEGEND: &str =
+pub(crate) const ERROR_LEGEND: &str =
     "Error: none is black, then violet, red, yellow; white is a quarter of full scale or more.";
 
 /// Writes `photo` into the page, with its longer side at most `side` px.
-pub fn write(page: &mut Html, photo: &Photo, side: u32, alt: &str) {
+pub(crate) fn write(page: &mut Html, photo: &Photo, side: u32, alt: &str) {
     page.attribute_of(&format!("img src=\"{}\"", data_uri(photo, side)), "alt", alt);
 }
 
 /// The same for a sheet of small pictures: on a narrow screen it is scrolled, not shrunk.
-pub fn write_sheet(page: &mut Html, sheet: &Photo, side: u32, alt: &str) {
+pub(crate) fn write_sheet(page: &mut Html, sheet: &Photo, side: u32, alt: &str) {
     page.attribute_of("div tabindex=\"0\" role=\"region\"", "aria-label", alt);
     write(page, sheet, side, alt);
     page.close("div");
 }
 
-/// Writes two pictures of one size into one place, with a slider that moves the border between them. Without scripts the
-/// border stays in the middle.
-pub fn write_slider(page: &mut Html, [left, right]: [(&str, &Photo); 2], side: u32) {
+/// Writes two pictures of one size into one place, with a slider that moves the border between them. Without scripts
+/// the border stays in the middle.
+pub(crate) fn write_slider(page: &mut Html, [left, right]: [(&str, &Photo); 2], side: u32) {
     let ratio = f64::from(left.1.width) / f64::from(left.1.height);
     page.open(&format!("div class=\"slider\" style=\"--ratio:{ratio:.4}\""));
     [left, right].iter().for_each(|(name, photo)| write(page, photo, side, name));
@@ -54,7 +54,7 @@ fn data_uri(photo: &Photo, side: u32) -> String {
 }
 
 /// Mean absolute difference of the channels, pixel by pixel, as colour. Both pictures have one size.
-pub fn error_map(a: &Photo, b: &Photo) -> Photo {
+pub(crate) fn error_map(a: &Photo, b: &Photo) -> Photo {
     let error =
         |(a, b): (&[u8], &[u8])| a.iter().zip(b).map(|(a, b)| f64::from(a.abs_diff(*b))).sum::<f64>() / 3.0;
     let pixels = a.rgb.chunks_exact(3).zip(b.rgb.chunks_exact(3));

@@ -26,22 +26,22 @@ const PICTURE_PX: u32 = 800;
 const ERROR_PX: u32 = 400;
 
 /// What a page is made of.
-pub struct RunPage<'a> {
+pub(crate) struct RunPage<'a> {
     /// The figures.
-    pub metrics: &'a Metrics,
+    pub(crate) metrics: &'a Metrics,
     /// What was trained on.
-    pub scene: &'a Scene,
+    pub(crate) scene: &'a Scene,
     /// The run folder, with log and renders.
-    pub folder: &'a Path,
+    pub(crate) folder: &'a Path,
     /// `config.toml`.
-    pub config: &'a str,
+    pub(crate) config: &'a str,
     /// What repeats the run.
-    pub command: &'a str,
+    pub(crate) command: &'a str,
 }
 
 impl RunPage<'_> {
     /// The page.
-    pub fn to_html(&self) -> Result<String> {
+    pub(crate) fn to_html(&self) -> Result<String> {
         let Metrics { dataset, variant, evolve, seed, iterations, test, .. } = self.metrics;
         let curves = Curves::read(&self.folder.join(LOG))?;
         let iterations = thousands(*iterations as usize);
@@ -115,7 +115,7 @@ fn figures(metrics: &Metrics) -> [(&'static str, String, String); 4] {
 }
 
 /// A figure with its unit; a dash for one that was not measured, or is infinite.
-pub fn number(value: Option<f64>, digits: usize, unit: &str) -> String {
+pub(crate) fn number(value: Option<f64>, digits: usize, unit: &str) -> String {
     let value = value.filter(|value| value.is_finite());
     value.map_or("-".to_owned(), |value| format!("{value:.digits$}{unit}"))
 }
@@ -176,7 +176,7 @@ fn write_scores(page: &mut Html, metrics: &Metrics) {
 }
 
 /// How to come by the same result.
-pub fn write_repeat(page: &mut Html, command: &str) {
+pub(crate) fn write_repeat(page: &mut Html, command: &str) {
     page.element("h2", "Repeat").element("pre class=\"command\"", command);
     let (version, os, architecture) =
         (env!("CARGO_PKG_VERSION"), std::env::consts::OS, std::env::consts::ARCH);
@@ -184,7 +184,7 @@ pub fn write_repeat(page: &mut Html, command: &str) {
 }
 
 /// The command of this process, as its user may give it again.
-pub fn this_command() -> String {
+pub(crate) fn this_command() -> String {
     // Shown only, so what is no text may lose what cannot be shown.
     let words: Vec<String> =
         std::env::args_os().skip(1).map(|word| word.to_string_lossy().into_owned()).collect();
@@ -192,7 +192,7 @@ pub fn this_command() -> String {
 }
 
 /// `words` as a line that a shell reads as these words.
-pub fn command_line<'a>(words: impl IntoIterator<Item = &'a str>) -> String {
+pub(crate) fn command_line<'a>(words: impl IntoIterator<Item = &'a str>) -> String {
     let plain = |word: &str| {
         !word.is_empty() && word.chars().all(|c| c.is_ascii_alphanumeric() || "-_./=:,+".contains(c))
     };

@@ -33,20 +33,20 @@ const SPACE_PX: u32 = 9;
 
 /// A place to show enlarged, and the colour of its frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Mark {
+pub(crate) struct Mark {
     /// Where.
-    pub square: Square,
+    pub(crate) square: Square,
     /// In which colour.
-    pub colour: [u8; 3],
+    pub(crate) colour: [u8; 3],
 }
 
 /// Frames that can be told apart on any picture and by most eyes (Okabe and Ito).
-pub const FRAMES: [[u8; 3]; 3] = [[230, 159, 0], [86, 180, 233], [204, 121, 167]];
+pub(crate) const FRAMES: [[u8; 3]; 3] = [[230, 159, 0], [86, 180, 233], [204, 121, 167]];
 
-/// Pictures of one scene that differ in what can be seen in a few places: the first one whole, with the places framed; beside
-/// it a row for each place, with what each picture has there, enlarged. All pictures have one size. Without places, the
-/// pictures stand side by side.
-pub fn comparison(pictures: &[(&str, &Photo)], marks: &[Mark]) -> Photo {
+/// Pictures of one scene that differ in what can be seen in a few places: the first one whole, with the places framed;
+/// beside it a row for each place, with what each picture has there, enlarged. All pictures have one size. Without
+/// places, the pictures stand side by side.
+pub(crate) fn comparison(pictures: &[(&str, &Photo)], marks: &[Mark]) -> Photo {
     let columns: Vec<Photo> = match marks {
         [] => pictures.iter().map(|(name, picture)| titled(name, picture)).collect(),
         _ => pictures.iter().map(|(name, picture)| titled(name, &crops(picture, marks))).collect(),
@@ -146,7 +146,7 @@ fn side_by_side(pictures: &[Photo]) -> Photo {
 }
 
 /// Pictures from top to bottom, with white between them.
-pub fn stacked(pictures: &[Photo]) -> Photo {
+pub(crate) fn stacked(pictures: &[Photo]) -> Photo {
     let mut offset = 0;
     let placed: Vec<_> = pictures
         .iter()

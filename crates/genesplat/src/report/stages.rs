@@ -12,7 +12,7 @@ const SEARCHES_MAX: usize = 8;
 
 /// Writes the section; nothing for a run without stages. `logged` are the same stages as the log has them, with the
 /// generations of their searches.
-pub fn write(page: &mut Html, records: &[StageRecord], logged: &[Stage]) {
+pub(crate) fn write(page: &mut Html, records: &[StageRecord], logged: &[Stage]) {
     if records.is_empty() {
         return;
     }

@@ -1,7 +1,7 @@
 //! Numbers for people: thousands separators, and units that suit the size.
 
 /// A count: `43,000`.
-pub fn thousands(count: usize) -> String {
+pub(crate) fn thousands(count: usize) -> String {
     let digits = count.to_string();
     let mut text = String::with_capacity(digits.len() + digits.len() / 3);
     for (index, digit) in digits.chars().enumerate() {
@@ -14,7 +14,7 @@ pub fn thousands(count: usize) -> String {
 }
 
 /// A time: `2.1 s`, `48 s`, `3 min 20 s` or `1 h 05 min`.
-pub fn duration(seconds: f64) -> String {
+pub(crate) fn duration(seconds: f64) -> String {
     if seconds < 9.95 {
         return format!("{seconds:.1} s");
     }
@@ -27,7 +27,7 @@ pub fn duration(seconds: f64) -> String {
 }
 
 /// How long something will take, as exactly as that can be known: `48 s`, `3 min` or `1 h 05 min`.
-pub fn time_left(seconds: f64) -> String {
+pub(crate) fn time_left(seconds: f64) -> String {
     match seconds {
         seconds if seconds < 90.0 => format!("{:.0} s", seconds.ceil()),
         seconds if seconds < 3600.0 => format!("{:.0} min", (seconds / 60.0).round()),
@@ -36,7 +36,7 @@ pub fn time_left(seconds: f64) -> String {
 }
 
 /// An amount of memory: `312 MB` or `1.4 GB`.
-pub fn memory(bytes: u64) -> String {
+pub(crate) fn memory(bytes: u64) -> String {
     match bytes as f64 / 1e6 {
         megabytes if megabytes < 999.5 => format!("{megabytes:.0} MB"),
         megabytes => format!("{:.1} GB", megabytes / 1e3),

@@ -20,7 +20,7 @@ use super::progress;
 
 /// How much is said.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Volume {
+pub(crate) enum Volume {
     /// Errors and the final result.
     Quiet,
     /// What a user should see.
@@ -34,7 +34,7 @@ static VOLUME: AtomicU8 = AtomicU8::new(Volume::Normal as u8);
 static NOTES: Mutex<Vec<String>> = Mutex::new(Vec::new());
 
 /// Sets the volume of the process.
-pub fn set_volume(volume: Volume) {
+pub(crate) fn set_volume(volume: Volume) {
     VOLUME.store(volume as u8, Ordering::Relaxed);
 }
 
@@ -43,12 +43,12 @@ fn is(volume: Volume) -> bool {
 }
 
 /// True where nothing but errors and results is shown.
-pub fn is_quiet() -> bool {
+pub(crate) fn is_quiet() -> bool {
     is(Volume::Quiet)
 }
 
 /// Writes a result and a line break to stdout. A reader that has heard enough (`| head`) is no error.
-pub fn print(text: &str) -> Result<()> {
+pub(crate) fn print(text: &str) -> Result<()> {
     match progress::aside(|| writeln!(io::stdout().lock(), "{text}")) {
         Err(error) if error.kind() != ErrorKind::BrokenPipe => {
             Err(anyhow!("cannot write to stdout: {error}"))
@@ -58,7 +58,7 @@ pub fn print(text: &str) -> Result<()> {
 }
 
 /// Writes progress or a notice to stderr.
-pub fn tell(text: &str) {
+pub(crate) fn tell(text: &str) {
     if !is_quiet() {
         complain(text);
     }
@@ -66,17 +66,17 @@ pub fn tell(text: &str) {
 
 /// Writes an error to stderr. Where that takes nothing (a full disk, a closed pipe) the text is lost: `eprintln!` would
 /// panic, and a run must not end because nobody listens.
-pub fn complain(text: &str) {
+pub(crate) fn complain(text: &str) {
     progress::aside(|| write(&format!("{text}\n")));
 }
 
 /// Writes to stderr as it is; [`progress`] alone has a use for that.
-pub fn write(text: &str) {
+pub(crate) fn write(text: &str) {
     drivers::write(text);
 }
 
 /// A notice that is shown once, when the command ends.
-pub fn note(text: &str) {
+pub(crate) fn note(text: &str) {
     if is(Volume::Verbose) {
         return tell(text);
     }
@@ -87,20 +87,20 @@ pub fn note(text: &str) {
 }
 
 /// A notice of interest only to who looks for a fault.
-pub fn detail(text: &str) {
+pub(crate) fn detail(text: &str) {
     if is(Volume::Verbose) {
         tell(text);
     }
 }
 
 /// Shows the notices that have waited for the end.
-pub fn tell_notes() {
+pub(crate) fn tell_notes() {
     std::mem::take(&mut *locked(&NOTES)).iter().for_each(|note| tell(note));
 }
 
 /// What `ask` returns. Graphics drivers write to the stderr of whoever opens them (Mesa where there is no desktop, for
 /// one), and no setting of Vulkan keeps them from it; so theirs leads nowhere meanwhile, and ours does not change.
-pub fn without_drivers<T>(ask: impl FnOnce() -> T) -> T {
+pub(crate) fn without_drivers<T>(ask: impl FnOnce() -> T) -> T {
     let _silence = if is(Volume::Verbose) { None } else { drivers::Silence::begin() };
     ask()
 }
@@ -124,11 +124,11 @@ mod drivers {
     static OURS: Mutex<Option<File>> = Mutex::new(None);
 
     /// Stderr leads nowhere for anybody but [`write`] while this lives.
-    pub struct Silence;
+    pub(crate) struct Silence;
 
     impl Silence {
         /// `None` where there is silence already, or where the system has no file left for it.
-        pub fn begin() -> Option<Self> {
+        pub(crate) fn begin() -> Option<Self> {
             let mut ours = locked(&OURS);
             if ours.is_some() {
                 return None;
@@ -150,7 +150,7 @@ mod drivers {
         }
     }
 
-    pub fn write(text: &str) {
+    pub(crate) fn write(text: &str) {
         let _ = match &mut *locked(&OURS) {
             Some(stderr) => stderr.write_all(text.as_bytes()),
             None => io::stderr().lock().write_all(text.as_bytes()),
@@ -163,21 +163,21 @@ mod drivers {
 mod drivers {
     use std::io::{self, Write};
 
-    pub struct Silence;
+    pub(crate) struct Silence;
 
     impl Silence {
-        pub fn begin() -> Option<Self> {
+        pub(crate) fn begin() -> Option<Self> {
             None
         }
     }
 
-    pub fn write(text: &str) {
+    pub(crate) fn write(text: &str) {
         let _ = io::stderr().lock().write_all(text.as_bytes());
     }
 }
 
 /// The means of an evaluation, as a line that starts with `name`.
-pub fn scores_line(name: &str, scores: &Evaluation) -> String {
+pub(crate) fn scores_line(name: &str, scores: &Evaluation) -> String {
     let Evaluation { psnr, ssim, lpips, views } = scores;
     let lpips = lpips.map_or(String::new(), |lpips| format!("  LPIPS {lpips:.4}"));
     match views.len() {
@@ -189,13 +189,13 @@ pub fn scores_line(name: &str, scores: &Evaluation) -> String {
 /// `error` as the one line that scripts may rely on.
 ///
 /// Only the outermost sentence is shown: the typed errors of all crates include their cause in it.
-pub fn error_line(error: &anyhow::Error) -> String {
+pub(crate) fn error_line(error: &anyhow::Error) -> String {
     let sentence = error.to_string();
     format!("error: {}", sentence.split_whitespace().collect::<Vec<_>>().join(" "))
 }
 
 /// Replaces the panic message by one that a user can act on.
-pub fn explain_panics() {
+pub(crate) fn explain_panics() {
     panic::set_hook(Box::new(|info| complain(&bug_line(&info.to_string()))));
 }
 

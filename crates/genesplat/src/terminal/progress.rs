@@ -1,7 +1,7 @@
 //! How far a piece of work is: a bar that vanishes when the work is done, or lines where stderr is no terminal.
 //!
-//! A terminal has one bar at a time, which is one line and narrower than the terminal. So a carriage return is all it takes to
-//! draw over it, and no copy can stay behind. Whoever writes to the terminal meanwhile does so [`aside`].
+//! A terminal has one bar at a time, which is one line and narrower than the terminal. So a carriage return is all it
+//! takes to draw over it, and no copy can stay behind. Whoever writes to the terminal meanwhile does so [`aside`].
 
 use std::io::{self, IsTerminal};
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -54,7 +54,7 @@ impl Screen {
 }
 
 /// What `write` returns, with the bar out of its way.
-pub fn aside<T>(write: impl FnOnce() -> T) -> T {
+pub(crate) fn aside<T>(write: impl FnOnce() -> T) -> T {
     let mut screen = Screen::lock();
     let line = screen.line.clone();
     screen.clear();
@@ -66,7 +66,7 @@ pub fn aside<T>(write: impl FnOnce() -> T) -> T {
 }
 
 /// How far a piece of work is.
-pub struct Bar {
+pub(crate) struct Bar {
     what: String,
     total: u64,
     pace: Pace,
@@ -82,12 +82,12 @@ enum Form {
 
 impl Bar {
     /// A bar for `total` pieces of `what`.
-    pub fn new(what: &str, total: u64) -> Self {
+    pub(crate) fn new(what: &str, total: u64) -> Self {
         Self::at(what, 0, total)
     }
 
     /// The same for work that goes on from `position` (a resumed run).
-    pub fn at(what: &str, position: u64, total: u64) -> Self {
+    pub(crate) fn at(what: &str, position: u64, total: u64) -> Self {
         let mut bar = Self::fleeting(what, position, total);
         if !io::stderr().is_terminal() && !output::is_quiet() {
             let due_percent = percent(position, total) + LINE_PERCENT;
@@ -97,7 +97,7 @@ impl Bar {
     }
 
     /// The same without lines, for work whose outcome someone else reports.
-    pub fn fleeting(what: &str, position: u64, total: u64) -> Self {
+    pub(crate) fn fleeting(what: &str, position: u64, total: u64) -> Self {
         let mut screen = Screen::lock();
         let is_drawn = io::stderr().is_terminal() && !output::is_quiet() && !screen.is_taken;
         screen.is_taken |= is_drawn;
@@ -106,7 +106,7 @@ impl Bar {
     }
 
     /// `position` pieces are done; `note` says how it goes, with the more important parts before a comma.
-    pub fn set(&mut self, position: u64, note: impl FnOnce() -> String) {
+    pub(crate) fn set(&mut self, position: u64, note: impl FnOnce() -> String) {
         self.pace.set(position, self.total);
         let is_last = position >= self.total;
         let left = self.pace.seconds_left(position, self.total).filter(|_| !is_last);
@@ -129,7 +129,7 @@ impl Bar {
     }
 
     /// Work waits at `position` for what `note` says.
-    pub fn wait(&mut self, position: u64, note: impl FnOnce() -> String) {
+    pub(crate) fn wait(&mut self, position: u64, note: impl FnOnce() -> String) {
         if let Form::Drawn(last) = &mut self.form {
             *last = None;
             self.draw(position, &note());
@@ -235,7 +235,7 @@ fn percent(position: u64, total: u64) -> u64 {
 
 /// A bar for the photos of a scene.
 #[derive(Default)]
-pub struct LoadBar(Mutex<Option<(u64, Bar)>>);
+pub(crate) struct LoadBar(Mutex<Option<(u64, Bar)>>);
 
 impl LoadProgress for LoadBar {
     fn start(&self, photos: usize) {

@@ -19,7 +19,7 @@ use crate::run::session::RunSession;
 use crate::run::test_curve::TestCurve;
 
 /// Listens to one run.
-pub struct Reporter<'a> {
+pub(crate) struct Reporter<'a> {
     folder: Option<(&'a RunSession, Log)>,
     /// Says nothing, and draws bars that vanish.
     quiet: bool,
@@ -61,12 +61,12 @@ impl Quality {
 
 impl<'a> Reporter<'a> {
     /// Reports into `folder`, and sets `stop` when that is no longer possible.
-    pub fn new(session: &'a RunSession, log: Log, stop: &'a AtomicBool) -> Self {
+    pub(crate) fn new(session: &'a RunSession, log: Log, stop: &'a AtomicBool) -> Self {
         Self { folder: Some((session, log)), ..Self::without_folder(stop) }
     }
 
     /// Reports to the terminal only.
-    pub fn without_folder(stop: &'a AtomicBool) -> Self {
+    pub(crate) fn without_folder(stop: &'a AtomicBool) -> Self {
         Self {
             folder: None,
             quiet: false,
@@ -81,17 +81,17 @@ impl<'a> Reporter<'a> {
     }
 
     /// The same with the terminal left to someone else, but for bars that vanish; the log is kept as ever.
-    pub fn quiet(self) -> Self {
+    pub(crate) fn quiet(self) -> Self {
         Self { quiet: true, ..self }
     }
 
     /// The same with the test photos scored now and then.
-    pub fn with_curve(self, curve: Option<TestCurve<'a>>) -> Self {
+    pub(crate) fn with_curve(self, curve: Option<TestCurve<'a>>) -> Self {
         Self { curve, ..self }
     }
 
     /// What went wrong, if anything did.
-    pub fn into_result(self) -> Result<()> {
+    pub(crate) fn into_result(self) -> Result<()> {
         self.trouble.map_or(Ok(()), Err)
     }
 
