@@ -37,31 +37,37 @@ impl DeviceChoice {
         }
     }
 
-    /// The device that is meant, never `Auto`, once it is clear that there is one. What `Auto` comes to is said, once: figures of the
-    /// two kinds differ by rounding, and in time.
+    /// The device that is meant, never `Auto`, once it is clear that there is one. What `Auto` comes to is said, once:
+    /// figures of the two kinds differ by rounding, and in time.
     ///
-    /// Asked for once all else is known to be well: drivers may write to stderr when they are looked for, which is none of what a
-    /// user with a mistyped path should read.
+    /// Asked for once all else is known to be well: drivers may write to stderr when they are looked for, which is none
+    /// of what a user with a mistyped path should read.
     pub(crate) fn resolve(self) -> Result<Self> {
         match self {
             Self::Cpu => Ok(Self::Cpu),
             Self::Auto => Ok(if auto_choice().is_ok() { Self::Gpu } else { Self::Cpu }),
-            Self::Gpu if adapters().iter().any(|adapter| adapter.unusable.is_none()) => Ok(Self::Gpu),
-            Self::Gpu => bail!("{}; use --device cpu", why_none(adapters())),
+            Self::Gpu if graphics().iter().any(|adapter| adapter.unusable.is_none()) => Ok(Self::Gpu),
+            Self::Gpu => bail!("{}; use --device cpu", why_none(graphics())),
         }
     }
 }
 
-/// What `auto` comes to on this machine, having said so. A driver may refuse what it has promised, so the device is opened once to see.
+/// All graphics devices of this machine, best first.
+pub(crate) fn graphics() -> &'static [AdapterReport] {
+    output::without_drivers(adapters)
+}
+
+/// What `auto` comes to on this machine, having said so. A driver may refuse what it has promised, so the device is
+/// opened once to see.
 fn auto_choice() -> &'static Result<(), String> {
     static CHOICE: OnceLock<Result<(), String>> = OnceLock::new();
     CHOICE.get_or_init(|| {
-        let chosen = auto_adapter(adapters())
-            .and_then(|adapter| check_best().map(|()| adapter).map_err(|error| error.to_string()));
-        output::tell(&match &chosen {
-            Ok(adapter) => format!("device: auto means {} ({})", adapter.name, adapter.api),
-            Err(reason) => format!("device: auto means the CPU, since {reason}"),
-        });
+        let opened = || output::without_drivers(check_best).map_err(|error| error.to_string());
+        let chosen = auto_adapter(graphics()).and_then(|adapter| opened().map(|()| adapter));
+        match &chosen {
+            Ok(adapter) => output::detail(&format!("device: auto means {} ({})", adapter.name, adapter.api)),
+            Err(reason) => output::note(&format!("notice: the CPU did all the work, since {reason}")),
+        }
         chosen.map(|_| ())
     })
 }
@@ -96,7 +102,7 @@ fn why_none(adapters: &[AdapterReport]) -> String {
 /// An empty device.
 pub(crate) fn open(choice: DeviceChoice) -> Result<Device> {
     match choice.resolve()? {
-        DeviceChoice::Gpu => Ok(Box::new(GpuBackend::new()?)),
+        DeviceChoice::Gpu => Ok(Box::new(output::without_drivers(GpuBackend::new)?)),
         DeviceChoice::Cpu | DeviceChoice::Auto => Ok(Box::new(CpuBackend::new())),
     }
 }

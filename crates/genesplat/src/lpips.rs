@@ -1,7 +1,8 @@
 //! Where the weights of LPIPS come from: a flag, an environment variable, or the user's cache folder.
 //!
 //! Weights are pooled: a file may hold the convolutions of a network, the heads of LPIPS, or both, and which network it
-//! belongs to is told by names and shapes. Without weights the measure is left out, and one sentence says how to get it.
+//! belongs to is told by names and shapes. Without weights the measure is left out, and one sentence says how to get
+//! it.
 
 use std::collections::BTreeMap;
 use std::env;
@@ -67,7 +68,7 @@ fn path_in(variable: &str) -> Option<PathBuf> {
 
 /// Says in one sentence that LPIPS with `net` is left out.
 pub(crate) fn notify_absent(net: Net) {
-    output::tell(&format!(
+    output::note(&format!(
         "notice: LPIPS with {net} is not measured: its weights are not installed, and `genesplat lpips install --help` says \
          which files to give it"
     ));
@@ -119,7 +120,8 @@ fn weight_files(path: &Path) -> Result<Vec<PathBuf>> {
     Ok(files)
 }
 
-/// Where installed weights are: below the user's folder for what can be had again. `None` where there is no such folder.
+/// Where installed weights are: below the user's folder for what can be had again. `None` where there is no such
+/// folder.
 pub(crate) fn cache_folder() -> Option<PathBuf> {
     let user = if cfg!(windows) {
         path_in("LOCALAPPDATA")

@@ -41,14 +41,26 @@ use terminal::{interrupt, output};
 fn main() -> ExitCode {
     output::explain_panics();
     let arguments = args::Arguments::parse();
+    output::set_volume(arguments.volume.volume());
     match panic::catch_unwind(|| commands::run(arguments)) {
-        Ok(Ok(Ending::Whole)) => ExitCode::SUCCESS,
-        Ok(Ok(Ending::Stopped)) => ExitCode::from(interrupt::STOPPED),
+        Ok(Ok(ending)) => {
+            output::tell_notes();
+            ending.into()
+        }
         Ok(Err(error)) => {
-            output::tell(&output::error_line(&error));
+            output::complain(&output::error_line(&error));
             ExitCode::FAILURE
         }
         // The hook has explained it already.
         Err(_) => ExitCode::FAILURE,
+    }
+}
+
+impl From<Ending> for ExitCode {
+    fn from(ending: Ending) -> Self {
+        match ending {
+            Ending::Whole => Self::SUCCESS,
+            Ending::Stopped => Self::from(interrupt::STOPPED),
+        }
     }
 }

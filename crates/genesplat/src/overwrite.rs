@@ -1,7 +1,8 @@
-//! What no command writes over, however its `--out` or `--json` was mistyped: inputs, splats, parts of scenes and of runs.
+//! What no command writes over, however its `--out` or `--json` was mistyped: inputs, splats, parts of scenes and of
+//! runs.
 //!
-//! A picture may be rendered again, and a splat refined again; all else that is there has to be what is written nowhere else. The
-//! folders of runs, demos and experiments are checked by who claims them.
+//! A picture may be rendered again, and a splat refined again; all else that is there has to be what is written nowhere
+//! else. The folders of runs, demos and experiments are checked by who claims them.
 
 use std::ffi::OsStr;
 use std::fs;
@@ -11,7 +12,7 @@ use anyhow::{Result, bail};
 use genesplat::io::Scene;
 
 use crate::files::check_writable;
-use crate::run::is_part_of_run;
+use crate::run::session::is_part_of_run;
 
 /// What a command writes to a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -54,7 +55,8 @@ fn protected(path: &Path, content: Content) -> Option<&'static str> {
     }
 }
 
-/// Whether a picture is where scenes have their photos: beside their description, or in a folder with one of the usual names.
+/// Whether a picture is where scenes have their photos: beside their description, or in a folder with one of the usual
+/// names.
 fn is_photo_of_scene(picture: &Path) -> bool {
     let Some(folder) = picture.parent() else { return false };
     let name = folder.file_name().unwrap_or_default().to_string_lossy();

@@ -15,7 +15,8 @@ pub(crate) fn load(path: &Path, size: PhotoSize, background: [f32; 3], seed: u64
     load_with(path, background, LoadOptions { size, seed, ..LoadOptions::default() })
 }
 
-/// The same to look at a finished splat, for which no points are needed, with both sides of the size divided by the second number.
+/// The same to look at a finished splat, for which no points are needed, with both sides of the size divided by the
+/// second number.
 pub(crate) fn load_to_look(
     path: &Path,
     (size, divisor): (PhotoSize, u32),
@@ -41,8 +42,8 @@ pub(crate) fn picture_names(views: &[View]) -> Vec<String> {
     names_of_pictures(&views.iter().map(|view| view.name.as_str()).collect::<Vec<_>>())
 }
 
-/// The same for photos of these names: `0001.jpg` becomes `0001.png`. Where two photos differ in their ending only, all names keep
-/// theirs (`0001.jpg.png`).
+/// The same for photos of these names: `0001.jpg` becomes `0001.png`. Where two photos differ in their ending only, all
+/// names keep theirs (`0001.jpg.png`).
 pub(crate) fn names_of_pictures(photos: &[&str]) -> Vec<String> {
     let mut stems: Vec<&str> = photos.iter().map(|name| stem(name)).collect();
     let short: Vec<String> = stems.iter().map(|stem| format!("{stem}.png")).collect();

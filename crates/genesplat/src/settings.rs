@@ -123,7 +123,8 @@ impl ConfigFile {
         self.threads
     }
 
-    /// Fails where [`Self::resolve`] would, but for the device: to look for one takes a while, and drivers may write to stderr.
+    /// Fails where [`Self::resolve`] would, but for the device: to look for one takes a while, and drivers may write to
+    /// stderr.
     pub(crate) fn check(&self) -> Result<()> {
         if self.dataset.path.to_str().is_none() {
             bail!(
@@ -148,7 +149,8 @@ impl ConfigFile {
         })
     }
 
-    /// What makes the result of a run of this file differ from that of a run with `settings`; `None` where nothing does.
+    /// What makes the result of a run of this file differ from that of a run with `settings`; `None` where nothing
+    /// does.
     ///
     /// Scenes are the same where the last `parts` of their paths are: folders are moved, and named from here or there.
     pub(crate) fn difference(&self, settings: &Settings, parts: usize) -> Option<String> {
@@ -236,8 +238,8 @@ fn take<'a, T: Deserialize<'a>>(table: &mut Table, key: &str) -> Result<Option<T
     table.remove(key).map(Value::try_into).transpose()
 }
 
-/// What the result of a run depends on, besides its scene and the kind of its device: neither how often it reports and saves,
-/// nor how many threads it has.
+/// What the result of a run depends on, besides its scene and the kind of its device: neither how often it reports and
+/// saves, nor how many threads it has.
 fn result_settings(dataset: &Dataset, train: &TrainConfig) -> Table {
     fn to_table(settings: &impl Serialize) -> Table {
         Table::try_from(settings).expect("settings are tables of numbers and text")

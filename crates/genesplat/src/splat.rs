@@ -37,7 +37,8 @@ impl Splat {
         scene::load_to_look(data, self.size(asked), self.settings.background)
     }
 
-    /// Of a run's splat, a fraction is one of the size that it was trained at: that is what multi-scale evaluation means.
+    /// Of a run's splat, a fraction is one of the size that it was trained at: that is what multi-scale evaluation
+    /// means.
     fn size(&self, asked: SizeArgs) -> (PhotoSize, u32) {
         match (self.trained_size, asked) {
             (Some(trained), SizeArgs { downscale: Some(divisor), .. }) => (trained, divisor),

@@ -13,7 +13,8 @@ pub(crate) enum Bench {
     Step(BenchStepArgs),
     /// Time the scoring of a population just after an opacity reset, beside rendering each individual in full
     Evolution(BenchEvolutionArgs),
-    /// Time training steps by stage and the scoring of a population on the graphics device, at several numbers of Gaussians
+    /// Time training steps by stage and the scoring of a population on the graphics device, at several numbers of
+    /// Gaussians
     Gpu(BenchGpuArgs),
 }
 
@@ -23,7 +24,8 @@ pub(crate) struct SourceArgs {
     /// Folder of a scene to take cameras, photos and points from [default: a synthetic cloud before one camera]
     #[arg(long, value_name = "DATASET")]
     pub(crate) data: Option<PathBuf>,
-    /// A trained splat of that scene (.ply), or the folder of a run, instead of Gaussians made from its points [default: none]
+    /// A trained splat of that scene (.ply), or the folder of a run, instead of Gaussians made from its points
+    /// [default: none]
     #[arg(long, value_name = "PLY|RUN", requires = "data")]
     pub(crate) splat: Option<PathBuf>,
     #[command(flatten)]
@@ -35,8 +37,8 @@ pub(crate) struct SourceArgs {
 pub(crate) struct WorkloadArgs {
     #[command(flatten)]
     pub(crate) source: SourceArgs,
-    /// Number of Gaussians, at least 4 [default: as many as the scene has points; 55000 without --data, before a camera of
-    /// 268x478]
+    /// Number of Gaussians, at least 4 [default: as many as the scene has points; 55000 without --data, before a camera
+    /// of 268x478]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(4..), conflicts_with = "splat")]
     pub(crate) gaussians: Option<u32>,
 }

@@ -102,7 +102,6 @@ mod tests {
     fn flags_name_values_as_files_do() {
         assert_named_as_in_files(VARIANTS);
         assert_named_as_in_files(EVOLUTION);
-        assert_named_as_in_files(REFINEMENT);
         assert_named_as_in_files(BACKGROUNDS);
         assert_named_as_in_files(FIXED_BACKGROUNDS);
         assert_named_as_in_files(SIGNALS);

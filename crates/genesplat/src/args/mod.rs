@@ -10,6 +10,7 @@ use genesplat::train::{Background, EvolutionMode};
 use serde::Serialize;
 
 use crate::device::DeviceChoice;
+use crate::terminal::output::Volume;
 use choice::{EVOLUTION, FIXED_BACKGROUNDS, choice};
 
 mod bench;
@@ -34,6 +35,30 @@ pub(crate) struct Arguments {
     /// What to do.
     #[command(subcommand)]
     pub(crate) command: Command,
+    #[command(flatten)]
+    pub(crate) volume: VolumeArgs,
+}
+
+/// How much is said on stderr.
+#[derive(Clone, Copy, Debug, Default, Args)]
+#[command(next_help_heading = "Messages")]
+pub(crate) struct VolumeArgs {
+    /// Show errors and the final result only
+    #[arg(short, long, global = true)]
+    quiet: bool,
+    /// Show what helps to find a fault, too: the choice of the device, and messages of graphics drivers
+    #[arg(short, long, global = true, conflicts_with = "quiet")]
+    verbose: bool,
+}
+
+impl VolumeArgs {
+    pub(crate) fn volume(self) -> Volume {
+        match (self.quiet, self.verbose) {
+            (true, _) => Volume::Quiet,
+            (_, true) => Volume::Verbose,
+            _ => Volume::Normal,
+        }
+    }
 }
 
 /// The commands.
@@ -79,8 +104,8 @@ pub(crate) enum LpipsCommand {
 /// `genesplat lpips install`.
 #[derive(Debug, Args)]
 pub(crate) struct LpipsInstallArgs {
-    /// torchvision's VGG16 or AlexNet (.pth) and the heads of the Python package lpips (weights/v0.1/*.pth), or safetensors
-    /// with both
+    /// torchvision's VGG16 or AlexNet (.pth) and the heads of the Python package lpips (weights/v0.1/*.pth), or
+    /// safetensors with both
     #[arg(value_name = "FILE", required = true)]
     pub(crate) files: Vec<PathBuf>,
 }
@@ -89,8 +114,8 @@ pub(crate) struct LpipsInstallArgs {
 #[derive(Clone, Debug, Default, Args)]
 #[command(next_help_heading = MORE)]
 pub(crate) struct LpipsArgs {
-    /// Weights of LPIPS: a file, or a folder of files [default: what the environment variable GENESPLAT_LPIPS names, else those that
-    /// `genesplat lpips install` has put in place]
+    /// Weights of LPIPS: a file, or a folder of files [default: what the environment variable GENESPLAT_LPIPS names,
+    /// else those that `genesplat lpips install` has put in place]
     #[arg(long, value_name = "FILE|FOLDER")]
     pub(crate) lpips_weights: Option<PathBuf>,
     /// Leave LPIPS out, though its weights are there: it takes about 5 seconds of a core for a photo of 512x512
@@ -101,8 +126,8 @@ pub(crate) struct LpipsArgs {
 /// `genesplat demo`.
 #[derive(Debug, Args)]
 pub(crate) struct DemoArgs {
-    /// Folder for the scene, both runs and the picture that compares them; made if it is missing. What an earlier demo left
-    /// there is replaced
+    /// Folder for the scene, both runs and the picture that compares them; made if it is missing. What an earlier demo
+    /// left there is replaced
     #[arg(long, value_name = "DIR", default_value = "runs/demo")]
     pub(crate) out: PathBuf,
     /// What the second run evolves with
@@ -158,7 +183,8 @@ pub(crate) struct RenderArgs {
     /// Render the viewpoints of many photos
     #[arg(long, value_enum, value_name = "SPLIT")]
     pub(crate) split: Option<RenderSplit>,
-    /// With --image the picture to write, a JPEG where its name ends so and else a PNG; with --split the folder for PNGs
+    /// With --image the picture to write, a JPEG where its name ends so and else a PNG; with --split the folder for
+    /// PNGs
     #[arg(long, value_name = "FILE|DIR")]
     pub(crate) out: PathBuf,
     #[command(flatten)]
@@ -172,8 +198,8 @@ pub(crate) struct RenderArgs {
 /// `genesplat refine`.
 #[derive(Debug, Args)]
 pub(crate) struct RefineArgs {
-    /// The splat to start from: a .ply in the layout of the 3DGS authors, as nearly every trainer writes it, or the folder of
-    /// a run
+    /// The splat to start from: a .ply in the layout of the 3DGS authors, as nearly every trainer writes it, or the
+    /// folder of a run
     #[arg(value_name = "PLY|RUN")]
     pub(crate) splat: PathBuf,
     /// Folder of the scene that it shows
@@ -190,7 +216,8 @@ pub(crate) struct RefineArgs {
     /// Seed of all random numbers [default: 0]. Same seed, same bytes
     #[arg(long, value_name = "S", value_parser = clap::value_parser!(u64).range(SEEDS))]
     pub(crate) seed: Option<u64>,
-    /// TOML file with settings, as for train [default: none]. The dataset, device and threads that it names do not count
+    /// TOML file with settings, as for train [default: none]. The dataset, device and threads that it names do not
+    /// count
     #[arg(long, value_name = "FILE.toml")]
     pub(crate) config: Option<PathBuf>,
     #[command(flatten)]
@@ -290,12 +317,12 @@ pub(crate) const THREADS: RangeInclusive<i64> = 1..=1024;
 /// How large photos are loaded.
 #[derive(Clone, Copy, Debug, Default, Args)]
 pub(crate) struct SizeArgs {
-    /// Longest side of the photos in pixels; larger ones are reduced [default: only widths above 1600 are reduced, to 1600; for the
-    /// splat of a RUN, as the RUN was trained]. Smaller trains faster and shows less detail
+    /// Longest side of the photos in pixels; larger ones are reduced [default: only widths above 1600 are reduced, to
+    /// 1600; for the splat of a RUN, as the RUN was trained]. Smaller trains faster and shows less detail
     #[arg(long, value_name = "PX", value_parser = clap::value_parser!(u32).range(MAX_SIDE), conflicts_with = "downscale")]
     pub(crate) max_side: Option<u32>,
-    /// Divide both sides of the photos by K (the field's benchmarks use 1, 2, 4 and 8). For the splat of a RUN, it is the size that
-    /// the RUN was trained at that is divided: how the splat looks from farther away
+    /// Divide both sides of the photos by K (the field's benchmarks use 1, 2, 4 and 8). For the splat of a RUN, it is
+    /// the size that the RUN was trained at that is divided: how the splat looks from farther away
     #[arg(long, value_name = "K", value_parser = clap::value_parser!(u32).range(DOWNSCALE), help_heading = MORE)]
     pub(crate) downscale: Option<u32>,
 }
@@ -310,8 +337,8 @@ impl SizeArgs {
 /// What a finished splat is shown on.
 #[derive(Clone, Copy, Debug, Default, Args)]
 pub(crate) struct ShownOnArgs {
-    /// Colour behind the splat, and behind photos that are transparent [default: that of the RUN; for a PLY, which does not say,
-    /// black]
+    /// Colour behind the splat, and behind photos that are transparent [default: that of the RUN; for a PLY, which does
+    /// not say, black]
     #[arg(long, value_name = "COLOUR", value_parser = choice(FIXED_BACKGROUNDS))]
     pub(crate) background: Option<Background>,
 }

@@ -13,12 +13,13 @@ use super::{LpipsArgs, MORE, MachineArgs, SEEDS, SizeArgs, scale};
 /// `genesplat train`.
 #[derive(Debug, Args)]
 pub(crate) struct TrainArgs {
-    /// Folder of the scene: a COLMAP model in sparse/0 (cameras, images, points3D as .bin or .txt) and its photos in images; or a
-    /// transforms.json of nerfstudio or instant-ngp, or Blender's transforms_train.json and transforms_test.json, and the photos
-    /// that they name
+    /// Folder of the scene: a COLMAP model in sparse/0 (cameras, images, points3D as .bin or .txt) and its photos in
+    /// images; or a transforms.json of nerfstudio or instant-ngp, or Blender's transforms_train.json and
+    /// transforms_test.json, and the photos that they name
     pub(crate) dataset: PathBuf,
-    /// Folder for the results; made if it is missing. It will hold point_cloud.ply, metrics.json, config.toml, log.jsonl
-    /// and test/*.png; an earlier run's results there are moved to DIR/previous, and removed once this run has come to its end
+    /// Folder for the results; made if it is missing. It will hold point_cloud.ply, metrics.json, config.toml,
+    /// log.jsonl and test/*.png; an earlier run's results there are moved to DIR/previous, and removed once this run
+    /// has come to its end
     #[arg(long, value_name = "DIR")]
     pub(crate) out: PathBuf,
     #[command(flatten)]
@@ -60,8 +61,8 @@ pub(crate) struct ScheduleArgs {
     /// so 7000 is a good quick run
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     iterations: Option<u32>,
-    /// Multiply every setting that counts steps by F, 0.001 to 1000 [default: 1]. 0.1 gives a run of the same shape in a
-    /// tenth of the steps
+    /// Multiply every setting that counts steps by F, 0.001 to 1000 [default: 1]. 0.1 gives a run of the same shape in
+    /// a tenth of the steps
     #[arg(long, value_name = "F", value_parser = scale, help_heading = MORE)]
     steps_scale: Option<f64>,
     /// Seed of all random numbers [default: 0]. Same seed, same bytes

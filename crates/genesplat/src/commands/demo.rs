@@ -1,8 +1,8 @@
 //! `genesplat demo`: the bundled scene, trained without and with evolution.
 //!
 //! Both runs have the same scene, seed and schedule: the published one in a tenth of its steps, so that it densifies,
-//! resets opacities and evolves as often as a full run does. `--evolve` says how: by default in the way that has been worth
-//! something on photos that training never saw (docs/evolution.md).
+//! resets opacities and evolves as often as a full run does. `--evolve` says how: by default in the way that has been
+//! worth something on photos that training never saw (docs/evolution.md).
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -19,19 +19,23 @@ use genesplat::train::{EvolutionMode, TrainConfig};
 
 use super::Ending;
 use crate::args::DemoArgs;
-use crate::report::sheet::side_by_side;
+use crate::report::crops::where_better;
+use crate::report::pair::{PairPage, Side};
+use crate::report::run::this_command;
+use crate::report::sheet::{self, FRAMES, Mark};
 use crate::run::metrics::Metrics;
 use crate::run::session::{Caller, RunSession};
 use crate::run::training::{Ended, Run};
 use crate::run::{CLOUD, TEST};
 use crate::settings::{ConfigFile, Settings};
+use crate::terminal::numbers::thousands;
 use crate::terminal::{interrupt, output};
-use crate::{device, lpips, scene};
+use crate::{device, files, lpips, scene};
 
 /// The published schedule in this fraction of its steps.
 const STEPS_SCALE: f64 = 0.1;
-/// Iterations between densifications, in the published schedule: at a tenth of the steps, growing as often as published would
-/// follow gradients that a few steps have not settled, and end at six Gaussians a pixel.
+/// Iterations between densifications, in the published schedule: at a tenth of the steps, growing as often as published
+/// would follow gradients that a few steps have not settled, and end at six Gaussians a pixel.
 const DENSIFY_EVERY: u32 = 1000;
 /// One for every two pixels of a photo: keeps the demo below five minutes on two cores.
 const MAX_GAUSSIANS: usize = 35_000;
@@ -40,7 +44,7 @@ const GENERATIONS: u32 = 20;
 const POPULATION: u32 = 20;
 
 /// Builds, trains twice, compares.
-pub fn run(args: &DemoArgs) -> Result<Ending> {
+pub(crate) fn run(args: &DemoArgs) -> Result<Ending> {
     let halves = [("without", EvolutionMode::Off), ("with", args.evolve)];
     let mut halves: Vec<Half> =
         halves.into_iter().map(|(name, mode)| Half::new(args, name, mode)).collect::<Result<_>>()?;
@@ -51,26 +55,52 @@ pub fn run(args: &DemoArgs) -> Result<Ending> {
     let scene = build_scene(&gallery_in(&args.out), args.seed)?;
     let mut results = Vec::new();
     for half in &mut halves {
-        let mode = half.settings.train.config().evolution.mode;
-        output::tell(&format!("\ntraining {} evolution (mode {})", half.name, mode.name()));
+        output::tell(&format!("\ntraining {} evolution", half.name));
         let Some(metrics) = half.train(&scene, lpips.as_ref(), &stop)? else {
             return stopped();
         };
         results.push(metrics);
     }
     output::print(&format!("\n{}", table(&results[0], &results[1])))?;
-    let view = most_changed(&results[0], &results[1]);
-    let picture = args.out.join("comparison.png");
-    write_png(&picture, &side_by_side(&comparison(&scene, view, &halves)?))?;
-    output::print(&format!(
-        "splats    {}\n          {}\npicture   {} (the photo {}, without, with evolution)\nphotos    {}",
-        halves[0].session.path().join(CLOUD).display(),
-        halves[1].session.path().join(CLOUD).display(),
-        picture.display(),
-        scene.test[view].name,
-        gallery_in(&args.out).display()
-    ))?;
+    show(args, &scene, &halves, &results)?;
     Ok(Ending::Whole)
+}
+
+/// Writes the picture and the page that compare both runs, and says what to open.
+fn show(args: &DemoArgs, scene: &Scene, halves: &[Half], results: &[Metrics]) -> Result<()> {
+    let view = most_changed(&results[0], &results[1]);
+    let (name, photo) = (&scene.test[view].name, &scene.test[view].photo);
+    let file = &scene::picture_names(&scene.test)[view];
+    let read = |half: &Half| read_photo(&half.session.path().join(TEST).join(file));
+    let renders = [read(&halves[0])?, read(&halves[1])?];
+    let sheet = comparison(photo, &renders);
+    let [picture, page] = ["comparison.png", "report.html"].map(|name| args.out.join(name));
+    write_png(&picture, &sheet)?;
+    let side = |index: usize| Side {
+        name: halves[index].name,
+        metrics: &results[index],
+        folder: halves[index].session.path(),
+        render: &renders[index],
+    };
+    let sides = [side(0), side(1)];
+    let shown = PairPage { title: &scene.name, sides, photo: name, sheet: &sheet, command: &this_command() };
+    files::write_text(&page, &shown.to_html()?)?;
+    output::print(&format!(
+        "open     {}  (both runs side by side, in a browser)\n\
+         picture  {}  (where evolution changed most)\n\
+         splat    {}  (opens in any viewer of 3D Gaussian splats, as https://superspl.at/editor)",
+        page.display(),
+        picture.display(),
+        halves[1].session.path().join(CLOUD).display(),
+    ))
+}
+
+/// The photo, and the places where `renders`, without and with evolution, differ most.
+fn comparison(photo: &Photo, [without, with]: &[Photo; 2]) -> Photo {
+    let squares = where_better(photo, without, with, FRAMES.len());
+    let marks: Vec<Mark> =
+        squares.into_iter().zip(FRAMES).map(|(square, colour)| Mark { square, colour }).collect();
+    sheet::comparison(&[("photo", photo), ("without", without), ("with evolution", with)], &marks)
 }
 
 fn stopped() -> Result<Ending> {
@@ -96,7 +126,8 @@ fn check_gallery(folder: &Path) -> Result<()> {
     Ok(())
 }
 
-/// `gallery_007.png`, or a hidden file: what a demo that was killed midway leaves has such names, and no photo of ours has.
+/// `gallery_007.png`, or a hidden file: what a demo that was killed midway leaves has such names, and no photo of ours
+/// has.
 fn is_gallery_photo(name: &str) -> bool {
     let number = name.strip_prefix("gallery_").and_then(|rest| rest.strip_suffix(".png"));
     let counts = |digits: &str| digits.len() >= 3 && digits.bytes().all(|digit| digit.is_ascii_digit());
@@ -105,7 +136,7 @@ fn is_gallery_photo(name: &str) -> bool {
 
 /// Writes the gallery as an ordinary COLMAP scene, and loads it as any other.
 fn build_scene(folder: &Path, seed: u64) -> Result<Scene> {
-    output::tell(&format!("building the gallery in {}", folder.display()));
+    output::tell(&format!("making the photos of a small gallery in {}", folder.display()));
     let options = GalleryOptions { seed, ..GalleryOptions::default() };
     gallery::generate(&options).write_colmap(folder)?;
     scene::load(folder, PhotoSize::default(), [0.0; 3], seed)
@@ -144,46 +175,51 @@ impl Half {
 
 /// What both runs have reached, and what evolution changed.
 fn table(without: &Metrics, with: &Metrics) -> String {
-    let (without, with) = (columns(without), columns(with));
-    let value = |column: &Column| column.value.map(|value| format!("{value:.*}", column.digits));
-    let change = |(before, after): (&Column, &Column)| {
-        Some(format!("{:+.*}", before.digits, after.value? - before.value?))
+    let heading = ["", "without", "with evolution", "difference"].map(str::to_owned);
+    let rows = figures(without).into_iter().zip(figures(with)).filter_map(|(without, with)| {
+        let (before, after) = (without.value?, with.value?);
+        let change = after - before;
+        let (name, change) =
+            (without.name.to_owned(), without.text(change.abs(), if change < 0.0 { "-" } else { "+" }));
+        Some([name, without.text(before, ""), with.text(after, ""), change])
+    });
+    let line = |[name, before, after, change]: [String; 4]| {
+        format!("{name:<18} {before:>12} {after:>16} {change:>12}\n")
     };
-    [
-        row("", without.iter().map(|column| Some(column.heading.to_owned()))),
-        row("without evolution", without.iter().map(value)),
-        row("with evolution", with.iter().map(value)),
-        row("difference", without.iter().zip(&with).map(change)),
-    ]
-    .concat()
+    std::iter::once(heading).chain(rows).map(line).collect()
 }
 
-/// One figure of the table.
-struct Column {
-    heading: &'static str,
+/// A row of the table.
+struct Figure {
+    name: &'static str,
+    /// Digits after the point.
     digits: usize,
     /// `None` where it was not measured.
     value: Option<f64>,
 }
 
-fn columns(metrics: &Metrics) -> [Column; 8] {
-    let Metrics { test, train, seconds, gaussians, .. } = metrics;
-    let column = |heading, digits, value| Column { heading, digits, value };
-    [
-        column("test PSNR", 2, Some(test.psnr)),
-        column("SSIM", 4, Some(test.ssim)),
-        column("LPIPS", 4, test.lpips),
-        column("train PSNR", 2, Some(train.psnr)),
-        column("SSIM", 4, Some(train.ssim)),
-        column("LPIPS", 4, train.lpips),
-        column("seconds", 1, Some(seconds.gradient + seconds.evolution)),
-        column("Gaussians", 0, Some(*gaussians as f64)),
-    ]
+impl Figure {
+    fn text(&self, value: f64, sign: &str) -> String {
+        match self.digits {
+            0 => format!("{sign}{}", thousands(value as usize)),
+            digits => format!("{sign}{value:.digits$}"),
+        }
+    }
 }
 
-fn row(name: &str, cells: impl Iterator<Item = Option<String>>) -> String {
-    let cells: String = cells.map(|cell| format!(" {:>10}", cell.as_deref().unwrap_or("-"))).collect();
-    format!("{name:<18}{cells}\n")
+fn figures(metrics: &Metrics) -> [Figure; 8] {
+    let Metrics { test, train, seconds, gaussians, .. } = metrics;
+    let figure = |name, digits, value| Figure { name, digits, value };
+    [
+        figure("test PSNR, dB", 2, Some(test.psnr)),
+        figure("test SSIM", 4, Some(test.ssim)),
+        figure("test LPIPS", 4, test.lpips),
+        figure("train PSNR, dB", 2, Some(train.psnr)),
+        figure("train SSIM", 4, Some(train.ssim)),
+        figure("train LPIPS", 4, train.lpips),
+        figure("Gaussians", 0, Some(*gaussians as f64)),
+        figure("training time, s", 1, Some(seconds.training())),
+    ]
 }
 
 /// Index of the test view whose PSNR differs most between the runs.
@@ -193,16 +229,13 @@ fn most_changed(without: &Metrics, with: &Metrics) -> usize {
     changes.enumerate().max_by(|a, b| a.1.total_cmp(&b.1)).map_or(0, |(index, _)| index)
 }
 
-/// The photo, and what both runs made of it.
-fn comparison(scene: &Scene, view: usize, halves: &[Half]) -> Result<Vec<Photo>> {
-    let name = &scene::picture_names(&scene.test)[view];
-    let renders = halves.iter().map(|half| Ok(read_photo(&half.session.path().join(TEST).join(name))?));
-    std::iter::once(Ok(scene.test[view].photo.as_ref().clone())).chain(renders).collect()
-}
-
 #[cfg(test)]
 mod tests {
+    use genesplat::metrics::Evaluation;
+    use genesplat::train::Variant;
+
     use super::*;
+    use crate::run::metrics::PhaseSeconds;
 
     #[test]
     fn only_a_gallery_of_ours_is_replaced() {
@@ -224,9 +257,41 @@ mod tests {
         assert!(check_gallery(&folder).is_err());
     }
 
+    fn metrics(psnr: f64, gaussians: usize) -> Metrics {
+        let scores = |psnr| Evaluation { psnr, ssim: 0.5, lpips: None, views: Vec::new() };
+        Metrics {
+            schema: 1,
+            dataset: "gallery".into(),
+            variant: Variant::ThreeDgs,
+            evolve: EvolutionMode::Off,
+            seed: 0,
+            iterations: 9,
+            gaussians,
+            test: scores(psnr),
+            train: scores(psnr),
+            seconds: PhaseSeconds::default(),
+            peak_memory_bytes: None,
+            evolution: Vec::new(),
+        }
+    }
+
     #[test]
-    fn what_was_not_measured_is_a_dash() {
-        let cells = [Some("30.25".to_owned()), None].into_iter();
-        assert_eq!(row("with evolution", cells), "with evolution          30.25          -\n");
+    fn the_table_says_what_evolution_changed_and_leaves_out_what_was_not_measured() {
+        let text = table(&metrics(30.25, 35_000), &metrics(31.02, 28_400));
+        let cells = |name: &str| -> Vec<String> {
+            let line = text.lines().find(|line| line.starts_with(name)).expect(name);
+            line[name.len()..].split_whitespace().map(str::to_owned).collect()
+        };
+        assert_eq!(cells("test PSNR, dB"), ["30.25", "31.02", "+0.77"]);
+        assert_eq!(cells("Gaussians"), ["35,000", "28,400", "-6,600"]);
+        assert!(!text.contains("LPIPS") && text.lines().all(|line| line.len() <= 80), "{text}");
+    }
+
+    #[test]
+    fn the_picture_has_a_row_of_crops_for_each_place_that_differs() {
+        let grey = |value| Photo { width: 60, height: 60, rgb: vec![value; 3 * 60 * 60] };
+        let whole = comparison(&grey(9), &[grey(50), grey(9)]);
+        let same = comparison(&grey(9), &[grey(9), grey(9)]);
+        assert!(whole.width > whole.height && whole.height > 2 * same.height, "{} px", whole.height);
     }
 }

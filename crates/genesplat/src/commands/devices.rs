@@ -2,15 +2,16 @@
 
 use anyhow::Result;
 use genesplat::core::Backend;
-use genesplat::gpu::{AdapterReport, adapters};
+use genesplat::gpu::AdapterReport;
 use genesplat::kernels::cpu::CpuBackend;
 
+use crate::device;
 use crate::terminal::output;
 
 /// Prints one line a device, and what a graphics device can do below it.
 pub(crate) fn run() -> Result<()> {
     output::print(&format!("cpu  {}", CpuBackend::new().describe()))?;
-    let adapters = adapters();
+    let adapters = device::graphics();
     if adapters.is_empty() {
         return output::print("gpu  none: there is no Vulkan, Metal or DX12 driver on this machine");
     }

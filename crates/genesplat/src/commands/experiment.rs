@@ -15,8 +15,8 @@ use crate::experiment::results::Results;
 use crate::experiment::runner::{Ran, Runner};
 use crate::experiment::summary::Tables;
 use crate::experiment::{page, preset, qualitative, record};
-use crate::report::run::command_line;
-use crate::run::lock::Lock;
+use crate::report::run::this_command;
+use crate::run::session::Lock;
 use crate::terminal::{interrupt, output};
 use crate::{device, files, lpips};
 
@@ -60,7 +60,7 @@ pub(crate) fn run(args: &ExperimentArgs) -> Result<Ending> {
     let written = if finished > 0 { write(&runner, &results) } else { Ok(()) };
     // What made runs fail comes first: it may well be what kept the tables from being written, too.
     let last = failures.pop();
-    failures.iter().for_each(|failure| output::tell(&output::error_line(&failure.error)));
+    failures.iter().for_each(|failure| output::complain(&output::error_line(&failure.error)));
     last.map_or(written, |failure| Err(failure.error))?;
     if finished == cells {
         return Ok(Ending::Whole);
@@ -71,8 +71,8 @@ pub(crate) fn run(args: &ExperimentArgs) -> Result<Ending> {
     Ok(Ending::Stopped)
 }
 
-/// Fails where files that are not ours would be written over. What earlier versions have written has no mark, but is to the byte what
-/// we would write of it.
+/// Fails where files that are not ours would be written over. What earlier versions have written has no mark, but is to
+/// the byte what we would write of it.
 fn check_ours(out: &Path) -> Result<()> {
     let path = out.join(DESCRIPTION);
     let foreign = match fs::read_to_string(&path) {
@@ -108,9 +108,6 @@ fn tell_of_unmeasured(results: &Results<'_>) {
 fn write(runner: &Runner<'_>, results: &Results<'_>) -> Result<()> {
     let tables = Tables::of(results);
     let pages = qualitative::write_pages(runner, results);
-    // Shown only, so a path that is no text may lose what cannot be shown.
-    let words: Vec<String> = std::env::args_os().map(|word| word.to_string_lossy().into_owned()).collect();
-    let command = command_line(words.iter().map(String::as_str));
     let shown: String = tables.repeatable().map(|table| table.to_markdown() + "\n").collect();
     let seconds: String = tables.costs.iter().map(|table| table.to_markdown() + "\n").collect();
     let latex: String = tables.repeatable().map(|table| table.to_latex() + "\n").collect();
@@ -118,7 +115,7 @@ fn write(runner: &Runner<'_>, results: &Results<'_>) -> Result<()> {
         tables: &tables,
         charts: &page::charts(results, runner.out),
         pages: &pages,
-        command: &command,
+        command: &this_command(),
     };
     let description = page::to_toml(&results.experiment.file);
     let texts = [

@@ -47,8 +47,8 @@ pub(crate) fn run(arguments: Arguments) -> Result<Ending> {
     .map(|()| Ending::Whole)
 }
 
-/// Every `--out` and `--json` passes here before anything is read, but for the folders of runs, which are claimed by who trains into
-/// them.
+/// Every `--out` and `--json` passes here before anything is read, but for the folders of runs, which are claimed by
+/// who trains into them.
 fn check_outputs(command: &Command) -> Result<()> {
     let figures = |json: &Option<PathBuf>, inputs: &[Option<&Path>]| {
         json.as_deref().map_or(Ok(()), |path| check_file(path, Content::Figures, inputs))

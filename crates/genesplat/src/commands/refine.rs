@@ -14,6 +14,7 @@ use crate::run::photos;
 use crate::run::training::evaluate_all;
 use crate::settings::ConfigFile;
 use crate::splat::Splat;
+use crate::terminal::numbers::thousands;
 use crate::terminal::reporter::Reporter;
 use crate::terminal::{interrupt, output};
 use crate::{device, splat};
@@ -45,7 +46,8 @@ pub(crate) fn run(args: &RefineArgs) -> Result<Ending> {
         output::print("stopped early; what follows is as far as it had come")?;
     }
     print_scores("after", &mut device, &scene, &splat.settings)?;
-    output::print(&format!("{} Gaussians written to {}", outcome.cloud.len(), args.out.display()))?;
+    let gaussians = thousands(outcome.cloud.len());
+    output::print(&format!("{gaussians} Gaussians written to {}", args.out.display()))?;
     Ok(if outcome.summary.interrupted { Ending::Stopped } else { Ending::Whole })
 }
 

@@ -10,13 +10,14 @@ use crate::args::TrainArgs;
 use crate::run::metrics::Metrics;
 use crate::run::session::{Caller, RunSession};
 use crate::run::training::{Ended, Run};
-use crate::run::{CLOUD, previous};
+use crate::run::{CLOUD, REPORT, previous};
 use crate::settings::ConfigFile;
+use crate::terminal::numbers::{duration, thousands};
 use crate::terminal::{interrupt, output};
 use crate::{device, lpips, overwrite, scene};
 
-/// Trains. The folder is claimed before anything slow begins, but an earlier run's results stay in it until scene and weights are
-/// loaded and the device is open: neither a mistyped path nor a change of mind must cost them.
+/// Trains. The folder is claimed before anything slow begins, but an earlier run's results stay in it until scene and
+/// weights are loaded and the device is open: neither a mistyped path nor a change of mind must cost them.
 pub(crate) fn run(args: &TrainArgs) -> Result<Ending> {
     let began = Instant::now();
     overwrite::check_apart(&args.dataset, &args.out)?;
@@ -35,17 +36,16 @@ pub(crate) fn run(args: &TrainArgs) -> Result<Ending> {
 }
 
 fn report(ended: &Ended, folder: &Path) -> Result<Ending> {
-    let cloud = folder.join(CLOUD);
     match ended {
         Ended::Whole(metrics) => {
             output::print(&output::scores_line("test", &metrics.test))?;
             output::print(&output::scores_line("train", &metrics.train))?;
-            print_size(metrics, &cloud)?;
+            print_size(metrics, folder)?;
             return Ok(Ending::Whole);
         }
         Ended::Stopped(metrics) => {
             output::print(&output::scores_line("test", &metrics.test))?;
-            print_size(metrics, &cloud)?;
+            print_size(metrics, folder)?;
             let last = metrics.iterations;
             output::print(&format!(
                 "stopped after iteration {last}; the same command with --resume goes on from there{}",
@@ -54,7 +54,7 @@ fn report(ended: &Ended, folder: &Path) -> Result<Ending> {
         }
         Ended::Unscored => output::print(&format!(
             "stopped while photos were scored, so there are no figures yet; {} is whole, and the same command with --resume scores it{}",
-            cloud.display(),
+            folder.join(CLOUD).display(),
             previous::note(folder)
         ))?,
         Ended::NotBegun => {
@@ -64,12 +64,13 @@ fn report(ended: &Ended, folder: &Path) -> Result<Ending> {
     Ok(Ending::Stopped)
 }
 
-fn print_size(metrics: &Metrics, cloud: &Path) -> Result<()> {
+fn print_size(metrics: &Metrics, folder: &Path) -> Result<()> {
     output::print(&format!(
-        "{} Gaussians after {} iterations in {:.0} s: {}",
-        metrics.gaussians,
-        metrics.iterations,
-        metrics.seconds.total,
-        cloud.display()
-    ))
+        "{} Gaussians after {} iterations in {}: {}",
+        thousands(metrics.gaussians),
+        thousands(metrics.iterations as usize),
+        duration(metrics.seconds.total),
+        folder.join(CLOUD).display()
+    ))?;
+    output::print(&format!("open   {}", folder.join(REPORT).display()))
 }

@@ -14,13 +14,16 @@ use crate::report::chart::{Chart, Series};
 use crate::report::curves::{Curves, thinned};
 use crate::report::html::{Html, document};
 use crate::report::picture;
-use crate::report::run::write_repeat;
+use crate::report::run::{number, write_repeat};
 use crate::run::LOG;
+use crate::terminal::numbers::{duration, thousands};
 
 /// Pictures in the page itself; further ones are linked.
 const PICTURES_MAX: usize = 24;
 /// Longer side of a picture, px.
-const PICTURE_PX: u32 = 1000;
+const PICTURE_PX: u32 = 1400;
+/// Longer side of the pictures under a slider, px.
+const SLIDER_PX: u32 = 800;
 
 /// Points of a curve: half of a run's own page, since there are many charts here.
 const CURVE_POINTS: usize = 150;
@@ -34,13 +37,12 @@ pub(crate) struct Parts<'a> {
     pub(crate) command: &'a str,
 }
 
-/// Test PSNR and number of Gaussians over time, an arm a curve, for every scene and variant: the first seed that each arm has
-/// finished, in the folder `out`.
+/// Test PSNR and number of Gaussians over time, an arm a curve, for every scene and variant: the first seed that each
+/// arm has finished, in the folder `out`.
 pub(crate) fn charts(results: &Results<'_>, out: &Path) -> Vec<Chart> {
     let Experiment { file, arms } = results.experiment;
     let of_arm = |scene: usize, variant: usize, arm: usize| {
-        let mut cells = (0..file.seeds.len()).map(|seed| Cell { scene, variant, arm, seed });
-        let cell = cells.find(|&cell| results.get(cell).is_some())?;
+        let cell = Cell { scene, variant, arm, seed: results.first_seed(scene, variant, &[arm])? };
         // A log that is lost costs a curve, and nothing else.
         let log = out.join(results.experiment.folder(cell)).join(LOG);
         Some((arms[arm].name.clone(), Curves::read(&log).ok()?))
@@ -59,7 +61,7 @@ pub(crate) fn charts(results: &Results<'_>, out: &Path) -> Vec<Chart> {
                 .map(|(arm, curves)| Series {
                     name: arm.clone(),
                     points: thinned(points(curves), CURVE_POINTS),
-                    spread: Vec::new(),
+                    ..Series::default()
                 })
                 .collect(),
         };
@@ -77,50 +79,61 @@ pub(crate) fn to_html(results: &Results<'_>, parts: &Parts<'_>) -> Result<String
     let mut page = Html::new();
     page.element("h1", &file.title).element("p", &file.description);
     page.element("p class=\"dim\"", &format!("{} of {} runs are finished.", results.finished(), cells.len()));
-    page.element("h2", "Tables");
     let Tables { quality, tests, sizes, costs } = tables;
     quality.iter().chain(sizes).chain(costs).for_each(|table| table.write_html(&mut page));
+    write_pictures(&mut page, pages)?;
     page.element("h2", "Over time").element("p class=\"dim\"", "The first seed of each arm.");
     page.open("div class=\"row\"");
     charts.iter().for_each(|chart| chart.write(&mut page));
     page.close("div");
-    write_pictures(&mut page, pages)?;
     // A row for every comparison and metric: to be looked up, not to be scrolled past.
     page.element("h2", "Tests")
         .open("details")
         .element("summary", "Every comparison, and whether it may be chance");
     tests.iter().for_each(|table| table.write_html(&mut page));
     page.close("details");
-    page.element("h2", "Runs").open("figure class=\"table\"").open("table").open("tr");
-    ["run", "test PSNR", "train PSNR", "Gaussians", "seconds"]
-        .iter()
-        .for_each(|name| _ = page.element("th", name));
-    page.close("tr");
-    for (cell, metrics) in cells.into_iter().filter_map(|cell| Some((cell, results.get(cell)?))) {
-        let folder = experiment.folder(cell).display().to_string();
-        let psnr = |value: f64| if value.is_finite() { format!("{value:.2}") } else { "-".into() };
-        page.open("tr").open("th").attribute_of("a", "href", &encoded(&format!("{folder}/report.html")));
-        page.text(folder.trim_start_matches("cells/")).close("a").close("th");
-        page.element("td", &psnr(metrics.test.psnr)).element("td", &psnr(metrics.train.psnr));
-        page.element("td", &metrics.gaussians.to_string());
-        page.element("td", &format!("{:.1}", metrics.seconds.training())).close("tr");
-    }
-    page.close("table").close("figure");
+    write_runs(&mut page, results);
     write_repeat(&mut page, command);
-    page.element("h2", "Experiment").element("pre", &to_toml(file));
+    page.open("details").element("summary", "Experiment").element("pre", &to_toml(file)).close("details");
     Ok(document(&file.title, page))
 }
 
+/// The figures of each run, with a link to its own page.
+fn write_runs(page: &mut Html, results: &Results<'_>) {
+    let experiment = results.experiment;
+    page.element("h2", "Runs").open("details").element("summary", "Every run");
+    page.open("figure class=\"table\"").open("table");
+    page.headings(&["run", "test PSNR, dB", "train PSNR, dB", "Gaussians", "time"]);
+    for (cell, metrics) in experiment.cells().into_iter().filter_map(|cell| Some((cell, results.get(cell)?)))
+    {
+        let folder = experiment.folder(cell).display().to_string();
+        page.open("tr").open("th").attribute_of("a", "href", &encoded(&format!("{folder}/report.html")));
+        page.text(folder.trim_start_matches("cells/")).close("a").close("th");
+        let time = duration(metrics.seconds.training());
+        let (test, train) = (number(Some(metrics.test.psnr), 2, ""), number(Some(metrics.train.psnr), 2, ""));
+        [test, train, thousands(metrics.gaussians), time]
+            .iter()
+            .for_each(|cell| _ = page.element("td", cell));
+        page.close("tr");
+    }
+    page.close("table").close("figure").close("details");
+}
+
+/// For each pair of arms, both renders of the photo that gained most under one slider, and the places of the largest
+/// changes.
 fn write_pictures(page: &mut Html, pages: &[Page]) -> Result<()> {
     if pages.is_empty() {
         return Ok(());
     }
     page.element("h2", "What changed");
-    for (index, Page { path, caption }) in pages.iter().enumerate() {
+    page.element("p", "Under each slider is the test photo that gained most. Drag the border, or move it with the arrow keys.");
+    for (index, Page { path, caption, renders: [without, with] }) in pages.iter().enumerate() {
         let name = path.file_name().unwrap_or_default().to_string_lossy();
-        page.open("figure");
+        page.open("figure class=\"sheet\"");
         if index < PICTURES_MAX {
-            picture::write(page, &read_photo(path)?, PICTURE_PX, caption);
+            let pictures = [read_photo(&without.1)?, read_photo(&with.1)?];
+            picture::write_slider(page, [(&without.0, &pictures[0]), (&with.0, &pictures[1])], SLIDER_PX);
+            picture::write_sheet(page, &read_photo(path)?, PICTURE_PX, caption);
         }
         page.open("figcaption").text(caption).text(" ");
         page.attribute_of("a", "href", &encoded(&format!("qualitative/{name}"))).text("Full size").close("a");

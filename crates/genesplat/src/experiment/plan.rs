@@ -1,4 +1,5 @@
-//! From a file to a checked list of cells. Nothing here runs, or touches a disk but to see whether the scenes are there.
+//! From a file to a checked list of cells. Nothing here runs, or touches a disk but to see whether the scenes are
+//! there.
 
 use std::path::{Path, PathBuf};
 
@@ -49,16 +50,11 @@ impl Experiment {
     }
 
     fn check_settings(&self) -> Result<()> {
-        for arm in 0..self.arms.len() {
-            for variant in 0..self.file.variants.len() {
-                for seed in 0..self.file.seeds.len() {
-                    let cell = Cell { scene: 0, variant, arm, seed };
-                    let config = self.config(cell, Path::new(""), Some(0.0));
-                    config
-                        .and_then(|config| self.check_cell(&config))
-                        .map_err(|error| anyhow!("arm `{}`: {error}", self.arms[arm].name))?;
-                }
-            }
+        for cell in self.cells().into_iter().filter(|cell| cell.scene == 0) {
+            let config = self.config(cell, Path::new(""), Some(0.0));
+            config
+                .and_then(|config| self.check_cell(&config))
+                .map_err(|error| anyhow!("arm `{}`: {error}", self.arms[cell.arm].name))?;
         }
         Ok(())
     }
@@ -79,15 +75,12 @@ impl Experiment {
     pub(crate) fn cells(&self) -> Vec<Cell> {
         let (file, mut order) = (&self.file, Vec::from_iter(0..self.arms.len()));
         order.sort_by_key(|&arm| self.arms[arm].control_of.is_some());
-        let mut cells = Vec::new();
-        for scene in 0..file.scenes.len() {
-            for variant in 0..file.variants.len() {
-                for seed in 0..file.seeds.len() {
-                    cells.extend(order.iter().map(|&arm| Cell { scene, variant, arm, seed }));
-                }
-            }
-        }
-        cells
+        let seeds = |scene, variant| (0..file.seeds.len()).map(move |seed| (scene, variant, seed));
+        let places = (0..file.scenes.len())
+            .flat_map(|scene| (0..file.variants.len()).flat_map(move |variant| seeds(scene, variant)));
+        let of_arms =
+            |(scene, variant, seed)| order.iter().map(move |&arm| Cell { scene, variant, arm, seed });
+        places.flat_map(of_arms).collect()
     }
 
     /// Name of a scene, for tables and folders.
@@ -107,7 +100,8 @@ impl Experiment {
         data.unwrap_or(Path::new("")).join(name)
     }
 
-    /// Fails where a scene has no folder, or is the folder `out` itself; what is in the folder is for the runner to look at.
+    /// Fails where a scene has no folder, or is the folder `out` itself; what is in the folder is for the runner to
+    /// look at.
     pub(crate) fn check_scenes(&self, data: Option<&Path>, out: &Path) -> Result<()> {
         let scenes = &self.file.scenes;
         let foreign = scenes.iter().filter(|name| *name != BUNDLED);
@@ -170,14 +164,11 @@ impl Experiment {
 
 /// `..` would lead out of the experiment's folder.
 fn check_labels(scenes: &[String]) -> Result<()> {
-    match scenes.iter().find(|scene| Path::new(scene).file_name().is_none()) {
-        Some(scene) => {
-            bail!(
-                "`{scene}` cannot be the name of a scene; give the name of its folder, and the folder above as --data"
-            )
-        }
-        None => Ok(()),
-    }
+    let nameless = scenes.iter().find(|scene| Path::new(scene).file_name().is_none());
+    let Some(scene) = nameless else { return Ok(()) };
+    bail!(
+        "`{scene}` cannot be the name of a scene; give the name of its folder, and the folder above as --data"
+    )
 }
 
 /// The last part of a path.
@@ -191,12 +182,9 @@ fn check_names<'a>(what: &str, names: impl Iterator<Item = &'a str>) -> Result<(
 
 fn check_list<T: PartialEq + std::fmt::Display>(what: &str, items: &[T]) -> Result<()> {
     ensure!(!items.is_empty(), "the experiment has no {what}; list at least one");
-    match items.iter().enumerate().find(|(at, item)| items[..*at].contains(item)) {
-        Some((_, item)) => {
-            bail!("`{item}` is there twice among the experiment's {what}; give each a name of its own")
-        }
-        None => Ok(()),
-    }
+    let twice = items.iter().enumerate().find(|(at, item)| items[..*at].contains(item));
+    let Some((_, item)) = twice else { return Ok(()) };
+    bail!("`{item}` is there twice among the experiment's {what}; give each a name of its own")
 }
 
 #[cfg(test)]

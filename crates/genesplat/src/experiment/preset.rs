@@ -1,6 +1,7 @@
 //! The experiments that come with the program, and those from files.
 //!
-//! Presets are files like any other, compiled in; `crates/genesplat/presets` holds them, and they are meant to be copied.
+//! Presets are files like any other, compiled in; `crates/genesplat/presets` holds them, and they are meant to be
+//! copied.
 
 use std::fs;
 use std::path::Path;

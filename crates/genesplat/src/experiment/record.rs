@@ -6,26 +6,18 @@ use super::statistics::{Summary, sign_test, signs, wilcoxon_test};
 use super::summary::comparisons;
 use crate::args::Split;
 
+/// Header of `cells.csv`.
+const CELLS: &str = "scene,variant,arm,seed,test_psnr,test_ssim,test_lpips,train_psnr,train_ssim,train_lpips,gaussians,iterations,\
+                     gradient_seconds,evolution_seconds,folder";
+
+/// Header of `tables.csv`.
+const COMPARISONS: &str =
+    "split,metric,variant,scene,arm,against,pairs,mean_gain,spread,better,worse,sign_test_p,wilcoxon_p";
+
 /// Every finished cell.
 pub(crate) fn cells(results: &Results<'_>) -> String {
     let experiment = results.experiment;
-    let mut text = csv_line(&[
-        "scene",
-        "variant",
-        "arm",
-        "seed",
-        "test_psnr",
-        "test_ssim",
-        "test_lpips",
-        "train_psnr",
-        "train_ssim",
-        "train_lpips",
-        "gaussians",
-        "iterations",
-        "gradient_seconds",
-        "evolution_seconds",
-        "folder",
-    ]);
+    let mut text = format!("{CELLS}\n");
     let finished = experiment.cells().into_iter().filter_map(|cell| Some((cell, results.get(cell)?)));
     for (cell, metrics) in finished {
         let Cell { scene, variant, arm, seed } = cell;
@@ -40,9 +32,7 @@ pub(crate) fn cells(results: &Results<'_>) -> String {
             fields.extend(Metric::ALL.map(|metric| number(metric.of(scores))));
         }
         fields.extend([metrics.gaussians.to_string(), metrics.iterations.to_string()]);
-        fields.extend(
-            [metrics.seconds.gradient, metrics.seconds.evolution].map(|seconds| number(Some(seconds))),
-        );
+        fields.extend([metrics.seconds.gradient, metrics.seconds.evolution].map(Some).map(number));
         fields.push(experiment.folder(cell).display().to_string());
         text += &csv_line(&fields);
     }
@@ -52,21 +42,7 @@ pub(crate) fn cells(results: &Results<'_>) -> String {
 /// Every comparison.
 pub(crate) fn table(results: &Results<'_>) -> String {
     let experiment = results.experiment;
-    let mut text = csv_line(&[
-        "split",
-        "metric",
-        "variant",
-        "scene",
-        "arm",
-        "against",
-        "pairs",
-        "mean_gain",
-        "spread",
-        "better",
-        "worse",
-        "sign_test_p",
-        "wilcoxon_p",
-    ]);
+    let mut text = format!("{COMPARISONS}\n");
     for comparison in comparisons(results) {
         let summary = Summary::of(&comparison.gains);
         let [better, worse, _] = signs(&comparison.gains);

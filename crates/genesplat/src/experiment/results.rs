@@ -96,6 +96,12 @@ impl<'a> Results<'a> {
         ((scene * file.variants.len() + variant) * arms.len() + arm) * file.seeds.len() + seed
     }
 
+    /// The first seed for which all of these arms are finished.
+    pub(crate) fn first_seed(&self, scene: usize, variant: usize, arms: &[usize]) -> Option<usize> {
+        let is_finished = |seed, &arm: &usize| self.get(Cell { scene, variant, arm, seed }).is_some();
+        (0..self.experiment.file.seeds.len()).find(|&seed| arms.iter().all(|arm| is_finished(seed, arm)))
+    }
+
     /// `value` of every finished repeat of an arm.
     pub(crate) fn repeats<T>(&self, cell: Cell, value: impl Fn(&Metrics) -> Option<T>) -> Vec<T> {
         let seeds = 0..self.experiment.file.seeds.len();

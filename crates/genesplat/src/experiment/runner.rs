@@ -1,7 +1,7 @@
 //! Runs the cells that are unfinished.
 //!
-//! A cell is finished when its folder holds the settings that it would be run with, and the metrics of a whole run; then
-//! it is not touched. One that was interrupted goes on from its checkpoint, and anything else starts anew. What
+//! A cell is finished when its folder holds the settings that it would be run with, and the metrics of a whole run;
+//! then it is not touched. One that was interrupted goes on from its checkpoint, and anything else starts anew. What
 //! remains is therefore decided by the disk alone, however the last attempt ended ([`super::cells`]).
 
 use std::path::{Path, PathBuf};
@@ -89,7 +89,8 @@ impl Reach {
 }
 
 impl<'a> Runner<'a> {
-    /// Runs everything, or until it is stopped. A cell that fails keeps others from being begun only where they would fail, too.
+    /// Runs everything, or until it is stopped. A cell that fails keeps others from being begun only where they would
+    /// fail, too.
     pub(crate) fn run(&self) -> Result<Ran<'a>> {
         self.check_folders()?;
         self.check_photos()?;

@@ -42,8 +42,8 @@ pub(crate) fn sign_test(differences: &[f64]) -> f64 {
     (2.0 * tail).min(1.0)
 }
 
-/// Wilcoxon's signed-rank test: as the sign test, with differences weighted by the rank of their size. Equal sizes share
-/// the mean of their ranks, and the distribution is that of the shared ranks.
+/// Wilcoxon's signed-rank test: as the sign test, with differences weighted by the rank of their size. Equal sizes
+/// share the mean of their ranks, and the distribution is that of the shared ranks.
 pub(crate) fn wilcoxon_test(differences: &[f64]) -> f64 {
     let ranked = doubled_ranks(differences);
     let total: usize = ranked.iter().map(|(rank, _)| rank).sum();

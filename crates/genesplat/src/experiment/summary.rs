@@ -225,7 +225,7 @@ fn seconds(results: &Results<'_>, variant: usize) -> Table {
     let name = results.experiment.file.variants[variant].name();
     let caption = format!(
         "{name}: wall-clock seconds of training on this machine, loading and scoring left out. A control trains for as many \
-         seconds as another arm evolves, unless `evolution.control_steps` says how many steps it makes."
+         seconds as another arm evolves, unless `control_steps` says how many steps it makes."
     );
     let all = |metrics: &Metrics| metrics.seconds.training();
     let evolution = |metrics: &Metrics| metrics.seconds.evolution;

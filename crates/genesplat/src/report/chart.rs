@@ -11,6 +11,8 @@ const LEFT: f64 = 52.0;
 const RIGHT: f64 = 22.0;
 const TOP: f64 = 12.0;
 const BOTTOM: f64 = 34.0;
+/// Between the middles of bars of one place.
+const BAR_WIDTH: f64 = 5.0;
 /// Ticks that an axis aims for.
 const TICKS: f64 = 4.0;
 /// Told apart by most eyes, on light and dark ground (Okabe and Ito).
@@ -20,24 +22,26 @@ const DASHES: [&str; 4] = ["none", "7 3", "2 2", "9 2 2 2"];
 
 /// A chart.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Chart {
+pub(crate) struct Chart {
     /// What it shows.
-    pub caption: String,
+    pub(crate) caption: String,
     /// What is along the horizontal axis.
-    pub x_name: String,
+    pub(crate) x_name: String,
     /// The curves.
-    pub series: Vec<Series>,
+    pub(crate) series: Vec<Series>,
 }
 
 /// A curve.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Series {
+pub(crate) struct Series {
     /// For the legend.
-    pub name: String,
+    pub(crate) name: String,
     /// From left to right.
-    pub points: Vec<[f64; 2]>,
+    pub(crate) points: Vec<[f64; 2]>,
     /// Half the height of a band around each point; empty for none.
-    pub spread: Vec<f64>,
+    pub(crate) spread: Vec<f64>,
+    /// A bar from zero for each point, in place of a line through all of them.
+    pub(crate) is_bars: bool,
 }
 
 /// An axis: values `low..high` on `from..to` units of the drawing.
@@ -71,17 +75,19 @@ impl Axis {
     fn ticks(&self) -> Vec<f64> {
         let rough = (self.high - self.low) / TICKS;
         let power = 10f64.powf(rough.log10().floor());
-        let step = [1.0, 2.0, 5.0, 10.0].map(|nice| nice * power).into_iter().find(|step| *step >= rough);
-        let step = step.unwrap_or(10.0 * power);
+        let distance = |step: &f64| (step / rough).ln().abs();
+        let steps = [1.0, 2.0, 5.0, 10.0].map(|nice| nice * power).into_iter();
+        let step = steps.min_by(|a, b| distance(a).total_cmp(&distance(b))).unwrap_or(power);
         let (first, last) = ((self.low / step).ceil() as i64, (self.high / step).floor() as i64);
         (first..=last).map(|k| k as f64 * step).collect()
     }
 }
 
 impl Chart {
-    /// Writes the chart as a figure; nothing where no curve has two points.
-    pub fn write(&self, page: &mut Html) {
-        if self.series.iter().all(|series| series.points.len() < 2) {
+    /// Writes the chart as a figure; nothing where no curve has two points, and no bar is there.
+    pub(crate) fn write(&self, page: &mut Html) {
+        let is_empty = |series: &Series| series.points.len() < if series.is_bars { 1 } else { 2 };
+        if self.series.iter().all(is_empty) {
             return;
         }
         let points = || self.series.iter().flat_map(|series| &series.points);
@@ -92,7 +98,9 @@ impl Chart {
         page.element("title", &self.caption);
         self.write_axes(page, &x, &y);
         for (index, series) in self.series.iter().enumerate() {
-            series.write(page, &x, &y, index);
+            // Bars of one place stand side by side.
+            let shift = BAR_WIDTH * (index as f64 - (self.series.len() - 1) as f64 / 2.0);
+            series.write(page, &x, &y, index, shift);
         }
         page.close("svg");
         self.write_legend(page);
@@ -126,7 +134,8 @@ impl Chart {
         page.open("ul class=\"legend\"");
         for (index, series) in self.series.iter().enumerate() {
             page.open("li").open("svg viewBox=\"0 0 24 8\" aria-hidden=\"true\"");
-            page.open(&format!("path class=\"line\" style=\"{}\" d=\"M0 4H24\"/", stroke(index)));
+            let form = if series.is_bars { "bars" } else { "line" };
+            page.open(&format!("path class=\"{form}\" style=\"{}\" d=\"M0 4H24\"/", stroke(index)));
             page.close("svg").element("span", &series.name).close("li");
         }
         page.close("ul");
@@ -143,13 +152,15 @@ fn stroke(index: usize) -> String {
 }
 
 impl Series {
-    /// All heights that the curve and its band reach.
+    /// All heights that the curve and its band reach; bars begin at zero.
     fn reach(&self) -> impl Iterator<Item = f64> + '_ {
         let spread = self.spread.iter().copied().chain(std::iter::repeat(0.0));
-        self.points.iter().zip(spread).flat_map(|(point, spread)| [point[1] - spread, point[1] + spread])
+        let heights = self.points.iter().zip(spread);
+        let heights = heights.flat_map(|(point, spread)| [point[1] - spread, point[1] + spread]);
+        heights.chain(self.is_bars.then_some(0.0))
     }
 
-    fn write(&self, page: &mut Html, x: &Axis, y: &Axis, index: usize) {
+    fn write(&self, page: &mut Html, x: &Axis, y: &Axis, index: usize, shift: f64) {
         let path = |points: &mut dyn Iterator<Item = [f64; 2]>| {
             points.map(|[px, py]| format!("{:.1} {:.1}", x.at(px), y.at(py))).collect::<Vec<_>>().join("L")
         };
@@ -163,6 +174,14 @@ impl Series {
                 colour(index),
                 path(&mut outline)
             ));
+        }
+        if self.is_bars {
+            let bar = |point: &[f64; 2]| {
+                format!("M{:.1} {:.1}V{:.1}", x.at(point[0]) + shift, y.at(0.0), y.at(point[1]))
+            };
+            let bars: String = self.points.iter().map(bar).collect();
+            page.open(&format!("path class=\"bars\" style=\"stroke:{}\" d=\"{bars}\"/", colour(index)));
+            return;
         }
         let line = path(&mut self.points.iter().copied());
         page.open(&format!("path class=\"line\" style=\"{}\" d=\"M{line}\"/", stroke(index)));
@@ -198,10 +217,10 @@ mod tests {
 
     #[test]
     fn points_are_drawn_where_they_belong() {
-        let series =
-            Series { name: "loss".into(), points: vec![[0.0, 1.0], [10.0, 3.0]], spread: Vec::new() };
+        let points = vec![[0.0, 1.0], [10.0, 3.0]];
+        let series = vec![Series { name: "loss".into(), points, ..Series::default() }];
         let mut page = Html::new();
-        Chart { caption: "c<".into(), x_name: "iteration".into(), series: vec![series] }.write(&mut page);
+        Chart { caption: "c<".into(), x_name: "iteration".into(), series }.write(&mut page);
         let text = page.into_text();
         // Low and left, then high and right.
         assert!(text.contains("d=\"M52.0 166.0L338.0 12.0\""), "{text}");
@@ -209,11 +228,21 @@ mod tests {
     }
 
     #[test]
+    fn bars_stand_on_zero() {
+        let points = vec![[0.0, 0.0], [5.0, 0.5], [10.0, 1.0]];
+        let series = vec![Series { points, is_bars: true, ..Series::default() }];
+        let mut page = Html::new();
+        Chart { series, ..Chart::default() }.write(&mut page);
+        let text = page.into_text();
+        assert!(text.contains("d=\"M52.0 166.0V166.0M195.0 166.0V89.0M338.0 166.0V12.0\""), "{text}");
+    }
+
+    #[test]
     fn no_two_curves_look_alike() {
         let strokes: std::collections::HashSet<String> = (0..13).map(stroke).collect();
         assert_eq!(strokes.len(), 13, "as many arms as the largest preset has");
         let series =
-            |name: &str| Series { name: name.into(), points: vec![[0.0, 1.0]; 2], spread: Vec::new() };
+            |name: &str| Series { name: name.into(), points: vec![[0.0, 1.0]; 2], ..Series::default() };
         let mut page = Html::new();
         let chart = Chart { series: vec![series("one"), series("two")], ..Chart::default() };
         chart.write(&mut page);
@@ -224,8 +253,8 @@ mod tests {
 
     #[test]
     fn a_band_widens_the_axis_and_a_constant_is_drawable() {
-        let series =
-            Series { name: "mean".into(), points: vec![[0.0, 2.0], [1.0, 2.0]], spread: vec![1.0, 1.0] };
+        let points = vec![[0.0, 2.0], [1.0, 2.0]];
+        let series = Series { points, spread: vec![1.0, 1.0], ..Series::default() };
         assert_eq!(series.reach().fold(0.0, f64::max), 3.0);
         let flat = Axis::around([5.0, 5.0].into_iter(), 0.0, 1.0);
         assert!(flat.low < 5.0 && flat.high > 5.0 && flat.at(5.0) == 0.5);

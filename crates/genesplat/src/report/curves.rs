@@ -45,39 +45,39 @@ enum Line {
 
 /// A run over time. Points are `[iteration, value]`.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Curves {
+pub(crate) struct Curves {
     /// Eq. 5 on the view of the iteration.
-    pub loss: Vec<[f64; 2]>,
+    pub(crate) loss: Vec<[f64; 2]>,
     /// Gaussians held.
-    pub gaussians: Vec<[f64; 2]>,
+    pub(crate) gaussians: Vec<[f64; 2]>,
     /// Mean PSNR of the test photos, dB.
-    pub test_psnr: Vec<[f64; 2]>,
+    pub(crate) test_psnr: Vec<[f64; 2]>,
     /// Evolution stages, in order.
-    pub stages: Vec<Stage>,
+    pub(crate) stages: Vec<Stage>,
     /// What the user should know.
-    pub notices: Vec<String>,
+    pub(crate) notices: Vec<String>,
 }
 
 /// One evolution stage. Points are `[generation, fitness]`.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Stage {
+pub(crate) struct Stage {
     /// What it did, as the log calls it.
-    pub kind: String,
+    pub(crate) kind: String,
     /// Iteration of the trigger.
-    pub iteration: u32,
+    pub(crate) iteration: u32,
     /// Fitness of the base.
-    pub base: f64,
+    pub(crate) base: f64,
     /// Lowest fitness so far.
-    pub best: Vec<[f64; 2]>,
+    pub(crate) best: Vec<[f64; 2]>,
     /// Mean of the population.
-    pub mean: Vec<[f64; 2]>,
+    pub(crate) mean: Vec<[f64; 2]>,
     /// Standard deviation of the population, one for each mean.
-    pub spread: Vec<f64>,
+    pub(crate) spread: Vec<f64>,
 }
 
 impl Curves {
     /// Reads a log.
-    pub fn read(path: &Path) -> Result<Self> {
+    pub(crate) fn read(path: &Path) -> Result<Self> {
         let text = std::fs::read_to_string(path)
             .map_err(|error| anyhow!("cannot read the log {}: {error}", path.display()))?;
         Ok(Self::parse(&text))
@@ -130,7 +130,7 @@ impl Curves {
 }
 
 /// At most `count` points: means of neighbours.
-pub fn thinned(points: &[[f64; 2]], count: usize) -> Vec<[f64; 2]> {
+pub(crate) fn thinned(points: &[[f64; 2]], count: usize) -> Vec<[f64; 2]> {
     let mean = |run: &[[f64; 2]]| {
         let n = run.len() as f64;
         [0, 1].map(|axis| run.iter().map(|point| point[axis]).sum::<f64>() / n)
@@ -149,7 +149,7 @@ mod tests {
 {"event":"step","iteration":10,"gaussians":5,"loss":0.5}
 {"event":"step","iteration":20,"gaussians":6,"loss":null}
 {"event":"step","iteration":30,"gaussians":7,"loss":0.9}
-{"event":"stage-start","kind":"recombination","iteration":30,"fitness":0.6}
+{"event":"stage-start","kind":"averaging","iteration":30,"fitness":0.6}
 {"event":"generation","iteration":30,"generation":0,"best":0.6,"mean":null,"spread":null}
 {"event":"stage-start","kind":"paper","iteration":30,"fitness":0.4,"views":[]}
 {"event":"generation","iteration":30,"generation":0,"best":0.4,"mean":0.6,"spread":0.1}
@@ -166,7 +166,7 @@ mod tests {
         assert_eq!(curves.loss, [[10.0, 0.5], [30.0, 0.3]]);
         assert_eq!(curves.gaussians, [[10.0, 5.0], [20.0, 6.0], [30.0, 8.0]]);
         let other = Stage {
-            kind: "recombination".into(),
+            kind: "averaging".into(),
             iteration: 30,
             base: 0.6,
             best: vec![[0.0, 0.6]],

@@ -12,18 +12,39 @@ use crate::report::html::Html;
 const JPEG_QUALITY: u8 = 85;
 /// The error map's brightest colour stands for this mean absolute difference, of 255.
 const ERROR_WHITE: f64 = 64.0;
-/// From no error to the largest: black, violet, red, yellow, white. Brightness rises all the way, so that it can be read
-/// without seeing colours.
+/// From no error to the largest: black, violet, red, yellow, white. Brightness rises all the way, so that it can be
+/// read without seeing colours.
 const RAMP: [[f64; 3]; 5] =
     [[0.0, 0.0, 0.0], [80.0, 18.0, 110.0], [200.0, 50.0, 50.0], [250.0, 170.0, 30.0], [255.0, 255.0, 230.0]];
 
 /// What the colours of [`error_map`] mean, for captions.
-pub const ERROR_LEGEND: &str =
-    "error: black none, violet, red, yellow, white a quarter of full scale or more";
+pub(crate) const ERROR_LEGEND: &str =
+    "Error: none is black, then violet, red, yellow; white is a quarter of full scale or more.";
 
 /// Writes `photo` into the page, with its longer side at most `side` px.
-pub fn write(page: &mut Html, photo: &Photo, side: u32, alt: &str) {
+pub(crate) fn write(page: &mut Html, photo: &Photo, side: u32, alt: &str) {
     page.attribute_of(&format!("img src=\"{}\"", data_uri(photo, side)), "alt", alt);
+}
+
+/// The same for a sheet of small pictures: on a narrow screen it is scrolled, not shrunk.
+pub(crate) fn write_sheet(page: &mut Html, sheet: &Photo, side: u32, alt: &str) {
+    page.attribute_of("div tabindex=\"0\" role=\"region\"", "aria-label", alt);
+    write(page, sheet, side, alt);
+    page.close("div");
+}
+
+/// Writes two pictures of one size into one place, with a slider that moves the border between them. Without scripts
+/// the border stays in the middle.
+pub(crate) fn write_slider(page: &mut Html, [left, right]: [(&str, &Photo); 2], side: u32) {
+    let ratio = f64::from(left.1.width) / f64::from(left.1.height);
+    page.open(&format!("div class=\"slider\" style=\"--ratio:{ratio:.4}\""));
+    [left, right].iter().for_each(|(name, photo)| write(page, photo, side, name));
+    page.element("span", left.0).element("span", right.0);
+    let label = format!("{} on the left, {} on the right: move the border", left.0, right.0);
+    let moved = "this.parentNode.style.setProperty('--at',this.value+'%')";
+    let input =
+        format!("input type=\"range\" min=\"0\" max=\"100\" step=\"any\" value=\"50\" oninput=\"{moved}\"");
+    page.attribute_of(&input, "aria-label", &label).close("div");
 }
 
 fn data_uri(photo: &Photo, side: u32) -> String {
@@ -33,7 +54,7 @@ fn data_uri(photo: &Photo, side: u32) -> String {
 }
 
 /// Mean absolute difference of the channels, pixel by pixel, as colour. Both pictures have one size.
-pub fn error_map(a: &Photo, b: &Photo) -> Photo {
+pub(crate) fn error_map(a: &Photo, b: &Photo) -> Photo {
     let error =
         |(a, b): (&[u8], &[u8])| a.iter().zip(b).map(|(a, b)| f64::from(a.abs_diff(*b))).sum::<f64>() / 3.0;
     let pixels = a.rgb.chunks_exact(3).zip(b.rgb.chunks_exact(3));
@@ -63,6 +84,17 @@ mod tests {
             let sum = |share: f64| colour(share).iter().map(|&value| u32::from(value)).sum::<u32>();
             sum(f64::from(step) / 100.0) <= sum(f64::from(step + 1) / 100.0)
         }));
+    }
+
+    #[test]
+    fn a_slider_holds_both_pictures_and_names_them() {
+        let photo = Photo { width: 20, height: 10, rgb: vec![90; 600] };
+        let mut page = Html::new();
+        write_slider(&mut page, [("photo", &photo), ("<render>", &photo)], 300);
+        let text = page.into_text();
+        assert_eq!(text.matches("<img src=\"data:image/jpeg;base64,").count(), 2, "{text}");
+        assert!(text.contains("--ratio:2.0000") && text.contains("type=\"range\""), "{text}");
+        assert!(text.contains("aria-label=\"photo on the left, &lt;render&gt; on the right"), "{text}");
     }
 
     #[test]

@@ -72,8 +72,7 @@ mod tests {
     use std::fs;
 
     use anyhow::anyhow;
-    use genesplat::core::lineage::Lineage;
-    use genesplat::core::{Gaussians, Moments, Statistics};
+    use genesplat::core::DeviceState;
     use genesplat::train::Checkpoint;
     use genesplat::train::checkpoint::{Cursor, Progress};
 
@@ -92,10 +91,7 @@ mod tests {
         Checkpoint {
             cursor: Cursor::start_of(iteration),
             progress: Progress::default(),
-            cloud: Gaussians::default(),
-            moments: Moments::default(),
-            statistics: Statistics::default(),
-            lineage: Lineage::default(),
+            state: DeviceState::default(),
             trial: None,
         }
     }

@@ -1,4 +1,5 @@
-//! A run: the folder that it leaves behind, and training into it. Names in the folder are fixed: people and scripts rely on them.
+//! A run: the folder that it leaves behind, and training into it. Names in the folder are fixed: people and scripts
+//! rely on them.
 //!
 //! | file | what it holds |
 //! |---|---|
@@ -17,18 +18,14 @@
 //!
 //! | module | what it does |
 //! |---|---|
-//! | [`session`] | claims a folder for one run, and writes its results there |
+//! | [`session`] | claims a folder for one run (owner, lock, what it replaces), and writes its results there |
 //! | [`training`] | from a loaded scene to a finished folder |
-//! | [`previous`], [`lock`] | results that a run replaces, and who may write to its folder |
+//! | [`previous`] | results that a run replaces |
 //! | [`photos`] | whether the scene still has the photos that a run began with |
 //! | [`failure`] | what is left of a run that failed, and how to go on |
 //! | [`metrics`], [`log`], [`test_curve`], [`memory`] | what is measured and reported |
 
-use std::fs;
-use std::path::Path;
-
 pub(crate) mod failure;
-pub(crate) mod lock;
 pub(crate) mod log;
 pub(crate) mod memory;
 pub(crate) mod metrics;
@@ -57,20 +54,3 @@ pub(crate) const CHECKPOINT: &str = "checkpoint/latest.checkpoint";
 
 /// The files that a run leaves beside its settings and pictures; first what is worth most.
 const RESULTS: [&str; 6] = [CLOUD, FUSED_CLOUD, METRICS, LOG, REPORT, CHECKPOINT];
-
-/// How a run's `config.toml` begins.
-const CONFIG_MARK: &str = "# All settings of a run of genesplat";
-
-/// Whether a run has been in `folder`.
-pub(crate) fn is_run(folder: &Path) -> bool {
-    fs::read(folder.join(CONFIG)).is_ok_and(|text| text.starts_with(CONFIG_MARK.as_bytes()))
-}
-
-/// Whether the file `path` is one that a run has left.
-pub(crate) fn is_part_of_run(path: &Path) -> bool {
-    let (folder, name) = (path.parent().unwrap_or(path), path.file_name().unwrap_or_default());
-    let is_result = name == CONFIG || RESULTS.iter().any(|file| name == *file);
-    let is_render =
-        folder.file_name().is_some_and(|name| name == TEST) && folder.parent().is_some_and(is_run);
-    is_render || (is_result && is_run(folder))
-}

@@ -1,6 +1,7 @@
 //! The results that a run finds in its folder: kept in `previous/` until its own are whole.
 //!
-//! Files are moved and removed by name, pictures by the names that `metrics.json` has: whatever else is in a folder is not ours.
+//! Files are moved and removed by name, pictures by the names that `metrics.json` has: whatever else is in a folder is
+//! not ours.
 
 use std::fs;
 use std::path::{Component, Path, PathBuf};
@@ -36,8 +37,8 @@ fn is_kept(folder: &Path) -> bool {
     fs::read_to_string(folder.join(CONFIG)).is_ok_and(|text| text.ends_with(NOTE))
 }
 
-/// Clears the folder of a run for another one. Settings stay until they are written over, so that it is never taken for a folder of
-/// something else.
+/// Clears the folder of a run for another one. Settings stay until they are written over, so that it is never taken for
+/// a folder of something else.
 pub(crate) fn keep(run: &Path) -> Result<()> {
     let (folder, files) = (folder_in(run), results(run));
     tell_of_unnamed(run);

@@ -1,6 +1,6 @@
 //! One claim of a folder for one run: whose it is, who writes to it, what it replaces, and whether it can go on.
 
-use std::fs::{self, File};
+use std::fs::{self, File, TryLockError};
 use std::io::{BufReader, ErrorKind};
 use std::path::{Path, PathBuf};
 
@@ -9,15 +9,18 @@ use genesplat::core::{Gaussians, ScreenFilter};
 use genesplat::io::{PlyOptions, write_ply};
 use genesplat::train::Checkpoint;
 
-use super::lock::Lock;
 use super::metrics::Metrics;
-use super::{
-    CHECKPOINT, CLOUD, CONFIG, CONFIG_MARK, FUSED_CLOUD, LOG, METRICS, REPORT, TEST, is_run, previous,
-};
+use super::{CHECKPOINT, CLOUD, CONFIG, FUSED_CLOUD, LOG, METRICS, REPORT, RESULTS, TEST, previous};
 use crate::files::{
     check_folder, check_writable, remove_if_there, remove_leftovers, unwritable, write_file, write_json,
     write_text,
 };
+
+/// How a run's `config.toml` begins.
+const CONFIG_MARK: &str = "# All settings of a run of genesplat";
+
+/// Name of the file that is locked.
+const LOCK: &str = ".lock";
 
 /// The command that makes a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -41,15 +44,12 @@ pub(crate) struct RunSession {
 }
 
 impl RunSession {
-    /// Claims the folder `path` for a run that begins anew, or goes on from its checkpoint. To be done before anything slow: fails
-    /// where the folder is something else's, cannot be written to, or has another writer; or holds an interrupted run, or none that
-    /// could go on. What is in it stays as it is until [`Self::begin`].
+    /// Claims the folder `path` for a run that begins anew, or goes on from its checkpoint. To be done before anything
+    /// slow: fails where the folder is something else's, cannot be written to, or has another writer; or holds an
+    /// interrupted run, or none that could go on. What is in it stays as it is until [`Self::begin`].
     pub(crate) fn claim(path: &Path, caller: Caller, resumes: bool) -> Result<Self> {
-        if resumes {
-            check_is_run(path)?
-        } else {
-            check_is_free(path)?
-        }
+        let check = if resumes { check_is_run } else { check_is_free };
+        check(path)?;
         // A run that never begins makes no folder, and where there is none, there is nothing to keep others from.
         let lock = path.is_dir().then(|| Lock::take(path)).transpose()?;
         let shown = path.display();
@@ -131,6 +131,20 @@ impl RunSession {
     }
 }
 
+/// Whether a run has been in `folder`.
+pub(crate) fn is_run(folder: &Path) -> bool {
+    fs::read(folder.join(CONFIG)).is_ok_and(|text| text.starts_with(CONFIG_MARK.as_bytes()))
+}
+
+/// Whether the file `path` is one that a run has left.
+pub(crate) fn is_part_of_run(path: &Path) -> bool {
+    let (folder, name) = (path.parent().unwrap_or(path), path.file_name().unwrap_or_default());
+    let is_result = name == CONFIG || RESULTS.iter().any(|file| name == *file);
+    let is_render =
+        folder.file_name().is_some_and(|name| name == TEST) && folder.parent().is_some_and(is_run);
+    is_render || (is_result && is_run(folder))
+}
+
 /// Whether a run in `folder` has left a checkpoint, whole or not.
 pub(crate) fn has_checkpoint(folder: &Path) -> bool {
     folder.join(CHECKPOINT).exists()
@@ -163,8 +177,8 @@ fn check_is_free(path: &Path) -> Result<()> {
         "{} is a file, and pictures need a folder of that name; choose another --out",
         test.display()
     );
-    let foreign = match fs::metadata(&config) {
-        Ok(_) => (!is_run(path)).then_some(config),
+    let foreign = match fs::read(&config) {
+        Ok(text) => (!text.starts_with(CONFIG_MARK.as_bytes())).then_some(config),
         Err(error) if error.kind() == ErrorKind::NotFound => foreign_in(path),
         Err(error) => bail!(
             "cannot read {}, which tells whose folder this is: {error}; choose another folder",
@@ -175,8 +189,8 @@ fn check_is_free(path: &Path) -> Result<()> {
     bail!("{} belongs to something else; choose another folder", file.display())
 }
 
-/// What shows that a folder without settings of ours belongs to something else: a scene, or results, which never stand without their
-/// settings.
+/// What shows that a folder without settings of ours belongs to something else: a scene, or results, which never stand
+/// without their settings.
 fn foreign_in(path: &Path) -> Option<PathBuf> {
     let is_foreign = |path: &PathBuf| match &*path.file_name().unwrap_or_default().to_string_lossy() {
         METRICS | REPORT | CLOUD | LOG => path.is_file(),
@@ -187,9 +201,49 @@ fn foreign_in(path: &Path) -> Option<PathBuf> {
     fs::read_dir(path).into_iter().flatten().flatten().map(|entry| entry.path()).find(is_foreign)
 }
 
+/// The lock of a folder: one process at a time writes there. Held until it is dropped, or its process ends in whatever
+/// way.
+///
+/// The empty file stays: were it removed, one process could still hold the lock of the file that is gone while another
+/// takes that of a new one.
+#[derive(Debug)]
+pub(crate) struct Lock {
+    _file: File,
+}
+
+impl Lock {
+    /// Takes the lock of `folder`, which is made if it is missing.
+    pub(crate) fn take(folder: &Path) -> Result<Self> {
+        let path = folder.join(LOCK);
+        let file = fs::create_dir_all(folder)
+            .and_then(|()| File::options().create(true).append(true).open(&path))
+            .map_err(|error| unwritable(&path, &error))?;
+        // Some file systems have no locks: there it is up to the user, as it would be without this module.
+        if matches!(file.try_lock(), Err(TryLockError::WouldBlock)) {
+            bail!(
+                "another genesplat is writing to {}; wait for it or choose another --out",
+                folder.display()
+            );
+        }
+        Ok(Self { _file: file })
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_folder_has_one_writer_and_a_stale_file_keeps_no_one_out() {
+        let place = tempfile::tempdir().unwrap();
+        let folder = place.path().join("run");
+        let lock = Lock::take(&folder).unwrap();
+        let sentence = Lock::take(&folder).unwrap_err().to_string();
+        assert!(sentence.contains("another genesplat is writing to"), "{sentence}");
+        drop(lock);
+        assert!(folder.join(LOCK).exists());
+        Lock::take(&folder).unwrap();
+    }
 
     #[test]
     fn a_claim_keeps_others_out_and_makes_no_folder() {

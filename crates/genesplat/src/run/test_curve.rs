@@ -12,25 +12,25 @@ use genesplat::train::observe::Render;
 const POINTS: u32 = 12;
 
 /// Scores renders of test photos.
-pub struct TestCurve<'a> {
+pub(crate) struct TestCurve<'a> {
     views: &'a [View],
     every: u32,
 }
 
 impl<'a> TestCurve<'a> {
     /// For a run of `iterations`; `None` where no photo was held out.
-    pub fn new(views: &'a [View], iterations: u32) -> Option<Self> {
+    pub(crate) fn new(views: &'a [View], iterations: u32) -> Option<Self> {
         let every = iterations.div_ceil(POINTS).max(1);
         (!views.is_empty()).then_some(Self { views, every })
     }
 
     /// True where a point of the curve is due.
-    pub fn is_due(&self, iteration: u32) -> bool {
+    pub(crate) fn is_due(&self, iteration: u32) -> bool {
         iteration.is_multiple_of(self.every)
     }
 
     /// Mean PSNR, dB; `None` when a photo is reproduced exactly.
-    pub fn score(&self, render: Render<'_>) -> Result<Option<f64>> {
+    pub(crate) fn score(&self, render: Render<'_>) -> Result<Option<f64>> {
         let mut sum = 0.0;
         for view in self.views {
             let picture = render(&view.camera)?.to_photo();

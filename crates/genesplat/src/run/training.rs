@@ -49,8 +49,8 @@ pub(crate) enum Ended {
 }
 
 impl Run<'_> {
-    /// Trains, saves, scores. Whatever would end a run before its first step is found while the results of an earlier one are still
-    /// in its folder.
+    /// Trains, saves, scores. Whatever would end a run before its first step is found while the results of an earlier
+    /// one are still in its folder.
     pub(crate) fn execute(&self, session: &mut RunSession) -> Result<Ended> {
         overwrite::check_photos(self.scene, &session.path().join(TEST))?;
         if session.resumes() {
@@ -112,30 +112,42 @@ impl Run<'_> {
         saved?;
         reporter.into_result()?;
 
+        self.conclude(session, device, summary, load, seconds_before)
+    }
+
+    /// Scores the splat, which is saved already, and writes the figures.
+    fn conclude(
+        &self,
+        session: &RunSession,
+        device: &mut Device,
+        summary: RunSummary,
+        load: f64,
+        seconds_before: f64,
+    ) -> Result<Ended> {
         let clock = Instant::now();
         let Some((test, train)) = self.score(session, device, &summary)? else {
             // What was saved on the way would have to be trained to the end once more.
             session.write_checkpoint(&summary.checkpoint_at_end(device.as_mut())?)?;
             return Ok(Ended::Unscored);
         };
-        let seconds = PhaseSeconds {
-            load,
-            gradient: summary.seconds.gradient,
-            evolution: summary.seconds.evolution,
-            evaluate: clock.elapsed().as_secs_f64(),
-            total: seconds_before + self.began.elapsed().as_secs_f64(),
-        };
+        let config = self.settings.train.config();
         let metrics = Metrics {
             schema: 1,
-            dataset: scene.name.clone(),
-            variant: config.config().variant,
-            evolve: config.config().evolution.mode,
-            seed: config.config().seed,
+            dataset: self.scene.name.clone(),
+            variant: config.variant,
+            evolve: config.evolution.mode,
+            seed: config.seed,
             iterations: summary.iterations,
             gaussians: summary.gaussians,
             test,
             train,
-            seconds,
+            seconds: PhaseSeconds {
+                load,
+                gradient: summary.seconds.gradient,
+                evolution: summary.seconds.evolution,
+                evaluate: clock.elapsed().as_secs_f64(),
+                total: seconds_before + self.began.elapsed().as_secs_f64(),
+            },
             peak_memory_bytes: memory::peak_bytes(),
             evolution: summary.stages,
         };
@@ -154,8 +166,8 @@ impl Run<'_> {
         device: &mut Device,
         summary: &RunSummary,
     ) -> Result<Option<(Evaluation, Evaluation)>> {
-        // Who stops a run waits for it, and figures of half a run are replaced by those of the whole. The few that are taken all the
-        // same must not be stopped by what stopped the run.
+        // Who stops a run waits for it, and figures of half a run are replaced by those of the whole. The few that are
+        // taken all the same must not be stopped by what stopped the run.
         let never = AtomicBool::new(false);
         let (train, lpips, stop) = match summary.interrupted {
             true => (&[][..], None, &never),
@@ -195,8 +207,8 @@ pub(crate) fn evaluate_all(
     Ok(evaluation.expect("nothing sets the flag"))
 }
 
-/// The same for one photo after the other, so that `stop` can end it: LPIPS of many takes minutes. `None` where it has. Renders are
-/// written to `folder` as PNG.
+/// The same for one photo after the other, so that `stop` can end it: LPIPS of many takes minutes. `None` where it has.
+/// Renders are written to `folder` as PNG.
 fn evaluate_until(
     stop: &AtomicBool,
     device: &mut Device,

@@ -1,14 +1,55 @@
-//! What the command says: results on stdout, errors as one line on stderr.
+//! What the command says: results on stdout; progress, notices and errors on stderr.
+//!
+//! | what | function | `--quiet` | `--verbose` |
+//! |---|---|---|---|
+//! | a result | [`print`] | shown | shown |
+//! | an error | [`complain`] | shown | shown |
+//! | progress, or a notice about the data | [`tell`] | - | shown |
+//! | a notice that can wait for the end | [`note`] | - | shown at once |
+//! | what graphics drivers write to stderr | [`without_drivers`] | - | shown |
 
 use std::io::{self, ErrorKind, Write};
 use std::panic;
+use std::sync::atomic::{AtomicU8, Ordering};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use anyhow::{Result, anyhow};
 use genesplat::metrics::Evaluation;
 
-/// Writes `text` and a line break to stdout. A reader that has heard enough (`| head`) is no error.
-pub fn print(text: &str) -> Result<()> {
-    match writeln!(io::stdout().lock(), "{text}") {
+use super::progress;
+
+/// How much is said.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Volume {
+    /// Errors and the final result.
+    Quiet,
+    /// What a user should see.
+    Normal,
+    /// What helps to find a fault, too.
+    Verbose,
+}
+
+static VOLUME: AtomicU8 = AtomicU8::new(Volume::Normal as u8);
+/// Notices that wait for the end, in order.
+static NOTES: Mutex<Vec<String>> = Mutex::new(Vec::new());
+
+/// Sets the volume of the process.
+pub(crate) fn set_volume(volume: Volume) {
+    VOLUME.store(volume as u8, Ordering::Relaxed);
+}
+
+fn is(volume: Volume) -> bool {
+    VOLUME.load(Ordering::Relaxed) == volume as u8
+}
+
+/// True where nothing but errors and results is shown.
+pub(crate) fn is_quiet() -> bool {
+    is(Volume::Quiet)
+}
+
+/// Writes a result and a line break to stdout. A reader that has heard enough (`| head`) is no error.
+pub(crate) fn print(text: &str) -> Result<()> {
+    match progress::aside(|| writeln!(io::stdout().lock(), "{text}")) {
         Err(error) if error.kind() != ErrorKind::BrokenPipe => {
             Err(anyhow!("cannot write to stdout: {error}"))
         }
@@ -16,14 +57,127 @@ pub fn print(text: &str) -> Result<()> {
     }
 }
 
-/// Writes `text` and a line break to stderr. Where that takes nothing (a full disk, a closed pipe) the text is lost: `eprintln!`
-/// would panic, and a run must not end because nobody listens.
-pub fn tell(text: &str) {
-    let _ = writeln!(io::stderr().lock(), "{text}");
+/// Writes progress or a notice to stderr.
+pub(crate) fn tell(text: &str) {
+    if !is_quiet() {
+        complain(text);
+    }
+}
+
+/// Writes an error to stderr. Where that takes nothing (a full disk, a closed pipe) the text is lost: `eprintln!` would
+/// panic, and a run must not end because nobody listens.
+pub(crate) fn complain(text: &str) {
+    progress::aside(|| write(&format!("{text}\n")));
+}
+
+/// Writes to stderr as it is; [`progress`] alone has a use for that.
+pub(crate) fn write(text: &str) {
+    drivers::write(text);
+}
+
+/// A notice that is shown once, when the command ends.
+pub(crate) fn note(text: &str) {
+    if is(Volume::Verbose) {
+        return tell(text);
+    }
+    let mut notes = locked(&NOTES);
+    if !notes.iter().any(|note| note == text) {
+        notes.push(text.to_owned());
+    }
+}
+
+/// A notice of interest only to who looks for a fault.
+pub(crate) fn detail(text: &str) {
+    if is(Volume::Verbose) {
+        tell(text);
+    }
+}
+
+/// Shows the notices that have waited for the end.
+pub(crate) fn tell_notes() {
+    std::mem::take(&mut *locked(&NOTES)).iter().for_each(|note| tell(note));
+}
+
+/// What `ask` returns. Graphics drivers write to the stderr of whoever opens them (Mesa where there is no desktop, for
+/// one), and no setting of Vulkan keeps them from it; so theirs leads nowhere meanwhile, and ours does not change.
+pub(crate) fn without_drivers<T>(ask: impl FnOnce() -> T) -> T {
+    let _silence = if is(Volume::Verbose) { None } else { drivers::Silence::begin() };
+    ask()
+}
+
+/// The content of a lock; a thread that has panicked leaves texts as they are.
+fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+#[cfg(unix)]
+mod drivers {
+    use std::fs::File;
+    use std::io::{self, Write};
+    use std::sync::Mutex;
+
+    use rustix::stdio::dup2_stderr;
+
+    use super::locked;
+
+    /// Our stderr while that of the process leads nowhere.
+    static OURS: Mutex<Option<File>> = Mutex::new(None);
+
+    /// Stderr leads nowhere for anybody but [`write`] while this lives.
+    pub(crate) struct Silence;
+
+    impl Silence {
+        /// `None` where there is silence already, or where the system has no file left for it.
+        pub(crate) fn begin() -> Option<Self> {
+            let mut ours = locked(&OURS);
+            if ours.is_some() {
+                return None;
+            }
+            let nowhere = File::options().write(true).open("/dev/null").ok()?;
+            let stderr = rustix::io::dup(rustix::stdio::stderr()).ok()?;
+            dup2_stderr(nowhere).ok()?;
+            *ours = Some(stderr.into());
+            Some(Self)
+        }
+    }
+
+    impl Drop for Silence {
+        fn drop(&mut self) {
+            if let Some(stderr) = locked(&OURS).take() {
+                // As it was a moment ago.
+                let _ = dup2_stderr(stderr);
+            }
+        }
+    }
+
+    pub(crate) fn write(text: &str) {
+        let _ = match &mut *locked(&OURS) {
+            Some(stderr) => stderr.write_all(text.as_bytes()),
+            None => io::stderr().lock().write_all(text.as_bytes()),
+        };
+    }
+}
+
+/// Other systems' drivers write to logs of their own.
+#[cfg(not(unix))]
+mod drivers {
+    use std::io::{self, Write};
+
+    pub(crate) struct Silence;
+
+    impl Silence {
+        pub(crate) fn begin() -> Option<Self> {
+            None
+        }
+    }
+
+    pub(crate) fn write(text: &str) {
+        let _ = io::stderr().lock().write_all(text.as_bytes());
+    }
 }
 
 /// The means of an evaluation, as a line that starts with `name`.
-pub fn scores_line(name: &str, scores: &Evaluation) -> String {
+pub(crate) fn scores_line(name: &str, scores: &Evaluation) -> String {
     let Evaluation { psnr, ssim, lpips, views } = scores;
     let lpips = lpips.map_or(String::new(), |lpips| format!("  LPIPS {lpips:.4}"));
     match views.len() {
@@ -35,14 +189,14 @@ pub fn scores_line(name: &str, scores: &Evaluation) -> String {
 /// `error` as the one line that scripts may rely on.
 ///
 /// Only the outermost sentence is shown: the typed errors of all crates include their cause in it.
-pub fn error_line(error: &anyhow::Error) -> String {
+pub(crate) fn error_line(error: &anyhow::Error) -> String {
     let sentence = error.to_string();
     format!("error: {}", sentence.split_whitespace().collect::<Vec<_>>().join(" "))
 }
 
 /// Replaces the panic message by one that a user can act on.
-pub fn explain_panics() {
-    panic::set_hook(Box::new(|info| tell(&bug_line(&info.to_string()))));
+pub(crate) fn explain_panics() {
+    panic::set_hook(Box::new(|info| complain(&bug_line(&info.to_string()))));
 }
 
 fn bug_line(panic: &str) -> String {
@@ -64,5 +218,16 @@ mod tests {
         assert_eq!(error_line(&error), "error: line 1: unknown field in `evolution`");
         let bug = bug_line("panicked at src/x.rs:1:2:\nindex out of bounds");
         assert!(bug.lines().count() == 1 && bug.contains("src/x.rs:1:2: index out of bounds"), "{bug}");
+    }
+
+    #[test]
+    fn a_notice_waits_for_the_end_and_comes_once() {
+        for _ in 0..2 {
+            note("note: of this test");
+        }
+        let notes = || locked(&NOTES).iter().filter(|note| note.contains("of this test")).count();
+        assert_eq!(notes(), 1);
+        tell_notes();
+        assert_eq!(notes(), 0);
     }
 }

@@ -1,122 +1,232 @@
-//! Progress bars on a terminal; plain lines every few percent where stderr is a file or a pipe.
+//! How far a piece of work is: a bar that vanishes when the work is done, or lines where stderr is no terminal.
+//!
+//! A terminal has one bar at a time, which is one line and narrower than the terminal. So a carriage return is all it
+//! takes to draw over it, and no copy can stay behind. Whoever writes to the terminal meanwhile does so [`aside`].
 
 use std::io::{self, IsTerminal};
-use std::sync::Mutex;
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use genesplat::io::LoadProgress;
-use indicatif::{ProgressBar, ProgressStyle};
+use terminal_size::{Width, terminal_size_of};
 
+use super::numbers::{duration, thousands, time_left};
 use super::output;
 
-/// Plain lines come this often, in percent of the work,
+/// Lines come this often, in percent of the work,
 const LINE_PERCENT: u64 = 5;
 /// but, except for the last, not more often than this.
 const LINE_PAUSE: Duration = Duration::from_secs(2);
+/// A bar is drawn at most this often.
+const DRAW_PAUSE: Duration = Duration::from_millis(100);
+/// Length of the bar itself, characters.
+const BAR_LENGTH: u64 = 12;
+/// Of a terminal that does not tell.
+const USUAL_WIDTH: u16 = 80;
+
+/// What is drawn on the terminal.
+static SCREEN: Mutex<Screen> = Mutex::new(Screen { is_taken: false, line: String::new() });
+
+struct Screen {
+    /// Some bar is on it.
+    is_taken: bool,
+    line: String,
+}
+
+impl Screen {
+    fn lock() -> MutexGuard<'static, Self> {
+        SCREEN.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Draws over what is there.
+    fn draw(&mut self, line: String) {
+        let rest = self.line.chars().count().saturating_sub(line.chars().count());
+        output::write(&format!("\r{line}{}", " ".repeat(rest)));
+        self.line = line;
+    }
+
+    fn clear(&mut self) {
+        if !self.line.is_empty() {
+            self.draw(String::new());
+            output::write("\r");
+        }
+    }
+}
+
+/// What `write` returns, with the bar out of its way.
+pub(crate) fn aside<T>(write: impl FnOnce() -> T) -> T {
+    let mut screen = Screen::lock();
+    let line = screen.line.clone();
+    screen.clear();
+    let written = write();
+    if !line.is_empty() {
+        screen.draw(line);
+    }
+    written
+}
 
 /// How far a piece of work is.
-pub struct Bar {
+pub(crate) struct Bar {
     what: String,
     total: u64,
+    pace: Pace,
     form: Form,
 }
 
 enum Form {
-    /// Redrawn in place.
-    Drawn(ProgressBar),
-    /// Lines.
+    /// Drawn in place; when the last time was, if there was one.
+    Drawn(Option<Instant>),
     Lines(Lines),
-    /// Redrawn in place, and wiped away at the end.
-    Fleeting(ProgressBar),
-    /// Nothing.
     Silent,
 }
 
 impl Bar {
     /// A bar for `total` pieces of `what`.
-    pub fn new(what: &str, total: u64) -> Self {
+    pub(crate) fn new(what: &str, total: u64) -> Self {
         Self::at(what, 0, total)
     }
 
     /// The same for work that goes on from `position` (a resumed run).
-    pub fn at(what: &str, position: u64, total: u64) -> Self {
-        let form = if io::stderr().is_terminal() {
-            Form::Drawn(drawn(what, position, total))
-        } else {
-            let (due_percent, now) = (percent(position, total) + LINE_PERCENT, Instant::now());
-            Form::Lines(Lines { due_percent, started: now, last: now })
-        };
-        Self { what: what.to_owned(), total, form }
+    pub(crate) fn at(what: &str, position: u64, total: u64) -> Self {
+        let mut bar = Self::fleeting(what, position, total);
+        if !io::stderr().is_terminal() && !output::is_quiet() {
+            let due_percent = percent(position, total) + LINE_PERCENT;
+            bar.form = Form::Lines(Lines { due_percent, last: Instant::now() });
+        }
+        bar
     }
 
-    /// A bar that leaves no trace, for work whose outcome someone else reports; nothing where stderr is no terminal.
-    pub fn fleeting(what: &str, position: u64, total: u64) -> Self {
-        let terminal = io::stderr().is_terminal();
-        let form = if terminal { Form::Fleeting(drawn(what, position, total)) } else { Form::Silent };
-        Self { what: what.to_owned(), total, form }
+    /// The same without lines, for work whose outcome someone else reports.
+    pub(crate) fn fleeting(what: &str, position: u64, total: u64) -> Self {
+        let mut screen = Screen::lock();
+        let is_drawn = io::stderr().is_terminal() && !output::is_quiet() && !screen.is_taken;
+        screen.is_taken |= is_drawn;
+        let form = if is_drawn { Form::Drawn(None) } else { Form::Silent };
+        Self { what: what.to_owned(), total, pace: Pace::from(position), form }
     }
 
-    /// `position` pieces are done; `note` says how it goes.
-    pub fn set(&mut self, position: u64, note: impl FnOnce() -> String) {
+    /// `position` pieces are done; `note` says how it goes, with the more important parts before a comma.
+    pub(crate) fn set(&mut self, position: u64, note: impl FnOnce() -> String) {
+        self.pace.set(position, self.total);
+        let is_last = position >= self.total;
+        let left = self.pace.seconds_left(position, self.total).filter(|_| !is_last);
+        let left = left.map_or(String::new(), |seconds| format!("{} left", time_left(seconds)));
         match &mut self.form {
-            Form::Drawn(bar) | Form::Fleeting(bar) => {
-                bar.set_message(note());
-                bar.set_position(position);
+            Form::Drawn(last) if last.is_none_or(|last| last.elapsed() >= DRAW_PAUSE) => {
+                *last = Some(Instant::now());
+                self.draw(position, &joined(&[left, note()]));
             }
-            Form::Silent => {}
             Form::Lines(lines) => {
-                let done = percent(position, self.total);
-                if let Some(seconds) = lines.take_turn(done, position >= self.total) {
-                    let (what, total, note) = (&self.what, self.total, note());
-                    let line = format!("{what}: {done} % ({position} of {total}), {seconds:.0} s  {note}");
-                    output::tell(line.trim_end());
+                let percent = percent(position, self.total);
+                if lines.take_turn(percent, is_last) {
+                    let passed = duration(self.pace.passed().as_secs_f64());
+                    let parts = [counted(&self.what, position, self.total), passed, left, note()];
+                    output::tell(&joined(&parts));
                 }
             }
+            Form::Drawn(_) | Form::Silent => {}
         }
     }
 
-    /// Says something without tearing the bar.
-    pub fn say(&self, text: &str) {
-        match &self.form {
-            Form::Drawn(bar) | Form::Fleeting(bar) => bar.suspend(|| output::tell(text)),
-            Form::Lines(_) | Form::Silent => output::tell(text),
+    /// Work waits at `position` for what `note` says.
+    pub(crate) fn wait(&mut self, position: u64, note: impl FnOnce() -> String) {
+        if let Form::Drawn(last) = &mut self.form {
+            *last = None;
+            self.draw(position, &note());
         }
+    }
+
+    fn draw(&self, position: u64, note: &str) {
+        let Width(width) = terminal_size_of(io::stderr()).map_or(Width(USUAL_WIDTH), |(width, _)| width);
+        let line = line(&self.what, position, self.total, note, usize::from(width).saturating_sub(1));
+        Screen::lock().draw(line);
+    }
+}
+
+impl Drop for Bar {
+    fn drop(&mut self) {
+        if matches!(self.form, Form::Drawn(_)) {
+            let mut screen = Screen::lock();
+            screen.clear();
+            screen.is_taken = false;
+        }
+    }
+}
+
+/// A bar with its note, at most `width` characters long: of the note, parts are left out from the end.
+fn line(what: &str, position: u64, total: u64, note: &str, width: usize) -> String {
+    let full = BAR_LENGTH * position.min(total) / total.max(1);
+    let (full, rest) = ("━".repeat(full as usize), "─".repeat((BAR_LENGTH - full) as usize));
+    let [done, total] = [position, total].map(|count| thousands(count as usize));
+    let mut line = format!("{what} {full}{rest} {done}/{total}");
+    for (index, part) in note.split(", ").enumerate() {
+        let next = format!("{line}{}{part}", if index == 0 { "  " } else { ", " });
+        if next.chars().count() > width {
+            break;
+        }
+        line = next;
+    }
+    line.chars().take(width).collect()
+}
+
+/// How far work is, for a line.
+fn counted(what: &str, position: u64, total: u64) -> String {
+    let [done, all] = [position, total].map(|count| thousands(count as usize));
+    format!("{what}: {} % ({done} of {all})", percent(position, total))
+}
+
+/// The parts that are not empty.
+fn joined(parts: &[String]) -> String {
+    parts.iter().filter(|part| !part.is_empty()).map(String::as_str).collect::<Vec<_>>().join(", ")
+}
+
+/// How fast work proceeds: as in the later half of what is done, since iterations get slower while a cloud grows.
+struct Pace {
+    /// Position and time at the start, and at each percent that was reached.
+    marks: Vec<(u64, Instant)>,
+}
+
+impl Pace {
+    fn from(position: u64) -> Self {
+        Self { marks: vec![(position, Instant::now())] }
+    }
+
+    fn set(&mut self, position: u64, total: u64) {
+        let last = self.marks[self.marks.len() - 1].0;
+        if percent(position, total) > percent(last, total) {
+            self.marks.push((position, Instant::now()));
+        }
+    }
+
+    fn passed(&self) -> Duration {
+        self.marks[0].1.elapsed()
+    }
+
+    /// `None` where nothing is done yet.
+    fn seconds_left(&self, position: u64, total: u64) -> Option<f64> {
+        let middle = self.marks[0].0.midpoint(position);
+        let (from, when) = *self.marks.iter().rfind(|(mark, _)| *mark <= middle)?;
+        let (done, left) = (position.checked_sub(from)?, total.saturating_sub(position));
+        (done > 0).then(|| when.elapsed().as_secs_f64() * left as f64 / done as f64)
     }
 }
 
 /// When the next line is due.
 struct Lines {
     due_percent: u64,
-    started: Instant,
     last: Instant,
 }
 
 impl Lines {
-    /// Seconds since the start, if a line is due now.
-    fn take_turn(&mut self, percent: u64, is_last: bool) -> Option<f64> {
+    /// True if a line is due now.
+    fn take_turn(&mut self, percent: u64, is_last: bool) -> bool {
         if percent < self.due_percent || (self.last.elapsed() < LINE_PAUSE && !is_last) {
-            return None;
+            return false;
         }
         self.due_percent = (percent / LINE_PERCENT + 1) * LINE_PERCENT;
         self.last = Instant::now();
-        Some(self.started.elapsed().as_secs_f64())
+        true
     }
-}
-
-impl Drop for Bar {
-    fn drop(&mut self) {
-        match &self.form {
-            Form::Drawn(bar) => bar.abandon(),
-            Form::Fleeting(bar) => bar.finish_and_clear(),
-            Form::Lines(_) | Form::Silent => {}
-        }
-    }
-}
-
-fn drawn(what: &str, position: u64, total: u64) -> ProgressBar {
-    let template = "{prefix:>9} {bar:30} {pos}/{len}  {msg}  [{elapsed} + {eta}]";
-    let style = ProgressStyle::with_template(template).expect("the template is a constant");
-    ProgressBar::new(total).with_style(style).with_prefix(what.to_owned()).with_position(position)
 }
 
 fn percent(position: u64, total: u64) -> u64 {
@@ -125,7 +235,7 @@ fn percent(position: u64, total: u64) -> u64 {
 
 /// A bar for the photos of a scene.
 #[derive(Default)]
-pub struct LoadBar(Mutex<Option<(u64, Bar)>>);
+pub(crate) struct LoadBar(Mutex<Option<(u64, Bar)>>);
 
 impl LoadProgress for LoadBar {
     fn start(&self, photos: usize) {
@@ -138,5 +248,45 @@ impl LoadProgress for LoadBar {
             *done += 1;
             bar.set(*done, String::new);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lines_come_every_few_percent_and_at_the_end() {
+        let mut lines = Lines { due_percent: 5, last: Instant::now() - LINE_PAUSE };
+        assert!(!lines.take_turn(4, false), "nothing is due yet");
+        assert!(lines.take_turn(7, false) && lines.due_percent == 10);
+        assert!(!lines.take_turn(50, false), "too soon after the last");
+        assert!(lines.take_turn(100, true));
+    }
+
+    #[test]
+    fn a_bar_never_reaches_the_edge_of_the_terminal() {
+        let note = "3 min left, test PSNR 27.31 dB, 182,400 Gaussians";
+        let at = |width| line("training", 14_100, 30_000, note, width);
+        assert_eq!(at(99), format!("training ━━━━━─────── 14,100/30,000  {note}"));
+        assert_eq!(at(79), "training ━━━━━─────── 14,100/30,000  3 min left, test PSNR 27.31 dB");
+        assert_eq!(at(40), "training ━━━━━─────── 14,100/30,000");
+        assert!((0..120).all(|width| at(width).chars().count() <= width));
+    }
+
+    #[test]
+    fn a_line_says_how_far_work_is() {
+        let parts = [counted("training", 14_100, 30_000), String::new(), "3 min left".into()];
+        assert_eq!(joined(&parts), "training: 47 % (14,100 of 30,000), 3 min left");
+    }
+
+    #[test]
+    fn the_time_left_is_reckoned_from_the_later_half() {
+        let ago = |seconds| Instant::now() - Duration::from_secs(seconds);
+        // Iterations 0 to 50 took a second each, 50 to 100 two seconds.
+        let pace = Pace { marks: vec![(0, ago(150)), (50, ago(100)), (100, ago(0))] };
+        let seconds = pace.seconds_left(100, 400).expect("something is done");
+        assert!((seconds - 600.0).abs() < 1.0, "{seconds}");
+        assert_eq!(Pace::from(7).seconds_left(7, 9), None);
     }
 }

@@ -54,10 +54,10 @@ fn threads_change_nothing_in_other_variants_either() {
     }
 }
 
-/// The guards are 32-bit sums of whole pictures, and a child that they choose at one number of threads they must choose
-/// at any; so must those that are weighed.
+/// Guard scores are 32-bit sums of whole pictures, and what they choose at one number of threads they must choose at any; so must
+/// contributions.
 #[test]
-fn threads_change_nothing_in_renewal_and_recombination_either() {
+fn threads_change_nothing_in_renewal_and_averaging_either() {
     let folder = tempfile::tempdir().unwrap();
     let run = |threads: &str| {
         let out = folder.path().join(threads);
@@ -68,7 +68,7 @@ fn threads_change_nothing_in_renewal_and_recombination_either() {
     };
     let (one, metrics) = run("1");
     let stages = metrics["evolution"].as_array().unwrap();
-    for (kind, count) in [("renewal", 6), ("recombination", 10)] {
+    for (kind, count) in [("renewal", 6), ("averaging", 10)] {
         let of_kind: Vec<_> = stages.iter().filter(|stage| stage["kind"] == kind).collect();
         assert_eq!(of_kind.len(), count);
         let took_part = of_kind.iter().any(|stage| stage["changed"].as_u64() > Some(0));

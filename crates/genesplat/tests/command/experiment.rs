@@ -73,8 +73,8 @@ fn finished_cells_are_left_alone_and_spoilt_ones_repeated() {
     let taken = json(&cell("paper/seed-1/metrics.json"))["seconds"]["evolution"].as_f64().unwrap();
     let config: toml::Table =
         fs::read_to_string(cell("control/seed-1/config.toml")).unwrap().parse().unwrap();
-    assert_eq!(config["evolution"]["control_seconds"].as_float(), Some(taken));
-    assert_eq!(config["evolution"]["mode"].as_str(), Some("control"));
+    assert_eq!(config["evolution"]["extra_steps"]["seconds"].as_float(), Some(taken));
+    assert_eq!(config["evolution"]["mode"].as_str(), Some("off"));
 
     // Nothing to do.
     succeed(experiment(&file, &out, &[]));

@@ -1,4 +1,5 @@
-//! LPIPS: against the authors' own figures where the weights are at hand; and weights that are partial, wrong or absent.
+//! LPIPS: against the authors' own figures where the weights are at hand; and weights that are partial, wrong or
+//! absent.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -174,8 +175,8 @@ fn installed_weights_are_used_by_every_command_and_can_be_switched_off() {
     assert_eq!(json(&file)["lpips"], metrics["test"]["lpips"], "the same weights in two files");
 }
 
-/// LPIPS of many photos takes minutes; who presses Ctrl-C then is told that it stops, has a whole splat, and can have it scored
-/// without another step.
+/// LPIPS of many photos takes minutes; who presses Ctrl-C then is told that it stops, has a whole splat, and can have
+/// it scored without another step.
 #[cfg(unix)]
 #[test]
 fn scoring_is_stopped_between_photos() {

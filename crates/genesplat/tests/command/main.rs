@@ -9,4 +9,5 @@ mod peer;
 mod resume;
 mod run_folder;
 mod support;
+mod terminal;
 mod tools;

@@ -15,18 +15,19 @@ static GALLERY: LazyLock<TempDir> = LazyLock::new(|| {
 });
 
 /// The shared scene's folder.
-pub fn scene() -> &'static Path {
+pub(crate) fn scene() -> &'static Path {
     GALLERY.path()
 }
 
 /// A scene of one's own, to be spoilt.
-pub fn write_gallery(folder: &Path) {
+pub(crate) fn write_gallery(folder: &Path) {
     let options = GalleryOptions { width: 64, height: 48, views: 12, points: 300, seed: 5 };
     gallery::generate(&options).write_colmap(folder).unwrap();
 }
 
-/// The command with these arguments, not yet started; weights of LPIPS that this user may have installed are out of sight.
-pub fn command<S: AsRef<std::ffi::OsStr>>(arguments: impl IntoIterator<Item = S>) -> Command {
+/// The command with these arguments, not yet started; weights of LPIPS that this user may have installed are out of
+/// sight.
+pub(crate) fn command<S: AsRef<std::ffi::OsStr>>(arguments: impl IntoIterator<Item = S>) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_genesplat"));
     command.args(arguments).env_remove("GENESPLAT_LPIPS").env("XDG_CACHE_HOME", GALLERY.path().join("cache"));
     // Mesa's choice of a device asks for a desktop, and complains on stderr where there is none.
@@ -35,7 +36,7 @@ pub fn command<S: AsRef<std::ffi::OsStr>>(arguments: impl IntoIterator<Item = S>
 }
 
 /// The same on a machine without any graphics driver.
-pub fn without_drivers<S: AsRef<std::ffi::OsStr>>(arguments: impl IntoIterator<Item = S>) -> Command {
+pub(crate) fn without_drivers<S: AsRef<std::ffi::OsStr>>(arguments: impl IntoIterator<Item = S>) -> Command {
     let mut command = command(arguments);
     // Vulkan's loader reads its drivers from here instead (the older name, and the newer).
     let nowhere = GALLERY.path().join("no-such-driver.json");
@@ -44,12 +45,12 @@ pub fn without_drivers<S: AsRef<std::ffi::OsStr>>(arguments: impl IntoIterator<I
 }
 
 /// Runs the command to its end.
-pub fn run<S: AsRef<std::ffi::OsStr>>(arguments: impl IntoIterator<Item = S>) -> Output {
+pub(crate) fn run<S: AsRef<std::ffi::OsStr>>(arguments: impl IntoIterator<Item = S>) -> Output {
     command(arguments).output().unwrap()
 }
 
 /// Runs the command, which must succeed; returns what it wrote to stdout.
-pub fn succeed<S: AsRef<std::ffi::OsStr>>(arguments: impl IntoIterator<Item = S>) -> String {
+pub(crate) fn succeed<S: AsRef<std::ffi::OsStr>>(arguments: impl IntoIterator<Item = S>) -> String {
     let output = run(arguments);
     let stderr = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.success(), "exit status {}: {stderr}", output.status);
@@ -57,12 +58,12 @@ pub fn succeed<S: AsRef<std::ffi::OsStr>>(arguments: impl IntoIterator<Item = S>
 }
 
 /// Runs the command, which must fail with status 1 and say one sentence that holds all of `words`.
-pub fn fail<S: AsRef<std::ffi::OsStr>>(arguments: impl IntoIterator<Item = S>, words: &[&str]) {
+pub(crate) fn fail<S: AsRef<std::ffi::OsStr>>(arguments: impl IntoIterator<Item = S>, words: &[&str]) {
     judge_failure(run(arguments), words);
 }
 
 /// What [`fail`] asks of a command that has ended.
-pub fn judge_failure(output: Output, words: &[&str]) {
+pub(crate) fn judge_failure(output: Output, words: &[&str]) {
     let stderr = String::from_utf8(output.stderr).unwrap();
     assert_eq!(output.status.code(), Some(1), "{stderr}");
     let errors: Vec<&str> = stderr.lines().filter(|line| line.starts_with("error: ")).collect();
@@ -73,33 +74,33 @@ pub fn judge_failure(output: Output, words: &[&str]) {
 }
 
 /// `train` on `scene` into `out`.
-pub fn train(scene: &Path, out: &Path, more: &[&str]) -> Vec<String> {
+pub(crate) fn train(scene: &Path, out: &Path, more: &[&str]) -> Vec<String> {
     let fixed = ["train", text(scene), "--out", text(out), "--device", "cpu"];
     fixed.iter().chain(more).map(|word| (*word).to_owned()).collect()
 }
 
 /// A path that is certainly UTF-8, since the tests made it.
-pub fn text(path: &Path) -> &str {
+pub(crate) fn text(path: &Path) -> &str {
     path.to_str().unwrap()
 }
 
 /// The bytes of a run's splat.
-pub fn cloud(run: &Path) -> Vec<u8> {
+pub(crate) fn cloud(run: &Path) -> Vec<u8> {
     std::fs::read(run.join("point_cloud.ply")).unwrap()
 }
 
 /// A JSON file.
-pub fn json(path: &Path) -> serde_json::Value {
+pub(crate) fn json(path: &Path) -> serde_json::Value {
     serde_json::from_slice(&std::fs::read(path).unwrap()).unwrap()
 }
 
 /// A number of a JSON file. Compared as an `Option`, one that is missing would be less than every bound.
-pub fn number(value: &serde_json::Value) -> f64 {
+pub(crate) fn number(value: &serde_json::Value) -> f64 {
     value.as_f64().unwrap_or_else(|| panic!("{value} is no number"))
 }
 
 /// The folder of real data for tests, if this machine has it; in CI it must be there.
-pub fn real_data() -> Option<PathBuf> {
+pub(crate) fn real_data() -> Option<PathBuf> {
     let beside = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
     let folder = std::env::var_os("GENESPLAT_DATA").map_or(beside, PathBuf::from);
     if folder.is_dir() {

@@ -5,8 +5,8 @@
 //! after the other, all threads on each; the changes themselves are made off the clock. Both ways must find the same
 //! losses.
 //!
-//! Memory is told in two figures: what the individuals themselves take, and what scoring them takes besides, which is what
-//! grows with the number of views.
+//! Memory is told in two figures: what the individuals themselves take, and what scoring them takes besides, which is
+//! what grows with the number of views.
 
 use std::time::Instant;
 
@@ -37,7 +37,8 @@ struct Report {
     plain_renders_per_second: f64,
     ratio: f64,
     max_relative_difference: f64,
-    /// The individuals, as differences from the cloud: their number and the rows that they change decide, not the views.
+    /// The individuals, as differences from the cloud: their number and the rows that they change decide, not the
+    /// views.
     population_bytes: usize,
     /// What scoring them takes at most beside the cloud, the photos and the individuals.
     scoring_bytes: usize,
@@ -88,7 +89,8 @@ pub(crate) fn max_relative_difference(actual: &[f32], expected: &[f32]) -> f64 {
     actual.iter().zip(expected).map(difference).max_by(f64::total_cmp).unwrap_or(0.0)
 }
 
-/// The initial population of a paper search with steps that need no gradients. It takes no loss, so the base's does not matter.
+/// The initial population of a paper search with steps that need no gradients. It takes no loss, so the base's does not
+/// matter.
 pub(crate) fn founders(cloud: &Gaussians, population: u32) -> Result<Vec<SparseDelta>> {
     let paper = PaperConfig::default();
     let tournament = paper.tournament.min(population);

@@ -1,9 +1,10 @@
 //! `genesplat bench gpu`: what training steps and scoring cost on the graphics device, at several sizes, in one call.
 //!
-//! The cloud is the synthetic one of `bench step`, at 1080p, or that of a scene, or a trained one. Steps are real ones with
-//! learning rates of zero, on photos from all over the scene. Two clocks are read: the device's own, stage by stage, and the
-//! host's, over steps that are submitted one after the other without waiting, as in training. Scoring is measured as in
-//! `bench evolution`: the founders of a paper search just after an opacity reset, beside a full render and loss of each.
+//! The cloud is the synthetic one of `bench step`, at 1080p, or that of a scene, or a trained one. Steps are real ones
+//! with learning rates of zero, on photos from all over the scene. Two clocks are read: the device's own, stage by
+//! stage, and the host's, over steps that are submitted one after the other without waiting, as in training. Scoring is
+//! measured as in `bench evolution`: the founders of a paper search just after an opacity reset, beside a full render
+//! and loss of each.
 
 use std::time::Instant;
 
@@ -107,7 +108,8 @@ pub(crate) fn run(args: &BenchGpuArgs) -> Result<()> {
 }
 
 fn new_backend(args: &BenchGpuArgs) -> Result<GpuBackend, BackendError> {
-    if args.without_subgroups { GpuBackend::without_subgroups() } else { GpuBackend::new() }
+    let open = if args.without_subgroups { GpuBackend::without_subgroups } else { GpuBackend::new };
+    output::without_drivers(open)
 }
 
 /// Whether the device has not enough memory, which says nothing of smaller sizes.
@@ -239,8 +241,8 @@ impl Bench {
         })
     }
 
-    /// Seconds of as many full renders and losses, one wait for all: the cloud's own, since a few changed Gaussians make no
-    /// difference to them.
+    /// Seconds of as many full renders and losses, one wait for all: the cloud's own, since a few changed Gaussians
+    /// make no difference to them.
     fn plain_seconds(&mut self, renders: u32) -> Result<f64> {
         self.backend.losses_of_view(0, &self.settings, 1)?;
         let clock = Instant::now();

@@ -1,8 +1,8 @@
 //! A trained cloud, or one that resembles one, at any number of Gaussians.
 //!
-//! For the latter, points of a scene, or of a synthetic one, are sampled again with a jitter of their own spacing until there
-//! are as many as wanted; Gaussians as wide as the distance to their new neighbours then cover the same surfaces with the same
-//! total area, as densification does. Opacities are mixed, shapes stretched and turned.
+//! For the latter, points of a scene, or of a synthetic one, are sampled again with a jitter of their own spacing until
+//! there are as many as wanted; Gaussians as wide as the distance to their new neighbours then cover the same surfaces
+//! with the same total area, as densification does. Opacities are mixed, shapes stretched and turned.
 
 use std::path::Path;
 use std::sync::Arc;

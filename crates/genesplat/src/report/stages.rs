@@ -1,0 +1,166 @@
+//! What evolution did in a run, stage by stage.
+
+use genesplat::train::StageRecord;
+
+use super::chart::{Chart, Series};
+use super::curves::Stage;
+use super::html::Html;
+use crate::terminal::numbers::{duration, thousands};
+
+/// Searches whose curves are drawn.
+const SEARCHES_MAX: usize = 8;
+
+/// Writes the section; nothing for a run without stages. `logged` are the same stages as the log has them, with the
+/// generations of their searches.
+pub(crate) fn write(page: &mut Html, records: &[StageRecord], logged: &[Stage]) {
+    if records.is_empty() {
+        return;
+    }
+    // One that is kept or taken back later than others begin is recorded behind them.
+    let mut records: Vec<&StageRecord> = records.iter().collect();
+    records.sort_by_key(|record| record.iteration);
+    let kept = records.iter().filter(|record| record.changed > 0).count();
+    page.element("h2", "What evolution did").element(
+        "p",
+        &format!(
+            "Each stage proposes other Gaussians, and keeps them only if renders of training photos get better. {kept} of {} \
+             stages changed the cloud.",
+            records.len()
+        ),
+    );
+    if records.iter().any(|record| record.guard_psnr.is_some()) {
+        page.element(
+            "p class=\"dim\"",
+            "Guards are training photos that decide what is kept: a proposal stays if their mean PSNR does not fall.",
+        );
+    }
+    write_charts(page, &records, logged);
+    write_table(page, &records);
+}
+
+fn write_charts(page: &mut Html, records: &[&StageRecord], logged: &[Stage]) {
+    // What guards decide has no curve of a search: losses of its generations are of other photos each.
+    let is_search = |stage: &Stage| {
+        let judged = |record: &&StageRecord| {
+            record.guard_psnr.is_some()
+                && (record.iteration, record.kind.name()) == (stage.iteration, &*stage.kind)
+        };
+        stage.best.len() > 1 && !records.iter().any(judged)
+    };
+    let searches: Vec<&Stage> = logged.iter().filter(|stage| is_search(stage)).collect();
+    page.open("div class=\"row\"");
+    guard_chart(records).write(page);
+    searches.iter().take(SEARCHES_MAX).for_each(|stage| search_chart(stage).write(page));
+    page.close("div");
+    if searches.len() > SEARCHES_MAX {
+        let more = searches.len() - SEARCHES_MAX;
+        page.element("p class=\"dim\"", &format!("The generations of {more} more stages are in log.jsonl."));
+    }
+}
+
+/// What guards gained by each stage, a bar a stage and a colour a kind.
+fn guard_chart(records: &[&StageRecord]) -> Chart {
+    let mut series: Vec<Series> = Vec::new();
+    for record in records {
+        let Some([before, after]) = record.guard_psnr else { continue };
+        let name = record.kind.name();
+        let at = series.iter().position(|series| series.name == name).unwrap_or_else(|| {
+            series.push(Series { name: name.into(), is_bars: true, ..Series::default() });
+            series.len() - 1
+        });
+        series[at].points.push([record.iteration.into(), after - before]);
+    }
+    Chart { caption: "Guard PSNR gained by each stage, dB".into(), x_name: "iteration".into(), series }
+}
+
+fn search_chart(stage: &Stage) -> Chart {
+    let best = Series { name: "best so far".into(), points: stage.best.clone(), ..Series::default() };
+    let mean = Series {
+        name: "mean of the population, ± one standard deviation".into(),
+        points: stage.mean.clone(),
+        spread: stage.spread.clone(),
+        ..Series::default()
+    };
+    let last = stage.best.last().map_or(stage.base, |point| point[1]);
+    let iteration = thousands(stage.iteration as usize);
+    Chart {
+        caption: format!("Iteration {iteration}, {}: loss {:.5} to {last:.5}", stage.kind, stage.base),
+        x_name: "generation".into(),
+        series: vec![best, mean],
+    }
+}
+
+fn write_table(page: &mut Html, records: &[&StageRecord]) {
+    page.open("details").element("summary", "Every stage");
+    page.open("figure class=\"table\"").open("table");
+    let guards = ["guard PSNR before, dB", "after, dB"];
+    let names = ["iteration", "stage", "Gaussians changed", guards[0], guards[1], "loss before", "after"];
+    page.headings(&[&names[..], &["renders", "time"]].concat());
+    for record in records {
+        let guard = |which: usize| {
+            record.guard_psnr.map_or("-".into(), |psnr: [f64; 2]| format!("{:.2}", psnr[which]))
+        };
+        let cells = [
+            record.kind.name().to_owned(),
+            thousands(record.changed),
+            guard(0),
+            guard(1),
+            format!("{:.5}", record.fitness_before),
+            format!("{:.5}", record.fitness_after),
+            thousands(record.renders as usize),
+            duration(record.seconds),
+        ];
+        page.row(&thousands(record.iteration as usize), &cells);
+    }
+    page.close("table").close("figure").close("details");
+}
+
+#[cfg(test)]
+mod tests {
+    use genesplat::train::StageKind;
+
+    use super::*;
+
+    fn record(iteration: u32, guard_psnr: Option<[f64; 2]>) -> StageRecord {
+        StageRecord {
+            kind: if guard_psnr.is_some() { StageKind::Renewal } else { StageKind::Paper },
+            iteration,
+            generations: 1,
+            renders: 1200,
+            fitness_before: 0.2,
+            fitness_after: 0.1,
+            guard_psnr,
+            changed: 4300,
+            population_bytes: 0,
+            seconds: 2.0,
+        }
+    }
+
+    #[test]
+    fn stages_come_in_the_order_of_their_iterations() {
+        let mut page = Html::new();
+        write(&mut page, &[record(4000, None), record(3500, Some([30.0, 30.5]))], &[]);
+        let text = page.into_text();
+        let at = |words: &str| text.find(words).unwrap_or_else(|| panic!("{words} is not in {text}"));
+        assert!(at("<th>3,500</th>") < at("<th>4,000</th>"));
+        assert!(at("<td>4,300</td>") > 0 && at("<td>30.50</td>") > 0 && at("<td>1,200</td>") > 0);
+    }
+
+    #[test]
+    fn a_search_has_a_curve_and_what_guards_decide_a_bar() {
+        let stage = |kind: &str, iteration| Stage {
+            kind: kind.into(),
+            iteration,
+            base: 0.2,
+            best: vec![[0.0, 0.2], [1.0, 0.1]],
+            ..Stage::default()
+        };
+        let (search, judged) = (record(3000, None), record(3500, Some([30.0, 30.5])));
+        let logged = [stage(search.kind.name(), 3000), stage(judged.kind.name(), 3500)];
+        let mut page = Html::new();
+        write(&mut page, &[search, judged], &logged);
+        let text = page.into_text();
+        assert!(text.contains("Iteration 3,000, ") && !text.contains("Iteration 3,500, "), "{text}");
+        assert!(text.contains("Guard PSNR gained") && text.contains("class=\"bars\""), "{text}");
+    }
+}
