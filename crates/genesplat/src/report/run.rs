@@ -186,7 +186,8 @@ pub fn write_repeat(page: &mut Html, command: &str) {
 /// The command of this process, as its user may give it again.
 pub fn this_command() -> String {
     // Shown only, so what is no text may lose what cannot be shown.
-    let words: Vec<String> = std::env::args_os().skip(1).map(|word| word.to_string_lossy().into_owned()).collect();
+    let words: Vec<String> =
+        std::env::args_os().skip(1).map(|word| word.to_string_lossy().into_owned()).collect();
     command_line(std::iter::once("genesplat").chain(words.iter().map(String::as_str)))
 }
 
