@@ -1,8 +1,8 @@
 //! Where two renders of a photo differ most: windows that the program chooses, not the author.
 //!
 //! For each pixel, the absolute errors of both renders are summed over the channels, and their difference over every
-//! square window of a fixed size. The windows of the largest sums are taken, none overlapping an earlier one. The rule has
-//! no parameter to tune but the size of the window, a sixth of the longer side.
+//! square window of a fixed size. The windows of the largest sums are taken, none overlapping an earlier one. The rule
+//! has no parameter to tune but the size of the window, a sixth of the longer side.
 
 use genesplat::core::Photo;
 

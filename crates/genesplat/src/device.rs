@@ -53,7 +53,8 @@ pub fn graphics() -> &'static [AdapterReport] {
     output::without_drivers(adapters)
 }
 
-/// Says what was chosen for someone who left the choice to us: figures of the two kinds differ by rounding, and in time.
+/// Says what was chosen for someone who left the choice to us: figures of the two kinds differ by rounding, and in
+/// time.
 pub fn announce_auto() {
     match auto_choice() {
         Ok(adapter) => output::detail(&format!("device: auto means {} ({})", adapter.name, adapter.api)),
@@ -105,8 +106,8 @@ pub fn open(device: Device, seed: u64) -> Result<AnyBackend> {
     }
 }
 
-/// The device of a command that has no configuration, having said which it is where the choice was left to us. Asked for once
-/// all else is known to be well, since drivers take their time.
+/// The device of a command that has no configuration, having said which it is where the choice was left to us. Asked for
+/// once all else is known to be well, since drivers take their time.
 pub fn choose(args: MachineArgs) -> Result<Device> {
     let (device, was_auto) = args.device.unwrap_or_default().resolve()?;
     if was_auto {

@@ -1,8 +1,8 @@
 //! `genesplat demo`: the bundled scene, trained without and with evolution.
 //!
 //! Both runs have the same scene, seed and schedule: the published one in a tenth of its steps, so that it densifies,
-//! resets opacities and evolves as often as a full run does. `--evolve` says how: by default in the way that has been worth
-//! something on photos that training never saw (docs/evolution.md).
+//! resets opacities and evolves as often as a full run does. What it leaves is a page with both renders of one photo under
+//! a slider, and a picture of the places where evolution changed most.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -32,8 +32,8 @@ use crate::{device, files, interrupt, lpips, output, scene};
 
 /// The published schedule in this share of its steps.
 const STEPS_SCALE: f64 = 0.1;
-/// Iterations between densifications, in the published schedule: at a tenth of the steps, growing as often as published would
-/// follow gradients that a few steps have not settled, and end at six Gaussians a pixel.
+/// Iterations between densifications, in the published schedule: at a tenth of the steps, growing as often as published
+/// would follow gradients that a few steps have not settled, and end at six Gaussians a pixel.
 const DENSIFY_EVERY: u32 = 1000;
 /// One for every two pixels of a photo: keeps the demo below five minutes on two cores.
 const MAX_GAUSSIANS: usize = 35_000;
@@ -135,7 +135,8 @@ fn check_gallery(folder: &Path) -> Result<()> {
     Ok(())
 }
 
-/// `gallery_007.png`, or a hidden file: what a demo that was killed midway leaves has such names, and no photo of ours has.
+/// `gallery_007.png`, or a hidden file: what a demo that was killed midway leaves has such names, and no photo of a user
+/// has.
 fn is_gallery_photo(name: &str) -> bool {
     let number = name.strip_prefix("gallery_").and_then(|rest| rest.strip_suffix(".png"));
     let counts = |digits: &str| digits.len() >= 3 && digits.bytes().all(|digit| digit.is_ascii_digit());
