@@ -1,8 +1,8 @@
 //! `genesplat demo`: the bundled scene, trained without and with evolution.
 //!
 //! Both runs have the same scene, seed and schedule: the published one in a tenth of its steps, so that it densifies,
-//! resets opacities and evolves as often as a full run does. `--evolve` says how: by default in the way that has been
-//! worth something on photos that training never saw (docs/evolution.md).
+//! resets opacities and evolves as often as a full run does. What it leaves is a page with both renders of one photo under
+//! a slider, and a picture of the places where evolution changed most.
 
 use std::fs;
 use std::path::{Path, PathBuf};

@@ -2,6 +2,7 @@
 //!
 //! What a figure means is decided once, in the cell ([`Entry`]); the writers only format it.
 
+use crate::numbers::thousands;
 use crate::report::html::Html;
 
 /// A table.
@@ -46,7 +47,11 @@ impl Entry {
             Self::Absent => ("-".into(), None, false),
             Self::Text(text) => (text.clone(), None, false),
             &Self::Figure { mean, spread, digits, gain } => {
-                let shown = if gain { signed(mean, digits) } else { format!("{mean:.digits$}") };
+                let shown = match digits {
+                    _ if gain => signed(mean, digits),
+                    0 => thousands(mean.round() as usize),
+                    digits => format!("{mean:.digits$}"),
+                };
                 let better = gain && shown.starts_with('+');
                 (shown, spread.map(|spread| format!("{spread:.digits$}")), better)
             }

@@ -15,8 +15,8 @@ const BOTTOM: f64 = 34.0;
 const BAR_WIDTH: f64 = 5.0;
 /// Ticks that an axis aims for.
 const TICKS: f64 = 4.0;
-/// Told apart by most eyes, on light and dark ground (Okabe and Ito).
-const COLOURS: [&str; 4] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7"];
+/// Told apart by most eyes (Okabe and Ito); `style.css` has them for light and dark ground.
+const COLOURS: [&str; 4] = ["var(--c0)", "var(--c1)", "var(--c2)", "var(--c3)"];
 /// Lengths of strokes and gaps: where there are more curves than colours, the next four are dashed, and so on.
 const DASHES: [&str; 4] = ["none", "7 3", "2 2", "9 2 2 2"];
 

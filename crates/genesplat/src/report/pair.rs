@@ -92,7 +92,7 @@ impl PairPage<'_> {
         }
         page.close("ul");
         write_repeat(&mut page, self.command);
-        Ok(document(self.title, page))
+        Ok(document(&format!("{}: without and with evolution", self.title), page))
     }
 
     /// What both runs had at the same iteration.

@@ -230,7 +230,9 @@ fn stage_sentence(record: &StageRecord, gaussians: usize) -> String {
         }
         (StageKind::ExtraSteps, _) => format!("{} extra gradient steps", thousands(renders as usize)),
         (_, Some([before, after])) if is_kept => {
-            format!("evolution: averaged the last weights, guard PSNR {before:.2} -> {after:.2} dB")
+            format!(
+                "evolution: averaged the weights of the last iterations, guard PSNR {before:.2} -> {after:.2} dB"
+            )
         }
         (_, Some([psnr, _])) => {
             format!("evolution: kept the weights, since no average raised guard PSNR above {psnr:.2} dB")
