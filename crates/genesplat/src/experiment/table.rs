@@ -2,7 +2,7 @@
 //!
 //! What a figure means is decided once, in the cell ([`Entry`]); the writers only format it.
 
-use crate::numbers::thousands;
+use crate::terminal::numbers::thousands;
 use crate::report::html::Html;
 
 /// A table.
