@@ -283,9 +283,9 @@ mod tests {
         let said = difference(&small, &train);
         assert_eq!(said.as_deref(), Some("dataset.max_side is not set there and 64 here"));
         let mut other = train.clone();
-        other.evolution.mode = EvolutionMode::Renew;
+        other.evolution.mode = EvolutionMode::Off;
         let said = difference(&dataset, &other);
-        assert_eq!(said.as_deref(), Some("evolution.mode is \"off\" there and \"renew\" here"));
+        assert_eq!(said.as_deref(), Some("evolution.mode is \"renew\" there and \"off\" here"));
         let other = TrainConfig { max_gaussians: Some(9), seed: 4, ..train.clone() };
         let said = difference(&dataset, &other);
         assert_eq!(said.as_deref(), Some("seed is 0 there and 4 here"));

@@ -117,7 +117,7 @@ impl ExperimentFile {
     /// Whether one of `arms` has a mode, its own or that of all cells, that spends time on evolution.
     fn evolves(&self, arm: &ArmTable) -> bool {
         let mode = mode_of(&arm.config).or(mode_of(&self.config));
-        arm.control_of.is_none() && mode.is_some_and(|mode| !["off", CONTROL].contains(&mode))
+        arm.control_of.is_none() && mode != Some("off")
     }
 }
 
@@ -191,9 +191,9 @@ mod tests {
             let arms = toml::from_str::<ExperimentFile>(&text).unwrap().all_arms();
             arms.into_iter().filter_map(|arm| arm.control_of).collect()
         };
-        assert_eq!(controlled(""), ["x"]);
-        // A mode of all cells is that of an arm that says nothing else.
-        assert_eq!(controlled("[config]\nevolution.mode = \"renew\"\n"), ["x", "y"]);
+        // An arm that says nothing of it has the default mode, or that of all cells.
+        assert_eq!(controlled(""), ["x", "y"]);
+        assert_eq!(controlled("[config]\nevolution.mode = \"off\"\n"), ["x"]);
     }
 
     #[test]
@@ -205,7 +205,7 @@ mod tests {
              [[arms]]\nname = \"one\"\n\
              config.evolution = { mode = \"paper\", trigger = \"before-reset\", paper.crossover.kind = \"one_point\" }\n\
              [[arms]]\nname = \"late\"\ncontrol_of = \"one\"\nconfig.evolution.trigger = \"at-end\"\n\
-             [[arms]]\nname = \"off\"",
+             [[arms]]\nname = \"off\"\nconfig.evolution.mode = \"off\"",
         ))
         .unwrap();
         let controls = [("equal-time", Some(1)), ("late", Some(1))];
