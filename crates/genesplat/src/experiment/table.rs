@@ -2,8 +2,8 @@
 //!
 //! What a figure means is decided once, in the cell ([`Entry`]); the writers only format it.
 
-use crate::terminal::numbers::thousands;
 use crate::report::html::Html;
+use crate::terminal::numbers::thousands;
 
 /// A table.
 #[derive(Clone, Debug, PartialEq)]

@@ -34,7 +34,7 @@ struct Report {
     tile_splats: f64,
     blend_nanoseconds_per_tile_splat: f64,
     blend_backward_nanoseconds_per_tile_splat: f64,
-    roofline_nanoseconds_per_intersection: f64,
+    roofline_nanoseconds_per_tile_splat: f64,
     peak_memory_bytes: Option<u64>,
 }
 
@@ -101,7 +101,7 @@ impl Report {
             tile_splats: median(samples.iter().map(|sample| sample.tile_splats)),
             blend_nanoseconds_per_tile_splat: core_nanoseconds(|seconds| seconds.rasterise),
             blend_backward_nanoseconds_per_tile_splat: core_nanoseconds(|seconds| seconds.rasterise_backward),
-            roofline_nanoseconds_per_intersection: roofline_nanoseconds_per_intersection(),
+            roofline_nanoseconds_per_tile_splat: roofline_nanoseconds_per_intersection(),
             peak_memory_bytes: memory::peak_bytes(),
         }
     }
@@ -109,7 +109,7 @@ impl Report {
     fn to_text(&self) -> String {
         let stage = |(name, _): &(&str, _)| format!("{name:<20}{:>8.2} ms\n", self.stages[name]);
         let stages: String = STAGES.iter().map(stage).collect();
-        let roofline = self.roofline_nanoseconds_per_intersection;
+        let roofline = self.roofline_nanoseconds_per_tile_splat;
         let ratio = |nanoseconds: f64| format!("{nanoseconds:>8.1} ns  {:>5.2} x", nanoseconds / roofline);
         format!(
             "{} Gaussians, {}x{} px, {} threads, {:.0} (Gaussian x 16x16 tile) pairs\n\
