@@ -22,7 +22,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use genesplat_core::View;
-use genesplat_io::colmap::{Form, ImageRecord, Intrinsics, Model, write_model};
+use genesplat_io::colmap::{ImageRecord, Intrinsics, Model, write_model};
 use genesplat_io::photos::{PhotoError, write_png};
 use genesplat_io::{HoldOut, Point, SIDE_MIN_PX, Scene};
 
@@ -92,8 +92,7 @@ impl Gallery {
             write_png(&folder.join("images").join(&view.name), &view.photo)?;
         }
         let model = folder.join("sparse/0");
-        write_model(&model, Form::Binary, &self.model())
-            .map_err(|source| PhotoError::Write { path: model, source })
+        write_model(&model, &self.model()).map_err(|source| PhotoError::Write { path: model, source })
     }
 
     fn model(&self) -> Model {

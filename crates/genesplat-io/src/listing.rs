@@ -68,7 +68,10 @@ impl Listing {
 
 /// The photo `name` as a path, if it stays inside its folder.
 pub(crate) fn inside<'a>(name: &'a str, list: &Path) -> Result<&'a Path, SceneError> {
-    path_inside(name).ok_or_else(|| SceneError::NameOutside { file: list.to_owned(), name: name.into() })
+    path_inside(name).ok_or_else(|| {
+        let problem = "which is not a path inside the scene's image folder; correct the name";
+        SceneError::invalid(list, format!("lists the photo {name:?}, {problem}"))
+    })
 }
 
 /// `name` as a path, if it stays inside its folder: a downloaded scene must not make us read other files.
@@ -91,6 +94,17 @@ pub(crate) fn missing_photo(
         return SceneError::PhotoMissing { photo: missing, list };
     }
     SceneError::AllPhotosMissing { count, list, folder: folder.to_owned() }
+}
+
+/// The error for a list without photos.
+pub(crate) fn no_photos(list: &Path) -> SceneError {
+    SceneError::invalid(list, "lists no photos; the reconstruction failed, so run it again")
+}
+
+/// The error for a pose that is none.
+pub(crate) fn bad_pose(list: &Path, photo: &str, problem: &str) -> SceneError {
+    let remedy = "remove the photo from the reconstruction or reconstruct again";
+    SceneError::bad_record(list, format!("the pose of photo {photo} {problem}; {remedy}"))
 }
 
 /// What makes a camera's intrinsics impossible, if anything does. All in pixels.
@@ -122,7 +136,8 @@ pub(crate) fn base_name(path: &str) -> &str {
 fn view_names(paths: &[&str], list: &Path) -> Result<Vec<String>, SceneError> {
     let whole: Vec<String> = paths.iter().map(|path| path.trim_start_matches("./").to_owned()).collect();
     if let Some(name) = repeated(&whole) {
-        return Err(SceneError::ListedTwice { file: list.to_owned(), name: name.to_owned() });
+        let problem = format!("lists the photo {name} twice; remove one of its entries");
+        return Err(SceneError::invalid(list, problem));
     }
     let own: Vec<String> = paths.iter().map(|path| base_name(path).to_owned()).collect();
     let joined = (1..).map(|count| whole.iter().map(|path| path.replace('/', &"_".repeat(count))).collect());

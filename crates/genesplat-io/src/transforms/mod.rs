@@ -18,7 +18,7 @@ pub(crate) use self::camera::KNOWN_MODELS;
 use self::random_points::{COUNT, Cube};
 use self::splits::Splits;
 use crate::error::SceneError;
-use crate::listing::{ListedPhoto, Listing, Purpose, inside, missing_photo, path_inside};
+use crate::listing::{ListedPhoto, Listing, Purpose, inside, missing_photo, no_photos, path_inside};
 use crate::ply;
 use crate::scene::Point;
 
@@ -80,7 +80,7 @@ fn points(
     let Some(seed) = seed else { return Ok(Vec::new()) };
     if found.points.is_some() {
         if !file.exists() {
-            return Err(SceneError::PointsMissing { points: file.to_owned() });
+            return Err(SceneError::PointsMissing(file.to_owned()));
         }
         return Ok(ply::read_points(file)?);
     }
@@ -144,7 +144,13 @@ impl Found {
     /// The file of the points that `list` names, or else `list` itself.
     fn points_file(&self, list: &Path) -> Result<PathBuf, SceneError> {
         let Some(name) = &self.points else { return Ok(list.to_owned()) };
-        let outside = || SceneError::PointsOutside { file: list.to_owned(), name: name.clone() };
+        let outside = || {
+            let problem = format!(
+                "has the ply_file_path {name:?}, which is not a path inside the scene's folder; correct it, or remove \
+                 it to start from random points"
+            );
+            SceneError::invalid(list, problem)
+        };
         Ok(list.parent().unwrap_or(Path::new("")).join(path_inside(name).ok_or_else(outside)?))
     }
 }
@@ -153,7 +159,7 @@ impl Found {
 fn read_photos(list: &Path, purpose: Option<Purpose>) -> Result<Found, SceneError> {
     let file = schema::read(list)?;
     if file.frames.is_empty() {
-        return Err(SceneError::NoPhotos { file: list.to_owned() });
+        return Err(no_photos(list));
     }
     let splits = if purpose.is_some() { None } else { Some(Splits::of(&file, list)?) };
     let folder = list.parent().unwrap_or(Path::new(""));
