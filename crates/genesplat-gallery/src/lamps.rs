@@ -15,32 +15,27 @@ pub(crate) struct Skylight {
     pub(crate) corner: Vec3,
     /// Sides along x and y, metres.
     pub(crate) size: [f32; 2],
-    /// Radiance.
     pub(crate) radiance: Vec3,
 }
 
 /// A lamp that shines in a cone.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Spot {
-    /// Where it is.
     pub(crate) position: Vec3,
-    /// Where it points.
     pub(crate) target: Vec3,
     /// Radiance times area.
     pub(crate) intensity: Vec3,
-    /// Cosines of the half angles at which the cone ends and at which it is full.
-    pub(crate) cone: [f32; 2],
 }
 
 /// All that shines.
 #[derive(Clone, Debug)]
 pub(crate) struct Lamps {
-    /// Daylight.
     pub(crate) skylight: Skylight,
-    /// On the rail.
     pub(crate) spots: Vec<Spot>,
 }
 
+/// Cosines of the half angles at which a spot's cone ends and at which it is full.
+const CONE: [f32; 2] = [0.86, 0.965];
 /// Samples along each side of the skylight.
 const SKY_SAMPLES: usize = 6;
 /// A lamp's own body must not shade it: rays end this far before it, metres.
@@ -77,7 +72,7 @@ impl Spot {
         let distance = towards.length();
         let ray = Ray::leaving(point, normal, towards / distance);
         let axis = (self.target - self.position).normalize();
-        let cone = smoothstep(self.cone[0], self.cone[1], -ray.direction.dot(axis));
+        let cone = smoothstep(CONE[0], CONE[1], -ray.direction.dot(axis));
         let cosine = ray.direction.dot(normal);
         if cone <= 0.0 || cosine <= 0.0 || !world.is_clear(&ray, distance - LAMP_CLEARANCE, own) {
             return Vec3::ZERO;

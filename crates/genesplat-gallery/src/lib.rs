@@ -5,7 +5,6 @@
 //! fine prints, thin rods, metal and glaze. The same options give the same bytes on one machine, for any number of
 //! threads.
 
-mod bounds;
 mod cameras;
 mod exhibits;
 mod geometry;

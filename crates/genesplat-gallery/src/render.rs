@@ -25,11 +25,8 @@ const EXPOSURE: f32 = 1.25;
 /// A lit room, ready to be photographed.
 #[derive(Debug)]
 pub(crate) struct RayCaster {
-    /// What is there.
     pub(crate) world: World,
-    /// How it is lit.
     pub(crate) lighting: Lighting,
-    /// Seed of the patterns.
     pub(crate) seed: u32,
 }
 
@@ -91,7 +88,6 @@ impl RayCaster {
     }
 }
 
-/// The rays of a camera.
 pub(crate) struct CameraRays {
     centre: Vec3,
     world_from_camera: DMat3,
@@ -100,7 +96,6 @@ pub(crate) struct CameraRays {
 }
 
 impl CameraRays {
-    /// Those of `camera`.
     pub(crate) fn of(camera: &Camera) -> Self {
         Self {
             centre: camera.centre_in_world().as_vec3(),

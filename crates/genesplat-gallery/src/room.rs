@@ -76,7 +76,6 @@ fn lamps() -> Lamps {
         position: Vec3::new(x, y, 2.82),
         target: target.into(),
         intensity: strength * Vec3::new(1.0, 0.90, 0.76),
-        cone: [0.86, 0.965],
     };
     Lamps {
         skylight: Skylight {
