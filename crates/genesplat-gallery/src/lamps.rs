@@ -44,39 +44,28 @@ const LAMP_CLEARANCE: f32 = 0.08;
 impl Lamps {
     /// Direct light at a point; `own` casts no shadow on itself.
     pub(crate) fn light(&self, world: &World, point: Vec3, normal: Vec3, own: Option<usize>) -> Vec3 {
-        let spots: Vec3 = self.spots.iter().map(|spot| spot.light(world, point, normal, own)).sum();
-        self.skylight.light(world, point, normal, own) + spots
-    }
-}
-
-impl Skylight {
-    fn light(&self, world: &World, point: Vec3, normal: Vec3, own: Option<usize>) -> Vec3 {
-        let patch = self.size[0] * self.size[1] / (SKY_SAMPLES * SKY_SAMPLES) as f32;
-        let form_factor = |sample: usize| {
-            let (a, b) = ((sample % SKY_SAMPLES) as f32 + 0.5, (sample / SKY_SAMPLES) as f32 + 0.5);
-            let offset = Vec3::new(a * self.size[0], b * self.size[1], 0.0) / SKY_SAMPLES as f32;
-            let towards = self.corner + offset - point;
+        // The fraction of a lamp's light that arrives; `emission` is what goes against the direction towards it.
+        let arriving = |lamp: Vec3, area: f32, emission: &dyn Fn(Vec3) -> f32| {
+            let towards = lamp - point;
             let distance = towards.length();
             let ray = Ray::leaving(point, normal, towards / distance);
-            let (cosine, at_lamp) = (ray.direction.dot(normal), ray.direction.z);
-            let lit = cosine > 0.0 && at_lamp > 0.0 && world.is_clear(&ray, distance - LAMP_CLEARANCE, own);
-            if lit { cosine * at_lamp * patch / (distance * distance) } else { 0.0 }
+            let (cosine, emission) = (ray.direction.dot(normal), emission(ray.direction));
+            let lit = cosine > 0.0 && emission > 0.0 && world.is_clear(&ray, distance - LAMP_CLEARANCE, own);
+            if lit { cosine * emission * area / (distance * distance) } else { 0.0 }
         };
-        self.radiance / PI * (0..SKY_SAMPLES * SKY_SAMPLES).map(form_factor).sum::<f32>()
-    }
-}
-
-impl Spot {
-    fn light(&self, world: &World, point: Vec3, normal: Vec3, own: Option<usize>) -> Vec3 {
-        let towards = self.position - point;
-        let distance = towards.length();
-        let ray = Ray::leaving(point, normal, towards / distance);
-        let axis = (self.target - self.position).normalize();
-        let cone = smoothstep(CONE[0], CONE[1], -ray.direction.dot(axis));
-        let cosine = ray.direction.dot(normal);
-        if cone <= 0.0 || cosine <= 0.0 || !world.is_clear(&ray, distance - LAMP_CLEARANCE, own) {
-            return Vec3::ZERO;
-        }
-        self.intensity / PI * (cone * cosine / (distance * distance))
+        let Skylight { corner, size, radiance } = self.skylight;
+        let area = size[0] * size[1] / (SKY_SAMPLES * SKY_SAMPLES) as f32;
+        let patch = |sample: usize| {
+            let (a, b) = ((sample % SKY_SAMPLES) as f32 + 0.5, (sample / SKY_SAMPLES) as f32 + 0.5);
+            let offset = Vec3::new(a * size[0], b * size[1], 0.0) / SKY_SAMPLES as f32;
+            arriving(corner + offset, area, &|direction| direction.z)
+        };
+        let spot = |spot: &Spot| {
+            let axis = (spot.target - spot.position).normalize();
+            let cone = |direction: Vec3| smoothstep(CONE[0], CONE[1], -direction.dot(axis));
+            spot.intensity / PI * arriving(spot.position, 1.0, &cone)
+        };
+        let sky = radiance / PI * (0..SKY_SAMPLES * SKY_SAMPLES).map(patch).sum::<f32>();
+        sky + self.spots.iter().map(spot).sum::<Vec3>()
     }
 }
