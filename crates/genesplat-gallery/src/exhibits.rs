@@ -24,7 +24,6 @@ pub(crate) fn vase(foot: Vec3) -> Vec<Surface> {
     parts.map(|part| Surface { finish: Finish::Coated { specular: 1.0 }, ..part }).into()
 }
 
-/// Forking twigs with buds.
 pub(crate) fn branches(foot: Vec3, seed: u32) -> Vec<Surface> {
     const TWIG: Vec3 = paint(0x4A_36_2A);
     const BUD: Vec3 = paint(0xE8_A9_AE);

@@ -4,7 +4,6 @@
 
 use glam::{Vec3, Vec3A};
 
-/// A half line.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Ray {
     pub(crate) origin: Vec3,
@@ -32,7 +31,6 @@ impl Ray {
     }
 }
 
-/// A shape without material.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Shape {
     /// See [`Shape::rectangle`].
@@ -113,7 +111,6 @@ impl Shape {
     }
 }
 
-/// An axis-aligned box.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Bounds {
     low: Vec3A,

@@ -7,7 +7,7 @@ use glam::Vec3;
 
 use crate::exhibits::{branches, chair, mobile, plinth, screen, vase};
 use crate::geometry::Shape;
-use crate::lamps::{Lamps, Skylight, Spot};
+use crate::light::{Lamps, Skylight, Spot};
 use crate::painting::Painting;
 use crate::texture::{Texture, paint};
 use crate::world::{Finish, Surface, World};
@@ -37,7 +37,6 @@ const RIGHT: Wall =
 const FRONT: Wall =
     Wall { corner: Vec3::new(HIGH.x, LOW.y, 0.0), right: Vec3::NEG_X, length: HIGH.x - LOW.x };
 
-/// The room and its lamps.
 pub(crate) fn build(seed: u32) -> (World, Lamps) {
     let lamps = lamps();
     let mut parts = shell();
@@ -146,12 +145,10 @@ impl Wall {
         self.corner + along * self.right + up * Vec3::Z + out * outwards
     }
 
-    /// A flat thing on the wall.
     fn sheet(self, from: [f32; 2], size: [f32; 2], out: f32, texture: Texture) -> Surface {
         matte(Shape::rectangle(self.at(from, out), self.right, Vec3::Z, size), texture)
     }
 
-    /// A block that stands out from the wall.
     fn block(self, from: [f32; 2], to: [f32; 2], out: f32, texture: Texture) -> Vec<Surface> {
         let (a, b) = (self.at(from, 0.0), self.at(to, out));
         block(a.min(b), a.max(b), texture)
@@ -184,7 +181,6 @@ impl Wall {
     }
 }
 
-/// The six faces of a block.
 pub(crate) fn block(low: Vec3, high: Vec3, texture: Texture) -> Vec<Surface> {
     let size = high - low;
     let face = |x: f32, y: f32, z: f32, u: Vec3, v: Vec3| {

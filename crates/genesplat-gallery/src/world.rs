@@ -7,7 +7,6 @@ use glam::Vec3;
 use crate::geometry::{Bounds, Ray, Shape};
 use crate::texture::Texture;
 
-/// How a surface reflects light.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Finish {
     /// Scatters alike in all directions.
@@ -20,7 +19,6 @@ pub(crate) enum Finish {
     Lamp(Vec3),
 }
 
-/// A shape with its material.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Surface {
     pub(crate) shape: Shape,
@@ -28,7 +26,6 @@ pub(crate) struct Surface {
     pub(crate) finish: Finish,
 }
 
-/// Where a ray ends.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Hit {
     /// Metres from the ray's origin.

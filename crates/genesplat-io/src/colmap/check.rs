@@ -56,7 +56,6 @@ pub(super) fn by_id(
     Ok(by_id)
 }
 
-/// A camera whose numbers are possible.
 pub(super) fn intrinsics(
     file: &Path,
     camera: u32,
@@ -99,7 +98,6 @@ pub(super) fn point(
     Ok(Point { position, rgb })
 }
 
-/// A camera that cannot be.
 fn bad_camera(file: &Path, camera: u32, problem: &'static str) -> SceneError {
     SceneError::BadCamera { file: file.to_owned(), camera: camera.to_string(), problem }
 }

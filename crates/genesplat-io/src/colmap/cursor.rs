@@ -7,7 +7,6 @@ use std::path::Path;
 
 use crate::error::SceneError;
 
-/// A position in the bytes of a file.
 pub(super) struct Cursor<'a> {
     file: &'a Path,
     bytes: &'a [u8],
@@ -28,17 +27,14 @@ impl<'a> Cursor<'a> {
         Ok(values)
     }
 
-    /// The next 32-bit signed value.
     pub(super) fn i32(&mut self, record: &'static str) -> Result<i32, SceneError> {
         self.array(record).map(i32::from_le_bytes)
     }
 
-    /// The next 64-bit unsigned value.
     pub(super) fn u64(&mut self, record: &'static str) -> Result<u64, SceneError> {
         self.array(record).map(u64::from_le_bytes)
     }
 
-    /// The next `K` bytes.
     pub(super) fn array<const K: usize>(&mut self, record: &'static str) -> Result<[u8; K], SceneError> {
         let (head, rest) = self.bytes.split_first_chunk::<K>().ok_or_else(|| self.truncated(record))?;
         self.bytes = rest;

@@ -9,7 +9,7 @@ use glam::{DQuat, DVec3};
 
 use super::{ImageRecord, Model, ModelFolder, read_model, read_photos};
 use crate::error::SceneError;
-use crate::listing::{ListedPhoto, Listing, Purpose, base_name, inside, missing_photo, no_photos};
+use crate::listing::{ListedPhoto, Listing, Purpose, base_name, inside, no_photos};
 
 /// Lists the photos and, if they are wanted, the points of the model in `folder`; photos are in `image_folder`.
 pub(crate) fn list(
@@ -68,7 +68,11 @@ fn find_photos(images: &[ImageRecord], folder: &Path, list: &Path) -> Result<Vec
         }
     }
     if let Some(photo) = missing {
-        return Err(missing_photo(list, photo, found.len(), images.len(), folder));
+        let (list, folder, count) = (list.to_owned(), folder.to_owned(), images.len());
+        return Err(match found.is_empty() {
+            true => SceneError::AllPhotosMissing { count, list, folder },
+            false => SceneError::PhotoMissing { photo, list },
+        });
     }
     match shared(&found).map(|pair| pair.map(|at| images[at].name.clone())) {
         // Two records of one name are an error of `Listing::name_views`.

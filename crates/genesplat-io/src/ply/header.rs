@@ -21,15 +21,11 @@ pub struct PlyHeader {
     pub screen_filter: Option<ScreenFilter>,
     /// Header comments in order.
     pub comments: Vec<String>,
-    /// How rows are written.
     pub(super) encoding: Encoding,
-    /// Properties of a vertex in file order.
     pub(super) properties: Vec<Property>,
-    /// Bytes of a row.
     pub(super) row_bytes: usize,
     /// What the elements before the vertices take: bytes, or lines of an ASCII file.
     pub(super) before: u64,
-    /// Whether the file ends with the last vertex.
     pub(super) ends_with_vertices: bool,
 }
 
@@ -56,10 +52,8 @@ impl PlyHeader {
     }
 }
 
-/// How rows are written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Encoding {
-    /// Little-endian.
     Binary,
     /// Words, one row a line.
     Ascii,
@@ -180,7 +174,6 @@ fn assemble(
     })
 }
 
-/// What must be passed over to come to the vertices.
 fn before(elements: &[Element], encoding: Encoding) -> Result<u64, String> {
     let size = |element: &Element| match encoding {
         Encoding::Binary => fixed_length(element).map(|bytes| element.count.checked_mul(bytes)),

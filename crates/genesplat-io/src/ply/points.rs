@@ -10,7 +10,6 @@ use crate::scene::Point;
 /// Properties that a point is read from; the last three are its colour.
 const PROPERTIES: [&str; 6] = ["x", "y", "z", "red", "green", "blue"];
 
-/// What is to be given where points are read.
 const POINTS: &str = "a cloud of points with x, y, z, red, green and blue, or leave ply_file_path out";
 
 /// Reads the points of `path`; positions are in the file's own frame, colours 0 to 255.

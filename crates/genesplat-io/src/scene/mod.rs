@@ -1,7 +1,4 @@
-//! Scenes: how a folder describes its photos, and the photos as training and test views.
-//!
-//! Each reader ([`crate::colmap`], `transforms`) turns its files into a [`Listing`]: photos by path, with cameras, and
-//! points. What follows is the same for all: the photos are split ([`split`]), then loaded in parallel ([`view`]).
+//! Scenes: what a reader lists is split ([`split`]), and its photos are loaded in parallel ([`view`]).
 
 mod split;
 mod view;
@@ -95,7 +92,6 @@ pub trait LoadProgress: Sync {
     fn photo_done(&self);
 }
 
-/// Ignores it.
 impl LoadProgress for () {
     fn start(&self, _photos: usize) {}
     fn photo_done(&self) {}
@@ -157,7 +153,7 @@ fn list(path: &Path, options: &LoadOptions) -> Result<Listing, SceneError> {
 }
 
 /// `listing` with the names of its views. Too few points are an error here already: training would find it out only
-/// after the photos are decoded and the folder for its results is cleared.
+/// after the photos are decoded.
 fn checked(mut listing: Listing, options: &LoadOptions) -> Result<Listing, SceneError> {
     listing.name_views()?;
     let points = listing.points.len();

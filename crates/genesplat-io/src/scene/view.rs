@@ -12,7 +12,6 @@ use crate::photos;
 /// Least side of a loaded photo, px: SSIM's window alone has 11.
 pub const SIDE_MIN_PX: u32 = 16;
 
-/// Decodes and prepares one photo.
 pub(super) fn load(
     listed: &ListedPhoto,
     options: &LoadOptions,

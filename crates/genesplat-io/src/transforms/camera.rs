@@ -70,7 +70,6 @@ fn distortion(intrinsics: &OptionalIntrinsics) -> Option<Distortion> {
     (!distortion.is_none()).then_some(distortion)
 }
 
-/// `camera_from_world` of an entry.
 fn pose(list: &Path, entry: &PhotoEntry) -> Result<(DQuat, DVec3), SceneError> {
     let bad = |problem| bad_pose(list, &entry.file_path, problem);
     let [x, y, z, ..] = entry.transform_matrix.as_slice() else {

@@ -23,7 +23,6 @@ pub(super) struct Splits {
 }
 
 impl Splits {
-    /// The lists of `file`, read from `list`.
     pub(super) fn of(file: &Transforms, list: &Path) -> Result<Self, SceneError> {
         let frames: Names = file.frames.iter().flat_map(|entry| names_of(&entry.file_path)).collect();
         let names = |names: &Option<Vec<String>>, key| known(names, &frames, key, list);
@@ -34,7 +33,6 @@ impl Splits {
         })
     }
 
-    /// What the photo of `frame` is for.
     pub(super) fn purpose(&self, frame: &str, list: &Path) -> Result<Purpose, SceneError> {
         let is_in = |names: &Names| names_of(frame).any(|name| names.contains(&name));
         let [train, validation, test] = [&self.train, &self.validation, &self.test].map(is_in);
