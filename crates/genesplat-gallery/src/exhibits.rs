@@ -2,8 +2,7 @@
 
 use glam::{Quat, Vec3};
 
-use crate::geometry::Shape;
-use crate::room::{BLACK, WALNUT, block, matte, rod};
+use crate::room::{BLACK, WALNUT, block, ellipsoid, rod};
 use crate::texture::{Texture, hash, paint};
 use crate::world::{Finish, Surface};
 
@@ -15,20 +14,16 @@ pub(crate) fn plinth(foot: Vec3, [width, depth, height]: [f32; 3]) -> Vec<Surfac
 
 /// A glazed bottle: belly, neck and lip.
 pub(crate) fn vase(foot: Vec3) -> Vec<Surface> {
-    let glazed = |shape| Surface {
-        shape,
-        texture: Texture::Plain(paint(0x1C_4F_86)),
-        finish: Finish::Coated { specular: 1.0 },
-    };
+    const BLUE: Vec3 = paint(0x1C_4F_86);
     let up = |height: f32| foot + Vec3::Z * height;
-    vec![
-        glazed(Shape::Ellipsoid { centre: up(0.15), radii: Vec3::new(0.125, 0.125, 0.155) }),
-        glazed(Shape::Rod { from: up(0.22), to: up(0.35), radius: 0.036 }),
-        glazed(Shape::Ellipsoid { centre: up(0.375), radii: Vec3::new(0.058, 0.058, 0.014) }),
-    ]
+    let parts = [
+        ellipsoid(up(0.15), Vec3::new(0.125, 0.125, 0.155), BLUE),
+        rod(up(0.22), up(0.35), 0.036, BLUE),
+        ellipsoid(up(0.375), Vec3::new(0.058, 0.058, 0.014), BLUE),
+    ];
+    parts.map(|part| Surface { finish: Finish::Coated { specular: 1.0 }, ..part }).into()
 }
 
-/// Forking twigs with buds.
 pub(crate) fn branches(foot: Vec3, seed: u32) -> Vec<Surface> {
     const TWIG: Vec3 = paint(0x4A_36_2A);
     const BUD: Vec3 = paint(0xE8_A9_AE);
@@ -43,8 +38,7 @@ pub(crate) fn branches(foot: Vec3, seed: u32) -> Vec<Surface> {
         let to = from + length * direction;
         parts.push(rod(from, to, 0.0065 / (1.0 + 0.5 * level as f32), TWIG));
         if level == 2 {
-            let bud = Shape::Ellipsoid { centre: to, radii: Vec3::splat(0.015) };
-            parts.push(matte(bud, Texture::Plain(BUD)));
+            parts.push(ellipsoid(to, Vec3::splat(0.015), BUD));
             continue;
         }
         for fork in 0..2 {
@@ -62,10 +56,7 @@ pub(crate) fn chair(foot: Vec3) -> Vec<Surface> {
     let turn = Quat::from_rotation_z(-0.55);
     let place = |x: f32, y: f32, z: f32| foot + turn * Vec3::new(x, y, z);
     let oak = paint(0x8A_5A_34);
-    let mut parts = vec![matte(
-        Shape::Ellipsoid { centre: place(0.0, 0.0, 0.45), radii: Vec3::new(0.225, 0.225, 0.022) },
-        Texture::Plain(oak),
-    )];
+    let mut parts = vec![ellipsoid(place(0.0, 0.0, 0.45), Vec3::new(0.225, 0.225, 0.022), oak)];
     for (x, y) in [(-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)] {
         parts.push(rod(place(0.13 * x, 0.13 * y, 0.44), place(0.20 * x, 0.20 * y, 0.01), 0.013, oak));
         let mid = |x: f32, y: f32| place(0.172 * x, 0.172 * y, 0.18);
@@ -102,10 +93,7 @@ pub(crate) fn mobile(hook: Vec3) -> Vec<Surface> {
     const WIRE: f32 = 0.004;
     let below = |x: f32, y: f32, drop: f32| hook + Vec3::new(x, y, -drop);
     let disc = |centre: Vec3, radius: f32, colour: Vec3| {
-        matte(
-            Shape::Ellipsoid { centre, radii: Vec3::new(radius, 0.012, 0.8 * radius) },
-            Texture::Plain(colour),
-        )
+        ellipsoid(centre, Vec3::new(radius, 0.012, 0.8 * radius), colour)
     };
     let wire = |from: Vec3, to: Vec3| rod(from, to, WIRE, BLACK);
     let (left, right) = (below(-0.62, 0.12, 0.52), below(0.42, -0.08, 0.48));

@@ -4,23 +4,18 @@
 
 use glam::{Vec3, Vec3A};
 
-use crate::bounds::Bounds;
-
-/// A half line.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Ray {
-    /// Where it starts.
     pub(crate) origin: Vec3,
     /// Unit vector.
     pub(crate) direction: Vec3,
     /// `origin`, for the test of boxes.
-    pub(crate) start: Vec3A,
+    start: Vec3A,
     /// One over each component of `direction`, for the test of boxes.
-    pub(crate) inverse: Vec3A,
+    inverse: Vec3A,
 }
 
 impl Ray {
-    /// `direction` has unit length.
     pub(crate) fn new(origin: Vec3, direction: Vec3) -> Self {
         Self { origin, direction, start: origin.into(), inverse: direction.recip().into() }
     }
@@ -31,44 +26,19 @@ impl Ray {
         Self::new(point + CLEARANCE * normal, direction)
     }
 
-    /// The point at `distance`.
     pub(crate) fn at(&self, distance: f32) -> Vec3 {
         self.origin + distance * self.direction
     }
 }
 
-/// A shape without material.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Shape {
     /// See [`Shape::rectangle`].
-    Rectangle {
-        /// Where `(u, v)` is (0, 0).
-        corner: Vec3,
-        /// Unit vector of the first side.
-        u: Vec3,
-        /// Unit vector of the second side.
-        v: Vec3,
-        /// Lengths of the sides.
-        size: [f32; 2],
-        /// `u × v`.
-        normal: Vec3,
-    },
-    /// An ellipsoid with axes along the world's.
-    Ellipsoid {
-        /// Centre.
-        centre: Vec3,
-        /// Half lengths of the axes.
-        radii: Vec3,
-    },
-    /// A cylinder with round ends.
-    Rod {
-        /// One end of the axis.
-        from: Vec3,
-        /// The other end.
-        to: Vec3,
-        /// Radius.
-        radius: f32,
-    },
+    Rectangle { corner: Vec3, u: Vec3, v: Vec3, size: [f32; 2], normal: Vec3 },
+    /// An ellipsoid with axes along the world's; radii are their half lengths.
+    Ellipsoid { centre: Vec3, radii: Vec3 },
+    /// A cylinder with round ends, around the axis between two points.
+    Rod { from: Vec3, to: Vec3, radius: f32 },
 }
 
 impl Shape {
@@ -118,7 +88,6 @@ impl Shape {
         }
     }
 
-    /// The middle.
     pub(crate) fn centre(&self) -> Vec3 {
         match *self {
             Self::Rectangle { corner, u, v, size, .. } => corner + 0.5 * (size[0] * u + size[1] * v),
@@ -127,7 +96,6 @@ impl Shape {
         }
     }
 
-    /// The axis-aligned box around the shape.
     pub(crate) fn bounds(&self) -> Bounds {
         match *self {
             Self::Rectangle { corner, u, v, size, .. } => {
@@ -140,6 +108,40 @@ impl Shape {
                 ball(from).union(ball(to))
             }
         }
+    }
+}
+
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Bounds {
+    low: Vec3A,
+    high: Vec3A,
+}
+
+impl Bounds {
+    /// The box with these corners.
+    pub(crate) fn of(a: Vec3, b: Vec3) -> Self {
+        Self { low: a.min(b).into(), high: a.max(b).into() }
+    }
+
+    pub(crate) fn union(self, other: Self) -> Self {
+        Self { low: self.low.min(other.low), high: self.high.max(other.high) }
+    }
+
+    /// 0 for x, 1 for y, 2 for z.
+    pub(crate) fn longest_axis(&self) -> usize {
+        (self.high - self.low).max_position()
+    }
+
+    pub(crate) fn longest_side(&self) -> f32 {
+        (self.high - self.low).max_element()
+    }
+
+    /// True when the ray is inside the box somewhere before `farthest`.
+    #[inline]
+    pub(crate) fn hit_before(&self, ray: &Ray, farthest: f32) -> bool {
+        let (a, b) = ((self.low - ray.start) * ray.inverse, (self.high - ray.start) * ray.inverse);
+        let (enter, leave) = (a.min(b).max_element(), a.max(b).min_element());
+        leave >= enter.max(0.0) && enter < farthest
     }
 }
 

@@ -1,15 +1,12 @@
 //! The bundled scene: a small art gallery, ray-cast here, so that everything can be tried without a download.
 //!
 //! The room (`room`, `exhibits`) is lit once (`light`), photographed from a path of cameras (`cameras`, `render`) and
-//! given points as structure from motion would find them (`points`). It holds what is hard for splats: plain walls,
-//! fine prints, thin rods, metal and glaze. The same options give the same bytes on one machine, for any number of
-//! threads.
+//! given points as structure from motion would find them (`points`). The same options give the same bytes on one
+//! machine, for any number of threads.
 
-mod bounds;
 mod cameras;
 mod exhibits;
 mod geometry;
-mod lamps;
 mod light;
 mod painting;
 mod points;
@@ -21,8 +18,8 @@ mod world;
 use std::path::Path;
 use std::sync::Arc;
 
-use genesplat_core::View;
-use genesplat_io::colmap::{Form, ImageRecord, Intrinsics, Model, write_model};
+use genesplat_core::{Camera, View};
+use genesplat_io::colmap::{ImageRecord, Intrinsics, Model, write_model};
 use genesplat_io::photos::{PhotoError, write_png};
 use genesplat_io::{HoldOut, Point, SIDE_MIN_PX, Scene};
 
@@ -92,31 +89,18 @@ impl Gallery {
             write_png(&folder.join("images").join(&view.name), &view.photo)?;
         }
         let model = folder.join("sparse/0");
-        write_model(&model, Form::Binary, &self.model())
-            .map_err(|source| PhotoError::Write { path: model, source })
+        write_model(&model, &self.model()).map_err(|source| PhotoError::Write { path: model, source })
     }
 
     fn model(&self) -> Model {
-        let camera = &self.views[0].camera;
-        let intrinsics = Intrinsics {
-            width: camera.width,
-            height: camera.height,
-            focal_px: camera.focal_px,
-            principal_px: camera.principal_px,
-        };
+        let Camera { width, height, focal_px, principal_px, .. } = self.views[0].camera;
+        let intrinsics = Intrinsics { width, height, focal_px, principal_px };
         let image = |view: &View| {
             let [x, y, z, w] = view.camera.camera_from_world_rotation.to_array();
-            ImageRecord {
-                name: view.name.clone(),
-                camera: 1,
-                rotation: [w, x, y, z],
-                translation: view.camera.camera_from_world_translation.to_array(),
-            }
+            let translation = view.camera.camera_from_world_translation.to_array();
+            ImageRecord { name: view.name.clone(), camera: 1, rotation: [w, x, y, z], translation }
         };
-        Model {
-            cameras: [(1, intrinsics)].into(),
-            images: self.views.iter().map(image).collect(),
-            points: self.points.clone(),
-        }
+        let images = self.views.iter().map(image).collect();
+        Model { cameras: [(1, intrinsics)].into(), images, points: self.points.clone() }
     }
 }

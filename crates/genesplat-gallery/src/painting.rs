@@ -4,7 +4,6 @@ use glam::Vec3;
 
 use crate::texture::{clouds, hash, mix, noise, paint, smoothstep};
 
-/// Which picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Painting {
     /// Hills behind hills, with a low sun over water.

@@ -5,7 +5,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use crate::geometry::Ray;
-use crate::render::{CameraRays, RayCaster};
+use crate::render::{RayCaster, rays_of};
 use crate::world::Finish;
 use genesplat_io::Point;
 
@@ -38,7 +38,8 @@ fn candidate(caster: &RayCaster, views: &[View], rng: &Rng, index: u32) -> Optio
     if draw.uniform(3) * CERTAIN_CONTRAST > contrast(&view.photo, x, y) {
         return None;
     }
-    let (ray, hit) = caster.first_hit(&CameraRays::of(&view.camera), [f64::from(x), f64::from(y)])?;
+    let ray = rays_of(&view.camera)([x, y].map(f64::from));
+    let hit = caster.world.trace(&ray, None)?;
     // Features on mirrors and lamps do not stay in place from view to view.
     let stays = matches!(caster.world.surfaces[hit.surface].finish, Finish::Matte | Finish::Coated { .. });
     let point = ray.at(hit.distance);

@@ -1,12 +1,12 @@
 //! Casts the rays of a camera into the room: photos.
 
 use genesplat_core::{Camera, Photo};
-use glam::{DMat3, DVec2, Vec3};
+use glam::{DVec2, Vec3};
 use rayon::prelude::*;
 
 use crate::geometry::Ray;
 use crate::light::Lighting;
-use crate::world::{Finish, Hit, World};
+use crate::world::{Finish, World};
 
 /// Where a pixel is sampled first, in eighths of its side: no two samples share a row or a column, and turning the
 /// pattern by 90 degrees changes nothing, so edges of all directions are smooth.
@@ -25,18 +25,15 @@ const EXPOSURE: f32 = 1.25;
 /// A lit room, ready to be photographed.
 #[derive(Debug)]
 pub(crate) struct RayCaster {
-    /// What is there.
     pub(crate) world: World,
-    /// How it is lit.
     pub(crate) lighting: Lighting,
-    /// Seed of the patterns.
     pub(crate) seed: u32,
 }
 
 impl RayCaster {
     /// The photo that `camera` takes; rows are computed in parallel.
     pub(crate) fn photograph(&self, camera: &Camera) -> Photo {
-        let (width, rays) = (camera.width as usize, CameraRays::of(camera));
+        let (width, rays) = (camera.width as usize, rays_of(camera));
         let mut rgb = vec![0; 3 * width * camera.height as usize];
         rgb.par_chunks_mut(3 * width).enumerate().for_each(|(row, values)| {
             for (column, value) in values.chunks_exact_mut(3).enumerate() {
@@ -46,17 +43,11 @@ impl RayCaster {
         Photo { width: camera.width, height: camera.height, rgb }
     }
 
-    /// The first surface behind pixel coordinates `(u, v)`, and the ray to it.
-    pub(crate) fn first_hit(&self, rays: &CameraRays, at: [f64; 2]) -> Option<(Ray, Hit)> {
-        let ray = rays.ray(at);
-        self.world.trace(&ray, None).map(|hit| (ray, hit))
-    }
-
     /// Mean radiance of a pixel.
-    fn pixel(&self, rays: &CameraRays, [column, row]: [f64; 2]) -> Vec3 {
+    fn pixel(&self, rays: &impl Fn([f64; 2]) -> Ray, [column, row]: [f64; 2]) -> Vec3 {
         let sample = |[x, y]: [u8; 2]| {
             let offset = |eighths: u8| (f64::from(eighths) - 3.5) / 8.0;
-            self.radiance(&rays.ray([column + offset(x), row + offset(y)]), 0).min(Vec3::splat(BRIGHTEST))
+            self.radiance(&rays([column + offset(x), row + offset(y)]), 0).min(Vec3::splat(BRIGHTEST))
         };
         let first = FIRST_SAMPLES.map(sample);
         let sum: Vec3 = first.iter().sum();
@@ -91,30 +82,14 @@ impl RayCaster {
     }
 }
 
-/// The rays of a camera.
-pub(crate) struct CameraRays {
-    centre: Vec3,
-    world_from_camera: DMat3,
-    focal_px: DVec2,
-    principal_px: DVec2,
-}
-
-impl CameraRays {
-    /// Those of `camera`.
-    pub(crate) fn of(camera: &Camera) -> Self {
-        Self {
-            centre: camera.centre_in_world().as_vec3(),
-            world_from_camera: camera.rotation().transpose(),
-            focal_px: camera.focal_px.into(),
-            principal_px: camera.principal_px.into(),
-        }
-    }
-
-    /// The ray through pixel coordinates `(u, v)`, pixel centres at integers.
-    fn ray(&self, at: [f64; 2]) -> Ray {
-        let in_plane = (DVec2::from(at) + 0.5 - self.principal_px) / self.focal_px;
-        let in_world = self.world_from_camera * in_plane.extend(1.0).normalize();
-        Ray::new(self.centre, in_world.as_vec3())
+/// The ray of `camera` through pixel coordinates `(u, v)`, pixel centres at integers.
+pub(crate) fn rays_of(camera: &Camera) -> impl Fn([f64; 2]) -> Ray + Sync {
+    let (centre, world_from_camera) = (camera.centre_in_world().as_vec3(), camera.rotation().transpose());
+    let [focal_px, principal_px] = [camera.focal_px, camera.principal_px].map(DVec2::from);
+    move |at| {
+        let in_plane = (DVec2::from(at) + 0.5 - principal_px) / focal_px;
+        let in_world = world_from_camera * in_plane.extend(1.0).normalize();
+        Ray::new(centre, in_world.as_vec3())
     }
 }
 

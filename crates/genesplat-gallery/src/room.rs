@@ -7,7 +7,7 @@ use glam::Vec3;
 
 use crate::exhibits::{branches, chair, mobile, plinth, screen, vase};
 use crate::geometry::Shape;
-use crate::lamps::{Lamps, Skylight, Spot};
+use crate::light::{Lamps, Skylight, Spot};
 use crate::painting::Painting;
 use crate::texture::{Texture, paint};
 use crate::world::{Finish, Surface, World};
@@ -37,7 +37,6 @@ const RIGHT: Wall =
 const FRONT: Wall =
     Wall { corner: Vec3::new(HIGH.x, LOW.y, 0.0), right: Vec3::NEG_X, length: HIGH.x - LOW.x };
 
-/// The room and its lamps.
 pub(crate) fn build(seed: u32) -> (World, Lamps) {
     let lamps = lamps();
     let mut parts = shell();
@@ -57,11 +56,8 @@ pub(crate) fn build(seed: u32) -> (World, Lamps) {
         Texture::Rug([2.7, 1.9]),
     ));
     parts.extend(plinth(Vec3::new(0.62, 1.42, 0.0), [0.42, 0.42, 0.92]));
-    parts.push(Surface {
-        shape: Shape::Ellipsoid { centre: Vec3::new(0.62, 1.42, 1.13), radii: Vec3::splat(0.21) },
-        texture: Texture::Plain(BRASS),
-        finish: Finish::Metal(BRASS),
-    });
+    let ball = ellipsoid(Vec3::new(0.62, 1.42, 1.13), Vec3::splat(0.21), BRASS);
+    parts.push(Surface { finish: Finish::Metal(BRASS), ..ball });
     parts.extend(plinth(Vec3::new(1.62, 0.95, 0.0), [0.38, 0.38, 0.66]));
     parts.extend(vase(Vec3::new(1.62, 0.95, 0.66)));
     parts.extend(branches(Vec3::new(1.62, 0.95, 1.02), seed));
@@ -76,7 +72,6 @@ fn lamps() -> Lamps {
         position: Vec3::new(x, y, 2.82),
         target: target.into(),
         intensity: strength * Vec3::new(1.0, 0.90, 0.76),
-        cone: [0.86, 0.965],
     };
     Lamps {
         skylight: Skylight {
@@ -99,6 +94,10 @@ pub(crate) fn matte(shape: Shape, texture: Texture) -> Surface {
     Surface { shape, texture, finish: Finish::Matte }
 }
 
+pub(crate) fn ellipsoid(centre: Vec3, radii: Vec3, colour: Vec3) -> Surface {
+    matte(Shape::Ellipsoid { centre, radii }, Texture::Plain(colour))
+}
+
 pub(crate) fn rod(from: Vec3, to: Vec3, radius: f32, colour: Vec3) -> Surface {
     matte(Shape::Rod { from, to, radius }, Texture::Plain(colour))
 }
@@ -109,7 +108,9 @@ fn shell() -> Vec<Surface> {
     let floor = Shape::rectangle(LOW, Vec3::X, Vec3::Y, [width, depth]);
     let ceiling_corner = Vec3::new(LOW.x, HIGH.y, HIGH.z);
     let ceiling = Shape::rectangle(ceiling_corner, Vec3::X, Vec3::NEG_Y, [width, depth]);
-    let wall = |wall: Wall, colour| matte(wall.area(), Texture::Plaster(colour));
+    let wall = |Wall { corner, right, length }, colour| {
+        matte(Shape::rectangle(corner, right, Vec3::Z, [length, HIGH.z]), Texture::Plaster(colour))
+    };
     vec![
         Surface { shape: floor, texture: Texture::Boards, finish: Finish::Coated { specular: 0.6 } },
         matte(ceiling, Texture::Plaster(WHITE)),
@@ -128,41 +129,26 @@ fn fittings(lamps: &Lamps) -> Vec<Surface> {
     }
     let Skylight { corner, size, radiance } = lamps.skylight;
     let corner = corner + Vec3::new(0.0, size[1], -0.01);
-    parts.push(Surface {
-        shape: Shape::rectangle(corner, Vec3::X, Vec3::NEG_Y, size),
-        texture: Texture::Plain(WHITE),
-        finish: Finish::Lamp(radiance),
-    });
+    let sky = matte(Shape::rectangle(corner, Vec3::X, Vec3::NEG_Y, size), Texture::Plain(WHITE));
+    parts.push(Surface { finish: Finish::Lamp(radiance), ..sky });
     for spot in &lamps.spots {
         parts.push(rod(spot.position + Vec3::Z * 0.05, spot.position + Vec3::Z * 0.2, 0.012, BLACK));
-        parts.push(Surface {
-            shape: Shape::Ellipsoid { centre: spot.position, radii: Vec3::splat(0.05) },
-            texture: Texture::Plain(WHITE),
-            finish: Finish::Lamp(Vec3::new(14.0, 12.6, 10.6)),
-        });
+        let finish = Finish::Lamp(Vec3::new(14.0, 12.6, 10.6));
+        parts.push(Surface { finish, ..ellipsoid(spot.position, Vec3::splat(0.05), WHITE) });
     }
     parts
 }
 
 impl Wall {
-    fn outwards(self) -> Vec3 {
-        self.right.cross(Vec3::Z)
-    }
-
     fn at(self, [along, up]: [f32; 2], out: f32) -> Vec3 {
-        self.corner + along * self.right + up * Vec3::Z + out * self.outwards()
+        let outwards = self.right.cross(Vec3::Z);
+        self.corner + along * self.right + up * Vec3::Z + out * outwards
     }
 
-    fn area(self) -> Shape {
-        Shape::rectangle(self.corner, self.right, Vec3::Z, [self.length, HIGH.z])
-    }
-
-    /// A flat thing on the wall.
     fn sheet(self, from: [f32; 2], size: [f32; 2], out: f32, texture: Texture) -> Surface {
         matte(Shape::rectangle(self.at(from, out), self.right, Vec3::Z, size), texture)
     }
 
-    /// A block that stands out from the wall.
     fn block(self, from: [f32; 2], to: [f32; 2], out: f32, texture: Texture) -> Vec<Surface> {
         let (a, b) = (self.at(from, 0.0), self.at(to, out));
         block(a.min(b), a.max(b), texture)
@@ -195,7 +181,6 @@ impl Wall {
     }
 }
 
-/// The six faces of a block.
 pub(crate) fn block(low: Vec3, high: Vec3, texture: Texture) -> Vec<Surface> {
     let size = high - low;
     let face = |x: f32, y: f32, z: f32, u: Vec3, v: Vec3| {

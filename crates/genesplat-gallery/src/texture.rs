@@ -7,20 +7,16 @@ use glam::Vec3;
 
 use crate::painting::Painting;
 
-/// What covers a surface.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Texture {
-    /// One colour.
     Plain(Vec3),
-    /// Painted plaster: one colour, clouded by a per cent or two.
+    /// Clouded by a per cent or two.
     Plaster(Vec3),
-    /// Oak boards along v.
+    /// Of oak, along v.
     Boards,
-    /// A woven rug of this size, metres.
+    /// A woven rug, a card with lines of print, and a picture, of this size in metres.
     Rug([f32; 2]),
-    /// A card with lines of print.
     Label([f32; 2]),
-    /// A picture of this size, metres.
     Picture(Painting, [f32; 2]),
 }
 
@@ -84,7 +80,6 @@ pub(crate) fn clouds(x: f32, y: f32, seed: u32) -> f32 {
     (0..4).map(octave).sum::<f32>() * (16.0 / 15.0)
 }
 
-/// From `a` to `b`.
 pub(crate) fn mix(a: f32, b: f32, t: f32) -> f32 {
     a + (b - a) * t
 }

@@ -1,41 +1,31 @@
 //! All shapes of the room with their materials, and which of them a ray hits first (a bounding volume hierarchy).
 
-use std::ops::{ControlFlow, Range};
+use std::ops::Range;
 
 use glam::Vec3;
 
-use crate::bounds::Bounds;
-use crate::geometry::{Ray, Shape};
+use crate::geometry::{Bounds, Ray, Shape};
 use crate::texture::Texture;
 
-/// How a surface reflects light.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Finish {
     /// Scatters alike in all directions.
     Matte,
-    /// Matte under a clear coat that mirrors a fraction of what Fresnel's law allows.
-    Coated {
-        /// That fraction, 1 for glass.
-        specular: f32,
-    },
+    /// Matte under a clear coat that mirrors a fraction of what Fresnel's law allows: 1 for glass.
+    Coated { specular: f32 },
     /// Mirrors, tinted.
     Metal(Vec3),
     /// Shines with this radiance.
     Lamp(Vec3),
 }
 
-/// A shape with its material.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Surface {
-    /// Where it is.
     pub(crate) shape: Shape,
-    /// Its colour.
     pub(crate) texture: Texture,
-    /// How it reflects light.
     pub(crate) finish: Finish,
 }
 
-/// Where a ray ends.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Hit {
     /// Metres from the ray's origin.
@@ -91,49 +81,33 @@ impl World {
 
     /// The first surface on the ray, other than `ignored`.
     pub(crate) fn trace(&self, ray: &Ray, ignored: Option<usize>) -> Option<Hit> {
-        let mut nearest = f32::INFINITY;
-        let mut found = None;
-        self.visit(ray, |index| {
-            let distance = if Some(index) == ignored {
-                None
-            } else {
-                self.surfaces[index].shape.intersect(ray, nearest)
-            };
-            if let Some(distance) = distance {
-                nearest = distance;
-                found = Some(Hit { distance, surface: index });
-            }
-            ControlFlow::Continue(nearest)
-        });
-        found
+        self.search(ray, f32::INFINITY, ignored, false)
     }
 
     /// True when nothing but `ignored` lies on the ray before `distance`.
     pub(crate) fn is_clear(&self, ray: &Ray, distance: f32, ignored: Option<usize>) -> bool {
-        let mut clear = true;
-        self.visit(ray, |index| {
-            if Some(index) != ignored && self.surfaces[index].shape.intersect(ray, distance).is_some() {
-                clear = false;
-                return ControlFlow::Break(());
-            }
-            ControlFlow::Continue(distance)
-        });
-        clear
+        self.search(ray, distance, ignored, true).is_none()
     }
 
-    /// Calls `each` with the surfaces near the ray, roughly front to back, until it breaks; boxes beyond the distance
-    /// that it returns are passed over.
-    fn visit(&self, ray: &Ray, mut each: impl FnMut(usize) -> ControlFlow<(), f32>) {
-        let mut farthest = f32::INFINITY;
-        for index in 0..self.large {
-            match each(index) {
-                ControlFlow::Continue(distance) => farthest = distance,
-                ControlFlow::Break(()) => return,
+    /// The first surface before `farthest`, or `any` surface; boxes are tried roughly front to back.
+    fn search(&self, ray: &Ray, mut farthest: f32, ignored: Option<usize>, any: bool) -> Option<Hit> {
+        let mut found = None;
+        let mut first_of = |members: Range<usize>, farthest: &mut f32| {
+            for index in members.filter(|&index| Some(index) != ignored) {
+                if let Some(distance) = self.surfaces[index].shape.intersect(ray, *farthest) {
+                    *farthest = distance;
+                    found = Some(Hit { distance, surface: index });
+                    if any {
+                        return true;
+                    }
+                }
             }
-        }
+            false
+        };
+        let mut is_done = first_of(0..self.large, &mut farthest);
         let mut stack = [0; STACK];
         let mut count = usize::from(!self.nodes.is_empty());
-        while count > 0 {
+        while !is_done && count > 0 {
             count -= 1;
             let at = stack[count];
             let node = &self.nodes[at];
@@ -141,14 +115,7 @@ impl World {
                 continue;
             }
             match &node.content {
-                Content::Leaf(members) => {
-                    for index in members.clone() {
-                        match each(index) {
-                            ControlFlow::Continue(distance) => farthest = distance,
-                            ControlFlow::Break(()) => return,
-                        }
-                    }
-                }
+                Content::Leaf(members) => is_done = first_of(members.clone(), &mut farthest),
                 // The last on the stack is visited first: the child that the ray comes to first.
                 Content::Fork { second, axis } => {
                     let forwards = ray.direction[*axis] > 0.0;
@@ -158,6 +125,7 @@ impl World {
                 }
             }
         }
+        found
     }
 }
 

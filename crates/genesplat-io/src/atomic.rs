@@ -37,7 +37,6 @@ pub fn check_writable(path: &Path) -> io::Result<()> {
     fs::remove_file(&probe)
 }
 
-/// What a path stands for.
 enum Target {
     /// A regular file, behind all links, whether it is there or not.
     File(PathBuf),

@@ -1,7 +1,4 @@
-//! What the readers of scenes ([`crate::colmap`], `transforms`) have in common: what they return, and what they check.
-//!
-//! Every reader ends in a [`Listing`], before any photo is decoded. What follows (split, decode, undistort, resize) is
-//! the same for all.
+//! What the readers of scenes ([`crate::colmap`], `transforms`) return, before any photo is decoded, and what they check.
 
 use std::collections::HashSet;
 use std::path::{Component, Path, PathBuf};
@@ -13,15 +10,11 @@ use crate::error::SceneError;
 use crate::photos::Distortion;
 use crate::scene::Point;
 
-/// Photos with cameras, and points.
 pub(crate) struct Listing {
-    /// Photos in any order.
     pub(crate) photos: Vec<ListedPhoto>,
-    /// Points in file order.
     pub(crate) points: Vec<Point>,
     /// The file that the points are from, or that names none, for errors.
     pub(crate) points_file: PathBuf,
-    /// What the user should know.
     pub(crate) notices: Vec<String>,
 }
 
@@ -29,7 +22,6 @@ pub(crate) struct Listing {
 pub(crate) struct ListedPhoto {
     /// As the list spells its path; [`Listing::name_views`] makes it unique within the scene and free of separators.
     pub(crate) name: String,
-    /// Where the photo is.
     pub(crate) path: PathBuf,
     /// The file that lists it, for errors; a scene may have several.
     pub(crate) list: Arc<Path>,
@@ -49,7 +41,6 @@ pub(crate) enum Purpose {
     Unsaid,
     /// Training, which sees no photo but these.
     Train,
-    /// Testing.
     Test,
     /// Neither.
     Unused,
@@ -68,7 +59,10 @@ impl Listing {
 
 /// The photo `name` as a path, if it stays inside its folder.
 pub(crate) fn inside<'a>(name: &'a str, list: &Path) -> Result<&'a Path, SceneError> {
-    path_inside(name).ok_or_else(|| SceneError::NameOutside { file: list.to_owned(), name: name.into() })
+    path_inside(name).ok_or_else(|| {
+        let problem = "which is not a path inside the scene's image folder; correct the name";
+        SceneError::invalid(list, format!("lists the photo {name:?}, {problem}"))
+    })
 }
 
 /// `name` as a path, if it stays inside its folder: a downloaded scene must not make us read other files.
@@ -78,19 +72,13 @@ pub(crate) fn path_inside(name: &str) -> Option<&Path> {
     (stays && path.file_name().is_some()).then_some(path)
 }
 
-/// The error for a scene of `count` photos, `found` of which exist in `folder`; `missing` is the first that does not.
-pub(crate) fn missing_photo(
-    list: &Path,
-    missing: PathBuf,
-    found: usize,
-    count: usize,
-    folder: &Path,
-) -> SceneError {
-    let list = list.to_owned();
-    if found > 0 {
-        return SceneError::PhotoMissing { photo: missing, list };
-    }
-    SceneError::AllPhotosMissing { count, list, folder: folder.to_owned() }
+pub(crate) fn no_photos(list: &Path) -> SceneError {
+    SceneError::invalid(list, "lists no photos; the reconstruction failed, so run it again")
+}
+
+pub(crate) fn bad_pose(list: &Path, photo: &str, problem: &str) -> SceneError {
+    let remedy = "remove the photo from the reconstruction or reconstruct again";
+    SceneError::bad_record(list, format!("the pose of photo {photo} {problem}; {remedy}"))
 }
 
 /// What makes a camera's intrinsics impossible, if anything does. All in pixels.
@@ -112,7 +100,6 @@ pub(crate) fn intrinsics_problem(
     }
 }
 
-/// The last part of a path.
 pub(crate) fn base_name(path: &str) -> &str {
     path.rsplit('/').next().unwrap_or(path)
 }
@@ -122,7 +109,8 @@ pub(crate) fn base_name(path: &str) -> &str {
 fn view_names(paths: &[&str], list: &Path) -> Result<Vec<String>, SceneError> {
     let whole: Vec<String> = paths.iter().map(|path| path.trim_start_matches("./").to_owned()).collect();
     if let Some(name) = repeated(&whole) {
-        return Err(SceneError::ListedTwice { file: list.to_owned(), name: name.to_owned() });
+        let problem = format!("lists the photo {name} twice; remove one of its entries");
+        return Err(SceneError::invalid(list, problem));
     }
     let own: Vec<String> = paths.iter().map(|path| base_name(path).to_owned()).collect();
     let joined = (1..).map(|count| whole.iter().map(|path| path.replace('/', &"_".repeat(count))).collect());

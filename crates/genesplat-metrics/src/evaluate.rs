@@ -1,37 +1,33 @@
 //! Scores of views, and their means.
 
 use genesplat_core::{Backend, BackendError, Photo, RenderSettings, View};
-use serde::{Serialize, Serializer};
+use serde::Serialize;
 
+use crate::lpips::{InputRange, Lpips};
 use crate::{SizeMismatch, psnr, ssim};
-
-/// A learned metric: `(render, photo)` to distance. The caller chooses the network and the range of its inputs.
-pub type Perceptual<'a> = &'a dyn Fn(&Photo, &Photo) -> f64;
 
 /// Scores of one view.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ViewScore {
     /// File name of the photo.
     pub name: String,
-    /// Peak signal-to-noise ratio, dB. Infinite for identical pictures, which JSON shows as `null`.
-    #[serde(serialize_with = "finite_or_null")]
+    /// Peak signal-to-noise ratio, dB. Infinite for identical pictures.
     pub psnr: f64,
     /// Structural similarity, at most 1.
     pub ssim: f64,
-    /// Perceptual distance; `None` when not measured.
+    /// LPIPS as published tables have it; `None` when not measured.
     pub lpips: Option<f64>,
 }
 
 /// Means over views, and each view.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Evaluation {
-    /// Mean of the views' PSNR, dB. `null` in JSON when a view is reproduced exactly, or when there is no view.
-    #[serde(serialize_with = "finite_or_null")]
+    /// Mean of the views' PSNR, dB. Infinite when a view is reproduced exactly; JSON has no such number, nor NaN, and shows
+    /// `null`.
     pub psnr: f64,
-    /// Mean of the views' SSIM; `null` in JSON when there is no view.
-    #[serde(serialize_with = "finite_or_null")]
+    /// Mean of the views' SSIM; NaN when there is no view, as that of PSNR.
     pub ssim: f64,
-    /// Mean of the views' perceptual distance; `None` when not measured.
+    /// Mean of the views' LPIPS; `None` when not measured.
     pub lpips: Option<f64>,
     /// One entry a view, in the order given.
     pub views: Vec<ViewScore>,
@@ -51,27 +47,19 @@ impl Evaluation {
     }
 }
 
-/// JSON knows no infinity and no NaN.
-fn finite_or_null<S: Serializer>(value: &f64, serializer: S) -> Result<S::Ok, S::Error> {
-    value.is_finite().then_some(*value).serialize(serializer)
-}
-
-/// Scores of one picture against the truth.
-pub fn compare(
-    name: &str,
-    picture: &Photo,
-    truth: &Photo,
-    perceptual: Option<Perceptual<'_>>,
-) -> Result<ViewScore, SizeMismatch> {
+/// Scores of one picture against the truth, without LPIPS.
+pub fn compare(name: &str, picture: &Photo, truth: &Photo) -> Result<ViewScore, SizeMismatch> {
     Ok(ViewScore {
         name: name.to_owned(),
         psnr: psnr(picture, truth)?,
         ssim: ssim(picture, truth)?,
-        lpips: perceptual.map(|distance| distance(picture, truth)),
+        lpips: None,
     })
 }
 
 /// Renders every view and scores it against its photo; `keep` receives each render (to be saved, say).
+///
+/// LPIPS is left out where there is no network, and for views that are too small for it.
 ///
 /// # Panics
 /// When a view's camera and photo differ in size, which [`View`] rules out.
@@ -79,14 +67,16 @@ pub fn evaluate(
     backend: &mut dyn Backend,
     views: &[View],
     settings: &RenderSettings,
-    perceptual: Option<Perceptual<'_>>,
+    lpips: Option<&Lpips>,
     mut keep: impl FnMut(&View, Photo),
 ) -> Result<Evaluation, BackendError> {
     let mut scores = Vec::with_capacity(views.len());
     for view in views {
         let picture = backend.render(&view.camera, settings)?.to_photo();
-        let score = compare(&view.name, &picture, &view.photo, perceptual);
-        scores.push(score.expect("a view's camera has the size of its photo"));
+        let score = compare(&view.name, &picture, &view.photo);
+        let score = score.expect("a view's camera has the size of its photo");
+        let distance = |lpips: &Lpips| lpips.distance(&picture, &view.photo, InputRange::ZeroToOne).ok();
+        scores.push(ViewScore { lpips: lpips.and_then(distance), ..score });
         keep(view, picture);
     }
     Ok(Evaluation::from_views(scores))
@@ -115,14 +105,5 @@ mod tests {
         assert!(json["psnr"].is_null() && json["views"][0]["psnr"].is_null());
         assert_eq!(json["ssim"], 0.5);
         assert!(serde_json::to_value(Evaluation::from_views(Vec::new())).unwrap()["ssim"].is_null());
-    }
-
-    #[test]
-    fn a_learned_metric_is_asked_for_render_and_photo() {
-        let (dark, bright) =
-            (Photo { width: 1, height: 1, rgb: vec![1; 3] }, Photo { width: 1, height: 1, rgb: vec![9; 3] });
-        let difference = |a: &Photo, b: &Photo| f64::from(b.rgb[0]) - f64::from(a.rgb[0]);
-        let score = compare("x", &dark, &bright, Some(&difference)).unwrap();
-        assert_eq!(score.lpips, Some(8.0));
     }
 }

@@ -2,13 +2,6 @@
 //!
 //! The convention of the published numbers: render and photo are both 8-bit, a metric is taken for each image over all
 //! pixels and channels, and the scene's value is the mean over its images.
-//!
-//! | item | what it is |
-//! |---|---|
-//! | [`psnr`](fn@psnr), [`ssim`](fn@ssim) | of two pictures |
-//! | [`lpips`] | the learned metric, with VGG16 or AlexNet |
-//! | [`weights`] | named tensors from safetensors and PyTorch files |
-//! | [`evaluate`](fn@evaluate) | renders views, scores them, and takes the means |
 
 mod evaluate;
 pub mod lpips;
@@ -18,7 +11,7 @@ pub mod weights;
 
 use genesplat_core::Photo;
 
-pub use evaluate::{Evaluation, Perceptual, ViewScore, compare, evaluate};
+pub use evaluate::{Evaluation, ViewScore, compare, evaluate};
 pub use lpips::Lpips;
 pub use psnr::psnr;
 pub use ssim::ssim;

@@ -42,34 +42,22 @@ fn similarity(mean_x: f64, mean_y: f64, mean_xx: f64, mean_yy: f64, mean_xy: f64
 /// The window applied to `[H, W]` values, with zeros beyond the border. Line by line, so that the eleven lines that
 /// one needs stay in cache.
 fn blur(values: &[f64], width: usize) -> Vec<f64> {
-    let (window, height) = (ssim_window(), values.len() / width);
-    let mut rows = vec![0.0; values.len()];
-    for (source, target) in values.chunks_exact(width).zip(rows.chunks_exact_mut(width)) {
-        for (tap, &weight) in window.iter().enumerate() {
-            let (from, to, length) = overlap(tap, width);
-            accumulate(&mut target[to..to + length], &source[from..from + length], weight);
-        }
+    let (window, border) = (ssim_window(), SSIM_RADIUS * width);
+    let mut line = vec![0.0; width + 2 * SSIM_RADIUS];
+    let mut rows = vec![0.0; values.len() + 2 * border];
+    for (source, target) in values.chunks_exact(width).zip(rows[border..].chunks_exact_mut(width)) {
+        line[SSIM_RADIUS..][..width].copy_from_slice(source);
+        window.iter().enumerate().for_each(|(tap, &weight)| accumulate(target, &line[tap..], weight));
     }
     let mut columns = vec![0.0; values.len()];
     for (y, target) in columns.chunks_exact_mut(width).enumerate() {
-        for (tap, &weight) in window.iter().enumerate() {
-            // Wraps to a huge number above the first line, which is as much outside as one below the last.
-            let source = (y + tap).wrapping_sub(SSIM_RADIUS);
-            if source < height {
-                accumulate(target, &rows[source * width..(source + 1) * width], weight);
-            }
-        }
+        let rows = &rows[y * width..];
+        window.iter().enumerate().for_each(|(tap, &weight)| accumulate(target, &rows[tap * width..], weight));
     }
     columns
 }
 
-/// Where a line of `n` values and the same line shifted by the tap's offset overlap: `(source, target, length)`.
-fn overlap(tap: usize, n: usize) -> (usize, usize, usize) {
-    let (forward, backward) =
-        (tap.saturating_sub(SSIM_RADIUS).min(n), SSIM_RADIUS.saturating_sub(tap).min(n));
-    (forward, backward, n - forward - backward)
-}
-
+/// Adds `weight` times the first values of `source`.
 fn accumulate(target: &mut [f64], source: &[f64], weight: f64) {
     for (target, source) in target.iter_mut().zip(source) {
         *target += weight * source;

@@ -1,16 +1,16 @@
 //! Weights of networks, as named tensors: safetensors (read and written), and what `torch.save` writes (read).
 //!
-//! PyTorch files come in three containers over the years (zip, a stream of pickles, tar), and torchvision still serves
-//! the old ones; `pytorch-reader` knows them all and runs no code that a file may hold. Whatever the file says, its
-//! tensors come out as f32, row-major, under torchvision's names.
+//! `pytorch-reader` knows all three containers of PyTorch and runs no code that a file may hold. Tensors come out as
+//! f32, row-major, under torchvision's names.
 
 use std::collections::BTreeMap;
+use std::fmt::{Debug, Display};
 use std::fs::{self, File};
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
 use half::f16;
-use pytorch_reader::{DType, PytorchReader};
+use pytorch_reader::PytorchReader;
 use safetensors::tensor::TensorView;
 use safetensors::{Dtype, SafeTensors};
 use sha2::{Digest, Sha256};
@@ -39,40 +39,28 @@ pub enum WeightFileError {
         /// Why.
         source: io::Error,
     },
-    /// Not a file of weights, or a damaged one.
-    #[error(
-        "{path} is no whole safetensors or PyTorch file of weights ({reason}); download or copy it again"
-    )]
-    Damaged {
+    /// Not a file of weights, a damaged one, or one of numbers of another kind.
+    #[error("{path} {problem}")]
+    Unusable {
         /// The file.
         path: PathBuf,
-        /// What is wrong with it.
-        reason: String,
-    },
-    /// Numbers of another kind.
-    #[error(
-        "{path}: the tensor {tensor} holds {found}, and only F16 and F32 are read; convert the file to F32"
-    )]
-    ElementType {
-        /// The file.
-        path: PathBuf,
-        /// Which tensor.
-        tensor: String,
-        /// The type of its values.
-        found: String,
+        /// What is wrong with it, and what to do.
+        problem: String,
     },
 }
 
 /// Largest safetensors file that is read at once, bytes: four times VGG16's convolutions and classifier in f16.
 const BYTES_MAX: u64 = 1 << 30;
 
-/// The tensors in the file at `path` whose name `wants` accepts; the others (a classifier, say) are not kept.
+/// The tensors in the file at `path` whose name `wants` accepts; the kind of file is told by its content.
 ///
-/// The kind of file is told by its content. The heads of LPIPS are called `linK.model.1.weight` by their authors, and
-/// `linK.weight` here.
+/// The heads of LPIPS are called `linK.model.1.weight` by their authors, and `linK.weight` here.
 pub fn read_weights(path: &Path, wants: impl Fn(&str) -> bool) -> Result<NamedTensors, WeightFileError> {
-    let is_safetensors = starts_like_safetensors(path).map_err(|source| unreadable(path, source))?;
-    if is_safetensors { read_safetensors(path, wants) } else { read_pytorch(path, wants) }
+    // Safetensors begin with the length of a header (8 bytes), and the header is a JSON object.
+    let mut start = Vec::new();
+    let opened = File::open(path).and_then(|file| file.take(9).read_to_end(&mut start));
+    opened.map_err(|source| unreadable(path, source))?;
+    if start.get(8) == Some(&b'{') { read_safetensors(path, wants) } else { read_pytorch(path, wants) }
 }
 
 /// The bytes of a safetensors file that holds `tensors` in f32.
@@ -80,10 +68,10 @@ pub fn read_weights(path: &Path, wants: impl Fn(&str) -> bool) -> Result<NamedTe
 /// # Panics
 /// When a tensor has not as many values as its shape says.
 pub fn to_safetensors(tensors: &NamedTensors) -> Vec<u8> {
-    let bytes: BTreeMap<&str, Vec<u8>> =
-        tensors.iter().map(|(name, tensor)| (name.as_str(), f32_bytes(&tensor.values))).collect();
-    let views = bytes.iter().map(|(&name, bytes)| {
-        let view = TensorView::new(Dtype::F32, tensors[name].shape.clone(), bytes);
+    let bytes = |tensor: &Tensor| tensor.values.iter().flat_map(|value| value.to_le_bytes()).collect();
+    let all_bytes: Vec<Vec<u8>> = tensors.values().map(bytes).collect();
+    let views = tensors.iter().zip(&all_bytes).map(|((name, tensor), bytes)| {
+        let view = TensorView::new(Dtype::F32, tensor.shape.clone(), bytes);
         (name, view.expect("a tensor has as many values as its shape says"))
     });
     safetensors::serialize(views, None).expect("views of whole tensors fit a file")
@@ -102,13 +90,6 @@ pub fn sha256(path: &Path) -> Result<String, WeightFileError> {
     }
 }
 
-/// Safetensors begin with the length of a header (8 bytes), and the header is a JSON object.
-fn starts_like_safetensors(path: &Path) -> io::Result<bool> {
-    let mut start = Vec::new();
-    File::open(path)?.take(9).read_to_end(&mut start)?;
-    Ok(start.get(8) == Some(&b'{'))
-}
-
 fn read_safetensors(path: &Path, wants: impl Fn(&str) -> bool) -> Result<NamedTensors, WeightFileError> {
     let read = |source| unreadable(path, source);
     let length = fs::metadata(path).map_err(read)?.len();
@@ -118,36 +99,42 @@ fn read_safetensors(path: &Path, wants: impl Fn(&str) -> bool) -> Result<NamedTe
     let bytes = fs::read(path).map_err(read)?;
     let file = SafeTensors::deserialize(&bytes).map_err(|error| damaged(path, error))?;
     let wanted = file.iter().map(|(name, view)| (canonical(name), view)).filter(|(name, _)| wants(name));
-    let tensor = |(name, view): (String, TensorView<'_>)| {
-        let values = match view.dtype() {
-            Dtype::F32 => from_f32(view.data()),
-            Dtype::F16 => from_f16(view.data()),
-            other => return Err(element_type(path, &name, other)),
-        };
-        Ok((name, Tensor { shape: view.shape().to_vec(), values }))
-    };
-    wanted.map(tensor).collect()
+    wanted.map(|(name, view)| tensor(path, name, view.dtype(), view.shape(), view.data())).collect()
 }
 
 fn read_pytorch(path: &Path, wants: impl Fn(&str) -> bool) -> Result<NamedTensors, WeightFileError> {
     let held = fs::metadata(path).map_err(|source| unreadable(path, source))?.len();
     let file = PytorchReader::new(path).map_err(|error| damaged(path, error))?;
     let wanted = file.tensors().iter().map(|(name, tensor)| (canonical(name), tensor));
-    let tensor = |(name, stored): (String, &pytorch_reader::Tensor)| {
-        let convert = match stored.dtype() {
-            DType::F32 => from_f32,
-            DType::F16 => from_f16,
-            other => return Err(element_type(path, &name, other)),
-        };
+    let read = |(name, stored): (String, &pytorch_reader::Tensor)| {
         // A tensor may repeat a stored value as often as it says.
         let promised = stored.byte_len() as u64;
         if promised > held {
             return Err(damaged(path, format!("tensor {name} has {promised} bytes, and the file {held}")));
         }
         let bytes = stored.read().map_err(|error| damaged(path, error))?;
-        Ok((name, Tensor { shape: stored.shape().to_vec(), values: convert(&bytes) }))
+        tensor(path, name, stored.dtype(), stored.shape(), &bytes)
     };
-    wanted.filter(|(name, _)| wants(name)).map(tensor).collect()
+    wanted.filter(|(name, _)| wants(name)).map(read).collect()
+}
+
+/// A tensor from little-endian `bytes`. Both libraries call their element types by the same names.
+fn tensor(
+    path: &Path,
+    name: String,
+    element: impl Debug,
+    shape: &[usize],
+    bytes: &[u8],
+) -> Result<(String, Tensor), WeightFileError> {
+    let values = match format!("{element:?}").as_str() {
+        "F32" => bytes.as_chunks().0.iter().map(|&value| f32::from_le_bytes(value)).collect(),
+        "F16" => bytes.as_chunks().0.iter().map(|&value| f16::from_le_bytes(value).to_f32()).collect(),
+        other => {
+            let remedy = "and only F16 and F32 are read; convert the file to F32";
+            return Err(unusable(path, format!("cannot be used: its tensor {name} holds {other}, {remedy}")));
+        }
+    };
+    Ok((name, Tensor { shape: shape.to_vec(), values }))
 }
 
 /// The name as torchvision would write it.
@@ -155,29 +142,15 @@ fn canonical(name: &str) -> String {
     name.replace(".model.1.", ".")
 }
 
-fn from_f32(bytes: &[u8]) -> Vec<f32> {
-    let (values, _) = bytes.as_chunks::<4>();
-    values.iter().map(|&value| f32::from_le_bytes(value)).collect()
-}
-
-fn from_f16(bytes: &[u8]) -> Vec<f32> {
-    let (values, _) = bytes.as_chunks::<2>();
-    values.iter().map(|&value| f16::from_le_bytes(value).to_f32()).collect()
-}
-
-fn f32_bytes(values: &[f32]) -> Vec<u8> {
-    values.iter().flat_map(|value| value.to_le_bytes()).collect()
-}
-
 fn unreadable(path: &Path, source: io::Error) -> WeightFileError {
     WeightFileError::Read { path: path.to_owned(), source }
 }
 
-fn damaged(path: &Path, reason: impl ToString) -> WeightFileError {
-    WeightFileError::Damaged { path: path.to_owned(), reason: reason.to_string() }
+fn damaged(path: &Path, reason: impl Display) -> WeightFileError {
+    let remedy = "download or copy it again";
+    unusable(path, format!("is no whole safetensors or PyTorch file of weights ({reason}); {remedy}"))
 }
 
-fn element_type(path: &Path, tensor: &str, found: impl std::fmt::Debug) -> WeightFileError {
-    let (tensor, found) = (tensor.to_owned(), format!("{found:?}"));
-    WeightFileError::ElementType { path: path.to_owned(), tensor, found }
+fn unusable(path: &Path, problem: String) -> WeightFileError {
+    WeightFileError::Unusable { path: path.to_owned(), problem }
 }

@@ -10,9 +10,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Result, anyhow, bail};
-use genesplat::core::Photo;
 use genesplat::metrics::Lpips;
-use genesplat::metrics::lpips::{InputRange, Net, belongs_to};
+use genesplat::metrics::lpips::{Net, belongs_to};
 use genesplat::metrics::weights::{NamedTensors, read_weights};
 
 use crate::args::LpipsArgs;
@@ -72,15 +71,6 @@ pub(crate) fn notify_absent(net: Net) {
         "notice: LPIPS with {net} is not measured: its weights are not installed, and `genesplat lpips install --help` says \
          which files to give it"
     ));
-}
-
-/// `(render, photo)` to LPIPS as published tables have it. Renders have the size of their photo, and photos are large
-/// enough for VGG16 (the loader sees to both).
-pub(crate) fn published(metric: &Lpips) -> impl Fn(&Photo, &Photo) -> f64 {
-    |render, photo| {
-        let distance = metric.distance(render, photo, InputRange::ZeroToOne);
-        distance.expect("loaded photos are not smaller than VGG16 needs")
-    }
 }
 
 /// The tensors of `files` by network; later files win.

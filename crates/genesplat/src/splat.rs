@@ -81,7 +81,7 @@ fn check_has_cloud(folder: &Path, config: &ConfigFile) -> Result<()> {
 
 fn open_ply(path: &Path) -> Result<Splat> {
     let (header, cloud) = read_cloud(path)?;
-    let declared = header.render_mode.map(ScreenFilter::from).unwrap_or_default();
+    let declared = header.screen_filter.unwrap_or_default();
     let filter = if header.has_filter_3d { ScreenFilter::Mip } else { declared };
     let settings = RenderSettings { sh_degree: header.sh_degree, filter, ..RenderSettings::default() };
     Ok(Splat { cloud, settings, trained_size: None })

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use super::{ImageRecord, Intrinsics};
 use crate::error::SceneError;
-use crate::listing::intrinsics_problem;
+use crate::listing::{bad_pose, intrinsics_problem};
 use crate::scene::Point;
 
 /// COLMAP's models by id (COLMAP, `sensor/models.h`).
@@ -49,13 +49,13 @@ pub(super) fn by_id(
     for read in cameras {
         let (camera, intrinsics) = read?;
         if by_id.insert(camera, intrinsics).is_some() {
-            return Err(SceneError::CameraTwice { file: file.to_owned(), camera });
+            let problem = format!("has two cameras with the ID {camera}; export the model again");
+            return Err(SceneError::invalid(file, problem));
         }
     }
     Ok(by_id)
 }
 
-/// A camera whose numbers are possible.
 pub(super) fn intrinsics(
     file: &Path,
     camera: u32,
@@ -79,7 +79,7 @@ pub(super) fn pose(file: &Path, image: ImageRecord) -> Result<ImageRecord, Scene
     } else {
         return Ok(image);
     };
-    Err(SceneError::BadPose { file: file.to_owned(), name: image.name, problem })
+    Err(bad_pose(file, &image.name, problem))
 }
 
 /// The point at 1-based `place` of the file; its position must be finite as `f32`.
@@ -91,12 +91,13 @@ pub(super) fn point(
 ) -> Result<Point, SceneError> {
     let position = position.map(|v| v as f32);
     if !position.iter().all(|v| v.is_finite()) {
-        return Err(SceneError::BadPoint { file: file.to_owned(), point: place });
+        let problem =
+            format!("point {place} has a position that is not finite; remove it or reconstruct again");
+        return Err(SceneError::bad_record(file, problem));
     }
     Ok(Point { position, rgb })
 }
 
-/// A camera that cannot be.
 fn bad_camera(file: &Path, camera: u32, problem: &'static str) -> SceneError {
     SceneError::BadCamera { file: file.to_owned(), camera: camera.to_string(), problem }
 }

@@ -7,7 +7,6 @@ use std::path::Path;
 
 use crate::error::SceneError;
 
-/// A position in the bytes of a file.
 pub(super) struct Cursor<'a> {
     file: &'a Path,
     bytes: &'a [u8],
@@ -28,17 +27,14 @@ impl<'a> Cursor<'a> {
         Ok(values)
     }
 
-    /// The next 32-bit signed value.
     pub(super) fn i32(&mut self, record: &'static str) -> Result<i32, SceneError> {
         self.array(record).map(i32::from_le_bytes)
     }
 
-    /// The next 64-bit unsigned value.
     pub(super) fn u64(&mut self, record: &'static str) -> Result<u64, SceneError> {
         self.array(record).map(u64::from_le_bytes)
     }
 
-    /// The next `K` bytes.
     pub(super) fn array<const K: usize>(&mut self, record: &'static str) -> Result<[u8; K], SceneError> {
         let (head, rest) = self.bytes.split_first_chunk::<K>().ok_or_else(|| self.truncated(record))?;
         self.bytes = rest;
@@ -49,10 +45,11 @@ impl<'a> Cursor<'a> {
     pub(super) fn count(&mut self, records: &'static str, least_bytes: usize) -> Result<usize, SceneError> {
         let claimed = self.u64(records)?;
         let fits = self.bytes.len() / least_bytes;
-        usize::try_from(claimed)
-            .ok()
-            .filter(|&count| count <= fits)
-            .ok_or_else(|| SceneError::ImpossibleCount { file: self.file.to_owned(), claimed, records, fits })
+        usize::try_from(claimed).ok().filter(|&count| count <= fits).ok_or_else(|| {
+            self.damaged(format!(
+                "claims {claimed} {records} where its bytes can hold at most {fits}; the file is damaged"
+            ))
+        })
     }
 
     /// Passes over `count` records of `bytes_each`; `count` came from [`Cursor::count`].
@@ -72,20 +69,29 @@ impl<'a> Cursor<'a> {
         let end = self.bytes.iter().position(|&byte| byte == 0).ok_or_else(|| self.truncated(record))?;
         let (text, rest) = self.bytes.split_at(end);
         self.bytes = &rest[1..];
-        std::str::from_utf8(text).map_err(|_| SceneError::NameNotUtf8 {
-            file: self.file.to_owned(),
-            name: String::from_utf8_lossy(text).into_owned(),
+        std::str::from_utf8(text).map_err(|_| {
+            let name = String::from_utf8_lossy(text);
+            let problem = format!(
+                "lists a photo whose name is not UTF-8 ({name}); rename the photo and export the \
+                                   scene again"
+            );
+            SceneError::invalid(self.file, problem)
         })
     }
 
     /// Fails where something is left; `records` is what the file holds.
     pub(super) fn end(&self, records: &'static str) -> Result<(), SceneError> {
-        let trailing = || SceneError::Trailing { file: self.file.to_owned(), records };
+        let problem = "something follows its end; the file is damaged";
+        let trailing = || self.damaged(format!("holds more than the {records} that it counts: {problem}"));
         self.bytes.is_empty().then_some(()).ok_or_else(trailing)
     }
 
     fn truncated(&self, record: &'static str) -> SceneError {
-        SceneError::Truncated { file: self.file.to_owned(), record }
+        self.damaged(format!("ends in the middle of {record}; the file was cut off"))
+    }
+
+    fn damaged(&self, problem: String) -> SceneError {
+        SceneError::Damaged { file: self.file.to_owned(), problem }
     }
 }
 
@@ -100,7 +106,7 @@ mod tests {
         let file = Path::new("points.bin");
         assert_eq!(Cursor::new(file, &bytes).count("points", 8).unwrap(), 3);
         let error = Cursor::new(file, &bytes).count("points", 9).unwrap_err();
-        assert!(matches!(error, SceneError::ImpossibleCount { claimed: 3, fits: 2, .. }), "{error}");
+        assert!(error.to_string().contains("claims 3 points where its bytes can hold at most 2"), "{error}");
         bytes[7] = 0x10; // 2^60 + 3
         assert!(Cursor::new(file, &bytes).count("points", 1).is_err());
     }

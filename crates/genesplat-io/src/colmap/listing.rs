@@ -9,7 +9,7 @@ use glam::{DQuat, DVec3};
 
 use super::{ImageRecord, Model, ModelFolder, read_model, read_photos};
 use crate::error::SceneError;
-use crate::listing::{ListedPhoto, Listing, Purpose, base_name, inside, missing_photo};
+use crate::listing::{ListedPhoto, Listing, Purpose, base_name, inside, no_photos};
 
 /// Lists the photos and, if they are wanted, the points of the model in `folder`; photos are in `image_folder`.
 pub(crate) fn list(
@@ -20,7 +20,7 @@ pub(crate) fn list(
     let model = if with_points { read_model(folder)? } else { read_photos(folder)? };
     let list = folder.form.file(&folder.path, "images");
     if model.images.is_empty() {
-        return Err(SceneError::NoPhotos { file: list });
+        return Err(no_photos(&list));
     }
     let photos = find_photos(&model.images, image_folder, &list)?;
     let list: Arc<Path> = list.into();
@@ -34,10 +34,12 @@ pub(crate) fn list(
 }
 
 fn camera(model: &Model, image: &ImageRecord, list: &Path) -> Result<Camera, SceneError> {
-    let intrinsics = model.cameras.get(&image.camera).ok_or_else(|| SceneError::NoSuchCamera {
-        file: list.to_owned(),
-        name: image.name.clone(),
-        camera: image.camera,
+    let intrinsics = model.cameras.get(&image.camera).ok_or_else(|| {
+        let (name, camera) = (&image.name, image.camera);
+        let problem = format!(
+            "photo {name} refers to camera {camera}, which the model does not have; export the model again"
+        );
+        SceneError::bad_record(list, problem)
     })?;
     let [w, x, y, z] = image.rotation;
     Ok(Camera {
@@ -66,12 +68,20 @@ fn find_photos(images: &[ImageRecord], folder: &Path, list: &Path) -> Result<Vec
         }
     }
     if let Some(photo) = missing {
-        return Err(missing_photo(list, photo, found.len(), images.len(), folder));
+        let (list, folder, count) = (list.to_owned(), folder.to_owned(), images.len());
+        return Err(match found.is_empty() {
+            true => SceneError::AllPhotosMissing { count, list, folder },
+            false => SceneError::PhotoMissing { photo, list },
+        });
     }
     match shared(&found).map(|pair| pair.map(|at| images[at].name.clone())) {
         // Two records of one name are an error of `Listing::name_views`.
         Some([first, second]) if first != second => {
-            Err(SceneError::OneForTwo { file: list.to_owned(), first, second, folder: folder.to_owned() })
+            let problem = format!(
+                "lists {first} and {second}, and {} has one photo of that name for both; put them where the list says",
+                folder.display()
+            );
+            Err(SceneError::invalid(list, problem))
         }
         _ => Ok(found),
     }

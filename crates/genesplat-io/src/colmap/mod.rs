@@ -99,7 +99,6 @@ pub fn read_model(folder: &ModelFolder) -> Result<Model, SceneError> {
     Ok(Model { points, ..read_photos(folder)? })
 }
 
-/// The model without its points.
 fn read_photos(folder: &ModelFolder) -> Result<Model, SceneError> {
     let [cameras, images] = ["cameras", "images"].map(|stem| folder.form.file(&folder.path, stem));
     let (camera_bytes, image_bytes) = (read(&cameras)?, read(&images)?);

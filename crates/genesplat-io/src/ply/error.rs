@@ -45,36 +45,13 @@ pub enum PlyError {
         /// What is to be given instead.
         wanted: &'static str,
     },
-    /// Fewer bytes than the header promises.
-    #[error(
-        "{path} promises {promised} rows but holds bytes for {held}; the file was cut off, so copy or export it again"
-    )]
-    Truncated {
+    /// Rows that are not what the header promises.
+    #[error("{path} {problem}")]
+    Rows {
         /// The file.
         path: PathBuf,
-        /// What the header says.
-        promised: u64,
-        /// Whole rows that are there.
-        held: u64,
-    },
-    /// More than the header promises.
-    #[error(
-        "{path} holds more than the {promised} rows that it promises: something follows its end; the file is damaged, \
-         so copy or export it again"
-    )]
-    Trailing {
-        /// The file.
-        path: PathBuf,
-        /// What the header says.
-        promised: u64,
-    },
-    /// A row of an ASCII file that is not numbers.
-    #[error("{path}: row {row} does not hold one number for each property; export the file again")]
-    Row {
-        /// The file.
-        path: PathBuf,
-        /// 0-based row.
-        row: usize,
+        /// What is wrong, and what to do.
+        problem: String,
     },
     /// A value that is not finite.
     #[error("{path}: the {parameter} of Gaussian {row} is not finite; remove it in a splat editor")]

@@ -5,21 +5,18 @@
 pub(super) struct Property {
     /// As the header spells it.
     pub(super) name: String,
-    /// Where it lies in a row.
     pub(super) field: Field,
 }
 
 /// Where a value lies in a row.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Field {
-    /// Its type.
     pub(super) scalar: Scalar,
     /// Bytes from the start of the row.
     pub(super) offset: usize,
 }
 
 impl Field {
-    /// The value in the bytes of a row.
     pub(super) fn value(self, row: &[u8]) -> f32 {
         fn bytes<const K: usize>(row: &[u8], offset: usize) -> [u8; K] {
             std::array::from_fn(|i| row[offset + i])
@@ -38,7 +35,6 @@ impl Field {
     }
 }
 
-/// PLY's scalar types.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Scalar {
     I8,
@@ -71,7 +67,6 @@ impl Scalar {
         matches!(self, Self::F32 | Self::F64)
     }
 
-    /// Its size.
     pub(super) fn bytes(self) -> usize {
         match self {
             Self::I8 | Self::U8 => 1,

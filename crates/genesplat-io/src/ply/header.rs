@@ -3,10 +3,10 @@
 use std::io::{BufRead, Read};
 use std::path::Path;
 
-use genesplat_core::Gaussians;
+use genesplat_core::{Gaussians, ScreenFilter};
 
 use super::field::{Field, Property, Scalar};
-use super::{PlyError, PlyOptions, RenderMode};
+use super::{PlyError, PlyOptions};
 
 /// What a PLY file says about itself.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -18,18 +18,14 @@ pub struct PlyHeader {
     /// True for Mip-Splatting's 3D filter.
     pub has_filter_3d: bool,
     /// How a viewer should filter; `None` when the file does not say.
-    pub render_mode: Option<RenderMode>,
+    pub screen_filter: Option<ScreenFilter>,
     /// Header comments in order.
     pub comments: Vec<String>,
-    /// How rows are written.
     pub(super) encoding: Encoding,
-    /// Properties of a vertex in file order.
     pub(super) properties: Vec<Property>,
-    /// Bytes of a row.
     pub(super) row_bytes: usize,
     /// What the elements before the vertices take: bytes, or lines of an ASCII file.
     pub(super) before: u64,
-    /// Whether the file ends with the last vertex.
     pub(super) ends_with_vertices: bool,
 }
 
@@ -56,10 +52,8 @@ impl PlyHeader {
     }
 }
 
-/// How rows are written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Encoding {
-    /// Little-endian.
     Binary,
     /// Words, one row a line.
     Ascii,
@@ -170,7 +164,7 @@ fn assemble(
         gaussians: vertex.count,
         sh_degree: degree(rest)?,
         has_filter_3d: vertex.properties.iter().any(|property| property.name == "filter_3D"),
-        render_mode: render_mode(&comments),
+        screen_filter: screen_filter(&comments),
         comments,
         encoding,
         properties: vertex.properties,
@@ -180,7 +174,6 @@ fn assemble(
     })
 }
 
-/// What must be passed over to come to the vertices.
 fn before(elements: &[Element], encoding: Encoding) -> Result<u64, String> {
     let size = |element: &Element| match encoding {
         Encoding::Binary => fixed_length(element).map(|bytes| element.count.checked_mul(bytes)),
@@ -209,24 +202,31 @@ fn degree(rest: usize) -> Result<u8, String> {
     })
 }
 
-/// Says that opacities are compensated for the classic dilation.
-const ANTIALIASED: &str = "SplatDilation: 0.3";
+/// The header comment of `filter`, in words that viewers know. They have one for both kinds of compensated opacity, so a
+/// second comment tells the classic dilation from Mip-Splatting's.
+fn filter_comments(filter: ScreenFilter) -> &'static [&'static str] {
+    match filter {
+        ScreenFilter::Classic => &["SplatRenderMode: default"],
+        ScreenFilter::Antialiased => &["SplatRenderMode: mip", "SplatDilation: 0.3"],
+        ScreenFilter::Mip => &["SplatRenderMode: mip"],
+    }
+}
 
-fn render_mode(comments: &[String]) -> Option<RenderMode> {
-    let mode = comments.iter().find_map(|comment| comment.strip_prefix("SplatRenderMode:"))?.trim();
-    let antialiased = comments.iter().any(|comment| comment == ANTIALIASED);
-    let compensated = if antialiased { RenderMode::Antialiased } else { RenderMode::Mip };
-    [RenderMode::Default, compensated].into_iter().find(|known| known.name() == mode)
+fn screen_filter(comments: &[String]) -> Option<ScreenFilter> {
+    let value = |key| comments.iter().find_map(|comment| comment.strip_prefix(key)).map(str::trim);
+    match (value("SplatRenderMode:")?, value("SplatDilation:")) {
+        ("default", _) => Some(ScreenFilter::Classic),
+        ("mip", Some("0.3")) => Some(ScreenFilter::Antialiased),
+        ("mip", _) => Some(ScreenFilter::Mip),
+        _ => None,
+    }
 }
 
 /// The header of `cloud` at degree 3.
 pub(super) fn text(cloud: &Gaussians, options: &PlyOptions) -> String {
     let mut text = String::from("ply\nformat binary_little_endian 1.0\n");
-    text += &format!("comment SplatRenderMode: {}\n", options.render_mode.name());
-    if options.render_mode == RenderMode::Antialiased {
-        text += &format!("comment {ANTIALIASED}\n");
-    }
-    for comment in &options.comments {
+    let comments = options.comments.iter().map(String::as_str);
+    for comment in filter_comments(options.screen_filter).iter().copied().chain(comments) {
         text += &format!("comment {}\n", comment.replace(['\n', '\r'], " "));
     }
     text += &format!("element vertex {}\n", cloud.len());

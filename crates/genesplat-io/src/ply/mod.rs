@@ -26,62 +26,14 @@ pub(crate) use points::read_points;
 
 use crate::atomic::write_atomically;
 
-/// How a viewer should filter the splats, as the header comment `SplatRenderMode` tells it (shared with Brush and
-/// nerfstudio).
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
-pub enum RenderMode {
-    /// Dilation by 0.3 px², opacity unchanged.
-    #[default]
-    Default,
-    /// Dilation by 0.3 px², opacity compensated for it. Viewers know one word for both kinds of compensation, so a
-    /// second comment, `SplatDilation: 0.3`, tells this one from the next.
-    Antialiased,
-    /// Mip-Splatting's dilation by 0.1 px², opacity compensated for it.
-    Mip,
-}
-
-impl RenderMode {
-    /// As the header comment spells it.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Default => "default",
-            Self::Antialiased | Self::Mip => "mip",
-        }
-    }
-}
-
-impl From<ScreenFilter> for RenderMode {
-    fn from(filter: ScreenFilter) -> Self {
-        match filter {
-            ScreenFilter::Classic => Self::Default,
-            ScreenFilter::Antialiased => Self::Antialiased,
-            ScreenFilter::Mip => Self::Mip,
-        }
-    }
-}
-
-impl From<RenderMode> for ScreenFilter {
-    fn from(mode: RenderMode) -> Self {
-        match mode {
-            RenderMode::Default => Self::Classic,
-            RenderMode::Antialiased => Self::Antialiased,
-            RenderMode::Mip => Self::Mip,
-        }
-    }
-}
-
 /// How a cloud is written.
 #[derive(Clone, Debug, PartialEq, Eq, Default)]
 pub struct PlyOptions {
-    /// For viewers.
-    pub render_mode: RenderMode,
+    /// How a viewer should filter the splats; the header comment `SplatRenderMode` tells it (shared with Brush and
+    /// nerfstudio).
+    pub screen_filter: ScreenFilter,
     /// Further header comments, one line each (line breaks are replaced by spaces).
     pub comments: Vec<String>,
-}
-
-/// Reads what a PLY file says about itself, without its rows.
-pub fn read_ply_header(path: &Path) -> Result<PlyHeader, PlyError> {
-    open(path).map(|(header, _)| header)
 }
 
 /// Reads a cloud of Gaussians. Values are returned as they are, NaN included: see [`check_finite`].
@@ -138,14 +90,16 @@ fn open(path: &Path) -> Result<(PlyHeader, BufReader<File>), PlyError> {
     let (left, promised) = (size.saturating_sub(header_bytes + skipped), header.gaussians);
     let held = left / header.least_row_bytes();
     if held < promised {
-        return Err(PlyError::Truncated { path: path.to_owned(), promised, held });
+        let remedy = "the file was cut off, so copy or export it again";
+        let problem = format!("promises {promised} rows but holds bytes for {held}; {remedy}");
+        return Err(PlyError::Rows { path: path.to_owned(), problem });
     }
     // The rows of an ASCII file have any length; what follows them is found where they are read.
     if header.encoding == Encoding::Binary
         && header.ends_with_vertices
         && left > promised * header.least_row_bytes()
     {
-        return Err(PlyError::Trailing { path: path.to_owned(), promised });
+        return Err(trailing(path, promised));
     }
     Ok((header, reader))
 }
@@ -163,6 +117,14 @@ fn pass_over(header: &PlyHeader, reader: &mut impl BufRead) -> io::Result<u64> {
         }
     }
     Ok(bytes)
+}
+
+fn trailing(path: &Path, promised: u64) -> PlyError {
+    let problem = format!(
+        "holds more than the {promised} rows that it promises: something follows its end; the file is damaged, so copy \
+         or export it again"
+    );
+    PlyError::Rows { path: path.to_owned(), problem }
 }
 
 fn read_error(path: &Path, source: io::Error) -> PlyError {

@@ -4,13 +4,12 @@ use std::io::{BufRead, Read};
 use std::path::Path;
 
 use super::header::{Encoding, PlyHeader};
-use super::{PlyError, open, read_error};
+use super::{PlyError, open, read_error, trailing};
 use crate::scene::Point;
 
 /// Properties that a point is read from; the last three are its colour.
 const PROPERTIES: [&str; 6] = ["x", "y", "z", "red", "green", "blue"];
 
-/// What is to be given where points are read.
 const POINTS: &str = "a cloud of points with x, y, z, red, green and blue, or leave ply_file_path out";
 
 /// Reads the points of `path`; positions are in the file's own frame, colours 0 to 255.
@@ -61,7 +60,11 @@ fn ascii(header: &PlyHeader, reader: impl BufRead, path: &Path) -> Result<Vec<[f
     let mut lines = reader.lines();
     let rows = (0..header.gaussians as usize)
         .map(|row| {
-            let bad = || PlyError::Row { path: path.to_owned(), row };
+            let bad = || {
+                let problem =
+                    format!("does not hold one number for each property in row {row}; export the file again");
+                PlyError::Rows { path: path.to_owned(), problem }
+            };
             let line = lines.next().ok_or_else(bad)?.map_err(|source| read_error(path, source))?;
             let words: Vec<&str> = line.split_whitespace().collect();
             let mut values = [0.0; 6];
@@ -72,7 +75,7 @@ fn ascii(header: &PlyHeader, reader: impl BufRead, path: &Path) -> Result<Vec<[f
         })
         .collect::<Result<_, _>>()?;
     if header.ends_with_vertices && lines.any(|line| !line.is_ok_and(|line| line.trim().is_empty())) {
-        return Err(PlyError::Trailing { path: path.to_owned(), promised: header.gaussians });
+        return Err(trailing(path, header.gaussians));
     }
     Ok(rows)
 }

@@ -7,27 +7,28 @@ use genesplat_core::Gaussians;
 use genesplat_core::spherical_harmonics::{SH_COEFFICIENTS, SH_STRIDE, coefficients, sh_index};
 
 use super::PlyError;
-use super::field::{Field, Scalar};
+use super::field::Field;
 use super::header::PlyHeader;
 
-/// What is to be given where Gaussians are read.
 const SPLAT: &str = "a splat, as trainers of Gaussians write it (point_cloud.ply)";
 
-/// Rows that are read at once.
 const CHUNK_ROWS: usize = 4096;
 
 /// Names of the properties in the order in which they are written.
 pub(super) fn property_names(filter_3d: bool) -> Vec<String> {
-    let numbered = |stem: &str, count: usize| (0..count).map(|i| format!("{stem}_{i}")).collect::<Vec<_>>();
-    let named = |names: &[&str]| names.iter().map(|&name| name.to_owned()).collect::<Vec<_>>();
-    let mut names = named(&["x", "y", "z", "nx", "ny", "nz"]);
-    names.extend(numbered("f_dc", 3));
-    names.extend(numbered("f_rest", SH_STRIDE - 3));
-    names.extend(named(&["opacity"]));
-    names.extend(numbered("scale", 3));
-    names.extend(numbered("rot", 4));
-    names.extend(filter_3d.then(|| "filter_3D".to_owned()));
-    names
+    let numbered =
+        |stem: &str, count: usize| -> Vec<_> { (0..count).map(|i| format!("{stem}_{i}")).collect() };
+    let named = |names: &[&str]| -> Vec<_> { names.iter().map(|&name| name.to_owned()).collect() };
+    [
+        named(&["x", "y", "z", "nx", "ny", "nz"]),
+        numbered("f_dc", 3),
+        numbered("f_rest", SH_STRIDE - 3),
+        named(&["opacity"]),
+        numbered("scale", 3),
+        numbered("rot", 4),
+        named(if filter_3d { &["filter_3D"] } else { &[] }),
+    ]
+    .concat()
 }
 
 /// Where each parameter lies in a row.
@@ -43,20 +44,16 @@ pub(super) struct Layout {
 }
 
 impl Layout {
-    /// Finds every parameter among the properties of `header`.
     pub(super) fn of(header: &PlyHeader, path: &Path) -> Result<Self, PlyError> {
-        let find = |name: String| header.field(&name, path, SPLAT);
-        let position = ["x", "y", "z"].map(|name| find(name.into()));
-        let scale: [_; 3] = std::array::from_fn(|axis| find(format!("scale_{axis}")));
-        let rotation: [_; 4] = std::array::from_fn(|part| find(format!("rot_{part}")));
+        let find = |name: &str| header.field(name, path, SPLAT);
         let sh = sh_properties(header.sh_degree);
         Ok(Self {
-            position: all(position)?,
-            opacity: find("opacity".into())?,
-            log_scale: all(scale)?,
-            rotation: all(rotation)?,
-            sh: sh.map(|(slot, name)| Ok((slot, find(name)?))).collect::<Result<_, _>>()?,
-            filter_3d: header.has_filter_3d.then(|| find("filter_3D".into())).transpose()?,
+            position: [find("x")?, find("y")?, find("z")?],
+            opacity: find("opacity")?,
+            log_scale: [find("scale_0")?, find("scale_1")?, find("scale_2")?],
+            rotation: [find("rot_0")?, find("rot_1")?, find("rot_2")?, find("rot_3")?],
+            sh: sh.map(|(slot, name)| Ok((slot, find(&name)?))).collect::<Result<_, _>>()?,
+            filter_3d: header.has_filter_3d.then(|| find("filter_3D")).transpose()?,
             row_bytes: header.row_bytes,
         })
     }
@@ -64,29 +61,26 @@ impl Layout {
     /// Reads `count` rows; the caller has checked that the file holds them.
     pub(super) fn read(&self, count: usize, reader: &mut impl Read) -> io::Result<Gaussians> {
         let mut cloud =
-            Gaussians { filter_3d: self.filter_3d.map(|_| Vec::with_capacity(count)), ..empty(count) };
+            Gaussians { filter_3d: self.filter_3d.map(|_| vec![0.0; count]), ..Gaussians::zeros(count) };
         let mut chunk = vec![0; CHUNK_ROWS.min(count) * self.row_bytes];
-        let mut left = count;
-        while left > 0 {
-            let rows = left.min(CHUNK_ROWS);
-            let bytes = &mut chunk[..rows * self.row_bytes];
+        for first in (0..count).step_by(CHUNK_ROWS) {
+            let bytes = &mut chunk[..CHUNK_ROWS.min(count - first) * self.row_bytes];
             reader.read_exact(bytes)?;
-            bytes.chunks_exact(self.row_bytes).for_each(|row| self.push(row, &mut cloud));
-            left -= rows;
+            for (row, bytes) in (first..).zip(bytes.chunks_exact(self.row_bytes)) {
+                self.set(row, bytes, &mut cloud);
+            }
         }
         Ok(cloud)
     }
 
-    fn push(&self, row: &[u8], cloud: &mut Gaussians) {
-        cloud.positions.push(self.position.map(|field| field.value(row)));
-        cloud.log_scales.push(self.log_scale.map(|field| field.value(row)));
-        cloud.rotations.push(self.rotation.map(|field| field.value(row)));
-        cloud.opacity_logits.push(self.opacity.value(row));
-        let mut sh = [0.0; SH_STRIDE];
-        self.sh.iter().for_each(|&(slot, field)| sh[slot] = field.value(row));
-        cloud.sh.push(sh);
+    fn set(&self, row: usize, bytes: &[u8], cloud: &mut Gaussians) {
+        cloud.positions[row] = self.position.map(|field| field.value(bytes));
+        cloud.log_scales[row] = self.log_scale.map(|field| field.value(bytes));
+        cloud.rotations[row] = self.rotation.map(|field| field.value(bytes));
+        cloud.opacity_logits[row] = self.opacity.value(bytes);
+        self.sh.iter().for_each(|&(slot, field)| cloud.sh[row][slot] = field.value(bytes));
         if let (Some(field), Some(filter)) = (self.filter_3d, &mut cloud.filter_3d) {
-            filter.push(field.value(row));
+            filter[row] = field.value(bytes);
         }
     }
 }
@@ -98,25 +92,6 @@ fn sh_properties(degree: u8) -> impl Iterator<Item = (usize, String)> {
         let dc = std::iter::once((sh_index(channel, 0), format!("f_dc_{channel}")));
         dc.chain((0..rest).map(move |k| (sh_index(channel, 1 + k), format!("f_rest_{}", channel * rest + k))))
     })
-}
-
-fn all<const K: usize>(fields: [Result<Field, PlyError>; K]) -> Result<[Field; K], PlyError> {
-    let mut found = [Field { scalar: Scalar::F32, offset: 0 }; K];
-    for (slot, field) in found.iter_mut().zip(fields) {
-        *slot = field?;
-    }
-    Ok(found)
-}
-
-fn empty(capacity: usize) -> Gaussians {
-    Gaussians {
-        positions: Vec::with_capacity(capacity),
-        log_scales: Vec::with_capacity(capacity),
-        rotations: Vec::with_capacity(capacity),
-        opacity_logits: Vec::with_capacity(capacity),
-        sh: Vec::with_capacity(capacity),
-        filter_3d: None,
-    }
 }
 
 /// Writes every row of `cloud` in the order of [`property_names`].

@@ -1,7 +1,4 @@
-//! Scenes: how a folder describes its photos, and the photos as training and test views.
-//!
-//! Each reader ([`crate::colmap`], `transforms`) turns its files into a [`Listing`]: photos by path, with cameras, and
-//! points. What follows is the same for all: the photos are split ([`split`]), then loaded in parallel ([`view`]).
+//! Scenes: what a reader lists is split ([`split`]), and its photos are loaded in parallel ([`view`]).
 
 mod split;
 mod view;
@@ -95,7 +92,6 @@ pub trait LoadProgress: Sync {
     fn photo_done(&self);
 }
 
-/// Ignores it.
 impl LoadProgress for () {
     fn start(&self, _photos: usize) {}
     fn photo_done(&self) {}
@@ -117,8 +113,12 @@ pub fn load_scene(
     let photos = listing.photos.iter().map(|photo| photo.path.clone()).collect();
     let (train, test) = split::split(listing.photos, options.hold_out);
     if train.is_empty() {
-        let (photos, held_out) = (test.len(), test.len());
-        return Err(SceneError::NotEnoughPhotos { path: path.to_owned(), photos, held_out });
+        let problem = format!(
+            "has not enough photos: {0}, of which {0} would be held out for testing and none is left to train on; \
+             add photos",
+            test.len()
+        );
+        return Err(SceneError::invalid(path, problem));
     }
     progress.start(train.len() + test.len());
     let load = |photos: &[ListedPhoto]| -> Result<Vec<View>, SceneError> {
@@ -141,10 +141,10 @@ pub fn load_points(path: &Path, options: &LoadOptions) -> Result<Vec<Point>, Sce
 
 fn list(path: &Path, options: &LoadOptions) -> Result<Listing, SceneError> {
     if !path.exists() {
-        return Err(SceneError::Missing { path: path.to_owned() });
+        return Err(SceneError::Missing(path.to_owned()));
     }
     match list_known(path, options) {
-        Err(error @ (SceneError::Unrecognised { .. } | SceneError::AllPhotosMissing { .. })) => {
+        Err(error @ (SceneError::Unrecognised(_) | SceneError::AllPhotosMissing { .. })) => {
             Err(whole_scene(path)
                 .map_or(error, |scene| SceneError::PartOfScene { path: path.to_owned(), scene }))
         }
@@ -153,12 +153,16 @@ fn list(path: &Path, options: &LoadOptions) -> Result<Listing, SceneError> {
 }
 
 /// `listing` with the names of its views. Too few points are an error here already: training would find it out only
-/// after the photos are decoded and the folder for its results is cleared.
+/// after the photos are decoded.
 fn checked(mut listing: Listing, options: &LoadOptions) -> Result<Listing, SceneError> {
     listing.name_views()?;
     let points = listing.points.len();
     if options.with_points && points < POINTS_MIN {
-        return Err(SceneError::TooFewPoints { file: listing.points_file, points, least: POINTS_MIN });
+        let problem = format!(
+            "has {points} points, and training starts from at least {POINTS_MIN}; the reconstruction failed, so run \
+             it again"
+        );
+        return Err(SceneError::invalid(&listing.points_file, problem));
     }
     Ok(listing)
 }
@@ -174,7 +178,7 @@ fn list_known(path: &Path, options: &LoadOptions) -> Result<Listing, SceneError>
     if path.join("transforms.json").is_file() {
         return transforms::list_nerfstudio(path, seed);
     }
-    Err(SceneError::Unrecognised { path: path.to_owned() })
+    Err(SceneError::Unrecognised(path.to_owned()))
 }
 
 /// The scene that `path` is a part of, as `sparse/0`, `sparse` and `images` are.

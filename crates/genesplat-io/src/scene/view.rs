@@ -12,7 +12,6 @@ use crate::photos;
 /// Least side of a loaded photo, px: SSIM's window alone has 11.
 pub const SIDE_MIN_PX: u32 = 16;
 
-/// Decodes and prepares one photo.
 pub(super) fn load(
     listed: &ListedPhoto,
     options: &LoadOptions,
@@ -22,8 +21,11 @@ pub(super) fn load(
     let camera = camera_of_photo(listed, photo.width, photo.height)?;
     let (width, height) = options.size_of(photo.width, photo.height);
     if width.min(height) < SIDE_MIN_PX {
-        let (photo, least) = (listed.path.clone(), SIDE_MIN_PX);
-        return Err(SceneError::PhotoTooSmall { photo, width, height, least });
+        let problem = format!(
+            "would be loaded at {width}x{height} pixels, and both sides must have at least {SIDE_MIN_PX}; reduce it \
+             less (--max-side, --downscale), or take a larger photo"
+        );
+        return Err(SceneError::BadPhoto { photo: listed.path.clone(), problem });
     }
     let (photo, camera) = undistort(listed, photo, camera)?;
     let photo = Arc::new(photos::resize(&photo, width, height));
@@ -52,12 +54,14 @@ fn camera_of_photo(listed: &ListedPhoto, width: u32, height: u32) -> Result<Came
     // Either side may have been rounded by a pixel before and after the reduction; 0.5 % covers large photos.
     let tolerance = (0.005 * f64::from(height)).max(2.0);
     if (expected_height - f64::from(height)).abs() > tolerance {
-        return Err(SceneError::SizeMismatch {
-            photo: listed.path.clone(),
-            photo_size: [width, height],
-            list: listed.list.to_path_buf(),
-            camera_size: [camera.width, camera.height],
-        });
+        let problem = format!(
+            "is {width}x{height} pixels, but its camera in {} is {}x{}, which is another shape; use the photos that \
+             the cameras were calibrated on",
+            listed.list.display(),
+            camera.width,
+            camera.height
+        );
+        return Err(SceneError::BadPhoto { photo: listed.path.clone(), problem });
     }
     Ok(camera.resized(width, height))
 }

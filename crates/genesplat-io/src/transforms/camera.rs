@@ -7,7 +7,7 @@ use glam::{DMat3, DQuat, DVec3};
 
 use super::schema::{OptionalIntrinsics, PhotoEntry};
 use crate::error::SceneError;
-use crate::listing::intrinsics_problem;
+use crate::listing::{bad_pose, intrinsics_problem};
 use crate::photos::{self, Distortion};
 
 /// The camera of `entry`, and what its lens distorts; `photo` is asked for its size where the file does not say it.
@@ -70,9 +70,8 @@ fn distortion(intrinsics: &OptionalIntrinsics) -> Option<Distortion> {
     (!distortion.is_none()).then_some(distortion)
 }
 
-/// `camera_from_world` of an entry.
 fn pose(list: &Path, entry: &PhotoEntry) -> Result<(DQuat, DVec3), SceneError> {
-    let bad = |problem| SceneError::BadPose { file: list.to_owned(), name: entry.file_path.clone(), problem };
+    let bad = |problem| bad_pose(list, &entry.file_path, problem);
     let [x, y, z, ..] = entry.transform_matrix.as_slice() else {
         return Err(bad("has fewer than three rows"));
     };

@@ -18,9 +18,8 @@ pub(crate) use self::camera::KNOWN_MODELS;
 use self::random_points::{COUNT, Cube};
 use self::splits::Splits;
 use crate::error::SceneError;
-use crate::listing::{ListedPhoto, Listing, Purpose, inside, missing_photo, path_inside};
+use crate::listing::{ListedPhoto, Listing, Purpose, inside, no_photos, path_inside};
 use crate::ply;
-use crate::scene::Point;
 
 /// What the file name of a photo may end in beyond what a frame says.
 const ENDS: [&str; 3] = ["", ".png", ".jpg"];
@@ -33,59 +32,27 @@ pub(crate) fn list_blender(folder: &Path, seed: Option<u64>) -> Result<Listing, 
     let test = folder.join("transforms_test.json");
     let mut found = read_photos(&list, Some(Purpose::Unsaid))?;
     if test.is_file() {
-        found.append(read_photos(&test, Some(Purpose::Test))?);
+        let tested = read_photos(&test, Some(Purpose::Test))?;
+        found.photos.extend(tested.photos);
+        found.missing.extend(tested.missing);
+        found.masks += tested.masks;
     }
-    if let Some(missing) = found.missing.first() {
-        let (there, all) = (found.photos.len(), found.photos.len() + found.missing.len());
-        return Err(missing_photo(&missing.list, missing.photo.clone(), there, all, folder));
+    match found.missing.first() {
+        Some((photo, list)) if !found.photos.is_empty() => {
+            Err(SceneError::PhotoMissing { photo: photo.clone(), list: list.to_path_buf() })
+        }
+        _ => found.into_listing(&list, seed, |_| Cube::BLENDER),
     }
-    let mut notices = Vec::from_iter(found.masks_notice());
-    let points_file = found.points_file(&list)?;
-    let points = points(&found, &points_file, seed, || Cube::BLENDER, &mut notices)?;
-    Ok(Listing { photos: found.photos, points, points_file, notices })
 }
 
 /// The scene of `folder/transforms.json`. Photos that are listed but absent are left out with a notice: published
 /// scenes list photos that were removed as blurred.
 pub(crate) fn list_nerfstudio(folder: &Path, seed: Option<u64>) -> Result<Listing, SceneError> {
     let list = folder.join("transforms.json");
-    let found = read_photos(&list, None)?;
-    let mut notices = Vec::from_iter(found.masks_notice());
-    if let Some(first) = found.missing.first() {
-        let (gone, all) = (found.missing.len(), found.photos.len() + found.missing.len());
-        if gone == all {
-            return Err(missing_photo(&list, first.photo.clone(), 0, all, folder));
-        }
-        let first = first.photo.display();
-        notices.push(format!(
-            "{gone} of the {all} photos that {} lists do not exist and are left out, first {first}",
-            list.display()
-        ));
-    }
-    notices.extend(found.unused_notice(&list));
-    let cameras: Vec<Camera> = found.photos.iter().map(|photo| photo.camera).collect();
-    let points_file = found.points_file(&list)?;
-    let points = points(&found, &points_file, seed, || Cube::seen_by(&cameras), &mut notices)?;
-    Ok(Listing { photos: found.photos, points, points_file, notices })
-}
-
-/// The points that the file names, or random ones with a notice; none where none are wanted.
-fn points(
-    found: &Found,
-    file: &Path,
-    seed: Option<u64>,
-    cube: impl FnOnce() -> Cube,
-    notices: &mut Vec<String>,
-) -> Result<Vec<Point>, SceneError> {
-    let Some(seed) = seed else { return Ok(Vec::new()) };
-    if found.points.is_some() {
-        if !file.exists() {
-            return Err(SceneError::PointsMissing { points: file.to_owned() });
-        }
-        return Ok(ply::read_points(file)?);
-    }
-    notices.push(format!("the scene has no points, so training starts from {COUNT} random ones"));
-    Ok(cube().points(seed))
+    read_photos(&list, None)?.into_listing(&list, seed, |photos| {
+        let cameras: Vec<Camera> = photos.iter().map(|photo| photo.camera).collect();
+        Cube::seen_by(&cameras)
+    })
 }
 
 fn with_end(path: &Path, end: &str) -> PathBuf {
@@ -94,66 +61,86 @@ fn with_end(path: &Path, end: &str) -> PathBuf {
     whole.into()
 }
 
-/// A listed photo that does not exist.
-struct Missing {
-    photo: PathBuf,
-    list: Arc<Path>,
-}
-
 /// What one or two files list.
 #[derive(Default)]
 struct Found {
     photos: Vec<ListedPhoto>,
-    missing: Vec<Missing>,
+    /// Photos that do not exist, each with the file that lists it.
+    missing: Vec<(PathBuf, Arc<Path>)>,
     /// How many photos have a mask.
     masks: usize,
     points: Option<String>,
 }
 
 impl Found {
-    fn append(&mut self, other: Self) {
-        self.photos.extend(other.photos);
-        self.missing.extend(other.missing);
-        self.masks += other.masks;
+    /// With the points that the file names, or random ones with a notice; none where none are wanted.
+    fn into_listing(
+        self,
+        list: &Path,
+        seed: Option<u64>,
+        cube: impl FnOnce(&[ListedPhoto]) -> Cube,
+    ) -> Result<Listing, SceneError> {
+        let folder = list.parent().unwrap_or(Path::new(""));
+        if self.photos.is_empty() {
+            let (count, list, folder) = (self.missing.len(), list.to_owned(), folder.to_owned());
+            return Err(SceneError::AllPhotosMissing { count, list, folder });
+        }
+        let mut notices = self.notices(list);
+        let points_file = match &self.points {
+            Some(name) => folder.join(path_inside(name).ok_or_else(|| points_outside(list, name))?),
+            None => list.to_owned(),
+        };
+        let points = match (seed, &self.points) {
+            (None, _) => Vec::new(),
+            (_, Some(_)) if !points_file.exists() => return Err(SceneError::PointsMissing(points_file)),
+            (_, Some(_)) => ply::read_points(&points_file)?,
+            (Some(seed), None) => {
+                notices.push(format!("the scene has no points, so training starts from {COUNT} random ones"));
+                cube(&self.photos).points(seed)
+            }
+        };
+        Ok(Listing { photos: self.photos, points, points_file, notices })
     }
 
-    /// Masks take effort to make, and have no effect here.
-    fn masks_notice(&self) -> Option<String> {
-        (self.masks > 0).then(|| {
-            let all = self.photos.len() + self.missing.len();
-            format!(
+    /// Masks take effort to make, and have no effect here; a photo may be missing, or be in no list, by mistake.
+    fn notices(&self, list: &Path) -> Vec<String> {
+        let (list, all) = (list.display(), self.photos.len() + self.missing.len());
+        let mut notices = Vec::new();
+        if self.masks > 0 {
+            notices.push(format!(
                 "masks are not used, though {} of the {all} photos have one (mask_path): what they cover counts like \
                  the rest",
                 self.masks
-            )
-        })
-    }
-
-    /// A photo may be missing from the lists by mistake.
-    fn unused_notice(&self, list: &Path) -> Option<String> {
+            ));
+        }
+        if let Some((first, _)) = self.missing.first() {
+            let (gone, first) = (self.missing.len(), first.display());
+            notices.push(format!(
+                "{gone} of the {all} photos that {list} lists do not exist and are left out, first {first}"
+            ));
+        }
         let unused = self.photos.iter().filter(|photo| photo.purpose == Purpose::Unused).count();
-        (unused > 0).then(|| {
-            let (list, all) = (list.display(), self.photos.len() + self.missing.len());
-            format!(
+        if unused > 0 {
+            notices.push(format!(
                 "{unused} of the {all} photos that {list} lists are neither trained nor tested on, as its \
                  train_filenames, val_filenames and test_filenames have it"
-            )
-        })
+            ));
+        }
+        notices
     }
+}
 
-    /// The file of the points that `list` names, or else `list` itself.
-    fn points_file(&self, list: &Path) -> Result<PathBuf, SceneError> {
-        let Some(name) = &self.points else { return Ok(list.to_owned()) };
-        let outside = || SceneError::PointsOutside { file: list.to_owned(), name: name.clone() };
-        Ok(list.parent().unwrap_or(Path::new("")).join(path_inside(name).ok_or_else(outside)?))
-    }
+fn points_outside(list: &Path, name: &str) -> SceneError {
+    let problem =
+        "which is not a path inside the scene's folder; correct it, or remove it to start from random points";
+    SceneError::invalid(list, format!("has the ply_file_path {name:?}, {problem}"))
 }
 
 /// What the file `list` lists. Each photo has this `purpose`; without one, what the file's own lists say.
 fn read_photos(list: &Path, purpose: Option<Purpose>) -> Result<Found, SceneError> {
     let file = schema::read(list)?;
     if file.frames.is_empty() {
-        return Err(SceneError::NoPhotos { file: list.to_owned() });
+        return Err(no_photos(list));
     }
     let splits = if purpose.is_some() { None } else { Some(Splits::of(&file, list)?) };
     let folder = list.parent().unwrap_or(Path::new(""));
@@ -163,7 +150,7 @@ fn read_photos(list: &Path, purpose: Option<Purpose>) -> Result<Found, SceneErro
     for entry in &file.frames {
         let relative = inside(&entry.file_path, list)?;
         let Some((name, path)) = find_photo(folder, relative, &entry.file_path) else {
-            found.missing.push(Missing { photo: folder.join(relative), list: shared.clone() });
+            found.missing.push((folder.join(relative), shared.clone()));
             continue;
         };
         let intrinsics = entry.intrinsics.or(&file.intrinsics);

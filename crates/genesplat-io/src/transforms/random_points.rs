@@ -9,21 +9,17 @@ use crate::scene::Point;
 pub(super) const COUNT: u32 = 100_000;
 /// The reference draws colours from a range so narrow that all of them are this grey at 8 bit.
 const GREY: u8 = 127;
-/// Half the side of the cube that Blender scenes fill, world units (3DGS).
-const BLENDER_HALF_SIDE: f64 = 1.3;
 
-/// A cube with axes along the world's.
+/// A cube with axes along the world's, in world units.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Cube {
-    /// World units.
     pub(super) centre: DVec3,
-    /// World units.
     pub(super) half_side: f64,
 }
 
 impl Cube {
-    /// Where Blender scenes put their object.
-    pub(super) const BLENDER: Self = Self { centre: DVec3::ZERO, half_side: BLENDER_HALF_SIDE };
+    /// What Blender scenes fill (3DGS).
+    pub(super) const BLENDER: Self = Self { centre: DVec3::ZERO, half_side: 1.3 };
 
     /// The cube around what `cameras` look at: the point nearest to all optical axes, as far as the middle camera is.
     ///

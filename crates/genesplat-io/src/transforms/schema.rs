@@ -7,26 +7,21 @@ use serde::de::IgnoredAny;
 
 use crate::error::SceneError;
 
-/// A file.
 #[derive(Debug, Deserialize)]
 pub(super) struct Transforms {
     /// For all photos, unless a photo has its own.
     #[serde(flatten)]
     pub(super) intrinsics: OptionalIntrinsics,
-    /// The photos.
     #[serde(default)]
     pub(super) frames: Vec<PhotoEntry>,
     /// A point cloud in the frame of the poses, relative to the file.
     pub(super) ply_file_path: Option<String>,
-    /// Photos to train on, by path; newer nerfstudio writes these lists, and [`super::splits`] reads them.
+    /// Lists of paths that newer nerfstudio writes, and [`super::splits`] reads.
     pub(super) train_filenames: Option<Vec<String>>,
-    /// Photos to validate on.
     pub(super) val_filenames: Option<Vec<String>>,
-    /// Photos to test on.
     pub(super) test_filenames: Option<Vec<String>>,
 }
 
-/// A photo.
 #[derive(Debug, Deserialize)]
 pub(super) struct PhotoEntry {
     /// Relative to the file; Blender leaves the extension out.
@@ -40,7 +35,6 @@ pub(super) struct PhotoEntry {
     pub(super) intrinsics: OptionalIntrinsics,
 }
 
-/// Intrinsics, all of them optional.
 #[derive(Clone, Debug, Default, Deserialize)]
 pub(super) struct OptionalIntrinsics {
     /// Horizontal field of view, radians.
@@ -97,7 +91,6 @@ impl OptionalIntrinsics {
     }
 }
 
-/// Reads and checks a file's grammar.
 pub(super) fn read(file: &Path) -> Result<Transforms, SceneError> {
     let text = std::fs::read(file).map_err(|source| SceneError::Read { file: file.to_owned(), source })?;
     serde_json::from_slice(&text).map_err(|source| SceneError::Json { file: file.to_owned(), source })

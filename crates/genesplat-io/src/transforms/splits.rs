@@ -23,7 +23,6 @@ pub(super) struct Splits {
 }
 
 impl Splits {
-    /// The lists of `file`, read from `list`.
     pub(super) fn of(file: &Transforms, list: &Path) -> Result<Self, SceneError> {
         let frames: Names = file.frames.iter().flat_map(|entry| names_of(&entry.file_path)).collect();
         let names = |names: &Option<Vec<String>>, key| known(names, &frames, key, list);
@@ -34,12 +33,15 @@ impl Splits {
         })
     }
 
-    /// What the photo of `frame` is for.
     pub(super) fn purpose(&self, frame: &str, list: &Path) -> Result<Purpose, SceneError> {
         let is_in = |names: &Names| names_of(frame).any(|name| names.contains(&name));
         let [train, validation, test] = [&self.train, &self.validation, &self.test].map(is_in);
         if train && (validation || test) {
-            return Err(SceneError::TrainedAndHeldOut { file: list.to_owned(), name: frame.to_owned() });
+            let problem = format!(
+                "has {frame} both in its train_filenames and in its val_filenames or test_filenames; remove it from \
+                 one of them, or its figures would be those of a photo that training saw"
+            );
+            return Err(SceneError::invalid(list, problem));
         }
         let is_tested = test || (self.test.is_empty() && validation);
         Ok(match (train, is_tested) {
@@ -69,7 +71,8 @@ fn known(
     list: &Path,
 ) -> Result<Names, SceneError> {
     let name = |name: &String| {
-        let unknown = || SceneError::ListedUnknown { file: list.to_owned(), name: name.clone(), key };
+        let remedy = "but none of its frames has that file_path; correct one of them";
+        let unknown = || SceneError::invalid(list, format!("has {name} in its {key}, {remedy}"));
         Some(plain(name)).filter(|name| frames.contains(name)).ok_or_else(unknown)
     };
     names.iter().flatten().map(name).collect()

@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use crate::common::{SIZE, tiny_model, tiny_photo, write_scene};
+use crate::common::{SIZE, tiny_model, tiny_photo, write_form, write_scene};
 use genesplat_io::colmap::{Form, Model, ModelFolder, find_model, read_model, write_model};
 use genesplat_io::{HoldOut, LoadOptions, LoadProgress, PhotoSize, SceneError, load_scene, photos};
 
@@ -31,7 +31,7 @@ fn both_forms_keep_every_bit() {
     let model = tiny_model(3);
     for form in FORMS {
         let folder = tempfile::tempdir().unwrap();
-        write_model(folder.path(), form, &model).unwrap();
+        write_form(folder.path(), form, &model);
         let found = find_model(folder.path()).unwrap();
         assert_eq!(found.form, form);
         assert_eq!(read_model(&found).unwrap(), model);
@@ -41,8 +41,8 @@ fn both_forms_keep_every_bit() {
 #[test]
 fn binary_is_preferred_to_text() {
     let folder = tempfile::tempdir().unwrap();
-    write_model(folder.path(), Form::Text, &tiny_model(1)).unwrap();
-    write_model(folder.path(), Form::Binary, &tiny_model(2)).unwrap();
+    write_form(folder.path(), Form::Text, &tiny_model(1));
+    write_model(folder.path(), &tiny_model(2)).unwrap();
     assert_eq!(read_model(&find_model(folder.path()).unwrap()).unwrap().images.len(), 2);
 }
 
@@ -85,7 +85,7 @@ fn a_photo_in_the_place_of_features_is_named_by_its_line() {
 fn features_and_tracks_are_passed_over() {
     let folder = tempfile::tempdir().unwrap();
     let model = tiny_model(1);
-    write_model(folder.path(), Form::Binary, &model).unwrap();
+    write_model(folder.path(), &model).unwrap();
     // One feature for the only photo, and a track of two for the last point.
     for (name, entries, bytes) in [("images.bin", 1u64, 24), ("points3D.bin", 2, 16)] {
         let path = folder.path().join(name);
@@ -101,7 +101,7 @@ fn features_and_tracks_are_passed_over() {
 #[test]
 fn a_binary_model_cut_anywhere_is_an_error() {
     let folder = tempfile::tempdir().unwrap();
-    write_model(folder.path(), Form::Binary, &tiny_model(2)).unwrap();
+    write_model(folder.path(), &tiny_model(2)).unwrap();
     let found = find_model(folder.path()).unwrap();
     for stem in FILES {
         let path = folder.path().join(format!("{stem}.bin"));
@@ -206,7 +206,7 @@ fn bad_numbers_are_named_in_both_forms() {
             let sentence = refusal(form, &tiny_model(3), |scene| {
                 let mut model = tiny_model(3);
                 spoil(&mut model);
-                write_model(&scene.join("sparse/0"), form, &model).unwrap();
+                write_form(&scene.join("sparse/0"), form, &model);
             });
             assert!(sentence.contains(expected) && sentence.contains("sparse/0"), "{sentence}");
         }
@@ -280,7 +280,7 @@ fn names_that_leave_the_image_folder_are_refused() {
         let sentence = refusal(Form::Binary, &tiny_model(2), |scene| {
             let mut model = tiny_model(2);
             model.images[0].name = name.into();
-            write_model(&scene.join("sparse/0"), Form::Binary, &model).unwrap();
+            write_model(&scene.join("sparse/0"), &model).unwrap();
         });
         assert!(sentence.contains("not a path inside"), "{sentence}");
     }
@@ -291,7 +291,7 @@ fn a_photo_listed_twice_is_named() {
     let sentence = refusal(Form::Binary, &tiny_model(2), |scene| {
         let mut model = tiny_model(2);
         model.images[1].name = model.images[0].name.clone();
-        write_model(&scene.join("sparse/0"), Form::Binary, &model).unwrap();
+        write_model(&scene.join("sparse/0"), &model).unwrap();
     });
     assert!(sentence.contains("a b/000.png twice"), "{sentence}");
 }
@@ -303,7 +303,7 @@ fn one_photo_is_not_taken_for_two() {
         let mut model = tiny_model(3);
         (model.images[0].name, model.images[1].name) = ("left/1.png".into(), "right/1.png".into());
         photos::write_png(&scene.join("images/1.png"), &tiny_photo(0, [40, 30])).unwrap();
-        write_model(&scene.join("sparse/0"), Form::Binary, &model).unwrap();
+        write_model(&scene.join("sparse/0"), &model).unwrap();
     });
     assert!(sentence.contains("lists left/1.png and right/1.png"), "{sentence}");
 }

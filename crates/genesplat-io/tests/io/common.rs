@@ -1,5 +1,6 @@
 //! What several tests share: a tiny COLMAP scene on disk, and the folder of real scenes.
 
+use std::fs;
 use std::path::{Path, PathBuf};
 
 use genesplat_core::Photo;
@@ -39,7 +40,34 @@ pub(crate) fn write_scene(scene: &Path, form: Form, model: &Model) {
     for (index, image) in model.images.iter().enumerate() {
         photos::write_png(&scene.join("images").join(&image.name), &tiny_photo(index, SIZE)).unwrap();
     }
-    write_model(&scene.join("sparse/0"), form, model).unwrap();
+    write_form(&scene.join("sparse/0"), form, model);
+}
+
+/// Writes `model` into `folder` in either form; numbers have as many digits as their type needs.
+pub(crate) fn write_form(folder: &Path, form: Form, model: &Model) {
+    if form == Form::Binary {
+        return write_model(folder, model).unwrap();
+    }
+    fs::create_dir_all(folder).unwrap();
+    let write = |name: &str, lines: Vec<String>| {
+        fs::write(folder.join(name), format!("# a comment\n{}", lines.concat())).unwrap();
+    };
+    let camera = |(id, camera): (&u32, &Intrinsics)| {
+        let ([fx, fy], [cx, cy]) = (camera.focal_px, camera.principal_px);
+        format!("{id} PINHOLE {} {} {fx} {fy} {cx} {cy}\n", camera.width, camera.height)
+    };
+    write("cameras.txt", model.cameras.iter().map(camera).collect());
+    let image = |(id, image): (u32, &ImageRecord)| {
+        let ([qw, qx, qy, qz], [tx, ty, tz]) = (image.rotation, image.translation);
+        format!("{id} {qw} {qx} {qy} {qz} {tx} {ty} {tz} {} {}\n\n", image.camera, image.name)
+    };
+    write("images.txt", (1..).zip(&model.images).map(image).collect());
+    let point = |(id, point): (u32, &Point)| {
+        // As f64: digits of an f32 that are read as f64 and rounded again could end one step off.
+        let ([x, y, z], [r, g, b]) = (point.position.map(f64::from), point.rgb);
+        format!("{id} {x} {y} {z} {r} {g} {b} 0\n")
+    };
+    write("points3D.txt", (1..).zip(&model.points).map(point).collect());
 }
 
 /// The folder of real scenes, or `None` with a line that says so; in CI its absence is a failure.

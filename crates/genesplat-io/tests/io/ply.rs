@@ -4,7 +4,7 @@ use std::fs;
 use std::path::PathBuf;
 
 use genesplat_core::{Gaussians, Rng, ScreenFilter, Stream};
-use genesplat_io::ply::{self, PlyError, RenderMode};
+use genesplat_io::ply::{self, PlyError};
 use genesplat_io::{PlyOptions, read_ply, write_ply};
 use proptest::prelude::*;
 
@@ -95,7 +95,7 @@ fn the_layout_is_the_authors() {
     cloud.log_scales[0] = [101.0, 102.0, 103.0];
     cloud.rotations[0] = [104.0, 105.0, 106.0, 107.0];
     let path = folder.file("cloud.ply");
-    write_ply(&path, &cloud, &PlyOptions { render_mode: RenderMode::Mip, comments: vec!["a\nb".into()] })
+    write_ply(&path, &cloud, &PlyOptions { screen_filter: ScreenFilter::Mip, comments: vec!["a\nb".into()] })
         .unwrap();
     let bytes = fs::read(&path).unwrap();
     let end = b"end_header\n";
@@ -107,8 +107,8 @@ fn the_layout_is_the_authors() {
     expected.extend((0..3).flat_map(|channel| (1..16).map(move |k| (3 * k + channel) as f32)));
     expected.extend((100..108).map(|i| i as f32));
     assert_eq!(values, expected);
-    let header = ply::read_ply_header(&path).unwrap();
-    assert_eq!((header.gaussians, header.sh_degree, header.render_mode), (1, 3, Some(RenderMode::Mip)));
+    let (header, _) = ply::read_ply_with_header(&path).unwrap();
+    assert_eq!((header.gaussians, header.sh_degree, header.screen_filter), (1, 3, Some(ScreenFilter::Mip)));
     assert_eq!(header.comments[1], "a b");
 }
 
@@ -117,10 +117,9 @@ fn screen_filters_survive_the_file() {
     let (folder, cloud) = (Folder::new(), Gaussians::zeros(1));
     for filter in [ScreenFilter::Classic, ScreenFilter::Antialiased, ScreenFilter::Mip] {
         let path = folder.file("cloud.ply");
-        write_ply(&path, &cloud, &PlyOptions { render_mode: filter.into(), ..PlyOptions::default() })
-            .unwrap();
-        let header = ply::read_ply_header(&path).unwrap();
-        assert_eq!(header.render_mode.map(ScreenFilter::from), Some(filter));
+        write_ply(&path, &cloud, &PlyOptions { screen_filter: filter, ..PlyOptions::default() }).unwrap();
+        let (header, _) = ply::read_ply_with_header(&path).unwrap();
+        assert_eq!(header.screen_filter, Some(filter));
         let known = if filter == ScreenFilter::Classic { "default" } else { "mip" };
         assert_eq!(header.comments[0], format!("SplatRenderMode: {known}"), "a word that viewers know");
     }

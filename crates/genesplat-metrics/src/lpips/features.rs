@@ -1,7 +1,6 @@
 //! What a network does to a picture: convolve, rectify, pool.
 //!
-//! Features are `[H, W, C]`, so that a kernel row reads one run of memory, and a strip of output rows is one chunk of
-//! it. A convolution is a matrix product: the neighbourhoods of a strip's pixels are copied side by side (`im2col`) and
+//! A convolution is a matrix product: the neighbourhoods of a strip's pixels are copied side by side (`im2col`) and
 //! multiplied with the kernel. Strips have a fixed number of pixels and run in parallel: what is copied stays below
 //! about 10 MB a thread, and results do not depend on the number of threads.
 
@@ -39,12 +38,8 @@ impl Features {
         };
         // Three channels and as many shifts: the colours of a pixel follow each other.
         let scaled = |(at, &value): (usize, &u8)| (level(value) - SHIFT[at % 3]) / SCALE[at % 3];
-        Self {
-            width: photo.width as usize,
-            height: photo.height as usize,
-            channels: 3,
-            values: photo.rgb.iter().enumerate().map(scaled).collect(),
-        }
+        let values = photo.rgb.iter().enumerate().map(scaled).collect();
+        Self { width: photo.width as usize, height: photo.height as usize, channels: 3, values }
     }
 
     /// The largest value of each window, channel by channel.
@@ -82,14 +77,14 @@ impl Convolution {
     /// Takes its kernel and bias, whose shapes were checked, from `tensors`.
     pub(super) fn new(shape: Shape, tensors: &NamedTensors) -> Self {
         let Shape { inputs, outputs, kernel: side, .. } = shape;
-        let weight = &tensors[&shape.weight()].values;
+        let [weight, bias] = shape.names().map(|name| &tensors[&name].values);
         // From [output, input, row, column].
         let value = |(at, output): (usize, usize)| {
             let (place, input) = (at / inputs, at % inputs);
             weight[(output * inputs + input) * side * side + place]
         };
         let kernel = Array2::from_shape_fn((side * side * inputs, outputs), value);
-        Self { shape, kernel, bias: tensors[&shape.bias()].values.clone() }
+        Self { shape, kernel, bias: bias.clone() }
     }
 
     /// `max(0, kernel * input + bias)`.
@@ -191,7 +186,7 @@ mod tests {
             let shape = Shape { index: 0, inputs: 3, outputs: 4, kernel, stride, padding };
             let weight = Tensor { shape: Vec::new(), values: noise(4 * 3 * kernel * kernel, 0) };
             let bias = Tensor { shape: vec![4], values: noise(4, 1) };
-            let tensors = [(shape.weight(), weight.clone()), (shape.bias(), bias.clone())].into();
+            let tensors = shape.names().into_iter().zip([weight.clone(), bias.clone()]).collect();
             let input = Features { width, height, channels: 3, values: noise(3 * width * height, 2) };
             let out = Convolution::new(shape, &tensors).apply(&input);
             for (at, &value) in out.values.iter().enumerate() {

@@ -4,8 +4,6 @@
 //! their squared difference is weighted by a learned head, summed over channels and averaged over pixels; the distance
 //! is the sum of the five. 0 is identical; splats are usually between 0.05 and 0.5.
 //!
-//! The weights are files of the user ([`crate::weights`]): [`Lpips::new`] takes named tensors and checks them.
-//!
 //! Memory: about 0.8 KB a pixel of the pictures, most of it in VGG16's first slice.
 
 mod features;
@@ -22,8 +20,7 @@ use crate::{SizeMismatch, check_sizes};
 /// What the network is fed, for 8-bit values from 0 to 255.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum InputRange {
-    /// `[0, 1]`: the published tables of 3DGS and its descendants. The network expects the other, but figures compare
-    /// with a table only where they are measured as it was.
+    /// `[0, 1]`: the published tables of 3DGS and its descendants, though the network expects the other.
     ZeroToOne,
     /// `[-1, 1]`: what the authors of LPIPS trained with.
     MinusOneToOne,
@@ -53,12 +50,9 @@ pub enum WeightError {
         /// As it is.
         found: Vec<usize>,
     },
-    /// A tensor holds NaN or an infinity.
-    #[error("{tensor} holds a value that is not finite; the weights are damaged, so get them again")]
-    NotFinite {
-        /// Which tensor.
-        tensor: String,
-    },
+    /// This tensor holds NaN or an infinity.
+    #[error("{0} holds a value that is not finite; the weights are damaged, so get them again")]
+    NotFinite(String),
 }
 
 /// Two pictures that LPIPS cannot compare.
@@ -70,21 +64,18 @@ pub enum LpipsError {
     Sizes(#[from] SizeMismatch),
     /// Nothing is left of them in the last layer.
     #[error(
-        "LPIPS with {net} needs pictures of at least {least} pixels a side, and these have {width}x{height}"
+        "LPIPS with {net} needs pictures of at least {} pixels a side, and these have {}x{}",
+        net.min_side_px(), size[0], size[1]
     )]
     TooSmall {
         /// The network.
         net: Net,
-        /// Least side, px.
-        least: u32,
-        /// Width, px.
-        width: u32,
-        /// Height, px.
-        height: u32,
+        /// Width and height, px.
+        size: [u32; 2],
     },
 }
 
-/// A network with its heads, ready to compare pictures.
+/// A network with its heads.
 #[derive(Debug)]
 pub struct Lpips {
     net: Net,
@@ -112,12 +103,12 @@ impl Lpips {
         Ok(Self { net, slices: net.slices().iter().enumerate().map(slice).collect() })
     }
 
-    /// The network.
+    /// Whose features are compared.
     pub fn net(&self) -> Net {
         self.net
     }
 
-    /// The distance of two pictures: the sum of [`Lpips::layers`].
+    /// The sum of [`Lpips::layers`].
     pub fn distance(&self, a: &Photo, b: &Photo, range: InputRange) -> Result<f64, LpipsError> {
         Ok(self.layers(a, b, range)?.iter().sum())
     }
@@ -125,9 +116,8 @@ impl Lpips {
     /// The distance by layer, the shallowest first. Uses rayon's current pool.
     pub fn layers(&self, a: &Photo, b: &Photo, range: InputRange) -> Result<[f64; LAYERS], LpipsError> {
         check_sizes(a, b)?;
-        let (least, width, height) = (self.net.min_side_px(), a.width, a.height);
-        if width.min(height) < least {
-            return Err(LpipsError::TooSmall { net: self.net, least, width, height });
+        if a.width.min(a.height) < self.net.min_side_px() {
+            return Err(LpipsError::TooSmall { net: self.net, size: [a.width, a.height] });
         }
         let (mut a, mut b) = (Features::of_photo(a, range), Features::of_photo(b, range));
         let mut distances = [0.0; LAYERS];
@@ -191,7 +181,7 @@ fn check(net: Net, tensors: &NamedTensors) -> Result<(), WeightError> {
             return Err(WeightError::Shape { net, tensor, wanted, found: found.shape.clone() });
         }
         if !found.values.iter().all(|value| value.is_finite()) {
-            return Err(WeightError::NotFinite { tensor });
+            return Err(WeightError::NotFinite(tensor));
         }
     }
     Ok(())

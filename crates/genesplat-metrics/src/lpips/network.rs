@@ -11,8 +11,7 @@ pub const LAYERS: usize = 5;
 /// A network that LPIPS exists for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Net {
-    /// VGG16 (Simonyan and Zisserman 2014), tapped after relu1_2, 2_2, 3_3, 4_3 and 5_3. Published tables of this field
-    /// use it.
+    /// VGG16 (Simonyan and Zisserman 2014), tapped after relu1_2, 2_2, 3_3, 4_3 and 5_3: that of published tables.
     Vgg16,
     /// AlexNet (Krizhevsky 2014), tapped after each of its five rectifiers. Ten times faster.
     AlexNet,
@@ -34,7 +33,8 @@ impl Net {
     pub fn tensors(self) -> impl Iterator<Item = (String, Vec<usize>)> {
         let convolutions = self.slices().iter().flat_map(|slice| slice.convolutions).flat_map(|shape| {
             let Shape { outputs, inputs, kernel, .. } = *shape;
-            [(shape.weight(), vec![outputs, inputs, kernel, kernel]), (shape.bias(), vec![outputs])]
+            let [weight, bias] = shape.names();
+            [(weight, vec![outputs, inputs, kernel, kernel]), (bias, vec![outputs])]
         });
         let heads = self.slices().iter().enumerate();
         convolutions.chain(heads.map(|(layer, slice)| (head(layer), vec![1, slice.channels(), 1, 1])))
@@ -71,17 +71,16 @@ impl fmt::Display for Net {
     }
 }
 
-/// Name of the head of a layer, counted from 0.
+/// Name of a layer's head.
 pub(super) fn head(layer: usize) -> String {
     format!("lin{layer}.weight")
 }
 
-/// Convolutions between two taps.
+/// Convolutions between two taps, each with a rectifier behind it.
 #[derive(Debug)]
 pub(super) struct Slice {
     /// Window of the max pooling that comes first, if one does; its stride is [`POOL_STRIDE`].
     pub(super) pool: Option<usize>,
-    /// Convolutions, each with a rectifier behind it.
     pub(super) convolutions: &'static [Shape],
 }
 
@@ -100,27 +99,19 @@ pub(super) const POOL_STRIDE: usize = 2;
 pub(super) struct Shape {
     /// Position in torchvision's `features`.
     pub(super) index: usize,
-    /// Channels in.
+    /// Channels in and out.
     pub(super) inputs: usize,
-    /// Channels out.
     pub(super) outputs: usize,
-    /// Side of the kernel, px.
+    /// Side of the kernel, pixels from one output to the next, and zeros around the picture, px.
     pub(super) kernel: usize,
-    /// Pixels from one output to the next.
     pub(super) stride: usize,
-    /// Zeros around the picture, px.
     pub(super) padding: usize,
 }
 
 impl Shape {
-    /// Name of its kernel.
-    pub(super) fn weight(&self) -> String {
-        format!("features.{}.weight", self.index)
-    }
-
-    /// Name of its bias.
-    pub(super) fn bias(&self) -> String {
-        format!("features.{}.bias", self.index)
+    /// Names of its kernel and its bias.
+    pub(super) fn names(&self) -> [String; 2] {
+        ["weight", "bias"].map(|part| format!("features.{}.{part}", self.index))
     }
 
     /// Outputs along a side of `side` px; `None` where the kernel does not fit.
@@ -134,8 +125,16 @@ pub(super) fn places(side: usize, window: usize, stride: usize, padding: usize) 
     Some((side + 2 * padding).checked_sub(window)? / stride + 1)
 }
 
+const fn convolution(
+    index: usize,
+    [inputs, outputs]: [usize; 2],
+    [kernel, stride, padding]: [usize; 3],
+) -> Shape {
+    Shape { index, inputs, outputs, kernel, stride, padding }
+}
+
 const fn three(index: usize, inputs: usize, outputs: usize) -> Shape {
-    Shape { index, inputs, outputs, kernel: 3, stride: 1, padding: 1 }
+    convolution(index, [inputs, outputs], [3, 1, 1])
 }
 
 const VGG16: [Slice; LAYERS] = [
@@ -147,14 +146,8 @@ const VGG16: [Slice; LAYERS] = [
 ];
 
 const ALEXNET: [Slice; LAYERS] = [
-    Slice {
-        pool: None,
-        convolutions: &[Shape { index: 0, inputs: 3, outputs: 64, kernel: 11, stride: 4, padding: 2 }],
-    },
-    Slice {
-        pool: Some(3),
-        convolutions: &[Shape { index: 3, inputs: 64, outputs: 192, kernel: 5, stride: 1, padding: 2 }],
-    },
+    Slice { pool: None, convolutions: &[convolution(0, [3, 64], [11, 4, 2])] },
+    Slice { pool: Some(3), convolutions: &[convolution(3, [64, 192], [5, 1, 2])] },
     Slice { pool: Some(3), convolutions: &[three(6, 192, 384)] },
     Slice { pool: None, convolutions: &[three(8, 384, 256)] },
     Slice { pool: None, convolutions: &[three(10, 256, 256)] },

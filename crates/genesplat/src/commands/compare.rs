@@ -38,7 +38,7 @@ pub(crate) fn run(args: &CompareArgs) -> Result<()> {
     let metrics = lpips::open_all(&args.lpips)?;
     let (first, second) = (read(&args.first)?, read(&args.second)?);
     let name = args.first.file_name().unwrap_or_default().to_string_lossy();
-    let mut score = compare(&name, &first, &second, None).map_err(|mismatch| anyhow!("{mismatch}"))?;
+    let mut score = compare(&name, &first, &second).map_err(|mismatch| anyhow!("{mismatch}"))?;
     output::print(&format!("PSNR {:.4} dB  SSIM {:.6}", score.psnr, score.ssim))?;
     let mut lpips_by_network = BTreeMap::new();
     for net in Net::ALL {

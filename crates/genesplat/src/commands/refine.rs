@@ -40,7 +40,7 @@ pub(crate) fn run(args: &RefineArgs) -> Result<Ending> {
     } else {
         train(device.as_mut(), views, Start::Cloud(splat.cloud), &config, &mut reporter, &stop)?
     };
-    let options = PlyOptions { render_mode: splat.settings.filter.into(), ..PlyOptions::default() };
+    let options = PlyOptions { screen_filter: splat.settings.filter, ..PlyOptions::default() };
     write_ply(&args.out, &outcome.cloud, &options)?;
     if outcome.summary.interrupted {
         output::print("stopped early; what follows is as far as it had come")?;

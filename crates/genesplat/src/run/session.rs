@@ -106,7 +106,7 @@ impl RunSession {
 
     /// Writes the splat, so that viewers know its screen filter, and without its 3D filter, if it has one.
     pub(crate) fn write_cloud(&self, cloud: &Gaussians, filter: ScreenFilter) -> Result<()> {
-        let options = PlyOptions { render_mode: filter.into(), ..PlyOptions::default() };
+        let options = PlyOptions { screen_filter: filter, ..PlyOptions::default() };
         if cloud.filter_3d.is_some() {
             write_ply(&self.path.join(FUSED_CLOUD), &cloud.fused(), &options)?;
         }

@@ -9,7 +9,7 @@ use anyhow::Result;
 use genesplat::core::{RenderSettings, View};
 use genesplat::io::Scene;
 use genesplat::io::photos::write_png;
-use genesplat::metrics::{Evaluation, Lpips, Perceptual, evaluate};
+use genesplat::metrics::{Evaluation, Lpips, evaluate};
 use genesplat::train::scene::initialise::scene_extent;
 use genesplat::train::{Outcome, RunSummary, Start, train};
 
@@ -23,7 +23,7 @@ use crate::report::run::{RunPage, command_line};
 use crate::settings::Settings;
 use crate::terminal::progress::Bar;
 use crate::terminal::reporter::Reporter;
-use crate::{device, lpips, overwrite, scene};
+use crate::{device, overwrite, scene};
 
 /// A run about to start.
 pub(crate) struct Run<'a> {
@@ -218,15 +218,13 @@ fn evaluate_until(
     folder: Option<&Path>,
     mut bar: Bar,
 ) -> Result<Option<Evaluation>> {
-    let distance = lpips.map(lpips::published);
-    let perceptual = distance.as_ref().map(|distance| distance as Perceptual<'_>);
     let mut scores = Vec::with_capacity(views.len());
     for ((done, view), name) in (1..).zip(views).zip(scene::picture_names(views)) {
         if stop.load(Ordering::Relaxed) {
             return Ok(None);
         }
         let mut written = Ok(());
-        let of_one = evaluate(device.as_mut(), slice::from_ref(view), settings, perceptual, |_, picture| {
+        let of_one = evaluate(device.as_mut(), slice::from_ref(view), settings, lpips, |_, picture| {
             written = folder.map_or(Ok(()), |folder| write_png(&folder.join(&name), &picture));
         })?;
         written?;

@@ -5,8 +5,9 @@ use std::path::Path;
 
 use serde_json::Value;
 
-use genesplat::io::colmap::{Form, find_model, read_model, write_model};
-use genesplat::io::ply::{RenderMode, read_ply_header};
+use genesplat::core::ScreenFilter;
+use genesplat::io::colmap::{find_model, read_model, write_model};
+use genesplat::io::ply::read_ply_with_header;
 
 use crate::support::{fail, json, number, scene, succeed, text, train, write_gallery};
 
@@ -141,7 +142,7 @@ fn write_still(scene: &Path) {
     for image in &mut read.images {
         (image.rotation, image.translation) = ([1.0, 0.0, 0.0, 0.0], [0.0; 3]);
     }
-    write_model(&model, Form::Binary, &read).unwrap();
+    write_model(&model, &read).unwrap();
 }
 
 #[test]
@@ -182,8 +183,8 @@ fn options_of_the_methods_reach_the_run_and_its_splat() {
     assert_eq!(config["densify"]["signal"].as_str(), Some("absolute"));
     assert!(!out.join("point_cloud_fused.ply").exists());
     // The splat alone says how it is to be rendered; only its background is not in it.
-    let header = read_ply_header(&out.join("point_cloud.ply")).unwrap();
-    assert_eq!(header.render_mode, Some(RenderMode::Antialiased));
+    let (header, _) = read_ply_with_header(&out.join("point_cloud.ply")).unwrap();
+    assert_eq!(header.screen_filter, Some(ScreenFilter::Antialiased));
 
     let refined = folder.path().join("refined.ply");
     let search = ["--generations", "1", "--population", "2"];
@@ -212,7 +213,10 @@ fn mip_splatting_leaves_a_splat_for_any_viewer() {
             "--json".into(),
             text(&scores).to_owned(),
         ]);
-        (read_ply_header(&out.join(name)).unwrap().has_filter_3d, json(&scores)["psnr"].as_f64().unwrap())
+        (
+            read_ply_with_header(&out.join(name)).unwrap().0.has_filter_3d,
+            json(&scores)["psnr"].as_f64().unwrap(),
+        )
     });
     assert!(own.0 && !fused.0);
     assert!((own.1 - fused.1).abs() < 1e-3, "{own:?} {fused:?}");

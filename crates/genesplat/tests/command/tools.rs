@@ -125,7 +125,7 @@ fn photos_that_training_saw_are_not_called_test_photos() {
     let found = find_model(&fewer).unwrap();
     let mut model = read_model(&found).unwrap();
     model.images.retain(|image| image.name != "gallery_000.png");
-    write_model(&found.path, found.form, &model).unwrap();
+    write_model(&found.path, &model).unwrap();
     let of = |command: &str, splat: &Path, split: &str| {
         let fixed = [command, text(splat), "--data", text(&fewer), "--split", split, "--device", "cpu"];
         let out: &[&str] = if command == "render" { &["--out", text(&out)] } else { &[] };
