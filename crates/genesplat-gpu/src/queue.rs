@@ -189,7 +189,7 @@ impl GpuBackend {
     fn lists_of(&mut self, whose: ListsOf) -> (&mut Lists, &Engine) {
         let lists = match whose {
             ListsOf::Cloud => &mut self.lists,
-            ListsOf::Alleles => &mut self.pool_buffers.lists,
+            ListsOf::RowVersions => &mut self.pool_buffers.lists,
         };
         (lists, &self.engine)
     }

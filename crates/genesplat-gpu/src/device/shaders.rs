@@ -165,7 +165,7 @@ shaders! {
     /// Cloud and means to a blend of them.
     BLEND_AVERAGES = "rows/blend_averages" + [];
     /// Scoring: splats of the alleles.
-    PROJECT_ALLELES = "score/project_alleles" + [SPLAT, ROTATION, GEOMETRY, OVERLAP, COLOUR, SH_ROW, WRITE_SPLAT];
+    PROJECT_ROW_VERSIONS = "score/project_row_versions" + [SPLAT, ROTATION, GEOMETRY, OVERLAP, COLOUR, SH_ROW, WRITE_SPLAT];
     /// Scoring: pictures of individuals.
     RASTERISE_INDIVIDUALS = "score/rasterise_individuals" + [SPLAT, BATCH_SPLAT];
     /// Losses of pictures.

@@ -1,11 +1,11 @@
 //! Stage `score`: Eq. 5 of a whole population over a set of views, forward only.
 //!
-//! A pool of individuals is uploaded value by value ([`genesplat_core::alleles`]): to a view, the alleles are the rows
+//! A pool of individuals is uploaded value by value ([`genesplat_core::row_versions`]): to a view, the alleles are the rows
 //! of one large cloud, projected, sorted and listed by tile once for all individuals. A workgroup then makes the
 //! pictures of sixteen individuals in one tile: an alpha is evaluated once, and blended for those that hold it. Losses
 //! are reduced on the device; the host waits for a pool, not for its views.
 
-use genesplat_core::alleles::{Allele, Holders, alleles};
+use genesplat_core::row_versions::{Holders, RowVersion, row_versions};
 use genesplat_core::{BackendError, RenderSettings, SparseDelta};
 use rayon::prelude::*;
 
@@ -132,7 +132,7 @@ impl Pool {
                 lists.tile_counts.all(),
                 lists.flags.all(),
             ];
-            recorder.run(&shaders::PROJECT_ALLELES, &parts, Grid::Items(*count));
+            recorder.run(&shaders::PROJECT_ROW_VERSIONS, &parts, Grid::Items(*count));
         }
     }
 }
@@ -209,7 +209,7 @@ impl GpuBackend {
         let count = u64::from(pool.individuals) * views.len() as u64;
         let losses = self.engine.allocate("losses", 8 * count)?;
         let (_, values): (_, Vec<[f32; 2]>) =
-            self.until_lists_fit_and(ListsOf::Alleles, Some((&losses, count)), |gpu| {
+            self.until_lists_fit_and(ListsOf::RowVersions, Some((&losses, count)), |gpu| {
                 views.iter().enumerate().try_for_each(|(index, &view)| {
                     gpu.submit_pool(pool, view, settings, [index, views.len()], &losses)
                 })

@@ -9,13 +9,11 @@ use genesplat_core::{
     RowEdit, Statistics, StatisticsRequest, TrainStep, View, WindowAverages, backend::StepReport,
 };
 
-use super::blend::rasterise_backward::Extra;
 use super::loss::{Target, loss};
 use super::score::Scorer;
 use super::update::{UpdateInputs, update};
-use super::view::buffers::ViewBuffers;
+use super::view::buffers::{StageSeconds, ViewBuffers, timed};
 use super::view::pinhole::Pinhole;
-use super::view::timings::{StageSeconds, timed};
 
 /// A training view as the kernels read it.
 pub(super) struct TrainView {
@@ -113,15 +111,6 @@ fn instruction_set(level: Level) -> String {
     variant.split('(').next().unwrap_or_default().replace('_', ".").to_uppercase()
 }
 
-/// What a density signal needs besides the gradients.
-fn extra(signal: Option<DensitySignal>) -> Extra {
-    match signal {
-        Some(DensitySignal::Absolute | DensitySignal::SignedAndAbsolute) => Extra::Absolute,
-        Some(DensitySignal::PixelWeighted { .. }) => Extra::Pixels,
-        Some(DensitySignal::Signed) | None => Extra::None,
-    }
-}
-
 impl Backend for CpuBackend {
     fn describe(&self) -> String {
         format!("CPU, {} threads, {}", rayon::current_num_threads(), instruction_set(self.level))
@@ -176,7 +165,7 @@ impl Backend for CpuBackend {
         let view = &self.views[step.view];
         let (camera, settings) = (view.camera, step.settings);
         self.buffers.render(self.level, &self.cloud, &camera, &settings);
-        let loss = self.buffers.backward(self.level, &camera, &view.target, extra(step.statistics.density));
+        let loss = self.buffers.backward(self.level, &camera, &view.target, step.statistics.density);
         if !loss.is_finite() {
             return Err(BackendError::diverged(&self.cloud, self.steps));
         }

@@ -24,12 +24,10 @@ mod update;
 mod view;
 
 pub use backend::CpuBackend;
-pub use blend::rasterise_backward::Extra;
 pub use loss::Target;
 pub use roofline::roofline_nanoseconds_per_intersection;
-pub use view::buffers::ViewBuffers;
+pub use view::buffers::{StageSeconds, ViewBuffers};
 pub use view::pinhole::Pinhole;
-pub use view::timings::StageSeconds;
 
 /// Memory that a vector has, used or not.
 fn bytes_of<T>(values: &Vec<T>) -> usize {

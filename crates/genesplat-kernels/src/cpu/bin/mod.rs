@@ -197,7 +197,7 @@ fn count_by_tile(unsorted: &[Vec<Keyed>], tiles: usize, starts: &mut Vec<u32>) {
 }
 
 /// Consecutive parts of the given lengths.
-fn split<'a, T>(mut values: &'a mut [T], lengths: &[usize]) -> Vec<&'a mut [T]> {
+pub(crate) fn split<'a, T>(mut values: &'a mut [T], lengths: &[usize]) -> Vec<&'a mut [T]> {
     let part = |&length: &usize| values.split_off_mut(..length).unwrap_or_default();
     lengths.iter().map(part).collect()
 }

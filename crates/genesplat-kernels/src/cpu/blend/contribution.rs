@@ -8,7 +8,7 @@ use genesplat_core::{Contribution, Gaussians, Image, RenderSettings};
 use rayon::prelude::*;
 
 use super::gradient_row::column;
-use super::rasterise_backward::{BackwardInputs, Extra, rasterise_backward};
+use super::rasterise_backward::rasterise_backward;
 use crate::cpu::loss::Target;
 use crate::cpu::view::buffers::ViewBuffers;
 use crate::cpu::view::pinhole::Pinhole;
@@ -25,9 +25,8 @@ pub(crate) fn contribution(
 ) {
     buffers.render(level, cloud, camera, settings);
     ones_and_errors(&buffers.image, target, &mut buffers.image_gradient);
-    let ViewBuffers { splats, bins, image, image_gradient, gradient_rows, .. } = buffers;
-    let inputs = BackwardInputs { splats, image, image_gradient, extra: Extra::None };
-    rasterise_backward(level, bins, camera, &inputs, gradient_rows);
+    rasterise_backward(level, buffers, camera, None);
+    let ViewBuffers { splats, bins, gradient_rows, .. } = buffers;
     contributions.par_chunks_mut(CHUNK).enumerate().for_each(|(chunk, contributions)| {
         let first = chunk * CHUNK;
         for (index, splat) in (first..).zip(splats.chunk(chunk)) {

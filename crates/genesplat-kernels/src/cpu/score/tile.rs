@@ -6,8 +6,8 @@
 //! splats of a batch together could not finish one, none is checked.
 
 use fearless_simd::{Simd, prelude::*};
-use genesplat_core::alleles::Holders;
 use genesplat_core::constants::TRANSMITTANCE_MIN;
+use genesplat_core::row_versions::Holders;
 
 use crate::cpu::bin::{BLOCK, BLOCKS_ACROSS, Intersection};
 use crate::cpu::blend::block::{BLOCKS, absorb, alpha};
