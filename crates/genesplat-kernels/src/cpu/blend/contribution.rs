@@ -1,7 +1,7 @@
 //! Stage `contribution`: how much each Gaussian contributes to a view, and the error where it is seen.
 //!
-//! The backward blending sums `α·T · dL/dpixel` for every splat and channel, as the gradient of its colour. With ones
-//! in the place of the first channel's gradient and the pixels' errors in that of the second, it sums `α·T` and errors.
+//! The backward blending sums `α·T · dL/dpixel` for every splat and channel. With ones in the place of the first
+//! channel's gradient and the pixels' errors in that of the second, it sums `α·T` and errors.
 
 use fearless_simd::Level;
 use genesplat_core::{Contribution, Gaussians, Image, RenderSettings};
@@ -42,24 +42,18 @@ pub(crate) fn contribution(
     });
 }
 
-/// In the place of the image's gradient `[3, H, W]`: ones, the errors of all channels together, zeros.
+/// In the place of the image's gradient `[3, H, W]`: ones, `|I − P|` of all channels together, zeros.
 fn ones_and_errors(image: &Image, target: &Target, gradient: &mut Vec<f32>) {
     let plane = image.planes.len() / 3;
     gradient.clear();
     gradient.resize(plane, 1.0);
     gradient.resize(3 * plane, 0.0);
-    write_errors(image, target, &mut gradient[plane..2 * plane]);
-}
-
-/// `|I − P|` of each pixel, summed over the channels `[H, W]`.
-fn write_errors(image: &Image, target: &Target, errors: &mut [f32]) {
-    let plane = errors.len();
     let of_channel = |channel: usize| {
         let (image, photo) = (&image.planes[channel * plane..], &target.planes[channel * plane..]);
         image.iter().zip(photo).map(|(&value, &level)| (value - f32::from(level) * (1.0 / 255.0)).abs())
     };
     let of_pixels = of_channel(0).zip(of_channel(1)).zip(of_channel(2));
-    for (error, ((red, green), blue)) in errors.iter_mut().zip(of_pixels) {
+    for (error, ((red, green), blue)) in gradient[plane..2 * plane].iter_mut().zip(of_pixels) {
         *error = red + green + blue;
     }
 }
