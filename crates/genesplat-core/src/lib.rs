@@ -7,7 +7,6 @@
 //! - **Parameters are raw** (before activation): log-scales, opacity logits, unnormalised `(w, x, y, z)` quaternions.
 //! - **Shapes** are written as `[N, 3]`, outermost first.
 
-pub mod alleles;
 pub mod averages;
 pub mod backend;
 pub mod camera;
@@ -19,6 +18,7 @@ pub mod gaussians;
 pub mod genes;
 pub mod image;
 pub mod rng;
+pub mod row_versions;
 pub mod spherical_harmonics;
 pub mod statistics;
 

@@ -12,13 +12,13 @@ use genesplat_core::{
 use crate::device::engine::Engine;
 use crate::device::memory::Memory;
 use crate::device::recorder::Recorder;
-use crate::device::shaders::Subgroups;
 use crate::device::timing::Timestamps;
 use crate::queue::{ListsOf, QUEUED_STEPS_MAX};
 use crate::stages::lists::Lists;
-use crate::stages::pixels::{INTERSECTION_GRADIENT_BYTES, Pixels, pack_photo};
+use crate::stages::pixels::{INTERSECTION_GRADIENT_BYTES, Needs, Pixels, pack_photo};
 use crate::stages::score::PoolBuffers;
 use crate::state::State;
+use crate::state::cloud::Parameters;
 use crate::state::layout::{Optimiser, ViewPass};
 
 /// A training view on the device.
@@ -79,7 +79,7 @@ impl GpuBackend {
 
     /// Whether its kernels sort and sum by subgroups.
     pub fn uses_subgroups(&self) -> bool {
-        self.engine.subgroups == Subgroups::With
+        self.engine.subgroups
     }
 
     /// Bytes that this backend holds on the device.
@@ -103,15 +103,26 @@ impl GpuBackend {
         ViewPass::new(&self.views[view].camera, settings, self.state.rows)
     }
 
-    /// Splats, tile lists and picture of the cloud; the picture stays on the device.
-    fn submit_image(&mut self, pass: &ViewPass) -> Result<(), BackendError> {
+    /// Submits a view of the cloud, or of `measured` in its place: splats, tile lists and picture, and what `record`
+    /// adds to these.
+    pub(crate) fn submit_view(
+        &mut self,
+        pass: &ViewPass,
+        needs: Needs,
+        measured: impl Fn(&State) -> Option<&Parameters>,
+        record: impl FnOnce(&Self, &mut Recorder),
+    ) -> Result<(), BackendError> {
         self.lists.reserve(&self.engine, pass)?;
-        self.pixels.reserve_image(&self.engine, pass)?;
+        self.pixels.reserve(&self.engine, pass, needs, self.lists.capacity)?;
         self.lists.begin(&self.engine, pass);
-        let mut recorder = Recorder::new(&self.engine, self.timestamps.as_mut());
-        self.lists.record(&mut recorder, &self.state.cloud, &self.state.windows, pass);
+        let mut timestamps = self.timestamps.take();
+        let mut recorder = Recorder::new(&self.engine, timestamps.as_mut());
+        let cloud = measured(&self.state).unwrap_or(&self.state.cloud);
+        self.lists.record(&mut recorder, cloud, &self.state.windows, pass);
         self.pixels.record_rasterise(&mut recorder, &self.lists, pass);
+        record(self, &mut recorder);
         recorder.submit();
+        self.timestamps = timestamps;
         Ok(())
     }
 }
@@ -157,7 +168,8 @@ impl Backend for GpuBackend {
 
     fn render(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<Image, BackendError> {
         let pass = ViewPass::new(camera, settings, self.state.rows);
-        self.with_memory(|gpu| gpu.until_lists_fit(ListsOf::Cloud, |gpu| gpu.submit_image(&pass)))?;
+        let submit = |gpu: &mut Self| gpu.submit_view(&pass, Needs::default(), |_| None, |_, _| {});
+        self.with_memory(|gpu| gpu.until_lists_fit::<u32>(ListsOf::Cloud, None, submit))?;
         let planes = self.engine.read_values(&self.pixels.image, pass.image_bytes() / 4)?;
         Ok(Image { width: camera.width, height: camera.height, planes })
     }
@@ -178,7 +190,12 @@ impl Backend for GpuBackend {
     }
 
     fn discard_queued_steps(&mut self) -> Result<usize, BackendError> {
-        self.drop_undone_steps()
+        if !self.queued.is_empty() {
+            self.take_done_steps()?;
+        }
+        let undone = std::mem::take(&mut self.queued).len();
+        self.release_buffers()?;
+        Ok(undone)
     }
 
     fn statistics(&mut self) -> Result<Statistics, BackendError> {

@@ -1,15 +1,13 @@
 //! Steps that wait in a queue, tile lists that overflow, and memory that does not suffice.
 //!
-//! **No read-back in a step.** A step is submitted, and the host does not wait for it. What can go wrong in it, the
-//! device finds out itself: when the tile lists do not fit their buffers, or the loss is not finite, it sets a flag,
-//! and from there on no step changes anything. The host keeps the queued steps ([`GpuBackend::finish_queued_steps`])
-//! and reads the flag before it reads or edits anything, and every 32 steps. After an overflow it allocates more and
-//! submits the steps that were not done once more, so the run is the one that enough memory would have given.
+//! **No read-back in a step.** The host does not wait for a step. When its tile lists do not fit their buffers, or its
+//! loss is not finite, the device sets a flag, and from there on no step changes anything. The host keeps the queued
+//! steps and reads the flag before it reads or edits anything, and every 32 steps. After an overflow it allocates more
+//! and submits the steps that were not done once more.
 //!
-//! **Out of memory.** Every verb allocates what it needs before it changes anything, so one that finds no memory leaves
-//! the rows as they were, and the run can be saved. Before that it is tried once more without the buffers of steps,
-//! scores and blends, which can be made again ([`GpuBackend::with_memory`]): no verb needs those of all the others, and
-//! a row edit holds all rows twice for a moment.
+//! **Out of memory.** Every verb allocates what it needs before it changes anything, so the run can be saved. Before it
+//! fails it is tried once more without the buffers of steps, scores and blends, which can be made again
+//! ([`GpuBackend::with_memory`]).
 
 use bytemuck::Pod;
 use genesplat_core::backend::StepReport;
@@ -18,9 +16,9 @@ use genesplat_core::{BackendError, DensitySignal, TrainStep};
 use crate::backend::GpuBackend;
 use crate::device::engine::Engine;
 use crate::device::memory::Memory;
-use crate::device::recorder::Recorder;
 use crate::stages::lists::Lists;
 use crate::stages::optimise::Optimise;
+use crate::stages::pixels::Needs;
 use crate::state::layout::{Counters, HALT_NON_FINITE, HALT_OVERFLOW, Optimiser};
 
 /// Steps after which the host reads the device's flag. That costs a round trip, and an overflow costs the steps
@@ -32,8 +30,8 @@ pub(crate) const QUEUED_STEPS_MAX: usize = 32;
 pub(crate) enum ListsOf {
     /// Of the cloud, or of a blend in its place.
     Cloud,
-    /// Of all alleles of a pool.
-    Alleles,
+    /// Of all row versions of a pool.
+    RowVersions,
 }
 
 impl GpuBackend {
@@ -53,25 +51,24 @@ impl GpuBackend {
 
     fn submit_step(&mut self, step: &TrainStep) -> Result<(), BackendError> {
         let pass = self.pass_of(step.view, &step.settings).with_statistics(step.statistics);
-        self.lists.reserve(&self.engine, &pass)?;
-        self.pixels.reserve_training(&self.engine, &pass, self.lists.capacity)?;
         self.state.reserve_step(&self.engine, step.statistics.genes)?;
-        self.state.statistics.has_absolute |=
-            step.statistics.density == Some(DensitySignal::SignedAndAbsolute);
         let optimiser = step.update.as_ref().map(Optimiser::new);
         self.engine.write(&self.optimiser, 0, optimiser.as_slice());
-        self.lists.begin(&self.engine, &pass);
-
-        let (state, lists, pixels) = (&self.state, &self.lists, &self.pixels);
-        let mut recorder = Recorder::new(&self.engine, self.timestamps.as_mut());
-        lists.record(&mut recorder, &state.cloud, &state.windows, &pass);
-        pixels.record_rasterise(&mut recorder, lists, &pass);
-        pixels.record_loss(&mut recorder, lists, &self.views[step.view].photo, &pass);
-        pixels.record_backward(&mut recorder, lists, &pass);
-        let (memory, request) = (&self.optimiser, step.statistics);
-        Optimise { state, lists, pixels, memory, optimiser: optimiser.as_ref(), request }
-            .record(&mut recorder);
-        recorder.submit();
+        let needs = Needs { loss: true, gradient: true };
+        self.submit_view(
+            &pass,
+            needs,
+            |_| None,
+            |gpu, recorder| {
+                let Self { state, lists, pixels, optimiser: memory, .. } = gpu;
+                pixels.record_loss(recorder, lists, &gpu.views[step.view].photo, &pass);
+                pixels.record_backward(recorder, lists, &pass);
+                let (optimiser, request) = (optimiser.as_ref(), step.statistics);
+                Optimise { state, lists, pixels, memory, optimiser, request }.record(recorder);
+            },
+        )?;
+        self.state.statistics.has_absolute |=
+            step.statistics.density == Some(DensitySignal::SignedAndAbsolute);
         Ok(())
     }
 
@@ -98,8 +95,8 @@ impl GpuBackend {
     }
 
     /// Waits for what was submitted, and takes the steps that were done off the queue.
-    fn take_done_steps(&mut self) -> Result<Counters, BackendError> {
-        let counters = self.lists.take_counters(&self.engine)?;
+    pub(crate) fn take_done_steps(&mut self) -> Result<Counters, BackendError> {
+        let counters = self.lists.take_counters::<u32>(&self.engine, None)?.0;
         let done: Vec<TrainStep> = self.queued.drain(..counters.completed as usize).collect();
         let last = done.iter().rev().find_map(|step| step.update.as_ref());
         self.steps = last.map_or(self.steps, |update| update.step);
@@ -111,16 +108,6 @@ impl GpuBackend {
             };
         }
         Ok(counters)
-    }
-
-    /// Waits for the queued steps, and drops those that were not done; returns how many these are.
-    pub(crate) fn drop_undone_steps(&mut self) -> Result<usize, BackendError> {
-        if !self.queued.is_empty() {
-            self.take_done_steps()?;
-        }
-        let undone = std::mem::take(&mut self.queued).len();
-        self.release_buffers()?;
-        Ok(undone)
     }
 
     /// Does `verb` after all steps; where there is no memory for it, once more after everything that can be made again
@@ -140,7 +127,7 @@ impl GpuBackend {
     }
 
     /// Frees what steps, scores and blends need; no step may be queued.
-    fn release_buffers(&mut self) -> Result<(), BackendError> {
+    pub(crate) fn release_buffers(&mut self) -> Result<(), BackendError> {
         self.pool_buffers.release();
         self.release_step_buffers().map(|_| ())
     }
@@ -156,31 +143,23 @@ impl GpuBackend {
     }
 
     /// Submits views until their tile lists fit: where they do not, the device lists nothing and says what it wanted,
-    /// and all of them are submitted once more. Returns what was counted in the attempt that went through.
-    pub(crate) fn until_lists_fit(
-        &mut self,
-        whose: ListsOf,
-        submit: impl FnMut(&mut Self) -> Result<(), BackendError>,
-    ) -> Result<Counters, BackendError> {
-        Ok(self.until_lists_fit_and::<u32>(whose, None, submit)?.0)
-    }
-
-    /// The same, and the first values of a buffer that the views fill, if one is named: with one wait for both.
-    pub(crate) fn until_lists_fit_and<T: Pod>(
+    /// and all of them are submitted once more. Returns the first values of a buffer that the views fill, if one is
+    /// named.
+    pub(crate) fn until_lists_fit<T: Pod>(
         &mut self,
         whose: ListsOf,
         filled: Option<(&Memory, u64)>,
         mut submit: impl FnMut(&mut Self) -> Result<(), BackendError>,
-    ) -> Result<(Counters, Vec<T>), BackendError> {
+    ) -> Result<Vec<T>, BackendError> {
         // An attempt that ended with an error may have left some.
         let (begun, engine) = self.lists_of(whose);
         begun.clear_counters(engine);
         loop {
             submit(self)?;
             let (lists, engine) = self.lists_of(whose);
-            let (counters, values) = lists.take_counters_and(engine, filled)?;
+            let (counters, values) = lists.take_counters(engine, filled)?;
             if counters.halted & HALT_OVERFLOW == 0 {
-                return Ok((counters, values));
+                return Ok(values);
             }
             lists.grow(engine, counters.wanted)?;
         }
@@ -189,7 +168,7 @@ impl GpuBackend {
     fn lists_of(&mut self, whose: ListsOf) -> (&mut Lists, &Engine) {
         let lists = match whose {
             ListsOf::Cloud => &mut self.lists,
-            ListsOf::Alleles => &mut self.pool_buffers.lists,
+            ListsOf::RowVersions => &mut self.pool_buffers.lists,
         };
         (lists, &self.engine)
     }

@@ -4,16 +4,18 @@
 //! skipped, and where `GENESPLAT_REQUIRE_GPU` is set, as `.ci/run` does, that is a failure.
 
 mod evolution;
+#[path = "../../genesplat-kernels/tests/fixtures/mod.rs"]
+mod fixtures;
 mod memory;
 mod stages;
 mod verbs;
 
-use genesplat_core::{Backend, DensitySignal, Gaussians, RenderSettings, ScreenFilter, TrainStep};
-use genesplat_kernels::cpu::CpuBackend;
-use genesplat_kernels::fixtures::{
+use fixtures::{
     CROWD_LOGITS, camera, cloud, crowd, far_needles, filtered_cloud, filters, individual_of, photo,
     poisoned_cloud, settings, small_view, step, uniform, view,
 };
+use genesplat_core::{Backend, DensitySignal, Gaussians, RenderSettings, ScreenFilter, TrainStep};
+use genesplat_kernels::cpu::CpuBackend;
 
 use crate::GpuBackend;
 use crate::device::engine::Engine;

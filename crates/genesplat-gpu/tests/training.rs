@@ -5,7 +5,7 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
-use genesplat_core::Backend;
+use genesplat_core::{Backend, EvolutionBackend};
 use genesplat_gallery::GalleryOptions;
 use genesplat_gpu::GpuBackend;
 use genesplat_io::{HoldOut, Scene};
@@ -38,18 +38,19 @@ fn config(variant: Variant) -> TrainConfig {
 }
 
 /// The first 60 iterations of it, without the reset, which would leave little to see: with a search after the densification in
-/// the 30th; or with a renewal begun in the 44th and judged in the 52nd, and children bred then and in the 60th.
+/// the 30th; or with a renewal begun in the 44th and measured in the 52nd, and averages kept then or in
+/// the 60th.
 fn evolving(mode: EvolutionMode) -> Resolved {
     let mut config = TrainConfig { iterations: 12_000, ..config(Variant::ThreeDgs) };
     config.densify.reset_every = 30_000;
     let evolution = &mut config.evolution;
     (evolution.mode, evolution.views) = (mode, 2);
     if mode == EvolutionMode::Paper {
-        (evolution.trigger, evolution.stride) = (Some(Trigger::AfterDensify), 2);
+        (evolution.trigger, evolution.stride) = (Trigger::AfterDensify, 2);
     }
     (evolution.paper.population, evolution.paper.generations) = (12, 2);
     evolution.paper.initial_mutation_rate = 0.5;
-    (evolution.renewal.every, evolution.recombine.window) = (2.0 / 15.0, 2.0 / 15.0);
+    evolution.renewal.every = 2.0 / 15.0;
     config.resolve().unwrap()
 }
 
@@ -76,7 +77,7 @@ fn points(scene: &Scene) -> Start {
 }
 
 /// A run from its beginning, and the mean PSNR over all photos at its end.
-fn trained(backend: &mut impl Backend, scene: &Scene, config: &Resolved) -> (Outcome, f64) {
+fn trained(backend: &mut impl EvolutionBackend, scene: &Scene, config: &Resolved) -> (Outcome, f64) {
     let clock = Instant::now();
     let stop = AtomicBool::new(false);
     let outcome = train(backend, &scene.train, points(scene), config, &mut Silent, &stop).unwrap();
@@ -134,7 +135,7 @@ fn kinds_of(mode: EvolutionMode) -> &'static [StageKind] {
     if mode == EvolutionMode::Paper {
         &[StageKind::Paper]
     } else {
-        &[StageKind::Renewal, StageKind::Recombination]
+        &[StageKind::Renewal, StageKind::Averaging]
     }
 }
 

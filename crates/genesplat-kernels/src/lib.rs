@@ -16,6 +16,8 @@
 //! f32, rayon, SIMD picked at run time. The GPU's stages have the same names.
 
 pub mod cpu;
-#[cfg(any(test, feature = "fixtures"))]
-pub mod fixtures;
 pub mod reference;
+
+#[cfg(test)]
+#[path = "../tests/fixtures/mod.rs"]
+mod fixtures;

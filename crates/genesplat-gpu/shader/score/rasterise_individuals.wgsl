@@ -1,6 +1,6 @@
 // Stage `score`, step 2: the pictures that sixteen individuals make of one tile, one pixel an invocation.
 //
-// The list of a tile has the alleles of the whole pool. Of the next 256 those that any of the sixteen holds are loaded;
+// The list of a tile has the row versions of the whole pool. Of the next 256 those that any of the sixteen holds are loaded;
 // the alpha of each is evaluated once, and blended for those that hold it.
 
 @group(0) @binding(0) var<uniform> view: ViewPass;

@@ -53,36 +53,31 @@ pub fn adapters() -> &'static [AdapterReport] {
     REPORTS.get_or_init(|| found().iter().map(report).collect())
 }
 
-/// The devices, best first. A process asks the drivers once: it takes a while, and some of them write to stderr each
-/// time.
+/// The devices, best first. Drivers are asked once a process: it takes a while, and some write to stderr each time.
 fn found() -> &'static [Adapter] {
     static FOUND: OnceLock<Vec<Adapter>> = OnceLock::new();
     FOUND.get_or_init(|| {
-        let mut adapters = pollster::block_on(instance().enumerate_adapters(Backends::PRIMARY));
-        adapters.sort_by_key(|adapter| rank(adapter.get_info().device_type));
+        let instance = Instance::new(InstanceDescriptor {
+            backends: Backends::PRIMARY,
+            // Without wgpu's check of every grid that the device writes, which is a dispatch each: ours are within
+            // limits by construction.
+            flags: InstanceFlags::empty(),
+            ..InstanceDescriptor::new_without_display_handle()
+        });
+        let mut adapters = pollster::block_on(instance.enumerate_adapters(Backends::PRIMARY));
+        adapters.sort_by_key(|adapter| kind(adapter.get_info().device_type));
         adapters
     })
 }
 
-/// An instance of the interfaces that this build speaks.
-fn instance() -> Instance {
-    Instance::new(InstanceDescriptor {
-        backends: Backends::PRIMARY,
-        // Without wgpu's check of every grid that the device writes, which is a dispatch each: ours are within limits
-        // by construction.
-        flags: InstanceFlags::empty(),
-        ..InstanceDescriptor::new_without_display_handle()
-    })
-}
-
-/// Best first.
-fn rank(kind: DeviceType) -> u32 {
+/// Place in the order, best first, and name of a kind of device.
+fn kind(kind: DeviceType) -> (u32, &'static str) {
     match kind {
-        DeviceType::DiscreteGpu => 0,
-        DeviceType::IntegratedGpu => 1,
-        DeviceType::VirtualGpu => 2,
-        DeviceType::Other => 3,
-        DeviceType::Cpu => 4,
+        DeviceType::DiscreteGpu => (0, "discrete"),
+        DeviceType::IntegratedGpu => (1, "integrated"),
+        DeviceType::VirtualGpu => (2, "virtual"),
+        DeviceType::Other => (3, "other"),
+        DeviceType::Cpu => (4, "software"),
     }
 }
 
@@ -107,15 +102,8 @@ fn none_usable(reasons: &[String]) -> String {
 
 fn report(adapter: &Adapter) -> AdapterReport {
     let (info, limits) = (adapter.get_info(), adapter.limits());
-    let kind = match info.device_type {
-        DeviceType::DiscreteGpu => "discrete",
-        DeviceType::IntegratedGpu => "integrated",
-        DeviceType::VirtualGpu => "virtual",
-        DeviceType::Cpu => "software",
-        DeviceType::Other => "other",
-    };
     AdapterReport {
-        kind,
+        kind: kind(info.device_type).1,
         api: format!("{:?}", info.backend),
         driver: format!("{} {}", info.driver, info.driver_info).trim().to_owned(),
         name: info.name,
@@ -144,9 +132,8 @@ fn unmet(limits: &Limits) -> Option<String> {
     unmet.map(|(what, has, needs)| format!("has too few {what}: {has}, and {needs} are needed"))
 }
 
-/// What is asked of a device: what it has, since wgpu's defaults would ask for more than some have of what no kernel
-/// needs (large textures, say). But as much workgroup memory and as many buffers as kernels use, so that one that uses
-/// more fails everywhere.
+/// What is asked of a device: what it has, but only as much workgroup memory and as many buffers as kernels use, so that
+/// one that uses more fails everywhere.
 pub(crate) fn required_limits(adapter: &Adapter) -> Limits {
     Limits {
         max_compute_workgroup_storage_size: WORKGROUP_BYTES,

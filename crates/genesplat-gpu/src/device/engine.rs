@@ -2,7 +2,7 @@
 
 use std::cell::{Cell, RefCell};
 use std::collections::HashMap;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, OnceLock};
 
 use genesplat_core::BackendError;
 use wgpu::{
@@ -13,7 +13,7 @@ use wgpu::{
 use crate::device::adapter;
 use crate::device::memory::MemoryUse;
 use crate::device::probe;
-use crate::device::shaders::{Shader, Subgroups};
+use crate::device::shaders::Shader;
 use crate::state::layout::SH_FLOATS;
 
 /// A shader with values for its `override` constants.
@@ -40,14 +40,14 @@ pub(crate) struct Engine {
     pub(crate) window_rows: u64,
     /// The device can time passes.
     pub(crate) timestamps: bool,
-    /// Which kernels run.
-    pub(crate) subgroups: Subgroups,
+    /// Kernels sort and sum by subgroups.
+    pub(crate) subgroups: bool,
     /// Memory that is in use.
     pub(crate) usage: MemoryUse,
     /// How often the host has waited: what a test counts.
     pub(crate) waits: Cell<u32>,
     kernels: RefCell<HashMap<KernelKey, Kernel>>,
-    lost: Arc<Mutex<Option<String>>>,
+    lost: Arc<OnceLock<String>>,
 }
 
 impl Engine {
@@ -75,7 +75,7 @@ impl Engine {
             queue,
             name,
             timestamps: features.contains(Features::TIMESTAMP_QUERY),
-            subgroups: Subgroups::With,
+            subgroups: true,
             usage: MemoryUse::default(),
             waits: Cell::default(),
             kernels: RefCell::default(),
@@ -93,7 +93,7 @@ impl Engine {
 
     /// The same with the kernels for devices without subgroups.
     pub(crate) fn without_subgroups(mut self) -> Self {
-        self.subgroups = Subgroups::Without;
+        self.subgroups = false;
         self
     }
 
@@ -114,8 +114,7 @@ impl Engine {
 
     /// An error if the device is lost or has refused something.
     pub(crate) fn check(&self) -> Result<(), BackendError> {
-        let lost = self.lost.lock().unwrap_or_else(PoisonError::into_inner).clone();
-        lost.map_or(Ok(()), |reason| Err(self.is_lost(&reason)))
+        self.lost.get().map_or(Ok(()), |reason| Err(self.is_lost(reason)))
     }
 
     pub(super) fn is_lost(&self, reason: &str) -> BackendError {
@@ -152,16 +151,11 @@ impl Engine {
     }
 }
 
-/// Where the device notes why it was lost, or what it has refused.
-fn watch(device: &Device) -> Arc<Mutex<Option<String>>> {
-    let lost = Arc::new(Mutex::new(None));
+/// Where the device notes why it was lost, or what it has refused: the first message stays.
+fn watch(device: &Device) -> Arc<OnceLock<String>> {
+    let lost = Arc::new(OnceLock::new());
     let [by_loss, by_error] = [Arc::clone(&lost), Arc::clone(&lost)];
-    device.set_device_lost_callback(move |_, message| note(&by_loss, message));
-    device.on_uncaptured_error(Arc::new(move |error| note(&by_error, error.to_string())));
+    device.set_device_lost_callback(move |_, message| drop(by_loss.set(message)));
+    device.on_uncaptured_error(Arc::new(move |error| drop(by_error.set(error.to_string()))));
     lost
-}
-
-/// The first message stays.
-fn note(lost: &Mutex<Option<String>>, message: String) {
-    lost.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(message);
 }

@@ -1,6 +1,7 @@
 //! Memory of the device: buffers, what is written to them, and what is read back.
 
 use std::cell::Cell;
+use std::error::Error;
 use std::rc::Rc;
 use std::sync::mpsc;
 
@@ -16,12 +17,10 @@ const BUFFER_BYTES_MIN: u64 = 256;
 /// Buffers are whole vectors.
 pub(crate) const BUFFER_BYTES_STEP: u64 = 16;
 
-/// Bytes that may wait to be copied to the device, 64 MiB: until something is submitted and done, whatever is written
-/// lies in the host's memory once more. All photos of a scene would be gigabytes.
+/// Bytes that may wait to be copied to the device, 64 MiB: they lie in the host's memory once more.
 const WRITTEN_BYTES_MAX: usize = 64 << 20;
 
-/// Bytes that are read back at once, 256 MiB: they pass through a buffer, and a whole cloud may exceed the largest that
-/// a device makes.
+/// Bytes that are read back at once, 256 MiB: a whole cloud may exceed the largest buffer that a device makes.
 const READ_BYTES_MAX: u64 = 256 << 20;
 
 /// A buffer of the device.
@@ -35,8 +34,7 @@ pub(crate) struct Memory {
 }
 
 impl Memory {
-    /// Frees it, once the device has done what was submitted before. Whoever uses it next has to [`Engine::reserve`]
-    /// it.
+    /// Frees it, once the device has done what was submitted before, until it is [`Engine::reserve`]d anew.
     pub(crate) fn release(&mut self) {
         self.buffer.destroy();
         self.allocated.set(self.allocated.get().saturating_sub(self.bytes));
@@ -71,11 +69,9 @@ pub(crate) struct Part<'a> {
 
 /// How much is allocated, and how much is on its way to the device.
 pub(crate) struct MemoryUse {
-    /// Bytes that may be allocated: all that the device has, unless a test wants less.
+    /// Limits, which tests lower: bytes that may be allocated, that may wait to be copied, that are read at once.
     pub(crate) limit_bytes: u64,
-    /// Bytes that may wait to be copied to the device: [`WRITTEN_BYTES_MAX`], unless a test wants fewer.
     pub(crate) written_bytes_max: usize,
-    /// Bytes that are read back at once: [`READ_BYTES_MAX`], unless a test wants fewer.
     pub(crate) read_bytes_max: u64,
     /// Bytes that wait to be copied to the device.
     pub(crate) written: Cell<usize>,
@@ -96,12 +92,8 @@ impl Default for MemoryUse {
     }
 }
 
-/// A part of a buffer, and where it goes on the host.
-struct Piece<'a> {
-    buffer: &'a Buffer,
-    first_byte: u64,
-    target: &'a mut [u8],
-}
+/// A part of a buffer, from a byte on, and where it goes on the host.
+type Piece<'a> = (&'a Buffer, u64, &'a mut [u8]);
 
 impl Engine {
     /// A buffer that kernels read and write, of at least `bytes`; its content is zero.
@@ -114,7 +106,8 @@ impl Engine {
             | BufferUsages::COPY_SRC
             | BufferUsages::COPY_DST
             | BufferUsages::UNIFORM
-            | BufferUsages::INDIRECT;
+            | BufferUsages::INDIRECT
+            | BufferUsages::QUERY_RESOLVE;
         let buffer = self.create(purpose, bytes, kind)?;
         usage.allocated.set(usage.allocated.get() + bytes);
         usage.most_allocated.set(usage.most_allocated.get().max(usage.allocated.get()));
@@ -229,7 +222,7 @@ impl Engine {
                     staged = 0;
                 }
                 staged += target.len();
-                pieces.push(Piece { buffer: &memory.buffer, first_byte, target });
+                pieces.push((&memory.buffer, first_byte, target));
             }
         }
         self.read_pieces(&staging, pieces)
@@ -239,39 +232,30 @@ impl Engine {
     fn read_pieces(&self, staging: &Buffer, pieces: Vec<Piece>) -> Result<(), BackendError> {
         let mut encoder = self.device.create_command_encoder(&Default::default());
         let mut at = 0;
-        for piece in &pieces {
-            let bytes = piece.target.len() as u64;
-            encoder.copy_buffer_to_buffer(piece.buffer, piece.first_byte, staging, at, bytes);
+        for (buffer, first_byte, target) in &pieces {
+            let bytes = target.len() as u64;
+            encoder.copy_buffer_to_buffer(buffer, *first_byte, staging, at, bytes);
             at += bytes;
         }
         self.submit([encoder.finish()]);
-        self.map(staging)?;
-        let mapped =
-            staging.slice(..).get_mapped_range().map_err(|error| self.is_lost(&error.to_string()))?;
-        let mut rest = &mapped[..];
-        for piece in pieces {
-            let (bytes, behind) = rest.split_at(piece.target.len());
-            piece.target.copy_from_slice(bytes);
-            rest = behind;
-        }
-        drop(mapped);
-        staging.unmap();
-        Ok(())
-    }
-
-    /// Waits until a buffer can be read by the host.
-    fn map(&self, staging: &Buffer) -> Result<(), BackendError> {
         let (sender, receiver) = mpsc::channel();
         staging.slice(..).map_async(MapMode::Read, move |result| {
             // The receiver is gone only when waiting has failed already.
             let _ = sender.send(result);
         });
         self.wait()?;
-        match receiver.recv() {
-            Ok(Ok(())) => Ok(()),
-            Ok(Err(error)) => Err(self.is_lost(&error.to_string())),
-            Err(error) => Err(self.is_lost(&error.to_string())),
+        let is_lost = |error: &dyn Error| self.is_lost(&error.to_string());
+        receiver.recv().map_err(|error| is_lost(&error))?.map_err(|error| is_lost(&error))?;
+        let mapped = staging.slice(..).get_mapped_range().map_err(|error| is_lost(&error))?;
+        let mut rest = &mapped[..];
+        for (_, _, target) in pieces {
+            let (bytes, behind) = rest.split_at(target.len());
+            target.copy_from_slice(bytes);
+            rest = behind;
         }
+        drop(mapped);
+        staging.unmap();
+        Ok(())
     }
 }
 

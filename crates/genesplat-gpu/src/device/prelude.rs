@@ -36,12 +36,10 @@ fn array_constant(name: &str, values: &[f64]) -> String {
     format!("const {name} = array<f32, {}>({});\n", values.len(), list.join(", "))
 }
 
-/// Names and values of constants.
-macro_rules! named {
-    ($($name:ident)*) => { [$((stringify!($name), $name)),*] };
-}
-
 fn float_constants() -> Vec<(&'static str, f32)> {
+    macro_rules! named {
+        ($($name:ident)*) => { [$((stringify!($name), $name)),*] };
+    }
     let shared = named! {
         NEAR_DEPTH ALPHA_MIN ALPHA_MAX TRANSMITTANCE_MIN MIP_EPSILON ANTIALIAS_RATIO_MIN DISCRIMINANT_MIN
         LAMBDA_DSSIM SSIM_C1 SSIM_C2 ADAM_BETA1 ADAM_BETA2 ADAM_EPSILON NOISE_OPACITY NOISE_STEEPNESS
@@ -67,18 +65,11 @@ fn float_constants() -> Vec<(&'static str, f32)> {
 }
 
 fn integer_constants() -> Vec<(&'static str, u32)> {
-    let shared = named! {
-        SLOTS HOLDER_WORDS OWN_GENES TILE GROUP GRID_WIDTH SCAN_BLOCK SORT_BLOCK DIGITS SPLATS_AT_ONCE
-        HALT_OVERFLOW HALT_NON_FINITE FILTER_CLASSIC FILTER_ANTIALIASED FILTER_MIP SIGNAL_NONE SIGNAL_SIGNED
-        SIGNAL_ABSOLUTE SIGNAL_BOTH SIGNAL_PIXELS ORIGIN_KEPT ORIGIN_CLONE ORIGIN_SPLIT ORIGIN_RELOCATED
-        ORIGIN_RELOCATED_KEPT ORIGIN_TWIN LENGTH_ROWS LENGTH_VISIBLE LENGTH_INTERSECTIONS GRID_VISIBLE
-        GRID_VISIBLE_SCAN GRID_DEPTH_SORT GRID_INTERSECTIONS GRID_TILE_SORT
-    };
     let own = [
         ("TILE_PIXELS", TILE * TILE),
         ("SSIM_RADIUS", SSIM_RADIUS as u32),
         ("STREAM_SPLIT_OFFSET", Stream::SplitOffset as u32),
         ("STREAM_SGLD_NOISE", Stream::SgldNoise as u32),
     ];
-    shared.into_iter().chain(own).collect()
+    [SHARED_CONSTANTS, &own].concat()
 }

@@ -1,8 +1,8 @@
 //! The table of shaders: which texts make each of them.
 //!
 //! A shader is the prelude, the parts that it shares with others, and its own file, whose entry point is `main`. Two of
-//! the shared parts exist twice: for devices with subgroups, and for those without. Everything is compiled in, and
-//! validated by a test that needs no device.
+//! the shared parts exist twice, with subgroups and without. Everything is compiled in, and validated by a test that
+//! needs no device.
 
 use crate::device::prelude::prelude;
 
@@ -16,41 +16,32 @@ pub(crate) struct Shader {
 }
 
 impl Shader {
-    /// The whole text.
-    pub(super) fn source(&self, subgroups: Subgroups) -> String {
+    /// The whole text, for a device with subgroups or one without.
+    pub(super) fn source(&self, subgroups: bool) -> String {
         let mut source = prelude();
-        source.extend(self.parts.iter().map(|part| match (part, subgroups) {
-            (Part::Only(text), _) => *text,
-            (Part::Twice { without, .. }, Subgroups::Without) => without,
-            (Part::Twice { with, .. }, Subgroups::With) => with,
-        }));
+        source.extend(self.parts.iter().map(|part| if subgroups { part.with } else { part.without }));
         source
     }
 }
 
-/// Do kernels use subgroups? They do the same with and without.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Subgroups {
-    With,
-    Without,
+/// Text of a shader with subgroups, and without them.
+#[derive(Debug)]
+struct Part {
+    with: &'static str,
+    without: &'static str,
 }
 
-/// Text of a shader.
-#[derive(Debug)]
-enum Part {
-    Only(&'static str),
-    /// The same functions, in two ways.
-    Twice {
-        with: &'static str,
-        without: &'static str,
-    },
+impl Part {
+    const fn new(text: &'static str) -> Self {
+        Self { with: text, without: text }
+    }
 }
 
 macro_rules! shaders {
-    ($($(#[$doc:meta])* $name:ident = $file:literal + [$($part:ident),*];)*) => {
-        $($(#[$doc])* pub(crate) static $name: Shader = Shader {
+    ($($name:ident = $file:literal + [$($part:ident),*];)*) => {
+        $(pub(crate) static $name: Shader = Shader {
             name: $file,
-            parts: &[parts::COMMON, $(parts::$part,)* Part::Only(include_str!(concat!("../../shader/", $file, ".wgsl")))],
+            parts: &[parts::COMMON, $(parts::$part,)* Part::new(include_str!(concat!("../../shader/", $file, ".wgsl")))],
         };)*
 
         /// All of them.
@@ -70,15 +61,15 @@ mod parts {
     }
     macro_rules! parts {
         ($($name:ident = $file:literal;)*) => {
-            $(pub(super) const $name: Part = Part::Only(text!($file));)*
+            $(pub(super) const $name: Part = Part::new(text!($file));)*
         };
     }
-    pub(super) const GROUP_SCAN: Part = Part::Twice {
+    pub(super) const GROUP_SCAN: Part = Part {
         with: concat!(text!("shared/subgroup.wgsl"), text!("bin/group_scan_subgroups.wgsl")),
         without: text!("bin/group_scan.wgsl"),
     };
     pub(super) const MARK_DIGIT: Part =
-        Part::Twice { with: text!("bin/mark_digit_subgroups.wgsl"), without: text!("bin/mark_digit.wgsl") };
+        Part { with: text!("bin/mark_digit_subgroups.wgsl"), without: text!("bin/mark_digit.wgsl") };
     parts! {
         COMMON = "shared/common.wgsl";
         SUBGROUP = "shared/subgroup.wgsl";
@@ -100,79 +91,52 @@ mod parts {
 }
 
 shaders! {
-    /// Cloud to splats.
+    // From a cloud to splats.
     PROJECT = "bin/project" + [SPLAT, ROTATION, GEOMETRY, OVERLAP, COLOUR, SH_ROW, WRITE_SPLAT];
-    /// Prefix sum: sums of blocks.
+    // Prefix sums.
     SCAN_SUMS = "bin/scan_sums" + [GROUP_SCAN];
-    /// Prefix sum: over the blocks.
     SCAN_BLOCKS = "bin/scan_blocks" + [GROUP_SCAN];
-    /// Prefix sum: within the blocks.
     SCAN_APPLY = "bin/scan_apply" + [GROUP_SCAN];
-    /// What subgroups do here.
+    // What subgroups really do.
     PROBE_SUBGROUPS = "shared/probe_subgroups" + [SUBGROUP];
-    /// Splats without gaps.
+    // Splats without gaps, sorted by depth; their intersections with tiles, sorted by tile.
     COMPACT = "bin/compact" + [];
-    /// Work that the splats are.
     PLAN_VISIBLE = "bin/plan_visible" + [GRIDS];
-    /// Work that the tile lists are.
     PLAN_INTERSECTIONS = "bin/plan_intersections" + [GRIDS];
-    /// Radix sort: digits by block.
     RADIX_COUNT = "bin/radix_count" + [];
-    /// Radix sort: where each block's digits begin.
     DIGIT_SCAN = "bin/digit_scan" + [GROUP_SCAN];
-    /// Radix sort: every key to its place.
     RADIX_SCATTER = "bin/radix_scatter" + [GROUP_SCAN, MARK_DIGIT];
-    /// Tile counts by depth.
     TILE_COUNTS_BY_DEPTH = "bin/tile_counts_by_depth" + [];
-    /// Intersections of splats with tiles.
     EMIT = "bin/emit" + [SPLAT, OVERLAP];
-    /// Where each tile's intersections are.
     TILE_RANGES = "bin/tile_ranges" + [];
-    /// Splats to pixels.
+    // From splats to a loss, and back to gradients of intersections.
     RASTERISE = "blend/rasterise" + [SPLAT, BATCH_SPLAT];
-    /// Gradients of the intersections.
     RASTERISE_BACKWARD = "blend/rasterise_backward" + [SPLAT, BATCH_SPLAT];
-    /// Loss of each tile.
     LOSS = "loss/loss" + [SSIM, PHOTO];
-    /// Loss of the image.
     LOSS_SUM = "loss/loss_sum" + [TILE_SUMS];
-    /// Gradient of the image.
     LOSS_GRADIENT = "loss/loss_gradient" + [SSIM, PHOTO];
-    /// Gradients of the parameters.
+    // From gradients of intersections to stepped parameters.
     PROJECT_BACKWARD = "optimise/project_backward" + [SPLAT, ROTATION, GEOMETRY, COLOUR, SH_ROW];
-    /// Sums for density control.
     STATISTICS = "optimise/statistics" + [];
-    /// Sums for evolution.
     GENE_STATISTICS = "optimise/gene_statistics" + [];
-    /// Optimiser, colours.
     ADAM_COLOUR = "optimise/adam_colour" + [ADAM_STEP, COLOUR];
-    /// Optimiser, everything else.
     ADAM_GEOMETRY = "optimise/adam_geometry" + [ADAM_STEP];
-    /// SGLD noise of 3DGS-MCMC.
     NOISE = "optimise/noise" + [ROTATION, RANDOM];
-    /// Row edits: copies.
+    // Edits of rows.
     GATHER = "rows/gather" + [];
-    /// Row edits: clones, split children, twins, relocations.
     EDIT_GEOMETRY = "rows/edit_geometry" + [ROTATION, RANDOM];
-    /// Opacity reset.
     RESET_OPACITY = "rows/reset_opacity" + [];
-    /// Genes of single rows.
     APPLY = "rows/apply" + [];
-    /// Mip-Splatting's 3D filter.
     SET_FILTER = "rows/set_filter" + [];
-    /// Mean of a window's states.
+    // Means of states, and blends of them.
     AVERAGE = "rows/average" + [];
-    /// Cloud and means to a blend of them.
     BLEND_AVERAGES = "rows/blend_averages" + [];
-    /// Scoring: splats of the alleles.
-    PROJECT_ALLELES = "score/project_alleles" + [SPLAT, ROTATION, GEOMETRY, OVERLAP, COLOUR, SH_ROW, WRITE_SPLAT];
-    /// Scoring: pictures of individuals.
+    // Losses of many individuals at once.
+    PROJECT_ROW_VERSIONS = "score/project_row_versions" + [SPLAT, ROTATION, GEOMETRY, OVERLAP, COLOUR, SH_ROW, WRITE_SPLAT];
     RASTERISE_INDIVIDUALS = "score/rasterise_individuals" + [SPLAT, BATCH_SPLAT];
-    /// Losses of pictures.
     VIEW_LOSSES = "score/view_losses" + [TILE_SUMS];
-    /// Contributions: what takes the place of the image's gradient.
+    // Contributions of Gaussians to views.
     CONTRIBUTION_PIXELS = "blend/contribution_pixels" + [PHOTO];
-    /// Contributions: sums of each Gaussian.
     CONTRIBUTION_SUM = "blend/contribution_sum" + [];
 }
 
@@ -189,10 +153,9 @@ mod tests {
 
     /// All of them, in both ways, and what a device must be able to do for that.
     fn all() -> impl Iterator<Item = (&'static Shader, String, Capabilities)> {
-        let ways = [(Subgroups::Without, Capabilities::empty()), (Subgroups::With, Capabilities::SUBGROUP)];
+        let ways = [(false, Capabilities::empty()), (true, Capabilities::SUBGROUP)];
         ways.into_iter().flat_map(|(subgroups, capabilities)| {
-            let runs =
-                move |shader: &&&Shader| subgroups == Subgroups::With || shader.name != PROBE_SUBGROUPS.name;
+            let runs = move |shader: &&&Shader| subgroups || shader.name != PROBE_SUBGROUPS.name;
             ALL.iter().filter(runs).map(move |&shader| (shader, shader.source(subgroups), capabilities))
         })
     }
@@ -233,7 +196,7 @@ mod tests {
 
     #[test]
     fn a_planted_error_is_found() {
-        let source = PROJECT.source(Subgroups::Without).replace("window.count", "window.length");
+        let source = PROJECT.source(false).replace("window.count", "window.length");
         assert!(naga::front::wgsl::parse_str(&source).is_err());
     }
 
@@ -254,7 +217,7 @@ mod tests {
 
     #[test]
     fn rust_and_wgsl_agree_on_every_offset() {
-        let module = parse(&PROJECT, &PROJECT.source(Subgroups::Without));
+        let module = parse(&PROJECT, &PROJECT.source(false));
         let structs = [
             ("ViewPass", ViewPass::fields(), size_of::<ViewPass>()),
             ("Optimiser", Optimiser::fields(), size_of::<Optimiser>()),

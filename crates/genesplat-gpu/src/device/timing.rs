@@ -3,14 +3,13 @@
 use std::time::Instant;
 
 use genesplat_core::BackendError;
-use wgpu::{BufferDescriptor, BufferUsages, QuerySet, QuerySetDescriptor, QueryType};
+use wgpu::{QuerySet, QuerySetDescriptor, QueryType};
 
 use crate::backend::GpuBackend;
 use crate::device::engine::Engine;
 use crate::device::recorder::Recorder;
 
-/// Passes that are timed between two readings: eight steps of eight passes. What comes after them until the next
-/// reading, the later ones of many views, say, is left out.
+/// Passes that are timed between two readings, eight steps of eight passes; later ones are left out.
 pub(crate) const TIMED_PASSES: u32 = 64;
 
 /// Two timestamps for each pass, and the stage that it belongs to.
@@ -28,17 +27,9 @@ impl Timestamps {
 
     /// Seconds of each stage, in the order in which they began.
     fn seconds(&self, engine: &Engine) -> Result<Vec<(&'static str, f64)>, BackendError> {
-        let bytes = 16 * u64::from(TIMED_PASSES);
-        let resolved = engine.device.create_buffer(&BufferDescriptor {
-            label: Some("timestamps"),
-            size: bytes,
-            usage: BufferUsages::QUERY_RESOLVE | BufferUsages::COPY_SRC,
-            mapped_at_creation: false,
-        });
-        let memory = engine.allocate("timestamps", bytes)?;
+        let memory = engine.allocate("timestamps", 16 * u64::from(TIMED_PASSES))?;
         let mut encoder = engine.device.create_command_encoder(&Default::default());
-        encoder.resolve_query_set(&self.queries, 0..2 * self.stages.len() as u32, &resolved, 0);
-        encoder.copy_buffer_to_buffer(&resolved, 0, &memory.buffer, 0, bytes);
+        encoder.resolve_query_set(&self.queries, 0..2 * self.stages.len() as u32, &memory.buffer, 0);
         engine.submit([encoder.finish()]);
         let ticks: Vec<[u64; 2]> = engine.read_values(&memory, TIMED_PASSES.into())?;
         let second = 1e-9 * f64::from(engine.queue.get_timestamp_period());
@@ -74,8 +65,8 @@ impl GpuBackend {
         self.timestamps = None;
     }
 
-    /// Waits for the device and returns the seconds of each stage since the last call (of the first 64 passes, eight
-    /// steps); none unless they are timed.
+    /// Waits for the device and returns the seconds of each stage since the last call (of the first 64 passes); none
+    /// unless they are timed.
     pub fn take_stage_seconds(&mut self) -> Result<Vec<(&'static str, f64)>, BackendError> {
         self.finish_queued_steps()?;
         let Some(timestamps) = &mut self.timestamps else { return Ok(Vec::new()) };
@@ -85,8 +76,8 @@ impl GpuBackend {
         Ok(seconds)
     }
 
-    /// Bytes a second that the device's memory reads and writes, both counted, when `bytes` are copied again and again.
-    /// By the host's clock, of which what it takes to submit and to wait is taken off: many copies less a few.
+    /// Bytes a second that the device's memory reads and writes, both counted, when `bytes` are copied again and again:
+    /// by the host's clock, many copies less a few, so without what it takes to submit and to wait.
     pub fn memory_bandwidth(&mut self, bytes: u64) -> Result<f64, BackendError> {
         const COPIES: [u32; 2] = [16, 80];
         self.finish_queued_steps()?;

@@ -1,12 +1,9 @@
 //! Stages `project` and `bin`: a cloud becomes splats, and splats become tile lists, without the host knowing how many.
 //!
-//! How many splats are visible, and how many intersections with tiles they have, is counted on the device; later
-//! dispatches take their sizes from there. Buffers of intersections are sized by what earlier views needed. Where a
-//! view needs more, the device sets a flag and lists nothing, and the host allocates more and repeats (see
-//! [`crate::queue`]).
-//!
-//! The order is that of the CPU: splats are sorted by depth once (ties by row), emit their intersections in that order,
-//! and a stable sort by tile keeps it.
+//! The device counts splats and intersections, and later dispatches take their sizes from there. Buffers of
+//! intersections are sized by what earlier views needed; where a view needs more, see [`crate::queue`]. The order is
+//! that of the CPU: splats are sorted by depth once (ties by row), emit their intersections in that order, and a stable
+//! sort by tile keeps it.
 
 use bytemuck::Pod;
 use genesplat_core::BackendError;
@@ -88,9 +85,9 @@ impl Lists {
         (self.rows, self.capacity) = (0, 0);
         self.sorter.release();
         let Self { splats, depths, tile_counts, flags, offsets, .. } = self;
-        [splats, depths, tile_counts, flags, offsets].into_iter().for_each(Memory::release);
-        let Self { intersection_splats, first_intersections, ranges, .. } = self;
-        [intersection_splats, first_intersections, ranges].into_iter().for_each(Memory::release);
+        let of_rows = [splats, depths, tile_counts, flags, offsets];
+        let others = [&mut self.intersection_splats, &mut self.first_intersections, &mut self.ranges];
+        of_rows.into_iter().chain(others).for_each(Memory::release);
     }
 
     /// Memory for the rows and tiles of a view, and for as many intersections as were needed so far.
@@ -134,13 +131,9 @@ impl Lists {
         engine.binding_bytes / BUFFER_BYTES_STEP * BUFFER_BYTES_STEP / self.intersection_bytes
     }
 
-    /// What the device has counted since this was last asked.
-    pub(crate) fn take_counters(&self, engine: &Engine) -> Result<Counters, BackendError> {
-        Ok(self.take_counters_and::<u32>(engine, None)?.0)
-    }
-
-    /// The same, and the first values of a buffer, if one is named: with one wait for both.
-    pub(crate) fn take_counters_and<T: Pod>(
+    /// What the device has counted since this was last asked, and the first values of a buffer, if one is named: with
+    /// one wait for both.
+    pub(crate) fn take_counters<T: Pod>(
         &self,
         engine: &Engine,
         values_of: Option<(&Memory, u64)>,
@@ -175,17 +168,11 @@ impl Lists {
         view: &ViewPass,
     ) {
         recorder.stage("project");
+        let outputs = [&self.splats, &self.depths, &self.tile_counts, &self.flags].map(Memory::all);
         for window in windows {
-            let parts = [
-                self.view.all(),
-                window.uniform.all(),
-                cloud.geometry.at(window),
-                cloud.sh.at(window),
-                self.splats.all(),
-                self.depths.all(),
-                self.tile_counts.all(),
-                self.flags.all(),
-            ];
+            let inputs =
+                [self.view.all(), window.uniform.all(), cloud.geometry.at(window), cloud.sh.at(window)];
+            let parts = [inputs, outputs].concat();
             recorder.run(&shaders::PROJECT, &parts, Grid::Items(window.count));
         }
         self.record_bin(recorder, view);

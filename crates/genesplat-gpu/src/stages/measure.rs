@@ -5,9 +5,10 @@ use genesplat_core::{BackendError, Blend, RenderSettings};
 
 use crate::backend::GpuBackend;
 use crate::device::memory::Memory;
-use crate::device::recorder::{Grid, Recorder};
+use crate::device::recorder::Grid;
 use crate::device::shaders;
 use crate::queue::ListsOf;
+use crate::stages::pixels::Needs;
 use crate::state::State;
 use crate::state::cloud::{Parameters, window_uniform};
 
@@ -24,17 +25,16 @@ impl GpuBackend {
     ) -> Result<Vec<ViewLoss>, BackendError> {
         let count = (blends.len() * views.len()) as u64;
         let losses = self.engine.allocate("losses of blends", 8 * count)?;
-        let (_, values): (_, Vec<[f32; 2]>) =
-            self.until_lists_fit_and(ListsOf::Cloud, Some((&losses, count)), |gpu| {
-                for (index, blend) in blends.iter().enumerate() {
-                    gpu.state.make_blend(&gpu.engine, blend)?;
-                    for (view_index, &view) in views.iter().enumerate() {
-                        let place = [index, view_index, views.len()].map(|number| number as u32);
-                        gpu.submit_loss(view, settings, place, &losses, |state| state.blended.as_ref())?;
-                    }
+        let values: Vec<[f32; 2]> = self.until_lists_fit(ListsOf::Cloud, Some((&losses, count)), |gpu| {
+            for (index, blend) in blends.iter().enumerate() {
+                gpu.state.make_blend(&gpu.engine, blend)?;
+                for (view_index, &view) in views.iter().enumerate() {
+                    let place = [index, view_index, views.len()].map(|number| number as u32);
+                    gpu.submit_loss(view, settings, place, &losses, |state| state.blended.as_ref())?;
                 }
-                Ok(())
-            })?;
+            }
+            Ok(())
+        })?;
         Ok(values.into_iter().map(|[loss, squared_error]| ViewLoss { loss, squared_error }).collect())
     }
 
@@ -49,10 +49,8 @@ impl GpuBackend {
         self.finish_queued_steps()?;
         let losses = self.engine.allocate("losses of a view", 8 * u64::from(times))?;
         let filled = Some((&losses, times.into()));
-        let (_, values): (_, Vec<[f32; 2]>) = self.until_lists_fit_and(ListsOf::Cloud, filled, |gpu| {
-            (0..times).try_for_each(|time| {
-                gpu.submit_loss(view, settings, [time, 0, 1], &losses, |state| Some(&state.cloud))
-            })
+        let values: Vec<[f32; 2]> = self.until_lists_fit(ListsOf::Cloud, filled, |gpu| {
+            (0..times).try_for_each(|time| gpu.submit_loss(view, settings, [time, 0, 1], &losses, |_| None))
         })?;
         Ok(values.into_iter().map(|[loss, _]| loss).collect())
     }
@@ -67,19 +65,13 @@ impl GpuBackend {
         measured: impl Fn(&State) -> Option<&Parameters>,
     ) -> Result<(), BackendError> {
         let pass = self.pass_of(view, settings);
-        self.lists.reserve(&self.engine, &pass)?;
-        self.pixels.reserve_loss(&self.engine, &pass)?;
-        self.lists.begin(&self.engine, &pass);
-        let Some(cloud) = measured(&self.state) else { return Ok(()) };
-        let (pixels, lists, photo) = (&self.pixels, &self.lists, &self.views[view].photo);
         let place = window_uniform(&self.engine, [blend, 1], [view_index, views])?;
-        let mut recorder = Recorder::new(&self.engine, self.timestamps.as_mut());
-        lists.record(&mut recorder, cloud, &self.state.windows, &pass);
-        pixels.record_rasterise(&mut recorder, lists, &pass);
-        pixels.record_loss_sums(&mut recorder, lists, photo, &pass, false);
-        let parts = [&lists.view, &place, &pixels.loss_sums, losses].map(Memory::all);
-        recorder.run(&shaders::VIEW_LOSSES, &parts, Grid::Groups(1));
-        recorder.submit();
-        Ok(())
+        self.submit_view(&pass, Needs { loss: true, gradient: false }, measured, |gpu, recorder| {
+            let Self { lists, pixels, views, .. } = gpu;
+            recorder.stage("loss");
+            pixels.record_loss_sums(recorder, lists, &views[view].photo, &pass, false);
+            let parts = [&lists.view, &place, &pixels.loss_sums, losses].map(Memory::all);
+            recorder.run(&shaders::VIEW_LOSSES, &parts, Grid::Groups(1));
+        })
     }
 }

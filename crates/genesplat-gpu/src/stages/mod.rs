@@ -1,15 +1,4 @@
 //! What is recorded for each stage.
-//!
-//! | module | stages |
-//! |---|---|
-//! | `view_pass` | cameras, settings and rates as kernels read them |
-//! | `lists`, `sort` | `project` and `bin`: from a cloud to the tile lists of a view |
-//! | `pixels` | `rasterise`, `loss` and `rasterise_backward` |
-//! | `optimise` | `project_backward`, the statistics, `adam` and `noise` |
-//! | `rows` | row edits, opacity resets, genes, 3D filters |
-//! | `measure` | losses of blends of averages |
-//! | `contribution` | how much Gaussians contribute to views |
-//! | `score` | losses of many individuals at once |
 
 mod contribution;
 pub(crate) mod lists;

@@ -13,6 +13,13 @@ use crate::state::layout::{INTERSECTION_GRADIENT_FLOATS, ViewPass};
 /// Bytes of the gradient of an intersection.
 pub(crate) const INTERSECTION_GRADIENT_BYTES: u64 = 4 * INTERSECTION_GRADIENT_FLOATS as u64;
 
+/// What is made of a render.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Needs {
+    pub(crate) loss: bool,
+    pub(crate) gradient: bool,
+}
+
 /// Buffers of the size of a picture, and of the tile lists, reused from view to view.
 pub(crate) struct Pixels {
     /// The render `[3, H, W]`.
@@ -30,9 +37,10 @@ pub(crate) struct Pixels {
 impl Pixels {
     /// Empty buffers.
     pub(crate) fn new(engine: &Engine) -> Result<Self, BackendError> {
+        let partial = || engine.allocate("derivatives of SSIM", 0);
         Ok(Self {
             image: engine.allocate("the image", 0)?,
-            partials: no_partials(engine)?,
+            partials: [partial()?, partial()?, partial()?],
             loss_sums: engine.allocate("the sums of the loss", 0)?,
             gradient: engine.allocate("the gradient of the image", 0)?,
             intersection_gradients: engine.allocate("gradients of intersections", 0)?,
@@ -46,55 +54,35 @@ impl Pixels {
         single.into_iter().chain(partials).for_each(Memory::release);
     }
 
-    /// Memory for a render.
-    pub(crate) fn reserve_image(&mut self, engine: &Engine, view: &ViewPass) -> Result<(), BackendError> {
-        engine.reserve(&mut self.image, view.image_bytes())
-    }
-
-    /// Memory for a render and its loss.
-    pub(crate) fn reserve_loss(&mut self, engine: &Engine, view: &ViewPass) -> Result<(), BackendError> {
-        self.reserve_image(engine, view)?;
-        // Bound, but not written, where no gradient is wanted.
-        self.partials.iter_mut().try_for_each(|by_moment| engine.reserve(by_moment, 0))?;
-        engine.reserve(&mut self.loss_sums, view.loss_sum_bytes())
-    }
-
-    /// Memory for a render, its loss and its gradient.
-    pub(crate) fn reserve_training(
+    /// Memory for a render, and for its loss and whatever goes backward from it where these are wanted.
+    pub(crate) fn reserve(
         &mut self,
         engine: &Engine,
         view: &ViewPass,
+        Needs { loss, gradient }: Needs,
         intersections: u64,
     ) -> Result<(), BackendError> {
-        self.reserve_loss(engine, view)?;
-        self.partials.iter_mut().try_for_each(|by_moment| engine.reserve(by_moment, view.image_bytes()))?;
-        self.reserve_backward(engine, view, intersections)
-    }
-
-    /// Memory for a render, whatever goes backward from it, and the gradients of its intersections.
-    pub(crate) fn reserve_backward(
-        &mut self,
-        engine: &Engine,
-        view: &ViewPass,
-        intersections: u64,
-    ) -> Result<(), BackendError> {
-        self.reserve_image(engine, view)?;
-        engine.reserve(&mut self.gradient, view.image_bytes())?;
-        engine.reserve(&mut self.intersection_gradients, INTERSECTION_GRADIENT_BYTES * intersections)
+        let image = view.image_bytes();
+        engine.reserve(&mut self.image, image)?;
+        if loss {
+            // Bound, but not written, where no gradient is wanted.
+            let bytes = if gradient { image } else { 0 };
+            self.partials.iter_mut().try_for_each(|by_moment| engine.reserve(by_moment, bytes))?;
+            engine.reserve(&mut self.loss_sums, view.loss_sum_bytes())?;
+        }
+        if gradient {
+            engine.reserve(&mut self.gradient, image)?;
+            engine.reserve(&mut self.intersection_gradients, INTERSECTION_GRADIENT_BYTES * intersections)?;
+        }
+        Ok(())
     }
 
     /// Stage `rasterise`.
     pub(crate) fn record_rasterise(&self, recorder: &mut Recorder, lists: &Lists, view: &ViewPass) {
         recorder.stage("rasterise");
         let intersections = lists.sorted_intersections(view);
-        let parts = [
-            &lists.view,
-            &lists.ranges,
-            intersections,
-            &lists.intersection_splats,
-            &lists.splats,
-            &self.image,
-        ];
+        let splats = &lists.intersection_splats;
+        let parts = [&lists.view, &lists.ranges, intersections, splats, &lists.splats, &self.image];
         recorder.run(&shaders::RASTERISE, &parts.map(Memory::all), view.tile_grid(1));
     }
 
@@ -106,6 +94,7 @@ impl Pixels {
         photo: &Memory,
         view: &ViewPass,
     ) {
+        recorder.stage("loss");
         self.record_loss_sums(recorder, lists, photo, view, true);
         let parts = [&lists.view, &self.loss_sums, &lists.counters].map(Memory::all);
         recorder.run(&shaders::LOSS_SUM, &parts, Grid::Groups(1));
@@ -114,7 +103,7 @@ impl Pixels {
         recorder.run(&shaders::LOSS_GRADIENT, &parts.map(Memory::all), view.tile_grid(3));
     }
 
-    /// The sums of all tiles; with `partials`, SSIM's derivatives are left for the gradient.
+    /// The sums of all tiles of all layers; with `partials`, SSIM's derivatives are left for the gradient.
     pub(crate) fn record_loss_sums(
         &self,
         recorder: &mut Recorder,
@@ -123,11 +112,15 @@ impl Pixels {
         view: &ViewPass,
         partials: bool,
     ) {
-        recorder.stage("loss");
         let [by_mean, by_square, by_product] = &self.partials;
         let parts = [&lists.view, &self.image, photo, by_mean, by_square, by_product, &self.loss_sums];
         let overrides = [("FORWARD_ONLY", u32::from(!partials))];
-        recorder.run_with(&shaders::LOSS, &overrides, &parts.map(Memory::all), view.tile_grid(3));
+        recorder.run_with(
+            &shaders::LOSS,
+            &overrides,
+            &parts.map(Memory::all),
+            view.tile_grid(3 * view.layers),
+        );
     }
 
     /// Stage `rasterise_backward`.
@@ -145,12 +138,6 @@ impl Pixels {
         ];
         recorder.run(&shaders::RASTERISE_BACKWARD, &parts.map(Memory::all), view.tile_grid(1));
     }
-}
-
-/// What is bound where the loss would leave its derivatives.
-pub(crate) fn no_partials(engine: &Engine) -> Result<[Memory; 3], BackendError> {
-    let none = || engine.allocate("derivatives of SSIM", 0);
-    Ok([none()?, none()?, none()?])
 }
 
 /// A photo as the loss reads it: red in the lowest byte of a word, then green and blue `[H, W]`.

@@ -1,11 +1,10 @@
 //! Stage `score`: Eq. 5 of a whole population over a set of views, forward only.
 //!
-//! A pool of individuals is uploaded value by value ([`genesplat_core::alleles`]): to a view, the alleles are the rows
-//! of one large cloud, projected, sorted and listed by tile once for all individuals. A workgroup then makes the
-//! pictures of sixteen individuals in one tile: an alpha is evaluated once, and blended for those that hold it. Losses
-//! are reduced on the device; the host waits for a pool, not for its views.
+//! A pool of individuals is uploaded as [row versions](genesplat_core::row_versions): to a view these are the rows of one
+//! large cloud, projected, sorted and listed by tile once for all individuals. A workgroup then makes the pictures of
+//! sixteen individuals in one tile: an alpha is evaluated once, and blended for those that hold it.
 
-use genesplat_core::alleles::{Allele, Holders, alleles};
+use genesplat_core::row_versions::{Holders, RowVersion, row_versions};
 use genesplat_core::{BackendError, RenderSettings, SparseDelta};
 use rayon::prelude::*;
 
@@ -16,68 +15,53 @@ use crate::device::recorder::{Grid, Recorder};
 use crate::device::shaders;
 use crate::queue::ListsOf;
 use crate::stages::lists::Lists;
-use crate::stages::pixels::no_partials;
+use crate::stages::pixels::{Needs, Pixels};
 use crate::state::State;
 use crate::state::cloud::{RowWindow, pack_genes, window_uniform};
 use crate::state::layout::{OWN_GENES, SLOTS, SPLAT_FLOATS, ViewPass};
 
 /// Bytes of the pictures of a pool: enough to keep a device busy, and small against the cloud itself.
 const PICTURE_BYTES: u64 = 512 << 20;
-/// Rows that one task looks through for alleles.
+/// Rows that one task looks through for versions.
 const ROWS: usize = 4096;
 
 /// Buffers of the views of a pool, kept from call to call.
 pub(crate) struct PoolBuffers {
-    /// Tile lists of the alleles.
+    /// Tile lists of the row versions.
     pub(crate) lists: Lists,
-    /// Pictures `[layers, 3, H, W]`.
-    images: Memory,
-    /// Sums of the loss `[layers, 3, tiles, 4]`.
-    sums: Memory,
-    /// Bound where the loss would leave its derivatives.
-    unused: [Memory; 3],
+    /// Pictures and sums of the loss, one layer an individual.
+    pixels: Pixels,
 }
 
 impl PoolBuffers {
     pub(crate) fn new(engine: &Engine) -> Result<Self, BackendError> {
-        Ok(Self {
-            lists: Lists::new(engine, 4)?,
-            images: engine.allocate("pictures of individuals", 0)?,
-            sums: engine.allocate("the sums of the losses", 0)?,
-            unused: no_partials(engine)?,
-        })
+        Ok(Self { lists: Lists::new(engine, 4)?, pixels: Pixels::new(engine)? })
     }
 
     /// Frees everything until it is reserved anew, for what may be fewer individuals.
     pub(crate) fn release(&mut self) {
         self.lists.release();
         self.lists.wanted_capacity = None;
-        [&mut self.images, &mut self.sums].into_iter().for_each(Memory::release);
-    }
-
-    fn reserve(&mut self, engine: &Engine, view: &ViewPass) -> Result<(), BackendError> {
-        self.lists.reserve(engine, view)?;
-        engine.reserve(&mut self.images, u64::from(view.layers) * view.image_bytes())?;
-        engine.reserve(&mut self.sums, view.loss_sum_bytes())
+        self.pixels.release();
     }
 }
 
 /// Some individuals on the device.
 struct Pool {
     individuals: u32,
-    alleles: u32,
-    /// Row of each allele, and where its genes are `[K, 2]`; row by row.
+    versions: u32,
+    /// Row of each version, and where its genes are `[K, 2]`; row by row.
     places: Memory,
     /// Genes that are not the cloud's: position, opacity logit; log-scales, nothing.
     genes: Memory,
     /// A bit for each individual `[K, 4]`.
     holders: Memory,
-    /// For each window of rows: its rows and their alleles, as a kernel reads them, and the number of those alleles.
+    /// For each window of rows: its rows and their versions, as a kernel reads them, and the number of those versions.
     windows: Vec<(Memory, u64)>,
 }
 
 impl Pool {
-    /// The alleles of `individuals`; nothing where they are more than `most`.
+    /// The row versions of `individuals`; nothing where they are more than `most`.
     fn upload(
         engine: &Engine,
         state: &State,
@@ -86,53 +70,43 @@ impl Pool {
     ) -> Result<Option<Self>, BackendError> {
         let rows = state.rows as usize;
         let tasks = (0..rows.div_ceil(ROWS)).into_par_iter();
-        let of_task = |task: usize| alleles(individuals, task * ROWS..rows.min((task + 1) * ROWS));
-        let alleles: Vec<_> = tasks.flat_map_iter(of_task).collect();
-        if alleles.len() as u64 > most {
+        let of_task = |task: usize| row_versions(individuals, task * ROWS..rows.min((task + 1) * ROWS));
+        let versions: Vec<_> = tasks.flat_map_iter(of_task).collect();
+        if versions.len() as u64 > most {
             return Ok(None);
         }
         let mut genes = Vec::new();
-        let place = |allele: &Allele| {
-            let at = allele.genes.map_or(OWN_GENES, |_| genes.len() as u32);
-            genes.extend(allele.genes.map(pack_genes));
-            [allele.row, at]
+        let place = |version: &RowVersion| {
+            let at = version.genes.map_or(OWN_GENES, |_| genes.len() as u32);
+            genes.extend(version.genes.map(pack_genes));
+            [version.row, at]
         };
-        let places: Vec<[u32; 2]> = alleles.iter().map(place).collect();
-        let holders: Vec<Holders> = alleles.iter().map(|allele| allele.holders.to_le()).collect();
+        let places: Vec<[u32; 2]> = versions.iter().map(place).collect();
+        let holders: Vec<Holders> = versions.iter().map(|version| version.holders.to_le()).collect();
         let of_window = |window: &RowWindow| {
-            let until = |row: u64| alleles.partition_point(|allele| u64::from(allele.row) < row) as u32;
+            let until = |row: u64| versions.partition_point(|version| u64::from(version.row) < row) as u32;
             let [first, end] = [window.first, window.first + window.count].map(until);
             Ok((window_uniform(engine, window.range(), [first, end - first])?, u64::from(end - first)))
         };
         Ok(Some(Self {
             individuals: individuals.len() as u32,
-            alleles: alleles.len() as u32,
-            places: engine.upload("rows of alleles", &places)?,
-            genes: engine.upload("genes of alleles", &genes)?,
-            holders: engine.upload("holders of alleles", &holders)?,
+            versions: versions.len() as u32,
+            places: engine.upload("rows of row versions", &places)?,
+            genes: engine.upload("genes of row versions", &genes)?,
+            holders: engine.upload("holders of row versions", &holders)?,
             windows: state.windows.iter().map(of_window).collect::<Result<_, BackendError>>()?,
         }))
     }
-}
 
-impl Pool {
-    /// Stage `project` of the alleles.
+    /// Stage `project` of the row versions.
     fn record_project(&self, recorder: &mut Recorder, state: &State, lists: &Lists) {
         recorder.stage("score_project");
+        let outputs = [&lists.splats, &lists.depths, &lists.tile_counts, &lists.flags].map(Memory::all);
         for (window, (uniform, count)) in state.windows.iter().zip(&self.windows) {
-            let parts = [
-                lists.view.all(),
-                uniform.all(),
-                state.cloud.geometry.at(window),
-                state.cloud.sh.at(window),
-                self.places.all(),
-                self.genes.all(),
-                lists.splats.all(),
-                lists.depths.all(),
-                lists.tile_counts.all(),
-                lists.flags.all(),
-            ];
-            recorder.run(&shaders::PROJECT_ALLELES, &parts, Grid::Items(*count));
+            let cloud = [state.cloud.geometry.at(window), state.cloud.sh.at(window)];
+            let inputs = [lists.view.all(), uniform.all()];
+            let parts = [&inputs[..], &cloud, &[self.places.all(), self.genes.all()], &outputs].concat();
+            recorder.run(&shaders::PROJECT_ROW_VERSIONS, &parts, Grid::Items(*count));
         }
     }
 }
@@ -166,7 +140,7 @@ impl GpuBackend {
     ) -> Result<(), BackendError> {
         let is_full = |error: &BackendError| matches!(error, BackendError::OutOfMemory { .. });
         loop {
-            match self.losses_of_one_pool(individuals, views, settings) {
+            match self.losses_of_pool(individuals, views, settings) {
                 Ok(Some(found)) => {
                     losses.extend(found);
                     return Ok(());
@@ -185,9 +159,9 @@ impl GpuBackend {
         self.score_pool(second, views, settings, losses)
     }
 
-    /// Losses `[P, V]` of some individuals, if their alleles can be seen at once; those of one always can, since what
+    /// Losses `[P, V]` of some individuals, if their row versions can be seen at once; those of one always can, since what
     /// one holds is no more than the cloud.
-    fn losses_of_one_pool(
+    fn losses_of_pool(
         &mut self,
         individuals: &[SparseDelta],
         views: &[usize],
@@ -195,26 +169,16 @@ impl GpuBackend {
     ) -> Result<Option<Vec<f32>>, BackendError> {
         let visible = self.engine.binding_bytes / (4 * u64::from(SPLAT_FLOATS));
         let most = if individuals.len() == 1 { u64::MAX } else { visible };
-        let pool = Pool::upload(&self.engine, &self.state, individuals, most)?;
-        pool.map(|pool| self.losses_of_pool(&pool, views, settings)).transpose()
-    }
-
-    /// Losses `[P, V]` of a pool.
-    fn losses_of_pool(
-        &mut self,
-        pool: &Pool,
-        views: &[usize],
-        settings: &RenderSettings,
-    ) -> Result<Vec<f32>, BackendError> {
+        let Some(pool) = Pool::upload(&self.engine, &self.state, individuals, most)? else { return Ok(None) };
         let count = u64::from(pool.individuals) * views.len() as u64;
         let losses = self.engine.allocate("losses", 8 * count)?;
-        let (_, values): (_, Vec<[f32; 2]>) =
-            self.until_lists_fit_and(ListsOf::Alleles, Some((&losses, count)), |gpu| {
+        let values: Vec<[f32; 2]> =
+            self.until_lists_fit(ListsOf::RowVersions, Some((&losses, count)), |gpu| {
                 views.iter().enumerate().try_for_each(|(index, &view)| {
-                    gpu.submit_pool(pool, view, settings, [index, views.len()], &losses)
+                    gpu.submit_pool(&pool, view, settings, [index, views.len()], &losses)
                 })
             })?;
-        Ok(values.into_iter().map(|[loss, _]| loss).collect())
+        Ok(Some(values.into_iter().map(|[loss, _]| loss).collect()))
     }
 
     /// Losses of a pool on one view.
@@ -227,28 +191,27 @@ impl GpuBackend {
         losses: &Memory,
     ) -> Result<(), BackendError> {
         let layers = pool.individuals;
-        let pass = ViewPass { rows: pool.alleles, layers, ..self.pass_of(view, settings) };
-        self.pool_buffers.reserve(&self.engine, &pass)?;
+        let pass = ViewPass { rows: pool.versions, layers, ..self.pass_of(view, settings) };
+        let PoolBuffers { lists, pixels } = &mut self.pool_buffers;
+        lists.reserve(&self.engine, &pass)?;
+        pixels.reserve(&self.engine, &pass, Needs { loss: true, gradient: false }, 0)?;
         let place = window_uniform(&self.engine, [0, layers], [view_index as u32, views as u32])?;
-        let (state, PoolBuffers { lists, images, sums, unused, .. }) = (&self.state, &self.pool_buffers);
         lists.begin(&self.engine, &pass);
 
         let mut recorder = Recorder::new(&self.engine, self.timestamps.as_mut());
-        pool.record_project(&mut recorder, state, lists);
+        pool.record_project(&mut recorder, &self.state, lists);
         lists.record_bin(&mut recorder, &pass);
 
         recorder.stage("score_rasterise");
         let (intersections, splats) = (lists.sorted_intersections(&pass), &lists.intersection_splats);
-        let parts = [&lists.view, &lists.ranges, intersections, splats, &lists.splats, &pool.holders, images];
+        let parts =
+            [&lists.view, &lists.ranges, intersections, splats, &lists.splats, &pool.holders, &pixels.image];
         let grid = pass.tile_grid(layers.div_ceil(SLOTS));
         recorder.run(&shaders::RASTERISE_INDIVIDUALS, &parts.map(Memory::all), grid);
 
         recorder.stage("score_loss");
-        let photo = &self.views[view].photo;
-        let [by_mean, by_square, by_product] = unused;
-        let parts = [&lists.view, images, photo, by_mean, by_square, by_product, sums].map(Memory::all);
-        recorder.run_with(&shaders::LOSS, &[("FORWARD_ONLY", 1)], &parts, pass.tile_grid(3 * layers));
-        let parts = [&lists.view, &place, sums, losses].map(Memory::all);
+        pixels.record_loss_sums(&mut recorder, lists, &self.views[view].photo, &pass, false);
+        let parts = [&lists.view, &place, &pixels.loss_sums, losses].map(Memory::all);
         recorder.run(&shaders::VIEW_LOSSES, &parts, Grid::Exact([layers, 1, 1]));
         recorder.submit();
         Ok(())

@@ -68,9 +68,9 @@ impl ViewPass {
         u64::from(self.tiles_x) * u64::from(self.tiles_y)
     }
 
-    /// Bytes of a render.
+    /// Bytes of a render, for all layers.
     pub(crate) fn image_bytes(&self) -> u64 {
-        12 * u64::from(self.width) * u64::from(self.height)
+        12 * u64::from(self.width) * u64::from(self.height) * u64::from(self.layers)
     }
 
     /// Bytes of the sums of the loss, for all layers.

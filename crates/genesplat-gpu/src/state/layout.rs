@@ -5,21 +5,72 @@
 
 use bytemuck::{Pod, Zeroable};
 
-/// Side of a tile, px.
-pub(crate) const TILE: u32 = 16;
-/// Invocations of every one-dimensional workgroup.
-pub(crate) const GROUP: u32 = 256;
-/// Workgroups in the first dimension of a grid; what is more goes to the second (65,535 is WebGPU's limit for each). So
-/// few in unit tests that grids of theirs have a second dimension, too.
-pub(crate) const GRID_WIDTH: u32 = if cfg!(test) { 3 } else { 32_768 };
-/// Elements that one workgroup of a prefix sum handles.
-pub(crate) const SCAN_BLOCK: u32 = 8 * GROUP;
-/// Keys that one workgroup of a radix sort handles.
-pub(crate) const SORT_BLOCK: u32 = 16 * GROUP;
-/// Values of a digit of the radix sort; one invocation serves each.
-pub(crate) const DIGITS: u32 = 256;
-/// Splats that the backward pass reduces at once.
-pub(crate) const SPLATS_AT_ONCE: u32 = 8;
+/// Declares constants, and the table of them that is written into WGSL.
+macro_rules! shared_constants {
+    ($($name:ident = $value:expr,)*) => {
+        $(pub(crate) const $name: u32 = $value;)*
+
+        /// Names and values.
+        pub(crate) const SHARED_CONSTANTS: &[(&str, u32)] = &[$((stringify!($name), $name),)*];
+    };
+}
+
+shared_constants! {
+    // Side of a tile, px.
+    TILE = 16,
+    // Invocations of every one-dimensional workgroup.
+    GROUP = 256,
+    // Workgroups in the first dimension of a grid; what is more goes to the second (65,535 is WebGPU's limit for each).
+    // So few in unit tests that grids of theirs have a second dimension, too.
+    GRID_WIDTH = if cfg!(test) { 3 } else { 32_768 },
+    // Elements that one workgroup of a prefix sum handles, keys that one of a radix sort does, values of a digit.
+    SCAN_BLOCK = 8 * GROUP,
+    SORT_BLOCK = 16 * GROUP,
+    DIGITS = 256,
+    // Splats that the backward pass reduces at once.
+    SPLATS_AT_ONCE = 8,
+    // Individuals that a workgroup of stage `score` renders: as many pixels as an invocation has registers for.
+    SLOTS = 16,
+    // Words with a bit for each individual of a pool.
+    HOLDER_WORDS = 4,
+    // Where the genes of a row version are, if they are the row's own.
+    OWN_GENES = u32::MAX,
+
+    // Why the device changes nothing more: intersections that do not fit their buffers, a loss that is not finite.
+    HALT_OVERFLOW = 1,
+    HALT_NON_FINITE = 2,
+    // Screen filters.
+    FILTER_CLASSIC = 0,
+    FILTER_ANTIALIASED = 1,
+    FILTER_MIP = 2,
+    // Density signals.
+    SIGNAL_NONE = 0,
+    SIGNAL_SIGNED = 1,
+    SIGNAL_ABSOLUTE = 2,
+    SIGNAL_BOTH = 3,
+    SIGNAL_PIXELS = 4,
+    // Slots of the lengths that only the device knows, and their number.
+    LENGTH_ROWS = 0,
+    LENGTH_VISIBLE = 1,
+    LENGTH_INTERSECTIONS = 2,
+    LENGTHS = 3,
+    // Slots of the grids that only the device knows, and their number: an invocation a splat, a prefix sum over the
+    // splats, a pass of the depth sort, an invocation an intersection, a pass of the tile sort.
+    GRID_VISIBLE = 0,
+    GRID_VISIBLE_SCAN = 1,
+    GRID_DEPTH_SORT = 2,
+    GRID_INTERSECTIONS = 3,
+    GRID_TILE_SORT = 4,
+    GRIDS = 5,
+    // Codes of `genesplat_core::Origin`; the second child of a split, and the second twin, is one more.
+    ORIGIN_KEPT = 0,
+    ORIGIN_CLONE = 1,
+    ORIGIN_SPLIT = 2,
+    ORIGIN_RELOCATED = 4,
+    ORIGIN_RELOCATED_KEPT = 5,
+    ORIGIN_TWIN = 6,
+}
+
 /// Floats of a splat.
 pub(crate) const SPLAT_FLOATS: u32 = 12;
 /// Floats of the gradient of an intersection: sums over the pixels of one tile.
@@ -36,13 +87,6 @@ pub(crate) const DENSITY_FLOATS: u32 = 4;
 pub(crate) const GENE_FLOATS: u32 = 8;
 /// Floats of the contribution of one Gaussian: weight, error.
 pub(crate) const CONTRIBUTION_FLOATS: u32 = 2;
-
-/// Individuals that a workgroup of stage `score` renders: as many pixels as an invocation has registers for.
-pub(crate) const SLOTS: u32 = 16;
-/// Words with a bit for each individual of a pool.
-pub(crate) const HOLDER_WORDS: u32 = 4;
-/// Where the genes of an allele are, if it is what its row has itself.
-pub(crate) const OWN_GENES: u32 = u32::MAX;
 
 /// Declares a `#[repr(C)]` struct and its WGSL twin.
 macro_rules! device_struct {
@@ -79,55 +123,44 @@ device_struct! {
     /// What a render depends on besides the cloud. Vectors come first and the size is a multiple of 16 bytes, so that
     /// WGSL's and Rust's layouts agree.
     ViewPass {
-        /// First row of `camera_from_world`: rotation, translation.
+        /// Rows of `camera_from_world`: rotation, translation.
         camera_x: vec4,
-        /// Second row.
         camera_y: vec4,
-        /// Third row.
         camera_z: vec4,
         /// Camera centre, world.
         centre: vec4,
         /// Colour behind all splats.
         background: vec4,
-        /// px
+        /// Focal lengths, px.
         focal_x: f32,
-        /// px
         focal_y: f32,
         /// Pixel coordinate that the optical axis hits.
         axis_x: f32,
-        /// See `axis_x`.
         axis_y: f32,
-        /// Largest `|x/z|` that the Jacobian sees.
+        /// Largest `|x/z|` and `|y/z|` that the Jacobian sees.
         limit_x: f32,
-        /// Largest `|y/z|`.
         limit_y: f32,
         /// Variance added to the diagonal of the projected covariance, px².
         dilation: f32,
         /// Pixel-GS's depth threshold, world units.
         depth_threshold: f32,
-        /// px
+        /// Size, px, and in tiles.
         width: u32,
-        /// px
         height: u32,
-        /// Tiles across.
         tiles_x: u32,
-        /// Tiles down.
         tiles_y: u32,
         /// Rows of the cloud.
         rows: u32,
         /// Active degree of the spherical harmonics.
         sh_degree: u32,
-        /// One of the `FILTER_` constants.
+        /// One of the `FILTER_` and one of the `SIGNAL_` constants.
         filter_kind: u32,
-        /// One of the `SIGNAL_` constants.
         signal: u32,
         /// Intersections that fit the buffers.
         intersection_capacity: u32,
         /// Pictures that are made at once, one for each individual of a pool.
         layers: u32,
-        /// Nothing.
         pad_0: u32,
-        /// Nothing.
         pad_1: u32,
     }
 }
@@ -136,21 +169,14 @@ device_struct! {
     /// One optimiser step: Adam's bias-corrected factors `lr / (1 − β1ᵗ)` and `1 / sqrt(1 − β2ᵗ)`, and MCMC's
     /// additions.
     Optimiser {
-        /// Positions.
         position: f32,
-        /// Log-scales.
         scale: f32,
-        /// Quaternions.
         rotation: f32,
-        /// Opacity logits.
         opacity: f32,
-        /// Base colour.
         sh_dc: f32,
-        /// View-dependent colour.
         sh_rest: f32,
-        /// Second factor of all groups but opacity.
+        /// Second factor of all groups but opacity, and of opacity.
         root: f32,
-        /// Second factor of opacity.
         opacity_root: f32,
         /// 0 leaves opacities and their moments alone.
         step_opacity: u32,
@@ -158,15 +184,12 @@ device_struct! {
         is_mcmc: u32,
         /// Factor of the positional noise.
         noise_scale: f32,
-        /// Weight of the mean opacity in the loss.
+        /// Weights of the mean opacity and of the mean scale in the loss.
         opacity_weight: f32,
-        /// Weight of the mean scale in the loss.
         scale_weight: f32,
-        /// Counter of the noise stream.
+        /// Counter and key of the noise stream.
         counter: u32,
-        /// Key of the random streams, low half.
         key_low: u32,
-        /// Key of the random streams, high half.
         key_high: u32,
     }
 }
@@ -174,13 +197,10 @@ device_struct! {
 device_struct! {
     /// Rows `first .. first + count`: what one binding of a column that is too large for a single one shows.
     Window {
-        /// First row.
         first: u32,
-        /// Number of rows.
         count: u32,
-        /// Another row, where a stage needs two windows.
+        /// A second window, or a stage's own parameters.
         source_first: u32,
-        /// Its count; or a stage's own parameter.
         source_count: u32,
     }
 }
@@ -198,11 +218,9 @@ device_struct! {
         halted: u32,
         /// Steps that were completed since the host last cleared this.
         completed: u32,
-        /// `0.8 · L1 + 0.2 · (1 − SSIM)` of the last completed step.
+        /// Loss, splats and intersections of the last completed step.
         loss: f32,
-        /// Splats of the last completed step.
         step_visible: u32,
-        /// Intersections of the last completed step.
         step_intersections: u32,
     }
 }
@@ -210,71 +228,11 @@ device_struct! {
 device_struct! {
     /// Parameters of the verbs that change rows.
     Edit {
-        /// Counter of the random stream that split children are drawn from.
+        /// Counter and key of the random stream that split children are drawn from.
         iteration: u32,
-        /// Key of the random streams, low half.
         key_low: u32,
-        /// Key of the random streams, high half.
         key_high: u32,
         /// The ceiling of opacities, or the fraction of a state in a mean.
         amount: f32,
     }
 }
-
-/// The intersections do not fit the buffers.
-pub(crate) const HALT_OVERFLOW: u32 = 1;
-/// The loss is not finite.
-pub(crate) const HALT_NON_FINITE: u32 = 2;
-
-/// 3DGS.
-pub(crate) const FILTER_CLASSIC: u32 = 0;
-/// 3DGS's antialiasing.
-pub(crate) const FILTER_ANTIALIASED: u32 = 1;
-/// Mip-Splatting.
-pub(crate) const FILTER_MIP: u32 = 2;
-
-/// No density signal.
-pub(crate) const SIGNAL_NONE: u32 = 0;
-/// Norm of the signed gradient.
-pub(crate) const SIGNAL_SIGNED: u32 = 1;
-/// Norm of the absolute gradients.
-pub(crate) const SIGNAL_ABSOLUTE: u32 = 2;
-/// Both.
-pub(crate) const SIGNAL_BOTH: u32 = 3;
-/// Pixel-GS.
-pub(crate) const SIGNAL_PIXELS: u32 = 4;
-
-/// Slots of the lengths that only the device knows: rows of the cloud, ...
-pub(crate) const LENGTH_ROWS: u32 = 0;
-/// ... splats of the view, ...
-pub(crate) const LENGTH_VISIBLE: u32 = 1;
-/// ... intersections of all tile lists.
-pub(crate) const LENGTH_INTERSECTIONS: u32 = 2;
-/// Slots.
-pub(crate) const LENGTHS: u32 = 3;
-
-/// Grids that only the device knows: an invocation a splat, ...
-pub(crate) const GRID_VISIBLE: u32 = 0;
-/// ... a prefix sum over the splats, ...
-pub(crate) const GRID_VISIBLE_SCAN: u32 = 1;
-/// ... a pass of the depth sort, ...
-pub(crate) const GRID_DEPTH_SORT: u32 = 2;
-/// ... an invocation an intersection, ...
-pub(crate) const GRID_INTERSECTIONS: u32 = 3;
-/// ... a pass of the tile sort.
-pub(crate) const GRID_TILE_SORT: u32 = 4;
-/// Grids.
-pub(crate) const GRIDS: u32 = 5;
-
-/// Codes of [`genesplat_core::Origin`].
-pub(crate) const ORIGIN_KEPT: u32 = 0;
-/// See [`ORIGIN_KEPT`].
-pub(crate) const ORIGIN_CLONE: u32 = 1;
-/// First child; the second is one more.
-pub(crate) const ORIGIN_SPLIT: u32 = 2;
-/// Relocated, fresh moments.
-pub(crate) const ORIGIN_RELOCATED: u32 = 4;
-/// Relocated, moments kept.
-pub(crate) const ORIGIN_RELOCATED_KEPT: u32 = 5;
-/// First twin; the second is one more.
-pub(crate) const ORIGIN_TWIN: u32 = 6;

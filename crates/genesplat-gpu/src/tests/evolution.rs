@@ -50,7 +50,7 @@ fn blends_of_averages_match() {
     });
 }
 
-/// Six individuals and their twins: more than a workgroup has slots for, and alleles that several hold.
+/// Six individuals and their twins: more than a workgroup has slots for, and row versions that several hold.
 #[test]
 fn scores_match() {
     let Some(mut gpu) = gpu() else { return };
@@ -140,7 +140,7 @@ fn compare_scores(gpu: &mut GpuBackend, base: &Gaussians, individuals: &[usize])
     }
 }
 
-/// Two individuals have too many alleles for a binding, or these too many intersections; one has not.
+/// Two individuals have too many row versions for a binding, or these too many intersections; one has not.
 #[test]
 fn a_pool_without_memory_is_scored_as_two() {
     let Some(mut gpu) = gpu() else { return };

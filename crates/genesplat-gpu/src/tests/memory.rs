@@ -168,7 +168,7 @@ fn steps_scores_and_blends_take_turns() {
         sorted.sort_unstable();
         sorted
     };
-    // Bytes of what a verb holds while it runs and frees at its end: alleles, losses, uniforms.
+    // Bytes of what a verb holds while it runs and frees at its end: row versions, losses, uniforms.
     let passing = 200_000;
     assert!(least > passing, "{alone:?}");
     gpu.engine.usage.limit_bytes = rows + most + passing;

@@ -2,7 +2,7 @@
 
 use fearless_simd::Level;
 use genesplat_core::RowEdit;
-use genesplat_kernels::cpu::{Extra, Pinhole, Target, ViewBuffers};
+use genesplat_kernels::cpu::{Pinhole, Target, ViewBuffers};
 
 use super::*;
 use crate::device::memory::Memory;
@@ -15,7 +15,7 @@ fn cpu_buffers(cloud: &Gaussians, settings: &RenderSettings) -> (ViewBuffers, f3
     let (level, camera) = (Level::new(), Pinhole::from(&camera()));
     let mut buffers = ViewBuffers::default();
     buffers.render(level, cloud, &camera, settings);
-    let loss = buffers.backward(level, &camera, &Target::from(&photo()), Extra::None);
+    let loss = buffers.backward(level, &camera, &Target::from(&photo()), None);
     (buffers, loss)
 }
 

@@ -9,13 +9,11 @@ use genesplat_core::{
     RowEdit, Statistics, StatisticsRequest, TrainStep, View, WindowAverages, backend::StepReport,
 };
 
-use super::blend::rasterise_backward::Extra;
 use super::loss::{Target, loss};
 use super::score::Scorer;
 use super::update::{UpdateInputs, update};
-use super::view::buffers::ViewBuffers;
+use super::view::buffers::{StageSeconds, ViewBuffers, timed};
 use super::view::pinhole::Pinhole;
-use super::view::timings::{StageSeconds, timed};
 
 /// A training view as the kernels read it.
 pub(super) struct TrainView {
@@ -82,16 +80,6 @@ impl CpuBackend {
         self.scorer.bytes()
     }
 
-    /// Zeroes the density columns, for the rows that the cloud has now.
-    fn reset_density(&mut self) {
-        let n = self.cloud.len();
-        for column in [&mut self.statistics.gradient_sum, &mut self.statistics.weight_sum] {
-            column.clear();
-            column.resize(n, 0.0);
-        }
-        self.statistics.absolute_sum.clear();
-    }
-
     /// The gene columns and the absolute one exist from the first step that asks for them.
     fn grow_statistics(&mut self, request: StatisticsRequest) {
         let n = self.cloud.len();
@@ -113,15 +101,6 @@ fn instruction_set(level: Level) -> String {
     variant.split('(').next().unwrap_or_default().replace('_', ".").to_uppercase()
 }
 
-/// What a density signal needs besides the gradients.
-fn extra(signal: Option<DensitySignal>) -> Extra {
-    match signal {
-        Some(DensitySignal::Absolute | DensitySignal::SignedAndAbsolute) => Extra::Absolute,
-        Some(DensitySignal::PixelWeighted { .. }) => Extra::Pixels,
-        Some(DensitySignal::Signed) | None => Extra::None,
-    }
-}
-
 impl Backend for CpuBackend {
     fn describe(&self) -> String {
         format!("CPU, {} threads, {}", rayon::current_num_threads(), instruction_set(self.level))
@@ -133,13 +112,8 @@ impl Backend for CpuBackend {
 
     fn set_views(&mut self, views: &[View]) -> Result<(), BackendError> {
         self.scorer = Scorer::default();
-        self.views = views
-            .iter()
-            .map(|view| TrainView {
-                camera: Pinhole::from(&view.camera),
-                target: Target::from(view.photo.as_ref()),
-            })
-            .collect();
+        let of_view = |view: &View| (Pinhole::from(&view.camera), Target::from(view.photo.as_ref()));
+        self.views = views.iter().map(of_view).map(|(camera, target)| TrainView { camera, target }).collect();
         Ok(())
     }
 
@@ -176,24 +150,14 @@ impl Backend for CpuBackend {
         let view = &self.views[step.view];
         let (camera, settings) = (view.camera, step.settings);
         self.buffers.render(self.level, &self.cloud, &camera, &settings);
-        let loss = self.buffers.backward(self.level, &camera, &view.target, extra(step.statistics.density));
+        let loss = self.buffers.backward(self.level, &camera, &view.target, step.statistics.density);
         if !loss.is_finite() {
             return Err(BackendError::diverged(&self.cloud, self.steps));
         }
         let ViewBuffers { splats, bins, gradient_rows, seconds, .. } = &mut self.buffers;
         let inputs = UpdateInputs { splats, bins, gradient_rows, camera: &camera, settings: &settings };
-        timed(&mut seconds.update, || {
-            let (cloud, moments) = (&mut self.cloud, &mut self.moments);
-            update(
-                self.level,
-                &inputs,
-                cloud,
-                moments,
-                &mut self.statistics,
-                step.statistics,
-                step.update.as_ref(),
-            );
-        });
+        let (cloud, moments, statistics) = (&mut self.cloud, &mut self.moments, &mut self.statistics);
+        timed(&mut seconds.update, || update(self.level, &inputs, cloud, moments, statistics, step));
         self.steps = step.update.as_ref().map_or(self.steps, |update| update.step);
         self.report = StepReport { loss, visible: splats.len(), intersections: bins.intersections.len() };
         Ok(())
@@ -220,11 +184,12 @@ impl Backend for CpuBackend {
     fn edit_rows(&mut self, edit: &RowEdit) -> Result<(), BackendError> {
         self.averages = WindowAverages::default();
         edit.apply(&mut self.cloud, &mut self.moments);
-        if !self.statistics.gene_views.is_empty() {
-            self.statistics.gene_gradient_sum = edit.gather(&self.statistics.gene_gradient_sum);
-            self.statistics.gene_views = edit.gather(&self.statistics.gene_views);
+        let Statistics { gene_gradient_sum, gene_views, .. } = std::mem::take(&mut self.statistics);
+        if !gene_views.is_empty() {
+            self.statistics.gene_gradient_sum = edit.gather(&gene_gradient_sum);
+            self.statistics.gene_views = edit.gather(&gene_views);
         }
-        self.reset_density();
+        self.grow_statistics(StatisticsRequest::default());
         Ok(())
     }
 

@@ -1,14 +1,5 @@
 //! The CPU backend: every stage on all cores, with the widest vectors that the machine has.
 //!
-//! | folder | stages |
-//! |---|---|
-//! | `view` | `project`, `colour`; the buffers of one view |
-//! | `bin` | `bin`: depth order and tile lists |
-//! | `blend` | `rasterise`, `rasterise_backward`, `contribution` |
-//! | `loss` | `loss` |
-//! | `update` | `project_backward`, `adam`, `noise`, fused |
-//! | `score` | `score` |
-//!
 //! Work is cut into pieces of fixed size and every sum has a fixed order, so that results are the same bytes for any
 //! number of threads. Threads are those of the ambient rayon pool.
 
@@ -24,12 +15,10 @@ mod update;
 mod view;
 
 pub use backend::CpuBackend;
-pub use blend::rasterise_backward::Extra;
 pub use loss::Target;
 pub use roofline::roofline_nanoseconds_per_intersection;
-pub use view::buffers::ViewBuffers;
+pub use view::buffers::{StageSeconds, ViewBuffers};
 pub use view::pinhole::Pinhole;
-pub use view::timings::StageSeconds;
 
 /// Memory that a vector has, used or not.
 fn bytes_of<T>(values: &Vec<T>) -> usize {

@@ -1,8 +1,5 @@
-//! Stage `adam`: the optimiser step, Adam (Kingma and Ba 2015) in torch's form, `p ← p − lr · m̂ / (sqrt(v̂) + ε)`, six
-//! groups.
-//!
-//! It is dense: rows without a gradient keep moving on their momentum, as in 3DGS. What 3DGS-MCMC adds to a step is in
-//! [`super::noise`].
+//! Stage `adam`: Adam (Kingma and Ba 2015) in torch's form, `p ← p − lr · m̂ / (sqrt(v̂) + ε)`, six groups. It is dense:
+//! rows without a gradient keep moving on their momentum, as in 3DGS.
 
 use genesplat_core::Update;
 use genesplat_core::constants::{ADAM_BETA1, ADAM_BETA2, ADAM_EPSILON};
@@ -43,31 +40,23 @@ pub fn adam(cloud: &mut Cloud64, moments: &mut Moments64, gradient: &Cloud64, up
     }
 }
 
+/// The numbers of a group in a cloud.
+type Group = fn(&mut Cloud64) -> &mut [f64];
+
 /// All six groups; base and view-dependent colour share rows but not their rate.
 fn step_groups(cloud: &mut Cloud64, moments: &mut Moments64, gradient: &Cloud64, update: &Update) {
-    let rates = update.rates;
-    let (m, v, step) = (&mut moments.first, &mut moments.second, update.step);
-    let columns = (cloud.positions.as_flattened_mut(), gradient.positions.as_flattened());
-    let history = (m.positions.as_flattened_mut(), v.positions.as_flattened_mut());
-    step_column(columns, history, step, |_| f64::from(rates.position));
-
-    let columns = (cloud.log_scales.as_flattened_mut(), gradient.log_scales.as_flattened());
-    let history = (m.log_scales.as_flattened_mut(), v.log_scales.as_flattened_mut());
-    step_column(columns, history, step, |_| f64::from(rates.scale));
-
-    let columns = (cloud.rotations.as_flattened_mut(), gradient.rotations.as_flattened());
-    let history = (m.rotations.as_flattened_mut(), v.rotations.as_flattened_mut());
-    step_column(columns, history, step, |_| f64::from(rates.rotation));
-
-    let columns = (cloud.sh.as_flattened_mut(), gradient.sh.as_flattened());
-    let history = (m.sh.as_flattened_mut(), v.sh.as_flattened_mut());
-    let is_dc = |index: usize| index % SH_STRIDE < 3;
-    step_column(columns, history, step, |i| f64::from(if is_dc(i) { rates.sh_dc } else { rates.sh_rest }));
-
+    let (rates, mut gradient) = (update.rates, gradient.clone());
+    let mut step = |group: Group, step: u32, rate: &dyn Fn(usize) -> f32| {
+        let history = (group(&mut moments.first), group(&mut moments.second));
+        step_column((group(cloud), group(&mut gradient)), history, step, |index| f64::from(rate(index)));
+    };
+    step(|cloud| cloud.positions.as_flattened_mut(), update.step, &|_| rates.position);
+    step(|cloud| cloud.log_scales.as_flattened_mut(), update.step, &|_| rates.scale);
+    step(|cloud| cloud.rotations.as_flattened_mut(), update.step, &|_| rates.rotation);
+    let colour = |index: usize| if index % SH_STRIDE < 3 { rates.sh_dc } else { rates.sh_rest };
+    step(|cloud| cloud.sh.as_flattened_mut(), update.step, &colour);
     if update.opacity_step > 0 {
-        let columns = (&mut cloud.opacity_logits[..], &gradient.opacity_logits[..]);
-        let history = (&mut m.opacity_logits[..], &mut v.opacity_logits[..]);
-        step_column(columns, history, update.opacity_step, |_| f64::from(rates.opacity));
+        step(|cloud| &mut cloud.opacity_logits, update.opacity_step, &|_| rates.opacity);
     }
 }
 

@@ -1,19 +1,9 @@
-//! Stage `colour`: colour of a Gaussian as one camera sees it: `max(0, 0.5 + Σ basis_k(direction) · coefficient_k)` per
-//! channel.
+//! Stage `colour`: `max(0, 0.5 + Σ basis_k(direction) · coefficient_k)` per channel.
 
 use genesplat_core::spherical_harmonics::{
     C1, C2, C3, SH_COEFFICIENTS, SH_STRIDE, basis, coefficients, sh_index,
 };
 use glam::DVec3;
-
-/// Gradients of one colour.
-#[derive(Clone, Copy, Debug)]
-pub struct ColourGradient {
-    /// By the coefficients `[16, 3 channels]`; zero above the active degree.
-    pub sh: [f64; SH_STRIDE],
-    /// By the position in world coordinates, through the viewing direction.
-    pub position: DVec3,
-}
 
 /// Colour of a Gaussian at `offset` (mean − camera centre, world axes), from its coefficients `[16, 3 channels]`.
 pub fn colour(sh: &[f64; SH_STRIDE], offset: DVec3, degree: u8) -> [f64; 3] {
@@ -28,29 +18,28 @@ fn unclamped(sh: &[f64; SH_STRIDE], offset: DVec3, degree: u8) -> [f64; 3] {
     })
 }
 
-/// Back from `∂L/∂colour`. A channel that the forward clamped passes nothing.
+/// Back from `∂L/∂colour` to the coefficients and, through the viewing direction, to the position. A channel that the
+/// forward clamped passes nothing.
 pub fn colour_backward(
     sh: &[f64; SH_STRIDE],
     offset: DVec3,
     degree: u8,
     by_colour: [f64; 3],
-) -> ColourGradient {
+) -> ([f64; SH_STRIDE], DVec3) {
     let direction = offset.normalize();
     let basis = basis(degree, direction.to_array());
     let slopes = basis_slopes(degree, direction);
     let before_clamp = unclamped(sh, offset, degree);
-    let mut gradient = ColourGradient { sh: [0.0; SH_STRIDE], position: DVec3::ZERO };
-    let mut by_direction = DVec3::ZERO;
+    let (mut by_sh, mut by_direction) = ([0.0; SH_STRIDE], DVec3::ZERO);
     for channel in (0..3).filter(|&channel| before_clamp[channel] >= 0.0) {
         for k in 0..coefficients(degree) {
             let at = sh_index(channel, k);
-            gradient.sh[at] = basis[k] * by_colour[channel];
+            by_sh[at] = basis[k] * by_colour[channel];
             by_direction += slopes[k] * (sh[at] * by_colour[channel]);
         }
     }
     // The direction has unit length: only turning it counts.
-    gradient.position = (by_direction - direction * direction.dot(by_direction)) / offset.length();
-    gradient
+    (by_sh, (by_direction - direction * direction.dot(by_direction)) / offset.length())
 }
 
 /// Derivatives of the 16 basis polynomials by the three components of the direction; zero above `degree`.

@@ -25,15 +25,6 @@ pub struct Shape {
     filter_variance: f64,
 }
 
-/// Gradients of a [`Shape`]'s raw parameters.
-#[derive(Clone, Copy, Debug)]
-pub struct ShapeGradient {
-    /// By log-scale.
-    pub log_scale: [f64; 3],
-    /// By raw quaternion `(w, x, y, z)`.
-    pub rotation: [f64; 4],
-}
-
 impl Shape {
     /// Shape of a row of the cloud.
     pub fn new(cloud: &Cloud64, row: usize) -> Self {
@@ -65,8 +56,8 @@ impl Shape {
         self.world_from_own * DMat3::from_diagonal(self.variances) * self.world_from_own.transpose()
     }
 
-    /// Back from `∂L/∂Σ` (symmetric) and `∂L/∂opacity_factor`.
-    pub fn backward(&self, covariance: DMat3, opacity_factor: f64) -> ShapeGradient {
+    /// Back from `∂L/∂Σ` (symmetric) and `∂L/∂opacity_factor` to log-scale and raw quaternion.
+    pub fn backward(&self, covariance: DMat3, opacity_factor: f64) -> ([f64; 3], [f64; 4]) {
         let axes = self.world_from_own;
         let log_scale = std::array::from_fn(|k| {
             let by_variance = axes.col(k).dot(covariance * axes.col(k));
@@ -78,8 +69,7 @@ impl Shape {
             2.0 * self.unfiltered_variances[k] * by_variance + opacity_factor * dimming
         });
         let by_axes = covariance * axes * DMat3::from_diagonal(self.variances) * 2.0;
-        let rotation = self.through_normalisation(by_quaternion(self.quaternion, by_axes));
-        ShapeGradient { log_scale, rotation }
+        (log_scale, self.through_normalisation(by_quaternion(self.quaternion, by_axes)))
     }
 
     /// Only the component across the quaternion survives its normalisation.

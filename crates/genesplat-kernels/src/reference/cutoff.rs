@@ -1,9 +1,8 @@
-//! Where a splat stops touching a pixel, and where a pixel stops looking.
+//! Where a splat stops touching a pixel, and where a pixel is finished.
 //!
-//! The published rasteriser steps from "not touched" to alpha = 1/255, and from "still blending" to "finished", so
-//! its picture jumps by up to 1/255 as parameters move, and no finite difference can agree with its gradient, which
-//! (rightly) knows nothing of the jump. Tests therefore render with [`Cutoff::Smooth`]: the same code, but alpha rises
-//! from zero over `[1/255, 2/255]` and no pixel finishes early. Everything outside that band is unchanged.
+//! The published rasteriser steps from 0 to alpha = 1/255, so its picture jumps as parameters move, and no finite
+//! difference can agree with its gradient. Tests therefore render with [`Cutoff::Smooth`]: the same code, but alpha
+//! rises from zero over `[1/255, 2/255]` and no pixel finishes early.
 
 use genesplat_core::constants::{ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN};
 

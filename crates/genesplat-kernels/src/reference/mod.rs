@@ -1,14 +1,7 @@
 //! The f64 reference: every stage once more, scalar and without tiles, as close to the formulas as code can be.
 //!
 //! It is the oracle that the other backends are tested against, and its own gradients are tested against finite
-//! differences. Nothing here is meant to be fast. Each stage has one file, under the name that it has in every backend:
-//!
-//! ```text
-//! Cloud64 --project--> splats --rasterise--> image --loss--> image gradient
-//!    ^  (covariance, screen_filter, colour)                       |
-//!    '--adam-- gradients <--project_backward-- splat gradients <--rasterise_backward
-//!     (noise)      '--statistics--> sums for density control and evolution
-//! ```
+//! differences. Each stage has one file, under the name that it has in every backend.
 //!
 //! Formulas: Zwicker et al. 2001 (EWA splatting), Kerbl et al. 2023 (3DGS), Yu et al. 2024 (Mip-Splatting), Zhang et
 //! al. 2024 (Pixel-GS). Where released code departs from its own formulas, the module concerned says what is followed.
@@ -100,12 +93,7 @@ pub fn backward(
     let mut gradients = Gradients::zeros(cloud.len());
     for (splat, by_splat) in splats.iter().zip(&by_splats) {
         let row = splat.row;
-        let by_row = project_backward(cloud, camera, settings, splat, by_splat);
-        gradients.cloud.positions[row] = by_row.position;
-        gradients.cloud.log_scales[row] = by_row.log_scale;
-        gradients.cloud.rotations[row] = by_row.rotation;
-        gradients.cloud.opacity_logits[row] = by_row.opacity_logit;
-        gradients.cloud.sh[row] = by_row.sh;
+        project_backward(cloud, camera, settings, splat, by_splat, &mut gradients.cloud);
         gradients.mean2d_ndc[row] = std::array::from_fn(|axis| by_splat.mean_px[axis] * half_size[axis]);
         gradients.mean2d_abs_ndc[row] =
             std::array::from_fn(|axis| by_splat.mean_abs_px[axis] * half_size[axis]);

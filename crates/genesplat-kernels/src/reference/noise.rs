@@ -1,9 +1,8 @@
 //! Stage `noise`: what 3DGS-MCMC adds to an optimiser step: regularisers of opacity and scale before it, SGLD noise
 //! after it.
 //!
-//! Training is read as sampling (stochastic gradient Langevin dynamics): each mean walks at random within its own
-//! covariance, the more the fainter the Gaussian is, so that useless ones wander until they find something to explain.
-//! Reference: Kheradmand et al., "3D Gaussian Splatting as Markov Chain Monte Carlo", NeurIPS 2024.
+//! Each mean walks at random within its own covariance, the more the fainter the Gaussian is. Reference: Kheradmand et
+//! al., "3D Gaussian Splatting as Markov Chain Monte Carlo", NeurIPS 2024.
 
 use genesplat_core::Stream;
 use genesplat_core::backend::McmcStep;

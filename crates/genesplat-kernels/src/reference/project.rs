@@ -1,8 +1,8 @@
 //! Stage `project`: from a Gaussian in the world to a splat on the screen (Zwicker et al. 2001, as 3DGS does it).
 //!
-//! The mean goes through the pinhole; the covariance through the pinhole's Jacobian at the mean, `Σ' = U Σ Uᵀ` with
-//! `U = J · R`. `J` is taken at an `x/z` and `y/z` clamped to 1.3 times the half field of view, because far outside
-//! the image the linearisation explodes; the mean itself is never clamped.
+//! The covariance goes through the pinhole's Jacobian at the mean, `Σ' = U Σ Uᵀ` with `U = J · R`. `J` is taken at an
+//! `x/z` and `y/z` clamped to 1.3 times the half field of view, because far outside the image the linearisation
+//! explodes; the mean itself is never clamped.
 
 use genesplat_core::constants::{ALPHA_MIN, JACOBIAN_LIMIT, NEAR_DEPTH};
 use genesplat_core::{Camera, RenderSettings};
@@ -70,14 +70,12 @@ pub struct Splat {
     /// splat too faint to touch any pixel.
     pub extent_px: [f64; 2],
     /// 3DGS's radius: `ceil(3 sqrt(λ))` with `λ` its estimate of the larger eigenvalue; 0 when the square of that
-    /// radius meets no 16 x 16 tile. It does not cut the splat here. It decides which views count in the density
-    /// statistics (`radius_px > 0`), whose published thresholds were tuned to this rule.
+    /// radius meets no 16 x 16 tile. It does not cut the splat; it decides which views count in the density statistics.
     pub radius_px: u32,
 }
 
 impl Splat {
-    /// Whether the box of [`Splat::extent_px`] meets an image of this size, px: beyond it, no pixel has a gradient for
-    /// it.
+    /// Whether the box of [`Splat::extent_px`] meets an image of this size, px.
     pub fn reaches_image(&self, size: [u32; 2]) -> bool {
         self.opacity > f64::from(ALPHA_MIN)
             && (0..2).all(|axis| {
@@ -163,8 +161,7 @@ pub fn project(cloud: &Cloud64, row: usize, camera: &Camera, settings: &RenderSe
     Some(splat)
 }
 
-/// The one place where degenerate covariances and values that are not finite are stopped: beyond it, every splat
-/// has an ellipse and nothing can poison a pixel.
+/// False for degenerate covariances and values that are not finite: no other place stops them.
 fn is_sound(splat: &Splat) -> bool {
     let determinant = splat.covariance_px.determinant();
     let Symmetric2 { xx, xy, yy } = splat.conic;

@@ -4,7 +4,6 @@
 //! not move results: it stabilises the conic's inverse with 1e-7, it differentiates the Jacobian by depth as if
 //! `x/z` were never clamped, and Mip-Splatting's compensation carries extra epsilons.
 
-use genesplat_core::spherical_harmonics::SH_STRIDE;
 use genesplat_core::{Camera, RenderSettings};
 use glam::{DMat3, DVec3};
 
@@ -12,29 +11,15 @@ use super::project::{Geometry, Splat, Symmetric2};
 use super::rasterise_backward::SplatGradient;
 use super::{Cloud64, cloud::sigmoid, colour, screen_filter};
 
-/// Gradients of one Gaussian's raw parameters.
-#[derive(Clone, Copy, Debug)]
-pub struct RowGradient {
-    /// By position, world units.
-    pub position: [f64; 3],
-    /// By log-scale.
-    pub log_scale: [f64; 3],
-    /// By raw quaternion.
-    pub rotation: [f64; 4],
-    /// By opacity logit.
-    pub opacity_logit: f64,
-    /// By spherical harmonics `[16, 3 channels]`.
-    pub sh: [f64; SH_STRIDE],
-}
-
-/// Back from a splat to its Gaussian.
+/// Back from a splat to its Gaussian: writes the row of `gradient`.
 pub fn project_backward(
     cloud: &Cloud64,
     camera: &Camera,
     settings: &RenderSettings,
     splat: &Splat,
     by_splat: &SplatGradient,
-) -> RowGradient {
+    gradient: &mut Cloud64,
+) {
     let row = splat.row;
     let geometry = Geometry::new(cloud, row, camera);
     let filtered = screen_filter::apply(settings.filter, geometry.covariance_px());
@@ -52,24 +37,20 @@ pub fn project_backward(
             yy: by_compensation * slope.yy,
         };
     let (by_covariance, by_screen_rows) = through_projection(&geometry, &by_covariance_px);
-    let by_shape = geometry.shape.backward(by_covariance, by_splat.opacity * own * compensation);
+    let (by_log_scale, by_rotation) =
+        geometry.shape.backward(by_covariance, by_splat.opacity * own * compensation);
 
     let position = DVec3::from_array(cloud.positions[row]);
-    let by_colour = colour::colour_backward(
-        &cloud.sh[row],
-        position - camera.centre_in_world(),
-        settings.sh_degree,
-        by_splat.colour,
-    );
+    let offset = position - camera.centre_in_world();
+    let (by_sh, by_direction) =
+        colour::colour_backward(&cloud.sh[row], offset, settings.sh_degree, by_splat.colour);
     let by_point = through_pinhole(&geometry, camera, by_splat.mean_px)
         + through_jacobian(&geometry, camera, by_screen_rows);
-    RowGradient {
-        position: (camera.rotation().transpose() * by_point + by_colour.position).to_array(),
-        log_scale: by_shape.log_scale,
-        rotation: by_shape.rotation,
-        opacity_logit: by_splat.opacity * factor_3d * compensation * own * (1.0 - own),
-        sh: by_colour.sh,
-    }
+    gradient.positions[row] = (camera.rotation().transpose() * by_point + by_direction).to_array();
+    gradient.log_scales[row] = by_log_scale;
+    gradient.rotations[row] = by_rotation;
+    gradient.opacity_logits[row] = by_splat.opacity * factor_3d * compensation * own * (1.0 - own);
+    gradient.sh[row] = by_sh;
 }
 
 /// `∂L/∂Σ' = −Q (∂L/∂Q) Q`, with one number for both corners in and out.

@@ -53,8 +53,8 @@ pub fn rasterise(
     picture
 }
 
-/// Visits every pixel with what is blended into it, front first, and its final transmittance. Forward and backward both
-/// go through here, so that they can never disagree about who touches what.
+/// Visits every pixel with what is blended into it, front first, and its final transmittance: both forward and
+/// backward.
 pub(super) fn for_each_pixel(
     splats: &[Splat],
     [width, height]: [u32; 2],

@@ -1,8 +1,8 @@
-//! What keeps a splat from falling between pixels: dilation of its projected covariance, and the dimming that makes
-//! up for it (Kerbl et al. 2023; Yu et al. 2024, section 5.2; constants of their released code).
+//! Dilation of a projected covariance, and the dimming that makes up for it (Kerbl et al. 2023; Yu et al. 2024, section
+//! 5.2; constants of their released code).
 //!
-//! Derivatives are the true ones of the forward formulas. Mip-Splatting's released backward adds 1e-6 to some
-//! denominators, and 3DGS's antialiasing differentiates the wrong determinant; neither is followed.
+//! Derivatives are the true ones. Mip-Splatting's released backward adds 1e-6 to some denominators, and 3DGS's
+//! antialiasing differentiates the wrong determinant; neither is followed.
 
 use genesplat_core::ScreenFilter;
 

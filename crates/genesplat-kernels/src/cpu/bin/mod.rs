@@ -1,8 +1,8 @@
 //! Stage `bin`: which splats reach which tile, front to back, and which 4x4-pixel blocks of it.
 //!
-//! Exact and opacity-aware: a splat is listed where its ellipse `alpha ≥ 1/255` meets the pixel centres of a block
-//! ([`coverage`]). Order: splats are sorted by depth once, ties by row ([`depth_order`]), visited in that order, and a
-//! counting sort by tile keeps it (as Splatshop and Faster-GS do; nothing is sorted per tile).
+//! A splat is listed where its ellipse `alpha ≥ 1/255` meets the pixel centres of a block ([`coverage`]). Splats are
+//! sorted by depth once, ties by row ([`depth_order`]), visited in that order, and a counting sort by tile keeps it (as
+//! Splatshop and Faster-GS do; nothing is sorted per tile).
 
 mod coverage;
 mod depth_order;
@@ -64,11 +64,6 @@ pub struct Bins {
     splat_ranges: Vec<AtomicU64>,
     /// Places of each splat's intersections in `intersections`, nearest splat first `[I]`.
     places: Vec<u32>,
-    scratch: Scratch,
-}
-
-#[derive(Debug, Default)]
-struct Scratch {
     order: DepthOrder,
     /// What each task found, in depth order.
     unsorted: Vec<Vec<Keyed>>,
@@ -82,10 +77,10 @@ struct Scratch {
 impl Bins {
     /// Bytes of memory.
     pub fn bytes(&self) -> usize {
-        let Self { intersections, tile_starts, splat_ranges, places, scratch } = self;
+        let Self { intersections, tile_starts, splat_ranges, places, .. } = self;
         let lists =
             bytes_of(intersections) + bytes_of(tile_starts) + bytes_of(splat_ranges) + bytes_of(places);
-        let Scratch { order, unsorted, counts, next, parts } = scratch;
+        let Self { order, unsorted, counts, next, parts, .. } = self;
         let unsorted: usize = unsorted.iter().map(bytes_of).sum();
         let counts: usize = counts.iter().map(bytes_of).sum();
         let parts: usize = parts.iter().map(Part::bytes).sum();
@@ -95,9 +90,9 @@ impl Bins {
     /// Sorts the splats by depth and lists them by tile.
     pub fn build(&mut self, level: Level, splats: &Splats, camera: &Pinhole) {
         let grid = camera.grid();
-        self.scratch.order.sort(splats);
+        self.order.sort(splats);
         self.find(level, splats, grid);
-        let found = self.scratch.unsorted.iter().map(Vec::len).sum();
+        let found = self.unsorted.iter().map(Vec::len).sum();
         self.intersections.resize(found, Intersection::default());
         self.places.resize(found, 0);
         let threads = rayon::current_num_threads();
@@ -123,7 +118,7 @@ impl Bins {
 
     /// Finds the intersections of all splats, nearest splat first.
     fn find(&mut self, level: Level, splats: &Splats, grid: [usize; 2]) {
-        let Scratch { order, unsorted, counts, .. } = &mut self.scratch;
+        let Self { order, unsorted, counts, .. } = self;
         let order = order.keys();
         let tasks = order.len().div_ceil(RANKS);
         unsorted.resize_with(tasks, Vec::new);
@@ -149,7 +144,7 @@ impl Bins {
 
     /// Counting sort by tile: starts, then a stable fill.
     fn sort_by_tile(&mut self, tiles: usize) {
-        let Self { intersections, tile_starts, places, scratch: Scratch { unsorted, next, .. }, .. } = self;
+        let Self { intersections, tile_starts, places, unsorted, next, .. } = self;
         count_by_tile(unsorted, tiles, tile_starts);
         next.clone_from(tile_starts);
         for (keyed, place) in unsorted.iter().flatten().zip(places) {
@@ -162,18 +157,15 @@ impl Bins {
 
     /// Tells each splat where its places are.
     fn find_places(&mut self, capacity: usize) {
-        let Scratch { order, counts, .. } = &self.scratch;
         self.splat_ranges.resize_with(capacity, AtomicU64::default);
+        let Self { order, counts, splat_ranges: ranges, .. } = &*self;
         let mut sum = 0;
-        let firsts: Vec<u64> = counts
-            .iter()
-            .map(|counts| {
-                let first = sum;
-                sum += counts.iter().map(|&count| u64::from(count)).sum::<u64>();
-                first
-            })
-            .collect();
-        let ranges = &self.splat_ranges;
+        let first_of = |counts: &Vec<u32>| {
+            let first = sum;
+            sum += counts.iter().map(|&count| u64::from(count)).sum::<u64>();
+            first
+        };
+        let firsts: Vec<u64> = counts.iter().map(first_of).collect();
         let tasks = order.keys().par_chunks(RANKS).zip(counts).zip(firsts);
         tasks.for_each(|((keys, counts), mut first)| {
             for (&key, &count) in keys.iter().zip(counts) {
@@ -197,7 +189,7 @@ fn count_by_tile(unsorted: &[Vec<Keyed>], tiles: usize, starts: &mut Vec<u32>) {
 }
 
 /// Consecutive parts of the given lengths.
-fn split<'a, T>(mut values: &'a mut [T], lengths: &[usize]) -> Vec<&'a mut [T]> {
+pub(crate) fn split<'a, T>(mut values: &'a mut [T], lengths: &[usize]) -> Vec<&'a mut [T]> {
     let part = |&length: &usize| values.split_off_mut(..length).unwrap_or_default();
     lengths.iter().map(part).collect()
 }

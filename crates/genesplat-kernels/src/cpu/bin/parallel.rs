@@ -20,13 +20,12 @@ pub(super) struct Part {
 }
 
 impl Bins {
-    /// Fills the tile lists with the intersections that were found, in about `parts` parts.
-    pub(super) fn sort_by_tile_in_parallel(&mut self, tiles: usize, parts: usize) {
-        let Self { intersections, tile_starts, places, scratch, .. } = self;
+    /// Fills the tile lists with the intersections that were found, in about `wanted` parts.
+    pub(super) fn sort_by_tile_in_parallel(&mut self, tiles: usize, wanted: usize) {
+        let Self { intersections, tile_starts, places, unsorted, parts, .. } = self;
         // 1. Each part counts its intersections of each tile.
-        let tasks = scratch.unsorted.len().div_ceil(parts).max(1);
-        let unsorted: Vec<&[Vec<Keyed>]> = scratch.unsorted.chunks(tasks).collect();
-        let parts = &mut scratch.parts;
+        let tasks = unsorted.len().div_ceil(wanted).max(1);
+        let unsorted: Vec<&[Vec<Keyed>]> = unsorted.chunks(tasks).collect();
         parts.resize_with(unsorted.len(), Part::default);
         parts.par_iter_mut().zip(&unsorted).for_each(|(part, unsorted)| {
             count_by_tile(unsorted, tiles, &mut part.starts);

@@ -1,14 +1,14 @@
 //! Stage `contribution`: how much each Gaussian contributes to a view, and the error where it is seen.
 //!
-//! The backward blending sums `α·T · dL/dpixel` for every splat and channel, as the gradient of its colour. With ones
-//! in the place of the first channel's gradient and the pixels' errors in that of the second, it sums `α·T` and errors.
+//! The backward blending sums `α·T · dL/dpixel` for every splat and channel. With ones in the place of the first
+//! channel's gradient and the pixels' errors in that of the second, it sums `α·T` and errors.
 
 use fearless_simd::Level;
 use genesplat_core::{Contribution, Gaussians, Image, RenderSettings};
 use rayon::prelude::*;
 
 use super::gradient_row::column;
-use super::rasterise_backward::{BackwardInputs, Extra, rasterise_backward};
+use super::rasterise_backward::rasterise_backward;
 use crate::cpu::loss::Target;
 use crate::cpu::view::buffers::ViewBuffers;
 use crate::cpu::view::pinhole::Pinhole;
@@ -25,9 +25,8 @@ pub(crate) fn contribution(
 ) {
     buffers.render(level, cloud, camera, settings);
     ones_and_errors(&buffers.image, target, &mut buffers.image_gradient);
-    let ViewBuffers { splats, bins, image, image_gradient, gradient_rows, .. } = buffers;
-    let inputs = BackwardInputs { splats, image, image_gradient, extra: Extra::None };
-    rasterise_backward(level, bins, camera, &inputs, gradient_rows);
+    rasterise_backward(level, buffers, camera, None);
+    let ViewBuffers { splats, bins, gradient_rows, .. } = buffers;
     contributions.par_chunks_mut(CHUNK).enumerate().for_each(|(chunk, contributions)| {
         let first = chunk * CHUNK;
         for (index, splat) in (first..).zip(splats.chunk(chunk)) {
@@ -43,24 +42,18 @@ pub(crate) fn contribution(
     });
 }
 
-/// In the place of the image's gradient `[3, H, W]`: ones, the errors of all channels together, zeros.
+/// In the place of the image's gradient `[3, H, W]`: ones, `|I − P|` of all channels together, zeros.
 fn ones_and_errors(image: &Image, target: &Target, gradient: &mut Vec<f32>) {
     let plane = image.planes.len() / 3;
     gradient.clear();
     gradient.resize(plane, 1.0);
     gradient.resize(3 * plane, 0.0);
-    write_errors(image, target, &mut gradient[plane..2 * plane]);
-}
-
-/// `|I − P|` of each pixel, summed over the channels `[H, W]`.
-fn write_errors(image: &Image, target: &Target, errors: &mut [f32]) {
-    let plane = errors.len();
     let of_channel = |channel: usize| {
         let (image, photo) = (&image.planes[channel * plane..], &target.planes[channel * plane..]);
         image.iter().zip(photo).map(|(&value, &level)| (value - f32::from(level) * (1.0 / 255.0)).abs())
     };
     let of_pixels = of_channel(0).zip(of_channel(1)).zip(of_channel(2));
-    for (error, ((red, green), blue)) in errors.iter_mut().zip(of_pixels) {
+    for (error, ((red, green), blue)) in gradient[plane..2 * plane].iter_mut().zip(of_pixels) {
         *error = red + green + blue;
     }
 }

@@ -23,13 +23,13 @@ pub(crate) mod column {
     pub(crate) const XY: usize = 4;
     /// Σ p·dy²
     pub(crate) const YY: usize = 5;
-    /// Σ |∂L/∂u|, by pixel ([`super::rasterise_backward::Extra::Absolute`] only)
+    /// Σ |∂L/∂u|, by pixel (only where absolute gradients are asked for)
     pub(crate) const ABS_X: usize = 6;
-    /// Σ |∂L/∂v|, by pixel ([`super::rasterise_backward::Extra::Absolute`] only)
+    /// Σ |∂L/∂v|, by pixel (only where absolute gradients are asked for)
     pub(crate) const ABS_Y: usize = 7;
     /// dL/drgb
     pub(crate) const RED: usize = 8;
-    /// Number of pixels blended ([`super::rasterise_backward::Extra::Pixels`] only)
+    /// Number of pixels blended (only for Pixel-GS)
     pub(crate) const PIXELS: usize = 11;
 }
 

@@ -9,7 +9,7 @@
 //! there are no atomics and the result does not depend on the number of threads.
 
 use fearless_simd::{Level, Simd, dispatch, f32x4, f32x8, prelude::*};
-use genesplat_core::Image;
+use genesplat_core::DensitySignal;
 use rayon::prelude::*;
 
 use super::block::{
@@ -17,62 +17,39 @@ use super::block::{
     full_transmittance,
 };
 use super::gradient_row::{GradientRow, sum_lanes};
-use crate::cpu::bin::{BLOCK, BLOCKS_ACROSS, Bins, Intersection};
+use crate::cpu::bin::{BLOCK, BLOCKS_ACROSS, Intersection, split};
 use crate::cpu::simd::{LANES, V, array, keep};
+use crate::cpu::view::buffers::ViewBuffers;
 use crate::cpu::view::pinhole::{Pinhole, TILE};
 use crate::cpu::view::splats::{Splat, Splats};
 
-/// What the backward pass sums besides the gradients.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Extra {
-    /// Nothing.
-    None,
-    /// Absolute screen gradients (gsplat's "absgrad").
-    Absolute,
-    /// Pixels blended (Pixel-GS).
-    Pixels,
-}
-
-/// What the backward pass reads besides the lists.
-pub(crate) struct BackwardInputs<'a> {
-    /// Splats of the view.
-    pub splats: &'a Splats,
-    /// The composed image `[3, H, W]`.
-    pub image: &'a Image,
-    /// `dL/dimage` `[3, H, W]`.
-    pub image_gradient: &'a [f32],
-    /// What to sum besides.
-    pub extra: Extra,
-}
-
-/// Backward pass of all tiles: fills one row for each intersection of `bins`.
+/// Backward pass of all tiles: fills one row for each intersection. Rows have the sums that `signal` needs.
 pub(crate) fn rasterise_backward(
     level: Level,
-    bins: &Bins,
+    buffers: &mut ViewBuffers,
     camera: &Pinhole,
-    inputs: &BackwardInputs,
-    rows: &mut Vec<GradientRow>,
+    signal: Option<DensitySignal>,
 ) {
+    let ViewBuffers { splats, bins, image, image_gradient, gradient_rows, .. } = buffers;
     let grid = camera.grid();
-    rows.resize(bins.intersections.len(), GradientRow::default());
-    let mut rest = rows.as_mut_slice();
-    let mut by_tile = Vec::with_capacity(grid[0] * grid[1]);
-    for tile in 0..grid[0] * grid[1] {
-        let (own, others) = rest.split_at_mut(bins.tile(tile).len());
-        by_tile.push(own);
-        rest = others;
-    }
-    by_tile.into_par_iter().enumerate().for_each_init(TileState::default, |state, (tile, rows)| {
+    gradient_rows.resize(bins.intersections.len(), GradientRow::default());
+    let lengths: Vec<usize> = (0..grid[0] * grid[1]).map(|tile| bins.tile(tile).len()).collect();
+    let by_tile = split(gradient_rows, &lengths).into_par_iter().enumerate();
+    by_tile.for_each_init(TileState::default, |state, (tile, rows)| {
         let origin = [tile % grid[0] * TILE, tile / grid[0] * TILE];
-        let task = TileTask { origin, size_px: camera.size_px, intersections: bins.tile(tile), inputs };
-        dispatch!(level, simd => match inputs.extra {
-            Extra::None => backward_tile::<NONE, _>(simd, &task, state, rows),
-            Extra::Absolute => backward_tile::<ABSOLUTE, _>(simd, &task, state, rows),
-            Extra::Pixels => backward_tile::<PIXELS, _>(simd, &task, state, rows),
+        let (size_px, intersections) = (camera.size_px, bins.tile(tile));
+        let task = TileTask { origin, size_px, intersections, splats, image: &image.planes, image_gradient };
+        dispatch!(level, simd => match signal {
+            None | Some(DensitySignal::Signed) => backward_tile::<NONE, _>(simd, &task, state, rows),
+            Some(DensitySignal::Absolute | DensitySignal::SignedAndAbsolute) => {
+                backward_tile::<ABSOLUTE, _>(simd, &task, state, rows);
+            }
+            Some(DensitySignal::PixelWeighted { .. }) => backward_tile::<PIXELS, _>(simd, &task, state, rows),
         });
     });
 }
 
+/// What is summed besides the gradients: nothing, absolute screen gradients (gsplat's "absgrad"), or pixels blended.
 const NONE: u8 = 0;
 const ABSOLUTE: u8 = 1;
 const PIXELS: u8 = 2;
@@ -81,7 +58,10 @@ struct TileTask<'a> {
     origin: [usize; 2],
     size_px: [u32; 2],
     intersections: &'a [Intersection],
-    inputs: &'a BackwardInputs<'a>,
+    splats: &'a Splats,
+    /// The composed image, and the loss's gradient by it `[3, H, W]`.
+    image: &'a [f32],
+    image_gradient: &'a [f32],
 }
 
 /// One thread's working memory: the pixels of a tile, block by block.
@@ -120,7 +100,7 @@ fn backward_tile<const EXTRA: u8, S: Simd>(
 ) {
     let mut live = begin(simd, task, state);
     let visited = each_splat(
-        task.inputs.splats,
+        task.splats,
         task.intersections,
         task.origin,
         #[inline(always)]
@@ -149,8 +129,8 @@ fn begin<S: Simd>(simd: S, task: &TileTask, state: &mut TileState) -> u32 {
         #[inline(always)]
         |block| {
             let transmittance = full_transmittance(simd, block, task.origin, task.size_px);
-            let image = load_block(simd, &task.inputs.image.planes, task, block);
-            let gradient = load_block(simd, task.inputs.image_gradient, task, block);
+            let image = load_block(simd, task.image, task, block);
+            let gradient = load_block(simd, task.image_gradient, task, block);
             let remaining = image[0] * gradient[0] + image[1] * gradient[1] + image[2] * gradient[2];
             let state = &mut state.blocks[block];
             transmittance.store_slice(&mut state.transmittance);

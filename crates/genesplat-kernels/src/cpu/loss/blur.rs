@@ -43,7 +43,7 @@ impl<const K: usize> Ring<K> {
 }
 
 /// Where a ring holds row `y`.
-pub(crate) fn slot(y: isize) -> usize {
+fn slot(y: isize) -> usize {
     y.rem_euclid(TAPS as isize) as usize
 }
 
@@ -64,9 +64,23 @@ fn shifted<S: Simd>(simd: S, near: &[f32; NEAR], tap: usize) -> V<S> {
     V::from_slice(simd, &near[tap..tap + LANES])
 }
 
-/// Horizontal blur of a padded row into a slot of a ring; the window's symmetry halves the multiplications.
+/// Horizontal blur of padded rows, one a quantity, into the slot of row `y`.
 #[inline(always)]
-pub(crate) fn blur_row<S: Simd, const K: usize>(
+pub(crate) fn blur_rows<S: Simd, const K: usize>(
+    simd: S,
+    window: &[f32; TAPS],
+    rows: &[Vec<f32>; K],
+    out: &mut Ring<K>,
+    y: isize,
+) {
+    for (quantity, row) in rows.iter().enumerate() {
+        blur_row(simd, window, row, out, quantity, slot(y));
+    }
+}
+
+/// The window's symmetry halves the multiplications.
+#[inline(always)]
+fn blur_row<S: Simd, const K: usize>(
     simd: S,
     window: &[f32; TAPS],
     row: &[f32],

@@ -18,11 +18,11 @@ use genesplat_core::{Image, Photo};
 use rayon::prelude::*;
 
 use super::simd::{LANES, V};
-use blur::{MARGIN, Ring, TAPS, blur_row, by_slot, load_bytes, load_part, mask_tail, slot};
+use blur::{MARGIN, Ring, TAPS, blur_rows, by_slot, load_bytes, load_part, mask_tail};
 
-/// Rows of a strip: a multiple that keeps the overlap between strips small. A constant, so that the order of summation
-/// does not depend on the number of threads.
+/// Rows of a strip. A constant, so that the order of summation does not depend on the number of threads.
 const STRIP: usize = 64;
+
 /// A photo as the loss reads it: 8-bit planes `[3, H, W]`.
 #[derive(Clone, Debug)]
 pub struct Target {
@@ -103,7 +103,7 @@ fn walk_strip<S: Simd>(
         // 1. Moments of row y, blurred horizontally.
         if (0..height).contains(&y) {
             scratch.load(simd, plane, photo, y as usize, width);
-            scratch.blur_products(simd, &window, &mut moments, y);
+            blur_rows(simd, &window, &scratch.inputs, &mut moments, y);
         } else {
             moments.clear_row(y);
         }
@@ -116,14 +116,11 @@ fn walk_strip<S: Simd>(
             let row_sum = ssim_row(simd, &window, &moments, centre, width, &mut scratch.partial);
             if (first..end).contains(&centre) {
                 sums[1] += row_sum;
-                sums[0] += l1_row(
-                    simd,
-                    &plane[centre as usize * width..][..width],
-                    &photo[centre as usize * width..][..width],
-                );
+                let row = centre as usize * width..(centre as usize + 1) * width;
+                sums[0] += l1_row(simd, &plane[row.clone()], &photo[row]);
             }
             if gradient.is_some() {
-                scratch.blur_partials(simd, &window, &mut partials, centre);
+                blur_rows(simd, &window, &scratch.partial, &mut partials, centre);
             }
         } else {
             partials.clear_row(centre);
@@ -142,47 +139,30 @@ fn walk_strip<S: Simd>(
     sums
 }
 
-/// One padded row of the render, of the photo and of the partial derivatives.
+/// Padded rows.
 struct Rows {
-    x: Vec<f32>,
-    y: Vec<f32>,
-    /// `x² + y²` and `xy`.
-    products: [Vec<f32>; 2],
+    /// `x`, `y`, `x² + y²` and `xy`.
+    inputs: [Vec<f32>; 4],
     partial: [Vec<f32>; 3],
 }
 
 impl Rows {
     fn new(stride: usize) -> Self {
-        let row = || vec![0.0; stride + 2 * MARGIN];
-        Self { x: row(), y: row(), products: [row(), row()], partial: [row(), row(), row()] }
+        let row = |_| vec![0.0; stride + 2 * MARGIN];
+        Self { inputs: std::array::from_fn(row), partial: std::array::from_fn(row) }
     }
 
     #[inline(always)]
     fn load<S: Simd>(&mut self, simd: S, plane: &[f32], photo: &[u8], y: usize, width: usize) {
-        self.x[MARGIN..][..width].copy_from_slice(&plane[y * width..][..width]);
+        let [x_row, y_row, squares, product] = &mut self.inputs;
+        x_row[MARGIN..][..width].copy_from_slice(&plane[y * width..][..width]);
         for first in (0..width).step_by(LANES) {
             let (at, count) = (MARGIN + first, LANES.min(width - first));
-            let x = load_part(simd, &self.x[at..at + count]);
+            let x = load_part(simd, &x_row[at..at + count]);
             let target = load_bytes(simd, &photo[y * width + first..][..count]);
-            target.store_slice(&mut self.y[at..at + LANES]);
-            for (row, product) in self.products.iter_mut().zip([x.mul_add(x, target * target), x * target]) {
-                product.store_slice(&mut row[at..at + LANES]);
-            }
-        }
-    }
-
-    #[inline(always)]
-    fn blur_products<S: Simd>(&self, simd: S, window: &[f32; TAPS], out: &mut Ring<4>, y: isize) {
-        let [squares, product] = &self.products;
-        for (quantity, row) in [&self.x, &self.y, squares, product].into_iter().enumerate() {
-            blur_row(simd, window, row, out, quantity, slot(y));
-        }
-    }
-
-    #[inline(always)]
-    fn blur_partials<S: Simd>(&self, simd: S, window: &[f32; TAPS], out: &mut Ring<3>, y: isize) {
-        for (quantity, row) in self.partial.iter().enumerate() {
-            blur_row(simd, window, row, out, quantity, slot(y));
+            target.store_slice(&mut y_row[at..at + LANES]);
+            x.mul_add(x, target * target).store_slice(&mut squares[at..at + LANES]);
+            (x * target).store_slice(&mut product[at..at + LANES]);
         }
     }
 }
@@ -270,10 +250,8 @@ fn gradient_row<S: Simd>(
         let zero = V::splat(simd, 0.0);
         let difference = x - target;
         // The subgradient of |x| at 0 is 0.
-        let sign = difference.simd_gt(0.0).select(
-            V::splat(simd, l1_weight),
-            difference.simd_lt(0.0).select(V::splat(simd, -l1_weight), zero),
-        );
+        let negative = difference.simd_lt(0.0).select(V::splat(simd, -l1_weight), zero);
+        let sign = difference.simd_gt(0.0).select(V::splat(simd, l1_weight), negative);
         let structure = by_mean + x * by_square * 2.0 + target * by_product;
         let total = structure.mul_add(V::splat(simd, ssim_weight), sign);
         out[first..first + count].copy_from_slice(&total.as_slice()[..count]);

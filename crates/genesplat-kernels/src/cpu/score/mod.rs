@@ -1,12 +1,10 @@
 //! Stage `score`: Eq. 5 of a whole population over a set of views, forward only.
 //!
-//! Individuals are not rendered one by one. A search whose individuals differ from each other in a quarter of their
-//! rows still holds few values of any one row, as related individuals inherit the same ones. A [`Pool`] has each value
-//! of a row once, an *allele*, with the individuals that hold it. To a view the alleles are the rows of one large
-//! cloud, projected, sorted and listed by tile once for all individuals ([`pool`]). In a block of pixels the alpha of
-//! each allele is evaluated once ([`tile`]). What is left for an individual is to blend the alphas that it holds, and
-//! its loss, of which the photo's part is known already ([`photo_loss`]). Losses equal those of rendering the changed
-//! cloud up to rounding.
+//! Individuals are not rendered one by one. A [`Pool`] has each [row version](genesplat_core::row_versions) once. To a
+//! view these are the rows of one large cloud, projected, sorted and listed by tile once for all individuals
+//! ([`pool`]). In a block of pixels the alpha of each is evaluated once ([`tile`]). What is left for an individual is to
+//! blend the alphas that it holds, and its loss ([`photo_loss`]). Losses equal those of rendering the changed cloud up to
+//! rounding.
 
 pub(crate) mod photo_loss;
 mod pool;
@@ -91,4 +89,4 @@ impl Scorer {
 }
 
 #[cfg(test)]
-mod tests;
+pub(super) mod tests;

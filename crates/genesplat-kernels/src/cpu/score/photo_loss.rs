@@ -1,7 +1,6 @@
 //! The loss of a picture against one photo, forward only, for many pictures of one view.
 //!
-//! SSIM needs five blurred moments (see [`crate::cpu::loss`]). Those of the photo and of its square are the same for
-//! all pictures: they are kept, and three are left, `E[x]`, `E[x²]` and `E[xy]`. Pictures and photo have rows of whole
+//! The photo's own blurred moments are kept; `E[x]`, `E[x²]` and `E[xy]` are left. Pictures and photo have rows of whole
 //! vectors with zeros around them, so that every load is a whole vector. A channel is walked in columns of 144 px from
 //! top to bottom: what the last 11 rows leave stays in the first-level cache.
 
@@ -9,7 +8,7 @@ use fearless_simd::{Level, Simd, dispatch, prelude::*};
 use genesplat_core::constants::{SSIM_C1, SSIM_C2, SSIM_RADIUS, ssim_window};
 
 use crate::cpu::bytes_of;
-use crate::cpu::loss::blur::{MARGIN, Ring, TAPS, blur_row, by_slot, load_bytes, mask_tail, slot};
+use crate::cpu::loss::blur::{MARGIN, Ring, TAPS, blur_rows, by_slot, load_bytes, mask_tail};
 use crate::cpu::loss::{Target, combine};
 use crate::cpu::simd::{LANES, V, array};
 
@@ -51,18 +50,19 @@ impl Layout {
         3 * self.plane() + MARGIN
     }
 
-    /// The walk's columns: first vector and count of each, as even as can be.
-    fn columns(&self) -> impl Iterator<Item = (usize, usize)> + use<> {
+    /// The walk's columns: channel, first vector and count of each, as even as can be.
+    fn columns(&self) -> impl Iterator<Item = (usize, usize, usize)> + use<> {
         let vectors = self.vectors();
         let each = vectors.div_ceil(vectors.div_ceil(COLUMN_VECTORS).max(1)).max(1);
-        (0..vectors).step_by(each).map(move |first| (first, each.min(vectors - first)))
+        let column = move |channel, first| (channel, first, each.min(vectors - first));
+        (0..3).flat_map(move |channel| (0..vectors).step_by(each).map(move |first| column(channel, first)))
     }
 }
 
 /// A photo and what SSIM needs of it, in the [`Layout`] of the pictures that are compared with it.
 #[derive(Debug)]
 pub(crate) struct PhotoLoss {
-    layout: Layout,
+    pub layout: Layout,
     photo: Vec<u8>,
     /// `E[y]` and `E[y²] − E[y]² + C2` of each vector, in the order of the walk, so that the machine fetches them
     /// ahead.
@@ -102,11 +102,11 @@ impl PhotoLoss {
     fn blur_photo<S: Simd>(&mut self, simd: S) {
         let Self { layout, photo, blurred } = self;
         let mut walk = Walk::<2>::default();
-        for (channel, (first, count)) in each_column(*layout) {
+        for column in layout.columns() {
             walk.down(
                 simd,
                 *layout,
-                (channel, first, count),
+                column,
                 #[inline(always)]
                 |at| {
                     let y = load_bytes(simd, &photo[at..at + LANES]);
@@ -118,18 +118,13 @@ impl PhotoLoss {
         }
     }
 
-    /// Where the values of the pictures lie.
-    pub(crate) fn layout(&self) -> Layout {
-        self.layout
-    }
-
     /// Loss of a picture.
     #[inline(always)]
     pub(crate) fn loss<S: Simd>(&self, simd: S, picture: &[f32], walk: &mut Walk<3>) -> f32 {
         // A loop: what is passed to an iterator's methods is not always inlined.
         let (mut sums, mut blurred) = ([0.0; 2], self.blurred.iter());
-        for (channel, (first, count)) in each_column(self.layout) {
-            let [l1, ssim] = self.column_sums(simd, picture, (channel, first, count), &mut blurred, walk);
+        for column in self.layout.columns() {
+            let [l1, ssim] = self.column_sums(simd, picture, column, &mut blurred, walk);
             sums = [sums[0] + l1, sums[1] + ssim];
         }
         let [width, height] = self.layout.size;
@@ -197,11 +192,6 @@ fn add<S: Simd>(sums: &mut [f64; 2], near: &[V<S>; 2]) {
     }
 }
 
-/// Columns of all channels.
-fn each_column(layout: Layout) -> impl Iterator<Item = (usize, (usize, usize))> {
-    (0..3).flat_map(move |channel| layout.columns().map(move |column| (channel, column)))
-}
-
 fn padded(planes: &[u8], layout: Layout) -> Vec<u8> {
     let mut out = vec![0; layout.len()];
     let [width, height] = layout.size;
@@ -242,9 +232,7 @@ impl<const K: usize> Walk<K> {
                         quantities[k].store_slice(&mut rows[k][vector * LANES..][..LANES]);
                     }
                 }
-                for k in 0..K {
-                    blur_row(simd, &window, &rows[k], ring, k, slot(y as isize));
-                }
+                blur_rows(simd, &window, rows, ring, y as isize);
             } else {
                 ring.clear_row(y as isize);
             }
@@ -257,17 +245,4 @@ impl<const K: usize> Walk<K> {
             }
         }
     }
-}
-
-/// Loss of a picture that is not padded yet.
-#[cfg(test)]
-pub(crate) fn loss_of_image(level: Level, image: &genesplat_core::Image, target: &Target) -> f32 {
-    let photo_loss = PhotoLoss::new(level, target);
-    let layout = photo_loss.layout;
-    let mut picture = vec![0.0; layout.len()];
-    for (index, row) in image.planes.chunks_exact(target.width).enumerate() {
-        let at = index / target.height * layout.plane() + layout.row(index % target.height);
-        picture[at..at + target.width].copy_from_slice(row);
-    }
-    dispatch!(level, simd => photo_loss.loss(simd, &picture, &mut Walk::default()))
 }

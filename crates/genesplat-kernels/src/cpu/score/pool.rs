@@ -1,7 +1,7 @@
-//! The alleles of some individuals, and what a view shows of them.
+//! The row versions of some individuals, and what a view shows of them.
 
 use fearless_simd::{Level, dispatch};
-use genesplat_core::alleles::{Holders, alleles};
+use genesplat_core::row_versions::{Holders, row_versions};
 use genesplat_core::{Gaussians, Genes, RenderSettings, SparseDelta};
 use rayon::prelude::*;
 
@@ -13,13 +13,13 @@ use crate::cpu::view::pinhole::{Pinhole, TILE};
 use crate::cpu::view::project::project_versions;
 use crate::cpu::view::splats::Splats;
 
-/// Rows that one task looks through for alleles.
+/// Rows that one task looks through for versions.
 const ROWS: usize = 4096;
 /// Bytes that the pictures of a pool may take.
 const PICTURES_BYTES: usize = 256 << 20;
 
-/// One value of a row, also of an unchanged one, and who holds it.
-struct Allele {
+/// One value of a row's genes, also of an unchanged row, and the individuals that hold it.
+struct RowVersion {
     row: u32,
     genes: Genes,
     holders: Holders,
@@ -29,7 +29,7 @@ struct Allele {
 pub(crate) struct Pool {
     individuals: usize,
     /// By row.
-    alleles: Vec<Allele>,
+    versions: Vec<RowVersion>,
 }
 
 /// Buffers of one view of a pool, reused from view to view.
@@ -37,7 +37,7 @@ pub(crate) struct Pool {
 pub(crate) struct PoolBuffers {
     splats: Splats,
     bins: Bins,
-    /// Who holds the allele of each splat.
+    /// The individuals that hold the version of each splat.
     holders: Vec<Holders>,
     /// Colours of each tile of each individual `[tiles, P]`.
     pictures: Vec<Colours>,
@@ -67,19 +67,20 @@ impl Pool {
 
     /// Bytes of memory.
     pub(crate) fn bytes(&self) -> usize {
-        bytes_of(&self.alleles)
+        bytes_of(&self.versions)
     }
 
-    /// The alleles of some individuals, which are differences from `cloud`.
+    /// The row versions of some individuals, which are differences from `cloud`.
     pub(crate) fn new(cloud: &Gaussians, individuals: &[SparseDelta]) -> Self {
         let tasks = (0..cloud.len().div_ceil(ROWS)).into_par_iter();
         let rows = |task: usize| task * ROWS..cloud.len().min((task + 1) * ROWS);
-        let alleles = tasks.flat_map_iter(|task| alleles(individuals, rows(task))).map(|allele| Allele {
-            row: allele.row,
-            genes: allele.genes.copied().unwrap_or_else(|| cloud.genes(allele.row as usize)),
-            holders: allele.holders,
+        let versions = tasks.flat_map_iter(|task| row_versions(individuals, rows(task)));
+        let versions = versions.map(|version| RowVersion {
+            row: version.row,
+            genes: version.genes.copied().unwrap_or_else(|| cloud.genes(version.row as usize)),
+            holders: version.holders,
         });
-        Self { individuals: individuals.len(), alleles: alleles.collect() }
+        Self { individuals: individuals.len(), versions: versions.collect() }
     }
 
     /// The losses of the individuals in one view.
@@ -92,13 +93,13 @@ impl Pool {
         buffers: &mut PoolBuffers,
     ) -> Vec<f32> {
         let PoolBuffers { splats, bins, holders, pictures } = buffers;
-        // 1. The alleles as the splats of one cloud.
-        let version = |index: usize| (self.alleles[index].row, self.alleles[index].genes);
-        project_versions(level, cloud, self.alleles.len(), version, camera, settings, splats);
+        // 1. The versions as the splats of one cloud.
+        let version = |index: usize| (self.versions[index].row, self.versions[index].genes);
+        project_versions(level, cloud, self.versions.len(), version, camera, settings, splats);
         bins.build(level, splats, camera);
         holders.resize(splats.capacity(), Holders::MIN);
         for (index, splat) in splats.iter() {
-            holders[index as usize] = self.alleles[splat.row as usize].holders;
+            holders[index as usize] = self.versions[splat.row as usize].holders;
         }
         // 2. The pictures of all individuals, tile by tile.
         let (across, background) = (camera.grid()[0], settings.background);
@@ -112,7 +113,7 @@ impl Pool {
         // 3. Their losses.
         let losses =
             (0..self.individuals).into_par_iter().map_init(LossScratch::default, |scratch, individual| {
-                let (LossScratch { picture, walk }, layout) = (scratch, photo_loss.layout());
+                let (LossScratch { picture, walk }, layout) = (scratch, photo_loss.layout);
                 picture.resize(layout.len(), 0.0);
                 for (tile, of_tile) in pictures.chunks(self.individuals).enumerate() {
                     write_tile(&of_tile[individual], layout, corner(tile), picture);

@@ -3,18 +3,33 @@
 
 use std::sync::Arc;
 
-use fearless_simd::Level;
+use fearless_simd::{Level, dispatch};
 use genesplat_core::backend::MomentPolicy;
 use genesplat_core::{
-    Backend, Camera, EvolutionBackend, Gaussians, Photo, RenderSettings, ScreenFilter, SparseDelta, View,
+    Backend, Camera, EvolutionBackend, Gaussians, Image, Photo, RenderSettings, ScreenFilter, SparseDelta,
+    View,
 };
 use glam::DVec3;
 
+use super::photo_loss::{PhotoLoss, Walk};
 use super::pool;
+use crate::cpu::loss::Target;
 use crate::cpu::{CpuBackend, loss};
 use crate::fixtures::{camera, change_rows, cloud, filters, individual_of, settings, uniform};
 
 const TOLERANCE: f32 = 1e-6;
+
+/// Loss of a picture that is not padded yet.
+pub(crate) fn loss_of_image(level: Level, image: &Image, target: &Target) -> f32 {
+    let photo_loss = PhotoLoss::new(level, target);
+    let layout = photo_loss.layout;
+    let mut picture = vec![0.0; layout.len()];
+    for (index, row) in image.planes.chunks_exact(target.width).enumerate() {
+        let at = index / target.height * layout.plane() + layout.row(index % target.height);
+        picture[at..at + target.width].copy_from_slice(row);
+    }
+    dispatch!(level, simd => photo_loss.loss(simd, &picture, &mut Walk::default()))
+}
 
 /// Two views of other sizes: neither is a multiple of a tile, a block or a vector.
 fn views_of(sizes: [[u32; 2]; 2]) -> Vec<View> {
@@ -42,7 +57,7 @@ fn check(base: &Gaussians, population: &[SparseDelta], views: &[View], settings:
         changed.apply(individual, MomentPolicy::Keep).unwrap();
         for (&view, &score) in numbers.iter().zip(scores) {
             let image = changed.render(&views[view].camera, settings).unwrap();
-            let target = loss::Target::from(views[view].photo.as_ref());
+            let target = Target::from(views[view].photo.as_ref());
             let plain = loss::loss(Level::new(), &image, &target, None);
             assert!((score / plain - 1.0).abs() < TOLERANCE, "{score} instead of {plain}, view {view}");
         }

@@ -1,13 +1,12 @@
 //! The picture of one tile for every individual of a pool.
 //!
-//! Block after block of 4x4 pixels, so that the light of all individuals in it (256 bytes each) stays in the
-//! first-level cache. The alphas of a batch of up to 64 splats are evaluated, and then each individual blends those
-//! that it holds: five operations for 16 pixels and a splat. A pixel is finished as in stage `rasterise`, and where all
-//! splats of a batch together could not finish one, none is checked.
+//! Block after block of 4x4 pixels, so that the light of all individuals in it stays in the first-level cache. The alphas
+//! of a batch of up to 64 splats are evaluated, and then each individual blends those that it holds. Where all splats of
+//! a batch together could not finish a pixel, none is checked.
 
 use fearless_simd::{Simd, prelude::*};
-use genesplat_core::alleles::Holders;
 use genesplat_core::constants::TRANSMITTANCE_MIN;
+use genesplat_core::row_versions::Holders;
 
 use crate::cpu::bin::{BLOCK, BLOCKS_ACROSS, Intersection};
 use crate::cpu::blend::block::{BLOCKS, absorb, alpha};

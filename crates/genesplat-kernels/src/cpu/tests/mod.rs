@@ -17,7 +17,7 @@ use genesplat_core::{
     Backend, DensitySignal, Gaussians, Image, RenderSettings, Rng, ScreenFilter, StatisticsRequest, TrainStep,
 };
 
-use super::{CpuBackend, Extra, Pinhole, ViewBuffers, loss};
+use super::{CpuBackend, Pinhole, ViewBuffers, loss};
 use crate::fixtures::{camera, photo, settings, step, view};
 use crate::reference::Cloud64;
 
@@ -103,17 +103,26 @@ fn backend_with(cloud: &Gaussians) -> CpuBackend {
     backend
 }
 
-fn buffers_of(cloud: &Gaussians, settings: &RenderSettings, extra: Extra) -> (ViewBuffers, Pinhole) {
+fn buffers_of(
+    cloud: &Gaussians,
+    settings: &RenderSettings,
+    signal: Option<DensitySignal>,
+) -> (ViewBuffers, Pinhole) {
     let mut buffers = ViewBuffers::default();
-    let camera = fill(&mut buffers, cloud, settings, extra);
+    let camera = fill(&mut buffers, cloud, settings, signal);
     (buffers, camera)
 }
 
 /// Forward and backward, in buffers that may have been used for another cloud.
-fn fill(buffers: &mut ViewBuffers, cloud: &Gaussians, settings: &RenderSettings, extra: Extra) -> Pinhole {
+fn fill(
+    buffers: &mut ViewBuffers,
+    cloud: &Gaussians,
+    settings: &RenderSettings,
+    signal: Option<DensitySignal>,
+) -> Pinhole {
     let (level, camera) = (Level::new(), Pinhole::from(&camera()));
     buffers.render(level, cloud, &camera, settings);
-    buffers.backward(level, &camera, &loss::Target::from(&photo()), extra);
+    buffers.backward(level, &camera, &loss::Target::from(&photo()), signal);
     camera
 }
 

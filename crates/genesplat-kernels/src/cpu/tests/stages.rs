@@ -6,9 +6,9 @@ use genesplat_core::{
 };
 
 use super::{buffers_of, compare, compare_gradients, compare_images, fill, flat, statistics};
-use crate::cpu::score::photo_loss::loss_of_image;
-use crate::cpu::update::{UpdateInputs, gradients};
-use crate::cpu::{CpuBackend, Extra, Pinhole, ViewBuffers, loss};
+use crate::cpu::score::tests::loss_of_image;
+use crate::cpu::update::{UpdateInputs, tests::gradients};
+use crate::cpu::{CpuBackend, Pinhole, ViewBuffers, loss};
 use crate::fixtures::{
     CROWD_LOGITS, HEIGHT, WIDTH, camera, cloud, crowd, filtered_cloud, filters, settings, small_view,
     uniform, view,
@@ -108,7 +108,7 @@ fn parameter_gradients_match_the_reference() {
             cloud.filter_3d =
                 with_filter_3d.then(|| (0..400).map(|row| 0.01 + 0.05 * uniform(row, 90)).collect());
             let settings = settings(degree, filter);
-            let (buffers, camera) = buffers_of(&cloud, &settings, Extra::Absolute);
+            let (buffers, camera) = buffers_of(&cloud, &settings, Some(DensitySignal::Absolute));
             let ViewBuffers { splats, bins, gradient_rows, .. } = &buffers;
             let inputs = UpdateInputs { splats, bins, gradient_rows, camera: &camera, settings: &settings };
             let (actual, density) = gradients(Level::new(), &inputs, &cloud, Some(DensitySignal::Absolute));
@@ -128,7 +128,7 @@ fn what_lies_behind_finished_pixels_has_no_part_in_anything() {
     let (settings, mut buffers) = (settings(2, ScreenFilter::Classic), ViewBuffers::default());
     for logit in CROWD_LOGITS {
         let cloud = crowd(logit);
-        let camera = fill(&mut buffers, &cloud, &settings, Extra::None);
+        let camera = fill(&mut buffers, &cloud, &settings, None);
         let context = |error: String| panic!("logit {logit}: {error}");
         let expected = reference::render(&Cloud64::from(&cloud), &view().camera, &settings, Cutoff::Hard);
         compare_images(&buffers.image, &expected.picture.image).unwrap_or_else(context);

@@ -5,8 +5,8 @@ use genesplat_core::backend::McmcStep;
 use genesplat_core::{Backend, Gaussians, ScreenFilter, TrainStep};
 
 use super::{backend_with, buffers_of, classic_step, flat, mcmc_step};
-use crate::cpu::update::{UpdateInputs, gradients};
-use crate::cpu::{Extra, ViewBuffers};
+use crate::cpu::ViewBuffers;
+use crate::cpu::update::{UpdateInputs, tests::gradients};
 use crate::fixtures::{cloud, settings, small_view, view};
 use crate::reference::{self, Cloud64};
 
@@ -34,7 +34,7 @@ fn ten_steps_match_the_reference(mcmc: Option<McmcStep>) {
         update.mcmc = mcmc.map(|mcmc| McmcStep { counter: number, ..mcmc });
         // Gradients of the f32 state, so that only the optimiser is compared.
         let now = backend.download().unwrap().into_owned();
-        let (buffers, camera) = buffers_of(&now, &settings, Extra::None);
+        let (buffers, camera) = buffers_of(&now, &settings, None);
         let ViewBuffers { splats, bins, gradient_rows, .. } = &buffers;
         let inputs = UpdateInputs { splats, bins, gradient_rows, camera: &camera, settings: &settings };
         let (gradient, _) = gradients(Level::new(), &inputs, &now, None);

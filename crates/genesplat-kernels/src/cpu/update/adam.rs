@@ -32,6 +32,9 @@ impl Rate {
 /// 1e-15 of a rate.
 const FIRST_MIN: f32 = 1e-30;
 
+/// Parameters, first and second moments of one group.
+type Column<'a> = [&'a mut [f32]; 3];
+
 /// Steps all parameters of a chunk.
 #[inline(always)]
 pub(crate) fn adam<S: Simd>(
@@ -41,11 +44,7 @@ pub(crate) fn adam<S: Simd>(
     gradients: &ChunkGradients,
     chunk: &mut ChunkMut,
 ) {
-    let (p, m, v) = (&mut chunk.parameters, &mut chunk.first, &mut chunk.second);
-    let n = p.positions.len();
-    let rates = &update.rates;
-    let rate = |rate: f32| Rate::new(rate, update.step);
-    let (position, scale, rotation) = (rate(rates.position), rate(rates.scale), rate(rates.rotation));
+    let n = chunk.parameters.positions.len();
     let mut positions = [[0.0; 3]; CHUNK];
     let mut log_scales = [[0.0; 3]; CHUNK];
     let mut opacity_logits = [0.0; CHUNK];
@@ -54,72 +53,32 @@ pub(crate) fn adam<S: Simd>(
         log_scales[row] = [genes[3], genes[4], genes[5]];
         opacity_logits[row] = genes[6];
     }
-    step_column(
-        simd,
-        position,
-        positions[..n].as_flattened(),
-        p.positions.as_flattened_mut(),
-        m.positions.as_flattened_mut(),
-        v.positions.as_flattened_mut(),
-    );
-    step_column(
-        simd,
-        scale,
-        log_scales[..n].as_flattened(),
-        p.log_scales.as_flattened_mut(),
-        m.log_scales.as_flattened_mut(),
-        v.log_scales.as_flattened_mut(),
-    );
-    step_column(
-        simd,
-        rotation,
-        gradients.rotations[..n].as_flattened(),
-        p.rotations.as_flattened_mut(),
-        m.rotations.as_flattened_mut(),
-        v.rotations.as_flattened_mut(),
-    );
+    let rates = &update.rates;
+    let rate = |rate: f32| Rate::new(rate, update.step);
+    let column = chunk.column(|rows| rows.positions.as_flattened_mut());
+    step_column(simd, rate(rates.position), positions[..n].as_flattened(), column);
+    let column = chunk.column(|rows| rows.log_scales.as_flattened_mut());
+    step_column(simd, rate(rates.scale), log_scales[..n].as_flattened(), column);
+    let column = chunk.column(|rows| rows.rotations.as_flattened_mut());
+    step_column(simd, rate(rates.rotation), gradients.rotations[..n].as_flattened(), column);
     if update.opacity_step > 0 {
         let opacity = Rate::new(rates.opacity, update.opacity_step);
-        step_column(
-            simd,
-            opacity,
-            &opacity_logits[..n],
-            p.opacity_logits,
-            m.opacity_logits,
-            v.opacity_logits,
-        );
+        step_column(simd, opacity, &opacity_logits[..n], chunk.column(|rows| rows.opacity_logits));
     }
-    let (dc, rest) = (rate(rates.sh_dc), rate(rates.sh_rest));
+    let colour = [rate(rates.sh_dc), rate(rates.sh_rest)];
     for row in 0..n {
-        step_sh(
-            simd,
-            dc,
-            rest,
-            sh_degree,
-            &gradients.sh[row],
-            &mut p.sh[row],
-            &mut m.sh[row],
-            &mut v.sh[row],
-        );
+        let column = chunk.column(|rows| &mut rows.sh[row]);
+        step_sh(simd, colour, sh_degree, &gradients.sh[row], column);
     }
 }
 
 #[inline(always)]
-fn step_column<S: Simd>(simd: S, rate: Rate, gradient: &[f32], p: &mut [f32], m: &mut [f32], v: &mut [f32]) {
+fn step_column<S: Simd>(simd: S, rate: Rate, gradient: &[f32], mut column: Column) {
     let whole = gradient.len() - gradient.len() % LANES;
     for at in (0..whole).step_by(LANES) {
-        let range = at..at + LANES;
-        let steps = V::splat(simd, rate.step);
-        step_vector(
-            simd,
-            steps,
-            rate.root,
-            &gradient[range.clone()],
-            &mut p[range.clone()],
-            &mut m[range.clone()],
-            &mut v[range],
-        );
+        step_vector(simd, V::splat(simd, rate.step), rate.root, at, gradient, &mut column);
     }
+    let [p, m, v] = column;
     for at in whole..gradient.len() {
         let first = ADAM_BETA1 * m[at] + (1.0 - ADAM_BETA1) * gradient[at];
         m[at] = if first.abs() < FIRST_MIN { 0.0 } else { first };
@@ -132,44 +91,35 @@ fn step_column<S: Simd>(simd: S, rate: Rate, gradient: &[f32], p: &mut [f32], m:
 #[inline(always)]
 fn step_sh<S: Simd>(
     simd: S,
-    dc: Rate,
-    rest: Rate,
+    [dc, rest]: [Rate; 2],
     degree: u8,
     gradient: &[f32; SH_STRIDE],
-    p: &mut [f32; SH_STRIDE],
-    m: &mut [f32; SH_STRIDE],
-    v: &mut [f32; SH_STRIDE],
+    mut column: Column,
 ) {
     if degree == 0 {
-        return step_column(simd, dc, &gradient[..3], &mut p[..3], &mut m[..3], &mut v[..3]);
+        return step_column(simd, dc, &gradient[..3], column);
     }
     let mut steps = [rest.step; LANES];
     steps[..3].fill(dc.step);
-    for first in (0..3 * coefficients(degree)).step_by(LANES) {
-        let range = first..first + LANES;
-        step_vector(
-            simd,
-            V::simd_from(simd, steps),
-            rest.root,
-            &gradient[range.clone()],
-            &mut p[range.clone()],
-            &mut m[range.clone()],
-            &mut v[range],
-        );
+    for at in (0..3 * coefficients(degree)).step_by(LANES) {
+        step_vector(simd, V::simd_from(simd, steps), rest.root, at, gradient, &mut column);
         steps.fill(rest.step);
     }
 }
 
+/// Steps the 16 values from `at` on.
 #[inline(always)]
 fn step_vector<S: Simd>(
     simd: S,
     steps: V<S>,
     root: f32,
+    at: usize,
     gradient: &[f32],
-    p: &mut [f32],
-    m: &mut [f32],
-    v: &mut [f32],
+    [p, m, v]: &mut Column,
 ) {
+    let range = at..at + LANES;
+    let [p, m, v] = [&mut p[range.clone()], &mut m[range.clone()], &mut v[range.clone()]];
+    let gradient = &gradient[range];
     let gradient = V::from_slice(simd, gradient);
     let first = V::from_slice(simd, m) * ADAM_BETA1 + gradient * (1.0 - ADAM_BETA1);
     let first = first.abs().simd_lt(FIRST_MIN).select(V::splat(simd, 0.0), first);

@@ -58,6 +58,17 @@ pub(crate) struct ChunkMut<'a> {
     pub statistics: StatisticsMut<'a>,
 }
 
+impl<'a> ChunkMut<'a> {
+    /// A column of the parameters and of both moments.
+    #[inline(always)]
+    pub(crate) fn column(
+        &mut self,
+        of: impl for<'b> Fn(&'b mut RowsMut<'a>) -> &'b mut [f32],
+    ) -> [&mut [f32]; 3] {
+        [of(&mut self.parameters), of(&mut self.first), of(&mut self.second)]
+    }
+}
+
 /// One chunk of a cloud's rows, or of what has its shape.
 pub(crate) struct RowsMut<'a> {
     pub positions: &'a mut [[f32; 3]],

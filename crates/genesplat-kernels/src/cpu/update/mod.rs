@@ -1,9 +1,8 @@
 //! From gradient rows to stepped parameters, one chunk of rows at a time: stages `project_backward`, `adam` and
 //! `noise`, fused.
 //!
-//! A chunk's gradients live in the cache only: they are computed for the splats of the chunk, added to the statistics,
-//! used by Adam and forgotten. So no gradient buffer of the size of the cloud exists, and every parameter is read and
-//! written once a step. Adam is dense, as published: rows without a gradient still move by their momentum.
+//! A chunk's gradients live in the cache only, so every parameter is read and written once a step. Adam is dense, as
+//! published: rows without a gradient still move by their momentum.
 
 mod adam;
 mod chunk;
@@ -13,7 +12,7 @@ mod project_backward;
 mod statistics;
 
 use fearless_simd::{Level, dispatch};
-use genesplat_core::{Gaussians, Moments, RenderSettings, Statistics, StatisticsRequest, Update};
+use genesplat_core::{Gaussians, Moments, RenderSettings, Statistics, TrainStep};
 use rayon::prelude::*;
 
 use super::bin::Bins;
@@ -28,15 +27,11 @@ use statistics::add_statistics;
 
 /// What the backward pass left of a view.
 pub(crate) struct UpdateInputs<'a> {
-    /// Splats of the view.
     pub splats: &'a Splats,
-    /// Tile lists.
     pub bins: &'a Bins,
     /// One row for each intersection.
     pub gradient_rows: &'a [GradientRow],
-    /// Camera of the view.
     pub camera: &'a Pinhole,
-    /// Settings of the view.
     pub settings: &'a RenderSettings,
 }
 
@@ -47,10 +42,9 @@ pub(crate) fn update(
     cloud: &mut Gaussians,
     moments: &mut Moments,
     statistics: &mut Statistics,
-    request: StatisticsRequest,
-    step: Option<&Update>,
+    step: &TrainStep,
 ) {
-    let cloud_rows = cloud.len();
+    let (request, step, cloud_rows) = (step.statistics, step.update.as_ref(), cloud.len());
     let filter_3d = cloud.filter_3d.take();
     let work = chunks_mut(cloud, moments, statistics);
     work.into_par_iter().enumerate().for_each_init(
@@ -78,28 +72,5 @@ pub(crate) fn update(
     cloud.filter_3d = filter_3d;
 }
 
-/// Gradients of the whole cloud in one piece: what tests compare with the reference.
 #[cfg(test)]
-pub(crate) fn gradients(
-    level: Level,
-    inputs: &UpdateInputs,
-    cloud: &Gaussians,
-    signal: Option<genesplat_core::DensitySignal>,
-) -> (Gaussians, Vec<[f32; 2]>) {
-    let mut copy = cloud.clone();
-    let (mut out, mut density) = (Gaussians::zeros(cloud.len()), vec![[0.0; 2]; cloud.len()]);
-    for (index, rows) in chunk::rows_mut(&mut copy).enumerate() {
-        let mut gradients = ChunkGradients::default();
-        let filter_3d = cloud.filter_3d.as_deref().map(|filter| &filter[index * CHUNK..]);
-        let view = ChunkView { first_row: index * CHUNK, rows: &rows, filter_3d };
-        let splats = inputs.splats.chunk(index);
-        dispatch!(level, simd => project_backward(simd, inputs, splats, &view, signal, &mut gradients));
-        for local in 0..rows.positions.len() {
-            let row = index * CHUNK + local;
-            out.set_genes(row, &gradients.genes[local]);
-            (out.rotations[row], out.sh[row]) = (gradients.rotations[local], gradients.sh[local]);
-            density[row] = gradients.density[local];
-        }
-    }
-    (out, density)
-}
+pub(super) mod tests;

@@ -1,17 +1,35 @@
 //! The buffers of one view and the stages that fill them: what `render` and `train_step` have in common.
 
+use std::time::Instant;
+
 use fearless_simd::Level;
-use genesplat_core::{Gaussians, Image, RenderSettings};
+use genesplat_core::{DensitySignal, Gaussians, Image, RenderSettings};
 
 use super::pinhole::Pinhole;
 use super::project::project;
 use super::splats::Splats;
-use super::timings::{StageSeconds, timed};
 use crate::cpu::bin::Bins;
 use crate::cpu::blend::gradient_row::GradientRow;
 use crate::cpu::blend::rasterise::{TileImage, compose, rasterise};
-use crate::cpu::blend::rasterise_backward::{BackwardInputs, Extra, rasterise_backward};
+use crate::cpu::blend::rasterise_backward::rasterise_backward;
 use crate::cpu::loss::{Target, loss};
+
+/// Seconds spent in each stage since the counters were last taken.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct StageSeconds {
+    /// Projection and colours.
+    pub project: f64,
+    /// Depth sort and tile lists.
+    pub bin: f64,
+    /// Forward blending, composition included.
+    pub rasterise: f64,
+    /// Loss and its gradient.
+    pub loss: f64,
+    /// Backward blending.
+    pub rasterise_backward: f64,
+    /// Backward projection, statistics and Adam.
+    pub update: f64,
+}
 
 /// Buffers of one view, reused from step to step.
 #[derive(Default)]
@@ -43,16 +61,29 @@ impl ViewBuffers {
         });
     }
 
-    /// Loss of the rendered image; fills `self.image_gradient` and `self.gradient_rows`.
-    pub fn backward(&mut self, level: Level, camera: &Pinhole, target: &Target, extra: Extra) -> f32 {
+    /// Loss of the rendered image; fills `self.image_gradient` and `self.gradient_rows`, with the sums that `signal`
+    /// needs.
+    pub fn backward(
+        &mut self,
+        level: Level,
+        camera: &Pinhole,
+        target: &Target,
+        signal: Option<DensitySignal>,
+    ) -> f32 {
         let value = timed(&mut self.seconds.loss, || {
             loss(level, &self.image, target, Some(&mut self.image_gradient))
         });
-        timed(&mut self.seconds.rasterise_backward, || {
-            let (splats, image, image_gradient) = (&self.splats, &self.image, &self.image_gradient);
-            let inputs = BackwardInputs { splats, image, image_gradient, extra };
-            rasterise_backward(level, &self.bins, camera, &inputs, &mut self.gradient_rows);
-        });
+        let start = Instant::now();
+        rasterise_backward(level, self, camera, signal);
+        self.seconds.rasterise_backward += start.elapsed().as_secs_f64();
         value
     }
+}
+
+/// Runs `work` and adds the time it took.
+pub(crate) fn timed<T>(total: &mut f64, work: impl FnOnce() -> T) -> T {
+    let start = Instant::now();
+    let result = work();
+    *total += start.elapsed().as_secs_f64();
+    result
 }

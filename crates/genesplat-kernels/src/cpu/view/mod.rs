@@ -10,4 +10,3 @@ pub(crate) mod geometry;
 pub(crate) mod pinhole;
 pub(crate) mod project;
 pub(crate) mod splats;
-pub(crate) mod timings;

@@ -20,14 +20,8 @@ pub(crate) fn project(
     settings: &RenderSettings,
     out: &mut Splats,
 ) {
-    out.resize(cloud.len());
     out.seen.resize(cloud.len(), false);
-    let chunks = out.slots.par_chunks_mut(CHUNK).zip(out.seen.par_chunks_mut(CHUNK)).zip(&mut out.counts);
-    chunks.enumerate().for_each(|(chunk, ((slots, seen), count))| {
-        let (first, version) = (chunk * CHUNK, |row: usize| (row as u32, cloud.genes(row)));
-        *count = dispatch!(level, simd =>
-            project_chunk(simd, cloud, first, &version, camera, settings, slots, seen));
-    });
+    project_versions(level, cloud, cloud.len(), |row| (row as u32, cloud.genes(row)), camera, settings, out);
 }
 
 /// Projects `count` versions of rows, `version(index)` a row and its genes, as if each were a row of its own: a splat's
@@ -42,12 +36,13 @@ pub(crate) fn project_versions(
     out: &mut Splats,
 ) {
     out.resize(count);
-    out.seen.clear();
-    let chunks = out.slots.par_chunks_mut(CHUNK).zip(&mut out.counts);
-    chunks.enumerate().for_each(|(chunk, (slots, count))| {
+    let mut seen: Vec<&mut [bool]> = out.seen.chunks_mut(CHUNK).collect();
+    seen.resize_with(out.counts.len(), Default::default);
+    let chunks = out.slots.par_chunks_mut(CHUNK).zip(seen).zip(&mut out.counts);
+    chunks.enumerate().for_each(|(chunk, ((slots, seen), count))| {
         let first = chunk * CHUNK;
         *count = dispatch!(level, simd =>
-            project_chunk(simd, cloud, first, &version, camera, settings, slots, &mut []));
+            project_chunk(simd, cloud, first, &version, camera, settings, slots, seen));
     });
 }
 

@@ -1,8 +1,8 @@
-//! The values that a row has in a population, each once.
+//! The values that a row's genes have in a population, each once.
 //!
 //! Individuals of a search may differ from each other in a quarter of their rows, and still a row has few values among
-//! them: cousins inherit the same ones. So backends score a population value by value: an *allele* is projected, listed and
-//! evaluated once, and everybody who holds it blends what came of it.
+//! them, as related individuals inherit the same ones. So backends score a population by *row versions*: each is
+//! projected, listed and evaluated once, and every individual that holds it blends the result.
 
 use std::ops::Range;
 
@@ -11,9 +11,9 @@ use crate::genes::{Genes, SparseDelta};
 /// A bit for each individual of a pool.
 pub type Holders = u128;
 
-/// One value of a row, and who holds it.
+/// One value of a row's genes, and the individuals that hold it.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Allele<'a> {
+pub struct RowVersion<'a> {
     /// Of the cloud.
     pub row: u32,
     /// Nothing where it is what the cloud itself has.
@@ -23,7 +23,7 @@ pub struct Allele<'a> {
 }
 
 /// What individuals (1 to 128), which are differences from a cloud, hold of a range of its rows; row by row.
-pub fn alleles(individuals: &[SparseDelta], rows: Range<usize>) -> Vec<Allele<'_>> {
+pub fn row_versions(individuals: &[SparseDelta], rows: Range<usize>) -> Vec<RowVersion<'_>> {
     // 1. Who has changed each row, and to what.
     let mut changed_by = vec![Holders::MIN; rows.len()];
     let mut genes: Vec<_> = Vec::with_capacity(individuals.len());
@@ -36,21 +36,21 @@ pub fn alleles(individuals: &[SparseDelta], rows: Range<usize>) -> Vec<Allele<'_
     }
     // 2. Each value once.
     let everyone = Holders::MAX >> (Holders::BITS as usize - individuals.len());
-    let mut alleles: Vec<Allele> = Vec::with_capacity(rows.len());
+    let mut versions: Vec<RowVersion> = Vec::with_capacity(rows.len());
     for (row, mut left) in (rows.start as u32..).zip(changed_by) {
-        let (first, unchanged) = (alleles.len(), everyone & !left);
-        alleles.extend((unchanged != 0).then_some(Allele { row, genes: None, holders: unchanged }));
+        let (first, unchanged) = (versions.len(), everyone & !left);
+        versions.extend((unchanged != 0).then_some(RowVersion { row, genes: None, holders: unchanged }));
         while left != 0 {
             let (individual, holder) = (left.trailing_zeros(), left & left.wrapping_neg());
             left ^= holder;
             let genes = genes[individual as usize].next();
-            match alleles[first..].iter_mut().find(|allele| allele.genes == genes) {
+            match versions[first..].iter_mut().find(|version| version.genes == genes) {
                 Some(known) => known.holders |= holder,
-                None => alleles.push(Allele { row, genes, holders: holder }),
+                None => versions.push(RowVersion { row, genes, holders: holder }),
             }
         }
     }
-    alleles
+    versions
 }
 
 #[cfg(test)]
@@ -65,9 +65,9 @@ mod tests {
 
     /// Opacities, nothing for the cloud's own, and holders.
     fn of_row(individuals: &[SparseDelta], row: usize) -> Vec<(Option<f32>, Holders)> {
-        let alleles = alleles(individuals, row..row + 1);
-        assert!(alleles.iter().all(|allele| allele.row as usize == row));
-        alleles.iter().map(|allele| (allele.genes.map(|genes| genes[6]), allele.holders)).collect()
+        let versions = row_versions(individuals, row..row + 1);
+        assert!(versions.iter().all(|version| version.row as usize == row));
+        versions.iter().map(|version| (version.genes.map(|genes| genes[6]), version.holders)).collect()
     }
 
     #[test]
@@ -78,15 +78,15 @@ mod tests {
         assert_eq!(of_row(&individuals, 1), [(None, 0b1000), (Some(1.0), 0b0011), (Some(2.0), 0b0100)]);
         assert_eq!(of_row(&individuals, 2), [(None, 0b1111)]);
         assert_eq!(of_row(&individuals, 9), [(None, 0b0111), (Some(1.0), 0b1000)]);
-        let rows: Vec<u32> = alleles(&individuals, 1..10).iter().map(|allele| allele.row).collect();
+        let rows: Vec<u32> = row_versions(&individuals, 1..10).iter().map(|version| version.row).collect();
         assert_eq!(rows, [1, 1, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9]);
     }
 
     #[test]
-    fn a_value_that_nobody_has_is_no_allele() {
+    fn a_value_that_no_individual_has_is_no_version() {
         let all = changes([(0, 1.0), (1, 2.0)]);
         assert_eq!(of_row(&[all.clone(), all.clone()], 0), [(Some(1.0), 0b11)]);
-        assert!(alleles(&[all], 0..0).is_empty());
+        assert!(row_versions(&[all], 0..0).is_empty());
     }
 
     #[test]
