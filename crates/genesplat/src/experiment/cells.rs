@@ -159,7 +159,7 @@ mod tests {
             let settings = runner.settings(cell, &Results::none(runner.experiment)).unwrap();
             let folder = runner.folder(cell);
             begin(&folder, &settings.to_toml());
-            let scores = serde_json::json!({"psnr": 30.0, "ssim": 0.9});
+            let scores = serde_json::json!({"psnr": 30.0, "ssim": 0.9, "views": []});
             let seconds = serde_json::json!({"gradient": 1.0, "evolution": 0.0});
             let metrics = serde_json::json!({"iterations": 30_000, "gaussians": 20, "test": scores, "train": scores,
                 "seconds": seconds, "evolution": []});
@@ -234,7 +234,7 @@ mod tests {
         let names = |cell: Cell, photo: &str| {
             let path = runner.folder(cell).join(METRICS);
             let mut metrics: serde_json::Value = serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
-            metrics["test"]["views"] = serde_json::json!([{"name": photo, "psnr": 30.0}]);
+            metrics["test"]["views"] = serde_json::json!([{"name": photo, "psnr": 30.0, "ssim": 0.9}]);
             fs::write(&path, metrics.to_string()).unwrap();
         };
         let [gallery, other, fox] = [0, 1, 2].map(|cell| here.cells()[cell]);

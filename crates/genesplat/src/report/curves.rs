@@ -8,6 +8,8 @@ use std::path::Path;
 use anyhow::{Result, anyhow};
 use serde::Deserialize;
 
+use super::chart::{Chart, Series};
+
 /// A line of `log.jsonl`, as far as curves need it.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(tag = "event", rename_all = "kebab-case")]
@@ -29,8 +31,6 @@ enum Line {
         iteration: u32,
         generation: f64,
         best: f64,
-        mean: Option<f64>,
-        spread: Option<f64>,
     },
     TestScore {
         iteration: u32,
@@ -58,21 +58,17 @@ pub(crate) struct Curves {
     pub(crate) notices: Vec<String>,
 }
 
-/// One evolution stage. Points are `[generation, fitness]`.
+/// One evolution stage.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Stage {
     /// What it did, as the log calls it.
     pub(crate) kind: String,
     /// Iteration of the trigger.
     pub(crate) iteration: u32,
-    /// Fitness of the base.
+    /// Loss of the base.
     pub(crate) base: f64,
-    /// Lowest fitness so far.
+    /// Lowest loss so far. Points are `[generation, loss]`.
     pub(crate) best: Vec<[f64; 2]>,
-    /// Mean of the population.
-    pub(crate) mean: Vec<[f64; 2]>,
-    /// Standard deviation of the population, one for each mean.
-    pub(crate) spread: Vec<f64>,
 }
 
 impl Curves {
@@ -104,16 +100,10 @@ impl Curves {
                 self.stages.retain(|stage| (&stage.kind, stage.iteration) != (&kind, iteration));
                 self.stages.push(Stage { kind, iteration, base: fitness, ..Stage::default() });
             }
-            Line::Generation { iteration, generation, best, mean, spread } => {
+            Line::Generation { iteration, generation, best } => {
                 // The younger of two stages of one iteration: the other has ended.
-                let Some(stage) = self.stages.iter_mut().rfind(|stage| stage.iteration == iteration) else {
-                    return;
-                };
-                stage.best.push([generation, best]);
-                if let (Some(mean), Some(spread)) = (mean, spread) {
-                    stage.mean.push([generation, mean]);
-                    stage.spread.push(spread);
-                }
+                let stage = self.stages.iter_mut().rfind(|stage| stage.iteration == iteration);
+                stage.into_iter().for_each(|stage| stage.best.push([generation, best]));
             }
             // A resumed run says again what it said before.
             Line::Notice { text } if !self.notices.contains(&text) => self.notices.push(text),
@@ -129,13 +119,23 @@ impl Curves {
     }
 }
 
-/// At most `count` points: means of neighbours.
-pub(crate) fn thinned(points: &[[f64; 2]], count: usize) -> Vec<[f64; 2]> {
-    let mean = |run: &[[f64; 2]]| {
-        let n = run.len() as f64;
-        [0, 1].map(|axis| run.iter().map(|point| point[axis]).sum::<f64>() / n)
+/// Test PSNR and number of Gaussians over time, a curve a run.
+pub(crate) fn over_time(prefix: &str, runs: &[(String, Curves)]) -> [Chart; 2] {
+    let chart = |what: &str, points: fn(&Curves) -> &[[f64; 2]]| {
+        let series = |(name, curves): &(String, Curves)| Series {
+            name: name.clone(),
+            points: points(curves).to_vec(),
+        };
+        Chart {
+            caption: format!("{prefix}{what}"),
+            x_name: "iteration",
+            series: runs.iter().map(series).collect(),
+        }
     };
-    points.chunks(points.len().div_ceil(count).max(1)).map(mean).collect()
+    [
+        chart("PSNR of the test photos, dB", |curves| &curves.test_psnr),
+        chart("Gaussians", |curves| &curves.gaussians),
+    ]
 }
 
 #[cfg(test)]
@@ -165,29 +165,9 @@ mod tests {
         let curves = Curves::parse(log);
         assert_eq!(curves.loss, [[10.0, 0.5], [30.0, 0.3]]);
         assert_eq!(curves.gaussians, [[10.0, 5.0], [20.0, 6.0], [30.0, 8.0]]);
-        let other = Stage {
-            kind: "averaging".into(),
-            iteration: 30,
-            base: 0.6,
-            best: vec![[0.0, 0.6]],
-            ..Stage::default()
-        };
-        let stage = Stage {
-            kind: "paper".into(),
-            iteration: 30,
-            base: 0.3,
-            best: vec![[0.0, 0.3], [1.0, 0.2]],
-            mean: vec![[1.0, 0.5]],
-            spread: vec![0.2],
-        };
+        let other = Stage { kind: "averaging".into(), iteration: 30, base: 0.6, best: vec![[0.0, 0.6]] };
+        let stage =
+            Stage { kind: "paper".into(), iteration: 30, base: 0.3, best: vec![[0.0, 0.3], [1.0, 0.2]] };
         assert_eq!((curves.stages, curves.notices), (vec![other, stage], vec!["full".to_owned()]));
-    }
-
-    #[test]
-    fn thinning_averages_neighbours() {
-        let points = [[1.0, 10.0], [3.0, 20.0], [5.0, 30.0]];
-        assert_eq!(thinned(&points, 2), [[2.0, 15.0], [5.0, 30.0]]);
-        assert_eq!(thinned(&points, 9), points);
-        assert!(thinned(&[], 9).is_empty());
     }
 }

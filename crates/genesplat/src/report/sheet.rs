@@ -6,7 +6,7 @@ use genesplat::core::Photo;
 use genesplat::io::photos::resize;
 use image::GrayImage;
 
-use crate::report::crops::Square;
+use crate::report::crops::{Square, where_better};
 
 /// White between pictures, px.
 const GAP_PX: u32 = 8;
@@ -31,22 +31,33 @@ const LETTER_GAP_PX: u32 = 3;
 /// Width of a space, px.
 const SPACE_PX: u32 = 9;
 
+/// Where error fell.
+const GREEN: [u8; 3] = [0, 200, 60];
+/// Where error rose.
+const RED: [u8; 3] = [230, 20, 20];
+/// Places where error fell, and where it rose.
+const PLACES: [usize; 2] = [2, 1];
+
 /// A place to show enlarged, and the colour of its frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Mark {
-    /// Where.
-    pub(crate) square: Square,
-    /// In which colour.
-    pub(crate) colour: [u8; 3],
+struct Mark {
+    square: Square,
+    colour: [u8; 3],
 }
 
-/// Frames that can be told apart on any picture and by most eyes (Okabe and Ito).
-pub(crate) const FRAMES: [[u8; 3]; 3] = [[230, 159, 0], [86, 180, 233], [204, 121, 167]];
+/// A photo and two renders of it, and the places where the error of the second is lower than that of the first (green),
+/// or higher (red), by most.
+pub(crate) fn changes(photo: &Photo, names: [&str; 2], [without, with]: [&Photo; 2]) -> Photo {
+    let fell = where_better(photo, without, with, PLACES[0]).into_iter().map(|square| (square, GREEN));
+    let rose = where_better(photo, with, without, PLACES[1]).into_iter().map(|square| (square, RED));
+    let marks: Vec<Mark> = fell.chain(rose).map(|(square, colour)| Mark { square, colour }).collect();
+    comparison(&[("photo", photo), (names[0], without), (names[1], with)], &marks)
+}
 
 /// Pictures of one scene that differ in what can be seen in a few places: the first one whole, with the places framed;
 /// beside it a row for each place, with what each picture has there, enlarged. All pictures have one size. Without
 /// places, the pictures stand side by side.
-pub(crate) fn comparison(pictures: &[(&str, &Photo)], marks: &[Mark]) -> Photo {
+fn comparison(pictures: &[(&str, &Photo)], marks: &[Mark]) -> Photo {
     let columns: Vec<Photo> = match marks {
         [] => pictures.iter().map(|(name, picture)| titled(name, picture)).collect(),
         _ => pictures.iter().map(|(name, picture)| titled(name, &crops(picture, marks))).collect(),
@@ -133,30 +144,20 @@ fn blank(width: u32, height: u32) -> Photo {
 
 /// Pictures from left to right, with white between them and below the shorter ones.
 fn side_by_side(pictures: &[Photo]) -> Photo {
-    let mut offset = 0;
-    let placed: Vec<_> = pictures
-        .iter()
-        .map(|picture| {
-            let at = offset;
-            offset += picture.width + GAP_PX;
-            (at, 0, picture)
-        })
-        .collect();
-    placed_on_white(&placed)
+    let ends = pictures.iter().scan(0, |end, picture| {
+        *end += picture.width + GAP_PX;
+        Some((*end - picture.width - GAP_PX, 0, picture))
+    });
+    placed_on_white(&ends.collect::<Vec<_>>())
 }
 
 /// Pictures from top to bottom, with white between them.
 pub(crate) fn stacked(pictures: &[Photo]) -> Photo {
-    let mut offset = 0;
-    let placed: Vec<_> = pictures
-        .iter()
-        .map(|picture| {
-            let at = offset;
-            offset += picture.height + GAP_PX;
-            (0, at, picture)
-        })
-        .collect();
-    placed_on_white(&placed)
+    let ends = pictures.iter().scan(0, |end, picture| {
+        *end += picture.height + GAP_PX;
+        Some((0, *end - picture.height - GAP_PX, picture))
+    });
+    placed_on_white(&ends.collect::<Vec<_>>())
 }
 
 /// A white sheet that just holds pictures at these places.
@@ -198,19 +199,19 @@ mod tests {
             without.rgb[at..at + 3 * 40].fill(180);
         }
         let mark = |x, colour| Mark { square: Square { x, y: 40, side: 40 }, colour };
-        let marks = [mark(60, FRAMES[0]), mark(150, FRAMES[1])];
+        let marks = [mark(60, GREEN), mark(150, RED)];
         let sheet = comparison(&[("photo", &photo), ("a", &without)], &marks);
         let top = LETTER_HEIGHT_PX;
         let tall = top + 2 * CROP_PX + GAP_PX;
         let wide = 2 * tall;
         assert_eq!((sheet.width, sheet.height), (wide + 2 * (CROP_PX + GAP_PX), tall));
         let scaled = |length: u32| (f64::from(length) * f64::from(tall) / 120.0).round() as u32;
-        assert_eq!(sheet.pixel(scaled(60), scaled(40)), FRAMES[0]);
-        assert_eq!(sheet.pixel(scaled(150), scaled(40)), FRAMES[1]);
+        assert_eq!(sheet.pixel(scaled(60), scaled(40)), GREEN);
+        assert_eq!(sheet.pixel(scaled(150), scaled(40)), RED);
         let (first, second) = (wide + GAP_PX, wide + 2 * GAP_PX + CROP_PX);
         let centre = |left: u32, row: u32| sheet.pixel(left + 120, top + 120 + row * (CROP_PX + GAP_PX))[0];
         assert_eq!([centre(first, 0), centre(second, 0), centre(second, 1)], [100, 180, 100]);
-        assert_eq!(sheet.pixel(second, top), FRAMES[0], "the frame of the crop");
+        assert_eq!(sheet.pixel(second, top), GREEN, "the frame of the crop");
         let is_dark = |left: u32| (0..CROP_PX).any(|x| (0..top).any(|y| sheet.pixel(left + x, y)[0] < 100));
         assert!(is_dark(first) && is_dark(second), "each column has its name");
     }
@@ -221,5 +222,30 @@ mod tests {
         assert_eq!((sheet.width, sheet.height), (50, 10 + LETTER_HEIGHT_PX));
         let sheet = comparison(&[("é", &picture(9, 9, 0)), ("", &picture(9, 9, 0))], &[]);
         assert_eq!(sheet.width, 18 + GAP_PX, "nothing to mark, nothing enlarged");
+    }
+
+    #[test]
+    fn places_where_error_fell_are_green_and_those_where_it_rose_red() {
+        let (photo, mut without, mut with) =
+            (picture(320, 200, 100), picture(320, 200, 100), picture(320, 200, 100));
+        // The window is 53 px; an error fills it at (100, 40) in one render, and at (200, 120) in the other.
+        for y in 40..93 {
+            let at = |x: u32, y: u32| 3 * (y * 320 + x) as usize;
+            without.rgb[at(100, y)..at(153, y)].fill(180);
+            with.rgb[at(200, y + 80)..at(253, y + 80)].fill(180);
+        }
+        let sheet = changes(&photo, ["off", "renew"], [&without, &with]);
+        let count = |colour| sheet.rgb.chunks_exact(3).filter(|pixel| *pixel == colour).count();
+        assert!(count(GREEN) > 100 && count(RED) > 100);
+        let swapped = changes(&photo, ["off", "renew"], [&photo, &without]);
+        assert!(swapped.rgb.chunks_exact(3).all(|pixel| pixel != GREEN), "nothing got better");
+    }
+
+    #[test]
+    fn each_place_that_differs_has_a_row_of_crops() {
+        let grey = |value| picture(60, 60, value);
+        let whole = changes(&grey(9), ["a", "b"], [&grey(50), &grey(9)]);
+        let same = changes(&grey(9), ["a", "b"], [&grey(9), &grey(9)]);
+        assert!(whole.width > whole.height && whole.height > 2 * same.height, "{} px", whole.height);
     }
 }

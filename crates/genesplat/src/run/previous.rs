@@ -124,7 +124,7 @@ mod tests {
     /// A run that has come to its end, with a picture that it has left and one that it has not.
     fn write_run(run: &Path, what: &str) {
         begin(run, what).unwrap();
-        let scores = serde_json::json!({"psnr": 9.0, "ssim": 0.5, "views": [{"name": "a.jpg", "psnr": 9.0}, {"name": "../b.jpg", "psnr": 9.0}]});
+        let scores = serde_json::json!({"psnr": 9.0, "ssim": 0.5, "views": [{"name": "a.jpg", "psnr": 9.0, "ssim": 0.5}, {"name": "../b.jpg", "psnr": 9.0, "ssim": 0.5}]});
         let metrics = serde_json::json!({"iterations": 3, "gaussians": 20, "test": scores, "train": scores,
             "seconds": {"gradient": 1.0, "evolution": 0.0}});
         fs::create_dir_all(run.join("test")).unwrap();
