@@ -1,8 +1,7 @@
 //! `genesplat demo`: the bundled scene, trained without and with evolution.
 //!
 //! Both runs have the same scene, seed and schedule: the published one in a tenth of its steps, so that it densifies,
-//! resets opacities and evolves as often as a full run does. `--evolve` says how: by default in the way that has been
-//! worth something on photos that training never saw (docs/evolution.md).
+//! resets opacities and evolves as often as a full run does.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -41,7 +40,6 @@ const MAX_GAUSSIANS: usize = 35_000;
 const GENERATIONS: u32 = 20;
 const POPULATION: u32 = 20;
 
-/// Builds, trains twice, compares.
 pub(crate) fn run(args: &DemoArgs) -> Result<Ending> {
     let halves = [("without", EvolutionMode::Off), ("with", args.evolve)];
     let mut halves: Vec<Half> =
@@ -114,8 +112,7 @@ fn check_gallery(folder: &Path) -> Result<()> {
     Ok(())
 }
 
-/// `gallery_007.png`, or a hidden file: what a demo that was killed midway leaves has such names, and no photo of ours
-/// has.
+/// `gallery_007.png`, or a hidden file, as a demo that was killed midway leaves.
 fn is_gallery_photo(name: &str) -> bool {
     let number = name.strip_prefix("gallery_").and_then(|rest| rest.strip_suffix(".png"));
     let counts = |digits: &str| digits.len() >= 3 && digits.bytes().all(|digit| digit.is_ascii_digit());
@@ -130,7 +127,6 @@ fn build_scene(folder: &Path, seed: u64) -> Result<Scene> {
     scene::load(folder, PhotoSize::default(), [0.0; 3], seed)
 }
 
-/// One of the two runs.
 struct Half {
     name: &'static str,
     settings: Settings,
@@ -151,7 +147,6 @@ impl Half {
         Ok(Self { name, settings, session })
     }
 
-    /// `None` for a run that was stopped.
     fn train(&mut self, scene: &Scene, lpips: Option<&Lpips>, stop: &AtomicBool) -> Result<Option<Metrics>> {
         let run = Run { settings: &self.settings, scene, lpips, stop, began: Instant::now() };
         Ok(match run.execute(&mut self.session)? {
@@ -194,7 +189,6 @@ fn figures(metrics: &Metrics) -> [(&'static str, usize, Option<f64>); 8] {
     ]
 }
 
-/// Index of the test view whose PSNR differs most between the runs.
 fn most_changed(without: &Metrics, with: &Metrics) -> usize {
     let changes = with.test_psnr_gains(without).into_iter().map(f64::abs).enumerate();
     changes.max_by(|a, b| a.1.total_cmp(&b.1)).map_or(0, |(index, _)| index)

@@ -21,12 +21,10 @@ use crate::{device, files, lpips};
 /// Name of the file that describes the experiment, flags included.
 const DESCRIPTION: &str = "experiment.toml";
 
-/// How it begins.
 const MARK: &str = "# An experiment of genesplat";
 
 const TABLES: &str = "tables.md";
 
-/// Names of the files with what was measured.
 const FIGURES: [&str; 4] = [TABLES, "costs.md", "cells.csv", "report.html"];
 
 /// Runs what is unfinished, then writes tables and pages of all that is finished, also where a run has failed.

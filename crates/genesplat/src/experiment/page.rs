@@ -17,11 +17,9 @@ use crate::terminal::numbers::{duration, thousands};
 
 /// Pictures in the page itself; further ones are linked.
 const PICTURES_MAX: usize = 24;
-/// Longer side of the pictures under a slider, px.
 const SLIDER_PX: u32 = 800;
 
-/// Test PSNR and number of Gaussians over time, an arm a curve, for every scene and variant: the first seed that each
-/// arm has finished, in the folder `out`.
+/// Over time, an arm a curve, for every scene and variant: the first seed that each arm has finished.
 fn charts(results: &Results<'_>, out: &Path) -> Vec<Chart> {
     let Experiment { file, arms } = results.experiment;
     let of_arm = |scene: usize, variant: usize, arm: usize| {
@@ -89,8 +87,7 @@ fn write_runs(page: &mut Html, results: &Results<'_>) {
     page.close("table").close("figure").close("details");
 }
 
-/// For each pair of arms, both renders of the photo that gained most under one slider, and a link to the places of the
-/// largest changes.
+/// For each pair of arms, both renders of the photo that gained most under one slider.
 fn write_pictures(page: &mut Html, pages: &[Page]) {
     if pages.is_empty() {
         return;

@@ -1,7 +1,7 @@
 //! Pages like the paper's Figures 2 and 3: photo, without, with, and the places where error fell most and rose most.
 //!
-//! Which views are shown is a rule, too: of the first seed, the test photo that gained most PSNR and the one that lost
-//! most. Both are always shown, so that no page shows successes only.
+//! Of the first seed, the test photo that gained most PSNR and the one that lost most are shown, so that no page shows
+//! successes only.
 
 use std::path::PathBuf;
 
@@ -19,7 +19,6 @@ use crate::run::{TEST, photos};
 use crate::scene::picture_names;
 use crate::terminal::output;
 
-/// A page that was written.
 pub(crate) struct Page {
     pub(crate) path: PathBuf,
     pub(crate) caption: String,
@@ -28,7 +27,7 @@ pub(crate) struct Page {
 }
 
 /// Writes a page for every scene, variant and evolving arm whose cells are finished. A scene whose pages cannot be made
-/// gets a notice instead: its figures stand without them.
+/// gets a notice: its figures stand without them.
 pub(crate) fn write_pages(runner: &Runner<'_>, results: &Results<'_>) -> Vec<Page> {
     let pages = |scene| {
         write_scene(runner, results, scene).unwrap_or_else(|error| {
@@ -40,8 +39,7 @@ pub(crate) fn write_pages(runner: &Runner<'_>, results: &Results<'_>) -> Vec<Pag
     (0..runner.experiment.file.scenes.len()).flat_map(pages).collect()
 }
 
-/// The pages of one scene. Its photos are loaded as they are now, which need not be as they were when its cells were
-/// run.
+/// The pages of one scene, whose photos may have changed since its cells were run.
 fn write_scene(runner: &Runner<'_>, results: &Results<'_>, scene: usize) -> Result<Vec<Page>> {
     let pairs = pairs_of(results, scene);
     let Some((first, _)) = pairs.first() else { return Ok(Vec::new()) };

@@ -4,11 +4,9 @@ use super::plan::Cell;
 use super::results::{Metric, Results};
 use crate::args::Split;
 
-/// Header of `cells.csv`.
 const CELLS: &str = "scene,variant,arm,seed,test_psnr,test_ssim,test_lpips,train_psnr,train_ssim,train_lpips,gaussians,iterations,\
                      gradient_seconds,evolution_seconds,folder";
 
-/// Every finished cell.
 pub(crate) fn cells(results: &Results<'_>) -> String {
     let experiment = results.experiment;
     let mut text = format!("{CELLS}\n");

@@ -6,7 +6,6 @@ use super::plan::{Cell, Experiment};
 use crate::args::Split;
 use crate::run::metrics::Metrics;
 
-/// What is measured.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Metric {
     Psnr,
@@ -76,7 +75,6 @@ impl<'a> Results<'a> {
         self.cells[at] = Some(metrics);
     }
 
-    /// What a cell has measured, if it is finished.
     pub(crate) fn get(&self, cell: Cell) -> Option<&Metrics> {
         self.cells[self.index(cell)].as_ref()
     }
@@ -108,7 +106,6 @@ impl<'a> Results<'a> {
         seeds.filter_map(|seed| self.get(Cell { seed, ..cell }).and_then(&value)).collect()
     }
 
-    /// A metric of every finished repeat of an arm.
     pub(crate) fn values(&self, cell: Cell, split: Split, metric: Metric) -> Vec<f64> {
         self.repeats(cell, |metrics| metric.of(metrics.scores(split)))
     }

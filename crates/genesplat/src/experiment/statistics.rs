@@ -1,8 +1,7 @@
 //! Means, spreads, and a test of paired differences.
 //!
-//! Repeats are few (three seeds, eight scenes), so the test is exact: it counts sign patterns instead of leaning on a
-//! normal distribution. The least p that `n` differences can reach is 2^(1 - n): with three seeds 0.25, however large
-//! the effect.
+//! Repeats are few, so the test is exact: it counts sign patterns. The least p that `n` differences can reach is
+//! 2^(1 - n): with three seeds 0.25, however large the effect.
 
 /// Mean and sample standard deviation; the latter needs two values. `None` for no values.
 #[derive(Clone, Copy, Debug, PartialEq)]

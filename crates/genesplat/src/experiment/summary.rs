@@ -12,7 +12,6 @@ use super::table::{Entry, Table};
 use crate::args::Split;
 use crate::run::metrics::Metrics;
 
-/// The name of the row of means over scenes.
 const ALL: &str = "mean of scenes";
 
 /// The tables of an experiment, test photos first.
@@ -81,7 +80,6 @@ fn row_name(experiment: &Experiment, scene: Option<usize>) -> String {
     scene.map_or(ALL.to_owned(), |scene| experiment.scene_name(scene).to_owned())
 }
 
-/// The paper's table for one variant and one split.
 fn quality(results: &Results<'_>, split: Split, variant: usize) -> Table {
     let (experiment, metrics) = (results.experiment, results.metrics());
     let arms = || 0..experiment.arms.len();
@@ -165,14 +163,12 @@ fn tests(results: &Results<'_>, split: Split) -> Table {
     Table { caption, columns: columns.map(str::to_owned).into(), rows }
 }
 
-/// Gaussians of one variant.
 fn sizes(results: &Results<'_>, variant: usize) -> Table {
     let name = results.experiment.file.variants[variant].name();
     let caption = format!("{name}: Gaussians at the end.");
     plain(results, variant, caption, 0, &[("Gaussians", |metrics| metrics.gaussians as f64)])
 }
 
-/// Seconds of one variant.
 fn seconds(results: &Results<'_>, variant: usize) -> Table {
     let name = results.experiment.file.variants[variant].name();
     let caption = format!(
@@ -184,7 +180,6 @@ fn seconds(results: &Results<'_>, variant: usize) -> Table {
     plain(results, variant, caption, 1, &[("seconds", all), ("of these evolution", evolution)])
 }
 
-/// A figure of a cell, and its name.
 type Figure = (&'static str, fn(&Metrics) -> f64);
 
 /// A row a scene, and for each arm what `figures` make of a cell.

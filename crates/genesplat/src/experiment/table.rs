@@ -4,7 +4,6 @@
 
 use crate::report::html::Html;
 
-/// A table.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Table {
     pub(crate) caption: String,
@@ -14,7 +13,6 @@ pub(crate) struct Table {
     pub(crate) rows: Vec<(String, Vec<Entry>)>,
 }
 
-/// One cell of a table.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Entry {
     Text(String),
@@ -22,7 +20,6 @@ pub(crate) enum Entry {
     Figure {
         mean: f64,
         spread: Option<f64>,
-        /// After the point.
         digits: usize,
         /// A difference, with a sign; it stands out where it is an improvement.
         gain: bool,

@@ -1,7 +1,6 @@
 //! Curves as SVG.
 //!
-//! A chart is drawn 360 units wide, the width of a narrow screen, so that its labels are as large as the page's text
-//! there; wider screens put several side by side.
+//! A chart is as wide as a narrow screen, so that its labels are as large as the page's text there.
 
 use crate::report::html::Html;
 
@@ -13,11 +12,10 @@ const TOP: f64 = 12.0;
 const BOTTOM: f64 = 34.0;
 /// Points of a curve: more than so narrow a drawing can show.
 const POINTS: usize = 200;
-/// Ticks that an axis aims for.
 const TICKS: f64 = 4.0;
 /// Told apart by most eyes, on light and dark ground (Okabe and Ito).
 const COLOURS: [&str; 4] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7"];
-/// Lengths of strokes and gaps: where there are more curves than colours, the next four are dashed, and so on.
+/// Strokes and gaps: where there are more curves than colours, the next four are dashed, and so on.
 const DASHES: [&str; 4] = ["none", "7 3", "2 2", "9 2 2 2"];
 
 /// Curves over one axis.

@@ -1,7 +1,6 @@
 //! The log of a run as curves.
 //!
-//! A log may hold more than one attempt: a run that was killed and resumed repeats the iterations since its checkpoint.
-//! What comes later wins.
+//! A run that was killed and resumed repeats the iterations since its checkpoint; what comes later wins.
 
 use std::path::Path;
 
@@ -48,22 +47,18 @@ enum Line {
 pub(crate) struct Curves {
     /// Eq. 5 on the view of the iteration.
     pub(crate) loss: Vec<[f64; 2]>,
-    /// Gaussians held.
     pub(crate) gaussians: Vec<[f64; 2]>,
     /// Mean PSNR of the test photos, dB.
     pub(crate) test_psnr: Vec<[f64; 2]>,
-    /// Evolution stages, in order.
     pub(crate) stages: Vec<Stage>,
     /// What the user should know.
     pub(crate) notices: Vec<String>,
 }
 
-/// One evolution stage.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Stage {
     /// What it did, as the log calls it.
     pub(crate) kind: String,
-    /// Iteration of the trigger.
     pub(crate) iteration: u32,
     /// Loss of the base.
     pub(crate) base: f64,
@@ -72,7 +67,6 @@ pub(crate) struct Stage {
 }
 
 impl Curves {
-    /// Reads a log.
     pub(crate) fn read(path: &Path) -> Result<Self> {
         let text = std::fs::read_to_string(path)
             .map_err(|error| anyhow!("cannot read the log {}: {error}", path.display()))?;

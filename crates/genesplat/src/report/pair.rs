@@ -27,8 +27,7 @@ pub(crate) struct Side<'a> {
     pub(crate) render: &'a Photo,
 }
 
-/// The page of a scene's run without and its run with evolution. `photo` names the photo that is shown, `sheet` where
-/// the renders of it differ most, and `command` repeats both.
+/// `photo` names the photo that is shown, `sheet` where the renders of it differ most, and `command` repeats both runs.
 pub(crate) fn to_html(
     title: &str,
     sides: &[Side<'_>; 2],
@@ -70,7 +69,6 @@ pub(crate) fn to_html(
     Ok(document(title, page))
 }
 
-/// What evolution reached, and what there was without it.
 fn figures(without: &Metrics, with: &Metrics) -> [(&'static str, String, String); 4] {
     let both =
         |text: &dyn Fn(&Metrics) -> String| (text(with), format!("{} without evolution", text(without)));

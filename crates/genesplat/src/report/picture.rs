@@ -22,8 +22,7 @@ pub(crate) fn write_sheet(page: &mut Html, sheet: &Photo, side: u32, alt: &str) 
     page.close("div");
 }
 
-/// Writes two pictures of one size into one place, with a slider that moves the border between them. Without scripts
-/// the border stays in the middle.
+/// Writes two pictures of one size into one place, with a slider that moves the border between them.
 pub(crate) fn write_slider(page: &mut Html, [left, right]: [(&str, &Photo); 2], side: u32) {
     let ratio = f64::from(left.1.width) / f64::from(left.1.height);
     page.open(&format!("div class=\"slider\" style=\"--ratio:{ratio:.4}\""));

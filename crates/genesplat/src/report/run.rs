@@ -18,11 +18,9 @@ use crate::run::{LOG, TEST};
 use crate::scene::picture_names;
 use crate::terminal::numbers::{duration, memory, thousands};
 
-/// Longer side of a picture, px.
 const PICTURE_PX: u32 = 800;
 
-/// What a page is made of: the figures, what was trained on, the folder with log and renders, `config.toml`, and what
-/// repeats the run.
+/// What a page is made of: the figures, what was trained on, the run's folder and `config.toml`, and what repeats it.
 pub(crate) struct RunPage<'a> {
     pub(crate) metrics: &'a Metrics,
     pub(crate) scene: &'a Scene,

@@ -14,7 +14,6 @@ const GAP_PX: u32 = 8;
 const CROP_PX: u32 = 240;
 /// Width of a frame's line, px.
 const LINE_PX: u32 = 3;
-/// Grey of letters.
 const INK: u8 = 40;
 
 /// The printable characters of ASCII in DejaVu Sans, white on black, in cells of one width.
@@ -22,20 +21,16 @@ static LETTERS: LazyLock<GrayImage> = LazyLock::new(|| {
     let bytes = include_bytes!("../../assets/letters.png");
     image::load_from_memory(bytes).expect("the file is a part of the program").to_luma8()
 });
-/// Of a cell, px.
 const LETTER_WIDTH_PX: u32 = 34;
-/// Of all cells, px.
 const LETTER_HEIGHT_PX: u32 = 40;
 /// White between two letters, px.
 const LETTER_GAP_PX: u32 = 3;
-/// Width of a space, px.
 const SPACE_PX: u32 = 9;
 
 /// Where error fell.
 const GREEN: [u8; 3] = [0, 200, 60];
 /// Where error rose.
 const RED: [u8; 3] = [230, 20, 20];
-/// Places where error fell, and where it rose.
 const PLACES: [usize; 2] = [2, 1];
 
 /// A place to show enlarged, and the colour of its frame.
@@ -45,8 +40,8 @@ struct Mark {
     colour: [u8; 3],
 }
 
-/// A photo and two renders of it, and the places where the error of the second is lower than that of the first (green),
-/// or higher (red), by most.
+/// A photo and two renders of it, and where the error of the second is lower than that of the first by most (green), or
+/// higher (red).
 pub(crate) fn changes(photo: &Photo, names: [&str; 2], [without, with]: [&Photo; 2]) -> Photo {
     let fell = where_better(photo, without, with, PLACES[0]).into_iter().map(|square| (square, GREEN));
     let rose = where_better(photo, with, without, PLACES[1]).into_iter().map(|square| (square, RED));
@@ -54,9 +49,8 @@ pub(crate) fn changes(photo: &Photo, names: [&str; 2], [without, with]: [&Photo;
     comparison(&[("photo", photo), (names[0], without), (names[1], with)], &marks)
 }
 
-/// Pictures of one scene that differ in what can be seen in a few places: the first one whole, with the places framed;
-/// beside it a row for each place, with what each picture has there, enlarged. All pictures have one size. Without
-/// places, the pictures stand side by side.
+/// The first picture whole, with the places framed; beside it a row for each place, with what each picture has there,
+/// enlarged. Without places, the pictures stand side by side. All have one size.
 fn comparison(pictures: &[(&str, &Photo)], marks: &[Mark]) -> Photo {
     let columns: Vec<Photo> = match marks {
         [] => pictures.iter().map(|(name, picture)| titled(name, picture)).collect(),
@@ -137,7 +131,6 @@ fn draw_letter(line: &mut Photo, letter: char, left: u32) -> u32 {
     last - first + 1 + LETTER_GAP_PX
 }
 
-/// A white picture.
 fn blank(width: u32, height: u32) -> Photo {
     Photo { width, height, rgb: vec![255; 3 * (width * height) as usize] }
 }
@@ -151,7 +144,6 @@ fn side_by_side(pictures: &[Photo]) -> Photo {
     placed_on_white(&ends.collect::<Vec<_>>())
 }
 
-/// Pictures from top to bottom, with white between them.
 pub(crate) fn stacked(pictures: &[Photo]) -> Photo {
     let ends = pictures.iter().scan(0, |end, picture| {
         *end += picture.height + GAP_PX;

@@ -26,7 +26,6 @@ pub(crate) struct Metrics {
     pub(crate) seed: u64,
     pub(crate) iterations: u32,
     pub(crate) gaussians: usize,
-    /// Photos that training never saw.
     pub(crate) test: Evaluation,
     /// Photos that it saw; none for a run that was stopped.
     pub(crate) train: Evaluation,
@@ -58,7 +57,6 @@ pub(crate) struct PhaseSeconds {
 }
 
 impl PhaseSeconds {
-    /// Those of training: gradient steps and evolution.
     pub(crate) fn training(self) -> f64 {
         self.gradient + self.evolution
     }

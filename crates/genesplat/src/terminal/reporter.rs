@@ -1,7 +1,7 @@
 //! What a run tells while it is under way: one bar and a few sentences, lines in the log, checkpoints on disk.
 //!
 //! An observer cannot fail, so the first thing that goes wrong here (a full disk, most likely) is kept and the run is
-//! told to stop: better to stop with what is in memory than to train for hours towards results that cannot be saved.
+//! told to stop.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -18,7 +18,6 @@ use crate::run::log::Log;
 use crate::run::session::RunSession;
 use crate::run::test_curve::TestCurve;
 
-/// Listens to one run.
 pub(crate) struct Reporter<'a> {
     folder: Option<(&'a RunSession, Log)>,
     /// Says nothing, and draws bars that vanish.
@@ -41,7 +40,6 @@ struct Search {
     has_bar: bool,
 }
 
-/// How good the cloud is, as far as is known.
 #[derive(Clone, Copy)]
 enum Quality {
     /// Of one photo, so it goes up and down.
@@ -90,7 +88,6 @@ impl<'a> Reporter<'a> {
         Self { curve, ..self }
     }
 
-    /// What went wrong, if anything did.
     pub(crate) fn into_result(self) -> Result<()> {
         self.trouble.map_or(Ok(()), Err)
     }
