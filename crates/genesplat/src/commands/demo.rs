@@ -69,7 +69,7 @@ fn show(args: &DemoArgs, scene: &Scene, halves: &[Half], results: &[Metrics]) ->
     let file = &scene::picture_names(&scene.test)[view];
     let read = |half: &Half| read_photo(&half.session.path().join(TEST).join(file));
     let renders = [read(&halves[0])?, read(&halves[1])?];
-    let sheet = changes(photo, ["without", "with evolution"], [&renders[0], &renders[1]]);
+    let sheet = changes(photo, [&renders[0], &renders[1]]);
     let [picture, page] = ["comparison.png", "report.html"].map(|name| args.out.join(name));
     write_png(&picture, &sheet)?;
     let sides = [0, 1].map(|index| Side {
@@ -81,7 +81,7 @@ fn show(args: &DemoArgs, scene: &Scene, halves: &[Half], results: &[Metrics]) ->
     files::write_text(&page, &pair::to_html(&scene.name, &sides, name, &sheet, &this_command())?)?;
     output::print(&format!(
         "open     {}  (both runs side by side, in a browser)\n\
-         picture  {}  (where evolution changed most)\n\
+         picture  {}  (where evolution changed most: photo, without, with)\n\
          splat    {}  (opens in any viewer of 3D Gaussian splats, as https://superspl.at/editor)",
         page.display(),
         picture.display(),

@@ -69,7 +69,7 @@ fn write_page(
         let photo = &*scene.test[view].photo;
         let read = |run: usize| read_render(folders[run].join(TEST).join(&names[view]), photo);
         let renders = [read(0)?, read(1)?];
-        rows.push(changes(photo, [baseline, arm], [&renders[0], &renders[1]]));
+        rows.push(changes(photo, [&renders[0], &renders[1]]));
         shown.get_or_insert(renders);
     }
     let Some([without, evolved]) = shown else { return Ok(None) };

@@ -1,7 +1,7 @@
 //! Everything as CSV, a line a cell.
 
 use super::plan::Cell;
-use super::results::{Metric, Results};
+use super::results::{METRICS, Results};
 use crate::args::Split;
 
 const CELLS: &str = "scene,variant,arm,seed,test_psnr,test_ssim,test_lpips,train_psnr,train_ssim,train_lpips,gaussians,iterations,\
@@ -21,7 +21,7 @@ pub(crate) fn cells(results: &Results<'_>) -> String {
         ];
         for split in Split::ALL {
             let scores = metrics.scores(split);
-            fields.extend(Metric::ALL.map(|metric| number(metric.of(scores))));
+            fields.extend(METRICS.map(|metric| number(metric.of(scores))));
         }
         fields.extend([metrics.gaussians.to_string(), metrics.iterations.to_string()]);
         fields.extend([metrics.seconds.gradient, metrics.seconds.evolution].map(Some).map(number));

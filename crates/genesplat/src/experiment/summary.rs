@@ -1,7 +1,7 @@
 //! The tables of an experiment, in the form of the paper's Tables 2 and 3.
 //!
 //! For each variant and split: a row a scene, the baseline's figures, then for each other arm its differences from the
-//! baseline, where positive is better ([`Metric::gain`]). Differences are taken seed by seed, then averaged. A further
+//! baseline, where positive is better. Differences are taken seed by seed, then averaged. A further
 //! table tests them. Within a scene the pairs are its seeds; over all scenes the pairs are the scenes' means, since the
 //! repeats of one scene are no independent witnesses.
 
@@ -85,15 +85,15 @@ fn quality(results: &Results<'_>, split: Split, variant: usize) -> Table {
     let arms = || 0..experiment.arms.len();
     let variant_name = experiment.file.variants[variant].name();
     let heading = |arm: usize, metric: &Metric| match (arm, &experiment.arms[arm].name) {
-        (0, name) => format!("{variant_name} {name} {}", metric.name()),
-        (_, name) => format!("{name} Δ{}", metric.letter()),
+        (0, name) => format!("{variant_name} {name} {}", metric.name),
+        (_, name) => format!("{name} Δ{}", &metric.name[..1]),
     };
     let entry = |scene: Option<usize>, arm: usize, metric: Metric| {
         let values = values_on(experiment, scene, |scene| match arm {
             0 => results.values(cell(variant, scene, 0), split, metric),
             _ => results.gains(cell(variant, scene, arm), 0, split, metric),
         });
-        figure(&values, metric.digits(), arm > 0)
+        figure(&values, metric.digits, arm > 0)
     };
     let row = |scene| {
         let of_arm = |arm| metrics.iter().map(move |&metric| (arm, metric));
@@ -140,11 +140,11 @@ fn tests(results: &Results<'_>, split: Split) -> Table {
             p if p < 0.001 => Entry::Text("< 0.001".into()),
             p => Entry::Text(format!("{p:.3}")),
         };
-        let mean = figure(&gains, metric.digits(), true);
+        let mean = figure(&gains, metric.digits, true);
         let entries = vec![count(|_| true), mean, count(|gain| *gain > 0.0), count(|gain| *gain < 0.0), p];
         let [arm, against] = [arm, against].map(|arm| &experiment.arms[arm].name);
         let (variant, scene) = (experiment.file.variants[variant].name(), row_name(experiment, scene));
-        (format!("{scene}, {variant}: {arm} against {against}, {}", metric.name()), entries)
+        (format!("{scene}, {variant}: {arm} against {against}, {}", metric.name), entries)
     };
     let mut rows = Vec::new();
     for metric in results.metrics() {
@@ -202,6 +202,7 @@ fn plain(results: &Results<'_>, variant: usize, caption: String, digits: usize, 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::experiment::results::METRICS;
 
     /// Two scenes, three seeds, off and paper and its control, with these PSNRs on test photos.
     fn experiment() -> Experiment {
@@ -286,7 +287,7 @@ mod tests {
         for cell in experiment.cells().into_iter().filter(there) {
             results.put(cell, all.get(cell).unwrap().clone());
         }
-        let gains = results.gains(cell(0, 0, 1), 0, Split::Test, Metric::Psnr);
+        let gains = results.gains(cell(0, 0, 1), 0, Split::Test, METRICS[0]);
         assert_eq!(gains.len(), 2);
         assert!((gains[0] - 0.1).abs() < 1e-9 && (gains[1] - 0.3).abs() < 1e-9, "{gains:?}");
         let caption = quality(&results, Split::Test, 0).caption;

@@ -21,16 +21,6 @@ enum Line {
         gaussians: f64,
         loss: Option<f64>,
     },
-    StageStart {
-        kind: String,
-        iteration: u32,
-        fitness: f64,
-    },
-    Generation {
-        iteration: u32,
-        generation: f64,
-        best: f64,
-    },
     TestScore {
         iteration: u32,
         psnr: Option<f64>,
@@ -50,20 +40,8 @@ pub(crate) struct Curves {
     pub(crate) gaussians: Vec<[f64; 2]>,
     /// Mean PSNR of the test photos, dB.
     pub(crate) test_psnr: Vec<[f64; 2]>,
-    pub(crate) stages: Vec<Stage>,
     /// What the user should know.
     pub(crate) notices: Vec<String>,
-}
-
-#[derive(Clone, Debug, Default, PartialEq)]
-pub(crate) struct Stage {
-    /// What it did, as the log calls it.
-    pub(crate) kind: String,
-    pub(crate) iteration: u32,
-    /// Loss of the base.
-    pub(crate) base: f64,
-    /// Lowest loss so far. Points are `[generation, loss]`.
-    pub(crate) best: Vec<[f64; 2]>,
 }
 
 impl Curves {
@@ -89,15 +67,6 @@ impl Curves {
             }
             Line::TestScore { iteration, psnr } => {
                 self.test_psnr.extend(psnr.map(|psnr| [iteration.into(), psnr]));
-            }
-            Line::StageStart { kind, iteration, fitness } => {
-                self.stages.retain(|stage| (&stage.kind, stage.iteration) != (&kind, iteration));
-                self.stages.push(Stage { kind, iteration, base: fitness, ..Stage::default() });
-            }
-            Line::Generation { iteration, generation, best } => {
-                // The younger of two stages of one iteration: the other has ended.
-                let stage = self.stages.iter_mut().rfind(|stage| stage.iteration == iteration);
-                stage.into_iter().for_each(|stage| stage.best.push([generation, best]));
             }
             // A resumed run says again what it said before.
             Line::Notice { text } if !self.notices.contains(&text) => self.notices.push(text),
@@ -143,15 +112,8 @@ mod tests {
 {"event":"step","iteration":10,"gaussians":5,"loss":0.5}
 {"event":"step","iteration":20,"gaussians":6,"loss":null}
 {"event":"step","iteration":30,"gaussians":7,"loss":0.9}
-{"event":"stage-start","kind":"averaging","iteration":30,"fitness":0.6}
-{"event":"generation","iteration":30,"generation":0,"best":0.6,"mean":null,"spread":null}
-{"event":"stage-start","kind":"paper","iteration":30,"fitness":0.4,"views":[]}
-{"event":"generation","iteration":30,"generation":0,"best":0.4,"mean":0.6,"spread":0.1}
 {"event":"start","iteration":30}
 {"event":"step","iteration":30,"gaussians":8,"loss":0.3}
-{"event":"stage-start","kind":"paper","iteration":30,"fitness":0.3}
-{"event":"generation","iteration":30,"generation":0,"best":0.3,"mean":null,"spread":null}
-{"event":"generation","iteration":30,"generation":1,"best":0.2,"mean":0.5,"spread":0.2}
 {"event":"notice","text":"full"}
 {"event":"notice","text":"full"}
 {"event":"of another version"}
@@ -159,9 +121,6 @@ mod tests {
         let curves = Curves::parse(log);
         assert_eq!(curves.loss, [[10.0, 0.5], [30.0, 0.3]]);
         assert_eq!(curves.gaussians, [[10.0, 5.0], [20.0, 6.0], [30.0, 8.0]]);
-        let other = Stage { kind: "averaging".into(), iteration: 30, base: 0.6, best: vec![[0.0, 0.6]] };
-        let stage =
-            Stage { kind: "paper".into(), iteration: 30, base: 0.3, best: vec![[0.0, 0.3], [1.0, 0.2]] };
-        assert_eq!((curves.stages, curves.notices), (vec![other, stage], vec!["full".to_owned()]));
+        assert_eq!(curves.notices, ["full"]);
     }
 }

@@ -32,7 +32,7 @@ pub(crate) struct RunPage<'a> {
 impl RunPage<'_> {
     pub(crate) fn to_html(&self) -> Result<String> {
         let Metrics { dataset, variant, evolve, seed, iterations, test, .. } = self.metrics;
-        let mut curves = Curves::read(&self.folder.join(LOG))?;
+        let curves = Curves::read(&self.folder.join(LOG))?;
         let iterations = thousands(*iterations as usize);
         let mut page = Html::new();
         page.element("h1", dataset).element(
@@ -47,9 +47,8 @@ impl RunPage<'_> {
         page.figures(&figures(self.metrics));
         curves.notices.iter().for_each(|notice| _ = page.element("p class=\"notice\"", notice));
         self.write_views(&mut page)?;
-        let stages = std::mem::take(&mut curves.stages);
         write_curves(&mut page, curves);
-        stages::write(&mut page, &self.metrics.evolution, &stages);
+        stages::write(&mut page, &self.metrics.evolution);
         write_scores(&mut page, self.metrics);
         write_repeat(&mut page, self.command);
         page.open("details").element("summary", "Configuration").element("pre", self.config).close("details");

@@ -5,15 +5,11 @@ use std::collections::BTreeMap;
 use genesplat::train::StageRecord;
 
 use super::chart::{Chart, Series};
-use super::curves::Stage;
 use super::html::Html;
 use crate::terminal::numbers::{duration, thousands};
 
-/// Searches whose curves are drawn.
-const SEARCHES_MAX: usize = 8;
-
-/// Writes the section; nothing for a run without stages. `logged` are the same stages as the log has them.
-pub(crate) fn write(page: &mut Html, records: &[StageRecord], logged: &[Stage]) {
+/// Writes the section; nothing for a run without stages.
+pub(crate) fn write(page: &mut Html, records: &[StageRecord]) {
     if records.is_empty() {
         return;
     }
@@ -35,23 +31,10 @@ pub(crate) fn write(page: &mut Html, records: &[StageRecord], logged: &[Stage]) 
             "Guards are training photos that decide what is kept: a proposal stays if their mean PSNR does not fall.",
         );
     }
-    write_charts(page, &records, logged);
-    write_table(page, &records);
-}
-
-fn write_charts(page: &mut Html, records: &[&StageRecord], logged: &[Stage]) {
-    // What guards decide has no curve of a search: losses of its generations are of other photos each.
-    let is_guarded = |stage: &Stage| {
-        let is_it = |record: &&&StageRecord| {
-            (record.iteration, record.kind.name()) == (stage.iteration, &*stage.kind)
-        };
-        records.iter().find(is_it).is_some_and(|record| record.guard_psnr.is_some())
-    };
     page.open("div class=\"row\"");
-    guard_chart(records).write(page);
-    let searches = logged.iter().filter(|stage| !is_guarded(stage));
-    searches.take(SEARCHES_MAX).for_each(|stage| search_chart(stage).write(page));
+    guard_chart(&records).write(page);
     page.close("div");
+    write_table(page, &records);
 }
 
 /// What guards gained by each stage, a curve a kind.
@@ -66,16 +49,6 @@ fn guard_chart(records: &[&StageRecord]) -> Chart {
         caption: "Guard PSNR gained by each stage, dB".into(),
         x_name: "iteration",
         series: series.collect(),
-    }
-}
-
-fn search_chart(stage: &Stage) -> Chart {
-    let last = stage.best.last().map_or(stage.base, |point| point[1]);
-    let iteration = thousands(stage.iteration as usize);
-    Chart {
-        caption: format!("Iteration {iteration}, {}: best loss, {:.5} to {last:.5}", stage.kind, stage.base),
-        x_name: "generation",
-        series: vec![Series { name: String::new(), points: stage.best.clone() }],
     }
 }
 
@@ -128,7 +101,7 @@ mod tests {
     #[test]
     fn stages_come_in_the_order_of_their_iterations() {
         let mut page = Html::new();
-        write(&mut page, &[record(4000, None), record(3500, Some([30.0, 30.5]))], &[]);
+        write(&mut page, &[record(4000, None), record(3500, Some([30.0, 30.5]))]);
         let text = page.into_text();
         let at = |words: &str| text.find(words).unwrap_or_else(|| panic!("{words} is not in {text}"));
         assert!(at("<th>3,500</th>") < at("<th>4,000</th>"));
@@ -136,20 +109,10 @@ mod tests {
     }
 
     #[test]
-    fn a_search_has_a_curve_of_its_own_and_what_guards_decide_one_together() {
-        let stage = |kind: &str, iteration| Stage {
-            kind: kind.into(),
-            iteration,
-            base: 0.2,
-            best: vec![[0.0, 0.2], [1.0, 0.1]],
-        };
-        let (search, judged) = (record(3000, None), record(3500, Some([30.0, 30.5])));
-        let later = record(4000, Some([30.5, 30.6]));
-        let logged = [stage(search.kind.name(), 3000), stage(judged.kind.name(), 3500)];
+    fn what_guards_gained_is_a_curve() {
         let mut page = Html::new();
-        write(&mut page, &[search, judged, later], &logged);
+        write(&mut page, &[record(3500, Some([30.0, 30.5])), record(4000, Some([30.5, 30.6]))]);
         let text = page.into_text();
-        assert!(text.contains("Iteration 3,000, ") && !text.contains("Iteration 3,500, "), "{text}");
-        assert!(text.contains("Guard PSNR gained") && text.matches("<svg").count() == 2, "{text}");
+        assert!(text.contains("Guard PSNR gained") && text.matches("<svg").count() == 1, "{text}");
     }
 }

@@ -95,10 +95,7 @@ impl Run<'_> {
         let Self { settings, scene, stop, .. } = *self;
         let config = &settings.train;
         let curve = TestCurve::new(&scene.test, config.schedule().iterations);
-        let mut reporter = Reporter::new(session, log, stop).with_curve(curve);
-        if session.caller() == Caller::Experiment {
-            reporter = reporter.quiet();
-        }
+        let mut reporter = Reporter::of_run(session, log, curve, stop);
         let Outcome { cloud, summary, checkpoint } =
             train(device.as_mut(), &scene.train, start, config, &mut reporter, stop)?;
         // A disk that has no space for the checkpoint, the larger of the two, may have space for the cloud.

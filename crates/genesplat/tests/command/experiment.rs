@@ -152,7 +152,7 @@ fn pages_are_whole_escaped_and_load_nothing() {
         assert!(html.contains("src=") && html.len() < 900_000, "{page} has {} bytes", html.len());
     }
     let html = fs::read_to_string(out.join(run)).unwrap();
-    for part in ["<svg", "PSNR of the test photos", "Iteration 30", "steps_scale", "genesplat train", "Worst"]
+    for part in ["<svg", "PSNR of the test photos", "Every stage", "steps_scale", "genesplat train", "Worst"]
     {
         assert!(html.contains(part), "{part}");
     }
