@@ -1,17 +1,18 @@
 //! Scores of views, and their means.
 
 use genesplat_core::{Backend, BackendError, Photo, RenderSettings, View};
-use serde::Serialize;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::lpips::{InputRange, Lpips};
 use crate::{SizeMismatch, psnr, ssim};
 
 /// Scores of one view.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ViewScore {
     /// File name of the photo.
     pub name: String,
-    /// Peak signal-to-noise ratio, dB. Infinite for identical pictures.
+    /// Peak signal-to-noise ratio, dB. Infinite for identical pictures, which JSON shows as `null`.
+    #[serde(serialize_with = "finite_or_null", deserialize_with = "null_as_nan")]
     pub psnr: f64,
     /// Structural similarity, at most 1.
     pub ssim: f64,
@@ -20,12 +21,13 @@ pub struct ViewScore {
 }
 
 /// Means over views, and each view.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Evaluation {
-    /// Mean of the views' PSNR, dB. Infinite when a view is reproduced exactly; JSON has no such number, nor NaN, and shows
-    /// `null`.
+    /// Mean of the views' PSNR, dB. `null` in JSON when a view is reproduced exactly, or when there is no view.
+    #[serde(serialize_with = "finite_or_null", deserialize_with = "null_as_nan")]
     pub psnr: f64,
-    /// Mean of the views' SSIM; NaN when there is no view, as that of PSNR.
+    /// Mean of the views' SSIM; `null` in JSON when there is no view.
+    #[serde(serialize_with = "finite_or_null", deserialize_with = "null_as_nan")]
     pub ssim: f64,
     /// Mean of the views' LPIPS; `None` when not measured.
     pub lpips: Option<f64>,
@@ -45,6 +47,15 @@ impl Evaluation {
             views,
         }
     }
+}
+
+/// JSON knows no infinity and no NaN.
+fn finite_or_null<S: Serializer>(value: &f64, serializer: S) -> Result<S::Ok, S::Error> {
+    value.is_finite().then_some(*value).serialize(serializer)
+}
+
+fn null_as_nan<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+    Ok(Option::deserialize(deserializer)?.unwrap_or(f64::NAN))
 }
 
 /// Scores of one picture against the truth, without LPIPS.
@@ -104,6 +115,8 @@ mod tests {
         let json = serde_json::to_value(&exact).unwrap();
         assert!(json["psnr"].is_null() && json["views"][0]["psnr"].is_null());
         assert_eq!(json["ssim"], 0.5);
+        let read: Evaluation = serde_json::from_value(json).unwrap();
+        assert!(read.psnr.is_nan() && read.views[0].psnr.is_nan() && read.ssim == 0.5);
         assert!(serde_json::to_value(Evaluation::from_views(Vec::new())).unwrap()["ssim"].is_null());
     }
 }

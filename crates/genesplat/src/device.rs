@@ -12,7 +12,6 @@ use serde::{Deserialize, Serialize};
 use crate::args::MachineArgs;
 use crate::terminal::output;
 
-/// What computes: whichever kind was chosen.
 pub(crate) type Device = Box<dyn EvolutionBackend>;
 
 /// A choice of device.
@@ -37,11 +36,8 @@ impl DeviceChoice {
         }
     }
 
-    /// The device that is meant, never `Auto`, once it is clear that there is one. What `Auto` comes to is said, once:
-    /// figures of the two kinds differ by rounding, and in time.
-    ///
-    /// Asked for once all else is known to be well: drivers may write to stderr when they are looked for, which is none
-    /// of what a user with a mistyped path should read.
+    /// The device that is meant, never `Auto`; what `Auto` comes to is said once. Asked for once all else is known to be
+    /// well: drivers may write to stderr when they are looked for.
     pub(crate) fn resolve(self) -> Result<Self> {
         match self {
             Self::Cpu => Ok(Self::Cpu),
@@ -52,13 +48,11 @@ impl DeviceChoice {
     }
 }
 
-/// All graphics devices of this machine, best first.
 pub(crate) fn graphics() -> &'static [AdapterReport] {
     output::without_drivers(adapters)
 }
 
-/// What `auto` comes to on this machine, having said so. A driver may refuse what it has promised, so the device is
-/// opened once to see.
+/// What `auto` comes to. A driver may refuse what it has promised, so the device is opened once to see.
 fn auto_choice() -> &'static Result<(), String> {
     static CHOICE: OnceLock<Result<(), String>> = OnceLock::new();
     CHOICE.get_or_init(|| {
@@ -72,8 +66,7 @@ fn auto_choice() -> &'static Result<(), String> {
     })
 }
 
-/// The graphics device that `auto` takes, or why it takes none. One in software is for tests: the CPU backend is many
-/// times faster.
+/// The graphics device that `auto` takes, or why it takes none: one in software is slower than the CPU backend.
 fn auto_adapter(adapters: &[AdapterReport]) -> Result<&AdapterReport, String> {
     let usable = || adapters.iter().filter(|adapter| adapter.unusable.is_none());
     match usable().find(|adapter| !adapter.is_software()) {
@@ -99,7 +92,6 @@ fn why_none(adapters: &[AdapterReport]) -> String {
     reasons.join("; ")
 }
 
-/// An empty device.
 pub(crate) fn open(choice: DeviceChoice) -> Result<Device> {
     match choice.resolve()? {
         DeviceChoice::Gpu => Ok(Box::new(output::without_drivers(GpuBackend::new)?)),

@@ -14,7 +14,6 @@ pub(crate) fn write_json(path: &Path, value: &impl Serialize) -> Result<()> {
     write_file(path, |out| writeln!(out, "{text}"))
 }
 
-/// Writes `text` to `path`, whole or not at all.
 pub(crate) fn write_text(path: &Path, text: &str) -> Result<()> {
     write_file(path, |out| out.write_all(text.as_bytes()))
 }

@@ -1,8 +1,7 @@
 //! Where the weights of LPIPS come from: a flag, an environment variable, or the user's cache folder.
 //!
-//! Weights are pooled: a file may hold the convolutions of a network, the heads of LPIPS, or both, and which network it
-//! belongs to is told by names and shapes. Without weights the measure is left out, and one sentence says how to get
-//! it.
+//! A file may hold the convolutions of a network, the heads of LPIPS, or both; which network it belongs to is told by
+//! names and shapes.
 
 use std::collections::BTreeMap;
 use std::env;
@@ -60,7 +59,6 @@ fn named(args: &LpipsArgs) -> Option<PathBuf> {
     args.lpips_weights.clone().or_else(|| path_in("GENESPLAT_LPIPS"))
 }
 
-/// What an environment variable names, if it is set to anything.
 fn path_in(variable: &str) -> Option<PathBuf> {
     env::var_os(variable).filter(|value| !value.is_empty()).map(PathBuf::from)
 }
@@ -110,8 +108,7 @@ fn weight_files(path: &Path) -> Result<Vec<PathBuf>> {
     Ok(files)
 }
 
-/// Where installed weights are: below the user's folder for what can be had again. `None` where there is no such
-/// folder.
+/// Where installed weights are: below the user's folder for what can be had again, if there is one.
 pub(crate) fn cache_folder() -> Option<PathBuf> {
     let user = if cfg!(windows) {
         path_in("LOCALAPPDATA")

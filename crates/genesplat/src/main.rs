@@ -1,17 +1,4 @@
-//! The `genesplat` command: a table of contents.
-//!
-//! | module | what it does |
-//! |---|---|
-//! | [`args`] | what can be asked for, and its help |
-//! | [`commands`] | one module a command |
-//! | [`settings`] | flags, configuration file and defaults become one resolved configuration |
-//! | [`run`] | the folder of a run, and training into it |
-//! | [`experiment`] | many runs, and the tables and pictures that compare them |
-//! | [`report`] | `report.html` |
-//! | [`terminal`] | what is said, progress bars, Ctrl-C and SIGTERM |
-//! | [`scene`], [`splat`], [`lpips`] | what is loaded: photos with cameras, a cloud, the weights of LPIPS |
-//! | [`device`] | where it is computed |
-//! | [`overwrite`], [`files`] | what is not written over, and how files are written |
+//! The `genesplat` command.
 //!
 //! Exit status: 0 done, 1 failed with one sentence on stderr, 2 wrong usage, 130 stopped by Ctrl-C or SIGTERM (train,
 //! refine, demo and experiment).

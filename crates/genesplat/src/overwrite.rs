@@ -1,8 +1,5 @@
 //! What no command writes over, however its `--out` or `--json` was mistyped: inputs, splats, parts of scenes and of
-//! runs.
-//!
-//! A picture may be rendered again, and a splat refined again; all else that is there has to be what is written nowhere
-//! else. The folders of runs, demos and experiments are checked by who claims them.
+//! runs. A picture may be rendered again, and a splat refined again.
 
 use std::ffi::OsStr;
 use std::fs;
@@ -14,7 +11,6 @@ use genesplat::io::Scene;
 use crate::files::check_writable;
 use crate::run::session::is_part_of_run;
 
-/// What a command writes to a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Content {
     Figures,
@@ -28,7 +24,6 @@ pub(crate) fn check_file(path: &Path, content: Content, inputs: &[Option<&Path>]
     check_existing(path, content, inputs)
 }
 
-/// Fails where the file `path` is there, and must not be written over.
 pub(crate) fn check_existing(path: &Path, content: Content, inputs: &[Option<&Path>]) -> Result<()> {
     let Ok(there) = path.canonicalize() else { return Ok(()) };
     let is_input =
@@ -55,8 +50,7 @@ fn protected(path: &Path, content: Content) -> Option<&'static str> {
     }
 }
 
-/// Whether a picture is where scenes have their photos: beside their description, or in a folder with one of the usual
-/// names.
+/// Beside the description of a scene, or in a folder with one of the usual names.
 fn is_photo_of_scene(picture: &Path) -> bool {
     let Some(folder) = picture.parent() else { return false };
     let name = folder.file_name().unwrap_or_default().to_string_lossy();

@@ -15,8 +15,7 @@ pub(crate) fn load(path: &Path, size: PhotoSize, background: [f32; 3], seed: u64
     load_with(path, background, LoadOptions { size, seed, ..LoadOptions::default() })
 }
 
-/// The same to look at a finished splat, for which no points are needed, with both sides of the size divided by the
-/// second number.
+/// The same to look at a finished splat, without points, with both sides of the size divided by the second number.
 pub(crate) fn load_to_look(
     path: &Path,
     (size, divisor): (PhotoSize, u32),
@@ -32,12 +31,10 @@ fn load_with(path: &Path, background: [f32; 3], options: LoadOptions) -> Result<
     Ok(scene)
 }
 
-/// The points that training starts from.
 pub(crate) fn points(scene: &Scene) -> Vec<ColouredPoint> {
     scene.points.iter().map(|point| (point.position, point.rgb)).collect()
 }
 
-/// File names for pictures of `views`.
 pub(crate) fn picture_names(views: &[View]) -> Vec<String> {
     names_of_pictures(&views.iter().map(|view| view.name.as_str()).collect::<Vec<_>>())
 }

@@ -1,8 +1,7 @@
 //! Flags, configuration file and defaults become one resolved configuration.
 //!
-//! A flag wins over the file, the file over the default. What comes out is written to the run folder as `config.toml`,
-//! which is itself such a file: the settings of training at the top level, and beside them `device`, `threads` and a
-//! table `dataset`.
+//! A flag wins over the file, the file over the default. The result is written to the run folder as `config.toml`, which
+//! is itself such a file.
 
 use std::fs;
 use std::ops::RangeInclusive;
@@ -23,7 +22,6 @@ use crate::run::{CONFIG, photos};
 /// Iterations between two checkpoints, where neither flag nor file says.
 const CHECKPOINT_EVERY: u32 = 1000;
 
-/// Everything that a run depends on.
 #[derive(Clone, Debug)]
 pub(crate) struct Settings {
     pub(crate) dataset: Dataset,
@@ -31,7 +29,6 @@ pub(crate) struct Settings {
     pub(crate) device: DeviceChoice,
     /// `None` for all cores.
     pub(crate) threads: Option<u16>,
-    /// The settings of training, checked.
     pub(crate) train: Resolved,
 }
 
@@ -48,13 +45,11 @@ pub(crate) struct Dataset {
 }
 
 impl Dataset {
-    /// The size that photos are loaded at.
     pub(crate) fn size(&self) -> PhotoSize {
         SizeArgs { max_side: self.max_side, downscale: self.downscale }.size().unwrap_or_default()
     }
 }
 
-/// What a configuration file says.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct ConfigFile {
     device: Option<DeviceChoice>,
@@ -118,13 +113,11 @@ impl ConfigFile {
         Ok(Self { device, threads, dataset, train: table.try_into()? })
     }
 
-    /// Processor threads of a run of this file; `None` for all cores.
     pub(crate) fn threads(&self) -> Option<u16> {
         self.threads
     }
 
-    /// Fails where [`Self::resolve`] would, but for the device: to look for one takes a while, and drivers may write to
-    /// stderr.
+    /// Fails where [`Self::resolve`] would, but for the device, which takes a while to find.
     pub(crate) fn check(&self) -> Result<()> {
         if self.dataset.path.to_str().is_none() {
             bail!(
@@ -149,10 +142,8 @@ impl ConfigFile {
         })
     }
 
-    /// What makes the result of a run of this file differ from that of a run with `settings`; `None` where nothing
-    /// does.
-    ///
-    /// Scenes are the same where the last `parts` of their paths are: folders are moved, and named from here or there.
+    /// What makes the result of a run of this file differ from that of a run with `settings`, if anything. Scenes are the
+    /// same where the last `parts` of their paths are, since folders are moved.
     pub(crate) fn difference(&self, settings: &Settings, parts: usize) -> Option<String> {
         let [there, here] = [&self.dataset.path, &settings.dataset.path].map(|path| end_of(path, parts));
         if there != here {
@@ -182,7 +173,6 @@ impl ConfigFile {
     }
 }
 
-/// The last `parts` of a path.
 fn end_of(path: &Path, parts: usize) -> PathBuf {
     let components: Vec<_> = path.components().collect();
     components[components.len().saturating_sub(parts)..].iter().collect()
@@ -238,8 +228,7 @@ fn take<'a, T: Deserialize<'a>>(table: &mut Table, key: &str) -> Result<Option<T
     table.remove(key).map(Value::try_into).transpose()
 }
 
-/// What the result of a run depends on, besides its scene and the kind of its device: neither how often it reports and
-/// saves, nor how many threads it has.
+/// What the result of a run depends on, besides its scene and the kind of its device.
 fn result_settings(dataset: &Dataset, train: &TrainConfig) -> Table {
     fn to_table(settings: &impl Serialize) -> Table {
         Table::try_from(settings).expect("settings are tables of numbers and text")

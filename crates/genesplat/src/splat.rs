@@ -37,8 +37,7 @@ impl Splat {
         scene::load_to_look(data, self.size(asked), self.settings.background)
     }
 
-    /// Of a run's splat, a fraction is one of the size that it was trained at: that is what multi-scale evaluation
-    /// means.
+    /// Of a run's splat, a fraction is one of the size that it was trained at, for multi-scale evaluation.
     fn size(&self, asked: SizeArgs) -> (PhotoSize, u32) {
         match (self.trained_size, asked) {
             (Some(trained), SizeArgs { downscale: Some(divisor), .. }) => (trained, divisor),
@@ -47,7 +46,6 @@ impl Splat {
     }
 }
 
-/// Reads a PLY, or the splat of a run.
 pub(crate) fn open(path: &Path) -> Result<Splat> {
     ensure!(path.exists(), "{} does not exist; give a splat's PLY or the folder of a run", path.display());
     if path.is_dir() { open_run(path) } else { open_ply(path) }

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
 
-use super::{MachineArgs, SizeArgs, THREADS};
+use super::{JsonArgs, MachineArgs, SizeArgs, THREADS};
 
 /// What can be measured.
 #[derive(Debug, Subcommand)]
@@ -51,9 +51,8 @@ pub(crate) struct BenchStepArgs {
     /// Steps to time; medians are reported
     #[arg(long, value_name = "N", default_value_t = 30, value_parser = clap::value_parser!(u32).range(1..))]
     pub(crate) steps: u32,
-    /// Also write the figures to this file [default: none]
-    #[arg(long, value_name = "FILE")]
-    pub(crate) json: Option<PathBuf>,
+    #[command(flatten)]
+    pub(crate) json: JsonArgs,
     #[command(flatten)]
     pub(crate) machine: MachineArgs,
 }
@@ -69,9 +68,8 @@ pub(crate) struct BenchEvolutionArgs {
     /// Views to score them on
     #[arg(long, value_name = "V", default_value_t = 6, value_parser = clap::value_parser!(u32).range(1..))]
     pub(crate) views: u32,
-    /// Also write the figures to this file [default: none]
-    #[arg(long, value_name = "FILE")]
-    pub(crate) json: Option<PathBuf>,
+    #[command(flatten)]
+    pub(crate) json: JsonArgs,
     #[command(flatten)]
     pub(crate) machine: MachineArgs,
 }
@@ -109,9 +107,8 @@ pub(crate) struct BenchGpuArgs {
     /// Processor threads to make the cloud with [default: all cores]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(THREADS))]
     pub(crate) threads: Option<u16>,
-    /// Also write the figures to this file [default: none]
-    #[arg(long, value_name = "FILE")]
-    pub(crate) json: Option<PathBuf>,
+    #[command(flatten)]
+    pub(crate) json: JsonArgs,
 }
 
 /// What a side of a photo may be, px.

@@ -4,12 +4,14 @@
 use std::ops::{RangeInclusive, RangeTo};
 use std::path::PathBuf;
 
+use anyhow::Result;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use genesplat::io::PhotoSize;
 use genesplat::train::{Background, EvolutionMode};
 use serde::Serialize;
 
 use crate::device::DeviceChoice;
+use crate::files::write_json;
 use crate::terminal::output::Volume;
 use choice::{EVOLUTION, FIXED_BACKGROUNDS, choice};
 
@@ -123,6 +125,21 @@ pub(crate) struct LpipsArgs {
     pub(crate) no_lpips: bool,
 }
 
+/// Figures for other programs.
+#[derive(Clone, Debug, Default, Args)]
+pub(crate) struct JsonArgs {
+    /// Also write the figures to this file [default: none]
+    #[arg(long = "json", value_name = "FILE")]
+    pub(crate) path: Option<PathBuf>,
+}
+
+impl JsonArgs {
+    /// Writes `figures` where that was asked for.
+    pub(crate) fn write(&self, figures: &impl Serialize) -> Result<()> {
+        self.path.as_ref().map_or(Ok(()), |path| write_json(path, figures))
+    }
+}
+
 /// `genesplat demo`.
 #[derive(Debug, Args)]
 pub(crate) struct DemoArgs {
@@ -154,9 +171,8 @@ pub(crate) struct EvaluateArgs {
     /// Which photos: those that training never saw (every 8th), or those that it saw
     #[arg(long, value_enum, value_name = "SPLIT", default_value_t = Split::Test)]
     pub(crate) split: Split,
-    /// Also write the figures, photo by photo, to this file [default: none]
-    #[arg(long, value_name = "FILE")]
-    pub(crate) json: Option<PathBuf>,
+    #[command(flatten)]
+    pub(crate) json: JsonArgs,
     #[command(flatten)]
     pub(crate) size: SizeArgs,
     #[command(flatten)]
@@ -235,9 +251,8 @@ pub(crate) struct CompareArgs {
     /// Another one of the same size
     #[arg(value_name = "B.png")]
     pub(crate) second: PathBuf,
-    /// Also write the figures to this file [default: none]
-    #[arg(long, value_name = "FILE")]
-    pub(crate) json: Option<PathBuf>,
+    #[command(flatten)]
+    pub(crate) json: JsonArgs,
     #[command(flatten)]
     pub(crate) lpips: LpipsArgs,
 }

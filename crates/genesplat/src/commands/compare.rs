@@ -11,8 +11,8 @@ use genesplat::metrics::{Lpips, ViewScore, compare};
 use serde::Serialize;
 
 use crate::args::CompareArgs;
+use crate::lpips;
 use crate::terminal::output;
-use crate::{files, lpips};
 
 /// LPIPS with both conventions of what the network is fed.
 #[derive(Clone, Copy, Serialize)]
@@ -23,7 +23,6 @@ struct Conventions {
     minus_one_to_one: f64,
 }
 
-/// What `--json` writes.
 #[derive(Serialize)]
 struct Report {
     /// Its `lpips` is VGG16's with inputs from 0 to 1.
@@ -33,7 +32,6 @@ struct Report {
     lpips_by_network: BTreeMap<&'static str, Option<Conventions>>,
 }
 
-/// Measures, and prints.
 pub(crate) fn run(args: &CompareArgs) -> Result<()> {
     let metrics = lpips::open_all(&args.lpips)?;
     let (first, second) = (read(&args.first)?, read(&args.second)?);
@@ -57,7 +55,7 @@ pub(crate) fn run(args: &CompareArgs) -> Result<()> {
     }
     score.lpips = lpips_by_network[Net::Vgg16.name()].map(|distances| distances.zero_to_one);
     let report = Report { score, lpips_by_network };
-    args.json.as_ref().map_or(Ok(()), |path| files::write_json(path, &report))
+    args.json.write(&report)
 }
 
 /// A picture, with a notice of what of it is not compared.

@@ -1,8 +1,7 @@
 //! `genesplat demo`: the bundled scene, trained without and with evolution.
 //!
 //! Both runs have the same scene, seed and schedule: the published one in a tenth of its steps, so that it densifies,
-//! resets opacities and evolves as often as a full run does. What it leaves is a page with both renders of one photo under
-//! a slider, and a picture of the places where evolution changed most.
+//! resets opacities and evolves as often as a full run does.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -10,7 +9,6 @@ use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
 use anyhow::{Result, ensure};
-use genesplat::core::Photo;
 use genesplat::gallery::{self, GalleryOptions};
 use genesplat::io::photos::{read_photo, write_png};
 use genesplat::io::{PhotoSize, Scene};
@@ -19,10 +17,9 @@ use genesplat::train::{EvolutionMode, TrainConfig};
 
 use super::Ending;
 use crate::args::DemoArgs;
-use crate::report::crops::where_better;
-use crate::report::pair::{PairPage, Side};
+use crate::report::pair::{self, Side};
 use crate::report::run::this_command;
-use crate::report::sheet::{self, FRAMES, Mark};
+use crate::report::sheet::changes;
 use crate::run::metrics::Metrics;
 use crate::run::session::{Caller, RunSession};
 use crate::run::training::{Ended, Run};
@@ -43,7 +40,6 @@ const MAX_GAUSSIANS: usize = 35_000;
 const GENERATIONS: u32 = 20;
 const POPULATION: u32 = 20;
 
-/// Builds, trains twice, compares.
 pub(crate) fn run(args: &DemoArgs) -> Result<Ending> {
     let halves = [("without", EvolutionMode::Off), ("with", args.evolve)];
     let mut halves: Vec<Half> =
@@ -73,34 +69,24 @@ fn show(args: &DemoArgs, scene: &Scene, halves: &[Half], results: &[Metrics]) ->
     let file = &scene::picture_names(&scene.test)[view];
     let read = |half: &Half| read_photo(&half.session.path().join(TEST).join(file));
     let renders = [read(&halves[0])?, read(&halves[1])?];
-    let sheet = comparison(photo, &renders);
+    let sheet = changes(photo, [&renders[0], &renders[1]]);
     let [picture, page] = ["comparison.png", "report.html"].map(|name| args.out.join(name));
     write_png(&picture, &sheet)?;
-    let side = |index: usize| Side {
+    let sides = [0, 1].map(|index| Side {
         name: halves[index].name,
         metrics: &results[index],
         folder: halves[index].session.path(),
         render: &renders[index],
-    };
-    let sides = [side(0), side(1)];
-    let shown = PairPage { title: &scene.name, sides, photo: name, sheet: &sheet, command: &this_command() };
-    files::write_text(&page, &shown.to_html()?)?;
+    });
+    files::write_text(&page, &pair::to_html(&scene.name, &sides, name, &sheet, &this_command())?)?;
     output::print(&format!(
         "open     {}  (both runs side by side, in a browser)\n\
-         picture  {}  (where evolution changed most)\n\
+         picture  {}  (where evolution changed most: photo, without, with)\n\
          splat    {}  (opens in any viewer of 3D Gaussian splats, as https://superspl.at/editor)",
         page.display(),
         picture.display(),
         halves[1].session.path().join(CLOUD).display(),
     ))
-}
-
-/// The photo, and the places where `renders`, without and with evolution, differ most.
-fn comparison(photo: &Photo, [without, with]: &[Photo; 2]) -> Photo {
-    let squares = where_better(photo, without, with, FRAMES.len());
-    let marks: Vec<Mark> =
-        squares.into_iter().zip(FRAMES).map(|(square, colour)| Mark { square, colour }).collect();
-    sheet::comparison(&[("photo", photo), ("without", without), ("with evolution", with)], &marks)
 }
 
 fn stopped() -> Result<Ending> {
@@ -126,8 +112,7 @@ fn check_gallery(folder: &Path) -> Result<()> {
     Ok(())
 }
 
-/// `gallery_007.png`, or a hidden file: what a demo that was killed midway leaves has such names, and no photo of ours
-/// has.
+/// `gallery_007.png`, or a hidden file, as a demo that was killed midway leaves.
 fn is_gallery_photo(name: &str) -> bool {
     let number = name.strip_prefix("gallery_").and_then(|rest| rest.strip_suffix(".png"));
     let counts = |digits: &str| digits.len() >= 3 && digits.bytes().all(|digit| digit.is_ascii_digit());
@@ -142,7 +127,6 @@ fn build_scene(folder: &Path, seed: u64) -> Result<Scene> {
     scene::load(folder, PhotoSize::default(), [0.0; 3], seed)
 }
 
-/// One of the two runs.
 struct Half {
     name: &'static str,
     settings: Settings,
@@ -163,7 +147,6 @@ impl Half {
         Ok(Self { name, settings, session })
     }
 
-    /// `None` for a run that was stopped.
     fn train(&mut self, scene: &Scene, lpips: Option<&Lpips>, stop: &AtomicBool) -> Result<Option<Metrics>> {
         let run = Run { settings: &self.settings, scene, lpips, stop, began: Instant::now() };
         Ok(match run.execute(&mut self.session)? {
@@ -173,60 +156,42 @@ impl Half {
     }
 }
 
-/// What both runs have reached, and what evolution changed.
+/// What both runs have reached, and what evolution changed; a row is left out where it was not measured.
 fn table(without: &Metrics, with: &Metrics) -> String {
-    let heading = ["", "without", "with evolution", "difference"].map(str::to_owned);
-    let rows = figures(without).into_iter().zip(figures(with)).filter_map(|(without, with)| {
-        let (before, after) = (without.value?, with.value?);
-        let change = after - before;
-        let (name, change) =
-            (without.name.to_owned(), without.text(change.abs(), if change < 0.0 { "-" } else { "+" }));
-        Some([name, without.text(before, ""), with.text(after, ""), change])
-    });
-    let line = |[name, before, after, change]: [String; 4]| {
+    let line = |name: &str, [before, after, change]: [&str; 3]| {
         format!("{name:<18} {before:>12} {after:>16} {change:>12}\n")
     };
-    std::iter::once(heading).chain(rows).map(line).collect()
-}
-
-/// A row of the table.
-struct Figure {
-    name: &'static str,
-    /// Digits after the point.
-    digits: usize,
-    /// `None` where it was not measured.
-    value: Option<f64>,
-}
-
-impl Figure {
-    fn text(&self, value: f64, sign: &str) -> String {
-        match self.digits {
-            0 => format!("{sign}{}", thousands(value as usize)),
-            digits => format!("{sign}{value:.digits$}"),
-        }
+    let mut text = line("", ["without", "with evolution", "difference"]);
+    for ((name, digits, before), (_, _, after)) in figures(without).into_iter().zip(figures(with)) {
+        let (Some(before), Some(after)) = (before, after) else { continue };
+        let shown = |value: f64| match digits {
+            0 => thousands(value as usize),
+            digits => format!("{value:.digits$}"),
+        };
+        let change = format!("{}{}", if after < before { "-" } else { "+" }, shown((after - before).abs()));
+        text += &line(name, [&shown(before), &shown(after), &change]);
     }
+    text
 }
 
-fn figures(metrics: &Metrics) -> [Figure; 8] {
+/// Names, digits after the point, and values.
+fn figures(metrics: &Metrics) -> [(&'static str, usize, Option<f64>); 8] {
     let Metrics { test, train, seconds, gaussians, .. } = metrics;
-    let figure = |name, digits, value| Figure { name, digits, value };
     [
-        figure("test PSNR, dB", 2, Some(test.psnr)),
-        figure("test SSIM", 4, Some(test.ssim)),
-        figure("test LPIPS", 4, test.lpips),
-        figure("train PSNR, dB", 2, Some(train.psnr)),
-        figure("train SSIM", 4, Some(train.ssim)),
-        figure("train LPIPS", 4, train.lpips),
-        figure("Gaussians", 0, Some(*gaussians as f64)),
-        figure("training time, s", 1, Some(seconds.training())),
+        ("test PSNR, dB", 2, Some(test.psnr)),
+        ("test SSIM", 4, Some(test.ssim)),
+        ("test LPIPS", 4, test.lpips),
+        ("train PSNR, dB", 2, Some(train.psnr)),
+        ("train SSIM", 4, Some(train.ssim)),
+        ("train LPIPS", 4, train.lpips),
+        ("Gaussians", 0, Some(*gaussians as f64)),
+        ("training time, s", 1, Some(seconds.training())),
     ]
 }
 
-/// Index of the test view whose PSNR differs most between the runs.
 fn most_changed(without: &Metrics, with: &Metrics) -> usize {
-    let pairs = without.test.views.iter().zip(&with.test.views);
-    let changes = pairs.map(|(a, b)| (a.psnr - b.psnr).abs());
-    changes.enumerate().max_by(|a, b| a.1.total_cmp(&b.1)).map_or(0, |(index, _)| index)
+    let changes = with.test_psnr_gains(without).into_iter().map(f64::abs).enumerate();
+    changes.max_by(|a, b| a.1.total_cmp(&b.1)).map_or(0, |(index, _)| index)
 }
 
 #[cfg(test)]
@@ -285,13 +250,5 @@ mod tests {
         assert_eq!(cells("test PSNR, dB"), ["30.25", "31.02", "+0.77"]);
         assert_eq!(cells("Gaussians"), ["35,000", "28,400", "-6,600"]);
         assert!(!text.contains("LPIPS") && text.lines().all(|line| line.len() <= 80), "{text}");
-    }
-
-    #[test]
-    fn the_picture_has_a_row_of_crops_for_each_place_that_differs() {
-        let grey = |value| Photo { width: 60, height: 60, rgb: vec![value; 3 * 60 * 60] };
-        let whole = comparison(&grey(9), &[grey(50), grey(9)]);
-        let same = comparison(&grey(9), &[grey(9), grey(9)]);
-        assert!(whole.width > whole.height && whole.height > 2 * same.height, "{} px", whole.height);
     }
 }

@@ -8,7 +8,6 @@ use genesplat::kernels::cpu::CpuBackend;
 use crate::device;
 use crate::terminal::output;
 
-/// Prints one line a device, and what a graphics device can do below it.
 pub(crate) fn run() -> Result<()> {
     output::print(&format!("cpu  {}", CpuBackend::new().describe()))?;
     let adapters = device::graphics();

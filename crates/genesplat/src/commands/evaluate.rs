@@ -8,9 +8,8 @@ use crate::args::{EvaluateArgs, Split};
 use crate::run::photos;
 use crate::run::training::evaluate_all;
 use crate::terminal::output;
-use crate::{device, files, lpips, splat};
+use crate::{device, lpips, splat};
 
-/// What `--json` writes.
 #[derive(Serialize)]
 struct Report {
     dataset: String,
@@ -22,7 +21,6 @@ struct Report {
     scores: Evaluation,
 }
 
-/// Renders every photo's viewpoint and measures.
 pub(crate) fn run(args: &EvaluateArgs) -> Result<()> {
     device::use_threads(args.machine.threads)?;
     let lpips = lpips::open(&args.lpips)?;
@@ -46,5 +44,5 @@ pub(crate) fn run(args: &EvaluateArgs) -> Result<()> {
     let size @ [width, height] = [views[0].camera.width, views[0].camera.height];
     output::print(&format!("{}, at {width}x{height} pixels", output::scores_line(name, &scores)))?;
     let report = Report { dataset: scene.name, split: args.split, size, gaussians, scores };
-    args.json.as_ref().map_or(Ok(()), |path| files::write_json(path, &report))
+    args.json.write(&report)
 }

@@ -8,8 +8,6 @@ use anyhow::{Result, bail};
 
 use super::Ending;
 use crate::args::{ExperimentArgs, MachineArgs};
-use crate::experiment::file::ExperimentFile;
-use crate::experiment::page::Parts;
 use crate::experiment::plan::Experiment;
 use crate::experiment::results::Results;
 use crate::experiment::runner::{Ran, Runner};
@@ -23,13 +21,11 @@ use crate::{device, files, lpips};
 /// Name of the file that describes the experiment, flags included.
 const DESCRIPTION: &str = "experiment.toml";
 
-/// How it begins.
 const MARK: &str = "# An experiment of genesplat";
 
 const TABLES: &str = "tables.md";
 
-/// Names of the files with what was measured.
-const FIGURES: [&str; 6] = [TABLES, "tables.tex", "tables.csv", "costs.md", "cells.csv", "report.html"];
+const FIGURES: [&str; 4] = [TABLES, "costs.md", "cells.csv", "report.html"];
 
 /// Runs what is unfinished, then writes tables and pages of all that is finished, also where a run has failed.
 pub(crate) fn run(args: &ExperimentArgs) -> Result<Ending> {
@@ -71,12 +67,11 @@ pub(crate) fn run(args: &ExperimentArgs) -> Result<Ending> {
     Ok(Ending::Stopped)
 }
 
-/// Fails where files that are not ours would be written over. What earlier versions have written has no mark, but is to
-/// the byte what we would write of it.
+/// Fails where files that are not ours would be written over.
 fn check_ours(out: &Path) -> Result<()> {
     let path = out.join(DESCRIPTION);
     let foreign = match fs::read_to_string(&path) {
-        Ok(text) => (!text.starts_with(MARK) && !is_unmarked(&text)).then_some(path),
+        Ok(text) => (!text.starts_with(MARK)).then_some(path),
         Err(error) if error.kind() == ErrorKind::NotFound => {
             FIGURES.iter().map(|name| out.join(name)).find(|file| file.exists())
         }
@@ -88,10 +83,6 @@ fn check_ours(out: &Path) -> Result<()> {
             file.display()
         )
     })
-}
-
-fn is_unmarked(text: &str) -> bool {
-    toml::from_str::<ExperimentFile>(text).is_ok_and(|file| page::to_toml(&file) == text)
 }
 
 /// LPIPS is measured now, and was not when some of the runs were made.
@@ -110,22 +101,9 @@ fn write(runner: &Runner<'_>, results: &Results<'_>) -> Result<()> {
     let pages = qualitative::write_pages(runner, results);
     let shown: String = tables.repeatable().map(|table| table.to_markdown() + "\n").collect();
     let seconds: String = tables.costs.iter().map(|table| table.to_markdown() + "\n").collect();
-    let latex: String = tables.repeatable().map(|table| table.to_latex() + "\n").collect();
-    let parts = Parts {
-        tables: &tables,
-        charts: &page::charts(results, runner.out),
-        pages: &pages,
-        command: &this_command(),
-    };
+    let page = page::to_html(results, runner.out, &tables, &pages, &this_command());
+    let texts = [shown.clone(), seconds.clone(), record::cells(results), page];
     let description = page::to_toml(&results.experiment.file);
-    let texts = [
-        shown.clone(),
-        format!("% Needs \\usepackage{{booktabs}} and \\usepackage{{xcolor}}.\n{latex}"),
-        record::table(results),
-        seconds.clone(),
-        record::cells(results),
-        page::to_html(results, &parts)?,
-    ];
     // First, since it tells whose the others are.
     let described =
         (DESCRIPTION, format!("{MARK} {}; it can be run again.\n{description}", env!("CARGO_PKG_VERSION")));
@@ -149,11 +127,8 @@ mod tests {
         fs::write(&file, mine).unwrap();
         let refusal = check_ours(out).unwrap_err().to_string();
         assert!(refusal.contains(DESCRIPTION) && refusal.contains("--out"), "{refusal}");
-        let unmarked = page::to_toml(&toml::from_str(mine).unwrap());
-        for ours in [format!("{MARK} 7\n{mine}"), unmarked] {
-            fs::write(&file, ours).unwrap();
-            assert!(check_ours(out).is_ok());
-        }
+        fs::write(&file, format!("{MARK} 7\n{mine}")).unwrap();
+        assert!(check_ours(out).is_ok());
         fs::remove_file(&file).unwrap();
         for name in FIGURES {
             fs::write(out.join(name), "x").unwrap();

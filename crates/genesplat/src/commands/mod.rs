@@ -11,15 +11,14 @@ mod refine;
 mod render;
 mod train;
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use anyhow::Result;
 
-use crate::args::{Arguments, Bench, Command, LpipsCommand};
+use crate::args::{Arguments, Bench, Command, JsonArgs, LpipsCommand};
 use crate::files::check_folder;
 use crate::overwrite::{Content, check_file};
 
-/// How a command ended that did not fail.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Ending {
     Whole,
@@ -27,7 +26,6 @@ pub(crate) enum Ending {
     Stopped,
 }
 
-/// Does what was asked for.
 pub(crate) fn run(arguments: Arguments) -> Result<Ending> {
     check_outputs(&arguments.command)?;
     match arguments.command {
@@ -47,11 +45,11 @@ pub(crate) fn run(arguments: Arguments) -> Result<Ending> {
     .map(|()| Ending::Whole)
 }
 
-/// Every `--out` and `--json` passes here before anything is read, but for the folders of runs, which are claimed by
-/// who trains into them.
+/// Every `--out` and `--json` passes here before anything is read; the folders of runs are claimed by who trains into
+/// them.
 fn check_outputs(command: &Command) -> Result<()> {
-    let figures = |json: &Option<PathBuf>, inputs: &[Option<&Path>]| {
-        json.as_deref().map_or(Ok(()), |path| check_file(path, Content::Figures, inputs))
+    let figures = |json: &JsonArgs, inputs: &[Option<&Path>]| {
+        json.path.as_deref().map_or(Ok(()), |path| check_file(path, Content::Figures, inputs))
     };
     match command {
         Command::Evaluate(args) => {

@@ -19,7 +19,6 @@ use crate::terminal::reporter::Reporter;
 use crate::terminal::{interrupt, output};
 use crate::{device, splat};
 
-/// Gradient steps, where neither flag nor file says.
 const ITERATIONS: u32 = 2000;
 
 /// Refines, and writes what came of it; Ctrl-C ends it early.

@@ -46,7 +46,6 @@ pub(crate) fn run(args: &RenderArgs) -> Result<()> {
     output::print(&format!("{} pictures written to {}", jobs.len(), args.out.display()))
 }
 
-/// As the name's ending says.
 fn write(path: &Path, picture: &Photo) -> Result<()> {
     let end = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
     if ["jpg", "jpeg"].contains(&end.as_str()) {

@@ -16,8 +16,8 @@ use crate::terminal::numbers::{duration, thousands};
 use crate::terminal::{interrupt, output};
 use crate::{device, lpips, overwrite, scene};
 
-/// Trains. The folder is claimed before anything slow begins, but an earlier run's results stay in it until scene and
-/// weights are loaded and the device is open: neither a mistyped path nor a change of mind must cost them.
+/// An earlier run's results stay in the folder until scene and weights are loaded and the device is open: neither a
+/// mistyped path nor a change of mind must cost them.
 pub(crate) fn run(args: &TrainArgs) -> Result<Ending> {
     let began = Instant::now();
     overwrite::check_apart(&args.dataset, &args.out)?;

@@ -17,7 +17,6 @@ const CONTROL: &str = "control";
 /// Settings that belong to the matrix or to the machine.
 const NOT_FOR_CONFIG: [&str; 5] = ["seed", "variant", "dataset", "device", "threads"];
 
-/// What is compared.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Arm {
     /// A word for tables and folders.
@@ -91,7 +90,6 @@ fn check_config(config: &Table, arm: &str) -> Result<()> {
     bail!("arm `{arm}`: `{key}` cannot be set in a config table, since the experiment sets it for each cell")
 }
 
-/// Arms become folders and columns.
 fn check_word(name: &str) -> Result<()> {
     let allowed = |c: char| c.is_ascii_alphanumeric() || "-_.=".contains(c);
     ensure!(
@@ -137,8 +135,8 @@ fn mode_table(mode: &str, more: Option<(&str, &str)>) -> Table {
     Table::from_iter([("evolution".to_owned(), Value::Table(evolution))])
 }
 
-/// Settings that turn an arm into a control, but for its budget. Where searches come at a trigger, so do the steps that stand for them;
-/// those of `renew` come after the last step of the run, where they do most good.
+/// What turns an arm into a control, but for its budget. Where searches come at a trigger, so do the steps that stand for
+/// them; those of `renew` come after the last step of the run, where they do most good.
 fn control_table(controlled: &EvolutionConfig) -> Table {
     let comes_last = controlled.mode == EvolutionMode::Renew;
     mode_table("off", comes_last.then_some(("trigger", "at-end")))

@@ -6,7 +6,6 @@ use super::plan::{Cell, Experiment};
 use crate::run::metrics::Metrics;
 use crate::terminal::output;
 
-/// The rows so far.
 pub(crate) struct Board<'a> {
     experiment: &'a Experiment,
     cells: usize,

@@ -19,7 +19,6 @@ pub(crate) enum State {
 }
 
 impl Runner<'_> {
-    /// How far the run of a cell with these settings has come.
     pub(crate) fn state(&self, cell: Cell, settings: &Settings) -> State {
         let path = self.folder(cell);
         let is_this_run =
@@ -33,9 +32,8 @@ impl Runner<'_> {
         }
     }
 
-    /// What has cost another experiment its time, finished cells and checkpoints, is not overwritten, and neither is
-    /// what another version of this program has made. A control is no cell of another experiment just because the arm
-    /// that it controls was run again.
+    /// Finished cells and checkpoints of another experiment, or of another version of this program, are not overwritten. A
+    /// control is no cell of another experiment just because the arm that it controls was run again.
     pub(crate) fn check_folders(&self) -> Result<()> {
         let results = Results::none(self.experiment);
         for cell in self.experiment.cells() {
@@ -83,8 +81,7 @@ impl Runner<'_> {
         Ok(())
     }
 
-    /// What is missing in the last scene is said now, not after a night. Photos are not decoded for that; and finished
-    /// cells need no scene.
+    /// What is missing in the last scene is said now, not after a night; photos are not decoded for that.
     pub(crate) fn check_scenes(&self) -> Result<()> {
         let unfinished = |cell: &Cell| self.whole_metrics(*cell).is_none();
         let mut scenes: Vec<usize> =
@@ -97,8 +94,7 @@ impl Runner<'_> {
         Ok(())
     }
 
-    /// A cell is compared with those of its scene that are finished: they have to have had the photos that the scene
-    /// has now.
+    /// A cell is compared with those of its scene that are finished, so they have to have had the same photos.
     pub(crate) fn check_partners(&self, cell: Cell, scene: &Scene) -> Result<()> {
         let partners = self.experiment.cells().into_iter().filter(|other| other.scene == cell.scene);
         partners
@@ -113,8 +109,7 @@ impl Runner<'_> {
     }
 
     /// What makes a run of `config` another one than that of a cell with these settings. A scene is known by its name,
-    /// the bundled one by its options, too: where the folders are now, and where the command is started, does not
-    /// matter.
+    /// the bundled one by its options, too.
     fn difference(&self, cell: Cell, config: &ConfigFile, settings: &Settings) -> Option<String> {
         let is_bundled = self.experiment.file.scenes[cell.scene] == BUNDLED;
         config.difference(settings, if is_bundled { 2 } else { 1 })
@@ -159,7 +154,7 @@ mod tests {
             let settings = runner.settings(cell, &Results::none(runner.experiment)).unwrap();
             let folder = runner.folder(cell);
             begin(&folder, &settings.to_toml());
-            let scores = serde_json::json!({"psnr": 30.0, "ssim": 0.9});
+            let scores = serde_json::json!({"psnr": 30.0, "ssim": 0.9, "views": []});
             let seconds = serde_json::json!({"gradient": 1.0, "evolution": 0.0});
             let metrics = serde_json::json!({"iterations": 30_000, "gaussians": 20, "test": scores, "train": scores,
                 "seconds": seconds, "evolution": []});
@@ -234,7 +229,7 @@ mod tests {
         let names = |cell: Cell, photo: &str| {
             let path = runner.folder(cell).join(METRICS);
             let mut metrics: serde_json::Value = serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
-            metrics["test"]["views"] = serde_json::json!([{"name": photo, "psnr": 30.0}]);
+            metrics["test"]["views"] = serde_json::json!([{"name": photo, "psnr": 30.0, "ssim": 0.9}]);
             fs::write(&path, metrics.to_string()).unwrap();
         };
         let [gallery, other, fox] = [0, 1, 2].map(|cell| here.cells()[cell]);

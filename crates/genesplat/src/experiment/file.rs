@@ -1,7 +1,4 @@
-//! What an experiment's TOML file says.
-//!
-//! The file is small on purpose: whatever a run's `config.toml` can say, `[config]` can say for all cells and
-//! `[arms.config]` for one arm. `crates/genesplat/presets` holds examples.
+//! What an experiment's TOML file says; `crates/genesplat/presets` holds examples.
 
 use genesplat::gallery::GalleryOptions;
 use genesplat::train::Variant;
@@ -10,7 +7,6 @@ use toml::{Table, Value};
 
 use crate::args::ExperimentArgs;
 
-/// An experiment, as a file describes it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct ExperimentFile {
@@ -34,8 +30,7 @@ pub(crate) struct ExperimentFile {
     /// Name of the arm that differences are taken from. Default: the first.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) baseline: Option<String>,
-    /// Modes of evolution, each an arm of that name; `control` stands for one equal-time control for each of the
-    /// others, and for each of `arms` that evolves.
+    /// Modes of evolution, each an arm of that name; `control` stands for an equal-time control of each arm that evolves.
     #[serde(default)]
     pub(crate) evolve: Vec<String>,
     /// Gradient steps of a control at each stage of its arm, in place of seconds, so that tables are the same wherever they are made.
@@ -47,7 +42,6 @@ pub(crate) struct ExperimentFile {
     /// Settings of all cells, as in a run's `config.toml`.
     #[serde(default)]
     pub(crate) config: Table,
-    /// Further arms.
     #[serde(default)]
     pub(crate) arms: Vec<ArmTable>,
 }
@@ -84,7 +78,6 @@ impl GalleryTable {
     }
 }
 
-/// One arm of a file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct ArmTable {
@@ -93,7 +86,6 @@ pub(crate) struct ArmTable {
     /// The arm whose evolution seconds this one spends on gradient steps; it has that arm's settings otherwise.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) control_of: Option<String>,
-    /// What is different about it.
     #[serde(default)]
     pub(crate) config: Table,
 }

@@ -6,18 +6,8 @@
 //! touches.
 //!
 //! ```text
-//! TOML -> Experiment -> [Cell] -> run folders -> Results -> [Table] -> Markdown, LaTeX, CSV, HTML
+//! TOML -> Experiment -> [Cell] -> run folders -> Results -> [Table] -> Markdown, CSV, HTML
 //! ```
-//!
-//! | module | what it does |
-//! |---|---|
-//! | [`preset`], [`file`], [`arms`], [`plan`] | from a TOML file to the list of cells and their settings |
-//! | [`runner`], [`cells`], [`board`] | runs what is unfinished; what is there already; the rows so far |
-//! | [`results`] | what the cells have measured, and their paired differences |
-//! | [`statistics`] | means, spreads, and two exact tests |
-//! | [`summary`], [`table`], [`record`] | the paper's tables, how they are written, and everything as CSV |
-//! | [`qualitative`] | pictures in which the program itself marks what got better and worse |
-//! | [`page`] | `report.html` |
 
 pub(crate) mod arms;
 pub(crate) mod board;

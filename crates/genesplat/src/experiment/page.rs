@@ -2,16 +2,13 @@
 
 use std::path::Path;
 
-use anyhow::Result;
-use genesplat::io::photos::read_photo;
-
 use super::file::ExperimentFile;
 use super::plan::{Cell, Experiment};
 use super::qualitative::Page;
 use super::results::Results;
 use super::summary::Tables;
-use crate::report::chart::{Chart, Series};
-use crate::report::curves::{Curves, thinned};
+use crate::report::chart::Chart;
+use crate::report::curves::{Curves, over_time};
 use crate::report::html::{Html, document};
 use crate::report::picture;
 use crate::report::run::{number, write_repeat};
@@ -20,26 +17,10 @@ use crate::terminal::numbers::{duration, thousands};
 
 /// Pictures in the page itself; further ones are linked.
 const PICTURES_MAX: usize = 24;
-/// Longer side of a picture, px.
-const PICTURE_PX: u32 = 1400;
-/// Longer side of the pictures under a slider, px.
 const SLIDER_PX: u32 = 800;
 
-/// Points of a curve: half of a run's own page, since there are many charts here.
-const CURVE_POINTS: usize = 150;
-
-/// What a page is made of, beside the results.
-pub(crate) struct Parts<'a> {
-    pub(crate) tables: &'a Tables,
-    pub(crate) charts: &'a [Chart],
-    pub(crate) pages: &'a [Page],
-    /// What repeats the experiment.
-    pub(crate) command: &'a str,
-}
-
-/// Test PSNR and number of Gaussians over time, an arm a curve, for every scene and variant: the first seed that each
-/// arm has finished, in the folder `out`.
-pub(crate) fn charts(results: &Results<'_>, out: &Path) -> Vec<Chart> {
+/// Over time, an arm a curve, for every scene and variant: the first seed that each arm has finished.
+fn charts(results: &Results<'_>, out: &Path) -> Vec<Chart> {
     let Experiment { file, arms } = results.experiment;
     let of_arm = |scene: usize, variant: usize, arm: usize| {
         let cell = Cell { scene, variant, arm, seed: results.first_seed(scene, variant, &[arm])? };
@@ -47,55 +28,44 @@ pub(crate) fn charts(results: &Results<'_>, out: &Path) -> Vec<Chart> {
         let log = out.join(results.experiment.folder(cell)).join(LOG);
         Some((arms[arm].name.clone(), Curves::read(&log).ok()?))
     };
-    let mut charts = Vec::new();
-    for (scene, variant) in
-        (0..file.scenes.len()).flat_map(|scene| (0..file.variants.len()).map(move |v| (scene, v)))
-    {
+    let of_variant = |scene: usize, variant: usize| {
         let curves: Vec<_> = (0..arms.len()).filter_map(|arm| of_arm(scene, variant, arm)).collect();
-        let name = format!("{}, {}", results.experiment.scene_name(scene), file.variants[variant]);
-        let chart = |what: &str, points: fn(&Curves) -> &[[f64; 2]]| Chart {
-            caption: format!("{name}: {what}"),
-            x_name: "iteration".into(),
-            series: curves
-                .iter()
-                .map(|(arm, curves)| Series {
-                    name: arm.clone(),
-                    points: thinned(points(curves), CURVE_POINTS),
-                    ..Series::default()
-                })
-                .collect(),
-        };
-        charts.push(chart("PSNR of the test photos, dB", |curves| &curves.test_psnr));
-        charts.push(chart("Gaussians", |curves| &curves.gaussians));
-    }
-    charts
+        let name = format!("{}, {}: ", results.experiment.scene_name(scene), file.variants[variant]);
+        over_time(&name, &curves)
+    };
+    let variants = 0..file.variants.len();
+    let of_scene = |scene| variants.clone().flat_map(move |variant| of_variant(scene, variant));
+    (0..file.scenes.len()).flat_map(of_scene).collect()
 }
 
-/// The page.
-pub(crate) fn to_html(results: &Results<'_>, parts: &Parts<'_>) -> Result<String> {
-    let &Parts { tables, charts, pages, command } = parts;
+/// The page of the experiment in the folder `out`; `command` repeats it.
+pub(crate) fn to_html(
+    results: &Results<'_>,
+    out: &Path,
+    tables: &Tables,
+    pages: &[Page],
+    command: &str,
+) -> String {
     let (experiment, file) = (results.experiment, &results.experiment.file);
     let cells = experiment.cells();
     let mut page = Html::new();
     page.element("h1", &file.title).element("p", &file.description);
     page.element("p class=\"dim\"", &format!("{} of {} runs are finished.", results.finished(), cells.len()));
-    let Tables { quality, tests, sizes, costs } = tables;
-    quality.iter().chain(sizes).chain(costs).for_each(|table| table.write_html(&mut page));
-    write_pictures(&mut page, pages)?;
+    tables.figures.iter().chain(&tables.costs).for_each(|table| table.write_html(&mut page));
+    write_pictures(&mut page, pages);
     page.element("h2", "Over time").element("p class=\"dim\"", "The first seed of each arm.");
     page.open("div class=\"row\"");
-    charts.iter().for_each(|chart| chart.write(&mut page));
+    charts(results, out).iter().for_each(|chart| chart.write(&mut page));
     page.close("div");
     // A row for every comparison and metric: to be looked up, not to be scrolled past.
-    page.element("h2", "Tests")
-        .open("details")
-        .element("summary", "Every comparison, and whether it may be chance");
-    tests.iter().for_each(|table| table.write_html(&mut page));
+    page.element("h2", "Tests").open("details");
+    page.element("summary", "Every comparison, and whether it may be chance");
+    tables.tests.iter().for_each(|table| table.write_html(&mut page));
     page.close("details");
     write_runs(&mut page, results);
     write_repeat(&mut page, command);
     page.open("details").element("summary", "Experiment").element("pre", &to_toml(file)).close("details");
-    Ok(document(&file.title, page))
+    document(&file.title, page)
 }
 
 /// The figures of each run, with a link to its own page.
@@ -104,42 +74,37 @@ fn write_runs(page: &mut Html, results: &Results<'_>) {
     page.element("h2", "Runs").open("details").element("summary", "Every run");
     page.open("figure class=\"table\"").open("table");
     page.headings(&["run", "test PSNR, dB", "train PSNR, dB", "Gaussians", "time"]);
-    for (cell, metrics) in experiment.cells().into_iter().filter_map(|cell| Some((cell, results.get(cell)?)))
-    {
+    for cell in experiment.cells() {
+        let Some(metrics) = results.get(cell) else { continue };
         let folder = experiment.folder(cell).display().to_string();
         page.open("tr").open("th").attribute_of("a", "href", &encoded(&format!("{folder}/report.html")));
         page.text(folder.trim_start_matches("cells/")).close("a").close("th");
-        let time = duration(metrics.seconds.training());
-        let (test, train) = (number(Some(metrics.test.psnr), 2, ""), number(Some(metrics.train.psnr), 2, ""));
-        [test, train, thousands(metrics.gaussians), time]
-            .iter()
-            .for_each(|cell| _ = page.element("td", cell));
+        let psnr = [&metrics.test, &metrics.train].map(|scores| number(Some(scores.psnr), 2, ""));
+        let more = [thousands(metrics.gaussians), duration(metrics.seconds.training())];
+        psnr.iter().chain(&more).for_each(|cell| _ = page.element("td", cell));
         page.close("tr");
     }
     page.close("table").close("figure").close("details");
 }
 
-/// For each pair of arms, both renders of the photo that gained most under one slider, and the places of the largest
-/// changes.
-fn write_pictures(page: &mut Html, pages: &[Page]) -> Result<()> {
+/// For each pair of arms, both renders of the photo that gained most under one slider.
+fn write_pictures(page: &mut Html, pages: &[Page]) {
     if pages.is_empty() {
-        return Ok(());
+        return;
     }
     page.element("h2", "What changed");
     page.element("p", "Under each slider is the test photo that gained most. Drag the border, or move it with the arrow keys.");
-    for (index, Page { path, caption, renders: [without, with] }) in pages.iter().enumerate() {
+    for (index, Page { path, caption, renders }) in pages.iter().enumerate() {
         let name = path.file_name().unwrap_or_default().to_string_lossy();
         page.open("figure class=\"sheet\"");
         if index < PICTURES_MAX {
-            let pictures = [read_photo(&without.1)?, read_photo(&with.1)?];
-            picture::write_slider(page, [(&without.0, &pictures[0]), (&with.0, &pictures[1])], SLIDER_PX);
-            picture::write_sheet(page, &read_photo(path)?, PICTURE_PX, caption);
+            let pictures = renders.each_ref().map(|(name, render)| (name.as_str(), render));
+            picture::write_slider(page, pictures, SLIDER_PX);
         }
-        page.open("figcaption").text(caption).text(" ");
-        page.attribute_of("a", "href", &encoded(&format!("qualitative/{name}"))).text("Full size").close("a");
-        page.close("figcaption").close("figure");
+        page.open("figcaption").text("Where it changed most, in ");
+        page.attribute_of("a", "href", &encoded(&format!("qualitative/{name}"))).text(&name).close("a");
+        page.text(&format!(": {caption}")).close("figcaption").close("figure");
     }
-    Ok(())
 }
 
 /// A relative path as a link: whatever is not plain is percent-encoded.
@@ -165,13 +130,8 @@ mod tests {
                     evolve = [\"off\", \"paper\"]";
         let experiment = Experiment::new(toml::from_str(text).unwrap()).unwrap();
         let results = Results::none(&experiment);
-        let parts = Parts {
-            tables: &Tables::of(&results),
-            charts: &charts(&results, Path::new("nowhere")),
-            pages: &[],
-            command: "genesplat experiment '<img src=x>'",
-        };
-        let page = to_html(&results, &parts).unwrap();
+        let command = "genesplat experiment '<img src=x>'";
+        let page = to_html(&results, Path::new("nowhere"), &Tables::of(&results), &[], command);
         assert!(!page.contains("<script") && page.contains("&lt;script&gt;"), "{page}");
         assert!(!page.contains("<img") && !page.contains("http:") && !page.contains("https:"), "{page}");
         assert_eq!(encoded("cells/<a b>/é"), "cells/%3Ca%20b%3E/%C3%A9");

@@ -1,5 +1,4 @@
-//! From a file to a checked list of cells. Nothing here runs, or touches a disk but to see whether the scenes are
-//! there.
+//! From a file to a checked list of cells. Nothing runs here.
 
 use std::path::{Path, PathBuf};
 
@@ -23,7 +22,6 @@ pub(crate) struct Cell {
     pub(crate) seed: usize,
 }
 
-/// A checked experiment.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Experiment {
     /// As it was described, flags included.
@@ -70,8 +68,7 @@ impl Experiment {
         Ok(())
     }
 
-    /// All cells in the order in which they are run: scene by scene, so that each is loaded once, pairs together, and a
-    /// control after the cell whose seconds it spends.
+    /// Scene by scene, so that each is loaded once, pairs together, and a control after the cell whose seconds it spends.
     pub(crate) fn cells(&self) -> Vec<Cell> {
         let (file, mut order) = (&self.file, Vec::from_iter(0..self.arms.len()));
         order.sort_by_key(|&arm| self.arms[arm].control_of.is_some());
@@ -83,7 +80,6 @@ impl Experiment {
         places.flat_map(of_arms).collect()
     }
 
-    /// Name of a scene, for tables and folders.
     pub(crate) fn scene_name(&self, scene: usize) -> &str {
         scene_label(&self.file.scenes[scene])
     }
@@ -100,8 +96,7 @@ impl Experiment {
         data.unwrap_or(Path::new("")).join(name)
     }
 
-    /// Fails where a scene has no folder, or is the folder `out` itself; what is in the folder is for the runner to
-    /// look at.
+    /// Fails where a scene has no folder, or is the folder `out` itself.
     pub(crate) fn check_scenes(&self, data: Option<&Path>, out: &Path) -> Result<()> {
         let scenes = &self.file.scenes;
         let foreign = scenes.iter().filter(|name| *name != BUNDLED);
@@ -120,7 +115,6 @@ impl Experiment {
         (0..scenes.len()).try_for_each(|scene| check_apart(&self.scene_path(scene, data, out), out))
     }
 
-    /// Where a cell's run folder is, below the experiment's.
     pub(crate) fn folder(&self, cell: Cell) -> PathBuf {
         let (scene, variant) = (self.scene_name(cell.scene), self.file.variants[cell.variant].name());
         let seed = format!("seed-{}", self.file.seeds[cell.seed]);
@@ -171,7 +165,6 @@ fn check_labels(scenes: &[String]) -> Result<()> {
     )
 }
 
-/// The last part of a path.
 fn scene_label(scene: &str) -> &str {
     Path::new(scene).file_name().and_then(|name| name.to_str()).unwrap_or(scene)
 }

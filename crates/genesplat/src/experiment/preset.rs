@@ -1,7 +1,4 @@
-//! The experiments that come with the program, and those from files.
-//!
-//! Presets are files like any other, compiled in; `crates/genesplat/presets` holds them, and they are meant to be
-//! copied.
+//! The experiments that come with the program, which are files like any other, compiled in; and those from files.
 
 use std::fs;
 use std::path::Path;
@@ -10,7 +7,6 @@ use anyhow::{Result, anyhow, bail};
 
 use super::file::ExperimentFile;
 
-/// Name and text of each.
 pub(crate) const PRESETS: [(&str, &str); 11] = [
     ("smoke", include_str!("../../presets/smoke.toml")),
     ("paper-table-2-3", include_str!("../../presets/paper-table-2-3.toml")),
@@ -25,7 +21,6 @@ pub(crate) const PRESETS: [(&str, &str); 11] = [
     ("ablation-renew", include_str!("../../presets/ablation-renew.toml")),
 ];
 
-/// The experiment called `what`: a preset, or a file.
 pub(crate) fn open(what: &str) -> Result<ExperimentFile> {
     let preset = PRESETS.iter().find(|(name, _)| *name == what);
     let text = match preset {

@@ -1,20 +1,12 @@
-//! Everything as CSV: a line a cell, and a line a comparison.
+//! Everything as CSV, a line a cell.
 
 use super::plan::Cell;
-use super::results::{Metric, Results};
-use super::statistics::{Summary, sign_test, signs, wilcoxon_test};
-use super::summary::comparisons;
+use super::results::{METRICS, Results};
 use crate::args::Split;
 
-/// Header of `cells.csv`.
 const CELLS: &str = "scene,variant,arm,seed,test_psnr,test_ssim,test_lpips,train_psnr,train_ssim,train_lpips,gaussians,iterations,\
                      gradient_seconds,evolution_seconds,folder";
 
-/// Header of `tables.csv`.
-const COMPARISONS: &str =
-    "split,metric,variant,scene,arm,against,pairs,mean_gain,spread,better,worse,sign_test_p,wilcoxon_p";
-
-/// Every finished cell.
 pub(crate) fn cells(results: &Results<'_>) -> String {
     let experiment = results.experiment;
     let mut text = format!("{CELLS}\n");
@@ -29,7 +21,7 @@ pub(crate) fn cells(results: &Results<'_>) -> String {
         ];
         for split in Split::ALL {
             let scores = metrics.scores(split);
-            fields.extend(Metric::ALL.map(|metric| number(metric.of(scores))));
+            fields.extend(METRICS.map(|metric| number(metric.of(scores))));
         }
         fields.extend([metrics.gaussians.to_string(), metrics.iterations.to_string()]);
         fields.extend([metrics.seconds.gradient, metrics.seconds.evolution].map(Some).map(number));
@@ -37,37 +29,6 @@ pub(crate) fn cells(results: &Results<'_>) -> String {
         text += &csv_line(&fields);
     }
     text
-}
-
-/// Every comparison.
-pub(crate) fn table(results: &Results<'_>) -> String {
-    let experiment = results.experiment;
-    let mut text = format!("{COMPARISONS}\n");
-    for comparison in comparisons(results) {
-        let summary = Summary::of(&comparison.gains);
-        let [better, worse, _] = signs(&comparison.gains);
-        text += &csv_line(&[
-            comparison.split.name().to_owned(),
-            comparison.metric.name().to_owned(),
-            experiment.file.variants[comparison.variant].to_string(),
-            comparison.scene.map_or("", |scene| experiment.scene_name(scene)).to_owned(),
-            experiment.arms[comparison.arm].name.clone(),
-            experiment.arms[comparison.against].name.clone(),
-            comparison.gains.len().to_string(),
-            number(summary.map(|summary| summary.mean)),
-            number(summary.and_then(|summary| summary.spread)),
-            better.to_string(),
-            worse.to_string(),
-            chance(sign_test, &comparison.gains),
-            chance(wilcoxon_test, &comparison.gains),
-        ]);
-    }
-    text
-}
-
-/// Exact, and small where there are many pairs; nothing where there are none.
-fn chance(test: fn(&[f64]) -> f64, gains: &[f64]) -> String {
-    if gains.is_empty() { String::new() } else { format!("{:.6e}", test(gains)) }
 }
 
 /// Six digits are more than any of these figures deserve; nothing where there is none.
@@ -92,6 +53,5 @@ mod tests {
     fn fields_with_commas_and_quotes_are_quoted() {
         assert_eq!(csv_line(&["a", "b,c", "say \"x\""]), "a,\"b,c\",\"say \"\"x\"\"\"\n");
         assert_eq!((number(None), number(Some(-0.5))), (String::new(), "-0.500000".into()));
-        assert_eq!([chance(sign_test, &[]), chance(sign_test, &[0.1, 0.2])], ["", "5.000000e-1"]);
     }
 }

@@ -7,55 +7,32 @@ use crate::args::Split;
 use crate::run::metrics::Metrics;
 
 /// What is measured.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Metric {
-    Psnr,
-    Ssim,
-    Lpips,
+#[derive(Clone, Copy)]
+pub(crate) struct Metric {
+    pub(crate) name: &'static str,
+    /// After the point, as in the paper.
+    pub(crate) digits: usize,
+    /// 1 where more is better, else -1.
+    sign: f64,
+    value: fn(&Evaluation) -> Option<f64>,
 }
 
+/// In the order of the paper's tables.
+pub(crate) const METRICS: [Metric; 3] = [
+    Metric { name: "PSNR", digits: 2, sign: 1.0, value: |scores| Some(scores.psnr) },
+    Metric { name: "SSIM", digits: 4, sign: 1.0, value: |scores| Some(scores.ssim) },
+    Metric { name: "LPIPS", digits: 3, sign: -1.0, value: |scores| scores.lpips },
+];
+
 impl Metric {
-    /// In the order of the paper's tables.
-    pub(crate) const ALL: [Self; 3] = [Self::Psnr, Self::Ssim, Self::Lpips];
-
-    pub(crate) fn name(self) -> &'static str {
-        match self {
-            Self::Psnr => "PSNR",
-            Self::Ssim => "SSIM",
-            Self::Lpips => "LPIPS",
-        }
-    }
-
-    /// Its first letter, after a delta.
-    pub(crate) fn letter(self) -> &'static str {
-        &self.name()[..1]
-    }
-
-    /// Digits after the point, as in the paper.
-    pub(crate) fn digits(self) -> usize {
-        match self {
-            Self::Psnr => 2,
-            Self::Ssim => 4,
-            Self::Lpips => 3,
-        }
-    }
-
     /// The sign convention of the paper's Table 2: positive is better, for the distance LPIPS, too.
-    pub(crate) fn gain(self, baseline: f64, value: f64) -> f64 {
-        match self {
-            Self::Psnr | Self::Ssim => value - baseline,
-            Self::Lpips => baseline - value,
-        }
+    fn gain(self, baseline: f64, value: f64) -> f64 {
+        self.sign * (value - baseline)
     }
 
     /// `None` where it was not measured, or is infinite.
     pub(crate) fn of(self, scores: &Evaluation) -> Option<f64> {
-        let value = match self {
-            Self::Psnr => Some(scores.psnr),
-            Self::Ssim => Some(scores.ssim),
-            Self::Lpips => scores.lpips,
-        };
-        value.filter(|value| value.is_finite())
+        (self.value)(scores).filter(|value| value.is_finite())
     }
 }
 
@@ -76,7 +53,6 @@ impl<'a> Results<'a> {
         self.cells[at] = Some(metrics);
     }
 
-    /// What a cell has measured, if it is finished.
     pub(crate) fn get(&self, cell: Cell) -> Option<&Metrics> {
         self.cells[self.index(cell)].as_ref()
     }
@@ -108,7 +84,6 @@ impl<'a> Results<'a> {
         seeds.filter_map(|seed| self.get(Cell { seed, ..cell }).and_then(&value)).collect()
     }
 
-    /// A metric of every finished repeat of an arm.
     pub(crate) fn values(&self, cell: Cell, split: Split, metric: Metric) -> Vec<f64> {
         self.repeats(cell, |metrics| metric.of(metrics.scores(split)))
     }
@@ -132,7 +107,7 @@ impl<'a> Results<'a> {
                 .flatten()
                 .any(|cell| Split::ALL.iter().any(|&split| metric.of(cell.scores(split)).is_some()))
         };
-        Metric::ALL.into_iter().filter(has).collect()
+        METRICS.into_iter().filter(has).collect()
     }
 }
 

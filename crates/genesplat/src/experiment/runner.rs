@@ -1,8 +1,7 @@
 //! Runs the cells that are unfinished.
 //!
-//! A cell is finished when its folder holds the settings that it would be run with, and the metrics of a whole run;
-//! then it is not touched. One that was interrupted goes on from its checkpoint, and anything else starts anew. What
-//! remains is therefore decided by the disk alone, however the last attempt ended ([`super::cells`]).
+//! A cell is finished when its folder holds the settings that it would be run with, and the metrics of a whole run. One
+//! that was interrupted goes on from its checkpoint, and anything else starts anew ([`super::cells`]).
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -27,11 +26,9 @@ use crate::run::training::{Ended, Run};
 use crate::scene;
 use crate::settings::Settings;
 
-/// How to run an experiment.
 pub(crate) struct Runner<'a> {
     pub(crate) experiment: &'a Experiment,
     pub(crate) out: &'a Path,
-    /// Where scenes are.
     pub(crate) data: Option<&'a Path>,
     pub(crate) machine: MachineArgs,
     pub(crate) lpips: Option<&'a Lpips>,
@@ -39,14 +36,12 @@ pub(crate) struct Runner<'a> {
     pub(crate) stop: &'a AtomicBool,
 }
 
-/// What running an experiment came to.
 pub(crate) struct Ran<'a> {
     /// All that is finished, whether now or before.
     pub(crate) results: Results<'a>,
     pub(crate) failures: Vec<Failure>,
 }
 
-/// A cell that failed.
 pub(crate) struct Failure {
     pub(crate) error: anyhow::Error,
     cell: Cell,
@@ -89,8 +84,7 @@ impl Reach {
 }
 
 impl<'a> Runner<'a> {
-    /// Runs everything, or until it is stopped. A cell that fails keeps others from being begun only where they would
-    /// fail, too.
+    /// Runs everything, or until it is stopped. A cell that fails keeps others from being begun only where they would fail.
     pub(crate) fn run(&self) -> Result<Ran<'a>> {
         self.check_folders()?;
         self.check_photos()?;

@@ -1,13 +1,11 @@
-//! Means, spreads, and two tests of paired differences.
+//! Means, spreads, and a test of paired differences.
 //!
-//! Repeats are few (three seeds, eight scenes), so both tests are exact: they count sign patterns instead of leaning on
-//! a normal distribution. Both are two-sided; differences of zero are left out, as Wilcoxon (1945) does. Note the least
-//! value that `n` differences can reach, 2^(1 - n): with three seeds, 0.25, however large the effect.
+//! Repeats are few, so the test is exact: it counts sign patterns. The least p that `n` differences can reach is
+//! 2^(1 - n): with three seeds 0.25, however large the effect.
 
 /// Mean and sample standard deviation; the latter needs two values. `None` for no values.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Summary {
-    pub(crate) n: usize,
     pub(crate) mean: f64,
     /// Their standard deviation, with `n - 1` below the fraction.
     pub(crate) spread: Option<f64>,
@@ -19,31 +17,12 @@ impl Summary {
         let mean = values.iter().sum::<f64>() / n as f64;
         let squares = values.iter().map(|value| (value - mean).powi(2)).sum::<f64>();
         let spread = (n > 1).then(|| (squares / (n - 1) as f64).sqrt());
-        (n > 0).then_some(Self { n, mean, spread })
+        (n > 0).then_some(Self { mean, spread })
     }
 }
 
-/// How many differences are above zero, below, and at zero.
-pub(crate) fn signs(differences: &[f64]) -> [usize; 3] {
-    let count = |holds: fn(&f64) -> bool| differences.iter().filter(|difference| holds(difference)).count();
-    [count(|d| *d > 0.0), count(|d| *d < 0.0), count(|d| *d == 0.0)]
-}
-
-/// The sign test: the probability that a fair coin is as lopsided as these signs.
-pub(crate) fn sign_test(differences: &[f64]) -> f64 {
-    let [wins, losses, _] = signs(differences);
-    let n = wins + losses;
-    let mut term = 0.5f64.powi(n as i32);
-    let mut tail = 0.0;
-    for k in 0..=wins.min(losses) {
-        tail += term;
-        term *= (n - k) as f64 / (k + 1) as f64;
-    }
-    (2.0 * tail).min(1.0)
-}
-
-/// Wilcoxon's signed-rank test: as the sign test, with differences weighted by the rank of their size. Equal sizes
-/// share the mean of their ranks, and the distribution is that of the shared ranks.
+/// Wilcoxon's signed-rank test, two-sided; differences of zero are left out, as in Wilcoxon (1945). Equal sizes share
+/// the mean of their ranks, and the distribution is that of the shared ranks.
 pub(crate) fn wilcoxon_test(differences: &[f64]) -> f64 {
     let ranked = doubled_ranks(differences);
     let total: usize = ranked.iter().map(|(rank, _)| rank).sum();
@@ -89,21 +68,9 @@ mod tests {
     #[test]
     fn means_and_spreads_by_hand() {
         // Deviations -2, 0, 2: variance 8 / 2.
-        assert_eq!(Summary::of(&[1.0, 3.0, 5.0]), Some(Summary { n: 3, mean: 3.0, spread: Some(2.0) }));
-        assert_eq!(Summary::of(&[4.0]), Some(Summary { n: 1, mean: 4.0, spread: None }));
+        assert_eq!(Summary::of(&[1.0, 3.0, 5.0]), Some(Summary { mean: 3.0, spread: Some(2.0) }));
+        assert_eq!(Summary::of(&[4.0]), Some(Summary { mean: 4.0, spread: None }));
         assert_eq!(Summary::of(&[]), None);
-    }
-
-    #[test]
-    fn the_sign_test_by_hand() {
-        assert_eq!(signs(&[1.0, -2.0, 0.0, 3.0]), [2, 1, 1]);
-        // All of three: 2 of 8 patterns.
-        close(sign_test(&[1.0, 2.0, 3.0]), 0.25);
-        // Seven of eight: 2 (1 + 8) of 256.
-        close(sign_test(&[1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, -1.0]), 18.0 / 256.0);
-        // One of two, and nothing at all, say nothing.
-        close(sign_test(&[1.0, -1.0]), 1.0);
-        close(sign_test(&[0.0]), 1.0);
     }
 
     #[test]

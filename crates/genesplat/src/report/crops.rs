@@ -1,19 +1,14 @@
 //! Where two renders of a photo differ most: windows that the program chooses, not the author.
 //!
-//! For each pixel, the absolute errors of both renders are summed over the channels, and their difference over every
-//! square window of a fixed size. The windows of the largest sums are taken, none overlapping an earlier one. The rule
-//! has no parameter to tune but the size of the window, a sixth of the longer side.
+//! For every square window, a sixth of the longer side wide, the absolute errors of both renders are summed. The windows
+//! of the largest differences are taken, none overlapping an earlier one.
 
 use genesplat::core::Photo;
 
-/// A square of pixels, in a picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Square {
-    /// Leftmost column.
     pub(crate) x: u32,
-    /// Topmost row.
     pub(crate) y: u32,
-    /// Columns, and rows.
     pub(crate) side: u32,
 }
 
@@ -65,7 +60,6 @@ impl Sums {
         Self { stride, values }
     }
 
-    /// By how much the error of a square falls.
     fn fall(&self, Square { x, y, side }: Square) -> i64 {
         let at = |x: u32, y: u32| self.values[y as usize * self.stride + x as usize];
         at(x + side, y + side) - at(x, y + side) - at(x + side, y) + at(x, y)

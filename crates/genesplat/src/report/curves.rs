@@ -1,12 +1,13 @@
 //! The log of a run as curves.
 //!
-//! A log may hold more than one attempt: a run that was killed and resumed repeats the iterations since its checkpoint.
-//! What comes later wins.
+//! A run that was killed and resumed repeats the iterations since its checkpoint; what comes later wins.
 
 use std::path::Path;
 
 use anyhow::{Result, anyhow};
 use serde::Deserialize;
+
+use super::chart::{Chart, Series};
 
 /// A line of `log.jsonl`, as far as curves need it.
 #[derive(Clone, Debug, Deserialize)]
@@ -19,18 +20,6 @@ enum Line {
         iteration: u32,
         gaussians: f64,
         loss: Option<f64>,
-    },
-    StageStart {
-        kind: String,
-        iteration: u32,
-        fitness: f64,
-    },
-    Generation {
-        iteration: u32,
-        generation: f64,
-        best: f64,
-        mean: Option<f64>,
-        spread: Option<f64>,
     },
     TestScore {
         iteration: u32,
@@ -48,35 +37,14 @@ enum Line {
 pub(crate) struct Curves {
     /// Eq. 5 on the view of the iteration.
     pub(crate) loss: Vec<[f64; 2]>,
-    /// Gaussians held.
     pub(crate) gaussians: Vec<[f64; 2]>,
     /// Mean PSNR of the test photos, dB.
     pub(crate) test_psnr: Vec<[f64; 2]>,
-    /// Evolution stages, in order.
-    pub(crate) stages: Vec<Stage>,
     /// What the user should know.
     pub(crate) notices: Vec<String>,
 }
 
-/// One evolution stage. Points are `[generation, fitness]`.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub(crate) struct Stage {
-    /// What it did, as the log calls it.
-    pub(crate) kind: String,
-    /// Iteration of the trigger.
-    pub(crate) iteration: u32,
-    /// Fitness of the base.
-    pub(crate) base: f64,
-    /// Lowest fitness so far.
-    pub(crate) best: Vec<[f64; 2]>,
-    /// Mean of the population.
-    pub(crate) mean: Vec<[f64; 2]>,
-    /// Standard deviation of the population, one for each mean.
-    pub(crate) spread: Vec<f64>,
-}
-
 impl Curves {
-    /// Reads a log.
     pub(crate) fn read(path: &Path) -> Result<Self> {
         let text = std::fs::read_to_string(path)
             .map_err(|error| anyhow!("cannot read the log {}: {error}", path.display()))?;
@@ -100,21 +68,6 @@ impl Curves {
             Line::TestScore { iteration, psnr } => {
                 self.test_psnr.extend(psnr.map(|psnr| [iteration.into(), psnr]));
             }
-            Line::StageStart { kind, iteration, fitness } => {
-                self.stages.retain(|stage| (&stage.kind, stage.iteration) != (&kind, iteration));
-                self.stages.push(Stage { kind, iteration, base: fitness, ..Stage::default() });
-            }
-            Line::Generation { iteration, generation, best, mean, spread } => {
-                // The younger of two stages of one iteration: the other has ended.
-                let Some(stage) = self.stages.iter_mut().rfind(|stage| stage.iteration == iteration) else {
-                    return;
-                };
-                stage.best.push([generation, best]);
-                if let (Some(mean), Some(spread)) = (mean, spread) {
-                    stage.mean.push([generation, mean]);
-                    stage.spread.push(spread);
-                }
-            }
             // A resumed run says again what it said before.
             Line::Notice { text } if !self.notices.contains(&text) => self.notices.push(text),
             Line::Notice { .. } | Line::Other => {}
@@ -129,13 +82,23 @@ impl Curves {
     }
 }
 
-/// At most `count` points: means of neighbours.
-pub(crate) fn thinned(points: &[[f64; 2]], count: usize) -> Vec<[f64; 2]> {
-    let mean = |run: &[[f64; 2]]| {
-        let n = run.len() as f64;
-        [0, 1].map(|axis| run.iter().map(|point| point[axis]).sum::<f64>() / n)
+/// Test PSNR and number of Gaussians over time, a curve a run.
+pub(crate) fn over_time(prefix: &str, runs: &[(String, Curves)]) -> [Chart; 2] {
+    let chart = |what: &str, points: fn(&Curves) -> &[[f64; 2]]| {
+        let series = |(name, curves): &(String, Curves)| Series {
+            name: name.clone(),
+            points: points(curves).to_vec(),
+        };
+        Chart {
+            caption: format!("{prefix}{what}"),
+            x_name: "iteration",
+            series: runs.iter().map(series).collect(),
+        }
     };
-    points.chunks(points.len().div_ceil(count).max(1)).map(mean).collect()
+    [
+        chart("PSNR of the test photos, dB", |curves| &curves.test_psnr),
+        chart("Gaussians", |curves| &curves.gaussians),
+    ]
 }
 
 #[cfg(test)]
@@ -149,15 +112,8 @@ mod tests {
 {"event":"step","iteration":10,"gaussians":5,"loss":0.5}
 {"event":"step","iteration":20,"gaussians":6,"loss":null}
 {"event":"step","iteration":30,"gaussians":7,"loss":0.9}
-{"event":"stage-start","kind":"averaging","iteration":30,"fitness":0.6}
-{"event":"generation","iteration":30,"generation":0,"best":0.6,"mean":null,"spread":null}
-{"event":"stage-start","kind":"paper","iteration":30,"fitness":0.4,"views":[]}
-{"event":"generation","iteration":30,"generation":0,"best":0.4,"mean":0.6,"spread":0.1}
 {"event":"start","iteration":30}
 {"event":"step","iteration":30,"gaussians":8,"loss":0.3}
-{"event":"stage-start","kind":"paper","iteration":30,"fitness":0.3}
-{"event":"generation","iteration":30,"generation":0,"best":0.3,"mean":null,"spread":null}
-{"event":"generation","iteration":30,"generation":1,"best":0.2,"mean":0.5,"spread":0.2}
 {"event":"notice","text":"full"}
 {"event":"notice","text":"full"}
 {"event":"of another version"}
@@ -165,29 +121,6 @@ mod tests {
         let curves = Curves::parse(log);
         assert_eq!(curves.loss, [[10.0, 0.5], [30.0, 0.3]]);
         assert_eq!(curves.gaussians, [[10.0, 5.0], [20.0, 6.0], [30.0, 8.0]]);
-        let other = Stage {
-            kind: "averaging".into(),
-            iteration: 30,
-            base: 0.6,
-            best: vec![[0.0, 0.6]],
-            ..Stage::default()
-        };
-        let stage = Stage {
-            kind: "paper".into(),
-            iteration: 30,
-            base: 0.3,
-            best: vec![[0.0, 0.3], [1.0, 0.2]],
-            mean: vec![[1.0, 0.5]],
-            spread: vec![0.2],
-        };
-        assert_eq!((curves.stages, curves.notices), (vec![other, stage], vec!["full".to_owned()]));
-    }
-
-    #[test]
-    fn thinning_averages_neighbours() {
-        let points = [[1.0, 10.0], [3.0, 20.0], [5.0, 30.0]];
-        assert_eq!(thinned(&points, 2), [[2.0, 15.0], [5.0, 30.0]]);
-        assert_eq!(thinned(&points, 9), points);
-        assert!(thinned(&[], 9).is_empty());
+        assert_eq!(curves.notices, ["full"]);
     }
 }

@@ -1,16 +1,13 @@
 //! A writer of HTML in which text cannot become markup.
 //!
-//! Tags and attributes that the program writes itself are given literally (`open("div class=\"wide\"")`); everything
-//! else goes through [`Html::text`] or [`Html::attribute_of`], which escape.
+//! Tags and attributes that the program writes itself are given literally; everything else is escaped.
 
-/// A page under construction.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Html {
     text: String,
 }
 
 impl Html {
-    /// Nothing yet.
     pub(crate) fn new() -> Self {
         Self::default()
     }
@@ -27,13 +24,11 @@ impl Html {
         self
     }
 
-    /// `</tag>`.
     pub(crate) fn close(&mut self, tag: &str) -> &mut Self {
         self.text += &format!("</{tag}>\n");
         self
     }
 
-    /// Text, whatever is in it.
     pub(crate) fn text(&mut self, text: &str) -> &mut Self {
         self.text += &escape(text);
         self
@@ -57,7 +52,6 @@ impl Html {
         self.close("tr")
     }
 
-    /// A row of a table.
     pub(crate) fn row(&mut self, name: &str, cells: &[String]) -> &mut Self {
         self.open("tr").element("th", name);
         cells.iter().for_each(|cell| _ = self.element("td", cell));
@@ -77,7 +71,6 @@ impl Html {
         self.close("dl")
     }
 
-    /// What has been written so far.
     pub(crate) fn into_text(self) -> String {
         self.text
     }

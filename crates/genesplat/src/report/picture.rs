@@ -1,4 +1,4 @@
-//! Pictures for pages: reduced, encoded, and errors made visible.
+//! Pictures for pages: reduced, and encoded.
 
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
@@ -10,17 +10,6 @@ use crate::report::html::Html;
 
 /// Of 100: no artefact that could be taken for one of the splat's, at about a bit a pixel.
 const JPEG_QUALITY: u8 = 85;
-/// The error map's brightest colour stands for this mean absolute difference, of 255.
-const ERROR_WHITE: f64 = 64.0;
-/// From no error to the largest: black, violet, red, yellow, white. Brightness rises all the way, so that it can be
-/// read without seeing colours.
-const RAMP: [[f64; 3]; 5] =
-    [[0.0, 0.0, 0.0], [80.0, 18.0, 110.0], [200.0, 50.0, 50.0], [250.0, 170.0, 30.0], [255.0, 255.0, 230.0]];
-
-/// What the colours of [`error_map`] mean, for captions.
-pub(crate) const ERROR_LEGEND: &str =
-    "Error: none is black, then violet, red, yellow; white is a quarter of full scale or more.";
-
 /// Writes `photo` into the page, with its longer side at most `side` px.
 pub(crate) fn write(page: &mut Html, photo: &Photo, side: u32, alt: &str) {
     page.attribute_of(&format!("img src=\"{}\"", data_uri(photo, side)), "alt", alt);
@@ -33,8 +22,7 @@ pub(crate) fn write_sheet(page: &mut Html, sheet: &Photo, side: u32, alt: &str) 
     page.close("div");
 }
 
-/// Writes two pictures of one size into one place, with a slider that moves the border between them. Without scripts
-/// the border stays in the middle.
+/// Writes two pictures of one size into one place, with a slider that moves the border between them.
 pub(crate) fn write_slider(page: &mut Html, [left, right]: [(&str, &Photo); 2], side: u32) {
     let ratio = f64::from(left.1.width) / f64::from(left.1.height);
     page.open(&format!("div class=\"slider\" style=\"--ratio:{ratio:.4}\""));
@@ -53,38 +41,9 @@ fn data_uri(photo: &Photo, side: u32) -> String {
     format!("data:image/jpeg;base64,{}", STANDARD.encode(jpeg))
 }
 
-/// Mean absolute difference of the channels, pixel by pixel, as colour. Both pictures have one size.
-pub(crate) fn error_map(a: &Photo, b: &Photo) -> Photo {
-    let error =
-        |(a, b): (&[u8], &[u8])| a.iter().zip(b).map(|(a, b)| f64::from(a.abs_diff(*b))).sum::<f64>() / 3.0;
-    let pixels = a.rgb.chunks_exact(3).zip(b.rgb.chunks_exact(3));
-    Photo { rgb: pixels.map(error).flat_map(|error| colour(error / ERROR_WHITE)).collect(), ..*a }
-}
-
-/// The ramp at `share` of its length.
-fn colour(share: f64) -> [u8; 3] {
-    let place = share.clamp(0.0, 1.0) * (RAMP.len() - 1) as f64;
-    let index = (place as usize).min(RAMP.len() - 2);
-    let rest = place - index as f64;
-    std::array::from_fn(|channel| {
-        ((1.0 - rest) * RAMP[index][channel] + rest * RAMP[index + 1][channel]).round() as u8
-    })
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn errors_have_the_colours_of_the_ramp() {
-        let photo = |rgb: Vec<u8>| Photo { width: 3, height: 1, rgb };
-        let (a, b) = (photo(vec![10; 9]), photo(vec![10, 10, 10, 42, 42, 42, 255, 255, 255]));
-        assert_eq!(error_map(&a, &b).rgb, [0, 0, 0, 200, 50, 50, 255, 255, 230]);
-        assert!((0..100).all(|step| {
-            let sum = |share: f64| colour(share).iter().map(|&value| u32::from(value)).sum::<u32>();
-            sum(f64::from(step) / 100.0) <= sum(f64::from(step + 1) / 100.0)
-        }));
-    }
 
     #[test]
     fn a_slider_holds_both_pictures_and_names_them() {

@@ -9,38 +9,27 @@ use genesplat::io::photos::read_photo;
 use genesplat::metrics::{Evaluation, ViewScore};
 
 use super::chart::{Chart, Series};
-use super::curves::{Curves, thinned};
+use super::curves::{Curves, over_time};
 use super::html::{Html, document};
-use super::picture::{self, ERROR_LEGEND};
+use super::picture;
 use super::stages;
 use crate::run::metrics::Metrics;
 use crate::run::{LOG, TEST};
 use crate::scene::picture_names;
 use crate::terminal::numbers::{duration, memory, thousands};
 
-/// Points of a curve: more than a screen can show.
-const CURVE_POINTS: usize = 300;
-/// Longer side of a picture, px.
 const PICTURE_PX: u32 = 800;
-/// Longer side of an error map, px.
-const ERROR_PX: u32 = 400;
 
-/// What a page is made of.
+/// What a page is made of: the figures, what was trained on, the run's folder and `config.toml`, and what repeats it.
 pub(crate) struct RunPage<'a> {
-    /// The figures.
     pub(crate) metrics: &'a Metrics,
-    /// What was trained on.
     pub(crate) scene: &'a Scene,
-    /// The run folder, with log and renders.
     pub(crate) folder: &'a Path,
-    /// `config.toml`.
     pub(crate) config: &'a str,
-    /// What repeats the run.
     pub(crate) command: &'a str,
 }
 
 impl RunPage<'_> {
-    /// The page.
     pub(crate) fn to_html(&self) -> Result<String> {
         let Metrics { dataset, variant, evolve, seed, iterations, test, .. } = self.metrics;
         let curves = Curves::read(&self.folder.join(LOG))?;
@@ -58,8 +47,8 @@ impl RunPage<'_> {
         page.figures(&figures(self.metrics));
         curves.notices.iter().for_each(|notice| _ = page.element("p class=\"notice\"", notice));
         self.write_views(&mut page)?;
-        write_curves(&mut page, &curves);
-        stages::write(&mut page, &self.metrics.evolution, &curves.stages);
+        write_curves(&mut page, curves);
+        stages::write(&mut page, &self.metrics.evolution);
         write_scores(&mut page, self.metrics);
         write_repeat(&mut page, self.command);
         page.open("details").element("summary", "Configuration").element("pre", self.config).close("details");
@@ -98,19 +87,15 @@ fn figures(metrics: &Metrics) -> [(&'static str, String, String); 4] {
     let Metrics { test, train, seconds, gaussians, .. } = metrics;
     let is_tested = !test.views.is_empty();
     let (scores, of) = if is_tested { (test, "of test photos") } else { (train, "of training photos") };
-    let more = |text: &str| text.to_owned();
+    let evolution = match seconds.evolution {
+        0.0 => String::new(),
+        evolution => format!("{} of it evolution", duration(evolution)),
+    };
     [
-        ("PSNR", number(Some(scores.psnr), 2, " dB"), more(of)),
-        ("SSIM", number(Some(scores.ssim), 4, ""), more(of)),
+        ("PSNR", number(Some(scores.psnr), 2, " dB"), of.to_owned()),
+        ("SSIM", number(Some(scores.ssim), 4, ""), of.to_owned()),
         ("Gaussians", thousands(*gaussians), String::new()),
-        (
-            "Training time",
-            duration(seconds.gradient + seconds.evolution),
-            match seconds.evolution {
-                0.0 => String::new(),
-                evolution => format!("{} of it evolution", duration(evolution)),
-            },
-        ),
+        ("Training time", duration(seconds.training()), evolution),
     ]
 }
 
@@ -122,44 +107,36 @@ pub(crate) fn number(value: Option<f64>, digits: usize, unit: &str) -> String {
 
 fn write_view(page: &mut Html, word: &str, score: &ViewScore, view: &View, render: &Photo) {
     let caption = format!("{word}: {}, {:.2} dB, SSIM {:.4}", score.name, score.psnr, score.ssim);
-    page.open("div").open("figure").element("figcaption", &caption);
+    page.open("figure").element("figcaption", &caption);
     picture::write_slider(page, [("photo", &view.photo), ("render", render)], PICTURE_PX);
-    page.close("figure").open("details").element("summary", "Where the errors are");
-    page.open("figure class=\"map\"");
-    picture::write(page, &picture::error_map(&view.photo, render), ERROR_PX, "error map");
-    page.element("figcaption", ERROR_LEGEND).close("figure").close("details").close("div");
+    page.close("figure");
 }
 
-fn write_curves(page: &mut Html, curves: &Curves) {
+fn write_curves(page: &mut Html, curves: Curves) {
+    let series = vec![Series { name: String::new(), points: curves.loss.clone() }];
+    let loss = Chart { caption: "Training loss, of one photo at a time".into(), x_name: "iteration", series };
     page.element("h2", "Over time").open("div class=\"row\"");
-    let curve = |caption: &str, points: &[[f64; 2]]| Chart {
-        caption: caption.into(),
-        x_name: "iteration".into(),
-        series: vec![Series { points: thinned(points, CURVE_POINTS), ..Series::default() }],
-    };
-    curve("PSNR of the test photos, dB", &curves.test_psnr).write(page);
-    curve("Gaussians", &curves.gaussians).write(page);
-    curve("Training loss, of one photo at a time", &curves.loss).write(page);
+    over_time("", &[(String::new(), curves)]).iter().chain([&loss]).for_each(|chart| chart.write(page));
     page.close("div");
 }
 
 /// All scores, and where time went.
 fn write_scores(page: &mut Html, metrics: &Metrics) {
+    let cells =
+        |psnr, ssim, lpips| [number(Some(psnr), 2, ""), number(Some(ssim), 4, ""), number(lpips, 4, "")];
     page.element("h2", "All figures").open("figure class=\"table\"").open("table");
     page.headings(&["", "photos", "PSNR, dB", "SSIM", "LPIPS"]);
     for (name, Evaluation { psnr, ssim, lpips, views }) in
         [("test", &metrics.test), ("train", &metrics.train)]
     {
-        let scores = [number(Some(*psnr), 2, ""), number(Some(*ssim), 4, ""), number(*lpips, 4, "")];
-        page.row(name, &[&[views.len().to_string()], &scores[..]].concat());
+        page.row(name, &[&[views.len().to_string()], &cells(*psnr, *ssim, *lpips)[..]].concat());
     }
     page.close("table").close("figure");
     let seconds = &metrics.seconds;
     let [load, gradient, evolution, evaluate, total] =
         [seconds.load, seconds.gradient, seconds.evolution, seconds.evaluate, seconds.total].map(duration);
-    let peak = metrics
-        .peak_memory_bytes
-        .map_or(String::new(), |bytes| format!(" At most {} of memory.", memory(bytes)));
+    let peak = metrics.peak_memory_bytes;
+    let peak = peak.map_or(String::new(), |bytes| format!(" At most {} of memory.", memory(bytes)));
     page.element(
         "p class=\"dim\"",
         &format!("Loading {load}, gradient steps {gradient}, evolution {evolution}, scoring {evaluate}; {total} in all.{peak}"),
@@ -170,7 +147,7 @@ fn write_scores(page: &mut Html, metrics: &Metrics) {
     page.open("details").element("summary", "Every test photo");
     page.open("figure class=\"table\"").open("table").headings(&["photo", "PSNR, dB", "SSIM", "LPIPS"]);
     for ViewScore { name, psnr, ssim, lpips } in &metrics.test.views {
-        page.row(name, &[number(Some(*psnr), 2, ""), number(Some(*ssim), 4, ""), number(*lpips, 4, "")]);
+        page.row(name, &cells(*psnr, *ssim, *lpips));
     }
     page.close("table").close("figure").close("details");
 }

@@ -1,12 +1,9 @@
-//! Pictures arranged on a white sheet, with names and marked places.
-
-use std::sync::LazyLock;
+//! Pictures arranged on a white sheet, with marked places.
 
 use genesplat::core::Photo;
 use genesplat::io::photos::resize;
-use image::GrayImage;
 
-use crate::report::crops::Square;
+use crate::report::crops::{Square, where_better};
 
 /// White between pictures, px.
 const GAP_PX: u32 = 8;
@@ -14,47 +11,33 @@ const GAP_PX: u32 = 8;
 const CROP_PX: u32 = 240;
 /// Width of a frame's line, px.
 const LINE_PX: u32 = 3;
-/// Grey of letters.
-const INK: u8 = 40;
 
-/// The printable characters of ASCII in DejaVu Sans, white on black, in cells of one width.
-static LETTERS: LazyLock<GrayImage> = LazyLock::new(|| {
-    let bytes = include_bytes!("../../assets/letters.png");
-    image::load_from_memory(bytes).expect("the file is a part of the program").to_luma8()
-});
-/// Of a cell, px.
-const LETTER_WIDTH_PX: u32 = 34;
-/// Of all cells, px.
-const LETTER_HEIGHT_PX: u32 = 40;
-/// White between two letters, px.
-const LETTER_GAP_PX: u32 = 3;
-/// Width of a space, px.
-const SPACE_PX: u32 = 9;
+/// Where error fell.
+const GREEN: [u8; 3] = [0, 200, 60];
+/// Where error rose.
+const RED: [u8; 3] = [230, 20, 20];
+const PLACES: [usize; 2] = [2, 1];
 
 /// A place to show enlarged, and the colour of its frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Mark {
-    /// Where.
-    pub(crate) square: Square,
-    /// In which colour.
-    pub(crate) colour: [u8; 3],
+struct Mark {
+    square: Square,
+    colour: [u8; 3],
 }
 
-/// Frames that can be told apart on any picture and by most eyes (Okabe and Ito).
-pub(crate) const FRAMES: [[u8; 3]; 3] = [[230, 159, 0], [86, 180, 233], [204, 121, 167]];
-
-/// Pictures of one scene that differ in what can be seen in a few places: the first one whole, with the places framed;
-/// beside it a row for each place, with what each picture has there, enlarged. All pictures have one size. Without
-/// places, the pictures stand side by side.
-pub(crate) fn comparison(pictures: &[(&str, &Photo)], marks: &[Mark]) -> Photo {
-    let columns: Vec<Photo> = match marks {
-        [] => pictures.iter().map(|(name, picture)| titled(name, picture)).collect(),
-        _ => pictures.iter().map(|(name, picture)| titled(name, &crops(picture, marks))).collect(),
-    };
-    let height = columns.first().map_or(0, |column| column.height);
-    let whole = pictures.first().filter(|_| !marks.is_empty());
-    let whole = whole.map(|(_, picture)| framed(picture, height, marks));
-    side_by_side(&whole.into_iter().chain(columns).collect::<Vec<_>>())
+/// A photo and two renders of it, and where the error of the second is lower than that of the first by most (green), or
+/// higher (red). The photo is whole, with the places framed; beside it, in the order photo, first, second, is what each
+/// picture has there, enlarged. Where nothing differs, the pictures stand side by side.
+pub(crate) fn changes(photo: &Photo, [without, with]: [&Photo; 2]) -> Photo {
+    let fell = where_better(photo, without, with, PLACES[0]).into_iter().map(|square| (square, GREEN));
+    let rose = where_better(photo, with, without, PLACES[1]).into_iter().map(|square| (square, RED));
+    let marks: Vec<Mark> = fell.chain(rose).map(|(square, colour)| Mark { square, colour }).collect();
+    let pictures = [photo, without, with];
+    if marks.is_empty() {
+        return side_by_side(&pictures.map(Clone::clone));
+    }
+    let [a, b, c] = pictures.map(|picture| crops(picture, &marks));
+    side_by_side(&[framed(photo, a.height, &marks), a, b, c])
 }
 
 /// A picture at this height, with frames around the places.
@@ -99,64 +82,25 @@ fn outline(picture: &mut Photo, Square { x, y, side }: Square, colour: [u8; 3]) 
     fill(x + side - line..x + side, y..y + side);
 }
 
-/// A picture with its name above it; what of the name is wider than the picture is cut off.
-fn titled(name: &str, picture: &Photo) -> Photo {
-    let mut title = blank(picture.width, LETTER_HEIGHT_PX);
-    let mut left = 0;
-    for letter in name.chars() {
-        left += draw_letter(&mut title, letter, left);
-    }
-    placed_on_white(&[(0, 0, &title), (0, LETTER_HEIGHT_PX, picture)])
-}
-
-/// Draws a letter so many pixels from the left; returns the pixels to the next one.
-fn draw_letter(line: &mut Photo, letter: char, left: u32) -> u32 {
-    let index = if letter.is_ascii_graphic() { letter as u32 - 32 } else { 0 };
-    let at = |x: u32, y: u32| LETTERS.get_pixel(LETTER_WIDTH_PX * index + x, y).0[0];
-    let has_ink = |x: &u32| (0..LETTER_HEIGHT_PX).any(|y| at(*x, y) > 0);
-    let first = (0..LETTER_WIDTH_PX).find(has_ink);
-    let last = (0..LETTER_WIDTH_PX).rfind(has_ink);
-    let (Some(first), Some(last)) = (first, last) else { return SPACE_PX };
-    let columns = (first..=last).take_while(|x| left + x - first < line.width);
-    for (x, y) in columns.flat_map(|x| (0..LETTER_HEIGHT_PX).map(move |y| (x, y))) {
-        let grey = 255 - (u32::from(255 - INK) * u32::from(at(x, y)) / 255) as u8;
-        let place = 3 * (y * line.width + left + x - first) as usize;
-        line.rgb[place..place + 3].fill(grey);
-    }
-    last - first + 1 + LETTER_GAP_PX
-}
-
-/// A white picture.
 fn blank(width: u32, height: u32) -> Photo {
     Photo { width, height, rgb: vec![255; 3 * (width * height) as usize] }
 }
 
 /// Pictures from left to right, with white between them and below the shorter ones.
 fn side_by_side(pictures: &[Photo]) -> Photo {
-    let mut offset = 0;
-    let placed: Vec<_> = pictures
-        .iter()
-        .map(|picture| {
-            let at = offset;
-            offset += picture.width + GAP_PX;
-            (at, 0, picture)
-        })
-        .collect();
-    placed_on_white(&placed)
+    let ends = pictures.iter().scan(0, |end, picture| {
+        *end += picture.width + GAP_PX;
+        Some((*end - picture.width - GAP_PX, 0, picture))
+    });
+    placed_on_white(&ends.collect::<Vec<_>>())
 }
 
-/// Pictures from top to bottom, with white between them.
 pub(crate) fn stacked(pictures: &[Photo]) -> Photo {
-    let mut offset = 0;
-    let placed: Vec<_> = pictures
-        .iter()
-        .map(|picture| {
-            let at = offset;
-            offset += picture.height + GAP_PX;
-            (0, at, picture)
-        })
-        .collect();
-    placed_on_white(&placed)
+    let ends = pictures.iter().scan(0, |end, picture| {
+        *end += picture.height + GAP_PX;
+        Some((0, *end - picture.height - GAP_PX, picture))
+    });
+    placed_on_white(&ends.collect::<Vec<_>>())
 }
 
 /// A white sheet that just holds pictures at these places.
@@ -191,35 +135,57 @@ mod tests {
 
     #[test]
     fn places_are_framed_in_the_whole_picture_and_enlarged_beside_it() {
-        let (photo, mut without) = (picture(240, 120, 100), picture(240, 120, 100));
-        // The error fills the place at (60, 40) of 40 px.
+        let (photo, mut without, mut with) =
+            (picture(240, 120, 100), picture(240, 120, 100), picture(240, 120, 100));
+        // Errors that fill a place of 40 px, the first at (60, 40) and the second at (150, 40).
         for y in 40..80 {
-            let at = 3 * (y * 240 + 60) as usize;
-            without.rgb[at..at + 3 * 40].fill(180);
+            let at = |x: u32| 3 * (y * 240 + x) as usize;
+            without.rgb[at(60)..at(100)].fill(180);
+            with.rgb[at(150)..at(190)].fill(20);
         }
-        let mark = |x, colour| Mark { square: Square { x, y: 40, side: 40 }, colour };
-        let marks = [mark(60, FRAMES[0]), mark(150, FRAMES[1])];
-        let sheet = comparison(&[("photo", &photo), ("a", &without)], &marks);
-        let top = LETTER_HEIGHT_PX;
-        let tall = top + 2 * CROP_PX + GAP_PX;
+        let sheet = changes(&photo, [&without, &with]);
+        let tall = 2 * CROP_PX + GAP_PX;
         let wide = 2 * tall;
-        assert_eq!((sheet.width, sheet.height), (wide + 2 * (CROP_PX + GAP_PX), tall));
+        assert_eq!((sheet.width, sheet.height), (wide + 3 * (CROP_PX + GAP_PX), tall));
         let scaled = |length: u32| (f64::from(length) * f64::from(tall) / 120.0).round() as u32;
-        assert_eq!(sheet.pixel(scaled(60), scaled(40)), FRAMES[0]);
-        assert_eq!(sheet.pixel(scaled(150), scaled(40)), FRAMES[1]);
-        let (first, second) = (wide + GAP_PX, wide + 2 * GAP_PX + CROP_PX);
-        let centre = |left: u32, row: u32| sheet.pixel(left + 120, top + 120 + row * (CROP_PX + GAP_PX))[0];
-        assert_eq!([centre(first, 0), centre(second, 0), centre(second, 1)], [100, 180, 100]);
-        assert_eq!(sheet.pixel(second, top), FRAMES[0], "the frame of the crop");
-        let is_dark = |left: u32| (0..CROP_PX).any(|x| (0..top).any(|y| sheet.pixel(left + x, y)[0] < 100));
-        assert!(is_dark(first) && is_dark(second), "each column has its name");
+        assert_eq!(sheet.pixel(scaled(60), scaled(40)), GREEN);
+        assert_eq!(sheet.pixel(scaled(150), scaled(40)), RED);
+        let left = |column: u32| wide + GAP_PX + column * (CROP_PX + GAP_PX);
+        let centre =
+            |column: u32, row: u32| sheet.pixel(left(column) + 120, 120 + row * (CROP_PX + GAP_PX))[0];
+        assert_eq!(
+            [0, 1, 2].map(|column| [centre(column, 0), centre(column, 1)]),
+            [[100, 100], [180, 100], [100, 20]]
+        );
+        assert_eq!(
+            [sheet.pixel(left(1), 0), sheet.pixel(left(1), tall - 1)],
+            [GREEN, RED],
+            "frames of the crops"
+        );
     }
 
     #[test]
-    fn names_stay_above_their_picture() {
-        let sheet = titled("a name that is far too long for this", &picture(50, 10, 0));
-        assert_eq!((sheet.width, sheet.height), (50, 10 + LETTER_HEIGHT_PX));
-        let sheet = comparison(&[("é", &picture(9, 9, 0)), ("", &picture(9, 9, 0))], &[]);
-        assert_eq!(sheet.width, 18 + GAP_PX, "nothing to mark, nothing enlarged");
+    fn places_where_error_fell_are_green_and_those_where_it_rose_red() {
+        let (photo, mut without, mut with) =
+            (picture(320, 200, 100), picture(320, 200, 100), picture(320, 200, 100));
+        // The window is 53 px; an error fills it at (100, 40) in one render, and at (200, 120) in the other.
+        for y in 40..93 {
+            let at = |x: u32, y: u32| 3 * (y * 320 + x) as usize;
+            without.rgb[at(100, y)..at(153, y)].fill(180);
+            with.rgb[at(200, y + 80)..at(253, y + 80)].fill(180);
+        }
+        let sheet = changes(&photo, [&without, &with]);
+        let count = |colour| sheet.rgb.chunks_exact(3).filter(|pixel| *pixel == colour).count();
+        assert!(count(GREEN) > 100 && count(RED) > 100);
+        let swapped = changes(&photo, [&photo, &without]);
+        assert!(swapped.rgb.chunks_exact(3).all(|pixel| pixel != GREEN), "nothing got better");
+    }
+
+    #[test]
+    fn each_place_that_differs_has_a_row_of_crops() {
+        let grey = |value| picture(60, 60, value);
+        let whole = changes(&grey(9), [&grey(50), &grey(9)]);
+        let same = changes(&grey(9), [&grey(9), &grey(9)]);
+        assert!(whole.width > whole.height && whole.height > 2 * same.height, "{} px", whole.height);
     }
 }

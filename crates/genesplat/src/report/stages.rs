@@ -1,18 +1,15 @@
 //! What evolution did in a run, stage by stage.
 
+use std::collections::BTreeMap;
+
 use genesplat::train::StageRecord;
 
 use super::chart::{Chart, Series};
-use super::curves::Stage;
 use super::html::Html;
 use crate::terminal::numbers::{duration, thousands};
 
-/// Searches whose curves are drawn.
-const SEARCHES_MAX: usize = 8;
-
-/// Writes the section; nothing for a run without stages. `logged` are the same stages as the log has them, with the
-/// generations of their searches.
-pub(crate) fn write(page: &mut Html, records: &[StageRecord], logged: &[Stage]) {
+/// Writes the section; nothing for a run without stages.
+pub(crate) fn write(page: &mut Html, records: &[StageRecord]) {
     if records.is_empty() {
         return;
     }
@@ -34,59 +31,24 @@ pub(crate) fn write(page: &mut Html, records: &[StageRecord], logged: &[Stage]) 
             "Guards are training photos that decide what is kept: a proposal stays if their mean PSNR does not fall.",
         );
     }
-    write_charts(page, &records, logged);
+    page.open("div class=\"row\"");
+    guard_chart(&records).write(page);
+    page.close("div");
     write_table(page, &records);
 }
 
-fn write_charts(page: &mut Html, records: &[&StageRecord], logged: &[Stage]) {
-    // What guards decide has no curve of a search: losses of its generations are of other photos each.
-    let is_search = |stage: &Stage| {
-        let judged = |record: &&StageRecord| {
-            record.guard_psnr.is_some()
-                && (record.iteration, record.kind.name()) == (stage.iteration, &*stage.kind)
-        };
-        stage.best.len() > 1 && !records.iter().any(judged)
-    };
-    let searches: Vec<&Stage> = logged.iter().filter(|stage| is_search(stage)).collect();
-    page.open("div class=\"row\"");
-    guard_chart(records).write(page);
-    searches.iter().take(SEARCHES_MAX).for_each(|stage| search_chart(stage).write(page));
-    page.close("div");
-    if searches.len() > SEARCHES_MAX {
-        let more = searches.len() - SEARCHES_MAX;
-        page.element("p class=\"dim\"", &format!("The generations of {more} more stages are in log.jsonl."));
-    }
-}
-
-/// What guards gained by each stage, a bar a stage and a colour a kind.
+/// What guards gained by each stage, a curve a kind.
 fn guard_chart(records: &[&StageRecord]) -> Chart {
-    let mut series: Vec<Series> = Vec::new();
+    let mut kinds: BTreeMap<&str, Vec<[f64; 2]>> = BTreeMap::new();
     for record in records {
         let Some([before, after]) = record.guard_psnr else { continue };
-        let name = record.kind.name();
-        let at = series.iter().position(|series| series.name == name).unwrap_or_else(|| {
-            series.push(Series { name: name.into(), is_bars: true, ..Series::default() });
-            series.len() - 1
-        });
-        series[at].points.push([record.iteration.into(), after - before]);
+        kinds.entry(record.kind.name()).or_default().push([record.iteration.into(), after - before]);
     }
-    Chart { caption: "Guard PSNR gained by each stage, dB".into(), x_name: "iteration".into(), series }
-}
-
-fn search_chart(stage: &Stage) -> Chart {
-    let best = Series { name: "best so far".into(), points: stage.best.clone(), ..Series::default() };
-    let mean = Series {
-        name: "mean of the population, ± one standard deviation".into(),
-        points: stage.mean.clone(),
-        spread: stage.spread.clone(),
-        ..Series::default()
-    };
-    let last = stage.best.last().map_or(stage.base, |point| point[1]);
-    let iteration = thousands(stage.iteration as usize);
+    let series = kinds.into_iter().map(|(name, points)| Series { name: name.into(), points });
     Chart {
-        caption: format!("Iteration {iteration}, {}: loss {:.5} to {last:.5}", stage.kind, stage.base),
-        x_name: "generation".into(),
-        series: vec![best, mean],
+        caption: "Guard PSNR gained by each stage, dB".into(),
+        x_name: "iteration",
+        series: series.collect(),
     }
 }
 
@@ -139,7 +101,7 @@ mod tests {
     #[test]
     fn stages_come_in_the_order_of_their_iterations() {
         let mut page = Html::new();
-        write(&mut page, &[record(4000, None), record(3500, Some([30.0, 30.5]))], &[]);
+        write(&mut page, &[record(4000, None), record(3500, Some([30.0, 30.5]))]);
         let text = page.into_text();
         let at = |words: &str| text.find(words).unwrap_or_else(|| panic!("{words} is not in {text}"));
         assert!(at("<th>3,500</th>") < at("<th>4,000</th>"));
@@ -147,20 +109,10 @@ mod tests {
     }
 
     #[test]
-    fn a_search_has_a_curve_and_what_guards_decide_a_bar() {
-        let stage = |kind: &str, iteration| Stage {
-            kind: kind.into(),
-            iteration,
-            base: 0.2,
-            best: vec![[0.0, 0.2], [1.0, 0.1]],
-            ..Stage::default()
-        };
-        let (search, judged) = (record(3000, None), record(3500, Some([30.0, 30.5])));
-        let logged = [stage(search.kind.name(), 3000), stage(judged.kind.name(), 3500)];
+    fn what_guards_gained_is_a_curve() {
         let mut page = Html::new();
-        write(&mut page, &[search, judged], &logged);
+        write(&mut page, &[record(3500, Some([30.0, 30.5])), record(4000, Some([30.5, 30.6]))]);
         let text = page.into_text();
-        assert!(text.contains("Iteration 3,000, ") && !text.contains("Iteration 3,500, "), "{text}");
-        assert!(text.contains("Guard PSNR gained") && text.contains("class=\"bars\""), "{text}");
+        assert!(text.contains("Guard PSNR gained") && text.matches("<svg").count() == 1, "{text}");
     }
 }

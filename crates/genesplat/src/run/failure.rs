@@ -14,7 +14,6 @@ pub(crate) fn explain(error: anyhow::Error, folder: &Path, caller: Caller) -> an
     error.context(sentence)
 }
 
-/// How a device ended a run.
 #[derive(Clone, Copy)]
 enum DeviceFailure {
     OutOfMemory,
@@ -22,7 +21,6 @@ enum DeviceFailure {
 }
 
 impl DeviceFailure {
-    /// The failure that `error` reports, if it reports one.
     fn behind(error: &anyhow::Error) -> Option<Self> {
         let of_training = error.downcast_ref().and_then(|error| match error {
             TrainError::Backend(error) => Some(error),

@@ -10,7 +10,6 @@ use genesplat::train::observe::LogRecord;
 use super::LOG;
 use crate::files::unwritable;
 
-/// Where the reports of a run go.
 pub(crate) struct Log {
     path: PathBuf,
     writer: BufWriter<File>,
@@ -40,7 +39,6 @@ impl Log {
     }
 }
 
-/// `None` where there is none, or no file.
 fn last_byte(path: &Path) -> Option<u8> {
     let mut file = File::open(path).ok()?;
     file.seek(SeekFrom::End(-1)).ok()?;

@@ -2,8 +2,7 @@
 
 use std::fs;
 
-/// From now on the peak is that of what comes: a process may make several runs. Where the system cannot do that, it
-/// stays that of the whole process.
+/// From now on the peak is that of what comes, where the system can do that: a process may make several runs.
 pub(crate) fn forget_peak() {
     // Nothing depends on it but a figure.
     let _ = fs::write("/proc/self/clear_refs", "5");

@@ -3,9 +3,9 @@
 use std::fs;
 use std::path::Path;
 
-use genesplat::metrics::{Evaluation, ViewScore};
+use genesplat::metrics::Evaluation;
 use genesplat::train::{EvolutionMode, StageRecord, Variant};
-use serde::de::{Deserializer, IgnoredAny};
+use serde::de::IgnoredAny;
 use serde::{Deserialize, Serialize};
 
 use super::METRICS;
@@ -26,11 +26,8 @@ pub(crate) struct Metrics {
     pub(crate) seed: u64,
     pub(crate) iterations: u32,
     pub(crate) gaussians: usize,
-    /// Photos that training never saw.
-    #[serde(deserialize_with = "Scores::read")]
     pub(crate) test: Evaluation,
     /// Photos that it saw; none for a run that was stopped.
-    #[serde(deserialize_with = "Scores::read")]
     pub(crate) train: Evaluation,
     pub(crate) seconds: PhaseSeconds,
     /// Most memory held at once; `null` where the system does not tell.
@@ -60,7 +57,6 @@ pub(crate) struct PhaseSeconds {
 }
 
 impl PhaseSeconds {
-    /// Those of training: gradient steps and evolution.
     pub(crate) fn training(self) -> f64 {
         self.gradient + self.evolution
     }
@@ -82,37 +78,10 @@ impl Metrics {
     pub(crate) fn test_photos(&self) -> Vec<&str> {
         self.test.views.iter().map(|view| view.name.as_str()).collect()
     }
-}
 
-/// An [`Evaluation`] as a file has it: what is not finite is `null` there, and NaN once it is read.
-#[derive(Deserialize)]
-struct Scores {
-    psnr: Option<f64>,
-    ssim: Option<f64>,
-    lpips: Option<f64>,
-    #[serde(default)]
-    views: Vec<ViewScores>,
-}
-
-#[derive(Deserialize)]
-struct ViewScores {
-    name: String,
-    psnr: Option<f64>,
-    ssim: Option<f64>,
-    lpips: Option<f64>,
-}
-
-impl Scores {
-    fn read<'a, D: Deserializer<'a>>(file: D) -> Result<Evaluation, D::Error> {
-        let or_nan = |value: Option<f64>| value.unwrap_or(f64::NAN);
-        let Self { psnr, ssim, lpips, views } = Self::deserialize(file)?;
-        let view = |ViewScores { name, psnr, ssim, lpips }| ViewScore {
-            name,
-            psnr: or_nan(psnr),
-            ssim: or_nan(ssim),
-            lpips,
-        };
-        let views = views.into_iter().map(view).collect();
-        Ok(Evaluation { psnr: or_nan(psnr), ssim: or_nan(ssim), lpips, views })
+    /// By how much the PSNR of each test photo is higher than in the run `without`, dB.
+    pub(crate) fn test_psnr_gains(&self, without: &Self) -> Vec<f64> {
+        let pairs = self.test.views.iter().zip(&without.test.views);
+        pairs.map(|(with, without)| with.psnr - without.psnr).collect()
     }
 }

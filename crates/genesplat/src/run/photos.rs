@@ -1,9 +1,7 @@
-//! Whether a resumed run is given the scene that it began with, and a finished one that of which it knows the test
-//! photos.
+//! Whether a run is given the scene that it began with.
 //!
-//! A scene may move between two parts of a run, so a path alone decides only while the old one exists. What tells the
-//! scene apart then is what the run has left of it: the number of training photos in the log, and the names of test
-//! photos in the figures.
+//! A scene may move, so a path decides only while the old one exists. Then what tells the scene apart is the number of
+//! training photos in the log, and the names of test photos in the figures.
 
 use std::fs::File;
 use std::io::{BufRead, BufReader};
@@ -31,8 +29,7 @@ pub(crate) fn check_folders(began_with: &Path, given: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Fails where the run in `folder` is known to have had other photos than those of `scene`; the sentence is for `train`
-/// and `experiment` alike.
+/// Fails where the run in `folder` is known to have had other photos than those of `scene`.
 pub(crate) fn check(folder: &Path, scene: &Scene) -> Result<()> {
     let had = training_photos(folder);
     let names: Vec<&str> = scene.test.iter().map(|view| view.name.as_str()).collect();
@@ -48,8 +45,7 @@ pub(crate) fn check(folder: &Path, scene: &Scene) -> Result<()> {
 }
 
 /// Fails where a test photo of `scene` is none of those of the run whose folder `splat` is: its list of photos has
-/// changed since, and then every eighth of them is another one, which training may have seen. Of a bare PLY nothing is
-/// known.
+/// changed since, so training may have seen that one. Of a bare PLY nothing is known.
 pub(crate) fn check_test_photos(splat: &Path, scene: &Scene) -> Result<()> {
     let Some(metrics) = Metrics::read(splat) else { return Ok(()) };
     let knows = |name: &String| metrics.test.views.iter().any(|view| view.name == *name);
@@ -120,9 +116,9 @@ mod tests {
         assert!(check(path, &scene(12)).unwrap_err().to_string().contains("other photos"));
 
         let metrics = |name: &str| {
-            let test = serde_json::json!({"psnr": 9.0, "ssim": 0.5, "views": [{"name": name, "psnr": 9.0}]});
+            let test = serde_json::json!({"psnr": 9.0, "ssim": 0.5, "views": [{"name": name, "psnr": 9.0, "ssim": 0.5}]});
             let seconds = serde_json::json!({"gradient": 1.0, "evolution": 0.0});
-            serde_json::json!({"iterations": 3, "gaussians": 20, "test": test, "train": {"psnr": null, "ssim": null},
+            serde_json::json!({"iterations": 3, "gaussians": 20, "test": test, "train": {"psnr": null, "ssim": null, "views": []},
                 "seconds": seconds, "evolution": []})
         };
         fs::write(path.join("metrics.json"), metrics("gallery_000.png").to_string()).unwrap();

@@ -1,7 +1,6 @@
 //! The results that a run finds in its folder: kept in `previous/` until its own are whole.
 //!
-//! Files are moved and removed by name, pictures by the names that `metrics.json` has: whatever else is in a folder is
-//! not ours.
+//! Files are moved and removed by name: whatever else is in a folder is not ours.
 
 use std::fs;
 use std::path::{Component, Path, PathBuf};
@@ -37,8 +36,7 @@ fn is_kept(folder: &Path) -> bool {
     fs::read_to_string(folder.join(CONFIG)).is_ok_and(|text| text.ends_with(NOTE))
 }
 
-/// Clears the folder of a run for another one. Settings stay until they are written over, so that it is never taken for
-/// a folder of something else.
+/// Clears the folder of a run for another one; its settings stay until they are written over.
 pub(crate) fn keep(run: &Path) -> Result<()> {
     let (folder, files) = (folder_in(run), results(run));
     tell_of_unnamed(run);
@@ -52,7 +50,6 @@ pub(crate) fn keep(run: &Path) -> Result<()> {
     files.iter().try_for_each(|file| move_file(&run.join(file), &folder.join(file)))
 }
 
-/// Removes what [`keep`] has kept, now that there are other results.
 pub(crate) fn remove(run: &Path) -> Result<()> {
     let folder = folder_in(run);
     if !is_kept(&folder) {
@@ -124,7 +121,7 @@ mod tests {
     /// A run that has come to its end, with a picture that it has left and one that it has not.
     fn write_run(run: &Path, what: &str) {
         begin(run, what).unwrap();
-        let scores = serde_json::json!({"psnr": 9.0, "ssim": 0.5, "views": [{"name": "a.jpg", "psnr": 9.0}, {"name": "../b.jpg", "psnr": 9.0}]});
+        let scores = serde_json::json!({"psnr": 9.0, "ssim": 0.5, "views": [{"name": "a.jpg", "psnr": 9.0, "ssim": 0.5}, {"name": "../b.jpg", "psnr": 9.0, "ssim": 0.5}]});
         let metrics = serde_json::json!({"iterations": 3, "gaussians": 20, "test": scores, "train": scores,
             "seconds": {"gradient": 1.0, "evolution": 0.0}});
         fs::create_dir_all(run.join("test")).unwrap();

@@ -19,10 +19,8 @@ use crate::files::{
 /// How a run's `config.toml` begins.
 const CONFIG_MARK: &str = "# All settings of a run of genesplat";
 
-/// Name of the file that is locked.
 const LOCK: &str = ".lock";
 
-/// The command that makes a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Caller {
     /// Replaces no interrupted run, and goes on with one when told to, on any device.
@@ -44,9 +42,8 @@ pub(crate) struct RunSession {
 }
 
 impl RunSession {
-    /// Claims the folder `path` for a run that begins anew, or goes on from its checkpoint. To be done before anything
-    /// slow: fails where the folder is something else's, cannot be written to, or has another writer; or holds an
-    /// interrupted run, or none that could go on. What is in it stays as it is until [`Self::begin`].
+    /// Claims the folder `path` for a run that begins anew, or goes on from its checkpoint, before anything slow is done.
+    /// What is in it stays as it is until [`Self::begin`].
     pub(crate) fn claim(path: &Path, caller: Caller, resumes: bool) -> Result<Self> {
         let check = if resumes { check_is_run } else { check_is_free };
         check(path)?;
@@ -113,7 +110,6 @@ impl RunSession {
         Ok(write_ply(&self.path.join(CLOUD), cloud, &options)?)
     }
 
-    /// Replaces the checkpoint.
     pub(crate) fn write_checkpoint(&self, checkpoint: &Checkpoint) -> Result<()> {
         write_file(&self.path.join(CHECKPOINT), |out| checkpoint.write(out))
     }
@@ -136,7 +132,6 @@ pub(crate) fn is_run(folder: &Path) -> bool {
     fs::read(folder.join(CONFIG)).is_ok_and(|text| text.starts_with(CONFIG_MARK.as_bytes()))
 }
 
-/// Whether the file `path` is one that a run has left.
 pub(crate) fn is_part_of_run(path: &Path) -> bool {
     let (folder, name) = (path.parent().unwrap_or(path), path.file_name().unwrap_or_default());
     let is_result = name == CONFIG || RESULTS.iter().any(|file| name == *file);
@@ -145,19 +140,16 @@ pub(crate) fn is_part_of_run(path: &Path) -> bool {
     is_render || (is_result && is_run(folder))
 }
 
-/// Whether a run in `folder` has left a checkpoint, whole or not.
 pub(crate) fn has_checkpoint(folder: &Path) -> bool {
     folder.join(CHECKPOINT).exists()
 }
 
-/// The checkpoint of a run in `folder`.
 pub(crate) fn read_checkpoint(folder: &Path) -> Result<Checkpoint> {
     let path = folder.join(CHECKPOINT);
     let file = File::open(&path).map_err(|error| anyhow!("cannot read {}: {error}", path.display()))?;
     Checkpoint::read(BufReader::new(file)).map_err(|error| anyhow!("{}: {error}", path.display()))
 }
 
-/// Fails where `path` is not the folder of a run.
 pub(crate) fn check_is_run(path: &Path) -> Result<()> {
     let shown = path.display();
     ensure!(
@@ -189,8 +181,7 @@ fn check_is_free(path: &Path) -> Result<()> {
     bail!("{} belongs to something else; choose another folder", file.display())
 }
 
-/// What shows that a folder without settings of ours belongs to something else: a scene, or results, which never stand
-/// without their settings.
+/// What shows that a folder without settings of ours belongs to something else: a scene, or results.
 fn foreign_in(path: &Path) -> Option<PathBuf> {
     let is_foreign = |path: &PathBuf| match &*path.file_name().unwrap_or_default().to_string_lossy() {
         METRICS | REPORT | CLOUD | LOG => path.is_file(),
@@ -201,11 +192,10 @@ fn foreign_in(path: &Path) -> Option<PathBuf> {
     fs::read_dir(path).into_iter().flatten().flatten().map(|entry| entry.path()).find(is_foreign)
 }
 
-/// The lock of a folder: one process at a time writes there. Held until it is dropped, or its process ends in whatever
-/// way.
+/// One process at a time writes to a folder. The lock is held until it is dropped, or its process ends.
 ///
-/// The empty file stays: were it removed, one process could still hold the lock of the file that is gone while another
-/// takes that of a new one.
+/// The empty file stays: were it removed, one process could hold the lock of the file that is gone while another takes
+/// that of a new one.
 #[derive(Debug)]
 pub(crate) struct Lock {
     _file: File,

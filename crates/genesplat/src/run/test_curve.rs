@@ -1,17 +1,14 @@
 //! PSNR of the test photos while training goes on, for the curve in `report.html`.
 //!
-//! A dozen looks a run, rendered by the training backend: no second copy of the cloud exists. Training does not see the
-//! scores, and the time is billed to neither gradients nor evolution.
+//! Training does not see the scores, and the time is billed to neither gradients nor evolution.
 
 use anyhow::Result;
 use genesplat::core::View;
 use genesplat::metrics::psnr;
 use genesplat::train::observe::Render;
 
-/// Looks a run.
 const POINTS: u32 = 12;
 
-/// Scores renders of test photos.
 pub(crate) struct TestCurve<'a> {
     views: &'a [View],
     every: u32,
@@ -24,7 +21,6 @@ impl<'a> TestCurve<'a> {
         (!views.is_empty()).then_some(Self { views, every })
     }
 
-    /// True where a point of the curve is due.
     pub(crate) fn is_due(&self, iteration: u32) -> bool {
         iteration.is_multiple_of(self.every)
     }

@@ -25,18 +25,15 @@ use crate::terminal::progress::Bar;
 use crate::terminal::reporter::Reporter;
 use crate::{device, overwrite, scene};
 
-/// A run about to start.
 pub(crate) struct Run<'a> {
     pub(crate) settings: &'a Settings,
     pub(crate) scene: &'a Scene,
     pub(crate) lpips: Option<&'a Lpips>,
     /// Set by Ctrl-C and SIGTERM.
     pub(crate) stop: &'a AtomicBool,
-    /// When loading began.
     pub(crate) began: Instant,
 }
 
-/// How a run ended that did not fail.
 pub(crate) enum Ended {
     /// As it was meant to; its folder is complete. What `metrics.json` says.
     Whole(Metrics),
@@ -49,8 +46,7 @@ pub(crate) enum Ended {
 }
 
 impl Run<'_> {
-    /// Trains, saves, scores. Whatever would end a run before its first step is found while the results of an earlier
-    /// one are still in its folder.
+    /// Trains, saves, scores. What would end a run before its first step is found before an earlier one is replaced.
     pub(crate) fn execute(&self, session: &mut RunSession) -> Result<Ended> {
         overwrite::check_photos(self.scene, &session.path().join(TEST))?;
         if session.resumes() {
@@ -99,10 +95,7 @@ impl Run<'_> {
         let Self { settings, scene, stop, .. } = *self;
         let config = &settings.train;
         let curve = TestCurve::new(&scene.test, config.schedule().iterations);
-        let mut reporter = Reporter::new(session, log, stop).with_curve(curve);
-        if session.caller() == Caller::Experiment {
-            reporter = reporter.quiet();
-        }
+        let mut reporter = Reporter::of_run(session, log, curve, stop);
         let Outcome { cloud, summary, checkpoint } =
             train(device.as_mut(), &scene.train, start, config, &mut reporter, stop)?;
         // A disk that has no space for the checkpoint, the larger of the two, may have space for the cloud.
@@ -166,8 +159,7 @@ impl Run<'_> {
         device: &mut Device,
         summary: &RunSummary,
     ) -> Result<Option<(Evaluation, Evaluation)>> {
-        // Who stops a run waits for it, and figures of half a run are replaced by those of the whole. The few that are
-        // taken all the same must not be stopped by what stopped the run.
+        // Who stops a run waits for it, so few figures are taken, which must not be stopped by what stopped the run.
         let never = AtomicBool::new(false);
         let (train, lpips, stop) = match summary.interrupted {
             true => (&[][..], None, &never),
@@ -184,7 +176,6 @@ impl Run<'_> {
         Ok(score(train, None)?.map(|train| (test, train)))
     }
 
-    /// The page that shows the run.
     fn report(&self, folder: &Path, metrics: &Metrics) -> Result<String> {
         let path = |path: &Path| path.display().to_string();
         let (dataset, out, saved) =
@@ -195,7 +186,6 @@ impl Run<'_> {
     }
 }
 
-/// Scores the renders of `views`.
 pub(crate) fn evaluate_all(
     device: &mut Device,
     views: &[View],
@@ -207,8 +197,8 @@ pub(crate) fn evaluate_all(
     Ok(evaluation.expect("nothing sets the flag"))
 }
 
-/// The same for one photo after the other, so that `stop` can end it: LPIPS of many takes minutes. `None` where it has.
-/// Renders are written to `folder` as PNG.
+/// Scores one photo after the other, so that `stop` can end it (`None`): LPIPS of many takes minutes. Renders are
+/// written to `folder`.
 fn evaluate_until(
     stop: &AtomicBool,
     device: &mut Device,

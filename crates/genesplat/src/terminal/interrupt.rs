@@ -15,8 +15,7 @@ pub(crate) const STOPPED: u8 = 130;
 /// Signals that come closer together are one wish: `timeout` and schedulers send several in a row.
 const ONE_WISH: Duration = Duration::from_secs(1);
 
-/// A flag that the first Ctrl-C or SIGTERM sets; one that comes later ends the process. Both are heard in threads of
-/// their own, not in a signal's handler, so that they may do what any thread may.
+/// A flag that the first Ctrl-C or SIGTERM sets; one that comes later ends the process.
 pub(crate) fn stop_flag() -> Result<Arc<AtomicBool>> {
     let stop = Arc::new(AtomicBool::new(false));
     let (flag, first) = (stop.clone(), Arc::new(OnceLock::new()));
@@ -33,7 +32,6 @@ pub(crate) fn stop_flag() -> Result<Arc<AtomicBool>> {
     Ok(stop)
 }
 
-/// What a signal stands for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Wish {
     Stop,
@@ -57,10 +55,8 @@ impl Wish {
     }
 }
 
-/// SIGTERM is how schedulers and systems that shut down end a program.
-///
-/// SIGHUP is left alone, and that is why ctrlc's feature `termination` is not used: it would catch SIGHUP, too, and so
-/// undo `nohup`, with which runs are meant to outlive their terminal.
+/// SIGTERM is how schedulers end a program. ctrlc's feature `termination` is not used, since it would catch SIGHUP, too,
+/// and so undo `nohup`.
 #[cfg(unix)]
 fn on_termination(handler: impl Fn() + Send + 'static) -> Result<()> {
     use signal_hook::consts::SIGTERM;

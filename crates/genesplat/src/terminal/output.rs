@@ -18,7 +18,6 @@ use genesplat::metrics::Evaluation;
 
 use super::progress;
 
-/// How much is said.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Volume {
     /// Errors and the final result.
@@ -30,10 +29,8 @@ pub(crate) enum Volume {
 }
 
 static VOLUME: AtomicU8 = AtomicU8::new(Volume::Normal as u8);
-/// Notices that wait for the end, in order.
 static NOTES: Mutex<Vec<String>> = Mutex::new(Vec::new());
 
-/// Sets the volume of the process.
 pub(crate) fn set_volume(volume: Volume) {
     VOLUME.store(volume as u8, Ordering::Relaxed);
 }
@@ -57,20 +54,17 @@ pub(crate) fn print(text: &str) -> Result<()> {
     }
 }
 
-/// Writes progress or a notice to stderr.
 pub(crate) fn tell(text: &str) {
     if !is_quiet() {
         complain(text);
     }
 }
 
-/// Writes an error to stderr. Where that takes nothing (a full disk, a closed pipe) the text is lost: `eprintln!` would
-/// panic, and a run must not end because nobody listens.
+/// Writes an error to stderr. Where that takes nothing the text is lost: a run must not end because nobody listens.
 pub(crate) fn complain(text: &str) {
     progress::aside(|| write(&format!("{text}\n")));
 }
 
-/// Writes to stderr as it is; [`progress`] alone has a use for that.
 pub(crate) fn write(text: &str) {
     drivers::write(text);
 }
@@ -86,20 +80,18 @@ pub(crate) fn note(text: &str) {
     }
 }
 
-/// A notice of interest only to who looks for a fault.
 pub(crate) fn detail(text: &str) {
     if is(Volume::Verbose) {
         tell(text);
     }
 }
 
-/// Shows the notices that have waited for the end.
 pub(crate) fn tell_notes() {
     std::mem::take(&mut *locked(&NOTES)).iter().for_each(|note| tell(note));
 }
 
-/// What `ask` returns. Graphics drivers write to the stderr of whoever opens them (Mesa where there is no desktop, for
-/// one), and no setting of Vulkan keeps them from it; so theirs leads nowhere meanwhile, and ours does not change.
+/// What `ask` returns. Graphics drivers write to the stderr of whoever opens them, and no setting of Vulkan keeps them
+/// from it; so theirs leads nowhere meanwhile.
 pub(crate) fn without_drivers<T>(ask: impl FnOnce() -> T) -> T {
     let _silence = if is(Volume::Verbose) { None } else { drivers::Silence::begin() };
     ask()
@@ -186,9 +178,7 @@ pub(crate) fn scores_line(name: &str, scores: &Evaluation) -> String {
     }
 }
 
-/// `error` as the one line that scripts may rely on.
-///
-/// Only the outermost sentence is shown: the typed errors of all crates include their cause in it.
+/// The one line that scripts may rely on: the outermost sentence, since the typed errors include their cause in it.
 pub(crate) fn error_line(error: &anyhow::Error) -> String {
     let sentence = error.to_string();
     format!("error: {}", sentence.split_whitespace().collect::<Vec<_>>().join(" "))

@@ -1,7 +1,7 @@
 //! How far a piece of work is: a bar that vanishes when the work is done, or lines where stderr is no terminal.
 //!
-//! A terminal has one bar at a time, which is one line and narrower than the terminal. So a carriage return is all it
-//! takes to draw over it, and no copy can stay behind. Whoever writes to the terminal meanwhile does so [`aside`].
+//! A terminal has one bar at a time, one line that is narrower than the terminal, so a carriage return is all it takes to
+//! draw over it. Whoever writes to the terminal meanwhile does so [`aside`].
 
 use std::io::{self, IsTerminal};
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -17,18 +17,14 @@ use super::output;
 const LINE_PERCENT: u64 = 5;
 /// but, except for the last, not more often than this.
 const LINE_PAUSE: Duration = Duration::from_secs(2);
-/// A bar is drawn at most this often.
 const DRAW_PAUSE: Duration = Duration::from_millis(100);
-/// Length of the bar itself, characters.
 const BAR_LENGTH: u64 = 12;
-/// Of a terminal that does not tell.
 const USUAL_WIDTH: u16 = 80;
 
 /// What is drawn on the terminal.
 static SCREEN: Mutex<Screen> = Mutex::new(Screen { is_taken: false, line: String::new() });
 
 struct Screen {
-    /// Some bar is on it.
     is_taken: bool,
     line: String,
 }
@@ -65,7 +61,6 @@ pub(crate) fn aside<T>(write: impl FnOnce() -> T) -> T {
     written
 }
 
-/// How far a piece of work is.
 pub(crate) struct Bar {
     what: String,
     total: u64,
@@ -175,7 +170,6 @@ fn counted(what: &str, position: u64, total: u64) -> String {
     format!("{what}: {} % ({done} of {all})", percent(position, total))
 }
 
-/// The parts that are not empty.
 fn joined(parts: &[String]) -> String {
     parts.iter().filter(|part| !part.is_empty()).map(String::as_str).collect::<Vec<_>>().join(", ")
 }
@@ -211,14 +205,12 @@ impl Pace {
     }
 }
 
-/// When the next line is due.
 struct Lines {
     due_percent: u64,
     last: Instant,
 }
 
 impl Lines {
-    /// True if a line is due now.
     fn take_turn(&mut self, percent: u64, is_last: bool) -> bool {
         if percent < self.due_percent || (self.last.elapsed() < LINE_PAUSE && !is_last) {
             return false;

@@ -1,7 +1,7 @@
 //! What a run tells while it is under way: one bar and a few sentences, lines in the log, checkpoints on disk.
 //!
 //! An observer cannot fail, so the first thing that goes wrong here (a full disk, most likely) is kept and the run is
-//! told to stop: better to stop with what is in memory than to train for hours towards results that cannot be saved.
+//! told to stop.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -15,10 +15,9 @@ use super::numbers::thousands;
 use super::output;
 use super::progress::Bar;
 use crate::run::log::Log;
-use crate::run::session::RunSession;
+use crate::run::session::{Caller, RunSession};
 use crate::run::test_curve::TestCurve;
 
-/// Listens to one run.
 pub(crate) struct Reporter<'a> {
     folder: Option<(&'a RunSession, Log)>,
     /// Says nothing, and draws bars that vanish.
@@ -27,42 +26,25 @@ pub(crate) struct Reporter<'a> {
     stop: &'a AtomicBool,
     /// Of gradient steps; where there are none, of the generations of a stage.
     bar: Option<Bar>,
-    stage: Option<Search>,
+    /// A search of so many generations, while gradient steps wait; its own bar, where there is no other.
+    search: Option<(u32, Option<Bar>)>,
     gaussians: usize,
-    quality: Option<Quality>,
+    /// Of the last photo, and of the test photos, dB.
+    quality: (Option<f32>, Option<f64>),
     trouble: Option<anyhow::Error>,
 }
 
-/// An evolution stage that searches for several generations while gradient steps wait.
-struct Search {
-    /// The initial population included.
-    generations: u32,
-    /// There are no gradient steps whose bar it could use.
-    has_bar: bool,
-}
-
-/// How good the cloud is, as far as is known.
-#[derive(Clone, Copy)]
-enum Quality {
-    /// Of one photo, so it goes up and down.
-    Loss(f32),
-    /// Of the test photos, dB.
-    TestPsnr(f64),
-}
-
-impl Quality {
-    fn text(self) -> String {
-        match self {
-            Self::Loss(loss) => format!("loss {loss:.3}"),
-            Self::TestPsnr(psnr) => format!("test PSNR {psnr:.2} dB"),
-        }
-    }
-}
-
 impl<'a> Reporter<'a> {
-    /// Reports into `folder`, and sets `stop` when that is no longer possible.
-    pub(crate) fn new(session: &'a RunSession, log: Log, stop: &'a AtomicBool) -> Self {
-        Self { folder: Some((session, log)), ..Self::without_folder(stop) }
+    /// Reports into the folder of a run, and sets `stop` when that is no longer possible; scores test photos now and
+    /// then. An experiment has the terminal to itself, but for bars that vanish.
+    pub(crate) fn of_run(
+        session: &'a RunSession,
+        log: Log,
+        curve: Option<TestCurve<'a>>,
+        stop: &'a AtomicBool,
+    ) -> Self {
+        let quiet = session.caller() == Caller::Experiment;
+        Self { folder: Some((session, log)), quiet, curve, ..Self::without_folder(stop) }
     }
 
     /// Reports to the terminal only.
@@ -73,24 +55,13 @@ impl<'a> Reporter<'a> {
             curve: None,
             stop,
             bar: None,
-            stage: None,
+            search: None,
             gaussians: 0,
-            quality: None,
+            quality: (None, None),
             trouble: None,
         }
     }
 
-    /// The same with the terminal left to someone else, but for bars that vanish; the log is kept as ever.
-    pub(crate) fn quiet(self) -> Self {
-        Self { quiet: true, ..self }
-    }
-
-    /// The same with the test photos scored now and then.
-    pub(crate) fn with_curve(self, curve: Option<TestCurve<'a>>) -> Self {
-        Self { curve, ..self }
-    }
-
-    /// What went wrong, if anything did.
     pub(crate) fn into_result(self) -> Result<()> {
         self.trouble.map_or(Ok(()), Err)
     }
@@ -134,15 +105,16 @@ impl Observer for Reporter<'_> {
         }
         self.gaussians = log.gaussians;
         if let Some(report) = log.report {
-            if !matches!(self.quality, Some(Quality::TestPsnr(_))) {
-                self.quality = Some(Quality::Loss(report.loss));
-            }
+            self.quality.0 = Some(report.loss);
             self.log(&LogRecord::Step(log.clone()));
         }
-        let quality = self.quality;
+        let quality = match self.quality {
+            (_, Some(psnr)) => format!("test PSNR {psnr:.2} dB, "),
+            (Some(loss), None) => format!("loss {loss:.3}, "),
+            (None, None) => String::new(),
+        };
         if let Some(bar) = &mut self.bar {
-            let quality = || quality.map_or(String::new(), |quality| format!("{}, ", quality.text()));
-            bar.set(log.iteration.into(), || format!("{}{} Gaussians", quality(), thousands(log.gaussians)));
+            bar.set(log.iteration.into(), || format!("{quality}{} Gaussians", thousands(log.gaussians)));
         }
     }
 
@@ -155,32 +127,26 @@ impl Observer for Reporter<'_> {
         if log.generations > 1 {
             // Generation 0 is the initial population.
             let generations = log.generations + 1;
-            let has_bar = self.bar.is_none();
-            if has_bar {
-                self.bar = Some(self.new_bar("evolution", 0, generations.into()));
-            }
-            self.stage = Some(Search { generations, has_bar });
+            let bar = self.bar.is_none().then(|| self.new_bar("evolution", 0, generations.into()));
+            self.search = Some((generations, bar));
         }
         self.log(&LogRecord::StageStart(log.clone()));
     }
 
     fn on_generation(&mut self, log: &GenerationLog) {
-        if let (Some(bar), Some(stage)) = (&mut self.bar, &self.stage) {
-            let done = log.generation + 1;
-            if stage.has_bar {
-                bar.set(done.into(), || format!("loss {:.4}", log.best));
-            } else {
-                let note = || format!("evolution: generation {done} of {}", stage.generations);
-                bar.wait(log.iteration.into(), note);
+        let done = log.generation + 1;
+        match (&mut self.search, &mut self.bar) {
+            (Some((_, Some(bar))), _) => bar.set(done.into(), || format!("loss {:.4}", log.best)),
+            (Some((generations, None)), Some(bar)) => {
+                bar.wait(log.iteration.into(), || format!("evolution: generation {done} of {generations}"));
             }
+            _ => {}
         }
         self.log(&LogRecord::Generation(*log));
     }
 
     fn on_stage_end(&mut self, record: &StageRecord) {
-        if self.stage.take().is_some_and(|stage| stage.has_bar) {
-            self.bar = None;
-        }
+        self.search = None;
         self.say(&stage_sentence(record, self.gaussians));
         self.log(&LogRecord::StageEnd(*record));
     }
@@ -198,7 +164,7 @@ impl Observer for Reporter<'_> {
         let Some(curve) = &self.curve else { return };
         match curve.score(render) {
             Ok(psnr) => {
-                self.quality = psnr.map(Quality::TestPsnr).or(self.quality);
+                self.quality.1 = psnr.or(self.quality.1);
                 self.log(&LogRecord::TestScore { iteration, psnr });
             }
             Err(error) => self.keep(Err(error)),

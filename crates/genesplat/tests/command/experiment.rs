@@ -64,7 +64,7 @@ fn finished_cells_are_left_alone_and_spoilt_ones_repeated() {
     let file = write(folder.path(), r#"evolve = ["off", "control", "paper"]"#);
     let out = folder.path().join("out");
     let said = succeed(experiment(&file, &out, &[]));
-    assert!(said.contains("| gallery |") && said.contains("tables.tex"), "{said}");
+    assert!(said.contains("| gallery |") && said.contains("cells.csv"), "{said}");
     let (first, whole) = (times(&out), figures(&out));
     assert_eq!((first.len(), whole.len()), (6, 1 + 4));
 
@@ -133,7 +133,7 @@ fn an_interrupted_experiment_goes_on_to_the_same_tables() {
     let now = fs::metadata(broken.join("cells/gallery/3dgs/off/seed-0/metrics.json")).unwrap();
     assert_eq!(kept.modified().unwrap(), now.modified().unwrap());
     assert_eq!(figures(&whole), figures(&broken));
-    let table = |out: &Path| fs::read_to_string(out.join("tables.csv")).unwrap();
+    let table = |out: &Path| fs::read_to_string(out.join("tables.md")).unwrap();
     assert_eq!(table(&whole), table(&broken));
 }
 
@@ -152,14 +152,14 @@ fn pages_are_whole_escaped_and_load_nothing() {
         assert!(html.contains("src=") && html.len() < 900_000, "{page} has {} bytes", html.len());
     }
     let html = fs::read_to_string(out.join(run)).unwrap();
-    for part in ["<svg", "PSNR of the test photos", "Iteration 30", "steps_scale", "genesplat train", "Worst"]
+    for part in ["<svg", "PSNR of the test photos", "Every stage", "steps_scale", "genesplat train", "Worst"]
     {
         assert!(html.contains(part), "{part}");
     }
     let html = fs::read_to_string(out.join("report.html")).unwrap();
     assert!(html.contains("&lt;script&gt;alert(1)") && html.contains(&format!("href=\"{run}\"")));
     assert!(out.join("qualitative/gallery-3dgs-paper.png").is_file());
-    for name in ["tables.md", "tables.tex", "tables.csv", "cells.csv", "experiment.toml"] {
+    for name in ["tables.md", "cells.csv", "experiment.toml"] {
         assert!(fs::metadata(out.join(name)).unwrap().len() > 100, "{name}");
     }
     // What was written repeats the experiment, flags included.

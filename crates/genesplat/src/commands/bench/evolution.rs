@@ -1,12 +1,8 @@
 //! `genesplat bench evolution`: how fast a population is scored, against rendering each individual in full.
 //!
 //! The state is the one that evolution meets: a cloud just after an opacity reset, and the initial population of the
-//! paper's search. The *plain way* is our own render with all its culling, and the whole loss, one individual and view
-//! after the other, all threads on each; the changes themselves are made off the clock. Both ways must find the same
-//! losses.
-//!
-//! Memory is told in two figures: what the individuals themselves take, and what scoring them takes besides, which is
-//! what grows with the number of views.
+//! paper's search. The *plain way* is a full render and the whole loss, one individual and view after the other; the
+//! changes themselves are made off the clock. Both ways must find the same losses.
 
 use std::time::Instant;
 
@@ -18,12 +14,11 @@ use genesplat::evolve::{GeneticAlgorithm, Magnitude, PaperConfig};
 use genesplat::kernels::cpu::CpuBackend;
 use serde::Serialize;
 
+use super::print_figures;
 use super::workload::Source;
 use crate::args::BenchEvolutionArgs;
-use crate::terminal::output;
-use crate::{device, files};
+use crate::device;
 
-/// What a reset limits opacities to.
 const RESET_OPACITY: f32 = 0.01;
 
 /// What `--json` writes; keys are fixed.
@@ -37,14 +32,12 @@ struct Report {
     plain_renders_per_second: f64,
     ratio: f64,
     max_relative_difference: f64,
-    /// The individuals, as differences from the cloud: their number and the rows that they change decide, not the
-    /// views.
+    /// As differences from the cloud.
     population_bytes: usize,
     /// What scoring them takes at most beside the cloud, the photos and the individuals.
     scoring_bytes: usize,
 }
 
-/// Times, prints, and writes the figures.
 pub(crate) fn run(args: &BenchEvolutionArgs) -> Result<()> {
     let mut backend = device::prepare_cpu(args.machine)?;
     let (views, settings, cloud) = Source::of_cpu(&args.workload)?;
@@ -70,8 +63,8 @@ pub(crate) fn run(args: &BenchEvolutionArgs) -> Result<()> {
         population_bytes: individuals.iter().map(SparseDelta::bytes).sum(),
         scoring_bytes,
     };
-    output::print(&report.to_text())?;
-    args.json.as_ref().map_or(Ok(()), |path| files::write_json(path, &report))
+    print_figures(&report)?;
+    args.json.write(&report)
 }
 
 /// The cloud as an opacity reset leaves it.
@@ -89,8 +82,7 @@ pub(crate) fn max_relative_difference(actual: &[f32], expected: &[f32]) -> f64 {
     actual.iter().zip(expected).map(difference).max_by(f64::total_cmp).unwrap_or(0.0)
 }
 
-/// The initial population of a paper search with steps that need no gradients. It takes no loss, so the base's does not
-/// matter.
+/// The initial population of a paper search whose steps need no gradients.
 pub(crate) fn founders(cloud: &Gaussians, population: u32) -> Result<Vec<SparseDelta>> {
     let paper = PaperConfig::default();
     let tournament = paper.tournament.min(population);
@@ -116,28 +108,6 @@ fn score_plainly(
         backend.apply(&base, MomentPolicy::Keep)?;
     }
     Ok((losses, seconds))
-}
-
-impl Report {
-    fn to_text(&self) -> String {
-        let [population, scoring] =
-            [self.population_bytes, self.scoring_bytes].map(|bytes| bytes as f64 / 1e6);
-        format!(
-            "{} Gaussians just after an opacity reset, {} individuals on {} views, {} threads\n\
-             scoring                 {:>8.1} renders/s, {population:.1} MB of individuals, {scoring:.1} MB to score them\n\
-             plain way               {:>8.1} renders/s\n\
-             ratio                   {:>8.2} x\n\
-             largest relative difference of a loss {:.1e}",
-            self.gaussians,
-            self.individuals,
-            self.views,
-            self.threads,
-            self.renders_per_second,
-            self.plain_renders_per_second,
-            self.ratio,
-            self.max_relative_difference,
-        )
-    }
 }
 
 #[cfg(test)]

@@ -1,10 +1,8 @@
 //! `genesplat bench gpu`: what training steps and scoring cost on the graphics device, at several sizes, in one call.
 //!
-//! The cloud is the synthetic one of `bench step`, at 1080p, or that of a scene, or a trained one. Steps are real ones
-//! with learning rates of zero, on photos from all over the scene. Two clocks are read: the device's own, stage by
-//! stage, and the host's, over steps that are submitted one after the other without waiting, as in training. Scoring is
-//! measured as in `bench evolution`: the founders of a paper search just after an opacity reset, beside a full render
-//! and loss of each.
+//! Steps are real ones with learning rates of zero, on photos from all over the scene. Two clocks are read: the device's
+//! own, stage by stage, and the host's, over steps that are submitted one after the other without waiting, as in
+//! training. Scoring is measured as in `bench evolution`.
 
 use std::time::Instant;
 
@@ -16,15 +14,13 @@ use serde::Serialize;
 
 use super::evolution::{founders, just_reset, max_relative_difference};
 use super::workload::Source;
-use super::{median, step_at_rest};
+use super::{median, print_figures, step_at_rest};
 use crate::args::BenchGpuArgs;
 use crate::device::{self, DeviceChoice};
-use crate::files;
 use crate::terminal::output;
 
 /// Fewest steps before a clock counts: buffers grow, kernels are compiled.
 const WARM_UP: u32 = 3;
-/// Times that scoring is measured.
 const SCORINGS: usize = 3;
 /// Bytes that are copied to measure the device's memory: more than its caches hold.
 const COPIED_BYTES: u64 = 256 << 20;
@@ -33,11 +29,8 @@ const COPIED_BYTES: u64 = 256 << 20;
 #[derive(Serialize)]
 struct Report {
     device: String,
-    /// Kernels sort and sum by subgroups.
     subgroups: bool,
-    /// Read and written by copies.
     memory_bytes_per_second: f64,
-    /// Of the largest photo.
     width: u32,
     height: u32,
     /// Photos that steps go through; scoring is measured on the first.
@@ -45,7 +38,6 @@ struct Report {
     sizes: Vec<Size>,
 }
 
-/// What was measured at one number of Gaussians.
 #[derive(Serialize)]
 struct Size {
     gaussians: usize,
@@ -68,7 +60,6 @@ struct Size {
     max_relative_difference: f64,
 }
 
-/// Times, prints, and writes the figures.
 pub(crate) fn run(args: &BenchGpuArgs) -> Result<()> {
     device::use_threads(args.threads)?;
     DeviceChoice::Gpu.resolve()?;
@@ -86,7 +77,7 @@ pub(crate) fn run(args: &BenchGpuArgs) -> Result<()> {
         sizes: Vec::new(),
     };
     drop(backend);
-    output::print(&report.to_text())?;
+    print_figures(&report)?;
     let sizes = source.trained_count().map_or_else(|| args.gaussians.clone(), |count| vec![count as u32]);
     for gaussians in sizes {
         output::tell(&format!("making {gaussians} Gaussians"));
@@ -99,12 +90,12 @@ pub(crate) fn run(args: &BenchGpuArgs) -> Result<()> {
             }
             measured => {
                 let size = measured?;
-                output::print(&size.to_text([width, height]))?;
+                print_figures(&size)?;
                 report.sizes.push(size);
             }
         }
     }
-    args.json.as_ref().map_or(Ok(()), |path| files::write_json(path, &report))
+    args.json.write(&report)
 }
 
 fn new_backend(args: &BenchGpuArgs) -> Result<GpuBackend, BackendError> {
@@ -112,7 +103,6 @@ fn new_backend(args: &BenchGpuArgs) -> Result<GpuBackend, BackendError> {
     output::without_drivers(open)
 }
 
-/// Whether the device has not enough memory, which says nothing of smaller sizes.
 fn is_too_large(error: &anyhow::Error) -> bool {
     matches!(error.downcast_ref(), Some(BackendError::OutOfMemory { .. }))
 }
@@ -157,9 +147,8 @@ impl Bench {
         // Every view once, since each may need larger buffers than those before.
         let warm = WARM_UP.max(self.views as u32);
         self.steps(0, warm)?;
-        let clock = Instant::now();
-        self.steps(warm, args.steps)?;
-        let milliseconds = 1e3 * clock.elapsed().as_secs_f64() / f64::from(args.steps);
+        let seconds = self.seconds(|bench| bench.steps(warm, args.steps))?;
+        let milliseconds = 1e3 * seconds / f64::from(args.steps);
         let Timed { stages, visible, intersections } = self.stages(warm + args.steps, args.steps)?;
         let device_memory_bytes = self.backend.allocated_bytes();
         let [rows, seen, intersections] =
@@ -181,13 +170,16 @@ impl Bench {
         self.backend.take_most_allocated_bytes();
         let scored = self.backend.score(&individuals, &[0], &self.settings)?;
         let scoring_bytes = self.backend.take_most_allocated_bytes() - before;
-        let seconds = (0..SCORINGS).map(|_| {
-            let clock = Instant::now();
-            self.backend.score(&individuals, &[0], &self.settings)?;
-            Ok(clock.elapsed().as_secs_f64())
-        });
+        let seconds = (0..SCORINGS)
+            .map(|_| self.seconds(|bench| Ok(bench.backend.score(&individuals, &[0], &bench.settings)?)));
         let scored_seconds = median(seconds.collect::<Result<Vec<_>>>()?.into_iter());
-        let plain_seconds = self.plain_seconds(individuals.len() as u32)?;
+        // As many full renders and losses, one wait for all: the cloud's own, since a few changed Gaussians make no
+        // difference to them.
+        let plainly = |count: u32| {
+            move |bench: &mut Self| Ok(bench.backend.losses_of_view(0, &bench.settings, count)?)
+        };
+        self.seconds(plainly(1))?;
+        let plain_seconds = self.seconds(plainly(individuals.len() as u32))?;
         let plain = self.plain(&individuals)?;
         let renders = individuals.len() as f64;
         Ok(Size {
@@ -208,7 +200,6 @@ impl Bench {
         })
     }
 
-    /// Submits steps and waits for the last.
     fn steps(&mut self, first: u32, count: u32) -> Result<()> {
         for step in first + 1..=first + count {
             self.backend.train_step(&step_at_rest(step as usize % self.views, self.settings, step))?;
@@ -241,16 +232,12 @@ impl Bench {
         })
     }
 
-    /// Seconds of as many full renders and losses, one wait for all: the cloud's own, since a few changed Gaussians
-    /// make no difference to them.
-    fn plain_seconds(&mut self, renders: u32) -> Result<f64> {
-        self.backend.losses_of_view(0, &self.settings, 1)?;
+    fn seconds<T>(&mut self, work: impl FnOnce(&mut Self) -> Result<T>) -> Result<f64> {
         let clock = Instant::now();
-        self.backend.losses_of_view(0, &self.settings, renders)?;
+        work(self)?;
         Ok(clock.elapsed().as_secs_f64())
     }
 
-    /// Losses of full renders of individuals.
     fn plain(&mut self, individuals: &[SparseDelta]) -> Result<Vec<f32>> {
         let cloud = self.backend.download()?.into_owned();
         let mut losses = Vec::new();
@@ -260,48 +247,5 @@ impl Bench {
             self.backend.apply(&cloud.genes_of(&individual.rows), MomentPolicy::Keep)?;
         }
         Ok(losses)
-    }
-}
-
-impl Report {
-    fn to_text(&self) -> String {
-        let sorts = if self.subgroups { "sorts by subgroups" } else { "sorts without subgroups" };
-        format!("{}: {sorts}; copies move {:.1} GB/s", self.device, 1e-9 * self.memory_bytes_per_second)
-    }
-}
-
-impl Size {
-    fn to_text(&self, [width, height]: [u32; 2]) -> String {
-        let row = |(&(name, milliseconds), &(_, floor)): (&(&str, f64), &(&str, f64))| {
-            let percent = 100.0 * floor / milliseconds;
-            format!(
-                "\n  {name:<20}{milliseconds:>9.3} ms, its memory traffic {floor:>9.3} ms ({percent:.0} %)"
-            )
-        };
-        let stages: String = self.stages.iter().zip(&self.floor_milliseconds).map(row).collect();
-        let busy: f64 = self.stages.iter().map(|(_, milliseconds)| milliseconds).sum();
-        let utilisation = match self.stages.len() {
-            0 => String::new(),
-            _ => format!(": the device computes {:.0} % of it", 100.0 * busy / self.milliseconds),
-        };
-        format!(
-            "{} Gaussians at {width}x{height} px: {} visible, {} tile entries, {:.0} MB\n\
-             step {:>26.3} ms, one after the other{utilisation}{stages}\n\
-             scoring {} individuals with {} changed Gaussians, one view: {:.0} MB more\n\
-             scored {:>24.1} renders/s\nplain  {:>24.1} renders/s\nratio  {:>24.2} x\n\
-             largest relative difference of a loss {:.1e}",
-            self.gaussians,
-            self.visible,
-            self.tile_splats,
-            self.device_memory_bytes as f64 / 1e6,
-            self.milliseconds,
-            self.individuals,
-            self.changed_gaussians,
-            self.scoring_device_memory_bytes as f64 / 1e6,
-            self.scored_renders_per_second,
-            self.plain_renders_per_second,
-            self.ratio,
-            self.max_relative_difference,
-        )
     }
 }

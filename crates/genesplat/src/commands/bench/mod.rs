@@ -5,7 +5,11 @@ pub(crate) mod gpu;
 pub(crate) mod step;
 mod workload;
 
+use anyhow::Result;
 use genesplat::core::{DensitySignal, LearningRates, RenderSettings, StatisticsRequest, TrainStep, Update};
+use serde::Serialize;
+
+use crate::terminal::output;
 
 /// A training step that costs what steps cost and changes nothing: its learning rates are zero. `step` counts from 1.
 fn step_at_rest(view: usize, settings: RenderSettings, step: u32) -> TrainStep {
@@ -24,4 +28,10 @@ fn median(values: impl Iterator<Item = f64>) -> f64 {
     let mut values: Vec<f64> = values.collect();
     values.sort_by(f64::total_cmp);
     values[values.len() / 2]
+}
+
+/// Prints figures under the names that they have in JSON, a line each.
+fn print_figures(figures: &impl Serialize) -> Result<()> {
+    let text = toml::to_string_pretty(figures).expect("figures are numbers and names");
+    output::print(text.trim_end())
 }

@@ -12,13 +12,11 @@ use genesplat::kernels::cpu::{CpuBackend, StageSeconds, roofline_nanoseconds_per
 use serde::Serialize;
 
 use super::workload::Source;
-use super::{median, step_at_rest};
+use super::{median, print_figures, step_at_rest};
 use crate::args::BenchStepArgs;
+use crate::device;
 use crate::run::memory;
-use crate::terminal::output;
-use crate::{device, files};
 
-/// Steps before the clock counts: buffers grow, caches fill.
 const WARM_UP: u32 = 3;
 
 /// What `--json` writes; keys are fixed.
@@ -29,7 +27,6 @@ struct Report {
     height: u32,
     threads: usize,
     milliseconds: f64,
-    /// Milliseconds.
     stages: BTreeMap<&'static str, f64>,
     tile_splats: f64,
     blend_nanoseconds_per_tile_splat: f64,
@@ -38,7 +35,6 @@ struct Report {
     peak_memory_bytes: Option<u64>,
 }
 
-/// Seconds of one stage.
 type StageClock = fn(&StageSeconds) -> f64;
 
 /// The stages of a step, in the order in which they run.
@@ -58,7 +54,6 @@ struct Sample {
     tile_splats: f64,
 }
 
-/// Times, prints, and writes the figures.
 pub(crate) fn run(args: &BenchStepArgs) -> Result<()> {
     let mut backend = device::prepare_cpu(args.machine)?;
     let (views, settings, cloud) = Source::of_cpu(&args.workload)?;
@@ -68,8 +63,8 @@ pub(crate) fn run(args: &BenchStepArgs) -> Result<()> {
     let steps = (0..WARM_UP + args.steps).map(|step| time_step(&mut backend, step, views.len(), settings));
     let samples = steps.collect::<Result<Vec<_>>>()?;
     let report = Report::new(backend.gaussian_count(), &views[0].camera, &samples[WARM_UP as usize..]);
-    output::print(&report.to_text())?;
-    args.json.as_ref().map_or(Ok(()), |path| files::write_json(path, &report))
+    print_figures(&report)?;
+    args.json.write(&report)
 }
 
 fn time_step(backend: &mut CpuBackend, step: u32, views: usize, settings: RenderSettings) -> Result<Sample> {
@@ -104,28 +99,5 @@ impl Report {
             roofline_nanoseconds_per_tile_splat: roofline_nanoseconds_per_intersection(),
             peak_memory_bytes: memory::peak_bytes(),
         }
-    }
-
-    fn to_text(&self) -> String {
-        let stage = |(name, _): &(&str, _)| format!("{name:<20}{:>8.2} ms\n", self.stages[name]);
-        let stages: String = STAGES.iter().map(stage).collect();
-        let roofline = self.roofline_nanoseconds_per_tile_splat;
-        let ratio = |nanoseconds: f64| format!("{nanoseconds:>8.1} ns  {:>5.2} x", nanoseconds / roofline);
-        format!(
-            "{} Gaussians, {}x{} px, {} threads, {:.0} (Gaussian x 16x16 tile) pairs\n\
-             step                {:>8.2} ms\n{stages}\
-             core time of one pair, and its ratio to the roofline:\n\
-             roofline            {roofline:>8.1} ns\n\
-             rasterise           {}\n\
-             rasterise_backward  {}",
-            self.gaussians,
-            self.width,
-            self.height,
-            self.threads,
-            self.tile_splats,
-            self.milliseconds,
-            ratio(self.blend_nanoseconds_per_tile_splat),
-            ratio(self.blend_backward_nanoseconds_per_tile_splat),
-        )
     }
 }

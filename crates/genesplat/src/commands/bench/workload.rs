@@ -1,8 +1,7 @@
 //! A trained cloud, or one that resembles one, at any number of Gaussians.
 //!
-//! For the latter, points of a scene, or of a synthetic one, are sampled again with a jitter of their own spacing until
-//! there are as many as wanted; Gaussians as wide as the distance to their new neighbours then cover the same surfaces
-//! with the same total area, as densification does. Opacities are mixed, shapes stretched and turned.
+//! For the latter, points are sampled again with a jitter of their own spacing until there are as many as wanted;
+//! Gaussians as wide as the distance to their new neighbours then cover the same surfaces, as densification does.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -16,7 +15,6 @@ use glam::{DQuat, DVec3};
 use crate::args::{SizeArgs, SourceArgs, WorkloadArgs};
 use crate::{scene, splat};
 
-/// Gaussians where neither flag nor scene says.
 const GAUSSIANS: usize = 55_000;
 /// Size of the synthetic photo: that of the figures in the design, which were measured on a phone's portrait.
 const SIZE_PX: [u32; 2] = [268, 478];
@@ -28,7 +26,6 @@ const WIDTH: f32 = 0.5;
 /// Standard deviation of the natural logarithm of an axis against the mean of the axes.
 const STRETCH: f32 = 0.6;
 
-/// Photos, and where clouds before them come from.
 pub(crate) struct Source {
     pub(crate) views: Vec<View>,
     pub(crate) settings: RenderSettings,
@@ -38,7 +35,6 @@ pub(crate) struct Source {
 enum Origin {
     /// To be sampled from; at least 4, as the loader sees to.
     Points(Vec<ColouredPoint>),
-    /// A cloud as it is.
     Trained(Gaussians),
 }
 
@@ -79,7 +75,6 @@ impl Source {
         Ok(Self { views: scene.train, settings: splat.settings, origin: Origin::Trained(splat.cloud) })
     }
 
-    /// Gaussians of a trained cloud, whose number is what it is.
     pub(crate) fn trained_count(&self) -> Option<usize> {
         match &self.origin {
             Origin::Points(_) => None,
@@ -87,7 +82,6 @@ impl Source {
         }
     }
 
-    /// The trained cloud, or one of `count` Gaussians that resembles one.
     pub(crate) fn cloud(&self, count: usize) -> Result<Gaussians> {
         match &self.origin {
             Origin::Points(points) => sampled(points, count),
@@ -109,7 +103,6 @@ impl Source {
     }
 }
 
-/// A cloud of `count` Gaussians that resembles a trained one.
 fn sampled(points: &[ColouredPoint], count: usize) -> Result<Gaussians> {
     trained_looking(&in_spatial_order(&resample(points, count)?))
 }
