@@ -6,7 +6,7 @@ use serde::Serialize;
 use crate::lpips::{InputRange, Lpips};
 use crate::{SizeMismatch, psnr, ssim};
 
-/// Scores of one view.
+/// Scores of one view; JSON shows a PSNR that is infinite, and a mean over no views, as `null`.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ViewScore {
     /// File name of the photo.
@@ -22,8 +22,7 @@ pub struct ViewScore {
 /// Means over views, and each view.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Evaluation {
-    /// Mean of the views' PSNR, dB. Infinite when a view is reproduced exactly; JSON has no such number, nor NaN, and shows
-    /// `null`.
+    /// Mean of the views' PSNR, dB; infinite when a view is reproduced exactly.
     pub psnr: f64,
     /// Mean of the views' SSIM; NaN when there is no view, as that of PSNR.
     pub ssim: f64,
