@@ -69,7 +69,6 @@ fn image(file: &Path, cursor: &mut Cursor) -> Result<ImageRecord, SceneError> {
     check::pose(file, ImageRecord { name, camera, rotation, translation })
 }
 
-/// `points3D.bin`; tracks are passed over.
 pub(super) fn points(file: &Path, bytes: &[u8]) -> Result<Vec<Point>, SceneError> {
     let mut cursor = Cursor::new(file, bytes);
     let count = cursor.count("points", POINT_BYTES)?;

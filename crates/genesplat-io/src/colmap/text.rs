@@ -121,7 +121,6 @@ fn rest_after(text: &str, count: usize) -> Option<&str> {
     (!rest.is_empty()).then_some(rest)
 }
 
-/// `points3D.txt`; tracks are passed over.
 pub(super) fn points(file: &Path, bytes: &[u8]) -> Result<Vec<Point>, SceneError> {
     let lines = lines(file, bytes)?.filter(|line| !line.text.trim().is_empty());
     lines.enumerate().map(|(index, line)| point(index + 1, line)).collect()
