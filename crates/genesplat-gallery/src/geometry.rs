@@ -67,7 +67,6 @@ impl Shape {
         .filter(|distance| (0.0..farthest).contains(distance))
     }
 
-    /// Unit normal at a point of the surface.
     pub(crate) fn normal(&self, point: Vec3) -> Vec3 {
         match *self {
             Self::Rectangle { normal, .. } => normal,
@@ -118,7 +117,6 @@ pub(crate) struct Bounds {
 }
 
 impl Bounds {
-    /// The box with these corners.
     pub(crate) fn of(a: Vec3, b: Vec3) -> Self {
         Self { low: a.min(b).into(), high: a.max(b).into() }
     }
@@ -127,7 +125,6 @@ impl Bounds {
         Self { low: self.low.min(other.low), high: self.high.max(other.high) }
     }
 
-    /// 0 for x, 1 for y, 2 for z.
     pub(crate) fn longest_axis(&self) -> usize {
         (self.high - self.low).max_position()
     }

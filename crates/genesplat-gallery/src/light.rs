@@ -53,7 +53,6 @@ pub(crate) struct Lamps {
     pub(crate) spots: Vec<Spot>,
 }
 
-/// Light at one surface, from all sides.
 #[derive(Clone, Debug)]
 enum Field {
     Grid {
@@ -66,7 +65,6 @@ enum Field {
     Cube([Vec3; 6]),
 }
 
-/// Baked light of every surface.
 #[derive(Debug)]
 pub(crate) struct Lighting {
     direct: Vec<Field>,

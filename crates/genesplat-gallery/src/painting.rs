@@ -6,13 +6,9 @@ use crate::texture::{clouds, hash, mix, noise, paint, smoothstep};
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Painting {
-    /// Hills behind hills, with a low sun over water.
     Ridges,
-    /// Quarter circles on a grid of tiles.
     Arcs,
-    /// Contour lines of a field of hills.
     Contours,
-    /// A mosaic of cells.
     Mosaic,
 }
 

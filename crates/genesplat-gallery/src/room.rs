@@ -1,7 +1,6 @@
 //! The gallery itself: shell, lamps, pictures, and the places of the exhibits.
 //!
-//! Chosen for what splats find hard or easy: large plain walls (few features), fine prints (many), thin rods and wires,
-//! a metal sphere and a glazed vase (colour that depends on the view).
+//! Chosen for what splats find hard: plain walls, fine prints, thin rods and wires, metal and glaze.
 
 use glam::Vec3;
 

@@ -1,7 +1,4 @@
-//! Colours of plain surfaces: plaster, oak boards, a woven rug, printed labels.
-//!
-//! All patterns are functions of a position in metres, built on one integer hash, so nothing is stored and any
-//! resolution shows the same room.
+//! Colours of surfaces, as functions of a position in metres: any resolution shows the same room.
 
 use glam::Vec3;
 

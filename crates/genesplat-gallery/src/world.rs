@@ -53,15 +53,16 @@ struct Node {
 
 #[derive(Debug)]
 enum Content {
-    /// Indices of surfaces.
     Leaf(Range<usize>),
     /// The first child follows its parent; this is the index of the second, and the axis on which they are apart.
-    Fork { second: usize, axis: usize },
+    Fork {
+        second: usize,
+        axis: usize,
+    },
 }
 
 /// Longest side of a surface in the tree, metres.
 const SIDE_MAX: f32 = 2.8;
-/// Most surfaces of a leaf.
 const LEAF_MAX: usize = 2;
 /// Nodes on the stack while a ray descends: one for each level, and a tree of halves has at most 64.
 const STACK: usize = 64;

@@ -47,7 +47,6 @@ pub(crate) enum Purpose {
 }
 
 impl Listing {
-    /// Gives every photo the name of its view.
     pub(crate) fn name_views(&mut self) -> Result<(), SceneError> {
         let Some(list) = self.photos.first().map(|photo| photo.list.clone()) else { return Ok(()) };
         let paths: Vec<&str> = self.photos.iter().map(|photo| photo.name.as_str()).collect();
@@ -121,7 +120,6 @@ fn view_names(paths: &[&str], list: &Path) -> Result<Vec<String>, SceneError> {
         .expect("different paths end up with different names"))
 }
 
-/// The first name that occurred before.
 fn repeated(names: &[String]) -> Option<&String> {
     let mut seen = HashSet::new();
     names.iter().find(|name| !seen.insert(*name))

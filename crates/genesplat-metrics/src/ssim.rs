@@ -1,7 +1,5 @@
-//! Structural similarity (Wang et al. 2004), with the window of 3DGS and of the published numbers.
-//!
-//! An 11-tap Gaussian window of 1.5 px, zero padding (so the border counts), per channel, mean over all pixels and
-//! channels. The window is separable: each of the five moment maps is blurred along rows, then along columns.
+//! Structural similarity (Wang et al. 2004) as 3DGS and the published numbers have it: an 11-tap Gaussian window of
+//! 1.5 px, zero padding (so the border counts), per channel, mean over all pixels and channels.
 
 use genesplat_core::Photo;
 use genesplat_core::constants::{SSIM_C1, SSIM_C2, SSIM_RADIUS, ssim_window};

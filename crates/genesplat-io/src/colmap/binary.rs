@@ -19,7 +19,6 @@ const POINT_BYTES: usize = 8 + 3 * 8 + 3 + 8 + 8;
 /// One entry of a track: `i32` image id and feature index.
 const TRACK_BYTES: usize = 8;
 
-/// `cameras.bin`.
 pub(super) fn cameras(file: &Path, bytes: &[u8]) -> Result<BTreeMap<u32, Intrinsics>, SceneError> {
     let mut cursor = Cursor::new(file, bytes);
     let count = cursor.count("cameras", CAMERA_BYTES)?;
@@ -70,7 +69,6 @@ fn image(file: &Path, cursor: &mut Cursor) -> Result<ImageRecord, SceneError> {
     check::pose(file, ImageRecord { name, camera, rotation, translation })
 }
 
-/// `points3D.bin`; tracks are passed over.
 pub(super) fn points(file: &Path, bytes: &[u8]) -> Result<Vec<Point>, SceneError> {
     let mut cursor = Cursor::new(file, bytes);
     let count = cursor.count("points", POINT_BYTES)?;

@@ -1,7 +1,6 @@
 //! COLMAP reconstructions: `sparse/0/{cameras,images,points3D}.{bin,txt}` beside a folder of photos.
 //!
-//! Both forms are read into one [`Model`] (`binary`, `text`), checked there record by record, and joined to photos with
-//! cameras (`listing`). Only pinhole cameras are taken: a rasteriser of splats projects along straight lines, so a
+//! Only pinhole cameras are taken: a rasteriser of splats projects along straight lines, so a
 //! distorted reconstruction must be undistorted first (COLMAP's `image_undistorter`).
 //!
 //! Frames: `camera_from_world` is stored as COLMAP stores it, x right, y down, z forward.

@@ -67,7 +67,6 @@ fn lines<'a>(file: &'a Path, bytes: &'a [u8]) -> Result<impl Iterator<Item = Lin
     Ok(numbered.filter(|line| !line.text.trim_start().starts_with('#')))
 }
 
-/// `cameras.txt`.
 pub(super) fn cameras(file: &Path, bytes: &[u8]) -> Result<BTreeMap<u32, Intrinsics>, SceneError> {
     let lines = lines(file, bytes)?.filter(|line| !line.text.trim().is_empty());
     check::by_id(file, lines.map(camera))
@@ -122,7 +121,6 @@ fn rest_after(text: &str, count: usize) -> Option<&str> {
     (!rest.is_empty()).then_some(rest)
 }
 
-/// `points3D.txt`; tracks are passed over.
 pub(super) fn points(file: &Path, bytes: &[u8]) -> Result<Vec<Point>, SceneError> {
     let lines = lines(file, bytes)?.filter(|line| !line.text.trim().is_empty());
     lines.enumerate().map(|(index, line)| point(index + 1, line)).collect()

@@ -48,10 +48,8 @@ pub fn read_ply_with_header(path: &Path) -> Result<(PlyHeader, Gaussians), PlyEr
         let problem = "it is an ASCII file, and only binary ones hold Gaussians".into();
         return Err(PlyError::Header { path: path.to_owned(), problem });
     }
-    let layout = rows::Layout::of(&header, path)?;
-    let cloud =
-        layout.read(header.gaussians as usize, &mut rest).map_err(|source| read_error(path, source))?;
-    Ok((header, cloud))
+    let cloud = rows::Layout::of(&header, path)?.read(header.gaussians as usize, &mut rest);
+    Ok((header, cloud.map_err(|source| read_error(path, source))?))
 }
 
 /// Names the first row of `cloud` (read from `path`) that holds a value that is not finite.

@@ -1,8 +1,7 @@
 //! Scenes described by `transforms.json`: nerfstudio's and instant-ngp's, and Blender's pair of files.
 //!
-//! Poses are `world_from_camera` in OpenGL's camera axes (y up, z backwards); two axes are turned and the whole is
-//! inverted (`camera`). Distorted photos are undistorted when they are loaded. Scenes without points start from random
-//! ones (`random_points`). Poses are used as they are: no re-centring, no scaling.
+//! Poses are `world_from_camera` in OpenGL's camera axes (y up, z backwards). They are used as they are: no re-centring,
+//! no scaling.
 
 mod camera;
 mod random_points;

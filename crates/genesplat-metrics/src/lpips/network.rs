@@ -40,7 +40,6 @@ impl Net {
         convolutions.chain(heads.map(|(layer, slice)| (head(layer), vec![1, slice.channels(), 1, 1])))
     }
 
-    /// The slices, in the order in which a picture passes them.
     pub(super) fn slices(self) -> &'static [Slice; LAYERS] {
         match self {
             Self::Vgg16 => &VGG16,
@@ -71,7 +70,6 @@ impl fmt::Display for Net {
     }
 }
 
-/// Name of a layer's head.
 pub(super) fn head(layer: usize) -> String {
     format!("lin{layer}.weight")
 }
