@@ -1,7 +1,7 @@
 //! Flags, configuration file and defaults become one resolved configuration.
 //!
-//! A flag wins over the file, the file over the default. The result is written to the run folder as `config.toml`, which
-//! is itself such a file.
+//! A flag wins over the file, the file over the default. The result is written to the run folder as `config.toml`,
+//! which is itself such a file.
 
 use std::fs;
 use std::ops::RangeInclusive;
@@ -142,8 +142,8 @@ impl ConfigFile {
         })
     }
 
-    /// What makes the result of a run of this file differ from that of a run with `settings`, if anything. Scenes are the
-    /// same where the last `parts` of their paths are, since folders are moved.
+    /// What makes the result of a run of this file differ from that of a run with `settings`, if anything. Scenes are
+    /// the same where the last `parts` of their paths are, since folders are moved.
     pub(crate) fn difference(&self, settings: &Settings, parts: usize) -> Option<String> {
         let [there, here] = [&self.dataset.path, &settings.dataset.path].map(|path| end_of(path, parts));
         if there != here {
@@ -272,9 +272,9 @@ mod tests {
         let said = difference(&small, &train);
         assert_eq!(said.as_deref(), Some("dataset.max_side is not set there and 64 here"));
         let mut other = train.clone();
-        other.evolution.mode = EvolutionMode::Renew;
+        other.evolution.mode = EvolutionMode::Off;
         let said = difference(&dataset, &other);
-        assert_eq!(said.as_deref(), Some("evolution.mode is \"off\" there and \"renew\" here"));
+        assert_eq!(said.as_deref(), Some("evolution.mode is \"renew\" there and \"off\" here"));
         let other = TrainConfig { max_gaussians: Some(9), seed: 4, ..train.clone() };
         let said = difference(&dataset, &other);
         assert_eq!(said.as_deref(), Some("seed is 0 there and 4 here"));
