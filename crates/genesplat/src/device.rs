@@ -36,8 +36,8 @@ impl DeviceChoice {
         }
     }
 
-    /// The device that is meant, never `Auto`; what `Auto` comes to is said once. Asked for once all else is known to be
-    /// well: drivers may write to stderr when they are looked for.
+    /// The device that is meant, never `Auto`; what `Auto` comes to is said once. Asked for once all else is known to
+    /// be well: drivers may write to stderr when they are looked for.
     pub(crate) fn resolve(self) -> Result<Self> {
         match self {
             Self::Cpu => Ok(Self::Cpu),

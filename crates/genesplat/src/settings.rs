@@ -1,7 +1,7 @@
 //! Flags, configuration file and defaults become one resolved configuration.
 //!
-//! A flag wins over the file, the file over the default. The result is written to the run folder as `config.toml`, which
-//! is itself such a file.
+//! A flag wins over the file, the file over the default. The result is written to the run folder as `config.toml`,
+//! which is itself such a file.
 
 use std::fs;
 use std::ops::RangeInclusive;
@@ -142,8 +142,8 @@ impl ConfigFile {
         })
     }
 
-    /// What makes the result of a run of this file differ from that of a run with `settings`, if anything. Scenes are the
-    /// same where the last `parts` of their paths are, since folders are moved.
+    /// What makes the result of a run of this file differ from that of a run with `settings`, if anything. Scenes are
+    /// the same where the last `parts` of their paths are, since folders are moved.
     pub(crate) fn difference(&self, settings: &Settings, parts: usize) -> Option<String> {
         let [there, here] = [&self.dataset.path, &settings.dataset.path].map(|path| end_of(path, parts));
         if there != here {

@@ -43,7 +43,6 @@ pub(crate) struct WorkloadArgs {
     pub(crate) gaussians: Option<u32>,
 }
 
-/// `genesplat bench step`.
 #[derive(Debug, Args)]
 pub(crate) struct BenchStepArgs {
     #[command(flatten)]
@@ -57,7 +56,6 @@ pub(crate) struct BenchStepArgs {
     pub(crate) machine: MachineArgs,
 }
 
-/// `genesplat bench evolution`.
 #[derive(Debug, Args)]
 pub(crate) struct BenchEvolutionArgs {
     #[command(flatten)]
@@ -74,7 +72,6 @@ pub(crate) struct BenchEvolutionArgs {
     pub(crate) machine: MachineArgs,
 }
 
-/// `genesplat bench gpu`.
 #[derive(Debug, Args)]
 pub(crate) struct BenchGpuArgs {
     #[command(flatten)]

@@ -63,7 +63,6 @@ impl VolumeArgs {
     }
 }
 
-/// The commands.
 #[derive(Debug, Subcommand)]
 pub(crate) enum Command {
     /// Start here: build a small scene, train it without and with evolution, show the difference (a few minutes)
@@ -103,7 +102,6 @@ pub(crate) enum LpipsCommand {
     Install(LpipsInstallArgs),
 }
 
-/// `genesplat lpips install`.
 #[derive(Debug, Args)]
 pub(crate) struct LpipsInstallArgs {
     /// torchvision's VGG16 or AlexNet (.pth) and the heads of the Python package lpips (weights/v0.1/*.pth), or
@@ -140,7 +138,6 @@ impl JsonArgs {
     }
 }
 
-/// `genesplat demo`.
 #[derive(Debug, Args)]
 pub(crate) struct DemoArgs {
     /// Folder for the scene, both runs and the picture that compares them; made if it is missing. What an earlier demo
@@ -159,7 +156,6 @@ pub(crate) struct DemoArgs {
     pub(crate) lpips: LpipsArgs,
 }
 
-/// `genesplat evaluate`.
 #[derive(Debug, Args)]
 pub(crate) struct EvaluateArgs {
     /// A splat (.ply), or the folder of a run
@@ -183,7 +179,6 @@ pub(crate) struct EvaluateArgs {
     pub(crate) lpips: LpipsArgs,
 }
 
-/// `genesplat render`.
 #[derive(Debug, Args)]
 #[command(group(clap::ArgGroup::new("which").required(true).args(["image", "split"])))]
 pub(crate) struct RenderArgs {
@@ -211,7 +206,6 @@ pub(crate) struct RenderArgs {
     pub(crate) machine: MachineArgs,
 }
 
-/// `genesplat refine`.
 #[derive(Debug, Args)]
 pub(crate) struct RefineArgs {
     /// The splat to start from: a .ply in the layout of the 3DGS authors, as nearly every trainer writes it, or the
@@ -242,7 +236,6 @@ pub(crate) struct RefineArgs {
     pub(crate) machine: MachineArgs,
 }
 
-/// `genesplat compare`.
 #[derive(Debug, Args)]
 pub(crate) struct CompareArgs {
     /// A PNG or JPEG
@@ -257,7 +250,6 @@ pub(crate) struct CompareArgs {
     pub(crate) lpips: LpipsArgs,
 }
 
-/// `genesplat experiment`.
 #[derive(Debug, Args)]
 pub(crate) struct ExperimentArgs {
     /// What to compare: smoke (minutes, no data needed), paper-table-2-3, study-evolution, study-variants, study-mcmc,

@@ -10,7 +10,6 @@ use genesplat::train::{Background, EvolutionMode, TrainConfig, Variant};
 use super::choice::{BACKGROUNDS, EVOLUTION, SIGNALS, VARIANTS, choice};
 use super::{LpipsArgs, MORE, MachineArgs, SEEDS, SizeArgs, scale};
 
-/// `genesplat train`.
 #[derive(Debug, Args)]
 pub(crate) struct TrainArgs {
     /// Folder of the scene: a COLMAP model in sparse/0 (cameras, images, points3D as .bin or .txt) and its photos in

@@ -53,7 +53,8 @@ pub(crate) fn run(args: &DemoArgs) -> Result<Ending> {
     for half in &mut halves {
         output::tell(&format!("\ntraining {} evolution", half.name));
         let Some(metrics) = half.train(&scene, lpips.as_ref(), &stop)? else {
-            return stopped();
+            output::print("stopped; the demo cannot go on from here, so run it again")?;
+            return Ok(Ending::Stopped);
         };
         results.push(metrics);
     }
@@ -87,11 +88,6 @@ fn show(args: &DemoArgs, scene: &Scene, halves: &[Half], results: &[Metrics]) ->
         picture.display(),
         halves[1].session.path().join(CLOUD).display(),
     ))
-}
-
-fn stopped() -> Result<Ending> {
-    output::print("stopped; the demo cannot go on from here, so run it again")?;
-    Ok(Ending::Stopped)
 }
 
 fn gallery_in(out: &Path) -> PathBuf {

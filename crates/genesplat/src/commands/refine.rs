@@ -1,4 +1,5 @@
-//! `genesplat refine`: makes a splat of any trainer better, by gradient steps and renewals, or by the paper's search alone.
+//! `genesplat refine`: makes a splat of any trainer better, by gradient steps and renewals, or by the paper's search
+//! alone.
 
 use anyhow::{Result, bail};
 use genesplat::core::{RenderSettings, ScreenFilter};
@@ -76,7 +77,8 @@ fn configure(args: &RefineArgs, splat: &Splat) -> Result<Resolved> {
     Ok(train.resolve()?)
 }
 
-/// A finished splat goes on where training ends: positions at their last rate, no density control but renewals, no resets.
+/// A finished splat goes on where training ends: positions at their last rate, no density control but renewals, no
+/// resets.
 fn finish_schedule(train: &mut TrainConfig) {
     train.optimiser.position_start = train.optimiser.position_end;
     train.densify.until = 0;

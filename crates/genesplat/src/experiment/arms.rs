@@ -36,7 +36,9 @@ pub(crate) fn resolve_arms(file: &ExperimentFile) -> Result<Vec<Arm>> {
         check_word(&table.name)?;
         [&file.config, &table.config].into_iter().try_for_each(|config| check_config(config, &table.name))?;
         let control_of = table.control_of.as_deref().and_then(index);
-        let mut config = file.config.clone();
+        // Arms that name no mode are plain training, whatever the default of `train`.
+        let mut config = mode_table("off", None);
+        merge(&mut config, &file.config);
         if let Some(target) = control_of {
             merge(&mut config, &tables[target].config);
             let controlled = check_controlled(&config, table, &tables[target])?;
@@ -135,8 +137,8 @@ fn mode_table(mode: &str, more: Option<(&str, &str)>) -> Table {
     Table::from_iter([("evolution".to_owned(), Value::Table(evolution))])
 }
 
-/// What turns an arm into a control, but for its budget. Where searches come at a trigger, so do the steps that stand for
-/// them; those of `renew` come after the last step of the run, where they do most good.
+/// What turns an arm into a control, but for its budget. Where searches come at a trigger, so do the steps that stand
+/// for them; those of `renew` come after the last step of the run, where they do most good.
 fn control_table(controlled: &EvolutionConfig) -> Table {
     let comes_last = controlled.mode == EvolutionMode::Renew;
     mode_table("off", comes_last.then_some(("trigger", "at-end")))

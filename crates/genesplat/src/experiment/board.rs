@@ -3,6 +3,7 @@
 use std::time::Instant;
 
 use super::plan::{Cell, Experiment};
+use crate::report::run::number;
 use crate::run::metrics::Metrics;
 use crate::terminal::output;
 
@@ -44,9 +45,8 @@ impl<'a> Board<'a> {
     fn row(&mut self, cell: Cell, metrics: Option<&Metrics>, note: &str) {
         self.done += 1;
         let (experiment, file) = (self.experiment, &self.experiment.file);
-        let psnr = |value: f64| if value.is_finite() { format!("{value:.2}") } else { "-".into() };
         let figures = metrics.map_or(String::new(), |Metrics { test, train, gaussians, seconds, .. }| {
-            let (test, train) = (psnr(test.psnr), psnr(train.psnr));
+            let [test, train] = [test, train].map(|scores| number(Some(scores.psnr), 2, ""));
             format!(" {test:>10} {train:>10} {gaussians:>10} {:>8.1} ", seconds.training())
         });
         let line = format!(

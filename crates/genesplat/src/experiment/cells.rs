@@ -32,8 +32,8 @@ impl Runner<'_> {
         }
     }
 
-    /// Finished cells and checkpoints of another experiment, or of another version of this program, are not overwritten. A
-    /// control is no cell of another experiment just because the arm that it controls was run again.
+    /// Finished cells and checkpoints of another experiment, or of another version of this program, are not
+    /// overwritten. A control is no cell of another experiment just because the arm that it controls was run again.
     pub(crate) fn check_folders(&self) -> Result<()> {
         let results = Results::none(self.experiment);
         for cell in self.experiment.cells() {

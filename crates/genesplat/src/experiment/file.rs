@@ -30,10 +30,12 @@ pub(crate) struct ExperimentFile {
     /// Name of the arm that differences are taken from. Default: the first.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) baseline: Option<String>,
-    /// Modes of evolution, each an arm of that name; `control` stands for an equal-time control of each arm that evolves.
+    /// Modes of evolution, each an arm of that name; `control` stands for an equal-time control of each arm that
+    /// evolves.
     #[serde(default)]
     pub(crate) evolve: Vec<String>,
-    /// Gradient steps of a control at each stage of its arm, in place of seconds, so that tables are the same wherever they are made.
+    /// Gradient steps of a control at each stage of its arm, in place of seconds, so that tables are the same wherever
+    /// they are made.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) control_steps: Option<u32>,
     /// How the bundled scene is photographed.

@@ -1,5 +1,6 @@
 //! From a file to a checked list of cells. Nothing runs here.
 
+use std::fmt::Display;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Result, anyhow, bail, ensure};
@@ -34,9 +35,9 @@ impl Experiment {
     /// Checks everything that can be known before the first run: an error after a night is an expensive one.
     pub(crate) fn new(file: ExperimentFile) -> Result<Self> {
         let arms = resolve_arms(&file)?;
-        check_names("scenes", file.scenes.iter().map(|scene| scene_label(scene)))?;
-        check_names("variants", file.variants.iter().map(|variant| variant.name()))?;
-        check_names("arms", arms.iter().map(|arm| arm.name.as_str()))?;
+        check_list("scenes", file.scenes.iter().map(|scene| scene_label(scene)))?;
+        check_list("variants", &file.variants)?;
+        check_list("arms", arms.iter().map(|arm| &arm.name))?;
         check_list("seeds", &file.seeds)?;
         check_labels(&file.scenes)?;
         check_size(file.max_side, file.downscale)?;
@@ -68,7 +69,8 @@ impl Experiment {
         Ok(())
     }
 
-    /// Scene by scene, so that each is loaded once, pairs together, and a control after the cell whose seconds it spends.
+    /// Scene by scene, so that each is loaded once, pairs together, and a control after the cell whose seconds it
+    /// spends.
     pub(crate) fn cells(&self) -> Vec<Cell> {
         let (file, mut order) = (&self.file, Vec::from_iter(0..self.arms.len()));
         order.sort_by_key(|&arm| self.arms[arm].control_of.is_some());
@@ -169,15 +171,15 @@ fn scene_label(scene: &str) -> &str {
     Path::new(scene).file_name().and_then(|name| name.to_str()).unwrap_or(scene)
 }
 
-fn check_names<'a>(what: &str, names: impl Iterator<Item = &'a str>) -> Result<()> {
-    check_list(what, &names.collect::<Vec<_>>())
-}
-
-fn check_list<T: PartialEq + std::fmt::Display>(what: &str, items: &[T]) -> Result<()> {
+fn check_list<T: PartialEq + Display>(what: &str, items: impl IntoIterator<Item = T>) -> Result<()> {
+    let items = Vec::from_iter(items);
     ensure!(!items.is_empty(), "the experiment has no {what}; list at least one");
-    let twice = items.iter().enumerate().find(|(at, item)| items[..*at].contains(item));
-    let Some((_, item)) = twice else { return Ok(()) };
-    bail!("`{item}` is there twice among the experiment's {what}; give each a name of its own")
+    match items.iter().enumerate().find(|(at, item)| items[..*at].contains(item)) {
+        Some((_, item)) => {
+            bail!("`{item}` is there twice among the experiment's {what}; give each a name of its own")
+        }
+        None => Ok(()),
+    }
 }
 
 #[cfg(test)]

@@ -84,7 +84,8 @@ impl Reach {
 }
 
 impl<'a> Runner<'a> {
-    /// Runs everything, or until it is stopped. A cell that fails keeps others from being begun only where they would fail.
+    /// Runs everything, or until it is stopped. A cell that fails keeps others from being begun only where they would
+    /// fail.
     pub(crate) fn run(&self) -> Result<Ran<'a>> {
         self.check_folders()?;
         self.check_photos()?;

@@ -1,7 +1,7 @@
 //! Where two renders of a photo differ most: windows that the program chooses, not the author.
 //!
-//! For every square window, a sixth of the longer side wide, the absolute errors of both renders are summed. The windows
-//! of the largest differences are taken, none overlapping an earlier one.
+//! For every square window, a sixth of the longer side wide, the absolute errors of both renders are summed. The
+//! windows of the largest differences are taken, none overlapping an earlier one.
 
 use genesplat::core::Photo;
 

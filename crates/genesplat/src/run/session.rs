@@ -42,8 +42,8 @@ pub(crate) struct RunSession {
 }
 
 impl RunSession {
-    /// Claims the folder `path` for a run that begins anew, or goes on from its checkpoint, before anything slow is done.
-    /// What is in it stays as it is until [`Self::begin`].
+    /// Claims the folder `path` for a run that begins anew, or goes on from its checkpoint, before anything slow is
+    /// done. What is in it stays as it is until [`Self::begin`].
     pub(crate) fn claim(path: &Path, caller: Caller, resumes: bool) -> Result<Self> {
         let check = if resumes { check_is_run } else { check_is_free };
         check(path)?;

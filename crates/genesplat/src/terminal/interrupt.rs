@@ -55,8 +55,8 @@ impl Wish {
     }
 }
 
-/// SIGTERM is how schedulers end a program. ctrlc's feature `termination` is not used, since it would catch SIGHUP, too,
-/// and so undo `nohup`.
+/// SIGTERM is how schedulers end a program. ctrlc's feature `termination` is not used, since it would catch SIGHUP,
+/// too, and so undo `nohup`.
 #[cfg(unix)]
 fn on_termination(handler: impl Fn() + Send + 'static) -> Result<()> {
     use signal_hook::consts::SIGTERM;

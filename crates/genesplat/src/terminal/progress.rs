@@ -1,7 +1,7 @@
 //! How far a piece of work is: a bar that vanishes when the work is done, or lines where stderr is no terminal.
 //!
-//! A terminal has one bar at a time, one line that is narrower than the terminal, so a carriage return is all it takes to
-//! draw over it. Whoever writes to the terminal meanwhile does so [`aside`].
+//! A terminal has one bar at a time, one line that is narrower than the terminal, so a carriage return is all it takes
+//! to draw over it. Whoever writes to the terminal meanwhile does so [`aside`].
 
 use std::io::{self, IsTerminal};
 use std::sync::{Mutex, MutexGuard, PoisonError};

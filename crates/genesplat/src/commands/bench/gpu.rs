@@ -1,8 +1,8 @@
 //! `genesplat bench gpu`: what training steps and scoring cost on the graphics device, at several sizes, in one call.
 //!
-//! Steps are real ones with learning rates of zero, on photos from all over the scene. Two clocks are read: the device's
-//! own, stage by stage, and the host's, over steps that are submitted one after the other without waiting, as in
-//! training. Scoring is measured as in `bench evolution`.
+//! Steps are real ones with learning rates of zero, on photos from all over the scene. Two clocks are read: the
+//! device's own, stage by stage, and the host's, over steps that are submitted one after the other without waiting, as
+//! in training. Scoring is measured as in `bench evolution`.
 
 use std::time::Instant;
 
