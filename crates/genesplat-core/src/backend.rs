@@ -5,16 +5,17 @@
 use std::borrow::Cow;
 use std::sync::Arc;
 
+use serde::{Deserialize, Serialize};
+
 use crate::averages::{Blend, ViewLoss, WindowAverages};
 use crate::camera::Camera;
 use crate::constants::{CLASSIC_DILATION, MIP_DILATION};
-use crate::contribution::Contribution;
 use crate::edit::RowEdit;
 use crate::gaussians::{Gaussians, Moments};
 use crate::genes::{Genes, SparseDelta};
 use crate::image::{Image, Photo};
 use crate::rng::Rng;
-use crate::statistics::{Statistics, StatisticsRequest};
+use crate::statistics::{Contribution, Statistics, StatisticsRequest};
 
 /// A camera and the photo it took; both have the same size.
 #[derive(Clone, Debug)]
@@ -88,10 +89,9 @@ pub struct LearningRates {
 pub struct Update {
     /// Step sizes.
     pub rates: LearningRates,
-    /// 1-based count of the Adam steps made, this one included (for the bias correction).
+    /// Adam steps made, this one included (for the bias correction).
     pub step: u32,
-    /// The same for the opacity group, which loses a step at a lone opacity reset, as its tensor is replaced;
-    /// 0 skips the group in this step.
+    /// The same for the opacity group, which loses a step at an opacity reset; 0 skips the group in this step.
     pub opacity_step: u32,
     /// MCMC only: SGLD noise and regularisers.
     pub mcmc: Option<McmcStep>,
@@ -119,15 +119,14 @@ pub struct TrainStep {
     pub view: usize,
     /// How to render it.
     pub settings: RenderSettings,
-    /// The optimiser step; `None` computes gradients for the statistics only (the reference loses the optimiser
-    /// step of every densifying iteration, whose gradients go with the tensors that it replaces).
+    /// The optimiser step; `None` computes gradients for the statistics only.
     pub update: Option<Update>,
     /// What to accumulate.
     pub statistics: StatisticsRequest,
 }
 
 /// What the last training step found; asking for it may read back from the device.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct StepReport {
     /// `0.8 · L1 + 0.2 · (1 − SSIM)`.
     pub loss: f32,
@@ -156,8 +155,8 @@ pub enum BackendError {
     },
     /// Training diverged, and no parameter shows it yet.
     #[error(
-        "the loss is not finite after {steps} optimiser steps, though every parameter still is; lower the learning rates \
-         or check the scene's points"
+        "the loss is not finite after {steps} optimiser steps, though every parameter still is; \
+         lower the learning rates or check the scene's points"
     )]
     LossNotFinite {
         /// Adam steps made so far.
@@ -200,7 +199,8 @@ impl BackendError {
 }
 
 /// What happens to Adam's moments of rows that evolution changed. The paper is silent.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum MomentPolicy {
     /// Leave them.
     #[default]
@@ -210,7 +210,7 @@ pub enum MomentPolicy {
 }
 
 /// All that a device holds of a run besides its views: what a checkpoint saves.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct DeviceState {
     /// The Gaussians `[N]`.
     pub cloud: Gaussians,
@@ -231,9 +231,8 @@ impl From<Gaussians> for DeviceState {
 
 /// A device that holds one cloud, its moments and the training views.
 ///
-/// A verb that finds no memory ([`BackendError::OutOfMemory`]) does nothing: what was held before it can still be
-/// downloaded. Steps may wait in a queue, so the verb that fails for want of memory may be one after them;
-/// [`Backend::discard_queued_steps`] tells how many of them were not done.
+/// A verb that finds no memory ([`BackendError::OutOfMemory`]) does nothing. Steps may wait in a queue, so it may be a later
+/// verb that fails; [`Backend::discard_queued_steps`] tells how many steps were not done.
 pub trait Backend {
     /// In plain words, for the log.
     fn describe(&self) -> String;
@@ -253,8 +252,7 @@ pub trait Backend {
     /// The cloud: lent by a backend whose memory is the host's, copied by others.
     fn download(&mut self) -> Result<Cow<'_, Gaussians>, BackendError>;
 
-    /// The genes of all rows `[N]`, which are all of the cloud that density control and evolution look at: a fifth of what
-    /// [`Backend::download`] copies.
+    /// The genes of all rows `[N]`, an eighth of what [`Backend::download`] copies.
     fn genes(&mut self) -> Result<Vec<Genes>, BackendError> {
         Ok(self.download()?.all_genes())
     }
@@ -268,8 +266,8 @@ pub trait Backend {
     /// What the last [`Backend::train_step`] found; waits for it.
     fn report(&mut self) -> Result<StepReport, BackendError>;
 
-    /// After [`BackendError::OutOfMemory`]: waits for the queued steps, drops those that cannot be done, and returns how many these
-    /// are; all before them are done, and none is done in part. Buffers that can be made again are freed, to leave room for downloads.
+    /// After [`BackendError::OutOfMemory`]: waits for the queued steps, drops those that cannot be done, the last ones, and returns
+    /// how many these are. Frees what can be made again, so that downloads fit.
     fn discard_queued_steps(&mut self) -> Result<usize, BackendError>;
 
     /// Sums since the last reset `[N]`.
@@ -281,8 +279,8 @@ pub trait Backend {
     /// Applies a plan of density control to parameters, moments and gene accumulators; density columns are zeroed, averages emptied.
     fn edit_rows(&mut self, edit: &RowEdit) -> Result<(), BackendError>;
 
-    /// `opacity ← min(opacity, ceiling)`; the opacity moments of all rows are zeroed, averages emptied. With a 3D filter the
-    /// *filtered* opacity is limited, as in the code released with it.
+    /// `opacity ← min(opacity, ceiling)`, with a 3D filter that of the *filtered* opacity; opacity moments are zeroed, averages
+    /// emptied.
     fn reset_opacity(&mut self, ceiling: f32) -> Result<(), BackendError>;
 
     /// Replaces the 3D filter of Mip-Splatting `[N]`.

@@ -3,22 +3,22 @@
 use crate::covariance::world_offset;
 use crate::gaussians::{Gaussians, Moments, logit, sigmoid};
 use crate::rng::{Rng, Stream};
+use crate::spherical_harmonics::SH_STRIDE;
 
 /// How a new row is made from an old one.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Origin {
     /// The same Gaussian; its moments are kept.
     Kept,
-    /// An exact copy with fresh moments: the code released with 3DGS does not move clones, though its paper does.
+    /// An exact copy with fresh moments, as in the code released with 3DGS (its paper moves clones).
     Clone,
     /// One of two children, drawn from the parent's own distribution, scales divided by 1.6, fresh moments.
     SplitChild {
         /// 0 or 1.
         child: u8,
     },
-    /// One of two that together render (nearly) like the one before: opacity and scales as if both stayed in its place
-    /// (MCMC's Eq. 9 for two), each moved by [`TWIN_OFFSET`] to its own side along the longest axis, so that they part.
-    /// Fresh moments.
+    /// One of two that together render (nearly) like the one before: opacity and scales by MCMC's Eq. 9, each moved by
+    /// [`TWIN_OFFSET`] to its own side along the longest axis. Fresh moments.
     Twin {
         /// 0 or 1.
         child: u8,
@@ -76,9 +76,7 @@ impl RowEdit {
     /// The host's implementation: new parameters and moments. Column by column, so that at most one column
     /// exists twice.
     pub fn apply(&self, cloud: &mut Gaussians, moments: &mut Moments) {
-        let positions: Vec<[f32; 3]> =
-            self.rows().map(|(row, origin)| self.position(cloud, row, origin)).collect();
-        cloud.positions = positions;
+        cloud.positions = self.rows().map(|(row, origin)| self.position(cloud, row, origin)).collect();
         // Twins' scales depend on opacities, so these come later.
         cloud.log_scales = self
             .rows()
@@ -94,7 +92,7 @@ impl RowEdit {
             moment.log_scales = self.gather_kept(&moment.log_scales, [0.0; 3]);
             moment.opacity_logits = self.gather_kept(&moment.opacity_logits, 0.0);
             moment.rotations = self.gather_kept(&moment.rotations, [0.0; 4]);
-            moment.sh = self.gather_kept(&moment.sh, [0.0; crate::spherical_harmonics::SH_STRIDE]);
+            moment.sh = self.gather_kept(&moment.sh, [0.0; SH_STRIDE]);
         }
     }
 

@@ -12,7 +12,6 @@ pub mod averages;
 pub mod backend;
 pub mod camera;
 pub mod constants;
-pub mod contribution;
 pub mod covariance;
 pub mod edit;
 pub mod gaussians;
@@ -28,10 +27,9 @@ pub use backend::{
     TrainStep, Update, View,
 };
 pub use camera::Camera;
-pub use contribution::Contribution;
 pub use edit::{Origin, RowEdit};
 pub use gaussians::{Gaussians, Moments};
 pub use genes::{GENES, Genes, SparseDelta};
 pub use image::{Image, Photo};
 pub use rng::{Rng, Stream};
-pub use statistics::{DensitySignal, Statistics, StatisticsRequest};
+pub use statistics::{Contribution, DensitySignal, Statistics, StatisticsRequest};

@@ -15,12 +15,11 @@ pub enum Stream {
     Background = 3,
     /// Points of a scene that has none: (0, row, 0).
     InitialPoints = 4,
-    /// Choice of views: those that fitness is measured on, (stage, 0, 0); an order of them, (generation + 1, position, 0).
+    /// Choice of the views that fitness is measured on: (stage, 0, 0).
     FitnessViews = 5,
     /// Which Gaussians of an individual are selected: (generation, individual, draw / 4).
     GeneSelection = 6,
-    /// Which genes mutate, and by how much: (generation, individual, 3 row + draw); of the mosaic search, (generation,
-    /// 2 mutant + draw, row).
+    /// Which genes mutate, and by how much: (generation, individual, 3 row + draw).
     Mutation = 7,
     /// Tournament draws: (generation, pair, draw).
     Tournament = 8,
@@ -34,9 +33,6 @@ pub enum Stream {
     Gallery = 12,
     /// Tests and benches.
     Test = 13,
-    /// Blocks that a mutant of the mosaic search changes: (generation, mutant, block), and where they begin: (generation,
-    /// `u32::MAX`, 0). Individuals of an evolution strategy: (generation, individual, pair of genes).
-    Proposal = 14,
 }
 
 /// The random numbers of one seed.

@@ -1,4 +1,6 @@
-//! What a backend accumulates over training steps for density control and evolution.
+//! What a backend measures for density control and evolution.
+
+use serde::{Deserialize, Serialize};
 
 use crate::genes::Genes;
 
@@ -30,7 +32,7 @@ pub struct StatisticsRequest {
 }
 
 /// Sums since the last change of rows; rows match those of the cloud.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Statistics {
     /// Sum of the density signal, in gradients by normalised device coordinate `[N]`.
     pub gradient_sum: Vec<f32>,
@@ -57,4 +59,18 @@ impl Statistics {
             _ => 0.0,
         }
     }
+}
+
+/// How much a Gaussian contributes to some training views, and how large the error is where it is seen.
+///
+/// Both come from blending weights `α·T`, so they are measured by rendering. The first tells which Gaussians can go (Fan et al.,
+/// "LightGaussian", 2024), the second where more are wanted (Rota Bulò et al., "Revising Densification in Gaussian Splatting",
+/// 2024).
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Contribution {
+    /// Its blending weights, summed over the pixels of all views.
+    pub weight: f32,
+    /// Its blending weights times `|I − P|` (summed over the channels), summed over the pixels of a view: that of the view where it is
+    /// largest.
+    pub error: f32,
 }

@@ -53,9 +53,7 @@ pub struct PaperConfig {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
 pub enum Crossover {
-    /// One cut: two segments are swapped.
-    OnePoint,
-    /// Distinct cuts: `points + 1` segments are exchanged alternately (100 in the paper). A cloud of `N` rows has
+    /// Distinct cuts: `points + 1` segments are exchanged alternately (1 and 100 in the paper). A cloud of `N` rows has
     /// `N - 1` places for a cut; where that is fewer, all are used.
     Points {
         /// Number of cuts; from 1.
@@ -148,14 +146,9 @@ impl PaperConfig {
     /// Checks every range; the first setting that is out of its range is named.
     pub fn validate(&self) -> Result<(), ConfigError> {
         check("population", self.population, self.population >= 1, "at least 1")?;
-        let tournament = 1..=self.population;
-        check(
-            "tournament",
-            self.tournament,
-            tournament.contains(&self.tournament),
-            "between 1 and population",
-        )?;
-        check("elite_fraction", self.elite_fraction, is_fraction(self.elite_fraction), "between 0 and 1")?;
+        let fits = (1..=self.population).contains(&self.tournament);
+        check("tournament", self.tournament, fits, "between 1 and population")?;
+        check_fraction("elite_fraction", self.elite_fraction)?;
         let has_children = self.elites() < self.population;
         check("elite_fraction", self.elite_fraction, has_children, "low enough to leave room for a child")?;
         let selects = is_fraction(self.selection_fraction) && self.selection_fraction > 0.0;
@@ -163,19 +156,19 @@ impl PaperConfig {
         let is_step = self.intensity.is_finite() && self.intensity >= 0.0;
         check("intensity", self.intensity, is_step, "finite and not negative")?;
         check_fraction("initial_mutation_rate", self.initial_mutation_rate)?;
-        self.mutation_rates.iter().try_for_each(|&rate| check_fraction("mutation_rates", rate))?;
-        self.crossover_rates.iter().try_for_each(|&rate| check_fraction("crossover_rates", rate))?;
+        self.mutation_rates.into_iter().try_for_each(|rate| check_fraction("mutation_rates", rate))?;
+        self.crossover_rates.into_iter().try_for_each(|rate| check_fraction("crossover_rates", rate))?;
+        self.rate_breaks.into_iter().try_for_each(|end| check_fraction("rate_breaks", end))?;
         let [early, middle] = self.rate_breaks;
-        self.rate_breaks.iter().try_for_each(|&end| check_fraction("rate_breaks", end))?;
         check("rate_breaks", middle, early <= middle, "in ascending order")?;
         match self.crossover {
             Crossover::Points { points } => check("crossover.points", points, points >= 1, "at least 1"),
-            Crossover::OnePoint | Crossover::Uniform => Ok(()),
+            Crossover::Uniform => Ok(()),
         }
     }
 }
 
-pub(crate) fn is_fraction(value: f64) -> bool {
+fn is_fraction(value: f64) -> bool {
     (0.0..=1.0).contains(&value)
 }
 
@@ -183,7 +176,7 @@ fn check_fraction(setting: &'static str, value: f64) -> Result<(), ConfigError> 
     check(setting, value, is_fraction(value), "between 0 and 1")
 }
 
-pub(crate) fn check(
+fn check(
     setting: &'static str,
     value: impl Into<f64>,
     holds: bool,

@@ -106,7 +106,7 @@ impl Trainer<'_> {
     fn step(&mut self, i: u32) -> Result<(), TrainError> {
         let schedule = self.schedule;
         let view = self.order.view(i - 1);
-        let statistics = schedule.statistics(self.signal, self.last_stage, i);
+        let statistics = schedule.statistics(self.signal, i);
         self.train_step(view, i, 0, schedule.optimiser_step(i), statistics)?;
         self.cursor.phase = schedule.order()[1];
         let is_report = i.is_multiple_of(REPORT_EVERY) || i == schedule.iterations;
@@ -116,7 +116,7 @@ impl Trainer<'_> {
             gaussians: self.backend.gaussian_count(),
             sh_degree: self.sh_degree(i),
             position_rate: self.rates(i).position,
-            report: if is_report { Some(self.findings()?) } else { None },
+            report: if is_report { Some(self.backend.report()?) } else { None },
         };
         self.observer.on_iteration(&log);
         Ok(())

@@ -76,7 +76,6 @@ pub struct EvolutionConfig {
     /// stages. Default 6; at least 1.
     pub views: usize,
     /// Mode `paper`: Adam's moments of the Gaussians that a stage changed. Default `keep`; or `zero`. The paper is silent.
-    #[serde(with = "MomentPolicyNames")]
     pub moments: MomentPolicy,
     /// Gradient steps beyond `iterations`, at each trigger: the equal-time control that experiments set. Default: none; or
     /// `{ seconds = S }`, `{ steps = N }`, with mode `off` only.
@@ -100,13 +99,6 @@ impl Default for EvolutionConfig {
             renewal: RenewalConfig::default(),
             paper: PaperConfig::default(),
         }
-    }
-}
-
-impl EvolutionConfig {
-    /// The genetic algorithm scales its mutations by the gradients that training has summed.
-    pub(crate) fn wants_gene_gradients(&self) -> bool {
-        self.mode == EvolutionMode::Paper && self.paper.uses_gradients()
     }
 }
 
@@ -146,12 +138,4 @@ impl Default for RenewalConfig {
             averaging: true,
         }
     }
-}
-
-/// How a file writes [`MomentPolicy`].
-#[derive(Serialize, Deserialize)]
-#[serde(remote = "MomentPolicy", rename_all = "kebab-case")]
-enum MomentPolicyNames {
-    Keep,
-    Zero,
 }

@@ -206,14 +206,13 @@ impl Default for OptimiserConfig {
 /// A checked configuration and its schedule.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Resolved {
-    config: TrainConfig,
     schedule: Schedule,
 }
 
 impl Resolved {
     /// The settings as given.
     pub fn config(&self) -> &TrainConfig {
-        &self.config
+        self.schedule.config()
     }
 
     /// What happens when.
@@ -223,11 +222,7 @@ impl Resolved {
 
     /// How the finished cloud is to be rendered.
     pub fn render_settings(&self) -> RenderSettings {
-        RenderSettings {
-            sh_degree: self.config.sh_degree,
-            background: self.config.background.fixed_colour(),
-            filter: self.config.screen_filter(),
-        }
+        self.config().render_settings(self.config().sh_degree)
     }
 }
 
@@ -241,10 +236,15 @@ impl TrainConfig {
         }
     }
 
+    /// How a cloud with this degree of the spherical harmonics is rendered.
+    pub(crate) fn render_settings(&self, sh_degree: u8) -> RenderSettings {
+        let (background, filter) = (self.background.fixed_colour(), self.screen_filter());
+        RenderSettings { sh_degree, background, filter }
+    }
+
     /// Checks every setting, and scales steps.
     pub fn resolve(self) -> Result<Resolved, ConfigError> {
         self.validate()?;
-        let schedule = Schedule::new(&self);
-        Ok(Resolved { config: self, schedule })
+        Ok(Resolved { schedule: Schedule::new(self) })
     }
 }

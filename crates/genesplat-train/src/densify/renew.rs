@@ -19,6 +19,7 @@ use std::time::Instant;
 use genesplat_core::averages::WINDOW_HALVES;
 use genesplat_core::{Contribution, DeviceState, Gaussians, Moments, Origin};
 use genesplat_evolve::renewal;
+use serde::{Deserialize, Serialize};
 
 use crate::evolution::{GuardScore, guards};
 use crate::run::TrainError;
@@ -27,7 +28,7 @@ use crate::run::trainer::Trainer;
 use crate::scene::views::spread_evenly;
 
 /// A renewal that has yet to prove itself.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Trial {
     /// What is reported of it, as if it had succeeded; the guard score that ends it is not in it yet.
     pub record: StageRecord,
@@ -101,7 +102,9 @@ impl Trainer<'_> {
             guard_psnr: Some(score.psnr),
             ..GenerationLog::of(&record, Some(score.loss))
         });
-        self.forget_trial(record);
+        // The state is whole again: what is left of the phase is the next renewal, which whoever resumes begins likewise.
+        self.trial = None;
+        self.end_stage(record);
         Ok(stays)
     }
 
@@ -110,13 +113,6 @@ impl Trainer<'_> {
         let Some(trial) = self.trial.take() else { return Ok(None) };
         let now = self.guard_score(&self.trial_guards(), self.cursor.iteration)?;
         Ok((now.psnr < trial.before().psnr).then_some(trial.cloud))
-    }
-
-    /// The trial is over, and the state is whole again: what is left of the phase is the next renewal, which whoever resumes
-    /// begins likewise.
-    fn forget_trial(&mut self, record: StageRecord) {
-        self.trial = None;
-        self.end_stage(record);
     }
 
     /// Renews a fraction of the Gaussians, if there are any to renew.
@@ -143,7 +139,7 @@ impl Trainer<'_> {
     /// all there are, and is spared otherwise.
     fn contributions(&mut self, record: &mut StageRecord) -> Result<Vec<Contribution>, TrainError> {
         let (i, settings) = (record.iteration, self.settings(record.iteration));
-        let views = spread_evenly(self.views, self.schedule.contribution_views, &self.rng, i);
+        let views = spread_evenly(self.views, self.schedule.contribution_views(), &self.rng, i);
         let mut contributions = self.backend.contributions(&views, &settings)?;
         if views.len() < self.views.len() {
             let unseen = contributions.iter_mut().filter(|of| of.weight == 0.0);

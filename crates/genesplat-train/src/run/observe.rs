@@ -3,8 +3,9 @@
 //! An observer is called between device calls and must return at once; training never waits for an answer.
 //! What happens is told as records that serialise to one line of `log.jsonl` each ([`LogRecord`]).
 
+use genesplat_core::backend::StepReport;
 use genesplat_core::{BackendError, Camera, Image};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::checkpoint::Checkpoint;
 
@@ -40,18 +41,7 @@ pub struct StepLog {
     pub position_rate: f32,
     /// What the device found, in iterations that read it back.
     #[serde(flatten)]
-    pub report: Option<StepFindings>,
-}
-
-/// What the device found in one step.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct StepFindings {
-    /// Eq. 5 on the iteration's view.
-    pub loss: f32,
-    /// Gaussians that reach at least one pixel of it.
-    pub visible: usize,
-    /// Intersections of Gaussians with tiles.
-    pub intersections: usize,
+    pub report: Option<StepReport>,
 }
 
 /// One densification.
@@ -130,7 +120,7 @@ impl GenerationLog {
 }
 
 /// What a stage did.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum StageKind {
     /// Algorithm 1 of the paper.
@@ -144,7 +134,7 @@ pub enum StageKind {
 }
 
 impl StageKind {
-    /// All of them, in the order of their numbers in a checkpoint.
+    /// All of them.
     pub const ALL: [Self; 4] = [Self::Paper, Self::ExtraSteps, Self::Averaging, Self::Renewal];
 
     /// As log and reports write it.
@@ -159,7 +149,7 @@ impl StageKind {
 }
 
 /// An evolution stage, or extra steps in its place, as `metrics.json` reports it.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct StageRecord {
     /// What it did.
     pub kind: StageKind,
@@ -281,7 +271,7 @@ mod tests {
             gaussians: 3,
             sh_degree: 0,
             position_rate: 0.5,
-            report: Some(StepFindings { loss: 0.25, visible: 2, intersections: 4 }),
+            report: Some(StepReport { loss: 0.25, visible: 2, intersections: 4 }),
         }));
         assert!(step.contains(r#""event":"step","iteration":7"#), "{step}");
         assert!(step.contains(r#""loss":0.25"#), "{step}");
