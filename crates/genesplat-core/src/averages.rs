@@ -1,9 +1,8 @@
-//! Means of a run's recent states (weight averaging), and the blends of them that may take the cloud's place.
+//! Means of a run's recent states (weight averaging; Izmailov et al., 2018), and the blends of them that may take the
+//! cloud's place.
 //!
-//! The mean of several states is free of the noise of single steps (Izmailov et al., "Averaging weights leads to wider
-//! optima and better generalization", 2018). A window of states is averaged in two halves, so that a blend can also go
-//! some way along the line from the older mean to the younger one, where the run is heading. States share their rows with
-//! the cloud; a change of rows empties the averages.
+//! A window of states is averaged in two halves, so that a blend can also go along the line from the older mean to the
+//! younger one, where the run is heading. A change of rows empties the averages.
 
 use serde::{Deserialize, Serialize};
 
@@ -30,7 +29,7 @@ impl StateMean {
         self.states
     }
 
-    /// Their mean `[N]`; empty before the first. It has no 3D filter.
+    /// Their mean `[N]`, without 3D filter; empty before the first.
     pub fn mean(&self) -> &Gaussians {
         &self.mean
     }
@@ -81,16 +80,12 @@ impl WindowAverages {
     }
 
     /// What `blend` makes of `cloud`, whose 3D filter it keeps. A half without states has no say.
-    ///
-    /// # Panics
-    /// When `cloud` has another number of rows than the states.
     pub fn blended(&self, cloud: &Gaussians, blend: &Blend) -> Gaussians {
         let mut blended = cloud.clone();
         let halves = self.halves.iter().zip(blend.weights);
         for (half, weight) in halves.filter(|(half, weight)| half.states > 0 && *weight != 0.0) {
             let columns = blended.columns_mut().into_iter().zip(cloud.columns()).zip(half.mean.columns());
             for ((blended, cloud), mean) in columns {
-                assert_eq!(cloud.len(), mean.len(), "averaged states have the same rows");
                 for ((blended, &cloud), &mean) in blended.iter_mut().zip(cloud).zip(mean) {
                     *blended += weight * (mean - cloud);
                 }
@@ -100,7 +95,7 @@ impl WindowAverages {
     }
 }
 
-/// A cloud as its difference from the one held: `cloud + Σ weight · (mean of a half − cloud)`. The default, all zero, is the cloud itself.
+/// A blend of cloud and averages: `cloud + Σ weight · (mean of a half − cloud)`. The default, all zero, is the cloud.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Blend {
     /// Weights of the older and the younger half.

@@ -37,7 +37,7 @@ impl Gaussians {
         self.positions.is_empty()
     }
 
-    /// A cloud of `n` rows of zeros (identity rotations): the shape that gradients and tests start from.
+    /// `n` rows of zeros (identity rotations).
     pub fn zeros(n: usize) -> Self {
         Self {
             positions: vec![[0.0; 3]; n],
@@ -69,12 +69,12 @@ impl Gaussians {
         self.opacity_logits[row] = genes[6];
     }
 
-    /// The genes of `rows`, strictly ascending: what brings them back after they were changed.
+    /// The genes of `rows`, strictly ascending.
     pub fn genes_of(&self, rows: &[u32]) -> SparseDelta {
         SparseDelta { rows: rows.to_vec(), genes: rows.iter().map(|&row| self.genes(row as usize)).collect() }
     }
 
-    /// Applies an individual to the cloud that it was bred from.
+    /// Overwrites the genes of some rows.
     pub fn apply(&mut self, delta: &SparseDelta) {
         for (&row, genes) in delta.rows.iter().zip(&delta.genes) {
             self.set_genes(row as usize, genes);
@@ -102,8 +102,8 @@ impl Gaussians {
         ]
     }
 
-    /// The first row that holds a parameter that is not finite, with its name: all rows' positions are looked at first, then
-    /// their log-scales, rotations, opacities and colours. 3D filters are not.
+    /// The first row with a parameter that is not finite, and its name. Positions of all rows are looked at first, then
+    /// log-scales, rotations, opacities and colours; 3D filters are not.
     pub fn first_non_finite(&self) -> Option<(usize, &'static str)> {
         let names = ["position", "log-scale", "rotation", "opacity", "colour"].into_iter();
         names.zip(self.columns()).zip([3, 3, 4, 1, SH_STRIDE]).find_map(|((name, values), width)| {
@@ -122,9 +122,8 @@ impl Gaussians {
         self.log_scales[row].map(ratio).iter().product::<f32>().sqrt()
     }
 
-    /// The cloud with its 3D filter baked into scales and opacities, for viewers that do not know the filter:
-    /// `s' = √(s² + f²)`, `o' = o · √(Π s² / Π (s² + f²))` (Mip-Splatting, section 5.1). It renders alike, up to opacities that
-    /// f32's logit cannot hold, but can no longer be trained.
+    /// The cloud with its 3D filter baked in, for viewers that do not know it: `s' = √(s² + f²)`, `o' = o · √(Π s² / Π
+    /// (s² + f²))` (Mip-Splatting, section 5.1). It renders alike, but can no longer be trained.
     pub fn fused(&self) -> Self {
         let mut fused = self.clone();
         let Some(filter) = fused.filter_3d.take() else { return fused };
@@ -147,7 +146,7 @@ impl Gaussians {
     }
 }
 
-/// Rows of spherical harmonics as one list of numbers: serde knows no arrays of 48.
+/// Spherical harmonics as one list: serde knows no arrays of 48.
 mod flat_rows {
     use serde::de::{Deserialize, Deserializer, Error};
     use serde::ser::{Serialize, Serializer};
@@ -201,9 +200,9 @@ pub fn logit(p: f32) -> f32 {
     (p / (1.0 - p)).ln()
 }
 
-/// The logit of an opacity that a reset limits: with what the 3D filter dims it by, it is at most `ceiling` afterwards.
+/// The logit of an opacity that a reset limits: times the 3D filter's `dimming`, it is at most `ceiling` afterwards.
 ///
-/// One that is low enough already stays what it is: to go through its opacity would lose those that f32 rounds to 0 or 1.
+/// One that is low enough stays exactly what it is: f32 would round some opacities to 0 or 1.
 #[inline]
 pub fn limited_opacity(logit: f32, dimming: f32, ceiling: f32) -> f32 {
     // Above the ceiling, `dimming` is above it, too, so this is the logit of `ceiling / dimming`.

@@ -1,6 +1,5 @@
 //! Data and maths of genesplat, and nothing else: no input or output, no threads, no device.
 //!
-//! Every other crate speaks in these types. Conventions, once and for all:
 //! - **Frames.** `camera_from_world` maps world to camera coordinates; camera axes are x right, y down, z forward.
 //! - **Pixels.** The centre of pixel `i` is at coordinate `i`; a camera's principal point follows COLMAP, with the
 //!   top-left *corner* of the image at (0, 0), so `u = fx·x/z + cx − 0.5`.

@@ -1,8 +1,7 @@
 //! Algorithm 1 of the paper, asked and told.
 //!
-//! Lines 1-6 are [`GeneticAlgorithm::new`]; lines 7-10 and 22-26 are [`GeneticAlgorithm::tell`], which then breeds the next
-//! generation (lines 13-21). "The best individual is better than BG" means a strictly lower loss. BG never feeds back into
-//! breeding, in the paper as here: the population evolves on, and BG remembers.
+//! Lines 1-6 are [`GeneticAlgorithm::new`]; lines 7-10 and 22-26 are [`GeneticAlgorithm::tell`], which then breeds the
+//! next generation (lines 13-21). Better than BG means a strictly lower loss; BG never feeds back into breeding.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -59,13 +58,9 @@ pub enum TellError {
 }
 
 impl GeneticAlgorithm {
-    /// A search that starts from mutants of `base`.
-    ///
-    /// - `base`: raw genes of every Gaussian `[N, 7]`.
-    /// - `gradients`: accumulated gene gradients of the same Gaussians; needed when
-    ///   [`PaperConfig::uses_gradients`], ignored otherwise.
-    /// - `base_loss`: the loss of `base` itself, measured as individuals will be.
-    /// - `rng`: give each search of a run its own, by [`Rng::fork`].
+    /// A search that starts from mutants of `base` `[N, 7]`, whose own loss, measured as individuals will be, is
+    /// `base_loss`. `gradients` are needed when [`PaperConfig::uses_gradients`]. Give each search its own `rng`
+    /// ([`Rng::fork`]).
     pub fn new(
         config: PaperConfig,
         base: Vec<Genes>,
@@ -84,14 +79,12 @@ impl GeneticAlgorithm {
         Ok(search)
     }
 
-    /// How many individuals of this generation have no loss yet: all of the initial population, later all but the elites.
-    /// 0 when the search is finished.
+    /// How many individuals have no loss yet: the initial population, later all but the elites; 0 when finished.
     pub fn ask(&self) -> usize {
         self.brood.count as usize
     }
 
-    /// Individual `index` of `0..ask()` as its difference from the base, made on the spot: ask for as many at a time as
-    /// memory allows. The same index gives the same individual until [`GeneticAlgorithm::tell`].
+    /// Individual `index` of `0..ask()` as its difference from the base, made on the spot.
     ///
     /// # Panics
     /// If `index` is not below [`GeneticAlgorithm::ask`].
@@ -100,8 +93,7 @@ impl GeneticAlgorithm {
         self.breeder.consensus.delta_from_base(&self.genome(index as u32))
     }
 
-    /// What turns the cloud that individuals of the generation before were differences from into that of this generation;
-    /// the first is the base. Often nothing.
+    /// What turns the cloud that the last generation was differences from into that of this one; often nothing.
     pub fn shift(&self) -> &SparseDelta {
         self.breeder.consensus.shift()
     }
@@ -111,8 +103,8 @@ impl GeneticAlgorithm {
         self.breeder.consensus.way_back()
     }
 
-    /// Several individuals as differences from what most parents of this generation hold, made in parallel: far fewer rows
-    /// than from the base, once the search has come some way. In the initial population that is the base.
+    /// Several individuals as differences from what most parents of this generation hold (the base, at first), made in
+    /// parallel.
     ///
     /// # Panics
     /// As [`GeneticAlgorithm::delta`].
@@ -122,9 +114,9 @@ impl GeneticAlgorithm {
         indices.into_par_iter().map(delta).collect()
     }
 
-    /// Takes the losses of the individuals `0..ask()`, keeps the best if it is strictly better than all before, and breeds
-    /// the next generation, in parallel. A loss that is not finite ranks last. Returns statistics of the whole population's losses, elites
-    /// included; `None` where none is finite.
+    /// Takes the losses of the individuals `0..ask()`, keeps the best if it is strictly better than all before, and
+    /// breeds the next generation, in parallel. A loss that is not finite ranks last. Returns statistics of all finite
+    /// losses, elites' included.
     pub fn tell(&mut self, losses: &[f64]) -> Result<Option<LossStatistics>, TellError> {
         self.check_losses(losses)?;
         let elites = self.elites.iter().map(|elite| elite.loss);
@@ -144,7 +136,7 @@ impl GeneticAlgorithm {
         self.ask() == 0
     }
 
-    /// The generation that [`GeneticAlgorithm::ask`] speaks of, 0 for the initial population; the last when finished.
+    /// The generation that has no losses yet, 0 for the initial population; the last when finished.
     pub fn generation(&self) -> u32 {
         self.generation
     }
@@ -169,8 +161,7 @@ impl GeneticAlgorithm {
         &self.config
     }
 
-    /// The most bytes that the search has held, its copy of the base's genes included, which is while two generations of
-    /// parents are alive; [`crate::population`] states how they grow.
+    /// The most bytes that the search has held; [`crate::population`] states how they grow.
     pub fn peak_population_bytes(&self) -> usize {
         self.peak_bytes
     }
@@ -178,7 +169,9 @@ impl GeneticAlgorithm {
     /// Bytes held now, and by the parents of the next generation.
     fn bytes_with(&self, next_parents: &[Arc<Genome>]) -> usize {
         let elites = self.elites.iter().map(|elite| &elite.genome);
-        let genomes = distinct_bytes(elites.chain(self.brood.pairs.iter().flat_map(|pair| &pair.parents)).chain(next_parents));
+        let genomes = distinct_bytes(
+            elites.chain(self.brood.pairs.iter().flat_map(|pair| &pair.parents)).chain(next_parents),
+        );
         genomes + self.breeder.bytes() + self.best().map_or(0, SparseDelta::bytes)
     }
 
@@ -199,7 +192,7 @@ impl GeneticAlgorithm {
         }
     }
 
-    /// Lines 13-21: which ranks breed is decided first; then only their genomes are made; then the recipes of the children.
+    /// Lines 13-21: which ranks breed, then their genomes, then the recipes of the children.
     fn breed(&mut self, ranking: &Ranking) {
         let generation = self.generation + 1;
         let plan = MatingPlan::draw(&self.config, &self.breeder.rng, generation);

@@ -55,7 +55,8 @@ fn children_descend_from_the_winners_of_tournaments() {
 #[test]
 fn crossover_makes_no_gene_that_no_parent_had() {
     let base = normal_base(200);
-    for crossover in [Crossover::Points { points: 1 }, Crossover::Points { points: 100 }, Crossover::Uniform] {
+    for crossover in [Crossover::Points { points: 1 }, Crossover::Points { points: 100 }, Crossover::Uniform]
+    {
         let rates = PaperConfig { mutation_rates: [0.0; 3], crossover_rates: [1.0; 3], ..small(2, 8) };
         let config = PaperConfig { tournament: 2, initial_mutation_rate: 1.0, crossover, ..rates };
         let mut search = on_sphere(config, &base, 3);
@@ -144,7 +145,8 @@ fn elites_survive_unchanged_and_are_not_asked_again() {
     while !search.is_finished() {
         let losses = vec![3.0; search.ask()];
         let statistics = search.tell(&losses).expect("one loss each").expect("finite ones");
-        assert_eq!((statistics.best, search.best_loss()), (0.001, 0.001));
+        assert!(statistics.mean < 3.0, "the elite counts");
+        assert_eq!(search.best_loss(), 0.001);
         assert_eq!(search.best(), Some(&hero));
     }
 }
@@ -288,10 +290,8 @@ fn a_generation_that_could_not_be_rendered_has_no_statistics() {
 }
 
 fn any_config() -> impl Strategy<Value = PaperConfig> {
-    let crossover = prop_oneof![
-        (1u32..130).prop_map(|points| Crossover::Points { points }),
-        Just(Crossover::Uniform)
-    ];
+    let crossover =
+        prop_oneof![(1u32..130).prop_map(|points| Crossover::Points { points }), Just(Crossover::Uniform)];
     let fraction = || 0.0f64..=1.0;
     let numbers = (0u32..5, 1u32..24, fraction(), 0.0f64..0.9, 0.01f64..=1.0, 0.0f64..2.0);
     (numbers, [fraction(), fraction(), fraction(), fraction()], crossover).prop_map(

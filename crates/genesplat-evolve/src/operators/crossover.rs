@@ -1,7 +1,6 @@
 //! Crossover (section 3.1): which genes a child takes from which parent.
 //!
-//! An inheritance is decided first, as one bit a row, and then applied to both children: the second child swaps the
-//! parents, so the two are complementary by construction and no gene is lost or made.
+//! One bit a row, applied to both children: the second swaps the parents, so no gene is lost or made.
 
 use genesplat_core::{Rng, Stream};
 

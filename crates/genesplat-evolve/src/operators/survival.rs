@@ -1,4 +1,4 @@
-//! Survival: individuals in order of their losses. The first become elites, and tournaments are decided by rank.
+//! Survival: individuals in order of their losses.
 
 /// A population in order, best first.
 #[derive(Clone, Debug, PartialEq)]
@@ -10,8 +10,8 @@ pub(crate) struct Ranking {
 }
 
 impl Ranking {
-    /// Ranks individuals by their losses. A loss that is not finite (a render that failed) ranks last, whatever its sign;
-    /// equal losses keep their order, so that elites stay ahead of children that are no better.
+    /// Ranks individuals by their losses. What is not finite ranks last; equal losses keep their order, elites ahead of
+    /// children.
     pub(crate) fn new(losses: &[f64]) -> Self {
         let key = |index: &usize| if losses[*index].is_finite() { losses[*index] } else { f64::INFINITY };
         let mut order: Vec<usize> = (0..losses.len()).collect();

@@ -1,8 +1,8 @@
 //! What the individuals of a generation have in common: the genes that they are differences from.
 //!
-//! Keeping, breeding and scoring an individual cost what it changes. At the paper's settings individuals differ from the base
-//! in more than half of their rows after 30 generations, but from what most of their parents hold in a quarter, and in a
-//! twentieth towards the end (`docs/performance.md`): selection makes them cousins.
+//! Keeping, breeding and scoring an individual cost what it changes. At the paper's settings individuals differ from
+//! the base in more than half of their rows after 30 generations, but from what most of their parents hold in a
+//! quarter, and in a twentieth towards the end (`docs/performance.md`): selection makes them cousins.
 
 use std::sync::Arc;
 
@@ -11,8 +11,7 @@ use rayon::prelude::*;
 
 use crate::individual::Genome;
 
-/// Fraction of the rows that must have changed hands before the consensus moves: whoever scores has to follow it, and so has
-/// every genome.
+/// Fraction of the rows that must have changed before the consensus moves: every genome and the scorer have to follow.
 const SHIFT_MIN: f64 = 0.005;
 
 /// What most parents of a generation hold, gene group by gene group.
@@ -37,8 +36,8 @@ impl Consensus {
         &self.genes
     }
 
-    /// Moves to what most of `genomes` hold, each with its weight, if that is far enough from where it is; the genomes move
-    /// along.
+    /// Moves to what most of `genomes` hold, each with its weight, and they along, if that is far enough from where it
+    /// is.
     pub(crate) fn follow(&mut self, genomes: &mut [Arc<Genome>], weights: &[u32]) {
         let voters: Vec<_> = genomes.iter().map(Arc::as_ref).zip(weights.iter().copied()).collect();
         let majority = Genome::majority(&voters);
@@ -59,7 +58,7 @@ impl Consensus {
         &self.shift
     }
 
-    /// What makes it the base again, and the consensus before it, too: who follows may have failed to follow the last shift.
+    /// What makes it the base again, whether or not who follows has followed the last shift.
     pub(crate) fn way_back(&self) -> SparseDelta {
         let mut shifted = self.shift.rows.iter().peekable();
         let rows = (0..).zip(self.base.iter().zip(&self.genes));

@@ -1,21 +1,22 @@
 //! How a population is stored: only individuals that breed are kept; all others are recipes.
 //!
-//! A million Gaussians times seven genes times a hundred individuals would be 2.8 GB, twice that while the next generation
-//! is bred. Three things keep a search far below it:
+//! A million Gaussians times seven genes times a hundred individuals would be 2.8 GB, twice that while the next
+//! generation is bred. Three things keep a search far below it:
 //!
-//! 1. An individual is a difference from what the parents of its generation have in common (module `consensus`), group by
-//!    group: `3/8` byte a Gaussian for three columns of bits, and 12, 12 and 4 bytes for each position, scale and opacity
-//!    that differs.
+//! 1. An individual is a difference from what the parents of its generation have in common (module `consensus`), group
+//!    by group: `3/8` byte a Gaussian for three columns of bits, and 12, 12 and 4 bytes for each position, scale and
+//!    opacity that differs.
 //! 2. A child that has no loss yet is a *recipe*: two parents and the address of its random numbers. Its genes are made
 //!    when it is asked for, and made again, bit for bit the same, if it is chosen to breed.
 //! 3. Tournaments choose few: of P = 100 with T = 10 and 10 elites, about 26 distinct individuals breed or are carried
 //!    over (with T = 2, about 55). Elites are shared between generations, not copied.
 //!
-//! **Growth law.** With selection fraction `f` and mutation rates `m_j`, a gene group of a Gaussian differs from the base
-//! after generation `k` with probability at most `rho_k = 1 - (1 - f m_0) · ... · (1 - f m_k)`: 0.003 at the beginning, 0.37
-//! after 30 generations and 0.51 after 100 of the paper's. A kept individual takes at most `N (3/8 + 28 rho_k)` bytes, and `D`
-//! distinct individuals are kept, `2 D` while the next parents are made from the old ones. From the consensus they differ in
-//! far less: `tests/memory.rs` measures 490 bytes a Gaussian at most for a whole search in the worst case.
+//! **Growth law.** With selection fraction `f` and mutation rates `m_j`, a gene group of a Gaussian differs from the
+//! base after generation `k` with probability at most `rho_k = 1 - (1 - f m_0) · ... · (1 - f m_k)`: 0.003 at the
+//! beginning, 0.37 after 30 generations and 0.51 after 100 of the paper's. A kept individual takes at most `N (3/8 + 28
+//! rho_k)` bytes, and `D` distinct individuals are kept, `2 D` while the next parents are made from the old ones. From
+//! the consensus they differ in far less: `tests/memory.rs` measures 490 bytes a Gaussian at most for a whole search in
+//! the worst case.
 
 pub(crate) mod consensus;
 
@@ -51,8 +52,8 @@ pub(crate) struct Pair {
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Brood {
     pub(crate) count: u32,
-    /// Parents of children `2 i` and `2 i + 1`; of an odd count, the second child of the last pair is dropped. Empty in the
-    /// initial population, which is mutants of the base.
+    /// Parents of children `2 i` and `2 i + 1`; of an odd count, the second child of the last pair is dropped. Empty in
+    /// the initial population, which is mutants of the base.
     pub(crate) pairs: Vec<Pair>,
 }
 
@@ -144,8 +145,8 @@ mod tests {
         assert!(plan.kept.is_sorted());
     }
 
-    /// The `D` of the module's growth law: the expectation is
-    /// `E + sum over ranks r >= E of 1 - (1 - C(P-1-r, T-1) / C(P, T))^(P-E)`.
+    /// The `D` of the module's growth law: the expectation is `E + sum over ranks r >= E of 1 - (1 - C(P-1-r, T-1) /
+    /// C(P, T))^(P-E)`.
     #[test]
     fn about_a_quarter_of_the_papers_population_is_kept() {
         let config = PaperConfig::default();

@@ -14,8 +14,8 @@ use crate::schedule::{OptimiserStep, Phase};
 
 /// One search of `evolution.paper` on a finished cloud from any trainer, without gradient steps.
 ///
-/// Gene gradients, where the configuration wants them, come from one pass over all views. A search that was stopped returns the best
-/// it has; there is nothing to resume.
+/// Gene gradients, where the configuration wants them, come from one pass over all views. A search that was stopped
+/// returns the best it has; there is nothing to resume.
 pub fn search(
     backend: &mut dyn EvolutionBackend,
     views: &[View],

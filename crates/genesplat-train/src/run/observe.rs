@@ -1,7 +1,6 @@
-//! How training tells what it does: a log, a progress bar, a live page.
+//! How training tells what it does, as records that serialise to one line of `log.jsonl` each ([`LogRecord`]).
 //!
-//! An observer is called between device calls and must return at once; training never waits for an answer.
-//! What happens is told as records that serialise to one line of `log.jsonl` each ([`LogRecord`]).
+//! An observer is called between device calls and must return at once.
 
 use genesplat_core::backend::StepReport;
 use genesplat_core::{BackendError, Camera, Image};
@@ -87,11 +86,11 @@ pub struct GenerationLog {
     pub generation_best: Option<f64>,
     /// Lowest fitness so far, the base included.
     pub best: f64,
-    /// Mean fitness of the whole population, elites included, over what could be rendered; `null` when nothing could.
+    /// Mean fitness of the whole population, elites included; `null` when nothing could be rendered.
     pub mean: Option<f64>,
     /// Standard deviation of the same.
     pub spread: Option<f64>,
-    /// Gaussians that the generation changes for good; 0 where guards refused it, `null` where that is not decided yet.
+    /// Gaussians that the generation changes for good; `null` where that is not decided yet.
     pub accepted: Option<usize>,
     /// Mean PSNR that guard views have of it, dB; `null` where they were not asked.
     pub guard_psnr: Option<f64>,
@@ -155,16 +154,16 @@ pub struct StageRecord {
     pub kind: StageKind,
     /// Iteration of the trigger.
     pub iteration: u32,
-    /// Generations of its search that were completed, the initial population included (the guards' choice is none); 1 for a renewal,
-    /// 0 for averaging and extra steps.
+    /// Generations of its search that were completed, the initial population included; 1 for a renewal, 0 for averaging
+    /// and extra steps.
     pub generations: u32,
     /// Renders made; the gradient steps of extra steps.
     pub renders: u64,
     /// Mean Eq. 5 on the stage's views before it.
     pub fitness_before: f64,
-    /// The same after it. Never above `fitness_before` for evolution but for renewal, of which guards judge the PSNR alone.
+    /// The same after it. Never above `fitness_before` for evolution but for renewal, where guard PSNR alone decides.
     pub fitness_after: f64,
-    /// Mean PSNR of the guard views before and after it, dB, where a stage has guards; the second is never below the first.
+    /// Mean PSNR of the guard views before and after it, dB; the second is never below the first.
     pub guard_psnr: Option<[f64; 2]>,
     /// Gaussians that the stage changed; 0 when nothing beat the base.
     pub changed: usize,

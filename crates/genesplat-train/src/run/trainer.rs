@@ -217,8 +217,8 @@ impl<'a> Trainer<'a> {
         Ok(Outcome { cloud, summary, checkpoint })
     }
 
-    /// The cloud, which the device holds, too. Of a run that was stopped while a renewal was on trial it is the state before the trial
-    /// where that has the higher guard PSNR; a resumed run goes on with the trial.
+    /// The cloud, which the device holds, too. Of a run that was stopped while a renewal was on trial it is the state
+    /// before the trial where that has the higher guard PSNR; a resumed run goes on with the trial.
     fn best_so_far(&mut self) -> Result<Gaussians, TrainError> {
         if let Some(cloud) = self.better_before_trial()? {
             self.backend.upload(cloud.into())?;

@@ -1,24 +1,23 @@
 //! What happens at which iteration, as pure functions.
 //!
-//! Iterations count from 1. Each runs the phases of [`Phase::order`] that are due, and training is nothing but this
-//! list of phases, so that it can stop and resume between any two of them. The rules, the reference's quirks included,
-//! are those of the code released with 3DGS (2023), which Pixel-GS and Mip-Splatting share.
+//! Iterations count from 1. Each runs the phases of [`Phase::order`] that are due, and a run can stop and resume
+//! between any two of them. The rules, quirks included, are those of the code released with 3DGS (2023), which Pixel-GS
+//! and Mip-Splatting share.
 
 use genesplat_core::{DensitySignal, LearningRates, StatisticsRequest};
 use serde::{Deserialize, Serialize};
 
 use crate::config::{Background, EvolutionMode, TrainConfig, Trigger, Variant};
 
-/// A schedule that densifies more often than this makes the optimiser steps that the reference would lose: one in a
-/// hundred does not matter, but a run compressed until every iteration densifies would never learn anything.
+/// A schedule that densifies more often than this makes the optimiser steps that the reference would lose: a run
+/// compressed until every iteration densifies would never learn anything.
 const LOSING_INTERVAL_MIN: u32 = 10;
 
-/// Fraction of a run after which nothing grows that is to be renewed, also where the run is cut short. Longer, and there is no
-/// time for renewals; at half of it, runs of 2,000 steps at 480 px had too few Gaussians.
+/// Fraction of a run after which nothing grows that is to be renewed. Longer, and there is no time for renewals; at
+/// half, runs of 2,000 steps at 480 px had too few Gaussians.
 const RENEWED_GROWTH: f64 = 0.65;
 
-/// Fraction of a run after which MCMC relocates nothing that is to be renewed: with renewals, longer is worse; without, it makes
-/// no difference.
+/// Fraction of a run after which MCMC relocates nothing that is to be renewed; longer is worse.
 const RENEWED_RELOCATION: f64 = 0.5;
 
 /// Fraction of a run after which there is no reset before renewals: what is faint contributes nothing yet.
@@ -30,11 +29,10 @@ const SH_EVERY: u32 = 1000;
 /// Iteration of the additional reset with a white background, before scaling.
 const WHITE_RESET_AT: u32 = 500;
 
-/// Training views that contributions are measured on, at most, as a fraction of the run's steps: all renewals together take a tenth of the
-/// time or less.
+/// Training views that contributions are measured on, at most, as a fraction of the run's steps.
 const CONTRIBUTION_VIEWS: f64 = 0.02;
 
-/// States that a window averages; more, fewer than twice as many, where they do not divide it.
+/// States that a window averages; more where they do not divide it.
 const WINDOW_STATES: u32 = 10;
 
 /// A part of an iteration.
@@ -112,8 +110,7 @@ pub struct Schedule {
     pub reset_every: u32,
     /// Resets end before this iteration.
     reset_until: u32,
-    /// Iterations between two renewals, if there are any: counted back from the end of the run, to the end of density
-    /// control or half of the run, whichever is later.
+    /// Iterations between two renewals, if there are any, counted back from the end of the run.
     pub renew_every: Option<u32>,
     /// The last renewal is begun at or before this iteration.
     pub renew_until: u32,
@@ -193,14 +190,12 @@ impl Schedule {
         self.is_before(self.densify_until, i) && i > self.densify_from && i.is_multiple_of(self.densify_every)
     }
 
-    /// The last iteration only measures: a model that was just densified or reset is not worth keeping, and the
-    /// reference saves before it does either.
+    /// The last iteration only measures: a model that was just densified or reset is not worth keeping.
     fn is_before(&self, until: u32, i: u32) -> bool {
         i < until && i < self.iterations
     }
 
-    /// A reset that comes round every few thousand iterations (the others are for white backgrounds), or its place in a
-    /// run without resets.
+    /// A reset that comes round every few thousand iterations, or its place in a run without resets.
     fn is_periodic_reset(&self, i: u32) -> bool {
         self.is_before(self.reset_until, i) && i.is_multiple_of(self.reset_every)
     }
@@ -221,15 +216,15 @@ impl Schedule {
         self.has_filter_3d() && (self.is_densify(i) || late)
     }
 
-    /// Oversized Gaussians are pruned in iteration `i`. With renewal their contribution decides
-    /// (`evolution.renewal.spare_large`).
+    /// Oversized Gaussians are pruned in iteration `i`; with renewal their contribution decides.
     pub fn prunes_by_size(&self, i: u32) -> bool {
-        i > self.size_prune_after && !(self.renew_every.is_some() && self.config.evolution.renewal.spare_large)
+        i > self.size_prune_after
+            && !(self.renew_every.is_some() && self.config.evolution.renewal.spare_large)
     }
 
-    /// Fraction of its limit that the cloud may have reached in iteration `i`. With renewal it grows evenly over density control
-    /// (`evolution.renewal.even_growth`), whoever set the limit: what is wanted first, of photos that were hardly looked at, is
-    /// not what is needed most. MCMC does not ask: it adds a fraction of the Gaussians each time (`mcmc.growth`), until the limit is reached.
+    /// Fraction of its limit that the cloud may have reached in iteration `i`. With renewal it grows evenly over
+    /// density control: what is wanted first, of photos that were hardly looked at, is not what is needed most. (MCMC
+    /// does not ask.)
     pub fn grown(&self, i: u32) -> f64 {
         let last = self.densify_until.saturating_sub(self.densify_every).max(1);
         let grows_evenly = self.renew_every.is_some() && self.config.evolution.renewal.even_growth;
@@ -260,8 +255,8 @@ impl Schedule {
         self.has_stages() && happens && occurrence.is_multiple_of(self.config.evolution.stride)
     }
 
-    /// A renewal begins at the end of iteration `i`, and there is time to judge it. Renewals are counted back from the end of
-    /// the run, as the windows of weight averaging are, so that averaging comes first wherever both are due.
+    /// A renewal begins at the end of iteration `i`, and there is time to judge it. Renewals are counted back from the
+    /// end of the run, as windows are, so that averaging comes first wherever both are due.
     pub fn renews(&self, i: u32) -> bool {
         let Some(every) = self.renew_every else { return false };
         let is_judged = i.saturating_add(every) < self.iterations;
@@ -289,7 +284,8 @@ impl Schedule {
         self.renew_every.filter(|_| self.config.evolution.renewal.averaging)
     }
 
-    /// The state at the end of iteration `i` is one of those that its window averages; the last iteration makes no step.
+    /// The state at the end of iteration `i` is one of those that its window averages; the last iteration makes no
+    /// step.
     fn is_averaged(&self, i: u32) -> bool {
         self.window().is_some_and(|window| {
             let is_state = (self.iterations - i).is_multiple_of((window / WINDOW_STATES).max(1));
@@ -304,8 +300,8 @@ impl Schedule {
         (end == self.iterations || end >= self.densify_until.saturating_add(window / 2)).then_some(end)
     }
 
-    /// Which half of its window a state belongs to: 0 for the older one, 1 for the younger one, which the middle state is part of: six of
-    /// ten; five of nine in the last window, since the run's last iteration makes no step.
+    /// Which half of its window a state belongs to: 0 for the older one, 1 for the younger one, which the middle state
+    /// is part of.
     pub fn window_half(&self, i: u32) -> usize {
         let window = self.window().unwrap_or(1);
         usize::from((self.iterations - i) % window <= window / 2)
@@ -324,10 +320,11 @@ impl Schedule {
     /// What Adam does in iteration `i`.
     ///
     /// The reference replaces its parameter tensors when it densifies, and that of opacity when it resets; the new ones
-    /// have no gradients, so the step that follows does nothing and counters stand still. The last
-    /// iteration makes no step. Schedules compressed beyond one densification in ten iterations lose none.
+    /// have no gradients, so the step that follows does nothing. The last iteration makes no step.
     pub fn optimiser_step(&self, i: u32) -> OptimiserStep {
-        let loses = self.config.variant != Variant::Mcmc && self.is_densify(i) && self.densify_every >= LOSING_INTERVAL_MIN;
+        let loses = self.config.variant != Variant::Mcmc
+            && self.is_densify(i)
+            && self.densify_every >= LOSING_INTERVAL_MIN;
         if loses || i >= self.iterations {
             OptimiserStep::Lost
         } else if self.is_reset(i) {

@@ -1,8 +1,8 @@
 //! All that a run needs to go on as if it had never stopped, and its bytes.
 //!
 //! Randomness needs no state (streams are addressed by iteration), so a checkpoint is the device's contents plus a few
-//! counters. The format is private to this version of the crate: a magic number, the checkpoint as `postcard` writes it,
-//! and a checksum over everything, so that a file cut short by a full disk is recognised.
+//! counters. The format is private to this version of the crate: a magic number, the checkpoint as `postcard` writes
+//! it, and a checksum over everything, so that a file cut short by a full disk is recognised.
 
 use std::io::{self, Read, Write};
 
@@ -120,7 +120,9 @@ impl Checkpoint {
         }
         let checkpoint: Self = match postcard::from_io((&mut input, &mut [0; 8])) {
             Ok((checkpoint, _)) => checkpoint,
-            Err(error @ postcard::Error::DeserializeUnexpectedEnd) => return Err(input.cause_of(error).into()),
+            Err(error @ postcard::Error::DeserializeUnexpectedEnd) => {
+                return Err(input.cause_of(error).into());
+            }
             Err(_) => return Err(CheckpointError::Damaged("it holds a value that there is not")),
         };
         let mut sum = [0; 8];
