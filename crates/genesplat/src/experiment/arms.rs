@@ -117,7 +117,7 @@ impl ExperimentFile {
     /// Whether one of `arms` has a mode, its own or that of all cells, that spends time on evolution.
     fn evolves(&self, arm: &ArmTable) -> bool {
         let mode = mode_of(&arm.config).or(mode_of(&self.config));
-        arm.control_of.is_none() && mode != Some("off")
+        arm.control_of.is_none() && mode.is_some_and(|mode| !["off", CONTROL].contains(&mode))
     }
 }
 
@@ -191,9 +191,9 @@ mod tests {
             let arms = toml::from_str::<ExperimentFile>(&text).unwrap().all_arms();
             arms.into_iter().filter_map(|arm| arm.control_of).collect()
         };
-        // An arm that says nothing of it has the default mode, or that of all cells.
-        assert_eq!(controlled(""), ["x", "y"]);
-        assert_eq!(controlled("[config]\nevolution.mode = \"off\"\n"), ["x"]);
+        assert_eq!(controlled(""), ["x"]);
+        // A mode of all cells is that of an arm that says nothing else.
+        assert_eq!(controlled("[config]\nevolution.mode = \"renew\"\n"), ["x", "y"]);
     }
 
     #[test]
@@ -203,9 +203,9 @@ mod tests {
              [config]\nsteps_scale = 0.5\nevolution.paper.crossover = { kind = \"points\", points = 3 }\n\
              [[arms]]\nname = \"equal-time\"\ncontrol_of = \"one\"\n\
              [[arms]]\nname = \"one\"\n\
-             config.evolution = { mode = \"paper\", trigger = \"before-reset\", paper.crossover = { kind = \"points\", points = 1 } }\n\
+             config.evolution = { mode = \"paper\", trigger = \"before-reset\", paper.crossover.kind = \"uniform\" }\n\
              [[arms]]\nname = \"late\"\ncontrol_of = \"one\"\nconfig.evolution.trigger = \"at-end\"\n\
-             [[arms]]\nname = \"off\"\nconfig.evolution.mode = \"off\"",
+             [[arms]]\nname = \"off\"",
         ))
         .unwrap();
         let controls = [("equal-time", Some(1)), ("late", Some(1))];
@@ -223,7 +223,7 @@ mod tests {
             "ten seconds in all, at four resets"
         );
         assert_eq!(one.evolution.trigger, control.evolution.trigger);
-        assert_eq!(one.evolution.paper.crossover, genesplat::evolve::Crossover::Points { points: 1 });
+        assert_eq!(one.evolution.paper.crossover, genesplat::evolve::Crossover::Uniform);
         assert_eq!(
             settings(3).config().evolution.extra_steps,
             Some(StepBudget::Seconds(10.0)),
