@@ -3,8 +3,8 @@
 use genesplat_core::spherical_harmonics::SH_STRIDE;
 use genesplat_core::{Gaussians, Genes, Moments, Statistics};
 
+use crate::cpu::view::CHUNK;
 use crate::cpu::view::geometry::RawRow;
-use crate::cpu::view::splats::CHUNK;
 
 /// Gradients of the rows of one chunk, by raw parameter.
 pub(crate) struct ChunkGradients {
@@ -33,7 +33,6 @@ impl Default for ChunkGradients {
 }
 
 impl ChunkGradients {
-    /// Forgets all gradients.
     pub(crate) fn clear(&mut self) {
         for &row in &self.touched {
             let row = row as usize;
@@ -42,15 +41,8 @@ impl ChunkGradients {
         }
         self.touched.clear();
     }
-
-    /// Every row of the chunk (of `rows`) has a gradient now.
-    pub(crate) fn touch_all(&mut self, rows: usize) {
-        self.touched.clear();
-        self.touched.extend(0..rows as u32);
-    }
 }
 
-/// One chunk of everything that a step changes.
 pub(crate) struct ChunkMut<'a> {
     pub parameters: RowsMut<'a>,
     pub first: RowsMut<'a>,
@@ -88,7 +80,6 @@ pub(crate) struct StatisticsMut<'a> {
     pub gene_views: &'a mut [u32],
 }
 
-/// All chunks of cloud, moments and statistics.
 pub(crate) fn chunks_mut<'a>(
     cloud: &'a mut Gaussians,
     moments: &'a mut Moments,
@@ -102,7 +93,6 @@ pub(crate) fn chunks_mut<'a>(
         .collect()
 }
 
-/// The chunks of a cloud's rows.
 pub(crate) fn rows_mut(cloud: &mut Gaussians) -> impl Iterator<Item = RowsMut<'_>> {
     cloud
         .positions
@@ -137,7 +127,6 @@ fn statistics_mut(statistics: &mut Statistics) -> impl Iterator<Item = Statistic
     })
 }
 
-/// Read access to the rows of a chunk.
 pub(crate) struct ChunkView<'a> {
     /// Row of the cloud that the chunk begins with.
     pub first_row: usize,
@@ -147,7 +136,6 @@ pub(crate) struct ChunkView<'a> {
 }
 
 impl ChunkView<'_> {
-    /// Raw parameters of a row of the chunk.
     #[inline(always)]
     pub(crate) fn raw(&self, local: usize) -> RawRow {
         let (p, s) = (self.rows.positions[local], self.rows.log_scales[local]);

@@ -10,7 +10,7 @@ use std::time::Instant;
 
 use anyhow::Result;
 use genesplat::core::backend::{MomentPolicy, StepReport};
-use genesplat::core::{Backend, BackendError, EvolutionBackend, RenderSettings, SparseDelta, View};
+use genesplat::core::{Backend, BackendError, Blend, EvolutionBackend, RenderSettings, SparseDelta, View};
 use genesplat::gpu::{GpuBackend, Work};
 use serde::Serialize;
 
@@ -244,10 +244,16 @@ impl Bench {
     /// Seconds of as many full renders and losses, one wait for all: the cloud's own, since a few changed Gaussians
     /// make no difference to them.
     fn plain_seconds(&mut self, renders: u32) -> Result<f64> {
-        self.backend.losses_of_view(0, &self.settings, 1)?;
+        self.plain_losses(1)?;
         let clock = Instant::now();
-        self.backend.losses_of_view(0, &self.settings, renders)?;
+        self.plain_losses(renders as usize)?;
         Ok(clock.elapsed().as_secs_f64())
+    }
+
+    /// Losses of full renders of the cloud.
+    fn plain_losses(&mut self, renders: usize) -> Result<Vec<f32>> {
+        let losses = self.backend.measure(&[Blend::default()], &vec![0; renders], &self.settings)?;
+        Ok(losses.into_iter().map(|measured| measured.loss).collect())
     }
 
     /// Losses of full renders of individuals.
@@ -256,7 +262,7 @@ impl Bench {
         let mut losses = Vec::new();
         for individual in individuals {
             self.backend.apply(individual, MomentPolicy::Keep)?;
-            losses.extend(self.backend.losses_of_view(0, &self.settings, 1)?);
+            losses.extend(self.plain_losses(1)?);
             self.backend.apply(&cloud.genes_of(&individual.rows), MomentPolicy::Keep)?;
         }
         Ok(losses)
