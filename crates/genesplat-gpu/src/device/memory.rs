@@ -40,7 +40,6 @@ impl Memory {
         self.bytes = 0;
     }
 
-    /// What a kernel sees that is bound to all of it.
     pub(crate) fn all(&self) -> Part<'_> {
         Part { buffer: &self.buffer, first_byte: 0, bytes: self.bytes }
     }

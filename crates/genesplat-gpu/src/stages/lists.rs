@@ -35,7 +35,6 @@ pub(crate) struct Lists {
     pub(crate) flags: Memory,
     /// Sums of what comes before in `flags` `[N]`.
     offsets: Memory,
-    /// Splat of each intersection `[I]`.
     pub(crate) intersection_splats: Memory,
     /// First intersection of each splat `[N]`.
     pub(crate) first_intersections: Memory,
@@ -71,7 +70,6 @@ impl Lists {
         })
     }
 
-    /// Frees all that grows until it is reserved anew.
     pub(crate) fn release(&mut self) {
         (self.rows, self.capacity) = (0, 0);
         self.sorter.release();
@@ -143,7 +141,6 @@ impl Lists {
         engine.write(&self.counters, 0, &[Counters::default()]);
     }
 
-    /// Tells the device what the next view is.
     pub(crate) fn begin(&self, engine: &Engine, view: &ViewPass) {
         engine.write(&self.view, 0, &[ViewPass { intersection_capacity: self.capacity as u32, ..*view }]);
         engine.write(&self.sorter.lengths, 4 * u64::from(LENGTH_ROWS), &[view.rows]);

@@ -83,7 +83,6 @@ impl State {
         Ok(())
     }
 
-    /// Overwrites the genes of the rows that `delta` names.
     pub(crate) fn apply(
         &mut self,
         engine: &Engine,
@@ -109,7 +108,6 @@ impl State {
         Ok(())
     }
 
-    /// Replaces Mip-Splatting's 3D filter `[N]`.
     pub(crate) fn set_filter_3d(&mut self, engine: &Engine, filter: &[f32]) -> Result<()> {
         let filter = engine.upload("the 3D filter", filter)?;
         let mut recorder = Recorder::new(engine, None);

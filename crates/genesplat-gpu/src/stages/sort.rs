@@ -36,7 +36,6 @@ impl Sorter {
         })
     }
 
-    /// Frees all that grows until it is reserved anew.
     pub(super) fn release(&mut self) {
         let single = [&mut self.sums, &mut self.digit_counts];
         single.into_iter().chain(&mut self.keys).chain(&mut self.values).for_each(Memory::release);

@@ -65,7 +65,6 @@ pub struct Bins {
     unsorted: Vec<Vec<Keyed>>,
     /// Intersections of each splat that a task visited.
     counts: Vec<Vec<u32>>,
-    /// For each tile, where the next intersection goes.
     next: Vec<u32>,
     parts: Vec<Part>,
 }
@@ -149,7 +148,6 @@ impl Bins {
         }
     }
 
-    /// Tells each splat where its places are.
     fn find_places(&mut self, capacity: usize) {
         self.splat_ranges.resize_with(capacity, AtomicU64::default);
         let Self { order, counts, splat_ranges: ranges, .. } = &*self;

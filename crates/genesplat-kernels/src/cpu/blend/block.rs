@@ -92,7 +92,6 @@ pub(crate) struct Alpha<S: Simd> {
     pub unclamped: V<S>,
     /// `min(o·G, 0.99)`; 0 where that is below 1/255.
     pub alpha: V<S>,
-    /// Where it is at least 1/255.
     pub hit: mask32x16<S>,
 }
 
@@ -121,7 +120,6 @@ pub(crate) struct Absorbed<S: Simd> {
     pub weight: V<S>,
     /// What is left; with the sign bit set where the pixel is finished.
     pub transmittance: V<S>,
-    /// Where the pixel is not finished.
     pub goes_on: mask32x16<S>,
 }
 

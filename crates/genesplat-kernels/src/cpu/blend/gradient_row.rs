@@ -18,9 +18,8 @@ pub(crate) mod column {
     pub(crate) const XX: usize = 3;
     pub(crate) const XY: usize = 4;
     pub(crate) const YY: usize = 5;
-    /// Σ |∂L/∂u|, by pixel (only where absolute gradients are asked for)
+    // Σ |∂L/∂u| and Σ |∂L/∂v|, by pixel (only where absolute gradients are asked for)
     pub(crate) const ABS_X: usize = 6;
-    /// Σ |∂L/∂v|, by pixel (only where absolute gradients are asked for)
     pub(crate) const ABS_Y: usize = 7;
     /// dL/drgb
     pub(crate) const RED: usize = 8;

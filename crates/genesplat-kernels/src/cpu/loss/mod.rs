@@ -226,7 +226,6 @@ fn l1_row<S: Simd>(simd: S, x: &[f32], y: &[u8]) -> f64 {
     sum.iter().map(|&v| f64::from(v)).sum()
 }
 
-/// `dL/dx` of one row.
 #[inline(always)]
 fn gradient_row<S: Simd>(
     simd: S,

@@ -83,7 +83,6 @@ impl PhotoLoss {
         bytes_of(&self.photo) + bytes_of(&self.blurred)
     }
 
-    /// Blurs the photo and its square.
     pub(crate) fn new(level: Level, target: &Target) -> Self {
         let layout = Layout { size: [target.width, target.height] };
         let blurred = Vec::with_capacity(3 * layout.vectors() * target.height);

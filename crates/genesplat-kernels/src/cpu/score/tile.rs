@@ -92,7 +92,6 @@ fn write_block(values: &[[f32; LANES]; 3], block: usize, out: &mut Colours) {
 struct StoredLight([[f32; LANES]; 4]);
 
 impl StoredLight {
-    /// Before the first splat.
     const UNTOUCHED: Self = Self([[0.0; LANES], [0.0; LANES], [0.0; LANES], [1.0; LANES]]);
 }
 
@@ -122,7 +121,6 @@ impl<S: Simd> Light<S> {
         }
     }
 
-    /// The colours in front of a background.
     #[inline(always)]
     fn on(&self, background: [f32; 3]) -> [[f32; LANES]; 3] {
         let passing = self.transmittance.abs();

@@ -10,9 +10,7 @@ use crate::cpu::view::geometry::RawRow;
 pub(crate) struct ChunkGradients {
     /// Position, log-scale, opacity logit `[CHUNK, 7]`.
     pub genes: Box<[Genes; CHUNK]>,
-    /// Quaternions `[CHUNK, 4]`.
     pub rotations: Box<[[f32; 4]; CHUNK]>,
-    /// Spherical harmonics `[CHUNK, 48]`.
     pub sh: Box<[[f32; SH_STRIDE]; CHUNK]>,
     /// Density signal, and what goes with it: see [`super::statistics::density`] `[CHUNK, 2]`.
     pub density: Box<[[f32; 2]; CHUNK]>,
@@ -128,7 +126,6 @@ fn statistics_mut(statistics: &mut Statistics) -> impl Iterator<Item = Statistic
 }
 
 pub(crate) struct ChunkView<'a> {
-    /// Row of the cloud that the chunk begins with.
     pub first_row: usize,
     pub rows: &'a RowsMut<'a>,
     /// 3D filter of the rows from the first on.

@@ -23,7 +23,6 @@ pub(crate) struct Params<S: Simd> {
 pub(crate) type RawRow = (Genes, [f32; 4], f32);
 
 impl<S: Simd> Params<S> {
-    /// The Gaussians that `of_lane` gives.
     #[inline(always)]
     pub(crate) fn load(simd: S, of_lane: impl Fn(usize) -> RawRow) -> Self {
         let mut gene_lanes = [[0.0f32; LANES]; GENES];
@@ -55,7 +54,6 @@ pub(crate) struct Geometry<S: Simd> {
     /// 1 / length of the raw quaternion, and the unit quaternion `(w, x, y, z)`.
     pub inverse_length: V<S>,
     pub unit: [V<S>; 4],
-    /// Rotation matrix, rows.
     pub r: [[V<S>; 3]; 3],
     /// Variances along the own axes without the 3D filter, and with it.
     pub variance_raw: [V<S>; 3],
@@ -82,7 +80,6 @@ pub(crate) struct Geometry<S: Simd> {
 }
 
 impl<S: Simd> Geometry<S> {
-    /// Steps 1 to 5 of the projection.
     #[inline(always)]
     pub(crate) fn new(params: &Params<S>, camera: &Pinhole, filter: ScreenFilter) -> Self {
         let one = V::splat(params.opacity_logit.simd, 1.0);
@@ -188,7 +185,6 @@ fn zero_where_nan<S: Simd>(params: &Params<S>, det: V<S>) -> V<S> {
     keep(sx.simd_eq(sx) & sy.simd_eq(sy) & sz.simd_eq(sz) & logit.simd_eq(logit), det)
 }
 
-/// Determinant of two columns.
 #[inline(always)]
 fn minor<S: Simd>(w: &[[V<S>; 3]; 2], j: usize, k: usize) -> V<S> {
     w[0][j] * w[1][k] - w[0][k] * w[1][j]
