@@ -130,8 +130,8 @@ impl GpuBackend {
         Ok(self.allocated_bytes() < before)
     }
 
-    /// Submits views until their tile lists fit: where they do not, the device says what it wanted, and all are submitted
-    /// once more. Returns the first values of a buffer that the views fill, if one is named.
+    /// Submits views until their tile lists fit: where they do not, the device says what it wanted, and all are
+    /// submitted once more. Returns the first values of a buffer that the views fill, if one is named.
     pub(crate) fn until_lists_fit<T: Pod>(
         &mut self,
         whose: ListsOf,

@@ -55,7 +55,7 @@ impl Engine {
         let descriptor = DeviceDescriptor {
             label: Some("genesplat"),
             required_features: features,
-            // What it has, but no more of what kernels use than they need, so that one that needs more fails everywhere.
+            // No more of what kernels use than they need, so that one that needs more fails everywhere.
             required_limits: Limits {
                 max_compute_workgroup_storage_size: adapter::WORKGROUP_BYTES,
                 max_storage_buffers_per_shader_stage: adapter::STORAGE_BUFFERS,

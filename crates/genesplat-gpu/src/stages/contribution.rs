@@ -1,5 +1,5 @@
-//! Stage `contribution`: how much each Gaussian contributes to views, and the error where it is seen. As on the CPU, the
-//! backward blending sums them, with ones and errors in the place of the image's gradient.
+//! Stage `contribution`: how much each Gaussian contributes to views, and the error where it is seen. As on the CPU,
+//! the backward blending sums them, with ones and errors in the place of the image's gradient.
 
 use genesplat_core::{Contribution, RenderSettings};
 

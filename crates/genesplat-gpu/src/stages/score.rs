@@ -1,8 +1,8 @@
 //! Stage `score`: Eq. 5 of a whole population over a set of views, forward only.
 //!
-//! A pool of individuals is uploaded as [row versions](genesplat_core::row_versions): to a view these are the rows of one
-//! large cloud, projected, sorted and listed by tile once for all individuals. A workgroup then makes the pictures of
-//! sixteen individuals in one tile: an alpha is evaluated once, and blended for those that hold it.
+//! A pool of individuals is uploaded as [row versions](genesplat_core::row_versions): to a view these are the rows of
+//! one large cloud, projected, sorted and listed by tile once for all individuals. A workgroup then makes the pictures
+//! of sixteen individuals in one tile: an alpha is evaluated once, and blended for those that hold it.
 
 use genesplat_core::row_versions::{Holders, RowVersion, row_versions};
 use genesplat_core::{BackendError, RenderSettings, SparseDelta};

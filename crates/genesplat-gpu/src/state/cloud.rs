@@ -1,7 +1,7 @@
 //! The cloud on the device: parameters, moments and what goes with each row.
 //!
-//! A row's floats lie in two columns, geometry and colour. Where these are larger than a kernel can see at once, kernels
-//! run window by window.
+//! A row's floats lie in two columns, geometry and colour. Where these are larger than a kernel can see at once,
+//! kernels run window by window.
 
 use genesplat_core::{Gaussians, Genes};
 

@@ -1,6 +1,6 @@
 //! Every constant and every struct that Rust and WGSL share.
 //!
-//! They are declared once; `device::prelude` writes them into WGSL. A test reads that back with naga and compares offsets.
+//! Declared once; `device::prelude` writes them into WGSL. A test reads that back with naga and compares offsets.
 
 use bytemuck::{Pod, Zeroable};
 
@@ -18,7 +18,7 @@ shared_constants! {
     TILE = 16,
     // Invocations of every one-dimensional workgroup.
     GROUP = 256,
-    // Workgroups in the first dimension of a grid; what is more goes to the second. Few in tests, so that they have one.
+    // Workgroups in the first dimension of a grid, few in tests; what is more goes to the second.
     GRID_WIDTH = if cfg!(test) { 3 } else { 32_768 },
     // Elements that one workgroup of a prefix sum handles, keys that one of a radix sort does, values of a digit.
     SCAN_BLOCK = 8 * GROUP,

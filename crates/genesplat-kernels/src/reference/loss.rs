@@ -8,7 +8,7 @@ use genesplat_core::constants::{LAMBDA_DSSIM, SSIM_C1, SSIM_C2, SSIM_RADIUS, ssi
 
 use super::planes;
 
-/// Loss of an image `[3, H, W]` against the photo of the same size, and its gradient by the image. The subgradient of `|x|` at 0 is 0.
+/// Loss of an image `[3, H, W]` against its photo, and its gradient. The subgradient of `|x|` at 0 is 0.
 pub fn loss(image: &[f64], photo: &Photo) -> (f64, Vec<f64>) {
     let target = planes(photo);
     let (l1, l1_gradient) = l1(image, &target);

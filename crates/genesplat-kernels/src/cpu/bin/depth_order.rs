@@ -1,7 +1,7 @@
 //! The splats of a view, nearest first: the sort of stage `bin`.
 //!
-//! A key is a splat's depth above its index, so there is one sorted order for any number of threads. One thread sorts by
-//! radix. Several first distribute the keys over ranges of depth, which are then sorted one by one (a sample sort).
+//! A key is a splat's depth above its index, so there is one sorted order for any number of threads. One thread sorts
+//! by radix. Several first distribute the keys over ranges of depth, which are then sorted one by one (a sample sort).
 
 use std::ops::Range;
 

@@ -76,8 +76,8 @@ pub(crate) fn full_transmittance<S: Simd>(
     inside.select(V::splat(simd, 1.0), V::splat(simd, -1.0))
 }
 
-/// Takes a block out of `live`. A call, so that it stays a branch that the machine can predict (measured: a fifth of the
-/// stage's time).
+/// Takes a block out of `live`. A call, so that it stays a branch that the machine can predict (measured: a fifth of
+/// the stage's time).
 #[cold]
 #[inline(never)]
 pub(crate) fn finish(block: usize, live: &mut u32) {

@@ -1,10 +1,10 @@
 //! Stage `rasterise`: blends the splats of each tile front to back.
 //!
-//! A tile is 16 blocks of 4x4 pixels and a block is one vector. Splats come one after another, and each visits the blocks
-//! that its ellipse reaches; these do not wait for one another, so the machine works on several at once.
+//! A tile is 16 blocks of 4x4 pixels and a block is one vector. Splats come one after another, and each visits the
+//! blocks that its ellipse reaches; these do not wait for one another, so the machine works on several at once.
 //!
-//! A pixel is finished when a splat would leave less than 1e-4 of its light. Its transmittance is kept with the sign bit
-//! set; whatever is blended after that finds it below the threshold and adds nothing, so no branch depends on it.
+//! A pixel is finished when a splat would leave less than 1e-4 of its light. Its transmittance is kept with the sign
+//! bit set; whatever is blended after that finds it below the threshold and adds nothing, so no branch depends on it.
 
 use fearless_simd::{Level, Simd, dispatch, prelude::*};
 use genesplat_core::Image;

@@ -4,8 +4,8 @@
 //! Per pixel it finds `p = o·G · dL/dα` and `w = α·T`. All gradients of a splat are sums of `p` times
 //! `1, x, y, x², xy, y²` and of `w` times `dL/dpixel`.
 //!
-//! Each splat visits its blocks twice: first for `p` and `w`, then for the sums, which stay in registers and are reduced
-//! over the lanes once per tile. No two tasks write the same row, so there are no atomics.
+//! Each splat visits its blocks twice: first for `p` and `w`, then for the sums, which stay in registers and are
+//! reduced over the lanes once per tile. No two tasks write the same row, so there are no atomics.
 
 use fearless_simd::{Level, Simd, dispatch, f32x4, f32x8, prelude::*};
 use genesplat_core::DensitySignal;

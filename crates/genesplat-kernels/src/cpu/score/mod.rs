@@ -2,9 +2,9 @@
 //!
 //! Individuals are not rendered one by one. A [`Pool`] has each [row version](genesplat_core::row_versions) once. To a
 //! view these are the rows of one large cloud, projected, sorted and listed by tile once for all individuals
-//! ([`pool`]). In a block of pixels the alpha of each is evaluated once ([`tile`]). What is left for an individual is to
-//! blend the alphas that it holds, and its loss ([`photo_loss`]). Losses equal those of rendering the changed cloud up to
-//! rounding.
+//! ([`pool`]). In a block of pixels the alpha of each is evaluated once ([`tile`]). What is left for an individual is
+//! to blend the alphas that it holds, and its loss ([`photo_loss`]). Losses equal those of rendering the changed cloud
+//! up to rounding.
 
 pub(crate) mod photo_loss;
 mod pool;

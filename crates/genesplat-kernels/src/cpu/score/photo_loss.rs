@@ -1,8 +1,8 @@
 //! The loss of a picture against one photo, forward only, for many pictures of one view.
 //!
-//! The photo's own blurred moments are kept; `E[x]`, `E[x²]` and `E[xy]` are left. Pictures and photo have rows of whole
-//! vectors with zeros around them, so that every load is a whole vector. A channel is walked in columns of 144 px from
-//! top to bottom: what the last 11 rows leave stays in the first-level cache.
+//! The photo's own blurred moments are kept; `E[x]`, `E[x²]` and `E[xy]` are left. Pictures and photo have rows of
+//! whole vectors with zeros around them, so that every load is a whole vector. A channel is walked in columns of 144 px
+//! from top to bottom: what the last 11 rows leave stays in the first-level cache.
 
 use fearless_simd::{Level, Simd, dispatch, prelude::*};
 use genesplat_core::constants::{SSIM_C1, SSIM_C2, SSIM_RADIUS, ssim_window};

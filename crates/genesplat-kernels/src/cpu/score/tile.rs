@@ -1,8 +1,8 @@
 //! The picture of one tile for every individual of a pool.
 //!
-//! Block after block of 4x4 pixels, so that the light of all individuals in it stays in the first-level cache. The alphas
-//! of a batch of up to 64 splats are evaluated, and then each individual blends those that it holds. Where all splats of
-//! a batch together could not finish a pixel, none is checked.
+//! Block after block of 4x4 pixels, so that the light of all individuals in it stays in the first-level cache. The
+//! alphas of a batch of up to 64 splats are evaluated, and then each individual blends those that it holds. Where all
+//! splats of a batch together could not finish a pixel, none is checked.
 
 use fearless_simd::{Simd, prelude::*};
 use genesplat_core::constants::TRANSMITTANCE_MIN;
