@@ -9,19 +9,16 @@ use genesplat_core::{
     Image, RenderSettings, RowEdit, SparseDelta, Statistics, TrainStep, View,
 };
 
-use crate::device::engine::Engine;
-use crate::device::memory::Memory;
-use crate::device::recorder::Recorder;
+use crate::Result;
 use crate::device::timing::Timestamps;
+use crate::device::{Engine, Memory, Recorder};
 use crate::queue::{ListsOf, QUEUED_STEPS_MAX};
 use crate::stages::lists::Lists;
 use crate::stages::pixels::{INTERSECTION_GRADIENT_BYTES, Needs, Pixels, pack_photo};
 use crate::stages::score::PoolBuffers;
 use crate::state::State;
-use crate::state::cloud::Parameters;
 use crate::state::layout::{Optimiser, ViewPass};
 
-/// A training view on the device.
 pub(crate) struct TrainView {
     pub(crate) camera: Camera,
     pub(crate) photo: Memory,
@@ -43,24 +40,22 @@ pub struct GpuBackend {
     pub(crate) failure: Option<BackendError>,
     /// Of the last step that was done.
     pub(crate) report: StepReport,
-    /// Optimiser steps made.
     pub(crate) steps: u32,
     pub(crate) timestamps: Option<Timestamps>,
 }
 
 impl GpuBackend {
     /// An empty backend on the best device of this machine.
-    pub fn new() -> Result<Self, BackendError> {
+    pub fn new() -> Result<Self> {
         Self::on(Engine::new()?)
     }
 
     /// The same with the kernels for devices without subgroups, whatever this one has: what `bench gpu` compares with.
-    pub fn without_subgroups() -> Result<Self, BackendError> {
+    pub fn without_subgroups() -> Result<Self> {
         Self::on(Engine::new()?.without_subgroups())
     }
 
-    /// An empty backend on a device.
-    pub(crate) fn on(engine: Engine) -> Result<Self, BackendError> {
+    pub(crate) fn on(engine: Engine) -> Result<Self> {
         Ok(Self {
             state: State::upload(&engine, &DeviceState::default())?,
             lists: Lists::new(&engine, INTERSECTION_GRADIENT_BYTES)?,
@@ -84,12 +79,12 @@ impl GpuBackend {
 
     /// Bytes that this backend holds on the device.
     pub fn allocated_bytes(&self) -> u64 {
-        self.engine.allocated_bytes()
+        self.engine.usage.allocated.get()
     }
 
     /// The most that it has held since this was last asked.
     pub fn take_most_allocated_bytes(&self) -> u64 {
-        self.engine.take_most_allocated()
+        self.engine.usage.most_allocated.replace(self.allocated_bytes())
     }
 
     /// Intersections that the buffers hold: grows by itself; tests make it small.
@@ -103,21 +98,20 @@ impl GpuBackend {
         ViewPass::new(&self.views[view].camera, settings, self.state.rows)
     }
 
-    /// Submits a view of the cloud, or of `measured` in its place: splats, tile lists and picture, and what `record`
-    /// adds to these.
+    /// Submits a view of the cloud, or of the blend: splats, tile lists, picture, and what `record` adds.
     pub(crate) fn submit_view(
         &mut self,
         pass: &ViewPass,
         needs: Needs,
-        measured: impl Fn(&State) -> Option<&Parameters>,
+        of_blend: bool,
         record: impl FnOnce(&Self, &mut Recorder),
-    ) -> Result<(), BackendError> {
+    ) -> Result<()> {
         self.lists.reserve(&self.engine, pass)?;
         self.pixels.reserve(&self.engine, pass, needs, self.lists.capacity)?;
         self.lists.begin(&self.engine, pass);
         let mut timestamps = self.timestamps.take();
         let mut recorder = Recorder::new(&self.engine, timestamps.as_mut());
-        let cloud = measured(&self.state).unwrap_or(&self.state.cloud);
+        let cloud = self.state.blended.as_ref().filter(|_| of_blend).unwrap_or(&self.state.cloud);
         self.lists.record(&mut recorder, cloud, &self.state.windows, pass);
         self.pixels.record_rasterise(&mut recorder, &self.lists, pass);
         record(self, &mut recorder);
@@ -136,45 +130,45 @@ impl Backend for GpuBackend {
         self.state.rows as usize
     }
 
-    fn set_views(&mut self, views: &[View]) -> Result<(), BackendError> {
+    fn set_views(&mut self, views: &[View]) -> Result<()> {
         self.with_memory(|gpu| {
-            let upload = |view: &View| -> Result<TrainView, BackendError> {
+            let upload = |view: &View| -> Result<TrainView> {
                 let photo = gpu.engine.upload("a photo", &pack_photo(&view.photo))?;
                 Ok(TrainView { camera: view.camera, photo })
             };
-            gpu.views = views.iter().map(upload).collect::<Result<_, _>>()?;
+            gpu.views = views.iter().map(upload).collect::<Result<_>>()?;
             Ok(())
         })
     }
 
-    fn upload(&mut self, state: DeviceState) -> Result<(), BackendError> {
+    fn upload(&mut self, state: DeviceState) -> Result<()> {
         self.with_memory(|gpu| {
             gpu.state = State::upload(&gpu.engine, &state)?;
             Ok(())
         })
     }
 
-    fn state(&mut self) -> Result<DeviceState, BackendError> {
+    fn state(&mut self) -> Result<DeviceState> {
         self.with_memory(|gpu| gpu.state.download_all(&gpu.engine))
     }
 
-    fn download(&mut self) -> Result<Cow<'_, Gaussians>, BackendError> {
+    fn download(&mut self) -> Result<Cow<'_, Gaussians>> {
         self.with_memory(|gpu| Ok(Cow::Owned(gpu.state.download(&gpu.engine)?)))
     }
 
-    fn genes(&mut self) -> Result<Vec<Genes>, BackendError> {
+    fn genes(&mut self) -> Result<Vec<Genes>> {
         self.with_memory(|gpu| gpu.state.cloud.genes(&gpu.engine, gpu.state.rows))
     }
 
-    fn render(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<Image, BackendError> {
+    fn render(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<Image> {
         let pass = ViewPass::new(camera, settings, self.state.rows);
-        let submit = |gpu: &mut Self| gpu.submit_view(&pass, Needs::default(), |_| None, |_, _| {});
+        let submit = |gpu: &mut Self| gpu.submit_view(&pass, Needs::default(), false, |_, _| {});
         self.with_memory(|gpu| gpu.until_lists_fit::<u32>(ListsOf::Cloud, None, submit))?;
         let planes = self.engine.read_values(&self.pixels.image, pass.image_bytes() / 4)?;
         Ok(Image { width: camera.width, height: camera.height, planes })
     }
 
-    fn train_step(&mut self, step: &TrainStep) -> Result<(), BackendError> {
+    fn train_step(&mut self, step: &TrainStep) -> Result<()> {
         if self.queued.len() >= QUEUED_STEPS_MAX || self.failure.is_some() {
             self.finish_queued_steps()?;
         }
@@ -184,12 +178,12 @@ impl Backend for GpuBackend {
         Ok(())
     }
 
-    fn report(&mut self) -> Result<StepReport, BackendError> {
+    fn report(&mut self) -> Result<StepReport> {
         self.finish_queued_steps()?;
         Ok(self.report)
     }
 
-    fn discard_queued_steps(&mut self) -> Result<usize, BackendError> {
+    fn discard_queued_steps(&mut self) -> Result<usize> {
         if !self.queued.is_empty() {
             self.take_done_steps()?;
         }
@@ -198,7 +192,7 @@ impl Backend for GpuBackend {
         Ok(undone)
     }
 
-    fn statistics(&mut self) -> Result<Statistics, BackendError> {
+    fn statistics(&mut self) -> Result<Statistics> {
         self.with_memory(|gpu| gpu.state.statistics.download(&gpu.engine, gpu.state.rows))
     }
 
@@ -209,15 +203,15 @@ impl Backend for GpuBackend {
         }
     }
 
-    fn edit_rows(&mut self, edit: &RowEdit) -> Result<(), BackendError> {
+    fn edit_rows(&mut self, edit: &RowEdit) -> Result<()> {
         self.with_memory(|gpu| gpu.state.edit_rows(&gpu.engine, edit))
     }
 
-    fn reset_opacity(&mut self, ceiling: f32) -> Result<(), BackendError> {
+    fn reset_opacity(&mut self, ceiling: f32) -> Result<()> {
         self.with_memory(|gpu| gpu.state.reset_opacity(&gpu.engine, ceiling))
     }
 
-    fn set_filter_3d(&mut self, filter: Vec<f32>) -> Result<(), BackendError> {
+    fn set_filter_3d(&mut self, filter: Vec<f32>) -> Result<()> {
         self.with_memory(|gpu| gpu.state.set_filter_3d(&gpu.engine, &filter))
     }
 }
@@ -228,24 +222,20 @@ impl EvolutionBackend for GpuBackend {
         population: &[SparseDelta],
         views: &[usize],
         settings: &RenderSettings,
-    ) -> Result<Vec<f32>, BackendError> {
+    ) -> Result<Vec<f32>> {
         self.finish_queued_steps()?;
         self.score_population(population, views, settings)
     }
 
-    fn apply(&mut self, delta: &SparseDelta, moments: MomentPolicy) -> Result<(), BackendError> {
+    fn apply(&mut self, delta: &SparseDelta, moments: MomentPolicy) -> Result<()> {
         self.with_memory(|gpu| gpu.state.apply(&gpu.engine, delta, moments))
     }
 
-    fn contributions(
-        &mut self,
-        views: &[usize],
-        settings: &RenderSettings,
-    ) -> Result<Vec<Contribution>, BackendError> {
+    fn contributions(&mut self, views: &[usize], settings: &RenderSettings) -> Result<Vec<Contribution>> {
         self.with_memory(|gpu| gpu.contributions_to(views, settings))
     }
 
-    fn average(&mut self, half: usize) -> Result<(), BackendError> {
+    fn average(&mut self, half: usize) -> Result<()> {
         self.with_memory(|gpu| gpu.state.average(&gpu.engine, half))
     }
 
@@ -254,11 +244,11 @@ impl EvolutionBackend for GpuBackend {
         blends: &[Blend],
         views: &[usize],
         settings: &RenderSettings,
-    ) -> Result<Vec<ViewLoss>, BackendError> {
+    ) -> Result<Vec<ViewLoss>> {
         self.with_memory(|gpu| gpu.measure_blends(blends, views, settings))
     }
 
-    fn blend(&mut self, blend: &Blend) -> Result<(), BackendError> {
+    fn blend(&mut self, blend: &Blend) -> Result<()> {
         self.with_memory(|gpu| gpu.state.blend(&gpu.engine, blend))
     }
 }

@@ -13,19 +13,17 @@ use bytemuck::Pod;
 use genesplat_core::backend::StepReport;
 use genesplat_core::{BackendError, DensitySignal, TrainStep};
 
+use crate::Result;
 use crate::backend::GpuBackend;
-use crate::device::engine::Engine;
-use crate::device::memory::Memory;
+use crate::device::{Engine, Memory};
 use crate::stages::lists::Lists;
 use crate::stages::optimise::Optimise;
 use crate::stages::pixels::Needs;
 use crate::state::layout::{Counters, HALT_NON_FINITE, HALT_OVERFLOW, Optimiser};
 
-/// Steps after which the host reads the device's flag. That costs a round trip, and an overflow costs the steps
-/// submitted since.
+/// Steps after which the host reads the device's flag: a round trip.
 pub(crate) const QUEUED_STEPS_MAX: usize = 32;
 
-/// Whose tile lists.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum ListsOf {
     /// Of the cloud, or of a blend in its place.
@@ -35,9 +33,8 @@ pub(crate) enum ListsOf {
 }
 
 impl GpuBackend {
-    /// Submits one step; where there is no memory for it, once more without what only scores and blends need. (What
-    /// steps need may be in use by queued ones.)
-    pub(crate) fn submit(&mut self, step: &TrainStep) -> Result<(), BackendError> {
+    /// Submits one step; where there is no memory for it, once more without what only scores and blends need.
+    pub(crate) fn submit(&mut self, step: &TrainStep) -> Result<()> {
         match self.submit_step(step) {
             Err(BackendError::OutOfMemory { .. }) => {
                 self.pool_buffers.release();
@@ -49,31 +46,26 @@ impl GpuBackend {
         }
     }
 
-    fn submit_step(&mut self, step: &TrainStep) -> Result<(), BackendError> {
+    fn submit_step(&mut self, step: &TrainStep) -> Result<()> {
         let pass = self.pass_of(step.view, &step.settings).with_statistics(step.statistics);
         self.state.reserve_step(&self.engine, step.statistics.genes)?;
         let optimiser = step.update.as_ref().map(Optimiser::new);
         self.engine.write(&self.optimiser, 0, optimiser.as_slice());
         let needs = Needs { loss: true, gradient: true };
-        self.submit_view(
-            &pass,
-            needs,
-            |_| None,
-            |gpu, recorder| {
-                let Self { state, lists, pixels, optimiser: memory, .. } = gpu;
-                pixels.record_loss(recorder, lists, &gpu.views[step.view].photo, &pass);
-                pixels.record_backward(recorder, lists, &pass);
-                let (optimiser, request) = (optimiser.as_ref(), step.statistics);
-                Optimise { state, lists, pixels, memory, optimiser, request }.record(recorder);
-            },
-        )?;
+        self.submit_view(&pass, needs, false, |gpu, recorder| {
+            let Self { state, lists, pixels, optimiser: memory, .. } = gpu;
+            pixels.record_loss(recorder, lists, &gpu.views[step.view].photo, &pass);
+            pixels.record_backward(recorder, lists, &pass);
+            let (optimiser, request) = (optimiser.as_ref(), step.statistics);
+            Optimise { state, lists, pixels, memory, optimiser, request }.record(recorder);
+        })?;
         self.state.statistics.has_absolute |=
             step.statistics.density == Some(DensitySignal::SignedAndAbsolute);
         Ok(())
     }
 
     /// Waits until every queued step is done, repeating those that an overflow has stopped.
-    pub(crate) fn finish_queued_steps(&mut self) -> Result<(), BackendError> {
+    pub(crate) fn finish_queued_steps(&mut self) -> Result<()> {
         if let Some(failure) = self.failure.take() {
             return Err(failure);
         }
@@ -95,7 +87,7 @@ impl GpuBackend {
     }
 
     /// Waits for what was submitted, and takes the steps that were done off the queue.
-    pub(crate) fn take_done_steps(&mut self) -> Result<Counters, BackendError> {
+    pub(crate) fn take_done_steps(&mut self) -> Result<Counters> {
         let counters = self.lists.take_counters::<u32>(&self.engine, None)?.0;
         let done: Vec<TrainStep> = self.queued.drain(..counters.completed as usize).collect();
         let last = done.iter().rev().find_map(|step| step.update.as_ref());
@@ -110,12 +102,8 @@ impl GpuBackend {
         Ok(counters)
     }
 
-    /// Does `verb` after all steps; where there is no memory for it, once more after everything that can be made again
-    /// was freed.
-    pub(crate) fn with_memory<T>(
-        &mut self,
-        mut verb: impl FnMut(&mut Self) -> Result<T, BackendError>,
-    ) -> Result<T, BackendError> {
+    /// Does `verb` after all steps; without memory for it, once more after everything that can be made again was freed.
+    pub(crate) fn with_memory<T>(&mut self, mut verb: impl FnMut(&mut Self) -> Result<T>) -> Result<T> {
         self.finish_queued_steps()?;
         match verb(self) {
             Err(BackendError::OutOfMemory { .. }) => {
@@ -127,13 +115,13 @@ impl GpuBackend {
     }
 
     /// Frees what steps, scores and blends need; no step may be queued.
-    pub(crate) fn release_buffers(&mut self) -> Result<(), BackendError> {
+    pub(crate) fn release_buffers(&mut self) -> Result<()> {
         self.pool_buffers.release();
         self.release_step_buffers().map(|_| ())
     }
 
     /// Frees what steps and blends need; true if there was anything.
-    pub(crate) fn release_step_buffers(&mut self) -> Result<bool, BackendError> {
+    pub(crate) fn release_step_buffers(&mut self) -> Result<bool> {
         let before = self.allocated_bytes();
         self.lists.release();
         self.pixels.release();
@@ -142,15 +130,14 @@ impl GpuBackend {
         Ok(self.allocated_bytes() < before)
     }
 
-    /// Submits views until their tile lists fit: where they do not, the device lists nothing and says what it wanted,
-    /// and all of them are submitted once more. Returns the first values of a buffer that the views fill, if one is
-    /// named.
+    /// Submits views until their tile lists fit: where they do not, the device says what it wanted, and all are
+    /// submitted once more. Returns the first values of a buffer that the views fill, if one is named.
     pub(crate) fn until_lists_fit<T: Pod>(
         &mut self,
         whose: ListsOf,
         filled: Option<(&Memory, u64)>,
-        mut submit: impl FnMut(&mut Self) -> Result<(), BackendError>,
-    ) -> Result<Vec<T>, BackendError> {
+        mut submit: impl FnMut(&mut Self) -> Result<()>,
+    ) -> Result<Vec<T>> {
         // An attempt that ended with an error may have left some.
         let (begun, engine) = self.lists_of(whose);
         begun.clear_counters(engine);

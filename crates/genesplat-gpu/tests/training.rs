@@ -1,4 +1,5 @@
-//! The gallery, trained on a graphics device and on the CPU, for every variant and with evolution: photos must come out alike.
+//! The gallery, trained on a graphics device and on the CPU, for every variant and with evolution: photos must come out
+//! alike.
 //!
 //! Needs a driver, like the other tests of this crate.
 
@@ -37,9 +38,9 @@ fn config(variant: Variant) -> TrainConfig {
     config
 }
 
-/// The first 60 iterations of it, without the reset, which would leave little to see: with a search after the densification in
-/// the 30th; or with a renewal begun in the 44th and measured in the 52nd, and averages kept then or in
-/// the 60th.
+/// The first 60 iterations of it, without the reset, which would leave little to see: with a search after the
+/// densification in the 30th; or with a renewal begun in the 44th and measured in the 52nd, and averages kept then or
+/// in the 60th.
 fn evolving(mode: EvolutionMode) -> Resolved {
     let mut config = TrainConfig { iterations: 12_000, ..config(Variant::ThreeDgs) };
     config.densify.reset_every = 30_000;

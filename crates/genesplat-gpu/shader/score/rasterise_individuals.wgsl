@@ -1,7 +1,7 @@
 // Stage `score`, step 2: the pictures that sixteen individuals make of one tile, one pixel an invocation.
 //
-// The list of a tile has the row versions of the whole pool. Of the next 256 those that any of the sixteen holds are loaded;
-// the alpha of each is evaluated once, and blended for those that hold it.
+// The list of a tile has the row versions of the whole pool. Of the next 256 those that any of the sixteen holds are
+// loaded; the alpha of each is evaluated once, and blended for those that hold it.
 
 @group(0) @binding(0) var<uniform> view: ViewPass;
 @group(0) @binding(1) var<storage, read> ranges: array<vec2<u32>>;

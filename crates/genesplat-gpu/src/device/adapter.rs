@@ -5,7 +5,8 @@ use std::sync::OnceLock;
 use genesplat_core::BackendError;
 use wgpu::{Adapter, Backends, DeviceType, Features, Instance, InstanceDescriptor, InstanceFlags, Limits};
 
-use crate::device::engine::Engine;
+use crate::Result;
+use crate::device::Engine;
 use crate::state::layout::{GRID_WIDTH, GROUP, TILE};
 
 /// Workgroup memory that the backward pass needs, bytes; that of all others is less.
@@ -81,8 +82,7 @@ fn kind(kind: DeviceType) -> (u32, &'static str) {
     }
 }
 
-/// The best usable device.
-pub(crate) fn best() -> Result<&'static Adapter, BackendError> {
+pub(crate) fn best() -> Result<&'static Adapter> {
     let mut reasons = Vec::new();
     for adapter in found() {
         match unmet(&adapter.limits()) {
@@ -132,18 +132,8 @@ fn unmet(limits: &Limits) -> Option<String> {
     unmet.map(|(what, has, needs)| format!("has too few {what}: {has}, and {needs} are needed"))
 }
 
-/// What is asked of a device: what it has, but only as much workgroup memory and as many buffers as kernels use, so that
-/// one that uses more fails everywhere.
-pub(crate) fn required_limits(adapter: &Adapter) -> Limits {
-    Limits {
-        max_compute_workgroup_storage_size: WORKGROUP_BYTES,
-        max_storage_buffers_per_shader_stage: STORAGE_BUFFERS,
-        ..adapter.limits()
-    }
-}
-
 /// Opens the best usable device, and closes it again: a driver may refuse what it has promised.
-pub fn check_best() -> Result<(), BackendError> {
+pub fn check_best() -> Result<()> {
     Engine::new().map(drop)
 }
 

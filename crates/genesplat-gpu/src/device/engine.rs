@@ -7,16 +7,16 @@ use std::sync::{Arc, OnceLock};
 use genesplat_core::BackendError;
 use wgpu::{
     BindGroupLayout, CommandBuffer, ComputePipeline, ComputePipelineDescriptor, Device, DeviceDescriptor,
-    Features, PipelineCompilationOptions, PollType, Queue, ShaderModuleDescriptor, ShaderSource,
+    Features, Limits, PipelineCompilationOptions, PollType, Queue, ShaderModuleDescriptor, ShaderSource,
 };
 
+use crate::Result;
+use crate::device::MemoryUse;
 use crate::device::adapter;
-use crate::device::memory::MemoryUse;
 use crate::device::probe;
 use crate::device::shaders::Shader;
 use crate::state::layout::SH_FLOATS;
 
-/// A shader with values for its `override` constants.
 type KernelKey = (&'static str, Vec<(&'static str, u32)>);
 
 /// A compiled shader, and how its buffers are bound.
@@ -26,7 +26,6 @@ pub(crate) struct Kernel {
     pub(crate) layout: BindGroupLayout,
 }
 
-/// A device, and the kernels that it has compiled.
 pub(crate) struct Engine {
     pub(crate) device: Device,
     pub(crate) queue: Queue,
@@ -34,15 +33,12 @@ pub(crate) struct Engine {
     pub(crate) name: String,
     /// Largest part of a buffer that a kernel can see, bytes.
     pub(crate) binding_bytes: u64,
-    /// Largest buffer, bytes.
     pub(super) buffer_bytes: u64,
     /// Rows of the cloud that a kernel can see at once.
     pub(crate) window_rows: u64,
     /// The device can time passes.
     pub(crate) timestamps: bool,
-    /// Kernels sort and sum by subgroups.
     pub(crate) subgroups: bool,
-    /// Memory that is in use.
     pub(crate) usage: MemoryUse,
     /// How often the host has waited: what a test counts.
     pub(crate) waits: Cell<u32>,
@@ -51,8 +47,7 @@ pub(crate) struct Engine {
 }
 
 impl Engine {
-    /// The best device of this machine.
-    pub(crate) fn new() -> Result<Self, BackendError> {
+    pub(crate) fn new() -> Result<Self> {
         let adapter = adapter::best()?;
         let info = adapter.get_info();
         let name = format!("{} ({:?})", info.name, info.backend);
@@ -60,7 +55,12 @@ impl Engine {
         let descriptor = DeviceDescriptor {
             label: Some("genesplat"),
             required_features: features,
-            required_limits: adapter::required_limits(adapter),
+            // No more of what kernels use than they need, so that one that needs more fails everywhere.
+            required_limits: Limits {
+                max_compute_workgroup_storage_size: adapter::WORKGROUP_BYTES,
+                max_storage_buffers_per_shader_stage: adapter::STORAGE_BUFFERS,
+                ..adapter.limits()
+            },
             ..DeviceDescriptor::default()
         };
         let (device, queue) = pollster::block_on(adapter.request_device(&descriptor))
@@ -104,7 +104,7 @@ impl Engine {
     }
 
     /// Waits until everything submitted is done; only then is the memory of dropped buffers free.
-    pub(crate) fn wait(&self) -> Result<(), BackendError> {
+    pub(crate) fn wait(&self) -> Result<()> {
         self.waits.set(self.waits.get() + 1);
         match self.device.poll(PollType::wait_indefinitely()) {
             Ok(_) => self.check(),
@@ -113,7 +113,7 @@ impl Engine {
     }
 
     /// An error if the device is lost or has refused something.
-    pub(crate) fn check(&self) -> Result<(), BackendError> {
+    pub(crate) fn check(&self) -> Result<()> {
         self.lost.get().map_or(Ok(()), |reason| Err(self.is_lost(reason)))
     }
 

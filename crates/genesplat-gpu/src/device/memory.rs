@@ -9,7 +9,8 @@ use bytemuck::Pod;
 use genesplat_core::BackendError;
 use wgpu::{Buffer, BufferDescriptor, BufferUsages, ErrorFilter, MapMode};
 
-use crate::device::engine::Engine;
+use crate::Result;
+use crate::device::Engine;
 
 /// Smallest buffer, bytes: an empty cloud has buffers, too.
 const BUFFER_BYTES_MIN: u64 = 256;
@@ -23,11 +24,9 @@ const WRITTEN_BYTES_MAX: usize = 64 << 20;
 /// Bytes that are read back at once, 256 MiB: a whole cloud may exceed the largest buffer that a device makes.
 const READ_BYTES_MAX: u64 = 256 << 20;
 
-/// A buffer of the device.
 #[derive(Debug)]
 pub(crate) struct Memory {
     pub(crate) buffer: Buffer,
-    /// Size.
     pub(crate) bytes: u64,
     purpose: &'static str,
     allocated: Rc<Cell<u64>>,
@@ -41,7 +40,6 @@ impl Memory {
         self.bytes = 0;
     }
 
-    /// What a kernel sees that is bound to all of it.
     pub(crate) fn all(&self) -> Part<'_> {
         Part { buffer: &self.buffer, first_byte: 0, bytes: self.bytes }
     }
@@ -59,7 +57,6 @@ impl Drop for Memory {
     }
 }
 
-/// What one binding of a kernel sees of a buffer.
 #[derive(Clone, Copy)]
 pub(crate) struct Part<'a> {
     pub(super) buffer: &'a Buffer,
@@ -73,10 +70,9 @@ pub(crate) struct MemoryUse {
     pub(crate) limit_bytes: u64,
     pub(crate) written_bytes_max: usize,
     pub(crate) read_bytes_max: u64,
-    /// Bytes that wait to be copied to the device.
     pub(crate) written: Cell<usize>,
-    allocated: Rc<Cell<u64>>,
-    most_allocated: Cell<u64>,
+    pub(crate) allocated: Rc<Cell<u64>>,
+    pub(crate) most_allocated: Cell<u64>,
 }
 
 impl Default for MemoryUse {
@@ -97,7 +93,7 @@ type Piece<'a> = (&'a Buffer, u64, &'a mut [u8]);
 
 impl Engine {
     /// A buffer that kernels read and write, of at least `bytes`; its content is zero.
-    pub(crate) fn allocate(&self, purpose: &'static str, bytes: u64) -> Result<Memory, BackendError> {
+    pub(crate) fn allocate(&self, purpose: &'static str, bytes: u64) -> Result<Memory> {
         let (bytes, usage) = (whole_vectors(bytes), &self.usage);
         if usage.allocated.get().saturating_add(bytes) > usage.limit_bytes {
             return Err(self.out_of_memory(purpose, bytes));
@@ -114,26 +110,23 @@ impl Engine {
         Ok(Memory { buffer, bytes, purpose, allocated: Rc::clone(&usage.allocated) })
     }
 
-    /// The same, for what a kernel must see as a whole.
-    fn allocate_whole(&self, purpose: &'static str, bytes: u64) -> Result<Memory, BackendError> {
-        if whole_vectors(bytes) > self.binding_bytes {
-            return Err(self.out_of_memory(purpose, bytes));
-        }
-        self.allocate(purpose, bytes)
-    }
-
     /// Makes `memory` at least `bytes` large; what it held is lost when it has to grow. Where there is no memory for
     /// the old and the new one at once, the old one goes first; where there is none then, nothing is left of it.
-    pub(crate) fn reserve(&self, memory: &mut Memory, bytes: u64) -> Result<(), BackendError> {
+    pub(crate) fn reserve(&self, memory: &mut Memory, bytes: u64) -> Result<()> {
         // Even no bytes are a buffer, which may have been released.
         if memory.bytes >= bytes.max(BUFFER_BYTES_MIN) {
             return Ok(());
         }
-        *memory = match self.allocate_whole(memory.purpose, bytes) {
+        let purpose = memory.purpose;
+        // A kernel must see all of it.
+        if whole_vectors(bytes) > self.binding_bytes {
+            return Err(self.out_of_memory(purpose, bytes));
+        }
+        *memory = match self.allocate(purpose, bytes) {
             Err(BackendError::OutOfMemory { .. }) => {
                 memory.release();
                 self.wait()?;
-                self.allocate_whole(memory.purpose, bytes)?
+                self.allocate(purpose, bytes)?
             }
             made => made?,
         };
@@ -141,7 +134,7 @@ impl Engine {
     }
 
     /// A buffer, or an error; the device lives on after that.
-    fn create(&self, purpose: &str, size: u64, usage: BufferUsages) -> Result<Buffer, BackendError> {
+    fn create(&self, purpose: &str, size: u64, usage: BufferUsages) -> Result<Buffer> {
         if size > self.buffer_bytes {
             return Err(self.out_of_memory(purpose, size));
         }
@@ -158,22 +151,7 @@ impl Engine {
         BackendError::OutOfMemory { device: self.name.clone(), wanted, purpose: purpose.into() }
     }
 
-    /// Bytes of all buffers that are in use.
-    pub(crate) fn allocated_bytes(&self) -> u64 {
-        self.usage.allocated.get()
-    }
-
-    /// The most that they have been since this was last asked.
-    pub(crate) fn take_most_allocated(&self) -> u64 {
-        self.usage.most_allocated.replace(self.allocated_bytes())
-    }
-
-    /// A buffer with content.
-    pub(crate) fn upload<T: Pod>(
-        &self,
-        purpose: &'static str,
-        content: &[T],
-    ) -> Result<Memory, BackendError> {
+    pub(crate) fn upload<T: Pod>(&self, purpose: &'static str, content: &[T]) -> Result<Memory> {
         let bytes: &[u8] = bytemuck::cast_slice(content);
         let memory = self.allocate(purpose, bytes.len() as u64)?;
         self.write(&memory, 0, content);
@@ -196,20 +174,19 @@ impl Engine {
     /// Copies everything that was written to the device, and frees what it took on the host.
     fn flush(&self) {
         self.submit([]);
-        // Whoever waits next, and can return an error, finds out about a device that is lost.
+        // The next wait that can return an error tells of a lost device.
         let _ = self.wait();
     }
 
     /// Waits for the device and copies the first `count` values of a buffer to the host.
-    pub(crate) fn read_values<T: Pod>(&self, memory: &Memory, count: u64) -> Result<Vec<T>, BackendError> {
+    pub(crate) fn read_values<T: Pod>(&self, memory: &Memory, count: u64) -> Result<Vec<T>> {
         let mut values = bytemuck::zeroed_vec(count as usize);
         self.read([(memory, bytemuck::cast_slice_mut(&mut values))])?;
         Ok(values)
     }
 
-    /// Waits for the device and fills targets (multiples of 4 bytes) from the beginning of their buffers: all at once,
-    /// or piece by piece where they are larger than what is read at once.
-    pub(crate) fn read<const K: usize>(&self, parts: [(&Memory, &mut [u8]); K]) -> Result<(), BackendError> {
+    /// Waits for the device and fills targets (multiples of 4 bytes) from the beginning of their buffers.
+    pub(crate) fn read<const K: usize>(&self, parts: [(&Memory, &mut [u8]); K]) -> Result<()> {
         let most = (self.usage.read_bytes_max.min(self.buffer_bytes) / 4 * 4) as usize;
         let total: usize = parts.iter().map(|(_, target)| target.len()).sum();
         let usage = BufferUsages::MAP_READ | BufferUsages::COPY_DST;
@@ -229,7 +206,7 @@ impl Engine {
     }
 
     /// Pieces that fit `staging`, with one wait.
-    fn read_pieces(&self, staging: &Buffer, pieces: Vec<Piece>) -> Result<(), BackendError> {
+    fn read_pieces(&self, staging: &Buffer, pieces: Vec<Piece>) -> Result<()> {
         let mut encoder = self.device.create_command_encoder(&Default::default());
         let mut at = 0;
         for (buffer, first_byte, target) in &pieces {
@@ -259,7 +236,6 @@ impl Engine {
     }
 }
 
-/// Size of a buffer that holds so many bytes.
 fn whole_vectors(bytes: u64) -> u64 {
     bytes.next_multiple_of(BUFFER_BYTES_STEP).max(BUFFER_BYTES_MIN)
 }

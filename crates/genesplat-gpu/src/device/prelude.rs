@@ -52,8 +52,7 @@ fn float_constants() -> Vec<(&'static str, f32)> {
         ("LN_2", std::f32::consts::LN_2),
         ("TAU", std::f32::consts::TAU),
         ("FRAC_1_SQRT_2", std::f32::consts::FRAC_1_SQRT_2),
-        // A list may have a splat too many, never one too few: every ellipse is widened by this much, in powers of two
-        // of alpha, and its intervals by this many pixels (as on the CPU).
+        // As on the CPU: a list may have a splat too many, never one too few.
         ("SLACK_LOG2", 1e-3),
         ("SLACK_PX", 1e-2),
         // Noise fainter than this is left out, as on the CPU.

@@ -1,17 +1,14 @@
 //! What a device's subgroups really do. WGSL promises neither that a subgroup's invocations are neighbours nor that all
-//! of them are there, translators and drivers get ballots wrong, and a sort that loses keys says nothing. So a kernel
-//! tests it before any other relies on it.
+//! of them are there, and drivers get ballots wrong. So a kernel tests it before any other relies on it.
 
-use genesplat_core::BackendError;
 use wgpu::ErrorFilter;
 
-use crate::device::engine::Engine;
-use crate::device::recorder::{Grid, Recorder};
-use crate::device::shaders;
+use crate::Result;
+use crate::device::{Engine, Grid, Recorder, shaders};
 use crate::state::layout::GROUP;
 
 /// Invocations of a subgroup, if subgroups do on this device what kernels rely on.
-pub(crate) fn subgroup_width(engine: &Engine) -> Result<Option<u32>, BackendError> {
+pub(crate) fn subgroup_width(engine: &Engine) -> Result<Option<u32>> {
     // A kernel that does not compile here is an answer, too.
     let scopes =
         [ErrorFilter::Validation, ErrorFilter::Internal].map(|kind| engine.device.push_error_scope(kind));

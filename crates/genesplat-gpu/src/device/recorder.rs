@@ -5,13 +5,11 @@ use wgpu::{
     ComputePassDescriptor, ComputePassTimestampWrites,
 };
 
-use crate::device::engine::Engine;
-use crate::device::memory::{Memory, Part};
 use crate::device::shaders::Shader;
 use crate::device::timing::{TIMED_PASSES, Timestamps};
+use crate::device::{Engine, Memory, Part};
 use crate::state::layout::{GRID_WIDTH, GROUP};
 
-/// How many workgroups run.
 #[derive(Clone, Copy)]
 pub(crate) enum Grid<'a> {
     /// Enough of 256 invocations for so many items.
@@ -24,7 +22,6 @@ pub(crate) enum Grid<'a> {
     Device(&'a Memory, u32),
 }
 
-/// Records dispatches.
 pub(crate) struct Recorder<'a> {
     engine: &'a Engine,
     encoder: CommandEncoder,
@@ -45,7 +42,6 @@ impl<'a> Recorder<'a> {
         self.stage = name;
     }
 
-    /// Zeroes a buffer.
     pub(crate) fn clear(&mut self, memory: &Memory, bytes: u64) {
         self.pass = None;
         self.encoder.clear_buffer(&memory.buffer, 0, Some(bytes.next_multiple_of(16).min(memory.bytes)));

@@ -6,12 +6,10 @@
 
 use crate::device::prelude::prelude;
 
-/// One shader.
 #[derive(Debug)]
 pub(crate) struct Shader {
     /// Path of its file in `shader/`, without the extension.
     pub(crate) name: &'static str,
-    /// Texts after the prelude.
     parts: &'static [Part],
 }
 
@@ -44,7 +42,6 @@ macro_rules! shaders {
             parts: &[parts::COMMON, $(parts::$part,)* Part::new(include_str!(concat!("../../shader/", $file, ".wgsl")))],
         };)*
 
-        /// All of them.
         #[cfg(test)]
         pub(crate) static ALL: &[&Shader] = &[$(&$name),*];
     };

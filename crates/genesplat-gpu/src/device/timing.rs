@@ -2,12 +2,11 @@
 
 use std::time::Instant;
 
-use genesplat_core::BackendError;
 use wgpu::{QuerySet, QuerySetDescriptor, QueryType};
 
+use crate::Result;
 use crate::backend::GpuBackend;
-use crate::device::engine::Engine;
-use crate::device::recorder::Recorder;
+use crate::device::{Engine, Recorder};
 
 /// Passes that are timed between two readings, eight steps of eight passes; later ones are left out.
 pub(crate) const TIMED_PASSES: u32 = 64;
@@ -26,7 +25,7 @@ impl Timestamps {
     }
 
     /// Seconds of each stage, in the order in which they began.
-    fn seconds(&self, engine: &Engine) -> Result<Vec<(&'static str, f64)>, BackendError> {
+    fn seconds(&self, engine: &Engine) -> Result<Vec<(&'static str, f64)>> {
         let memory = engine.allocate("timestamps", 16 * u64::from(TIMED_PASSES))?;
         let mut encoder = engine.device.create_command_encoder(&Default::default());
         encoder.resolve_query_set(&self.queries, 0..2 * self.stages.len() as u32, &memory.buffer, 0);
@@ -67,7 +66,7 @@ impl GpuBackend {
 
     /// Waits for the device and returns the seconds of each stage since the last call (of the first 64 passes); none
     /// unless they are timed.
-    pub fn take_stage_seconds(&mut self) -> Result<Vec<(&'static str, f64)>, BackendError> {
+    pub fn take_stage_seconds(&mut self) -> Result<Vec<(&'static str, f64)>> {
         self.finish_queued_steps()?;
         let Some(timestamps) = &mut self.timestamps else { return Ok(Vec::new()) };
         let seconds =
@@ -78,7 +77,7 @@ impl GpuBackend {
 
     /// Bytes a second that the device's memory reads and writes, both counted, when `bytes` are copied again and again:
     /// by the host's clock, many copies less a few, so without what it takes to submit and to wait.
-    pub fn memory_bandwidth(&mut self, bytes: u64) -> Result<f64, BackendError> {
+    pub fn memory_bandwidth(&mut self, bytes: u64) -> Result<f64> {
         const COPIES: [u32; 2] = [16, 80];
         self.finish_queued_steps()?;
         let from = self.engine.allocate("bytes to copy", bytes)?;

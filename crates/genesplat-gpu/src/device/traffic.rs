@@ -1,9 +1,7 @@
 //! What a stage of a training step has to move through the memory of the device at least.
 //!
-//! Every value that a stage reads from another, or leaves for one, is counted once, however often it is looked at; what
-//! stays in registers and workgroup memory is not. No cache holds a whole column of a large cloud, so a stage that
-//! takes as long as this is as fast as the device's memory. (The columns of a small one may lie in a cache, which is
-//! faster.)
+//! Every value that a stage reads from another, or leaves for one, is counted once; what stays in registers and
+//! workgroup memory is not. On a large cloud, a stage that takes as long as this is as fast as the device's memory.
 
 use crate::stages::lists::tile_bits;
 use crate::stages::sort::DIGIT_BITS;
@@ -43,8 +41,7 @@ impl Work {
             // Tile counts and flags of all rows; depths of splats.
             "project" => rows * (geometry + 8) + visible * (evaluated + splat + 4),
             // Flags are read; of splats the depth, the tile count and they themselves, and their first intersections
-            // are written; they are sorted by depth. Intersections' tiles and splats are written and sorted by tile;
-            // the first pass needs no values, but the sorted tiles are read once more.
+            // are written; they are sorted by depth. Intersections' tiles and splats are written and sorted by tile.
             "bin" => {
                 let sorted = visible * passes(32) + intersections * passes(tile_bits(tiles));
                 rows * 4 + visible * (12 + splat) + intersections * 8 + sorted * PASS_BYTES
@@ -69,9 +66,8 @@ impl Work {
         }
     }
 
-    /// Bytes of a row's colours: to evaluate them, to know how they change with the direction, and of those that the
-    /// optimiser moves. They come in groups of four coefficients of three channels; of the base colour alone no more is
-    /// touched than it, or the vector that it is in.
+    /// Bytes of a row's colours: to evaluate them, to differentiate them, and of those that the optimiser moves. Above
+    /// degree 0 they come in groups of four coefficients of three channels.
     fn colour_bytes(&self) -> [u64; 3] {
         match self.sh_degree {
             0 => [12, 0, 16],
@@ -80,7 +76,6 @@ impl Work {
     }
 }
 
-/// Passes of a sort by so many bits.
 fn passes(bits: u32) -> u64 {
     bits.div_ceil(DIGIT_BITS).into()
 }

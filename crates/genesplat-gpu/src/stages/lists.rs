@@ -6,18 +6,15 @@
 //! sort by tile keeps it.
 
 use bytemuck::Pod;
-use genesplat_core::BackendError;
 
-use crate::device::engine::Engine;
-use crate::device::memory::{BUFFER_BYTES_STEP, Memory};
-use crate::device::recorder::{Grid, Recorder};
-use crate::device::shaders;
+use crate::Result;
+use crate::device::{BUFFER_BYTES_STEP, Engine, Grid, Memory, Recorder, shaders};
 use crate::stages::sort::{DIGIT_BITS, Sorter};
-use crate::state::cloud::{Parameters, RowWindow};
 use crate::state::layout::{
     Counters, GRID_DEPTH_SORT, GRID_INTERSECTIONS, GRID_TILE_SORT, GRID_VISIBLE, GRID_VISIBLE_SCAN,
     LENGTH_INTERSECTIONS, LENGTH_ROWS, LENGTH_VISIBLE, SCAN_BLOCK, SPLAT_FLOATS, ViewPass,
 };
+use crate::state::{Parameters, RowWindow};
 
 /// Intersections a row that buffers hold at first (a cloud in training has 2 to 4).
 const FIRST_INTERSECTIONS_PER_ROW: u64 = 4;
@@ -26,12 +23,9 @@ const INTERSECTIONS_MIN: u64 = 1 << 16;
 
 /// Buffers of the splats and the tile lists of one view, reused from view to view. N rows, I intersections.
 pub(crate) struct Lists {
-    /// A [`ViewPass`].
     pub(crate) view: Memory,
-    /// [`Counters`].
     pub(crate) counters: Memory,
     sorter: Sorter,
-    /// `[N]` splats.
     pub(crate) splats: Memory,
     /// Camera z of each splat, as bits `[N]`.
     pub(crate) depths: Memory,
@@ -41,17 +35,13 @@ pub(crate) struct Lists {
     pub(crate) flags: Memory,
     /// Sums of what comes before in `flags` `[N]`.
     offsets: Memory,
-    /// Splat of each intersection `[I]`.
     pub(crate) intersection_splats: Memory,
     /// First intersection of each splat `[N]`.
     pub(crate) first_intersections: Memory,
     /// Begin and end of each tile's intersections `[tiles]`.
     pub(crate) ranges: Memory,
-    /// Rows of the cloud that fit.
     rows: u64,
-    /// Intersections that fit.
     pub(crate) capacity: u64,
-    /// Capacity that was found to be needed.
     pub(crate) wanted_capacity: Option<u64>,
     /// Bytes of an intersection in the widest buffer that a kernel sees all of.
     intersection_bytes: u64,
@@ -59,7 +49,7 @@ pub(crate) struct Lists {
 
 impl Lists {
     /// Empty buffers; later for as many intersections as a kernel can see if each takes so many bytes somewhere.
-    pub(crate) fn new(engine: &Engine, intersection_bytes: u64) -> Result<Self, BackendError> {
+    pub(crate) fn new(engine: &Engine, intersection_bytes: u64) -> Result<Self> {
         let empty = |purpose| engine.allocate(purpose, 0);
         Ok(Self {
             view: engine.allocate("the view", size_of::<ViewPass>() as u64)?,
@@ -80,7 +70,6 @@ impl Lists {
         })
     }
 
-    /// Frees all that grows until it is reserved anew.
     pub(crate) fn release(&mut self) {
         (self.rows, self.capacity) = (0, 0);
         self.sorter.release();
@@ -91,7 +80,7 @@ impl Lists {
     }
 
     /// Memory for the rows and tiles of a view, and for as many intersections as were needed so far.
-    pub(crate) fn reserve(&mut self, engine: &Engine, view: &ViewPass) -> Result<(), BackendError> {
+    pub(crate) fn reserve(&mut self, engine: &Engine, view: &ViewPass) -> Result<()> {
         let rows = u64::from(view.rows);
         let guess = (FIRST_INTERSECTIONS_PER_ROW * rows).max(INTERSECTIONS_MIN);
         let capacity = self.wanted_capacity.unwrap_or(guess).min(self.capacity_max(engine));
@@ -102,7 +91,7 @@ impl Lists {
         Ok(())
     }
 
-    fn enlarge(&mut self, engine: &Engine, rows: u64, capacity: u64) -> Result<(), BackendError> {
+    fn enlarge(&mut self, engine: &Engine, rows: u64, capacity: u64) -> Result<()> {
         // Until all of it is there, nothing is.
         (self.rows, self.capacity) = (0, 0);
         engine.reserve(&mut self.splats, 4 * u64::from(SPLAT_FLOATS) * rows)?;
@@ -117,7 +106,7 @@ impl Lists {
     }
 
     /// From the next view on, memory for the intersections that the device wanted, and a quarter more.
-    pub(crate) fn grow(&mut self, engine: &Engine, wanted: u32) -> Result<(), BackendError> {
+    pub(crate) fn grow(&mut self, engine: &Engine, wanted: u32) -> Result<()> {
         let (wanted, most) = (u64::from(wanted), self.capacity_max(engine));
         if wanted > most {
             let bytes = self.intersection_bytes * wanted;
@@ -131,13 +120,12 @@ impl Lists {
         engine.binding_bytes / BUFFER_BYTES_STEP * BUFFER_BYTES_STEP / self.intersection_bytes
     }
 
-    /// What the device has counted since this was last asked, and the first values of a buffer, if one is named: with
-    /// one wait for both.
+    /// What the device has counted since this was last asked, and the first values of a buffer, if one is named.
     pub(crate) fn take_counters<T: Pod>(
         &self,
         engine: &Engine,
         values_of: Option<(&Memory, u64)>,
-    ) -> Result<(Counters, Vec<T>), BackendError> {
+    ) -> Result<(Counters, Vec<T>)> {
         let (memory, count) = values_of.unwrap_or((&self.counters, 0));
         let mut counters = Counters::default();
         let mut values = bytemuck::zeroed_vec(count as usize);
@@ -153,7 +141,6 @@ impl Lists {
         engine.write(&self.counters, 0, &[Counters::default()]);
     }
 
-    /// Tells the device what the next view is.
     pub(crate) fn begin(&self, engine: &Engine, view: &ViewPass) {
         engine.write(&self.view, 0, &[ViewPass { intersection_capacity: self.capacity as u32, ..*view }]);
         engine.write(&self.sorter.lengths, 4 * u64::from(LENGTH_ROWS), &[view.rows]);
@@ -198,8 +185,7 @@ impl Lists {
         sorter.sort(recorder, LENGTH_VISIBLE, GRID_DEPTH_SORT, 32, 0, false);
     }
 
-    /// Steps 3 and 4: intersections in depth order, sorted by tile; their numbers are left in
-    /// [`Self::sorted_intersections`].
+    /// Steps 3 and 4: intersections in depth order, sorted by tile ([`Self::sorted_intersections`]).
     fn record_tile_lists(&self, recorder: &mut Recorder, view: &ViewPass) {
         let Self { sorter, flags: counts, offsets, splats, ranges, .. } = self;
         let (lengths, order) = (&sorter.lengths, &sorter.values[0]);

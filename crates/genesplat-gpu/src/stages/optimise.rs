@@ -3,19 +3,15 @@
 
 use genesplat_core::StatisticsRequest;
 
-use crate::device::memory::Memory;
-use crate::device::recorder::{Grid, Recorder};
-use crate::device::shaders;
+use crate::device::{Grid, Memory, Recorder, shaders};
 use crate::stages::lists::Lists;
 use crate::stages::pixels::Pixels;
-use crate::state::State;
-use crate::state::cloud::RowWindow;
 use crate::state::layout::{Optimiser, SH_FLOATS};
+use crate::state::{RowWindow, State};
 
 /// Groups of four coefficients, of three channels each, of a row of colours.
 const SH_GROUPS: u64 = SH_FLOATS as u64 / 12;
 
-/// What is recorded, and from what.
 pub(crate) struct Optimise<'a> {
     pub(crate) state: &'a State,
     pub(crate) lists: &'a Lists,

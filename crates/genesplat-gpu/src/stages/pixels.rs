@@ -1,19 +1,15 @@
 //! Stages `rasterise`, `loss` and `rasterise_backward`: tile lists become pixels, pixels a loss, and the loss gradients
 //! of intersections.
 
-use genesplat_core::{BackendError, Photo};
+use genesplat_core::Photo;
 
-use crate::device::engine::Engine;
-use crate::device::memory::Memory;
-use crate::device::recorder::{Grid, Recorder};
-use crate::device::shaders;
+use crate::Result;
+use crate::device::{Engine, Grid, Memory, Recorder, shaders};
 use crate::stages::lists::Lists;
 use crate::state::layout::{INTERSECTION_GRADIENT_FLOATS, ViewPass};
 
-/// Bytes of the gradient of an intersection.
 pub(crate) const INTERSECTION_GRADIENT_BYTES: u64 = 4 * INTERSECTION_GRADIENT_FLOATS as u64;
 
-/// What is made of a render.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Needs {
     pub(crate) loss: bool,
@@ -28,15 +24,13 @@ pub(crate) struct Pixels {
     partials: [Memory; 3],
     /// Sums of each tile of each channel `[3, tiles, 4]`.
     pub(crate) loss_sums: Memory,
-    /// dL/dimage `[3, H, W]`.
     pub(crate) gradient: Memory,
     /// Gradients of the intersections of splats with tiles `[I, 12]`.
     pub(crate) intersection_gradients: Memory,
 }
 
 impl Pixels {
-    /// Empty buffers.
-    pub(crate) fn new(engine: &Engine) -> Result<Self, BackendError> {
+    pub(crate) fn new(engine: &Engine) -> Result<Self> {
         let partial = || engine.allocate("derivatives of SSIM", 0);
         Ok(Self {
             image: engine.allocate("the image", 0)?,
@@ -61,7 +55,7 @@ impl Pixels {
         view: &ViewPass,
         Needs { loss, gradient }: Needs,
         intersections: u64,
-    ) -> Result<(), BackendError> {
+    ) -> Result<()> {
         let image = view.image_bytes();
         engine.reserve(&mut self.image, image)?;
         if loss {
@@ -77,7 +71,6 @@ impl Pixels {
         Ok(())
     }
 
-    /// Stage `rasterise`.
     pub(crate) fn record_rasterise(&self, recorder: &mut Recorder, lists: &Lists, view: &ViewPass) {
         recorder.stage("rasterise");
         let intersections = lists.sorted_intersections(view);
@@ -123,7 +116,6 @@ impl Pixels {
         );
     }
 
-    /// Stage `rasterise_backward`.
     pub(crate) fn record_backward(&self, recorder: &mut Recorder, lists: &Lists, view: &ViewPass) {
         recorder.stage("rasterise_backward");
         let parts = [

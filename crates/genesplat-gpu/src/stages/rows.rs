@@ -1,19 +1,16 @@
 //! The verbs that change rows: plans of density control, opacity resets, genes, filters.
 
 use genesplat_core::backend::MomentPolicy;
-use genesplat_core::{BackendError, Origin, RowEdit, SparseDelta};
+use genesplat_core::{Origin, RowEdit, SparseDelta};
 
-use crate::device::engine::Engine;
-use crate::device::memory::{Memory, Part};
-use crate::device::recorder::{Grid, Recorder};
-use crate::device::shaders;
-use crate::state::State;
-use crate::state::cloud::{Column, Parameters, RowWindow, pack_genes, window_uniform, windows};
+use crate::Result;
+use crate::device::{Engine, Grid, Memory, Part, Recorder, shaders};
 use crate::state::layout::{
     Edit, GRADIENT_FLOATS, ORIGIN_CLONE, ORIGIN_KEPT, ORIGIN_RELOCATED, ORIGIN_RELOCATED_KEPT, ORIGIN_SPLIT,
     ORIGIN_TWIN,
 };
 use crate::state::statistics::DeviceStatistics;
+use crate::state::{Column, Parameters, RowWindow, State, pack_genes, window_uniform, windows};
 
 /// One row of a plan: source, origin, parameters of the origin.
 type PlanRow = [u32; 4];
@@ -34,7 +31,7 @@ fn plan_row(source: u32, origin: Origin) -> PlanRow {
 impl State {
     /// Applies a plan of density control to parameters, moments and gene statistics; density statistics are zeroed.
     /// All new columns are made before an old one goes, so that an edit that finds no memory changes nothing.
-    pub(crate) fn edit_rows(&mut self, engine: &Engine, edit: &RowEdit) -> Result<(), BackendError> {
+    pub(crate) fn edit_rows(&mut self, engine: &Engine, edit: &RowEdit) -> Result<()> {
         let edited = self.edited(engine, edit)?;
         let old = std::mem::replace(self, edited);
         self.gradients = old.gradients;
@@ -42,14 +39,10 @@ impl State {
     }
 
     /// The state after an edit, as yet without memory for gradients.
-    fn edited(&self, engine: &Engine, edit: &RowEdit) -> Result<Self, BackendError> {
+    fn edited(&self, engine: &Engine, edit: &RowEdit) -> Result<Self> {
         let rows = edit.sources.len() as u64;
-        let plan: Vec<PlanRow> = edit
-            .sources
-            .iter()
-            .zip(&edit.origins)
-            .map(|(&source, &origin)| plan_row(source, origin))
-            .collect();
+        let plan = edit.sources.iter().zip(&edit.origins);
+        let plan: Vec<PlanRow> = plan.map(|(&source, &origin)| plan_row(source, origin)).collect();
         let job = EditJob {
             engine,
             rows,
@@ -77,7 +70,7 @@ impl State {
     }
 
     /// `opacity ← min(opacity, ceiling)` of the filtered opacity; opacity moments are zeroed.
-    pub(crate) fn reset_opacity(&mut self, engine: &Engine, ceiling: f32) -> Result<(), BackendError> {
+    pub(crate) fn reset_opacity(&mut self, engine: &Engine, ceiling: f32) -> Result<()> {
         let edit = edit_uniform(engine, [0; 2], 0, ceiling)?;
         let mut recorder = Recorder::new(engine, None);
         for window in &self.windows {
@@ -90,13 +83,12 @@ impl State {
         Ok(())
     }
 
-    /// Overwrites the genes of the rows that `delta` names.
     pub(crate) fn apply(
         &mut self,
         engine: &Engine,
         delta: &SparseDelta,
         moments: MomentPolicy,
-    ) -> Result<(), BackendError> {
+    ) -> Result<()> {
         if delta.is_empty() {
             return Ok(());
         }
@@ -116,8 +108,7 @@ impl State {
         Ok(())
     }
 
-    /// Replaces Mip-Splatting's 3D filter `[N]`.
-    pub(crate) fn set_filter_3d(&mut self, engine: &Engine, filter: &[f32]) -> Result<(), BackendError> {
+    pub(crate) fn set_filter_3d(&mut self, engine: &Engine, filter: &[f32]) -> Result<()> {
         let filter = engine.upload("the 3D filter", filter)?;
         let mut recorder = Recorder::new(engine, None);
         for window in &self.windows {
@@ -150,11 +141,10 @@ pub(crate) fn edit_uniform(
     [key_low, key_high]: [u32; 2],
     iteration: u32,
     amount: f32,
-) -> Result<Memory, BackendError> {
+) -> Result<Memory> {
     engine.upload("parameters of a row edit", &[Edit { iteration, key_low, key_high, amount }])
 }
 
-/// One row edit under way.
 struct EditJob<'a> {
     engine: &'a Engine,
     rows: u64,
@@ -166,7 +156,7 @@ struct EditJob<'a> {
 
 impl EditJob<'_> {
     /// Positions, scales, opacities and rotations.
-    fn geometry(&self, column: &Column) -> Result<Column, BackendError> {
+    fn geometry(&self, column: &Column) -> Result<Column> {
         self.make(column, |recorder, window, uniform, old, new| {
             let parts = [uniform, self.edit.all(), self.plan.all(), old, new];
             recorder.run(&shaders::EDIT_GEOMETRY, &parts, Grid::Items(window.count));
@@ -174,7 +164,7 @@ impl EditJob<'_> {
     }
 
     /// Copies of a moment; rows of a new identity begin at zero.
-    fn moments(&self, moments: &Parameters) -> Result<Parameters, BackendError> {
+    fn moments(&self, moments: &Parameters) -> Result<Parameters> {
         Ok(Parameters {
             geometry: self.gather(&moments.geometry, true)?,
             sh: self.gather(&moments.sh, true)?,
@@ -182,11 +172,11 @@ impl EditJob<'_> {
     }
 
     /// Copies; with `fresh`, rows of a new identity begin at zero.
-    fn gather(&self, column: &Column, fresh: bool) -> Result<Column, BackendError> {
+    fn gather(&self, column: &Column, fresh: bool) -> Result<Column> {
         self.make(column, |recorder, window, uniform, old, new| {
             let overrides = [("FRESH", u32::from(fresh))];
             let parts = [uniform, self.plan.all(), old, new];
-            run_vectors(recorder, &shaders::GATHER, &overrides, &parts, window, column.floats());
+            run_vectors(recorder, &shaders::GATHER, &overrides, &parts, window, column.floats);
         })
     }
 
@@ -195,8 +185,8 @@ impl EditJob<'_> {
         &self,
         column: &Column,
         record: impl Fn(&mut Recorder, &RowWindow, Part, Part, Part),
-    ) -> Result<Column, BackendError> {
-        let made = Column::zeros(self.engine, "an edited column", self.rows, column.floats())?;
+    ) -> Result<Column> {
+        let made = Column::zeros(self.engine, "an edited column", self.rows, column.floats)?;
         let mut recorder = Recorder::new(self.engine, None);
         for new in &self.new {
             for old in self.old {

@@ -1,24 +1,21 @@
 //! Stage `score`: Eq. 5 of a whole population over a set of views, forward only.
 //!
-//! A pool of individuals is uploaded as [row versions](genesplat_core::row_versions): to a view these are the rows of one
-//! large cloud, projected, sorted and listed by tile once for all individuals. A workgroup then makes the pictures of
-//! sixteen individuals in one tile: an alpha is evaluated once, and blended for those that hold it.
+//! A pool of individuals is uploaded as [row versions](genesplat_core::row_versions): to a view these are the rows of
+//! one large cloud, projected, sorted and listed by tile once for all individuals. A workgroup then makes the pictures
+//! of sixteen individuals in one tile: an alpha is evaluated once, and blended for those that hold it.
 
 use genesplat_core::row_versions::{Holders, RowVersion, row_versions};
 use genesplat_core::{BackendError, RenderSettings, SparseDelta};
 use rayon::prelude::*;
 
+use crate::Result;
 use crate::backend::GpuBackend;
-use crate::device::engine::Engine;
-use crate::device::memory::Memory;
-use crate::device::recorder::{Grid, Recorder};
-use crate::device::shaders;
+use crate::device::{Engine, Grid, Memory, Recorder, shaders};
 use crate::queue::ListsOf;
 use crate::stages::lists::Lists;
 use crate::stages::pixels::{Needs, Pixels};
-use crate::state::State;
-use crate::state::cloud::{RowWindow, pack_genes, window_uniform};
 use crate::state::layout::{OWN_GENES, SLOTS, SPLAT_FLOATS, ViewPass};
+use crate::state::{RowWindow, State, pack_genes, window_uniform};
 
 /// Bytes of the pictures of a pool: enough to keep a device busy, and small against the cloud itself.
 const PICTURE_BYTES: u64 = 512 << 20;
@@ -34,7 +31,7 @@ pub(crate) struct PoolBuffers {
 }
 
 impl PoolBuffers {
-    pub(crate) fn new(engine: &Engine) -> Result<Self, BackendError> {
+    pub(crate) fn new(engine: &Engine) -> Result<Self> {
         Ok(Self { lists: Lists::new(engine, 4)?, pixels: Pixels::new(engine)? })
     }
 
@@ -46,7 +43,6 @@ impl PoolBuffers {
     }
 }
 
-/// Some individuals on the device.
 struct Pool {
     individuals: u32,
     versions: u32,
@@ -67,7 +63,7 @@ impl Pool {
         state: &State,
         individuals: &[SparseDelta],
         most: u64,
-    ) -> Result<Option<Self>, BackendError> {
+    ) -> Result<Option<Self>> {
         let rows = state.rows as usize;
         let tasks = (0..rows.div_ceil(ROWS)).into_par_iter();
         let of_task = |task: usize| row_versions(individuals, task * ROWS..rows.min((task + 1) * ROWS));
@@ -94,7 +90,7 @@ impl Pool {
             places: engine.upload("rows of row versions", &places)?,
             genes: engine.upload("genes of row versions", &genes)?,
             holders: engine.upload("holders of row versions", &holders)?,
-            windows: state.windows.iter().map(of_window).collect::<Result<_, BackendError>>()?,
+            windows: state.windows.iter().map(of_window).collect::<Result<_>>()?,
         }))
     }
 
@@ -112,13 +108,12 @@ impl Pool {
 }
 
 impl GpuBackend {
-    /// Losses `[P, V]`.
     pub(crate) fn score_population(
         &mut self,
         population: &[SparseDelta],
         views: &[usize],
         settings: &RenderSettings,
-    ) -> Result<Vec<f32>, BackendError> {
+    ) -> Result<Vec<f32>> {
         let bytes = |&view: &usize| self.pass_of(view, settings).image_bytes();
         let largest = views.iter().map(bytes).max().unwrap_or(1);
         let fitting = PICTURE_BYTES.min(self.engine.binding_bytes) / largest.max(1);
@@ -137,7 +132,7 @@ impl GpuBackend {
         views: &[usize],
         settings: &RenderSettings,
         losses: &mut Vec<f32>,
-    ) -> Result<(), BackendError> {
+    ) -> Result<()> {
         let is_full = |error: &BackendError| matches!(error, BackendError::OutOfMemory { .. });
         loop {
             match self.losses_of_pool(individuals, views, settings) {
@@ -159,14 +154,13 @@ impl GpuBackend {
         self.score_pool(second, views, settings, losses)
     }
 
-    /// Losses `[P, V]` of some individuals, if their row versions can be seen at once; those of one always can, since what
-    /// one holds is no more than the cloud.
+    /// Losses `[P, V]` of some individuals, if their row versions can be seen at once; those of one always can.
     fn losses_of_pool(
         &mut self,
         individuals: &[SparseDelta],
         views: &[usize],
         settings: &RenderSettings,
-    ) -> Result<Option<Vec<f32>>, BackendError> {
+    ) -> Result<Option<Vec<f32>>> {
         let visible = self.engine.binding_bytes / (4 * u64::from(SPLAT_FLOATS));
         let most = if individuals.len() == 1 { u64::MAX } else { visible };
         let Some(pool) = Pool::upload(&self.engine, &self.state, individuals, most)? else { return Ok(None) };
@@ -181,7 +175,6 @@ impl GpuBackend {
         Ok(Some(values.into_iter().map(|[loss, _]| loss).collect()))
     }
 
-    /// Losses of a pool on one view.
     fn submit_pool(
         &mut self,
         pool: &Pool,
@@ -189,7 +182,7 @@ impl GpuBackend {
         settings: &RenderSettings,
         [view_index, views]: [usize; 2],
         losses: &Memory,
-    ) -> Result<(), BackendError> {
+    ) -> Result<()> {
         let layers = pool.individuals;
         let pass = ViewPass { rows: pool.versions, layers, ..self.pass_of(view, settings) };
         let PoolBuffers { lists, pixels } = &mut self.pool_buffers;
@@ -218,8 +211,7 @@ impl GpuBackend {
     }
 }
 
-/// How many of a population share a pool, if the pictures of so many fit: as many pools as are needed, of as many as
-/// whole workgroups render where one fits.
+/// How many of a population share a pool, if the pictures of so many fit: whole workgroups where one fits.
 fn individuals_of_a_pool(population: usize, fitting: usize) -> usize {
     let slots = SLOTS as usize;
     let fitting = fitting.clamp(1, Holders::BITS as usize);

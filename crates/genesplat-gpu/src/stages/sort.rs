@@ -1,17 +1,12 @@
 //! Prefix sums and the radix sort, over lengths that only the device knows.
 
-use genesplat_core::BackendError;
-
-use crate::device::engine::Engine;
-use crate::device::memory::Memory;
-use crate::device::recorder::{Grid, Recorder};
-use crate::device::shaders;
+use crate::Result;
+use crate::device::{Engine, Grid, Memory, Recorder, shaders};
 use crate::state::layout::{DIGITS, GRIDS, LENGTHS, SCAN_BLOCK, SORT_BLOCK};
 
 /// Bits that one pass of the radix sort sorts by.
 pub(crate) const DIGIT_BITS: u32 = DIGITS.ilog2();
 
-/// What is sorted, and what that needs.
 pub(crate) struct Sorter {
     /// How much there is of what only the device counts: a slot for each `LENGTH_` constant.
     pub(super) lengths: Memory,
@@ -28,8 +23,7 @@ pub(crate) struct Sorter {
 }
 
 impl Sorter {
-    /// Empty buffers.
-    pub(super) fn new(engine: &Engine) -> Result<Self, BackendError> {
+    pub(super) fn new(engine: &Engine) -> Result<Self> {
         let empty = |purpose| engine.allocate(purpose, 0);
         Ok(Self {
             lengths: engine.allocate("lengths", 4 * u64::from(LENGTHS))?,
@@ -42,14 +36,13 @@ impl Sorter {
         })
     }
 
-    /// Frees all that grows until it is reserved anew.
     pub(super) fn release(&mut self) {
         let single = [&mut self.sums, &mut self.digit_counts];
         single.into_iter().chain(&mut self.keys).chain(&mut self.values).for_each(Memory::release);
     }
 
     /// Memory for prefix sums of so many numbers, and for sorting so many keys.
-    pub(super) fn reserve(&mut self, engine: &Engine, summed: u64, sorted: u64) -> Result<(), BackendError> {
+    pub(super) fn reserve(&mut self, engine: &Engine, summed: u64, sorted: u64) -> Result<()> {
         for memory in self.keys.iter_mut().chain(&mut self.values) {
             engine.reserve(memory, 4 * sorted)?;
         }

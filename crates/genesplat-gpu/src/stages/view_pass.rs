@@ -4,7 +4,7 @@ use genesplat_core::backend::{McmcStep, Update};
 use genesplat_core::constants::{ADAM_BETA1, ADAM_BETA2, JACOBIAN_LIMIT};
 use genesplat_core::{Camera, DensitySignal, RenderSettings, ScreenFilter, StatisticsRequest};
 
-use crate::device::recorder::Grid;
+use crate::device::Grid;
 use crate::state::layout::{
     FILTER_ANTIALIASED, FILTER_CLASSIC, FILTER_MIP, Optimiser, SIGNAL_ABSOLUTE, SIGNAL_BOTH, SIGNAL_NONE,
     SIGNAL_PIXELS, SIGNAL_SIGNED, TILE, ViewPass,
@@ -63,7 +63,6 @@ impl ViewPass {
         Self { signal, depth_threshold, ..self }
     }
 
-    /// Tiles of the view.
     pub(crate) fn tiles(&self) -> u64 {
         u64::from(self.tiles_x) * u64::from(self.tiles_y)
     }
@@ -85,13 +84,12 @@ impl ViewPass {
 }
 
 impl Optimiser {
-    /// One optimiser step.
     pub(crate) fn new(update: &Update) -> Self {
         let rates = &update.rates;
         let [first, root] = corrections(update.step);
         let [opacity_first, opacity_root] = corrections(update.opacity_step);
         let rate = |rate: f32| (f64::from(rate) * first) as f32;
-        let optimiser = Self {
+        let mut optimiser = Self {
             position: rate(rates.position),
             scale: rate(rates.scale),
             rotation: rate(rates.rotation),
@@ -103,20 +101,13 @@ impl Optimiser {
             step_opacity: (update.opacity_step > 0).into(),
             ..Self::default()
         };
-        let Some(McmcStep { noise_scale, opacity_weight, scale_weight, rng, counter }) = update.mcmc else {
-            return optimiser;
-        };
-        let [key_low, key_high] = rng.key();
-        Self {
-            is_mcmc: 1,
-            noise_scale,
-            opacity_weight,
-            scale_weight,
-            counter,
-            key_low,
-            key_high,
-            ..optimiser
+        if let Some(McmcStep { noise_scale, opacity_weight, scale_weight, rng, counter }) = update.mcmc {
+            optimiser.is_mcmc = 1;
+            (optimiser.noise_scale, optimiser.counter) = (noise_scale, counter);
+            (optimiser.opacity_weight, optimiser.scale_weight) = (opacity_weight, scale_weight);
+            [optimiser.key_low, optimiser.key_high] = rng.key();
         }
+        optimiser
     }
 }
 

@@ -1,16 +1,13 @@
 //! Means of a run's recent states on the device, and blends of them ([`genesplat_core::averages`]).
 
 use genesplat_core::averages::{StateMean, WINDOW_HALVES};
-use genesplat_core::{BackendError, Blend, WindowAverages};
+use genesplat_core::{Blend, WindowAverages};
 
-use crate::device::engine::Engine;
-use crate::device::recorder::Recorder;
-use crate::device::shaders;
+use crate::Result;
+use crate::device::{Engine, Recorder, shaders};
 use crate::stages::rows::{edit_uniform, run_vectors};
-use crate::state::State;
-use crate::state::cloud::{Column, Parameters};
+use crate::state::{Column, Parameters, State};
 
-/// The mean of a half's states.
 pub(crate) struct DeviceMean {
     states: u32,
     mean: Parameters,
@@ -20,7 +17,7 @@ pub(crate) struct DeviceMean {
 pub(super) fn upload(
     engine: &Engine,
     averages: &WindowAverages,
-) -> Result<[Option<DeviceMean>; WINDOW_HALVES], BackendError> {
+) -> Result<[Option<DeviceMean>; WINDOW_HALVES]> {
     let half = |given: &StateMean| match given.states() {
         0 => Ok(None),
         states => Parameters::upload(engine, "an average", given.mean())
@@ -30,12 +27,11 @@ pub(super) fn upload(
     Ok([half(older)?, half(younger)?])
 }
 
-/// A copy.
 pub(super) fn download(
     engine: &Engine,
     rows: u64,
     averages: &[Option<DeviceMean>; WINDOW_HALVES],
-) -> Result<WindowAverages, BackendError> {
+) -> Result<WindowAverages> {
     let half = |held: &Option<DeviceMean>| match held {
         Some(DeviceMean { states, mean }) => Ok(StateMean::new(*states, mean.download(engine, rows, false)?)),
         None => Ok(StateMean::default()),
@@ -46,7 +42,7 @@ pub(super) fn download(
 
 impl State {
     /// Adds the cloud to the mean of a half.
-    pub(crate) fn average(&mut self, engine: &Engine, half: usize) -> Result<(), BackendError> {
+    pub(crate) fn average(&mut self, engine: &Engine, half: usize) -> Result<()> {
         // Whatever needs memory comes first: a mean never counts a state that it does not hold.
         let states = 1 + self.averages[half].as_ref().map_or(0, |held| held.states);
         let edit = edit_uniform(engine, [0; 2], 0, 1.0 / states as f32)?;
@@ -62,7 +58,7 @@ impl State {
                 [(&self.cloud.geometry, &held.mean.geometry), (&self.cloud.sh, &held.mean.sh)]
             {
                 let parts = [window.uniform.all(), edit.all(), values.at(window), means.at(window)];
-                run_vectors(&mut recorder, &shaders::AVERAGE, &[], &parts, window, values.floats());
+                run_vectors(&mut recorder, &shaders::AVERAGE, &[], &parts, window, values.floats);
             }
         }
         recorder.submit();
@@ -76,7 +72,7 @@ impl State {
     }
 
     /// Makes a blend of the cloud and the averages, beside the cloud.
-    pub(crate) fn make_blend(&mut self, engine: &Engine, blend: &Blend) -> Result<(), BackendError> {
+    pub(crate) fn make_blend(&mut self, engine: &Engine, blend: &Blend) -> Result<()> {
         if self.blended.is_none() {
             self.blended = Some(Parameters::zeros(engine, "a blend of averages", self.rows)?);
         }
@@ -92,7 +88,7 @@ impl State {
                 let [cloud, older, younger, blended] = columns.map(|column| column.at(window));
                 let parts = [window.uniform.all(), weights.all(), cloud, older, younger, blended];
                 let overrides = [("IS_GEOMETRY", is_geometry)];
-                let floats = columns[0].floats();
+                let floats = columns[0].floats;
                 run_vectors(&mut recorder, &shaders::BLEND_AVERAGES, &overrides, &parts, window, floats);
             };
             let clouds = [&self.cloud, older, younger, blended];
@@ -104,7 +100,7 @@ impl State {
     }
 
     /// The blend takes the cloud's place, and the averages are emptied.
-    pub(crate) fn blend(&mut self, engine: &Engine, blend: &Blend) -> Result<(), BackendError> {
+    pub(crate) fn blend(&mut self, engine: &Engine, blend: &Blend) -> Result<()> {
         if *blend != Blend::default() {
             self.make_blend(engine, blend)?;
             if let Some(blended) = self.blended.take() {

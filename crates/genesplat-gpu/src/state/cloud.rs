@@ -1,12 +1,12 @@
 //! The cloud on the device: parameters, moments and what goes with each row.
 //!
-//! A row's floats lie in two columns: its geometry (12 floats) and its colour (48). Columns may be larger than a kernel
-//! can see at once; then kernels run window by window.
+//! A row's floats lie in two columns, geometry and colour. Where these are larger than a kernel can see at once,
+//! kernels run window by window.
 
-use genesplat_core::{BackendError, Gaussians, Genes};
+use genesplat_core::{Gaussians, Genes};
 
-use crate::device::engine::Engine;
-use crate::device::memory::{Memory, Part};
+use crate::Result;
+use crate::device::{Engine, Memory, Part};
 use crate::state::layout::{GEOMETRY_FLOATS, SH_FLOATS, Window};
 
 /// A window begins at a multiple of this many rows, so that every column is bound at a multiple of 256 bytes.
@@ -16,7 +16,6 @@ const WINDOW_STEP: u64 = 64;
 pub(crate) struct RowWindow {
     pub(crate) first: u64,
     pub(crate) count: u64,
-    /// A [`Window`] for kernels.
     pub(crate) uniform: Memory,
 }
 
@@ -28,7 +27,7 @@ impl RowWindow {
 }
 
 /// Cuts `rows` so that the widest column fits a binding; there is always a window.
-pub(crate) fn windows(engine: &Engine, rows: u64) -> Result<Vec<RowWindow>, BackendError> {
+pub(crate) fn windows(engine: &Engine, rows: u64) -> Result<Vec<RowWindow>> {
     let step = (engine.window_rows / WINDOW_STEP * WINDOW_STEP).max(WINDOW_STEP);
     (0..rows.div_ceil(step).max(1))
         .map(|index| {
@@ -45,42 +44,24 @@ pub(crate) fn window_uniform(
     engine: &Engine,
     [first, count]: [u32; 2],
     [source_first, source_count]: [u32; 2],
-) -> Result<Memory, BackendError> {
+) -> Result<Memory> {
     engine.upload("row window", &[Window { first, count, source_first, source_count }])
 }
 
-/// Floats of all rows.
 pub(crate) struct Column {
     pub(crate) memory: Memory,
-    floats: u64,
+    pub(crate) floats: u32,
 }
 
 impl Column {
-    /// Zeros.
-    pub(crate) fn zeros(
-        engine: &Engine,
-        purpose: &'static str,
-        rows: u64,
-        floats: u32,
-    ) -> Result<Self, BackendError> {
-        let floats = u64::from(floats);
-        Ok(Self { memory: engine.allocate(purpose, 4 * floats * rows)?, floats })
+    pub(crate) fn zeros(engine: &Engine, purpose: &'static str, rows: u64, floats: u32) -> Result<Self> {
+        Ok(Self { memory: engine.allocate(purpose, 4 * u64::from(floats) * rows)?, floats })
     }
 
     /// What kernels see of it.
     pub(crate) fn at(&self, window: &RowWindow) -> Part<'_> {
-        let bytes = 4 * self.floats;
+        let bytes = 4 * u64::from(self.floats);
         self.memory.part(window.first * bytes, window.count * bytes)
-    }
-
-    /// Floats of a row.
-    pub(crate) fn floats(&self) -> u32 {
-        self.floats as u32
-    }
-
-    /// Bytes of the first `rows`.
-    pub(crate) fn bytes(&self, rows: u64) -> u64 {
-        4 * self.floats * rows
     }
 }
 
@@ -91,18 +72,14 @@ pub(crate) struct Parameters {
 }
 
 impl Parameters {
-    pub(crate) fn zeros(engine: &Engine, purpose: &'static str, rows: u64) -> Result<Self, BackendError> {
+    pub(crate) fn zeros(engine: &Engine, purpose: &'static str, rows: u64) -> Result<Self> {
         Ok(Self {
             geometry: Column::zeros(engine, purpose, rows, GEOMETRY_FLOATS)?,
             sh: Column::zeros(engine, purpose, rows, SH_FLOATS)?,
         })
     }
 
-    pub(crate) fn upload(
-        engine: &Engine,
-        purpose: &'static str,
-        values: &Gaussians,
-    ) -> Result<Self, BackendError> {
+    pub(crate) fn upload(engine: &Engine, purpose: &'static str, values: &Gaussians) -> Result<Self> {
         let parameters = Self::zeros(engine, purpose, values.len() as u64)?;
         engine.write(&parameters.geometry.memory, 0, &pack_geometry(values));
         engine.write(&parameters.sh.memory, 0, &values.sh);
@@ -110,12 +87,7 @@ impl Parameters {
     }
 
     /// Copies `rows` rows to the host; `filter` keeps the 3D filter.
-    pub(crate) fn download(
-        &self,
-        engine: &Engine,
-        rows: u64,
-        filter: bool,
-    ) -> Result<Gaussians, BackendError> {
+    pub(crate) fn download(&self, engine: &Engine, rows: u64, filter: bool) -> Result<Gaussians> {
         let mut geometry = bytemuck::zeroed_vec(rows as usize);
         let mut sh = bytemuck::zeroed_vec(rows as usize);
         engine.read([
@@ -125,8 +97,7 @@ impl Parameters {
         Ok(unpack(&geometry, sh, filter))
     }
 
-    /// Copies the genes of `rows` rows to the host.
-    pub(crate) fn genes(&self, engine: &Engine, rows: u64) -> Result<Vec<Genes>, BackendError> {
+    pub(crate) fn genes(&self, engine: &Engine, rows: u64) -> Result<Vec<Genes>> {
         let geometry: Vec<GeometryRow> = engine.read_values(&self.geometry.memory, rows)?;
         Ok(geometry.iter().map(|r| [r[0], r[1], r[2], r[4], r[5], r[6], r[3]]).collect())
     }

@@ -1,7 +1,6 @@
 //! Every constant and every struct that Rust and WGSL share.
 //!
-//! Structs are declared once, by `device_struct!`, which makes both the Rust type and its WGSL text; constants are
-//! written into WGSL by `device::prelude`. A test reads the WGSL back with naga and compares offsets.
+//! Declared once; `device::prelude` writes them into WGSL. A test reads that back with naga and compares offsets.
 
 use bytemuck::{Pod, Zeroable};
 
@@ -10,7 +9,6 @@ macro_rules! shared_constants {
     ($($name:ident = $value:expr,)*) => {
         $(pub(crate) const $name: u32 = $value;)*
 
-        /// Names and values.
         pub(crate) const SHARED_CONSTANTS: &[(&str, u32)] = &[$((stringify!($name), $name),)*];
     };
 }
@@ -20,8 +18,7 @@ shared_constants! {
     TILE = 16,
     // Invocations of every one-dimensional workgroup.
     GROUP = 256,
-    // Workgroups in the first dimension of a grid; what is more goes to the second (65,535 is WebGPU's limit for each).
-    // So few in unit tests that grids of theirs have a second dimension, too.
+    // Workgroups in the first dimension of a grid, few in tests; what is more goes to the second.
     GRID_WIDTH = if cfg!(test) { 3 } else { 32_768 },
     // Elements that one workgroup of a prefix sum handles, keys that one of a radix sort does, values of a digit.
     SCAN_BLOCK = 8 * GROUP,
@@ -54,8 +51,7 @@ shared_constants! {
     LENGTH_VISIBLE = 1,
     LENGTH_INTERSECTIONS = 2,
     LENGTHS = 3,
-    // Slots of the grids that only the device knows, and their number: an invocation a splat, a prefix sum over the
-    // splats, a pass of the depth sort, an invocation an intersection, a pass of the tile sort.
+    // Slots of the grids that only the device knows, and their number.
     GRID_VISIBLE = 0,
     GRID_VISIBLE_SCAN = 1,
     GRID_DEPTH_SORT = 2,
@@ -97,7 +93,6 @@ macro_rules! device_struct {
         pub(crate) struct $name { $($(#[$field_doc])* pub(crate) $field: device_struct!(@rust $kind),)* }
 
         impl $name {
-            /// The same struct in WGSL.
             pub(crate) const WGSL: &'static str = concat!(
                 "struct ", stringify!($name), " {\n",
                 $("    ", stringify!($field), ": ", device_struct!(@wgsl $kind), ",\n",)*
@@ -120,8 +115,7 @@ macro_rules! device_struct {
 }
 
 device_struct! {
-    /// What a render depends on besides the cloud. Vectors come first and the size is a multiple of 16 bytes, so that
-    /// WGSL's and Rust's layouts agree.
+    /// What a render depends on besides the cloud. Vectors come first, so that WGSL's and Rust's layouts agree.
     ViewPass {
         /// Rows of `camera_from_world`: rotation, translation.
         camera_x: vec4,
@@ -166,8 +160,7 @@ device_struct! {
 }
 
 device_struct! {
-    /// One optimiser step: Adam's bias-corrected factors `lr / (1 − β1ᵗ)` and `1 / sqrt(1 − β2ᵗ)`, and MCMC's
-    /// additions.
+    /// One optimiser step: Adam's factors `lr / (1 − β1ᵗ)` and `1 / sqrt(1 − β2ᵗ)`, and MCMC's additions.
     Optimiser {
         position: f32,
         scale: f32,

@@ -6,17 +6,16 @@ pub(crate) mod layout;
 pub(crate) mod statistics;
 
 use genesplat_core::averages::WINDOW_HALVES;
-use genesplat_core::{BackendError, DeviceState, Gaussians, Moments};
+use genesplat_core::{DeviceState, Gaussians, Moments};
 
-use crate::device::engine::Engine;
+use crate::Result;
+use crate::device::Engine;
 use averages::DeviceMean;
-use cloud::{Column, Parameters, RowWindow, windows};
+pub(crate) use cloud::{Column, Parameters, RowWindow, pack_genes, window_uniform, windows};
 use layout::GRADIENT_FLOATS;
 use statistics::DeviceStatistics;
 
-/// Rows of the cloud and everything that belongs to them.
 pub(crate) struct State {
-    /// N.
     pub(crate) rows: u64,
     pub(crate) windows: Vec<RowWindow>,
     pub(crate) cloud: Parameters,
@@ -25,7 +24,6 @@ pub(crate) struct State {
     /// Gradients of one step; empty until the first.
     pub(crate) gradients: Column,
     pub(crate) statistics: DeviceStatistics,
-    /// The cloud has a 3D filter.
     pub(crate) has_filter: bool,
     /// Means of the older and of the younger states of a window.
     pub(crate) averages: [Option<DeviceMean>; WINDOW_HALVES],
@@ -35,7 +33,7 @@ pub(crate) struct State {
 
 impl State {
     /// All that was held, of this backend or another.
-    pub(crate) fn upload(engine: &Engine, state: &DeviceState) -> Result<Self, BackendError> {
+    pub(crate) fn upload(engine: &Engine, state: &DeviceState) -> Result<Self> {
         let rows = state.cloud.len() as u64;
         let moment = |purpose, given: &Gaussians| match given.is_empty() {
             true => Parameters::zeros(engine, purpose, rows),
@@ -55,8 +53,7 @@ impl State {
         })
     }
 
-    /// A copy of all of it.
-    pub(crate) fn download_all(&self, engine: &Engine) -> Result<DeviceState, BackendError> {
+    pub(crate) fn download_all(&self, engine: &Engine) -> Result<DeviceState> {
         Ok(DeviceState {
             cloud: self.download(engine)?,
             moments: Moments {
@@ -68,14 +65,13 @@ impl State {
         })
     }
 
-    /// A copy of the cloud.
-    pub(crate) fn download(&self, engine: &Engine) -> Result<Gaussians, BackendError> {
+    pub(crate) fn download(&self, engine: &Engine) -> Result<Gaussians> {
         self.cloud.download(engine, self.rows, self.has_filter)
     }
 
     /// Memory for what a step computes besides.
-    pub(crate) fn reserve_step(&mut self, engine: &Engine, genes: bool) -> Result<(), BackendError> {
-        if self.gradients.memory.bytes < self.gradients.bytes(self.rows).max(1) {
+    pub(crate) fn reserve_step(&mut self, engine: &Engine, genes: bool) -> Result<()> {
+        if self.gradients.memory.bytes < (4 * u64::from(GRADIENT_FLOATS) * self.rows).max(1) {
             // What they hold is of a step that is over.
             self.gradients.memory.release();
             self.gradients = Column::zeros(engine, "gradients", self.rows, GRADIENT_FLOATS)?;

@@ -1,9 +1,10 @@
 //! Sums of the steps for density control and evolution.
 
-use genesplat_core::{BackendError, Genes, Statistics};
+use genesplat_core::{Genes, Statistics};
 
-use crate::device::engine::Engine;
-use crate::state::cloud::Column;
+use crate::Result;
+use crate::device::Engine;
+use crate::state::Column;
 use crate::state::layout::{DENSITY_FLOATS, GENE_FLOATS};
 
 /// Position and x of the log-scale; its y and z, the opacity logit, the number of views.
@@ -23,14 +24,13 @@ pub(crate) struct DeviceStatistics {
 }
 
 impl DeviceStatistics {
-    /// Zeros, and no genes.
-    pub(crate) fn zeros(engine: &Engine, rows: u64) -> Result<Self, BackendError> {
+    pub(crate) fn zeros(engine: &Engine, rows: u64) -> Result<Self> {
         let density = Column::zeros(engine, "density statistics", rows, DENSITY_FLOATS)?;
         Ok(Self { density, genes: None, has_absolute: false })
     }
 
     /// Puts back what [`Self::download`] gave; empty columns are zeros.
-    pub(super) fn upload(engine: &Engine, rows: u64, given: &Statistics) -> Result<Self, BackendError> {
+    pub(super) fn upload(engine: &Engine, rows: u64, given: &Statistics) -> Result<Self> {
         let mut statistics = Self::zeros(engine, rows)?;
         statistics.has_absolute = !given.absolute_sum.is_empty();
         let absolute = |row: usize| given.absolute_sum.get(row).copied().unwrap_or(0.0);
@@ -50,7 +50,7 @@ impl DeviceStatistics {
     }
 
     /// Zeros for genes, where there is no column yet.
-    pub(super) fn reserve_genes(&mut self, engine: &Engine, rows: u64) -> Result<(), BackendError> {
+    pub(super) fn reserve_genes(&mut self, engine: &Engine, rows: u64) -> Result<()> {
         if self.genes.is_none() {
             self.genes = Some(Column::zeros(engine, "gene statistics", rows, GENE_FLOATS)?);
         }
@@ -58,7 +58,7 @@ impl DeviceStatistics {
     }
 
     /// A copy; columns that no step has asked for are empty.
-    pub(crate) fn download(&self, engine: &Engine, rows: u64) -> Result<Statistics, BackendError> {
+    pub(crate) fn download(&self, engine: &Engine, rows: u64) -> Result<Statistics> {
         let density: Vec<DensityRow> = engine.read_values(&self.density.memory, rows)?;
         let mut statistics = Statistics {
             gradient_sum: density.iter().map(|row| row[0]).collect(),

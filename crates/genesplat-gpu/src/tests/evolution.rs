@@ -107,8 +107,14 @@ fn losses_of_large_pictures_match() {
         twin.set_views(std::slice::from_ref(&large)).unwrap();
         twin.upload(cloud(200).into()).unwrap();
     }
-    let expected = cpu.loss_of_view(0, &settings);
-    compare("loss", "of a view", [gpu.losses_of_view(0, &settings, 2).unwrap()[1]], [expected]).unwrap();
+    let expected = cpu.measure(&[Blend::default()], &[0], &settings).unwrap()[0].loss;
+    compare(
+        "loss",
+        "of a view",
+        [gpu.measure(&[Blend::default()], &[0, 0], &settings).unwrap()[1].loss],
+        [expected],
+    )
+    .unwrap();
     let score = gpu.score(&[SparseDelta::default()], &[0], &settings).unwrap();
     compare("score", "of the base", score, [expected]).unwrap();
 }

@@ -69,9 +69,14 @@ fn what_is_written_never_piles_up() {
     cpu.set_views(&views).unwrap();
     cpu.upload(cloud.into()).unwrap();
     for view in 0..3 {
-        let expected = cpu.loss_of_view(view, &settings);
-        compare("loss", "of a view", [gpu.losses_of_view(view, &settings, 1).unwrap()[0]], [expected])
-            .unwrap();
+        let expected = cpu.measure(&[Blend::default()], &[view], &settings).unwrap()[0].loss;
+        compare(
+            "loss",
+            "of a view",
+            [gpu.measure(&[Blend::default()], &[view], &settings).unwrap()[0].loss],
+            [expected],
+        )
+        .unwrap();
     }
 }
 
@@ -133,7 +138,7 @@ fn an_edit_takes_the_memory_that_steps_can_do_without() {
         0 => drop(gpu.train_step(&step(2, classic)).and_then(|()| gpu.report()).unwrap()),
         1 => drop(gpu.score(&[SparseDelta::default()], &[0], &classic).unwrap()),
         2 => drop(gpu.measure(&[Blend::default()], &[0], &classic).unwrap()),
-        3 => drop(gpu.losses_of_view(0, &classic, 1).unwrap()),
+        3 => drop(gpu.measure(&[Blend::default()], &[0], &classic).unwrap()),
         4 => drop(gpu.contributions(&[0], &classic).unwrap()),
         _ => drop(gpu.render(&camera(), &classic).unwrap()),
     };

@@ -9,13 +9,11 @@ use genesplat_core::{
     RowEdit, Statistics, StatisticsRequest, TrainStep, View, WindowAverages, backend::StepReport,
 };
 
-use super::loss::{Target, loss};
+use super::loss::Target;
 use super::score::Scorer;
 use super::update::{UpdateInputs, update};
-use super::view::buffers::{StageSeconds, ViewBuffers, timed};
-use super::view::pinhole::Pinhole;
+use super::view::{Pinhole, StageSeconds, ViewBuffers, timed};
 
-/// A training view as the kernels read it.
 pub(super) struct TrainView {
     pub camera: Pinhole,
     pub target: Target,
@@ -30,7 +28,6 @@ pub struct CpuBackend {
     pub(super) views: Vec<TrainView>,
     pub(super) buffers: ViewBuffers,
     report: StepReport,
-    /// Adam steps made so far.
     steps: u32,
     pub(super) scorer: Scorer,
     pub(super) averages: WindowAverages,
@@ -64,15 +61,7 @@ impl CpuBackend {
         std::mem::take(&mut self.buffers.seconds)
     }
 
-    /// Eq. 5 of the cloud on one training view, rendered in full: the plain way, which scoring is measured against.
-    pub fn loss_of_view(&mut self, view: usize, settings: &RenderSettings) -> f32 {
-        let TrainView { camera, target } = &self.views[view];
-        self.buffers.render(self.level, &self.cloud, camera, settings);
-        loss(self.level, &self.buffers.image, target, None)
-    }
-
-    /// Bytes of memory that scoring has taken at most since the views were set or the last step was made, besides the
-    /// cloud, the photos and the individuals.
+    /// Most bytes that scoring has taken since the last step, besides the cloud, the photos and the individuals.
     pub fn scoring_bytes(&self) -> usize {
         self.scorer.bytes()
     }

@@ -11,8 +11,7 @@ use fearless_simd::{Level, Simd, dispatch};
 
 use super::blend::block::ALL_BLOCKS;
 use super::blend::rasterise::{TileImage, blend};
-use super::view::pinhole::TILE;
-use super::view::splats::Splat;
+use super::view::{Splat, TILE};
 
 const GAUSSIANS: usize = 512;
 const REPEATS: usize = 50;

@@ -1,22 +1,18 @@
 //! The few vector helpers that more than one stage uses.
 //!
-//! One source serves every instruction set: stages are generic over `S: Simd` and entered through
-//! [`fearless_simd::dispatch!`], which picks AVX-512, AVX2, SSE or NEON when the program runs. A vector always has 16
-//! lanes; narrower machines use several registers for it.
+//! Stages are generic over `S: Simd` and entered through [`fearless_simd::dispatch!`], which picks the instruction set
+//! when the program runs. A vector always has 16 lanes; narrower machines use several registers for it.
 
 use fearless_simd::{Simd, f32x16, mask32x16, prelude::*, u32x16};
 
 /// Lanes of the vectors that all stages use.
 pub(crate) const LANES: usize = 16;
 
-/// 16 lanes of f32.
 pub(crate) type V<S> = f32x16<S>;
 
-/// `log2(e)`.
 pub(crate) const LOG2_E: f32 = std::f32::consts::LOG2_E;
 
-/// Adding and subtracting this rounds an f32 of magnitude below 2²² to the nearest integer, and leaves that integer in
-/// the low mantissa bits.
+/// Added to an f32 below 2²², this rounds it to an integer in the low mantissa bits.
 const ROUND: f32 = 12_582_912.0;
 
 /// `array!(k => value)` is `[value, ...]` for `k` = 0, 1, ...: always inlined, as `std::array::from_fn` and `map` are
@@ -41,11 +37,8 @@ pub(crate) fn array_from<const K: usize, T: Copy>(mut f: impl FnMut(usize) -> T)
     out
 }
 
-/// Asks the machine to bring a value into its first-level cache, without waiting for it.
-///
-/// Splats and gradient rows are read in an order that no hardware prefetcher can guess, and a load that misses stops
-/// the machine some 300 instructions later (measured: docs/performance.md). Does nothing where the language has no
-/// stable way to say it.
+/// Asks the machine to bring a value into its first-level cache, without waiting for it: splats and gradient rows are
+/// read in an order that no hardware prefetcher can guess (measured: docs/performance.md).
 #[inline(always)]
 pub(crate) fn prefetch<T>(value: &T) {
     #[cfg(target_arch = "x86_64")]
@@ -61,7 +54,6 @@ pub(crate) fn prefetch<T>(value: &T) {
     let _ = value;
 }
 
-/// The lanes of several vectors.
 #[inline(always)]
 pub(crate) fn lanes_of<const K: usize, S: Simd>(vectors: &[V<S>; K]) -> [[f32; LANES]; K] {
     array!(k => *vectors[k])
@@ -106,7 +98,6 @@ pub(crate) fn exp<S: Simd>(x: V<S>) -> V<S> {
     exp2((x * LOG2_E).max(-126.0).min(126.0))
 }
 
-/// The logistic function.
 #[inline(always)]
 pub(crate) fn sigmoid<S: Simd>(x: V<S>) -> V<S> {
     let one = V::splat(x.simd, 1.0);

@@ -18,8 +18,7 @@ fn unclamped(sh: &[f64; SH_STRIDE], offset: DVec3, degree: u8) -> [f64; 3] {
     })
 }
 
-/// Back from `∂L/∂colour` to the coefficients and, through the viewing direction, to the position. A channel that the
-/// forward clamped passes nothing.
+/// Back from `∂L/∂colour` to the coefficients and to the position. A clamped channel passes nothing.
 pub fn colour_backward(
     sh: &[f64; SH_STRIDE],
     offset: DVec3,

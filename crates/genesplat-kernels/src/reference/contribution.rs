@@ -5,8 +5,7 @@ use genesplat_core::{Photo, RenderSettings, View};
 use super::rasterise_backward::rasterise_backward;
 use super::{Cloud64, Cutoff, background, planes, render, size};
 
-/// `[Σ α·T, Σ α·T·|I − P|]` over the pixels of `view` `[N]`: what the backward blending sums as the gradient of a
-/// Gaussian's colour, with ones and errors in the place of the image's gradient.
+/// `[Σ α·T, Σ α·T·|I − P|]` over the pixels of `view` `[N]`: gradients of colours, by ones and errors.
 pub fn contribution(
     cloud: &Cloud64,
     view: &View,

@@ -9,8 +9,7 @@ use genesplat_core::constants::{ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN};
 /// The rule by which faint contributions are dropped.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Cutoff {
-    /// As published and as every other backend: nothing below alpha = 1/255, and a pixel is finished before the
-    /// splat that would take its transmittance below 1e-4.
+    /// As published: nothing below alpha = 1/255, no transmittance below 1e-4.
     #[default]
     Hard,
     /// For finite differences only: twice continuously differentiable, and no early end.
@@ -22,8 +21,7 @@ pub enum Cutoff {
 pub struct Alpha {
     /// In `(0, 0.99]`.
     pub value: f64,
-    /// Derivative by `opacity · exp(power)`. The clamp at 0.99 passes gradients straight through, as published:
-    /// otherwise an opaque splat could never become less so.
+    /// Derivative by `opacity · exp(power)`. The clamp at 0.99 passes gradients straight through, as published.
     pub slope: f64,
 }
 

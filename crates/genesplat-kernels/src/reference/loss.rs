@@ -3,12 +3,16 @@
 //! SSIM (Wang et al. 2004) uses an 11 x 11 Gaussian window of 1.5 px per channel, zeros outside the image (so border
 //! pixels are darkened alike in both), variances as `E[x²] − μ²`, and the mean over all pixels and channels.
 
+use genesplat_core::Photo;
 use genesplat_core::constants::{LAMBDA_DSSIM, SSIM_C1, SSIM_C2, SSIM_RADIUS, ssim_window};
 
-/// Loss of `image` against `target`, both `[3, H, W]`, and its gradient by `image`. The subgradient of `|x|` at 0 is 0.
-pub fn loss(image: &[f64], target: &[f64], size: [u32; 2]) -> (f64, Vec<f64>) {
-    let (l1, l1_gradient) = l1(image, target);
-    let (ssim, ssim_gradient) = ssim(image, target, size);
+use super::planes;
+
+/// Loss of an image `[3, H, W]` against its photo, and its gradient. The subgradient of `|x|` at 0 is 0.
+pub fn loss(image: &[f64], photo: &Photo) -> (f64, Vec<f64>) {
+    let target = planes(photo);
+    let (l1, l1_gradient) = l1(image, &target);
+    let (ssim, ssim_gradient) = ssim(image, &target, [photo.width, photo.height]);
     let lambda = f64::from(LAMBDA_DSSIM);
     let gradient =
         l1_gradient.iter().zip(&ssim_gradient).map(|(a, s)| (1.0 - lambda) * a - lambda * s).collect();

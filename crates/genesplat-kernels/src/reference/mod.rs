@@ -29,6 +29,7 @@ pub use adam::{Moments64, adam};
 pub use cloud::Cloud64;
 pub use contribution::contribution;
 pub use cutoff::Cutoff;
+pub use loss::loss;
 pub use project::{Splat, Symmetric2};
 pub use rasterise::Picture64;
 pub use statistics::Statistics64;
@@ -47,8 +48,7 @@ pub struct Rendered {
 pub struct Gradients {
     /// By the raw parameters.
     pub cloud: Cloud64,
-    /// By the projected mean, in normalised device coordinates (per px times half the image's size): the signal of
-    /// 3DGS's density control.
+    /// By the projected mean, in normalised device coordinates: the signal of 3DGS's density control.
     pub mean2d_ndc: Vec<[f64; 2]>,
     /// The same with each pixel's part made positive, per axis.
     pub mean2d_abs_ndc: Vec<[f64; 2]>,
@@ -72,13 +72,7 @@ pub fn render(cloud: &Cloud64, camera: &Camera, settings: &RenderSettings, cutof
     Rendered { picture, splats }
 }
 
-/// Loss of an image `[3, H, W]` against the photo of the same size, and its gradient by the image.
-pub fn loss(image: &[f64], photo: &Photo) -> (f64, Vec<f64>) {
-    loss::loss(image, &planes(photo), [photo.width, photo.height])
-}
-
-/// Takes the gradient of an image `[3, H, W]` back to the cloud that `rendered` was made from, with the same camera,
-/// settings and cutoff.
+/// Takes the gradient of an image `[3, H, W]` back to the cloud that `rendered` was made from.
 pub fn backward(
     cloud: &Cloud64,
     camera: &Camera,
@@ -90,7 +84,16 @@ pub fn backward(
     let splats = &rendered.splats;
     let by_splats = rasterise_backward(splats, size(camera), background(settings), cutoff, image_gradient);
     let half_size = size(camera).map(|side| 0.5 * f64::from(side));
-    let mut gradients = Gradients::zeros(cloud.len());
+    let n = cloud.len();
+    let mut gradients = Gradients {
+        cloud: Cloud64::zeros(n),
+        mean2d_ndc: vec![[0.0; 2]; n],
+        mean2d_abs_ndc: vec![[0.0; 2]; n],
+        pixels: vec![0; n],
+        depth: vec![0.0; n],
+        radius_px: vec![0; n],
+        reached: vec![false; n],
+    };
     for (splat, by_splat) in splats.iter().zip(&by_splats) {
         let row = splat.row;
         project_backward(cloud, camera, settings, splat, by_splat, &mut gradients.cloud);
@@ -115,21 +118,6 @@ pub fn gradients(
     let rendered = render(cloud, &view.camera, settings, cutoff);
     let (loss, by_image) = loss(&rendered.picture.image, &view.photo);
     (loss, backward(cloud, &view.camera, settings, cutoff, &rendered, &by_image))
-}
-
-impl Gradients {
-    /// No gradient, for `n` rows.
-    fn zeros(n: usize) -> Self {
-        Self {
-            cloud: Cloud64::zeros(n),
-            mean2d_ndc: vec![[0.0; 2]; n],
-            mean2d_abs_ndc: vec![[0.0; 2]; n],
-            pixels: vec![0; n],
-            depth: vec![0.0; n],
-            radius_px: vec![0; n],
-            reached: vec![false; n],
-        }
-    }
 }
 
 /// A photo as planar values in `[0, 1]`, `[3, H, W]`.

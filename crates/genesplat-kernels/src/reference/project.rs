@@ -66,8 +66,7 @@ pub struct Splat {
     pub opacity: f64,
     /// RGB, at least 0.
     pub colour: [f64; 3],
-    /// Half sides of the smallest box around the mean that holds every point with alpha ≥ 1/255, px; zeros for a
-    /// splat too faint to touch any pixel.
+    /// Half sides of the box of alpha ≥ 1/255, px; zeros for a splat too faint to touch any pixel.
     pub extent_px: [f64; 2],
     /// 3DGS's radius: `ceil(3 sqrt(λ))` with `λ` its estimate of the larger eigenvalue; 0 when the square of that
     /// radius meets no 16 x 16 tile. It does not cut the splat; it decides which views count in the density statistics.

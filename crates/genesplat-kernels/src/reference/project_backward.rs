@@ -1,8 +1,8 @@
 //! Stage `project_backward`: from the gradients of a splat back to the parameters of its Gaussian.
 //!
-//! Every derivative is the true one of the forward formulas. The published kernel differs in three places that do
-//! not move results: it stabilises the conic's inverse with 1e-7, it differentiates the Jacobian by depth as if
-//! `x/z` were never clamped, and Mip-Splatting's compensation carries extra epsilons.
+//! Every derivative is the true one. The published kernel differs in three places: it stabilises the conic's inverse
+//! with 1e-7, it differentiates the Jacobian by depth as if `x/z` were never clamped, and Mip-Splatting's compensation
+//! carries extra epsilons.
 
 use genesplat_core::{Camera, RenderSettings};
 use glam::{DMat3, DVec3};

@@ -53,8 +53,7 @@ pub fn rasterise(
     picture
 }
 
-/// Visits every pixel with what is blended into it, front first, and its final transmittance: both forward and
-/// backward.
+/// Visits every pixel with what is blended into it, front first, and its final transmittance.
 pub(super) fn for_each_pixel(
     splats: &[Splat],
     [width, height]: [u32; 2],

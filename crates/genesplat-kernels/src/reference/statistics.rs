@@ -6,7 +6,7 @@
 
 use genesplat_core::{DensitySignal, GENES, StatisticsRequest};
 
-use super::Gradients;
+use super::{Cloud64, Gradients};
 
 /// [`genesplat_core::Statistics`] in f64.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -48,7 +48,9 @@ impl Statistics64 {
                 }
             }
             if request.genes && gradients.reached[row] {
-                let genes = gene_gradient(gradients, row);
+                let Cloud64 { positions, log_scales, opacity_logits, .. } = &gradients.cloud;
+                let ([x, y, z], [sx, sy, sz]) = (positions[row], log_scales[row]);
+                let genes = [x, y, z, sx, sy, sz, opacity_logits[row]];
                 (0..GENES).for_each(|gene| self.gene_gradient_sum[row][gene] += genes[gene]);
                 self.gene_views[row] += 1;
             }
@@ -63,17 +65,8 @@ fn density(gradients: &Gradients, row: usize, signal: DensitySignal) -> (f64, f6
         DensitySignal::Signed | DensitySignal::SignedAndAbsolute => (norm(gradients.mean2d_ndc[row]), 1.0),
         DensitySignal::Absolute => (norm(gradients.mean2d_abs_ndc[row]), 1.0),
         DensitySignal::PixelWeighted { depth_threshold } => {
-            let nearness = gradients.depth[row] / f64::from(depth_threshold);
-            (
-                norm(gradients.mean2d_ndc[row]) * (nearness * nearness).min(1.0),
-                f64::from(gradients.pixels[row]),
-            )
+            let near = (gradients.depth[row] / f64::from(depth_threshold)).powi(2).min(1.0);
+            (norm(gradients.mean2d_ndc[row]) * near, f64::from(gradients.pixels[row]))
         }
     }
-}
-
-/// Gradients of the seven genes of a row, in their order.
-fn gene_gradient(gradients: &Gradients, row: usize) -> [f64; GENES] {
-    let (p, s) = (gradients.cloud.positions[row], gradients.cloud.log_scales[row]);
-    [p[0], p[1], p[2], s[0], s[1], s[2], gradients.cloud.opacity_logits[row]]
 }

@@ -7,7 +7,7 @@ use fearless_simd::{Simd, f32x8, i32x8, prelude::*};
 
 use super::{BLOCK, BLOCKS_ACROSS, LOG2_255};
 use crate::cpu::simd::array;
-use crate::cpu::view::splats::Splat;
+use crate::cpu::view::Splat;
 
 /// Bands of four pixel rows that are solved at once: two rows of tiles, enough for most splats.
 const BANDS: usize = 8;
@@ -25,10 +25,8 @@ pub(super) fn for_each_tile<S: Simd>(
     mut each: impl FnMut(u32, u32),
 ) {
     if let Some([column, row]) = only_block(splat, grid) {
-        let (tile, bit) = (
-            row / BLOCKS_ACROSS * grid[0] + column / BLOCKS_ACROSS,
-            row % BLOCKS_ACROSS * BLOCKS_ACROSS + column % BLOCKS_ACROSS,
-        );
+        let tile = row / BLOCKS_ACROSS * grid[0] + column / BLOCKS_ACROSS;
+        let bit = row % BLOCKS_ACROSS * BLOCKS_ACROSS + column % BLOCKS_ACROSS;
         return each(tile as u32, 1 << bit);
     }
     let band_limit = (grid[1] * BLOCKS_ACROSS) as i32;
@@ -41,9 +39,8 @@ pub(super) fn for_each_tile<S: Simd>(
     let mut band = first_band - first_band % BLOCKS_ACROSS as i32;
     while band < end_band {
         let (from, to) = column_spans(simd, splat, band, column_limit);
-        let last_row = ((end_band - band + BLOCKS_ACROSS as i32 - 1) / BLOCKS_ACROSS as i32)
-            .min(BANDS as i32 / BLOCKS_ACROSS as i32);
-        for row in 0..last_row as usize {
+        let rows = ((end_band - band) as usize).div_ceil(BLOCKS_ACROSS).min(BANDS / BLOCKS_ACROSS);
+        for row in 0..rows {
             let spans = array!(k => (from[row * BLOCKS_ACROSS + k], to[row * BLOCKS_ACROSS + k]));
             let tile_y = band as usize / BLOCKS_ACROSS + row;
             emit_tile_row(spans, |tile_x, blocks| each((tile_y * grid[0] + tile_x) as u32, blocks));
@@ -52,8 +49,7 @@ pub(super) fn for_each_tile<S: Simd>(
     }
 }
 
-/// Column and row of the block that has the splat's mean among its pixel centres, if the splat reaches no other: splats
-/// this small need no ellipse.
+/// Column and row of the block that holds the whole splat, if there is one: splats this small need no ellipse.
 #[inline(always)]
 fn only_block(splat: &Splat, grid: [usize; 2]) -> Option<[usize; 2]> {
     let mut block = [0; 2];
@@ -86,8 +82,7 @@ fn column_spans<S: Simd>(
     let height = splat.half_extent_px[1] + SLACK_PX;
     let outside = top.simd_gt(height) | bottom.simd_lt(-height);
 
-    // Rows of the band where the right and the left boundary reach furthest: the ellipse's own extreme rows, or the
-    // nearest row of the band.
+    // Where the boundaries reach furthest: the ellipse's own extreme rows, or the nearest row of the band.
     let extreme = -ellipse.b * splat.half_extent_px[0] / ellipse.c;
     let (low, high) = (top.max(-height), bottom.min(height));
     let right =
@@ -103,7 +98,6 @@ fn column_spans<S: Simd>(
     (*from.to_int::<i32x8<S>>(), *to.to_int::<i32x8<S>>())
 }
 
-/// The lane numbers.
 const LANE: [f32; BANDS] = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0];
 
 /// `a dx² + 2b dx dy + c dy² ≤ reach`: where alpha is at least 1/255, in powers of two of alpha.

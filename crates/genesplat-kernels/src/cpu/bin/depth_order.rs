@@ -1,8 +1,7 @@
 //! The splats of a view, nearest first: the sort of stage `bin`.
 //!
-//! A key is a splat's depth above its index, so no two keys are equal and there is one sorted order for any number of
-//! threads. One thread sorts by radix. Several first distribute the keys over ranges of depth, which are then sorted
-//! one by one (a sample sort).
+//! A key is a splat's depth above its index, so there is one sorted order for any number of threads. One thread sorts
+//! by radix. Several first distribute the keys over ranges of depth, which are then sorted one by one (a sample sort).
 
 use std::ops::Range;
 
@@ -10,7 +9,7 @@ use rayon::prelude::*;
 
 use super::split;
 use crate::cpu::bytes_of;
-use crate::cpu::view::splats::{CHUNK, Splats};
+use crate::cpu::view::{CHUNK, Splats};
 
 /// Rows of a cloud below which one thread sorts as fast as several.
 const FEW: usize = 4096;
@@ -29,7 +28,6 @@ pub(crate) struct DepthOrder {
 }
 
 impl DepthOrder {
-    /// Bytes of memory.
     pub(crate) fn bytes(&self) -> usize {
         let of_range: usize = self.of_range.iter().flatten().map(bytes_of).sum();
         bytes_of(&self.keys) + bytes_of(&self.swap) + of_range
@@ -119,8 +117,7 @@ fn digit_of(key: u64, pass: usize) -> usize {
     (key >> (32 + pass as u32 * DIGIT_BITS)) as usize & (DIGITS - 1)
 }
 
-/// Sorts `keys` by their upper 32 bits into `out`, equal ones in the order in which they were, least significant digit
-/// first; what is left in `keys` has no meaning.
+/// Sorts `keys` by their upper 32 bits into `out`, stable; what is left in `keys` has no meaning.
 fn radix_sort_high_half(keys: &mut [u64], out: &mut [u64]) {
     let mut counts = [[0u32; DIGITS]; PASSES];
     for &key in &*keys {

@@ -20,12 +20,10 @@ use parallel::Part;
 
 use super::bytes_of;
 use super::simd::prefetch;
-use super::view::pinhole::{Pinhole, TILE};
-use super::view::splats::Splats;
+use super::view::{Pinhole, Splats, TILE};
 
 /// Side of a block, px: one block is one vector.
 pub(crate) const BLOCK: usize = 4;
-/// Blocks across a tile.
 pub(crate) const BLOCKS_ACROSS: usize = TILE / BLOCK;
 /// `log2(255)`: the exponent at which alpha is 1/255, negated.
 pub(crate) const LOG2_255: f32 = 7.994_353_4;
@@ -52,15 +50,13 @@ struct Keyed {
     intersection: Intersection,
 }
 
-/// The tile lists of a view.
 #[derive(Debug, Default)]
 pub struct Bins {
     /// Intersections of all tiles, tile after tile, each front to back `[I]`.
     pub intersections: Vec<Intersection>,
     /// Where each tile's intersections start; one more at the end `[tiles + 1]`.
     pub tile_starts: Vec<u32>,
-    /// For each splat index, where its part of `places` starts (upper half), and how long it is. Splats are visited by
-    /// depth, so threads write here and there: no two the same one.
+    /// For each splat index, where its part of `places` starts (upper half), and how long it is.
     splat_ranges: Vec<AtomicU64>,
     /// Places of each splat's intersections in `intersections`, nearest splat first `[I]`.
     places: Vec<u32>,
@@ -69,18 +65,16 @@ pub struct Bins {
     unsorted: Vec<Vec<Keyed>>,
     /// Intersections of each splat that a task visited.
     counts: Vec<Vec<u32>>,
-    /// For each tile, where the next intersection goes.
     next: Vec<u32>,
     parts: Vec<Part>,
 }
 
 impl Bins {
-    /// Bytes of memory.
     pub fn bytes(&self) -> usize {
-        let Self { intersections, tile_starts, splat_ranges, places, .. } = self;
+        let Self { intersections, tile_starts, splat_ranges, places, order, unsorted, counts, next, parts } =
+            self;
         let lists =
             bytes_of(intersections) + bytes_of(tile_starts) + bytes_of(splat_ranges) + bytes_of(places);
-        let Self { order, unsorted, counts, next, parts, .. } = self;
         let unsorted: usize = unsorted.iter().map(bytes_of).sum();
         let counts: usize = counts.iter().map(bytes_of).sum();
         let parts: usize = parts.iter().map(Part::bytes).sum();
@@ -104,7 +98,6 @@ impl Bins {
         self.find_places(splats.capacity());
     }
 
-    /// The intersections of one tile.
     pub fn tile(&self, tile: usize) -> &[Intersection] {
         &self.intersections[self.tile_starts[tile] as usize..self.tile_starts[tile + 1] as usize]
     }
@@ -155,7 +148,6 @@ impl Bins {
         }
     }
 
-    /// Tells each splat where its places are.
     fn find_places(&mut self, capacity: usize) {
         self.splat_ranges.resize_with(capacity, AtomicU64::default);
         let Self { order, counts, splat_ranges: ranges, .. } = &*self;

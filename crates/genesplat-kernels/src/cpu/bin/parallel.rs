@@ -64,7 +64,6 @@ impl Bins {
 }
 
 impl Part {
-    /// Bytes of memory.
     pub(super) fn bytes(&self) -> usize {
         bytes_of(&self.sorted) + bytes_of(&self.starts) + bytes_of(&self.next)
     }

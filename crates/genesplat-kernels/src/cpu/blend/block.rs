@@ -5,11 +5,9 @@ use genesplat_core::constants::{ALPHA_MAX, TRANSMITTANCE_MIN};
 
 use crate::cpu::bin::{BLOCK, BLOCKS_ACROSS, Intersection, LOG2_255};
 use crate::cpu::simd::{LANES, V, exp2_of_alpha, keep, prefetch};
-use crate::cpu::view::splats::{Splat, Splats};
+use crate::cpu::view::{Splat, Splats};
 
-/// Blocks of a tile.
 pub(crate) const BLOCKS: usize = BLOCKS_ACROSS * BLOCKS_ACROSS;
-/// Every block of a tile.
 pub(crate) const ALL_BLOCKS: u32 = (1 << BLOCKS) - 1;
 /// Intersections between a splat that is prefetched and the one that is blended.
 const AHEAD: usize = 16;
@@ -32,8 +30,6 @@ const fn coordinates(lanes_a_step: usize) -> [[f32; LANES]; BLOCKS_ACROSS] {
 
 /// Calls `visit(place in the list, splat seen from the tile's corner)` for each intersection of a tile, front to back,
 /// until it says that no block is left; returns how many intersections were visited.
-///
-/// The splats lie scattered, so those a little ahead are prefetched.
 #[inline(always)]
 pub(crate) fn each_splat(
     splats: &Splats,
@@ -80,9 +76,8 @@ pub(crate) fn full_transmittance<S: Simd>(
     inside.select(V::splat(simd, 1.0), V::splat(simd, -1.0))
 }
 
-/// Takes a block out of `live`. A call, so that it stays a branch that the machine can predict: computed without one,
-/// the blocks of the next splat would have to wait for the last pixel of this one (measured: a fifth of the stage's
-/// time).
+/// Takes a block out of `live`. A call, so that it stays a branch that the machine can predict (measured: a fifth of
+/// the stage's time).
 #[cold]
 #[inline(never)]
 pub(crate) fn finish(block: usize, live: &mut u32) {
@@ -97,11 +92,9 @@ pub(crate) struct Alpha<S: Simd> {
     pub unclamped: V<S>,
     /// `min(o·G, 0.99)`; 0 where that is below 1/255.
     pub alpha: V<S>,
-    /// Where it is at least 1/255.
     pub hit: mask32x16<S>,
 }
 
-/// Evaluates a splat at the pixels of a block.
 #[inline(always)]
 pub(crate) fn alpha<S: Simd>(simd: S, splat: &Splat, block: usize) -> Alpha<S> {
     let [a, b, c] = splat.conic_log2;
@@ -116,8 +109,7 @@ pub(crate) fn alpha<S: Simd>(simd: S, splat: &Splat, block: usize) -> Alpha<S> {
     let exponent = slope.mul_add(dx, constant);
     let hit = exponent.simd_ge(-LOG2_255);
     // No Gaussian exceeds its opacity, but far from the mean of a needle large terms cancel, and rounding may leave
-    // anything. (Published code draws nothing where it does: near the mean of any splat, a pixel can hang on the last
-    // bit.)
+    // anything.
     let unclamped = exp2_of_alpha(exponent.min(splat.log2_opacity));
     Alpha { offset: [dx, dy], unclamped, alpha: keep(hit, unclamped.min(ALPHA_MAX)), hit }
 }
@@ -128,7 +120,6 @@ pub(crate) struct Absorbed<S: Simd> {
     pub weight: V<S>,
     /// What is left; with the sign bit set where the pixel is finished.
     pub transmittance: V<S>,
-    /// Where the pixel is not finished.
     pub goes_on: mask32x16<S>,
 }
 

@@ -10,9 +10,7 @@ use rayon::prelude::*;
 use super::gradient_row::column;
 use super::rasterise_backward::rasterise_backward;
 use crate::cpu::loss::Target;
-use crate::cpu::view::buffers::ViewBuffers;
-use crate::cpu::view::pinhole::Pinhole;
-use crate::cpu::view::splats::CHUNK;
+use crate::cpu::view::{CHUNK, Pinhole, ViewBuffers};
 
 /// Adds one view to `contributions` `[N]`.
 pub(crate) fn contribution(

@@ -11,21 +11,15 @@ pub struct GradientRow(pub [f32; LANES]);
 
 /// Columns of a [`GradientRow`]: sums of `p` times powers of the offset `pixel − mean`.
 pub(crate) mod column {
-    /// Σ p
+    // Σ p · (1, dx, dy, dx², dx·dy, dy²)
     pub(crate) const ONE: usize = 0;
-    /// Σ p·dx
     pub(crate) const X: usize = 1;
-    /// Σ p·dy
     pub(crate) const Y: usize = 2;
-    /// Σ p·dx²
     pub(crate) const XX: usize = 3;
-    /// Σ p·dx·dy
     pub(crate) const XY: usize = 4;
-    /// Σ p·dy²
     pub(crate) const YY: usize = 5;
-    /// Σ |∂L/∂u|, by pixel (only where absolute gradients are asked for)
+    // Σ |∂L/∂u| and Σ |∂L/∂v|, by pixel (only where absolute gradients are asked for)
     pub(crate) const ABS_X: usize = 6;
-    /// Σ |∂L/∂v|, by pixel (only where absolute gradients are asked for)
     pub(crate) const ABS_Y: usize = 7;
     /// dL/drgb
     pub(crate) const RED: usize = 8;

@@ -1,13 +1,10 @@
 //! Stage `rasterise`: blends the splats of each tile front to back.
 //!
-//! A tile is 16 blocks of 4x4 pixels and a block is one vector, so a splat costs only the blocks that its ellipse
-//! reaches. Splats come one after another, and each visits its blocks. These do not wait for one another, so the
-//! machine works on several at once; a loop over the splats of one block would wait for each alpha in turn. The tile's
-//! colours and transmittances stay in the first-level cache (4 kB).
+//! A tile is 16 blocks of 4x4 pixels and a block is one vector. Splats come one after another, and each visits the
+//! blocks that its ellipse reaches; these do not wait for one another, so the machine works on several at once.
 //!
-//! A pixel is finished when a splat would leave less than 1e-4 of its light: that splat is not blended into it, nor is
-//! any other. Its transmittance is kept with the sign bit set; whatever is blended after that finds it below the
-//! threshold and adds nothing, so no branch depends on it.
+//! A pixel is finished when a splat would leave less than 1e-4 of its light. Its transmittance is kept with the sign
+//! bit set; whatever is blended after that finds it below the threshold and adds nothing, so no branch depends on it.
 
 use fearless_simd::{Level, Simd, dispatch, prelude::*};
 use genesplat_core::Image;
@@ -18,8 +15,7 @@ use super::block::{
 };
 use crate::cpu::bin::{BLOCK, BLOCKS_ACROSS, Bins, Intersection};
 use crate::cpu::simd::{LANES, V};
-use crate::cpu::view::pinhole::{Pinhole, TILE};
-use crate::cpu::view::splats::{Splat, Splats};
+use crate::cpu::view::{Pinhole, Splat, Splats, TILE};
 
 /// What the forward pass leaves of one tile.
 #[derive(Clone, Debug)]
@@ -35,10 +31,8 @@ impl Default for TileImage {
     }
 }
 
-/// Index of the transmittance in a block of a [`TileImage`].
 const TRANSMITTANCE: usize = 3;
 
-/// Forward pass of all tiles.
 pub(crate) fn rasterise(
     level: Level,
     splats: &Splats,

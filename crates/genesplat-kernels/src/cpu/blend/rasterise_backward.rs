@@ -1,12 +1,11 @@
 //! Stage `rasterise_backward`: from `dL/dimage` to one row of sums per splat and tile.
 //!
-//! Walks the lists front to back once more, as the forward pass does: with the final image known, the light behind a
-//! splat is what remains of it, so neither alphas nor transmittances are stored. Per pixel it finds `p = o·G · dL/dα`
-//! and `w = α·T`. All gradients of a splat are sums of `p` times `1, x, y, x², xy, y²` and of `w` times `dL/dpixel`.
+//! Walks the lists front to back once more: with the final image known, the light behind a splat is what remains of it.
+//! Per pixel it finds `p = o·G · dL/dα` and `w = α·T`. All gradients of a splat are sums of `p` times
+//! `1, x, y, x², xy, y²` and of `w` times `dL/dpixel`.
 //!
-//! Each splat visits its blocks twice: first for `p` and `w`, which do not depend on one another's blocks, then for the
-//! sums, which stay in registers and are reduced over the lanes once per tile. No two tasks write the same row, so
-//! there are no atomics and the result does not depend on the number of threads.
+//! Each splat visits its blocks twice: first for `p` and `w`, then for the sums, which stay in registers and are
+//! reduced over the lanes once per tile. No two tasks write the same row, so there are no atomics.
 
 use fearless_simd::{Level, Simd, dispatch, f32x4, f32x8, prelude::*};
 use genesplat_core::DensitySignal;
@@ -19,9 +18,7 @@ use super::block::{
 use super::gradient_row::{GradientRow, sum_lanes};
 use crate::cpu::bin::{BLOCK, BLOCKS_ACROSS, Intersection, split};
 use crate::cpu::simd::{LANES, V, array, keep};
-use crate::cpu::view::buffers::ViewBuffers;
-use crate::cpu::view::pinhole::{Pinhole, TILE};
-use crate::cpu::view::splats::{Splat, Splats};
+use crate::cpu::view::{Pinhole, Splat, Splats, TILE, ViewBuffers};
 
 /// Backward pass of all tiles: fills one row for each intersection. Rows have the sums that `signal` needs.
 pub(crate) fn rasterise_backward(
@@ -75,11 +72,9 @@ struct TileState {
 #[derive(Clone, Copy, Default)]
 #[repr(C, align(64))]
 struct BlockState {
-    /// As in the forward pass.
     transmittance: [f32; LANES],
     /// Light that the splats still to come and the background send along the gradient.
     remaining: [f32; LANES],
-    /// `dL/dimage`.
     gradient: [[f32; LANES]; 3],
 }
 
@@ -144,11 +139,9 @@ fn begin<S: Simd>(simd: S, task: &TileTask, state: &mut TileState) -> u32 {
     live
 }
 
-/// What some trainers ask for besides gradients.
 struct ExtraSums<S: Simd> {
     /// `|∂L/∂u|` and `|∂L/∂v|`, not yet summed over the lanes.
     absolute: [V<S>; 2],
-    /// Pixels blended.
     pixels: f32,
 }
 
@@ -202,8 +195,7 @@ fn replay<const EXTRA: u8, S: Simd>(
     extra
 }
 
-/// `1/x` for `x` in `[0.01, 1]`: the machine's estimate of 8 to 14 bits and one Newton step, so 2e-5 or better. A
-/// division is exact and takes as long as the rest of the block's arithmetic.
+/// `1/x` for `x` in `[0.01, 1]`, to 2e-5 or better: a division takes as long as the rest of the block's arithmetic.
 #[inline(always)]
 fn reciprocal<S: Simd>(x: V<S>) -> V<S> {
     let estimate = x.approximate_recip();
@@ -275,7 +267,6 @@ fn accumulate<S: Simd>(simd: S, blocks: u32, state: &TileState, extra: ExtraSums
     row
 }
 
-/// The upper or the lower half of a block.
 #[inline(always)]
 fn half<S: Simd>(simd: S, values: &[f32; LANES], half: usize) -> f32x8<S> {
     f32x8::from_slice(simd, &values[half * HALF..][..HALF])

@@ -5,7 +5,6 @@ use genesplat_core::constants::SSIM_RADIUS;
 
 use crate::cpu::simd::{LANES, V, array};
 
-/// Taps of the window.
 pub(crate) const TAPS: usize = 2 * SSIM_RADIUS + 1;
 /// Zeros before and after each row: at least the window's radius, and whole vectors.
 pub(crate) const MARGIN: usize = LANES;
@@ -22,7 +21,6 @@ impl<const K: usize> Ring<K> {
         Self { columns: vec![[[[0.0; LANES]; TAPS]; K]; width.div_ceil(LANES)] }
     }
 
-    /// Makes row `y` zero.
     pub(crate) fn clear_row(&mut self, y: isize) {
         let slot = slot(y);
         self.columns.as_flattened_mut().iter_mut().for_each(|slots| slots[slot].fill(0.0));

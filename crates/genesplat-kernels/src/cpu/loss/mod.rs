@@ -1,9 +1,7 @@
 //! Stage `loss`: `0.8 · mean |I − P| + 0.2 · (1 − mean SSIM)` and its gradient, fused.
 //!
 //! SSIM's 11x11 window is separable, so everything is a sum over 11 rows of horizontally blurred rows ([`blur`]). A
-//! task walks down one strip of one channel and keeps only the last 11 rows of what it needs: the four moments on the
-//! way in, and the three partial derivatives on the way out. Nothing of the size of the image is stored besides the
-//! gradient.
+//! task walks down one strip of one channel and keeps only the last 11 rows of moments and partial derivatives.
 //!
 //! With raw moments `E[x], E[y], E[x²], E[y²], E[xy]` (x the render, y the photo) SSIM is
 //! `S = (2 μx μy + C1)(2 σxy + C2) / ((μx² + μy² + C1)(σx² + σy² + C2))`, variances as `E[x²] − μ²`. The two variances
@@ -139,7 +137,6 @@ fn walk_strip<S: Simd>(
     sums
 }
 
-/// Padded rows.
 struct Rows {
     /// `x`, `y`, `x² + y²` and `xy`.
     inputs: [Vec<f32>; 4],
@@ -229,7 +226,6 @@ fn l1_row<S: Simd>(simd: S, x: &[f32], y: &[u8]) -> f64 {
     sum.iter().map(|&v| f64::from(v)).sum()
 }
 
-/// `dL/dx` of one row.
 #[inline(always)]
 fn gradient_row<S: Simd>(
     simd: S,

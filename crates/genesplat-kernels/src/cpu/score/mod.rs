@@ -2,29 +2,28 @@
 //!
 //! Individuals are not rendered one by one. A [`Pool`] has each [row version](genesplat_core::row_versions) once. To a
 //! view these are the rows of one large cloud, projected, sorted and listed by tile once for all individuals
-//! ([`pool`]). In a block of pixels the alpha of each is evaluated once ([`tile`]). What is left for an individual is to
-//! blend the alphas that it holds, and its loss ([`photo_loss`]). Losses equal those of rendering the changed cloud up to
-//! rounding.
+//! ([`pool`]). In a block of pixels the alpha of each is evaluated once ([`tile`]). What is left for an individual is
+//! to blend the alphas that it holds, and its loss ([`photo_loss`]). Losses equal those of rendering the changed cloud
+//! up to rounding.
 
 pub(crate) mod photo_loss;
 mod pool;
 mod tile;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use fearless_simd::Level;
 use genesplat_core::{Gaussians, RenderSettings, SparseDelta};
 use rayon::prelude::*;
 
 use super::loss::Target;
-use super::view::pinhole::Pinhole;
+use super::view::Pinhole;
 use photo_loss::PhotoLoss;
 use pool::{Pool, PoolBuffers};
 
 /// Scores populations, and remembers what does not depend on the cloud.
 #[derive(Default)]
 pub(crate) struct Scorer {
-    /// By view.
     photos: BTreeMap<usize, PhotoLoss>,
     /// Two views at a time: sorting takes one thread, and the other view the rest.
     buffers: [PoolBuffers; 2],
@@ -43,13 +42,16 @@ impl Scorer {
         of_view: impl Fn(usize) -> (Pinhole, &'a Target) + Sync,
         settings: &RenderSettings,
     ) -> Vec<f32> {
-        self.prepare_photos(level, views, |view| of_view(view).1);
+        let is_new = |view: &usize| !self.photos.contains_key(view);
+        let new: BTreeSet<usize> = views.iter().copied().filter(is_new).collect();
+        let photo = |view: usize| (view, PhotoLoss::new(level, of_view(view).1));
+        self.photos.par_extend(new.into_par_iter().map(photo));
         let tiles = |&view: &usize| of_view(view).0.grid().iter().product();
         let most = Pool::capacity(views.iter().map(tiles).max().unwrap_or(0));
         let each = population.len().div_ceil(population.len().div_ceil(most).max(1)).max(1);
         let mut losses = Vec::with_capacity(population.len() * views.len());
         for individuals in population.chunks(each) {
-            let pool = Pool::new(cloud, individuals);
+            let pool = Pool::new(cloud.len(), individuals);
             self.pool_bytes = self.pool_bytes.max(pool.bytes());
             let mut by_view: Vec<Vec<f32>> = Vec::with_capacity(views.len());
             for views in views.chunks(self.buffers.len().min(rayon::current_num_threads())) {
@@ -70,21 +72,6 @@ impl Scorer {
     pub(crate) fn bytes(&self) -> usize {
         let photos: usize = self.photos.values().map(PhotoLoss::bytes).sum();
         photos + self.buffers.iter().map(PoolBuffers::bytes).sum::<usize>() + self.pool_bytes
-    }
-
-    /// Blurs the photos of the views that were not scored before.
-    fn prepare_photos<'a>(
-        &mut self,
-        level: Level,
-        views: &[usize],
-        photo: impl Fn(usize) -> &'a Target + Sync,
-    ) {
-        let mut missing: Vec<usize> =
-            views.iter().copied().filter(|view| !self.photos.contains_key(view)).collect();
-        missing.sort_unstable();
-        missing.dedup();
-        self.photos
-            .par_extend(missing.into_par_iter().map(|view| (view, PhotoLoss::new(level, photo(view)))));
     }
 }
 

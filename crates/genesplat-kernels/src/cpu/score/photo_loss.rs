@@ -1,8 +1,8 @@
 //! The loss of a picture against one photo, forward only, for many pictures of one view.
 //!
-//! The photo's own blurred moments are kept; `E[x]`, `E[x²]` and `E[xy]` are left. Pictures and photo have rows of whole
-//! vectors with zeros around them, so that every load is a whole vector. A channel is walked in columns of 144 px from
-//! top to bottom: what the last 11 rows leave stays in the first-level cache.
+//! The photo's own blurred moments are kept; `E[x]`, `E[x²]` and `E[xy]` are left. Pictures and photo have rows of
+//! whole vectors with zeros around them, so that every load is a whole vector. A channel is walked in columns of 144 px
+//! from top to bottom: what the last 11 rows leave stays in the first-level cache.
 
 use fearless_simd::{Level, Simd, dispatch, prelude::*};
 use genesplat_core::constants::{SSIM_C1, SSIM_C2, SSIM_RADIUS, ssim_window};
@@ -20,12 +20,10 @@ const ROWS_PER_SUM: usize = 8;
 /// Where the values of a padded picture lie: planes of rows of whole vectors, zeros before and after each row.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Layout {
-    /// Size, px.
     pub size: [usize; 2],
 }
 
 impl Layout {
-    /// Vectors that hold a row.
     fn vectors(&self) -> usize {
         self.size[0].div_ceil(LANES)
     }
@@ -45,7 +43,6 @@ impl Layout {
         MARGIN + y * self.stride()
     }
 
-    /// Values of a picture.
     pub(crate) fn len(&self) -> usize {
         3 * self.plane() + MARGIN
     }
@@ -64,13 +61,11 @@ impl Layout {
 pub(crate) struct PhotoLoss {
     pub layout: Layout,
     photo: Vec<u8>,
-    /// `E[y]` and `E[y²] − E[y]² + C2` of each vector, in the order of the walk, so that the machine fetches them
-    /// ahead.
+    /// `E[y]` and `E[y²] − E[y]² + C2` of each vector, in the order of the walk.
     blurred: Vec<[[f32; LANES]; 2]>,
 }
 
-/// The working memory of one walk: the last 11 rows of `K` quantities, blurred along the row, and one row of them
-/// unblurred.
+/// The working memory of one walk: the last 11 rows of `K` quantities, blurred along the row, and one row unblurred.
 pub(crate) struct Walk<const K: usize> {
     ring: Ring<K>,
     rows: [Vec<f32>; K],
@@ -84,12 +79,10 @@ impl<const K: usize> Default for Walk<K> {
 }
 
 impl PhotoLoss {
-    /// Bytes of memory.
     pub(crate) fn bytes(&self) -> usize {
         bytes_of(&self.photo) + bytes_of(&self.blurred)
     }
 
-    /// Blurs the photo and its square.
     pub(crate) fn new(level: Level, target: &Target) -> Self {
         let layout = Layout { size: [target.width, target.height] };
         let blurred = Vec::with_capacity(3 * layout.vectors() * target.height);
@@ -118,7 +111,6 @@ impl PhotoLoss {
         }
     }
 
-    /// Loss of a picture.
     #[inline(always)]
     pub(crate) fn loss<S: Simd>(&self, simd: S, picture: &[f32], walk: &mut Walk<3>) -> f32 {
         // A loop: what is passed to an iterator's methods is not always inlined.

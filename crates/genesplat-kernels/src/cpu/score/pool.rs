@@ -1,35 +1,26 @@
 //! The row versions of some individuals, and what a view shows of them.
 
 use fearless_simd::{Level, dispatch};
-use genesplat_core::row_versions::{Holders, row_versions};
-use genesplat_core::{Gaussians, Genes, RenderSettings, SparseDelta};
+use genesplat_core::row_versions::{Holders, RowVersion, row_versions};
+use genesplat_core::{Gaussians, RenderSettings, SparseDelta};
 use rayon::prelude::*;
 
 use super::photo_loss::{Layout, PhotoLoss, Walk};
 use super::tile::{Colours, TileBlender};
 use crate::cpu::bin::Bins;
 use crate::cpu::bytes_of;
-use crate::cpu::view::pinhole::{Pinhole, TILE};
 use crate::cpu::view::project::project_versions;
-use crate::cpu::view::splats::Splats;
+use crate::cpu::view::{Pinhole, Splats, TILE};
 
 /// Rows that one task looks through for versions.
 const ROWS: usize = 4096;
 /// Bytes that the pictures of a pool may take.
 const PICTURES_BYTES: usize = 256 << 20;
 
-/// One value of a row's genes, also of an unchanged row, and the individuals that hold it.
-struct RowVersion {
-    row: u32,
-    genes: Genes,
-    holders: Holders,
-}
-
-/// Up to 128 individuals.
-pub(crate) struct Pool {
+/// Up to 128 individuals, which are differences from one cloud.
+pub(crate) struct Pool<'a> {
     individuals: usize,
-    /// By row.
-    versions: Vec<RowVersion>,
+    versions: Vec<RowVersion<'a>>,
 }
 
 /// Buffers of one view of a pool, reused from view to view.
@@ -44,43 +35,34 @@ pub(crate) struct PoolBuffers {
 }
 
 impl PoolBuffers {
-    /// Bytes of memory.
     pub(crate) fn bytes(&self) -> usize {
         let Self { splats, bins, holders, pictures } = self;
         splats.bytes() + bins.bytes() + bytes_of(holders) + bytes_of(pictures)
     }
 }
 
-/// One thread's working memory for losses.
 #[derive(Default)]
 struct LossScratch {
     picture: Vec<f32>,
     walk: Walk<3>,
 }
 
-impl Pool {
+impl<'a> Pool<'a> {
     /// Individuals that may share a pool whose views have so many tiles.
     pub(crate) fn capacity(tiles: usize) -> usize {
         let bytes = tiles * size_of::<Colours>();
         (PICTURES_BYTES / bytes.max(1)).clamp(1, Holders::BITS as usize)
     }
 
-    /// Bytes of memory.
     pub(crate) fn bytes(&self) -> usize {
         bytes_of(&self.versions)
     }
 
-    /// The row versions of some individuals, which are differences from `cloud`.
-    pub(crate) fn new(cloud: &Gaussians, individuals: &[SparseDelta]) -> Self {
-        let tasks = (0..cloud.len().div_ceil(ROWS)).into_par_iter();
-        let rows = |task: usize| task * ROWS..cloud.len().min((task + 1) * ROWS);
-        let versions = tasks.flat_map_iter(|task| row_versions(individuals, rows(task)));
-        let versions = versions.map(|version| RowVersion {
-            row: version.row,
-            genes: version.genes.copied().unwrap_or_else(|| cloud.genes(version.row as usize)),
-            holders: version.holders,
-        });
-        Self { individuals: individuals.len(), versions: versions.collect() }
+    /// The row versions of some individuals, which are differences from a cloud of `rows` rows.
+    pub(crate) fn new(rows: usize, individuals: &'a [SparseDelta]) -> Self {
+        let tasks = (0..rows.div_ceil(ROWS)).into_par_iter();
+        let of_task = |task: usize| row_versions(individuals, task * ROWS..rows.min((task + 1) * ROWS));
+        Self { individuals: individuals.len(), versions: tasks.flat_map_iter(of_task).collect() }
     }
 
     /// The losses of the individuals in one view.
@@ -94,7 +76,10 @@ impl Pool {
     ) -> Vec<f32> {
         let PoolBuffers { splats, bins, holders, pictures } = buffers;
         // 1. The versions as the splats of one cloud.
-        let version = |index: usize| (self.versions[index].row, self.versions[index].genes);
+        let version = |index: usize| {
+            let RowVersion { row, genes, .. } = self.versions[index];
+            (row, genes.copied().unwrap_or_else(|| cloud.genes(row as usize)))
+        };
         project_versions(level, cloud, self.versions.len(), version, camera, settings, splats);
         bins.build(level, splats, camera);
         holders.resize(splats.capacity(), Holders::MIN);

@@ -1,8 +1,8 @@
 //! The picture of one tile for every individual of a pool.
 //!
-//! Block after block of 4x4 pixels, so that the light of all individuals in it stays in the first-level cache. The alphas
-//! of a batch of up to 64 splats are evaluated, and then each individual blends those that it holds. Where all splats of
-//! a batch together could not finish a pixel, none is checked.
+//! Block after block of 4x4 pixels, so that the light of all individuals in it stays in the first-level cache. The
+//! alphas of a batch of up to 64 splats are evaluated, and then each individual blends those that it holds. Where all
+//! splats of a batch together could not finish a pixel, none is checked.
 
 use fearless_simd::{Simd, prelude::*};
 use genesplat_core::constants::TRANSMITTANCE_MIN;
@@ -11,8 +11,7 @@ use genesplat_core::row_versions::Holders;
 use crate::cpu::bin::{BLOCK, BLOCKS_ACROSS, Intersection};
 use crate::cpu::blend::block::{BLOCKS, absorb, alpha};
 use crate::cpu::simd::{LANES, V, array, prefetch};
-use crate::cpu::view::pinhole::TILE;
-use crate::cpu::view::splats::{Splat, Splats};
+use crate::cpu::view::{Splat, Splats, TILE};
 
 /// Red, green and blue of a tile's pixels, row by row.
 pub(crate) type Colours = [[[f32; TILE]; TILE]; 3];
@@ -25,7 +24,6 @@ const BATCH: usize = u64::BITS as usize;
 /// What an empty batch lets through.
 const PASSING: f32 = 1.0 - 1e-4;
 
-/// One thread's working memory.
 #[derive(Default)]
 pub(crate) struct TileBlender {
     /// The splats of the tile, seen from its corner, and who holds them.
@@ -78,7 +76,6 @@ impl TileBlender {
     }
 }
 
-/// Writes the pixels of a block to its tile.
 #[inline(always)]
 fn write_block(values: &[[f32; LANES]; 3], block: usize, out: &mut Colours) {
     let [left, top] = [block % BLOCKS_ACROSS * BLOCK, block / BLOCKS_ACROSS * BLOCK];
@@ -95,7 +92,6 @@ fn write_block(values: &[[f32; LANES]; 3], block: usize, out: &mut Colours) {
 struct StoredLight([[f32; LANES]; 4]);
 
 impl StoredLight {
-    /// Before the first splat.
     const UNTOUCHED: Self = Self([[0.0; LANES], [0.0; LANES], [0.0; LANES], [1.0; LANES]]);
 }
 
@@ -125,7 +121,6 @@ impl<S: Simd> Light<S> {
         }
     }
 
-    /// The colours in front of a background.
     #[inline(always)]
     fn on(&self, background: [f32; 3]) -> [[f32; LANES]; 3] {
         let passing = self.transmittance.abs();
@@ -140,8 +135,7 @@ struct Batch {
     colours: [[f32; 3]; BATCH],
     /// The lower and the upper half of the bits of those who hold it.
     holders: [[u64; BATCH]; 2],
-    /// What all of them together let through, times a little less than one, as the products of individuals round
-    /// otherwise.
+    /// What all of them together let through, and a little less, as the products of individuals round otherwise.
     passing: [f32; LANES],
     length: usize,
 }

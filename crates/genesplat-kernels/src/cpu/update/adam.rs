@@ -7,7 +7,7 @@ use genesplat_core::spherical_harmonics::{SH_STRIDE, coefficients};
 
 use super::chunk::{ChunkGradients, ChunkMut};
 use crate::cpu::simd::{LANES, V};
-use crate::cpu::view::splats::CHUNK;
+use crate::cpu::view::CHUNK;
 
 /// Adam's bias-corrected factors of one parameter group.
 #[derive(Clone, Copy)]
@@ -27,15 +27,13 @@ impl Rate {
     }
 }
 
-/// First moments below this are 0. Without a gradient they would decay into denormal numbers and stay there, since 0.9
-/// of the smallest ones rounds to themselves, and many machines take a hundred cycles for each. A step by this much is
-/// 1e-15 of a rate.
+/// First moments below this are 0. Without a gradient they would decay into denormal numbers, which are slow, and stay
+/// there. A step by this much is 1e-15 of a rate.
 const FIRST_MIN: f32 = 1e-30;
 
 /// Parameters, first and second moments of one group.
 type Column<'a> = [&'a mut [f32]; 3];
 
-/// Steps all parameters of a chunk.
 #[inline(always)]
 pub(crate) fn adam<S: Simd>(
     simd: S,

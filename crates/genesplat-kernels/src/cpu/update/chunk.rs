@@ -3,16 +3,14 @@
 use genesplat_core::spherical_harmonics::SH_STRIDE;
 use genesplat_core::{Gaussians, Genes, Moments, Statistics};
 
+use crate::cpu::view::CHUNK;
 use crate::cpu::view::geometry::RawRow;
-use crate::cpu::view::splats::CHUNK;
 
 /// Gradients of the rows of one chunk, by raw parameter.
 pub(crate) struct ChunkGradients {
     /// Position, log-scale, opacity logit `[CHUNK, 7]`.
     pub genes: Box<[Genes; CHUNK]>,
-    /// Quaternions `[CHUNK, 4]`.
     pub rotations: Box<[[f32; 4]; CHUNK]>,
-    /// Spherical harmonics `[CHUNK, 48]`.
     pub sh: Box<[[f32; SH_STRIDE]; CHUNK]>,
     /// Density signal, and what goes with it: see [`super::statistics::density`] `[CHUNK, 2]`.
     pub density: Box<[[f32; 2]; CHUNK]>,
@@ -33,7 +31,6 @@ impl Default for ChunkGradients {
 }
 
 impl ChunkGradients {
-    /// Forgets all gradients.
     pub(crate) fn clear(&mut self) {
         for &row in &self.touched {
             let row = row as usize;
@@ -42,15 +39,8 @@ impl ChunkGradients {
         }
         self.touched.clear();
     }
-
-    /// Every row of the chunk (of `rows`) has a gradient now.
-    pub(crate) fn touch_all(&mut self, rows: usize) {
-        self.touched.clear();
-        self.touched.extend(0..rows as u32);
-    }
 }
 
-/// One chunk of everything that a step changes.
 pub(crate) struct ChunkMut<'a> {
     pub parameters: RowsMut<'a>,
     pub first: RowsMut<'a>,
@@ -88,7 +78,6 @@ pub(crate) struct StatisticsMut<'a> {
     pub gene_views: &'a mut [u32],
 }
 
-/// All chunks of cloud, moments and statistics.
 pub(crate) fn chunks_mut<'a>(
     cloud: &'a mut Gaussians,
     moments: &'a mut Moments,
@@ -102,7 +91,6 @@ pub(crate) fn chunks_mut<'a>(
         .collect()
 }
 
-/// The chunks of a cloud's rows.
 pub(crate) fn rows_mut(cloud: &mut Gaussians) -> impl Iterator<Item = RowsMut<'_>> {
     cloud
         .positions
@@ -137,9 +125,7 @@ fn statistics_mut(statistics: &mut Statistics) -> impl Iterator<Item = Statistic
     })
 }
 
-/// Read access to the rows of a chunk.
 pub(crate) struct ChunkView<'a> {
-    /// Row of the cloud that the chunk begins with.
     pub first_row: usize,
     pub rows: &'a RowsMut<'a>,
     /// 3D filter of the rows from the first on.
@@ -147,7 +133,6 @@ pub(crate) struct ChunkView<'a> {
 }
 
 impl ChunkView<'_> {
-    /// Raw parameters of a row of the chunk.
     #[inline(always)]
     pub(crate) fn raw(&self, local: usize) -> RawRow {
         let (p, s) = (self.rows.positions[local], self.rows.log_scales[local]);

@@ -8,8 +8,8 @@ use genesplat_core::constants::{ANTIALIAS_RATIO_MIN, MIP_EPSILON};
 
 use crate::cpu::blend::gradient_row::column;
 use crate::cpu::simd::{LANES, V, array};
+use crate::cpu::view::Pinhole;
 use crate::cpu::view::geometry::{Geometry, Params};
-use crate::cpu::view::pinhole::Pinhole;
 
 /// Gradients of 16 Gaussians' means on the screen and raw parameters.
 pub(crate) struct LaneGradients<S: Simd> {

@@ -17,8 +17,7 @@ use rayon::prelude::*;
 
 use super::bin::Bins;
 use super::blend::gradient_row::GradientRow;
-use super::view::pinhole::Pinhole;
-use super::view::splats::{CHUNK, Splats};
+use super::view::{CHUNK, Pinhole, Splats};
 use adam::adam;
 use chunk::{ChunkGradients, ChunkView, chunks_mut};
 use noise::{noise, regularise};

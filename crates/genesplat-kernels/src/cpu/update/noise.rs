@@ -1,8 +1,7 @@
 //! Stage `noise`: what 3DGS-MCMC adds to an optimiser step (Kheradmand et al. 2024), over a chunk of rows.
 //!
 //! [`regularise`] runs before `adam`, [`noise`] after it (stochastic gradient Langevin dynamics). Noise is a pure
-//! function of (seed, step, row), so chunks may run on any thread. Gaussians so opaque that their noise is below
-//! anything that f32 can hold are skipped, which is most of them: drawing normal numbers would cost more than Adam.
+//! function of (seed, step, row), so chunks may run on any thread.
 
 use genesplat_core::Stream;
 use genesplat_core::backend::McmcStep;
@@ -12,12 +11,10 @@ use genesplat_core::gaussians::sigmoid;
 
 use super::chunk::{ChunkGradients, RowsMut};
 
-/// Noise fainter than this is left out; it is reached at an opacity of 0.28. At the published rates, a Gaussian as
-/// large as a scene of extent 1 would have moved by 1e-10.
+/// Noise fainter than this, at opacities above 0.28, is left out: drawing normal numbers would cost more than Adam.
 const FAINTNESS_MIN: f32 = 1e-12;
 
-/// Adds the gradients of `opacity_weight · mean(opacity) + scale_weight · mean(scale)`, means over a cloud of
-/// `cloud_rows` Gaussians.
+/// Adds the gradients of `opacity_weight · mean(opacity) + scale_weight · mean(scale)` of a cloud of `cloud_rows` rows.
 pub(crate) fn regularise(gradients: &mut ChunkGradients, rows: &RowsMut, mcmc: &McmcStep, cloud_rows: usize) {
     let opacity_weight = mcmc.opacity_weight / cloud_rows as f32;
     let scale_weight = mcmc.scale_weight / (3.0 * cloud_rows as f32);
@@ -28,7 +25,9 @@ pub(crate) fn regularise(gradients: &mut ChunkGradients, rows: &RowsMut, mcmc: &
         let opacity = sigmoid(rows.opacity_logits[row]);
         genes[6] += opacity_weight * opacity * (1.0 - opacity);
     }
-    gradients.touch_all(rows.positions.len());
+    // Every row has a gradient now.
+    gradients.touched.clear();
+    gradients.touched.extend(0..rows.positions.len() as u32);
 }
 
 /// Moves each mean by `noise_scale · σ(−100 (opacity − 0.005)) · Σ ξ`, with `ξ` standard normal.

@@ -10,9 +10,9 @@ use super::geometry_backward::{LaneGradients, geometry_backward};
 use super::statistics::density;
 use crate::cpu::blend::gradient_row::column;
 use crate::cpu::simd::{LANES, V, array, prefetch};
+use crate::cpu::view::Splat;
 use crate::cpu::view::colour::colour_backward;
 use crate::cpu::view::geometry::{Geometry, Params};
-use crate::cpu::view::splats::Splat;
 
 /// Gradients of the Gaussians of a chunk that have a splat, 16 at a time; `out` has none before.
 #[inline(always)]

@@ -5,7 +5,7 @@ use genesplat_core::{DensitySignal, StatisticsRequest};
 use super::chunk::{ChunkGradients, StatisticsMut};
 use crate::cpu::blend::gradient_row::column;
 use crate::cpu::simd::LANES;
-use crate::cpu::view::pinhole::Pinhole;
+use crate::cpu::view::Pinhole;
 
 /// The density signal of one view of a splat, by normalised device coordinate, and its weight or, where that is 1, the
 /// absolute gradient.

@@ -61,8 +61,7 @@ impl ViewBuffers {
         });
     }
 
-    /// Loss of the rendered image; fills `self.image_gradient` and `self.gradient_rows`, with the sums that `signal`
-    /// needs.
+    /// Loss of the rendered image; fills the image's gradient, and the gradient rows with what `signal` needs.
     pub fn backward(
         &mut self,
         level: Level,

@@ -13,14 +13,6 @@ pub(crate) struct Colour {
     pub clamped: u32,
 }
 
-impl Colour {
-    /// False for NaN, which drops the Gaussian. (An infinite colour is drawn, so that the loss shows it.)
-    #[inline(always)]
-    pub(crate) fn is_number(&self) -> bool {
-        !self.rgb.iter().any(|value| value.is_nan())
-    }
-}
-
 /// Colour of a Gaussian at `position` as seen from `centre`.
 #[inline(always)]
 pub(crate) fn colour(sh: &[f32; SH_STRIDE], position: [f32; 3], centre: [f32; 3], degree: u8) -> Colour {

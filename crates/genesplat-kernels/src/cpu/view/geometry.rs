@@ -1,7 +1,6 @@
 //! The geometry of 16 Gaussians in one view, one a lane: what stages `project` and `project_backward` share.
 //!
-//! The backward pass computes it again rather than reading hundreds of bytes a Gaussian from memory. Formulas: 3DGS,
-//! section 4 and appendix A; Zwicker et al. 2001.
+//! The backward pass computes it again. Formulas: 3DGS, section 4 and appendix A; Zwicker et al. 2001.
 
 use fearless_simd::{Simd, prelude::*};
 use genesplat_core::constants::{ANTIALIAS_RATIO_MIN, MIP_EPSILON};
@@ -24,7 +23,6 @@ pub(crate) struct Params<S: Simd> {
 pub(crate) type RawRow = (Genes, [f32; 4], f32);
 
 impl<S: Simd> Params<S> {
-    /// The Gaussians that `of_lane` gives.
     #[inline(always)]
     pub(crate) fn load(simd: S, of_lane: impl Fn(usize) -> RawRow) -> Self {
         let mut gene_lanes = [[0.0f32; LANES]; GENES];
@@ -56,12 +54,10 @@ pub(crate) struct Geometry<S: Simd> {
     /// 1 / length of the raw quaternion, and the unit quaternion `(w, x, y, z)`.
     pub inverse_length: V<S>,
     pub unit: [V<S>; 4],
-    /// Rotation matrix, rows.
     pub r: [[V<S>; 3]; 3],
     /// Variances along the own axes without the 3D filter, and with it.
     pub variance_raw: [V<S>; 3],
     pub variance: [V<S>; 3],
-    /// Mean in camera coordinates.
     pub t: [V<S>; 3],
     pub inverse_z: V<S>,
     /// `x/z`, `y/z`, and the same clamped for the Jacobian.
@@ -84,7 +80,6 @@ pub(crate) struct Geometry<S: Simd> {
 }
 
 impl<S: Simd> Geometry<S> {
-    /// Steps 1 to 5 of the projection.
     #[inline(always)]
     pub(crate) fn new(params: &Params<S>, camera: &Pinhole, filter: ScreenFilter) -> Self {
         let one = V::splat(params.opacity_logit.simd, 1.0);
@@ -160,7 +155,6 @@ impl<S: Simd> Geometry<S> {
     }
 }
 
-/// Mean in camera coordinates.
 #[inline(always)]
 fn camera_from_world<S: Simd>(position: &[V<S>; 3], camera: &Pinhole) -> [V<S>; 3] {
     array!(row => {
@@ -169,7 +163,6 @@ fn camera_from_world<S: Simd>(position: &[V<S>; 3], camera: &Pinhole) -> [V<S>; 
     })
 }
 
-/// `Σ_k weight_k a_k b_k`.
 #[inline(always)]
 fn weighted_dot<S: Simd>(weight: &[V<S>; 3], a: &[V<S>; 3], b: &[V<S>; 3]) -> V<S> {
     weight[0] * a[0] * b[0] + weight[1] * a[1] * b[1] + weight[2] * a[2] * b[2]
@@ -184,8 +177,7 @@ fn determinant<S: Simd>(variance: &[V<S>; 3], w: &[[V<S>; 3]; 2]) -> V<S> {
     vx * vy * xy * xy + vx * vz * xz * xz + vy * vz * yz * yz
 }
 
-/// 0 in the place of the determinant where a scale or an opacity is NaN: `exp` would make a number of it, and a
-/// Gaussian of determinant 0 is dropped. Infinities have a meaning.
+/// 0, which drops the Gaussian, in the place of the determinant where a scale or an opacity is NaN.
 #[inline(always)]
 fn zero_where_nan<S: Simd>(params: &Params<S>, det: V<S>) -> V<S> {
     let [sx, sy, sz] = params.log_scale;
@@ -193,7 +185,6 @@ fn zero_where_nan<S: Simd>(params: &Params<S>, det: V<S>) -> V<S> {
     keep(sx.simd_eq(sx) & sy.simd_eq(sy) & sz.simd_eq(sz) & logit.simd_eq(logit), det)
 }
 
-/// Determinant of two columns.
 #[inline(always)]
 fn minor<S: Simd>(w: &[[V<S>; 3]; 2], j: usize, k: usize) -> V<S> {
     w[0][j] * w[1][k] - w[0][k] * w[1][j]

@@ -1,8 +1,4 @@
 //! One view of a cloud: camera, splats, and the buffers that the stages of a step hand on.
-//!
-//! ```text
-//! project (geometry, colour) -> splats -> bin -> rasterise -> loss -> rasterise_backward
-//! ```
 
 pub(crate) mod buffers;
 pub(crate) mod colour;
@@ -10,3 +6,7 @@ pub(crate) mod geometry;
 pub(crate) mod pinhole;
 pub(crate) mod project;
 pub(crate) mod splats;
+
+pub(crate) use buffers::{StageSeconds, ViewBuffers, timed};
+pub(crate) use pinhole::{Pinhole, TILE};
+pub(crate) use splats::{CHUNK, Splat, Splats};

@@ -46,8 +46,8 @@ pub(crate) fn project_versions(
     });
 }
 
-/// Projects as many versions as there are slots, from `first` on, and tells which of them are seen if `seen` has a
-/// place for each; returns how many splats that makes, which come first.
+/// Projects as many versions as there are slots, from `first` on; `seen` is filled unless it is empty. Returns how many
+/// splats that makes, which come first.
 #[inline(always)]
 fn project_chunk<S: Simd>(
     simd: S,
@@ -75,7 +75,8 @@ fn project_chunk<S: Simd>(
             let Some(splat) = lanes.splat(lane, camera) else { continue };
             let (sh, position) = (&cloud.sh[*row as usize], [genes[0], genes[1], genes[2]]);
             let colour = colour(sh, position, camera.centre_in_world, settings.sh_degree);
-            if colour.is_number() {
+            // NaN drops the Gaussian. (An infinite colour is drawn, so that the loss shows it.)
+            if !colour.rgb.iter().any(|value| value.is_nan()) {
                 let row = (first + group + lane) as u32;
                 slots[splats] = Splat { rgb: colour.rgb, clamped: colour.clamped, row, ..splat };
                 splats += 1;

@@ -2,8 +2,7 @@
 
 use crate::cpu::bytes_of;
 
-/// Rows that one task projects, and whose parameters one task updates. A constant, so that results do not depend on the
-/// number of threads.
+/// Rows that one task projects and updates. A constant, so that results do not depend on the number of threads.
 pub(crate) const CHUNK: usize = 256;
 
 /// One splat of one view: a cache line.
@@ -37,20 +36,18 @@ impl Splat {
     }
 }
 
-/// The splats of a view, in the slots that projection wrote them to: each chunk of rows has as many slots as rows, and
-/// its splats fill the first of them, in row order. A splat's index is its slot, so nothing is moved or counted twice.
+/// The splats of a view: each chunk of rows has as many slots as rows, and its splats fill the first of them, in row
+/// order. A splat's index is its slot.
 #[derive(Clone, Debug, Default)]
 pub struct Splats {
     /// One slot a row `[N]`.
     pub(super) slots: Vec<Splat>,
-    /// Splats of each chunk.
     pub(super) counts: Vec<u32>,
     /// A row's 3-sigma square meets a tile: what 3DGS's densification average counts `[N]`.
     pub(super) seen: Vec<bool>,
 }
 
 impl Splats {
-    /// The splat of an index.
     #[inline(always)]
     pub fn get(&self, index: u32) -> &Splat {
         &self.slots[index as usize]
@@ -74,7 +71,6 @@ impl Splats {
         &self.seen[chunk * CHUNK..self.seen.len().min((chunk + 1) * CHUNK)]
     }
 
-    /// Number of splats.
     pub fn len(&self) -> usize {
         self.counts.iter().map(|&count| count as usize).sum()
     }
@@ -84,7 +80,6 @@ impl Splats {
         self.slots.len()
     }
 
-    /// Bytes of memory.
     pub fn bytes(&self) -> usize {
         bytes_of(&self.slots) + bytes_of(&self.counts) + bytes_of(&self.seen)
     }

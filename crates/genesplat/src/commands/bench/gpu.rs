@@ -8,7 +8,7 @@ use std::time::Instant;
 
 use anyhow::Result;
 use genesplat::core::backend::{MomentPolicy, StepReport};
-use genesplat::core::{Backend, BackendError, EvolutionBackend, RenderSettings, SparseDelta, View};
+use genesplat::core::{Backend, BackendError, Blend, EvolutionBackend, RenderSettings, SparseDelta, View};
 use genesplat::gpu::{GpuBackend, Work};
 use serde::Serialize;
 
@@ -175,11 +175,9 @@ impl Bench {
         let scored_seconds = median(seconds.collect::<Result<Vec<_>>>()?.into_iter());
         // As many full renders and losses, one wait for all: the cloud's own, since a few changed Gaussians make no
         // difference to them.
-        let plainly = |count: u32| {
-            move |bench: &mut Self| Ok(bench.backend.losses_of_view(0, &bench.settings, count)?)
-        };
+        let plainly = |count: usize| move |bench: &mut Self| Ok(_ = bench.plain_losses(count)?);
         self.seconds(plainly(1))?;
-        let plain_seconds = self.seconds(plainly(individuals.len() as u32))?;
+        let plain_seconds = self.seconds(plainly(individuals.len()))?;
         let plain = self.plain(&individuals)?;
         let renders = individuals.len() as f64;
         Ok(Size {
@@ -238,12 +236,19 @@ impl Bench {
         Ok(clock.elapsed().as_secs_f64())
     }
 
+    /// Losses of full renders of the cloud.
+    fn plain_losses(&mut self, renders: usize) -> Result<Vec<f32>> {
+        let losses = self.backend.measure(&[Blend::default()], &vec![0; renders], &self.settings)?;
+        Ok(losses.into_iter().map(|measured| measured.loss).collect())
+    }
+
+    /// Losses of full renders of individuals.
     fn plain(&mut self, individuals: &[SparseDelta]) -> Result<Vec<f32>> {
         let cloud = self.backend.download()?.into_owned();
         let mut losses = Vec::new();
         for individual in individuals {
             self.backend.apply(individual, MomentPolicy::Keep)?;
-            losses.extend(self.backend.losses_of_view(0, &self.settings, 1)?);
+            losses.extend(self.plain_losses(1)?);
             self.backend.apply(&cloud.genes_of(&individual.rows), MomentPolicy::Keep)?;
         }
         Ok(losses)
