@@ -1,9 +1,10 @@
-//! Means of a run's recent states (weight averaging), and the blends of them that may take the cloud's place.
+//! Means of a run's recent states (weight averaging; Izmailov et al., 2018), and the blends of them that may take the
+//! cloud's place.
 //!
-//! Steps on single photos keep every parameter in motion around its optimum; the mean of several states is free of that noise (Izmailov
-//! et al., "Averaging weights leads to wider optima and better generalization", 2018). A window of states is averaged in two halves, an
-//! older and a younger one, so that a blend can also go some way along the line from the older mean to the younger one: where the run is
-//! heading. States share their rows with the cloud; a change of rows empties the averages.
+//! A window of states is averaged in two halves, so that a blend can also go along the line from the older mean to the
+//! younger one, where the run is heading. A change of rows empties the averages.
+
+use serde::{Deserialize, Serialize};
 
 use crate::gaussians::Gaussians;
 
@@ -11,7 +12,7 @@ use crate::gaussians::Gaussians;
 pub const WINDOW_HALVES: usize = 2;
 
 /// A running mean of states.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct StateMean {
     states: u32,
     mean: Gaussians,
@@ -28,7 +29,7 @@ impl StateMean {
         self.states
     }
 
-    /// Their mean `[N]`; empty before the first. It has no 3D filter.
+    /// Their mean `[N]`, without 3D filter; empty before the first.
     pub fn mean(&self) -> &Gaussians {
         &self.mean
     }
@@ -40,7 +41,7 @@ impl StateMean {
         assert_eq!(self.mean.len(), cloud.len(), "averaged states have the same rows");
         self.states += 1;
         let fraction = 1.0 / self.states as f32;
-        for (means, values) in columns_mut(&mut self.mean).into_iter().zip(columns(cloud)) {
+        for (means, values) in self.mean.columns_mut().into_iter().zip(cloud.columns()) {
             for (mean, &value) in means.iter_mut().zip(values) {
                 *mean += (value - *mean) * fraction;
             }
@@ -49,7 +50,7 @@ impl StateMean {
 }
 
 /// Means of the older and the younger states of a window.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct WindowAverages {
     halves: [StateMean; WINDOW_HALVES],
 }
@@ -78,28 +79,23 @@ impl WindowAverages {
         self.halves[half].add(cloud);
     }
 
-    /// Writes what `blend` makes of `cloud` into `blended`, which keeps the cloud's 3D filter. A half without states has no say.
-    pub fn blend(&self, cloud: &Gaussians, blend: &Blend, blended: &mut Gaussians) {
-        if blended.len() == cloud.len() {
-            columns_mut(blended)
-                .into_iter()
-                .zip(columns(cloud))
-                .for_each(|(to, from)| to.copy_from_slice(from));
-            blended.filter_3d.clone_from(&cloud.filter_3d);
-        } else {
-            blended.clone_from(cloud);
-        }
+    /// What `blend` makes of `cloud`, whose 3D filter it keeps. A half without states has no say.
+    pub fn blended(&self, cloud: &Gaussians, blend: &Blend) -> Gaussians {
+        let mut blended = cloud.clone();
         let halves = self.halves.iter().zip(blend.weights);
         for (half, weight) in halves.filter(|(half, weight)| half.states > 0 && *weight != 0.0) {
-            let columns = columns_mut(blended).into_iter().zip(columns(cloud)).zip(columns(&half.mean));
+            let columns = blended.columns_mut().into_iter().zip(cloud.columns()).zip(half.mean.columns());
             for ((blended, cloud), mean) in columns {
-                add_scaled(blended, cloud, mean, weight);
+                for ((blended, &cloud), &mean) in blended.iter_mut().zip(cloud).zip(mean) {
+                    *blended += weight * (mean - cloud);
+                }
             }
         }
+        blended
     }
 }
 
-/// A cloud as its difference from the one held: `cloud + Σ weight · (mean of a half − cloud)`. The default, all zero, is the cloud itself.
+/// A blend of cloud and averages: `cloud + Σ weight · (mean of a half − cloud)`. The default, all zero, is the cloud.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Blend {
     /// Weights of the older and the younger half.
@@ -115,40 +111,13 @@ pub struct ViewLoss {
     pub squared_error: f32,
 }
 
-/// `blended += weight · (mean − cloud)`.
-fn add_scaled(blended: &mut [f32], cloud: &[f32], mean: &[f32], weight: f32) {
-    for ((blended, &cloud), &mean) in blended.iter_mut().zip(cloud).zip(mean) {
-        *blended += weight * (mean - cloud);
-    }
-}
-
-fn columns(cloud: &Gaussians) -> [&[f32]; 5] {
-    [
-        cloud.positions.as_flattened(),
-        cloud.log_scales.as_flattened(),
-        cloud.rotations.as_flattened(),
-        &cloud.opacity_logits,
-        cloud.sh.as_flattened(),
-    ]
-}
-
-fn columns_mut(cloud: &mut Gaussians) -> [&mut [f32]; 5] {
-    [
-        cloud.positions.as_flattened_mut(),
-        cloud.log_scales.as_flattened_mut(),
-        cloud.rotations.as_flattened_mut(),
-        &mut cloud.opacity_logits,
-        cloud.sh.as_flattened_mut(),
-    ]
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     fn state(value: f32) -> Gaussians {
         let mut cloud = Gaussians::zeros(2);
-        columns_mut(&mut cloud).into_iter().for_each(|column| column.fill(value));
+        cloud.columns_mut().into_iter().for_each(|column| column.fill(value));
         cloud.filter_3d = Some(vec![value; 2]);
         cloud
     }
@@ -161,9 +130,7 @@ mod tests {
     }
 
     fn blended(averages: &WindowAverages, cloud: &Gaussians, weights: [f32; WINDOW_HALVES]) -> Gaussians {
-        let mut blended = Gaussians::default();
-        averages.blend(cloud, &Blend { weights }, &mut blended);
-        blended
+        averages.blended(cloud, &Blend { weights })
     }
 
     #[test]
@@ -191,15 +158,5 @@ mod tests {
         let (averages, cloud) = (averages(&[], &[2.0]), state(1.0));
         let expected = Gaussians { filter_3d: Some(vec![1.0; 2]), ..state(4.0) };
         assert_eq!(blended(&averages, &cloud, [100.0, 3.0]), expected);
-    }
-
-    #[test]
-    fn room_is_reused_whatever_was_in_it() {
-        let (averages, cloud) = (averages(&[1.0], &[2.0]), state(3.0));
-        let blend = Blend { weights: [0.25, 0.5] };
-        let (mut fresh, mut used) = (Gaussians::default(), state(9.0));
-        averages.blend(&cloud, &blend, &mut fresh);
-        averages.blend(&cloud, &blend, &mut used);
-        assert_eq!(fresh, used);
     }
 }

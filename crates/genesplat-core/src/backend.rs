@@ -1,20 +1,20 @@
-//! All that the training algorithm knows of a device.
-//!
-//! The trait is coarse on purpose: one training step is one call, so that a GPU needs no read-back within it.
+//! All that the training algorithm knows of a device: one training step is one call, so that a GPU needs no read-back
+//! within it.
 
 use std::borrow::Cow;
 use std::sync::Arc;
 
+use serde::{Deserialize, Serialize};
+
 use crate::averages::{Blend, ViewLoss, WindowAverages};
 use crate::camera::Camera;
 use crate::constants::{CLASSIC_DILATION, MIP_DILATION};
-use crate::contribution::Contribution;
 use crate::edit::RowEdit;
 use crate::gaussians::{Gaussians, Moments};
 use crate::genes::{Genes, SparseDelta};
 use crate::image::{Image, Photo};
 use crate::rng::Rng;
-use crate::statistics::{Statistics, StatisticsRequest};
+use crate::statistics::{Contribution, Statistics, StatisticsRequest};
 
 /// A camera and the photo it took; both have the same size.
 #[derive(Clone, Debug)]
@@ -88,10 +88,9 @@ pub struct LearningRates {
 pub struct Update {
     /// Step sizes.
     pub rates: LearningRates,
-    /// 1-based count of the Adam steps made, this one included (for the bias correction).
+    /// Adam steps made, this one included (for the bias correction).
     pub step: u32,
-    /// The same for the opacity group, which loses a step at a lone opacity reset, as its tensor is replaced;
-    /// 0 skips the group in this step.
+    /// The same for the opacity group, which loses a step at an opacity reset; 0 skips the group in this step.
     pub opacity_step: u32,
     /// MCMC only: SGLD noise and regularisers.
     pub mcmc: Option<McmcStep>,
@@ -100,7 +99,7 @@ pub struct Update {
 /// 3DGS-MCMC's additions to a step (Kheradmand et al. 2024).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct McmcStep {
-    /// Factor of the positional noise (stochastic gradient Langevin dynamics): position rate x 5e5.
+    /// Factor of the positional noise (stochastic gradient Langevin dynamics): position rate x `mcmc.noise`.
     pub noise_scale: f32,
     /// Weight of the mean opacity in the loss.
     pub opacity_weight: f32,
@@ -108,7 +107,7 @@ pub struct McmcStep {
     pub scale_weight: f32,
     /// Streams of the run, which the noise is drawn from.
     pub rng: Rng,
-    /// Counter of the noise stream, which no two steps of a run may share: the optimiser step's.
+    /// Counter of the noise stream: the optimiser step.
     pub counter: u32,
 }
 
@@ -119,21 +118,20 @@ pub struct TrainStep {
     pub view: usize,
     /// How to render it.
     pub settings: RenderSettings,
-    /// The optimiser step; `None` computes gradients for the statistics only (the reference loses the optimiser
-    /// step of every densifying iteration, whose gradients go with the tensors that it replaces).
+    /// The optimiser step; `None` computes gradients for the statistics only.
     pub update: Option<Update>,
     /// What to accumulate.
     pub statistics: StatisticsRequest,
 }
 
-/// What the last training step found; asking for it may read back from the device.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+/// What the last training step found.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct StepReport {
     /// `0.8 · L1 + 0.2 · (1 − SSIM)`.
     pub loss: f32,
-    /// Gaussians in front of the camera of which the box around `alpha >= 1/255` meets the image.
+    /// Gaussians in front of the camera whose box around `alpha >= 1/255` meets the image.
     pub visible: usize,
-    /// Intersections of Gaussians with tiles: entries of all tile lists.
+    /// Intersections of Gaussians with tiles.
     pub intersections: usize,
 }
 
@@ -156,8 +154,8 @@ pub enum BackendError {
     },
     /// Training diverged, and no parameter shows it yet.
     #[error(
-        "the loss is not finite after {steps} optimiser steps, though every parameter still is; lower the learning rates \
-         or check the scene's points"
+        "the loss is not finite after {steps} optimiser steps, though every parameter still is; \
+         lower the learning rates or check the scene's points"
     )]
     LossNotFinite {
         /// Adam steps made so far.
@@ -166,7 +164,7 @@ pub enum BackendError {
     /// A request that this backend cannot serve.
     #[error("{0}")]
     Unsupported(String),
-    /// The device is out of memory, and lives: it holds every row, moment, sum and average that it held before.
+    /// The device is out of memory, and holds all that it held before.
     #[error(
         "out of memory on {device}: {wanted} bytes for {purpose}; lower --max-gaussians or --max-side, or use \
          --device cpu"
@@ -199,8 +197,9 @@ impl BackendError {
     }
 }
 
-/// What happens to Adam's moments of rows that evolution changed. The paper is silent.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+/// Adam's moments of rows that evolution changed. The paper is silent.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum MomentPolicy {
     /// Leave them.
     #[default]
@@ -210,7 +209,7 @@ pub enum MomentPolicy {
 }
 
 /// All that a device holds of a run besides its views: what a checkpoint saves.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct DeviceState {
     /// The Gaussians `[N]`.
     pub cloud: Gaussians,
@@ -231,9 +230,8 @@ impl From<Gaussians> for DeviceState {
 
 /// A device that holds one cloud, its moments and the training views.
 ///
-/// A verb that finds no memory ([`BackendError::OutOfMemory`]) does nothing: what was held before it can still be
-/// downloaded. Steps may wait in a queue, so the verb that fails for want of memory may be one after them;
-/// [`Backend::discard_queued_steps`] tells how many of them were not done.
+/// A verb that finds no memory ([`BackendError::OutOfMemory`]) does nothing. Steps may wait in a queue, so it may be a
+/// later verb that fails; [`Backend::discard_queued_steps`] tells how many steps were not done.
 pub trait Backend {
     /// In plain words, for the log.
     fn describe(&self) -> String;
@@ -244,17 +242,16 @@ pub trait Backend {
     /// Replaces the training views.
     fn set_views(&mut self, views: &[View]) -> Result<(), BackendError>;
 
-    /// Replaces all that is held but the views; a cloud alone starts with zero moments and empty sums.
+    /// Replaces all that is held but the views.
     fn upload(&mut self, state: DeviceState) -> Result<(), BackendError>;
 
-    /// A copy of all that is held but the views (for checkpoints and trials).
+    /// A copy of all that is held but the views.
     fn state(&mut self) -> Result<DeviceState, BackendError>;
 
     /// The cloud: lent by a backend whose memory is the host's, copied by others.
     fn download(&mut self) -> Result<Cow<'_, Gaussians>, BackendError>;
 
-    /// The genes of all rows `[N]`, which are all of the cloud that density control and evolution look at: a fifth of what
-    /// [`Backend::download`] copies.
+    /// The genes of all rows `[N]`, an eighth of what [`Backend::download`] copies.
     fn genes(&mut self) -> Result<Vec<Genes>, BackendError> {
         Ok(self.download()?.all_genes())
     }
@@ -268,21 +265,21 @@ pub trait Backend {
     /// What the last [`Backend::train_step`] found; waits for it.
     fn report(&mut self) -> Result<StepReport, BackendError>;
 
-    /// After [`BackendError::OutOfMemory`]: waits for the queued steps, drops those that cannot be done, and returns how many these
-    /// are; all before them are done, and none is done in part. Buffers that can be made again are freed, to leave room for downloads.
+    /// After [`BackendError::OutOfMemory`]: waits for the queued steps, drops those that cannot be done, the last ones,
+    /// and returns how many these are. Frees what can be made again, so that downloads fit.
     fn discard_queued_steps(&mut self) -> Result<usize, BackendError>;
 
     /// Sums since the last reset `[N]`.
     fn statistics(&mut self) -> Result<Statistics, BackendError>;
 
-    /// Forgets the gene columns, as if no step had asked for them; density columns stay.
+    /// Forgets the gene columns; density columns stay.
     fn clear_gene_gradients(&mut self);
 
-    /// Applies a plan of density control to parameters, moments and gene accumulators; density columns are zeroed, averages emptied.
+    /// Applies a plan of density control; density columns are zeroed, averages emptied.
     fn edit_rows(&mut self, edit: &RowEdit) -> Result<(), BackendError>;
 
-    /// `opacity ← min(opacity, ceiling)`; the opacity moments of all rows are zeroed, averages emptied. With a 3D filter the
-    /// *filtered* opacity is limited, as in the code released with it.
+    /// `opacity ← min(opacity, ceiling)`, with a 3D filter that of the *filtered* opacity; opacity moments are zeroed,
+    /// averages emptied.
     fn reset_opacity(&mut self, ceiling: f32) -> Result<(), BackendError>;
 
     /// Replaces the 3D filter of Mip-Splatting `[N]`.
@@ -291,7 +288,7 @@ pub trait Backend {
 
 /// What evolution asks of a device besides training.
 pub trait EvolutionBackend: Backend {
-    /// Eq. 5 of every individual on every view, `[P, V]`: individuals are deltas over the cloud held.
+    /// Eq. 5 of every individual, a delta over the cloud held, on every view `[P, V]`.
     fn score(
         &mut self,
         population: &[SparseDelta],
@@ -312,7 +309,7 @@ pub trait EvolutionBackend: Backend {
     /// Adds the cloud as it is to a half of the averages, 0 for the older one.
     fn average(&mut self, half: usize) -> Result<(), BackendError>;
 
-    /// How each blend of cloud and averages does on every view `[B, V]`; the cloud stays. The default blend is the cloud itself.
+    /// How each blend of cloud and averages does on every view `[B, V]`; the cloud stays.
     fn measure(
         &mut self,
         blends: &[Blend],

@@ -1,4 +1,4 @@
-//! Constants that more than one stage needs, each cited or derived. A stage's private constants live beside it.
+//! Constants that more than one stage needs. A stage's private constants live beside it.
 
 /// Splats whose mean is at or before this depth (camera z, world units) are culled (3DGS rasteriser).
 pub const NEAR_DEPTH: f32 = 0.2;
@@ -6,10 +6,10 @@ pub const NEAR_DEPTH: f32 = 0.2;
 /// A pixel is touched by a splat only where alpha reaches this value: one step of an 8-bit image (3DGS rasteriser).
 pub const ALPHA_MIN: f32 = 1.0 / 255.0;
 
-/// Alpha is clamped here, so that transmittance never reaches zero and the backward pass may divide by `1 − α`.
+/// Alpha is clamped here, so that the backward pass may divide by `1 − α`.
 pub const ALPHA_MAX: f32 = 0.99;
 
-/// A pixel is finished when its transmittance would fall below this; the splat that would do so is not blended.
+/// A pixel is finished when its transmittance would fall below this; that splat is not blended.
 pub const TRANSMITTANCE_MIN: f32 = 1e-4;
 
 /// For the Jacobian only, `x/z` is clamped to this many times the tangent of the half field of view (3DGS).

@@ -1,7 +1,7 @@
 //! Rotation matrices of quaternions, and what a Gaussian's own axes are.
 
-/// Rotation matrix (row-major) of a quaternion `(w, x, y, z)`, which is normalised first (torch's `normalize`:
-/// the norm is floored at 1e-12, so a zero quaternion gives a finite matrix).
+/// Rotation matrix (row-major) of a quaternion `(w, x, y, z)`, which is normalised first; its norm is floored at 1e-12,
+/// as in torch.
 pub fn rotation_matrix(rotation: [f32; 4]) -> [[f32; 3]; 3] {
     let norm = rotation.iter().map(|v| v * v).sum::<f32>().sqrt().max(1e-12);
     let [w, x, y, z] = rotation.map(|v| v / norm);
@@ -12,7 +12,7 @@ pub fn rotation_matrix(rotation: [f32; 4]) -> [[f32; 3]; 3] {
     ]
 }
 
-/// World offset of a point given in a Gaussian's own axes, in units of its standard deviations: `R · (s ∘ offset)`.
+/// World offset of a point in a Gaussian's own axes, in standard deviations: `R · (s ∘ offset)`.
 pub fn world_offset(rotation: [f32; 4], log_scale: [f32; 3], offset: [f32; 3]) -> [f32; 3] {
     let r = rotation_matrix(rotation);
     let local: [f32; 3] = std::array::from_fn(|axis| log_scale[axis].exp() * offset[axis]);

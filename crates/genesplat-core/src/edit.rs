@@ -1,30 +1,29 @@
-//! A change of the rows of a cloud, decided by density control and applied by the backend to parameters and moments.
+//! A change of the rows of a cloud, which the backend applies to parameters and moments.
 
 use crate::covariance::world_offset;
 use crate::gaussians::{Gaussians, Moments, logit, sigmoid};
 use crate::rng::{Rng, Stream};
+use crate::spherical_harmonics::SH_STRIDE;
 
 /// How a new row is made from an old one.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Origin {
     /// The same Gaussian; its moments are kept.
     Kept,
-    /// An exact copy with fresh moments: the code released with 3DGS does not move clones, though its paper does.
+    /// An exact copy with fresh moments, as in the code released with 3DGS (its paper moves clones).
     Clone,
-    /// One of two children, drawn from the parent's own distribution, scales divided by 1.6, fresh moments.
+    /// One of two children, drawn from the parent's distribution, scales divided by 1.6, fresh moments.
     SplitChild {
         /// 0 or 1.
         child: u8,
     },
-    /// One of two that together render (nearly) like the one before: opacity and scales as if both stayed in its place
-    /// (MCMC's Eq. 9 for two), each moved by [`TWIN_OFFSET`] to its own side along the longest axis, so that they part.
-    /// Fresh moments.
+    /// One of two that together render (nearly) like the one before: opacity and scales by MCMC's Eq. 9, each moved by
+    /// [`TWIN_OFFSET`] to its own side along the longest axis. Fresh moments.
     Twin {
         /// 0 or 1.
         child: u8,
     },
-    /// MCMC: a copy whose opacity and scales are set so that the sum of the copies renders like the source;
-    /// moments are fresh unless `keep_moments`.
+    /// MCMC: one of several copies that together render like the source; fresh moments unless `keep_moments`.
     Relocated {
         /// New opacity logit.
         opacity_logit: f32,
@@ -73,12 +72,9 @@ impl RowEdit {
         self.origins.push(origin);
     }
 
-    /// The host's implementation: new parameters and moments. Column by column, so that at most one column
-    /// exists twice.
+    /// The host's implementation, column by column, so that at most one exists twice.
     pub fn apply(&self, cloud: &mut Gaussians, moments: &mut Moments) {
-        let positions: Vec<[f32; 3]> =
-            self.rows().map(|(row, origin)| self.position(cloud, row, origin)).collect();
-        cloud.positions = positions;
+        cloud.positions = self.rows().map(|(row, origin)| self.position(cloud, row, origin)).collect();
         // Twins' scales depend on opacities, so these come later.
         cloud.log_scales = self
             .rows()
@@ -94,7 +90,7 @@ impl RowEdit {
             moment.log_scales = self.gather_kept(&moment.log_scales, [0.0; 3]);
             moment.opacity_logits = self.gather_kept(&moment.opacity_logits, 0.0);
             moment.rotations = self.gather_kept(&moment.rotations, [0.0; 4]);
-            moment.sh = self.gather_kept(&moment.sh, [0.0; crate::spherical_harmonics::SH_STRIDE]);
+            moment.sh = self.gather_kept(&moment.sh, [0.0; SH_STRIDE]);
         }
     }
 
@@ -132,17 +128,17 @@ fn keeps_moments(origin: Origin) -> bool {
     matches!(origin, Origin::Kept | Origin::Relocated { keep_moments: true, .. })
 }
 
-/// Children are 1.6 times smaller: two of them at 0.8 of half the parent's size (3DGS: `s / (0.8 · 2)`).
+/// Children are 1.6 times smaller (3DGS: `s / (0.8 · 2)`).
 pub const SPLIT_SHRINK: f32 = 1.6;
 
 /// How far a twin moves, in standard deviations of the one before.
 pub const TWIN_OFFSET: f32 = 0.3;
 
-/// Twins of anything more opaque than this are made as if it had this opacity, at which they have 0.97.
+/// Twins of anything more opaque than this are made as if it had this opacity.
 pub const TWIN_OPACITY_MAX: f32 = 0.999;
 
-/// Opacity logit of the twins of a Gaussian, and what is added to its log-scales. Kheradmand et al., "3D Gaussian Splatting
-/// as Markov Chain Monte Carlo", 2024, Eq. 9: `o' = 1 − sqrt(1 − o)`, `s'/s = o / (2 o' − o'² / √2)`.
+/// Opacity logit of the twins of a Gaussian, and what is added to its log-scales (Kheradmand et al. 2024, Eq. 9): `o' =
+/// 1 − sqrt(1 − o)`, `s'/s = o / (2 o' − o'² / √2)`.
 fn twin(opacity_logit: f32) -> (f32, f32) {
     // Never 0, whose logit is not finite.
     let opacity = sigmoid(opacity_logit).clamp(f32::MIN_POSITIVE, TWIN_OPACITY_MAX);

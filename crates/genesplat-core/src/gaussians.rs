@@ -1,10 +1,12 @@
 //! The cloud of Gaussians, structure of arrays, and Adam's moments in the same shape.
 
+use serde::{Deserialize, Serialize};
+
 use crate::genes::{Genes, SparseDelta};
 use crate::spherical_harmonics::SH_STRIDE;
 
 /// A cloud of `N` Gaussians; all parameters raw (before activation).
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Gaussians {
     /// Means, world units `[N, 3]`.
     pub positions: Vec<[f32; 3]>,
@@ -15,6 +17,7 @@ pub struct Gaussians {
     /// Opacities before the sigmoid `[N]`.
     pub opacity_logits: Vec<f32>,
     /// Spherical harmonics `[N, 16 coefficients, 3 channels]`; coefficient 0 is the base colour ("dc").
+    #[serde(with = "flat_rows")]
     pub sh: Vec<[f32; SH_STRIDE]>,
     /// Mip-Splatting's 3D filter, standard deviation in world units `[N]`; `None` for every other variant.
     pub filter_3d: Option<Vec<f32>>,
@@ -34,7 +37,7 @@ impl Gaussians {
         self.positions.is_empty()
     }
 
-    /// A cloud of `n` rows of zeros (identity rotations): the shape that gradients and tests start from.
+    /// `n` rows of zeros (identity rotations).
     pub fn zeros(n: usize) -> Self {
         Self {
             positions: vec![[0.0; 3]; n],
@@ -66,29 +69,46 @@ impl Gaussians {
         self.opacity_logits[row] = genes[6];
     }
 
-    /// The genes of `rows`, strictly ascending: what brings them back after they were changed.
+    /// The genes of `rows`, strictly ascending.
     pub fn genes_of(&self, rows: &[u32]) -> SparseDelta {
         SparseDelta { rows: rows.to_vec(), genes: rows.iter().map(|&row| self.genes(row as usize)).collect() }
     }
 
-    /// Applies an individual to the cloud that it was bred from.
+    /// Overwrites the genes of some rows.
     pub fn apply(&mut self, delta: &SparseDelta) {
         for (&row, genes) in delta.rows.iter().zip(&delta.genes) {
             self.set_genes(row as usize, genes);
         }
     }
 
-    /// The first row that holds a parameter that is not finite, with its name: positions are looked at first, then log-scales,
-    /// rotations, opacities and colours, each in all rows. 3D filters are not.
+    /// Everything but the 3D filter, as flat columns: positions, log-scales, rotations, opacities, colours.
+    pub(crate) fn columns(&self) -> [&[f32]; 5] {
+        [
+            self.positions.as_flattened(),
+            self.log_scales.as_flattened(),
+            self.rotations.as_flattened(),
+            &self.opacity_logits,
+            self.sh.as_flattened(),
+        ]
+    }
+
+    pub(crate) fn columns_mut(&mut self) -> [&mut [f32]; 5] {
+        [
+            self.positions.as_flattened_mut(),
+            self.log_scales.as_flattened_mut(),
+            self.rotations.as_flattened_mut(),
+            &mut self.opacity_logits,
+            self.sh.as_flattened_mut(),
+        ]
+    }
+
+    /// The first row with a parameter that is not finite, and its name. Positions of all rows are looked at first, then
+    /// log-scales, rotations, opacities and colours; 3D filters are not.
     pub fn first_non_finite(&self) -> Option<(usize, &'static str)> {
-        fn first<const K: usize>(rows: &[[f32; K]], name: &'static str) -> Option<(usize, &'static str)> {
-            rows.iter().position(|row| row.iter().any(|v| !v.is_finite())).map(|row| (row, name))
-        }
-        first(&self.positions, "position")
-            .or_else(|| first(&self.log_scales, "log-scale"))
-            .or_else(|| first(&self.rotations, "rotation"))
-            .or_else(|| self.opacity_logits.iter().position(|v| !v.is_finite()).map(|row| (row, "opacity")))
-            .or_else(|| first(&self.sh, "colour"))
+        let names = ["position", "log-scale", "rotation", "opacity", "colour"].into_iter();
+        names.zip(self.columns()).zip([3, 3, 4, 1, SH_STRIDE]).find_map(|((name, values), width)| {
+            values.iter().position(|value| !value.is_finite()).map(|at| (at / width, name))
+        })
     }
 
     /// Factor by which the 3D filter dims a row: `sqrt(Π s² / (s² + f²))` over the three axes; 1 without a filter.
@@ -102,9 +122,8 @@ impl Gaussians {
         self.log_scales[row].map(ratio).iter().product::<f32>().sqrt()
     }
 
-    /// The cloud with its 3D filter baked into scales and opacities, for viewers that do not know the filter; it renders
-    /// alike (up to opacities that f32's logit cannot hold), but can no longer be trained as Mip-Splatting:
-    /// `s' = √(s² + f²)`, `o' = o · √(Π s² / Π (s² + f²))` (Mip-Splatting, section 5.1).
+    /// The cloud with its 3D filter baked in, for viewers that do not know it: `s' = √(s² + f²)`, `o' = o · √(Π s² / Π
+    /// (s² + f²))` (Mip-Splatting, section 5.1). It renders alike, but can no longer be trained.
     pub fn fused(&self) -> Self {
         let mut fused = self.clone();
         let Some(filter) = fused.filter_3d.take() else { return fused };
@@ -127,8 +146,32 @@ impl Gaussians {
     }
 }
 
+/// Spherical harmonics as one list: serde knows no arrays of 48.
+mod flat_rows {
+    use serde::de::{Deserialize, Deserializer, Error};
+    use serde::ser::{Serialize, Serializer};
+
+    use super::SH_STRIDE;
+
+    pub(super) fn serialize<S: Serializer>(
+        rows: &[[f32; SH_STRIDE]],
+        serializer: S,
+    ) -> Result<S::Ok, S::Error> {
+        rows.as_flattened().serialize(serializer)
+    }
+
+    pub(super) fn deserialize<'de, D: Deserializer<'de>>(
+        deserializer: D,
+    ) -> Result<Vec<[f32; SH_STRIDE]>, D::Error> {
+        match Vec::<f32>::deserialize(deserializer)?.as_chunks() {
+            (rows, []) => Ok(rows.to_vec()),
+            _ => Err(D::Error::custom("a column ends within a row")),
+        }
+    }
+}
+
 /// Adam's first and second moments of every trained parameter; rows match those of the cloud.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Moments {
     /// Running means of the gradients.
     pub first: Gaussians,
@@ -157,10 +200,9 @@ pub fn logit(p: f32) -> f32 {
     (p / (1.0 - p)).ln()
 }
 
-/// The logit of an opacity that a reset limits: with what the 3D filter dims it by, it is at most `ceiling` afterwards.
+/// The logit of an opacity that a reset limits: times the 3D filter's `dimming`, it is at most `ceiling` afterwards.
 ///
-/// One that is low enough already stays what it is. To go through its opacity would lose those that f32 rounds to 1 or to
-/// 0, and a Gaussian far smaller than its filter is dimmed to next to nothing however opaque it is.
+/// One that is low enough stays exactly what it is: f32 would round some opacities to 0 or 1.
 #[inline]
 pub fn limited_opacity(logit: f32, dimming: f32, ceiling: f32) -> f32 {
     // Above the ceiling, `dimming` is above it, too, so this is the logit of `ceiling / dimming`.

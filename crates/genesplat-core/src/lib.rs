@@ -1,6 +1,5 @@
 //! Data and maths of genesplat, and nothing else: no input or output, no threads, no device.
 //!
-//! Every other crate speaks in these types. Conventions, once and for all:
 //! - **Frames.** `camera_from_world` maps world to camera coordinates; camera axes are x right, y down, z forward.
 //! - **Pixels.** The centre of pixel `i` is at coordinate `i`; a camera's principal point follows COLMAP, with the
 //!   top-left *corner* of the image at (0, 0), so `u = fx·x/z + cx − 0.5`.
@@ -12,7 +11,6 @@ pub mod averages;
 pub mod backend;
 pub mod camera;
 pub mod constants;
-pub mod contribution;
 pub mod covariance;
 pub mod edit;
 pub mod gaussians;
@@ -28,10 +26,9 @@ pub use backend::{
     TrainStep, Update, View,
 };
 pub use camera::Camera;
-pub use contribution::Contribution;
 pub use edit::{Origin, RowEdit};
 pub use gaussians::{Gaussians, Moments};
 pub use genes::{GENES, Genes, SparseDelta};
 pub use image::{Image, Photo};
 pub use rng::{Rng, Stream};
-pub use statistics::{DensitySignal, Statistics, StatisticsRequest};
+pub use statistics::{Contribution, DensitySignal, Statistics, StatisticsRequest};

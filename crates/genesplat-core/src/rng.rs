@@ -1,6 +1,6 @@
-//! Counter-based randomness: every number is a pure function of (seed, stream, three counters).
+//! Counter-based randomness: every number is a function of (seed, stream, three counters), so neither threads, nor the
+//! device, nor a resume change a result.
 //!
-//! No generator state travels, so neither the number of threads, nor the device, nor a resume can change a result.
 //! The generator is Philox4x32-10 (Salmon et al., "Parallel random numbers: as easy as 1, 2, 3", SC 2011).
 
 /// What a random number is for. Two streams never share numbers, whatever their counters.
@@ -11,16 +11,15 @@ pub enum Stream {
     ViewOrder = 1,
     /// Offsets of split children: (iteration, old row, child).
     SplitOffset = 2,
-    /// Random backgrounds: (iteration, 0, or a control's extra step, 0).
+    /// Random backgrounds: (iteration, extra step, 0).
     Background = 3,
     /// Points of a scene that has none: (0, row, 0).
     InitialPoints = 4,
-    /// Choice of views: those that fitness is measured on, (stage, 0, 0); an order of them, (generation + 1, position, 0).
+    /// Choice of the views that fitness is measured on: (stage, 0, 0).
     FitnessViews = 5,
     /// Which Gaussians of an individual are selected: (generation, individual, draw / 4).
     GeneSelection = 6,
-    /// Which genes mutate, and by how much: (generation, individual, 3 row + draw); of the mosaic search, (generation,
-    /// 2 mutant + draw, row).
+    /// Which genes mutate, and by how much: (generation, individual, 3 row + draw).
     Mutation = 7,
     /// Tournament draws: (generation, pair, draw).
     Tournament = 8,
@@ -34,9 +33,6 @@ pub enum Stream {
     Gallery = 12,
     /// Tests and benches.
     Test = 13,
-    /// Blocks that a mutant of the mosaic search changes: (generation, mutant, block), and where they begin: (generation,
-    /// `u32::MAX`, 0). Individuals of an evolution strategy: (generation, individual, pair of genes).
-    Proposal = 14,
 }
 
 /// The random numbers of one seed.
@@ -56,7 +52,7 @@ impl Rng {
         self.key
     }
 
-    /// The same seed in a sub-universe: used to give each evolution stage its own numbers.
+    /// Streams of their own for each evolution stage.
     pub fn fork(self, index: u32) -> Self {
         let [a, b, ..] = philox4x32_10([index, 0x6765_6e65, 0x666f_726b, 0], self.key);
         Self { key: [a, b] }
@@ -90,7 +86,7 @@ impl Draw {
         (self.0[word] >> 8) as f32 * (1.0 / 16_777_216.0)
     }
 
-    /// Uniform in `0..n` (multiply-shift; its bias of `n/2³²` is far below what any test here can see).
+    /// Uniform in `0..n` (multiply-shift; biased by `n/2³²`).
     #[inline]
     pub fn below(&self, word: usize, n: u32) -> u32 {
         ((u64::from(self.0[word]) * u64::from(n)) >> 32) as u32

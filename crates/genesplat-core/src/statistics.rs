@@ -1,4 +1,6 @@
-//! What a backend accumulates over training steps for density control and evolution.
+//! What a backend measures for density control and evolution.
+
+use serde::{Deserialize, Serialize};
 
 use crate::genes::Genes;
 
@@ -9,11 +11,9 @@ pub enum DensitySignal {
     Signed,
     /// gsplat's "absgrad": absolute values per pixel before they are summed.
     Absolute,
-    /// [`Self::Signed`], and beside it the sum over pixels and both axes of absolute values (Gaussian Opacity Fields;
-    /// later releases of Mip-Splatting).
+    /// [`Self::Signed`], and beside it the sum of absolute values (Gaussian Opacity Fields; later Mip-Splatting).
     SignedAndAbsolute,
-    /// Pixel-GS: weighted by the number of pixels blended, and scaled down near the camera by
-    /// `min(1, (z / depth_threshold)²)`; the threshold is in world units (0.37 x scene extent).
+    /// Pixel-GS: weighted by the number of pixels blended, and times `min(1, (z / depth_threshold)²)` near the camera.
     PixelWeighted {
         /// World units.
         depth_threshold: f32,
@@ -30,13 +30,13 @@ pub struct StatisticsRequest {
 }
 
 /// Sums since the last change of rows; rows match those of the cloud.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Statistics {
-    /// Sum of the density signal, in gradients by normalised device coordinate `[N]`.
+    /// Sum of the density signal, by normalised device coordinate `[N]`.
     pub gradient_sum: Vec<f32>,
     /// Sum of its weights: views, or pixels for [`DensitySignal::PixelWeighted`] `[N]`.
     pub weight_sum: Vec<f32>,
-    /// Sum of absolute gradients for [`DensitySignal::SignedAndAbsolute`], same weights `[N]`; empty when never asked for.
+    /// Sum of absolute gradients, same weights `[N]`; empty when never asked for.
     pub absolute_sum: Vec<f32>,
     /// Sum of signed gene gradients `[N, 7]`; empty when never asked for.
     pub gene_gradient_sum: Vec<Genes>,
@@ -57,4 +57,17 @@ impl Statistics {
             _ => 0.0,
         }
     }
+}
+
+/// How much a Gaussian contributes to some training views, and how large the error is where it is seen, by its blending
+/// weights `α·T`.
+///
+/// The first tells which Gaussians can go (Fan et al., "LightGaussian", 2024), the second where more are wanted (Rota
+/// Bulò et al., "Revising Densification in Gaussian Splatting", 2024).
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Contribution {
+    /// Its blending weights, summed over the pixels of all views.
+    pub weight: f32,
+    /// Its blending weights times `|I − P|`, summed over channels and pixels: of the view where that is largest.
+    pub error: f32,
 }

@@ -1,7 +1,5 @@
-//! The settings of the paper's genetic algorithm (its Table 1), each with default, unit, range and effect.
-//!
-//! Where the paper is silent there is an option, and its doc says what the paper leaves open. Not here: the evaluation
-//! cameras of Table 1, since this crate knows no renderer.
+//! The settings of the paper's genetic algorithm (its Table 1). Where the paper is silent, the doc of a setting says
+//! so.
 
 use serde::{Deserialize, Serialize};
 
@@ -9,35 +7,29 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields, rename_all = "snake_case")]
 pub struct PaperConfig {
-    /// K, generations bred after the initial population. Default 100; from 0. Time grows in proportion; 0 scores
-    /// mutants of the base only.
+    /// K, generations bred after the initial population. Default 100; from 0. Time grows in proportion.
     pub generations: u32,
-    /// P, individuals a generation. Default 100; from 1. Time grows in proportion; memory hardly does (see
-    /// [`crate::population`]).
+    /// P, individuals a generation. Default 100; from 1. Time grows in proportion; memory hardly does.
     pub population: u32,
-    /// T, individuals drawn for each tournament, without replacement. Default 10; 1 to P. More means stronger selection,
-    /// less diversity and less memory.
+    /// T, individuals drawn for each tournament, without replacement. Default 10; 1 to P.
     pub tournament: u32,
-    /// Fraction of the population carried over unchanged. Default 0.10; from 0, and `round(fraction * P)` must be below P.
+    /// Fraction of the population carried over unchanged. Default 0.10; `round(fraction * P)` must be below P.
     pub elite_fraction: f64,
-    /// Fraction of the Gaussians that a mutation may touch, drawn afresh for each individual. Default 0.10; above 0, up to 1.
-    /// Exactly `round(fraction * N)` are selected, and at least one.
-    ///
-    /// Table 1 says "subject to crossover and mutation". Section 3.1 defines crossover on whole parameter vectors, so it
-    /// is read here as the fraction that *mutation* selects.
+    /// Fraction of the Gaussians that a mutation may touch, drawn afresh for each individual: exactly `round(fraction *
+    /// N)`, and at least one. Default 0.10; above 0, up to 1. (Table 1 says "subject to crossover and mutation", but
+    /// section 3.1 defines crossover on whole parameter vectors.)
     pub selection_fraction: f64,
     /// alpha of Eq. 4: the step in units of `u_i` times the parameter's standard deviation. Default 0.10; from 0.
     pub intensity: f64,
-    /// Probability that a gene group of a selected Gaussian mutates in the initial population. Default 0.03; 0 to 1. Low,
-    /// so that the first individuals stay close to the base.
+    /// Probability that a gene group of a selected Gaussian mutates in the initial population. Default 0.03; 0 to 1.
     pub initial_mutation_rate: f64,
     /// The same in the early, middle and late generations. Default 0.15, 0.05, 0.02; each 0 to 1.
     pub mutation_rates: [f64; 3],
     /// Probability that a pair of parents is crossed rather than copied, in the early, middle and late generations.
     /// Default 0.85, 0.70, 0.50; each 0 to 1.
     pub crossover_rates: [f64; 3],
-    /// Where early ends and where middle ends, as fractions of K. Default 0.30, 0.70; 0 to 1, ascending. Generation k of K
-    /// (from 1) is early while `(k - 1) / K` is below the first: with K = 100, generations 1-30, 31-70 and 71-100.
+    /// Where early ends and where middle ends, as fractions of K. Default 0.30, 0.70; 0 to 1, ascending. Generation k
+    /// of K (from 1) is early while `(k - 1) / K` is below the first.
     pub rate_breaks: [f64; 2],
     /// How two parents are recombined. Default 100 points.
     pub crossover: Crossover,
@@ -45,24 +37,20 @@ pub struct PaperConfig {
     pub magnitude: Magnitude,
 }
 
-/// Recombination of two parents (section 3.1). The two children are complementary: what one takes from the first parent,
-/// the other takes from the second.
+/// Recombination of two parents (section 3.1) into two complementary children.
 ///
-/// The paper cuts "the parent parameters" without saying where a cut may fall. Here cuts fall *between Gaussians*, in the
-/// order of the cloud's rows, so that a Gaussian's genes stay together; only `Uniform` mixes within a Gaussian.
+/// The paper does not say where a cut may fall. Here cuts fall *between Gaussians*, in the order of the cloud's rows;
+/// only `Uniform` mixes within a Gaussian.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
 pub enum Crossover {
-    /// One cut: two segments are swapped.
-    OnePoint,
-    /// Distinct cuts: `points + 1` segments are exchanged alternately (100 in the paper). A cloud of `N` rows has
-    /// `N - 1` places for a cut; where that is fewer, all are used.
+    /// Distinct cuts: `points + 1` segments are exchanged alternately (1 or 100 in the paper). Where a cloud has fewer
+    /// places for a cut, all are used.
     Points {
         /// Number of cuts; from 1.
         points: u32,
     },
-    /// "Each parameter is independently inherited from either parent with equal probability": a coin for each gene group
-    /// (position, scale, opacity) of each Gaussian.
+    /// A coin for each gene group (position, scale, opacity) of each Gaussian.
     Uniform,
 }
 
@@ -70,7 +58,7 @@ pub enum Crossover {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Magnitude {
-    /// From accumulated gene gradients, standardised over the selected Gaussians and squashed into (0, 1).
+    /// From gene gradients, standardised over the selected Gaussians and squashed into (0, 1).
     #[default]
     Gradient,
     /// `u_i = 1`: fully gradient-free.
@@ -138,8 +126,7 @@ impl PaperConfig {
         let Some(bred_before) = generation.checked_sub(1) else {
             return Rates { mutation: self.initial_mutation_rate, crossover: 0.0 };
         };
-        // Two integers: the quotient is the double nearest to the fraction, as the literal 0.30 is, so that the
-        // comparison is exact at the breaks.
+        // As near to the fraction as the literal 0.30 is, so that the comparison is exact at the breaks.
         let progress = f64::from(bred_before) / f64::from(self.generations);
         let piece = self.rate_breaks.iter().filter(|&&end| progress >= end).count();
         Rates { mutation: self.mutation_rates[piece], crossover: self.crossover_rates[piece] }
@@ -148,14 +135,9 @@ impl PaperConfig {
     /// Checks every range; the first setting that is out of its range is named.
     pub fn validate(&self) -> Result<(), ConfigError> {
         check("population", self.population, self.population >= 1, "at least 1")?;
-        let tournament = 1..=self.population;
-        check(
-            "tournament",
-            self.tournament,
-            tournament.contains(&self.tournament),
-            "between 1 and population",
-        )?;
-        check("elite_fraction", self.elite_fraction, is_fraction(self.elite_fraction), "between 0 and 1")?;
+        let fits = (1..=self.population).contains(&self.tournament);
+        check("tournament", self.tournament, fits, "between 1 and population")?;
+        check_fraction("elite_fraction", self.elite_fraction)?;
         let has_children = self.elites() < self.population;
         check("elite_fraction", self.elite_fraction, has_children, "low enough to leave room for a child")?;
         let selects = is_fraction(self.selection_fraction) && self.selection_fraction > 0.0;
@@ -163,19 +145,19 @@ impl PaperConfig {
         let is_step = self.intensity.is_finite() && self.intensity >= 0.0;
         check("intensity", self.intensity, is_step, "finite and not negative")?;
         check_fraction("initial_mutation_rate", self.initial_mutation_rate)?;
-        self.mutation_rates.iter().try_for_each(|&rate| check_fraction("mutation_rates", rate))?;
-        self.crossover_rates.iter().try_for_each(|&rate| check_fraction("crossover_rates", rate))?;
+        self.mutation_rates.into_iter().try_for_each(|rate| check_fraction("mutation_rates", rate))?;
+        self.crossover_rates.into_iter().try_for_each(|rate| check_fraction("crossover_rates", rate))?;
+        self.rate_breaks.into_iter().try_for_each(|end| check_fraction("rate_breaks", end))?;
         let [early, middle] = self.rate_breaks;
-        self.rate_breaks.iter().try_for_each(|&end| check_fraction("rate_breaks", end))?;
         check("rate_breaks", middle, early <= middle, "in ascending order")?;
         match self.crossover {
             Crossover::Points { points } => check("crossover.points", points, points >= 1, "at least 1"),
-            Crossover::OnePoint | Crossover::Uniform => Ok(()),
+            Crossover::Uniform => Ok(()),
         }
     }
 }
 
-pub(crate) fn is_fraction(value: f64) -> bool {
+fn is_fraction(value: f64) -> bool {
     (0.0..=1.0).contains(&value)
 }
 
@@ -183,7 +165,7 @@ fn check_fraction(setting: &'static str, value: f64) -> Result<(), ConfigError> 
     check(setting, value, is_fraction(value), "between 0 and 1")
 }
 
-pub(crate) fn check(
+fn check(
     setting: &'static str,
     value: impl Into<f64>,
     holds: bool,

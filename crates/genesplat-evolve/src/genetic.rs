@@ -1,8 +1,7 @@
 //! Algorithm 1 of the paper, asked and told.
 //!
-//! Lines 1-6 are [`GeneticAlgorithm::new`]; lines 7-10 and 22-26 are [`GeneticAlgorithm::tell`], which then breeds the next
-//! generation (lines 13-21). "The best individual is better than BG" means a strictly lower loss. BG never feeds back into
-//! breeding, in the paper as here: the population evolves on, and BG remembers.
+//! Lines 1-6 are [`GeneticAlgorithm::new`]; lines 7-10 and 22-26 are [`GeneticAlgorithm::tell`], which then breeds the
+//! next generation (lines 13-21). Better than BG means a strictly lower loss; BG never feeds back into breeding.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -14,21 +13,11 @@ use crate::config::{ConfigError, PaperConfig};
 use crate::individual::Genome;
 use crate::operators::magnitude::GeneGradients;
 use crate::operators::mutation::{MAX_GAUSSIANS, Mutation, first_non_finite};
-use crate::operators::survival::LossStatistics;
-use crate::operators::survival::Ranking;
+use crate::operators::survival::{LossStatistics, Ranking};
 use crate::population::consensus::Consensus;
 use crate::population::{Breeder, Brood, Elite, MatingPlan, Pair, distinct_bytes};
 
 /// A search over the genes of one base. Losses are minimised.
-///
-/// ```text
-/// let mut search = GeneticAlgorithm::new(config, base, gradients, base_loss, rng)?;
-/// while !search.is_finished() {
-///     let losses = (0..search.ask()).map(|index| score(search.delta(index))).collect();
-///     search.tell(&losses)?;
-/// }
-/// if let Some(delta) = search.best() { cloud.apply(delta); }
-/// ```
 #[derive(Debug)]
 pub struct GeneticAlgorithm {
     config: PaperConfig,
@@ -69,13 +58,9 @@ pub enum TellError {
 }
 
 impl GeneticAlgorithm {
-    /// A search that starts from mutants of `base`.
-    ///
-    /// - `base`: raw genes of every Gaussian `[N, 7]`.
-    /// - `gradients`: accumulated gene gradients of the same Gaussians; needed when
-    ///   [`PaperConfig::uses_gradients`], ignored otherwise.
-    /// - `base_loss`: the loss of `base` itself, measured as individuals will be.
-    /// - `rng`: give each search of a run its own, by [`Rng::fork`].
+    /// A search that starts from mutants of `base` `[N, 7]`, whose own loss, measured as individuals will be, is
+    /// `base_loss`. `gradients` are needed when [`PaperConfig::uses_gradients`]. Give each search its own `rng`
+    /// ([`Rng::fork`]).
     pub fn new(
         config: PaperConfig,
         base: Vec<Genes>,
@@ -87,29 +72,19 @@ impl GeneticAlgorithm {
         check_base(&base, base_loss)?;
         let mutation = Mutation::new(&config, &base, gradients, rng)?;
         let breeder = Breeder { consensus: Consensus::new(base), mutation, crossover: config.crossover, rng };
-        let brood = Brood::Founders { count: config.population };
-        let mut search = Self {
-            config,
-            breeder,
-            generation: 0,
-            elites: Vec::new(),
-            brood,
-            base_loss,
-            best: None,
-            peak_bytes: 0,
-        };
-        search.peak_bytes = search.population_bytes();
+        let brood = Brood { count: config.population, pairs: Vec::new() };
+        let (generation, elites, best, peak_bytes) = (0, Vec::new(), None, 0);
+        let mut search = Self { config, breeder, generation, elites, brood, base_loss, best, peak_bytes };
+        search.peak_bytes = search.bytes_with(&[]);
         Ok(search)
     }
 
-    /// How many individuals of this generation have no loss yet: all of the initial population, later all but the elites.
-    /// 0 when the search is finished.
+    /// How many individuals have no loss yet: the initial population, later all but the elites; 0 when finished.
     pub fn ask(&self) -> usize {
-        self.brood.len() as usize
+        self.brood.count as usize
     }
 
-    /// Individual `index` of `0..ask()` as its difference from the base, made on the spot: ask for as many at a time as
-    /// memory allows. The same index gives the same individual until [`GeneticAlgorithm::tell`].
+    /// Individual `index` of `0..ask()` as its difference from the base, made on the spot.
     ///
     /// # Panics
     /// If `index` is not below [`GeneticAlgorithm::ask`].
@@ -118,17 +93,7 @@ impl GeneticAlgorithm {
         self.breeder.consensus.delta_from_base(&self.genome(index as u32))
     }
 
-    /// Several individuals, made in parallel.
-    ///
-    /// # Panics
-    /// As [`GeneticAlgorithm::delta`].
-    pub fn deltas(&self, indices: Range<usize>) -> Vec<SparseDelta> {
-        indices.into_par_iter().map(|index| self.delta(index)).collect()
-    }
-
-    /// What turns the cloud that individuals of the generation before were differences from into the one that those of
-    /// this generation are differences from ([`GeneticAlgorithm::deltas_from_consensus`]); the first is the base. Often
-    /// nothing.
+    /// What turns the cloud that the last generation was differences from into that of this one; often nothing.
     pub fn shift(&self) -> &SparseDelta {
         self.breeder.consensus.shift()
     }
@@ -138,8 +103,8 @@ impl GeneticAlgorithm {
         self.breeder.consensus.way_back()
     }
 
-    /// Several individuals as differences from what most parents of this generation hold, made in parallel: far
-    /// fewer rows than from the base, once the search has come some way.
+    /// Several individuals as differences from what most parents of this generation hold (the base, at first), made in
+    /// parallel.
     ///
     /// # Panics
     /// As [`GeneticAlgorithm::delta`].
@@ -149,9 +114,9 @@ impl GeneticAlgorithm {
         indices.into_par_iter().map(delta).collect()
     }
 
-    /// Takes the losses of the individuals `0..ask()`, keeps the best if it is strictly better than all before, and breeds
-    /// the next generation, in parallel. A loss that is not finite ranks last. Returns statistics of the whole population's losses, elites
-    /// included; `None` where none is finite.
+    /// Takes the losses of the individuals `0..ask()`, keeps the best if it is strictly better than all before, and
+    /// breeds the next generation, in parallel. A loss that is not finite ranks last. Returns statistics of all finite
+    /// losses, elites' included.
     pub fn tell(&mut self, losses: &[f64]) -> Result<Option<LossStatistics>, TellError> {
         self.check_losses(losses)?;
         let elites = self.elites.iter().map(|elite| elite.loss);
@@ -159,7 +124,7 @@ impl GeneticAlgorithm {
         self.replace_best(&ranking);
         if self.generation == self.config.generations {
             // The consensus stays what the caller's cloud is, until the caller takes the way back.
-            (self.elites, self.brood) = (Vec::new(), Brood::NONE);
+            (self.elites, self.brood) = (Vec::new(), Brood::default());
         } else {
             self.breed(&ranking);
         }
@@ -171,7 +136,7 @@ impl GeneticAlgorithm {
         self.ask() == 0
     }
 
-    /// The generation that [`GeneticAlgorithm::ask`] speaks of, 0 for the initial population; the last when finished.
+    /// The generation that has no losses yet, 0 for the initial population; the last when finished.
     pub fn generation(&self) -> u32 {
         self.generation
     }
@@ -196,19 +161,17 @@ impl GeneticAlgorithm {
         &self.config
     }
 
-    /// Bytes that the search holds now, its copy of the base's genes included; [`crate::population`] states how they grow.
-    pub fn population_bytes(&self) -> usize {
-        self.bytes_with(&[])
-    }
-
-    /// The most it has held, which is while two generations of parents are alive.
+    /// The most bytes that the search has held; [`crate::population`] states how they grow.
     pub fn peak_population_bytes(&self) -> usize {
         self.peak_bytes
     }
 
+    /// Bytes held now, and by the parents of the next generation.
     fn bytes_with(&self, next_parents: &[Arc<Genome>]) -> usize {
         let elites = self.elites.iter().map(|elite| &elite.genome);
-        let genomes = distinct_bytes(elites.chain(self.brood.parents()).chain(next_parents));
+        let genomes = distinct_bytes(
+            elites.chain(self.brood.pairs.iter().flat_map(|pair| &pair.parents)).chain(next_parents),
+        );
         genomes + self.breeder.bytes() + self.best().map_or(0, SparseDelta::bytes)
     }
 
@@ -229,28 +192,25 @@ impl GeneticAlgorithm {
         }
     }
 
-    /// Lines 13-21: which ranks breed is decided first; then only their genomes are made; then the recipes of the children.
+    /// Lines 13-21: which ranks breed, then their genomes, then the recipes of the children.
     fn breed(&mut self, ranking: &Ranking) {
         let generation = self.generation + 1;
         let plan = MatingPlan::draw(&self.config, &self.breeder.rng, generation);
         let mut kept: Vec<Arc<Genome>> =
             plan.kept.par_iter().map(|&rank| self.individual(ranking.individual(rank))).collect();
         self.peak_bytes = self.peak_bytes.max(self.bytes_with(&kept));
-        (self.elites, self.brood) = (Vec::new(), Brood::NONE);
+        (self.elites, self.brood) = (Vec::new(), Brood::default());
         self.breeder.consensus.follow(&mut kept, &plan.parenthoods());
         let of_rank = |rank: u32| {
             let slot = plan.kept.partition_point(|&kept| kept < rank);
             Arc::clone(&kept[slot])
         };
         let elites = self.config.elites();
-        let pairs = plan
-            .pairs
-            .iter()
-            .map(|&(ranks, crossed)| Pair { parents: ranks.map(of_rank), crossed })
-            .collect();
+        let pair = |&(ranks, crossed): &([u32; 2], bool)| Pair { parents: ranks.map(of_rank), crossed };
+        let pairs = plan.pairs.iter().map(pair).collect();
         self.elites =
             (0..elites).map(|rank| Elite { genome: of_rank(rank), loss: ranking.loss(rank) }).collect();
-        self.brood = Brood::Children { count: self.config.population - elites, pairs };
+        self.brood = Brood { count: self.config.population - elites, pairs };
         self.generation = generation;
     }
 

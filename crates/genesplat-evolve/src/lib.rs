@@ -1,9 +1,8 @@
-//! The genetic algorithm of "An Evolutionary Boost to Gaussian Splatting Optimization", and the selection among the Gaussians of one
-//! cloud that we add to it. Neither knows a renderer, a file or a clock.
+//! The genetic algorithm of "An Evolutionary Boost to Gaussian Splatting Optimization", and the selection among the
+//! Gaussians of one cloud that we add to it. Neither knows a renderer, a file or a clock.
 //!
-//! [`GeneticAlgorithm`] is Algorithm 1 turned inside out: it *asks* for the losses of individuals and is *told* them, so
-//! that a renderer, a toy function or a replayed log can judge. An individual is a sparse difference from a state
-//! that all share and that moves with the search (`consensus`), never a copy of the scene; how memory grows is stated in [`population`].
+//! [`GeneticAlgorithm`] is Algorithm 1 turned inside out: it *asks* for the losses of individuals and is *told* them. An
+//! individual is a sparse difference from a state that all share; how memory grows is stated in [`population`].
 //!
 //! ```
 //! use genesplat_core::{Genes, Rng, SparseDelta};
@@ -30,18 +29,13 @@
 //!
 //! | module | what it decides |
 //! |---|---|
-//! | [`genetic`] | Algorithm 1, asked and told |
-//! | [`config`] | the settings of Table 1, and the rates of each generation |
-//! | [`population`] | how individuals are stored, what that costs, and what a generation has in common |
-//! | `individual` | which genes of an individual differ from what is shared, and their values |
+//! | [`genetic`], [`config`] | Algorithm 1, the settings of Table 1, and the rates of each generation |
+//! | [`population`], `individual` | how individuals are stored, what that costs, what a generation has in common |
 //! | `operators` | selection, crossover, mutation (Eq. 4), survival |
 //! | [`renewal`] | selection among the Gaussians of one cloud: which go, and which are split |
 //!
-//! **Randomness.** Every number comes from `Rng::at(stream, generation, individual or pair, row or draw)`, so neither the
-//! number of threads nor the order in which individuals are scored can change a result.
-//!
-//! **Resuming.** The search is a pure function of what [`GeneticAlgorithm::new`] was given and of the losses it was told:
-//! to resume it, build it again and tell it the recorded losses, without a single render.
+//! Every random number is addressed by generation, individual and row, so neither threads nor the order of scoring can
+//! change a result; and a search is resumed by building it again and telling it the recorded losses.
 
 pub mod config;
 pub mod genetic;

@@ -1,16 +1,13 @@
 //! Renewal: the Gaussians of least contribution are replaced by splitting those of largest error.
 //!
-//! Selection and reproduction with a Gaussian as the individual and the cloud as the population, whose size stays. An individual's
-//! fitness is the sum of its blending weights ([`Contribution::weight`]); those reproduce that have the largest part in an error
-//! ([`Contribution::error`]), since more detail is wanted there. Both are measured by rendering. Twins together render nearly like their
-//! parent, so a renewal costs little at once, and gradient steps then pull the twins apart.
+//! Selection and reproduction with a Gaussian as the individual and the cloud as the population, whose size stays.
+//! Twins together render nearly like their parent, so a renewal costs little at once, and gradient steps then pull the
+//! twins apart.
 
 use genesplat_core::{Contribution, Origin, Rng, RowEdit};
 
-/// Replaces `fraction` of the rows in iteration `iteration`: as many are removed as are split.
-///
-/// Removed are the rows of least weight, split are those of the largest error among the others; of equal ones the first. Changes nothing
-/// where no row has part in an error.
+/// Removes `fraction` of the rows, those of least weight, and splits as many of the others, those of largest error; of
+/// equal ones the first. Changes nothing where no row has part in an error.
 pub fn plan(contributions: &[Contribution], fraction: f64, rng: Rng, iteration: u32) -> RowEdit {
     let mut edit = RowEdit::new(rng, iteration);
     for (row, fate) in (0..).zip(fates(contributions, fraction)) {

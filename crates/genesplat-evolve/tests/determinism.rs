@@ -3,7 +3,7 @@
 
 mod common;
 
-use common::{normal_base, on_sphere, run, small, sphere};
+use common::{deltas, normal_base, on_sphere, run, small, sphere};
 use genesplat_core::SparseDelta;
 use genesplat_evolve::{Crossover, PaperConfig};
 
@@ -17,7 +17,7 @@ fn result(threads: usize, crossover: Crossover) -> (Option<SparseDelta>, f64) {
 
 #[test]
 fn one_two_and_seven_threads_agree_to_the_bit() {
-    for crossover in [Crossover::OnePoint, Crossover::default(), Crossover::Uniform] {
+    for crossover in [Crossover::Points { points: 1 }, Crossover::default(), Crossover::Uniform] {
         let one = result(1, crossover);
         assert!(one.0.is_some(), "the search must find something for the comparison to mean anything");
         assert_eq!(one, result(2, crossover));
@@ -38,7 +38,7 @@ fn the_order_of_asking_does_not_matter() {
     let base = normal_base(500);
     let mut search = on_sphere(small(2, 30), &base, 3);
     search.tell(&(0..30).map(f64::from).collect::<Vec<f64>>()).expect("one loss each");
-    let forward = search.deltas(0..search.ask());
+    let forward = deltas(&search, 0..search.ask());
     let mut backward: Vec<SparseDelta> = (0..search.ask()).rev().map(|index| search.delta(index)).collect();
     backward.reverse();
     assert_eq!(forward, backward);

@@ -4,7 +4,7 @@
 
 mod common;
 
-use common::{applied, normal_base, on_sphere, run, small, sphere};
+use common::{applied, deltas, normal_base, on_sphere, run, small, sphere};
 use genesplat_core::{Genes, Rng, SparseDelta};
 use genesplat_evolve::{
     ConfigError, Crossover, GeneGradients, GeneticAlgorithm, Magnitude, PaperConfig, TellError,
@@ -31,9 +31,9 @@ fn a_search_asks_for_all_founders_and_then_for_all_but_the_elites() {
 fn founders_differ_from_the_base_by_the_initial_rate() {
     let base = normal_base(1000);
     let search = on_sphere(PaperConfig { initial_mutation_rate: 1.0, ..small(1, 10) }, &base, 5);
-    assert!(search.deltas(0..10).iter().all(|delta| delta.rows.len() == 100), "10 % of 1000 Gaussians");
+    assert!(deltas(&search, 0..10).iter().all(|delta| delta.rows.len() == 100), "10 % of 1000 Gaussians");
     let search = on_sphere(PaperConfig { initial_mutation_rate: 0.0, ..small(1, 10) }, &base, 5);
-    assert!(search.deltas(0..10).iter().all(SparseDelta::is_empty));
+    assert!(deltas(&search, 0..10).iter().all(SparseDelta::is_empty));
     assert_ne!(on_sphere(small(1, 10), &base, 5).delta(0), on_sphere(small(1, 10), &base, 6).delta(0));
 }
 
@@ -45,26 +45,27 @@ fn children_descend_from_the_winners_of_tournaments() {
     let config =
         PaperConfig { tournament: 12, mutation_rates: [0.0; 3], crossover_rates: [0.0; 3], ..small(1, 12) };
     let mut search = on_sphere(config, &base, 2);
-    let founders = search.deltas(0..12);
+    let founders = deltas(&search, 0..12);
     let losses: Vec<f64> = (0..12).map(|index| if index == 7 { 0.1 } else { 1.0 }).collect();
     search.tell(&losses).expect("one loss each");
-    assert!(search.deltas(0..search.ask()).iter().all(|child| *child == founders[7]));
+    assert!(deltas(&search, 0..search.ask()).iter().all(|child| *child == founders[7]));
 }
 
 /// With crossover at every pair and no mutation, each gene of a child was some founder's gene of that row.
 #[test]
 fn crossover_makes_no_gene_that_no_parent_had() {
     let base = normal_base(200);
-    for crossover in [Crossover::OnePoint, Crossover::Points { points: 100 }, Crossover::Uniform] {
+    for crossover in [Crossover::Points { points: 1 }, Crossover::Points { points: 100 }, Crossover::Uniform]
+    {
         let rates = PaperConfig { mutation_rates: [0.0; 3], crossover_rates: [1.0; 3], ..small(2, 8) };
         let config = PaperConfig { tournament: 2, initial_mutation_rate: 1.0, crossover, ..rates };
         let mut search = on_sphere(config, &base, 3);
         let founders: Vec<Vec<Genes>> =
-            search.deltas(0..8).iter().map(|delta| applied(&base, delta)).collect();
+            deltas(&search, 0..8).iter().map(|delta| applied(&base, delta)).collect();
         for _ in 0..2 {
             let losses: Vec<f64> = (0..search.ask()).map(|index| (index * 3 % 7) as f64).collect();
             search.tell(&losses).expect("one loss each");
-            for child in search.deltas(0..search.ask()).iter().map(|delta| applied(&base, delta)) {
+            for child in deltas(&search, 0..search.ask()).iter().map(|delta| applied(&base, delta)) {
                 for (row, gene) in child.iter().enumerate() {
                     let known = |c: usize| founders.iter().any(|founder| founder[row][c] == gene[c]);
                     assert!((0..7).all(known), "{crossover:?}, row {row}");
@@ -78,14 +79,14 @@ fn crossover_makes_no_gene_that_no_parent_had() {
 #[test]
 fn siblings_share_their_parents_out() {
     let base = normal_base(150);
-    for crossover in [Crossover::OnePoint, Crossover::default(), Crossover::Uniform] {
+    for crossover in [Crossover::Points { points: 1 }, Crossover::default(), Crossover::Uniform] {
         let rates = PaperConfig { mutation_rates: [0.0; 3], crossover_rates: [1.0; 3], ..small(1, 8) };
         // Every gene of every founder is its own.
         let everywhere = PaperConfig { initial_mutation_rate: 1.0, selection_fraction: 1.0, ..rates };
         let config = PaperConfig { tournament: 1, elite_fraction: 0.0, crossover, ..everywhere };
         let mut search = on_sphere(config, &base, 3);
         let genomes = |search: &GeneticAlgorithm| {
-            search.deltas(0..8).iter().map(|delta| applied(&base, delta)).collect()
+            deltas(&search, 0..8).iter().map(|delta| applied(&base, delta)).collect()
         };
         let founders: Vec<Vec<Genes>> = genomes(&search);
         search.tell(&[1.0; 8]).expect("one loss each");
@@ -119,12 +120,12 @@ fn individuals_are_the_same_whatever_they_are_differences_from() {
         cloud = applied(&cloud, search.shift());
         assert_eq!(applied(&cloud, &search.way_back()), base);
         let all = 0..search.ask();
-        for (near, far) in search.deltas_from_consensus(all.clone()).iter().zip(search.deltas(all)) {
+        for (near, far) in search.deltas_from_consensus(all.clone()).iter().zip(deltas(&search, all)) {
             assert_eq!(applied(&cloud, near), applied(&base, &far));
             (from_base, from_consensus) = (from_base + far.rows.len(), from_consensus + near.rows.len());
         }
         let losses: Vec<f64> =
-            search.deltas(0..search.ask()).iter().map(|delta| -(delta.rows.len() as f64)).collect();
+            deltas(&search, 0..search.ask()).iter().map(|delta| -(delta.rows.len() as f64)).collect();
         search.tell(&losses).expect("one loss each");
     }
     println!("rows that individuals change: {from_base} from the base, {from_consensus} from the consensus");
@@ -144,7 +145,8 @@ fn elites_survive_unchanged_and_are_not_asked_again() {
     while !search.is_finished() {
         let losses = vec![3.0; search.ask()];
         let statistics = search.tell(&losses).expect("one loss each").expect("finite ones");
-        assert_eq!((statistics.best, search.best_loss()), (0.001, 0.001));
+        assert!(statistics.mean < 3.0, "the elite counts");
+        assert_eq!(search.best_loss(), 0.001);
         assert_eq!(search.best(), Some(&hero));
     }
 }
@@ -173,7 +175,7 @@ fn losses_that_are_not_finite_rank_last_and_never_win() {
     let poison = [f64::NAN, -f64::NAN, f64::INFINITY, f64::NEG_INFINITY];
     let mut search = on_sphere(small(8, 20), &base, 6);
     while !search.is_finished() {
-        let deltas = search.deltas(0..search.ask());
+        let deltas = deltas(&search, 0..search.ask());
         let mut losses: Vec<f64> = deltas.iter().map(|delta| sphere(&base, delta)).collect();
         losses.iter_mut().step_by(2).zip(poison.iter().cycle()).for_each(|(loss, &bad)| *loss = bad);
         let statistics = search.tell(&losses).expect("one loss each").expect("some are finite");
@@ -221,7 +223,7 @@ fn what_makes_no_sense_is_refused_with_a_sentence() {
 fn small_and_empty_clouds_are_searched_too() {
     for n in 0..4 {
         let base = normal_base(n);
-        for crossover in [Crossover::OnePoint, Crossover::default(), Crossover::Uniform] {
+        for crossover in [Crossover::Points { points: 1 }, Crossover::default(), Crossover::Uniform] {
             let config = PaperConfig { crossover, initial_mutation_rate: 1.0, ..small(3, 10) };
             let search = run(on_sphere(config, &base, 1), |delta| sphere(&base, delta));
             assert!(search.best().is_none_or(|delta| delta.rows.len() <= n as usize));
@@ -288,11 +290,8 @@ fn a_generation_that_could_not_be_rendered_has_no_statistics() {
 }
 
 fn any_config() -> impl Strategy<Value = PaperConfig> {
-    let crossover = prop_oneof![
-        Just(Crossover::OnePoint),
-        (1u32..130).prop_map(|points| Crossover::Points { points }),
-        Just(Crossover::Uniform)
-    ];
+    let crossover =
+        prop_oneof![(1u32..130).prop_map(|points| Crossover::Points { points }), Just(Crossover::Uniform)];
     let fraction = || 0.0f64..=1.0;
     let numbers = (0u32..5, 1u32..24, fraction(), 0.0f64..0.9, 0.01f64..=1.0, 0.0f64..2.0);
     (numbers, [fraction(), fraction(), fraction(), fraction()], crossover).prop_map(
@@ -329,7 +328,7 @@ proptest! {
         let mut told = Vec::new();
         let mut best_so_far = search.base_loss();
         while !search.is_finished() {
-            let deltas = search.deltas(0..search.ask());
+            let deltas = deltas(&search, 0..search.ask());
             for delta in &deltas {
                 prop_assert_eq!(delta.rows.len(), delta.genes.len());
                 prop_assert!(delta.rows.windows(2).all(|pair| pair[0] < pair[1]));
@@ -363,7 +362,6 @@ proptest! {
             everybody.sort_by(f64::total_cmp);
             prop_assert_eq!(everybody.len(), config.population as usize);
             let losses = search.tell(&told).expect("one loss each").expect("finite ones");
-            prop_assert_eq!((losses.best, losses.worst), (everybody[0], everybody[everybody.len() - 1]));
             let mean = everybody.iter().sum::<f64>() / everybody.len() as f64;
             prop_assert!((losses.mean - mean).abs() < 1e-12, "{} is not {mean}", losses.mean);
             everybody.truncate(config.elites() as usize);

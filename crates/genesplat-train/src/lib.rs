@@ -1,8 +1,9 @@
 //! The training algorithm: photos and points in, a cloud of Gaussians out.
 //!
-//! [`train`] is the loop of 3D Gaussian Splatting with the evolution stage of "An Evolutionary Boost to Gaussian Splatting
-//! Optimization" in it; `pipeline.rs` reads like the paper. It is built on [`genesplat_core::EvolutionBackend`] and knows nothing of
-//! devices, files or windows: a [`Start`] goes in, an [`Observer`] listens, an [`Outcome`] comes out.
+//! [`train`] is the loop of 3D Gaussian Splatting with the evolution stage of "An Evolutionary Boost to Gaussian
+//! Splatting Optimization" in it; `pipeline.rs` reads like the paper. It is built on
+//! [`genesplat_core::EvolutionBackend`] and knows nothing of devices, files or windows: a [`Start`] goes in, an
+//! [`Observer`] listens, an [`Outcome`] comes out.
 //!
 //! | module | what it decides |
 //! |---|---|

@@ -5,21 +5,23 @@
 //!    view is picked; render, `0.8 · L1 + 0.2 · (1 − SSIM)`, backward, statistics, Adam.
 //! 2. **Densify.** Where the image-space gradient stays large, Gaussians are cloned or split; faint ones are pruned.
 //! 3. **Reset.** Every 3,000 iterations, opacities fall to at most 0.01, and gradients earn them anew.
-//! 4. **Evolve** (mode `paper`). Just then, when the well-optimised structure is disturbed, a genetic algorithm searches positions,
-//!    scales and opacities that gradients do not reach; the best individual becomes the new base if it is better.
+//! 4. **Evolve** (mode `paper`). Just then, when the well-optimised structure is disturbed, a genetic algorithm
+//!    searches positions, scales and opacities that gradients do not reach; the best individual becomes the new base if
+//!    it is better.
 //!
 //! Mode `renew`, ours, in the second half of the run, where the published method only takes steps:
 //!
-//! 5. **Average.** The states of each twentieth of the run are averaged, and their mean replaces the last of them if it is better.
-//! 6. **Renew.** The Gaussians of least contribution are replaced by splitting those of largest error. The state before comes back if
-//!    guard views are rendered worse when the next renewal is due.
+//! 5. **Average.** The states of each twentieth of the run are averaged, and their mean replaces the last of them if it
+//!    is better.
+//! 6. **Renew.** The Gaussians of least contribution are replaced by splitting those of largest error. The state before
+//!    comes back if guard views are rendered worse when the next renewal is due.
 //!
-//! With MCMC, a step also adds noise to positions, 2 relocates dead Gaussians and adds others until five sixths of the run (until
-//! half of it, where 6 takes over), and 3 does not happen; 4, 5 and 6 keep their places.
+//! With MCMC, a step also adds noise to positions, 2 relocates dead Gaussians and adds others until five sixths of the
+//! run (until half of it, where 6 takes over), and 3 does not happen; 4, 5 and 6 keep their places.
 //!
 //! The run can stop between any two phases: a resumed run repeats the numbers of one that was never interrupted.
-//! References: "An Evolutionary Boost to Gaussian Splatting Optimization" (Fig. 1, Algorithm 1);
-//! Kerbl et al., "3D Gaussian Splatting for Real-Time Radiance Field Rendering", 2023.
+//! References: "An Evolutionary Boost to Gaussian Splatting Optimization" (Fig. 1, Algorithm 1); Kerbl et al., "3D
+//! Gaussian Splatting for Real-Time Radiance Field Rendering", 2023.
 
 use std::sync::atomic::AtomicBool;
 
@@ -106,7 +108,7 @@ impl Trainer<'_> {
     fn step(&mut self, i: u32) -> Result<(), TrainError> {
         let schedule = self.schedule;
         let view = self.order.view(i - 1);
-        let statistics = schedule.statistics(self.signal, self.last_stage, i);
+        let statistics = schedule.statistics(self.signal, i);
         self.train_step(view, i, 0, schedule.optimiser_step(i), statistics)?;
         self.cursor.phase = schedule.order()[1];
         let is_report = i.is_multiple_of(REPORT_EVERY) || i == schedule.iterations;
@@ -116,7 +118,7 @@ impl Trainer<'_> {
             gaussians: self.backend.gaussian_count(),
             sh_degree: self.sh_degree(i),
             position_rate: self.rates(i).position,
-            report: if is_report { Some(self.findings()?) } else { None },
+            report: if is_report { Some(self.backend.report()?) } else { None },
         };
         self.observer.on_iteration(&log);
         Ok(())

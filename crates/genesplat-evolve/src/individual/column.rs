@@ -1,7 +1,7 @@
-//! One gene group of one individual: a bit a row for "differs from what is shared", and the values of those rows, packed.
+//! One gene group of one individual: a bit a row for "differs from what is shared", and the values of those rows,
+//! packed.
 //!
-//! A list of row indices would be smaller while fewer than one row in 32 differs, but a search soon leaves that range
-//! (see [`crate::population`]), and bits make crossover a bitwise select and runs of rows a plain copy.
+//! Bits make crossover a bitwise select, and runs of rows a plain copy.
 
 /// Rows that one word of a bit column covers.
 pub(crate) const WORD: usize = u64::BITS as usize;
@@ -59,7 +59,7 @@ impl<const W: usize> Column<W> {
         self.changed.capacity() * size_of::<u64>() + self.values.capacity() * size_of::<[f32; W]>()
     }
 
-    /// The same values as differences from other shared values, which differ from these as `other` does; `shared` are these.
+    /// The same values as differences from other shared values, which differ from `shared` as `other` does.
     pub(crate) fn rebased(&self, other: &Self, shared: impl Fn(usize) -> [f32; W]) -> Self {
         let changed = self.differing(other);
         let mut values = Vec::with_capacity(count(&changed));
@@ -86,8 +86,8 @@ impl<const W: usize> Column<W> {
             .collect()
     }
 
-    /// What most of some columns hold, row by row: the winner of a majority vote in one pass (Boyer and Moore, 1981), which
-    /// is whatever more than half of the weight agrees on, and one of the values where there is no such.
+    /// What most of some columns hold, row by row, by a majority vote in one pass (Boyer and Moore, 1981); one of the
+    /// values where nothing has more than half of the weight.
     pub(crate) fn majority(voters: &[(&Self, u32)]) -> Self {
         let words = voters.first().map_or(0, |(column, _)| column.changed.len());
         let mut values: Vec<_> = voters.iter().map(|(column, _)| column.values.iter()).collect();
@@ -114,9 +114,8 @@ impl<const W: usize> Column<W> {
         Reader { column: self, word: 0, rank: 0 }
     }
 
-    /// Crossover and mutation in one pass. The child has `first`'s rows where a bit of `from_first` is set and `second`'s
-    /// elsewhere; then each row of `steps` becomes `step(value, by)`, where the value is the inherited one, or `shared(row)`
-    /// if that is unchanged.
+    /// Crossover and mutation in one pass. The child has `first`'s rows where a bit of `from_first` is set and
+    /// `second`'s elsewhere; then each row of `steps` becomes `step(value, by)`.
     pub(crate) fn child(
         parents: [&Self; 2],
         from_first: impl Fn(usize) -> u64,

@@ -1,7 +1,6 @@
 //! Crossover (section 3.1): which genes a child takes from which parent.
 //!
-//! An inheritance is decided first, as one bit a row, and then applied to both children: the second child swaps the
-//! parents, so the two are complementary by construction and no gene is lost or made.
+//! One bit a row, applied to both children: the second swaps the parents, so no gene is lost or made.
 
 use genesplat_core::{Rng, Stream};
 
@@ -23,7 +22,6 @@ impl Inheritance {
     /// Draws the inheritance of a pair, for a cloud of `n` rows.
     pub(crate) fn draw(kind: Crossover, rng: &Rng, generation: u32, pair: u32, n: u32) -> Self {
         match kind {
-            Crossover::OnePoint => Self::Rows(segments(rng, generation, pair, n, 1)),
             Crossover::Points { points } => Self::Rows(segments(rng, generation, pair, n, points)),
             Crossover::Uniform => Self::Groups(coins(rng, generation, pair, n)),
         }
@@ -119,7 +117,6 @@ mod tests {
             seed in any::<u64>(),
             n in 1u32..400,
             kind in prop_oneof![
-                Just(Crossover::OnePoint),
                 (1u32..120).prop_map(|points| Crossover::Points { points }),
                 Just(Crossover::Uniform),
             ],
@@ -143,7 +140,7 @@ mod tests {
         fn points_cut_exactly_as_often_as_they_say(seed in any::<u64>(), n in 1u32..300, points in 1u32..120) {
             let inheritance = Inheritance::draw(Crossover::Points { points }, &Rng::new(seed), 1, 0, n);
             prop_assert_eq!(cuts(&inheritance, n) as u32, points.min(n - 1));
-            let one = Inheritance::draw(Crossover::OnePoint, &Rng::new(seed), 1, 0, n);
+            let one = Inheritance::draw(Crossover::Points { points: 1 }, &Rng::new(seed), 1, 0, n);
             prop_assert_eq!(cuts(&one, n) as u32, 1.min(n - 1));
         }
     }
@@ -151,7 +148,7 @@ mod tests {
     #[test]
     fn each_pair_of_each_generation_has_its_own_inheritance() {
         let rng = Rng::new(4);
-        for kind in [Crossover::OnePoint, Crossover::default(), Crossover::Uniform] {
+        for kind in [Crossover::Points { points: 1 }, Crossover::default(), Crossover::Uniform] {
             let at = |generation, pair| Inheritance::draw(kind, &rng, generation, pair, 100_000);
             assert_ne!(at(1, 0), at(1, 1));
             assert_ne!(at(1, 0), at(2, 0));
@@ -165,7 +162,7 @@ mod tests {
         let (n, draws) = (9, 16_000);
         let mut at = [0u32; 8];
         for pair in 0..draws {
-            let inheritance = Inheritance::draw(Crossover::OnePoint, &Rng::new(6), 1, pair, n);
+            let inheritance = Inheritance::draw(Crossover::Points { points: 1 }, &Rng::new(6), 1, pair, n);
             at[bits(&inheritance, Group::Opacity, n).iter().filter(|&&bit| bit).count() - 1] += 1;
         }
         // Four and a half standard errors of a binomial with p = 1/8.

@@ -1,12 +1,9 @@
-//! `u_i` of Eq. 4: how far the gradients let a gene group of a Gaussian move.
+//! `u_i` of Eq. 4: how far the gradients let a gene group of a Gaussian move (section 3.2).
 //!
-//! Section 3.2, for each gene group ("the gradient of the parameter to be mutated") of each Gaussian: the signed
-//! gradients accumulated over the contributing images are divided by their number, `g_i` is the l2 norm over the group's
-//! components, `h_i = ln(1 + g_i)`; over the `k` *selected* Gaussians (whether or not this group of theirs mutates)
-//! `z_i = (h_i - mu_h) / sigma_h`, and `u_i = 1 / (1 + exp(-z_i))`.
-//!
-//! Where all selected Gaussians have the same `h`, `z` is 0 and `u` is 1/2. A Gaussian that no image contributed to has
-//! `g = 0`. Gradients are those of the raw parameters, also when genes mutate in activated space.
+//! The signed gradients accumulated over the contributing images are divided by their number, `g_i` is the l2 norm over
+//! the group's components, `h_i = ln(1 + g_i)`; over the `k` *selected* Gaussians `z_i = (h_i - mu_h) / sigma_h`, and
+//! `u_i = 1 / (1 + exp(-z_i))`. Where all have the same `h`, `z` is 0. A Gaussian that no image contributed to has `g =
+//! 0`. Gradients are those of the raw parameters.
 
 use genesplat_core::Genes;
 
@@ -14,7 +11,7 @@ use crate::config::{ConfigError, Magnitude};
 use crate::individual::group::{GROUPS, Group};
 use crate::operators::mutation::first_non_finite;
 
-/// Accumulated gradients of the genes, a side signal of training; rows match those of the base.
+/// Accumulated gradients of the genes; rows match those of the base.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct GeneGradients {
     /// Sums of signed gradients by raw gene, `[N, 7]`.
@@ -101,8 +98,7 @@ fn log_norms(gradients: &GeneGradients, group: Group) -> Vec<f32> {
     gradients.sum.iter().zip(&gradients.views).map(log_norm).collect()
 }
 
-/// `mu_h` and `sigma_h` over `rows`. Equal values have a deviation of exactly 0: their rounded mean may differ from them,
-/// and dividing that difference by itself would invent a signal.
+/// `mu_h` and `sigma_h` over `rows`; of equal values exactly 0, whatever their rounded mean is.
 fn mean_and_deviation(h: &[f32], rows: &[u32]) -> (f64, f64) {
     let values = || rows.iter().map(|&row| f64::from(h[row as usize]));
     let k = rows.len() as f64;

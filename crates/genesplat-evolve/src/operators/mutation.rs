@@ -2,14 +2,11 @@
 //!
 //! What the paper leaves open, and how it is decided here:
 //! - **Which Gaussians**: exactly `round(selection_fraction * N)`, a fresh uniform subset for each individual.
-//! - **Which genes**: "the primitive gene parameters to be mutated (opacity, position, and scale) are also randomly
-//!   chosen": each of the three groups of a selected Gaussian mutates with the mutation rate, independently; then all
-//!   its components move, each by its own normal number.
-//! - **`x_base`**, "the original value of a parameter to be mutated": the value that the child has before the mutation.
-//!   Reading it as the value in the base would undo what was inherited.
-//! - **`sigma_x`**: the population standard deviation (`1/N`, like the paper's `sigma_h`) of each of the seven components over the
-//!   Gaussians of the base that the search began with; it is not updated when a better base is found.
-//! - **`u_i`**: see [`super::magnitude`].
+//! - **Which genes**: each of the three groups of a selected Gaussian mutates with the mutation rate, independently;
+//!   then all its components move, each by its own normal number.
+//! - **`x_base`**: the value that the child has before the mutation. The value in the base would undo what was
+//!   inherited.
+//! - **`sigma_x`**: the standard deviation (`1/N`) of each gene over the base that the search began with.
 //! - **The space**: genes move as the optimiser sees them, log-scales and opacity logits, where every value is valid.
 
 use genesplat_core::{GENES, Genes, Rng, Stream};

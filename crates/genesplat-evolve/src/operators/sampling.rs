@@ -15,9 +15,7 @@ pub(crate) struct Address {
     pub(crate) individual: u32,
 }
 
-/// `wanted` of the rows `0..total`, ascending; every subset is equally likely.
-///
-/// Floyd's algorithm, as [`distinct`], on a bit a row: a word for each row that is wanted, four a call of the generator.
+/// `wanted` of the rows `0..total`, ascending; every subset is equally likely. As [`distinct`], with a bit a row.
 pub(crate) fn choose_rows(rng: &Rng, address: Address, total: u32, wanted: u32) -> Vec<u32> {
     let mut chosen = vec![0; words(total as usize)];
     for (block, first) in (total - wanted..total).step_by(4).enumerate() {
@@ -37,8 +35,7 @@ pub(crate) fn choose_rows(rng: &Rng, address: Address, total: u32, wanted: u32) 
 }
 
 /// `wanted` distinct numbers of `0..total`; every subset is equally likely. `below(k, n)` is draw `k`, in `0..n`.
-///
-/// Floyd's algorithm (Bentley and Floyd, "A sample of brilliance", CACM 1987): one draw each, whatever `total` is.
+/// (Floyd's algorithm: Bentley and Floyd, "A sample of brilliance", CACM 1987.)
 pub(crate) fn distinct(total: u32, wanted: u32, below: impl Fn(u32, u32) -> u32) -> BTreeSet<u32> {
     let mut sample = BTreeSet::new();
     for (draw, last) in (total - wanted..total).enumerate() {

@@ -1,15 +1,13 @@
 //! Tournament selection of parents (section 3.1).
 //!
-//! "T individuals are randomly sampled from the population, and the top-performing individual within this subset is
-//! selected as the first parent. The same procedure is repeated independently to select the second." Sampling is without
-//! replacement, and independent tournaments may elect the same individual twice: such a pair is its own crossover.
+//! Sampling is without replacement within a tournament; the two tournaments of a pair are independent and may elect the
+//! same individual: such a pair is its own crossover.
 
 use genesplat_core::{Rng, Stream};
 
 use crate::operators::sampling::distinct;
 
-/// The ranks (0 is best) of the two parents of a pair. The best of a tournament is its lowest rank, so a tournament needs
-/// no individuals, only `tournament` distinct ranks of `0..population`.
+/// The ranks (0 is best) of the two parents of a pair. The best of a tournament is its lowest rank.
 pub(crate) fn parent_ranks(
     rng: &Rng,
     generation: u32,

@@ -1,4 +1,4 @@
-//! Survival: individuals in order of their losses. The first become elites, and tournaments are decided by rank.
+//! Survival: individuals in order of their losses.
 
 /// A population in order, best first.
 #[derive(Clone, Debug, PartialEq)]
@@ -10,8 +10,8 @@ pub(crate) struct Ranking {
 }
 
 impl Ranking {
-    /// Ranks individuals by their losses. A loss that is not finite (a render that failed) ranks last, whatever its sign;
-    /// equal losses keep their order, so that elites stay ahead of children that are no better.
+    /// Ranks individuals by their losses. What is not finite ranks last; equal losses keep their order, elites ahead of
+    /// children.
     pub(crate) fn new(losses: &[f64]) -> Self {
         let key = |index: &usize| if losses[*index].is_finite() { losses[*index] } else { f64::INFINITY };
         let mut order: Vec<usize> = (0..losses.len()).collect();
@@ -39,14 +39,8 @@ impl Ranking {
 /// Statistics of a generation's finite losses.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LossStatistics {
-    /// Lowest.
-    pub best: f64,
     /// Mean.
     pub mean: f64,
-    /// Median (of an even number, the mean of the middle two).
-    pub median: f64,
-    /// Highest.
-    pub worst: f64,
     /// Population standard deviation.
     pub std: f64,
 }
@@ -55,12 +49,10 @@ impl LossStatistics {
     /// `None` where no loss is finite.
     pub(crate) fn of(ranking: &Ranking) -> Option<Self> {
         let losses = ranking.finite();
-        let (&best, &worst) = (losses.first()?, losses.last()?);
-        let n = losses.len();
-        let mean = losses.iter().sum::<f64>() / n as f64;
-        let variance = losses.iter().map(|loss| (loss - mean).powi(2)).sum::<f64>() / n as f64;
-        let median = f64::midpoint(losses[(n - 1) / 2], losses[n / 2]);
-        Some(Self { best, mean, median, worst, std: variance.sqrt() })
+        let n = losses.len() as f64;
+        let mean = losses.iter().sum::<f64>() / n;
+        let variance = losses.iter().map(|loss| (loss - mean).powi(2)).sum::<f64>() / n;
+        (!losses.is_empty()).then_some(Self { mean, std: variance.sqrt() })
     }
 }
 
@@ -85,9 +77,8 @@ mod tests {
     #[test]
     fn statistics_are_over_finite_losses() {
         let statistics = LossStatistics::of(&Ranking::new(&[8.0, f64::NAN, 2.0, 4.0, 2.0]));
-        let expected = LossStatistics { best: 2.0, mean: 4.0, median: 3.0, worst: 8.0, std: 6f64.sqrt() };
-        assert_eq!(statistics, Some(expected));
-        let median = |losses: &[f64]| LossStatistics::of(&Ranking::new(losses)).map(|of| of.median);
-        assert_eq!([median(&[5.0, 1.0, 3.0]), median(&[f64::NAN]), median(&[])], [Some(3.0), None, None]);
+        assert_eq!(statistics, Some(LossStatistics { mean: 4.0, std: 6f64.sqrt() }));
+        let of = |losses: &[f64]| LossStatistics::of(&Ranking::new(losses));
+        assert_eq!([of(&[f64::NAN]), of(&[])], [None, None]);
     }
 }

@@ -1,10 +1,8 @@
 //! What the individuals of a generation have in common: the genes that they are differences from.
 //!
-//! Keeping, breeding and scoring an individual cost what it changes. A search soon leaves its base behind: at the paper's
-//! settings individuals differ from it in more than half of their rows after 30 generations. But selection makes all
-//! individuals of a generation cousins, a few generations apart, and from what most of their parents hold they differ in a
-//! quarter of the rows then, and in a twentieth towards the end (`docs/performance.md`). So that is what they are
-//! differences from, and it moves on with them.
+//! Keeping, breeding and scoring an individual cost what it changes. At the paper's settings individuals differ from
+//! the base in more than half of their rows after 30 generations, but from what most of their parents hold in a
+//! quarter, and in a twentieth towards the end (`docs/performance.md`): selection makes them cousins.
 
 use std::sync::Arc;
 
@@ -13,8 +11,7 @@ use rayon::prelude::*;
 
 use crate::individual::Genome;
 
-/// Share of the rows that must have changed hands before the consensus moves: whoever scores has to follow it, and so has
-/// every genome.
+/// Fraction of the rows that must have changed before the consensus moves: every genome and the scorer have to follow.
 const SHIFT_MIN: f64 = 0.005;
 
 /// What most parents of a generation hold, gene group by gene group.
@@ -39,11 +36,10 @@ impl Consensus {
         &self.genes
     }
 
-    /// Moves to what most of `genomes` hold, each with its weight, if that is far enough from where it is; the genomes move
-    /// along.
+    /// Moves to what most of `genomes` hold, each with its weight, and they along, if that is far enough from where it
+    /// is.
     pub(crate) fn follow(&mut self, genomes: &mut [Arc<Genome>], weights: &[u32]) {
-        let voters: Vec<(&Genome, u32)> =
-            genomes.iter().map(Arc::as_ref).zip(weights.iter().copied()).collect();
+        let voters: Vec<_> = genomes.iter().map(Arc::as_ref).zip(weights.iter().copied()).collect();
         let majority = Genome::majority(&voters);
         let shift = majority.to_delta(&self.genes);
         if (shift.rows.len() as f64) < SHIFT_MIN * self.genes.len() as f64 {
@@ -62,7 +58,7 @@ impl Consensus {
         &self.shift
     }
 
-    /// What makes it the base again, and the consensus before it, too: who follows may have failed to follow the last shift.
+    /// What makes it the base again, whether or not who follows has followed the last shift.
     pub(crate) fn way_back(&self) -> SparseDelta {
         let mut shifted = self.shift.rows.iter().peekable();
         let rows = (0..).zip(self.base.iter().zip(&self.genes));
@@ -81,18 +77,13 @@ impl Consensus {
         let genes = (0..).zip(&self.genes).map(|(row, &shared)| {
             own.next_if(|(changed, _)| *changed == row).map_or(shared, |(_, genes)| genes)
         });
-        difference(genes, &self.base)
+        let changed = (0..).zip(genes).zip(&self.base).filter(|((_, genes), base)| genes != *base);
+        let (rows, genes) = changed.map(|(genes, _)| genes).unzip();
+        SparseDelta { rows, genes }
     }
 
     /// Bytes held.
     pub(crate) fn bytes(&self) -> usize {
         (self.genes.capacity() + self.base.capacity()) * size_of::<Genes>() + self.shift.bytes()
     }
-}
-
-/// What makes `before` the genes that are wanted.
-fn difference(wanted: impl Iterator<Item = Genes>, before: &[Genes]) -> SparseDelta {
-    let changed = (0..).zip(wanted).zip(before).filter(|((_, wanted), before)| wanted != *before);
-    let (rows, genes) = changed.map(|(wanted, _)| wanted).unzip();
-    SparseDelta { rows, genes }
 }

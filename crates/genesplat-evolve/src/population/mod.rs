@@ -1,29 +1,22 @@
 //! How a population is stored: only individuals that breed are kept; all others are recipes.
 //!
-//! A million Gaussians times seven genes times a hundred individuals would be 2.8 GB, and twice that while the next
+//! A million Gaussians times seven genes times a hundred individuals would be 2.8 GB, twice that while the next
 //! generation is bred. Three things keep a search far below it:
 //!
-//! 1. An individual is a difference from what the parents of its generation have in common (module `consensus`), group by
-//!    group: `3/8` byte a Gaussian for three columns of bits, and 12, 12 and 4 bytes for each position, scale and opacity
-//!    that differs.
-//! 2. A child that has not been judged is a *recipe*: two parents and the address of its random numbers, a few dozen
-//!    bytes. Its genes are made when it is asked for, and made again, bit for bit the same, if it is chosen to breed.
+//! 1. An individual is a difference from what the parents of its generation have in common (module `consensus`), group
+//!    by group: `3/8` byte a Gaussian for three columns of bits, and 12, 12 and 4 bytes for each position, scale and
+//!    opacity that differs.
+//! 2. A child that has no loss yet is a *recipe*: two parents and the address of its random numbers. Its genes are made
+//!    when it is asked for, and made again, bit for bit the same, if it is chosen to breed.
 //! 3. Tournaments choose few: of P = 100 with T = 10 and 10 elites, about 26 distinct individuals breed or are carried
-//!    over. Elites are shared between generations, not copied.
+//!    over (with T = 2, about 55). Elites are shared between generations, not copied.
 //!
-//! **Growth law.** With selection fraction `f` and mutation rates `m_j`, a gene group of a Gaussian differs from the base
-//! after generation `k` with probability at most `rho_k = 1 - (1 - f m_0) · ... · (1 - f m_k)`: crossover only moves
-//! differences about, and elites gain none. A kept individual takes at most `N (3/8 + 28 rho_k)` bytes, and `D` distinct
-//! individuals are kept, `2 D` while the next parents are made from the old ones. At the paper's settings `rho` is 0.003
-//! at the beginning, 0.37 after 30 generations and 0.51 after 100. That is the bound from the base; from the consensus,
-//! individuals whose parents are cousins differ in far less: `tests/memory.rs` measures 490 bytes a Gaussian at most for a
-//! whole search in which every generation descends from the last one's children and never from an elite, copies of the
-//! base's and of the consensus' genes (28 bytes a Gaussian each), the gradients' signal (12) and the best so far (32 a
-//! changed row) included. P matters only through `D`, which grows as the tournament shrinks: T = 2 keeps about 55 of 100
-//! individuals.
-//!
-//! **Time.** A child costs one pass over its columns (a copy, for cuts between rows) and one random word for
-//! each Gaussian that it selects; those that breed cost it twice.
+//! **Growth law.** With selection fraction `f` and mutation rates `m_j`, a gene group of a Gaussian differs from the
+//! base after generation `k` with probability at most `rho_k = 1 - (1 - f m_0) · ... · (1 - f m_k)`: 0.003 at the
+//! beginning, 0.37 after 30 generations and 0.51 after 100 of the paper's. A kept individual takes at most `N (3/8 + 28
+//! rho_k)` bytes, and `D` distinct individuals are kept, `2 D` while the next parents are made from the old ones. From
+//! the consensus they differ in far less: `tests/memory.rs` measures 490 bytes a Gaussian at most for a whole search in
+//! the worst case.
 
 pub(crate) mod consensus;
 
@@ -56,41 +49,12 @@ pub(crate) struct Pair {
 }
 
 /// The individuals of a generation that have no loss yet, as recipes.
-#[derive(Clone, Debug)]
-pub(crate) enum Brood {
-    /// Mutants of the base.
-    Founders {
-        /// How many.
-        count: u32,
-    },
-    /// Children `2 i` and `2 i + 1` are of pair `i`; of an odd count, the second child of the last pair is dropped.
-    Children {
-        /// How many.
-        count: u32,
-        /// Their parents.
-        pairs: Vec<Pair>,
-    },
-}
-
-impl Brood {
-    /// No individual: the search is over.
-    pub(crate) const NONE: Self = Self::Founders { count: 0 };
-
-    /// Number of individuals.
-    pub(crate) fn len(&self) -> u32 {
-        match self {
-            Self::Founders { count } | Self::Children { count, .. } => *count,
-        }
-    }
-
-    /// The individuals that the recipes refer to, with repetitions.
-    pub(crate) fn parents(&self) -> impl Iterator<Item = &Arc<Genome>> {
-        let pairs: &[Pair] = match self {
-            Self::Founders { .. } => &[],
-            Self::Children { pairs, .. } => pairs,
-        };
-        pairs.iter().flat_map(|pair| &pair.parents)
-    }
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Brood {
+    pub(crate) count: u32,
+    /// Parents of children `2 i` and `2 i + 1`; of an odd count, the second child of the last pair is dropped. Empty in
+    /// the initial population, which is mutants of the base.
+    pub(crate) pairs: Vec<Pair>,
 }
 
 /// Which ranks breed a generation: decided before any genome is made, so that only theirs are.
@@ -141,20 +105,16 @@ impl Breeder {
         let address = Address { generation, individual: index };
         let shared = self.consensus.genes();
         let mutate = |parents: Parents<'_>| self.mutation.apply(parents, shared, address, mutation_rate);
-        match brood {
-            Brood::Founders { .. } => mutate(Parents::One(&Genome::unchanged(shared.len()))),
-            Brood::Children { pairs, .. } => {
-                let (pair, child) = (index / 2, index as usize % 2);
-                let Pair { parents, crossed } = &pairs[pair as usize];
-                let (own, other) = (&parents[child], &parents[1 - child]);
-                if !crossed {
-                    return mutate(Parents::One(own));
-                }
-                let n = shared.len() as u32;
-                let inheritance = Inheritance::draw(self.crossover, &self.rng, generation, pair, n);
-                mutate(Parents::Crossed(own, other, &inheritance))
-            }
+        let (pair, child) = (index / 2, index as usize % 2);
+        let Some(Pair { parents, crossed }) = brood.pairs.get(pair as usize) else {
+            return mutate(Parents::One(&Genome::unchanged(shared.len())));
+        };
+        let (own, other) = (&parents[child], &parents[1 - child]);
+        if !crossed {
+            return mutate(Parents::One(own));
         }
+        let inheritance = Inheritance::draw(self.crossover, &self.rng, generation, pair, shared.len() as u32);
+        mutate(Parents::Crossed(own, other, &inheritance))
     }
 
     /// Bytes of the base, of the consensus and of the gradients' signal.
@@ -185,8 +145,8 @@ mod tests {
         assert!(plan.kept.is_sorted());
     }
 
-    /// The `D` of the module's growth law: the expectation is
-    /// `E + sum over ranks r >= E of 1 - (1 - C(P-1-r, T-1) / C(P, T))^(P-E)`.
+    /// The `D` of the module's growth law: the expectation is `E + sum over ranks r >= E of 1 - (1 - C(P-1-r, T-1) /
+    /// C(P, T))^(P-E)`.
     #[test]
     fn about_a_quarter_of_the_papers_population_is_kept() {
         let config = PaperConfig::default();

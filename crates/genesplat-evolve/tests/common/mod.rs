@@ -2,6 +2,8 @@
 
 #![allow(dead_code, reason = "each test binary uses some of these")]
 
+use std::ops::Range;
+
 use genesplat_core::{Genes, Rng, SparseDelta, Stream};
 use genesplat_evolve::{GeneticAlgorithm, Magnitude, PaperConfig};
 
@@ -39,10 +41,15 @@ pub fn on_sphere(config: PaperConfig, base: &[Genes], seed: u64) -> GeneticAlgor
     GeneticAlgorithm::new(config, base.to_vec(), None, base_loss, Rng::new(seed)).expect("valid settings")
 }
 
+/// Several individuals of a generation, as differences from the base.
+pub fn deltas(search: &GeneticAlgorithm, indices: Range<usize>) -> Vec<SparseDelta> {
+    indices.map(|index| search.delta(index)).collect()
+}
+
 /// Runs a search to its end.
 pub fn run(mut search: GeneticAlgorithm, loss: impl Fn(&SparseDelta) -> f64) -> GeneticAlgorithm {
     while !search.is_finished() {
-        let losses: Vec<f64> = search.deltas(0..search.ask()).iter().map(&loss).collect();
+        let losses: Vec<f64> = deltas(&search, 0..search.ask()).iter().map(&loss).collect();
         search.tell(&losses).expect("one loss each");
     }
     search

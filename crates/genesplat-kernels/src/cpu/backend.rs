@@ -36,8 +36,6 @@ pub struct CpuBackend {
     steps: u32,
     pub(super) scorer: Scorer,
     pub(super) averages: WindowAverages,
-    /// Where blends of cloud and averages are made.
-    pub(super) blended: Gaussians,
 }
 
 impl Default for CpuBackend {
@@ -60,7 +58,6 @@ impl CpuBackend {
             steps: 0,
             scorer: Scorer::default(),
             averages: WindowAverages::default(),
-            blended: Gaussians::default(),
         }
     }
 
@@ -170,8 +167,8 @@ impl Backend for CpuBackend {
     }
 
     fn train_step(&mut self, step: &TrainStep) -> Result<(), BackendError> {
-        // Training has no use for the memory that scoring and blending take.
-        (self.scorer, self.blended) = (Scorer::default(), Gaussians::default());
+        // Training has no use for the memory that scoring takes.
+        self.scorer = Scorer::default();
         self.grow_statistics(step.statistics);
         let view = &self.views[step.view];
         let (camera, settings) = (view.camera, step.settings);

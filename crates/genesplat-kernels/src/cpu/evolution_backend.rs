@@ -60,11 +60,12 @@ impl EvolutionBackend for CpuBackend {
         let mut losses = Vec::with_capacity(blends.len() * views.len());
         for blend in blends {
             // The cloud itself needs no copy.
+            let blended;
             let measured = if *blend == Blend::default() {
                 &self.cloud
             } else {
-                self.averages.blend(&self.cloud, blend, &mut self.blended);
-                &self.blended
+                blended = self.averages.blended(&self.cloud, blend);
+                &blended
             };
             for &view in views {
                 let TrainView { camera, target } = &self.views[view];
@@ -78,8 +79,7 @@ impl EvolutionBackend for CpuBackend {
 
     fn blend(&mut self, blend: &Blend) -> Result<(), BackendError> {
         if *blend != Blend::default() {
-            self.averages.blend(&self.cloud, blend, &mut self.blended);
-            std::mem::swap(&mut self.cloud, &mut self.blended);
+            self.cloud = self.averages.blended(&self.cloud, blend);
         }
         self.averages = WindowAverages::default();
         Ok(())

@@ -37,15 +37,16 @@ pub struct DensifyConfig {
     /// Densification starts after this iteration. Default 500.
     pub from: u32,
     /// Densification and opacity resets end before this iteration. Default 15,000; 0 switches both off. With
-    /// evolution's mode `renew` densification ends at 65 % of the run at the latest, and resets at half. (With `mcmc`, only where evolution's
-    /// reset triggers end; see `mcmc.until`.)
+    /// evolution's mode `renew` densification ends at 65 % of the run at the latest, and resets at half. (With `mcmc`,
+    /// only where evolution's reset triggers end; see `mcmc.until`.)
     pub until: u32,
     /// Iterations between two densifications. Default 100; at least 1.
     pub every: u32,
     /// Gradient that is looked at. Default `published`; or `absolute`, `gof`, for `3dgs` and `mip-splatting` only.
     pub signal: Signal,
-    /// Mean screen-space gradient from which a Gaussian grows, in normalised device coordinates. Default 2e-4, and 8e-4 for the signal
-    /// `absolute`, which is larger (gsplat's advice; its published comparison has 6e-4); above 0. Lower grows more Gaussians.
+    /// Mean screen-space gradient from which a Gaussian grows, in normalised device coordinates. Default 2e-4, and 8e-4
+    /// for the signal `absolute`, which is larger (gsplat's advice; its published comparison has 6e-4); above 0. Lower
+    /// grows more Gaussians.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub gradient_threshold: Option<f32>,
     /// Growing Gaussians up to this size are cloned, larger ones split; in scene extents. Default 0.01; above 0.
@@ -53,8 +54,8 @@ pub struct DensifyConfig {
     /// Fainter Gaussians are pruned. Default 0.005; 0 to 1.
     pub prune_opacity: f32,
     /// Larger Gaussians are pruned, except with evolution's mode `renew` (`evolution.renewal.spare_large`); in scene
-    /// extents. Default 0.1; above 0. (In forward-facing
-    /// scenes walls and floors are larger than that, and plain training loses them.)
+    /// extents. Default 0.1; above 0. (In forward-facing scenes walls and floors are larger than that, and plain
+    /// training loses them.)
     pub prune_size: f64,
     /// Iteration after which they are. Default 3000.
     pub size_prune_after: u32,
@@ -97,14 +98,14 @@ impl Default for DensifyConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct McmcConfig {
-    /// Relocation and growth end before this iteration. Default 25,000; 0 switches both off. With evolution's mode `renew` they
-    /// end at half of the run at the latest.
+    /// Relocation and growth end before this iteration. Default 25,000; 0 switches both off. With evolution's mode
+    /// `renew` they end at half of the run at the latest.
     pub until: u32,
     /// Fraction of Gaussians added each time, until `max_gaussians` are reached. Default 0.05; not negative.
     pub growth: f64,
-    /// Exploration noise, in multiples of the position rate. Default 5e5; not negative. As in the authors' code it is in the scene's own
-    /// units: its reach grows with the square of the cameras' extent (gsplat brings scenes to an extent of about 1 first), so scenes
-    /// whose extent is far from 1 to 10 want another value.
+    /// Exploration noise, in multiples of the position rate. Default 5e5; not negative. As in the authors' code it is
+    /// in the scene's own units: its reach grows with the square of the cameras' extent (gsplat brings scenes to an
+    /// extent of about 1 first), so scenes whose extent is far from 1 to 10 want another value.
     pub noise: f32,
     /// Weight of the mean opacity in the loss. Default 0.01; not negative. Higher leaves more Gaussians to relocate.
     pub opacity_weight: f32,

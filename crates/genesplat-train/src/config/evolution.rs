@@ -31,8 +31,8 @@ impl EvolutionMode {
     }
 }
 
-/// When the paper's stage runs: the four places that the paper tried, of which the published results have `after-reset`; and once, after
-/// the last step.
+/// When the paper's stage runs: the four places that the paper tried (it published `after-reset`), and after the last
+/// step.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Trigger {
@@ -69,17 +69,16 @@ pub struct EvolutionConfig {
     /// `before-densify`, `at-end`.
     pub trigger: Trigger,
     /// They run at every n-th occurrence of the trigger. Default 1; at least 1. A published run has 4 resets and 144
-    /// densifications, so 36 gives the densification triggers four stages, too. (`mcmc` has 244; it resets nothing, but its
-    /// reset triggers fall where 3DGS's would, so that stages can be compared.)
+    /// densifications (`mcmc`: 244), so 36 gives the densification triggers four stages, too.
     pub stride: u32,
-    /// Mode `paper`: training views that fitness is measured on, spread evenly over the views in order of name, the same in all
-    /// stages. Default 6; at least 1.
+    /// Mode `paper`: training views that fitness is measured on, spread evenly over the views in order of name, the
+    /// same in all stages. Default 6; at least 1.
     pub views: usize,
-    /// Mode `paper`: Adam's moments of the Gaussians that a stage changed. Default `keep`; or `zero`. The paper is silent.
-    #[serde(with = "MomentPolicyNames")]
+    /// Mode `paper`: Adam's moments of the Gaussians that a stage changed. Default `keep`; or `zero`. The paper is
+    /// silent.
     pub moments: MomentPolicy,
-    /// Gradient steps beyond `iterations`, at each trigger: the equal-time control that experiments set. Default: none; or
-    /// `{ seconds = S }`, `{ steps = N }`, with mode `off` only.
+    /// Gradient steps beyond `iterations`, at each trigger: the equal-time control that experiments set. Default: none;
+    /// or `{ seconds = S }`, `{ steps = N }`, with mode `off` only.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub extra_steps: Option<StepBudget>,
     /// Mode `renew`: how many Gaussians there are, and how many of them are replaced, when.
@@ -103,30 +102,25 @@ impl Default for EvolutionConfig {
     }
 }
 
-impl EvolutionConfig {
-    /// The genetic algorithm scales its mutations by the gradients that training has summed.
-    pub(crate) fn wants_gene_gradients(&self) -> bool {
-        self.mode == EvolutionMode::Paper && self.paper.uses_gradients()
-    }
-}
-
 /// Mode `renew`: how many Gaussians there are, and how many of them are replaced, when.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RenewalConfig {
     /// Fraction of the Gaussians that a renewal removes; as many others are split. Default 0.1; above 0, at most 0.5.
     pub fraction: f64,
-    /// Steps between two renewals, and length of a window of weight averaging, as a fraction of the run. Both are counted back from its
-    /// end; the first renewal comes when density control has ended, in the second half of the run. Default 0.05; above 0, at most 0.5.
+    /// Steps between two renewals, and length of a window of weight averaging, as a fraction of the run. Both are
+    /// counted back from its end; the first renewal comes when density control has ended, in the second half of the
+    /// run. Default 0.05; above 0, at most 0.5.
     pub every: f64,
-    /// No renewal begins after this fraction of the run: the last Gaussians need time to become good ones. Default 0.75; 0 to 1, and
-    /// 0 for none at all.
+    /// No renewal begins after this fraction of the run: the last Gaussians need time to become good ones. Default
+    /// 0.75; 0 to 1, and 0 for none at all.
     pub until: f64,
-    /// Factor on the number of Gaussians that the photos can determine, which the cloud may grow to: their pixels over 2 · √photos, or
-    /// those of one photo over 0.3, whichever is less. A lower `max_gaussians` counts. Default 1; 0 for no such limit.
+    /// Factor on the number of Gaussians that the photos can determine, which the cloud may grow to: their pixels over
+    /// 2 · √photos, or those of one photo over 0.3, whichever is less. A lower `max_gaussians` counts. Default 1; 0 for
+    /// no such limit.
     pub capacity: f64,
-    /// The cloud approaches its limit, whoever set it, evenly over density control, not as fast as gradients ask; with `mcmc`,
-    /// by `mcmc.growth` all the same. Default true.
+    /// The cloud approaches its limit, whoever set it, evenly over density control, not as fast as gradients ask; with
+    /// `mcmc`, by `mcmc.growth` all the same. Default true.
     pub even_growth: bool,
     /// None is pruned for its size: its contribution decides. Default true.
     pub spare_large: bool,
@@ -146,12 +140,4 @@ impl Default for RenewalConfig {
             averaging: true,
         }
     }
-}
-
-/// How a file writes [`MomentPolicy`].
-#[derive(Serialize, Deserialize)]
-#[serde(remote = "MomentPolicy", rename_all = "kebab-case")]
-enum MomentPolicyNames {
-    Keep,
-    Zero,
 }

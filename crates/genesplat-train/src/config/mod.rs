@@ -4,7 +4,6 @@
 //! steps once; from then on only [`Resolved`] travels, which cannot hold an invalid setting.
 
 use std::fmt;
-use std::str::FromStr;
 
 use genesplat_core::spherical_harmonics::SH_DEGREE_MAX;
 use genesplat_core::{RenderSettings, ScreenFilter};
@@ -58,18 +57,6 @@ impl fmt::Display for Variant {
     }
 }
 
-impl FromStr for Variant {
-    type Err = ConfigError;
-
-    fn from_str(name: &str) -> Result<Self, ConfigError> {
-        Self::ALL.into_iter().find(|variant| variant.name() == name).ok_or_else(|| ConfigError::Range {
-            setting: "variant",
-            value: format!("`{name}`"),
-            wanted: "3dgs, pixel-gs, mip-splatting or mcmc",
-        })
-    }
-}
-
 /// Colour behind all splats.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -103,25 +90,26 @@ pub struct TrainConfig {
     pub variant: Variant,
     /// Iterations, one view each. Default 30,000; at least 1. Changing it alone truncates: rates and events stay.
     pub iterations: u32,
-    /// Multiplies every setting that counts iterations, `iterations` included. Default 1; 0.001 to 1000. Each is rounded to whole
-    /// iterations, so a scale that does not divide them shifts events a little: at 0.2333 density control comes every 23 iterations, 147
-    /// times and not 144, and resets fall between two of them. 0.1, 0.2 and 0.3 keep the shape exactly.
+    /// Multiplies every setting that counts iterations, `iterations` included. Default 1; 0.001 to 1000. Each is
+    /// rounded to whole iterations, so a scale that does not divide them shifts events a little: at 0.2333 density
+    /// control comes every 23 iterations, 147 times and not 144, and resets fall between two of them. 0.1, 0.2 and 0.3
+    /// keep the shape exactly.
     pub steps_scale: f64,
-    /// Highest degree of the spherical harmonics, which starts at 0 and rises every 1,000 iterations. Default 3; 0 to 3.
-    /// Lower is smaller, with less view-dependent colour.
+    /// Highest degree of the spherical harmonics, which starts at 0 and rises every 1,000 iterations. Default 3; 0 to
+    /// 3. Lower is smaller, with less view-dependent colour.
     pub sh_degree: u8,
     /// Colour behind the splats. Default `black`; or `white`, `random`.
     pub background: Background,
     /// Dim Gaussians by as much as the screen filter widens them ("antialiasing" of 3DGS's later releases). Default
     /// false; not with `mip-splatting`, which has a filter of its own.
     pub antialiasing: bool,
-    /// Size of the scene, world units. Default: 1.1 x the largest distance of a training camera from their mean.
-    /// Scales the position rate and every size threshold.
+    /// Size of the scene, world units. Default: 1.1 x the largest distance of a training camera from their mean. Scales
+    /// the position rate and every size threshold.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub extent: Option<f64>,
     /// Densification stops at this many Gaussians, and serves the strongest gradients until then. Default: no limit;
-    /// 1,000,000 with `mcmc`, which grows to it whatever the gradients. Evolution's mode `renew` has a limit of its own, and the
-    /// lower one counts (`evolution.renewal.capacity`).
+    /// 1,000,000 with `mcmc`, which grows to it whatever the gradients. Evolution's mode `renew` has a limit of its
+    /// own, and the lower one counts (`evolution.renewal.capacity`).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub max_gaussians: Option<usize>,
     /// Iterations between two checkpoints. Default 0: none but that of an interrupted run. Not scaled by `steps_scale`.
@@ -206,14 +194,13 @@ impl Default for OptimiserConfig {
 /// A checked configuration and its schedule.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Resolved {
-    config: TrainConfig,
     schedule: Schedule,
 }
 
 impl Resolved {
     /// The settings as given.
     pub fn config(&self) -> &TrainConfig {
-        &self.config
+        self.schedule.config()
     }
 
     /// What happens when.
@@ -223,11 +210,7 @@ impl Resolved {
 
     /// How the finished cloud is to be rendered.
     pub fn render_settings(&self) -> RenderSettings {
-        RenderSettings {
-            sh_degree: self.config.sh_degree,
-            background: self.config.background.fixed_colour(),
-            filter: self.config.screen_filter(),
-        }
+        self.config().render_settings(self.config().sh_degree)
     }
 }
 
@@ -241,10 +224,15 @@ impl TrainConfig {
         }
     }
 
+    /// How a cloud with this degree of the spherical harmonics is rendered.
+    pub(crate) fn render_settings(&self, sh_degree: u8) -> RenderSettings {
+        let (background, filter) = (self.background.fixed_colour(), self.screen_filter());
+        RenderSettings { sh_degree, background, filter }
+    }
+
     /// Checks every setting, and scales steps.
     pub fn resolve(self) -> Result<Resolved, ConfigError> {
         self.validate()?;
-        let schedule = Schedule::new(&self);
-        Ok(Resolved { config: self, schedule })
+        Ok(Resolved { schedule: Schedule::new(self) })
     }
 }

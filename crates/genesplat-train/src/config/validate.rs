@@ -4,10 +4,7 @@ use std::fmt;
 
 use genesplat_core::spherical_harmonics::SH_DEGREE_MAX;
 
-use super::{
-    DensifyConfig, EvolutionConfig, EvolutionMode, McmcConfig, OptimiserConfig, RenewalConfig, Signal,
-    StepBudget, TrainConfig, Variant,
-};
+use super::{EvolutionMode, Signal, StepBudget, TrainConfig, Variant};
 
 /// Integers of a TOML file end here.
 const TOML_END: u64 = 1 << 63;
@@ -31,115 +28,101 @@ pub enum ConfigError {
     Paper(genesplat_evolve::ConfigError),
 }
 
+/// A range of numbers, and how an error names it.
+type Range = (fn(f64) -> bool, &'static str);
+
+const POSITIVE: Range = (|value| value > 0.0 && value.is_finite(), "a number above 0");
+const NOT_NEGATIVE: Range = (|value| value >= 0.0 && value.is_finite(), "a number that is not negative");
+const FRACTION: Range = (|value| (0.0..=1.0).contains(&value), "between 0 and 1");
+const HALF: Range = (|value| value > 0.0 && value <= 0.5, "above 0 and at most 0.5");
+
 impl TrainConfig {
     /// Checks every setting; the first that is out of range is reported.
     pub fn validate(&self) -> Result<(), ConfigError> {
-        at_least_one("iterations", self.iterations)?;
         check("seed", self.seed, self.seed < TOML_END, "below 2^63, so that config.toml can hold it")?;
         let scale = self.steps_scale;
         check("steps_scale", scale, (1e-3..=1e3).contains(&scale), "between 0.001 and 1000")?;
         check("sh_degree", self.sh_degree, self.sh_degree <= SH_DEGREE_MAX, "between 0 and 3")?;
-        if let Some(extent) = self.extent {
-            positive("extent", extent)?;
-        }
         if let Some(cap) = self.max_gaussians {
             let is_limit = cap > 0 && (cap as u64) < TOML_END;
             check("max_gaussians", cap, is_limit, "at least 1 and below 2^63 (leave it out for no limit)")?;
         }
-        self.validate_options()?;
-        self.optimiser.validate()?;
-        self.densify.validate()?;
-        self.mcmc.validate()?;
-        self.evolution.validate()
+        self.validate_counts()?;
+        self.validate_numbers()?;
+        self.validate_combinations()?;
+        self.evolution.paper.validate().map_err(ConfigError::Paper)
     }
-}
 
-impl TrainConfig {
-    /// Options that only some variants have.
-    fn validate_options(&self) -> Result<(), ConfigError> {
+    fn validate_counts(&self) -> Result<(), ConfigError> {
+        let counts = [
+            ("iterations", self.iterations as usize),
+            ("optimiser.position_steps", self.optimiser.position_steps as usize),
+            ("densify.every", self.densify.every as usize),
+            ("densify.reset_every", self.densify.reset_every as usize),
+            ("evolution.stride", self.evolution.stride as usize),
+            ("evolution.views", self.evolution.views),
+        ];
+        counts.into_iter().try_for_each(|(setting, value)| check(setting, value, value > 0, "at least 1"))
+    }
+
+    fn validate_numbers(&self) -> Result<(), ConfigError> {
+        let Self { optimiser, densify, mcmc, evolution, .. } = self;
+        let seconds = match evolution.extra_steps {
+            Some(StepBudget::Seconds(seconds)) => seconds,
+            _ => 0.0,
+        };
+        let numbers: [(&'static str, f64, Range); 22] = [
+            ("extent", self.extent.unwrap_or(1.0), POSITIVE),
+            ("optimiser.position_start", optimiser.position_start, POSITIVE),
+            ("optimiser.position_end", optimiser.position_end, POSITIVE),
+            ("optimiser.sh_dc", optimiser.sh_dc.into(), NOT_NEGATIVE),
+            ("optimiser.sh_rest", optimiser.sh_rest.into(), NOT_NEGATIVE),
+            ("optimiser.opacity", optimiser.opacity.into(), NOT_NEGATIVE),
+            ("optimiser.scale", optimiser.scale.into(), NOT_NEGATIVE),
+            ("optimiser.rotation", optimiser.rotation.into(), NOT_NEGATIVE),
+            ("densify.gradient_threshold", densify.gradient_threshold().into(), POSITIVE),
+            ("densify.clone_size", densify.clone_size, POSITIVE),
+            ("densify.prune_size", densify.prune_size, POSITIVE),
+            ("densify.prune_opacity", densify.prune_opacity.into(), FRACTION),
+            (
+                "densify.reset_opacity",
+                densify.reset_opacity.into(),
+                (|o| o > 0.0 && o < 1.0, "above 0 and below 1"),
+            ),
+            ("mcmc.growth", mcmc.growth, NOT_NEGATIVE),
+            ("mcmc.noise", mcmc.noise.into(), NOT_NEGATIVE),
+            ("mcmc.opacity_weight", mcmc.opacity_weight.into(), NOT_NEGATIVE),
+            ("mcmc.scale_weight", mcmc.scale_weight.into(), NOT_NEGATIVE),
+            ("evolution.extra_steps.seconds", seconds, NOT_NEGATIVE),
+            ("evolution.renewal.fraction", evolution.renewal.fraction, HALF),
+            ("evolution.renewal.every", evolution.renewal.every, HALF),
+            ("evolution.renewal.until", evolution.renewal.until, FRACTION),
+            ("evolution.renewal.capacity", evolution.renewal.capacity, NOT_NEGATIVE),
+        ];
+        numbers
+            .into_iter()
+            .try_for_each(|(setting, value, (holds, wanted))| check(setting, value, holds(value), wanted))
+    }
+
+    /// Settings that are right alone and wrong together.
+    fn validate_combinations(&self) -> Result<(), ConfigError> {
         let mip = self.variant == Variant::MipSplatting;
-        check(
-            "antialiasing",
-            true,
-            !(mip && self.antialiasing),
-            "false with mip-splatting, which has its own filter",
-        )?;
+        let wanted = "false with mip-splatting, which has its own filter";
+        check("antialiasing", true, !(mip && self.antialiasing), wanted)?;
+        let Self { densify, evolution, .. } = self;
         let signal_is_free = matches!(self.variant, Variant::ThreeDgs | Variant::MipSplatting);
         check(
             "densify.signal",
-            self.densify.signal.name(),
-            signal_is_free || self.densify.signal == Signal::Published,
+            densify.signal.name(),
+            signal_is_free || densify.signal == Signal::Published,
             "published with pixel-gs, which is a signal of its own, and with mcmc, which needs none",
-        )
-    }
-}
-
-impl OptimiserConfig {
-    fn validate(&self) -> Result<(), ConfigError> {
-        positive("optimiser.position_start", self.position_start)?;
-        positive("optimiser.position_end", self.position_end)?;
-        at_least_one("optimiser.position_steps", self.position_steps)?;
-        not_negative("optimiser.sh_dc", self.sh_dc.into())?;
-        not_negative("optimiser.sh_rest", self.sh_rest.into())?;
-        not_negative("optimiser.opacity", self.opacity.into())?;
-        not_negative("optimiser.scale", self.scale.into())?;
-        not_negative("optimiser.rotation", self.rotation.into())
-    }
-}
-
-impl DensifyConfig {
-    fn validate(&self) -> Result<(), ConfigError> {
-        at_least_one("densify.every", self.every)?;
-        at_least_one("densify.reset_every", self.reset_every)?;
-        positive("densify.gradient_threshold", self.gradient_threshold().into())?;
-        positive("densify.clone_size", self.clone_size)?;
-        positive("densify.prune_size", self.prune_size)?;
-        let (prune, reset) = (self.prune_opacity, self.reset_opacity);
-        check("densify.prune_opacity", prune, (0.0..=1.0).contains(&prune), "between 0 and 1")?;
-        open_unit("densify.reset_opacity", reset)?;
-        let survives = prune < reset;
-        check(
-            "densify.prune_opacity",
-            prune,
-            survives,
-            "below densify.reset_opacity, or each reset empties the cloud",
-        )
-    }
-}
-
-impl McmcConfig {
-    fn validate(&self) -> Result<(), ConfigError> {
-        not_negative("mcmc.growth", self.growth)?;
-        not_negative("mcmc.noise", self.noise.into())?;
-        not_negative("mcmc.opacity_weight", self.opacity_weight.into())?;
-        not_negative("mcmc.scale_weight", self.scale_weight.into())
-    }
-}
-
-impl EvolutionConfig {
-    fn validate(&self) -> Result<(), ConfigError> {
-        at_least_one("evolution.stride", self.stride)?;
-        check("evolution.views", self.views, self.views > 0, "at least 1")?;
-        if let Some(budget) = self.extra_steps {
-            let is_off = self.mode == EvolutionMode::Off;
-            check(
-                "evolution.extra_steps",
-                "set",
-                is_off,
-                "left out unless evolution.mode is off: it is a control",
-            )?;
-            if let StepBudget::Seconds(seconds) = budget {
-                not_negative("evolution.extra_steps.seconds", seconds)?;
-            }
-        }
-        let RenewalConfig { fraction, every, until, capacity, .. } = self.renewal;
-        for (setting, value) in [("evolution.renewal.fraction", fraction), ("evolution.renewal.every", every)]
-        {
-            check(setting, value, value > 0.0 && value <= 0.5, "above 0 and at most 0.5")?;
-        }
-        check("evolution.renewal.until", until, (0.0..=1.0).contains(&until), "0 to 1")?;
-        not_negative("evolution.renewal.capacity", capacity)?;
-        self.paper.validate().map_err(ConfigError::Paper)
+        )?;
+        let survives = densify.prune_opacity < densify.reset_opacity;
+        let wanted = "below densify.reset_opacity, or each reset empties the cloud";
+        check("densify.prune_opacity", densify.prune_opacity, survives, wanted)?;
+        let is_alone = evolution.extra_steps.is_none() || evolution.mode == EvolutionMode::Off;
+        let wanted = "left out unless evolution.mode is off: it is a control";
+        check("evolution.extra_steps", "set", is_alone, wanted)
     }
 }
 
@@ -150,20 +133,4 @@ fn check(
     wanted: &'static str,
 ) -> Result<(), ConfigError> {
     if holds { Ok(()) } else { Err(ConfigError::Range { setting, value: value.to_string(), wanted }) }
-}
-
-fn at_least_one(setting: &'static str, value: u32) -> Result<(), ConfigError> {
-    check(setting, value, value > 0, "at least 1")
-}
-
-fn positive(setting: &'static str, value: f64) -> Result<(), ConfigError> {
-    check(setting, value, value > 0.0 && value.is_finite(), "a number above 0")
-}
-
-fn not_negative(setting: &'static str, value: f64) -> Result<(), ConfigError> {
-    check(setting, value, value >= 0.0 && value.is_finite(), "a number that is not negative")
-}
-
-fn open_unit(setting: &'static str, value: f32) -> Result<(), ConfigError> {
-    check(setting, value, value > 0.0 && value < 1.0, "above 0 and below 1")
 }

@@ -1,13 +1,11 @@
-//! The adaptive density control of 3DGS: clone, split, prune, as one edit.
+//! The adaptive density control of 3DGS: clone, split, prune, as one edit (Kerbl et al., 2023, section 5.2, and the
+//! code released with it).
 //!
-//! In the published order: a Gaussian whose mean screen-space gradient reaches the threshold is *cloned* if it is
-//! small and *split* into two children if it is large; afterwards faint and oversized Gaussians are *pruned*, new ones
-//! included.
+//! A Gaussian whose mean screen-space gradient reaches the threshold is *cloned* if it is small and *split* if it is
+//! large; afterwards faint and oversized ones are *pruned*, new ones included.
 //!
-//! A cap, which the publication does not have, changes one thing: while not all that want to grow find room, size is no
-//! reason to be pruned. Oversized Gaussians are pruned on the understanding that smaller ones fill their place; with a
-//! cap nothing does, and distant walls and floors vanish (8 dB of held-out PSNR on a forward-facing scene).
-//! Reference: Kerbl et al., "3D Gaussian Splatting", 2023, section 5.2, and the code released with it.
+//! A cap, which the publication does not have, changes one thing: while it refuses growth, size is no reason to be
+//! pruned. Otherwise nothing would fill the place of distant walls (8 dB of held-out PSNR on a forward-facing scene).
 
 use genesplat_core::edit::new_log_scale;
 use genesplat_core::gaussians::sigmoid;
@@ -20,14 +18,15 @@ use super::Plan;
 pub struct Rules {
     /// Mean screen-space gradient from which a Gaussian grows, in normalised device coordinates.
     pub gradient_threshold: f32,
-    /// As many Gaussians again may grow for their absolute gradient as reach that threshold (`absolute_threshold`, below).
+    /// As many Gaussians again may grow for their absolute gradient as reach that threshold (`absolute_threshold`,
+    /// below).
     pub or_absolute: bool,
     /// Growing Gaussians up to this size are cloned, larger ones split; longest axis, world units.
     pub clone_size_max: f32,
     /// Gaussians fainter than this are pruned.
     pub prune_opacity: f32,
-    /// Gaussians larger than this are pruned, unless the cap turns growing ones away; longest axis, world units. `None`:
-    /// size is no reason.
+    /// Gaussians larger than this are pruned, unless the cap turns growing ones away; longest axis, world units.
+    /// `None`: size is no reason.
     pub prune_size: Option<f32>,
     /// Growth stops at this many Gaussians; the strongest gradients go first.
     pub cap: Option<usize>,
@@ -61,7 +60,7 @@ pub fn plan(statistics: &Statistics, genes: &[Genes], rules: &Rules, rng: Rng, i
 }
 
 /// The absolute gradient from which Gaussians grow, too (Gaussian Opacity Fields): the quantile above which lies the
-/// same fraction of the cloud as reaches `gradient_threshold`, interpolated linearly between rows. Never less than one row.
+/// same fraction of the cloud as reaches `gradient_threshold`, interpolated linearly. Never less than one row.
 fn absolute_threshold(statistics: &Statistics, gradient_threshold: f32) -> f32 {
     let n = statistics.weight_sum.len();
     let mut sorted: Vec<f32> = (0..n).map(|row| statistics.mean_absolute(row)).collect();
@@ -88,8 +87,8 @@ fn wanted_growth(
     }
 }
 
-/// Clones and splits alike add one row. Where they do not all fit, the strongest gradients are served, by what each is above its
-/// threshold; equal ones in row order. Returns how many were turned away.
+/// Clones and splits alike add one row. Where they do not all fit, the strongest gradients go first, by what each is
+/// above its threshold; equal ones in row order. Returns how many were turned away.
 fn refuse_beyond_cap(
     growth: &mut [Growth],
     statistics: &Statistics,
@@ -114,8 +113,8 @@ fn refuse_beyond_cap(
     growing.len() - free
 }
 
-/// New rows lie beside the row that they come from: the cloud stays in the spatial order in which it was started, and
-/// what lies together on the screen stays together in memory. (The reference appends them at the end.)
+/// New rows lie beside the row that they come from, so that neighbours in space stay neighbours in memory. (The
+/// reference appends them at the end.)
 fn grow(growth: &[Growth], rng: Rng, iteration: u32) -> RowEdit {
     let mut edit = RowEdit::new(rng, iteration);
     for (row, found) in (0..).zip(growth) {

@@ -8,8 +8,7 @@ use crate::densify::mcmc;
 /// Training pixels to each Gaussian, for each of √(number of photos), since photos show the same things.
 const PIXELS: f64 = 2.0;
 
-/// Pixels of one photo (their mean) to each Gaussian, however many photos there are: the hundredth shows hardly anything that the others
-/// do not. The lower limit from 45 photos on.
+/// Pixels of one photo (their mean) to each Gaussian, however many photos there are: the lower limit from 45 photos on.
 const PHOTO_PIXELS: f64 = 0.3;
 
 /// The most Gaussians that density control may grow to, by who says so.
@@ -46,7 +45,8 @@ impl Cap {
         })
     }
 
-    /// The limit of `cap` is reached in iteration `i`, and `refused` more wanted to grow; `is_last`: no densification follows.
+    /// The limit of `cap` is reached in iteration `i`, and `refused` more wanted to grow; `is_last`: no densification
+    /// follows.
     pub(crate) fn notice_of_full_cloud(self, cap: usize, i: u32, refused: usize, is_last: bool) -> String {
         let source = if self.own == Some(cap) { "" } else { " from the photos (evolution.renewal.capacity)" };
         let rest = if is_last {

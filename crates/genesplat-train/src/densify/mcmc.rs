@@ -1,11 +1,10 @@
 //! 3DGS-MCMC's density control: dead Gaussians move to living ones, and a few more are added, up to a cap.
 //!
-//! A Gaussian that is *relocated* becomes a copy of a living one, drawn in proportion to opacity; a Gaussian that is
-//! *added* likewise. All `n` copies that then share a place get an opacity and a scale at which together they render
-//! (nearly) like the one before, so that the state of the Markov chain stays as probable as it was. Nothing is split,
-//! pruned or reset, and no gradient is looked at.
+//! A Gaussian that is *relocated* becomes a copy of a living one, drawn in proportion to opacity; one that is *added*
+//! likewise. All `n` copies that then share a place get an opacity and a scale at which together they render (nearly)
+//! like the one before. No gradient is looked at.
 //! Reference: Kheradmand et al., "3D Gaussian Splatting as Markov Chain Monte Carlo", NeurIPS 2024, Eq. 9 and appendix;
-//! constants of gsplat, which reproduces its numbers.
+//! constants of gsplat.
 
 use genesplat_core::gaussians::{logit, sigmoid};
 use genesplat_core::rng::Draw;
@@ -62,11 +61,10 @@ pub fn initialise(cloud: &mut Gaussians) {
     cloud.log_scales.as_flattened_mut().iter_mut().for_each(|log_scale| *log_scale += INITIAL_SCALE.ln());
 }
 
-/// Decides one event from the genes `[N]`, of which it reads opacities alone; `iteration` addresses the random draws.
+/// Decides one event from the opacities in `genes` `[N, 7]`; `iteration` addresses the random draws.
 ///
-/// Copies lie beside the row that they are of, wherever the dead ones lay: what is together on the screen stays
-/// together in memory. Relocated Gaussians lose their moments, and so do the Gaussians that they were moved to; added
-/// ones have none, and the Gaussians that they were added to keep theirs.
+/// Copies lie beside the row that they are of. Relocated Gaussians and their targets lose their moments; added ones
+/// have none, and their targets keep theirs.
 pub fn plan(genes: &[Genes], rules: &Rules, rng: Rng, iteration: u32) -> Plan {
     let mut rows: Vec<Row> = genes.iter().zip(0..).map(|(genes, row)| Row::kept(row, genes[6])).collect();
     let relocated = relocate(&mut rows, rules, &rng, iteration);
@@ -120,8 +118,8 @@ fn share_places(rows: &mut [Row], targets: &[usize], rules: &Rules) {
 /// Opacity of each of `n` Gaussians at one place that together have the given one at their centre, and the factor on
 /// their scales at which the sum along any line through the centre is that of the one they replace.
 ///
-/// `o' = 1 − (1 − o)^(1/n)`, `s'/s = o / Σ_{j=1..n} C(n, j) (−1)^(j+1) o'^j / sqrt(j)`: the paper's double sum over
-/// `i ≤ n` and `k < i`, whose binomials add up along `i`.
+/// `o' = 1 − (1 − o)^(1/n)`, `s'/s = o / Σ_{j=1..n} C(n, j) (−1)^(j+1) o'^j / sqrt(j)`: the paper's double sum over `i
+/// ≤ n` and `k < i`, whose binomials add up along `i`.
 fn shared(opacity: f64, n: u32) -> (f64, f64) {
     let opacity = opacity.min(1.0 - OPAQUE_MARGIN);
     let each = 1.0 - (1.0 - opacity).powf(1.0 / f64::from(n));

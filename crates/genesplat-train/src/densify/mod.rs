@@ -1,8 +1,6 @@
 //! Density control: where Gaussians are added and removed.
 //!
-//! A strategy is pure: it reads statistics and geometry and returns a [`Plan`], which the backend applies to
-//! parameters and optimiser moments together. Variants that differ only in how strongly a view counts (Pixel-GS) differ only in the
-//! [`DensitySignal`] that they ask the backend for.
+//! A strategy is pure: it reads statistics and genes and returns a [`Plan`], which the backend applies.
 
 pub mod adaptive;
 pub(crate) mod cap;
@@ -72,10 +70,8 @@ impl Trainer<'_> {
 
 /// The density signal that a run accumulates, if it needs one; `extent` is the scene's, world units.
 ///
-/// Pixel-GS: large Gaussians are seen by many views but well covered by few, so 3DGS's plain mean over views hides their gradient.
-/// It weights each view by the pixels blended, and scales gradients near the camera by `min(1, (z / (0.37 · extent))²)` where that
-/// would grow floaters (Zhang et al., "Pixel-GS: Density Control with Pixel-aware Gradient for 3D Gaussian Splatting", ECCV 2024).
-/// Mip-Splatting's paper changes nothing here; its later releases adopt the signal of Gaussian Opacity Fields.
+/// Pixel-GS weights each view by the pixels blended, and scales gradients near the camera by `min(1, (z / (0.37 ·
+/// extent))²)` where that would grow floaters (Zhang et al., "Pixel-GS", ECCV 2024).
 pub fn signal(config: &TrainConfig, extent: f64) -> Option<DensitySignal> {
     match (config.variant, config.densify.signal) {
         (Variant::Mcmc, _) => None,

@@ -1,24 +1,22 @@
-//! Renewal on trial: the Gaussians of least contribution are replaced by splitting those of largest error; rolled back if guard PSNR falls.
+//! Renewal on trial: the Gaussians of least contribution are replaced by splitting those of largest error; rolled back
+//! if guard PSNR falls.
 //!
-//! Why. 3DGS looks for the right Gaussians in the first half of a run and then leaves them as they are. By that time many contribute
-//! next to nothing, while others stand for more detail than one Gaussian can show. Gradients cannot mend that: a Gaussian that is not
-//! there has no gradient.
+//! 3DGS looks for the right Gaussians in the first half of a run and then leaves them as they are, though many
+//! contribute next to nothing, while others stand for more detail than one can show. Gradients cannot mend that: a
+//! Gaussian that is not there has no gradient. So every twentieth of the second half, contributions are measured and a
+//! fraction of the cloud is renewed ([`genesplat_evolve::renewal`]). New Gaussians need some steps, so a renewal is
+//! judged when the next one is due. Weight averaging comes first wherever both are due: the states that guards compare
+//! are alike free of the noise of single steps.
 //!
-//! How. Once density control has ended, in the second half of the run, contributions of all Gaussians are measured
-//! ([`genesplat_core::contribution`]) every twentieth of the run, and a fraction of the cloud is renewed
-//! ([`genesplat_evolve::renewal`]). A new Gaussian needs some gradient steps before it is worth anything, so a renewal is judged when
-//! the next one is due: if the guard views are rendered worse by then than before it, the state before it comes back, moments and all.
-//! Weight averaging comes first wherever both are due, so that the states which guards compare are alike free of the noise of single
-//! steps.
-//!
-//! Prior art: 3DGS-MCMC relocates by opacity (Kheradmand et al., 2024), "Revising Densification" grows by error (Rota Bulò et al.,
-//! 2024); neither takes anything back. In MCMC renewal takes over from relocation at half of the run.
+//! Prior art: 3DGS-MCMC relocates by opacity (Kheradmand et al., 2024), "Revising Densification" grows by error (Rota
+//! Bulò et al., 2024); neither takes anything back.
 
 use std::time::Instant;
 
 use genesplat_core::averages::WINDOW_HALVES;
 use genesplat_core::{Contribution, DeviceState, Gaussians, Moments, Origin};
 use genesplat_evolve::renewal;
+use serde::{Deserialize, Serialize};
 
 use crate::evolution::{GuardScore, guards};
 use crate::run::TrainError;
@@ -27,7 +25,7 @@ use crate::run::trainer::Trainer;
 use crate::scene::views::spread_evenly;
 
 /// A renewal that has yet to prove itself.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Trial {
     /// What is reported of it, as if it had succeeded; the guard score that ends it is not in it yet.
     pub record: StageRecord,
@@ -101,22 +99,19 @@ impl Trainer<'_> {
             guard_psnr: Some(score.psnr),
             ..GenerationLog::of(&record, Some(score.loss))
         });
-        self.forget_trial(record);
+        // The state is whole again: what is left of the phase is the next renewal, which whoever resumes begins
+        // likewise.
+        self.trial = None;
+        self.end_stage(record);
         Ok(stays)
     }
 
-    /// The state before the renewal on trial, if there is one, and guards do not find better what has become of it so far.
+    /// The state before the renewal on trial, if there is one, and guards do not find better what has become of it so
+    /// far.
     pub(crate) fn better_before_trial(&mut self) -> Result<Option<Gaussians>, TrainError> {
         let Some(trial) = self.trial.take() else { return Ok(None) };
         let now = self.guard_score(&self.trial_guards(), self.cursor.iteration)?;
         Ok((now.psnr < trial.before().psnr).then_some(trial.cloud))
-    }
-
-    /// The trial is over, and the state is whole again: what is left of the phase is the next renewal, which whoever resumes
-    /// begins likewise.
-    fn forget_trial(&mut self, record: StageRecord) {
-        self.trial = None;
-        self.end_stage(record);
     }
 
     /// Renews a fraction of the Gaussians, if there are any to renew.
@@ -139,11 +134,11 @@ impl Trainer<'_> {
         Ok(())
     }
 
-    /// Contributions to as many training views as there is time for. A Gaussian that none of them shows contributes nothing if they are
-    /// all there are, and is spared otherwise.
+    /// Contributions to as many training views as there is time for. A Gaussian that none of them shows is spared,
+    /// unless they are all there are.
     fn contributions(&mut self, record: &mut StageRecord) -> Result<Vec<Contribution>, TrainError> {
         let (i, settings) = (record.iteration, self.settings(record.iteration));
-        let views = spread_evenly(self.views, self.schedule.contribution_views, &self.rng, i);
+        let views = spread_evenly(self.views, self.schedule.contribution_views(), &self.rng, i);
         let mut contributions = self.backend.contributions(&views, &settings)?;
         if views.len() < self.views.len() {
             let unseen = contributions.iter_mut().filter(|of| of.weight == 0.0);

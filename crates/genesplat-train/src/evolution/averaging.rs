@@ -1,11 +1,11 @@
-//! Weight averaging: at the end of each window, a mean of its states replaces the last one where guard views find it better.
+//! Weight averaging: at the end of each window, a mean of its states replaces the last one where guard views find it
+//! better.
 //!
-//! Adam's steps on single views keep every parameter in motion around its optimum, to the last iteration: the rates of all
-//! parameters but positions are constant. At the same time much still drifts, slowly. The states of a window hold both: their mean is
-//! free of the noise, and the line from the mean of the older half to that of the younger one points where the run is going. Two
-//! blends are tried: the plain mean, and one near it that goes some way along the line. Averaging every state beside a late
-//! learning-rate schedule is Izmailov et al., "Averaging weights leads to wider optima and better generalization", 2018; going beyond
-//! the last state is the step of Zhang et al., "Lookahead optimizer", 2019.
+//! Adam's steps on single views keep every parameter in motion around its optimum, while much still drifts, slowly. The
+//! mean of a window's states is free of that noise, and the line from the mean of the older half to that of the younger
+//! one points where the run is going. Two blends are tried: the plain mean, and one near it that goes some way along
+//! the line. (Izmailov et al., "Averaging weights leads to wider optima and better generalization", 2018; Zhang et al.,
+//! "Lookahead optimizer", 2019.)
 
 use std::time::Instant;
 
@@ -18,11 +18,12 @@ use crate::run::TrainError;
 use crate::run::observe::{GenerationLog, StageKind, StageRecord};
 use crate::run::trainer::Trainer;
 
-/// The blends that guards choose from: how far towards the mean of all states, and how far along the line of the two halves.
+/// The blends that guards choose from: how far towards the mean of all states, and how far along the line of the two
+/// halves.
 const CANDIDATES: [(f64, f64); 2] = [(0.8, 0.6), (1.0, 0.0)];
 
-/// The cloud moved by `mean` of its way to the window's mean, and by `line` of the way from the older half to the younger one. Where a
-/// half has no states, the other one is the mean, and there is no line.
+/// The cloud moved by `mean` of its way to the window's mean, and by `line` of the way from the older half to the
+/// younger one. Where a half has no states, the other one is the mean.
 fn blend((mean, line): (f64, f64), has_states: [bool; WINDOW_HALVES]) -> Blend {
     let weights = match has_states {
         [true, true] => [(0.5 * mean - line) as f32, (0.5 * mean + line) as f32],

@@ -1,4 +1,5 @@
-//! The equal-time control of an experiment: gradient steps where evolution would be, for as many seconds, or a fixed number of them.
+//! The equal-time control of an experiment: gradient steps where evolution would be, for as many seconds, or a fixed
+//! number of them.
 
 use std::time::Instant;
 

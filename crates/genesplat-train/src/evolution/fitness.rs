@@ -1,7 +1,4 @@
-//! Fitness of an individual: Eq. 5 on a few training views, as the paper has it.
-//!
-//! The genetic algorithm ([`genesplat_evolve`]) asks for losses and never sees a renderer; the backend scores individuals
-//! and never sees a generation. What stands between them is a stage's choice of views, and a mean.
+//! Fitness of an individual: mean Eq. 5 on a few training views, as the paper has it.
 
 use std::ops::Range;
 
@@ -12,8 +9,8 @@ use crate::run::TrainError;
 use crate::run::trainer::Trainer;
 use crate::scene::views::spread_evenly;
 
-/// Individuals are handed to the backend until they take this many bytes: what they have in common is found once a batch, and
-/// a generation of the paper's is one, up to some 350,000 Gaussians.
+/// Individuals are handed to the backend until they take this many bytes: a generation of the paper's, up to some
+/// 350,000 Gaussians.
 const BATCH_BYTES: usize = 256 << 20;
 
 /// What fitness is measured on; the same for all individuals of all generations of a stage.
@@ -69,8 +66,7 @@ impl Trainer<'_> {
     }
 }
 
-/// The next individuals, about [`BATCH_BYTES`] of them. Those of one generation are about as large as each other, so the
-/// first tells how many fit.
+/// The next individuals, about [`BATCH_BYTES`] of them; the first tells how many fit.
 fn next_batch(algorithm: &GeneticAlgorithm, wanted: Range<usize>) -> Vec<SparseDelta> {
     let mut batch = algorithm.deltas_from_consensus(wanted.start..wanted.start + 1);
     let bytes: usize = batch.iter().map(SparseDelta::bytes).sum();

@@ -1,7 +1,7 @@
 //! Guards: training views that decide whether the cloud keeps what averaging or a renewal made of it.
 //!
-//! Gradient steps train on them as on all other photos, before a stage and after it, so a guard's verdict says that training got no
-//! worse, and nothing about photos that training never saw. Test photos take no part in anything.
+//! Gradient steps train on them as on all others, so a guard says that training got no worse, and nothing about photos
+//! that training never saw. Test photos take no part in anything.
 
 use genesplat_core::{Blend, Rng, View, ViewLoss};
 

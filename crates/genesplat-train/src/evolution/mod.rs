@@ -1,7 +1,7 @@
 //! What runs beside gradient steps: the paper's search, weight averaging, the equal-time control.
 //!
-//! Each is a [`Stage`]: it begins, goes on piece by piece, and finishes. One executor, [`Trainer::run_stage`], does what they have in
-//! common: the clock, the records, a stop within, and what is saved where the device fails.
+//! Each is a [`Stage`]; [`Trainer::run_stage`] does what they have in common: the clock, the records, a stop within,
+//! and what is saved where the device fails.
 
 use std::time::Instant;
 
@@ -31,7 +31,8 @@ pub(crate) trait Stage: Sized {
     /// Measures the cloud and prepares; changes nothing. `None` where there is nothing to do.
     fn begin(trainer: &mut Trainer, iteration: u32) -> Result<Option<(Self, StageRecord)>, TrainError>;
 
-    /// Training views that fitness is measured on, and the pieces that follow the first, for who listens; `None` to say nothing.
+    /// Training views that fitness is measured on, and the pieces that follow the first, for who listens; `None` to say
+    /// nothing.
     fn announcement(&self) -> Option<(&[usize], u32)>;
 
     /// Nothing is left to do.
@@ -50,7 +51,8 @@ pub(crate) trait Stage: Sized {
 }
 
 impl Trainer<'_> {
-    /// Runs a stage. Returns a checkpoint where it was stopped: the best so far counts, but a resumed run repeats the stage in full.
+    /// Runs a stage. Returns a checkpoint where it was stopped: the best so far counts, but a resumed run repeats the
+    /// stage in full.
     pub(crate) fn run_stage<S: Stage>(
         &mut self,
         cursor: Cursor,
@@ -58,7 +60,9 @@ impl Trainer<'_> {
         let clock = Instant::now();
         let mut saved = if S::KEEPS_CHANGES { Some(self.capture_healthy(cursor)?) } else { None };
         let Some((mut stage, mut record)) = S::begin(self, cursor.iteration)? else { return Ok(None) };
-        self.announce(&stage, &record);
+        if let Some((views, generations)) = stage.announcement() {
+            self.tell_of_stage(&record, views, generations);
+        }
         self.is_mid_change = true;
         let outcome = self.go_on(&mut stage, &mut record);
         let rewound = stage.rewind(self);
@@ -87,12 +91,6 @@ impl Trainer<'_> {
             stage.next(self, record)?;
         }
         Ok(())
-    }
-
-    fn announce<S: Stage>(&mut self, stage: &S, record: &StageRecord) {
-        if let Some((views, generations)) = stage.announcement() {
-            self.tell_of_stage(record, views, generations);
-        }
     }
 
     /// What is told at the beginning of a stage.

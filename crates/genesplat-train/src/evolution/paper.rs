@@ -1,8 +1,8 @@
 //! The paper's evolution stage: Algorithm 1 on the cloud, after an opacity reset.
 //!
-//! While the search goes on, the backend's cloud is what most parents of the generation have in common, since individuals
-//! differ from that in fewer rows, however far they have come from the base; they are handed over in batches of bounded
-//! size. At the end the base comes back, and is replaced by the best individual, if that is strictly better.
+//! Meanwhile the backend's cloud is what most parents of the generation have in common, since individuals differ from
+//! that in fewer rows. At the end the base comes back, and is replaced by the best individual, if that is strictly
+//! better.
 
 use std::time::Instant;
 
@@ -85,8 +85,8 @@ impl Stage for GeneticSearch {
     }
 }
 
-/// Changes what individuals are differences from. What scoring has prepared for the old cloud is lost, so an empty change is not
-/// passed on.
+/// Changes what individuals are differences from. An empty change is not passed on: what scoring has prepared would be
+/// lost.
 fn move_cloud(trainer: &mut Trainer, shift: &SparseDelta) -> Result<(), BackendError> {
     if shift.is_empty() { Ok(()) } else { trainer.backend.apply(shift, MomentPolicy::Keep) }
 }

@@ -10,12 +10,12 @@ use crate::run::checkpoint::Cursor;
 use crate::run::observe::Observer;
 use crate::run::trainer::Trainer;
 use crate::run::{Outcome, Start, TrainError};
-use crate::schedule::{OptimiserStep, Phase, Schedule};
+use crate::schedule::{OptimiserStep, Phase};
 
 /// One search of `evolution.paper` on a finished cloud from any trainer, without gradient steps.
 ///
-/// Gene gradients, where the configuration wants them, come from one pass over all views. A search that was stopped returns the best
-/// it has; there is nothing to resume.
+/// Gene gradients, where the configuration wants them, come from one pass over all views. A search that was stopped
+/// returns the best it has; there is nothing to resume.
 pub fn search(
     backend: &mut dyn EvolutionBackend,
     views: &[View],
@@ -26,7 +26,7 @@ pub fn search(
 ) -> Result<Outcome, TrainError> {
     let mut trainer = Trainer::new(backend, views, config, observer, stop)?;
     trainer.begin(Start::Cloud(cloud))?;
-    let last = finished_iteration(config.schedule());
+    let last = config.schedule().finished_iteration();
     if config.config().evolution.paper.uses_gradients() {
         let genes = StatisticsRequest { density: None, genes: true };
         for view in 0..views.len() {
@@ -44,9 +44,4 @@ pub fn search(
     let mut outcome = trainer.finish(None)?;
     (outcome.summary.interrupted, outcome.summary.iterations) = (checkpoint.is_some(), 0);
     Ok(outcome)
-}
-
-/// An iteration at which rates are final and every degree of the spherical harmonics is active.
-fn finished_iteration(schedule: &Schedule) -> u32 {
-    schedule.iterations.max(schedule.sh_every.saturating_mul(schedule.sh_degree_max.into()))
 }

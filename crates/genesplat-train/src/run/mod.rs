@@ -7,7 +7,7 @@ mod rescue;
 pub(crate) mod trainer;
 
 use genesplat_core::{Backend, BackendError, Gaussians};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::config::Variant;
 use crate::scene::initialise::{ColouredPoint, InitialiseError};
@@ -64,16 +64,16 @@ impl RunSummary {
             sh_degree_start: 0,
             steps: self.optimiser_steps,
             opacity_steps: self.opacity_steps,
-            gradient_seconds: self.seconds.gradient,
-            evolution_seconds: self.seconds.evolution,
+            seconds: self.seconds,
             stages: self.stages.clone(),
         };
-        Ok(Checkpoint::capture(backend, Cursor::start_of(self.iterations + 1), progress, None)?)
+        let cursor = Cursor::start_of(self.iterations + 1);
+        Ok(Checkpoint { cursor, progress, state: backend.state()?, trial: None })
     }
 }
 
 /// Wall-clock seconds by what they were spent on.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Seconds {
     /// Gradient steps and density control.
     pub gradient: f64,

@@ -1,7 +1,5 @@
-//! What a run's owner should know before the first step.
-//!
-//! Settings that are each valid may come to nothing together, in hours: a run too short for its renewals, say. What the schedule
-//! and the scene tell of that is said at once, a sentence each; none of it stops a run.
+//! What a run's owner should know before the first step: settings that are each valid may come to nothing together.
+//! None of it stops a run.
 
 use super::trainer::Trainer;
 use crate::config::{TrainConfig, Variant};
@@ -9,15 +7,15 @@ use crate::densify::Plan;
 use crate::densify::cap::Cap;
 use crate::schedule::Schedule;
 
-/// A reset is late where less than the time between two resets, divided by this, is left after it.
+/// A reset is late where less than this fraction of the time between two resets is left after it: one in so many.
 const LATE_RESET_DIVISOR: u64 = 10;
 
-/// Gaussians are pruned for a size that backgrounds need where it is less than this part of their distance. (The published
-/// size is a tenth of the cameras' extent: all round a scene a tenth of the distance, too, and a fiftieth for `fern`.)
+/// Gaussians are pruned for a size that backgrounds need where it is less than this part of their distance. (All round
+/// a scene the published size is a tenth of it, for `fern` a fiftieth.)
 const SMALL_PART_OF_DEPTH: f64 = 0.03;
 
-/// All that there is to say of a run; `depth` is how far away most of what its cameras see is, if that is known, and `extent` that of
-/// the cameras, world units.
+/// All that there is to say of a run; `depth`, how far away most of what its cameras see is, and `extent` in world
+/// units.
 pub(crate) fn at_start(
     config: &TrainConfig,
     schedule: &Schedule,
@@ -36,7 +34,7 @@ pub(crate) fn at_start(
     notices.into_iter().flatten().collect()
 }
 
-/// Renewal ends density control early, in short runs before it has begun. Who switched it off needs no telling.
+/// Renewal ends density control early, in short runs before it has begun.
 fn notice_of_no_growth(schedule: &Schedule) -> Option<String> {
     let is_wanted = schedule.renew_every.is_some() && schedule.densify_until > 0;
     if !is_wanted || (1..=schedule.iterations).any(|i| schedule.is_densify(i)) {
@@ -52,7 +50,7 @@ fn notice_of_no_growth(schedule: &Schedule) -> Option<String> {
     ))
 }
 
-/// Opacities are earned back in some hundreds of iterations. A run that is cut short before that shows next to nothing.
+/// Opacities are earned back in some hundreds of iterations.
 fn notice_of_late_reset(schedule: &Schedule) -> Option<String> {
     let last = (1..=schedule.iterations).rfind(|&i| schedule.is_reset(i))?;
     let left = schedule.iterations - last;
@@ -64,7 +62,7 @@ fn notice_of_late_reset(schedule: &Schedule) -> Option<String> {
     })
 }
 
-/// Stages come with resets, unless a trigger says otherwise. Who asks for them should know that a run has none.
+/// Stages come with resets, unless a trigger says otherwise.
 fn notice_of_no_stage(schedule: &Schedule) -> Option<String> {
     schedule.waits_in_vain().then(|| {
         format!(
@@ -75,7 +73,7 @@ fn notice_of_no_stage(schedule: &Schedule) -> Option<String> {
     })
 }
 
-/// Who asks for renewal should know that a run has no place for it. Who switched it off needs no telling.
+/// A run may have no place for a renewal.
 fn notice_of_no_renewal(schedule: &Schedule) -> Option<String> {
     let every = schedule.renew_every.filter(|_| schedule.renew_until > 0)?;
     (1..=schedule.iterations).all(|i| !schedule.renews(i)).then(|| {
@@ -89,8 +87,7 @@ fn notice_of_no_renewal(schedule: &Schedule) -> Option<String> {
     })
 }
 
-/// Sizes are measured in the extent of the cameras. Where that is small beside the scene, walls and floors are pruned for
-/// theirs; `depth` is how far away most of it is.
+/// Sizes are measured in the extent of the cameras. Where that is small beside the scene, walls and floors are pruned.
 fn notice_of_lost_background(
     config: &TrainConfig,
     schedule: &Schedule,
@@ -112,7 +109,7 @@ fn notice_of_lost_background(
 }
 
 impl Trainer<'_> {
-    /// Density control has refused growth because the cap is reached. Once is enough: the cap stays.
+    /// Density control has refused growth because the cap is reached. Once is enough.
     pub(crate) fn notice_full_cloud(&mut self, i: u32, plan: &Plan) {
         let grown = plan.edit.sources.len() + plan.pruned;
         let is_news = |cap: &usize| plan.refused > 0 && grown >= *cap && !self.cap_noticed;

@@ -1,10 +1,10 @@
-//! How training tells what it does: a log, a progress bar, a live page.
+//! How training tells what it does, as records that serialise to one line of `log.jsonl` each ([`LogRecord`]).
 //!
-//! An observer is called between device calls and must return at once; training never waits for an answer.
-//! What happens is told as records that serialise to one line of `log.jsonl` each ([`LogRecord`]).
+//! An observer is called between device calls and must return at once.
 
+use genesplat_core::backend::StepReport;
 use genesplat_core::{BackendError, Camera, Image};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::checkpoint::Checkpoint;
 
@@ -40,18 +40,7 @@ pub struct StepLog {
     pub position_rate: f32,
     /// What the device found, in iterations that read it back.
     #[serde(flatten)]
-    pub report: Option<StepFindings>,
-}
-
-/// What the device found in one step.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct StepFindings {
-    /// Eq. 5 on the iteration's view.
-    pub loss: f32,
-    /// Gaussians that reach at least one pixel of it.
-    pub visible: usize,
-    /// Intersections of Gaussians with tiles.
-    pub intersections: usize,
+    pub report: Option<StepReport>,
 }
 
 /// One densification.
@@ -97,11 +86,11 @@ pub struct GenerationLog {
     pub generation_best: Option<f64>,
     /// Lowest fitness so far, the base included.
     pub best: f64,
-    /// Mean fitness of the whole population, elites included, over what could be rendered; `null` when nothing could.
+    /// Mean fitness of the whole population, elites included; `null` when nothing could be rendered.
     pub mean: Option<f64>,
     /// Standard deviation of the same.
     pub spread: Option<f64>,
-    /// Gaussians that the generation changes for good; 0 where guards refused it, `null` where that is not decided yet.
+    /// Gaussians that the generation changes for good; `null` where that is not decided yet.
     pub accepted: Option<usize>,
     /// Mean PSNR that guard views have of it, dB; `null` where they were not asked.
     pub guard_psnr: Option<f64>,
@@ -130,7 +119,7 @@ impl GenerationLog {
 }
 
 /// What a stage did.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum StageKind {
     /// Algorithm 1 of the paper.
@@ -144,7 +133,7 @@ pub enum StageKind {
 }
 
 impl StageKind {
-    /// All of them, in the order of their numbers in a checkpoint.
+    /// All of them.
     pub const ALL: [Self; 4] = [Self::Paper, Self::ExtraSteps, Self::Averaging, Self::Renewal];
 
     /// As log and reports write it.
@@ -159,22 +148,22 @@ impl StageKind {
 }
 
 /// An evolution stage, or extra steps in its place, as `metrics.json` reports it.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct StageRecord {
     /// What it did.
     pub kind: StageKind,
     /// Iteration of the trigger.
     pub iteration: u32,
-    /// Generations of its search that were completed, the initial population included (the guards' choice is none); 1 for a renewal,
-    /// 0 for averaging and extra steps.
+    /// Generations of its search that were completed, the initial population included; 1 for a renewal, 0 for averaging
+    /// and extra steps.
     pub generations: u32,
     /// Renders made; the gradient steps of extra steps.
     pub renders: u64,
     /// Mean Eq. 5 on the stage's views before it.
     pub fitness_before: f64,
-    /// The same after it. Never above `fitness_before` for evolution but for renewal, of which guards judge the PSNR alone.
+    /// The same after it. Never above `fitness_before` for evolution but for renewal, where guard PSNR alone decides.
     pub fitness_after: f64,
-    /// Mean PSNR of the guard views before and after it, dB, where a stage has guards; the second is never below the first.
+    /// Mean PSNR of the guard views before and after it, dB; the second is never below the first.
     pub guard_psnr: Option<[f64; 2]>,
     /// Gaussians that the stage changed; 0 when nothing beat the base.
     pub changed: usize,
@@ -281,7 +270,7 @@ mod tests {
             gaussians: 3,
             sh_degree: 0,
             position_rate: 0.5,
-            report: Some(StepFindings { loss: 0.25, visible: 2, intersections: 4 }),
+            report: Some(StepReport { loss: 0.25, visible: 2, intersections: 4 }),
         }));
         assert!(step.contains(r#""event":"step","iteration":7"#), "{step}");
         assert!(step.contains(r#""loss":0.25"#), "{step}");

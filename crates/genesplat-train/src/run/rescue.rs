@@ -1,12 +1,8 @@
 //! What is saved of a run whose device is out of memory.
 //!
-//! Such a device lives and holds what it held before the verb that failed ([`genesplat_core::Backend`]), so the run can go on elsewhere
-//! from where it stands, instead of from the last checkpoint of the schedule. Where it stands takes some care: steps are
-//! queued, and the verb that failed may have waited for steps that are not done and never will be. These are always the
-//! last ones, since every other phase waits for all steps before it begins. So the cursor goes back to the first step that
-//! is not done, and whoever resumes does exactly what would have been done with enough memory.
-//!
-//! A device that is lost has taken all with it; the last checkpoint of the schedule is what is left then.
+//! Such a device holds what it held before the verb that failed. Queued steps may not be done: always the last ones,
+//! since every other phase waits for all steps. So the cursor goes back to the first step that is not done, and a
+//! resumed run does exactly what would have been done. (A device that is lost has taken all with it.)
 
 use genesplat_core::BackendError;
 
@@ -16,7 +12,8 @@ use super::trainer::Trainer;
 use crate::schedule::Phase;
 
 impl Trainer<'_> {
-    /// Hands over a checkpoint, if the device still holds the work of whole phases; returns the error that ends the run.
+    /// Hands over a checkpoint, if the device still holds the work of whole phases; returns the error that ends the
+    /// run.
     pub(crate) fn rescue(&mut self, error: TrainError) -> TrainError {
         let lives = matches!(error, TrainError::Backend(BackendError::OutOfMemory { .. }));
         if lives && !self.is_mid_change {

@@ -13,7 +13,7 @@ use genesplat_core::{
 
 use super::checkpoint::{Checkpoint, Cursor, Progress};
 use super::notices;
-use super::observe::{Observer, StartLog, StepFindings};
+use super::observe::{Observer, StartLog};
 use super::{Outcome, RunSummary, Seconds, Start, TrainError};
 use crate::config::{Background, Resolved, TrainConfig, Variant};
 use crate::densify::cap::Cap;
@@ -41,8 +41,6 @@ pub(crate) struct Trainer<'a> {
     /// Size of the scene, world units.
     pub(crate) extent: f64,
     pub(crate) signal: Option<DensitySignal>,
-    /// Iteration of the last evolution stage; 0 for none.
-    pub(crate) last_stage: u32,
     pub(crate) order: ViewOrder,
     pub(crate) progress: Progress,
     /// The renewal that is on trial.
@@ -76,7 +74,6 @@ impl<'a> Trainer<'a> {
         backend.set_views(views)?;
         Ok(Self {
             signal: crate::densify::signal(config, extent),
-            last_stage: schedule.stages().last().unwrap_or(0),
             order: ViewOrder::new(rng, views.len()),
             progress: Progress::default(),
             trial: None,
@@ -144,14 +141,14 @@ impl<'a> Trainer<'a> {
         let own_filter = cloud.filter_3d.take();
         cloud.filter_3d = self
             .schedule
-            .filter_3d
+            .has_filter_3d()
             .then(|| own_filter.unwrap_or_else(|| filter_of(self.views, &cloud.positions)));
         self.backend.upload(cloud.into())?;
         Ok(Cursor::start_of(1))
     }
 
     fn restore(&mut self, checkpoint: Checkpoint) -> Result<Cursor, TrainError> {
-        if checkpoint.state.cloud.filter_3d.is_some() != self.schedule.filter_3d {
+        if checkpoint.state.cloud.filter_3d.is_some() != self.schedule.has_filter_3d() {
             return Err(TrainError::OtherVariant { wanted: self.config.variant });
         }
         self.averaged = checkpoint.state.averages.states();
@@ -165,7 +162,7 @@ impl<'a> Trainer<'a> {
     /// All that it takes to go on from `cursor` later.
     pub(crate) fn capture(&mut self, cursor: Cursor) -> Result<Box<Checkpoint>, TrainError> {
         let (progress, trial) = (self.progress.clone(), self.trial.clone());
-        Ok(Box::new(Checkpoint::capture(self.backend, cursor, progress, trial)?))
+        Ok(Box::new(Checkpoint { cursor, progress, state: self.backend.state()?, trial }))
     }
 
     /// The same, where the cloud is finite.
@@ -213,15 +210,15 @@ impl<'a> Trainer<'a> {
             optimiser_steps: progress.steps,
             opacity_steps: progress.opacity_steps,
             extent: self.extent,
-            seconds: Seconds { gradient: progress.gradient_seconds, evolution: progress.evolution_seconds },
+            seconds: progress.seconds,
             stages: progress.stages,
             interrupted: checkpoint.is_some(),
         };
         Ok(Outcome { cloud, summary, checkpoint })
     }
 
-    /// The cloud, which the device holds, too. Of a run that was stopped while a renewal was on trial it is the state before the trial
-    /// where that has the higher guard PSNR; a resumed run goes on with the trial.
+    /// The cloud, which the device holds, too. Of a run that was stopped while a renewal was on trial it is the state
+    /// before the trial where that has the higher guard PSNR; a resumed run goes on with the trial.
     fn best_so_far(&mut self) -> Result<Gaussians, TrainError> {
         if let Some(cloud) = self.better_before_trial()? {
             self.backend.upload(cloud.into())?;
@@ -255,12 +252,6 @@ impl<'a> Trainer<'a> {
     pub(crate) fn wait_for_device(&mut self) -> Result<(), TrainError> {
         self.backend.report()?;
         Ok(())
-    }
-
-    /// What the device found in the last step.
-    pub(crate) fn findings(&mut self) -> Result<StepFindings, TrainError> {
-        let report = self.backend.report()?;
-        Ok(StepFindings { loss: report.loss, visible: report.visible, intersections: report.intersections })
     }
 
     /// What Adam is told of a step that is about to be made; its counters stand still for what misses the step.
@@ -316,11 +307,7 @@ impl<'a> Trainer<'a> {
 
     /// How the cloud is rendered in iteration `i`, by whoever looks at it; a step may have a background of its own.
     pub(crate) fn settings(&self, i: u32) -> RenderSettings {
-        RenderSettings {
-            sh_degree: self.sh_degree(i),
-            background: self.config.background.fixed_colour(),
-            filter: self.config.screen_filter(),
-        }
+        self.config.render_settings(self.sh_degree(i))
     }
 
     /// Active degree of the spherical harmonics in iteration `i`.
@@ -329,7 +316,7 @@ impl<'a> Trainer<'a> {
     }
 
     pub(crate) fn rates(&self, i: u32) -> LearningRates {
-        self.schedule.rates(&self.config.optimiser, self.extent, i)
+        self.schedule.rates(self.extent, i)
     }
 
     /// Does a part of a phase's work on the clock of gradients or of evolution, whichever the phase belongs to.
@@ -342,11 +329,8 @@ impl<'a> Trainer<'a> {
         let done = work(self)?;
         self.is_mid_change = false;
         let seconds = clock.elapsed().as_secs_f64();
-        if phase.is_evolution() {
-            self.progress.evolution_seconds += seconds;
-        } else {
-            self.progress.gradient_seconds += seconds;
-        }
+        let Seconds { gradient, evolution } = &mut self.progress.seconds;
+        *(if phase.is_evolution() { evolution } else { gradient }) += seconds;
         Ok(done)
     }
 
@@ -354,7 +338,7 @@ impl<'a> Trainer<'a> {
     pub(crate) fn wait_for_steps(&mut self) -> Result<(), TrainError> {
         let clock = Instant::now();
         self.wait_for_device()?;
-        self.progress.gradient_seconds += clock.elapsed().as_secs_f64();
+        self.progress.seconds.gradient += clock.elapsed().as_secs_f64();
         Ok(())
     }
 }

@@ -1,9 +1,8 @@
 //! Mip-Splatting's 3D smoothing filter: no Gaussian may be finer than the training photos could have sampled it.
 //!
-//! A pixel of a camera with focal length `f` covers `z / f` world units at depth `z`. The filter of a Gaussian is
-//! `sqrt(0.2) · z_min / f_max` wide, with `z_min` the smallest depth at which a training camera sees it, and `f_max`
-//! the longest focal length of *all* training cameras (one number for the scene, as the authors' code has it).
-//! Reference: Yu et al., "Mip-Splatting: Alias-free 3D Gaussian Splatting", CVPR 2024.
+//! The filter of a Gaussian is `sqrt(0.2) · z_min / f_max` wide, with `z_min` the smallest depth at which a training
+//! camera sees it, and `f_max` the longest focal length of *all* training cameras, as the authors' code has it (Yu et
+//! al., CVPR 2024).
 
 use genesplat_core::Camera;
 use genesplat_core::constants::NEAR_DEPTH;
@@ -16,10 +15,8 @@ const FILTER_VARIANCE: f64 = 0.2;
 /// A Gaussian counts as seen up to this fraction of the image's size beyond each border (Mip-Splatting).
 const BORDER: f64 = 0.15;
 
-/// Standard deviation of each Gaussian's filter in world units, `[N]`, from its position `[N, 3]`.
-///
-/// A Gaussian that no camera sees gets the widest filter of those that are seen; where none is seen at all, there is
-/// nothing to smooth and the filter is zero.
+/// Standard deviation of each Gaussian's filter in world units, `[N]`, from its position `[N, 3]`. One that no camera
+/// sees gets the widest filter of those that are seen; where none is seen at all, it is zero.
 pub fn filter_3d<'a>(positions: &[[f32; 3]], cameras: impl Iterator<Item = &'a Camera> + Clone) -> Vec<f32> {
     let focal_max = cameras.clone().map(|camera| camera.focal_px[0]).fold(0.0, f64::max);
     let cameras: Vec<(&Camera, DMat3)> = cameras.map(|camera| (camera, camera.rotation())).collect();

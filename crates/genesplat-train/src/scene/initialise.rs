@@ -1,8 +1,8 @@
 //! The cloud that training starts from, and the size of the scene.
 //!
-//! Every point of the sparse reconstruction becomes one isotropic Gaussian, as wide as the distance to its
-//! neighbours (3DGS, section 5.1 and its released code): scale = root of the mean *squared* distance to the three
-//! nearest other points, opacity 0.1, colour in the base coefficient only.
+//! Every point of the sparse reconstruction becomes one isotropic Gaussian (3DGS, section 5.1 and its code): scale =
+//! root of the mean *squared* distance to the three nearest other points, opacity 0.1, colour in the base coefficient
+//! only.
 
 use genesplat_core::gaussians::logit;
 use genesplat_core::spherical_harmonics::{dc_from_rgb, sh_index};
@@ -85,10 +85,8 @@ pub(crate) fn check_points(points: &[ColouredPoint]) -> Result<(), InitialiseErr
     }
 }
 
-/// The points along a Morton curve through their bounding box (ties in the order given).
-///
-/// Rows of the cloud follow it from then on, so that Gaussians that share tiles share cache lines, blocks of rows are
-/// blocks of space, and a crossover at a few points of the genome exchanges whole regions.
+/// The points along a Morton curve through their bounding box (ties in the order given). Rows of the cloud follow it
+/// from then on, so that Gaussians that share tiles share cache lines, and a crossover exchanges whole regions.
 pub fn in_spatial_order(points: &[ColouredPoint]) -> Vec<ColouredPoint> {
     let mut ordered = points.to_vec();
     let finite = |axis: usize| points.iter().map(move |point| point.0[axis]).filter(|v| v.is_finite());
@@ -117,7 +115,7 @@ pub fn scene_extent<'a>(cameras: impl Iterator<Item = &'a Camera>) -> Result<f64
     let centres: Vec<DVec3> = cameras.map(Camera::centre_in_world).collect();
     let mean = centres.iter().sum::<DVec3>() / centres.len().max(1) as f64;
     let radius = centres.iter().map(|centre| centre.distance(mean)).fold(0.0, f64::max);
-    // Poses are read from decimal text or f64: a radius at rounding level means "one place", not a tiny scene.
+    // Poses are read from decimal text: a radius at rounding level means "one place".
     let rounding = 1e-9 * (1.0 + mean.length());
     if radius > rounding {
         Ok(EXTENT_MARGIN * radius)

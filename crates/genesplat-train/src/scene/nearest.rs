@@ -1,121 +1,24 @@
-//! Exact mean squared distance of every point to its three nearest others, by a k-d tree.
+//! Exact mean squared distance of every point to its three nearest others, by an R*-tree.
 //!
-//! Sparse reconstructions have far outliers: they stretch the bounding box until a uniform grid holds nearly all
-//! points in one cell. A median-split tree does not care. The tree is implicit: a permutation of the rows, in which
-//! the middle of every range splits it along the range's widest axis; ranges of at most [`LEAF`] points are leaves.
+//! Sparse reconstructions have far outliers: they stretch the bounding box until a uniform grid holds nearly all points
+//! in one cell. A tree does not care.
+
+use rayon::prelude::*;
+use rstar::RTree;
 
 use crate::scene::initialise::NEIGHBOURS;
-
-/// Ranges of at most this many points are searched one by one.
-const LEAF: usize = 8;
 
 /// Mean of the squared distances to the three nearest other points, `[N]`, world units squared.
 ///
 /// `points` must be finite, and at least four.
 pub(crate) fn mean_squared_distances(points: &[[f32; 3]]) -> Vec<f32> {
-    let tree = Tree::build(points);
-    (0..points.len())
-        .map(|row| {
-            let mut nearest = Nearest { row, squared: [f32::INFINITY; NEIGHBOURS] };
-            tree.search(0, points.len(), &mut nearest);
-            nearest.squared.iter().sum::<f32>() / NEIGHBOURS as f32
-        })
-        .collect()
-}
-
-struct Tree<'a> {
-    points: &'a [[f32; 3]],
-    /// Rows in tree order `[N]`.
-    rows: Vec<u32>,
-    /// Split axis of the range whose middle is at this position; unused for leaves `[N]`.
-    axes: Vec<u8>,
-}
-
-/// The three smallest squared distances to the point `row` found so far, ascending.
-struct Nearest {
-    row: usize,
-    squared: [f32; NEIGHBOURS],
-}
-
-impl Nearest {
-    fn insert(&mut self, squared: f32) {
-        let mut candidate = squared;
-        for slot in &mut self.squared {
-            if candidate < *slot {
-                std::mem::swap(slot, &mut candidate);
-            }
-        }
-    }
-
-    fn worst(&self) -> f32 {
-        self.squared[NEIGHBOURS - 1]
-    }
-}
-
-impl<'a> Tree<'a> {
-    fn build(points: &'a [[f32; 3]]) -> Self {
-        let mut tree = Self { points, rows: (0..points.len() as u32).collect(), axes: vec![0; points.len()] };
-        tree.split(0, points.len());
-        tree
-    }
-
-    fn split(&mut self, begin: usize, end: usize) {
-        if end - begin <= LEAF {
-            return;
-        }
-        let middle = begin.midpoint(end);
-        let points = self.points;
-        let axis = widest_axis(self.rows[begin..end].iter().map(|&row| points[row as usize]));
-        self.rows[begin..end].select_nth_unstable_by(middle - begin, |&a, &b| {
-            points[a as usize][axis].total_cmp(&points[b as usize][axis])
-        });
-        self.axes[middle] = axis as u8;
-        self.split(begin, middle);
-        self.split(middle + 1, end);
-    }
-
-    fn search(&self, begin: usize, end: usize, nearest: &mut Nearest) {
-        if end - begin <= LEAF {
-            self.rows[begin..end].iter().for_each(|&row| self.visit(row, nearest));
-            return;
-        }
-        let middle = begin.midpoint(end);
-        let axis = usize::from(self.axes[middle]);
-        let offset = self.points[nearest.row][axis] - self.points[self.rows[middle] as usize][axis];
-        let (near, far) = if offset <= 0.0 {
-            ((begin, middle), (middle + 1, end))
-        } else {
-            ((middle + 1, end), (begin, middle))
-        };
-        self.search(near.0, near.1, nearest);
-        self.visit(self.rows[middle], nearest);
-        // What is there is no nearer than this, and `insert` takes only what is nearer than the worst. Equality would search
-        // all of the points that share a place.
-        if offset * offset < nearest.worst() {
-            self.search(far.0, far.1, nearest);
-        }
-    }
-
-    fn visit(&self, row: u32, nearest: &mut Nearest) {
-        if row as usize != nearest.row {
-            nearest.insert(squared_distance(self.points[nearest.row], self.points[row as usize]));
-        }
-    }
-}
-
-fn widest_axis(points: impl Iterator<Item = [f32; 3]>) -> usize {
-    let (mut low, mut high) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
-    for point in points {
-        for axis in 0..3 {
-            low[axis] = low[axis].min(point[axis]);
-            high[axis] = high[axis].max(point[axis]);
-        }
-    }
-    (0..3).max_by(|&a, &b| (high[a] - low[a]).total_cmp(&(high[b] - low[b]))).unwrap_or(0)
-}
-
-fn squared_distance(a: [f32; 3], b: [f32; 3]) -> f32 {
-    (0..3).map(|axis| (a[axis] - b[axis]).powi(2)).sum()
+    let tree = RTree::bulk_load(points.to_vec());
+    let mean = |point: &[f32; 3]| {
+        // The nearest is the point itself, or another at its place.
+        let others = tree.nearest_neighbor_iter_with_distance_2(point).skip(1).take(NEIGHBOURS);
+        others.map(|(_, squared)| squared).sum::<f32>() / NEIGHBOURS as f32
+    };
+    points.par_iter().map(mean).collect()
 }
 
 #[cfg(test)]
@@ -123,6 +26,10 @@ mod tests {
     use genesplat_core::{Rng, Stream};
 
     use super::*;
+
+    fn squared_distance(a: [f32; 3], b: [f32; 3]) -> f32 {
+        (0..3).map(|axis| (a[axis] - b[axis]).powi(2)).sum()
+    }
 
     fn brute_force(points: &[[f32; 3]]) -> Vec<f32> {
         (0..points.len())

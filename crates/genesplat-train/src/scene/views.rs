@@ -28,11 +28,8 @@ impl ViewOrder {
     }
 }
 
-/// `count` views spread evenly over the views in order of name, from a random offset on; all of them where there are
-/// no more. Indices come out in order of name.
-///
-/// Names of a capture follow its path, so an even spread covers the scene (section 3.3 of the evolution paper). `stage`
-/// addresses the offset: the same stage gives the same views.
+/// `count` views spread evenly over the views in order of name, from a random offset on, in that order; all where there
+/// are no more. Names follow a capture's path, so they cover the scene. The same `stage` gives the same views.
 pub fn spread_evenly(views: &[View], count: usize, rng: &Rng, stage: u32) -> Vec<usize> {
     let mut by_name: Vec<usize> = (0..views.len()).collect();
     by_name.sort_by(|&a, &b| views[a].name.cmp(&views[b].name));

@@ -5,7 +5,7 @@ use crate::config::StepBudget;
 fn schedule(change: impl FnOnce(&mut TrainConfig)) -> Schedule {
     let mut config = TrainConfig::published();
     change(&mut config);
-    Schedule::new(&config)
+    Schedule::new(config)
 }
 
 fn iterations_with(schedule: &Schedule, phase: Phase) -> Vec<u32> {
@@ -114,7 +114,7 @@ fn extra_steps_come_where_the_search_would() {
         extra.stages().collect::<Vec<_>>(),
         stages(|config| config.evolution.mode = EvolutionMode::Paper)
     );
-    assert!(!extra.gene_gradients, "nobody reads them");
+    assert!(!extra.statistics(None, 1).genes, "nobody reads them");
 }
 
 /// Windows are a tenth of the run, and nothing is renewed.
@@ -155,7 +155,7 @@ fn the_younger_half_of_every_window_comes_after_density_control() {
             let schedule = averaging(|config| {
                 (config.iterations, config.evolution.renewal.every) = (iterations, every);
             });
-            let window = schedule.window.unwrap();
+            let window = schedule.window().unwrap();
             for end in (1..iterations).filter_map(|i| schedule.window_end(window, i)) {
                 // Signed, so that what is before the beginning of the run stays there.
                 let younger_half = i64::from(end) - i64::from(window / 2);
@@ -245,7 +245,7 @@ fn states_are_averaged_before_a_renewal_unless_density_control_has_just_ended() 
             config.evolution.mode = EvolutionMode::Renew;
         });
         let averaged = iterations_with(&schedule, Phase::Average);
-        let settled = schedule.densify_until + schedule.window.unwrap() / 2;
+        let settled = schedule.densify_until + schedule.window().unwrap() / 2;
         let renewed = iterations_with(&schedule, Phase::Renew);
         assert!(!renewed.is_empty(), "{iterations} iterations");
         for i in renewed.into_iter().filter(|&i| i >= settled) {
@@ -298,16 +298,16 @@ fn scaling_keeps_the_shape_and_truncation_keeps_the_rates() {
     let short = schedule(|config| config.iterations = 3000);
     assert_eq!(iterations_with(&short, Phase::ResetOpacity), [] as [u32; 0], "the last one only measures");
     assert_eq!(iterations_with(&short, Phase::Densify).last(), Some(&2900));
-    let (rates, extent) = (OptimiserConfig::default(), 2.0);
+    let extent = 2.0;
     let long = schedule(|_| {});
-    assert_eq!(short.rates(&rates, extent, 3000), long.rates(&rates, extent, 3000));
-    assert_eq!(tenth.rates(&rates, extent, 300), long.rates(&rates, extent, 3000));
+    assert_eq!(short.rates(extent, 3000), long.rates(extent, 3000));
+    assert_eq!(tenth.rates(extent, 300), long.rates(extent, 3000));
 }
 
 #[test]
 fn the_position_rate_decays_a_hundredfold() {
-    let (schedule, rates) = (schedule(|_| {}), OptimiserConfig::default());
-    let at = |i| f64::from(schedule.rates(&rates, 5.0, i).position);
+    let schedule = schedule(|_| {});
+    let at = |i| f64::from(schedule.rates(5.0, i).position);
     for (i, expected) in [(0, 8e-4), (15_000, 8e-5), (30_000, 8e-6), (40_000, 8e-6)] {
         assert!((at(i) / expected - 1.0).abs() < 1e-6, "iteration {i}: {}", at(i));
     }
@@ -323,7 +323,7 @@ fn the_degree_rises_at_the_start_of_every_thousandth_iteration() {
 #[test]
 fn statistics_end_with_densification_and_gene_sums_with_the_last_stage() {
     let schedule = schedule(|config| config.evolution.mode = EvolutionMode::Paper);
-    let at = |i| schedule.statistics(Some(DensitySignal::Signed), 12_000, i);
+    let at = |i| schedule.statistics(Some(DensitySignal::Signed), i);
     assert!(at(14_999).density.is_some() && at(15_000).density.is_none());
     assert!(at(12_000).genes && !at(12_001).genes);
 }

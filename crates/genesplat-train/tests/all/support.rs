@@ -377,9 +377,8 @@ impl EvolutionBackend for FakeBackend {
         self.count_score();
         self.measured += 1;
         let decline = self.decline.powi(self.measured);
-        let mut blended = Gaussians::default();
         let measure = |blend: &Blend| {
-            self.averages.blend(&self.cloud, blend, &mut blended);
+            let blended = self.averages.blended(&self.cloud, blend);
             let loss = self.poison.unwrap_or_else(|| self.distance(&blended));
             let squared_error = if self.guards_disagree { 1.0 / loss } else { loss };
             vec![ViewLoss { loss, squared_error: squared_error * decline }; views.len()]
@@ -390,9 +389,7 @@ impl EvolutionBackend for FakeBackend {
     fn blend(&mut self, blend: &Blend) -> Result<(), BackendError> {
         self.settle()?;
         self.calls.push(Call::Blend { blend: *blend, states: self.averages.states() });
-        let mut blended = Gaussians::default();
-        self.averages.blend(&self.cloud, blend, &mut blended);
-        self.cloud = blended;
+        self.cloud = self.averages.blended(&self.cloud, blend);
         self.forget_averages();
         Ok(())
     }

@@ -138,7 +138,7 @@ fn mip_filters_by_hand() {
     cloud.filter_3d = Some(filter);
 
     let settings = RenderSettings { filter: ScreenFilter::Mip, ..RenderSettings::default() };
-    let exact = reference::render(&Cloud64::from(&cloud), &near, &settings, Cutoff::Hard).frame.image;
+    let exact = reference::render(&Cloud64::from(&cloud), &near, &settings, Cutoff::Hard).picture.image;
     let mut backend = CpuBackend::new();
     backend.upload(cloud.into()).unwrap();
     let found = backend.render(&near, &settings).unwrap();

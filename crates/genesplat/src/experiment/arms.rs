@@ -203,7 +203,7 @@ mod tests {
              [config]\nsteps_scale = 0.5\nevolution.paper.crossover = { kind = \"points\", points = 3 }\n\
              [[arms]]\nname = \"equal-time\"\ncontrol_of = \"one\"\n\
              [[arms]]\nname = \"one\"\n\
-             config.evolution = { mode = \"paper\", trigger = \"before-reset\", paper.crossover.kind = \"one_point\" }\n\
+             config.evolution = { mode = \"paper\", trigger = \"before-reset\", paper.crossover = { kind = \"points\", points = 1 } }\n\
              [[arms]]\nname = \"late\"\ncontrol_of = \"one\"\nconfig.evolution.trigger = \"at-end\"\n\
              [[arms]]\nname = \"off\"",
         ))
@@ -223,7 +223,7 @@ mod tests {
             "ten seconds in all, at four resets"
         );
         assert_eq!(one.evolution.trigger, control.evolution.trigger);
-        assert_eq!(one.evolution.paper.crossover, genesplat::evolve::Crossover::OnePoint);
+        assert_eq!(one.evolution.paper.crossover, genesplat::evolve::Crossover::Points { points: 1 });
         assert_eq!(
             settings(3).config().evolution.extra_steps,
             Some(StepBudget::Seconds(10.0)),

@@ -93,7 +93,7 @@ impl Run<'_> {
         load: f64,
     ) -> Result<Ended> {
         let seconds_before = match &start {
-            Start::Checkpoint(saved) => saved.progress.gradient_seconds + saved.progress.evolution_seconds,
+            Start::Checkpoint(saved) => saved.progress.seconds.gradient + saved.progress.seconds.evolution,
             _ => 0.0,
         };
         let Self { settings, scene, stop, .. } = *self;

@@ -1,26 +1,29 @@
 //! All that a run needs to go on as if it had never stopped, and its bytes.
 //!
 //! Randomness needs no state (streams are addressed by iteration), so a checkpoint is the device's contents plus a few
-//! counters. The format is private to this version of the crate: a magic number, little-endian sections of known
-//! length, and a checksum over everything, so that a file cut short by a full disk is recognised.
+//! counters. The format is private to this version of the crate: a magic number, the checkpoint as `postcard` writes
+//! it, and a checksum over everything, so that a file cut short by a full disk is recognised.
 
 use std::io::{self, Read, Write};
 
+use genesplat_core::DeviceState;
 use genesplat_core::averages::StateMean;
-use genesplat_core::{Backend, BackendError, DeviceState};
+use genesplat_core::spherical_harmonics::SH_DEGREE_MAX;
+use serde::{Deserialize, Serialize};
 
+use super::Seconds;
 use super::observe::StageRecord;
 use crate::densify::renew::Trial;
 use crate::schedule::{OptimiserStep, Phase};
-use codec::{Checksum, Decoder, Encoder};
+use summed::Summed;
 
-mod codec;
+mod summed;
 
 /// Opens every checkpoint; the last byte is the version of the format.
-const MAGIC: [u8; 8] = *b"GSPLATC\x07";
+const MAGIC: [u8; 8] = *b"GSPLATC\x08";
 
 /// The next thing to do.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Cursor {
     /// Counted from 1.
     pub iteration: u32,
@@ -36,7 +39,7 @@ impl Cursor {
 }
 
 /// What a run has done so far.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Progress {
     /// Degree of the spherical harmonics that the run began with: 0 for points, that of a cloud from elsewhere.
     pub sh_degree_start: u8,
@@ -44,10 +47,8 @@ pub struct Progress {
     pub steps: u32,
     /// Adam steps that the opacity group made (it misses some).
     pub opacity_steps: u32,
-    /// Wall-clock seconds spent on gradients and density control.
-    pub gradient_seconds: f64,
-    /// Wall-clock seconds spent on evolution, or on the control in its place.
-    pub evolution_seconds: f64,
+    /// Wall-clock seconds.
+    pub seconds: Seconds,
     /// Evolution stages so far.
     pub stages: Vec<StageRecord>,
 }
@@ -67,7 +68,7 @@ impl Progress {
 }
 
 /// A run that can be resumed exactly.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Checkpoint {
     /// Where to go on.
     pub cursor: Cursor,
@@ -97,50 +98,51 @@ pub enum CheckpointError {
 }
 
 impl Checkpoint {
-    /// All that it takes to go on from `cursor` with what the device holds.
-    pub(crate) fn capture(
-        backend: &mut dyn Backend,
-        cursor: Cursor,
-        progress: Progress,
-        trial: Option<Trial>,
-    ) -> Result<Self, BackendError> {
-        Ok(Self { cursor, progress, state: backend.state()?, trial })
-    }
-
     /// Writes the checkpoint; wrap files in a `BufWriter`.
     pub fn write(&self, writer: impl Write) -> io::Result<()> {
-        let mut out = Encoder { writer, checksum: Checksum::default() };
-        out.bytes(&MAGIC)?;
-        out.u32(self.cursor.iteration)?;
-        out.u32(self.cursor.phase as u32)?;
-        out.progress(&self.progress)?;
-        out.state(&self.state)?;
-        out.flag(self.trial.is_some())?;
-        self.trial.as_ref().map_or(Ok(()), |trial| out.trial(trial))?;
-        let checksum = out.checksum.0;
-        out.writer.write_all(&checksum.to_le_bytes())?;
-        out.writer.flush()
+        let mut out = Summed::new(writer);
+        out.write_all(&MAGIC)?;
+        let written = postcard::to_io(self, &mut out).map(drop);
+        written.map_err(|error| out.cause_of(error))?;
+        let sum = out.sum;
+        out.inner.write_all(&sum.to_le_bytes())?;
+        out.inner.flush()
     }
 
-    /// Reads a checkpoint; wrap files in a `BufReader`.
+    /// Reads a checkpoint; wrap files in a `BufReader`. A damaged length ends at the end of the file, never in a huge
+    /// allocation: columns grow as they are read.
     pub fn read(reader: impl Read) -> Result<Self, CheckpointError> {
-        let mut input = Decoder { reader, checksum: Checksum::default() };
-        if input.array::<8>()? != MAGIC {
+        let mut input = Summed::new(reader);
+        let mut magic = [0; MAGIC.len()];
+        input.read_exact(&mut magic)?;
+        if magic != MAGIC {
             return Err(CheckpointError::Foreign);
         }
-        let checkpoint = input.checkpoint()?;
-        let expected = input.checksum.0;
-        if u64::from_le_bytes(input.array()?) != expected {
+        let checkpoint: Self = match postcard::from_io((&mut input, &mut [0; 8])) {
+            Ok((checkpoint, _)) => checkpoint,
+            Err(error @ postcard::Error::DeserializeUnexpectedEnd) => {
+                return Err(input.cause_of(error).into());
+            }
+            Err(_) => return Err(CheckpointError::Damaged("it holds a value that there is not")),
+        };
+        let mut sum = [0; 8];
+        input.inner.read_exact(&mut sum)?;
+        if u64::from_le_bytes(sum) != input.sum {
             return Err(CheckpointError::Damaged("its checksum does not match"));
         }
-        if input.reader.read(&mut [0])? > 0 {
+        if input.inner.read(&mut [0])? > 0 {
             return Err(CheckpointError::Damaged("something follows its end"));
         }
-        checkpoint.check_rows()?;
+        checkpoint.check()?;
         Ok(checkpoint)
     }
 
-    fn check_rows(&self) -> Result<(), CheckpointError> {
+    fn check(&self) -> Result<(), CheckpointError> {
+        if self.progress.sh_degree_start > SH_DEGREE_MAX {
+            return Err(CheckpointError::Damaged(
+                "it names a degree of spherical harmonics that there is not",
+            ));
+        }
         let DeviceState { cloud, moments, statistics, averages } = &self.state;
         let n = cloud.len();
         let genes = [statistics.gene_gradient_sum.len(), statistics.gene_views.len()];
@@ -165,7 +167,6 @@ mod tests {
     use genesplat_core::{Gaussians, Moments, Statistics, WindowAverages};
 
     use super::*;
-    use crate::config::Trigger;
     use crate::run::observe::StageKind;
 
     fn example() -> Checkpoint {
@@ -193,8 +194,7 @@ mod tests {
                 sh_degree_start: 2,
                 steps: 5945,
                 opacity_steps: 5944,
-                gradient_seconds: 2.5,
-                evolution_seconds: 1.5,
+                seconds: Seconds { gradient: 2.5, evolution: 1.5 },
                 stages: vec![stage],
             },
             state: DeviceState {
@@ -278,10 +278,9 @@ mod tests {
     }
 
     #[test]
-    fn numbers_in_the_file_name_every_phase_and_kind_of_stage() {
-        let mut phases = Phase::order(Trigger::default()).map(|phase| phase as usize);
-        phases.sort_unstable();
-        assert!(phases.into_iter().eq(0..Phase::COUNT), "each has a number of its own");
-        assert!(StageKind::ALL.iter().enumerate().all(|(place, &kind)| kind as usize == place));
+    fn a_damaged_length_ends_at_the_end_of_the_file() {
+        let columns = [&MAGIC[..], &[1, 0, 0, 0, 0], &[0; 16], &[0]].concat();
+        let huge = [&columns[..], &[0xff, 0xff, 0xff, 0xff, 0x7f], &[0; 64]].concat();
+        assert!(matches!(Checkpoint::read(huge.as_slice()), Err(CheckpointError::Io(_))));
     }
 }

@@ -96,7 +96,7 @@ pub(crate) fn founders(cloud: &Gaussians, population: u32) -> Result<Vec<SparseD
     let tournament = paper.tournament.min(population);
     let config = PaperConfig { population, tournament, magnitude: Magnitude::Unit, ..paper };
     let algorithm = GeneticAlgorithm::new(config, cloud.all_genes(), None, 0.0, Rng::new(0))?;
-    Ok(algorithm.deltas(0..population as usize))
+    Ok(algorithm.deltas_from_consensus(0..population as usize))
 }
 
 /// Losses of full renders of the individuals, and the seconds that these take.
