@@ -4,7 +4,6 @@
 //! steps once; from then on only [`Resolved`] travels, which cannot hold an invalid setting.
 
 use std::fmt;
-use std::str::FromStr;
 
 use genesplat_core::spherical_harmonics::SH_DEGREE_MAX;
 use genesplat_core::{RenderSettings, ScreenFilter};
@@ -55,18 +54,6 @@ impl Variant {
 impl fmt::Display for Variant {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(self.name())
-    }
-}
-
-impl FromStr for Variant {
-    type Err = ConfigError;
-
-    fn from_str(name: &str) -> Result<Self, ConfigError> {
-        Self::ALL.into_iter().find(|variant| variant.name() == name).ok_or_else(|| ConfigError::Range {
-            setting: "variant",
-            value: format!("`{name}`"),
-            wanted: "3dgs, pixel-gs, mip-splatting or mcmc",
-        })
     }
 }
 

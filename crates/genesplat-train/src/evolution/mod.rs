@@ -60,7 +60,9 @@ impl Trainer<'_> {
         let clock = Instant::now();
         let mut saved = if S::KEEPS_CHANGES { Some(self.capture_healthy(cursor)?) } else { None };
         let Some((mut stage, mut record)) = S::begin(self, cursor.iteration)? else { return Ok(None) };
-        self.announce(&stage, &record);
+        if let Some((views, generations)) = stage.announcement() {
+            self.tell_of_stage(&record, views, generations);
+        }
         self.is_mid_change = true;
         let outcome = self.go_on(&mut stage, &mut record);
         let rewound = stage.rewind(self);
@@ -89,12 +91,6 @@ impl Trainer<'_> {
             stage.next(self, record)?;
         }
         Ok(())
-    }
-
-    fn announce<S: Stage>(&mut self, stage: &S, record: &StageRecord) {
-        if let Some((views, generations)) = stage.announcement() {
-            self.tell_of_stage(record, views, generations);
-        }
     }
 
     /// What is told at the beginning of a stage.

@@ -131,8 +131,7 @@ fn there_are_at_most_sixty_settings() {
 #[test]
 fn variants_have_one_name_everywhere() {
     for variant in Variant::ALL {
-        assert_eq!(variant.to_string().parse::<Variant>().unwrap(), variant);
+        assert_eq!(variant.to_string(), variant.name());
         assert_eq!(serde_json::to_value(variant).unwrap(), variant.name());
     }
-    assert!("4dgs".parse::<Variant>().unwrap_err().to_string().contains("pixel-gs"));
 }
