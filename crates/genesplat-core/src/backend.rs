@@ -300,11 +300,7 @@ pub trait EvolutionBackend: Backend {
     fn apply(&mut self, delta: &SparseDelta, moments: MomentPolicy) -> Result<(), BackendError>;
 
     /// How much each Gaussian contributes to training views, and the error where it is seen `[N]`.
-    fn contributions(
-        &mut self,
-        views: &[usize],
-        settings: &RenderSettings,
-    ) -> Result<Vec<Contribution>, BackendError>;
+    fn contributions(&mut self, views: &[usize], settings: &RenderSettings) -> Result<Vec<Contribution>, BackendError>;
 
     /// Adds the cloud as it is to a half of the averages, 0 for the older one.
     fn average(&mut self, half: usize) -> Result<(), BackendError>;

@@ -153,16 +153,11 @@ mod flat_rows {
 
     use super::SH_STRIDE;
 
-    pub(super) fn serialize<S: Serializer>(
-        rows: &[[f32; SH_STRIDE]],
-        serializer: S,
-    ) -> Result<S::Ok, S::Error> {
+    pub(super) fn serialize<S: Serializer>(rows: &[[f32; SH_STRIDE]], serializer: S) -> Result<S::Ok, S::Error> {
         rows.as_flattened().serialize(serializer)
     }
 
-    pub(super) fn deserialize<'de, D: Deserializer<'de>>(
-        deserializer: D,
-    ) -> Result<Vec<[f32; SH_STRIDE]>, D::Error> {
+    pub(super) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<[f32; SH_STRIDE]>, D::Error> {
         match Vec::<f32>::deserialize(deserializer)?.as_chunks() {
             (rows, []) => Ok(rows.to_vec()),
             _ => Err(D::Error::custom("a column ends within a row")),

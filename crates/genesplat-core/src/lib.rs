@@ -22,8 +22,8 @@ pub mod statistics;
 
 pub use averages::{Blend, ViewLoss, WindowAverages};
 pub use backend::{
-    Backend, BackendError, DeviceState, EvolutionBackend, LearningRates, RenderSettings, ScreenFilter,
-    TrainStep, Update, View,
+    Backend, BackendError, DeviceState, EvolutionBackend, LearningRates, RenderSettings, ScreenFilter, TrainStep,
+    Update, View,
 };
 pub use camera::Camera;
 pub use edit::{Origin, RowEdit};

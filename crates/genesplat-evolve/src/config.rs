@@ -165,12 +165,7 @@ fn check_fraction(setting: &'static str, value: f64) -> Result<(), ConfigError> 
     check(setting, value, is_fraction(value), "between 0 and 1")
 }
 
-fn check(
-    setting: &'static str,
-    value: impl Into<f64>,
-    holds: bool,
-    allowed: &'static str,
-) -> Result<(), ConfigError> {
+fn check(setting: &'static str, value: impl Into<f64>, holds: bool, allowed: &'static str) -> Result<(), ConfigError> {
     if holds { Ok(()) } else { Err(ConfigError::OutOfRange { setting, value: value.into(), allowed }) }
 }
 
@@ -192,9 +187,7 @@ pub enum ConfigError {
     #[error("magnitude is \"gradient\", but no gene gradients were accumulated; set it to \"unit\"")]
     MissingGradients,
     /// Gradients of another cloud.
-    #[error(
-        "there are gene gradients of {sums} Gaussians and view counts of {views}, but the base has {base}"
-    )]
+    #[error("there are gene gradients of {sums} Gaussians and view counts of {views}, but the base has {base}")]
     GradientRows {
         /// Rows of the sums.
         sums: usize,
@@ -204,9 +197,7 @@ pub enum ConfigError {
         base: usize,
     },
     /// A NaN or an infinity in the gradient sums.
-    #[error(
-        "the gene gradient of Gaussian {row} is not finite; lower the learning rates or set magnitude to \"unit\""
-    )]
+    #[error("the gene gradient of Gaussian {row} is not finite; lower the learning rates or set magnitude to \"unit\"")]
     GradientNotFinite {
         /// Row of the base.
         row: usize,
@@ -218,9 +209,7 @@ pub enum ConfigError {
         row: usize,
     },
     /// The base could not be judged.
-    #[error(
-        "the loss of the base is {loss}, so individuals have nothing to be better than; check the render"
-    )]
+    #[error("the loss of the base is {loss}, so individuals have nothing to be better than; check the render")]
     BaseLossNotFinite {
         /// What was given.
         loss: f64,
@@ -265,8 +254,7 @@ mod tests {
     fn every_multiple_of_ten_generations_is_split_30_40_30() {
         for tens in 1..=100u32 {
             let config = PaperConfig { generations: 10 * tens, ..PaperConfig::default() };
-            let count =
-                |rate: f64| (1..=10 * tens).filter(|&k| config.rates(k).mutation == rate).count() as u32;
+            let count = |rate: f64| (1..=10 * tens).filter(|&k| config.rates(k).mutation == rate).count() as u32;
             assert_eq!([count(0.15), count(0.05), count(0.02)], [3 * tens, 4 * tens, 3 * tens]);
         }
     }
@@ -278,8 +266,7 @@ mod tests {
         assert_eq!((config.elites(), config.evaluations()), (10, 9100));
         let text = toml::to_string(&config).expect("plain values");
         assert_eq!(toml::from_str::<PaperConfig>(&text), Ok(config));
-        let partial: PaperConfig =
-            toml::from_str("crossover = { kind = \"uniform\" }\nmagnitude = \"unit\"").unwrap();
+        let partial: PaperConfig = toml::from_str("crossover = { kind = \"uniform\" }\nmagnitude = \"unit\"").unwrap();
         assert_eq!((partial.crossover, partial.magnitude), (Crossover::Uniform, Magnitude::Unit));
         assert!(toml::from_str::<PaperConfig>("tournaments = 3").is_err(), "unknown names are refused");
         assert!(toml::from_str::<PaperConfig>("crossover = { kind = \"points\", cuts = 3 }").is_err());
@@ -300,10 +287,7 @@ mod tests {
             (|c| c.population = 0, "population is 0, but must be at least 1"),
             (|c| c.tournament = 0, "tournament is 0, but must be between 1 and population"),
             (|c| c.tournament = 101, "tournament is 101, but must be between 1 and population"),
-            (
-                |c| c.elite_fraction = 1.0,
-                "elite_fraction is 1, but must be low enough to leave room for a child",
-            ),
+            (|c| c.elite_fraction = 1.0, "elite_fraction is 1, but must be low enough to leave room for a child"),
             (|c| c.elite_fraction = -0.5, "elite_fraction is -0.5, but must be between 0 and 1"),
             (|c| c.selection_fraction = 0.0, "selection_fraction is 0, but must be above 0 and at most 1"),
             (|c| c.intensity = f64::NAN, "intensity is NaN, but must be finite and not negative"),
@@ -311,10 +295,7 @@ mod tests {
             (|c| c.mutation_rates[2] = -0.1, "mutation_rates is -0.1, but must be between 0 and 1"),
             (|c| c.crossover_rates[0] = f64::NAN, "crossover_rates is NaN, but must be between 0 and 1"),
             (|c| c.rate_breaks = [0.7, 0.3], "rate_breaks is 0.3, but must be in ascending order"),
-            (
-                |c| c.crossover = Crossover::Points { points: 0 },
-                "crossover.points is 0, but must be at least 1",
-            ),
+            (|c| c.crossover = Crossover::Points { points: 0 }, "crossover.points is 0, but must be at least 1"),
         ];
         for (change, sentence) in changes {
             let mut config = PaperConfig::default();

@@ -38,9 +38,7 @@ pub struct GeneticAlgorithm {
 #[non_exhaustive]
 pub enum TellError {
     /// Not one loss an individual.
-    #[error(
-        "generation {generation} has {expected} individuals without a loss, but {given} losses were given"
-    )]
+    #[error("generation {generation} has {expected} individuals without a loss, but {given} losses were given")]
     Count {
         /// The generation.
         generation: u32,
@@ -169,9 +167,8 @@ impl GeneticAlgorithm {
     /// Bytes held now, and by the parents of the next generation.
     fn bytes_with(&self, next_parents: &[Arc<Genome>]) -> usize {
         let elites = self.elites.iter().map(|elite| &elite.genome);
-        let genomes = distinct_bytes(
-            elites.chain(self.brood.pairs.iter().flat_map(|pair| &pair.parents)).chain(next_parents),
-        );
+        let genomes =
+            distinct_bytes(elites.chain(self.brood.pairs.iter().flat_map(|pair| &pair.parents)).chain(next_parents));
         genomes + self.breeder.bytes() + self.best().map_or(0, SparseDelta::bytes)
     }
 
@@ -208,8 +205,7 @@ impl GeneticAlgorithm {
         let elites = self.config.elites();
         let pair = |&(ranks, crossed): &([u32; 2], bool)| Pair { parents: ranks.map(of_rank), crossed };
         let pairs = plan.pairs.iter().map(pair).collect();
-        self.elites =
-            (0..elites).map(|rank| Elite { genome: of_rank(rank), loss: ranking.loss(rank) }).collect();
+        self.elites = (0..elites).map(|rank| Elite { genome: of_rank(rank), loss: ranking.loss(rank) }).collect();
         self.brood = Brood { count: self.config.population - elites, pairs };
         self.generation = generation;
     }

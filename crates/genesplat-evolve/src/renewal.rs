@@ -36,8 +36,7 @@ fn fates(contributions: &[Contribution], fraction: f64) -> Vec<Fate> {
     let mut by_weight: Vec<usize> = (0..contributions.len()).collect();
     by_weight.sort_by(|&a, &b| contributions[a].weight.total_cmp(&contributions[b].weight));
     let (weakest, others) = by_weight.split_at(wanted.min(contributions.len() / 2));
-    let mut parents: Vec<usize> =
-        others.iter().copied().filter(|&row| contributions[row].error > 0.0).collect();
+    let mut parents: Vec<usize> = others.iter().copied().filter(|&row| contributions[row].error > 0.0).collect();
     parents.sort_by(|&a, &b| contributions[b].error.total_cmp(&contributions[a].error).then(a.cmp(&b)));
     parents.truncate(weakest.len());
     let mut fates = vec![Fate::Kept; contributions.len()];
@@ -57,8 +56,7 @@ mod tests {
 
     #[test]
     fn the_least_contribution_is_replaced_by_twins_of_the_largest_error() {
-        let contributions =
-            contributions(&[(9.0, 1.0), (0.1, 7.0), (5.0, 3.0), (8.0, 2.0), (0.2, 0.0), (7.0, 4.0)]);
+        let contributions = contributions(&[(9.0, 1.0), (0.1, 7.0), (5.0, 3.0), (8.0, 2.0), (0.2, 0.0), (7.0, 4.0)]);
         let edit = plan(&contributions, 0.34, Rng::new(1), 1500);
         // Rows 1 and 4 are removed, whatever their error; 5 and 2 are split.
         assert_eq!(edit.sources, [0, 2, 2, 3, 5, 5]);
@@ -72,24 +70,16 @@ mod tests {
     fn nothing_is_removed_without_a_split() {
         let few = contributions(&[(0.0, 0.0), (0.0, 0.0), (3.0, 0.0), (2.0, 1.0)]);
         assert_eq!(plan(&few, 0.5, Rng::new(1), 1).sources, [1, 2, 3, 3], "one parent, one removed");
-        for (rows, fraction) in [
-            (contributions(&[(1.0, 0.0); 4]), 0.5),
-            (few, 0.0),
-            (contributions(&[(1.0, 1.0)]), 1.0),
-            (Vec::new(), 0.5),
-        ] {
+        for (rows, fraction) in
+            [(contributions(&[(1.0, 0.0); 4]), 0.5), (few, 0.0), (contributions(&[(1.0, 1.0)]), 1.0), (Vec::new(), 0.5)]
+        {
             assert!(plan(&rows, fraction, Rng::new(1), 1).is_identity(rows.len()));
         }
     }
 
     #[test]
     fn errors_that_are_not_finite_are_not_split() {
-        let edit = plan(
-            &contributions(&[(0.0, 1.0), (1.0, f32::NAN), (2.0, 1.0), (3.0, 0.5)]),
-            0.25,
-            Rng::new(1),
-            1,
-        );
+        let edit = plan(&contributions(&[(0.0, 1.0), (1.0, f32::NAN), (2.0, 1.0), (3.0, 0.5)]), 0.25, Rng::new(1), 1);
         assert_eq!(edit.sources, [1, 2, 2, 3]);
     }
 

@@ -6,9 +6,7 @@ mod common;
 
 use common::{applied, deltas, normal_base, on_sphere, run, small, sphere};
 use genesplat_core::{Genes, Rng, SparseDelta};
-use genesplat_evolve::{
-    ConfigError, Crossover, GeneGradients, GeneticAlgorithm, Magnitude, PaperConfig, TellError,
-};
+use genesplat_evolve::{ConfigError, Crossover, GeneGradients, GeneticAlgorithm, Magnitude, PaperConfig, TellError};
 use proptest::prelude::*;
 
 #[test]
@@ -42,8 +40,7 @@ fn founders_differ_from_the_base_by_the_initial_rate() {
 #[test]
 fn children_descend_from_the_winners_of_tournaments() {
     let base = normal_base(300);
-    let config =
-        PaperConfig { tournament: 12, mutation_rates: [0.0; 3], crossover_rates: [0.0; 3], ..small(1, 12) };
+    let config = PaperConfig { tournament: 12, mutation_rates: [0.0; 3], crossover_rates: [0.0; 3], ..small(1, 12) };
     let mut search = on_sphere(config, &base, 2);
     let founders = deltas(&search, 0..12);
     let losses: Vec<f64> = (0..12).map(|index| if index == 7 { 0.1 } else { 1.0 }).collect();
@@ -55,13 +52,11 @@ fn children_descend_from_the_winners_of_tournaments() {
 #[test]
 fn crossover_makes_no_gene_that_no_parent_had() {
     let base = normal_base(200);
-    for crossover in [Crossover::Points { points: 1 }, Crossover::Points { points: 100 }, Crossover::Uniform]
-    {
+    for crossover in [Crossover::Points { points: 1 }, Crossover::Points { points: 100 }, Crossover::Uniform] {
         let rates = PaperConfig { mutation_rates: [0.0; 3], crossover_rates: [1.0; 3], ..small(2, 8) };
         let config = PaperConfig { tournament: 2, initial_mutation_rate: 1.0, crossover, ..rates };
         let mut search = on_sphere(config, &base, 3);
-        let founders: Vec<Vec<Genes>> =
-            deltas(&search, 0..8).iter().map(|delta| applied(&base, delta)).collect();
+        let founders: Vec<Vec<Genes>> = deltas(&search, 0..8).iter().map(|delta| applied(&base, delta)).collect();
         for _ in 0..2 {
             let losses: Vec<f64> = (0..search.ask()).map(|index| (index * 3 % 7) as f64).collect();
             search.tell(&losses).expect("one loss each");
@@ -85,9 +80,8 @@ fn siblings_share_their_parents_out() {
         let everywhere = PaperConfig { initial_mutation_rate: 1.0, selection_fraction: 1.0, ..rates };
         let config = PaperConfig { tournament: 1, elite_fraction: 0.0, crossover, ..everywhere };
         let mut search = on_sphere(config, &base, 3);
-        let genomes = |search: &GeneticAlgorithm| {
-            deltas(&search, 0..8).iter().map(|delta| applied(&base, delta)).collect()
-        };
+        let genomes =
+            |search: &GeneticAlgorithm| deltas(&search, 0..8).iter().map(|delta| applied(&base, delta)).collect();
         let founders: Vec<Vec<Genes>> = genomes(&search);
         search.tell(&[1.0; 8]).expect("one loss each");
         let children: Vec<Vec<Genes>> = genomes(&search);
@@ -97,8 +91,7 @@ fn siblings_share_their_parents_out() {
             let is_shared_out = |p: &[f32], q: &[f32]| {
                 (0..c.len()).all(|i| (c[i], d[i]) == (p[i], q[i]) || (c[i], d[i]) == (q[i], p[i]))
             };
-            let all =
-                founders.iter().flat_map(|p| founders.iter().map(move |q| [p, q].map(|x| x.as_flattened())));
+            let all = founders.iter().flat_map(|p| founders.iter().map(move |q| [p, q].map(|x| x.as_flattened())));
             assert!(all.into_iter().any(|[p, q]| is_shared_out(p, q)), "{crossover:?}");
             mixed += usize::from(founders.iter().all(|founder| founder.as_flattened() != c));
         }
@@ -199,10 +192,7 @@ fn what_makes_no_sense_is_refused_with_a_sentence() {
     };
     assert_eq!(refused(PaperConfig::default(), &base, None, 1.0), ConfigError::MissingGradients);
     assert!(matches!(refused(small(1, 10), &base, None, f64::NAN), ConfigError::BaseLossNotFinite { .. }));
-    assert!(matches!(
-        refused(small(1, 5), &base, None, 1.0),
-        ConfigError::OutOfRange { setting: "tournament", .. }
-    ));
+    assert!(matches!(refused(small(1, 5), &base, None, 1.0), ConfigError::OutOfRange { setting: "tournament", .. }));
     let mut poisoned = base.clone();
     poisoned[7][6] = f32::INFINITY;
     assert_eq!(
@@ -211,10 +201,7 @@ fn what_makes_no_sense_is_refused_with_a_sentence() {
     );
 
     let mut search = on_sphere(small(0, 10), &base, 1);
-    assert_eq!(
-        search.tell(&[1.0; 3]).map(|_| ()),
-        Err(TellError::Count { generation: 0, expected: 10, given: 3 })
-    );
+    assert_eq!(search.tell(&[1.0; 3]).map(|_| ()), Err(TellError::Count { generation: 0, expected: 10, given: 3 }));
     search.tell(&[1.0; 10]).expect("one loss each");
     assert_eq!(search.tell(&[]).map(|_| ()), Err(TellError::Finished { generation: 0 }));
 }
@@ -239,8 +226,7 @@ fn small_and_empty_clouds_are_searched_too() {
 fn evolution_descends_where_random_search_does_not() {
     let base = normal_base(200);
     let evolving = PaperConfig { intensity: 0.5, mutation_rates: [0.3; 3], ..small(100, 100) };
-    let random =
-        PaperConfig { generations: 0, population: evolving.evaluations() as u32, ..evolving.clone() };
+    let random = PaperConfig { generations: 0, population: evolving.evaluations() as u32, ..evolving.clone() };
     let random = PaperConfig { initial_mutation_rate: 0.3, ..random };
     assert_eq!(random.evaluations(), evolving.evaluations());
     for seed in [1, 2, 3] {
@@ -290,8 +276,7 @@ fn a_generation_that_could_not_be_rendered_has_no_statistics() {
 }
 
 fn any_config() -> impl Strategy<Value = PaperConfig> {
-    let crossover =
-        prop_oneof![(1u32..130).prop_map(|points| Crossover::Points { points }), Just(Crossover::Uniform)];
+    let crossover = prop_oneof![(1u32..130).prop_map(|points| Crossover::Points { points }), Just(Crossover::Uniform)];
     let fraction = || 0.0f64..=1.0;
     let numbers = (0u32..5, 1u32..24, fraction(), 0.0f64..0.9, 0.01f64..=1.0, 0.0f64..2.0);
     (numbers, [fraction(), fraction(), fraction(), fraction()], crossover).prop_map(

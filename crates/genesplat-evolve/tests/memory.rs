@@ -106,9 +106,7 @@ fn a_whole_search_of_the_paper_stays_below_600_bytes_a_gaussian() {
     });
     let (own, counted) = (search.peak_population_bytes() / n as usize, peak / n as usize);
     let changed = search.best().map_or(0.0, |best| best.rows.len() as f64 / f64::from(n));
-    println!(
-        "{own} bytes a Gaussian at most, {counted} by the allocator's count; {changed:.2} of the rows changed"
-    );
+    println!("{own} bytes a Gaussian at most, {counted} by the allocator's count; {changed:.2} of the rows changed");
     assert!(counted < 600, "{counted} bytes a Gaussian");
     // Every generation leaves a row as it is with probability 1 - f + f (1 - m)^3.
     let untouched = |rate: f64| 0.9 + 0.1 * (1.0 - rate).powi(3);

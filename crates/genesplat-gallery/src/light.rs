@@ -154,11 +154,7 @@ fn cell(position: f32, size: f32, cells: usize) -> (usize, usize, f32) {
 }
 
 /// `light(point, normal, own surface)` for every surface, at this spacing on flat ones.
-fn fields(
-    world: &World,
-    spacing: f32,
-    light: impl Fn(Vec3, Vec3, Option<usize>) -> Vec3 + Sync,
-) -> Vec<Field> {
+fn fields(world: &World, spacing: f32, light: impl Fn(Vec3, Vec3, Option<usize>) -> Vec3 + Sync) -> Vec<Field> {
     let field = |(index, surface): (usize, &Surface)| match surface.shape {
         Shape::Rectangle { corner, u, v, size, normal } => {
             let [columns, rows] = size.map(|side| ((side / spacing).ceil() as usize).max(2));
@@ -190,7 +186,6 @@ fn bounce(point: Vec3, normal: Vec3, incoming: impl Fn(&Ray) -> Vec3) -> Vec3 {
         radius * cosine * tangent + radius * sine * bitangent + height * normal
     };
     let samples = BOUNCE_SAMPLES * BOUNCE_SAMPLES;
-    let sum: Vec3 =
-        (0..samples).map(|sample| incoming(&Ray::leaving(point, normal, direction(sample)))).sum();
+    let sum: Vec3 = (0..samples).map(|sample| incoming(&Ray::leaving(point, normal, direction(sample)))).sum();
     sum / samples as f32
 }

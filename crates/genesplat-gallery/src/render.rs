@@ -51,8 +51,7 @@ impl RayCaster {
         };
         let first = FIRST_SAMPLES.map(sample);
         let sum: Vec3 = first.iter().sum();
-        let (low, high) =
-            first.iter().fold((first[0], first[0]), |(low, high), s| (low.min(*s), high.max(*s)));
+        let (low, high) = first.iter().fold((first[0], first[0]), |(low, high), s| (low.min(*s), high.max(*s)));
         if (high - low).max_element() < SMOOTH * (0.2 + high.max_element()) {
             return sum / 4.0;
         }
@@ -74,9 +73,7 @@ impl RayCaster {
             Finish::Coated { specular } if reflections < REFLECTIONS => {
                 scattered().lerp(mirrored(), specular * fresnel(0.04, facing))
             }
-            Finish::Metal(tint) if reflections < REFLECTIONS => {
-                mirrored() * tint.lerp(Vec3::ONE, fresnel(0.0, facing))
-            }
+            Finish::Metal(tint) if reflections < REFLECTIONS => mirrored() * tint.lerp(Vec3::ONE, fresnel(0.0, facing)),
             Finish::Matte | Finish::Coated { .. } | Finish::Metal(_) => scattered(),
         }
     }

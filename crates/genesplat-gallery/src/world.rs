@@ -120,8 +120,7 @@ impl World {
                 // The last on the stack is visited first: the child that the ray comes to first.
                 Content::Fork { second, axis } => {
                     let forwards = ray.direction[*axis] > 0.0;
-                    (stack[count], stack[count + 1]) =
-                        if forwards { (*second, at + 1) } else { (at + 1, *second) };
+                    (stack[count], stack[count + 1]) = if forwards { (*second, at + 1) } else { (at + 1, *second) };
                     count += 2;
                 }
             }
@@ -177,8 +176,7 @@ mod tests {
         for i in 0..500 {
             let origin = 6.0 * vector(2, i).normalize();
             let ray = Ray::new(origin, (3.0 * vector(3, i) - origin).normalize());
-            let all =
-                world.surfaces.iter().filter_map(|surface| surface.shape.intersect(&ray, f32::INFINITY));
+            let all = world.surfaces.iter().filter_map(|surface| surface.shape.intersect(&ray, f32::INFINITY));
             let nearest = all.reduce(f32::min);
             assert_eq!(world.trace(&ray, None).map(|hit| hit.distance), nearest);
             assert_eq!(world.is_clear(&ray, 5.0, None), nearest.is_none_or(|distance| distance >= 5.0));

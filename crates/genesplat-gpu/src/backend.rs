@@ -5,8 +5,8 @@ use std::borrow::Cow;
 use genesplat_core::averages::ViewLoss;
 use genesplat_core::backend::{MomentPolicy, StepReport};
 use genesplat_core::{
-    Backend, BackendError, Blend, Camera, Contribution, DeviceState, EvolutionBackend, Gaussians, Genes,
-    Image, RenderSettings, RowEdit, SparseDelta, Statistics, TrainStep, View,
+    Backend, BackendError, Blend, Camera, Contribution, DeviceState, EvolutionBackend, Gaussians, Genes, Image,
+    RenderSettings, RowEdit, SparseDelta, Statistics, TrainStep, View,
 };
 
 use crate::Result;
@@ -217,12 +217,7 @@ impl Backend for GpuBackend {
 }
 
 impl EvolutionBackend for GpuBackend {
-    fn score(
-        &mut self,
-        population: &[SparseDelta],
-        views: &[usize],
-        settings: &RenderSettings,
-    ) -> Result<Vec<f32>> {
+    fn score(&mut self, population: &[SparseDelta], views: &[usize], settings: &RenderSettings) -> Result<Vec<f32>> {
         self.finish_queued_steps()?;
         self.score_population(population, views, settings)
     }
@@ -239,12 +234,7 @@ impl EvolutionBackend for GpuBackend {
         self.with_memory(|gpu| gpu.state.average(&gpu.engine, half))
     }
 
-    fn measure(
-        &mut self,
-        blends: &[Blend],
-        views: &[usize],
-        settings: &RenderSettings,
-    ) -> Result<Vec<ViewLoss>> {
+    fn measure(&mut self, blends: &[Blend], views: &[usize], settings: &RenderSettings) -> Result<Vec<ViewLoss>> {
         self.with_memory(|gpu| gpu.measure_blends(blends, views, settings))
     }
 

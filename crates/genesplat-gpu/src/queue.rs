@@ -59,8 +59,7 @@ impl GpuBackend {
             let (optimiser, request) = (optimiser.as_ref(), step.statistics);
             Optimise { state, lists, pixels, memory, optimiser, request }.record(recorder);
         })?;
-        self.state.statistics.has_absolute |=
-            step.statistics.density == Some(DensitySignal::SignedAndAbsolute);
+        self.state.statistics.has_absolute |= step.statistics.density == Some(DensitySignal::SignedAndAbsolute);
         Ok(())
     }
 

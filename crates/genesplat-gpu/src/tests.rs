@@ -11,8 +11,8 @@ mod stages;
 mod verbs;
 
 use fixtures::{
-    CROWD_LOGITS, camera, cloud, crowd, far_needles, filtered_cloud, filters, individual_of, photo,
-    poisoned_cloud, settings, small_view, step, uniform, view,
+    CROWD_LOGITS, camera, cloud, crowd, far_needles, filtered_cloud, filters, individual_of, photo, poisoned_cloud,
+    settings, small_view, step, uniform, view,
 };
 use genesplat_core::{Backend, DensitySignal, Gaussians, RenderSettings, ScreenFilter, TrainStep};
 use genesplat_kernels::cpu::CpuBackend;
@@ -47,16 +47,13 @@ fn compare(
     actual: impl IntoIterator<Item = f32>,
     expected: impl IntoIterator<Item = f32>,
 ) -> Result<(), String> {
-    let (_, tolerance) =
-        TOLERANCES.iter().find(|(name, _)| *name == stage).expect("the table has every stage");
-    let (actual, expected): (Vec<f32>, Vec<f32>) =
-        (actual.into_iter().collect(), expected.into_iter().collect());
+    let (_, tolerance) = TOLERANCES.iter().find(|(name, _)| *name == stage).expect("the table has every stage");
+    let (actual, expected): (Vec<f32>, Vec<f32>) = (actual.into_iter().collect(), expected.into_iter().collect());
     if actual.len() != expected.len() {
         return Err(format!("{stage}, {what}: {} values, not {}", actual.len(), expected.len()));
     }
     let square = |value: f64| value * value;
-    let distance: f64 =
-        actual.iter().zip(&expected).map(|(&a, &b)| square(f64::from(a) - f64::from(b))).sum();
+    let distance: f64 = actual.iter().zip(&expected).map(|(&a, &b)| square(f64::from(a) - f64::from(b))).sum();
     let length: f64 = expected.iter().map(|&b| square(f64::from(b))).sum();
     if distance == 0.0 || (distance / length).sqrt() <= *tolerance {
         return Ok(());
@@ -79,10 +76,7 @@ pub(crate) fn engine() -> Option<Engine> {
     match Engine::new() {
         Ok(engine) => Some(engine),
         Err(error) => {
-            assert!(
-                std::env::var_os("GENESPLAT_REQUIRE_GPU").is_none(),
-                "CI has no graphics device: {error}"
-            );
+            assert!(std::env::var_os("GENESPLAT_REQUIRE_GPU").is_none(), "CI has no graphics device: {error}");
             eprintln!("skipped: {error}");
             None
         }
@@ -126,8 +120,7 @@ fn compare_clouds(stage: &str, actual: &Gaussians, expected: &Gaussians) -> Resu
     let flat = |rows: &[[f32; 3]]| rows.as_flattened().to_vec();
     compare(stage, "positions", flat(&actual.positions), flat(&expected.positions))?;
     compare(stage, "log-scales", flat(&actual.log_scales), flat(&expected.log_scales))?;
-    let [actual_rotations, expected_rotations] =
-        [actual, expected].map(|c| c.rotations.as_flattened().to_vec());
+    let [actual_rotations, expected_rotations] = [actual, expected].map(|c| c.rotations.as_flattened().to_vec());
     compare(stage, "rotations", actual_rotations, expected_rotations)?;
     compare(stage, "opacities", actual.opacity_logits.clone(), expected.opacity_logits.clone())?;
     let [actual_sh, expected_sh] = [actual, expected].map(|c| c.sh.as_flattened().to_vec());

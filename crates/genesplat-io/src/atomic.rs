@@ -17,10 +17,7 @@ const LINKS_MAX: u32 = 40;
 /// Writes the file at `path` through `fill`; missing parent folders are made.
 ///
 /// On an error the temporary file is removed and whatever was at `path` before is still there.
-pub fn write_atomically(
-    path: &Path,
-    fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
-) -> io::Result<()> {
+pub fn write_atomically(path: &Path, fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>) -> io::Result<()> {
     match Target::of(path)? {
         Target::File(path) => replace(&path, fill),
         Target::Stream => fill_file(OpenOptions::new().append(true).open(path)?, fill).map(|_| ()),
@@ -137,9 +134,7 @@ mod tests {
         let name = left.file_name().unwrap().to_str().unwrap().to_owned();
         let serial: u32 = name.trim_end_matches(".tmp").rsplit('-').next().unwrap().parse().unwrap();
         // The next names are taken as well.
-        let next = |more: u32| {
-            left.with_file_name(format!(".genesplat-{}-{}.tmp", std::process::id(), serial + more))
-        };
+        let next = |more: u32| left.with_file_name(format!(".genesplat-{}-{}.tmp", std::process::id(), serial + more));
         (1..200).for_each(|more| fs::write(next(more), b"left").unwrap());
         let path = folder.path().join("x".repeat(250));
         write_atomically(&path, |out| out.write_all(b"whole")).unwrap();

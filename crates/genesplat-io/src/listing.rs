@@ -115,9 +115,7 @@ fn view_names(paths: &[&str], list: &Path) -> Result<Vec<String>, SceneError> {
     let joined = (1..).map(|count| whole.iter().map(|path| path.replace('/', &"_".repeat(count))).collect());
     let mut candidates = std::iter::once(own).chain(joined);
     // Beyond the longest run of `_` in a path, different paths have different names.
-    Ok(candidates
-        .find(|names| repeated(names).is_none())
-        .expect("different paths end up with different names"))
+    Ok(candidates.find(|names| repeated(names).is_none()).expect("different paths end up with different names"))
 }
 
 fn repeated(names: &[String]) -> Option<&String> {

@@ -6,9 +6,7 @@ use genesplat_core::backend::McmcStep;
 use genesplat_core::{
     Camera, DensitySignal, LearningRates, Photo, RenderSettings, Rng, StatisticsRequest, Stream, Update,
 };
-use genesplat_kernels::reference::{
-    Cloud64, Cutoff, Gradients, Moments64, Statistics64, adam, backward, loss, render,
-};
+use genesplat_kernels::reference::{Cloud64, Cutoff, Gradients, Moments64, Statistics64, adam, backward, loss, render};
 use reference_support::*;
 
 fn planes(photo: &Photo) -> Vec<f64> {
@@ -83,8 +81,7 @@ fn gradients_of(cloud: &Cloud64, image_gradient: f64) -> Gradients {
 #[test]
 fn pixel_counts_by_hand() {
     let gradients = gradients_of(&three_splats(), 0.01);
-    let lattice =
-        (-4..=4i32).flat_map(|x| (-4..=4i32).map(move |y| x * x + y * y)).filter(|r2| *r2 <= 14).count();
+    let lattice = (-4..=4i32).flat_map(|x| (-4..=4i32).map(move |y| x * x + y * y)).filter(|r2| *r2 <= 14).count();
     assert_eq!(lattice, 45);
     assert_eq!(gradients.pixels, [45, 45, 0]);
     assert_eq!(gradients.depth[..2], [2.0, 4.0]);
@@ -183,11 +180,7 @@ fn the_first_step_is_the_learning_rate() {
     // ε = 1e-15 is a millionth of the gradient; the rates are f32.
     let close = |actual: f64, expected: f64| (actual - expected).abs() < 2e-6;
     assert!((0..3).all(|axis| close(cloud.positions[0][axis], 0.1)));
-    assert!(
-        close(cloud.positions[1][0], -0.1)
-            && cloud.positions[1][1] == 0.0
-            && close(cloud.positions[1][2], 0.1)
-    );
+    assert!(close(cloud.positions[1][0], -0.1) && cloud.positions[1][1] == 0.0 && close(cloud.positions[1][2], 0.1));
     assert!(close(cloud.opacity_logits[1], 0.4) && close(cloud.log_scales[0][2], 0.5));
     assert!(close(cloud.rotations[1][3], 0.6));
     for (index, value) in cloud.sh[1].iter().enumerate() {
@@ -231,13 +224,9 @@ fn mcmc_regularises_and_moves_means_at_random() {
     push(&mut cloud, [0.0; 3], 0.5, 0.9, [0.5; 3]);
     let before = cloud.clone();
     let mut moments = Moments64::zeros(2);
-    let mcmc =
-        McmcStep { noise_scale: 0.1, opacity_weight: 0.01, scale_weight: 0.02, rng: Rng::new(3), counter: 7 };
-    let update = Update {
-        rates: LearningRates { scale: 0.0, opacity: 0.0, ..RATES },
-        mcmc: Some(mcmc),
-        ..update(1, 1)
-    };
+    let mcmc = McmcStep { noise_scale: 0.1, opacity_weight: 0.01, scale_weight: 0.02, rng: Rng::new(3), counter: 7 };
+    let update =
+        Update { rates: LearningRates { scale: 0.0, opacity: 0.0, ..RATES }, mcmc: Some(mcmc), ..update(1, 1) };
     adam(&mut cloud, &mut moments, &Cloud64::zeros(2), &update);
     // First moments are a tenth of the gradient.
     assert!((moments.first.opacity_logits[1] - 0.1 * 0.01 / 2.0 * 0.9 * 0.1).abs() < 1e-9);
@@ -260,21 +249,14 @@ fn training_lowers_the_loss() {
     let target = render(&three_splats(), &camera, &settings, Cutoff::Hard).picture.image;
     let pixels = (WIDTH * HEIGHT) as usize;
     let rgb = (0..pixels).flat_map(|p| (0..3).map(move |c| c * pixels + p));
-    let photo =
-        Photo { width: WIDTH, height: HEIGHT, rgb: rgb.map(|i| (target[i] * 255.0 + 0.5) as u8).collect() };
+    let photo = Photo { width: WIDTH, height: HEIGHT, rgb: rgb.map(|i| (target[i] * 255.0 + 0.5) as u8).collect() };
 
     let mut cloud = Cloud64::default();
     push(&mut cloud, [0.15, -0.1, 2.5], 0.2, 0.5, [0.5; 3]);
     push(&mut cloud, [-0.2, 0.1, 3.0], 0.2, 0.5, [0.5; 3]);
     let mut moments = Moments64::zeros(2);
-    let rates = LearningRates {
-        position: 0.01,
-        sh_dc: 0.05,
-        sh_rest: 0.002,
-        opacity: 0.05,
-        scale: 0.02,
-        rotation: 0.01,
-    };
+    let rates =
+        LearningRates { position: 0.01, sh_dc: 0.05, sh_rest: 0.002, opacity: 0.05, scale: 0.02, rotation: 0.01 };
     let mut losses = Vec::new();
     for step in 1..=100 {
         let rendered = render(&cloud, &camera, &settings, Cutoff::Hard);

@@ -60,12 +60,7 @@ fn null_as_nan<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Err
 
 /// Scores of one picture against the truth, without LPIPS.
 pub fn compare(name: &str, picture: &Photo, truth: &Photo) -> Result<ViewScore, SizeMismatch> {
-    Ok(ViewScore {
-        name: name.to_owned(),
-        psnr: psnr(picture, truth)?,
-        ssim: ssim(picture, truth)?,
-        lpips: None,
-    })
+    Ok(ViewScore { name: name.to_owned(), psnr: psnr(picture, truth)?, ssim: ssim(picture, truth)?, lpips: None })
 }
 
 /// Renders every view and scores it against its photo; `keep` receives each render (to be saved, say).

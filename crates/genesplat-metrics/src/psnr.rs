@@ -27,11 +27,7 @@ mod tests {
     #[test]
     fn hand_computed_values() {
         let black = photo(vec![0; 6]);
-        assert_eq!(
-            psnr(&black, &photo(vec![255; 6])).unwrap().to_bits(),
-            0,
-            "not -0, which looks odd in print"
-        );
+        assert_eq!(psnr(&black, &photo(vec![255; 6])).unwrap().to_bits(), 0, "not -0, which looks odd in print");
         // One of six values off by 51 = 0.2: the mean squared error is 0.04 / 6.
         let off = psnr(&black, &photo(vec![0, 0, 51, 0, 0, 0])).unwrap();
         assert!((off - 21.760_912_590_556_81).abs() < 1e-12, "{off}");

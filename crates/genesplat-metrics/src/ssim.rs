@@ -23,8 +23,7 @@ fn plane(photo: &Photo, channel: usize) -> Vec<f64> {
 fn channel_sum(x: &[f64], y: &[f64], width: usize) -> f64 {
     let product = |a: &[f64], b: &[f64]| -> Vec<f64> { a.iter().zip(b).map(|(a, b)| a * b).collect() };
     let (mean_x, mean_y) = (blur(x, width), blur(y, width));
-    let (xx, yy, xy) =
-        (blur(&product(x, x), width), blur(&product(y, y), width), blur(&product(x, y), width));
+    let (xx, yy, xy) = (blur(&product(x, x), width), blur(&product(y, y), width), blur(&product(x, y), width));
     (0..x.len()).map(|i| similarity(mean_x[i], mean_y[i], xx[i], yy[i], xy[i])).sum()
 }
 
@@ -70,8 +69,7 @@ mod tests {
 
     fn noise(width: u32, height: u32, seed: u32) -> Photo {
         let rng = Rng::new(2);
-        let rgb =
-            (0..3 * width * height).map(|i| rng.at(Stream::Test, seed, i, 0).below(0, 256) as u8).collect();
+        let rgb = (0..3 * width * height).map(|i| rng.at(Stream::Test, seed, i, 0).below(0, 256) as u8).collect();
         Photo { width, height, rgb }
     }
 
@@ -79,8 +77,7 @@ mod tests {
     fn direct(a: &Photo, b: &Photo) -> f64 {
         let window = ssim_window();
         let value = |photo: &Photo, x: i64, y: i64, channel: usize| {
-            let inside =
-                (0..i64::from(photo.width)).contains(&x) && (0..i64::from(photo.height)).contains(&y);
+            let inside = (0..i64::from(photo.width)).contains(&x) && (0..i64::from(photo.height)).contains(&y);
             if inside { f64::from(photo.pixel(x as u32, y as u32)[channel]) / 255.0 } else { 0.0 }
         };
         let mut sum = 0.0;

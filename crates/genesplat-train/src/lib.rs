@@ -22,9 +22,7 @@ mod run;
 pub mod scene;
 pub mod schedule;
 
-pub use config::{
-    Background, ConfigError, EvolutionMode, Resolved, StepBudget, TrainConfig, Trigger, Variant,
-};
+pub use config::{Background, ConfigError, EvolutionMode, Resolved, StepBudget, TrainConfig, Trigger, Variant};
 pub use densify::renew::Trial;
 pub use evolution::search;
 pub use pipeline::train;

@@ -73,18 +73,14 @@ fn auto_adapter(adapters: &[AdapterReport]) -> Result<&AdapterReport, String> {
         Some(adapter) => Ok(adapter),
         None => Err(usable().next().map_or_else(
             || why_none(adapters),
-            |software| {
-                format!("{} is no graphics card but software, slower than the CPU itself", software.name)
-            },
+            |software| format!("{} is no graphics card but software, slower than the CPU itself", software.name),
         )),
     }
 }
 
 /// Why no graphics device can be used, as the middle of a sentence.
 fn why_none(adapters: &[AdapterReport]) -> String {
-    let reason = |adapter: &AdapterReport| {
-        adapter.unusable.as_ref().map(|reason| format!("{} {reason}", adapter.name))
-    };
+    let reason = |adapter: &AdapterReport| adapter.unusable.as_ref().map(|reason| format!("{} {reason}", adapter.name));
     let reasons: Vec<String> = adapters.iter().filter_map(reason).collect();
     if reasons.is_empty() {
         return "this machine has no graphics device with a Vulkan, Metal or DX12 driver".into();
@@ -110,9 +106,10 @@ pub(crate) fn prepare_cpu(args: MachineArgs) -> Result<CpuBackend> {
 
 /// Sets the number of threads of everything that follows; `None` takes all cores.
 pub(crate) fn use_threads(threads: Option<u16>) -> Result<()> {
-    rayon::ThreadPoolBuilder::new().num_threads(threads.unwrap_or(0).into()).build_global().map_err(|error| {
-        anyhow!("cannot start {} threads: {error}; use fewer --threads", threads.unwrap_or(0))
-    })
+    rayon::ThreadPoolBuilder::new()
+        .num_threads(threads.unwrap_or(0).into())
+        .build_global()
+        .map_err(|error| anyhow!("cannot start {} threads: {error}; use fewer --threads", threads.unwrap_or(0)))
 }
 
 #[cfg(test)]

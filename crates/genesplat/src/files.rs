@@ -32,10 +32,7 @@ pub(crate) fn check_folder(path: &Path, name: &str) -> Result<()> {
 }
 
 /// Writes the file at `path` through `fill`, whole or not at all.
-pub(crate) fn write_file(
-    path: &Path,
-    fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
-) -> Result<()> {
+pub(crate) fn write_file(path: &Path, fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>) -> Result<()> {
     write_atomically(path, fill).map_err(|error| unwritable(path, &error))
 }
 
@@ -70,15 +67,9 @@ fn is_leftover(name: &str) -> bool {
 /// The sentence for a path that cannot be written.
 pub(crate) fn unwritable(path: &Path, error: &io::Error) -> anyhow::Error {
     if error.kind() == ErrorKind::IsADirectory {
-        return anyhow!(
-            "{} is a folder, and a file is to be written; give the name of a file",
-            path.display()
-        );
+        return anyhow!("{} is a folder, and a file is to be written; give the name of a file", path.display());
     }
-    anyhow!(
-        "cannot write {}: {error}; choose a folder that can be written to, or free some space",
-        path.display()
-    )
+    anyhow!("cannot write {}: {error}; choose a folder that can be written to, or free some space", path.display())
 }
 
 #[cfg(test)]
@@ -92,9 +83,7 @@ mod tests {
         let left = ".genesplat-4711-12.tmp";
         mine.iter().chain([&left]).for_each(|name| fs::write(place.path().join(name), "x").unwrap());
         remove_leftovers(place.path());
-        assert!(
-            mine.iter().all(|name| place.path().join(name).exists()) && !place.path().join(left).exists()
-        );
+        assert!(mine.iter().all(|name| place.path().join(name).exists()) && !place.path().join(left).exists());
         remove_leftovers(&place.path().join("absent"));
     }
 }

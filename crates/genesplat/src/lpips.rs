@@ -100,8 +100,8 @@ fn weight_files(path: &Path) -> Result<Vec<PathBuf>> {
     if !path.is_dir() {
         return Ok(vec![path.to_owned()]);
     }
-    let entries = fs::read_dir(path)
-        .map_err(|error| anyhow!("cannot look for LPIPS weights in {}: {error}", path.display()))?;
+    let entries =
+        fs::read_dir(path).map_err(|error| anyhow!("cannot look for LPIPS weights in {}: {error}", path.display()))?;
     let mut files: Vec<PathBuf> = entries.flatten().map(|entry| entry.path()).collect();
     files.retain(|file| file.extension().is_some_and(|end| end == "safetensors" || end == "pth"));
     files.sort();

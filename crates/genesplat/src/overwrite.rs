@@ -26,8 +26,7 @@ pub(crate) fn check_file(path: &Path, content: Content, inputs: &[Option<&Path>]
 
 pub(crate) fn check_existing(path: &Path, content: Content, inputs: &[Option<&Path>]) -> Result<()> {
     let Ok(there) = path.canonicalize() else { return Ok(()) };
-    let is_input =
-        inputs.iter().flatten().any(|input| input.canonicalize().is_ok_and(|input| input == there));
+    let is_input = inputs.iter().flatten().any(|input| input.canonicalize().is_ok_and(|input| input == there));
     let what = if is_input { Some("an input of this command") } else { protected(&there, content) };
     what.map_or(Ok(()), |what| {
         bail!("{} is {what}, and would be overwritten; give the name of another file", path.display())
@@ -59,8 +58,7 @@ fn is_photo_of_scene(picture: &Path) -> bool {
 }
 
 fn is_scene(folder: &Path) -> bool {
-    let is_description =
-        |name: &str| name == "sparse" || (name.starts_with("transforms") && name.ends_with(".json"));
+    let is_description = |name: &str| name == "sparse" || (name.starts_with("transforms") && name.ends_with(".json"));
     let mut entries = fs::read_dir(folder).into_iter().flatten().flatten();
     entries.any(|entry| is_description(&entry.file_name().to_string_lossy()))
 }
@@ -130,11 +128,8 @@ mod tests {
         ];
         cases.iter().for_each(|(name, _)| drop(file(name)));
         for (name, expected) in cases {
-            for (content, what) in
-                [Content::Figures, Content::Splat, Content::Picture].into_iter().zip(expected)
-            {
-                let refusal =
-                    check_file(&file(name), content, &[Some(&input)]).err().map(|error| error.to_string());
+            for (content, what) in [Content::Figures, Content::Splat, Content::Picture].into_iter().zip(expected) {
+                let refusal = check_file(&file(name), content, &[Some(&input)]).err().map(|error| error.to_string());
                 assert_eq!(refusal.is_some(), what.is_some(), "{name}, {content:?}: {refusal:?}");
                 assert!(refusal.is_none_or(|sentence| sentence.contains(what.unwrap())), "{name}");
             }

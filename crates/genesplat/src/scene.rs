@@ -16,11 +16,7 @@ pub(crate) fn load(path: &Path, size: PhotoSize, background: [f32; 3], seed: u64
 }
 
 /// The same to look at a finished splat, without points, with both sides of the size divided by the second number.
-pub(crate) fn load_to_look(
-    path: &Path,
-    (size, divisor): (PhotoSize, u32),
-    background: [f32; 3],
-) -> Result<Scene> {
+pub(crate) fn load_to_look(path: &Path, (size, divisor): (PhotoSize, u32), background: [f32; 3]) -> Result<Scene> {
     load_with(path, background, LoadOptions { size, divisor, with_points: false, ..LoadOptions::default() })
 }
 
@@ -54,9 +50,7 @@ pub(crate) fn names_of_pictures(photos: &[&str]) -> Vec<String> {
 /// A photo's name without the ending of a picture format.
 pub(crate) fn stem(name: &str) -> &str {
     match name.rsplit_once('.') {
-        Some((stem, end)) if ["png", "jpg", "jpeg"].iter().any(|known| end.eq_ignore_ascii_case(known)) => {
-            stem
-        }
+        Some((stem, end)) if ["png", "jpg", "jpeg"].iter().any(|known| end.eq_ignore_ascii_case(known)) => stem,
         _ => name,
     }
 }
@@ -84,10 +78,7 @@ mod tests {
 
     #[test]
     fn pictures_are_named_after_photos_and_never_share_a_name() {
-        assert_eq!(
-            picture_names(&[view("a.JPG"), view("b.c.png"), view("r_0.5")]),
-            ["a.png", "b.c.png", "r_0.5.png"]
-        );
+        assert_eq!(picture_names(&[view("a.JPG"), view("b.c.png"), view("r_0.5")]), ["a.png", "b.c.png", "r_0.5.png"]);
         assert_eq!(picture_names(&[view("a.jpg"), view("a.png")]), ["a.jpg.png", "a.png.png"]);
     }
 }

@@ -192,8 +192,7 @@ impl Settings {
         }
         let Self { dataset, device, threads, train } = self;
         let written = Written { device: *device, threads: *threads, train: train.config(), dataset };
-        toml::to_string(&written)
-            .expect("settings are tables of numbers and text: resolve has checked the path")
+        toml::to_string(&written).expect("settings are tables of numbers and text: resolve has checked the path")
     }
 }
 

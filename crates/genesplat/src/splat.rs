@@ -87,11 +87,7 @@ fn open_ply(path: &Path) -> Result<Splat> {
 
 fn read_cloud(path: &Path) -> Result<(PlyHeader, Gaussians)> {
     let (header, cloud) = read_ply_with_header(path)?;
-    ensure!(
-        !cloud.is_empty(),
-        "{} holds no Gaussians, so there is nothing to see; give another splat",
-        path.display()
-    );
+    ensure!(!cloud.is_empty(), "{} holds no Gaussians, so there is nothing to see; give another splat", path.display());
     check_finite(path, &cloud)?;
     Ok((header, cloud))
 }

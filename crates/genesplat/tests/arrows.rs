@@ -65,8 +65,7 @@ fn arrows_between_crates_point_one_way() {
 #[test]
 fn a_forbidden_arrow_is_found() {
     for kind in ["dependencies", "build-dependencies", "target.'cfg(unix)'.dependencies"] {
-        let planted =
-            format!("[{kind}]\ngenesplat-core.workspace = true\ngenesplat-kernels.workspace = true\n");
+        let planted = format!("[{kind}]\ngenesplat-core.workspace = true\ngenesplat-kernels.workspace = true\n");
         assert_eq!(
             forbidden("genesplat-train", &dependencies(&planted)).as_deref(),
             Some("genesplat-train -> genesplat-kernels"),
@@ -82,20 +81,16 @@ fn named_paths(text: &str) -> Vec<String> {
         .skip(1)
         .step_by(2)
         .filter(|word| [".rs", ".md", ".toml", ".wgsl"].iter().any(|ending| word.ends_with(ending)))
-        .filter(|word| {
-            word.contains('/') && !word.contains(' ') && !word.contains('*') && !word.starts_with("..")
-        })
+        .filter(|word| word.contains('/') && !word.contains(' ') && !word.contains('*') && !word.starts_with(".."))
         .map(str::to_owned)
         .collect()
 }
 
 /// The documents at the root, and those below `docs`.
 fn documents() -> Vec<PathBuf> {
-    let mut documents: Vec<PathBuf> = ["README.md", "ARCHITECTURE.md", "CONTRIBUTING.md", "CHANGELOG.md"]
-        .map(|name| root().join(name))
-        .into();
-    let pages =
-        std::fs::read_dir(root().join("docs")).expect("docs").map(|page| page.expect("readable").path());
+    let mut documents: Vec<PathBuf> =
+        ["README.md", "ARCHITECTURE.md", "CONTRIBUTING.md", "CHANGELOG.md"].map(|name| root().join(name)).into();
+    let pages = std::fs::read_dir(root().join("docs")).expect("docs").map(|page| page.expect("readable").path());
     documents.extend(pages.filter(|page| page.extension().is_some_and(|ending| ending == "md")));
     documents
 }

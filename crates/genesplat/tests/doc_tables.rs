@@ -18,8 +18,7 @@ fn updated(document: &str, csv: &str) -> anyhow::Result<String> {
 }
 
 const DOCUMENT: &str = "before\n<!-- table: results -->\nold\n<!-- /table -->\nafter\n";
-const CSV: &str =
-    "scene,max_side,iterations,seed,arm,psnr,gaussians,gradient_seconds,evolution_seconds,command
+const CSV: &str = "scene,max_side,iterations,seed,arm,psnr,gaussians,gradient_seconds,evolution_seconds,command
 fox,480,7000,0,off,30.0,1234567,100,0,genesplat train fox
 fox,480,7000,1,off,31.0,1234569,110,0,genesplat train fox
 fox,480,7000,0,renew,30.5,900,100,20,genesplat train fox, twice
@@ -76,10 +75,9 @@ fn what_cannot_be_shown_is_an_error() {
         let error = format!("{:#}", updated(DOCUMENT, csv).unwrap_err());
         assert!(error.contains(problem), "{error}");
     }
-    for (document, problem) in [
-        ("<!-- table: wishes -->\n<!-- /table -->", "wishes"),
-        ("<!-- table: results -->\n", "has no <!-- /table -->"),
-    ] {
+    for (document, problem) in
+        [("<!-- table: wishes -->\n<!-- /table -->", "wishes"), ("<!-- table: results -->\n", "has no <!-- /table -->")]
+    {
         let error = format!("{:#}", updated(document, CSV).unwrap_err());
         assert!(error.contains(problem), "{error}");
     }

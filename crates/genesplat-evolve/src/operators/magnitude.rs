@@ -38,11 +38,7 @@ pub(crate) struct Standardised<'a> {
 
 impl Magnitudes {
     /// Checks `gradients` against a base of `n` rows; they are not needed for [`Magnitude::Unit`].
-    pub(crate) fn new(
-        kind: Magnitude,
-        gradients: Option<GeneGradients>,
-        n: usize,
-    ) -> Result<Self, ConfigError> {
+    pub(crate) fn new(kind: Magnitude, gradients: Option<GeneGradients>, n: usize) -> Result<Self, ConfigError> {
         if kind == Magnitude::Unit {
             return Ok(Self::Unit);
         }
@@ -116,8 +112,7 @@ mod tests {
 
     fn magnitudes(sum: Vec<Genes>, views: Vec<u32>) -> Magnitudes {
         let n = sum.len();
-        Magnitudes::new(Magnitude::Gradient, Some(GeneGradients { sum, views }), n)
-            .expect("finite, of equal length")
+        Magnitudes::new(Magnitude::Gradient, Some(GeneGradients { sum, views }), n).expect("finite, of equal length")
     }
 
     /// Three Gaussians, worked out by hand for each step of section 3.2.

@@ -55,13 +55,7 @@ impl Mutation {
     }
 
     /// The child of `parents` after the mutation at `address`.
-    pub(crate) fn apply(
-        &self,
-        parents: Parents<'_>,
-        shared: &[Genes],
-        address: Address,
-        rate: f64,
-    ) -> Genome {
+    pub(crate) fn apply(&self, parents: Parents<'_>, shared: &[Genes], address: Address, rate: f64) -> Genome {
         Genome::child(parents, &self.draw(address, rate), shared)
     }
 
@@ -94,9 +88,7 @@ impl Mutation {
             if mutates(Group::Opacity) {
                 // The number that position leaves over.
                 let [_, o] = draw(1).normals(1);
-                mutations
-                    .opacity
-                    .push(row, self.scaled(Group::Opacity, magnitudes.u(Group::Opacity, row), [o]));
+                mutations.opacity.push(row, self.scaled(Group::Opacity, magnitudes.u(Group::Opacity, row), [o]));
             }
         }
         mutations
@@ -168,33 +160,25 @@ mod tests {
     #[test]
     fn moves_are_normal_with_standard_deviation_alpha_sigma() {
         let base = base(1000);
-        let config =
-            PaperConfig { magnitude: Magnitude::Unit, selection_fraction: 0.5, ..PaperConfig::default() };
+        let config = PaperConfig { magnitude: Magnitude::Unit, selection_fraction: 0.5, ..PaperConfig::default() };
         let moves = moves(&mutation(&config, &base, None), &base, 0.5, 40);
         for (component, moves) in moves.iter().enumerate() {
             let n = moves.len() as f64;
             // 40 individuals x 500 selected x rate 0.5; four and a half standard errors in each check.
-            assert!(
-                (n - 10_000.0).abs() < 4.5 * (20_000.0f64 * 0.25).sqrt(),
-                "component {component}: {n} moves"
-            );
+            assert!((n - 10_000.0).abs() < 4.5 * (20_000.0f64 * 0.25).sqrt(), "component {component}: {n} moves");
             let expected = 0.1 * (component + 1) as f64;
             let (mean, std) = mean_and_std(moves);
             assert!(mean.abs() < 4.5 * expected / n.sqrt(), "component {component}: mean {mean}");
             assert!((std / expected - 1.0).abs() < 4.5 / (2.0 * n).sqrt(), "component {component}: {std}");
             let within = moves.iter().filter(|x| x.abs() < expected).count() as f64 / n;
-            assert!(
-                (within - 0.6827).abs() < 4.5 * (0.6827 * 0.3173 / n).sqrt(),
-                "component {component}: {within}"
-            );
+            assert!((within - 0.6827).abs() < 4.5 * (0.6827 * 0.3173 / n).sqrt(), "component {component}: {within}");
         }
     }
 
     #[test]
     fn components_move_independently() {
         let base = base(500);
-        let config =
-            PaperConfig { magnitude: Magnitude::Unit, selection_fraction: 1.0, ..PaperConfig::default() };
+        let config = PaperConfig { magnitude: Magnitude::Unit, selection_fraction: 1.0, ..PaperConfig::default() };
         let moves = moves(&mutation(&config, &base, None), &base, 1.0, 20);
         let n = moves[0].len();
         assert!(moves.iter().all(|column| column.len() == n), "at rate 1 every gene moves");
@@ -219,8 +203,7 @@ mod tests {
         for individual in 0..20 {
             let delta = mutant(&mutation, &base, Address { generation: 1, individual }, 1.0);
             for (&row, gene) in delta.rows.iter().zip(&delta.genes) {
-                squares[usize::from(row >= 500)] +=
-                    f64::from(gene[6] - base[row as usize][6]).powi(2) / 10_000.0;
+                squares[usize::from(row >= 500)] += f64::from(gene[6] - base[row as usize][6]).powi(2) / 10_000.0;
             }
         }
         for (square, u) in squares.into_iter().zip([0.268_941, 0.731_059]) {
@@ -232,8 +215,7 @@ mod tests {
     #[test]
     fn each_individual_of_each_generation_mutates_in_its_own_way() {
         let base = base(1000);
-        let config =
-            PaperConfig { magnitude: Magnitude::Unit, selection_fraction: 1.0, ..PaperConfig::default() };
+        let config = PaperConfig { magnitude: Magnitude::Unit, selection_fraction: 1.0, ..PaperConfig::default() };
         let mutation = mutation(&config, &base, None);
         let at = |generation, individual| mutation.draw(Address { generation, individual }, 0.5);
         // All rows are selected, so that only coins and normal numbers can differ.
@@ -259,8 +241,7 @@ mod tests {
 
     #[test]
     fn a_gene_that_would_overflow_keeps_its_value() {
-        let base: Vec<Genes> =
-            (0..100).map(|row| [if row % 2 == 0 { f32::MAX } else { -f32::MAX }; GENES]).collect();
+        let base: Vec<Genes> = (0..100).map(|row| [if row % 2 == 0 { f32::MAX } else { -f32::MAX }; GENES]).collect();
         let config = PaperConfig {
             magnitude: Magnitude::Unit,
             intensity: 1.0,

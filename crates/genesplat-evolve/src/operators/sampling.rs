@@ -75,8 +75,7 @@ mod tests {
 
     #[test]
     fn each_individual_of_each_generation_has_its_own_rows() {
-        let at =
-            |generation, individual| choose_rows(&Rng::new(8), Address { generation, individual }, 1000, 100);
+        let at = |generation, individual| choose_rows(&Rng::new(8), Address { generation, individual }, 1000, 100);
         assert_ne!(at(1, 2), at(2, 2));
         assert_ne!(at(1, 2), at(1, 3));
         assert_eq!(at(1, 2), at(1, 2));

@@ -74,9 +74,9 @@ impl Consensus {
     pub(crate) fn delta_from_base(&self, genome: &Genome) -> SparseDelta {
         let own = genome.to_delta(&self.genes);
         let mut own = own.rows.into_iter().zip(own.genes).peekable();
-        let genes = (0..).zip(&self.genes).map(|(row, &shared)| {
-            own.next_if(|(changed, _)| *changed == row).map_or(shared, |(_, genes)| genes)
-        });
+        let genes = (0..)
+            .zip(&self.genes)
+            .map(|(row, &shared)| own.next_if(|(changed, _)| *changed == row).map_or(shared, |(_, genes)| genes));
         let changed = (0..).zip(genes).zip(&self.base).filter(|((_, genes), base)| genes != *base);
         let (rows, genes) = changed.map(|(genes, _)| genes).unzip();
         SparseDelta { rows, genes }

@@ -76,8 +76,7 @@ impl MatingPlan {
             (ranks, is_crossed(rng, generation, pair, rate))
         };
         let pairs: Vec<([u32; 2], bool)> = (0..children.div_ceil(2)).map(pair).collect();
-        let mut kept: Vec<u32> =
-            pairs.iter().flat_map(|(ranks, _)| *ranks).chain(0..config.elites()).collect();
+        let mut kept: Vec<u32> = pairs.iter().flat_map(|(ranks, _)| *ranks).chain(0..config.elites()).collect();
         kept.sort_unstable();
         kept.dedup();
         Self { pairs, kept }
@@ -136,8 +135,7 @@ mod tests {
 
     #[test]
     fn the_plan_keeps_elites_and_parents_and_no_one_else() {
-        let config =
-            PaperConfig { population: 31, tournament: 4, elite_fraction: 0.2, ..PaperConfig::default() };
+        let config = PaperConfig { population: 31, tournament: 4, elite_fraction: 0.2, ..PaperConfig::default() };
         let plan = MatingPlan::draw(&config, &Rng::new(4), 9);
         assert_eq!((config.elites(), plan.pairs.len()), (6, 13), "25 children of 13 pairs");
         let is_parent = |rank: &u32| plan.pairs.iter().any(|(ranks, _)| ranks.contains(rank));
@@ -150,9 +148,8 @@ mod tests {
     #[test]
     fn about_a_quarter_of_the_papers_population_is_kept() {
         let config = PaperConfig::default();
-        let kept: Vec<f64> = (1..=200)
-            .map(|generation| MatingPlan::draw(&config, &Rng::new(1), generation).kept.len() as f64)
-            .collect();
+        let kept: Vec<f64> =
+            (1..=200).map(|generation| MatingPlan::draw(&config, &Rng::new(1), generation).kept.len() as f64).collect();
         let mean = kept.iter().sum::<f64>() / kept.len() as f64;
         let mut expected = 10.0;
         let mut p = 0.1; // C(99 - r, 9) / C(100, 10) at r = 0

@@ -6,8 +6,8 @@ use std::sync::{Arc, OnceLock};
 
 use genesplat_core::BackendError;
 use wgpu::{
-    BindGroupLayout, CommandBuffer, ComputePipeline, ComputePipelineDescriptor, Device, DeviceDescriptor,
-    Features, Limits, PipelineCompilationOptions, PollType, Queue, ShaderModuleDescriptor, ShaderSource,
+    BindGroupLayout, CommandBuffer, ComputePipeline, ComputePipelineDescriptor, Device, DeviceDescriptor, Features,
+    Limits, PipelineCompilationOptions, PollType, Queue, ShaderModuleDescriptor, ShaderSource,
 };
 
 use crate::Result;
@@ -131,8 +131,7 @@ impl Engine {
             label: Some(shader.name),
             source: ShaderSource::Wgsl(shader.source(self.subgroups).into()),
         });
-        let constants: Vec<(&str, f64)> =
-            overrides.iter().map(|&(name, value)| (name, value.into())).collect();
+        let constants: Vec<(&str, f64)> = overrides.iter().map(|&(name, value)| (name, value.into())).collect();
         let pipeline = self.device.create_compute_pipeline(&ComputePipelineDescriptor {
             label: Some(shader.name),
             layout: None,

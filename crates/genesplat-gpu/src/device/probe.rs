@@ -10,8 +10,7 @@ use crate::state::layout::GROUP;
 /// Invocations of a subgroup, if subgroups do on this device what kernels rely on.
 pub(crate) fn subgroup_width(engine: &Engine) -> Result<Option<u32>> {
     // A kernel that does not compile here is an answer, too.
-    let scopes =
-        [ErrorFilter::Validation, ErrorFilter::Internal].map(|kind| engine.device.push_error_scope(kind));
+    let scopes = [ErrorFilter::Validation, ErrorFilter::Internal].map(|kind| engine.device.push_error_scope(kind));
     let found = engine.allocate("subgroups", 4 * u64::from(GROUP))?;
     let mut recorder = Recorder::new(engine, None);
     recorder.run(&shaders::PROBE_SUBGROUPS, &[found.all()], Grid::Groups(1));

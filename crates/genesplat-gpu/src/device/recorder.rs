@@ -93,9 +93,7 @@ impl<'a> Recorder<'a> {
             Grid::Items(items) => dispatch_row(pass, items.div_ceil(GROUP.into())),
             Grid::Groups(groups) => dispatch_row(pass, groups),
             Grid::Exact([x, y, z]) => pass.dispatch_workgroups(x, y, z),
-            Grid::Device(memory, slot) => {
-                pass.dispatch_workgroups_indirect(&memory.buffer, u64::from(slot) * 12)
-            }
+            Grid::Device(memory, slot) => pass.dispatch_workgroups_indirect(&memory.buffer, u64::from(slot) * 12),
         }
     }
 

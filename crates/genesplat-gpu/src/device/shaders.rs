@@ -182,8 +182,7 @@ mod tests {
             let of = |wanted: fn(AddressSpace) -> bool| {
                 module.global_variables.iter().map(|(_, variable)| variable).filter(move |v| wanted(v.space))
             };
-            let size =
-                |variable: &naga::GlobalVariable| module.types[variable.ty].inner.size(module.to_ctx());
+            let size = |variable: &naga::GlobalVariable| module.types[variable.ty].inner.size(module.to_ctx());
             buffers = buffers.max(of(|space| matches!(space, AddressSpace::Storage { .. })).count() as u32);
             bytes = bytes.max(of(|space| space == AddressSpace::WorkGroup).map(size).sum::<u32>());
         }
@@ -224,9 +223,7 @@ mod tests {
         ];
         for (name, fields, size) in structs {
             let found = module.types.iter().find(|(_, ty)| ty.name.as_deref() == Some(name)).expect(name).1;
-            let naga::TypeInner::Struct { members, span } = &found.inner else {
-                panic!("{name} is a struct")
-            };
+            let naga::TypeInner::Struct { members, span } = &found.inner else { panic!("{name} is a struct") };
             let wgsl: Vec<_> = members
                 .iter()
                 .map(|member| (member.name.as_deref().unwrap_or_default(), member.offset as usize))

@@ -5,9 +5,7 @@
 
 use crate::stages::lists::tile_bits;
 use crate::stages::sort::DIGIT_BITS;
-use crate::state::layout::{
-    GEOMETRY_FLOATS, GRADIENT_FLOATS, INTERSECTION_GRADIENT_FLOATS, SPLAT_FLOATS, TILE,
-};
+use crate::state::layout::{GEOMETRY_FLOATS, GRADIENT_FLOATS, INTERSECTION_GRADIENT_FLOATS, SPLAT_FLOATS, TILE};
 
 /// Reading and writing a key and a value, in each pass of a sort.
 const PASS_BYTES: u64 = 16;
@@ -51,9 +49,7 @@ impl Work {
             // Both steps read render and photo; nine partial derivatives pass between them; the gradient is written.
             "loss" => pixels * (2 * (12 + 4) + 2 * 36 + 12),
             // Render and gradient are read.
-            "rasterise_backward" => {
-                intersections * (8 + intersection_gradient) + visible * splat + pixels * 24
-            }
+            "rasterise_backward" => intersections * (8 + intersection_gradient) + visible * splat + pixels * 24,
             // Tile counts of all rows; of splats the first intersection and the vector with the flags.
             "project_backward" => {
                 intersections * intersection_gradient

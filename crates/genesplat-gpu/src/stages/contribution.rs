@@ -13,31 +13,21 @@ use crate::state::layout::CONTRIBUTION_FLOATS;
 
 impl GpuBackend {
     /// Contributions to views `[N]`.
-    pub(crate) fn contributions_to(
-        &mut self,
-        views: &[usize],
-        settings: &RenderSettings,
-    ) -> Result<Vec<Contribution>> {
+    pub(crate) fn contributions_to(&mut self, views: &[usize], settings: &RenderSettings) -> Result<Vec<Contribution>> {
         let rows = self.state.rows;
         let column = Column::zeros(&self.engine, "contributions", rows, CONTRIBUTION_FLOATS)?;
         let filled = Some((&column.memory, rows));
-        let values: Vec<[f32; CONTRIBUTION_FLOATS as usize]> =
-            self.until_lists_fit(ListsOf::Cloud, filled, |gpu| {
-                // An attempt before may have added some of the views.
-                let mut recorder = Recorder::new(&gpu.engine, None);
-                recorder.clear(&column.memory, column.memory.bytes);
-                recorder.submit();
-                views.iter().try_for_each(|&view| gpu.submit_contributions(view, settings, &column))
-            })?;
+        let values: Vec<[f32; CONTRIBUTION_FLOATS as usize]> = self.until_lists_fit(ListsOf::Cloud, filled, |gpu| {
+            // An attempt before may have added some of the views.
+            let mut recorder = Recorder::new(&gpu.engine, None);
+            recorder.clear(&column.memory, column.memory.bytes);
+            recorder.submit();
+            views.iter().try_for_each(|&view| gpu.submit_contributions(view, settings, &column))
+        })?;
         Ok(values.into_iter().map(|[weight, error]| Contribution { weight, error }).collect())
     }
 
-    fn submit_contributions(
-        &mut self,
-        view: usize,
-        settings: &RenderSettings,
-        contributions: &Column,
-    ) -> Result<()> {
+    fn submit_contributions(&mut self, view: usize, settings: &RenderSettings, contributions: &Column) -> Result<()> {
         let pass = self.pass_of(view, settings);
         let needs = Needs { loss: false, gradient: true };
         self.submit_view(&pass, needs, false, |gpu, recorder| {
@@ -48,15 +38,10 @@ impl GpuBackend {
             pixels.record_backward(recorder, lists, &pass);
             recorder.stage("contribution_sum");
             for window in &gpu.state.windows {
-                let [counters, tile_counts, first, gradients] = [
-                    &lists.counters,
-                    &lists.tile_counts,
-                    &lists.first_intersections,
-                    &pixels.intersection_gradients,
-                ]
-                .map(Memory::all);
-                let parts =
-                    [window.uniform.all(), counters, tile_counts, first, gradients, contributions.at(window)];
+                let [counters, tile_counts, first, gradients] =
+                    [&lists.counters, &lists.tile_counts, &lists.first_intersections, &pixels.intersection_gradients]
+                        .map(Memory::all);
+                let parts = [window.uniform.all(), counters, tile_counts, first, gradients, contributions.at(window)];
                 recorder.run(&shaders::CONTRIBUTION_SUM, &parts, Grid::Items(window.count));
             }
         })

@@ -147,18 +147,11 @@ impl Lists {
     }
 
     /// Stages `project` and `bin` of a whole cloud.
-    pub(crate) fn record(
-        &self,
-        recorder: &mut Recorder,
-        cloud: &Parameters,
-        windows: &[RowWindow],
-        view: &ViewPass,
-    ) {
+    pub(crate) fn record(&self, recorder: &mut Recorder, cloud: &Parameters, windows: &[RowWindow], view: &ViewPass) {
         recorder.stage("project");
         let outputs = [&self.splats, &self.depths, &self.tile_counts, &self.flags].map(Memory::all);
         for window in windows {
-            let inputs =
-                [self.view.all(), window.uniform.all(), cloud.geometry.at(window), cloud.sh.at(window)];
+            let inputs = [self.view.all(), window.uniform.all(), cloud.geometry.at(window), cloud.sh.at(window)];
             let parts = [inputs, outputs].concat();
             recorder.run(&shaders::PROJECT, &parts, Grid::Items(window.count));
         }

@@ -57,8 +57,7 @@ impl Optimise<'_> {
             [&self.lists.view, &self.lists.counters, &self.lists.tile_counts].map(Memory::all);
         let (uniform, gradients) = (window.uniform.all(), state.gradients.at(window));
         if self.request.density.is_some() {
-            let parts =
-                [view, uniform, counters, tile_counts, gradients, state.statistics.density.at(window)];
+            let parts = [view, uniform, counters, tile_counts, gradients, state.statistics.density.at(window)];
             recorder.run(&shaders::STATISTICS, &parts, grid);
         }
         if let (true, Some(genes)) = (self.request.genes, &state.statistics.genes) {
@@ -77,8 +76,7 @@ impl Optimise<'_> {
             self.lists.counters.all(),
             gradients.at(window),
         ];
-        let colour =
-            [cloud.geometry.at(window), cloud.sh.at(window), first.sh.at(window), second.sh.at(window)];
+        let colour = [cloud.geometry.at(window), cloud.sh.at(window), first.sh.at(window), second.sh.at(window)];
         let parts = [&head[..], &colour].concat();
         recorder.run(&shaders::ADAM_COLOUR, &parts, Grid::Items(SH_GROUPS * window.count));
         let geometry = [&cloud.geometry, &first.geometry, &second.geometry].map(|column| column.at(window));

@@ -80,13 +80,7 @@ impl Pixels {
     }
 
     /// Stage `loss` against `photo`; leaves the gradient, too.
-    pub(crate) fn record_loss(
-        &self,
-        recorder: &mut Recorder,
-        lists: &Lists,
-        photo: &Memory,
-        view: &ViewPass,
-    ) {
+    pub(crate) fn record_loss(&self, recorder: &mut Recorder, lists: &Lists, photo: &Memory, view: &ViewPass) {
         recorder.stage("loss");
         self.record_loss_sums(recorder, lists, photo, view, true);
         let parts = [&lists.view, &self.loss_sums, &lists.counters].map(Memory::all);
@@ -108,12 +102,7 @@ impl Pixels {
         let [by_mean, by_square, by_product] = &self.partials;
         let parts = [&lists.view, &self.image, photo, by_mean, by_square, by_product, &self.loss_sums];
         let overrides = [("FORWARD_ONLY", u32::from(!partials))];
-        recorder.run_with(
-            &shaders::LOSS,
-            &overrides,
-            &parts.map(Memory::all),
-            view.tile_grid(3 * view.layers),
-        );
+        recorder.run_with(&shaders::LOSS, &overrides, &parts.map(Memory::all), view.tile_grid(3 * view.layers));
     }
 
     pub(crate) fn record_backward(&self, recorder: &mut Recorder, lists: &Lists, view: &ViewPass) {

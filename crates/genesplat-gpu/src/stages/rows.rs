@@ -54,10 +54,7 @@ impl State {
         let genes = self.statistics.genes.as_ref().map(|genes| job.gather(genes, false)).transpose()?;
         Ok(Self {
             rows,
-            cloud: Parameters {
-                geometry: job.geometry(&self.cloud.geometry)?,
-                sh: job.gather(&self.cloud.sh, false)?,
-            },
+            cloud: Parameters { geometry: job.geometry(&self.cloud.geometry)?, sh: job.gather(&self.cloud.sh, false)? },
             first: job.moments(&self.first)?,
             second: job.moments(&self.second)?,
             gradients: Column::zeros(engine, "gradients", 0, GRADIENT_FLOATS)?,
@@ -83,12 +80,7 @@ impl State {
         Ok(())
     }
 
-    pub(crate) fn apply(
-        &mut self,
-        engine: &Engine,
-        delta: &SparseDelta,
-        moments: MomentPolicy,
-    ) -> Result<()> {
+    pub(crate) fn apply(&mut self, engine: &Engine, delta: &SparseDelta, moments: MomentPolicy) -> Result<()> {
         if delta.is_empty() {
             return Ok(());
         }
@@ -165,10 +157,7 @@ impl EditJob<'_> {
 
     /// Copies of a moment; rows of a new identity begin at zero.
     fn moments(&self, moments: &Parameters) -> Result<Parameters> {
-        Ok(Parameters {
-            geometry: self.gather(&moments.geometry, true)?,
-            sh: self.gather(&moments.sh, true)?,
-        })
+        Ok(Parameters { geometry: self.gather(&moments.geometry, true)?, sh: self.gather(&moments.sh, true)? })
     }
 
     /// Copies; with `fresh`, rows of a new identity begin at zero.
@@ -181,11 +170,7 @@ impl EditJob<'_> {
     }
 
     /// A new column, made by `record` from every pair of an old and a new window.
-    fn make(
-        &self,
-        column: &Column,
-        record: impl Fn(&mut Recorder, &RowWindow, Part, Part, Part),
-    ) -> Result<Column> {
+    fn make(&self, column: &Column, record: impl Fn(&mut Recorder, &RowWindow, Part, Part, Part)) -> Result<Column> {
         let made = Column::zeros(self.engine, "an edited column", self.rows, column.floats)?;
         let mut recorder = Recorder::new(self.engine, None);
         for new in &self.new {

@@ -58,12 +58,7 @@ struct Pool {
 
 impl Pool {
     /// The row versions of `individuals`; nothing where they are more than `most`.
-    fn upload(
-        engine: &Engine,
-        state: &State,
-        individuals: &[SparseDelta],
-        most: u64,
-    ) -> Result<Option<Self>> {
+    fn upload(engine: &Engine, state: &State, individuals: &[SparseDelta], most: u64) -> Result<Option<Self>> {
         let rows = state.rows as usize;
         let tasks = (0..rows.div_ceil(ROWS)).into_par_iter();
         let of_task = |task: usize| row_versions(individuals, task * ROWS..rows.min((task + 1) * ROWS));
@@ -166,12 +161,12 @@ impl GpuBackend {
         let Some(pool) = Pool::upload(&self.engine, &self.state, individuals, most)? else { return Ok(None) };
         let count = u64::from(pool.individuals) * views.len() as u64;
         let losses = self.engine.allocate("losses", 8 * count)?;
-        let values: Vec<[f32; 2]> =
-            self.until_lists_fit(ListsOf::RowVersions, Some((&losses, count)), |gpu| {
-                views.iter().enumerate().try_for_each(|(index, &view)| {
-                    gpu.submit_pool(&pool, view, settings, [index, views.len()], &losses)
-                })
-            })?;
+        let values: Vec<[f32; 2]> = self.until_lists_fit(ListsOf::RowVersions, Some((&losses, count)), |gpu| {
+            views
+                .iter()
+                .enumerate()
+                .try_for_each(|(index, &view)| gpu.submit_pool(&pool, view, settings, [index, views.len()], &losses))
+        })?;
         Ok(Some(values.into_iter().map(|[loss, _]| loss).collect()))
     }
 
@@ -197,8 +192,7 @@ impl GpuBackend {
 
         recorder.stage("score_rasterise");
         let (intersections, splats) = (lists.sorted_intersections(&pass), &lists.intersection_splats);
-        let parts =
-            [&lists.view, &lists.ranges, intersections, splats, &lists.splats, &pool.holders, &pixels.image];
+        let parts = [&lists.view, &lists.ranges, intersections, splats, &lists.splats, &pool.holders, &pixels.image];
         let grid = pass.tile_grid(layers.div_ceil(SLOTS));
         recorder.run(&shaders::RASTERISE_INDIVIDUALS, &parts.map(Memory::all), grid);
 

@@ -53,14 +53,7 @@ impl Sorter {
     }
 
     /// Exclusive prefix sum; the total is left after the last block in `sums`.
-    pub(super) fn scan(
-        &self,
-        recorder: &mut Recorder,
-        length: u32,
-        grid: Grid,
-        input: &Memory,
-        output: &Memory,
-    ) {
+    pub(super) fn scan(&self, recorder: &mut Recorder, length: u32, grid: Grid, input: &Memory, output: &Memory) {
         let overrides = [("LENGTH", length)];
         let [lengths, sums, input, output] = [&self.lengths, &self.sums, input, output].map(Memory::all);
         recorder.run_with(&shaders::SCAN_SUMS, &overrides, &[lengths, input, sums], grid);

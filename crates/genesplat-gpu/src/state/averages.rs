@@ -14,14 +14,10 @@ pub(crate) struct DeviceMean {
 }
 
 /// Puts back what [`download`] gave.
-pub(super) fn upload(
-    engine: &Engine,
-    averages: &WindowAverages,
-) -> Result<[Option<DeviceMean>; WINDOW_HALVES]> {
+pub(super) fn upload(engine: &Engine, averages: &WindowAverages) -> Result<[Option<DeviceMean>; WINDOW_HALVES]> {
     let half = |given: &StateMean| match given.states() {
         0 => Ok(None),
-        states => Parameters::upload(engine, "an average", given.mean())
-            .map(|mean| Some(DeviceMean { states, mean })),
+        states => Parameters::upload(engine, "an average", given.mean()).map(|mean| Some(DeviceMean { states, mean })),
     };
     let [older, younger] = averages.halves();
     Ok([half(older)?, half(younger)?])
@@ -54,9 +50,7 @@ impl State {
         held.states = states;
         let mut recorder = Recorder::new(engine, None);
         for window in &self.windows {
-            for (values, means) in
-                [(&self.cloud.geometry, &held.mean.geometry), (&self.cloud.sh, &held.mean.sh)]
-            {
+            for (values, means) in [(&self.cloud.geometry, &held.mean.geometry), (&self.cloud.sh, &held.mean.sh)] {
                 let parts = [window.uniform.all(), edit.all(), values.at(window), means.at(window)];
                 run_vectors(&mut recorder, &shaders::AVERAGE, &[], &parts, window, values.floats);
             }

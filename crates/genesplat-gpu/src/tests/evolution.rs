@@ -108,13 +108,8 @@ fn losses_of_large_pictures_match() {
         twin.upload(cloud(200).into()).unwrap();
     }
     let expected = cpu.measure(&[Blend::default()], &[0], &settings).unwrap()[0].loss;
-    compare(
-        "loss",
-        "of a view",
-        [gpu.measure(&[Blend::default()], &[0, 0], &settings).unwrap()[1].loss],
-        [expected],
-    )
-    .unwrap();
+    compare("loss", "of a view", [gpu.measure(&[Blend::default()], &[0, 0], &settings).unwrap()[1].loss], [expected])
+        .unwrap();
     let score = gpu.score(&[SparseDelta::default()], &[0], &settings).unwrap();
     compare("score", "of the base", score, [expected]).unwrap();
 }
@@ -163,11 +158,7 @@ fn a_pool_without_memory_is_scored_as_two() {
     compare_scores(&mut gpu, &large, &[1, 2, 3]);
 }
 
-fn compare_contributions(
-    what: &str,
-    actual: &[Contribution],
-    expected: &[Contribution],
-) -> Result<(), String> {
+fn compare_contributions(what: &str, actual: &[Contribution], expected: &[Contribution]) -> Result<(), String> {
     let weights = |all: &[Contribution]| all.iter().map(|one| one.weight).collect::<Vec<_>>();
     let errors = |all: &[Contribution]| all.iter().map(|one| one.error).collect::<Vec<_>>();
     compare("contribution", &format!("weights, {what}"), weights(actual), weights(expected))?;

@@ -36,8 +36,7 @@ fn an_overflow_grows_and_runs_again() {
     let mut cpu = cpu();
     cpu.upload(cloud(300).into()).unwrap();
     let settings = settings(2, ScreenFilter::Classic);
-    let (image, expected) =
-        (fresh.render(&camera(), &settings).unwrap(), cpu.render(&camera(), &settings).unwrap());
+    let (image, expected) = (fresh.render(&camera(), &settings).unwrap(), cpu.render(&camera(), &settings).unwrap());
     compare("rasterise", "after an overflow", image.planes, expected.planes).unwrap();
 }
 

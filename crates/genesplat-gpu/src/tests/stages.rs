@@ -63,10 +63,7 @@ fn stages_match(gpu: &mut GpuBackend, cloud: Gaussians, settings: &RenderSetting
     let report = gpu.report().unwrap();
     splats_match(gpu, &buffers)?;
     lists_match(gpu, &buffers, settings)?;
-    assert_eq!(
-        (report.visible, report.intersections),
-        (buffers.splats.len(), buffers.bins.intersections.len())
-    );
+    assert_eq!((report.visible, report.intersections), (buffers.splats.len(), buffers.bins.intersections.len()));
     let values = buffers.image.planes.len();
     compare("rasterise", "image", read(gpu, &gpu.pixels.image, values), buffers.image.planes.clone())?;
     compare("loss", "value", [report.loss], [loss])?;
@@ -94,17 +91,12 @@ fn splats_match(gpu: &GpuBackend, buffers: &ViewBuffers) -> Result<(), String> {
 /// The same splats in every tile in the same order, and the same sums of each of them.
 fn lists_match(gpu: &GpuBackend, buffers: &ViewBuffers, settings: &RenderSettings) -> Result<(), String> {
     let (lists, splats_of) = tile_lists(gpu, settings, gpu.gaussian_count());
-    let rows: Vec<[f32; GRADIENT]> =
-        read(gpu, &gpu.pixels.intersection_gradients, gpu.lists.capacity as usize);
+    let rows: Vec<[f32; GRADIENT]> = read(gpu, &gpu.pixels.intersection_gradients, gpu.lists.capacity as usize);
     let (mut actual, mut expected) = (Vec::new(), Vec::new());
     for (tile, numbers) in lists.iter().enumerate() {
         let ours: Vec<u32> = numbers.iter().map(|&number| splats_of[number as usize]).collect();
-        let theirs: Vec<u32> = buffers
-            .bins
-            .tile(tile)
-            .iter()
-            .map(|intersection| buffers.splats.get(intersection.splat).row)
-            .collect();
+        let theirs: Vec<u32> =
+            buffers.bins.tile(tile).iter().map(|intersection| buffers.splats.get(intersection.splat).row).collect();
         if ours != theirs {
             return Err(format!("bin: tile {tile} lists {ours:?}, not {theirs:?}"));
         }
@@ -146,10 +138,8 @@ fn gradients_and_statistics_match() {
             let (actual, expected) = (actual.1, expected.1);
             assert_eq!(actual.weight_sum, expected.weight_sum, "what is counted is equal");
             assert_eq!(actual.gene_views, expected.gene_views);
-            compare("statistics", "gradient", actual.gradient_sum, expected.gradient_sum)
-                .unwrap_or_else(context);
-            compare("statistics", "absolute", actual.absolute_sum, expected.absolute_sum)
-                .unwrap_or_else(context);
+            compare("statistics", "gradient", actual.gradient_sum, expected.gradient_sum).unwrap_or_else(context);
+            compare("statistics", "absolute", actual.absolute_sum, expected.absolute_sum).unwrap_or_else(context);
             let genes = |sums: Vec<[f32; 7]>| sums.as_flattened().to_vec();
             let (actual, expected) = (genes(actual.gene_gradient_sum), genes(expected.gene_gradient_sum));
             compare("statistics", "genes", actual, expected).unwrap_or_else(context);

@@ -45,13 +45,7 @@ fn adam_matches() {
 #[test]
 fn noise_matches() {
     let Some(mut gpu) = gpu() else { return };
-    let mcmc = McmcStep {
-        noise_scale: 0.3,
-        opacity_weight: 0.01,
-        scale_weight: 0.02,
-        rng: Rng::new(SEED),
-        counter: 0,
-    };
+    let mcmc = McmcStep { noise_scale: 0.3, opacity_weight: 0.01, scale_weight: 0.02, rng: Rng::new(SEED), counter: 0 };
     twins_agree("adam", &mut gpu, |twin| ten_steps(twin, Some(mcmc)));
 }
 
@@ -77,8 +71,7 @@ pub(super) fn change_rows(twin: &mut dyn EvolutionBackend) {
     // Opaque to the last bit of f32, and so small that its filter dims it below any ceiling.
     delta.genes[1][3..].copy_from_slice(&[-9.0, -9.0, -9.0, 40.0]);
     twin.apply(&delta, MomentPolicy::Zero).unwrap();
-    twin.set_filter_3d((0..twin.gaussian_count()).map(|row| 0.01 + 0.02 * uniform(row, 3)).collect())
-        .unwrap();
+    twin.set_filter_3d((0..twin.gaussian_count()).map(|row| 0.01 + 0.02 * uniform(row, 3)).collect()).unwrap();
     twin.reset_opacity(0.005).unwrap();
 }
 

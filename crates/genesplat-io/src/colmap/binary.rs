@@ -33,9 +33,7 @@ fn camera(file: &Path, cursor: &mut Cursor) -> Result<(u32, Intrinsics), SceneEr
     let size = [cursor.u64(RECORD)?, cursor.u64(RECORD)?];
     let known = usize::try_from(model).ok().and_then(|model| check::MODELS.get(model));
     let parameters = match known {
-        Some(&name @ "SIMPLE_PINHOLE") => {
-            check::pinhole_parameters(file, id, name, &cursor.f64s::<3>(RECORD)?)?
-        }
+        Some(&name @ "SIMPLE_PINHOLE") => check::pinhole_parameters(file, id, name, &cursor.f64s::<3>(RECORD)?)?,
         // Every other model is refused by name unless it is PINHOLE, so further parameters need not be read.
         Some(&name) => check::pinhole_parameters(file, id, name, &cursor.f64s::<4>(RECORD)?)?,
         None => {

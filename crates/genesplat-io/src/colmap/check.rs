@@ -33,9 +33,7 @@ pub(super) fn pinhole_parameters(
     match (model, parameters) {
         ("SIMPLE_PINHOLE", &[f, cx, cy]) => Ok([f, f, cx, cy]),
         ("PINHOLE", &[fx, fy, cx, cy]) => Ok([fx, fy, cx, cy]),
-        ("SIMPLE_PINHOLE" | "PINHOLE", _) => {
-            Err(bad_camera(file, camera, "has the wrong number of parameters"))
-        }
+        ("SIMPLE_PINHOLE" | "PINHOLE", _) => Err(bad_camera(file, camera, "has the wrong number of parameters")),
         _ => Err(SceneError::DistortedCamera { file: file.to_owned(), camera, model: model.to_owned() }),
     }
 }
@@ -83,16 +81,10 @@ pub(super) fn pose(file: &Path, image: ImageRecord) -> Result<ImageRecord, Scene
 }
 
 /// The point at 1-based `place` of the file; its position must be finite as `f32`.
-pub(super) fn point(
-    file: &Path,
-    place: usize,
-    position: [f64; 3],
-    rgb: [u8; 3],
-) -> Result<Point, SceneError> {
+pub(super) fn point(file: &Path, place: usize, position: [f64; 3], rgb: [u8; 3]) -> Result<Point, SceneError> {
     let position = position.map(|v| v as f32);
     if !position.iter().all(|v| v.is_finite()) {
-        let problem =
-            format!("point {place} has a position that is not finite; remove it or reconstruct again");
+        let problem = format!("point {place} has a position that is not finite; remove it or reconstruct again");
         return Err(SceneError::bad_record(file, problem));
     }
     Ok(Point { position, rgb })

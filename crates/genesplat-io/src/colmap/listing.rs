@@ -12,11 +12,7 @@ use crate::error::SceneError;
 use crate::listing::{ListedPhoto, Listing, Purpose, base_name, inside, no_photos};
 
 /// Lists the photos and, if they are wanted, the points of the model in `folder`; photos are in `image_folder`.
-pub(crate) fn list(
-    folder: &ModelFolder,
-    image_folder: &Path,
-    with_points: bool,
-) -> Result<Listing, SceneError> {
+pub(crate) fn list(folder: &ModelFolder, image_folder: &Path, with_points: bool) -> Result<Listing, SceneError> {
     let model = if with_points { read_model(folder)? } else { read_photos(folder)? };
     let list = folder.form.file(&folder.path, "images");
     if model.images.is_empty() {
@@ -36,9 +32,8 @@ pub(crate) fn list(
 fn camera(model: &Model, image: &ImageRecord, list: &Path) -> Result<Camera, SceneError> {
     let intrinsics = model.cameras.get(&image.camera).ok_or_else(|| {
         let (name, camera) = (&image.name, image.camera);
-        let problem = format!(
-            "photo {name} refers to camera {camera}, which the model does not have; export the model again"
-        );
+        let problem =
+            format!("photo {name} refers to camera {camera}, which the model does not have; export the model again");
         SceneError::bad_record(list, problem)
     })?;
     let [w, x, y, z] = image.rotation;

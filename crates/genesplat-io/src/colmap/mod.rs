@@ -87,9 +87,10 @@ pub struct ModelFolder {
 pub fn find_model(scene: &Path) -> Option<ModelFolder> {
     let folders = ["sparse/0", "sparse", ""].map(|sub| scene.join(sub));
     let forms = [Form::Binary, Form::Text];
-    folders.iter().flat_map(|path| forms.map(|form| (path, form))).find_map(|(path, form)| {
-        form.file(path, "cameras").is_file().then(|| ModelFolder { path: path.clone(), form })
-    })
+    folders
+        .iter()
+        .flat_map(|path| forms.map(|form| (path, form)))
+        .find_map(|(path, form)| form.file(path, "cameras").is_file().then(|| ModelFolder { path: path.clone(), form }))
 }
 
 /// Reads the three files of a model. Every record is checked, and no count is believed beyond the bytes that back it.

@@ -11,8 +11,7 @@ const PIXEL_BYTES_MAX: u64 = 8;
 
 /// The picture in `bytes`, whatever the name of its file says; the reason where there is none.
 pub(super) fn decode(bytes: &[u8]) -> Result<DynamicImage, String> {
-    let open =
-        || ImageReader::new(Cursor::new(bytes)).with_guessed_format().map_err(|error| error.to_string());
+    let open = || ImageReader::new(Cursor::new(bytes)).with_guessed_format().map_err(|error| error.to_string());
     let mut reader = open()?;
     let format = reader.format().ok_or("it is neither a PNG nor a JPEG")?;
     if format == ImageFormat::Jpeg && !jpeg_is_whole(bytes) {

@@ -96,9 +96,7 @@ fn read_image(path: &Path) -> Result<DynamicImage, PhotoError> {
 pub fn photo_size(path: &Path) -> Result<(u32, u32), PhotoError> {
     let read = |source| PhotoError::Read { path: path.to_owned(), source };
     let reader = ImageReader::open(path).and_then(ImageReader::with_guessed_format).map_err(read)?;
-    reader
-        .into_dimensions()
-        .map_err(|error| PhotoError::Decode { path: path.to_owned(), reason: error.to_string() })
+    reader.into_dimensions().map_err(|error| PhotoError::Decode { path: path.to_owned(), reason: error.to_string() })
 }
 
 /// Writes `photo` as a PNG, whole or not at all.

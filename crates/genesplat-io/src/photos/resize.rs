@@ -74,8 +74,7 @@ fn all_taps(source: usize, target: usize) -> Vec<Taps> {
         // Truncation of a negative number goes to zero, which is where the clamp would put it.
         let first = (centre - reach + 0.5) as usize;
         let end = ((centre + reach + 0.5) as usize).min(source);
-        let weights: Vec<f64> =
-            (first..end).map(|at| cubic((at as f64 - centre + 0.5) * (1.0 / stretch))).collect();
+        let weights: Vec<f64> = (first..end).map(|at| cubic((at as f64 - centre + 0.5) * (1.0 / stretch))).collect();
         let sum: f64 = weights.iter().sum();
         Taps { first, weights: weights.iter().map(|weight| fixed(weight / sum)).collect() }
     };

@@ -111,9 +111,7 @@ fn bicubic(photo: &Photo, [u, v]: [f64; 2]) -> [u8; 3] {
     let (left, top) = (u.floor(), v.floor());
     let weights = |fraction: f64| [-1.0, 0.0, 1.0, 2.0].map(|offset| cubic(offset - fraction));
     let (across, down) = (weights(u - left), weights(v - top));
-    let at = |first: f64, tap: usize, side: u32| {
-        (first as i64 + tap as i64 - 1).clamp(0, i64::from(side) - 1) as u32
-    };
+    let at = |first: f64, tap: usize, side: u32| (first as i64 + tap as i64 - 1).clamp(0, i64::from(side) - 1) as u32;
     let mut sums = [0.5; 3];
     for (row, down) in down.iter().enumerate() {
         for (column, across) in across.iter().enumerate() {

@@ -24,9 +24,7 @@ pub enum PlyError {
         source: io::Error,
     },
     /// Not a PLY file, or a header that breaks the format's grammar.
-    #[error(
-        "{path} is not a PLY file that genesplat can read: {problem}; export it again as a binary splat PLY"
-    )]
+    #[error("{path} is not a PLY file that genesplat can read: {problem}; export it again as a binary splat PLY")]
     Header {
         /// The file.
         path: PathBuf,
@@ -34,9 +32,7 @@ pub enum PlyError {
         problem: String,
     },
     /// A PLY file of something else.
-    #[error(
-        "{path} is not the kind of cloud that is needed here: its vertices lack {property}; give {wanted}"
-    )]
+    #[error("{path} is not the kind of cloud that is needed here: its vertices lack {property}; give {wanted}")]
     MissingProperty {
         /// The file.
         path: PathBuf,

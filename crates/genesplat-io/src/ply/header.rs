@@ -32,10 +32,11 @@ pub struct PlyHeader {
 impl PlyHeader {
     /// Index of the property `name` in a row; where it is missing, `wanted` is what to give instead of the file.
     pub(super) fn column(&self, name: &str, path: &Path, wanted: &'static str) -> Result<usize, PlyError> {
-        self.properties
-            .iter()
-            .position(|property| property.name == name)
-            .ok_or_else(|| PlyError::MissingProperty { path: path.to_owned(), property: name.into(), wanted })
+        self.properties.iter().position(|property| property.name == name).ok_or_else(|| PlyError::MissingProperty {
+            path: path.to_owned(),
+            property: name.into(),
+            wanted,
+        })
     }
 
     /// Place of the property `name` in the bytes of a row; errors as [`PlyHeader::column`].
@@ -126,8 +127,7 @@ fn parse_encoding(format: &str) -> Result<Encoding, String> {
 
 fn element(rest: &str) -> Result<Element, String> {
     let (name, count) = rest.split_once(' ').ok_or("an element has no count")?;
-    let count =
-        count.trim().parse().map_err(|_| format!("element {name} has the impossible count {count:?}"))?;
+    let count = count.trim().parse().map_err(|_| format!("element {name} has the impossible count {count:?}"))?;
     Ok(Element { name: name.into(), count, properties: Vec::new(), row_bytes: 0, has_list: false })
 }
 
@@ -138,19 +138,14 @@ fn add_property(element: Option<&mut Element>, rest: &str) -> Result<(), String>
         element.has_list = true;
         return Ok(());
     }
-    let scalar =
-        Scalar::parse(kind).ok_or_else(|| format!("property {name} has the unknown type {kind:?}"))?;
+    let scalar = Scalar::parse(kind).ok_or_else(|| format!("property {name} has the unknown type {kind:?}"))?;
     let field = Field { scalar, offset: element.row_bytes };
     element.properties.push(Property { name: name.trim().into(), field });
     element.row_bytes += scalar.bytes();
     Ok(())
 }
 
-fn assemble(
-    mut elements: Vec<Element>,
-    comments: Vec<String>,
-    encoding: Encoding,
-) -> Result<PlyHeader, String> {
+fn assemble(mut elements: Vec<Element>, comments: Vec<String>, encoding: Encoding) -> Result<PlyHeader, String> {
     let at = elements.iter().position(|element| element.name == "vertex").ok_or("it has no vertices")?;
     let before = before(&elements[..at], encoding)?;
     let ends_with_vertices = elements[at + 1..].iter().all(|element| element.count == 0);
@@ -196,9 +191,7 @@ fn fixed_length(element: &Element) -> Result<u64, String> {
 /// Degree of spherical harmonics with `rest` coefficients beyond the base colour: `3 (degree + 1)² − 3`.
 fn degree(rest: usize) -> Result<u8, String> {
     (0..=3).find(|&degree| 3 * (usize::from(degree) + 1).pow(2) - 3 == rest).ok_or_else(|| {
-        format!(
-            "it has {rest} f_rest properties, where spherical harmonics of degree 0 to 3 have 0, 9, 24 or 45"
-        )
+        format!("it has {rest} f_rest properties, where spherical harmonics of degree 0 to 3 have 0, 9, 24 or 45")
     })
 }
 

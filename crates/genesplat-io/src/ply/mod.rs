@@ -93,10 +93,7 @@ fn open(path: &Path) -> Result<(PlyHeader, BufReader<File>), PlyError> {
         return Err(PlyError::Rows { path: path.to_owned(), problem });
     }
     // The rows of an ASCII file have any length; what follows them is found where they are read.
-    if header.encoding == Encoding::Binary
-        && header.ends_with_vertices
-        && left > promised * header.least_row_bytes()
-    {
+    if header.encoding == Encoding::Binary && header.ends_with_vertices && left > promised * header.least_row_bytes() {
         return Err(trailing(path, promised));
     }
     Ok((header, reader))

@@ -61,8 +61,7 @@ fn ascii(header: &PlyHeader, reader: impl BufRead, path: &Path) -> Result<Vec<[f
     let rows = (0..header.gaussians as usize)
         .map(|row| {
             let bad = || {
-                let problem =
-                    format!("does not hold one number for each property in row {row}; export the file again");
+                let problem = format!("does not hold one number for each property in row {row}; export the file again");
                 PlyError::Rows { path: path.to_owned(), problem }
             };
             let line = lines.next().ok_or_else(bad)?.map_err(|source| read_error(path, source))?;

@@ -16,8 +16,7 @@ const CHUNK_ROWS: usize = 4096;
 
 /// Names of the properties in the order in which they are written.
 pub(super) fn property_names(filter_3d: bool) -> Vec<String> {
-    let numbered =
-        |stem: &str, count: usize| -> Vec<_> { (0..count).map(|i| format!("{stem}_{i}")).collect() };
+    let numbered = |stem: &str, count: usize| -> Vec<_> { (0..count).map(|i| format!("{stem}_{i}")).collect() };
     let named = |names: &[&str]| -> Vec<_> { names.iter().map(|&name| name.to_owned()).collect() };
     [
         named(&["x", "y", "z", "nx", "ny", "nz"]),
@@ -60,8 +59,7 @@ impl Layout {
 
     /// Reads `count` rows; the caller has checked that the file holds them.
     pub(super) fn read(&self, count: usize, reader: &mut impl Read) -> io::Result<Gaussians> {
-        let mut cloud =
-            Gaussians { filter_3d: self.filter_3d.map(|_| vec![0.0; count]), ..Gaussians::zeros(count) };
+        let mut cloud = Gaussians { filter_3d: self.filter_3d.map(|_| vec![0.0; count]), ..Gaussians::zeros(count) };
         let mut chunk = vec![0; CHUNK_ROWS.min(count) * self.row_bytes];
         for first in (0..count).step_by(CHUNK_ROWS) {
             let bytes = &mut chunk[..CHUNK_ROWS.min(count - first) * self.row_bytes];

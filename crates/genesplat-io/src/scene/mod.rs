@@ -104,11 +104,7 @@ const POINTS_MIN: usize = 4;
 /// `transforms.json` of nerfstudio and instant-ngp; the first of these that is there.
 ///
 /// Photos are decoded in parallel on rayon's current pool. The result does not depend on the number of threads.
-pub fn load_scene(
-    path: &Path,
-    options: &LoadOptions,
-    progress: &dyn LoadProgress,
-) -> Result<Scene, SceneError> {
+pub fn load_scene(path: &Path, options: &LoadOptions, progress: &dyn LoadProgress) -> Result<Scene, SceneError> {
     let listing = list(path, options)?;
     let photos = listing.photos.iter().map(|photo| photo.path.clone()).collect();
     let (train, test) = split::split(listing.photos, options.hold_out);
@@ -145,8 +141,7 @@ fn list(path: &Path, options: &LoadOptions) -> Result<Listing, SceneError> {
     }
     match list_known(path, options) {
         Err(error @ (SceneError::Unrecognised(_) | SceneError::AllPhotosMissing { .. })) => {
-            Err(whole_scene(path)
-                .map_or(error, |scene| SceneError::PartOfScene { path: path.to_owned(), scene }))
+            Err(whole_scene(path).map_or(error, |scene| SceneError::PartOfScene { path: path.to_owned(), scene }))
         }
         known => checked(known?, options),
     }

@@ -41,8 +41,7 @@ fn every_eighth<T>(mut items: Vec<T>, name: impl Fn(&T) -> &str, hold_out: HoldO
         stem(a).cmp(stem(b)).then_with(|| a.cmp(b))
     });
     let numbered = items.into_iter().enumerate();
-    let (train, test): (Vec<_>, Vec<_>) =
-        numbered.partition(|(index, _)| hold_out == HoldOut::None || index % 8 != 0);
+    let (train, test): (Vec<_>, Vec<_>) = numbered.partition(|(index, _)| hold_out == HoldOut::None || index % 8 != 0);
     let items = |part: Vec<(usize, T)>| part.into_iter().map(|(_, item)| item).collect();
     (items(train), items(test))
 }

@@ -19,8 +19,7 @@ pub(super) fn camera(
 ) -> Result<(Camera, Option<Distortion>), SceneError> {
     let (rotation, translation) = pose(list, entry)?;
     check_model(list, intrinsics)?;
-    let bad =
-        |problem| SceneError::BadCamera { file: list.to_owned(), camera: entry.file_path.clone(), problem };
+    let bad = |problem| SceneError::BadCamera { file: list.to_owned(), camera: entry.file_path.clone(), problem };
     let [width, height] = match (intrinsics.w, intrinsics.h) {
         (Some(w), Some(h)) => [w, h],
         _ => photos::photo_size(photo).map(|(w, h)| [w, h].map(f64::from))?,
@@ -87,8 +86,7 @@ fn pose(list: &Path, entry: &PhotoEntry) -> Result<(DQuat, DVec3), SceneError> {
         return Err(bad("is not a rotation"));
     }
     // OpenGL's camera looks along −z with y up; ours along z with y down.
-    let world_from_camera =
-        DMat3::from_cols(world_from_gl.x_axis, -world_from_gl.y_axis, -world_from_gl.z_axis);
+    let world_from_camera = DMat3::from_cols(world_from_gl.x_axis, -world_from_gl.y_axis, -world_from_gl.z_axis);
     let rotation = DQuat::from_mat3(&world_from_camera.transpose()).normalize();
     Ok((rotation, -(rotation * centre)))
 }

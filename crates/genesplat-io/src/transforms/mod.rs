@@ -130,8 +130,7 @@ impl Found {
 }
 
 fn points_outside(list: &Path, name: &str) -> SceneError {
-    let problem =
-        "which is not a path inside the scene's folder; correct it, or remove it to start from random points";
+    let problem = "which is not a path inside the scene's folder; correct it, or remove it to start from random points";
     SceneError::invalid(list, format!("has the ply_file_path {name:?}, {problem}"))
 }
 

@@ -93,8 +93,7 @@ mod tests {
 
     #[test]
     fn parallel_cameras_get_the_space_before_them() {
-        let cameras: Vec<Camera> =
-            (0..5).map(|i| camera(DVec3::new(f64::from(i), 0.0, 0.0), DVec3::Y)).collect();
+        let cameras: Vec<Camera> = (0..5).map(|i| camera(DVec3::new(f64::from(i), 0.0, 0.0), DVec3::Y)).collect();
         let cube = Cube::seen_by(&cameras);
         assert!(cube.centre.y > 0.5 && cube.centre.is_finite(), "{}", cube.centre);
         assert!((cube.centre.x - 2.0).abs() < 1e-6);

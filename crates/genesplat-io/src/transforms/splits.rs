@@ -64,12 +64,7 @@ impl Splits {
 
 /// The names of a list, each of which must be a photo's: because of a typo, a photo that was to be held out would be
 /// trained on.
-fn known(
-    names: &Option<Vec<String>>,
-    frames: &Names,
-    key: &'static str,
-    list: &Path,
-) -> Result<Names, SceneError> {
+fn known(names: &Option<Vec<String>>, frames: &Names, key: &'static str, list: &Path) -> Result<Names, SceneError> {
     let name = |name: &String| {
         let remedy = "but none of its frames has that file_path; correct one of them";
         let unknown = || SceneError::invalid(list, format!("has {name} in its {key}, {remedy}"));

@@ -51,10 +51,7 @@ fn text_as_colmap_writes_it_is_read() {
     let folder = tempfile::tempdir().unwrap();
     let write = |name: &str, text: &str| fs::write(folder.path().join(name), text).unwrap();
     write("cameras.txt", "# a comment\n\n1 SIMPLE_PINHOLE 640 480 500.5 320 240\n2 PINHOLE 64 48 5 6 3 2\n");
-    write(
-        "images.txt",
-        "# a\n1 1 0 0 0 0 0 1.5 1 with space.jpg\n10.5 3 -1 7 8 2\n2 0 1 0 0 1 2 3 2 b.jpg\n\n",
-    );
+    write("images.txt", "# a\n1 1 0 0 0 0 0 1.5 1 with space.jpg\n10.5 3 -1 7 8 2\n2 0 1 0 0 1 2 3 2 b.jpg\n\n");
     write("points3D.txt", "63 1.5 -2 3e-1 255 0 7 0.8 1 2 2 4\n5 0 0 0 1 2 3 0.1\n");
     let model = read_model(&ModelFolder { path: folder.path().into(), form: Form::Text }).unwrap();
     assert_eq!(model.cameras[&1].focal_px, [500.5, 500.5]);
@@ -180,10 +177,7 @@ fn two_cameras_of_one_id_are_refused_in_both_forms() {
         bytes[0] = 2;
     });
     for sentence in [text, binary] {
-        assert!(
-            sentence.contains("cameras.") && sentence.contains("two cameras with the ID 7"),
-            "{sentence}"
-        );
+        assert!(sentence.contains("cameras.") && sentence.contains("two cameras with the ID 7"), "{sentence}");
     }
 }
 
@@ -344,8 +338,7 @@ fn points_are_not_read_where_none_are_wanted() {
     let folder = tempfile::tempdir().unwrap();
     write_scene(folder.path(), Form::Binary, &tiny_model(2));
     fs::write(file_of(folder.path(), Form::Binary, "points3D"), b"torn").unwrap();
-    let load =
-        |with_points| load_scene(folder.path(), &LoadOptions { with_points, ..LoadOptions::default() }, &());
+    let load = |with_points| load_scene(folder.path(), &LoadOptions { with_points, ..LoadOptions::default() }, &());
     let scene = load(false).unwrap();
     assert_eq!((scene.train.len(), scene.points.len()), (1, 0));
     assert!(load(true).is_err());

@@ -95,13 +95,11 @@ fn the_layout_is_the_authors() {
     cloud.log_scales[0] = [101.0, 102.0, 103.0];
     cloud.rotations[0] = [104.0, 105.0, 106.0, 107.0];
     let path = folder.file("cloud.ply");
-    write_ply(&path, &cloud, &PlyOptions { screen_filter: ScreenFilter::Mip, comments: vec!["a\nb".into()] })
-        .unwrap();
+    write_ply(&path, &cloud, &PlyOptions { screen_filter: ScreenFilter::Mip, comments: vec!["a\nb".into()] }).unwrap();
     let bytes = fs::read(&path).unwrap();
     let end = b"end_header\n";
     let start = bytes.windows(end.len()).position(|window| window == end).unwrap() + end.len();
-    let values: Vec<f32> =
-        bytes[start..].chunks_exact(4).map(|v| f32::from_le_bytes(v.try_into().unwrap())).collect();
+    let values: Vec<f32> = bytes[start..].chunks_exact(4).map(|v| f32::from_le_bytes(v.try_into().unwrap())).collect();
     // The file is channel-major after the base colours; memory holds the three channels of each coefficient together.
     let mut expected = vec![1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 0.0, 1.0, 2.0];
     expected.extend((0..3).flat_map(|channel| (1..16).map(move |k| (3 * k + channel) as f32)));
@@ -128,8 +126,7 @@ fn screen_filters_survive_the_file() {
 #[test]
 fn other_orders_types_and_degrees_are_read() {
     let names = "rot_3 rot_2 rot_1 rot_0 scale_2 scale_1 scale_0 opacity f_dc_2 f_dc_1 f_dc_0 z y x";
-    let mut text =
-        String::from("ply\r\nformat binary_little_endian 1.0\r\nelement camera 2\r\nproperty short id\r\n");
+    let mut text = String::from("ply\r\nformat binary_little_endian 1.0\r\nelement camera 2\r\nproperty short id\r\n");
     text += "element vertex 1\r\nproperty uchar label\r\n";
     names.split(' ').for_each(|name| text += &format!("property double {name}\r\n"));
     // Degree 1, three coefficients a channel.

@@ -34,9 +34,7 @@ fn matrix(camera: &Camera) -> Value {
 }
 
 fn frames(range: std::ops::Range<usize>, path: impl Fn(usize) -> String) -> Vec<Value> {
-    range
-        .map(|i| json!({"file_path": path(i), "transform_matrix": matrix(&camera(i)), "sharpness": 3.5}))
-        .collect()
+    range.map(|i| json!({"file_path": path(i), "transform_matrix": matrix(&camera(i)), "sharpness": 3.5})).collect()
 }
 
 /// A nerfstudio scene of three photos.
@@ -64,10 +62,7 @@ fn load_description(description: &Value) -> Result<Scene, genesplat_io::SceneErr
 }
 
 fn assert_same_camera(a: &Camera, b: &Camera) {
-    assert_eq!(
-        (a.width, a.height, a.focal_px, a.principal_px),
-        (b.width, b.height, b.focal_px, b.principal_px)
-    );
+    assert_eq!((a.width, a.height, a.focal_px, a.principal_px), (b.width, b.height, b.focal_px, b.principal_px));
     assert!((a.centre_in_world() - b.centre_in_world()).length() < 1e-9);
     assert!((a.rotation() - b.rotation()).to_cols_array().iter().all(|v| v.abs() < 1e-9));
 }
@@ -173,8 +168,7 @@ fn lists_of_file_names_say_what_each_photo_is_for() {
         let [found, wanted] = [found.map(Vec::from_iter), wanted.map(Vec::from_iter)];
         assert_eq!(found, wanted, "{lists:?}");
         let unused = 3 - train.len() - test.len();
-        let says =
-            scene.notices.iter().any(|notice| notice.starts_with(&format!("{unused} of the 3 photos")));
+        let says = scene.notices.iter().any(|notice| notice.starts_with(&format!("{unused} of the 3 photos")));
         assert_eq!((says, scene.photos.len()), (unused > 0, 3), "{lists:?}: {:?}", scene.notices);
     }
 }
@@ -270,17 +264,13 @@ fn load_points_of(ply: &str) -> Result<Vec<genesplat_io::Point>, genesplat_io::S
 
 #[test]
 fn colours_as_fractions_are_brought_to_bytes() {
-    let colours =
-        |ply: &str| load_points_of(ply).unwrap()[..2].iter().map(|point| point.rgb).collect::<Vec<_>>();
+    let colours = |ply: &str| load_points_of(ply).unwrap()[..2].iter().map(|point| point.rgb).collect::<Vec<_>>();
     let fractions = "0 0 0 0.5 1 0\n1 1 1 0.2 0.004 0.998\n";
     for kind in ["float", "double"] {
         assert_eq!(colours(&ascii_points("", kind, fractions)), [[128, 255, 0], [51, 1, 254]]);
     }
     // Levels written as floats, and a picture so dark that its bytes are 0 and 1.
-    assert_eq!(
-        colours(&ascii_points("", "float", "0 0 0 1 2 3\n1 1 1 0.4 0.6 254.7")),
-        [[1, 2, 3], [0, 1, 255]]
-    );
+    assert_eq!(colours(&ascii_points("", "float", "0 0 0 1 2 3\n1 1 1 0.4 0.6 254.7")), [[1, 2, 3], [0, 1, 255]]);
     assert_eq!(colours(&ascii_points("", "uchar", "0 0 0 1 0 1\n1 1 1 0 0 1")), [[1, 0, 1], [0, 0, 1]]);
 }
 
@@ -383,14 +373,8 @@ fn mistakes_are_named() {
             "reads only PINHOLE, SIMPLE_PINHOLE, OPENCV, SIMPLE_RADIAL, RADIAL; undistort",
         ),
         (|d| d["is_fisheye"] = json!(true), "model OPENCV_FISHEYE"),
-        (
-            |d| d["ply_file_path"] = json!("absent.ply"),
-            "absent.ply, which the scene has as its ply_file_path, does",
-        ),
-        (
-            |d| d["ply_file_path"] = json!("../p.ply"),
-            "the ply_file_path \"../p.ply\", which is not a path inside",
-        ),
+        (|d| d["ply_file_path"] = json!("absent.ply"), "absent.ply, which the scene has as its ply_file_path, does"),
+        (|d| d["ply_file_path"] = json!("../p.ply"), "the ply_file_path \"../p.ply\", which is not a path inside"),
         (|d| d["ply_file_path"] = json!(""), "the ply_file_path \"\", which is not a path inside"),
     ];
     for (spoil, expected) in cases {

@@ -5,8 +5,8 @@ use std::borrow::Cow;
 use fearless_simd::Level;
 use genesplat_core::gaussians::limited_opacity;
 use genesplat_core::{
-    Backend, BackendError, Camera, DensitySignal, DeviceState, Gaussians, Image, Moments, RenderSettings,
-    RowEdit, Statistics, StatisticsRequest, TrainStep, View, WindowAverages, backend::StepReport,
+    Backend, BackendError, Camera, DensitySignal, DeviceState, Gaussians, Image, Moments, RenderSettings, RowEdit,
+    Statistics, StatisticsRequest, TrainStep, View, WindowAverages, backend::StepReport,
 };
 
 use super::loss::Target;

@@ -1,8 +1,8 @@
 //! [`EvolutionBackend`] for the CPU.
 
 use genesplat_core::{
-    BackendError, Blend, Contribution, EvolutionBackend, Image, RenderSettings, SparseDelta, ViewLoss,
-    WindowAverages, backend::MomentPolicy,
+    BackendError, Blend, Contribution, EvolutionBackend, Image, RenderSettings, SparseDelta, ViewLoss, WindowAverages,
+    backend::MomentPolicy,
 };
 
 use super::backend::{CpuBackend, TrainView};
@@ -32,11 +32,7 @@ impl EvolutionBackend for CpuBackend {
         Ok(())
     }
 
-    fn contributions(
-        &mut self,
-        views: &[usize],
-        settings: &RenderSettings,
-    ) -> Result<Vec<Contribution>, BackendError> {
+    fn contributions(&mut self, views: &[usize], settings: &RenderSettings) -> Result<Vec<Contribution>, BackendError> {
         let mut contributions = vec![Contribution::default(); self.cloud.len()];
         for &view in views {
             let TrainView { camera, target } = &self.views[view];

@@ -42,10 +42,7 @@ pub(crate) fn array_from<const K: usize, T: Copy>(mut f: impl FnMut(usize) -> T)
 #[inline(always)]
 pub(crate) fn prefetch<T>(value: &T) {
     #[cfg(target_arch = "x86_64")]
-    #[expect(
-        unsafe_code,
-        reason = "a prefetch of a valid reference reads nothing; the intrinsic wants a raw pointer"
-    )]
+    #[expect(unsafe_code, reason = "a prefetch of a valid reference reads nothing; the intrinsic wants a raw pointer")]
     unsafe {
         use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
         _mm_prefetch::<_MM_HINT_T0>(std::ptr::from_ref(value).cast());

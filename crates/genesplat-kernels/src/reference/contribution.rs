@@ -6,12 +6,7 @@ use super::rasterise_backward::rasterise_backward;
 use super::{Cloud64, Cutoff, background, planes, render, size};
 
 /// `[Σ α·T, Σ α·T·|I − P|]` over the pixels of `view` `[N]`: gradients of colours, by ones and errors.
-pub fn contribution(
-    cloud: &Cloud64,
-    view: &View,
-    settings: &RenderSettings,
-    cutoff: Cutoff,
-) -> Vec<[f64; 2]> {
+pub fn contribution(cloud: &Cloud64, view: &View, settings: &RenderSettings, cutoff: Cutoff) -> Vec<[f64; 2]> {
     let rendered = render(cloud, &view.camera, settings, cutoff);
     let errors = errors(&rendered.picture.image, &view.photo);
     let (ones, zeros) = (vec![1.0; errors.len()], vec![0.0; errors.len()]);
@@ -28,8 +23,7 @@ pub fn contribution(
 /// `|I − P|` of each pixel, all channels together `[H, W]`.
 fn errors(image: &[f64], photo: &Photo) -> Vec<f64> {
     let (photo, plane) = (planes(photo), image.len() / 3);
-    let error = |pixel: usize| -> f64 {
-        (0..3).map(|c| (image[c * plane + pixel] - photo[c * plane + pixel]).abs()).sum()
-    };
+    let error =
+        |pixel: usize| -> f64 { (0..3).map(|c| (image[c * plane + pixel] - photo[c * plane + pixel]).abs()).sum() };
     (0..plane).map(error).collect()
 }

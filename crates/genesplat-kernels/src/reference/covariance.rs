@@ -35,11 +35,8 @@ impl Shape {
         let filter = cloud.filter_3d.as_ref().map_or(0.0, |filter| filter[row]);
         let unfiltered_variances = scales * scales;
         let variances = unfiltered_variances + filter * filter;
-        let opacity_factor = if filter == 0.0 {
-            1.0
-        } else {
-            (0..3).map(|k| (unfiltered_variances[k] / variances[k]).sqrt()).product()
-        };
+        let opacity_factor =
+            if filter == 0.0 { 1.0 } else { (0..3).map(|k| (unfiltered_variances[k] / variances[k]).sqrt()).product() };
         Self {
             world_from_own: rotation_matrix(quaternion),
             variances,

@@ -14,8 +14,7 @@ pub fn loss(image: &[f64], photo: &Photo) -> (f64, Vec<f64>) {
     let (l1, l1_gradient) = l1(image, &target);
     let (ssim, ssim_gradient) = ssim(image, &target, [photo.width, photo.height]);
     let lambda = f64::from(LAMBDA_DSSIM);
-    let gradient =
-        l1_gradient.iter().zip(&ssim_gradient).map(|(a, s)| (1.0 - lambda) * a - lambda * s).collect();
+    let gradient = l1_gradient.iter().zip(&ssim_gradient).map(|(a, s)| (1.0 - lambda) * a - lambda * s).collect();
     ((1.0 - lambda) * l1 + lambda * (1.0 - ssim), gradient)
 }
 
@@ -77,21 +76,15 @@ fn blur(values: &[f64], width: usize) -> Vec<f64> {
 }
 
 /// One-dimensional window along the axis of length `length`; `index(along, across)` addresses the values.
-fn blur_along(
-    values: &[f64],
-    length: usize,
-    lines: usize,
-    index: impl Fn(usize, usize) -> usize,
-) -> Vec<f64> {
+fn blur_along(values: &[f64], length: usize, lines: usize, index: impl Fn(usize, usize) -> usize) -> Vec<f64> {
     let window = ssim_window();
     let mut blurred = vec![0.0; values.len()];
     for across in 0..lines {
         for along in 0..length {
             let first = along.saturating_sub(SSIM_RADIUS);
             let last = (along + SSIM_RADIUS).min(length - 1);
-            blurred[index(along, across)] = (first..=last)
-                .map(|tap| window[tap + SSIM_RADIUS - along] * values[index(tap, across)])
-                .sum();
+            blurred[index(along, across)] =
+                (first..=last).map(|tap| window[tap + SSIM_RADIUS - along] * values[index(tap, across)]).sum();
         }
     }
     blurred

@@ -98,8 +98,7 @@ pub fn backward(
         let row = splat.row;
         project_backward(cloud, camera, settings, splat, by_splat, &mut gradients.cloud);
         gradients.mean2d_ndc[row] = std::array::from_fn(|axis| by_splat.mean_px[axis] * half_size[axis]);
-        gradients.mean2d_abs_ndc[row] =
-            std::array::from_fn(|axis| by_splat.mean_abs_px[axis] * half_size[axis]);
+        gradients.mean2d_abs_ndc[row] = std::array::from_fn(|axis| by_splat.mean_abs_px[axis] * half_size[axis]);
         gradients.pixels[row] = by_splat.pixels;
         gradients.depth[row] = splat.depth;
         gradients.radius_px[row] = splat.radius_px;
@@ -109,12 +108,7 @@ pub fn backward(
 }
 
 /// Render, loss, backward: one training step without the optimiser.
-pub fn gradients(
-    cloud: &Cloud64,
-    view: &View,
-    settings: &RenderSettings,
-    cutoff: Cutoff,
-) -> (f64, Gradients) {
+pub fn gradients(cloud: &Cloud64, view: &View, settings: &RenderSettings, cutoff: Cutoff) -> (f64, Gradients) {
     let rendered = render(cloud, &view.camera, settings, cutoff);
     let (loss, by_image) = loss(&rendered.picture.image, &view.photo);
     (loss, backward(cloud, &view.camera, settings, cutoff, &rendered, &by_image))

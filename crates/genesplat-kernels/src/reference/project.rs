@@ -194,9 +194,5 @@ fn published_radius_px(splat: &Splat, camera: &Camera) -> u32 {
         let end = ((mean + radius + PUBLISHED_TILE_PX - 1.0) / PUBLISHED_TILE_PX).trunc().clamp(0.0, tiles);
         first < end
     };
-    if meets(splat.mean_px[0], camera.width) && meets(splat.mean_px[1], camera.height) {
-        radius as u32
-    } else {
-        0
-    }
+    if meets(splat.mean_px[0], camera.width) && meets(splat.mean_px[1], camera.height) { radius as u32 } else { 0 }
 }

@@ -31,21 +31,15 @@ pub fn project_backward(
 
     let slope = filtered.compensation_slope;
     let by_covariance_px = by_covariance(&splat.conic, &by_splat.conic)
-        + Symmetric2 {
-            xx: by_compensation * slope.xx,
-            xy: by_compensation * slope.xy,
-            yy: by_compensation * slope.yy,
-        };
+        + Symmetric2 { xx: by_compensation * slope.xx, xy: by_compensation * slope.xy, yy: by_compensation * slope.yy };
     let (by_covariance, by_screen_rows) = through_projection(&geometry, &by_covariance_px);
-    let (by_log_scale, by_rotation) =
-        geometry.shape.backward(by_covariance, by_splat.opacity * own * compensation);
+    let (by_log_scale, by_rotation) = geometry.shape.backward(by_covariance, by_splat.opacity * own * compensation);
 
     let position = DVec3::from_array(cloud.positions[row]);
     let offset = position - camera.centre_in_world();
-    let (by_sh, by_direction) =
-        colour::colour_backward(&cloud.sh[row], offset, settings.sh_degree, by_splat.colour);
-    let by_point = through_pinhole(&geometry, camera, by_splat.mean_px)
-        + through_jacobian(&geometry, camera, by_screen_rows);
+    let (by_sh, by_direction) = colour::colour_backward(&cloud.sh[row], offset, settings.sh_degree, by_splat.colour);
+    let by_point =
+        through_pinhole(&geometry, camera, by_splat.mean_px) + through_jacobian(&geometry, camera, by_screen_rows);
     gradient.positions[row] = (camera.rotation().transpose() * by_point + by_direction).to_array();
     gradient.log_scales[row] = by_log_scale;
     gradient.rotations[row] = by_rotation;
@@ -68,8 +62,7 @@ fn by_covariance(conic: &Symmetric2, by_conic: &Symmetric2) -> Symmetric2 {
 fn through_projection(geometry: &Geometry, by: &Symmetric2) -> (DMat3, [DVec3; 2]) {
     let [u, v] = geometry.screen_rows;
     let outer = |a: DVec3, b: DVec3| DMat3::from_cols(a * b.x, a * b.y, a * b.z);
-    let by_covariance =
-        outer(u, u) * by.xx + (outer(u, v) + outer(v, u)) * (0.5 * by.xy) + outer(v, v) * by.yy;
+    let by_covariance = outer(u, u) * by.xx + (outer(u, v) + outer(v, u)) * (0.5 * by.xy) + outer(v, v) * by.yy;
     let (along_u, along_v) = (geometry.covariance * u, geometry.covariance * v);
     let by_rows = [along_u * (2.0 * by.xx) + along_v * by.xy, along_u * by.xy + along_v * (2.0 * by.yy)];
     (by_covariance, by_rows)

@@ -34,19 +34,13 @@ pub(super) struct Blended {
 }
 
 /// Draws depth-sorted splats (front first) over `background`.
-pub fn rasterise(
-    splats: &[Splat],
-    [width, height]: [u32; 2],
-    background: [f64; 3],
-    cutoff: Cutoff,
-) -> Picture64 {
+pub fn rasterise(splats: &[Splat], [width, height]: [u32; 2], background: [f64; 3], cutoff: Cutoff) -> Picture64 {
     let pixels = width as usize * height as usize;
     let mut picture = Picture64 { image: vec![0.0; 3 * pixels], transmittance: vec![0.0; pixels] };
     for_each_pixel(splats, [width, height], cutoff, |pixel, blended, transmittance| {
         picture.transmittance[pixel] = transmittance;
         for channel in 0..3 {
-            let light: f64 =
-                blended.iter().map(|c| splats[c.splat].colour[channel] * c.alpha * c.transmittance).sum();
+            let light: f64 = blended.iter().map(|c| splats[c.splat].colour[channel] * c.alpha * c.transmittance).sum();
             picture.image[channel * pixels + pixel] = light + transmittance * background[channel];
         }
     });

@@ -167,10 +167,8 @@ fn unit_scale(features: &[f32]) -> f32 {
 /// True when `tensors` holds something of `net` and nothing that contradicts it: one part (convolutions or heads) of a
 /// network's weights tells which network it is of.
 pub fn belongs_to(net: Net, tensors: &NamedTensors) -> bool {
-    let found: Vec<bool> = net
-        .tensors()
-        .filter_map(|(name, shape)| tensors.get(&name).map(|tensor| tensor.shape == shape))
-        .collect();
+    let found: Vec<bool> =
+        net.tensors().filter_map(|(name, shape)| tensors.get(&name).map(|tensor| tensor.shape == shape)).collect();
     found.contains(&true) && !found.contains(&false)
 }
 

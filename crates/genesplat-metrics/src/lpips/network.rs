@@ -123,11 +123,7 @@ pub(super) fn places(side: usize, window: usize, stride: usize, padding: usize) 
     Some((side + 2 * padding).checked_sub(window)? / stride + 1)
 }
 
-const fn convolution(
-    index: usize,
-    [inputs, outputs]: [usize; 2],
-    [kernel, stride, padding]: [usize; 3],
-) -> Shape {
+const fn convolution(index: usize, [inputs, outputs]: [usize; 2], [kernel, stride, padding]: [usize; 3]) -> Shape {
     Shape { index, inputs, outputs, kernel, stride, padding }
 }
 
@@ -163,8 +159,7 @@ mod tests {
             assert!(shapes.windows(2).all(|pair| pair[0].outputs == pair[1].inputs), "{net}");
         }
         // 13 convolutions and 5 heads; the sizes of the published models without their classifiers.
-        let count =
-            |net: Net| -> usize { net.tensors().map(|(_, shape)| shape.iter().product::<usize>()).sum() };
+        let count = |net: Net| -> usize { net.tensors().map(|(_, shape)| shape.iter().product::<usize>()).sum() };
         assert_eq!(Net::Vgg16.tensors().count(), 31);
         assert_eq!(count(Net::Vgg16), 14_714_688 + 1472);
         assert_eq!(count(Net::AlexNet), 2_469_696 + 1152);

@@ -84,11 +84,7 @@ impl TrainConfig {
             ("densify.clone_size", densify.clone_size, POSITIVE),
             ("densify.prune_size", densify.prune_size, POSITIVE),
             ("densify.prune_opacity", densify.prune_opacity.into(), FRACTION),
-            (
-                "densify.reset_opacity",
-                densify.reset_opacity.into(),
-                (|o| o > 0.0 && o < 1.0, "above 0 and below 1"),
-            ),
+            ("densify.reset_opacity", densify.reset_opacity.into(), (|o| o > 0.0 && o < 1.0, "above 0 and below 1")),
             ("mcmc.growth", mcmc.growth, NOT_NEGATIVE),
             ("mcmc.noise", mcmc.noise.into(), NOT_NEGATIVE),
             ("mcmc.opacity_weight", mcmc.opacity_weight.into(), NOT_NEGATIVE),

@@ -254,11 +254,7 @@ mod tests {
     fn oversized_rows_stay_while_the_cap_turns_others_away() {
         let (statistics, genes) = scene(&[(3e-4, 0.5, 0.5), (3e-4, 1.5, 0.5), (0.0, 1.2, 0.5)]);
         let capped = |cap| decide(&statistics, &genes, &Rules { cap: Some(cap), ..RULES }, 3100);
-        assert_eq!(
-            rows(&capped(3)),
-            [(0, KEPT), (1, KEPT), (2, KEPT)],
-            "no room: nothing would fill their place"
-        );
+        assert_eq!(rows(&capped(3)), [(0, KEPT), (1, KEPT), (2, KEPT)], "no room: nothing would fill their place");
         assert_eq!(rows(&capped(5)), [(0, FIRST), (0, SECOND), (1, FIRST), (1, SECOND)], "room for all");
     }
 
@@ -297,8 +293,7 @@ mod tests {
 
     #[test]
     fn the_cap_serves_the_strongest_gradients() {
-        let (statistics, genes) =
-            scene(&[(3e-4, 0.05, 0.5), (9e-4, 0.5, 0.5), (5e-4, 0.05, 0.5), (5e-4, 0.05, 0.5)]);
+        let (statistics, genes) = scene(&[(3e-4, 0.05, 0.5), (9e-4, 0.5, 0.5), (5e-4, 0.05, 0.5), (5e-4, 0.05, 0.5)]);
         let capped = Rules { cap: Some(6), ..RULES };
         let plan = decide(&statistics, &genes, &capped, 600);
         assert_eq!(plan.edit.sources.len(), 6);

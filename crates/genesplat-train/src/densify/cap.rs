@@ -54,9 +54,7 @@ impl Cap {
         } else {
             "; from now on only those with the strongest gradients grow into the room that pruning leaves"
         };
-        format!(
-            "iteration {i}: the limit of {cap} Gaussians{source} is reached ({refused} more wanted to grow){rest}"
-        )
+        format!("iteration {i}: the limit of {cap} Gaussians{source} is reached ({refused} more wanted to grow){rest}")
     }
 }
 

@@ -80,8 +80,7 @@ fn relocate(rows: &mut [Row], rules: &Rules, rng: &Rng, iteration: u32) -> usize
     let is_dead = |row: &Row| row.opacity <= f64::from(rules.min_opacity);
     let dead: Vec<usize> = (0..rows.len()).filter(|&row| is_dead(&rows[row])).collect();
     let lottery = Lottery::new(rows.iter().map(|row| if is_dead(row) { 0.0 } else { row.opacity }));
-    let targets =
-        lottery.draw(dead.len(), |draw| rng.at(Stream::Relocation, iteration, draw, FOR_RELOCATION));
+    let targets = lottery.draw(dead.len(), |draw| rng.at(Stream::Relocation, iteration, draw, FOR_RELOCATION));
     share_places(rows, &targets, rules);
     for (&dead, &target) in dead.iter().zip(&targets) {
         rows[target].keeps_moments = false;

@@ -123,8 +123,7 @@ impl Trainer<'_> {
         if record.changed == 0 {
             return Ok(());
         }
-        record.population_bytes =
-            (CLOUDS_KEPT * self.backend.gaussian_count() * Gaussians::BYTES_PER_ROW) as u64;
+        record.population_bytes = (CLOUDS_KEPT * self.backend.gaussian_count() * Gaussians::BYTES_PER_ROW) as u64;
         let DeviceState { cloud, moments, .. } = self.backend.state()?;
         self.backend.edit_rows(&edit)?;
         self.averaged = [0; WINDOW_HALVES];

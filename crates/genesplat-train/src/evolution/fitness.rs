@@ -28,8 +28,7 @@ impl Fitness {
         individuals: &[SparseDelta],
     ) -> Result<Vec<f64>, BackendError> {
         let losses = backend.score(individuals, &self.views, &self.settings)?;
-        let mean =
-            |views: &[f32]| views.iter().map(|&loss| f64::from(loss)).sum::<f64>() / views.len() as f64;
+        let mean = |views: &[f32]| views.iter().map(|&loss| f64::from(loss)).sum::<f64>() / views.len() as f64;
         Ok(losses.chunks_exact(self.views.len()).map(mean).collect())
     }
 }

@@ -50,10 +50,6 @@ impl Trainer<'_> {
     pub(crate) fn guard_score(&mut self, guards: &[usize], i: u32) -> Result<GuardScore, TrainError> {
         let settings = self.settings(i);
         let score = GuardScore::of(&self.backend.measure(&[Blend::default()], guards, &settings)?);
-        if score.loss.is_finite() {
-            Ok(score)
-        } else {
-            Err(TrainError::NoFitness { iteration: i, loss: score.loss })
-        }
+        if score.loss.is_finite() { Ok(score) } else { Err(TrainError::NoFitness { iteration: i, loss: score.loss }) }
     }
 }

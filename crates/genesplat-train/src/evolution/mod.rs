@@ -53,10 +53,7 @@ pub(crate) trait Stage: Sized {
 impl Trainer<'_> {
     /// Runs a stage. Returns a checkpoint where it was stopped: the best so far counts, but a resumed run repeats the
     /// stage in full.
-    pub(crate) fn run_stage<S: Stage>(
-        &mut self,
-        cursor: Cursor,
-    ) -> Result<Option<Box<Checkpoint>>, TrainError> {
+    pub(crate) fn run_stage<S: Stage>(&mut self, cursor: Cursor) -> Result<Option<Box<Checkpoint>>, TrainError> {
         let clock = Instant::now();
         let mut saved = if S::KEEPS_CHANGES { Some(self.capture_healthy(cursor)?) } else { None };
         let Some((mut stage, mut record)) = S::begin(self, cursor.iteration)? else { return Ok(None) };

@@ -28,11 +28,8 @@ impl Stage for GeneticSearch {
         let (begun, fitness, evolution) = (Instant::now(), trainer.fitness(i), &trainer.config.evolution);
         let of_base = trainer.fitness_of_base(&fitness, i)?;
         let base = trainer.backend.genes()?;
-        let gradients = if evolution.paper.uses_gradients() {
-            gene_gradients(trainer.backend.statistics()?)
-        } else {
-            None
-        };
+        let gradients =
+            if evolution.paper.uses_gradients() { gene_gradients(trainer.backend.statistics()?) } else { None };
         let (config, rng) = (evolution.paper.clone(), trainer.rng.fork(i));
         let algorithm = GeneticAlgorithm::new(config, base, gradients, of_base, rng)?;
         let renders = fitness.views.len() as u64;

@@ -39,8 +39,7 @@ pub fn search(
     }
     trainer.wait_for_steps()?;
     let cursor = Cursor { iteration: last, phase: Phase::Evolve };
-    let checkpoint =
-        trainer.on_the_clock(Phase::Evolve, |trainer| trainer.run_stage::<GeneticSearch>(cursor))?;
+    let checkpoint = trainer.on_the_clock(Phase::Evolve, |trainer| trainer.run_stage::<GeneticSearch>(cursor))?;
     let mut outcome = trainer.finish(None)?;
     (outcome.summary.interrupted, outcome.summary.iterations) = (checkpoint.is_some(), 0);
     Ok(outcome)

@@ -107,9 +107,7 @@ pub enum TrainError {
         iteration: u32,
     },
     /// The base cannot be scored, so nothing can be compared with it.
-    #[error(
-        "the cloud renders to a loss of {loss} at iteration {iteration}, so evolution has nothing to compare with"
-    )]
+    #[error("the cloud renders to a loss of {loss} at iteration {iteration}, so evolution has nothing to compare with")]
     NoFitness {
         /// Iteration of the trigger.
         iteration: u32,
@@ -123,9 +121,7 @@ pub enum TrainError {
     #[error("evolution: {0}")]
     Tell(#[from] genesplat_evolve::TellError),
     /// The checkpoint belongs to another kind of run.
-    #[error(
-        "the checkpoint was not made by a {wanted} run; resume with the configuration that it was made with"
-    )]
+    #[error("the checkpoint was not made by a {wanted} run; resume with the configuration that it was made with")]
     OtherVariant {
         /// The configuration's variant.
         wanted: Variant,

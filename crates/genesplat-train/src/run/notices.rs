@@ -88,12 +88,7 @@ fn notice_of_no_renewal(schedule: &Schedule) -> Option<String> {
 }
 
 /// Sizes are measured in the extent of the cameras. Where that is small beside the scene, walls and floors are pruned.
-fn notice_of_lost_background(
-    config: &TrainConfig,
-    schedule: &Schedule,
-    extent: f64,
-    depth: f64,
-) -> Option<String> {
+fn notice_of_lost_background(config: &TrainConfig, schedule: &Schedule, extent: f64, depth: f64) -> Option<String> {
     let prunes = |&i: &u32| schedule.is_densify(i) && schedule.prunes_by_size(i);
     let first = (1..=schedule.iterations).find(prunes).filter(|_| config.variant != Variant::Mcmc)?;
     let largest = config.densify.prune_size * extent;
@@ -170,10 +165,7 @@ mod tests {
             notice_of_lost_background(resolved.config(), resolved.schedule(), 2.0, depth)
         };
         let text = notice(10.0, |_| {}).expect("a notice");
-        assert!(
-            text.contains("5 times") && text.contains("iteration 3100") && text.contains("2 % of"),
-            "{text}"
-        );
+        assert!(text.contains("5 times") && text.contains("iteration 3100") && text.contains("2 % of"), "{text}");
         assert_eq!(notice(2.0, |_| {}), None);
         assert_eq!(notice(10.0, |config| config.iterations = 3000), None);
         assert_eq!(notice(10.0, |config| config.variant = Variant::Mcmc), None);

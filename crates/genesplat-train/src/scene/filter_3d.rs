@@ -20,8 +20,7 @@ const BORDER: f64 = 0.15;
 pub fn filter_3d<'a>(positions: &[[f32; 3]], cameras: impl Iterator<Item = &'a Camera> + Clone) -> Vec<f32> {
     let focal_max = cameras.clone().map(|camera| camera.focal_px[0]).fold(0.0, f64::max);
     let cameras: Vec<(&Camera, DMat3)> = cameras.map(|camera| (camera, camera.rotation())).collect();
-    let depth_min: Vec<f64> =
-        positions.par_iter().map(|&position| smallest_depth(&cameras, position)).collect();
+    let depth_min: Vec<f64> = positions.par_iter().map(|&position| smallest_depth(&cameras, position)).collect();
     let farthest = depth_min.iter().copied().filter(|depth| depth.is_finite()).fold(0.0, f64::max);
     let std_by_depth = if focal_max > 0.0 { FILTER_VARIANCE.sqrt() / focal_max } else { 0.0 };
     depth_min

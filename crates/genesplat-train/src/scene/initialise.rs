@@ -37,9 +37,7 @@ pub enum InitialiseError {
         found: usize,
     },
     /// A coordinate is NaN or infinite.
-    #[error(
-        "point {row} of the scene has a coordinate that is not finite; remove it from the reconstruction"
-    )]
+    #[error("point {row} of the scene has a coordinate that is not finite; remove it from the reconstruction")]
     NonFinite {
         /// Index of the point, in the order given.
         row: usize,
@@ -129,10 +127,7 @@ const DEPTH_POINTS: usize = 1000;
 
 /// How far away what the cameras see is: the median camera z of the points in front of them, world units; `None` where
 /// there are none.
-pub(crate) fn median_depth<'a>(
-    cameras: impl Iterator<Item = &'a Camera>,
-    points: &[ColouredPoint],
-) -> Option<f64> {
+pub(crate) fn median_depth<'a>(cameras: impl Iterator<Item = &'a Camera>, points: &[ColouredPoint]) -> Option<f64> {
     let step = points.len().div_ceil(DEPTH_POINTS).max(1);
     let depths_from = |camera: &'a Camera| {
         let positions = points.iter().step_by(step).map(|(position, _)| DVec3::from(position.map(f64::from)));

@@ -210,16 +210,14 @@ impl Schedule {
 
     /// The 3D filter is computed anew: after each densification, and later now and then until shortly before the end.
     fn is_filter_refresh(&self, i: u32) -> bool {
-        let late = i > self.densify_until
-            && i.is_multiple_of(self.densify_every)
-            && i + self.densify_every < self.iterations;
+        let late =
+            i > self.densify_until && i.is_multiple_of(self.densify_every) && i + self.densify_every < self.iterations;
         self.has_filter_3d() && (self.is_densify(i) || late)
     }
 
     /// Oversized Gaussians are pruned in iteration `i`; with renewal their contribution decides.
     pub fn prunes_by_size(&self, i: u32) -> bool {
-        i > self.size_prune_after
-            && !(self.renew_every.is_some() && self.config.evolution.renewal.spare_large)
+        i > self.size_prune_after && !(self.renew_every.is_some() && self.config.evolution.renewal.spare_large)
     }
 
     /// Fraction of its limit that the cloud may have reached in iteration `i`. With renewal it grows evenly over
@@ -245,10 +243,9 @@ impl Schedule {
     /// An evolution stage runs in iteration `i`.
     pub fn is_stage(&self, i: u32) -> bool {
         let (happens, occurrence) = match self.config.evolution.trigger {
-            Trigger::BeforeDensify | Trigger::AfterDensify => (
-                self.is_densify(i),
-                (i / self.densify_every).saturating_sub(self.densify_from / self.densify_every),
-            ),
+            Trigger::BeforeDensify | Trigger::AfterDensify => {
+                (self.is_densify(i), (i / self.densify_every).saturating_sub(self.densify_from / self.densify_every))
+            }
             Trigger::AtEnd => (i == self.iterations, 0),
             Trigger::BeforeReset | Trigger::AfterReset => (self.is_periodic_reset(i), i / self.reset_every),
         };
@@ -322,9 +319,8 @@ impl Schedule {
     /// The reference replaces its parameter tensors when it densifies, and that of opacity when it resets; the new ones
     /// have no gradients, so the step that follows does nothing. The last iteration makes no step.
     pub fn optimiser_step(&self, i: u32) -> OptimiserStep {
-        let loses = self.config.variant != Variant::Mcmc
-            && self.is_densify(i)
-            && self.densify_every >= LOSING_INTERVAL_MIN;
+        let loses =
+            self.config.variant != Variant::Mcmc && self.is_densify(i) && self.densify_every >= LOSING_INTERVAL_MIN;
         if loses || i >= self.iterations {
             OptimiserStep::Lost
         } else if self.is_reset(i) {

@@ -110,10 +110,7 @@ fn extra_steps_come_where_the_search_would() {
     let budget = Some(StepBudget::Steps(7));
     assert_eq!(stages(|_| {}), [] as [u32; 0]);
     let extra = schedule(|config| config.evolution.extra_steps = budget);
-    assert_eq!(
-        extra.stages().collect::<Vec<_>>(),
-        stages(|config| config.evolution.mode = EvolutionMode::Paper)
-    );
+    assert_eq!(extra.stages().collect::<Vec<_>>(), stages(|config| config.evolution.mode = EvolutionMode::Paper));
     assert!(!extra.statistics(None, 1).genes, "nobody reads them");
 }
 
@@ -177,17 +174,12 @@ fn renewals(change: impl FnOnce(&mut TrainConfig)) -> Vec<u32> {
 
 #[test]
 fn renewal_begins_when_density_control_has_ended_and_leaves_time_to_learn() {
-    let renewing = |variant| {
-        schedule(|config| (config.variant, config.evolution.mode) = (variant, EvolutionMode::Renew))
-    };
+    let renewing =
+        |variant| schedule(|config| (config.variant, config.evolution.mode) = (variant, EvolutionMode::Renew));
     let full = renewing(Variant::ThreeDgs);
     let begun = renewals(|_| {});
     assert_eq!(begun, [15_000, 16_500, 18_000, 19_500, 21_000, 22_500]);
-    assert_eq!(
-        iterations_with(&full, Phase::Renew),
-        [&begun[..], &[24_000]].concat(),
-        "the last is only judged"
-    );
+    assert_eq!(iterations_with(&full, Phase::Renew), [&begun[..], &[24_000]].concat(), "the last is only judged");
     assert_eq!(
         full.phases(18_000).collect::<Vec<_>>(),
         [Phase::Step, Phase::AddToAverage, Phase::Average, Phase::Renew]

@@ -36,8 +36,7 @@ fn backend() -> FakeBackend {
 
 /// What took the cloud's place, and the states that it was made of.
 fn blended(backend: &FakeBackend) -> Vec<(Blend, [u32; 2])> {
-    let blend =
-        |call: &Call| if let Call::Blend { blend, states } = call { Some((*blend, *states)) } else { None };
+    let blend = |call: &Call| if let Call::Blend { blend, states } = call { Some((*blend, *states)) } else { None };
     backend.calls.iter().filter_map(blend).collect()
 }
 
@@ -88,10 +87,7 @@ fn of_two_better_blends_the_best_is_taken() {
     // The plain mean, and what lies near it along the line of the two halves: each is the better one at times.
     for wanted in [[0.5; 2], [0.4 - 0.6, 0.4 + 0.6]] {
         let is_wanted = |found: Blend| (0..2).all(|half| (found.weights[half] - wanted[half]).abs() < 1e-6);
-        assert!(
-            blended(&backend).into_iter().any(|(found, _)| is_wanted(found)),
-            "{wanted:?} is never taken"
-        );
+        assert!(blended(&backend).into_iter().any(|(found, _)| is_wanted(found)), "{wanted:?} is never taken");
     }
 }
 
@@ -193,9 +189,8 @@ fn a_stop_within_a_stage_repeats_it() {
         stopping.stop_after = Some((calls, stop.clone()));
         let resumed = interrupted(&mut stopping, &mut Silent, &stop);
         assert_eq!(resumed.cloud, whole.cloud);
-        let iterations = |outcome: &Outcome| -> Vec<u32> {
-            outcome.summary.stages.iter().map(|stage| stage.iteration).collect()
-        };
+        let iterations =
+            |outcome: &Outcome| -> Vec<u32> { outcome.summary.stages.iter().map(|stage| stage.iteration).collect() };
         assert_eq!(iterations(&resumed), iterations(&whole), "the stage is not counted twice");
     }
 }

@@ -37,9 +37,7 @@ fn any_subset_is_a_configuration() {
 
 #[test]
 fn unknown_settings_are_errors_that_name_them() {
-    for text in
-        ["iteration = 5", "[densify]\nuntill = 5", "[evolution]\nmode = \"magic\"", "variant = \"2dgs\""]
-    {
+    for text in ["iteration = 5", "[densify]\nuntill = 5", "[evolution]\nmode = \"magic\"", "variant = \"2dgs\""] {
         let error = toml::from_str::<TrainConfig>(text).unwrap_err().to_string();
         let wrong = ["`iteration`", "`untill`", "`magic`", "`2dgs`"].iter().any(|name| error.contains(name));
         assert!(wrong, "{text}: {error}");

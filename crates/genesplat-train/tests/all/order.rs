@@ -8,8 +8,7 @@ use genesplat_train::config::Signal;
 use genesplat_train::observe::{DensifyLog, Render, StepLog};
 use genesplat_train::scene::initialise::{InitialiseError, cloud_from_points};
 use genesplat_train::{
-    Background, EvolutionMode, Observer, Outcome, Silent, Start, StepBudget, TrainConfig, TrainError,
-    Variant, train,
+    Background, EvolutionMode, Observer, Outcome, Silent, Start, StepBudget, TrainConfig, TrainError, Variant, train,
 };
 
 use crate::support::{Call, FakeBackend, added, points, views};
@@ -202,8 +201,7 @@ fn pixel_gs_asks_for_another_signal_and_nothing_else() {
     let (mut plain, mut pixel) = (FakeBackend::new(), FakeBackend::new());
     run(&mut plain, short(|_| {})).unwrap();
     run(&mut pixel, short(|config| config.variant = Variant::PixelGs)).unwrap();
-    let Some(DensitySignal::PixelWeighted { depth_threshold }) =
-        pixel.steps().next().unwrap().statistics.density
+    let Some(DensitySignal::PixelWeighted { depth_threshold }) = pixel.steps().next().unwrap().statistics.density
     else {
         panic!("pixel-gs does not weight by pixels")
     };
@@ -243,10 +241,7 @@ fn mip_splatting_refreshes_its_filter_before_the_reset() {
     run(&mut backend, short(|config| config.variant = Variant::MipSplatting)).unwrap();
     assert_eq!(backend.calls[1], Call::Upload { rows: 20, moments: false, filter: true });
     let at_300 = iteration(&backend, 300);
-    assert!(
-        matches!(at_300, [Call::Step(_), Call::Edit(_), Call::Filter(20), Call::ResetOpacity(_)]),
-        "{at_300:?}"
-    );
+    assert!(matches!(at_300, [Call::Step(_), Call::Edit(_), Call::Filter(20), Call::ResetOpacity(_)]), "{at_300:?}");
     assert!(matches!(iteration(&backend, 1500), [Call::Step(_)]), "not at the end of densification");
     assert!(matches!(iteration(&backend, 2980), [Call::Step(_), Call::Filter(20)]));
     assert!(matches!(iteration(&backend, 2990), [Call::Step(_)]), "frozen at the end");
@@ -276,8 +271,7 @@ fn mcmc_adds_noise_in_every_step_and_relocates_instead_of_resetting() {
     let stages: Vec<u32> = outcome.summary.stages.iter().map(|stage| stage.iteration).collect();
     assert_eq!(stages, [300, 600, 900, 1200], "where 3DGS would have reset");
     // A twentieth of 20 to 26 is one a time.
-    let edits =
-        backend.calls.iter().filter_map(|call| if let Call::Edit(edit) = call { Some(edit) } else { None });
+    let edits = backend.calls.iter().filter_map(|call| if let Call::Edit(edit) = call { Some(edit) } else { None });
     let rows: Vec<usize> = edits.map(|edit| edit.sources.len()).collect();
     assert_eq!((rows.len(), &rows[..9]), (244, &[21, 22, 23, 24, 25, 26, 27, 27, 27][..]));
     assert_eq!(outcome.cloud.len(), 27);

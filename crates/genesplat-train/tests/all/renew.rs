@@ -4,8 +4,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use genesplat_core::{Backend, Gaussians, Moments, Origin, RowEdit};
 use genesplat_train::{
-    Checkpoint, EvolutionMode, Observer, Outcome, Silent, StageKind, StageRecord, Start, TrainConfig,
-    Variant, train,
+    Checkpoint, EvolutionMode, Observer, Outcome, Silent, StageKind, StageRecord, Start, TrainConfig, Variant, train,
 };
 
 use genesplat_train::observe::DensifyLog;
@@ -84,8 +83,7 @@ fn what_no_measured_view_shows_is_spared() {
     let outcome = train(&mut backend, &views(20), start, &config, &mut Silent, &stop).unwrap();
     let stages = renewals(&outcome);
     assert!(stages.iter().all(|stage| (stage.changed, stage.renders) == (2 * 2, 6 + 5)), "{stages:?}");
-    let measured: Vec<&Call> =
-        backend.calls.iter().filter(|call| matches!(call, Call::Contributions { .. })).collect();
+    let measured: Vec<&Call> = backend.calls.iter().filter(|call| matches!(call, Call::Contributions { .. })).collect();
     assert_eq!(measured, [&Call::Contributions { views: 6 }; 6], "2 % of 300 steps, of twenty views");
     // The fake's first row contributes nothing, and may have been out of sight.
     let sources = &edits(&backend)[0].sources;
@@ -121,8 +119,7 @@ fn a_cloud_grows_to_what_the_photos_can_determine() {
     assert!(full.sizes.iter().all(is_even), "{:?}", full.sizes);
     assert_eq!(full.sizes.last(), Some(&(149, 50)));
     assert!(
-        full.notices[0]
-            .contains("149: the limit of 50 Gaussians from the photos (evolution.renewal.capacity)")
+        full.notices[0].contains("149: the limit of 50 Gaussians from the photos (evolution.renewal.capacity)")
             && full.notices[0].ends_with("more wanted to grow)"),
         "{:?}",
         full.notices
@@ -155,9 +152,7 @@ fn who_sets_a_limit_hears_at_once_that_the_photos_determine_fewer() {
         assert!(numbers.iter().all(|part| notice.contains(part)), "{notice}");
     }
     assert!(told(Variant::Mcmc, EvolutionMode::Off, Some(60)).is_empty());
-    for (variant, limit) in
-        [(Variant::ThreeDgs, None), (Variant::ThreeDgs, Some(40)), (Variant::Mcmc, Some(50))]
-    {
+    for (variant, limit) in [(Variant::ThreeDgs, None), (Variant::ThreeDgs, Some(40)), (Variant::Mcmc, Some(50))] {
         assert!(told(variant, EvolutionMode::Renew, limit).is_empty());
     }
 }
@@ -173,9 +168,8 @@ fn a_run_too_short_to_grow_says_so() {
     };
     for (variant, shortest, until) in [(Variant::ThreeDgs, 924, 600), (Variant::Mcmc, 1201, 600)] {
         let [notice] = &told(variant, shortest - 1, 15_000)[..] else { panic!("one notice") };
-        let wanted = format!(
-            "ends before iteration {until}, and the first densification would be at the end of iteration 600"
-        );
+        let wanted =
+            format!("ends before iteration {until}, and the first densification would be at the end of iteration 600");
         assert!(notice.contains(&wanted), "{notice}");
         assert!(told(variant, shortest, 15_000).is_empty());
     }
@@ -331,8 +325,7 @@ fn out_of_memory_in_any_call_saves_a_run_that_resumes_exactly() {
             let (mut failing, mut keep) = (device(), Keep::default());
             failing.failure = Some((call, Failure::OutOfMemory));
             let (start, config) = (Start::Points(points(20)), config().resolve().unwrap());
-            train(&mut failing, &views(VIEWS), start, &config, &mut keep, &AtomicBool::new(false))
-                .unwrap_err();
+            train(&mut failing, &views(VIEWS), start, &config, &mut keep, &AtomicBool::new(false)).unwrap_err();
             let [checkpoint] = &keep.0[..] else { panic!("call {call} leaves nothing") };
             let resumed = resume(checkpoint, &mut device());
             assert_eq!(resumed.cloud, whole.cloud, "call {call}");

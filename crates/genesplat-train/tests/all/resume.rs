@@ -6,16 +6,15 @@ use std::sync::atomic::AtomicBool;
 
 use genesplat_core::BackendError;
 use genesplat_train::{
-    Background, Checkpoint, EvolutionMode, Observer, Outcome, Silent, StageRecord, Start, StepBudget,
-    TrainConfig, TrainError, Trigger, Variant, train,
+    Background, Checkpoint, EvolutionMode, Observer, Outcome, Silent, StageRecord, Start, StepBudget, TrainConfig,
+    TrainError, Trigger, Variant, train,
 };
 
 use crate::support::{Call, Failure, FakeBackend, Keep, points, views};
 
 /// 300 iterations that densify, reset (30, 60, ...), filter and evolve.
 fn config() -> TrainConfig {
-    let mut config =
-        TrainConfig { steps_scale: 0.01, variant: Variant::MipSplatting, ..TrainConfig::published() };
+    let mut config = TrainConfig { steps_scale: 0.01, variant: Variant::MipSplatting, ..TrainConfig::published() };
     config.background = Background::Random;
     config.max_gaussians = Some(60);
     config.evolution.mode = EvolutionMode::Paper;
@@ -38,10 +37,7 @@ fn go(backend: &mut FakeBackend, start: Start, observer: &mut dyn Observer, stop
 
 fn uninterrupted() -> Outcome {
     let outcome = go(&mut backend(), Start::Points(points(20)), &mut Silent, &AtomicBool::new(false));
-    assert!(
-        outcome.summary.stages.iter().any(|stage| stage.changed > 0),
-        "a search that finds nothing tests nothing"
-    );
+    assert!(outcome.summary.stages.iter().any(|stage| stage.changed > 0), "a search that finds nothing tests nothing");
     outcome
 }
 
@@ -84,10 +80,7 @@ fn stopping_between_any_two_phases_changes_nothing() {
     let schedule = config().resolve().unwrap().schedule().clone();
     for i in 2..=schedule.iterations {
         for phase in schedule.phases(i) {
-            assert!(
-                cursors.contains(&(i, phase as usize)),
-                "never stopped before {phase:?} of iteration {i}"
-            );
+            assert!(cursors.contains(&(i, phase as usize)), "never stopped before {phase:?} of iteration {i}");
         }
     }
 }
@@ -143,8 +136,7 @@ fn a_scheduled_checkpoint_is_as_good() {
     config.checkpoint_every = 70;
     let stop = AtomicBool::new(false);
     let start = Start::Points(points(20));
-    let whole =
-        train(&mut backend(), &views(7), start, &config.resolve().unwrap(), &mut keep, &stop).unwrap();
+    let whole = train(&mut backend(), &views(7), start, &config.resolve().unwrap(), &mut keep, &stop).unwrap();
     let next: Vec<u32> = keep.0.iter().map(|checkpoint| checkpoint.cursor.iteration).collect();
     assert_eq!(next, [71, 141, 211, 281]);
     keep.0.iter().for_each(|checkpoint| assert_same(&resume(checkpoint), &whole, "scheduled"));

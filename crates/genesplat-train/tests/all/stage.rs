@@ -9,8 +9,8 @@ use genesplat_core::backend::MomentPolicy;
 use genesplat_train::observe::{GenerationLog, StageLog};
 use genesplat_train::scene::initialise::cloud_from_points;
 use genesplat_train::{
-    Background, EvolutionMode, Observer, Outcome, Silent, StageKind, StageRecord, Start, StepBudget,
-    TrainConfig, TrainError, Trigger, search, train,
+    Background, EvolutionMode, Observer, Outcome, Silent, StageKind, StageRecord, Start, StepBudget, TrainConfig,
+    TrainError, Trigger, search, train,
 };
 
 use crate::support::{Call, FakeBackend, points, views};
@@ -130,10 +130,7 @@ fn stopping_within_a_stage_keeps_the_best_so_far() {
     let expected = Call::Apply { rows: stage.changed, moments: MomentPolicy::Keep };
     assert_eq!(applied(&backend).last(), Some(&&expected));
     let squares: f64 = outcome.cloud.positions.iter().map(|p| f64::from(p[0] - 3.0).powi(2)).sum();
-    assert!(
-        (squares / 30.0 - stage.fitness_after).abs() < 1e-6,
-        "the base came back before the best was applied"
-    );
+    assert!((squares / 30.0 - stage.fitness_after).abs() < 1e-6, "the base came back before the best was applied");
 }
 
 #[test]
@@ -227,15 +224,9 @@ fn so_many_extra_steps_do_not_look_at_the_clock() {
 #[test]
 fn every_extra_step_has_a_random_background_of_its_own() {
     let (backend, _) = extra_steps(StepBudget::Seconds(0.01), Background::Random);
-    let colours: Vec<[u32; 3]> =
-        backend.steps().map(|step| step.settings.background.map(f32::to_bits)).collect();
+    let colours: Vec<[u32; 3]> = backend.steps().map(|step| step.settings.background.map(f32::to_bits)).collect();
     let distinct: HashSet<&[u32; 3]> = colours.iter().collect();
-    assert!(
-        colours.len() > STEPS + 1 && distinct.len() == colours.len(),
-        "{} of {}",
-        distinct.len(),
-        colours.len()
-    );
+    assert!(colours.len() > STEPS + 1 && distinct.len() == colours.len(), "{} of {}", distinct.len(), colours.len());
 }
 
 #[test]

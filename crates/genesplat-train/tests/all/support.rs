@@ -9,9 +9,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use genesplat_core::backend::{MomentPolicy, StepReport};
 use genesplat_core::gaussians::limited_opacity;
 use genesplat_core::{
-    Backend, BackendError, Blend, Camera, Contribution, DeviceState, EvolutionBackend, Gaussians, Image,
-    Moments, Origin, Photo, RenderSettings, RowEdit, SparseDelta, Statistics, TrainStep, View, ViewLoss,
-    WindowAverages,
+    Backend, BackendError, Blend, Camera, Contribution, DeviceState, EvolutionBackend, Gaussians, Image, Moments,
+    Origin, Photo, RenderSettings, RowEdit, SparseDelta, Statistics, TrainStep, View, ViewLoss, WindowAverages,
 };
 use genesplat_train::observe::StepLog;
 use genesplat_train::scene::initialise::ColouredPoint;
@@ -347,11 +346,7 @@ impl EvolutionBackend for FakeBackend {
         Ok(())
     }
 
-    fn contributions(
-        &mut self,
-        views: &[usize],
-        _: &RenderSettings,
-    ) -> Result<Vec<Contribution>, BackendError> {
+    fn contributions(&mut self, views: &[usize], _: &RenderSettings) -> Result<Vec<Contribution>, BackendError> {
         self.settle()?;
         self.calls.push(Call::Contributions { views: views.len() });
         let distance = |p: &[f32; 3]| (p[0] - self.target).abs();

@@ -5,8 +5,7 @@ use std::sync::Arc;
 use genesplat_core::gaussians::{logit, sigmoid};
 use genesplat_core::spherical_harmonics::dc_from_rgb;
 use genesplat_core::{
-    Backend, Camera, DensitySignal, Gaussians, Photo, RenderSettings, ScreenFilter, StatisticsRequest,
-    TrainStep, View,
+    Backend, Camera, DensitySignal, Gaussians, Photo, RenderSettings, ScreenFilter, StatisticsRequest, TrainStep, View,
 };
 use genesplat_kernels::cpu::CpuBackend;
 use genesplat_kernels::reference::{self, Cloud64, Cutoff, Statistics64};
@@ -66,11 +65,8 @@ fn pixel_gs(cloud: &Gaussians, camera: Camera, depth_threshold: f32) -> [(Vec<f6
 /// the first covers the second almost, but not quite. The third is off the screen.
 #[test]
 fn pixel_gs_counts_pixels() {
-    let splats = [
-        ([0.0, 0.0, 2.0], 0.1, 0.9, 0.9),
-        ([0.0, 0.0, 4.0], 0.2, 0.9, 0.5),
-        ([50.0, 0.0, 2.0], 0.1, 0.9, 0.1),
-    ];
+    let splats =
+        [([0.0, 0.0, 2.0], 0.1, 0.9, 0.9), ([0.0, 0.0, 4.0], 0.2, 0.9, 0.5), ([50.0, 0.0, 2.0], 0.1, 0.9, 0.1)];
     for (gradients, weights) in pixel_gs(&cloud(splats), camera([24, 20], [10, 8], 20.0, 0.0), 4.0) {
         assert_eq!(weights, [45.0, 45.0, 0.0]);
         assert_eq!(gradients[2], 0.0);
@@ -98,11 +94,8 @@ fn pixel_gs_counts_pixels() {
 /// One pixel each; at depth 2, half the threshold of 4, a quarter counts; at 4 and 8 all of it.
 #[test]
 fn pixel_gs_weights_by_hand() {
-    let splats = [
-        ([0.05, 0.0, 2.0], 0.1, 0.5, 0.8),
-        ([0.0, -0.1, 4.0], 0.2, 0.5, 0.4),
-        ([-0.2, 0.0, 8.0], 0.4, 0.5, 0.2),
-    ];
+    let splats =
+        [([0.05, 0.0, 2.0], 0.1, 0.5, 0.8), ([0.0, -0.1, 4.0], 0.2, 0.5, 0.4), ([-0.2, 0.0, 8.0], 0.4, 0.5, 0.2)];
     for (gradients, weights) in pixel_gs(&cloud(splats), camera([1, 1], [0, 0], 20.0, 0.0), 4.0) {
         assert_eq!(weights, [1.0; 3]);
         for (found, expected) in gradients.iter().zip([0.013_763_95, 0.016_335_01, 0.005_767_775]) {

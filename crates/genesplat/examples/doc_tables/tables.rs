@@ -15,8 +15,7 @@ const BASELINE: &str = "off";
 /// The arm that a user gets by default.
 const EVOLVED: &str = "renew";
 /// What two runs of a pair have in common.
-const PAIRED: [&str; 8] =
-    ["scene", "variant", "max_side", "iterations", "max_gaussians", "seed", "commit", "machine"];
+const PAIRED: [&str; 8] = ["scene", "variant", "max_side", "iterations", "max_gaussians", "seed", "commit", "machine"];
 const END: &str = "<!-- /table -->";
 
 /// A table of the documents.
@@ -33,18 +32,8 @@ const TABLES: [Table; 6] = [
     Table { name: "results", file: "real-size", part: |run| Some(run.size()), write: scenes },
     Table { name: "real-size", file: "real-size", part: |run| Some(run.size()), write: arms },
     Table { name: "renew", file: "earlier", part: |run| run.of("renew", Run::size), write: arms },
-    Table {
-        name: "renew-limited",
-        file: "earlier",
-        part: |run| run.of("renew-limited", Run::trainer),
-        write: arms,
-    },
-    Table {
-        name: "renew-unsqueezed",
-        file: "earlier",
-        part: |run| run.of("renew-unsqueezed", Run::size),
-        write: arms,
-    },
+    Table { name: "renew-limited", file: "earlier", part: |run| run.of("renew-limited", Run::trainer), write: arms },
+    Table { name: "renew-unsqueezed", file: "earlier", part: |run| run.of("renew-unsqueezed", Run::size), write: arms },
     Table { name: "paper", file: "earlier", part: |run| run.of("paper", Run::trainer), write: arms },
 ];
 
@@ -136,8 +125,7 @@ impl Part {
 pub(crate) fn documents(root: &Path) -> Result<Vec<PathBuf>> {
     let mut paths = vec![root.join("README.md")];
     for entry in fs::read_dir(root.join("docs"))? {
-        paths
-            .extend(Some(entry?.path()).filter(|path| path.extension().is_some_and(|ending| ending == "md")));
+        paths.extend(Some(entry?.path()).filter(|path| path.extension().is_some_and(|ending| ending == "md")));
     }
     paths.sort();
     Ok(paths)
@@ -157,8 +145,7 @@ pub(crate) fn update(text: &str, results: &Path) -> Result<String> {
 }
 
 fn table(name: &str, results: &Path) -> Result<String> {
-    let table =
-        TABLES.iter().find(|table| table.name == name).ok_or_else(|| anyhow!("no table is called {name}"))?;
+    let table = TABLES.iter().find(|table| table.name == name).ok_or_else(|| anyhow!("no table is called {name}"))?;
     let path = results.join(table.file).with_extension("csv");
     let text = fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))?;
     let mut parts: Vec<Part> = Vec::new();
@@ -180,11 +167,7 @@ fn runs(csv: &str) -> Result<Vec<Run>> {
     for line in lines {
         let values: Vec<&str> = line.splitn(columns.len(), ',').collect();
         ensure!(values.len() == columns.len(), "`{line}` has {} of {} values", values.len(), columns.len());
-        runs.push(Run(columns
-            .iter()
-            .zip(values)
-            .map(|(&column, value)| (column.into(), value.into()))
-            .collect()));
+        runs.push(Run(columns.iter().zip(values).map(|(&column, value)| (column.into(), value.into())).collect()));
     }
     Ok(runs)
 }
@@ -219,23 +202,17 @@ fn scenes(parts: &[Part]) -> Result<String> {
 
 /// One line an arm: values of the baseline, and of the others their differences from it.
 fn arms(parts: &[Part]) -> Result<String> {
-    let head =
-        ["", "arm", "pairs", "better", "PSNR, dB", "SSIM", "LPIPS", "train PSNR", "Gaussians", "seconds"];
+    let head = ["", "arm", "pairs", "better", "PSNR, dB", "SSIM", "LPIPS", "train PSNR", "Gaussians", "seconds"];
     let mut lines = Vec::new();
     for part in parts {
         for (nth, arm) in part.arms().into_iter().enumerate() {
             let (runs, pairs, is_baseline) = (part.runs_of(arm), part.pairs(arm)?, arm == BASELINE);
             let figures = |column: &str| {
-                if is_baseline {
-                    Figures::of(&runs, |run| run.number(column))
-                } else {
-                    difference(&pairs, column)
-                }
+                if is_baseline { Figures::of(&runs, |run| run.number(column)) } else { difference(&pairs, column) }
             };
             let mean = |column: &str, digits: usize| {
-                figures(column).mean(|mean| {
-                    if is_baseline { format!("{mean:.digits$}") } else { format!("{mean:+.digits$}") }
-                })
+                figures(column)
+                    .mean(|mean| if is_baseline { format!("{mean:.digits$}") } else { format!("{mean:+.digits$}") })
             };
             let better = figures("psnr").0.iter().filter(|difference| **difference > 0.0).count();
             lines.push([
@@ -269,11 +246,7 @@ impl Figures {
 
     /// Empty where nothing was measured.
     fn mean(&self, write: impl Fn(f64) -> String) -> String {
-        if self.0.is_empty() {
-            String::new()
-        } else {
-            write(self.0.iter().sum::<f64>() / self.0.len() as f64)
-        }
+        if self.0.is_empty() { String::new() } else { write(self.0.iter().sum::<f64>() / self.0.len() as f64) }
     }
 
     /// Their standard deviation (n − 1), empty for less than two.
@@ -302,8 +275,7 @@ fn thousands(value: f64) -> String {
 
 /// Columns that are empty in every line are left out.
 fn markdown<const COLUMNS: usize>(head: [&str; COLUMNS], lines: Vec<[String; COLUMNS]>) -> String {
-    let shown: Vec<usize> =
-        (0..COLUMNS).filter(|&column| lines.iter().any(|line| !line[column].is_empty())).collect();
+    let shown: Vec<usize> = (0..COLUMNS).filter(|&column| lines.iter().any(|line| !line[column].is_empty())).collect();
     let row = |cell: &dyn Fn(usize) -> String| {
         let cells: Vec<String> = shown.iter().map(|&column| cell(column)).collect();
         format!("| {} |", cells.join(" | "))

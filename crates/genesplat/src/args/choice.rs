@@ -24,11 +24,7 @@ where
 /// `--variant`.
 pub(crate) const VARIANTS: &[Choice<Variant>] = &[
     (Variant::ThreeDgs, &["3dgs"], "3D Gaussian Splatting (Kerbl et al. 2023)"),
-    (
-        Variant::PixelGs,
-        &["pixel-gs"],
-        "Pixel-GS (Zhang et al. 2024): adds Gaussians where many pixels need them",
-    ),
+    (Variant::PixelGs, &["pixel-gs"], "Pixel-GS (Zhang et al. 2024): adds Gaussians where many pixels need them"),
     (
         Variant::MipSplatting,
         &["mip-splatting"],

@@ -153,8 +153,5 @@ fn replace<T>(setting: &mut T, flag: Option<T>) {
 }
 
 fn positive(text: &str) -> Result<usize, String> {
-    text.parse()
-        .ok()
-        .filter(|&count: &usize| count > 0)
-        .ok_or_else(|| "a whole number from 1 is needed".into())
+    text.parse().ok().filter(|&count: &usize| count > 0).ok_or_else(|| "a whole number from 1 is needed".into())
 }

@@ -154,9 +154,8 @@ impl Half {
 
 /// What both runs have reached, and what evolution changed; a row is left out where it was not measured.
 fn table(without: &Metrics, with: &Metrics) -> String {
-    let line = |name: &str, [before, after, change]: [&str; 3]| {
-        format!("{name:<18} {before:>12} {after:>16} {change:>12}\n")
-    };
+    let line =
+        |name: &str, [before, after, change]: [&str; 3]| format!("{name:<18} {before:>12} {after:>16} {change:>12}\n");
     let mut text = line("", ["without", "with evolution", "difference"]);
     for ((name, digits, before), (_, _, after)) in figures(without).into_iter().zip(figures(with)) {
         let (Some(before), Some(after)) = (before, after) else { continue };

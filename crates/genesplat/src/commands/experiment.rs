@@ -105,8 +105,7 @@ fn write(runner: &Runner<'_>, results: &Results<'_>) -> Result<()> {
     let texts = [shown.clone(), seconds.clone(), record::cells(results), page];
     let description = page::to_toml(&results.experiment.file);
     // First, since it tells whose the others are.
-    let described =
-        (DESCRIPTION, format!("{MARK} {}; it can be run again.\n{description}", env!("CARGO_PKG_VERSION")));
+    let described = (DESCRIPTION, format!("{MARK} {}; it can be run again.\n{description}", env!("CARGO_PKG_VERSION")));
     let files: Vec<_> = std::iter::once(described).chain(FIGURES.into_iter().zip(texts)).collect();
     files.iter().try_for_each(|(name, text)| files::write_text(&runner.out.join(name), text))?;
     output::print(&format!("{shown}{seconds}"))?;

@@ -52,20 +52,14 @@ fn check_outputs(command: &Command) -> Result<()> {
         json.path.as_deref().map_or(Ok(()), |path| check_file(path, Content::Figures, inputs))
     };
     match command {
-        Command::Evaluate(args) => {
-            figures(&args.json, &[Some(&args.splat), args.lpips.lpips_weights.as_deref()])
-        }
+        Command::Evaluate(args) => figures(&args.json, &[Some(&args.splat), args.lpips.lpips_weights.as_deref()]),
         Command::Compare(args) => {
             let weights = args.lpips.lpips_weights.as_deref();
             figures(&args.json, &[Some(&args.first), Some(&args.second), weights])
         }
-        Command::Render(args) if args.image.is_some() => {
-            check_file(&args.out, Content::Picture, &[Some(&args.splat)])
-        }
+        Command::Render(args) if args.image.is_some() => check_file(&args.out, Content::Picture, &[Some(&args.splat)]),
         Command::Render(args) => check_folder(&args.out, "0001.png"),
-        Command::Refine(args) => {
-            check_file(&args.out, Content::Splat, &[Some(&args.splat), args.config.as_deref()])
-        }
+        Command::Refine(args) => check_file(&args.out, Content::Splat, &[Some(&args.splat), args.config.as_deref()]),
         Command::Bench { what } => {
             let (json, source) = match what {
                 Bench::Step(args) => (&args.json, &args.workload.source),
@@ -74,10 +68,8 @@ fn check_outputs(command: &Command) -> Result<()> {
             };
             figures(json, &[source.splat.as_deref()])
         }
-        Command::Train(_)
-        | Command::Demo(_)
-        | Command::Experiment(_)
-        | Command::Lpips { .. }
-        | Command::Devices => Ok(()),
+        Command::Train(_) | Command::Demo(_) | Command::Experiment(_) | Command::Lpips { .. } | Command::Devices => {
+            Ok(())
+        }
     }
 }

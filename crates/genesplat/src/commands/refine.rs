@@ -4,9 +4,7 @@
 use anyhow::{Result, bail};
 use genesplat::core::{RenderSettings, ScreenFilter};
 use genesplat::io::{PlyOptions, Scene, write_ply};
-use genesplat::train::{
-    Background, EvolutionMode, Outcome, Resolved, Start, TrainConfig, Variant, search, train,
-};
+use genesplat::train::{Background, EvolutionMode, Outcome, Resolved, Start, TrainConfig, Variant, search, train};
 
 use super::Ending;
 use crate::args::RefineArgs;

@@ -172,8 +172,7 @@ mod tests {
 
     #[test]
     fn two_modes_have_a_control_each() {
-        let text =
-            "title = \"t\"\nscenes = [\"a\"]\nseeds = [0]\nevolve = [\"off\", \"x\", \"y\", \"control\"]";
+        let text = "title = \"t\"\nscenes = [\"a\"]\nseeds = [0]\nevolve = [\"off\", \"x\", \"y\", \"control\"]";
         let arms = toml::from_str::<ExperimentFile>(text).unwrap().all_arms();
         let names: Vec<&str> = arms.iter().map(|arm| arm.name.as_str()).collect();
         assert_eq!(names, ["off", "x", "y", "control-x", "control-y"]);
@@ -239,8 +238,7 @@ mod tests {
             let text = format!("scenes = [\"a\"]\nseeds = [1]\n{modes}\n[config.evolution]\n{trigger}");
             triggers_of_controls(&Experiment::new(file(&text)).unwrap())
         };
-        let (four_times, at_end) =
-            (Some(StepBudget::Seconds(2.0)), (Trigger::AtEnd, Some(StepBudget::Seconds(8.0))));
+        let (four_times, at_end) = (Some(StepBudget::Seconds(2.0)), (Trigger::AtEnd, Some(StepBudget::Seconds(8.0))));
         assert_eq!(triggers(""), [(Trigger::AfterReset, four_times), at_end]);
         // The trigger of the paper's stages is none of renew's.
         assert_eq!(triggers("trigger = \"before-reset\""), [(Trigger::BeforeReset, four_times), at_end]);

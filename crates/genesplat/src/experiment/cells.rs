@@ -48,10 +48,7 @@ impl Runner<'_> {
             }
             let advice = "choose another --out, or remove that folder to have it run anew";
             let config = ConfigFile::of_run(&path).map_err(|error| {
-                anyhow!(
-                    "{} holds a run whose settings are not known here ({error}); {advice}",
-                    path.display()
-                )
+                anyhow!("{} holds a run whose settings are not known here ({error}); {advice}", path.display())
             })?;
             let difference = self.difference(cell, &config, &self.settings(cell, &results)?);
             let is_control = self.experiment.arms[cell.arm].control_of.is_some();
@@ -138,12 +135,7 @@ mod tests {
         Experiment::new(toml::from_str(&format!("{text}{more}")).unwrap()).unwrap()
     }
 
-    fn runner<'a>(
-        experiment: &'a Experiment,
-        out: &'a Path,
-        data: &'a Path,
-        stop: &'a AtomicBool,
-    ) -> Runner<'a> {
+    fn runner<'a>(experiment: &'a Experiment, out: &'a Path, data: &'a Path, stop: &'a AtomicBool) -> Runner<'a> {
         let machine = MachineArgs { device: Some(DeviceChoice::Cpu), threads: None };
         Runner { experiment, out, data: Some(data), machine, lpips: None, stop }
     }
@@ -184,8 +176,7 @@ mod tests {
         ];
         for (more, words) in others {
             let other = experiment(more);
-            let refusal =
-                runner(&other, &moved, place.path(), &stop).check_folders().unwrap_err().to_string();
+            let refusal = runner(&other, &moved, place.path(), &stop).check_folders().unwrap_err().to_string();
             assert!(refusal.contains(words) && refusal.contains("other settings"), "{refusal}");
         }
     }
@@ -254,9 +245,6 @@ mod tests {
         runner.check_folders().unwrap();
         fs::write(&metrics, "{\"psnr\": 30.0}").unwrap();
         let refusal = runner.check_folders().unwrap_err().to_string();
-        assert!(
-            refusal.contains("not the figures of a run") && refusal.contains("metrics.json"),
-            "{refusal}"
-        );
+        assert!(refusal.contains("not the figures of a run") && refusal.contains("metrics.json"), "{refusal}");
     }
 }

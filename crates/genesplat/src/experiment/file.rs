@@ -134,10 +134,7 @@ mod tests {
         };
         assert_eq!(arm("").1.len(), 3, "nothing is overridden");
         let (common, own) = arm("--iterations 3 --steps-scale 0.25");
-        assert_eq!(
-            (common["iterations"].as_integer(), common["steps_scale"].as_float()),
-            (Some(3), Some(0.25))
-        );
+        assert_eq!((common["iterations"].as_integer(), common["steps_scale"].as_float()), (Some(3), Some(0.25)));
         assert_eq!(own.keys().collect::<Vec<_>>(), ["seed_of"], "what no flag speaks of");
     }
 }

@@ -39,13 +39,7 @@ fn charts(results: &Results<'_>, out: &Path) -> Vec<Chart> {
 }
 
 /// The page of the experiment in the folder `out`; `command` repeats it.
-pub(crate) fn to_html(
-    results: &Results<'_>,
-    out: &Path,
-    tables: &Tables,
-    pages: &[Page],
-    command: &str,
-) -> String {
+pub(crate) fn to_html(results: &Results<'_>, out: &Path, tables: &Tables, pages: &[Page], command: &str) -> String {
     let (experiment, file) = (results.experiment, &results.experiment.file);
     let cells = experiment.cells();
     let mut page = Html::new();
@@ -93,7 +87,10 @@ fn write_pictures(page: &mut Html, pages: &[Page]) {
         return;
     }
     page.element("h2", "What changed");
-    page.element("p", "Under each slider is the test photo that gained most. Drag the border, or move it with the arrow keys.");
+    page.element(
+        "p",
+        "Under each slider is the test photo that gained most. Drag the border, or move it with the arrow keys.",
+    );
     for (index, Page { path, caption, renders }) in pages.iter().enumerate() {
         let name = path.file_name().unwrap_or_default().to_string_lossy();
         page.open("figure class=\"sheet\"");

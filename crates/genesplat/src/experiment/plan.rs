@@ -77,8 +77,7 @@ impl Experiment {
         let seeds = |scene, variant| (0..file.seeds.len()).map(move |seed| (scene, variant, seed));
         let places = (0..file.scenes.len())
             .flat_map(|scene| (0..file.variants.len()).flat_map(move |variant| seeds(scene, variant)));
-        let of_arms =
-            |(scene, variant, seed)| order.iter().map(move |&arm| Cell { scene, variant, arm, seed });
+        let of_arms = |(scene, variant, seed)| order.iter().map(move |&arm| Cell { scene, variant, arm, seed });
         places.flat_map(of_arms).collect()
     }
 
@@ -106,8 +105,7 @@ impl Experiment {
             bail!("the experiment needs the scene {name}; give the folder that holds it as --data FOLDER");
         }
         let folder = data.unwrap_or(Path::new(""));
-        let missing: Vec<&str> =
-            foreign.filter(|name| !folder.join(name).is_dir()).map(String::as_str).collect();
+        let missing: Vec<&str> = foreign.filter(|name| !folder.join(name).is_dir()).map(String::as_str).collect();
         ensure!(
             missing.is_empty(),
             "{} has no folder called {}; put the scenes there, or take them out of the experiment",
@@ -162,9 +160,7 @@ impl Experiment {
 fn check_labels(scenes: &[String]) -> Result<()> {
     let nameless = scenes.iter().find(|scene| Path::new(scene).file_name().is_none());
     let Some(scene) = nameless else { return Ok(()) };
-    bail!(
-        "`{scene}` cannot be the name of a scene; give the name of its folder, and the folder above as --data"
-    )
+    bail!("`{scene}` cannot be the name of a scene; give the name of its folder, and the folder above as --data")
 }
 
 fn scene_label(scene: &str) -> &str {
@@ -208,8 +204,7 @@ mod tests {
         assert!(cells.is_sorted_by_key(|cell| (cell.scene, cell.variant, cell.seed)));
         let last = experiment.folder(cells[35]);
         assert_eq!(last, Path::new("cells/b/pixel-gs/control/seed-9"));
-        let folders: std::collections::HashSet<_> =
-            cells.iter().map(|&cell| experiment.folder(cell)).collect();
+        let folders: std::collections::HashSet<_> = cells.iter().map(|&cell| experiment.folder(cell)).collect();
         assert_eq!(folders.len(), cells.len(), "no two cells share a folder");
     }
 
@@ -225,10 +220,7 @@ mod tests {
             ("scenes = [\"\"]\nseeds = [0]\nevolve = [\"off\"]", "`` cannot be"),
             ("scenes = [\"a\"]\nseeds = [0]\nevolve = [\"off\"]\ndownscale = 0", "downscale is 0"),
             ("scenes = [\"a\"]\nseeds = [0]\nevolve = [\"off\"]\nmax_side = 0", "max_side is 0"),
-            (
-                "scenes = [\"a\"]\nseeds = [0]\nevolve = [\"off\"]\nmax_side = 64\ndownscale = 2",
-                "keep one of them",
-            ),
+            ("scenes = [\"a\"]\nseeds = [0]\nevolve = [\"off\"]\nmax_side = 64\ndownscale = 2", "keep one of them"),
             ("scenes = [\"x/a\", \"y/a\"]\nseeds = [0]\nevolve = [\"off\"]", "twice"),
             ("scenes = [\"a\"]\nseeds = [0]", "no arms"),
             ("scenes = [\"a\"]\nseeds = [0]\nevolve = [\"none\"]", "arm `none`"),

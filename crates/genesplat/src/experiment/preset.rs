@@ -36,8 +36,7 @@ fn read(path: &Path) -> Result<String> {
         let names = PRESETS.map(|(name, _)| name).join(", ");
         bail!("there is no experiment called {}; take {names}, or a TOML file", path.display());
     }
-    fs::read_to_string(path)
-        .map_err(|error| anyhow!("cannot read the experiment {}: {error}", path.display()))
+    fs::read_to_string(path).map_err(|error| anyhow!("cannot read the experiment {}: {error}", path.display()))
 }
 
 #[cfg(test)]
@@ -48,11 +47,9 @@ mod tests {
     #[test]
     fn every_preset_is_valid_and_has_a_control_for_each_of_its_arms() {
         for (name, _) in PRESETS {
-            let experiment =
-                Experiment::new(open(name).unwrap()).unwrap_or_else(|error| panic!("{name}: {error}"));
+            let experiment = Experiment::new(open(name).unwrap()).unwrap_or_else(|error| panic!("{name}: {error}"));
             let controlled: Vec<usize> = experiment.arms.iter().filter_map(|arm| arm.control_of).collect();
-            let evolving =
-                (1..experiment.arms.len()).filter(|&arm| experiment.arms[arm].control_of.is_none());
+            let evolving = (1..experiment.arms.len()).filter(|&arm| experiment.arms[arm].control_of.is_none());
             assert_eq!(controlled, evolving.collect::<Vec<_>>(), "{name}: a control for each");
             assert_eq!(experiment.arms[0].name, "off", "{name}: differences are from plain training");
             assert!(experiment.file.seeds.len() >= 3, "{name}");

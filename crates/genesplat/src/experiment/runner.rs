@@ -72,9 +72,8 @@ enum Reach {
 
 impl Reach {
     fn of(error: &anyhow::Error) -> Self {
-        let diverged = |error: &BackendError| {
-            matches!(error, BackendError::NonFinite { .. } | BackendError::LossNotFinite { .. })
-        };
+        let diverged =
+            |error: &BackendError| matches!(error, BackendError::NonFinite { .. } | BackendError::LossNotFinite { .. });
         match error.downcast_ref() {
             None => Self::All,
             Some(TrainError::Backend(error)) if !diverged(error) => Self::All,
@@ -124,19 +123,15 @@ impl<'a> Runner<'a> {
 
     /// Neither stopped nor bound to fail. A control stands beside an arm that has come to its end.
     fn may_begin(&self, cell: Cell, ran: &Ran<'_>) -> bool {
-        let has_its_arm = self.experiment.arms[cell.arm]
-            .control_of
-            .is_none_or(|arm| ran.results.get(Cell { arm, ..cell }).is_some());
-        !self.stop.load(Ordering::Relaxed)
-            && has_its_arm
-            && !ran.failures.iter().any(|failure| failure.reaches(cell))
+        let has_its_arm =
+            self.experiment.arms[cell.arm].control_of.is_none_or(|arm| ran.results.get(Cell { arm, ..cell }).is_some());
+        !self.stop.load(Ordering::Relaxed) && has_its_arm && !ran.failures.iter().any(|failure| failure.reaches(cell))
     }
 
     /// The settings of a cell; those of a control depend on what its arm has taken.
     pub(crate) fn settings(&self, cell: Cell, results: &Results<'_>) -> Result<Settings> {
         let target = self.experiment.arms[cell.arm].control_of;
-        let seconds =
-            target.and_then(|arm| results.get(Cell { arm, ..cell })).map(|metrics| metrics.seconds.evolution);
+        let seconds = target.and_then(|arm| results.get(Cell { arm, ..cell })).map(|metrics| metrics.seconds.evolution);
         self.experiment.settings(cell, &self.scene_path(cell.scene), self.machine, seconds)
     }
 

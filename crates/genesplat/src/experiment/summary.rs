@@ -57,11 +57,7 @@ fn scenes_and_all(experiment: &Experiment) -> impl Iterator<Item = Option<usize>
 }
 
 /// What `of_scene` has for a scene, or for all of them: one mean a scene, of those that have values.
-fn values_on(
-    experiment: &Experiment,
-    scene: Option<usize>,
-    of_scene: impl Fn(usize) -> Vec<f64>,
-) -> Vec<f64> {
+fn values_on(experiment: &Experiment, scene: Option<usize>, of_scene: impl Fn(usize) -> Vec<f64>) -> Vec<f64> {
     let scenes = 0..experiment.file.scenes.len();
     let mean = |scene| Summary::of(&of_scene(scene)).map(|summary| summary.mean);
     scene.map_or_else(|| scenes.filter_map(mean).collect(), &of_scene)
@@ -129,12 +125,9 @@ fn repeats(results: &Results<'_>) -> String {
 fn tests(results: &Results<'_>, split: Split) -> Table {
     let experiment = results.experiment;
     let row = |metric: Metric, variant: usize, (arm, against): (usize, usize), scene: Option<usize>| {
-        let gains = values_on(experiment, scene, |scene| {
-            results.gains(cell(variant, scene, arm), against, split, metric)
-        });
-        let count = |holds: fn(&f64) -> bool| {
-            Entry::Text(gains.iter().filter(|gain| holds(gain)).count().to_string())
-        };
+        let gains =
+            values_on(experiment, scene, |scene| results.gains(cell(variant, scene, arm), against, split, metric));
+        let count = |holds: fn(&f64) -> bool| Entry::Text(gains.iter().filter(|gain| holds(gain)).count().to_string());
         let p = match wilcoxon_test(&gains) {
             _ if gains.is_empty() => Entry::absent(),
             p if p < 0.001 => Entry::Text("< 0.001".into()),
@@ -206,7 +199,8 @@ mod tests {
 
     /// Two scenes, three seeds, off and paper and its control, with these PSNRs on test photos.
     fn experiment() -> Experiment {
-        let text = "title = \"t\"\nscenes = [\"a\", \"b\"]\nseeds = [0, 1, 2]\nevolve = [\"off\", \"paper\", \"control\"]";
+        let text =
+            "title = \"t\"\nscenes = [\"a\", \"b\"]\nseeds = [0, 1, 2]\nevolve = [\"off\", \"paper\", \"control\"]";
         Experiment::new(toml::from_str(text).unwrap()).unwrap()
     }
 
@@ -235,9 +229,7 @@ mod tests {
     }
 
     fn assert_figure(entry: &Entry, mean: f64, spread: f64) {
-        let Entry::Figure { mean: found, spread: Some(found_spread), .. } = *entry else {
-            panic!("{entry:?}")
-        };
+        let Entry::Figure { mean: found, spread: Some(found_spread), .. } = *entry else { panic!("{entry:?}") };
         assert!((found - mean).abs() < 1e-9 && (found_spread - spread).abs() < 1e-9, "{entry:?}");
     }
 
@@ -268,8 +260,7 @@ mod tests {
         let results = results(&experiment);
         let table = tests(&results, Split::Test);
         let texts = |start: &str| -> Vec<String> {
-            let text =
-                |entry: &Entry| if let Entry::Text(text) = entry { text.clone() } else { String::new() };
+            let text = |entry: &Entry| if let Entry::Text(text) = entry { text.clone() } else { String::new() };
             row(&table, start).iter().map(text).collect()
         };
         assert_eq!(texts("a, 3dgs: paper against off, PSNR"), ["3", "", "3", "0", "0.250"]);

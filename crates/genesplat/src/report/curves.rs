@@ -85,20 +85,10 @@ impl Curves {
 /// Test PSNR and number of Gaussians over time, a curve a run.
 pub(crate) fn over_time(prefix: &str, runs: &[(String, Curves)]) -> [Chart; 2] {
     let chart = |what: &str, points: fn(&Curves) -> &[[f64; 2]]| {
-        let series = |(name, curves): &(String, Curves)| Series {
-            name: name.clone(),
-            points: points(curves).to_vec(),
-        };
-        Chart {
-            caption: format!("{prefix}{what}"),
-            x_name: "iteration",
-            series: runs.iter().map(series).collect(),
-        }
+        let series = |(name, curves): &(String, Curves)| Series { name: name.clone(), points: points(curves).to_vec() };
+        Chart { caption: format!("{prefix}{what}"), x_name: "iteration", series: runs.iter().map(series).collect() }
     };
-    [
-        chart("PSNR of the test photos, dB", |curves| &curves.test_psnr),
-        chart("Gaussians", |curves| &curves.gaussians),
-    ]
+    [chart("PSNR of the test photos, dB", |curves| &curves.test_psnr), chart("Gaussians", |curves| &curves.gaussians)]
 }
 
 #[cfg(test)]

@@ -28,13 +28,7 @@ pub(crate) struct Side<'a> {
 }
 
 /// `photo` names the photo that is shown, `sheet` where the renders of it differ most, and `command` repeats both runs.
-pub(crate) fn to_html(
-    title: &str,
-    sides: &[Side<'_>; 2],
-    photo: &str,
-    sheet: &Photo,
-    command: &str,
-) -> Result<String> {
+pub(crate) fn to_html(title: &str, sides: &[Side<'_>; 2], photo: &str, sheet: &Photo, command: &str) -> Result<String> {
     let [without, with] = sides;
     let Metrics { variant, evolve, seed, iterations, .. } = with.metrics;
     let (iterations, evolve) = (thousands(*iterations as usize), evolve.name());
@@ -70,8 +64,7 @@ pub(crate) fn to_html(
 }
 
 fn figures(without: &Metrics, with: &Metrics) -> [(&'static str, String, String); 4] {
-    let both =
-        |text: &dyn Fn(&Metrics) -> String| (text(with), format!("{} without evolution", text(without)));
+    let both = |text: &dyn Fn(&Metrics) -> String| (text(with), format!("{} without evolution", text(without)));
     [
         ("PSNR of test photos", both(&|run| number(Some(run.test.psnr), 2, " dB"))),
         ("SSIM of test photos", both(&|run| number(Some(run.test.ssim), 4, ""))),

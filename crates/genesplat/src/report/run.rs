@@ -65,15 +65,10 @@ impl RunPage<'_> {
             page.element("p", "No photo was held out.");
             return Ok(());
         };
-        page.element(
-            "p",
-            "Training never saw these photos. Drag the border, or move it with the arrow keys.",
-        );
+        page.element("p", "Training never saw these photos. Drag the border, or move it with the arrow keys.");
         let names = picture_names(&self.scene.test);
         page.open("div class=\"views\"");
-        for (word, at) in
-            [("Best", best), ("Worst", worst)].into_iter().take(if best == worst { 1 } else { 2 })
-        {
+        for (word, at) in [("Best", best), ("Worst", worst)].into_iter().take(if best == worst { 1 } else { 2 }) {
             let render = read_photo(&self.folder.join(TEST).join(&names[at]))?;
             write_view(page, word, &scores[at], &self.scene.test[at], &render);
         }
@@ -122,13 +117,10 @@ fn write_curves(page: &mut Html, curves: Curves) {
 
 /// All scores, and where time went.
 fn write_scores(page: &mut Html, metrics: &Metrics) {
-    let cells =
-        |psnr, ssim, lpips| [number(Some(psnr), 2, ""), number(Some(ssim), 4, ""), number(lpips, 4, "")];
+    let cells = |psnr, ssim, lpips| [number(Some(psnr), 2, ""), number(Some(ssim), 4, ""), number(lpips, 4, "")];
     page.element("h2", "All figures").open("figure class=\"table\"").open("table");
     page.headings(&["", "photos", "PSNR, dB", "SSIM", "LPIPS"]);
-    for (name, Evaluation { psnr, ssim, lpips, views }) in
-        [("test", &metrics.test), ("train", &metrics.train)]
-    {
+    for (name, Evaluation { psnr, ssim, lpips, views }) in [("test", &metrics.test), ("train", &metrics.train)] {
         page.row(name, &[&[views.len().to_string()], &cells(*psnr, *ssim, *lpips)[..]].concat());
     }
     page.close("table").close("figure");
@@ -155,26 +147,22 @@ fn write_scores(page: &mut Html, metrics: &Metrics) {
 /// How to come by the same result.
 pub(crate) fn write_repeat(page: &mut Html, command: &str) {
     page.element("h2", "Repeat").element("pre class=\"command\"", command);
-    let (version, os, architecture) =
-        (env!("CARGO_PKG_VERSION"), std::env::consts::OS, std::env::consts::ARCH);
+    let (version, os, architecture) = (env!("CARGO_PKG_VERSION"), std::env::consts::OS, std::env::consts::ARCH);
     page.element("p class=\"dim\"", &format!("genesplat {version}, {os} {architecture}"));
 }
 
 /// The command of this process, as its user may give it again.
 pub(crate) fn this_command() -> String {
     // Shown only, so what is no text may lose what cannot be shown.
-    let words: Vec<String> =
-        std::env::args_os().skip(1).map(|word| word.to_string_lossy().into_owned()).collect();
+    let words: Vec<String> = std::env::args_os().skip(1).map(|word| word.to_string_lossy().into_owned()).collect();
     command_line(std::iter::once("genesplat").chain(words.iter().map(String::as_str)))
 }
 
 /// `words` as a line that a shell reads as these words.
 pub(crate) fn command_line<'a>(words: impl IntoIterator<Item = &'a str>) -> String {
-    let plain = |word: &str| {
-        !word.is_empty() && word.chars().all(|c| c.is_ascii_alphanumeric() || "-_./=:,+".contains(c))
-    };
-    let quote =
-        |word: &str| if plain(word) { word.to_owned() } else { format!("'{}'", word.replace('\'', "'\\''")) };
+    let plain =
+        |word: &str| !word.is_empty() && word.chars().all(|c| c.is_ascii_alphanumeric() || "-_./=:,+".contains(c));
+    let quote = |word: &str| if plain(word) { word.to_owned() } else { format!("'{}'", word.replace('\'', "'\\''")) };
     words.into_iter().map(quote).collect::<Vec<_>>().join(" ")
 }
 
@@ -184,9 +172,6 @@ mod tests {
 
     #[test]
     fn commands_survive_a_shell() {
-        assert_eq!(
-            command_line(["genesplat", "train", "my scene", "it's"]),
-            "genesplat train 'my scene' 'it'\\''s'"
-        );
+        assert_eq!(command_line(["genesplat", "train", "my scene", "it's"]), "genesplat train 'my scene' 'it'\\''s'");
     }
 }

@@ -55,9 +55,7 @@ fn what_is_left(error: &anyhow::Error, folder: &Path, caller: Caller) -> String 
         }
         (Caller::Experiment, _) => "the same command goes on from there",
         (_, None) => "--resume goes on from there",
-        (_, Some(DeviceFailure::Lost)) => {
-            "the same command with --resume goes on from there, also with --device cpu"
-        }
+        (_, Some(DeviceFailure::Lost)) => "the same command with --resume goes on from there, also with --device cpu",
         (_, Some(DeviceFailure::OutOfMemory)) => {
             "the same command with --resume --device cpu goes on from there, while other limits need a new run"
         }
@@ -111,8 +109,7 @@ mod tests {
         let file = folder.join(CHECKPOINT).display().to_string();
         let errors = [TrainError::Backend(out_of_memory()).into(), out_of_memory().into()];
         for sentence in errors.map(says) {
-            let parts =
-                ["out of memory on toy", &file, "iteration 4213", "--resume --device cpu", "--max-side"];
+            let parts = ["out of memory on toy", &file, "iteration 4213", "--resume --device cpu", "--max-side"];
             assert!(parts.iter().all(|part| sentence.contains(part)), "{sentence}");
         }
         let sentence = says(TrainError::Backend(lost()).into());
@@ -120,15 +117,11 @@ mod tests {
         assert!(parts.iter().all(|part| sentence.contains(part)), "{sentence}");
         assert!(says(other()).ends_with("--resume goes on from there)"));
         // A demo never goes on, and `experiment` knows no --resume.
-        let errors: [fn() -> anyhow::Error; 3] =
-            [|| anyhow!("full"), || out_of_memory().into(), || lost().into()];
+        let errors: [fn() -> anyhow::Error; 3] = [|| anyhow!("full"), || out_of_memory().into(), || lost().into()];
         for error in errors {
             assert_eq!(says_by(Caller::Demo, error()), error().to_string());
             let sentence = says_by(Caller::Experiment, error());
-            assert!(
-                sentence.contains("the same command goes on") && !sentence.contains("--resume"),
-                "{sentence}"
-            );
+            assert!(sentence.contains("the same command goes on") && !sentence.contains("--resume"), "{sentence}");
         }
 
         fs::write(&file, "no checkpoint").unwrap();

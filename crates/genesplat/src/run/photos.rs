@@ -116,7 +116,8 @@ mod tests {
         assert!(check(path, &scene(12)).unwrap_err().to_string().contains("other photos"));
 
         let metrics = |name: &str| {
-            let test = serde_json::json!({"psnr": 9.0, "ssim": 0.5, "views": [{"name": name, "psnr": 9.0, "ssim": 0.5}]});
+            let test =
+                serde_json::json!({"psnr": 9.0, "ssim": 0.5, "views": [{"name": name, "psnr": 9.0, "ssim": 0.5}]});
             let seconds = serde_json::json!({"gradient": 1.0, "evolution": 0.0});
             serde_json::json!({"iterations": 3, "gaussians": 20, "test": test, "train": {"psnr": null, "ssim": null, "views": []},
                 "seconds": seconds, "evolution": []})

@@ -76,8 +76,7 @@ fn results(run: &Path) -> Vec<PathBuf> {
 /// The names of a run's pictures, as far as its figures are known.
 fn pictures(run: &Path) -> Vec<String> {
     let Some(metrics) = Metrics::read(run) else { return Vec::new() };
-    let stays_below =
-        |name: &String| Path::new(name).components().all(|part| matches!(part, Component::Normal(_)));
+    let stays_below = |name: &String| Path::new(name).components().all(|part| matches!(part, Component::Normal(_)));
     names_of_pictures(&metrics.test_photos()).into_iter().filter(stays_below).collect()
 }
 
@@ -128,9 +127,7 @@ mod tests {
         for (name, text) in [("metrics.json", metrics.to_string().as_str()), ("point_cloud.ply", what)] {
             fs::write(run.join(name), text).unwrap();
         }
-        ["test/a.png", "test/mine.png", "b.png"]
-            .iter()
-            .for_each(|name| fs::write(run.join(name), what).unwrap());
+        ["test/a.png", "test/mine.png", "b.png"].iter().for_each(|name| fs::write(run.join(name), what).unwrap());
     }
 
     #[test]

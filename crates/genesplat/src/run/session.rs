@@ -12,8 +12,7 @@ use genesplat::train::Checkpoint;
 use super::metrics::Metrics;
 use super::{CHECKPOINT, CLOUD, CONFIG, FUSED_CLOUD, LOG, METRICS, REPORT, RESULTS, TEST, previous};
 use crate::files::{
-    check_folder, check_writable, remove_if_there, remove_leftovers, unwritable, write_file, write_json,
-    write_text,
+    check_folder, check_writable, remove_if_there, remove_leftovers, unwritable, write_file, write_json, write_text,
 };
 
 /// How a run's `config.toml` begins.
@@ -135,8 +134,7 @@ pub(crate) fn is_run(folder: &Path) -> bool {
 pub(crate) fn is_part_of_run(path: &Path) -> bool {
     let (folder, name) = (path.parent().unwrap_or(path), path.file_name().unwrap_or_default());
     let is_result = name == CONFIG || RESULTS.iter().any(|file| name == *file);
-    let is_render =
-        folder.file_name().is_some_and(|name| name == TEST) && folder.parent().is_some_and(is_run);
+    let is_render = folder.file_name().is_some_and(|name| name == TEST) && folder.parent().is_some_and(is_run);
     is_render || (is_result && is_run(folder))
 }
 
@@ -172,10 +170,9 @@ fn check_is_free(path: &Path) -> Result<()> {
     let foreign = match fs::read(&config) {
         Ok(text) => (!text.starts_with(CONFIG_MARK.as_bytes())).then_some(config),
         Err(error) if error.kind() == ErrorKind::NotFound => foreign_in(path),
-        Err(error) => bail!(
-            "cannot read {}, which tells whose folder this is: {error}; choose another folder",
-            config.display()
-        ),
+        Err(error) => {
+            bail!("cannot read {}, which tells whose folder this is: {error}; choose another folder", config.display())
+        }
     };
     let Some(file) = foreign else { return Ok(()) };
     bail!("{} belongs to something else; choose another folder", file.display())
@@ -210,10 +207,7 @@ impl Lock {
             .map_err(|error| unwritable(&path, &error))?;
         // Some file systems have no locks: there it is up to the user, as it would be without this module.
         if matches!(file.try_lock(), Err(TryLockError::WouldBlock)) {
-            bail!(
-                "another genesplat is writing to {}; wait for it or choose another --out",
-                folder.display()
-            );
+            bail!("another genesplat is writing to {}; wait for it or choose another --out", folder.display());
         }
         Ok(Self { _file: file })
     }

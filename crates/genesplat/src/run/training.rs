@@ -80,14 +80,7 @@ impl Run<'_> {
         }
     }
 
-    fn train(
-        &self,
-        session: &RunSession,
-        device: &mut Device,
-        start: Start,
-        log: Log,
-        load: f64,
-    ) -> Result<Ended> {
+    fn train(&self, session: &RunSession, device: &mut Device, start: Start, log: Log, load: f64) -> Result<Ended> {
         let seconds_before = match &start {
             Start::Checkpoint(saved) => saved.progress.seconds.gradient + saved.progress.seconds.evolution,
             _ => 0.0,
@@ -178,8 +171,7 @@ impl Run<'_> {
 
     fn report(&self, folder: &Path, metrics: &Metrics) -> Result<String> {
         let path = |path: &Path| path.display().to_string();
-        let (dataset, out, saved) =
-            (path(&self.settings.dataset.path), path(folder), path(&folder.join(CONFIG)));
+        let (dataset, out, saved) = (path(&self.settings.dataset.path), path(folder), path(&folder.join(CONFIG)));
         let words = ["genesplat", "train", &dataset, "--out", &out, "--config", &saved];
         let (config, command) = (self.settings.to_toml(), command_line(words));
         RunPage { metrics, scene: self.scene, folder, config: &config, command: &command }.to_html()

@@ -62,8 +62,7 @@ fn on_termination(handler: impl Fn() + Send + 'static) -> Result<()> {
     use signal_hook::consts::SIGTERM;
     use signal_hook::iterator::Signals;
 
-    let mut signals =
-        Signals::new([SIGTERM]).map_err(|error| anyhow!("cannot listen for SIGTERM: {error}"))?;
+    let mut signals = Signals::new([SIGTERM]).map_err(|error| anyhow!("cannot listen for SIGTERM: {error}"))?;
     std::thread::spawn(move || signals.forever().for_each(|_| handler()));
     Ok(())
 }

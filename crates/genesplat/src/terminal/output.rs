@@ -47,9 +47,7 @@ pub(crate) fn is_quiet() -> bool {
 /// Writes a result and a line break to stdout. A reader that has heard enough (`| head`) is no error.
 pub(crate) fn print(text: &str) -> Result<()> {
     match progress::aside(|| writeln!(io::stdout().lock(), "{text}")) {
-        Err(error) if error.kind() != ErrorKind::BrokenPipe => {
-            Err(anyhow!("cannot write to stdout: {error}"))
-        }
+        Err(error) if error.kind() != ErrorKind::BrokenPipe => Err(anyhow!("cannot write to stdout: {error}")),
         _ => Ok(()),
     }
 }

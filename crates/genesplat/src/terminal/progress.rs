@@ -231,8 +231,7 @@ pub(crate) struct LoadBar(Mutex<Option<(u64, Bar)>>);
 
 impl LoadProgress for LoadBar {
     fn start(&self, photos: usize) {
-        *self.0.lock().expect("no thread panics while it holds this") =
-            Some((0, Bar::new("photos", photos as u64)));
+        *self.0.lock().expect("no thread panics while it holds this") = Some((0, Bar::new("photos", photos as u64)));
     }
 
     fn photo_done(&self) {

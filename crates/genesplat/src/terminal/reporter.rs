@@ -187,18 +187,14 @@ fn stage_sentence(record: &StageRecord, gaussians: usize) -> String {
         (StageKind::Renewal, Some([before, after])) if is_kept => {
             // A Gaussian that is replaced makes room for one of a pair.
             let replaced = thousands(changed / 2);
-            format!(
-                "evolution: replaced {replaced} of {all} Gaussians, guard PSNR {before:.2} -> {after:.2} dB"
-            )
+            format!("evolution: replaced {replaced} of {all} Gaussians, guard PSNR {before:.2} -> {after:.2} dB")
         }
         (StageKind::Renewal, _) => {
             "evolution: took the last replacement of Gaussians back, since guard PSNR had fallen".into()
         }
         (StageKind::ExtraSteps, _) => format!("{} extra gradient steps", thousands(renders as usize)),
         (_, Some([before, after])) if is_kept => {
-            format!(
-                "evolution: averaged the weights of the last iterations, guard PSNR {before:.2} -> {after:.2} dB"
-            )
+            format!("evolution: averaged the weights of the last iterations, guard PSNR {before:.2} -> {after:.2} dB")
         }
         (_, Some([psnr, _])) => {
             format!("evolution: kept the weights, since no average raised guard PSNR above {psnr:.2} dB")

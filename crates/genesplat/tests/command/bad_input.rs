@@ -52,23 +52,23 @@ fn a_truncated_points_file() {
 
 #[test]
 fn a_count_of_two_to_the_sixtieth() {
-    Spoilt::new(|scene| {
-        edit(&points(scene), |bytes| bytes[..8].copy_from_slice(&(1u64 << 60).to_le_bytes()))
-    })
-    .fails(&["points3D.bin", "1152921504606846976", "again"]);
+    Spoilt::new(|scene| edit(&points(scene), |bytes| bytes[..8].copy_from_slice(&(1u64 << 60).to_le_bytes())))
+        .fails(&["points3D.bin", "1152921504606846976", "again"]);
 }
 
 #[test]
 fn a_position_that_is_not_a_number() {
     // After the count (8 bytes) and the first point's id (8 bytes) come three f64.
-    Spoilt::new(|scene| edit(&points(scene), |bytes| bytes[16..24].copy_from_slice(&f64::NAN.to_le_bytes())))
-        .fails(&["points3D.bin", "point 1", "not finite"]);
+    Spoilt::new(|scene| edit(&points(scene), |bytes| bytes[16..24].copy_from_slice(&f64::NAN.to_le_bytes()))).fails(&[
+        "points3D.bin",
+        "point 1",
+        "not finite",
+    ]);
 }
 
 #[test]
 fn no_points() {
-    Spoilt::new(|scene| fs::write(points(scene), 0u64.to_le_bytes()).unwrap())
-        .fails(&["points3D.bin", "0 points"]);
+    Spoilt::new(|scene| fs::write(points(scene), 0u64.to_le_bytes()).unwrap()).fails(&["points3D.bin", "0 points"]);
 }
 
 #[test]
@@ -94,8 +94,7 @@ fn a_photo_of_another_size() {
 
 #[test]
 fn a_photo_that_is_none() {
-    Spoilt::new(|scene| fs::write(photo(scene), b"hello").unwrap())
-        .fails(&["gallery_003.png", "neither a PNG nor"]);
+    Spoilt::new(|scene| fs::write(photo(scene), b"hello").unwrap()).fails(&["gallery_003.png", "neither a PNG nor"]);
 }
 
 #[test]
@@ -122,9 +121,8 @@ fn paths_that_are_no_text() {
     let odd = folder.path().join(OsStr::from_bytes(b"sc\xffne"));
     write_gallery(&odd);
     let out = folder.path().join("run");
-    let arguments = |out: &Path| {
-        [OsStr::new("train"), odd.as_os_str(), OsStr::new("--out"), out.as_os_str()].map(OsStr::to_owned)
-    };
+    let arguments =
+        |out: &Path| [OsStr::new("train"), odd.as_os_str(), OsStr::new("--out"), out.as_os_str()].map(OsStr::to_owned);
     let cpu = ["--device", "cpu", "--iterations", "3"].map(OsStr::new).map(OsStr::to_owned);
     fail(arguments(&out).iter().chain(&cpu), &["path of the scene", "not UTF-8", "rename"]);
     assert!(!out.exists());
@@ -154,10 +152,7 @@ fn a_results_folder_that_cannot_be_written_fails_before_anything_is_read() {
     fail(train(&absent_scene, &file.join("run"), &[]), &["cannot write", "config.toml"]);
     let splat = folder.path().join("absent.ply");
     let out = file.join("splat.ply");
-    fail(
-        ["refine", text(&splat), "--data", text(scene()), "--out", text(&out)],
-        &["cannot write", "splat.ply"],
-    );
+    fail(["refine", text(&splat), "--data", text(scene()), "--out", text(&out)], &["cannot write", "splat.ply"]);
 }
 
 /// `/dev/full` is a full disk: the log is sent there, and training stops at its first line.

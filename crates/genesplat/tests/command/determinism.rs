@@ -27,10 +27,7 @@ fn threads_change_nothing_and_seeds_do() {
     let (one, metrics) = run("one", &["--threads", "1", "--seed", "3"]);
     let stages = metrics["evolution"].as_array().unwrap();
     assert_eq!(stages.len(), 4);
-    assert!(
-        stages.iter().any(|stage| stage["changed"].as_u64() > Some(0)),
-        "evolution took part: {stages:?}"
-    );
+    assert!(stages.iter().any(|stage| stage["changed"].as_u64() > Some(0)), "evolution took part: {stages:?}");
     assert!(one == run("two", &["--threads", "2", "--seed", "3"]).0, "two threads");
     assert!(one == run("seven", &["--threads", "7", "--seed", "3"]).0, "seven threads");
     assert!(one != run("other", &["--threads", "2", "--seed", "4"]).0, "another seed");
@@ -61,8 +58,7 @@ fn threads_change_nothing_in_renewal_and_averaging_either() {
     let folder = tempfile::tempdir().unwrap();
     let run = |threads: &str| {
         let out = folder.path().join(threads);
-        let flags =
-            ["--steps-scale", "0.02", "--max-gaussians", "1200", "--evolve", "renew", "--threads", threads];
+        let flags = ["--steps-scale", "0.02", "--max-gaussians", "1200", "--evolve", "renew", "--threads", threads];
         succeed(train(scene(), &out, &flags));
         (cloud(&out), json(&out.join("metrics.json")))
     };
@@ -74,8 +70,7 @@ fn threads_change_nothing_in_renewal_and_averaging_either() {
         let took_part = of_kind.iter().any(|stage| stage["changed"].as_u64() > Some(0));
         assert!(took_part, "{kind}: {of_kind:?}");
     }
-    let never_worse =
-        |stage: &serde_json::Value| number(&stage["guard_psnr"][1]) >= number(&stage["guard_psnr"][0]);
+    let never_worse = |stage: &serde_json::Value| number(&stage["guard_psnr"][1]) >= number(&stage["guard_psnr"][0]);
     assert!(stages.iter().all(never_worse), "{stages:?}");
     assert!(one == run("2").0, "two threads");
     assert!(one == run("7").0, "seven threads");

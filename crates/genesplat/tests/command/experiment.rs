@@ -52,10 +52,7 @@ fn figures(out: &Path) -> Vec<Vec<String>> {
     let lines = text.lines().map(|line| line.split(',').map(str::to_owned).collect::<Vec<_>>());
     let header: Vec<String> = text.lines().next().unwrap().split(',').map(str::to_owned).collect();
     let kept: Vec<usize> = (0..header.len()).filter(|&at| !header[at].ends_with("_seconds")).collect();
-    lines
-        .filter(|line| line[2] != "control")
-        .map(|line| kept.iter().map(|&at| line[at].clone()).collect())
-        .collect()
+    lines.filter(|line| line[2] != "control").map(|line| kept.iter().map(|&at| line[at].clone()).collect()).collect()
 }
 
 #[test]
@@ -71,8 +68,7 @@ fn finished_cells_are_left_alone_and_spoilt_ones_repeated() {
     // A control spends what its arm has taken, and nothing else about it differs.
     let cell = |name: &str| out.join("cells/gallery/3dgs").join(name);
     let taken = json(&cell("paper/seed-1/metrics.json"))["seconds"]["evolution"].as_f64().unwrap();
-    let config: toml::Table =
-        fs::read_to_string(cell("control/seed-1/config.toml")).unwrap().parse().unwrap();
+    let config: toml::Table = fs::read_to_string(cell("control/seed-1/config.toml")).unwrap().parse().unwrap();
     assert_eq!(config["evolution"]["extra_steps"]["seconds"].as_float(), Some(taken));
     assert_eq!(config["evolution"]["mode"].as_str(), Some("off"));
 
@@ -90,8 +86,7 @@ fn finished_cells_are_left_alone_and_spoilt_ones_repeated() {
     let board = String::from_utf8(output.stderr).unwrap();
     assert_eq!(board.lines().filter(|line| line.ends_with("finished before")).count(), 3, "{board}");
     let again = times(&out);
-    let repeated: Vec<&str> =
-        first.keys().filter(|name| first[*name] != again[*name]).map(String::as_str).collect();
+    let repeated: Vec<&str> = first.keys().filter(|name| first[*name] != again[*name]).map(String::as_str).collect();
     assert_eq!(repeated, ["control/seed-1", "off/seed-0", "paper/seed-1"]);
     assert_eq!(figures(&out), whole, "the same figures");
 
@@ -152,8 +147,7 @@ fn pages_are_whole_escaped_and_load_nothing() {
         assert!(html.contains("src=") && html.len() < 900_000, "{page} has {} bytes", html.len());
     }
     let html = fs::read_to_string(out.join(run)).unwrap();
-    for part in ["<svg", "PSNR of the test photos", "Every stage", "steps_scale", "genesplat train", "Worst"]
-    {
+    for part in ["<svg", "PSNR of the test photos", "Every stage", "steps_scale", "genesplat train", "Worst"] {
         assert!(html.contains(part), "{part}");
     }
     let html = fs::read_to_string(out.join("report.html")).unwrap();
@@ -196,10 +190,7 @@ fn a_finished_experiment_keeps_its_tables_where_its_scene_has_changed() {
         fs::remove_file(&tables).unwrap();
         let output = run(&arguments);
         let stderr = String::from_utf8(output.stderr).unwrap();
-        assert!(
-            output.status.success() && stderr.contains("notice: there are no pictures of one"),
-            "{stderr}"
-        );
+        assert!(output.status.success() && stderr.contains("notice: there are no pictures of one"), "{stderr}");
         assert!(stderr.contains(sign) && before == fs::read(&tables).unwrap(), "{stderr}");
     }
 }
@@ -214,10 +205,7 @@ fn a_cell_is_not_run_beside_others_of_other_photos() {
     let cell = folder.path().join("out/cells/one/3dgs/paper/seed-0");
     fs::remove_dir_all(&cell).unwrap();
     write_scene(&scene, [48, 32], 9);
-    fail(
-        &arguments,
-        &["off/seed-0", "other photos than one has now", "choose another --out", "remove that folder"],
-    );
+    fail(&arguments, &["off/seed-0", "other photos than one has now", "choose another --out", "remove that folder"]);
     assert!(!cell.exists());
     write_scene(&scene, [48, 32], 17);
     succeed(&arguments);
@@ -265,8 +253,7 @@ fn an_arm_that_fails_keeps_only_its_control_from_running() {
     let bad = "[[arms]]\nname = \"bad\"\nconfig.evolution.mode = \"paper\"\nconfig.densify = { from = 1, every = 2, prune_opacity = 0.2, reset_opacity = 0.3 }\n\
                [[arms]]\nname = \"good\"\n";
     let file = folder.path().join("small.toml");
-    fs::write(&file, SMALL.replace("seeds = [0, 1]", "seeds = [0]\nevolve = [\"off\", \"control\"]") + bad)
-        .unwrap();
+    fs::write(&file, SMALL.replace("seeds = [0, 1]", "seeds = [0]\nevolve = [\"off\", \"control\"]") + bad).unwrap();
     let out = folder.path().join("out");
     fail(experiment(&file, &out, &[]), &["bad/seed-0", "every Gaussian was pruned"]);
     let arms: Vec<String> = times(&out).into_keys().collect();

@@ -39,14 +39,10 @@ fn worst_error(folder: &Path, metric: &Lpips) -> f64 {
     let name = metric.net().name();
     let mut worst = 0f64;
     for pair in reference["pairs"].as_array().unwrap() {
-        let [a, b] = ["a", "b"]
-            .map(|key| read_photo(&folder.join("pairs").join(pair[key].as_str().unwrap())).unwrap());
+        let [a, b] = ["a", "b"].map(|key| read_photo(&folder.join("pairs").join(pair[key].as_str().unwrap())).unwrap());
         let layers = metric.layers(&a, &b, InputRange::MinusOneToOne).unwrap();
-        let mut errors: Vec<f64> = layers
-            .iter()
-            .zip(figures(&pair[format!("{name}_per_layer")]))
-            .map(|(a, b)| (a - b).abs())
-            .collect();
+        let mut errors: Vec<f64> =
+            layers.iter().zip(figures(&pair[format!("{name}_per_layer")])).map(|(a, b)| (a - b).abs()).collect();
         errors.push((layers.iter().sum::<f64>() - pair[name].as_f64().unwrap()).abs());
         if metric.net() == Net::Vgg16 {
             let published = pair["vgg16_inputs01_as_inria_metrics_py"].as_f64().unwrap();
@@ -163,8 +159,7 @@ fn installed_weights_are_used_by_every_command_and_can_be_switched_off() {
     assert!(json(&file)["lpips"].is_null() && !said.contains("LPIPS"), "{said}");
     // The variable and the flag win over the cache folder.
     let nowhere = folder.path().join("nowhere");
-    let output =
-        command(evaluate).env("XDG_CACHE_HOME", &cache).env("GENESPLAT_LPIPS", &nowhere).output().unwrap();
+    let output = command(evaluate).env("XDG_CACHE_HOME", &cache).env("GENESPLAT_LPIPS", &nowhere).output().unwrap();
     assert!(String::from_utf8_lossy(&output.stderr).contains("no LPIPS weights at"));
     // Set to nothing, it is not set.
     let output = command(evaluate).env("XDG_CACHE_HOME", &cache).env("GENESPLAT_LPIPS", "").output().unwrap();

@@ -88,10 +88,7 @@ fn no_output_flag_writes_over_what_is_not_its_own() {
         fs::remove_file(results).unwrap();
     }
     fail(["demo", "--out", text(&at("demo"))], &["something else", "choose another folder"]);
-    fail(
-        ["experiment", "smoke", "--out", text(&run)],
-        &["report.html", "not written by genesplat experiment"],
-    );
+    fail(["experiment", "smoke", "--out", text(&run)], &["report.html", "not written by genesplat experiment"]);
     assert!(before == files(place.path()));
 }
 

@@ -12,18 +12,8 @@ use genesplat::gallery::{self, GalleryOptions};
 use crate::support::{cloud, command, fail, json, judge_failure, scene, succeed, text, train, write_gallery};
 
 /// Long enough to be caught in the act; evolves four times.
-const SCHEDULE: [&str; 10] = [
-    "--steps-scale",
-    "0.1",
-    "--max-gaussians",
-    "1200",
-    "--evolve",
-    "paper",
-    "--generations",
-    "2",
-    "--population",
-    "6",
-];
+const SCHEDULE: [&str; 10] =
+    ["--steps-scale", "0.1", "--max-gaussians", "1200", "--evolve", "paper", "--generations", "2", "--population", "6"];
 
 /// Starts a run, and presses Ctrl-C once its log holds a line with `sign`. Returns what it said.
 fn interrupt(out: &Path, more: &[&str], sign: &str) -> String {
@@ -39,13 +29,7 @@ fn signal(command: &mut Command, out: &Path, sign: &str, signal: &str) -> Output
 }
 
 /// The same, with something done to the folder just before.
-fn meddle_and_signal(
-    command: &mut Command,
-    out: &Path,
-    sign: &str,
-    signal: &str,
-    meddle: impl FnOnce(),
-) -> Output {
+fn meddle_and_signal(command: &mut Command, out: &Path, sign: &str, signal: &str, meddle: impl FnOnce()) -> Output {
     let child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
     let log = out.join("log.jsonl");
     let deadline = Instant::now() + Duration::from_secs(100);
@@ -152,8 +136,7 @@ fn an_interrupted_run_is_neither_overwritten_nor_resumed_as_another() {
 #[test]
 fn a_run_goes_on_with_its_own_scene_only_wherever_that_is_now() {
     let folder = tempfile::tempdir().unwrap();
-    let [out, before, after, other] =
-        ["run", "before", "after", "other"].map(|name| folder.path().join(name));
+    let [out, before, after, other] = ["run", "before", "after", "other"].map(|name| folder.path().join(name));
     write_gallery(&before);
     let output = signal(&mut command(train(&before, &out, &SCHEDULE)), &out, r#""event":"step""#, "-TERM");
     assert_eq!(output.status.code(), Some(130), "SIGTERM saves, too");
@@ -197,8 +180,7 @@ fn a_search_that_is_stopped_says_so_and_writes_what_it_has() {
     let folder = tempfile::tempdir().unwrap();
     let [run, out] = ["run", "refined.ply"].map(|name| folder.path().join(name));
     succeed(train(scene(), &run, &["--iterations", "3"]));
-    let arguments =
-        ["refine", text(&run), "--data", text(scene()), "--out", text(&out), "--generations", "100000"];
+    let arguments = ["refine", text(&run), "--data", text(scene()), "--out", text(&out), "--generations", "100000"];
     let mut child = command(arguments).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
     let mut stdout = BufReader::new(child.stdout.take().unwrap());
     assert!(stdout.by_ref().lines().any(|line| line.unwrap().starts_with("before train")));
@@ -225,8 +207,5 @@ fn nohup_is_respected() {
 #[test]
 fn without_a_run_there_is_nothing_to_resume() {
     let folder = tempfile::tempdir().unwrap();
-    fail(
-        train(scene(), &folder.path().join("absent"), &["--resume"]),
-        &["absent", "not the folder of a run"],
-    );
+    fail(train(scene(), &folder.path().join("absent"), &["--resume"]), &["absent", "not the folder of a run"]);
 }

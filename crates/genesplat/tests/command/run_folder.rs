@@ -31,23 +31,9 @@ fn a_run_folder_is_complete() {
     assert!(said.contains("test") && said.contains("PSNR") && said.contains("point_cloud.ply"), "{said}");
 
     let metrics = json(&out.join("metrics.json"));
-    let top = [
-        "schema",
-        "dataset",
-        "variant",
-        "evolve",
-        "seed",
-        "iterations",
-        "gaussians",
-        "test",
-        "train",
-        "seconds",
-    ];
+    let top = ["schema", "dataset", "variant", "evolve", "seed", "iterations", "gaussians", "test", "train", "seconds"];
     assert_keys(&metrics, &[&top[..], &["peak_memory_bytes", "evolution"]].concat());
-    assert_eq!(
-        (&metrics["schema"], &metrics["seed"], &metrics["iterations"]),
-        (&1.into(), &11.into(), &600.into())
-    );
+    assert_eq!((&metrics["schema"], &metrics["seed"], &metrics["iterations"]), (&1.into(), &11.into(), &600.into()));
     assert_eq!((&metrics["variant"], &metrics["evolve"]), (&"3dgs".into(), &"paper".into()));
     for (split, photos) in [("test", 2), ("train", 10)] {
         let scores = &metrics[split];
@@ -61,16 +47,12 @@ fn a_run_folder_is_complete() {
     }
     let seconds = &metrics["seconds"];
     assert_keys(seconds, &["load", "gradient", "evolution", "evaluate", "total"]);
-    let sum: f64 =
-        ["load", "gradient", "evolution", "evaluate"].iter().map(|key| seconds[key].as_f64().unwrap()).sum();
+    let sum: f64 = ["load", "gradient", "evolution", "evaluate"].iter().map(|key| seconds[key].as_f64().unwrap()).sum();
     assert!(sum <= seconds["total"].as_f64().unwrap());
     let stages = metrics["evolution"].as_array().unwrap();
     assert_eq!(stages.len(), 4, "one after each reset");
     for stage in stages {
-        assert_keys(
-            stage,
-            &["iteration", "generations", "renders", "fitness_before", "fitness_after", "seconds"],
-        );
+        assert_keys(stage, &["iteration", "generations", "renders", "fitness_before", "fitness_after", "seconds"]);
         assert!(number(&stage["fitness_after"]) <= number(&stage["fitness_before"]), "never worse: {stage}");
     }
 
@@ -126,8 +108,7 @@ fn what_a_killed_run_has_left_is_cleared_away() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("run");
     succeed(train(scene(), &out, &["--iterations", "3"]));
-    let [partial, mine] =
-        ["checkpoint/.genesplat-4711-3.tmp", "checkpoint/mine.tmp"].map(|name| out.join(name));
+    let [partial, mine] = ["checkpoint/.genesplat-4711-3.tmp", "checkpoint/mine.tmp"].map(|name| out.join(name));
     std::fs::create_dir_all(out.join("checkpoint")).unwrap();
     [&partial, &mine].iter().for_each(|file| std::fs::write(file, "x").unwrap());
     succeed(train(scene(), &out, &["--iterations", "3"]));
@@ -172,14 +153,10 @@ fn a_mistyped_path_costs_no_results() {
 fn options_of_the_methods_reach_the_run_and_its_splat() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("run");
-    let options =
-        ["--background", "white", "--antialiasing", "--densify-signal", "absgrad", "--iterations", "30"];
+    let options = ["--background", "white", "--antialiasing", "--densify-signal", "absgrad", "--iterations", "30"];
     succeed(train(scene(), &out, &options));
     let config: toml::Table = std::fs::read_to_string(out.join("config.toml")).unwrap().parse().unwrap();
-    assert_eq!(
-        (config["background"].as_str(), config["antialiasing"].as_bool()),
-        (Some("white"), Some(true))
-    );
+    assert_eq!((config["background"].as_str(), config["antialiasing"].as_bool()), (Some("white"), Some(true)));
     assert_eq!(config["densify"]["signal"].as_str(), Some("absolute"));
     assert!(!out.join("point_cloud_fused.ply").exists());
     // The splat alone says how it is to be rendered; only its background is not in it.
@@ -213,10 +190,7 @@ fn mip_splatting_leaves_a_splat_for_any_viewer() {
             "--json".into(),
             text(&scores).to_owned(),
         ]);
-        (
-            read_ply_with_header(&out.join(name)).unwrap().0.has_filter_3d,
-            json(&scores)["psnr"].as_f64().unwrap(),
-        )
+        (read_ply_with_header(&out.join(name)).unwrap().0.has_filter_3d, json(&scores)["psnr"].as_f64().unwrap())
     });
     assert!(own.0 && !fused.0);
     assert!((own.1 - fused.1).abs() < 1e-3, "{own:?} {fused:?}");

@@ -31,8 +31,7 @@ fn evaluating_a_run_repeats_its_metrics() {
     let (run, file) = (finished_run(), folder.path().join("scores.json"));
     let metrics = json(&run.join("metrics.json"));
     for split in ["test", "train"] {
-        let arguments =
-            ["evaluate", text(&run), "--data", text(scene()), "--split", split, "--json", text(&file)];
+        let arguments = ["evaluate", text(&run), "--data", text(scene()), "--split", split, "--json", text(&file)];
         assert!(succeed(arguments).contains("PSNR"));
         let scores = json(&file);
         assert_eq!(scores["psnr"], metrics[split]["psnr"], "at the size that the run was trained at");
@@ -41,8 +40,7 @@ fn evaluating_a_run_repeats_its_metrics() {
     }
     // The bare PLY does not know that size; given by flag, the figures are the same.
     let ply = run.join("point_cloud.ply");
-    let arguments =
-        ["evaluate", text(&ply), "--data", text(scene()), "--max-side", "56", "--json", text(&file)];
+    let arguments = ["evaluate", text(&ply), "--data", text(scene()), "--max-side", "56", "--json", text(&file)];
     succeed(arguments);
     assert_eq!(json(&file)["psnr"], metrics["test"]["psnr"]);
 }
@@ -82,10 +80,7 @@ fn a_run_that_has_no_splat_yet_is_named_as_such() {
     let folder = tempfile::tempdir().unwrap();
     let evaluate = ["evaluate", text(folder.path()), "--data", text(scene())];
     std::fs::copy(finished_run().join("config.toml"), folder.path().join("config.toml")).unwrap();
-    fail(
-        evaluate,
-        &["unfinished", "genesplat train", text(scene()), text(folder.path()), "--config", "anew"],
-    );
+    fail(evaluate, &["unfinished", "genesplat train", text(scene()), text(folder.path()), "--config", "anew"]);
     std::fs::create_dir(folder.path().join("checkpoint")).unwrap();
     std::fs::write(folder.path().join("checkpoint/latest.checkpoint"), "hours of work").unwrap();
     fail(evaluate, &["unfinished", "genesplat train", "--resume goes on"]);
@@ -147,16 +142,7 @@ fn renders_are_those_of_the_evaluation() {
     succeed(["render", text(&run), "--data", text(scene()), "--split", "all", "--out", text(&all)]);
     assert_eq!(std::fs::read_dir(&all).unwrap().count(), 12);
     let one = folder.path().join("one.png");
-    succeed([
-        "render",
-        text(&run),
-        "--data",
-        text(scene()),
-        "--image",
-        "gallery_008.png",
-        "--out",
-        text(&one),
-    ]);
+    succeed(["render", text(&run), "--data", text(scene()), "--image", "gallery_008.png", "--out", text(&one)]);
     let truth = read_photo(&run.join("test/gallery_008.png")).unwrap();
     assert_eq!(read_photo(&one).unwrap(), truth);
     assert_eq!(read_photo(&all.join("gallery_008.png")).unwrap(), truth);
@@ -325,12 +311,9 @@ fn a_step_is_timed() {
         for stage in ["project", "bin", "rasterise", "loss", "rasterise_backward", "update"] {
             assert!(report["stages"][stage].as_f64() > Some(0.0), "{stage}");
         }
-        for figure in [
-            "milliseconds",
-            "tile_splats",
-            "blend_nanoseconds_per_tile_splat",
-            "roofline_nanoseconds_per_tile_splat",
-        ] {
+        for figure in
+            ["milliseconds", "tile_splats", "blend_nanoseconds_per_tile_splat", "roofline_nanoseconds_per_tile_splat"]
+        {
             assert!(report[figure].as_f64() > Some(0.0), "{figure}");
         }
     }
@@ -384,9 +367,7 @@ fn bench_evolution_finds_the_same_losses_both_ways() {
     let report = json(&file);
     assert_eq!((report["gaussians"].as_u64(), report["views"].as_u64()), (Some(1500), Some(1)));
     assert!(number(&report["max_relative_difference"]) <= 1e-5, "{report}");
-    for figure in
-        ["renders_per_second", "plain_renders_per_second", "ratio", "population_bytes", "scoring_bytes"]
-    {
+    for figure in ["renders_per_second", "plain_renders_per_second", "ratio", "population_bytes", "scoring_bytes"] {
         assert!(report[figure].as_f64() > Some(0.0), "{figure}");
     }
 }
@@ -396,8 +377,7 @@ fn bench_evolution_finds_the_same_losses_both_ways() {
 fn bench_gpu_measures_or_says_why_not() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("gpu.json");
-    let arguments =
-        ["bench", "gpu", "--gaussians", "300,600", "--width", "64", "--height", "48", "--steps", "2"];
+    let arguments = ["bench", "gpu", "--gaussians", "300,600", "--width", "64", "--height", "48", "--steps", "2"];
     let arguments = arguments.into_iter().chain(["--population", "3", "--json", text(&file)]);
     judge_failure(without_drivers(arguments.clone()).output().unwrap(), &["no graphics device"]);
     if !succeed(["devices"]).contains("--device") {
@@ -421,10 +401,7 @@ fn judge_gpu(report: &serde_json::Value, gaussians: &[usize], views: usize) {
     assert!(report["memory_bytes_per_second"].as_f64() > Some(0.0), "{report}");
     for size in sizes {
         let floors = size["floor_milliseconds"].as_array().unwrap();
-        assert!(
-            floors.iter().all(|floor| floor[1].as_f64() > Some(0.0)),
-            "a stage that is not known: {size}"
-        );
+        assert!(floors.iter().all(|floor| floor[1].as_f64() > Some(0.0)), "a stage that is not known: {size}");
         assert!(size["milliseconds"].as_f64() > Some(0.0) && size["ratio"].as_f64() > Some(0.0), "{size}");
         assert!(number(&size["max_relative_difference"]) <= 1e-5, "{size}");
     }
@@ -456,7 +433,5 @@ fn auto_without_a_driver_trains_on_the_cpu_and_says_so() {
 #[test]
 fn devices_are_listed() {
     let said = succeed(["devices"]);
-    assert!(
-        said.lines().any(|line| line.starts_with("cpu")) && said.lines().any(|line| line.starts_with("gpu"))
-    );
+    assert!(said.lines().any(|line| line.starts_with("cpu")) && said.lines().any(|line| line.starts_with("gpu")));
 }

@@ -18,12 +18,7 @@ const SLACK_PX: f32 = 1e-2;
 
 /// Calls `each(tile, blocks)` for every tile that the splat reaches, row by row.
 #[inline(always)]
-pub(super) fn for_each_tile<S: Simd>(
-    simd: S,
-    splat: &Splat,
-    grid: [usize; 2],
-    mut each: impl FnMut(u32, u32),
-) {
+pub(super) fn for_each_tile<S: Simd>(simd: S, splat: &Splat, grid: [usize; 2], mut each: impl FnMut(u32, u32)) {
     if let Some([column, row]) = only_block(splat, grid) {
         let tile = row / BLOCKS_ACROSS * grid[0] + column / BLOCKS_ACROSS;
         let bit = row % BLOCKS_ACROSS * BLOCKS_ACROSS + column % BLOCKS_ACROSS;
@@ -69,12 +64,7 @@ fn only_block(splat: &Splat, grid: [usize; 2]) -> Option<[usize; 2]> {
 
 /// Block columns `[from, to)` that the ellipse covers in each of eight bands; empty where `from ≥ to`.
 #[inline(always)]
-fn column_spans<S: Simd>(
-    simd: S,
-    splat: &Splat,
-    first_band: i32,
-    column_limit: i32,
-) -> ([i32; BANDS], [i32; BANDS]) {
+fn column_spans<S: Simd>(simd: S, splat: &Splat, first_band: i32, column_limit: i32) -> ([i32; BANDS], [i32; BANDS]) {
     let ellipse = Ellipse::of(splat);
     let lane = f32x8::simd_from(simd, LANE);
     let top = lane * BLOCK as f32 + (first_band as f32 * BLOCK as f32 - splat.mean_px[1]);
@@ -85,10 +75,8 @@ fn column_spans<S: Simd>(
     // Where the boundaries reach furthest: the ellipse's own extreme rows, or the nearest row of the band.
     let extreme = -ellipse.b * splat.half_extent_px[0] / ellipse.c;
     let (low, high) = (top.max(-height), bottom.min(height));
-    let right =
-        ellipse.boundary(f32x8::splat(simd, extreme).max(low).min(high), 1.0) + (splat.mean_px[0] + SLACK_PX);
-    let left = ellipse.boundary(f32x8::splat(simd, -extreme).max(low).min(high), -1.0)
-        + (splat.mean_px[0] - SLACK_PX);
+    let right = ellipse.boundary(f32x8::splat(simd, extreme).max(low).min(high), 1.0) + (splat.mean_px[0] + SLACK_PX);
+    let left = ellipse.boundary(f32x8::splat(simd, -extreme).max(low).min(high), -1.0) + (splat.mean_px[0] - SLACK_PX);
 
     // Block j covers pixel centres 4j to 4j + 3.
     let limit = column_limit as f32;

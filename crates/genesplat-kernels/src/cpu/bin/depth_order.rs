@@ -101,8 +101,7 @@ fn range_ends(splats: &Splats, ranges: usize) -> Vec<u64> {
     let (chunks, wanted) = (chunks(splats), ranges * SAMPLES_PER_RANGE);
     let sampled = (0..chunks).step_by((chunks / wanted).max(1));
     let apart = CHUNK.div_ceil(wanted.div_ceil(sampled.len().max(1)));
-    let mut sample: Vec<u64> =
-        sampled.flat_map(|chunk| keys_of(splats, chunk..chunk + 1).step_by(apart)).collect();
+    let mut sample: Vec<u64> = sampled.flat_map(|chunk| keys_of(splats, chunk..chunk + 1).step_by(apart)).collect();
     sample.sort_unstable();
     let at = |range: usize| sample.get(sample.len() * range / ranges).copied().unwrap_or_default();
     (1..ranges).map(at).collect()

@@ -71,10 +71,8 @@ pub struct Bins {
 
 impl Bins {
     pub fn bytes(&self) -> usize {
-        let Self { intersections, tile_starts, splat_ranges, places, order, unsorted, counts, next, parts } =
-            self;
-        let lists =
-            bytes_of(intersections) + bytes_of(tile_starts) + bytes_of(splat_ranges) + bytes_of(places);
+        let Self { intersections, tile_starts, splat_ranges, places, order, unsorted, counts, next, parts } = self;
+        let lists = bytes_of(intersections) + bytes_of(tile_starts) + bytes_of(splat_ranges) + bytes_of(places);
         let unsorted: usize = unsorted.iter().map(bytes_of).sum();
         let counts: usize = counts.iter().map(bytes_of).sum();
         let parts: usize = parts.iter().map(Part::bytes).sum();

@@ -63,12 +63,7 @@ pub(crate) fn each_block(mut blocks: u32, mut visit: impl FnMut(usize)) {
 
 /// Transmittance 1 at the pixels of a block that lie in the image; those outside are finished before they begin.
 #[inline(always)]
-pub(crate) fn full_transmittance<S: Simd>(
-    simd: S,
-    block: usize,
-    origin: [usize; 2],
-    size_px: [u32; 2],
-) -> V<S> {
+pub(crate) fn full_transmittance<S: Simd>(simd: S, block: usize, origin: [usize; 2], size_px: [u32; 2]) -> V<S> {
     let limit = |axis: usize| size_px[axis] as f32 - origin[axis] as f32;
     let x = V::simd_from(simd, COLUMN_PX[block % BLOCKS_ACROSS]);
     let y = V::simd_from(simd, ROW_PX[block / BLOCKS_ACROSS]);

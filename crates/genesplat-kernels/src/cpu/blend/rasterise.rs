@@ -10,9 +10,7 @@ use fearless_simd::{Level, Simd, dispatch, prelude::*};
 use genesplat_core::Image;
 use rayon::prelude::*;
 
-use super::block::{
-    ALL_BLOCKS, Alpha, BLOCKS, absorb, alpha, each_block, each_splat, finish, full_transmittance,
-};
+use super::block::{ALL_BLOCKS, Alpha, BLOCKS, absorb, alpha, each_block, each_splat, finish, full_transmittance};
 use crate::cpu::bin::{BLOCK, BLOCKS_ACROSS, Bins, Intersection};
 use crate::cpu::simd::{LANES, V};
 use crate::cpu::view::{Pinhole, Splat, Splats, TILE};
@@ -33,13 +31,7 @@ impl Default for TileImage {
 
 const TRANSMITTANCE: usize = 3;
 
-pub(crate) fn rasterise(
-    level: Level,
-    splats: &Splats,
-    bins: &Bins,
-    camera: &Pinhole,
-    tiles: &mut Vec<TileImage>,
-) {
+pub(crate) fn rasterise(level: Level, splats: &Splats, bins: &Bins, camera: &Pinhole, tiles: &mut Vec<TileImage>) {
     let grid = camera.grid();
     tiles.resize_with(grid[0] * grid[1], TileImage::default);
     tiles.par_iter_mut().enumerate().for_each(|(tile, out)| {

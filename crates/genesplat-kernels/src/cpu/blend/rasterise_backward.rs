@@ -12,8 +12,7 @@ use genesplat_core::DensitySignal;
 use rayon::prelude::*;
 
 use super::block::{
-    ALL_BLOCKS, Alpha, BLOCKS, COLUMN_PX, ROW_PX, absorb, alpha, each_block, each_splat, finish,
-    full_transmittance,
+    ALL_BLOCKS, Alpha, BLOCKS, COLUMN_PX, ROW_PX, absorb, alpha, each_block, each_splat, finish, full_transmittance,
 };
 use super::gradient_row::{GradientRow, sum_lanes};
 use crate::cpu::bin::{BLOCK, BLOCKS_ACROSS, Intersection, split};
@@ -87,12 +86,7 @@ struct Terms {
 }
 
 #[inline(always)]
-fn backward_tile<const EXTRA: u8, S: Simd>(
-    simd: S,
-    task: &TileTask,
-    state: &mut TileState,
-    rows: &mut [GradientRow],
-) {
+fn backward_tile<const EXTRA: u8, S: Simd>(simd: S, task: &TileTask, state: &mut TileState, rows: &mut [GradientRow]) {
     let mut live = begin(simd, task, state);
     let visited = each_splat(
         task.splats,

@@ -61,8 +61,7 @@ impl Scorer {
                     pool.losses(level, cloud, of_view, settings, buffers)
                 }));
             }
-            losses
-                .extend((0..individuals.len()).flat_map(|index| by_view.iter().map(move |view| view[index])));
+            losses.extend((0..individuals.len()).flat_map(|index| by_view.iter().map(move |view| view[index])));
         }
         losses
     }

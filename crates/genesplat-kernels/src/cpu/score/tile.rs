@@ -290,10 +290,7 @@ mod tests {
                 }
                 let [actual_red, _, _, actual_passing] = lights[individual].0.map(|values| values[lane]);
                 assert!((actual_red - red).abs() < 1e-5, "{individual}, {lane}: {actual_red}, {red}");
-                assert!(
-                    (actual_passing.abs() - passing).abs() < 1e-6 * passing.max(0.1),
-                    "{individual}, {lane}"
-                );
+                assert!((actual_passing.abs() - passing).abs() < 1e-6 * passing.max(0.1), "{individual}, {lane}");
             }
             let expected = finishes && individual == 0;
             assert_eq!(finished > 0, expected, "individual {individual}: {finished} pixels");

@@ -1,14 +1,11 @@
 //! What must hold for any input: no thread, no poison and no order of calls changes a result.
 
-use genesplat_core::{
-    Backend, Blend, DeviceState, EvolutionBackend, Gaussians, RowEdit, ScreenFilter, SparseDelta,
-};
+use genesplat_core::{Backend, Blend, DeviceState, EvolutionBackend, Gaussians, RowEdit, ScreenFilter, SparseDelta};
 
 use super::{backend_with, classic_step, flat, mcmc_step};
 use crate::cpu::CpuBackend;
 use crate::fixtures::{
-    camera, cloud, far_needles, filters, individual_of, poisoned_cloud, settings, small_view, step,
-    tall_view, view,
+    camera, cloud, far_needles, filters, individual_of, poisoned_cloud, settings, small_view, step, tall_view, view,
 };
 
 #[test]
@@ -93,8 +90,7 @@ fn far_needles_leave_everything_finite() {
 #[test]
 fn a_gaussian_with_a_nan_is_none() {
     let clean = cloud(60);
-    let drawn =
-        |cloud: &Gaussians, filter| backend_with(cloud).render(&camera(), &settings(3, filter)).unwrap();
+    let drawn = |cloud: &Gaussians, filter| backend_with(cloud).render(&camera(), &settings(3, filter)).unwrap();
     for filter in filters() {
         let mut shown = 0;
         for parameter in 0..12 {

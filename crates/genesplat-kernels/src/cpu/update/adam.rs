@@ -35,13 +35,7 @@ const FIRST_MIN: f32 = 1e-30;
 type Column<'a> = [&'a mut [f32]; 3];
 
 #[inline(always)]
-pub(crate) fn adam<S: Simd>(
-    simd: S,
-    update: &Update,
-    sh_degree: u8,
-    gradients: &ChunkGradients,
-    chunk: &mut ChunkMut,
-) {
+pub(crate) fn adam<S: Simd>(simd: S, update: &Update, sh_degree: u8, gradients: &ChunkGradients, chunk: &mut ChunkMut) {
     let n = chunk.parameters.positions.len();
     let mut positions = [[0.0; 3]; CHUNK];
     let mut log_scales = [[0.0; 3]; CHUNK];
@@ -87,13 +81,7 @@ fn step_column<S: Simd>(simd: S, rate: Rate, gradient: &[f32], mut column: Colum
 
 /// The coefficients of one row; inactive ones have no gradient and no moments yet, so they cannot move.
 #[inline(always)]
-fn step_sh<S: Simd>(
-    simd: S,
-    [dc, rest]: [Rate; 2],
-    degree: u8,
-    gradient: &[f32; SH_STRIDE],
-    mut column: Column,
-) {
+fn step_sh<S: Simd>(simd: S, [dc, rest]: [Rate; 2], degree: u8, gradient: &[f32; SH_STRIDE], mut column: Column) {
     if degree == 0 {
         return step_column(simd, dc, &gradient[..3], column);
     }
@@ -107,14 +95,7 @@ fn step_sh<S: Simd>(
 
 /// Steps the 16 values from `at` on.
 #[inline(always)]
-fn step_vector<S: Simd>(
-    simd: S,
-    steps: V<S>,
-    root: f32,
-    at: usize,
-    gradient: &[f32],
-    [p, m, v]: &mut Column,
-) {
+fn step_vector<S: Simd>(simd: S, steps: V<S>, root: f32, at: usize, gradient: &[f32], [p, m, v]: &mut Column) {
     let range = at..at + LANES;
     let [p, m, v] = [&mut p[range.clone()], &mut m[range.clone()], &mut v[range.clone()]];
     let gradient = &gradient[range];

@@ -46,28 +46,25 @@ pub(crate) fn update(
     let (request, step, cloud_rows) = (step.statistics, step.update.as_ref(), cloud.len());
     let filter_3d = cloud.filter_3d.take();
     let work = chunks_mut(cloud, moments, statistics);
-    work.into_par_iter().enumerate().for_each_init(
-        ChunkGradients::default,
-        |gradients, (index, mut chunk)| {
-            let splats = inputs.splats.chunk(index);
-            let filter_3d = filter_3d.as_deref().map(|filter| &filter[index * CHUNK..]);
-            dispatch!(level, simd => {
-                gradients.clear();
-                let view = ChunkView { first_row: index * CHUNK, rows: &chunk.parameters, filter_3d };
-                project_backward(simd, inputs, splats, &view, request.density, gradients);
-                add_statistics(&mut chunk.statistics, gradients, inputs.splats.seen(index), request);
-                if let Some(step) = step {
-                    if let Some(mcmc) = &step.mcmc {
-                        regularise(gradients, &chunk.parameters, mcmc, cloud_rows);
-                    }
-                    adam(simd, step, inputs.settings.sh_degree, gradients, &mut chunk);
+    work.into_par_iter().enumerate().for_each_init(ChunkGradients::default, |gradients, (index, mut chunk)| {
+        let splats = inputs.splats.chunk(index);
+        let filter_3d = filter_3d.as_deref().map(|filter| &filter[index * CHUNK..]);
+        dispatch!(level, simd => {
+            gradients.clear();
+            let view = ChunkView { first_row: index * CHUNK, rows: &chunk.parameters, filter_3d };
+            project_backward(simd, inputs, splats, &view, request.density, gradients);
+            add_statistics(&mut chunk.statistics, gradients, inputs.splats.seen(index), request);
+            if let Some(step) = step {
+                if let Some(mcmc) = &step.mcmc {
+                    regularise(gradients, &chunk.parameters, mcmc, cloud_rows);
                 }
-            });
-            if let Some(mcmc) = step.and_then(|step| step.mcmc.as_ref()) {
-                noise(&mut chunk.parameters, index * CHUNK, mcmc);
+                adam(simd, step, inputs.settings.sh_degree, gradients, &mut chunk);
             }
-        },
-    );
+        });
+        if let Some(mcmc) = step.and_then(|step| step.mcmc.as_ref()) {
+            noise(&mut chunk.parameters, index * CHUNK, mcmc);
+        }
+    });
     cloud.filter_3d = filter_3d;
 }
 

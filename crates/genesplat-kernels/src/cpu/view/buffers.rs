@@ -62,16 +62,8 @@ impl ViewBuffers {
     }
 
     /// Loss of the rendered image; fills the image's gradient, and the gradient rows with what `signal` needs.
-    pub fn backward(
-        &mut self,
-        level: Level,
-        camera: &Pinhole,
-        target: &Target,
-        signal: Option<DensitySignal>,
-    ) -> f32 {
-        let value = timed(&mut self.seconds.loss, || {
-            loss(level, &self.image, target, Some(&mut self.image_gradient))
-        });
+    pub fn backward(&mut self, level: Level, camera: &Pinhole, target: &Target, signal: Option<DensitySignal>) -> f32 {
+        let value = timed(&mut self.seconds.loss, || loss(level, &self.image, target, Some(&mut self.image_gradient)));
         let start = Instant::now();
         rasterise_backward(level, self, camera, signal);
         self.seconds.rasterise_backward += start.elapsed().as_secs_f64();

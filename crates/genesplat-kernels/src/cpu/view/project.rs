@@ -13,13 +13,7 @@ use crate::cpu::bin::LOG2_255;
 use crate::cpu::simd::{LANES, LOG2_E, array, lanes_of};
 
 /// Projects the whole cloud; buffers are reused from call to call.
-pub(crate) fn project(
-    level: Level,
-    cloud: &Gaussians,
-    camera: &Pinhole,
-    settings: &RenderSettings,
-    out: &mut Splats,
-) {
+pub(crate) fn project(level: Level, cloud: &Gaussians, camera: &Pinhole, settings: &RenderSettings, out: &mut Splats) {
     out.seen.resize(cloud.len(), false);
     project_versions(level, cloud, cloud.len(), |row| (row as u32, cloud.genes(row)), camera, settings, out);
 }
@@ -133,9 +127,8 @@ impl Lanes {
         let grid = camera.grid();
         (0..2).all(|axis| {
             let first = ((mean_px[axis] - radius_px) / TILE as f32).trunc().clamp(0.0, grid[axis] as f32);
-            let end = ((mean_px[axis] + radius_px + (TILE - 1) as f32) / TILE as f32)
-                .trunc()
-                .clamp(0.0, grid[axis] as f32);
+            let end =
+                ((mean_px[axis] + radius_px + (TILE - 1) as f32) / TILE as f32).trunc().clamp(0.0, grid[axis] as f32);
             end > first
         })
     }
@@ -164,11 +157,7 @@ impl Lanes {
         let scale = LOG2_E / self.det[lane];
         Some(Splat {
             mean_px,
-            conic_log2: [
-                -0.5 * scale * self.cov[2][lane],
-                scale * self.cov[1][lane],
-                -0.5 * scale * self.cov[0][lane],
-            ],
+            conic_log2: [-0.5 * scale * self.cov[2][lane], scale * self.cov[1][lane], -0.5 * scale * self.cov[0][lane]],
             log2_opacity,
             depth: self.t[2][lane],
             half_extent_px,

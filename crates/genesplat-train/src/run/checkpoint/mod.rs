@@ -85,9 +85,7 @@ pub struct Checkpoint {
 #[non_exhaustive]
 pub enum CheckpointError {
     /// The file could not be read, or is shorter than it says.
-    #[error(
-        "the checkpoint could not be read to its end ({0}); start the run anew, or from an earlier checkpoint"
-    )]
+    #[error("the checkpoint could not be read to its end ({0}); start the run anew, or from an earlier checkpoint")]
     Io(#[from] io::Error),
     /// Another format, or another version of it.
     #[error("this is not a checkpoint of this version of genesplat; resume with the version that wrote it")]
@@ -139,9 +137,7 @@ impl Checkpoint {
 
     fn check(&self) -> Result<(), CheckpointError> {
         if self.progress.sh_degree_start > SH_DEGREE_MAX {
-            return Err(CheckpointError::Damaged(
-                "it names a degree of spherical harmonics that there is not",
-            ));
+            return Err(CheckpointError::Damaged("it names a degree of spherical harmonics that there is not"));
         }
         let DeviceState { cloud, moments, statistics, averages } = &self.state;
         let n = cloud.len();
@@ -265,8 +261,7 @@ mod tests {
             |checkpoint| {
                 let mut mean = Gaussians::zeros(3);
                 mean.sh.pop();
-                checkpoint.state.averages =
-                    WindowAverages::new([StateMean::default(), StateMean::new(4, mean)]);
+                checkpoint.state.averages = WindowAverages::new([StateMean::default(), StateMean::new(4, mean)]);
             },
         ];
         for (case, spoil) in spoil.iter().enumerate() {

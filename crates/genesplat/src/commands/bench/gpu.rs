@@ -220,9 +220,8 @@ impl Bench {
         self.backend.stop_timing();
         let names = samples.first().cloned().unwrap_or_default();
         let stage = |index: usize| 1e3 * median(samples.iter().map(|sample| sample[index].1));
-        let counted = |count: fn(&StepReport) -> usize| {
-            median(reports.iter().map(|report| count(report) as f64)) as usize
-        };
+        let counted =
+            |count: fn(&StepReport) -> usize| median(reports.iter().map(|report| count(report) as f64)) as usize;
         Ok(Timed {
             stages: names.iter().enumerate().map(|(index, (name, _))| (*name, stage(index))).collect(),
             visible: counted(|report| report.visible),

@@ -79,8 +79,7 @@ fn time_step(backend: &mut CpuBackend, step: u32, views: usize, settings: Render
 impl Report {
     fn new(gaussians: usize, camera: &Camera, samples: &[Sample]) -> Self {
         let threads = rayon::current_num_threads();
-        let milliseconds =
-            |seconds: StageClock| 1e3 * median(samples.iter().map(|sample| seconds(&sample.stages)));
+        let milliseconds = |seconds: StageClock| 1e3 * median(samples.iter().map(|sample| seconds(&sample.stages)));
         // Of all threads together, so that it compares with one core's roofline.
         let core_nanoseconds = |seconds: StageClock| {
             let each = |sample: &Sample| 1e9 * seconds(&sample.stages) * threads as f64 / sample.tile_splats;

@@ -127,10 +127,7 @@ fn trained_looking(points: &[ColouredPoint]) -> Result<Gaussians> {
     let rng = Rng::new(0);
     for row in 0..cloud.len() {
         let stretch = normals(&rng, 2, row);
-        cloud.log_scales[row]
-            .iter_mut()
-            .zip(stretch)
-            .for_each(|(axis, normal)| *axis += WIDTH.ln() + STRETCH * normal);
+        cloud.log_scales[row].iter_mut().zip(stretch).for_each(|(axis, normal)| *axis += WIDTH.ln() + STRETCH * normal);
         cloud.rotations[row] = normals(&rng, 3, row);
         let uniform = rng.at(Stream::Test, 4, row as u32, 0).uniform(0);
         cloud.opacity_logits[row] = logit(OPACITY[0] + (OPACITY[1] - OPACITY[0]) * uniform);
