@@ -8,7 +8,7 @@ use genesplat_core::{Genes, Rng, SparseDelta, Stream};
 use genesplat_evolve::{GeneticAlgorithm, Magnitude, PaperConfig};
 
 /// `n` Gaussians with standard normal genes.
-pub fn normal_base(n: u32) -> Vec<Genes> {
+pub(crate) fn normal_base(n: u32) -> Vec<Genes> {
     let rng = Rng::new(99);
     let gene = |row| {
         let draws = [rng.at(Stream::Test, 1, row, 0), rng.at(Stream::Test, 1, row, 1)];
@@ -18,36 +18,36 @@ pub fn normal_base(n: u32) -> Vec<Genes> {
 }
 
 /// The genes of an individual.
-pub fn applied(base: &[Genes], delta: &SparseDelta) -> Vec<Genes> {
+pub(crate) fn applied(base: &[Genes], delta: &SparseDelta) -> Vec<Genes> {
     let mut genes = base.to_vec();
     delta.rows.iter().zip(&delta.genes).for_each(|(&row, gene)| genes[row as usize] = *gene);
     genes
 }
 
 /// Mean of the squared genes.
-pub fn sphere(base: &[Genes], delta: &SparseDelta) -> f64 {
+pub(crate) fn sphere(base: &[Genes], delta: &SparseDelta) -> f64 {
     let genes = applied(base, delta);
     genes.as_flattened().iter().map(|&x| f64::from(x).powi(2)).sum::<f64>() / (7 * base.len().max(1)) as f64
 }
 
 /// Small and gradient-free.
-pub fn small(generations: u32, population: u32) -> PaperConfig {
+pub(crate) fn small(generations: u32, population: u32) -> PaperConfig {
     PaperConfig { generations, population, magnitude: Magnitude::Unit, ..PaperConfig::default() }
 }
 
 /// A search on the sphere.
-pub fn on_sphere(config: PaperConfig, base: &[Genes], seed: u64) -> GeneticAlgorithm {
+pub(crate) fn on_sphere(config: PaperConfig, base: &[Genes], seed: u64) -> GeneticAlgorithm {
     let base_loss = sphere(base, &SparseDelta::default());
     GeneticAlgorithm::new(config, base.to_vec(), None, base_loss, Rng::new(seed)).expect("valid settings")
 }
 
 /// Several individuals of a generation, as differences from the base.
-pub fn deltas(search: &GeneticAlgorithm, indices: Range<usize>) -> Vec<SparseDelta> {
+pub(crate) fn deltas(search: &GeneticAlgorithm, indices: Range<usize>) -> Vec<SparseDelta> {
     indices.map(|index| search.delta(index)).collect()
 }
 
 /// Runs a search to its end.
-pub fn run(mut search: GeneticAlgorithm, loss: impl Fn(&SparseDelta) -> f64) -> GeneticAlgorithm {
+pub(crate) fn run(mut search: GeneticAlgorithm, loss: impl Fn(&SparseDelta) -> f64) -> GeneticAlgorithm {
     while !search.is_finished() {
         let losses: Vec<f64> = deltas(&search, 0..search.ask()).iter().map(&loss).collect();
         search.tell(&losses).expect("one loss each");

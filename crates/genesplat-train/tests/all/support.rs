@@ -19,7 +19,7 @@ use glam::{DQuat, DVec3};
 
 /// What the pipeline asked for, in order; reads are not recorded.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Call {
+pub(crate) enum Call {
     SetViews(usize),
     Upload {
         rows: usize,
@@ -59,7 +59,7 @@ pub enum Call {
 }
 
 /// See the module.
-pub struct FakeBackend {
+pub(crate) struct FakeBackend {
     pub calls: Vec<Call>,
     averages: WindowAverages,
     pub cloud: Gaussians,
@@ -109,7 +109,7 @@ impl From<Failure> for BackendError {
 }
 
 impl FakeBackend {
-    pub fn new() -> Self {
+    pub(crate) fn new() -> Self {
         Self {
             calls: Vec::new(),
             cloud: Gaussians::default(),
@@ -132,7 +132,7 @@ impl FakeBackend {
         }
     }
 
-    pub fn steps(&self) -> impl Iterator<Item = &TrainStep> {
+    pub(crate) fn steps(&self) -> impl Iterator<Item = &TrainStep> {
         self.calls.iter().filter_map(|call| if let Call::Step(step) = call { Some(step) } else { None })
     }
 
@@ -405,7 +405,7 @@ impl EvolutionBackend for FakeBackend {
 }
 
 /// Views on a circle of radius 2 around the origin, named in order: the extent is 2.2.
-pub fn views(n: usize) -> Vec<View> {
+pub(crate) fn views(n: usize) -> Vec<View> {
     let photo = Arc::new(Photo { width: 4, height: 4, rgb: vec![0; 48] });
     (0..n)
         .map(|index| {
@@ -424,17 +424,17 @@ pub fn views(n: usize) -> Vec<View> {
 }
 
 /// Points on a line, 0.1 apart.
-pub fn points(n: usize) -> Vec<ColouredPoint> {
+pub(crate) fn points(n: usize) -> Vec<ColouredPoint> {
     (0..n).map(|row| ([0.1 * row as f32, 0.0, 1.0], [128; 3])).collect()
 }
 
 /// New rows of an edit that are not old ones kept.
-pub fn added(edit: &RowEdit) -> usize {
+pub(crate) fn added(edit: &RowEdit) -> usize {
     edit.origins.iter().filter(|&&origin| origin != Origin::Kept).count()
 }
 
 /// Sets the flag during an iteration, as Ctrl-C would.
-pub struct StopAt<'a>(pub u32, pub &'a AtomicBool);
+pub(crate) struct StopAt<'a>(pub u32, pub &'a AtomicBool);
 
 impl Observer for StopAt<'_> {
     fn on_iteration(&mut self, log: &StepLog) {
@@ -444,7 +444,7 @@ impl Observer for StopAt<'_> {
 
 /// Keeps the checkpoints of a run.
 #[derive(Default)]
-pub struct Keep(pub Vec<Checkpoint>);
+pub(crate) struct Keep(pub Vec<Checkpoint>);
 
 impl Observer for Keep {
     fn on_checkpoint(&mut self, checkpoint: Checkpoint) {
