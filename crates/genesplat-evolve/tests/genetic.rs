@@ -81,7 +81,7 @@ fn siblings_share_their_parents_out() {
         let config = PaperConfig { tournament: 1, elite_fraction: 0.0, crossover, ..everywhere };
         let mut search = on_sphere(config, &base, 3);
         let genomes =
-            |search: &GeneticAlgorithm| deltas(&search, 0..8).iter().map(|delta| applied(&base, delta)).collect();
+            |search: &GeneticAlgorithm| deltas(search, 0..8).iter().map(|delta| applied(&base, delta)).collect();
         let founders: Vec<Vec<Genes>> = genomes(&search);
         search.tell(&[1.0; 8]).expect("one loss each");
         let children: Vec<Vec<Genes>> = genomes(&search);
