@@ -4,7 +4,7 @@ use fearless_simd::{Simd, f32x4, f32x8, f64x2, prelude::*};
 
 use crate::cpu::simd::{LANES, array};
 
-/// Gradient sums of one splat in one tile; see [`column`].
+/// Gradient sums of one splat in one tile; see [`mod@column`].
 #[derive(Clone, Copy, Debug, Default)]
 #[repr(C, align(64))]
 pub struct GradientRow(pub [f32; LANES]);
