@@ -91,9 +91,8 @@ pub struct TrainConfig {
     /// Iterations, one view each. Default 30,000; at least 1. Changing it alone truncates: rates and events stay.
     pub iterations: u32,
     /// Multiplies every setting that counts iterations, `iterations` included. Default 1; 0.001 to 1000. Each is
-    /// rounded to whole iterations, so a scale that does not divide them shifts events a little: at 0.2333 density
-    /// control comes every 23 iterations, 147 times and not 144, and resets fall between two of them. 0.1, 0.2 and 0.3
-    /// keep the shape exactly.
+    /// rounded to whole iterations. Intervals (`densify.every`, `densify.reset_every`) are not made shorter than 100
+    /// iterations, or than given: density control that looks at fewer photos grows what they do not need.
     pub steps_scale: f64,
     /// Highest degree of the spherical harmonics, which starts at 0 and rises every 1,000 iterations. Default 3; 0 to
     /// 3. Lower is smaller, with less view-dependent colour.

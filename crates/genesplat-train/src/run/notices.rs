@@ -5,7 +5,7 @@ use super::trainer::Trainer;
 use crate::config::{TrainConfig, Variant};
 use crate::densify::Plan;
 use crate::densify::cap::Cap;
-use crate::schedule::Schedule;
+use crate::schedule::{SCALED_INTERVAL_MIN, Schedule};
 
 /// A reset is late where less than this fraction of the time between two resets is left after it: one in so many.
 const LATE_RESET_DIVISOR: u64 = 10;
@@ -25,6 +25,7 @@ pub(crate) fn at_start(
 ) -> Vec<String> {
     let notices = [
         cap.notice_of_lower_cap(),
+        notice_of_kept_intervals(config, schedule),
         notice_of_no_growth(schedule),
         notice_of_no_renewal(schedule),
         notice_of_late_reset(schedule),
@@ -32,6 +33,27 @@ pub(crate) fn at_start(
         depth.and_then(|depth| notice_of_lost_background(config, schedule, extent, depth)),
     ];
     notices.into_iter().flatten().collect()
+}
+
+/// `steps_scale` shortens the run, and intervals not below [`SCALED_INTERVAL_MIN`].
+fn notice_of_kept_intervals(config: &TrainConfig, schedule: &Schedule) -> Option<String> {
+    let intervals = [
+        ("densify.every", config.densify.every, schedule.densify_every),
+        ("densify.reset_every", config.densify.reset_every, schedule.reset_every),
+    ];
+    let shorter = |given: u32| (f64::from(given) * config.steps_scale).round() as u32;
+    let kept: Vec<String> = intervals
+        .into_iter()
+        .filter(|&(_, given, used)| used > shorter(given))
+        .map(|(name, given, used)| format!("{name} is {used} and not {}", shorter(given)))
+        .collect();
+    (!kept.is_empty()).then(|| {
+        format!(
+            "steps_scale {} shortens the run; intervals stay at {SCALED_INTERVAL_MIN} iterations at least: {}",
+            config.steps_scale,
+            kept.join(", ")
+        )
+    })
 }
 
 /// Renewal ends density control early, in short runs before it has begun.
@@ -119,6 +141,19 @@ impl Trainer<'_> {
 mod tests {
     use super::*;
     use crate::config::{EvolutionMode, StepBudget};
+
+    #[test]
+    fn who_shortens_a_run_hears_which_intervals_stay() {
+        let notice = |steps_scale| {
+            let resolved = TrainConfig { steps_scale, ..TrainConfig::published() }.resolve().unwrap();
+            notice_of_kept_intervals(resolved.config(), resolved.schedule())
+        };
+        assert_eq!((notice(1.0), notice(2.0)), (None, None));
+        let text = notice(0.1).expect("a notice");
+        assert!(text.ends_with("100 iterations at least: densify.every is 100 and not 10"), "{text}");
+        let text = notice(0.01).expect("a notice");
+        assert!(text.contains("densify.every is 100 and not 1, densify.reset_every is 100 and not 30"), "{text}");
+    }
 
     #[test]
     fn who_cuts_a_run_short_just_after_a_reset_hears_of_it() {

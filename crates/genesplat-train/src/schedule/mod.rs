@@ -9,9 +9,13 @@ use serde::{Deserialize, Serialize};
 
 use crate::config::{Background, EvolutionMode, TrainConfig, Trigger, Variant};
 
-/// A schedule that densifies more often than this makes the optimiser steps that the reference would lose: a run
-/// compressed until every iteration densifies would never learn anything.
-const LOSING_INTERVAL_MIN: u32 = 10;
+/// `steps_scale` makes no interval shorter than this, or than it was if that is less. Density control reads statistics of
+/// some hundred views; over fewer than a scene's photos it grows what the next photos do not need.
+pub(crate) const SCALED_INTERVAL_MIN: u32 = 100;
+
+/// A run that densifies more often than published makes the optimiser steps that the reference would lose: it loses one
+/// in a hundred, and not more.
+const LOSING_INTERVAL_MIN: u32 = 100;
 
 /// Fraction of a run after which nothing grows that is to be renewed. Longer, and there is no time for renewals; at
 /// half, runs of 2,000 steps at 480 px had too few Gaussians.
@@ -122,9 +126,9 @@ impl Schedule {
     /// The schedule of a valid configuration: steps scaled once, here.
     pub(crate) fn new(config: TrainConfig) -> Self {
         let scaled = |steps: u32| (f64::from(steps) * config.steps_scale).round() as u32;
-        let interval = |steps: u32| scaled(steps).max(1);
+        let interval = |steps: u32| scaled(steps).max(steps.min(SCALED_INTERVAL_MIN));
         let (densify, renewal) = (&config.densify, &config.evolution.renewal);
-        let iterations = interval(config.iterations);
+        let iterations = scaled(config.iterations).max(1);
         let renews = config.evolution.mode == EvolutionMode::Renew;
         let latest = |fraction: f64| if renews { of_run(iterations, fraction) } else { u32::MAX };
         let densify_until = match config.variant {
@@ -133,8 +137,8 @@ impl Schedule {
         };
         let mut schedule = Self {
             iterations,
-            sh_every: interval(SH_EVERY),
-            position_steps: interval(config.optimiser.position_steps),
+            sh_every: scaled(SH_EVERY).max(1),
+            position_steps: scaled(config.optimiser.position_steps).max(1),
             densify_from: scaled(densify.from),
             densify_until,
             densify_every: interval(densify.every),

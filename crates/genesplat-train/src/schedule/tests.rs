@@ -31,14 +31,30 @@ fn lost_steps_leave_29_855() {
 }
 
 #[test]
-fn a_strongly_compressed_schedule_keeps_its_steps() {
-    let made = |scale| {
-        let schedule = schedule(|config| config.steps_scale = scale);
-        let lost = (1..=schedule.iterations).filter(|&i| schedule.optimiser_step(i) == OptimiserStep::Lost);
-        schedule.iterations - lost.count() as u32
+fn a_shorter_schedule_loses_no_more_steps_than_the_published_one() {
+    let lost = |change: fn(&mut TrainConfig)| {
+        let schedule = schedule(change);
+        let lost = (1..schedule.iterations).filter(|&i| schedule.optimiser_step(i) == OptimiserStep::Lost);
+        lost.collect::<Vec<_>>()
     };
-    assert_eq!(made(0.1), 3000 - 145);
-    assert_eq!(made(0.01), 300 - 1, "which densifies in every iteration from 6 to 149");
+    let tenth: Vec<u32> = (1..15).map(|hundreds| 100 * hundreds).collect();
+    assert_eq!(lost(|config| config.steps_scale = 0.1), tenth);
+    assert_eq!(lost(|config| config.steps_scale = 0.01), [100]);
+    assert_eq!(lost(|config| config.densify.every = 99), [] as [u32; 0], "more often than published");
+}
+
+#[test]
+fn no_interval_is_scaled_below_a_hundred_iterations() {
+    let scaled = |scale: f64, every: u32| {
+        let schedule = schedule(|config| (config.steps_scale, config.densify.every) = (scale, every));
+        (schedule.densify_every, schedule.reset_every)
+    };
+    assert_eq!(scaled(0.1, 100), (100, 300));
+    assert_eq!(scaled(0.1, 1000), (100, 300));
+    assert_eq!(scaled(0.01, 100), (100, 100));
+    assert_eq!(scaled(0.5, 300), (150, 1500));
+    assert_eq!(scaled(0.5, 20), (20, 1500), "less than a hundred is kept where it was asked for");
+    assert_eq!(scaled(2.0, 100), (200, 6000));
 }
 
 #[test]
@@ -285,7 +301,12 @@ fn the_3d_filter_follows_densification_and_then_every_hundredth_iteration() {
 fn scaling_keeps_the_shape_and_truncation_keeps_the_rates() {
     let tenth = schedule(|config| config.steps_scale = 0.1);
     assert_eq!(tenth.iterations, 3000);
-    assert_eq!(iterations_with(&tenth, Phase::Densify).len(), 144);
+    let densify = iterations_with(&tenth, Phase::Densify);
+    assert_eq!(
+        (densify.len(), densify[0], densify[13]),
+        (14, 100, 1400),
+        "windows are scaled, intervals as far as may be"
+    );
     assert_eq!(iterations_with(&tenth, Phase::ResetOpacity), [300, 600, 900, 1200]);
     let short = schedule(|config| config.iterations = 3000);
     assert_eq!(iterations_with(&short, Phase::ResetOpacity), [] as [u32; 0], "the last one only measures");

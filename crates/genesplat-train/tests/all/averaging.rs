@@ -14,6 +14,7 @@ use crate::support::{Call, FakeBackend, StopAt, points, views};
 /// 300 iterations without renewals; the windows end at 180, 210, 240, 270 and 300.
 fn config() -> TrainConfig {
     let mut config = TrainConfig { steps_scale: 0.01, ..TrainConfig::default() };
+    (config.densify.every, config.densify.reset_every) = (1, 30);
     // Still in motion at the end, by more than rounding.
     config.optimiser.position_end = 1e-2;
     (config.evolution.renewal.every, config.evolution.renewal.until) = (0.1, 0.0);

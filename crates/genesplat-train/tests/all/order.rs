@@ -1,4 +1,5 @@
-//! The order of events, call by call, on a schedule ten times shorter than the published one: densification after 50,
+//! The order of events, call by call, on a schedule ten times shorter than the published one, intervals included:
+//! densification after 50,
 //! every 10, until 1500; resets every 300; size pruning after 300; 3000 iterations.
 
 use std::sync::atomic::AtomicBool;
@@ -15,6 +16,7 @@ use crate::support::{Call, FakeBackend, added, points, views};
 
 fn short(change: impl FnOnce(&mut TrainConfig)) -> TrainConfig {
     let mut config = TrainConfig { steps_scale: 0.1, ..TrainConfig::published() };
+    config.densify.every = 10;
     change(&mut config);
     config
 }

@@ -70,6 +70,7 @@ fn scene() -> (Vec<View>, Vec<View>, Vec<ColouredPoint>) {
 
 fn config(change: impl FnOnce(&mut TrainConfig)) -> Resolved {
     let mut config = TrainConfig { steps_scale: 0.01, ..TrainConfig::published() };
+    (config.densify.every, config.densify.reset_every) = (1, 30);
     config.max_gaussians = Some(600);
     config.evolution.mode = EvolutionMode::Paper;
     (config.evolution.paper.generations, config.evolution.paper.population) = (3, 12);
@@ -99,6 +100,7 @@ fn every_variant_reconstructs_unseen_views() {
             if variant == Variant::Mcmc {
                 // It starts from Gaussians ten times smaller.
                 config.steps_scale *= 2.0;
+                (config.densify.every, config.densify.reset_every) = (2, 60);
             }
         }));
         // 300 steps gain 10 dB here; a pipeline that hardly steps, or the wrong way, does not gain 7.

@@ -13,7 +13,9 @@ use crate::support::{Call, Failure, FakeBackend, Keep, StopAt, points, views};
 
 /// 300 iterations; density control ends after 150, renewals begin at 150, 165, ... 225, the last is judged at 240.
 fn config() -> TrainConfig {
-    TrainConfig { steps_scale: 0.01, ..TrainConfig::default() }
+    let mut config = TrainConfig { steps_scale: 0.01, ..TrainConfig::default() };
+    (config.densify.every, config.densify.reset_every) = (1, 30);
+    config
 }
 
 /// As many as contributions are measured on, 2 % of 300 steps: no Gaussian is spared because nobody saw it.

@@ -15,6 +15,7 @@ use crate::support::{Call, Failure, FakeBackend, Keep, points, views};
 /// 300 iterations that densify, reset (30, 60, ...), filter and evolve.
 fn config() -> TrainConfig {
     let mut config = TrainConfig { steps_scale: 0.01, variant: Variant::MipSplatting, ..TrainConfig::published() };
+    (config.densify.every, config.densify.reset_every) = (1, 30);
     config.background = Background::Random;
     config.max_gaussians = Some(60);
     config.evolution.mode = EvolutionMode::Paper;

@@ -14,6 +14,8 @@ use anyhow::{Context, Result, anyhow, bail, ensure};
 const BASELINE: &str = "off";
 /// The arm that a user gets by default.
 const EVOLVED: &str = "renew";
+/// The best that plain settings give, without and with averages. Evolution is worth what it adds to the better one.
+const STRONG: [&str; 2] = ["strong", "strong-averaged"];
 /// What two runs of a pair have in common.
 const PAIRED: [&str; 8] = ["scene", "variant", "max_side", "iterations", "max_gaussians", "seed", "commit", "machine"];
 const END: &str = "<!-- /table -->";
@@ -104,15 +106,24 @@ impl Part {
         self.runs.iter().filter(|run| run.is(arm)).collect()
     }
 
-    /// Runs of the baseline and of `arm`, seed by seed.
-    fn pairs(&self, arm: &str) -> Result<Vec<(&Run, &Run)>> {
+    /// The arm of plain settings with the better pictures, if there is one.
+    fn strong(&self) -> Option<&'static str> {
+        let psnr = |arm: &str| Figures::of(&self.runs_of(arm), |run| run.number("psnr")).average();
+        STRONG
+            .into_iter()
+            .filter(|arm| psnr(arm).is_some())
+            .max_by(|a, b| psnr(a).partial_cmp(&psnr(b)).expect("numbers"))
+    }
+
+    /// Runs of `baseline` and of `arm`, seed by seed.
+    fn pairs(&self, baseline: &str, arm: &str) -> Result<Vec<(&Run, &Run)>> {
         let mut pairs = Vec::new();
         for run in self.runs_of(arm) {
-            let mut twins = self.runs.iter().filter(|other| other.is(BASELINE) && other.is_paired_with(run));
+            let mut twins = self.runs.iter().filter(|other| other.is(baseline) && other.is_paired_with(run));
             match (twins.next(), twins.next()) {
                 (Some(plain), None) => pairs.push((plain, run)),
                 (None, _) => {
-                    bail!("{}: {arm} with seed {} has no run `{BASELINE}`", self.label, run.text("seed"))
+                    bail!("{}: {arm} with seed {} has no run `{baseline}`", self.label, run.text("seed"))
                 }
                 (Some(_), Some(_)) => bail!("{}: seed {} is there twice", self.label, run.text("seed")),
             }
@@ -172,27 +183,40 @@ fn runs(csv: &str) -> Result<Vec<Run>> {
     Ok(runs)
 }
 
-/// One line a scene: without evolution and with it.
+/// One line a scene: the published trainer, the best of plain settings, and evolution.
 fn scenes(parts: &[Part]) -> Result<String> {
-    let head = ["scene", "pairs", "plain: PSNR, dB", "evolved", "difference", "Gaussians", "seconds"];
+    let head =
+        ["scene", "pairs", "off: PSNR, dB", "strong", "renew", "renew - off", "renew - strong", "Gaussians", "seconds"];
     let mut lines = Vec::new();
     for part in parts {
-        let pairs = part.pairs(EVOLVED)?;
+        let pairs = part.pairs(BASELINE, EVOLVED)?;
         if pairs.is_empty() {
             continue;
         }
+        let strong_pairs = part.strong().map_or(Ok(Vec::new()), |strong| part.pairs(strong, EVOLVED))?;
         let (plain, evolved): (Vec<&Run>, Vec<&Run>) = pairs.iter().copied().unzip();
-        let [before, after] = [&plain, &evolved].map(|runs| Figures::of(runs, |run| run.number("psnr")));
+        let strong: Vec<&Run> = strong_pairs.iter().map(|(strong, _)| *strong).collect();
+        let arms = [&plain, &strong, &evolved];
+        let [off, strong, renew] = arms.map(|runs| {
+            let psnr = Figures::of(runs, |run| run.number("psnr"));
+            psnr.mean(|mean| format!("{mean:.2}")) + &psnr.plus_minus()
+        });
         let beside = |value: fn(&Run) -> Option<f64>| {
-            [&plain, &evolved].map(|runs| Figures::of(runs, |run| value(run)).mean(thousands)).join(" → ")
+            let means = arms.map(|runs| Figures::of(runs, |run| value(run)).mean(thousands));
+            means.into_iter().filter(|mean| !mean.is_empty()).collect::<Vec<_>>().join(", ")
         };
-        let difference = difference(&pairs, "psnr");
+        let gain = |pairs: &[(&Run, &Run)]| {
+            let gain = difference(pairs, "psnr");
+            gain.mean(|mean| format!("**{mean:+.2}**")) + &gain.plus_minus()
+        };
         lines.push([
             part.label.clone(),
             pairs.len().to_string(),
-            before.mean(|mean| format!("{mean:.2}")) + &before.plus_minus(),
-            after.mean(|mean| format!("{mean:.2}")) + &after.plus_minus(),
-            format!("**{}{}**", difference.mean(|mean| format!("{mean:+.2}")), difference.plus_minus()),
+            off,
+            strong,
+            renew,
+            gain(&pairs),
+            gain(&strong_pairs),
             beside(|run| run.number("gaussians")),
             beside(Run::seconds),
         ]);
@@ -206,7 +230,7 @@ fn arms(parts: &[Part]) -> Result<String> {
     let mut lines = Vec::new();
     for part in parts {
         for (nth, arm) in part.arms().into_iter().enumerate() {
-            let (runs, pairs, is_baseline) = (part.runs_of(arm), part.pairs(arm)?, arm == BASELINE);
+            let (runs, pairs, is_baseline) = (part.runs_of(arm), part.pairs(BASELINE, arm)?, arm == BASELINE);
             let figures = |column: &str| {
                 if is_baseline { Figures::of(&runs, |run| run.number(column)) } else { difference(&pairs, column) }
             };
@@ -244,9 +268,14 @@ impl Figures {
         Self(runs.iter().filter_map(value).collect())
     }
 
+    /// `None` where nothing was measured.
+    fn average(&self) -> Option<f64> {
+        (!self.0.is_empty()).then(|| self.0.iter().sum::<f64>() / self.0.len() as f64)
+    }
+
     /// Empty where nothing was measured.
     fn mean(&self, write: impl Fn(f64) -> String) -> String {
-        if self.0.is_empty() { String::new() } else { write(self.0.iter().sum::<f64>() / self.0.len() as f64) }
+        self.average().map_or_else(String::new, write)
     }
 
     /// Their standard deviation (n − 1), empty for less than two.
@@ -254,7 +283,7 @@ impl Figures {
         let Some(degrees) = self.0.len().checked_sub(1).filter(|&degrees| degrees > 0) else {
             return String::new();
         };
-        let mean = self.0.iter().sum::<f64>() / self.0.len() as f64;
+        let mean = self.average().unwrap_or_default();
         let squares: f64 = self.0.iter().map(|value| (value - mean).powi(2)).sum();
         format!(" ± {:.2}", (squares / degrees as f64).sqrt())
     }

@@ -60,8 +60,8 @@ pub(crate) struct ScheduleArgs {
     /// so 7000 is a good quick run
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     iterations: Option<u32>,
-    /// Multiply every setting that counts steps by F, 0.001 to 1000 [default: 1]. 0.1 gives a run of the same shape in
-    /// a tenth of the steps
+    /// Multiply every setting that counts steps by F, 0.001 to 1000 [default: 1]. 0.1 gives the whole schedule in
+    /// a tenth of the steps; no interval gets shorter than 100
     #[arg(long, value_name = "F", value_parser = scale, help_heading = MORE)]
     steps_scale: Option<f64>,
     /// Seed of all random numbers [default: 0]. Same seed, same bytes

@@ -31,9 +31,6 @@ use crate::{device, files, lpips, scene};
 
 /// The published schedule in this fraction of its steps.
 const STEPS_SCALE: f64 = 0.1;
-/// Iterations between densifications, in the published schedule: at a tenth of the steps, growing as often as published
-/// would follow gradients that a few steps have not settled, and end at six Gaussians a pixel.
-const DENSIFY_EVERY: u32 = 1000;
 /// One for every two pixels of a photo: keeps the demo below five minutes on two cores.
 const MAX_GAUSSIANS: usize = 35_000;
 /// Generations of each stage, and individuals a generation: a fifth of the paper's.
@@ -134,7 +131,6 @@ impl Half {
     fn new(args: &DemoArgs, name: &'static str, mode: EvolutionMode) -> Result<Self> {
         let session = RunSession::claim(&args.out.join(name), Caller::Demo, false)?;
         let mut train = TrainConfig { seed: args.seed, steps_scale: STEPS_SCALE, ..TrainConfig::default() };
-        train.densify.every = DENSIFY_EVERY;
         train.max_gaussians = Some(MAX_GAUSSIANS);
         train.evolution.mode = mode;
         train.evolution.paper.generations = GENERATIONS;

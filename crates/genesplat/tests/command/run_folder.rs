@@ -50,7 +50,7 @@ fn a_run_folder_is_complete() {
     let sum: f64 = ["load", "gradient", "evolution", "evaluate"].iter().map(|key| seconds[key].as_f64().unwrap()).sum();
     assert!(sum <= seconds["total"].as_f64().unwrap());
     let stages = metrics["evolution"].as_array().unwrap();
-    assert_eq!(stages.len(), 4, "one after each reset");
+    assert_eq!(stages.len(), 2, "one after each reset");
     for stage in stages {
         assert_keys(stage, &["iteration", "generations", "renders", "fitness_before", "fitness_after", "seconds"]);
         assert!(number(&stage["fitness_after"]) <= number(&stage["fitness_before"]), "never worse: {stage}");
@@ -200,7 +200,7 @@ fn mip_splatting_leaves_a_splat_for_any_viewer() {
 fn mcmc_grows_to_its_limit_and_no_further() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("run");
-    succeed(train(scene(), &out, &["--variant", "mcmc", "--steps-scale", "0.02", "--max-gaussians", "400"]));
+    succeed(train(scene(), &out, &["--variant", "mcmc", "--steps-scale", "0.05", "--max-gaussians", "400"]));
     let metrics = json(&out.join("metrics.json"));
     assert_eq!((&metrics["variant"], &metrics["gaussians"]), (&"mcmc".into(), &400.into()));
     assert!(number(&metrics["test"]["psnr"]) > 15.0, "{metrics}");

@@ -1,5 +1,6 @@
 //! A tiny scene, and how the command is run and judged.
 
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::sync::LazyLock;
@@ -107,6 +108,11 @@ pub(crate) fn real_data() -> Option<PathBuf> {
         return Some(folder);
     }
     assert_ne!(std::env::var("CI").as_deref(), Ok("true"), "CI has no data in {}", folder.display());
-    eprintln!("skipped: there is no data in {} (set GENESPLAT_DATA)", folder.display());
+    skipped(&format!("there is no data in {} (set GENESPLAT_DATA)", folder.display()));
     None
+}
+
+/// Says so where everybody sees it: what a test prints by macros is kept from the terminal.
+pub(crate) fn skipped(why: &str) {
+    let _ = writeln!(std::io::stderr(), "skipped: {why}");
 }

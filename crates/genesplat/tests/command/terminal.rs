@@ -54,7 +54,7 @@ fn a_terminal_has_one_bar_and_no_copies_of_it() {
     let mut script = Command::new("script");
     script.args(["-qec", &words.join(" "), text(&folder.path().join("typescript"))]).stdin(Stdio::null());
     let Ok(output) = script.output() else {
-        eprintln!("skipped: there is no script on this machine");
+        crate::support::skipped("there is no script on this machine");
         return;
     };
     assert!(output.status.success(), "{output:?}");

@@ -1,5 +1,6 @@
 //! What must hold for any input: no thread, no poison and no order of calls changes a result.
 
+use genesplat_core::backend::MomentPolicy;
 use genesplat_core::{Backend, Blend, DeviceState, EvolutionBackend, Gaussians, RowEdit, ScreenFilter, SparseDelta};
 
 use super::{backend_with, classic_step, flat, mcmc_step};
@@ -161,5 +162,48 @@ fn edits_and_resets_empty_the_averages() {
         assert_eq!(backend.state().unwrap().averages.states(), [1, 0]);
         change(&mut backend);
         assert_eq!(backend.state().unwrap().averages.states(), [0, 0]);
+    }
+}
+
+/// After three steps, so that every moment is there.
+fn stepped() -> CpuBackend {
+    let mut backend = backend_with(&cloud(40));
+    (1..=3).for_each(|number| backend.train_step(&classic_step(number)).unwrap());
+    backend
+}
+
+/// Adam would push opacities on in the direction that the reset has just taken back.
+#[test]
+fn a_reset_zeroes_the_moments_of_opacities_and_no_others() {
+    let mut backend = stepped();
+    let before = backend.state().unwrap().moments;
+    backend.reset_opacity(0.01).unwrap();
+    let after = backend.state().unwrap();
+    assert!(after.cloud.opacity_logits.iter().all(|&logit| logit <= (0.01f32 / 0.99).ln() + 1e-5));
+    for (before, after) in [(before.first, after.moments.first), (before.second, after.moments.second)] {
+        assert!(before.opacity_logits.iter().any(|&moment| moment != 0.0), "there was something to zero");
+        let expected = Gaussians { opacity_logits: vec![0.0; before.len()], ..before };
+        assert_eq!(after, expected);
+    }
+}
+
+#[test]
+fn changed_genes_keep_their_moments_or_lose_them_as_asked() {
+    let changed = |policy| {
+        let mut backend = stepped();
+        let before = backend.state().unwrap().moments;
+        let genes = [0.5; 7];
+        backend.apply(&SparseDelta { rows: vec![3, 8], genes: vec![genes; 2] }, policy).unwrap();
+        let after = backend.state().unwrap();
+        assert_eq!([3, 8].map(|row| after.cloud.genes(row)), [genes; 2]);
+        (before, after.moments)
+    };
+    let (before, after) = changed(MomentPolicy::Keep);
+    assert_eq!(after, before);
+    let (before, after) = changed(MomentPolicy::Zero);
+    for (mut expected, after) in [(before.first, after.first), (before.second, after.second)] {
+        assert!(expected.genes(3) != [0.0; 7], "there was something to zero");
+        [3, 8].into_iter().for_each(|row| expected.set_genes(row, &[0.0; 7]));
+        assert_eq!(after, expected);
     }
 }
