@@ -8,6 +8,7 @@ mod commands;
 mod device;
 mod experiment;
 mod files;
+mod inspect;
 mod lpips;
 mod overwrite;
 mod report;

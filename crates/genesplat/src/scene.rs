@@ -4,7 +4,7 @@ use std::path::Path;
 
 use anyhow::Result;
 use genesplat::core::View;
-use genesplat::io::{LoadOptions, PhotoSize, Scene, load_scene};
+use genesplat::io::{LoadOptions, PhotoSize, Point, Scene, load_scene};
 use genesplat::train::scene::initialise::ColouredPoint;
 
 use crate::terminal::output;
@@ -28,7 +28,11 @@ fn load_with(path: &Path, background: [f32; 3], options: LoadOptions) -> Result<
 }
 
 pub(crate) fn points(scene: &Scene) -> Vec<ColouredPoint> {
-    scene.points.iter().map(|point| (point.position, point.rgb)).collect()
+    coloured(&scene.points)
+}
+
+pub(crate) fn coloured(points: &[Point]) -> Vec<ColouredPoint> {
+    points.iter().map(|point| (point.position, point.rgb)).collect()
 }
 
 pub(crate) fn picture_names(views: &[View]) -> Vec<String> {

@@ -58,6 +58,11 @@ impl Cap {
     }
 }
 
+/// How many Gaussians a run will end with, about: its cap or, without one, as many as the photos can determine.
+pub fn expected_gaussians(config: &TrainConfig, views: &[View]) -> usize {
+    Cap::new(config, views).get().unwrap_or_else(|| cap_from_photos(views, 1.0))
+}
+
 /// As many Gaussians as the photos can determine, times `capacity`.
 fn cap_from_photos(views: &[View], capacity: f64) -> usize {
     let pixels_of = |view: &View| f64::from(view.photo.width) * f64::from(view.photo.height);

@@ -6,6 +6,7 @@ use std::path::PathBuf;
 
 use anyhow::Result;
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use clap_complete::Shell;
 use genesplat::io::PhotoSize;
 use genesplat::train::{Background, EvolutionMode};
 use serde::Serialize;
@@ -69,6 +70,8 @@ pub(crate) enum Command {
     Demo(DemoArgs),
     /// Train a scene: photos with known cameras in, a splat and its figures out
     Train(TrainArgs),
+    /// Look at a scene, a splat or a run: what is in it, what looks wrong, what training will take here
+    Inspect(InspectArgs),
     /// Measure how well a splat reproduces photos: PSNR, SSIM and LPIPS
     Evaluate(EvaluateArgs),
     /// Render a splat from the viewpoints of photos, as PNG
@@ -93,6 +96,29 @@ pub(crate) enum Command {
     },
     /// List what this machine can train on
     Devices,
+    /// Print a script that completes commands and flags in a shell
+    Completions {
+        /// Which shell
+        #[arg(value_name = "SHELL")]
+        shell: Shell,
+    },
+    /// Print the manual page: genesplat man | man -l -
+    Man {
+        /// Page of this command [default: of them all]
+        #[arg(value_name = "COMMAND")]
+        command: Option<String>,
+    },
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct InspectArgs {
+    /// Folder of a scene or of a run, or a splat's PLY
+    #[arg(value_name = "SCENE|SPLAT|RUN")]
+    pub(crate) what: PathBuf,
+    #[command(flatten)]
+    pub(crate) size: SizeArgs,
+    #[command(flatten)]
+    pub(crate) json: JsonArgs,
 }
 
 /// What can be done about LPIPS.

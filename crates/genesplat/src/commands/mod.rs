@@ -1,14 +1,16 @@
 //! One module a command.
 
-mod bench;
+pub(crate) mod bench;
 mod compare;
 mod demo;
 mod devices;
 mod evaluate;
 mod experiment;
+mod inspect;
 mod lpips_install;
 mod refine;
 mod render;
+mod shell;
 mod train;
 
 use std::path::Path;
@@ -33,6 +35,7 @@ pub(crate) fn run(arguments: Arguments) -> Result<Ending> {
         Command::Train(args) => return train::run(&args),
         Command::Experiment(args) => return experiment::run(&args),
         Command::Refine(args) => return refine::run(&args),
+        Command::Inspect(args) => inspect::run(&args),
         Command::Evaluate(args) => evaluate::run(&args),
         Command::Render(args) => render::run(&args),
         Command::Compare(args) => compare::run(&args),
@@ -41,6 +44,8 @@ pub(crate) fn run(arguments: Arguments) -> Result<Ending> {
         Command::Bench { what: Bench::Evolution(args) } => bench::evolution::run(&args),
         Command::Bench { what: Bench::Gpu(args) } => bench::gpu::run(&args),
         Command::Devices => devices::run(),
+        Command::Completions { shell } => shell::completions(shell),
+        Command::Man { command } => shell::man(command.as_deref()),
     }
     .map(|()| Ending::Whole)
 }
@@ -52,6 +57,7 @@ fn check_outputs(command: &Command) -> Result<()> {
         json.path.as_deref().map_or(Ok(()), |path| check_file(path, Content::Figures, inputs))
     };
     match command {
+        Command::Inspect(args) => figures(&args.json, &[Some(&args.what)]),
         Command::Evaluate(args) => figures(&args.json, &[Some(&args.splat), args.lpips.lpips_weights.as_deref()]),
         Command::Compare(args) => {
             let weights = args.lpips.lpips_weights.as_deref();
@@ -68,8 +74,12 @@ fn check_outputs(command: &Command) -> Result<()> {
             };
             figures(json, &[source.splat.as_deref()])
         }
-        Command::Train(_) | Command::Demo(_) | Command::Experiment(_) | Command::Lpips { .. } | Command::Devices => {
-            Ok(())
-        }
+        Command::Train(_)
+        | Command::Demo(_)
+        | Command::Experiment(_)
+        | Command::Lpips { .. }
+        | Command::Devices
+        | Command::Completions { .. }
+        | Command::Man { .. } => Ok(()),
     }
 }

@@ -435,3 +435,16 @@ fn devices_are_listed() {
     let said = succeed(["devices"]);
     assert!(said.lines().any(|line| line.starts_with("cpu")) && said.lines().any(|line| line.starts_with("gpu")));
 }
+
+#[test]
+fn shells_and_man_are_told_of_every_command() {
+    for (shell, sign) in [("bash", "complete -F"), ("zsh", "#compdef genesplat"), ("fish", "complete -c genesplat")] {
+        let script = succeed(["completions", shell]);
+        assert!(script.contains(sign) && script.contains("max-gaussians"), "{shell}: {script}");
+    }
+    let page = succeed(["man"]);
+    assert!(page.starts_with(".ie") && page.contains(".TH genesplat 1") && page.contains("refine"), "{page}");
+    let page = succeed(["man", "train"]);
+    assert!(page.contains(".TH genesplat-train 1") && page.contains("\\-\\-max\\-gaussians"), "{page}");
+    fail(["man", "trains"], &["no command \"trains\"", "experiment"]);
+}

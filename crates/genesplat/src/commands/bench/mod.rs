@@ -12,7 +12,7 @@ use serde::Serialize;
 use crate::terminal::output;
 
 /// A training step that costs what steps cost and changes nothing: its learning rates are zero. `step` counts from 1.
-fn step_at_rest(view: usize, settings: RenderSettings, step: u32) -> TrainStep {
+pub(crate) fn step_at_rest(view: usize, settings: RenderSettings, step: u32) -> TrainStep {
     let rates = LearningRates { position: 0.0, sh_dc: 0.0, sh_rest: 0.0, opacity: 0.0, scale: 0.0, rotation: 0.0 };
     TrainStep {
         view,

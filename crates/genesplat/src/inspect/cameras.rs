@@ -1,0 +1,161 @@
+//! Cameras that cannot be right: one that sees nothing, one far from all others, a scene before the near plane.
+
+use genesplat::core::constants::NEAR_DEPTH;
+use genesplat::core::{Camera, View};
+use genesplat::io::Point;
+use glam::{DVec3, Vec3};
+use rayon::prelude::*;
+
+use super::{listed, median};
+
+/// A camera is far away where its nearest neighbour is so many times farther than usual.
+const FAR: f64 = 15.0;
+/// A photo that sees fewer points has a wrong pose or shows something else.
+const POINTS_MIN: usize = 10;
+/// Points that are looked at, at most.
+const POINTS_MAX: usize = 20_000;
+/// The scene is too small where less than this fraction of what is before the cameras is behind the near plane.
+const VISIBLE_MIN: f64 = 0.5;
+
+/// What the cameras see of the points.
+pub(super) struct Sight {
+    /// Points in each photo, of those looked at.
+    pub(super) points_seen: Vec<usize>,
+    /// Median depth of what is seen, world units.
+    pub(super) depth: Option<f64>,
+    /// Fraction of the points in front of a camera that are behind its near plane, over all cameras.
+    behind_near_plane: f64,
+}
+
+pub(super) fn sight(views: &[&View], points: &[Point]) -> Sight {
+    let every = points.len().div_ceil(POINTS_MAX).max(1);
+    let positions: Vec<DVec3> =
+        points.iter().step_by(every).map(|point| Vec3::from(point.position).as_dvec3()).collect();
+    let depths: Vec<Vec<f64>> = views.par_iter().map(|view| depths_in_photo(&view.camera, &positions)).collect();
+    let is_visible = |depth: &&f64| **depth > f64::from(NEAR_DEPTH);
+    let all: Vec<f64> = depths.iter().flatten().copied().collect();
+    let visible = all.iter().filter(is_visible).count() as f64;
+    Sight {
+        points_seen: depths.iter().map(|depths| depths.iter().filter(is_visible).count()).collect(),
+        behind_near_plane: if all.is_empty() { 1.0 } else { visible / all.len() as f64 },
+        depth: median(all),
+    }
+}
+
+/// Depths of the points that a camera would show if it had no near plane.
+fn depths_in_photo(camera: &Camera, positions: &[DVec3]) -> Vec<f64> {
+    let inside = |at: f64, side: u32| at >= -0.5 && at < f64::from(side) - 0.5;
+    let depth = |position: &DVec3| {
+        let seen = camera.camera_from_world(*position);
+        let [x, y] = camera.pixel_from_camera(seen);
+        (seen.z > 0.0 && inside(x, camera.width) && inside(y, camera.height)).then_some(seen.z)
+    };
+    positions.iter().filter_map(depth).collect()
+}
+
+pub(super) fn warnings(views: &[&View], sight: &Sight) -> Vec<String> {
+    [too_small(sight), blind(views, sight), far_away(views)].into_iter().flatten().collect()
+}
+
+fn too_small(sight: &Sight) -> Option<String> {
+    let depth = sight.depth?;
+    (sight.behind_near_plane < VISIBLE_MIN).then(|| {
+        format!(
+            "the scene is so small that {:.0} % of what the photos show is nearer than the near plane at {NEAR_DEPTH} \
+             (half of it is nearer than {depth:.3}): scale cameras and points up",
+            100.0 * (1.0 - sight.behind_near_plane)
+        )
+    })
+}
+
+fn blind(views: &[&View], sight: &Sight) -> Option<String> {
+    let seen = views.iter().zip(&sight.points_seen);
+    let names: Vec<&str> =
+        seen.filter(|(_, points)| **points < POINTS_MIN).map(|(view, _)| view.name.as_str()).collect();
+    (!names.is_empty() && sight.behind_near_plane >= VISIBLE_MIN).then(|| {
+        format!(
+            "{} of {} photos see fewer than {POINTS_MIN} points ({}): their poses are wrong, or they show something else",
+            names.len(),
+            views.len(),
+            listed(&names)
+        )
+    })
+}
+
+fn far_away(views: &[&View]) -> Option<String> {
+    let centres: Vec<DVec3> = views.iter().map(|view| view.camera.centre_in_world()).collect();
+    let to_nearest = |at: usize| {
+        let others = centres.iter().enumerate().filter(|&(other, _)| other != at);
+        others.map(|(_, centre)| centre.distance(centres[at])).fold(f64::INFINITY, f64::min)
+    };
+    let distances: Vec<f64> = (0..centres.len()).into_par_iter().map(to_nearest).collect();
+    let usual = median(distances.clone()).filter(|usual| *usual > 0.0)?;
+    let far = views.iter().zip(&distances).filter(|(_, distance)| **distance > FAR * usual);
+    let names: Vec<&str> = far.map(|(view, _)| view.name.as_str()).collect();
+    (!names.is_empty()).then(|| {
+        format!(
+            "cameras stand far from all others ({}): the whole scene is scaled by their distance; remove them if their \
+             poses are wrong",
+            listed(&names)
+        )
+    })
+}
+
+#[cfg(test)]
+pub(super) mod tests {
+    use std::sync::Arc;
+
+    use genesplat::core::Photo;
+    use glam::DQuat;
+
+    use super::*;
+
+    /// Looks along z.
+    pub(in crate::inspect) fn camera_at(centre: [f64; 3]) -> Camera {
+        Camera {
+            width: 20,
+            height: 20,
+            focal_px: [20.0; 2],
+            principal_px: [10.0; 2],
+            camera_from_world_rotation: DQuat::IDENTITY,
+            camera_from_world_translation: -DVec3::from(centre),
+        }
+    }
+
+    fn views(centres: &[[f64; 3]]) -> Vec<View> {
+        let photo = Arc::new(Photo { width: 20, height: 20, rgb: vec![0; 1200] });
+        let view = |(number, centre): (usize, &[f64; 3])| View {
+            name: format!("{number}.jpg"),
+            camera: camera_at(*centre),
+            photo: Arc::clone(&photo),
+        };
+        centres.iter().enumerate().map(view).collect()
+    }
+
+    fn found(views: &[View], scale: f32) -> Vec<String> {
+        let point =
+            |at: u16| Point { position: [f32::from(at % 5), f32::from(at / 5), 20.0].map(|x| x * scale), rgb: [0; 3] };
+        let points: Vec<Point> = (0..25).map(point).collect();
+        let views: Vec<&View> = views.iter().collect();
+        warnings(&views, &sight(&views, &points))
+    }
+
+    #[test]
+    fn cameras_that_see_nothing_or_stand_apart_are_named() {
+        let good = [[0.0; 3], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0], [3.0, 0.0, 0.0]];
+        assert_eq!(found(&views(&good), 1.0), [] as [String; 0]);
+        let far = [&good[..], &[[4.0, 0.0, -60.0]]].concat();
+        let warnings = found(&views(&far), 1.0);
+        assert!(warnings.len() == 1 && warnings[0].contains("far from all others (4.jpg)"), "{warnings:?}");
+        let blind = [&good[..], &[[4.0, 0.0, 30.0]]].concat();
+        let warnings = found(&views(&blind), 1.0);
+        assert!(warnings[0].contains("1 of 5 photos see fewer than 10 points (4.jpg)"), "{warnings:?}");
+    }
+
+    #[test]
+    fn a_scene_before_the_near_plane_is_noticed() {
+        let centres = [0.0, 0.001, 0.002].map(|x| [x, 0.0, 0.0]);
+        let warnings = found(&views(&centres), 0.001);
+        assert!(warnings.len() == 1 && warnings[0].contains("100 % of what the photos show"), "{warnings:?}");
+    }
+}

@@ -1,0 +1,132 @@
+//! Photos that harm a reconstruction: blurred, overexposed, or there twice.
+
+use std::collections::HashMap;
+
+use genesplat::core::{Photo, View};
+use rayon::prelude::*;
+
+use super::{listed, median};
+
+/// A photo is blurred where its edges have less than this fraction of the usual energy.
+const BLURRED: f64 = 0.15;
+/// A photo is overexposed where more than this fraction of its pixels is white, and the usual photo has less than half.
+const OVEREXPOSED: f64 = 0.25;
+/// A pixel is white from this value on, in all channels.
+const WHITE: u8 = 254;
+/// Fewer photos have no usual one.
+const PHOTOS_MIN: usize = 5;
+
+/// What is measured of one photo.
+struct Measures {
+    /// Variance of the Laplacian of its brightness, 8-bit values squared.
+    sharpness: f64,
+    /// Fraction of its pixels.
+    white: f64,
+}
+
+/// One sentence for each kind of trouble.
+pub(super) fn warnings(views: &[&View]) -> Vec<String> {
+    let measures: Vec<Measures> = views.par_iter().map(|view| measure(&view.photo)).collect();
+    let twins = duplicates(views);
+    if views.len() < PHOTOS_MIN {
+        return twins.into_iter().collect();
+    }
+    [blurred(views, &measures), overexposed(views, &measures), twins].into_iter().flatten().collect()
+}
+
+fn blurred(views: &[&View], measures: &[Measures]) -> Option<String> {
+    let usual = median(measures.iter().map(|photo| photo.sharpness).collect())?;
+    let names = those(views, measures, |photo| photo.sharpness < BLURRED * usual);
+    (!names.is_empty()).then(|| {
+        format!(
+            "{} of {} photos have far softer edges than the others ({}): leave out what is blurred",
+            names.len(),
+            views.len(),
+            listed(&names)
+        )
+    })
+}
+
+fn overexposed(views: &[&View], measures: &[Measures]) -> Option<String> {
+    let usual = median(measures.iter().map(|photo| photo.white).collect())?;
+    let names = those(views, measures, |photo| photo.white > OVEREXPOSED && photo.white > 2.0 * usual);
+    (!names.is_empty()).then(|| {
+        format!(
+            "{} of {} photos are mostly white ({}): what is overexposed has no colour to learn from",
+            names.len(),
+            views.len(),
+            listed(&names)
+        )
+    })
+}
+
+/// Photos with the same pixels.
+fn duplicates(views: &[&View]) -> Option<String> {
+    let mut first: HashMap<&[u8], &str> = HashMap::new();
+    let mut pairs = Vec::new();
+    for view in views {
+        if let Some(twin) = first.insert(&view.photo.rgb, &view.name) {
+            pairs.push(format!("{twin} and {}", view.name));
+        }
+    }
+    let shown: Vec<&str> = pairs.iter().map(String::as_str).collect();
+    (!shown.is_empty())
+        .then(|| format!("photos are there twice ({}): one of each pair counts double; remove it", listed(&shown)))
+}
+
+fn those<'a>(views: &[&'a View], measures: &[Measures], is_bad: impl Fn(&Measures) -> bool) -> Vec<&'a str> {
+    views.iter().zip(measures).filter(|(_, photo)| is_bad(photo)).map(|(view, _)| view.name.as_str()).collect()
+}
+
+fn measure(photo: &Photo) -> Measures {
+    let white = photo.rgb.chunks_exact(3).filter(|pixel| pixel.iter().all(|&value| value >= WHITE)).count();
+    Measures { sharpness: sharpness(photo), white: white as f64 / (photo.rgb.len() / 3) as f64 }
+}
+
+/// Variance of the Laplacian of brightness, over the inner pixels.
+fn sharpness(photo: &Photo) -> f64 {
+    let width = photo.width as usize;
+    let bright: Vec<f64> =
+        photo.rgb.chunks_exact(3).map(|pixel| pixel.iter().map(|&value| f64::from(value)).sum::<f64>() / 3.0).collect();
+    let (mut sum, mut squares, mut count) = (0.0, 0.0, 0.0);
+    for y in 1..(photo.height as usize).saturating_sub(1) {
+        for x in 1..width - 1 {
+            let at = y * width + x;
+            let around = bright[at - 1] + bright[at + 1] + bright[at - width] + bright[at + width];
+            let laplacian = 4.0 * bright[at] - around;
+            (sum, squares, count) = (sum + laplacian, squares + laplacian * laplacian, count + 1.0);
+        }
+    }
+    squares / count - (sum / count) * (sum / count)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::super::cameras::tests::camera_at;
+    use super::*;
+
+    fn view(name: &str, photo: Photo) -> View {
+        View { name: name.into(), camera: camera_at([0.0; 3]), photo: Arc::new(photo) }
+    }
+
+    fn noise(seed: u32, contrast: u32) -> Photo {
+        let value = |at: u32| (100 + (at * 7919 + seed * 104_729) % 251 % contrast) as u8;
+        Photo { width: 20, height: 20, rgb: (0..1200).map(value).collect() }
+    }
+
+    #[test]
+    fn the_odd_ones_out_are_named() {
+        let mut views: Vec<View> = (0..6).map(|seed| view(&format!("{seed}.jpg"), noise(seed, 100))).collect();
+        let found = |views: &[View]| warnings(&views.iter().collect::<Vec<_>>());
+        assert_eq!(found(&views), [] as [String; 0]);
+        views[1].photo = Arc::new(noise(1, 3));
+        views[3].photo = Arc::new(Photo { rgb: vec![255; 1200], ..noise(3, 100) });
+        views[5].photo = Arc::clone(&views[0].photo);
+        let found = found(&views);
+        assert_eq!(found.len(), 3, "{found:?}");
+        assert!(found[0].contains("softer edges") && found[0].contains("(1.jpg, 3.jpg)"), "{found:?}");
+        assert!(found[1].contains("mostly white (3.jpg)") && found[2].contains("0.jpg and 5.jpg"), "{found:?}");
+    }
+}

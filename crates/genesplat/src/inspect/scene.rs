@@ -1,0 +1,90 @@
+//! What is known of a scene before it is trained.
+
+use std::path::Path;
+
+use anyhow::Result;
+use genesplat::core::View;
+use genesplat::io::{PhotoSize, Scene};
+use genesplat::train::TrainConfig;
+use genesplat::train::scene::initialise::scene_extent;
+
+use super::cameras::{Sight, sight};
+use super::cost::{Cost, estimate};
+use super::{Fact, Report, cameras, photos};
+use crate::scene;
+use crate::terminal::numbers::{memory, thousands, time_left};
+
+/// Iterations of a quick run, which an estimate is given of.
+const QUICK: u32 = 7000;
+
+pub(crate) fn inspect_scene(path: &Path, size: PhotoSize) -> Result<Report> {
+    let settings = TrainConfig { iterations: QUICK, ..TrainConfig::default() }.resolve()?;
+    let scene = scene::load(path, size, [0.0; 3], settings.config().seed)?;
+    let views: Vec<&View> = scene.train.iter().chain(&scene.test).collect();
+    let sight = sight(&views, &scene.points);
+    let warnings = [cameras::warnings(&views, &sight), photos::warnings(&views)].concat();
+    let mut facts = found(&scene, &views, &sight)?;
+    facts.extend(expected(&estimate(&scene, &settings)?));
+    Ok(Report { kind: "scene", facts, warnings })
+}
+
+fn found(scene: &Scene, views: &[&View], sight: &Sight) -> Result<Vec<Fact>> {
+    let extent = scene_extent(scene.train.iter().map(|view| &view.camera))?;
+    let mut seen = sight.points_seen.clone();
+    seen.sort_unstable();
+    let mut facts = vec![
+        Fact::new("photos", views.len(), thousands(views.len())),
+        Fact::new("test photos", scene.test.len(), format!("{} of them, which training never sees", scene.test.len())),
+        sizes(views),
+        field_of_view(views),
+        Fact::new("points", scene.points.len(), thousands(scene.points.len())),
+        Fact::new(
+            "points in a photo",
+            seen[seen.len() / 2],
+            format!("{} to {}", thousands(seen[0]), thousands(seen[seen.len() - 1])),
+        ),
+        Fact::new(
+            "extent",
+            extent,
+            format!("{extent:.3} world units: 1.1 times the farthest camera from their middle"),
+        ),
+    ];
+    if let Some(depth) = sight.depth {
+        facts.push(Fact::new(
+            "depth",
+            depth,
+            format!("{depth:.3} world units: half of what the photos show is nearer"),
+        ));
+    }
+    Ok(facts)
+}
+
+fn sizes(views: &[&View]) -> Fact {
+    let mut sizes: Vec<[u32; 2]> = views.iter().map(|view| [view.photo.width, view.photo.height]).collect();
+    sizes.sort_unstable();
+    sizes.dedup();
+    let [width, height] = sizes[0];
+    let more = if sizes.len() > 1 { format!(", and {} other sizes", sizes.len() - 1) } else { String::new() };
+    Fact::new("size", vec![width, height], format!("{width}x{height} pixels as they are trained on{more}"))
+}
+
+fn field_of_view(views: &[&View]) -> Fact {
+    let degrees = |view: &&View| 2.0 * view.camera.tan_half_fov()[0].atan().to_degrees();
+    let angles: Vec<f64> = views.iter().map(degrees).collect();
+    let (least, most) = angles.iter().fold((f64::INFINITY, 0.0f64), |(a, b), &angle| (a.min(angle), b.max(angle)));
+    let shown =
+        if most - least < 0.5 { format!("{least:.0} degrees") } else { format!("{least:.0} to {most:.0} degrees") };
+    Fact::new("field of view", least, format!("{shown} across"))
+}
+
+fn expected(cost: &Cost) -> [Fact; 3] {
+    [
+        Fact::new("Gaussians", cost.gaussians, format!("about {} after {QUICK} iterations", thousands(cost.gaussians))),
+        Fact::new("memory", cost.memory_bytes, format!("about {}", memory(cost.memory_bytes))),
+        Fact::new(
+            "time",
+            cost.seconds,
+            format!("about {} for {QUICK} iterations on this machine's CPU", time_left(cost.seconds)),
+        ),
+    ]
+}

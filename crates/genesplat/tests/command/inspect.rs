@@ -1,0 +1,63 @@
+//! `inspect` tells what is there, what looks wrong, and what training will take.
+
+use std::fs;
+
+use serde_json::Value;
+
+use crate::support::{fail, json, number, scene, succeed, text, train, write_gallery};
+
+/// What the report says under `name`.
+fn fact(report: &Value, name: &str) -> Value {
+    let facts = report["facts"].as_array().unwrap();
+    facts.iter().find(|fact| fact["name"] == name).unwrap_or_else(|| panic!("no {name} in {report}"))["value"].clone()
+}
+
+#[test]
+fn a_scene_is_described_before_it_is_trained() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("report.json");
+    let said = succeed(["inspect", text(scene()), "--json", text(&file)]);
+    assert!(said.contains("64x48 pixels") && said.contains("nothing looks wrong"), "{said}");
+    let report = json(&file);
+    assert_eq!((&report["kind"], report["warnings"].as_array().unwrap().len()), (&"scene".into(), 0));
+    assert_eq!((fact(&report, "photos"), fact(&report, "test photos")), (12.into(), 2.into()));
+    assert!(number(&fact(&report, "points")) > 100.0 && number(&fact(&report, "depth")) > 0.0);
+    // 10 photos of 64x48 pixels over 2 times the root of their number.
+    assert_eq!(fact(&report, "Gaussians"), 4857.into());
+    assert!(number(&fact(&report, "time")) > 0.0 && number(&fact(&report, "memory")) > 4857.0 * 1000.0);
+}
+
+#[test]
+fn a_photo_that_is_there_twice_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    write_gallery(folder.path());
+    let images = folder.path().join("images");
+    fs::copy(images.join("gallery_003.png"), images.join("gallery_004.png")).unwrap();
+    let said = succeed(["inspect", text(folder.path())]);
+    assert!(said.contains("look at: photos are there twice (gallery_003.png and gallery_004.png)"), "{said}");
+}
+
+#[test]
+fn runs_and_splats_are_described() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = folder.path().join("run");
+    succeed(train(scene(), &run, &["--iterations", "30"]));
+    let metrics = json(&run.join("metrics.json"));
+    let file = folder.path().join("report.json");
+    succeed(["inspect", text(&run), "--json", text(&file)]);
+    let report = json(&file);
+    assert_eq!((&report["kind"], fact(&report, "iterations")), (&"run".into(), 30.into()));
+    assert_eq!(
+        (fact(&report, "Gaussians"), fact(&report, "test PSNR")),
+        (metrics["gaussians"].clone(), metrics["test"]["psnr"].clone())
+    );
+
+    let splat = run.join("point_cloud.ply");
+    succeed(["inspect", text(&splat), "--json", text(&file)]);
+    assert_eq!(
+        (&json(&file)["kind"], fact(&json(&file), "Gaussians")),
+        (&"splat".into(), metrics["gaussians"].clone())
+    );
+    fail(["inspect", text(&splat), "--json", text(&splat)], &["point_cloud.ply"]);
+    fail(["inspect", text(&folder.path().join("absent"))], &["absent", "does not exist"]);
+}
