@@ -290,6 +290,13 @@ pub(crate) struct ExperimentArgs {
     /// Folder that holds the folders of the scenes [default: none; the bundled gallery needs none]
     #[arg(long, value_name = "FOLDER")]
     pub(crate) data: Option<PathBuf>,
+    /// Print the runs with their numbers, a line each, and run nothing
+    #[arg(long, conflicts_with = "cell")]
+    pub(crate) list: bool,
+    /// Make run N of --list only, and no tables: for job arrays, any number at once in one folder. The same command
+    /// without it makes the tables
+    #[arg(long, value_name = "N")]
+    pub(crate) cell: Option<usize>,
     /// Training steps of every run [default: as the experiment says]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub(crate) iterations: Option<u32>,

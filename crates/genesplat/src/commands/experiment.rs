@@ -8,6 +8,7 @@ use anyhow::{Result, bail};
 
 use super::Ending;
 use crate::args::{ExperimentArgs, MachineArgs};
+use crate::experiment::cells::State;
 use crate::experiment::plan::Experiment;
 use crate::experiment::results::Results;
 use crate::experiment::runner::{Ran, Runner};
@@ -35,7 +36,8 @@ pub(crate) fn run(args: &ExperimentArgs) -> Result<Ending> {
     files::check_folder(&args.out, TABLES)?;
     check_ours(&args.out)?;
     experiment.check_scenes(args.data.as_deref(), &args.out)?;
-    let _lock = Lock::take(&args.out)?;
+    // Single cells are locked by their own folders.
+    let _lock = (!args.list && args.cell.is_none()).then(|| Lock::take(&args.out)).transpose()?;
     device::use_threads(args.machine.threads)?;
     let stop = interrupt::stop_flag()?;
     let lpips = lpips::open(&args.lpips)?;
@@ -48,7 +50,13 @@ pub(crate) fn run(args: &ExperimentArgs) -> Result<Ending> {
         lpips: lpips.as_ref(),
         stop: &stop,
     };
-    let Ran { results, mut failures } = runner.run()?;
+    if args.list {
+        return list(&runner);
+    }
+    if let Some(number) = args.cell {
+        return run_cell(&runner, number);
+    }
+    let Ran { results, mut failures } = runner.run(None)?;
     let (finished, cells) = (results.finished(), experiment.cells().len());
     if lpips.is_some() {
         tell_of_unmeasured(&results);
@@ -64,6 +72,42 @@ pub(crate) fn run(args: &ExperimentArgs) -> Result<Ending> {
     output::print(&format!(
         "stopped: {finished} of {cells} runs are finished; the same command goes on with the rest"
     ))?;
+    Ok(Ending::Stopped)
+}
+
+/// A line a cell: its number, what is known of it, its folder.
+fn list(runner: &Runner<'_>) -> Result<Ending> {
+    for (number, (cell, state)) in (1..).zip(runner.states()?) {
+        let is_control = runner.experiment.arms[cell.arm].control_of.is_some();
+        let state = match state {
+            State::Finished(_) => "finished",
+            State::Interrupted => "interrupted",
+            State::Missing if is_control => "after its arm",
+            State::Missing => "to do",
+        };
+        output::print(&format!("{number:>5}  {state:<13}  {}", runner.experiment.folder(cell).display()))?;
+    }
+    Ok(Ending::Whole)
+}
+
+/// The cell with this number in the list, whoever makes the others.
+fn run_cell(runner: &Runner<'_>, number: usize) -> Result<Ending> {
+    let cells = runner.experiment.cells();
+    let Some(&cell) = number.checked_sub(1).and_then(|index| cells.get(index)) else {
+        bail!("--cell {number} is not there: the experiment has the runs 1 to {} (--list shows them)", cells.len());
+    };
+    let Ran { results, mut failures } = runner.run(Some(cell))?;
+    if let Some(failure) = failures.pop() {
+        return Err(failure.error);
+    }
+    if results.get(cell).is_some() {
+        return Ok(Ending::Whole);
+    }
+    if let Some(arm) = runner.waits_for(cell, &results) {
+        let its = cells.iter().position(|other| *other == arm).map_or(0, |index| index + 1);
+        bail!("run {number} is a control, and spends the seconds that run {its} has taken; make that one first");
+    }
+    output::print(&format!("stopped: run {number} is not finished; the same command goes on with it"))?;
     Ok(Ending::Stopped)
 }
 

@@ -83,9 +83,9 @@ impl Reach {
 }
 
 impl<'a> Runner<'a> {
-    /// Runs everything, or until it is stopped. A cell that fails keeps others from being begun only where they would
-    /// fail.
-    pub(crate) fn run(&self) -> Result<Ran<'a>> {
+    /// Runs all that is unfinished, or `only` that one cell, or until it is stopped. A cell that fails keeps others from
+    /// being begun only where they would fail.
+    pub(crate) fn run(&self, only: Option<Cell>) -> Result<Ran<'a>> {
         self.check_folders()?;
         self.check_photos()?;
         self.check_scenes()?;
@@ -101,7 +101,7 @@ impl<'a> Runner<'a> {
                     ran.results.put(cell, *metrics);
                     continue;
                 }
-                _ if !self.may_begin(cell, &ran) => continue,
+                _ if only.is_some_and(|only| only != cell) || !self.may_begin(cell, &ran) => continue,
                 state => self.train(cell, &settings, matches!(state, State::Interrupted), &mut scenes),
             };
             match trained {
@@ -123,9 +123,27 @@ impl<'a> Runner<'a> {
 
     /// Neither stopped nor bound to fail. A control stands beside an arm that has come to its end.
     fn may_begin(&self, cell: Cell, ran: &Ran<'_>) -> bool {
-        let has_its_arm =
-            self.experiment.arms[cell.arm].control_of.is_none_or(|arm| ran.results.get(Cell { arm, ..cell }).is_some());
+        let has_its_arm = self.waits_for(cell, &ran.results).is_none();
         !self.stop.load(Ordering::Relaxed) && has_its_arm && !ran.failures.iter().any(|failure| failure.reaches(cell))
+    }
+
+    /// All cells, and what is on the disk of each.
+    pub(crate) fn states(&self) -> Result<Vec<(Cell, State)>> {
+        let (mut results, mut states) = (Results::none(self.experiment), Vec::new());
+        for cell in self.experiment.cells() {
+            let state = self.state(cell, &self.settings(cell, &results)?);
+            if let State::Finished(metrics) = &state {
+                results.put(cell, (**metrics).clone());
+            }
+            states.push((cell, state));
+        }
+        Ok(states)
+    }
+
+    /// The arm that a cell is the control of has not come to its end there.
+    pub(crate) fn waits_for(&self, cell: Cell, results: &Results<'_>) -> Option<Cell> {
+        let arm = self.experiment.arms[cell.arm].control_of?;
+        Some(Cell { arm, ..cell }).filter(|cell| results.get(*cell).is_none())
     }
 
     /// The settings of a cell; those of a control depend on what its arm has taken.

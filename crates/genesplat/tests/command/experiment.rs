@@ -279,3 +279,41 @@ fn what_cannot_be_run_is_said_at_once() {
     fail(experiment(&file, &own, &["--data", text(folder.path())]), &["fox", "folder of the scene"]);
     assert!(!out.join("cells").exists());
 }
+
+#[cfg(unix)]
+#[test]
+fn a_job_array_makes_the_same_tables_as_one_process() {
+    use std::process::{Command, Stdio};
+
+    let folder = tempfile::tempdir().unwrap();
+    let file = write(folder.path(), "evolve = [\"off\", \"control\", \"paper\"]\ncontrol_steps = 5");
+    let [one, many] = ["one", "many"].map(|name| folder.path().join(name));
+    succeed(experiment(&file, &one, &[]));
+    let listed = succeed(experiment(&file, &many, &["--list"]));
+    assert_eq!(listed.lines().count(), 6, "{listed}");
+    assert_eq!(listed.matches("to do").count(), 4, "{listed}");
+    assert_eq!(listed.matches("after its arm").count(), 2, "{listed}");
+    assert!(!many.join("cells").exists(), "a list runs nothing");
+    fail(experiment(&file, &many, &["--cell", "7"]), &["--cell 7", "1 to 6"]);
+    fail(experiment(&file, &many, &["--cell", "0"]), &["--cell 0"]);
+    fail(experiment(&file, &many, &["--cell", "3"]), &["run 3 is a control", "run 2"]);
+
+    // Three at a time; each number twice, as a scheduler does that restarts a job.
+    let jobs = |numbers: &str| {
+        let words = experiment(&file, &many, &["--no-lpips", "--cell", "{}"]);
+        let mut xargs = Command::new("xargs");
+        xargs.args(["-P", "3", "-I{}", env!("CARGO_BIN_EXE_genesplat")]).args(words);
+        let mut child = xargs.stdin(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
+        std::io::Write::write_all(&mut child.stdin.take().unwrap(), numbers.as_bytes()).unwrap();
+        child.wait().unwrap()
+    };
+    assert!(jobs("1\n2\n4\n5\n").success());
+    assert!(jobs("3\n6\n1\n4\n").success());
+    let listed = succeed(experiment(&file, &many, &["--list"]));
+    assert_eq!(listed.matches("finished").count(), 6, "{listed}");
+    let before = times(&many);
+    succeed(experiment(&file, &many, &[]));
+    assert_eq!(times(&many), before, "nothing was left to do");
+    let tables = |out: &Path| fs::read_to_string(out.join("tables.md")).unwrap();
+    assert_eq!(tables(&one), tables(&many));
+}
