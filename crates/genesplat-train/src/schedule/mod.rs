@@ -13,9 +13,9 @@ use crate::config::{Background, EvolutionMode, TrainConfig, Trigger, Variant};
 /// some hundred views; over fewer than a scene's photos it grows what the next photos do not need.
 pub(crate) const SCALED_INTERVAL_MIN: u32 = 100;
 
-/// A run that densifies more often than published makes the optimiser steps that the reference would lose: it loses one
-/// in a hundred, and not more.
-const LOSING_INTERVAL_MIN: u32 = 100;
+/// A run that is made to densify more often than this makes the optimiser steps that the reference would lose: if every
+/// iteration lost one, it would never learn anything.
+const LOSING_INTERVAL_MIN: u32 = 10;
 
 /// Fraction of a run after which nothing grows that is to be renewed. Longer, and there is no time for renewals; at
 /// half, runs of 2,000 steps at 480 px had too few Gaussians.

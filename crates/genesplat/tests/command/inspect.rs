@@ -23,7 +23,7 @@ fn a_scene_is_described_before_it_is_trained() {
     assert_eq!((fact(&report, "photos"), fact(&report, "test photos")), (12.into(), 2.into()));
     assert!(number(&fact(&report, "points")) > 100.0 && number(&fact(&report, "depth")) > 0.0);
     // 10 photos of 64x48 pixels over 2 times the root of their number.
-    assert_eq!(fact(&report, "Gaussians"), 4857.into());
+    assert_eq!(fact(&report, "Gaussians"), Value::from(4857));
     assert!(number(&fact(&report, "time")) > 0.0 && number(&fact(&report, "memory")) > 4857.0 * 1000.0);
 }
 

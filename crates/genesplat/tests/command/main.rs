@@ -7,6 +7,7 @@ mod inspect;
 mod lpips;
 mod overwrite;
 mod peer;
+mod real_scene;
 mod resume;
 mod run_folder;
 mod support;
