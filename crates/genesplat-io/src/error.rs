@@ -5,22 +5,24 @@ use std::path::{Path, PathBuf};
 
 use crate::photos::PhotoError;
 use crate::ply::PlyError;
+use crate::shown;
 
 /// Why a scene could not be loaded.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum SceneError {
     /// Nothing at the path.
-    #[error("{0} does not exist; give the folder that holds the scene")]
+    #[error("{} does not exist; give the folder that holds the scene", shown(.0))]
     Missing(PathBuf),
     /// A folder of no known form.
     #[error(
-        "{0} is not a scene that genesplat knows: expected a COLMAP model in sparse/0 (cameras, images and points3D \
-         as .bin or .txt), a Blender transforms_train.json, or a nerfstudio transforms.json"
+        "{} is not a scene that genesplat knows: expected a COLMAP model in sparse/0 (cameras, images and points3D \
+         as .bin or .txt), a Blender transforms_train.json, or a nerfstudio transforms.json",
+        shown(.0)
     )]
     Unrecognised(PathBuf),
     /// A folder inside of a scene.
-    #[error("{path} is a part of a scene; give {scene}, the folder that holds sparse and images")]
+    #[error("{} is a part of a scene; give {}, the folder that holds sparse and images", shown(.path), shown(.scene))]
     PartOfScene {
         /// What was asked for.
         path: PathBuf,
@@ -28,7 +30,7 @@ pub enum SceneError {
         scene: PathBuf,
     },
     /// The operating system refused.
-    #[error("cannot read {file}: {source}")]
+    #[error("cannot read {}: {source}", shown(.file))]
     Read {
         /// The file.
         file: PathBuf,
@@ -36,7 +38,7 @@ pub enum SceneError {
         source: io::Error,
     },
     /// A binary file with more or fewer bytes than it says.
-    #[error("{file} {problem}, so copy or export it again")]
+    #[error("{} {problem}, so copy or export it again", shown(.file))]
     Damaged {
         /// The file.
         file: PathBuf,
@@ -44,7 +46,7 @@ pub enum SceneError {
         problem: String,
     },
     /// A text file that does not follow its grammar.
-    #[error("{file}, line {line}: expected {expected}; repair the line or export the file again")]
+    #[error("{}, line {line}: expected {expected}; repair the line or export the file again", shown(.file))]
     Syntax {
         /// The file.
         file: PathBuf,
@@ -54,7 +56,7 @@ pub enum SceneError {
         expected: &'static str,
     },
     /// A JSON file that does not parse, or lacks a field.
-    #[error("{file} is not a valid description of cameras: {source}; repair it or export it again")]
+    #[error("{} is not a valid description of cameras: {source}; repair it or export it again", shown(.file))]
     Json {
         /// The file.
         file: PathBuf,
@@ -63,7 +65,7 @@ pub enum SceneError {
     },
     /// A file whose records cannot be used together: names that occur twice or lead out of the scene, lists that
     /// contradict each other, too few photos or points.
-    #[error("{file} {problem}")]
+    #[error("{} {problem}", shown(.file))]
     Invalid {
         /// The file, or the folder of the scene.
         file: PathBuf,
@@ -71,7 +73,7 @@ pub enum SceneError {
         problem: String,
     },
     /// A record that cannot be: a pose or a point that is not finite, a photo of no camera.
-    #[error("{file}: {problem}")]
+    #[error("{}: {problem}", shown(.file))]
     BadRecord {
         /// The file.
         file: PathBuf,
@@ -80,8 +82,10 @@ pub enum SceneError {
     },
     /// A lens that is not a pinhole.
     #[error(
-        "{file}: camera {camera} uses the model {model}, which bends straight lines; run COLMAP's image_undistorter on \
-         the reconstruction and load its output folder"
+        "{}: camera {camera} uses the model {}, which bends straight lines; run COLMAP's image_undistorter on \
+         the reconstruction and load its output folder",
+        shown(.file),
+        shown(.model)
     )]
     DistortedCamera {
         /// The file.
@@ -93,7 +97,9 @@ pub enum SceneError {
     },
     /// A lens model that genesplat cannot undo.
     #[error(
-        "{file} uses the camera model {model}, and genesplat reads only {}; undistort the photos first",
+        "{} uses the camera model {}, and genesplat reads only {}; undistort the photos first",
+        shown(.file),
+        shown(.model),
         crate::transforms::KNOWN_MODELS.join(", ")
     )]
     UnknownLens {
@@ -103,7 +109,7 @@ pub enum SceneError {
         model: String,
     },
     /// Intrinsics that no camera has.
-    #[error("{file}: camera {camera} {problem}; calibrate it again")]
+    #[error("{}: camera {} {problem}; calibrate it again", shown(.file), shown(.camera))]
     BadCamera {
         /// The file.
         file: PathBuf,
@@ -114,12 +120,17 @@ pub enum SceneError {
     },
     /// A point cloud that is absent.
     #[error(
-        "the point cloud {0}, which the scene has as its ply_file_path, does not exist; put it there, or remove \
-         ply_file_path to start from random points"
+        "the point cloud {}, which the scene has as its ply_file_path, does not exist; put it there, or remove \
+         ply_file_path to start from random points",
+        shown(.0)
     )]
     PointsMissing(PathBuf),
     /// One listed photo is absent.
-    #[error("the photo {photo}, which {list} lists, does not exist; put it back, or remove it from the list")]
+    #[error(
+        "the photo {}, which {} lists, does not exist; put it back, or remove it from the list",
+        shown(.photo),
+        shown(.list)
+    )]
     PhotoMissing {
         /// Where it should be.
         photo: PathBuf,
@@ -127,7 +138,7 @@ pub enum SceneError {
         list: PathBuf,
     },
     /// Every listed photo is absent.
-    #[error("none of the {count} photos that {list} lists is in {folder}; put the photos there")]
+    #[error("none of the {count} photos that {} lists is in {}; put the photos there", shown(.list), shown(.folder))]
     AllPhotosMissing {
         /// How many are listed.
         count: usize,
@@ -137,7 +148,7 @@ pub enum SceneError {
         folder: PathBuf,
     },
     /// A photo of another shape than its camera's, or too small to learn from.
-    #[error("the photo {photo} {problem}")]
+    #[error("the photo {} {problem}", shown(.photo))]
     BadPhoto {
         /// The photo.
         photo: PathBuf,

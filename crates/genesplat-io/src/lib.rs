@@ -4,15 +4,20 @@
 //! typed error whose one sentence says what, where, and what to do. A panic here is a bug.
 
 pub mod atomic;
+#[doc(hidden)]
+pub mod bytes;
 pub mod colmap;
 mod error;
+pub mod input;
 mod listing;
 pub mod photos;
 pub mod ply;
 mod scene;
+mod shown;
 mod transforms;
 
 pub use error::SceneError;
 pub use photos::PhotoSize;
 pub use ply::{PlyError, PlyOptions, read_ply, write_ply};
 pub use scene::{HoldOut, LoadOptions, LoadProgress, Point, SIDE_MIN_PX, Scene, load_points, load_scene};
+pub use shown::shown;

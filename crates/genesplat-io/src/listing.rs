@@ -9,6 +9,7 @@ use genesplat_core::Camera;
 use crate::error::SceneError;
 use crate::photos::Distortion;
 use crate::scene::Point;
+use crate::shown;
 
 pub(crate) struct Listing {
     pub(crate) photos: Vec<ListedPhoto>,
@@ -77,7 +78,22 @@ pub(crate) fn no_photos(list: &Path) -> SceneError {
 
 pub(crate) fn bad_pose(list: &Path, photo: &str, problem: &str) -> SceneError {
     let remedy = "remove the photo from the reconstruction or reconstruct again";
-    SceneError::bad_record(list, format!("the pose of photo {photo} {problem}; {remedy}"))
+    SceneError::bad_record(list, format!("the pose of photo {} {problem}; {remedy}", shown(photo)))
+}
+
+/// Largest coordinate of a point or a camera that is believed, world units. Beyond it, a reconstruction has gone wrong:
+/// squares of distances overflow f32 at 1e19, and at 1e9 a pixel is far below what f32 resolves.
+pub(crate) const COORDINATE_MAX: f64 = 1e9;
+
+/// What makes a position impossible, if anything does.
+pub(crate) fn position_problem(position: [f64; 3]) -> Option<&'static str> {
+    if !position.iter().all(|coordinate| coordinate.is_finite()) {
+        Some("is not finite")
+    } else if position.iter().any(|coordinate| coordinate.abs() > COORDINATE_MAX) {
+        Some("lies beyond 1e9 world units")
+    } else {
+        None
+    }
 }
 
 /// What makes a camera's intrinsics impossible, if anything does. All in pixels.
@@ -88,12 +104,16 @@ pub(crate) fn intrinsics_problem(
 ) -> Option<&'static str> {
     /// Largest side of a photo that is believed: beyond it, the file is damaged.
     const SIDE_MAX_PX: f64 = (1 << 20) as f64;
+    /// The same for focal lengths and, to either side, principal points.
+    const LENGTH_MAX_PX: f64 = 1e9;
     if !size_px.iter().all(|side| (1.0..=SIDE_MAX_PX).contains(side)) {
         Some("has an impossible image size")
     } else if !focal_px.iter().all(|focal| focal.is_finite() && *focal > 0.0) {
         Some("has a focal length that is not a positive number")
     } else if !principal_px.iter().all(|coordinate| coordinate.is_finite()) {
         Some("has a principal point that is not finite")
+    } else if focal_px.iter().chain(&principal_px).any(|length| length.abs() > LENGTH_MAX_PX) {
+        Some("has a focal length or a principal point beyond 1e9 pixels")
     } else {
         None
     }
@@ -108,7 +128,7 @@ pub(crate) fn base_name(path: &str) -> &str {
 fn view_names(paths: &[&str], list: &Path) -> Result<Vec<String>, SceneError> {
     let whole: Vec<String> = paths.iter().map(|path| path.trim_start_matches("./").to_owned()).collect();
     if let Some(name) = repeated(&whole) {
-        let problem = format!("lists the photo {name} twice; remove one of its entries");
+        let problem = format!("lists the photo {} twice; remove one of its entries", shown(name));
         return Err(SceneError::invalid(list, problem));
     }
     let own: Vec<String> = paths.iter().map(|path| base_name(path).to_owned()).collect();

@@ -11,8 +11,8 @@ use crate::{SizeMismatch, psnr, ssim};
 pub struct ViewScore {
     /// File name of the photo.
     pub name: String,
-    /// Peak signal-to-noise ratio, dB. Infinite for identical pictures, which JSON shows as `null`.
-    #[serde(serialize_with = "finite_or_null", deserialize_with = "null_as_nan")]
+    /// Peak signal-to-noise ratio, dB; [`crate::PSNR_MAX_DB`] for identical pictures.
+    #[serde(deserialize_with = "null_as_nan")]
     pub psnr: f64,
     /// Structural similarity, at most 1.
     pub ssim: f64,
@@ -23,7 +23,7 @@ pub struct ViewScore {
 /// Means over views, and each view.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Evaluation {
-    /// Mean of the views' PSNR, dB. `null` in JSON when a view is reproduced exactly, or when there is no view.
+    /// Mean of the views' PSNR, dB; `null` in JSON when there is no view.
     #[serde(serialize_with = "finite_or_null", deserialize_with = "null_as_nan")]
     pub psnr: f64,
     /// Mean of the views' SSIM; `null` in JSON when there is no view.
@@ -49,7 +49,7 @@ impl Evaluation {
     }
 }
 
-/// JSON knows no infinity and no NaN.
+/// JSON knows no NaN.
 fn finite_or_null<S: Serializer>(value: &f64, serializer: S) -> Result<S::Ok, S::Error> {
     value.is_finite().then_some(*value).serialize(serializer)
 }
@@ -106,12 +106,20 @@ mod tests {
 
     #[test]
     fn what_json_cannot_say_becomes_null() {
-        let exact = Evaluation::from_views(vec![score(f64::INFINITY, None)]);
+        let none = serde_json::to_value(Evaluation::from_views(Vec::new())).unwrap();
+        assert!(none["psnr"].is_null() && none["ssim"].is_null());
+        let read: Evaluation = serde_json::from_value(none).unwrap();
+        assert!(read.psnr.is_nan() && read.ssim.is_nan());
+    }
+
+    #[test]
+    fn a_view_that_is_reproduced_exactly_has_a_figure() {
+        let photo = Photo { width: 16, height: 16, rgb: vec![77; 3 * 16 * 16] };
+        let exact = Evaluation::from_views(vec![compare("a.png", &photo, &photo).unwrap()]);
         let json = serde_json::to_value(&exact).unwrap();
-        assert!(json["psnr"].is_null() && json["views"][0]["psnr"].is_null());
-        assert_eq!(json["ssim"], 0.5);
-        let read: Evaluation = serde_json::from_value(json).unwrap();
-        assert!(read.psnr.is_nan() && read.views[0].psnr.is_nan() && read.ssim == 0.5);
-        assert!(serde_json::to_value(Evaluation::from_views(Vec::new())).unwrap()["ssim"].is_null());
+        assert_eq!((&json["psnr"], &json["views"][0]["psnr"]), (&120.0.into(), &120.0.into()));
+        // Older versions wrote `null`.
+        let older: ViewScore = serde_json::from_str(r#"{"name": "a.png", "psnr": null, "ssim": 1.0}"#).unwrap();
+        assert!(older.psnr.is_nan());
     }
 }

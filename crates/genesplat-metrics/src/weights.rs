@@ -5,10 +5,11 @@
 
 use std::collections::BTreeMap;
 use std::fmt::{Debug, Display};
-use std::fs::{self, File};
+use std::fs;
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
+use genesplat_io::{input, shown};
 use half::f16;
 use pytorch_reader::PytorchReader;
 use safetensors::tensor::TensorView;
@@ -32,7 +33,7 @@ pub type NamedTensors = BTreeMap<String, Tensor>;
 #[non_exhaustive]
 pub enum WeightFileError {
     /// The operating system refused to read.
-    #[error("cannot read the weights {path}: {source}")]
+    #[error("cannot read the weights {}: {source}", shown(.path))]
     Read {
         /// The file.
         path: PathBuf,
@@ -40,7 +41,7 @@ pub enum WeightFileError {
         source: io::Error,
     },
     /// Not a file of weights, a damaged one, or one of numbers of another kind.
-    #[error("{path} {problem}")]
+    #[error("{} {problem}", shown(.path))]
     Unusable {
         /// The file.
         path: PathBuf,
@@ -58,7 +59,7 @@ const BYTES_MAX: u64 = 1 << 30;
 pub fn read_weights(path: &Path, wants: impl Fn(&str) -> bool) -> Result<NamedTensors, WeightFileError> {
     // Safetensors begin with the length of a header (8 bytes), and the header is a JSON object.
     let mut start = Vec::new();
-    let opened = File::open(path).and_then(|file| file.take(9).read_to_end(&mut start));
+    let opened = input::open(path).and_then(|file| file.take(9).read_to_end(&mut start));
     opened.map_err(|source| unreadable(path, source))?;
     if start.get(8) == Some(&b'{') { read_safetensors(path, wants) } else { read_pytorch(path, wants) }
 }
@@ -81,7 +82,7 @@ pub fn to_safetensors(tensors: &NamedTensors) -> Vec<u8> {
 pub fn sha256(path: &Path) -> Result<String, WeightFileError> {
     let mut digest = Sha256::new();
     let mut chunk = vec![0; 1 << 20];
-    let mut file = File::open(path).map_err(|source| unreadable(path, source))?;
+    let mut file = input::open(path).map_err(|source| unreadable(path, source))?;
     loop {
         match file.read(&mut chunk).map_err(|source| unreadable(path, source))? {
             0 => return Ok(digest.finalize().iter().map(|byte| format!("{byte:02x}")).collect()),
@@ -96,7 +97,7 @@ fn read_safetensors(path: &Path, wants: impl Fn(&str) -> bool) -> Result<NamedTe
     if length > BYTES_MAX {
         return Err(damaged(path, format!("it has {length} bytes, and at most {BYTES_MAX} are read")));
     }
-    let bytes = fs::read(path).map_err(read)?;
+    let bytes = input::read(path).map_err(read)?;
     let file = SafeTensors::deserialize(&bytes).map_err(|error| damaged(path, error))?;
     let wanted = file.iter().map(|(name, view)| (canonical(name), view)).filter(|(name, _)| wants(name));
     wanted.map(|(name, view)| tensor(path, name, view.dtype(), view.shape(), view.data())).collect()
@@ -110,7 +111,7 @@ fn read_pytorch(path: &Path, wants: impl Fn(&str) -> bool) -> Result<NamedTensor
         // A tensor may repeat a stored value as often as it says.
         let promised = stored.byte_len() as u64;
         if promised > held {
-            return Err(damaged(path, format!("tensor {name} has {promised} bytes, and the file {held}")));
+            return Err(damaged(path, format!("tensor {} has {promised} bytes, and the file {held}", shown(&name))));
         }
         let bytes = stored.read().map_err(|error| damaged(path, error))?;
         tensor(path, name, stored.dtype(), stored.shape(), &bytes)
@@ -131,7 +132,7 @@ fn tensor(
         "F16" => bytes.as_chunks().0.iter().map(|&value| f16::from_le_bytes(value).to_f32()).collect(),
         other => {
             let remedy = "and only F16 and F32 are read; convert the file to F32";
-            return Err(unusable(path, format!("cannot be used: its tensor {name} holds {other}, {remedy}")));
+            return Err(unusable(path, format!("cannot be used: its tensor {} holds {other}, {remedy}", shown(&name))));
         }
     };
     Ok((name, Tensor { shape: shape.to_vec(), values }))

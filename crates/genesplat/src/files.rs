@@ -6,6 +6,7 @@ use std::path::Path;
 
 use anyhow::{Result, anyhow, bail};
 use genesplat::io::atomic::{self, write_atomically};
+use genesplat::io::shown;
 use serde::Serialize;
 
 /// Writes `value` to `path` as indented JSON, whole or not at all.
@@ -26,7 +27,7 @@ pub(crate) fn check_writable(path: &Path) -> Result<()> {
 /// The same for the file `name` in the folder `path`, which whoever writes it makes.
 pub(crate) fn check_folder(path: &Path, name: &str) -> Result<()> {
     if path.is_file() {
-        bail!("{} is a file, and results need a folder; choose another --out", path.display());
+        bail!("{} is a file, and results need a folder; choose another --out", shown(path));
     }
     check_writable(&path.join(name))
 }
@@ -40,7 +41,7 @@ pub(crate) fn write_file(path: &Path, fill: impl FnOnce(&mut BufWriter<File>) ->
 pub(crate) fn remove_if_there(path: &Path) -> Result<()> {
     match fs::remove_file(path) {
         Err(error) if error.kind() != ErrorKind::NotFound => {
-            Err(anyhow!("cannot remove {}, which is out of date: {error}; remove it by hand", path.display()))
+            Err(anyhow!("cannot remove {}, which is out of date: {error}; remove it by hand", shown(path)))
         }
         _ => Ok(()),
     }
@@ -67,9 +68,9 @@ fn is_leftover(name: &str) -> bool {
 /// The sentence for a path that cannot be written.
 pub(crate) fn unwritable(path: &Path, error: &io::Error) -> anyhow::Error {
     if error.kind() == ErrorKind::IsADirectory {
-        return anyhow!("{} is a folder, and a file is to be written; give the name of a file", path.display());
+        return anyhow!("{} is a folder, and a file is to be written; give the name of a file", shown(path));
     }
-    anyhow!("cannot write {}: {error}; choose a folder that can be written to, or free some space", path.display())
+    anyhow!("cannot write {}: {error}; choose a folder that can be written to, or free some space", shown(path))
 }
 
 #[cfg(test)]

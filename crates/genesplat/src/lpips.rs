@@ -9,6 +9,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Result, anyhow, bail};
+use genesplat::io::shown;
 use genesplat::metrics::Lpips;
 use genesplat::metrics::lpips::{Net, belongs_to};
 use genesplat::metrics::weights::{NamedTensors, read_weights};
@@ -34,7 +35,7 @@ pub(crate) fn open_all(args: &LpipsArgs) -> Result<Vec<Lpips>> {
     let source = match &named {
         Some(path) if !path.exists() => bail!(
             "there are no LPIPS weights at {}, where --lpips-weights or GENESPLAT_LPIPS says; correct that, or give --no-lpips",
-            path.display()
+            shown(path)
         ),
         Some(path) => path.clone(),
         None => match cache_folder() {
@@ -47,9 +48,9 @@ pub(crate) fn open_all(args: &LpipsArgs) -> Result<Vec<Lpips>> {
         .iter()
         .map(|(&net, tensors)| Lpips::new(net, tensors))
         .collect::<Result<_, _>>()
-        .map_err(|error| anyhow!("{}: {error}; install the weights again", source.display()))?;
+        .map_err(|error| anyhow!("{}: {error}; install the weights again", shown(&source)))?;
     if metrics.is_empty() && named.is_some() {
-        bail!("{} holds no file of LPIPS weights; give a folder or a file that does", source.display());
+        bail!("{} holds no file of LPIPS weights; give a folder or a file that does", shown(source));
     }
     Ok(metrics)
 }
@@ -90,7 +91,7 @@ pub(crate) fn read(file: &Path) -> Result<(Net, NamedTensors)> {
         anyhow!(
             "{} holds weights of neither VGG16 nor AlexNet as torchvision has them, nor heads of LPIPS 0.1 for them; \
              give other files",
-            file.display()
+            shown(file)
         )
     })
 }
@@ -101,7 +102,7 @@ fn weight_files(path: &Path) -> Result<Vec<PathBuf>> {
         return Ok(vec![path.to_owned()]);
     }
     let entries =
-        fs::read_dir(path).map_err(|error| anyhow!("cannot look for LPIPS weights in {}: {error}", path.display()))?;
+        fs::read_dir(path).map_err(|error| anyhow!("cannot look for LPIPS weights in {}: {error}", shown(path)))?;
     let mut files: Vec<PathBuf> = entries.flatten().map(|entry| entry.path()).collect();
     files.retain(|file| file.extension().is_some_and(|end| end == "safetensors" || end == "pth"));
     files.sort();

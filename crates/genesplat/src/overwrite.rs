@@ -6,7 +6,7 @@ use std::fs;
 use std::path::Path;
 
 use anyhow::{Result, bail};
-use genesplat::io::Scene;
+use genesplat::io::{Scene, shown};
 
 use crate::files::check_writable;
 use crate::run::session::is_part_of_run;
@@ -29,7 +29,7 @@ pub(crate) fn check_existing(path: &Path, content: Content, inputs: &[Option<&Pa
     let is_input = inputs.iter().flatten().any(|input| input.canonicalize().is_ok_and(|input| input == there));
     let what = if is_input { Some("an input of this command") } else { protected(&there, content) };
     what.map_or(Ok(()), |what| {
-        bail!("{} is {what}, and would be overwritten; give the name of another file", path.display())
+        bail!("{} is {what}, and would be overwritten; give the name of another file", shown(path))
     })
 }
 
@@ -67,7 +67,7 @@ fn is_scene(folder: &Path) -> bool {
 pub(crate) fn check_apart(data: &Path, out: &Path) -> Result<()> {
     match (data.canonicalize(), out.canonicalize()) {
         (Ok(data), Ok(here)) if data == here => {
-            bail!("{} is the folder of the scene; choose another folder for the results", out.display())
+            bail!("{} is the folder of the scene; choose another folder for the results", shown(out))
         }
         _ => Ok(()),
     }
@@ -78,7 +78,7 @@ pub(crate) fn check_photos(scene: &Scene, out: &Path) -> Result<()> {
     let Ok(taken) = out.canonicalize() else { return Ok(()) };
     let is_hit = |photo: &Path| photo == taken || photo.parent() == Some(&taken);
     if scene.photos.iter().filter_map(|photo| photo.canonicalize().ok()).any(|photo| is_hit(&photo)) {
-        bail!("results in {} would overwrite photos of the scene; choose another --out", out.display());
+        bail!("results in {} would overwrite photos of the scene; choose another --out", shown(out));
     }
     Ok(())
 }

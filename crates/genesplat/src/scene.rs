@@ -1,5 +1,6 @@
 //! Scenes, as the command loads them.
 
+use std::collections::HashSet;
 use std::path::Path;
 
 use anyhow::Result;
@@ -39,16 +40,30 @@ pub(crate) fn picture_names(views: &[View]) -> Vec<String> {
     names_of_pictures(&views.iter().map(|view| view.name.as_str()).collect::<Vec<_>>())
 }
 
+/// Most bytes of a file's name (`NAME_MAX` of Linux and macOS, and less than Windows allows).
+const NAME_BYTES_MAX: usize = 255;
+
 /// The same for photos of these names: `0001.jpg` becomes `0001.png`. Where two photos differ in their ending only, all
-/// names keep theirs (`0001.jpg.png`).
+/// names keep theirs (`0001.jpg.png`). Where that is too long, or differs in case only, which many file systems do not
+/// tell apart, all names are shortened and numbered (`00000_0001.png`).
 pub(crate) fn names_of_pictures(photos: &[&str]) -> Vec<String> {
-    let mut stems: Vec<&str> = photos.iter().map(|name| stem(name)).collect();
-    let short: Vec<String> = stems.iter().map(|stem| format!("{stem}.png")).collect();
-    stems.sort_unstable();
-    if stems.windows(2).all(|pair| pair[0] != pair[1]) {
-        return short;
-    }
-    photos.iter().map(|name| format!("{name}.png")).collect()
+    let short = photos.iter().map(|name| format!("{}.png", stem(name))).collect();
+    let whole = photos.iter().map(|name| format!("{name}.png")).collect();
+    [short, whole].into_iter().find(|names: &Vec<String>| fit_one_folder(names)).unwrap_or_else(|| numbered(photos))
+}
+
+fn fit_one_folder(names: &[String]) -> bool {
+    let mut seen = HashSet::new();
+    names.iter().all(|name| name.len() <= NAME_BYTES_MAX && seen.insert(name.to_lowercase()))
+}
+
+fn numbered(photos: &[&str]) -> Vec<String> {
+    let name = |(index, photo): (usize, &&str)| {
+        let (number, stem) = (format!("{index:05}_"), stem(photo));
+        let rest = NAME_BYTES_MAX - number.len() - ".png".len();
+        format!("{number}{}.png", &stem[..stem.floor_char_boundary(rest)])
+    };
+    photos.iter().enumerate().map(name).collect()
 }
 
 /// A photo's name without the ending of a picture format.
@@ -84,5 +99,20 @@ mod tests {
     fn pictures_are_named_after_photos_and_never_share_a_name() {
         assert_eq!(picture_names(&[view("a.JPG"), view("b.c.png"), view("r_0.5")]), ["a.png", "b.c.png", "r_0.5.png"]);
         assert_eq!(picture_names(&[view("a.jpg"), view("a.png")]), ["a.jpg.png", "a.png.png"]);
+        assert_eq!(picture_names(&[view("a.jpg"), view("A.png")]), ["a.jpg.png", "A.png.png"]);
+        assert_eq!(picture_names(&[view("b.jpg"), view("B.JPG")]), ["00000_b.png", "00001_B.png"]);
+    }
+
+    #[test]
+    fn names_of_pictures_fit_a_file_system() {
+        let longest = format!("{}.jpg", "é".repeat(125) + "x");
+        assert_eq!(longest.len(), NAME_BYTES_MAX);
+        assert_eq!(picture_names(&[view(&longest)])[0].len(), NAME_BYTES_MAX);
+        // Without an ending that is left out, or joined from several folders.
+        for long in ["é".repeat(127) + "x", "x".repeat(900)] {
+            let names = picture_names(&[view(&long), view("b.jpg")]);
+            assert!(names.iter().all(|name| name.len() <= NAME_BYTES_MAX), "{names:?}");
+            assert!(names[0].starts_with("00000_") && names[1] == "00001_b.png", "{names:?}");
+        }
     }
 }

@@ -3,12 +3,11 @@
 //! A flag wins over the file, the file over the default. The result is written to the run folder as `config.toml`,
 //! which is itself such a file.
 
-use std::fs;
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Result, anyhow, bail, ensure};
-use genesplat::io::PhotoSize;
+use genesplat::io::{PhotoSize, input, shown};
 use genesplat::train::{Resolved, TrainConfig};
 use serde::de::Error;
 use serde::{Deserialize, Serialize};
@@ -97,12 +96,10 @@ impl ConfigFile {
     }
 
     pub(crate) fn read(path: &Path) -> Result<Self> {
-        let text = fs::read_to_string(path)
-            .map_err(|error| anyhow!("cannot read the configuration {}: {error}", path.display()))?;
+        let text = input::read_text(path)
+            .map_err(|error| anyhow!("cannot read the configuration {}: {error}", shown(path)))?;
         let parsed = text.parse().and_then(Self::from_table).map_err(with_all_fields);
-        parsed.map_err(|problem| {
-            anyhow!("the configuration {} is not valid: {problem}; correct it there", path.display())
-        })
+        parsed.map_err(|problem| anyhow!("the configuration {} is not valid: {problem}; correct it there", shown(path)))
     }
 
     /// What a file with this content would say.
@@ -123,7 +120,7 @@ impl ConfigFile {
             bail!(
                 "the path of the scene, {}, is not UTF-8 text, and config.toml can hold no other; rename the folder, or give a link \
                  with another name",
-                self.dataset.path.display()
+                shown(&self.dataset.path)
             );
         }
         check_size(self.dataset.max_side, self.dataset.downscale)?;
@@ -147,7 +144,7 @@ impl ConfigFile {
     pub(crate) fn difference(&self, settings: &Settings, parts: usize) -> Option<String> {
         let [there, here] = [&self.dataset.path, &settings.dataset.path].map(|path| end_of(path, parts));
         if there != here {
-            return Some(format!("its scene is {} there and {} here", there.display(), here.display()));
+            return Some(format!("its scene is {} there and {} here", shown(there), shown(here)));
         }
         let (there, here) = (self.device.unwrap_or_default(), settings.device);
         if there != here {
@@ -166,7 +163,7 @@ impl ConfigFile {
             bail!(
                 "--resume goes on with the settings in {}, and others were given ({difference}); leave them out, or train into \
                  another folder",
-                out.join(CONFIG).display()
+                shown(out.join(CONFIG))
             );
         }
         photos::check_folders(&saved.dataset.path, &self.dataset.path)

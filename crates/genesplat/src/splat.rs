@@ -5,7 +5,7 @@ use std::path::Path;
 use anyhow::{Result, ensure};
 use genesplat::core::{Gaussians, RenderSettings, ScreenFilter};
 use genesplat::io::ply::{PlyHeader, check_finite, read_ply_with_header};
-use genesplat::io::{PhotoSize, Scene};
+use genesplat::io::{PhotoSize, Scene, shown};
 use genesplat::train::Background;
 
 use crate::args::{ShownOnArgs, SizeArgs};
@@ -47,7 +47,7 @@ impl Splat {
 }
 
 pub(crate) fn open(path: &Path) -> Result<Splat> {
-    ensure!(path.exists(), "{} does not exist; give a splat's PLY or the folder of a run", path.display());
+    ensure!(path.exists(), "{} does not exist; give a splat's PLY or the folder of a run", shown(path));
     if path.is_dir() { open_run(path) } else { open_ply(path) }
 }
 
@@ -62,8 +62,7 @@ fn open_run(folder: &Path) -> Result<Splat> {
 
 /// A run has its splat once it is stopped or done; the system's word for a missing file would leave open what to do.
 fn check_has_cloud(folder: &Path, config: &ConfigFile) -> Result<()> {
-    let [dataset, out, saved] =
-        [&config.dataset.path, folder, &folder.join(CONFIG)].map(|path| path.display().to_string());
+    let [dataset, out, saved] = [&config.dataset.path, folder, &folder.join(CONFIG)].map(shown);
     let words = ["genesplat", "train", &dataset, "--out", &out];
     let (more, what): (&[&str], _) = match has_checkpoint(folder) {
         true => (&["--resume"], "goes on with it"),
@@ -87,7 +86,7 @@ fn open_ply(path: &Path) -> Result<Splat> {
 
 fn read_cloud(path: &Path) -> Result<(PlyHeader, Gaussians)> {
     let (header, cloud) = read_ply_with_header(path)?;
-    ensure!(!cloud.is_empty(), "{} holds no Gaussians, so there is nothing to see; give another splat", path.display());
+    ensure!(!cloud.is_empty(), "{} holds no Gaussians, so there is nothing to see; give another splat", shown(path));
     check_finite(path, &cloud)?;
     Ok((header, cloud))
 }

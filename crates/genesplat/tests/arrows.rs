@@ -12,7 +12,7 @@ const ARROWS: [(&str, &[&str]); 9] = [
     ("genesplat-core", &[]),
     ("genesplat-io", &["genesplat-core"]),
     ("genesplat-gallery", &["genesplat-core", "genesplat-io"]),
-    ("genesplat-metrics", &["genesplat-core"]),
+    ("genesplat-metrics", &["genesplat-core", "genesplat-io"]),
     ("genesplat-kernels", &["genesplat-core"]),
     ("genesplat-gpu", &["genesplat-core"]),
     ("genesplat-evolve", &["genesplat-core"]),

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use super::{ImageRecord, Intrinsics};
 use crate::error::SceneError;
-use crate::listing::{bad_pose, intrinsics_problem};
+use crate::listing::{bad_pose, intrinsics_problem, position_problem};
 use crate::scene::Point;
 
 /// COLMAP's models by id (COLMAP, `sensor/models.h`).
@@ -70,24 +70,27 @@ pub(super) fn intrinsics(
 /// A pose that is a rotation and a finite translation.
 pub(super) fn pose(file: &Path, image: ImageRecord) -> Result<ImageRecord, SceneError> {
     let norm = image.rotation.iter().map(|v| v * v).sum::<f64>().sqrt();
-    let problem = if !image.rotation.iter().chain(&image.translation).all(|v| v.is_finite()) {
-        "is not finite"
+    let problem = if !image.rotation.iter().all(|v| v.is_finite()) {
+        Some("is not finite")
     } else if norm < 1e-9 || !norm.is_finite() {
-        "has a rotation that is zero or overflows"
+        Some("has a rotation that is zero or overflows")
     } else {
-        return Ok(image);
+        // As far from the origin as the camera.
+        position_problem(image.translation)
     };
-    Err(bad_pose(file, &image.name, problem))
+    match problem {
+        Some(problem) => Err(bad_pose(file, &image.name, problem)),
+        None => Ok(image),
+    }
 }
 
-/// The point at 1-based `place` of the file; its position must be finite as `f32`.
+/// The point at 1-based `place` of the file.
 pub(super) fn point(file: &Path, place: usize, position: [f64; 3], rgb: [u8; 3]) -> Result<Point, SceneError> {
-    let position = position.map(|v| v as f32);
-    if !position.iter().all(|v| v.is_finite()) {
-        let problem = format!("point {place} has a position that is not finite; remove it or reconstruct again");
+    if let Some(problem) = position_problem(position) {
+        let problem = format!("point {place} has a position that {problem}; remove it or reconstruct again");
         return Err(SceneError::bad_record(file, problem));
     }
-    Ok(Point { position, rgb })
+    Ok(Point { position: position.map(|v| v as f32), rgb })
 }
 
 fn bad_camera(file: &Path, camera: u32, problem: &'static str) -> SceneError {

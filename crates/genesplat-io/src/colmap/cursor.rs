@@ -6,6 +6,7 @@
 use std::path::Path;
 
 use crate::error::SceneError;
+use crate::shown;
 
 pub(super) struct Cursor<'a> {
     file: &'a Path,
@@ -67,8 +68,8 @@ impl<'a> Cursor<'a> {
         std::str::from_utf8(text).map_err(|_| {
             let name = String::from_utf8_lossy(text);
             let problem = format!(
-                "lists a photo whose name is not UTF-8 ({name}); rename the photo and export the \
-                                   scene again"
+                "lists a photo whose name is not UTF-8 ({}); rename the photo and export the scene again",
+                shown(&*name)
             );
             SceneError::invalid(self.file, problem)
         })

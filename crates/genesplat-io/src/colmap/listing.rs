@@ -10,6 +10,7 @@ use glam::{DQuat, DVec3};
 use super::{ImageRecord, Model, ModelFolder, read_model, read_photos};
 use crate::error::SceneError;
 use crate::listing::{ListedPhoto, Listing, Purpose, base_name, inside, no_photos};
+use crate::shown;
 
 /// Lists the photos and, if they are wanted, the points of the model in `folder`; photos are in `image_folder`.
 pub(crate) fn list(folder: &ModelFolder, image_folder: &Path, with_points: bool) -> Result<Listing, SceneError> {
@@ -31,7 +32,7 @@ pub(crate) fn list(folder: &ModelFolder, image_folder: &Path, with_points: bool)
 
 fn camera(model: &Model, image: &ImageRecord, list: &Path) -> Result<Camera, SceneError> {
     let intrinsics = model.cameras.get(&image.camera).ok_or_else(|| {
-        let (name, camera) = (&image.name, image.camera);
+        let (name, camera) = (shown(&image.name), image.camera);
         let problem =
             format!("photo {name} refers to camera {camera}, which the model does not have; export the model again");
         SceneError::bad_record(list, problem)
@@ -73,8 +74,10 @@ fn find_photos(images: &[ImageRecord], folder: &Path, list: &Path) -> Result<Vec
         // Two records of one name are an error of `Listing::name_views`.
         Some([first, second]) if first != second => {
             let problem = format!(
-                "lists {first} and {second}, and {} has one photo of that name for both; put them where the list says",
-                folder.display()
+                "lists {} and {}, and {} has one photo of that name for both; put them where the list says",
+                shown(&first),
+                shown(&second),
+                shown(folder)
             );
             Err(SceneError::invalid(list, problem))
         }
@@ -94,7 +97,7 @@ fn other_models(folder: &Path) -> Vec<String> {
     if folder.ends_with("sparse/0") && second.is_dir() {
         return vec![format!(
             "COLMAP split the photos into several models; only {} is used, and photos of the others are left out",
-            folder.display()
+            shown(folder)
         )];
     }
     Vec::new()

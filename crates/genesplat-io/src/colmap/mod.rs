@@ -20,6 +20,7 @@ pub(crate) use listing::list;
 pub use write::write_model;
 
 use crate::error::SceneError;
+use crate::input;
 use crate::scene::Point;
 
 /// The two forms in which COLMAP writes a model.
@@ -102,22 +103,42 @@ pub fn read_model(folder: &ModelFolder) -> Result<Model, SceneError> {
 fn read_photos(folder: &ModelFolder) -> Result<Model, SceneError> {
     let [cameras, images] = ["cameras", "images"].map(|stem| folder.form.file(&folder.path, stem));
     let (camera_bytes, image_bytes) = (read(&cameras)?, read(&images)?);
-    let (cameras, images) = match folder.form {
-        Form::Binary => (binary::cameras(&cameras, &camera_bytes)?, binary::images(&images, &image_bytes)?),
-        Form::Text => (text::cameras(&cameras, &camera_bytes)?, text::images(&images, &image_bytes)?),
-    };
-    Ok(Model { cameras, images, points: Vec::new() })
+    Ok(Model {
+        cameras: parse_cameras(folder.form, &cameras, &camera_bytes)?,
+        images: parse_images(folder.form, &images, &image_bytes)?,
+        points: Vec::new(),
+    })
 }
 
 fn read_points(folder: &ModelFolder) -> Result<Vec<Point>, SceneError> {
     let file = folder.form.file(&folder.path, "points3D");
-    let bytes = read(&file)?;
-    match folder.form {
-        Form::Binary => binary::points(&file, &bytes),
-        Form::Text => text::points(&file, &bytes),
+    parse_points(folder.form, &file, &read(&file)?)
+}
+
+/// The cameras in the `bytes` of `file`, by their ids.
+pub(crate) fn parse_cameras(form: Form, file: &Path, bytes: &[u8]) -> Result<BTreeMap<u32, Intrinsics>, SceneError> {
+    match form {
+        Form::Binary => binary::cameras(file, bytes),
+        Form::Text => text::cameras(file, bytes),
+    }
+}
+
+/// The photos in the `bytes` of `file`.
+pub(crate) fn parse_images(form: Form, file: &Path, bytes: &[u8]) -> Result<Vec<ImageRecord>, SceneError> {
+    match form {
+        Form::Binary => binary::images(file, bytes),
+        Form::Text => text::images(file, bytes),
+    }
+}
+
+/// The points in the `bytes` of `file`.
+pub(crate) fn parse_points(form: Form, file: &Path, bytes: &[u8]) -> Result<Vec<Point>, SceneError> {
+    match form {
+        Form::Binary => binary::points(file, bytes),
+        Form::Text => text::points(file, bytes),
     }
 }
 
 fn read(file: &Path) -> Result<Vec<u8>, SceneError> {
-    std::fs::read(file).map_err(|source| SceneError::Read { file: file.to_owned(), source })
+    input::read(file).map_err(|source| SceneError::Read { file: file.to_owned(), source })
 }

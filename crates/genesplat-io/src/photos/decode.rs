@@ -1,31 +1,94 @@
-//! Decodes PNG and JPEG with limits, and refuses files that were cut off.
+//! Decodes PNG and JPEG: first the header, then the pixels within limits, and nothing of a file that was cut off.
 
 use std::io::Cursor;
 
-use image::{DynamicImage, ImageFormat, ImageReader};
+use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
 
 /// Most pixels of a photo: a few damaged bytes must not claim all memory.
 const PIXELS_MAX: u64 = 1 << 28;
 /// Four channels of 16 bits.
 const PIXEL_BYTES_MAX: u64 = 8;
+/// Most pixels that a byte of a file can stand for. Deflate repeats at most 258 bytes by 2 bits, and each may hold 8
+/// pixels of a PNG; a JPEG spends a bit on 64 pixels of the component that has most.
+const PIXELS_PER_BYTE_MAX: u64 = 8 * 1032;
+/// Three channels of 8 bits, as all photos are in the end.
+const RGB_BYTES: u64 = 3;
+/// Three 16-bit coefficients a pixel, which a progressive JPEG takes in addition.
+const COEFFICIENT_BYTES: u64 = 6;
 
-/// The picture in `bytes`, whatever the name of its file says; the reason where there is none.
-pub(super) fn decode(bytes: &[u8]) -> Result<DynamicImage, String> {
-    let open = || ImageReader::new(Cursor::new(bytes)).with_guessed_format().map_err(|error| error.to_string());
-    let mut reader = open()?;
-    let format = reader.format().ok_or("it is neither a PNG nor a JPEG")?;
-    if format == ImageFormat::Jpeg && !jpeg_is_whole(bytes) {
-        return Err("the file was cut off before the end of the picture".into());
+/// A picture in a file, of which the header is read.
+pub(super) struct Encoded {
+    bytes: Vec<u8>,
+    format: ImageFormat,
+    pub(super) width: u32,
+    pub(super) height: u32,
+    /// Of the picture as its file has it, decoded.
+    decoded_bytes: u64,
+}
+
+impl Encoded {
+    /// The picture in `bytes`, whatever the name of its file says; the reason where there is none that can be decoded.
+    pub(super) fn of(bytes: Vec<u8>) -> Result<Self, String> {
+        let reader = ImageReader::new(Cursor::new(&bytes)).with_guessed_format().map_err(|error| error.to_string())?;
+        let format = reader.format().ok_or("it is neither a PNG nor a JPEG")?;
+        if format == ImageFormat::Jpeg && !jpeg_is_whole(&bytes) {
+            return Err("the file was cut off before the end of the picture".into());
+        }
+        let decoder = reader.into_decoder().map_err(|error| error.to_string())?;
+        let ((width, height), decoded_bytes) = (decoder.dimensions(), decoder.total_bytes());
+        drop(decoder);
+        let encoded = Self { bytes, format, width, height, decoded_bytes };
+        encoded.check_pixels().map(|()| encoded)
     }
-    let (width, height) = open()?.into_dimensions().map_err(|error| error.to_string())?;
-    if u64::from(width) * u64::from(height) > PIXELS_MAX {
-        return Err(format!("it has {width}x{height} pixels, and at most {PIXELS_MAX} in all are read"));
+
+    fn pixels(&self) -> u64 {
+        u64::from(self.width) * u64::from(self.height)
     }
-    // The limit that counts is that of pixels.
-    let mut limits = image::Limits::default();
-    limits.max_alloc = Some(PIXELS_MAX * PIXEL_BYTES_MAX);
-    reader.limits(limits);
-    reader.decode().map_err(|error| error.to_string())
+
+    /// A header is believed as far as the bytes behind it reach.
+    fn check_pixels(&self) -> Result<(), String> {
+        let Self { width, height, .. } = self;
+        if self.pixels() > PIXELS_MAX {
+            return Err(format!("it has {width}x{height} pixels, and at most {PIXELS_MAX} in all are read"));
+        }
+        let bytes = self.bytes.len() as u64;
+        if self.pixels() > PIXELS_PER_BYTE_MAX * bytes {
+            return Err(format!("it claims {width}x{height} pixels, which its {bytes} bytes cannot hold"));
+        }
+        Ok(())
+    }
+
+    /// Most bytes that this photo takes at once while it is loaded: its file, what that holds, and an RGB copy.
+    pub(super) fn loading_bytes(&self) -> u64 {
+        let progressive = self.format == ImageFormat::Jpeg && jpeg_is_progressive(&self.bytes);
+        let coefficients = if progressive { COEFFICIENT_BYTES } else { 0 };
+        self.bytes.len() as u64 + self.decoded_bytes + (RGB_BYTES + coefficients) * self.pixels()
+    }
+
+    pub(super) fn decode(self) -> Result<DynamicImage, String> {
+        let mut reader = ImageReader::with_format(Cursor::new(self.bytes), self.format);
+        // The limit that counts is that of pixels.
+        let mut limits = Limits::default();
+        limits.max_alloc = Some(PIXELS_MAX * PIXEL_BYTES_MAX);
+        reader.limits(limits);
+        reader.decode().map_err(|error| error.to_string())
+    }
+}
+
+/// Start-of-scan marker: what follows it is no longer a list of segments.
+const START_OF_SCAN: u8 = 0xDA;
+/// Start of a frame whose coefficients come in several scans.
+const PROGRESSIVE_FRAME: u8 = 0xC2;
+
+/// The segments of a JPEG up to its first scan: each one's marker, and where it ends. Stops at fill bytes and unusual
+/// headers.
+fn jpeg_segments(bytes: &[u8]) -> impl Iterator<Item = (u8, usize)> {
+    let mut at = 2;
+    std::iter::from_fn(move || {
+        let &[0xFF, marker, high, low] = bytes.get(at..at + 4)? else { return None };
+        at += 2 + usize::from(u16::from_be_bytes([high, low]));
+        Some((marker, at))
+    })
 }
 
 /// True when an end-of-image marker follows the start of the scan data.
@@ -34,15 +97,13 @@ pub(super) fn decode(bytes: &[u8]) -> Result<DynamicImage, String> {
 /// byte 0xFF is always followed by 0x00 or a restart marker (ITU-T T.81, B.1.1.5), so the marker cannot occur by
 /// chance.
 fn jpeg_is_whole(bytes: &[u8]) -> bool {
-    const START_OF_SCAN: u8 = 0xDA;
     const END_OF_IMAGE: [u8; 2] = [0xFF, 0xD9];
-    let mut at = 2;
-    while let Some(&[0xFF, marker, high, low]) = bytes.get(at..at + 4) {
-        at += 2 + usize::from(u16::from_be_bytes([high, low]));
-        if marker == START_OF_SCAN {
-            return bytes.get(at..).is_some_and(|scan| scan.windows(2).any(|pair| pair == END_OF_IMAGE));
-        }
-    }
-    // Fill bytes or an unusual header: leave the decision to the decoder.
-    true
+    let scan = jpeg_segments(bytes).find(|(marker, _)| *marker == START_OF_SCAN);
+    // Without a scan the decision is left to the decoder.
+    scan.is_none_or(|(_, at)| bytes.get(at..).is_some_and(|scan| scan.windows(2).any(|pair| pair == END_OF_IMAGE)))
+}
+
+fn jpeg_is_progressive(bytes: &[u8]) -> bool {
+    let mut header = jpeg_segments(bytes).take_while(|(marker, _)| *marker != START_OF_SCAN);
+    header.any(|(marker, _)| marker == PROGRESSIVE_FRAME)
 }

@@ -5,29 +5,32 @@
 //! between them), and transparency composited on a background *before* the resize, truncated to 8 bit.
 
 mod decode;
+mod memory;
 mod resize;
 mod size;
 mod undistort;
 
-use std::fs;
-use std::io::{self, Write};
+use std::io::{self, BufReader, Write};
 use std::path::{Path, PathBuf};
 
 use genesplat_core::Photo;
 use image::{ColorType, DynamicImage, ImageEncoder, ImageReader};
 
+pub(crate) use memory::Room;
 pub use resize::resize;
 pub use size::PhotoSize;
 pub(crate) use undistort::{Distortion, undistort};
 
+use self::decode::Encoded;
 use crate::atomic::write_atomically;
+use crate::{input, shown};
 
 /// Why a photo could not be read or written.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum PhotoError {
     /// The operating system refused to read.
-    #[error("cannot read the photo {path}: {source}")]
+    #[error("cannot read the photo {}: {source}", shown(.path))]
     Read {
         /// The photo.
         path: PathBuf,
@@ -35,7 +38,7 @@ pub enum PhotoError {
         source: io::Error,
     },
     /// Not a picture, or a damaged one.
-    #[error("cannot decode the photo {path}: {reason}; export it again as PNG or JPEG")]
+    #[error("cannot decode the photo {}: {reason}; export it again as PNG or JPEG", shown(.path))]
     Decode {
         /// The photo.
         path: PathBuf,
@@ -43,7 +46,7 @@ pub enum PhotoError {
         reason: String,
     },
     /// The operating system refused to write.
-    #[error("cannot write the picture {path}: {source}")]
+    #[error("cannot write the picture {}: {source}", shown(.path))]
     Write {
         /// The picture.
         path: PathBuf,
@@ -52,22 +55,66 @@ pub enum PhotoError {
     },
 }
 
-/// Reads a PNG or JPEG; transparency is composited on black.
-pub fn read_photo(path: &Path) -> Result<Photo, PhotoError> {
-    read_photo_on(path, [0; 3])
-}
-
-/// Reads a PNG or JPEG; transparency is composited on `background`.
+/// A photo of which the header is read, and no pixel.
 ///
 /// The format is told by the content, not by the name. Orientation tags are ignored, as COLMAP and the reference
 /// trainer ignore them.
-pub fn read_photo_on(path: &Path, background: [u8; 3]) -> Result<Photo, PhotoError> {
-    read_image(path).map(|image| composite(&image, background))
+pub struct EncodedPhoto {
+    path: PathBuf,
+    encoded: Encoded,
+}
+
+impl EncodedPhoto {
+    /// Reads the file at `path`, a PNG or JPEG.
+    pub fn open(path: &Path) -> Result<Self, PhotoError> {
+        let bytes = input::read(path).map_err(|source| PhotoError::Read { path: path.to_owned(), source })?;
+        Self::of(path, bytes)
+    }
+
+    /// The photo in `bytes`, which are those of `path`.
+    pub fn of(path: &Path, bytes: Vec<u8>) -> Result<Self, PhotoError> {
+        let encoded = Encoded::of(bytes).map_err(|reason| undecodable(path, reason))?;
+        Ok(Self { path: path.to_owned(), encoded })
+    }
+
+    /// Width and height, px, as the header claims them.
+    pub fn size(&self) -> (u32, u32) {
+        (self.encoded.width, self.encoded.height)
+    }
+
+    /// Memory for decoding and one copy; waits while other threads have too much of it.
+    pub(crate) fn wait_for_room(&self) -> Room<'static> {
+        memory::wait_for(self.encoded.loading_bytes())
+    }
+
+    /// The pixels; transparency is composited on `background`.
+    pub fn decode_on(self, background: [u8; 3]) -> Result<Photo, PhotoError> {
+        self.decode().map(|image| composite(image, background))
+    }
+
+    fn decode(self) -> Result<DynamicImage, PhotoError> {
+        self.encoded.decode().map_err(|reason| undecodable(&self.path, reason))
+    }
+}
+
+fn undecodable(path: &Path, reason: String) -> PhotoError {
+    PhotoError::Decode { path: path.to_owned(), reason }
+}
+
+/// Reads a PNG or JPEG; transparency is composited on black.
+pub fn read_photo(path: &Path) -> Result<Photo, PhotoError> {
+    let encoded = EncodedPhoto::open(path)?;
+    let _room = encoded.wait_for_room();
+    encoded.decode_on([0; 3])
 }
 
 /// [`read_photo`], and what of the picture was discarded: a comparison of pictures does not see it.
 pub fn read_photo_and_discarded(path: &Path) -> Result<(Photo, Discarded), PhotoError> {
-    read_image(path).map(|image| (composite(&image, [0; 3]), Discarded::of(&image)))
+    let encoded = EncodedPhoto::open(path)?;
+    let _room = encoded.wait_for_room();
+    let image = encoded.decode()?;
+    let discarded = Discarded::of(&image);
+    Ok((composite(image, [0; 3]), discarded))
 }
 
 /// What a picture has and a [`Photo`] cannot hold.
@@ -87,15 +134,11 @@ impl Discarded {
     }
 }
 
-fn read_image(path: &Path) -> Result<DynamicImage, PhotoError> {
-    let bytes = fs::read(path).map_err(|source| PhotoError::Read { path: path.to_owned(), source })?;
-    decode::decode(&bytes).map_err(|reason| PhotoError::Decode { path: path.to_owned(), reason })
-}
-
 /// Width and height of the photo at `path`, from its header alone.
 pub fn photo_size(path: &Path) -> Result<(u32, u32), PhotoError> {
     let read = |source| PhotoError::Read { path: path.to_owned(), source };
-    let reader = ImageReader::open(path).and_then(ImageReader::with_guessed_format).map_err(read)?;
+    let file = input::open(path).map_err(read)?;
+    let reader = ImageReader::new(BufReader::new(file)).with_guessed_format().map_err(read)?;
     reader.into_dimensions().map_err(|error| PhotoError::Decode { path: path.to_owned(), reason: error.to_string() })
 }
 
@@ -121,12 +164,12 @@ pub fn encode_jpeg(photo: &Photo, quality: u8) -> Vec<u8> {
     bytes
 }
 
-fn composite(image: &DynamicImage, background: [u8; 3]) -> Photo {
+fn composite(image: DynamicImage, background: [u8; 3]) -> Photo {
     let (width, height) = (image.width(), image.height());
     if !image.color().has_alpha() {
-        return Photo { width, height, rgb: image.to_rgb8().into_raw() };
+        return Photo { width, height, rgb: image.into_rgb8().into_raw() };
     }
-    let rgb = image.to_rgba8().pixels().flat_map(|pixel| over(pixel.0, background)).collect();
+    let rgb = image.into_rgba8().pixels().flat_map(|pixel| over(pixel.0, background)).collect();
     Photo { width, height, rgb }
 }
 

@@ -6,7 +6,6 @@
 //! divides there: this one is nerfstudio's).
 
 use genesplat_core::{Camera, Photo};
-use rayon::prelude::*;
 
 use super::resize::cubic;
 
@@ -50,7 +49,7 @@ pub(crate) fn undistort(photo: &Photo, camera: &Camera, lens: &Distortion) -> Op
     let pinhole = Camera { focal_px: camera.focal_px.map(|focal| focal * zoom), ..*camera };
     let mut rgb = vec![0; photo.rgb.len()];
     let stride = 3 * photo.width as usize;
-    rgb.par_chunks_mut(stride).enumerate().for_each(|(row, values)| {
+    rgb.chunks_exact_mut(stride).enumerate().for_each(|(row, values)| {
         for (column, value) in values.chunks_exact_mut(3).enumerate() {
             let source = source_pixel(camera, lens, zoom, [column as f64, row as f64]);
             value.copy_from_slice(&bicubic(photo, source));

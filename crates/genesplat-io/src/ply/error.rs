@@ -3,12 +3,14 @@
 use std::io;
 use std::path::PathBuf;
 
+use crate::shown;
+
 /// Why a cloud could not be read or written.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum PlyError {
     /// The operating system refused to read.
-    #[error("cannot read {path}: {source}")]
+    #[error("cannot read {}: {source}", shown(.path))]
     Read {
         /// The file.
         path: PathBuf,
@@ -16,7 +18,7 @@ pub enum PlyError {
         source: io::Error,
     },
     /// The operating system refused to write.
-    #[error("cannot write {path}: {source}; what was there before is unchanged")]
+    #[error("cannot write {}: {source}; what was there before is unchanged", shown(.path))]
     Write {
         /// The file.
         path: PathBuf,
@@ -24,7 +26,10 @@ pub enum PlyError {
         source: io::Error,
     },
     /// Not a PLY file, or a header that breaks the format's grammar.
-    #[error("{path} is not a PLY file that genesplat can read: {problem}; export it again as a binary splat PLY")]
+    #[error(
+        "{} is not a PLY file that genesplat can read: {problem}; export it again as a binary splat PLY",
+        shown(.path)
+    )]
     Header {
         /// The file.
         path: PathBuf,
@@ -32,7 +37,11 @@ pub enum PlyError {
         problem: String,
     },
     /// A PLY file of something else.
-    #[error("{path} is not the kind of cloud that is needed here: its vertices lack {property}; give {wanted}")]
+    #[error(
+        "{} is not the kind of cloud that is needed here: its vertices lack {}; give {wanted}",
+        shown(.path),
+        shown(.property)
+    )]
     MissingProperty {
         /// The file.
         path: PathBuf,
@@ -42,15 +51,25 @@ pub enum PlyError {
         wanted: &'static str,
     },
     /// Rows that are not what the header promises.
-    #[error("{path} {problem}")]
+    #[error("{} {problem}", shown(.path))]
     Rows {
         /// The file.
         path: PathBuf,
         /// What is wrong, and what to do.
         problem: String,
     },
+    /// A position that no scene has.
+    #[error("{}: the position of row {row} {problem}; remove it in a splat editor", shown(.path))]
+    Position {
+        /// The file.
+        path: PathBuf,
+        /// 0-based.
+        row: usize,
+        /// What is wrong with it.
+        problem: &'static str,
+    },
     /// A value that is not finite.
-    #[error("{path}: the {parameter} of Gaussian {row} is not finite; remove it in a splat editor")]
+    #[error("{}: the {parameter} of Gaussian {row} is not finite; remove it in a splat editor", shown(.path))]
     NonFinite {
         /// The file.
         path: PathBuf,

@@ -7,6 +7,7 @@ use genesplat_core::{Gaussians, ScreenFilter};
 
 use super::field::{Field, Property, Scalar};
 use super::{PlyError, PlyOptions};
+use crate::shown;
 
 /// What a PLY file says about itself.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -127,7 +128,8 @@ fn parse_encoding(format: &str) -> Result<Encoding, String> {
 
 fn element(rest: &str) -> Result<Element, String> {
     let (name, count) = rest.split_once(' ').ok_or("an element has no count")?;
-    let count = count.trim().parse().map_err(|_| format!("element {name} has the impossible count {count:?}"))?;
+    let count =
+        count.trim().parse().map_err(|_| format!("element {} has the impossible count {count:?}", shown(name)))?;
     Ok(Element { name: name.into(), count, properties: Vec::new(), row_bytes: 0, has_list: false })
 }
 
@@ -138,7 +140,8 @@ fn add_property(element: Option<&mut Element>, rest: &str) -> Result<(), String>
         element.has_list = true;
         return Ok(());
     }
-    let scalar = Scalar::parse(kind).ok_or_else(|| format!("property {name} has the unknown type {kind:?}"))?;
+    let scalar =
+        Scalar::parse(kind).ok_or_else(|| format!("property {} has the unknown type {kind:?}", shown(name)))?;
     let field = Field { scalar, offset: element.row_bytes };
     element.properties.push(Property { name: name.trim().into(), field });
     element.row_bytes += scalar.bytes();
@@ -183,7 +186,7 @@ fn before(elements: &[Element], encoding: Encoding) -> Result<u64, String> {
 /// Bytes of a row, where all rows have as many.
 fn fixed_length(element: &Element) -> Result<u64, String> {
     if element.has_list {
-        return Err(format!("element {} holds a list, so its rows have no fixed length", element.name));
+        return Err(format!("element {} holds a list, so its rows have no fixed length", shown(&element.name)));
     }
     Ok(element.row_bytes as u64)
 }

@@ -22,9 +22,11 @@ use genesplat_core::{Gaussians, ScreenFilter};
 pub use error::PlyError;
 use header::Encoding;
 pub use header::PlyHeader;
-pub(crate) use points::read_points;
+pub(crate) use points::{parse_points, read_points};
 
 use crate::atomic::write_atomically;
+use crate::input;
+use crate::listing::position_problem;
 
 /// How a cloud is written.
 #[derive(Clone, Debug, PartialEq, Eq, Default)]
@@ -43,7 +45,12 @@ pub fn read_ply(path: &Path) -> Result<Gaussians, PlyError> {
 
 /// The same with what the file says about itself.
 pub fn read_ply_with_header(path: &Path) -> Result<(PlyHeader, Gaussians), PlyError> {
-    let (header, mut rest) = open(path)?;
+    open(path).and_then(|(file, size)| parse_splat(path, file, size))
+}
+
+/// The same from the `size` bytes of `reader`; `path` is named in errors.
+pub(crate) fn parse_splat(path: &Path, reader: impl BufRead, size: u64) -> Result<(PlyHeader, Gaussians), PlyError> {
+    let (header, mut rest) = parse_header(path, reader, size)?;
     if header.encoding == Encoding::Ascii {
         let problem = "it is an ASCII file, and only binary ones hold Gaussians".into();
         return Err(PlyError::Header { path: path.to_owned(), problem });
@@ -52,7 +59,7 @@ pub fn read_ply_with_header(path: &Path) -> Result<(PlyHeader, Gaussians), PlyEr
     Ok((header, cloud.map_err(|source| read_error(path, source))?))
 }
 
-/// Names the first row of `cloud` (read from `path`) that holds a value that is not finite.
+/// Names the first row of `cloud` (read from `path`) that holds a value that is not finite, or a position too far away.
 pub fn check_finite(path: &Path, cloud: &Gaussians) -> Result<(), PlyError> {
     let found = cloud.first_non_finite().or_else(|| {
         let mut filters = cloud.filter_3d.iter().flatten();
@@ -60,8 +67,16 @@ pub fn check_finite(path: &Path, cloud: &Gaussians) -> Result<(), PlyError> {
         filters.position(is_none).map(|row| (row, "filter_3D"))
     });
     match found {
-        None => Ok(()),
+        None => check_positions(path, cloud.positions.iter().copied()),
         Some((row, parameter)) => Err(PlyError::NonFinite { path: path.to_owned(), row, parameter }),
+    }
+}
+
+fn check_positions(path: &Path, positions: impl Iterator<Item = [f32; 3]>) -> Result<(), PlyError> {
+    let problems = positions.map(|position| position_problem(position.map(f64::from)));
+    match problems.enumerate().find_map(|(row, problem)| Some((row, problem?))) {
+        None => Ok(()),
+        Some((row, problem)) => Err(PlyError::Position { path: path.to_owned(), row, problem }),
     }
 }
 
@@ -78,11 +93,14 @@ pub fn write_ply(path: &Path, cloud: &Gaussians, options: &PlyOptions) -> Result
     .map_err(|source| PlyError::Write { path: path.to_owned(), source })
 }
 
-/// The header of the file at `path`, checked against the file's size, and a reader at its first row.
-fn open(path: &Path) -> Result<(PlyHeader, BufReader<File>), PlyError> {
-    let file = File::open(path).map_err(|source| read_error(path, source))?;
+fn open(path: &Path) -> Result<(BufReader<File>, u64), PlyError> {
+    let file = input::open(path).map_err(|source| read_error(path, source))?;
     let size = file.metadata().map_err(|source| read_error(path, source))?.len();
-    let mut reader = BufReader::with_capacity(1 << 18, file);
+    Ok((BufReader::with_capacity(1 << 18, file), size))
+}
+
+/// The header of a file of `size` bytes, checked against them, and a reader at its first row.
+fn parse_header<R: BufRead>(path: &Path, mut reader: R, size: u64) -> Result<(PlyHeader, R), PlyError> {
     let (header, header_bytes) = header::read(&mut reader, path)?;
     let skipped = pass_over(&header, &mut reader).map_err(|source| read_error(path, source))?;
     let (left, promised) = (size.saturating_sub(header_bytes + skipped), header.gaussians);

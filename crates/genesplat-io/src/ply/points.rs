@@ -4,7 +4,7 @@ use std::io::{BufRead, Read};
 use std::path::Path;
 
 use super::header::{Encoding, PlyHeader};
-use super::{PlyError, open, read_error, trailing};
+use super::{PlyError, check_positions, open, parse_header, read_error, trailing};
 use crate::scene::Point;
 
 /// Properties that a point is read from; the last three are its colour.
@@ -14,18 +14,19 @@ const POINTS: &str = "a cloud of points with x, y, z, red, green and blue, or le
 
 /// Reads the points of `path`; positions are in the file's own frame, colours 0 to 255.
 pub(crate) fn read_points(path: &Path) -> Result<Vec<Point>, PlyError> {
-    let (header, reader) = open(path)?;
+    open(path).and_then(|(file, size)| parse_points(path, file, size))
+}
+
+/// The same from the `size` bytes of `reader`; `path` is named in errors.
+pub(crate) fn parse_points(path: &Path, reader: impl BufRead, size: u64) -> Result<Vec<Point>, PlyError> {
+    let (header, reader) = parse_header(path, reader, size)?;
     let rows = match header.encoding {
         Encoding::Binary => binary(&header, reader, path)?,
         Encoding::Ascii => ascii(&header, reader, path)?,
     };
-    match rows.iter().position(|[x, y, z, ..]| ![x, y, z].iter().all(|v| v.is_finite())) {
-        Some(row) => Err(PlyError::NonFinite { path: path.to_owned(), row, parameter: "position" }),
-        None => {
-            let full = full_colour(&header, &rows);
-            Ok(rows.into_iter().map(|row| point(row, full)).collect())
-        }
-    }
+    check_positions(path, rows.iter().map(|&[x, y, z, ..]| [x, y, z]))?;
+    let full = full_colour(&header, &rows);
+    Ok(rows.into_iter().map(|row| point(row, full)).collect())
 }
 
 /// The value that stands for a colour's 255: 1 in files that write colours as fractions, which the format leaves open.

@@ -1,4 +1,4 @@
-//! From a listed photo to a view: decode, check, undistort, resize.
+//! From a listed photo to a view: check the header, decode, undistort, resize.
 
 use std::sync::Arc;
 
@@ -7,7 +7,8 @@ use genesplat_core::{Camera, Photo, View};
 use super::{LoadOptions, LoadProgress};
 use crate::error::SceneError;
 use crate::listing::ListedPhoto;
-use crate::photos;
+use crate::photos::{self, EncodedPhoto};
+use crate::shown;
 
 /// Least side of a loaded photo, px: SSIM's window alone has 11.
 pub const SIDE_MIN_PX: u32 = 16;
@@ -17,9 +18,10 @@ pub(super) fn load(
     options: &LoadOptions,
     progress: &dyn LoadProgress,
 ) -> Result<View, SceneError> {
-    let photo = photos::read_photo_on(&listed.path, options.background)?;
-    let camera = camera_of_photo(listed, photo.width, photo.height)?;
-    let (width, height) = options.size_of(photo.width, photo.height);
+    let photo = EncodedPhoto::open(&listed.path)?;
+    let (photo_width, photo_height) = photo.size();
+    let camera = camera_of_photo(listed, photo_width, photo_height)?;
+    let (width, height) = options.size_of(photo_width, photo_height);
     if width.min(height) < SIDE_MIN_PX {
         let problem = format!(
             "would be loaded at {width}x{height} pixels, and both sides must have at least {SIDE_MIN_PX}; reduce it \
@@ -27,6 +29,9 @@ pub(super) fn load(
         );
         return Err(SceneError::BadPhoto { photo: listed.path.clone(), problem });
     }
+    // Whatever follows runs on this thread alone.
+    let _room = photo.wait_for_room();
+    let photo = photo.decode_on(options.background)?;
     let (photo, camera) = undistort(listed, photo, camera)?;
     let photo = Arc::new(photos::resize(&photo, width, height));
     progress.photo_done();
@@ -57,7 +62,7 @@ fn camera_of_photo(listed: &ListedPhoto, width: u32, height: u32) -> Result<Came
         let problem = format!(
             "is {width}x{height} pixels, but its camera in {} is {}x{}, which is another shape; use the photos that \
              the cameras were calibrated on",
-            listed.list.display(),
+            shown(&*listed.list),
             camera.width,
             camera.height
         );

@@ -7,7 +7,7 @@ use glam::{DMat3, DQuat, DVec3};
 
 use super::schema::{OptionalIntrinsics, PhotoEntry};
 use crate::error::SceneError;
-use crate::listing::{bad_pose, intrinsics_problem};
+use crate::listing::{bad_pose, intrinsics_problem, position_problem};
 use crate::photos::{self, Distortion};
 
 /// The camera of `entry`, and what its lens distorts; `photo` is asked for its size where the file does not say it.
@@ -77,8 +77,11 @@ fn pose(list: &Path, entry: &PhotoEntry) -> Result<(DQuat, DVec3), SceneError> {
     let row = |row: &[f64; 4]| DVec3::new(row[0], row[1], row[2]);
     let world_from_gl = DMat3::from_cols(row(x), row(y), row(z)).transpose();
     let centre = DVec3::new(x[3], y[3], z[3]);
-    if !(world_from_gl.is_finite() && centre.is_finite()) {
+    if !world_from_gl.is_finite() {
         return Err(bad("is not finite"));
+    }
+    if let Some(problem) = position_problem(centre.into()) {
+        return Err(bad(problem));
     }
     // Writers print few digits, so a per cent is allowed; a mirror image or a scale is not.
     let deviation = world_from_gl * world_from_gl.transpose() - DMat3::IDENTITY;

@@ -18,7 +18,7 @@ use self::random_points::{COUNT, Cube};
 use self::splits::Splits;
 use crate::error::SceneError;
 use crate::listing::{ListedPhoto, Listing, Purpose, inside, no_photos, path_inside};
-use crate::ply;
+use crate::{ply, shown};
 
 /// What the file name of a photo may end in beyond what a frame says.
 const ENDS: [&str; 3] = ["", ".png", ".jpg"];
@@ -103,7 +103,7 @@ impl Found {
 
     /// Masks take effort to make, and have no effect here; a photo may be missing, or be in no list, by mistake.
     fn notices(&self, list: &Path) -> Vec<String> {
-        let (list, all) = (list.display(), self.photos.len() + self.missing.len());
+        let (list, all) = (shown(list), self.photos.len() + self.missing.len());
         let mut notices = Vec::new();
         if self.masks > 0 {
             notices.push(format!(
@@ -113,7 +113,7 @@ impl Found {
             ));
         }
         if let Some((first, _)) = self.missing.first() {
-            let (gone, first) = (self.missing.len(), first.display());
+            let (gone, first) = (self.missing.len(), shown(first));
             notices.push(format!(
                 "{gone} of the {all} photos that {list} lists do not exist and are left out, first {first}"
             ));
@@ -158,6 +158,19 @@ fn read_photos(list: &Path, purpose: Option<Purpose>) -> Result<Found, SceneErro
         found.photos.push(ListedPhoto { name, path, list: shared.clone(), camera, distortion, purpose });
     }
     Ok(found)
+}
+
+/// The cameras that the `text` of `list` describes, all of whose rules they have met; photos are looked at only where
+/// it does not say their size.
+pub(crate) fn parse_cameras(list: &Path, text: &[u8]) -> Result<Vec<Camera>, SceneError> {
+    let file = schema::parse(list, text)?;
+    let splits = Splits::of(&file, list)?;
+    let entries = file.frames.iter().map(|entry| {
+        let photo = inside(&entry.file_path, list)?;
+        splits.purpose(&entry.file_path, list)?;
+        Ok(camera::camera(list, entry, &entry.intrinsics.or(&file.intrinsics), photo)?.0)
+    });
+    entries.collect()
 }
 
 /// The photo as it is named, or with the extension that Blender's script leaves out.

@@ -6,6 +6,7 @@ use serde::Deserialize;
 use serde::de::IgnoredAny;
 
 use crate::error::SceneError;
+use crate::input;
 
 #[derive(Debug, Deserialize)]
 pub(super) struct Transforms {
@@ -92,6 +93,10 @@ impl OptionalIntrinsics {
 }
 
 pub(super) fn read(file: &Path) -> Result<Transforms, SceneError> {
-    let text = std::fs::read(file).map_err(|source| SceneError::Read { file: file.to_owned(), source })?;
-    serde_json::from_slice(&text).map_err(|source| SceneError::Json { file: file.to_owned(), source })
+    let text = input::read(file).map_err(|source| SceneError::Read { file: file.to_owned(), source })?;
+    parse(file, &text)
+}
+
+pub(super) fn parse(file: &Path, text: &[u8]) -> Result<Transforms, SceneError> {
+    serde_json::from_slice(text).map_err(|source| SceneError::Json { file: file.to_owned(), source })
 }

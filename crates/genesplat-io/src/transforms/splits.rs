@@ -12,6 +12,7 @@ use super::schema::Transforms;
 use super::{ENDS, with_end};
 use crate::error::SceneError;
 use crate::listing::Purpose;
+use crate::shown;
 
 type Names = HashSet<PathBuf>;
 
@@ -38,8 +39,9 @@ impl Splits {
         let [train, validation, test] = [&self.train, &self.validation, &self.test].map(is_in);
         if train && (validation || test) {
             let problem = format!(
-                "has {frame} both in its train_filenames and in its val_filenames or test_filenames; remove it from \
-                 one of them, or its figures would be those of a photo that training saw"
+                "has {} both in its train_filenames and in its val_filenames or test_filenames; remove it from \
+                 one of them, or its figures would be those of a photo that training saw",
+                shown(frame)
             );
             return Err(SceneError::invalid(list, problem));
         }
@@ -67,7 +69,7 @@ impl Splits {
 fn known(names: &Option<Vec<String>>, frames: &Names, key: &'static str, list: &Path) -> Result<Names, SceneError> {
     let name = |name: &String| {
         let remedy = "but none of its frames has that file_path; correct one of them";
-        let unknown = || SceneError::invalid(list, format!("has {name} in its {key}, {remedy}"));
+        let unknown = || SceneError::invalid(list, format!("has {} in its {key}, {remedy}", shown(name)));
         Some(plain(name)).filter(|name| frames.contains(name)).ok_or_else(unknown)
     };
     names.iter().flatten().map(name).collect()

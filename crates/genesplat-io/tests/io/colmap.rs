@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use crate::common::{SIZE, tiny_model, tiny_photo, write_form, write_scene};
+use crate::common::{CLAIM, SIZE, claiming, tiny_model, tiny_photo, write_form, write_scene};
 use genesplat_io::colmap::{Form, Model, ModelFolder, find_model, read_model, write_model};
 use genesplat_io::{HoldOut, LoadOptions, LoadProgress, PhotoSize, SceneError, load_scene, photos};
 
@@ -184,11 +184,17 @@ fn two_cameras_of_one_id_are_refused_in_both_forms() {
 #[test]
 fn bad_numbers_are_named_in_both_forms() {
     type Spoil = fn(&mut Model);
-    let cases: [(Spoil, &str); 9] = [
+    let cases: [(Spoil, &str); 12] = [
         (|m| m.images[1].rotation = [0.0; 4], "pose of photo a b/001.png has a rotation that is zero"),
         (|m| m.images[1].translation[2] = f64::NAN, "pose of photo a b/001.png is not finite"),
         (|m| m.images[0].rotation[0] = f64::INFINITY, "pose of photo a b/000.png is not finite"),
         (|m| m.points[4].position[0] = f32::NAN, "point 5 has a position that is not finite"),
+        (|m| m.points[4].position[2] = -1e25, "point 5 has a position that lies beyond 1e9 world units"),
+        (|m| m.images[1].translation[2] = 1e25, "pose of photo a b/001.png lies beyond 1e9 world units"),
+        (
+            |m| m.cameras.get_mut(&7).unwrap().focal_px[1] = 1e25,
+            "camera 7 has a focal length or a principal point beyond",
+        ),
         (|m| m.points.clear(), "has 0 points"),
         (|m| m.cameras.get_mut(&7).unwrap().focal_px[0] = 0.0, "camera 7 has a focal length"),
         (|m| m.cameras.get_mut(&7).unwrap().principal_px[1] = f64::NAN, "camera 7 has a principal point"),
@@ -254,12 +260,20 @@ fn photos_that_cannot_be_used_are_named() {
     let first = |scene: &Path| scene.join("images/a b/000.png");
     type Spoil<'a> = Box<dyn Fn(&Path) + 'a>;
     let jpeg: &[u8] = b"\xFF\xD8\xFF\xE0\x00\x10JFIF\0\x01\x01\0\0\x01\0\x01\0\0\xFF\xDA\x00\x02torn";
-    let cases: [(Spoil, &str); 6] = [
+    let half = |path: &Path| {
+        photos::write_png(path, &tiny_photo(0, [40, 40])).unwrap();
+        let bytes = fs::read(path).unwrap();
+        fs::write(path, &bytes[..bytes.len() / 2]).unwrap();
+    };
+    let cases: [(Spoil, &str); 8] = [
         (Box::new(|s| fs::remove_file(first(s)).unwrap()), "does not exist; put it back"),
         (Box::new(|s| fs::remove_dir_all(s.join("images")).unwrap()), "none of the 3 photos"),
         (Box::new(|s| fs::write(first(s), b"not a picture").unwrap()), "neither a PNG nor a JPEG"),
         (Box::new(|s| fs::write(first(s), jpeg).unwrap()), "cut off"),
         (Box::new(|s| photos::write_png(&first(s), &tiny_photo(0, [40, 40])).unwrap()), "is 40x40 pixels"),
+        // Its size is looked at before a pixel is decoded.
+        (Box::new(|s| half(&first(s))), "is 40x40 pixels"),
+        (Box::new(|s| fs::write(first(s), claiming(CLAIM)).unwrap()), "13344x18742 pixels"),
         (Box::new(|s| photos::write_png(&first(s), &tiny_photo(0, [20, 15])).unwrap()), "at 20x15 pixels"),
     ];
     for (spoil, expected) in cases {

@@ -35,6 +35,19 @@ pub(crate) fn tiny_photo(index: usize, [width, height]: [u32; 2]) -> Photo {
     Photo { width, height, rgb }
 }
 
+/// Width and height of a picture of 750 MB.
+pub(crate) const CLAIM: [u16; 2] = [13_344, 18_742];
+
+/// A JPEG of a few hundred bytes, whose header claims `size`.
+pub(crate) fn claiming([width, height]: [u16; 2]) -> Vec<u8> {
+    let mut bytes = photos::encode_jpeg(&tiny_photo(0, [16, 16]), 50);
+    // Start of frame: marker, length, precision, then height and width.
+    let frame = bytes.windows(2).position(|pair| pair == [0xFF, 0xC0]).unwrap();
+    bytes[frame + 5..frame + 7].copy_from_slice(&height.to_be_bytes());
+    bytes[frame + 7..frame + 9].copy_from_slice(&width.to_be_bytes());
+    bytes
+}
+
 /// Writes the photos of `model` below `scene/images`, and the model to `scene/sparse/0`.
 pub(crate) fn write_scene(scene: &Path, form: Form, model: &Model) {
     for (index, image) in model.images.iter().enumerate() {

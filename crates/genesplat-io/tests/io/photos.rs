@@ -4,7 +4,9 @@ use std::fs;
 
 use genesplat_core::Photo;
 use genesplat_io::PhotoSize;
-use genesplat_io::photos::{self, PhotoError};
+use genesplat_io::photos::{self, EncodedPhoto, PhotoError};
+
+use crate::common::{CLAIM, claiming};
 
 #[test]
 fn sizes_follow_the_reference() {
@@ -68,7 +70,7 @@ fn transparency_shows_the_background_truncated() {
     image::RgbaImage::from_raw(3, 1, pixels).unwrap().save(&path).unwrap();
     // 200 * 128 / 255 = 100.39, 50.19 and 25.6; on white, 127 * 255 / 255 more.
     assert_eq!(photos::read_photo(&path).unwrap().rgb, [200, 100, 50, 0, 0, 0, 100, 50, 25]);
-    let white = photos::read_photo_on(&path, [255; 3]).unwrap();
+    let white = EncodedPhoto::open(&path).unwrap().decode_on([255; 3]).unwrap();
     assert_eq!(white.rgb, [200, 100, 50, 255, 255, 255, 227, 177, 152]);
 }
 
@@ -100,19 +102,23 @@ fn what_of_a_picture_is_discarded_is_reported() {
     assert_eq!(discarded(image::DynamicImage::new_rgba16(2, 1)), (true, true));
 }
 
-/// A header may claim 65,535 x 65,535 pixels: 12 GB.
+/// A header may claim 65,535 x 65,535 pixels: 12 GB. Less is believed as far as the bytes reach.
 #[test]
 fn a_photo_that_claims_to_be_huge_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("photo.jpg");
-    image::RgbImage::new(16, 16).save(&path).unwrap();
-    let mut bytes = fs::read(&path).unwrap();
-    // Start of frame: marker, length, precision, then height and width.
-    let frame = bytes.windows(2).position(|pair| pair == [0xFF, 0xC0]).unwrap();
-    bytes[frame + 5..frame + 9].fill(0xFF);
-    fs::write(&path, bytes).unwrap();
-    let error = photos::read_photo(&path).unwrap_err().to_string();
-    assert!(error.contains("65535x65535 pixels"), "{error}");
+    let claims = [([65_535, 65_535], "65535x65535 pixels, and at most"), (CLAIM, "pixels, which its")];
+    for (size, words) in claims {
+        fs::write(&path, claiming(size)).unwrap();
+        let error = photos::read_photo(&path).unwrap_err().to_string();
+        assert!(error.contains(words) && error.contains(&format!("{}x{}", size[0], size[1])), "{error}");
+    }
+    // Nothing takes fewer bytes than a picture of one colour.
+    let blank = Photo { width: 3_000, height: 2_000, rgb: vec![0; 3 * 3_000 * 2_000] };
+    photos::write_png(&path, &blank).unwrap();
+    assert!(photos::read_photo(&path).unwrap() == blank);
+    fs::write(&path, photos::encode_jpeg(&blank, 1)).unwrap();
+    assert_eq!(photos::read_photo(&path).unwrap().width, 3_000);
 }
 
 /// Decoders fill the lost half of a truncated JPEG with grey and report success; we must not.

@@ -1,7 +1,7 @@
 //! Clouds survive the disk bit for bit, and no file makes the reader panic.
 
 use std::fs;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use genesplat_core::{Gaussians, Rng, ScreenFilter, Stream};
 use genesplat_io::ply::{self, PlyError};
@@ -216,6 +216,16 @@ fn a_value_that_is_not_finite_is_named() {
         let error = ply::check_finite(&path, &cloud).unwrap_err();
         assert!(matches!(error, PlyError::NonFinite { row: 2, parameter: "filter_3D", .. }), "{error}");
     }
+}
+
+#[test]
+fn a_position_that_no_scene_has_is_named() {
+    let mut cloud = Gaussians::zeros(3);
+    cloud.positions[2] = [1e9, -1e9, 0.0];
+    assert!(ply::check_finite(Path::new("cloud.ply"), &cloud).is_ok());
+    cloud.positions[2][1] = 1e25;
+    let error = ply::check_finite(Path::new("cloud.ply"), &cloud).unwrap_err().to_string();
+    assert!(error.contains("cloud.ply: the position of row 2 lies beyond 1e9 world units"), "{error}");
 }
 
 #[test]

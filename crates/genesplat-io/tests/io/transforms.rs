@@ -351,12 +351,13 @@ fn points_that_are_too_few_are_named_with_their_file() {
 #[test]
 fn mistakes_are_named() {
     type Spoil = fn(&mut Value);
-    let cases: [(Spoil, &str); 16] = [
+    let cases: [(Spoil, &str); 17] = [
         (|d| d["frames"] = json!([]), "lists no photos"),
         (|d| d["frames"] = json!("none"), "not a valid description"),
         (|d| d["frames"][0]["transform_matrix"] = json!([[1, 0, 0, 0]]), "fewer than three rows"),
         (|d| d["frames"][0]["transform_matrix"][0] = json!([0, 0, 0, 0]), "is not a rotation"),
         (|d| d["frames"][0]["transform_matrix"][0][3] = json!("x"), "not a valid description"),
+        (|d| d["frames"][0]["transform_matrix"][0][3] = json!(1e25), "lies beyond 1e9 world units"),
         (|d| d["frames"][0]["file_path"] = json!("../../etc/passwd"), "not a path inside"),
         (|d| d["fl_x"] = json!(-3.0), "focal length that is not a positive number"),
         (

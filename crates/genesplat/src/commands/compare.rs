@@ -6,6 +6,7 @@ use std::path::Path;
 use anyhow::{Result, anyhow};
 use genesplat::core::Photo;
 use genesplat::io::photos::read_photo_and_discarded;
+use genesplat::io::shown;
 use genesplat::metrics::lpips::{InputRange, LpipsError, Net};
 use genesplat::metrics::{Lpips, ViewScore, compare};
 use serde::Serialize;
@@ -61,7 +62,7 @@ pub(crate) fn run(args: &CompareArgs) -> Result<()> {
 /// A picture, with a notice of what of it is not compared.
 fn read(path: &Path) -> Result<Photo> {
     let (photo, discarded) = read_photo_and_discarded(path)?;
-    let path = path.display();
+    let path = shown(path);
     if discarded.depth {
         output::tell(&format!("notice: {path} has more than 8 bits a channel, and is compared at 8"));
     }

@@ -11,7 +11,7 @@ use std::time::Instant;
 use anyhow::{Result, ensure};
 use genesplat::gallery::{self, GalleryOptions};
 use genesplat::io::photos::{read_photo, write_png};
-use genesplat::io::{PhotoSize, Scene};
+use genesplat::io::{PhotoSize, Scene, shown};
 use genesplat::metrics::Lpips;
 use genesplat::train::{EvolutionMode, TrainConfig};
 
@@ -81,9 +81,9 @@ fn show(args: &DemoArgs, scene: &Scene, halves: &[Half], results: &[Metrics]) ->
         "open     {}  (both runs side by side, in a browser)\n\
          picture  {}  (where evolution changed most: photo, without, with)\n\
          splat    {}  (opens in any viewer of 3D Gaussian splats, as https://superspl.at/editor)",
-        page.display(),
-        picture.display(),
-        halves[1].session.path().join(CLOUD).display(),
+        shown(page),
+        shown(picture),
+        shown(halves[1].session.path().join(CLOUD)),
     ))
 }
 
@@ -100,7 +100,7 @@ fn check_gallery(folder: &Path) -> Result<()> {
     ensure!(
         is_ours,
         "{} is not the gallery of an earlier demo, and would be written over; choose another --out",
-        folder.display()
+        shown(folder)
     );
     Ok(())
 }
@@ -114,7 +114,7 @@ fn is_gallery_photo(name: &str) -> bool {
 
 /// Writes the gallery as an ordinary COLMAP scene, and loads it as any other.
 fn build_scene(folder: &Path, seed: u64) -> Result<Scene> {
-    output::tell(&format!("making the photos of a small gallery in {}", folder.display()));
+    output::tell(&format!("making the photos of a small gallery in {}", shown(folder)));
     let options = GalleryOptions { seed, ..GalleryOptions::default() };
     gallery::generate(&options).write_colmap(folder)?;
     scene::load(folder, PhotoSize::default(), [0.0; 3], seed)

@@ -1,6 +1,7 @@
 //! `genesplat evaluate`: how well a splat reproduces photos.
 
 use anyhow::{Result, bail};
+use genesplat::io::shown;
 use genesplat::metrics::Evaluation;
 use serde::Serialize;
 
@@ -32,7 +33,7 @@ pub(crate) fn run(args: &EvaluateArgs) -> Result<()> {
         Split::Train => (&scene.train, Split::Test),
     };
     if views.is_empty() {
-        bail!("{} has no {name} photos; use --split {}", args.data.display(), other.name());
+        bail!("{} has no {name} photos; use --split {}", shown(&args.data), other.name());
     }
     if args.split == Split::Test {
         photos::check_test_photos(&args.splat, &scene)?;

@@ -1,10 +1,10 @@
 //! `genesplat experiment`: many runs, and the tables that compare them.
 
-use std::fs;
 use std::io::ErrorKind;
 use std::path::Path;
 
 use anyhow::{Result, bail};
+use genesplat::io::{input, shown};
 
 use super::Ending;
 use crate::args::{ExperimentArgs, MachineArgs};
@@ -85,7 +85,7 @@ fn list(runner: &Runner<'_>) -> Result<Ending> {
             State::Missing if is_control => "after its arm",
             State::Missing => "to do",
         };
-        output::print(&format!("{number:>5}  {state:<13}  {}", runner.experiment.folder(cell).display()))?;
+        output::print(&format!("{number:>5}  {state:<13}  {}", shown(runner.experiment.folder(cell))))?;
     }
     Ok(Ending::Whole)
 }
@@ -114,7 +114,7 @@ fn run_cell(runner: &Runner<'_>, number: usize) -> Result<Ending> {
 /// Fails where files that are not ours would be written over.
 fn check_ours(out: &Path) -> Result<()> {
     let path = out.join(DESCRIPTION);
-    let foreign = match fs::read_to_string(&path) {
+    let foreign = match input::read_text(&path) {
         Ok(text) => (!text.starts_with(MARK)).then_some(path),
         Err(error) if error.kind() == ErrorKind::NotFound => {
             FIGURES.iter().map(|name| out.join(name)).find(|file| file.exists())
@@ -124,7 +124,7 @@ fn check_ours(out: &Path) -> Result<()> {
     foreign.map_or(Ok(()), |file| {
         bail!(
             "{} was not written by genesplat experiment, and would be written over; choose another --out",
-            file.display()
+            shown(file)
         )
     })
 }
@@ -143,22 +143,24 @@ fn tell_of_unmeasured(results: &Results<'_>) {
 fn write(runner: &Runner<'_>, results: &Results<'_>) -> Result<()> {
     let tables = Tables::of(results);
     let pages = qualitative::write_pages(runner, results);
-    let shown: String = tables.repeatable().map(|table| table.to_markdown() + "\n").collect();
+    let text: String = tables.repeatable().map(|table| table.to_markdown() + "\n").collect();
     let seconds: String = tables.costs.iter().map(|table| table.to_markdown() + "\n").collect();
     let page = page::to_html(results, runner.out, &tables, &pages, &this_command());
-    let texts = [shown.clone(), seconds.clone(), record::cells(results), page];
+    let texts = [text.clone(), seconds.clone(), record::cells(results), page];
     let description = page::to_toml(&results.experiment.file);
     // First, since it tells whose the others are.
     let described = (DESCRIPTION, format!("{MARK} {}; it can be run again.\n{description}", env!("CARGO_PKG_VERSION")));
     let files: Vec<_> = std::iter::once(described).chain(FIGURES.into_iter().zip(texts)).collect();
     files.iter().try_for_each(|(name, text)| files::write_text(&runner.out.join(name), text))?;
-    output::print(&format!("{shown}{seconds}"))?;
+    output::print(&format!("{text}{seconds}"))?;
     let names = files.iter().map(|(name, _)| *name).collect::<Vec<_>>().join(", ");
-    output::print(&format!("{}: {names}, and {} pages in qualitative/", runner.out.display(), pages.len()))
+    output::print(&format!("{}: {names}, and {} pages in qualitative/", shown(&runner.out), pages.len()))
 }
 
 #[cfg(test)]
 mod tests {
+    use std::fs;
+
     use super::*;
 
     #[test]

@@ -1,6 +1,7 @@
 //! `genesplat inspect`: what is there, what looks wrong, and what training will take.
 
 use anyhow::{Result, ensure};
+use genesplat::io::shown;
 
 use crate::args::InspectArgs;
 use crate::inspect::{inspect_run, inspect_scene, inspect_splat};
@@ -9,7 +10,7 @@ use crate::terminal::output;
 
 pub(crate) fn run(args: &InspectArgs) -> Result<()> {
     let what = &args.what;
-    ensure!(what.exists(), "{} does not exist; give the folder of a scene or a run, or a splat's PLY", what.display());
+    ensure!(what.exists(), "{} does not exist; give the folder of a scene or a run, or a splat's PLY", shown(what));
     let report = match () {
         () if what.is_file() => inspect_splat(what)?,
         () if is_run(what) => inspect_run(what)?,

@@ -4,6 +4,7 @@ use std::io::Write;
 use std::path::Path;
 
 use anyhow::{Result, anyhow, bail};
+use genesplat::io::shown;
 use genesplat::metrics::Lpips;
 use genesplat::metrics::weights::{sha256, to_safetensors};
 
@@ -26,7 +27,7 @@ pub(crate) fn run(args: &LpipsInstallArgs) -> Result<()> {
     };
     for file in &args.files {
         let (net, _) = lpips::read(file)?;
-        output::print(&format!("{}: for {net}, {}", file.display(), check_sum(file)?))?;
+        output::print(&format!("{}: for {net}, {}", shown(file), check_sum(file)?))?;
     }
     let mut pool = lpips::pool(&args.files)?;
     for (&net, tensors) in &mut pool {
@@ -39,7 +40,7 @@ pub(crate) fn run(args: &LpipsInstallArgs) -> Result<()> {
     for (net, tensors) in &pool {
         let path = folder.join(format!("lpips_{}.safetensors", net.name()));
         files::write_file(&path, |out| out.write_all(&to_safetensors(tensors)))?;
-        output::print(&format!("{net} is installed: {}", path.display()))?;
+        output::print(&format!("{net} is installed: {}", shown(path)))?;
     }
     Ok(())
 }
@@ -54,7 +55,7 @@ fn check_sum(file: &Path) -> Result<String> {
         Some(promised) if sum.starts_with(&promised) => Ok("SHA-256 is as the name promises".into()),
         Some(promised) => bail!(
             "{} is damaged: its name promises a SHA-256 that begins with {promised}, and it is {sum}; download it again",
-            file.display()
+            shown(file)
         ),
         None => Ok(format!("SHA-256 {sum} is not known here: compare it with where the file is from")),
     }

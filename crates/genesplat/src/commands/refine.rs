@@ -3,7 +3,7 @@
 
 use anyhow::{Result, bail};
 use genesplat::core::{RenderSettings, ScreenFilter};
-use genesplat::io::{PlyOptions, Scene, write_ply};
+use genesplat::io::{PlyOptions, Scene, shown, write_ply};
 use genesplat::train::{Background, EvolutionMode, Outcome, Resolved, Start, TrainConfig, Variant, search, train};
 
 use super::Ending;
@@ -45,7 +45,7 @@ pub(crate) fn run(args: &RefineArgs) -> Result<Ending> {
     }
     print_scores("after", &mut device, &scene, &splat.settings)?;
     let gaussians = thousands(outcome.cloud.len());
-    output::print(&format!("{gaussians} Gaussians written to {}", args.out.display()))?;
+    output::print(&format!("{gaussians} Gaussians written to {}", shown(&args.out)))?;
     Ok(if outcome.summary.interrupted { Ending::Stopped } else { Ending::Whole })
 }
 
@@ -69,7 +69,7 @@ fn configure(args: &RefineArgs, splat: &Splat) -> Result<Resolved> {
         (ScreenFilter::Mip, Some(_)) => Variant::MipSplatting,
         _ => bail!(
             "{} is a Mip-Splatting cloud whose 3D filter was baked in; refine the cloud that training wrote",
-            args.splat.display()
+            shown(&args.splat)
         ),
     };
     Ok(train.resolve()?)

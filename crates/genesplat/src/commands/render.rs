@@ -5,7 +5,7 @@ use std::path::Path;
 
 use anyhow::{Result, bail};
 use genesplat::core::{Photo, View};
-use genesplat::io::{Scene, photos};
+use genesplat::io::{Scene, photos, shown};
 
 use crate::args::{RenderArgs, RenderSplit};
 use crate::overwrite::Content;
@@ -43,7 +43,7 @@ pub(crate) fn run(args: &RenderArgs) -> Result<()> {
         bar.set(done, String::new);
     }
     drop(bar);
-    output::print(&format!("{} pictures written to {}", jobs.len(), args.out.display()))
+    output::print(&format!("{} pictures written to {}", jobs.len(), shown(&args.out)))
 }
 
 fn write(path: &Path, picture: &Photo) -> Result<()> {
@@ -61,8 +61,8 @@ fn find(scene: &Scene, name: &str, data: &Path) -> Result<View> {
     match scene.train.iter().chain(&scene.test).find(matches) {
         Some(view) => Ok(view.clone()),
         None => {
-            let example = &scene.train[0].name;
-            bail!("{} has no photo called {name}; its photos have names like {example}", data.display())
+            let (name, example) = (shown(name), shown(&scene.train[0].name));
+            bail!("{} has no photo called {name}; its photos have names like {example}", shown(data))
         }
     }
 }

@@ -4,6 +4,7 @@ use std::path::Path;
 use std::time::Instant;
 
 use anyhow::Result;
+use genesplat::io::shown;
 
 use super::Ending;
 use crate::args::TrainArgs;
@@ -54,11 +55,11 @@ fn report(ended: &Ended, folder: &Path) -> Result<Ending> {
         }
         Ended::Unscored => output::print(&format!(
             "stopped while photos were scored, so there are no figures yet; {} is whole, and the same command with --resume scores it{}",
-            folder.join(CLOUD).display(),
+            shown(folder.join(CLOUD)),
             previous::note(folder)
         ))?,
         Ended::NotBegun => {
-            output::print(&format!("stopped before the first step; {} is as it was", folder.display()))?;
+            output::print(&format!("stopped before the first step; {} is as it was", shown(folder)))?;
         }
     }
     Ok(Ending::Stopped)
@@ -70,7 +71,7 @@ fn print_size(metrics: &Metrics, folder: &Path) -> Result<()> {
         thousands(metrics.gaussians),
         thousands(metrics.iterations as usize),
         duration(metrics.seconds.total),
-        folder.join(CLOUD).display()
+        shown(folder.join(CLOUD))
     ))?;
-    output::print(&format!("open   {}", folder.join(REPORT).display()))
+    output::print(&format!("open   {}", shown(folder.join(REPORT))))
 }

@@ -1,7 +1,7 @@
 //! What is on the disk already: which cells are finished, and what must not be replaced by them.
 
 use anyhow::{Result, anyhow, bail, ensure};
-use genesplat::io::{LoadOptions, Scene, load_points};
+use genesplat::io::{LoadOptions, Scene, load_points, shown};
 
 use super::plan::{BUNDLED, Cell};
 use super::results::Results;
@@ -41,19 +41,19 @@ impl Runner<'_> {
             ensure!(
                 !Metrics::are_foreign(&path),
                 "{} is not the figures of a run, and would be replaced; put it elsewhere, or choose another --out",
-                path.join(METRICS).display()
+                shown(path.join(METRICS))
             );
             if Metrics::read(&path).is_none() && !has_checkpoint(&path) {
                 continue;
             }
             let advice = "choose another --out, or remove that folder to have it run anew";
             let config = ConfigFile::of_run(&path).map_err(|error| {
-                anyhow!("{} holds a run whose settings are not known here ({error}); {advice}", path.display())
+                anyhow!("{} holds a run whose settings are not known here ({error}); {advice}", shown(&path))
             })?;
             let difference = self.difference(cell, &config, &self.settings(cell, &results)?);
             let is_control = self.experiment.arms[cell.arm].control_of.is_some();
             if let Some(difference) = difference.filter(|_| !is_control) {
-                bail!("{} holds a run with other settings ({difference}); {advice}", path.display());
+                bail!("{} holds a run with other settings ({difference}); {advice}", shown(path));
             }
         }
         Ok(())
@@ -69,8 +69,8 @@ impl Runner<'_> {
                     of_other.test_photos() == metrics.test_photos(),
                     "{} and {} were measured on different test photos; choose another --out, or remove the one that is out of \
                      date to have it run anew",
-                    self.folder(*other).display(),
-                    self.folder(cell).display()
+                    shown(self.folder(*other)),
+                    shown(self.folder(cell))
                 ),
                 _ => first = Some((cell, metrics)),
             }

@@ -2,6 +2,8 @@
 
 use std::path::Path;
 
+use genesplat::io::shown;
+
 use super::file::ExperimentFile;
 use super::plan::{Cell, Experiment};
 use super::qualitative::Page;
@@ -70,7 +72,7 @@ fn write_runs(page: &mut Html, results: &Results<'_>) {
     page.headings(&["run", "test PSNR, dB", "train PSNR, dB", "Gaussians", "time"]);
     for cell in experiment.cells() {
         let Some(metrics) = results.get(cell) else { continue };
-        let folder = experiment.folder(cell).display().to_string();
+        let folder = shown(experiment.folder(cell));
         page.open("tr").open("th").attribute_of("a", "href", &encoded(&format!("{folder}/report.html")));
         page.text(folder.trim_start_matches("cells/")).close("a").close("th");
         let psnr = [&metrics.test, &metrics.train].map(|scores| number(Some(scores.psnr), 2, ""));

@@ -4,6 +4,7 @@ use std::fmt::Display;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Result, anyhow, bail, ensure};
+use genesplat::io::shown;
 
 use super::arms::{Arm, resolve_arms};
 use super::file::{ExperimentFile, GalleryTable};
@@ -109,7 +110,7 @@ impl Experiment {
         ensure!(
             missing.is_empty(),
             "{} has no folder called {}; put the scenes there, or take them out of the experiment",
-            folder.display(),
+            shown(folder),
             missing.join(", ")
         );
         (0..scenes.len()).try_for_each(|scene| check_apart(&self.scene_path(scene, data, out), out))

@@ -1,9 +1,9 @@
 //! The experiments that come with the program, which are files like any other, compiled in; and those from files.
 
-use std::fs;
 use std::path::Path;
 
 use anyhow::{Result, anyhow, bail};
+use genesplat::io::{input, shown};
 
 use super::file::ExperimentFile;
 
@@ -34,13 +34,15 @@ pub(crate) fn open(what: &str) -> Result<ExperimentFile> {
 fn read(path: &Path) -> Result<String> {
     if !path.exists() && path.extension().is_none() {
         let names = PRESETS.map(|(name, _)| name).join(", ");
-        bail!("there is no experiment called {}; take {names}, or a TOML file", path.display());
+        bail!("there is no experiment called {}; take {names}, or a TOML file", shown(path));
     }
-    fs::read_to_string(path).map_err(|error| anyhow!("cannot read the experiment {}: {error}", path.display()))
+    input::read_text(path).map_err(|error| anyhow!("cannot read the experiment {}: {error}", shown(path)))
 }
 
 #[cfg(test)]
 mod tests {
+    use std::fs;
+
     use super::*;
     use crate::experiment::plan::Experiment;
 

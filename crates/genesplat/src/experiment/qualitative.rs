@@ -7,8 +7,8 @@ use std::path::PathBuf;
 
 use anyhow::{Result, ensure};
 use genesplat::core::Photo;
-use genesplat::io::Scene;
 use genesplat::io::photos::{read_photo, write_png};
+use genesplat::io::{Scene, shown};
 
 use super::plan::Cell;
 use super::results::Results;
@@ -89,7 +89,7 @@ fn read_render(path: PathBuf, photo: &Photo) -> Result<Photo> {
     ensure!(
         (render.width, render.height) == (photo.width, photo.height),
         "{} has {}x{} pixels, and its photo is loaded at {}x{} now; bring back the photos as they were",
-        path.display(),
+        shown(path),
         render.width,
         render.height,
         photo.width,

@@ -1,5 +1,7 @@
 //! Everything as CSV, a line a cell.
 
+use genesplat::io::shown;
+
 use super::plan::Cell;
 use super::results::{METRICS, Results};
 use crate::args::Split;
@@ -25,7 +27,7 @@ pub(crate) fn cells(results: &Results<'_>) -> String {
         }
         fields.extend([metrics.gaussians.to_string(), metrics.iterations.to_string()]);
         fields.extend([metrics.seconds.gradient, metrics.seconds.evolution].map(Some).map(number));
-        fields.push(experiment.folder(cell).display().to_string());
+        fields.push(shown(experiment.folder(cell)));
         text += &csv_line(&fields);
     }
     text

@@ -10,7 +10,7 @@ use std::time::Instant;
 use anyhow::{Result, anyhow};
 use genesplat::core::BackendError;
 use genesplat::gallery;
-use genesplat::io::{LoadOptions, PhotoSize, Scene, load_points};
+use genesplat::io::{LoadOptions, PhotoSize, Scene, load_points, shown};
 use genesplat::metrics::Lpips;
 use genesplat::train::TrainError;
 
@@ -112,7 +112,7 @@ impl<'a> Runner<'a> {
                 }
                 Err((error, reach)) => {
                     board.failed(cell);
-                    let sentence = format!("{}: {error}", self.folder(cell).display());
+                    let sentence = format!("{}: {error}", shown(self.folder(cell)));
                     let error = error.context(sentence);
                     ran.failures.push(Failure { error, cell, reach });
                 }
@@ -201,7 +201,7 @@ impl<'a> Runner<'a> {
     fn read_back(&self, cell: Cell) -> Result<Metrics> {
         let folder = self.folder(cell);
         Metrics::read(&folder)
-            .ok_or_else(|| anyhow!("{} cannot be read back; check the disk", folder.join(METRICS).display()))
+            .ok_or_else(|| anyhow!("{} cannot be read back; check the disk", shown(folder.join(METRICS))))
     }
 }
 

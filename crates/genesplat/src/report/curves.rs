@@ -5,6 +5,7 @@
 use std::path::Path;
 
 use anyhow::{Result, anyhow};
+use genesplat::io::{input, shown};
 use serde::Deserialize;
 
 use super::chart::{Chart, Series};
@@ -46,8 +47,7 @@ pub(crate) struct Curves {
 
 impl Curves {
     pub(crate) fn read(path: &Path) -> Result<Self> {
-        let text = std::fs::read_to_string(path)
-            .map_err(|error| anyhow!("cannot read the log {}: {error}", path.display()))?;
+        let text = input::read_text(path).map_err(|error| anyhow!("cannot read the log {}: {error}", shown(path)))?;
         Ok(Self::parse(&text))
     }
 

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use genesplat::core::BackendError;
+use genesplat::io::shown;
 use genesplat::train::TrainError;
 
 use super::session::{Caller, has_checkpoint, read_checkpoint};
@@ -46,7 +47,7 @@ fn what_is_left(error: &anyhow::Error, folder: &Path, caller: Caller) -> String 
     }
     let path = folder.join(CHECKPOINT);
     let Ok(checkpoint) = read_checkpoint(folder) else {
-        return format!(" ({} cannot be read, so {anew})", path.display());
+        return format!(" ({} cannot be read, so {anew})", shown(path));
     };
     let how = match (caller, failed) {
         (Caller::Experiment, Some(DeviceFailure::OutOfMemory)) => {
@@ -60,7 +61,7 @@ fn what_is_left(error: &anyhow::Error, folder: &Path, caller: Caller) -> String 
             "the same command with --resume --device cpu goes on from there, while other limits need a new run"
         }
     };
-    format!(" ({} holds the run at iteration {}; {how})", path.display(), checkpoint.cursor.iteration)
+    format!(" ({} holds the run at iteration {}; {how})", shown(path), checkpoint.cursor.iteration)
 }
 
 #[cfg(test)]

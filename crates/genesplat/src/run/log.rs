@@ -5,6 +5,7 @@ use std::io::{BufWriter, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::Result;
+use genesplat::io::input;
 use genesplat::train::observe::LogRecord;
 
 use super::LOG;
@@ -40,7 +41,7 @@ impl Log {
 }
 
 fn last_byte(path: &Path) -> Option<u8> {
-    let mut file = File::open(path).ok()?;
+    let mut file = input::open(path).ok()?;
     file.seek(SeekFrom::End(-1)).ok()?;
     let mut byte = [0];
     file.read_exact(&mut byte).ok()?;

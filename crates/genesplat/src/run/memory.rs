@@ -2,6 +2,8 @@
 
 use std::fs;
 
+use genesplat::io::input;
+
 /// From now on the peak is that of what comes, where the system can do that: a process may make several runs.
 pub(crate) fn forget_peak() {
     // Nothing depends on it but a figure.
@@ -10,7 +12,7 @@ pub(crate) fn forget_peak() {
 
 /// The most memory that this process has held at once, bytes: Linux's `VmHWM`; `None` where the system does not tell.
 pub(crate) fn peak_bytes() -> Option<u64> {
-    high_water_mark(&fs::read_to_string("/proc/self/status").ok()?)
+    high_water_mark(&input::read_text("/proc/self/status".as_ref()).ok()?)
 }
 
 fn high_water_mark(status: &str) -> Option<u64> {

@@ -1,8 +1,8 @@
 //! The figures of a run: `metrics.json`.
 
-use std::fs;
 use std::path::Path;
 
+use genesplat::io::input;
 use genesplat::metrics::Evaluation;
 use genesplat::train::{EvolutionMode, StageRecord, Variant};
 use serde::de::IgnoredAny;
@@ -65,13 +65,13 @@ impl PhaseSeconds {
 impl Metrics {
     /// Those of the run in `folder`; `None` where there are none, or only a part of the file.
     pub(crate) fn read(folder: &Path) -> Option<Self> {
-        serde_json::from_slice(&fs::read(folder.join(METRICS)).ok()?).ok()
+        serde_json::from_slice(&input::read(&folder.join(METRICS)).ok()?).ok()
     }
 
     /// Whether what is there in their place is whole, and something else: no run of ours has written it.
     pub(crate) fn are_foreign(folder: &Path) -> bool {
         let is_json = |bytes: Vec<u8>| serde_json::from_slice::<IgnoredAny>(&bytes).is_ok();
-        Self::read(folder).is_none() && fs::read(folder.join(METRICS)).is_ok_and(is_json)
+        Self::read(folder).is_none() && input::read(&folder.join(METRICS)).is_ok_and(is_json)
     }
 
     /// The photos that training never saw.

@@ -3,12 +3,11 @@
 //! A scene may move, so a path decides only while the old one exists. Then what tells the scene apart is the number of
 //! training photos in the log, and the names of test photos in the figures.
 
-use std::fs::File;
 use std::io::{BufRead, BufReader};
 use std::path::Path;
 
 use anyhow::{Result, bail, ensure};
-use genesplat::io::Scene;
+use genesplat::io::{Scene, input, shown};
 use serde::Deserialize;
 
 use super::metrics::Metrics;
@@ -23,8 +22,8 @@ pub(crate) fn check_folders(began_with: &Path, given: &Path) -> Result<()> {
     ensure!(
         !differ,
         "--resume goes on with the scene {}, and {} was given; give the former, or train into another folder",
-        began_with.display(),
-        given.display()
+        shown(began_with),
+        shown(given)
     );
     Ok(())
 }
@@ -38,8 +37,8 @@ pub(crate) fn check(folder: &Path, scene: &Scene) -> Result<()> {
         had.is_none_or(|had| had == scene.train.len()) && same_names,
         "the run in {} began with other photos than {} has now; bring back the scene as it was, choose another --out, or \
          remove that folder",
-        folder.display(),
-        scene.name
+        shown(folder),
+        shown(&scene.name)
     );
     Ok(())
 }
@@ -53,10 +52,10 @@ pub(crate) fn check_test_photos(splat: &Path, scene: &Scene) -> Result<()> {
     bail!(
         "{} is a test photo of {} now, and was none when the run in {} was trained, which may have seen it; bring back the scene \
          as it was, or give {} to measure it all the same",
-        stranger.name,
-        scene.name,
-        splat.display(),
-        splat.join(CLOUD).display()
+        shown(&stranger.name),
+        shown(&scene.name),
+        shown(splat),
+        shown(splat.join(CLOUD))
     );
 }
 
@@ -71,7 +70,7 @@ fn training_photos(folder: &Path) -> Option<usize> {
         #[serde(other)]
         Other,
     }
-    let log = BufReader::new(File::open(folder.join(LOG)).ok()?);
+    let log = BufReader::new(input::open(&folder.join(LOG)).ok()?);
     log.lines().map_while(Result::ok).find_map(|line| match serde_json::from_str(&line) {
         Ok(Line::Start { views }) => Some(views),
         _ => None,

@@ -6,6 +6,7 @@ use std::fs;
 use std::path::{Component, Path, PathBuf};
 
 use anyhow::{Result, ensure};
+use genesplat::io::{input, shown};
 
 use super::metrics::Metrics;
 use super::{CLOUD, CONFIG, RESULTS, TEST};
@@ -24,16 +25,12 @@ fn folder_in(run: &Path) -> PathBuf {
 /// Fails where there is a `previous/` that is not ours to replace.
 pub(crate) fn check(run: &Path) -> Result<()> {
     let folder = folder_in(run);
-    ensure!(
-        !folder.exists() || is_kept(&folder),
-        "{} belongs to something else; choose another folder",
-        folder.display()
-    );
+    ensure!(!folder.exists() || is_kept(&folder), "{} belongs to something else; choose another folder", shown(folder));
     Ok(())
 }
 
 fn is_kept(folder: &Path) -> bool {
-    fs::read_to_string(folder.join(CONFIG)).is_ok_and(|text| text.ends_with(NOTE))
+    input::read_text(&folder.join(CONFIG)).is_ok_and(|text| text.ends_with(NOTE))
 }
 
 /// Clears the folder of a run for another one; its settings stay until they are written over.
@@ -45,7 +42,7 @@ pub(crate) fn keep(run: &Path) -> Result<()> {
         return remove_all(run, &files);
     }
     let config = run.join(CONFIG);
-    let settings = fs::read_to_string(&config).map_err(|error| unwritable(&config, &error))?;
+    let settings = input::read_text(&config).map_err(|error| unwritable(&config, &error))?;
     write_text(&folder.join(CONFIG), &format!("{settings}{NOTE}"))?;
     files.iter().try_for_each(|file| move_file(&run.join(file), &folder.join(file)))
 }
@@ -64,7 +61,7 @@ pub(crate) fn note(run: &Path) -> String {
     if !is_kept(&folder) {
         return String::new();
     }
-    format!(" (the results of the run before are in {})", folder.display())
+    format!(" (the results of the run before are in {})", shown(folder))
 }
 
 /// The files that a run has left, relative to its folder, without its settings.
@@ -86,7 +83,7 @@ fn tell_of_unnamed(run: &Path) {
     if is_filled && Metrics::read(run).is_none() {
         output::tell(&format!(
             "notice: what is in {} stays, since no metrics.json says which of it the run before has left",
-            test.display()
+            shown(test)
         ));
     }
 }

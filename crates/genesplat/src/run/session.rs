@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Result, anyhow, bail, ensure};
 use genesplat::core::{Gaussians, ScreenFilter};
-use genesplat::io::{PlyOptions, write_ply};
+use genesplat::io::{PlyOptions, input, shown, write_ply};
 use genesplat::train::Checkpoint;
 
 use super::metrics::Metrics;
@@ -48,7 +48,7 @@ impl RunSession {
         check(path)?;
         // A run that never begins makes no folder, and where there is none, there is nothing to keep others from.
         let lock = path.is_dir().then(|| Lock::take(path)).transpose()?;
-        let shown = path.display();
+        let shown = shown(path);
         match (resumes, has_checkpoint(path)) {
             (true, true) => check_writable(&path.join(CONFIG))?,
             (true, false) if path.join(METRICS).exists() => bail!(
@@ -74,7 +74,7 @@ impl RunSession {
             ensure!(
                 !path.join(CONFIG).exists(),
                 "another genesplat has written to {} meanwhile; choose another --out",
-                path.display()
+                shown(path)
             );
         }
         // Before the new settings are there: results never stand beside settings that are not theirs.
@@ -128,7 +128,7 @@ impl RunSession {
 
 /// Whether a run has been in `folder`.
 pub(crate) fn is_run(folder: &Path) -> bool {
-    fs::read(folder.join(CONFIG)).is_ok_and(|text| text.starts_with(CONFIG_MARK.as_bytes()))
+    input::read(&folder.join(CONFIG)).is_ok_and(|text| text.starts_with(CONFIG_MARK.as_bytes()))
 }
 
 pub(crate) fn is_part_of_run(path: &Path) -> bool {
@@ -144,12 +144,12 @@ pub(crate) fn has_checkpoint(folder: &Path) -> bool {
 
 pub(crate) fn read_checkpoint(folder: &Path) -> Result<Checkpoint> {
     let path = folder.join(CHECKPOINT);
-    let file = File::open(&path).map_err(|error| anyhow!("cannot read {}: {error}", path.display()))?;
-    Checkpoint::read(BufReader::new(file)).map_err(|error| anyhow!("{}: {error}", path.display()))
+    let file = input::open(&path).map_err(|error| anyhow!("cannot read {}: {error}", shown(&path)))?;
+    Checkpoint::read(BufReader::new(file)).map_err(|error| anyhow!("{}: {error}", shown(&path)))
 }
 
 pub(crate) fn check_is_run(path: &Path) -> Result<()> {
-    let shown = path.display();
+    let shown = shown(path);
     ensure!(
         path.join(CONFIG).exists(),
         "{shown} is not the folder of a run: it has no config.toml; give one that train made"
@@ -165,17 +165,17 @@ fn check_is_free(path: &Path) -> Result<()> {
     ensure!(
         !test.is_file(),
         "{} is a file, and pictures need a folder of that name; choose another --out",
-        test.display()
+        shown(test)
     );
-    let foreign = match fs::read(&config) {
+    let foreign = match input::read(&config) {
         Ok(text) => (!text.starts_with(CONFIG_MARK.as_bytes())).then_some(config),
         Err(error) if error.kind() == ErrorKind::NotFound => foreign_in(path),
         Err(error) => {
-            bail!("cannot read {}, which tells whose folder this is: {error}; choose another folder", config.display())
+            bail!("cannot read {}, which tells whose folder this is: {error}; choose another folder", shown(config))
         }
     };
     let Some(file) = foreign else { return Ok(()) };
-    bail!("{} belongs to something else; choose another folder", file.display())
+    bail!("{} belongs to something else; choose another folder", shown(file))
 }
 
 /// What shows that a folder without settings of ours belongs to something else: a scene, or results.
@@ -207,7 +207,7 @@ impl Lock {
             .map_err(|error| unwritable(&path, &error))?;
         // Some file systems have no locks: there it is up to the user, as it would be without this module.
         if matches!(file.try_lock(), Err(TryLockError::WouldBlock)) {
-            bail!("another genesplat is writing to {}; wait for it or choose another --out", folder.display());
+            bail!("another genesplat is writing to {}; wait for it or choose another --out", shown(folder));
         }
         Ok(Self { _file: file })
     }

@@ -7,8 +7,8 @@ use std::time::Instant;
 
 use anyhow::Result;
 use genesplat::core::{RenderSettings, View};
-use genesplat::io::Scene;
 use genesplat::io::photos::write_png;
+use genesplat::io::{Scene, shown};
 use genesplat::metrics::{Evaluation, Lpips, evaluate};
 use genesplat::train::scene::initialise::scene_extent;
 use genesplat::train::{Outcome, RunSummary, Start, train};
@@ -170,8 +170,7 @@ impl Run<'_> {
     }
 
     fn report(&self, folder: &Path, metrics: &Metrics) -> Result<String> {
-        let path = |path: &Path| path.display().to_string();
-        let (dataset, out, saved) = (path(&self.settings.dataset.path), path(folder), path(&folder.join(CONFIG)));
+        let (dataset, out, saved) = (shown(&self.settings.dataset.path), shown(folder), shown(folder.join(CONFIG)));
         let words = ["genesplat", "train", &dataset, "--out", &out, "--config", &saved];
         let (config, command) = (self.settings.to_toml(), command_line(words));
         RunPage { metrics, scene: self.scene, folder, config: &config, command: &command }.to_html()

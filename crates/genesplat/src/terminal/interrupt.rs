@@ -1,11 +1,13 @@
 //! Ctrl-C and SIGTERM: the first ends the run cleanly, one that comes a second later or more at once.
 
-use std::process;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
+use std::{process, thread};
 
 use anyhow::{Result, anyhow};
+use signal_hook::consts::{SIGINT, SIGTERM};
+use signal_hook::flag;
 
 use super::output;
 
@@ -27,9 +29,32 @@ pub(crate) fn stop_flag() -> Result<Arc<AtomicBool>> {
         Wish::Same => {}
         Wish::Abort => process::exit(STOPPED.into()),
     };
-    ctrlc::set_handler(handler.clone()).map_err(|error| anyhow!("cannot listen for Ctrl-C: {error}"))?;
-    on_termination(handler)?;
+    listen(handler)?;
     Ok(stop)
+}
+
+/// How often signals are looked for: a handler itself may do no more than set a flag.
+const PAUSE: Duration = Duration::from_millis(20);
+
+/// Calls `handler` on a thread of its own for Ctrl-C, and for SIGTERM, by which schedulers end a program. SIGHUP is left
+/// to `nohup`.
+fn listen(handler: impl Fn() + Send + 'static) -> Result<()> {
+    let signalled = Arc::new(AtomicBool::new(false));
+    let deaf = |error| anyhow!("cannot listen for Ctrl-C: {error}");
+    let watch = {
+        let signalled = signalled.clone();
+        move || loop {
+            thread::sleep(PAUSE);
+            if signalled.swap(false, Ordering::Relaxed) {
+                handler();
+            }
+        }
+    };
+    thread::Builder::new().name("signals".into()).spawn(watch).map_err(deaf)?;
+    for signal in [SIGINT, SIGTERM] {
+        flag::register(signal, signalled.clone()).map_err(deaf)?;
+    }
+    Ok(())
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -53,24 +78,6 @@ impl Wish {
             _ => Self::Abort,
         }
     }
-}
-
-/// SIGTERM is how schedulers end a program. ctrlc's feature `termination` is not used, since it would catch SIGHUP,
-/// too, and so undo `nohup`.
-#[cfg(unix)]
-fn on_termination(handler: impl Fn() + Send + 'static) -> Result<()> {
-    use signal_hook::consts::SIGTERM;
-    use signal_hook::iterator::Signals;
-
-    let mut signals = Signals::new([SIGTERM]).map_err(|error| anyhow!("cannot listen for SIGTERM: {error}"))?;
-    std::thread::spawn(move || signals.forever().for_each(|_| handler()));
-    Ok(())
-}
-
-/// Other systems know Ctrl-C alone.
-#[cfg(not(unix))]
-fn on_termination(_handler: impl Fn()) -> Result<()> {
-    Ok(())
 }
 
 #[cfg(test)]

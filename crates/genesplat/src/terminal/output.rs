@@ -14,6 +14,7 @@ use std::sync::atomic::{AtomicU8, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use anyhow::{Result, anyhow};
+use genesplat::io::shown;
 use genesplat::metrics::Evaluation;
 
 use super::progress;
@@ -46,6 +47,7 @@ pub(crate) fn is_quiet() -> bool {
 
 /// Writes a result and a line break to stdout. A reader that has heard enough (`| head`) is no error.
 pub(crate) fn print(text: &str) -> Result<()> {
+    let text = harmless(text);
     match progress::aside(|| writeln!(io::stdout().lock(), "{text}")) {
         Err(error) if error.kind() != ErrorKind::BrokenPipe => Err(anyhow!("cannot write to stdout: {error}")),
         _ => Ok(()),
@@ -60,9 +62,17 @@ pub(crate) fn tell(text: &str) {
 
 /// Writes an error to stderr. Where that takes nothing the text is lost: a run must not end because nobody listens.
 pub(crate) fn complain(text: &str) {
+    let text = harmless(text);
     progress::aside(|| write(&format!("{text}\n")));
 }
 
+/// `text` as it is shown, line by line. Names are escaped where a sentence is made; what a library says of a file may
+/// quote it as it is.
+fn harmless(text: &str) -> String {
+    text.split('\n').map(shown).collect::<Vec<_>>().join("\n")
+}
+
+/// Writes to stderr what the terminal is to obey, as bars need it.
 pub(crate) fn write(text: &str) {
     drivers::write(text);
 }
@@ -206,6 +216,11 @@ mod tests {
         assert_eq!(error_line(&error), "error: line 1: unknown field in `evolution`");
         let bug = bug_line("panicked at src/x.rs:1:2:\nindex out of bounds");
         assert!(bug.lines().count() == 1 && bug.contains("src/x.rs:1:2: index out of bounds"), "{bug}");
+    }
+
+    #[test]
+    fn lines_stay_and_what_a_terminal_obeys_does_not() {
+        assert_eq!(harmless("unknown field\n  `\u{1b}]0;x\u{7}`\n"), "unknown field\n  `\\u{1b}]0;x\\u{7}`\n");
     }
 
     #[test]

@@ -4,6 +4,7 @@ mod bad_input;
 mod determinism;
 mod experiment;
 mod inspect;
+mod hostile;
 mod lpips;
 mod overwrite;
 mod peer;

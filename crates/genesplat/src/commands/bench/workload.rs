@@ -9,6 +9,7 @@ use std::sync::Arc;
 use anyhow::{Result, bail};
 use genesplat::core::gaussians::logit;
 use genesplat::core::{Camera, Gaussians, Photo, RenderSettings, Rng, Stream, View};
+use genesplat::io::shown;
 use genesplat::train::scene::initialise::{ColouredPoint, cloud_from_points, in_spatial_order};
 use glam::{DQuat, DVec3};
 
@@ -69,7 +70,7 @@ impl Source {
     fn trained(data: &Path, path: &Path, size: SizeArgs) -> Result<Self> {
         let splat = splat::open(path)?;
         if splat.cloud.is_empty() {
-            bail!("{} has no Gaussians to measure with; give another splat", path.display());
+            bail!("{} has no Gaussians to measure with; give another splat", shown(path));
         }
         let scene = splat.load_scene(data, size)?;
         Ok(Self { views: scene.train, settings: splat.settings, origin: Origin::Trained(splat.cloud) })
