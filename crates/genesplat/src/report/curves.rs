@@ -2,6 +2,7 @@
 //!
 //! A run that was killed and resumed repeats the iterations since its checkpoint; what comes later wins.
 
+use std::io::ErrorKind;
 use std::path::Path;
 
 use anyhow::{Result, anyhow};
@@ -46,9 +47,12 @@ pub(crate) struct Curves {
 
 impl Curves {
     pub(crate) fn read(path: &Path) -> Result<Self> {
-        let text = std::fs::read_to_string(path)
-            .map_err(|error| anyhow!("cannot read the log {}: {error}", path.display()))?;
-        Ok(Self::parse(&text))
+        match std::fs::read_to_string(path) {
+            Ok(text) => Ok(Self::parse(&text)),
+            // Somebody has removed it.
+            Err(error) if error.kind() == ErrorKind::NotFound => Ok(Self::default()),
+            Err(error) => Err(anyhow!("cannot read the log {}: {error}", path.display())),
+        }
     }
 
     /// A line that a killed process has torn is left out.
