@@ -63,8 +63,9 @@ fn on_termination(handler: impl Fn() + Send + 'static) -> Result<()> {
     use signal_hook::iterator::Signals;
 
     let mut signals = Signals::new([SIGTERM]).map_err(|error| anyhow!("cannot listen for SIGTERM: {error}"))?;
-    std::thread::spawn(move || signals.forever().for_each(|_| handler()));
-    Ok(())
+    let listen = move || signals.forever().for_each(|_| handler());
+    let started = std::thread::Builder::new().spawn(listen);
+    started.map(|_| ()).map_err(|error| anyhow!("cannot start a thread that listens for SIGTERM: {error}"))
 }
 
 /// Other systems know Ctrl-C alone.
