@@ -2,12 +2,16 @@
 
 mod bad_input;
 mod determinism;
+mod disk;
 mod experiment;
+mod kills;
+mod limits;
 mod lpips;
 mod overwrite;
 mod peer;
 mod resume;
 mod run_folder;
+mod scale;
 mod support;
 mod terminal;
 mod tools;
