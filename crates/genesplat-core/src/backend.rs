@@ -177,6 +177,17 @@ pub enum BackendError {
         /// What for.
         purpose: String,
     },
+    /// The main memory that this process may take is used up, and what was asked for is not done.
+    #[error(
+        "out of memory: {wanted} more bytes are not to be had for {purpose}; end other programs, raise the limit of this \
+         process (ulimit -v), or lower --max-gaussians or --max-side"
+    )]
+    HostOutOfMemory {
+        /// Bytes asked for.
+        wanted: u64,
+        /// What for.
+        purpose: String,
+    },
     /// The device has stopped working, and what it held is gone.
     #[error("{device} was lost: {reason}; try again, or use --device cpu")]
     DeviceLost {
@@ -188,6 +199,11 @@ pub enum BackendError {
 }
 
 impl BackendError {
+    /// What was asked for was not done, for want of memory, and all that was held is held still.
+    pub fn is_out_of_memory(&self) -> bool {
+        matches!(self, Self::OutOfMemory { .. } | Self::HostOutOfMemory { .. })
+    }
+
     /// Of a cloud whose training diverged after so many steps.
     pub fn diverged(cloud: &Gaussians, steps: u32) -> Self {
         match cloud.first_non_finite() {
@@ -230,7 +246,7 @@ impl From<Gaussians> for DeviceState {
 
 /// A device that holds one cloud, its moments and the training views.
 ///
-/// A verb that finds no memory ([`BackendError::OutOfMemory`]) does nothing. Steps may wait in a queue, so it may be a
+/// A verb that finds no memory ([`BackendError::is_out_of_memory`]) does nothing. Steps may wait in a queue, so it may be a
 /// later verb that fails; [`Backend::discard_queued_steps`] tells how many steps were not done.
 pub trait Backend {
     /// In plain words, for the log.
@@ -265,7 +281,7 @@ pub trait Backend {
     /// What the last [`Backend::train_step`] found; waits for it.
     fn report(&mut self) -> Result<StepReport, BackendError>;
 
-    /// After [`BackendError::OutOfMemory`]: waits for the queued steps, drops those that cannot be done, the last ones,
+    /// Where there was no memory: waits for the queued steps, drops those that cannot be done, the last ones,
     /// and returns how many these are. Frees what can be made again, so that downloads fit.
     fn discard_queued_steps(&mut self) -> Result<usize, BackendError>;
 

@@ -15,6 +15,7 @@ pub mod edit;
 pub mod gaussians;
 pub mod genes;
 pub mod image;
+pub mod memory;
 pub mod rng;
 pub mod row_versions;
 pub mod spherical_harmonics;

@@ -111,6 +111,7 @@ impl Trainer<'_> {
         let statistics = schedule.statistics(self.signal, i);
         self.train_step(view, i, 0, schedule.optimiser_step(i), statistics)?;
         self.cursor.phase = schedule.order()[1];
+        self.look_for_gaussians(i)?;
         let is_report = i.is_multiple_of(REPORT_EVERY) || i == schedule.iterations;
         let log = StepLog {
             iteration: i,
@@ -122,6 +123,17 @@ impl Trainer<'_> {
         };
         self.observer.on_iteration(&log);
         Ok(())
+    }
+
+    /// Fails at the end of the first pass over the photos where none has shown a Gaussian: the result would be a picture
+    /// of the background. Asks the device no more once one has.
+    fn look_for_gaussians(&mut self, i: u32) -> Result<(), TrainError> {
+        if self.has_seen {
+            return Ok(());
+        }
+        self.has_seen = self.backend.report()?.visible > 0;
+        let (views, last) = (self.views.len(), self.schedule.iterations.min(self.views.len() as u32));
+        if !self.has_seen && i >= last { Err(TrainError::NothingVisible { views }) } else { Ok(()) }
     }
 
     fn densify(&mut self, i: u32) -> Result<(), TrainError> {

@@ -106,10 +106,13 @@ pub(crate) fn prepare_cpu(args: MachineArgs) -> Result<CpuBackend> {
 
 /// Sets the number of threads of everything that follows; `None` takes all cores.
 pub(crate) fn use_threads(threads: Option<u16>) -> Result<()> {
-    rayon::ThreadPoolBuilder::new()
-        .num_threads(threads.unwrap_or(0).into())
-        .build_global()
-        .map_err(|error| anyhow!("cannot start {} threads: {error}; use fewer --threads", threads.unwrap_or(0)))
+    rayon::ThreadPoolBuilder::new().num_threads(threads.unwrap_or(0).into()).build_global().map_err(|error| {
+        anyhow!("cannot start {}: {error}; use fewer --threads, or raise the limits of this process", wanted(threads))
+    })
+}
+
+fn wanted(threads: Option<u16>) -> String {
+    threads.map_or_else(|| "a thread for each core".into(), |threads| format!("{threads} threads"))
 }
 
 #[cfg(test)]

@@ -2,7 +2,7 @@
 
 use std::fs::{self, File};
 use std::io::{self, BufWriter, ErrorKind, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Result, anyhow, bail};
 use genesplat::io::atomic::{self, write_atomically};
@@ -49,11 +49,16 @@ pub(crate) fn remove_if_there(path: &Path) -> Result<()> {
 
 /// Removes what processes that were killed while they wrote have left in `folder`; whoever calls holds its lock.
 pub(crate) fn remove_leftovers(folder: &Path) {
-    let entries = fs::read_dir(folder).into_iter().flatten().flatten();
-    for entry in entries.filter(|entry| is_leftover(&entry.file_name().to_string_lossy())) {
+    for file in leftovers(folder) {
         // Only litter.
-        let _ = fs::remove_file(entry.path());
+        let _ = fs::remove_file(file);
     }
+}
+
+/// What processes that were killed while they wrote have left in `folder`.
+pub(crate) fn leftovers(folder: &Path) -> Vec<PathBuf> {
+    let entries = fs::read_dir(folder).into_iter().flatten().flatten();
+    entries.filter(|entry| is_leftover(&entry.file_name().to_string_lossy())).map(|entry| entry.path()).collect()
 }
 
 /// `.genesplat-PROCESS-SERIAL.tmp`, as [`atomic`] names what it has not renamed yet.
@@ -69,6 +74,9 @@ fn is_leftover(name: &str) -> bool {
 pub(crate) fn unwritable(path: &Path, error: &io::Error) -> anyhow::Error {
     if error.kind() == ErrorKind::IsADirectory {
         return anyhow!("{} is a folder, and a file is to be written; give the name of a file", shown(path));
+    }
+    if error.kind() == ErrorKind::FileTooLarge {
+        return anyhow!("cannot write {}: {error}; raise the limit on the size of files (ulimit -f)", shown(path));
     }
     anyhow!("cannot write {}: {error}; choose a folder that can be written to, or free some space", shown(path))
 }

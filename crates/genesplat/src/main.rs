@@ -24,9 +24,10 @@ use std::process::ExitCode;
 use clap::Parser;
 
 use commands::Ending;
-use terminal::{interrupt, output};
+use terminal::{interrupt, limits, output};
 
 fn main() -> ExitCode {
+    limits::make_errors();
     output::explain_panics();
     let arguments = args::Arguments::parse();
     output::set_volume(arguments.volume.volume());

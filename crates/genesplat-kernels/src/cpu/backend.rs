@@ -4,6 +4,7 @@ use std::borrow::Cow;
 
 use fearless_simd::Level;
 use genesplat_core::gaussians::limited_opacity;
+use genesplat_core::memory::ensure_memory;
 use genesplat_core::{
     Backend, BackendError, Camera, DensitySignal, DeviceState, Gaussians, Image, Moments, RenderSettings, RowEdit,
     Statistics, StatisticsRequest, TrainStep, View, WindowAverages, backend::StepReport,
@@ -98,6 +99,8 @@ impl Backend for CpuBackend {
 
     fn set_views(&mut self, views: &[View]) -> Result<(), BackendError> {
         self.scorer = Scorer::default();
+        let bytes = |view: &View| view.photo.rgb.len();
+        ensure_memory(views.iter().map(bytes).sum(), "the training photos")?;
         let of_view = |view: &View| (Pinhole::from(&view.camera), Target::from(view.photo.as_ref()));
         self.views = views.iter().map(of_view).map(|(camera, target)| TrainView { camera, target }).collect();
         Ok(())
@@ -105,6 +108,7 @@ impl Backend for CpuBackend {
 
     fn upload(&mut self, state: DeviceState) -> Result<(), BackendError> {
         let DeviceState { cloud, moments, statistics, averages } = state;
+        Self::ensure_training(cloud.len())?;
         self.moments = if moments.first.is_empty() { Moments::zeros(cloud.len()) } else { moments };
         (self.cloud, self.statistics, self.averages) = (cloud, statistics, averages);
         self.grow_statistics(StatisticsRequest::default());
@@ -112,6 +116,7 @@ impl Backend for CpuBackend {
     }
 
     fn state(&mut self) -> Result<DeviceState, BackendError> {
+        self.ensure_state()?;
         Ok(DeviceState {
             cloud: self.cloud.clone(),
             moments: self.moments.clone(),
@@ -125,17 +130,22 @@ impl Backend for CpuBackend {
     }
 
     fn render(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<Image, BackendError> {
-        self.buffers.render(self.level, &self.cloud, &Pinhole::from(camera), settings);
+        let camera = Pinhole::from(camera);
+        self.ensure_view(&camera)?;
+        self.buffers.render(self.level, &self.cloud, &camera, settings);
         Ok(self.buffers.image.clone())
     }
 
     fn train_step(&mut self, step: &TrainStep) -> Result<(), BackendError> {
         // Training has no use for the memory that scoring takes.
         self.scorer = Scorer::default();
+        let (camera, settings) = (self.views[step.view].camera, step.settings);
+        self.ensure_view(&camera)?;
+        self.ensure_statistics()?;
         self.grow_statistics(step.statistics);
         let view = &self.views[step.view];
-        let (camera, settings) = (view.camera, step.settings);
         self.buffers.render(self.level, &self.cloud, &camera, &settings);
+        self.buffers.ensure_gradient_rows()?;
         let loss = self.buffers.backward(self.level, &camera, &view.target, step.statistics.density);
         if !loss.is_finite() {
             return Err(BackendError::diverged(&self.cloud, self.steps));
@@ -151,6 +161,7 @@ impl Backend for CpuBackend {
 
     /// A step is done when it returns, so none waits.
     fn discard_queued_steps(&mut self) -> Result<usize, BackendError> {
+        (self.buffers, self.scorer) = Default::default();
         Ok(0)
     }
 
@@ -159,6 +170,7 @@ impl Backend for CpuBackend {
     }
 
     fn statistics(&mut self) -> Result<Statistics, BackendError> {
+        self.ensure_statistics()?;
         Ok(self.statistics.clone())
     }
 
@@ -168,6 +180,7 @@ impl Backend for CpuBackend {
     }
 
     fn edit_rows(&mut self, edit: &RowEdit) -> Result<(), BackendError> {
+        self.ensure_rows(edit.sources.len())?;
         self.averages = WindowAverages::default();
         edit.apply(&mut self.cloud, &mut self.moments);
         let Statistics { gene_gradient_sum, gene_views, .. } = std::mem::take(&mut self.statistics);

@@ -16,6 +16,7 @@ impl EvolutionBackend for CpuBackend {
         views: &[usize],
         settings: &RenderSettings,
     ) -> Result<Vec<f32>, BackendError> {
+        self.ensure_scores(population, views)?;
         let of_view = |view: usize| (self.views[view].camera, &self.views[view].target);
         Ok(self.scorer.score(self.level, &self.cloud, population, views, of_view, settings))
     }
@@ -33,6 +34,7 @@ impl EvolutionBackend for CpuBackend {
     }
 
     fn contributions(&mut self, views: &[usize], settings: &RenderSettings) -> Result<Vec<Contribution>, BackendError> {
+        self.ensure_contributions(views)?;
         let mut contributions = vec![Contribution::default(); self.cloud.len()];
         for &view in views {
             let TrainView { camera, target } = &self.views[view];
@@ -43,6 +45,7 @@ impl EvolutionBackend for CpuBackend {
     }
 
     fn average(&mut self, half: usize) -> Result<(), BackendError> {
+        self.ensure_cloud("an average")?;
         self.averages.add(half, &self.cloud);
         Ok(())
     }
@@ -53,6 +56,8 @@ impl EvolutionBackend for CpuBackend {
         views: &[usize],
         settings: &RenderSettings,
     ) -> Result<Vec<ViewLoss>, BackendError> {
+        self.ensure_views(views)?;
+        self.ensure_cloud("a blend")?;
         let mut losses = Vec::with_capacity(blends.len() * views.len());
         for blend in blends {
             // The cloud itself needs no copy.
@@ -75,6 +80,7 @@ impl EvolutionBackend for CpuBackend {
 
     fn blend(&mut self, blend: &Blend) -> Result<(), BackendError> {
         if *blend != Blend::default() {
+            self.ensure_cloud("a blend")?;
             self.cloud = self.averages.blended(&self.cloud, blend);
         }
         self.averages = WindowAverages::default();

@@ -8,6 +8,7 @@ mod bin;
 mod blend;
 mod evolution_backend;
 mod loss;
+mod memory;
 mod roofline;
 mod score;
 mod simd;

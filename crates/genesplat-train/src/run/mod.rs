@@ -6,6 +6,7 @@ pub mod observe;
 mod rescue;
 pub(crate) mod trainer;
 
+use genesplat_core::constants::NEAR_DEPTH;
 use genesplat_core::{Backend, BackendError, Gaussians};
 use serde::{Deserialize, Serialize};
 
@@ -97,6 +98,17 @@ pub enum TrainError {
     /// The device failed, or parameters diverged.
     #[error(transparent)]
     Backend(#[from] BackendError),
+    /// Every photo was shown once, and no Gaussian in any of them.
+    #[error(
+        "no Gaussian is visible in any of the {views} training photos; the camera poses and the points may not belong together, \
+         or the scene is too small, since what is nearer to a camera than {near} units is not drawn: scale poses and \
+         points up together",
+        near = NEAR_DEPTH
+    )]
+    NothingVisible {
+        /// Training photos.
+        views: usize,
+    },
     /// Pruning left nothing.
     #[error(
         "every Gaussian was pruned at iteration {iteration}; the photos and camera poses may not belong together, \

@@ -4,8 +4,6 @@
 //! since every other phase waits for all steps. So the cursor goes back to the first step that is not done, and a
 //! resumed run does exactly what would have been done. (A device that is lost has taken all with it.)
 
-use genesplat_core::BackendError;
-
 use super::TrainError;
 use super::checkpoint::{Checkpoint, Cursor};
 use super::trainer::Trainer;
@@ -15,7 +13,7 @@ impl Trainer<'_> {
     /// Hands over a checkpoint, if the device still holds the work of whole phases; returns the error that ends the
     /// run.
     pub(crate) fn rescue(&mut self, error: TrainError) -> TrainError {
-        let lives = matches!(error, TrainError::Backend(BackendError::OutOfMemory { .. }));
+        let lives = matches!(&error, TrainError::Backend(error) if error.is_out_of_memory());
         if lives && !self.is_mid_change {
             match self.capture_what_is_done() {
                 Ok(checkpoint) => self.observer.on_checkpoint(*checkpoint),

@@ -6,6 +6,7 @@ use std::time::Instant;
 
 use genesplat_core::averages::WINDOW_HALVES;
 use genesplat_core::backend::McmcStep;
+use genesplat_core::memory::ensure_memory;
 use genesplat_core::{
     BackendError, DensitySignal, EvolutionBackend, Gaussians, Genes, LearningRates, RenderSettings, Rng,
     StatisticsRequest, Stream, TrainStep, Update, View,
@@ -55,6 +56,8 @@ pub(crate) struct Trainer<'a> {
     pub(crate) cap: Cap,
     /// The user knows that it is reached.
     pub(crate) cap_noticed: bool,
+    /// A step has had a Gaussian in its picture.
+    pub(crate) has_seen: bool,
 }
 
 impl<'a> Trainer<'a> {
@@ -82,6 +85,7 @@ impl<'a> Trainer<'a> {
             is_mid_change: false,
             cap: Cap::new(config, views),
             cap_noticed: false,
+            has_seen: false,
             backend,
             views,
             config,
@@ -154,6 +158,7 @@ impl<'a> Trainer<'a> {
         self.averaged = checkpoint.state.averages.states();
         self.backend.upload(checkpoint.state)?;
         self.progress = checkpoint.progress;
+        self.has_seen = checkpoint.cursor.iteration > 1;
         self.trial = checkpoint.trial;
         self.cap_noticed = self.cap.get().is_some_and(|cap| self.backend.gaussian_count() >= cap);
         Ok(checkpoint.cursor)
@@ -223,6 +228,7 @@ impl<'a> Trainer<'a> {
         if let Some(cloud) = self.better_before_trial()? {
             self.backend.upload(cloud.into())?;
         }
+        ensure_memory(self.backend.gaussian_count() * Gaussians::BYTES_PER_ROW, "the result")?;
         Ok(self.healthy_cloud()?.into_owned())
     }
 

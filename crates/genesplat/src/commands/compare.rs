@@ -12,8 +12,8 @@ use genesplat::metrics::{Lpips, ViewScore, compare};
 use serde::Serialize;
 
 use crate::args::CompareArgs;
-use crate::lpips;
 use crate::terminal::output;
+use crate::{device, lpips};
 
 /// LPIPS with both conventions of what the network is fed.
 #[derive(Clone, Copy, Serialize)]
@@ -34,6 +34,7 @@ struct Report {
 }
 
 pub(crate) fn run(args: &CompareArgs) -> Result<()> {
+    device::use_threads(None)?;
     let metrics = lpips::open_all(&args.lpips)?;
     let (first, second) = (read(&args.first)?, read(&args.second)?);
     let name = args.first.file_name().unwrap_or_default().to_string_lossy();

@@ -2,6 +2,7 @@
 //!
 //! A run that was killed and resumed repeats the iterations since its checkpoint; what comes later wins.
 
+use std::io::ErrorKind;
 use std::path::Path;
 
 use anyhow::{Result, anyhow};
@@ -47,8 +48,12 @@ pub(crate) struct Curves {
 
 impl Curves {
     pub(crate) fn read(path: &Path) -> Result<Self> {
-        let text = input::read_text(path).map_err(|error| anyhow!("cannot read the log {}: {error}", shown(path)))?;
-        Ok(Self::parse(&text))
+        match input::read_text(path) {
+            Ok(text) => Ok(Self::parse(&text)),
+            // Somebody has removed it.
+            Err(error) if error.kind() == ErrorKind::NotFound => Ok(Self::default()),
+            Err(error) => Err(anyhow!("cannot read the log {}: {error}", shown(path))),
+        }
     }
 
     /// A line that a killed process has torn is left out.

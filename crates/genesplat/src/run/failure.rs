@@ -18,6 +18,8 @@ pub(crate) fn explain(error: anyhow::Error, folder: &Path, caller: Caller) -> an
 #[derive(Clone, Copy)]
 enum DeviceFailure {
     OutOfMemory,
+    /// It was main memory that there was too little of.
+    HostOutOfMemory,
     Lost,
 }
 
@@ -29,6 +31,7 @@ impl DeviceFailure {
         });
         match of_training.or_else(|| error.downcast_ref())? {
             BackendError::OutOfMemory { .. } => Some(Self::OutOfMemory),
+            BackendError::HostOutOfMemory { .. } => Some(Self::HostOutOfMemory),
             BackendError::DeviceLost { .. } => Some(Self::Lost),
             _ => None,
         }
@@ -54,9 +57,15 @@ fn what_is_left(error: &anyhow::Error, folder: &Path, caller: Caller) -> String 
             "the same command goes on from there where the device has more memory to spare, while other limits or another device \
              need another --out"
         }
+        (Caller::Experiment, Some(DeviceFailure::HostOutOfMemory)) => {
+            "the same command goes on from there where there is more memory, while other limits need another --out"
+        }
         (Caller::Experiment, _) => "the same command goes on from there",
         (_, None) => "--resume goes on from there",
         (_, Some(DeviceFailure::Lost)) => "the same command with --resume goes on from there, also with --device cpu",
+        (_, Some(DeviceFailure::HostOutOfMemory)) => {
+            "the same command with --resume goes on from there where there is more memory, while other limits need a new run"
+        }
         (_, Some(DeviceFailure::OutOfMemory)) => {
             "the same command with --resume --device cpu goes on from there, while other limits need a new run"
         }

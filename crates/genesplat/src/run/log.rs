@@ -31,8 +31,13 @@ impl Log {
         Ok(Self { path, writer })
     }
 
-    /// Appends one line, and hands it to the system: a log that is followed must not lag behind.
+    /// Appends one line, and hands it to the system: a log that is followed must not lag behind. Where the log was
+    /// removed and the folder is there again, another one begins.
     pub(crate) fn append(&mut self, record: &LogRecord) -> Result<()> {
+        if !self.path.exists() && self.path.parent().is_some_and(Path::exists) {
+            let file = File::create(&self.path).map_err(|error| unwritable(&self.path, &error))?;
+            self.writer = BufWriter::new(file);
+        }
         let line = serde_json::to_string(record).expect("plain data with text keys is always JSON");
         writeln!(self.writer, "{line}")
             .and_then(|()| self.writer.flush())

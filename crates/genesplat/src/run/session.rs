@@ -1,6 +1,7 @@
 //! One claim of a folder for one run: whose it is, who writes to it, what it replaces, and whether it can go on.
 
-use std::fs::{self, File, TryLockError};
+use std::cell::RefCell;
+use std::fs::{self, File, Metadata, TryLockError};
 use std::io::{BufReader, ErrorKind};
 use std::path::{Path, PathBuf};
 
@@ -14,6 +15,7 @@ use super::{CHECKPOINT, CLOUD, CONFIG, FUSED_CLOUD, LOG, METRICS, REPORT, RESULT
 use crate::files::{
     check_folder, check_writable, remove_if_there, remove_leftovers, unwritable, write_file, write_json, write_text,
 };
+use crate::terminal::output;
 
 /// How a run's `config.toml` begins.
 const CONFIG_MARK: &str = "# All settings of a run of genesplat";
@@ -37,7 +39,9 @@ pub(crate) struct RunSession {
     caller: Caller,
     resumes: bool,
     /// `None` until the run begins in a folder that was not there.
-    lock: Option<Lock>,
+    lock: RefCell<Option<Lock>>,
+    /// What `config.toml` holds, once the run has begun.
+    config: String,
 }
 
 impl RunSession {
@@ -63,14 +67,14 @@ impl RunSession {
             ),
             (false, _) => {}
         }
-        Ok(Self { path: path.to_owned(), caller, resumes, lock })
+        Ok(Self { path: path.to_owned(), caller, resumes, lock: lock.into(), config: String::new() })
     }
 
     /// The run begins: results of an older one move out of the way, and the settings `config` are written.
     pub(crate) fn begin(&mut self, config: &str) -> Result<()> {
         let path = &self.path;
-        if self.lock.is_none() {
-            self.lock = Some(Lock::take(path)?);
+        if self.lock.get_mut().is_none() {
+            *self.lock.get_mut() = Some(Lock::take(path)?);
             ensure!(
                 !path.join(CONFIG).exists(),
                 "another genesplat has written to {} meanwhile; choose another --out",
@@ -81,11 +85,30 @@ impl RunSession {
         if !self.resumes && path.join(CONFIG).exists() {
             previous::keep(path)?;
         }
-        let text = format!("{CONFIG_MARK} {}; --config repeats it.\n{config}", env!("CARGO_PKG_VERSION"));
-        write_text(&path.join(CONFIG), &text)?;
+        self.config = format!("{CONFIG_MARK} {}; --config repeats it.\n{config}", env!("CARGO_PKG_VERSION"));
+        write_text(&path.join(CONFIG), &self.config)?;
         let checkpoints = path.join("checkpoint");
         [path, &checkpoints, &path.join(TEST)].into_iter().for_each(|folder| remove_leftovers(folder));
         fs::create_dir_all(&checkpoints).map_err(|error| unwritable(&checkpoints, &error))
+    }
+
+    /// Makes the folder anew if somebody has removed it: hours of work must not go with it, and results without their
+    /// settings would be taken for something else's.
+    fn hold(&self) -> Result<()> {
+        let (path, config) = (&self.path, self.path.join(CONFIG));
+        match fs::read_to_string(&config) {
+            Err(error) if error.kind() == ErrorKind::NotFound => {}
+            Ok(text) if text != self.config && !self.lock.borrow().as_ref().is_some_and(|lock| lock.is_of(path)) => {
+                bail!("{} was removed, and another run has begun there, so this one is not saved", path.display())
+            }
+            _ => return Ok(()),
+        }
+        // What it has locked may be gone, and then another one is to be locked.
+        *self.lock.borrow_mut() = None;
+        *self.lock.borrow_mut() = Some(Lock::take(path)?);
+        write_text(&config, &self.config)?;
+        output::tell(&format!("notice: {} was removed while this run wrote to it, and is made anew", path.display()));
+        Ok(())
     }
 
     pub(crate) fn path(&self) -> &Path {
@@ -102,6 +125,7 @@ impl RunSession {
 
     /// Writes the splat, so that viewers know its screen filter, and without its 3D filter, if it has one.
     pub(crate) fn write_cloud(&self, cloud: &Gaussians, filter: ScreenFilter) -> Result<()> {
+        self.hold()?;
         let options = PlyOptions { screen_filter: filter, ..PlyOptions::default() };
         if cloud.filter_3d.is_some() {
             write_ply(&self.path.join(FUSED_CLOUD), &cloud.fused(), &options)?;
@@ -110,12 +134,18 @@ impl RunSession {
     }
 
     pub(crate) fn write_checkpoint(&self, checkpoint: &Checkpoint) -> Result<()> {
+        self.hold()?;
         write_file(&self.path.join(CHECKPOINT), |out| checkpoint.write(out))
     }
 
-    /// Writes the page, then the figures: complete figures are the sign of a finished run.
-    pub(crate) fn write_results(&self, page: &str, metrics: &Metrics) -> Result<()> {
+    /// Writes the page, then the figures: complete figures are the sign of a finished run, and from then on older results
+    /// are no longer those that count.
+    pub(crate) fn write_results(&self, page: &str, metrics: &Metrics, is_whole: bool) -> Result<()> {
+        self.hold()?;
         write_text(&self.path.join(REPORT), page)?;
+        if is_whole {
+            previous::outdate(&self.path)?;
+        }
         write_json(&self.path.join(METRICS), metrics)
     }
 
@@ -195,7 +225,7 @@ fn foreign_in(path: &Path) -> Option<PathBuf> {
 /// that of a new one.
 #[derive(Debug)]
 pub(crate) struct Lock {
-    _file: File,
+    file: File,
 }
 
 impl Lock {
@@ -209,8 +239,29 @@ impl Lock {
         if matches!(file.try_lock(), Err(TryLockError::WouldBlock)) {
             bail!("another genesplat is writing to {}; wait for it or choose another --out", shown(folder));
         }
-        Ok(Self { _file: file })
+        Ok(Self { file })
     }
+
+    /// Whether the file in `folder` is the one that is locked, and not another's.
+    fn is_of(&self, folder: &Path) -> bool {
+        match (self.file.metadata(), fs::metadata(folder.join(LOCK))) {
+            (Ok(ours), Ok(there)) => is_same_file(&ours, &there),
+            _ => false,
+        }
+    }
+}
+
+#[cfg(unix)]
+fn is_same_file(one: &Metadata, other: &Metadata) -> bool {
+    use std::os::unix::fs::MetadataExt;
+
+    (one.dev(), one.ino()) == (other.dev(), other.ino())
+}
+
+/// Other systems keep a file that is open from being removed.
+#[cfg(not(unix))]
+fn is_same_file(_: &Metadata, _: &Metadata) -> bool {
+    true
 }
 
 #[cfg(test)]
@@ -242,9 +293,40 @@ mod tests {
         }
         // One that is done before the other begins: its results were not there to be kept.
         drop((first, second));
-        let late = RunSession { path: run.clone(), caller: Caller::Train, resumes: false, lock: None };
+        let late = RunSession {
+            path: run.clone(),
+            caller: Caller::Train,
+            resumes: false,
+            lock: None.into(),
+            config: String::new(),
+        };
         let refused = { late }.begin("").unwrap_err().to_string();
         assert!(refused.contains("has written to"), "{refused}");
         claim().unwrap().begin("").unwrap();
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_folder_that_was_removed_is_made_anew_and_one_that_is_another_run_s_is_left_alone() {
+        let place = tempfile::tempdir().unwrap();
+        let run = place.path().join("run");
+        let claim = || RunSession::claim(&run, Caller::Train, false).unwrap();
+        let save = |session: &RunSession| session.write_cloud(&Gaussians::zeros(1), ScreenFilter::Classic);
+        let mut session = claim();
+        session.begin("one = 1").unwrap();
+        fs::remove_dir_all(&run).unwrap();
+        save(&session).unwrap();
+        fs::write(run.join(CONFIG), format!("{CONFIG_MARK}; edited by its owner")).unwrap();
+        save(&session).unwrap();
+        assert!(is_run(&run) && run.join(CLOUD).exists());
+        assert!(RunSession::claim(&run, Caller::Train, false).is_err(), "it is locked again");
+
+        fs::remove_dir_all(&run).unwrap();
+        let mut other = claim();
+        other.begin("two = 2").unwrap();
+        assert!(save(&session).unwrap_err().to_string().contains("another run has begun there"));
+        drop(other);
+        assert!(save(&session).unwrap_err().to_string().contains("another run has begun there"));
+        assert!(!run.join(CLOUD).exists());
     }
 }

@@ -137,7 +137,8 @@ impl Run<'_> {
             peak_memory_bytes: memory::peak_bytes(),
             evolution: summary.stages,
         };
-        session.write_results(&self.report(session.path(), &metrics)?, &metrics)?;
+        let page = self.report(session.path(), &metrics)?;
+        session.write_results(&page, &metrics, !summary.interrupted)?;
         if summary.interrupted {
             return Ok(Ended::Stopped(metrics));
         }

@@ -2,15 +2,19 @@
 
 mod bad_input;
 mod determinism;
+mod disk;
 mod experiment;
-mod inspect;
 mod hostile;
+mod inspect;
+mod kills;
+mod limits;
 mod lpips;
 mod overwrite;
 mod peer;
 mod real_scene;
 mod resume;
 mod run_folder;
+mod scale;
 mod support;
 mod terminal;
 mod tools;

@@ -45,6 +45,26 @@ pub(crate) fn without_drivers<S: AsRef<std::ffi::OsStr>>(arguments: impl IntoIte
     command
 }
 
+#[cfg(target_os = "linux")]
+/// `command`, started by another program, which gets its environment.
+pub(crate) fn started_by(words: &[&str], command: &Command) -> Command {
+    let mut outer = Command::new(words[0]);
+    outer.args(&words[1..]).arg(command.get_program()).args(command.get_args());
+    for (name, value) in command.get_envs() {
+        match value {
+            Some(value) => outer.env(name, value),
+            None => outer.env_remove(name),
+        };
+    }
+    outer
+}
+
+#[cfg(target_os = "linux")]
+/// `command` under limits of the shell's `ulimit`.
+pub(crate) fn limited(limits: &str, command: &Command) -> Command {
+    started_by(&["sh", "-c", &format!("ulimit {limits} && exec \"$0\" \"$@\"")], command)
+}
+
 /// Runs the command to its end.
 pub(crate) fn run<S: AsRef<std::ffi::OsStr>>(arguments: impl IntoIterator<Item = S>) -> Output {
     command(arguments).output().unwrap()

@@ -19,6 +19,7 @@ use rayon::prelude::*;
 use super::loss::Target;
 use super::view::Pinhole;
 use photo_loss::PhotoLoss;
+pub(crate) use pool::PICTURES_BYTES as POOL_BYTES;
 use pool::{Pool, PoolBuffers};
 
 /// Scores populations, and remembers what does not depend on the cloud.

@@ -15,7 +15,7 @@ use crate::cpu::view::{Pinhole, Splats, TILE};
 /// Rows that one task looks through for versions.
 const ROWS: usize = 4096;
 /// Bytes that the pictures of a pool may take.
-const PICTURES_BYTES: usize = 256 << 20;
+pub(crate) const PICTURES_BYTES: usize = 256 << 20;
 
 /// Up to 128 individuals, which are differences from one cloud.
 pub(crate) struct Pool<'a> {

@@ -12,6 +12,7 @@ use crate::cpu::bin::Bins;
 use crate::cpu::blend::gradient_row::GradientRow;
 use crate::cpu::blend::rasterise::{TileImage, compose, rasterise};
 use crate::cpu::blend::rasterise_backward::rasterise_backward;
+use crate::cpu::bytes_of;
 use crate::cpu::loss::{Target, loss};
 
 /// Seconds spent in each stage since the counters were last taken.
@@ -51,6 +52,12 @@ pub struct ViewBuffers {
 }
 
 impl ViewBuffers {
+    pub(crate) fn bytes(&self) -> usize {
+        let Self { splats, bins, tiles, image, image_gradient, gradient_rows, seconds: _ } = self;
+        let pictures = bytes_of(tiles) + bytes_of(&image.planes) + bytes_of(image_gradient);
+        splats.bytes() + bins.bytes() + pictures + bytes_of(gradient_rows)
+    }
+
     /// Renders into `self.image`.
     pub fn render(&mut self, level: Level, cloud: &Gaussians, camera: &Pinhole, settings: &RenderSettings) {
         timed(&mut self.seconds.project, || project(level, cloud, camera, settings, &mut self.splats));

@@ -45,7 +45,8 @@ impl<W: Write> Write for Summed<W> {
     }
 
     fn flush(&mut self) -> io::Result<()> {
-        self.inner.flush()
+        let result = self.inner.flush();
+        self.keep(result)
     }
 }
 

@@ -1,0 +1,284 @@
+//! A process that is killed at any moment loses nothing, and what was begun comes to the same bytes afterwards.
+//!
+//! Sixty kills by default: most of them at calls that change files, in the order of a run, the others at moments spread
+//! over it. In every third case the process that goes on is killed, too. More on demand:
+//!
+//! ```text
+//! GENESPLAT_KILLS=1000 cargo test --release --package genesplat --test command kills -- --nocapture
+//! ```
+
+#![cfg(target_os = "linux")]
+
+mod killer;
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::os::unix::process::ExitStatusExt;
+use std::panic;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use tempfile::TempDir;
+
+use self::killer::{Course, Moment, kill, observe};
+use crate::support::{command, json, run, scene, succeed, text, train};
+
+const SIGKILL: i32 = 9;
+/// Scenarios that share the kills.
+const SCENARIOS: usize = 4;
+/// The published schedule in sixty steps, with a renewal, and a checkpoint in every twentieth.
+pub(crate) const SCHEDULE: [&str; 7] =
+    ["--steps-scale", "0.002", "--max-gaussians", "400", "--checkpoint-every", "20", "--no-lpips"];
+
+fn kills() -> usize {
+    let wanted = std::env::var("GENESPLAT_KILLS").map_or(60, |text| text.parse().expect("GENESPLAT_KILLS is a number"));
+    wanted / SCENARIOS
+}
+
+/// Something that is started in a folder, killed, and started again until it is done.
+struct Scenario<'a> {
+    /// What is in the folder before.
+    before: Option<&'a Path>,
+    /// The command, for a folder.
+    arguments: &'a dyn Fn(&Path) -> Vec<String>,
+    /// Fails where something is lost, right after a kill.
+    check_killed: &'a dyn Fn(&Path),
+    /// Fails where the end is not what it would have been.
+    check_end: &'a dyn Fn(&Path),
+}
+
+impl Scenario<'_> {
+    fn folder(&self) -> TempDir {
+        let place = tempfile::tempdir().unwrap();
+        if let Some(before) = self.before {
+            copy(before, &place.path().join("out"));
+        }
+        place
+    }
+
+    /// All kills of a scenario.
+    fn withstands(&self, name: &str) {
+        let place = self.folder();
+        let out = place.path().join("out");
+        let course = observe(command((self.arguments)(&out)));
+        (self.check_end)(&out);
+        assert!(course.calls.len() > 20, "{:?}", course.calls);
+        let (mut killed, moments) = (0, moments(&course, kills()));
+        for (index, &moment) in moments.iter().enumerate() {
+            let second = (index % 3 == 2).then_some(Moment::Call(1 + index * 7 % course.calls.len()));
+            let case = || self.case(moment, second);
+            match panic::catch_unwind(panic::AssertUnwindSafe(case)) {
+                Ok(is_killed) => killed += usize::from(is_killed),
+                Err(_) => panic!("{name}: killed at {}, then at {second:?}", shown(moment, &course)),
+            }
+        }
+        eprintln!("{name}: {killed} kills, {} calls that change files", course.calls.len());
+        // Threads may be quicker than they were.
+        assert!(2 * killed >= moments.len(), "{killed} of {} were killed", moments.len());
+    }
+
+    /// One kill, perhaps another one, and the end. Whether it was killed before its end.
+    fn case(&self, moment: Moment, second: Option<Moment>) -> bool {
+        let place = self.folder();
+        let out = place.path().join("out");
+        let mut arguments = (self.arguments)(&out);
+        let is_killed = kill(command(&arguments), moment).signal() == Some(SIGKILL);
+        if is_killed {
+            (self.check_killed)(&out);
+        }
+        if let Some(second) = second.filter(|_| is_killed) {
+            advance(&mut arguments, |arguments| kill(command(arguments), second).signal() == Some(SIGKILL));
+            (self.check_killed)(&out);
+        }
+        advance(&mut arguments, |_| false);
+        (self.check_end)(&out);
+        is_killed
+    }
+}
+
+/// Starts a command again as its messages advise, until it succeeds; or until `is_killed`, which starts it first.
+pub(crate) fn advance(arguments: &mut Vec<String>, is_killed: impl Fn(&[String]) -> bool) {
+    for _ in 0..4 {
+        if is_killed(arguments) {
+            return;
+        }
+        let output = run(&*arguments);
+        if output.status.success() {
+            return;
+        }
+        let said = String::from_utf8(output.stderr).unwrap();
+        if said.contains("add --resume to go on") {
+            arguments.push("--resume".into());
+        } else if said.contains("start the run without --resume") || said.contains("is not the folder of a run") {
+            arguments.retain(|word| word != "--resume");
+        } else {
+            assert!(said.contains("is finished, so there is nothing to resume"), "{said}");
+            return;
+        }
+    }
+    panic!("messages go round and round: {arguments:?}");
+}
+
+fn shown(moment: Moment, course: &Course) -> String {
+    match moment {
+        Moment::Call(n) => format!("call {n}, {}", course.calls[n - 1]),
+        Moment::After(duration) => format!("{duration:?} of {:?}", course.duration),
+    }
+}
+
+/// Four of five at calls, as long as there are others; the rest where multiples of the golden ratio fall.
+fn moments(course: &Course, count: usize) -> Vec<Moment> {
+    let at_calls = (count * 4 / 5).min(course.calls.len());
+    let calls = (0..at_calls).map(|i| Moment::Call(1 + i * course.calls.len() / at_calls));
+    let fraction = |i: usize| (i as f64 * 0.618_033_988_75).fract();
+    let after = |i| Moment::After(Duration::from_secs_f64(fraction(i) * course.duration.as_secs_f64()));
+    calls.chain((1..=count - at_calls).map(after)).collect()
+}
+
+fn copy(from: &Path, to: &Path) {
+    fs::create_dir_all(to).unwrap();
+    for entry in fs::read_dir(from).unwrap().map(Result::unwrap) {
+        let (from, to) = (entry.path(), to.join(entry.file_name()));
+        if from.is_dir() {
+            copy(&from, &to);
+        } else {
+            fs::copy(&from, &to).unwrap();
+        }
+    }
+}
+
+/// Every file of a folder that does not depend on the clock: splats, pictures.
+fn lasting(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let mut found = BTreeMap::new();
+    for entry in fs::read_dir(folder).into_iter().flatten().map(Result::unwrap) {
+        let (path, name) = (entry.path(), PathBuf::from(entry.file_name()));
+        if path.is_dir() {
+            found.extend(lasting(&path).into_iter().map(|(below, bytes)| (name.join(below), bytes)));
+        } else if path.extension().is_some_and(|end| ["ply", "png", "tmp", "checkpoint"].iter().any(|of| end == *of)) {
+            found.insert(name, fs::read(&path).unwrap());
+        }
+    }
+    found
+}
+
+/// The run in `out` is as `whole`, with nothing beside it.
+pub(crate) fn assert_same_run(out: &Path, whole: &Path) {
+    let (found, wanted) = (lasting(out), lasting(whole));
+    assert_eq!(found.keys().collect::<Vec<_>>(), wanted.keys().collect::<Vec<_>>());
+    assert!(found == wanted, "other bytes");
+    let figures = |run: &Path| json(&run.join("metrics.json"))["test"].clone();
+    assert_eq!(figures(out), figures(whole));
+    assert!(!out.join("previous").exists());
+}
+
+/// A run that came to its end at once.
+pub(crate) fn whole_run(place: &TempDir, name: &str, more: &[&str]) -> PathBuf {
+    let out = place.path().join(name);
+    succeed(train(scene(), &out, &[&SCHEDULE, more].concat()));
+    out
+}
+
+#[test]
+fn a_new_run_withstands_kills() {
+    let place = tempfile::tempdir().unwrap();
+    let whole = whole_run(&place, "whole", &[]);
+    let scenario = Scenario {
+        before: None,
+        arguments: &|out| train(scene(), out, &SCHEDULE),
+        check_killed: &|_| (),
+        check_end: &|out| assert_same_run(out, &whole),
+    };
+    scenario.withstands("new run");
+}
+
+#[test]
+fn a_run_that_replaces_another_withstands_kills() {
+    let place = tempfile::tempdir().unwrap();
+    let [older, whole] =
+        [("older", "7"), ("whole", "8")].map(|(name, seed)| whole_run(&place, name, &["--seed", seed]));
+    let clouds = [&older, &whole].map(|run| fs::read(run.join("point_cloud.ply")).unwrap());
+    let scenario = Scenario {
+        before: Some(&older),
+        arguments: &|out| train(scene(), out, &[&SCHEDULE[..], &["--seed", "8"]].concat()),
+        check_killed: &|out| assert_one_is_whole(out, &clouds),
+        check_end: &|out| assert_same_run(out, &whole),
+    };
+    scenario.withstands("replaced run");
+}
+
+/// The older splat or the younger is there.
+fn assert_one_is_whole(out: &Path, clouds: &[Vec<u8>; 2]) {
+    let there = ["point_cloud.ply", "previous/point_cloud.ply"].map(|name| fs::read(out.join(name)).ok());
+    assert!(there.iter().flatten().any(|cloud| clouds.contains(cloud)), "both splats are lost");
+}
+
+#[test]
+fn a_run_that_goes_on_withstands_kills() {
+    let place = tempfile::tempdir().unwrap();
+    let (whole, broken) = (whole_run(&place, "whole", &[]), place.path().join("broken"));
+    let checkpoint = broken.join("checkpoint/latest.checkpoint");
+    let mut call = 0;
+    while !checkpoint.exists() {
+        call += 4;
+        assert!(call < 1000, "no checkpoint is written");
+        let _ = fs::remove_dir_all(&broken);
+        kill(command(train(scene(), &broken, &SCHEDULE)), Moment::Call(call));
+    }
+    let scenario = Scenario {
+        before: Some(&broken),
+        arguments: &|out| train(scene(), out, &["--resume"]),
+        check_killed: &|_| (),
+        check_end: &|out| assert_same_run(out, &whole),
+    };
+    scenario.withstands("resumed run");
+}
+
+#[test]
+fn an_experiment_withstands_kills() {
+    let place = tempfile::tempdir().unwrap();
+    let (file, whole) = (place.path().join("two.toml"), place.path().join("whole"));
+    let text_of_file = "title = \"Two\"\nscenes = [\"gallery\"]\nseeds = [0, 1]\nevolve = [\"renew\"]\n\
+        gallery = { width = 48, height = 32, views = 9, points = 200 }\nconfig = { steps_scale = 0.002, max_gaussians = 300, checkpoint_every = 20 }";
+    fs::write(&file, text_of_file).unwrap();
+    let arguments = |out: &Path| {
+        ["experiment", text(&file), "--out", text(out), "--device", "cpu", "--no-lpips"].map(str::to_owned).to_vec()
+    };
+    succeed(arguments(&whole));
+    let scenario = Scenario {
+        before: None,
+        arguments: &arguments,
+        check_killed: &|_| (),
+        check_end: &|out| {
+            let (found, wanted) = (lasting(out), lasting(&whole));
+            assert_eq!(found.keys().collect::<Vec<_>>(), wanted.keys().collect::<Vec<_>>());
+            assert!(found == wanted, "other bytes");
+            assert!(out.join("report.html").exists());
+        },
+    };
+    scenario.withstands("experiment");
+}
+
+#[test]
+fn the_harness_kills_and_notices_what_is_lost() {
+    let place = tempfile::tempdir().unwrap();
+    let whole = whole_run(&place, "whole", &[]);
+    let out = place.path().join("out");
+    let arguments = train(scene(), &out, &SCHEDULE);
+    let course = observe(command(&arguments));
+    for name in ["open", "write", "fsync", "rename", "mkdir", "unlink"] {
+        assert!(course.calls.iter().any(|call| call.starts_with(name)), "{name} is not among {:?}", course.calls);
+    }
+    fs::remove_dir_all(&out).unwrap();
+    assert_eq!(kill(command(&arguments), Moment::Call(1)).signal(), Some(SIGKILL));
+    assert!(kill(command(&arguments), Moment::Call(1 << 40)).success());
+
+    let notices = |check: &dyn Fn()| panic::catch_unwind(panic::AssertUnwindSafe(check)).is_err();
+    assert_same_run(&out, &whole);
+    let cloud = out.join("point_cloud.ply");
+    let mut bytes = fs::read(&cloud).unwrap();
+    let clouds = [bytes.clone(), Vec::new()];
+    assert_one_is_whole(&out, &clouds);
+    *bytes.last_mut().unwrap() ^= 1;
+    fs::write(&cloud, bytes).unwrap();
+    assert!(notices(&|| assert_same_run(&out, &whole)) && notices(&|| assert_one_is_whole(&out, &clouds)), "planted");
+}

@@ -1,0 +1,113 @@
+//! Limits of a process: what goes beyond them is a sentence and status 1, and what was saved goes on.
+
+#![cfg(target_os = "linux")]
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::process::Output;
+
+use genesplat::gallery::{self, GalleryOptions};
+
+use crate::kills::{SCHEDULE, advance, assert_same_run, whole_run};
+use crate::support::{command, judge_failure, limited, scene, succeed, train};
+
+fn under(limits: &str, arguments: &[String]) -> Output {
+    limited(limits, &command(arguments)).output().unwrap()
+}
+
+/// `ulimit -f` counts blocks of 512 bytes.
+#[test]
+fn a_file_that_may_not_grow_is_a_write_error_and_costs_nothing() {
+    let place = tempfile::tempdir().unwrap();
+    let whole = whole_run(&place, "whole", &[]);
+    let (mut failed, mut done) = (0, 0);
+    for blocks in [0, 1, 4, 16, 64, 100, 1000, 100_000] {
+        let out = place.path().join(format!("out{blocks}"));
+        let mut arguments = train(scene(), &out, &SCHEDULE);
+        let output = under(&format!("-f {blocks}"), &arguments);
+        match output.status.code() {
+            Some(0) => done += 1,
+            _ => {
+                judge_failure(output, &["cannot write", "File too large"]);
+                failed += 1;
+            }
+        }
+        advance(&mut arguments, |_| false);
+        assert_same_run(&out, &whole);
+    }
+    assert!(failed >= 4 && done >= 1, "{failed} failed, {done} came to their end");
+}
+
+/// A run that grows: a scene, and how it is trained.
+struct Growing {
+    scene: PathBuf,
+    whole: PathBuf,
+}
+
+impl Growing {
+    const SCHEDULE: [&str; 8] =
+        ["--steps-scale", "0.01", "--max-gaussians", "20000", "--checkpoint-every", "0", "--evolve", "off"];
+
+    fn new(place: &Path) -> Self {
+        let this = Self { scene: place.join("scene"), whole: place.join("whole") };
+        let options = GalleryOptions { width: 160, height: 108, views: 12, points: 2000, seed: 5 };
+        gallery::generate(&options).write_colmap(&this.scene).unwrap();
+        succeed(this.arguments(&this.whole));
+        this
+    }
+
+    fn arguments(&self, out: &Path) -> Vec<String> {
+        train(&self.scene, out, &[&Self::SCHEDULE[..], &["--threads", "1", "--no-lpips"]].concat())
+    }
+
+    /// What a run within `limit` MiB of addresses says last; nothing if it came to its end. What is left of it comes to
+    /// the same bytes without a limit.
+    fn within(&self, limit: u32, out: &Path) -> Option<String> {
+        let mut arguments = self.arguments(out);
+        let mut run = limited(&format!("-v {}", limit * 1024), &command(&arguments));
+        // An arena for each thread would take addresses by the 64 MiB.
+        let output = run.env("MALLOC_ARENA_MAX", "1").env("RUST_BACKTRACE", "0").output().unwrap();
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        let last = (!output.status.success()).then(|| said.lines().last().unwrap_or_default().to_owned());
+        if let Some(last) = &last {
+            assert_eq!(output.status.code(), Some(1), "{limit} MiB: {said}");
+            assert!(last.starts_with("error: ") || last.starts_with("memory allocation of"), "{limit} MiB: {said}");
+            assert!(!said.contains("bug in genesplat"), "{limit} MiB: {said}");
+            advance(&mut arguments, |_| false);
+        }
+        assert_same_run(out, &self.whole);
+        last
+    }
+}
+
+#[test]
+fn a_machine_without_memory_is_a_sentence_and_a_run_that_goes_on() {
+    let place = tempfile::tempdir().unwrap();
+    let growing = Growing::new(place.path());
+    let mut said = BTreeMap::new();
+    let mut within = |limit| {
+        let last = growing.within(limit, &place.path().join(format!("out{limit}")));
+        let fails = last.is_some();
+        said.insert(limit, last);
+        fails
+    };
+    // The loader and the threads have room in the smaller, all that a run does in the larger.
+    let (mut too_little, mut enough) = (30, 1000);
+    assert!(within(too_little) && !within(enough));
+    while enough - too_little > 1 {
+        let limit = too_little.midpoint(enough);
+        if within(limit) { too_little = limit } else { enough = limit }
+    }
+    (1..6).for_each(|less| {
+        within(too_little - less);
+    });
+    let resumed = said.values().flatten().filter(|last| last.contains("holds the run at iteration"));
+    assert!(resumed.count() > 0, "none was under way: {said:#?}");
+}
+
+#[test]
+fn a_thread_that_cannot_be_started_is_a_sentence() {
+    let place = tempfile::tempdir().unwrap();
+    let arguments = train(scene(), &place.path().join("out"), &["--threads", "1000"]);
+    judge_failure(under("-v 500000", &arguments), &["cannot start 1000 threads", "fewer --threads"]);
+}

@@ -1,0 +1,62 @@
+//! The same scene in other units: what is too small to be drawn is said, and everything else trains.
+
+use std::path::Path;
+
+use genesplat::io::colmap::{find_model, read_model, write_model};
+
+use crate::support::{fail, json, number, run, succeed, train, write_gallery};
+
+/// The scene with all lengths times `factor`.
+fn write_scaled(folder: &Path, factor: f64) {
+    write_gallery(folder);
+    let mut model = read_model(&find_model(folder).unwrap()).unwrap();
+    for image in &mut model.images {
+        image.translation = image.translation.map(|value| value * factor);
+    }
+    for point in &mut model.points {
+        point.position = point.position.map(|value| value * factor as f32);
+    }
+    write_model(&folder.join("sparse/0"), &model).unwrap();
+}
+
+const SCHEDULE: [&str; 6] = ["--steps-scale", "0.01", "--max-gaussians", "600", "--evolve", "off"];
+
+#[test]
+fn a_scene_of_any_size_trains_or_is_refused_with_a_sentence() {
+    let place = tempfile::tempdir().unwrap();
+    let mut psnr = Vec::new();
+    for exponent in -3..=3 {
+        let [scene, out] = ["scene", "run"].map(|name| place.path().join(format!("{name}{exponent}")));
+        write_scaled(&scene, 10f64.powi(exponent));
+        let arguments = train(&scene, &out, &SCHEDULE);
+        // At a hundredth the gallery is nearer than anything is drawn.
+        if exponent <= -2 {
+            fail(arguments, &["no Gaussian is visible", "scale poses and points up"]);
+            continue;
+        }
+        let output = run(arguments);
+        assert!(output.status.success(), "1e{exponent}: {}", String::from_utf8_lossy(&output.stderr));
+        psnr.push(number(&json(&out.join("metrics.json"))["test"]["psnr"]));
+    }
+    // Where all of the scene is drawn, its units do not matter.
+    let [lowest, highest] = [f64::min, f64::max].map(|of| psnr[1..].iter().copied().reduce(of).unwrap());
+    assert!(lowest > 18.0 && highest - lowest < 1.5, "{psnr:?}");
+}
+
+#[test]
+fn cameras_that_look_away_are_a_sentence() {
+    let place = tempfile::tempdir().unwrap();
+    let [scene, out] = ["scene", "run"].map(|name| place.path().join(name));
+    write_gallery(&scene);
+    let mut model = read_model(&find_model(&scene).unwrap()).unwrap();
+    for point in &mut model.points {
+        // Far up, and the cameras are level.
+        point.position[2] += 1e6;
+    }
+    write_model(&scene.join("sparse/0"), &model).unwrap();
+    fail(train(&scene, &out, &SCHEDULE), &["no Gaussian is visible in any of the 10 training photos"]);
+    // It has replaced nothing, and the folder can be used.
+    let good = place.path().join("good");
+    write_gallery(&good);
+    succeed(train(&good, &out, &["--iterations", "3"]));
+}
