@@ -6,6 +6,7 @@
 pub mod atomic;
 pub mod colmap;
 mod error;
+pub mod format;
 mod listing;
 pub mod photos;
 pub mod ply;
@@ -13,6 +14,7 @@ mod scene;
 mod transforms;
 
 pub use error::SceneError;
+pub use format::{Format, FormatError};
 pub use photos::PhotoSize;
 pub use ply::{PlyError, PlyOptions, read_ply, write_ply};
 pub use scene::{HoldOut, LoadOptions, LoadProgress, Point, SIDE_MIN_PX, Scene, load_points, load_scene};
