@@ -21,7 +21,7 @@ pub(super) struct Palette {
 struct Cluster {
     rows: Vec<u32>,
     mean: Vec<f32>,
-    /// Sum of the squared distances of its rows to their mean.
+    /// Sum of the squared distances of its rows to their mean, never -0 (which the sum of none would be).
     error: f32,
 }
 
@@ -54,7 +54,7 @@ pub(super) fn build(rows: &[&[f32]], size: usize) -> Palette {
 
 fn cluster(rows: &[&[f32]], members: Vec<u32>) -> Cluster {
     let mean = mean(rows, &members);
-    let error = members.iter().map(|&row| distance(rows[row as usize], &mean)).sum();
+    let error = members.iter().fold(0.0, |sum, &row| sum + distance(rows[row as usize], &mean));
     Cluster { rows: members, mean, error }
 }
 
