@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::genes::{Genes, SparseDelta};
-use crate::spherical_harmonics::SH_STRIDE;
+use crate::spherical_harmonics::{SH_DEGREE_MAX, SH_STRIDE, coefficients};
 
 /// A cloud of `N` Gaussians; all parameters raw (before activation).
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -46,6 +46,21 @@ impl Gaussians {
             opacity_logits: vec![0.0; n],
             sh: vec![[0.0; SH_STRIDE]; n],
             filter_3d: None,
+        }
+    }
+
+    /// The cloud of these rows, in the order given.
+    pub fn gather(&self, rows: &[u32]) -> Self {
+        fn column<T: Copy>(values: &[T], rows: &[u32]) -> Vec<T> {
+            rows.iter().map(|&row| values[row as usize]).collect()
+        }
+        Self {
+            positions: column(&self.positions, rows),
+            log_scales: column(&self.log_scales, rows),
+            rotations: column(&self.rotations, rows),
+            opacity_logits: column(&self.opacity_logits, rows),
+            sh: column(&self.sh, rows),
+            filter_3d: self.filter_3d.as_ref().map(|filter| column(filter, rows)),
         }
     }
 
@@ -109,6 +124,12 @@ impl Gaussians {
         names.zip(self.columns()).zip([3, 3, 4, 1, SH_STRIDE]).find_map(|((name, values), width)| {
             values.iter().position(|value| !value.is_finite()).map(|at| (at / width, name))
         })
+    }
+
+    /// The lowest degree of spherical harmonics that holds the whole colour: all coefficients above it are 0.
+    pub fn sh_degree_in_use(&self) -> u8 {
+        let used = self.sh.iter().filter_map(|row| row.iter().rposition(|&value| value != 0.0)).max().unwrap_or(0);
+        (0..SH_DEGREE_MAX).find(|&degree| used < 3 * coefficients(degree)).unwrap_or(SH_DEGREE_MAX)
     }
 
     /// Factor by which the 3D filter dims a row: `sqrt(Π s² / (s² + f²))` over the three axes; 1 without a filter.
@@ -234,6 +255,20 @@ mod tests {
             let limited = limited_opacity(40.0, dimming, 0.01);
             assert!(limited.is_finite() && limited <= 40.0, "{dimming}: {limited}");
         }
+    }
+
+    #[test]
+    fn rows_are_gathered_and_the_degree_in_use_is_the_lowest_that_holds_all() {
+        let mut cloud = Gaussians { filter_3d: Some(vec![1.0, 2.0, 3.0]), ..Gaussians::zeros(3) };
+        cloud.opacity_logits = vec![0.0, 10.0, 20.0];
+        let picked = cloud.gather(&[2, 0]);
+        assert_eq!((picked.opacity_logits.clone(), picked.filter_3d.clone()), (vec![20.0, 0.0], Some(vec![3.0, 1.0])));
+        assert!(picked.is_consistent());
+        for (slot, degree) in [(2, 0), (3, 1), (11, 1), (12, 2), (26, 2), (27, 3), (47, 3)] {
+            cloud.sh[1][slot] = 0.5;
+            assert_eq!(cloud.sh_degree_in_use(), degree, "{slot}");
+        }
+        assert_eq!((Gaussians::zeros(0).sh_degree_in_use(), Gaussians::zeros(4).sh_degree_in_use()), (0, 0));
     }
 
     #[test]

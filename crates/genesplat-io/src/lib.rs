@@ -8,6 +8,7 @@ pub mod atomic;
 pub mod bytes;
 pub mod colmap;
 mod error;
+pub mod format;
 pub mod input;
 mod listing;
 pub mod photos;
@@ -17,6 +18,7 @@ mod shown;
 mod transforms;
 
 pub use error::SceneError;
+pub use format::{Format, FormatError};
 pub use photos::PhotoSize;
 pub use ply::{PlyError, PlyOptions, read_ply, write_ply};
 pub use scene::{HoldOut, LoadOptions, LoadProgress, Point, SIDE_MIN_PX, Scene, load_points, load_scene};

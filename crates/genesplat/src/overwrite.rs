@@ -6,7 +6,7 @@ use std::fs;
 use std::path::Path;
 
 use anyhow::{Result, bail};
-use genesplat::io::{Scene, shown};
+use genesplat::io::{Format, Scene, shown};
 
 use crate::files::check_writable;
 use crate::run::session::is_part_of_run;
@@ -44,7 +44,7 @@ fn protected(path: &Path, content: Content) -> Option<&'static str> {
         _ if is_picture && is_photo_of_scene(path) => Some("one of the photos of the scene around it"),
         ("cameras" | "images" | "points3d", "bin" | "txt" | "ply") => Some("part of a scene"),
         (stem, "json") if stem.starts_with("transforms") => Some("part of a scene"),
-        (_, "ply") if content != Content::Splat => Some("a splat"),
+        _ if content != Content::Splat && Format::of(path).is_some() => Some("a splat"),
         _ => None,
     }
 }
@@ -111,6 +111,10 @@ mod tests {
         let cases = [
             ("a.ply", any("an input")),
             ("b.ply", splat),
+            ("b.splat", splat),
+            ("b.SPZ", splat),
+            ("b.sog", splat),
+            ("b.glb", splat),
             ("scene/sparse/0/points3D.bin", any(scene_part)),
             ("scene/sparse/0/points3D.ply", any(scene_part)),
             ("scene/images_4/0001.JPG", photo),

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use anyhow::{Result, ensure};
 use genesplat::core::{Gaussians, RenderSettings, ScreenFilter};
-use genesplat::io::ply::{PlyHeader, check_finite, read_ply_with_header};
+use genesplat::io::format::{self, Loaded};
 use genesplat::io::{PhotoSize, Scene, shown};
 use genesplat::train::Background;
 
@@ -20,7 +20,7 @@ pub(crate) struct Splat {
     /// The Gaussians; all values are finite.
     pub(crate) cloud: Gaussians,
     pub(crate) settings: RenderSettings,
-    /// The size of photos that it was trained on; `None` for a bare PLY, which does not say.
+    /// The size of photos that it was trained on; `None` for a bare file, which does not say.
     trained_size: Option<PhotoSize>,
 }
 
@@ -47,8 +47,8 @@ impl Splat {
 }
 
 pub(crate) fn open(path: &Path) -> Result<Splat> {
-    ensure!(path.exists(), "{} does not exist; give a splat's PLY or the folder of a run", shown(path));
-    if path.is_dir() { open_run(path) } else { open_ply(path) }
+    ensure!(path.exists(), "{} does not exist; give a splat's file or the folder of a run", shown(path));
+    if path.is_dir() { open_run(path) } else { open_file(path) }
 }
 
 fn open_run(folder: &Path) -> Result<Splat> {
@@ -56,7 +56,7 @@ fn open_run(folder: &Path) -> Result<Splat> {
     check_has_cloud(folder, &config)?;
     let trained_size = config.dataset.size();
     let settings = config.train.resolve()?.render_settings();
-    let (_, cloud) = read_cloud(&folder.join(CLOUD))?;
+    let cloud = read_cloud(&folder.join(CLOUD))?.cloud;
     Ok(Splat { cloud, settings, trained_size: Some(trained_size) })
 }
 
@@ -76,17 +76,17 @@ fn check_has_cloud(folder: &Path, config: &ConfigFile) -> Result<()> {
     Ok(())
 }
 
-fn open_ply(path: &Path) -> Result<Splat> {
-    let (header, cloud) = read_cloud(path)?;
-    let declared = header.screen_filter.unwrap_or_default();
-    let filter = if header.has_filter_3d { ScreenFilter::Mip } else { declared };
-    let settings = RenderSettings { sh_degree: header.sh_degree, filter, ..RenderSettings::default() };
-    Ok(Splat { cloud, settings, trained_size: None })
+fn open_file(path: &Path) -> Result<Splat> {
+    let loaded = read_cloud(path)?;
+    let declared = loaded.screen_filter.unwrap_or_default();
+    let filter = if loaded.cloud.filter_3d.is_some() { ScreenFilter::Mip } else { declared };
+    let settings = RenderSettings { sh_degree: loaded.sh_degree, filter, ..RenderSettings::default() };
+    Ok(Splat { cloud: loaded.cloud, settings, trained_size: None })
 }
 
-fn read_cloud(path: &Path) -> Result<(PlyHeader, Gaussians)> {
-    let (header, cloud) = read_ply_with_header(path)?;
-    ensure!(!cloud.is_empty(), "{} holds no Gaussians, so there is nothing to see; give another splat", shown(path));
-    check_finite(path, &cloud)?;
-    Ok((header, cloud))
+fn read_cloud(path: &Path) -> Result<Loaded> {
+    let loaded = format::read(path)?;
+    let is_empty = loaded.cloud.is_empty();
+    ensure!(!is_empty, "{} holds no Gaussians, so there is nothing to see; give another splat", shown(path));
+    Ok(loaded)
 }

@@ -61,13 +61,44 @@ pub(super) enum Encoding {
     Ascii,
 }
 
-/// An element while its properties are being read.
-struct Element {
-    name: String,
-    count: u64,
+/// What the text at the start of a file declares.
+pub(crate) struct Preamble {
+    encoding: Encoding,
+    comments: Vec<String>,
+    /// In the order of the file.
+    pub(crate) elements: Vec<Element>,
+    /// Length of the text.
+    pub(crate) bytes: u64,
+}
+
+/// One table of a file.
+pub(crate) struct Element {
+    pub(crate) name: String,
+    pub(crate) count: u64,
     properties: Vec<Property>,
-    row_bytes: usize,
-    has_list: bool,
+    pub(crate) row_bytes: usize,
+    pub(crate) has_list: bool,
+}
+
+impl Preamble {
+    /// False for a file whose rows are words.
+    pub(crate) fn is_binary(&self) -> bool {
+        self.encoding == Encoding::Binary
+    }
+}
+
+impl Element {
+    /// Where the property `name` lies in a row, and whether it is of the type that headers call `kind`.
+    pub(crate) fn offset(&self, name: &str, kind: &str) -> Option<usize> {
+        let is_wanted =
+            |property: &&Property| property.name == name && Scalar::parse(kind) == Some(property.field.scalar);
+        self.properties.iter().find(is_wanted).map(|property| property.field.offset)
+    }
+
+    /// Number of properties of a row.
+    pub(crate) fn width(&self) -> usize {
+        self.properties.len()
+    }
 }
 
 /// Longest header that is believed: 59 properties take 2 KiB.
@@ -75,6 +106,13 @@ const HEADER_BYTES_MAX: u64 = 1 << 20;
 
 /// Reads the header from the start of a file, and its length in bytes.
 pub(super) fn read(reader: &mut impl BufRead, path: &Path) -> Result<(PlyHeader, u64), PlyError> {
+    let Preamble { encoding, comments, elements, bytes } = preamble(reader, path)?;
+    let bad = |problem: String| PlyError::Header { path: path.to_owned(), problem };
+    Ok((assemble(elements, comments, encoding).map_err(bad)?, bytes))
+}
+
+/// Reads the text at the start of a file.
+pub(crate) fn preamble(reader: &mut impl BufRead, path: &Path) -> Result<Preamble, PlyError> {
     let bytes = header_bytes(reader, path)?;
     let bad = |problem: String| PlyError::Header { path: path.to_owned(), problem };
     let text = std::str::from_utf8(&bytes).map_err(|_| bad("its header is not text".into()))?;
@@ -93,8 +131,7 @@ pub(super) fn read(reader: &mut impl BufRead, path: &Path) -> Result<(PlyHeader,
         }
     }
     let encoding = encoding.ok_or_else(|| bad("its header states no format".into()))?;
-    let header = assemble(elements, comments, encoding).map_err(bad)?;
-    Ok((header, bytes.len() as u64))
+    Ok(Preamble { encoding, comments, elements, bytes: bytes.len() as u64 })
 }
 
 /// Everything up to and including the line `end_header`.
@@ -218,7 +255,7 @@ fn screen_filter(comments: &[String]) -> Option<ScreenFilter> {
     }
 }
 
-/// The header of `cloud` at degree 3.
+/// The header of `cloud`.
 pub(super) fn text(cloud: &Gaussians, options: &PlyOptions) -> String {
     let mut text = String::from("ply\nformat binary_little_endian 1.0\n");
     let comments = options.comments.iter().map(String::as_str);
@@ -226,7 +263,7 @@ pub(super) fn text(cloud: &Gaussians, options: &PlyOptions) -> String {
         text += &format!("comment {}\n", comment.replace(['\n', '\r'], " "));
     }
     text += &format!("element vertex {}\n", cloud.len());
-    for name in super::rows::property_names(cloud.filter_3d.is_some()) {
+    for name in super::rows::property_names(options.sh_degree, cloud.filter_3d.is_some()) {
         text += &format!("property float {name}\n");
     }
     text + "end_header\n"

@@ -17,11 +17,13 @@ use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read, Write};
 use std::path::Path;
 
+use genesplat_core::spherical_harmonics::SH_DEGREE_MAX;
 use genesplat_core::{Gaussians, ScreenFilter};
 
 pub use error::PlyError;
 use header::Encoding;
 pub use header::PlyHeader;
+pub(crate) use header::{Element, preamble};
 pub(crate) use points::{parse_points, read_points};
 
 use crate::atomic::write_atomically;
@@ -29,13 +31,21 @@ use crate::input;
 use crate::listing::position_problem;
 
 /// How a cloud is written.
-#[derive(Clone, Debug, PartialEq, Eq, Default)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct PlyOptions {
     /// How a viewer should filter the splats; the header comment `SplatRenderMode` tells it (shared with Brush and
     /// nerfstudio).
     pub screen_filter: ScreenFilter,
     /// Further header comments, one line each (line breaks are replaced by spaces).
     pub comments: Vec<String>,
+    /// Highest degree of the spherical harmonics that are written, 0 to 3. Other programs expect 3.
+    pub sh_degree: u8,
+}
+
+impl Default for PlyOptions {
+    fn default() -> Self {
+        Self { screen_filter: ScreenFilter::default(), comments: Vec::new(), sh_degree: SH_DEGREE_MAX }
+    }
 }
 
 /// Reads a cloud of Gaussians. Values are returned as they are, NaN included: see [`check_finite`].
@@ -57,6 +67,14 @@ pub(crate) fn parse_splat(path: &Path, reader: impl BufRead, size: u64) -> Resul
     }
     let cloud = rows::Layout::of(&header, path)?.read(header.gaussians as usize, &mut rest);
     Ok((header, cloud.map_err(|source| read_error(path, source))?))
+}
+
+/// True for a compressed PLY, whose rows are packed: see [`crate::format`].
+pub(crate) fn is_compressed(path: &Path) -> Result<bool, PlyError> {
+    let file = input::open(path).map_err(|source| read_error(path, source))?;
+    let elements = preamble(&mut BufReader::new(file), path)?.elements;
+    let is_packed = |element: &Element| element.name == "vertex" && element.offset("packed_position", "uint").is_some();
+    Ok(elements.iter().any(is_packed))
 }
 
 /// Names the first row of `cloud` (read from `path`) that holds a value that is not finite, or a position too far away.
@@ -88,7 +106,7 @@ pub fn write_ply(path: &Path, cloud: &Gaussians, options: &PlyOptions) -> Result
     assert!(cloud.is_consistent(), "every column of a cloud has one row a Gaussian");
     write_atomically(path, |out| {
         out.write_all(header::text(cloud, options).as_bytes())?;
-        rows::write(cloud, out)
+        rows::write(cloud, options.sh_degree, out)
     })
     .map_err(|source| PlyError::Write { path: path.to_owned(), source })
 }

@@ -4,7 +4,7 @@ use std::io::{self, Read, Write};
 use std::path::Path;
 
 use genesplat_core::Gaussians;
-use genesplat_core::spherical_harmonics::{SH_COEFFICIENTS, SH_STRIDE, coefficients, sh_index};
+use genesplat_core::spherical_harmonics::{coefficients, sh_index};
 
 use super::PlyError;
 use super::field::Field;
@@ -15,13 +15,13 @@ const SPLAT: &str = "a splat, as trainers of Gaussians write it (point_cloud.ply
 const CHUNK_ROWS: usize = 4096;
 
 /// Names of the properties in the order in which they are written.
-pub(super) fn property_names(filter_3d: bool) -> Vec<String> {
+pub(super) fn property_names(sh_degree: u8, filter_3d: bool) -> Vec<String> {
     let numbered = |stem: &str, count: usize| -> Vec<_> { (0..count).map(|i| format!("{stem}_{i}")).collect() };
     let named = |names: &[&str]| -> Vec<_> { names.iter().map(|&name| name.to_owned()).collect() };
     [
         named(&["x", "y", "z", "nx", "ny", "nz"]),
         numbered("f_dc", 3),
-        numbered("f_rest", SH_STRIDE - 3),
+        numbered("f_rest", 3 * coefficients(sh_degree) - 3),
         named(&["opacity"]),
         numbered("scale", 3),
         numbered("rot", 4),
@@ -93,12 +93,12 @@ fn sh_properties(degree: u8) -> impl Iterator<Item = (usize, String)> {
 }
 
 /// Writes every row of `cloud` in the order of [`property_names`].
-pub(super) fn write(cloud: &Gaussians, out: &mut impl Write) -> io::Result<()> {
+pub(super) fn write(cloud: &Gaussians, sh_degree: u8, out: &mut impl Write) -> io::Result<()> {
     const NORMAL: [f32; 3] = [0.0; 3];
     let mut bytes = Vec::new();
     for row in 0..cloud.len() {
         let sh = &cloud.sh[row];
-        let rest = (0..3).flat_map(|channel| (1..SH_COEFFICIENTS).map(move |k| &sh[sh_index(channel, k)]));
+        let rest = (0..3).flat_map(|channel| (1..coefficients(sh_degree)).map(move |k| &sh[sh_index(channel, k)]));
         let values = (cloud.positions[row].iter())
             .chain(&NORMAL)
             .chain(&sh[..3])

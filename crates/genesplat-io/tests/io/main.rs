@@ -2,6 +2,9 @@
 
 mod colmap;
 mod common;
+mod foreign;
+mod formats;
+mod hostile_formats;
 mod photos;
 mod ply;
 mod real_scenes;

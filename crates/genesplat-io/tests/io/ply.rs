@@ -95,7 +95,9 @@ fn the_layout_is_the_authors() {
     cloud.log_scales[0] = [101.0, 102.0, 103.0];
     cloud.rotations[0] = [104.0, 105.0, 106.0, 107.0];
     let path = folder.file("cloud.ply");
-    write_ply(&path, &cloud, &PlyOptions { screen_filter: ScreenFilter::Mip, comments: vec!["a\nb".into()] }).unwrap();
+    let options =
+        PlyOptions { screen_filter: ScreenFilter::Mip, comments: vec!["a\nb".into()], ..PlyOptions::default() };
+    write_ply(&path, &cloud, &options).unwrap();
     let bytes = fs::read(&path).unwrap();
     let end = b"end_header\n";
     let start = bytes.windows(end.len()).position(|window| window == end).unwrap() + end.len();

@@ -6,7 +6,7 @@
 
 use genesplat_core::gaussians::logit;
 use genesplat_core::spherical_harmonics::{dc_from_rgb, sh_index};
-use genesplat_core::{Camera, Gaussians};
+use genesplat_core::{Camera, Gaussians, morton_order};
 use glam::DVec3;
 
 use super::nearest::mean_squared_distances;
@@ -86,24 +86,8 @@ pub(crate) fn check_points(points: &[ColouredPoint]) -> Result<(), InitialiseErr
 /// The points along a Morton curve through their bounding box (ties in the order given). Rows of the cloud follow it
 /// from then on, so that Gaussians that share tiles share cache lines, and a crossover exchanges whole regions.
 pub fn in_spatial_order(points: &[ColouredPoint]) -> Vec<ColouredPoint> {
-    let mut ordered = points.to_vec();
-    let finite = |axis: usize| points.iter().map(move |point| point.0[axis]).filter(|v| v.is_finite());
-    let low: [f32; 3] = std::array::from_fn(|axis| finite(axis).fold(f32::INFINITY, f32::min));
-    let high: [f32; 3] = std::array::from_fn(|axis| finite(axis).fold(f32::NEG_INFINITY, f32::max));
-    let widest = (0..3).map(|axis| high[axis] - low[axis]).fold(f32::MIN_POSITIVE, f32::max);
-    let cell = |value: f32, axis: usize| ((value - low[axis]) / widest * MORTON_CELLS) as u64;
-    ordered.sort_by_cached_key(|(position, _)| {
-        (0..3).map(|axis| spread_bits(cell(position[axis], axis)) << axis).fold(0, |code, bits| code | bits)
-    });
-    ordered
-}
-
-/// Cells of the curve along the widest axis.
-const MORTON_CELLS: f32 = ((1 << 21) - 1) as f32;
-
-/// Moves bit `k` to bit `3k`, for 21 bits.
-fn spread_bits(value: u64) -> u64 {
-    (0..21).fold(0, |spread, bit| spread | (value >> bit & 1) << (3 * bit))
+    let positions: Vec<[f32; 3]> = points.iter().map(|point| point.0).collect();
+    morton_order(&positions).into_iter().map(|index| points[index as usize]).collect()
 }
 
 /// Size of the scene in world units: 1.1 times the largest distance of a training camera from their mean centre.

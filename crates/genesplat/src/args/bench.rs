@@ -24,9 +24,9 @@ pub(crate) struct SourceArgs {
     /// Folder of a scene to take cameras, photos and points from [default: a synthetic cloud before one camera]
     #[arg(long, value_name = "DATASET")]
     pub(crate) data: Option<PathBuf>,
-    /// A trained splat of that scene (.ply), or the folder of a run, instead of Gaussians made from its points
+    /// A trained splat of that scene (a file), or the folder of a run, instead of Gaussians made from its points
     /// [default: none]
-    #[arg(long, value_name = "PLY|RUN", requires = "data")]
+    #[arg(long, value_name = "SPLAT|RUN", requires = "data")]
     pub(crate) splat: Option<PathBuf>,
     #[command(flatten)]
     pub(crate) size: SizeArgs,

@@ -1,6 +1,7 @@
 //! Values that a flag takes by name, each with a line of help. The names are those of the configuration file.
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use genesplat::io::format::SpzVersion;
 use genesplat::train::config::Signal;
 use genesplat::train::{Background, EvolutionMode, Variant};
 
@@ -80,6 +81,12 @@ pub(crate) const SIGNALS: &[Choice<Signal>] = &[
         &["gof"],
         "As in later releases of Mip-Splatting and in Gaussian Opacity Fields: grows about twice as many",
     ),
+];
+
+/// `--spz-version`.
+pub(crate) const SPZ_VERSIONS: &[Choice<SpzVersion>] = &[
+    (SpzVersion::V3, &["3"], "One gzip stream, which most viewers read"),
+    (SpzVersion::V4, &["4"], "A zstd stream for each attribute: smaller, and newer"),
 ];
 
 #[cfg(test)]

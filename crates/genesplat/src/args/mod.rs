@@ -18,9 +18,11 @@ use choice::{EVOLUTION, FIXED_BACKGROUNDS, choice};
 
 mod bench;
 mod choice;
+mod convert;
 mod train;
 
 pub(crate) use bench::{Bench, BenchEvolutionArgs, BenchGpuArgs, BenchStepArgs, SourceArgs, WorkloadArgs};
+pub(crate) use convert::ConvertArgs;
 pub(crate) use train::{EvolutionArgs, TrainArgs};
 
 /// Heading of the flags that few users need.
@@ -76,6 +78,8 @@ pub(crate) enum Command {
     Evaluate(EvaluateArgs),
     /// Render a splat from the viewpoints of photos, as PNG
     Render(RenderArgs),
+    /// Write a splat as another format: .ply, compressed .ply, .splat, .spz, .sog or .glb
+    Convert(ConvertArgs),
     /// Make a finished splat of any trainer better: gradient steps and renewals
     Refine(RefineArgs),
     /// Measure how alike two pictures are: PSNR, SSIM and LPIPS
@@ -184,8 +188,8 @@ pub(crate) struct DemoArgs {
 
 #[derive(Debug, Args)]
 pub(crate) struct EvaluateArgs {
-    /// A splat (.ply), or the folder of a run
-    #[arg(value_name = "PLY|RUN")]
+    /// A splat (.ply, compressed .ply, .splat, .spz, .sog or .glb), or the folder of a run
+    #[arg(value_name = "SPLAT|RUN")]
     pub(crate) splat: PathBuf,
     /// Folder of the scene with the photos to compare with
     #[arg(long, value_name = "DATASET")]
@@ -208,8 +212,8 @@ pub(crate) struct EvaluateArgs {
 #[derive(Debug, Args)]
 #[command(group(clap::ArgGroup::new("which").required(true).args(["image", "split"])))]
 pub(crate) struct RenderArgs {
-    /// A splat (.ply), or the folder of a run
-    #[arg(value_name = "PLY|RUN")]
+    /// A splat (.ply, compressed .ply, .splat, .spz, .sog or .glb), or the folder of a run
+    #[arg(value_name = "SPLAT|RUN")]
     pub(crate) splat: PathBuf,
     /// Folder of the scene with the cameras to render from
     #[arg(long, value_name = "DATASET")]
@@ -234,15 +238,15 @@ pub(crate) struct RenderArgs {
 
 #[derive(Debug, Args)]
 pub(crate) struct RefineArgs {
-    /// The splat to start from: a .ply in the layout of the 3DGS authors, as nearly every trainer writes it, or the
-    /// folder of a run
-    #[arg(value_name = "PLY|RUN")]
+    /// The splat to start from: a .ply in the layout of the 3DGS authors, as nearly every trainer writes it, another
+    /// format that `genesplat convert` reads, or the folder of a run
+    #[arg(value_name = "SPLAT|RUN")]
     pub(crate) splat: PathBuf,
     /// Folder of the scene that it shows
     #[arg(long, value_name = "DATASET")]
     pub(crate) data: PathBuf,
-    /// The .ply to write. Ctrl-C ends the refinement, and what it has reached so far is written
-    #[arg(long, value_name = "PLY")]
+    /// The splat to write, a .ply unless its name ends as another format's. Ctrl-C ends the refinement, and what it has reached so far is written
+    #[arg(long, value_name = "FILE")]
     pub(crate) out: PathBuf,
     /// Gradient steps, one photo each [default: 2000]; none with --evolve paper
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
@@ -377,7 +381,7 @@ impl SizeArgs {
 /// What a finished splat is shown on.
 #[derive(Clone, Copy, Debug, Default, Args)]
 pub(crate) struct ShownOnArgs {
-    /// Colour behind the splat, and behind photos that are transparent [default: that of the RUN; for a PLY, which does
+    /// Colour behind the splat, and behind photos that are transparent [default: that of the RUN; for a file, which does
     /// not say, black]
     #[arg(long, value_name = "COLOUR", value_parser = choice(FIXED_BACKGROUNDS))]
     pub(crate) background: Option<Background>,

@@ -2,6 +2,7 @@
 
 pub(crate) mod bench;
 mod compare;
+mod convert;
 mod demo;
 mod devices;
 mod evaluate;
@@ -39,6 +40,7 @@ pub(crate) fn run(arguments: Arguments) -> Result<Ending> {
         Command::Evaluate(args) => evaluate::run(&args),
         Command::Render(args) => render::run(&args),
         Command::Compare(args) => compare::run(&args),
+        Command::Convert(args) => convert::run(&args),
         Command::Lpips { what: LpipsCommand::Install(args) } => lpips_install::run(&args),
         Command::Bench { what: Bench::Step(args) } => bench::step::run(&args),
         Command::Bench { what: Bench::Evolution(args) } => bench::evolution::run(&args),
@@ -66,6 +68,10 @@ fn check_outputs(command: &Command) -> Result<()> {
         Command::Render(args) if args.image.is_some() => check_file(&args.out, Content::Picture, &[Some(&args.splat)]),
         Command::Render(args) => check_folder(&args.out, "0001.png"),
         Command::Refine(args) => check_file(&args.out, Content::Splat, &[Some(&args.splat), args.config.as_deref()]),
+        Command::Convert(args) => {
+            check_file(&args.out, Content::Splat, &[Some(&args.splat)])?;
+            convert::format_of(args).map(|_| ())
+        }
         Command::Bench { what } => {
             let (json, source) = match what {
                 Bench::Step(args) => (&args.json, &args.workload.source),

@@ -3,7 +3,8 @@
 
 use anyhow::{Result, bail};
 use genesplat::core::{RenderSettings, ScreenFilter};
-use genesplat::io::{PlyOptions, Scene, shown, write_ply};
+use genesplat::io::format::{self, Format, Options};
+use genesplat::io::{Scene, shown};
 use genesplat::train::{Background, EvolutionMode, Outcome, Resolved, Start, TrainConfig, Variant, search, train};
 
 use super::Ending;
@@ -38,8 +39,8 @@ pub(crate) fn run(args: &RefineArgs) -> Result<Ending> {
     } else {
         train(device.as_mut(), views, Start::Cloud(splat.cloud), &config, &mut reporter, &stop)?
     };
-    let options = PlyOptions { screen_filter: splat.settings.filter, ..PlyOptions::default() };
-    write_ply(&args.out, &outcome.cloud, &options)?;
+    let options = Options { screen_filter: splat.settings.filter, ..Options::default() };
+    format::write(&args.out, Format::of(&args.out).unwrap_or(Format::Ply), &outcome.cloud, &options)?;
     if outcome.summary.interrupted {
         output::print("stopped early; what follows is as far as it had come")?;
     }

@@ -96,10 +96,10 @@ impl RunSession {
     /// settings would be taken for something else's.
     fn hold(&self) -> Result<()> {
         let (path, config) = (&self.path, self.path.join(CONFIG));
-        match fs::read_to_string(&config) {
+        match input::read_text(&config) {
             Err(error) if error.kind() == ErrorKind::NotFound => {}
             Ok(text) if text != self.config && !self.lock.borrow().as_ref().is_some_and(|lock| lock.is_of(path)) => {
-                bail!("{} was removed, and another run has begun there, so this one is not saved", path.display())
+                bail!("{} was removed, and another run has begun there, so this one is not saved", shown(path))
             }
             _ => return Ok(()),
         }
@@ -107,7 +107,7 @@ impl RunSession {
         *self.lock.borrow_mut() = None;
         *self.lock.borrow_mut() = Some(Lock::take(path)?);
         write_text(&config, &self.config)?;
-        output::tell(&format!("notice: {} was removed while this run wrote to it, and is made anew", path.display()));
+        output::tell(&format!("notice: {} was removed while this run wrote to it, and is made anew", shown(path)));
         Ok(())
     }
 

@@ -41,8 +41,9 @@ fn no_output_flag_writes_over_what_is_not_its_own() {
 
     // The scene is absent, and would be missed first if it were read.
     let (splat, absent) = (text(&input), at("absent"));
-    let commands: [&[&str]; 7] = [
+    let commands: [&[&str]; 8] = [
         &["refine", splat, "--data", text(&absent), "--out"],
+        &["convert", splat, "--data", text(&absent)],
         &["evaluate", splat, "--data", text(&absent), "--json"],
         &["render", splat, "--data", text(&absent), "--image", "gallery_000", "--out"],
         &["compare", text(&photo), text(&photo), "--json"],
@@ -56,7 +57,7 @@ fn no_output_flag_writes_over_what_is_not_its_own() {
             let words = [name, what, "would be overwritten; give the name of another file"];
             fail(command.iter().chain(&[text(file)]), &words);
         };
-        let (is_render, is_refine) = (command[0] == "render", command[0] == "refine");
+        let (is_render, writes_splat) = (command[0] == "render", ["refine", "convert"].contains(&command[0]));
         for (file, what) in [
             ("scene/sparse/0/points3D.bin", "part of a scene"),
             ("transforms.json", "part of a scene"),
@@ -71,7 +72,7 @@ fn no_output_flag_writes_over_what_is_not_its_own() {
         if !is_render {
             refused(&at("picture.png"), "a picture");
         }
-        if !is_refine {
+        if !writes_splat {
             refused(&other, "a splat");
         }
         refused(if command[0] == "compare" { &photo } else { &input }, "an input");

@@ -1,0 +1,238 @@
+//! Splats in and out, in the formats that viewers exchange.
+//!
+//! | format | source | frame |
+//! |---|---|---|
+//! | `.ply` | the 3DGS authors ([`crate::ply`]) | of the cloud |
+//! | compressed `.ply` | PlayCanvas, SuperSplat | of the cloud |
+//! | `.splat` | antimatter15's viewer | of the cloud |
+//! | `.spz` | Niantic | y up, z back |
+//! | `.sog` | PlayCanvas | of the cloud |
+//! | `.glb` | Khronos, `KHR_gaussian_splatting` | y up, z back |
+//!
+//! A cloud's own frame has y down and z forward, as COLMAP's first camera has. The half turn about x that leads to the
+//! other frame is made on the way in and out.
+//!
+//! Each codec turns bytes into a cloud and back, and knows nothing of files. Input is not trusted: a count is compared
+//! with the bytes that are there before memory is taken.
+
+mod compressed_ply;
+mod error;
+mod glb;
+mod packing;
+mod sog;
+mod splat;
+mod spz;
+
+use std::fs;
+use std::io::{Read, Write};
+use std::path::Path;
+
+use genesplat_core::spherical_harmonics::{SH_DEGREE_MAX, coefficients};
+use genesplat_core::{Gaussians, ScreenFilter};
+
+pub use error::FormatError;
+pub use spz::SpzVersion;
+
+use crate::atomic::write_atomically;
+use crate::input;
+use crate::ply::{self, PlyOptions, check_finite, read_ply_with_header, write_ply};
+
+/// A file format of splats.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Format {
+    /// `.ply` of the 3DGS authors: everything, in full precision.
+    Ply,
+    /// `.compressed.ply` of PlayCanvas.
+    CompressedPly,
+    /// `.splat`: 32 bytes a Gaussian, without view-dependent colour.
+    Splat,
+    /// `.spz` of Niantic.
+    Spz,
+    /// `.sog` of PlayCanvas, version 2, as one file.
+    Sog,
+    /// `.glb` with `KHR_gaussian_splatting`: everything but the screen filter, in full precision.
+    Glb,
+}
+
+impl Format {
+    /// Every format.
+    pub const ALL: [Self; 6] = [Self::Ply, Self::CompressedPly, Self::Splat, Self::Spz, Self::Sog, Self::Glb];
+
+    /// The format that the name of a file asks for, in capital or small letters.
+    pub fn of(path: &Path) -> Option<Self> {
+        let name = path.file_name()?.to_string_lossy().to_lowercase();
+        // The longer ending comes first.
+        [Self::CompressedPly, Self::Ply, Self::Splat, Self::Spz, Self::Sog, Self::Glb]
+            .into_iter()
+            .find(|format| name.strip_suffix(format.ending()).is_some_and(|stem| !stem.is_empty()))
+    }
+
+    /// What the names of its files end in.
+    pub fn ending(self) -> &'static str {
+        match self {
+            Self::Ply => ".ply",
+            Self::CompressedPly => ".compressed.ply",
+            Self::Splat => ".splat",
+            Self::Spz => ".spz",
+            Self::Sog => ".sog",
+            Self::Glb => ".glb",
+        }
+    }
+
+    /// The format of a file that begins with `head`: all but `.splat` have a mark there, and it goes before the name.
+    fn of_content(path: &Path, head: &[u8]) -> Self {
+        match head {
+            [0x1f, 0x8b, ..] | [b'N', b'G', b'S', b'P', ..] => Self::Spz,
+            [b'P', b'K', 3, 4, ..] => Self::Sog,
+            [b'g', b'l', b'T', b'F', ..] => Self::Glb,
+            [b'p', b'l', b'y', b'\n' | b'\r', ..] => Self::Ply,
+            _ => Self::of(path).unwrap_or(Self::Ply),
+        }
+    }
+}
+
+/// A splat that was read.
+#[derive(Clone, Debug)]
+pub struct Loaded {
+    /// The Gaussians; all values are finite.
+    pub cloud: Gaussians,
+    /// What the file is.
+    pub format: Format,
+    /// Highest degree of the spherical harmonics that the file holds, 0 to 3.
+    pub sh_degree: u8,
+    /// How a viewer should filter; `None` where the file does not say.
+    pub screen_filter: Option<ScreenFilter>,
+}
+
+/// How a splat is written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Options {
+    /// How a viewer should filter; formats that cannot say it leave it out.
+    pub screen_filter: ScreenFilter,
+    /// Highest degree of the spherical harmonics that are written. Formats other than `.ply`, which many programs read
+    /// at degree 3 only, leave degrees out that are 0 throughout.
+    pub sh_degree: u8,
+    /// Which version of `.spz`.
+    pub spz_version: SpzVersion,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self { screen_filter: ScreenFilter::default(), sh_degree: SH_DEGREE_MAX, spz_version: SpzVersion::default() }
+    }
+}
+
+/// What a codec makes of a file.
+struct Decoded {
+    cloud: Gaussians,
+    sh_degree: u8,
+    screen_filter: Option<ScreenFilter>,
+}
+
+/// Reads a splat of any format. Infinite opacities, as converters write them for an alpha of 255, become opaque and
+/// transparent; other values that are not finite are errors.
+pub fn read(path: &Path) -> Result<Loaded, FormatError> {
+    let head = head(path).map_err(|source| FormatError::Read { path: path.to_owned(), source })?;
+    let format = match Format::of_content(path, &head) {
+        Format::Ply | Format::CompressedPly if ply::is_compressed(path)? => Format::CompressedPly,
+        Format::CompressedPly => Format::Ply,
+        format => format,
+    };
+    let Decoded { mut cloud, sh_degree, screen_filter } = decode(path, format)?;
+    packing::clamp_opacities(&mut cloud);
+    check_finite(path, &cloud)?;
+    Ok(Loaded { cloud, format, sh_degree, screen_filter })
+}
+
+fn decode(path: &Path, format: Format) -> Result<Decoded, FormatError> {
+    if format == Format::Ply {
+        let (header, cloud) = read_ply_with_header(path)?;
+        return Ok(Decoded { cloud, sh_degree: header.sh_degree, screen_filter: header.screen_filter });
+    }
+    let bytes = input::read(path).map_err(|source| FormatError::Read { path: path.to_owned(), source })?;
+    match format {
+        Format::Ply | Format::CompressedPly => compressed_ply::decode(path, &bytes),
+        Format::Splat => splat::decode(path, &bytes),
+        Format::Spz => spz::decode(path, &bytes),
+        Format::Sog => sog::decode(path, &bytes),
+        Format::Glb => glb::decode(path, &bytes),
+    }
+}
+
+fn head(path: &Path) -> std::io::Result<Vec<u8>> {
+    let mut head = Vec::new();
+    input::open(path)?.take(4).read_to_end(&mut head)?;
+    Ok(head)
+}
+
+/// Writes `cloud` as `format`, whole or not at all; returns the number of bytes. A 3D filter is kept by `.ply` and baked
+/// in by the others. Formats that compress rows by their neighbours change their order.
+///
+/// # Panics
+/// If the columns of `cloud` have different lengths.
+pub fn write(path: &Path, format: Format, cloud: &Gaussians, options: &Options) -> Result<u64, FormatError> {
+    assert!(cloud.is_consistent(), "every column of a cloud has one row a Gaussian");
+    let sh_degree = options.sh_degree.min(SH_DEGREE_MAX);
+    if format == Format::Ply {
+        let options = PlyOptions { screen_filter: options.screen_filter, sh_degree, ..PlyOptions::default() };
+        write_ply(path, cloud, &options)?;
+        let written = fs::metadata(path).map_err(|source| FormatError::Read { path: path.to_owned(), source })?;
+        return Ok(written.len());
+    }
+    let mut baked = cloud.fused();
+    limit_sh_degree(&mut baked, sh_degree);
+    let bytes = encode(path, format, &baked, options)?;
+    let written = write_atomically(path, |out| out.write_all(&bytes));
+    written.map_err(|source| FormatError::Write { path: path.to_owned(), source })?;
+    Ok(bytes.len() as u64)
+}
+
+/// The bytes of a cloud without a 3D filter.
+fn encode(path: &Path, format: Format, cloud: &Gaussians, options: &Options) -> Result<Vec<u8>, FormatError> {
+    check_finite(path, cloud)?;
+    match format {
+        Format::Ply => unreachable!("a plain PLY is written row by row"),
+        Format::CompressedPly => Ok(compressed_ply::encode(cloud)),
+        Format::Splat => Ok(splat::encode(cloud)),
+        Format::Spz => spz::encode(path, cloud, options),
+        Format::Sog => sog::encode(path, cloud, options),
+        Format::Glb => glb::encode(path, cloud),
+    }
+}
+
+/// A compressed file is believed to fill at most so much memory, and so much more for each of its own bytes: a short file
+/// of repetitions can claim any number of Gaussians.
+const EXPANSION: [u64; 2] = [1 << 28, 1 << 12];
+
+/// Fails where a compressed file claims more Gaussians than its size makes likely.
+fn check_claim(path: &Path, gaussians: u64, file_bytes: usize) -> Result<(), FormatError> {
+    let most = EXPANSION[1].saturating_mul(file_bytes as u64).saturating_add(EXPANSION[0]);
+    if gaussians.saturating_mul(Gaussians::BYTES_PER_ROW as u64) <= most {
+        return Ok(());
+    }
+    Err(FormatError::damaged(
+        path,
+        format!("claims {gaussians} Gaussians, far more than its {file_bytes} bytes can hold"),
+    ))
+}
+
+/// Removes spherical harmonics above `degree`.
+fn limit_sh_degree(cloud: &mut Gaussians, degree: u8) {
+    let kept = 3 * coefficients(degree);
+    cloud.sh.iter_mut().for_each(|row| row[kept..].fill(0.0));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_name_asks_for_a_format() {
+        let of = |name: &str| Format::of(Path::new(name));
+        for format in Format::ALL {
+            assert_eq!(of(&format!("a.b{}", format.ending().to_uppercase())), Some(format));
+            assert_eq!(of(format.ending()), if format == Format::CompressedPly { Some(Format::Ply) } else { None });
+        }
+        assert_eq!((of("a"), of("spz"), of("a.spz.zip"), of("..")), (None, None, None, None));
+    }
+}

@@ -1,0 +1,51 @@
+//! `meta.json`: what the pictures of a `.sog` are called, and how their bytes become values.
+
+use serde::{Deserialize, Serialize};
+
+/// The version that is read and written.
+pub(super) const VERSION: u64 = 2;
+
+#[derive(Debug, Serialize, Deserialize)]
+pub(super) struct Meta {
+    /// Files of version 1 do not say.
+    #[serde(default)]
+    pub(super) version: u64,
+    pub(super) count: u64,
+    #[serde(default)]
+    pub(super) antialias: bool,
+    pub(super) means: Means,
+    pub(super) scales: Coded,
+    pub(super) quats: Plain,
+    pub(super) sh0: Coded,
+    #[serde(rename = "shN", default, skip_serializing_if = "Option::is_none")]
+    pub(super) sh_n: Option<Palette>,
+}
+
+/// Positions between two corners, on the logarithmic scale; the pictures of lower and upper bytes.
+#[derive(Debug, Serialize, Deserialize)]
+pub(super) struct Means {
+    pub(super) mins: [f32; 3],
+    pub(super) maxs: [f32; 3],
+    pub(super) files: [String; 2],
+}
+
+/// Bytes that are indices of values.
+#[derive(Debug, Serialize, Deserialize)]
+pub(super) struct Coded {
+    pub(super) codebook: Vec<f32>,
+    pub(super) files: [String; 1],
+}
+
+#[derive(Debug, Serialize, Deserialize)]
+pub(super) struct Plain {
+    pub(super) files: [String; 1],
+}
+
+/// Harmonics of degree 1 to `bands`; the pictures of the palette and of each Gaussian's entry.
+#[derive(Debug, Serialize, Deserialize)]
+pub(super) struct Palette {
+    pub(super) count: u64,
+    pub(super) bands: u8,
+    pub(super) codebook: Vec<f32>,
+    pub(super) files: [String; 2],
+}

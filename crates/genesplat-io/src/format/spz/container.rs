@@ -1,0 +1,215 @@
+//! The containers of `.spz`: one gzip stream, or a zstd stream for each attribute.
+
+use std::io::{self, Read, Write};
+use std::path::Path;
+
+use flate2::Compression;
+use flate2::read::GzDecoder;
+use flate2::write::GzEncoder;
+
+use super::{Attributes, FormatError, Header};
+use crate::format::check_claim;
+
+const MAGIC: [u8; 4] = *b"NGSP";
+const HEADER_BYTES: usize = 16;
+const HEADER_BYTES_V4: usize = 32;
+/// Compressed and uncompressed size of a stream.
+const TABLE_ROW_BYTES: usize = 16;
+
+/// The header has extensions behind it, or the attributes have.
+const FLAG_EXTENSIONS: u8 = 2;
+
+/// Adobe's extensions that change what the attributes mean.
+const EXTENSION_SH_RANGE: u32 = 0xADBE_0001;
+const EXTENSION_FRAME: u32 = 0xADBE_0003;
+/// Values of [`EXTENSION_FRAME`]: not said, x right, y up, z back, and x right, y down, z forward.
+const FRAME_UNSPECIFIED: u32 = 0;
+const FRAME_RUB: u32 = 4;
+const FRAME_RDF: u32 = 6;
+
+/// Highest degree of spherical harmonics in a file.
+const SH_DEGREE_MAX: u8 = 4;
+
+/// Level of zstd: the highest that needs no extra memory to be read.
+const ZSTD_LEVEL: i32 = 19;
+
+/// The parts of a file, and whether its frame is y up.
+pub(super) fn open(path: &Path, bytes: &[u8]) -> Result<(Header, Attributes, bool), FormatError> {
+    if bytes.starts_with(&MAGIC) {
+        return open_zstd(path, bytes);
+    }
+    let (header, attributes) = open_gzip(path, bytes)?;
+    Ok((header, attributes, true))
+}
+
+pub(super) fn close(header: &Header, attributes: &Attributes) -> io::Result<Vec<u8>> {
+    if header.version == 4 { close_zstd(header, attributes) } else { close_gzip(header, attributes) }
+}
+
+/// The 16 bytes that all versions begin with; version 4 has the number of streams in the last.
+fn header_bytes(header: &Header, last: u8) -> Vec<u8> {
+    let mut bytes = MAGIC.to_vec();
+    bytes.extend(header.version.to_le_bytes());
+    bytes.extend((header.gaussians as u32).to_le_bytes());
+    bytes.extend([header.sh_degree, header.fraction_bits, header.flags, last]);
+    bytes
+}
+
+fn close_gzip(header: &Header, attributes: &Attributes) -> io::Result<Vec<u8>> {
+    let mut out = GzEncoder::new(Vec::new(), Compression::best());
+    out.write_all(&header_bytes(header, 0))?;
+    attributes.in_order().iter().try_for_each(|stream| out.write_all(stream))?;
+    out.finish()
+}
+
+fn close_zstd(header: &Header, attributes: &Attributes) -> io::Result<Vec<u8>> {
+    let streams: Vec<&[u8]> = attributes.in_order().into_iter().take(stream_count(header)).collect();
+    let compressed: Vec<Vec<u8>> =
+        streams.iter().map(|stream| zstd::bulk::compress(stream, ZSTD_LEVEL)).collect::<io::Result<_>>()?;
+    let mut bytes = header_bytes(header, streams.len() as u8);
+    bytes.extend((HEADER_BYTES_V4 as u32).to_le_bytes());
+    bytes.resize(HEADER_BYTES_V4, 0);
+    for (stream, compressed) in streams.iter().zip(&compressed) {
+        bytes.extend((compressed.len() as u64).to_le_bytes());
+        bytes.extend((stream.len() as u64).to_le_bytes());
+    }
+    compressed.iter().for_each(|stream| bytes.extend(stream));
+    Ok(bytes)
+}
+
+/// Harmonics have a stream only where there are some.
+fn stream_count(header: &Header) -> usize {
+    if header.sh_degree == 0 { 5 } else { 6 }
+}
+
+fn word(bytes: &[u8], at: usize) -> u32 {
+    u32::from_le_bytes(std::array::from_fn(|i| bytes[at + i]))
+}
+
+/// The header in the first 16 bytes; `file_bytes` is the size of the whole file.
+fn parse_header(path: &Path, bytes: &[u8], file_bytes: usize) -> Result<Header, FormatError> {
+    let header = Header {
+        version: word(bytes, 4),
+        gaussians: word(bytes, 8) as usize,
+        sh_degree: bytes[12],
+        fraction_bits: bytes[13],
+        flags: bytes[14],
+    };
+    let (version, degree) = (header.version, header.sh_degree);
+    if !(1..=4).contains(&version) {
+        let problem = format!("is an .spz of version {version}, and genesplat reads 1 to 4; export it as version 4");
+        return Err(FormatError::unsupported(path, problem));
+    }
+    if degree > SH_DEGREE_MAX || header.fraction_bits > 24 {
+        let problem =
+            format!("claims spherical harmonics of degree {degree} and {} binary places", header.fraction_bits);
+        return Err(FormatError::damaged(path, problem));
+    }
+    check_claim(path, header.gaussians as u64, file_bytes)?;
+    Ok(header)
+}
+
+fn open_gzip(path: &Path, bytes: &[u8]) -> Result<(Header, Attributes), FormatError> {
+    let broken = |source: io::Error| FormatError::damaged(path, format!("cannot be decompressed ({source})"));
+    let mut stream = GzDecoder::new(bytes);
+    let mut start = [0; HEADER_BYTES];
+    stream.read_exact(&mut start).map_err(broken)?;
+    if !start.starts_with(&MAGIC) {
+        return Err(FormatError::damaged(path, "is compressed with gzip, but is no .spz"));
+    }
+    let header = parse_header(path, &start, bytes.len())?;
+    if header.version == 4 {
+        return Err(FormatError::damaged(path, "is an .spz of version 4 within gzip, which only older ones are"));
+    }
+    let mut attributes = <[Vec<u8>; 6]>::default();
+    for (attribute, size) in attributes.iter_mut().zip(header.sizes()) {
+        read_exactly(&mut stream, size, attribute).map_err(broken)?;
+    }
+    // Extensions, and whatever other flags announce, follow the attributes.
+    let follows = stream.read(&mut [0]).map_err(broken)? > 0;
+    if follows && header.flags & !super::FLAG_ANTIALIASED == 0 {
+        return Err(FormatError::damaged(path, format!("goes on after its {} Gaussians", header.gaussians)));
+    }
+    Ok((header, Attributes::from_order(attributes)))
+}
+
+/// Grows with what is there, not with what is claimed.
+fn read_exactly(stream: &mut impl Read, size: usize, bytes: &mut Vec<u8>) -> io::Result<()> {
+    stream.take(size as u64).read_to_end(bytes)?;
+    if bytes.len() == size { Ok(()) } else { Err(io::ErrorKind::UnexpectedEof.into()) }
+}
+
+fn open_zstd(path: &Path, bytes: &[u8]) -> Result<(Header, Attributes, bool), FormatError> {
+    let cut = || FormatError::damaged(path, "ends within its header");
+    let start = bytes.get(..HEADER_BYTES_V4).ok_or_else(cut)?;
+    let header = parse_header(path, start, bytes.len())?;
+    let (streams, table_at) = (usize::from(start[15]), word(start, 16) as usize);
+    if header.version != 4 || streams != stream_count(&header) || table_at < HEADER_BYTES_V4 {
+        let problem = format!("has the header of version {} with {streams} streams from {table_at}", header.version);
+        return Err(FormatError::damaged(path, problem));
+    }
+    let is_y_up = match header.flags & FLAG_EXTENSIONS {
+        0 => true,
+        _ => frame_is_y_up(path, bytes.get(HEADER_BYTES_V4..table_at).ok_or_else(cut)?)?,
+    };
+    let table = bytes.get(table_at..).and_then(|rest| rest.split_at_checked(streams * TABLE_ROW_BYTES));
+    let (table, mut rest) = table.ok_or_else(cut)?;
+    let mut attributes = <[Vec<u8>; 6]>::default();
+    for (stream, row) in table.chunks_exact(TABLE_ROW_BYTES).enumerate() {
+        let compressed = usize::try_from(u64::from_le_bytes(std::array::from_fn(|i| row[i])));
+        let (own, following) = compressed
+            .ok()
+            .and_then(|size| rest.split_at_checked(size))
+            .ok_or_else(|| FormatError::damaged(path, format!("ends within its stream {stream}")))?;
+        attributes[stream] = decompress(path, stream, own, header.sizes()[stream])?;
+        rest = following;
+    }
+    if !rest.is_empty() {
+        return Err(FormatError::damaged(path, format!("goes on after its {} Gaussians", header.gaussians)));
+    }
+    Ok((header, Attributes::from_order(attributes), is_y_up))
+}
+
+fn decompress(path: &Path, stream: usize, compressed: &[u8], size: usize) -> Result<Vec<u8>, FormatError> {
+    let mut bytes = Vec::new();
+    // One byte more than there should be shows whether there are more.
+    let read = zstd::Decoder::new(compressed).and_then(|decoder| decoder.take(size as u64 + 1).read_to_end(&mut bytes));
+    match read {
+        Err(source) => Err(FormatError::damaged(path, format!("has a stream {stream} that is broken ({source})"))),
+        Ok(_) if bytes.len() != size => {
+            Err(FormatError::damaged(path, format!("has a stream {stream} of another size than {size} bytes")))
+        }
+        Ok(_) => Ok(bytes),
+    }
+}
+
+/// Reads the extensions, each a type, a size and so many bytes. Those that do not change the attributes are passed over.
+fn frame_is_y_up(path: &Path, mut bytes: &[u8]) -> Result<bool, FormatError> {
+    let mut is_y_up = true;
+    while !bytes.is_empty() {
+        let cut = || FormatError::damaged(path, "ends within an extension");
+        let (start, rest) = bytes.split_at_checked(8).ok_or_else(cut)?;
+        let (payload, rest) = rest.split_at_checked(word(start, 4) as usize).ok_or_else(cut)?;
+        bytes = rest;
+        match word(start, 0) {
+            EXTENSION_SH_RANGE => {
+                let problem = "has spherical harmonics in a range of their own (an extension of Adobe's), which genesplat \
+                               does not read; export it without";
+                return Err(FormatError::unsupported(path, problem));
+            }
+            EXTENSION_FRAME => {
+                is_y_up = match payload.len().ge(&4).then(|| word(payload, 0)) {
+                    Some(FRAME_UNSPECIFIED | FRAME_RUB) => true,
+                    Some(FRAME_RDF) => false,
+                    _ => {
+                        let problem =
+                            "has axes other than y up, z back and y down, z forward; export it with one of them";
+                        return Err(FormatError::unsupported(path, problem));
+                    }
+                };
+            }
+            _ => {}
+        }
+    }
+    Ok(is_y_up)
+}

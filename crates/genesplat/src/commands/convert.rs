@@ -1,0 +1,105 @@
+//! `genesplat convert`: a splat in another format.
+
+use genesplat::io::shown;
+use std::fs;
+use std::path::Path;
+
+use anyhow::{Context, Result, bail, ensure};
+use genesplat::core::gaussians::sigmoid;
+use genesplat::core::{Gaussians, ScreenFilter};
+use genesplat::io::format::{self, Format, Options};
+
+use crate::args::ConvertArgs;
+use crate::run::CLOUD;
+use crate::run::photos::check_test_photos;
+use crate::run::training::evaluate_all;
+use crate::splat::Splat;
+use crate::terminal::numbers::thousands;
+use crate::terminal::output;
+use crate::{device, splat};
+
+/// The format that is asked for.
+pub(crate) fn format_of(args: &ConvertArgs) -> Result<Format> {
+    let endings = Format::ALL.map(Format::ending).join(", ");
+    Format::of(&args.out).with_context(|| {
+        format!("{} names no format that genesplat writes; end it in one of {endings}", shown(&args.out))
+    })
+}
+
+/// Reads, cuts, writes, and says what that cost.
+pub(crate) fn run(args: &ConvertArgs) -> Result<()> {
+    device::use_threads(args.machine.threads)?;
+    let format = format_of(args)?;
+    let splat = splat::open(&args.splat)?;
+    let scene = args.data.as_deref().map(|data| splat.load_scene(data, args.size)).transpose()?;
+    if let Some(scene) = &scene {
+        check_test_photos(&args.splat, scene)?;
+        ensure!(!scene.test.is_empty(), "{} has no test photos to measure a loss on; leave --data out", scene.name);
+    }
+    say_size("read from", &args.splat, splat.cloud.len())?;
+    let cloud = cut(&splat.cloud, args)?;
+    let options = Options {
+        screen_filter: splat.settings.filter,
+        sh_degree: args.sh_degree.unwrap_or(Options::default().sh_degree),
+        spz_version: args.spz_version,
+    };
+    format::write(&args.out, format, &cloud, &options)?;
+    tell_losses(format, &cloud, &splat);
+    say_size("written to", &args.out, cloud.len())?;
+    drop(cloud);
+    let Some(scene) = scene else { return Ok(()) };
+
+    let background = splat.settings.background;
+    let mut backend = device::open(args.machine.device.unwrap_or_default())?;
+    let mut score = |when: &str, mut splat: Splat| {
+        splat.settings.background = background;
+        backend.upload(splat.cloud.into())?;
+        let scores = evaluate_all(&mut backend, &scene.test, &splat.settings, None)?;
+        output::print(&format!("{when:<6} {}", output::scores_line("test", &scores)))?;
+        anyhow::Ok(scores.psnr)
+    };
+    let before = score("before", splat)?;
+    let after = score("after", splat::open(&args.out)?)?;
+    output::print(&format!("lost   {:.2} dB", before - after))
+}
+
+/// The Gaussians that are asked for.
+fn cut(cloud: &Gaussians, args: &ConvertArgs) -> Result<Gaussians> {
+    let is_kept = |row: usize| {
+        let opacity = sigmoid(cloud.opacity_logits[row]) * cloud.filter_dimming(row);
+        args.crop.is_none_or(|crop| crop.contains(cloud.positions[row]))
+            && args.prune.is_none_or(|least| opacity >= least)
+    };
+    let rows: Vec<u32> = (0..cloud.len() as u32).filter(|&row| is_kept(row as usize)).collect();
+    if rows.is_empty() {
+        bail!("no Gaussian of {} is left by --crop and --prune; widen them", shown(&args.splat));
+    }
+    Ok(cloud.gather(&rows))
+}
+
+fn say_size(what: &str, path: &Path, gaussians: usize) -> Result<()> {
+    let file = if path.is_dir() { path.join(CLOUD) } else { path.to_owned() };
+    let bytes = fs::metadata(&file).map_or(0, |file| file.len());
+    let (count, size, each) = (thousands(gaussians), thousands(bytes as usize), bytes as f64 / gaussians as f64);
+    output::print(&format!("{count} Gaussians {what} {}: {size} bytes, {each:.1} a Gaussian", shown(file)))
+}
+
+/// What the format has no place for.
+fn tell_losses(format: Format, cloud: &Gaussians, splat: &Splat) {
+    let ending = format.ending();
+    if format == Format::Splat && cloud.sh_degree_in_use() > 0 {
+        output::tell(&format!("notice: {ending} holds no view-dependent colour, so highlights are lost"));
+    }
+    if format != Format::Ply && cloud.filter_3d.is_some() {
+        output::tell(&format!(
+            "notice: {ending} holds no 3D filter; it is baked in, and the file can be shown but not refined"
+        ));
+    }
+    let says_filter = matches!(format, Format::Ply | Format::Spz | Format::Sog);
+    let is_exact = says_filter && !(format != Format::Ply && splat.settings.filter == ScreenFilter::Mip);
+    if splat.settings.filter != ScreenFilter::Classic && !is_exact {
+        output::tell(&format!(
+            "notice: {ending} does not say how this splat is antialiased, so viewers show small Gaussians a little larger"
+        ));
+    }
+}

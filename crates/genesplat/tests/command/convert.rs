@@ -1,0 +1,137 @@
+//! Splats go from format to format, and every command reads them all.
+
+use std::path::{Path, PathBuf};
+use std::sync::LazyLock;
+
+use genesplat::core::gaussians::sigmoid;
+use genesplat::io::format::{self, Format};
+use tempfile::TempDir;
+
+use crate::support::{fail, json, number, real_data, run, scene, succeed, text, train};
+
+/// A short run that several tests look at.
+static RUN: LazyLock<TempDir> = LazyLock::new(|| {
+    let folder = tempfile::tempdir().unwrap();
+    succeed(train(scene(), &folder.path().join("run"), &["--iterations", "200", "--no-lpips"]));
+    folder
+});
+
+fn finished_run() -> PathBuf {
+    RUN.path().join("run")
+}
+
+fn psnr(splat: &Path, scene: &Path) -> f64 {
+    let place = tempfile::tempdir().unwrap();
+    let figures = place.path().join("scores.json");
+    succeed(["evaluate", text(splat), "--data", text(scene), "--no-lpips", "--json", text(&figures)]);
+    number(&json(&figures)["psnr"])
+}
+
+/// The figure of the line that begins so.
+fn figure(said: &str, line: &str, word: usize) -> f64 {
+    let line = said.lines().find(|text| text.starts_with(line)).unwrap_or_else(|| panic!("no {line}: {said}"));
+    line.split_whitespace().nth(word).unwrap().replace(',', "").parse().unwrap()
+}
+
+#[test]
+fn a_run_becomes_every_format_and_each_is_measured_and_refined() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = finished_run();
+    let before = psnr(&run, scene());
+    for format in Format::ALL {
+        let out = folder.path().join(format!("splat{}", format.ending()));
+        let said = succeed(["convert", text(&run), text(&out), "--data", text(scene())]);
+        let (after, lost) = (psnr(&out, scene()), figure(&said, "lost", 1));
+        assert!(
+            (figure(&said, "before", 3) - before).abs() < 0.006 && (figure(&said, "after", 3) - after).abs() < 0.006
+        );
+        assert!((before - after - lost).abs() < 0.006, "{said}");
+        let most = if format == Format::Splat { 2.0 } else { 0.5 };
+        assert!(lost < most, "{format:?} loses {lost} dB");
+        let (bytes, rows) = (std::fs::metadata(&out).unwrap().len(), format::read(&out).unwrap().cloud.len());
+        let line = said.lines().find(|line| line.contains("written to")).unwrap();
+        assert_eq!(figure(line, "", 0), rows as f64, "{line}");
+        assert!(line.replace(',', "").contains(&format!(": {bytes} bytes")), "{line}");
+        let refined = folder.path().join(format!("refined{}", format.ending()));
+        succeed(["refine", text(&out), "--data", text(scene()), "--iterations", "3", "--out", text(&refined)]);
+        assert_eq!(format::read(&refined).unwrap().format, format, "the name says what is written");
+    }
+}
+
+#[test]
+fn splats_are_cut_on_the_way() {
+    let folder = tempfile::tempdir().unwrap();
+    let (run, out) = (finished_run(), folder.path().join("cut.ply"));
+    let whole = format::read(&run.join("point_cloud.ply")).unwrap().cloud;
+    let convert = |more: &[&str]| {
+        succeed(["convert", text(&run), text(&out)].iter().chain(more));
+        format::read(&out).unwrap().cloud
+    };
+    assert_eq!(convert(&[]), whole, "a PLY is a copy");
+    let cropped = convert(&["--crop", "-0.5,-10,-10,0.5,10,10"]);
+    let inside = whole.positions.iter().filter(|position| (-0.5..=0.5).contains(&position[0]));
+    assert_eq!(cropped.len(), inside.count());
+    assert!(!cropped.is_empty() && cropped.len() < whole.len());
+    let pruned = convert(&["--prune", "0.2"]);
+    let visible = whole.opacity_logits.iter().filter(|&&logit| sigmoid(logit) >= 0.2);
+    assert_eq!(pruned.len(), visible.count());
+    assert_eq!(convert(&["--sh-degree", "0"]).sh_degree_in_use(), 0);
+    fail(["convert", text(&run), text(&out), "--crop", "90,90,90,91,91,91"], &["no Gaussian", "--crop"]);
+}
+
+#[test]
+fn both_versions_of_spz_are_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("splat.spz");
+    for (version, start) in [("3", [0x1f, 0x8b]), ("4", *b"NG")] {
+        succeed(["convert", text(&finished_run()), text(&out), "--spz-version", version]);
+        assert!(std::fs::read(&out).unwrap().starts_with(&start), "version {version}");
+    }
+}
+
+#[test]
+fn what_a_format_has_no_place_for_is_said() {
+    let folder = tempfile::tempdir().unwrap();
+    let mip = folder.path().join("mip");
+    let train = train(scene(), &mip, &["--iterations", "30", "--variant", "mip-splatting", "--no-lpips"]);
+    succeed(train);
+    let notices = |out: &str| {
+        let output = run(["convert", text(&mip), text(&folder.path().join(out))]);
+        assert!(output.status.success());
+        String::from_utf8(output.stderr).unwrap()
+    };
+    assert_eq!(notices("a.ply"), "");
+    assert!(notices("a.spz").contains("3D filter"));
+    assert!(notices("a.glb").contains("antialiased"));
+}
+
+#[test]
+fn names_without_a_format_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("splat.obj");
+    fail(["convert", text(&finished_run()), text(&out)], &["splat.obj", ".compressed.ply", ".glb"]);
+    let made_up = folder.path().join("made-up.spz");
+    std::fs::write(&made_up, b"no splat").unwrap();
+    fail(["convert", text(&made_up), text(&folder.path().join("a.ply"))], &["made-up.spz", "again"]);
+}
+
+/// Sizes and quality on a splat of another trainer; the figures of docs/formats.md.
+#[test]
+fn the_peers_splat_loses_little() {
+    let Some(data) = real_data() else { return };
+    let (peer, folder) = (data.join("peer"), tempfile::tempdir().unwrap());
+    let (splat, scene) = (peer.join("opensplat_fox.ply"), peer.join("scene"));
+    for (name, most_bytes, least_psnr) in [
+        ("a.spz", 610_000, 27.82),
+        ("a.compressed.ply", 1_400_000, 27.85),
+        ("a.sog", 703_000, 27.73),
+        ("a.glb", 5_400_000, 27.87),
+        ("a.splat", 1_087_328, 27.59),
+    ] {
+        let out = folder.path().join(name);
+        let said = succeed(["convert", text(&splat), text(&out), "--data", text(&scene)]);
+        let bytes = std::fs::metadata(&out).unwrap().len();
+        assert!(bytes <= most_bytes, "{name} has {bytes} bytes");
+        assert!(figure(&said, "after", 3) >= least_psnr, "{name}: {said}");
+    }
+}
