@@ -17,6 +17,7 @@ pub mod genes;
 pub mod image;
 pub mod rng;
 pub mod row_versions;
+pub mod sight;
 pub mod spherical_harmonics;
 pub mod statistics;
 
@@ -31,4 +32,5 @@ pub use gaussians::{Gaussians, Moments};
 pub use genes::{GENES, Genes, SparseDelta};
 pub use image::{Image, Photo};
 pub use rng::{Rng, Stream};
+pub use sight::Sight;
 pub use statistics::{Contribution, DensitySignal, Statistics, StatisticsRequest};

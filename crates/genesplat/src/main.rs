@@ -8,6 +8,7 @@ mod commands;
 mod device;
 mod experiment;
 mod files;
+mod live;
 mod lpips;
 mod overwrite;
 mod report;

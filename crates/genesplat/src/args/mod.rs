@@ -17,9 +17,11 @@ use choice::{EVOLUTION, FIXED_BACKGROUNDS, choice};
 
 mod bench;
 mod choice;
+mod page;
 mod train;
 
 pub(crate) use bench::{Bench, BenchEvolutionArgs, BenchGpuArgs, BenchStepArgs, SourceArgs, WorkloadArgs};
+pub(crate) use page::{TrainPageArgs, ViewArgs};
 pub(crate) use train::{EvolutionArgs, TrainArgs};
 
 /// Heading of the flags that few users need.
@@ -73,6 +75,8 @@ pub(crate) enum Command {
     Evaluate(EvaluateArgs),
     /// Render a splat from the viewpoints of photos, as PNG
     Render(RenderArgs),
+    /// Look at a splat in the browser: a page on this machine that this machine renders
+    View(ViewArgs),
     /// Make a finished splat of any trainer better: gradient steps and renewals
     Refine(RefineArgs),
     /// Measure how alike two pictures are: PSNR, SSIM and LPIPS

@@ -10,6 +10,7 @@ mod lpips_install;
 mod refine;
 mod render;
 mod train;
+mod view;
 
 use std::path::Path;
 
@@ -35,6 +36,7 @@ pub(crate) fn run(arguments: Arguments) -> Result<Ending> {
         Command::Refine(args) => return refine::run(&args),
         Command::Evaluate(args) => evaluate::run(&args),
         Command::Render(args) => render::run(&args),
+        Command::View(args) => view::run(&args),
         Command::Compare(args) => compare::run(&args),
         Command::Lpips { what: LpipsCommand::Install(args) } => lpips_install::run(&args),
         Command::Bench { what: Bench::Step(args) } => bench::step::run(&args),
@@ -68,8 +70,11 @@ fn check_outputs(command: &Command) -> Result<()> {
             };
             figures(json, &[source.splat.as_deref()])
         }
-        Command::Train(_) | Command::Demo(_) | Command::Experiment(_) | Command::Lpips { .. } | Command::Devices => {
-            Ok(())
-        }
+        Command::Train(_)
+        | Command::Demo(_)
+        | Command::Experiment(_)
+        | Command::View(_)
+        | Command::Lpips { .. }
+        | Command::Devices => Ok(()),
     }
 }

@@ -3,6 +3,7 @@
 mod bad_input;
 mod determinism;
 mod experiment;
+mod live_page;
 mod lpips;
 mod overwrite;
 mod peer;
