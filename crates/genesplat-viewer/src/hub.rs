@@ -143,7 +143,7 @@ impl Hub {
         let Some(page) = pages.iter_mut().find(|page| page.id == id) else { return Outgoing::default() };
         let mut texts = Vec::new();
         for ((number, text), told) in board.iter().zip(&mut page.told) {
-            if number > told {
+            if *number > *told {
                 texts.push(text.clone());
                 *told = *number;
             }
@@ -211,7 +211,8 @@ impl Hub {
     }
 
     pub(crate) fn post(&self, topic: Topic, text: &str) {
-        let (number, slot) = &mut self.lock().board[topic as usize];
+        let mut inner = self.lock();
+        let (number, slot) = &mut inner.board[topic as usize];
         *number += 1;
         *slot = text.into();
     }

@@ -30,7 +30,7 @@ pub enum Lens {
 
 /// In a cloud that is counted, alphas lie between 1/255 and `e^COUNT_SPREAD` times that: nearly the same, so that the
 /// logarithm of the transmittance counts.
-const COUNT_SPREAD: f32 = 0.1;
+const COUNT_SPREAD: f32 = 0.05;
 /// Standard deviation of a point, px.
 const POINT_PX: f64 = 0.7;
 /// An ellipsoid's standard deviations, of those of the Gaussian: it is opaque to about there.

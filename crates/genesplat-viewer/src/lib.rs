@@ -8,6 +8,7 @@
 //! | [`LiveView`] | the page of one run: its state, its curves, and the pictures that are due between two steps |
 //! | [`message`] | what page and server say to each other |
 //! | [`lens`] | depth, counts, points and ellipses, each as a cloud that an ordinary renderer shows |
+//! | [`path`] | camera paths, for animations |
 //! | `hub` | slots that hold the newest only, between the threads of the pages and the one that renders |
 //! | `server` | threads, time-outs, and caps on all that a stranger can make grow |
 //! | `gate` | who is let in: the token of the address, Host and Origin |
@@ -26,6 +27,7 @@ pub mod lens;
 mod live;
 pub mod message;
 mod page;
+pub mod path;
 mod picture;
 mod server;
 mod socket;

@@ -59,7 +59,6 @@ struct State {
     gaussians: usize,
     loss: Option<f32>,
     psnr: Option<f64>,
-    pages: bool,
 }
 
 #[derive(Default, Serialize)]
@@ -119,7 +118,6 @@ impl LiveView {
             gaussians: 0,
             loss: None,
             psnr: None,
-            pages: true,
         };
         let server = Server::start(address, exhibition, can_train)?;
         let (clock, budget, curves) = (Clock::start(), Budget::default(), Curves::default());
@@ -290,7 +288,7 @@ impl LiveView {
             return Ok((sight.render(camera)?.to_photo(), None));
         }
         let settings = *sight.settings();
-        let (derived, settings) = derive(lens, &*sight.cloud()?, camera, &settings);
+        let (derived, settings) = derive(lens, &sight.cloud()?, camera, &settings);
         self.lens_backend.upload(derived.into())?;
         Ok(develop(lens, &self.lens_backend.render(camera, &settings)?))
     }

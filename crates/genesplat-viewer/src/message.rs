@@ -125,6 +125,10 @@ impl Pose {
         checks.iter().find(|(holds, _)| !holds).map_or(Ok(()), |(_, what)| Err(MessageError::Range(what)))
     }
 
+    pub(crate) fn is_sound(&self) -> bool {
+        self.check().is_ok()
+    }
+
     /// The camera of this pose with square pixels and its principal point in the middle.
     pub fn camera(&self, width: u32, height: u32) -> Camera {
         let [w, x, y, z] = self.rotation;

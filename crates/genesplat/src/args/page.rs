@@ -1,4 +1,4 @@
-//! The live page: `train --view`, and `view`.
+//! The live page: `train --view`, and `view`; and the paths of cameras, which it saves.
 
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::path::PathBuf;
@@ -60,6 +60,27 @@ pub(crate) struct ViewArgs {
     pub(crate) on: ShownOnArgs,
     #[command(flatten)]
     pub(crate) machine: MachineArgs,
+}
+
+/// Where a camera moves.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) enum PathChoice {
+    Orbit,
+    Spiral,
+    Interpolate,
+    File(PathBuf),
+}
+
+impl PathChoice {
+    pub(crate) fn parse(text: &str) -> Result<Self, String> {
+        match text {
+            "orbit" => Ok(Self::Orbit),
+            "spiral" => Ok(Self::Spiral),
+            "interpolate" => Ok(Self::Interpolate),
+            file if file.ends_with(".json") => Ok(Self::File(file.into())),
+            _ => Err("orbit, spiral, interpolate or the name of a .json is needed".into()),
+        }
+    }
 }
 
 fn address(text: &str) -> Result<SocketAddr, String> {

@@ -9,6 +9,7 @@ mod experiment;
 mod lpips_install;
 mod refine;
 mod render;
+mod render_path;
 mod train;
 mod view;
 
@@ -60,6 +61,9 @@ fn check_outputs(command: &Command) -> Result<()> {
             figures(&args.json, &[Some(&args.first), Some(&args.second), weights])
         }
         Command::Render(args) if args.image.is_some() => check_file(&args.out, Content::Picture, &[Some(&args.splat)]),
+        Command::Render(args) if args.path.is_some() && render_path::is_film(&args.out) => {
+            check_file(&args.out, Content::Figures, &[Some(&args.splat)])
+        }
         Command::Render(args) => check_folder(&args.out, "0001.png"),
         Command::Refine(args) => check_file(&args.out, Content::Splat, &[Some(&args.splat), args.config.as_deref()]),
         Command::Bench { what } => {
