@@ -62,6 +62,13 @@ struct CameraCard<'a> {
     pose: Pose,
 }
 
+impl<'a> CameraCard<'a> {
+    fn of(exhibit: &'a Exhibit) -> Self {
+        let Camera { width, height, .. } = exhibit.view.camera;
+        Self { name: &exhibit.view.name, split: exhibit.split, width, height, pose: Pose::of(&exhibit.view.camera) }
+    }
+}
+
 impl Exhibition {
     /// A scene, photos in the order that they were taken in. `cloud` says what there is to turn around where there are
     /// no cameras.
@@ -78,12 +85,7 @@ impl Exhibition {
     }
 
     pub(crate) fn hello(&self, can_train: bool) -> String {
-        let card = |exhibit: &Exhibit| -> CameraCard<'_> {
-            let Camera { width, height, .. } = exhibit.view.camera;
-            let (name, pose) = (exhibit.view.name.as_str(), Pose::of(&exhibit.view.camera));
-            CameraCard { name, split: exhibit.split, width, height, pose }
-        };
-        let cameras = self.exhibits.iter().map(card).collect();
+        let cameras = self.exhibits.iter().map(CameraCard::of).collect();
         let hello = Hello { title: &self.title, framing: self.framing, can_train, scale: css_gradient(), cameras };
         serde_json::to_string(&hello).expect("plain data with text keys is always JSON")
     }

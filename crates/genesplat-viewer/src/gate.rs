@@ -37,7 +37,8 @@ impl Gate {
         if !self.is_host(host) || !is_known {
             return Err(Status::Forbidden);
         }
-        let (token, path) = request.path.strip_prefix('/').and_then(|rest| rest.split_once('/')).ok_or(Status::NotFound)?;
+        let (token, path) =
+            request.path.strip_prefix('/').and_then(|rest| rest.split_once('/')).ok_or(Status::NotFound)?;
         if is_equal(token.as_bytes(), self.token.as_bytes()) { Ok(path) } else { Err(Status::NotFound) }
     }
 
@@ -83,7 +84,8 @@ mod tests {
         for host in ["127.0.0.1:7007", "localhost:9", "LOCALHOST", "[::1]:80", "127.0.0.2"] {
             assert_eq!(get(&page, &format!("Host: {host}\r\n")), Ok("main.js".into()), "{host}");
         }
-        for host in ["evil.example", "evil.example:7007", "127.0.0.1.evil.example", "192.168.1.4", "", "localhost.x:1"] {
+        for host in ["evil.example", "evil.example:7007", "127.0.0.1.evil.example", "192.168.1.4", "", "localhost.x:1"]
+        {
             assert_eq!(get(&page, &format!("Host: {host}\r\n")), Err(Status::Forbidden), "{host}");
         }
         assert_eq!(get(&page, ""), Err(Status::BadRequest));

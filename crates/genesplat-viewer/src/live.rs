@@ -110,15 +110,8 @@ impl LiveView {
         lens_backend: Box<dyn Backend>,
     ) -> Result<Self, ViewerError> {
         let phase = if can_train { Phase::Training } else { Phase::Viewing };
-        let state = State {
-            phase,
-            device: String::new(),
-            iteration: 0,
-            iterations: 0,
-            gaussians: 0,
-            loss: None,
-            psnr: None,
-        };
+        let state =
+            State { phase, device: String::new(), iteration: 0, iterations: 0, gaussians: 0, loss: None, psnr: None };
         let server = Server::start(address, exhibition, can_train)?;
         let (clock, budget, curves) = (Clock::start(), Budget::default(), Curves::default());
         let mut view = Self { server, clock, budget, state, curves, posted: [f64::NEG_INFINITY; 2], lens_backend };
@@ -288,7 +281,8 @@ impl LiveView {
             return Ok((sight.render(camera)?.to_photo(), None));
         }
         let settings = *sight.settings();
-        let (derived, settings) = derive(lens, &sight.cloud()?, camera, &settings);
+        let cloud = sight.cloud()?;
+        let (derived, settings) = derive(lens, &cloud, camera, &settings);
         self.lens_backend.upload(derived.into())?;
         Ok(develop(lens, &self.lens_backend.render(camera, &settings)?))
     }

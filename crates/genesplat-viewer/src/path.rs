@@ -217,9 +217,8 @@ mod tests {
     #[test]
     fn files_are_read_and_refused_with_a_sentence() {
         let view = r#"{"position":[0,0,1],"rotation":[1,0,0,0],"fov_y":0.9}"#;
-        let file = |version: u32, views: &[&str]| {
-            format!(r#"{{"genesplat_path":{version},"views":[{}]}}"#, views.join(","))
-        };
+        let file =
+            |version: u32, views: &[&str]| format!(r#"{{"genesplat_path":{version},"views":[{}]}}"#, views.join(","));
         let parse = |text: String| CameraPath::parse(text.as_bytes());
         assert_eq!(parse(file(1, &[view, view])).unwrap().cameras(4, 64, 48).len(), 4);
         assert_eq!(parse(file(2, &[view, view])), Err(PathError::Version(2)));

@@ -61,7 +61,11 @@ impl Server {
 
     /// Where a browser finds the page, token included.
     pub(crate) fn url(&self) -> String {
-        format!("http://{}/{}/", SocketAddr::new(reachable(self.address.ip()), self.address.port()), self.shared.gate.token())
+        format!(
+            "http://{}/{}/",
+            SocketAddr::new(reachable(self.address.ip()), self.address.port()),
+            self.shared.gate.token()
+        )
     }
 }
 
@@ -69,7 +73,8 @@ impl Drop for Server {
     fn drop(&mut self) {
         self.shared.hub.close();
         // Wakes the thread that accepts.
-        let _ = TcpStream::connect_timeout(&SocketAddr::new(reachable(self.address.ip()), self.address.port()), CLOSE_WAIT);
+        let _ =
+            TcpStream::connect_timeout(&SocketAddr::new(reachable(self.address.ip()), self.address.port()), CLOSE_WAIT);
         if let Some(acceptor) = self.acceptor.take() {
             let _ = acceptor.join();
         }

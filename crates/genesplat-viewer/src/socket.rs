@@ -130,7 +130,9 @@ impl Page<'_> {
         // The answer to a ping is written within.
         self.socket.get_mut().allow_writes();
         let message = match self.socket.read() {
-            Err(Error::Io(error)) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => return Ok(()),
+            Err(Error::Io(error)) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => {
+                return Ok(());
+            }
             other => other?,
         };
         self.heard = Instant::now();

@@ -2,8 +2,8 @@
 //!
 //! An observer is called between device calls and must return at once.
 
-use genesplat_core::backend::StepReport;
 use genesplat_core::Sight;
+use genesplat_core::backend::StepReport;
 use serde::{Deserialize, Serialize};
 
 use super::checkpoint::Checkpoint;

@@ -123,7 +123,11 @@ fn strangers_are_refused() {
         assert!(line.contains(expected), "{path} {headers}: {line}");
     }
     assert!(show.answer(&format!("POST {path} HTTP/1.1\r\nHost: {host}\r\n\r\n")).0.contains("405"));
-    assert!(show.answer(&format!("GET {path} HTTP/1.1\r\nHost: {host}\r\nX: {}\r\n\r\n", "x".repeat(9000))).0.contains("431"));
+    assert!(
+        show.answer(&format!("GET {path} HTTP/1.1\r\nHost: {host}\r\nX: {}\r\n\r\n", "x".repeat(9000)))
+            .0
+            .contains("431")
+    );
     // The counterpart: with our own origin, the socket opens.
     let mut stream = show.connect();
     write!(stream, "GET {socket} HTTP/1.1\r\nHost: {host}\r\nOrigin: http://{host}\r\n{upgrade}\r\n").unwrap();

@@ -1,5 +1,4 @@
 //! A page with a splat behind it, and clients that behave as they should, or do not.
-#![allow(dead_code, reason = "each test file uses a part")]
 
 use std::io::{Read, Write};
 use std::net::TcpStream;
@@ -15,7 +14,7 @@ use tungstenite::client::IntoClientRequest;
 use tungstenite::{Message, WebSocket};
 
 /// Many small splats of all colours around the origin, at a distance of 4 from the camera of [`look`].
-pub fn cloud(gaussians: usize) -> Gaussians {
+pub(crate) fn cloud(gaussians: usize) -> Gaussians {
     let mut cloud = Gaussians::zeros(gaussians);
     let rng = Rng::new(1);
     for row in 0..gaussians {
@@ -30,14 +29,14 @@ pub fn cloud(gaussians: usize) -> Gaussians {
 }
 
 /// A finished splat that is shown until this is dropped.
-pub struct Show {
-    pub url: String,
+pub(crate) struct Show {
+    pub(crate) url: String,
     stop: Arc<AtomicBool>,
     thread: Option<thread::JoinHandle<()>>,
 }
 
 impl Show {
-    pub fn open(gaussians: usize) -> Self {
+    pub(crate) fn open(gaussians: usize) -> Self {
         let (sender, receiver) = mpsc::channel();
         let stop = Arc::new(AtomicBool::new(false));
         let of_thread = stop.clone();
@@ -56,18 +55,18 @@ impl Show {
     }
 
     /// `127.0.0.1:PORT`.
-    pub fn host(&self) -> &str {
+    pub(crate) fn host(&self) -> &str {
         self.url.split('/').nth(2).unwrap()
     }
 
-    pub fn connect(&self) -> TcpStream {
+    pub(crate) fn connect(&self) -> TcpStream {
         let stream = TcpStream::connect(self.host()).unwrap();
         stream.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
         stream
     }
 
     /// The first line of the answer to a request, and all of it.
-    pub fn answer(&self, request: &str) -> (String, String) {
+    pub(crate) fn answer(&self, request: &str) -> (String, String) {
         let mut stream = self.connect();
         stream.write_all(request.as_bytes()).unwrap();
         let mut answer = Vec::new();
@@ -78,7 +77,7 @@ impl Show {
     }
 
     /// A page's socket; `None` where the server has no room.
-    pub fn page(&self) -> Option<WebSocket<TcpStream>> {
+    pub(crate) fn page(&self) -> Option<WebSocket<TcpStream>> {
         let mut request = format!("ws{}socket", self.url.strip_prefix("http").unwrap()).into_client_request().unwrap();
         request.headers_mut().insert("origin", format!("http://{}", self.host()).parse().unwrap());
         let (mut socket, _) = tungstenite::client(request, self.connect()).ok()?;
@@ -95,7 +94,7 @@ impl Drop for Show {
 }
 
 /// Asks for a picture.
-pub fn look(sequence: u32, width: u32, height: u32, lens: &str) -> Message {
+pub(crate) fn look(sequence: u32, width: u32, height: u32, lens: &str) -> Message {
     Message::text(format!(
         r#"{{"type":"look","sequence":{sequence},"pose":{{"position":[0,0,-4],"rotation":[1,0,0,0],"fov_y":1}},
            "width":{width},"height":{height},"quality":90,"lens":"{lens}"}}"#
@@ -103,7 +102,7 @@ pub fn look(sequence: u32, width: u32, height: u32, lens: &str) -> Message {
 }
 
 /// The next picture: its header, and its JPEG.
-pub fn picture(socket: &mut WebSocket<TcpStream>) -> (serde_json::Value, Vec<u8>) {
+pub(crate) fn picture(socket: &mut WebSocket<TcpStream>) -> (serde_json::Value, Vec<u8>) {
     loop {
         let Message::Binary(bytes) = socket.read().unwrap() else { continue };
         let length = u32::from_le_bytes(bytes[..4].try_into().unwrap()) as usize;
@@ -113,20 +112,20 @@ pub fn picture(socket: &mut WebSocket<TcpStream>) -> (serde_json::Value, Vec<u8>
 
 /// Threads of this process.
 #[cfg(target_os = "linux")]
-pub fn threads() -> usize {
+pub(crate) fn threads() -> usize {
     std::fs::read_dir("/proc/self/task").unwrap().count()
 }
 
 /// Memory of this process, bytes.
 #[cfg(target_os = "linux")]
-pub fn resident_bytes() -> u64 {
+pub(crate) fn resident_bytes() -> u64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap();
     let line = status.lines().find(|line| line.starts_with("VmRSS")).unwrap();
     1024 * line.split_whitespace().nth(1).unwrap().parse::<u64>().unwrap()
 }
 
 /// Waits until `holds`, at most so many seconds; whether it does.
-pub fn comes_true(seconds: u64, holds: impl Fn() -> bool) -> bool {
+pub(crate) fn comes_true(seconds: u64, holds: impl Fn() -> bool) -> bool {
     let deadline = Instant::now() + Duration::from_secs(seconds);
     while Instant::now() < deadline {
         if holds() {

@@ -156,7 +156,21 @@ fn frame_path(folder: &Path, frame: u32) -> PathBuf {
 fn ffmpeg(out: &Path, width: u32, height: u32) -> Command {
     let mut command = Command::new("ffmpeg");
     let size = format!("{width}x{height}");
-    command.args(["-loglevel", "error", "-y", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", &size, "-r", RATE, "-i", "-"]);
+    command.args([
+        "-loglevel",
+        "error",
+        "-y",
+        "-f",
+        "rawvideo",
+        "-pix_fmt",
+        "rgb24",
+        "-s",
+        &size,
+        "-r",
+        RATE,
+        "-i",
+        "-",
+    ]);
     if out.extension().is_some_and(|end| end.eq_ignore_ascii_case("gif")) {
         command.args(["-filter_complex", "split[a][b];[a]palettegen[p];[b][p]paletteuse"]);
     } else {

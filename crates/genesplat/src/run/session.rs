@@ -113,7 +113,8 @@ impl RunSession {
     pub(crate) fn write_snapshot(&self, iteration: u32, sight: &mut Sight<'_>) -> Result<PathBuf> {
         let path = self.path.join(SNAPSHOTS).join(format!("iteration-{iteration:06}.ply"));
         let options = PlyOptions { screen_filter: sight.settings().filter, ..PlyOptions::default() };
-        write_ply(&path, &sight.cloud()?, &options)?;
+        let cloud = sight.cloud()?;
+        write_ply(&path, &cloud, &options)?;
         Ok(path)
     }
 

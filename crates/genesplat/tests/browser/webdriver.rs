@@ -31,7 +31,8 @@ impl Browser {
             return None;
         };
         let mut lines = BufReader::new(driver.stdout.take().unwrap()).lines().map(Result::unwrap);
-        let port = lines.find_map(|line| line.split_once("successfully on port ")?.1.trim_end_matches('.').parse().ok());
+        let port =
+            lines.find_map(|line| line.split_once("successfully on port ")?.1.trim_end_matches('.').parse().ok());
         std::thread::spawn(move || lines.for_each(drop));
         let profile = tempfile::tempdir().unwrap();
         let mut browser = Self { driver, port: port.expect("a port"), session: String::new(), _profile: profile };
@@ -85,7 +86,8 @@ impl Browser {
     /// Presses the mouse in the middle of an element, and moves it.
     pub(crate) fn drag(&self, selector: &str, dx: i32, dy: i32) {
         let element = json!({ELEMENT: self.find(selector)});
-        let step = |dx: i32, dy: i32| json!({"type": "pointerMove", "origin": "pointer", "duration": 80, "x": dx, "y": dy});
+        let step =
+            |dx: i32, dy: i32| json!({"type": "pointerMove", "origin": "pointer", "duration": 80, "x": dx, "y": dy});
         let actions = json!([
             {"type": "pointerMove", "origin": element, "x": 0, "y": 0},
             {"type": "pointerDown", "button": 0},
@@ -165,7 +167,9 @@ fn read_body(mut answer: impl BufRead) -> Vec<u8> {
     loop {
         let mut line = String::new();
         answer.read_line(&mut line).unwrap();
-        if let Some((name, value)) = line.split_once(':').filter(|(name, _)| name.eq_ignore_ascii_case("content-length")) {
+        if let Some((name, value)) =
+            line.split_once(':').filter(|(name, _)| name.eq_ignore_ascii_case("content-length"))
+        {
             length = value.trim().parse().unwrap_or_else(|_| panic!("{name}: {value}"));
         }
         if line.trim().is_empty() {
