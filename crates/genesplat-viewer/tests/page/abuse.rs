@@ -2,15 +2,11 @@
 #![cfg(target_os = "linux")]
 
 use std::io::{Read, Write};
-use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
 use tungstenite::Message;
 
-use crate::support::{Show, comes_true, look, picture, resident_bytes, threads};
-
-/// Threads and memory are those of the whole process, so these tests take turns.
-static TURN: Mutex<()> = Mutex::new(());
+use crate::support::{Show, TURN, comes_true, look, picture, resident_bytes, threads};
 
 /// A server that works, and the number of its process's threads while nobody is connected.
 fn show(gaussians: usize) -> (Show, usize) {

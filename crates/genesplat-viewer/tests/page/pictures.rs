@@ -5,10 +5,11 @@ use genesplat_kernels::cpu::CpuBackend;
 use genesplat_viewer::lens::{Lens, derive, develop};
 use genesplat_viewer::message::Pose;
 
-use crate::support::{Show, look, picture};
+use crate::support::{Show, TURN, look, picture};
 
 #[test]
 fn a_page_gets_its_parts_and_the_pictures_it_asks_for() {
+    let _turn = TURN.lock();
     let show = Show::open(500);
     let path = show.url.split_once(show.host()).unwrap().1;
     for part in ["", "main.js", "style.css"] {

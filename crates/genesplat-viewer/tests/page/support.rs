@@ -3,7 +3,7 @@
 use std::io::{Read, Write};
 use std::net::TcpStream;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, mpsc};
+use std::sync::{Arc, Mutex, mpsc};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -12,6 +12,9 @@ use genesplat_kernels::cpu::CpuBackend;
 use genesplat_viewer::{Exhibition, LiveView};
 use tungstenite::client::IntoClientRequest;
 use tungstenite::{Message, WebSocket};
+
+/// Threads and memory are those of the whole process, so tests with a server take turns.
+pub(crate) static TURN: Mutex<()> = Mutex::new(());
 
 /// Many small splats of all colours around the origin, at a distance of 4 from the camera of [`look`].
 pub(crate) fn cloud(gaussians: usize) -> Gaussians {
