@@ -18,7 +18,8 @@ export class Charts {
     this.#stages = new Chart(place, { key: "stages", name: "Evolution, dB gained by guards", digits: 2 });
   }
 
-  show({ stages, ...curves }) {
+  show({ stages, loss, psnr, gaussians }) {
+    const curves = { loss, psnr, gaussians };
     const iterations = [...Object.values(curves).flat().map(([at]) => at), ...stages.map(({ iteration }) => iteration)];
     const end = Math.max(1, ...iterations);
     this.#charts.forEach((chart) => chart.show(curves[chart.key], end));

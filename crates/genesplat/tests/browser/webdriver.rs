@@ -1,6 +1,6 @@
 //! A browser without a window, steered by WebDriver (W3C): JSON over HTTP to chromedriver.
 
-use std::io::{BufRead, BufReader, Read, Write};
+use std::io::{BufRead, BufReader, Write};
 use std::net::TcpStream;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
