@@ -8,7 +8,7 @@ const RESEND_MS = 120;
 const PIXELS_MAX = 2_400_000;
 const QUALITY = { moving: 68, still: 90 };
 const FACTOR = { least: 0.25, most: 1 };
-const FRUSTUM_SIZE = 0.07;
+const FRUSTUM_SIZE = 0.045;
 const CLICK_RADIUS_PX = 16;
 
 export class Stage {
