@@ -1,6 +1,6 @@
 //! A browser without a window, steered by WebDriver (W3C): JSON over HTTP to chromedriver.
 
-use std::io::{BufRead, BufReader, Write};
+use std::io::{self, BufRead, BufReader, Write};
 use std::net::TcpStream;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
@@ -143,49 +143,47 @@ impl Browser {
     }
 
     fn request(&self, method: &str, path: &str, body: &Value) -> Value {
-        let mut stream = TcpStream::connect(("127.0.0.1", self.port)).unwrap();
-        stream.set_read_timeout(Some(Duration::from_secs(120))).unwrap();
-        let body = if body.is_null() { String::new() } else { body.to_string() };
-        write!(
-            stream,
-            "{method} {path} HTTP/1.1\r\nHost: 127.0.0.1:{}\r\nContent-Type: application/json\r\nContent-Length: {}\r\n\
-             Connection: close\r\n\r\n{body}",
-            self.port,
-            body.len()
-        )
-        .unwrap();
-        let answer = read_body(BufReader::new(stream));
-        let mut answer: Value = serde_json::from_slice(&answer).unwrap();
+        let mut answer = self.exchange(method, path, body).unwrap_or_else(|error| panic!("{method} {path}: {error}"));
         let value = answer["value"].take();
         assert!(value.get("error").is_none(), "{method} {path}: {value}");
         value
     }
+
+    fn exchange(&self, method: &str, path: &str, body: &Value) -> io::Result<Value> {
+        let mut stream = TcpStream::connect(("127.0.0.1", self.port))?;
+        stream.set_read_timeout(Some(Duration::from_secs(120)))?;
+        let body = if body.is_null() { String::new() } else { body.to_string() };
+        let (port, length) = (self.port, body.len());
+        write!(
+            stream,
+            "{method} {path} HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nContent-Type: application/json\r\n\
+             Content-Length: {length}\r\nConnection: close\r\n\r\n{body}"
+        )?;
+        Ok(serde_json::from_slice(&read_body(BufReader::new(stream))?)?)
+    }
 }
 
-fn read_body(mut answer: impl BufRead) -> Vec<u8> {
+fn read_body(mut answer: impl BufRead) -> io::Result<Vec<u8>> {
     let mut length = 0;
     loop {
         let mut line = String::new();
-        answer.read_line(&mut line).unwrap();
-        if let Some((name, value)) =
-            line.split_once(':').filter(|(name, _)| name.eq_ignore_ascii_case("content-length"))
-        {
-            length = value.trim().parse().unwrap_or_else(|_| panic!("{name}: {value}"));
+        answer.read_line(&mut line)?;
+        if let Some((_, value)) = line.split_once(':').filter(|(name, _)| name.eq_ignore_ascii_case("content-length")) {
+            length = value.trim().parse().map_err(io::Error::other)?;
         }
         if line.trim().is_empty() {
             break;
         }
     }
     let mut body = vec![0; length];
-    answer.read_exact(&mut body).unwrap();
-    body
+    answer.read_exact(&mut body)?;
+    Ok(body)
 }
 
 impl Drop for Browser {
+    /// Chromium outlives a driver that is killed, so it is told to end, in a test that has failed, too.
     fn drop(&mut self) {
-        if !self.session.is_empty() && !std::thread::panicking() {
-            self.request("DELETE", &format!("/session/{}", self.session), &Value::Null);
-        }
+        let _ = self.exchange("DELETE", &format!("/session/{}", self.session), &Value::Null);
         let _ = self.driver.kill();
         let _ = self.driver.wait();
     }
