@@ -19,6 +19,7 @@ pub mod memory;
 pub mod morton;
 pub mod rng;
 pub mod row_versions;
+pub mod sight;
 pub mod spherical_harmonics;
 pub mod statistics;
 
@@ -34,4 +35,5 @@ pub use genes::{GENES, Genes, SparseDelta};
 pub use image::{Image, Photo};
 pub use morton::morton_order;
 pub use rng::{Rng, Stream};
+pub use sight::Sight;
 pub use statistics::{Contribution, DensitySignal, Statistics, StatisticsRequest};

@@ -12,6 +12,7 @@
 //! | [`kernels`] | the numeric stages: the f64 reference and the CPU backend |
 //! | [`evolve`] | the genetic algorithm, without a renderer |
 //! | [`train`] | the training algorithm, the evolution stage |
+//! | [`viewer`] | the live page: a small server on loopback, and what it shows |
 //! | [`metrics`] | PSNR, SSIM and LPIPS, of two pictures and of all test photos |
 //!
 //! From photos to figures, here with the bundled scene (made tiny, and trained for a moment):
@@ -48,3 +49,4 @@ pub use genesplat_io as io;
 pub use genesplat_kernels as kernels;
 pub use genesplat_metrics as metrics;
 pub use genesplat_train as train;
+pub use genesplat_viewer as viewer;

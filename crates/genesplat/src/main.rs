@@ -9,6 +9,7 @@ mod device;
 mod experiment;
 mod files;
 mod inspect;
+mod live;
 mod lpips;
 mod overwrite;
 mod report;

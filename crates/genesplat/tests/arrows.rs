@@ -8,7 +8,7 @@ fn root() -> PathBuf {
 }
 
 /// What each crate may depend on.
-const ARROWS: [(&str, &[&str]); 9] = [
+const ARROWS: [(&str, &[&str]); 10] = [
     ("genesplat-core", &[]),
     ("genesplat-io", &["genesplat-core"]),
     ("genesplat-gallery", &["genesplat-core", "genesplat-io"]),
@@ -16,6 +16,7 @@ const ARROWS: [(&str, &[&str]); 9] = [
     ("genesplat-kernels", &["genesplat-core"]),
     ("genesplat-gpu", &["genesplat-core"]),
     ("genesplat-evolve", &["genesplat-core"]),
+    ("genesplat-viewer", &["genesplat-core"]),
     ("genesplat-train", &["genesplat-core", "genesplat-evolve"]),
     (
         "genesplat",
@@ -28,6 +29,7 @@ const ARROWS: [(&str, &[&str]); 9] = [
             "genesplat-kernels",
             "genesplat-metrics",
             "genesplat-train",
+            "genesplat-viewer",
         ],
     ),
 ];

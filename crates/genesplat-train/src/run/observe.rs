@@ -2,8 +2,8 @@
 //!
 //! An observer is called between device calls and must return at once.
 
+use genesplat_core::Sight;
 use genesplat_core::backend::StepReport;
-use genesplat_core::{BackendError, Camera, Image};
 use serde::{Deserialize, Serialize};
 
 use super::checkpoint::Checkpoint;
@@ -191,9 +191,6 @@ impl StageRecord {
     }
 }
 
-/// Renders the cloud in training as it will be evaluated.
-pub type Render<'a> = &'a mut dyn FnMut(&Camera) -> Result<Image, BackendError>;
-
 /// Hears what training does. All methods do nothing unless overridden.
 pub trait Observer {
     /// The run begins.
@@ -216,8 +213,8 @@ pub trait Observer {
     fn wants_renders(&mut self, _iteration: u32) -> bool {
         false
     }
-    /// The looks that were wanted; training goes on when it returns.
-    fn on_renders(&mut self, _iteration: u32, _render: Render<'_>) {}
+    /// The cloud in training, to be rendered as it will be evaluated; training goes on when it returns.
+    fn on_renders(&mut self, _iteration: u32, _sight: &mut Sight<'_>) {}
 }
 
 /// Hears nothing.

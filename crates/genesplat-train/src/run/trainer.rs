@@ -8,7 +8,7 @@ use genesplat_core::averages::WINDOW_HALVES;
 use genesplat_core::backend::McmcStep;
 use genesplat_core::memory::ensure_memory;
 use genesplat_core::{
-    BackendError, DensitySignal, EvolutionBackend, Gaussians, Genes, LearningRates, RenderSettings, Rng,
+    BackendError, DensitySignal, EvolutionBackend, Gaussians, Genes, LearningRates, RenderSettings, Rng, Sight,
     StatisticsRequest, Stream, TrainStep, Update, View,
 };
 
@@ -188,8 +188,8 @@ impl<'a> Trainer<'a> {
             self.observer.on_checkpoint(*checkpoint);
         }
         if wants_renders {
-            let (settings, backend) = (self.settings(i), &mut *self.backend);
-            self.observer.on_renders(i, &mut |camera| backend.render(camera, &settings));
+            let settings = self.settings(i);
+            self.observer.on_renders(i, &mut Sight::new(&mut *self.backend, settings));
         }
         Ok(())
     }

@@ -4,9 +4,9 @@
 
 use std::sync::atomic::AtomicBool;
 
-use genesplat_core::{DensitySignal, Rng, ScreenFilter};
+use genesplat_core::{DensitySignal, Rng, ScreenFilter, Sight};
 use genesplat_train::config::Signal;
-use genesplat_train::observe::{DensifyLog, Render, StepLog};
+use genesplat_train::observe::{DensifyLog, StepLog};
 use genesplat_train::scene::initialise::{InitialiseError, cloud_from_points};
 use genesplat_train::{
     Background, EvolutionMode, Observer, Outcome, Silent, Start, StepBudget, TrainConfig, TrainError, Variant, train,
@@ -322,8 +322,8 @@ impl Observer for Listener {
     fn wants_renders(&mut self, iteration: u32) -> bool {
         iteration == 17
     }
-    fn on_renders(&mut self, iteration: u32, render: Render<'_>) {
-        assert_eq!(render(&views(1)[0].camera).unwrap().width, views(1)[0].camera.width);
+    fn on_renders(&mut self, iteration: u32, sight: &mut Sight<'_>) {
+        assert_eq!(sight.render(&views(1)[0].camera).unwrap().width, views(1)[0].camera.width);
         self.looks.push(iteration);
     }
 }

@@ -19,10 +19,12 @@ use choice::{EVOLUTION, FIXED_BACKGROUNDS, choice};
 mod bench;
 mod choice;
 mod convert;
+mod page;
 mod train;
 
 pub(crate) use bench::{Bench, BenchEvolutionArgs, BenchGpuArgs, BenchStepArgs, SourceArgs, WorkloadArgs};
 pub(crate) use convert::ConvertArgs;
+pub(crate) use page::{PathChoice, TrainPageArgs, ViewArgs};
 pub(crate) use train::{EvolutionArgs, TrainArgs};
 
 /// Heading of the flags that few users need.
@@ -78,6 +80,8 @@ pub(crate) enum Command {
     Evaluate(EvaluateArgs),
     /// Render a splat from the viewpoints of photos, as PNG
     Render(RenderArgs),
+    /// Look at a splat in the browser: a page on this machine that this machine renders
+    View(ViewArgs),
     /// Write a splat as another format: .ply, compressed .ply, .splat, .spz, .sog or .glb
     Convert(ConvertArgs),
     /// Make a finished splat of any trainer better: gradient steps and renewals
@@ -210,7 +214,7 @@ pub(crate) struct EvaluateArgs {
 }
 
 #[derive(Debug, Args)]
-#[command(group(clap::ArgGroup::new("which").required(true).args(["image", "split"])))]
+#[command(group(clap::ArgGroup::new("which").required(true).args(["image", "split", "path"])))]
 pub(crate) struct RenderArgs {
     /// A splat (.ply, compressed .ply, .splat, .spz, .sog or .glb), or the folder of a run
     #[arg(value_name = "SPLAT|RUN")]
@@ -224,8 +228,15 @@ pub(crate) struct RenderArgs {
     /// Render the viewpoints of many photos
     #[arg(long, value_enum, value_name = "SPLIT")]
     pub(crate) split: Option<RenderSplit>,
+    /// Render what a moving camera sees: orbit (around the scene, once), spiral (small circles in front of it),
+    /// interpolate (from camera to camera), or a file that the page of `genesplat view` has saved
+    #[arg(long, value_name = "orbit|spiral|interpolate|FILE.json", value_parser = PathChoice::parse)]
+    pub(crate) path: Option<PathChoice>,
+    /// Frames of the path, 2 to 10000
+    #[arg(long, value_name = "N", default_value_t = 120, value_parser = clap::value_parser!(u32).range(2..=10_000))]
+    pub(crate) frames: u32,
     /// With --image the picture to write, a JPEG where its name ends so and else a PNG; with --split the folder for
-    /// PNGs
+    /// PNGs; with --path that, or a .mp4 or .gif, which ffmpeg makes if it is installed
     #[arg(long, value_name = "FILE|DIR")]
     pub(crate) out: PathBuf,
     #[command(flatten)]

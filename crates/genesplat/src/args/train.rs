@@ -8,7 +8,7 @@ use genesplat::train::config::Signal;
 use genesplat::train::{Background, EvolutionMode, TrainConfig, Variant};
 
 use super::choice::{BACKGROUNDS, EVOLUTION, SIGNALS, VARIANTS, choice};
-use super::{LpipsArgs, MORE, MachineArgs, SEEDS, SizeArgs, scale};
+use super::{LpipsArgs, MORE, MachineArgs, SEEDS, SizeArgs, TrainPageArgs, scale};
 
 #[derive(Debug, Args)]
 pub(crate) struct TrainArgs {
@@ -33,6 +33,8 @@ pub(crate) struct TrainArgs {
     /// Go on with the interrupted run in DIR, from its checkpoint; the result is the same as without the interruption
     #[arg(long)]
     pub(crate) resume: bool,
+    #[command(flatten)]
+    pub(crate) page: TrainPageArgs,
     #[command(flatten)]
     pub(crate) machine: MachineArgs,
     #[command(flatten)]

@@ -11,8 +11,10 @@ mod inspect;
 mod lpips_install;
 mod refine;
 mod render;
+mod render_path;
 mod shell;
 mod train;
+mod view;
 
 use std::path::Path;
 
@@ -39,6 +41,7 @@ pub(crate) fn run(arguments: Arguments) -> Result<Ending> {
         Command::Inspect(args) => inspect::run(&args),
         Command::Evaluate(args) => evaluate::run(&args),
         Command::Render(args) => render::run(&args),
+        Command::View(args) => view::run(&args),
         Command::Compare(args) => compare::run(&args),
         Command::Convert(args) => convert::run(&args),
         Command::Lpips { what: LpipsCommand::Install(args) } => lpips_install::run(&args),
@@ -66,6 +69,9 @@ fn check_outputs(command: &Command) -> Result<()> {
             figures(&args.json, &[Some(&args.first), Some(&args.second), weights])
         }
         Command::Render(args) if args.image.is_some() => check_file(&args.out, Content::Picture, &[Some(&args.splat)]),
+        Command::Render(args) if args.path.is_some() && render_path::is_film(&args.out) => {
+            check_file(&args.out, Content::Figures, &[Some(&args.splat)])
+        }
         Command::Render(args) => check_folder(&args.out, "0001.png"),
         Command::Refine(args) => check_file(&args.out, Content::Splat, &[Some(&args.splat), args.config.as_deref()]),
         Command::Convert(args) => {
@@ -83,6 +89,7 @@ fn check_outputs(command: &Command) -> Result<()> {
         Command::Train(_)
         | Command::Demo(_)
         | Command::Experiment(_)
+        | Command::View(_)
         | Command::Lpips { .. }
         | Command::Devices
         | Command::Completions { .. }

@@ -7,6 +7,7 @@ use anyhow::{Result, bail};
 use genesplat::core::{Photo, View};
 use genesplat::io::{Scene, photos, shown};
 
+use super::render_path;
 use crate::args::{RenderArgs, RenderSplit};
 use crate::overwrite::Content;
 use crate::run::photos::check_test_photos;
@@ -19,6 +20,9 @@ const JPEG_QUALITY: u8 = 95;
 
 /// Renders one viewpoint into a file, or many into a folder.
 pub(crate) fn run(args: &RenderArgs) -> Result<()> {
+    if let Some(path) = &args.path {
+        return render_path::run(args, path);
+    }
     device::use_threads(args.machine.threads)?;
     let splat = splat::open(&args.splat)?.on(args.on);
     let scene = splat.load_scene(&args.data, args.size)?;

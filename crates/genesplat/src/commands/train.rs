@@ -31,7 +31,8 @@ pub(crate) fn run(args: &TrainArgs) -> Result<Ending> {
     // Now, since weights that cannot be read should not stop a run at its end.
     let lpips = lpips::open(&args.lpips)?;
     let settings = config.resolve(args.machine)?;
-    let run = Run { settings: &settings, scene: &scene, lpips: lpips.as_ref(), stop: &stop, began };
+    let page = args.page.address();
+    let run = Run { settings: &settings, scene: &scene, lpips: lpips.as_ref(), stop: &stop, page, began };
     let ended = run.execute(&mut session)?;
     report(&ended, session.path())
 }

@@ -10,6 +10,7 @@
 //! | `test/NAME.png` | renders of the photos that training never saw |
 //! | `metrics.json` | the figures |
 //! | `report.html` | all of it, to look at |
+//! | `snapshots/iteration-N.ply` | the splat at some iterations, where the live page was asked to save it |
 //! | `checkpoint/latest.checkpoint` | the state of an unfinished run |
 //! | `previous/` | what an older run had left, until this one has come to its end |
 //! | `.lock` | empty; whoever writes to the folder holds its lock |
@@ -33,6 +34,7 @@ pub(crate) const REPORT: &str = "report.html";
 pub(crate) const CLOUD: &str = "point_cloud.ply";
 pub(crate) const FUSED_CLOUD: &str = "point_cloud_fused.ply";
 pub(crate) const TEST: &str = "test";
+pub(crate) const SNAPSHOTS: &str = "snapshots";
 pub(crate) const CHECKPOINT: &str = "checkpoint/latest.checkpoint";
 
 /// The files that a run leaves beside its settings and pictures; first what is worth most.

@@ -6,12 +6,12 @@ use std::io::{BufReader, ErrorKind};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Result, anyhow, bail, ensure};
-use genesplat::core::{Gaussians, ScreenFilter};
+use genesplat::core::{Gaussians, ScreenFilter, Sight};
 use genesplat::io::{PlyOptions, input, shown, write_ply};
 use genesplat::train::Checkpoint;
 
 use super::metrics::Metrics;
-use super::{CHECKPOINT, CLOUD, CONFIG, FUSED_CLOUD, LOG, METRICS, REPORT, RESULTS, TEST, previous};
+use super::{CHECKPOINT, CLOUD, CONFIG, FUSED_CLOUD, LOG, METRICS, REPORT, RESULTS, SNAPSHOTS, TEST, previous};
 use crate::files::{
     check_folder, check_writable, remove_if_there, remove_leftovers, unwritable, write_file, write_json, write_text,
 };
@@ -131,6 +131,15 @@ impl RunSession {
             write_ply(&self.path.join(FUSED_CLOUD), &cloud.fused(), &options)?;
         }
         Ok(write_ply(&self.path.join(CLOUD), cloud, &options)?)
+    }
+
+    /// Writes the cloud of a run under way beside its results; returns where it is.
+    pub(crate) fn write_snapshot(&self, iteration: u32, sight: &mut Sight<'_>) -> Result<PathBuf> {
+        let path = self.path.join(SNAPSHOTS).join(format!("iteration-{iteration:06}.ply"));
+        let options = PlyOptions { screen_filter: sight.settings().filter, ..PlyOptions::default() };
+        let cloud = sight.cloud()?;
+        write_ply(&path, &cloud, &options)?;
+        Ok(path)
     }
 
     pub(crate) fn write_checkpoint(&self, checkpoint: &Checkpoint) -> Result<()> {

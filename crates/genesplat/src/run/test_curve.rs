@@ -3,9 +3,8 @@
 //! Training does not see the scores, and the time is billed to neither gradients nor evolution.
 
 use anyhow::Result;
-use genesplat::core::View;
+use genesplat::core::{Sight, View};
 use genesplat::metrics::psnr;
-use genesplat::train::observe::Render;
 
 const POINTS: u32 = 12;
 
@@ -26,10 +25,10 @@ impl<'a> TestCurve<'a> {
     }
 
     /// Mean PSNR, dB; `None` when a photo is reproduced exactly.
-    pub(crate) fn score(&self, render: Render<'_>) -> Result<Option<f64>> {
+    pub(crate) fn score(&self, sight: &mut Sight<'_>) -> Result<Option<f64>> {
         let mut sum = 0.0;
         for view in self.views {
-            let picture = render(&view.camera)?.to_photo();
+            let picture = sight.render(&view.camera)?.to_photo();
             sum += psnr(&picture, &view.photo)?;
         }
         let mean = sum / self.views.len() as f64;

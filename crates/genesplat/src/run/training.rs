@@ -1,5 +1,6 @@
 //! One run: from a loaded scene to a finished folder.
 
+use std::net::SocketAddr;
 use std::path::Path;
 use std::slice;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -12,6 +13,7 @@ use genesplat::io::{Scene, shown};
 use genesplat::metrics::{Evaluation, Lpips, evaluate};
 use genesplat::train::scene::initialise::scene_extent;
 use genesplat::train::{Outcome, RunSummary, Start, train};
+use genesplat::viewer::{LiveView, Phase};
 
 use super::log::Log;
 use super::metrics::{Metrics, PhaseSeconds};
@@ -23,7 +25,7 @@ use crate::report::run::{RunPage, command_line};
 use crate::settings::Settings;
 use crate::terminal::progress::Bar;
 use crate::terminal::reporter::Reporter;
-use crate::{device, overwrite, scene};
+use crate::{device, live, overwrite, scene};
 
 pub(crate) struct Run<'a> {
     pub(crate) settings: &'a Settings,
@@ -31,6 +33,8 @@ pub(crate) struct Run<'a> {
     pub(crate) lpips: Option<&'a Lpips>,
     /// Set by Ctrl-C and SIGTERM.
     pub(crate) stop: &'a AtomicBool,
+    /// Where a page shows the run while it trains.
+    pub(crate) page: Option<SocketAddr>,
     pub(crate) began: Instant,
 }
 
@@ -56,12 +60,13 @@ impl Run<'_> {
         if !session.resumes() && self.stop.load(Ordering::Relaxed) {
             return Ok(Ended::NotBegun);
         }
+        let live = self.page.map(|address| live::of_training(address, self.scene)).transpose()?;
         session.begin(&self.settings.to_toml())?;
         let load = self.began.elapsed().as_secs_f64();
         memory::forget_peak();
         let log = Log::open(session.path(), session.resumes())?;
         let start = self.start(session)?;
-        let ended = self.train(session, &mut device, start, log, load);
+        let ended = self.train(session, &mut device, start, log, live, load);
         ended.map_err(|error| failure::explain(error, session.path(), session.caller()))
     }
 
@@ -80,7 +85,15 @@ impl Run<'_> {
         }
     }
 
-    fn train(&self, session: &RunSession, device: &mut Device, start: Start, log: Log, load: f64) -> Result<Ended> {
+    fn train(
+        &self,
+        session: &RunSession,
+        device: &mut Device,
+        start: Start,
+        log: Log,
+        mut live: Option<LiveView>,
+        load: f64,
+    ) -> Result<Ended> {
         let seconds_before = match &start {
             Start::Checkpoint(saved) => saved.progress.seconds.gradient + saved.progress.seconds.evolution,
             _ => 0.0,
@@ -88,7 +101,7 @@ impl Run<'_> {
         let Self { settings, scene, stop, .. } = *self;
         let config = &settings.train;
         let curve = TestCurve::new(&scene.test, config.schedule().iterations);
-        let mut reporter = Reporter::of_run(session, log, curve, stop);
+        let mut reporter = Reporter::of_run(session, log, curve, live.as_mut(), stop);
         let Outcome { cloud, summary, checkpoint } =
             train(device.as_mut(), &scene.train, start, config, &mut reporter, stop)?;
         // A disk that has no space for the checkpoint, the larger of the two, may have space for the cloud.
@@ -97,7 +110,9 @@ impl Run<'_> {
         drop(cloud);
         saved?;
         reporter.into_result()?;
-
+        if let Some(live) = &mut live {
+            live.set_phase(Phase::Scoring);
+        }
         self.conclude(session, device, summary, load, seconds_before)
     }
 

@@ -19,12 +19,17 @@ const ONE_WISH: Duration = Duration::from_secs(1);
 
 /// A flag that the first Ctrl-C or SIGTERM sets; one that comes later ends the process.
 pub(crate) fn stop_flag() -> Result<Arc<AtomicBool>> {
+    stop_flag_saying("stopping: results so far are being saved; press Ctrl-C again to abort at once")
+}
+
+/// The same with other words for who has pressed it.
+pub(crate) fn stop_flag_saying(words: &'static str) -> Result<Arc<AtomicBool>> {
     let stop = Arc::new(AtomicBool::new(false));
     let (flag, first) = (stop.clone(), Arc::new(OnceLock::new()));
     let handler = move || match Wish::at(Instant::now(), &first) {
         Wish::Stop => {
             flag.store(true, Ordering::Relaxed);
-            output::tell("stopping: results so far are being saved; press Ctrl-C again to abort at once");
+            output::tell(words);
         }
         Wish::Same => {}
         Wish::Abort => process::exit(STOPPED.into()),

@@ -3,13 +3,16 @@
 //! An observer cannot fail, so the first thing that goes wrong here (a full disk, most likely) is kept and the run is
 //! told to stop.
 
+use genesplat::io::shown;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::Result;
+use genesplat::core::Sight;
 use genesplat::train::observe::{
-    DensifyLog, GenerationLog, LogRecord, Render, StageKind, StageLog, StageRecord, StartLog, StepLog,
+    DensifyLog, GenerationLog, LogRecord, StageKind, StageLog, StageRecord, StartLog, StepLog,
 };
 use genesplat::train::{Checkpoint, Observer};
+use genesplat::viewer::{LiveView, Owner};
 
 use super::numbers::thousands;
 use super::output;
@@ -23,6 +26,8 @@ pub(crate) struct Reporter<'a> {
     /// Says nothing, and draws bars that vanish.
     quiet: bool,
     curve: Option<TestCurve<'a>>,
+    /// A page that shows the run.
+    live: Option<&'a mut LiveView>,
     stop: &'a AtomicBool,
     /// Of gradient steps; where there are none, of the generations of a stage.
     bar: Option<Bar>,
@@ -41,10 +46,11 @@ impl<'a> Reporter<'a> {
         session: &'a RunSession,
         log: Log,
         curve: Option<TestCurve<'a>>,
+        live: Option<&'a mut LiveView>,
         stop: &'a AtomicBool,
     ) -> Self {
         let quiet = session.caller() == Caller::Experiment;
-        Self { folder: Some((session, log)), quiet, curve, ..Self::without_folder(stop) }
+        Self { folder: Some((session, log)), quiet, curve, live, ..Self::without_folder(stop) }
     }
 
     /// Reports to the terminal only.
@@ -53,6 +59,7 @@ impl<'a> Reporter<'a> {
             folder: None,
             quiet: false,
             curve: None,
+            live: None,
             stop,
             bar: None,
             search: None,
@@ -83,6 +90,20 @@ impl<'a> Reporter<'a> {
         }
     }
 
+    fn score_test_photos(&mut self, iteration: u32, sight: &mut Sight<'_>) {
+        let Some(curve) = self.curve.as_ref().filter(|curve| curve.is_due(iteration)) else { return };
+        match curve.score(sight) {
+            Ok(psnr) => {
+                self.quality.1 = psnr.or(self.quality.1);
+                if let (Some(live), Some(psnr)) = (&mut self.live, psnr) {
+                    live.test_score(iteration, psnr);
+                }
+                self.log(&LogRecord::TestScore { iteration, psnr });
+            }
+            Err(error) => self.keep(Err(error)),
+        }
+    }
+
     fn keep(&mut self, result: Result<()>) {
         if let Err(error) = result {
             self.trouble.get_or_insert(error);
@@ -91,11 +112,40 @@ impl<'a> Reporter<'a> {
     }
 }
 
+/// What a page may ask of the run.
+struct Steering<'a> {
+    iteration: u32,
+    session: Option<&'a RunSession>,
+    stop: &'a AtomicBool,
+}
+
+impl Owner for Steering<'_> {
+    fn snapshot(&mut self, sight: &mut Sight<'_>) -> String {
+        let Some(session) = self.session else { return "this run has no folder to save to".into() };
+        match session.write_snapshot(self.iteration, sight) {
+            Ok(path) => format!("saved as {}", shown(path)),
+            Err(error) => error.to_string(),
+        }
+    }
+
+    fn stop(&mut self) {
+        self.stop.store(true, Ordering::Relaxed);
+        output::tell("stopping, as the page asks: results so far are being saved");
+    }
+
+    fn is_stopped(&self) -> bool {
+        self.stop.load(Ordering::Relaxed)
+    }
+}
+
 impl Observer for Reporter<'_> {
     fn on_start(&mut self, log: &StartLog) {
         let StartLog { device, gaussians, views, .. } = log;
         self.gaussians = *gaussians;
         self.say(&format!("{device}: {} Gaussians, {views} training photos", thousands(*gaussians)));
+        if let Some(live) = &mut self.live {
+            live.begin(device, *gaussians, log.iterations);
+        }
         self.log(&LogRecord::Start(log.clone()));
     }
 
@@ -104,6 +154,9 @@ impl Observer for Reporter<'_> {
             self.bar = Some(self.new_bar("training", u64::from(log.iteration) - 1, log.iterations.into()));
         }
         self.gaussians = log.gaussians;
+        if let Some(live) = &mut self.live {
+            live.step(log.iteration, log.gaussians, log.report.map(|report| report.loss));
+        }
         if let Some(report) = log.report {
             self.quality.0 = Some(report.loss);
             self.log(&LogRecord::Step(log.clone()));
@@ -147,27 +200,34 @@ impl Observer for Reporter<'_> {
 
     fn on_stage_end(&mut self, record: &StageRecord) {
         self.search = None;
-        self.say(&stage_sentence(record, self.gaussians));
+        let sentence = stage_sentence(record, self.gaussians);
+        self.say(&sentence);
+        if let Some(live) = &mut self.live {
+            let gain = record.guard_psnr.map(|[before, after]| after - before);
+            live.stage(record.iteration, record.kind.name(), record.changed > 0, gain);
+            live.notice(&sentence);
+        }
         self.log(&LogRecord::StageEnd(*record));
     }
 
     fn notice(&mut self, text: &str) {
         self.say(&format!("notice: {text}"));
+        if let Some(live) = &mut self.live {
+            live.notice(text);
+        }
         self.log(&LogRecord::Notice { text: text.to_owned() });
     }
 
     fn wants_renders(&mut self, iteration: u32) -> bool {
-        self.curve.as_ref().is_some_and(|curve| curve.is_due(iteration))
+        let is_watched = self.live.as_mut().is_some_and(|live| live.is_due());
+        is_watched || self.curve.as_ref().is_some_and(|curve| curve.is_due(iteration))
     }
 
-    fn on_renders(&mut self, iteration: u32, render: Render<'_>) {
-        let Some(curve) = &self.curve else { return };
-        match curve.score(render) {
-            Ok(psnr) => {
-                self.quality.1 = psnr.or(self.quality.1);
-                self.log(&LogRecord::TestScore { iteration, psnr });
-            }
-            Err(error) => self.keep(Err(error)),
+    fn on_renders(&mut self, iteration: u32, sight: &mut Sight<'_>) {
+        self.score_test_photos(iteration, sight);
+        let session = self.folder.as_ref().map(|(session, _)| *session);
+        if let Some(live) = &mut self.live {
+            live.attend(sight, &mut Steering { iteration, session, stop: self.stop });
         }
     }
 

@@ -1,6 +1,7 @@
 //! The built command, as a user runs it: files in, files and exit status out.
 
 mod bad_input;
+mod camera_path;
 mod convert;
 mod determinism;
 mod disk;
@@ -9,6 +10,7 @@ mod hostile;
 mod inspect;
 mod kills;
 mod limits;
+mod live_page;
 mod lpips;
 mod overwrite;
 mod peer;

@@ -1,0 +1,119 @@
+// Curves of a run as SVG: loss, PSNR of the test photos, number of Gaussians, and what evolution did.
+
+const SVG = "http://www.w3.org/2000/svg";
+const [WIDTH, HEIGHT] = [300, 80];
+
+const CHARTS = [
+  { key: "loss", name: "Loss", digits: 4 },
+  { key: "psnr", name: "Test PSNR, dB", digits: 2 },
+  { key: "gaussians", name: "Gaussians", digits: 0 },
+];
+
+export class Charts {
+  #charts;
+  #stages;
+
+  constructor(place) {
+    this.#charts = CHARTS.map((chart) => new Chart(place, chart));
+    this.#stages = new Chart(place, { key: "stages", name: "Evolution, dB gained by guards", digits: 2 });
+  }
+
+  show({ stages, loss, psnr, gaussians }) {
+    const curves = { loss, psnr, gaussians };
+    const iterations = [...Object.values(curves).flat().map(([at]) => at), ...stages.map(({ iteration }) => iteration)];
+    const end = Math.max(1, ...iterations);
+    this.#charts.forEach((chart) => chart.show(curves[chart.key], end));
+    this.#stages.showStages(stages, end);
+  }
+}
+
+class Chart {
+  key;
+  #name;
+  #digits;
+  #figure = document.createElement("figure");
+  #value = document.createElement("span");
+  #drawing = element("svg", { viewBox: `0 0 ${WIDTH} ${HEIGHT}`, preserveAspectRatio: "none", role: "img" });
+  #points = [];
+  #end = 1;
+
+  constructor(place, { key, name, digits }) {
+    this.key = key;
+    this.#name = name;
+    this.#digits = digits;
+    const caption = document.createElement("figcaption");
+    const label = document.createElement("b");
+    label.textContent = name;
+    this.#value.className = "number";
+    caption.append(label, this.#value);
+    this.#figure.className = "chart";
+    this.#figure.hidden = true;
+    this.#figure.append(caption, this.#drawing);
+    this.#drawing.addEventListener("pointermove", (event) => this.#point(event));
+    this.#drawing.addEventListener("pointerleave", () => this.#rest());
+    place.append(this.#figure);
+  }
+
+  show(points, end) {
+    [this.#points, this.#end] = [points, end];
+    this.#figure.hidden = points.length < 2;
+    if (points.length < 2) return;
+    const values = points.map(([, value]) => value);
+    const [low, high] = [Math.min(...values), Math.max(...values)];
+    const y = (value) => HEIGHT - 3 - ((value - low) / (high - low || 1)) * (HEIGHT - 8);
+    const line = points.map(([at, value]) => `${((at / end) * WIDTH).toFixed(1)} ${y(value).toFixed(1)}`).join("L");
+    this.#drawing.replaceChildren(this.#axis(), element("path", { class: "curve", d: `M${line}` }));
+    const [at, last] = points.at(-1);
+    this.#describe(`${this.#name}: ${this.#format(last)} at iteration ${at}; from ${this.#format(low)} to ${this.#format(high)}`);
+    this.#rest();
+  }
+
+  // A tick for each stage: up by what it gained, and short where it was taken back.
+  showStages(stages, end) {
+    [this.#points, this.#end] = [stages.map(({ iteration, gain, kept }) => [iteration, kept ? gain ?? 0 : 0]), end];
+    this.#figure.hidden = stages.length === 0;
+    const most = Math.max(0.01, ...this.#points.map(([, gain]) => gain));
+    const ticks = stages.map(({ iteration, kept }, index) => {
+      const x = (iteration / end) * WIDTH;
+      const top = kept ? HEIGHT - 8 - (this.#points[index][1] / most) * (HEIGHT - 14) : HEIGHT - 6;
+      return element("line", { class: kept ? "kept" : "refused", x1: x, x2: x, y1: HEIGHT - 1, y2: top });
+    });
+    this.#drawing.replaceChildren(this.#axis(), ...ticks);
+    const kept = stages.filter((stage) => stage.kept).length;
+    this.#describe(`${kept} of ${stages.length} stages of evolution were kept`);
+    this.#value.textContent = `${kept} of ${stages.length} kept`;
+  }
+
+  #axis() {
+    return element("line", { class: "axis", x1: 0, x2: WIDTH, y1: HEIGHT - 0.5, y2: HEIGHT - 0.5 });
+  }
+
+  #describe(text) {
+    this.#drawing.setAttribute("aria-label", text);
+  }
+
+  #format(value) {
+    return value.toLocaleString("en", { minimumFractionDigits: this.#digits, maximumFractionDigits: this.#digits });
+  }
+
+  #rest() {
+    this.#drawing.querySelector(".pointer")?.remove();
+    if (this.key !== "stages" && this.#points.length) this.#value.textContent = this.#format(this.#points.at(-1)[1]);
+  }
+
+  #point(event) {
+    const box = this.#drawing.getBoundingClientRect();
+    const wanted = ((event.clientX - box.left) / box.width) * this.#end;
+    const nearest = this.#points.reduce((best, point) => (Math.abs(point[0] - wanted) < Math.abs(best[0] - wanted) ? point : best));
+    const x = (nearest[0] / this.#end) * WIDTH;
+    this.#drawing.querySelector(".pointer")?.remove();
+    this.#drawing.append(element("line", { class: "pointer", x1: x, x2: x, y1: 0, y2: HEIGHT }));
+    this.#value.textContent = `${this.#format(nearest[1])} at ${Math.round(nearest[0]).toLocaleString("en")}`;
+  }
+}
+
+function element(name, attributes) {
+  const made = document.createElementNS(SVG, name);
+  Object.entries(attributes).forEach(([key, value]) => made.setAttribute(key, value));
+  return made;
+}

@@ -1,0 +1,174 @@
+// Puts the page together: what is asked for, what is heard, what is shown.
+
+import { CameraPath } from "./path.js";
+import { CameraStrip } from "./cameras.js";
+import { Charts } from "./charts.js";
+import { Connection } from "./connection.js";
+import { Navigator } from "./navigation.js";
+import { Stage } from "./stage.js";
+import { Status } from "./status.js";
+
+const $ = (id) => document.getElementById(id);
+
+const LENS_NOTES = {
+  depth: "Mean depth of what is blended; computed on the CPU.",
+  count: "Gaussians that reach a pixel with an alpha of 1/255 or more, to within a few percent; computed on the CPU.",
+  points: "Centres of the Gaussians above an opacity of 0.05; computed on the CPU.",
+  ellipses: "Gaussians above an opacity of 0.05 as opaque ellipsoids with soft edges; computed on the CPU.",
+};
+const LEGENDS = { depth: "depth, world units", count: "Gaussians a pixel" };
+
+let cards = [];
+let isFirst = true;
+
+const send = (message) => connection.send(message);
+const navigator = new Navigator($("stage"), moved, clicked);
+const stage = new Stage($("stage"), send, shown);
+const strip = new CameraStrip($("strip"), chooseCamera);
+const charts = new Charts($("charts"));
+const status = new Status(send);
+const path = new CameraPath(
+  { add: $("path-add"), save: $("path-save"), clear: $("path-clear"), count: $("path-count") },
+  () => navigator.pose,
+);
+const connection = new Connection({
+  hello,
+  state: (state) => { status.show(state); stage.target = state.phase === "training" ? 15 : 40; },
+  curves: (curves) => charts.show(curves),
+  notice: ({ text }) => status.notice(text),
+  picture: (header, blob) => stage.show(header, blob),
+  close: (isOver) => status.setPhase(isOver ? "ended" : "lost"),
+});
+
+function hello(message) {
+  status.greet(message);
+  cards = message.cameras.map((card, index) => ({ ...card, index }));
+  strip.fill(cards);
+  stage.setScene(cards, message.distance);
+  $("frusta").closest("label").hidden = cards.length === 0;
+  $("legend-scale").style.background = message.scale;
+  navigator.frame(message);
+  navigator.home = message.centre;
+  if (isFirst) reset();
+  isFirst = false;
+  stage.reconnect();
+}
+
+function reset() {
+  if (cards.length) chooseCamera(cards[0]);
+  else {
+    navigator.goTo(navigator.overview());
+    moved();
+  }
+}
+
+// The user has moved: from here on the view is free.
+function moved() {
+  if (stage.camera) {
+    stage.camera = null;
+    strip.mark(null);
+    $("compare").hidden = true;
+    stage.compare(stage.comparison);
+  }
+  stage.moved(navigator.pose);
+}
+
+function clicked(event) {
+  const card = stage.cameraAt(event);
+  if (card) chooseCamera(card);
+}
+
+function chooseCamera(card) {
+  navigator.goTo(card);
+  stage.camera = card;
+  $("photo").src = `photo/${card.index}`;
+  $("compare").hidden = false;
+  strip.mark(card);
+  stage.compare(stage.comparison);
+  stage.moved(navigator.pose);
+  stage.refresh();
+}
+
+function shown(header) {
+  $("waiting").hidden = true;
+  const name = LEGENDS[stage.lens];
+  $("legend").hidden = !name || !header.range;
+  if (!name || !header.range) return;
+  const digits = stage.lens === "depth" ? 2 : 0;
+  // Near is bright.
+  const [low, high] = stage.lens === "depth" ? [header.range[1], header.range[0]] : header.range;
+  $("legend-low").textContent = low.toFixed(digits);
+  $("legend-high").textContent = high.toFixed(digits);
+  $("legend-name").textContent = name;
+}
+
+function setLens(lens) {
+  stage.lens = lens;
+  $("lens-note").hidden = !LENS_NOTES[lens];
+  $("lens-note").textContent = LENS_NOTES[lens] ?? "";
+  stage.refresh();
+}
+
+$("lens").addEventListener("change", (event) => setLens(event.target.value));
+$("movement").addEventListener("change", (event) => navigator.setMovement(event.target.value));
+$("frusta").addEventListener("change", (event) => {
+  stage.showsFrusta = event.target.checked;
+  stage.refresh();
+});
+$("reset").addEventListener("click", reset);
+$("help").addEventListener("click", () => $("keys-dialog").showModal());
+$("panel-toggle").addEventListener("click", () => {
+  const isHidden = ($("panel").hidden = !$("panel").hidden);
+  $("panel-toggle").setAttribute("aria-expanded", String(!isHidden));
+});
+$("compare-range").addEventListener("input", (event) => {
+  const value = Number(event.target.value);
+  stage.compare(value);
+  const names = ["photo", "render", "error"];
+  const isWhole = Math.abs(value - Math.round(value)) < 0.02;
+  const between = `between ${names[Math.floor(value)]} and ${names[Math.min(2, Math.floor(value) + 1)]}`;
+  event.target.setAttribute("aria-valuetext", isWhole ? names[Math.round(value)] : between);
+});
+
+const neighbour = (step) => {
+  if (!cards.length) return;
+  const from = stage.camera ? stage.camera.index + step : 0;
+  chooseCamera(cards[(from + cards.length) % cards.length]);
+};
+
+const SHORTCUTS = {
+  " ": () => status.togglePause(send),
+  "[": () => neighbour(-1),
+  "]": () => neighbour(1),
+  "?": () => $("keys-dialog").showModal(),
+  Home: reset,
+  k: () => path.keep(navigator.pose),
+};
+
+addEventListener("keydown", (event) => {
+  if (event.target.closest?.("input, button, dialog") || event.ctrlKey || event.metaKey || event.altKey) return;
+  const lens = $("lens").querySelectorAll("input")[Number(event.key) - 1];
+  if (lens) {
+    lens.checked = true;
+    setLens(lens.value);
+  }
+  const shortcut = SHORTCUTS[event.key];
+  if (shortcut) {
+    event.preventDefault();
+    shortcut();
+  }
+});
+
+let before = performance.now();
+function repaint(now) {
+  navigator.advance(Math.min((now - before) / 1000, 0.1));
+  before = now;
+  stage.tick(now);
+  requestAnimationFrame(repaint);
+}
+requestAnimationFrame(repaint);
+
+setInterval(() => {
+  const canvas = $("picture");
+  $("rate").textContent = stage.rate ? `${stage.rate.toFixed(1)} pictures a second, ${canvas.width} × ${canvas.height}` : "at rest";
+}, 500);

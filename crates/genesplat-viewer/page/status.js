@@ -1,0 +1,77 @@
+// What the run does, in words and numbers; and the buttons that steer it.
+
+const NOTICE_MS = 7000;
+
+const PHASES = {
+  training: "training",
+  paused: "paused",
+  scoring: "scoring photos",
+  ended: "finished",
+  viewing: "finished splat",
+  lost: "connection lost, trying again",
+};
+
+export class Status {
+  phase = "connecting";
+  #at = (id) => document.getElementById(id);
+  #noticeTimer = 0;
+
+  constructor(send) {
+    this.#at("pause").addEventListener("click", () => this.togglePause(send));
+    this.#at("snapshot").addEventListener("click", () => send({ type: "snapshot" }));
+    const dialog = this.#at("stop-dialog");
+    this.#at("stop").addEventListener("click", () => dialog.showModal());
+    dialog.addEventListener("close", () => { if (dialog.returnValue === "stop") send({ type: "stop" }); dialog.returnValue = ""; });
+  }
+
+  greet({ title, can_train }) {
+    this.#at("title").textContent = title;
+    document.title = `${title} – genesplat`;
+    this.#at("run-actions").hidden = !can_train;
+  }
+
+  show({ phase, iteration, iterations, gaussians, loss, psnr, device }) {
+    this.setPhase(phase);
+    const count = (value) => value.toLocaleString("en");
+    const total = iterations ? ` of ${count(iterations)}` : "";
+    this.#text("iteration", iteration ? `iteration ${count(iteration)}${total}` : "");
+    this.#at("iteration").dataset.iteration = iteration;
+    this.#text("gaussians", count(gaussians));
+    this.#text("loss", loss === null ? "–" : loss.toFixed(4));
+    this.#text("psnr", psnr === null ? "–" : `${psnr.toFixed(2)} dB`);
+    this.#text("device", device);
+    const progress = this.#at("progress");
+    progress.hidden = !iterations;
+    progress.value = iterations ? iteration / iterations : 0;
+  }
+
+  setPhase(phase) {
+    if (phase === this.phase) return;
+    this.phase = phase;
+    const label = this.#at("phase");
+    label.textContent = PHASES[phase];
+    label.dataset.phase = phase;
+    const isRunning = phase === "training" || phase === "paused";
+    this.#text("pause", phase === "paused" ? "Go on" : "Pause");
+    for (const id of ["pause", "snapshot", "stop"]) this.#at(id).disabled = !isRunning;
+  }
+
+  togglePause(send) {
+    if (this.#at("run-actions").hidden || this.#at("pause").disabled) return;
+    send({ type: this.phase === "paused" ? "resume" : "pause" });
+  }
+
+  notice(text) {
+    const place = this.#at("notice");
+    place.hidden = false;
+    place.textContent = text;
+    clearTimeout(this.#noticeTimer);
+    this.#noticeTimer = setTimeout(() => { place.hidden = true; }, NOTICE_MS);
+  }
+
+  // Only what has changed, so that a screen reader is left alone.
+  #text(id, text) {
+    const place = this.#at(id);
+    if (place.textContent !== text) place.textContent = text;
+  }
+}

@@ -1,0 +1,118 @@
+//! What a page is told once: the scene's cameras, which way is up; and their photos, which it asks for one by one.
+
+use std::sync::OnceLock;
+
+use genesplat_core::{Camera, Gaussians, Photo, View};
+use serde::Serialize;
+
+use crate::framing::Framing;
+use crate::message::Pose;
+use crate::picture::{css_gradient, encode_jpeg, resized};
+
+/// Longest side of a thumbnail, px.
+const THUMBNAIL_PX: u32 = 160;
+/// Longest side of a photo that a page gets, px.
+const PHOTO_PX: u32 = 1920;
+const THUMBNAIL_QUALITY: u8 = 75;
+const PHOTO_QUALITY: u8 = 90;
+
+/// What a photo is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Split {
+    /// Training sees it.
+    Train,
+    /// It judges.
+    Test,
+}
+
+struct Exhibit {
+    split: Split,
+    view: View,
+    /// Made when a page wants it.
+    thumbnail: OnceLock<Vec<u8>>,
+}
+
+/// The cameras and photos of a scene, all in memory.
+pub struct Exhibition {
+    title: String,
+    framing: Framing,
+    exhibits: Vec<Exhibit>,
+}
+
+#[derive(Serialize)]
+#[serde(tag = "type", rename = "hello")]
+struct Hello<'a> {
+    title: &'a str,
+    #[serde(flatten)]
+    framing: Framing,
+    can_train: bool,
+    /// The colour scale, for legends.
+    scale: String,
+    cameras: Vec<CameraCard<'a>>,
+}
+
+#[derive(Serialize)]
+struct CameraCard<'a> {
+    name: &'a str,
+    split: Split,
+    width: u32,
+    height: u32,
+    #[serde(flatten)]
+    pose: Pose,
+}
+
+impl<'a> CameraCard<'a> {
+    fn of(exhibit: &'a Exhibit) -> Self {
+        let Camera { width, height, .. } = exhibit.view.camera;
+        Self { name: &exhibit.view.name, split: exhibit.split, width, height, pose: Pose::of(&exhibit.view.camera) }
+    }
+}
+
+impl Exhibition {
+    /// A scene, photos in the order that they were taken in. `cloud` says what there is to turn around where there are
+    /// no cameras.
+    pub fn new(title: &str, train: &[View], test: &[View], cloud: Option<&Gaussians>) -> Self {
+        let of = |split: Split, views: &[View]| -> Vec<Exhibit> {
+            views.iter().map(|view| Exhibit { split, view: view.clone(), thumbnail: OnceLock::new() }).collect()
+        };
+        let mut exhibits = of(Split::Train, train);
+        exhibits.extend(of(Split::Test, test));
+        exhibits.sort_by(|a, b| a.view.name.cmp(&b.view.name));
+        let cameras: Vec<Camera> = exhibits.iter().map(|exhibit| exhibit.view.camera).collect();
+        let of_cloud = || Framing::of_cloud(cloud.unwrap_or(&Gaussians::default()));
+        Self { title: title.into(), framing: Framing::of_cameras(&cameras).unwrap_or_else(of_cloud), exhibits }
+    }
+
+    pub(crate) fn hello(&self, can_train: bool) -> String {
+        let cameras = self.exhibits.iter().map(CameraCard::of).collect();
+        let hello = Hello { title: &self.title, framing: self.framing, can_train, scale: css_gradient(), cameras };
+        serde_json::to_string(&hello).expect("plain data with text keys is always JSON")
+    }
+
+    pub(crate) fn camera(&self, index: u32) -> Option<&Camera> {
+        Some(&self.exhibits.get(index as usize)?.view.camera)
+    }
+
+    pub(crate) fn photo(&self, index: u32) -> Option<&Photo> {
+        Some(&self.exhibits.get(index as usize)?.view.photo)
+    }
+
+    pub(crate) fn thumbnail_jpeg(&self, index: u32) -> Option<Vec<u8>> {
+        let Exhibit { view, thumbnail, .. } = self.exhibits.get(index as usize)?;
+        Some(thumbnail.get_or_init(|| fitted_jpeg(&view.photo, THUMBNAIL_PX, THUMBNAIL_QUALITY)).clone())
+    }
+
+    pub(crate) fn photo_jpeg(&self, index: u32) -> Option<Vec<u8>> {
+        Some(fitted_jpeg(self.photo(index)?, PHOTO_PX, PHOTO_QUALITY))
+    }
+}
+
+fn fitted_jpeg(photo: &Photo, side_px: u32, quality: u8) -> Vec<u8> {
+    let factor = f64::from(side_px) / f64::from(photo.width.max(photo.height));
+    if factor >= 1.0 {
+        return encode_jpeg(photo, quality);
+    }
+    let fit = |side: u32| ((f64::from(side) * factor).round() as u32).max(1);
+    encode_jpeg(&resized(photo, fit(photo.width), fit(photo.height)), quality)
+}

@@ -1,0 +1,313 @@
+//! The page of one run: what its owner tells it, and the pictures that are due between two steps.
+
+use std::net::SocketAddr;
+use std::time::Duration;
+
+use genesplat_core::{Backend, BackendError, Camera, Photo, Sight};
+use serde::Serialize;
+
+use crate::ViewerError;
+use crate::budget::Budget;
+use crate::clock::Clock;
+use crate::curves::Curve;
+use crate::exhibition::Exhibition;
+use crate::hub::{Hub, Picture, Topic};
+use crate::lens::{Lens, derive, develop};
+use crate::message::{Look, PictureHeader};
+use crate::picture::{ERROR_MAX, error_picture};
+use crate::server::Server;
+
+/// Pages are told of progress so often, seconds.
+const STATE_EVERY: f64 = 0.25;
+const CURVES_EVERY: f64 = 2.0;
+/// A thread that waits for pages looks so often whether it shall end.
+const WAIT: Duration = Duration::from_millis(100);
+
+/// What a run is doing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Phase {
+    /// Steps are made.
+    Training,
+    /// A page has asked it to wait.
+    Paused,
+    /// Photos are scored; pictures wait.
+    Scoring,
+    /// Its process ends.
+    Ended,
+    /// There is no run, or it has ended long ago.
+    Viewing,
+}
+
+/// Who trains, and can be asked to save or to stop.
+pub trait Owner {
+    /// Saves the cloud; says in a sentence what has become of it.
+    fn snapshot(&mut self, sight: &mut Sight<'_>) -> String;
+    /// Ends the run after this step.
+    fn stop(&mut self);
+    /// The run is about to end.
+    fn is_stopped(&self) -> bool;
+}
+
+#[derive(Serialize)]
+#[serde(tag = "type", rename = "state")]
+struct State {
+    phase: Phase,
+    device: String,
+    iteration: u32,
+    iterations: u32,
+    gaussians: usize,
+    loss: Option<f32>,
+    psnr: Option<f64>,
+}
+
+#[derive(Default, Serialize)]
+#[serde(tag = "type", rename = "curves")]
+struct Curves {
+    loss: Curve,
+    psnr: Curve,
+    gaussians: Curve,
+    stages: Vec<Stage>,
+}
+
+/// A stage of evolution that has ended.
+#[derive(Serialize)]
+struct Stage {
+    iteration: u32,
+    kind: String,
+    /// What it proposed was better.
+    kept: bool,
+    /// Of the guards' PSNR, dB.
+    gain: Option<f64>,
+}
+
+#[derive(Serialize)]
+#[serde(tag = "type", rename = "notice")]
+struct Notice<'a> {
+    text: &'a str,
+}
+
+/// A page that is served while this lives. All methods are for the thread that trains, and return at once where no page
+/// is open.
+pub struct LiveView {
+    server: Server,
+    clock: Clock,
+    budget: Budget,
+    state: State,
+    curves: Curves,
+    /// When pages were last told of each.
+    posted: [f64; 2],
+    /// Renders what the lenses make of a cloud.
+    lens_backend: Box<dyn Backend>,
+}
+
+impl LiveView {
+    /// Serves at `address`; port 0 takes any that is free. Without `can_train` the page has no buttons that steer a run.
+    pub fn start(
+        address: SocketAddr,
+        exhibition: Exhibition,
+        can_train: bool,
+        lens_backend: Box<dyn Backend>,
+    ) -> Result<Self, ViewerError> {
+        let phase = if can_train { Phase::Training } else { Phase::Viewing };
+        let state =
+            State { phase, device: String::new(), iteration: 0, iterations: 0, gaussians: 0, loss: None, psnr: None };
+        let server = Server::start(address, exhibition, can_train)?;
+        let (clock, budget, curves) = (Clock::start(), Budget::default(), Curves::default());
+        let mut view = Self { server, clock, budget, state, curves, posted: [f64::NEG_INFINITY; 2], lens_backend };
+        view.post(true);
+        Ok(view)
+    }
+
+    /// Where a browser finds the page.
+    pub fn url(&self) -> String {
+        self.server.url()
+    }
+
+    /// A run of so many iterations begins.
+    pub fn begin(&mut self, device: &str, gaussians: usize, iterations: u32) {
+        (self.state.device, self.state.gaussians, self.state.iterations) = (device.to_owned(), gaussians, iterations);
+        self.post(true);
+    }
+
+    /// A gradient step was made; the loss is known now and then.
+    pub fn step(&mut self, iteration: u32, gaussians: usize, loss: Option<f32>) {
+        (self.state.iteration, self.state.gaussians) = (iteration, gaussians);
+        if let Some(loss) = loss {
+            self.state.loss = Some(loss);
+            self.curves.loss.push([iteration.into(), loss.into()]);
+            self.curves.gaussians.push([iteration.into(), gaussians as f64]);
+        }
+        if self.hub().has_pages() {
+            self.hub().cloud_has_changed();
+        }
+    }
+
+    /// What an earlier process has logged: points of `[iteration, value]`.
+    pub fn replay(&mut self, loss: &[[f64; 2]], psnr: &[[f64; 2]], gaussians: &[[f64; 2]]) {
+        let Curves { loss: a, psnr: b, gaussians: c, .. } = &mut self.curves;
+        for (curve, points) in [(a, loss), (b, psnr), (c, gaussians)] {
+            points.iter().for_each(|&point| curve.push(point));
+        }
+        self.state.loss = loss.last().map(|point| point[1] as f32);
+        self.state.psnr = psnr.last().map(|point| point[1]);
+        self.state.iteration = gaussians.last().map_or(0, |point| point[0] as u32);
+    }
+
+    /// The test photos were measured.
+    pub fn test_score(&mut self, iteration: u32, psnr: f64) {
+        self.state.psnr = Some(psnr);
+        self.curves.psnr.push([iteration.into(), psnr]);
+    }
+
+    /// A stage of evolution has ended; `gain` is what guards gained, dB.
+    pub fn stage(&mut self, iteration: u32, kind: &str, kept: bool, gain: Option<f64>) {
+        self.curves.stages.push(Stage { iteration, kind: kind.to_owned(), kept, gain });
+    }
+
+    /// A sentence that pages show.
+    pub fn notice(&mut self, text: &str) {
+        let text = serde_json::to_string(&Notice { text }).expect("plain data with text keys is always JSON");
+        self.hub().post(Topic::Notice, &text);
+    }
+
+    /// The run does something else now.
+    pub fn set_phase(&mut self, phase: Phase) {
+        self.state.phase = phase;
+        self.post(true);
+    }
+
+    /// Whether a page waits for something that may be done now. Where none is open it costs next to nothing.
+    pub fn is_due(&mut self) -> bool {
+        let (now, is_open) = (self.clock.seconds(), self.hub().has_pages());
+        self.budget.tick(now, is_open);
+        if !is_open {
+            return self.hub().wishes() != Default::default();
+        }
+        let encoding = self.hub().take_encoding_seconds();
+        if encoding > 0.0 {
+            self.budget.spend(now, encoding);
+        }
+        self.post(false);
+        let has_wish = self.hub().wishes() != Default::default();
+        has_wish || (self.budget.allows_new() && self.hub().is_awaited(self.budget.allows_refresh(now)))
+    }
+
+    /// Does what is due: a picture; what a page has asked of `owner`; and waits while pages want the run to wait.
+    pub fn attend(&mut self, sight: &mut Sight<'_>, owner: &mut dyn Owner) {
+        if self.budget.allows_new() {
+            let began = self.clock.seconds();
+            if self.serve(sight, self.budget.allows_refresh(began)) {
+                let now = self.clock.seconds();
+                self.budget.spend(now, now - began);
+            }
+        }
+        self.grant(sight, owner);
+        if self.hub().wishes().paused && !owner.is_stopped() {
+            self.rest(sight, owner);
+        }
+    }
+
+    /// Shows a finished splat until `is_over`.
+    pub fn exhibit(&mut self, sight: &mut Sight<'_>, is_over: impl Fn() -> bool) {
+        self.hub().cloud_has_changed();
+        self.post(true);
+        while !is_over() {
+            if !self.serve(sight, true) {
+                self.hub().wait(WAIT);
+            }
+        }
+    }
+
+    /// Nothing is trained: pictures have all the time, until pages want the run to go on, or all of them are gone.
+    fn rest(&mut self, sight: &mut Sight<'_>, owner: &mut dyn Owner) {
+        self.set_phase(Phase::Paused);
+        while self.hub().wishes().paused && !owner.is_stopped() && !self.hub().is_deserted() {
+            if !self.serve(sight, true) {
+                self.hub().wait(WAIT);
+            }
+            self.grant(sight, owner);
+        }
+        self.hub().change_wishes(|wishes| wishes.paused = false);
+        self.set_phase(Phase::Training);
+    }
+
+    fn grant(&mut self, sight: &mut Sight<'_>, owner: &mut dyn Owner) {
+        let wishes = self.hub().wishes();
+        if wishes.snapshot {
+            let sentence = owner.snapshot(sight);
+            self.notice(&sentence);
+        }
+        if wishes.stop {
+            owner.stop();
+        }
+        self.hub().change_wishes(|wishes| (wishes.snapshot, wishes.stop) = (false, false));
+    }
+
+    /// Makes the picture that a page has waited for longest; false where none waits.
+    fn serve(&mut self, sight: &mut Sight<'_>, or_changed: bool) -> bool {
+        let Some((id, look)) = self.hub().next_look(or_changed) else { return false };
+        match self.take(&look, sight) {
+            Ok(pictures) => self.hub().deliver(id, pictures),
+            Err(error) => self.notice(&format!("no picture: {error}")),
+        }
+        true
+    }
+
+    fn take(&mut self, look: &Look, sight: &mut Sight<'_>) -> Result<Vec<Picture>, BackendError> {
+        let began = self.clock.seconds();
+        let Look { sequence, width, height, quality, .. } = *look;
+        let known = look.camera.and_then(|index| self.server.shared.exhibition.camera(index));
+        let camera = known.map_or_else(|| look.pose.camera(width, height), |camera| camera.resized(width, height));
+        let (photo, range) = self.photograph(look.lens, &camera, sight)?;
+        let milliseconds = (1e3 * (self.clock.seconds() - began)) as f32;
+        let header = PictureHeader { sequence, error: false, range, milliseconds };
+        let compared = look.camera.filter(|_| look.error).and_then(|index| self.server.shared.exhibition.photo(index));
+        let error = compared.map(|original| Picture {
+            header: PictureHeader { error: true, range: Some([0.0, ERROR_MAX]), ..header },
+            photo: error_picture(&photo, original),
+            quality,
+        });
+        Ok([Picture { header, photo, quality }].into_iter().chain(error).collect())
+    }
+
+    fn photograph(
+        &mut self,
+        lens: Lens,
+        camera: &Camera,
+        sight: &mut Sight<'_>,
+    ) -> Result<(Photo, Option<[f32; 2]>), BackendError> {
+        if lens == Lens::Colour {
+            return Ok((sight.render(camera)?.to_photo(), None));
+        }
+        let settings = *sight.settings();
+        let cloud = sight.cloud()?;
+        let (derived, settings) = derive(lens, &cloud, camera, &settings);
+        self.lens_backend.upload(derived.into())?;
+        Ok(develop(lens, &self.lens_backend.render(camera, &settings)?))
+    }
+
+    /// Tells pages of progress, where it is time.
+    fn post(&mut self, at_once: bool) {
+        let now = self.clock.seconds();
+        if at_once || now - self.posted[0] >= STATE_EVERY {
+            self.posted[0] = now;
+            self.hub().post(Topic::State, &serde_json::to_string(&self.state).expect("numbers and texts are JSON"));
+        }
+        if at_once || now - self.posted[1] >= CURVES_EVERY {
+            self.posted[1] = now;
+            self.hub().post(Topic::Curves, &serde_json::to_string(&self.curves).expect("numbers are JSON"));
+        }
+    }
+
+    fn hub(&self) -> &Hub {
+        &self.server.shared.hub
+    }
+}
+
+impl Drop for LiveView {
+    /// Pages are told that there is nothing more to see.
+    fn drop(&mut self) {
+        self.set_phase(Phase::Ended);
+    }
+}

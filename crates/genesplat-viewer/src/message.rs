@@ -1,0 +1,212 @@
+//! What page and server say to each other: JSON both ways, and pictures as JPEG behind a JSON header.
+//!
+//! Whatever comes from a page is checked here once: sizes, finite numbers, a rotation that is one.
+
+use genesplat_core::Camera;
+use glam::{DQuat, DVec3};
+use serde::{Deserialize, Serialize};
+
+use crate::lens::Lens;
+
+/// Longest message of a page, bytes.
+pub const MESSAGE_BYTES_MAX: usize = 2048;
+/// Sides of a picture that may be asked for, px.
+pub const SIDE_PX: std::ops::RangeInclusive<u32> = 16..=4096;
+/// Most pixels of a picture.
+pub const PIXELS_MAX: u32 = 4096 * 2304;
+/// JPEG qualities that may be asked for.
+pub const QUALITY: std::ops::RangeInclusive<u8> = 10..=95;
+/// Vertical fields of view, radians.
+pub const FOV_Y: std::ops::RangeInclusive<f64> = 0.02..=2.8;
+/// Farthest that a page may go, world units.
+const COORDINATE_MAX: f64 = 1e9;
+
+/// What a page wants.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(tag = "type", rename_all = "kebab-case")]
+pub enum ClientMessage {
+    /// A picture, instead of all that it asked for before.
+    Look(Look),
+    /// Training shall wait.
+    Pause,
+    /// Training shall go on.
+    Resume,
+    /// The cloud as it is shall be saved.
+    Snapshot,
+    /// The run shall end here, and be saved.
+    Stop,
+}
+
+/// A picture that is asked for.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+pub struct Look {
+    /// The page's own count; its picture carries it.
+    pub sequence: u32,
+    /// From where; of a scene's camera this is ignored.
+    pub pose: Pose,
+    /// Index of the scene's camera to look through, with its own focal lengths.
+    #[serde(default)]
+    pub camera: Option<u32>,
+    /// Width, px.
+    pub width: u32,
+    /// Height, px.
+    pub height: u32,
+    /// What is shown.
+    #[serde(default)]
+    pub lens: Lens,
+    /// Of the JPEG.
+    pub quality: u8,
+    /// Also where the picture differs from the camera's photo.
+    #[serde(default)]
+    pub error: bool,
+}
+
+/// Where a page looks from.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Pose {
+    /// Centre of the camera, world units.
+    pub position: [f64; 3],
+    /// `world_from_camera` as a quaternion `(w, x, y, z)`; camera axes are x right, y down, z forward.
+    pub rotation: [f64; 4],
+    /// Vertical field of view, radians.
+    pub fov_y: f64,
+}
+
+/// Why a message is refused.
+#[derive(Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum MessageError {
+    /// It is too long to be read.
+    #[error("a message has at most {MESSAGE_BYTES_MAX} bytes")]
+    TooLong,
+    /// It is none of ours.
+    #[error("not a message of the page: {0}")]
+    Json(String),
+    /// A number that no page sends.
+    #[error("{0} is out of range")]
+    Range(&'static str),
+}
+
+impl ClientMessage {
+    /// Reads a message from the bytes of a stranger.
+    pub fn parse(bytes: &[u8]) -> Result<Self, MessageError> {
+        if bytes.len() > MESSAGE_BYTES_MAX {
+            return Err(MessageError::TooLong);
+        }
+        let message = serde_json::from_slice(bytes).map_err(|error| MessageError::Json(error.to_string()))?;
+        if let Self::Look(look) = &message {
+            look.check()?;
+        }
+        Ok(message)
+    }
+}
+
+impl Look {
+    fn check(&self) -> Result<(), MessageError> {
+        let Self { width, height, quality, .. } = *self;
+        let is_size = SIDE_PX.contains(&width) && SIDE_PX.contains(&height) && width * height <= PIXELS_MAX;
+        let checks = [(is_size, "the size"), (QUALITY.contains(&quality), "the quality")];
+        match checks.iter().find(|(holds, _)| !holds) {
+            Some((_, what)) => Err(MessageError::Range(what)),
+            None => self.pose.check(),
+        }
+    }
+}
+
+impl Pose {
+    fn check(&self) -> Result<(), MessageError> {
+        let norm = self.rotation.iter().map(|value| value * value).sum::<f64>();
+        let is_near = |value: &f64| value.abs() <= COORDINATE_MAX;
+        let checks = [
+            (self.position.iter().all(is_near), "the position"),
+            ((0.25..=4.0).contains(&norm), "the rotation"),
+            (FOV_Y.contains(&self.fov_y), "the field of view"),
+        ];
+        checks.iter().find(|(holds, _)| !holds).map_or(Ok(()), |(_, what)| Err(MessageError::Range(what)))
+    }
+
+    pub(crate) fn is_sound(&self) -> bool {
+        self.check().is_ok()
+    }
+
+    /// The camera of this pose with square pixels and its principal point in the middle.
+    pub fn camera(&self, width: u32, height: u32) -> Camera {
+        let [w, x, y, z] = self.rotation;
+        let camera_from_world_rotation = DQuat::from_xyzw(x, y, z, w).normalize().conjugate();
+        let focal_px = 0.5 * f64::from(height) / (0.5 * self.fov_y).tan();
+        Camera {
+            width,
+            height,
+            focal_px: [focal_px; 2],
+            principal_px: [0.5 * f64::from(width), 0.5 * f64::from(height)],
+            camera_from_world_rotation,
+            camera_from_world_translation: -(camera_from_world_rotation * DVec3::from(self.position)),
+        }
+    }
+
+    /// Where `camera` is, and how much of the height it sees.
+    pub fn of(camera: &Camera) -> Self {
+        let rotation = camera.camera_from_world_rotation.normalize().conjugate();
+        Self {
+            position: camera.centre_in_world().into(),
+            rotation: [rotation.w, rotation.x, rotation.y, rotation.z],
+            fov_y: 2.0 * camera.tan_half_fov()[1].atan(),
+        }
+    }
+}
+
+/// What stands before a picture: its length as four bytes, little end first, then this as JSON, then the JPEG.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct PictureHeader {
+    /// Of the [`Look`] that asked for it.
+    pub sequence: u32,
+    /// True for where picture and photo differ.
+    pub error: bool,
+    /// What the ends of the colour scale mean, where there is one.
+    pub range: Option<[f32; 2]>,
+    /// What rendering took.
+    pub milliseconds: f32,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const LOOK: &str = r#"{"type":"look","sequence":7,"pose":{"position":[1,2,3],"rotation":[1,0,0,0],"fov_y":1},
+        "width":320,"height":200,"quality":70,"lens":"depth"}"#;
+
+    #[test]
+    fn a_look_is_read_and_what_no_page_sends_is_refused() {
+        let Ok(ClientMessage::Look(look)) = ClientMessage::parse(LOOK.as_bytes()) else { panic!("{LOOK}") };
+        assert_eq!((look.sequence, look.camera, look.lens, look.error), (7, None, Lens::Depth, false));
+        let spoilt = [
+            ("320", "8", "the size"),
+            ("320", "5000", "the size"),
+            (":70", ":0", "the quality"),
+            ("[1,2,3]", "[1,2,1e300]", "the position"),
+            ("[1,0,0,0]", "[0,0,0,0]", "the rotation"),
+            (":1}", ":3.2}", "the field of view"),
+        ];
+        for (good, bad, what) in spoilt {
+            let text = LOOK.replacen(good, bad, 1);
+            assert_eq!(ClientMessage::parse(text.as_bytes()), Err(MessageError::Range(what)), "{text}");
+        }
+        assert_eq!(ClientMessage::parse(&[b' '; MESSAGE_BYTES_MAX + 1]), Err(MessageError::TooLong));
+        for garbage in [&b"\xff\xfe"[..], b"", b"{}", b"[[[[", br#"{"type":"open","path":"/etc/passwd"}"#] {
+            assert!(matches!(ClientMessage::parse(garbage), Err(MessageError::Json(_))));
+        }
+        assert_eq!(ClientMessage::parse(br#"{"type":"pause"}"#), Ok(ClientMessage::Pause));
+    }
+
+    #[test]
+    fn a_pose_becomes_its_camera_and_back() {
+        let pose = Pose { position: [1.0, -2.0, 3.0], rotation: [0.5, 0.5, -0.5, 0.5], fov_y: 0.8 };
+        let back = Pose::of(&pose.camera(300, 200));
+        let numbers = |pose: Pose| [&pose.position[..], &pose.rotation, &[pose.fov_y]].concat();
+        for (value, expected) in numbers(back).iter().zip(numbers(pose)) {
+            assert!((value - expected).abs() < 1e-12, "{back:?}");
+        }
+        let centre = pose.camera(300, 200).camera_from_world(DVec3::from(pose.position));
+        assert!(centre.length() < 1e-12);
+    }
+}

@@ -1,0 +1,197 @@
+//! The server: one thread that accepts, and one for each connection, of which there are a few at most.
+
+use std::io::Write;
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, TcpListener, TcpStream};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use tungstenite::handshake::derive_accept_key;
+
+use crate::ViewerError;
+use crate::exhibition::Exhibition;
+use crate::gate::Gate;
+use crate::http::{Request, Status, read_request, refuse, respond};
+use crate::hub::Hub;
+use crate::page::part;
+use crate::socket::{self, TimedStream};
+
+/// Most connections at a time: a browser opens six for the parts of a page, and keeps one.
+const CONNECTIONS_MAX: usize = 32;
+/// Whoever connects has so long to ask, and as long to take the answer.
+const REQUEST_WAIT: Duration = Duration::from_secs(4);
+/// How long pages are waited for when the server ends.
+const CLOSE_WAIT: Duration = Duration::from_secs(1);
+/// After a failure to accept, which is most often a lack of files.
+const ACCEPT_PAUSE: Duration = Duration::from_millis(50);
+
+/// What all threads of a server share.
+pub(crate) struct Shared {
+    pub(crate) hub: Hub,
+    pub(crate) exhibition: Exhibition,
+    /// The page has buttons that steer a training run.
+    pub(crate) can_train: bool,
+    gate: Gate,
+    connections: AtomicUsize,
+}
+
+/// Serves until it is dropped.
+pub(crate) struct Server {
+    pub(crate) shared: Arc<Shared>,
+    address: SocketAddr,
+    acceptor: Option<thread::JoinHandle<()>>,
+}
+
+impl Server {
+    pub(crate) fn start(address: SocketAddr, exhibition: Exhibition, can_train: bool) -> Result<Self, ViewerError> {
+        let listen = |source| ViewerError::Listen { address, source };
+        let listener = TcpListener::bind(address).map_err(listen)?;
+        let address = listener.local_addr().map_err(listen)?;
+        let gate = Gate::new(address.ip())?;
+        let (hub, connections) = (Hub::default(), AtomicUsize::new(0));
+        let shared = Arc::new(Shared { hub, exhibition, can_train, gate, connections });
+        let of_thread = shared.clone();
+        let acceptor = thread::Builder::new()
+            .name("viewer".into())
+            .spawn(move || accept(&listener, &of_thread))
+            .map_err(listen)?;
+        Ok(Self { shared, address, acceptor: Some(acceptor) })
+    }
+
+    /// Where a browser finds the page, token included.
+    pub(crate) fn url(&self) -> String {
+        format!(
+            "http://{}/{}/",
+            SocketAddr::new(reachable(self.address.ip()), self.address.port()),
+            self.shared.gate.token()
+        )
+    }
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        self.shared.hub.close();
+        // Wakes the thread that accepts.
+        let _ =
+            TcpStream::connect_timeout(&SocketAddr::new(reachable(self.address.ip()), self.address.port()), CLOSE_WAIT);
+        if let Some(acceptor) = self.acceptor.take() {
+            let _ = acceptor.join();
+        }
+        let began = Instant::now();
+        while self.shared.connections.load(Ordering::Relaxed) > 0 && began.elapsed() < CLOSE_WAIT {
+            thread::sleep(Duration::from_millis(5));
+        }
+    }
+}
+
+/// An address that connects to one that is listened on.
+fn reachable(address: IpAddr) -> IpAddr {
+    match address {
+        IpAddr::V4(any) if any.is_unspecified() => Ipv4Addr::LOCALHOST.into(),
+        IpAddr::V6(any) if any.is_unspecified() => Ipv6Addr::LOCALHOST.into(),
+        address => address,
+    }
+}
+
+fn accept(listener: &TcpListener, shared: &Arc<Shared>) {
+    while !shared.hub.is_closing() {
+        match listener.accept() {
+            Ok((stream, _)) => begin(stream, shared),
+            Err(_) => thread::sleep(ACCEPT_PAUSE),
+        }
+    }
+}
+
+/// Gives the connection a thread, where there is one left for it.
+fn begin(stream: TcpStream, shared: &Arc<Shared>) {
+    let place = Place::take(shared);
+    let Some(place) = place else {
+        if let Ok(mut stream) = TimedStream::new(stream, ACCEPT_PAUSE, ACCEPT_PAUSE) {
+            let _ = refuse(&mut stream, Status::Busy);
+        }
+        return;
+    };
+    // Without a thread the connection ends, and its place is free again.
+    let _ = thread::Builder::new().name("viewer page".into()).spawn(move || {
+        // Whoever hangs up gets no answer.
+        let _ = converse(stream, &place.0);
+    });
+}
+
+/// One of [`CONNECTIONS_MAX`]; free again when it is dropped.
+struct Place(Arc<Shared>);
+
+impl Place {
+    fn take(shared: &Arc<Shared>) -> Option<Self> {
+        let place = Self(shared.clone());
+        let before = shared.connections.fetch_add(1, Ordering::Relaxed);
+        (before < CONNECTIONS_MAX).then_some(place)
+    }
+}
+
+impl Drop for Place {
+    fn drop(&mut self) {
+        self.0.connections.fetch_sub(1, Ordering::Relaxed);
+    }
+}
+
+fn converse(stream: TcpStream, shared: &Shared) -> std::io::Result<()> {
+    let mut timed = TimedStream::new(stream.try_clone()?, REQUEST_WAIT, 2 * REQUEST_WAIT)?;
+    let read = read_request(&mut Hurried { stream: &mut timed, by: Instant::now() + REQUEST_WAIT });
+    let (request, rest) = match read {
+        Ok(Some(read)) => read,
+        Ok(None) => return Ok(()),
+        Err(status) => return refuse(&mut timed, status),
+    };
+    let path = match shared.gate.admit(&request) {
+        Ok(path) => path,
+        Err(status) => return refuse(&mut timed, status),
+    };
+    if path == "socket" {
+        let Some(answer) = upgrade(&request) else { return refuse(&mut timed, Status::BadRequest) };
+        timed.write_all(answer.as_bytes())?;
+        socket::serve(stream, rest, &shared.hub, &shared.exhibition, shared.can_train);
+        return Ok(());
+    }
+    if let Some((kind, content)) = part(path) {
+        return respond(&mut timed, kind, content.as_bytes());
+    }
+    match picture(path, &shared.exhibition) {
+        Some(jpeg) => respond(&mut timed, "image/jpeg", &jpeg),
+        None => refuse(&mut timed, Status::NotFound),
+    }
+}
+
+/// A request must be whole by a deadline, not just each of its pieces.
+struct Hurried<'a> {
+    stream: &'a mut TimedStream,
+    by: Instant,
+}
+
+impl std::io::Read for Hurried<'_> {
+    fn read(&mut self, buffer: &mut [u8]) -> std::io::Result<usize> {
+        if Instant::now() >= self.by { Err(std::io::ErrorKind::TimedOut.into()) } else { self.stream.read(buffer) }
+    }
+}
+
+/// `thumbnail/3` and `photo/3`.
+fn picture(path: &str, exhibition: &Exhibition) -> Option<Vec<u8>> {
+    let (kind, index) = path.split_once('/')?;
+    let index = index.parse().ok()?;
+    match kind {
+        "thumbnail" => exhibition.thumbnail_jpeg(index),
+        "photo" => exhibition.photo_jpeg(index),
+        _ => None,
+    }
+}
+
+/// The answer that makes a connection a WebSocket (RFC 6455, section 4.2.2).
+fn upgrade(request: &Request) -> Option<String> {
+    let is_ours = request.is_upgrade() && request.header("sec-websocket-version") == Some("13");
+    let key = request.header("sec-websocket-key").filter(|_| is_ours)?;
+    Some(format!(
+        "HTTP/1.1 101 Switching Protocols\r\nUpgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Accept: {}\r\n\r\n",
+        derive_accept_key(key.as_bytes())
+    ))
+}

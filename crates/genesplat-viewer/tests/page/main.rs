@@ -1,0 +1,5 @@
+//! The page's server, from outside: what it serves, and what strangers cannot do to it.
+
+mod abuse;
+mod pictures;
+mod support;

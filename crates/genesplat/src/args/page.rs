@@ -1,0 +1,102 @@
+//! The live page: `train --view`, and `view`; and the paths of cameras, which it saves.
+
+use std::net::{IpAddr, Ipv4Addr, SocketAddr};
+use std::path::PathBuf;
+
+use clap::Args;
+
+use super::{MORE, MachineArgs, ShownOnArgs, SizeArgs};
+
+/// Only this machine reaches it, and any port that is free.
+const NEAR: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 0);
+
+/// A page that shows a run.
+#[derive(Clone, Copy, Debug, Default, Args)]
+pub(crate) struct TrainPageArgs {
+    /// Show the run in the browser while it trains: a page on this machine, whose address is printed. Rendering for it
+    /// takes at most 5 % of the time while it is open, and none otherwise
+    #[arg(long)]
+    view: bool,
+    /// Address of the page, with a port or without [default: 127.0.0.1, any port, so that only this machine reaches
+    /// it]. Whoever knows the whole address, token included, can look and stop the run
+    #[arg(long, value_name = "IP[:PORT]", value_parser = address, requires = "view", help_heading = MORE)]
+    view_address: Option<SocketAddr>,
+}
+
+impl TrainPageArgs {
+    /// `None` where no page is wanted.
+    pub(crate) fn address(self) -> Option<SocketAddr> {
+        self.view.then(|| self.view_address.unwrap_or(NEAR))
+    }
+}
+
+/// A page that shows a splat.
+#[derive(Clone, Copy, Debug, Default, Args)]
+pub(crate) struct PageArgs {
+    /// Address of the page, with a port or without [default: 127.0.0.1, any port, so that only this machine reaches it]
+    #[arg(long, value_name = "IP[:PORT]", value_parser = address)]
+    view_address: Option<SocketAddr>,
+}
+
+impl PageArgs {
+    pub(crate) fn address(self) -> SocketAddr {
+        self.view_address.unwrap_or(NEAR)
+    }
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct ViewArgs {
+    /// A splat (.ply), or the folder of a run
+    #[arg(value_name = "PLY|RUN")]
+    pub(crate) splat: PathBuf,
+    /// Folder of the scene, for its photos and cameras [default: that of the RUN, if it is still there; none for a PLY]
+    #[arg(long, value_name = "DATASET")]
+    pub(crate) data: Option<PathBuf>,
+    #[command(flatten)]
+    pub(crate) page: PageArgs,
+    #[command(flatten)]
+    pub(crate) size: SizeArgs,
+    #[command(flatten)]
+    pub(crate) on: ShownOnArgs,
+    #[command(flatten)]
+    pub(crate) machine: MachineArgs,
+}
+
+/// Where a camera moves.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) enum PathChoice {
+    Orbit,
+    Spiral,
+    Interpolate,
+    File(PathBuf),
+}
+
+impl PathChoice {
+    pub(crate) fn parse(text: &str) -> Result<Self, String> {
+        match text {
+            "orbit" => Ok(Self::Orbit),
+            "spiral" => Ok(Self::Spiral),
+            "interpolate" => Ok(Self::Interpolate),
+            file if file.ends_with(".json") => Ok(Self::File(file.into())),
+            _ => Err("orbit, spiral, interpolate or the name of a .json is needed".into()),
+        }
+    }
+}
+
+fn address(text: &str) -> Result<SocketAddr, String> {
+    let bare = || text.parse::<IpAddr>().map(|address| SocketAddr::new(address, 0));
+    text.parse().or_else(|_| bare()).map_err(|_| "an address such as 127.0.0.1 or 192.168.1.5:7007 is needed".into())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn addresses_have_a_port_or_any() {
+        assert_eq!(address("127.0.0.1").unwrap(), NEAR);
+        assert_eq!(address("[::1]:7007").unwrap(), "[::1]:7007".parse().unwrap());
+        assert_eq!(address("0.0.0.0:80").unwrap().port(), 80);
+        assert!(address("localhost").is_err() && address("").is_err());
+    }
+}

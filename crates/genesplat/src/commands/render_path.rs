@@ -1,0 +1,181 @@
+//! `genesplat render --path`: a splat seen by a camera that moves, as PNGs, or as a film that ffmpeg makes of them.
+
+use std::fs;
+use std::io::{ErrorKind, Read, Write};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+
+use anyhow::{Result, anyhow, bail, ensure};
+use genesplat::core::{Camera, Photo};
+use genesplat::io::{Scene, photos, shown};
+use genesplat::viewer::path::CameraPath;
+
+use crate::args::{PathChoice, RenderArgs};
+use crate::files::unwritable;
+use crate::overwrite::{self, Content};
+use crate::splat::Splat;
+use crate::terminal::output;
+use crate::terminal::progress::Bar;
+use crate::{device, splat};
+
+/// Frames a second of a film.
+const RATE: &str = "30";
+
+pub(crate) fn run(args: &RenderArgs, choice: &PathChoice) -> Result<()> {
+    device::use_threads(args.machine.threads)?;
+    let splat = splat::open(&args.splat)?.on(args.on);
+    let scene = splat.load_scene(&args.data, args.size)?;
+    overwrite::check_photos(&scene, &args.out)?;
+    let cameras = cameras(choice, &scene, args.frames)?;
+    let mut sink = Sink::open(&args.out, &cameras)?;
+    render(args, splat, &cameras, &mut sink)?;
+    sink.finish()?;
+    output::print(&format!("{} frames written to {}", cameras.len(), shown(&args.out)))
+}
+
+fn render(args: &RenderArgs, splat: Splat, cameras: &[Camera], sink: &mut Sink) -> Result<()> {
+    let mut backend = device::open(args.machine.device.unwrap_or_default())?;
+    backend.upload(splat.cloud.into())?;
+    let mut bar = Bar::new("renders", cameras.len() as u64);
+    for (done, camera) in (1..).zip(cameras) {
+        sink.add(&backend.render(camera, &splat.settings)?.to_photo())?;
+        bar.set(done, String::new);
+    }
+    Ok(())
+}
+
+/// The cameras of all frames, of the size of the scene's first photo.
+fn cameras(choice: &PathChoice, scene: &Scene, frames: u32) -> Result<Vec<Camera>> {
+    let mut views: Vec<_> = scene.train.iter().chain(&scene.test).collect();
+    views.sort_by(|a, b| a.name.cmp(&b.name));
+    let known: Vec<Camera> = views.iter().map(|view| view.camera).collect();
+    let path = match choice {
+        PathChoice::Orbit => CameraPath::orbit(&known)?,
+        PathChoice::Spiral => CameraPath::spiral(&known)?,
+        PathChoice::Interpolate => CameraPath::through(&known)?,
+        PathChoice::File(file) => {
+            let bytes = fs::read(file).map_err(|error| anyhow!("cannot read the path {}: {error}", shown(file)))?;
+            CameraPath::parse(&bytes).map_err(|error| anyhow!("{}: {error}", shown(file)))?
+        }
+    };
+    let Camera { width, height, .. } = known[0];
+    // Films have even sides.
+    Ok(path.cameras(frames, width & !1, height & !1))
+}
+
+/// Whether ffmpeg makes this file.
+pub(crate) fn is_film(path: &Path) -> bool {
+    let end = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
+    ["mp4", "gif"].contains(&end.as_str())
+}
+
+enum Sink {
+    Folder { path: PathBuf, frames: u32 },
+    Film(Film),
+}
+
+/// A film under way: ffmpeg writes beside its place, where it is moved once it is whole.
+struct Film {
+    ffmpeg: Child,
+    unfinished: PathBuf,
+    path: PathBuf,
+}
+
+impl Sink {
+    fn open(out: &Path, cameras: &[Camera]) -> Result<Self> {
+        if !is_film(out) {
+            for frame in 1..=cameras.len() as u32 {
+                overwrite::check_existing(&frame_path(out, frame), Content::Picture, &[])?;
+            }
+            return Ok(Self::Folder { path: out.to_owned(), frames: 0 });
+        }
+        let name = out.file_name().unwrap_or_default().to_string_lossy();
+        let unfinished = out.with_file_name(format!(".genesplat-{}-{name}", std::process::id()));
+        let Camera { width, height, .. } = cameras[0];
+        let ffmpeg = ffmpeg(&unfinished, width, height).spawn().map_err(|error| match error.kind() {
+            ErrorKind::NotFound => anyhow!(
+                "there is no ffmpeg on the PATH, which makes {}; install it, or give --out a folder for PNGs",
+                shown(out)
+            ),
+            _ => anyhow!("cannot start ffmpeg: {error}"),
+        })?;
+        Ok(Self::Film(Film { ffmpeg, unfinished, path: out.to_owned() }))
+    }
+
+    fn add(&mut self, picture: &Photo) -> Result<()> {
+        match self {
+            Self::Folder { path, frames } => {
+                *frames += 1;
+                Ok(photos::write_png(&frame_path(path, *frames), picture)?)
+            }
+            Self::Film(film) => {
+                let pipe = film.ffmpeg.stdin.as_mut().expect("it was opened");
+                if pipe.write_all(&picture.rgb).is_err() {
+                    bail!("{}", film.complaint());
+                }
+                Ok(())
+            }
+        }
+    }
+
+    fn finish(self) -> Result<()> {
+        let Self::Film(mut film) = self else { return Ok(()) };
+        // Its end is the film's.
+        drop(film.ffmpeg.stdin.take());
+        let complaint = film.complaint();
+        ensure!(film.ffmpeg.wait().is_ok_and(|status| status.success()), "{complaint}");
+        fs::rename(&film.unfinished, &film.path).map_err(|error| unwritable(&film.path, &error))
+    }
+}
+
+impl Film {
+    /// What ffmpeg has said, as a sentence.
+    fn complaint(&mut self) -> String {
+        let mut said = String::new();
+        // What cannot be read is not said.
+        let _ = self.ffmpeg.stderr.take().map(|mut stderr| stderr.read_to_string(&mut said));
+        let said = said.lines().next().unwrap_or("no reason given").to_owned();
+        format!("ffmpeg made no {}: {said}; give --out a folder for PNGs", shown(&self.path))
+    }
+}
+
+impl Drop for Film {
+    fn drop(&mut self) {
+        // One that is finished has ended, and its file has moved.
+        let _ = self.ffmpeg.kill();
+        let _ = self.ffmpeg.wait();
+        let _ = fs::remove_file(&self.unfinished);
+    }
+}
+
+fn frame_path(folder: &Path, frame: u32) -> PathBuf {
+    folder.join(format!("{frame:04}.png"))
+}
+
+/// Frames come as raw pixels.
+fn ffmpeg(out: &Path, width: u32, height: u32) -> Command {
+    let mut command = Command::new("ffmpeg");
+    let size = format!("{width}x{height}");
+    command.args([
+        "-loglevel",
+        "error",
+        "-y",
+        "-f",
+        "rawvideo",
+        "-pix_fmt",
+        "rgb24",
+        "-s",
+        &size,
+        "-r",
+        RATE,
+        "-i",
+        "-",
+    ]);
+    if out.extension().is_some_and(|end| end.eq_ignore_ascii_case("gif")) {
+        command.args(["-filter_complex", "split[a][b];[a]palettegen[p];[b][p]paletteuse"]);
+    } else {
+        command.args(["-pix_fmt", "yuv420p", "-movflags", "+faststart"]);
+    }
+    command.arg(out).stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::piped());
+    command
+}

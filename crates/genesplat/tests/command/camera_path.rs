@@ -1,0 +1,61 @@
+//! `render --path`: a camera that moves.
+
+use std::fs;
+
+use genesplat::io::photos::read_photo;
+
+use crate::support::{command, fail, judge_failure, scene, succeed, text, train};
+
+const VIEW: [&str; 2] = [
+    r#"{"position":[0,0,1],"rotation":[1,0,0,0],"fov_y":0.9}"#,
+    r#"{"position":[0.2,0,1.5],"rotation":[0.9,0.1,0,0],"fov_y":0.9}"#,
+];
+
+#[test]
+fn a_path_becomes_pictures_that_differ() {
+    let folder = tempfile::tempdir().unwrap();
+    let [run, out, file] = ["run", "frames", "path.json"].map(|name| folder.path().join(name));
+    succeed(train(scene(), &run, &["--iterations", "40"]));
+    fs::write(&file, format!(r#"{{"genesplat_path":1,"views":[{}]}}"#, VIEW.join(","))).unwrap();
+    let arguments = |path: &str| {
+        let fixed = ["render", text(&run), "--data", text(scene()), "--device", "cpu", "--frames", "5", "--path"];
+        [&fixed[..], &[path, "--out"]].concat().into_iter().map(str::to_owned).collect::<Vec<_>>()
+    };
+    let with = |path: &str, out: &str| [arguments(path), vec![out.to_owned()]].concat();
+    for path in ["orbit", "spiral", "interpolate", text(&file)] {
+        succeed(with(path, text(&out)));
+        let frame = |index: u32| read_photo(&out.join(format!("{index:04}.png"))).unwrap();
+        assert_eq!((frame(1).width, frame(1).height), (64, 48), "{path}");
+        assert!((1..5).all(|index| frame(index) != frame(index + 1)), "{path} stands still");
+    }
+    fs::write(&file, r#"{"genesplat_path":1,"views":[]}"#).unwrap();
+    fail(with(text(&file), text(&out)), &["path.json", "from 2 to"]);
+    fail(with("absent.json", text(&out)), &["cannot read the path absent.json"]);
+    let splat = run.join("point_cloud.ply");
+    let film = run.join("test.mp4");
+    let nowhere = command(with("orbit", text(&film))).env("PATH", folder.path()).output().unwrap();
+    judge_failure(nowhere, &["there is no ffmpeg", "--out a folder"]);
+    let before = fs::read(&splat).unwrap();
+    fail(with("orbit", text(&splat)), &["is a file"]);
+    assert!(fs::read(&splat).unwrap() == before && !film.exists());
+}
+
+#[test]
+fn ffmpeg_makes_films_where_it_is_there() {
+    if std::process::Command::new("ffmpeg").arg("-version").output().is_err() {
+        assert_ne!(std::env::var("CI").as_deref(), Ok("true"), "CI has no ffmpeg");
+        eprintln!("skipped: there is no ffmpeg on the PATH");
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let run = folder.path().join("run");
+    succeed(train(scene(), &run, &["--iterations", "40"]));
+    for (name, magic) in [("film.mp4", &b"ftyp"[..]), ("film.gif", b"GIF8")] {
+        let film = folder.path().join(name);
+        let path = ["--path", "orbit", "--frames", "6", "--out", text(&film)];
+        succeed([&["render", text(&run), "--data", text(scene()), "--device", "cpu"][..], &path].concat());
+        assert!(fs::read(&film).unwrap()[..12].windows(4).any(|bytes| bytes == magic), "{name}");
+        let left = fs::read_dir(folder.path()).unwrap().count();
+        assert!(left <= 3, "{left} files");
+    }
+}

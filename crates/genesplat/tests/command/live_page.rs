@@ -1,0 +1,185 @@
+//! The live page of a run and of a finished splat, as a client of the socket sees it.
+#![cfg(unix)]
+
+use std::io::{BufRead, BufReader};
+use std::net::TcpStream;
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use serde_json::Value;
+use tungstenite::client::IntoClientRequest;
+use tungstenite::{Message, WebSocket};
+
+use crate::support::{cloud, command, fail, scene, succeed, text, train};
+
+const SCHEDULE: [&str; 6] = ["--iterations", "2500", "--max-gaussians", "1500", "--no-lpips", "--threads=2"];
+
+/// A process that serves a page, and the page's address.
+pub(crate) struct Served {
+    pub(crate) child: Child,
+    pub(crate) url: String,
+}
+
+impl Served {
+    pub(crate) fn start(mut command: Command) -> Self {
+        let mut child = command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
+        let mut lines = BufReader::new(child.stdout.take().unwrap()).lines().map(Result::unwrap);
+        let url = lines.find_map(|line| Some(line.strip_prefix("view   ")?.to_owned())).expect("an address");
+        // What the process prints later must not fill the pipe.
+        std::thread::spawn(move || lines.for_each(drop));
+        Self { child, url }
+    }
+
+    fn page(&self) -> WebSocket<TcpStream> {
+        let host = self.url.split('/').nth(2).unwrap();
+        let mut request = format!("ws{}socket", self.url.strip_prefix("http").unwrap()).into_client_request().unwrap();
+        request.headers_mut().insert("origin", format!("http://{host}").parse().unwrap());
+        let stream = TcpStream::connect(host).unwrap();
+        stream.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
+        tungstenite::client(request, stream).unwrap().0
+    }
+
+    pub(crate) fn interrupt(&self) {
+        assert!(Command::new("kill").args(["-INT", &self.child.id().to_string()]).status().unwrap().success());
+    }
+
+    /// The exit status.
+    pub(crate) fn end(&mut self) -> Option<i32> {
+        self.child.wait().unwrap().code()
+    }
+}
+
+impl Drop for Served {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+fn look(sequence: u32, lens: &str) -> Message {
+    let (x, camera) = (0.01 * f64::from(sequence), if sequence.is_multiple_of(3) { "2" } else { "null" });
+    Message::text(format!(
+        r#"{{"type":"look","sequence":{sequence},"pose":{{"position":[{x},0,0],"rotation":[1,0,0,0],"fov_y":1}},"camera":{camera},
+           "width":96,"height":72,"quality":80,"lens":"{lens}","error":true}}"#
+    ))
+}
+
+enum Heard {
+    Text(Value),
+    Picture,
+    Closed,
+}
+
+fn hear(page: &mut WebSocket<TcpStream>) -> Heard {
+    match page.read() {
+        Ok(Message::Text(text)) => Heard::Text(serde_json::from_str(&text).unwrap()),
+        Ok(Message::Binary(_)) => Heard::Picture,
+        Ok(Message::Close(_)) | Err(_) => Heard::Closed,
+        Ok(_) => hear(page),
+    }
+}
+
+/// Reads until a state holds.
+fn await_state(page: &mut WebSocket<TcpStream>, holds: impl Fn(&Value) -> bool) -> Value {
+    loop {
+        match hear(page) {
+            Heard::Text(state) if state["type"] == "state" && holds(&state) => return state,
+            Heard::Closed => panic!("the page was closed"),
+            _ => {}
+        }
+    }
+}
+
+fn say(page: &mut WebSocket<TcpStream>, wish: &str) {
+    page.send(Message::text(format!(r#"{{"type":"{wish}"}}"#))).unwrap();
+}
+
+#[test]
+fn a_page_that_looks_pauses_and_saves_changes_no_byte() {
+    let folder = tempfile::tempdir().unwrap();
+    let [alone, watched] = ["alone", "watched"].map(|name| folder.path().join(name));
+    succeed(train(scene(), &alone, &SCHEDULE));
+
+    let mut served = Served::start(command(train(scene(), &watched, &[&SCHEDULE[..], &["--view"]].concat())));
+    let mut page = served.page();
+    say(&mut page, "pause");
+    let paused = await_state(&mut page, |state| state["phase"] == "paused");
+    let mut pictures = 0;
+    for (sequence, lens) in (1..).zip(["colour", "depth", "count", "points", "ellipses", "colour"]) {
+        page.send(look(sequence, lens)).unwrap();
+        while !matches!(hear(&mut page), Heard::Picture) {}
+        pictures += 1;
+    }
+    say(&mut page, "snapshot");
+    say(&mut page, "resume");
+    let resumed = await_state(&mut page, |state| state["phase"] == "training");
+    assert_eq!(paused["iteration"], resumed["iteration"], "no step was made meanwhile");
+    let at = resumed["iteration"].as_u64().unwrap();
+    let snapshot = watched.join(format!("snapshots/iteration-{at:06}.ply"));
+    assert!(snapshot.exists());
+    // It goes on looking until the run has ended.
+    for sequence in 100.. {
+        if page.send(look(sequence, ["colour", "count"][sequence as usize % 2])).is_err() {
+            break;
+        }
+        match hear(&mut page) {
+            Heard::Picture => pictures += 1,
+            Heard::Text(state) if state["phase"] == "ended" => break,
+            Heard::Text(_) => {}
+            Heard::Closed => break,
+        }
+    }
+    assert_eq!(served.end(), Some(0));
+    assert!(pictures > 6, "{pictures} pictures, none of them while it trained");
+    assert!(cloud(&alone) == cloud(&watched), "the same bytes");
+    assert!(std::fs::read(&snapshot).unwrap() != cloud(&watched), "an earlier state");
+}
+
+#[test]
+fn a_page_can_stop_a_run_which_is_saved() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("run");
+    let mut served = Served::start(command(train(scene(), &out, &["--iterations", "200000", "--view"])));
+    let mut page = served.page();
+    await_state(&mut page, |state| state["iteration"].as_u64() > Some(20));
+    say(&mut page, "stop");
+    assert_eq!(served.end(), Some(130));
+    assert!(out.join("checkpoint/latest.checkpoint").exists() && out.join("point_cloud.ply").exists());
+}
+
+#[test]
+fn a_run_waits_for_nobody_once_its_last_page_is_gone() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("run");
+    let mut served = Served::start(command(train(scene(), &out, &["--iterations", "2500", "--view"])));
+    let mut page = served.page();
+    say(&mut page, "pause");
+    await_state(&mut page, |state| state["phase"] == "paused");
+    drop(page);
+    let began = Instant::now();
+    assert_eq!(served.end(), Some(0));
+    assert!(began.elapsed() < Duration::from_secs(100));
+}
+
+#[test]
+fn a_finished_run_and_a_bare_splat_are_shown_until_ctrl_c() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("run");
+    succeed(train(scene(), &out, &["--iterations", "40"]));
+    let splat = out.join("point_cloud.ply");
+    for (what, cameras) in [(&out, 12), (&splat, 0)] {
+        let mut served = Served::start(command(["view", text(what), "--device", "cpu"]));
+        let mut page = served.page();
+        let Heard::Text(hello) = hear(&mut page) else { panic!("no hello") };
+        assert_eq!(hello["cameras"].as_array().unwrap().len(), cameras, "{}", what.display());
+        page.send(look(1, "colour")).unwrap();
+        while !matches!(hear(&mut page), Heard::Picture) {}
+        served.interrupt();
+        assert_eq!(served.end(), Some(0));
+    }
+    fail(["view", text(Path::new("absent.ply"))], &["absent.ply", "does not exist"]);
+    let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = taken.local_addr().unwrap().to_string();
+    fail(["view", text(&splat), "--device", "cpu", "--view-address", &address], &[&address, "--view-address"]);
+}
