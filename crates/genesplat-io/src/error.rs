@@ -78,10 +78,10 @@ pub enum SceneError {
         /// Which record, what is wrong, and what to do.
         problem: String,
     },
-    /// A lens that is not a pinhole.
+    /// A camera model of COLMAP that is not known.
     #[error(
-        "{file}: camera {camera} uses the model {model}, which bends straight lines; run COLMAP's image_undistorter on \
-         the reconstruction and load its output folder"
+        "{file}: camera {camera} uses the model {model}, which genesplat does not know; run COLMAP's image_undistorter \
+         on the reconstruction and load its output folder"
     )]
     DistortedCamera {
         /// The file.

@@ -2,12 +2,12 @@
 
 use std::sync::Arc;
 
-use genesplat_core::{Camera, Photo, View};
+use genesplat_core::{Camera, View};
 
 use super::{LoadOptions, LoadProgress};
 use crate::error::SceneError;
 use crate::listing::ListedPhoto;
-use crate::photos;
+use crate::photos::{self, Lens};
 
 /// Least side of a loaded photo, px: SSIM's window alone has 11.
 pub const SIDE_MIN_PX: u32 = 16;
@@ -19,7 +19,8 @@ pub(super) fn load(
 ) -> Result<View, SceneError> {
     let photo = photos::read_photo_on(&listed.path, options.background)?;
     let camera = camera_of_photo(listed, photo.width, photo.height)?;
-    let (width, height) = options.size_of(photo.width, photo.height);
+    let pinhole = listed.lens.map_or(Ok(camera), |lens| pinhole_of(listed, &camera, &lens))?;
+    let (width, height) = options.size_of(pinhole.width, pinhole.height);
     if width.min(height) < SIDE_MIN_PX {
         let problem = format!(
             "would be loaded at {width}x{height} pixels, and both sides must have at least {SIDE_MIN_PX}; reduce it \
@@ -27,16 +28,17 @@ pub(super) fn load(
         );
         return Err(SceneError::BadPhoto { photo: listed.path.clone(), problem });
     }
-    let (photo, camera) = undistort(listed, photo, camera)?;
-    let photo = Arc::new(photos::resize(&photo, width, height));
+    let photo = match &listed.lens {
+        Some(lens) => photos::undistort(&photo, &camera, lens, &pinhole, [width, height]),
+        None => photos::resize(&photo, width, height),
+    };
     progress.photo_done();
-    Ok(View { name: listed.name.clone(), camera: camera.resized(width, height), photo })
+    Ok(View { name: listed.name.clone(), camera: pinhole.resized(width, height), photo: Arc::new(photo) })
 }
 
-/// The photo as a pinhole would have taken it, and that pinhole.
-fn undistort(listed: &ListedPhoto, photo: Photo, camera: Camera) -> Result<(Photo, Camera), SceneError> {
-    let Some(distortion) = &listed.distortion else { return Ok((photo, camera)) };
-    photos::undistort(&photo, &camera, distortion).ok_or_else(|| SceneError::BadCamera {
+/// The pinhole that takes the undistorted photo of `camera`.
+fn pinhole_of(listed: &ListedPhoto, camera: &Camera, lens: &Lens) -> Result<Camera, SceneError> {
+    photos::pinhole(camera, lens).ok_or_else(|| SceneError::BadCamera {
         file: listed.list.to_path_buf(),
         camera: listed.name.clone(),
         problem: "has distortion coefficients that cannot be undone",

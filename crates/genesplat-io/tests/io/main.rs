@@ -2,6 +2,7 @@
 
 mod colmap;
 mod common;
+mod lenses;
 mod photos;
 mod ply;
 mod real_scenes;
