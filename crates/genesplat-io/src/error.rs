@@ -19,6 +19,17 @@ pub enum SceneError {
          as .bin or .txt), a Blender transforms_train.json, or a nerfstudio transforms.json"
     )]
     Unrecognised(PathBuf),
+    /// Photos or a video, of which nothing says where they were taken from.
+    #[error(
+        "{path} {what}, and training needs to know where each photo was taken from; find that out with `genesplat poses \
+         {path} --out SCENE` and train SCENE, or add --poses to train"
+    )]
+    NoCameras {
+        /// What was asked for.
+        path: PathBuf,
+        /// What it is.
+        what: String,
+    },
     /// A folder inside of a scene.
     #[error("{path} is a part of a scene; give {scene}, the folder that holds sparse and images")]
     PartOfScene {

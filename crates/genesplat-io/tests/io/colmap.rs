@@ -425,3 +425,18 @@ fn cameras_follow_smaller_photos_and_requested_sizes() {
     assert!((loaded.focal_px[0] - 70.0 * 30.0 / 79.0).abs() < 1e-12);
     assert!((loaded.focal_px[1] - 70.0 * 23.0 / 61.0).abs() < 1e-12);
 }
+
+#[test]
+fn photos_and_videos_without_cameras_name_the_command_that_finds_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let photos = folder.path().join("photos");
+    photos::write_png(&photos.join("a.PNG"), &tiny_photo(0, SIZE)).unwrap();
+    photos::write_png(&photos.join("more/b.png"), &tiny_photo(1, SIZE)).unwrap();
+    let video = folder.path().join("film.MOV");
+    fs::write(&video, "a film").unwrap();
+    for (path, what) in [(&photos, "holds 2 photos and no cameras"), (&video, "is a video")] {
+        let sentence = load_scene(path, &LoadOptions::default(), &()).unwrap_err().to_string();
+        let command = format!("`genesplat poses {} --out SCENE`", path.display());
+        assert!(sentence.contains(what) && sentence.contains(&command) && sentence.contains("--poses"), "{sentence}");
+    }
+}

@@ -17,16 +17,18 @@ use choice::{EVOLUTION, FIXED_BACKGROUNDS, choice};
 
 mod bench;
 mod choice;
+mod poses;
 mod train;
 
 pub(crate) use bench::{Bench, BenchEvolutionArgs, BenchGpuArgs, BenchStepArgs, SourceArgs, WorkloadArgs};
+pub(crate) use poses::PosesArgs;
 pub(crate) use train::{EvolutionArgs, TrainArgs};
 
 /// Heading of the flags that few users need.
 const MORE: &str = "More options";
 
 const EXIT_STATUS: &str = "Exit status: 0 done, 1 failed (one sentence on stderr says why), 2 wrong usage, 130 stopped by Ctrl-C or \
-                           SIGTERM with what there was saved (train, refine, demo, experiment)";
+                           SIGTERM with what there was saved (train, poses, refine, demo, experiment)";
 
 /// Reconstruct a scene from photos as 3D Gaussians, and evolve them.
 ///
@@ -69,6 +71,8 @@ pub(crate) enum Command {
     Demo(DemoArgs),
     /// Train a scene: photos with known cameras in, a splat and its figures out
     Train(TrainArgs),
+    /// Find the cameras of a folder of photos, or of a video, so that it can be trained; can be interrupted and goes on
+    Poses(PosesArgs),
     /// Measure how well a splat reproduces photos: PSNR, SSIM and LPIPS
     Evaluate(EvaluateArgs),
     /// Render a splat from the viewpoints of photos, as PNG

@@ -7,6 +7,7 @@ mod devices;
 mod evaluate;
 mod experiment;
 mod lpips_install;
+mod poses;
 mod refine;
 mod render;
 mod train;
@@ -31,6 +32,7 @@ pub(crate) fn run(arguments: Arguments) -> Result<Ending> {
     match arguments.command {
         Command::Demo(args) => return demo::run(&args),
         Command::Train(args) => return train::run(&args),
+        Command::Poses(args) => return poses::run(&args),
         Command::Experiment(args) => return experiment::run(&args),
         Command::Refine(args) => return refine::run(&args),
         Command::Evaluate(args) => evaluate::run(&args),
@@ -68,8 +70,11 @@ fn check_outputs(command: &Command) -> Result<()> {
             };
             figures(json, &[source.splat.as_deref()])
         }
-        Command::Train(_) | Command::Demo(_) | Command::Experiment(_) | Command::Lpips { .. } | Command::Devices => {
-            Ok(())
-        }
+        Command::Poses(_)
+        | Command::Train(_)
+        | Command::Demo(_)
+        | Command::Experiment(_)
+        | Command::Lpips { .. }
+        | Command::Devices => Ok(()),
     }
 }

@@ -6,6 +6,7 @@ mod experiment;
 mod lpips;
 mod overwrite;
 mod peer;
+mod poses;
 mod resume;
 mod run_folder;
 mod support;
