@@ -94,8 +94,8 @@ fn a_video_is_photos_too() {
     let folder = tempfile::tempdir().unwrap();
     let (Some(python), Some(_)) = (python_with("pycolmap"), python_with("imageio_ffmpeg")) else { return };
     let Some(photos) = small_photos(folder.path()) else { return };
-    let ffmpeg = Command::new(&python).args(["-c", "import imageio_ffmpeg as i; print(i.get_ffmpeg_exe())"]);
-    let ffmpeg = { ffmpeg }.output().unwrap().stdout;
+    let where_is = "import imageio_ffmpeg as i; print(i.get_ffmpeg_exe())";
+    let ffmpeg = Command::new(&python).args(["-c", where_is]).output().unwrap().stdout;
     let programs = folder.path().join("programs");
     fs::create_dir(&programs).unwrap();
     std::os::unix::fs::symlink(String::from_utf8(ffmpeg).unwrap().trim(), programs.join("ffmpeg")).unwrap();
