@@ -94,7 +94,7 @@ impl Gallery {
 
     fn model(&self) -> Model {
         let Camera { width, height, focal_px, principal_px, .. } = self.views[0].camera;
-        let intrinsics = Intrinsics { width, height, focal_px, principal_px };
+        let intrinsics = Intrinsics { width, height, focal_px, principal_px, lens: None };
         let image = |view: &View| {
             let [x, y, z, w] = view.camera.camera_from_world_rotation.to_array();
             let translation = view.camera.camera_from_world_translation.to_array();

@@ -21,6 +21,18 @@ pub enum SceneError {
         shown(.0)
     )]
     Unrecognised(PathBuf),
+    /// Photos or a video, of which nothing says where they were taken from.
+    #[error(
+        "{0} {what}, and training needs to know where each photo was taken from; find that out with `genesplat poses \
+         {0} --out SCENE` and train SCENE, or add --poses to train",
+        shown(.path)
+    )]
+    NoCameras {
+        /// What was asked for.
+        path: PathBuf,
+        /// What it is.
+        what: String,
+    },
     /// A folder inside of a scene.
     #[error("{} is a part of a scene; give {}, the folder that holds sparse and images", shown(.path), shown(.scene))]
     PartOfScene {
@@ -80,10 +92,10 @@ pub enum SceneError {
         /// Which record, what is wrong, and what to do.
         problem: String,
     },
-    /// A lens that is not a pinhole.
+    /// A camera model of COLMAP that is not known.
     #[error(
-        "{}: camera {camera} uses the model {}, which bends straight lines; run COLMAP's image_undistorter on \
-         the reconstruction and load its output folder",
+        "{}: camera {camera} uses the model {}, which genesplat does not know; run COLMAP's image_undistorter on the \
+         reconstruction and load its output folder",
         shown(.file),
         shown(.model)
     )]

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use genesplat_core::Camera;
 
 use crate::error::SceneError;
-use crate::photos::Distortion;
+use crate::photos::Lens;
 use crate::scene::Point;
 use crate::shown;
 
@@ -28,8 +28,8 @@ pub(crate) struct ListedPhoto {
     pub(crate) list: Arc<Path>,
     /// At the size that the list states.
     pub(crate) camera: Camera,
-    /// Of the lens; `None` for a pinhole.
-    pub(crate) distortion: Option<Distortion>,
+    /// `None` for a pinhole.
+    pub(crate) lens: Option<Lens>,
     /// What the scene itself says that the photo is for.
     pub(crate) purpose: Purpose,
 }

@@ -1,7 +1,7 @@
 //! The `genesplat` command.
 //!
 //! Exit status: 0 done, 1 failed with one sentence on stderr, 2 wrong usage, 130 stopped by Ctrl-C or SIGTERM (train,
-//! refine, demo and experiment).
+//! poses, refine, demo and experiment).
 
 mod args;
 mod commands;
@@ -12,6 +12,7 @@ mod inspect;
 mod live;
 mod lpips;
 mod overwrite;
+mod poses;
 mod report;
 mod run;
 mod scene;

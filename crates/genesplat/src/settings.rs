@@ -81,7 +81,7 @@ impl ConfigFile {
             (None, Some(saved)) => saved.clone(),
             (None, None) => Self::defaults(),
         };
-        file.dataset.path.clone_from(&args.dataset);
+        file.dataset.path = args.scene();
         if args.size.size().is_some() {
             (file.dataset.max_side, file.dataset.downscale) = (args.size.max_side, args.size.downscale);
         }

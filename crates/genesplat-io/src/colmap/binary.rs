@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use super::cursor::Cursor;
-use super::{ImageRecord, Intrinsics, check};
+use super::{ImageRecord, Intrinsics, check, models};
 use crate::error::SceneError;
 use crate::scene::Point;
 
@@ -31,20 +31,13 @@ fn camera(file: &Path, cursor: &mut Cursor) -> Result<(u32, Intrinsics), SceneEr
     let id = cursor.i32(RECORD)? as u32;
     let model = cursor.i32(RECORD)?;
     let size = [cursor.u64(RECORD)?, cursor.u64(RECORD)?];
-    let known = usize::try_from(model).ok().and_then(|model| check::MODELS.get(model));
-    let parameters = match known {
-        Some(&name @ "SIMPLE_PINHOLE") => check::pinhole_parameters(file, id, name, &cursor.f64s::<3>(RECORD)?)?,
-        // Every other model is refused by name unless it is PINHOLE, so further parameters need not be read.
-        Some(&name) => check::pinhole_parameters(file, id, name, &cursor.f64s::<4>(RECORD)?)?,
-        None => {
-            return Err(SceneError::DistortedCamera {
-                file: file.to_owned(),
-                camera: id,
-                model: format!("with the number {model}"),
-            });
-        }
+    let Some(&(name, count)) = usize::try_from(model).ok().and_then(|model| models::MODELS.get(model)) else {
+        let model = format!("with the number {model}");
+        return Err(SceneError::DistortedCamera { file: file.to_owned(), camera: id, model });
     };
-    Ok((id, check::intrinsics(file, id, size, parameters)?))
+    let parameters: Vec<f64> =
+        (0..count).map(|_| cursor.f64s::<1>(RECORD).map(|[value]| value)).collect::<Result<_, _>>()?;
+    Ok((id, check::intrinsics(file, id, size, models::parameters(file, id, name, &parameters)?)?))
 }
 
 /// `images.bin`; features are passed over.

@@ -6,37 +6,8 @@ use std::path::Path;
 use super::{ImageRecord, Intrinsics};
 use crate::error::SceneError;
 use crate::listing::{bad_pose, intrinsics_problem, position_problem};
+use crate::photos::Lens;
 use crate::scene::Point;
-
-/// COLMAP's models by id (COLMAP, `sensor/models.h`).
-pub(super) const MODELS: [&str; 11] = [
-    "SIMPLE_PINHOLE",
-    "PINHOLE",
-    "SIMPLE_RADIAL",
-    "RADIAL",
-    "OPENCV",
-    "OPENCV_FISHEYE",
-    "FULL_OPENCV",
-    "FOV",
-    "SIMPLE_RADIAL_FISHEYE",
-    "RADIAL_FISHEYE",
-    "THIN_PRISM_FISHEYE",
-];
-
-/// `(fx, fy, cx, cy)` of a pinhole model's parameters; other models are errors.
-pub(super) fn pinhole_parameters(
-    file: &Path,
-    camera: u32,
-    model: &str,
-    parameters: &[f64],
-) -> Result<[f64; 4], SceneError> {
-    match (model, parameters) {
-        ("SIMPLE_PINHOLE", &[f, cx, cy]) => Ok([f, f, cx, cy]),
-        ("PINHOLE", &[fx, fy, cx, cy]) => Ok([fx, fy, cx, cy]),
-        ("SIMPLE_PINHOLE" | "PINHOLE", _) => Err(bad_camera(file, camera, "has the wrong number of parameters")),
-        _ => Err(SceneError::DistortedCamera { file: file.to_owned(), camera, model: model.to_owned() }),
-    }
-}
 
 /// The cameras of a file by their IDs, of which each may occur once.
 pub(super) fn by_id(
@@ -58,13 +29,13 @@ pub(super) fn intrinsics(
     file: &Path,
     camera: u32,
     size: [u64; 2],
-    [fx, fy, cx, cy]: [f64; 4],
+    ([fx, fy, cx, cy], lens): ([f64; 4], Option<Lens>),
 ) -> Result<Intrinsics, SceneError> {
     if let Some(problem) = intrinsics_problem(size.map(|side| side as f64), [fx, fy], [cx, cy]) {
         return Err(bad_camera(file, camera, problem));
     }
     let [width, height] = size.map(|side| side as u32);
-    Ok(Intrinsics { width, height, focal_px: [fx, fy], principal_px: [cx, cy] })
+    Ok(Intrinsics { width, height, focal_px: [fx, fy], principal_px: [cx, cy], lens })
 }
 
 /// A pose that is a rotation and a finite translation.
@@ -93,6 +64,6 @@ pub(super) fn point(file: &Path, place: usize, position: [f64; 3], rgb: [u8; 3])
     Ok(Point { position: position.map(|v| v as f32), rgb })
 }
 
-fn bad_camera(file: &Path, camera: u32, problem: &'static str) -> SceneError {
+pub(super) fn bad_camera(file: &Path, camera: u32, problem: &'static str) -> SceneError {
     SceneError::BadCamera { file: file.to_owned(), camera: camera.to_string(), problem }
 }

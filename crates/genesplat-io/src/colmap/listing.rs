@@ -10,6 +10,7 @@ use glam::{DQuat, DVec3};
 use super::{ImageRecord, Model, ModelFolder, read_model, read_photos};
 use crate::error::SceneError;
 use crate::listing::{ListedPhoto, Listing, Purpose, base_name, inside, no_photos};
+use crate::photos::Lens;
 use crate::shown;
 
 /// Lists the photos and, if they are wanted, the points of the model in `folder`; photos are in `image_folder`.
@@ -22,15 +23,15 @@ pub(crate) fn list(folder: &ModelFolder, image_folder: &Path, with_points: bool)
     let photos = find_photos(&model.images, image_folder, &list)?;
     let list: Arc<Path> = list.into();
     let listed = |(image, path): (&ImageRecord, PathBuf)| {
-        let (name, list, camera) = (image.name.clone(), list.clone(), camera(&model, image, &list)?);
-        Ok(ListedPhoto { name, path, list, camera, distortion: None, purpose: Purpose::Unsaid })
+        let (name, list, (camera, lens)) = (image.name.clone(), list.clone(), camera(&model, image, &list)?);
+        Ok(ListedPhoto { name, path, list, camera, lens, purpose: Purpose::Unsaid })
     };
     let photos = model.images.iter().zip(photos).map(listed).collect::<Result<_, SceneError>>()?;
     let points_file = folder.form.file(&folder.path, "points3D");
     Ok(Listing { photos, points: model.points, points_file, notices: other_models(&folder.path) })
 }
 
-fn camera(model: &Model, image: &ImageRecord, list: &Path) -> Result<Camera, SceneError> {
+fn camera(model: &Model, image: &ImageRecord, list: &Path) -> Result<(Camera, Option<Lens>), SceneError> {
     let intrinsics = model.cameras.get(&image.camera).ok_or_else(|| {
         let (name, camera) = (shown(&image.name), image.camera);
         let problem =
@@ -38,14 +39,15 @@ fn camera(model: &Model, image: &ImageRecord, list: &Path) -> Result<Camera, Sce
         SceneError::bad_record(list, problem)
     })?;
     let [w, x, y, z] = image.rotation;
-    Ok(Camera {
+    let camera = Camera {
         width: intrinsics.width,
         height: intrinsics.height,
         focal_px: intrinsics.focal_px,
         principal_px: intrinsics.principal_px,
         camera_from_world_rotation: DQuat::from_xyzw(x, y, z, w).normalize(),
         camera_from_world_translation: DVec3::from(image.translation),
-    })
+    };
+    Ok((camera, intrinsics.lens))
 }
 
 /// Path of every photo: by the record's whole name, or else by its last part, as the reference trainer looks.

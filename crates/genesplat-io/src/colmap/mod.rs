@@ -1,7 +1,7 @@
 //! COLMAP reconstructions: `sparse/0/{cameras,images,points3D}.{bin,txt}` beside a folder of photos.
 //!
-//! Only pinhole cameras are taken: a rasteriser of splats projects along straight lines, so a
-//! distorted reconstruction must be undistorted first (COLMAP's `image_undistorter`).
+//! A rasteriser of splats projects along straight lines, so photos of every other camera than a pinhole are undistorted
+//! when they are loaded, as COLMAP's `image_undistorter` does it.
 //!
 //! Frames: `camera_from_world` is stored as COLMAP stores it, x right, y down, z forward.
 //! Source of the layouts: COLMAP's "Output Format" documentation.
@@ -10,6 +10,7 @@ mod binary;
 mod check;
 mod cursor;
 mod listing;
+mod models;
 mod text;
 mod write;
 
@@ -21,6 +22,7 @@ pub use write::write_model;
 
 use crate::error::SceneError;
 use crate::input;
+use crate::photos::Lens;
 use crate::scene::Point;
 
 /// The two forms in which COLMAP writes a model.
@@ -49,7 +51,7 @@ pub struct Model {
     pub points: Vec<Point>,
 }
 
-/// A pinhole camera without its pose.
+/// A camera without its pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Intrinsics {
     /// Image width, px.
@@ -60,6 +62,8 @@ pub struct Intrinsics {
     pub focal_px: [f64; 2],
     /// `[cx, cy]`, px from the top-left corner.
     pub principal_px: [f64; 2],
+    /// What bends its photos; `None` for a pinhole.
+    pub lens: Option<Lens>,
 }
 
 /// A photo and its pose.

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::str::FromStr;
 
-use super::{ImageRecord, Intrinsics, check};
+use super::{ImageRecord, Intrinsics, check, models};
 use crate::error::SceneError;
 use crate::scene::Point;
 
@@ -79,8 +79,8 @@ fn camera(line: Line) -> Result<(u32, Intrinsics), SceneError> {
     let size = fields.array()?;
     let parameters: Vec<f64> =
         fields.words.map(|word| word.parse().map_err(|_| line.error(CAMERA))).collect::<Result<_, _>>()?;
-    let pinhole = check::pinhole_parameters(line.file, id, model, &parameters)?;
-    Ok((id, check::intrinsics(line.file, id, size, pinhole)?))
+    let parameters = models::parameters(line.file, id, model, &parameters)?;
+    Ok((id, check::intrinsics(line.file, id, size, parameters)?))
 }
 
 /// `images.txt`: a pose on one line, features on the next; of the latter it is only checked that they are features.

@@ -1,6 +1,6 @@
 //! Models out, in the binary form: what [`super::read_model`] reads back, and what other trainers read.
 //!
-//! Features and tracks are written empty, which every reader of splat scenes accepts.
+//! Features and tracks are written empty, which every reader of splat scenes accepts. Only pinholes are written.
 
 use std::io::{self, Write};
 use std::path::Path;
@@ -31,6 +31,9 @@ fn put_count(out: &mut impl Write, count: usize) -> io::Result<()> {
 fn cameras(out: &mut impl Write, model: &Model) -> io::Result<()> {
     put_count(out, model.cameras.len())?;
     for (id, camera) in &model.cameras {
+        if camera.lens.is_some() {
+            return Err(io::Error::new(io::ErrorKind::Unsupported, "only cameras without a lens are written"));
+        }
         out.write_all(&id.to_le_bytes())?;
         out.write_all(&PINHOLE.to_le_bytes())?;
         out.write_all(&u64::from(camera.width).to_le_bytes())?;

@@ -5,6 +5,7 @@
 //! between them), and transparency composited on a background *before* the resize, truncated to 8 bit.
 
 mod decode;
+mod lens;
 mod memory;
 mod resize;
 mod size;
@@ -16,10 +17,12 @@ use std::path::{Path, PathBuf};
 use genesplat_core::Photo;
 use image::{ColorType, DynamicImage, ImageEncoder, ImageReader};
 
+pub use lens::Lens;
+pub(crate) use lens::{Polynomial, Projection};
 pub(crate) use memory::Room;
 pub use resize::resize;
 pub use size::PhotoSize;
-pub(crate) use undistort::{Distortion, undistort};
+pub(crate) use undistort::{pinhole, undistort};
 
 use self::decode::Encoded;
 use crate::atomic::write_atomically;

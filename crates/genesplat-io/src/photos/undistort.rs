@@ -1,122 +1,135 @@
 //! Undoes the distortion of lenses: photos as a pinhole would have taken them.
 //!
-//! The model is OpenCV's: with `x, y` the pinhole's coordinates at depth 1 and `r² = x² + y²`,
-//! `x' = x·R + 2 p1 x y + p2 (r² + 2 x²)`, `y' = y·R + p1 (r² + 2 y²) + 2 p2 x y`,
-//! `R = 1 + k1 r² + k2 r⁴ + k3 r⁶ + k4 r⁸` (OpenCV, "Camera Calibration and 3D Reconstruction"; except for `k4`, which
-//! divides there: this one is nerfstudio's).
+//! The pinhole is the one of COLMAP's `image_undistorter` with its default settings (`blank_pixels` 0): focal lengths stay,
+//! and the picture is cut to the largest rectangle, with the principal point at the same fraction of its sides, that
+//! shows nothing but the photo. So a reconstruction trains to the same result whether COLMAP has undistorted it or not.
+//! Where a lens folds the picture over, the rectangle is made smaller until it ends before the fold.
 
 use genesplat_core::{Camera, Photo};
 
-use super::resize::cubic;
+use super::lens::Lens;
+use super::resize::{cubic, resize};
 
-/// Coefficients of a lens.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(crate) struct Distortion {
-    /// `k1` to `k4`.
-    pub(crate) radial: [f64; 4],
-    /// `p1`, `p2`.
-    pub(crate) tangential: [f64; 2],
-}
+/// Least and largest side of the undistorted picture, as a factor of the photo's (COLMAP, `UndistortCameraOptions`).
+const SCALES: [f64; 2] = [0.2, 2.0];
+/// A rim may lie so far outside of the photo, px: the pixel there is that of the photo's own rim.
+const RIM_TOLERANCE_PX: f64 = 1.0;
 
-impl Distortion {
-    /// True for a pinhole.
-    pub(crate) fn is_none(&self) -> bool {
-        *self == Self::default()
+/// The pinhole that takes the undistorted photo of `camera`; `None` if its lens is stronger than its model can undo.
+pub(crate) fn pinhole(camera: &Camera, lens: &Lens) -> Option<Camera> {
+    let scales = [0, 1].map(|axis| content_scale(camera, lens, axis).clamp(SCALES[0], SCALES[1]));
+    let cut = |part: f64| cut_to(camera, scales.map(|scale| part * scale));
+    let shows_photo = |part: f64| shows_photo_only(&cut(part), camera, lens);
+    if shows_photo(1.0) {
+        return Some(cut(1.0));
     }
-
-    /// Where the lens maps a point of the pinhole's image plane at depth 1.
-    fn distort(&self, [x, y]: [f64; 2]) -> [f64; 2] {
-        let ([k1, k2, k3, k4], [p1, p2]) = (self.radial, self.tangential);
-        let r2 = x * x + y * y;
-        let radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * (k3 + r2 * k4)));
-        [
-            x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
-            y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
-        ]
-    }
-}
-
-/// Largest change of the focal length, as a factor, with which a photo is undistorted.
-const ZOOM_MAX: f64 = 4.0;
-
-/// `photo`, taken by `camera` through a lens, as a pinhole sees it, and that pinhole; `None` if the lens is stronger
-/// than its model can undo.
-///
-/// The size and the principal point stay. The focal length becomes the shortest with which every pixel shows part of
-/// the photo, so no black rim is trained on.
-pub(crate) fn undistort(photo: &Photo, camera: &Camera, lens: &Distortion) -> Option<(Photo, Camera)> {
-    let zoom = min_zoom(camera, lens)?;
-    let pinhole = Camera { focal_px: camera.focal_px.map(|focal| focal * zoom), ..*camera };
-    let mut rgb = vec![0; photo.rgb.len()];
-    let stride = 3 * photo.width as usize;
-    rgb.chunks_exact_mut(stride).enumerate().for_each(|(row, values)| {
-        for (column, value) in values.chunks_exact_mut(3).enumerate() {
-            let source = source_pixel(camera, lens, zoom, [column as f64, row as f64]);
-            value.copy_from_slice(&bicubic(photo, source));
-        }
-    });
-    Some((Photo { rgb, ..*photo }, pinhole))
-}
-
-/// The pixel of the photo that the undistorted pixel `(u, v)` shows.
-fn source_pixel(camera: &Camera, lens: &Distortion, zoom: f64, [u, v]: [f64; 2]) -> [f64; 2] {
-    let ([fx, fy], [cx, cy]) = (camera.focal_px, camera.principal_px);
-    let [x, y] = lens.distort([(u + 0.5 - cx) / (zoom * fx), (v + 0.5 - cy) / (zoom * fy)]);
-    [fx * x + cx - 0.5, fy * y + cy - 0.5]
-}
-
-/// The least factor of the focal length with which the rim of the undistorted photo lies inside the photo.
-fn min_zoom(camera: &Camera, lens: &Distortion) -> Option<f64> {
-    let (mut low, mut high) = (1.0 / ZOOM_MAX, ZOOM_MAX);
-    if !rim_is_inside(camera, lens, high) {
+    let (mut low, mut high) = (0.05, 1.0);
+    if !shows_photo(low) {
         return None;
     }
-    // 40 halvings: far below what a pixel can show.
-    for _ in 0..40 {
+    // 14 halvings: finer than a pixel.
+    for _ in 0..14 {
         let middle = 0.5 * (low + high);
-        if rim_is_inside(camera, lens, middle) { high = middle } else { low = middle }
+        if shows_photo(middle) { low = middle } else { high = middle }
     }
-    Some(high)
+    Some(cut(low))
 }
 
-fn rim_is_inside(camera: &Camera, lens: &Distortion, zoom: f64) -> bool {
-    let [right, bottom] = [camera.width - 1, camera.height - 1].map(f64::from);
-    let along = |side: f64| (0..=side as u32).map(f64::from);
+/// How long a side along `axis` may be, as a factor of the photo's, before one of its ends leaves the photo somewhere.
+fn content_scale(camera: &Camera, lens: &Lens, axis: usize) -> f64 {
+    let sides = [camera.width, camera.height];
+    let (side, centre) = (f64::from(sides[axis]), camera.principal_px[axis]);
+    let rim = |at: f64| {
+        (0..sides[1 - axis]).filter_map(move |across| {
+            let mut shown = [f64::from(across) + 0.5; 2];
+            shown[axis] = at;
+            let point = lens.undistort(normalised(camera, shown))?;
+            Some(camera.focal_px[axis] * point[axis] + centre)
+        })
+    };
+    let near = rim(0.5).fold(f64::NEG_INFINITY, f64::max);
+    let far = rim(side - 0.5).fold(f64::INFINITY, f64::min);
+    ((centre - near) / centre).min((far - centre) / (side - 0.5 - centre))
+}
+
+/// `camera` with sides of these factors of its own, whole pixels, and the principal point at the same fraction of them.
+fn cut_to(camera: &Camera, scales: [f64; 2]) -> Camera {
+    let cut = |side: u32, scale: f64| ((f64::from(side) * scale) as u32).max(1);
+    let [width, height] = [cut(camera.width, scales[0]), cut(camera.height, scales[1])];
+    let resized = camera.resized(width, height);
+    Camera { focal_px: camera.focal_px, ..resized }
+}
+
+/// True when the rim of `pinhole`'s picture lies inside the photo, and the lens has not folded before it.
+fn shows_photo_only(pinhole: &Camera, camera: &Camera, lens: &Lens) -> bool {
+    const POINTS_A_SIDE: u32 = 256;
+    let [right, bottom] = [pinhole.width, pinhole.height].map(f64::from);
+    let along = |side: f64| (0..=POINTS_A_SIDE).map(move |i| side * f64::from(i) / f64::from(POINTS_A_SIDE));
     let rows = along(right).flat_map(|u| [[u, 0.0], [u, bottom]]);
     let columns = along(bottom).flat_map(|v| [[0.0, v], [right, v]]);
-    let is_inside = |at: [f64; 2]| {
-        let [u, v] = source_pixel(camera, lens, zoom, at);
-        (0.0..=right).contains(&u) && (0.0..=bottom).contains(&v) && moves_outwards(camera, lens, zoom, at)
+    let inside = -RIM_TOLERANCE_PX;
+    let is_shown = |at: [f64; 2]| {
+        let point = normalised(pinhole, at);
+        let [u, v] = source(camera, lens, point);
+        let (width, height) = (f64::from(camera.width) - inside, f64::from(camera.height) - inside);
+        (inside..=width).contains(&u) && (inside..=height).contains(&v) && lens.grows_to(point)
     };
-    rows.chain(columns).all(is_inside)
+    rows.chain(columns).all(is_shown)
 }
 
-/// True when the distorted radius grows all the way from the middle to `(u, v)`. Beyond the radius where it turns
-/// around, the polynomial folds the picture over.
-fn moves_outwards(camera: &Camera, lens: &Distortion, zoom: f64, at: [f64; 2]) -> bool {
-    const STEPS: u32 = 16;
-    let middle = camera.principal_px.map(|c| c - 0.5);
-    let distance = |step: u32| {
-        let fraction = f64::from(step) / f64::from(STEPS);
-        let between = [0, 1].map(|axis| middle[axis] + fraction * (at[axis] - middle[axis]));
-        let [u, v] = source_pixel(camera, lens, zoom, between);
-        (u - middle[0]).hypot(v - middle[1])
-    };
-    (0..STEPS).all(|step| distance(step) <= distance(step + 1))
+/// Pixels from the corner to the image plane at depth 1.
+fn normalised(camera: &Camera, at_px: [f64; 2]) -> [f64; 2] {
+    [0, 1].map(|axis| (at_px[axis] - camera.principal_px[axis]) / camera.focal_px[axis])
 }
 
-/// The photo between its pixels, by Keys' cubic; `(u, v)` lies inside the photo.
+/// Where the photo of `camera` shows a point of the image plane at depth 1: pixels from its corner.
+fn source(camera: &Camera, lens: &Lens, point: [f64; 2]) -> [f64; 2] {
+    let shown = lens.distort(point);
+    [0, 1].map(|axis| camera.focal_px[axis] * shown[axis] + camera.principal_px[axis])
+}
+
+/// `photo`, taken by `camera` through a lens, as [`pinhole`] takes it, at a width and height that are not above its own.
+///
+/// Photo and picture are handled at twice that size, or at their own where that is smaller: the pixels between which
+/// the resampling interpolates are then finer than those that are kept, so it does not blur them.
+pub(crate) fn undistort(photo: &Photo, camera: &Camera, lens: &Lens, pinhole: &Camera, size: [u32; 2]) -> Photo {
+    let [width, height] = size;
+    let fine = pinhole.resized(pinhole.width.min(2 * width), pinhole.height.min(2 * height));
+    let reduced = |side: u32, part: u32, whole: u32| {
+        (f64::from(side) * f64::from(part) / f64::from(whole)).round().max(1.0) as u32
+    };
+    let camera = camera
+        .resized(reduced(photo.width, fine.width, pinhole.width), reduced(photo.height, fine.height, pinhole.height));
+    resize(&resample(&resize(photo, camera.width, camera.height), &camera, lens, &fine), width, height)
+}
+
+/// What `pinhole` takes of what `camera` has taken through `lens`.
+fn resample(photo: &Photo, camera: &Camera, lens: &Lens, pinhole: &Camera) -> Photo {
+    let stride = 3 * pinhole.width as usize;
+    let mut rgb = vec![0; stride * pinhole.height as usize];
+    rgb.chunks_exact_mut(stride).enumerate().for_each(|(row, values)| {
+        for (column, value) in values.chunks_exact_mut(3).enumerate() {
+            let at = [column as f64 + 0.5, row as f64 + 0.5];
+            let [u, v] = source(camera, lens, normalised(pinhole, at));
+            value.copy_from_slice(&bicubic(photo, [u - 0.5, v - 0.5]));
+        }
+    });
+    Photo { width: pinhole.width, height: pinhole.height, rgb }
+}
+
+/// The photo between its pixels, by Keys' cubic; beyond its rim, the rim.
 fn bicubic(photo: &Photo, [u, v]: [f64; 2]) -> [u8; 3] {
     let (left, top) = (u.floor(), v.floor());
-    let weights = |fraction: f64| [-1.0, 0.0, 1.0, 2.0].map(|offset| cubic(offset - fraction));
+    let weights = |fraction: f64| [-1.0, 0.0, 1.0, 2.0].map(|offset| cubic(offset - fraction) as f32);
     let (across, down) = (weights(u - left), weights(v - top));
-    let at = |first: f64, tap: usize, side: u32| (first as i64 + tap as i64 - 1).clamp(0, i64::from(side) - 1) as u32;
+    let at = |first: f64, tap: usize, side: u32| (first as i64 + tap as i64 - 1).clamp(0, i64::from(side) - 1) as usize;
+    let columns = [0, 1, 2, 3].map(|tap| 3 * at(left, tap, photo.width));
     let mut sums = [0.5; 3];
-    for (row, down) in down.iter().enumerate() {
-        for (column, across) in across.iter().enumerate() {
-            let pixel = photo.pixel(at(left, column, photo.width), at(top, row, photo.height));
-            for (sum, value) in sums.iter_mut().zip(pixel) {
-                *sum += down * across * f64::from(value);
+    for (tap, down) in down.into_iter().enumerate() {
+        let row = &photo.rgb[3 * photo.width as usize * at(top, tap, photo.height)..];
+        for (column, across) in columns.into_iter().zip(across) {
+            for (sum, value) in sums.iter_mut().zip(&row[column..column + 3]) {
+                *sum += down * across * f32::from(*value);
             }
         }
     }
@@ -127,9 +140,18 @@ fn bicubic(photo: &Photo, [u, v]: [f64; 2]) -> [u8; 3] {
 mod tests {
     use glam::{DQuat, DVec3};
 
+    use super::super::lens::{Polynomial, Projection};
     use super::*;
 
-    const LENS: Distortion = Distortion { radial: [-0.25, 0.08, 0.01, 0.0], tangential: [-0.004, 0.003] };
+    fn brown(radial: [f64; 3], tangential: [f64; 2]) -> Lens {
+        let [k1, k2, k3] = radial;
+        let polynomial = Polynomial { radial: [k1, k2, k3, 0.0, 0.0, 0.0], tangential, ..Polynomial::default() };
+        Lens { polynomial, ..Lens::default() }
+    }
+
+    fn barrel() -> Lens {
+        brown([-0.25, 0.08, 0.01], [-0.004, 0.003])
+    }
 
     fn camera() -> Camera {
         Camera {
@@ -142,55 +164,70 @@ mod tests {
         }
     }
 
-    /// A smooth pattern on the plane at depth 1.
-    fn pattern(x: f64, y: f64) -> u8 {
-        (128.0 + 60.0 * (9.0 * x).sin() + 50.0 * (11.0 * y + 1.0).cos()) as u8
-    }
-
-    /// The photo that `camera` takes of the pattern through `lens`: each pixel is undistorted by fixed-point iteration.
-    fn photograph(camera: &Camera, lens: &Distortion) -> Photo {
-        let ([fx, fy], [cx, cy]) = (camera.focal_px, camera.principal_px);
+    /// The photo that `camera` takes through `lens` of a smooth pattern on the plane at depth 1.
+    fn photograph(camera: &Camera, lens: &Lens) -> Photo {
         let value = |index: u32| {
-            let (u, v) = (f64::from(index % camera.width), f64::from(index / camera.width));
-            let distorted = [(u + 0.5 - cx) / fx, (v + 0.5 - cy) / fy];
-            let mut undistorted = distorted;
-            for _ in 0..50 {
-                let again = lens.distort(undistorted);
-                undistorted = [0, 1].map(|axis| undistorted[axis] + distorted[axis] - again[axis]);
-            }
-            [pattern(undistorted[0], undistorted[1]); 3]
+            let at = [index % camera.width, index / camera.width].map(|at| f64::from(at) + 0.5);
+            let [x, y] = lens.undistort(normalised(camera, at)).unwrap_or([0.0; 2]);
+            [(128.0 + 60.0 * (9.0 * x).sin() + 50.0 * (11.0 * y + 1.0).cos()) as u8; 3]
         };
         let rgb = (0..camera.width * camera.height).flat_map(value).collect();
         Photo { width: camera.width, height: camera.height, rgb }
     }
 
-    #[test]
-    fn an_undistorted_photo_is_what_a_pinhole_takes() {
-        let distorted = photograph(&camera(), &LENS);
-        let (undistorted, pinhole) = undistort(&distorted, &camera(), &LENS).unwrap();
-        let expected = photograph(&pinhole, &Distortion::default());
-        let worst = |a: &Photo| a.rgb.iter().zip(&expected.rgb).map(|(a, b)| a.abs_diff(*b)).max().unwrap();
-        assert!(worst(&undistorted) <= 3, "differs by {} of 255", worst(&undistorted));
-        assert!(worst(&distorted) > 10, "the lens is too weak to test anything");
+    fn undistorted(lens: &Lens, divisor: u32) -> (Photo, Camera) {
+        let (photo, pinhole) = (photograph(&camera(), lens), pinhole(&camera(), lens).unwrap());
+        let size = [pinhole.width / divisor, pinhole.height / divisor];
+        (undistort(&photo, &camera(), lens, &pinhole, size), pinhole.resized(size[0], size[1]))
+    }
+
+    fn worst(a: &Photo, b: &Photo) -> u8 {
+        assert_eq!((a.width, a.height), (b.width, b.height));
+        a.rgb.iter().zip(&b.rgb).map(|(a, b)| a.abs_diff(*b)).max().unwrap()
     }
 
     #[test]
-    fn a_pinhole_stays_as_it_is() {
-        let photo = photograph(&camera(), &Distortion::default());
-        let (same, pinhole) = undistort(&photo, &camera(), &Distortion::default()).unwrap();
-        assert!((pinhole.focal_px[0] - 100.0).abs() < 1e-6);
-        assert_eq!(same, photo);
+    fn an_undistorted_photo_is_what_a_pinhole_takes() {
+        let fisheye = Lens { projection: Projection::Fisheye, ..Lens::default() };
+        let pincushion = brown([0.3, 0.0, 0.0], [0.0; 2]);
+        for lens in [barrel(), pincushion, fisheye] {
+            let (photo, pinhole) = undistorted(&lens, 1);
+            let expected = photograph(&pinhole, &Lens::default());
+            assert!(worst(&photo, &expected) <= 3, "{lens:?} differs by {} of 255", worst(&photo, &expected));
+            let (left_alone, _) = undistorted(&Lens::default(), 1);
+            let bent = resize(&photograph(&camera(), &lens), left_alone.width, left_alone.height);
+            assert!(worst(&bent, &left_alone) > 10, "{lens:?} is too weak to test anything");
+        }
+    }
+
+    #[test]
+    fn a_reduced_photo_is_what_the_same_pinhole_takes_with_fewer_pixels() {
+        let (photo, pinhole) = undistorted(&barrel(), 3);
+        let expected = photograph(&pinhole, &Lens::default());
+        assert!(worst(&photo, &expected) <= 8, "differs by {} of 255", worst(&photo, &expected));
+    }
+
+    #[test]
+    fn the_largest_rectangle_without_a_border_is_kept() {
+        let lens = barrel();
+        let whole = pinhole(&camera(), &lens).unwrap();
+        assert_eq!(whole.focal_px, camera().focal_px);
+        assert!(shows_photo_only(&whole, &camera(), &lens));
+        let larger = [0, 1].map(|axis| {
+            let mut scales = [1.0; 2];
+            scales[axis] = 1.08;
+            shows_photo_only(&cut_to(&whole, scales), &camera(), &lens)
+        });
+        assert_eq!(larger, [false; 2], "there was more to show");
     }
 
     #[test]
     fn a_lens_that_folds_the_picture_over_is_refused_or_cut_before_the_fold() {
-        let fold = Distortion { radial: [-1.0, 0.0, 0.0, 0.0], tangential: [0.0; 2] };
-        let photo = photograph(&camera(), &Distortion::default());
-        let (_, pinhole) = undistort(&photo, &camera(), &fold).unwrap();
-        // r − r³ turns around at 1/√3.
-        let corner = 60.0f64.hypot(40.0) / pinhole.focal_px[0];
-        assert!(corner < 0.6, "{corner}");
-        let hopeless = Distortion { radial: [f64::NAN; 4], tangential: [0.0; 2] };
-        assert!(undistort(&photo, &camera(), &hopeless).is_none());
+        let pinhole_of = |radial| pinhole(&camera(), &brown(radial, [0.0; 2]));
+        let cut = pinhole_of([-1.0, 0.0, 0.0]).unwrap();
+        // r - r³ turns around at 1/√3.
+        let corner = normalised(&cut, [0.0; 2]);
+        assert!((0.3..0.6).contains(&corner[0].hypot(corner[1])), "{corner:?}");
+        assert_eq!(pinhole_of([f64::NAN, 0.0, 0.0]), None);
     }
 }

@@ -1,5 +1,6 @@
 //! Scenes: what a reader lists is split ([`split`]), and its photos are loaded in parallel ([`view`]).
 
+mod bare;
 mod split;
 mod view;
 
@@ -141,7 +142,8 @@ fn list(path: &Path, options: &LoadOptions) -> Result<Listing, SceneError> {
     }
     match list_known(path, options) {
         Err(error @ (SceneError::Unrecognised(_) | SceneError::AllPhotosMissing { .. })) => {
-            Err(whole_scene(path).map_or(error, |scene| SceneError::PartOfScene { path: path.to_owned(), scene }))
+            let part = whole_scene(path).map(|scene| SceneError::PartOfScene { path: path.to_owned(), scene });
+            Err(part.or_else(|| bare::without_cameras(path)).unwrap_or(error))
         }
         known => checked(known?, options),
     }

@@ -2,12 +2,12 @@
 
 use std::sync::Arc;
 
-use genesplat_core::{Camera, Photo, View};
+use genesplat_core::{Camera, View};
 
 use super::{LoadOptions, LoadProgress};
 use crate::error::SceneError;
 use crate::listing::ListedPhoto;
-use crate::photos::{self, EncodedPhoto};
+use crate::photos::{self, EncodedPhoto, Lens};
 use crate::shown;
 
 /// Least side of a loaded photo, px: SSIM's window alone has 11.
@@ -21,7 +21,8 @@ pub(super) fn load(
     let photo = EncodedPhoto::open(&listed.path)?;
     let (photo_width, photo_height) = photo.size();
     let camera = camera_of_photo(listed, photo_width, photo_height)?;
-    let (width, height) = options.size_of(photo_width, photo_height);
+    let pinhole = listed.lens.map_or(Ok(camera), |lens| pinhole_of(listed, &camera, &lens))?;
+    let (width, height) = options.size_of(pinhole.width, pinhole.height);
     if width.min(height) < SIDE_MIN_PX {
         let problem = format!(
             "would be loaded at {width}x{height} pixels, and both sides must have at least {SIDE_MIN_PX}; reduce it \
@@ -32,16 +33,17 @@ pub(super) fn load(
     // Whatever follows runs on this thread alone.
     let _room = photo.wait_for_room();
     let photo = photo.decode_on(options.background)?;
-    let (photo, camera) = undistort(listed, photo, camera)?;
-    let photo = Arc::new(photos::resize(&photo, width, height));
+    let photo = match &listed.lens {
+        Some(lens) => photos::undistort(&photo, &camera, lens, &pinhole, [width, height]),
+        None => photos::resize(&photo, width, height),
+    };
     progress.photo_done();
-    Ok(View { name: listed.name.clone(), camera: camera.resized(width, height), photo })
+    Ok(View { name: listed.name.clone(), camera: pinhole.resized(width, height), photo: Arc::new(photo) })
 }
 
-/// The photo as a pinhole would have taken it, and that pinhole.
-fn undistort(listed: &ListedPhoto, photo: Photo, camera: Camera) -> Result<(Photo, Camera), SceneError> {
-    let Some(distortion) = &listed.distortion else { return Ok((photo, camera)) };
-    photos::undistort(&photo, &camera, distortion).ok_or_else(|| SceneError::BadCamera {
+/// The pinhole that takes the undistorted photo of `camera`.
+fn pinhole_of(listed: &ListedPhoto, camera: &Camera, lens: &Lens) -> Result<Camera, SceneError> {
+    photos::pinhole(camera, lens).ok_or_else(|| SceneError::BadCamera {
         file: listed.list.to_path_buf(),
         camera: listed.name.clone(),
         problem: "has distortion coefficients that cannot be undone",

@@ -8,17 +8,17 @@ use glam::{DMat3, DQuat, DVec3};
 use super::schema::{OptionalIntrinsics, PhotoEntry};
 use crate::error::SceneError;
 use crate::listing::{bad_pose, intrinsics_problem, position_problem};
-use crate::photos::{self, Distortion};
+use crate::photos::{self, Lens, Polynomial, Projection};
 
-/// The camera of `entry`, and what its lens distorts; `photo` is asked for its size where the file does not say it.
+/// The camera of `entry`, and its lens; `photo` is asked for its size where the file does not say it.
 pub(super) fn camera(
     list: &Path,
     entry: &PhotoEntry,
     intrinsics: &OptionalIntrinsics,
     photo: &Path,
-) -> Result<(Camera, Option<Distortion>), SceneError> {
+) -> Result<(Camera, Option<Lens>), SceneError> {
     let (rotation, translation) = pose(list, entry)?;
-    check_model(list, intrinsics)?;
+    let lens = lens(list, intrinsics)?;
     let bad = |problem| SceneError::BadCamera { file: list.to_owned(), camera: entry.file_path.clone(), problem };
     let [width, height] = match (intrinsics.w, intrinsics.h) {
         (Some(w), Some(h)) => [w, h],
@@ -40,33 +40,45 @@ pub(super) fn camera(
         camera_from_world_rotation: rotation,
         camera_from_world_translation: translation,
     };
-    Ok((camera, distortion(intrinsics)))
+    Ok((camera, lens))
 }
 
-/// COLMAP's names of the models whose coefficients mean what [`Distortion`] takes them for.
+/// COLMAP's names of the models whose coefficients a `transforms.json` can hold.
 ///
-/// FULL_OPENCV is none of them: it divides by a second polynomial, whose first coefficient it calls k4.
-pub(crate) const KNOWN_MODELS: [&str; 5] = ["PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "SIMPLE_RADIAL", "RADIAL"];
+/// FULL_OPENCV is none of them: it divides by a second polynomial, whose first coefficient it calls k4, and which
+/// nerfstudio's k4 is not.
+pub(crate) const KNOWN_MODELS: [&str; 8] = [
+    "PINHOLE",
+    "SIMPLE_PINHOLE",
+    "OPENCV",
+    "SIMPLE_RADIAL",
+    "RADIAL",
+    "OPENCV_FISHEYE",
+    "RADIAL_FISHEYE",
+    "SIMPLE_RADIAL_FISHEYE",
+];
 
-fn check_model(list: &Path, intrinsics: &OptionalIntrinsics) -> Result<(), SceneError> {
+fn lens(list: &Path, intrinsics: &OptionalIntrinsics) -> Result<Option<Lens>, SceneError> {
     let model = match (&intrinsics.camera_model, intrinsics.is_fisheye) {
         (_, Some(true)) => "OPENCV_FISHEYE",
         (Some(model), _) => model,
-        (None, _) => return Ok(()),
+        (None, _) => "OPENCV",
     };
-    if KNOWN_MODELS.contains(&model) {
-        return Ok(());
+    if !KNOWN_MODELS.contains(&model) {
+        return Err(SceneError::UnknownLens { file: list.to_owned(), model: model.to_owned() });
     }
-    Err(SceneError::UnknownLens { file: list.to_owned(), model: model.to_owned() })
-}
-
-fn distortion(intrinsics: &OptionalIntrinsics) -> Option<Distortion> {
     let value = |coefficient: Option<f64>| coefficient.unwrap_or(0.0);
-    let distortion = Distortion {
-        radial: [value(intrinsics.k1), value(intrinsics.k2), value(intrinsics.k3), value(intrinsics.k4)],
-        tangential: [value(intrinsics.p1), value(intrinsics.p2)],
+    let [k1, k2, k3, k4] = [intrinsics.k1, intrinsics.k2, intrinsics.k3, intrinsics.k4].map(value);
+    let is_fisheye = model.ends_with("FISHEYE");
+    let lens = Lens {
+        projection: if is_fisheye { Projection::Fisheye } else { Projection::Perspective },
+        polynomial: Polynomial {
+            radial: [k1, k2, k3, k4, 0.0, 0.0],
+            tangential: [intrinsics.p1, intrinsics.p2].map(|p| if is_fisheye { 0.0 } else { value(p) }),
+            ..Polynomial::default()
+        },
     };
-    (!distortion.is_none()).then_some(distortion)
+    Ok((!lens.is_pinhole()).then_some(lens))
 }
 
 fn pose(list: &Path, entry: &PhotoEntry) -> Result<(DQuat, DVec3), SceneError> {

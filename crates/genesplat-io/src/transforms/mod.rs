@@ -152,10 +152,10 @@ fn read_photos(list: &Path, purpose: Option<Purpose>) -> Result<Found, SceneErro
             continue;
         };
         let intrinsics = entry.intrinsics.or(&file.intrinsics);
-        let (camera, distortion) = camera::camera(list, entry, &intrinsics, &path)?;
+        let (camera, lens) = camera::camera(list, entry, &intrinsics, &path)?;
         let listed = splits.as_ref().map(|splits| splits.purpose(&entry.file_path, list)).transpose()?;
         let purpose = purpose.or(listed).unwrap_or_default();
-        found.photos.push(ListedPhoto { name, path, list: shared.clone(), camera, distortion, purpose });
+        found.photos.push(ListedPhoto { name, path, list: shared.clone(), camera, lens, purpose });
     }
     Ok(found)
 }

@@ -51,7 +51,7 @@ pub(super) struct OptionalIntrinsics {
     /// Size, px; some writers use a decimal point.
     pub(super) w: Option<f64>,
     pub(super) h: Option<f64>,
-    /// Radial coefficients, as nerfstudio has them ([`crate::photos::Distortion`]).
+    /// Radial coefficients, as nerfstudio has them ([`crate::photos::Lens`]).
     pub(super) k1: Option<f64>,
     pub(super) k2: Option<f64>,
     pub(super) k3: Option<f64>,

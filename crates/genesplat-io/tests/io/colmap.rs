@@ -240,19 +240,43 @@ fn a_fraction_of_a_size_is_loaded_with_its_cameras() {
 }
 
 #[test]
-fn a_distorted_camera_names_its_model_and_the_remedy() {
+fn an_unknown_camera_names_its_model_and_the_remedy() {
     let text = refusal(Form::Text, &tiny_model(2), |scene| {
-        fs::write(file_of(scene, Form::Text, "cameras"), "7 OPENCV 40 30 35 35 20 15 0.1 0 0 0\n").unwrap();
+        fs::write(file_of(scene, Form::Text, "cameras"), "7 EQUIRECTANGULAR 40 30 40 30\n").unwrap();
     });
     let binary = refusal(Form::Binary, &tiny_model(2), |scene| {
         let path = file_of(scene, Form::Binary, "cameras");
         let mut bytes = fs::read(&path).unwrap();
-        bytes[12] = 4;
+        bytes[12] = 99;
         fs::write(&path, bytes).unwrap();
     });
-    for sentence in [text, binary] {
-        assert!(sentence.contains("model OPENCV") && sentence.contains("image_undistorter"), "{sentence}");
+    for (sentence, model) in [(text, "model EQUIRECTANGULAR"), (binary, "model with the number 99")] {
+        assert!(sentence.contains(model) && sentence.contains("image_undistorter"), "{sentence}");
     }
+}
+
+/// Number, name and parameters of one model with a lens, in both forms.
+#[test]
+fn a_lens_is_read_and_undone_in_both_forms() {
+    let [text, binary] = FORMS.map(|form| {
+        let folder = tempfile::tempdir().unwrap();
+        write_scene(folder.path(), form, &tiny_model(2));
+        let file = file_of(folder.path(), form, "cameras");
+        let parameters = [35.5f64, 36.25, 20.5, 14.75, -0.1, 0.02, 0.003, -0.002];
+        if form == Form::Text {
+            let values = parameters.map(|value| value.to_string()).join(" ");
+            fs::write(&file, format!("7 OPENCV 40 30 {values}\n")).unwrap();
+        } else {
+            let mut bytes = fs::read(&file).unwrap();
+            bytes[12] = 4;
+            bytes.extend(parameters[4..].iter().flat_map(|value| value.to_le_bytes()));
+            fs::write(&file, bytes).unwrap();
+        }
+        load_scene(folder.path(), &LoadOptions::default(), &()).unwrap().train.remove(0)
+    });
+    assert_eq!((text.camera, &text.photo), (binary.camera, &binary.photo));
+    assert_eq!(text.camera.focal_px, [35.5, 36.25]);
+    assert!(*text.photo != tiny_photo(1, SIZE) && [text.camera.width, text.camera.height] != SIZE, "{:?}", text.camera);
 }
 
 #[test]
@@ -414,4 +438,19 @@ fn cameras_follow_smaller_photos_and_requested_sizes() {
     assert_eq!((loaded.width, loaded.height), (30, 23));
     assert!((loaded.focal_px[0] - 70.0 * 30.0 / 79.0).abs() < 1e-12);
     assert!((loaded.focal_px[1] - 70.0 * 23.0 / 61.0).abs() < 1e-12);
+}
+
+#[test]
+fn photos_and_videos_without_cameras_name_the_command_that_finds_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let photos = folder.path().join("photos");
+    photos::write_png(&photos.join("a.PNG"), &tiny_photo(0, SIZE)).unwrap();
+    photos::write_png(&photos.join("more/b.png"), &tiny_photo(1, SIZE)).unwrap();
+    let video = folder.path().join("film.MOV");
+    fs::write(&video, "a film").unwrap();
+    for (path, what) in [(&photos, "holds 2 photos and no cameras"), (&video, "is a video")] {
+        let sentence = load_scene(path, &LoadOptions::default(), &()).unwrap_err().to_string();
+        let command = format!("`genesplat poses {} --out SCENE`", path.display());
+        assert!(sentence.contains(what) && sentence.contains(&command) && sentence.contains("--poses"), "{sentence}");
+    }
 }

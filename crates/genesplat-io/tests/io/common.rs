@@ -13,8 +13,13 @@ pub(crate) const SIZE: [u32; 2] = [40, 30];
 
 /// `photos` photos in two folders, nine points, one camera.
 pub(crate) fn tiny_model(photos: usize) -> Model {
-    let intrinsics =
-        Intrinsics { width: SIZE[0], height: SIZE[1], focal_px: [35.5, 36.25], principal_px: [20.5, 14.75] };
+    let intrinsics = Intrinsics {
+        width: SIZE[0],
+        height: SIZE[1],
+        focal_px: [35.5, 36.25],
+        principal_px: [20.5, 14.75],
+        lens: None,
+    };
     let image = |index: usize| ImageRecord {
         name: format!("a b/{index:03}.png"),
         camera: 7,

@@ -5,6 +5,7 @@ mod common;
 mod foreign;
 mod formats;
 mod hostile_formats;
+mod lenses;
 mod photos;
 mod ply;
 mod real_scenes;

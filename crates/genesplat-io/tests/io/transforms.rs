@@ -206,9 +206,23 @@ fn a_distorted_photo_is_undistorted() {
     let scene = load_description(&description).unwrap();
     let view = &scene.train[0];
     assert_ne!(*view.photo, tiny_photo(1, [40, 30]));
-    // A lens that pulls the corners outwards sees less of the world: the pinhole's focal length grows.
-    assert!(view.camera.focal_px[0] > 44.0 && view.camera.focal_px[0] < 50.0, "{:?}", view.camera.focal_px);
-    assert!((view.camera.focal_px[0] / view.camera.focal_px[1] - 44.0 / 45.0).abs() < 1e-9);
+    // A lens that pulls the corners outwards sees less of the world: of the pinhole's picture, the rim is cut off.
+    assert_eq!(view.camera.focal_px, [44.0, 45.0]);
+    assert_eq!([view.camera.width, view.camera.height], [view.photo.width, view.photo.height]);
+    assert!((36..40).contains(&view.camera.width) && (26..30).contains(&view.camera.height), "{:?}", view.camera);
+}
+
+#[test]
+fn a_fisheye_is_told_by_its_model_or_by_a_flag() {
+    let load = |key: &str, value| {
+        let mut description = nerfstudio();
+        description[key] = value;
+        load_description(&description).unwrap().train.remove(0)
+    };
+    let (by_model, by_flag) = (load("camera_model", json!("OPENCV_FISHEYE")), load("is_fisheye", json!(true)));
+    assert_eq!(by_model.photo, by_flag.photo);
+    // A pinhole needs more of its image plane for what a fisheye sees.
+    assert!(by_flag.camera.width > 40 && by_flag.camera.focal_px == [44.0, 45.0], "{:?}", by_flag.camera);
 }
 
 #[test]
@@ -351,7 +365,7 @@ fn points_that_are_too_few_are_named_with_their_file() {
 #[test]
 fn mistakes_are_named() {
     type Spoil = fn(&mut Value);
-    let cases: [(Spoil, &str); 17] = [
+    let cases: [(Spoil, &str); 15] = [
         (|d| d["frames"] = json!([]), "lists no photos"),
         (|d| d["frames"] = json!("none"), "not a valid description"),
         (|d| d["frames"][0]["transform_matrix"] = json!([[1, 0, 0, 0]]), "fewer than three rows"),
@@ -368,12 +382,11 @@ fn mistakes_are_named() {
         ),
         (|d| d["w"] = json!(0), "impossible image size"),
         (|d| d["w"] = json!(80), "which is another shape"),
-        (|d| d["camera_model"] = json!("OPENCV_FISHEYE"), "model OPENCV_FISHEYE"),
         (
             |d| d["camera_model"] = json!("FULL_OPENCV"),
-            "reads only PINHOLE, SIMPLE_PINHOLE, OPENCV, SIMPLE_RADIAL, RADIAL; undistort",
+            "reads only PINHOLE, SIMPLE_PINHOLE, OPENCV, SIMPLE_RADIAL, RADIAL, OPENCV_FISHEYE, RADIAL_FISHEYE, \
+             SIMPLE_RADIAL_FISHEYE; undistort",
         ),
-        (|d| d["is_fisheye"] = json!(true), "model OPENCV_FISHEYE"),
         (|d| d["ply_file_path"] = json!("absent.ply"), "absent.ply, which the scene has as its ply_file_path, does"),
         (|d| d["ply_file_path"] = json!("../p.ply"), "the ply_file_path \"../p.ply\", which is not a path inside"),
         (|d| d["ply_file_path"] = json!(""), "the ply_file_path \"\", which is not a path inside"),

@@ -20,18 +20,20 @@ mod bench;
 mod choice;
 mod convert;
 mod page;
+mod poses;
 mod train;
 
 pub(crate) use bench::{Bench, BenchEvolutionArgs, BenchGpuArgs, BenchStepArgs, SourceArgs, WorkloadArgs};
 pub(crate) use convert::ConvertArgs;
 pub(crate) use page::{PathChoice, TrainPageArgs, ViewArgs};
+pub(crate) use poses::PosesArgs;
 pub(crate) use train::{EvolutionArgs, TrainArgs};
 
 /// Heading of the flags that few users need.
 const MORE: &str = "More options";
 
 const EXIT_STATUS: &str = "Exit status: 0 done, 1 failed (one sentence on stderr says why), 2 wrong usage, 130 stopped by Ctrl-C or \
-                           SIGTERM with what there was saved (train, refine, demo, experiment)";
+                           SIGTERM with what there was saved (train, poses, refine, demo, experiment)";
 
 /// Reconstruct a scene from photos as 3D Gaussians, and evolve them.
 ///
@@ -74,6 +76,8 @@ pub(crate) enum Command {
     Demo(DemoArgs),
     /// Train a scene: photos with known cameras in, a splat and its figures out
     Train(TrainArgs),
+    /// Find the cameras of a folder of photos, or of a video, so that it can be trained; can be interrupted and goes on
+    Poses(PosesArgs),
     /// Look at a scene, a splat or a run: what is in it, what looks wrong, what training will take here
     Inspect(InspectArgs),
     /// Measure how well a splat reproduces photos: PSNR, SSIM and LPIPS

@@ -16,6 +16,10 @@ pub(crate) struct TrainArgs {
     /// images; or a transforms.json of nerfstudio or instant-ngp, or Blender's transforms_train.json and
     /// transforms_test.json, and the photos that they name
     pub(crate) dataset: PathBuf,
+    /// The dataset is a folder of photos without cameras, or a video: find the cameras first, as `genesplat poses` does, and
+    /// keep that scene in DIR/scene
+    #[arg(long)]
+    pub(crate) poses: bool,
     /// Folder for the results; made if it is missing. It will hold point_cloud.ply, metrics.json, config.toml,
     /// log.jsonl and test/*.png; an earlier run's results there are moved to DIR/previous, and removed once this run
     /// has come to its end
@@ -44,6 +48,11 @@ pub(crate) struct TrainArgs {
 }
 
 impl TrainArgs {
+    /// The folder of the scene, which `--poses` makes.
+    pub(crate) fn scene(&self) -> PathBuf {
+        if self.poses { self.out.join("scene") } else { self.dataset.clone() }
+    }
+
     /// Flags over the file. Fails where one does not go with the method that is trained.
     pub(crate) fn override_config(&self, train: &mut TrainConfig) -> Result<()> {
         self.schedule.override_config(train);

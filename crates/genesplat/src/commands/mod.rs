@@ -9,6 +9,7 @@ mod evaluate;
 mod experiment;
 mod inspect;
 mod lpips_install;
+mod poses;
 mod refine;
 mod render;
 mod render_path;
@@ -36,6 +37,7 @@ pub(crate) fn run(arguments: Arguments) -> Result<Ending> {
     match arguments.command {
         Command::Demo(args) => return demo::run(&args),
         Command::Train(args) => return train::run(&args),
+        Command::Poses(args) => return poses::run(&args),
         Command::Experiment(args) => return experiment::run(&args),
         Command::Refine(args) => return refine::run(&args),
         Command::Inspect(args) => inspect::run(&args),
@@ -86,7 +88,8 @@ fn check_outputs(command: &Command) -> Result<()> {
             };
             figures(json, &[source.splat.as_deref()])
         }
-        Command::Train(_)
+        Command::Poses(_)
+        | Command::Train(_)
         | Command::Demo(_)
         | Command::Experiment(_)
         | Command::View(_)

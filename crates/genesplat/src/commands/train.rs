@@ -1,6 +1,7 @@
 //! `genesplat train`: a scene in, a run folder out.
 
 use std::path::Path;
+use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
 use anyhow::Result;
@@ -8,6 +9,7 @@ use genesplat::io::shown;
 
 use super::Ending;
 use crate::args::TrainArgs;
+use crate::poses::{self, Request};
 use crate::run::metrics::Metrics;
 use crate::run::session::{Caller, RunSession};
 use crate::run::training::{Ended, Run};
@@ -26,8 +28,12 @@ pub(crate) fn run(args: &TrainArgs) -> Result<Ending> {
     let config = ConfigFile::of_training(args)?;
     device::use_threads(config.threads())?;
     let stop = interrupt::stop_flag()?;
+    if args.poses && !find_cameras(args, &stop)? {
+        output::print("stopped; the same command goes on from there")?;
+        return Ok(Ending::Stopped);
+    }
     let background = config.train.background.fixed_colour();
-    let scene = scene::load(&args.dataset, config.dataset.size(), background, config.train.seed)?;
+    let scene = scene::load(&args.scene(), config.dataset.size(), background, config.train.seed)?;
     // Now, since weights that cannot be read should not stop a run at its end.
     let lpips = lpips::open(&args.lpips)?;
     let settings = config.resolve(args.machine)?;
@@ -35,6 +41,15 @@ pub(crate) fn run(args: &TrainArgs) -> Result<Ending> {
     let run = Run { settings: &settings, scene: &scene, lpips: lpips.as_ref(), stop: &stop, page, began };
     let ended = run.execute(&mut session)?;
     report(&ended, session.path())
+}
+
+/// Makes the scene of photos without cameras; false where it was stopped.
+fn find_cameras(args: &TrainArgs, stop: &AtomicBool) -> Result<bool> {
+    let (out, threads) = (args.scene(), args.machine.threads);
+    let found = poses::find(&Request { photos: &args.dataset, out: &out, frames: None, threads }, stop)?;
+    let Some(summary) = found else { return Ok(false) };
+    summary.sentences().iter().for_each(|sentence| output::tell(sentence));
+    Ok(true)
 }
 
 fn report(ended: &Ended, folder: &Path) -> Result<Ending> {

@@ -1,0 +1,125 @@
+//! COLMAP's camera models: what the parameters of each are.
+//!
+//! Source: COLMAP's documentation of its camera models, and `sensor/models.h` for the order.
+
+use std::path::Path;
+
+use super::check::bad_camera;
+use crate::error::SceneError;
+use crate::photos::{Lens, Polynomial, Projection};
+
+/// Names by id, and how many parameters each has.
+pub(super) const MODELS: [(&str, usize); 17] = [
+    ("SIMPLE_PINHOLE", 3),
+    ("PINHOLE", 4),
+    ("SIMPLE_RADIAL", 4),
+    ("RADIAL", 5),
+    ("OPENCV", 8),
+    ("OPENCV_FISHEYE", 8),
+    ("FULL_OPENCV", 12),
+    ("FOV", 5),
+    ("SIMPLE_RADIAL_FISHEYE", 4),
+    ("RADIAL_FISHEYE", 5),
+    ("THIN_PRISM_FISHEYE", 12),
+    ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
+    ("SIMPLE_DIVISION", 4),
+    ("DIVISION", 5),
+    ("SIMPLE_FISHEYE", 3),
+    ("FISHEYE", 4),
+    ("EUCM", 6),
+];
+
+/// `[fx, fy, cx, cy]` and the lens of a camera with these parameters.
+pub(super) fn parameters(
+    file: &Path,
+    camera: u32,
+    model: &str,
+    parameters: &[f64],
+) -> Result<([f64; 4], Option<Lens>), SceneError> {
+    let Some(&(_, count)) = MODELS.iter().find(|(name, _)| *name == model) else {
+        return Err(SceneError::DistortedCamera { file: file.to_owned(), camera, model: model.to_owned() });
+    };
+    if parameters.len() != count {
+        return Err(bad_camera(file, camera, "has the wrong number of parameters"));
+    }
+    let (pinhole, coefficients) = pinhole_and_rest(model, parameters);
+    if !coefficients.iter().all(|value| value.is_finite()) {
+        return Err(bad_camera(file, camera, "has distortion coefficients that are not finite"));
+    }
+    let lens = Lens { projection: projection(model, coefficients), polynomial: polynomial(model, coefficients) };
+    Ok((pinhole, (!lens.is_pinhole()).then_some(lens)))
+}
+
+/// Models have one focal length or two, then the principal point, then what bends.
+fn pinhole_and_rest<'a>(model: &str, parameters: &'a [f64]) -> ([f64; 4], &'a [f64]) {
+    let has_one_focal = model.starts_with("SIMPLE_") || model.starts_with("RADIAL");
+    match *parameters {
+        [f, cx, cy, ref rest @ ..] if has_one_focal => ([f, f, cx, cy], rest),
+        [fx, fy, cx, cy, ref rest @ ..] => ([fx, fy, cx, cy], rest),
+        _ => unreachable!("every model has at least three parameters, and four with two focal lengths"),
+    }
+}
+
+fn projection(model: &str, coefficients: &[f64]) -> Projection {
+    match (model, coefficients) {
+        ("FOV", &[omega]) => Projection::FieldOfView { omega },
+        ("SIMPLE_DIVISION" | "DIVISION", &[k]) => Projection::Division { k },
+        ("EUCM", &[alpha, beta]) => Projection::EnhancedUnified { alpha, beta },
+        _ if model.ends_with("FISHEYE") => Projection::Fisheye,
+        _ => Projection::Perspective,
+    }
+}
+
+fn polynomial(model: &str, coefficients: &[f64]) -> Polynomial {
+    let none = Polynomial::default();
+    let radial = |k: &[f64]| [0, 1, 2, 3, 4, 5].map(|index| k.get(index).copied().unwrap_or(0.0));
+    match (model, coefficients) {
+        ("FOV" | "SIMPLE_DIVISION" | "DIVISION" | "EUCM", _) => none,
+        ("OPENCV", &[k1, k2, p1, p2]) => Polynomial { radial: radial(&[k1, k2]), tangential: [p1, p2], ..none },
+        ("FULL_OPENCV", &[k1, k2, p1, p2, k3, k4, k5, k6]) => {
+            Polynomial { radial: radial(&[k1, k2, k3]), divisor: [k4, k5, k6], tangential: [p1, p2], ..none }
+        }
+        ("THIN_PRISM_FISHEYE", &[k1, k2, p1, p2, k3, k4, sx, sy]) => Polynomial {
+            radial: radial(&[k1, k2, k3, k4]),
+            tangential: [p1, p2],
+            prism: [[sx, 0.0], [sy, 0.0]],
+            ..none
+        },
+        // Its p0 is OpenCV's p2.
+        ("RAD_TAN_THIN_PRISM_FISHEYE", &[ref k @ .., p0, p1, s0, s1, s2, s3]) => Polynomial {
+            radial: radial(k),
+            tangential: [p1, p0],
+            prism: [[s0, s1], [s2, s3]],
+            radial_first: true,
+            ..none
+        },
+        (_, k) => Polynomial { radial: radial(k), ..none },
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read(model: &str, values: &[f64]) -> Result<([f64; 4], Option<Lens>), SceneError> {
+        parameters(Path::new("cameras.txt"), 3, model, values)
+    }
+
+    #[test]
+    fn every_model_takes_as_many_parameters_as_it_has() {
+        for (model, count) in MODELS {
+            let values: Vec<f64> = (0..count).map(|index| 100.0 / (index + 1) as f64).collect();
+            let ([fx, fy, ..], lens) = read(model, &values).unwrap();
+            assert_eq!(fx == fy, model.starts_with("SIMPLE") || model.starts_with("RADIAL"), "{model}");
+            assert_eq!(lens.is_none(), model.ends_with("PINHOLE"), "{model}");
+            assert!(read(model, &values[1..]).unwrap_err().to_string().contains("number of parameters"));
+        }
+    }
+
+    #[test]
+    fn coefficients_of_zero_are_a_pinhole_and_others_must_be_finite() {
+        assert_eq!(read("OPENCV", &[5.0, 6.0, 3.0, 2.0, 0.0, 0.0, 0.0, 0.0]).unwrap(), ([5.0, 6.0, 3.0, 2.0], None));
+        let refused = read("SIMPLE_RADIAL", &[5.0, 3.0, 2.0, f64::NAN]).unwrap_err().to_string();
+        assert!(refused.contains("camera 3 has distortion coefficients"), "{refused}");
+    }
+}

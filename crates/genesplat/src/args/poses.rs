@@ -1,0 +1,24 @@
+//! `genesplat poses`.
+
+use std::path::PathBuf;
+
+use clap::Args;
+
+use super::{MORE, THREADS};
+
+#[derive(Debug, Args)]
+pub(crate) struct PosesArgs {
+    /// Folder of photos (JPEG or PNG), or a video: of something that stands still, from many places, in small steps
+    #[arg(value_name = "PHOTOS|VIDEO")]
+    pub(crate) photos: PathBuf,
+    /// Folder for the scene; made if it is missing. It will hold the photos in images, their cameras in sparse/0, and in
+    /// poses what a search that was stopped goes on from
+    #[arg(long, value_name = "SCENE")]
+    pub(crate) out: PathBuf,
+    /// Photos to take from a video, the sharpest of each interval [default: 120]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(3..=10_000))]
+    pub(crate) frames: Option<u32>,
+    /// Processor threads to use, 1 to 1024 [default: all cores]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(THREADS), help_heading = MORE)]
+    pub(crate) threads: Option<u16>,
+}

@@ -1,0 +1,24 @@
+//! `genesplat poses`: photos or a video in, a scene with cameras out.
+
+use anyhow::Result;
+use genesplat::io::shown;
+
+use super::Ending;
+use crate::args::PosesArgs;
+use crate::device;
+use crate::poses::{self, Request};
+use crate::terminal::{interrupt, output};
+
+pub(crate) fn run(args: &PosesArgs) -> Result<Ending> {
+    device::use_threads(args.threads)?;
+    let stop = interrupt::stop_flag()?;
+    let PosesArgs { photos, out, frames, threads } = args;
+    let request = Request { photos, out, frames: *frames, threads: *threads };
+    let Some(summary) = poses::find(&request, &stop)? else {
+        output::print("stopped; the same command goes on from there")?;
+        return Ok(Ending::Stopped);
+    };
+    summary.sentences().iter().try_for_each(|sentence| output::print(sentence))?;
+    output::print(&format!("train it: genesplat train {} --out RUN", shown(out)))?;
+    Ok(Ending::Whole)
+}

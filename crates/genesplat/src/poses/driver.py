@@ -1,0 +1,103 @@
+"""Runs one stage of structure from motion with pycolmap. The only argument is a JSON object that says which.
+
+Standard output gets a JSON object a line: {"done": 3, "total": 50} while a stage is under way. It ends when standard input
+does, since then whoever has started it is gone.
+"""
+
+import json
+import os
+import sqlite3
+import sys
+import threading
+import time
+
+import pycolmap
+
+job = json.loads(sys.argv[1])
+
+
+def say(**words):
+    print(json.dumps(words), flush=True)
+
+
+def end_with_parent():
+    sys.stdin.buffer.read()
+    os._exit(1)
+
+
+def tell_rows(table, total):
+    """Tells, twice a second, how many rows of a table there are by now."""
+    place = "file:" + os.path.abspath(job["database"]) + "?mode=ro"
+    while True:
+        time.sleep(0.5)
+        try:
+            with sqlite3.connect(place, uri=True, timeout=0.2) as database:
+                (rows,) = database.execute(f"SELECT COUNT(*) FROM {table}").fetchone()
+            say(done=min(rows, total), total=total)
+        except sqlite3.Error:
+            pass
+
+
+def in_background(function, *arguments):
+    threading.Thread(target=function, args=arguments, daemon=True).start()
+
+
+def extract_features():
+    in_background(tell_rows, "keypoints", job["photos"])
+    options = pycolmap.FeatureExtractionOptions()
+    options.num_threads = job["threads"]
+    options.max_image_size = job["max_side"]
+    options.sift.max_num_features = job["max_features"]
+    reader = pycolmap.ImageReaderOptions()
+    reader.camera_model = job["camera_model"]
+    pycolmap.extract_features(
+        job["database"],
+        job["images"],
+        camera_mode=pycolmap.CameraMode.SINGLE if job["single_camera"] else pycolmap.CameraMode.AUTO,
+        reader_options=reader,
+        extraction_options=options,
+        device=pycolmap.Device.cpu,
+    )
+
+
+def match_features():
+    in_background(tell_rows, "two_view_geometries", job["pairs"])
+    options = pycolmap.FeatureMatchingOptions()
+    options.num_threads = job["threads"]
+    if job["neighbours"] is None:
+        pycolmap.match_exhaustive(job["database"], matching_options=options, device=pycolmap.Device.cpu)
+        return
+    pairing = pycolmap.SequentialPairingOptions()
+    pairing.overlap = job["neighbours"]
+    pairing.quadratic_overlap = True
+    pairing.loop_detection = False
+    pycolmap.match_sequential(
+        job["database"], matching_options=options, pairing_options=pairing, device=pycolmap.Device.cpu
+    )
+
+
+def find_cameras():
+    # The first pair counts for two.
+    registered = [1]
+
+    def tell():
+        registered[0] = min(registered[0] + 1, job["photos"])
+        say(done=registered[0], total=job["photos"])
+
+    options = pycolmap.IncrementalPipelineOptions()
+    options.num_threads = job["threads"]
+    pycolmap.incremental_mapping(
+        job["database"], job["images"], job["models"], options=options, next_image_callback=tell
+    )
+    errors = {}
+    for name in os.listdir(job["models"]):
+        model = pycolmap.Reconstruction(os.path.join(job["models"], name))
+        errors[name] = model.compute_mean_reprojection_error()
+    say(errors_px=errors)
+
+
+in_background(end_with_parent)
+{"features": extract_features, "matches": match_features, "cameras": find_cameras}[job["stage"]]()
+# Threads that read would keep the interpreter from ending.
+sys.stdout.flush()
+os._exit(0)

@@ -1,0 +1,248 @@
+//! Who finds the cameras: Python's pycolmap, or the program `colmap`, whichever this machine has.
+
+use genesplat::io::shown;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::atomic::AtomicBool;
+
+use anyhow::{Result, bail};
+use serde_json::{Value, json};
+
+use super::process;
+use super::stages::{Job, Stage};
+
+/// Names the Python to use.
+const PYTHON: &str = "GENESPLAT_PYTHON";
+const DRIVER: &str = include_str!("driver.py");
+/// Features are looked for at this size, px: larger photos are reduced, which costs hardly a camera and saves minutes.
+const MAX_SIDE: u32 = 1600;
+/// Most features of a photo.
+const MAX_FEATURES: u32 = 8192;
+
+pub(crate) enum Engine {
+    Pycolmap {
+        python: PathBuf,
+        version: String,
+    },
+    Colmap {
+        program: PathBuf,
+        /// Since version 3.13, options of features are no longer those of SIFT.
+        has_feature_options: bool,
+    },
+}
+
+impl Engine {
+    /// The Python of `GENESPLAT_PYTHON`, else one on `PATH` that has pycolmap, else the program `colmap` there.
+    pub(crate) fn find() -> Result<Self> {
+        let install = "install it (`pip install pycolmap`, 40 MB, works offline)";
+        if let Some(named) = std::env::var_os(PYTHON) {
+            let python = PathBuf::from(named);
+            let Some(version) = pycolmap_version(&python) else {
+                bail!("{PYTHON} names {}, which has no pycolmap; {install}, or name another Python", shown(python));
+            };
+            return Ok(Self::Pycolmap { python, version });
+        }
+        for python in ["python3", "python"].iter().filter_map(|name| process::on_path(&[name])) {
+            if let Some(version) = pycolmap_version(&python) {
+                return Ok(Self::Pycolmap { python, version });
+            }
+        }
+        if let Some(program) = process::on_path(&["colmap"]) {
+            let help = output_of(&program, &["feature_extractor", "-h"]).unwrap_or_default();
+            return Ok(Self::Colmap { program, has_feature_options: help.contains("--FeatureExtraction.use_gpu") });
+        }
+        bail!(
+            "cameras are found by pycolmap, and no Python on PATH has it; {install}, or put the program colmap on PATH; {PYTHON} names \
+             a Python elsewhere"
+        )
+    }
+
+    pub(crate) fn name(&self) -> String {
+        match self {
+            Self::Pycolmap { version, .. } => format!("pycolmap {version}"),
+            Self::Colmap { program, .. } => shown(program),
+        }
+    }
+
+    pub(crate) fn command(&self, stage: Stage, job: &Job) -> Command {
+        match self {
+            Self::Pycolmap { python, .. } => {
+                let mut command = Command::new(python);
+                command.args(["-c", DRIVER, &request(stage, job).to_string()]);
+                command
+            }
+            Self::Colmap { program, has_feature_options } => colmap_command(program, *has_feature_options, stage, job),
+        }
+    }
+
+    /// How many pieces of a stage are done, if `line` says so.
+    pub(crate) fn progress(&self, stage: Stage, line: &str) -> Option<usize> {
+        match self {
+            Self::Pycolmap { .. } => usize::try_from(message(line)?.get("done")?.as_u64()?).ok(),
+            Self::Colmap { .. } => colmap_progress(stage, line),
+        }
+    }
+
+    /// Mean reprojection errors of models, px, if `line` says them.
+    pub(crate) fn reprojection_errors(&self, line: &str) -> BTreeMap<String, f64> {
+        let said = message(line).and_then(|said| serde_json::from_value(said.get("errors_px")?.clone()).ok());
+        said.unwrap_or_default()
+    }
+
+    /// Asks the program `colmap` for the errors that pycolmap has said already.
+    pub(crate) fn measure(
+        &self,
+        job: &Job,
+        log: &Path,
+        stop: &AtomicBool,
+        errors_px: &mut BTreeMap<String, f64>,
+    ) -> Result<()> {
+        let Self::Colmap { program, .. } = self else { return Ok(()) };
+        for model in std::fs::read_dir(&job.models)?.flatten() {
+            let mut command = Command::new(program);
+            command.arg("model_analyzer").arg("--path").arg(model.path());
+            process::run(&mut command, log, stop, |line| {
+                let error =
+                    line.split("Mean reprojection error:").nth(1).map(|rest| rest.trim().trim_end_matches("px"));
+                if let Some(error) = error.and_then(|error| error.parse().ok()) {
+                    errors_px.insert(model.file_name().to_string_lossy().into_owned(), error);
+                }
+            })?;
+        }
+        Ok(())
+    }
+}
+
+fn pycolmap_version(python: &Path) -> Option<String> {
+    let said = output_of(python, &["-c", "import pycolmap; print(pycolmap.__version__)"])?;
+    Some(said.trim().to_owned()).filter(|version| !version.is_empty())
+}
+
+/// What a program writes to stdout, if it succeeds.
+fn output_of(program: &Path, arguments: &[&str]) -> Option<String> {
+    let ran = Command::new(program).args(arguments).output().ok()?;
+    ran.status.success().then(|| String::from_utf8_lossy(&ran.stdout).into_owned())
+}
+
+fn message(line: &str) -> Option<Value> {
+    serde_json::from_str(line).ok()
+}
+
+/// What the driver is told.
+fn request(stage: Stage, job: &Job) -> Value {
+    let text = |path: &Path| path.to_string_lossy().into_owned();
+    json!({
+        "stage": stage.name(),
+        "images": text(&job.images),
+        "database": text(&job.database),
+        "models": text(&job.models),
+        "photos": job.photos,
+        "pairs": job.pairs(),
+        "single_camera": job.single_camera,
+        "camera_model": camera_model(job),
+        "neighbours": job.neighbours,
+        "threads": job.threads.map_or(-1, i32::from),
+        "max_side": MAX_SIDE,
+        "max_features": MAX_FEATURES,
+    })
+}
+
+/// Photos that one camera took can tell more of its lens than a photo alone can.
+fn camera_model(job: &Job) -> &'static str {
+    if job.single_camera { "OPENCV" } else { "SIMPLE_RADIAL" }
+}
+
+fn colmap_command(program: &Path, has_feature_options: bool, stage: Stage, job: &Job) -> Command {
+    let [extraction, matching] = match has_feature_options {
+        true => ["FeatureExtraction", "FeatureMatching"],
+        false => ["SiftExtraction", "SiftMatching"],
+    };
+    let threads = job.threads.map_or(-1, i32::from).to_string();
+    let mut command = Command::new(program);
+    let sequence = job.neighbours.map(|neighbours| neighbours.to_string());
+    match (stage, &sequence) {
+        (Stage::Features, _) => {
+            command.arg("feature_extractor").arg("--image_path").arg(&job.images);
+            command.arg("--database_path").arg(&job.database);
+            let single = i32::from(job.single_camera).to_string();
+            command.args(["--ImageReader.single_camera", &single, "--ImageReader.camera_model", camera_model(job)]);
+            command.args([format!("--{extraction}.use_gpu"), "0".into()]);
+            command.args([format!("--{extraction}.num_threads"), threads]);
+            command.args([format!("--{extraction}.max_image_size"), MAX_SIDE.to_string()]);
+            command.args(["--SiftExtraction.max_num_features", &MAX_FEATURES.to_string()]);
+        }
+        (Stage::Matches, sequence) => {
+            command.arg(if sequence.is_some() { "sequential_matcher" } else { "exhaustive_matcher" });
+            command.arg("--database_path").arg(&job.database);
+            command.args([format!("--{matching}.use_gpu"), "0".into()]);
+            command.args([format!("--{matching}.num_threads"), threads]);
+            if let Some(neighbours) = sequence {
+                command.args(["--SequentialMatching.overlap", neighbours]);
+            }
+        }
+        (Stage::Cameras, _) => {
+            command.arg("mapper").arg("--database_path").arg(&job.database);
+            command.arg("--image_path").arg(&job.images).arg("--output_path").arg(&job.models);
+            command.args(["--Mapper.num_threads", &threads]);
+        }
+    }
+    command
+}
+
+/// `Processed file [3/50]`, or `Registering image #12 (7)`, in the words of several versions.
+fn colmap_progress(stage: Stage, line: &str) -> Option<usize> {
+    let number = |text: &str| {
+        let digits: String = text.chars().take_while(char::is_ascii_digit).collect();
+        digits.parse().ok()
+    };
+    match stage {
+        Stage::Features => number(line.split("Processed file [").nth(1)?),
+        Stage::Matches => None,
+        Stage::Cameras => {
+            let rest = line.split("Registering image #").nth(1)?.split_once('(')?.1;
+            number(rest.trim_start_matches("num_reg_frames="))
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn job() -> Job {
+        let [images, database, models] = ["images", "database.db", "models"].map(PathBuf::from);
+        Job { images, photos: 9, single_camera: true, neighbours: Some(10), threads: Some(2), database, models }
+    }
+
+    fn words(command: &Command) -> String {
+        command.get_args().map(|word| word.to_string_lossy()).collect::<Vec<_>>().join(" ")
+    }
+
+    #[test]
+    fn the_program_is_told_what_pycolmap_is_told() {
+        let of = |stage, new| words(&colmap_command(Path::new("colmap"), new, stage, &job()));
+        let features = of(Stage::Features, false);
+        assert!(
+            features.starts_with("feature_extractor --image_path images --database_path database.db"),
+            "{features}"
+        );
+        assert!(features.contains("--SiftExtraction.use_gpu 0") && features.contains("single_camera 1"), "{features}");
+        assert!(of(Stage::Features, true).contains("--FeatureExtraction.max_image_size 1600"));
+        assert!(of(Stage::Matches, true).starts_with("sequential_matcher --database_path database.db"));
+        assert!(of(Stage::Matches, true).ends_with("--SequentialMatching.overlap 10"));
+        assert!(of(Stage::Cameras, true).contains("--output_path models"));
+    }
+
+    #[test]
+    fn progress_is_read_from_both() {
+        let colmap = Engine::Colmap { program: "colmap".into(), has_feature_options: true };
+        assert_eq!(colmap.progress(Stage::Features, "I2026 x.cc:1] Processed file [3/50]"), Some(3));
+        assert_eq!(colmap.progress(Stage::Cameras, "Registering image #12 (7)"), Some(7));
+        assert_eq!(colmap.progress(Stage::Cameras, "Registering image #12 (num_reg_frames=7)"), Some(7));
+        let pycolmap = Engine::Pycolmap { python: "python3".into(), version: "4".into() };
+        assert_eq!(pycolmap.progress(Stage::Matches, r#"{"done": 4, "total": 36}"#), Some(4));
+        assert_eq!(pycolmap.progress(Stage::Matches, "I2026 matching.cc"), None);
+        assert_eq!(pycolmap.reprojection_errors(r#"{"errors_px": {"0": 0.5}}"#), [("0".to_owned(), 0.5)].into());
+    }
+}

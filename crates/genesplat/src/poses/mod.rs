@@ -1,0 +1,109 @@
+//! Cameras of photos without any: structure from motion by COLMAP, which runs as a process of its own.
+//!
+//! In `OUT`, `images/` and `sparse/0/` are an ordinary COLMAP scene. What the stages leave is in `OUT/poses/`: a stage that
+//! is marked as done there is not done again, so a search that was stopped goes on where it was.
+
+mod engine;
+mod photos;
+mod process;
+mod sharpness;
+mod stages;
+mod summary;
+mod video;
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::AtomicBool;
+
+use anyhow::{Result, ensure};
+use genesplat::io::shown;
+
+use crate::files::unwritable;
+use crate::run::session::Lock;
+use crate::terminal::output;
+use engine::Engine;
+use photos::Source;
+use stages::Job;
+pub(crate) use summary::Summary;
+
+/// Below `OUT`.
+const WORK: &str = "poses";
+const IMAGES: &str = "images";
+const MODEL: &str = "sparse/0";
+
+/// Photos of a video, where nothing else is asked for.
+pub(crate) const FRAMES: u32 = 120;
+/// With fewer photos there is no depth to find.
+const PHOTOS_MIN: usize = 3;
+
+/// What is asked for.
+pub(crate) struct Request<'a> {
+    /// A folder of photos, or a video.
+    pub(crate) photos: &'a Path,
+    /// Folder for the scene.
+    pub(crate) out: &'a Path,
+    /// How many photos are taken from a video; `None` for [`FRAMES`].
+    pub(crate) frames: Option<u32>,
+    pub(crate) threads: Option<u16>,
+}
+
+/// The cameras of the photos, found now or earlier; `None` where `stop` has ended the search, which can go on.
+pub(crate) fn find(request: &Request, stop: &AtomicBool) -> Result<Option<Summary>> {
+    let source = Source::open(request.photos, request.frames)?;
+    let work = claim(request.out, &source)?;
+    let _lock = Lock::take(&work)?;
+    source.check_same(&work)?;
+    if let Some(summary) = Summary::read(&work)? {
+        return Ok(Some(summary));
+    }
+    let engine = Engine::find()?;
+    let images = request.out.join(IMAGES);
+    if !source.fill(&images, &work, stop)? {
+        return Ok(None);
+    }
+    let names = photos::names_in(&images)?;
+    ensure!(
+        names.len() >= PHOTOS_MIN,
+        "{} has {} photos, and cameras can be found for {PHOTOS_MIN} or more (30 to 200 are usual); take more of them",
+        shown(request.photos),
+        names.len()
+    );
+    output::tell(&format!("{} photos; {} finds their cameras", names.len(), engine.name()));
+    let job = Job::new(&images, &work, &names, source.is_video(), request.threads)?;
+    let Some(errors_px) = stages::run(&engine, &job, &work, stop)? else { return Ok(None) };
+    let summary = Summary::of_largest(&job.models, &names, &errors_px)?;
+    install(&job.models.join(&summary.model), &request.out.join(MODEL))?;
+    summary.write(&work)?;
+    Ok(Some(summary))
+}
+
+/// Folder of the stages below `out`, made if it is missing. Fails where `out` holds something else.
+fn claim(out: &Path, source: &Source) -> Result<PathBuf> {
+    let (work, shown) = (out.join(WORK), shown(out));
+    let holds_photos = |folder: &Path| match (folder.canonicalize(), source.path().canonicalize()) {
+        (Ok(folder), Ok(photos)) => folder == photos,
+        _ => false,
+    };
+    ensure!(!holds_photos(out), "{shown} is the folder of the photos; choose another --out for the scene");
+    let images = out.join(IMAGES);
+    let is_foreign = out.join("sparse").exists() || (images.exists() && !holds_photos(&images));
+    ensure!(
+        work.is_dir() || !is_foreign,
+        "{shown} holds a scene already, and would be written over; choose another --out"
+    );
+    ensure!(!out.is_file(), "{shown} is a file, and a scene is a folder; choose another --out");
+    fs::create_dir_all(&work).map_err(|error| unwritable(&work, &error))?;
+    Ok(work)
+}
+
+/// Moves the model into the scene.
+fn install(model: &Path, place: &Path) -> Result<()> {
+    let moved = || {
+        if place.exists() {
+            fs::remove_dir_all(place)?;
+        }
+        fs::create_dir_all(place.parent().unwrap_or(place))?;
+        fs::rename(model, place)
+    };
+    moved().map_err(|error| unwritable(place, &error))
+}

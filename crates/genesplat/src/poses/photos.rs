@@ -1,0 +1,204 @@
+//! The photos that cameras are found for: those of a folder, or frames of a video.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::AtomicBool;
+
+use anyhow::{Result, anyhow, bail, ensure};
+use genesplat::io::shown;
+use serde::{Deserialize, Serialize};
+
+use super::{FRAMES, IMAGES, video};
+use crate::files::{unwritable, write_json};
+use crate::terminal::output;
+
+/// Endings of the photos that are read.
+const PHOTOS: [&str; 3] = ["jpg", "jpeg", "png"];
+/// Endings of pictures that are not, so that leaving them out is said.
+const OTHERS: [&str; 9] = ["heic", "heif", "webp", "tif", "tiff", "dng", "cr2", "nef", "arw"];
+const VIDEOS: [&str; 8] = ["mp4", "mov", "m4v", "avi", "mkv", "webm", "mpg", "mpeg"];
+/// Below the folder of the stages: what they were made of.
+const RECORD: &str = "source.json";
+
+pub(crate) enum Source {
+    Folder { path: PathBuf, names: Vec<String> },
+    Video { path: PathBuf, frames: u32 },
+}
+
+/// What tells that the stages in a folder are those of the same photos.
+#[derive(Debug, PartialEq, Serialize, Deserialize)]
+struct Record {
+    /// Name and size of each file.
+    files: Vec<(String, u64)>,
+    frames: Option<u32>,
+}
+
+impl Source {
+    pub(crate) fn open(path: &Path, frames: Option<u32>) -> Result<Self> {
+        let shown = shown(path);
+        ensure!(path.exists(), "{shown} does not exist; give a folder of photos, or a video");
+        if path.is_file() {
+            let is_video = has_ending(&path.to_string_lossy(), &VIDEOS);
+            ensure!(is_video, "{shown} is neither a folder of photos nor a video ({})", VIDEOS.join(", "));
+            return Ok(Self::Video { path: path.to_owned(), frames: frames.unwrap_or(FRAMES) });
+        }
+        ensure!(frames.is_none(), "--frames is for a video, and {shown} is a folder of photos; leave it out");
+        let folder = Some(path.join(IMAGES)).filter(|images| images.is_dir()).unwrap_or_else(|| path.to_owned());
+        let (names, others) = list(&folder)?;
+        match (names.is_empty(), others.first()) {
+            (true, None) => bail!("{shown} holds no photos; give a folder of JPEG or PNG files, or a video"),
+            (true, Some(first)) => bail!(
+                "{shown} holds no JPEG or PNG files, and others are not read ({first} is one of {}); convert them",
+                others.len()
+            ),
+            (false, Some(first)) => output::tell(&format!(
+                "notice: {} pictures are neither JPEG nor PNG and are left out, first {first}; convert them to have them",
+                others.len()
+            )),
+            (false, None) => {}
+        }
+        Ok(Self::Folder { path: folder, names })
+    }
+
+    pub(crate) fn path(&self) -> &Path {
+        match self {
+            Self::Folder { path, .. } | Self::Video { path, .. } => path,
+        }
+    }
+
+    pub(crate) fn is_video(&self) -> bool {
+        matches!(self, Self::Video { .. })
+    }
+
+    /// Fails where the stages in `work` are those of other photos; else it is written down whose they are.
+    pub(crate) fn check_same(&self, work: &Path) -> Result<()> {
+        let (file, record) = (work.join(RECORD), self.record()?);
+        let Ok(bytes) = fs::read(&file) else { return write_json(&file, &record) };
+        let same = serde_json::from_slice::<Record>(&bytes).is_ok_and(|there| there == record);
+        ensure!(
+            same,
+            "{} was made from other photos than {} holds now; choose another --out, or remove that folder to start anew",
+            shown(work.parent().unwrap_or(work)),
+            shown(self.path())
+        );
+        Ok(())
+    }
+
+    fn record(&self) -> Result<Record> {
+        let size = |name: &str, path: &Path| {
+            let there = fs::metadata(path).map_err(|error| anyhow!("cannot read {}: {error}", shown(path)))?;
+            Ok((name.to_owned(), there.len()))
+        };
+        match self {
+            Self::Folder { path, names } => {
+                let files = names.iter().map(|name| size(name, &path.join(name))).collect::<Result<_>>()?;
+                Ok(Record { files, frames: None })
+            }
+            Self::Video { path, frames } => {
+                let name = path.file_name().unwrap_or_default().to_string_lossy();
+                Ok(Record { files: vec![size(&name, path)?], frames: Some(*frames) })
+            }
+        }
+    }
+
+    /// Puts the photos into `images`; false where `stop` has ended it.
+    pub(crate) fn fill(&self, images: &Path, work: &Path, stop: &AtomicBool) -> Result<bool> {
+        match self {
+            Self::Folder { path, names } => {
+                names.iter().try_for_each(|name| link(&path.join(name), &images.join(name))).map(|()| true)
+            }
+            Self::Video { path, frames } => video::take_frames(path, *frames, images, work, stop),
+        }
+    }
+}
+
+/// Names of the photos below a folder that [`Source::fill`] has filled, sorted.
+pub(crate) fn names_in(images: &Path) -> Result<Vec<String>> {
+    list(images).map(|(names, _)| names)
+}
+
+/// The same file under another name, or a copy where the file system has no such thing.
+fn link(from: &Path, to: &Path) -> Result<()> {
+    if to.exists() {
+        return Ok(());
+    }
+    let linked = || {
+        fs::create_dir_all(to.parent().unwrap_or(to))?;
+        fs::hard_link(from, to).or_else(|_| fs::copy(from, to).map(drop))
+    };
+    linked().map_err(|error| unwritable(to, &error))
+}
+
+/// Names of photos, and of other pictures, below `folder`, relative to it and sorted; folders of masks and hidden ones
+/// are passed over.
+fn list(folder: &Path) -> Result<(Vec<String>, Vec<String>)> {
+    let (mut photos, mut others, mut folders) = (Vec::new(), Vec::new(), vec![PathBuf::new()]);
+    while let Some(inner) = folders.pop() {
+        let path = folder.join(&inner);
+        let entries = fs::read_dir(&path).map_err(|error| anyhow!("cannot read {}: {error}", shown(path)))?;
+        for entry in entries.flatten() {
+            let name = entry.file_name().to_string_lossy().into_owned();
+            let relative = inner.join(&name);
+            let text = relative.to_string_lossy().replace('\\', "/");
+            let is_folder = entry.path().is_dir();
+            match is_folder {
+                _ if name.starts_with('.') || (is_folder && name.starts_with("mask")) => {}
+                true => folders.push(relative),
+                _ if has_ending(&name, &PHOTOS) => photos.push(text),
+                _ if has_ending(&name, &OTHERS) => others.push(text),
+                _ => {}
+            }
+        }
+    }
+    photos.sort();
+    others.sort();
+    Ok((photos, others))
+}
+
+fn has_ending(name: &str, endings: &[&str]) -> bool {
+    name.rsplit_once('.').is_some_and(|(_, end)| endings.iter().any(|known| end.eq_ignore_ascii_case(known)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn file(folder: &Path, name: &str) {
+        fs::create_dir_all(folder.join(name).parent().unwrap()).unwrap();
+        fs::write(folder.join(name), name).unwrap();
+    }
+
+    #[test]
+    fn photos_are_found_in_subfolders_and_masks_are_none() {
+        let place = tempfile::tempdir().unwrap();
+        let _ = ["b/2.JPG", "a.png", ".hidden.jpg", "masks/a.png", "notes.txt", "x.HEIC"]
+            .map(|name| file(place.path(), name));
+        let (photos, others) = list(place.path()).unwrap();
+        assert_eq!((photos, others), (vec!["a.png".to_owned(), "b/2.JPG".into()], vec!["x.HEIC".to_owned()]));
+    }
+
+    #[test]
+    fn stages_of_other_photos_are_refused() {
+        let place = tempfile::tempdir().unwrap();
+        let (photos, work) = (place.path().join("photos"), place.path().join("work"));
+        file(&photos, "a.jpg");
+        let check = || Source::open(&photos, None).unwrap().check_same(&work);
+        check().unwrap();
+        check().unwrap();
+        file(&photos, "b.jpg");
+        let refused = check().unwrap_err().to_string();
+        assert!(refused.contains("other photos") && refused.contains("--out"), "{refused}");
+    }
+
+    #[test]
+    fn what_is_neither_photos_nor_a_video_is_said() {
+        let place = tempfile::tempdir().unwrap();
+        let refusal = |name: &str, frames| Source::open(&place.path().join(name), frames).err().unwrap().to_string();
+        let _ = ["empty/notes.txt", "phone/1.heic", "photos/1.jpg", "scene.zip"].map(|name| file(place.path(), name));
+        assert!(refusal("absent", None).contains("does not exist"));
+        assert!(refusal("empty", None).contains("holds no photos"));
+        assert!(refusal("phone", None).contains("1.heic is one of 1"));
+        assert!(refusal("photos", Some(9)).contains("--frames is for a video"));
+        assert!(refusal("scene.zip", None).contains("neither a folder of photos nor a video"));
+    }
+}

@@ -1,0 +1,127 @@
+//! Programs of others: started, listened to, and ended when the user stops us.
+
+use genesplat::io::shown;
+use std::fs::File;
+use std::io::{BufRead, BufReader, Read, Write};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
+use std::thread;
+use std::time::Duration;
+
+use anyhow::{Result, anyhow, bail};
+
+use crate::files::unwritable;
+
+const PAUSE: Duration = Duration::from_millis(100);
+
+/// Runs `command` to its end and passes on each line that it writes to stdout or stderr; what it wrote is kept in `log`.
+/// False where `stop` has ended it.
+pub(crate) fn run(command: &mut Command, log: &Path, stop: &AtomicBool, mut on_line: impl FnMut(&str)) -> Result<bool> {
+    let program = PathBuf::from(command.get_program());
+    let mut file = File::options().create(true).append(true).open(log).map_err(|error| unwritable(log, &error))?;
+    let mut child = start(command).map_err(|error| anyhow!("cannot start {}: {error}", shown(&program)))?;
+    let (sender, lines) = channel();
+    let listeners = [
+        child.stdout.take().map(|stream| listen(stream, sender.clone())),
+        child.stderr.take().map(|stream| listen(stream, sender)),
+    ];
+    let mut last = String::new();
+    loop {
+        if stop.load(Ordering::Relaxed) {
+            end(&mut child);
+            return Ok(false);
+        }
+        match lines.recv_timeout(PAUSE) {
+            Ok(line) => {
+                // The log is for people who look for a fault; a full disk shows elsewhere.
+                let _ = writeln!(file, "{line}");
+                on_line(&line);
+                if !line.trim().is_empty() {
+                    last = line;
+                }
+            }
+            Err(RecvTimeoutError::Timeout) => {}
+            Err(RecvTimeoutError::Disconnected) => break,
+        }
+    }
+    listeners.into_iter().flatten().for_each(|listener| drop(listener.join()));
+    let status = child.wait().map_err(|error| anyhow!("cannot wait for {}: {error}", shown(&program)))?;
+    if !status.success() && !stop.load(Ordering::Relaxed) {
+        bail!("{} has failed ({}); all that it said is in {}", shown(&program), last.trim(), shown(log));
+    }
+    Ok(status.success())
+}
+
+/// Its stdin is a pipe that nothing is written to: a program that listens to it learns when we are gone.
+fn start(command: &mut Command) -> std::io::Result<Child> {
+    command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    // Ctrl-C is ours to hear: the program is ended when there is a moment for it.
+    #[cfg(unix)]
+    std::os::unix::process::CommandExt::process_group(command, 0);
+    command.spawn()
+}
+
+fn listen(stream: impl Read + Send + 'static, lines: Sender<String>) -> thread::JoinHandle<()> {
+    thread::spawn(move || {
+        let mut stream = BufReader::new(stream);
+        let mut bytes = Vec::new();
+        while stream.read_until(b'\n', &mut bytes).is_ok_and(|count| count > 0) {
+            let line = String::from_utf8_lossy(&bytes).trim_end().to_owned();
+            if lines.send(line).is_err() {
+                return;
+            }
+            bytes.clear();
+        }
+    })
+}
+
+fn end(child: &mut Child) {
+    // It has ended by itself where this fails.
+    let _ = child.kill();
+    let _ = child.wait();
+}
+
+/// The first of these programs that `PATH` has.
+pub(crate) fn on_path(names: &[&str]) -> Option<PathBuf> {
+    let folders: Vec<PathBuf> = std::env::split_paths(&std::env::var_os("PATH")?).collect();
+    let endings = if cfg!(windows) { &[".exe", ""][..] } else { &[""] };
+    let files = names.iter().flat_map(|name| endings.iter().map(move |end| format!("{name}{end}")));
+    files.flat_map(|file| folders.iter().map(move |folder| folder.join(&file))).find(|path| path.is_file())
+}
+
+#[cfg(all(test, unix))]
+mod tests {
+    use std::time::Instant;
+
+    use super::*;
+
+    fn shell(script: &str) -> Command {
+        let mut command = Command::new("sh");
+        command.args(["-c", script]);
+        command
+    }
+
+    #[test]
+    fn lines_are_passed_on_and_kept_and_a_failure_is_named() {
+        let place = tempfile::tempdir().unwrap();
+        let (log, never) = (place.path().join("log"), AtomicBool::new(false));
+        let mut lines = Vec::new();
+        assert!(run(&mut shell("echo one; echo two >&2"), &log, &never, |line| lines.push(line.to_owned())).unwrap());
+        lines.sort();
+        assert_eq!(lines, ["one", "two"]);
+        let refused = run(&mut shell("echo no memory >&2; exit 3"), &log, &never, |_| {}).unwrap_err().to_string();
+        assert!(refused.contains("no memory") && refused.contains("log"), "{refused}");
+        assert_eq!(std::fs::read_to_string(&log).unwrap().lines().count(), 3);
+    }
+
+    #[test]
+    fn a_program_ends_when_it_is_stopped() {
+        let place = tempfile::tempdir().unwrap();
+        let (stop, began) = (AtomicBool::new(false), Instant::now());
+        let mut sleeper = shell("echo begun; exec sleep 600");
+        let ended = run(&mut sleeper, &place.path().join("log"), &stop, |_| stop.store(true, Ordering::Relaxed));
+        assert!(!ended.unwrap() && began.elapsed() < Duration::from_secs(500));
+    }
+}

@@ -1,0 +1,153 @@
+//! The stages of structure from motion, one after the other; one that is done is marked, and not done again.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::AtomicBool;
+
+use anyhow::Result;
+use genesplat::io::photos::photo_size;
+
+use super::engine::Engine;
+use super::process;
+use crate::files::{unwritable, write_text};
+use crate::terminal::output;
+use crate::terminal::progress::Bar;
+
+/// Most photos of which each is matched with each other one; beyond, and for frames of a video, neighbours are.
+const EXHAUSTIVE_MAX: usize = 150;
+/// Neighbours that a photo of a sequence is matched with; beside them, those at distances of powers of two.
+const NEIGHBOURS: usize = 10;
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Stage {
+    Features,
+    Matches,
+    Cameras,
+}
+
+impl Stage {
+    const ALL: [Self; 3] = [Self::Features, Self::Matches, Self::Cameras];
+
+    pub(crate) fn name(self) -> &'static str {
+        match self {
+            Self::Features => "features",
+            Self::Matches => "matches",
+            Self::Cameras => "cameras",
+        }
+    }
+
+    /// An empty file of this name says that the stage is done.
+    fn mark(self, work: &Path) -> PathBuf {
+        work.join(format!("{}.done", self.name()))
+    }
+}
+
+/// What the stages work on.
+pub(crate) struct Job {
+    pub(crate) images: PathBuf,
+    pub(crate) photos: usize,
+    /// One camera took all photos: they have one size.
+    pub(crate) single_camera: bool,
+    /// `None` where each photo is matched with each other one.
+    pub(crate) neighbours: Option<usize>,
+    pub(crate) threads: Option<u16>,
+    pub(crate) database: PathBuf,
+    pub(crate) models: PathBuf,
+}
+
+impl Job {
+    pub(crate) fn new(
+        images: &Path,
+        work: &Path,
+        names: &[String],
+        is_video: bool,
+        threads: Option<u16>,
+    ) -> Result<Self> {
+        let sizes = names.iter().map(|name| photo_size(&images.join(name))).collect::<Result<Vec<_>, _>>()?;
+        let is_sequence = is_video || names.len() > EXHAUSTIVE_MAX;
+        Ok(Self {
+            images: images.to_owned(),
+            photos: names.len(),
+            single_camera: sizes.iter().all(|size| *size == sizes[0]),
+            neighbours: is_sequence.then_some(NEIGHBOURS),
+            threads,
+            database: work.join("database.db"),
+            models: work.join("models"),
+        })
+    }
+
+    /// How many pairs of photos are matched.
+    pub(crate) fn pairs(&self) -> usize {
+        let Some(neighbours) = self.neighbours else { return self.photos * (self.photos - 1) / 2 };
+        let powers = (0..neighbours).map(|power| 1usize << power).filter(|&distance| distance > neighbours);
+        (1..=neighbours).chain(powers).map(|distance| self.photos.saturating_sub(distance)).sum()
+    }
+
+    fn total(&self, stage: Stage) -> usize {
+        if stage == Stage::Matches { self.pairs() } else { self.photos }
+    }
+}
+
+/// Mean reprojection errors of the models that were found, px, by name; `None` where `stop` has ended a stage.
+pub(crate) fn run(engine: &Engine, job: &Job, work: &Path, stop: &AtomicBool) -> Result<Option<BTreeMap<String, f64>>> {
+    let log = work.join("engine.log");
+    let mut errors_px = BTreeMap::new();
+    for stage in Stage::ALL {
+        if stage.mark(work).exists() {
+            output::tell(&format!("{}: done already", stage.name()));
+            continue;
+        }
+        begin(stage, job)?;
+        let mut bar = Bar::new(stage.name(), job.total(stage) as u64);
+        let on_line = |line: &str| {
+            if let Some(done) = engine.progress(stage, line) {
+                bar.set(done.min(job.total(stage)) as u64, String::new);
+            }
+            errors_px.extend(engine.reprojection_errors(line));
+        };
+        if !process::run(&mut engine.command(stage, job), &log, stop, on_line)? {
+            return Ok(None);
+        }
+        bar.set(job.total(stage) as u64, String::new);
+        // The last stage ends with the summary, which is its mark.
+        if stage != Stage::Cameras {
+            write_text(&stage.mark(work), "")?;
+        }
+    }
+    engine.measure(job, &log, stop, &mut errors_px)?;
+    Ok(Some(errors_px))
+}
+
+/// Models that an earlier search has left half done are no start for another.
+fn begin(stage: Stage, job: &Job) -> Result<()> {
+    if stage != Stage::Cameras {
+        return Ok(());
+    }
+    let cleared = || {
+        if job.models.exists() {
+            fs::remove_dir_all(&job.models)?;
+        }
+        fs::create_dir_all(&job.models)
+    };
+    cleared().map_err(|error| unwritable(&job.models, &error))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn job(photos: usize, neighbours: Option<usize>) -> Job {
+        let nowhere = PathBuf::new;
+        let (images, database, models) = (nowhere(), nowhere(), nowhere());
+        Job { images, photos, single_camera: true, neighbours, threads: None, database, models }
+    }
+
+    #[test]
+    fn pairs_are_counted() {
+        assert_eq!(job(50, None).pairs(), 1225);
+        // Distances 1, 2, 3 and 4.
+        assert_eq!(job(9, Some(3)).pairs(), 8 + 7 + 6 + 5);
+        assert_eq!(job(3, Some(10)).pairs(), 2 + 1);
+    }
+}

@@ -1,0 +1,160 @@
+//! Photos from a video: `ffmpeg` takes several frames for each that is wanted, and the sharpest of each interval stays.
+
+use genesplat::io::shown;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use anyhow::{Result, anyhow, bail, ensure};
+use genesplat::io::photos::read_photo;
+use rayon::prelude::*;
+
+use super::process;
+use super::sharpness::laplacian_variance;
+use crate::files::{unwritable, write_text};
+use crate::terminal::progress::Bar;
+
+/// Frames that are compared for each that stays.
+const CANDIDATES: u32 = 3;
+/// JPEG quality of ffmpeg, 2 to 31; the lower the better.
+const QUALITY: &str = "2";
+
+/// What `ffmpeg -i` says of a video.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Video {
+    seconds: f64,
+    frames_per_second: f64,
+}
+
+/// Puts `frames` frames of `video`, or all if it has fewer, into `images`; false where `stop` has ended it.
+pub(crate) fn take_frames(video: &Path, frames: u32, images: &Path, work: &Path, stop: &AtomicBool) -> Result<bool> {
+    let (mark, candidates) = (work.join("frames.done"), work.join("candidates"));
+    if mark.exists() {
+        return Ok(true);
+    }
+    let Some(ffmpeg) = process::on_path(&["ffmpeg"]) else {
+        bail!("frames of a video are taken by ffmpeg, which is not on PATH; install it, or give a folder of photos");
+    };
+    renewed(&candidates)?;
+    renewed(images)?;
+    let about = probe(&ffmpeg, video)?;
+    let rate = about.frames_per_second.min(f64::from(CANDIDATES * frames) / about.seconds);
+    let mut command = Command::new(ffmpeg);
+    command.args(["-hide_banner", "-nostats", "-progress", "pipe:1", "-y", "-i"]).arg(video);
+    command.args(["-vf", &format!("fps={rate}"), "-q:v", QUALITY]).arg(candidates.join("%06d.jpg"));
+    let total = (rate * about.seconds).round().max(1.0) as u64;
+    let mut bar = Bar::new("frames", total);
+    let on_line = |line: &str| {
+        if let Some(done) = line.strip_prefix("frame=").and_then(|done| done.trim().parse::<u64>().ok()) {
+            bar.set(done.min(total), String::new);
+        }
+    };
+    if !process::run(&mut command, &work.join("ffmpeg.log"), stop, on_line)? {
+        return Ok(false);
+    }
+    drop(bar);
+    let all = files_in(&candidates)?;
+    ensure!(!all.is_empty(), "ffmpeg has found no frames in {}; convert the video to MP4", shown(video));
+    let Some(kept) = sharpest(&all, frames as usize, stop)? else { return Ok(false) };
+    for (number, frame) in (1..).zip(kept) {
+        let place = images.join(format!("frame_{number:04}.jpg"));
+        fs::rename(&frame, &place).map_err(|error| unwritable(&place, &error))?;
+    }
+    // Only litter, from now on.
+    let _ = fs::remove_dir_all(&candidates);
+    write_text(&mark, "").map(|()| true)
+}
+
+/// An empty folder.
+fn renewed(folder: &Path) -> Result<()> {
+    if folder.exists() {
+        fs::remove_dir_all(folder).map_err(|error| unwritable(folder, &error))?;
+    }
+    fs::create_dir_all(folder).map_err(|error| unwritable(folder, &error))
+}
+
+fn probe(ffmpeg: &Path, video: &Path) -> Result<Video> {
+    let ran = Command::new(ffmpeg).args(["-hide_banner", "-i"]).arg(video).output();
+    // It complains that nothing is to be written; what it has found out comes before.
+    let ran = ran.map_err(|error| anyhow!("cannot start {}: {error}", shown(ffmpeg)))?;
+    let said = String::from_utf8_lossy(&ran.stderr);
+    parse(&said).ok_or_else(|| {
+        let problem = "of which ffmpeg cannot tell length and frame rate; convert it to MP4";
+        anyhow!("{} is a video {problem}", shown(video))
+    })
+}
+
+/// `Duration: 00:01:02.50, ...` and `..., 29.97 fps, ...`.
+fn parse(said: &str) -> Option<Video> {
+    let clock = said.split("Duration: ").nth(1)?.split(',').next()?;
+    let seconds = clock.split(':').try_fold(0.0, |sum, part| Some(60.0 * sum + part.trim().parse::<f64>().ok()?))?;
+    let stream = said.lines().find(|line| line.contains("Video:"))?;
+    let rate = stream.split(',').find_map(|part| part.trim().strip_suffix(" fps"))?.parse::<f64>().ok()?;
+    (seconds > 0.0 && rate > 0.0).then_some(Video { seconds, frames_per_second: rate })
+}
+
+fn files_in(folder: &Path) -> Result<Vec<PathBuf>> {
+    let entries = fs::read_dir(folder).map_err(|error| anyhow!("cannot read {}: {error}", shown(folder)))?;
+    let mut files: Vec<PathBuf> = entries.flatten().map(|entry| entry.path()).collect();
+    files.sort();
+    Ok(files)
+}
+
+/// The sharpest file of each of `count` equal intervals; all, where there are no more. `None` where `stop` is set.
+fn sharpest(files: &[PathBuf], count: usize, stop: &AtomicBool) -> Result<Option<Vec<PathBuf>>> {
+    if files.len() <= count {
+        return Ok(Some(files.to_vec()));
+    }
+    let score = |file: &PathBuf| match stop.load(Ordering::Relaxed) {
+        true => Ok(0.0),
+        false => read_photo(file).map(|photo| laplacian_variance(&photo)),
+    };
+    let scores: Vec<f64> = files.par_iter().map(score).collect::<Result<_, _>>()?;
+    if stop.load(Ordering::Relaxed) {
+        return Ok(None);
+    }
+    let best = |interval: usize| {
+        let range = interval * files.len() / count..(interval + 1) * files.len() / count;
+        range.max_by(|&a, &b| scores[a].total_cmp(&scores[b])).map(|index| files[index].clone())
+    };
+    Ok(Some((0..count).filter_map(best).collect()))
+}
+
+#[cfg(test)]
+mod tests {
+    use genesplat::core::Photo;
+    use genesplat::io::photos::{resize, write_png};
+
+    use super::*;
+
+    #[test]
+    fn length_and_rate_are_read_from_what_ffmpeg_says() {
+        let said = "Input #0, mov\n  Duration: 00:01:02.50, start: 0.0, bitrate: 9 kb/s\n  \
+                    Stream #0:1: Audio: aac, 48000 Hz\n  \
+                    Stream #0:0(und): Video: h264 (High), yuv420p(tv, bt709), 1920x1080, 29.97 fps, 30 tbr\n";
+        assert_eq!(parse(said), Some(Video { seconds: 62.5, frames_per_second: 29.97 }));
+        assert_eq!(parse("Duration: N/A, bitrate: N/A\nStream Video: h264, 25 fps,"), None);
+        assert_eq!(parse(""), None);
+    }
+
+    #[test]
+    fn the_sharpest_frame_of_each_interval_stays() {
+        let place = tempfile::tempdir().unwrap();
+        let value = |at: u32| if (at % 64 / 3 + at / 64 / 5) % 2 == 0 { 220 } else { 30 };
+        let sharp = Photo { width: 64, height: 48, rgb: (0..64 * 48).flat_map(|at| [value(at); 3]).collect() };
+        let blurred = resize(&resize(&sharp, 20, 15), 64, 48);
+        let frames = (0..7).map(|index| {
+            let file = place.path().join(format!("{index}.png"));
+            write_png(&file, if [1, 3, 6].contains(&index) { &sharp } else { &blurred }).unwrap();
+            file
+        });
+        let frames: Vec<PathBuf> = frames.collect();
+        let never = AtomicBool::new(false);
+        // Intervals of 2, 2 and 3 frames.
+        let kept = sharpest(&frames, 3, &never).unwrap().unwrap();
+        assert_eq!(kept, [1, 3, 6].map(|index| frames[index].clone()));
+        assert_eq!(sharpest(&frames, 9, &never).unwrap().unwrap(), frames);
+        assert_eq!(sharpest(&frames, 3, &AtomicBool::new(true)).unwrap(), None);
+    }
+}

@@ -1,0 +1,155 @@
+//! Cameras of photos and videos: what is found by COLMAP, and what is said where that is not possible.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use genesplat::io::photos::{read_photo, resize, write_png};
+
+use crate::support::{command, fail, json, judge_failure, number, real_data, scene, text};
+
+/// The Python of `.ci/run`, or the one that `GENESPLAT_PYTHON` names, where it has this module.
+fn python_with(module: &str) -> Option<PathBuf> {
+    let of_ci = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../target/venv/bin/python");
+    let python = std::env::var_os("GENESPLAT_PYTHON").map_or(of_ci, PathBuf::from);
+    let import = format!("import {module}");
+    let has_it = Command::new(&python).args(["-c", &import]).output().is_ok_and(|ran| ran.status.success());
+    assert!(has_it || std::env::var("CI").as_deref() != Ok("true"), "{} has no {module}", python.display());
+    if !has_it {
+        eprintln!("skipped: {} has no {module} (see .ci/run)", python.display());
+    }
+    has_it.then_some(python)
+}
+
+/// Twelve neighbouring photos of fox at half their size.
+fn small_photos(folder: &Path) -> Option<PathBuf> {
+    let images = real_data()?.join("fox/images");
+    let mut names: Vec<PathBuf> = fs::read_dir(images).unwrap().map(|entry| entry.unwrap().path()).collect();
+    names.sort();
+    let photos = folder.join("photos");
+    for (index, name) in names.iter().take(24).step_by(2).enumerate() {
+        let photo = read_photo(name).unwrap();
+        write_png(&photos.join(format!("{index:02}.png")), &resize(&photo, 270, 480)).unwrap();
+    }
+    Some(photos)
+}
+
+fn with_python(python: &Path, arguments: &[&str]) -> Output {
+    command(arguments).env("GENESPLAT_PYTHON", python).output().unwrap()
+}
+
+fn said(output: &Output) -> String {
+    [&output.stdout, &output.stderr].map(|bytes| String::from_utf8_lossy(bytes).into_owned()).concat()
+}
+
+#[test]
+fn cameras_of_photos_are_found_and_the_scene_trains() {
+    let folder = tempfile::tempdir().unwrap();
+    let Some(python) = python_with("pycolmap") else { return };
+    let Some(photos) = small_photos(folder.path()) else { return };
+    let found = folder.path().join("scene");
+    let arguments = ["poses", text(&photos), "--out", text(&found)];
+    let first = with_python(&python, &arguments);
+    assert!(first.status.success(), "{}", said(&first));
+    let summary = json(&found.join("poses/summary.json"));
+    assert!(number(&summary["registered"]) >= 10.0, "{summary}");
+    assert!(number(&summary["points"]) > 300.0 && number(&summary["reprojection_error_px"]) < 1.0, "{summary}");
+    assert!(said(&first).contains("of 12 photos") && said(&first).contains("genesplat train"), "{}", said(&first));
+
+    // What is done is not done again, and the scene is an ordinary one.
+    let again = with_python(Path::new("no-such-python"), &arguments);
+    assert!(again.status.success() && again.stdout == first.stdout, "{}", said(&again));
+    let run = folder.path().join("run");
+    let short = ["--iterations", "20", "--max-side", "120", "--device", "cpu"];
+    let train = with_python(&python, &[&["train", text(&found), "--out", text(&run)][..], &short].concat());
+    assert!(train.status.success(), "{}", said(&train));
+
+    fs::remove_file(photos.join("00.png")).unwrap();
+    judge_failure(with_python(&python, &arguments), &["other photos", "--out"]);
+}
+
+#[cfg(unix)]
+#[test]
+fn a_search_that_was_stopped_goes_on_with_the_next_stage() {
+    let folder = tempfile::tempdir().unwrap();
+    let Some(photos) = small_photos(folder.path()) else { return };
+    let Some(python) = python_with("pycolmap") else { return };
+    let found = folder.path().join("scene");
+    let mark = found.join("poses/features.done");
+    let arguments = ["poses", text(&photos), "--out", text(&found)];
+    let mut child = command(arguments).env("GENESPLAT_PYTHON", &python).spawn().unwrap();
+    while !mark.exists() && child.try_wait().unwrap().is_none() {
+        std::thread::sleep(std::time::Duration::from_millis(5));
+    }
+    Command::new("kill").args(["-TERM", &child.id().to_string()]).status().unwrap();
+    let status = child.wait().unwrap();
+    assert_eq!(status.code(), Some(130), "it was stopped before it was done");
+    let rest = with_python(&python, &arguments);
+    assert!(rest.status.success() && said(&rest).contains("features: done already"), "{}", said(&rest));
+}
+
+#[cfg(unix)]
+#[test]
+fn a_video_is_photos_too() {
+    let folder = tempfile::tempdir().unwrap();
+    let (Some(python), Some(_)) = (python_with("pycolmap"), python_with("imageio_ffmpeg")) else { return };
+    let Some(photos) = small_photos(folder.path()) else { return };
+    let where_is = "import imageio_ffmpeg as i; print(i.get_ffmpeg_exe())";
+    let ffmpeg = Command::new(&python).args(["-c", where_is]).output().unwrap().stdout;
+    let programs = folder.path().join("programs");
+    fs::create_dir(&programs).unwrap();
+    std::os::unix::fs::symlink(String::from_utf8(ffmpeg).unwrap().trim(), programs.join("ffmpeg")).unwrap();
+    let video = folder.path().join("film.mp4");
+    let made = Command::new(programs.join("ffmpeg"))
+        .args(["-y", "-framerate", "4", "-i"])
+        .arg(photos.join("%02d.png"))
+        .args(["-c:v", "libx264", "-crf", "12", "-pix_fmt", "yuv420p"])
+        .arg(&video)
+        .output()
+        .unwrap();
+    assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
+    let rest = std::env::var_os("PATH").unwrap();
+    let path = std::env::join_paths([programs].into_iter().chain(std::env::split_paths(&rest)));
+    let run = folder.path().join("run");
+    let output =
+        command(["train", "--poses", text(&video), "--out", text(&run), "--iterations", "20", "--max-side", "120"])
+            .args(["--device", "cpu"])
+            .env("GENESPLAT_PYTHON", &python)
+            .env("PATH", path.unwrap())
+            .output()
+            .unwrap();
+    assert!(output.status.success(), "{}", said(&output));
+    let summary = json(&run.join("scene/poses/summary.json"));
+    assert_eq!(number(&summary["photos"]), 12.0, "all frames of a short video");
+    assert!(number(&summary["registered"]) >= 8.0, "{summary}");
+    assert!(run.join("point_cloud.ply").exists());
+}
+
+#[test]
+fn what_is_missing_is_said_in_a_sentence() {
+    let folder = tempfile::tempdir().unwrap();
+    let (photos, out) = (scene().join("images"), folder.path().join("scene"));
+    let poses = ["poses", text(&photos), "--out", text(&out)];
+    let nobody = command(poses).env_remove("GENESPLAT_PYTHON").env("PATH", folder.path()).output().unwrap();
+    judge_failure(nobody, &["pip install pycolmap", "colmap", "GENESPLAT_PYTHON"]);
+    let absent = command(poses).env("GENESPLAT_PYTHON", "no-such-python").output().unwrap();
+    judge_failure(absent, &["no-such-python", "pip install pycolmap"]);
+    fail(["poses", text(&photos), "--out", text(&photos)], &["the folder of the photos", "--out"]);
+    fail(["poses", text(&photos), "--out", text(scene())], &["holds a scene already", "--out"]);
+    let video = folder.path().join("film.mp4");
+    fs::write(&video, "no film").unwrap();
+    let of_video = ["poses", text(&video), "--out", text(&out)];
+    let other = folder.path().join("other");
+    let no_ffmpeg = command(["poses", text(&video), "--out", text(&other)])
+        .env("PATH", folder.path())
+        .env_remove("GENESPLAT_PYTHON")
+        .output()
+        .unwrap();
+    judge_failure(no_ffmpeg, &["pip install pycolmap"]);
+    fail(of_video, &["other photos"]);
+    fail(["train", text(&photos), "--out", text(&other)], &["part of a scene"]);
+    let bare = folder.path().join("bare");
+    fs::create_dir(&bare).unwrap();
+    fs::copy(photos.join("gallery_000.png"), bare.join("a.png")).unwrap();
+    fail(["train", text(&bare), "--out", text(&other)], &["1 photos and no cameras", "genesplat poses", "--poses"]);
+}
