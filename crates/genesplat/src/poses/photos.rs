@@ -171,8 +171,9 @@ mod tests {
     #[test]
     fn photos_are_found_in_subfolders_and_masks_are_none() {
         let place = tempfile::tempdir().unwrap();
-        let _ = ["b/2.JPG", "a.png", ".hidden.jpg", "masks/a.png", "notes.txt", "x.HEIC"]
-            .map(|name| file(place.path(), name));
+        for name in ["b/2.JPG", "a.png", ".hidden.jpg", "masks/a.png", "notes.txt", "x.HEIC"] {
+            file(place.path(), name);
+        }
         let (photos, others) = list(place.path()).unwrap();
         assert_eq!((photos, others), (vec!["a.png".to_owned(), "b/2.JPG".into()], vec!["x.HEIC".to_owned()]));
     }
@@ -194,7 +195,9 @@ mod tests {
     fn what_is_neither_photos_nor_a_video_is_said() {
         let place = tempfile::tempdir().unwrap();
         let refusal = |name: &str, frames| Source::open(&place.path().join(name), frames).err().unwrap().to_string();
-        let _ = ["empty/notes.txt", "phone/1.heic", "photos/1.jpg", "scene.zip"].map(|name| file(place.path(), name));
+        for name in ["empty/notes.txt", "phone/1.heic", "photos/1.jpg", "scene.zip"] {
+            file(place.path(), name);
+        }
         assert!(refusal("absent", None).contains("does not exist"));
         assert!(refusal("empty", None).contains("holds no photos"));
         assert!(refusal("phone", None).contains("1.heic is one of 1"));
