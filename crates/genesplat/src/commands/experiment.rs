@@ -154,7 +154,7 @@ fn write(runner: &Runner<'_>, results: &Results<'_>) -> Result<()> {
     files.iter().try_for_each(|(name, text)| files::write_text(&runner.out.join(name), text))?;
     output::print(&format!("{text}{seconds}"))?;
     let names = files.iter().map(|(name, _)| *name).collect::<Vec<_>>().join(", ");
-    output::print(&format!("{}: {names}, and {} pages in qualitative/", shown(&runner.out), pages.len()))
+    output::print(&format!("{}: {names}, and {} pages in qualitative/", shown(runner.out), pages.len()))
 }
 
 #[cfg(test)]
