@@ -14,7 +14,7 @@ const LENS_NOTES = {
   depth: "Mean depth of what is blended; computed on the CPU.",
   count: "Gaussians that reach a pixel with an alpha of 1/255 or more, to within a few percent; computed on the CPU.",
   points: "Centres of the Gaussians above an opacity of 0.05; computed on the CPU.",
-  ellipses: "Gaussians above an opacity of 0.05 as opaque ellipsoids with soft edges; computed on the CPU.",
+  ellipses: "Gaussians above an opacity of 0.05 as opaque ellipsoids at 0.4 of their size, with soft edges; computed on the CPU.",
 };
 const LEGENDS = { depth: "depth, world units", count: "Gaussians a pixel" };
 

@@ -33,7 +33,7 @@ pub enum Lens {
 const COUNT_SPREAD: f32 = 0.05;
 /// Standard deviation of a point, px.
 const POINT_PX: f64 = 0.7;
-/// An ellipsoid's standard deviations, of those of the Gaussian: it is opaque to about there.
+/// An ellipsoid's standard deviations, of those of the Gaussian: smaller, so that neighbours can be told apart.
 const ELLIPSE_SCALE: f32 = 0.4;
 /// Gaussians below this opacity are no points and no ellipsoids: haze would hide the rest.
 const SHOWN_OPACITY: f32 = 0.05;
