@@ -1,4 +1,5 @@
-// Stage `rasterise`: blends the splats of each tile front to back, one pixel an invocation.
+// Stage `rasterise`: blends the splats of each tile front to back, one pixel an invocation. A splat is passed over
+// where its ellipse misses the block of pixels that runs in lockstep: the list has it if it reaches any block.
 //
 // A pixel is finished when a splat would leave less than 1e-4 of its light: that splat is not blended into it, nor is
 // any other.
@@ -23,21 +24,25 @@ struct Blended {
     at: vec2<f32>,
     colour: vec3<f32>,
     transmittance: f32,
-    finished: bool,
+    // Splats with a smaller exponent do not reach the pixel; where it is finished, that is all of them.
+    exponent_min: f32,
 }
+
+// Above the logarithm of every opacity.
+const FINISHED: f32 = 1.0;
 
 // Blends a splat of the batch into a pixel, unless that would leave less than 1e-4 of the light: then the pixel is
 // finished.
 fn blend(blended: ptr<function, Blended>, index: u32) {
     let d = batch[index].mean_px - (*blended).at;
     let exponent = exponent_at(batch[index].conic_log2, batch[index].log2_opacity, d);
-    if exponent < -LOG2_255 {
+    if exponent < (*blended).exponent_min {
         return;
     }
     let weight = (*blended).transmittance * min(exp2(exponent), ALPHA_MAX);
     let next = (*blended).transmittance - weight;
     if next < TRANSMITTANCE_MIN {
-        (*blended).finished = true;
+        (*blended).exponent_min = FINISHED;
         atomicAdd(&finished_pixels, 1u);
         return;
     }
@@ -47,7 +52,6 @@ fn blend(blended: ptr<function, Blended>, index: u32) {
 
 @compute @workgroup_size(TILE, TILE)
 fn main(@builtin(workgroup_id) tile: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
-    let origin = vec2(f32(tile.x * TILE), f32(tile.y * TILE));
     let local = pixel_of(lane);
     let pixel = tile.xy * TILE + local;
     let inside = pixel.x < view.width && pixel.y < view.height;
@@ -57,8 +61,8 @@ fn main(@builtin(workgroup_id) tile: vec3<u32>, @builtin(local_invocation_index)
     }
     let intersection_range = workgroupUniformLoad(&range);
 
-    var blended = Blended(vec2<f32>(local), vec3(0.0), 1.0, !inside);
-    if blended.finished {
+    var blended = Blended(vec2<f32>(local), vec3(0.0), 1.0, select(FINISHED, -LOG2_255, inside));
+    if !inside {
         atomicAdd(&finished_pixels, 1u);
     }
     for (var first = intersection_range.x; first < intersection_range.y; first += TILE_PIXELS) {
@@ -71,14 +75,19 @@ fn main(@builtin(workgroup_id) tile: vec3<u32>, @builtin(local_invocation_index)
             break;
         }
         // 2. Load the next splats, one an invocation.
+        batch[lane] = absent_splat();
         if first + lane < intersection_range.y {
-            batch[lane] = load_batch_splat(intersection_splats[intersections[first + lane]], origin);
+            batch[lane] = load_batch_splat(intersection_splats[intersections[first + lane]], tile.xy);
         }
         workgroupBarrier();
-        // 3. Blend.
+        // 3. Blend, several at once: that spares tests of the loop.
         let count = min(TILE_PIXELS, intersection_range.y - first);
-        for (var i = 0u; i < count && !blended.finished; i++) {
-            blend(&blended, i);
+        for (var start = 0u; start < count && blended.exponent_min < FINISHED; start += SPLATS_AT_ONCE) {
+            for (var slot = 0u; slot < SPLATS_AT_ONCE; slot++) {
+                if reaches_block(start + slot, lane) {
+                    blend(&blended, start + slot);
+                }
+            }
         }
     }
     if inside {

@@ -24,8 +24,10 @@ shared_constants! {
     SCAN_BLOCK = 8 * GROUP,
     SORT_BLOCK = 16 * GROUP,
     DIGITS = 256,
-    // Splats that the backward pass reduces at once.
+    // Splats that rasterisation blends, and the backward pass reduces, at once.
     SPLATS_AT_ONCE = 8,
+    // Tiles of a splat whose gradients one invocation sums, few in tests; those of wider splats, a workgroup.
+    SERIAL_TILES = if cfg!(test) { 4 } else { 32 },
     // Individuals that a workgroup of stage `score` renders: as many pixels as an invocation has registers for.
     SLOTS = 16,
     // Words with a bit for each individual of a pool.
