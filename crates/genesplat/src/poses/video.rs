@@ -141,7 +141,7 @@ mod tests {
     #[test]
     fn the_sharpest_frame_of_each_interval_stays() {
         let place = tempfile::tempdir().unwrap();
-        let value = |at: u32| if (at % 64 / 3 + at / 64 / 5) % 2 == 0 { 220 } else { 30 };
+        let value = |at: u32| if (at % 64 / 3 + at / 64 / 5).is_multiple_of(2) { 220 } else { 30 };
         let sharp = Photo { width: 64, height: 48, rgb: (0..64 * 48).flat_map(|at| [value(at); 3]).collect() };
         let blurred = resize(&resize(&sharp, 20, 15), 64, 48);
         let frames = (0..7).map(|index| {
