@@ -46,19 +46,16 @@ const PAUSE: Duration = Duration::from_millis(20);
 fn listen(handler: impl Fn() + Send + 'static) -> Result<()> {
     let signalled = Arc::new(AtomicBool::new(false));
     let deaf = |error| anyhow!("cannot listen for Ctrl-C: {error}");
-    let watch = {
-        let signalled = signalled.clone();
-        move || loop {
-            thread::sleep(PAUSE);
-            if signalled.swap(false, Ordering::Relaxed) {
-                handler();
-            }
-        }
-    };
-    thread::Builder::new().name("signals".into()).spawn(watch).map_err(deaf)?;
     for signal in [SIGINT, SIGTERM] {
         flag::register(signal, signalled.clone()).map_err(deaf)?;
     }
+    let watch = move || loop {
+        thread::sleep(PAUSE);
+        if signalled.swap(false, Ordering::Relaxed) {
+            handler();
+        }
+    };
+    thread::Builder::new().name("signals".into()).spawn(watch).map_err(deaf)?;
     Ok(())
 }
 

@@ -86,10 +86,12 @@ fn an_interrupted_run_is_saved_and_resumed_exactly() {
     fail(train(scene(), &broken, &["--resume"]), &["is finished", "nothing to resume"]);
 }
 
-/// The scene's points come from a pipe, so that the test decides when loading ends.
+/// Photos of 17 megapixels on one thread: loading takes seconds, and begins after the thread that hears signals.
+#[cfg(target_os = "linux")]
 #[test]
 fn ctrl_c_while_a_scene_is_loaded_costs_no_results() {
-    use std::io::{BufRead, BufReader};
+    use genesplat::core::Photo;
+    use genesplat::io::photos::write_png;
 
     let folder = tempfile::tempdir().unwrap();
     let [out, slow] = ["run", "slow"].map(|name| folder.path().join(name));
@@ -97,25 +99,30 @@ fn ctrl_c_while_a_scene_is_loaded_costs_no_results() {
     let results = || ["metrics.json", "point_cloud.ply"].map(|name| fs::read(out.join(name)).unwrap());
     let before = results();
     write_gallery(&slow);
-    let points = slow.join("sparse/0/points3D.bin");
-    let bytes = fs::read(&points).unwrap();
-    fs::remove_file(&points).unwrap();
-    assert!(Command::new("mkfifo").arg(&points).status().unwrap().success());
+    let large = folder.path().join("large.png");
+    write_png(&large, &Photo { width: 4800, height: 3600, rgb: vec![90; 3 * 4800 * 3600] }).unwrap();
+    for photo in fs::read_dir(slow.join("images")).unwrap() {
+        fs::copy(&large, photo.unwrap().path()).unwrap();
+    }
 
-    let arguments = train(&slow, &out, &["--iterations", "3"]);
+    let arguments = train(&slow, &out, &["--iterations", "3", "--threads", "1", "--max-side", "64"]);
     let mut child = command(arguments).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
-    let mut stderr = BufReader::new(child.stderr.take().unwrap()).lines().map(Result::unwrap);
-    // Opens once the command reads.
-    let mut pipe = fs::File::options().write(true).open(&points).unwrap();
+    let tasks = format!("/proc/{}/task", child.id());
+    let listens = || {
+        let threads = fs::read_dir(&tasks).into_iter().flatten().flatten();
+        threads
+            .map(|thread| thread.path())
+            .any(|thread| fs::read_to_string(thread.join("comm")).is_ok_and(|name| name.trim() == "signals"))
+    };
+    while !listens() {
+        assert!(child.try_wait().unwrap().is_none(), "it still works");
+        std::thread::sleep(Duration::from_millis(1));
+    }
     assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
-    assert!(stderr.any(|line| line.starts_with("stopping")), "it has heard");
-    std::io::Write::write_all(&mut pipe, &bytes).unwrap();
-    drop(pipe);
-    let rest: Vec<String> = stderr.collect();
     let output = child.wait_with_output().unwrap();
-    let said = String::from_utf8(output.stdout).unwrap();
-    assert!(output.status.code() == Some(130) && said.contains("is as it was"), "{said} {rest:?}");
-    assert!(before == results());
+    let [said, heard] = [output.stdout, output.stderr].map(|bytes| String::from_utf8(bytes).unwrap());
+    assert!(output.status.code() == Some(130) && said.contains("is as it was"), "{said} {heard}");
+    assert!(heard.contains("stopping") && before == results());
 }
 
 #[test]
