@@ -92,15 +92,15 @@ fn a_machine_without_memory_is_a_sentence_and_a_run_that_goes_on() {
         fails
     };
     // The loader and the threads have room in the smaller, all that a run does in the larger.
-    let (mut too_little, mut enough) = (30, 1000);
+    let (mut too_little, mut enough) = (30_u32, 1000_u32);
     assert!(within(too_little) && !within(enough));
     while enough - too_little > 1 {
         let limit = too_little.midpoint(enough);
         if within(limit) { too_little = limit } else { enough = limit }
     }
-    (1..6).for_each(|less| {
+    for less in 1..6 {
         within(too_little - less);
-    });
+    }
     let resumed = said.values().flatten().filter(|last| last.contains("holds the run at iteration"));
     assert!(resumed.count() > 0, "none was under way: {said:#?}");
 }
