@@ -43,7 +43,8 @@ fn content_scale(camera: &Camera, lens: &Lens, axis: usize) -> f64 {
         (0..sides[1 - axis]).filter_map(move |across| {
             let mut shown = [f64::from(across) + 0.5; 2];
             shown[axis] = at;
-            let point = lens.undistort(normalised(camera, shown))?;
+            // Beyond a fold, another point than the one that is shown has the same place.
+            let point = lens.undistort(normalised(camera, shown)).filter(|point| lens.grows_to(*point))?;
             Some(camera.focal_px[axis] * point[axis] + centre)
         })
     };
