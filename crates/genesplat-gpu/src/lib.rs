@@ -12,6 +12,7 @@ mod state;
 
 pub use backend::GpuBackend;
 pub use device::adapter::{AdapterReport, adapters, check_best};
+pub use device::shaders::kernel_sources;
 pub use device::traffic::Work;
 
 type Result<T> = std::result::Result<T, genesplat_core::BackendError>;

@@ -15,10 +15,8 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     let block = group_of(group);
     atomicStore(&counts[lane], 0u);
     workgroupBarrier();
-    // The last block may be short.
-    let rounds = (min(length - min(length, block * SORT_BLOCK), SORT_BLOCK) + GROUP - 1u) / GROUP;
-    for (var i = 0u; i < rounds; i++) {
-        let at = block * SORT_BLOCK + i * GROUP + lane;
+    for (var first = 0u; first < SORT_BLOCK; first += GROUP) {
+        let at = block * SORT_BLOCK + first + lane;
         if at < length {
             atomicAdd(&counts[(keys[at] >> SHIFT) & (DIGITS - 1u)], 1u);
         }

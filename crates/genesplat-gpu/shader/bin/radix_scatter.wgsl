@@ -50,8 +50,10 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
         if at < length {
             let own = atomicLoad(&masks[lane / 32u * DIGITS + digit]);
             var place = next[digit] + countOneBits(own & ((1u << (lane % 32u)) - 1u));
-            for (var word = 0u; word < lane / 32u; word++) {
-                place += countOneBits(atomicLoad(&masks[word * DIGITS + digit]));
+            for (var word = 0u; word < WORDS; word++) {
+                if word < lane / 32u {
+                    place += countOneBits(atomicLoad(&masks[word * DIGITS + digit]));
+                }
             }
             keys_out[place] = key;
             if COUNT_UP {

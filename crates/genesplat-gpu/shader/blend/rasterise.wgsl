@@ -23,21 +23,25 @@ struct Blended {
     at: vec2<f32>,
     colour: vec3<f32>,
     transmittance: f32,
-    finished: bool,
+    // Splats with a smaller exponent do not reach the pixel; where it is finished, that is all of them.
+    exponent_min: f32,
 }
+
+// Above the logarithm of every opacity.
+const FINISHED: f32 = 1.0;
 
 // Blends a splat of the batch into a pixel, unless that would leave less than 1e-4 of the light: then the pixel is
 // finished.
 fn blend(blended: ptr<function, Blended>, index: u32) {
     let d = batch[index].mean_px - (*blended).at;
     let exponent = exponent_at(batch[index].conic_log2, batch[index].log2_opacity, d);
-    if exponent < -LOG2_255 {
+    if exponent < (*blended).exponent_min {
         return;
     }
     let weight = (*blended).transmittance * min(exp2(exponent), ALPHA_MAX);
     let next = (*blended).transmittance - weight;
     if next < TRANSMITTANCE_MIN {
-        (*blended).finished = true;
+        (*blended).exponent_min = FINISHED;
         atomicAdd(&finished_pixels, 1u);
         return;
     }
@@ -57,8 +61,8 @@ fn main(@builtin(workgroup_id) tile: vec3<u32>, @builtin(local_invocation_index)
     }
     let intersection_range = workgroupUniformLoad(&range);
 
-    var blended = Blended(vec2<f32>(local), vec3(0.0), 1.0, !inside);
-    if blended.finished {
+    var blended = Blended(vec2<f32>(local), vec3(0.0), 1.0, select(FINISHED, -LOG2_255, inside));
+    if !inside {
         atomicAdd(&finished_pixels, 1u);
     }
     for (var first = intersection_range.x; first < intersection_range.y; first += TILE_PIXELS) {
@@ -71,14 +75,17 @@ fn main(@builtin(workgroup_id) tile: vec3<u32>, @builtin(local_invocation_index)
             break;
         }
         // 2. Load the next splats, one an invocation.
+        batch[lane] = absent_splat();
         if first + lane < intersection_range.y {
             batch[lane] = load_batch_splat(intersection_splats[intersections[first + lane]], origin);
         }
         workgroupBarrier();
-        // 3. Blend.
+        // 3. Blend, several at once: that spares tests of the loop.
         let count = min(TILE_PIXELS, intersection_range.y - first);
-        for (var i = 0u; i < count && !blended.finished; i++) {
-            blend(&blended, i);
+        for (var start = 0u; start < count && blended.exponent_min < FINISHED; start += SPLATS_AT_ONCE) {
+            for (var slot = 0u; slot < SPLATS_AT_ONCE; slot++) {
+                blend(&blended, start + slot);
+            }
         }
     }
     if inside {

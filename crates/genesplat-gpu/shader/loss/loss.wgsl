@@ -31,28 +31,34 @@ fn main(
     let plane = tile.z;
     let channel = plane % 3u;
     // 1. The tile with its margins.
-    for (var at = lane; at < HALO * HALO; at += TILE_PIXELS) {
-        let x = i32(tile.x * TILE + at % HALO) - i32(SSIM_RADIUS);
-        let y = i32(tile.y * TILE + at / HALO) - i32(SSIM_RADIUS);
-        x_halo[at] = 0.0;
-        y_halo[at] = 0.0;
-        if x >= 0 && y >= 0 && x < i32(view.width) && y < i32(view.height) {
-            let index = u32(y) * view.width + u32(x);
-            x_halo[at] = image[plane * pixels + index];
-            y_halo[at] = photo_value(photo[index], channel);
+    for (var first = 0u; first < HALO * HALO; first += TILE_PIXELS) {
+        let at = first + lane;
+        if at < HALO * HALO {
+            let x = i32(tile.x * TILE + at % HALO) - i32(SSIM_RADIUS);
+            let y = i32(tile.y * TILE + at / HALO) - i32(SSIM_RADIUS);
+            x_halo[at] = 0.0;
+            y_halo[at] = 0.0;
+            if x >= 0 && y >= 0 && x < i32(view.width) && y < i32(view.height) {
+                let index = u32(y) * view.width + u32(x);
+                x_halo[at] = image[plane * pixels + index];
+                y_halo[at] = photo_value(photo[index], channel);
+            }
         }
     }
     workgroupBarrier();
     // 2. Blur of the moments along rows.
-    for (var at = lane; at < HALO * TILE; at += TILE_PIXELS) {
-        let first = at / TILE * HALO + at % TILE;
-        var sum = vec4(0.0);
-        for (var tap = 0u; tap < 2u * SSIM_RADIUS + 1u; tap++) {
-            let x = x_halo[first + tap];
-            let y = y_halo[first + tap];
-            sum += SSIM_WINDOW[tap] * vec4(x, y, x * x + y * y, x * y);
+    for (var first = 0u; first < HALO * TILE; first += TILE_PIXELS) {
+        let at = first + lane;
+        if at < HALO * TILE {
+            let left = at / TILE * HALO + at % TILE;
+            var sum = vec4(0.0);
+            for (var tap = 0u; tap < 2u * SSIM_RADIUS + 1u; tap++) {
+                let x = x_halo[left + tap];
+                let y = y_halo[left + tap];
+                sum += SSIM_WINDOW[tap] * vec4(x, y, x * x + y * y, x * y);
+            }
+            blurred[at] = sum;
         }
-        blurred[at] = sum;
     }
     workgroupBarrier();
     // 3. Along columns, and the loss of this pixel.
@@ -96,8 +102,10 @@ fn sum_of_tile(lane: u32, value: vec4<f32>) -> vec4<f32> {
     }
     workgroupBarrier();
     var total = vec4(0.0);
-    for (var i = 0u; i < TILE; i++) {
-        total += blurred[i];
+    if lane == 0u {
+        for (var i = 0u; i < TILE; i++) {
+            total += blurred[i];
+        }
     }
     return total;
 }

@@ -23,24 +23,30 @@ fn main(
     let pixels = view.width * view.height;
     let channel = tile.z;
     // 1. The tile with its margins.
-    for (var at = lane; at < HALO * HALO; at += TILE_PIXELS) {
-        let x = i32(tile.x * TILE + at % HALO) - i32(SSIM_RADIUS);
-        let y = i32(tile.y * TILE + at / HALO) - i32(SSIM_RADIUS);
-        halo[at] = vec3(0.0);
-        if x >= 0 && y >= 0 && x < i32(view.width) && y < i32(view.height) {
-            let index = channel * pixels + u32(y) * view.width + u32(x);
-            halo[at] = vec3(by_mean[index], by_square[index], by_product[index]);
+    for (var first = 0u; first < HALO * HALO; first += TILE_PIXELS) {
+        let at = first + lane;
+        if at < HALO * HALO {
+            let x = i32(tile.x * TILE + at % HALO) - i32(SSIM_RADIUS);
+            let y = i32(tile.y * TILE + at / HALO) - i32(SSIM_RADIUS);
+            halo[at] = vec3(0.0);
+            if x >= 0 && y >= 0 && x < i32(view.width) && y < i32(view.height) {
+                let index = channel * pixels + u32(y) * view.width + u32(x);
+                halo[at] = vec3(by_mean[index], by_square[index], by_product[index]);
+            }
         }
     }
     workgroupBarrier();
     // 2. Blur along rows, then columns.
-    for (var at = lane; at < HALO * TILE; at += TILE_PIXELS) {
-        let first = at / TILE * HALO + at % TILE;
-        var sum = vec3(0.0);
-        for (var tap = 0u; tap < 2u * SSIM_RADIUS + 1u; tap++) {
-            sum += SSIM_WINDOW[tap] * halo[first + tap];
+    for (var first = 0u; first < HALO * TILE; first += TILE_PIXELS) {
+        let at = first + lane;
+        if at < HALO * TILE {
+            let left = at / TILE * HALO + at % TILE;
+            var sum = vec3(0.0);
+            for (var tap = 0u; tap < 2u * SSIM_RADIUS + 1u; tap++) {
+                sum += SSIM_WINDOW[tap] * halo[left + tap];
+            }
+            blurred[at] = sum;
         }
-        blurred[at] = sum;
     }
     workgroupBarrier();
     var by = vec3(0.0);

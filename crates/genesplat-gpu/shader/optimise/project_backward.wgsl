@@ -76,11 +76,14 @@ fn colour_position_gradient(local: u32, position: vec3<f32>, rgb_gradient: vec3<
     }
     let direction = view_direction(position);
     var along = vec3(0.0);
-    for (var group = 0u; group < sh_groups(view.sh_degree); group++) {
-        let rgb = sh_group(local, group);
-        let weights = vec4(
-            dot(rgb[0], rgb_gradient), dot(rgb[1], rgb_gradient), dot(rgb[2], rgb_gradient), dot(rgb[3], rgb_gradient));
-        along += sh_direction_gradient(view.sh_degree, group, direction.xyz, weights);
+    for (var group = 0u; group < SH_GROUPS; group++) {
+        if group < sh_groups(view.sh_degree) {
+            let rgb = sh_group(local, group);
+            let weights = vec4(
+                dot(rgb[0], rgb_gradient), dot(rgb[1], rgb_gradient), dot(rgb[2], rgb_gradient),
+                dot(rgb[3], rgb_gradient));
+            along += sh_direction_gradient(view.sh_degree, group, direction.xyz, weights);
+        }
     }
     // (I - d d^T) / distance: the direction's length is fixed.
     return (along - dot(along, direction.xyz) * direction.xyz) * direction.w;

@@ -1,7 +1,9 @@
 // Spherical harmonics of one Gaussian seen from one camera. Coefficients are outermost, so that a group of four
 // coefficients of three channels is three vectors.
 
-// Groups of four coefficients that hold the active ones.
+// Groups of four coefficients, and those that hold the active ones.
+const SH_GROUPS: u32 = 4u;
+
 fn sh_groups(degree: u32) -> u32 {
     return ((degree + 1u) * (degree + 1u) + 3u) / 4u;
 }

@@ -16,11 +16,13 @@ fn sh_colour(row: u32, degree: u32, position: vec3<f32>) -> vec3<f32> {
     }
     let direction = view_direction(position).xyz;
     var sum = vec3(0.0);
-    for (var group = 0u; group < sh_groups(degree); group++) {
-        let basis = sh_basis(degree, group, direction);
-        let rgb = sh_group(row, group);
-        for (var k = 0u; k < 4u; k++) {
-            sum += basis[k] * rgb[k];
+    for (var group = 0u; group < SH_GROUPS; group++) {
+        if group < sh_groups(degree) {
+            let basis = sh_basis(degree, group, direction);
+            let rgb = sh_group(row, group);
+            for (var k = 0u; k < 4u; k++) {
+                sum += basis[k] * rgb[k];
+            }
         }
     }
     return sum;

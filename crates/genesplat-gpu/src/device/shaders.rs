@@ -5,6 +5,7 @@
 //! needs no device.
 
 use crate::device::prelude::prelude;
+use crate::device::unroll::unrolled;
 
 #[derive(Debug)]
 pub(crate) struct Shader {
@@ -14,11 +15,15 @@ pub(crate) struct Shader {
 }
 
 impl Shader {
-    /// The whole text, for a device with subgroups or one without.
+    /// What is compiled, for a device with subgroups or one without: the whole text, with constant loops written out.
     pub(super) fn source(&self, subgroups: bool) -> String {
-        let mut source = prelude();
-        source.extend(self.parts.iter().map(|part| if subgroups { part.with } else { part.without }));
-        source
+        unrolled(&self.text(subgroups))
+    }
+
+    fn text(&self, subgroups: bool) -> String {
+        let mut text = prelude();
+        text.extend(self.parts.iter().map(|part| if subgroups { part.with } else { part.without }));
+        text
     }
 }
 
@@ -42,8 +47,7 @@ macro_rules! shaders {
             parts: &[parts::COMMON, $(parts::$part,)* Part::new(include_str!(concat!("../../shader/", $file, ".wgsl")))],
         };)*
 
-        #[cfg(test)]
-        pub(crate) static ALL: &[&Shader] = &[$(&$name),*];
+        static ALL: &[&Shader] = &[$(&$name),*];
     };
 }
 
@@ -137,6 +141,11 @@ shaders! {
     CONTRIBUTION_SUM = "blend/contribution_sum" + [];
 }
 
+/// Name and WGSL of every kernel, as a device with subgroups, or one without, compiles it: what tools count.
+pub fn kernel_sources(subgroups: bool) -> impl Iterator<Item = (&'static str, String)> {
+    ALL.iter().map(move |shader| (shader.name, shader.source(subgroups)))
+}
+
 #[cfg(test)]
 mod tests {
     use std::path::{Path, PathBuf};
@@ -199,7 +208,7 @@ mod tests {
     #[test]
     fn every_file_is_in_the_table() {
         let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("shader");
-        let text: String = all().map(|(_, source, _)| source).collect();
+        let text: String = ALL.iter().flat_map(|shader| [true, false].map(|ways| shader.text(ways))).collect();
         let list = |folder: &Path| -> Vec<PathBuf> {
             std::fs::read_dir(folder).unwrap().map(|file| file.unwrap().path()).collect()
         };

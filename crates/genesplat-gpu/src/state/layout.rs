@@ -24,7 +24,7 @@ shared_constants! {
     SCAN_BLOCK = 8 * GROUP,
     SORT_BLOCK = 16 * GROUP,
     DIGITS = 256,
-    // Splats that the backward pass reduces at once.
+    // Splats that rasterisation blends, and the backward pass reduces, at once.
     SPLATS_AT_ONCE = 8,
     // Individuals that a workgroup of stage `score` renders: as many pixels as an invocation has registers for.
     SLOTS = 16,
