@@ -26,21 +26,23 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     let end = at + counts[rank];
     first_intersections[row] = at;
     let tile_rows = tile_rows_of(splat);
+    var tile = min(tile_rows.x, view.tiles_y - 1u) * view.tiles_x;
     for (var tile_y = tile_rows.x; tile_y < tile_rows.y; tile_y++) {
         let spans = spans_of(splat, tile_y);
         let columns = tile_columns_of(spans);
         for (var tile_x = columns.x; tile_x < columns.y; tile_x++) {
             if reaches(spans, tile_x) && at < end {
-                keys[at] = tile_y * view.tiles_x + u32(tile_x);
+                tile = tile_y * view.tiles_x + u32(tile_x);
+                keys[at] = tile;
                 intersection_splats[at] = row;
                 at++;
             }
         }
     }
     // Counting shares this code, but a compiler may round differently there. What was counted in vain is listed as the
-    // splat that reaches nothing.
+    // splat that reaches nothing, in the splat's last tile: in one tile for all splats, such lists could grow long.
     for (; at < end; at++) {
-        keys[at] = 0u;
+        keys[at] = tile;
         intersection_splats[at] = NO_SPLAT;
     }
 }

@@ -1,4 +1,5 @@
-// Stage `rasterise`: blends the splats of each tile front to back, one pixel an invocation.
+// Stage `rasterise`: blends the splats of each tile front to back, one pixel an invocation. A splat is passed over
+// where its ellipse misses the block of pixels that runs in lockstep: the list has it if it reaches any block.
 //
 // A pixel is finished when a splat would leave less than 1e-4 of its light: that splat is not blended into it, nor is
 // any other.
@@ -51,7 +52,6 @@ fn blend(blended: ptr<function, Blended>, index: u32) {
 
 @compute @workgroup_size(TILE, TILE)
 fn main(@builtin(workgroup_id) tile: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
-    let origin = vec2(f32(tile.x * TILE), f32(tile.y * TILE));
     let local = pixel_of(lane);
     let pixel = tile.xy * TILE + local;
     let inside = pixel.x < view.width && pixel.y < view.height;
@@ -77,14 +77,16 @@ fn main(@builtin(workgroup_id) tile: vec3<u32>, @builtin(local_invocation_index)
         // 2. Load the next splats, one an invocation.
         batch[lane] = absent_splat();
         if first + lane < intersection_range.y {
-            batch[lane] = load_batch_splat(intersection_splats[intersections[first + lane]], origin);
+            batch[lane] = load_batch_splat(intersection_splats[intersections[first + lane]], tile.xy);
         }
         workgroupBarrier();
         // 3. Blend, several at once: that spares tests of the loop.
         let count = min(TILE_PIXELS, intersection_range.y - first);
         for (var start = 0u; start < count && blended.exponent_min < FINISHED; start += SPLATS_AT_ONCE) {
             for (var slot = 0u; slot < SPLATS_AT_ONCE; slot++) {
-                blend(&blended, start + slot);
+                if reaches_block(start + slot, lane) {
+                    blend(&blended, start + slot);
+                }
             }
         }
     }

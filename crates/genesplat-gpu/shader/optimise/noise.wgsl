@@ -14,7 +14,7 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     }
     let mean = geometry[3u * local];
     let faintness = sigmoid(-NOISE_STEEPNESS * (sigmoid(mean.w) - NOISE_OPACITY));
-    if !(faintness > FAINTNESS_MIN) {
+    if !is_finite(faintness) || faintness <= FAINTNESS_MIN {
         return;
     }
     let key = vec2(optimiser.key_low, optimiser.key_high);

@@ -97,15 +97,19 @@ fn blend_batch(
     b: ptr<function, Accumulated>,
     c: ptr<function, Accumulated>,
     d: ptr<function, Accumulated>,
-    pixel: vec2<f32>,
+    lane: u32,
     count: u32,
 ) -> bool {
+    let pixel = vec2<f32>(pixel_of(lane));
     // The test for it is left out where the batch cannot dim the pixel that far.
     let least = min(min(smallest((*a).transmittance), smallest((*b).transmittance)),
         min(smallest((*c).transmittance), smallest((*d).transmittance)));
     let left = least * exp2(-f32(atomicLoad(&batch_dimming)) / DIMMING_STEPS);
     let may_finish = left < TRANSMITTANCE_MIN * DIMMING_SLACK;
     for (var i = 0u; i < count; i++) {
+        if !reaches_block(i, lane) {
+            continue;
+        }
         let exponent = exponent_at(batch[i].conic_log2, batch[i].log2_opacity, batch[i].mean_px - pixel);
         if exponent < -LOG2_255 {
             continue;
@@ -153,7 +157,6 @@ fn write_pixels(first_layer: u32, place: u32, accumulated: Accumulated) {
 @compute @workgroup_size(TILE, TILE)
 fn main(@builtin(workgroup_id) tile: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     let first_individual = SLOTS * tile.z;
-    let origin = vec2(f32(tile.x * TILE), f32(tile.y * TILE));
     let local = pixel_of(lane);
     let pixel = tile.xy * TILE + local;
     let inside = pixel.x < view.width && pixel.y < view.height;
@@ -207,13 +210,13 @@ fn main(@builtin(workgroup_id) tile: vec3<u32>, @builtin(local_invocation_index)
             }
         }
         if splat.y != 0u {
-            batch[place] = load_batch_splat(splat.x, origin);
+            batch[place] = load_batch_splat(splat.x, tile.xy);
             batch_holders[place] = splat.y;
             atomicAdd(&batch_dimming, dimming_of(batch[place].log2_opacity));
         }
         workgroupBarrier();
         // 4. Blend them.
-        if !finished && blend_batch(&a, &b, &c, &d, vec2<f32>(local), count) {
+        if !finished && blend_batch(&a, &b, &c, &d, lane, count) {
             finished = true;
             atomicAdd(&finished_pixels, 1u);
         }

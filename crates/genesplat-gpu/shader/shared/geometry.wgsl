@@ -136,7 +136,8 @@ fn is_seen(g: Geometry) -> bool {
 
 // True where the splat reaches the image; then `out` is the splat without its colour.
 fn splat_of(g: Geometry, out: ptr<function, Splat>) -> bool {
-    if !is_valid(g) || !(g.opacity_effective > ALPHA_MIN) {
+    // By bits wherever a NaN must not pass: fast maths may turn a comparison around, and then NaNs pass.
+    if !is_valid(g) || !is_finite(g.opacity_effective) || g.opacity_effective <= ALPHA_MIN {
         return false;
     }
     let mean = mean_px(g);
@@ -146,7 +147,8 @@ fn splat_of(g: Geometry, out: ptr<function, Splat>) -> bool {
     let reach = max(2.0 * LN_2 * (log2_opacity + LOG2_255), 0.0);
     let half_extent_px = sqrt(reach * g.cov.xz);
     let size = vec2(f32(view.width), f32(view.height));
-    if !(all(mean + half_extent_px >= vec2(0.0)) && all(mean - half_extent_px <= size - 1.0)) {
+    let is_known = is_finite(mean.x) && is_finite(mean.y) && !has_nan(vec4(half_extent_px, 0.0, 0.0));
+    if !is_known || any(mean + half_extent_px < vec2(0.0)) || any(mean - half_extent_px > size - 1.0) {
         return false;
     }
     let scale = LOG2_E / g.det;

@@ -3,11 +3,12 @@
 use std::cell::{Cell, RefCell};
 use std::collections::HashMap;
 use std::sync::{Arc, OnceLock};
+use std::time::Duration;
 
 use genesplat_core::BackendError;
 use wgpu::{
     BindGroupLayout, CommandBuffer, ComputePipeline, ComputePipelineDescriptor, Device, DeviceDescriptor, Features,
-    Limits, PipelineCompilationOptions, PollType, Queue, ShaderModuleDescriptor, ShaderSource,
+    Limits, PipelineCompilationOptions, PollError, PollType, Queue, ShaderModuleDescriptor, ShaderSource,
 };
 
 use crate::Result;
@@ -16,6 +17,10 @@ use crate::device::adapter;
 use crate::device::probe;
 use crate::device::shaders::Shader;
 use crate::state::layout::SH_FLOATS;
+
+/// Longest time that a device may take for all that was submitted: a driver that hangs would keep the host forever.
+/// Software drivers are slow, and 32 steps may be in the queue.
+const WAIT_MAX: Duration = Duration::from_secs(600);
 
 type KernelKey = (&'static str, Vec<(&'static str, u32)>);
 
@@ -43,7 +48,16 @@ pub(crate) struct Engine {
     /// How often the host has waited: what a test counts.
     pub(crate) waits: Cell<u32>,
     kernels: RefCell<HashMap<KernelKey, Kernel>>,
-    lost: Arc<OnceLock<String>>,
+    failures: Arc<Failures>,
+}
+
+/// What a device reports between calls: the first message of each kind stays.
+#[derive(Default)]
+struct Failures {
+    /// Why it stopped working.
+    lost: OnceLock<String>,
+    /// What it found wrong with a command: it goes on working, but what the command was for is not done.
+    refused: OnceLock<String>,
 }
 
 impl Engine {
@@ -70,7 +84,7 @@ impl Engine {
             binding_bytes: limits.max_storage_buffer_binding_size,
             buffer_bytes: limits.max_buffer_size,
             window_rows: limits.max_storage_buffer_binding_size / (4 * u64::from(SH_FLOATS)),
-            lost: watch(&device),
+            failures: watch(&device),
             device,
             queue,
             name,
@@ -106,15 +120,25 @@ impl Engine {
     /// Waits until everything submitted is done; only then is the memory of dropped buffers free.
     pub(crate) fn wait(&self) -> Result<()> {
         self.waits.set(self.waits.get() + 1);
-        match self.device.poll(PollType::wait_indefinitely()) {
+        match self.device.poll(PollType::Wait { submission_index: None, timeout: Some(WAIT_MAX) }) {
             Ok(_) => self.check(),
+            Err(PollError::Timeout) => Err(self.is_lost(&format!("it has not answered for {} s", WAIT_MAX.as_secs()))),
             Err(error) => Err(self.is_lost(&error.to_string())),
         }
     }
 
-    /// An error if the device is lost or has refused something.
+    /// An error if the device is lost or has refused something; what is lost refuses everything.
     pub(crate) fn check(&self) -> Result<()> {
-        self.lost.get().map_or(Ok(()), |reason| Err(self.is_lost(reason)))
+        let Failures { lost, refused } = &*self.failures;
+        match (lost.get(), refused.get()) {
+            (Some(reason), _) => Err(self.is_lost(reason)),
+            (None, Some(reason)) => Err(BackendError::Unsupported(format!(
+                "{} refused a command: {}; this is an error in genesplat or in the driver, use --device cpu",
+                self.name,
+                reason.replace('\n', " ")
+            ))),
+            (None, None) => Ok(()),
+        }
     }
 
     pub(super) fn is_lost(&self, reason: &str) -> BackendError {
@@ -150,11 +174,14 @@ impl Engine {
     }
 }
 
-/// Where the device notes why it was lost, or what it has refused: the first message stays.
-fn watch(device: &Device) -> Arc<OnceLock<String>> {
-    let lost = Arc::new(OnceLock::new());
-    let [by_loss, by_error] = [Arc::clone(&lost), Arc::clone(&lost)];
-    device.set_device_lost_callback(move |_, message| drop(by_loss.set(message)));
-    device.on_uncaptured_error(Arc::new(move |error| drop(by_error.set(error.to_string()))));
-    lost
+/// Where the device notes why it was lost, and what it has refused.
+fn watch(device: &Device) -> Arc<Failures> {
+    let failures = Arc::<Failures>::default();
+    let [by_loss, by_error] = [Arc::clone(&failures), Arc::clone(&failures)];
+    device.set_device_lost_callback(move |_, message| drop(by_loss.lost.set(message)));
+    device.on_uncaptured_error(Arc::new(move |error| {
+        let kind = if matches!(error, wgpu::Error::Validation { .. }) { &by_error.refused } else { &by_error.lost };
+        drop(kind.set(error.to_string()));
+    }));
+    failures
 }

@@ -111,8 +111,8 @@ shaders! {
     EMIT = "bin/emit" + [SPLAT, OVERLAP];
     TILE_RANGES = "bin/tile_ranges" + [];
     // From splats to a loss, and back to gradients of intersections.
-    RASTERISE = "blend/rasterise" + [SPLAT, BATCH_SPLAT];
-    RASTERISE_BACKWARD = "blend/rasterise_backward" + [SPLAT, BATCH_SPLAT];
+    RASTERISE = "blend/rasterise" + [SPLAT, OVERLAP, BATCH_SPLAT];
+    RASTERISE_BACKWARD = "blend/rasterise_backward" + [SPLAT, OVERLAP, BATCH_SPLAT];
     LOSS = "loss/loss" + [SSIM, PHOTO];
     LOSS_SUM = "loss/loss_sum" + [TILE_SUMS];
     LOSS_GRADIENT = "loss/loss_gradient" + [SSIM, PHOTO];
@@ -134,7 +134,7 @@ shaders! {
     BLEND_AVERAGES = "rows/blend_averages" + [];
     // Losses of many individuals at once.
     PROJECT_ROW_VERSIONS = "score/project_row_versions" + [SPLAT, ROTATION, GEOMETRY, OVERLAP, COLOUR, SH_ROW, WRITE_SPLAT];
-    RASTERISE_INDIVIDUALS = "score/rasterise_individuals" + [SPLAT, BATCH_SPLAT];
+    RASTERISE_INDIVIDUALS = "score/rasterise_individuals" + [SPLAT, OVERLAP, BATCH_SPLAT];
     VIEW_LOSSES = "score/view_losses" + [TILE_SUMS];
     // Contributions of Gaussians to views.
     CONTRIBUTION_PIXELS = "blend/contribution_pixels" + [PHOTO];

@@ -26,6 +26,8 @@ shared_constants! {
     DIGITS = 256,
     // Splats that rasterisation blends, and the backward pass reduces, at once.
     SPLATS_AT_ONCE = 8,
+    // Tiles of a splat whose gradients one invocation sums, few in tests; those of wider splats, a workgroup.
+    SERIAL_TILES = if cfg!(test) { 4 } else { 32 },
     // Individuals that a workgroup of stage `score` renders: as many pixels as an invocation has registers for.
     SLOTS = 16,
     // Words with a bit for each individual of a pool.

@@ -91,6 +91,18 @@ fn a_lost_device_is_one_sentence() {
     assert!(sentence.contains("--device cpu") && !sentence.contains('\n'), "{sentence}");
 }
 
+/// A command that breaks wgpu's rules is our error: the device is well.
+#[test]
+fn a_refused_command_is_no_lost_device() {
+    let Some(engine) = engine() else { return };
+    let memory = engine.allocate("a test", 64).unwrap();
+    engine.queue.write_buffer(&memory.buffer, memory.bytes - 4, &[0; 8]);
+    let error = engine.wait().unwrap_err();
+    assert!(matches!(error, BackendError::Unsupported(_)), "{error}");
+    let sentence = error.to_string();
+    assert!(sentence.contains("refused") && !sentence.contains('\n'), "{sentence}");
+}
+
 /// From no memory at all to enough of it: an edit is done in full or not at all, and the device lives on.
 #[test]
 fn an_edit_that_finds_no_memory_changes_nothing() {
