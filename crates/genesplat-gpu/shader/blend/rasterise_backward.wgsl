@@ -31,7 +31,8 @@ var<workgroup> range: vec2<u32>;
 var<workgroup> batch: array<BatchSplat, BATCH>;
 var<workgroup> batch_intersections: array<u32, BATCH>;
 // p of each splat and pixel, then w [slots, blocks, pixels]; later the parts of the sums [columns, slots, parts]: there
-// are as many slots as blocks. In three dimensions, so that naga checks numbers that stay the same; constants cost none.
+// are as many slots as blocks. In three dimensions, so that naga checks numbers that stay the same; constants cost
+// nothing.
 var<workgroup> partial_sums: array<array<array<f32, BLOCK_PIXELS>, BLOCKS>, 2u * SPLATS_AT_ONCE>;
 var<workgroup> pixel_gradients: array<vec3<f32>, TILE_PIXELS>;
 var<workgroup> finished_pixels: atomic<u32>;
@@ -180,7 +181,9 @@ fn main(@builtin(workgroup_id) tile: vec3<u32>, @builtin(local_invocation_index)
             workgroupBarrier();
             // 3. Columns of rows.
             if lane < SPLATS_AT_ONCE * COLUMNS && start + lane / COLUMNS < count {
-                intersection_gradients[batch_intersections[start + lane / COLUMNS] * COLUMNS + lane % COLUMNS] = sum_column(lane / COLUMNS, lane % COLUMNS, lane);
+                let row = batch_intersections[start + lane / COLUMNS];
+                let sum = sum_column(lane / COLUMNS, lane % COLUMNS, lane);
+                intersection_gradients[row * COLUMNS + lane % COLUMNS] = sum;
             }
             workgroupBarrier();
         }

@@ -1,8 +1,8 @@
 // Stage `adam` of the colours, 64 rows a workgroup. Runs before the positions move, since a coefficient's gradient is
 // its basis function seen from where the Gaussian was rendered.
 //
-// An invocation first has four coefficients of a row, which are three vectors of gradients, and leaves them in workgroup
-// memory; then it steps single vectors, so that neighbours touch neighbouring memory, in whole sectors.
+// An invocation first has four coefficients of a row, which are three vectors of gradients, and leaves them in
+// workgroup memory; then it steps single vectors, so that neighbours touch neighbouring memory, in whole sectors.
 
 @group(0) @binding(0) var<uniform> view: ViewPass;
 @group(0) @binding(1) var<uniform> window: Window;

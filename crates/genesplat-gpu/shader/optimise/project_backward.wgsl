@@ -154,7 +154,8 @@ fn sum_of(first: u32, end: u32, pitch: u32) -> Sums {
     var sums = Sums(vec4(0.0), vec4(0.0), vec4(0.0));
     for (var intersection = first; intersection < end; intersection += pitch) {
         let at = 3u * intersection;
-        sums = plus(sums, Sums(intersection_gradients[at], intersection_gradients[at + 1u], intersection_gradients[at + 2u]));
+        let a = intersection_gradients[at];
+        sums = plus(sums, Sums(a, intersection_gradients[at + 1u], intersection_gradients[at + 2u]));
     }
     return sums;
 }
