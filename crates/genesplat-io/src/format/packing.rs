@@ -130,8 +130,7 @@ mod tests {
         assert_eq!(turned.positions[0], [1.0, -2.0, -3.0]);
         let covariance = |cloud: &Gaussians| {
             let (r, s) = (rotation_matrix(cloud.rotations[0]), cloud.log_scales[0].map(|s| (2.0 * s).exp()));
-            let entry = move |i: usize, j: usize| -> f32 { (0..3).map(|k| r[i][k] * s[k] * r[j][k]).sum() };
-            entry
+            move |i: usize, j: usize| -> f32 { (0..3).map(|k| r[i][k] * s[k] * r[j][k]).sum() }
         };
         let (before, after) = (covariance(&cloud), covariance(&turned));
         for (i, j) in [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)] {

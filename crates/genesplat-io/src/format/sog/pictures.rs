@@ -174,7 +174,10 @@ mod tests {
     fn grids_have_a_pixel_for_each_and_sides_that_fit() {
         for count in [0, 1, 16, 17, 33_979, SIDE_MAX * SIDE_MAX] {
             let grid = Grid::for_gaussians(count).unwrap();
-            assert!(grid.pixels() >= count && grid.width % 4 == 0 && grid.height % 4 == 0, "{count} {grid:?}");
+            assert!(
+                grid.pixels() >= count && grid.width.is_multiple_of(4) && grid.height.is_multiple_of(4),
+                "{count} {grid:?}"
+            );
         }
         assert_eq!(Grid::for_gaussians(SIDE_MAX * SIDE_MAX + 1), None);
     }
