@@ -4,13 +4,14 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use crate::ply::PlyError;
+use crate::shown;
 
 /// Why a splat could not be read or written.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum FormatError {
     /// The operating system refused to read.
-    #[error("cannot read {path}: {source}")]
+    #[error("cannot read {}: {source}", shown(.path))]
     Read {
         /// The file.
         path: PathBuf,
@@ -18,7 +19,7 @@ pub enum FormatError {
         source: io::Error,
     },
     /// The operating system refused to write.
-    #[error("cannot write {path}: {source}; what was there before is unchanged")]
+    #[error("cannot write {}: {source}; what was there before is unchanged", shown(.path))]
     Write {
         /// The file.
         path: PathBuf,
@@ -26,7 +27,7 @@ pub enum FormatError {
         source: io::Error,
     },
     /// A file that contradicts itself, or was cut off.
-    #[error("{path} {problem}; copy or export it again")]
+    #[error("{} {problem}; copy or export it again", shown(.path))]
     Damaged {
         /// The file.
         path: PathBuf,
@@ -34,7 +35,7 @@ pub enum FormatError {
         problem: String,
     },
     /// A file that uses what genesplat does not read, or a cloud that a format cannot hold.
-    #[error("{path} {problem}")]
+    #[error("{} {problem}", shown(.path))]
     Unsupported {
         /// The file.
         path: PathBuf,

@@ -23,8 +23,8 @@ use crate::run::METRICS;
 use crate::run::metrics::Metrics;
 use crate::run::session::{Caller, RunSession};
 use crate::run::training::{Ended, Run};
-use crate::scene;
 use crate::settings::Settings;
+use crate::{files, scene};
 
 pub(crate) struct Runner<'a> {
     pub(crate) experiment: &'a Experiment,
@@ -125,6 +125,15 @@ impl<'a> Runner<'a> {
     fn may_begin(&self, cell: Cell, ran: &Ran<'_>) -> bool {
         let has_its_arm = self.waits_for(cell, &ran.results).is_none();
         !self.stop.load(Ordering::Relaxed) && has_its_arm && !ran.failures.iter().any(|failure| failure.reaches(cell))
+    }
+
+    /// What a process that was killed while it made the bundled scene has left; whoever calls holds the experiment's lock.
+    pub(crate) fn remove_leftovers_of_scenes(&self) {
+        let scenes = self.experiment.file.scenes.iter().enumerate();
+        let bundled = scenes.filter(|(_, scene)| *scene == BUNDLED).map(|(index, _)| self.scene_path(index));
+        for path in bundled {
+            ["images", "sparse/0"].map(|part| files::remove_leftovers(&path.join(part)));
+        }
     }
 
     /// All cells, and what is on the disk of each.
