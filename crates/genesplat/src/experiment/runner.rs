@@ -132,7 +132,9 @@ impl<'a> Runner<'a> {
         let scenes = self.experiment.file.scenes.iter().enumerate();
         let bundled = scenes.filter(|(_, scene)| *scene == BUNDLED).map(|(index, _)| self.scene_path(index));
         for path in bundled {
-            ["images", "sparse/0"].map(|part| files::remove_leftovers(&path.join(part)));
+            for part in ["images", "sparse/0"] {
+                files::remove_leftovers(&path.join(part));
+            }
         }
     }
 
