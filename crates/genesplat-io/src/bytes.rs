@@ -1,4 +1,4 @@
-//! Every reader on bytes that are in no file: where fuzzing comes in. What is read counts, not what it says.
+//! Every reader on bytes that are in no file: where tests that mutate them come in. What is read counts, not what it says.
 
 use std::path::Path;
 
