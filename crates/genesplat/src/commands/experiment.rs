@@ -56,7 +56,7 @@ pub(crate) fn run(args: &ExperimentArgs) -> Result<Ending> {
     if let Some(number) = args.cell {
         return run_cell(&runner, number);
     }
-    runner.remove_leftovers_of_scenes();
+    runner.remove_leftovers();
     let Ran { results, mut failures } = runner.run(None)?;
     let (finished, cells) = (results.finished(), experiment.cells().len());
     if lpips.is_some() {

@@ -19,10 +19,10 @@ use super::cells::State;
 use super::plan::{BUNDLED, Cell, Experiment};
 use super::results::Results;
 use crate::args::MachineArgs;
-use crate::run::METRICS;
 use crate::run::metrics::Metrics;
 use crate::run::session::{Caller, RunSession};
 use crate::run::training::{Ended, Run};
+use crate::run::{METRICS, TEST};
 use crate::settings::Settings;
 use crate::{files, scene};
 
@@ -98,6 +98,10 @@ impl<'a> Runner<'a> {
                 // Also behind a cell that has failed: tables show all that is finished.
                 State::Finished(metrics) => {
                     board.kept(cell, &metrics);
+                    // Who makes a single cell may be beside others; who makes all of them holds the lock.
+                    if only.is_none() {
+                        self.remove_leftovers_of(cell);
+                    }
                     ran.results.put(cell, *metrics);
                     continue;
                 }
@@ -127,8 +131,25 @@ impl<'a> Runner<'a> {
         !self.stop.load(Ordering::Relaxed) && has_its_arm && !ran.failures.iter().any(|failure| failure.reaches(cell))
     }
 
-    /// What a process that was killed while it made the bundled scene has left; whoever calls holds the experiment's lock.
-    pub(crate) fn remove_leftovers_of_scenes(&self) {
+    /// What a process has left that was killed just after it had finished a cell.
+    fn remove_leftovers_of(&self, cell: Cell) {
+        let folder = self.folder(cell);
+        for part in ["", TEST] {
+            files::remove_leftovers(&folder.join(part));
+        }
+    }
+
+    /// What a process has left that was killed while it made the bundled scene, or looked whether it can write a cell;
+    /// whoever calls holds the experiment's lock.
+    pub(crate) fn remove_leftovers(&self) {
+        for cell in self.experiment.cells() {
+            let above = self.folder(cell);
+            above
+                .ancestors()
+                .skip(1)
+                .take_while(|folder| folder.starts_with(self.out))
+                .for_each(files::remove_leftovers);
+        }
         let scenes = self.experiment.file.scenes.iter().enumerate();
         let bundled = scenes.filter(|(_, scene)| *scene == BUNDLED).map(|(index, _)| self.scene_path(index));
         for path in bundled {
