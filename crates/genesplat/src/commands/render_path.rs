@@ -7,7 +7,7 @@ use std::process::{Child, Command, Stdio};
 
 use anyhow::{Result, anyhow, bail, ensure};
 use genesplat::core::{Camera, Photo};
-use genesplat::io::{Scene, photos, shown};
+use genesplat::io::{Scene, input, photos, shown};
 use genesplat::viewer::path::CameraPath;
 
 use crate::args::{PathChoice, RenderArgs};
@@ -54,7 +54,7 @@ fn cameras(choice: &PathChoice, scene: &Scene, frames: u32) -> Result<Vec<Camera
         PathChoice::Spiral => CameraPath::spiral(&known)?,
         PathChoice::Interpolate => CameraPath::through(&known)?,
         PathChoice::File(file) => {
-            let bytes = fs::read(file).map_err(|error| anyhow!("cannot read the path {}: {error}", shown(file)))?;
+            let bytes = input::read(file).map_err(|error| anyhow!("cannot read the path {}: {error}", shown(file)))?;
             CameraPath::parse(&bytes).map_err(|error| anyhow!("{}: {error}", shown(file)))?
         }
     };

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 
 use anyhow::{Result, anyhow, bail, ensure};
-use genesplat::io::shown;
+use genesplat::io::{input, shown};
 use serde::{Deserialize, Serialize};
 
 use super::{FRAMES, IMAGES, video};
@@ -73,7 +73,7 @@ impl Source {
     /// Fails where the stages in `work` are those of other photos; else it is written down whose they are.
     pub(crate) fn check_same(&self, work: &Path) -> Result<()> {
         let (file, record) = (work.join(RECORD), self.record()?);
-        let Ok(bytes) = fs::read(&file) else { return write_json(&file, &record) };
+        let Ok(bytes) = input::read(&file) else { return write_json(&file, &record) };
         let same = serde_json::from_slice::<Record>(&bytes).is_ok_and(|there| there == record);
         ensure!(
             same,

@@ -113,7 +113,7 @@ mod tests {
         assert_eq!(lines, ["one", "two"]);
         let refused = run(&mut shell("echo no memory >&2; exit 3"), &log, &never, |_| {}).unwrap_err().to_string();
         assert!(refused.contains("no memory") && refused.contains("log"), "{refused}");
-        assert_eq!(std::fs::read_to_string(&log).unwrap().lines().count(), 3);
+        assert_eq!(genesplat::io::input::read_text(&log).unwrap().lines().count(), 3);
     }
 
     #[test]

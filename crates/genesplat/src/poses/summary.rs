@@ -1,6 +1,6 @@
 //! What a search for cameras has found, in figures and in words.
 
-use genesplat::io::shown;
+use genesplat::io::{input, shown};
 use std::collections::{BTreeMap, HashSet};
 use std::fs;
 use std::path::Path;
@@ -67,7 +67,7 @@ impl Summary {
     /// That of an earlier search, if it came to its end.
     pub(crate) fn read(work: &Path) -> Result<Option<Self>> {
         let file = work.join(SUMMARY);
-        let Ok(bytes) = fs::read(&file) else { return Ok(None) };
+        let Ok(bytes) = input::read(&file) else { return Ok(None) };
         let problem = "is damaged; remove it to find the cameras again";
         serde_json::from_slice(&bytes).map(Some).map_err(|_| anyhow!("{} {problem}", shown(file)))
     }

@@ -33,7 +33,7 @@ fn write_run(run: &Path, what: &str) {
 }
 
 fn text(path: PathBuf) -> Option<String> {
-    fs::read_to_string(path).ok()
+    input::read_text(path.as_ref()).ok()
 }
 
 /// The process is killed before step `cut`; one that writes a file has begun it.
