@@ -1,7 +1,7 @@
 //! Evaluation renders each view, in order, and hands the pictures on.
 
 use genesplat_core::RenderSettings;
-use genesplat_metrics::evaluate;
+use genesplat_metrics::{PSNR_MAX_DB, evaluate};
 
 use crate::support::{FakeBackend, views};
 
@@ -20,8 +20,8 @@ fn each_view_is_rendered_scored_and_kept() {
     let names = ["000.png", "001.png", "002.png"];
     assert_eq!(kept, names.map(|name| (name.to_owned(), 0)));
     let psnr: Vec<f64> = evaluation.views.iter().map(|view| view.psnr).collect();
-    assert_eq!(psnr, [f64::INFINITY, 0.0, f64::INFINITY]);
+    assert_eq!(psnr, [PSNR_MAX_DB, 0.0, PSNR_MAX_DB]);
     assert_eq!(evaluation.views[0].ssim, 1.0);
     assert!(evaluation.views[1].ssim < 0.01, "{}", evaluation.views[1].ssim);
-    assert_eq!((evaluation.psnr, evaluation.lpips), (f64::INFINITY, None));
+    assert_eq!((evaluation.psnr, evaluation.lpips), (PSNR_MAX_DB, None));
 }

@@ -46,10 +46,10 @@ impl PageArgs {
 
 #[derive(Debug, Args)]
 pub(crate) struct ViewArgs {
-    /// A splat (.ply), or the folder of a run
-    #[arg(value_name = "PLY|RUN")]
+    /// A splat (.ply, compressed .ply, .splat, .spz, .sog or .glb), or the folder of a run
+    #[arg(value_name = "SPLAT|RUN")]
     pub(crate) splat: PathBuf,
-    /// Folder of the scene, for its photos and cameras [default: that of the RUN, if it is still there; none for a PLY]
+    /// Folder of the scene, for its photos and cameras [default: that of the RUN, if it is still there; none for a SPLAT]
     #[arg(long, value_name = "DATASET")]
     pub(crate) data: Option<PathBuf>,
     #[command(flatten)]

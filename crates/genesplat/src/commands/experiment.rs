@@ -36,8 +36,12 @@ pub(crate) fn run(args: &ExperimentArgs) -> Result<Ending> {
     files::check_folder(&args.out, TABLES)?;
     check_ours(&args.out)?;
     experiment.check_scenes(args.data.as_deref(), &args.out)?;
-    // Single cells are locked by their own folders.
-    let _lock = (!args.list && args.cell.is_none()).then(|| Lock::take(&args.out)).transpose()?;
+    let _lock = match args.cell {
+        _ if args.list => None,
+        // Others may make other cells; each cell's folder has a lock of its own.
+        Some(_) => Some(Lock::share(&args.out)?),
+        None => Some(Lock::take(&args.out)?),
+    };
     device::use_threads(args.machine.threads)?;
     let stop = interrupt::stop_flag()?;
     let lpips = lpips::open(&args.lpips)?;

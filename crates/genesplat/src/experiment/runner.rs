@@ -98,10 +98,6 @@ impl<'a> Runner<'a> {
                 // Also behind a cell that has failed: tables show all that is finished.
                 State::Finished(metrics) => {
                     board.kept(cell, &metrics);
-                    // Who makes a single cell may be beside others; who makes all of them holds the lock.
-                    if only.is_none() {
-                        self.remove_leftovers_of(cell);
-                    }
                     ran.results.put(cell, *metrics);
                     continue;
                 }
@@ -131,32 +127,18 @@ impl<'a> Runner<'a> {
         !self.stop.load(Ordering::Relaxed) && has_its_arm && !ran.failures.iter().any(|failure| failure.reaches(cell))
     }
 
-    /// What a process has left that was killed just after it had finished a cell.
-    fn remove_leftovers_of(&self, cell: Cell) {
-        let folder = self.folder(cell);
-        for part in ["", TEST] {
-            files::remove_leftovers(&folder.join(part));
-        }
-    }
-
-    /// What a process has left that was killed while it made the bundled scene, or looked whether it can write a cell;
-    /// whoever calls holds the experiment's lock.
+    /// What killed processes have left of files half written: in the bundled scene, in cells, and above them. Whoever calls
+    /// holds the experiment's lock alone.
     pub(crate) fn remove_leftovers(&self) {
-        for cell in self.experiment.cells() {
-            let above = self.folder(cell);
-            above
-                .ancestors()
-                .skip(1)
-                .take_while(|folder| folder.starts_with(self.out))
-                .for_each(files::remove_leftovers);
-        }
         let scenes = self.experiment.file.scenes.iter().enumerate();
         let bundled = scenes.filter(|(_, scene)| *scene == BUNDLED).map(|(index, _)| self.scene_path(index));
-        for path in bundled {
-            for part in ["images", "sparse/0"] {
-                files::remove_leftovers(&path.join(part));
-            }
-        }
+        let in_scenes = bundled.flat_map(|path| ["images", "sparse/0"].map(|part| path.join(part)));
+        let in_cells = self.experiment.cells().into_iter().flat_map(|cell| {
+            let folder = self.folder(cell);
+            let up = folder.ancestors().take_while(|above| above.starts_with(self.out)).map(Path::to_owned);
+            up.chain([folder.join(TEST)]).collect::<Vec<_>>()
+        });
+        in_scenes.chain(in_cells).for_each(|folder| files::remove_leftovers(&folder));
     }
 
     /// All cells, and what is on the disk of each.

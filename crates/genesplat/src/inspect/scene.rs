@@ -79,12 +79,16 @@ fn field_of_view(views: &[&View]) -> Fact {
 
 fn expected(cost: &Cost) -> [Fact; 3] {
     [
-        Fact::new("Gaussians", cost.gaussians, format!("about {} after {QUICK} iterations", thousands(cost.gaussians))),
-        Fact::new("memory", cost.memory_bytes, format!("about {}", memory(cost.memory_bytes))),
+        Fact::new(
+            "Gaussians",
+            cost.gaussians,
+            format!("at most {} after {QUICK} iterations", thousands(cost.gaussians)),
+        ),
+        Fact::new("memory", cost.memory_bytes, format!("at most about {}", memory(cost.memory_bytes))),
         Fact::new(
             "time",
             cost.seconds,
-            format!("about {} for {QUICK} iterations on this machine's CPU", time_left(cost.seconds)),
+            format!("at most about {} for {QUICK} iterations on this machine's CPU", time_left(cost.seconds)),
         ),
     ]
 }

@@ -238,14 +238,23 @@ pub(crate) struct Lock {
 }
 
 impl Lock {
-    /// Takes the lock of `folder`, which is made if it is missing.
+    /// Takes the lock of `folder` for this process alone; the folder is made if it is missing.
     pub(crate) fn take(folder: &Path) -> Result<Self> {
+        Self::by(folder, File::try_lock)
+    }
+
+    /// The same beside any number of processes that share it, which keeps out only who wants it alone.
+    pub(crate) fn share(folder: &Path) -> Result<Self> {
+        Self::by(folder, File::try_lock_shared)
+    }
+
+    fn by(folder: &Path, lock: fn(&File) -> Result<(), TryLockError>) -> Result<Self> {
         let path = folder.join(LOCK);
         let file = fs::create_dir_all(folder)
             .and_then(|()| File::options().create(true).append(true).open(&path))
             .map_err(|error| unwritable(&path, &error))?;
         // Some file systems have no locks: there it is up to the user, as it would be without this module.
-        if matches!(file.try_lock(), Err(TryLockError::WouldBlock)) {
+        if matches!(lock(&file), Err(TryLockError::WouldBlock)) {
             bail!("another genesplat is writing to {}; wait for it or choose another --out", shown(folder));
         }
         Ok(Self { file })
@@ -287,6 +296,18 @@ mod tests {
         drop(lock);
         assert!(folder.join(LOCK).exists());
         Lock::take(&folder).unwrap();
+    }
+
+    #[test]
+    fn a_folder_is_shared_by_many_or_had_by_one() {
+        let folder = tempfile::tempdir().unwrap();
+        let shared = [(); 2].map(|()| Lock::share(folder.path()).unwrap());
+        assert!(Lock::take(folder.path()).unwrap_err().to_string().contains("another genesplat"));
+        drop(shared);
+        let alone = Lock::take(folder.path()).unwrap();
+        assert!(Lock::share(folder.path()).is_err());
+        drop(alone);
+        assert!(Lock::share(folder.path()).is_ok());
     }
 
     #[test]
