@@ -14,6 +14,7 @@ use crate::run::session::has_checkpoint;
 use crate::run::{CLOUD, CONFIG};
 use crate::scene;
 use crate::settings::ConfigFile;
+use crate::terminal::output;
 
 /// A cloud and how it is meant to be shown.
 pub(crate) struct Splat {
@@ -35,6 +36,22 @@ impl Splat {
     /// Loads the photos in `data` to compare it with, as large as it was trained on unless another size is asked for.
     pub(crate) fn load_scene(&self, data: &Path, asked: SizeArgs) -> Result<Scene> {
         scene::load_to_look(data, self.size(asked), self.settings.background)
+    }
+
+    /// The scene in `data`; where none is named, that of the run at `path`, if it is still where it was.
+    pub(crate) fn find_scene(&self, path: &Path, data: Option<&Path>, asked: SizeArgs) -> Result<Option<Scene>> {
+        if let Some(data) = data {
+            return self.load_scene(data, asked).map(Some);
+        }
+        let of_run = path.is_dir().then(|| ConfigFile::of_run(path)).transpose()?;
+        let Some(data) = of_run.map(|config| config.dataset.path).filter(|path| path.is_dir()) else { return Ok(None) };
+        match self.load_scene(&data, asked) {
+            Ok(scene) => Ok(Some(scene)),
+            Err(error) => {
+                output::tell(&format!("notice: the page has no photos and cameras, since {error}"));
+                Ok(None)
+            }
+        }
     }
 
     /// Of a run's splat, a fraction is one of the size that it was trained at, for multi-scale evaluation.
