@@ -297,8 +297,8 @@ pub(crate) struct CompareArgs {
 
 #[derive(Debug, Args)]
 pub(crate) struct ExperimentArgs {
-    /// What to compare: smoke (minutes, no data needed), paper-table-2-3, study-evolution, study-variants, study-mcmc,
-    /// ablation-crossover, ablation-trigger, ablation-population, ablation-views, ablation-gradient,
+    /// What to compare: smoke (minutes, no data needed), paper-table-2-3, study-evolution, study-paper, study-variants,
+    /// study-mcmc, ablation-crossover, ablation-trigger, ablation-population, ablation-views, ablation-gradient,
     /// ablation-renew, or a TOML file of one's own
     #[arg(value_name = "NAME|FILE.toml")]
     pub(crate) what: String,
