@@ -20,12 +20,14 @@ mod bench;
 mod choice;
 mod convert;
 mod page;
+mod photos;
 mod poses;
 mod train;
 
 pub(crate) use bench::{Bench, BenchEvolutionArgs, BenchGpuArgs, BenchStepArgs, SourceArgs, WorkloadArgs};
 pub(crate) use convert::ConvertArgs;
 pub(crate) use page::{PathChoice, TrainPageArgs, ViewArgs};
+pub(crate) use photos::PhotosArgs;
 pub(crate) use poses::PosesArgs;
 pub(crate) use train::{EvolutionArgs, TrainArgs};
 
@@ -128,7 +130,7 @@ pub(crate) struct InspectArgs {
     #[arg(value_name = "SCENE|SPLAT|RUN")]
     pub(crate) what: PathBuf,
     #[command(flatten)]
-    pub(crate) size: SizeArgs,
+    pub(crate) photos: PhotosArgs,
     #[command(flatten)]
     pub(crate) json: JsonArgs,
 }
@@ -202,13 +204,13 @@ pub(crate) struct EvaluateArgs {
     /// Folder of the scene with the photos to compare with
     #[arg(long, value_name = "DATASET")]
     pub(crate) data: PathBuf,
-    /// Which photos: those that training never saw (every 8th), or those that it saw
+    /// Which photos: those that training never saw (every 8th, unless it was told otherwise), or those that it saw
     #[arg(long, value_enum, value_name = "SPLIT", default_value_t = Split::Test)]
     pub(crate) split: Split,
     #[command(flatten)]
     pub(crate) json: JsonArgs,
     #[command(flatten)]
-    pub(crate) size: SizeArgs,
+    pub(crate) photos: PhotosArgs,
     #[command(flatten)]
     pub(crate) on: ShownOnArgs,
     #[command(flatten)]
@@ -244,7 +246,7 @@ pub(crate) struct RenderArgs {
     #[arg(long, value_name = "FILE|DIR")]
     pub(crate) out: PathBuf,
     #[command(flatten)]
-    pub(crate) size: SizeArgs,
+    pub(crate) photos: PhotosArgs,
     #[command(flatten)]
     pub(crate) on: ShownOnArgs,
     #[command(flatten)]
@@ -276,7 +278,7 @@ pub(crate) struct RefineArgs {
     #[arg(long, value_name = "FILE.toml")]
     pub(crate) config: Option<PathBuf>,
     #[command(flatten)]
-    pub(crate) size: SizeArgs,
+    pub(crate) photos: PhotosArgs,
     #[command(flatten)]
     pub(crate) machine: MachineArgs,
 }
@@ -368,6 +370,8 @@ pub(crate) enum RenderSplit {
 pub(crate) const MAX_SIDE: RangeInclusive<i64> = 16..=u32::MAX as i64;
 /// Divisors of both sides that can be asked for.
 pub(crate) const DOWNSCALE: RangeInclusive<i64> = 1..=64;
+/// Intervals of test photos that can be asked for: of every photo, none would be left to train on.
+pub(crate) const TEST_EVERY: RangeInclusive<i64> = 2..=u32::MAX as i64;
 /// Seeds that can be asked for: those that TOML can hold.
 const SEEDS: RangeTo<u64> = ..1 << 63;
 /// Numbers of threads that can be asked for.

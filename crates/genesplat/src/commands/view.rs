@@ -37,11 +37,11 @@ pub(crate) fn run(args: &ViewArgs) -> Result<()> {
 /// The scene that was asked for; else that of the run, if it is still where it was.
 fn load_scene(args: &ViewArgs, splat: &Splat) -> Result<Option<Scene>> {
     if let Some(data) = &args.data {
-        return splat.load_scene(data, args.size).map(Some);
+        return splat.load_scene(data, &args.size.into()).map(Some);
     }
     let of_run = args.splat.is_dir().then(|| ConfigFile::of_run(&args.splat)).transpose()?;
     let Some(data) = of_run.map(|config| config.dataset.path).filter(|path| path.is_dir()) else { return Ok(None) };
-    match splat.load_scene(&data, args.size) {
+    match splat.load_scene(&data, &args.size.into()) {
         Ok(scene) => Ok(Some(scene)),
         Err(error) => {
             output::tell(&format!("notice: the page has no photos and cameras, since {error}"));

@@ -14,6 +14,7 @@ mod live_page;
 mod lpips;
 mod overwrite;
 mod peer;
+mod photos;
 mod poses;
 mod real_scene;
 mod resume;
