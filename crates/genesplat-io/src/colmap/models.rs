@@ -151,7 +151,10 @@ mod tests {
             assert_eq!(again, (pinhole, lens), "{model} as {name}");
         }
         let polynomial = Polynomial { radial: [0.1, 0.1, 0.1, 0.1, 0.0, 0.0], ..Polynomial::default() };
-        assert!(of_lens(Some(&Lens { projection: Projection::Perspective, polynomial })).is_none(), "COLMAP has no k4 there");
+        assert!(
+            of_lens(Some(&Lens { projection: Projection::Perspective, polynomial })).is_none(),
+            "COLMAP has no k4 there"
+        );
     }
 
     #[test]

@@ -41,7 +41,13 @@ pub fn list_scene(path: &Path, options: &LoadOptions) -> Result<SceneList, Scene
     let listing = list(path, options)?;
     let (train, test) = split::split(listing.photos, &options.hold_out, path)?;
     let photo = |is_test: bool| {
-        move |ListedPhoto { name, path, camera, lens, .. }: ListedPhoto| ScenePhoto { name, path, camera, lens, is_test }
+        move |ListedPhoto { name, path, camera, lens, .. }: ListedPhoto| ScenePhoto {
+            name,
+            path,
+            camera,
+            lens,
+            is_test,
+        }
     };
     let photos = train.into_iter().map(photo(false)).chain(test.into_iter().map(photo(true))).collect();
     Ok(SceneList { photos, points: listing.points, notices: listing.notices })

@@ -45,7 +45,10 @@ fn blocks(text: &str) -> Result<Blocks, String> {
     let numbers: Option<Vec<usize>> = text.split('x').map(|word| word.parse().ok()).collect();
     let sides = numbers.as_deref().and_then(|numbers| <[usize; 2]>::try_from(numbers).ok());
     let is_valid = |sides: &[usize; 2]| sides.iter().all(|side| (1..=SIDE_MAX).contains(side));
-    sides.filter(is_valid).map(Blocks).ok_or_else(|| format!("two numbers from 1 to {SIDE_MAX} with an x between them are needed, as 2x1"))
+    sides
+        .filter(is_valid)
+        .map(Blocks)
+        .ok_or_else(|| format!("two numbers from 1 to {SIDE_MAX} with an x between them are needed, as 2x1"))
 }
 
 fn margin(text: &str) -> Result<f64, String> {

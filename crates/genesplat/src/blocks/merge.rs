@@ -28,7 +28,11 @@ pub(crate) fn merge(folder: &Path) -> Result<(Gaussians, RenderSettings)> {
             continue;
         };
         let fits = *settings == splat.settings && cloud.filter_3d.is_some() == part.filter_3d.is_some();
-        ensure!(fits, "{} was trained with other settings than the blocks before it; train them all alike", shown(&run));
+        ensure!(
+            fits,
+            "{} was trained with other settings than the blocks before it; train them all alike",
+            shown(&run)
+        );
         cloud.append(part);
     }
     Ok(whole.expect("a grid has at least one block"))

@@ -6,8 +6,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Result, anyhow, ensure};
 use genesplat::core::Camera;
 use genesplat::io::colmap::write_model;
-use genesplat::io::scene::{ScenePhoto, model_of};
-use genesplat::io::{Point, SceneList, shown};
+use genesplat::io::{Point, SceneList, ScenePhoto, model_of, shown};
 use glam::DVec3;
 
 use super::grid::{Block, Grid, RUNS, SCENES};
@@ -70,7 +69,8 @@ fn content<'a>(list: &'a SceneList, shown_points: &[Vec<usize>], is_near: &[bool
             points.iter().for_each(|&point| is_wanted[point] = true);
         }
     }
-    let points = list.points.iter().zip(is_wanted).filter_map(|(point, is_wanted)| is_wanted.then_some(*point)).collect();
+    let points =
+        list.points.iter().zip(is_wanted).filter_map(|(point, is_wanted)| is_wanted.then_some(*point)).collect();
     Content { photos, points }
 }
 

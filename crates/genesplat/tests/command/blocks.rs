@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
 
-use genesplat::io::{PlyOptions, read_ply};
+use genesplat::io::read_ply;
 
 use crate::support::{fail, scene, succeed, text};
 
@@ -14,7 +14,7 @@ fn names(folder: &Path) -> BTreeSet<String> {
 
 /// Bits of the centres of a splat's Gaussians.
 fn centres(file: &Path) -> Vec<[u32; 3]> {
-    let splat = read_ply(file, &PlyOptions::default()).unwrap();
+    let splat = read_ply(file).unwrap();
     splat.positions.iter().map(|position| position.map(f32::to_bits)).collect()
 }
 
