@@ -1,6 +1,5 @@
 //! Blocks on the ground, and which of them a place belongs to.
 
-use std::ops::Range;
 use std::path::Path;
 
 use anyhow::{Context, Result, anyhow, ensure};
@@ -104,14 +103,16 @@ fn holds_within([from, to]: [Option<f64>; 2], value: f64, margin: f64) -> bool {
     from.is_none_or(|from| value >= from - margin) && to.is_none_or(|to| value < to + margin)
 }
 
-/// `count` strips that cover the line, with as many of the values in each.
+/// `count` strips that cover the line, with as many of the values in each, and edges midway between two values.
 fn strips(values: impl Iterator<Item = f64>, count: usize) -> Vec<[Option<f64>; 2]> {
     let mut values: Vec<f64> = values.collect();
     values.sort_by(f64::total_cmp);
-    let edge =
-        |nth: usize| (nth > 0 && nth < count).then(|| values.get(nth * values.len() / count).copied().unwrap_or(0.0));
-    let numbers: Range<usize> = 0..count;
-    numbers.map(|nth| [edge(nth), edge(nth + 1)]).collect()
+    let edge = |nth: usize| {
+        let at = nth * values.len() / count;
+        let neighbours = values.get(at.checked_sub(1)?..=at)?;
+        (nth < count).then(|| 0.5 * (neighbours[0] + neighbours[1]))
+    };
+    (0..count).map(|nth| [edge(nth), edge(nth + 1)]).collect()
 }
 
 #[cfg(test)]
