@@ -17,6 +17,7 @@ use crate::terminal::output::Volume;
 use choice::{EVOLUTION, FIXED_BACKGROUNDS, choice};
 
 mod bench;
+mod blocks;
 mod choice;
 mod convert;
 mod page;
@@ -25,9 +26,10 @@ mod poses;
 mod train;
 
 pub(crate) use bench::{Bench, BenchEvolutionArgs, BenchGpuArgs, BenchStepArgs, SourceArgs, WorkloadArgs};
+pub(crate) use blocks::{MergeArgs, SplitArgs};
 pub(crate) use convert::ConvertArgs;
 pub(crate) use page::{PathChoice, TrainPageArgs, ViewArgs};
-pub(crate) use photos::PhotosArgs;
+pub(crate) use photos::{HoldOutArgs, PhotosArgs};
 pub(crate) use poses::PosesArgs;
 pub(crate) use train::{EvolutionArgs, TrainArgs};
 
@@ -90,6 +92,10 @@ pub(crate) enum Command {
     View(ViewArgs),
     /// Write a splat as another format: .ply, compressed .ply, .splat, .spz, .sog or .glb
     Convert(ConvertArgs),
+    /// Cut a scene that one memory does not hold into blocks, which are trained one by one
+    Split(SplitArgs),
+    /// Put the splats of blocks together
+    Merge(MergeArgs),
     /// Make a finished splat of any trainer better: gradient steps and renewals
     Refine(RefineArgs),
     /// Measure how alike two pictures are: PSNR, SSIM and LPIPS
