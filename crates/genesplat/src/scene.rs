@@ -5,20 +5,21 @@ use std::path::Path;
 
 use anyhow::Result;
 use genesplat::core::View;
-use genesplat::io::{LoadOptions, PhotoSize, Point, Scene, load_scene};
+use genesplat::io::{LoadOptions, Point, Scene, load_scene};
 use genesplat::train::scene::initialise::ColouredPoint;
 
+use crate::settings::Dataset;
 use crate::terminal::output;
 use crate::terminal::progress::LoadBar;
 
 /// Loads a scene to train on with a progress bar, and passes its notices on.
-pub(crate) fn load(path: &Path, size: PhotoSize, background: [f32; 3], seed: u64) -> Result<Scene> {
-    load_with(path, background, LoadOptions { size, seed, ..LoadOptions::default() })
+pub(crate) fn load(dataset: &Dataset, background: [f32; 3], seed: u64) -> Result<Scene> {
+    load_with(&dataset.path, background, LoadOptions { seed, ..dataset.options() })
 }
 
-/// The same to look at a finished splat, without points, with both sides of the size divided by the second number.
-pub(crate) fn load_to_look(path: &Path, (size, divisor): (PhotoSize, u32), background: [f32; 3]) -> Result<Scene> {
-    load_with(path, background, LoadOptions { size, divisor, with_points: false, ..LoadOptions::default() })
+/// The same to look at a finished splat, without points, with both sides of the size divided by `divisor`.
+pub(crate) fn load_to_look(dataset: &Dataset, divisor: u32, background: [f32; 3]) -> Result<Scene> {
+    load_with(&dataset.path, background, LoadOptions { divisor, with_points: false, ..dataset.options() })
 }
 
 fn load_with(path: &Path, background: [f32; 3], options: LoadOptions) -> Result<Scene> {

@@ -7,13 +7,13 @@ use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Result, anyhow, bail, ensure};
-use genesplat::io::{PhotoSize, input, shown};
+use genesplat::io::{HoldOut, LoadOptions, PhotoSize, input, shown};
 use genesplat::train::{Resolved, TrainConfig};
 use serde::de::Error;
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
-use crate::args::{DOWNSCALE, MAX_SIDE, MachineArgs, SizeArgs, THREADS, TrainArgs};
+use crate::args::{DOWNSCALE, MAX_SIDE, MachineArgs, PhotosArgs, SizeArgs, TEST_EVERY, THREADS, TrainArgs};
 use crate::device::DeviceChoice;
 use crate::run::session::check_is_run;
 use crate::run::{CONFIG, photos};
@@ -41,11 +41,31 @@ pub(crate) struct Dataset {
     pub(crate) max_side: Option<u32>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(crate) downscale: Option<u32>,
+    /// Which photos are held out: left out for the scene's own or every eighth; or `{ every = 4 }`,
+    /// `{ photos = ["a.jpg"] }`, `"none"`.
+    #[serde(skip_serializing_if = "is_usual")]
+    pub(crate) hold_out: HoldOut,
+}
+
+pub(crate) fn is_usual(hold_out: &HoldOut) -> bool {
+    *hold_out == HoldOut::default()
 }
 
 impl Dataset {
+    /// The scene at `path`, as it is asked for.
+    pub(crate) fn of(path: &Path, asked: &PhotosArgs) -> Result<Self> {
+        let mut dataset = Self { path: path.to_owned(), ..Self::default() };
+        asked.override_dataset(&mut dataset)?;
+        Ok(dataset)
+    }
+
     pub(crate) fn size(&self) -> PhotoSize {
         SizeArgs { max_side: self.max_side, downscale: self.downscale }.size().unwrap_or_default()
+    }
+
+    /// How its scene is loaded.
+    pub(crate) fn options(&self) -> LoadOptions {
+        LoadOptions { size: self.size(), hold_out: self.hold_out.clone(), ..LoadOptions::default() }
     }
 }
 
@@ -82,9 +102,7 @@ impl ConfigFile {
             (None, None) => Self::defaults(),
         };
         file.dataset.path = args.scene();
-        if args.size.size().is_some() {
-            (file.dataset.max_side, file.dataset.downscale) = (args.size.max_side, args.size.downscale);
-        }
+        args.photos.override_dataset(&mut file.dataset)?;
         file.threads = args.machine.threads.or(file.threads);
         file.device = args.machine.device.or(file.device);
         args.override_config(&mut file.train)?;
@@ -124,6 +142,7 @@ impl ConfigFile {
             );
         }
         check_size(self.dataset.max_side, self.dataset.downscale)?;
+        check_hold_out(&self.dataset.hold_out)?;
         check_range("threads", self.threads.map(Into::into), THREADS)?;
         Ok(self.train.validate()?)
     }
@@ -201,6 +220,12 @@ pub(crate) fn check_size(max_side: Option<u32>, downscale: Option<u32>) -> Resul
     );
     check_range("max_side", max_side.map(Into::into), MAX_SIDE)?;
     check_range("downscale", downscale.map(Into::into), DOWNSCALE)
+}
+
+/// The same of what is held out.
+pub(crate) fn check_hold_out(hold_out: &HoldOut) -> Result<()> {
+    let HoldOut::Every(interval) = hold_out else { return Ok(()) };
+    check_range("hold_out.every", Some(interval.get().into()), TEST_EVERY)
 }
 
 fn check_range(name: &str, value: Option<i64>, range: RangeInclusive<i64>) -> Result<()> {

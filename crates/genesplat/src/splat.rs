@@ -5,15 +5,15 @@ use std::path::Path;
 use anyhow::{Result, ensure};
 use genesplat::core::{Gaussians, RenderSettings, ScreenFilter};
 use genesplat::io::format::{self, Loaded};
-use genesplat::io::{PhotoSize, Scene, shown};
+use genesplat::io::{Scene, shown};
 use genesplat::train::Background;
 
-use crate::args::{ShownOnArgs, SizeArgs};
+use crate::args::{PhotosArgs, ShownOnArgs};
 use crate::report::run::command_line;
 use crate::run::session::has_checkpoint;
 use crate::run::{CLOUD, CONFIG};
 use crate::scene;
-use crate::settings::ConfigFile;
+use crate::settings::{ConfigFile, Dataset};
 use crate::terminal::output;
 
 /// A cloud and how it is meant to be shown.
@@ -21,8 +21,8 @@ pub(crate) struct Splat {
     /// The Gaussians; all values are finite.
     pub(crate) cloud: Gaussians,
     pub(crate) settings: RenderSettings,
-    /// The size of photos that it was trained on; `None` for a bare file, which does not say.
-    trained_size: Option<PhotoSize>,
+    /// The photos that it was trained on; `None` for a bare file, which does not say.
+    trained_on: Option<Dataset>,
 }
 
 impl Splat {
@@ -33,13 +33,24 @@ impl Splat {
         self
     }
 
-    /// Loads the photos in `data` to compare it with, as large as it was trained on unless another size is asked for.
-    pub(crate) fn load_scene(&self, data: &Path, asked: SizeArgs) -> Result<Scene> {
-        scene::load_to_look(data, self.size(asked), self.settings.background)
+    /// Loads the photos in `data` to compare it with, as it was trained on them unless asked otherwise.
+    ///
+    /// Of a run's splat, a fraction is one of the size that it was trained at, for multi-scale evaluation.
+    pub(crate) fn load_scene(&self, data: &Path, asked: &PhotosArgs) -> Result<Scene> {
+        let mut dataset = self.trained_on.clone().unwrap_or_default();
+        let trained_size = (dataset.max_side, dataset.downscale);
+        asked.override_dataset(&mut dataset)?;
+        dataset.path = data.to_owned();
+        let mut divisor = 1;
+        if let (Some(_), Some(asked)) = (&self.trained_on, asked.size.downscale) {
+            (dataset.max_side, dataset.downscale) = trained_size;
+            divisor = asked;
+        }
+        scene::load_to_look(&dataset, divisor, self.settings.background)
     }
 
     /// The scene in `data`; where none is named, that of the run at `path`, if it is still where it was.
-    pub(crate) fn find_scene(&self, path: &Path, data: Option<&Path>, asked: SizeArgs) -> Result<Option<Scene>> {
+    pub(crate) fn find_scene(&self, path: &Path, data: Option<&Path>, asked: &PhotosArgs) -> Result<Option<Scene>> {
         if let Some(data) = data {
             return self.load_scene(data, asked).map(Some);
         }
@@ -53,14 +64,6 @@ impl Splat {
             }
         }
     }
-
-    /// Of a run's splat, a fraction is one of the size that it was trained at, for multi-scale evaluation.
-    fn size(&self, asked: SizeArgs) -> (PhotoSize, u32) {
-        match (self.trained_size, asked) {
-            (Some(trained), SizeArgs { downscale: Some(divisor), .. }) => (trained, divisor),
-            _ => (asked.size().or(self.trained_size).unwrap_or_default(), 1),
-        }
-    }
 }
 
 pub(crate) fn open(path: &Path) -> Result<Splat> {
@@ -71,10 +74,9 @@ pub(crate) fn open(path: &Path) -> Result<Splat> {
 fn open_run(folder: &Path) -> Result<Splat> {
     let config = ConfigFile::of_run(folder)?;
     check_has_cloud(folder, &config)?;
-    let trained_size = config.dataset.size();
     let settings = config.train.resolve()?.render_settings();
     let cloud = read_cloud(&folder.join(CLOUD))?.cloud;
-    Ok(Splat { cloud, settings, trained_size: Some(trained_size) })
+    Ok(Splat { cloud, settings, trained_on: Some(config.dataset) })
 }
 
 /// A run has its splat once it is stopped or done; the system's word for a missing file would leave open what to do.
@@ -98,7 +100,7 @@ fn open_file(path: &Path) -> Result<Splat> {
     let declared = loaded.screen_filter.unwrap_or_default();
     let filter = if loaded.cloud.filter_3d.is_some() { ScreenFilter::Mip } else { declared };
     let settings = RenderSettings { sh_degree: loaded.sh_degree, filter, ..RenderSettings::default() };
-    Ok(Splat { cloud: loaded.cloud, settings, trained_size: None })
+    Ok(Splat { cloud: loaded.cloud, settings, trained_on: None })
 }
 
 fn read_cloud(path: &Path) -> Result<Loaded> {

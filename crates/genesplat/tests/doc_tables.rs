@@ -3,6 +3,8 @@
 use std::fs;
 use std::path::Path;
 
+#[path = "../examples/doc_tables/add.rs"]
+mod add;
 #[path = "../examples/doc_tables/tables.rs"]
 mod tables;
 
@@ -70,6 +72,42 @@ fn evolution_is_credited_with_what_it_adds_to_the_better_of_plain_settings() {
     let table = updated(DOCUMENT, &format!("{CSV}{STRONG}")).unwrap();
     let cells = "| 30.50 ± 0.71 | 30.73 ± 0.67 | 30.80 ± 0.42 | **+0.30** ± 0.28 | **+0.08** ± 0.25 | 1,234,568, 901, 901 | 105, 91, 120 |";
     assert!(table.contains(cells), "{table}");
+}
+
+#[test]
+fn seconds_that_nobody_measured_are_a_question_mark() {
+    let untimed = STRONG.replace("90,0,", ",,").replace("90,1,", ",,");
+    let table = updated(DOCUMENT, &format!("{CSV}{untimed}")).unwrap();
+    assert!(table.contains("| 1,234,568, 901, 901 | 105, ?, 120 |"), "{table}");
+}
+
+#[test]
+fn runs_of_an_experiment_become_lines() {
+    let folder = tempfile::tempdir().unwrap();
+    for (arm, psnr) in [("off", 30.0), ("renew", 30.5)] {
+        let run = folder.path().join("cells/fox/3dgs").join(arm).join("seed-7");
+        fs::create_dir_all(&run).unwrap();
+        fs::write(run.join("config.toml"), "[dataset]\nmax_side = 480\n").unwrap();
+        let metrics = serde_json::json!({
+            "variant": "3dgs", "seed": 7, "iterations": 7000, "gaussians": 900,
+            "test": {"psnr": psnr, "ssim": 0.9, "lpips": null}, "seconds": {"gradient": 10.0, "evolution": 0.5},
+        });
+        fs::write(run.join("metrics.json"), metrics.to_string()).unwrap();
+    }
+    fs::create_dir_all(folder.path().join("cells/fox/3dgs/strong/seed-7")).unwrap(); // not finished
+    let made = |is_idle| add::Made { experiment: "study", commit: "abc", machine: "A", is_idle };
+    let timed = add::add("", folder.path(), &made(true)).unwrap();
+    assert!(
+        timed.contains("\nfox,3dgs,480,7000,7,off,30.0000,0.90000,,900,10.0,0.5,abc,A,experiment study"),
+        "{timed}"
+    );
+    assert_eq!(timed.lines().count(), 3);
+    let again = add::add(&timed, folder.path(), &made(false)).unwrap();
+    assert_eq!(again, timed.replace("10.0,0.5", ","), "lines of the same runs are replaced");
+    assert!(updated(DOCUMENT, &again).unwrap().contains("| 30.00 | 30.50 | **+0.50** |"));
+    assert!(add::add("a,b\n", folder.path(), &made(true)).unwrap_err().to_string().contains("columns"));
+    let nothing = tempfile::tempdir().unwrap();
+    assert!(add::add("", nothing.path(), &made(true)).is_err());
 }
 
 #[test]

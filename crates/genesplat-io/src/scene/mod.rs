@@ -1,6 +1,7 @@
 //! Scenes: what a reader lists is split ([`split`]), and its photos are loaded in parallel ([`view`]).
 
 mod bare;
+mod listed;
 mod split;
 mod view;
 
@@ -9,6 +10,7 @@ use std::path::{Path, PathBuf};
 use genesplat_core::View;
 use rayon::prelude::*;
 
+pub use listed::{SceneList, ScenePhoto, list_scene, model_of};
 pub use split::HoldOut;
 pub use view::SIDE_MIN_PX;
 
@@ -108,7 +110,7 @@ const POINTS_MIN: usize = 4;
 pub fn load_scene(path: &Path, options: &LoadOptions, progress: &dyn LoadProgress) -> Result<Scene, SceneError> {
     let listing = list(path, options)?;
     let photos = listing.photos.iter().map(|photo| photo.path.clone()).collect();
-    let (train, test) = split::split(listing.photos, options.hold_out);
+    let (train, test) = split::split(listing.photos, &options.hold_out, path)?;
     if train.is_empty() {
         let problem = format!(
             "has not enough photos: {0}, of which {0} would be held out for testing and none is left to train on; \

@@ -9,4 +9,5 @@ mod lenses;
 mod photos;
 mod ply;
 mod real_scenes;
+mod split;
 mod transforms;

@@ -327,8 +327,9 @@ fn blender_scenes_keep_their_own_split_and_background() {
     // Half the width over the tangent of half the field of view, in both directions.
     scene.train[0].camera.focal_px.iter().for_each(|focal| assert!((focal - 32.0).abs() < 1e-9));
     assert!(scene.points.iter().all(|p| p.position.iter().all(|v| v.abs() <= 1.3) && p.rgb == [127; 3]));
-    let everything = LoadOptions { hold_out: HoldOut::None, ..options };
-    assert_eq!(load_scene(folder.path(), &everything, &()).unwrap().train.len(), 4);
+    let with = |hold_out| load_scene(folder.path(), &LoadOptions { hold_out, ..options.clone() }, &()).unwrap();
+    assert_eq!(with(HoldOut::None).train.len(), 4);
+    assert_eq!(names(&with(HoldOut::Photos(vec!["train/r_1.png".into()])).test), ["train_r_1.png"]);
 
     // What is wrong with a test photo is to be looked for in the file that lists it.
     let photo = folder.path().join("test/r_1.png");

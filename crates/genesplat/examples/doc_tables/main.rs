@@ -3,27 +3,45 @@
 //! ```sh
 //! cargo run --release --example doc_tables               # rewrites the tables in README.md and docs/*.md
 //! cargo run --release --example doc_tables -- --check    # changes nothing; fails where a document disagrees
+//! cargo run --release --example doc_tables -- --add DIR study-evolution COMMIT MACHINE
 //! ```
+//!
+//! `--add` puts the finished runs of an experiment's folder into `docs/results/real-size.csv` first; `--add-busy` does without their
+//! seconds, since the machine had other work.
 
 use std::fs;
 use std::path::Path;
 
 use anyhow::{Context, Result, bail};
 
+mod add;
 mod tables;
 
 fn main() -> Result<()> {
-    let arguments: Vec<String> = std::env::args().skip(1).collect();
-    let check = match &arguments[..] {
-        [] => false,
-        [argument] if argument == "--check" => true,
-        _ => bail!("usage: doc_tables [--check]"),
-    };
     let root = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../.."));
     let results = root.join("docs/results");
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    match &arguments.iter().map(String::as_str).collect::<Vec<_>>()[..] {
+        [] => write_tables(root, &results, false),
+        ["--check"] => write_tables(root, &results, true),
+        [add @ ("--add" | "--add-busy"), folder, experiment, commit, machine] => {
+            let made = add::Made { experiment, commit, machine, is_idle: *add == "--add" };
+            let path = results.join("real-size.csv");
+            let csv = fs::read_to_string(&path).with_context(|| path.display().to_string())?;
+            let csv = add::add(&csv, Path::new(folder), &made).with_context(|| path.display().to_string())?;
+            fs::write(&path, csv).with_context(|| path.display().to_string())?;
+            write_tables(root, &results, false)
+        }
+        _ => bail!(
+            "usage: doc_tables [--check | --add DIR EXPERIMENT COMMIT MACHINE | --add-busy DIR EXPERIMENT COMMIT MACHINE]"
+        ),
+    }
+}
+
+fn write_tables(root: &Path, results: &Path, check: bool) -> Result<()> {
     for path in tables::documents(root)? {
         let text = fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))?;
-        let with_tables = tables::update(&text, &results).with_context(|| path.display().to_string())?;
+        let with_tables = tables::update(&text, results).with_context(|| path.display().to_string())?;
         if text == with_tables {
             continue;
         }

@@ -202,8 +202,8 @@ fn scenes(parts: &[Part]) -> Result<String> {
             psnr.mean(|mean| format!("{mean:.2}")) + &psnr.plus_minus()
         });
         let beside = |value: fn(&Run) -> Option<f64>| {
-            let means = arms.map(|runs| Figures::of(runs, |run| value(run)).mean(thousands));
-            means.into_iter().filter(|mean| !mean.is_empty()).collect::<Vec<_>>().join(", ")
+            let mean = |runs: &&Vec<&Run>| Figures::of(runs, |run| value(run)).average().map_or("?".into(), thousands);
+            arms.iter().filter(|runs| !runs.is_empty()).map(mean).collect::<Vec<_>>().join(", ")
         };
         let gain = |pairs: &[(&Run, &Run)]| {
             let gain = difference(pairs, "psnr");

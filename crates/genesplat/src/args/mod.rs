@@ -17,15 +17,19 @@ use crate::terminal::output::Volume;
 use choice::{EVOLUTION, FIXED_BACKGROUNDS, choice};
 
 mod bench;
+mod blocks;
 mod choice;
 mod convert;
 mod page;
+mod photos;
 mod poses;
 mod train;
 
 pub(crate) use bench::{Bench, BenchEvolutionArgs, BenchGpuArgs, BenchStepArgs, SourceArgs, WorkloadArgs};
+pub(crate) use blocks::{MergeArgs, SplitArgs};
 pub(crate) use convert::ConvertArgs;
 pub(crate) use page::{ExportArgs, PathChoice, TrainPageArgs, ViewArgs};
+pub(crate) use photos::{HoldOutArgs, PhotosArgs};
 pub(crate) use poses::PosesArgs;
 pub(crate) use train::{EvolutionArgs, TrainArgs};
 
@@ -90,6 +94,10 @@ pub(crate) enum Command {
     Export(ExportArgs),
     /// Write a splat as another format: .ply, compressed .ply, .splat, .spz, .sog or .glb
     Convert(ConvertArgs),
+    /// Cut a scene that one memory does not hold into blocks, which are trained one by one
+    Split(SplitArgs),
+    /// Put the splats of blocks together
+    Merge(MergeArgs),
     /// Make a finished splat of any trainer better: gradient steps and renewals
     Refine(RefineArgs),
     /// Measure how alike two pictures are: PSNR, SSIM and LPIPS
@@ -130,7 +138,7 @@ pub(crate) struct InspectArgs {
     #[arg(value_name = "SCENE|SPLAT|RUN")]
     pub(crate) what: PathBuf,
     #[command(flatten)]
-    pub(crate) size: SizeArgs,
+    pub(crate) photos: PhotosArgs,
     #[command(flatten)]
     pub(crate) json: JsonArgs,
 }
@@ -204,13 +212,13 @@ pub(crate) struct EvaluateArgs {
     /// Folder of the scene with the photos to compare with
     #[arg(long, value_name = "DATASET")]
     pub(crate) data: PathBuf,
-    /// Which photos: those that training never saw (every 8th), or those that it saw
+    /// Which photos: those that training never saw (every 8th, unless it was told otherwise), or those that it saw
     #[arg(long, value_enum, value_name = "SPLIT", default_value_t = Split::Test)]
     pub(crate) split: Split,
     #[command(flatten)]
     pub(crate) json: JsonArgs,
     #[command(flatten)]
-    pub(crate) size: SizeArgs,
+    pub(crate) photos: PhotosArgs,
     #[command(flatten)]
     pub(crate) on: ShownOnArgs,
     #[command(flatten)]
@@ -246,7 +254,7 @@ pub(crate) struct RenderArgs {
     #[arg(long, value_name = "FILE|DIR")]
     pub(crate) out: PathBuf,
     #[command(flatten)]
-    pub(crate) size: SizeArgs,
+    pub(crate) photos: PhotosArgs,
     #[command(flatten)]
     pub(crate) on: ShownOnArgs,
     #[command(flatten)]
@@ -278,7 +286,7 @@ pub(crate) struct RefineArgs {
     #[arg(long, value_name = "FILE.toml")]
     pub(crate) config: Option<PathBuf>,
     #[command(flatten)]
-    pub(crate) size: SizeArgs,
+    pub(crate) photos: PhotosArgs,
     #[command(flatten)]
     pub(crate) machine: MachineArgs,
 }
@@ -299,8 +307,8 @@ pub(crate) struct CompareArgs {
 
 #[derive(Debug, Args)]
 pub(crate) struct ExperimentArgs {
-    /// What to compare: smoke (minutes, no data needed), paper-table-2-3, study-evolution, study-variants, study-mcmc,
-    /// ablation-crossover, ablation-trigger, ablation-population, ablation-views, ablation-gradient,
+    /// What to compare: smoke (minutes, no data needed), paper-table-2-3, study-evolution, study-paper, study-variants,
+    /// study-mcmc, ablation-crossover, ablation-trigger, ablation-population, ablation-views, ablation-gradient,
     /// ablation-renew, or a TOML file of one's own
     #[arg(value_name = "NAME|FILE.toml")]
     pub(crate) what: String,
@@ -370,6 +378,8 @@ pub(crate) enum RenderSplit {
 pub(crate) const MAX_SIDE: RangeInclusive<i64> = 16..=u32::MAX as i64;
 /// Divisors of both sides that can be asked for.
 pub(crate) const DOWNSCALE: RangeInclusive<i64> = 1..=64;
+/// Intervals of test photos that can be asked for: of every photo, none would be left to train on.
+pub(crate) const TEST_EVERY: RangeInclusive<i64> = 2..=u32::MAX as i64;
 /// Seeds that can be asked for: those that TOML can hold.
 const SEEDS: RangeTo<u64> = ..1 << 63;
 /// Numbers of threads that can be asked for.

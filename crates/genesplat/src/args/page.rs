@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use super::{MORE, MachineArgs, ShownOnArgs, SizeArgs};
+use super::{MORE, MachineArgs, PhotosArgs, ShownOnArgs, SizeArgs};
 
 /// Only this machine reaches it, and any port that is free.
 const NEAR: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 0);
@@ -78,7 +78,7 @@ pub(crate) struct ExportArgs {
     #[arg(long, value_name = "TEXT")]
     pub(crate) title: Option<String>,
     #[command(flatten)]
-    pub(crate) size: SizeArgs,
+    pub(crate) photos: PhotosArgs,
     #[command(flatten)]
     pub(crate) on: ShownOnArgs,
     #[command(flatten)]

@@ -8,7 +8,7 @@ use genesplat::train::config::Signal;
 use genesplat::train::{Background, EvolutionMode, TrainConfig, Variant};
 
 use super::choice::{BACKGROUNDS, EVOLUTION, SIGNALS, VARIANTS, choice};
-use super::{LpipsArgs, MORE, MachineArgs, SEEDS, SizeArgs, TrainPageArgs, scale};
+use super::{LpipsArgs, MORE, MachineArgs, PhotosArgs, SEEDS, TrainPageArgs, scale};
 
 #[derive(Debug, Args)]
 pub(crate) struct TrainArgs {
@@ -30,7 +30,7 @@ pub(crate) struct TrainArgs {
     #[command(flatten)]
     pub(crate) evolution: EvolutionArgs,
     #[command(flatten)]
-    pub(crate) size: SizeArgs,
+    pub(crate) photos: PhotosArgs,
     /// TOML file with settings (the config.toml of any run is one); flags given here win over it [default: none]
     #[arg(long, value_name = "FILE.toml")]
     pub(crate) config: Option<PathBuf>,

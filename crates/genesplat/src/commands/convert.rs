@@ -31,7 +31,7 @@ pub(crate) fn run(args: &ConvertArgs) -> Result<()> {
     device::use_threads(args.machine.threads)?;
     let format = format_of(args)?;
     let splat = splat::open(&args.splat)?;
-    let scene = args.data.as_deref().map(|data| splat.load_scene(data, args.size)).transpose()?;
+    let scene = args.data.as_deref().map(|data| splat.load_scene(data, &args.size.into())).transpose()?;
     if let Some(scene) = &scene {
         check_test_photos(&args.splat, scene)?;
         ensure!(!scene.test.is_empty(), "{} has no test photos to measure a loss on; leave --data out", scene.name);

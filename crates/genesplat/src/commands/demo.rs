@@ -11,12 +11,12 @@ use std::time::Instant;
 use anyhow::{Result, ensure};
 use genesplat::gallery::{self, GalleryOptions};
 use genesplat::io::photos::{read_photo, write_png};
-use genesplat::io::{PhotoSize, Scene, shown};
+use genesplat::io::{Scene, shown};
 use genesplat::metrics::Lpips;
 use genesplat::train::{EvolutionMode, TrainConfig};
 
 use super::Ending;
-use crate::args::DemoArgs;
+use crate::args::{DemoArgs, PhotosArgs};
 use crate::report::pair::{self, Side};
 use crate::report::run::this_command;
 use crate::report::sheet::changes;
@@ -24,7 +24,7 @@ use crate::run::metrics::Metrics;
 use crate::run::session::{Caller, RunSession};
 use crate::run::training::{Ended, Run};
 use crate::run::{CLOUD, TEST};
-use crate::settings::{ConfigFile, Settings};
+use crate::settings::{ConfigFile, Dataset, Settings};
 use crate::terminal::numbers::thousands;
 use crate::terminal::{interrupt, output};
 use crate::{device, files, lpips, scene};
@@ -117,7 +117,7 @@ fn build_scene(folder: &Path, seed: u64) -> Result<Scene> {
     output::tell(&format!("making the photos of a small gallery in {}", shown(folder)));
     let options = GalleryOptions { seed, ..GalleryOptions::default() };
     gallery::generate(&options).write_colmap(folder)?;
-    scene::load(folder, PhotoSize::default(), [0.0; 3], seed)
+    scene::load(&Dataset::of(folder, &PhotosArgs::default())?, [0.0; 3], seed)
 }
 
 struct Half {

@@ -26,7 +26,7 @@ pub(crate) fn run(args: &EvaluateArgs) -> Result<()> {
     device::use_threads(args.machine.threads)?;
     let lpips = lpips::open(&args.lpips)?;
     let splat = splat::open(&args.splat)?.on(args.on);
-    let scene = splat.load_scene(&args.data, args.size)?;
+    let scene = splat.load_scene(&args.data, &args.photos)?;
     let name = args.split.name();
     let (views, other) = match args.split {
         Split::Test => (&scene.test, Split::Train),

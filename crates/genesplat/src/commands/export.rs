@@ -26,7 +26,7 @@ pub(crate) fn check_name(out: &Path) -> Result<()> {
 pub(crate) fn run(args: &ExportArgs) -> Result<()> {
     device::use_threads(args.machine.threads)?;
     let splat = splat::open(&args.splat)?.on(args.on);
-    let scene = splat.find_scene(&args.splat, args.data.as_deref(), args.size)?;
+    let scene = splat.find_scene(&args.splat, args.data.as_deref(), &args.photos)?;
     let settings = splat.settings;
     let options =
         Options { screen_filter: settings.filter, sh_degree: settings.sh_degree, spz_version: SpzVersion::V3 };

@@ -6,6 +6,7 @@ use genesplat::io::shown;
 use crate::args::InspectArgs;
 use crate::inspect::{inspect_run, inspect_scene, inspect_splat};
 use crate::run::session::is_run;
+use crate::settings::Dataset;
 use crate::terminal::output;
 
 pub(crate) fn run(args: &InspectArgs) -> Result<()> {
@@ -14,7 +15,7 @@ pub(crate) fn run(args: &InspectArgs) -> Result<()> {
     let report = match () {
         () if what.is_file() => inspect_splat(what)?,
         () if is_run(what) => inspect_run(what)?,
-        () => inspect_scene(what, args.size.size().unwrap_or_default())?,
+        () => inspect_scene(&Dataset::of(what, &args.photos)?)?,
     };
     output::print(&report.to_text())?;
     args.json.write(&report)

@@ -10,11 +10,13 @@ mod experiment;
 mod export;
 mod inspect;
 mod lpips_install;
+mod merge;
 mod poses;
 mod refine;
 mod render;
 mod render_path;
 mod shell;
+mod split;
 mod train;
 mod view;
 
@@ -45,6 +47,8 @@ pub(crate) fn run(arguments: Arguments) -> Result<Ending> {
         Command::Evaluate(args) => evaluate::run(&args),
         Command::Render(args) => render::run(&args),
         Command::View(args) => view::run(&args),
+        Command::Split(args) => split::run(&args),
+        Command::Merge(args) => merge::run(&args),
         Command::Compare(args) => compare::run(&args),
         Command::Convert(args) => convert::run(&args),
         Command::Export(args) => export::run(&args),
@@ -86,6 +90,10 @@ fn check_outputs(command: &Command) -> Result<()> {
             check_file(&args.out, Content::Figures, &[Some(&args.splat)])?;
             export::check_name(&args.out)
         }
+        Command::Merge(args) => {
+            check_file(&args.out, Content::Splat, &[])?;
+            merge::format_of(args).map(|_| ())
+        }
         Command::Bench { what } => {
             let (json, source) = match what {
                 Bench::Step(args) => (&args.json, &args.workload.source),
@@ -99,6 +107,7 @@ fn check_outputs(command: &Command) -> Result<()> {
         | Command::Demo(_)
         | Command::Experiment(_)
         | Command::View(_)
+        | Command::Split(_)
         | Command::Lpips { .. }
         | Command::Devices
         | Command::Completions { .. }

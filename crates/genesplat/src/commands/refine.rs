@@ -27,7 +27,7 @@ pub(crate) fn run(args: &RefineArgs) -> Result<Ending> {
     let mut splat = splat::open(&args.splat)?;
     let config = configure(args, &splat)?;
     splat.settings = config.render_settings();
-    let scene = splat.load_scene(&args.data, args.size)?;
+    let scene = splat.load_scene(&args.data, &args.photos)?;
     photos::check_test_photos(&args.splat, &scene)?;
     let stop = interrupt::stop_flag()?;
     let mut device = device::open(args.machine.device.unwrap_or_default())?;

@@ -25,7 +25,7 @@ pub(crate) fn run(args: &RenderArgs) -> Result<()> {
     }
     device::use_threads(args.machine.threads)?;
     let splat = splat::open(&args.splat)?.on(args.on);
-    let scene = splat.load_scene(&args.data, args.size)?;
+    let scene = splat.load_scene(&args.data, &args.photos)?;
     overwrite::check_photos(&scene, &args.out)?;
     if args.split == Some(RenderSplit::Test) {
         check_test_photos(&args.splat, &scene)?;

@@ -24,7 +24,7 @@ const RATE: &str = "30";
 pub(crate) fn run(args: &RenderArgs, choice: &PathChoice) -> Result<()> {
     device::use_threads(args.machine.threads)?;
     let splat = splat::open(&args.splat)?.on(args.on);
-    let scene = splat.load_scene(&args.data, args.size)?;
+    let scene = splat.load_scene(&args.data, &args.photos)?;
     overwrite::check_photos(&scene, &args.out)?;
     let cameras = cameras(choice, &scene, args.frames)?;
     let mut sink = Sink::open(&args.out, &cameras)?;

@@ -33,7 +33,7 @@ pub(crate) fn run(args: &TrainArgs) -> Result<Ending> {
         return Ok(Ending::Stopped);
     }
     let background = config.train.background.fixed_colour();
-    let scene = scene::load(&args.scene(), config.dataset.size(), background, config.train.seed)?;
+    let scene = scene::load(&config.dataset, background, config.train.seed)?;
     // Now, since weights that cannot be read should not stop a run at its end.
     let lpips = lpips::open(&args.lpips)?;
     let settings = config.resolve(args.machine)?;

@@ -19,7 +19,7 @@ pub(crate) fn run(args: &ViewArgs) -> Result<()> {
     device::use_threads(args.machine.threads)?;
     let stop = interrupt::stop_flag_saying("the page is closed")?;
     let splat = splat::open(&args.splat)?.on(args.on);
-    let scene = splat.find_scene(&args.splat, args.data.as_deref(), args.size)?;
+    let scene = splat.find_scene(&args.splat, args.data.as_deref(), &args.size.into())?;
     let mut device = device::open(args.machine.device.unwrap_or_default())?;
     let name = args.splat.file_name().unwrap_or_default().to_string_lossy();
     let mut live = live::of_splat(args.page.address(), &name, &splat.cloud, scene.as_ref())?;

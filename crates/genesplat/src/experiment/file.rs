@@ -1,11 +1,13 @@
 //! What an experiment's TOML file says; `crates/genesplat/presets` holds examples.
 
 use genesplat::gallery::GalleryOptions;
+use genesplat::io::HoldOut;
 use genesplat::train::Variant;
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
 use crate::args::ExperimentArgs;
+use crate::settings::is_usual;
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -27,6 +29,9 @@ pub(crate) struct ExperimentFile {
     /// Or their divisor.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) downscale: Option<u32>,
+    /// Which photos are held out. Default: as `train` has it.
+    #[serde(default, skip_serializing_if = "is_usual")]
+    pub(crate) hold_out: HoldOut,
     /// Name of the arm that differences are taken from. Default: the first.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) baseline: Option<String>,

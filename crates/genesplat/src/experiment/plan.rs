@@ -147,6 +147,7 @@ impl Experiment {
         config.train.variant = file.variants[cell.variant];
         config.dataset.path = path.to_owned();
         (config.dataset.max_side, config.dataset.downscale) = (file.max_side, file.downscale);
+        config.dataset.hold_out = file.hold_out.clone();
         if let (Some(_), Some(seconds)) = (arm.control_of, control_seconds) {
             config.train.evolution.extra_steps = Some(StepBudget::Steps(0));
             let stages = config.train.clone().resolve()?.schedule().stages().count();

@@ -181,7 +181,7 @@ impl<'a> Runner<'a> {
         if self.experiment.file.scenes[cell.scene] == BUNDLED {
             gallery::generate(&self.experiment.file.gallery.options()).write_colmap(&path)?;
         }
-        scene::load(&path, settings.dataset.size(), config.background.fixed_colour(), config.seed)
+        scene::load(&settings.dataset, config.background.fixed_colour(), config.seed)
     }
 
     /// `None` for a run that was stopped.

@@ -1,10 +1,8 @@
 //! What is known of a scene before it is trained.
 
-use std::path::Path;
-
 use anyhow::Result;
 use genesplat::core::View;
-use genesplat::io::{PhotoSize, Scene};
+use genesplat::io::Scene;
 use genesplat::train::TrainConfig;
 use genesplat::train::scene::initialise::scene_extent;
 
@@ -12,14 +10,15 @@ use super::cameras::{Sight, sight};
 use super::cost::{Cost, estimate};
 use super::{Fact, Report, cameras, photos};
 use crate::scene;
+use crate::settings::Dataset;
 use crate::terminal::numbers::{memory, thousands, time_left};
 
 /// Iterations of a quick run, which an estimate is given of.
 const QUICK: u32 = 7000;
 
-pub(crate) fn inspect_scene(path: &Path, size: PhotoSize) -> Result<Report> {
+pub(crate) fn inspect_scene(dataset: &Dataset) -> Result<Report> {
     let settings = TrainConfig { iterations: QUICK, ..TrainConfig::default() }.resolve()?;
-    let scene = scene::load(path, size, [0.0; 3], settings.config().seed)?;
+    let scene = scene::load(dataset, [0.0; 3], settings.config().seed)?;
     let views: Vec<&View> = scene.train.iter().chain(&scene.test).collect();
     let sight = sight(&views, &scene.points);
     let warnings = [cameras::warnings(&views, &sight), photos::warnings(&views)].concat();

@@ -67,7 +67,7 @@ fn colourful(options: &GalleryOptions) -> Gaussians {
         (state >> 8) as f32 / 8_388_608.0 - 1.0
     };
     for (row, point) in points.iter().enumerate() {
-        cloud.positions[row] = point.position.map(|value| value as f32);
+        cloud.positions[row] = point.position;
         cloud.log_scales[row] = std::array::from_fn(|_| -4.2 + 1.2 * draw());
         cloud.rotations[row] = std::array::from_fn(|_| draw());
         cloud.opacity_logits[row] = 3.0 * draw();

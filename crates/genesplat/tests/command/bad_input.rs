@@ -334,6 +334,8 @@ fn configurations_that_are_wrong() {
         ("iterations = ", &["c.toml"]),
         ("[densify]\nevery = 0", &["densify.every", "at least 1"]),
         ("[dataset]\nside = 3", &["c.toml", "side"]),
+        ("[dataset]\nhold_out = { every = 1 }", &["hold_out.every is 1", "from 2"]),
+        ("[dataset]\nhold_out = 'some'", &["c.toml", "some", "every-eighth"]),
         ("device = 'toaster'", &["c.toml", "toaster"]),
     ] {
         fs::write(&config, content).unwrap();
@@ -378,6 +380,8 @@ fn wrong_usage_has_status_2() {
         &["train", "x", "--out", "y", "--evolve", "paper", "--generations", "0"],
         &["refine", "x", "--data", "y", "--out", "z", "--generations", "0"],
         &["train", "x", "--out", "y", "--max-side", "100", "--downscale", "2"],
+        &["train", "x", "--out", "y", "--test-every", "1"],
+        &["train", "x", "--out", "y", "--test-every", "3", "--train-on-all"],
         &["render", "x", "--data", "y", "--out", "z"],
         &["evaluate", "x", "--data", "y", "--background", "random"],
         &["nonsense"],

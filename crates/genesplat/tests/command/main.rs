@@ -1,6 +1,7 @@
 //! The built command, as a user runs it: files in, files and exit status out.
 
 mod bad_input;
+mod blocks;
 mod camera_path;
 mod convert;
 mod determinism;
@@ -14,6 +15,7 @@ mod live_page;
 mod lpips;
 mod overwrite;
 mod peer;
+mod photos;
 mod poses;
 mod real_scene;
 mod resume;

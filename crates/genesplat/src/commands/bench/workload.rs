@@ -14,6 +14,7 @@ use genesplat::train::scene::initialise::{ColouredPoint, cloud_from_points, in_s
 use glam::{DQuat, DVec3};
 
 use crate::args::{SizeArgs, SourceArgs, WorkloadArgs};
+use crate::settings::Dataset;
 use crate::{scene, splat};
 
 const GAUSSIANS: usize = 55_000;
@@ -61,7 +62,7 @@ impl Source {
     }
 
     fn scene(data: &Path, size: SizeArgs) -> Result<Self> {
-        let scene = scene::load(data, size.size().unwrap_or_default(), [0.0; 3], 0)?;
+        let scene = scene::load(&Dataset::of(data, &size.into())?, [0.0; 3], 0)?;
         let points = scene::points(&scene);
         Ok(Self { views: scene.train, settings: RenderSettings::default(), origin: Origin::Points(points) })
     }
@@ -72,7 +73,7 @@ impl Source {
         if splat.cloud.is_empty() {
             bail!("{} has no Gaussians to measure with; give another splat", shown(path));
         }
-        let scene = splat.load_scene(data, size)?;
+        let scene = splat.load_scene(data, &size.into())?;
         Ok(Self { views: scene.train, settings: splat.settings, origin: Origin::Trained(splat.cloud) })
     }
 

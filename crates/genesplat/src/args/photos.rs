@@ -1,0 +1,75 @@
+//! Which photos of a scene are used, for what, and how large.
+
+use std::num::NonZeroU32;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Result, anyhow, ensure};
+use clap::Args;
+use genesplat::io::{HoldOut, input, shown};
+
+use super::{MORE, SizeArgs, TEST_EVERY};
+use crate::settings::Dataset;
+
+#[derive(Clone, Debug, Default, Args)]
+pub(crate) struct PhotosArgs {
+    #[command(flatten)]
+    pub(crate) size: SizeArgs,
+    #[command(flatten)]
+    hold_out: HoldOutArgs,
+}
+
+/// Which photos are held out for testing.
+#[derive(Clone, Debug, Default, Args)]
+#[group(multiple = false)]
+#[command(next_help_heading = MORE)]
+pub(crate) struct HoldOutArgs {
+    /// Hold out every N-th photo by name for testing, at least 2 [default: the test photos that the scene names, else
+    /// every 8th; for the splat of a RUN, as the RUN was trained]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(TEST_EVERY))]
+    test_every: Option<u32>,
+    /// Hold out the photos that FILE names, one a line: file names, with or without their endings; a folder before the
+    /// name tells photos of one name apart
+    #[arg(long, value_name = "FILE")]
+    test_list: Option<PathBuf>,
+    /// Hold out no photo: the best splat that the photos can give, and no figures that tell how good it is
+    #[arg(long)]
+    train_on_all: bool,
+}
+
+impl From<SizeArgs> for PhotosArgs {
+    fn from(size: SizeArgs) -> Self {
+        Self { size, ..Self::default() }
+    }
+}
+
+impl PhotosArgs {
+    /// Flags over what `dataset` says.
+    pub(crate) fn override_dataset(&self, dataset: &mut Dataset) -> Result<()> {
+        if self.size.size().is_some() {
+            (dataset.max_side, dataset.downscale) = (self.size.max_side, self.size.downscale);
+        }
+        if let Some(hold_out) = self.hold_out.asked()? {
+            dataset.hold_out = hold_out;
+        }
+        Ok(())
+    }
+}
+
+impl HoldOutArgs {
+    pub(crate) fn asked(&self) -> Result<Option<HoldOut>> {
+        let every = self.test_every.and_then(NonZeroU32::new).map(HoldOut::Every);
+        let listed = self.test_list.as_deref().map(read_list).transpose()?;
+        Ok(every.or(listed).or(self.train_on_all.then_some(HoldOut::None)))
+    }
+}
+
+fn read_list(file: &Path) -> Result<HoldOut> {
+    let text = input::read_text(file).map_err(|error| anyhow!("cannot read the list {}: {error}", shown(file)))?;
+    let names: Vec<String> = text.lines().map(str::trim).filter(|line| !line.is_empty()).map(str::to_owned).collect();
+    ensure!(
+        !names.is_empty(),
+        "the list {} names no photo; write a file name a line, or give --train-on-all to hold none out",
+        shown(file)
+    );
+    Ok(HoldOut::Photos(names))
+}
