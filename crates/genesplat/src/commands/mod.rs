@@ -7,6 +7,7 @@ mod demo;
 mod devices;
 mod evaluate;
 mod experiment;
+mod export;
 mod inspect;
 mod lpips_install;
 mod merge;
@@ -50,6 +51,7 @@ pub(crate) fn run(arguments: Arguments) -> Result<Ending> {
         Command::Merge(args) => merge::run(&args),
         Command::Compare(args) => compare::run(&args),
         Command::Convert(args) => convert::run(&args),
+        Command::Export(args) => export::run(&args),
         Command::Lpips { what: LpipsCommand::Install(args) } => lpips_install::run(&args),
         Command::Bench { what: Bench::Step(args) } => bench::step::run(&args),
         Command::Bench { what: Bench::Evolution(args) } => bench::evolution::run(&args),
@@ -83,6 +85,10 @@ fn check_outputs(command: &Command) -> Result<()> {
         Command::Convert(args) => {
             check_file(&args.out, Content::Splat, &[Some(&args.splat)])?;
             convert::format_of(args).map(|_| ())
+        }
+        Command::Export(args) => {
+            check_file(&args.out, Content::Figures, &[Some(&args.splat)])?;
+            export::check_name(&args.out)
         }
         Command::Merge(args) => {
             check_file(&args.out, Content::Splat, &[])?;
