@@ -1,53 +1,78 @@
-//! Every reader on bytes that are in no file: where tests that mutate them come in. What is read counts, not what it says.
+//! Every reader on bytes that are in no file: where the fuzzer comes in (`fuzz/` in the repository).
 
-use std::path::Path;
+use std::collections::BTreeMap;
 
-use crate::colmap::{self, Form};
-use crate::photos::{EncodedPhoto, PhotoError};
+use genesplat_core::{Camera, Gaussians, Photo};
+use glam::{DQuat, DVec3};
+
+use crate::colmap::{self, Form, ImageRecord, Intrinsics};
+use crate::format::{self, Format, FormatError, Loaded, Options};
+use crate::photos::{self, EncodedPhoto, PhotoError};
 use crate::ply::{self, PlyError};
+use crate::scene::Point;
 use crate::{SceneError, transforms};
 
 /// What errors call the bytes.
 const NAME: &str = "bytes";
 
 /// COLMAP's cameras.
-pub fn cameras(form: Form, bytes: &[u8]) -> Result<usize, SceneError> {
-    colmap::parse_cameras(form, NAME.as_ref(), bytes).map(|cameras| cameras.len())
+pub fn cameras(form: Form, bytes: &[u8]) -> Result<BTreeMap<u32, Intrinsics>, SceneError> {
+    colmap::parse_cameras(form, NAME.as_ref(), bytes)
 }
 
 /// COLMAP's photos.
-pub fn images(form: Form, bytes: &[u8]) -> Result<usize, SceneError> {
-    colmap::parse_images(form, NAME.as_ref(), bytes).map(|images| images.len())
+pub fn images(form: Form, bytes: &[u8]) -> Result<Vec<ImageRecord>, SceneError> {
+    colmap::parse_images(form, NAME.as_ref(), bytes)
 }
 
 /// COLMAP's points.
-pub fn points(form: Form, bytes: &[u8]) -> Result<usize, SceneError> {
-    colmap::parse_points(form, NAME.as_ref(), bytes).map(|points| points.len())
+pub fn points(form: Form, bytes: &[u8]) -> Result<Vec<Point>, SceneError> {
+    colmap::parse_points(form, NAME.as_ref(), bytes)
 }
 
 /// A `transforms.json`.
-pub fn transforms(bytes: &[u8]) -> Result<usize, SceneError> {
-    transforms::parse_cameras(NAME.as_ref(), bytes).map(|cameras| cameras.len())
+pub fn transforms(bytes: &[u8]) -> Result<Vec<Camera>, SceneError> {
+    transforms::parse_cameras(NAME.as_ref(), bytes)
 }
 
-/// A splat as PLY, and what a command asks of it.
-pub fn splat(bytes: &[u8]) -> Result<usize, PlyError> {
-    let path = Path::new(NAME);
-    let (_, cloud) = ply::parse_splat(path, bytes, bytes.len() as u64)?;
-    ply::check_finite(path, &cloud).map(|()| cloud.len())
+/// A splat of this format.
+pub fn splat(format: Format, bytes: &[u8]) -> Result<Loaded, FormatError> {
+    format::parse(NAME.as_ref(), format, bytes)
+}
+
+/// What a file of this format holds.
+pub fn written(format: Format, cloud: &Gaussians, options: &Options) -> Result<Vec<u8>, FormatError> {
+    format::to_bytes(NAME.as_ref(), format, cloud, options)
 }
 
 /// A cloud of points as PLY.
-pub fn cloud(bytes: &[u8]) -> Result<usize, PlyError> {
-    ply::parse_points(NAME.as_ref(), bytes, bytes.len() as u64).map(|points| points.len())
+pub fn point_cloud(bytes: &[u8]) -> Result<Vec<Point>, PlyError> {
+    ply::parse_points(NAME.as_ref(), bytes, bytes.len() as u64)
 }
 
 /// A photo of at most `pixels_max` pixels: larger ones are decoded, too, but not often enough in a second.
-pub fn photo(bytes: &[u8], pixels_max: u64) -> Result<usize, PhotoError> {
+pub fn photo(bytes: &[u8], pixels_max: u64) -> Result<Option<Photo>, PhotoError> {
     let photo = EncodedPhoto::of(NAME.as_ref(), bytes.to_vec())?;
     let (width, height) = photo.size();
-    if u64::from(width) * u64::from(height) > pixels_max {
-        return Ok(0);
-    }
-    photo.decode_on([0; 3]).map(|photo| photo.rgb.len())
+    let is_small = u64::from(width) * u64::from(height) <= pixels_max;
+    is_small.then(|| photo.decode_on([0; 3])).transpose()
+}
+
+/// A grey photo of `camera`, as a pinhole takes it; `None` where the lens cannot be undone, or the photo is larger than
+/// `side_max`.
+pub fn undistorted(camera: &Intrinsics, side_max: u32) -> Option<Photo> {
+    let Intrinsics { width, height, focal_px, principal_px, lens } = *camera;
+    let lens = lens.filter(|_| width.max(height) <= side_max)?;
+    let camera = Camera {
+        width,
+        height,
+        focal_px,
+        principal_px,
+        camera_from_world_rotation: DQuat::IDENTITY,
+        camera_from_world_translation: DVec3::ZERO,
+    };
+    let pinhole = photos::pinhole(&camera, &lens)?;
+    let photo = Photo { width, height, rgb: vec![128; 3 * (width * height) as usize] };
+    let size = [pinhole.width.min(width), pinhole.height.min(height)];
+    Some(photos::undistort(&photo, &camera, &lens, &pinhole, size))
 }

@@ -21,7 +21,11 @@ impl Gate {
     pub(crate) fn new(address: IpAddr) -> Result<Self, ViewerError> {
         let mut bytes = [0; TOKEN_BYTES];
         getrandom::fill(&mut bytes).map_err(|error| ViewerError::Random(error.to_string()))?;
-        Ok(Self { token: bytes.iter().map(|byte| format!("{byte:02x}")).collect(), address })
+        Ok(Self::with_token(bytes.iter().map(|byte| format!("{byte:02x}")).collect(), address))
+    }
+
+    pub(crate) fn with_token(token: String, address: IpAddr) -> Self {
+        Self { token, address }
     }
 
     pub(crate) fn token(&self) -> &str {

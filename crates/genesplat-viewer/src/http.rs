@@ -29,7 +29,7 @@ pub(crate) enum Status {
 }
 
 impl Status {
-    fn line(self) -> &'static str {
+    pub(crate) fn line(self) -> &'static str {
         match self {
             Self::BadRequest => "400 Bad Request",
             Self::Forbidden => "403 Forbidden",

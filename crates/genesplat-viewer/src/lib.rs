@@ -17,6 +17,8 @@
 //! The server reads no file: pages are part of the program, photos are in memory.
 
 mod budget;
+#[doc(hidden)]
+pub mod bytes;
 mod clock;
 mod curves;
 mod exhibition;

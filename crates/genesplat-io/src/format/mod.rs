@@ -35,7 +35,7 @@ pub use spz::SpzVersion;
 
 use crate::atomic::write_atomically;
 use crate::input;
-use crate::ply::{self, PlyOptions, check_finite, read_ply_with_header, write_ply};
+use crate::ply::{self, PlyHeader, PlyOptions, check_finite, read_ply_with_header, write_ply};
 
 /// A file format of splats.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -129,6 +129,12 @@ struct Decoded {
     screen_filter: Option<ScreenFilter>,
 }
 
+impl From<(PlyHeader, Gaussians)> for Decoded {
+    fn from((header, cloud): (PlyHeader, Gaussians)) -> Self {
+        Self { cloud, sh_degree: header.sh_degree, screen_filter: header.screen_filter }
+    }
+}
+
 /// Reads a splat of any format. Infinite opacities, as converters write them for an alpha of 255, become opaque and
 /// transparent; other values that are not finite are errors.
 pub fn read(path: &Path) -> Result<Loaded, FormatError> {
@@ -138,7 +144,16 @@ pub fn read(path: &Path) -> Result<Loaded, FormatError> {
         Format::CompressedPly => Format::Ply,
         format => format,
     };
-    let Decoded { mut cloud, sh_degree, screen_filter } = decode(path, format)?;
+    finished(path, format, decode(path, format)?)
+}
+
+/// The splat in the `bytes` of `path`, which are of this `format`.
+pub(crate) fn parse(path: &Path, format: Format, bytes: &[u8]) -> Result<Loaded, FormatError> {
+    finished(path, format, decode_bytes(path, format, bytes)?)
+}
+
+fn finished(path: &Path, format: Format, decoded: Decoded) -> Result<Loaded, FormatError> {
+    let Decoded { mut cloud, sh_degree, screen_filter } = decoded;
     packing::clamp_opacities(&mut cloud);
     check_finite(path, &cloud)?;
     Ok(Loaded { cloud, format, sh_degree, screen_filter })
@@ -146,16 +161,20 @@ pub fn read(path: &Path) -> Result<Loaded, FormatError> {
 
 fn decode(path: &Path, format: Format) -> Result<Decoded, FormatError> {
     if format == Format::Ply {
-        let (header, cloud) = read_ply_with_header(path)?;
-        return Ok(Decoded { cloud, sh_degree: header.sh_degree, screen_filter: header.screen_filter });
+        return Ok(read_ply_with_header(path)?.into());
     }
     let bytes = input::read(path).map_err(|source| FormatError::Read { path: path.to_owned(), source })?;
+    decode_bytes(path, format, &bytes)
+}
+
+fn decode_bytes(path: &Path, format: Format, bytes: &[u8]) -> Result<Decoded, FormatError> {
     match format {
-        Format::Ply | Format::CompressedPly => compressed_ply::decode(path, &bytes),
-        Format::Splat => splat::decode(path, &bytes),
-        Format::Spz => spz::decode(path, &bytes),
-        Format::Sog => sog::decode(path, &bytes),
-        Format::Glb => glb::decode(path, &bytes),
+        Format::Ply => Ok(ply::parse_splat(path, bytes, bytes.len() as u64)?.into()),
+        Format::CompressedPly => compressed_ply::decode(path, bytes),
+        Format::Splat => splat::decode(path, bytes),
+        Format::Spz => spz::decode(path, bytes),
+        Format::Sog => sog::decode(path, bytes),
+        Format::Glb => glb::decode(path, bytes),
     }
 }
 
@@ -173,31 +192,40 @@ fn head(path: &Path) -> std::io::Result<Vec<u8>> {
 pub fn write(path: &Path, format: Format, cloud: &Gaussians, options: &Options) -> Result<u64, FormatError> {
     assert!(cloud.is_consistent(), "every column of a cloud has one row a Gaussian");
     if format == Format::Ply {
-        let sh_degree = options.sh_degree.min(SH_DEGREE_MAX);
-        let options = PlyOptions { screen_filter: options.screen_filter, sh_degree, ..PlyOptions::default() };
-        write_ply(path, cloud, &options)?;
+        write_ply(path, cloud, &ply_options(options))?;
         let written = fs::metadata(path).map_err(|source| FormatError::Read { path: path.to_owned(), source })?;
         return Ok(written.len());
     }
-    let bytes = encode(path, format, &baked(cloud, options.sh_degree), options)?;
+    let bytes = to_bytes(path, format, cloud, options)?;
     let written = write_atomically(path, |out| out.write_all(&bytes));
     written.map_err(|source| FormatError::Write { path: path.to_owned(), source })?;
     Ok(bytes.len() as u64)
 }
 
-/// The bytes of an `.spz`, as [`write`] makes them; `path` is what errors call it.
+/// The bytes that [`write`] writes; `path` is what errors call them.
 ///
 /// # Panics
 /// If the columns of `cloud` have different lengths.
-pub fn spz_bytes(path: &Path, cloud: &Gaussians, options: &Options) -> Result<Vec<u8>, FormatError> {
-    encode(path, Format::Spz, &baked(cloud, options.sh_degree), options)
-}
-
-fn baked(cloud: &Gaussians, sh_degree: u8) -> Gaussians {
+pub fn to_bytes(
+    path: &Path,
+    format: Format,
+    cloud: &Gaussians,
+    options: &Options,
+) -> Result<Vec<u8>, FormatError> {
+    if format == Format::Ply {
+        let mut bytes = Vec::new();
+        ply::write_to(&mut bytes, cloud, &ply_options(options)).expect("a Vec takes all bytes");
+        return Ok(bytes);
+    }
     assert!(cloud.is_consistent(), "every column of a cloud has one row a Gaussian");
     let mut baked = cloud.fused();
-    limit_sh_degree(&mut baked, sh_degree.min(SH_DEGREE_MAX));
-    baked
+    limit_sh_degree(&mut baked, options.sh_degree.min(SH_DEGREE_MAX));
+    encode(path, format, &baked, options)
+}
+
+fn ply_options(options: &Options) -> PlyOptions {
+    let sh_degree = options.sh_degree.min(SH_DEGREE_MAX);
+    PlyOptions { screen_filter: options.screen_filter, sh_degree, ..PlyOptions::default() }
 }
 
 /// The bytes of a cloud without a 3D filter.

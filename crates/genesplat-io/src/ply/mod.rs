@@ -104,11 +104,13 @@ fn check_positions(path: &Path, positions: impl Iterator<Item = [f32; 3]>) -> Re
 /// If the columns of `cloud` have different lengths.
 pub fn write_ply(path: &Path, cloud: &Gaussians, options: &PlyOptions) -> Result<(), PlyError> {
     assert!(cloud.is_consistent(), "every column of a cloud has one row a Gaussian");
-    write_atomically(path, |out| {
-        out.write_all(header::text(cloud, options).as_bytes())?;
-        rows::write(cloud, options.sh_degree, out)
-    })
-    .map_err(|source| PlyError::Write { path: path.to_owned(), source })
+    let written = write_atomically(path, |out| write_to(out, cloud, options));
+    written.map_err(|source| PlyError::Write { path: path.to_owned(), source })
+}
+
+pub(crate) fn write_to(out: &mut impl Write, cloud: &Gaussians, options: &PlyOptions) -> io::Result<()> {
+    out.write_all(header::text(cloud, options).as_bytes())?;
+    rows::write(cloud, options.sh_degree, out)
 }
 
 fn open(path: &Path) -> Result<(BufReader<File>, u64), PlyError> {

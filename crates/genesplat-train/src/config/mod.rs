@@ -88,7 +88,8 @@ pub struct TrainConfig {
     pub seed: u64,
     /// Method. Default `3dgs`; or `pixel-gs`, `mip-splatting`, `mcmc`.
     pub variant: Variant,
-    /// Iterations, one view each. Default 30,000; at least 1. Changing it alone truncates: rates and events stay.
+    /// Iterations, one view each. Default 30,000; 1 to 100 million once scaled. Changing it alone truncates: rates and
+    /// events stay.
     pub iterations: u32,
     /// Multiplies every setting that counts iterations, `iterations` included. Default 1; 0.001 to 1000. Each is
     /// rounded to whole iterations. Intervals (`densify.every`, `densify.reset_every`) are not made shorter than 100

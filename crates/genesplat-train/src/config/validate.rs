@@ -9,6 +9,9 @@ use super::{EvolutionMode, Signal, StepBudget, TrainConfig, Variant};
 /// Integers of a TOML file end here.
 const TOML_END: u64 = 1 << 63;
 
+/// Most iterations of a run. Schedules are looked through step by step before it begins.
+const ITERATIONS_MAX: f64 = 1e8;
+
 /// A setting that cannot be used.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
@@ -54,8 +57,10 @@ impl TrainConfig {
     }
 
     fn validate_counts(&self) -> Result<(), ConfigError> {
+        let scaled = f64::from(self.iterations) * self.steps_scale;
+        let wanted = "at least 1, and at most 100 million once steps_scale has multiplied it";
+        check("iterations", self.iterations, self.iterations > 0 && scaled <= ITERATIONS_MAX, wanted)?;
         let counts = [
-            ("iterations", self.iterations as usize),
             ("optimiser.position_steps", self.optimiser.position_steps as usize),
             ("densify.every", self.densify.every as usize),
             ("densify.reset_every", self.densify.reset_every as usize),

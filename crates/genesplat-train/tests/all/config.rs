@@ -47,8 +47,9 @@ fn unknown_settings_are_errors_that_name_them() {
 #[test]
 fn values_out_of_range_get_a_sentence() {
     type Change = fn(&mut TrainConfig);
-    let cases: [(Change, &str); 15] = [
+    let cases: [(Change, &str); 16] = [
         (|c| c.iterations = 0, "iterations is 0, but must be at least 1"),
+        (|c| (c.iterations, c.steps_scale) = (200_000, 1e3), "and at most 100 million"),
         (|c| c.seed = 1 << 63, "seed"),
         (|c| c.steps_scale = f64::NAN, "steps_scale is NaN"),
         (|c| c.sh_degree = 4, "sh_degree is 4, but must be between 0 and 3"),

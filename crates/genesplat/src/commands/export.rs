@@ -30,7 +30,7 @@ pub(crate) fn run(args: &ExportArgs) -> Result<()> {
     let settings = splat.settings;
     let options =
         Options { screen_filter: settings.filter, sh_degree: settings.sh_degree, spz_version: SpzVersion::V3 };
-    let spz = format::spz_bytes(&args.out, &splat.cloud, &options)?;
+    let spz = format::to_bytes(&args.out, Format::Spz, &splat.cloud, &options)?;
     let framing = scene.as_ref().and_then(|scene| Framing::of_cameras(&cameras(scene)));
     let framing = framing.unwrap_or_else(|| Framing::of_cloud(&splat.cloud));
     let (title, gaussians) = (title(args, scene.as_ref()), splat.cloud.len());
