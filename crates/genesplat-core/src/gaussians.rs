@@ -64,6 +64,19 @@ impl Gaussians {
         }
     }
 
+    /// Adds the rows of `other` behind these. Both have a 3D filter, or neither.
+    pub fn append(&mut self, other: Self) {
+        self.positions.extend(other.positions);
+        self.log_scales.extend(other.log_scales);
+        self.rotations.extend(other.rotations);
+        self.opacity_logits.extend(other.opacity_logits);
+        self.sh.extend(other.sh);
+        if let (Some(filter), Some(more)) = (&mut self.filter_3d, other.filter_3d) {
+            filter.extend(more);
+        }
+        debug_assert!(self.is_consistent(), "clouds with and without a 3D filter");
+    }
+
     /// The seven genes of a row: position, log-scale, opacity logit.
     #[inline]
     pub fn genes(&self, row: usize) -> Genes {

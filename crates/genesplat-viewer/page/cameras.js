@@ -28,7 +28,7 @@ export class CameraStrip {
     [image.width, image.height] = [Math.round((58 * card.width) / card.height), 58];
     image.loading = "lazy";
     image.alt = "";
-    image.src = `thumbnail/${card.index}`;
+    image.src = card.thumbnail;
     button.type = "button";
     button.append(image);
     button.title = card.name;

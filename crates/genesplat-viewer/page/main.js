@@ -42,7 +42,7 @@ const connection = new Connection({
 
 function hello(message) {
   status.greet(message);
-  cards = message.cameras.map((card, index) => ({ ...card, index }));
+  cards = message.cameras.map((card, index) => ({ ...card, index, thumbnail: `thumbnail/${index}` }));
   strip.fill(cards);
   stage.setScene(cards, message.distance);
   $("frusta").closest("label").hidden = cards.length === 0;

@@ -9,7 +9,7 @@ const SAMPLE: usize = 10_000;
 
 /// What a page needs to move about a scene. World units.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub(crate) struct Framing {
+pub struct Framing {
     pub(crate) up: [f64; 3],
     /// What to turn around.
     pub(crate) centre: [f64; 3],
@@ -19,7 +19,7 @@ pub(crate) struct Framing {
 
 impl Framing {
     /// Photographers hold cameras upright, and point them at what matters.
-    pub(crate) fn of_cameras(cameras: &[Camera]) -> Option<Self> {
+    pub fn of_cameras(cameras: &[Camera]) -> Option<Self> {
         let axes = |camera: &Camera| camera.rotation().transpose();
         let up = cameras.iter().map(|camera| -axes(camera).y_axis).sum::<DVec3>().try_normalize()?;
         let centre = nearest_to_axes(cameras).or_else(|| ahead(cameras))?;
@@ -28,7 +28,7 @@ impl Framing {
     }
 
     /// COLMAP and its heirs have y down.
-    pub(crate) fn of_cloud(cloud: &Gaussians) -> Self {
+    pub fn of_cloud(cloud: &Gaussians) -> Self {
         let step = cloud.len().div_ceil(SAMPLE).max(1);
         let sample: Vec<DVec3> = cloud.positions.iter().step_by(step).map(|p| DVec3::from(p.map(f64::from))).collect();
         let middle = |axis: usize| median(sample.iter().map(|point| point[axis]).collect());

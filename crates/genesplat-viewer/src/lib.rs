@@ -1,4 +1,4 @@
-//! The live page: whoever trains looks at the splat meanwhile, in a browser, over one WebSocket.
+//! The live page: whoever trains looks at the splat meanwhile, in a browser, over one WebSocket. And a page to send.
 //!
 //! The device that trains renders, and the page shows JPEG pictures, so that a laptop sees over ssh exactly what is
 //! trained. Nothing here makes training wait but the pictures themselves, which keep to a [`Budget`].
@@ -9,6 +9,7 @@
 //! | [`message`] | what page and server say to each other |
 //! | [`lens`] | depth, counts, points and ellipses, each as a cloud that an ordinary renderer shows |
 //! | [`path`] | camera paths, for animations |
+//! | [`standalone`] | a page to send: one file that holds the splat and draws it by itself |
 //! | `hub` | slots that hold the newest only, between the threads of the pages and the one that renders |
 //! | `server` | threads, time-outs, and caps on all that a stranger can make grow |
 //! | `gate` | who is let in: the token of the address, Host and Origin |
@@ -31,9 +32,11 @@ pub mod path;
 mod picture;
 mod server;
 mod socket;
+pub mod standalone;
 
 pub use budget::Budget;
 pub use exhibition::{Exhibition, Split};
+pub use framing::Framing;
 pub use live::{LiveView, Owner, Phase};
 
 /// Why there is no page.

@@ -4,6 +4,7 @@
 //! poses, refine, demo and experiment).
 
 mod args;
+mod blocks;
 mod commands;
 mod device;
 mod experiment;

@@ -14,6 +14,7 @@ use crate::run::session::has_checkpoint;
 use crate::run::{CLOUD, CONFIG};
 use crate::scene;
 use crate::settings::{ConfigFile, Dataset};
+use crate::terminal::output;
 
 /// A cloud and how it is meant to be shown.
 pub(crate) struct Splat {
@@ -46,6 +47,22 @@ impl Splat {
             divisor = asked;
         }
         scene::load_to_look(&dataset, divisor, self.settings.background)
+    }
+
+    /// The scene in `data`; where none is named, that of the run at `path`, if it is still where it was.
+    pub(crate) fn find_scene(&self, path: &Path, data: Option<&Path>, asked: &PhotosArgs) -> Result<Option<Scene>> {
+        if let Some(data) = data {
+            return self.load_scene(data, asked).map(Some);
+        }
+        let of_run = path.is_dir().then(|| ConfigFile::of_run(path)).transpose()?;
+        let Some(data) = of_run.map(|config| config.dataset.path).filter(|path| path.is_dir()) else { return Ok(None) };
+        match self.load_scene(&data, asked) {
+            Ok(scene) => Ok(Some(scene)),
+            Err(error) => {
+                output::tell(&format!("notice: the page has no photos and cameras, since {error}"));
+                Ok(None)
+            }
+        }
     }
 }
 

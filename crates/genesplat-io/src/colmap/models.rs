@@ -97,6 +97,31 @@ fn polynomial(model: &str, coefficients: &[f64]) -> Polynomial {
     }
 }
 
+/// The model that says what `lens` says, and its coefficients after focal lengths and principal point; `None` where COLMAP has
+/// none. It has two focal lengths.
+pub(super) fn of_lens(lens: Option<&Lens>) -> Option<(&'static str, Vec<f64>)> {
+    let Some(lens) = lens else { return Some(("PINHOLE", Vec::new())) };
+    let Polynomial { radial: k, divisor: d, tangential: [p1, p2], prism: [[s0, s1], [s2, s3]], .. } = lens.polynomial;
+    let (name, coefficients) = match lens.projection {
+        Projection::FieldOfView { omega } => ("FOV", vec![omega]),
+        Projection::Division { k } => ("DIVISION", vec![k]),
+        Projection::EnhancedUnified { alpha, beta } => ("EUCM", vec![alpha, beta]),
+        Projection::Perspective => ("FULL_OPENCV", vec![k[0], k[1], p1, p2, k[2], d[0], d[1], d[2]]),
+        Projection::Fisheye if lens.polynomial.radial_first => {
+            ("RAD_TAN_THIN_PRISM_FISHEYE", [&k[..], &[p2, p1, s0, s1, s2, s3]].concat())
+        }
+        Projection::Fisheye if [p1, p2, s0, s2] == [0.0; 4] => ("OPENCV_FISHEYE", k[..4].to_vec()),
+        Projection::Fisheye => ("THIN_PRISM_FISHEYE", vec![k[0], k[1], p1, p2, k[2], k[3], s0, s2]),
+    };
+    let read = Lens { projection: projection(name, &coefficients), polynomial: polynomial(name, &coefficients) };
+    (read == *lens).then_some((name, coefficients))
+}
+
+/// COLMAP's number of a model.
+pub(super) fn id(name: &str) -> i32 {
+    MODELS.iter().position(|(model, _)| *model == name).expect("a name of this table") as i32
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -114,6 +139,22 @@ mod tests {
             assert_eq!(lens.is_none(), model.ends_with("PINHOLE"), "{model}");
             assert!(read(model, &values[1..]).unwrap_err().to_string().contains("number of parameters"));
         }
+    }
+
+    #[test]
+    fn the_lens_of_every_model_can_be_written() {
+        for (model, count) in MODELS {
+            let values: Vec<f64> = (0..count).map(|index| 0.5 / (index + 1) as f64).collect();
+            let (pinhole, lens) = read(model, &values).unwrap();
+            let (name, coefficients) = of_lens(lens.as_ref()).unwrap_or_else(|| panic!("{model}"));
+            let again = read(name, &[&pinhole[..], &coefficients].concat()).unwrap();
+            assert_eq!(again, (pinhole, lens), "{model} as {name}");
+        }
+        let polynomial = Polynomial { radial: [0.1, 0.1, 0.1, 0.1, 0.0, 0.0], ..Polynomial::default() };
+        assert!(
+            of_lens(Some(&Lens { projection: Projection::Perspective, polynomial })).is_none(),
+            "COLMAP has no k4 there"
+        );
     }
 
     #[test]

@@ -1,18 +1,15 @@
 //! Models out, in the binary form: what [`super::read_model`] reads back, and what other trainers read.
 //!
-//! Features and tracks are written empty, which every reader of splat scenes accepts. Only pinholes are written.
+//! Features and tracks are written empty, which every reader of splat scenes accepts.
 
 use std::io::{self, Write};
 use std::path::Path;
 
-use super::{Form, ImageRecord, Model};
+use super::{Form, ImageRecord, Model, models};
 use crate::atomic::write_atomically;
 
-/// COLMAP's number of the model PINHOLE.
-const PINHOLE: i32 = 1;
-
 /// Writes the three files of `model` into `folder`, which is made if it is missing. Ids of photos and points are their
-/// 1-based places. Every bit is kept.
+/// 1-based places. Every bit is kept. A lens that none of COLMAP's models can say is an error.
 pub fn write_model(folder: &Path, model: &Model) -> io::Result<()> {
     let file = |stem| Form::Binary.file(folder, stem);
     write_atomically(&file("cameras"), |out| cameras(out, model))?;
@@ -31,14 +28,15 @@ fn put_count(out: &mut impl Write, count: usize) -> io::Result<()> {
 fn cameras(out: &mut impl Write, model: &Model) -> io::Result<()> {
     put_count(out, model.cameras.len())?;
     for (id, camera) in &model.cameras {
-        if camera.lens.is_some() {
-            return Err(io::Error::new(io::ErrorKind::Unsupported, "only cameras without a lens are written"));
-        }
+        let Some((name, coefficients)) = models::of_lens(camera.lens.as_ref()) else {
+            let problem = format!("COLMAP has no model for the lens of camera {id}");
+            return Err(io::Error::new(io::ErrorKind::Unsupported, problem));
+        };
         out.write_all(&id.to_le_bytes())?;
-        out.write_all(&PINHOLE.to_le_bytes())?;
+        out.write_all(&models::id(name).to_le_bytes())?;
         out.write_all(&u64::from(camera.width).to_le_bytes())?;
         out.write_all(&u64::from(camera.height).to_le_bytes())?;
-        put_f64s(out, camera.focal_px.into_iter().chain(camera.principal_px))?;
+        put_f64s(out, camera.focal_px.into_iter().chain(camera.principal_px).chain(coefficients))?;
     }
     Ok(())
 }

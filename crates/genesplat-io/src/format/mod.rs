@@ -172,19 +172,32 @@ fn head(path: &Path) -> std::io::Result<Vec<u8>> {
 /// If the columns of `cloud` have different lengths.
 pub fn write(path: &Path, format: Format, cloud: &Gaussians, options: &Options) -> Result<u64, FormatError> {
     assert!(cloud.is_consistent(), "every column of a cloud has one row a Gaussian");
-    let sh_degree = options.sh_degree.min(SH_DEGREE_MAX);
     if format == Format::Ply {
+        let sh_degree = options.sh_degree.min(SH_DEGREE_MAX);
         let options = PlyOptions { screen_filter: options.screen_filter, sh_degree, ..PlyOptions::default() };
         write_ply(path, cloud, &options)?;
         let written = fs::metadata(path).map_err(|source| FormatError::Read { path: path.to_owned(), source })?;
         return Ok(written.len());
     }
-    let mut baked = cloud.fused();
-    limit_sh_degree(&mut baked, sh_degree);
-    let bytes = encode(path, format, &baked, options)?;
+    let bytes = encode(path, format, &baked(cloud, options.sh_degree), options)?;
     let written = write_atomically(path, |out| out.write_all(&bytes));
     written.map_err(|source| FormatError::Write { path: path.to_owned(), source })?;
     Ok(bytes.len() as u64)
+}
+
+/// The bytes of an `.spz`, as [`write`] makes them; `path` is what errors call it.
+///
+/// # Panics
+/// If the columns of `cloud` have different lengths.
+pub fn spz_bytes(path: &Path, cloud: &Gaussians, options: &Options) -> Result<Vec<u8>, FormatError> {
+    encode(path, Format::Spz, &baked(cloud, options.sh_degree), options)
+}
+
+fn baked(cloud: &Gaussians, sh_degree: u8) -> Gaussians {
+    assert!(cloud.is_consistent(), "every column of a cloud has one row a Gaussian");
+    let mut baked = cloud.fused();
+    limit_sh_degree(&mut baked, sh_degree.min(SH_DEGREE_MAX));
+    baked
 }
 
 /// The bytes of a cloud without a 3D filter.

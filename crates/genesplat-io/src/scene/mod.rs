@@ -1,6 +1,7 @@
 //! Scenes: what a reader lists is split ([`split`]), and its photos are loaded in parallel ([`view`]).
 
 mod bare;
+mod listed;
 mod split;
 mod view;
 
@@ -9,6 +10,7 @@ use std::path::{Path, PathBuf};
 use genesplat_core::View;
 use rayon::prelude::*;
 
+pub use listed::{SceneList, ScenePhoto, list_scene, model_of};
 pub use split::HoldOut;
 pub use view::SIDE_MIN_PX;
 

@@ -17,6 +17,7 @@ use crate::terminal::output::Volume;
 use choice::{EVOLUTION, FIXED_BACKGROUNDS, choice};
 
 mod bench;
+mod blocks;
 mod choice;
 mod convert;
 mod page;
@@ -25,9 +26,10 @@ mod poses;
 mod train;
 
 pub(crate) use bench::{Bench, BenchEvolutionArgs, BenchGpuArgs, BenchStepArgs, SourceArgs, WorkloadArgs};
+pub(crate) use blocks::{MergeArgs, SplitArgs};
 pub(crate) use convert::ConvertArgs;
-pub(crate) use page::{PathChoice, TrainPageArgs, ViewArgs};
-pub(crate) use photos::PhotosArgs;
+pub(crate) use page::{ExportArgs, PathChoice, TrainPageArgs, ViewArgs};
+pub(crate) use photos::{HoldOutArgs, PhotosArgs};
 pub(crate) use poses::PosesArgs;
 pub(crate) use train::{EvolutionArgs, TrainArgs};
 
@@ -88,8 +90,14 @@ pub(crate) enum Command {
     Render(RenderArgs),
     /// Look at a splat in the browser: a page on this machine that this machine renders
     View(ViewArgs),
+    /// Write a splat as a page to send: one file that any browser shows in 3D, without a server and without a network
+    Export(ExportArgs),
     /// Write a splat as another format: .ply, compressed .ply, .splat, .spz, .sog or .glb
     Convert(ConvertArgs),
+    /// Cut a scene that one memory does not hold into blocks, which are trained one by one
+    Split(SplitArgs),
+    /// Put the splats of blocks together
+    Merge(MergeArgs),
     /// Make a finished splat of any trainer better: gradient steps and renewals
     Refine(RefineArgs),
     /// Measure how alike two pictures are: PSNR, SSIM and LPIPS

@@ -1,11 +1,11 @@
-//! The live page: `train --view`, and `view`; and the paths of cameras, which it saves.
+//! Pages: `train --view`, `view` and `export`; and the paths of cameras, which the live page saves.
 
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::path::PathBuf;
 
 use clap::Args;
 
-use super::{MORE, MachineArgs, ShownOnArgs, SizeArgs};
+use super::{MORE, MachineArgs, PhotosArgs, ShownOnArgs, SizeArgs};
 
 /// Only this machine reaches it, and any port that is free.
 const NEAR: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 0);
@@ -56,6 +56,29 @@ pub(crate) struct ViewArgs {
     pub(crate) page: PageArgs,
     #[command(flatten)]
     pub(crate) size: SizeArgs,
+    #[command(flatten)]
+    pub(crate) on: ShownOnArgs,
+    #[command(flatten)]
+    pub(crate) machine: MachineArgs,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct ExportArgs {
+    /// A splat (.ply, compressed .ply, .splat, .spz, .sog or .glb), or the folder of a run
+    #[arg(value_name = "SPLAT|RUN")]
+    pub(crate) splat: PathBuf,
+    /// The page to write: one file that any browser shows, from the disk and without a network
+    #[arg(long, value_name = "FILE.html")]
+    pub(crate) out: PathBuf,
+    /// Folder of the scene, for the cameras to jump to: those of photos that training never saw [default: that of the RUN,
+    /// if it is still there; none for a SPLAT]
+    #[arg(long, value_name = "DATASET")]
+    pub(crate) data: Option<PathBuf>,
+    /// What the page is called [default: the name of the scene, else of the file]
+    #[arg(long, value_name = "TEXT")]
+    pub(crate) title: Option<String>,
+    #[command(flatten)]
+    pub(crate) photos: PhotosArgs,
     #[command(flatten)]
     pub(crate) on: ShownOnArgs,
     #[command(flatten)]

@@ -22,7 +22,7 @@ pub(crate) struct PhotosArgs {
 #[derive(Clone, Debug, Default, Args)]
 #[group(multiple = false)]
 #[command(next_help_heading = MORE)]
-struct HoldOutArgs {
+pub(crate) struct HoldOutArgs {
     /// Hold out every N-th photo by name for testing, at least 2 [default: the test photos that the scene names, else
     /// every 8th; for the splat of a RUN, as the RUN was trained]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(TEST_EVERY))]
@@ -56,7 +56,7 @@ impl PhotosArgs {
 }
 
 impl HoldOutArgs {
-    fn asked(&self) -> Result<Option<HoldOut>> {
+    pub(crate) fn asked(&self) -> Result<Option<HoldOut>> {
         let every = self.test_every.and_then(NonZeroU32::new).map(HoldOut::Every);
         let listed = self.test_list.as_deref().map(read_list).transpose()?;
         Ok(every.or(listed).or(self.train_on_all.then_some(HoldOut::None)))

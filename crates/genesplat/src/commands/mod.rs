@@ -7,13 +7,16 @@ mod demo;
 mod devices;
 mod evaluate;
 mod experiment;
+mod export;
 mod inspect;
 mod lpips_install;
+mod merge;
 mod poses;
 mod refine;
 mod render;
 mod render_path;
 mod shell;
+mod split;
 mod train;
 mod view;
 
@@ -44,8 +47,11 @@ pub(crate) fn run(arguments: Arguments) -> Result<Ending> {
         Command::Evaluate(args) => evaluate::run(&args),
         Command::Render(args) => render::run(&args),
         Command::View(args) => view::run(&args),
+        Command::Split(args) => split::run(&args),
+        Command::Merge(args) => merge::run(&args),
         Command::Compare(args) => compare::run(&args),
         Command::Convert(args) => convert::run(&args),
+        Command::Export(args) => export::run(&args),
         Command::Lpips { what: LpipsCommand::Install(args) } => lpips_install::run(&args),
         Command::Bench { what: Bench::Step(args) } => bench::step::run(&args),
         Command::Bench { what: Bench::Evolution(args) } => bench::evolution::run(&args),
@@ -80,6 +86,14 @@ fn check_outputs(command: &Command) -> Result<()> {
             check_file(&args.out, Content::Splat, &[Some(&args.splat)])?;
             convert::format_of(args).map(|_| ())
         }
+        Command::Export(args) => {
+            check_file(&args.out, Content::Figures, &[Some(&args.splat)])?;
+            export::check_name(&args.out)
+        }
+        Command::Merge(args) => {
+            check_file(&args.out, Content::Splat, &[])?;
+            merge::format_of(args).map(|_| ())
+        }
         Command::Bench { what } => {
             let (json, source) = match what {
                 Bench::Step(args) => (&args.json, &args.workload.source),
@@ -93,6 +107,7 @@ fn check_outputs(command: &Command) -> Result<()> {
         | Command::Demo(_)
         | Command::Experiment(_)
         | Command::View(_)
+        | Command::Split(_)
         | Command::Lpips { .. }
         | Command::Devices
         | Command::Completions { .. }

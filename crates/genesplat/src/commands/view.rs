@@ -5,16 +5,13 @@ use std::sync::atomic::Ordering;
 
 use anyhow::Result;
 use genesplat::core::Sight;
-use genesplat::io::Scene;
 use genesplat::viewer::LiveView;
 
 use crate::args::ViewArgs;
 use crate::report::curves::Curves;
 use crate::run::LOG;
 use crate::run::metrics::Metrics;
-use crate::settings::ConfigFile;
-use crate::splat::Splat;
-use crate::terminal::{interrupt, output};
+use crate::terminal::interrupt;
 use crate::{device, live, splat};
 
 /// Serves until Ctrl-C, which is how it is meant to end.
@@ -22,7 +19,7 @@ pub(crate) fn run(args: &ViewArgs) -> Result<()> {
     device::use_threads(args.machine.threads)?;
     let stop = interrupt::stop_flag_saying("the page is closed")?;
     let splat = splat::open(&args.splat)?.on(args.on);
-    let scene = load_scene(args, &splat)?;
+    let scene = splat.find_scene(&args.splat, args.data.as_deref(), &args.size.into())?;
     let mut device = device::open(args.machine.device.unwrap_or_default())?;
     let name = args.splat.file_name().unwrap_or_default().to_string_lossy();
     let mut live = live::of_splat(args.page.address(), &name, &splat.cloud, scene.as_ref())?;
@@ -32,22 +29,6 @@ pub(crate) fn run(args: &ViewArgs) -> Result<()> {
     replay(&args.splat, &mut live);
     live.exhibit(&mut Sight::new(device.as_mut(), splat.settings), || stop.load(Ordering::Relaxed));
     Ok(())
-}
-
-/// The scene that was asked for; else that of the run, if it is still where it was.
-fn load_scene(args: &ViewArgs, splat: &Splat) -> Result<Option<Scene>> {
-    if let Some(data) = &args.data {
-        return splat.load_scene(data, &args.size.into()).map(Some);
-    }
-    let of_run = args.splat.is_dir().then(|| ConfigFile::of_run(&args.splat)).transpose()?;
-    let Some(data) = of_run.map(|config| config.dataset.path).filter(|path| path.is_dir()) else { return Ok(None) };
-    match splat.load_scene(&data, &args.size.into()) {
-        Ok(scene) => Ok(Some(scene)),
-        Err(error) => {
-            output::tell(&format!("notice: the page has no photos and cameras, since {error}"));
-            Ok(None)
-        }
-    }
 }
 
 /// What the run has logged, as far as it is there.

@@ -1,6 +1,7 @@
-//! The live page in a real browser: what a user does with it, and what it looks like.
+//! Both pages in a real browser: what a user does with them, and what they look like.
 #![cfg(unix)]
 
+mod page_to_send;
 mod webdriver;
 
 use std::io::{BufRead, BufReader};
@@ -82,7 +83,7 @@ fn a_user_looks_around_pauses_and_stops() {
     let [scene, run] = ["gallery", "run"].map(|name| folder.path().join(name));
     let options = GalleryOptions { width: 240, height: 160, views: 24, points: 3000, seed: 5 };
     gallery::generate(&options).write_colmap(&scene).unwrap();
-    let Some(browser) = Browser::open() else { return };
+    let Some(browser) = Browser::open(&[]) else { return };
     let [scene, out] = [&scene, &run].map(|path| path.to_str().unwrap());
     let mut served = Served::start(&["train", scene, "--out", out, "--iterations", "30000", "--view"]);
     browser.resize(1200, 800);

@@ -22,8 +22,8 @@ pub(crate) struct Browser {
 }
 
 impl Browser {
-    /// Chromium with a new profile; `None` where this machine has none, which is a failure in CI.
-    pub(crate) fn open() -> Option<Self> {
+    /// Chromium with a new profile and more `flags`; `None` where this machine has none, which is a failure in CI.
+    pub(crate) fn open(flags: &[&str]) -> Option<Self> {
         let started = Command::new("chromedriver").arg("--port=0").stdout(Stdio::piped()).stderr(Stdio::null()).spawn();
         let Ok(mut driver) = started else {
             assert_ne!(std::env::var("CI").as_deref(), Ok("true"), "CI has no chromedriver");
@@ -36,11 +36,11 @@ impl Browser {
         std::thread::spawn(move || lines.for_each(drop));
         let profile = tempfile::tempdir().unwrap();
         let mut browser = Self { driver, port: port.expect("a port"), session: String::new(), _profile: profile };
-        browser.begin();
+        browser.begin(flags);
         Some(browser)
     }
 
-    fn begin(&mut self) {
+    fn begin(&mut self, flags: &[&str]) {
         let profile = format!("--user-data-dir={}", self._profile.path().display());
         let arguments = [
             "--headless",
@@ -55,6 +55,7 @@ impl Browser {
             "--window-size=1200,800",
             &profile,
         ];
+        let arguments = [&arguments, flags].concat();
         let options = json!({"goog:chromeOptions": {"args": arguments}, "goog:loggingPrefs": {"browser": "ALL"}});
         let session = self.request("POST", "/session", &json!({"capabilities": {"alwaysMatch": options}}));
         self.session = session["sessionId"].as_str().unwrap_or_else(|| panic!("no session: {session}")).to_owned();

@@ -41,9 +41,10 @@ fn no_output_flag_writes_over_what_is_not_its_own() {
 
     // The scene is absent, and would be missed first if it were read.
     let (splat, absent) = (text(&input), at("absent"));
-    let commands: [&[&str]; 8] = [
+    let commands: [&[&str]; 9] = [
         &["refine", splat, "--data", text(&absent), "--out"],
         &["convert", splat, "--data", text(&absent)],
+        &["export", splat, "--data", text(&absent), "--out"],
         &["evaluate", splat, "--data", text(&absent), "--json"],
         &["render", splat, "--data", text(&absent), "--image", "gallery_000", "--out"],
         &["compare", text(&photo), text(&photo), "--json"],

@@ -1,0 +1,72 @@
+//! A scene before its photos are decoded.
+
+use std::path::{Path, PathBuf};
+
+use genesplat_core::Camera;
+
+use super::{LoadOptions, Point, list, split};
+use crate::colmap::{ImageRecord, Intrinsics, Model};
+use crate::error::SceneError;
+use crate::listing::ListedPhoto;
+use crate::photos::Lens;
+
+/// Where photos are and what took them, and the points of their reconstruction.
+#[derive(Clone, Debug)]
+pub struct SceneList {
+    /// Photos for training and for testing, each part sorted by name.
+    pub photos: Vec<ScenePhoto>,
+    /// Points in the order of their file.
+    pub points: Vec<Point>,
+    /// What the user should know: one sentence each.
+    pub notices: Vec<String>,
+}
+
+/// A photo that exists and is not decoded.
+#[derive(Clone, Debug)]
+pub struct ScenePhoto {
+    /// That of its view: a file name that no other photo of the scene has.
+    pub name: String,
+    /// Its file.
+    pub path: PathBuf,
+    /// At the size that the scene states.
+    pub camera: Camera,
+    /// What bends it; `None` for a pinhole.
+    pub lens: Option<Lens>,
+    /// Whether it is held out.
+    pub is_test: bool,
+}
+
+/// Lists the scene that [`super::load_scene`] would load; `options` say what is held out.
+pub fn list_scene(path: &Path, options: &LoadOptions) -> Result<SceneList, SceneError> {
+    let listing = list(path, options)?;
+    let (train, test) = split::split(listing.photos, &options.hold_out, path)?;
+    let photo = |is_test: bool| {
+        move |ListedPhoto { name, path, camera, lens, .. }: ListedPhoto| ScenePhoto {
+            name,
+            path,
+            camera,
+            lens,
+            is_test,
+        }
+    };
+    let photos = train.into_iter().map(photo(false)).chain(test.into_iter().map(photo(true))).collect();
+    Ok(SceneList { photos, points: listing.points, notices: listing.notices })
+}
+
+/// COLMAP's model of `photos`, by the names of their views, with these points. Each photo has a camera of its own.
+pub fn model_of(photos: &[&ScenePhoto], points: Vec<Point>) -> Model {
+    let mut model = Model { points, ..Model::default() };
+    for (id, photo) in (1u32..).zip(photos) {
+        let Camera { width, height, focal_px, principal_px, camera_from_world_rotation, camera_from_world_translation } =
+            photo.camera;
+        let (q, lens) = (camera_from_world_rotation, photo.lens);
+        model.cameras.insert(id, Intrinsics { width, height, focal_px, principal_px, lens });
+        model.images.push(ImageRecord {
+            name: photo.name.clone(),
+            camera: id,
+            rotation: [q.w, q.x, q.y, q.z],
+            translation: camera_from_world_translation.to_array(),
+        });
+    }
+    model
+}

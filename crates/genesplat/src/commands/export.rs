@@ -1,0 +1,76 @@
+//! `genesplat export`: a splat as a page to send.
+
+use std::io::Write;
+use std::path::Path;
+
+use anyhow::{Result, ensure};
+use genesplat::core::{Backend, Camera, RenderSettings, View};
+use genesplat::io::format::{self, Options, SpzVersion};
+use genesplat::io::{Scene, shown};
+use genesplat::viewer::standalone::{Shot, Standalone, thumbnail_camera};
+use genesplat::viewer::{Framing, Split};
+
+use crate::args::ExportArgs;
+use crate::terminal::numbers::thousands;
+use crate::terminal::output;
+use crate::terminal::progress::Bar;
+use crate::{device, files, splat};
+
+/// Browsers tell a page by its name.
+pub(crate) fn check_name(out: &Path) -> Result<()> {
+    let is_page = out.extension().is_some_and(|end| end.eq_ignore_ascii_case("html"));
+    ensure!(is_page, "{} would not open as a page; end its name in .html", shown(out));
+    Ok(())
+}
+
+pub(crate) fn run(args: &ExportArgs) -> Result<()> {
+    device::use_threads(args.machine.threads)?;
+    let splat = splat::open(&args.splat)?.on(args.on);
+    let scene = splat.find_scene(&args.splat, args.data.as_deref(), &args.photos)?;
+    let settings = splat.settings;
+    let options =
+        Options { screen_filter: settings.filter, sh_degree: settings.sh_degree, spz_version: SpzVersion::V3 };
+    let spz = format::spz_bytes(&args.out, &splat.cloud, &options)?;
+    let framing = scene.as_ref().and_then(|scene| Framing::of_cameras(&cameras(scene)));
+    let framing = framing.unwrap_or_else(|| Framing::of_cloud(&splat.cloud));
+    let (title, gaussians) = (title(args, scene.as_ref()), splat.cloud.len());
+    let shots = match &scene {
+        Some(scene) => {
+            let mut backend = device::open(args.machine.device.unwrap_or_default())?;
+            backend.upload(splat.cloud.into())?;
+            shoot(scene, backend.as_mut(), &settings)?
+        }
+        None => Vec::new(),
+    };
+    let page = Standalone { title: &title, spz: &spz, gaussians, settings: &settings, framing, shots: &shots }.html();
+    files::write_file(&args.out, |out| out.write_all(page.as_bytes()))?;
+    let (count, views) = (thousands(gaussians), shots.len());
+    let (bytes, out) = (thousands(page.len()), shown(&args.out));
+    output::print(&format!("{count} Gaussians and {views} cameras written to {out}: {bytes} bytes"))
+}
+
+fn cameras(scene: &Scene) -> Vec<Camera> {
+    scene.train.iter().chain(&scene.test).map(|view| view.camera).collect()
+}
+
+fn title(args: &ExportArgs, scene: Option<&Scene>) -> String {
+    let of_file = || args.splat.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    let found = args.title.clone().or_else(|| scene.map(|scene| scene.name.clone()));
+    found.unwrap_or_else(of_file)
+}
+
+/// The cameras to jump to, each with what the splat looks like from there: of photos that training never saw, else of all.
+fn shoot(scene: &Scene, backend: &mut dyn Backend, settings: &RenderSettings) -> Result<Vec<Shot>> {
+    let (split, views) = match scene.test.is_empty() {
+        true => (Split::Train, &scene.train),
+        false => (Split::Test, &scene.test),
+    };
+    let mut bar = Bar::new("cameras", views.len() as u64);
+    let mut shots = Vec::with_capacity(views.len());
+    for (done, View { name, camera, .. }) in (1..).zip(views) {
+        let thumbnail = backend.render(&thumbnail_camera(camera), settings)?.to_photo();
+        shots.push(Shot { name: name.clone(), split, camera: *camera, thumbnail });
+        bar.set(done, String::new);
+    }
+    Ok(shots)
+}
