@@ -118,8 +118,10 @@ pub struct TrainStep {
     pub view: usize,
     /// How to render it.
     pub settings: RenderSettings,
-    /// The optimiser step; `None` computes gradients for the statistics only.
+    /// The optimiser step; `None` computes gradients for the statistics only, or for a later step.
     pub update: Option<Update>,
+    /// Where there is no update: add the gradients to [`Moments::pending`], all of which the next optimiser step takes.
+    pub keeps_gradients: bool,
     /// What to accumulate.
     pub statistics: StatisticsRequest,
 }
@@ -302,7 +304,7 @@ pub trait Backend {
     fn set_filter_3d(&mut self, filter: Vec<f32>) -> Result<(), BackendError>;
 }
 
-/// What evolution asks of a device besides training.
+/// What evolution, and density control by pixels, ask of a device besides training.
 pub trait EvolutionBackend: Backend {
     /// Eq. 5 of every individual, a delta over the cloud held, on every view `[P, V]`.
     fn score(
@@ -314,6 +316,10 @@ pub trait EvolutionBackend: Backend {
 
     /// Overwrites the genes of the rows that `delta` names.
     fn apply(&mut self, delta: &SparseDelta, moments: MomentPolicy) -> Result<(), BackendError>;
+
+    /// Sum of each Gaussian's blending weights over the pixels of a training view, each times that pixel's value in `map`
+    /// `[H, W]`; `[N]`.
+    fn weigh(&mut self, view: usize, map: &[f32], settings: &RenderSettings) -> Result<Vec<f32>, BackendError>;
 
     /// How much each Gaussian contributes to training views, and the error where it is seen `[N]`.
     fn contributions(&mut self, views: &[usize], settings: &RenderSettings) -> Result<Vec<Contribution>, BackendError>;

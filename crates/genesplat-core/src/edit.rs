@@ -23,6 +23,12 @@ pub enum Origin {
         /// 0 or 1.
         child: u8,
     },
+    /// Improved-GS: one of two that part along the longest axis and share it ([`LONG_AXIS_OFFSET`] and what follows it).
+    /// Fresh moments.
+    LongAxisChild {
+        /// 0 or 1.
+        child: u8,
+    },
     /// MCMC: one of several copies that together render like the source; fresh moments unless `keep_moments`.
     Relocated {
         /// New opacity logit.
@@ -85,7 +91,10 @@ impl RowEdit {
         cloud.rotations = self.gather(&cloud.rotations);
         cloud.sh = self.gather(&cloud.sh);
         cloud.filter_3d = cloud.filter_3d.as_ref().map(|filter| self.gather(filter));
-        for moment in [&mut moments.first, &mut moments.second] {
+        let Moments { first, second, pending } = moments;
+        // Nothing is pending, or something of every row.
+        let pending = Some(pending).filter(|pending| !pending.is_empty());
+        for moment in [first, second].into_iter().chain(pending) {
             moment.positions = self.gather_kept(&moment.positions, [0.0; 3]);
             moment.log_scales = self.gather_kept(&moment.log_scales, [0.0; 3]);
             moment.opacity_logits = self.gather_kept(&moment.opacity_logits, 0.0);
@@ -116,7 +125,8 @@ impl RowEdit {
                 let ([a, b], [c, _]) = (draw.normals(0), draw.normals(1));
                 [a, b, c]
             }
-            Origin::Twin { child } => twin_offset(cloud.log_scales[row], child),
+            Origin::Twin { child } => along_longest(cloud.log_scales[row], TWIN_OFFSET, child),
+            Origin::LongAxisChild { child } => along_longest(cloud.log_scales[row], LONG_AXIS_OFFSET, child),
             _ => return mean,
         };
         let offset = world_offset(cloud.rotations[row], cloud.log_scales[row], offset_sigmas);
@@ -137,6 +147,21 @@ pub const TWIN_OFFSET: f32 = 0.3;
 /// Twins of anything more opaque than this are made as if it had this opacity.
 pub const TWIN_OPACITY_MAX: f32 = 0.999;
 
+/// How far the centre of a long-axis child is from its parent's, in standard deviations: 0.45 of three.
+pub const LONG_AXIS_OFFSET: f32 = 0.45 * 3.0;
+
+/// Factor on the axis that a long-axis split cuts.
+pub const LONG_AXIS_SHRINK: f32 = 0.55;
+
+/// Factor on the other two: `sqrt(1 − 0.45²)`, the width of the parent's ellipsoid where the children's centres are.
+pub const LONG_AXIS_WIDTH: f32 = 0.893_028_55;
+
+/// Factor on the opacity.
+pub const LONG_AXIS_OPACITY: f32 = 0.6;
+
+/// What the opacity of a parent is taken to be at least, so that its children's have a logit.
+pub const LONG_AXIS_OPACITY_MIN: f32 = 1e-30;
+
 /// Opacity logit of the twins of a Gaussian, and what is added to its log-scales (Kheradmand et al. 2024, Eq. 9): `o' =
 /// 1 − sqrt(1 − o)`, `s'/s = o / (2 o' − o'² / √2)`.
 fn twin(opacity_logit: f32) -> (f32, f32) {
@@ -149,12 +174,28 @@ fn twin(opacity_logit: f32) -> (f32, f32) {
     (logit(each), shrink.ln())
 }
 
-/// Along the longest axis, the first of equal ones; the two children go opposite ways.
-fn twin_offset(log_scale: [f32; 3], child: u8) -> [f32; 3] {
-    let longest = (1..3).fold(0, |best, axis| if log_scale[axis] > log_scale[best] { axis } else { best });
-    let mut offset = [0.0; 3];
-    offset[longest] = if child == 0 { TWIN_OFFSET } else { -TWIN_OFFSET };
-    offset
+/// The longest axis, the first of equal ones.
+fn longest(log_scale: [f32; 3]) -> usize {
+    (1..3).fold(0, |best, axis| if log_scale[axis] > log_scale[best] { axis } else { best })
+}
+
+/// Along the longest axis; the two children go opposite ways.
+fn along_longest(log_scale: [f32; 3], offset: f32, child: u8) -> [f32; 3] {
+    let mut offsets = [0.0; 3];
+    offsets[longest(log_scale)] = if child == 0 { offset } else { -offset };
+    offsets
+}
+
+fn long_axis_scale(log_scale: [f32; 3]) -> [f32; 3] {
+    let mut child = log_scale.map(|value| value + LONG_AXIS_WIDTH.ln());
+    let cut = longest(log_scale);
+    child[cut] = log_scale[cut] + LONG_AXIS_SHRINK.ln();
+    child
+}
+
+fn long_axis_opacity(opacity_logit: f32) -> f32 {
+    // A clamp, which keeps what is not a number.
+    logit(LONG_AXIS_OPACITY * sigmoid(opacity_logit).clamp(LONG_AXIS_OPACITY_MIN, 1.0))
 }
 
 /// The log-scale that a new row gets from a row with this log-scale and opacity logit.
@@ -163,6 +204,7 @@ pub fn new_log_scale(log_scale: [f32; 3], opacity_logit: f32, origin: Origin) ->
         Origin::SplitChild { .. } => log_scale.map(|value| (value.exp() / SPLIT_SHRINK).ln()),
         Origin::Relocated { log_scale_shift, .. } => log_scale.map(|value| value + log_scale_shift),
         Origin::Twin { .. } => log_scale.map(|value| value + twin(opacity_logit).1),
+        Origin::LongAxisChild { .. } => long_axis_scale(log_scale),
         Origin::Kept | Origin::Clone => log_scale,
     }
 }
@@ -171,6 +213,7 @@ fn new_opacity(opacity_logit: f32, origin: Origin) -> f32 {
     match origin {
         Origin::Relocated { opacity_logit, .. } => opacity_logit,
         Origin::Twin { .. } => twin(opacity_logit).0,
+        Origin::LongAxisChild { .. } => long_axis_opacity(opacity_logit),
         _ => opacity_logit,
     }
 }
@@ -248,6 +291,48 @@ mod tests {
             let (logit, log_scale_shift) = twin(logit(opacity));
             assert!(logit.is_finite() && log_scale_shift.is_finite() && log_scale_shift <= 1e-6, "{opacity}");
         }
+    }
+
+    /// By hand: half the opacity becomes 0.3; of axes 1, 4, 2 the middle one is cut, 1.35 x 4 to both sides.
+    #[test]
+    fn a_long_axis_split_parts_its_children_along_the_axis_that_it_cuts() {
+        let mut cloud = Gaussians::zeros(1);
+        (cloud.positions[0], cloud.log_scales[0]) = ([1.0, 2.0, 3.0], [1f32, 4.0, 2.0].map(f32::ln));
+        // A quarter turn about z: y of the Gaussian is -x of the world.
+        cloud.rotations[0] = [std::f32::consts::FRAC_1_SQRT_2, 0.0, 0.0, std::f32::consts::FRAC_1_SQRT_2];
+        cloud.sh[0][7] = 0.25;
+        let parent = cloud.clone();
+        let mut edit = RowEdit::new(Rng::new(1), 0);
+        (0..2).for_each(|child| edit.push(0, Origin::LongAxisChild { child }));
+        let mut moments = Moments::zeros(1);
+        moments.first.opacity_logits[0] = 1.0;
+        moments.pending = parent.clone();
+        edit.apply(&mut cloud, &mut moments);
+        let close = |a: f32, b: f32| (a - b).abs() < 1e-5;
+        for (row, x) in [(0, 1.0 - 5.4), (1, 1.0 + 5.4)] {
+            assert!(close(cloud.positions[row][0], x) && close(cloud.positions[row][1], 2.0), "{:?}", cloud.positions);
+            let scale = cloud.log_scales[row].map(f32::exp);
+            assert!([0.893_028_6, 2.2, 1.786_057_1].iter().zip(scale).all(|(&a, b)| close(a, b)), "{scale:?}");
+            assert!(close(sigmoid(cloud.opacity_logits[row]), 0.3));
+            assert_eq!((cloud.rotations[row], cloud.sh[row]), (parent.rotations[0], parent.sh[0]));
+        }
+        assert_eq!((moments.first.opacity_logits, moments.pending.sh), (vec![0.0; 2], vec![[0.0; SH_STRIDE]; 2]));
+        assert!((LONG_AXIS_WIDTH - (1.0 - 0.45f32.powi(2)).sqrt()).abs() < 1e-7);
+        for opacity_logit in [-200.0, -20.0, 200.0] {
+            assert!(long_axis_opacity(opacity_logit).is_finite(), "{opacity_logit}");
+        }
+    }
+
+    #[test]
+    fn pending_gradients_go_with_the_rows_that_are_kept() {
+        let (mut cloud, mut moments) = (cloud(), Moments::zeros(3));
+        RowEdit::keep(vec![2, 0]).apply(&mut cloud, &mut moments);
+        assert!(moments.pending.is_empty(), "none there, none made");
+        moments.pending = cloud.clone();
+        let mut edit = RowEdit::keep(vec![1, 0]);
+        edit.push(0, Origin::Clone);
+        edit.apply(&mut cloud, &mut moments);
+        assert_eq!(moments.pending.opacity_logits, [0.0, 2.0, 0.0]);
     }
 
     #[test]

@@ -199,21 +199,35 @@ mod flat_rows {
     }
 }
 
-/// Adam's first and second moments of every trained parameter; rows match those of the cloud.
+/// Adam's first and second moments of every trained parameter, and gradients that wait for its next step; rows match those
+/// of the cloud.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Moments {
     /// Running means of the gradients.
     pub first: Gaussians,
     /// Running means of the squared gradients.
     pub second: Gaussians,
+    /// Sums of the gradients since the last step; empty where each step is of one view, as usual.
+    pub pending: Gaussians,
 }
 
 impl Moments {
     /// No history, for `n` rows.
     pub fn zeros(n: usize) -> Self {
+        Self { first: Self::column(n), second: Self::column(n), pending: Gaussians::default() }
+    }
+
+    /// Zeros, where a cloud has the rotation that changes nothing.
+    pub fn column(n: usize) -> Gaussians {
         let mut zero = Gaussians::zeros(n);
         zero.rotations.fill([0.0; 4]);
-        Self { first: zero.clone(), second: zero }
+        zero
+    }
+
+    /// Each column has one row for each of `n` Gaussians, or none where nothing is pending.
+    pub fn is_consistent(&self, n: usize) -> bool {
+        let fits = |values: &Gaussians| values.is_consistent() && values.len() == n;
+        fits(&self.first) && fits(&self.second) && (self.pending == Gaussians::default() || fits(&self.pending))
     }
 }
 

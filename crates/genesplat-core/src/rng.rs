@@ -33,6 +33,8 @@ pub enum Stream {
     Gallery = 12,
     /// Tests and benches.
     Test = 13,
+    /// Which Gaussians Improved-GS splits: (iteration, row, 0).
+    SplitChoice = 14,
 }
 
 /// The random numbers of one seed.

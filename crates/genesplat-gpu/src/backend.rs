@@ -226,6 +226,10 @@ impl EvolutionBackend for GpuBackend {
         self.with_memory(|gpu| gpu.state.apply(&gpu.engine, delta, moments))
     }
 
+    fn weigh(&mut self, view: usize, map: &[f32], settings: &RenderSettings) -> Result<Vec<f32>> {
+        self.with_memory(|gpu| gpu.weigh_by(view, map, settings))
+    }
+
     fn contributions(&mut self, views: &[usize], settings: &RenderSettings) -> Result<Vec<Contribution>> {
         self.with_memory(|gpu| gpu.contributions_to(views, settings))
     }

@@ -48,7 +48,7 @@ impl GpuBackend {
 
     fn submit_step(&mut self, step: &TrainStep) -> Result<()> {
         let pass = self.pass_of(step.view, &step.settings).with_statistics(step.statistics);
-        self.state.reserve_step(&self.engine, step.statistics.genes)?;
+        self.state.reserve_step(&self.engine, step)?;
         let optimiser = step.update.as_ref().map(Optimiser::new);
         self.engine.write(&self.optimiser, 0, optimiser.as_slice());
         let needs = Needs { loss: true, gradient: true };
@@ -56,8 +56,8 @@ impl GpuBackend {
             let Self { state, lists, pixels, optimiser: memory, .. } = gpu;
             pixels.record_loss(recorder, lists, &gpu.views[step.view].photo, &pass);
             pixels.record_backward(recorder, lists, &pass);
-            let (optimiser, request) = (optimiser.as_ref(), step.statistics);
-            Optimise { state, lists, pixels, memory, optimiser, request }.record(recorder);
+            let optimiser = optimiser.as_ref();
+            Optimise { state, lists, pixels, memory, optimiser, step }.record(recorder);
         })?;
         self.state.statistics.has_absolute |= step.statistics.density == Some(DensitySignal::SignedAndAbsolute);
         Ok(())

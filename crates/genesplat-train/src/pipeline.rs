@@ -16,6 +16,8 @@
 //! 6. **Renew.** The Gaussians of least contribution are replaced by splitting those of largest error. The state before
 //!    comes back if guard views are rendered worse when the next renewal is due.
 //!
+//! With Improved-GS, 2 splits along the longest axis what shows edges, 3 is followed by pruning what recovers slowly, and
+//! late steps of the optimiser have the gradients of several views.
 //! With MCMC, a step also adds noise to positions, 2 relocates dead Gaussians and adds others until five sixths of the
 //! run (until half of it, where 6 takes over), and 3 does not happen; 4, 5 and 6 keep their places.
 //!
@@ -158,7 +160,7 @@ impl Trainer<'_> {
     }
 
     fn reset_opacity(&mut self) -> Result<(), TrainError> {
-        self.backend.reset_opacity(self.config.densify.reset_opacity)?;
+        self.backend.reset_opacity(self.config.reset_opacity())?;
         self.averaged = [0; WINDOW_HALVES];
         Ok(())
     }

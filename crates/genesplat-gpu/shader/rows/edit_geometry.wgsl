@@ -1,6 +1,6 @@
 // Row edits of positions, scales and opacities: clones are exact copies, split children are drawn from their parent's
 // own distribution and are 1.6 times smaller, twins part along their longest axis and together render like the one
-// before, relocated Gaussians take over opacity and scales from the plan.
+// before, long-axis children share that axis, relocated Gaussians take over opacity and scales from the plan.
 
 @group(0) @binding(0) var<uniform> window: Window;
 @group(0) @binding(1) var<uniform> edit: Edit;
@@ -18,13 +18,17 @@ fn twin_of(opacity_logit: f32) -> vec2<f32> {
     return vec2(log(opacity) - log(ratio * root), log(ratio / (2.0 - each * FRAC_1_SQRT_2)));
 }
 
-// In standard deviations: along the longest axis, the first of equal ones; the two children go opposite ways.
-fn twin_offset(log_scale: vec3<f32>, child: u32) -> vec3<f32> {
-    let offset = select(-TWIN_OFFSET, TWIN_OFFSET, child == 0u);
+// A unit vector along the longest axis, the first of equal ones.
+fn longest_axis(log_scale: vec3<f32>) -> vec3<f32> {
     if log_scale.z > max(log_scale.x, log_scale.y) {
-        return vec3(0.0, 0.0, offset);
+        return vec3(0.0, 0.0, 1.0);
     }
-    return select(vec3(offset, 0.0, 0.0), vec3(0.0, offset, 0.0), log_scale.y > log_scale.x);
+    return select(vec3(1.0, 0.0, 0.0), vec3(0.0, 1.0, 0.0), log_scale.y > log_scale.x);
+}
+
+// By how much a child moves, in standard deviations: the two go opposite ways.
+fn to_its_side(offset: f32, child: u32) -> f32 {
+    return select(-offset, offset, child == 0u);
 }
 
 @compute @workgroup_size(GROUP)
@@ -47,10 +51,17 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
         position += vec4(unit_rotation(rotation) * (exp(scale.xyz) * xi), 0.0);
         scale = vec4(log(exp(scale.xyz) / SPLIT_SHRINK), scale.w);
     } else if made.y == ORIGIN_TWIN || made.y == ORIGIN_TWIN + 1u {
-        let offset = twin_offset(scale.xyz, made.y - ORIGIN_TWIN);
+        let offset = longest_axis(scale.xyz) * to_its_side(TWIN_OFFSET, made.y - ORIGIN_TWIN);
         let twin = twin_of(position.w);
         position = vec4(position.xyz + unit_rotation(rotation) * (exp(scale.xyz) * offset), twin.x);
         scale += vec4(vec3(twin.y), 0.0);
+    } else if made.y == ORIGIN_LONG_AXIS || made.y == ORIGIN_LONG_AXIS + 1u {
+        let longest = longest_axis(scale.xyz);
+        let offset = longest * to_its_side(LONG_AXIS_OFFSET, made.y - ORIGIN_LONG_AXIS);
+        let each = LONG_AXIS_OPACITY * max(sigmoid(position.w), LONG_AXIS_OPACITY_MIN);
+        position = vec4(
+            position.xyz + unit_rotation(rotation) * (exp(scale.xyz) * offset), log(each) - log(1.0 - each));
+        scale += vec4(log(mix(vec3(LONG_AXIS_WIDTH), vec3(LONG_AXIS_SHRINK), longest)), 0.0);
     } else if made.y == ORIGIN_RELOCATED || made.y == ORIGIN_RELOCATED_KEPT {
         position.w = bitcast<f32>(made.z);
         scale += vec4(vec3(bitcast<f32>(made.w)), 0.0);

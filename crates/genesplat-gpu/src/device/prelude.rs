@@ -6,7 +6,10 @@ use genesplat_core::constants::{
     MIP_EPSILON, NEAR_DEPTH, NOISE_OPACITY, NOISE_STEEPNESS, SSIM_C1, SSIM_C2, SSIM_RADIUS, TRANSMITTANCE_MIN,
     ssim_window,
 };
-use genesplat_core::edit::{SPLIT_SHRINK, TWIN_OFFSET, TWIN_OPACITY_MAX};
+use genesplat_core::edit::{
+    LONG_AXIS_OFFSET, LONG_AXIS_OPACITY, LONG_AXIS_OPACITY_MIN, LONG_AXIS_SHRINK, LONG_AXIS_WIDTH, SPLIT_SHRINK,
+    TWIN_OFFSET, TWIN_OPACITY_MAX,
+};
 use genesplat_core::rng::Stream;
 use genesplat_core::spherical_harmonics::{C0, C1, C2, C3};
 
@@ -44,6 +47,7 @@ fn float_constants() -> Vec<(&'static str, f32)> {
         NEAR_DEPTH ALPHA_MIN ALPHA_MAX TRANSMITTANCE_MIN MIP_EPSILON ANTIALIAS_RATIO_MIN DISCRIMINANT_MIN
         LAMBDA_DSSIM SSIM_C1 SSIM_C2 ADAM_BETA1 ADAM_BETA2 ADAM_EPSILON NOISE_OPACITY NOISE_STEEPNESS
         SPLIT_SHRINK TWIN_OFFSET TWIN_OPACITY_MAX
+        LONG_AXIS_OFFSET LONG_AXIS_SHRINK LONG_AXIS_WIDTH LONG_AXIS_OPACITY LONG_AXIS_OPACITY_MIN
     };
     let own = [
         // The exponent of two at which alpha is 1/255, negated.

@@ -122,6 +122,10 @@ shaders! {
     GENE_STATISTICS = "optimise/gene_statistics" + [];
     ADAM_COLOUR = "optimise/adam_colour" + [ADAM_STEP, COLOUR];
     ADAM_GEOMETRY = "optimise/adam_geometry" + [ADAM_STEP];
+    // The same where an optimiser step has the gradients of several views.
+    KEEP_COLOUR = "optimise/keep_colour" + [COLOUR];
+    KEEP_GEOMETRY = "optimise/keep_geometry" + [];
+    ADAM_PENDING_COLOUR = "optimise/adam_pending_colour" + [ADAM_STEP];
     NOISE = "optimise/noise" + [ROTATION, RANDOM];
     // Edits of rows.
     GATHER = "rows/gather" + [];

@@ -1,5 +1,5 @@
 //! Stage `contribution`: how much each Gaussian contributes to views, and the error where it is seen. As on the CPU,
-//! the backward blending sums them, with ones and errors in the place of the image's gradient.
+//! the backward blending sums them, with ones and errors, or a map, in the place of the image's gradient.
 
 use genesplat_core::{Contribution, RenderSettings};
 
@@ -14,34 +14,67 @@ use crate::state::layout::CONTRIBUTION_FLOATS;
 impl GpuBackend {
     /// Contributions to views `[N]`.
     pub(crate) fn contributions_to(&mut self, views: &[usize], settings: &RenderSettings) -> Result<Vec<Contribution>> {
-        let rows = self.state.rows;
-        let column = Column::zeros(&self.engine, "contributions", rows, CONTRIBUTION_FLOATS)?;
-        let filled = Some((&column.memory, rows));
-        let values: Vec<[f32; CONTRIBUTION_FLOATS as usize]> = self.until_lists_fit(ListsOf::Cloud, filled, |gpu| {
-            // An attempt before may have added some of the views.
-            let mut recorder = Recorder::new(&gpu.engine, None);
-            recorder.clear(&column.memory, column.memory.bytes);
-            recorder.submit();
-            views.iter().try_for_each(|&view| gpu.submit_contributions(view, settings, &column))
+        let values = self.sums_of(|gpu, column| {
+            views.iter().try_for_each(|&view| {
+                gpu.submit_sums(view, settings, column, |gpu, recorder| {
+                    let pass = gpu.pass_of(view, settings);
+                    recorder.stage("contribution_pixels");
+                    let Self { lists, pixels, .. } = gpu;
+                    let parts = [&lists.view, &pixels.image, &gpu.views[view].photo, &pixels.gradient];
+                    recorder.run(&shaders::CONTRIBUTION_PIXELS, &parts.map(Memory::all), pass.tile_grid(1));
+                })
+            })
         })?;
         Ok(values.into_iter().map(|[weight, error]| Contribution { weight, error }).collect())
     }
 
-    fn submit_contributions(&mut self, view: usize, settings: &RenderSettings, contributions: &Column) -> Result<()> {
+    /// Blending weights times a map, summed over one view `[N]`.
+    pub(crate) fn weigh_by(&mut self, view: usize, map: &[f32], settings: &RenderSettings) -> Result<Vec<f32>> {
+        // Where contributions have ones and errors.
+        let mut planes = map.to_vec();
+        planes.resize(3 * map.len(), 0.0);
+        let values = self.sums_of(|gpu, column| {
+            gpu.submit_sums(view, settings, column, |gpu, _| gpu.engine.write(&gpu.pixels.gradient, 0, &planes))
+        })?;
+        Ok(values.into_iter().map(|[sum, _]| sum).collect())
+    }
+
+    /// What views add to a column of sums, which begins with zeros; submitted anew until all lists fit.
+    fn sums_of(
+        &mut self,
+        submit: impl Fn(&mut Self, &Column) -> Result<()>,
+    ) -> Result<Vec<[f32; CONTRIBUTION_FLOATS as usize]>> {
+        let rows = self.state.rows;
+        let column = Column::zeros(&self.engine, "contributions", rows, CONTRIBUTION_FLOATS)?;
+        self.until_lists_fit(ListsOf::Cloud, Some((&column.memory, rows)), |gpu| {
+            // An attempt before may have added some of the views.
+            let mut recorder = Recorder::new(&gpu.engine, None);
+            recorder.clear(&column.memory, column.memory.bytes);
+            recorder.submit();
+            submit(gpu, &column)
+        })
+    }
+
+    /// One view; `fill` puts what is summed where the image's gradient would be.
+    fn submit_sums(
+        &mut self,
+        view: usize,
+        settings: &RenderSettings,
+        sums: &Column,
+        fill: impl FnOnce(&Self, &mut Recorder),
+    ) -> Result<()> {
         let pass = self.pass_of(view, settings);
         let needs = Needs { loss: false, gradient: true };
         self.submit_view(&pass, needs, false, |gpu, recorder| {
+            fill(gpu, recorder);
             let Self { lists, pixels, .. } = gpu;
-            recorder.stage("contribution_pixels");
-            let parts = [&lists.view, &pixels.image, &gpu.views[view].photo, &pixels.gradient];
-            recorder.run(&shaders::CONTRIBUTION_PIXELS, &parts.map(Memory::all), pass.tile_grid(1));
             pixels.record_backward(recorder, lists, &pass);
             recorder.stage("contribution_sum");
             for window in &gpu.state.windows {
                 let [counters, tile_counts, first, gradients] =
                     [&lists.counters, &lists.tile_counts, &lists.first_intersections, &pixels.intersection_gradients]
                         .map(Memory::all);
-                let parts = [window.uniform.all(), counters, tile_counts, first, gradients, contributions.at(window)];
+                let parts = [window.uniform.all(), counters, tile_counts, first, gradients, sums.at(window)];
                 recorder.run(&shaders::CONTRIBUTION_SUM, &parts, Grid::Items(window.count));
             }
         })

@@ -1,13 +1,13 @@
 //! Stages `project_backward`, the statistics, `adam` and `noise`: from gradients of intersections to stepped
 //! parameters.
 
-use genesplat_core::StatisticsRequest;
+use genesplat_core::TrainStep;
 
 use crate::device::{Grid, Memory, Recorder, shaders};
 use crate::stages::lists::Lists;
 use crate::stages::pixels::Pixels;
 use crate::state::layout::{Optimiser, SH_FLOATS};
-use crate::state::{RowWindow, State};
+use crate::state::{Parameters, RowWindow, State};
 
 /// Groups of four coefficients, of three channels each, of a row of colours.
 const SH_GROUPS: u64 = SH_FLOATS as u64 / 12;
@@ -20,7 +20,8 @@ pub(crate) struct Optimise<'a> {
     pub(crate) memory: &'a Memory,
     /// The same here; without it, gradients are for the statistics only.
     pub(crate) optimiser: Option<&'a Optimiser>,
-    pub(crate) request: StatisticsRequest,
+    /// What else is asked for.
+    pub(crate) step: &'a TrainStep,
 }
 
 impl Optimise<'_> {
@@ -30,6 +31,11 @@ impl Optimise<'_> {
         self.state.windows.iter().for_each(|window| self.record_backward(recorder, window));
         recorder.stage("update");
         self.state.windows.iter().for_each(|window| self.record_statistics(recorder, window));
+        if let Some(pending) =
+            self.state.pending.as_ref().filter(|_| self.optimiser.is_some() || self.step.keeps_gradients)
+        {
+            self.state.windows.iter().for_each(|window| self.record_pending(recorder, window, pending));
+        }
         if let Some(optimiser) = self.optimiser {
             self.state.windows.iter().for_each(|window| self.record_adam(recorder, window, optimiser));
         }
@@ -56,14 +62,26 @@ impl Optimise<'_> {
         let [view, counters, tile_counts] =
             [&self.lists.view, &self.lists.counters, &self.lists.tile_counts].map(Memory::all);
         let (uniform, gradients) = (window.uniform.all(), state.gradients.at(window));
-        if self.request.density.is_some() {
+        if self.step.statistics.density.is_some() {
             let parts = [view, uniform, counters, tile_counts, gradients, state.statistics.density.at(window)];
             recorder.run(&shaders::STATISTICS, &parts, grid);
         }
-        if let (true, Some(genes)) = (self.request.genes, &state.statistics.genes) {
+        if let (true, Some(genes)) = (self.step.statistics.genes, &state.statistics.genes) {
             let parts = [uniform, counters, tile_counts, gradients, genes.at(window)];
             recorder.run(&shaders::GENE_STATISTICS, &parts, grid);
         }
+    }
+
+    /// Adds this view's gradients to those that wait; before an optimiser step, those of geometry then come back.
+    fn record_pending(&self, recorder: &mut Recorder, window: &RowWindow, pending: &Parameters) {
+        let State { cloud, gradients, .. } = self.state;
+        let (uniform, counters) = (window.uniform.all(), self.lists.counters.all());
+        let by_view = [self.lists.view.all(), uniform, counters, gradients.at(window)];
+        let parts = [&by_view[..], &[cloud.geometry.at(window), pending.sh.at(window)]].concat();
+        recorder.run(&shaders::KEEP_COLOUR, &parts, Grid::Items(SH_GROUPS * window.count));
+        let parts = [uniform, counters, gradients.at(window), pending.geometry.at(window)];
+        let overrides = [("TAKE", u32::from(self.optimiser.is_some()))];
+        recorder.run_with(&shaders::KEEP_GEOMETRY, &overrides, &parts, Grid::Items(window.count));
     }
 
     /// Colours first: their gradients depend on where the Gaussian was.
@@ -77,8 +95,15 @@ impl Optimise<'_> {
             gradients.at(window),
         ];
         let colour = [cloud.geometry.at(window), cloud.sh.at(window), first.sh.at(window), second.sh.at(window)];
-        let parts = [&head[..], &colour].concat();
-        recorder.run(&shaders::ADAM_COLOUR, &parts, Grid::Items(SH_GROUPS * window.count));
+        if let Some(pending) = &self.state.pending {
+            let [_, uniform, optimiser, counters, _] = head;
+            let [_, colour @ ..] = colour;
+            let parts = [&[uniform, optimiser, counters, pending.sh.at(window)][..], &colour].concat();
+            recorder.run(&shaders::ADAM_PENDING_COLOUR, &parts, Grid::Items(3 * SH_GROUPS * window.count));
+        } else {
+            let parts = [&head[..], &colour].concat();
+            recorder.run(&shaders::ADAM_COLOUR, &parts, Grid::Items(SH_GROUPS * window.count));
+        }
         let geometry = [&cloud.geometry, &first.geometry, &second.geometry].map(|column| column.at(window));
         let parts = [&head[..], &geometry].concat();
         recorder.run(&shaders::ADAM_GEOMETRY, &parts, Grid::Items(window.count));

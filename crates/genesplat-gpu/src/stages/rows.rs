@@ -6,8 +6,8 @@ use genesplat_core::{Origin, RowEdit, SparseDelta};
 use crate::Result;
 use crate::device::{Engine, Grid, Memory, Part, Recorder, shaders};
 use crate::state::layout::{
-    Edit, GRADIENT_FLOATS, ORIGIN_CLONE, ORIGIN_KEPT, ORIGIN_RELOCATED, ORIGIN_RELOCATED_KEPT, ORIGIN_SPLIT,
-    ORIGIN_TWIN,
+    Edit, GRADIENT_FLOATS, ORIGIN_CLONE, ORIGIN_KEPT, ORIGIN_LONG_AXIS, ORIGIN_RELOCATED, ORIGIN_RELOCATED_KEPT,
+    ORIGIN_SPLIT, ORIGIN_TWIN,
 };
 use crate::state::statistics::DeviceStatistics;
 use crate::state::{Column, Parameters, RowWindow, State, pack_genes, window_uniform, windows};
@@ -21,6 +21,7 @@ fn plan_row(source: u32, origin: Origin) -> PlanRow {
         Origin::Clone => [source, ORIGIN_CLONE, 0, 0],
         Origin::SplitChild { child } => [source, ORIGIN_SPLIT + u32::from(child), 0, 0],
         Origin::Twin { child } => [source, ORIGIN_TWIN + u32::from(child), 0, 0],
+        Origin::LongAxisChild { child } => [source, ORIGIN_LONG_AXIS + u32::from(child), 0, 0],
         Origin::Relocated { opacity_logit, log_scale_shift, keep_moments } => {
             let code = if keep_moments { ORIGIN_RELOCATED_KEPT } else { ORIGIN_RELOCATED };
             [source, code, opacity_logit.to_bits(), log_scale_shift.to_bits()]
@@ -57,6 +58,7 @@ impl State {
             cloud: Parameters { geometry: job.geometry(&self.cloud.geometry)?, sh: job.gather(&self.cloud.sh, false)? },
             first: job.moments(&self.first)?,
             second: job.moments(&self.second)?,
+            pending: self.pending.as_ref().map(|pending| job.moments(pending)).transpose()?,
             gradients: Column::zeros(engine, "gradients", 0, GRADIENT_FLOATS)?,
             statistics: DeviceStatistics { genes, ..DeviceStatistics::zeros(engine, rows)? },
             has_filter: self.has_filter,

@@ -60,13 +60,14 @@ shared_constants! {
     GRID_INTERSECTIONS = 3,
     GRID_TILE_SORT = 4,
     GRIDS = 5,
-    // Codes of `genesplat_core::Origin`; the second child of a split, and the second twin, is one more.
+    // Codes of `genesplat_core::Origin`; the second child of a split of either kind, and the second twin, is one more.
     ORIGIN_KEPT = 0,
     ORIGIN_CLONE = 1,
     ORIGIN_SPLIT = 2,
     ORIGIN_RELOCATED = 4,
     ORIGIN_RELOCATED_KEPT = 5,
     ORIGIN_TWIN = 6,
+    ORIGIN_LONG_AXIS = 8,
 }
 
 /// Floats of a splat.

@@ -6,7 +6,7 @@ pub(crate) mod layout;
 pub(crate) mod statistics;
 
 use genesplat_core::averages::WINDOW_HALVES;
-use genesplat_core::{DeviceState, Gaussians, Moments};
+use genesplat_core::{DeviceState, Gaussians, Moments, TrainStep};
 
 use crate::Result;
 use crate::device::Engine;
@@ -15,12 +15,17 @@ pub(crate) use cloud::{Column, Parameters, RowWindow, pack_genes, window_uniform
 use layout::GRADIENT_FLOATS;
 use statistics::DeviceStatistics;
 
+/// What memory for [`State::pending`] is for.
+const PENDING: &str = "gradients of several views";
+
 pub(crate) struct State {
     pub(crate) rows: u64,
     pub(crate) windows: Vec<RowWindow>,
     pub(crate) cloud: Parameters,
     pub(crate) first: Parameters,
     pub(crate) second: Parameters,
+    /// Gradients that wait for an optimiser step, from the first on that did.
+    pub(crate) pending: Option<Parameters>,
     /// Gradients of one step; empty until the first.
     pub(crate) gradients: Column,
     pub(crate) statistics: DeviceStatistics,
@@ -45,6 +50,10 @@ impl State {
             cloud: Parameters::upload(engine, "the cloud", &state.cloud)?,
             first: moment("first moments", &state.moments.first)?,
             second: moment("second moments", &state.moments.second)?,
+            pending: match &state.moments.pending {
+                given if given.is_empty() => None,
+                given => Some(Parameters::upload(engine, PENDING, given)?),
+            },
             gradients: Column::zeros(engine, "gradients", 0, GRADIENT_FLOATS)?,
             statistics: DeviceStatistics::upload(engine, rows, &state.statistics)?,
             has_filter: state.cloud.filter_3d.is_some(),
@@ -59,6 +68,10 @@ impl State {
             moments: Moments {
                 first: self.first.download(engine, self.rows, false)?,
                 second: self.second.download(engine, self.rows, false)?,
+                pending: match &self.pending {
+                    Some(pending) => pending.download(engine, self.rows, false)?,
+                    None => Gaussians::default(),
+                },
             },
             statistics: self.statistics.download(engine, self.rows)?,
             averages: averages::download(engine, self.rows, &self.averages)?,
@@ -70,13 +83,16 @@ impl State {
     }
 
     /// Memory for what a step computes besides.
-    pub(crate) fn reserve_step(&mut self, engine: &Engine, genes: bool) -> Result<()> {
+    pub(crate) fn reserve_step(&mut self, engine: &Engine, step: &TrainStep) -> Result<()> {
         if self.gradients.memory.bytes < (4 * u64::from(GRADIENT_FLOATS) * self.rows).max(1) {
             // What they hold is of a step that is over.
             self.gradients.memory.release();
             self.gradients = Column::zeros(engine, "gradients", self.rows, GRADIENT_FLOATS)?;
         }
-        if genes { self.statistics.reserve_genes(engine, self.rows) } else { Ok(()) }
+        if step.keeps_gradients && self.pending.is_none() {
+            self.pending = Some(Parameters::zeros(engine, PENDING, self.rows)?);
+        }
+        if step.statistics.genes { self.statistics.reserve_genes(engine, self.rows) } else { Ok(()) }
     }
 
     /// Frees what can be made again: gradients and the blend.

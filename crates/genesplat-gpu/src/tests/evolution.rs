@@ -196,6 +196,30 @@ fn contributions_match() {
     assert!(gpu.contributions(&[0], &settings(0, ScreenFilter::Classic)).unwrap().is_empty());
 }
 
+/// The lists do not fit at first; rows are in four windows.
+#[test]
+fn weights_by_a_map_match() {
+    let Some(engine) = engine() else { return };
+    let mut gpu = GpuBackend::on(engine.with_window_rows(128)).unwrap();
+    let mut cpu = cpu();
+    for filter in filters() {
+        let settings = settings(3, filter);
+        gpu.set_intersection_capacity(50);
+        for twin in [&mut gpu as &mut dyn EvolutionBackend, &mut cpu] {
+            twin.set_views(&[view(), small_view()]).unwrap();
+            twin.upload(filtered_cloud(400, filter).into()).unwrap();
+        }
+        for (index, view) in [view(), small_view()].iter().enumerate() {
+            let pixels = (view.camera.width * view.camera.height) as usize;
+            let map: Vec<f32> = (0..pixels).map(|pixel| uniform(11, pixel)).collect();
+            let actual = gpu.weigh(index, &map, &settings).unwrap();
+            compare("contribution", "weights", actual.clone(), cpu.weigh(index, &map, &settings).unwrap()).unwrap();
+            let planted = cpu.weigh(index, &vec![0.5; pixels], &settings).unwrap();
+            assert!(compare("contribution", "weights", actual, planted).is_err(), "another map has other weights");
+        }
+    }
+}
+
 /// Contributions are those of the cloud after all steps, also of those that an overflow has stopped.
 #[test]
 fn contributions_are_of_the_cloud_after_queued_steps() {

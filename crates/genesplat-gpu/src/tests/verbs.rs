@@ -16,9 +16,11 @@ pub(super) fn twins_agree(stage: &str, gpu: &mut GpuBackend, verbs: impl Fn(&mut
         twin.state().unwrap()
     });
     compare_clouds(stage, &actual.cloud, &expected.cloud).unwrap();
-    let Moments { first, second } = &actual.moments;
+    let Moments { first, second, pending } = &actual.moments;
     compare_clouds("project_backward", first, &expected.moments.first).unwrap();
     compare_clouds("project_backward", second, &expected.moments.second).unwrap();
+    assert_eq!(pending.len(), expected.moments.pending.len());
+    compare_clouds("project_backward", pending, &expected.moments.pending).unwrap();
 }
 
 /// Ten steps of everything that a step can do.
@@ -47,6 +49,46 @@ fn noise_matches() {
     let Some(mut gpu) = gpu() else { return };
     let mcmc = McmcStep { noise_scale: 0.3, opacity_weight: 0.01, scale_weight: 0.02, rng: Rng::new(SEED), counter: 0 };
     twins_agree("adam", &mut gpu, |twin| ten_steps(twin, Some(mcmc)));
+}
+
+/// Steps of three views; then two views wait, while rows change.
+fn steps_of_several_views(twin: &mut dyn EvolutionBackend, forgets: bool) {
+    twin.set_views(&[view(), small_view()]).unwrap();
+    twin.upload(filtered_cloud(300, ScreenFilter::Mip).into()).unwrap();
+    let settings = settings(3, ScreenFilter::Mip);
+    for number in 1..=8_u32 {
+        let step = step(number.div_ceil(3), settings);
+        let (waits, view) = (number % 3 != 0, number as usize % 2);
+        let keeps_gradients = waits && !(forgets && number == 8);
+        let update = step.update.filter(|_| !waits);
+        twin.train_step(&TrainStep { view, update, keeps_gradients, ..step }).unwrap();
+    }
+    let mut edit = RowEdit::keep((50..300).rev().collect());
+    (0..20).for_each(|row| edit.push(row, Origin::Clone));
+    twin.edit_rows(&edit).unwrap();
+}
+
+#[test]
+fn steps_of_several_views_match() {
+    let Some(engine) = engine() else { return };
+    let mut gpu = GpuBackend::on(engine.with_window_rows(128)).unwrap();
+    twins_agree("adam", &mut gpu, |twin| steps_of_several_views(twin, false));
+    let state = gpu.state().unwrap();
+    assert!(state.moments.pending.sh.iter().any(|sum| sum[47] != 0.0), "two views wait");
+    gpu.upload(state.clone()).unwrap();
+    assert!(gpu.state().unwrap() == state, "all of it comes back");
+    let mut other = cpu();
+    steps_of_several_views(&mut other, true);
+    let forgotten = other.state().unwrap().moments.pending;
+    assert!(compare_clouds("project_backward", &forgotten, &state.moments.pending).is_err(), "a view is missed");
+}
+
+/// Where the lists of a view do not fit, the steps from there on are repeated: nothing is added twice, or not at all.
+#[test]
+fn gradients_that_wait_survive_an_overflow() {
+    let Some(mut gpu) = gpu() else { return };
+    gpu.set_intersection_capacity(50);
+    twins_agree("adam", &mut gpu, |twin| steps_of_several_views(twin, false));
 }
 
 /// Kept, cloned, split, relocated and pruned rows, then a reset, single genes, a filter and another step.
@@ -115,6 +157,23 @@ pub(super) fn make_twins(twin: &mut dyn EvolutionBackend) {
 fn edits_with_twins_match() {
     let Some(mut gpu) = gpu() else { return };
     twins_agree("edit", &mut gpu, make_twins);
+}
+
+/// Long-axis children of everything that [`make_twins`] has left.
+#[test]
+fn long_axis_splits_match() {
+    let Some(mut gpu) = gpu() else { return };
+    let split = |twin: &mut dyn EvolutionBackend, origin: fn(u8) -> Origin| {
+        make_twins(twin);
+        let mut edit = RowEdit::new(Rng::new(SEED), 0);
+        (0..450).for_each(|row| (0..2).for_each(|child| edit.push(row, origin(child))));
+        twin.edit_rows(&edit).unwrap();
+    };
+    twins_agree("edit", &mut gpu, |twin| split(twin, |child| Origin::LongAxisChild { child }));
+    let mut other = cpu();
+    split(&mut other, |child| Origin::LongAxisChild { child: 1 - child });
+    let swapped = other.download().unwrap();
+    assert!(compare_clouds("edit", &gpu.download().unwrap(), &swapped).is_err(), "each goes to its own side");
 }
 
 /// Twins of poison are poison at most; all others are what they would be without it.
@@ -191,7 +250,7 @@ fn what_is_uploaded_comes_back() {
 
 fn uploads_come_back(gpu: &mut GpuBackend) {
     let cloud = filtered_cloud(130, ScreenFilter::Mip);
-    let moments = Moments { first: super::cloud(130), second: super::cloud(130) };
+    let moments = Moments { first: super::cloud(130), second: super::cloud(130), pending: Gaussians::default() };
     let state = DeviceState { cloud: cloud.clone(), moments, ..DeviceState::default() };
     gpu.upload(state.clone()).unwrap();
     assert_eq!(*gpu.download().unwrap(), cloud);

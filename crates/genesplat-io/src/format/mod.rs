@@ -206,12 +206,7 @@ pub fn write(path: &Path, format: Format, cloud: &Gaussians, options: &Options) 
 ///
 /// # Panics
 /// If the columns of `cloud` have different lengths.
-pub fn to_bytes(
-    path: &Path,
-    format: Format,
-    cloud: &Gaussians,
-    options: &Options,
-) -> Result<Vec<u8>, FormatError> {
+pub fn to_bytes(path: &Path, format: Format, cloud: &Gaussians, options: &Options) -> Result<Vec<u8>, FormatError> {
     if format == Format::Ply {
         let mut bytes = Vec::new();
         ply::write_to(&mut bytes, cloud, &ply_options(options)).expect("a Vec takes all bytes");

@@ -143,6 +143,10 @@ impl Backend for CpuBackend {
         self.ensure_view(&camera)?;
         self.ensure_statistics()?;
         self.grow_statistics(step.statistics);
+        if step.keeps_gradients && self.moments.pending.is_empty() {
+            self.ensure_cloud("gradients of several views")?;
+            self.moments.pending = Moments::column(self.cloud.len());
+        }
         let view = &self.views[step.view];
         self.buffers.render(self.level, &self.cloud, &camera, &settings);
         self.buffers.ensure_gradient_rows()?;

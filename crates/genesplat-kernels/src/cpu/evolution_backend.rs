@@ -6,7 +6,7 @@ use genesplat_core::{
 };
 
 use super::backend::{CpuBackend, TrainView};
-use super::blend::contribution::contribution;
+use super::blend::contribution::{contribution, weigh};
 use super::loss::{Target, loss};
 
 impl EvolutionBackend for CpuBackend {
@@ -31,6 +31,12 @@ impl EvolutionBackend for CpuBackend {
             }
         }
         Ok(())
+    }
+
+    fn weigh(&mut self, view: usize, map: &[f32], settings: &RenderSettings) -> Result<Vec<f32>, BackendError> {
+        self.ensure_contributions(&[view])?;
+        let camera = &self.views[view].camera;
+        Ok(weigh(self.level, &mut self.buffers, &self.cloud, camera, map, settings))
     }
 
     fn contributions(&mut self, views: &[usize], settings: &RenderSettings) -> Result<Vec<Contribution>, BackendError> {

@@ -69,10 +69,16 @@ impl CpuBackend {
         ensure_memory(self.rows() * Gaussians::BYTES_PER_ROW, purpose)
     }
 
+    /// The cloud, its moments, and gradients that wait for a step.
+    fn clouds_held(&self) -> usize {
+        3 + usize::from(!self.moments.pending.is_empty())
+    }
+
     /// A copy of all that is held but the views.
     pub(super) fn ensure_state(&self) -> Result<(), BackendError> {
         let means = self.averages.states().iter().filter(|&&states| states > 0).count();
-        ensure_memory(self.rows() * ((3 + means) * Gaussians::BYTES_PER_ROW + STATISTICS), "a checkpoint")
+        let clouds = self.clouds_held() + means;
+        ensure_memory(self.rows() * (clouds * Gaussians::BYTES_PER_ROW + STATISTICS), "a checkpoint")
     }
 
     pub(super) fn ensure_statistics(&self) -> Result<(), BackendError> {
@@ -81,9 +87,9 @@ impl CpuBackend {
 
     /// As many new rows; columns are made one after the other, and one exists twice.
     pub(super) fn ensure_rows(&self, rows: usize) -> Result<(), BackendError> {
-        let more = rows.saturating_sub(self.rows());
+        let (more, clouds) = (rows.saturating_sub(self.rows()), self.clouds_held());
         ensure_memory(
-            more * 3 * Gaussians::BYTES_PER_ROW + rows * (Gaussians::BYTES_PER_ROW + STATISTICS),
+            more * clouds * Gaussians::BYTES_PER_ROW + rows * (Gaussians::BYTES_PER_ROW + STATISTICS),
             "a larger cloud",
         )
     }

@@ -5,12 +5,18 @@ use genesplat_core::{Photo, RenderSettings, View};
 use super::rasterise_backward::rasterise_backward;
 use super::{Cloud64, Cutoff, background, planes, render, size};
 
-/// `[Σ α·T, Σ α·T·|I − P|]` over the pixels of `view` `[N]`: gradients of colours, by ones and errors.
+/// `[Σ α·T, Σ α·T·|I − P|]` over the pixels of `view` `[N]`.
 pub fn contribution(cloud: &Cloud64, view: &View, settings: &RenderSettings, cutoff: Cutoff) -> Vec<[f64; 2]> {
     let rendered = render(cloud, &view.camera, settings, cutoff);
     let errors = errors(&rendered.picture.image, &view.photo);
-    let (ones, zeros) = (vec![1.0; errors.len()], vec![0.0; errors.len()]);
-    let by_image = [ones, errors, zeros].concat();
+    weigh(cloud, view, settings, cutoff, &errors)
+}
+
+/// `[Σ α·T, Σ α·T·m]` with any `map` `[H, W]` in the place of the errors: gradients of colours, by ones and by the map.
+pub fn weigh(cloud: &Cloud64, view: &View, settings: &RenderSettings, cutoff: Cutoff, map: &[f64]) -> Vec<[f64; 2]> {
+    let rendered = render(cloud, &view.camera, settings, cutoff);
+    let (ones, zeros) = (vec![1.0; map.len()], vec![0.0; map.len()]);
+    let by_image = [&ones, map, &zeros].concat();
     let (splats, size) = (&rendered.splats, size(&view.camera));
     let by_splats = rasterise_backward(splats, size, background(settings), cutoff, &by_image);
     let mut sums = vec![[0.0; 2]; cloud.len()];

@@ -27,7 +27,7 @@ use rasterise_backward::rasterise_backward;
 
 pub use adam::{Moments64, adam};
 pub use cloud::Cloud64;
-pub use contribution::contribution;
+pub use contribution::{contribution, weigh};
 pub use cutoff::Cutoff;
 pub use loss::loss;
 pub use project::{Splat, Symmetric2};

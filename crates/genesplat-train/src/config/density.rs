@@ -42,37 +42,30 @@ pub struct DensifyConfig {
     pub until: u32,
     /// Iterations between two densifications. Default 100; at least 1.
     pub every: u32,
-    /// Gradient that is looked at. Default `published`; or `absolute`, `gof`, for `3dgs` and `mip-splatting` only.
+    /// Gradient that is looked at. Default `published`, the variant's own; or `absolute`, `gof`, for `3dgs` and
+    /// `mip-splatting` only.
     pub signal: Signal,
-    /// Mean screen-space gradient from which a Gaussian grows, in normalised device coordinates. Default 2e-4, and 8e-4
-    /// for the signal `absolute`, which is larger (gsplat's advice; its published comparison has 6e-4); above 0. Lower
-    /// grows more Gaussians.
+    /// Mean screen-space gradient from which a Gaussian grows, in normalised device coordinates. Default 2e-4, 8e-4 for
+    /// the signal `absolute`, which is larger (gsplat's advice; its published comparison has 6e-4), and 3e-4 with
+    /// `improved-gs`, whose signal is absolute, too; above 0. Lower grows more Gaussians.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub gradient_threshold: Option<f32>,
     /// Growing Gaussians up to this size are cloned, larger ones split; in scene extents. Default 0.01; above 0.
+    /// (`improved-gs` splits all of them.)
     pub clone_size: f64,
     /// Fainter Gaussians are pruned. Default 0.005; 0 to 1.
     pub prune_opacity: f32,
-    /// Larger Gaussians are pruned, except with evolution's mode `renew` (`evolution.renewal.spare_large`); in scene
-    /// extents. Default 0.1; above 0. (In forward-facing scenes walls and floors are larger than that, and plain
-    /// training loses them.)
+    /// Larger Gaussians are pruned, except with `improved-gs` and evolution's mode `renew`
+    /// (`evolution.renewal.spare_large`); in scene extents. Default 0.1; above 0. (In forward-facing scenes walls and
+    /// floors are larger than that, and plain training loses them.)
     pub prune_size: f64,
     /// Iteration after which they are. Default 3000.
     pub size_prune_after: u32,
     /// Iterations between two opacity resets. Default 3000; at least 1.
     pub reset_every: u32,
-    /// A reset limits opacity to this. Default 0.01; above 0, below 1.
-    pub reset_opacity: f32,
-}
-
-impl DensifyConfig {
-    /// The signal's threshold.
-    pub fn gradient_threshold(&self) -> f32 {
-        self.gradient_threshold.unwrap_or(match self.signal {
-            Signal::Absolute => 8e-4,
-            Signal::Published | Signal::Gof => 2e-4,
-        })
-    }
+    /// A reset limits opacity to this. Default 0.01, and 0.05 with `improved-gs`; above 0, below 1.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub reset_opacity: Option<f32>,
 }
 
 impl Default for DensifyConfig {
@@ -88,7 +81,7 @@ impl Default for DensifyConfig {
             prune_size: 0.1,
             size_prune_after: 3000,
             reset_every: 3000,
-            reset_opacity: 0.01,
+            reset_opacity: None,
         }
     }
 }

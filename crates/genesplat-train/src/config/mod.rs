@@ -16,6 +16,7 @@ pub use validate::ConfigError;
 
 mod density;
 mod evolution;
+mod of_variant;
 mod validate;
 
 /// Which published method is trained.
@@ -34,11 +35,14 @@ pub enum Variant {
     /// 3DGS-MCMC (Kheradmand et al. 2024): exploration noise and relocation instead of density control and resets.
     #[serde(rename = "mcmc")]
     Mcmc,
+    /// Improved-GS (Deng et al. 2025): splits where edges are, along the longest axis, up to a budget.
+    #[serde(rename = "improved-gs")]
+    ImprovedGs,
 }
 
 impl Variant {
     /// All of them.
-    pub const ALL: [Self; 4] = [Self::ThreeDgs, Self::PixelGs, Self::MipSplatting, Self::Mcmc];
+    pub const ALL: [Self; 5] = [Self::ThreeDgs, Self::PixelGs, Self::MipSplatting, Self::Mcmc, Self::ImprovedGs];
 
     /// As the command and the configuration file write it.
     pub fn name(self) -> &'static str {
@@ -47,6 +51,7 @@ impl Variant {
             Self::PixelGs => "pixel-gs",
             Self::MipSplatting => "mip-splatting",
             Self::Mcmc => "mcmc",
+            Self::ImprovedGs => "improved-gs",
         }
     }
 }
@@ -86,7 +91,7 @@ impl Background {
 pub struct TrainConfig {
     /// Seed of every random stream. Default 0; below 2⁶³, so that the file can hold it.
     pub seed: u64,
-    /// Method. Default `3dgs`; or `pixel-gs`, `mip-splatting`, `mcmc`.
+    /// Method. Default `3dgs`; or `pixel-gs`, `mip-splatting`, `mcmc`, `improved-gs`.
     pub variant: Variant,
     /// Iterations, one view each. Default 30,000; 1 to 100 million once scaled. Changing it alone truncates: rates and
     /// events stay.
@@ -108,8 +113,8 @@ pub struct TrainConfig {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub extent: Option<f64>,
     /// Densification stops at this many Gaussians, and serves the strongest gradients until then. Default: no limit;
-    /// 1,000,000 with `mcmc`, which grows to it whatever the gradients. Evolution's mode `renew` has a limit of its
-    /// own, and the lower one counts (`evolution.renewal.capacity`).
+    /// 1,000,000 with `mcmc` and `improved-gs`, which grow to it along a curve of their own. Evolution's mode `renew` has
+    /// a limit of its own, and the lower one counts (`evolution.renewal.capacity`).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub max_gaussians: Option<usize>,
     /// Iterations between two checkpoints. Default 0: none but that of an interrupted run. Not scaled by `steps_scale`.
@@ -158,18 +163,22 @@ impl TrainConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct OptimiserConfig {
-    /// Rate of positions at the start, in scene extents. Default 1.6e-4; above 0.
-    pub position_start: f64,
-    /// Rate of positions at the end, in scene extents. Default 1.6e-6; above 0.
-    pub position_end: f64,
+    /// Rate of positions at the start, in scene extents. Default 1.6e-4, and 4e-5 with `improved-gs`; above 0.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub position_start: Option<f64>,
+    /// Rate of positions at the end, in scene extents. Default 1.6e-6, and 2e-6 with `improved-gs`; above 0.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub position_end: Option<f64>,
     /// Iterations over which it decays exponentially. Default 30,000; at least 1.
     pub position_steps: u32,
     /// Rate of the base colour. Default 0.0025; not negative.
     pub sh_dc: f32,
     /// Rate of the view-dependent colour. Default 0.0025 / 20; not negative.
     pub sh_rest: f32,
-    /// Rate of the opacity logits. Default 0.05 (later releases of the reference have 0.025); not negative.
-    pub opacity: f32,
+    /// Rate of the opacity logits. Default 0.05 (later releases of the reference have 0.025), and 0.025 with
+    /// `improved-gs`; not negative.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub opacity: Option<f32>,
     /// Rate of the log-scales. Default 0.005; not negative.
     pub scale: f32,
     /// Rate of the quaternions. Default 0.001; not negative.
@@ -179,12 +188,12 @@ pub struct OptimiserConfig {
 impl Default for OptimiserConfig {
     fn default() -> Self {
         Self {
-            position_start: 1.6e-4,
-            position_end: 1.6e-6,
+            position_start: None,
+            position_end: None,
             position_steps: 30_000,
             sh_dc: 2.5e-3,
             sh_rest: 1.25e-4,
-            opacity: 0.05,
+            opacity: None,
             scale: 5e-3,
             rotation: 1e-3,
         }
@@ -220,7 +229,7 @@ impl TrainConfig {
         match self.variant {
             Variant::MipSplatting => ScreenFilter::Mip,
             _ if self.antialiasing => ScreenFilter::Antialiased,
-            Variant::ThreeDgs | Variant::PixelGs | Variant::Mcmc => ScreenFilter::Classic,
+            Variant::ThreeDgs | Variant::PixelGs | Variant::Mcmc | Variant::ImprovedGs => ScreenFilter::Classic,
         }
     }
 

@@ -76,20 +76,21 @@ impl TrainConfig {
             Some(StepBudget::Seconds(seconds)) => seconds,
             _ => 0.0,
         };
+        let [position_start, position_end] = self.position_rates();
         let numbers: [(&'static str, f64, Range); 22] = [
             ("extent", self.extent.unwrap_or(1.0), POSITIVE),
-            ("optimiser.position_start", optimiser.position_start, POSITIVE),
-            ("optimiser.position_end", optimiser.position_end, POSITIVE),
+            ("optimiser.position_start", position_start, POSITIVE),
+            ("optimiser.position_end", position_end, POSITIVE),
             ("optimiser.sh_dc", optimiser.sh_dc.into(), NOT_NEGATIVE),
             ("optimiser.sh_rest", optimiser.sh_rest.into(), NOT_NEGATIVE),
-            ("optimiser.opacity", optimiser.opacity.into(), NOT_NEGATIVE),
+            ("optimiser.opacity", self.opacity_rate().into(), NOT_NEGATIVE),
             ("optimiser.scale", optimiser.scale.into(), NOT_NEGATIVE),
             ("optimiser.rotation", optimiser.rotation.into(), NOT_NEGATIVE),
-            ("densify.gradient_threshold", densify.gradient_threshold().into(), POSITIVE),
+            ("densify.gradient_threshold", self.gradient_threshold().into(), POSITIVE),
             ("densify.clone_size", densify.clone_size, POSITIVE),
             ("densify.prune_size", densify.prune_size, POSITIVE),
             ("densify.prune_opacity", densify.prune_opacity.into(), FRACTION),
-            ("densify.reset_opacity", densify.reset_opacity.into(), (|o| o > 0.0 && o < 1.0, "above 0 and below 1")),
+            ("densify.reset_opacity", self.reset_opacity().into(), (|o| o > 0.0 && o < 1.0, "above 0 and below 1")),
             ("mcmc.growth", mcmc.growth, NOT_NEGATIVE),
             ("mcmc.noise", mcmc.noise.into(), NOT_NEGATIVE),
             ("mcmc.opacity_weight", mcmc.opacity_weight.into(), NOT_NEGATIVE),
@@ -116,9 +117,9 @@ impl TrainConfig {
             "densify.signal",
             densify.signal.name(),
             signal_is_free || densify.signal == Signal::Published,
-            "published with pixel-gs, which is a signal of its own, and with mcmc, which needs none",
+            "published with pixel-gs and improved-gs, which are signals of their own, and with mcmc, which needs none",
         )?;
-        let survives = densify.prune_opacity < densify.reset_opacity;
+        let survives = densify.prune_opacity < self.reset_opacity();
         let wanted = "below densify.reset_opacity, or each reset empties the cloud";
         check("densify.prune_opacity", densify.prune_opacity, survives, wanted)?;
         let is_alone = evolution.extra_steps.is_none() || evolution.mode == EvolutionMode::Off;

@@ -3,7 +3,7 @@
 use genesplat_core::View;
 
 use crate::config::{EvolutionMode, TrainConfig, Variant};
-use crate::densify::mcmc;
+use crate::densify::{improved, mcmc};
 
 /// Training pixels to each Gaussian, for each of √(number of photos), since photos show the same things.
 const PIXELS: f64 = 2.0;
@@ -22,7 +22,11 @@ pub(crate) struct Cap {
 
 impl Cap {
     pub(crate) fn new(config: &TrainConfig, views: &[View]) -> Self {
-        let of_variant = (config.variant == Variant::Mcmc).then_some(mcmc::DEFAULT_CAP);
+        let of_variant = match config.variant {
+            Variant::Mcmc => Some(mcmc::DEFAULT_CAP),
+            Variant::ImprovedGs => Some(improved::DEFAULT_CAP),
+            Variant::ThreeDgs | Variant::PixelGs | Variant::MipSplatting => None,
+        };
         let (mode, capacity) = (config.evolution.mode, config.evolution.renewal.capacity);
         let is_limited = mode == EvolutionMode::Renew && capacity > 0.0;
         let from_photos = is_limited.then(|| cap_from_photos(views, capacity));
@@ -107,6 +111,8 @@ mod tests {
         assert_eq!(cap(renew, Variant::ThreeDgs, None, 0.0), None);
         assert_eq!(cap(off, Variant::ThreeDgs, None, 1.0), None);
         assert_eq!(cap(off, Variant::Mcmc, None, 1.0), Some(mcmc::DEFAULT_CAP));
+        assert_eq!(cap(off, Variant::ImprovedGs, None, 1.0), Some(1_000_000));
+        assert_eq!(cap(off, Variant::ImprovedGs, Some(7), 1.0), Some(7));
         let many = vec![views[0].clone(); 100];
         assert_eq!(cap_from_photos(&many, 1.0), 2000, "600 pixels of one photo over 0.3");
     }

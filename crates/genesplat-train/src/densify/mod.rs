@@ -4,6 +4,8 @@
 
 pub mod adaptive;
 pub(crate) mod cap;
+pub mod edges;
+pub mod improved;
 pub mod mcmc;
 pub(crate) mod renew;
 
@@ -49,6 +51,9 @@ impl Trainer<'_> {
             let rules = mcmc::Rules { min_opacity, growth, cap };
             return Ok(mcmc::plan(&self.healthy_genes()?, &rules, self.rng, i));
         }
+        if self.config.variant == Variant::ImprovedGs {
+            return self.plan_improved(i);
+        }
         let (rules, statistics) = (self.adaptive_rules(i), self.backend.statistics()?);
         Ok(adaptive::plan(&statistics, &self.healthy_genes()?, &rules, self.rng, i))
     }
@@ -58,7 +63,7 @@ impl Trainer<'_> {
         let densify = &self.config.densify;
         let world = |extents: f64| (extents * self.extent) as f32;
         adaptive::Rules {
-            gradient_threshold: densify.gradient_threshold(),
+            gradient_threshold: self.config.gradient_threshold(),
             or_absolute: densify.signal == Signal::Gof,
             clone_size_max: world(densify.clone_size),
             prune_opacity: densify.prune_opacity,
@@ -75,6 +80,7 @@ impl Trainer<'_> {
 pub fn signal(config: &TrainConfig, extent: f64) -> Option<DensitySignal> {
     match (config.variant, config.densify.signal) {
         (Variant::Mcmc, _) => None,
+        (Variant::ImprovedGs, _) => Some(DensitySignal::Absolute),
         (Variant::PixelGs, _) => {
             Some(DensitySignal::PixelWeighted { depth_threshold: (PIXEL_GS_DEPTH * extent) as f32 })
         }

@@ -44,9 +44,7 @@ impl Trial {
 
     /// All columns have the same number of rows, and guards were asked.
     pub(crate) fn is_consistent(&self) -> bool {
-        let columns = [&self.cloud, &self.moments.first, &self.moments.second];
-        self.record.guard_psnr.is_some()
-            && columns.iter().all(|columns| columns.is_consistent() && columns.len() == self.cloud.len())
+        self.record.guard_psnr.is_some() && self.cloud.is_consistent() && self.moments.is_consistent(self.cloud.len())
     }
 }
 

@@ -262,7 +262,7 @@ impl<'a> Trainer<'a> {
 
     /// What Adam is told of a step that is about to be made; its counters stand still for what misses the step.
     fn update(&self, i: u32, step: OptimiserStep) -> Option<Update> {
-        if step == OptimiserStep::Lost {
+        if !step.moves() {
             return None;
         }
         let (rates, counted) = (self.rates(i), self.progress.steps + 1);
@@ -305,8 +305,8 @@ impl<'a> Trainer<'a> {
             fixed => fixed.fixed_colour(),
         };
         let settings = RenderSettings { background, ..self.settings(i) };
-        let update = self.update(i, step);
-        self.backend.train_step(&TrainStep { view, settings, update, statistics })?;
+        let (update, keeps_gradients) = (self.update(i, step), step == OptimiserStep::Later);
+        self.backend.train_step(&TrainStep { view, settings, update, keeps_gradients, statistics })?;
         self.progress.count(step);
         Ok(())
     }

@@ -7,6 +7,9 @@
 use genesplat_core::{DensitySignal, LearningRates, StatisticsRequest};
 use serde::{Deserialize, Serialize};
 
+use improved::ImprovedSteps;
+pub use optimiser_step::OptimiserStep;
+
 use crate::config::{Background, EvolutionMode, TrainConfig, Trigger, Variant};
 
 /// `steps_scale` makes no interval shorter than this, or than it was if that is less. Density control reads statistics of
@@ -81,17 +84,6 @@ impl Phase {
     }
 }
 
-/// Which parameter groups Adam moves in an iteration.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum OptimiserStep {
-    /// All of them.
-    All,
-    /// All but opacity, whose gradients are lost with the tensor that a reset replaces.
-    AllButOpacity,
-    /// None: the reference throws the gradients away.
-    Lost,
-}
-
 /// The settings, and of those that count iterations what scaling and the mode make of them.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Schedule {
@@ -118,6 +110,8 @@ pub struct Schedule {
     pub renew_every: Option<u32>,
     /// The last renewal is begun at or before this iteration.
     pub renew_until: u32,
+    /// What is Improved-GS's own.
+    improved: ImprovedSteps,
     /// Iteration of the last evolution stage or control; 0 for none.
     last_stage: u32,
 }
@@ -147,6 +141,7 @@ impl Schedule {
             reset_until: scaled(densify.until).min(latest(RENEWED_RESETS)),
             renew_every: renews.then(|| of_run(iterations, renewal.every).max(1)),
             renew_until: of_run(iterations, renewal.until),
+            improved: ImprovedSteps::new(scaled, interval),
             last_stage: 0,
             config,
         };
@@ -221,12 +216,14 @@ impl Schedule {
 
     /// Oversized Gaussians are pruned in iteration `i`; with renewal their contribution decides.
     pub fn prunes_by_size(&self, i: u32) -> bool {
-        i > self.size_prune_after && !(self.renew_every.is_some() && self.config.evolution.renewal.spare_large)
+        i > self.size_prune_after
+            && self.config.variant != Variant::ImprovedGs
+            && !(self.renew_every.is_some() && self.config.evolution.renewal.spare_large)
     }
 
     /// Fraction of its limit that the cloud may have reached in iteration `i`. With renewal it grows evenly over
     /// density control: what is wanted first, of photos that were hardly looked at, is not what is needed most. (MCMC
-    /// does not ask.)
+    /// does not ask, and Improved-GS has a curve of its own.)
     pub fn grown(&self, i: u32) -> f64 {
         let last = self.densify_until.saturating_sub(self.densify_every).max(1);
         let grows_evenly = self.renew_every.is_some() && self.config.evolution.renewal.even_growth;
@@ -327,6 +324,8 @@ impl Schedule {
             self.config.variant != Variant::Mcmc && self.is_densify(i) && self.densify_every >= LOSING_INTERVAL_MIN;
         if loses || i >= self.iterations {
             OptimiserStep::Lost
+        } else if !i.is_multiple_of(self.views_of_a_step(i)) {
+            OptimiserStep::Later
         } else if self.is_reset(i) {
             OptimiserStep::AllButOpacity
         } else {
@@ -346,14 +345,14 @@ impl Schedule {
 
     /// Step sizes in iteration `i`; that of positions decays exponentially and scales with the scene.
     pub fn rates(&self, extent: f64, i: u32) -> LearningRates {
-        let rates = &self.config.optimiser;
+        let (rates, [start, end]) = (&self.config.optimiser, self.config.position_rates());
         let t = (f64::from(i) / f64::from(self.position_steps)).min(1.0);
-        let position = (rates.position_start.ln() * (1.0 - t) + rates.position_end.ln() * t).exp();
+        let position = (start.ln() * (1.0 - t) + end.ln() * t).exp();
         LearningRates {
             position: (position * extent) as f32,
             sh_dc: rates.sh_dc,
             sh_rest: rates.sh_rest,
-            opacity: rates.opacity,
+            opacity: self.config.opacity_rate(),
             scale: rates.scale,
             rotation: rates.rotation,
         }
@@ -382,5 +381,7 @@ fn of_run(iterations: u32, fraction: f64) -> u32 {
     (f64::from(iterations) * fraction).round() as u32
 }
 
+mod improved;
+mod optimiser_step;
 #[cfg(test)]
 mod tests;

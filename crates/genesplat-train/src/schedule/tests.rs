@@ -180,6 +180,44 @@ fn the_younger_half_of_every_window_comes_after_density_control() {
     }
 }
 
+#[test]
+fn improved_gs_prunes_after_resets_and_steps_less_often_later() {
+    let schedule = schedule(|config| config.variant = Variant::ImprovedGs);
+    let all = |due: &dyn Fn(u32) -> bool| (1..=30_000).filter(|&i| due(i)).collect::<Vec<_>>();
+    assert_eq!(iterations_with(&schedule, Phase::Densify).len(), 144);
+    assert_eq!(all(&|i| schedule.has_recovered(i)), [3300, 6300, 9300, 12_300]);
+    assert_eq!(all(&|i| schedule.prunes_slow(i)), [3300, 6300]);
+    assert_eq!(all(&|i| schedule.scores_all_views(i)), [3400, 6400]);
+    assert!(!schedule.prunes_by_size(14_900));
+    let budgets = [500, 640, 4000, 14_500, 14_900].map(|i| (1e6 * schedule.budget(i)).round());
+    assert_eq!(budgets, [0.0, 1e5, 5e5, 1e6, 1e6]);
+    assert!(!schedule.is_budget_full(14_500) && schedule.is_budget_full(14_600));
+    let steps = |step| all(&|i| schedule.optimiser_step(i) == step).len();
+    // The last iteration would be the 375th of twenty views.
+    assert_eq!(steps(OptimiserStep::All), 15_000 - 144 + 1500 + 374);
+    assert_eq!(steps(OptimiserStep::Lost), 145);
+    let rates = |i| schedule.rates(2.0, i);
+    assert_eq!((rates(30_000).position, rates(1).opacity), (4e-6, 0.025));
+}
+
+#[test]
+fn improved_gs_scales_its_windows_and_ends_growth_where_renewal_begins() {
+    let tenth = schedule(|config| (config.variant, config.steps_scale) = (Variant::ImprovedGs, 0.1));
+    // Resets at 300, 600, ...; opacities have a hundred iterations, and only the first nine hundred prune what is slow.
+    let all = |due: &dyn Fn(u32) -> bool| (1..=3000).filter(|&i| due(i)).collect::<Vec<_>>();
+    assert_eq!(all(&|i| tenth.has_recovered(i)), [400, 700, 1000, 1300]);
+    assert_eq!(all(&|i| tenth.prunes_slow(i)), [400, 700]);
+    assert_eq!(all(&|i| tenth.scores_all_views(i)), [500, 800]);
+    let late = all(&|i| tenth.optimiser_step(i) == OptimiserStep::Later);
+    assert_eq!((late[0], late.len()), (1501, 750 - 150 + 749 - 37));
+    let renewing = schedule(|config| {
+        (config.variant, config.iterations) = (Variant::ImprovedGs, 7000);
+        config.evolution.mode = EvolutionMode::Renew;
+    });
+    assert_eq!(renewing.densify_until, 4550);
+    assert!(renewing.budget(4400) < 1.0 && renewing.is_budget_full(4500));
+}
+
 fn renewals(change: impl FnOnce(&mut TrainConfig)) -> Vec<u32> {
     let schedule = schedule(|config| {
         config.evolution.mode = EvolutionMode::Renew;

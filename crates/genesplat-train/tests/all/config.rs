@@ -47,7 +47,7 @@ fn unknown_settings_are_errors_that_name_them() {
 #[test]
 fn values_out_of_range_get_a_sentence() {
     type Change = fn(&mut TrainConfig);
-    let cases: [(Change, &str); 16] = [
+    let cases: [(Change, &str); 18] = [
         (|c| c.iterations = 0, "iterations is 0, but must be at least 1"),
         (|c| (c.iterations, c.steps_scale) = (200_000, 1e3), "and at most 100 million"),
         (|c| c.seed = 1 << 63, "seed"),
@@ -60,7 +60,7 @@ fn values_out_of_range_get_a_sentence() {
         (|c| c.densify.every = 0, "densify.every"),
         (|c| c.densify.prune_opacity = 0.5, "each reset empties the cloud"),
         (|c| c.evolution.views = 0, "evolution.views"),
-        (|c| c.densify.reset_opacity = 0.0, "densify.reset_opacity is 0"),
+        (|c| c.densify.reset_opacity = Some(0.0), "densify.reset_opacity is 0"),
         (|c| c.mcmc.growth = f64::INFINITY, "mcmc.growth is inf"),
         (
             |c| (c.variant, c.antialiasing) = (Variant::MipSplatting, true),
@@ -70,6 +70,11 @@ fn values_out_of_range_get_a_sentence() {
             |c| (c.variant, c.densify.signal) = (Variant::PixelGs, Signal::Gof),
             "densify.signal is gof, but must be published with pixel-gs",
         ),
+        (
+            |c| (c.variant, c.densify.signal) = (Variant::ImprovedGs, Signal::Absolute),
+            "densify.signal is absolute, but must be published with pixel-gs and improved-gs",
+        ),
+        (|c| c.optimiser.opacity = Some(-0.5), "optimiser.opacity is -0.5"),
     ];
     for (change, expected) in cases {
         let mut config = TrainConfig::default();
@@ -123,8 +128,27 @@ fn there_are_at_most_sixty_settings() {
     let defaults = toml::Value::try_from(TrainConfig::default()).unwrap();
     // These have no default that a file could name.
     let unset = ["extent", "max_gaussians", "densify.gradient_threshold", "evolution.extra_steps"];
-    let count = settings(&defaults) + unset.len();
+    let of_variant =
+        ["densify.reset_opacity", "optimiser.position_start", "optimiser.position_end", "optimiser.opacity"];
+    let count = settings(&defaults) + unset.len() + of_variant.len();
     assert!(count <= 60, "{count} settings");
+}
+
+#[test]
+fn some_defaults_hang_on_the_variant_and_what_is_set_does_not() {
+    let all = |config: &TrainConfig| {
+        (config.position_rates(), config.opacity_rate(), config.reset_opacity(), config.gradient_threshold())
+    };
+    let mut config = TrainConfig::default();
+    assert_eq!(all(&config), ([1.6e-4, 1.6e-6], 0.05, 0.01, 2e-4));
+    config.densify.signal = Signal::Absolute;
+    assert_eq!(all(&config), ([1.6e-4, 1.6e-6], 0.05, 0.01, 8e-4));
+    config = TrainConfig { variant: Variant::ImprovedGs, ..TrainConfig::default() };
+    assert_eq!(all(&config), ([4e-5, 2e-6], 0.025, 0.05, 3e-4));
+    (config.optimiser.position_start, config.optimiser.position_end) = (Some(1.0), Some(0.5));
+    (config.optimiser.opacity, config.densify.reset_opacity) = (Some(0.25), Some(0.125));
+    config.densify.gradient_threshold = Some(0.75);
+    assert_eq!(all(&config), ([1.0, 0.5], 0.25, 0.125, 0.75));
 }
 
 #[test]

@@ -3,6 +3,7 @@
 mod averaging;
 mod config;
 mod evaluate;
+mod improved;
 mod order;
 mod reconstruct;
 mod renew;

@@ -347,7 +347,7 @@ fn the_cap_holds_and_is_told_once() {
 fn an_emptied_cloud_is_an_error() {
     let mut config = short(|_| {});
     config.densify.prune_opacity = 0.2;
-    config.densify.reset_opacity = 0.3;
+    config.densify.reset_opacity = Some(0.3);
     let error = run(&mut FakeBackend::new(), config).unwrap_err();
     assert!(matches!(error, TrainError::NothingLeft { iteration: 60 }), "{error}");
 }
@@ -355,7 +355,7 @@ fn an_emptied_cloud_is_an_error() {
 #[test]
 fn divergence_is_named() {
     let mut backend = FakeBackend::new();
-    let error = run(&mut backend, short(|config| config.optimiser.position_start = 1e300)).unwrap_err();
+    let error = run(&mut backend, short(|config| config.optimiser.position_start = Some(1e300))).unwrap_err();
     let text = error.to_string();
     assert!(
         text.starts_with("the position of Gaussian ") && text.contains("not finite after 59 optimiser steps"),

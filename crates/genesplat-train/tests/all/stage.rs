@@ -234,7 +234,7 @@ fn extra_steps_of_a_cloud_that_has_diverged_name_the_row() {
     let (mut backend, start) = (FakeBackend::new(), Start::Points(points(30)));
     let mut config = TrainConfig { steps_scale: 0.001, ..TrainConfig::published() };
     (config.evolution.trigger, config.evolution.extra_steps) = (Trigger::AtEnd, Some(StepBudget::Steps(7)));
-    (config.densify.until, config.optimiser.position_start) = (0, 1e300);
+    (config.densify.until, config.optimiser.position_start) = (0, Some(1e300));
     let config = config.resolve().unwrap();
     let stop = AtomicBool::new(false);
     let error = train(&mut backend, &views(20), start, &config, &mut Silent, &stop).unwrap_err().to_string();

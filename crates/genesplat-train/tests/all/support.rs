@@ -42,6 +42,10 @@ pub(crate) enum Call {
     Contributions {
         views: usize,
     },
+    Weigh {
+        view: usize,
+        pixels: usize,
+    },
     Measure {
         blends: Vec<Blend>,
         views: Vec<usize>,
@@ -67,6 +71,8 @@ pub(crate) struct FakeBackend {
     pub statistics: Statistics,
     /// Mean gradient that every step reports for a row.
     pub gradient: fn(usize) -> f32,
+    /// What a row weighs in a view, if not 1.
+    pub weight: Option<fn(usize, usize) -> f32>,
     /// Fitness is the mean squared distance of x from here.
     pub target: f32,
     /// Squared errors rise where losses fall.
@@ -116,6 +122,7 @@ impl FakeBackend {
             moments: Moments::default(),
             statistics: Statistics::default(),
             gradient: |_| 0.0,
+            weight: None,
             target: 3.0,
             poison: None,
             stop_after: None,
@@ -209,11 +216,19 @@ impl FakeBackend {
         }
     }
 
-    /// A step that no two (view, rates, counters, moments) share.
+    /// A step that no two (view, rates, counters, moments, gradients that wait) share.
     fn drift(&mut self, step: &TrainStep) {
+        if step.keeps_gradients {
+            if self.moments.pending.is_empty() {
+                self.moments.pending = Moments::column(self.cloud.len());
+            }
+            let pending = self.moments.pending.positions.iter_mut().enumerate();
+            return pending.for_each(|(row, sum)| sum[0] += (step.view as f32 + 0.1 * row as f32).sin());
+        }
         let Some(update) = step.update else { return };
         for row in 0..self.cloud.len() {
-            let pull = (step.view as f32 + 0.1 * row as f32 + update.step as f32).sin();
+            let waiting = self.moments.pending.positions.get_mut(row).map_or(0.0, |sum| std::mem::take(&mut sum[0]));
+            let pull = (step.view as f32 + 0.1 * row as f32 + update.step as f32).sin() + waiting;
             let moment = &mut self.moments.first.positions[row][0];
             *moment = 0.9 * *moment + 0.1 * pull + step.settings.background[0];
             self.cloud.positions[row][0] += update.rates.position * *moment;
@@ -344,6 +359,12 @@ impl EvolutionBackend for FakeBackend {
         self.calls.push(Call::Apply { rows: delta.rows.len(), moments });
         self.cloud.apply(delta);
         Ok(())
+    }
+
+    fn weigh(&mut self, view: usize, map: &[f32], _: &RenderSettings) -> Result<Vec<f32>, BackendError> {
+        self.settle()?;
+        self.calls.push(Call::Weigh { view, pixels: map.len() });
+        Ok((0..self.cloud.len()).map(|row| self.weight.map_or(1.0, |weight| weight(view, row))).collect())
     }
 
     fn contributions(&mut self, views: &[usize], _: &RenderSettings) -> Result<Vec<Contribution>, BackendError> {

@@ -54,7 +54,8 @@ fn pixel_gs(cloud: &Gaussians, camera: Camera, depth_threshold: f32) -> [(Vec<f6
     let mut backend = CpuBackend::new();
     backend.set_views(&[view]).unwrap();
     backend.upload(cloud.clone().into()).unwrap();
-    backend.train_step(&TrainStep { view: 0, settings, update: None, statistics: request }).unwrap();
+    let step = TrainStep { view: 0, settings, update: None, keeps_gradients: false, statistics: request };
+    backend.train_step(&step).unwrap();
     let found = backend.statistics().unwrap();
     let widen = |values: Vec<f32>| values.into_iter().map(f64::from).collect();
     [(exact.gradient_sum, exact.weight_sum), (widen(found.gradient_sum), widen(found.weight_sum))]

@@ -37,6 +37,12 @@ pub(crate) const VARIANTS: &[Choice<Variant>] = &[
         "3DGS-MCMC (Kheradmand et al. 2024): Gaussians wander, dead ones move to where they are needed, up to --max-gaussians; \
          give it several thousand iterations",
     ),
+    (
+        Variant::ImprovedGs,
+        &["improved-gs"],
+        "Improved-GS (Deng et al. 2025): splits where photos have edges, up to --max-gaussians; lower rates, fewer and larger \
+         steps late",
+    ),
 ];
 
 const PAPER: Choice<EvolutionMode> = (

@@ -64,7 +64,7 @@ impl TrainArgs {
 /// How long, and what kind of training.
 #[derive(Clone, Debug, Default, Args)]
 pub(crate) struct ScheduleArgs {
-    /// Method: the original, or one of three improvements on it [default: 3dgs]
+    /// Method: the original, or one of four improvements on it [default: 3dgs]
     #[arg(long, value_name = "METHOD", value_parser = choice(VARIANTS))]
     variant: Option<Variant>,
     /// Training steps, one photo each [default: 30000]. More is better and slower; alone it cuts the schedule short,
@@ -79,7 +79,7 @@ pub(crate) struct ScheduleArgs {
     #[arg(long, value_name = "S", value_parser = clap::value_parser!(u64).range(SEEDS))]
     seed: Option<u64>,
     /// Stop adding Gaussians at this many [default: as many as the photos can determine; without --evolve renew no limit; 1000000
-    /// with mcmc, which grows towards it by 5 % a time]. Bounds memory (about 1.5 KB a Gaussian) and time
+    /// with mcmc and improved-gs, which grow towards it on a curve of their own]. Bounds memory (about 1.5 KB a Gaussian) and time
     #[arg(long, value_name = "N", value_parser = positive)]
     max_gaussians: Option<usize>,
     /// Iterations between two checkpoints [default: 1000]; 0 for none but that of Ctrl-C and SIGTERM
@@ -147,7 +147,7 @@ impl MethodArgs {
         replace(&mut train.densify.signal, self.densify_signal);
         train.antialiasing |= self.antialiasing;
         let variant = train.variant;
-        let has_own_signal = matches!(variant, Variant::PixelGs | Variant::Mcmc);
+        let has_own_signal = matches!(variant, Variant::PixelGs | Variant::Mcmc | Variant::ImprovedGs);
         ensure!(
             !has_own_signal || self.densify_signal.is_none_or(|signal| signal == Signal::Published),
             "--densify-signal is for 3dgs and mip-splatting, and {variant} grows by a rule of its own; leave the flag out, or train \

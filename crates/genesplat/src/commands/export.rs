@@ -6,7 +6,7 @@ use std::path::Path;
 use anyhow::{Result, ensure};
 use genesplat::core::{Backend, Camera, RenderSettings, View};
 use genesplat::io::format::{self, Options, SpzVersion};
-use genesplat::io::{Scene, shown};
+use genesplat::io::{Format, Scene, shown};
 use genesplat::viewer::standalone::{Shot, Standalone, thumbnail_camera};
 use genesplat::viewer::{Framing, Split};
 

@@ -7,13 +7,14 @@ use genesplat::io::{input, shown};
 
 use super::file::ExperimentFile;
 
-pub(crate) const PRESETS: [(&str, &str); 12] = [
+pub(crate) const PRESETS: [(&str, &str); 13] = [
     ("smoke", include_str!("../../presets/smoke.toml")),
     ("paper-table-2-3", include_str!("../../presets/paper-table-2-3.toml")),
     ("study-evolution", include_str!("../../presets/study-evolution.toml")),
     ("study-paper", include_str!("../../presets/study-paper.toml")),
     ("study-variants", include_str!("../../presets/study-variants.toml")),
     ("study-mcmc", include_str!("../../presets/study-mcmc.toml")),
+    ("study-improved", include_str!("../../presets/study-improved.toml")),
     ("ablation-crossover", include_str!("../../presets/ablation-crossover.toml")),
     ("ablation-trigger", include_str!("../../presets/ablation-trigger.toml")),
     ("ablation-population", include_str!("../../presets/ablation-population.toml")),
@@ -48,7 +49,7 @@ mod tests {
     use crate::experiment::plan::Experiment;
 
     /// Arms whose seconds are all spent on gradient steps.
-    const PLAIN: [&str; 3] = ["off", "strong", "strong-averaged"];
+    const PLAIN: [&str; 4] = ["off", "strong", "strong-averaged", "whole"];
 
     #[test]
     fn every_preset_is_valid_and_has_a_control_for_each_arm_that_evolves() {

@@ -348,7 +348,7 @@ fn configurations_that_are_wrong() {
 fn flags_that_do_not_go_together() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("run");
-    for variant in ["pixel-gs", "mcmc"] {
+    for variant in ["pixel-gs", "mcmc", "improved-gs"] {
         let flags = ["--densify-signal", "absolute", "--variant", variant];
         fail(train(scene(), &out, &flags), &["--densify-signal", variant, "leave the flag out"]);
     }

@@ -41,7 +41,7 @@ fn threads_change_nothing_and_seeds_do() {
 #[test]
 fn threads_change_nothing_in_other_variants_either() {
     let folder = tempfile::tempdir().unwrap();
-    for variant in ["pixel-gs", "mip-splatting", "mcmc"] {
+    for variant in ["pixel-gs", "mip-splatting", "mcmc", "improved-gs"] {
         let run = |threads: &str| {
             let out = folder.path().join(variant).join(threads);
             let flags = ["--variant", variant, "--steps-scale", "0.01", "--max-gaussians", "600"];

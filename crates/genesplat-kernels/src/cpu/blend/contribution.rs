@@ -12,6 +12,25 @@ use super::rasterise_backward::rasterise_backward;
 use crate::cpu::loss::Target;
 use crate::cpu::view::{CHUNK, Pinhole, ViewBuffers};
 
+/// The sums of `map` `[H, W]` in the place of errors, of one view `[N]`.
+pub(crate) fn weigh(
+    level: Level,
+    buffers: &mut ViewBuffers,
+    cloud: &Gaussians,
+    camera: &Pinhole,
+    map: &[f32],
+    settings: &RenderSettings,
+) -> Vec<f32> {
+    buffers.render(level, cloud, camera, settings);
+    buffers.image_gradient.clear();
+    buffers.image_gradient.extend_from_slice(map);
+    buffers.image_gradient.resize(3 * map.len(), 0.0);
+    rasterise_backward(level, buffers, camera, None);
+    let mut sums = vec![0.0; cloud.len()];
+    each_splat(buffers, &mut sums, |total, [sum, _]| *total = sum);
+    sums
+}
+
 /// Adds one view to `contributions` `[N]`.
 pub(crate) fn contribution(
     level: Level,
@@ -24,18 +43,24 @@ pub(crate) fn contribution(
     buffers.render(level, cloud, camera, settings);
     ones_and_errors(&buffers.image, target, &mut buffers.image_gradient);
     rasterise_backward(level, buffers, camera, None);
+    each_splat(buffers, contributions, |total, [weight, error]| {
+        total.weight += weight;
+        total.error = total.error.max(error);
+    });
+}
+
+/// Calls `add` for each row that has a splat, with what the backward blending has summed for red and for green.
+fn each_splat<T: Send>(buffers: &ViewBuffers, totals: &mut [T], add: impl Fn(&mut T, [f32; 2]) + Sync) {
     let ViewBuffers { splats, bins, gradient_rows, .. } = buffers;
-    contributions.par_chunks_mut(CHUNK).enumerate().for_each(|(chunk, contributions)| {
+    totals.par_chunks_mut(CHUNK).enumerate().for_each(|(chunk, totals)| {
         let first = chunk * CHUNK;
         for (index, splat) in (first..).zip(splats.chunk(chunk)) {
-            let (mut weight, mut error) = (0.0, 0.0);
+            let mut sums = [0.0; 2];
             for row in bins.places_of(index).iter().map(|&place| &gradient_rows[place as usize].0) {
-                weight += row[column::RED];
-                error += row[column::RED + 1];
+                sums[0] += row[column::RED];
+                sums[1] += row[column::RED + 1];
             }
-            let total = &mut contributions[splat.row as usize - first];
-            total.weight += weight;
-            total.error = total.error.max(error);
+            add(&mut totals[splat.row as usize - first], sums);
         }
     });
 }

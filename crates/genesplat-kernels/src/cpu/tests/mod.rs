@@ -120,7 +120,8 @@ fn fill(
 fn statistics(cloud: &Gaussians, settings: &RenderSettings, signal: DensitySignal) -> genesplat_core::Statistics {
     let mut backend = backend_with(cloud);
     let request = StatisticsRequest { density: Some(signal), genes: true };
-    backend.train_step(&TrainStep { view: 0, settings: *settings, update: None, statistics: request }).unwrap();
+    let step = TrainStep { view: 0, settings: *settings, update: None, keeps_gradients: false, statistics: request };
+    backend.train_step(&step).unwrap();
     backend.statistics().unwrap()
 }
 

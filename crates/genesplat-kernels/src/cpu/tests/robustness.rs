@@ -1,7 +1,10 @@
 //! What must hold for any input: no thread, no poison and no order of calls changes a result.
 
 use genesplat_core::backend::MomentPolicy;
-use genesplat_core::{Backend, Blend, DeviceState, EvolutionBackend, Gaussians, RowEdit, ScreenFilter, SparseDelta};
+use genesplat_core::{
+    Backend, Blend, DeviceState, EvolutionBackend, Gaussians, RowEdit, ScreenFilter, SparseDelta, StatisticsRequest,
+    TrainStep,
+};
 
 use super::{backend_with, classic_step, flat, mcmc_step};
 use crate::cpu::CpuBackend;
@@ -49,8 +52,10 @@ fn what_evolution_asks_does_not_depend_on_the_number_of_threads() {
             let (views, settings) = ([0, 1, 2], classic_step(1).settings);
             let scores = backend.score(&population, &views, &settings).unwrap();
             let contributions = backend.contributions(&views, &settings).unwrap();
+            let map = vec![0.5; (view().camera.width * view().camera.height) as usize];
+            let weights = backend.weigh(0, &map, &settings).unwrap();
             let blends = [Blend::default(), Blend { weights: [0.5, 0.0] }];
-            (scores, contributions, backend.measure(&blends, &views, &settings).unwrap())
+            (scores, contributions, weights, backend.measure(&blends, &views, &settings).unwrap())
         })
     };
     let one = run(1);
@@ -132,7 +137,10 @@ fn a_state_that_is_uploaded_goes_on_as_the_one_it_was_taken_from() {
     first.train_step(&classic_step(1)).unwrap();
     first.average(1).unwrap();
     first.train_step(&classic_step(2)).unwrap();
+    let statistics = StatisticsRequest::default();
+    first.train_step(&TrainStep { update: None, keeps_gradients: true, statistics, ..classic_step(3) }).unwrap();
     let saved = first.state().unwrap();
+    assert!(saved.moments.pending.opacity_logits.iter().any(|&sum| sum != 0.0), "gradients wait for the next step");
     assert!(saved.averages.states() == [0, 1] && saved.statistics.gene_views.contains(&2));
     let mut second = backend_with(&cloud(10));
     second.upload(saved.clone()).unwrap();

@@ -94,6 +94,31 @@ fn contributions_match_the_reference() {
 }
 
 #[test]
+fn weights_by_a_map_match_the_reference() {
+    for filter in filters() {
+        let (cloud, settings) = (filtered_cloud(400, filter), settings(3, filter));
+        let mut backend = CpuBackend::new();
+        backend.set_views(&[view(), small_view()]).unwrap();
+        backend.upload(cloud.clone().into()).unwrap();
+        for (index, view) in [view(), small_view()].iter().enumerate() {
+            let pixels = (view.camera.width * view.camera.height) as usize;
+            let map: Vec<f32> = (0..pixels).map(|pixel| uniform(11, pixel)).collect();
+            let actual = backend.weigh(index, &map, &settings).unwrap();
+            let actual: Vec<f64> = actual.into_iter().map(f64::from).collect();
+            let by = |map: &[f32]| {
+                let map: Vec<f64> = map.iter().map(|&value| f64::from(value)).collect();
+                let sums = reference::weigh(&Cloud64::from(&cloud), view, &settings, Cutoff::Hard, &map);
+                sums.into_iter().map(|[_, sum]| sum).collect::<Vec<_>>()
+            };
+            compare("weights", actual.clone(), by(&map)).unwrap();
+            let mut planted = map.clone();
+            planted[..pixels / 4].fill(0.0);
+            assert!(compare("weights", actual, by(&planted)).is_err(), "another map has other weights");
+        }
+    }
+}
+
+#[test]
 fn parameter_gradients_match_the_reference() {
     for (filter, with_filter_3d) in filters().into_iter().zip([false, false, true]) {
         for degree in [0, 3] {

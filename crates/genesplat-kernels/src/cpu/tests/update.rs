@@ -2,13 +2,13 @@
 
 use fearless_simd::Level;
 use genesplat_core::backend::McmcStep;
-use genesplat_core::{Backend, Gaussians, ScreenFilter, TrainStep};
+use genesplat_core::{Backend, Gaussians, Moments, ScreenFilter, TrainStep};
 
-use super::{backend_with, buffers_of, classic_step, flat, mcmc_step};
+use super::{backend_with, buffers_of, classic_step, compare_gradients, flat, mcmc_step};
 use crate::cpu::ViewBuffers;
 use crate::cpu::update::{UpdateInputs, tests::gradients};
 use crate::fixtures::{cloud, settings, small_view, view};
-use crate::reference::{self, Cloud64};
+use crate::reference::{self, Cloud64, Cutoff};
 
 #[test]
 fn adam_matches_the_reference() {
@@ -52,6 +52,55 @@ fn ten_steps_match_the_reference(mcmc: Option<McmcStep>) {
         assert!(close(actual.opacity_logits[row], expected.opacity_logits[row]), "opacity of row {row}");
     }
     assert_ne!(actual.positions, start.positions);
+}
+
+/// Two steps of three views each, of which one shows another part of the cloud.
+#[test]
+fn steps_of_several_views_match_the_reference() {
+    let (start, views) = (cloud(300), [view(), small_view()]);
+    let differs = |forget: bool| {
+        let mut backend = backend_with(&start);
+        backend.set_views(&views).unwrap();
+        let (mut expected, mut moments) = (Cloud64::from(&start), reference::Moments64::zeros(300));
+        for number in 1..=2 {
+            let mut sum = Cloud64::zeros(300);
+            let update = classic_step(number).update.unwrap();
+            let settings = classic_step(number).settings;
+            let now = Cloud64::from(backend.download().unwrap().as_ref());
+            for (k, index) in [0, 1, 0].into_iter().enumerate() {
+                let (_, gradients) = reference::gradients(&now, &views[index], &settings, Cutoff::Hard);
+                if !(forget && k == 1) {
+                    add(&mut sum, &gradients.cloud);
+                }
+                let update = (k == 2).then_some(update);
+                let step = TrainStep { view: index, update, keeps_gradients: k < 2, ..classic_step(number) };
+                backend.train_step(&step).unwrap();
+            }
+            reference::adam(&mut expected, &mut moments, &sum, &update);
+        }
+        let state = backend.state().unwrap();
+        assert_eq!(state.moments.pending, Moments::column(300), "all is taken");
+        compare_gradients(&state.moments.first, &moments.first)
+    };
+    differs(false).unwrap();
+    assert!(differs(true).is_err(), "a view that is forgotten is missed");
+}
+
+fn add(sum: &mut Cloud64, more: &Cloud64) {
+    fn columns(cloud: &mut Cloud64) -> [&mut [f64]; 5] {
+        let Cloud64 { positions, log_scales, rotations, opacity_logits, sh, .. } = cloud;
+        [
+            positions.as_flattened_mut(),
+            log_scales.as_flattened_mut(),
+            rotations.as_flattened_mut(),
+            opacity_logits,
+            sh.as_flattened_mut(),
+        ]
+    }
+    let mut more = more.clone();
+    for (sums, values) in columns(sum).into_iter().zip(columns(&mut more)) {
+        sums.iter_mut().zip(values).for_each(|(sum, value)| *sum += *value);
+    }
 }
 
 /// They do not end as denormal numbers, which are slow.

@@ -45,6 +45,8 @@ pub(crate) struct ChunkMut<'a> {
     pub parameters: RowsMut<'a>,
     pub first: RowsMut<'a>,
     pub second: RowsMut<'a>,
+    /// Gradients that wait for an optimiser step; without rows where none do.
+    pub pending: RowsMut<'a>,
     pub statistics: StatisticsMut<'a>,
 }
 
@@ -57,6 +59,7 @@ impl<'a> ChunkMut<'a> {
 }
 
 /// One chunk of a cloud's rows, or of what has its shape.
+#[derive(Default)]
 pub(crate) struct RowsMut<'a> {
     pub positions: &'a mut [[f32; 3]],
     pub log_scales: &'a mut [[f32; 3]],
@@ -80,11 +83,15 @@ pub(crate) fn chunks_mut<'a>(
     moments: &'a mut Moments,
     statistics: &'a mut Statistics,
 ) -> Vec<ChunkMut<'a>> {
+    let mut pending = rows_mut(&mut moments.pending);
     rows_mut(cloud)
         .zip(rows_mut(&mut moments.first))
         .zip(rows_mut(&mut moments.second))
         .zip(statistics_mut(statistics))
-        .map(|(((parameters, first), second), statistics)| ChunkMut { parameters, first, second, statistics })
+        .map(|(((parameters, first), second), statistics)| {
+            let pending = pending.next().unwrap_or_default();
+            ChunkMut { parameters, first, second, pending, statistics }
+        })
         .collect()
 }
 

@@ -8,6 +8,7 @@ mod adam;
 mod chunk;
 mod geometry_backward;
 mod noise;
+mod pending;
 mod project_backward;
 mod statistics;
 
@@ -21,6 +22,7 @@ use super::view::{CHUNK, Pinhole, Splats};
 use adam::adam;
 use chunk::{ChunkGradients, ChunkView, chunks_mut};
 use noise::{noise, regularise};
+use pending::{keep_pending, take_pending};
 use project_backward::project_backward;
 use statistics::add_statistics;
 
@@ -43,7 +45,7 @@ pub(crate) fn update(
     statistics: &mut Statistics,
     step: &TrainStep,
 ) {
-    let (request, step, cloud_rows) = (step.statistics, step.update.as_ref(), cloud.len());
+    let (request, keeps, step, cloud_rows) = (step.statistics, step.keeps_gradients, step.update.as_ref(), cloud.len());
     let filter_3d = cloud.filter_3d.take();
     let work = chunks_mut(cloud, moments, statistics);
     work.into_par_iter().enumerate().for_each_init(ChunkGradients::default, |gradients, (index, mut chunk)| {
@@ -55,10 +57,13 @@ pub(crate) fn update(
             project_backward(simd, inputs, splats, &view, request.density, gradients);
             add_statistics(&mut chunk.statistics, gradients, inputs.splats.seen(index), request);
             if let Some(step) = step {
+                take_pending(gradients, &mut chunk.pending);
                 if let Some(mcmc) = &step.mcmc {
                     regularise(gradients, &chunk.parameters, mcmc, cloud_rows);
                 }
                 adam(simd, step, inputs.settings.sh_degree, gradients, &mut chunk);
+            } else if keeps {
+                keep_pending(gradients, &mut chunk.pending);
             }
         });
         if let Some(mcmc) = step.and_then(|step| step.mcmc.as_ref()) {

@@ -20,7 +20,7 @@ use summed::Summed;
 mod summed;
 
 /// Opens every checkpoint; the last byte is the version of the format.
-const MAGIC: [u8; 8] = *b"GSPLATC\x08";
+const MAGIC: [u8; 8] = *b"GSPLATC\x09";
 
 /// The next thing to do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -56,13 +56,13 @@ pub struct Progress {
 impl Progress {
     /// A step was taken on.
     pub(crate) fn count(&mut self, step: OptimiserStep) {
-        self.steps += u32::from(step != OptimiserStep::Lost);
+        self.steps += u32::from(step.moves());
         self.opacity_steps += u32::from(step == OptimiserStep::All);
     }
 
     /// A step that was taken on will never be made.
     pub(crate) fn take_back(&mut self, step: OptimiserStep) {
-        self.steps -= u32::from(step != OptimiserStep::Lost);
+        self.steps -= u32::from(step.moves());
         self.opacity_steps -= u32::from(step == OptimiserStep::All);
     }
 }
@@ -142,9 +142,8 @@ impl Checkpoint {
         let DeviceState { cloud, moments, statistics, averages } = &self.state;
         let n = cloud.len();
         let genes = [statistics.gene_gradient_sum.len(), statistics.gene_views.len()];
-        let consistent = [cloud, &moments.first, &moments.second]
-            .into_iter()
-            .all(|columns| columns.is_consistent() && columns.len() == n)
+        let consistent = cloud.is_consistent()
+            && moments.is_consistent(n)
             && [statistics.gradient_sum.len(), statistics.weight_sum.len()] == [n, n]
             && [0, n].contains(&statistics.absolute_sum.len())
             && (genes == [n, n] || genes == [0, 0])
@@ -172,6 +171,8 @@ mod tests {
         cloud.filter_3d = Some(vec![0.1, 0.2, 0.3]);
         let mut moments = Moments::zeros(3);
         moments.second.rotations[0] = [1.0, 2.0, 3.0, 4.0];
+        moments.pending = Moments::column(3);
+        moments.pending.sh[1][4] = 0.5;
         let stage = StageRecord {
             kind: StageKind::Renewal,
             iteration: 3000,
@@ -251,12 +252,13 @@ mod tests {
 
     #[test]
     fn columns_must_agree() {
-        let spoil: [fn(&mut Checkpoint); 7] = [
+        let spoil: [fn(&mut Checkpoint); 8] = [
             |checkpoint| _ = checkpoint.state.statistics.weight_sum.pop(),
             |checkpoint| _ = checkpoint.state.statistics.absolute_sum.pop(),
             |checkpoint| _ = checkpoint.state.statistics.gene_views.pop(),
             |checkpoint| _ = checkpoint.state.cloud.sh.pop(),
             |checkpoint| _ = checkpoint.state.moments.second.rotations.pop(),
+            |checkpoint| _ = checkpoint.state.moments.pending.positions.pop(),
             |checkpoint| _ = checkpoint.trial.as_mut().unwrap().cloud.log_scales.pop(),
             |checkpoint| {
                 let mut mean = Gaussians::zeros(3);

@@ -18,6 +18,7 @@ pub(crate) fn step_at_rest(view: usize, settings: RenderSettings, step: u32) -> 
         view,
         settings,
         update: Some(Update { rates, step, opacity_step: step, mcmc: None }),
+        keeps_gradients: false,
         statistics: StatisticsRequest { density: Some(DensitySignal::Signed), genes: false },
     }
 }

@@ -1,0 +1,233 @@
+//! Improved-GS's density control: splits where photos have edges, along the longest axis, up to a budget.
+//!
+//! A Gaussian whose absolute screen-space gradient reaches the threshold is a candidate. Of these, as many as the budget
+//! leaves room for are drawn, in proportion to how much of the photos' edges they stand for ([`super::edges`]), and each is
+//! replaced by two that share its longest axis. Nothing is cloned. What is faint goes, and after a reset the part of the
+//! cloud that has recovered its opacity least: it was there to overfit.
+//! Reference: Deng et al., "Improving Densification in 3D Gaussian Splatting for High-Fidelity Rendering", 2025, and the
+//! code released with it. Where they do not say, faint rows go first, so that room is counted without them.
+
+use genesplat_core::gaussians::sigmoid;
+use genesplat_core::{
+    BackendError, EvolutionBackend, Genes, Origin, RenderSettings, Rng, RowEdit, Statistics, Stream, View,
+};
+
+use super::Plan;
+use super::edges::edges;
+use crate::run::TrainError;
+use crate::run::trainer::Trainer;
+use crate::scene::views::ViewOrder;
+
+/// Gaussians at the end of growth, unless the configuration says otherwise (the authors' for indoor scenes).
+pub const DEFAULT_CAP: usize = 1_000_000;
+
+/// Views that have a say in a densification.
+const SCORE_VIEWS: u32 = 10;
+
+/// Which streams the order of these views is drawn from.
+const SCORE_ORDER: u32 = u32::MAX;
+
+/// Gaussians fainter than this are pruned when opacities have had time to recover from a reset.
+const RECOVERED_OPACITY: f32 = 0.02;
+
+/// Part of the cloud that is then pruned for having recovered slowly.
+const SLOW_FRACTION: f64 = 0.2;
+
+/// The threshold is divided by this once the budget is full: what was pruned is replaced by any that is somewhat wanted.
+const LATE_EASING: f32 = 1.5;
+
+/// Thresholds of one densification.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Rules {
+    /// Mean absolute screen-space gradient from which a Gaussian may be split, in normalised device coordinates.
+    pub gradient_threshold: f32,
+    /// Gaussians that there may be afterwards; more that are there already stay.
+    pub budget: usize,
+    /// Gaussians fainter than this are pruned.
+    pub prune_opacity: f32,
+    /// Part of the cloud that is pruned, the faintest first.
+    pub prune_fraction: f64,
+}
+
+/// Decides one densification; `scores` say how much each row is worth splitting `[N]`, and `iteration` addresses the draw.
+pub fn plan(statistics: &Statistics, genes: &[Genes], scores: &[f32], rules: &Rules, rng: Rng, iteration: u32) -> Plan {
+    let pruned = pruned(genes, rules);
+    let kept = pruned.iter().filter(|&&pruned| !pruned).count();
+    let may_split =
+        |row: usize| !pruned[row] && scores[row] > 0.0 && statistics.mean_gradient(row) >= rules.gradient_threshold;
+    let candidates: Vec<usize> = (0..genes.len()).filter(|&row| may_split(row)).collect();
+    let drawn = draw(&candidates, scores, rules.budget.saturating_sub(kept), rng, iteration);
+    let mut splits = vec![false; genes.len()];
+    drawn.iter().for_each(|&row| splits[row] = true);
+    let mut edit = RowEdit::new(rng, iteration);
+    for (row, at) in (0..).zip(0..genes.len()) {
+        let origins: &[Origin] = match (pruned[at], splits[at]) {
+            (true, _) => &[],
+            (false, false) => &[Origin::Kept],
+            (false, true) => &[Origin::LongAxisChild { child: 0 }, Origin::LongAxisChild { child: 1 }],
+        };
+        origins.iter().for_each(|&origin| edit.push(row, origin));
+    }
+    Plan { split: drawn.len(), pruned: genes.len() - kept, ..Plan::of(edit) }
+}
+
+/// Which rows go: all that are too faint, and at least the given part of the cloud; equally faint ones in row order.
+fn pruned(genes: &[Genes], rules: &Rules) -> Vec<bool> {
+    let opacity = |row: usize| genes[row][6];
+    let mut pruned: Vec<bool> = (0..genes.len()).map(|row| sigmoid(opacity(row)) < rules.prune_opacity).collect();
+    let slow = (rules.prune_fraction * genes.len() as f64) as usize;
+    let mut faintest: Vec<usize> = (0..genes.len()).collect();
+    faintest.sort_by(|&a, &b| opacity(a).total_cmp(&opacity(b)));
+    faintest[..slow].iter().for_each(|&row| pruned[row] = true);
+    pruned
+}
+
+/// At most `room` of the candidates, without replacement, in proportion to their scores: those of largest
+/// `ln(u) / score` (Efraimidis and Spirakis 2006), equal ones in row order.
+fn draw(candidates: &[usize], scores: &[f32], room: usize, rng: Rng, iteration: u32) -> Vec<usize> {
+    if candidates.len() <= room {
+        return candidates.to_vec();
+    }
+    let key = |row: usize| {
+        // Above 0, so that the logarithm is finite.
+        let u = (f64::from(rng.at(Stream::SplitChoice, iteration, row as u32, 0).0[0]) + 0.5) / 4_294_967_296.0;
+        u.ln() / f64::from(scores[row])
+    };
+    let mut keyed: Vec<(f64, usize)> = candidates.iter().map(|&row| (key(row), row)).collect();
+    keyed.sort_by(|(a, _), (b, _)| b.total_cmp(a));
+    keyed.into_iter().take(room).map(|(_, row)| row).collect()
+}
+
+impl Trainer<'_> {
+    /// Decides the densification of iteration `i`.
+    pub(super) fn plan_improved(&mut self, i: u32) -> Result<Plan, TrainError> {
+        let (rules, statistics) = (self.improved_rules(i), self.backend.statistics()?);
+        let genes = self.healthy_genes()?;
+        let scores = if self.schedule.is_budget_full(i) {
+            (0..genes.len()).map(|row| statistics.mean_gradient(row)).collect()
+        } else {
+            let (views, settings) = (self.score_views(i), self.settings(i));
+            edge_scores(self.backend, self.views, &views, &settings)?
+        };
+        Ok(plan(&statistics, &genes, &scores, &rules, self.rng, i))
+    }
+
+    fn improved_rules(&self, i: u32) -> Rules {
+        let (schedule, threshold) = (self.schedule, self.config.gradient_threshold());
+        let cap = self.cap.get().expect("Improved-GS always has a limit");
+        let prune_opacity = self.config.densify.prune_opacity;
+        Rules {
+            gradient_threshold: if schedule.is_budget_full(i) { threshold / LATE_EASING } else { threshold },
+            budget: (cap as f64 * schedule.budget(i)) as usize,
+            prune_opacity: if schedule.has_recovered(i) { prune_opacity.max(RECOVERED_OPACITY) } else { prune_opacity },
+            prune_fraction: if schedule.prunes_slow(i) { SLOW_FRACTION } else { 0.0 },
+        }
+    }
+
+    /// The views that have a say in iteration `i`: in turn, over orders of their own.
+    fn score_views(&self, i: u32) -> Vec<usize> {
+        let views = self.views.len();
+        if self.schedule.scores_all_views(i) || views <= SCORE_VIEWS as usize {
+            return (0..views).collect();
+        }
+        let mut order = ViewOrder::new(self.rng.fork(SCORE_ORDER), views);
+        let turn = i / self.schedule.densify_every * SCORE_VIEWS;
+        (turn..turn + SCORE_VIEWS).map(|visit| order.view(visit)).collect()
+    }
+}
+
+/// How much each Gaussian stands for the edges of `shown`, which are some of the training views `[N]`: its blending weights
+/// times the edge at each pixel, in multiples of the mean of all Gaussians that have any; the mean over these views.
+pub fn edge_scores(
+    backend: &mut dyn EvolutionBackend,
+    views: &[View],
+    shown: &[usize],
+    settings: &RenderSettings,
+) -> Result<Vec<f32>, BackendError> {
+    let mut sums = vec![0.0; backend.gaussian_count()];
+    for &view in shown {
+        let weights = backend.weigh(view, &edges(&views[view].photo), settings)?;
+        let positive = || weights.iter().filter(|&&weight| weight > 0.0).map(|&weight| f64::from(weight));
+        let mean = positive().sum::<f64>() / positive().count().max(1) as f64;
+        let weighed = sums.iter_mut().zip(&weights).filter(|(_, weight)| **weight > 0.0);
+        weighed.for_each(|(sum, &weight)| *sum += f64::from(weight) / mean);
+    }
+    Ok(sums.into_iter().map(|sum| (sum / shown.len().max(1) as f64) as f32).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use genesplat_core::gaussians::logit;
+
+    use super::*;
+
+    const RULES: Rules = Rules { gradient_threshold: 3e-4, budget: 100, prune_opacity: 0.005, prune_fraction: 0.0 };
+
+    /// Rows of these gradients and opacities, seen once.
+    fn cloud(rows: &[(f32, f32)]) -> (Statistics, Vec<Genes>) {
+        let gradient_sum = rows.iter().map(|row| row.0).collect();
+        let statistics = Statistics { gradient_sum, weight_sum: vec![1.0; rows.len()], ..Statistics::default() };
+        (statistics, rows.iter().map(|row| [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, logit(row.1)]).collect())
+    }
+
+    fn decided(rows: &[(f32, f32)], scores: &[f32], rules: &Rules, iteration: u32) -> Plan {
+        let (statistics, genes) = cloud(rows);
+        plan(&statistics, &genes, scores, rules, Rng::new(3), iteration)
+    }
+
+    /// Rows that are split, and rows that are gone.
+    fn fate(plan: &Plan, rows: u32) -> (Vec<u32>, Vec<u32>) {
+        let of = |row: u32| plan.edit.sources.iter().filter(|&&source| source == row).count();
+        ((0..rows).filter(|&row| of(row) == 2).collect(), (0..rows).filter(|&row| of(row) == 0).collect())
+    }
+
+    #[test]
+    fn candidates_have_the_gradient_and_a_score_and_are_there_to_stay() {
+        let rows = [(3e-4, 0.5), (2.9e-4, 0.5), (1.0, 0.5), (1.0, 0.004), (1.0, 0.006)];
+        let decided = decided(&rows, &[1.0, 1.0, 0.0, 1.0, 0.1], &RULES, 600);
+        assert_eq!(fate(&decided, 5), (vec![0, 4], vec![3]));
+        assert_eq!((decided.split, decided.pruned, decided.cloned, decided.refused), (2, 1, 0, 0));
+        let children = [0, 1].map(|child| Origin::LongAxisChild { child });
+        assert_eq!(decided.edit.sources, [0, 0, 1, 2, 4, 4], "children in the place of their parent");
+        assert_eq!(decided.edit.origins[..3], [children[0], children[1], Origin::Kept]);
+    }
+
+    #[test]
+    fn the_budget_counts_what_is_left_after_pruning() {
+        let rows = [(1.0, 0.5), (1.0, 0.5), (1.0, 0.001), (1.0, 0.5), (1.0, 0.5)];
+        for (budget, split) in [(0, 0), (4, 0), (5, 1), (7, 3), (8, 4), (9, 4)] {
+            let decided = decided(&rows, &[1.0; 5], &Rules { budget, ..RULES }, 600);
+            assert_eq!((decided.split, decided.edit.sources.len()), (split, 4 + split));
+        }
+    }
+
+    #[test]
+    fn the_slowest_part_goes_and_all_that_is_fainter_than_may_be() {
+        let rows = [(0.0, 0.5), (0.0, 0.03), (0.0, 0.4), (0.0, 0.02), (0.0, 0.3)];
+        let pruned = |prune_opacity, prune_fraction| {
+            fate(&decided(&rows, &[1.0; 5], &Rules { prune_opacity, prune_fraction, ..RULES }, 600), 5).1
+        };
+        assert!(pruned(0.01, 0.0).is_empty());
+        assert_eq!(pruned(0.01, 0.2), [3]);
+        assert_eq!(pruned(0.01, 0.39), [3], "whole rows");
+        assert_eq!(pruned(0.04, 0.2), [1, 3], "both rules at once");
+        assert_eq!(pruned(0.01, 0.6), [1, 3, 4]);
+    }
+
+    /// Of rows with scores 1, 2 and 5, one at a time: their shares are an eighth, a quarter and the rest; of two drawn
+    /// without replacement, the least is among them at 1/8 + 2/8 · 1/6 + 5/8 · 1/3 = 3/8.
+    #[test]
+    fn rows_are_drawn_in_proportion_to_their_scores() {
+        let rows = [(1.0, 0.5); 3];
+        let (mut one, mut least_of_two) = ([0u32; 3], 0u32);
+        for iteration in 0..8000 {
+            let drawn = |budget| fate(&decided(&rows, &[1.0, 2.0, 5.0], &Rules { budget, ..RULES }, iteration), 3).0;
+            one[drawn(4)[0] as usize] += 1;
+            least_of_two += u32::from(drawn(5)[0] == 0);
+        }
+        // Four standard deviations of a count are at most 4 · sqrt(8000 / 4) = 179.
+        for (count, expected) in one.into_iter().chain([least_of_two]).zip([1000, 2000, 5000, 3000]) {
+            assert!(count.abs_diff(expected) < 180, "{one:?}, {least_of_two}");
+        }
+    }
+}
