@@ -39,6 +39,9 @@ pub(crate) struct TrainArgs {
     pub(crate) resume: bool,
     #[command(flatten)]
     pub(crate) page: TrainPageArgs,
+    /// Also write the curves of the run to DIR/tensorboard, for `tensorboard --logdir DIR` and its like
+    #[arg(long)]
+    pub(crate) tensorboard: bool,
     #[command(flatten)]
     pub(crate) machine: MachineArgs,
     #[command(flatten)]

@@ -140,7 +140,8 @@ impl Half {
     }
 
     fn train(&mut self, scene: &Scene, lpips: Option<&Lpips>, stop: &AtomicBool) -> Result<Option<Metrics>> {
-        let run = Run { settings: &self.settings, scene, lpips, stop, page: None, began: Instant::now() };
+        let run =
+            Run { settings: &self.settings, scene, lpips, stop, page: None, tensorboard: false, began: Instant::now() };
         Ok(match run.execute(&mut self.session)? {
             Ended::Whole(metrics) => Some(metrics),
             Ended::Stopped(_) | Ended::Unscored | Ended::NotBegun => None,

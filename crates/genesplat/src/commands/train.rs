@@ -38,7 +38,8 @@ pub(crate) fn run(args: &TrainArgs) -> Result<Ending> {
     let lpips = lpips::open(&args.lpips)?;
     let settings = config.resolve(args.machine)?;
     let page = args.page.address();
-    let run = Run { settings: &settings, scene: &scene, lpips: lpips.as_ref(), stop: &stop, page, began };
+    let tensorboard = args.tensorboard;
+    let run = Run { settings: &settings, scene: &scene, lpips: lpips.as_ref(), stop: &stop, page, tensorboard, began };
     let ended = run.execute(&mut session)?;
     report(&ended, session.path())
 }

@@ -9,11 +9,14 @@ use genesplat::io::input;
 use genesplat::train::observe::LogRecord;
 
 use super::LOG;
+use super::tensorboard::TensorBoard;
 use crate::files::unwritable;
 
 pub(crate) struct Log {
     path: PathBuf,
     writer: BufWriter<File>,
+    /// Gets every record, too.
+    curves: Option<TensorBoard>,
 }
 
 impl Log {
@@ -28,7 +31,12 @@ impl Log {
         if resumes && last_byte(&path).is_some_and(|byte| byte != b'\n') {
             writer.write_all(b"\n").map_err(|error| unwritable(&path, &error))?;
         }
-        Ok(Self { path, writer })
+        Ok(Self { path, writer, curves: None })
+    }
+
+    /// The same, with its curves for TensorBoard beside it.
+    pub(crate) fn with_curves(self, curves: Option<TensorBoard>) -> Self {
+        Self { curves, ..self }
     }
 
     /// Appends one line, and hands it to the system: a log that is followed must not lag behind. Where the log was
@@ -41,7 +49,8 @@ impl Log {
         let line = serde_json::to_string(record).expect("plain data with text keys is always JSON");
         writeln!(self.writer, "{line}")
             .and_then(|()| self.writer.flush())
-            .map_err(|error| unwritable(&self.path, &error))
+            .map_err(|error| unwritable(&self.path, &error))?;
+        self.curves.as_mut().map_or(Ok(()), |curves| curves.append(record))
     }
 }
 

@@ -5,6 +5,7 @@
 //! |---|---|
 //! | `config.toml` | every setting, resolved; `--config` repeats the run |
 //! | `log.jsonl` | one line a report |
+//! | `tensorboard/events.out.tfevents.genesplat` | its curves for TensorBoard, where they were asked for |
 //! | `point_cloud.ply` | the splat, in the layout that every viewer opens |
 //! | `point_cloud_fused.ply` | Mip-Splatting: the same with its 3D filter baked in, for viewers that do not know it |
 //! | `test/NAME.png` | renders of the photos that training never saw |
@@ -15,7 +16,7 @@
 //! | `previous/` | what an older run had left, until this one has come to its end |
 //! | `.lock` | empty; whoever writes to the folder holds its lock |
 //!
-//! All but the log are written whole or not at all, so that a full disk or a power cut leaves what was there before.
+//! All but the log and its curves are written whole or not at all, so that a full disk or a power cut leaves what was there before.
 
 pub(crate) mod failure;
 pub(crate) mod log;
@@ -24,12 +25,14 @@ pub(crate) mod metrics;
 pub(crate) mod photos;
 pub(crate) mod previous;
 pub(crate) mod session;
+pub(crate) mod tensorboard;
 pub(crate) mod test_curve;
 pub(crate) mod training;
 
 pub(crate) const CONFIG: &str = "config.toml";
 pub(crate) const METRICS: &str = "metrics.json";
 pub(crate) const LOG: &str = "log.jsonl";
+pub(crate) const EVENTS: &str = "tensorboard/events.out.tfevents.genesplat";
 pub(crate) const REPORT: &str = "report.html";
 pub(crate) const CLOUD: &str = "point_cloud.ply";
 pub(crate) const FUSED_CLOUD: &str = "point_cloud_fused.ply";
@@ -38,4 +41,4 @@ pub(crate) const SNAPSHOTS: &str = "snapshots";
 pub(crate) const CHECKPOINT: &str = "checkpoint/latest.checkpoint";
 
 /// The files that a run leaves beside its settings and pictures; first what is worth most.
-const RESULTS: [&str; 6] = [CLOUD, FUSED_CLOUD, METRICS, LOG, REPORT, CHECKPOINT];
+const RESULTS: [&str; 7] = [CLOUD, FUSED_CLOUD, METRICS, LOG, EVENTS, REPORT, CHECKPOINT];

@@ -22,7 +22,7 @@ use crate::scene::names_of_pictures;
 use crate::terminal::output;
 
 /// The folders that results are in.
-const FOLDERS: [&str; 2] = [TEST, "checkpoint"];
+const FOLDERS: [&str; 3] = [TEST, "checkpoint", "tensorboard"];
 
 /// How far things are, as `previous/` says itself: a run of the user's own that is called so does not.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

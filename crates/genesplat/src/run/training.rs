@@ -18,6 +18,7 @@ use genesplat::viewer::{LiveView, Phase};
 use super::log::Log;
 use super::metrics::{Metrics, PhaseSeconds};
 use super::session::{Caller, RunSession, read_checkpoint};
+use super::tensorboard::TensorBoard;
 use super::test_curve::TestCurve;
 use super::{CONFIG, TEST, failure, memory, photos};
 use crate::device::Device;
@@ -35,6 +36,8 @@ pub(crate) struct Run<'a> {
     pub(crate) stop: &'a AtomicBool,
     /// Where a page shows the run while it trains.
     pub(crate) page: Option<SocketAddr>,
+    /// Whether TensorBoard gets the curves.
+    pub(crate) tensorboard: bool,
     pub(crate) began: Instant,
 }
 
@@ -64,7 +67,8 @@ impl Run<'_> {
         session.begin(&self.settings.to_toml())?;
         let load = self.began.elapsed().as_secs_f64();
         memory::forget_peak();
-        let log = Log::open(session.path(), session.resumes())?;
+        let curves = self.tensorboard.then(|| TensorBoard::open(session.path(), session.resumes())).transpose()?;
+        let log = Log::open(session.path(), session.resumes())?.with_curves(curves);
         let start = self.start(session)?;
         let ended = self.train(session, &mut device, start, log, live, load);
         ended.map_err(|error| failure::explain(error, session.path(), session.caller()))

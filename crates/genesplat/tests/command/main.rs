@@ -22,5 +22,6 @@ mod resume;
 mod run_folder;
 mod scale;
 mod support;
+mod tensorboard;
 mod terminal;
 mod tools;

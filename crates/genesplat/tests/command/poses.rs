@@ -6,20 +6,7 @@ use std::process::{Command, Output};
 
 use genesplat::io::photos::{read_photo, resize, write_png};
 
-use crate::support::{command, fail, json, judge_failure, number, real_data, scene, text};
-
-/// The Python of `.ci/run`, or the one that `GENESPLAT_PYTHON` names, where it has this module.
-fn python_with(module: &str) -> Option<PathBuf> {
-    let of_ci = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../target/venv/bin/python");
-    let python = std::env::var_os("GENESPLAT_PYTHON").map_or(of_ci, PathBuf::from);
-    let import = format!("import {module}");
-    let has_it = Command::new(&python).args(["-c", &import]).output().is_ok_and(|ran| ran.status.success());
-    assert!(has_it || std::env::var("CI").as_deref() != Ok("true"), "{} has no {module}", python.display());
-    if !has_it {
-        eprintln!("skipped: {} has no {module} (see .ci/run)", python.display());
-    }
-    has_it.then_some(python)
-}
+use crate::support::{command, fail, json, judge_failure, number, python_with, real_data, scene, text};
 
 /// Twelve neighbouring photos of fox at half their size.
 fn small_photos(folder: &Path) -> Option<PathBuf> {

@@ -24,7 +24,7 @@ fn interrupt(out: &Path, more: &[&str], sign: &str) -> String {
 }
 
 /// Starts a run that reports to `out`, and sends it a signal once its log holds a line with `sign`.
-fn signal(command: &mut Command, out: &Path, sign: &str, signal: &str) -> Output {
+pub(crate) fn signal(command: &mut Command, out: &Path, sign: &str, signal: &str) -> Output {
     meddle_and_signal(command, out, sign, signal, || ())
 }
 

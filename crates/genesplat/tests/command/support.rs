@@ -136,3 +136,16 @@ pub(crate) fn real_data() -> Option<PathBuf> {
 pub(crate) fn skipped(why: &str) {
     let _ = writeln!(std::io::stderr(), "skipped: {why}");
 }
+
+/// The Python of `.ci/run`, or the one that `GENESPLAT_PYTHON` names, where it has this module.
+pub(crate) fn python_with(module: &str) -> Option<PathBuf> {
+    let of_ci = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../target/venv/bin/python");
+    let python = std::env::var_os("GENESPLAT_PYTHON").map_or(of_ci, PathBuf::from);
+    let import = format!("import {module}");
+    let has_it = Command::new(&python).args(["-c", &import]).output().is_ok_and(|ran| ran.status.success());
+    assert!(has_it || std::env::var("CI").as_deref() != Ok("true"), "{} has no {module}", python.display());
+    if !has_it {
+        skipped(&format!("{} has no {module} (see .ci/run)", python.display()));
+    }
+    has_it.then_some(python)
+}
