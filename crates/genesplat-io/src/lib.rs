@@ -21,5 +21,5 @@ pub use error::SceneError;
 pub use format::{Format, FormatError};
 pub use photos::PhotoSize;
 pub use ply::{PlyError, PlyOptions, read_ply, write_ply};
-pub use scene::{HoldOut, LoadOptions, LoadProgress, Point, SIDE_MIN_PX, Scene, load_points, load_scene};
+pub use scene::{HoldOut, LoadOptions, LoadProgress, MaskUse, Point, SIDE_MIN_PX, Scene, load_points, load_scene};
 pub use shown::shown;

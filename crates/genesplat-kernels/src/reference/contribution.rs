@@ -2,6 +2,7 @@
 
 use genesplat_core::{Photo, RenderSettings, View};
 
+use super::loss::hidden;
 use super::rasterise_backward::rasterise_backward;
 use super::{Cloud64, Cutoff, background, planes, render, size};
 
@@ -11,6 +12,7 @@ pub fn contribution(cloud: &Cloud64, view: &View, settings: &RenderSettings, cut
     let errors = errors(&rendered.picture.image, &view.photo);
     let (ones, zeros) = (vec![1.0; errors.len()], vec![0.0; errors.len()]);
     let by_image = [ones, errors, zeros].concat();
+    let by_image = view.mask.as_ref().map_or(by_image.clone(), |mask| hidden(&by_image, mask));
     let (splats, size) = (&rendered.splats, size(&view.camera));
     let by_splats = rasterise_backward(splats, size, background(settings), cutoff, &by_image);
     let mut sums = vec![[0.0; 2]; cloud.len()];

@@ -27,7 +27,7 @@ mod train;
 pub(crate) use bench::{Bench, BenchEvolutionArgs, BenchGpuArgs, BenchStepArgs, SourceArgs, WorkloadArgs};
 pub(crate) use convert::ConvertArgs;
 pub(crate) use page::{PathChoice, TrainPageArgs, ViewArgs};
-pub(crate) use photos::PhotosArgs;
+pub(crate) use photos::{PhotosArgs, is_near};
 pub(crate) use poses::PosesArgs;
 pub(crate) use train::{EvolutionArgs, TrainArgs};
 

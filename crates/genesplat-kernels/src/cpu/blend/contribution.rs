@@ -23,6 +23,7 @@ pub(crate) fn contribution(
 ) {
     buffers.render(level, cloud, camera, settings);
     ones_and_errors(&buffers.image, target, &mut buffers.image_gradient);
+    target.hide(&mut buffers.image_gradient);
     rasterise_backward(level, buffers, camera, None);
     let ViewBuffers { splats, bins, gradient_rows, .. } = buffers;
     contributions.par_chunks_mut(CHUNK).enumerate().for_each(|(chunk, contributions)| {
