@@ -12,7 +12,7 @@ use crate::constants::{CLASSIC_DILATION, MIP_DILATION};
 use crate::edit::RowEdit;
 use crate::gaussians::{Gaussians, Moments};
 use crate::genes::{Genes, SparseDelta};
-use crate::image::{Image, Photo};
+use crate::image::{Image, Mask, Photo};
 use crate::rng::Rng;
 use crate::statistics::{Contribution, Statistics, StatisticsRequest};
 
@@ -25,6 +25,15 @@ pub struct View {
     pub camera: Camera,
     /// 8-bit RGB.
     pub photo: Arc<Photo>,
+    /// `None` where all of its pixels count.
+    pub mask: Option<Arc<Mask>>,
+}
+
+impl View {
+    /// Pixels that count.
+    pub fn counted_pixels(&self) -> usize {
+        self.mask.as_ref().map_or(self.photo.rgb.len() / 3, |mask| mask.counted())
+    }
 }
 
 /// What is done to a projected covariance so that no splat falls between pixels.

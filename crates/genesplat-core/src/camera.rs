@@ -2,6 +2,8 @@
 
 use glam::{DMat3, DQuat, DVec3};
 
+use crate::constants::NEAR_DEPTH;
+
 /// A pinhole camera and its pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Camera {
@@ -17,6 +19,8 @@ pub struct Camera {
     pub camera_from_world_rotation: DQuat,
     /// Translation part of `camera_from_world`.
     pub camera_from_world_translation: DVec3,
+    /// What lies at or before this depth is not drawn, world units.
+    pub near: f64,
 }
 
 impl Camera {
@@ -61,9 +65,27 @@ impl Camera {
     }
 }
 
+/// The near plane of cameras that stand at these places, world units: [`NEAR_DEPTH`], or less where the scene is smaller
+/// than usual.
+pub fn near_of(centres: &[DVec3]) -> f64 {
+    /// Of the largest distance of a camera from their mean.
+    const FRACTION: f64 = 0.1;
+    let mean = centres.iter().sum::<DVec3>() / centres.len().max(1) as f64;
+    let radius = centres.iter().map(|centre| centre.distance(mean)).fold(0.0, f64::max);
+    // Cameras at one place say nothing of the scene's size.
+    if radius > 0.0 { NEAR_DEPTH.min(FRACTION * radius) } else { NEAR_DEPTH }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_near_plane_follows_small_scenes() {
+        let row = |step: f64| [-1.0, 0.0, 1.0].map(|x| DVec3::new(7.0 + step * x, 1.0, 2.0));
+        assert_eq!([near_of(&row(9.0)), near_of(&row(2.0)), near_of(&row(0.0)), near_of(&[])], [NEAR_DEPTH; 4]);
+        assert!((near_of(&row(0.01)) - 0.001).abs() < 1e-12);
+    }
 
     #[test]
     fn the_centre_maps_to_the_origin_and_resizing_keeps_the_view() {
@@ -74,6 +96,7 @@ mod tests {
             principal_px: [310.0, 250.0],
             camera_from_world_rotation: DQuat::from_euler(glam::EulerRot::XYZ, 0.3, -0.2, 0.9),
             camera_from_world_translation: DVec3::new(1.0, -2.0, 3.0),
+            near: NEAR_DEPTH,
         };
         assert!(camera.camera_from_world(camera.centre_in_world()).length() < 1e-12);
         let half = camera.resized(320, 240);

@@ -1,4 +1,4 @@
-//! Photos (8-bit, interleaved, as files hold them) and images (f32, planar, as kernels want them).
+//! Photos (8-bit, interleaved, as files hold them), their masks, and images (f32, planar, as kernels want them).
 
 /// A photo: 8-bit RGB, `[H, W, 3]`.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -16,6 +16,35 @@ impl Photo {
     pub fn pixel(&self, x: u32, y: u32) -> [u8; 3] {
         let at = 3 * (y as usize * self.width as usize + x as usize);
         [self.rgb[at], self.rgb[at + 1], self.rgb[at + 2]]
+    }
+}
+
+/// Which pixels of a photo count. What a photo has elsewhere (a passer-by, the photographer's hand) has no effect on
+/// anything.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Mask {
+    /// True where the pixel counts `[H, W]`.
+    pub counts: Vec<bool>,
+}
+
+impl Mask {
+    /// How many pixels count.
+    pub fn counted(&self) -> usize {
+        self.counts.iter().filter(|counts| **counts).count()
+    }
+
+    /// Puts zeros where nothing counts into planes `[.., H, W]`.
+    pub fn hide(&self, planes: &mut [f32]) {
+        for plane in planes.chunks_mut(self.counts.len()) {
+            let hidden = plane.iter_mut().zip(&self.counts).filter(|(_, counts)| !**counts);
+            hidden.for_each(|(value, _)| *value = 0.0);
+        }
+    }
+
+    /// `photo`, black where nothing counts.
+    pub fn hide_in(&self, photo: &Photo) -> Photo {
+        let shown = |(rgb, &counts): (&[u8], &bool)| if counts { [rgb[0], rgb[1], rgb[2]] } else { [0; 3] };
+        Photo { rgb: photo.rgb.chunks_exact(3).zip(&self.counts).flat_map(shown).collect(), ..*photo }
     }
 }
 
@@ -59,6 +88,17 @@ impl Image {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_does_not_count_is_hidden() {
+        let mask = Mask { counts: vec![true, false, false, true] };
+        assert_eq!(mask.counted(), 2);
+        let mut planes: Vec<f32> = (1..=8).map(|value| value as f32).collect();
+        mask.hide(&mut planes);
+        assert_eq!(planes, [1.0, 0.0, 0.0, 4.0, 5.0, 0.0, 0.0, 8.0]);
+        let photo = Photo { width: 2, height: 2, rgb: (1..=12).collect() };
+        assert_eq!(mask.hide_in(&photo).rgb, [1, 2, 3, 0, 0, 0, 0, 0, 0, 10, 11, 12]);
+    }
 
     #[test]
     fn eight_bit_values_survive_the_round_trip() {

@@ -32,7 +32,7 @@ pub use camera::Camera;
 pub use edit::{Origin, RowEdit};
 pub use gaussians::{Gaussians, Moments};
 pub use genes::{GENES, Genes, SparseDelta};
-pub use image::{Image, Photo};
+pub use image::{Image, Mask, Photo};
 pub use morton::morton_order;
 pub use rng::{Rng, Stream};
 pub use sight::Sight;

@@ -3,6 +3,7 @@
 use std::f64::consts::TAU;
 
 use genesplat_core::Camera;
+use genesplat_core::constants::NEAR_DEPTH;
 use glam::{DMat3, DQuat, DVec3};
 
 /// What the cameras look at, near enough.
@@ -46,6 +47,7 @@ fn look_at(centre: DVec3, target: DVec3, width: u32, height: u32) -> Camera {
         principal_px: [0.5 * f64::from(width), 0.5 * f64::from(height)],
         camera_from_world_rotation: rotation,
         camera_from_world_translation: -(rotation * centre),
+        near: NEAR_DEPTH,
     }
 }
 

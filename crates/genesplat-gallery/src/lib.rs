@@ -69,6 +69,7 @@ pub fn generate(options: &GalleryOptions) -> Gallery {
             name: format!("gallery_{index:03}.png"),
             photo: Arc::new(caster.photograph(&camera)),
             camera,
+            mask: None,
         })
         .collect();
     let points = points::sample(&caster, &views, points, seed);

@@ -22,6 +22,8 @@ use crate::state::layout::{Optimiser, ViewPass};
 pub(crate) struct TrainView {
     pub(crate) camera: Camera,
     pub(crate) photo: Memory,
+    /// Its pixels that count, and all of them; `None` where these are the same.
+    pub(crate) counted: Option<[usize; 2]>,
 }
 
 /// A cloud in the memory of a graphics device, trained by its kernels.
@@ -95,7 +97,8 @@ impl GpuBackend {
 
     /// The cloud as a training view sees it.
     pub(crate) fn pass_of(&self, view: usize, settings: &RenderSettings) -> ViewPass {
-        ViewPass::new(&self.views[view].camera, settings, self.state.rows)
+        let TrainView { camera, counted, .. } = &self.views[view];
+        ViewPass { is_masked: counted.is_some().into(), ..ViewPass::new(camera, settings, self.state.rows) }
     }
 
     /// Submits a view of the cloud, or of the blend: splats, tile lists, picture, and what `record` adds.
@@ -133,8 +136,9 @@ impl Backend for GpuBackend {
     fn set_views(&mut self, views: &[View]) -> Result<()> {
         self.with_memory(|gpu| {
             let upload = |view: &View| -> Result<TrainView> {
-                let photo = gpu.engine.upload("a photo", &pack_photo(&view.photo))?;
-                Ok(TrainView { camera: view.camera, photo })
+                let photo = gpu.engine.upload("a photo", &pack_photo(&view.photo, view.mask.as_deref()))?;
+                let counted = view.mask.as_ref().map(|mask| [mask.counted(), mask.counts.len()]);
+                Ok(TrainView { camera: view.camera, photo, counted })
             };
             gpu.views = views.iter().map(upload).collect::<Result<_>>()?;
             Ok(())

@@ -11,10 +11,10 @@ mod stages;
 mod verbs;
 
 use fixtures::{
-    CROWD_LOGITS, camera, cloud, crowd, far_needles, filtered_cloud, filters, individual_of, photo, poisoned_cloud,
-    settings, small_view, step, uniform, view,
+    CROWD_LOGITS, camera, cloud, crowd, far_needles, filtered_cloud, filters, individual_of, masked_view, photo,
+    poisoned_cloud, settings, small_view, step, uniform, view,
 };
-use genesplat_core::{Backend, DensitySignal, Gaussians, RenderSettings, ScreenFilter, TrainStep};
+use genesplat_core::{Backend, DensitySignal, Gaussians, RenderSettings, ScreenFilter, TrainStep, View};
 use genesplat_kernels::cpu::CpuBackend;
 
 use crate::GpuBackend;

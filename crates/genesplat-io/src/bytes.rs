@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use genesplat_core::constants::NEAR_DEPTH;
 use genesplat_core::{Camera, Gaussians, Photo};
 use glam::{DQuat, DVec3};
 
@@ -70,6 +71,7 @@ pub fn undistorted(camera: &Intrinsics, side_max: u32) -> Option<Photo> {
         principal_px,
         camera_from_world_rotation: DQuat::IDENTITY,
         camera_from_world_translation: DVec3::ZERO,
+        near: NEAR_DEPTH,
     };
     let pinhole = photos::pinhole(&camera, &lens)?;
     let photo = Photo { width, height, rgb: vec![128; 3 * (width * height) as usize] };

@@ -5,6 +5,8 @@ use std::path::{Component, Path, PathBuf};
 use std::sync::Arc;
 
 use genesplat_core::Camera;
+use genesplat_core::camera::near_of;
+use glam::DVec3;
 
 use crate::error::SceneError;
 use crate::photos::Lens;
@@ -32,6 +34,8 @@ pub(crate) struct ListedPhoto {
     pub(crate) lens: Option<Lens>,
     /// What the scene itself says that the photo is for.
     pub(crate) purpose: Purpose,
+    /// A picture that is black where the photo does not count.
+    pub(crate) mask: Option<PathBuf>,
 }
 
 /// What a scene may say that a photo is for.
@@ -48,6 +52,13 @@ pub(crate) enum Purpose {
 }
 
 impl Listing {
+    /// Gives all cameras one near plane: this, or what suits the size of the scene.
+    pub(crate) fn set_near(&mut self, near: Option<f64>) {
+        let centres: Vec<DVec3> = self.photos.iter().map(|photo| photo.camera.centre_in_world()).collect();
+        let near = near.unwrap_or_else(|| near_of(&centres));
+        self.photos.iter_mut().for_each(|photo| photo.camera.near = near);
+    }
+
     pub(crate) fn name_views(&mut self) -> Result<(), SceneError> {
         let Some(list) = self.photos.first().map(|photo| photo.list.clone()) else { return Ok(()) };
         let paths: Vec<&str> = self.photos.iter().map(|photo| photo.name.as_str()).collect();

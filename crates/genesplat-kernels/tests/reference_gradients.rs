@@ -98,7 +98,7 @@ fn beyond_the_limit_of_the_jacobian() {
 fn end_to_end_through_the_loss() {
     let cloud = random_cloud(10, 8);
     let photo = Arc::new(random_photo(WIDTH, HEIGHT, 9));
-    let view = View { name: "noise".into(), camera: tilted_camera(), photo };
+    let view = View { name: "noise".into(), camera: tilted_camera(), photo, mask: None };
     let settings = settings(3, ScreenFilter::Classic);
     let (value, actual) = gradients(&cloud, &view, &settings, Cutoff::Smooth);
     let loss_of = |cloud: &Cloud64| gradients(cloud, &view, &settings, Cutoff::Smooth).0;

@@ -4,7 +4,8 @@ use genesplat_core::{Backend, BackendError, Photo, RenderSettings, View};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::lpips::{InputRange, Lpips};
-use crate::{SizeMismatch, psnr, ssim};
+use crate::ssim::ssim_under;
+use crate::{SizeMismatch, psnr, psnr_under, ssim};
 
 /// Scores of one view.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -63,6 +64,22 @@ pub fn compare(name: &str, picture: &Photo, truth: &Photo) -> Result<ViewScore, 
     Ok(ViewScore { name: name.to_owned(), psnr: psnr(picture, truth)?, ssim: ssim(picture, truth)?, lpips: None })
 }
 
+/// Scores of what a backend has rendered of `view`, over the pixels that count. LPIPS has no pixels: it sees both pictures
+/// black elsewhere.
+fn score_view(view: &View, picture: &Photo, lpips: Option<&Lpips>) -> Result<ViewScore, SizeMismatch> {
+    let (mask, photo) = (view.mask.as_deref(), &*view.photo);
+    let distance = |lpips: &Lpips| match mask {
+        None => lpips.distance(picture, photo, InputRange::ZeroToOne).ok(),
+        Some(mask) => lpips.distance(&mask.hide_in(picture), &mask.hide_in(photo), InputRange::ZeroToOne).ok(),
+    };
+    Ok(ViewScore {
+        name: view.name.clone(),
+        psnr: psnr_under(mask, picture, photo)?,
+        ssim: ssim_under(mask, picture, photo)?,
+        lpips: lpips.and_then(distance),
+    })
+}
+
 /// Renders every view and scores it against its photo; `keep` receives each render (to be saved, say).
 ///
 /// LPIPS is left out where there is no network, and for views that are too small for it.
@@ -79,10 +96,8 @@ pub fn evaluate(
     let mut scores = Vec::with_capacity(views.len());
     for view in views {
         let picture = backend.render(&view.camera, settings)?.to_photo();
-        let score = compare(&view.name, &picture, &view.photo);
-        let score = score.expect("a view's camera has the size of its photo");
-        let distance = |lpips: &Lpips| lpips.distance(&picture, &view.photo, InputRange::ZeroToOne).ok();
-        scores.push(ViewScore { lpips: lpips.and_then(distance), ..score });
+        let score = score_view(view, &picture, lpips);
+        scores.push(score.expect("a view's camera has the size of its photo"));
         keep(view, picture);
     }
     Ok(Evaluation::from_views(scores))

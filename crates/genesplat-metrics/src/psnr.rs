@@ -1,6 +1,6 @@
 //! Peak signal-to-noise ratio.
 
-use genesplat_core::Photo;
+use genesplat_core::{Mask, Photo};
 
 use crate::{SizeMismatch, check_sizes};
 
@@ -12,11 +12,27 @@ pub const PSNR_MAX_DB: f64 = 120.0;
 /// [`PSNR_MAX_DB`].
 pub fn psnr(a: &Photo, b: &Photo) -> Result<f64, SizeMismatch> {
     check_sizes(a, b)?;
-    // Exact: squares of 8-bit differences are summed as integers.
-    let squared: u64 = a.rgb.iter().zip(&b.rgb).map(|(&x, &y)| u64::from(x.abs_diff(y)).pow(2)).sum();
-    let mean = squared as f64 / (a.rgb.len() as f64 * 255.0 * 255.0);
+    Ok(from_squares(squares(&a.rgb, &b.rgb), a.rgb.len()))
+}
+
+/// The same over the pixels that count.
+pub fn psnr_under(mask: Option<&Mask>, a: &Photo, b: &Photo) -> Result<f64, SizeMismatch> {
+    let Some(mask) = mask else { return psnr(a, b) };
+    check_sizes(a, b)?;
+    let pixels = a.rgb.chunks_exact(3).zip(b.rgb.chunks_exact(3)).zip(&mask.counts);
+    let squared = pixels.filter(|(_, counts)| **counts).map(|((a, b), _)| squares(a, b)).sum();
+    Ok(from_squares(squared, 3 * mask.counted()))
+}
+
+/// Exact: squares of 8-bit differences are summed as integers.
+fn squares(a: &[u8], b: &[u8]) -> u64 {
+    a.iter().zip(b).map(|(&x, &y)| u64::from(x.abs_diff(y)).pow(2)).sum()
+}
+
+fn from_squares(squared: u64, values: usize) -> f64 {
+    let mean = squared as f64 / (values as f64 * 255.0 * 255.0);
     // Zero and not its negative, where black is compared with white.
-    Ok((0.0 - 10.0 * mean.log10()).min(PSNR_MAX_DB))
+    (0.0 - 10.0 * mean.log10()).min(PSNR_MAX_DB)
 }
 
 #[cfg(test)]
@@ -45,6 +61,14 @@ mod tests {
         let mut other = side.clone();
         other.rgb[7] += 1;
         assert_eq!(psnr(&side, &other).unwrap(), PSNR_MAX_DB);
+    }
+
+    #[test]
+    fn what_a_mask_hides_is_not_compared() {
+        let (a, b) = (photo(vec![0; 6]), photo(vec![51, 51, 51, 7, 8, 9]));
+        let first = Mask { counts: vec![true, false] };
+        assert!((psnr_under(Some(&first), &a, &b).unwrap() - 10.0 * 25f64.log10()).abs() < 1e-12);
+        assert_eq!(psnr_under(None, &a, &b), psnr(&a, &b));
     }
 
     #[test]

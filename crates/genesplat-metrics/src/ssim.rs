@@ -1,17 +1,26 @@
 //! Structural similarity (Wang et al. 2004) as 3DGS and the published numbers have it: an 11-tap Gaussian window of
 //! 1.5 px, zero padding (so the border counts), per channel, mean over all pixels and channels.
 
-use genesplat_core::Photo;
 use genesplat_core::constants::{SSIM_C1, SSIM_C2, SSIM_RADIUS, ssim_window};
+use genesplat_core::{Mask, Photo};
 
 use crate::{SizeMismatch, check_sizes};
 
 /// Mean structural similarity of two pictures, at most 1.
 pub fn ssim(a: &Photo, b: &Photo) -> Result<f64, SizeMismatch> {
     check_sizes(a, b)?;
-    let (width, height) = (a.width as usize, a.height as usize);
-    let sum: f64 = (0..3).map(|channel| channel_sum(&plane(a, channel), &plane(b, channel), width)).sum();
-    Ok(sum / (3 * width * height) as f64)
+    let sum: f64 = (0..3).map(|channel| channel_map(a, b, channel).sum::<f64>()).sum();
+    Ok(sum / a.rgb.len() as f64)
+}
+
+/// The same over the pixels that count, whose windows see black in both pictures where nothing does.
+pub(crate) fn ssim_under(mask: Option<&Mask>, a: &Photo, b: &Photo) -> Result<f64, SizeMismatch> {
+    let Some(mask) = mask else { return ssim(a, b) };
+    check_sizes(a, b)?;
+    let (a, b) = (mask.hide_in(a), mask.hide_in(b));
+    let counted = |channel| channel_map(&a, &b, channel).zip(&mask.counts).filter(|(_, counts)| **counts);
+    let sum: f64 = (0..3).map(|channel| counted(channel).map(|(value, _)| value).sum::<f64>()).sum();
+    Ok(sum / (3 * mask.counted()) as f64)
 }
 
 /// One channel with values in `[0, 1]`, `[H, W]`.
@@ -19,12 +28,13 @@ fn plane(photo: &Photo, channel: usize) -> Vec<f64> {
     photo.rgb.iter().skip(channel).step_by(3).map(|&value| f64::from(value) / 255.0).collect()
 }
 
-/// Sum of the similarity map of one channel.
-fn channel_sum(x: &[f64], y: &[f64], width: usize) -> f64 {
+/// The similarity map of one channel `[H, W]`.
+fn channel_map(a: &Photo, b: &Photo, channel: usize) -> impl Iterator<Item = f64> {
+    let (x, y, width) = (plane(a, channel), plane(b, channel), a.width as usize);
     let product = |a: &[f64], b: &[f64]| -> Vec<f64> { a.iter().zip(b).map(|(a, b)| a * b).collect() };
-    let (mean_x, mean_y) = (blur(x, width), blur(y, width));
-    let (xx, yy, xy) = (blur(&product(x, x), width), blur(&product(y, y), width), blur(&product(x, y), width));
-    (0..x.len()).map(|i| similarity(mean_x[i], mean_y[i], xx[i], yy[i], xy[i])).sum()
+    let (mean_x, mean_y) = (blur(&x, width), blur(&y, width));
+    let (xx, yy, xy) = (blur(&product(&x, &x), width), blur(&product(&y, &y), width), blur(&product(&x, &y), width));
+    (0..x.len()).map(move |i| similarity(mean_x[i], mean_y[i], xx[i], yy[i], xy[i]))
 }
 
 /// Eq. 13 of Wang et al. from the windowed means of x, y, x², y² and xy.
@@ -110,6 +120,28 @@ mod tests {
             let (fast, slow) = (ssim(&a, &b).unwrap(), direct(&a, &b));
             assert!((fast - slow).abs() < 1e-12, "{width}x{height}: {fast} against {slow}");
         }
+    }
+
+    #[test]
+    fn what_a_mask_hides_has_no_effect() {
+        let (a, b, mut other) = (noise(24, 16, 0), noise(24, 16, 1), noise(24, 16, 2));
+        let mask = Mask { counts: (0..24 * 16).map(|index| index % 24 < 12).collect() };
+        let half = ssim_under(Some(&mask), &a, &b).unwrap();
+        for (index, rgb) in other.rgb.chunks_exact_mut(3).enumerate().filter(|(index, _)| mask.counts[*index]) {
+            rgb.copy_from_slice(&b.rgb[3 * index..3 * index + 3]);
+        }
+        assert!(other != b && ssim_under(Some(&mask), &a, &other).unwrap() == half);
+        // Left of the reach of windows across the border, the map is that of the whole pictures.
+        let left = Mask { counts: (0..24 * 16).map(|index| index % 24 < 6).collect() };
+        let of_whole = |mask: &Mask| {
+            let map = |channel| channel_map(&a, &b, channel).zip(&mask.counts).filter(|(_, counts)| **counts);
+            (0..3).flat_map(|channel| map(channel).map(|(value, _)| value)).sum::<f64>()
+        };
+        let hidden = (mask.hide_in(&a), mask.hide_in(&b));
+        let map = |channel| channel_map(&hidden.0, &hidden.1, channel).zip(&left.counts).filter(|(_, counts)| **counts);
+        let sum: f64 = (0..3).flat_map(|channel| map(channel).map(|(value, _)| value)).sum();
+        assert!((sum - of_whole(&left)).abs() < 1e-9);
+        assert_eq!(ssim_under(None, &a, &b), ssim(&a, &b));
     }
 
     #[test]

@@ -135,7 +135,8 @@ impl Trainer<'_> {
         }
         self.has_seen = self.backend.report()?.visible > 0;
         let (views, last) = (self.views.len(), self.schedule.iterations.min(self.views.len() as u32));
-        if !self.has_seen && i >= last { Err(TrainError::NothingVisible { views }) } else { Ok(()) }
+        let near = self.views.iter().map(|view| view.camera.near).fold(f64::INFINITY, f64::min);
+        if !self.has_seen && i >= last { Err(TrainError::NothingVisible { views, near }) } else { Ok(()) }
     }
 
     fn densify(&mut self, i: u32) -> Result<(), TrainError> {

@@ -2,7 +2,7 @@
 //! an ordinary renderer shows, and a way to read its picture.
 
 use genesplat_core::backend::RenderSettings;
-use genesplat_core::constants::{ALPHA_MIN, CLASSIC_DILATION, NEAR_DEPTH};
+use genesplat_core::constants::{ALPHA_MIN, CLASSIC_DILATION};
 use genesplat_core::gaussians::{logit, sigmoid};
 use genesplat_core::spherical_harmonics::{C0, sh_index};
 use genesplat_core::{Camera, Gaussians, Image, Photo, ScreenFilter};
@@ -87,7 +87,7 @@ fn is_in_view(camera: &Camera, centre: DVec3, scales: [f32; 3]) -> bool {
     let reach = 3.0 * f64::from(scales.into_iter().fold(0.0, f32::max));
     let [x, y] = camera.tan_half_fov();
     let is_within = |at: f64, tangent: f64| at.abs() <= 1.2 * tangent * centre.z + reach;
-    centre.z > f64::from(NEAR_DEPTH) && is_within(centre.x, x) && is_within(centre.y, y)
+    centre.z > camera.near && is_within(centre.x, x) && is_within(centre.y, y)
 }
 
 fn derive_row(lens: Lens, scales: [f32; 3], opacity: f32, depth: f64, focal_px: f64) -> Option<Row> {

@@ -3,6 +3,7 @@
 use std::net::SocketAddr;
 use std::time::Duration;
 
+use genesplat_core::constants::NEAR_DEPTH;
 use genesplat_core::{Backend, BackendError, Camera, Photo, Sight};
 use serde::Serialize;
 
@@ -258,7 +259,10 @@ impl LiveView {
         let began = self.clock.seconds();
         let Look { sequence, width, height, quality, .. } = *look;
         let known = look.camera.and_then(|index| self.server.shared.exhibition.camera(index));
-        let camera = known.map_or_else(|| look.pose.camera(width, height), |camera| camera.resized(width, height));
+        let exhibition = &self.server.shared.exhibition;
+        let near = exhibition.camera(0).map_or(NEAR_DEPTH, |camera| camera.near);
+        let free = || Camera { near, ..look.pose.camera(width, height) };
+        let camera = known.map_or_else(free, |camera| camera.resized(width, height));
         let (photo, range) = self.photograph(look.lens, &camera, sight)?;
         let milliseconds = (1e3 * (self.clock.seconds() - began)) as f32;
         let header = PictureHeader { sequence, error: false, range, milliseconds };

@@ -3,6 +3,7 @@
 //! Whatever comes from a page is checked here once: sizes, finite numbers, a rotation that is one.
 
 use genesplat_core::Camera;
+use genesplat_core::constants::NEAR_DEPTH;
 use glam::{DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 
@@ -141,6 +142,7 @@ impl Pose {
             principal_px: [0.5 * f64::from(width), 0.5 * f64::from(height)],
             camera_from_world_rotation,
             camera_from_world_translation: -(camera_from_world_rotation * DVec3::from(self.position)),
+            near: NEAR_DEPTH,
         }
     }
 

@@ -79,6 +79,7 @@ pub(crate) fn stem(name: &str) -> &str {
 mod tests {
     use std::sync::Arc;
 
+    use genesplat::core::constants::NEAR_DEPTH;
     use genesplat::core::{Camera, Photo};
     use glam::{DQuat, DVec3};
 
@@ -92,8 +93,9 @@ mod tests {
             principal_px: [0.5; 2],
             camera_from_world_rotation: DQuat::IDENTITY,
             camera_from_world_translation: DVec3::ZERO,
+            near: NEAR_DEPTH,
         };
-        View { name: name.into(), camera, photo: Arc::new(Photo { width: 1, height: 1, rgb: vec![0; 3] }) }
+        View { name: name.into(), camera, photo: Arc::new(Photo { width: 1, height: 1, rgb: vec![0; 3] }), mask: None }
     }
 
     #[test]

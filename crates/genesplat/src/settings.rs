@@ -7,13 +7,13 @@ use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Result, anyhow, bail, ensure};
-use genesplat::io::{HoldOut, LoadOptions, PhotoSize, input, shown};
-use genesplat::train::{Resolved, TrainConfig};
+use genesplat::io::{HoldOut, LoadOptions, MaskUse, PhotoSize, input, shown};
+use genesplat::train::{Background, Resolved, TrainConfig};
 use serde::de::Error;
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
-use crate::args::{DOWNSCALE, MAX_SIDE, MachineArgs, PhotosArgs, SizeArgs, TEST_EVERY, THREADS, TrainArgs};
+use crate::args::{DOWNSCALE, MAX_SIDE, MachineArgs, PhotosArgs, SizeArgs, TEST_EVERY, THREADS, TrainArgs, is_near};
 use crate::device::DeviceChoice;
 use crate::run::session::check_is_run;
 use crate::run::{CONFIG, photos};
@@ -41,14 +41,20 @@ pub(crate) struct Dataset {
     pub(crate) max_side: Option<u32>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(crate) downscale: Option<u32>,
+    /// Near plane of all cameras, world units; left out for the usual one, or a nearer one in a small scene.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) near: Option<f64>,
+    /// What masks and transparency mean: `usual`, `ignore` or `transparent`.
+    #[serde(skip_serializing_if = "is_default")]
+    pub(crate) mask: MaskUse,
     /// Which photos are held out: left out for the scene's own or every eighth; or `{ every = 4 }`,
     /// `{ photos = ["a.jpg"] }`, `"none"`.
-    #[serde(skip_serializing_if = "is_usual")]
+    #[serde(skip_serializing_if = "is_default")]
     pub(crate) hold_out: HoldOut,
 }
 
-pub(crate) fn is_usual(hold_out: &HoldOut) -> bool {
-    *hold_out == HoldOut::default()
+pub(crate) fn is_default<T: Default + PartialEq>(setting: &T) -> bool {
+    *setting == T::default()
 }
 
 impl Dataset {
@@ -65,7 +71,8 @@ impl Dataset {
 
     /// How its scene is loaded.
     pub(crate) fn options(&self) -> LoadOptions {
-        LoadOptions { size: self.size(), hold_out: self.hold_out.clone(), ..LoadOptions::default() }
+        let (size, mask, near) = (self.size(), self.mask, self.near);
+        LoadOptions { size, mask, near, hold_out: self.hold_out.clone(), ..LoadOptions::default() }
     }
 }
 
@@ -143,6 +150,13 @@ impl ConfigFile {
         }
         check_size(self.dataset.max_side, self.dataset.downscale)?;
         check_hold_out(&self.dataset.hold_out)?;
+        let near = self.dataset.near.unwrap_or(1.0);
+        ensure!(is_near(near), "near is {near} in the file, and has to be above 0 and at most 1e9; correct it there");
+        ensure!(
+            self.dataset.mask != MaskUse::Transparent || self.train.background != Background::Random,
+            "hidden pixels cannot be the background (mask is transparent) where that is a new colour in every step (background \
+             is random); change one of them"
+        );
         check_range("threads", self.threads.map(Into::into), THREADS)?;
         Ok(self.train.validate()?)
     }

@@ -20,7 +20,8 @@ fn main(@builtin(workgroup_id) tile: vec3<u32>, @builtin(local_invocation_id) lo
     for (var channel = 0u; channel < 3u; channel++) {
         error += abs(image[channel * pixels + index] - photo_value(photo[index], channel));
     }
-    gradient[index] = 1.0;
-    gradient[pixels + index] = error;
+    let is_counted = counts(photo[index]);
+    gradient[index] = select(0.0, 1.0, is_counted);
+    gradient[pixels + index] = select(0.0, error, is_counted);
     gradient[2u * pixels + index] = 0.0;
 }

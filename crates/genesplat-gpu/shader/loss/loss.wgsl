@@ -40,8 +40,11 @@ fn main(
             y_halo[at] = 0.0;
             if x >= 0 && y >= 0 && x < i32(view.width) && y < i32(view.height) {
                 let index = u32(y) * view.width + u32(x);
-                x_halo[at] = image[plane * pixels + index];
-                y_halo[at] = photo_value(photo[index], channel);
+                // Where nothing counts, both are zero.
+                if counts(photo[index]) {
+                    x_halo[at] = image[plane * pixels + index];
+                    y_halo[at] = photo_value(photo[index], channel);
+                }
             }
         }
     }

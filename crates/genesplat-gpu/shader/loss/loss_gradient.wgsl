@@ -61,7 +61,7 @@ fn main(
         let y = photo_value(photo[index], channel);
         let values = f32(3u * pixels);
         let structure = by.x + 2.0 * x * by.y + y * by.z;
-        gradient[channel * pixels + index] =
-            ((1.0 - LAMBDA_DSSIM) * sign(x - y) - LAMBDA_DSSIM * structure) / values;
+        let total = ((1.0 - LAMBDA_DSSIM) * sign(x - y) - LAMBDA_DSSIM * structure) / values;
+        gradient[channel * pixels + index] = select(0.0, total, counts(photo[index]));
     }
 }

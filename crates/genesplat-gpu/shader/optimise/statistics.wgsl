@@ -18,6 +18,10 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     if (tile_counts[window.first + local] & SEEN_BIT) == 0u {
         return;
     }
+    // What lies behind a mask alone would have its mean lowered by views that say nothing of it.
+    if view.is_masked != 0u && gradients[4u * local + 1u].w == 0.0 {
+        return;
+    }
     let second = gradients[4u * local + 3u].w;
     var sum = vec4(gradients[4u * local + 1u].w, 1.0, 0.0, 0.0);
     if view.signal == SIGNAL_PIXELS {

@@ -111,7 +111,7 @@ fn geometry_of(p: Params) -> Geometry {
 // In front of the near plane, with an invertible covariance; false for anything that is not finite, so that a diverged
 // Gaussian disappears instead of spreading.
 fn is_valid(g: Geometry) -> bool {
-    return !g.has_nan_parameter && g.t.z > NEAR_DEPTH && g.det > 0.0 && is_finite(g.det) && is_finite(g.t.z);
+    return !g.has_nan_parameter && g.t.z > view.near && g.det > 0.0 && is_finite(g.det) && is_finite(g.t.z);
 }
 
 fn mean_px(g: Geometry) -> vec2<f32> {

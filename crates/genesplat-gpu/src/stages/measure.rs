@@ -35,7 +35,13 @@ impl GpuBackend {
             }
             Ok(())
         })?;
-        Ok(values.into_iter().map(|[loss, squared_error]| ViewLoss { loss, squared_error }).collect())
+        let of_view = |([loss, mean], &view): ([f32; 2], &usize)| {
+            // The kernel's mean is over all pixels.
+            let squared_error =
+                self.views[view].counted.map_or(mean, |[counted, all]| mean * all as f32 / counted as f32);
+            ViewLoss { loss, squared_error }
+        };
+        Ok(values.into_iter().zip(views.iter().cycle()).map(of_view).collect())
     }
 
     /// One view of the cloud or the blend, and its loss, which goes to `place`.

@@ -1,7 +1,7 @@
 //! Stages `rasterise`, `loss` and `rasterise_backward`: tile lists become pixels, pixels a loss, and the loss gradients
 //! of intersections.
 
-use genesplat_core::Photo;
+use genesplat_core::{Mask, Photo};
 
 use crate::Result;
 use crate::device::{Engine, Grid, Memory, Recorder, shaders};
@@ -121,18 +121,28 @@ impl Pixels {
     }
 }
 
-/// A photo as the loss reads it: red in the lowest byte of a word, then green and blue `[H, W]`.
-pub(crate) fn pack_photo(photo: &Photo) -> Vec<u32> {
-    photo.rgb.chunks_exact(3).map(|rgb| u32::from_le_bytes([rgb[0], rgb[1], rgb[2], 0])).collect()
+/// A photo as the loss reads it: red in the lowest byte of a word, then green and blue `[H, W]`; [`HIDDEN`] where the
+/// pixel does not count.
+pub(crate) fn pack_photo(photo: &Photo, mask: Option<&Mask>) -> Vec<u32> {
+    let mut words: Vec<u32> =
+        photo.rgb.chunks_exact(3).map(|rgb| u32::from_le_bytes([rgb[0], rgb[1], rgb[2], 0])).collect();
+    let counts = mask.iter().flat_map(|mask| &mask.counts);
+    words.iter_mut().zip(counts).filter(|(_, counts)| !**counts).for_each(|(word, _)| *word = HIDDEN);
+    words
 }
+
+/// A black pixel that does not count.
+const HIDDEN: u32 = 0xff00_0000;
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
-    fn a_photo_keeps_its_channels() {
+    fn a_photo_keeps_its_channels_and_what_counts() {
         let photo = Photo { width: 2, height: 1, rgb: vec![1, 2, 3, 255, 0, 128] };
-        assert_eq!(pack_photo(&photo), [0x0003_0201, 0x0080_00ff]);
+        assert_eq!(pack_photo(&photo, None), [0x0003_0201, 0x0080_00ff]);
+        let mask = Mask { counts: vec![true, false] };
+        assert_eq!(pack_photo(&photo, Some(&mask)), [0x0003_0201, HIDDEN]);
     }
 }

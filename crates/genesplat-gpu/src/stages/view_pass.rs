@@ -47,6 +47,7 @@ impl ViewPass {
                 ScreenFilter::Mip => FILTER_MIP,
             },
             layers: 1,
+            near: camera.near as f32,
             ..Self::default()
         }
     }

@@ -157,8 +157,10 @@ device_struct! {
         intersection_capacity: u32,
         /// Pictures that are made at once, one for each individual of a pool.
         layers: u32,
-        pad_0: u32,
-        pad_1: u32,
+        /// 1 where some pixels of the photo do not count.
+        is_masked: u32,
+        /// Near plane, world units.
+        near: f32,
     }
 }
 

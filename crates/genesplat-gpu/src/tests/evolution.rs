@@ -50,11 +50,25 @@ fn blends_of_averages_match() {
     });
 }
 
+#[test]
+fn losses_under_a_mask_match() {
+    let (Some(mut gpu), mut cpu) = (gpu(), cpu()) else { return };
+    let [actual, expected] = [&mut gpu as &mut dyn EvolutionBackend, &mut cpu].map(|twin| {
+        twin.set_views(&[view(), masked_view(90)]).unwrap();
+        twin.upload(cloud(300).into()).unwrap();
+        twin.measure(&[Blend::default(); 2], &[1, 0], &settings(1, ScreenFilter::Classic)).unwrap()
+    });
+    for (actual, expected) in actual.iter().zip(&expected) {
+        let numbers = |view: &ViewLoss| [view.loss, view.squared_error];
+        compare("score", "losses", numbers(actual), numbers(expected)).unwrap();
+    }
+}
+
 /// Six individuals and their twins: more than a workgroup has slots for, and row versions that several hold.
 #[test]
 fn scores_match() {
     let Some(mut gpu) = gpu() else { return };
-    let views = [view(), small_view()];
+    let views = [view(), small_view(), masked_view(90)];
     for filter in filters() {
         let base = filtered_cloud(500, filter);
         let population: Vec<SparseDelta> = (0..121).map(|index| individual_of(&base, index % 6)).collect();
@@ -63,7 +77,7 @@ fn scores_match() {
         let [actual, expected] = twins.map(|twin| {
             twin.set_views(&views).unwrap();
             twin.upload(base.clone().into()).unwrap();
-            twin.score(&population, &[0, 1, 0], &settings(3, filter)).unwrap()
+            twin.score(&population, &[0, 1, 0, 2], &settings(3, filter)).unwrap()
         });
         assert!(expected.windows(2).any(|pair| pair[0] != pair[1]), "individuals differ");
         assert_eq!(actual.len(), expected.len());
@@ -101,7 +115,7 @@ fn losses_of_large_pictures_match() {
     let (width, height) = (330, 320);
     let rgb = (0..3 * width * height).map(|i| (i % 251) as u8).collect();
     let photo = Photo { width, height, rgb }.into();
-    let large = View { name: "large".into(), camera: camera().resized(width, height), photo };
+    let large = View { name: "large".into(), camera: camera().resized(width, height), photo, mask: None };
     let (mut cpu, settings) = (cpu(), settings(1, ScreenFilter::Classic));
     for twin in [&mut gpu as &mut dyn EvolutionBackend, &mut cpu] {
         twin.set_views(std::slice::from_ref(&large)).unwrap();
@@ -180,7 +194,7 @@ fn contributions_match() {
     for filter in filters() {
         let settings = settings(3, filter);
         for twin in [&mut gpu as &mut dyn EvolutionBackend, &mut cpu] {
-            twin.set_views(&[view(), small_view()]).unwrap();
+            twin.set_views(&[view(), small_view(), masked_view(90)]).unwrap();
             twin.upload(filtered_cloud(400, filter).into()).unwrap();
         }
         let [large, small] = [0, 1].map(|view| intersections_of(&mut gpu, view, settings));
@@ -188,7 +202,7 @@ fn contributions_match() {
         gpu.discard_queued_steps().unwrap();
         gpu.set_intersection_capacity(small);
         let [actual, expected] = [&mut gpu as &mut dyn EvolutionBackend, &mut cpu]
-            .map(|twin| twin.contributions(&[1, 0, 1], &settings).unwrap());
+            .map(|twin| twin.contributions(&[1, 0, 1, 2], &settings).unwrap());
         assert!(gpu.lists.capacity >= large);
         compare_contributions(&format!("{filter:?}"), &actual, &expected).unwrap();
     }

@@ -115,7 +115,18 @@ fn lists_match(gpu: &GpuBackend, buffers: &ViewBuffers, settings: &RenderSetting
 
 #[test]
 fn gradients_and_statistics_match() {
+    check_gradients_and_statistics(view());
+}
+
+#[test]
+fn masked_gradients_and_statistics_match() {
+    check_gradients_and_statistics(masked_view(90));
+}
+
+fn check_gradients_and_statistics(view: View) {
     let (Some(mut gpu), mut cpu) = (gpu(), cpu()) else { return };
+    gpu.set_views(std::slice::from_ref(&view)).unwrap();
+    cpu.set_views(&[view]).unwrap();
     let signals = [
         DensitySignal::Signed,
         DensitySignal::Absolute,

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use genesplat_core::Camera;
+use genesplat_core::constants::NEAR_DEPTH;
 use glam::{DQuat, DVec3};
 
 use super::{ImageRecord, Model, ModelFolder, read_model, read_photos};
@@ -24,7 +25,7 @@ pub(crate) fn list(folder: &ModelFolder, image_folder: &Path, with_points: bool)
     let list: Arc<Path> = list.into();
     let listed = |(image, path): (&ImageRecord, PathBuf)| {
         let (name, list, (camera, lens)) = (image.name.clone(), list.clone(), camera(&model, image, &list)?);
-        Ok(ListedPhoto { name, path, list, camera, lens, purpose: Purpose::Unsaid })
+        Ok(ListedPhoto { name, path, list, camera, lens, purpose: Purpose::Unsaid, mask: None })
     };
     let photos = model.images.iter().zip(photos).map(listed).collect::<Result<_, SceneError>>()?;
     let points_file = folder.form.file(&folder.path, "points3D");
@@ -46,6 +47,7 @@ fn camera(model: &Model, image: &ImageRecord, list: &Path) -> Result<(Camera, Op
         principal_px: intrinsics.principal_px,
         camera_from_world_rotation: DQuat::from_xyzw(x, y, z, w).normalize(),
         camera_from_world_translation: DVec3::from(image.translation),
+        near: NEAR_DEPTH,
     };
     Ok((camera, intrinsics.lens))
 }

@@ -6,6 +6,7 @@
 
 mod decode;
 mod lens;
+mod mask;
 mod memory;
 mod resize;
 mod size;
@@ -19,10 +20,11 @@ use image::{ColorType, DynamicImage, ImageEncoder, ImageReader};
 
 pub use lens::Lens;
 pub(crate) use lens::{Polynomial, Projection};
+pub(crate) use mask::PhotoMask;
 pub(crate) use memory::Room;
 pub use resize::resize;
 pub use size::PhotoSize;
-pub(crate) use undistort::{pinhole, undistort};
+pub(crate) use undistort::{pinhole, undistort, undistort_mask};
 
 use self::decode::Encoded;
 use crate::atomic::write_atomically;
@@ -93,6 +95,13 @@ impl EncodedPhoto {
     /// The pixels; transparency is composited on `background`.
     pub fn decode_on(self, background: [u8; 3]) -> Result<Photo, PhotoError> {
         self.decode().map(|image| composite(image, background))
+    }
+
+    /// The same, and what of it is opaque, where not all is.
+    pub(crate) fn decode_with_opaque(self, background: [u8; 3]) -> Result<(Photo, Option<PhotoMask>), PhotoError> {
+        let image = self.decode()?;
+        let opaque = PhotoMask::of_opaque(&image);
+        Ok((composite(image, background), opaque))
     }
 
     fn decode(self) -> Result<DynamicImage, PhotoError> {

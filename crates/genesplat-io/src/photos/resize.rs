@@ -4,6 +4,8 @@
 //! horizontal pass, then a vertical one, each with weights in 22-bit fixed point and an 8-bit result. Reference:
 //! Pillow, `Resample.c`; Keys, "Cubic convolution interpolation for digital image processing", 1981 (a = −0.5).
 
+use std::ops::Range;
+
 use genesplat_core::Photo;
 
 /// Fraction bits of a weight: 32 less 8 of the value and 2 of head room.
@@ -61,6 +63,14 @@ const HALF: i32 = 1 << (FRACTION_BITS - 1);
 
 fn to_byte(sum: i32) -> u8 {
     (sum >> FRACTION_BITS).clamp(0, 255) as u8
+}
+
+/// The source values that each target value is mixed from, along one axis; itself where nothing is resized.
+pub(super) fn reaches(source: usize, target: usize) -> Vec<Range<usize>> {
+    if source == target {
+        return (0..target).map(|at| at..at + 1).collect();
+    }
+    all_taps(source, target).into_iter().map(|Taps { first, weights }| first..first + weights.len()).collect()
 }
 
 /// The taps of every target value along one axis of `source` to `target` values.

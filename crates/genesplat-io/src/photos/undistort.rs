@@ -8,6 +8,7 @@
 use genesplat_core::{Camera, Photo};
 
 use super::lens::Lens;
+use super::mask::PhotoMask;
 use super::resize::{cubic, resize};
 
 /// Least and largest side of the undistorted picture, as a factor of the photo's (COLMAP, `UndistortCameraOptions`).
@@ -94,14 +95,53 @@ fn source(camera: &Camera, lens: &Lens, point: [f64; 2]) -> [f64; 2] {
 /// Photo and picture are handled at twice that size, or at their own where that is smaller: the pixels between which
 /// the resampling interpolates are then finer than those that are kept, so it does not blur them.
 pub(crate) fn undistort(photo: &Photo, camera: &Camera, lens: &Lens, pinhole: &Camera, size: [u32; 2]) -> Photo {
-    let [width, height] = size;
+    let (camera, fine) = fine_cameras(camera, pinhole, size);
+    resize(&resample(&resize(photo, camera.width, camera.height), &camera, lens, &fine), size[0], size[1])
+}
+
+/// The same of its mask: a pixel counts where all that [`undistort`] mixes there does.
+pub(crate) fn undistort_mask(
+    mask: &PhotoMask,
+    camera: &Camera,
+    lens: &Lens,
+    pinhole: &Camera,
+    size: [u32; 2],
+) -> PhotoMask {
+    let (camera, fine) = fine_cameras(camera, pinhole, size);
+    let reduced = mask.resized([camera.width, camera.height]);
+    let counts = |index: u32| {
+        let (left, top) = corner(source_of(&camera, lens, &fine, [index % fine.width, index / fine.width]));
+        let [columns, rows] = [taps(left, camera.width), taps(top, camera.height)];
+        rows.iter().all(|&row| columns.iter().all(|&column| reduced.counts_at(column, row)))
+    };
+    let counts = (0..fine.width * fine.height).map(counts).collect();
+    PhotoMask { size: [fine.width, fine.height], counts }.resized(size)
+}
+
+/// The cameras of the photo and of the picture at the size at which they are handled.
+fn fine_cameras(camera: &Camera, pinhole: &Camera, [width, height]: [u32; 2]) -> (Camera, Camera) {
     let fine = pinhole.resized(pinhole.width.min(2 * width), pinhole.height.min(2 * height));
     let reduced = |side: u32, part: u32, whole: u32| {
         (f64::from(side) * f64::from(part) / f64::from(whole)).round().max(1.0) as u32
     };
-    let camera = camera
-        .resized(reduced(photo.width, fine.width, pinhole.width), reduced(photo.height, fine.height, pinhole.height));
-    resize(&resample(&resize(photo, camera.width, camera.height), &camera, lens, &fine), width, height)
+    let [across, down] =
+        [reduced(camera.width, fine.width, pinhole.width), reduced(camera.height, fine.height, pinhole.height)];
+    (camera.resized(across, down), fine)
+}
+
+/// Where the photo shows what `pinhole` shows at a pixel: coordinates of pixel centres.
+fn source_of(camera: &Camera, lens: &Lens, pinhole: &Camera, pixel: [u32; 2]) -> [f64; 2] {
+    source(camera, lens, normalised(pinhole, pixel.map(|at| f64::from(at) + 0.5))).map(|at| at - 0.5)
+}
+
+/// The pixel to the upper left.
+fn corner([u, v]: [f64; 2]) -> (f64, f64) {
+    (u.floor(), v.floor())
+}
+
+/// The four pixels along one axis that are mixed around the two from `first` on; beyond the rim, the rim.
+fn taps(first: f64, side: u32) -> [usize; 4] {
+    [-1, 0, 1, 2].map(|offset| (first as i64 + offset).clamp(0, i64::from(side) - 1) as usize)
 }
 
 /// What `pinhole` takes of what `camera` has taken through `lens`.
@@ -110,9 +150,8 @@ fn resample(photo: &Photo, camera: &Camera, lens: &Lens, pinhole: &Camera) -> Ph
     let mut rgb = vec![0; stride * pinhole.height as usize];
     rgb.chunks_exact_mut(stride).enumerate().for_each(|(row, values)| {
         for (column, value) in values.chunks_exact_mut(3).enumerate() {
-            let at = [column as f64 + 0.5, row as f64 + 0.5];
-            let [u, v] = source(camera, lens, normalised(pinhole, at));
-            value.copy_from_slice(&bicubic(photo, [u - 0.5, v - 0.5]));
+            let at = source_of(camera, lens, pinhole, [column as u32, row as u32]);
+            value.copy_from_slice(&bicubic(photo, at));
         }
     });
     Photo { width: pinhole.width, height: pinhole.height, rgb }
@@ -120,14 +159,13 @@ fn resample(photo: &Photo, camera: &Camera, lens: &Lens, pinhole: &Camera) -> Ph
 
 /// The photo between its pixels, by Keys' cubic; beyond its rim, the rim.
 fn bicubic(photo: &Photo, [u, v]: [f64; 2]) -> [u8; 3] {
-    let (left, top) = (u.floor(), v.floor());
+    let (left, top) = corner([u, v]);
     let weights = |fraction: f64| [-1.0, 0.0, 1.0, 2.0].map(|offset| cubic(offset - fraction) as f32);
     let (across, down) = (weights(u - left), weights(v - top));
-    let at = |first: f64, tap: usize, side: u32| (first as i64 + tap as i64 - 1).clamp(0, i64::from(side) - 1) as usize;
-    let columns = [0, 1, 2, 3].map(|tap| 3 * at(left, tap, photo.width));
+    let columns = taps(left, photo.width).map(|column| 3 * column);
     let mut sums = [0.5; 3];
-    for (tap, down) in down.into_iter().enumerate() {
-        let row = &photo.rgb[3 * photo.width as usize * at(top, tap, photo.height)..];
+    for (row, down) in taps(top, photo.height).into_iter().zip(down) {
+        let row = &photo.rgb[3 * photo.width as usize * row..];
         for (column, across) in columns.into_iter().zip(across) {
             for (sum, value) in sums.iter_mut().zip(&row[column..column + 3]) {
                 *sum += down * across * f32::from(*value);
@@ -139,6 +177,7 @@ fn bicubic(photo: &Photo, [u, v]: [f64; 2]) -> [u8; 3] {
 
 #[cfg(test)]
 mod tests {
+    use genesplat_core::constants::NEAR_DEPTH;
     use glam::{DQuat, DVec3};
 
     use super::super::lens::{Polynomial, Projection};
@@ -162,6 +201,7 @@ mod tests {
             principal_px: [58.5, 41.25],
             camera_from_world_rotation: DQuat::IDENTITY,
             camera_from_world_translation: DVec3::ZERO,
+            near: NEAR_DEPTH,
         }
     }
 

@@ -57,8 +57,15 @@ pub fn list_scene(path: &Path, options: &LoadOptions) -> Result<SceneList, Scene
 pub fn model_of(photos: &[&ScenePhoto], points: Vec<Point>) -> Model {
     let mut model = Model { points, ..Model::default() };
     for (id, photo) in (1u32..).zip(photos) {
-        let Camera { width, height, focal_px, principal_px, camera_from_world_rotation, camera_from_world_translation } =
-            photo.camera;
+        let Camera {
+            width,
+            height,
+            focal_px,
+            principal_px,
+            camera_from_world_rotation,
+            camera_from_world_translation,
+            ..
+        } = photo.camera;
         let (q, lens) = (camera_from_world_rotation, photo.lens);
         model.cameras.insert(id, Intrinsics { width, height, focal_px, principal_px, lens });
         model.images.push(ImageRecord {

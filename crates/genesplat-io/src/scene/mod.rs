@@ -2,6 +2,7 @@
 
 mod bare;
 mod listed;
+mod masks;
 mod split;
 mod view;
 
@@ -11,13 +12,15 @@ use genesplat_core::View;
 use rayon::prelude::*;
 
 pub use listed::{SceneList, ScenePhoto, list_scene, model_of};
+pub use masks::MaskUse;
 pub use split::HoldOut;
 pub use view::SIDE_MIN_PX;
 
 use crate::error::SceneError;
 use crate::listing::{ListedPhoto, Listing};
 use crate::photos::PhotoSize;
-use crate::{colmap, transforms};
+use crate::{colmap, shown, transforms};
+use view::Loaded;
 
 /// A point of a reconstruction.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -46,7 +49,7 @@ pub struct Scene {
 }
 
 /// How a scene is loaded.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct LoadOptions {
     /// Size of the photos.
     pub size: PhotoSize,
@@ -57,6 +60,10 @@ pub struct LoadOptions {
     pub hold_out: HoldOut,
     /// Colour behind transparent photos.
     pub background: [u8; 3],
+    /// What masks and transparency mean.
+    pub mask: MaskUse,
+    /// Near plane of all cameras, world units; `None` for the usual one, or a nearer one in a scene that is small.
+    pub near: Option<f64>,
     /// Folder of a COLMAP scene's photos, relative to the scene: some data sets ship `images_2`, `images_4`, ...
     pub image_folder: PathBuf,
     /// Whether points are loaded, or drawn where there are none: to look at a finished cloud takes none.
@@ -72,6 +79,8 @@ impl Default for LoadOptions {
             divisor: 1,
             hold_out: HoldOut::default(),
             background: [0; 3],
+            mask: MaskUse::default(),
+            near: None,
             image_folder: "images".into(),
             with_points: true,
             seed: 0,
@@ -109,7 +118,8 @@ const POINTS_MIN: usize = 4;
 /// Photos are decoded in parallel on rayon's current pool. The result does not depend on the number of threads.
 pub fn load_scene(path: &Path, options: &LoadOptions, progress: &dyn LoadProgress) -> Result<Scene, SceneError> {
     let listing = list(path, options)?;
-    let photos = listing.photos.iter().map(|photo| photo.path.clone()).collect();
+    let files = |photo: &ListedPhoto| std::iter::once(photo.path.clone()).chain(photo.mask.clone());
+    let photos = listing.photos.iter().flat_map(files).collect();
     let (train, test) = split::split(listing.photos, &options.hold_out, path)?;
     if train.is_empty() {
         let problem = format!(
@@ -120,17 +130,46 @@ pub fn load_scene(path: &Path, options: &LoadOptions, progress: &dyn LoadProgres
         return Err(SceneError::invalid(path, problem));
     }
     progress.start(train.len() + test.len());
-    let load = |photos: &[ListedPhoto]| -> Result<Vec<View>, SceneError> {
+    let mut notices = listing.notices;
+    let [train, test] = load_views([&train, &test], options, progress, &mut notices)?;
+    if train.is_empty() {
+        return Err(SceneError::invalid(
+            path,
+            "has masks that hide all of its training photos; masks are black where a \
+            photo does not count",
+        ));
+    }
+    Ok(Scene { name: scene_name(path), train, test, points: listing.points, photos, notices })
+}
+
+/// The views of training and test photos; those of which nothing counts are left out.
+fn load_views(
+    photos: [&[ListedPhoto]; 2],
+    options: &LoadOptions,
+    progress: &dyn LoadProgress,
+    notices: &mut Vec<String>,
+) -> Result<[Vec<View>; 2], SceneError> {
+    let load = |photos: &[ListedPhoto]| -> Result<Vec<Loaded>, SceneError> {
         photos.par_iter().map(|photo| view::load(photo, options, progress)).collect()
     };
-    Ok(Scene {
-        name: scene_name(path),
-        train: load(&train)?,
-        test: load(&test)?,
-        points: listing.points,
-        photos,
-        notices: listing.notices,
-    })
+    let loaded = [load(photos[0])?, load(photos[1])?];
+    let all = || loaded.iter().flatten();
+    let count = |holds: fn(&Loaded) -> bool| all().filter(|loaded| holds(loaded)).count();
+    let found = masks::Found {
+        photos: all().count(),
+        masked: count(|loaded| loaded.is_masked),
+        transparent: count(|loaded| loaded.is_transparent),
+    };
+    notices.extend(options.mask.notices(found));
+    if let Some(hidden) = all().find(|loaded| loaded.view.counted_pixels() == 0) {
+        let (hidden, count) = (shown(&hidden.view.name), count(|loaded| loaded.view.counted_pixels() == 0));
+        notices.push(format!("{count} photos are hidden entirely and left out, first {hidden}"));
+    }
+    let seen = |loaded: Vec<Loaded>| {
+        let views = loaded.into_iter().map(|loaded| loaded.view);
+        views.filter(|view| view.counted_pixels() > 0).collect()
+    };
+    Ok(loaded.map(seen))
 }
 
 /// The points of [`load_scene`] without the photos: for a scene that comes with none, they depend on the seed.
@@ -147,13 +186,15 @@ fn list(path: &Path, options: &LoadOptions) -> Result<Listing, SceneError> {
             let part = whole_scene(path).map(|scene| SceneError::PartOfScene { path: path.to_owned(), scene });
             Err(part.or_else(|| bare::without_cameras(path)).unwrap_or(error))
         }
-        known => checked(known?, options),
+        known => checked(known?, path, options),
     }
 }
 
 /// `listing` with the names of its views. Too few points are an error here already: training would find it out only
 /// after the photos are decoded.
-fn checked(mut listing: Listing, options: &LoadOptions) -> Result<Listing, SceneError> {
+fn checked(mut listing: Listing, scene: &Path, options: &LoadOptions) -> Result<Listing, SceneError> {
+    masks::find(&mut listing, scene);
+    listing.set_near(options.near);
     listing.name_views()?;
     let points = listing.points.len();
     if options.with_points && points < POINTS_MIN {

@@ -1,23 +1,31 @@
 //! From a listed photo to a view: check the header, decode, undistort, resize.
 
+use std::path::Path;
 use std::sync::Arc;
 
 use genesplat_core::{Camera, View};
 
-use super::{LoadOptions, LoadProgress};
+use super::{LoadOptions, LoadProgress, MaskUse};
 use crate::error::SceneError;
 use crate::listing::ListedPhoto;
-use crate::photos::{self, EncodedPhoto, Lens};
+use crate::photos::{self, EncodedPhoto, Lens, PhotoMask};
 use crate::shown;
 
 /// Least side of a loaded photo, px: SSIM's window alone has 11.
 pub const SIDE_MIN_PX: u32 = 16;
 
+/// A view, and what its photo hides.
+pub(super) struct Loaded {
+    pub(super) view: View,
+    pub(super) is_masked: bool,
+    pub(super) is_transparent: bool,
+}
+
 pub(super) fn load(
     listed: &ListedPhoto,
     options: &LoadOptions,
     progress: &dyn LoadProgress,
-) -> Result<View, SceneError> {
+) -> Result<Loaded, SceneError> {
     let photo = EncodedPhoto::open(&listed.path)?;
     let (photo_width, photo_height) = photo.size();
     let camera = camera_of_photo(listed, photo_width, photo_height)?;
@@ -30,15 +38,51 @@ pub(super) fn load(
         );
         return Err(SceneError::BadPhoto { photo: listed.path.clone(), problem });
     }
+    // Before the room of the photo is taken: it has a room of its own.
+    let mask = listed.mask.as_deref().map(|file| open_mask(file, [photo_width, photo_height])).transpose()?;
     // Whatever follows runs on this thread alone.
     let _room = photo.wait_for_room();
-    let photo = photo.decode_on(options.background)?;
-    let photo = match &listed.lens {
-        Some(lens) => photos::undistort(&photo, &camera, lens, &pinhole, [width, height]),
-        None => photos::resize(&photo, width, height),
+    let (mut photo, opaque) = photo.decode_with_opaque(options.background)?;
+    let (is_masked, is_transparent) = (mask.is_some(), opaque.is_some());
+    if let Some(mask) = mask.as_ref().filter(|_| options.mask == MaskUse::Transparent) {
+        mask.paint(&mut photo, options.background);
+    }
+    let hidden = hidden(mask, opaque, options.mask);
+    let (photo, mask) = match &listed.lens {
+        Some(lens) => (
+            photos::undistort(&photo, &camera, lens, &pinhole, [width, height]),
+            hidden.map(|mask| photos::undistort_mask(&mask, &camera, lens, &pinhole, [width, height])),
+        ),
+        None => (photos::resize(&photo, width, height), hidden.map(|mask| mask.resized([width, height]))),
     };
     progress.photo_done();
-    Ok(View { name: listed.name.clone(), camera: pinhole.resized(width, height), photo: Arc::new(photo) })
+    let (camera, mask) = (pinhole.resized(width, height), mask.map(|mask| Arc::new(mask.into())));
+    let view = View { name: listed.name.clone(), camera, photo: Arc::new(photo), mask };
+    Ok(Loaded { view, is_masked, is_transparent })
+}
+
+/// What counts for nothing, if anything does.
+fn hidden(mask: Option<PhotoMask>, opaque: Option<PhotoMask>, mask_use: MaskUse) -> Option<PhotoMask> {
+    match mask_use {
+        MaskUse::Usual => mask,
+        MaskUse::Transparent => None,
+        MaskUse::Ignore => match (mask, opaque) {
+            (Some(mask), Some(opaque)) => Some(mask.and(&opaque)),
+            (mask, opaque) => mask.or(opaque),
+        },
+    }
+}
+
+fn open_mask(file: &Path, of_photo: [u32; 2]) -> Result<PhotoMask, SceneError> {
+    let mask = PhotoMask::open(file)?;
+    let ([width, height], [photo_width, photo_height]) = (mask.size(), of_photo);
+    if mask.size() == of_photo {
+        return Ok(mask);
+    }
+    let problem = format!(
+        "is a mask of {width}x{height} pixels, and its photo has {photo_width}x{photo_height}; make it as large as its photo"
+    );
+    Err(SceneError::BadPhoto { photo: file.to_owned(), problem })
 }
 
 /// The pinhole that takes the undistorted photo of `camera`.

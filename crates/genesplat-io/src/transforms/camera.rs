@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use genesplat_core::Camera;
+use genesplat_core::constants::NEAR_DEPTH;
 use glam::{DMat3, DQuat, DVec3};
 
 use super::schema::{OptionalIntrinsics, PhotoEntry};
@@ -39,6 +40,7 @@ pub(super) fn camera(
         principal_px,
         camera_from_world_rotation: rotation,
         camera_from_world_translation: translation,
+        near: NEAR_DEPTH,
     };
     Ok((camera, lens))
 }

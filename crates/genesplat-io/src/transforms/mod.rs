@@ -34,7 +34,6 @@ pub(crate) fn list_blender(folder: &Path, seed: Option<u64>) -> Result<Listing, 
         let tested = read_photos(&test, Some(Purpose::Test))?;
         found.photos.extend(tested.photos);
         found.missing.extend(tested.missing);
-        found.masks += tested.masks;
     }
     match found.missing.first() {
         Some((photo, list)) if !found.photos.is_empty() => {
@@ -66,8 +65,6 @@ struct Found {
     photos: Vec<ListedPhoto>,
     /// Photos that do not exist, each with the file that lists it.
     missing: Vec<(PathBuf, Arc<Path>)>,
-    /// How many photos have a mask.
-    masks: usize,
     points: Option<String>,
 }
 
@@ -101,17 +98,10 @@ impl Found {
         Ok(Listing { photos: self.photos, points, points_file, notices })
     }
 
-    /// Masks take effort to make, and have no effect here; a photo may be missing, or be in no list, by mistake.
+    /// A photo may be missing, or be in no list, by mistake.
     fn notices(&self, list: &Path) -> Vec<String> {
         let (list, all) = (shown(list), self.photos.len() + self.missing.len());
         let mut notices = Vec::new();
-        if self.masks > 0 {
-            notices.push(format!(
-                "masks are not used, though {} of the {all} photos have one (mask_path): what they cover counts like \
-                 the rest",
-                self.masks
-            ));
-        }
         if let Some((first, _)) = self.missing.first() {
             let (gone, first) = (self.missing.len(), shown(first));
             notices.push(format!(
@@ -143,8 +133,7 @@ fn read_photos(list: &Path, purpose: Option<Purpose>) -> Result<Found, SceneErro
     let splits = if purpose.is_some() { None } else { Some(Splits::of(&file, list)?) };
     let folder = list.parent().unwrap_or(Path::new(""));
     let shared: Arc<Path> = list.into();
-    let masks = file.frames.iter().filter(|entry| entry.mask_path.is_some()).count();
-    let mut found = Found { points: file.ply_file_path.clone(), masks, ..Found::default() };
+    let mut found = Found { points: file.ply_file_path.clone(), ..Found::default() };
     for entry in &file.frames {
         let relative = inside(&entry.file_path, list)?;
         let Some((name, path)) = find_photo(folder, relative, &entry.file_path) else {
@@ -155,7 +144,8 @@ fn read_photos(list: &Path, purpose: Option<Purpose>) -> Result<Found, SceneErro
         let (camera, lens) = camera::camera(list, entry, &intrinsics, &path)?;
         let listed = splits.as_ref().map(|splits| splits.purpose(&entry.file_path, list)).transpose()?;
         let purpose = purpose.or(listed).unwrap_or_default();
-        found.photos.push(ListedPhoto { name, path, list: shared.clone(), camera, lens, purpose });
+        let mask = entry.mask_path.as_deref().map(|name| find_mask(folder, name, list)).transpose()?;
+        found.photos.push(ListedPhoto { name, path, list: shared.clone(), camera, lens, purpose, mask });
     }
     Ok(found)
 }
@@ -171,6 +161,15 @@ pub(crate) fn parse_cameras(list: &Path, text: &[u8]) -> Result<Vec<Camera>, Sce
         Ok(camera::camera(list, entry, &entry.intrinsics.or(&file.intrinsics), photo)?.0)
     });
     entries.collect()
+}
+
+/// The mask that a photo's entry names.
+fn find_mask(folder: &Path, name: &str, list: &Path) -> Result<PathBuf, SceneError> {
+    let path = path_inside(name).map(|relative| folder.join(relative)).filter(|path| path.is_file());
+    path.ok_or_else(|| {
+        let problem = "which is no file in the scene's folder; put it there, or remove the mask_path";
+        SceneError::invalid(list, format!("names the mask {name:?}, {problem}"))
+    })
 }
 
 /// The photo as it is named, or with the extension that Blender's script leaves out.

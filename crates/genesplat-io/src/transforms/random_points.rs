@@ -61,6 +61,7 @@ impl Cube {
 
 #[cfg(test)]
 mod tests {
+    use genesplat_core::constants::NEAR_DEPTH;
     use glam::DQuat;
 
     use super::*;
@@ -74,6 +75,7 @@ mod tests {
             principal_px: [32.0; 2],
             camera_from_world_rotation: rotation,
             camera_from_world_translation: -(rotation * centre),
+            near: NEAR_DEPTH,
         }
     }
 

@@ -3,7 +3,6 @@
 use std::path::Path;
 
 use serde::Deserialize;
-use serde::de::IgnoredAny;
 
 use crate::error::SceneError;
 use crate::input;
@@ -29,8 +28,8 @@ pub(super) struct PhotoEntry {
     pub(super) file_path: String,
     /// `world_from_camera`, row by row; camera axes x right, y up, z backwards (OpenGL).
     pub(super) transform_matrix: Vec<[f64; 4]>,
-    /// A picture of what is to be left out. Only that there is one matters here.
-    pub(super) mask_path: Option<IgnoredAny>,
+    /// Its mask, relative to the file.
+    pub(super) mask_path: Option<String>,
     /// What differs from the file's.
     #[serde(flatten)]
     pub(super) intrinsics: OptionalIntrinsics,

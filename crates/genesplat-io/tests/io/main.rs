@@ -6,6 +6,7 @@ mod foreign;
 mod formats;
 mod hostile_formats;
 mod lenses;
+mod masks;
 mod photos;
 mod ply;
 mod real_scenes;

@@ -4,6 +4,7 @@ use std::fs;
 use std::path::Path;
 
 use genesplat_core::Camera;
+use genesplat_core::constants::NEAR_DEPTH;
 use genesplat_io::{HoldOut, LoadOptions, Scene, load_scene, photos};
 use glam::{DMat3, DQuat, DVec3};
 use serde_json::{Value, json};
@@ -19,6 +20,7 @@ fn camera(index: usize) -> Camera {
         principal_px: [19.5, 16.0],
         camera_from_world_rotation: DQuat::from_euler(glam::EulerRot::XYZ, 0.3 * index as f64, -0.2, 0.9),
         camera_from_world_translation: DVec3::new(0.1, index as f64, 3.0),
+        near: NEAR_DEPTH,
     }
 }
 
@@ -115,12 +117,23 @@ fn fields_of_view_are_each_of_their_side() {
 }
 
 #[test]
-fn masks_are_left_out_with_a_notice() {
+fn a_frame_names_its_mask() {
+    let folder = tempfile::tempdir().unwrap();
     let mut description = nerfstudio();
-    description["frames"][0]["mask_path"] = json!("masks/0.png");
-    description["frames"][1]["mask_path"] = Value::Null;
-    let notices = load_description(&description).unwrap().notices;
-    assert!(notices[0].contains("1 of the 3 photos have one (mask_path)"), "{notices:?}");
+    description["frames"][1]["mask_path"] = json!("./hide/it.png");
+    description["frames"][2]["mask_path"] = Value::Null;
+    write(folder.path(), "transforms.json", &description);
+    let sentence = load(folder.path()).unwrap_err().to_string();
+    assert!(sentence.contains("names the mask \"./hide/it.png\"") && sentence.contains("put it there"), "{sentence}");
+    let left = genesplat_core::Photo {
+        width: 40,
+        height: 30,
+        rgb: (0..3600).map(|i| if i / 3 % 40 < 20 { 1 } else { 0 }).collect(),
+    };
+    photos::write_png(&folder.path().join("hide/it.png"), &left).unwrap();
+    let scene = load(folder.path()).unwrap();
+    assert_eq!(scene.train.iter().map(|view| view.counted_pixels()).collect::<Vec<_>>(), [600, 1200]);
+    assert!(scene.notices.iter().any(|notice| notice.contains("1 of 3 photos have a mask")), "{:?}", scene.notices);
 }
 
 #[test]

@@ -99,9 +99,9 @@ impl Backend for CpuBackend {
 
     fn set_views(&mut self, views: &[View]) -> Result<(), BackendError> {
         self.scorer = Scorer::default();
-        let bytes = |view: &View| view.photo.rgb.len();
+        let bytes = |view: &View| view.photo.rgb.len() + view.mask.as_ref().map_or(0, |mask| mask.counts.len());
         ensure_memory(views.iter().map(bytes).sum(), "the training photos")?;
-        let of_view = |view: &View| (Pinhole::from(&view.camera), Target::from(view.photo.as_ref()));
+        let of_view = |view: &View| (Pinhole::from(&view.camera), Target::from(view));
         self.views = views.iter().map(of_view).map(|(camera, target)| TrainView { camera, target }).collect();
         Ok(())
     }
@@ -155,7 +155,8 @@ impl Backend for CpuBackend {
             return Err(BackendError::diverged(&self.cloud, self.steps));
         }
         let ViewBuffers { splats, bins, gradient_rows, seconds, .. } = &mut self.buffers;
-        let inputs = UpdateInputs { splats, bins, gradient_rows, camera: &camera, settings: &settings };
+        let is_masked = view.target.mask.is_some();
+        let inputs = UpdateInputs { splats, bins, gradient_rows, camera: &camera, settings: &settings, is_masked };
         let (cloud, moments, statistics) = (&mut self.cloud, &mut self.moments, &mut self.statistics);
         timed(&mut seconds.update, || update(self.level, &inputs, cloud, moments, statistics, step));
         self.steps = step.update.as_ref().map_or(self.steps, |update| update.step);

@@ -77,6 +77,7 @@ impl EvolutionBackend for CpuBackend {
             for &view in views {
                 let TrainView { camera, target } = &self.views[view];
                 self.buffers.render(self.level, measured, camera, settings);
+                target.hide(&mut self.buffers.image.planes);
                 let loss = loss(self.level, &self.buffers.image, target, None);
                 losses.push(ViewLoss { loss, squared_error: squared_error(&self.buffers.image, target) });
             }
@@ -94,12 +95,12 @@ impl EvolutionBackend for CpuBackend {
     }
 }
 
-/// Mean of `(I − P)²` over all values, summed row by row of a channel: the order does not depend on the machine.
+/// Mean of `(I − P)²` over all values that count, summed row by row of a channel: the order does not depend on the machine.
 fn squared_error(image: &Image, target: &Target) -> f32 {
     let rows = image.planes.chunks(target.width).zip(target.planes.chunks(target.width));
     let of_row = |(image, photo): (&[f32], &[u8])| {
         let square = |(&value, &level): (&f32, &u8)| (value - f32::from(level) * (1.0 / 255.0)).powi(2);
         f64::from(image.iter().zip(photo).map(square).sum::<f32>())
     };
-    (rows.map(of_row).sum::<f64>() / target.planes.len() as f64) as f32
+    (rows.map(of_row).sum::<f64>() / (3 * target.counted()) as f64) as f32
 }

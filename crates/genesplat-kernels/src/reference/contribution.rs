@@ -2,6 +2,7 @@
 
 use genesplat_core::{Photo, RenderSettings, View};
 
+use super::loss::hidden;
 use super::rasterise_backward::rasterise_backward;
 use super::{Cloud64, Cutoff, background, planes, render, size};
 
@@ -17,6 +18,7 @@ pub fn weigh(cloud: &Cloud64, view: &View, settings: &RenderSettings, cutoff: Cu
     let rendered = render(cloud, &view.camera, settings, cutoff);
     let (ones, zeros) = (vec![1.0; map.len()], vec![0.0; map.len()]);
     let by_image = [&ones, map, &zeros].concat();
+    let by_image = view.mask.as_ref().map_or(by_image.clone(), |mask| hidden(&by_image, mask));
     let (splats, size) = (&rendered.splats, size(&view.camera));
     let by_splats = rasterise_backward(splats, size, background(settings), cutoff, &by_image);
     let mut sums = vec![[0.0; 2]; cloud.len()];

@@ -3,8 +3,8 @@
 //! SSIM (Wang et al. 2004) uses an 11 x 11 Gaussian window of 1.5 px per channel, zeros outside the image (so border
 //! pixels are darkened alike in both), variances as `E[x²] − μ²`, and the mean over all pixels and channels.
 
-use genesplat_core::Photo;
 use genesplat_core::constants::{LAMBDA_DSSIM, SSIM_C1, SSIM_C2, SSIM_RADIUS, ssim_window};
+use genesplat_core::{Mask, Photo, View};
 
 use super::planes;
 
@@ -16,6 +16,20 @@ pub fn loss(image: &[f64], photo: &Photo) -> (f64, Vec<f64>) {
     let lambda = f64::from(LAMBDA_DSSIM);
     let gradient = l1_gradient.iter().zip(&ssim_gradient).map(|(a, s)| (1.0 - lambda) * a - lambda * s).collect();
     ((1.0 - lambda) * l1 + lambda * (1.0 - ssim), gradient)
+}
+
+/// The same against the photo of `view`, where its mask has it: elsewhere render and photo are equal, and nothing has a
+/// gradient.
+pub fn loss_of_view(image: &[f64], view: &View) -> (f64, Vec<f64>) {
+    let Some(mask) = &view.mask else { return loss(image, &view.photo) };
+    let (value, gradient) = loss(&hidden(image, mask), &mask.hide_in(&view.photo));
+    (value, hidden(&gradient, mask))
+}
+
+/// `planes` `[.., H, W]` with zeros where nothing counts.
+pub(super) fn hidden(planes: &[f64], mask: &Mask) -> Vec<f64> {
+    let counts = mask.counts.iter().cycle();
+    planes.iter().zip(counts).map(|(&value, &counts)| if counts { value } else { 0.0 }).collect()
 }
 
 /// Mean absolute difference and its gradient.

@@ -29,7 +29,7 @@ pub use adam::{Moments64, adam};
 pub use cloud::Cloud64;
 pub use contribution::{contribution, weigh};
 pub use cutoff::Cutoff;
-pub use loss::loss;
+pub use loss::{loss, loss_of_view};
 pub use project::{Splat, Symmetric2};
 pub use rasterise::Picture64;
 pub use statistics::Statistics64;
@@ -60,6 +60,15 @@ pub struct Gradients {
     pub radius_px: Vec<u32>,
     /// See [`Splat::reaches_image`].
     pub reached: Vec<bool>,
+}
+
+impl Gradients {
+    /// Under a mask, a view says nothing of what it has no gradient for: that is not seen.
+    fn drop_unseen(&mut self) {
+        for (radius, gradient) in self.radius_px.iter_mut().zip(&self.mean2d_ndc) {
+            *radius = if *gradient == [0.0; 2] { 0 } else { *radius };
+        }
+    }
 }
 
 /// Renders `cloud` as `camera` sees it.
@@ -110,8 +119,12 @@ pub fn backward(
 /// Render, loss, backward: one training step without the optimiser.
 pub fn gradients(cloud: &Cloud64, view: &View, settings: &RenderSettings, cutoff: Cutoff) -> (f64, Gradients) {
     let rendered = render(cloud, &view.camera, settings, cutoff);
-    let (loss, by_image) = loss(&rendered.picture.image, &view.photo);
-    (loss, backward(cloud, &view.camera, settings, cutoff, &rendered, &by_image))
+    let (loss, by_image) = loss_of_view(&rendered.picture.image, view);
+    let mut gradients = backward(cloud, &view.camera, settings, cutoff, &rendered, &by_image);
+    if view.mask.is_some() {
+        gradients.drop_unseen();
+    }
+    (loss, gradients)
 }
 
 /// A photo as planar values in `[0, 1]`, `[3, H, W]`.

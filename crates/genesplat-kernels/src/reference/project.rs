@@ -4,7 +4,7 @@
 //! `x/z` and `y/z` clamped to 1.3 times the half field of view, because far outside the image the linearisation
 //! explodes; the mean itself is never clamped.
 
-use genesplat_core::constants::{ALPHA_MIN, JACOBIAN_LIMIT, NEAR_DEPTH};
+use genesplat_core::constants::{ALPHA_MIN, JACOBIAN_LIMIT};
 use genesplat_core::{Camera, RenderSettings};
 use glam::{DMat3, DVec3};
 
@@ -136,7 +136,7 @@ fn jacobian_rows(camera: &Camera, z: f64, slopes: [f64; 2]) -> [DVec3; 2] {
 /// Projects a row of the cloud; `None` when it is not in front of the camera, or anything about it is not finite.
 pub fn project(cloud: &Cloud64, row: usize, camera: &Camera, settings: &RenderSettings) -> Option<Splat> {
     let geometry = Geometry::new(cloud, row, camera);
-    if geometry.point.z <= f64::from(NEAR_DEPTH) {
+    if geometry.point.z <= camera.near {
         return None;
     }
     let filtered = screen_filter::apply(settings.filter, geometry.covariance_px());

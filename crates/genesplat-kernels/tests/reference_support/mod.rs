@@ -2,6 +2,7 @@
 
 #![allow(dead_code, reason = "each test binary uses its own part")]
 
+use genesplat_core::constants::NEAR_DEPTH;
 use genesplat_core::spherical_harmonics::{C0, SH_STRIDE};
 use genesplat_core::{Camera, Photo, Rng, Stream};
 use genesplat_kernels::reference::Cloud64;
@@ -40,6 +41,7 @@ pub(crate) fn tilted_camera() -> Camera {
         principal_px: [10.6, 11.3],
         camera_from_world_rotation: DQuat::from_euler(glam::EulerRot::XYZ, 0.25, -0.4, 0.15),
         camera_from_world_translation: DVec3::new(0.1, -0.2, 4.0),
+        near: NEAR_DEPTH,
     }
 }
 
@@ -52,6 +54,7 @@ pub(crate) fn straight_camera() -> Camera {
         principal_px: [10.5, 8.5],
         camera_from_world_rotation: DQuat::IDENTITY,
         camera_from_world_translation: DVec3::ZERO,
+        near: NEAR_DEPTH,
     }
 }
 

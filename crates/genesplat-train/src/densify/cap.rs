@@ -5,7 +5,7 @@ use genesplat_core::View;
 use crate::config::{EvolutionMode, TrainConfig, Variant};
 use crate::densify::{improved, mcmc};
 
-/// Training pixels to each Gaussian, for each of √(number of photos), since photos show the same things.
+/// Training pixels that count to each Gaussian, for each of √(number of photos), since photos show the same things.
 const PIXELS: f64 = 2.0;
 
 /// Pixels of one photo (their mean) to each Gaussian, however many photos there are: the lower limit from 45 photos on.
@@ -69,7 +69,7 @@ pub fn expected_gaussians(config: &TrainConfig, views: &[View]) -> usize {
 
 /// As many Gaussians as the photos can determine, times `capacity`.
 fn cap_from_photos(views: &[View], capacity: f64) -> usize {
-    let pixels_of = |view: &View| f64::from(view.photo.width) * f64::from(view.photo.height);
+    let pixels_of = |view: &View| view.counted_pixels() as f64;
     let (all, photos) = (views.iter().map(pixels_of).sum::<f64>(), views.len() as f64);
     let cap = |pixels: f64, each: f64| ((pixels * capacity / each) as usize).max(1);
     cap(all, PIXELS * photos.sqrt()).min(cap(all / photos, PHOTO_PIXELS))
@@ -79,6 +79,7 @@ fn cap_from_photos(views: &[View], capacity: f64) -> usize {
 mod tests {
     use std::sync::Arc;
 
+    use genesplat_core::constants::NEAR_DEPTH;
     use genesplat_core::{Camera, Photo};
     use glam::{DQuat, DVec3};
 
@@ -93,9 +94,10 @@ mod tests {
             principal_px: [15.0, 10.0],
             camera_from_world_rotation: DQuat::IDENTITY,
             camera_from_world_translation: DVec3::ZERO,
+            near: NEAR_DEPTH,
         };
         let photo = Arc::new(Photo { width: 30, height: 20, rgb: vec![0; 1800] });
-        let views = vec![View { name: String::new(), camera, photo }; 9];
+        let views = vec![View { name: String::new(), camera, photo, mask: None }; 9];
         let cap = |mode, variant, max_gaussians, capacity| {
             let mut config = TrainConfig { variant, max_gaussians, ..TrainConfig::published() };
             (config.evolution.mode, config.evolution.renewal.capacity) = (mode, capacity);

@@ -6,7 +6,6 @@ pub mod observe;
 mod rescue;
 pub(crate) mod trainer;
 
-use genesplat_core::constants::NEAR_DEPTH;
 use genesplat_core::{Backend, BackendError, Gaussians};
 use serde::{Deserialize, Serialize};
 
@@ -101,13 +100,13 @@ pub enum TrainError {
     /// Every photo was shown once, and no Gaussian in any of them.
     #[error(
         "no Gaussian is visible in any of the {views} training photos; the camera poses and the points may not belong together, \
-         or the scene is too small, since what is nearer to a camera than {near} units is not drawn: scale poses and \
-         points up together",
-        near = NEAR_DEPTH
+         or the near plane, {near} units from each camera, may be too far (--near)"
     )]
     NothingVisible {
         /// Training photos.
         views: usize,
+        /// The nearest near plane, world units.
+        near: f64,
     },
     /// Pruning left nothing.
     #[error(

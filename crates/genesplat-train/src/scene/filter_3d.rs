@@ -5,7 +5,6 @@
 //! al., CVPR 2024).
 
 use genesplat_core::Camera;
-use genesplat_core::constants::NEAR_DEPTH;
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
@@ -40,7 +39,7 @@ fn smallest_depth(cameras: &[(&Camera, DMat3)], position: [f32; 3]) -> f64 {
 }
 
 fn sees(camera: &Camera, point_in_camera: DVec3) -> bool {
-    if point_in_camera.z <= f64::from(NEAR_DEPTH) {
+    if point_in_camera.z <= camera.near {
         return false;
     }
     let size = [f64::from(camera.width), f64::from(camera.height)];
@@ -53,6 +52,7 @@ fn sees(camera: &Camera, point_in_camera: DVec3) -> bool {
 
 #[cfg(test)]
 mod tests {
+    use genesplat_core::constants::NEAR_DEPTH;
     use genesplat_core::{Rng, Stream};
     use glam::DQuat;
 
@@ -67,6 +67,7 @@ mod tests {
             principal_px: [50.0, 25.0],
             camera_from_world_rotation: DQuat::IDENTITY,
             camera_from_world_translation: DVec3::new(0.0, 0.0, -z),
+            near: NEAR_DEPTH,
         }
     }
 

@@ -124,6 +124,7 @@ pub(crate) fn median_depth<'a>(cameras: impl Iterator<Item = &'a Camera>, points
 
 #[cfg(test)]
 mod tests {
+    use genesplat_core::constants::NEAR_DEPTH;
     use glam::DQuat;
 
     use super::*;
@@ -137,6 +138,7 @@ mod tests {
             principal_px: [4.0, 3.0],
             camera_from_world_rotation: rotation,
             camera_from_world_translation: -(rotation * centre),
+            near: NEAR_DEPTH,
         }
     }
 

@@ -4,6 +4,7 @@ use std::f64::consts::TAU;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
+use genesplat_core::constants::NEAR_DEPTH;
 use genesplat_core::{Backend, Camera, EvolutionBackend, Gaussians, Rng, SparseDelta, Stream, View};
 use genesplat_kernels::cpu::CpuBackend;
 use genesplat_metrics::evaluate;
@@ -29,6 +30,7 @@ fn camera(angle: f64) -> Camera {
         principal_px: [f64::from(WIDTH) / 2.0, f64::from(HEIGHT) / 2.0],
         camera_from_world_rotation: rotation,
         camera_from_world_translation: -(rotation * centre),
+        near: NEAR_DEPTH,
     }
 }
 
@@ -57,7 +59,7 @@ fn scene() -> (Vec<View>, Vec<View>, Vec<ColouredPoint>) {
         .map(|index| {
             let camera = camera(f64::from(index) / 16.0 * TAU);
             let photo = backend.render(&camera, &Default::default()).unwrap().to_photo();
-            View { name: format!("{index:02}.png"), camera, photo: Arc::new(photo) }
+            View { name: format!("{index:02}.png"), camera, photo: Arc::new(photo), mask: None }
         })
         .collect();
     points.iter_mut().enumerate().for_each(|(row, (position, colour))| {

@@ -7,6 +7,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use genesplat_core::backend::{MomentPolicy, StepReport};
+use genesplat_core::constants::NEAR_DEPTH;
 use genesplat_core::gaussians::limited_opacity;
 use genesplat_core::{
     Backend, BackendError, Blend, Camera, Contribution, DeviceState, EvolutionBackend, Gaussians, Image, Moments,
@@ -438,8 +439,9 @@ pub(crate) fn views(n: usize) -> Vec<View> {
                 principal_px: [2.0; 2],
                 camera_from_world_rotation: DQuat::IDENTITY,
                 camera_from_world_translation: DVec3::new(2.0 * angle.cos(), 2.0 * angle.sin(), 0.0),
+                near: NEAR_DEPTH,
             };
-            View { name: format!("{index:03}.png"), camera, photo: photo.clone() }
+            View { name: format!("{index:03}.png"), camera, photo: photo.clone(), mask: None }
         })
         .collect()
 }

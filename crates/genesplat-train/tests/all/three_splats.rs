@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use genesplat_core::constants::NEAR_DEPTH;
 use genesplat_core::gaussians::{logit, sigmoid};
 use genesplat_core::spherical_harmonics::dc_from_rgb;
 use genesplat_core::{
@@ -35,6 +36,7 @@ fn camera([width, height]: [u32; 2], centre_px: [u32; 2], focal_px: f64, z: f64)
         principal_px: centre_px.map(|pixel| f64::from(pixel) + 0.5),
         camera_from_world_rotation: DQuat::IDENTITY,
         camera_from_world_translation: DVec3::new(0.0, 0.0, -z),
+        near: NEAR_DEPTH,
     }
 }
 
@@ -42,7 +44,7 @@ fn camera([width, height]: [u32; 2], centre_px: [u32; 2], focal_px: f64, z: f64)
 fn pixel_gs(cloud: &Gaussians, camera: Camera, depth_threshold: f32) -> [(Vec<f64>, Vec<f64>); 2] {
     let (width, height) = (camera.width, camera.height);
     let photo = Arc::new(Photo { width, height, rgb: vec![255; 3 * (width * height) as usize] });
-    let view = View { name: "white".into(), camera, photo };
+    let view = View { name: "white".into(), camera, photo, mask: None };
     let settings = RenderSettings::default();
     let density = Some(DensitySignal::PixelWeighted { depth_threshold });
     let request = StatisticsRequest { density, genes: false };

@@ -1,6 +1,7 @@
 //! Values that a flag takes by name, each with a line of help. The names are those of the configuration file.
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use genesplat::io::MaskUse;
 use genesplat::io::format::SpzVersion;
 use genesplat::train::config::Signal;
 use genesplat::train::{Background, EvolutionMode, Variant};
@@ -73,6 +74,16 @@ pub(crate) const BACKGROUNDS: &[Choice<Background>] =
 /// `--background` of a finished splat.
 pub(crate) const FIXED_BACKGROUNDS: &[Choice<Background>] = &[BLACK, WHITE];
 
+/// `--mask`; the default is neither.
+pub(crate) const MASKS: &[Choice<MaskUse>] = &[
+    (
+        MaskUse::Ignore,
+        &["ignore"],
+        "Hidden pixels count for nothing, in training and in scores: people, cars, your own hand",
+    ),
+    (MaskUse::Transparent, &["transparent"], "Hidden pixels must be background: an object cut out of its photos"),
+];
+
 /// `--densify-signal`.
 pub(crate) const SIGNALS: &[Choice<Signal>] = &[
     (Signal::Published, &["published"], "The method's own"),
@@ -114,6 +125,7 @@ mod tests {
         assert_named_as_in_files(BACKGROUNDS);
         assert_named_as_in_files(FIXED_BACKGROUNDS);
         assert_named_as_in_files(SIGNALS);
+        assert_named_as_in_files(MASKS);
     }
 
     #[test]

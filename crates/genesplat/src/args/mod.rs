@@ -29,7 +29,7 @@ pub(crate) use bench::{Bench, BenchEvolutionArgs, BenchGpuArgs, BenchStepArgs, S
 pub(crate) use blocks::{MergeArgs, SplitArgs};
 pub(crate) use convert::ConvertArgs;
 pub(crate) use page::{ExportArgs, PathChoice, TrainPageArgs, ViewArgs};
-pub(crate) use photos::{HoldOutArgs, PhotosArgs};
+pub(crate) use photos::{HoldOutArgs, PhotosArgs, is_near};
 pub(crate) use poses::PosesArgs;
 pub(crate) use train::{EvolutionArgs, TrainArgs};
 

@@ -5,8 +5,9 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Result, anyhow, ensure};
 use clap::Args;
-use genesplat::io::{HoldOut, input, shown};
+use genesplat::io::{HoldOut, MaskUse, input, shown};
 
+use super::choice::{MASKS, choice};
 use super::{MORE, SizeArgs, TEST_EVERY};
 use crate::settings::Dataset;
 
@@ -16,6 +17,14 @@ pub(crate) struct PhotosArgs {
     pub(crate) size: SizeArgs,
     #[command(flatten)]
     hold_out: HoldOutArgs,
+    /// What masks (masks/NAME.jpg.png or masks/NAME.png beside the photos, black where they hide) and transparency mean
+    /// [default: masks ignore, transparency is background; for the splat of a RUN, as the RUN was trained]
+    #[arg(long, value_name = "USE", value_parser = choice(MASKS), help_heading = MORE)]
+    mask: Option<MaskUse>,
+    /// Draw nothing nearer to a camera than this, in the scene's units [default: 0.2, or a tenth of the way from the middle
+    /// of the cameras to the farthest of them, if that is less]
+    #[arg(long, value_name = "DEPTH", value_parser = above_zero, help_heading = MORE)]
+    near: Option<f64>,
 }
 
 /// Which photos are held out for testing.
@@ -48,6 +57,8 @@ impl PhotosArgs {
         if self.size.size().is_some() {
             (dataset.max_side, dataset.downscale) = (self.size.max_side, self.size.downscale);
         }
+        dataset.mask = self.mask.unwrap_or(dataset.mask);
+        dataset.near = self.near.or(dataset.near);
         if let Some(hold_out) = self.hold_out.asked()? {
             dataset.hold_out = hold_out;
         }
@@ -61,6 +72,16 @@ impl HoldOutArgs {
         let listed = self.test_list.as_deref().map(read_list).transpose()?;
         Ok(every.or(listed).or(self.train_on_all.then_some(HoldOut::None)))
     }
+}
+
+fn above_zero(text: &str) -> Result<f64, String> {
+    let depth = text.parse().ok().filter(|depth| is_near(*depth));
+    depth.ok_or_else(|| "a number above 0, and at most 1e9, is needed".into())
+}
+
+/// Whether a near plane may lie at this depth.
+pub(crate) fn is_near(depth: f64) -> bool {
+    depth > 0.0 && depth <= 1e9
 }
 
 fn read_list(file: &Path) -> Result<HoldOut> {

@@ -136,6 +136,7 @@ mod tests {
             principal_px: [5.0; 2],
             camera_from_world_rotation: DQuat::IDENTITY,
             camera_from_world_translation: DVec3::ZERO,
+            near: 0.2,
         };
         Grid::cut(Path::new("scene"), Ground::below(&[camera], &points()), &points(), count)
     }

@@ -55,6 +55,7 @@ mod tests {
             principal_px: [5.0; 2],
             camera_from_world_rotation: DQuat::IDENTITY,
             camera_from_world_translation: DVec3::ZERO,
+            near: 0.2,
         };
         let looking = |angle: f64| DQuat::from_rotation_x(std::f64::consts::FRAC_PI_2) * DQuat::from_rotation_z(angle);
         (0..5).map(|nth| Camera { camera_from_world_rotation: looking(f64::from(nth)), ..pinhole }).collect()

@@ -58,9 +58,10 @@ fn cameras(choice: &PathChoice, scene: &Scene, frames: u32) -> Result<Vec<Camera
             CameraPath::parse(&bytes).map_err(|error| anyhow!("{}: {error}", shown(file)))?
         }
     };
-    let Camera { width, height, .. } = known[0];
+    let Camera { width, height, near, .. } = known[0];
     // Films have even sides.
-    Ok(path.cameras(frames, width & !1, height & !1))
+    let cameras = path.cameras(frames, width & !1, height & !1);
+    Ok(cameras.into_iter().map(|camera| Camera { near, ..camera }).collect())
 }
 
 /// Whether ffmpeg makes this file.

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
 use crate::args::ExperimentArgs;
-use crate::settings::is_usual;
+use crate::settings::is_default;
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -30,7 +30,7 @@ pub(crate) struct ExperimentFile {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) downscale: Option<u32>,
     /// Which photos are held out. Default: as `train` has it.
-    #[serde(default, skip_serializing_if = "is_usual")]
+    #[serde(default, skip_serializing_if = "is_default")]
     pub(crate) hold_out: HoldOut,
     /// Name of the arm that differences are taken from. Default: the first.
     #[serde(default, skip_serializing_if = "Option::is_none")]

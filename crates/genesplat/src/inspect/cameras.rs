@@ -25,6 +25,8 @@ pub(super) struct Sight {
     pub(super) depth: Option<f64>,
     /// Fraction of the points in front of a camera that are behind its near plane, over all cameras.
     behind_near_plane: f64,
+    /// The near plane of all cameras, world units.
+    near: f64,
 }
 
 pub(super) fn sight(views: &[&View], points: &[Point]) -> Sight {
@@ -32,13 +34,15 @@ pub(super) fn sight(views: &[&View], points: &[Point]) -> Sight {
     let positions: Vec<DVec3> =
         points.iter().step_by(every).map(|point| Vec3::from(point.position).as_dvec3()).collect();
     let depths: Vec<Vec<f64>> = views.par_iter().map(|view| depths_in_photo(&view.camera, &positions)).collect();
-    let is_visible = |depth: &&f64| **depth > f64::from(NEAR_DEPTH);
+    let near = views.first().map_or(NEAR_DEPTH, |view| view.camera.near);
+    let is_visible = |depth: &&f64| **depth > near;
     let all: Vec<f64> = depths.iter().flatten().copied().collect();
     let visible = all.iter().filter(is_visible).count() as f64;
     Sight {
         points_seen: depths.iter().map(|depths| depths.iter().filter(is_visible).count()).collect(),
         behind_near_plane: if all.is_empty() { 1.0 } else { visible / all.len() as f64 },
         depth: median(all),
+        near,
     }
 }
 
@@ -61,9 +65,10 @@ fn too_small(sight: &Sight) -> Option<String> {
     let depth = sight.depth?;
     (sight.behind_near_plane < VISIBLE_MIN).then(|| {
         format!(
-            "the scene is so small that {:.0} % of what the photos show is nearer than the near plane at {NEAR_DEPTH} \
-             (half of it is nearer than {depth:.3}): scale cameras and points up",
-            100.0 * (1.0 - sight.behind_near_plane)
+            "{:.0} % of what the photos show is nearer than the near plane at {} (half of it is nearer than {depth:.3}), and is \
+             not drawn: give a smaller --near",
+            100.0 * (1.0 - sight.behind_near_plane),
+            sight.near
         )
     })
 }
@@ -119,6 +124,7 @@ pub(super) mod tests {
             principal_px: [10.0; 2],
             camera_from_world_rotation: DQuat::IDENTITY,
             camera_from_world_translation: -DVec3::from(centre),
+            near: NEAR_DEPTH,
         }
     }
 
@@ -128,6 +134,7 @@ pub(super) mod tests {
             name: format!("{number}.jpg"),
             camera: camera_at(*centre),
             photo: Arc::clone(&photo),
+            mask: None,
         };
         centres.iter().enumerate().map(view).collect()
     }

@@ -108,7 +108,7 @@ mod tests {
     use super::*;
 
     fn view(name: &str, photo: Photo) -> View {
-        View { name: name.into(), camera: camera_at([0.0; 3]), photo: Arc::new(photo) }
+        View { name: name.into(), camera: camera_at([0.0; 3]), photo: Arc::new(photo), mask: None }
     }
 
     fn noise(seed: u32, contrast: u32) -> Photo {

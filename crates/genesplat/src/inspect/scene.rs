@@ -48,6 +48,10 @@ fn found(scene: &Scene, views: &[&View], sight: &Sight) -> Result<Vec<Fact>> {
             format!("{extent:.3} world units: 1.1 times the farthest camera from their middle"),
         ),
     ];
+    let masked = views.iter().filter(|view| view.mask.is_some()).count();
+    if masked > 0 {
+        facts.push(Fact::new("masked photos", masked, format!("{masked}: what their masks hide counts for nothing")));
+    }
     if let Some(depth) = sight.depth {
         facts.push(Fact::new(
             "depth",

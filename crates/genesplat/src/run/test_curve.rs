@@ -4,7 +4,7 @@
 
 use anyhow::Result;
 use genesplat::core::{Sight, View};
-use genesplat::metrics::psnr;
+use genesplat::metrics::psnr_under;
 
 const POINTS: u32 = 12;
 
@@ -29,7 +29,7 @@ impl<'a> TestCurve<'a> {
         let mut sum = 0.0;
         for view in self.views {
             let picture = sight.render(&view.camera)?.to_photo();
-            sum += psnr(&picture, &view.photo)?;
+            sum += psnr_under(view.mask.as_deref(), &picture, &view.photo)?;
         }
         let mean = sum / self.views.len() as f64;
         Ok(mean.is_finite().then_some(mean))

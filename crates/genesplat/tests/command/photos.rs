@@ -3,7 +3,10 @@
 use std::fs;
 use std::path::Path;
 
-use crate::support::{fail, json, scene, succeed, text, train};
+use genesplat::core::Photo;
+use genesplat::io::photos::{read_photo, write_png};
+
+use crate::support::{cloud, fail, json, number, scene, succeed, text, train, write_gallery};
 
 /// The names of a run's test photos, in order.
 fn tested(run: &Path) -> Vec<String> {
@@ -55,4 +58,66 @@ fn photos_are_held_out_by_name_or_not_at_all() {
     succeed(train(scene(), &run, &["--iterations", "3", "--train-on-all"]));
     assert_eq!(tested(&run), [""; 0]);
     fail(evaluate(&run, &[]), &["no test photos", "--split train"]);
+}
+
+/// The bundled scene, of which the right half of each photo is hidden, and `behind` the masks if that is a grey.
+fn write_half_hidden(scene: &Path, behind: Option<u8>) {
+    write_gallery(scene);
+    for entry in fs::read_dir(scene.join("images")).unwrap() {
+        let path = entry.unwrap().path();
+        let mut photo = read_photo(&path).unwrap();
+        let mut mask = Photo { rgb: vec![255; photo.rgb.len()], ..photo };
+        let is_right = |index: usize| index as u32 % photo.width >= photo.width / 2;
+        for index in (0..photo.rgb.len() / 3).filter(|&index| is_right(index)) {
+            mask.rgb[3 * index..3 * index + 3].fill(0);
+            if let Some(grey) = behind {
+                photo.rgb[3 * index..3 * index + 3].fill(grey);
+            }
+        }
+        let name = format!("{}.png", path.file_name().unwrap().to_str().unwrap());
+        write_png(&scene.join("masks").join(name), &mask).unwrap();
+        write_png(&path, &photo).unwrap();
+    }
+}
+
+#[test]
+fn what_a_mask_hides_changes_no_byte_of_the_splat() {
+    let folder = tempfile::tempdir().unwrap();
+    let place = |name: &str| folder.path().join(name);
+    let runs = [("white", Some(255)), ("black", Some(0)), ("whole", None)].map(|(name, behind)| {
+        let (scene, run) = (place(name), place(&format!("{name}-run")));
+        write_half_hidden(&scene, behind);
+        succeed(train(&scene, &run, &["--iterations", "120", "--densify-signal", "gof", "--evolve", "renew"]));
+        run
+    });
+    let test = |run: &Path| json(&run.join("metrics.json"))["test"].clone();
+    for run in &runs[1..] {
+        assert!(cloud(run) == cloud(&runs[0]), "{run:?}");
+        assert_eq!(test(run), test(&runs[0]));
+    }
+    // Where a wall of white is background, it is learned.
+    let evaluate = |more: &[&str]| {
+        let scene = place("white");
+        succeed([&["evaluate", text(&runs[0]), "--data", text(&scene), "--device", "cpu"], more].concat())
+    };
+    assert_ne!(evaluate(&[]), evaluate(&["--mask", "transparent", "--background", "white"]));
+    let random = ["--mask", "transparent", "--background", "random"];
+    fail(train(&place("white"), &place("run"), &random), &["mask is transparent", "background is random"]);
+}
+
+/// The left half is reconstructed as well as where nothing is hidden.
+#[test]
+fn half_of_each_photo_is_as_good_as_the_whole() {
+    let folder = tempfile::tempdir().unwrap();
+    let (hidden, file) = (folder.path().join("hidden"), folder.path().join("scores.json"));
+    write_half_hidden(&hidden, Some(128));
+    let psnr = |scene: &Path, name: &str| {
+        let run = folder.path().join(name);
+        succeed(train(scene, &run, &["--iterations", "600"]));
+        // Of the whole scene's splat, too, the half that counts.
+        succeed(["evaluate", text(&run), "--data", text(&hidden), "--json", text(&file), "--device", "cpu"]);
+        number(&json(&file)["psnr"])
+    };
+    let (half, whole) = (psnr(&hidden, "half"), psnr(scene(), "whole"));
+    assert!(half > whole - 0.5 && whole > 18.0, "{half} dB with masks, {whole} dB without");
 }

@@ -42,6 +42,7 @@ pub(crate) fn contribution(
 ) {
     buffers.render(level, cloud, camera, settings);
     ones_and_errors(&buffers.image, target, &mut buffers.image_gradient);
+    target.hide(&mut buffers.image_gradient);
     rasterise_backward(level, buffers, camera, None);
     each_splat(buffers, contributions, |total, [weight, error]| {
         total.weight += weight;

@@ -7,12 +7,17 @@
 //! `S = (2 μx μy + C1)(2 σxy + C2) / ((μx² + μy² + C1)(σx² + σy² + C2))`, variances as `E[x²] − μ²`. The two variances
 //! only enter as their sum, so `E[x² + y²]` is one moment. The gradient of S is, as the window is symmetric,
 //! `blur(∂S/∂E[x]) + 2x · blur(∂S/∂E[x²]) + y · blur(∂S/∂E[xy])`.
+//!
+//! Under a mask, render and photo are made equal before the loss, and the gradient zero after it ([`Target::hide`]). Means
+//! stay those over all pixels, so that a pixel weighs the same in every photo.
 
 pub(crate) mod blur;
 
+use std::sync::Arc;
+
 use fearless_simd::{Level, Simd, dispatch, prelude::*};
 use genesplat_core::constants::{LAMBDA_DSSIM, SSIM_C1, SSIM_C2, SSIM_RADIUS, ssim_window};
-use genesplat_core::{Image, Photo};
+use genesplat_core::{Image, Mask, Photo, View};
 use rayon::prelude::*;
 
 use super::simd::{LANES, V};
@@ -28,8 +33,34 @@ pub struct Target {
     pub width: usize,
     /// Height, px.
     pub height: usize,
-    /// Values `[3, H, W]`.
+    /// Values `[3, H, W]`; zeros where nothing counts.
     pub planes: Vec<u8>,
+    /// `None` where all pixels count.
+    pub mask: Option<Arc<Mask>>,
+}
+
+impl Target {
+    /// Makes planes `[.., H, W]` equal to the photo where nothing counts: neither L1 nor a window of SSIM sees a
+    /// difference there. Of the gradient, zeros remain.
+    pub(crate) fn hide(&self, planes: &mut [f32]) {
+        if let Some(mask) = &self.mask {
+            mask.hide(planes);
+        }
+    }
+
+    /// Pixels that count.
+    pub(crate) fn counted(&self) -> usize {
+        self.mask.as_ref().map_or(self.width * self.height, |mask| mask.counted())
+    }
+}
+
+impl From<&View> for Target {
+    fn from(view: &View) -> Self {
+        match &view.mask {
+            None => Self::from(&*view.photo),
+            Some(mask) => Self { mask: Some(mask.clone()), ..Self::from(&mask.hide_in(&view.photo)) },
+        }
+    }
 }
 
 impl From<&Photo> for Target {
@@ -41,7 +72,7 @@ impl From<&Photo> for Target {
                 planes[channel * pixels + index] = value;
             }
         }
-        Self { width: photo.width as usize, height: photo.height as usize, planes }
+        Self { width: photo.width as usize, height: photo.height as usize, planes, mask: None }
     }
 }
 

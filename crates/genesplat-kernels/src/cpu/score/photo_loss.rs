@@ -61,6 +61,8 @@ impl Layout {
 pub(crate) struct PhotoLoss {
     pub layout: Layout,
     photo: Vec<u8>,
+    /// Pixels that do not count, by their place in the first channel.
+    hidden: Vec<u32>,
     /// `E[y]` and `E[y²] − E[y]² + C2` of each vector, in the order of the walk.
     blurred: Vec<[[f32; LANES]; 2]>,
 }
@@ -80,20 +82,21 @@ impl<const K: usize> Default for Walk<K> {
 
 impl PhotoLoss {
     pub(crate) fn bytes(&self) -> usize {
-        bytes_of(&self.photo) + bytes_of(&self.blurred)
+        bytes_of(&self.photo) + bytes_of(&self.blurred) + bytes_of(&self.hidden)
     }
 
     pub(crate) fn new(level: Level, target: &Target) -> Self {
         let layout = Layout { size: [target.width, target.height] };
         let blurred = Vec::with_capacity(3 * layout.vectors() * target.height);
-        let mut photo_loss = Self { layout, photo: padded(&target.planes, layout), blurred };
+        let mut photo_loss =
+            Self { layout, photo: padded(&target.planes, layout), hidden: hidden(target, layout), blurred };
         dispatch!(level, simd => photo_loss.blur_photo(simd));
         photo_loss
     }
 
     #[inline(always)]
     fn blur_photo<S: Simd>(&mut self, simd: S) {
-        let Self { layout, photo, blurred } = self;
+        let Self { layout, photo, blurred, .. } = self;
         let mut walk = Walk::<2>::default();
         for column in layout.columns() {
             walk.down(
@@ -108,6 +111,13 @@ impl PhotoLoss {
                 #[inline(always)]
                 |_, _, [y, yy]| blurred.push([*y, *(yy - y * y + SSIM_C2)]),
             );
+        }
+    }
+
+    /// Makes a picture equal to the photo where nothing counts.
+    pub(crate) fn hide(&self, picture: &mut [f32]) {
+        for channel in 0..3 {
+            self.hidden.iter().for_each(|&place| picture[channel * self.layout.plane() + place as usize] = 0.0);
         }
     }
 
@@ -182,6 +192,12 @@ fn add<S: Simd>(sums: &mut [f64; 2], near: &[V<S>; 2]) {
     for (sum, near) in sums.iter_mut().zip(near) {
         *sum += near.iter().map(|&v| f64::from(v)).sum::<f64>();
     }
+}
+
+fn hidden(target: &Target, layout: Layout) -> Vec<u32> {
+    let counts = target.mask.iter().flat_map(|mask| &mask.counts).enumerate();
+    let place = |index: usize| layout.row(index / target.width) + index % target.width;
+    counts.filter(|(_, counts)| !**counts).map(|(index, _)| place(index) as u32).collect()
 }
 
 fn padded(planes: &[u8], layout: Layout) -> Vec<u8> {

@@ -102,6 +102,7 @@ impl<'a> Pool<'a> {
             for (tile, of_tile) in pictures.chunks(self.individuals).enumerate() {
                 write_tile(&of_tile[individual], layout, corner(tile), picture);
             }
+            photo_loss.hide(picture);
             dispatch!(level, simd => photo_loss.loss(simd, picture, walk))
         });
         losses.collect()

@@ -38,7 +38,7 @@ fn views_of(sizes: [[u32; 2]; 2]) -> Vec<View> {
         let camera = camera().resized(width, height);
         let camera_from_world_translation = camera.camera_from_world_translation + shift;
         let camera = Camera { camera_from_world_translation, ..camera };
-        View { name: "test".into(), camera, photo: Arc::new(Photo { width, height, rgb }) }
+        View { name: "test".into(), camera, photo: Arc::new(Photo { width, height, rgb }), mask: None }
     };
     sizes.into_iter().enumerate().map(view).collect()
 }

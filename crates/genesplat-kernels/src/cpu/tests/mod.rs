@@ -7,6 +7,7 @@
 //! | gradients | 1e-4 relative L2, cosine 0.99999 | f32 rounding over the splats of a pixel; seen: 1e-5 |
 //! | Adam, MCMC's regularisers and noise | 1e-5 relative, absolute below 1 | f32 rounding over ten steps |
 
+mod masks;
 mod robustness;
 mod stages;
 mod update;

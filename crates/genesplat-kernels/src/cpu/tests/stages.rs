@@ -127,7 +127,8 @@ fn parameter_gradients_match_the_reference() {
             let settings = settings(degree, filter);
             let (buffers, camera) = buffers_of(&cloud, &settings, Some(DensitySignal::Absolute));
             let ViewBuffers { splats, bins, gradient_rows, .. } = &buffers;
-            let inputs = UpdateInputs { splats, bins, gradient_rows, camera: &camera, settings: &settings };
+            let inputs =
+                UpdateInputs { splats, bins, gradient_rows, camera: &camera, settings: &settings, is_masked: false };
             let (actual, density) = gradients(Level::new(), &inputs, &cloud, Some(DensitySignal::Absolute));
             let (_, expected) = reference::gradients(&Cloud64::from(&cloud), &view(), &settings, Cutoff::Hard);
             compare_gradients(&actual, &expected.cloud).unwrap_or_else(|e| panic!("{filter:?}, degree {degree}: {e}"));
@@ -149,7 +150,8 @@ fn what_lies_behind_finished_pixels_has_no_part_in_anything() {
         compare_images(&buffers.image, &expected.picture.image).unwrap_or_else(context);
 
         let ViewBuffers { splats, bins, gradient_rows, .. } = &buffers;
-        let inputs = UpdateInputs { splats, bins, gradient_rows, camera: &camera, settings: &settings };
+        let inputs =
+            UpdateInputs { splats, bins, gradient_rows, camera: &camera, settings: &settings, is_masked: false };
         let (actual, _) = gradients(Level::new(), &inputs, &cloud, None);
         let (_, expected) = reference::gradients(&Cloud64::from(&cloud), &view(), &settings, Cutoff::Hard);
         compare_gradients(&actual, &expected.cloud).unwrap_or_else(context);

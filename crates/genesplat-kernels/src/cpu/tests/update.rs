@@ -36,7 +36,8 @@ fn ten_steps_match_the_reference(mcmc: Option<McmcStep>) {
         let now = backend.download().unwrap().into_owned();
         let (buffers, camera) = buffers_of(&now, &settings, None);
         let ViewBuffers { splats, bins, gradient_rows, .. } = &buffers;
-        let inputs = UpdateInputs { splats, bins, gradient_rows, camera: &camera, settings: &settings };
+        let inputs =
+            UpdateInputs { splats, bins, gradient_rows, camera: &camera, settings: &settings, is_masked: false };
         let (gradient, _) = gradients(Level::new(), &inputs, &now, None);
         let gradient = Cloud64::from(&gradient);
         reference::adam(&mut expected, &mut moments, &gradient, &step.update.unwrap());

@@ -34,6 +34,8 @@ pub(crate) struct UpdateInputs<'a> {
     pub gradient_rows: &'a [GradientRow],
     pub camera: &'a Pinhole,
     pub settings: &'a RenderSettings,
+    /// Some pixels of the photo do not count.
+    pub is_masked: bool,
 }
 
 /// Gradients of all parameters, statistics, and the Adam step if there is one.
@@ -55,7 +57,8 @@ pub(crate) fn update(
             gradients.clear();
             let view = ChunkView { first_row: index * CHUNK, rows: &chunk.parameters, filter_3d };
             project_backward(simd, inputs, splats, &view, request.density, gradients);
-            add_statistics(&mut chunk.statistics, gradients, inputs.splats.seen(index), request);
+            let seen = (inputs.splats.seen(index), inputs.is_masked);
+            add_statistics(&mut chunk.statistics, gradients, seen, request);
             if let Some(step) = step {
                 take_pending(gradients, &mut chunk.pending);
                 if let Some(mcmc) = &step.mcmc {

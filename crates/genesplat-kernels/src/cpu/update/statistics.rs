@@ -39,19 +39,20 @@ pub(crate) fn density(
     }
 }
 
-/// Adds the gradients of a chunk, of which the rows in `seen` are visible.
+/// Adds the gradients of a chunk, of which the rows in `seen` are visible; under a mask, those that also have a gradient.
 #[inline(always)]
 pub(crate) fn add_statistics(
     out: &mut StatisticsMut,
     gradients: &ChunkGradients,
-    seen: &[bool],
+    (seen, is_masked): (&[bool], bool),
     request: StatisticsRequest,
 ) {
     if let Some(signal) = request.density {
         for (local, &is_seen) in seen.iter().enumerate() {
             // Geometric visibility counts, even where no pixel was touched, as in 3DGS's code.
-            if is_seen {
-                let [strength, beside] = gradients.density[local];
+            let [strength, beside] = gradients.density[local];
+            // What lies behind a mask alone would have its mean lowered by views that say nothing of it.
+            if is_seen && !(is_masked && strength == 0.0) {
                 out.gradient_sum[local] += strength;
                 match signal {
                     DensitySignal::PixelWeighted { .. } => out.weight_sum[local] += beside,

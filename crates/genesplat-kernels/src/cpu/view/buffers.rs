@@ -70,7 +70,12 @@ impl ViewBuffers {
 
     /// Loss of the rendered image; fills the image's gradient, and the gradient rows with what `signal` needs.
     pub fn backward(&mut self, level: Level, camera: &Pinhole, target: &Target, signal: Option<DensitySignal>) -> f32 {
-        let value = timed(&mut self.seconds.loss, || loss(level, &self.image, target, Some(&mut self.image_gradient)));
+        let value = timed(&mut self.seconds.loss, || {
+            target.hide(&mut self.image.planes);
+            let value = loss(level, &self.image, target, Some(&mut self.image_gradient));
+            target.hide(&mut self.image_gradient);
+            value
+        });
         let start = Instant::now();
         rasterise_backward(level, self, camera, signal);
         self.seconds.rasterise_backward += start.elapsed().as_secs_f64();

@@ -25,6 +25,8 @@ pub struct Pinhole {
     pub slope_limit: [f32; 2],
     /// Image size, px.
     pub size_px: [u32; 2],
+    /// Near plane, world units.
+    pub near: f32,
 }
 
 impl From<&Camera> for Pinhole {
@@ -38,6 +40,7 @@ impl From<&Camera> for Pinhole {
             axis_px: camera.principal_px.map(|v| (v - 0.5) as f32),
             slope_limit: camera.tan_half_fov().map(|tan| (f64::from(JACOBIAN_LIMIT) * tan) as f32),
             size_px: [camera.width, camera.height],
+            near: camera.near as f32,
         }
     }
 }

@@ -1,7 +1,7 @@
 //! Stage `project`: a cloud becomes the splats of one view, 16 Gaussians at a time (see [`super::geometry`]).
 
 use fearless_simd::{Level, Simd, dispatch};
-use genesplat_core::constants::{ALPHA_MIN, DISCRIMINANT_MIN, NEAR_DEPTH};
+use genesplat_core::constants::{ALPHA_MIN, DISCRIMINANT_MIN};
 use genesplat_core::{Gaussians, Genes, RenderSettings};
 use rayon::prelude::*;
 
@@ -105,8 +105,8 @@ impl<S: Simd> From<&Geometry<S>> for Lanes {
 impl Lanes {
     /// In front of the near plane, with an invertible covariance; false for anything that is not finite.
     #[inline(always)]
-    fn is_valid(&self, lane: usize) -> bool {
-        self.t[2][lane] > NEAR_DEPTH && self.det[lane] > 0.0 && self.det[lane].is_finite()
+    fn is_valid(&self, lane: usize, camera: &Pinhole) -> bool {
+        self.t[2][lane] > camera.near && self.det[lane] > 0.0 && self.det[lane].is_finite()
     }
 
     #[inline(always)]
@@ -117,7 +117,7 @@ impl Lanes {
     /// 3DGS's rule: the square of `ceil(3 sqrt(λ_max))` px around the mean meets at least one tile.
     #[inline(always)]
     fn is_seen(&self, lane: usize, camera: &Pinhole) -> bool {
-        if !self.is_valid(lane) {
+        if !self.is_valid(lane, camera) {
             return false;
         }
         let middle = 0.5 * (self.cov[0][lane] + self.cov[2][lane]);
@@ -138,7 +138,7 @@ impl Lanes {
     fn splat(&self, lane: usize, camera: &Pinhole) -> Option<Splat> {
         let opacity = self.opacity[lane];
         // `>` is false for NaN, so that a poisoned Gaussian disappears instead of spreading.
-        let reaches = self.is_valid(lane) && opacity > ALPHA_MIN;
+        let reaches = self.is_valid(lane, camera) && opacity > ALPHA_MIN;
         if !reaches {
             return None;
         }

@@ -7,6 +7,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use anyhow::{Result, bail};
+use genesplat::core::constants::NEAR_DEPTH;
 use genesplat::core::gaussians::logit;
 use genesplat::core::{Camera, Gaussians, Photo, RenderSettings, Rng, Stream, View};
 use genesplat::io::shown;
@@ -152,10 +153,11 @@ fn synthetic_view([width, height]: [u32; 2]) -> View {
         principal_px: [f64::from(width) / 2.0, f64::from(height) / 2.0],
         camera_from_world_rotation: DQuat::IDENTITY,
         camera_from_world_translation: DVec3::ZERO,
+        near: NEAR_DEPTH,
     };
     let pixel = |x: u32, y: u32| [(255 * x / width) as u8, (255 * y / height) as u8, 128];
     let rgb = (0..height).flat_map(|y| (0..width).flat_map(move |x| pixel(x, y))).collect();
-    View { name: "synthetic".into(), camera, photo: Arc::new(Photo { width, height, rgb }) }
+    View { name: "synthetic".into(), camera, photo: Arc::new(Photo { width, height, rgb }), mask: None }
 }
 
 /// A wavy wall that fills the picture, twice as wide, with a second one behind it.

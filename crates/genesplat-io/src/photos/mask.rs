@@ -1,0 +1,110 @@
+//! Masks of photos: which pixels count, at the size and through the lens at which the photo is loaded.
+//!
+//! A pixel of a reduced or undistorted photo is mixed from many. It counts only where all that it is mixed from does, so
+//! what a mask hides reaches no pixel that counts; the mask grows by up to two pixels for that.
+
+use std::path::Path;
+
+use genesplat_core::{Mask, Photo};
+use image::DynamicImage;
+
+use super::resize::reaches;
+use super::{EncodedPhoto, PhotoError};
+
+/// Which pixels of a photo count.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct PhotoMask {
+    pub(super) size: [u32; 2],
+    /// `[H, W]`
+    pub(super) counts: Vec<bool>,
+}
+
+impl PhotoMask {
+    /// What the picture at `path` leaves: all that is not black, as COLMAP and nerfstudio have it.
+    pub(crate) fn open(path: &Path) -> Result<Self, PhotoError> {
+        let encoded = EncodedPhoto::open(path)?;
+        let _room = encoded.wait_for_room();
+        let photo = encoded.decode_on([0; 3])?;
+        let counts = photo.rgb.chunks_exact(3).map(|rgb| rgb != [0; 3]).collect();
+        Ok(Self { size: [photo.width, photo.height], counts })
+    }
+
+    /// What is opaque; `None` where all is.
+    pub(super) fn of_opaque(image: &DynamicImage) -> Option<Self> {
+        let has_alpha = image.color().has_alpha();
+        let counts: Vec<bool> =
+            has_alpha.then(|| image.to_rgba8().pixels().map(|pixel| pixel.0[3] == u8::MAX).collect())?;
+        counts.contains(&false).then(|| Self { size: [image.width(), image.height()], counts })
+    }
+
+    pub(crate) fn size(&self) -> [u32; 2] {
+        self.size
+    }
+
+    /// What both leave; both have one size.
+    pub(crate) fn and(mut self, other: &Self) -> Self {
+        self.counts.iter_mut().zip(&other.counts).for_each(|(counts, other)| *counts &= other);
+        self
+    }
+
+    /// Paints what does not count.
+    pub(crate) fn paint(&self, photo: &mut Photo, colour: [u8; 3]) {
+        let hidden = photo.rgb.chunks_exact_mut(3).zip(&self.counts).filter(|(_, counts)| !**counts);
+        hidden.for_each(|(rgb, _)| rgb.copy_from_slice(&colour));
+    }
+
+    pub(super) fn counts_at(&self, x: usize, y: usize) -> bool {
+        self.counts[y * self.size[0] as usize + x]
+    }
+
+    /// That of the photo that [`super::resize`] makes.
+    pub(crate) fn resized(&self, size: [u32; 2]) -> Self {
+        let [columns, rows] = [0, 1].map(|axis| reaches(self.size[axis] as usize, size[axis] as usize));
+        let row_of =
+            |row: &[bool]| columns.iter().map(|reach| row[reach.clone()].iter().all(|counts| *counts)).collect();
+        let narrowed: Vec<Vec<bool>> = self.counts.chunks_exact(self.size[0] as usize).map(row_of).collect();
+        let counts = rows.iter().flat_map(|reach| {
+            let narrowed = &narrowed;
+            (0..size[0] as usize).map(move |column| narrowed[reach.clone()].iter().all(|row| row[column]))
+        });
+        Self { size, counts: counts.collect() }
+    }
+}
+
+impl From<PhotoMask> for Mask {
+    fn from(mask: PhotoMask) -> Self {
+        Self { counts: mask.counts }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::resize;
+    use super::*;
+
+    fn stripes(size: [u32; 2]) -> PhotoMask {
+        let counts = (0..size[0] * size[1]).map(|index| (index % size[0] + 3 * (index / size[0])) % 40 < 23);
+        PhotoMask { size, counts: counts.collect() }
+    }
+
+    fn noise(size: [u32; 2], seed: u32) -> Photo {
+        let rgb = (0..3 * size[0] * size[1]).map(|at| (at.wrapping_mul(2_654_435_761 ^ seed) >> 24) as u8).collect();
+        Photo { width: size[0], height: size[1], rgb }
+    }
+
+    #[test]
+    fn what_is_hidden_reaches_no_reduced_pixel_that_counts() {
+        let (size, smaller) = ([97, 61], [41, 26]);
+        let (mask, one) = (stripes(size), noise(size, 1));
+        let mut other = one.clone();
+        mask.paint(&mut other, [255, 0, 9]);
+        let [one, other] = [one, other].map(|photo| resize(&photo, smaller[0], smaller[1]));
+        let reduced = mask.resized(smaller);
+        let counted = reduced.counts.iter().filter(|counts| **counts).count();
+        assert!(counted > 200, "{counted}");
+        let differ = |at: &usize| one.rgb[3 * at..3 * at + 3] != other.rgb[3 * at..3 * at + 3];
+        assert!((0..one.rgb.len() / 3).filter(differ).all(|at| !reduced.counts[at]));
+        assert!((0..one.rgb.len() / 3).any(|at| differ(&at)), "the mask hides something");
+        assert_eq!(mask.resized(size), mask);
+    }
+}

@@ -1,0 +1,90 @@
+//! Masks beside the photos of a scene: `masks/NAME.jpg.png` as COLMAP names them, `masks/NAME.jpg` or `masks/NAME.png` as
+//! nerfstudio does.
+
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use crate::listing::{Listing, base_name};
+use crate::shown;
+
+/// What masks and transparency mean.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum MaskUse {
+    /// What masks hide is ignored; what is transparent shows the background.
+    #[default]
+    Usual,
+    /// What masks hide and what is not opaque counts for nothing: neither in training nor in scores.
+    Ignore,
+    /// What masks hide and what is transparent shows the background, which the splat must reproduce.
+    Transparent,
+}
+
+/// Photos that have something to hide.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Found {
+    pub(super) photos: usize,
+    /// Those with a mask.
+    pub(super) masked: usize,
+    /// Those that are transparent in parts.
+    pub(super) transparent: usize,
+}
+
+impl MaskUse {
+    /// What was found, and what is made of it.
+    pub(super) fn notices(self, found: Found) -> Vec<String> {
+        let Found { photos, masked, transparent } = found;
+        let mut notices = Vec::new();
+        if masked > 0 {
+            notices.push(match self {
+                Self::Usual | Self::Ignore => {
+                    format!("{masked} of {photos} photos have a mask: what it hides counts for nothing (--mask ignore)")
+                }
+                Self::Transparent => {
+                    format!(
+                        "{masked} of {photos} photos have a mask: what it hides must be background (--mask transparent)"
+                    )
+                }
+            });
+        }
+        if transparent > 0 {
+            notices.push(match self {
+                Self::Ignore => format!(
+                    "{transparent} of {photos} photos are transparent in parts: what is not opaque counts for nothing \
+                     (--mask ignore)"
+                ),
+                Self::Usual | Self::Transparent => format!(
+                    "{transparent} of {photos} photos are transparent in parts, which must be background (--mask transparent)"
+                ),
+            });
+        }
+        notices
+    }
+}
+
+/// Gives each photo without a mask the one that lies in `scene/masks`, if any does.
+pub(super) fn find(listing: &mut Listing, scene: &Path) {
+    let folder = scene.join("masks");
+    if !folder.is_dir() {
+        return;
+    }
+    for photo in &mut listing.photos {
+        photo.mask = photo.mask.take().or_else(|| mask_of(&folder, &photo.name));
+    }
+    if listing.photos.iter().all(|photo| photo.mask.is_none()) {
+        let example = listing.photos.first().map_or("", |photo| base_name(&photo.name));
+        let (folder, name) = (shown(&folder), shown(example));
+        listing.notices.push(format!("{folder} has no mask of any photo: that of {name} would be called {name}.png"));
+    }
+}
+
+/// `name` is that of the photo as its scene lists it: below the folder of photos, or with that folder before it.
+fn mask_of(folder: &Path, name: &str) -> Option<PathBuf> {
+    let name = name.trim_start_matches("./");
+    let below = name.split_once('/').map(|(_, below)| below);
+    let stem = |name: &str| name.rsplit_once('.').map_or(name.to_owned(), |(stem, _)| stem.to_owned());
+    let names = [Some(name), below, Some(base_name(name))].into_iter().flatten();
+    let candidates = names.flat_map(|name| [format!("{name}.png"), name.to_owned(), format!("{}.png", stem(name))]);
+    candidates.map(|name| folder.join(name)).find(|path| path.is_file())
+}
