@@ -12,6 +12,7 @@ mod kills;
 mod limits;
 mod live_page;
 mod lpips;
+mod mistakes;
 mod overwrite;
 mod peer;
 mod photos;
