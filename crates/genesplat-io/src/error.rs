@@ -33,14 +33,6 @@ pub enum SceneError {
         /// What it is.
         what: String,
     },
-    /// A folder inside of a scene.
-    #[error("{} is a part of a scene; give {}, the folder that holds sparse and images", shown(.path), shown(.scene))]
-    PartOfScene {
-        /// What was asked for.
-        path: PathBuf,
-        /// What was meant.
-        scene: PathBuf,
-    },
     /// The operating system refused.
     #[error("cannot read {}: {source}", shown(.file))]
     Read {
@@ -130,27 +122,8 @@ pub enum SceneError {
         /// What is wrong.
         problem: &'static str,
     },
-    /// A point cloud that is absent.
-    #[error(
-        "the point cloud {}, which the scene has as its ply_file_path, does not exist; put it there, or remove \
-         ply_file_path to start from random points",
-        shown(.0)
-    )]
-    PointsMissing(PathBuf),
-    /// One listed photo is absent.
-    #[error(
-        "the photo {}, which {} lists, does not exist; put it back, or remove it from the list",
-        shown(.photo),
-        shown(.list)
-    )]
-    PhotoMissing {
-        /// Where it should be.
-        photo: PathBuf,
-        /// The file with the list.
-        list: PathBuf,
-    },
     /// Every listed photo is absent.
-    #[error("none of the {count} photos that {} lists is in {}; put the photos there", shown(.list), shown(.folder))]
+    #[error("none of the {count} photos that {} lists is in {}{found}; put the photos there", shown(.list), shown(.folder))]
     AllPhotosMissing {
         /// How many are listed.
         count: usize,
@@ -158,6 +131,8 @@ pub enum SceneError {
         list: PathBuf,
         /// Where they should be.
         folder: PathBuf,
+        /// What else is there, if anything is.
+        found: String,
     },
     /// A photo of another shape than its camera's, or too small to learn from.
     #[error("the photo {} {problem}", shown(.photo))]

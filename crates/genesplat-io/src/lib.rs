@@ -15,6 +15,7 @@ pub mod photos;
 pub mod ply;
 mod scene;
 mod shown;
+mod similar;
 mod transforms;
 
 pub use error::SceneError;

@@ -10,14 +10,18 @@ use glam::DVec3;
 
 use crate::error::SceneError;
 use crate::photos::Lens;
-use crate::scene::Point;
+use crate::scene::{Cube, Point};
 use crate::shown;
+use crate::similar::{PHOTOS, Similar, entries, has_ending};
 
 pub(crate) struct Listing {
     pub(crate) photos: Vec<ListedPhoto>,
+    /// None where the scene has none, or none are wanted.
     pub(crate) points: Vec<Point>,
     /// The file that the points are from, or that names none, for errors.
     pub(crate) points_file: PathBuf,
+    /// Where random points lie, if this is known; else it follows from the cameras.
+    pub(crate) cube: Option<Cube>,
     pub(crate) notices: Vec<String>,
 }
 
@@ -57,6 +61,14 @@ impl Listing {
         let centres: Vec<DVec3> = self.photos.iter().map(|photo| photo.camera.centre_in_world()).collect();
         let near = near.unwrap_or_else(|| near_of(&centres));
         self.photos.iter_mut().for_each(|photo| photo.camera.near = near);
+    }
+
+    /// Random points, for a scene that has none.
+    pub(crate) fn draw_points(&mut self, seed: u64) {
+        let cameras = || self.photos.iter().map(|photo| photo.camera).collect::<Vec<_>>();
+        self.points = self.cube.unwrap_or_else(|| Cube::seen_by(&cameras())).points(seed);
+        let count = self.points.len();
+        self.notices.push(format!("the scene has no points, so training starts from {count} random ones"));
     }
 
     pub(crate) fn name_views(&mut self) -> Result<(), SceneError> {
@@ -128,6 +140,34 @@ pub(crate) fn intrinsics_problem(
     } else {
         None
     }
+}
+
+/// Of all photos that `list` has, these do not exist: published scenes list photos that were removed as blurred.
+pub(crate) fn absent_notice(missing: &[PathBuf], all: usize, list: &Path) -> Option<String> {
+    let (first, gone, list) = (shown(missing.first()?), missing.len(), shown(list));
+    Some(format!("{gone} of the {all} photos that {list} lists do not exist and are left out, first {first}"))
+}
+
+/// Photos that were found under almost the names that `list` has.
+pub(crate) fn similar_notice(similar: Similar, list: &Path) -> Option<String> {
+    let (wanted, found, count) = similar.found()?;
+    let [wanted, found] = [wanted, found].map(|path| shown(path.file_name().unwrap_or_default()));
+    let list = shown(list);
+    Some(format!("{count} photos have other cases or endings than {list} says, first {found} for {wanted}"))
+}
+
+/// The error where no photo exists that `list` has; `wanted` is the first.
+pub(crate) fn all_missing(wanted: &Path, count: usize, list: &Path) -> SceneError {
+    let folder = wanted.parent().unwrap_or(Path::new(""));
+    let found = entries(folder).filter(|entry| has_ending(entry, &PHOTOS)).min();
+    let [wanted, found] = [Some(wanted.to_owned()), found]
+        .map(|path| path.and_then(|path| path.file_name().map(shown)).unwrap_or_default());
+    let found = if found.is_empty() {
+        String::new()
+    } else {
+        format!(", which has names like {found} where {wanted} is wanted")
+    };
+    SceneError::AllPhotosMissing { count, list: list.to_owned(), folder: folder.to_owned(), found }
 }
 
 pub(crate) fn base_name(path: &str) -> &str {

@@ -206,6 +206,7 @@ mod tests {
             principal_px: [150.0, 110.0],
             camera_from_world_rotation: DQuat::from_euler(glam::EulerRot::XYZ, 0.3, -0.2, 0.9),
             camera_from_world_translation: DVec3::new(1.0, -2.0, 3.0),
+            near: 0.2,
         };
         let small = thumbnail_camera(&camera);
         assert_eq!((small.width, small.height), (176, 110));

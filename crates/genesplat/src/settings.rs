@@ -89,6 +89,10 @@ impl ConfigFile {
         Self::from_table(Table::new()).expect("every setting has a default")
     }
 
+    fn of_preset(text: &str) -> Self {
+        text.parse().and_then(Self::from_table).expect("presets are configurations")
+    }
+
     /// The file in the folder of a run.
     pub(crate) fn of_run(folder: &Path) -> Result<Self> {
         check_is_run(folder)?;
@@ -103,10 +107,11 @@ impl ConfigFile {
     /// What `genesplat train` is to do, checked as far as that is possible without a device.
     pub(crate) fn of_training(args: &TrainArgs) -> Result<Self> {
         let saved = args.resume.then(|| Self::of_run(&args.out)).transpose()?;
-        let mut file = match (&args.config, &saved) {
-            (Some(path), _) => Self::read(path)?,
-            (None, Some(saved)) => saved.clone(),
-            (None, None) => Self::defaults(),
+        let mut file = match (&args.config, args.preset, &saved) {
+            (Some(path), ..) => Self::read(path)?,
+            (None, Some(preset), _) => Self::of_preset(preset),
+            (None, None, Some(saved)) => saved.clone(),
+            (None, None, None) => Self::defaults(),
         };
         file.dataset.path = args.scene();
         args.photos.override_dataset(&mut file.dataset)?;

@@ -10,9 +10,12 @@ use glam::{DQuat, DVec3};
 
 use super::{ImageRecord, Model, ModelFolder, read_model, read_photos};
 use crate::error::SceneError;
-use crate::listing::{ListedPhoto, Listing, Purpose, base_name, inside, no_photos};
+use crate::listing::{
+    ListedPhoto, Listing, Purpose, absent_notice, all_missing, base_name, inside, no_photos, similar_notice,
+};
 use crate::photos::Lens;
 use crate::shown;
+use crate::similar::{self, Similar};
 
 /// Lists the photos and, if they are wanted, the points of the model in `folder`; photos are in `image_folder`.
 pub(crate) fn list(folder: &ModelFolder, image_folder: &Path, with_points: bool) -> Result<Listing, SceneError> {
@@ -21,15 +24,16 @@ pub(crate) fn list(folder: &ModelFolder, image_folder: &Path, with_points: bool)
     if model.images.is_empty() {
         return Err(no_photos(&list));
     }
-    let photos = find_photos(&model.images, image_folder, &list)?;
+    let mut notices = other_models(&folder.path);
+    let photos = find_photos(&model.images, image_folder, &list, &mut notices)?;
     let list: Arc<Path> = list.into();
     let listed = |(image, path): (&ImageRecord, PathBuf)| {
         let (name, list, (camera, lens)) = (image.name.clone(), list.clone(), camera(&model, image, &list)?);
         Ok(ListedPhoto { name, path, list, camera, lens, purpose: Purpose::Unsaid, mask: None })
     };
-    let photos = model.images.iter().zip(photos).map(listed).collect::<Result<_, SceneError>>()?;
+    let photos = photos.into_iter().map(listed).collect::<Result<_, SceneError>>()?;
     let points_file = folder.form.file(&folder.path, "points3D");
-    Ok(Listing { photos, points: model.points, points_file, notices: other_models(&folder.path) })
+    Ok(Listing { photos, points: model.points, points_file, cube: None, notices })
 }
 
 fn camera(model: &Model, image: &ImageRecord, list: &Path) -> Result<(Camera, Option<Lens>), SceneError> {
@@ -52,47 +56,52 @@ fn camera(model: &Model, image: &ImageRecord, list: &Path) -> Result<(Camera, Op
     Ok((camera, intrinsics.lens))
 }
 
-/// Path of every photo: by the record's whole name, or else by its last part, as the reference trainer looks.
-fn find_photos(images: &[ImageRecord], folder: &Path, list: &Path) -> Result<Vec<PathBuf>, SceneError> {
-    let mut found = Vec::with_capacity(images.len());
-    let mut missing = None;
+/// The photos that exist: by the record's whole name, or else by its last part, as the reference trainer looks; or by
+/// almost these.
+fn find_photos<'a>(
+    images: &'a [ImageRecord],
+    folder: &Path,
+    list: &Path,
+    notices: &mut Vec<String>,
+) -> Result<Vec<(&'a ImageRecord, PathBuf)>, SceneError> {
+    let (folder, mut similar) = (similar::folder(folder), Similar::default());
+    let (mut found, mut missing) = (Vec::with_capacity(images.len()), Vec::new());
     for image in images {
         let whole = folder.join(inside(&image.name, list)?);
         let flat = folder.join(base_name(&image.name));
-        if whole.is_file() {
-            found.push(whole);
-        } else if flat.is_file() {
-            found.push(flat);
-        } else {
-            missing = missing.or(Some(whole));
+        let there = [&whole, &flat].into_iter().find(|path| path.is_file()).cloned();
+        match there.or_else(|| similar.find(&whole)).or_else(|| similar.find(&flat)) {
+            Some(path) => found.push((image, path)),
+            None => missing.push(whole),
         }
     }
-    if let Some(photo) = missing {
-        let (list, folder, count) = (list.to_owned(), folder.to_owned(), images.len());
-        return Err(match found.is_empty() {
-            true => SceneError::AllPhotosMissing { count, list, folder },
-            false => SceneError::PhotoMissing { photo, list },
-        });
+    if let (true, Some(wanted)) = (found.is_empty(), missing.first()) {
+        return Err(all_missing(wanted, images.len(), list));
     }
-    match shared(&found).map(|pair| pair.map(|at| images[at].name.clone())) {
+    check_not_shared(&found, &folder, list)?;
+    notices.extend(similar_notice(similar, list));
+    notices.extend(absent_notice(&missing, images.len(), list));
+    Ok(found)
+}
+
+/// Fails where two records have found the same file: the photo of one of them is not where the list says.
+fn check_not_shared(found: &[(&ImageRecord, PathBuf)], folder: &Path, list: &Path) -> Result<(), SceneError> {
+    let mut finders = HashMap::new();
+    let shared =
+        found.iter().find_map(|(image, path)| finders.insert(path, &image.name).map(|first| [first, &image.name]));
+    match shared {
         // Two records of one name are an error of `Listing::name_views`.
         Some([first, second]) if first != second => {
             let problem = format!(
                 "lists {} and {}, and {} has one photo of that name for both; put them where the list says",
-                shown(&first),
-                shown(&second),
+                shown(first),
+                shown(second),
                 shown(folder)
             );
             Err(SceneError::invalid(list, problem))
         }
-        _ => Ok(found),
+        _ => Ok(()),
     }
-}
-
-/// The first two records that found the same file: the photo of one of them is not where the list says.
-fn shared(found: &[PathBuf]) -> Option<[usize; 2]> {
-    let mut finders = HashMap::new();
-    found.iter().enumerate().find_map(|(at, photo)| finders.insert(photo, at).map(|first| [first, at]))
 }
 
 /// A notice where COLMAP split the photos into several models, of which only the first is used.

@@ -90,7 +90,16 @@ pub struct ModelFolder {
 
 /// The model of a scene folder: in `sparse/0`, `sparse`, or the folder itself.
 pub fn find_model(scene: &Path) -> Option<ModelFolder> {
-    let folders = ["sparse/0", "sparse", ""].map(|sub| scene.join(sub));
+    find_model_in(scene, &["sparse/0", "sparse", ""])
+}
+
+/// The model of a scene in whose folder COLMAP has one of its own, as nerfstudio leaves it.
+pub(crate) fn find_nested_model(scene: &Path) -> Option<ModelFolder> {
+    find_model_in(scene, &["colmap/sparse/0", "colmap/sparse", "colmap"])
+}
+
+fn find_model_in(scene: &Path, folders: &[&str]) -> Option<ModelFolder> {
+    let folders: Vec<PathBuf> = folders.iter().map(|sub| scene.join(sub)).collect();
     let forms = [Form::Binary, Form::Text];
     folders
         .iter()
@@ -116,6 +125,10 @@ fn read_photos(folder: &ModelFolder) -> Result<Model, SceneError> {
 
 fn read_points(folder: &ModelFolder) -> Result<Vec<Point>, SceneError> {
     let file = folder.form.file(&folder.path, "points3D");
+    // Whoever knows the cameras from elsewhere may have none.
+    if !file.exists() {
+        return Ok(Vec::new());
+    }
     parse_points(folder.form, &file, &read(&file)?)
 }
 

@@ -1,7 +1,8 @@
-//! Decodes PNG and JPEG: first the header, then the pixels within limits, and nothing of a file that was cut off.
+//! Decodes PNG, JPEG and WebP: first the header, then the pixels within limits, and nothing of a file that was cut off.
 
 use std::io::Cursor;
 
+use image::metadata::Orientation;
 use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
 
 /// Most pixels of a photo: a few damaged bytes must not claim all memory.
@@ -13,6 +14,7 @@ const PIXEL_BYTES_MAX: u64 = 8;
 const PIXELS_PER_BYTE_MAX: u64 = 8 * 1032;
 /// Three channels of 8 bits, as all photos are in the end.
 const RGB_BYTES: u64 = 3;
+const RGBA_BYTES: u64 = 4;
 /// Three 16-bit coefficients a pixel, which a progressive JPEG takes in addition.
 const COEFFICIENT_BYTES: u64 = 6;
 
@@ -24,21 +26,35 @@ pub(super) struct Encoded {
     pub(super) height: u32,
     /// Of the picture as its file has it, decoded.
     decoded_bytes: u64,
+    /// What turns its pixels upright, where they are to be turned.
+    turn: Option<Orientation>,
 }
 
 impl Encoded {
     /// The picture in `bytes`, whatever the name of its file says; the reason where there is none that can be decoded.
     pub(super) fn of(bytes: Vec<u8>) -> Result<Self, String> {
         let reader = ImageReader::new(Cursor::new(&bytes)).with_guessed_format().map_err(|error| error.to_string())?;
-        let format = reader.format().ok_or("it is neither a PNG nor a JPEG")?;
+        let format = reader.format().ok_or("it is neither a PNG nor a JPEG nor a WebP")?;
         if format == ImageFormat::Jpeg && !jpeg_is_whole(&bytes) {
             return Err("the file was cut off before the end of the picture".into());
         }
         let decoder = reader.into_decoder().map_err(|error| error.to_string())?;
         let ((width, height), decoded_bytes) = (decoder.dimensions(), decoder.total_bytes());
         drop(decoder);
-        let encoded = Self { bytes, format, width, height, decoded_bytes };
+        let encoded = Self { bytes, format, width, height, decoded_bytes, turn: None };
         encoded.check_pixels().map(|()| encoded)
+    }
+
+    /// The same, upright, if a tag says that it was taken with the camera on its side.
+    pub(super) fn turned(self) -> Self {
+        let reader = ImageReader::with_format(Cursor::new(&self.bytes), self.format);
+        let tag = reader.into_decoder().and_then(|mut decoder| decoder.orientation()).ok();
+        let sideways =
+            [Orientation::Rotate90, Orientation::Rotate270, Orientation::Rotate90FlipH, Orientation::Rotate270FlipH];
+        match tag.filter(|tag| sideways.contains(tag)) {
+            Some(tag) => Self { width: self.height, height: self.width, turn: Some(tag), ..self },
+            None => self,
+        }
     }
 
     fn pixels(&self) -> u64 {
@@ -62,7 +78,9 @@ impl Encoded {
     pub(super) fn loading_bytes(&self) -> u64 {
         let progressive = self.format == ImageFormat::Jpeg && jpeg_is_progressive(&self.bytes);
         let coefficients = if progressive { COEFFICIENT_BYTES } else { 0 };
-        self.bytes.len() as u64 + self.decoded_bytes + (RGB_BYTES + coefficients) * self.pixels()
+        // Lossless WebP is decoded with an alpha that nobody asked for; what is turned is copied.
+        let copy = if self.format == ImageFormat::WebP || self.turn.is_some() { RGBA_BYTES } else { 0 };
+        self.bytes.len() as u64 + self.decoded_bytes + (RGB_BYTES + coefficients + copy) * self.pixels()
     }
 
     pub(super) fn decode(self) -> Result<DynamicImage, String> {
@@ -71,7 +89,9 @@ impl Encoded {
         let mut limits = Limits::default();
         limits.max_alloc = Some(PIXELS_MAX * PIXEL_BYTES_MAX);
         reader.limits(limits);
-        reader.decode().map_err(|error| error.to_string())
+        let mut image = reader.decode().map_err(|error| error.to_string())?;
+        self.turn.into_iter().for_each(|turn| image.apply_orientation(turn));
+        Ok(image)
     }
 }
 

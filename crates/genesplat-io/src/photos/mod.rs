@@ -63,14 +63,14 @@ pub enum PhotoError {
 /// A photo of which the header is read, and no pixel.
 ///
 /// The format is told by the content, not by the name. Orientation tags are ignored, as COLMAP and the reference
-/// trainer ignore them.
+/// trainer ignore them, unless a camera shows that it was calibrated on upright photos ([`EncodedPhoto::turned_like`]).
 pub struct EncodedPhoto {
     path: PathBuf,
     encoded: Encoded,
 }
 
 impl EncodedPhoto {
-    /// Reads the file at `path`, a PNG or JPEG.
+    /// Reads the file at `path`, a PNG, JPEG or WebP.
     pub fn open(path: &Path) -> Result<Self, PhotoError> {
         let bytes = input::read(path).map_err(|source| PhotoError::Read { path: path.to_owned(), source })?;
         Self::of(path, bytes)
@@ -85,6 +85,16 @@ impl EncodedPhoto {
     /// Width and height, px, as the header claims them.
     pub fn size(&self) -> (u32, u32) {
         (self.encoded.width, self.encoded.height)
+    }
+
+    /// The same, turned upright by its orientation tag where only then it has the shape of `width` x `height` px: its
+    /// camera was calibrated on the upright photo.
+    pub(crate) fn turned_like(self, width: u32, height: u32) -> Self {
+        let is_like = |(a, b): (u32, u32)| (a > b) == (width > height);
+        if is_like(self.size()) || self.encoded.width == self.encoded.height || width == height {
+            return self;
+        }
+        Self { encoded: self.encoded.turned(), ..self }
     }
 
     /// Memory for decoding and one copy; waits while other threads have too much of it.
@@ -113,7 +123,7 @@ fn undecodable(path: &Path, reason: String) -> PhotoError {
     PhotoError::Decode { path: path.to_owned(), reason }
 }
 
-/// Reads a PNG or JPEG; transparency is composited on black.
+/// Reads a PNG, JPEG or WebP; transparency is composited on black.
 pub fn read_photo(path: &Path) -> Result<Photo, PhotoError> {
     let encoded = EncodedPhoto::open(path)?;
     let _room = encoded.wait_for_room();

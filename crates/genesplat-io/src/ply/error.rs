@@ -38,13 +38,15 @@ pub enum PlyError {
     },
     /// A PLY file of something else.
     #[error(
-        "{} is not the kind of cloud that is needed here: its vertices lack {}; give {wanted}",
+        "{} is {what}: its vertices lack {}; give {wanted}",
         shown(.path),
         shown(.property)
     )]
     MissingProperty {
         /// The file.
         path: PathBuf,
+        /// What it seems to be.
+        what: &'static str,
         /// The first property that is missing.
         property: String,
         /// What is to be given instead.

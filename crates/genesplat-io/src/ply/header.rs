@@ -28,6 +28,8 @@ pub struct PlyHeader {
     /// What the elements before the vertices take: bytes, or lines of an ASCII file.
     pub(super) before: u64,
     pub(super) ends_with_vertices: bool,
+    /// The vertices are those of a mesh.
+    has_faces: bool,
 }
 
 impl PlyHeader {
@@ -35,9 +37,24 @@ impl PlyHeader {
     pub(super) fn column(&self, name: &str, path: &Path, wanted: &'static str) -> Result<usize, PlyError> {
         self.properties.iter().position(|property| property.name == name).ok_or_else(|| PlyError::MissingProperty {
             path: path.to_owned(),
+            what: self.kind(),
             property: name.into(),
             wanted,
         })
+    }
+
+    pub(super) fn has_positions(&self) -> bool {
+        let has = |name| self.properties.iter().any(|property| property.name == name);
+        ["x", "y", "z"].into_iter().all(has)
+    }
+
+    /// What a file without Gaussians seems to be.
+    fn kind(&self) -> &'static str {
+        match self.has_positions() {
+            _ if self.has_faces => "a mesh",
+            true => "a point cloud",
+            false => "not the kind of cloud that is needed here",
+        }
     }
 
     /// Place of the property `name` in the bytes of a row; errors as [`PlyHeader::column`].
@@ -188,6 +205,7 @@ fn add_property(element: Option<&mut Element>, rest: &str) -> Result<(), String>
 fn assemble(mut elements: Vec<Element>, comments: Vec<String>, encoding: Encoding) -> Result<PlyHeader, String> {
     let at = elements.iter().position(|element| element.name == "vertex").ok_or("it has no vertices")?;
     let before = before(&elements[..at], encoding)?;
+    let has_faces = elements.iter().any(|element| element.name == "face");
     let ends_with_vertices = elements[at + 1..].iter().all(|element| element.count == 0);
     fixed_length(&elements[at])?;
     let vertex = elements.swap_remove(at);
@@ -206,6 +224,7 @@ fn assemble(mut elements: Vec<Element>, comments: Vec<String>, encoding: Encodin
         row_bytes: vertex.row_bytes,
         before,
         ends_with_vertices,
+        has_faces,
     })
 }
 

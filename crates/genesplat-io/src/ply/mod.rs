@@ -61,11 +61,13 @@ pub fn read_ply_with_header(path: &Path) -> Result<(PlyHeader, Gaussians), PlyEr
 /// The same from the `size` bytes of `reader`; `path` is named in errors.
 pub(crate) fn parse_splat(path: &Path, reader: impl BufRead, size: u64) -> Result<(PlyHeader, Gaussians), PlyError> {
     let (header, mut rest) = parse_header(path, reader, size)?;
-    if header.encoding == Encoding::Ascii {
+    let layout = rows::Layout::of(&header, path);
+    // A mesh or a point cloud is called one, however it is written.
+    if header.encoding == Encoding::Ascii && (layout.is_ok() || !header.has_positions()) {
         let problem = "it is an ASCII file, and only binary ones hold Gaussians".into();
         return Err(PlyError::Header { path: path.to_owned(), problem });
     }
-    let cloud = rows::Layout::of(&header, path)?.read(header.gaussians as usize, &mut rest);
+    let cloud = layout?.read(header.gaussians as usize, &mut rest);
     Ok((header, cloud.map_err(|source| read_error(path, source))?))
 }
 

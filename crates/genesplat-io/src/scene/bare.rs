@@ -1,12 +1,31 @@
 //! Photos and videos without cameras, which are not scenes yet.
 
-use std::fs;
 use std::path::Path;
 
 use crate::error::SceneError;
+use crate::similar::{PHOTOS, entries, has_ending};
 
 const VIDEOS: [&str; 8] = ["mp4", "mov", "m4v", "avi", "mkv", "webm", "mpg", "mpeg"];
-const PHOTOS: [&str; 3] = ["jpg", "jpeg", "png"];
+const ARCHIVES: [&str; 6] = ["zip", "tar", "gz", "tgz", "7z", "rar"];
+
+/// What to do with a file that is no scene, and no video.
+pub(super) fn file(path: &Path) -> Option<SceneError> {
+    let remedy = match () {
+        () if !path.is_file() => return None,
+        () if has_ending(path, &ARCHIVES) => "is an archive; unpack it, and give the folder that it holds",
+        () if has_ending(path, &PHOTOS) => {
+            "is one photo; give the folder of a scene, with many photos and their cameras"
+        }
+        () => "is a file; give the folder of a scene",
+    };
+    Some(SceneError::invalid(path, remedy))
+}
+
+/// What to do with the folder of a run.
+pub(super) fn run(path: &Path) -> Option<SceneError> {
+    let is_run = ["config.toml", "point_cloud.ply"].iter().all(|name| path.join(name).is_file());
+    is_run.then(|| SceneError::invalid(path, "is the folder of a run; give the folder of a scene"))
+}
 
 /// What to do with `path` where it is a video, or a folder that holds photos, itself or in a folder below it.
 pub(super) fn without_cameras(path: &Path) -> Option<SceneError> {
@@ -22,13 +41,4 @@ pub(super) fn without_cameras(path: &Path) -> Option<SceneError> {
 
 fn photos_in(folder: &Path) -> usize {
     entries(folder).filter(|entry| has_ending(entry, &PHOTOS)).count()
-}
-
-fn entries(folder: &Path) -> impl Iterator<Item = std::path::PathBuf> {
-    fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path())
-}
-
-fn has_ending(path: &Path, endings: &[&str]) -> bool {
-    let ending = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
-    endings.contains(&ending.as_str())
 }

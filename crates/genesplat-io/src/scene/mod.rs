@@ -3,6 +3,8 @@
 mod bare;
 mod listed;
 mod masks;
+mod place;
+mod random_points;
 mod split;
 mod view;
 
@@ -13,6 +15,7 @@ use rayon::prelude::*;
 
 pub use listed::{SceneList, ScenePhoto, list_scene, model_of};
 pub use masks::MaskUse;
+pub(crate) use random_points::Cube;
 pub use split::HoldOut;
 pub use view::SIDE_MIN_PX;
 
@@ -183,19 +186,28 @@ fn list(path: &Path, options: &LoadOptions) -> Result<Listing, SceneError> {
     }
     match list_known(path, options) {
         Err(error @ (SceneError::Unrecognised(_) | SceneError::AllPhotosMissing { .. })) => {
-            let part = whole_scene(path).map(|scene| SceneError::PartOfScene { path: path.to_owned(), scene });
-            Err(part.or_else(|| bare::without_cameras(path)).unwrap_or(error))
+            let Some(scene) = place::of(path).filter(|scene| scene != path) else {
+                let known = || bare::run(path).or_else(|| bare::without_cameras(path)).or_else(|| bare::file(path));
+                let is_unknown = matches!(error, SceneError::Unrecognised(_));
+                return Err(if is_unknown { known().unwrap_or(error) } else { error });
+            };
+            let mut listing = checked(list_known(&scene, options)?, &scene, options)?;
+            listing.notices.insert(0, format!("the scene is {}, of which a part was given", shown(&scene)));
+            Ok(listing)
         }
         known => checked(known?, path, options),
     }
 }
 
-/// `listing` with the names of its views. Too few points are an error here already: training would find it out only
-/// after the photos are decoded.
+/// `listing` with the names of its views, and points to start from. Too few points are an error here already: training
+/// would find it out only after the photos are decoded.
 fn checked(mut listing: Listing, scene: &Path, options: &LoadOptions) -> Result<Listing, SceneError> {
     masks::find(&mut listing, scene);
     listing.set_near(options.near);
     listing.name_views()?;
+    if options.with_points && listing.points.is_empty() {
+        listing.draw_points(options.seed);
+    }
     let points = listing.points.len();
     if options.with_points && points < POINTS_MIN {
         let problem = format!(
@@ -208,24 +220,18 @@ fn checked(mut listing: Listing, scene: &Path, options: &LoadOptions) -> Result<
 }
 
 fn list_known(path: &Path, options: &LoadOptions) -> Result<Listing, SceneError> {
-    let seed = options.with_points.then_some(options.seed);
+    let with_points = options.with_points;
+    let of_model = |model| colmap::list(&model, &path.join(&options.image_folder), with_points);
     if let Some(model) = colmap::find_model(path) {
-        return colmap::list(&model, &path.join(&options.image_folder), options.with_points);
+        return of_model(model);
     }
     if path.join("transforms_train.json").is_file() {
-        return transforms::list_blender(path, seed);
+        return transforms::list_blender(path, with_points);
     }
     if path.join("transforms.json").is_file() {
-        return transforms::list_nerfstudio(path, seed);
+        return transforms::list_nerfstudio(path, with_points);
     }
-    Err(SceneError::Unrecognised(path.to_owned()))
-}
-
-/// The scene that `path` is a part of, as `sparse/0`, `sparse` and `images` are.
-fn whole_scene(path: &Path) -> Option<PathBuf> {
-    let path = path.canonicalize().ok()?;
-    let is_scene = |folder: &&Path| folder.join("sparse").is_dir() && folder.join("images").is_dir();
-    path.ancestors().skip(1).take(2).find(is_scene).map(Path::to_owned)
+    colmap::find_nested_model(path).map_or_else(|| Err(SceneError::Unrecognised(path.to_owned())), of_model)
 }
 
 fn scene_name(path: &Path) -> String {

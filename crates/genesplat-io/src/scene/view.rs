@@ -26,7 +26,7 @@ pub(super) fn load(
     options: &LoadOptions,
     progress: &dyn LoadProgress,
 ) -> Result<Loaded, SceneError> {
-    let photo = EncodedPhoto::open(&listed.path)?;
+    let photo = EncodedPhoto::open(&listed.path)?.turned_like(listed.camera.width, listed.camera.height);
     let (photo_width, photo_height) = photo.size();
     let camera = camera_of_photo(listed, photo_width, photo_height)?;
     let pinhole = listed.lens.map_or(Ok(camera), |lens| pinhole_of(listed, &camera, &lens))?;

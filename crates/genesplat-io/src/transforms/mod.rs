@@ -4,7 +4,6 @@
 //! no scaling.
 
 mod camera;
-mod random_points;
 mod schema;
 mod splits;
 
@@ -14,43 +13,32 @@ use std::sync::Arc;
 use genesplat_core::Camera;
 
 pub(crate) use self::camera::KNOWN_MODELS;
-use self::random_points::{COUNT, Cube};
 use self::splits::Splits;
 use crate::error::SceneError;
-use crate::listing::{ListedPhoto, Listing, Purpose, inside, no_photos, path_inside};
+use crate::listing::{
+    ListedPhoto, Listing, Purpose, absent_notice, all_missing, inside, no_photos, path_inside, similar_notice,
+};
+use crate::scene::Cube;
+use crate::similar::Similar;
 use crate::{ply, shown};
 
 /// What the file name of a photo may end in beyond what a frame says.
 const ENDS: [&str; 3] = ["", ".png", ".jpg"];
 
 /// The scene of `folder/transforms_train.json` and, if it exists, `transforms_test.json`: Blender's.
-///
-/// `seed` is that of random points, where there are no others; `None` where no points are wanted.
-pub(crate) fn list_blender(folder: &Path, seed: Option<u64>) -> Result<Listing, SceneError> {
+pub(crate) fn list_blender(folder: &Path, with_points: bool) -> Result<Listing, SceneError> {
     let list = folder.join("transforms_train.json");
     let test = folder.join("transforms_test.json");
     let mut found = read_photos(&list, Some(Purpose::Unsaid))?;
     if test.is_file() {
-        let tested = read_photos(&test, Some(Purpose::Test))?;
-        found.photos.extend(tested.photos);
-        found.missing.extend(tested.missing);
+        found.add(read_photos(&test, Some(Purpose::Test))?);
     }
-    match found.missing.first() {
-        Some((photo, list)) if !found.photos.is_empty() => {
-            Err(SceneError::PhotoMissing { photo: photo.clone(), list: list.to_path_buf() })
-        }
-        _ => found.into_listing(&list, seed, |_| Cube::BLENDER),
-    }
+    Ok(Listing { cube: Some(Cube::BLENDER), ..found.into_listing(with_points)? })
 }
 
-/// The scene of `folder/transforms.json`. Photos that are listed but absent are left out with a notice: published
-/// scenes list photos that were removed as blurred.
-pub(crate) fn list_nerfstudio(folder: &Path, seed: Option<u64>) -> Result<Listing, SceneError> {
-    let list = folder.join("transforms.json");
-    read_photos(&list, None)?.into_listing(&list, seed, |photos| {
-        let cameras: Vec<Camera> = photos.iter().map(|photo| photo.camera).collect();
-        Cube::seen_by(&cameras)
-    })
+/// The scene of `folder/transforms.json`.
+pub(crate) fn list_nerfstudio(folder: &Path, with_points: bool) -> Result<Listing, SceneError> {
+    read_photos(&folder.join("transforms.json"), None)?.into_listing(with_points)
 }
 
 fn with_end(path: &Path, end: &str) -> PathBuf {
@@ -60,63 +48,56 @@ fn with_end(path: &Path, end: &str) -> PathBuf {
 }
 
 /// What one or two files list.
-#[derive(Default)]
 struct Found {
+    /// The first file.
+    list: PathBuf,
     photos: Vec<ListedPhoto>,
-    /// Photos that do not exist, each with the file that lists it.
-    missing: Vec<(PathBuf, Arc<Path>)>,
+    /// Where photos should be that are listed and do not exist.
+    missing: Vec<PathBuf>,
     points: Option<String>,
+    notices: Vec<String>,
 }
 
 impl Found {
-    /// With the points that the file names, or random ones with a notice; none where none are wanted.
-    fn into_listing(
-        self,
-        list: &Path,
-        seed: Option<u64>,
-        cube: impl FnOnce(&[ListedPhoto]) -> Cube,
-    ) -> Result<Listing, SceneError> {
-        let folder = list.parent().unwrap_or(Path::new(""));
-        if self.photos.is_empty() {
-            let (count, list, folder) = (self.missing.len(), list.to_owned(), folder.to_owned());
-            return Err(SceneError::AllPhotosMissing { count, list, folder });
-        }
-        let mut notices = self.notices(list);
-        let points_file = match &self.points {
-            Some(name) => folder.join(path_inside(name).ok_or_else(|| points_outside(list, name))?),
-            None => list.to_owned(),
-        };
-        let points = match (seed, &self.points) {
-            (None, _) => Vec::new(),
-            (_, Some(_)) if !points_file.exists() => return Err(SceneError::PointsMissing(points_file)),
-            (_, Some(_)) => ply::read_points(&points_file)?,
-            (Some(seed), None) => {
-                notices.push(format!("the scene has no points, so training starts from {COUNT} random ones"));
-                cube(&self.photos).points(seed)
-            }
-        };
-        Ok(Listing { photos: self.photos, points, points_file, notices })
+    fn add(&mut self, other: Self) {
+        self.photos.extend(other.photos);
+        self.missing.extend(other.missing);
+        self.notices.extend(other.notices);
     }
 
-    /// A photo may be missing, or be in no list, by mistake.
-    fn notices(&self, list: &Path) -> Vec<String> {
-        let (list, all) = (shown(list), self.photos.len() + self.missing.len());
-        let mut notices = Vec::new();
-        if let Some((first, _)) = self.missing.first() {
-            let (gone, first) = (self.missing.len(), shown(first));
-            notices.push(format!(
-                "{gone} of the {all} photos that {list} lists do not exist and are left out, first {first}"
-            ));
+    /// With the points that the file names.
+    fn into_listing(mut self, with_points: bool) -> Result<Listing, SceneError> {
+        let folder = self.list.parent().unwrap_or(Path::new(""));
+        if let (true, Some(wanted)) = (self.photos.is_empty(), self.missing.first()) {
+            return Err(all_missing(wanted, self.missing.len(), &self.list));
         }
-        let unused = self.photos.iter().filter(|photo| photo.purpose == Purpose::Unused).count();
-        if unused > 0 {
-            notices.push(format!(
-                "{unused} of the {all} photos that {list} lists are neither trained nor tested on, as its \
-                 train_filenames, val_filenames and test_filenames have it"
-            ));
+        let points_file = match &self.points {
+            Some(name) => folder.join(path_inside(name).ok_or_else(|| points_outside(&self.list, name))?),
+            None => self.list.clone(),
+        };
+        let mut points = Vec::new();
+        if with_points && self.points.is_some() {
+            match points_file.exists() {
+                true => points = ply::read_points(&points_file)?,
+                false => self.notices.push(format!("the point cloud {} does not exist", shown(&points_file))),
+            }
         }
-        notices
+        Ok(Listing { photos: self.photos, points, points_file, cube: None, notices: self.notices })
     }
+}
+
+/// A photo may be missing, or be in no list, by mistake.
+fn notices(photos: &[ListedPhoto], missing: &[PathBuf], similar: Similar, list: &Path) -> Vec<String> {
+    let all = photos.len() + missing.len();
+    let unused = photos.iter().filter(|photo| photo.purpose == Purpose::Unused).count();
+    let unused = (unused > 0).then(|| {
+        format!(
+            "{unused} of the {all} photos that {} lists are neither trained nor tested on, as its train_filenames, \
+             val_filenames and test_filenames have it",
+            shown(list)
+        )
+    });
+    [similar_notice(similar, list), absent_notice(missing, all, list), unused].into_iter().flatten().collect()
 }
 
 fn points_outside(list: &Path, name: &str) -> SceneError {
@@ -133,11 +114,11 @@ fn read_photos(list: &Path, purpose: Option<Purpose>) -> Result<Found, SceneErro
     let splits = if purpose.is_some() { None } else { Some(Splits::of(&file, list)?) };
     let folder = list.parent().unwrap_or(Path::new(""));
     let shared: Arc<Path> = list.into();
-    let mut found = Found { points: file.ply_file_path.clone(), ..Found::default() };
+    let (mut photos, mut missing, mut similar) = (Vec::new(), Vec::new(), Similar::default());
     for entry in &file.frames {
         let relative = inside(&entry.file_path, list)?;
-        let Some((name, path)) = find_photo(folder, relative, &entry.file_path) else {
-            found.missing.push((folder.join(relative), shared.clone()));
+        let Some((name, path)) = find_photo(folder, relative, &entry.file_path, &mut similar) else {
+            missing.push(folder.join(relative));
             continue;
         };
         let intrinsics = entry.intrinsics.or(&file.intrinsics);
@@ -145,9 +126,10 @@ fn read_photos(list: &Path, purpose: Option<Purpose>) -> Result<Found, SceneErro
         let listed = splits.as_ref().map(|splits| splits.purpose(&entry.file_path, list)).transpose()?;
         let purpose = purpose.or(listed).unwrap_or_default();
         let mask = entry.mask_path.as_deref().map(|name| find_mask(folder, name, list)).transpose()?;
-        found.photos.push(ListedPhoto { name, path, list: shared.clone(), camera, lens, purpose, mask });
+        photos.push(ListedPhoto { name, path, list: shared.clone(), camera, lens, purpose, mask });
     }
-    Ok(found)
+    let notices = notices(&photos, &missing, similar, list);
+    Ok(Found { list: list.to_owned(), photos, missing, points: file.ply_file_path.clone(), notices })
 }
 
 /// The cameras that the `text` of `list` describes, all of whose rules they have met; photos are looked at only where
@@ -172,8 +154,10 @@ fn find_mask(folder: &Path, name: &str, list: &Path) -> Result<PathBuf, SceneErr
     })
 }
 
-/// The photo as it is named, or with the extension that Blender's script leaves out.
-fn find_photo(folder: &Path, relative: &Path, name: &str) -> Option<(String, PathBuf)> {
-    let candidates = ENDS.map(|end| (format!("{name}{end}"), with_end(&folder.join(relative), end)));
-    candidates.into_iter().find(|(_, path)| path.is_file())
+/// The photo as it is named, or with the extension that Blender's script leaves out; or almost so.
+fn find_photo(folder: &Path, relative: &Path, name: &str, similar: &mut Similar) -> Option<(String, PathBuf)> {
+    let whole = folder.join(relative);
+    let candidates = ENDS.map(|end| (format!("{name}{end}"), with_end(&whole, end)));
+    let exact = candidates.into_iter().find(|(_, path)| path.is_file());
+    exact.or_else(|| similar.find(&whole).map(|path| (name.to_owned(), path)))
 }

@@ -4,6 +4,7 @@ mod colmap;
 mod common;
 mod foreign;
 mod formats;
+mod found;
 mod hostile_formats;
 mod lenses;
 mod masks;

@@ -24,6 +24,7 @@ use crate::scene::filter_3d::filter_3d;
 use crate::scene::initialise::{
     ColouredPoint, check_points, cloud_from_points, in_spatial_order, median_depth, scene_extent,
 };
+use crate::scene::thin::thinned;
 use crate::scene::views::ViewOrder;
 use crate::schedule::{OptimiserStep, Phase, Schedule};
 
@@ -100,7 +101,11 @@ impl<'a> Trainer<'a> {
     /// Fills the device; returns where to go on.
     pub(crate) fn begin(&mut self, start: Start) -> Result<Cursor, TrainError> {
         let cursor = match start {
-            Start::Points(points) => self.upload_new(self.first_cloud(&points)?)?,
+            Start::Points(points) => {
+                // Before they are thinned and in another order, so that users find the one that is named.
+                check_points(&points)?;
+                self.upload_new(self.first_cloud(&thinned(&points, self.most_points()))?)?
+            }
             Start::Cloud(cloud) => {
                 // Its view-dependent colours are there already.
                 self.progress.sh_degree_start = self.config.sh_degree;
@@ -125,12 +130,24 @@ impl<'a> Trainer<'a> {
             Start::Points(points) => median_depth(self.views.iter().map(|view| &view.camera), points),
             Start::Cloud(_) | Start::Checkpoint(_) => None,
         };
-        notices::at_start(self.config, self.schedule, self.cap, self.extent, depth)
+        let mut notices = notices::at_start(self.config, self.schedule, self.cap, self.extent, depth);
+        if let Start::Points(points) = start
+            && points.len() > self.most_points()
+        {
+            let (all, limit) = (points.len(), self.most_points());
+            notices.push(format!(
+                "the scene's {all} points are thinned evenly to the limit of {limit} Gaussians (--max-gaussians)"
+            ));
+        }
+        notices
+    }
+
+    /// The user's limit holds from the first step on.
+    fn most_points(&self) -> usize {
+        self.config.max_gaussians.unwrap_or(usize::MAX)
     }
 
     fn first_cloud(&self, points: &[ColouredPoint]) -> Result<Gaussians, TrainError> {
-        // Before they are in another order, so that users find the one that is named.
-        check_points(points)?;
         let mut cloud = cloud_from_points(&in_spatial_order(points))?;
         if self.config.variant == Variant::Mcmc {
             mcmc::initialise(&mut cloud);

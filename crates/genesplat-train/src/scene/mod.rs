@@ -3,4 +3,5 @@
 pub mod filter_3d;
 pub mod initialise;
 mod nearest;
+pub(crate) mod thin;
 pub mod views;

@@ -46,6 +46,25 @@ pub(crate) const VARIANTS: &[Choice<Variant>] = &[
     ),
 ];
 
+/// `--preset`: a configuration file.
+pub(crate) const PRESETS: &[Choice<&str>] = &[
+    (
+        "steps_scale = 0.1\n[dataset]\nmax_side = 640",
+        &["quick"],
+        "Minutes: photos of at most 640 pixels, and the whole schedule in a tenth of its steps",
+    ),
+    (
+        "",
+        &["standard"],
+        "What no flag changes: photos of at most 1600 pixels across, 30000 steps, the published length",
+    ),
+    (
+        "variant = 'mcmc'\nantialiasing = true\n[evolution]\nmode = 'renew'",
+        &["best"],
+        "Everything on: MCMC's exploration, renewals, and antialiasing, over 30000 steps",
+    ),
+];
+
 const PAPER: Choice<EvolutionMode> = (
     EvolutionMode::Paper,
     &["paper"],
@@ -111,6 +130,7 @@ mod tests {
     use serde::Serialize;
 
     use super::*;
+    use crate::settings::ConfigFile;
 
     fn assert_named_as_in_files<T: Serialize>(choices: &[Choice<T>]) {
         for (value, names, _) in choices {
@@ -126,6 +146,14 @@ mod tests {
         assert_named_as_in_files(FIXED_BACKGROUNDS);
         assert_named_as_in_files(SIGNALS);
         assert_named_as_in_files(MASKS);
+    }
+
+    #[test]
+    fn presets_are_configurations() {
+        for (text, names, _) in PRESETS {
+            let config = ConfigFile::from_table(text.parse().unwrap()).unwrap();
+            config.check().unwrap_or_else(|error| panic!("{names:?}: {error}"));
+        }
     }
 
     #[test]

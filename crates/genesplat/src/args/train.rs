@@ -7,7 +7,7 @@ use clap::Args;
 use genesplat::train::config::Signal;
 use genesplat::train::{Background, EvolutionMode, TrainConfig, Variant};
 
-use super::choice::{BACKGROUNDS, EVOLUTION, SIGNALS, VARIANTS, choice};
+use super::choice::{BACKGROUNDS, EVOLUTION, PRESETS, SIGNALS, VARIANTS, choice};
 use super::{LpipsArgs, MORE, MachineArgs, PhotosArgs, SEEDS, TrainPageArgs, scale};
 
 #[derive(Debug, Args)]
@@ -25,6 +25,9 @@ pub(crate) struct TrainArgs {
     /// has come to its end
     #[arg(long, value_name = "DIR")]
     pub(crate) out: PathBuf,
+    /// Named settings; flags given here win over them, and config.toml in DIR has them all
+    #[arg(long, value_name = "PRESET", value_parser = choice(PRESETS), conflicts_with = "config")]
+    pub(crate) preset: Option<&'static str>,
     #[command(flatten)]
     pub(crate) schedule: ScheduleArgs,
     #[command(flatten)]
@@ -81,8 +84,9 @@ pub(crate) struct ScheduleArgs {
     /// Seed of all random numbers [default: 0]. Same seed, same bytes
     #[arg(long, value_name = "S", value_parser = clap::value_parser!(u64).range(SEEDS))]
     seed: Option<u64>,
-    /// Stop adding Gaussians at this many [default: as many as the photos can determine; without --evolve renew no limit; 1000000
-    /// with mcmc and improved-gs, which grow towards it on a curve of their own]. Bounds memory (about 1.5 KB a Gaussian) and time
+    /// Train at most this many Gaussians, from the first step on [default: as many as the photos can determine; without
+    /// --evolve renew no limit; 1000000 with mcmc and improved-gs, which grow towards it on a curve of their own]. Bounds
+    /// memory (about 1.5 KB a Gaussian) and time
     #[arg(long, value_name = "N", value_parser = positive)]
     max_gaussians: Option<usize>,
     /// Iterations between two checkpoints [default: 1000]; 0 for none but that of Ctrl-C and SIGTERM

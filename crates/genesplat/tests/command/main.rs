@@ -13,6 +13,7 @@ mod kills;
 mod limits;
 mod live_page;
 mod lpips;
+mod mistakes;
 mod overwrite;
 mod peer;
 mod photos;

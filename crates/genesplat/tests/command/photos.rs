@@ -121,3 +121,29 @@ fn half_of_each_photo_is_as_good_as_the_whole() {
     let (half, whole) = (psnr(&hidden, "half"), psnr(scene(), "whole"));
     assert!(half > whole - 0.5 && whole > 18.0, "{half} dB with masks, {whole} dB without");
 }
+
+#[test]
+fn a_preset_is_settings_that_flags_change() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = folder.path().join("run");
+    succeed(train(scene(), &run, &["--preset", "quick", "--max-side", "48", "--iterations", "40"]));
+    let config = fs::read_to_string(run.join("config.toml")).unwrap();
+    assert!(config.contains("steps_scale = 0.1") && config.contains("max_side = 48"), "{config}");
+    assert_eq!(json(&run.join("metrics.json"))["iterations"], 4);
+    let help = succeed(["train", "--help"]);
+    assert!(
+        ["quick", "standard", "best", "640 pixels", "30000 steps"].iter().all(|word| help.contains(word)),
+        "{help}"
+    );
+}
+
+#[test]
+fn a_limit_of_gaussians_holds_from_the_first_step_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = folder.path().join("run");
+    let output = crate::support::run(train(scene(), &run, &["--iterations", "3", "--max-gaussians", "90"]));
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.success() && said.contains("thinned evenly to the limit of 90 Gaussians"), "{said}");
+    let gaussians = number(&json(&run.join("metrics.json"))["gaussians"]);
+    assert!((45.0..=90.0).contains(&gaussians), "{gaussians}");
+}

@@ -6,25 +6,25 @@ use glam::{DMat3, DVec3};
 use crate::scene::Point;
 
 /// How many (3DGS, for Blender scenes).
-pub(super) const COUNT: u32 = 100_000;
+pub(crate) const COUNT: u32 = 100_000;
 /// The reference draws colours from a range so narrow that all of them are this grey at 8 bit.
 const GREY: u8 = 127;
 
 /// A cube with axes along the world's, in world units.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Cube {
-    pub(super) centre: DVec3,
-    pub(super) half_side: f64,
+pub(crate) struct Cube {
+    pub(crate) centre: DVec3,
+    pub(crate) half_side: f64,
 }
 
 impl Cube {
     /// What Blender scenes fill (3DGS).
-    pub(super) const BLENDER: Self = Self { centre: DVec3::ZERO, half_side: 1.3 };
+    pub(crate) const BLENDER: Self = Self { centre: DVec3::ZERO, half_side: 1.3 };
 
     /// The cube around what `cameras` look at: the point nearest to all optical axes, as far as the middle camera is.
     ///
     /// Cameras that look in parallel have no such point; a weak pull towards the space before them decides then.
-    pub(super) fn seen_by(cameras: &[Camera]) -> Self {
+    pub(crate) fn seen_by(cameras: &[Camera]) -> Self {
         const PULL: f64 = 1e-2;
         let count = cameras.len() as f64;
         let centres: Vec<DVec3> = cameras.iter().map(Camera::centre_in_world).collect();
@@ -48,7 +48,7 @@ impl Cube {
     }
 
     /// [`COUNT`] points, the same for the same seed.
-    pub(super) fn points(&self, seed: u64) -> Vec<Point> {
+    pub(crate) fn points(&self, seed: u64) -> Vec<Point> {
         let rng = Rng::new(seed);
         let point = |row: u32| {
             let draw = rng.at(Stream::InitialPoints, 0, row, 0);

@@ -1,0 +1,40 @@
+//! Where the scene is that a path is a part of.
+
+use std::path::{Path, PathBuf};
+
+use crate::colmap;
+use crate::similar::entries;
+
+/// How far up a scene may be: from `colmap/sparse/0/images.bin`.
+const LEVELS: usize = 4;
+
+/// The scene that `path` is a part of, or the only one in the folders in it.
+pub(super) fn of(path: &Path) -> Option<PathBuf> {
+    let whole = path.canonicalize().ok()?;
+    above(&whole).or_else(|| below(path))
+}
+
+/// A file of cameras or of the model, the folder of either, or that of the photos.
+fn above(path: &Path) -> Option<PathBuf> {
+    let is_part = |scene: &&Path| {
+        let below = path.strip_prefix(scene).unwrap_or(path);
+        let mut parts = below.components().map(|part| part.as_os_str().to_string_lossy());
+        let first = parts.next().unwrap_or_default().to_lowercase();
+        let is_list = first.starts_with("transforms") && first.ends_with(".json");
+        is_list || ["sparse", "colmap", "images", "masks"].contains(&&*first)
+    };
+    path.ancestors().skip(1).take(LEVELS).filter(is_part).find(|scene| is_scene(scene)).map(Path::to_owned)
+}
+
+/// An archive may hold a folder that holds the scene.
+fn below(path: &Path) -> Option<PathBuf> {
+    let mut scenes = entries(path).filter(|folder| is_scene(folder));
+    let first = scenes.next()?;
+    scenes.next().is_none().then_some(first)
+}
+
+fn is_scene(folder: &Path) -> bool {
+    let has_model = colmap::find_model(folder).or_else(|| colmap::find_nested_model(folder)).is_some();
+    let lists = ["transforms.json", "transforms_train.json"];
+    (has_model && folder.join("images").is_dir()) || lists.iter().any(|list| folder.join(list).is_file())
+}

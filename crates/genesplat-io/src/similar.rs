@@ -1,0 +1,96 @@
+//! Photos whose names are almost those of a list: in another case, or with another ending.
+
+use std::collections::{HashMap, HashSet};
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// Endings of the photos that are read.
+pub(crate) const PHOTOS: [&str; 4] = ["jpg", "jpeg", "png", "webp"];
+
+pub(crate) fn has_ending(path: &Path, endings: &[&str]) -> bool {
+    let ending = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
+    endings.contains(&ending.as_str())
+}
+
+/// What is in a folder; nothing where it cannot be read.
+pub(crate) fn entries(folder: &Path) -> impl Iterator<Item = PathBuf> {
+    fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path())
+}
+
+/// The folder `path`, or the only one that differs from it in case.
+pub(crate) fn folder(path: &Path) -> PathBuf {
+    let name = |path: &Path| path.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
+    let others = || entries(path.parent().unwrap_or(path)).filter(|other| other.is_dir() && name(other) == name(path));
+    match (path.is_dir(), others().next(), others().count()) {
+        (false, Some(other), 1) => other,
+        _ => path.to_owned(),
+    }
+}
+
+/// Finds photos by names that are almost theirs.
+#[derive(Default)]
+pub(crate) struct Similar {
+    /// The photos of each folder that was looked at, by [`key`].
+    folders: HashMap<PathBuf, HashMap<String, Vec<PathBuf>>>,
+    /// Each photo once: two names of a list are two photos.
+    given: HashSet<PathBuf>,
+    /// What was wanted first, and what was found.
+    first: Option<[PathBuf; 2]>,
+}
+
+impl Similar {
+    /// The only photo in the folder of `wanted` that is called so but for case and ending.
+    pub(crate) fn find(&mut self, wanted: &Path) -> Option<PathBuf> {
+        let folder = wanted.parent()?;
+        let of_folder = self.folders.entry(folder.to_owned()).or_insert_with(|| photos_by_key(folder));
+        let [found] = of_folder.get(&key(wanted))?.as_slice() else { return None };
+        let is_new = self.given.insert(found.clone());
+        self.first.get_or_insert_with(|| [wanted.to_owned(), found.clone()]);
+        is_new.then(|| found.clone())
+    }
+
+    /// What was wanted first, what was found instead, and how many photos were found so.
+    pub(crate) fn found(self) -> Option<(PathBuf, PathBuf, usize)> {
+        let count = self.given.len();
+        self.first.map(|[wanted, found]| (wanted, found, count))
+    }
+}
+
+/// The name without the ending of a photo, in lower case.
+fn key(path: &Path) -> String {
+    let name = if has_ending(path, &PHOTOS) { path.file_stem() } else { path.file_name() };
+    name.unwrap_or_default().to_string_lossy().to_lowercase()
+}
+
+fn photos_by_key(folder: &Path) -> HashMap<String, Vec<PathBuf>> {
+    let mut photos: HashMap<String, Vec<PathBuf>> = HashMap::new();
+    for photo in entries(folder).filter(|entry| has_ending(entry, &PHOTOS)) {
+        photos.entry(key(&photo)).or_default().push(photo);
+    }
+    photos
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_photo_is_found_by_one_name_that_is_not_quite_its_own() {
+        let folder = tempfile::tempdir().unwrap();
+        for name in ["IMG_1.JPG", "b.png", "B.jpg", "frame.0001.png", "notes.txt"] {
+            fs::write(folder.path().join(name), "").unwrap();
+        }
+        let mut similar = Similar::default();
+        let mut find = |name: &str| {
+            let found = similar.find(&folder.path().join(name));
+            found.map(|path| path.file_name().unwrap().to_string_lossy().into_owned())
+        };
+        assert_eq!(find("img_1.jpg").as_deref(), Some("IMG_1.JPG"));
+        assert_eq!(find("IMG_1.png"), None, "it is another's");
+        assert_eq!(find("b.jpeg"), None, "two could be meant");
+        assert_eq!(find("frame.0001").as_deref(), Some("frame.0001.png"));
+        assert_eq!((find("frame.0002"), find("notes.jpg"), find("absent/b.png")), (None, None, None));
+        let (wanted, found, count) = similar.found().unwrap();
+        assert!(wanted.ends_with("img_1.jpg") && found.ends_with("IMG_1.JPG") && count == 2);
+    }
+}

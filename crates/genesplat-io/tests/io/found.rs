@@ -1,0 +1,160 @@
+//! Scenes that are not quite where or what was said: each is found, with a notice, or refused in a sentence.
+
+use std::fs;
+use std::path::Path;
+
+use crate::common::{SIZE, tiny_model, tiny_photo, write_scene};
+use genesplat_core::Photo;
+use genesplat_io::colmap::Form;
+use genesplat_io::{LoadOptions, Scene, load_scene, photos};
+use tempfile::TempDir;
+
+fn tiny_scene(photos: usize) -> TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    write_scene(folder.path(), Form::Text, &tiny_model(photos));
+    folder
+}
+
+fn load(path: &Path) -> Result<Scene, String> {
+    load_scene(path, &LoadOptions::default(), &()).map_err(|error| error.to_string())
+}
+
+/// The number of photos, and the only notice.
+fn found(path: &Path) -> (usize, String) {
+    let mut scene = load(path).unwrap();
+    assert_eq!(scene.notices.len(), 1, "{:?}", scene.notices);
+    (scene.train.len() + scene.test.len(), scene.notices.remove(0))
+}
+
+#[test]
+fn photos_of_another_case_or_ending_are_found() {
+    let folder = tiny_scene(3);
+    let photo = |name: &str| folder.path().join("images/a b").join(name);
+    fs::rename(photo("001.png"), photo("001.PNG")).unwrap();
+    fs::rename(photo("002.png"), photo("002.Jpeg")).unwrap();
+    let (photos, notice) = found(folder.path());
+    assert!(photos == 3 && notice.starts_with("2 photos have other cases or endings than"), "{notice}");
+    assert!(notice.ends_with("first 001.PNG for 001.png"), "{notice}");
+    // Two that could be meant are none.
+    fs::copy(photo("002.Jpeg"), photo("002.JPG")).unwrap();
+    assert_eq!(load(folder.path()).unwrap().notices.len(), 2);
+    fs::rename(folder.path().join("images"), folder.path().join("Images")).unwrap();
+    assert_eq!(load(folder.path()).unwrap().notices.len(), 2);
+}
+
+#[test]
+fn photos_that_are_absent_are_counted_and_others_named() {
+    let folder = tiny_scene(4);
+    let photo = |name: &str| folder.path().join("images/a b").join(name);
+    fs::remove_file(photo("001.png")).unwrap();
+    fs::remove_file(photo("003.png")).unwrap();
+    let (photos, notice) = found(folder.path());
+    assert!(photos == 2 && notice.contains("2 of the 4 photos that") && notice.contains("a b/001.png"), "{notice}");
+    fs::rename(photo("000.png"), photo("IMG_7.png")).unwrap();
+    fs::rename(photo("002.png"), photo("IMG_8.png")).unwrap();
+    let sentence = load(folder.path()).unwrap_err();
+    assert!(
+        sentence.contains("none of the 4 photos") && sentence.contains("IMG_7.png where 000.png is wanted"),
+        "{sentence}"
+    );
+}
+
+#[test]
+fn points_that_are_absent_are_drawn() {
+    let folder = tiny_scene(3);
+    fs::write(folder.path().join("sparse/0/points3D.txt"), "# none\n").unwrap();
+    let (_, notice) = found(folder.path());
+    assert!(notice.contains("no points") && notice.contains("100000 random ones"), "{notice}");
+    fs::remove_file(folder.path().join("sparse/0/points3D.txt")).unwrap();
+    assert_eq!(found(folder.path()).1, notice);
+    let of_seed =
+        |seed| load_scene(folder.path(), &LoadOptions { seed, ..LoadOptions::default() }, &()).unwrap().points;
+    assert!(of_seed(1) == of_seed(1) && of_seed(1) != of_seed(2));
+    fs::write(folder.path().join("sparse/0/points3D.txt"), "1 0 0 0 1 2 3 0.1\n").unwrap();
+    assert!(load(folder.path()).unwrap_err().contains("has 1 points"));
+}
+
+#[test]
+fn a_part_of_a_scene_stands_for_the_whole() {
+    let folder = tiny_scene(3);
+    for part in ["sparse/0", "sparse", "images", "images/a b", "sparse/0/images.txt", "sparse/0/cameras.txt"] {
+        let (photos, notice) = found(&folder.path().join(part));
+        assert!(photos == 3 && notice.contains("of which a part was given"), "{part}: {notice}");
+    }
+    // As nerfstudio keeps COLMAP's files, and as archives are unpacked.
+    fs::create_dir(folder.path().join("colmap")).unwrap();
+    fs::rename(folder.path().join("sparse"), folder.path().join("colmap/sparse")).unwrap();
+    assert_eq!(load(folder.path()).unwrap().train.len(), 2);
+    assert_eq!(found(&folder.path().join("colmap/sparse/0")).0, 3);
+    let outer = tempfile::tempdir().unwrap();
+    fs::rename(folder.path(), outer.path().join("scene")).unwrap();
+    assert_eq!(found(outer.path()).0, 3);
+    fs::create_dir(folder.path()).unwrap();
+}
+
+#[test]
+fn files_that_are_no_scene_are_told_apart() {
+    let folder = tempfile::tempdir().unwrap();
+    for (name, says) in [
+        ("scene.zip", "is an archive; unpack it"),
+        ("scene.tar.gz", "is an archive; unpack it"),
+        ("a.jpg", "is one photo; give the folder"),
+        ("notes.txt", "is a file; give the folder of a scene"),
+        ("film.MP4", "is a video, and training needs to know"),
+    ] {
+        let path = folder.path().join(name);
+        fs::write(&path, "x").unwrap();
+        let sentence = load(&path).unwrap_err();
+        assert!(sentence.contains(name) && sentence.contains(says), "{sentence}");
+    }
+}
+
+#[test]
+fn webp_photos_are_read_whole_or_not_at_all() {
+    let folder = tiny_scene(1);
+    let photo = tiny_photo(5, SIZE);
+    let path = folder.path().join("a.webp");
+    image::RgbImage::from_raw(SIZE[0], SIZE[1], photo.rgb.clone()).unwrap().save(&path).unwrap();
+    assert_eq!(photos::read_photo(&path).unwrap(), photo);
+    let whole = fs::read(&path).unwrap();
+    for length in (0..whole.len()).step_by(7) {
+        fs::write(&path, &whole[..length]).unwrap();
+        // The last byte fills a chunk up.
+        let read = photos::read_photo(&path);
+        assert!(read.is_err() || read.unwrap() == photo, "{length} of {} bytes", whole.len());
+    }
+}
+
+/// COLMAP looks past orientation tags; some programs turn photos before they calibrate.
+#[test]
+fn a_photo_on_its_side_is_turned_where_its_camera_says_so() {
+    let folder = tiny_scene(2);
+    let photo = |name: &str| folder.path().join("images/a b").join(name);
+    let [raw, sideways] = [SIZE, [SIZE[1], SIZE[0]]].map(|size| photos::encode_jpeg(&gradient(size), 95));
+    fs::remove_file(photo("000.png")).unwrap();
+    let top_left = |bytes: &[u8]| {
+        fs::write(photo("000.jpg"), tagged(bytes, 6)).unwrap();
+        let scene = load(folder.path()).unwrap();
+        scene.test[0].photo.pixel(1, 1)
+    };
+    // Dark is where rows and columns begin.
+    assert!(top_left(&raw)[0] < 60, "raw pixels, whatever the tag says");
+    let [red, green, _] = top_left(&sideways);
+    assert!(red > 200 && green < 60 || red < 60 && green > 200, "turned by a quarter: {red} {green}");
+    fs::write(photo("000.jpg"), &sideways).unwrap();
+    assert!(load(folder.path()).unwrap_err().contains("which is another shape"), "no tag, no turn");
+}
+
+/// Red grows to the right, green downwards.
+fn gradient([width, height]: [u32; 2]) -> Photo {
+    let pixel = |at: u32| [(255 * (at % width) / (width - 1)) as u8, (255 * (at / width) / (height - 1)) as u8, 0];
+    Photo { width, height, rgb: (0..width * height).flat_map(pixel).collect() }
+}
+
+/// A JPEG with an orientation in its EXIF data.
+fn tagged(jpeg: &[u8], orientation: u8) -> Vec<u8> {
+    let tiff =
+        [b"II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0".as_slice(), &[orientation, 0, 0, 0, 0, 0, 0, 0]].concat();
+    let length = (2 + 6 + tiff.len() as u16).to_be_bytes();
+    [&jpeg[..2], b"\xFF\xE1", &length, b"Exif\0\0", &tiff, &jpeg[2..]].concat()
+}

@@ -1,0 +1,352 @@
+//! Forty natural mistakes: each works all the same, or gets one sentence that says what, where, and what to do.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use genesplat::core::{Gaussians, Photo};
+use genesplat::io::PlyOptions;
+use genesplat::io::colmap::{find_model, read_model, write_model};
+use genesplat::io::photos::{encode_jpeg, read_photo, write_png};
+
+use crate::bad_input::write_blender;
+use crate::support::{fail, run, scene, succeed, text, train};
+
+/// What comes of a mistake.
+enum Outcome {
+    /// It works, and this is said.
+    Works(&'static [&'static str]),
+    /// One sentence with these words.
+    Says(&'static [&'static str]),
+}
+
+use Outcome::{Says, Works};
+
+/// A place with a copy of the bundled scene.
+struct Place(tempfile::TempDir);
+
+impl Place {
+    fn new() -> Self {
+        let place = Self(tempfile::tempdir().unwrap());
+        copy(&scene().join("images"), &place.at("scene/images"));
+        copy(&scene().join("sparse/0"), &place.at("scene/sparse/0"));
+        place
+    }
+
+    fn at(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
+
+    fn photo(&self) -> PathBuf {
+        self.at("scene/images/gallery_003.png")
+    }
+
+    fn write(&self, name: &str, content: impl AsRef<[u8]>) {
+        fs::create_dir_all(self.at(name).parent().unwrap()).unwrap();
+        fs::write(self.at(name), content).unwrap();
+    }
+
+    fn rename(&self, from: &str, to: &str) {
+        fs::create_dir_all(self.at(to).parent().unwrap()).unwrap();
+        fs::rename(self.at(from), self.at(to)).unwrap();
+    }
+
+    /// `train` on what is called so.
+    fn trains(&self, name: &str, more: &[&str]) -> Vec<String> {
+        train(&self.at(name), &self.at("run"), &[&["--iterations", "2"], more].concat())
+    }
+
+    fn evaluates(&self, splat: &str) -> Vec<String> {
+        ["evaluate", text(&self.at(splat)), "--data", text(scene()), "--device", "cpu"].map(str::to_owned).into()
+    }
+}
+
+fn copy(from: &Path, to: &Path) {
+    fs::create_dir_all(to).unwrap();
+    for entry in fs::read_dir(from).unwrap() {
+        let path = entry.unwrap().path();
+        fs::copy(&path, to.join(path.file_name().unwrap())).unwrap();
+    }
+}
+
+fn grey(width: u32, height: u32) -> Photo {
+    Photo { width, height, rgb: vec![90; (3 * width * height) as usize] }
+}
+
+/// A mistake: its arguments, made in a place of its own, and what comes of it.
+type Mistake = (fn(&Place) -> Vec<String>, Outcome);
+
+fn judge(mistakes: &[Mistake]) {
+    for (number, (arguments, outcome)) in mistakes.iter().enumerate() {
+        let place = Place::new();
+        let arguments = arguments(&place);
+        eprintln!("{number}: {arguments:?}");
+        match outcome {
+            Says(words) => fail(&arguments, words),
+            Works(words) => {
+                let output = run(&arguments);
+                let said = String::from_utf8(output.stderr).unwrap();
+                assert!(output.status.success() && words.iter().all(|word| said.contains(word)), "{said}");
+            }
+        }
+    }
+}
+
+#[test]
+fn what_was_given_is_not_quite_a_scene() {
+    judge(&[
+        (|place| place.trains("absent", &[]), Says(&["absent does not exist", "give the folder"])),
+        (
+            |place| {
+                fs::create_dir(place.at("empty")).unwrap();
+                place.trains("empty", &[])
+            },
+            Says(&["empty is not a scene", "sparse/0"]),
+        ),
+        (
+            |place| {
+                copy(&scene().join("images"), &place.at("photos"));
+                place.trains("photos", &[])
+            },
+            Says(&["photos holds 12 photos and no cameras", "genesplat poses", "--poses"]),
+        ),
+        (
+            |place| {
+                place.write("film.mp4", "x");
+                place.trains("film.mp4", &[])
+            },
+            Says(&["film.mp4 is a video", "genesplat poses"]),
+        ),
+        (
+            |place| {
+                place.write("scene.zip", "PK");
+                place.trains("scene.zip", &[])
+            },
+            Says(&["scene.zip is an archive", "unpack it"]),
+        ),
+        (|place| place.trains("scene/images/gallery_003.png", &[]), Works(&["of which a part was given"])),
+        (
+            |place| {
+                fs::copy(place.photo(), place.at("one.png")).unwrap();
+                place.trains("one.png", &[])
+            },
+            Says(&["one.png is one photo", "give the folder"]),
+        ),
+        (|place| place.trains("scene/images", &[]), Works(&["of which a part was given"])),
+        (|place| place.trains("scene/sparse/0", &[]), Works(&["of which a part was given"])),
+        (|place| place.trains("scene/sparse/0/cameras.bin", &[]), Works(&["of which a part was given"])),
+        (|place| place.trains("", &[]), Works(&["of which a part was given"])),
+        (
+            |place| {
+                copy(&place.at("scene/images"), &place.at("other/images"));
+                copy(&place.at("scene/sparse/0"), &place.at("other/sparse/0"));
+                place.trains("", &[])
+            },
+            Says(&["is not a scene"]),
+        ),
+        (
+            |place| {
+                write_blender(&place.at("blender"));
+                place.trains("blender/transforms_train.json", &[])
+            },
+            Works(&["of which a part was given", "no points"]),
+        ),
+        (
+            |place| {
+                place.rename("scene/sparse", "scene/colmap/sparse");
+                place.trains("scene", &[])
+            },
+            Works(&[]),
+        ),
+        (
+            |place| {
+                succeed(place.trains("scene", &[]));
+                train(&place.at("run"), &place.at("again"), &[])
+            },
+            Says(&["run is the folder of a run", "give the folder of a scene"]),
+        ),
+        (|place| train(&place.at("scene"), &place.at("scene"), &[]), Says(&["is the folder of the scene"])),
+    ]);
+}
+
+#[test]
+fn photos_are_not_quite_where_and_what_the_list_says() {
+    judge(&[
+        (
+            |place| {
+                place.rename("scene/images/gallery_003.png", "scene/images/GALLERY_003.PNG");
+                place.trains("scene", &[])
+            },
+            Works(&["1 photos have other cases or endings", "GALLERY_003.PNG for gallery_003.png"]),
+        ),
+        (
+            |place| {
+                place.rename("scene/images/gallery_003.png", "scene/images/gallery_003.jpg");
+                place.trains("scene", &[])
+            },
+            Works(&["gallery_003.jpg for gallery_003.png"]),
+        ),
+        (
+            |place| {
+                place.rename("scene/images", "scene/Images");
+                place.trains("scene", &[])
+            },
+            Works(&[]),
+        ),
+        (
+            |place| {
+                fs::remove_file(place.photo()).unwrap();
+                place.trains("scene", &[])
+            },
+            Works(&["1 of the 12 photos", "left out", "gallery_003.png"]),
+        ),
+        (
+            |place| {
+                fs::remove_dir_all(place.at("scene/images")).unwrap();
+                place.trains("scene", &[])
+            },
+            Says(&["none of the 12 photos", "put the photos there"]),
+        ),
+        (
+            |place| {
+                fs::remove_dir_all(place.at("scene/images")).unwrap();
+                place.write("scene/images/IMG_1.jpg", "x");
+                place.trains("scene", &[])
+            },
+            Says(&["none of the 12 photos", "IMG_1.jpg where gallery_0", "put the photos there"]),
+        ),
+        (
+            |place| {
+                fs::write(place.photo(), "hello").unwrap();
+                place.trains("scene", &[])
+            },
+            Says(&["gallery_003.png", "neither a PNG nor a JPEG nor a WebP", "export it again"]),
+        ),
+        (
+            |place| {
+                let jpeg = encode_jpeg(&read_photo(&place.photo()).unwrap(), 90);
+                fs::write(place.photo(), &jpeg[..jpeg.len() - 300]).unwrap();
+                place.trains("scene", &[])
+            },
+            Says(&["gallery_003.png", "cut off", "export it again"]),
+        ),
+        (
+            |place| {
+                let jpeg = encode_jpeg(&read_photo(&place.photo()).unwrap(), 90);
+                fs::write(place.photo(), jpeg).unwrap();
+                place.trains("scene", &[])
+            },
+            Works(&[]),
+        ),
+        (
+            |place| {
+                write_png(&place.photo(), &grey(48, 64)).unwrap();
+                place.trains("scene", &[])
+            },
+            Says(&["gallery_003.png is 48x64", "64x48", "another shape"]),
+        ),
+        (|place| place.trains("scene", &["--max-side", "4000"]), Works(&[])),
+        (
+            |place| {
+                write_png(&place.at("scene/masks/gallery_003.png"), &grey(20, 20)).unwrap();
+                place.trains("scene", &[])
+            },
+            Says(&["masks/gallery_003.png is a mask of 20x20", "64x48", "as large as its photo"]),
+        ),
+        (
+            |place| {
+                write_png(&place.at("scene/masks/3.png"), &grey(64, 48)).unwrap();
+                place.trains("scene", &[])
+            },
+            Works(&["masks has no mask of any photo", "gallery_000.png.png"]),
+        ),
+        (
+            |place| {
+                place.write("list.txt", "gallery_99.png");
+                place.trains("scene", &["--test-list", text(&place.at("list.txt"))])
+            },
+            Says(&["no photo called gallery_99.png", "names like gallery_0"]),
+        ),
+        (
+            |place| place.trains("scene", &["--test-list", text(&place.at("list.txt"))]),
+            Says(&["cannot read the list", "list.txt"]),
+        ),
+    ]);
+}
+
+#[test]
+fn a_model_or_a_splat_is_not_quite_one() {
+    judge(&[
+        (
+            |place| {
+                fs::remove_file(place.at("scene/sparse/0/points3D.bin")).unwrap();
+                place.trains("scene", &[])
+            },
+            Works(&["no points", "100000 random ones"]),
+        ),
+        (
+            |place| {
+                fs::remove_file(place.at("scene/sparse/0/cameras.bin")).unwrap();
+                place.trains("scene", &[])
+            },
+            Says(&["scene holds 12 photos and no cameras", "genesplat poses"]),
+        ),
+        (
+            |place| {
+                fs::remove_file(place.at("scene/sparse/0/images.bin")).unwrap();
+                place.trains("scene", &[])
+            },
+            Says(&["cannot read", "images.bin"]),
+        ),
+        (
+            |place| {
+                let found = find_model(&place.at("scene")).unwrap();
+                let mut model = read_model(&found).unwrap();
+                model.images.truncate(1);
+                write_model(&found.path, &model).unwrap();
+                place.trains("scene", &[])
+            },
+            Says(&["not enough photos", "add photos"]),
+        ),
+        (
+            |place| {
+                place.write("mesh.ply", MESH);
+                place.evaluates("mesh.ply")
+            },
+            Says(&["mesh.ply is a mesh", "give a splat"]),
+        ),
+        (
+            |place| {
+                place.write("points.ply", MESH.replace("element face 0\nproperty list uchar int vertex_indices\n", ""));
+                place.evaluates("points.ply")
+            },
+            Says(&["points.ply is a point cloud", "give a splat"]),
+        ),
+        (
+            |place| {
+                let mut cloud = Gaussians::zeros(3);
+                cloud.opacity_logits = vec![f32::INFINITY, f32::NEG_INFINITY, 0.0];
+                genesplat::io::write_ply(&place.at("splat.ply"), &cloud, &PlyOptions::default()).unwrap();
+                place.evaluates("splat.ply")
+            },
+            Works(&[]),
+        ),
+        (
+            |place| {
+                let mut cloud = Gaussians::zeros(3);
+                cloud.opacity_logits[1] = f32::NAN;
+                genesplat::io::write_ply(&place.at("splat.ply"), &cloud, &PlyOptions::default()).unwrap();
+                place.evaluates("splat.ply")
+            },
+            Says(&["splat.ply", "Gaussian 1 is not finite"]),
+        ),
+        (|place| place.evaluates("scene"), Says(&["scene is not the folder of a run", "train"])),
+        (|place| place.evaluates("scene/images/gallery_003.png"), Says(&["gallery_003.png is not a PLY"])),
+        (
+            |place| train(&place.at("scene"), &place.at("run"), &["--resume"]),
+            Says(&["run is not the folder of a run", "give one that train made"]),
+        ),
+    ]);
+}
+
+const MESH: &str = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n\
+                    element face 0\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n";
