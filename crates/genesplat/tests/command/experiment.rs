@@ -228,13 +228,13 @@ fn a_cell_that_fails_hides_no_finished_one() {
     let [one, two, three] = ["one", "two", "three"].map(|name| folder.path().join(name));
     [&one, &two, &three].into_iter().for_each(|scene| write_scene(scene, [48, 32], 9));
     // What can be seen without decoding photos is seen before the first run.
-    let photo = three.join("images/gallery_003.png");
-    let bytes = fs::read(&photo).unwrap();
-    fs::remove_file(&photo).unwrap();
-    fail(&arguments, &["three/images/gallery_003.png", "does not exist"]);
+    let list = three.join("sparse/0/images.bin");
+    let bytes = fs::read(&list).unwrap();
+    fs::write(&list, &bytes[..40]).unwrap();
+    fail(&arguments, &["three/sparse/0/images.bin"]);
     assert!(!folder.path().join("out/cells").exists());
 
-    fs::write(&photo, bytes).unwrap();
+    fs::write(&list, bytes).unwrap();
     succeed(&arguments);
     for name in ["two", "three"] {
         fs::remove_dir_all(folder.path().join("out/cells").join(name)).unwrap();
