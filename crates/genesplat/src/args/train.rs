@@ -86,7 +86,7 @@ pub(crate) struct ScheduleArgs {
     seed: Option<u64>,
     /// Train at most this many Gaussians, from the first step on [default: as many as the photos can determine; without
     /// --evolve renew no limit; 1000000 with mcmc and improved-gs, which grow towards it on a curve of their own]. Bounds
-    /// memory (about 1.5 KB a Gaussian) and time
+    /// memory (2 to 4 KB a Gaussian) and time
     #[arg(long, value_name = "N", value_parser = positive)]
     max_gaussians: Option<usize>,
     /// Iterations between two checkpoints [default: 1000]; 0 for none but that of Ctrl-C and SIGTERM
