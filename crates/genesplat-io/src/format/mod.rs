@@ -202,7 +202,7 @@ pub fn write(path: &Path, format: Format, cloud: &Gaussians, options: &Options) 
     Ok(bytes.len() as u64)
 }
 
-/// The bytes that [`write`] writes; `path` is what errors call them.
+/// The bytes that [`write()`] writes; `path` is what errors call them.
 ///
 /// # Panics
 /// If the columns of `cloud` have different lengths.

@@ -57,7 +57,7 @@ impl PhotoMask {
         self.counts[y * self.size[0] as usize + x]
     }
 
-    /// That of the photo that [`super::resize`] makes.
+    /// That of the photo that [`super::resize()`] makes.
     pub(crate) fn resized(&self, size: [u32; 2]) -> Self {
         let [columns, rows] = [0, 1].map(|axis| reaches(self.size[axis] as usize, size[axis] as usize));
         let row_of =

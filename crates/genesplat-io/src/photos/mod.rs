@@ -63,7 +63,7 @@ pub enum PhotoError {
 /// A photo of which the header is read, and no pixel.
 ///
 /// The format is told by the content, not by the name. Orientation tags are ignored, as COLMAP and the reference
-/// trainer ignore them, unless a camera shows that it was calibrated on upright photos ([`EncodedPhoto::turned_like`]).
+/// trainer ignore them, unless a camera shows that it was calibrated on upright photos.
 pub struct EncodedPhoto {
     path: PathBuf,
     encoded: Encoded,
