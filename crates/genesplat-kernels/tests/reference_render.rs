@@ -201,9 +201,9 @@ fn the_published_radius_decides_visibility() {
 
 #[test]
 fn nothing_behind_the_near_plane_is_drawn() {
-    for z in [0.2f32, 0.1, 0.0, -2.0] {
+    for z in [0.2, 0.1, 0.0, -2.0] {
         let mut cloud = one_splat(0.7);
-        cloud.positions[0][2] = f64::from(z);
+        cloud.positions[0][2] = z;
         let rendered = picture(&cloud, &RenderSettings::default());
         assert!(rendered.splats.is_empty() && rendered.picture.transmittance.iter().all(|t| *t == 1.0), "{z}");
     }

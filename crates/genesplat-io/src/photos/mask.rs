@@ -83,7 +83,7 @@ mod tests {
     use super::*;
 
     fn stripes(size: [u32; 2]) -> PhotoMask {
-        let counts = (0..size[0] * size[1]).map(|index| (index % size[0] + 3 * (index / size[0])) % 40 < 23);
+        let counts = (0..size[0] * size[1]).map(|index| (index % size[0] + index / size[0] / 4) % 48 < 36);
         PhotoMask { size, counts: counts.collect() }
     }
 

@@ -99,7 +99,7 @@ fn resets_are_followed_by_pruning_what_recovers_slowly() {
     // All points begin at an opacity of 0.1, and drift a little; resets leave 0.05.
     let mut config = TrainConfig { steps_scale: 1.0, iterations: 6500, ..config() };
     (config.densify.every, config.densify.reset_every) = (100, 3000);
-    (config.max_gaussians, config.optimiser.opacity) = (Some(10), Some(0.0));
+    (config.max_gaussians, config.optimiser.opacity) = (Some(20), Some(0.0));
     run(&mut backend, config);
     let resets: Vec<&Call> = backend.calls.iter().filter(|call| matches!(call, Call::ResetOpacity(_))).collect();
     assert_eq!(resets, [&Call::ResetOpacity(0.05); 2]);
