@@ -1,6 +1,7 @@
 //! Decodes PNG, JPEG and WebP: first the header, then the pixels within limits, and nothing of a file that was cut off.
 
-use std::io::Cursor;
+use std::fs::File;
+use std::io::{BufReader, Cursor};
 
 use image::metadata::Orientation;
 use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
@@ -17,6 +18,25 @@ const RGB_BYTES: u64 = 3;
 const RGBA_BYTES: u64 = 4;
 /// Three 16-bit coefficients a pixel, which a progressive JPEG takes in addition.
 const COEFFICIENT_BYTES: u64 = 6;
+
+/// Files up to this size, bytes, are read before their header is looked at.
+const SMALL_FILE: u64 = 64 << 20;
+
+/// Whether a large file may be read at all: a picture that is not compressed takes no more than its pixels and some words
+/// about them.
+pub(super) fn check_file(file: &File) -> Result<(), String> {
+    let bytes = file.metadata().map_err(|error| error.to_string())?.len();
+    if bytes <= SMALL_FILE {
+        return Ok(());
+    }
+    let reader = ImageReader::new(BufReader::new(file)).with_guessed_format().map_err(|error| error.to_string())?;
+    let (width, height) = reader.into_dimensions().map_err(|error| error.to_string())?;
+    let pixels = (u64::from(width) * u64::from(height)).min(PIXELS_MAX);
+    if bytes > SMALL_FILE + PIXEL_BYTES_MAX * pixels {
+        return Err(format!("its {bytes} bytes are more than {width}x{height} pixels take"));
+    }
+    Ok(())
+}
 
 /// A picture in a file, of which the header is read.
 pub(super) struct Encoded {

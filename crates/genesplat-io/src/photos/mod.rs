@@ -72,8 +72,10 @@ pub struct EncodedPhoto {
 impl EncodedPhoto {
     /// Reads the file at `path`, a PNG, JPEG or WebP.
     pub fn open(path: &Path) -> Result<Self, PhotoError> {
-        let bytes = input::read(path).map_err(|source| PhotoError::Read { path: path.to_owned(), source })?;
-        Self::of(path, bytes)
+        let unreadable = |source| PhotoError::Read { path: path.to_owned(), source };
+        let file = input::open(path).map_err(unreadable)?;
+        decode::check_file(&file).map_err(|reason| undecodable(path, reason))?;
+        Self::of(path, input::read(path).map_err(unreadable)?)
     }
 
     /// The photo in `bytes`, which are those of `path`.

@@ -102,6 +102,17 @@ fn what_of_a_picture_is_discarded_is_reported() {
     assert_eq!(discarded(image::DynamicImage::new_rgba16(2, 1)), (true, true));
 }
 
+/// A sparse file: it takes no room on the disk, and would take 10 GB of memory.
+#[test]
+fn a_file_far_larger_than_its_picture_is_refused_unread() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("photo.png");
+    photos::write_png(&path, &Photo { width: 3, height: 2, rgb: vec![9; 18] }).unwrap();
+    fs::File::options().append(true).open(&path).unwrap().set_len(10_000_000_000).unwrap();
+    let refused = photos::read_photo(&path).unwrap_err().to_string();
+    assert!(refused.contains("its 10000000000 bytes are more than 3x2 pixels take; export it again"), "{refused}");
+}
+
 /// A header may claim 65,535 x 65,535 pixels: 12 GB. Less is believed as far as the bytes reach.
 #[test]
 fn a_photo_that_claims_to_be_huge_is_refused() {

@@ -13,6 +13,8 @@ pub(crate) mod arms;
 pub(crate) mod board;
 pub(crate) mod cells;
 pub(crate) mod file;
+#[cfg(test)]
+mod mutations;
 pub(crate) mod page;
 pub(crate) mod plan;
 pub(crate) mod preset;
