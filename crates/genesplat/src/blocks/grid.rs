@@ -118,7 +118,6 @@ fn strips(values: impl Iterator<Item = f64>, count: usize) -> Vec<[Option<f64>; 
 #[cfg(test)]
 mod tests {
     use genesplat::core::Camera;
-    use glam::DQuat;
 
     use super::*;
 
@@ -129,15 +128,7 @@ mod tests {
     }
 
     fn grid(count: [usize; 2]) -> Grid {
-        let camera = Camera {
-            width: 10,
-            height: 10,
-            focal_px: [10.0; 2],
-            principal_px: [5.0; 2],
-            camera_from_world_rotation: DQuat::IDENTITY,
-            camera_from_world_translation: DVec3::ZERO,
-            near: 0.2,
-        };
+        let camera = Camera::at_origin(10, 10, 10.0);
         Grid::cut(Path::new("scene"), Ground::below(&[camera], &points()), &points(), count)
     }
 

@@ -48,15 +48,7 @@ mod tests {
 
     /// Upright cameras of a world whose third axis points up, looking around.
     fn cameras() -> Vec<Camera> {
-        let pinhole = Camera {
-            width: 10,
-            height: 10,
-            focal_px: [10.0; 2],
-            principal_px: [5.0; 2],
-            camera_from_world_rotation: DQuat::IDENTITY,
-            camera_from_world_translation: DVec3::ZERO,
-            near: 0.2,
-        };
+        let pinhole = Camera::at_origin(10, 10, 10.0);
         let looking = |angle: f64| DQuat::from_rotation_x(std::f64::consts::FRAC_PI_2) * DQuat::from_rotation_z(angle);
         (0..5).map(|nth| Camera { camera_from_world_rotation: looking(f64::from(nth)), ..pinhole }).collect()
     }
