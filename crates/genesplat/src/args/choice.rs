@@ -93,8 +93,9 @@ pub(crate) const BACKGROUNDS: &[Choice<Background>] =
 /// `--background` of a finished splat.
 pub(crate) const FIXED_BACKGROUNDS: &[Choice<Background>] = &[BLACK, WHITE];
 
-/// `--mask`; the default is neither.
+/// `--mask`.
 pub(crate) const MASKS: &[Choice<MaskUse>] = &[
+    (MaskUse::Usual, &["usual"], "Pixels that masks hide count for nothing, and what is transparent is background"),
     (
         MaskUse::Ignore,
         &["ignore"],
@@ -110,7 +111,7 @@ pub(crate) const SIGNALS: &[Choice<Signal>] = &[
         Signal::Absolute,
         &["absolute", "absgrad"],
         "Absolute values (\"absgrad\" of gsplat): sharper details with fewer Gaussians; its threshold is \
-         densify.absolute_threshold of the configuration file",
+         densify.gradient_threshold of the configuration file",
     ),
     (
         Signal::Gof,

@@ -18,7 +18,7 @@ pub(crate) struct PhotosArgs {
     #[command(flatten)]
     hold_out: HoldOutArgs,
     /// What masks (masks/NAME.jpg.png or masks/NAME.png beside the photos, black where they hide) and transparency mean
-    /// [default: masks ignore, transparency is background; for the splat of a RUN, as the RUN was trained]
+    /// [default: usual]
     #[arg(long, value_name = "USE", value_parser = choice(MASKS), help_heading = MORE)]
     mask: Option<MaskUse>,
     /// Draw nothing nearer to a camera than this, in the scene's units [default: 0.2, or a tenth of the way from the middle
@@ -33,7 +33,7 @@ pub(crate) struct PhotosArgs {
 #[command(next_help_heading = MORE)]
 pub(crate) struct HoldOutArgs {
     /// Hold out every N-th photo by name for testing, at least 2 [default: the test photos that the scene names, else
-    /// every 8th; for the splat of a RUN, as the RUN was trained]
+    /// every 8th]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(TEST_EVERY))]
     test_every: Option<u32>,
     /// Hold out the photos that FILE names, one a line: file names, with or without their endings; a folder before the
