@@ -26,4 +26,4 @@ pub use scene::{
     HoldOut, LoadOptions, LoadProgress, MaskUse, Point, SIDE_MIN_PX, Scene, SceneList, ScenePhoto, blocks, list_scene,
     load_points, load_scene, model_of,
 };
-pub use shown::{command_line, shown};
+pub use shown::{command_line, plural, shown};

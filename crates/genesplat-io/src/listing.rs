@@ -11,8 +11,8 @@ use glam::DVec3;
 use crate::error::SceneError;
 use crate::photos::Lens;
 use crate::scene::{Cube, Point};
-use crate::shown;
 use crate::similar::{PHOTOS, Similar, entries, has_ending};
+use crate::{plural, shown};
 
 pub(crate) struct Listing {
     pub(crate) photos: Vec<ListedPhoto>,
@@ -152,8 +152,9 @@ pub(crate) fn absent_notice(missing: &[PathBuf], all: usize, list: &Path) -> Opt
 pub(crate) fn similar_notice(similar: Similar, list: &Path) -> Option<String> {
     let (wanted, found, count) = similar.found()?;
     let [wanted, found] = [wanted, found].map(|path| shown(path.file_name().unwrap_or_default()));
-    let list = shown(list);
-    Some(format!("{count} photos have other cases or endings than {list} says, first {found} for {wanted}"))
+    let (list, photos) =
+        (shown(list), plural(count, "photo has another case or ending", "photos have other cases or endings"));
+    Some(format!("{count} {photos} than {list} says, first {found} for {wanted}"))
 }
 
 /// The error where no photo exists that `list` has; `wanted` is the first.

@@ -1,4 +1,4 @@
-//! Names as they are shown: in messages, on terminals, in pages, in commands to copy.
+//! Names as they are shown: in messages, on terminals, in pages, in commands to copy; and counts of what is named.
 //!
 //! A file's name may hold any character, and a terminal obeys some: ESC begins commands, a carriage return or a
 //! right-to-left override hides what stood before. So those are shown as escapes, and a name never breaks a line.
@@ -29,6 +29,17 @@ pub fn shown(name: impl AsRef<OsStr>) -> String {
 /// ```
 pub fn command_line(words: impl IntoIterator<Item = impl AsRef<OsStr>>) -> String {
     words.into_iter().map(|word| quoted(&shown(word))).collect::<Vec<_>>().join(" ")
+}
+
+/// The word that goes with `count`.
+///
+/// ```
+/// use genesplat_io::plural;
+/// let said = |count| format!("{count} {} left out", plural(count, "photo is", "photos are"));
+/// assert_eq!([said(1), said(2)], ["1 photo is left out", "2 photos are left out"]);
+/// ```
+pub fn plural<'a>(count: usize, one: &'a str, many: &'a str) -> &'a str {
+    if count == 1 { one } else { many }
 }
 
 /// In single quotes, unless no shell does anything to it.

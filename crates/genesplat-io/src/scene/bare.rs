@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use crate::error::SceneError;
+use crate::plural;
 use crate::similar::{PHOTOS, entries, has_ending};
 
 const VIDEOS: [&str; 8] = ["mp4", "mov", "m4v", "avi", "mkv", "webm", "mpg", "mpeg"];
@@ -34,7 +35,7 @@ pub(super) fn without_cameras(path: &Path) -> Option<SceneError> {
     } else {
         let folders = entries(path).filter(|entry| entry.is_dir()).map(|folder| photos_in(&folder));
         let photos = photos_in(path) + folders.sum::<usize>();
-        (photos > 0).then(|| format!("holds {photos} photos and no cameras"))
+        (photos > 0).then(|| format!("holds {photos} {} and no cameras", plural(photos, "photo", "photos")))
     }?;
     Some(SceneError::NoCameras { path: path.to_owned(), what })
 }

@@ -23,7 +23,7 @@ pub use view::SIDE_MIN_PX;
 use crate::error::SceneError;
 use crate::listing::{ListedPhoto, Listing};
 use crate::photos::PhotoSize;
-use crate::{colmap, shown, transforms};
+use crate::{colmap, plural, shown, transforms};
 use view::Loaded;
 
 /// A point of a reconstruction.
@@ -167,7 +167,8 @@ fn load_views(
     notices.extend(options.mask.notices(found));
     if let Some(hidden) = all().find(|loaded| loaded.view.counted_pixels() == 0) {
         let (hidden, count) = (shown(&hidden.view.name), count(|loaded| loaded.view.counted_pixels() == 0));
-        notices.push(format!("{count} photos are hidden entirely and left out, first {hidden}"));
+        let photos = plural(count, "photo is", "photos are");
+        notices.push(format!("{count} {photos} hidden entirely and left out, first {hidden}"));
     }
     let seen = |loaded: Vec<Loaded>| {
         let views = loaded.into_iter().map(|loaded| loaded.view);

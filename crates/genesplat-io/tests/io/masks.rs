@@ -83,7 +83,7 @@ fn masks_that_cannot_be_meant_are_told() {
     photos::write_png(&masks.join("001.png"), &Photo { rgb: vec![0; 3600], ..mask() }).unwrap();
     let scene = load(folder.path(), MaskUse::Usual).unwrap();
     assert_eq!((scene.train.len(), scene.test.len()), (1, 1));
-    assert_eq!(scene.notices[1], "1 photos are hidden entirely and left out, first 001.png");
+    assert_eq!(scene.notices[1], "1 photo is hidden entirely and left out, first 001.png");
     photos::write_png(&masks.join("002.png"), &Photo { rgb: vec![0; 3600], ..mask() }).unwrap();
     let sentence = load(folder.path(), MaskUse::Usual).unwrap_err().to_string();
     assert!(sentence.contains("hide all of its training photos"), "{sentence}");

@@ -7,7 +7,7 @@ use anyhow::{Result, anyhow, ensure};
 use genesplat::core::Camera;
 use genesplat::io::blocks::{Block, Grid, Members};
 use genesplat::io::colmap::write_model;
-use genesplat::io::{Point, SceneList, ScenePhoto, model_of, shown};
+use genesplat::io::{Point, SceneList, ScenePhoto, model_of, plural, shown};
 use glam::DVec3;
 
 use super::folder::{Cut, TEST_LIST, command, scene_of};
@@ -76,7 +76,8 @@ fn place(file: &Path, folder: &Path, name: &str) -> Result<()> {
 }
 
 fn tell(block: &Block, content: &Content<'_>, out: &Path) -> Result<()> {
-    let [photos, points] = [content.photos.len(), content.points.len()].map(thousands);
-    output::print(&format!("block {}: {photos} photos, {points} points", block.name))?;
+    let [photos, points] = [(content.photos.len(), ["photo", "photos"]), (content.points.len(), ["point", "points"])]
+        .map(|(count, [one, many])| format!("{} {}", thousands(count), plural(count, one, many)));
+    output::print(&format!("block {}: {photos}, {points}", block.name))?;
     output::print(&format!("  {}", command(block, out)))
 }

@@ -1,6 +1,6 @@
 //! What a search for cameras has found, in figures and in words.
 
-use genesplat::io::{input, shown};
+use genesplat::io::{input, plural, shown};
 use std::collections::{BTreeMap, HashSet};
 use std::fs;
 use std::path::Path;
@@ -94,8 +94,9 @@ impl Summary {
                 _ => "they belong together in groups that share too little with this one",
             };
             sentences.push(format!(
-                "notice: {} photos are left out ({named}{more}): {apart}; take photos in between, in small steps",
-                left_out.len()
+                "notice: {} {} left out ({named}{more}): {apart}; take photos in between, in small steps",
+                left_out.len(),
+                plural(left_out.len(), "photo is", "photos are")
             ));
         }
         sentences

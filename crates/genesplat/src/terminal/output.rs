@@ -14,7 +14,7 @@ use std::sync::atomic::{AtomicU8, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use anyhow::{Result, anyhow};
-use genesplat::io::shown;
+use genesplat::io::{plural, shown};
 use genesplat::metrics::Evaluation;
 
 use super::progress;
@@ -182,7 +182,10 @@ pub(crate) fn scores_line(name: &str, scores: &Evaluation) -> String {
     let lpips = lpips.map_or(String::new(), |lpips| format!("  LPIPS {lpips:.4}"));
     match views.len() {
         0 => format!("{name:<6} no photos"),
-        photos => format!("{name:<6} PSNR {psnr:.2} dB  SSIM {ssim:.4}{lpips}  ({photos} photos)"),
+        count => {
+            let photos = plural(count, "photo", "photos");
+            format!("{name:<6} PSNR {psnr:.2} dB  SSIM {ssim:.4}{lpips}  ({count} {photos})")
+        }
     }
 }
 

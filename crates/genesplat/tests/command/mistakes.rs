@@ -1,7 +1,7 @@
 //! Forty natural mistakes: each works all the same, or gets one sentence that says what, where, and what to do.
 
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use genesplat::core::{Gaussians, Photo};
 use genesplat::io::PlyOptions;
@@ -9,7 +9,7 @@ use genesplat::io::colmap::{find_model, read_model, write_model};
 use genesplat::io::photos::{encode_jpeg, read_photo, write_png};
 
 use crate::bad_input::write_blender;
-use crate::support::{fail, run, scene, succeed, text, train};
+use crate::support::{copy, fail, run, scene, succeed, text, train};
 
 /// What comes of a mistake.
 enum Outcome {
@@ -57,14 +57,6 @@ impl Place {
 
     fn evaluates(&self, splat: &str) -> Vec<String> {
         ["evaluate", text(&self.at(splat)), "--data", text(scene()), "--device", "cpu"].map(str::to_owned).into()
-    }
-}
-
-fn copy(from: &Path, to: &Path) {
-    fs::create_dir_all(to).unwrap();
-    for entry in fs::read_dir(from).unwrap() {
-        let path = entry.unwrap().path();
-        fs::copy(&path, to.join(path.file_name().unwrap())).unwrap();
     }
 }
 
@@ -176,7 +168,7 @@ fn photos_are_not_quite_where_and_what_the_list_says() {
                 place.rename("scene/images/gallery_003.png", "scene/images/GALLERY_003.PNG");
                 place.trains("scene", &[])
             },
-            Works(&["1 photos have other cases or endings", "GALLERY_003.PNG for gallery_003.png"]),
+            Works(&["1 photo has another case or ending than", "GALLERY_003.PNG for gallery_003.png"]),
         ),
         (
             |place| {

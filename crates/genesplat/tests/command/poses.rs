@@ -137,5 +137,5 @@ fn what_is_missing_is_said_in_a_sentence() {
     let bare = folder.path().join("bare");
     fs::create_dir(&bare).unwrap();
     fs::copy(photos.join("gallery_000.png"), bare.join("a.png")).unwrap();
-    fail(["train", text(&bare), "--out", text(&other)], &["1 photos and no cameras", "genesplat poses", "--poses"]);
+    fail(["train", text(&bare), "--out", text(&other)], &["1 photo and no cameras", "genesplat poses", "--poses"]);
 }

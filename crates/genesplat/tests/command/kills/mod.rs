@@ -21,7 +21,7 @@ use std::time::Duration;
 use tempfile::TempDir;
 
 use self::killer::{Course, Moment, kill, observe};
-use crate::support::{command, json, run, scene, succeed, text, train};
+use crate::support::{command, copy, json, run, scene, succeed, text, train};
 
 const SIGKILL: i32 = 9;
 /// Scenarios that share the kills.
@@ -133,18 +133,6 @@ fn moments(course: &Course, count: usize) -> Vec<Moment> {
     let fraction = |i: usize| (i as f64 * 0.618_033_988_75).fract();
     let after = |i| Moment::After(Duration::from_secs_f64(fraction(i) * course.duration.as_secs_f64()));
     calls.chain((1..=count - at_calls).map(after)).collect()
-}
-
-fn copy(from: &Path, to: &Path) {
-    fs::create_dir_all(to).unwrap();
-    for entry in fs::read_dir(from).unwrap().map(Result::unwrap) {
-        let (from, to) = (entry.path(), to.join(entry.file_name()));
-        if from.is_dir() {
-            copy(&from, &to);
-        } else {
-            fs::copy(&from, &to).unwrap();
-        }
-    }
 }
 
 /// Every file of a folder that does not depend on the clock: splats, pictures.
