@@ -4,9 +4,9 @@ use std::fs::{self, File};
 use std::io::{self, BufWriter, ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
-use anyhow::{Result, anyhow, bail};
+use anyhow::{Context, Result, anyhow, bail};
 use genesplat::io::atomic::{self, write_atomically};
-use genesplat::io::shown;
+use genesplat::io::{Format, shown};
 use serde::Serialize;
 
 /// Writes `value` to `path` as indented JSON, whole or not at all.
@@ -35,6 +35,13 @@ pub(crate) fn check_folder(path: &Path, name: &str) -> Result<()> {
 /// Writes the file at `path` through `fill`, whole or not at all.
 pub(crate) fn write_file(path: &Path, fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>) -> Result<()> {
     write_atomically(path, fill).map_err(|error| unwritable(path, &error))
+}
+
+/// The format of splats that the name of a file ends in.
+pub(crate) fn format_of(path: &Path) -> Result<Format> {
+    let endings = Format::ALL.map(Format::ending).join(", ");
+    Format::of(path)
+        .with_context(|| format!("{} names no format that genesplat writes; end it in one of {endings}", shown(path)))
 }
 
 /// Removes a file that would be taken for something that it no longer is.

@@ -20,7 +20,7 @@ pub(crate) struct Splat {
     /// The Gaussians; all values are finite.
     pub(crate) cloud: Gaussians,
     pub(crate) settings: RenderSettings,
-    /// The photos that it was trained on; `None` for a bare file, which does not say.
+    /// The scene that it was trained on, and how; `None` for a bare file, which does not say.
     trained_on: Option<Dataset>,
 }
 
@@ -48,14 +48,14 @@ impl Splat {
         scene::load_to_look(&dataset, divisor, self.settings.background)
     }
 
-    /// The scene in `data`; where none is named, that of the run at `path`, if it is still where it was.
-    pub(crate) fn find_scene(&self, path: &Path, data: Option<&Path>, asked: &PhotosArgs) -> Result<Option<Scene>> {
+    /// The scene in `data`; where none is named, that of the run, if it is still where it was.
+    pub(crate) fn find_scene(&self, data: Option<&Path>, asked: &PhotosArgs) -> Result<Option<Scene>> {
         if let Some(data) = data {
             return self.load_scene(data, asked).map(Some);
         }
-        let of_run = path.is_dir().then(|| ConfigFile::of_run(path)).transpose()?;
-        let Some(data) = of_run.map(|config| config.dataset.path).filter(|path| path.is_dir()) else { return Ok(None) };
-        match self.load_scene(&data, asked) {
+        let of_run = self.trained_on.as_ref().map(|dataset| dataset.path.as_path());
+        let Some(data) = of_run.filter(|path| path.is_dir()) else { return Ok(None) };
+        match self.load_scene(data, asked) {
             Ok(scene) => Ok(Some(scene)),
             Err(error) => {
                 output::tell(&format!("notice: the page has no photos and cameras, since {error}"));

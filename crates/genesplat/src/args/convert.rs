@@ -10,7 +10,8 @@ use super::{MachineArgs, SizeArgs};
 
 #[derive(Debug, Args)]
 pub(crate) struct ConvertArgs {
-    /// The splat to read (.ply, compressed .ply, .splat, .spz, .sog or .glb), or the folder of a run
+    /// The splat to read (.ply, compressed .ply, .splat, .spz, .sog or .glb), or the folder of a run, whose photos are loaded
+    /// as it was trained on them unless a flag says otherwise; --downscale divides the size that they had there
     #[arg(value_name = "SPLAT|RUN")]
     pub(crate) splat: PathBuf,
     /// The splat to write, in the format that its name ends in: .ply, .compressed.ply, .splat, .spz, .sog or .glb

@@ -206,9 +206,6 @@ pub(crate) struct DemoArgs {
 
 #[derive(Debug, Args)]
 pub(crate) struct EvaluateArgs {
-    /// A splat (.ply, compressed .ply, .splat, .spz, .sog or .glb), or the folder of a run
-    #[arg(value_name = "SPLAT|RUN")]
-    pub(crate) splat: PathBuf,
     /// Folder of the scene with the photos to compare with
     #[arg(long, value_name = "DATASET")]
     pub(crate) data: PathBuf,
@@ -218,11 +215,7 @@ pub(crate) struct EvaluateArgs {
     #[command(flatten)]
     pub(crate) json: JsonArgs,
     #[command(flatten)]
-    pub(crate) photos: PhotosArgs,
-    #[command(flatten)]
-    pub(crate) on: ShownOnArgs,
-    #[command(flatten)]
-    pub(crate) machine: MachineArgs,
+    pub(crate) splat: SplatArgs,
     #[command(flatten)]
     pub(crate) lpips: LpipsArgs,
 }
@@ -230,9 +223,6 @@ pub(crate) struct EvaluateArgs {
 #[derive(Debug, Args)]
 #[command(group(clap::ArgGroup::new("which").required(true).args(["image", "split", "path"])))]
 pub(crate) struct RenderArgs {
-    /// A splat (.ply, compressed .ply, .splat, .spz, .sog or .glb), or the folder of a run
-    #[arg(value_name = "SPLAT|RUN")]
-    pub(crate) splat: PathBuf,
     /// Folder of the scene with the cameras to render from
     #[arg(long, value_name = "DATASET")]
     pub(crate) data: PathBuf,
@@ -254,17 +244,14 @@ pub(crate) struct RenderArgs {
     #[arg(long, value_name = "FILE|DIR")]
     pub(crate) out: PathBuf,
     #[command(flatten)]
-    pub(crate) photos: PhotosArgs,
-    #[command(flatten)]
-    pub(crate) on: ShownOnArgs,
-    #[command(flatten)]
-    pub(crate) machine: MachineArgs,
+    pub(crate) splat: SplatArgs,
 }
 
 #[derive(Debug, Args)]
 pub(crate) struct RefineArgs {
     /// The splat to start from: a .ply in the layout of the 3DGS authors, as nearly every trainer writes it, another
-    /// format that `genesplat convert` reads, or the folder of a run
+    /// format that `genesplat convert` reads, or the folder of a run, whose photos are loaded as it was trained on them
+    /// unless a flag says otherwise; --downscale divides the size that they had there
     #[arg(value_name = "SPLAT|RUN")]
     pub(crate) splat: PathBuf,
     /// Folder of the scene that it shows
@@ -389,11 +376,10 @@ pub(crate) const THREADS: RangeInclusive<i64> = 1..=1024;
 #[derive(Clone, Copy, Debug, Default, Args)]
 pub(crate) struct SizeArgs {
     /// Longest side of the photos in pixels; larger ones are reduced [default: only widths above 1600 are reduced, to
-    /// 1600; for the splat of a RUN, as the RUN was trained]. Smaller trains faster and shows less detail
+    /// 1600]. Smaller trains faster and shows less detail
     #[arg(long, value_name = "PX", value_parser = clap::value_parser!(u32).range(MAX_SIDE), conflicts_with = "downscale")]
     pub(crate) max_side: Option<u32>,
-    /// Divide both sides of the photos by K (the field's benchmarks use 1, 2, 4 and 8). For the splat of a RUN, it is
-    /// the size that the RUN was trained at that is divided: how the splat looks from farther away
+    /// Divide both sides of the photos by K (the field's benchmarks use 1, 2, 4 and 8)
     #[arg(long, value_name = "K", value_parser = clap::value_parser!(u32).range(DOWNSCALE), help_heading = MORE)]
     pub(crate) downscale: Option<u32>,
 }
@@ -403,6 +389,21 @@ impl SizeArgs {
     pub(crate) fn size(self) -> Option<PhotoSize> {
         self.max_side.map(PhotoSize::MaxSide).or(self.downscale.map(PhotoSize::Downscale))
     }
+}
+
+/// A finished splat, the photos that it is shown beside, and where that is computed.
+#[derive(Debug, Args)]
+pub(crate) struct SplatArgs {
+    /// A splat (.ply, compressed .ply, .splat, .spz, .sog or .glb), or the folder of a run, whose photos are loaded as it
+    /// was trained on them unless a flag says otherwise; --downscale divides the size that they had there
+    #[arg(id = "splat", value_name = "SPLAT|RUN")]
+    pub(crate) path: PathBuf,
+    #[command(flatten)]
+    pub(crate) photos: PhotosArgs,
+    #[command(flatten)]
+    pub(crate) on: ShownOnArgs,
+    #[command(flatten)]
+    pub(crate) machine: MachineArgs,
 }
 
 /// What a finished splat is shown on.
@@ -433,12 +434,90 @@ fn scale(text: &str) -> Result<f64, String> {
 #[cfg(test)]
 mod tests {
     use clap::CommandFactory;
+    use genesplat::io::MaskUse;
 
     use super::*;
 
     #[test]
     fn the_definition_is_consistent() {
         Arguments::command().debug_assert();
+    }
+
+    /// The help of a command and of those below it, with the name of each.
+    fn helps(command: &mut clap::Command) -> Vec<(String, String)> {
+        let own = (command.get_name().to_owned(), command.render_long_help().to_string());
+        std::iter::once(own).chain(command.get_subcommands_mut().flat_map(helps)).collect()
+    }
+
+    /// Settings that a text names: two words with a full stop between them, and no file.
+    fn settings_in(text: &str) -> impl Iterator<Item = &str> {
+        const FILES: [&str; 18] = [
+            "bin",
+            "compressed",
+            "gif",
+            "glb",
+            "html",
+            "jpeg",
+            "jpg",
+            "json",
+            "jsonl",
+            "mp4",
+            "ply",
+            "png",
+            "pth",
+            "sog",
+            "splat",
+            "spz",
+            "toml",
+            "txt",
+        ];
+        let is_word =
+            |word: &str| !word.is_empty() && word.chars().all(|char| char.is_ascii_lowercase() || char == '_');
+        let words = text.split(|char: char| !(char.is_ascii_alphanumeric() || "_./".contains(char)));
+        words.map(|word| word.trim_end_matches('.')).filter(move |word| {
+            let parts = word.split_once('.');
+            parts.is_some_and(|(table, key)| is_word(table) && is_word(key) && !FILES.contains(&key))
+        })
+    }
+
+    #[test]
+    fn settings_that_help_names_exist() {
+        let problem = |setting: &str| {
+            let file = crate::settings::ConfigFile::from_table(format!("{setting} = 'no value'").parse().unwrap());
+            file.map_or_else(|error| error.message().to_owned(), |_| String::new())
+        };
+        assert!(problem("densify.absolute_threshold").contains("unknown field"), "a name that is wrong is found");
+        let helps = helps(&mut Arguments::command());
+        let named: Vec<&str> = helps.iter().flat_map(|(_, help)| settings_in(help)).collect();
+        assert!(named.contains(&"densify.gradient_threshold"), "{named:?}");
+        for setting in named {
+            assert!(!problem(setting).contains("unknown field"), "{setting}: {}", problem(setting));
+        }
+    }
+
+    #[test]
+    fn help_speaks_of_runs_only_where_one_can_be_given() {
+        for (name, help) in helps(&mut Arguments::command()) {
+            let takes_one = ["SPLAT|RUN", "SCENE|SPLAT|RUN"].iter().any(|value| help.contains(value));
+            assert!(takes_one || !help.contains("RUN"), "{name}: {help}");
+        }
+    }
+
+    #[test]
+    fn whatever_shows_a_splat_takes_masks_and_a_near_plane() {
+        let of_splat = |words: &str| match Arguments::try_parse_from(words.split(' ')).unwrap().command {
+            Command::View(args) => args.splat,
+            Command::Export(args) => args.splat,
+            Command::Evaluate(args) => args.splat,
+            Command::Render(args) => args.splat,
+            _ => unreachable!("these four show splats"),
+        };
+        for command in ["view", "export --out a.html", "evaluate --data d", "render --data d --split all --out o"] {
+            let splat = of_splat(&format!("genesplat {command} a.ply --near 0.5 --mask usual"));
+            let mut dataset = crate::settings::Dataset { mask: MaskUse::Transparent, ..Default::default() };
+            splat.photos.override_dataset(&mut dataset).unwrap();
+            assert_eq!((splat.path, dataset.mask, dataset.near), ("a.ply".into(), MaskUse::Usual, Some(0.5)));
+        }
     }
 
     #[test]

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use super::{MORE, MachineArgs, PhotosArgs, ShownOnArgs, SizeArgs};
+use super::{MORE, SplatArgs};
 
 /// Only this machine reaches it, and any port that is free.
 const NEAR: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 0);
@@ -46,27 +46,17 @@ impl PageArgs {
 
 #[derive(Debug, Args)]
 pub(crate) struct ViewArgs {
-    /// A splat (.ply, compressed .ply, .splat, .spz, .sog or .glb), or the folder of a run
-    #[arg(value_name = "SPLAT|RUN")]
-    pub(crate) splat: PathBuf,
     /// Folder of the scene, for its photos and cameras [default: that of the RUN, if it is still there; none for a SPLAT]
     #[arg(long, value_name = "DATASET")]
     pub(crate) data: Option<PathBuf>,
     #[command(flatten)]
     pub(crate) page: PageArgs,
     #[command(flatten)]
-    pub(crate) size: SizeArgs,
-    #[command(flatten)]
-    pub(crate) on: ShownOnArgs,
-    #[command(flatten)]
-    pub(crate) machine: MachineArgs,
+    pub(crate) splat: SplatArgs,
 }
 
 #[derive(Debug, Args)]
 pub(crate) struct ExportArgs {
-    /// A splat (.ply, compressed .ply, .splat, .spz, .sog or .glb), or the folder of a run
-    #[arg(value_name = "SPLAT|RUN")]
-    pub(crate) splat: PathBuf,
     /// The page to write: one file that any browser shows, from the disk and without a network
     #[arg(long, value_name = "FILE.html")]
     pub(crate) out: PathBuf,
@@ -78,11 +68,7 @@ pub(crate) struct ExportArgs {
     #[arg(long, value_name = "TEXT")]
     pub(crate) title: Option<String>,
     #[command(flatten)]
-    pub(crate) photos: PhotosArgs,
-    #[command(flatten)]
-    pub(crate) on: ShownOnArgs,
-    #[command(flatten)]
-    pub(crate) machine: MachineArgs,
+    pub(crate) splat: SplatArgs,
 }
 
 /// Where a camera moves.

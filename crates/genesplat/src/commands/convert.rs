@@ -1,13 +1,13 @@
 //! `genesplat convert`: a splat in another format.
 
-use genesplat::io::shown;
 use std::fs;
 use std::path::Path;
 
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Result, bail, ensure};
 use genesplat::core::gaussians::sigmoid;
 use genesplat::core::{Gaussians, ScreenFilter};
 use genesplat::io::format::{self, Format, Options};
+use genesplat::io::shown;
 
 use crate::args::ConvertArgs;
 use crate::run::CLOUD;
@@ -16,20 +16,12 @@ use crate::run::training::evaluate_all;
 use crate::splat::Splat;
 use crate::terminal::numbers::thousands;
 use crate::terminal::output;
-use crate::{device, splat};
-
-/// The format that is asked for.
-pub(crate) fn format_of(args: &ConvertArgs) -> Result<Format> {
-    let endings = Format::ALL.map(Format::ending).join(", ");
-    Format::of(&args.out).with_context(|| {
-        format!("{} names no format that genesplat writes; end it in one of {endings}", shown(&args.out))
-    })
-}
+use crate::{device, files, splat};
 
 /// Reads, cuts, writes, and says what that cost.
 pub(crate) fn run(args: &ConvertArgs) -> Result<()> {
     device::use_threads(args.machine.threads)?;
-    let format = format_of(args)?;
+    let format = files::format_of(&args.out)?;
     let splat = splat::open(&args.splat)?;
     let scene = args.data.as_deref().map(|data| splat.load_scene(data, &args.size.into())).transpose()?;
     if let Some(scene) = &scene {

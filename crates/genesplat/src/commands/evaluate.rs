@@ -23,10 +23,10 @@ struct Report {
 }
 
 pub(crate) fn run(args: &EvaluateArgs) -> Result<()> {
-    device::use_threads(args.machine.threads)?;
+    device::use_threads(args.splat.machine.threads)?;
     let lpips = lpips::open(&args.lpips)?;
-    let splat = splat::open(&args.splat)?.on(args.on);
-    let scene = splat.load_scene(&args.data, &args.photos)?;
+    let splat = splat::open(&args.splat.path)?.on(args.splat.on);
+    let scene = splat.load_scene(&args.data, &args.splat.photos)?;
     let name = args.split.name();
     let (views, other) = match args.split {
         Split::Test => (&scene.test, Split::Train),
@@ -36,9 +36,9 @@ pub(crate) fn run(args: &EvaluateArgs) -> Result<()> {
         bail!("{} has no {name} photos; use --split {}", shown(&args.data), other.name());
     }
     if args.split == Split::Test {
-        photos::check_test_photos(&args.splat, &scene)?;
+        photos::check_test_photos(&args.splat.path, &scene)?;
     }
-    let mut backend = device::open(args.machine.device.unwrap_or_default())?;
+    let mut backend = device::open(args.splat.machine.device.unwrap_or_default())?;
     let gaussians = splat.cloud.len();
     backend.upload(splat.cloud.into())?;
     let scores = evaluate_all(&mut backend, views, &splat.settings, lpips.as_ref())?;

@@ -24,9 +24,9 @@ pub(crate) fn check_name(out: &Path) -> Result<()> {
 }
 
 pub(crate) fn run(args: &ExportArgs) -> Result<()> {
-    device::use_threads(args.machine.threads)?;
-    let splat = splat::open(&args.splat)?.on(args.on);
-    let scene = splat.find_scene(&args.splat, args.data.as_deref(), &args.photos)?;
+    device::use_threads(args.splat.machine.threads)?;
+    let splat = splat::open(&args.splat.path)?.on(args.splat.on);
+    let scene = splat.find_scene(args.data.as_deref(), &args.splat.photos)?;
     let settings = splat.settings;
     let options =
         Options { screen_filter: settings.filter, sh_degree: settings.sh_degree, spz_version: SpzVersion::V3 };
@@ -36,7 +36,7 @@ pub(crate) fn run(args: &ExportArgs) -> Result<()> {
     let (title, gaussians) = (title(args, scene.as_ref()), splat.cloud.len());
     let shots = match &scene {
         Some(scene) => {
-            let mut backend = device::open(args.machine.device.unwrap_or_default())?;
+            let mut backend = device::open(args.splat.machine.device.unwrap_or_default())?;
             backend.upload(splat.cloud.into())?;
             shoot(scene, backend.as_mut(), &settings)?
         }
@@ -54,7 +54,7 @@ fn cameras(scene: &Scene) -> Vec<Camera> {
 }
 
 fn title(args: &ExportArgs, scene: Option<&Scene>) -> String {
-    let of_file = || args.splat.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    let of_file = || args.splat.path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
     let found = args.title.clone().or_else(|| scene.map(|scene| scene.name.clone()));
     found.unwrap_or_else(of_file)
 }

@@ -71,29 +71,25 @@ fn check_outputs(command: &Command) -> Result<()> {
     };
     match command {
         Command::Inspect(args) => figures(&args.json, &[Some(&args.what)]),
-        Command::Evaluate(args) => figures(&args.json, &[Some(&args.splat), args.lpips.lpips_weights.as_deref()]),
+        Command::Evaluate(args) => figures(&args.json, &[Some(&args.splat.path), args.lpips.lpips_weights.as_deref()]),
         Command::Compare(args) => {
             let weights = args.lpips.lpips_weights.as_deref();
             figures(&args.json, &[Some(&args.first), Some(&args.second), weights])
         }
-        Command::Render(args) if args.image.is_some() => check_file(&args.out, Content::Picture, &[Some(&args.splat)]),
+        Command::Render(args) if args.image.is_some() => {
+            check_file(&args.out, Content::Picture, &[Some(&args.splat.path)])
+        }
         Command::Render(args) if args.path.is_some() && render_path::is_film(&args.out) => {
-            check_file(&args.out, Content::Figures, &[Some(&args.splat)])
+            check_file(&args.out, Content::Figures, &[Some(&args.splat.path)])
         }
         Command::Render(args) => check_folder(&args.out, "0001.png"),
         Command::Refine(args) => check_file(&args.out, Content::Splat, &[Some(&args.splat), args.config.as_deref()]),
-        Command::Convert(args) => {
-            check_file(&args.out, Content::Splat, &[Some(&args.splat)])?;
-            convert::format_of(args).map(|_| ())
-        }
+        Command::Convert(args) => check_file(&args.out, Content::Splat, &[Some(&args.splat)]),
         Command::Export(args) => {
-            check_file(&args.out, Content::Figures, &[Some(&args.splat)])?;
+            check_file(&args.out, Content::Figures, &[Some(&args.splat.path)])?;
             export::check_name(&args.out)
         }
-        Command::Merge(args) => {
-            check_file(&args.out, Content::Splat, &[])?;
-            merge::format_of(args).map(|_| ())
-        }
+        Command::Merge(args) => check_file(&args.out, Content::Splat, &[]),
         Command::Bench { what } => {
             let (json, source) = match what {
                 Bench::Step(args) => (&args.json, &args.workload.source),

@@ -23,12 +23,12 @@ pub(crate) fn run(args: &RenderArgs) -> Result<()> {
     if let Some(path) = &args.path {
         return render_path::run(args, path);
     }
-    device::use_threads(args.machine.threads)?;
-    let splat = splat::open(&args.splat)?.on(args.on);
-    let scene = splat.load_scene(&args.data, &args.photos)?;
+    device::use_threads(args.splat.machine.threads)?;
+    let splat = splat::open(&args.splat.path)?.on(args.splat.on);
+    let scene = splat.load_scene(&args.data, &args.splat.photos)?;
     overwrite::check_photos(&scene, &args.out)?;
     if args.split == Some(RenderSplit::Test) {
-        check_test_photos(&args.splat, &scene)?;
+        check_test_photos(&args.splat.path, &scene)?;
     }
     let jobs = match &args.image {
         Some(name) => vec![(find(&scene, name, &args.data)?, args.out.clone())],
@@ -39,7 +39,7 @@ pub(crate) fn run(args: &RenderArgs) -> Result<()> {
         }
     };
     jobs.iter().try_for_each(|(_, path)| overwrite::check_existing(path, Content::Picture, &[]))?;
-    let mut backend = device::open(args.machine.device.unwrap_or_default())?;
+    let mut backend = device::open(args.splat.machine.device.unwrap_or_default())?;
     backend.upload(splat.cloud.into())?;
     let mut bar = Bar::new("renders", jobs.len() as u64);
     for (done, (view, path)) in (1..).zip(&jobs) {

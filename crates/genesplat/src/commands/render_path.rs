@@ -22,9 +22,9 @@ use crate::{device, splat};
 const RATE: &str = "30";
 
 pub(crate) fn run(args: &RenderArgs, choice: &PathChoice) -> Result<()> {
-    device::use_threads(args.machine.threads)?;
-    let splat = splat::open(&args.splat)?.on(args.on);
-    let scene = splat.load_scene(&args.data, &args.photos)?;
+    device::use_threads(args.splat.machine.threads)?;
+    let splat = splat::open(&args.splat.path)?.on(args.splat.on);
+    let scene = splat.load_scene(&args.data, &args.splat.photos)?;
     overwrite::check_photos(&scene, &args.out)?;
     let cameras = cameras(choice, &scene, args.frames)?;
     let mut sink = Sink::open(&args.out, &cameras)?;
@@ -34,7 +34,7 @@ pub(crate) fn run(args: &RenderArgs, choice: &PathChoice) -> Result<()> {
 }
 
 fn render(args: &RenderArgs, splat: Splat, cameras: &[Camera], sink: &mut Sink) -> Result<()> {
-    let mut backend = device::open(args.machine.device.unwrap_or_default())?;
+    let mut backend = device::open(args.splat.machine.device.unwrap_or_default())?;
     backend.upload(splat.cloud.into())?;
     let mut bar = Bar::new("renders", cameras.len() as u64);
     for (done, camera) in (1..).zip(cameras) {

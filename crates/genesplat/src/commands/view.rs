@@ -16,17 +16,17 @@ use crate::{device, live, splat};
 
 /// Serves until Ctrl-C, which is how it is meant to end.
 pub(crate) fn run(args: &ViewArgs) -> Result<()> {
-    device::use_threads(args.machine.threads)?;
+    device::use_threads(args.splat.machine.threads)?;
     let stop = interrupt::stop_flag_saying("the page is closed")?;
-    let splat = splat::open(&args.splat)?.on(args.on);
-    let scene = splat.find_scene(&args.splat, args.data.as_deref(), &args.size.into())?;
-    let mut device = device::open(args.machine.device.unwrap_or_default())?;
-    let name = args.splat.file_name().unwrap_or_default().to_string_lossy();
+    let splat = splat::open(&args.splat.path)?.on(args.splat.on);
+    let scene = splat.find_scene(args.data.as_deref(), &args.splat.photos)?;
+    let mut device = device::open(args.splat.machine.device.unwrap_or_default())?;
+    let name = args.splat.path.file_name().unwrap_or_default().to_string_lossy();
     let mut live = live::of_splat(args.page.address(), &name, &splat.cloud, scene.as_ref())?;
     let gaussians = splat.cloud.len();
     device.upload(splat.cloud.into())?;
     live.begin(&device.describe(), gaussians, 0);
-    replay(&args.splat, &mut live);
+    replay(&args.splat.path, &mut live);
     live.exhibit(&mut Sight::new(device.as_mut(), splat.settings), || stop.load(Ordering::Relaxed));
     Ok(())
 }
