@@ -326,8 +326,8 @@ pub trait EvolutionBackend: Backend {
     /// Overwrites the genes of the rows that `delta` names.
     fn apply(&mut self, delta: &SparseDelta, moments: MomentPolicy) -> Result<(), BackendError>;
 
-    /// Sum of each Gaussian's blending weights over the pixels of a training view, each times that pixel's value in `map`
-    /// `[H, W]`; `[N]`.
+    /// Sum of each Gaussian's blending weights over all pixels of a training view, hidden ones, too, each times that pixel's
+    /// value in `map` `[H, W]`; `[N]`.
     fn weigh(&mut self, view: usize, map: &[f32], settings: &RenderSettings) -> Result<Vec<f32>, BackendError>;
 
     /// How much each Gaussian contributes to training views, and the error where it is seen `[N]`.

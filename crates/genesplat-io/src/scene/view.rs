@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use genesplat_core::{Camera, View};
+use genesplat_core::{Camera, Mask, View};
 
 use super::{LoadOptions, LoadProgress, MaskUse};
 use crate::error::SceneError;
@@ -56,8 +56,13 @@ pub(super) fn load(
         None => (photos::resize(&photo, width, height), hidden.map(|mask| mask.resized([width, height]))),
     };
     progress.photo_done();
-    let (camera, mask) = (pinhole.resized(width, height), mask.map(|mask| Arc::new(mask.into())));
-    let view = View { name: listed.name.clone(), camera, photo: Arc::new(photo), mask };
+    let view = View {
+        name: listed.name.clone(),
+        camera: pinhole.resized(width, height),
+        photo: Arc::new(photo),
+        // One that hides nothing is none.
+        mask: mask.map(Mask::from).filter(|mask| mask.counts.contains(&false)).map(Arc::new),
+    };
     Ok(Loaded { view, is_masked, is_transparent })
 }
 
@@ -73,15 +78,20 @@ fn hidden(mask: Option<PhotoMask>, opaque: Option<PhotoMask>, mask_use: MaskUse)
     }
 }
 
+/// The mask in `file`, at the size of its photo. Scenes that ship reduced photos may have masks of the original ones.
 fn open_mask(file: &Path, of_photo: [u32; 2]) -> Result<PhotoMask, SceneError> {
     let mask = PhotoMask::open(file)?;
     let ([width, height], [photo_width, photo_height]) = (mask.size(), of_photo);
     if mask.size() == of_photo {
         return Ok(mask);
     }
-    let problem = format!(
-        "is a mask of {width}x{height} pixels, and its photo has {photo_width}x{photo_height}; make it as large as its photo"
-    );
+    if is_same_shape(mask.size(), of_photo) {
+        return Ok(mask.resized(of_photo));
+    }
+    let advice =
+        if is_same_shape([height, width], of_photo) { "turn it as its photo" } else { "make it as large as its photo" };
+    let problem =
+        format!("is a mask of {width}x{height} pixels, and its photo has {photo_width}x{photo_height}; {advice}");
     Err(SceneError::BadPhoto { photo: file.to_owned(), problem })
 }
 
@@ -100,11 +110,7 @@ fn pinhole_of(listed: &ListedPhoto, camera: &Camera, lens: &Lens) -> Result<Came
 /// a camera of the same shape is scaled, and a camera of another shape is an error.
 fn camera_of_photo(listed: &ListedPhoto, width: u32, height: u32) -> Result<Camera, SceneError> {
     let camera = &listed.camera;
-    let scale = f64::from(width) / f64::from(camera.width);
-    let expected_height = f64::from(camera.height) * scale;
-    // Either side may have been rounded by a pixel before and after the reduction; 0.5 % covers large photos.
-    let tolerance = (0.005 * f64::from(height)).max(2.0);
-    if (expected_height - f64::from(height)).abs() > tolerance {
+    if !is_same_shape([camera.width, camera.height], [width, height]) {
         let problem = format!(
             "is {width}x{height} pixels, but its camera in {} is {}x{}, which is another shape; use the photos that \
              the cameras were calibrated on",
@@ -115,4 +121,10 @@ fn camera_of_photo(listed: &ListedPhoto, width: u32, height: u32) -> Result<Came
         return Err(SceneError::BadPhoto { photo: listed.path.clone(), problem });
     }
     Ok(camera.resized(width, height))
+}
+
+/// Either side may have been rounded by a pixel before and after the reduction; 0.5 % covers large photos.
+fn is_same_shape(original: [u32; 2], [width, height]: [u32; 2]) -> bool {
+    let expected_height = f64::from(original[1]) * f64::from(width) / f64::from(original[0]);
+    (expected_height - f64::from(height)).abs() <= (0.005 * f64::from(height)).max(2.0)
 }

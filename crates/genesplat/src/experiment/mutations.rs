@@ -15,8 +15,26 @@ use super::preset::PRESETS;
 const MUTATIONS: u32 = 2_000;
 /// Values that a hand or a program might put in the place of another.
 const VALUES: [&str; 20] = [
-    "0", "1", "-1", "3", "0.5", "1e308", "nan", "-inf", "4294967296", "9223372036854775807", "true", "\"\"", "\"..\"",
-    "\"off\"", "\"control\"", "\"a/b\"", "[]", "[\"off\", \"renew\", \"control\"]", "{}", "{ mode = \"paper\" }",
+    "0",
+    "1",
+    "-1",
+    "3",
+    "0.5",
+    "1e308",
+    "nan",
+    "-inf",
+    "4294967296",
+    "9223372036854775807",
+    "true",
+    "\"\"",
+    "\"..\"",
+    "\"off\"",
+    "\"control\"",
+    "\"a/b\"",
+    "[]",
+    "[\"off\", \"renew\", \"control\"]",
+    "{}",
+    "{ mode = \"paper\" }",
 ];
 const LINES: [&str; 6] = [
     "[[arms]]\nname = \"x\"",
@@ -97,7 +115,8 @@ fn a_changed_experiment_is_whole_or_a_sentence() {
     for file in 0..mutations {
         let text = mutated(&mut Draws { rng: Rng::new(22), file, made: 0 });
         let read = toml::from_str::<ExperimentFile>(&text);
-        match read.map_err(|error| error.to_string()).and_then(|file| Experiment::new(file).map_err(|e| e.to_string())) {
+        match read.map_err(|error| error.to_string()).and_then(|file| Experiment::new(file).map_err(|e| e.to_string()))
+        {
             Ok(experiment) => {
                 accepted += 1;
                 check(&experiment, &text);

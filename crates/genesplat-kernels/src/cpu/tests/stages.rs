@@ -1,7 +1,7 @@
 //! Every stage of a view against the reference.
 
 use fearless_simd::Level;
-use genesplat_core::{Backend, DensitySignal, EvolutionBackend, Image, Photo, ScreenFilter, StatisticsRequest};
+use genesplat_core::{Backend, DensitySignal, EvolutionBackend, Image, Photo, ScreenFilter, StatisticsRequest, View};
 
 use super::{buffers_of, compare, compare_gradients, compare_images, fill, flat, statistics};
 use crate::cpu::score::tests::loss_of_image;
@@ -100,15 +100,14 @@ fn weights_by_a_map_match_the_reference() {
         let mut backend = CpuBackend::new();
         backend.set_views(&[view(), small_view()]).unwrap();
         backend.upload(cloud.clone().into()).unwrap();
-        for (index, view) in [view(), small_view()].iter().enumerate() {
-            let pixels = (view.camera.width * view.camera.height) as usize;
+        for (index, View { camera, .. }) in [view(), small_view()].iter().enumerate() {
+            let pixels = (camera.width * camera.height) as usize;
             let map: Vec<f32> = (0..pixels).map(|pixel| uniform(11, pixel)).collect();
             let actual = backend.weigh(index, &map, &settings).unwrap();
             let actual: Vec<f64> = actual.into_iter().map(f64::from).collect();
             let by = |map: &[f32]| {
                 let map: Vec<f64> = map.iter().map(|&value| f64::from(value)).collect();
-                let sums = reference::weigh(&Cloud64::from(&cloud), view, &settings, Cutoff::Hard, &map);
-                sums.into_iter().map(|[_, sum]| sum).collect::<Vec<_>>()
+                reference::weigh(&Cloud64::from(&cloud), camera, &settings, Cutoff::Hard, &map)
             };
             compare("weights", actual.clone(), by(&map)).unwrap();
             let mut planted = map.clone();
