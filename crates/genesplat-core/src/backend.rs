@@ -34,6 +34,11 @@ impl View {
     pub fn counted_pixels(&self) -> usize {
         self.mask.as_ref().map_or(self.photo.rgb.len() / 3, |mask| mask.counted())
     }
+
+    /// A picture of this view, black where nothing counts: what is compared with another one.
+    pub fn hide_in<'a>(&self, picture: &'a Photo) -> Cow<'a, Photo> {
+        self.mask.as_ref().map_or(Cow::Borrowed(picture), |mask| Cow::Owned(mask.hide_in(picture)))
+    }
 }
 
 /// What is done to a projected covariance so that no splat falls between pixels.
