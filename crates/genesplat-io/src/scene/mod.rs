@@ -204,6 +204,7 @@ fn list(path: &Path, options: &LoadOptions) -> Result<Listing, SceneError> {
 fn checked(mut listing: Listing, scene: &Path, options: &LoadOptions) -> Result<Listing, SceneError> {
     masks::find(&mut listing, scene);
     listing.set_near(options.near);
+    listing.check_not_shared()?;
     listing.name_views()?;
     if options.with_points && listing.points.is_empty() {
         listing.draw_points(options.seed);
