@@ -1,9 +1,10 @@
 //! From a listed photo to a view: check the header, decode, undistort, resize.
 
 use std::path::Path;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use genesplat_core::{Camera, Mask, View};
+use glam::{DQuat, DVec3};
 
 use super::{LoadOptions, LoadProgress, MaskUse};
 use crate::error::SceneError;
@@ -21,15 +22,46 @@ pub(super) struct Loaded {
     pub(super) is_transparent: bool,
 }
 
+/// Pinholes that were found, by the camera without its pose, and its lens: photos of one camera share theirs.
+#[derive(Default)]
+pub(super) struct Pinholes(Mutex<Vec<(Camera, Lens, Option<Camera>)>>);
+
+impl Pinholes {
+    fn of(&self, camera: &Camera, lens: &Lens) -> Option<Camera> {
+        let key = Camera {
+            camera_from_world_rotation: DQuat::IDENTITY,
+            camera_from_world_translation: DVec3::ZERO,
+            ..*camera
+        };
+        let known = self.found().iter().find(|known| known.0 == key && known.1 == *lens).map(|known| known.2);
+        let pinhole = known.unwrap_or_else(|| {
+            let pinhole = photos::pinhole(&key, lens);
+            self.found().push((key, *lens, pinhole));
+            pinhole
+        });
+        let Camera { camera_from_world_rotation, camera_from_world_translation, .. } = *camera;
+        pinhole.map(|pinhole| Camera { camera_from_world_rotation, camera_from_world_translation, ..pinhole })
+    }
+
+    /// A list is whole even where a thread has panicked.
+    fn found(&self) -> MutexGuard<'_, Vec<(Camera, Lens, Option<Camera>)>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
 pub(super) fn load(
     listed: &ListedPhoto,
     options: &LoadOptions,
+    pinholes: &Pinholes,
     progress: &dyn LoadProgress,
 ) -> Result<Loaded, SceneError> {
     let photo = EncodedPhoto::open(&listed.path)?.turned_like(listed.camera.width, listed.camera.height);
     let (photo_width, photo_height) = photo.size();
     let camera = camera_of_photo(listed, photo_width, photo_height)?;
-    let pinhole = listed.lens.map_or(Ok(camera), |lens| pinhole_of(listed, &camera, &lens))?;
+    let pinhole = match &listed.lens {
+        Some(lens) => pinholes.of(&camera, lens).ok_or_else(|| no_pinhole(listed))?,
+        None => camera,
+    };
     let (width, height) = options.size_of(pinhole.width, pinhole.height);
     if width.min(height) < SIDE_MIN_PX {
         let problem = format!(
@@ -95,13 +127,12 @@ fn open_mask(file: &Path, of_photo: [u32; 2]) -> Result<PhotoMask, SceneError> {
     Err(SceneError::BadPhoto { photo: file.to_owned(), problem })
 }
 
-/// The pinhole that takes the undistorted photo of `camera`.
-fn pinhole_of(listed: &ListedPhoto, camera: &Camera, lens: &Lens) -> Result<Camera, SceneError> {
-    photos::pinhole(camera, lens).ok_or_else(|| SceneError::BadCamera {
+fn no_pinhole(listed: &ListedPhoto) -> SceneError {
+    SceneError::BadCamera {
         file: listed.list.to_path_buf(),
         camera: listed.name.clone(),
         problem: "has distortion coefficients that cannot be undone",
-    })
+    }
 }
 
 /// The listed camera at the photo's own size.
