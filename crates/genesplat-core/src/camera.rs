@@ -24,6 +24,20 @@ pub struct Camera {
 }
 
 impl Camera {
+    /// A camera at the world's origin that looks along +z, with one focal length for both axes, its principal point in the middle
+    /// of the image, and [`NEAR_DEPTH`] as its near plane.
+    pub fn at_origin(width: u32, height: u32, focal_px: f64) -> Self {
+        Self {
+            width,
+            height,
+            focal_px: [focal_px; 2],
+            principal_px: [0.5 * f64::from(width), 0.5 * f64::from(height)],
+            camera_from_world_rotation: DQuat::IDENTITY,
+            camera_from_world_translation: DVec3::ZERO,
+            near: NEAR_DEPTH,
+        }
+    }
+
     /// Rotation part of `camera_from_world` as a matrix.
     pub fn rotation(&self) -> DMat3 {
         DMat3::from_quat(self.camera_from_world_rotation.normalize())
@@ -88,15 +102,21 @@ mod tests {
     }
 
     #[test]
+    fn the_middle_of_the_picture_lies_ahead_of_a_camera_at_the_origin() {
+        let camera = Camera::at_origin(7, 5, 3.0);
+        assert_eq!(camera.centre_in_world(), DVec3::ZERO);
+        assert_eq!(camera.pixel_from_camera(DVec3::Z), [3.0, 2.0]);
+        assert_eq!(camera.pixel_from_camera(DVec3::new(1.0, -1.0, 3.0)), [4.0, 1.0]);
+    }
+
+    #[test]
     fn the_centre_maps_to_the_origin_and_resizing_keeps_the_view() {
         let camera = Camera {
-            width: 640,
-            height: 480,
             focal_px: [500.0, 510.0],
             principal_px: [310.0, 250.0],
             camera_from_world_rotation: DQuat::from_euler(glam::EulerRot::XYZ, 0.3, -0.2, 0.9),
             camera_from_world_translation: DVec3::new(1.0, -2.0, 3.0),
-            near: NEAR_DEPTH,
+            ..Camera::at_origin(640, 480, 500.0)
         };
         assert!(camera.camera_from_world(camera.centre_in_world()).length() < 1e-12);
         let half = camera.resized(320, 240);

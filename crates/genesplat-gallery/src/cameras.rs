@@ -3,7 +3,6 @@
 use std::f64::consts::TAU;
 
 use genesplat_core::Camera;
-use genesplat_core::constants::NEAR_DEPTH;
 use glam::{DMat3, DQuat, DVec3};
 
 /// What the cameras look at, near enough.
@@ -41,13 +40,9 @@ fn look_at(centre: DVec3, target: DVec3, width: u32, height: u32) -> Camera {
     let rotation = DQuat::from_mat3(&world_from_camera.transpose());
     let focal = 0.5 * f64::from(width) / (0.5 * FIELD_OF_VIEW.to_radians()).tan();
     Camera {
-        width,
-        height,
-        focal_px: [focal, focal],
-        principal_px: [0.5 * f64::from(width), 0.5 * f64::from(height)],
         camera_from_world_rotation: rotation,
         camera_from_world_translation: -(rotation * centre),
-        near: NEAR_DEPTH,
+        ..Camera::at_origin(width, height, focal)
     }
 }
 

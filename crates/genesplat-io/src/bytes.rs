@@ -2,9 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use genesplat_core::constants::NEAR_DEPTH;
 use genesplat_core::{Camera, Gaussians, Photo};
-use glam::{DQuat, DVec3};
 
 use crate::colmap::{self, Form, ImageRecord, Intrinsics};
 use crate::format::{self, Format, FormatError, Loaded, Options};
@@ -64,15 +62,7 @@ pub fn photo(bytes: &[u8], pixels_max: u64) -> Result<Option<Photo>, PhotoError>
 pub fn undistorted(camera: &Intrinsics, side_max: u32) -> Option<Photo> {
     let Intrinsics { width, height, focal_px, principal_px, lens } = *camera;
     let lens = lens.filter(|_| width.max(height) <= side_max)?;
-    let camera = Camera {
-        width,
-        height,
-        focal_px,
-        principal_px,
-        camera_from_world_rotation: DQuat::IDENTITY,
-        camera_from_world_translation: DVec3::ZERO,
-        near: NEAR_DEPTH,
-    };
+    let camera = Camera { focal_px, principal_px, ..Camera::at_origin(width, height, focal_px[0]) };
     let pinhole = photos::pinhole(&camera, &lens)?;
     let photo = Photo { width, height, rgb: vec![128; 3 * (width * height) as usize] };
     let size = [pinhole.width.min(width), pinhole.height.min(height)];

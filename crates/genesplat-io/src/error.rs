@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use crate::photos::PhotoError;
 use crate::ply::PlyError;
-use crate::shown;
+use crate::{command_line, shown};
 
 /// Why a scene could not be loaded.
 #[derive(Debug, thiserror::Error)]
@@ -23,9 +23,10 @@ pub enum SceneError {
     Unrecognised(PathBuf),
     /// Photos or a video, of which nothing says where they were taken from.
     #[error(
-        "{0} {what}, and training needs to know where each photo was taken from; find that out with `genesplat poses \
-         {0} --out SCENE` and train SCENE, or add --poses to train",
-        shown(.path)
+        "{} {what}, and training needs to know where each photo was taken from; find that out with `{} --out SCENE` and \
+         train SCENE, or add --poses to train",
+        shown(.path),
+        command_line(["genesplat", "poses", &shown(.path)])
     )]
     NoCameras {
         /// What was asked for.

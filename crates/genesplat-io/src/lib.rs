@@ -23,7 +23,7 @@ pub use format::{Format, FormatError};
 pub use photos::PhotoSize;
 pub use ply::{PlyError, PlyOptions, read_ply, write_ply};
 pub use scene::{
-    HoldOut, LoadOptions, LoadProgress, MaskUse, Point, SIDE_MIN_PX, Scene, SceneList, ScenePhoto, list_scene,
+    HoldOut, LoadOptions, LoadProgress, MaskUse, Point, SIDE_MIN_PX, Scene, SceneList, ScenePhoto, blocks, list_scene,
     load_points, load_scene, model_of,
 };
-pub use shown::shown;
+pub use shown::{command_line, shown};

@@ -1,4 +1,4 @@
-//! Names as they are shown: in messages, on terminals, in pages.
+//! Names as they are shown: in messages, on terminals, in pages, in commands to copy.
 //!
 //! A file's name may hold any character, and a terminal obeys some: ESC begins commands, a carriage return or a
 //! right-to-left override hides what stood before. So those are shown as escapes, and a name never breaks a line.
@@ -19,6 +19,25 @@ pub fn shown(name: impl AsRef<OsStr>) -> String {
         }
     }
     shown
+}
+
+/// `words` as a line that a shell reads as these words.
+///
+/// ```
+/// let words = ["genesplat", "inspect", "my scene", "it's"];
+/// assert_eq!(genesplat_io::command_line(words), r"genesplat inspect 'my scene' 'it'\''s'");
+/// ```
+pub fn command_line(words: impl IntoIterator<Item = impl AsRef<OsStr>>) -> String {
+    words.into_iter().map(|word| quoted(&shown(word))).collect::<Vec<_>>().join(" ")
+}
+
+/// In single quotes, unless no shell does anything to it.
+fn quoted(word: &str) -> String {
+    let is_plain = |char: char| char.is_ascii_alphanumeric() || "-_./=:,+".contains(char);
+    match !word.is_empty() && word.chars().all(is_plain) {
+        true => word.to_owned(),
+        false => format!("'{}'", word.replace('\'', "'\\''")),
+    }
 }
 
 /// Control characters (C0, DEL, C1), line and paragraph separators, and what changes the direction of writing (Unicode

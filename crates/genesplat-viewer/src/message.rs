@@ -3,7 +3,6 @@
 //! Whatever comes from a page is checked here once: sizes, finite numbers, a rotation that is one.
 
 use genesplat_core::Camera;
-use genesplat_core::constants::NEAR_DEPTH;
 use glam::{DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 
@@ -136,13 +135,9 @@ impl Pose {
         let camera_from_world_rotation = DQuat::from_xyzw(x, y, z, w).normalize().conjugate();
         let focal_px = 0.5 * f64::from(height) / (0.5 * self.fov_y).tan();
         Camera {
-            width,
-            height,
-            focal_px: [focal_px; 2],
-            principal_px: [0.5 * f64::from(width), 0.5 * f64::from(height)],
             camera_from_world_rotation,
             camera_from_world_translation: -(camera_from_world_rotation * DVec3::from(self.position)),
-            near: NEAR_DEPTH,
+            ..Camera::at_origin(width, height, focal_px)
         }
     }
 

@@ -203,13 +203,12 @@ mod tests {
 
     fn page(title: &str) -> String {
         let camera = Camera {
-            width: 320,
-            height: 200,
             focal_px: [300.0, 310.0],
             principal_px: [150.0, 110.0],
             camera_from_world_rotation: DQuat::from_euler(glam::EulerRot::XYZ, 0.3, -0.2, 0.9),
             camera_from_world_translation: DVec3::new(1.0, -2.0, 3.0),
             near: 0.004,
+            ..Camera::at_origin(320, 200, 300.0)
         };
         let small = thumbnail_camera(&camera);
         assert_eq!((small.width, small.height), (176, 110));

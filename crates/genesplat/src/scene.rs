@@ -79,22 +79,12 @@ pub(crate) fn stem(name: &str) -> &str {
 mod tests {
     use std::sync::Arc;
 
-    use genesplat::core::constants::NEAR_DEPTH;
     use genesplat::core::{Camera, Photo};
-    use glam::{DQuat, DVec3};
 
     use super::*;
 
     fn view(name: &str) -> View {
-        let camera = Camera {
-            width: 1,
-            height: 1,
-            focal_px: [1.0; 2],
-            principal_px: [0.5; 2],
-            camera_from_world_rotation: DQuat::IDENTITY,
-            camera_from_world_translation: DVec3::ZERO,
-            near: NEAR_DEPTH,
-        };
+        let camera = Camera::at_origin(1, 1, 1.0);
         View { name: name.into(), camera, photo: Arc::new(Photo { width: 1, height: 1, rgb: vec![0; 3] }), mask: None }
     }
 

@@ -5,11 +5,10 @@ use std::path::Path;
 use anyhow::{Result, ensure};
 use genesplat::core::{Gaussians, RenderSettings, ScreenFilter};
 use genesplat::io::format::{self, Loaded};
-use genesplat::io::{Scene, shown};
+use genesplat::io::{Scene, command_line, shown};
 use genesplat::train::Background;
 
 use crate::args::{PhotosArgs, ShownOnArgs};
-use crate::report::run::command_line;
 use crate::run::session::has_checkpoint;
 use crate::run::{CLOUD, CONFIG};
 use crate::scene;

@@ -4,7 +4,6 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use genesplat_core::Camera;
-use genesplat_core::constants::NEAR_DEPTH;
 use glam::{DQuat, DVec3};
 
 use super::{ImageRecord, Model, ModelFolder, read_model, read_photos};
@@ -44,13 +43,11 @@ fn camera(model: &Model, image: &ImageRecord, list: &Path) -> Result<(Camera, Op
     })?;
     let [w, x, y, z] = image.rotation;
     let camera = Camera {
-        width: intrinsics.width,
-        height: intrinsics.height,
         focal_px: intrinsics.focal_px,
         principal_px: intrinsics.principal_px,
         camera_from_world_rotation: DQuat::from_xyzw(x, y, z, w).normalize(),
         camera_from_world_translation: DVec3::from(image.translation),
-        near: NEAR_DEPTH,
+        ..Camera::at_origin(intrinsics.width, intrinsics.height, intrinsics.focal_px[0])
     };
     Ok((camera, intrinsics.lens))
 }

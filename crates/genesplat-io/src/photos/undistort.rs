@@ -231,8 +231,6 @@ fn cubic_weights(t: f32) -> [f32; 4] {
 
 #[cfg(test)]
 mod tests {
-    use genesplat_core::constants::NEAR_DEPTH;
-    use glam::{DQuat, DVec3};
 
     use super::super::lens::{Polynomial, Projection};
     use super::*;
@@ -248,15 +246,7 @@ mod tests {
     }
 
     fn camera() -> Camera {
-        Camera {
-            width: 120,
-            height: 80,
-            focal_px: [100.0, 101.0],
-            principal_px: [58.5, 41.25],
-            camera_from_world_rotation: DQuat::IDENTITY,
-            camera_from_world_translation: DVec3::ZERO,
-            near: NEAR_DEPTH,
-        }
+        Camera { focal_px: [100.0, 101.0], principal_px: [58.5, 41.25], ..Camera::at_origin(120, 80, 100.0) }
     }
 
     /// The photo that `camera` takes through `lens` of a smooth pattern on the plane at depth 1.

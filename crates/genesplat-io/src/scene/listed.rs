@@ -32,6 +32,8 @@ pub struct ScenePhoto {
     pub camera: Camera,
     /// What bends it; `None` for a pinhole.
     pub lens: Option<Lens>,
+    /// A picture that is black where the photo does not count.
+    pub mask: Option<PathBuf>,
     /// Whether it is held out.
     pub is_test: bool,
 }
@@ -41,11 +43,12 @@ pub fn list_scene(path: &Path, options: &LoadOptions) -> Result<SceneList, Scene
     let listing = list(path, options)?;
     let (train, test) = split::split(listing.photos, &options.hold_out, path)?;
     let photo = |is_test: bool| {
-        move |ListedPhoto { name, path, camera, lens, .. }: ListedPhoto| ScenePhoto {
+        move |ListedPhoto { name, path, camera, lens, mask, .. }: ListedPhoto| ScenePhoto {
             name,
             path,
             camera,
             lens,
+            mask,
             is_test,
         }
     };

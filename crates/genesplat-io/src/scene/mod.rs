@@ -1,6 +1,7 @@
 //! Scenes: what a reader lists is split ([`split`]), and its photos are loaded in parallel ([`view`]).
 
 mod bare;
+pub mod blocks;
 mod listed;
 mod masks;
 mod place;

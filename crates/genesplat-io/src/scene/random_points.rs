@@ -61,7 +61,6 @@ impl Cube {
 
 #[cfg(test)]
 mod tests {
-    use genesplat_core::constants::NEAR_DEPTH;
     use glam::DQuat;
 
     use super::*;
@@ -69,13 +68,9 @@ mod tests {
     fn camera(centre: DVec3, forward: DVec3) -> Camera {
         let rotation = DQuat::from_rotation_arc(forward.normalize(), DVec3::Z);
         Camera {
-            width: 64,
-            height: 64,
-            focal_px: [60.0; 2],
-            principal_px: [32.0; 2],
             camera_from_world_rotation: rotation,
             camera_from_world_translation: -(rotation * centre),
-            near: NEAR_DEPTH,
+            ..Camera::at_origin(64, 64, 60.0)
         }
     }
 

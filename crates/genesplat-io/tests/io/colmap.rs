@@ -430,14 +430,17 @@ fn cameras_follow_smaller_photos_and_requested_sizes() {
 #[test]
 fn photos_and_videos_without_cameras_name_the_command_that_finds_them() {
     let folder = tempfile::tempdir().unwrap();
-    let photos = folder.path().join("photos");
+    let photos = folder.path().join("my photos");
     photos::write_png(&photos.join("a.PNG"), &tiny_photo(0, SIZE)).unwrap();
     photos::write_png(&photos.join("more/b.png"), &tiny_photo(1, SIZE)).unwrap();
     let video = folder.path().join("film.MOV");
     fs::write(&video, "a film").unwrap();
-    for (path, what) in [(&photos, "holds 2 photos and no cameras"), (&video, "is a video")] {
+    let quoted = format!("'{}'", photos.display());
+    let cases =
+        [(&photos, quoted, "holds 2 photos and no cameras"), (&video, video.display().to_string(), "is a video")];
+    for (path, word, what) in cases {
         let sentence = load_scene(path, &LoadOptions::default(), &()).unwrap_err().to_string();
-        let command = format!("`genesplat poses {} --out SCENE`", path.display());
+        let command = format!("`genesplat poses {word} --out SCENE`");
         assert!(sentence.contains(what) && sentence.contains(&command) && sentence.contains("--poses"), "{sentence}");
     }
 }

@@ -2,7 +2,6 @@
 
 #![allow(dead_code, reason = "each test binary uses its own part")]
 
-use genesplat_core::constants::NEAR_DEPTH;
 use genesplat_core::spherical_harmonics::{C0, SH_STRIDE};
 use genesplat_core::{Camera, Photo, Rng, Stream};
 use genesplat_kernels::reference::Cloud64;
@@ -35,27 +34,17 @@ impl Uniform {
 /// A tilted camera with a principal point off the centre and two focal lengths.
 pub(crate) fn tilted_camera() -> Camera {
     Camera {
-        width: WIDTH,
-        height: HEIGHT,
         focal_px: [21.0, 23.5],
         principal_px: [10.6, 11.3],
         camera_from_world_rotation: DQuat::from_euler(glam::EulerRot::XYZ, 0.25, -0.4, 0.15),
         camera_from_world_translation: DVec3::new(0.1, -0.2, 4.0),
-        near: NEAR_DEPTH,
+        ..Camera::at_origin(WIDTH, HEIGHT, 21.0)
     }
 }
 
 /// A camera at the origin that looks along +z, with the principal point on the centre of pixel (10, 8).
 pub(crate) fn straight_camera() -> Camera {
-    Camera {
-        width: WIDTH,
-        height: HEIGHT,
-        focal_px: [20.0, 20.0],
-        principal_px: [10.5, 8.5],
-        camera_from_world_rotation: DQuat::IDENTITY,
-        camera_from_world_translation: DVec3::ZERO,
-        near: NEAR_DEPTH,
-    }
+    Camera { principal_px: [10.5, 8.5], ..Camera::at_origin(WIDTH, HEIGHT, 20.0) }
 }
 
 /// `n` Gaussians around the world's origin: mid-grey on average, from faint to nearly opaque.

@@ -79,23 +79,13 @@ fn cap_from_photos(views: &[View], capacity: f64) -> usize {
 mod tests {
     use std::sync::Arc;
 
-    use genesplat_core::constants::NEAR_DEPTH;
     use genesplat_core::{Camera, Photo};
-    use glam::{DQuat, DVec3};
 
     use super::*;
 
     #[test]
     fn the_lower_of_the_limits_counts() {
-        let camera = Camera {
-            width: 30,
-            height: 20,
-            focal_px: [1.0; 2],
-            principal_px: [15.0, 10.0],
-            camera_from_world_rotation: DQuat::IDENTITY,
-            camera_from_world_translation: DVec3::ZERO,
-            near: NEAR_DEPTH,
-        };
+        let camera = Camera::at_origin(30, 20, 1.0);
         let photo = Arc::new(Photo { width: 30, height: 20, rgb: vec![0; 1800] });
         let views = vec![View { name: String::new(), camera, photo, mask: None }; 9];
         let cap = |mode, variant, max_gaussians, capacity| {

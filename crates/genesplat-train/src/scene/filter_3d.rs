@@ -52,7 +52,6 @@ fn sees(camera: &Camera, point_in_camera: DVec3) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use genesplat_core::constants::NEAR_DEPTH;
     use genesplat_core::{Rng, Stream};
     use glam::DQuat;
 
@@ -60,15 +59,7 @@ mod tests {
 
     /// Looks along +z from `(0, 0, z)`.
     fn camera_at(z: f64, focal: f64) -> Camera {
-        Camera {
-            width: 100,
-            height: 50,
-            focal_px: [focal, focal],
-            principal_px: [50.0, 25.0],
-            camera_from_world_rotation: DQuat::IDENTITY,
-            camera_from_world_translation: DVec3::new(0.0, 0.0, -z),
-            near: NEAR_DEPTH,
-        }
+        Camera { camera_from_world_translation: DVec3::new(0.0, 0.0, -z), ..Camera::at_origin(100, 50, focal) }
     }
 
     #[test]

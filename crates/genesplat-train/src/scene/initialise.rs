@@ -124,7 +124,6 @@ pub(crate) fn median_depth<'a>(cameras: impl Iterator<Item = &'a Camera>, points
 
 #[cfg(test)]
 mod tests {
-    use genesplat_core::constants::NEAR_DEPTH;
     use glam::DQuat;
 
     use super::*;
@@ -132,13 +131,9 @@ mod tests {
     fn camera_at(centre: DVec3) -> Camera {
         let rotation = DQuat::from_rotation_y(0.7);
         Camera {
-            width: 8,
-            height: 6,
-            focal_px: [8.0, 8.0],
-            principal_px: [4.0, 3.0],
             camera_from_world_rotation: rotation,
             camera_from_world_translation: -(rotation * centre),
-            near: NEAR_DEPTH,
+            ..Camera::at_origin(8, 6, 8.0)
         }
     }
 
@@ -195,11 +190,7 @@ mod tests {
     #[test]
     fn depth_is_that_of_the_points_in_front() {
         let points = [-9.0, 1.0, 2.0, 7.0].map(|z| ([0.0, 0.0, z], [0; 3]));
-        let camera = Camera {
-            camera_from_world_rotation: DQuat::IDENTITY,
-            camera_from_world_translation: DVec3::Z,
-            ..camera_at(DVec3::ZERO)
-        };
+        let camera = Camera { camera_from_world_translation: DVec3::Z, ..Camera::at_origin(8, 6, 8.0) };
         assert_eq!(median_depth([camera].iter(), &points), Some(3.0));
         assert_eq!(median_depth([camera].iter(), &points[..1]), None);
         let many: Vec<_> = (0..5000).map(|z| ([0.0, 0.0, z as f32], [0; 3])).collect();

@@ -45,22 +45,12 @@ pub fn spread_evenly(views: &[View], count: usize, rng: &Rng, stage: u32) -> Vec
 mod tests {
     use std::sync::Arc;
 
-    use genesplat_core::constants::NEAR_DEPTH;
     use genesplat_core::{Camera, Photo};
-    use glam::{DQuat, DVec3};
 
     use super::*;
 
     fn views(n: usize) -> Vec<View> {
-        let camera = Camera {
-            width: 1,
-            height: 1,
-            focal_px: [1.0; 2],
-            principal_px: [0.5; 2],
-            camera_from_world_rotation: DQuat::IDENTITY,
-            camera_from_world_translation: DVec3::ZERO,
-            near: NEAR_DEPTH,
-        };
+        let camera = Camera::at_origin(1, 1, 1.0);
         let photo = Arc::new(Photo { width: 1, height: 1, rgb: vec![0; 3] });
         // Given in reverse order of name.
         (0..n).rev().map(|i| View { name: format!("{i:03}.jpg"), camera, photo: photo.clone(), mask: None }).collect()

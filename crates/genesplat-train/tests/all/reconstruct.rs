@@ -4,7 +4,6 @@ use std::f64::consts::TAU;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
-use genesplat_core::constants::NEAR_DEPTH;
 use genesplat_core::{Backend, Camera, EvolutionBackend, Gaussians, Rng, SparseDelta, Stream, View};
 use genesplat_kernels::cpu::CpuBackend;
 use genesplat_metrics::evaluate;
@@ -24,13 +23,9 @@ fn camera(angle: f64) -> Camera {
     let world_from_camera = DMat3::from_cols(right, forward.cross(right), forward);
     let rotation = glam::DQuat::from_mat3(&world_from_camera.transpose());
     Camera {
-        width: WIDTH,
-        height: HEIGHT,
-        focal_px: [50.0; 2],
-        principal_px: [f64::from(WIDTH) / 2.0, f64::from(HEIGHT) / 2.0],
         camera_from_world_rotation: rotation,
         camera_from_world_translation: -(rotation * centre),
-        near: NEAR_DEPTH,
+        ..Camera::at_origin(WIDTH, HEIGHT, 50.0)
     }
 }
 

@@ -7,7 +7,6 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use genesplat_core::backend::{MomentPolicy, StepReport};
-use genesplat_core::constants::NEAR_DEPTH;
 use genesplat_core::gaussians::limited_opacity;
 use genesplat_core::{
     Backend, BackendError, Blend, Camera, Contribution, DeviceState, EvolutionBackend, Gaussians, Image, Moments,
@@ -16,7 +15,7 @@ use genesplat_core::{
 use genesplat_train::observe::StepLog;
 use genesplat_train::scene::initialise::ColouredPoint;
 use genesplat_train::{Checkpoint, Observer};
-use glam::{DQuat, DVec3};
+use glam::DVec3;
 
 /// What the pipeline asked for, in order; reads are not recorded.
 #[derive(Clone, Debug, PartialEq)]
@@ -433,13 +432,8 @@ pub(crate) fn views(n: usize) -> Vec<View> {
         .map(|index| {
             let angle = index as f64 / n as f64 * std::f64::consts::TAU;
             let camera = Camera {
-                width: 4,
-                height: 4,
-                focal_px: [4.0; 2],
-                principal_px: [2.0; 2],
-                camera_from_world_rotation: DQuat::IDENTITY,
                 camera_from_world_translation: DVec3::new(2.0 * angle.cos(), 2.0 * angle.sin(), 0.0),
-                near: NEAR_DEPTH,
+                ..Camera::at_origin(4, 4, 4.0)
             };
             View { name: format!("{index:03}.png"), camera, photo: photo.clone(), mask: None }
         })

@@ -2,7 +2,6 @@
 
 use std::sync::Arc;
 
-use genesplat_core::constants::NEAR_DEPTH;
 use genesplat_core::gaussians::{logit, sigmoid};
 use genesplat_core::spherical_harmonics::dc_from_rgb;
 use genesplat_core::{
@@ -11,7 +10,7 @@ use genesplat_core::{
 use genesplat_kernels::cpu::CpuBackend;
 use genesplat_kernels::reference::{self, Cloud64, Cutoff, Statistics64};
 use genesplat_train::scene::filter_3d::filter_3d;
-use glam::{DQuat, DVec3};
+use glam::DVec3;
 
 /// A round splat: position, standard deviation, opacity, grey.
 type Round = ([f32; 3], f32, f32, f32);
@@ -30,13 +29,9 @@ fn cloud(splats: [Round; 3]) -> Gaussians {
 /// Looks along +z from `(0, 0, z)`, with the principal point on the centre of a pixel.
 fn camera([width, height]: [u32; 2], centre_px: [u32; 2], focal_px: f64, z: f64) -> Camera {
     Camera {
-        width,
-        height,
-        focal_px: [focal_px; 2],
         principal_px: centre_px.map(|pixel| f64::from(pixel) + 0.5),
-        camera_from_world_rotation: DQuat::IDENTITY,
         camera_from_world_translation: DVec3::new(0.0, 0.0, -z),
-        near: NEAR_DEPTH,
+        ..Camera::at_origin(width, height, focal_px)
     }
 }
 

@@ -2,46 +2,96 @@
 
 use std::path::Path;
 
-use anyhow::{Result, bail, ensure};
-use genesplat::core::{Gaussians, RenderSettings};
+use anyhow::{Result, bail};
+use genesplat::core::{Gaussians, RenderSettings, ScreenFilter};
+use genesplat::io::blocks::Grid;
 use genesplat::io::shown;
 use glam::DVec3;
 
-use super::grid::{Grid, RUNS};
-use super::split::command;
+use super::folder::{Cut, command, run_of};
 use crate::run::CLOUD;
 use crate::splat;
 
 /// The Gaussians of every block's run that stand on its core, block after block, and how they are meant to be shown.
 pub(crate) fn merge(folder: &Path) -> Result<(Gaussians, RenderSettings)> {
-    let grid = Grid::read(folder)?;
+    let grid = Cut::read(folder)?.grid;
     check_runs(&grid, folder)?;
     let mut whole: Option<(Gaussians, RenderSettings)> = None;
-    for block in &grid.blocks {
-        let run = folder.join(RUNS).join(&block.name);
+    for block in grid.blocks() {
+        let run = run_of(block, folder);
         let splat = splat::open(&run)?;
         let stands = |row: &u32| grid.owns(block, DVec3::from(splat.cloud.positions[*row as usize].map(f64::from)));
         let rows: Vec<u32> = (0..splat.cloud.len() as u32).filter(stands).collect();
-        let part = splat.cloud.gather(&rows);
-        let Some((cloud, settings)) = &mut whole else {
-            whole = Some((part, splat.settings));
+        let part = (splat.cloud.gather(&rows), splat.settings);
+        let Some(whole) = &mut whole else {
+            whole = Some(part);
             continue;
         };
-        let fits = *settings == splat.settings && cloud.filter_3d.is_some() == part.filter_3d.is_some();
-        ensure!(
-            fits,
-            "{} was trained with other settings than the blocks before it; train them all alike",
-            shown(&run)
-        );
-        cloud.append(part);
+        if let Some([before, here]) = difference(whole, &part) {
+            bail!(
+                "{} was trained with {here}, and the blocks before it with {before}; train them all alike",
+                shown(&run)
+            );
+        }
+        whole.0.append(part.0);
     }
-    Ok(whole.expect("a grid has at least one block"))
+    Ok(whole.expect("a cut has at least one block"))
+}
+
+/// The first setting in which both differ, as each has it.
+fn difference(a: &(Gaussians, RenderSettings), b: &(Gaussians, RenderSettings)) -> Option<[String; 2]> {
+    let [a, b] = [a, b].map(|(cloud, settings)| named(settings, cloud.filter_3d.is_some()));
+    a.into_iter().zip(b).find(|(a, b)| a != b).map(|(a, b)| [a, b])
+}
+
+fn named(settings: &RenderSettings, has_filter_3d: bool) -> [String; 4] {
+    let RenderSettings { sh_degree, background, filter } = settings;
+    let background = match background.map(|value| (255.0 * value).round() as u8) {
+        [0, 0, 0] => "black".to_owned(),
+        [255, 255, 255] => "white".to_owned(),
+        rgb => format!("{rgb:?}"),
+    };
+    let filter = match filter {
+        ScreenFilter::Classic => "antialiasing off",
+        ScreenFilter::Antialiased => "antialiasing on",
+        ScreenFilter::Mip => "variant mip-splatting",
+    };
+    let filter_3d = if has_filter_3d { "a 3D filter" } else { "no 3D filter" };
+    [format!("background {background}"), filter.to_owned(), format!("sh_degree {sh_degree}"), filter_3d.to_owned()]
 }
 
 fn check_runs(grid: &Grid, folder: &Path) -> Result<()> {
-    let is_missing = |name: &str| !folder.join(RUNS).join(name).join(CLOUD).exists();
-    let missing: Vec<_> = grid.blocks.iter().filter(|block| is_missing(&block.name)).collect();
+    let missing: Vec<_> = grid.blocks().iter().filter(|block| !run_of(block, folder).join(CLOUD).exists()).collect();
     let Some(first) = missing.first() else { return Ok(()) };
     let names = missing.iter().map(|block| block.name.as_str()).collect::<Vec<_>>().join(", ");
     bail!("no splat is there yet of block {names}; {} makes the first", command(first, folder))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_difference_is_named_with_both_values() {
+        let usual = (Gaussians::zeros(1), RenderSettings::default());
+        assert_eq!(difference(&usual, &usual), None);
+        let with = |settings: RenderSettings| (Gaussians::zeros(1), settings);
+        let filtered = Gaussians { filter_3d: Some(vec![1.0]), ..Gaussians::zeros(1) };
+        let cases = [
+            (with(RenderSettings { background: [1.0; 3], ..usual.1 }), ["background black", "background white"]),
+            (
+                with(RenderSettings { filter: ScreenFilter::Antialiased, ..usual.1 }),
+                ["antialiasing off", "antialiasing on"],
+            ),
+            (
+                with(RenderSettings { filter: ScreenFilter::Mip, ..usual.1 }),
+                ["antialiasing off", "variant mip-splatting"],
+            ),
+            (with(RenderSettings { sh_degree: 1, ..usual.1 }), ["sh_degree 3", "sh_degree 1"]),
+            ((filtered, usual.1), ["no 3D filter", "a 3D filter"]),
+        ];
+        for (other, expected) in cases {
+            assert_eq!(difference(&usual, &other).unwrap(), expected);
+        }
+    }
 }

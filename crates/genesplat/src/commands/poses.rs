@@ -1,7 +1,7 @@
 //! `genesplat poses`: photos or a video in, a scene with cameras out.
 
 use anyhow::Result;
-use genesplat::io::shown;
+use genesplat::io::{command_line, shown};
 
 use super::Ending;
 use crate::args::PosesArgs;
@@ -19,6 +19,7 @@ pub(crate) fn run(args: &PosesArgs) -> Result<Ending> {
         return Ok(Ending::Stopped);
     };
     summary.sentences().iter().try_for_each(|sentence| output::print(sentence))?;
-    output::print(&format!("train it: genesplat train {} --out RUN", shown(out)))?;
+    let train = command_line(["genesplat", "train", &shown(out), "--out", "RUN"]);
+    output::print(&format!("train it: {train}"))?;
     Ok(Ending::Whole)
 }

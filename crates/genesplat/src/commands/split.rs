@@ -3,7 +3,7 @@
 use std::fs;
 
 use anyhow::{Result, bail, ensure};
-use genesplat::io::{LoadOptions, list_scene, shown};
+use genesplat::io::{LoadOptions, command_line, list_scene, shown};
 
 use crate::args::SplitArgs;
 use crate::blocks::split::split;
@@ -23,6 +23,6 @@ pub(crate) fn run(args: &SplitArgs) -> Result<()> {
         bail!("{} has {} points, too few to tell {wanted} blocks apart", shown(&args.data), list.points.len());
     }
     split(&args.data, &list, args.blocks.0, args.margin, &args.out)?;
-    let blocks = shown(&args.out);
-    output::print(&format!("when all are trained: genesplat merge {blocks} --out merged.ply"))
+    let merge = command_line(["genesplat", "merge", &shown(&args.out), "--out", "merged.ply"]);
+    output::print(&format!("when all are trained: {merge}"))
 }

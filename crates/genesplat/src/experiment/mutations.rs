@@ -127,7 +127,6 @@ fn a_changed_experiment_is_whole_or_a_sentence() {
             }
         }
     }
-    println!("{mutations} files: {accepted} accepted, {} different errors", sentences.len());
     // Changes that all come to the same would test nothing.
     assert!(accepted > mutations / 20 && sentences.len() > 100, "{accepted} accepted, {} errors", sentences.len());
 }

@@ -111,21 +111,12 @@ pub(super) mod tests {
     use std::sync::Arc;
 
     use genesplat::core::Photo;
-    use glam::DQuat;
 
     use super::*;
 
     /// Looks along z.
     pub(in crate::inspect) fn camera_at(centre: [f64; 3]) -> Camera {
-        Camera {
-            width: 20,
-            height: 20,
-            focal_px: [20.0; 2],
-            principal_px: [10.0; 2],
-            camera_from_world_rotation: DQuat::IDENTITY,
-            camera_from_world_translation: -DVec3::from(centre),
-            near: NEAR_DEPTH,
-        }
+        Camera { camera_from_world_translation: -DVec3::from(centre), ..Camera::at_origin(20, 20, 20.0) }
     }
 
     fn views(centres: &[[f64; 3]]) -> Vec<View> {

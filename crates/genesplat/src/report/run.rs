@@ -4,8 +4,8 @@ use std::path::Path;
 
 use anyhow::Result;
 use genesplat::core::{Photo, View};
-use genesplat::io::Scene;
 use genesplat::io::photos::read_photo;
+use genesplat::io::{Scene, command_line};
 use genesplat::metrics::{Evaluation, ViewScore};
 
 use super::chart::{Chart, Series};
@@ -153,25 +153,5 @@ pub(crate) fn write_repeat(page: &mut Html, command: &str) {
 
 /// The command of this process, as its user may give it again.
 pub(crate) fn this_command() -> String {
-    // Shown only, so what is no text may lose what cannot be shown.
-    let words: Vec<String> = std::env::args_os().skip(1).map(|word| word.to_string_lossy().into_owned()).collect();
-    command_line(std::iter::once("genesplat").chain(words.iter().map(String::as_str)))
-}
-
-/// `words` as a line that a shell reads as these words.
-pub(crate) fn command_line<'a>(words: impl IntoIterator<Item = &'a str>) -> String {
-    let plain =
-        |word: &str| !word.is_empty() && word.chars().all(|c| c.is_ascii_alphanumeric() || "-_./=:,+".contains(c));
-    let quote = |word: &str| if plain(word) { word.to_owned() } else { format!("'{}'", word.replace('\'', "'\\''")) };
-    words.into_iter().map(quote).collect::<Vec<_>>().join(" ")
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn commands_survive_a_shell() {
-        assert_eq!(command_line(["genesplat", "train", "my scene", "it's"]), "genesplat train 'my scene' 'it'\\''s'");
-    }
+    command_line(std::iter::once("genesplat".into()).chain(std::env::args_os().skip(1)))
 }

@@ -4,58 +4,153 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
 
-use genesplat::io::read_ply;
+use genesplat::core::Photo;
+use genesplat::io::colmap::{ImageRecord, Intrinsics, Model, write_model};
+use genesplat::io::photos::write_png;
+use genesplat::io::{Point, read_ply};
 
+#[cfg(target_os = "linux")]
+use crate::support::{command, judge_failure, started_by};
 use crate::support::{fail, scene, succeed, text};
+
+/// Photos of the street, px.
+const SIZE: [u32; 2] = [24, 96];
+const QUICK: &str = "--iterations 3 --evolve off --device cpu --no-lpips";
+
+fn photo(x: usize) -> String {
+    format!("p{x:02}.png")
+}
+
+/// House fronts of 11 x 12 units in all, higher than they are wide, in three rows, and a photo of every unit of their width, 3 units
+/// before them. Photos 0 and 5 have masks, under the names of both conventions.
+fn write_street(folder: &Path) {
+    let [width, height] = SIZE;
+    let intrinsics = Intrinsics { width, height, focal_px: [24.0; 2], principal_px: [12.0, 48.0], lens: None };
+    let image = |x: usize| ImageRecord {
+        name: photo(x),
+        camera: 1,
+        rotation: [1.0, 0.0, 0.0, 0.0],
+        translation: [-(x as f64), 0.0, 0.0],
+    };
+    let point = |nth: usize| {
+        let [x, y, z] = [0.25 * (nth / 13) as f32, (nth % 13) as f32 - 6.0, 3.0 + (nth % 3) as f32];
+        Point { position: [x, y, z], rgb: [90; 3] }
+    };
+    let model = Model {
+        cameras: [(1, intrinsics)].into(),
+        images: (0..12).map(image).collect(),
+        points: (0..45 * 13).map(point).collect(),
+    };
+    write_model(&folder.join("sparse/0"), &model).unwrap();
+    let picture =
+        |value: u32| Photo { width, height, rgb: (0..3 * width * height).map(|i| (i * value) as u8).collect() };
+    (0..12).for_each(|x| write_png(&folder.join("images").join(photo(x)), &picture(x as u32 + 1)).unwrap());
+    write_png(&folder.join("masks/p00.png.png"), &picture(14)).unwrap();
+    write_png(&folder.join("masks/p05.png"), &picture(15)).unwrap();
+}
 
 fn names(folder: &Path) -> BTreeSet<String> {
     fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect()
 }
 
-/// Bits of the centres of a splat's Gaussians.
-fn centres(file: &Path) -> Vec<[u32; 3]> {
-    let splat = read_ply(file).unwrap();
-    splat.positions.iter().map(|position| position.map(f32::to_bits)).collect()
+/// Whether the folder holds the photos `from` to `to`, and no others.
+fn holds(images: &Path, [from, to]: [usize; 2]) {
+    assert_eq!(names(images), (from..=to).map(photo).collect(), "{}", images.display());
+}
+
+/// The commands that train the blocks, and the one that merges them.
+fn commands(said: &str) -> Vec<&str> {
+    said.lines().filter_map(|line| line.find("genesplat ").map(|at| &line[at..])).collect()
+}
+
+/// Has a shell run a line that the command has printed.
+#[cfg(target_os = "linux")]
+fn in_shell(line: &str, folder: &Path) -> std::process::Output {
+    let programs = Path::new(env!("CARGO_BIN_EXE_genesplat")).parent().unwrap();
+    let path = format!("{}:{}", programs.display(), std::env::var("PATH").unwrap());
+    let mut shell = started_by(&["sh", "-c", line], &command([""; 0]));
+    shell.env("PATH", path).current_dir(folder).output().unwrap()
+}
+
+/// Where the Gaussians of a splat are along the street.
+fn places(splat: &Path) -> Vec<f32> {
+    read_ply(splat).unwrap().positions.iter().map(|position| position[0]).collect()
 }
 
 #[test]
+fn blocks_have_the_photos_that_show_them_and_their_masks() {
+    let place = tempfile::tempdir().unwrap();
+    let [street, blocks, list] = ["street", "bl ocks", "held out.txt"].map(|name| place.path().join(name));
+    write_street(&street);
+    fs::write(&list, "p01\n").unwrap();
+    let said = succeed(["split", text(&street), "--blocks", "2x1", "--out", text(&blocks), "--test-list", text(&list)]);
+
+    // The fronts are cut at 5.5, across their width, though they are higher than wide.
+    let scenes = ["0-0", "1-0"].map(|name| blocks.join("scenes").join(name));
+    holds(&scenes[0].join("images"), [0, 7]);
+    holds(&scenes[1].join("images"), [4, 11]);
+    assert_eq!(names(&scenes[0].join("masks")), ["p00.png.png", "p05.png.png"].map(str::to_owned).into());
+    assert_eq!(names(&scenes[1].join("masks")), ["p05.png.png"].map(str::to_owned).into());
+    for scene in &scenes {
+        assert_eq!(fs::read(scene.join("masks/p05.png.png")).unwrap(), fs::read(street.join("masks/p05.png")).unwrap());
+    }
+    assert_eq!(fs::read_to_string(scenes[0].join("test.txt")).unwrap(), "p01.png\n");
+    assert!(!scenes[1].join("test.txt").exists(), "none of its photos is held out");
+    let [first, second, merge] = commands(&said).try_into().unwrap();
+    assert!(first.contains("--test-list") && !first.contains("--train-on-all"), "{said}");
+    assert!(second.contains("--train-on-all") && !second.contains("--test-list"), "{said}");
+    assert!(said.contains("block 0-0: 8 photos, 456 points"), "{said}");
+    assert_eq!(merge, format!("genesplat merge '{}' --out merged.ply", blocks.display()));
+
+    // With a wider margin, what shows less of a block is of it, too.
+    let [wide, all] = ["wide", "all"].map(|name| place.path().join(name));
+    succeed(["split", text(&street), "--blocks", "2x1", "--out", text(&wide), "--margin", "0.2"]);
+    holds(&wide.join("scenes/0-0/images"), [0, 8]);
+    holds(&wide.join("scenes/1-0/images"), [3, 11]);
+
+    // Where nothing is held out, there is no list.
+    let said = succeed(["split", text(&street), "--blocks", "2x1", "--out", text(&all), "--train-on-all"]);
+    assert_eq!(said.matches("--train-on-all").count(), 2, "{said}");
+    assert!(!all.join("scenes/0-0/test.txt").exists());
+}
+
+#[cfg(target_os = "linux")]
+#[test]
 fn blocks_are_trained_one_by_one_and_merged() {
     let place = tempfile::tempdir().unwrap();
-    let [blocks, merged] = ["blocks", "merged.ply"].map(|name| place.path().join(name));
-    let said = succeed(["split", text(scene()), "--blocks", "2x1", "--out", text(&blocks)]);
+    let [street, blocks, list] = ["street", "bl ocks", "list"].map(|name| place.path().join(name));
+    write_street(&street);
+    fs::write(&list, "p01\n").unwrap();
+    let said = succeed(["split", text(&street), "--blocks", "2x1", "--out", text(&blocks), "--test-list", text(&list)]);
+    let [first, second, merge] = commands(&said).try_into().unwrap();
+    let works = |line: &str| {
+        let output = in_shell(line, place.path());
+        assert!(output.status.success(), "{line}: {}", String::from_utf8_lossy(&output.stderr));
+        String::from_utf8(output.stderr).unwrap()
+    };
 
-    // Every photo is in a block, and those held out are those of the whole scene.
-    let scenes = ["0-0", "1-0"].map(|name| blocks.join("scenes").join(name));
-    let photos: Vec<_> = scenes.iter().map(|scene| names(&scene.join("images"))).collect();
-    assert_eq!(&photos[0] | &photos[1], names(&scene().join("images")));
-    for (scene, photos) in scenes.iter().zip(&photos) {
-        let held_out: BTreeSet<String> =
-            fs::read_to_string(scene.join("test.txt")).unwrap().lines().map(str::to_owned).collect();
-        let whole = ["gallery_000.png", "gallery_008.png"].map(str::to_owned).into();
-        assert_eq!(held_out, photos & &whole);
-    }
+    // The commands that it prints train them, with their masks.
+    assert!(works(&format!("{first} {QUICK}")).contains("2 of 8 photos have a mask"));
+    let missing = in_shell(merge, place.path());
+    judge_failure(
+        missing,
+        &["no splat is there yet of block 1-0", &second[.."genesplat train '".len()], "--train-on-all"],
+    );
+    works(&format!("{second} {QUICK}"));
+    works(merge);
 
-    // The commands that it prints train them.
-    let commands: Vec<Vec<&str>> = said
-        .lines()
-        .filter_map(|line| line.trim().strip_prefix("genesplat "))
-        .map(|words| words.split(' ').collect())
-        .collect();
-    assert_eq!(commands.len(), 2, "{said}");
-    let quick = ["--iterations", "3", "--evolve", "off", "--device", "cpu", "--no-lpips"];
-    let merge = ["merge", text(&blocks), "--out", text(&merged)];
-    succeed(commands[0].iter().chain(&quick));
-    fail(merge, &["no splat is there yet of block 1-0", "genesplat train"]);
-    succeed(commands[1].iter().chain(&quick));
-    succeed(merge);
+    // Every block gives what stands on its side of the cut, and nothing else.
+    let [left, right] = ["0-0", "1-0"].map(|name| places(&blocks.join("runs").join(name).join("point_cloud.ply")));
+    let owned: Vec<f32> =
+        left.iter().filter(|x| **x < 5.5).chain(right.iter().filter(|x| **x >= 5.5)).copied().collect();
+    assert!(owned.len() < left.len() + right.len() && left.iter().any(|x| *x > 6.0));
+    assert_eq!(places(&place.path().join("merged.ply")), owned);
+    let merged = place.path().join("merged.ply");
+    succeed(["evaluate", text(&merged), "--data", text(&street), "--device", "cpu", "--no-lpips"]);
 
-    // Every Gaussian is of one block's splat, and each block gives some.
-    let runs = ["0-0", "1-0"].map(|name| centres(&blocks.join("runs").join(name).join("point_cloud.ply")));
-    let whole = centres(&merged);
-    let of = |run: usize| whole.iter().filter(|centre| runs[run].contains(centre)).count();
-    assert!(of(0) > 0 && of(1) > 0 && whole.len() <= of(0) + of(1), "{} + {} of {}", of(0), of(1), whole.len());
-    assert!(whole.len() < runs[0].len() + runs[1].len(), "what stands on another core is left out");
-    succeed(["evaluate", text(&merged), "--data", text(scene()), "--device", "cpu", "--no-lpips"]);
+    works(&format!("{second} {QUICK} --background white"));
+    let words = ["runs/1-0 was trained with background white", "with background black", "all alike"];
+    judge_failure(in_shell(merge, place.path()), &words);
 }
 
 #[test]

@@ -7,12 +7,10 @@ use std::path::Path;
 use std::sync::Arc;
 
 use anyhow::{Result, bail};
-use genesplat::core::constants::NEAR_DEPTH;
 use genesplat::core::gaussians::logit;
 use genesplat::core::{Camera, Gaussians, Photo, RenderSettings, Rng, Stream, View};
 use genesplat::io::shown;
 use genesplat::train::scene::initialise::{ColouredPoint, cloud_from_points, in_spatial_order};
-use glam::{DQuat, DVec3};
 
 use crate::args::{SizeArgs, SourceArgs, WorkloadArgs};
 use crate::settings::Dataset;
@@ -146,15 +144,7 @@ fn normals(rng: &Rng, purpose: u32, row: usize) -> [f32; 4] {
 
 /// A camera at the origin that looks along z, and a photo of soft colours.
 fn synthetic_view([width, height]: [u32; 2]) -> View {
-    let camera = Camera {
-        width,
-        height,
-        focal_px: [f64::from(height); 2],
-        principal_px: [f64::from(width) / 2.0, f64::from(height) / 2.0],
-        camera_from_world_rotation: DQuat::IDENTITY,
-        camera_from_world_translation: DVec3::ZERO,
-        near: NEAR_DEPTH,
-    };
+    let camera = Camera::at_origin(width, height, f64::from(height));
     let pixel = |x: u32, y: u32| [(255 * x / width) as u8, (255 * y / height) as u8, 128];
     let rgb = (0..height).flat_map(|y| (0..width).flat_map(move |x| pixel(x, y))).collect();
     View { name: "synthetic".into(), camera, photo: Arc::new(Photo { width, height, rgb }), mask: None }

@@ -1,0 +1,109 @@
+//! The folder of the blocks: how the scene was cut, the scenes of the blocks, and their runs.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, anyhow, ensure};
+use genesplat::io::blocks::{Block, Grid};
+use genesplat::io::{command_line, input, shown};
+use serde::{Deserialize, Serialize};
+
+use crate::files::write_json;
+
+const BLOCKS: &str = "blocks.json";
+const SCENES: &str = "scenes";
+const RUNS: &str = "runs";
+/// The list of held-out photos, in the folder of a block's scene that has some.
+pub(super) const TEST_LIST: &str = "test.txt";
+
+/// How a scene was cut.
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Cut {
+    /// The scene that was cut, for whoever wonders.
+    pub(super) scene: String,
+    pub(super) grid: Grid,
+}
+
+impl Cut {
+    pub(super) fn read(folder: &Path) -> Result<Self> {
+        let path = folder.join(BLOCKS);
+        ensure!(
+            path.exists(),
+            "{} has no {BLOCKS}, so it is no folder of blocks; give the --out of `genesplat split`",
+            shown(folder)
+        );
+        let text = input::read_text(&path).map_err(|error| anyhow!("cannot read {}: {error}", shown(&path)))?;
+        let damaged = || format!("{} is damaged; split the scene again", shown(&path));
+        let cut: Self = serde_json::from_str(&text).with_context(damaged)?;
+        ensure!(!cut.grid.blocks().is_empty(), "{}: it has no blocks", damaged());
+        Ok(cut)
+    }
+
+    pub(super) fn write(&self, folder: &Path) -> Result<()> {
+        write_json(&folder.join(BLOCKS), self)
+    }
+}
+
+pub(super) fn scene_of(block: &Block, folder: &Path) -> PathBuf {
+    folder.join(SCENES).join(&block.name)
+}
+
+pub(super) fn run_of(block: &Block, folder: &Path) -> PathBuf {
+    folder.join(RUNS).join(&block.name)
+}
+
+/// The command that trains a block, whose scene is there.
+pub(super) fn command(block: &Block, folder: &Path) -> String {
+    let (scene, run) = (scene_of(block, folder), shown(run_of(block, folder)));
+    let list = scene.join(TEST_LIST);
+    let (scene, path) = (shown(&scene), shown(&list));
+    let held_out: &[&str] = if list.exists() { &["--test-list", &path] } else { &["--train-on-all"] };
+    command_line([&["genesplat", "train", &scene], held_out, &["--out", &run]].concat())
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+
+    use genesplat::core::Camera;
+    use glam::DVec3;
+
+    use super::*;
+
+    fn cut() -> Cut {
+        let points: Vec<DVec3> = (0..12).map(|nth| DVec3::new(f64::from(nth) / 7.0, 0.0, f64::from(nth % 3))).collect();
+        let grid = Grid::cut(&[Camera::at_origin(10, 10, 10.0)], &points, [2, 2]);
+        Cut { scene: "scene".into(), grid }
+    }
+
+    #[test]
+    fn a_cut_is_written_and_read_back_and_what_is_none_is_a_sentence() {
+        let (place, cut) = (tempfile::tempdir().unwrap(), cut());
+        let error = |folder: &Path| format!("{:#}", Cut::read(folder).err().unwrap());
+        assert!(error(place.path()).contains("no folder of blocks"));
+        cut.write(place.path()).unwrap();
+        let read = Cut::read(place.path()).unwrap();
+        assert_eq!((read.scene, &read.grid), (cut.scene, &cut.grid));
+        let file = place.path().join(BLOCKS);
+        let axes = r#"{"axes": [[1, 0, 0], [0, 0, 1]]}"#;
+        for damaged in ["{}", &format!(r#"{{"scene": "", "grid": {{"ground": {axes}, "blocks": []}}}}"#)] {
+            fs::write(&file, damaged).unwrap();
+            assert!(error(place.path()).contains("split the scene again"), "{}", error(place.path()));
+        }
+    }
+
+    #[test]
+    fn commands_name_a_list_where_there_is_one() {
+        let (place, cut) = (tempfile::tempdir().unwrap(), cut());
+        let folder = place.path().join("bl ocks");
+        let block = &cut.grid.blocks()[0];
+        let scene = scene_of(block, &folder);
+        fs::create_dir_all(&scene).unwrap();
+        let [shown_scene, run] = [&scene, &run_of(block, &folder)].map(|path| format!("'{}'", path.display()));
+        assert_eq!(command(block, &folder), format!("genesplat train {shown_scene} --train-on-all --out {run}"));
+        fs::write(scene.join(TEST_LIST), "a.png\n").unwrap();
+        let list = scene.join(TEST_LIST);
+        let expected = format!("genesplat train {shown_scene} --test-list '{}' --out {run}", list.display());
+        assert_eq!(command(block, &folder), expected);
+    }
+}
