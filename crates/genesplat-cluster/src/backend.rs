@@ -1,8 +1,7 @@
 //! [`Backend`] over ranks.
 
 use std::borrow::Cow;
-use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
+use std::ops::Range;
 
 use genesplat_core::backend::StepReport;
 use genesplat_core::memory::ensure_memory;
@@ -14,8 +13,7 @@ use genesplat_kernels::cpu::stages::{Share, loss_of_sums};
 use genesplat_kernels::cpu::{CpuBackend, Pinhole};
 
 use crate::drawing::{Drawing, Sheet, Told};
-use crate::group::{Group, Traffic};
-use crate::ranks::Ranks;
+use crate::group::Group;
 use crate::shares::Shares;
 use crate::wire::{Reader, Writer, lend};
 
@@ -47,9 +45,8 @@ pub struct ClusterBackend {
 }
 
 impl ClusterBackend {
-    /// An empty backend. When any rank is `asked` to stop, all set `stop` at the same time.
-    pub fn new(ranks: impl Ranks + 'static, asked: Arc<AtomicBool>, stop: Arc<AtomicBool>) -> Self {
-        let group = Group::new(Box::new(ranks), asked, stop);
+    /// An empty backend.
+    pub fn new(group: Group) -> Self {
         Self {
             shares: Shares::new(0, group.count()),
             group,
@@ -61,24 +58,7 @@ impl ClusterBackend {
         }
     }
 
-    /// What was sent so far.
-    pub fn traffic(&self) -> Traffic {
-        self.group.traffic
-    }
-
-    /// The number of this rank.
-    pub fn rank(&self) -> usize {
-        self.group.rank()
-    }
-
-    /// Tells all ranks the words of rank 0.
-    pub fn broadcast(&mut self, words: Vec<u32>) -> Result<Vec<u32>, BackendError> {
-        let count = self.group.count();
-        let parts = if self.group.is_root() { vec![words; count] } else { vec![Vec::new(); count] };
-        Ok(self.group.exchange(Ok(parts))?.swap_remove(0))
-    }
-
-    pub(crate) fn own_rows(&self) -> std::ops::Range<usize> {
+    pub(crate) fn own_rows(&self) -> Range<usize> {
         self.shares.of(self.group.rank())
     }
 
@@ -140,7 +120,7 @@ impl ClusterBackend {
     fn collect(&mut self, write: impl FnOnce(&CpuBackend, &mut Writer)) -> Result<Vec<Vec<u32>>, BackendError> {
         let mut out = Writer::default();
         write(&self.own, &mut out);
-        self.group.to_root(Ok(out.words))
+        self.group.to_root(out.words)
     }
 }
 
@@ -233,6 +213,7 @@ impl Backend for ClusterBackend {
 
     fn train_step(&mut self, step: &TrainStep) -> Result<(), BackendError> {
         self.whole = None;
+        let before = self.group.traffic().bytes;
         let (level, sheet, signal) = (self.own.level(), self.sheet_of(step.view), step.statistics.density);
         // 1. Splats go to the bands.
         let splats = self.own.begin_step(step);
@@ -255,6 +236,7 @@ impl Backend for ClusterBackend {
         }
         self.own.finish_step(step, &self.drawing.gradients, self.share());
         self.remember(step.view, told, loss);
+        self.group.count_step(before);
         Ok(())
     }
 

@@ -30,7 +30,7 @@ mod wire;
 mod tests;
 
 pub use backend::ClusterBackend;
-pub use group::Traffic;
+pub use group::{Group, Traffic};
 #[cfg(feature = "mpi")]
 pub use ranks::mpi;
 pub use ranks::threads::Threads;

@@ -9,7 +9,7 @@ use crate::wire::{Reader, Writer};
 
 /// A change of rows, and who holds them before and after it.
 struct Move<'a> {
-    group: &'a mut Group,
+    group: &'a Group,
     /// What each rank makes.
     parts: Vec<EditPart>,
     before: Shares,
@@ -22,7 +22,7 @@ impl ClusterBackend {
         let rank = self.group.rank();
         self.group.agree(self.own.ensure_rows(after.of(rank).len()))?;
         let parts = after.all().map(|rows| edit.part(rows)).collect();
-        let mut rows = Move { group: &mut self.group, parts, before: self.shares.clone() };
+        let mut rows = Move { group: &self.group, parts, before: self.shares.clone() };
         let state = rows.apply(self.own.take_state())?;
         self.own.put_state(state);
         self.shares = after;

@@ -11,7 +11,7 @@ use genesplat_train::observe::StageRecord;
 use genesplat_train::scene::initialise::ColouredPoint;
 use genesplat_train::{EvolutionMode, Outcome, Resolved, Silent, Start, TrainConfig, TrainError, Variant, train};
 
-use crate::{ClusterBackend, Threads};
+use crate::{ClusterBackend, Group, Threads};
 
 /// Enough rows for four shares of whole pieces, and enough rows of tiles for four bands.
 fn scene() -> &'static Scene {
@@ -44,7 +44,7 @@ fn on_ranks(
 ) -> Result<Outcome, TrainError> {
     let of_rank = |ranks: Threads, rank: usize| {
         let stop = Arc::new(AtomicBool::new(false));
-        let mut backend = ClusterBackend::new(ranks, Arc::default(), stop.clone());
+        let mut backend = ClusterBackend::new(Group::new(ranks, Arc::default(), stop.clone()));
         prepare(&mut backend);
         train(&mut backend, &scene().train, start(rank), config, &mut Silent, &stop)
     };

@@ -14,6 +14,9 @@ pub trait Ranks {
 
     /// Sends each rank its part, and returns what each has sent here. All ranks call this as often, in the same order.
     fn exchange(&mut self, parts: Vec<Vec<u32>>) -> Result<Vec<Vec<u32>>, RankLost>;
+
+    /// All is done, here and elsewhere.
+    fn finish(&mut self) {}
 }
 
 /// A rank that has ended before the others.

@@ -9,18 +9,24 @@ use mpi::traits::*;
 
 use super::{RankLost, Ranks};
 
-/// All processes that `mpirun` has started. MPI ends them together: one that ends early takes the others with it.
+/// All processes that `mpirun` has started.
 pub struct Mpi {
     world: SimpleCommunicator,
-    /// Its end is MPI's.
-    _universe: Universe,
+    universe: Option<Universe>,
 }
 
 impl Mpi {
     /// Begins to talk to the other processes; `None` where this one has done so before.
     pub fn initialise() -> Option<Self> {
         let (universe, _) = mpi::initialize_with_threading(Threading::Funneled)?;
-        Some(Self { world: universe.world(), _universe: universe })
+        Some(Self { world: universe.world(), universe: Some(universe) })
+    }
+}
+
+impl Drop for Mpi {
+    /// A rank that fails must not wait for the others, which wait for it: `mpirun` ends them when it is gone.
+    fn drop(&mut self) {
+        std::mem::forget(self.universe.take());
     }
 }
 
@@ -52,5 +58,10 @@ impl Ranks for Mpi {
         );
         let of_rank = |(&start, &length): (&Count, &Count)| received[start as usize..][..length as usize].to_vec();
         Ok(starts_here.iter().zip(&coming).map(of_rank).collect())
+    }
+
+    /// Ends MPI, which waits for all.
+    fn finish(&mut self) {
+        self.universe = None;
     }
 }
