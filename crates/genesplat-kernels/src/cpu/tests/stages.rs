@@ -3,9 +3,9 @@
 use fearless_simd::Level;
 use genesplat_core::{Backend, DensitySignal, EvolutionBackend, Image, Photo, ScreenFilter, StatisticsRequest, View};
 
-use super::{buffers_of, compare, compare_gradients, compare_images, fill, flat, statistics};
+use super::{buffers_of, compare, compare_gradients, compare_images, fill, flat, inputs, statistics};
 use crate::cpu::score::tests::loss_of_image;
-use crate::cpu::update::{UpdateInputs, tests::gradients};
+use crate::cpu::update::tests::gradients;
 use crate::cpu::{CpuBackend, Pinhole, ViewBuffers, loss};
 use crate::fixtures::{
     CROWD_LOGITS, HEIGHT, WIDTH, camera, cloud, crowd, filtered_cloud, filters, settings, small_view, uniform, view,
@@ -125,9 +125,7 @@ fn parameter_gradients_match_the_reference() {
             cloud.filter_3d = with_filter_3d.then(|| (0..400).map(|row| 0.01 + 0.05 * uniform(row, 90)).collect());
             let settings = settings(degree, filter);
             let (buffers, camera) = buffers_of(&cloud, &settings, Some(DensitySignal::Absolute));
-            let ViewBuffers { splats, bins, gradient_rows, .. } = &buffers;
-            let inputs =
-                UpdateInputs { splats, bins, gradient_rows, camera: &camera, settings: &settings, is_masked: false };
+            let inputs = inputs(&buffers, &camera, &settings, cloud.len());
             let (actual, density) = gradients(Level::new(), &inputs, &cloud, Some(DensitySignal::Absolute));
             let (_, expected) = reference::gradients(&Cloud64::from(&cloud), &view(), &settings, Cutoff::Hard);
             compare_gradients(&actual, &expected.cloud).unwrap_or_else(|e| panic!("{filter:?}, degree {degree}: {e}"));
@@ -148,13 +146,12 @@ fn what_lies_behind_finished_pixels_has_no_part_in_anything() {
         let expected = reference::render(&Cloud64::from(&cloud), &view().camera, &settings, Cutoff::Hard);
         compare_images(&buffers.image, &expected.picture.image).unwrap_or_else(context);
 
-        let ViewBuffers { splats, bins, gradient_rows, .. } = &buffers;
-        let inputs =
-            UpdateInputs { splats, bins, gradient_rows, camera: &camera, settings: &settings, is_masked: false };
+        let inputs = inputs(&buffers, &camera, &settings, cloud.len());
         let (actual, _) = gradients(Level::new(), &inputs, &cloud, None);
         let (_, expected) = reference::gradients(&Cloud64::from(&cloud), &view(), &settings, Cutoff::Hard);
         compare_gradients(&actual, &expected.cloud).unwrap_or_else(context);
 
+        let ViewBuffers { bins, gradient_rows, .. } = &buffers;
         let ends: Vec<usize> = bins.tile_starts.iter().map(|&start| start as usize).collect();
         let is_finished = |tile: &[usize]| tile[1] > tile[0] + 300 && gradient_rows[tile[1] - 1].0 == [0.0; 16];
         let finished = ends.windows(2).filter(|tile| is_finished(tile)).count();
