@@ -31,6 +31,10 @@ const POINTS_PLY: &str = "ply\nformat ascii 1.0\ncomment c\nelement other 1\npro
     end_header\n2 5 6\n1 2 3 4 5 6\n-1e2 .5 7 255 0 1\n";
 const POINTS_PLY_BINARY: &[u8] = b"ply\nformat binary_little_endian 1.0\nelement vertex 1\nproperty float x\nproperty float y\n\
     property float z\nproperty uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n\0\0\x80?\0\0\0\0\0\0\0@abc";
+const SPLAT_PLY: &str = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n\
+    property float f_dc_0\nproperty float f_dc_1\nproperty float f_dc_2\nproperty float opacity\nproperty float scale_0\n\
+    property float scale_1\nproperty float scale_2\nproperty float rot_0\nproperty float rot_1\nproperty float rot_2\n\
+    property float rot_3\nend_header\n1 2 -3e1 .5 0 0 inf -4 -4 -5 1 0 0 0\n0 0 0 0 0 0 -1 -3 -3 -3 1 0.5 0 0\n";
 const LOOK: &str = r#"{"type":"look","sequence":7,"pose":{"position":[1,2,3],"rotation":[1,0,0,0],"fov_y":1},
 "camera":2,"width":320,"height":200,"quality":70,"lens":"depth","error":true}"#;
 const REQUEST: &str = "GET /5e1f/main.js HTTP/1.1\r\nHost: localhost:7007\r\nOrigin: http://localhost:7007\r\n\
@@ -64,7 +68,7 @@ fn of(target: &str) -> Vec<Vec<u8>> {
         "transforms" => vec![TRANSFORMS.into(), BLENDER.into()],
         "photos" => photos(),
         "points-ply" => vec![POINTS_PLY.into(), POINTS_PLY_BINARY.into()],
-        "ply" => splats(Format::Ply),
+        "ply" => [splats(Format::Ply), vec![SPLAT_PLY.into()]].concat(),
         "compressed-ply" => splats(Format::CompressedPly),
         "splat" => splats(Format::Splat),
         "spz" => [splats(Format::Spz), vec![written(Format::Spz, 3, 3, SpzVersion::V4)]].concat(),

@@ -34,6 +34,11 @@ impl View {
     pub fn counted_pixels(&self) -> usize {
         self.mask.as_ref().map_or(self.photo.rgb.len() / 3, |mask| mask.counted())
     }
+
+    /// A picture of this view, black where nothing counts: what is compared with another one.
+    pub fn hide_in<'a>(&self, picture: &'a Photo) -> Cow<'a, Photo> {
+        self.mask.as_ref().map_or(Cow::Borrowed(picture), |mask| Cow::Owned(mask.hide_in(picture)))
+    }
 }
 
 /// What is done to a projected covariance so that no splat falls between pixels.
@@ -326,8 +331,8 @@ pub trait EvolutionBackend: Backend {
     /// Overwrites the genes of the rows that `delta` names.
     fn apply(&mut self, delta: &SparseDelta, moments: MomentPolicy) -> Result<(), BackendError>;
 
-    /// Sum of each Gaussian's blending weights over the pixels of a training view, each times that pixel's value in `map`
-    /// `[H, W]`; `[N]`.
+    /// Sum of each Gaussian's blending weights over all pixels of a training view, hidden ones, too, each times that pixel's
+    /// value in `map` `[H, W]`; `[N]`.
     fn weigh(&mut self, view: usize, map: &[f32], settings: &RenderSettings) -> Result<Vec<f32>, BackendError>;
 
     /// How much each Gaussian contributes to training views, and the error where it is seen `[N]`.

@@ -1,5 +1,7 @@
 //! A change of the rows of a cloud, which the backend applies to parameters and moments.
 
+use std::ops::Range;
+
 use crate::covariance::world_offset;
 use crate::gaussians::{Gaussians, Moments, logit, sigmoid};
 use crate::rng::{Rng, Stream};
@@ -80,7 +82,16 @@ impl RowEdit {
 
     /// The host's implementation, column by column, so that at most one exists twice.
     pub fn apply(&self, cloud: &mut Gaussians, moments: &mut Moments) {
-        cloud.positions = self.rows().map(|(row, origin)| self.position(cloud, row, origin)).collect();
+        self.apply_to_cloud(cloud, |row| row as u32);
+        let Moments { first, second, pending } = moments;
+        for moment in [first, second, pending] {
+            self.apply_to_moment(moment);
+        }
+    }
+
+    /// `numbers` are those of the rows of `cloud` in the whole cloud.
+    fn apply_to_cloud(&self, cloud: &mut Gaussians, numbers: impl Fn(usize) -> u32) {
+        cloud.positions = self.rows().map(|(row, origin)| self.position(cloud, row, numbers(row), origin)).collect();
         // Twins' scales depend on opacities, so these come later.
         cloud.log_scales = self
             .rows()
@@ -91,16 +102,29 @@ impl RowEdit {
         cloud.rotations = self.gather(&cloud.rotations);
         cloud.sh = self.gather(&cloud.sh);
         cloud.filter_3d = cloud.filter_3d.as_ref().map(|filter| self.gather(filter));
-        let Moments { first, second, pending } = moments;
-        // Nothing is pending, or something of every row.
-        let pending = Some(pending).filter(|pending| !pending.is_empty());
-        for moment in [first, second].into_iter().chain(pending) {
-            moment.positions = self.gather_kept(&moment.positions, [0.0; 3]);
-            moment.log_scales = self.gather_kept(&moment.log_scales, [0.0; 3]);
-            moment.opacity_logits = self.gather_kept(&moment.opacity_logits, 0.0);
-            moment.rotations = self.gather_kept(&moment.rotations, [0.0; 4]);
-            moment.sh = self.gather_kept(&moment.sh, [0.0; SH_STRIDE]);
+    }
+
+    /// Of a moment, or of gradients that wait: nothing, or something of every row.
+    fn apply_to_moment(&self, moment: &mut Gaussians) {
+        if moment.is_empty() {
+            return;
         }
+        moment.positions = self.gather_kept(&moment.positions, [0.0; 3]);
+        moment.log_scales = self.gather_kept(&moment.log_scales, [0.0; 3]);
+        moment.opacity_logits = self.gather_kept(&moment.opacity_logits, 0.0);
+        moment.rotations = self.gather_kept(&moment.rotations, [0.0; 4]);
+        moment.sh = self.gather_kept(&moment.sh, [0.0; SH_STRIDE]);
+    }
+
+    /// What it takes to make some of the new rows.
+    pub fn part(&self, new_rows: Range<usize>) -> EditPart {
+        let sources = &self.sources[new_rows.clone()];
+        let mut rows = sources.to_vec();
+        rows.sort_unstable();
+        rows.dedup();
+        let place = |source: &u32| rows.partition_point(|row| row < source) as u32;
+        let sources = sources.iter().map(place).collect();
+        EditPart { edit: Self { sources, origins: self.origins[new_rows].to_vec(), ..*self }, rows }
     }
 
     /// A column whose new rows are copies of the old ones.
@@ -117,11 +141,11 @@ impl RowEdit {
         self.sources.iter().zip(&self.origins).map(|(&source, &origin)| (source as usize, origin))
     }
 
-    fn position(&self, cloud: &Gaussians, row: usize, origin: Origin) -> [f32; 3] {
+    fn position(&self, cloud: &Gaussians, row: usize, number: u32, origin: Origin) -> [f32; 3] {
         let mean = cloud.positions[row];
         let offset_sigmas = match origin {
             Origin::SplitChild { child } => {
-                let draw = self.rng.at(Stream::SplitOffset, self.iteration, row as u32, u32::from(child));
+                let draw = self.rng.at(Stream::SplitOffset, self.iteration, number, u32::from(child));
                 let ([a, b], [c, _]) = (draw.normals(0), draw.normals(1));
                 [a, b, c]
             }
@@ -131,6 +155,31 @@ impl RowEdit {
         };
         let offset = world_offset(cloud.rotations[row], cloud.log_scales[row], offset_sigmas);
         std::array::from_fn(|axis| mean[axis] + offset[axis])
+    }
+}
+
+/// A part of an edit, over the few old rows that it needs.
+#[derive(Clone, Debug, PartialEq)]
+pub struct EditPart {
+    /// Numbers of these rows in the whole cloud, ascending.
+    pub rows: Vec<u32>,
+    edit: RowEdit,
+}
+
+impl EditPart {
+    /// From a cloud of the old rows needed to one of the new rows.
+    pub fn apply_to_cloud(&self, cloud: &mut Gaussians) {
+        self.edit.apply_to_cloud(cloud, |row| self.rows[row]);
+    }
+
+    /// The same of a moment, or of gradients that wait, if there are any.
+    pub fn apply_to_moment(&self, moment: &mut Gaussians) {
+        self.edit.apply_to_moment(moment);
+    }
+
+    /// The same of a column whose new rows are copies of the old ones.
+    pub fn gather<T: Copy>(&self, column: &[T]) -> Vec<T> {
+        self.edit.gather(column)
     }
 }
 
@@ -321,6 +370,27 @@ mod tests {
         for opacity_logit in [-200.0, -20.0, 200.0] {
             assert!(long_axis_opacity(opacity_logit).is_finite(), "{opacity_logit}");
         }
+    }
+
+    #[test]
+    fn parts_make_the_rows_of_the_whole() {
+        let mut edit = RowEdit::new(Rng::new(3), 700);
+        edit.push(2, Origin::Kept);
+        edit.push(2, Origin::SplitChild { child: 1 });
+        edit.push(0, Origin::SplitChild { child: 0 });
+        edit.push(1, Origin::Twin { child: 1 });
+        let (mut whole, mut moments) = (cloud(), Moments::zeros(3));
+        moments.first = cloud();
+        edit.apply(&mut whole, &mut moments);
+        let mut joined = [Gaussians::default(), Gaussians::default()];
+        for range in [0..2, 2..2, 2..4] {
+            let part = edit.part(range);
+            let mut of_part = [cloud().gather(&part.rows), cloud().gather(&part.rows)];
+            part.apply_to_cloud(&mut of_part[0]);
+            part.apply_to_moment(&mut of_part[1]);
+            joined.iter_mut().zip(of_part).for_each(|(joined, part)| joined.append(part));
+        }
+        assert_eq!(joined, [whole, moments.first]);
     }
 
     #[test]

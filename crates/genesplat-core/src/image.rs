@@ -1,5 +1,7 @@
 //! Photos (8-bit, interleaved, as files hold them), their masks, and images (f32, planar, as kernels want them).
 
+use std::ops::Range;
+
 /// A photo: 8-bit RGB, `[H, W, 3]`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Photo {
@@ -35,8 +37,13 @@ impl Mask {
 
     /// Puts zeros where nothing counts into planes `[.., H, W]`.
     pub fn hide(&self, planes: &mut [f32]) {
-        for plane in planes.chunks_mut(self.counts.len()) {
-            let hidden = plane.iter_mut().zip(&self.counts).filter(|(_, counts)| !**counts);
+        self.hide_part(planes, 0..self.counts.len());
+    }
+
+    /// The same in planes that hold some of the pixels.
+    pub fn hide_part(&self, planes: &mut [f32], pixels: Range<usize>) {
+        for plane in planes.chunks_mut(pixels.len().max(1)) {
+            let hidden = plane.iter_mut().zip(&self.counts[pixels.clone()]).filter(|(_, counts)| !**counts);
             hidden.for_each(|(value, _)| *value = 0.0);
         }
     }
@@ -96,6 +103,9 @@ mod tests {
         let mut planes: Vec<f32> = (1..=8).map(|value| value as f32).collect();
         mask.hide(&mut planes);
         assert_eq!(planes, [1.0, 0.0, 0.0, 4.0, 5.0, 0.0, 0.0, 8.0]);
+        let mut lower: Vec<f32> = (1..=4).map(|value| value as f32).collect();
+        mask.hide_part(&mut lower, 2..4);
+        assert_eq!(lower, [0.0, 2.0, 0.0, 4.0]);
         let photo = Photo { width: 2, height: 2, rgb: (1..=12).collect() };
         assert_eq!(mask.hide_in(&photo).rgb, [1, 2, 3, 0, 0, 0, 0, 0, 0, 10, 11, 12]);
     }

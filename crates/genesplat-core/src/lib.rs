@@ -29,7 +29,7 @@ pub use backend::{
     Update, View,
 };
 pub use camera::Camera;
-pub use edit::{Origin, RowEdit};
+pub use edit::{EditPart, Origin, RowEdit};
 pub use gaussians::{Gaussians, Moments};
 pub use genes::{GENES, Genes, SparseDelta};
 pub use image::{Image, Mask, Photo};

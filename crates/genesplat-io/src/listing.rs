@@ -1,6 +1,6 @@
 //! What the readers of scenes ([`crate::colmap`], `transforms`) return, before any photo is decoded, and what they check.
 
-use std::collections::HashSet;
+use std::collections::{HashMap, HashSet};
 use std::path::{Component, Path, PathBuf};
 use std::sync::Arc;
 
@@ -69,6 +69,25 @@ impl Listing {
         self.points = self.cube.unwrap_or_else(|| Cube::seen_by(&cameras())).points(seed);
         let count = self.points.len();
         self.notices.push(format!("the scene has no points, so training starts from {count} random ones"));
+    }
+
+    /// Fails where two entries have found the same file: the photo of one of them is not where its list says. Entries of
+    /// one name are an error of [`Listing::name_views`].
+    pub(crate) fn check_not_shared(&self) -> Result<(), SceneError> {
+        let mut finders: HashMap<&Path, &ListedPhoto> = HashMap::new();
+        for photo in &self.photos {
+            let Some(first) = finders.insert(&photo.path, photo).filter(|first| first.name != photo.name) else {
+                continue;
+            };
+            let problem = format!(
+                "lists {} and {}, and {} is the only photo for both; put them where the list says",
+                shown(&first.name),
+                shown(&photo.name),
+                shown(&photo.path)
+            );
+            return Err(SceneError::invalid(&photo.list, problem));
+        }
+        Ok(())
     }
 
     pub(crate) fn name_views(&mut self) -> Result<(), SceneError> {

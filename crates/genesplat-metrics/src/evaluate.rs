@@ -68,10 +68,8 @@ pub fn compare(name: &str, picture: &Photo, truth: &Photo) -> Result<ViewScore, 
 /// black elsewhere.
 fn score_view(view: &View, picture: &Photo, lpips: Option<&Lpips>) -> Result<ViewScore, SizeMismatch> {
     let (mask, photo) = (view.mask.as_deref(), &*view.photo);
-    let distance = |lpips: &Lpips| match mask {
-        None => lpips.distance(picture, photo, InputRange::ZeroToOne).ok(),
-        Some(mask) => lpips.distance(&mask.hide_in(picture), &mask.hide_in(photo), InputRange::ZeroToOne).ok(),
-    };
+    let distance =
+        |lpips: &Lpips| lpips.distance(&view.hide_in(picture), &view.hide_in(photo), InputRange::ZeroToOne).ok();
     Ok(ViewScore {
         name: view.name.clone(),
         psnr: psnr_under(mask, picture, photo)?,

@@ -4,7 +4,8 @@
 //! 1. **Step.** The position rate decays, every thousandth iteration sees one degree more of the spherical harmonics, a
 //!    view is picked; render, `0.8 · L1 + 0.2 · (1 − SSIM)`, backward, statistics, Adam.
 //! 2. **Densify.** Where the image-space gradient stays large, Gaussians are cloned or split; faint ones are pruned.
-//! 3. **Reset.** Every 3,000 iterations, opacities fall to at most 0.01, and gradients earn them anew.
+//! 3. **Reset.** Every 3,000 iterations, opacities fall to at most 0.01 (0.05 with Improved-GS), and gradients earn
+//!    them anew.
 //! 4. **Evolve** (mode `paper`). Just then, when the well-optimised structure is disturbed, a genetic algorithm
 //!    searches positions, scales and opacities that gradients do not reach; the best individual becomes the new base if
 //!    it is better.

@@ -7,6 +7,7 @@
 
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
+use genesplat_core::constants::NEAR_DEPTH;
 use genesplat_core::{Camera, Photo, RenderSettings, ScreenFilter};
 use serde::Serialize;
 
@@ -74,6 +75,7 @@ struct Scene<'a> {
     background: [f32; 3],
     dilation: f32,
     filter: &'static str,
+    near: f64,
     cameras: Vec<Card<'a>>,
 }
 
@@ -129,6 +131,7 @@ impl Standalone<'_> {
                 ScreenFilter::Antialiased => "antialiased",
                 ScreenFilter::Mip => "mip",
             },
+            near: self.shots.first().map_or(NEAR_DEPTH.min(0.1 * distance), |shot| shot.camera.near),
             cameras: self.shots.iter().map(Card::of).collect(),
         }
     }
@@ -204,6 +207,7 @@ mod tests {
             principal_px: [150.0, 110.0],
             camera_from_world_rotation: DQuat::from_euler(glam::EulerRot::XYZ, 0.3, -0.2, 0.9),
             camera_from_world_translation: DVec3::new(1.0, -2.0, 3.0),
+            near: 0.004,
             ..Camera::at_origin(320, 200, 300.0)
         };
         let small = thumbnail_camera(&camera);
@@ -245,6 +249,7 @@ mod tests {
         let scene = page.split("id=\"scene\">").nth(1).and_then(|rest| rest.split("</script>").next()).unwrap();
         let scene: serde_json::Value = serde_json::from_str(scene).unwrap();
         assert_eq!(scene["up"], serde_json::json!([0.0, 1.0, 0.0]));
+        assert_eq!(scene["near"], 0.004, "as its cameras have it");
         let pose: Pose = serde_json::from_value(scene["cameras"][0].clone()).unwrap();
         let camera = pose.camera(320, 200);
         // A point of the cloud, and the same in the page, are seen in the same place.

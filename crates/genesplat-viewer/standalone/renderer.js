@@ -16,7 +16,7 @@ export class Renderer {
   #places;
   #count = 0;
 
-  constructor(canvas, splat, { background, dilation, filter }) {
+  constructor(canvas, splat, { background, dilation, filter, near }) {
     const gl = canvas.getContext("webgl2", { alpha: false, antialias: false, depth: false, powerPreference: "high-performance" });
     if (!gl) throw new Error("This browser has no WebGL2, which draws the splat.");
     const row = Math.min(gl.getParameter(gl.MAX_TEXTURE_SIZE), ROW_MAX);
@@ -31,6 +31,7 @@ export class Renderer {
     gl.uniform1i(this.#places.terms, splat.terms);
     gl.uniform1i(this.#places.compensation, COMPENSATIONS[filter]);
     gl.uniform1f(this.#places.dilation, dilation);
+    gl.uniform1f(this.#places.near, near);
     attributes(gl, program);
     gl.enable(gl.BLEND);
     gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);

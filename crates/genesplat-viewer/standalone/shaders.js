@@ -17,12 +17,12 @@ uniform vec2 slopeMax;
 uniform float dilation;            // px²
 uniform int compensation;          // 0 none, 1 as 3DGS, 2 as Mip-Splatting
 uniform int terms;
+uniform float near;                // world units
 in vec2 corner;
 in uint index;
 out vec2 offset;                   // standard deviations
 out vec4 colour;
 
-const float NEAR = 0.2;
 const float ALPHA_MIN = 1.0 / 255.0;
 
 vec4 texel(highp sampler2D from, int at) {
@@ -63,7 +63,7 @@ void main() {
   int first = int(index) * 3;
   vec4 place = texel(geometry, first);
   vec3 t = viewRotation * place.xyz + viewTranslation;
-  if (t.z <= NEAR) return;
+  if (t.z <= near) return;
 
   vec4 a = texel(geometry, first + 1), b = texel(geometry, first + 2);
   mat3 covariance = mat3(a.x, a.y, a.z, a.y, a.w, b.x, a.z, b.x, b.y);

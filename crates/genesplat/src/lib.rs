@@ -9,6 +9,7 @@
 //! | [`io`] | scenes in, splats out |
 //! | [`gallery`] | the bundled scene, and the ray caster that photographs it |
 //! | [`gpu`] | the same stages as WGSL kernels: the backend for graphics cards |
+//! | [`cluster`] | a cloud over many processes: the CPU backend, dealt out to ranks |
 //! | [`kernels`] | the numeric stages: the f64 reference and the CPU backend |
 //! | [`evolve`] | the genetic algorithm, without a renderer |
 //! | [`train`] | the training algorithm, the evolution stage |
@@ -41,6 +42,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+pub use genesplat_cluster as cluster;
 pub use genesplat_core as core;
 pub use genesplat_evolve as evolve;
 pub use genesplat_gallery as gallery;

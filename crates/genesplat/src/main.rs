@@ -5,6 +5,7 @@
 
 mod args;
 mod blocks;
+mod cluster;
 mod commands;
 mod device;
 mod experiment;
@@ -53,6 +54,7 @@ impl From<Ending> for ExitCode {
         match ending {
             Ending::Whole => Self::SUCCESS,
             Ending::Stopped => Self::from(interrupt::STOPPED),
+            Ending::Failed => Self::FAILURE,
         }
     }
 }

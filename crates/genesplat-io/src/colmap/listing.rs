@@ -1,6 +1,5 @@
 //! A model's photos, joined with their cameras and found on the disk.
 
-use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -75,30 +74,9 @@ fn find_photos<'a>(
     if let (true, Some(wanted)) = (found.is_empty(), missing.first()) {
         return Err(all_missing(wanted, images.len(), list));
     }
-    check_not_shared(&found, &folder, list)?;
     notices.extend(similar_notice(similar, list));
     notices.extend(absent_notice(&missing, images.len(), list));
     Ok(found)
-}
-
-/// Fails where two records have found the same file: the photo of one of them is not where the list says.
-fn check_not_shared(found: &[(&ImageRecord, PathBuf)], folder: &Path, list: &Path) -> Result<(), SceneError> {
-    let mut finders = HashMap::new();
-    let shared =
-        found.iter().find_map(|(image, path)| finders.insert(path, &image.name).map(|first| [first, &image.name]));
-    match shared {
-        // Two records of one name are an error of `Listing::name_views`.
-        Some([first, second]) if first != second => {
-            let problem = format!(
-                "lists {} and {}, and {} has one photo of that name for both; put them where the list says",
-                shown(first),
-                shown(second),
-                shown(folder)
-            );
-            Err(SceneError::invalid(list, problem))
-        }
-        _ => Ok(()),
-    }
 }
 
 /// A notice where COLMAP split the photos into several models, of which only the first is used.

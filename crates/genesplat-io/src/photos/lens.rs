@@ -52,7 +52,7 @@ impl Lens {
 
     /// Where the lens shows the point `(x, y)` of the pinhole's image plane; not finite where it shows it nowhere.
     pub(crate) fn distort(&self, [x, y]: [f64; 2]) -> [f64; 2] {
-        let factor = self.projection.factor(x.hypot(y));
+        let factor = self.projection.factor((x * x + y * y).sqrt());
         self.polynomial.bend([factor * x, factor * y])
     }
 

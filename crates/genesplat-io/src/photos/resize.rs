@@ -97,7 +97,7 @@ fn fixed(weight: f64) -> i32 {
 }
 
 /// Keys' cubic with a = −0.5 (Catmull-Rom).
-pub(super) fn cubic(x: f64) -> f64 {
+fn cubic(x: f64) -> f64 {
     const A: f64 = -0.5;
     let x = x.abs();
     if x < 1.0 {

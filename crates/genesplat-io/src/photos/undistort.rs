@@ -9,7 +9,7 @@ use genesplat_core::{Camera, Photo};
 
 use super::lens::Lens;
 use super::mask::PhotoMask;
-use super::resize::{cubic, resize};
+use super::resize::resize;
 
 /// Least and largest side of the undistorted picture, as a factor of the photo's (COLMAP, `UndistortCameraOptions`).
 const SCALES: [f64; 2] = [0.2, 2.0];
@@ -109,12 +109,12 @@ pub(crate) fn undistort_mask(
 ) -> PhotoMask {
     let (camera, fine) = fine_cameras(camera, pinhole, size);
     let reduced = mask.resized([camera.width, camera.height]);
-    let counts = |index: u32| {
-        let (left, top) = corner(source_of(&camera, lens, &fine, [index % fine.width, index / fine.width]));
-        let [columns, rows] = [taps(left, camera.width), taps(top, camera.height)];
+    let map = Map::of(&camera, lens, &fine);
+    let counts = |[u, v]: [f64; 2]| {
+        let [columns, rows] = [taps(floor(u), camera.width), taps(floor(v), camera.height)];
         rows.iter().all(|&row| columns.iter().all(|&column| reduced.counts_at(column, row)))
     };
-    let counts = (0..fine.width * fine.height).map(counts).collect();
+    let counts = (0..fine.height).flat_map(|row| map.row(row).into_iter().map(counts)).collect();
     PhotoMask { size: [fine.width, fine.height], counts }.resized(size)
 }
 
@@ -129,50 +129,104 @@ fn fine_cameras(camera: &Camera, pinhole: &Camera, [width, height]: [u32; 2]) ->
     (camera.resized(across, down), fine)
 }
 
-/// Where the photo shows what `pinhole` shows at a pixel: coordinates of pixel centres.
-fn source_of(camera: &Camera, lens: &Lens, pinhole: &Camera, pixel: [u32; 2]) -> [f64; 2] {
-    source(camera, lens, normalised(pinhole, pixel.map(|at| f64::from(at) + 0.5))).map(|at| at - 0.5)
+/// Where a photo shows what a pinhole shows: for each row of pixels exactly at some of them, and by cubics in between,
+/// which are off by less than a thousandth of a pixel.
+struct Map<'a> {
+    camera: &'a Camera,
+    lens: &'a Lens,
+    pinhole: &'a Camera,
+    nodes: u32,
+    /// Distance of two nodes, px.
+    spacing: f64,
+    /// For each column the first of four nodes, and their weights.
+    columns: Vec<(usize, [f64; 4])>,
 }
 
-/// The pixel to the upper left.
-fn corner([u, v]: [f64; 2]) -> (f64, f64) {
-    (u.floor(), v.floor())
+impl<'a> Map<'a> {
+    fn of(camera: &'a Camera, lens: &'a Lens, pinhole: &'a Camera) -> Self {
+        const SPACING_MAX_PX: u32 = 16;
+        let last = pinhole.width - 1;
+        let nodes = (last.div_ceil(SPACING_MAX_PX) + 1).max(4);
+        let spacing = (f64::from(last) / f64::from(nodes - 1)).max(1.0);
+        let column = |column: u32| {
+            let at = f64::from(column) / spacing;
+            // Two nodes to either side, where there are as many.
+            let first = (floor(at) - 1).clamp(0, i64::from(nodes) - 4) as usize;
+            (first, through_four(at - first as f64))
+        };
+        Self { camera, lens, pinhole, nodes, spacing, columns: (0..pinhole.width).map(column).collect() }
+    }
+
+    /// Coordinates of pixel centres, for each column.
+    fn row(&self, row: u32) -> Vec<[f64; 2]> {
+        let Self { camera, lens, pinhole, .. } = self;
+        let node = |node: u32| {
+            let at = [f64::from(node) * self.spacing + 0.5, f64::from(row) + 0.5];
+            source(camera, lens, normalised(pinhole, at)).map(|at| at - 0.5)
+        };
+        let nodes: Vec<[f64; 2]> = (0..self.nodes).map(node).collect();
+        let between = |(first, weights): &(usize, [f64; 4])| {
+            let near = nodes[*first..].iter().zip(weights);
+            near.fold([0.0; 2], |[u, v], (node, weight)| [u + weight * node[0], v + weight * node[1]])
+        };
+        self.columns.iter().map(between).collect()
+    }
+}
+
+/// Lagrange's weights at `t` for values at 0, 1, 2 and 3.
+fn through_four(t: f64) -> [f64; 4] {
+    let [a, b, c, d] = [t, t - 1.0, t - 2.0, t - 3.0];
+    [b * c * d / -6.0, a * c * d / 2.0, a * b * d / -2.0, a * b * c / 6.0]
+}
+
+/// Without a call of the library's.
+fn floor(value: f64) -> i64 {
+    let whole = value as i64;
+    whole - i64::from(value < whole as f64)
 }
 
 /// The four pixels along one axis that are mixed around the two from `first` on; beyond the rim, the rim.
-fn taps(first: f64, side: u32) -> [usize; 4] {
-    [-1, 0, 1, 2].map(|offset| (first as i64 + offset).clamp(0, i64::from(side) - 1) as usize)
+fn taps(first: i64, side: u32) -> [usize; 4] {
+    [-1, 0, 1, 2].map(|offset| (first.saturating_add(offset)).clamp(0, i64::from(side) - 1) as usize)
 }
 
 /// What `pinhole` takes of what `camera` has taken through `lens`.
 fn resample(photo: &Photo, camera: &Camera, lens: &Lens, pinhole: &Camera) -> Photo {
-    let stride = 3 * pinhole.width as usize;
-    let mut rgb = vec![0; stride * pinhole.height as usize];
-    rgb.chunks_exact_mut(stride).enumerate().for_each(|(row, values)| {
-        for (column, value) in values.chunks_exact_mut(3).enumerate() {
-            let at = source_of(camera, lens, pinhole, [column as u32, row as u32]);
-            value.copy_from_slice(&bicubic(photo, at));
-        }
-    });
+    let map = Map::of(camera, lens, pinhole);
+    let mut rgb = Vec::with_capacity(3 * pinhole.width as usize * pinhole.height as usize);
+    for row in 0..pinhole.height {
+        map.row(row).into_iter().for_each(|at| rgb.extend(bicubic(photo, at)));
+    }
     Photo { width: pinhole.width, height: pinhole.height, rgb }
 }
 
 /// The photo between its pixels, by Keys' cubic; beyond its rim, the rim.
 fn bicubic(photo: &Photo, [u, v]: [f64; 2]) -> [u8; 3] {
-    let (left, top) = corner([u, v]);
-    let weights = |fraction: f64| [-1.0, 0.0, 1.0, 2.0].map(|offset| cubic(offset - fraction) as f32);
-    let (across, down) = (weights(u - left), weights(v - top));
-    let columns = taps(left, photo.width).map(|column| 3 * column);
-    let mut sums = [0.5; 3];
-    for (row, down) in taps(top, photo.height).into_iter().zip(down) {
-        let row = &photo.rgb[3 * photo.width as usize * row..];
-        for (column, across) in columns.into_iter().zip(across) {
-            for (sum, value) in sums.iter_mut().zip(&row[column..column + 3]) {
-                *sum += down * across * f32::from(*value);
+    let (left, top) = (floor(u), floor(v));
+    let (across, down) = (cubic_weights((u - left as f64) as f32), cubic_weights((v - top as f64) as f32));
+    let [columns, rows] = [taps(left, photo.width), taps(top, photo.height)];
+    let stride = 3 * photo.width as usize;
+    // Down each of the four columns first: vectors take their twelve values side by side.
+    let mut mixed = [0.0; 12];
+    for (row, weight) in rows.into_iter().zip(down) {
+        let row = &photo.rgb[stride * row..stride * (row + 1)];
+        match row[3 * columns[0]..].first_chunk::<12>() {
+            Some(values) if columns[3] == columns[0] + 3 => {
+                mixed.iter_mut().zip(values).for_each(|(sum, value)| *sum += weight * f32::from(*value));
             }
+            _ => (0..12).for_each(|at| mixed[at] += weight * f32::from(row[3 * columns[at / 3] + at % 3])),
         }
     }
-    sums.map(|sum| sum as u8)
+    let sum = |channel: usize| (0..4).fold(0.5, |sum, column| sum + across[column] * mixed[3 * column + channel]);
+    [sum(0) as u8, sum(1) as u8, sum(2) as u8]
+}
+
+/// Keys' cubic with a = −0.5 at distances of `1 + t`, `t`, `1 − t` and `2 − t`.
+fn cubic_weights(t: f32) -> [f32; 4] {
+    let rest = 1.0 - t;
+    let outer = |t: f32, rest: f32| -0.5 * t * rest * rest;
+    let inner = |t: f32| (1.5 * t - 2.5) * t * t + 1.0;
+    [outer(t, rest), inner(t), inner(rest), outer(rest, t)]
 }
 
 #[cfg(test)]
@@ -228,6 +282,24 @@ mod tests {
             let (left_alone, _) = undistorted(&Lens::default(), 1);
             let bent = resize(&photograph(&camera(), &lens), left_alone.width, left_alone.height);
             assert!(worst(&bent, &left_alone) > 10, "{lens:?} is too weak to test anything");
+        }
+    }
+
+    #[test]
+    fn the_map_is_exact_to_a_thousandth_of_a_pixel() {
+        let fisheye = Lens { projection: Projection::Fisheye, ..Lens::default() };
+        for (lens, side) in [(barrel(), 640), (fisheye, 640), (brown([0.3, 0.0, 0.0], [0.01, 0.0]), 97), (barrel(), 3)]
+        {
+            let camera = camera().resized(side, side);
+            let map = Map::of(&camera, &lens, &camera);
+            assert_eq!(map.row(0).len(), side as usize);
+            for row in [0, side / 3, side - 1] {
+                for (column, [u, v]) in (0..).zip(map.row(row)) {
+                    let at = [column, row].map(|at: u32| f64::from(at) + 0.5);
+                    let exact = source(&camera, &lens, normalised(&camera, at)).map(|at| at - 0.5);
+                    assert!((u - exact[0]).hypot(v - exact[1]) < 1e-3, "{lens:?}: {u}, {v} instead of {exact:?}");
+                }
+            }
         }
     }
 

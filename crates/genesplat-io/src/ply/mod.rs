@@ -5,13 +5,14 @@
 //! `f_rest` is channel-major: 15 coefficients of red, then of green, then of blue.
 //!
 //! Reading follows the header, not this list: properties may come in any order, of any scalar type, with others
-//! between them, and with fewer harmonics (degree 0 to 2). What is written and read again has the same bits.
+//! between them, with fewer harmonics (degree 0 to 2), and as ASCII. What is written and read again has the same bits.
 
 mod error;
 mod field;
 mod header;
 mod points;
 mod rows;
+mod text;
 
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read, Write};
@@ -61,14 +62,8 @@ pub fn read_ply_with_header(path: &Path) -> Result<(PlyHeader, Gaussians), PlyEr
 /// The same from the `size` bytes of `reader`; `path` is named in errors.
 pub(crate) fn parse_splat(path: &Path, reader: impl BufRead, size: u64) -> Result<(PlyHeader, Gaussians), PlyError> {
     let (header, mut rest) = parse_header(path, reader, size)?;
-    let layout = rows::Layout::of(&header, path);
-    // A mesh or a point cloud is called one, however it is written.
-    if header.encoding == Encoding::Ascii && (layout.is_ok() || !header.has_positions()) {
-        let problem = "it is an ASCII file, and only binary ones hold Gaussians".into();
-        return Err(PlyError::Header { path: path.to_owned(), problem });
-    }
-    let cloud = layout?.read(header.gaussians as usize, &mut rest);
-    Ok((header, cloud.map_err(|source| read_error(path, source))?))
+    let cloud = rows::read(&header, &mut rest, path)?;
+    Ok((header, cloud))
 }
 
 /// True for a compressed PLY, whose rows are packed: see [`crate::format`].

@@ -4,7 +4,7 @@ use std::io::{BufRead, Read};
 use std::path::Path;
 
 use super::header::{Encoding, PlyHeader};
-use super::{PlyError, check_positions, open, parse_header, read_error, trailing};
+use super::{PlyError, check_positions, open, parse_header, read_error, text};
 use crate::scene::Point;
 
 /// Properties that a point is read from; the last three are its colour.
@@ -58,24 +58,9 @@ fn binary(header: &PlyHeader, mut reader: impl Read, path: &Path) -> Result<Vec<
 fn ascii(header: &PlyHeader, reader: impl BufRead, path: &Path) -> Result<Vec<[f32; 6]>, PlyError> {
     let columns = PROPERTIES.iter().map(|name| header.column(name, path, POINTS));
     let columns = columns.collect::<Result<Vec<_>, _>>()?;
-    let mut lines = reader.lines();
-    let rows = (0..header.gaussians as usize)
-        .map(|row| {
-            let bad = || {
-                let problem = format!("does not hold one number for each property in row {row}; export the file again");
-                PlyError::Rows { path: path.to_owned(), problem }
-            };
-            let line = lines.next().ok_or_else(bad)?.map_err(|source| read_error(path, source))?;
-            let words: Vec<&str> = line.split_whitespace().collect();
-            let mut values = [0.0; 6];
-            for (value, &column) in values.iter_mut().zip(&columns) {
-                *value = words.get(column).and_then(|word| word.parse().ok()).ok_or_else(bad)?;
-            }
-            Ok(values)
-        })
-        .collect::<Result<_, _>>()?;
-    if header.ends_with_vertices && lines.any(|line| !line.is_ok_and(|line| line.trim().is_empty())) {
-        return Err(trailing(path, header.gaussians));
-    }
+    let mut rows = Vec::with_capacity(header.gaussians as usize);
+    text::read(header, reader, path, |_, values| {
+        rows.push(std::array::from_fn(|property| values[columns[property]]));
+    })?;
     Ok(rows)
 }

@@ -1,14 +1,14 @@
 //! Rows of a PLY file from and to the columns of a cloud.
 
-use std::io::{self, Read, Write};
+use std::io::{self, BufRead, Read, Write};
 use std::path::Path;
 
 use genesplat_core::Gaussians;
 use genesplat_core::spherical_harmonics::{coefficients, sh_index};
 
-use super::PlyError;
 use super::field::Field;
-use super::header::PlyHeader;
+use super::header::{Encoding, PlyHeader};
+use super::{PlyError, read_error, text};
 
 const SPLAT: &str = "a splat, as trainers of Gaussians write it (point_cloud.ply)";
 
@@ -30,21 +30,37 @@ pub(super) fn property_names(sh_degree: u8, filter_3d: bool) -> Vec<String> {
     .concat()
 }
 
-/// Where each parameter lies in a row.
-pub(super) struct Layout {
-    position: [Field; 3],
-    log_scale: [Field; 3],
-    rotation: [Field; 4],
-    opacity: Field,
-    /// Index in a row of [`Gaussians::sh`], and the field that fills it.
-    sh: Vec<(usize, Field)>,
-    filter_3d: Option<Field>,
-    row_bytes: usize,
+/// The cloud whose first row is next in `reader`; the caller has checked that the file holds as many as it promises.
+pub(super) fn read(header: &PlyHeader, reader: &mut impl BufRead, path: &Path) -> Result<Gaussians, PlyError> {
+    let count = header.gaussians as usize;
+    let zeros = || Gaussians { filter_3d: header.has_filter_3d.then(|| vec![0.0; count]), ..Gaussians::zeros(count) };
+    match header.encoding {
+        Encoding::Binary => {
+            let layout = Layout::of(header, |name| header.field(name, path, SPLAT))?;
+            layout.read_binary(header.row_bytes, reader, zeros()).map_err(|source| read_error(path, source))
+        }
+        Encoding::Ascii => {
+            let layout = Layout::of(header, |name| header.column(name, path, SPLAT))?;
+            let mut cloud = zeros();
+            text::read(header, reader, path, |row, values| layout.set(row, |column| values[column], &mut cloud))?;
+            Ok(cloud)
+        }
+    }
 }
 
-impl Layout {
-    pub(super) fn of(header: &PlyHeader, path: &Path) -> Result<Self, PlyError> {
-        let find = |name: &str| header.field(name, path, SPLAT);
+/// Where each parameter lies in a row: a field of its bytes, or the number of its word.
+struct Layout<Place> {
+    position: [Place; 3],
+    log_scale: [Place; 3],
+    rotation: [Place; 4],
+    opacity: Place,
+    /// Index in a row of [`Gaussians::sh`], and the place that fills it.
+    sh: Vec<(usize, Place)>,
+    filter_3d: Option<Place>,
+}
+
+impl<Place: Copy> Layout<Place> {
+    fn of(header: &PlyHeader, find: impl Fn(&str) -> Result<Place, PlyError>) -> Result<Self, PlyError> {
         let sh = sh_properties(header.sh_degree);
         Ok(Self {
             position: [find("x")?, find("y")?, find("z")?],
@@ -53,33 +69,34 @@ impl Layout {
             rotation: [find("rot_0")?, find("rot_1")?, find("rot_2")?, find("rot_3")?],
             sh: sh.map(|(slot, name)| Ok((slot, find(&name)?))).collect::<Result<_, _>>()?,
             filter_3d: header.has_filter_3d.then(|| find("filter_3D")).transpose()?,
-            row_bytes: header.row_bytes,
         })
     }
 
-    /// Reads `count` rows; the caller has checked that the file holds them.
-    pub(super) fn read(&self, count: usize, reader: &mut impl Read) -> io::Result<Gaussians> {
-        let mut cloud = Gaussians { filter_3d: self.filter_3d.map(|_| vec![0.0; count]), ..Gaussians::zeros(count) };
-        let mut chunk = vec![0; CHUNK_ROWS.min(count) * self.row_bytes];
+    fn set(&self, row: usize, value: impl Fn(Place) -> f32, cloud: &mut Gaussians) {
+        cloud.positions[row] = self.position.map(&value);
+        cloud.log_scales[row] = self.log_scale.map(&value);
+        cloud.rotations[row] = self.rotation.map(&value);
+        cloud.opacity_logits[row] = value(self.opacity);
+        self.sh.iter().for_each(|&(slot, place)| cloud.sh[row][slot] = value(place));
+        if let (Some(place), Some(filter)) = (self.filter_3d, &mut cloud.filter_3d) {
+            filter[row] = value(place);
+        }
+    }
+}
+
+impl Layout<Field> {
+    /// Fills every row of `cloud`.
+    fn read_binary(&self, row_bytes: usize, reader: &mut impl Read, mut cloud: Gaussians) -> io::Result<Gaussians> {
+        let count = cloud.len();
+        let mut chunk = vec![0; CHUNK_ROWS.min(count) * row_bytes];
         for first in (0..count).step_by(CHUNK_ROWS) {
-            let bytes = &mut chunk[..CHUNK_ROWS.min(count - first) * self.row_bytes];
+            let bytes = &mut chunk[..CHUNK_ROWS.min(count - first) * row_bytes];
             reader.read_exact(bytes)?;
-            for (row, bytes) in (first..).zip(bytes.chunks_exact(self.row_bytes)) {
-                self.set(row, bytes, &mut cloud);
+            for (row, bytes) in (first..).zip(bytes.chunks_exact(row_bytes)) {
+                self.set(row, |field| field.value(bytes), &mut cloud);
             }
         }
         Ok(cloud)
-    }
-
-    fn set(&self, row: usize, bytes: &[u8], cloud: &mut Gaussians) {
-        cloud.positions[row] = self.position.map(|field| field.value(bytes));
-        cloud.log_scales[row] = self.log_scale.map(|field| field.value(bytes));
-        cloud.rotations[row] = self.rotation.map(|field| field.value(bytes));
-        cloud.opacity_logits[row] = self.opacity.value(bytes);
-        self.sh.iter().for_each(|&(slot, field)| cloud.sh[row][slot] = field.value(bytes));
-        if let (Some(field), Some(filter)) = (self.filter_3d, &mut cloud.filter_3d) {
-            filter[row] = field.value(bytes);
-        }
     }
 }
 

@@ -24,7 +24,7 @@ use crate::error::SceneError;
 use crate::listing::{ListedPhoto, Listing};
 use crate::photos::PhotoSize;
 use crate::{colmap, plural, shown, transforms};
-use view::Loaded;
+use view::{Loaded, Pinholes};
 
 /// A point of a reconstruction.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -153,8 +153,9 @@ fn load_views(
     progress: &dyn LoadProgress,
     notices: &mut Vec<String>,
 ) -> Result<[Vec<View>; 2], SceneError> {
+    let pinholes = Pinholes::default();
     let load = |photos: &[ListedPhoto]| -> Result<Vec<Loaded>, SceneError> {
-        photos.par_iter().map(|photo| view::load(photo, options, progress)).collect()
+        photos.par_iter().map(|photo| view::load(photo, options, &pinholes, progress)).collect()
     };
     let loaded = [load(photos[0])?, load(photos[1])?];
     let all = || loaded.iter().flatten();
@@ -206,6 +207,7 @@ fn list(path: &Path, options: &LoadOptions) -> Result<Listing, SceneError> {
 fn checked(mut listing: Listing, scene: &Path, options: &LoadOptions) -> Result<Listing, SceneError> {
     masks::find(&mut listing, scene);
     listing.set_near(options.near);
+    listing.check_not_shared()?;
     listing.name_views()?;
     if options.with_points && listing.points.is_empty() {
         listing.draw_points(options.seed);

@@ -1,9 +1,10 @@
 //! From a listed photo to a view: check the header, decode, undistort, resize.
 
 use std::path::Path;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use genesplat_core::{Camera, View};
+use genesplat_core::{Camera, Mask, View};
+use glam::{DQuat, DVec3};
 
 use super::{LoadOptions, LoadProgress, MaskUse};
 use crate::error::SceneError;
@@ -21,15 +22,46 @@ pub(super) struct Loaded {
     pub(super) is_transparent: bool,
 }
 
+/// Pinholes that were found, by the camera without its pose, and its lens: photos of one camera share theirs.
+#[derive(Default)]
+pub(super) struct Pinholes(Mutex<Vec<(Camera, Lens, Option<Camera>)>>);
+
+impl Pinholes {
+    fn of(&self, camera: &Camera, lens: &Lens) -> Option<Camera> {
+        let key = Camera {
+            camera_from_world_rotation: DQuat::IDENTITY,
+            camera_from_world_translation: DVec3::ZERO,
+            ..*camera
+        };
+        let known = self.found().iter().find(|known| known.0 == key && known.1 == *lens).map(|known| known.2);
+        let pinhole = known.unwrap_or_else(|| {
+            let pinhole = photos::pinhole(&key, lens);
+            self.found().push((key, *lens, pinhole));
+            pinhole
+        });
+        let Camera { camera_from_world_rotation, camera_from_world_translation, .. } = *camera;
+        pinhole.map(|pinhole| Camera { camera_from_world_rotation, camera_from_world_translation, ..pinhole })
+    }
+
+    /// A list is whole even where a thread has panicked.
+    fn found(&self) -> MutexGuard<'_, Vec<(Camera, Lens, Option<Camera>)>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
 pub(super) fn load(
     listed: &ListedPhoto,
     options: &LoadOptions,
+    pinholes: &Pinholes,
     progress: &dyn LoadProgress,
 ) -> Result<Loaded, SceneError> {
     let photo = EncodedPhoto::open(&listed.path)?.turned_like(listed.camera.width, listed.camera.height);
     let (photo_width, photo_height) = photo.size();
     let camera = camera_of_photo(listed, photo_width, photo_height)?;
-    let pinhole = listed.lens.map_or(Ok(camera), |lens| pinhole_of(listed, &camera, &lens))?;
+    let pinhole = match &listed.lens {
+        Some(lens) => pinholes.of(&camera, lens).ok_or_else(|| no_pinhole(listed))?,
+        None => camera,
+    };
     let (width, height) = options.size_of(pinhole.width, pinhole.height);
     if width.min(height) < SIDE_MIN_PX {
         let problem = format!(
@@ -56,8 +88,13 @@ pub(super) fn load(
         None => (photos::resize(&photo, width, height), hidden.map(|mask| mask.resized([width, height]))),
     };
     progress.photo_done();
-    let (camera, mask) = (pinhole.resized(width, height), mask.map(|mask| Arc::new(mask.into())));
-    let view = View { name: listed.name.clone(), camera, photo: Arc::new(photo), mask };
+    let view = View {
+        name: listed.name.clone(),
+        camera: pinhole.resized(width, height),
+        photo: Arc::new(photo),
+        // One that hides nothing is none.
+        mask: mask.map(Mask::from).filter(|mask| mask.counts.contains(&false)).map(Arc::new),
+    };
     Ok(Loaded { view, is_masked, is_transparent })
 }
 
@@ -73,25 +110,29 @@ fn hidden(mask: Option<PhotoMask>, opaque: Option<PhotoMask>, mask_use: MaskUse)
     }
 }
 
+/// The mask in `file`, at the size of its photo. Scenes that ship reduced photos may have masks of the original ones.
 fn open_mask(file: &Path, of_photo: [u32; 2]) -> Result<PhotoMask, SceneError> {
     let mask = PhotoMask::open(file)?;
     let ([width, height], [photo_width, photo_height]) = (mask.size(), of_photo);
     if mask.size() == of_photo {
         return Ok(mask);
     }
-    let problem = format!(
-        "is a mask of {width}x{height} pixels, and its photo has {photo_width}x{photo_height}; make it as large as its photo"
-    );
+    if is_same_shape(mask.size(), of_photo) {
+        return Ok(mask.resized(of_photo));
+    }
+    let advice =
+        if is_same_shape([height, width], of_photo) { "turn it as its photo" } else { "make it as large as its photo" };
+    let problem =
+        format!("is a mask of {width}x{height} pixels, and its photo has {photo_width}x{photo_height}; {advice}");
     Err(SceneError::BadPhoto { photo: file.to_owned(), problem })
 }
 
-/// The pinhole that takes the undistorted photo of `camera`.
-fn pinhole_of(listed: &ListedPhoto, camera: &Camera, lens: &Lens) -> Result<Camera, SceneError> {
-    photos::pinhole(camera, lens).ok_or_else(|| SceneError::BadCamera {
+fn no_pinhole(listed: &ListedPhoto) -> SceneError {
+    SceneError::BadCamera {
         file: listed.list.to_path_buf(),
         camera: listed.name.clone(),
         problem: "has distortion coefficients that cannot be undone",
-    })
+    }
 }
 
 /// The listed camera at the photo's own size.
@@ -100,11 +141,7 @@ fn pinhole_of(listed: &ListedPhoto, camera: &Camera, lens: &Lens) -> Result<Came
 /// a camera of the same shape is scaled, and a camera of another shape is an error.
 fn camera_of_photo(listed: &ListedPhoto, width: u32, height: u32) -> Result<Camera, SceneError> {
     let camera = &listed.camera;
-    let scale = f64::from(width) / f64::from(camera.width);
-    let expected_height = f64::from(camera.height) * scale;
-    // Either side may have been rounded by a pixel before and after the reduction; 0.5 % covers large photos.
-    let tolerance = (0.005 * f64::from(height)).max(2.0);
-    if (expected_height - f64::from(height)).abs() > tolerance {
+    if !is_same_shape([camera.width, camera.height], [width, height]) {
         let problem = format!(
             "is {width}x{height} pixels, but its camera in {} is {}x{}, which is another shape; use the photos that \
              the cameras were calibrated on",
@@ -115,4 +152,10 @@ fn camera_of_photo(listed: &ListedPhoto, width: u32, height: u32) -> Result<Came
         return Err(SceneError::BadPhoto { photo: listed.path.clone(), problem });
     }
     Ok(camera.resized(width, height))
+}
+
+/// Either side may have been rounded by a pixel before and after the reduction; 0.5 % covers large photos.
+fn is_same_shape(original: [u32; 2], [width, height]: [u32; 2]) -> bool {
+    let expected_height = f64::from(original[1]) * f64::from(width) / f64::from(original[0]);
+    (expected_height - f64::from(height)).abs() <= (0.005 * f64::from(height)).max(2.0)
 }

@@ -132,15 +132,17 @@ fn a_photo_on_its_side_is_turned_where_its_camera_says_so() {
     let photo = |name: &str| folder.path().join("images/a b").join(name);
     let [raw, sideways] = [SIZE, [SIZE[1], SIZE[0]]].map(|size| photos::encode_jpeg(&gradient(size), 95));
     fs::remove_file(photo("000.png")).unwrap();
-    let top_left = |bytes: &[u8]| {
-        fs::write(photo("000.jpg"), tagged(bytes, 6)).unwrap();
+    let top_left = |bytes: &[u8], orientation: u8| {
+        fs::write(photo("000.jpg"), tagged(bytes, orientation)).unwrap();
         let scene = load(folder.path()).unwrap();
         scene.test[0].photo.pixel(1, 1)
     };
     // Dark is where rows and columns begin.
-    assert!(top_left(&raw)[0] < 60, "raw pixels, whatever the tag says");
-    let [red, green, _] = top_left(&sideways);
-    assert!(red > 200 && green < 60 || red < 60 && green > 200, "turned by a quarter: {red} {green}");
+    assert!(top_left(&raw, 6)[0] < 60, "raw pixels, whatever the tag says");
+    // What is upright has the lower left corner of the file's pixels at its top left with tag 6, and the upper right one with 8.
+    let ([red, green, _], [other_red, other_green, _]) = (top_left(&sideways, 6), top_left(&sideways, 8));
+    assert!(red < 60 && green > 200, "turned clockwise: {red} {green}");
+    assert!(other_red > 200 && other_green < 60, "turned counter-clockwise: {other_red} {other_green}");
     fs::write(photo("000.jpg"), &sideways).unwrap();
     assert!(load(folder.path()).unwrap_err().contains("which is another shape"), "no tag, no turn");
 }

@@ -149,6 +149,48 @@ fn other_orders_types_and_degrees_are_read() {
     assert!(sh[12..].iter().all(|v| *v == 0.0));
 }
 
+/// The binary file at `path` in words.
+fn in_ascii(path: &Path) -> String {
+    let bytes = fs::read(path).unwrap();
+    let end = b"end_header\n";
+    let start = bytes.windows(end.len()).position(|window| window == end).unwrap() + end.len();
+    let header = String::from_utf8(bytes[..start].to_vec()).unwrap();
+    let columns = header.matches("property float").count();
+    let values = bytes[start..].chunks_exact(4).map(|value| f32::from_le_bytes(value.try_into().unwrap()));
+    let words: Vec<String> = values.map(|value| value.to_string()).collect();
+    let rows: Vec<String> = words.chunks(columns).map(|row| row.join(" ")).collect();
+    header.replace("binary_little_endian", "ascii") + &rows.join("\n") + "\n"
+}
+
+#[test]
+fn an_ascii_file_holds_the_same_gaussians() {
+    let (folder, mut cloud) = (Folder::new(), any_bits(5, 7, true));
+    cloud.log_scales[2] = [1.5e-30, -0.0, f32::INFINITY];
+    // Of the bits of NaN, words say nothing.
+    let columns = [cloud.positions.as_flattened_mut(), cloud.log_scales.as_flattened_mut()];
+    let more = [cloud.rotations.as_flattened_mut(), cloud.sh.as_flattened_mut(), &mut cloud.opacity_logits];
+    let values = columns.into_iter().chain(more).flatten().chain(cloud.filter_3d.iter_mut().flatten());
+    values.filter(|value| value.is_nan()).for_each(|value| *value = f32::NAN);
+    let path = folder.file("cloud.ply");
+    write_ply(&path, &cloud, &PlyOptions::default()).unwrap();
+    let text = in_ascii(&path);
+    fs::write(&path, &text).unwrap();
+    assert_eq!(bits(&read_ply(&path).unwrap()), bits(&cloud));
+
+    let (rest, last_word) = text.trim_end().rsplit_once(' ').unwrap();
+    let cases = [
+        (format!("{text}1 2 3\n"), "something follows its end"),
+        (text.trim_end().rsplit_once('\n').unwrap().0.to_owned(), "in row 6; export the file again"),
+        (rest.to_owned(), "in row 6"),
+        (format!("{rest} {last_word},5"), "in row 6"),
+    ];
+    for (text, problem) in cases {
+        fs::write(&path, text).unwrap();
+        let error = read_ply(&path).unwrap_err().to_string();
+        assert!(error.contains("cloud.ply") && error.contains(problem), "{error}");
+    }
+}
+
 #[test]
 fn bad_files_are_named_with_what_is_wrong() {
     let header = |lines: &str| format!("ply\n{lines}\nend_header\n").into_bytes();
@@ -159,7 +201,7 @@ fn bad_files_are_named_with_what_is_wrong() {
     let cases: [(Vec<u8>, &str); 10] = [
         (header(&format!("{endless}\nproperty float x")), "promises 1 rows but holds bytes for 0"),
         (b"\x89PNG\r\n".to_vec(), "does not begin with"),
-        (header("format ascii 1.0\nelement vertex 0\nproperty float x"), "ASCII"),
+        (header("format ascii 1.0\nelement vertex 0\nproperty float x"), "lack y; give a splat"),
         (header("format binary_big_endian 1.0\nelement vertex 1\nproperty float x"), "big-endian"),
         (header("format binary_little_endian 1.0\nelement face 0"), "no vertices"),
         (header(&format!("{little} 0\nproperty float x\nproperty float y")), "lack z; give a splat"),

@@ -116,6 +116,19 @@ fn fields_of_view_are_each_of_their_side() {
     assert!(is(focal(&description), [44.0, 46.0]), "a length wins over an angle");
 }
 
+/// Trained on under one name and tested on under the other, a photo would be judged by itself.
+#[test]
+fn two_entries_that_find_one_photo_are_refused() {
+    for [first, second] in [["0", "0.PNG"], ["0.jpg", "0.png"], ["0.jpeg", "0"]] {
+        let mut description = nerfstudio();
+        description["frames"][0]["file_path"] = json!(format!("images/{first}"));
+        description["frames"][1]["file_path"] = json!(format!("./images/{second}"));
+        let error = load_description(&description).unwrap_err().to_string();
+        let words = ["transforms.json lists", first, second, "images/0.png is the only photo for both"];
+        assert!(words.iter().all(|word| error.contains(word)), "{error}");
+    }
+}
+
 #[test]
 fn a_frame_names_its_mask() {
     let folder = tempfile::tempdir().unwrap();

@@ -12,7 +12,7 @@ use genesplat_core::{
 
 use super::loss::Target;
 use super::score::Scorer;
-use super::update::{UpdateInputs, update};
+use super::update::{ByTile, Share, UpdateInputs, update};
 use super::view::{Pinhole, StageSeconds, ViewBuffers, timed};
 
 pub(super) struct TrainView {
@@ -25,11 +25,11 @@ pub struct CpuBackend {
     pub(super) level: Level,
     pub(super) cloud: Gaussians,
     pub(super) moments: Moments,
-    statistics: Statistics,
+    pub(super) statistics: Statistics,
     pub(super) views: Vec<TrainView>,
     pub(super) buffers: ViewBuffers,
     report: StepReport,
-    steps: u32,
+    pub(super) steps: u32,
     pub(super) scorer: Scorer,
     pub(super) averages: WindowAverages,
 }
@@ -67,8 +67,27 @@ impl CpuBackend {
         self.scorer.bytes()
     }
 
+    /// Makes room for all that a step will fill.
+    pub(super) fn prepare_step(&mut self, step: &TrainStep) -> Result<(), BackendError> {
+        // Training has no use for the memory that scoring takes.
+        self.scorer = Scorer::default();
+        self.ensure_view(&self.views[step.view].camera)?;
+        self.ensure_statistics()?;
+        self.grow_statistics(step.statistics);
+        if step.keeps_gradients && self.moments.pending.is_empty() {
+            self.ensure_cloud("gradients of several views")?;
+            self.moments.pending = Moments::column(self.cloud.len());
+        }
+        Ok(())
+    }
+
+    /// The step is made.
+    pub(super) fn count(&mut self, step: &TrainStep) {
+        self.steps = step.update.as_ref().map_or(self.steps, |update| update.step);
+    }
+
     /// The gene columns and the absolute one exist from the first step that asks for them.
-    fn grow_statistics(&mut self, request: StatisticsRequest) {
+    pub(super) fn grow_statistics(&mut self, request: StatisticsRequest) {
         let n = self.cloud.len();
         self.statistics.gradient_sum.resize(n, 0.0);
         self.statistics.weight_sum.resize(n, 0.0);
@@ -107,11 +126,8 @@ impl Backend for CpuBackend {
     }
 
     fn upload(&mut self, state: DeviceState) -> Result<(), BackendError> {
-        let DeviceState { cloud, moments, statistics, averages } = state;
-        Self::ensure_training(cloud.len())?;
-        self.moments = if moments.first.is_empty() { Moments::zeros(cloud.len()) } else { moments };
-        (self.cloud, self.statistics, self.averages) = (cloud, statistics, averages);
-        self.grow_statistics(StatisticsRequest::default());
+        Self::ensure_training(state.cloud.len())?;
+        self.put_state(state);
         Ok(())
     }
 
@@ -137,17 +153,9 @@ impl Backend for CpuBackend {
     }
 
     fn train_step(&mut self, step: &TrainStep) -> Result<(), BackendError> {
-        // Training has no use for the memory that scoring takes.
-        self.scorer = Scorer::default();
-        let (camera, settings) = (self.views[step.view].camera, step.settings);
-        self.ensure_view(&camera)?;
-        self.ensure_statistics()?;
-        self.grow_statistics(step.statistics);
-        if step.keeps_gradients && self.moments.pending.is_empty() {
-            self.ensure_cloud("gradients of several views")?;
-            self.moments.pending = Moments::column(self.cloud.len());
-        }
-        let view = &self.views[step.view];
+        self.prepare_step(step)?;
+        let (view, settings) = (&self.views[step.view], step.settings);
+        let camera = view.camera;
         self.buffers.render(self.level, &self.cloud, &camera, &settings);
         self.buffers.ensure_gradient_rows()?;
         let loss = self.buffers.backward(self.level, &camera, &view.target, step.statistics.density);
@@ -156,11 +164,12 @@ impl Backend for CpuBackend {
         }
         let ViewBuffers { splats, bins, gradient_rows, seconds, .. } = &mut self.buffers;
         let is_masked = view.target.mask.is_some();
-        let inputs = UpdateInputs { splats, bins, gradient_rows, camera: &camera, settings: &settings, is_masked };
+        let (gradients, share) = (ByTile { bins, rows: gradient_rows }, Share::whole(self.cloud.len()));
+        let inputs = UpdateInputs { splats, gradients, camera: &camera, settings: &settings, is_masked, share };
         let (cloud, moments, statistics) = (&mut self.cloud, &mut self.moments, &mut self.statistics);
         timed(&mut seconds.update, || update(self.level, &inputs, cloud, moments, statistics, step));
-        self.steps = step.update.as_ref().map_or(self.steps, |update| update.step);
         self.report = StepReport { loss, visible: splats.len(), intersections: bins.intersections.len() };
+        self.count(step);
         Ok(())
     }
 

@@ -1,8 +1,10 @@
 //! [`EvolutionBackend`] for the CPU.
 
+use std::borrow::Cow;
+
 use genesplat_core::{
-    BackendError, Blend, Contribution, EvolutionBackend, Image, RenderSettings, SparseDelta, ViewLoss, WindowAverages,
-    backend::MomentPolicy,
+    BackendError, Blend, Contribution, EvolutionBackend, Gaussians, Image, RenderSettings, SparseDelta, ViewLoss,
+    WindowAverages, backend::MomentPolicy,
 };
 
 use super::backend::{CpuBackend, TrainView};
@@ -16,9 +18,9 @@ impl EvolutionBackend for CpuBackend {
         views: &[usize],
         settings: &RenderSettings,
     ) -> Result<Vec<f32>, BackendError> {
-        self.ensure_scores(population, views)?;
+        self.ensure_scores(self.cloud.len(), population, views)?;
         let of_view = |view: usize| (self.views[view].camera, &self.views[view].target);
-        Ok(self.scorer.score(self.level, &self.cloud, population, views, of_view, settings))
+        Ok(self.scorer.score(self.level, &self.cloud, population, (views, views), of_view, settings))
     }
 
     fn apply(&mut self, delta: &SparseDelta, moments: MomentPolicy) -> Result<(), BackendError> {
@@ -66,20 +68,14 @@ impl EvolutionBackend for CpuBackend {
         self.ensure_cloud("a blend")?;
         let mut losses = Vec::with_capacity(blends.len() * views.len());
         for blend in blends {
-            // The cloud itself needs no copy.
-            let blended;
-            let measured = if *blend == Blend::default() {
-                &self.cloud
-            } else {
-                blended = self.averages.blended(&self.cloud, blend);
-                &blended
-            };
+            let measured = blended(&self.averages, &self.cloud, blend);
             for &view in views {
                 let TrainView { camera, target } = &self.views[view];
-                self.buffers.render(self.level, measured, camera, settings);
+                self.buffers.render(self.level, &measured, camera, settings);
                 target.hide(&mut self.buffers.image.planes);
                 let loss = loss(self.level, &self.buffers.image, target, None);
-                losses.push(ViewLoss { loss, squared_error: squared_error(&self.buffers.image, target) });
+                let errors = squared_errors(&self.buffers.image, target, 0);
+                losses.push(ViewLoss { loss, squared_error: mean_squared_error(&errors, target) });
             }
         }
         Ok(losses)
@@ -95,12 +91,27 @@ impl EvolutionBackend for CpuBackend {
     }
 }
 
-/// Mean of `(I − P)²` over all values that count, summed row by row of a channel: the order does not depend on the machine.
-fn squared_error(image: &Image, target: &Target) -> f32 {
-    let rows = image.planes.chunks(target.width).zip(target.planes.chunks(target.width));
+/// What `blend` makes of `cloud`; the cloud itself needs no copy.
+pub(super) fn blended<'a>(averages: &WindowAverages, cloud: &'a Gaussians, blend: &Blend) -> Cow<'a, Gaussians> {
+    match *blend == Blend::default() {
+        true => Cow::Borrowed(cloud),
+        false => Cow::Owned(averages.blended(cloud, blend)),
+    }
+}
+
+/// Sums of `(I − P)²` of each row `[3, rows]`; `image` has the rows from `first` on.
+pub fn squared_errors(image: &Image, target: &Target, first: usize) -> Vec<f64> {
+    let (width, rows) = (target.width, image.height as usize);
+    let photo =
+        target.planes.chunks(width * target.height).flat_map(|plane| plane.chunks(width).skip(first).take(rows));
     let of_row = |(image, photo): (&[f32], &[u8])| {
         let square = |(&value, &level): (&f32, &u8)| (value - f32::from(level) * (1.0 / 255.0)).powi(2);
         f64::from(image.iter().zip(photo).map(square).sum::<f32>())
     };
-    (rows.map(of_row).sum::<f64>() / (3 * target.counted()) as f64) as f32
+    image.planes.chunks(width).zip(photo).map(of_row).collect()
+}
+
+/// Mean over all values that count, from the sums of all rows: their order does not depend on the machine.
+pub fn mean_squared_error(errors: &[f64], target: &Target) -> f32 {
+    (errors.iter().sum::<f64>() / (3 * target.counted()) as f64) as f32
 }

@@ -28,14 +28,15 @@ const PHOTO_LOSS: usize = 64;
 const VERSION: usize = 64 + ROW + 16;
 
 impl ViewBuffers {
-    fn ensure(&self, rows: usize, tiles: usize) -> Result<(), BackendError> {
+    /// Fails where there is no room to draw so many splats on so many tiles.
+    pub fn ensure(&self, rows: usize, tiles: usize) -> Result<(), BackendError> {
         let intersections = (2 * self.bins.intersections.len()).max(PER_ROW * rows);
         let wanted = rows * ROW + tiles * TILE_BYTES + intersections * INTERSECTION;
         ensure_memory(wanted.saturating_sub(self.bytes()), "a view")
     }
 
     /// Once a view is rendered. A `Vec` that grows takes up to twice what it needs.
-    pub(super) fn ensure_gradient_rows(&self) -> Result<(), BackendError> {
+    pub fn ensure_gradient_rows(&self) -> Result<(), BackendError> {
         let (wanted, there) = (self.bins.intersections.len(), self.gradient_rows.capacity());
         if wanted <= there {
             return Ok(());
@@ -60,12 +61,12 @@ impl CpuBackend {
     }
 
     /// A cloud of so many rows, its moments and statistics, none of which is there.
-    pub(super) fn ensure_training(rows: usize) -> Result<(), BackendError> {
+    pub fn ensure_training(rows: usize) -> Result<(), BackendError> {
         ensure_memory(rows * (2 * Gaussians::BYTES_PER_ROW + STATISTICS), "the moments of the cloud")
     }
 
     /// A copy of the cloud.
-    pub(super) fn ensure_cloud(&self, purpose: &str) -> Result<(), BackendError> {
+    pub fn ensure_cloud(&self, purpose: &str) -> Result<(), BackendError> {
         ensure_memory(self.rows() * Gaussians::BYTES_PER_ROW, purpose)
     }
 
@@ -86,7 +87,7 @@ impl CpuBackend {
     }
 
     /// As many new rows; columns are made one after the other, and one exists twice.
-    pub(super) fn ensure_rows(&self, rows: usize) -> Result<(), BackendError> {
+    pub fn ensure_rows(&self, rows: usize) -> Result<(), BackendError> {
         let (more, clouds) = (rows.saturating_sub(self.rows()), self.clouds_held());
         ensure_memory(
             more * clouds * Gaussians::BYTES_PER_ROW + rows * (Gaussians::BYTES_PER_ROW + STATISTICS),
@@ -99,12 +100,17 @@ impl CpuBackend {
         ensure_memory(self.rows() * size_of::<Contribution>(), "contributions")
     }
 
-    /// Pools of at most so many individuals, two views at a time, and the photos that are scored for the first time.
-    pub(super) fn ensure_scores(&self, population: &[SparseDelta], views: &[usize]) -> Result<(), BackendError> {
+    /// Pools of at most so many individuals, differences from so many rows, two views at a time, and the photos that are scored for the first time.
+    pub(super) fn ensure_scores(
+        &self,
+        rows: usize,
+        population: &[SparseDelta],
+        views: &[usize],
+    ) -> Result<(), BackendError> {
         let pixels = |&view: &usize| self.views[view].camera.grid().iter().product::<usize>() * TILE * TILE;
         let (most, all) = (views.iter().map(pixels).max().unwrap_or(0), views.iter().map(pixels).sum::<usize>());
         let pictures = most * 3 * size_of::<f32>() * population.len();
-        let versions = self.rows() + population.iter().map(|delta| delta.rows.len()).sum::<usize>();
+        let versions = rows + population.iter().map(|delta| delta.rows.len()).sum::<usize>();
         let buffers = 2 * (pictures.min(POOL_BYTES) + versions * (VERSION + PER_ROW * INTERSECTION));
         let wanted = buffers + all * PHOTO_LOSS + versions * VERSION;
         ensure_memory(wanted.saturating_sub(self.scorer.bytes()), "a population")

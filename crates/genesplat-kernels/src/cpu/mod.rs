@@ -11,7 +11,9 @@ mod loss;
 mod memory;
 mod roofline;
 mod score;
+mod share;
 mod simd;
+pub mod stages;
 mod update;
 mod view;
 

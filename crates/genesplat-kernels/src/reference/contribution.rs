@@ -1,28 +1,40 @@
 //! Stage `contribution`: how much each Gaussian contributes to a view, and the error where it is seen.
 
-use genesplat_core::{Photo, RenderSettings, View};
+use genesplat_core::{Camera, Photo, RenderSettings, View};
 
 use super::loss::hidden;
 use super::rasterise_backward::rasterise_backward;
-use super::{Cloud64, Cutoff, background, planes, render, size};
+use super::{Cloud64, Cutoff, Rendered, background, planes, render, size};
 
-/// `[Σ α·T, Σ α·T·|I − P|]` over the pixels of `view` `[N]`.
+/// `[Σ α·T, Σ α·T·|I − P|]` over the pixels of `view` that count `[N]`.
 pub fn contribution(cloud: &Cloud64, view: &View, settings: &RenderSettings, cutoff: Cutoff) -> Vec<[f64; 2]> {
     let rendered = render(cloud, &view.camera, settings, cutoff);
     let errors = errors(&rendered.picture.image, &view.photo);
-    weigh(cloud, view, settings, cutoff, &errors)
+    let by_image = [vec![1.0; errors.len()], errors].concat();
+    let by_image = view.mask.as_ref().map_or(by_image.clone(), |mask| hidden(&by_image, mask));
+    sums(&rendered, cloud.len(), &view.camera, settings, cutoff, by_image)
 }
 
-/// `[Σ α·T, Σ α·T·m]` with any `map` `[H, W]` in the place of the errors: gradients of colours, by ones and by the map.
-pub fn weigh(cloud: &Cloud64, view: &View, settings: &RenderSettings, cutoff: Cutoff, map: &[f64]) -> Vec<[f64; 2]> {
-    let rendered = render(cloud, &view.camera, settings, cutoff);
-    let (ones, zeros) = (vec![1.0; map.len()], vec![0.0; map.len()]);
-    let by_image = [&ones, map, &zeros].concat();
-    let by_image = view.mask.as_ref().map_or(by_image.clone(), |mask| hidden(&by_image, mask));
-    let (splats, size) = (&rendered.splats, size(&view.camera));
-    let by_splats = rasterise_backward(splats, size, background(settings), cutoff, &by_image);
-    let mut sums = vec![[0.0; 2]; cloud.len()];
-    for (splat, by_splat) in splats.iter().zip(&by_splats) {
+/// `Σ α·T·m` over all pixels of a `map` `[H, W]`, as `camera` sees the cloud `[N]`.
+pub fn weigh(cloud: &Cloud64, camera: &Camera, settings: &RenderSettings, cutoff: Cutoff, map: &[f64]) -> Vec<f64> {
+    let rendered = render(cloud, camera, settings, cutoff);
+    let sums = sums(&rendered, cloud.len(), camera, settings, cutoff, map.to_vec());
+    sums.into_iter().map(|[sum, _]| sum).collect()
+}
+
+/// Blending weights times the planes `by_image` `[1 or 2, H, W]`: gradients of colours.
+fn sums(
+    rendered: &Rendered,
+    rows: usize,
+    camera: &Camera,
+    settings: &RenderSettings,
+    cutoff: Cutoff,
+    mut by_image: Vec<f64>,
+) -> Vec<[f64; 2]> {
+    by_image.resize(rendered.picture.image.len(), 0.0);
+    let by_splats = rasterise_backward(&rendered.splats, size(camera), background(settings), cutoff, &by_image);
+    let mut sums = vec![[0.0; 2]; rows];
+    for (splat, by_splat) in rendered.splats.iter().zip(&by_splats) {
         sums[splat.row] = [by_splat.colour[0], by_splat.colour[1]];
     }
     sums

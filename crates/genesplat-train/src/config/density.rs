@@ -2,6 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
+/// Improved-GS prunes what is fainter than this when opacities have had time to recover from a reset.
+pub(crate) const RECOVERED_OPACITY: f32 = 0.02;
+
 /// Which screen-space gradient makes a Gaussian grow.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]

@@ -14,7 +14,7 @@ pub use density::{DensifyConfig, McmcConfig, Signal};
 pub use evolution::{EvolutionConfig, EvolutionMode, RenewalConfig, StepBudget, Trigger};
 pub use validate::ConfigError;
 
-mod density;
+pub(crate) mod density;
 mod evolution;
 mod of_variant;
 mod validate;

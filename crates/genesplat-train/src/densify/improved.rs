@@ -14,6 +14,7 @@ use genesplat_core::{
 
 use super::Plan;
 use super::edges::edges;
+use crate::config::density::RECOVERED_OPACITY;
 use crate::run::TrainError;
 use crate::run::trainer::Trainer;
 use crate::scene::views::ViewOrder;
@@ -26,9 +27,6 @@ const SCORE_VIEWS: u32 = 10;
 
 /// Which streams the order of these views is drawn from.
 const SCORE_ORDER: u32 = u32::MAX;
-
-/// Gaussians fainter than this are pruned when opacities have had time to recover from a reset.
-const RECOVERED_OPACITY: f32 = 0.02;
 
 /// Part of the cloud that is then pruned for having recovered slowly.
 const SLOW_FRACTION: f64 = 0.2;
@@ -76,9 +74,12 @@ fn pruned(genes: &[Genes], rules: &Rules) -> Vec<bool> {
     let opacity = |row: usize| genes[row][6];
     let mut pruned: Vec<bool> = (0..genes.len()).map(|row| sigmoid(opacity(row)) < rules.prune_opacity).collect();
     let slow = (rules.prune_fraction * genes.len() as f64) as usize;
-    let mut faintest: Vec<usize> = (0..genes.len()).collect();
-    faintest.sort_by(|&a, &b| opacity(a).total_cmp(&opacity(b)));
-    faintest[..slow].iter().for_each(|&row| pruned[row] = true);
+    if slow > 0 {
+        let mut rows: Vec<usize> = (0..genes.len()).collect();
+        let (faintest, ..) =
+            rows.select_nth_unstable_by(slow, |&a, &b| opacity(a).total_cmp(&opacity(b)).then(a.cmp(&b)));
+        faintest.iter().for_each(|&row| pruned[row] = true);
+    }
     pruned
 }
 
@@ -146,7 +147,8 @@ pub fn edge_scores(
 ) -> Result<Vec<f32>, BackendError> {
     let mut sums = vec![0.0; backend.gaussian_count()];
     for &view in shown {
-        let weights = backend.weigh(view, &edges(&views[view].photo), settings)?;
+        let View { photo, mask, .. } = &views[view];
+        let weights = backend.weigh(view, &edges(photo, mask.as_deref()), settings)?;
         let positive = || weights.iter().filter(|&&weight| weight > 0.0).map(|&weight| f64::from(weight));
         let mean = positive().sum::<f64>() / positive().count().max(1) as f64;
         let weighed = sums.iter_mut().zip(&weights).filter(|(_, weight)| **weight > 0.0);

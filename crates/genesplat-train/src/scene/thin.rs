@@ -4,8 +4,10 @@ use std::collections::HashSet;
 
 use super::initialise::{ColouredPoint, NEIGHBOURS};
 
-/// Halvings of the range in which the side of a cube is looked for: finer than a thousandth of it.
+/// Most halvings of the range in which the side of a cube is looked for: finer than a thousandth of it.
 const HALVINGS: u32 = 24;
+/// A grid that leaves this share of the limit is fine enough.
+const ENOUGH: f64 = 0.98;
 
 /// At most `most` of the points, but never fewer than training can start from, in the order given.
 pub(crate) fn thinned(points: &[ColouredPoint], most: usize) -> Vec<ColouredPoint> {
@@ -19,8 +21,15 @@ pub(crate) fn thinned(points: &[ColouredPoint], most: usize) -> Vec<ColouredPoin
     let (mut fine, mut coarse) = ((longest * 1e-6).ln(), (longest * 1.01).ln());
     for _ in 0..HALVINGS {
         let middle = 0.5 * (fine + coarse);
-        let is_coarse = first_of_cubes(points, low, middle.exp()).count() <= most;
-        if is_coarse { coarse = middle } else { fine = middle }
+        let count = first_of_cubes(points, low, middle.exp()).count();
+        if count <= most {
+            coarse = middle
+        } else {
+            fine = middle
+        }
+        if (ENOUGH * most as f64..=most as f64).contains(&(count as f64)) {
+            break;
+        }
     }
     let mut kept: Vec<usize> = first_of_cubes(points, low, coarse.exp()).collect();
     // What lies in few cubes only still starts from enough points.

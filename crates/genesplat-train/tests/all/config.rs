@@ -47,7 +47,7 @@ fn unknown_settings_are_errors_that_name_them() {
 #[test]
 fn values_out_of_range_get_a_sentence() {
     type Change = fn(&mut TrainConfig);
-    let cases: [(Change, &str); 18] = [
+    let cases: [(Change, &str); 19] = [
         (|c| c.iterations = 0, "iterations is 0, but must be at least 1"),
         (|c| (c.iterations, c.steps_scale) = (200_000, 1e3), "and at most 100 million"),
         (|c| c.seed = 1 << 63, "seed"),
@@ -61,6 +61,10 @@ fn values_out_of_range_get_a_sentence() {
         (|c| c.densify.prune_opacity = 0.5, "each reset empties the cloud"),
         (|c| c.evolution.views = 0, "evolution.views"),
         (|c| c.densify.reset_opacity = Some(0.0), "densify.reset_opacity is 0"),
+        (
+            |c| (c.variant, c.densify.reset_opacity) = (Variant::ImprovedGs, Some(0.02)),
+            "densify.reset_opacity is 0.02, but must be above 0.02 with improved-gs",
+        ),
         (|c| c.mcmc.growth = f64::INFINITY, "mcmc.growth is inf"),
         (
             |c| (c.variant, c.antialiasing) = (Variant::MipSplatting, true),

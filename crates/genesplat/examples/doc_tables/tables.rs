@@ -205,9 +205,9 @@ fn scenes(parts: &[Part]) -> Result<String> {
             let mean = |runs: &&Vec<&Run>| Figures::of(runs, |run| value(run)).average().map_or("?".into(), thousands);
             arms.iter().filter(|runs| !runs.is_empty()).map(mean).collect::<Vec<_>>().join(", ")
         };
-        let gain = |pairs: &[(&Run, &Run)]| {
+        let gain = |pairs: &[(&Run, &Run)], mark: &str| {
             let gain = difference(pairs, "psnr");
-            gain.mean(|mean| format!("**{mean:+.2}**")) + &gain.plus_minus()
+            gain.mean(|mean| format!("{mark}{mean:+.2}{mark}")) + &gain.plus_minus()
         };
         lines.push([
             part.label.clone(),
@@ -215,8 +215,9 @@ fn scenes(parts: &[Part]) -> Result<String> {
             off,
             strong,
             renew,
-            gain(&pairs),
-            gain(&strong_pairs),
+            gain(&pairs, ""),
+            // What evolution is worth.
+            gain(&strong_pairs, "**"),
             beside(|run| run.number("gaussians")),
             beside(Run::seconds),
         ]);

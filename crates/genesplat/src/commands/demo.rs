@@ -140,8 +140,16 @@ impl Half {
     }
 
     fn train(&mut self, scene: &Scene, lpips: Option<&Lpips>, stop: &AtomicBool) -> Result<Option<Metrics>> {
-        let run =
-            Run { settings: &self.settings, scene, lpips, stop, page: None, tensorboard: false, began: Instant::now() };
+        let run = Run {
+            settings: &self.settings,
+            scene,
+            lpips,
+            stop,
+            page: None,
+            tensorboard: false,
+            cluster: None,
+            began: Instant::now(),
+        };
         Ok(match run.execute(&mut self.session)? {
             Ended::Whole(metrics) => Some(metrics),
             Ended::Stopped(_) | Ended::Unscored | Ended::NotBegun => None,

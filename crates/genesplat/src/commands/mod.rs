@@ -33,6 +33,8 @@ pub(crate) enum Ending {
     Whole,
     /// It was stopped, and has saved what there was.
     Stopped,
+    /// It has failed, and another process tells of it.
+    Failed,
 }
 
 pub(crate) fn run(arguments: Arguments) -> Result<Ending> {

@@ -5,43 +5,89 @@ use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
 use anyhow::Result;
-use genesplat::io::shown;
+use genesplat::io::{Scene, shown};
+use genesplat::metrics::Lpips;
 
 use super::Ending;
 use crate::args::TrainArgs;
+use crate::cluster::Cluster;
+use crate::device::DeviceChoice;
 use crate::poses::{self, Request};
 use crate::run::metrics::Metrics;
 use crate::run::session::{Caller, RunSession};
 use crate::run::training::{Ended, Run};
 use crate::run::{CLOUD, REPORT, previous};
-use crate::settings::ConfigFile;
+use crate::settings::{ConfigFile, Settings};
 use crate::terminal::numbers::{duration, thousands};
 use crate::terminal::{interrupt, output};
-use crate::{device, lpips, overwrite, scene};
+use crate::{cluster, device, lpips, overwrite, scene};
 
 /// An earlier run's results stay in the folder until scene and weights are loaded and the device is open: neither a
 /// mistyped path nor a change of mind must cost them.
 pub(crate) fn run(args: &TrainArgs) -> Result<Ending> {
+    let asked = interrupt::stop_flag()?;
+    let Some(cluster) = Cluster::join(&asked)? else { return run_on(args, &asked, None) };
+    match run_on(args, cluster.stop(), Some(&cluster)) {
+        Err(error) if !cluster.is_root() && cluster.is_told(&error) => Ok(Ending::Failed),
+        Ok(ending) => {
+            cluster.finish();
+            Ok(ending)
+        }
+        Err(error) => Err(error),
+    }
+}
+
+/// By this process, or by several of which this is one.
+fn run_on(args: &TrainArgs, stop: &AtomicBool, cluster: Option<&Cluster>) -> Result<Ending> {
     let began = Instant::now();
-    overwrite::check_apart(&args.dataset, &args.out)?;
-    let mut session = RunSession::claim(&args.out, Caller::Train, args.resume)?;
-    let config = ConfigFile::of_training(args)?;
-    device::use_threads(config.threads())?;
-    let stop = interrupt::stop_flag()?;
-    if args.poses && !find_cameras(args, &stop)? {
+    let Some(loaded) = cluster::agree(cluster, load(args, stop, cluster))? else {
         output::print("stopped; the same command goes on from there")?;
         return Ok(Ending::Stopped);
+    };
+    let Loaded { mut session, settings, scene, lpips } = loaded;
+    let (page, tensorboard) = (args.page.address(), args.tensorboard);
+    let (settings, scene, lpips) = (&settings, &scene, lpips.as_ref());
+    let ended = Run { settings, scene, lpips, stop, page, tensorboard, cluster, began }.execute(&mut session)?;
+    if let Some(cluster) = cluster {
+        output::tell(&cluster.summary(began.elapsed().as_secs_f64())?);
+    }
+    if session.writes() { report(&ended, session.path()) } else { Ok(ending(&ended)) }
+}
+
+/// All that a run needs.
+struct Loaded {
+    session: RunSession,
+    settings: Settings,
+    scene: Scene,
+    lpips: Option<Lpips>,
+}
+
+/// One process claims the folder. `None` where it was stopped while it looked for cameras.
+fn load(args: &TrainArgs, stop: &AtomicBool, cluster: Option<&Cluster>) -> Result<Option<Loaded>> {
+    overwrite::check_apart(&args.dataset, &args.out)?;
+    let session = match cluster {
+        Some(cluster) if !cluster.is_root() => RunSession::follow(&args.out, args.resume),
+        _ => RunSession::claim(&args.out, Caller::Train, args.resume)?,
+    };
+    let config = ConfigFile::of_training(args)?;
+    let mut machine = args.machine;
+    if cluster.is_some() {
+        cluster::check(args, &config.train)?;
+        machine.device = Some(DeviceChoice::Cpu);
+    }
+    device::use_threads(config.threads().or_else(|| cluster.map(|_| cluster::threads())))?;
+    if args.poses && !find_cameras(args, stop)? {
+        return Ok(None);
     }
     let background = config.train.background.fixed_colour();
     let scene = scene::load(&config.dataset, background, config.train.seed)?;
     // Now, since weights that cannot be read should not stop a run at its end.
     let lpips = lpips::open(&args.lpips)?;
-    let settings = config.resolve(args.machine)?;
-    let page = args.page.address();
-    let tensorboard = args.tensorboard;
-    let run = Run { settings: &settings, scene: &scene, lpips: lpips.as_ref(), stop: &stop, page, tensorboard, began };
-    let ended = run.execute(&mut session)?;
-    report(&ended, session.path())
+    Ok(Some(Loaded { session, settings: config.resolve(machine)?, scene, lpips }))
+}
+
+fn ending(ended: &Ended) -> Ending {
+    if matches!(ended, Ended::Whole(_)) { Ending::Whole } else { Ending::Stopped }
 }
 
 /// Makes the scene of photos without cameras; false where it was stopped.

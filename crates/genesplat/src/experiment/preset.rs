@@ -7,12 +7,11 @@ use genesplat::io::{input, shown};
 
 use super::file::ExperimentFile;
 
-pub(crate) const PRESETS: [(&str, &str); 13] = [
+pub(crate) const PRESETS: [(&str, &str); 12] = [
     ("smoke", include_str!("../../presets/smoke.toml")),
     ("paper-table-2-3", include_str!("../../presets/paper-table-2-3.toml")),
     ("study-evolution", include_str!("../../presets/study-evolution.toml")),
     ("study-paper", include_str!("../../presets/study-paper.toml")),
-    ("study-variants", include_str!("../../presets/study-variants.toml")),
     ("study-mcmc", include_str!("../../presets/study-mcmc.toml")),
     ("study-improved", include_str!("../../presets/study-improved.toml")),
     ("ablation-crossover", include_str!("../../presets/ablation-crossover.toml")),

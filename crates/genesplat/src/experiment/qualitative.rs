@@ -66,10 +66,11 @@ fn write_page(
         _ => Vec::new(),
     };
     for view in views {
-        let photo = &*scene.test[view].photo;
-        let read = |run: usize| read_render(folders[run].join(TEST).join(&names[view]), photo);
+        let (view, name) = (&scene.test[view], &names[view]);
+        let read = |run: usize| read_render(folders[run].join(TEST).join(name), &view.photo);
         let renders = [read(0)?, read(1)?];
-        rows.push(changes(photo, [&renders[0], &renders[1]]));
+        let [photo, without, with] = [&view.photo, &renders[0], &renders[1]].map(|picture| view.hide_in(picture));
+        rows.push(changes(&photo, [&without, &with]));
         shown.get_or_insert(renders);
     }
     let Some([without, evolved]) = shown else { return Ok(None) };

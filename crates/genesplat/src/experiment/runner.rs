@@ -198,7 +198,16 @@ impl<'a> Runner<'a> {
             Ok(scene)
         });
         let scene = scene.map_err(|error| (error, Reach::Scene))?;
-        let run = Run { settings, scene, lpips: self.lpips, stop: self.stop, page: None, tensorboard: false, began };
+        let run = Run {
+            settings,
+            scene,
+            lpips: self.lpips,
+            stop: self.stop,
+            page: None,
+            tensorboard: false,
+            cluster: None,
+            began,
+        };
         let ended = RunSession::claim(&self.folder(cell), Caller::Experiment, resumes)
             .and_then(|mut session| run.execute(&mut session));
         let metrics = ended.and_then(|ended| match ended {

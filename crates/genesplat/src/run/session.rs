@@ -38,6 +38,8 @@ pub(crate) struct RunSession {
     path: PathBuf,
     caller: Caller,
     resumes: bool,
+    /// False in all processes of a run but one.
+    writes: bool,
     /// `None` until the run begins in a folder that was not there.
     lock: RefCell<Option<Lock>>,
     /// What `config.toml` holds, once the run has begun.
@@ -67,7 +69,13 @@ impl RunSession {
             ),
             (false, _) => {}
         }
-        Ok(Self { path: path.to_owned(), caller, resumes, lock: lock.into(), config: String::new() })
+        Ok(Self { path: path.to_owned(), caller, resumes, writes: true, lock: lock.into(), config: String::new() })
+    }
+
+    /// The folder of a run that another process writes.
+    pub(crate) fn follow(path: &Path, resumes: bool) -> Self {
+        let (caller, lock) = (Caller::Train, None.into());
+        Self { path: path.to_owned(), caller, resumes, writes: false, lock, config: String::new() }
     }
 
     /// The run begins: results of an older one move out of the way, and the settings `config` are written.
@@ -117,6 +125,11 @@ impl RunSession {
 
     pub(crate) fn caller(&self) -> Caller {
         self.caller
+    }
+
+    /// Whether this process writes to the folder.
+    pub(crate) fn writes(&self) -> bool {
+        self.writes
     }
 
     pub(crate) fn resumes(&self) -> bool {
@@ -327,6 +340,7 @@ mod tests {
             path: run.clone(),
             caller: Caller::Train,
             resumes: false,
+            writes: true,
             lock: None.into(),
             config: String::new(),
         };

@@ -12,7 +12,7 @@ use genesplat::io::photos::write_png;
 use genesplat::io::{Scene, command_line, shown};
 use genesplat::metrics::{Evaluation, Lpips, evaluate};
 use genesplat::train::scene::initialise::scene_extent;
-use genesplat::train::{Outcome, RunSummary, Start, train};
+use genesplat::train::{Checkpoint, Outcome, RunSummary, Start, train};
 use genesplat::viewer::{LiveView, Phase};
 
 use super::log::Log;
@@ -21,12 +21,13 @@ use super::session::{Caller, RunSession, read_checkpoint};
 use super::tensorboard::TensorBoard;
 use super::test_curve::TestCurve;
 use super::{CONFIG, TEST, failure, memory, photos};
+use crate::cluster::Cluster;
 use crate::device::Device;
 use crate::report::run::RunPage;
 use crate::settings::Settings;
 use crate::terminal::progress::Bar;
 use crate::terminal::reporter::Reporter;
-use crate::{device, live, overwrite, scene};
+use crate::{cluster, device, live, overwrite, scene};
 
 pub(crate) struct Run<'a> {
     pub(crate) settings: &'a Settings,
@@ -38,6 +39,8 @@ pub(crate) struct Run<'a> {
     pub(crate) page: Option<SocketAddr>,
     /// Whether TensorBoard gets the curves.
     pub(crate) tensorboard: bool,
+    /// The processes of the run, if there are several.
+    pub(crate) cluster: Option<&'a Cluster>,
     pub(crate) began: Instant,
 }
 
@@ -55,37 +58,48 @@ pub(crate) enum Ended {
 impl Run<'_> {
     /// Trains, saves, scores. What would end a run before its first step is found before an earlier one is replaced.
     pub(crate) fn execute(&self, session: &mut RunSession) -> Result<Ended> {
-        overwrite::check_photos(self.scene, &session.path().join(TEST))?;
-        if session.resumes() {
-            photos::check(session.path(), self.scene)?;
-        }
-        let mut device = self.open_device()?;
+        let mut device = cluster::agree(self.cluster, self.check(session))?;
         if !session.resumes() && self.stop.load(Ordering::Relaxed) {
             return Ok(Ended::NotBegun);
         }
         let live = self.page.map(|address| live::of_training(address, self.scene)).transpose()?;
-        session.begin(&self.settings.to_toml())?;
         let load = self.began.elapsed().as_secs_f64();
-        memory::forget_peak();
-        let curves = self.tensorboard.then(|| TensorBoard::open(session.path(), session.resumes())).transpose()?;
-        let log = Log::open(session.path(), session.resumes())?.with_curves(curves);
-        let start = self.start(session)?;
+        let (log, checkpoint) = cluster::agree(self.cluster, self.begin(session))?;
+        let start = self.start(session, checkpoint)?;
         let ended = self.train(session, &mut device, start, log, live, load);
         ended.map_err(|error| failure::explain(error, session.path(), session.caller()))
     }
 
-    fn open_device(&self) -> Result<Device> {
+    fn check(&self, session: &RunSession) -> Result<Device> {
+        overwrite::check_photos(self.scene, &session.path().join(TEST))?;
+        if session.resumes() {
+            photos::check(session.path(), self.scene)?;
+        }
         let config = self.settings.train.config();
         if config.extent.is_none() {
             scene_extent(self.scene.train.iter().map(|view| &view.camera))?;
         }
-        device::open(self.settings.device)
+        self.cluster.map_or_else(|| device::open(self.settings.device), |cluster| Ok(cluster.backend()))
     }
 
-    fn start(&self, session: &RunSession) -> Result<Start> {
-        match session.resumes() {
-            true => Ok(Start::Checkpoint(Box::new(read_checkpoint(session.path())?))),
-            false => Ok(Start::Points(scene::points(self.scene))),
+    /// The folder is ready; its log, for who writes it, and what a run goes on from.
+    fn begin(&self, session: &mut RunSession) -> Result<(Option<Log>, Option<Checkpoint>)> {
+        memory::forget_peak();
+        if !session.writes() {
+            return Ok((None, None));
+        }
+        session.begin(&self.settings.to_toml())?;
+        let curves = self.tensorboard.then(|| TensorBoard::open(session.path(), session.resumes())).transpose()?;
+        let log = Log::open(session.path(), session.resumes())?.with_curves(curves);
+        let checkpoint = session.resumes().then(|| read_checkpoint(session.path())).transpose()?;
+        Ok((Some(log), checkpoint))
+    }
+
+    fn start(&self, session: &RunSession, checkpoint: Option<Checkpoint>) -> Result<Start> {
+        match (self.cluster, checkpoint) {
+            (Some(cluster), checkpoint) if session.resumes() => cluster.deal(checkpoint),
+            (None, Some(checkpoint)) => Ok(Start::Checkpoint(Box::new(checkpoint))),
+            _ => Ok(Start::Points(scene::points(self.scene))),
         }
     }
 
@@ -94,7 +108,7 @@ impl Run<'_> {
         session: &RunSession,
         device: &mut Device,
         start: Start,
-        log: Log,
+        log: Option<Log>,
         mut live: Option<LiveView>,
         load: f64,
     ) -> Result<Ended> {
@@ -105,14 +119,17 @@ impl Run<'_> {
         let Self { settings, scene, stop, .. } = *self;
         let config = &settings.train;
         let curve = TestCurve::new(&scene.test, config.schedule().iterations);
-        let mut reporter = Reporter::of_run(session, log, curve, live.as_mut(), stop);
+        let asked = self.cluster.map_or(stop, Cluster::asked);
+        let mut reporter = Reporter::of_run(session, log, curve, live.as_mut(), asked);
         let Outcome { cloud, summary, checkpoint } =
             train(device.as_mut(), &scene.train, start, config, &mut reporter, stop)?;
         // A disk that has no space for the checkpoint, the larger of the two, may have space for the cloud.
-        let saved = checkpoint.map_or(Ok(()), |checkpoint| session.write_checkpoint(&checkpoint));
-        session.write_cloud(&cloud, config.render_settings().filter)?;
+        if session.writes() {
+            let saved = checkpoint.map_or(Ok(()), |checkpoint| session.write_checkpoint(&checkpoint));
+            session.write_cloud(&cloud, config.render_settings().filter)?;
+            saved?;
+        }
         drop(cloud);
-        saved?;
         reporter.into_result()?;
         if let Some(live) = &mut live {
             live.set_phase(Phase::Scoring);
@@ -132,7 +149,10 @@ impl Run<'_> {
         let clock = Instant::now();
         let Some((test, train)) = self.score(session, device, &summary)? else {
             // What was saved on the way would have to be trained to the end once more.
-            session.write_checkpoint(&summary.checkpoint_at_end(device.as_mut())?)?;
+            let checkpoint = summary.checkpoint_at_end(device.as_mut())?;
+            if session.writes() {
+                session.write_checkpoint(&checkpoint)?;
+            }
             return Ok(Ended::Unscored);
         };
         let config = self.settings.train.config();
@@ -156,12 +176,16 @@ impl Run<'_> {
             peak_memory_bytes: memory::peak_bytes(),
             evolution: summary.stages,
         };
-        let page = self.report(session.path(), &metrics)?;
-        session.write_results(&page, &metrics, !summary.interrupted)?;
+        if session.writes() {
+            let page = self.report(session.path(), &metrics)?;
+            session.write_results(&page, &metrics, !summary.interrupted)?;
+        }
         if summary.interrupted {
             return Ok(Ended::Stopped(metrics));
         }
-        session.finish()?;
+        if session.writes() {
+            session.finish()?;
+        }
         Ok(Ended::Whole(metrics))
     }
 
@@ -176,7 +200,7 @@ impl Run<'_> {
         let never = AtomicBool::new(false);
         let (train, lpips, stop) = match summary.interrupted {
             true => (&[][..], None, &never),
-            false => (&self.scene.train[..], self.lpips, self.stop),
+            false => (&self.scene.train[..], self.lpips.filter(|_| session.writes()), self.stop),
         };
         let settings = self.settings.train.render_settings();
         let pictures = session.path().join(TEST);
@@ -185,7 +209,7 @@ impl Run<'_> {
             let bar = bar("scores", 0, views.len() as u64);
             evaluate_until(stop, device, views, &settings, lpips, folder, bar)
         };
-        let Some(test) = score(&self.scene.test, Some(&pictures))? else { return Ok(None) };
+        let Some(test) = score(&self.scene.test, session.writes().then_some(&*pictures))? else { return Ok(None) };
         Ok(score(train, None)?.map(|train| (test, train)))
     }
 

@@ -40,17 +40,18 @@ pub(crate) struct Reporter<'a> {
 }
 
 impl<'a> Reporter<'a> {
-    /// Reports into the folder of a run, and sets `stop` when that is no longer possible; scores test photos now and
+    /// Reports into the folder of a run, where it has a log here, and sets `stop` when that is no longer possible; scores test photos now and
     /// then. An experiment has the terminal to itself, but for bars that vanish.
     pub(crate) fn of_run(
         session: &'a RunSession,
-        log: Log,
+        log: Option<Log>,
         curve: Option<TestCurve<'a>>,
         live: Option<&'a mut LiveView>,
         stop: &'a AtomicBool,
     ) -> Self {
         let quiet = session.caller() == Caller::Experiment;
-        Self { folder: Some((session, log)), quiet, curve, live, ..Self::without_folder(stop) }
+        let folder = log.map(|log| (session, log));
+        Self { folder, quiet, curve, live, ..Self::without_folder(stop) }
     }
 
     /// Reports to the terminal only.

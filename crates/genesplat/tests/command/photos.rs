@@ -62,13 +62,18 @@ fn photos_are_held_out_by_name_or_not_at_all() {
 
 /// The bundled scene, of which the right half of each photo is hidden, and `behind` the masks if that is a grey.
 fn write_half_hidden(scene: &Path, behind: Option<u8>) {
+    write_masked(scene, |x, width| x >= width / 2, behind);
+}
+
+/// The bundled scene with masks over the columns that are to be hidden, and `behind` them if that is a grey.
+fn write_masked(scene: &Path, is_hidden: impl Fn(u32, u32) -> bool, behind: Option<u8>) {
     write_gallery(scene);
     for entry in fs::read_dir(scene.join("images")).unwrap() {
         let path = entry.unwrap().path();
         let mut photo = read_photo(&path).unwrap();
         let mut mask = Photo { rgb: vec![255; photo.rgb.len()], ..photo };
-        let is_right = |index: usize| index as u32 % photo.width >= photo.width / 2;
-        for index in (0..photo.rgb.len() / 3).filter(|&index| is_right(index)) {
+        let hidden = |index: &usize| is_hidden(*index as u32 % photo.width, photo.width);
+        for index in (0..photo.rgb.len() / 3).filter(hidden) {
             mask.rgb[3 * index..3 * index + 3].fill(0);
             if let Some(grey) = behind {
                 photo.rgb[3 * index..3 * index + 3].fill(grey);
@@ -103,6 +108,40 @@ fn what_a_mask_hides_changes_no_byte_of_the_splat() {
     assert_ne!(evaluate(&[]), evaluate(&["--mask", "transparent", "--background", "white"]));
     let random = ["--mask", "transparent", "--background", "random"];
     fail(train(&place("white"), &place("run"), &random), &["mask is transparent", "background is random"]);
+}
+
+/// What weighs pixels and edges, and what evolves, sees as little of it.
+#[test]
+fn what_a_mask_hides_changes_no_variant() {
+    let folder = tempfile::tempdir().unwrap();
+    let scenes = [255, 0].map(|behind| {
+        let scene = folder.path().join(behind.to_string());
+        write_half_hidden(&scene, Some(behind));
+        scene
+    });
+    for variant in ["pixel-gs", "mip-splatting", "mcmc", "improved-gs"] {
+        let [white, black] = [0, 1].map(|at| {
+            let run = folder.path().join(format!("{variant}-{at}"));
+            let short = ["--variant", variant, "--iterations", "7000", "--steps-scale", "0.02"];
+            succeed(train(&scenes[at], &run, &short));
+            cloud(&run)
+        });
+        assert!(white == black, "{variant}");
+    }
+}
+
+/// A mask that hides nothing is none.
+#[test]
+fn a_white_mask_changes_no_byte() {
+    let folder = tempfile::tempdir().unwrap();
+    let masked = folder.path().join("masked");
+    write_masked(&masked, |_, _| false, None);
+    let [plain, masked] = [("plain", scene()), ("masked-run", &masked)].map(|(name, scene)| {
+        let run = folder.path().join(name);
+        succeed(train(scene, &run, &["--iterations", "7000", "--steps-scale", "0.02"]));
+        cloud(&run)
+    });
+    assert!(plain == masked);
 }
 
 /// The left half is reconstructed as well as where nothing is hidden.

@@ -3,6 +3,8 @@
 //! The ellipse is convex, so within a band of four pixel rows it covers one interval of columns; eight bands are solved
 //! at once, one a lane.
 
+use std::ops::Range;
+
 use fearless_simd::{Simd, f32x8, i32x8, prelude::*};
 
 use super::{BLOCK, BLOCKS_ACROSS, LOG2_255};
@@ -16,32 +18,58 @@ const SLACK_LOG2: f32 = 1e-3;
 /// The same for the interval ends, px.
 const SLACK_PX: f32 = 1e-2;
 
-/// Calls `each(tile, blocks)` for every tile that the splat reaches, row by row.
+/// Calls `each(tile, blocks)` for every tile in some rows of tiles that the splat reaches, row by row.
 #[inline(always)]
-pub(super) fn for_each_tile<S: Simd>(simd: S, splat: &Splat, grid: [usize; 2], mut each: impl FnMut(u32, u32)) {
+pub(super) fn for_each_tile<S: Simd>(
+    simd: S,
+    splat: &Splat,
+    grid: [usize; 2],
+    wanted: &Range<usize>,
+    mut each: impl FnMut(u32, u32),
+) {
     if let Some([column, row]) = only_block(splat, grid) {
-        let tile = row / BLOCKS_ACROSS * grid[0] + column / BLOCKS_ACROSS;
-        let bit = row % BLOCKS_ACROSS * BLOCKS_ACROSS + column % BLOCKS_ACROSS;
-        return each(tile as u32, 1 << bit);
+        if wanted.contains(&(row / BLOCKS_ACROSS)) {
+            let tile = row / BLOCKS_ACROSS * grid[0] + column / BLOCKS_ACROSS;
+            let bit = row % BLOCKS_ACROSS * BLOCKS_ACROSS + column % BLOCKS_ACROSS;
+            each(tile as u32, 1 << bit);
+        }
+        return;
     }
-    let band_limit = (grid[1] * BLOCKS_ACROSS) as i32;
-    let to_band = |y: f32| (y / BLOCK as f32).floor() as i32;
-    let first_band = to_band(splat.mean_px[1] - splat.half_extent_px[1] - SLACK_PX).clamp(0, band_limit);
-    let end_band =
-        to_band(splat.mean_px[1] + splat.half_extent_px[1] + SLACK_PX).saturating_add(1).clamp(0, band_limit);
+    let [first_band, end_band] = bands(splat, grid[1]);
     let column_limit = (grid[0] * BLOCKS_ACROSS) as i32;
     // Groups of bands start at a tile row, so that a tile row never straddles two groups.
     let mut band = first_band - first_band % BLOCKS_ACROSS as i32;
     while band < end_band {
-        let (from, to) = column_spans(simd, splat, band, column_limit);
+        let first = band as usize / BLOCKS_ACROSS;
         let rows = ((end_band - band) as usize).div_ceil(BLOCKS_ACROSS).min(BANDS / BLOCKS_ACROSS);
-        for row in 0..rows {
-            let spans = array!(k => (from[row * BLOCKS_ACROSS + k], to[row * BLOCKS_ACROSS + k]));
-            let tile_y = band as usize / BLOCKS_ACROSS + row;
-            emit_tile_row(spans, |tile_x, blocks| each((tile_y * grid[0] + tile_x) as u32, blocks));
+        let wanted = first.max(wanted.start)..(first + rows).min(wanted.end);
+        if !wanted.is_empty() {
+            // The last bits of the spans depend on where the group starts, so that is no other for fewer rows.
+            let (from, to) = column_spans(simd, splat, band, column_limit);
+            for tile_y in wanted {
+                let at = (tile_y - first) * BLOCKS_ACROSS;
+                let spans = array!(k => (from[at + k], to[at + k]));
+                emit_tile_row(spans, |tile_x, blocks| each((tile_y * grid[0] + tile_x) as u32, blocks));
+            }
         }
         band += BANDS as i32;
     }
+}
+
+/// First and end of the bands that the splat may reach, in a picture of so many rows of tiles.
+#[inline(always)]
+fn bands(splat: &Splat, rows: usize) -> [i32; 2] {
+    let limit = (rows * BLOCKS_ACROSS) as i32;
+    let to_band = |y: f32| (y / BLOCK as f32).floor() as i32;
+    let first = to_band(splat.mean_px[1] - splat.half_extent_px[1] - SLACK_PX);
+    let end = to_band(splat.mean_px[1] + splat.half_extent_px[1] + SLACK_PX).saturating_add(1);
+    [first.clamp(0, limit), end.clamp(0, limit)]
+}
+
+/// Rows of tiles that the splat may reach: none beyond them in [`for_each_tile`].
+pub fn tile_rows(splat: &Splat, rows: usize) -> Range<usize> {
+    let [first, end] = bands(splat, rows).map(|band| band as usize);
+    first / BLOCKS_ACROSS..end.div_ceil(BLOCKS_ACROSS)
 }
 
 /// Column and row of the block that holds the whole splat, if there is one: splats this small need no ellipse.
@@ -151,7 +179,7 @@ mod tests {
             let grid = [5, 4];
             let mut listed = [[0u32; 5]; 4];
             let level = Level::new();
-            dispatch!(level, simd => for_each_tile(simd, &splat, grid, |tile, blocks| {
+            dispatch!(level, simd => for_each_tile(simd, &splat, grid, &(0..4), |tile, blocks| {
                 listed[tile as usize / 5][tile as usize % 5] |= blocks;
             }));
             for block_y in 0..16 {

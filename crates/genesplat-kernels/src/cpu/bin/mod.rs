@@ -4,7 +4,7 @@
 //! sorted by depth once, ties by row ([`depth_order`]), visited in that order, and a counting sort by tile keeps it (as
 //! Splatshop and Faster-GS do; nothing is sorted per tile).
 
-mod coverage;
+pub(crate) mod coverage;
 mod depth_order;
 mod parallel;
 
@@ -20,7 +20,7 @@ use parallel::Part;
 
 use super::bytes_of;
 use super::simd::prefetch;
-use super::view::{Pinhole, Splats, TILE};
+use super::view::{Band, Splats, TILE};
 
 /// Side of a block, px: one block is one vector.
 pub(crate) const BLOCK: usize = 4;
@@ -52,7 +52,7 @@ struct Keyed {
 
 #[derive(Debug, Default)]
 pub struct Bins {
-    /// Intersections of all tiles, tile after tile, each front to back `[I]`.
+    /// Intersections of all tiles of a band, tile after tile, each front to back `[I]`.
     pub intersections: Vec<Intersection>,
     /// Where each tile's intersections start; one more at the end `[tiles + 1]`.
     pub tile_starts: Vec<u32>,
@@ -79,19 +79,18 @@ impl Bins {
         lists + order.bytes() + unsorted + counts + bytes_of(next) + parts
     }
 
-    /// Sorts the splats by depth and lists them by tile.
-    pub fn build(&mut self, level: Level, splats: &Splats, camera: &Pinhole) {
-        let grid = camera.grid();
+    /// Sorts the splats by depth and lists them by tile of the band, of which the first is number 0.
+    pub fn build(&mut self, level: Level, splats: &Splats, band: &Band) {
         self.order.sort(splats);
-        self.find(level, splats, grid);
+        self.find(level, splats, band);
         let found = self.unsorted.iter().map(Vec::len).sum();
         self.intersections.resize(found, Intersection::default());
         self.places.resize(found, 0);
         let threads = rayon::current_num_threads();
         if threads == 1 {
-            self.sort_by_tile(grid[0] * grid[1]);
+            self.sort_by_tile(band.tiles());
         } else {
-            self.sort_by_tile_in_parallel(grid[0] * grid[1], PARTS_PER_THREAD * threads);
+            self.sort_by_tile_in_parallel(band.tiles(), PARTS_PER_THREAD * threads);
         }
         self.find_places(splats.capacity());
     }
@@ -108,8 +107,10 @@ impl Bins {
     }
 
     /// Finds the intersections of all splats, nearest splat first.
-    fn find(&mut self, level: Level, splats: &Splats, grid: [usize; 2]) {
+    fn find(&mut self, level: Level, splats: &Splats, band: &Band) {
         let Self { order, unsorted, counts, .. } = self;
+        let (grid, rows) = (band.grid(), band.rows());
+        let first_tile = (rows.start * grid[0]) as u32;
         let order = order.keys();
         let tasks = order.len().div_ceil(RANKS);
         unsorted.resize_with(tasks, Vec::new);
@@ -124,8 +125,9 @@ impl Bins {
                         prefetch(splats.get(ahead as u32));
                     }
                     let before = found.len();
-                    for_each_tile(simd, splats.get(key as u32), grid, |tile, blocks| {
-                        found.push(Keyed { tile, intersection: Intersection { splat: key as u32, blocks } });
+                    for_each_tile(simd, splats.get(key as u32), grid, &rows, |tile, blocks| {
+                        let intersection = Intersection { splat: key as u32, blocks };
+                        found.push(Keyed { tile: tile - first_tile, intersection });
                     });
                     counts.push((found.len() - before) as u32);
                 }

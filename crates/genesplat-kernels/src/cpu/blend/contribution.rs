@@ -3,14 +3,17 @@
 //! The backward blending sums `α·T · dL/dpixel` for every splat and channel. With ones in the place of the first
 //! channel's gradient and the pixels' errors in that of the second, it sums `α·T` and errors.
 
+use std::ops::Range;
+
 use fearless_simd::Level;
 use genesplat_core::{Contribution, Gaussians, Image, RenderSettings};
 use rayon::prelude::*;
 
-use super::gradient_row::column;
+use super::gradient_row::{GradientRow, column};
 use super::rasterise_backward::rasterise_backward;
 use crate::cpu::loss::Target;
-use crate::cpu::view::{CHUNK, Pinhole, ViewBuffers};
+use crate::cpu::update::{ByTile, SplatGradients, Summed};
+use crate::cpu::view::{Band, CHUNK, Pinhole, Splats, ViewBuffers};
 
 /// The sums of `map` `[H, W]` in the place of errors, of one view `[N]`.
 pub(crate) fn weigh(
@@ -25,10 +28,15 @@ pub(crate) fn weigh(
     buffers.image_gradient.clear();
     buffers.image_gradient.extend_from_slice(map);
     buffers.image_gradient.resize(3 * map.len(), 0.0);
-    rasterise_backward(level, buffers, camera, None);
+    rasterise_backward(level, buffers, (camera, &Band::whole(camera)), None);
     let mut sums = vec![0.0; cloud.len()];
-    each_splat(buffers, &mut sums, |total, [sum, _]| *total = sum);
+    add_weights(&buffers.splats, &by_tile(buffers), &mut sums);
     sums
+}
+
+/// What the backward blending has summed for red, by row.
+pub(crate) fn add_weights(splats: &Splats, gradients: &impl SplatGradients, sums: &mut [f32]) {
+    each_splat(splats, gradients, sums, |total, [sum, _]| *total = sum);
 }
 
 /// Adds one view to `contributions` `[N]`.
@@ -41,43 +49,63 @@ pub(crate) fn contribution(
     contributions: &mut [Contribution],
 ) {
     buffers.render(level, cloud, camera, settings);
-    ones_and_errors(&buffers.image, target, &mut buffers.image_gradient);
-    target.hide(&mut buffers.image_gradient);
-    rasterise_backward(level, buffers, camera, None);
-    each_splat(buffers, contributions, |total, [weight, error]| {
+    ones_and_errors(&buffers.image, target, 0..target.height, &mut buffers.image_gradient);
+    rasterise_backward(level, buffers, (camera, &Band::whole(camera)), None);
+    add_contributions(&buffers.splats, &by_tile(buffers), contributions);
+}
+
+/// Adds what the backward blending has summed for red and for green to the contributions of their rows.
+pub(crate) fn add_contributions(splats: &Splats, gradients: &impl SplatGradients, contributions: &mut [Contribution]) {
+    each_splat(splats, gradients, contributions, |total, [weight, error]| {
         total.weight += weight;
         total.error = total.error.max(error);
     });
 }
 
+/// [`add_weights`] from sums of gradient rows, by index.
+pub fn add_weights_of(splats: &Splats, sums: &[GradientRow], weights: &mut [f32]) {
+    add_weights(splats, &Summed(sums), weights);
+}
+
+/// [`add_contributions`] from sums of gradient rows, by index.
+pub fn add_contributions_of(splats: &Splats, sums: &[GradientRow], contributions: &mut [Contribution]) {
+    add_contributions(splats, &Summed(sums), contributions);
+}
+
+fn by_tile(buffers: &ViewBuffers) -> ByTile<'_> {
+    ByTile { bins: &buffers.bins, rows: &buffers.gradient_rows }
+}
+
 /// Calls `add` for each row that has a splat, with what the backward blending has summed for red and for green.
-fn each_splat<T: Send>(buffers: &ViewBuffers, totals: &mut [T], add: impl Fn(&mut T, [f32; 2]) + Sync) {
-    let ViewBuffers { splats, bins, gradient_rows, .. } = buffers;
+fn each_splat<T: Send>(
+    splats: &Splats,
+    gradients: &impl SplatGradients,
+    totals: &mut [T],
+    add: impl Fn(&mut T, [f32; 2]) + Sync,
+) {
     totals.par_chunks_mut(CHUNK).enumerate().for_each(|(chunk, totals)| {
         let first = chunk * CHUNK;
         for (index, splat) in (first..).zip(splats.chunk(chunk)) {
-            let mut sums = [0.0; 2];
-            for row in bins.places_of(index).iter().map(|&place| &gradient_rows[place as usize].0) {
-                sums[0] += row[column::RED];
-                sums[1] += row[column::RED + 1];
-            }
-            add(&mut totals[splat.row as usize - first], sums);
+            let sums = gradients.sum(index);
+            add(&mut totals[splat.row as usize - first], [sums[column::RED], sums[column::RED + 1]]);
         }
     });
 }
 
-/// In the place of the image's gradient `[3, H, W]`: ones, `|I − P|` of all channels together, zeros.
-fn ones_and_errors(image: &Image, target: &Target, gradient: &mut Vec<f32>) {
-    let plane = image.planes.len() / 3;
+/// In the place of the gradient of some rows of the image `[3, rows, W]`: ones, `|I − P|` of all channels together, zeros.
+pub fn ones_and_errors(image: &Image, target: &Target, rows: Range<usize>, gradient: &mut Vec<f32>) {
+    let (plane, first) = (image.planes.len() / 3, rows.start * target.width);
+    let photo_plane = target.planes.len() / 3;
     gradient.clear();
     gradient.resize(plane, 1.0);
     gradient.resize(3 * plane, 0.0);
     let of_channel = |channel: usize| {
-        let (image, photo) = (&image.planes[channel * plane..], &target.planes[channel * plane..]);
+        let (image, photo) = (&image.planes[channel * plane..], &target.planes[channel * photo_plane + first..]);
         image.iter().zip(photo).map(|(&value, &level)| (value - f32::from(level) * (1.0 / 255.0)).abs())
     };
     let of_pixels = of_channel(0).zip(of_channel(1)).zip(of_channel(2));
     for (error, ((red, green), blue)) in gradient[plane..2 * plane].iter_mut().zip(of_pixels) {
         *error = red + green + blue;
     }
+    target.hide_rows(gradient, &rows);
 }

@@ -1,6 +1,7 @@
 //! What a splat's gradient is made of in one tile: a row of 16 sums over pixels.
 
 use fearless_simd::{Simd, f32x4, f32x8, f64x2, prelude::*};
+use genesplat_core::DensitySignal;
 
 use crate::cpu::simd::{LANES, array};
 
@@ -28,6 +29,14 @@ pub(crate) mod column {
 }
 
 impl GradientRow {
+    /// Adds the row of the next tile.
+    #[inline(always)]
+    pub fn add(&mut self, other: &Self) {
+        for (total, value) in self.0.iter_mut().zip(other.0) {
+            *total += value;
+        }
+    }
+
     /// From moments about one point to moments about another, which is at `[ox, oy]` px from it.
     #[inline(always)]
     pub fn shift_moments(&mut self, [ox, oy]: [f32; 2]) {
@@ -38,6 +47,15 @@ impl GradientRow {
         row[column::XX] = xx - 2.0 * ox * x + ox * ox * one;
         row[column::XY] = xy - ox * y - oy * x + ox * oy * one;
         row[column::YY] = yy - 2.0 * oy * y + oy * oy * one;
+    }
+}
+
+/// Columns of which a step with this signal fills its rows; all others are 0.
+pub fn columns_of(signal: Option<DensitySignal>) -> &'static [usize] {
+    match signal {
+        None | Some(DensitySignal::Signed) => &[0, 1, 2, 3, 4, 5, 8, 9, 10],
+        Some(DensitySignal::Absolute | DensitySignal::SignedAndAbsolute) => &[0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10],
+        Some(DensitySignal::PixelWeighted { .. }) => &[0, 1, 2, 3, 4, 5, 8, 9, 10, 11],
     }
 }
 

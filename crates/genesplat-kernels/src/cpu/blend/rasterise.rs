@@ -13,7 +13,7 @@ use rayon::prelude::*;
 use super::block::{ALL_BLOCKS, Alpha, BLOCKS, absorb, alpha, each_block, each_splat, finish, full_transmittance};
 use crate::cpu::bin::{BLOCK, BLOCKS_ACROSS, Bins, Intersection};
 use crate::cpu::simd::{LANES, V};
-use crate::cpu::view::{Pinhole, Splat, Splats, TILE};
+use crate::cpu::view::{Band, Pinhole, Splat, Splats, TILE};
 
 /// What the forward pass leaves of one tile.
 #[derive(Clone, Debug)]
@@ -31,12 +31,18 @@ impl Default for TileImage {
 
 const TRANSMITTANCE: usize = 3;
 
-pub(crate) fn rasterise(level: Level, splats: &Splats, bins: &Bins, camera: &Pinhole, tiles: &mut Vec<TileImage>) {
-    let grid = camera.grid();
-    tiles.resize_with(grid[0] * grid[1], TileImage::default);
+/// Blends the tiles of a band.
+pub(crate) fn rasterise(
+    level: Level,
+    splats: &Splats,
+    bins: &Bins,
+    (camera, band): (&Pinhole, &Band),
+    tiles: &mut Vec<TileImage>,
+) {
+    tiles.resize_with(band.tiles(), TileImage::default);
     tiles.par_iter_mut().enumerate().for_each(|(tile, out)| {
-        let origin = [tile % grid[0] * TILE, tile / grid[0] * TILE];
-        dispatch!(level, simd => rasterise_tile(simd, splats, bins.tile(tile), origin, camera.size_px, out));
+        let (list, origin) = (bins.tile(tile), band.origin(tile));
+        dispatch!(level, simd => rasterise_tile(simd, splats, list, origin, camera.size_px, out));
     });
 }
 
@@ -118,12 +124,15 @@ pub(crate) fn blend<S: Simd>(simd: S, splat: &Splat, blocks: u32, out: &mut Tile
     );
 }
 
-/// Composes the tiles on `background` into a planar image.
-pub(crate) fn compose(tiles: &[TileImage], camera: &Pinhole, background: [f32; 3], image: &mut Image) {
-    let [width, height] = camera.size_px.map(|v| v as usize);
-    [image.width, image.height] = camera.size_px;
+/// Composes the tiles of a band on `background` into a planar image of it.
+pub(crate) fn compose(tiles: &[TileImage], band: &Band, background: [f32; 3], image: &mut Image) {
+    let [width, height] = band.size_px();
+    [image.width, image.height] = [width as u32, height as u32];
     image.planes.resize(3 * width * height, 0.0);
-    let across = camera.grid()[0];
+    if image.planes.is_empty() {
+        return;
+    }
+    let across = band.grid()[0];
     image.planes.par_chunks_mut(width * height).enumerate().for_each(|(channel, plane)| {
         plane.par_chunks_mut(width).enumerate().for_each(|(y, row)| {
             let tiles = &tiles[y / TILE * across..][..across];

@@ -17,24 +17,24 @@ use super::block::{
 use super::gradient_row::{GradientRow, sum_lanes};
 use crate::cpu::bin::{BLOCK, BLOCKS_ACROSS, Intersection, split};
 use crate::cpu::simd::{LANES, V, array, keep};
-use crate::cpu::view::{Pinhole, Splat, Splats, TILE, ViewBuffers};
+use crate::cpu::view::{Band, Pinhole, Splat, Splats, TILE, ViewBuffers};
 
-/// Backward pass of all tiles: fills one row for each intersection. Rows have the sums that `signal` needs.
+/// Backward pass of the tiles of a band, of which `buffers` has image and gradient: fills one row for each intersection. Rows have the sums that `signal` needs.
 pub(crate) fn rasterise_backward(
     level: Level,
     buffers: &mut ViewBuffers,
-    camera: &Pinhole,
+    (camera, band): (&Pinhole, &Band),
     signal: Option<DensitySignal>,
 ) {
     let ViewBuffers { splats, bins, image, image_gradient, gradient_rows, .. } = buffers;
-    let grid = camera.grid();
     gradient_rows.resize(bins.intersections.len(), GradientRow::default());
-    let lengths: Vec<usize> = (0..grid[0] * grid[1]).map(|tile| bins.tile(tile).len()).collect();
+    let lengths: Vec<usize> = (0..band.tiles()).map(|tile| bins.tile(tile).len()).collect();
     let by_tile = split(gradient_rows, &lengths).into_par_iter().enumerate();
     by_tile.for_each_init(TileState::default, |state, (tile, rows)| {
-        let origin = [tile % grid[0] * TILE, tile / grid[0] * TILE];
-        let (size_px, intersections) = (camera.size_px, bins.tile(tile));
-        let task = TileTask { origin, size_px, intersections, splats, image: &image.planes, image_gradient };
+        let (origin, size_px, intersections) = (band.origin(tile), camera.size_px, bins.tile(tile));
+        let top = origin[1] - band.pixel_rows().start;
+        let band = BandImage { size: band.size_px(), top, image: &image.planes, gradient: image_gradient };
+        let task = TileTask { origin, size_px, intersections, splats, band };
         dispatch!(level, simd => match signal {
             None | Some(DensitySignal::Signed) => backward_tile::<NONE, _>(simd, &task, state, rows),
             Some(DensitySignal::Absolute | DensitySignal::SignedAndAbsolute) => {
@@ -55,9 +55,18 @@ struct TileTask<'a> {
     size_px: [u32; 2],
     intersections: &'a [Intersection],
     splats: &'a Splats,
+    band: BandImage<'a>,
+}
+
+/// What is known of the band that a tile lies in.
+struct BandImage<'a> {
+    /// Width and height, px.
+    size: [usize; 2],
+    /// Where the tile begins in the band, px.
+    top: usize,
     /// The composed image, and the loss's gradient by it `[3, H, W]`.
     image: &'a [f32],
-    image_gradient: &'a [f32],
+    gradient: &'a [f32],
 }
 
 /// One thread's working memory: the pixels of a tile, block by block.
@@ -118,8 +127,8 @@ fn begin<S: Simd>(simd: S, task: &TileTask, state: &mut TileState) -> u32 {
         #[inline(always)]
         |block| {
             let transmittance = full_transmittance(simd, block, task.origin, task.size_px);
-            let image = load_block(simd, task.image, task, block);
-            let gradient = load_block(simd, task.image_gradient, task, block);
+            let image = load_block(simd, task.band.image, task, block);
+            let gradient = load_block(simd, task.band.gradient, task, block);
             let remaining = image[0] * gradient[0] + image[1] * gradient[1] + image[2] * gradient[2];
             let state = &mut state.blocks[block];
             transmittance.store_slice(&mut state.transmittance);
@@ -266,12 +275,12 @@ fn half<S: Simd>(simd: S, values: &[f32; LANES], half: usize) -> f32x8<S> {
     f32x8::from_slice(simd, &values[half * HALF..][..HALF])
 }
 
-/// The three channels of a block of a planar image; 0 outside of it.
+/// The three channels of a block of the band's planar image; 0 outside of it.
 #[inline(always)]
 fn load_block<S: Simd>(simd: S, planes: &[f32], task: &TileTask, block: usize) -> [V<S>; 3] {
-    let [width, height] = task.size_px.map(|v| v as usize);
+    let [width, height] = task.band.size;
     let left = width.min(task.origin[0] + block % BLOCKS_ACROSS * BLOCK);
-    let top = task.origin[1] + block / BLOCKS_ACROSS * BLOCK;
+    let top = task.band.top + block / BLOCKS_ACROSS * BLOCK;
     let columns = BLOCK.min(width - left);
     array!(channel => {
         let mut values = [0.0; LANES];

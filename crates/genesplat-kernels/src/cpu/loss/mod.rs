@@ -13,6 +13,7 @@
 
 pub(crate) mod blur;
 
+use std::ops::Range;
 use std::sync::Arc;
 
 use fearless_simd::{Level, Simd, dispatch, prelude::*};
@@ -43,8 +44,13 @@ impl Target {
     /// Makes planes `[.., H, W]` equal to the photo where nothing counts: neither L1 nor a window of SSIM sees a
     /// difference there. Of the gradient, zeros remain.
     pub(crate) fn hide(&self, planes: &mut [f32]) {
+        self.hide_rows(planes, &(0..self.height));
+    }
+
+    /// The same in planes that hold some rows.
+    pub fn hide_rows(&self, planes: &mut [f32], rows: &Range<usize>) {
         if let Some(mask) = &self.mask {
-            mask.hide(planes);
+            mask.hide_part(planes, rows.start * self.width..rows.end * self.width);
         }
     }
 
@@ -78,60 +84,117 @@ impl From<&Photo> for Target {
 
 /// Loss of `image` against `target`; `gradient` `[3, H, W]` is overwritten when given.
 pub(crate) fn loss(level: Level, image: &Image, target: &Target, gradient: Option<&mut Vec<f32>>) -> f32 {
-    let (width, height) = (target.width, target.height);
-    let pixels = width * height;
-    let strips = height.div_ceil(STRIP);
-    let task = |index: usize, out: Option<&mut [f32]>| -> [f64; 2] {
-        let (channel, strip) = (index / strips, index % strips);
-        let plane = &image.planes[channel * pixels..][..pixels];
-        let photo = &target.planes[channel * pixels..][..pixels];
-        let rows = strip * STRIP..height.min((strip + 1) * STRIP);
-        dispatch!(level, simd => walk_strip(simd, plane, photo, [width, height], rows.clone(), out))
+    let mut sums = Vec::new();
+    loss_of_rows(level, (image, 0), target, 0..target.height, gradient, &mut sums);
+    loss_of_sums(&sums, target)
+}
+
+/// Rows beside some rows of a picture that their loss and its gradient depend on.
+pub const LOSS_REACH: usize = 2 * SSIM_RADIUS;
+
+/// Sums of `|I − P|` and of SSIM of each of `rows` `[3, rows]`, and the gradient of the whole picture's loss by them
+/// `[3, rows, W]`, when wanted. Of the picture, `image` has the rows from `first` on: `rows` and all within [`LOSS_REACH`].
+pub fn loss_of_rows(
+    level: Level,
+    (image, first): (&Image, usize),
+    target: &Target,
+    rows: Range<usize>,
+    gradient: Option<&mut Vec<f32>>,
+    sums: &mut Vec<[f64; 2]>,
+) {
+    let ([width, height], [held, pixels]) =
+        ([target.width, target.height], [image.planes.len() / 3, target.planes.len() / 3]);
+    sums.clear();
+    sums.resize(3 * rows.len(), [0.0; 2]);
+    if rows.is_empty() {
+        return;
+    }
+    let strips = rows.len().div_ceil(STRIP);
+    let task = |index: usize, sums: &mut [[f64; 2]], out: Option<&mut [f32]>| {
+        let channel = index / strips;
+        let picture = Channel {
+            size: [width, height],
+            plane: &image.planes[channel * held..][..held],
+            first,
+            photo: &target.planes[channel * pixels..][..pixels],
+        };
+        let top = rows.start + index % strips * STRIP;
+        dispatch!(level, simd => walk_strip(simd, &picture, top..top + sums.len(), sums, out));
     };
-    let sums: Vec<[f64; 2]> = match gradient {
-        None => (0..3 * strips).into_par_iter().map(|index| task(index, None)).collect(),
-        Some(gradient) => {
-            gradient.resize(3 * pixels, 0.0);
-            let strips_out: Vec<&mut [f32]> =
-                gradient.chunks_mut(pixels).flat_map(|plane| plane.chunks_mut(STRIP * width)).collect();
-            strips_out.into_par_iter().enumerate().map(|(index, out)| task(index, Some(out))).collect()
+    let sums = sums.chunks_mut(rows.len()).flat_map(|channel| channel.chunks_mut(STRIP));
+    match gradient {
+        None => {
+            let sums: Vec<_> = sums.collect();
+            sums.into_par_iter().enumerate().for_each(|(index, sums)| task(index, sums, None));
         }
-    };
-    combine(sums.into_iter(), 3 * pixels)
+        Some(gradient) => {
+            gradient.resize(3 * rows.len() * width, 0.0);
+            let out = gradient.chunks_mut(rows.len() * width).flat_map(|plane| plane.chunks_mut(STRIP * width));
+            let strips: Vec<_> = sums.zip(out).collect();
+            strips.into_par_iter().enumerate().for_each(|(index, (sums, out))| task(index, sums, Some(out)));
+        }
+    }
+}
+
+/// The loss from the sums of all rows `[3, H]`, which are added strip by strip.
+pub fn loss_of_sums(sums: &[[f64; 2]], target: &Target) -> f32 {
+    let strips = sums.chunks(target.height).flat_map(|channel| channel.chunks(STRIP));
+    combine(strips.map(|strip| strip.iter().fold([0.0; 2], add)), 3 * target.width * target.height)
+}
+
+fn add(a: [f64; 2], b: &[f64; 2]) -> [f64; 2] {
+    [a[0] + b[0], a[1] + b[1]]
 }
 
 /// The loss from sums of `|I − P|` and of SSIM over `values` values.
 pub(crate) fn combine(sums: impl Iterator<Item = [f64; 2]>, values: usize) -> f32 {
-    let [l1, ssim] = sums.fold([0.0; 2], |a, b| [a[0] + b[0], a[1] + b[1]]);
+    let [l1, ssim] = sums.fold([0.0; 2], |a, b| add(a, &b));
     let lambda = f64::from(LAMBDA_DSSIM);
     ((1.0 - lambda) * l1 / values as f64 + lambda * (1.0 - ssim / values as f64)) as f32
 }
 
-/// Sums of `|I − P|` and of SSIM over the strip; writes the strip's gradient when asked.
+/// One channel of a picture, of which not all rows need be there, and its photo.
+struct Channel<'a> {
+    size: [usize; 2],
+    plane: &'a [f32],
+    /// First row of the plane.
+    first: usize,
+    photo: &'a [u8],
+}
+
+impl Channel<'_> {
+    /// A row of the picture and of the photo.
+    #[inline(always)]
+    fn row(&self, y: usize) -> (&[f32], &[u8]) {
+        let width = self.size[0];
+        (&self.plane[(y - self.first) * width..][..width], &self.photo[y * width..][..width])
+    }
+}
+
+/// Sums of `|I − P|` and of SSIM of each row of the strip; writes the strip's gradient when asked.
 #[inline(always)]
 fn walk_strip<S: Simd>(
     simd: S,
-    plane: &[f32],
-    photo: &[u8],
-    [width, height]: [usize; 2],
-    strip: std::ops::Range<usize>,
+    channel: &Channel,
+    strip: Range<usize>,
+    sums: &mut [[f64; 2]],
     mut gradient: Option<&mut [f32]>,
-) -> [f64; 2] {
+) {
     let window = ssim_window().map(|v| v as f32);
+    let width = channel.size[0];
     let stride = width.next_multiple_of(LANES);
     let radius = SSIM_RADIUS as isize;
-    let (first, end, height) = (strip.start as isize, strip.end as isize, height as isize);
+    let (first, end, height) = (strip.start as isize, strip.end as isize, channel.size[1] as isize);
     // Rows whose SSIM is needed: the strip's own, and those whose windows reach into it.
     let reach = if gradient.is_some() { radius } else { 0 };
     let mut moments = Ring::<4>::new(width);
     let mut partials = Ring::<3>::new(width);
     let mut scratch = Rows::new(stride);
-    let mut sums = [0.0f64; 2];
 
     for y in first - reach - radius..end + reach + radius {
         // 1. Moments of row y, blurred horizontally.
         if (0..height).contains(&y) {
-            scratch.load(simd, plane, photo, y as usize, width);
+            scratch.load(simd, channel.row(y as usize));
             blur_rows(simd, &window, &scratch.inputs, &mut moments, y);
         } else {
             moments.clear_row(y);
@@ -144,9 +207,8 @@ fn walk_strip<S: Simd>(
         if (0..height).contains(&centre) && centre < end + reach {
             let row_sum = ssim_row(simd, &window, &moments, centre, width, &mut scratch.partial);
             if (first..end).contains(&centre) {
-                sums[1] += row_sum;
-                let row = centre as usize * width..(centre as usize + 1) * width;
-                sums[0] += l1_row(simd, &plane[row.clone()], &photo[row]);
+                let (render, photo) = channel.row(centre as usize);
+                sums[(centre - first) as usize] = [l1_row(simd, render, photo), row_sum];
             }
             if gradient.is_some() {
                 blur_rows(simd, &window, &scratch.partial, &mut partials, centre);
@@ -159,13 +221,11 @@ fn walk_strip<S: Simd>(
         if let Some(out) = gradient.as_deref_mut()
             && (first..end).contains(&target)
         {
-            let row = target as usize;
-            let out = &mut out[(row - first as usize) * width..][..width];
-            let values = (&plane[row * width..][..width], &photo[row * width..][..width]);
+            let out = &mut out[(target - first) as usize * width..][..width];
+            let values = channel.row(target as usize);
             gradient_row(simd, &window, &partials, target, values, 3 * width * height as usize, out);
         }
     }
-    sums
 }
 
 struct Rows {
@@ -181,13 +241,14 @@ impl Rows {
     }
 
     #[inline(always)]
-    fn load<S: Simd>(&mut self, simd: S, plane: &[f32], photo: &[u8], y: usize, width: usize) {
+    fn load<S: Simd>(&mut self, simd: S, (render, photo): (&[f32], &[u8])) {
+        let width = render.len();
         let [x_row, y_row, squares, product] = &mut self.inputs;
-        x_row[MARGIN..][..width].copy_from_slice(&plane[y * width..][..width]);
+        x_row[MARGIN..][..width].copy_from_slice(render);
         for first in (0..width).step_by(LANES) {
             let (at, count) = (MARGIN + first, LANES.min(width - first));
             let x = load_part(simd, &x_row[at..at + count]);
-            let target = load_bytes(simd, &photo[y * width + first..][..count]);
+            let target = load_bytes(simd, &photo[first..first + count]);
             target.store_slice(&mut y_row[at..at + LANES]);
             x.mul_add(x, target * target).store_slice(&mut squares[at..at + LANES]);
             (x * target).store_slice(&mut product[at..at + LANES]);

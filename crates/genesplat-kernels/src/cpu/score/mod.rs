@@ -33,13 +33,14 @@ pub(crate) struct Scorer {
 }
 
 impl Scorer {
-    /// Losses `[P, V]` of the individuals on the views; `of_view` gives the camera and the photo of each.
+    /// Losses `[P, V]` of the individuals on `views`; `of_view` gives the camera and the photo of each. Pools are those
+    /// of all views, of which others may be scored elsewhere.
     pub(crate) fn score<'a>(
         &mut self,
         level: Level,
         cloud: &Gaussians,
         population: &[SparseDelta],
-        views: &[usize],
+        (views, all): (&[usize], &[usize]),
         of_view: impl Fn(usize) -> (Pinhole, &'a Target) + Sync,
         settings: &RenderSettings,
     ) -> Vec<f32> {
@@ -48,7 +49,7 @@ impl Scorer {
         let photo = |view: usize| (view, PhotoLoss::new(level, of_view(view).1));
         self.photos.par_extend(new.into_par_iter().map(photo));
         let tiles = |&view: &usize| of_view(view).0.grid().iter().product();
-        let most = Pool::capacity(views.iter().map(tiles).max().unwrap_or(0));
+        let most = Pool::capacity(all.iter().map(tiles).max().unwrap_or(0));
         let each = population.len().div_ceil(population.len().div_ceil(most).max(1)).max(1);
         let mut losses = Vec::with_capacity(population.len() * views.len());
         for individuals in population.chunks(each) {

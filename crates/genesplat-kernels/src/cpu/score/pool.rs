@@ -10,7 +10,7 @@ use super::tile::{Colours, TileBlender};
 use crate::cpu::bin::Bins;
 use crate::cpu::bytes_of;
 use crate::cpu::view::project::project_versions;
-use crate::cpu::view::{Pinhole, Splats, TILE};
+use crate::cpu::view::{Band, Pinhole, Splats, TILE};
 
 /// Rows that one task looks through for versions.
 const ROWS: usize = 4096;
@@ -81,7 +81,7 @@ impl<'a> Pool<'a> {
             (row, genes.copied().unwrap_or_else(|| cloud.genes(row as usize)))
         };
         project_versions(level, cloud, self.versions.len(), version, camera, settings, splats);
-        bins.build(level, splats, camera);
+        bins.build(level, splats, &Band::whole(camera));
         holders.resize(splats.capacity(), Holders::MIN);
         for (index, splat) in splats.iter() {
             holders[index as usize] = self.versions[splat.row as usize].holders;

@@ -18,6 +18,7 @@ use genesplat_core::{
     Backend, DensitySignal, Gaussians, Image, RenderSettings, Rng, ScreenFilter, StatisticsRequest, TrainStep,
 };
 
+use super::update::{ByTile, Share, UpdateInputs};
 use super::{CpuBackend, Pinhole, ViewBuffers, loss};
 use crate::fixtures::{camera, photo, settings, step, view};
 use crate::reference::Cloud64;
@@ -116,6 +117,17 @@ fn fill(
     buffers.render(level, cloud, &camera, settings);
     buffers.backward(level, &camera, &loss::Target::from(&photo()), signal);
     camera
+}
+
+fn inputs<'a>(
+    buffers: &'a ViewBuffers,
+    camera: &'a Pinhole,
+    settings: &'a RenderSettings,
+    rows: usize,
+) -> UpdateInputs<'a, ByTile<'a>> {
+    let ViewBuffers { splats, bins, gradient_rows, .. } = buffers;
+    let (gradients, share) = (ByTile { bins, rows: gradient_rows }, Share::whole(rows));
+    UpdateInputs { splats, gradients, camera, settings, is_masked: false, share }
 }
 
 fn statistics(cloud: &Gaussians, settings: &RenderSettings, signal: DensitySignal) -> genesplat_core::Statistics {

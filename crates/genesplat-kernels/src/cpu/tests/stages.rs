@@ -1,11 +1,11 @@
 //! Every stage of a view against the reference.
 
 use fearless_simd::Level;
-use genesplat_core::{Backend, DensitySignal, EvolutionBackend, Image, Photo, ScreenFilter, StatisticsRequest};
+use genesplat_core::{Backend, DensitySignal, EvolutionBackend, Image, Photo, ScreenFilter, StatisticsRequest, View};
 
-use super::{buffers_of, compare, compare_gradients, compare_images, fill, flat, statistics};
+use super::{buffers_of, compare, compare_gradients, compare_images, fill, flat, inputs, statistics};
 use crate::cpu::score::tests::loss_of_image;
-use crate::cpu::update::{UpdateInputs, tests::gradients};
+use crate::cpu::update::tests::gradients;
 use crate::cpu::{CpuBackend, Pinhole, ViewBuffers, loss};
 use crate::fixtures::{
     CROWD_LOGITS, HEIGHT, WIDTH, camera, cloud, crowd, filtered_cloud, filters, settings, small_view, uniform, view,
@@ -100,15 +100,14 @@ fn weights_by_a_map_match_the_reference() {
         let mut backend = CpuBackend::new();
         backend.set_views(&[view(), small_view()]).unwrap();
         backend.upload(cloud.clone().into()).unwrap();
-        for (index, view) in [view(), small_view()].iter().enumerate() {
-            let pixels = (view.camera.width * view.camera.height) as usize;
+        for (index, View { camera, .. }) in [view(), small_view()].iter().enumerate() {
+            let pixels = (camera.width * camera.height) as usize;
             let map: Vec<f32> = (0..pixels).map(|pixel| uniform(11, pixel)).collect();
             let actual = backend.weigh(index, &map, &settings).unwrap();
             let actual: Vec<f64> = actual.into_iter().map(f64::from).collect();
             let by = |map: &[f32]| {
                 let map: Vec<f64> = map.iter().map(|&value| f64::from(value)).collect();
-                let sums = reference::weigh(&Cloud64::from(&cloud), view, &settings, Cutoff::Hard, &map);
-                sums.into_iter().map(|[_, sum]| sum).collect::<Vec<_>>()
+                reference::weigh(&Cloud64::from(&cloud), camera, &settings, Cutoff::Hard, &map)
             };
             compare("weights", actual.clone(), by(&map)).unwrap();
             let mut planted = map.clone();
@@ -126,9 +125,7 @@ fn parameter_gradients_match_the_reference() {
             cloud.filter_3d = with_filter_3d.then(|| (0..400).map(|row| 0.01 + 0.05 * uniform(row, 90)).collect());
             let settings = settings(degree, filter);
             let (buffers, camera) = buffers_of(&cloud, &settings, Some(DensitySignal::Absolute));
-            let ViewBuffers { splats, bins, gradient_rows, .. } = &buffers;
-            let inputs =
-                UpdateInputs { splats, bins, gradient_rows, camera: &camera, settings: &settings, is_masked: false };
+            let inputs = inputs(&buffers, &camera, &settings, cloud.len());
             let (actual, density) = gradients(Level::new(), &inputs, &cloud, Some(DensitySignal::Absolute));
             let (_, expected) = reference::gradients(&Cloud64::from(&cloud), &view(), &settings, Cutoff::Hard);
             compare_gradients(&actual, &expected.cloud).unwrap_or_else(|e| panic!("{filter:?}, degree {degree}: {e}"));
@@ -149,13 +146,12 @@ fn what_lies_behind_finished_pixels_has_no_part_in_anything() {
         let expected = reference::render(&Cloud64::from(&cloud), &view().camera, &settings, Cutoff::Hard);
         compare_images(&buffers.image, &expected.picture.image).unwrap_or_else(context);
 
-        let ViewBuffers { splats, bins, gradient_rows, .. } = &buffers;
-        let inputs =
-            UpdateInputs { splats, bins, gradient_rows, camera: &camera, settings: &settings, is_masked: false };
+        let inputs = inputs(&buffers, &camera, &settings, cloud.len());
         let (actual, _) = gradients(Level::new(), &inputs, &cloud, None);
         let (_, expected) = reference::gradients(&Cloud64::from(&cloud), &view(), &settings, Cutoff::Hard);
         compare_gradients(&actual, &expected.cloud).unwrap_or_else(context);
 
+        let ViewBuffers { bins, gradient_rows, .. } = &buffers;
         let ends: Vec<usize> = bins.tile_starts.iter().map(|&start| start as usize).collect();
         let is_finished = |tile: &[usize]| tile[1] > tile[0] + 300 && gradient_rows[tile[1] - 1].0 == [0.0; 16];
         let finished = ends.windows(2).filter(|tile| is_finished(tile)).count();

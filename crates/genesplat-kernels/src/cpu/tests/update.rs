@@ -4,9 +4,8 @@ use fearless_simd::Level;
 use genesplat_core::backend::McmcStep;
 use genesplat_core::{Backend, Gaussians, Moments, ScreenFilter, TrainStep};
 
-use super::{backend_with, buffers_of, classic_step, compare_gradients, flat, mcmc_step};
-use crate::cpu::ViewBuffers;
-use crate::cpu::update::{UpdateInputs, tests::gradients};
+use super::{backend_with, buffers_of, classic_step, compare_gradients, flat, inputs, mcmc_step};
+use crate::cpu::update::tests::gradients;
 use crate::fixtures::{cloud, settings, small_view, view};
 use crate::reference::{self, Cloud64, Cutoff};
 
@@ -35,9 +34,7 @@ fn ten_steps_match_the_reference(mcmc: Option<McmcStep>) {
         // Gradients of the f32 state, so that only the optimiser is compared.
         let now = backend.download().unwrap().into_owned();
         let (buffers, camera) = buffers_of(&now, &settings, None);
-        let ViewBuffers { splats, bins, gradient_rows, .. } = &buffers;
-        let inputs =
-            UpdateInputs { splats, bins, gradient_rows, camera: &camera, settings: &settings, is_masked: false };
+        let inputs = inputs(&buffers, &camera, &settings, now.len());
         let (gradient, _) = gradients(Level::new(), &inputs, &now, None);
         let gradient = Cloud64::from(&gradient);
         reference::adam(&mut expected, &mut moments, &gradient, &step.update.unwrap());

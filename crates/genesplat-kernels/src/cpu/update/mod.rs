@@ -7,6 +7,7 @@
 mod adam;
 mod chunk;
 mod geometry_backward;
+mod gradients;
 mod noise;
 mod pending;
 mod project_backward;
@@ -16,38 +17,53 @@ use fearless_simd::{Level, dispatch};
 use genesplat_core::{Gaussians, Moments, RenderSettings, Statistics, TrainStep};
 use rayon::prelude::*;
 
-use super::bin::Bins;
-use super::blend::gradient_row::GradientRow;
 use super::view::{CHUNK, Pinhole, Splats};
 use adam::adam;
 use chunk::{ChunkGradients, ChunkView, chunks_mut};
+pub(crate) use gradients::{ByTile, SplatGradients, Summed};
 use noise::{noise, regularise};
 use pending::{keep_pending, take_pending};
 use project_backward::project_backward;
 use statistics::add_statistics;
 
 /// What the backward pass left of a view.
-pub(crate) struct UpdateInputs<'a> {
+pub(crate) struct UpdateInputs<'a, G> {
     pub splats: &'a Splats,
-    pub bins: &'a Bins,
-    /// One row for each intersection.
-    pub gradient_rows: &'a [GradientRow],
+    pub gradients: G,
     pub camera: &'a Pinhole,
     pub settings: &'a RenderSettings,
     /// Some pixels of the photo do not count.
     pub is_masked: bool,
+    pub share: Share,
+}
+
+/// Which rows of a cloud are held here.
+#[derive(Clone, Copy, Debug)]
+pub struct Share {
+    /// The first one.
+    pub first_row: usize,
+    /// Rows of the whole cloud.
+    pub all_rows: usize,
+}
+
+impl Share {
+    /// All rows of a cloud.
+    pub(crate) fn whole(all_rows: usize) -> Self {
+        Self { first_row: 0, all_rows }
+    }
 }
 
 /// Gradients of all parameters, statistics, and the Adam step if there is one.
 pub(crate) fn update(
     level: Level,
-    inputs: &UpdateInputs,
+    inputs: &UpdateInputs<impl SplatGradients>,
     cloud: &mut Gaussians,
     moments: &mut Moments,
     statistics: &mut Statistics,
     step: &TrainStep,
 ) {
-    let (request, keeps, step, cloud_rows) = (step.statistics, step.keeps_gradients, step.update.as_ref(), cloud.len());
+    let (request, keeps, step) = (step.statistics, step.keeps_gradients, step.update.as_ref());
+    let Share { first_row, all_rows } = inputs.share;
     let filter_3d = cloud.filter_3d.take();
     let work = chunks_mut(cloud, moments, statistics);
     work.into_par_iter().enumerate().for_each_init(ChunkGradients::default, |gradients, (index, mut chunk)| {
@@ -62,7 +78,7 @@ pub(crate) fn update(
             if let Some(step) = step {
                 take_pending(gradients, &mut chunk.pending);
                 if let Some(mcmc) = &step.mcmc {
-                    regularise(gradients, &chunk.parameters, mcmc, cloud_rows);
+                    regularise(gradients, &chunk.parameters, mcmc, all_rows);
                 }
                 adam(simd, step, inputs.settings.sh_degree, gradients, &mut chunk);
             } else if keeps {
@@ -70,7 +86,7 @@ pub(crate) fn update(
             }
         });
         if let Some(mcmc) = step.and_then(|step| step.mcmc.as_ref()) {
-            noise(&mut chunk.parameters, index * CHUNK, mcmc);
+            noise(&mut chunk.parameters, first_row + index * CHUNK, mcmc);
         }
     });
     cloud.filter_3d = filter_3d;

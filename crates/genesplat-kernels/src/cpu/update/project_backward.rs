@@ -4,12 +4,12 @@
 use fearless_simd::{Simd, prelude::*};
 use genesplat_core::DensitySignal;
 
-use super::UpdateInputs;
 use super::chunk::{ChunkGradients, ChunkView};
 use super::geometry_backward::{LaneGradients, geometry_backward};
 use super::statistics::density;
+use super::{SplatGradients, UpdateInputs};
 use crate::cpu::blend::gradient_row::column;
-use crate::cpu::simd::{LANES, V, array, prefetch};
+use crate::cpu::simd::{LANES, V, array};
 use crate::cpu::view::Splat;
 use crate::cpu::view::colour::colour_backward;
 use crate::cpu::view::geometry::{Geometry, Params};
@@ -18,20 +18,20 @@ use crate::cpu::view::geometry::{Geometry, Params};
 #[inline(always)]
 pub(crate) fn project_backward<S: Simd>(
     simd: S,
-    inputs: &UpdateInputs,
+    inputs: &UpdateInputs<impl SplatGradients>,
     splats: &[Splat],
     view: &ChunkView,
     signal: Option<DensitySignal>,
     out: &mut ChunkGradients,
 ) {
     let count = splats.len();
-    prefetch_rows(inputs, view.first_row, count, 0);
+    prefetch_rows(&inputs.gradients, view.first_row, count, 0);
     for (group, splats) in splats.chunks(LANES).enumerate() {
         // 1. Sum the rows of each splat over its tiles, in a fixed order.
-        prefetch_rows(inputs, view.first_row, count, group + 1);
+        prefetch_rows(&inputs.gradients, view.first_row, count, group + 1);
         let mut sums = [[0.0f32; LANES]; LANES];
         for lane in 0..splats.len() {
-            let row = sum_rows(inputs, view.first_row + group * LANES + lane);
+            let row = inputs.gradients.sum(view.first_row + group * LANES + lane);
             for (column, value) in sums.iter_mut().zip(row) {
                 column[lane] = value;
             }
@@ -51,30 +51,16 @@ pub(crate) fn project_backward<S: Simd>(
 
 /// Prefetches the gradient rows of one group of a chunk's `count` splats: they lie scattered, by tile.
 #[inline(always)]
-fn prefetch_rows(inputs: &UpdateInputs, first: usize, count: usize, group: usize) {
+fn prefetch_rows(gradients: &impl SplatGradients, first: usize, count: usize, group: usize) {
     for index in first + count.min(group * LANES)..first + count.min((group + 1) * LANES) {
-        for &place in inputs.bins.places_of(index) {
-            prefetch(&inputs.gradient_rows[place as usize]);
-        }
+        gradients.prefetch(index);
     }
-}
-
-/// Sums of one splat over its tiles.
-#[inline(always)]
-fn sum_rows(inputs: &UpdateInputs, index: usize) -> [f32; LANES] {
-    let mut sum = [0.0f32; LANES];
-    for &place in inputs.bins.places_of(index) {
-        for (total, value) in sum.iter_mut().zip(inputs.gradient_rows[place as usize].0) {
-            *total += value;
-        }
-    }
-    sum
 }
 
 /// Adds the way through the colour, and writes the gradients of one lane to its row.
 #[inline(always)]
 fn store<S: Simd>(
-    inputs: &UpdateInputs,
+    inputs: &UpdateInputs<impl SplatGradients>,
     view: &ChunkView,
     signal: Option<DensitySignal>,
     splat: &Splat,

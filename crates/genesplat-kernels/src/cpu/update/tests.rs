@@ -3,15 +3,15 @@
 use fearless_simd::{Level, dispatch};
 use genesplat_core::{DensitySignal, Gaussians};
 
-use super::UpdateInputs;
 use super::chunk::{ChunkGradients, ChunkView, rows_mut};
 use super::project_backward::project_backward;
+use super::{SplatGradients, UpdateInputs};
 use crate::cpu::view::splats::CHUNK;
 
 /// Gradients of the whole cloud in one piece.
 pub(crate) fn gradients(
     level: Level,
-    inputs: &UpdateInputs,
+    inputs: &UpdateInputs<impl SplatGradients>,
     cloud: &Gaussians,
     signal: Option<DensitySignal>,
 ) -> (Gaussians, Vec<[f32; 2]>) {

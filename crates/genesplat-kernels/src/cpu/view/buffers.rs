@@ -5,6 +5,7 @@ use std::time::Instant;
 use fearless_simd::Level;
 use genesplat_core::{DensitySignal, Gaussians, Image, RenderSettings};
 
+use super::band::Band;
 use super::pinhole::Pinhole;
 use super::project::project;
 use super::splats::Splats;
@@ -61,10 +62,15 @@ impl ViewBuffers {
     /// Renders into `self.image`.
     pub fn render(&mut self, level: Level, cloud: &Gaussians, camera: &Pinhole, settings: &RenderSettings) {
         timed(&mut self.seconds.project, || project(level, cloud, camera, settings, &mut self.splats));
-        timed(&mut self.seconds.bin, || self.bins.build(level, &self.splats, camera));
+        self.draw(level, (camera, &Band::whole(camera)), settings);
+    }
+
+    /// Draws `self.splats` into `self.image`, which becomes that of a band.
+    pub fn draw(&mut self, level: Level, view: (&Pinhole, &Band), settings: &RenderSettings) {
+        timed(&mut self.seconds.bin, || self.bins.build(level, &self.splats, view.1));
         timed(&mut self.seconds.rasterise, || {
-            rasterise(level, &self.splats, &self.bins, camera, &mut self.tiles);
-            compose(&self.tiles, camera, settings.background, &mut self.image);
+            rasterise(level, &self.splats, &self.bins, view, &mut self.tiles);
+            compose(&self.tiles, view.1, settings.background, &mut self.image);
         });
     }
 
@@ -76,10 +82,20 @@ impl ViewBuffers {
             target.hide(&mut self.image_gradient);
             value
         });
-        let start = Instant::now();
-        rasterise_backward(level, self, camera, signal);
-        self.seconds.rasterise_backward += start.elapsed().as_secs_f64();
+        self.draw_backward(level, (camera, &Band::whole(camera)), signal);
         value
+    }
+
+    /// From the gradient of a band's image to the gradient rows, with what `signal` needs.
+    pub fn draw_backward(&mut self, level: Level, view: (&Pinhole, &Band), signal: Option<DensitySignal>) {
+        let start = Instant::now();
+        rasterise_backward(level, self, view, signal);
+        self.seconds.rasterise_backward += start.elapsed().as_secs_f64();
+    }
+
+    /// Gradient rows of one splat, by tile.
+    pub fn gradient_rows_of(&self, splat: usize) -> impl ExactSizeIterator<Item = &GradientRow> {
+        self.bins.places_of(splat).iter().map(|&place| &self.gradient_rows[place as usize])
     }
 }
 

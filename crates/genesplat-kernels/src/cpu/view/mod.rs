@@ -1,5 +1,6 @@
 //! One view of a cloud: camera, splats, and the buffers that the stages of a step hand on.
 
+pub(crate) mod band;
 pub(crate) mod buffers;
 pub(crate) mod colour;
 pub(crate) mod geometry;
@@ -7,6 +8,7 @@ pub(crate) mod pinhole;
 pub(crate) mod project;
 pub(crate) mod splats;
 
+pub use band::Band;
 pub(crate) use buffers::{StageSeconds, ViewBuffers, timed};
 pub(crate) use pinhole::{Pinhole, TILE};
-pub(crate) use splats::{CHUNK, Splat, Splats};
+pub use splats::{CHUNK, Splat, Splats};

@@ -3,7 +3,7 @@
 use crate::cpu::bytes_of;
 
 /// Rows that one task projects and updates. A constant, so that results do not depend on the number of threads.
-pub(crate) const CHUNK: usize = 256;
+pub const CHUNK: usize = 256;
 
 /// One splat of one view: a cache line.
 #[derive(Clone, Copy, Debug, Default)]
@@ -48,6 +48,7 @@ pub struct Splats {
 }
 
 impl Splats {
+    /// The splat of an index.
     #[inline(always)]
     pub fn get(&self, index: u32) -> &Splat {
         &self.slots[index as usize]
@@ -71,8 +72,14 @@ impl Splats {
         &self.seen[chunk * CHUNK..self.seen.len().min((chunk + 1) * CHUNK)]
     }
 
+    /// How many splats there are.
     pub fn len(&self) -> usize {
         self.counts.iter().map(|&count| count as usize).sum()
+    }
+
+    /// True where no Gaussian has a splat.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
     }
 
     /// Above every index.
@@ -80,8 +87,22 @@ impl Splats {
         self.slots.len()
     }
 
+    /// Memory that they take.
     pub fn bytes(&self) -> usize {
         bytes_of(&self.slots) + bytes_of(&self.counts) + bytes_of(&self.seen)
+    }
+
+    /// Makes these the splats, in this order.
+    pub fn fill(&mut self, splats: impl Iterator<Item = Splat>) {
+        self.slots.clear();
+        self.slots.extend(splats);
+        self.counts.resize(self.slots.len().div_ceil(CHUNK), 0);
+        let last = self.slots.len() % CHUNK;
+        self.counts.fill(CHUNK as u32);
+        if let Some(count) = self.counts.last_mut().filter(|_| last > 0) {
+            *count = last as u32;
+        }
+        self.seen.clear();
     }
 
     /// Makes slots for `rows` rows.

@@ -6,9 +6,9 @@
 
 use std::io::{self, Read, Write};
 
-use genesplat_core::DeviceState;
 use genesplat_core::averages::StateMean;
 use genesplat_core::spherical_harmonics::SH_DEGREE_MAX;
+use genesplat_core::{DeviceState, Gaussians, Moments, WindowAverages};
 use serde::{Deserialize, Serialize};
 
 use super::Seconds;
@@ -96,6 +96,26 @@ pub enum CheckpointError {
 }
 
 impl Checkpoint {
+    /// All but the rows: what a process needs of it that is handed rows by another one.
+    pub fn outline(&self) -> Self {
+        let rowless = |cloud: &Gaussians| Gaussians {
+            filter_3d: cloud.filter_3d.as_ref().map(|_| Vec::new()),
+            ..Gaussians::default()
+        };
+        let halves = self.state.averages.halves().each_ref();
+        let state = DeviceState {
+            cloud: rowless(&self.state.cloud),
+            averages: WindowAverages::new(halves.map(|half| StateMean::new(half.states(), rowless(half.mean())))),
+            ..DeviceState::default()
+        };
+        let trial = self.trial.as_ref().map(|trial| Trial {
+            record: trial.record,
+            cloud: rowless(&trial.cloud),
+            moments: Moments::default(),
+        });
+        Self { cursor: self.cursor, progress: self.progress.clone(), state, trial }
+    }
+
     /// Writes the checkpoint; wrap files in a `BufWriter`.
     pub fn write(&self, writer: impl Write) -> io::Result<()> {
         let mut out = Summed::new(writer);
@@ -159,7 +179,7 @@ impl Checkpoint {
 
 #[cfg(test)]
 mod tests {
-    use genesplat_core::{Gaussians, Moments, Statistics, WindowAverages};
+    use genesplat_core::Statistics;
 
     use super::*;
     use crate::run::observe::StageKind;
@@ -226,6 +246,17 @@ mod tests {
         checkpoint.state.statistics.gene_views.clear();
         checkpoint.state.statistics.absolute_sum.clear();
         assert_eq!(Checkpoint::read(bytes(&checkpoint).as_slice()).unwrap(), checkpoint);
+    }
+
+    #[test]
+    fn an_outline_has_no_rows_and_survives_the_round_trip() {
+        let checkpoint = example();
+        let outline = checkpoint.outline();
+        assert_eq!(Checkpoint::read(bytes(&outline).as_slice()).unwrap(), outline);
+        assert_eq!((outline.cursor, &outline.progress), (checkpoint.cursor, &checkpoint.progress));
+        assert_eq!((outline.state.cloud.len(), outline.state.cloud.filter_3d), (0, Some(Vec::new())));
+        assert_eq!(outline.state.averages.states(), checkpoint.state.averages.states());
+        assert_eq!(outline.trial.unwrap().record, checkpoint.trial.unwrap().record);
     }
 
     #[test]

@@ -1,0 +1,245 @@
+//! A picture that all ranks draw together, forward and backward. All here is done by one rank; what it returns as parts is
+//! to be exchanged, and what it takes as parts was.
+
+use std::ops::Range;
+
+use genesplat_core::{BackendError, DensitySignal, Image, RenderSettings};
+use genesplat_kernels::cpu::stages::{
+    Band, GradientRow, LOSS_REACH, Level, Splats, columns_of, loss_of_rows, ones_and_errors, squared_errors,
+};
+use genesplat_kernels::cpu::{Pinhole, Target, ViewBuffers};
+
+use crate::bands::Bands;
+use crate::group::Group;
+use crate::picture::{PictureRows, part};
+use crate::splats::{Received, Sent};
+use crate::wire::{Reader, Writer};
+
+/// What each rank has sent here, or is to be sent.
+pub(crate) type Parts = Vec<Vec<u32>>;
+
+/// A picture, and who draws which band of it.
+pub(crate) struct Sheet {
+    pub(crate) camera: Pinhole,
+    bands: Bands,
+    /// The own one.
+    band: Band,
+    ranks: usize,
+}
+
+impl Sheet {
+    /// `intersections` are those of each row of tiles, where they are known.
+    pub(crate) fn new(camera: Pinhole, intersections: &[u32], group: &Group) -> Self {
+        let bands = Bands::new(camera.grid(), intersections, group.count());
+        Self { band: Band::new(&camera, bands.of(group.rank())), camera, bands, ranks: group.count() }
+    }
+
+    fn width(&self) -> usize {
+        self.camera.size_px[0] as usize
+    }
+
+    fn height(&self) -> usize {
+        self.camera.size_px[1] as usize
+    }
+
+    fn down(&self) -> usize {
+        self.camera.grid()[1]
+    }
+
+    /// Rows of pixels of each rank.
+    fn pixel_rows(&self) -> Vec<Range<usize>> {
+        (0..self.ranks).map(|rank| Band::new(&self.camera, self.bands.of(rank)).pixel_rows()).collect()
+    }
+
+    /// The rows that the loss of some rows depends on.
+    fn near(&self, rows: &Range<usize>) -> Range<usize> {
+        let reach = if rows.is_empty() { 0 } else { LOSS_REACH };
+        rows.start.saturating_sub(reach)..(rows.end + reach).min(self.height())
+    }
+}
+
+/// The working memory of a picture.
+#[derive(Default)]
+pub(crate) struct Drawing {
+    /// The own band.
+    pub(crate) band: ViewBuffers,
+    sent: Sent,
+    received: Received,
+    near: PictureRows,
+    /// Sums over the own band, row by row.
+    sums: Vec<[f64; 2]>,
+    /// Sums of gradient rows of the own splats, by index.
+    pub(crate) gradients: Vec<GradientRow>,
+    /// Sums over bands for every splat, as a mistake would make them.
+    #[cfg(test)]
+    pub(crate) sums_by_rank: bool,
+}
+
+/// Sums over all rows of a picture `[3, H]`, and what else bands tell.
+#[derive(Debug, Default)]
+pub(crate) struct Told {
+    pub(crate) sums: Vec<[f64; 2]>,
+    /// Intersections of each row of tiles.
+    pub(crate) intersections: Vec<u32>,
+    /// Splats of all ranks.
+    pub(crate) visible: usize,
+}
+
+impl Drawing {
+    /// The own splats, for the bands that they may reach.
+    pub(crate) fn deal(&mut self, sheet: &Sheet, splats: &Splats) -> Parts {
+        self.gradients.clear();
+        self.gradients.resize(splats.capacity(), GradientRow::default());
+        self.sent.deal(splats, &sheet.bands, sheet.down(), sheet.ranks)
+    }
+
+    /// Draws the own band of the picture.
+    pub(crate) fn draw(
+        &mut self,
+        level: Level,
+        sheet: &Sheet,
+        parts: Parts,
+        settings: &RenderSettings,
+    ) -> Result<(), BackendError> {
+        self.received.collect(&parts, &mut self.band.splats);
+        drop(parts);
+        self.band.ensure(self.received.count(), sheet.band.tiles())?;
+        self.band.draw(level, (&sheet.camera, &sheet.band), settings);
+        Ok(())
+    }
+
+    /// The own rows, for every rank.
+    pub(crate) fn rows_for_all(&self, sheet: &Sheet) -> Parts {
+        let (held, all) = (sheet.band.pixel_rows(), 0..sheet.height());
+        vec![part(&self.band.image, &held, &all); sheet.ranks]
+    }
+
+    /// The whole picture.
+    pub(crate) fn whole(&mut self, sheet: &Sheet, parts: &Parts) -> Image {
+        let mut whole = PictureRows::default();
+        whole.assemble(sheet.width(), 0..sheet.height(), &sheet.pixel_rows(), parts);
+        whole.image
+    }
+
+    /// The own rows, without what does not count, for the ranks whose loss depends on them.
+    pub(crate) fn rows_for_loss(&mut self, sheet: &Sheet, target: &Target) -> Parts {
+        let held = sheet.band.pixel_rows();
+        target.hide_rows(&mut self.band.image.planes, &held);
+        sheet.pixel_rows().iter().map(|rows| part(&self.band.image, &held, &sheet.near(rows))).collect()
+    }
+
+    /// The loss of the own rows; its gradient, if it is wanted, goes to the band.
+    pub(crate) fn loss(&mut self, level: Level, sheet: &Sheet, target: &Target, parts: &Parts, with_gradient: bool) {
+        let rows = sheet.band.pixel_rows();
+        self.near.assemble(sheet.width(), sheet.near(&rows), &sheet.pixel_rows(), parts);
+        let PictureRows { rows: near, image } = &self.near;
+        let gradient = with_gradient.then_some(&mut self.band.image_gradient);
+        loss_of_rows(level, (image, near.start), target, rows.clone(), gradient, &mut self.sums);
+        if with_gradient {
+            target.hide_rows(&mut self.band.image_gradient, &rows);
+        }
+    }
+
+    /// In the place of the loss's gradient: what finds how much splats contribute, and the errors where they are.
+    pub(crate) fn ones_and_errors(&mut self, sheet: &Sheet, target: &Target) {
+        let ViewBuffers { image, image_gradient, .. } = &mut self.band;
+        ones_and_errors(image, target, sheet.band.pixel_rows(), image_gradient);
+    }
+
+    /// In the place of the loss's gradient: a map `[H, W]` for red, and zeros.
+    pub(crate) fn map(&mut self, sheet: &Sheet, map: &[f32]) {
+        let (rows, width) = (sheet.band.pixel_rows(), sheet.width());
+        let gradient = &mut self.band.image_gradient;
+        gradient.clear();
+        gradient.extend_from_slice(&map[rows.start * width..rows.end * width]);
+        gradient.resize(3 * rows.len() * width, 0.0);
+    }
+
+    /// What each rank is told of its splats' gradients, after what all are `told`.
+    pub(crate) fn backward(
+        &mut self,
+        level: Level,
+        sheet: &Sheet,
+        told: impl FnOnce(&Self) -> Writer,
+        signal: Option<DensitySignal>,
+    ) -> Result<Parts, BackendError> {
+        self.band.ensure_gradient_rows()?;
+        self.band.draw_backward(level, (&sheet.camera, &sheet.band), signal);
+        let top = sheet.band.rows().start;
+        #[cfg(test)]
+        let top = if self.sums_by_rank { 0 } else { top };
+        let told = told(self).words;
+        let sums = |rank| self.received.sums(rank, &self.band, (top, sheet.down()), columns_of(signal));
+        Ok((0..sheet.ranks).map(|rank| [&*told, &sums(rank)].concat()).collect())
+    }
+
+    /// Adds the gradients of the own splats, after each rank's `hear` has heard what all are told.
+    pub(crate) fn add(
+        &mut self,
+        parts: &Parts,
+        signal: Option<DensitySignal>,
+        mut hear: impl FnMut(usize, &mut Reader<'_>),
+    ) {
+        for (rank, part) in parts.iter().enumerate() {
+            let mut input = Reader::new(part);
+            hear(rank, &mut input);
+            self.sent.add(rank, &mut input, columns_of(signal), &mut self.gradients);
+        }
+    }
+
+    /// Sums and counts of a step, for all.
+    pub(crate) fn tell(&self, sheet: &Sheet, own_splats: usize) -> Writer {
+        let mut told = Writer::default();
+        told.doubles(self.sums.as_flattened());
+        let starts: Vec<u32> =
+            self.band.bins.tile_starts.iter().step_by(sheet.camera.grid()[0].max(1)).copied().collect();
+        told.words.extend(starts.windows(2).map(|pair| pair[1] - pair[0]));
+        told.count(own_splats);
+        told
+    }
+
+    /// The own sums of the loss and of squared errors, for all.
+    pub(crate) fn measures(&self, sheet: &Sheet, target: &Target) -> Vec<u32> {
+        let mut out = Writer::default();
+        out.doubles(self.sums.as_flattened());
+        out.doubles(&squared_errors(&self.band.image, target, sheet.band.pixel_rows().start));
+        out.words
+    }
+
+    /// Sums of the loss and of squared errors over all rows `[3, H]`.
+    pub(crate) fn measured(sheet: &Sheet, parts: &Parts) -> (Vec<[f64; 2]>, Vec<f64>) {
+        let values = 3 * sheet.height();
+        let (mut sums, mut errors) = (vec![[0.0; 2]; values], vec![0.0; values]);
+        for (rows, part) in sheet.pixel_rows().into_iter().zip(parts) {
+            let mut input = Reader::new(part);
+            read_sums(sheet, &rows, &mut input, &mut sums);
+            for channel in 0..3 {
+                let of_channel = &mut errors[channel * sheet.height()..][rows.clone()];
+                of_channel.iter_mut().zip(input.doubles(rows.len())).for_each(|(error, sum)| *error = sum);
+            }
+        }
+        (sums, errors)
+    }
+}
+
+impl Told {
+    pub(crate) fn new(sheet: &Sheet) -> Self {
+        Self { sums: vec![[0.0; 2]; 3 * sheet.height()], ..Self::default() }
+    }
+
+    /// What [`Drawing::tell`] has written; ranks come in their order.
+    pub(crate) fn hear(&mut self, sheet: &Sheet, rank: usize, input: &mut Reader<'_>) {
+        read_sums(sheet, &sheet.pixel_rows()[rank], input, &mut self.sums);
+        self.intersections.extend_from_slice(input.words(sheet.bands.of(rank).len()));
+        self.visible += input.count();
+    }
+}
+
+/// Sums of some rows, to their places among those of all `[3, H]`.
+fn read_sums(sheet: &Sheet, rows: &Range<usize>, input: &mut Reader<'_>, sums: &mut [[f64; 2]]) {
+    for channel in 0..3 {
+        let of_channel = sums[channel * sheet.height()..][rows.clone()].as_flattened_mut();
+        let values = input.doubles(of_channel.len());
+        of_channel.iter_mut().zip(values).for_each(|(sum, value)| *sum = value);
+    }
+}

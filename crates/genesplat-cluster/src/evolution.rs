@@ -1,0 +1,152 @@
+//! [`EvolutionBackend`] over ranks.
+
+use genesplat_core::backend::MomentPolicy;
+use genesplat_core::memory::ensure_memory;
+use genesplat_core::{
+    BackendError, Blend, Contribution, EvolutionBackend, Gaussians, RenderSettings, SparseDelta, ViewLoss,
+};
+use genesplat_kernels::cpu::Target;
+use genesplat_kernels::cpu::stages::{add_contributions_of, add_weights_of, loss_of_sums, mean_squared_error};
+
+use crate::backend::ClusterBackend;
+use crate::drawing::{Drawing, Sheet};
+use crate::shares::places_in;
+use crate::wire::{Reader, Writer};
+
+impl ClusterBackend {
+    /// Draws a training view, and finds in the place of the image's gradient what `fill` says; leaves the sums of the own
+    /// splats.
+    fn backward(
+        &mut self,
+        view: usize,
+        settings: &RenderSettings,
+        fill: impl FnOnce(&mut Drawing, &Sheet, &Target),
+    ) -> Result<(), BackendError> {
+        let (level, sheet) = (self.own.level(), self.sheet_of(view));
+        let splats = self.own.project(&sheet.camera, settings, &Blend::default());
+        let parts = self.group.exchange(splats.map(|splats| self.drawing.deal(&sheet, splats)))?;
+        let drawn = self.drawing.draw(level, &sheet, parts, settings);
+        let parts = drawn.and_then(|()| {
+            fill(&mut self.drawing, &sheet, self.own.view(view).1);
+            self.drawing.backward(level, &sheet, |_| Writer::default(), None)
+        });
+        let parts = self.group.exchange(parts)?;
+        self.drawing.add(&parts, None, |_, _| {});
+        Ok(())
+    }
+
+    /// One view of a blend.
+    fn loss_of(&mut self, blend: &Blend, view: usize, settings: &RenderSettings) -> Result<ViewLoss, BackendError> {
+        let (level, sheet) = (self.own.level(), self.sheet_of(view));
+        let splats = self.own.project(&sheet.camera, settings, blend);
+        let parts = self.group.exchange(splats.map(|splats| self.drawing.deal(&sheet, splats)))?;
+        let drawn = self.drawing.draw(level, &sheet, parts, settings);
+        let target = self.own.view(view).1;
+        let parts = self.group.exchange(drawn.map(|()| self.drawing.rows_for_loss(&sheet, target)))?;
+        self.drawing.loss(level, &sheet, target, &parts, false);
+        let parts = self.group.gather(Ok(self.drawing.measures(&sheet, target)))?;
+        let (sums, errors) = Drawing::measured(&sheet, &parts);
+        Ok(ViewLoss { loss: loss_of_sums(&sums, target), squared_error: mean_squared_error(&errors, target) })
+    }
+
+    /// A copy of the whole cloud, for this rank alone.
+    fn take_whole(&mut self) -> Result<Gaussians, BackendError> {
+        if let Some(whole) = self.whole.take() {
+            return Ok(whole);
+        }
+        let room = ensure_memory(2 * self.shares.rows() * Gaussians::BYTES_PER_ROW, "a copy of the cloud");
+        let own = room.map(|()| {
+            let mut out = Writer::default();
+            out.cloud(self.own.cloud(), 0..self.own.cloud().len());
+            out.words
+        });
+        let mut whole = Gaussians::default();
+        self.group.gather(own)?.iter().for_each(|part| Reader::new(part).cloud(&mut whole));
+        Ok(whole)
+    }
+}
+
+impl EvolutionBackend for ClusterBackend {
+    /// Views are dealt out.
+    fn score(
+        &mut self,
+        population: &[SparseDelta],
+        views: &[usize],
+        settings: &RenderSettings,
+    ) -> Result<Vec<f32>, BackendError> {
+        let (rank, ranks) = (self.group.rank(), self.group.count());
+        let of_rank = |rank: usize| views.iter().copied().skip(rank).step_by(ranks);
+        let own: Vec<usize> = of_rank(rank).collect();
+        let whole = self.take_whole()?;
+        let losses = self.own.score_on(&whole, population, (&own, views), settings);
+        self.whole = Some(whole);
+        let parts = self.group.gather(losses.map(|losses| losses.into_iter().map(f32::to_bits).collect()))?;
+        let loss = |individual: usize, place: usize| {
+            let (rank, of_rank) = (place % ranks, views.len().saturating_sub(place % ranks).div_ceil(ranks));
+            f32::from_bits(parts[rank][individual * of_rank + place / ranks])
+        };
+        Ok((0..population.len())
+            .flat_map(|individual| (0..views.len()).map(move |place| (individual, place)))
+            .map(|(individual, place)| loss(individual, place))
+            .collect())
+    }
+
+    fn apply(&mut self, delta: &SparseDelta, moments: MomentPolicy) -> Result<(), BackendError> {
+        if let Some(whole) = &mut self.whole {
+            whole.apply(delta);
+        }
+        let share = self.own_rows();
+        let places = places_in(&delta.rows, &share);
+        let rows = delta.rows[places.clone()].iter().map(|&row| row - share.start as u32).collect();
+        let done = self.own.apply(&SparseDelta { rows, genes: delta.genes[places].to_vec() }, moments);
+        self.group.agree(done)
+    }
+
+    fn weigh(&mut self, view: usize, map: &[f32], settings: &RenderSettings) -> Result<Vec<f32>, BackendError> {
+        self.group.agree(self.own.ensure_contribution_sums())?;
+        self.backward(view, settings, |drawing, sheet, _| drawing.map(sheet, map))?;
+        let mut sums = vec![0.0; self.own.cloud().len()];
+        add_weights_of(self.own.splats(), &self.drawing.gradients, &mut sums);
+        self.gather(&sums)
+    }
+
+    fn contributions(&mut self, views: &[usize], settings: &RenderSettings) -> Result<Vec<Contribution>, BackendError> {
+        self.group.agree(self.own.ensure_contribution_sums())?;
+        let mut own = vec![Contribution::default(); self.own.cloud().len()];
+        for &view in views {
+            self.backward(view, settings, |drawing, sheet, target| drawing.ones_and_errors(sheet, target))?;
+            add_contributions_of(self.own.splats(), &self.drawing.gradients, &mut own);
+        }
+        let pairs: Vec<[f32; 2]> = own.iter().map(|&Contribution { weight, error }| [weight, error]).collect();
+        let all = self.gather(&pairs)?;
+        Ok(all.into_iter().map(|[weight, error]| Contribution { weight, error }).collect())
+    }
+
+    fn average(&mut self, half: usize) -> Result<(), BackendError> {
+        self.group.agree(self.own.ensure_cloud("an average"))?;
+        let done = self.own.average(half);
+        self.group.agree(done)
+    }
+
+    fn measure(
+        &mut self,
+        blends: &[Blend],
+        views: &[usize],
+        settings: &RenderSettings,
+    ) -> Result<Vec<ViewLoss>, BackendError> {
+        let mut losses = Vec::with_capacity(blends.len() * views.len());
+        for blend in blends {
+            for &view in views {
+                losses.push(self.loss_of(blend, view, settings)?);
+            }
+        }
+        Ok(losses)
+    }
+
+    fn blend(&mut self, blend: &Blend) -> Result<(), BackendError> {
+        self.whole = None;
+        self.group.agree(self.own.ensure_cloud("a blend"))?;
+        let done = self.own.blend(blend);
+        self.group.agree(done)
+    }
+}

@@ -1,0 +1,126 @@
+//! Splats on their way to the bands that they may reach, and sums of their gradients on the way back.
+
+use genesplat_kernels::cpu::ViewBuffers;
+use genesplat_kernels::cpu::stages::{GradientRow, Splat, Splats, tile_rows};
+
+use crate::bands::Bands;
+use crate::wire::{Reader, Writer};
+
+/// What blending needs of a splat, 48 bytes.
+type SentSplat = [f32; 12];
+
+/// Which splats were sent to each rank, by index.
+#[derive(Debug, Default)]
+pub(crate) struct Sent {
+    indices: Vec<Vec<u32>>,
+}
+
+impl Sent {
+    /// The splats for each rank, in row order, for a picture of `down` rows of tiles.
+    pub(crate) fn deal(&mut self, splats: &Splats, bands: &Bands, down: usize, ranks: usize) -> Vec<Vec<u32>> {
+        self.indices.resize_with(ranks, Vec::new);
+        self.indices.iter_mut().for_each(Vec::clear);
+        let mut parts = vec![Writer::default(); ranks];
+        for (index, splat) in splats.iter() {
+            for rank in bands.reached(&tile_rows(splat, down)) {
+                self.indices[rank].push(index);
+                parts[rank].rows(&[written(splat)]);
+            }
+        }
+        parts.into_iter().map(|part| part.words).collect()
+    }
+
+    /// Adds what `rank` has summed for the splats that it was sent. Bands lie in the order of the ranks, so a splat's tiles
+    /// are added in their order where ranks come in theirs.
+    pub(crate) fn add(&self, rank: usize, input: &mut Reader<'_>, columns: &[usize], sums: &mut [GradientRow]) {
+        for &index in &self.indices[rank] {
+            let rows = input.words(1)[0];
+            for _ in 0..rows {
+                let mut row = GradientRow::default();
+                columns
+                    .iter()
+                    .zip(input.rows::<f32>(columns.len()))
+                    .for_each(|(&column, &value)| row.0[column] = value);
+                sums[index as usize].add(&row);
+            }
+        }
+    }
+}
+
+/// The splats that a band was sent.
+#[derive(Debug, Default)]
+pub(crate) struct Received {
+    /// Index of the first one of each rank; one more at the end.
+    starts: Vec<usize>,
+}
+
+impl Received {
+    /// Makes them the splats of a view: ranks hold rows in order, so ties of depth break as they do in one process.
+    pub(crate) fn collect(&mut self, parts: &[Vec<u32>], splats: &mut Splats) {
+        let of_rank = |part: &Vec<u32>| size_of_val(part.as_slice()) / size_of::<SentSplat>();
+        self.starts.clear();
+        self.starts.push(0);
+        for part in parts {
+            self.starts.push(self.starts[self.starts.len() - 1] + of_rank(part));
+        }
+        let all = parts.iter().zip(self.starts.windows(2));
+        splats.fill(all.flat_map(|(part, of)| Reader::new(part).rows::<SentSplat>(of[1] - of[0])).map(read));
+    }
+
+    pub(crate) fn count(&self) -> usize {
+        self.starts.last().copied().unwrap_or(0)
+    }
+
+    /// What goes back to `rank`: for each of its splats how many rows, and the rows.
+    ///
+    /// A sum of tiles may begin here where no tile comes before: the one row of a splat whose first tiles are in this band
+    /// is their sum. Of any other all tiles have a row, since sums of floats depend on where they begin.
+    /// The band begins at row `top` of the `down` rows of tiles.
+    pub(crate) fn sums(
+        &self,
+        rank: usize,
+        band: &ViewBuffers,
+        (top, down): (usize, usize),
+        columns: &[usize],
+    ) -> Vec<u32> {
+        let mut out = Writer::default();
+        for index in self.starts[rank]..self.starts[rank + 1] {
+            let rows = band.gradient_rows_of(index);
+            let begins_here = tile_rows(band.splats.get(index as u32), down).start >= top;
+            if begins_here && rows.len() > 0 {
+                let mut sum = GradientRow::default();
+                rows.for_each(|row| sum.add(row));
+                write_rows([&sum].into_iter(), columns, &mut out);
+            } else {
+                write_rows(rows, columns, &mut out);
+            }
+        }
+        out.words
+    }
+}
+
+fn write_rows<'a>(rows: impl ExactSizeIterator<Item = &'a GradientRow>, columns: &[usize], out: &mut Writer) {
+    out.words.push(rows.len() as u32);
+    for row in rows {
+        out.words.extend(columns.iter().map(|&column| row.0[column].to_bits()));
+    }
+}
+
+fn written(splat: &Splat) -> SentSplat {
+    let Splat { mean_px: [x, y], conic_log2: [a, b, c], log2_opacity, rgb: [red, green, blue], depth, .. } = *splat;
+    let [width, height] = splat.half_extent_px;
+    [x, y, a, b, c, log2_opacity, red, green, blue, depth, width, height]
+}
+
+fn read(sent: &SentSplat) -> Splat {
+    let [x, y, a, b, c, log2_opacity, red, green, blue, depth, width, height] = *sent;
+    Splat {
+        mean_px: [x, y],
+        conic_log2: [a, b, c],
+        log2_opacity,
+        rgb: [red, green, blue],
+        depth,
+        half_extent_px: [width, height],
+        ..Splat::default()
+    }
+}

@@ -1,0 +1,125 @@
+//! The verbs of [`CpuBackend`] in pieces, for one that holds a share of a cloud (see [`super::stages`]).
+
+use fearless_simd::Level;
+use genesplat_core::{
+    BackendError, Blend, DeviceState, Gaussians, Moments, RenderSettings, SparseDelta, Statistics, StatisticsRequest,
+    TrainStep, WindowAverages,
+};
+
+use super::backend::{CpuBackend, TrainView};
+use super::blend::gradient_row::GradientRow;
+use super::evolution_backend::blended;
+use super::loss::Target;
+use super::update::{Share, Summed, UpdateInputs, update};
+use super::view::{Pinhole, Splats, project::project, timed};
+
+impl CpuBackend {
+    /// The instruction set that all stages use.
+    pub fn level(&self) -> Level {
+        self.level
+    }
+
+    /// Camera and photo of a training view.
+    pub fn view(&self, view: usize) -> (&Pinhole, &Target) {
+        let TrainView { camera, target } = &self.views[view];
+        (camera, target)
+    }
+
+    /// The rows held.
+    pub fn cloud(&self) -> &Gaussians {
+        &self.cloud
+    }
+
+    /// Adam's moments of the rows held.
+    pub fn moments(&self) -> &Moments {
+        &self.moments
+    }
+
+    /// Sums of the rows held.
+    pub fn sums(&self) -> &Statistics {
+        &self.statistics
+    }
+
+    /// Means of the rows held.
+    pub fn averages(&self) -> &WindowAverages {
+        &self.averages
+    }
+
+    /// Optimiser steps made so far.
+    pub fn steps(&self) -> u32 {
+        self.steps
+    }
+
+    /// Hands over all that is held but the views, and holds nothing.
+    pub fn take_state(&mut self) -> DeviceState {
+        let (cloud, moments) = (std::mem::take(&mut self.cloud), std::mem::take(&mut self.moments));
+        let (statistics, averages) = (std::mem::take(&mut self.statistics), std::mem::take(&mut self.averages));
+        DeviceState { cloud, moments, statistics, averages }
+    }
+
+    /// Takes what [`Self::take_state`] has handed over, or some other rows of it.
+    pub fn put_state(&mut self, state: DeviceState) {
+        let DeviceState { cloud, moments, statistics, averages } = state;
+        self.moments = if moments.first.is_empty() { Moments::zeros(cloud.len()) } else { moments };
+        (self.cloud, self.statistics, self.averages) = (cloud, statistics, averages);
+        self.grow_statistics(StatisticsRequest::default());
+    }
+
+    /// The splats of the rows held, as they are and as a blend makes them.
+    pub fn project(
+        &mut self,
+        camera: &Pinhole,
+        settings: &RenderSettings,
+        blend: &Blend,
+    ) -> Result<&Splats, BackendError> {
+        self.ensure_view(camera)?;
+        if *blend != Blend::default() {
+            self.ensure_cloud("a blend")?;
+        }
+        let (cloud, buffers) = (blended(&self.averages, &self.cloud, blend), &mut self.buffers);
+        timed(&mut buffers.seconds.project, || project(self.level, &cloud, camera, settings, &mut buffers.splats));
+        Ok(&buffers.splats)
+    }
+
+    /// The splats that were projected last.
+    pub fn splats(&self) -> &Splats {
+        &self.buffers.splats
+    }
+
+    /// Makes room for a step, and projects the rows held.
+    pub fn begin_step(&mut self, step: &TrainStep) -> Result<&Splats, BackendError> {
+        self.prepare_step(step)?;
+        let camera = self.views[step.view].camera;
+        self.project(&camera, &step.settings, &Blend::default())
+    }
+
+    /// The end of a step: `sums` are those of the gradient rows of each of the splats that were projected last, by index.
+    pub fn finish_step(&mut self, step: &TrainStep, sums: &[GradientRow], share: Share) {
+        let TrainView { camera, target } = &self.views[step.view];
+        let (buffers, settings, is_masked) = (&mut self.buffers, &step.settings, target.mask.is_some());
+        let inputs =
+            UpdateInputs { splats: &buffers.splats, gradients: Summed(sums), camera, settings, is_masked, share };
+        let (cloud, moments, statistics) = (&mut self.cloud, &mut self.moments, &mut self.statistics);
+        timed(&mut buffers.seconds.update, || update(self.level, &inputs, cloud, moments, statistics, step));
+        self.count(step);
+    }
+
+    /// Losses of individuals on some views as one process would find them that scores them on `all` views: differences from
+    /// `cloud`, of which the rows held may be a share.
+    pub fn score_on(
+        &mut self,
+        cloud: &Gaussians,
+        population: &[SparseDelta],
+        (views, all): (&[usize], &[usize]),
+        settings: &RenderSettings,
+    ) -> Result<Vec<f32>, BackendError> {
+        self.ensure_scores(cloud.len(), population, views)?;
+        let of_view = |view: usize| (self.views[view].camera, &self.views[view].target);
+        Ok(self.scorer.score(self.level, cloud, population, (views, all), of_view, settings))
+    }
+
+    /// Fails where there is no room for a contribution of each row held.
+    pub fn ensure_contribution_sums(&self) -> Result<(), BackendError> {
+        self.ensure_contributions(&[])
+    }
+}

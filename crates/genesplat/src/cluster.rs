@@ -1,0 +1,186 @@
+//! A run by many processes that `mpirun` has started: all do the same, and rank 0 alone writes and speaks.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+use std::{env, process, thread};
+
+use anyhow::{Result, ensure};
+use genesplat::cluster::{ClusterBackend, Group};
+use genesplat::core::{BackendError, EvolutionBackend};
+use genesplat::train::{Checkpoint, Start, StepBudget, TrainConfig, TrainError};
+
+use crate::args::TrainArgs;
+use crate::device::DeviceChoice;
+use crate::run::memory;
+use crate::terminal::numbers::memory as of_memory;
+use crate::terminal::output::{self, Volume};
+
+/// How many processes Open MPI has started, and how many of them on this machine.
+const WORLD_SIZE: &str = "OMPI_COMM_WORLD_SIZE";
+const LOCAL_SIZE: &str = "OMPI_COMM_WORLD_LOCAL_SIZE";
+
+/// The processes of a run.
+pub(crate) struct Cluster {
+    group: Group,
+    asked: Arc<AtomicBool>,
+    stop: Arc<AtomicBool>,
+}
+
+/// How long Open MPI waits before it ends who does not stop, seconds.
+const PATIENCE: &str = "OMPI_MCA_odls_base_sigkill_timeout";
+/// How long before that a process ends by itself, seconds.
+const MARGIN: f64 = 0.5;
+
+/// The number that Open MPI has left in the environment, or 1.
+fn started(variable: &str) -> usize {
+    env::var(variable).ok().and_then(|count| count.parse().ok()).unwrap_or(1)
+}
+
+impl Cluster {
+    /// Joins the others, if `mpirun` has started any; `asked` is set when this process is to stop.
+    pub(crate) fn join(asked: &Arc<AtomicBool>) -> Result<Option<Self>> {
+        if started(WORLD_SIZE) == 1 {
+            return Ok(None);
+        }
+        let (asked, stop) = (asked.clone(), Arc::default());
+        let group = connect(asked.clone(), Arc::clone(&stop))?;
+        if !group.is_root() {
+            output::set_volume(Volume::Quiet);
+        }
+        // One of the two is there whichever rank has ended.
+        end_in_time(asked.clone(), group.rank() < 2)?;
+        Ok(Some(Self { group, asked, stop }))
+    }
+
+    pub(crate) fn is_root(&self) -> bool {
+        self.group.is_root()
+    }
+
+    /// Set for all ranks at the same point of their work once one was asked to stop.
+    pub(crate) fn stop(&self) -> &AtomicBool {
+        &self.stop
+    }
+
+    /// What asks this rank, and so all, to stop.
+    pub(crate) fn asked(&self) -> &AtomicBool {
+        &self.asked
+    }
+
+    pub(crate) fn backend(&self) -> Box<dyn EvolutionBackend> {
+        Box::new(ClusterBackend::new(self.group.clone()))
+    }
+
+    /// Rank 0 has the rows of a checkpoint, and the others what else it holds.
+    pub(crate) fn deal(&self, start: Option<Checkpoint>) -> Result<Start> {
+        let mut bytes = Vec::new();
+        if let Some(checkpoint) = &start {
+            checkpoint.outline().write(&mut bytes)?;
+        }
+        let words = self.group.broadcast(bytes.into_iter().map(u32::from).collect())?;
+        let outline: Vec<u8> = words.into_iter().map(|word| word as u8).collect();
+        let checkpoint = start.map_or_else(|| Checkpoint::read(outline.as_slice()), Ok)?;
+        Ok(Start::Checkpoint(Box::new(checkpoint)))
+    }
+
+    /// Whether an error of this rank is one that rank 0 tells.
+    pub(crate) fn is_told(&self, error: &anyhow::Error) -> bool {
+        let is_own = match error.downcast_ref() {
+            Some(TrainError::Backend(error)) => error.is_out_of_memory(),
+            _ => false,
+        };
+        self.group.has_failed() || !is_own
+    }
+
+    /// What the ranks have sent each other in a run of so many seconds.
+    pub(crate) fn summary(&self, seconds: f64) -> Result<String> {
+        let traffic = self.group.traffic();
+        let own = [traffic.step_bytes, (1e6 * traffic.seconds) as u64, memory::peak_bytes().unwrap_or(0)];
+        let words = own.iter().flat_map(|value| [*value as u32, (value >> 32) as u32]).collect();
+        let parts = self.group.gather(Ok(words))?;
+        let of = |place: usize| {
+            parts.iter().map(move |part| u64::from(part[2 * place]) | u64::from(part[2 * place + 1]) << 32)
+        };
+        let (sent, microseconds) = (of(0).sum::<u64>(), of(1).sum::<u64>());
+        let share = 1e-4 * microseconds as f64 / (seconds * self.group.count() as f64);
+        Ok(format!(
+            "{} ranks: {:.2} MB a step between them, {share:.0} % of the time in exchanges (waiting included), at most {} a rank",
+            self.group.count(),
+            1e-6 * sent as f64 / traffic.steps.max(1) as f64,
+            of_memory(of(2).max().unwrap_or(0)),
+        ))
+    }
+
+    /// Waits for the others.
+    pub(crate) fn finish(&self) {
+        self.group.finish();
+    }
+}
+
+/// What one process has done, where all of a run have done it; where one has failed all do.
+pub(crate) fn agree<T>(cluster: Option<&Cluster>, done: Result<T>) -> Result<T> {
+    let Some(cluster) = cluster else { return done };
+    let own = done.as_ref().map(drop).map_err(|error| BackendError::Unsupported(error.to_string()));
+    let agreed = cluster.group.agree(own);
+    let done = done?;
+    agreed?;
+    Ok(done)
+}
+
+/// When a rank has ended, mpirun asks the others to stop, and they wait for it for ever. Ends this process with a sentence
+/// before mpirun does without.
+fn end_in_time(asked: Arc<AtomicBool>, speaks: bool) -> Result<()> {
+    let patience = Duration::from_secs_f64((started(PATIENCE) as f64 - MARGIN).max(MARGIN));
+    let watch = move || {
+        while !asked.load(Ordering::Relaxed) {
+            thread::sleep(Duration::from_millis(50));
+        }
+        thread::sleep(patience);
+        if speaks {
+            output::complain(
+                "error: mpirun has ended the run, since one of its processes has ended, or since saving takes longer than it waits \
+                 (--mca odls_base_sigkill_timeout 60); the same command with --resume goes on from the last checkpoint",
+            );
+        }
+        process::exit(1);
+    };
+    thread::Builder::new().name("patience".into()).spawn(watch)?;
+    Ok(())
+}
+
+#[cfg(feature = "mpi")]
+fn connect(asked: Arc<AtomicBool>, stop: Arc<AtomicBool>) -> Result<Group> {
+    let ranks =
+        genesplat::cluster::mpi::Mpi::initialise().ok_or_else(|| anyhow::anyhow!("MPI cannot be begun twice"))?;
+    Ok(Group::new(ranks, asked, stop))
+}
+
+#[cfg(not(feature = "mpi"))]
+fn connect(_: Arc<AtomicBool>, _: Arc<AtomicBool>) -> Result<Group> {
+    anyhow::bail!(
+        "mpirun has started {} processes, and this genesplat is built without MPI; build it with --features mpi, or start it \
+         without mpirun",
+        started(WORLD_SIZE)
+    )
+}
+
+/// Fails where ranks cannot do what is asked for.
+pub(crate) fn check(args: &TrainArgs, train: &TrainConfig) -> Result<()> {
+    ensure!(!args.poses, "one process finds cameras: run genesplat poses first, and train on its scene under mpirun");
+    ensure!(args.page.address().is_none(), "a run under mpirun has no live page; leave --view out");
+    ensure!(
+        args.machine.device != Some(DeviceChoice::Gpu),
+        "ranks of mpirun train on processors; leave --device gpu out"
+    );
+    ensure!(
+        !matches!(train.evolution.extra_steps, Some(StepBudget::Seconds(_))),
+        "ranks do not agree on seconds; give evolution.extra_steps a number of steps"
+    );
+    Ok(())
+}
+
+/// Threads of a rank: the cores of the machine are shared by its ranks.
+pub(crate) fn threads() -> u16 {
+    let cores = thread::available_parallelism().map_or(1, usize::from);
+    (cores / started(LOCAL_SIZE)).clamp(1, u16::MAX.into()) as u16
+}
