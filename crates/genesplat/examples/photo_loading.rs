@@ -1,3 +1,4 @@
+#![allow(clippy::print_stdout, reason = "an example prints what it measures")]
 //! What loading photos costs with a lens, without one, and from files that are undistorted and reduced already.
 //!
 //! `cargo run --release --example photo_loading -- SCENE K` takes ten photos of a scene with a `transforms.json`, enlarges
