@@ -31,7 +31,9 @@ impl Cube {
         let axis = |camera: &Camera| camera.rotation().transpose() * DVec3::Z;
         let middle = centres.iter().sum::<DVec3>() / count;
         let spread = centres.iter().map(|centre| centre.distance(middle)).sum::<f64>() / count;
-        let ahead = middle + spread.max(1.0) * (cameras.iter().map(axis).sum::<DVec3>() / count);
+        // Cameras at one place say nothing of the scene's size.
+        let length = if spread > 0.0 { spread } else { 1.0 };
+        let ahead = middle + length * (cameras.iter().map(axis).sum::<DVec3>() / count);
         // Least squares of the distances to the axes: Σ (I − d dᵀ)(x − c) = 0.
         let mut sum = DMat3::IDENTITY * (PULL * count);
         let mut right = PULL * count * ahead;
@@ -44,7 +46,7 @@ impl Cube {
         let focus = sum.inverse() * right;
         let mut distances: Vec<f64> = centres.iter().map(|centre| centre.distance(focus)).collect();
         distances.sort_by(f64::total_cmp);
-        Self { centre: focus, half_side: distances[distances.len() / 2].max(1e-3) }
+        Self { centre: focus, half_side: distances[distances.len() / 2].max(1e-3 * length) }
     }
 
     /// [`COUNT`] points, the same for the same seed.

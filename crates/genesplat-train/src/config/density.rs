@@ -101,11 +101,11 @@ pub struct McmcConfig {
     pub growth: f64,
     /// Exploration noise, in multiples of the position rate. Default 5e5; not negative. As in the authors' code it is
     /// in the scene's own units: its reach grows with the square of the cameras' extent (gsplat brings scenes to an
-    /// extent of about 1 first), so scenes whose extent is far from 1 to 10 want another value.
+    /// extent of about 1 first). A scene whose extent is below 1 or above 10 is measured as if it were 1 or 10.
     pub noise: f32,
     /// Weight of the mean opacity in the loss. Default 0.01; not negative. Higher leaves more Gaussians to relocate.
     pub opacity_weight: f32,
-    /// Weight of the mean scale in the loss. Default 0.01; not negative. Higher makes Gaussians smaller.
+    /// Weight of the mean scale in the loss, in the same units. Default 0.01; not negative. Higher makes Gaussians smaller.
     pub scale_weight: f32,
 }
 

@@ -22,7 +22,7 @@ use crate::densify::mcmc;
 use crate::densify::renew::Trial;
 use crate::scene::filter_3d::filter_3d;
 use crate::scene::initialise::{
-    ColouredPoint, check_points, cloud_from_points, in_spatial_order, median_depth, scene_extent,
+    ColouredPoint, check_points, cloud_from_points, in_spatial_order, median_depth, scene_extent, unit_of,
 };
 use crate::scene::thin::thinned;
 use crate::scene::views::ViewOrder;
@@ -294,11 +294,12 @@ impl<'a> Trainer<'a> {
 
     /// MCMC's part of a step.
     fn mcmc_step(&self, position_rate: f32, counter: u32) -> Option<McmcStep> {
-        let mcmc = &self.config.mcmc;
+        let (mcmc, unit) = (&self.config.mcmc, unit_of(self.extent) as f32);
         (self.config.variant == Variant::Mcmc).then_some(McmcStep {
-            noise_scale: position_rate * mcmc.noise,
+            // It is multiplied by a covariance.
+            noise_scale: position_rate * mcmc.noise / (unit * unit),
             opacity_weight: mcmc.opacity_weight,
-            scale_weight: mcmc.scale_weight,
+            scale_weight: mcmc.scale_weight / unit,
             rng: self.rng,
             counter,
         })

@@ -16,6 +16,8 @@ const INITIAL_OPACITY: f32 = 0.1;
 
 /// Floor of the mean squared distance, world units squared, so that duplicate points get a finite log-scale (3DGS).
 const SQUARED_DISTANCE_MIN: f32 = 1e-7;
+/// It is that of points whose squared distances have at least this median; where all lie closer, it is as much less.
+const USUAL_SQUARED_DISTANCE: f32 = 1e-4;
 
 /// The scene's extent is this many times the radius of the camera centres (3DGS).
 const EXTENT_MARGIN: f64 = 1.1;
@@ -62,14 +64,25 @@ pub fn cloud_from_points(points: &[ColouredPoint]) -> Result<Gaussians, Initiali
     let positions: Vec<[f32; 3]> = points.iter().map(|point| point.0).collect();
     let mut cloud = Gaussians::zeros(points.len());
     cloud.opacity_logits.fill(logit(INITIAL_OPACITY));
-    for (row, squared) in mean_squared_distances(&positions).into_iter().enumerate() {
-        cloud.log_scales[row] = [squared.max(SQUARED_DISTANCE_MIN).sqrt().ln(); 3];
+    let squared_distances = mean_squared_distances(&positions);
+    let floor = floor(&squared_distances);
+    for (row, squared) in squared_distances.into_iter().enumerate() {
+        cloud.log_scales[row] = [squared.max(floor).sqrt().ln(); 3];
         for (channel, &value) in points[row].1.iter().enumerate() {
             cloud.sh[row][sh_index(channel, 0)] = dc_from_rgb(f32::from(value) / 255.0);
         }
     }
     cloud.positions = positions;
     Ok(cloud)
+}
+
+/// Least squared distance that is believed: in a small scene a small one.
+fn floor(squared_distances: &[f32]) -> f32 {
+    let mut sorted = squared_distances.to_vec();
+    let (_, &mut median, _) = sorted.select_nth_unstable_by(squared_distances.len() / 2, f32::total_cmp);
+    let part = (median / USUAL_SQUARED_DISTANCE).min(1.0);
+    // The smallest scenes have squares that f32 holds as nothing, as duplicates have.
+    if part > 1e-12 { part * SQUARED_DISTANCE_MIN } else { SQUARED_DISTANCE_MIN }
 }
 
 /// A cloud can be made of these points; what is wrong with them is said of the order given.
@@ -104,6 +117,12 @@ pub fn scene_extent<'a>(cameras: impl Iterator<Item = &'a Camera>) -> Result<f64
     } else {
         Err(InitialiseError::NoExtent { cameras: centres.len() })
     }
+}
+
+/// The length that fixed settings of MCMC are in, world units: 1 where the extent is 1 to 10, as that of published scenes;
+/// else what brings it there.
+pub(crate) fn unit_of(extent: f64) -> f64 {
+    extent / extent.clamp(1.0, 10.0)
 }
 
 /// Points that the median depth is taken of, at most: more do not move it.
@@ -157,6 +176,21 @@ mod tests {
     fn duplicate_points_get_the_smallest_size_instead_of_minus_infinity() {
         let cloud = cloud_from_points(&[([1.0; 3], [0; 3]); 5]).unwrap();
         assert!((cloud.log_scales[0][0] - 1e-7f32.sqrt().ln()).abs() < 1e-5);
+    }
+
+    #[test]
+    fn the_smallest_size_is_that_of_a_small_scene() {
+        let row =
+            |step: f32| [0.0, 0.0, 0.0, 0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0].map(|x| ([x * step, 0.0, 0.0], [0; 3]));
+        let size = |step: f32| cloud_from_points(&row(step)).unwrap().log_scales[0][0].exp();
+        assert!((size(1.0) - 1e-7f32.sqrt()).abs() < 1e-9);
+        assert!((size(1e-4) / size(1e-3) - 0.1).abs() < 1e-3 && size(1e-4) < 1e-4);
+    }
+
+    #[test]
+    fn units_follow_the_extents_that_no_published_scene_has() {
+        assert_eq!([1.0, 4.5, 10.0].map(unit_of), [1.0; 3]);
+        assert_eq!([0.02, 300.0].map(unit_of), [0.02, 30.0]);
     }
 
     #[test]
