@@ -4,6 +4,8 @@
 //! root of the mean *squared* distance to the three nearest other points, opacity 0.1, colour in the base coefficient
 //! only.
 
+use std::ops::Range;
+
 use genesplat_core::gaussians::logit;
 use genesplat_core::spherical_harmonics::{dc_from_rgb, sh_index};
 use genesplat_core::{Camera, Gaussians, morton_order};
@@ -58,18 +60,44 @@ pub type ColouredPoint = ([f32; 3], [u8; 3]);
 
 /// One Gaussian a point, in the order given.
 pub fn cloud_from_points(points: &[ColouredPoint]) -> Result<Gaussians, InitialiseError> {
-    check_points(points)?;
-    let positions: Vec<[f32; 3]> = points.iter().map(|point| point.0).collect();
-    let mut cloud = Gaussians::zeros(points.len());
-    cloud.opacity_logits.fill(logit(INITIAL_OPACITY));
-    for (row, squared) in mean_squared_distances(&positions).into_iter().enumerate() {
-        cloud.log_scales[row] = [squared.max(SQUARED_DISTANCE_MIN).sqrt().ln(); 3];
-        for (channel, &value) in points[row].1.iter().enumerate() {
-            cloud.sh[row][sh_index(channel, 0)] = dc_from_rgb(f32::from(value) / 255.0);
-        }
+    Ok(Seeds::new(points.to_vec())?.rows(0..points.len()))
+}
+
+/// All that a first cloud is made from, a tenth of its size: who holds some of its rows makes no others.
+pub(crate) struct Seeds {
+    points: Vec<ColouredPoint>,
+    /// Mean squared distance to the nearest others.
+    squared: Vec<f32>,
+}
+
+impl Seeds {
+    pub(crate) fn new(points: Vec<ColouredPoint>) -> Result<Self, InitialiseError> {
+        check_points(&points)?;
+        let positions: Vec<[f32; 3]> = points.iter().map(|point| point.0).collect();
+        Ok(Self { points, squared: mean_squared_distances(&positions) })
     }
-    cloud.positions = positions;
-    Ok(cloud)
+
+    pub(crate) fn len(&self) -> usize {
+        self.points.len()
+    }
+
+    pub(crate) fn positions(&self) -> Vec<[f32; 3]> {
+        self.points.iter().map(|point| point.0).collect()
+    }
+
+    /// The Gaussians of some points.
+    pub(crate) fn rows(&self, rows: Range<usize>) -> Gaussians {
+        let mut cloud = Gaussians::zeros(rows.len());
+        cloud.opacity_logits.fill(logit(INITIAL_OPACITY));
+        for (row, &(position, rgb)) in self.points[rows.clone()].iter().enumerate() {
+            cloud.positions[row] = position;
+            cloud.log_scales[row] = [self.squared[rows.start + row].max(SQUARED_DISTANCE_MIN).sqrt().ln(); 3];
+            for (channel, &value) in rgb.iter().enumerate() {
+                cloud.sh[row][sh_index(channel, 0)] = dc_from_rgb(f32::from(value) / 255.0);
+            }
+        }
+        cloud
+    }
 }
 
 /// A cloud can be made of these points; what is wrong with them is said of the order given.
