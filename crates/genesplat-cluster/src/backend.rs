@@ -6,16 +6,18 @@ use std::ops::Range;
 use genesplat_core::backend::StepReport;
 use genesplat_core::memory::ensure_memory;
 use genesplat_core::{
-    Backend, BackendError, Blend, Camera, DeviceState, GENES, Gaussians, Genes, Image, RenderSettings, RowEdit,
+    Backend, BackendError, Blend, Camera, DeviceState, Gaussians, Genes, Image, Moments, RenderSettings, RowEdit,
     Statistics, TrainStep, View,
 };
-use genesplat_kernels::cpu::stages::{Share, loss_of_sums};
+use genesplat_kernels::cpu::stages::Share;
 use genesplat_kernels::cpu::{CpuBackend, Pinhole};
 
-use crate::drawing::{Drawing, Sheet, Told};
+use crate::drawing::{Drawing, Sheet};
 use crate::group::Group;
 use crate::shares::Shares;
-use crate::wire::{Reader, Writer, lend};
+use crate::splats::Sent;
+use crate::steps::Task;
+use crate::wire::{Reader, Writer, lend, reserve};
 
 /// A cloud whose rows are dealt out to ranks, each of which calls every verb with the same arguments.
 ///
@@ -37,9 +39,12 @@ pub struct ClusterBackend {
     pub(crate) own: CpuBackend,
     pub(crate) shares: Shares,
     pub(crate) drawing: Drawing,
+    /// Steps whose gradients wait for a later one.
+    pub(crate) queue: Vec<TrainStep>,
+    pub(crate) tasks: Vec<Task>,
     /// Intersections of each row of tiles of each view when it was last drawn; none before.
-    loads: Vec<Vec<u32>>,
-    report: StepReport,
+    pub(crate) loads: Vec<Vec<u32>>,
+    pub(crate) report: StepReport,
     /// A copy of the cloud, while populations are scored.
     pub(crate) whole: Option<Gaussians>,
 }
@@ -52,6 +57,8 @@ impl ClusterBackend {
             group,
             own: CpuBackend::new(),
             drawing: Drawing::default(),
+            queue: Vec::new(),
+            tasks: Vec::new(),
             loads: Vec::new(),
             report: StepReport::default(),
             whole: None,
@@ -64,10 +71,10 @@ impl ClusterBackend {
 
     /// A training view, cut as its load was.
     pub(crate) fn sheet_of(&self, view: usize) -> Sheet {
-        Sheet::new(*self.own.view(view).0, &self.loads[view], &self.group)
+        Sheet::of_all(*self.own.view(view).0, &self.loads[view], &self.group)
     }
 
-    fn share(&self) -> Share {
+    pub(crate) fn share(&self) -> Share {
         Share { first_row: self.own_rows().start, all_rows: self.shares.rows() }
     }
 
@@ -85,7 +92,7 @@ impl ClusterBackend {
     }
 
     /// Why training diverged: the parameter that is not finite, wherever it is.
-    fn diverged(&mut self) -> Result<Option<BackendError>, BackendError> {
+    pub(crate) fn diverged(&mut self) -> Result<Option<BackendError>, BackendError> {
         let (first, steps) = (self.own_rows().start, self.own.steps());
         let found = self.own.cloud().first_non_finite();
         let mut out = Writer::default();
@@ -109,20 +116,58 @@ impl ClusterBackend {
         self.diverged()?.map_or(Ok(()), Err)
     }
 
-    /// What bands have told of a view is remembered, until it is drawn again.
-    fn remember(&mut self, view: usize, told: Told, loss: f32) {
-        let intersections = told.intersections.iter().map(|&count| count as usize).sum();
-        self.report = StepReport { loss, visible: told.visible, intersections };
-        self.loads[view] = told.intersections;
+    /// A cloud of so many rows is about to come.
+    fn begin_upload(&mut self, rows: usize) -> Result<(), BackendError> {
+        let shares = Shares::new(rows, self.group.count());
+        self.group.agree(CpuBackend::ensure_training(shares.of(self.group.rank()).len()))?;
+        (self.shares, self.whole) = (shares, None);
+        Ok(())
     }
 
-    /// All rows of what this rank lends, on rank 0.
-    fn collect(&mut self, write: impl FnOnce(&CpuBackend, &mut Writer)) -> Result<Vec<Vec<u32>>, BackendError> {
-        let mut out = Writer::default();
-        write(&self.own, &mut out);
-        self.group.to_root(out.words)
+    /// The shares in pieces, which take little memory on their way.
+    fn pieces(&self, shares: impl Iterator<Item = Range<usize>>) -> Vec<(usize, Range<usize>)> {
+        let pieces = |(rank, share): (usize, Range<usize>)| {
+            share.clone().step_by(PIECE).map(move |start| (rank, start..share.end.min(start + PIECE)))
+        };
+        shares.enumerate().flat_map(pieces).collect()
+    }
+
+    /// All rows of what ranks `write`, some of the own at a time, to rank 0, which reads them in order.
+    fn collect(
+        &self,
+        write: impl Fn(&CpuBackend, Range<usize>, &mut Writer),
+        mut read: impl FnMut(Reader<'_>),
+    ) -> Result<(), BackendError> {
+        for (rank, rows) in self.pieces(self.shares.all().map(|share| 0..share.len())) {
+            let mut out = Writer::default();
+            if rank == self.group.rank() {
+                write(&self.own, rows, &mut out);
+            }
+            let parts = self.group.to_root(out.words)?;
+            if self.group.is_root() {
+                read(Reader::new(&parts[rank]));
+            }
+        }
+        Ok(())
+    }
+
+    /// The whole cloud, to all.
+    pub(crate) fn copy_of_all(&self) -> Result<Gaussians, BackendError> {
+        let mut whole = Gaussians::default();
+        reserve(&mut whole, self.shares.rows());
+        for (rank, rows) in self.pieces(self.shares.all().map(|share| 0..share.len())) {
+            let mut out = Writer::default();
+            if rank == self.group.rank() {
+                out.cloud(self.own.cloud(), rows);
+            }
+            Reader::new(&self.group.gather(Ok(out.words))?[rank]).cloud(&mut whole);
+        }
+        Ok(whole)
     }
 }
+
+/// Rows that are sent at once where all of them are.
+const PIECE: usize = 1 << 15;
 
 /// As [`Gaussians::first_non_finite`] names them, in its order.
 const PARAMETERS: [&str; 5] = ["position", "log-scale", "rotation", "opacity", "colour"];
@@ -144,112 +189,103 @@ impl Backend for ClusterBackend {
     }
 
     fn upload(&mut self, state: DeviceState) -> Result<(), BackendError> {
-        self.whole = None;
-        let mut parts = vec![Vec::new(); self.group.count()];
-        if self.group.is_root() {
-            let shares = Shares::new(state.cloud.len(), self.group.count());
-            parts = shares
-                .all()
-                .map(|rows| {
-                    let mut out = Writer::default();
-                    out.count(shares.rows());
-                    out.state(lend(&state), rows);
-                    out.words
-                })
-                .collect();
+        let rows = self.group.broadcast(vec![state.cloud.len() as u32])?[0] as usize;
+        self.begin_upload(rows)?;
+        let mut own = DeviceState::default();
+        for (rank, rows) in self.pieces(self.shares.all()) {
+            let mut parts = vec![Vec::new(); self.group.count()];
+            if self.group.is_root() {
+                let mut out = Writer::default();
+                out.state(lend(&state), rows);
+                parts[rank] = out.words;
+            }
+            let part = self.group.exchange(Ok(parts))?.swap_remove(0);
+            if rank == self.group.rank() {
+                Reader::new(&part).state(&mut own);
+            }
         }
-        drop(state);
-        let part = self.group.exchange(Ok(parts))?.swap_remove(0);
-        let (mut input, mut own) = (Reader::new(&part), DeviceState::default());
-        let shares = Shares::new(input.count(), self.group.count());
-        input.state(&mut own);
-        self.group.agree(CpuBackend::ensure_training(own.cloud.len()))?;
         self.own.put_state(own);
-        self.shares = shares;
+        Ok(())
+    }
+
+    fn upload_rows(&mut self, rows: usize, part: &dyn Fn(Range<usize>) -> Gaussians) -> Result<(), BackendError> {
+        self.begin_upload(rows)?;
+        self.own.put_state(part(self.own_rows()).into());
         Ok(())
     }
 
     fn state(&mut self) -> Result<DeviceState, BackendError> {
+        self.settle()?;
         self.check_finite()?;
-        let rows = 0..self.own_rows().len();
-        let parts = self.collect(|own, out| {
-            out.state((own.cloud(), own.moments(), own.sums(), own.averages()), rows);
-        })?;
-        let mut state = DeviceState::default();
+        let (rows, mut state) = (self.shares.rows(), DeviceState::default());
         if self.group.is_root() {
-            parts.iter().for_each(|part| Reader::new(part).state(&mut state));
-        } else {
-            let mut out = Writer::default();
-            out.state((self.own.cloud(), self.own.moments(), self.own.sums(), self.own.averages()), 0..0);
-            Reader::new(&out.words).state(&mut state);
+            let Moments { first, second, .. } = &mut state.moments;
+            [&mut state.cloud, first, second].into_iter().for_each(|table| reserve(table, rows));
         }
+        let write = |own: &CpuBackend, rows: Range<usize>, out: &mut Writer| {
+            out.state((own.cloud(), own.moments(), own.sums(), own.averages()), rows);
+        };
+        // Others learn what a cloud without rows has.
+        let mut out = Writer::default();
+        write(&self.own, 0..0, &mut out);
+        Reader::new(&out.words).state(&mut state);
+        self.collect(write, |mut part| part.state(&mut state))?;
         Ok(state)
     }
 
     fn download(&mut self) -> Result<Cow<'_, Gaussians>, BackendError> {
+        self.settle()?;
         self.check_finite()?;
-        let parts = self.collect(|own, out| out.cloud(own.cloud(), 0..own.cloud().len()))?;
         let mut cloud = Gaussians::default();
         if self.group.is_root() {
-            parts.iter().for_each(|part| Reader::new(part).cloud(&mut cloud));
+            reserve(&mut cloud, self.shares.rows());
         }
+        self.collect(|own, rows, out| out.cloud(own.cloud(), rows), |mut part| part.cloud(&mut cloud))?;
         Ok(Cow::Owned(cloud))
     }
 
     fn genes(&mut self) -> Result<Vec<Genes>, BackendError> {
+        self.settle()?;
         let genes = self.own.cloud().all_genes();
-        debug_assert_eq!(size_of::<Genes>(), GENES * size_of::<f32>());
         self.gather(&genes)
     }
 
     fn render(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<Image, BackendError> {
-        let (level, sheet) = (self.own.level(), Sheet::new(Pinhole::from(camera), &[], &self.group));
+        self.settle()?;
+        let (level, sheet) = (self.own.level(), Sheet::of_all(Pinhole::from(camera), &[], &self.group));
         let splats = self.own.project(&sheet.camera, settings, &Blend::default());
-        let parts = self.group.exchange(splats.map(|splats| self.drawing.deal(&sheet, splats)))?;
+        let parts = self.group.exchange(splats.map(|splats| sheet.deal(splats, &mut Sent::default())))?;
         let drawn = self.drawing.draw(level, &sheet, parts, settings);
         let parts = self.group.exchange(drawn.map(|()| self.drawing.rows_for_all(&sheet)))?;
         Ok(self.drawing.whole(&sheet, &parts))
     }
 
+    /// Steps whose gradients wait for another are made with it: whole views are dealt out then.
     fn train_step(&mut self, step: &TrainStep) -> Result<(), BackendError> {
-        self.whole = None;
-        let before = self.group.traffic().bytes;
-        let (level, sheet, signal) = (self.own.level(), self.sheet_of(step.view), step.statistics.density);
-        // 1. Splats go to the bands.
-        let splats = self.own.begin_step(step);
-        let parts = self.group.exchange(splats.map(|splats| self.drawing.deal(&sheet, splats)))?;
-        // 2. Rows of the picture go to the bands beside.
-        let target = self.own.view(step.view).1;
-        let drawn = self.drawing.draw(level, &sheet, parts, &step.settings);
-        let parts = self.group.exchange(drawn.map(|()| self.drawing.rows_for_loss(&sheet, target)))?;
-        // 3. Sums of gradients go back.
-        self.drawing.loss(level, &sheet, target, &parts, true);
-        let visible = self.own.splats().len();
-        let parts = self.drawing.backward(level, &sheet, |drawing| drawing.tell(&sheet, visible), signal);
-        let parts = self.group.exchange(parts)?;
-        let mut told = Told::new(&sheet);
-        self.drawing.add(&parts, signal, |rank, input| told.hear(&sheet, rank, input));
-        let loss = loss_of_sums(&told.sums, target);
-        if !loss.is_finite() {
-            let steps = self.own.steps();
-            return Err(self.diverged()?.unwrap_or(BackendError::LossNotFinite { steps }));
+        self.queue.push(*step);
+        if step.keeps_gradients {
+            return Ok(());
         }
-        self.own.finish_step(step, &self.drawing.gradients, self.share());
-        self.remember(step.view, told, loss);
-        self.group.count_step(before);
-        Ok(())
+        let done = self.settle();
+        if done.is_err() {
+            self.queue.pop();
+        }
+        done
     }
 
     fn discard_queued_steps(&mut self) -> Result<usize, BackendError> {
-        (self.drawing, self.whole) = Default::default();
-        self.own.discard_queued_steps()
+        (self.drawing, self.tasks, self.whole) = Default::default();
+        let undone = std::mem::take(&mut self.queue).len();
+        Ok(undone + self.own.discard_queued_steps()?)
     }
 
     fn report(&mut self) -> Result<StepReport, BackendError> {
+        self.settle()?;
         Ok(self.report)
     }
 
     fn statistics(&mut self) -> Result<Statistics, BackendError> {
+        self.settle()?;
         let done = self.own.statistics();
         let (own, failed) = match done {
             Ok(own) => (own, Ok(())),
@@ -266,21 +302,25 @@ impl Backend for ClusterBackend {
     }
 
     fn clear_gene_gradients(&mut self) {
+        debug_assert!(self.queue.is_empty(), "sums are read before they are cleared");
         self.own.clear_gene_gradients();
     }
 
     fn edit_rows(&mut self, edit: &RowEdit) -> Result<(), BackendError> {
+        self.settle()?;
         self.whole = None;
         self.move_rows(edit)
     }
 
     fn reset_opacity(&mut self, ceiling: f32) -> Result<(), BackendError> {
+        self.settle()?;
         self.whole = None;
         let done = self.own.reset_opacity(ceiling);
         self.group.agree(done)
     }
 
     fn set_filter_3d(&mut self, filter: Vec<f32>) -> Result<(), BackendError> {
+        self.settle()?;
         self.whole = None;
         let done = self.own.set_filter_3d(filter[self.own_rows()].to_vec());
         self.group.agree(done)

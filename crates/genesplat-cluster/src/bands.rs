@@ -13,9 +13,9 @@ pub(crate) struct Bands {
 }
 
 impl Bands {
-    /// Cuts a picture of `across` times `down` tiles; `intersections` are those of each row of tiles, or none where it was
-    /// never drawn.
-    pub(crate) fn new([across, down]: [usize; 2], intersections: &[u32], ranks: usize) -> Self {
+    /// Cuts a picture of `across` times `down` tiles for some of `count` ranks; `intersections` are those of each row of
+    /// tiles, or none where it was never drawn.
+    pub(crate) fn new([across, down]: [usize; 2], intersections: &[u32], ranks: &Range<usize>, count: usize) -> Self {
         let of_row = |row: usize| intersections.get(row).map_or(0, |&count| count as usize) + TILE_LOAD * across;
         let mut sums = vec![0; down + 1];
         for row in 0..down {
@@ -23,12 +23,12 @@ impl Bands {
         }
         let start = |rank: usize| {
             // Where the load before is nearest to what it should be.
-            let wanted = sums[down] * rank / ranks;
+            let wanted = sums[down] * (rank.clamp(ranks.start, ranks.end) - ranks.start) / ranks.len();
             let above = sums.partition_point(|&sum| sum < wanted);
             let is_nearer = above > 0 && wanted - sums[above - 1] < sums[above] - wanted;
             if is_nearer { above - 1 } else { above }
         };
-        Self { starts: (0..ranks).map(start).chain([down]).collect() }
+        Self { starts: (0..count).map(start).chain([down]).collect() }
     }
 
     /// The rows of one rank.
@@ -51,12 +51,14 @@ mod tests {
 
     #[test]
     fn bands_follow_the_load() {
-        let bands = |intersections: &[u32], ranks| Bands::new([10, 8], intersections, ranks).starts;
+        let bands = |intersections: &[u32], ranks| Bands::new([10, 8], intersections, &(0..ranks), ranks).starts;
         assert_eq!(bands(&[], 2), [0, 4, 8]);
         assert_eq!(bands(&[100_000, 0, 0, 0, 0, 0, 0, 100_000], 2), [0, 4, 8]);
         assert_eq!(bands(&[0, 0, 0, 0, 0, 0, 50_000, 50_000], 2), [0, 7, 8]);
         assert_eq!(bands(&[], 3), [0, 3, 5, 8]);
-        assert_eq!(Bands::new([1, 2], &[], 5).starts.last(), Some(&2));
+        assert_eq!(Bands::new([1, 2], &[], &(0..5), 5).starts.last(), Some(&2));
+        assert_eq!(Bands::new([10, 8], &[], &(1..3), 4).starts, [0, 0, 4, 8, 8]);
+        assert_eq!(Bands::new([10, 8], &[], &(3..4), 4).starts, [0, 0, 0, 0, 8]);
     }
 
     #[test]

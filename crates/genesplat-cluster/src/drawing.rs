@@ -24,14 +24,30 @@ pub(crate) struct Sheet {
     bands: Bands,
     /// The own one.
     band: Band,
+    drawers: Range<usize>,
     ranks: usize,
 }
 
 impl Sheet {
-    /// `intersections` are those of each row of tiles, where they are known.
-    pub(crate) fn new(camera: Pinhole, intersections: &[u32], group: &Group) -> Self {
-        let bands = Bands::new(camera.grid(), intersections, group.count());
-        Self { band: Band::new(&camera, bands.of(group.rank())), camera, bands, ranks: group.count() }
+    /// Drawn by some of the ranks; `intersections` are those of each row of tiles, where they are known.
+    pub(crate) fn new(camera: Pinhole, intersections: &[u32], drawers: Range<usize>, group: &Group) -> Self {
+        let bands = Bands::new(camera.grid(), intersections, &drawers, group.count());
+        Self { band: Band::new(&camera, bands.of(group.rank())), camera, bands, drawers, ranks: group.count() }
+    }
+
+    /// Drawn by all.
+    pub(crate) fn of_all(camera: Pinhole, intersections: &[u32], group: &Group) -> Self {
+        Self::new(camera, intersections, 0..group.count(), group)
+    }
+
+    /// The ranks that draw it.
+    pub(crate) fn drawers(&self) -> Range<usize> {
+        self.drawers.clone()
+    }
+
+    /// The splats of the own rows, for the bands that they may reach.
+    pub(crate) fn deal(&self, splats: &Splats, sent: &mut Sent) -> Parts {
+        sent.deal(splats, &self.bands, self.down(), self.ranks)
     }
 
     fn width(&self) -> usize {
@@ -63,7 +79,6 @@ impl Sheet {
 pub(crate) struct Drawing {
     /// The own band.
     pub(crate) band: ViewBuffers,
-    sent: Sent,
     received: Received,
     near: PictureRows,
     /// Sums over the own band, row by row.
@@ -86,13 +101,6 @@ pub(crate) struct Told {
 }
 
 impl Drawing {
-    /// The own splats, for the bands that they may reach.
-    pub(crate) fn deal(&mut self, sheet: &Sheet, splats: &Splats) -> Parts {
-        self.gradients.clear();
-        self.gradients.resize(splats.capacity(), GradientRow::default());
-        self.sent.deal(splats, &sheet.bands, sheet.down(), sheet.ranks)
-    }
-
     /// Draws the own band of the picture.
     pub(crate) fn draw(
         &mut self,
@@ -173,29 +181,19 @@ impl Drawing {
         Ok((0..sheet.ranks).map(|rank| [&*told, &sums(rank)].concat()).collect())
     }
 
-    /// Adds the gradients of the own splats, after each rank's `hear` has heard what all are told.
+    /// Sums the gradients of the own splats; each rank's message is read from where it stands.
     pub(crate) fn add(
         &mut self,
-        parts: &Parts,
+        splats: &Splats,
+        sent: &Sent,
+        parts: &mut [Reader<'_>],
         signal: Option<DensitySignal>,
-        mut hear: impl FnMut(usize, &mut Reader<'_>),
     ) {
-        for (rank, part) in parts.iter().enumerate() {
-            let mut input = Reader::new(part);
-            hear(rank, &mut input);
-            self.sent.add(rank, &mut input, columns_of(signal), &mut self.gradients);
+        self.gradients.clear();
+        self.gradients.resize(splats.capacity(), GradientRow::default());
+        for (rank, part) in parts.iter_mut().enumerate() {
+            sent.add(rank, part, columns_of(signal), &mut self.gradients);
         }
-    }
-
-    /// Sums and counts of a step, for all.
-    pub(crate) fn tell(&self, sheet: &Sheet, own_splats: usize) -> Writer {
-        let mut told = Writer::default();
-        told.doubles(self.sums.as_flattened());
-        let starts: Vec<u32> =
-            self.band.bins.tile_starts.iter().step_by(sheet.camera.grid()[0].max(1)).copied().collect();
-        told.words.extend(starts.windows(2).map(|pair| pair[1] - pair[0]));
-        told.count(own_splats);
-        told
     }
 
     /// The own sums of the loss and of squared errors, for all.
@@ -227,11 +225,21 @@ impl Told {
         Self { sums: vec![[0.0; 2]; 3 * sheet.height()], ..Self::default() }
     }
 
-    /// What [`Drawing::tell`] has written; ranks come in their order.
+    /// Sums and counts of the own band, and how many own splats each view has.
+    pub(crate) fn tell(drawing: &Drawing, sheet: &Sheet, visible: &[usize]) -> Writer {
+        let mut told = Writer::default();
+        told.doubles(drawing.sums.as_flattened());
+        let starts = drawing.band.bins.tile_starts.iter().step_by(sheet.camera.grid()[0].max(1));
+        let starts: Vec<u32> = starts.copied().collect();
+        told.words.extend(starts.windows(2).map(|pair| pair[1] - pair[0]));
+        visible.iter().for_each(|&count| told.count(count));
+        told
+    }
+
+    /// What a rank tells of its band of this picture; ranks come in their order.
     pub(crate) fn hear(&mut self, sheet: &Sheet, rank: usize, input: &mut Reader<'_>) {
         read_sums(sheet, &sheet.pixel_rows()[rank], input, &mut self.sums);
         self.intersections.extend_from_slice(input.words(sheet.bands.of(rank).len()));
-        self.visible += input.count();
     }
 }
 

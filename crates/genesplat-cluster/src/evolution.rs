@@ -11,6 +11,7 @@ use genesplat_kernels::cpu::stages::{add_contributions_of, add_weights_of, loss_
 use crate::backend::ClusterBackend;
 use crate::drawing::{Drawing, Sheet};
 use crate::shares::places_in;
+use crate::splats::Sent;
 use crate::wire::{Reader, Writer};
 
 impl ClusterBackend {
@@ -24,14 +25,16 @@ impl ClusterBackend {
     ) -> Result<(), BackendError> {
         let (level, sheet) = (self.own.level(), self.sheet_of(view));
         let splats = self.own.project(&sheet.camera, settings, &Blend::default());
-        let parts = self.group.exchange(splats.map(|splats| self.drawing.deal(&sheet, splats)))?;
+        let mut sent = Sent::default();
+        let parts = self.group.exchange(splats.map(|splats| sheet.deal(splats, &mut sent)))?;
         let drawn = self.drawing.draw(level, &sheet, parts, settings);
         let parts = drawn.and_then(|()| {
             fill(&mut self.drawing, &sheet, self.own.view(view).1);
             self.drawing.backward(level, &sheet, |_| Writer::default(), None)
         });
         let parts = self.group.exchange(parts)?;
-        self.drawing.add(&parts, None, |_, _| {});
+        let mut parts: Vec<Reader<'_>> = parts.iter().map(|part| Reader::new(part)).collect();
+        self.drawing.add(self.own.splats(), &sent, &mut parts, None);
         Ok(())
     }
 
@@ -39,7 +42,7 @@ impl ClusterBackend {
     fn loss_of(&mut self, blend: &Blend, view: usize, settings: &RenderSettings) -> Result<ViewLoss, BackendError> {
         let (level, sheet) = (self.own.level(), self.sheet_of(view));
         let splats = self.own.project(&sheet.camera, settings, blend);
-        let parts = self.group.exchange(splats.map(|splats| self.drawing.deal(&sheet, splats)))?;
+        let parts = self.group.exchange(splats.map(|splats| sheet.deal(splats, &mut Sent::default())))?;
         let drawn = self.drawing.draw(level, &sheet, parts, settings);
         let target = self.own.view(view).1;
         let parts = self.group.exchange(drawn.map(|()| self.drawing.rows_for_loss(&sheet, target)))?;
@@ -54,15 +57,9 @@ impl ClusterBackend {
         if let Some(whole) = self.whole.take() {
             return Ok(whole);
         }
-        let room = ensure_memory(2 * self.shares.rows() * Gaussians::BYTES_PER_ROW, "a copy of the cloud");
-        let own = room.map(|()| {
-            let mut out = Writer::default();
-            out.cloud(self.own.cloud(), 0..self.own.cloud().len());
-            out.words
-        });
-        let mut whole = Gaussians::default();
-        self.group.gather(own)?.iter().for_each(|part| Reader::new(part).cloud(&mut whole));
-        Ok(whole)
+        let room = ensure_memory(self.shares.rows() * Gaussians::BYTES_PER_ROW, "a copy of the cloud");
+        self.group.agree(room)?;
+        self.copy_of_all()
     }
 }
 
@@ -74,6 +71,7 @@ impl EvolutionBackend for ClusterBackend {
         views: &[usize],
         settings: &RenderSettings,
     ) -> Result<Vec<f32>, BackendError> {
+        self.settle()?;
         let (rank, ranks) = (self.group.rank(), self.group.count());
         let of_rank = |rank: usize| views.iter().copied().skip(rank).step_by(ranks);
         let own: Vec<usize> = of_rank(rank).collect();
@@ -92,6 +90,7 @@ impl EvolutionBackend for ClusterBackend {
     }
 
     fn apply(&mut self, delta: &SparseDelta, moments: MomentPolicy) -> Result<(), BackendError> {
+        self.settle()?;
         if let Some(whole) = &mut self.whole {
             whole.apply(delta);
         }
@@ -103,6 +102,7 @@ impl EvolutionBackend for ClusterBackend {
     }
 
     fn weigh(&mut self, view: usize, map: &[f32], settings: &RenderSettings) -> Result<Vec<f32>, BackendError> {
+        self.settle()?;
         self.group.agree(self.own.ensure_contribution_sums())?;
         self.backward(view, settings, |drawing, sheet, _| drawing.map(sheet, map))?;
         let mut sums = vec![0.0; self.own.cloud().len()];
@@ -111,6 +111,7 @@ impl EvolutionBackend for ClusterBackend {
     }
 
     fn contributions(&mut self, views: &[usize], settings: &RenderSettings) -> Result<Vec<Contribution>, BackendError> {
+        self.settle()?;
         self.group.agree(self.own.ensure_contribution_sums())?;
         let mut own = vec![Contribution::default(); self.own.cloud().len()];
         for &view in views {
@@ -123,6 +124,7 @@ impl EvolutionBackend for ClusterBackend {
     }
 
     fn average(&mut self, half: usize) -> Result<(), BackendError> {
+        self.settle()?;
         self.group.agree(self.own.ensure_cloud("an average"))?;
         let done = self.own.average(half);
         self.group.agree(done)
@@ -134,6 +136,7 @@ impl EvolutionBackend for ClusterBackend {
         views: &[usize],
         settings: &RenderSettings,
     ) -> Result<Vec<ViewLoss>, BackendError> {
+        self.settle()?;
         let mut losses = Vec::with_capacity(blends.len() * views.len());
         for blend in blends {
             for &view in views {
@@ -144,6 +147,7 @@ impl EvolutionBackend for ClusterBackend {
     }
 
     fn blend(&mut self, blend: &Blend) -> Result<(), BackendError> {
+        self.settle()?;
         self.whole = None;
         self.group.agree(self.own.ensure_cloud("a blend"))?;
         let done = self.own.blend(blend);

@@ -118,10 +118,10 @@ impl Group {
         }
     }
 
-    /// A step was made, before which so many bytes had been sent.
-    pub(crate) fn count_step(&self, bytes_before: u64) {
+    /// Steps were made, before which so many bytes had been sent.
+    pub(crate) fn count_steps(&self, steps: usize, bytes_before: u64) {
         let mut traffic = self.traffic();
-        traffic.steps += 1;
+        traffic.steps += steps as u64;
         traffic.step_bytes += traffic.bytes - bytes_before;
         self.0.traffic.set(traffic);
     }

@@ -24,6 +24,7 @@ mod ranks;
 mod rows;
 mod shares;
 mod splats;
+mod steps;
 mod wire;
 
 #[cfg(test)]

@@ -1,16 +1,18 @@
 //! One to four ranks against one process: the same bytes.
 
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};
 use std::thread;
 
+use genesplat_core::{Gaussians, Mask, View};
 use genesplat_gallery::{GalleryOptions, generate};
 use genesplat_io::{HoldOut, Scene};
 use genesplat_kernels::cpu::CpuBackend;
-use genesplat_train::observe::StageRecord;
+use genesplat_train::observe::{Observer, StageRecord, StepLog};
 use genesplat_train::scene::initialise::ColouredPoint;
-use genesplat_train::{EvolutionMode, Outcome, Resolved, Silent, Start, TrainConfig, TrainError, Variant, train};
+use genesplat_train::{Checkpoint, EvolutionMode, Outcome, Resolved, Silent, Start, TrainConfig, Variant, train};
 
+use crate::wire::Writer;
 use crate::{ClusterBackend, Group, Threads};
 
 /// Enough rows for four shares of whole pieces, and enough rows of tiles for four bands.
@@ -22,43 +24,78 @@ fn scene() -> &'static Scene {
     })
 }
 
+/// Some of the photos have a mask.
+fn views() -> &'static [View] {
+    static VIEWS: OnceLock<Vec<View>> = OnceLock::new();
+    VIEWS.get_or_init(|| {
+        let mut views = scene().train.clone();
+        for view in views.iter_mut().step_by(3) {
+            let counts = (0..60 * 90).map(|pixel| pixel % 60 < 40 || pixel / 60 > 30).collect();
+            view.mask = Some(Arc::new(Mask { counts }));
+        }
+        views
+    })
+}
+
 fn points() -> Vec<ColouredPoint> {
     scene().points.iter().map(|point| (point.position, point.rgb)).collect()
 }
 
 /// A short run with density control, resets, and stages of evolution.
-fn config(variant: Variant, mode: EvolutionMode) -> Resolved {
-    let mut config = TrainConfig { variant, steps_scale: 0.003, max_gaussians: Some(2000), ..TrainConfig::published() };
+fn config(variant: Variant, mode: EvolutionMode, views_per_step: u32) -> Resolved {
+    let usual = TrainConfig { steps_scale: 0.003, max_gaussians: Some(2000), ..TrainConfig::published() };
+    let mut config = TrainConfig { variant, views_per_step, ..usual };
     (config.densify.every, config.densify.reset_every) = (3, 15);
     config.evolution.mode = mode;
     (config.evolution.paper.generations, config.evolution.paper.population) = (2, 12);
     config.resolve().unwrap()
 }
 
-/// A run on some ranks; what rank 0 has of it.
+/// Asks its own rank to stop after an iteration.
+struct Asks {
+    after: u32,
+    asked: Arc<AtomicBool>,
+}
+
+impl Observer for Asks {
+    fn on_iteration(&mut self, log: &StepLog) {
+        self.asked.fetch_or(log.iteration == self.after, Ordering::Relaxed);
+    }
+}
+
+/// A run on some ranks, the last of which is asked to stop after an iteration; what rank 0 has of it.
 fn on_ranks(
     count: usize,
     config: &Resolved,
     start: impl Fn(usize) -> Start + Sync,
     prepare: impl Fn(&mut ClusterBackend) + Sync,
-) -> Result<Outcome, TrainError> {
+    stop_after: u32,
+) -> Outcome {
     let of_rank = |ranks: Threads, rank: usize| {
-        let stop = Arc::new(AtomicBool::new(false));
-        let mut backend = ClusterBackend::new(Group::new(ranks, Arc::default(), stop.clone()));
+        let (asked, stop) = <(Arc<AtomicBool>, Arc<AtomicBool>)>::default();
+        let mut backend = ClusterBackend::new(Group::new(ranks, asked.clone(), stop.clone()));
         prepare(&mut backend);
-        train(&mut backend, &scene().train, start(rank), config, &mut Silent, &stop)
+        let mut observer = Asks { after: if rank == count - 1 { stop_after } else { 0 }, asked };
+        train(&mut backend, views(), start(rank), config, &mut observer, &stop).unwrap()
     };
     thread::scope(|scope| {
-        let ranks = Threads::new(count).into_iter().enumerate();
+        let (of_rank, ranks) = (&of_rank, Threads::new(count).into_iter().enumerate());
         let threads: Vec<_> = ranks.map(|(rank, ranks)| scope.spawn(move || of_rank(ranks, rank))).collect();
         let mut outcomes: Vec<_> = threads.into_iter().map(|thread| thread.join().unwrap()).collect();
         outcomes.swap_remove(0)
     })
 }
 
+/// The bits of all values.
+fn bits(cloud: &Gaussians) -> Vec<u32> {
+    let mut out = Writer::default();
+    out.cloud(cloud, 0..cloud.len());
+    out.words
+}
+
 fn alone(config: &Resolved, start: Start) -> Outcome {
     let mut backend = CpuBackend::new();
-    train(&mut backend, &scene().train, start, config, &mut Silent, &AtomicBool::new(false)).unwrap()
+    train(&mut backend, views(), start, config, &mut Silent, &AtomicBool::new(false)).unwrap()
 }
 
 fn from_points(_: usize) -> Start {
@@ -71,12 +108,12 @@ fn stages(outcome: &Outcome) -> Vec<StageRecord> {
     stages.map(|stage| StageRecord { seconds: 0.0, population_bytes: 0, ..*stage }).collect()
 }
 
-fn check(variant: Variant, mode: EvolutionMode) {
-    let config = config(variant, mode);
+fn check(variant: Variant, mode: EvolutionMode, views_per_step: u32, counts: &[usize]) {
+    let config = config(variant, mode, views_per_step);
     let expected = alone(&config, from_points(0));
-    for count in 1..=4 {
-        let outcome = on_ranks(count, &config, from_points, |_| {}).unwrap();
-        assert!(outcome.cloud == expected.cloud, "{variant}, {mode:?}, {count} ranks: another cloud");
+    for &count in counts {
+        let outcome = on_ranks(count, &config, from_points, |_| {}, 0);
+        assert!(bits(&outcome.cloud) == bits(&expected.cloud), "{variant}, {mode:?}, {count} ranks: another cloud");
         assert_eq!(stages(&outcome), stages(&expected), "{variant}, {mode:?}, {count} ranks");
     }
     assert_ne!(expected.cloud.len(), points().len(), "density control has its part");
@@ -85,24 +122,58 @@ fn check(variant: Variant, mode: EvolutionMode) {
 
 #[test]
 fn every_trainer_has_the_same_bytes_on_any_number_of_ranks() {
-    Variant::ALL.into_iter().for_each(|variant| check(variant, EvolutionMode::Off));
+    for variant in Variant::ALL {
+        let counts: &[usize] = if variant == Variant::ThreeDgs { &[1, 2, 3, 4] } else { &[3] };
+        check(variant, EvolutionMode::Off, 1, counts);
+    }
+}
+
+#[test]
+fn steps_of_several_views_have_the_same_bytes_on_any_number_of_ranks() {
+    check(Variant::MipSplatting, EvolutionMode::Off, 4, &[2, 4]);
+    check(Variant::Mcmc, EvolutionMode::Renew, 4, &[3]);
 }
 
 #[test]
 fn a_search_has_the_same_bytes_on_any_number_of_ranks() {
-    [Variant::ThreeDgs, Variant::MipSplatting].into_iter().for_each(|variant| check(variant, EvolutionMode::Paper));
+    check(Variant::ThreeDgs, EvolutionMode::Paper, 1, &[1, 2, 3, 4]);
+    check(Variant::MipSplatting, EvolutionMode::Paper, 1, &[4]);
 }
 
 #[test]
 fn renewals_have_the_same_bytes_on_any_number_of_ranks() {
-    [Variant::ThreeDgs, Variant::MipSplatting].into_iter().for_each(|variant| check(variant, EvolutionMode::Renew));
+    check(Variant::ThreeDgs, EvolutionMode::Renew, 1, &[4]);
+    check(Variant::MipSplatting, EvolutionMode::Renew, 1, &[1, 2, 3, 4]);
 }
 
 /// Floats that are added rank by rank, not tile by tile.
 #[test]
 fn sums_in_the_order_of_the_ranks_are_noticed() {
-    let config = config(Variant::ThreeDgs, EvolutionMode::Off);
+    let config = config(Variant::ThreeDgs, EvolutionMode::Off, 1);
     let expected = alone(&config, from_points(0));
-    let outcome = on_ranks(4, &config, from_points, |backend| backend.drawing.sums_by_rank = true).unwrap();
-    assert!(outcome.cloud != expected.cloud);
+    let outcome = on_ranks(4, &config, from_points, |backend| backend.drawing.sums_by_rank = true, 0);
+    assert!(bits(&outcome.cloud) != bits(&expected.cloud));
+}
+
+/// Stopped by one of three ranks, within a search of two that go on, and finished by four.
+#[test]
+fn a_stopped_run_goes_on_with_another_number_of_ranks() {
+    for (mode, stops) in [(EvolutionMode::Paper, [20, 46]), (EvolutionMode::Renew, [44, 70])] {
+        let config = config(Variant::MipSplatting, mode, 1);
+        let expected = alone(&config, from_points(0));
+        let mut checkpoint: Option<Box<Checkpoint>> = None;
+        for (count, stop) in [(3, stops[0]), (2, stops[1]), (4, 0)] {
+            let start = |rank| match &checkpoint {
+                None => from_points(rank),
+                Some(whole) if rank == 0 => Start::Checkpoint(whole.clone()),
+                Some(whole) => Start::Checkpoint(Box::new(whole.outline())),
+            };
+            let outcome = on_ranks(count, &config, start, |_| {}, stop);
+            assert_eq!(outcome.checkpoint.is_some(), stop > 0);
+            if stop == 0 {
+                assert!(bits(&outcome.cloud) == bits(&expected.cloud), "{mode:?}");
+            }
+            checkpoint = outcome.checkpoint;
+        }
+    }
 }

@@ -79,6 +79,15 @@ impl Writer {
     }
 }
 
+/// Makes room for so many rows and no more.
+pub(crate) fn reserve(table: &mut Gaussians, rows: usize) {
+    table.positions.reserve_exact(rows);
+    table.log_scales.reserve_exact(rows);
+    table.rotations.reserve_exact(rows);
+    table.opacity_logits.reserve_exact(rows);
+    table.sh.reserve_exact(rows);
+}
+
 /// A [`DeviceState`] that is lent.
 pub(crate) type StateRef<'a> = (&'a Gaussians, &'a Moments, &'a Statistics, &'a WindowAverages);
 
@@ -157,8 +166,8 @@ impl<'a> Reader<'a> {
             self.cloud(table);
         }
         self.statistics(&mut state.statistics);
-        let halves = state.averages.halves().clone().map(|half| {
-            let (states, mut mean) = (self.count(), half.mean().clone());
+        let halves = std::mem::take(&mut state.averages).into_halves().map(|half| {
+            let (states, mut mean) = (self.count(), half.into_mean());
             self.cloud(&mut mean);
             StateMean::new(states as u32, mean)
         });

@@ -29,6 +29,11 @@ impl StateMean {
         self.states
     }
 
+    /// The mean itself.
+    pub fn into_mean(self) -> Gaussians {
+        self.mean
+    }
+
     /// Their mean `[N]`, without 3D filter; empty before the first.
     pub fn mean(&self) -> &Gaussians {
         &self.mean
@@ -64,6 +69,11 @@ impl WindowAverages {
     /// The older and the younger half.
     pub fn halves(&self) -> &[StateMean; WINDOW_HALVES] {
         &self.halves
+    }
+
+    /// The halves themselves.
+    pub fn into_halves(self) -> [StateMean; WINDOW_HALVES] {
+        self.halves
     }
 
     /// How many states each half is the mean of.

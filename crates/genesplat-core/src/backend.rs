@@ -2,6 +2,7 @@
 //! within it.
 
 use std::borrow::Cow;
+use std::ops::Range;
 use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
@@ -276,6 +277,11 @@ pub trait Backend {
 
     /// Replaces all that is held but the views.
     fn upload(&mut self, state: DeviceState) -> Result<(), BackendError>;
+
+    /// [`Backend::upload`] of a cloud of so many rows that no step has been made with; `part` makes some of them.
+    fn upload_rows(&mut self, rows: usize, part: &dyn Fn(Range<usize>) -> Gaussians) -> Result<(), BackendError> {
+        self.upload(part(0..rows).into())
+    }
 
     /// A copy of all that is held but the views.
     fn state(&mut self) -> Result<DeviceState, BackendError>;

@@ -1,5 +1,6 @@
 //! A run by many processes that `mpirun` has started: all do the same, and rank 0 alone writes and speaks.
 
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
@@ -16,6 +17,10 @@ use crate::run::memory;
 use crate::terminal::numbers::memory as of_memory;
 use crate::terminal::output::{self, Volume};
 
+/// What is said to who ends a run under `mpirun`.
+pub(crate) const STOPPING: &str =
+    "stopping, as mpirun asks for it: results so far are being saved if all of its processes are there";
+
 /// How many processes Open MPI has started, and how many of them on this machine.
 const WORLD_SIZE: &str = "OMPI_COMM_WORLD_SIZE";
 const LOCAL_SIZE: &str = "OMPI_COMM_WORLD_LOCAL_SIZE";
@@ -29,28 +34,33 @@ pub(crate) struct Cluster {
 
 /// How long Open MPI waits before it ends who does not stop, seconds.
 const PATIENCE: &str = "OMPI_MCA_odls_base_sigkill_timeout";
-/// How long before that a process ends by itself, seconds.
-const MARGIN: f64 = 0.5;
+/// How long before that a process ends by itself.
+const MARGIN: Duration = Duration::from_millis(500);
+const PAUSE: Duration = Duration::from_millis(50);
 
 /// The number that Open MPI has left in the environment, or 1.
 fn started(variable: &str) -> usize {
     env::var(variable).ok().and_then(|count| count.parse().ok()).unwrap_or(1)
 }
 
+/// Whether this process is one of several that `mpirun` has started.
+pub(crate) fn is_member() -> bool {
+    started(WORLD_SIZE) > 1
+}
+
 impl Cluster {
-    /// Joins the others, if `mpirun` has started any; `asked` is set when this process is to stop.
-    pub(crate) fn join(asked: &Arc<AtomicBool>) -> Result<Option<Self>> {
-        if started(WORLD_SIZE) == 1 {
-            return Ok(None);
-        }
-        let (asked, stop) = (asked.clone(), Arc::default());
-        let group = connect(asked.clone(), Arc::clone(&stop))?;
+    /// Joins the others; `told` is set when it, or somebody else, tells this process to end.
+    pub(crate) fn join(told: &Arc<AtomicBool>) -> Result<Self> {
+        let (asked, stop) = <(Arc<AtomicBool>, Arc<AtomicBool>)>::default();
+        #[cfg(unix)]
+        signal_hook::flag::register(signal_hook::consts::SIGUSR1, asked.clone())?;
+        let group = connect(asked.clone(), stop.clone())?;
         if !group.is_root() {
             output::set_volume(Volume::Quiet);
         }
-        // One of the two is there whichever rank has ended.
-        end_in_time(asked.clone(), group.rank() < 2)?;
-        Ok(Some(Self { group, asked, stop }))
+        let root = group.broadcast(vec![process::id()])?[0];
+        end_in_time(told.clone(), asked.clone(), (group.rank(), root))?;
+        Ok(Self { group, asked, stop })
     }
 
     pub(crate) fn is_root(&self) -> bool {
@@ -127,19 +137,21 @@ pub(crate) fn agree<T>(cluster: Option<&Cluster>, done: Result<T>) -> Result<T> 
     Ok(done)
 }
 
-/// When a rank has ended, mpirun asks the others to stop, and they wait for it for ever. Ends this process with a sentence
-/// before mpirun does without.
-fn end_in_time(asked: Arc<AtomicBool>, speaks: bool) -> Result<()> {
-    let patience = Duration::from_secs_f64((started(PATIENCE) as f64 - MARGIN).max(MARGIN));
+/// When a rank has ended, mpirun tells the others to end, who wait for it for ever. Asks them to stop, and ends this process
+/// with a sentence before mpirun does without; `root` is the process of rank 0.
+fn end_in_time(told: Arc<AtomicBool>, asked: Arc<AtomicBool>, (rank, root): (usize, u32)) -> Result<()> {
+    let patience = Duration::from_secs(started(PATIENCE) as u64).saturating_sub(MARGIN);
     let watch = move || {
-        while !asked.load(Ordering::Relaxed) {
-            thread::sleep(Duration::from_millis(50));
+        while !told.load(Ordering::Relaxed) {
+            thread::sleep(PAUSE);
         }
+        asked.store(true, Ordering::Relaxed);
         thread::sleep(patience);
-        if speaks {
+        let is_alone = || !Path::new("/proc").join(root.to_string()).exists();
+        if rank == 0 || rank == 1 && is_alone() {
             output::complain(
-                "error: mpirun has ended the run, since one of its processes has ended, or since saving takes longer than it waits \
-                 (--mca odls_base_sigkill_timeout 60); the same command with --resume goes on from the last checkpoint",
+                "error: mpirun has ended the run, since one of its processes has ended, or since saving takes longer than it waits; the \
+                 same command with --resume goes on from the last checkpoint",
             );
         }
         process::exit(1);

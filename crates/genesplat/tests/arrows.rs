@@ -8,12 +8,13 @@ fn root() -> PathBuf {
 }
 
 /// What each crate may depend on.
-const ARROWS: [(&str, &[&str]); 10] = [
+const ARROWS: [(&str, &[&str]); 11] = [
     ("genesplat-core", &[]),
     ("genesplat-io", &["genesplat-core"]),
     ("genesplat-gallery", &["genesplat-core", "genesplat-io"]),
     ("genesplat-metrics", &["genesplat-core", "genesplat-io"]),
     ("genesplat-kernels", &["genesplat-core"]),
+    ("genesplat-cluster", &["genesplat-core", "genesplat-kernels"]),
     ("genesplat-gpu", &["genesplat-core"]),
     ("genesplat-evolve", &["genesplat-core"]),
     ("genesplat-viewer", &["genesplat-core"]),
@@ -21,6 +22,7 @@ const ARROWS: [(&str, &[&str]); 10] = [
     (
         "genesplat",
         &[
+            "genesplat-cluster",
             "genesplat-core",
             "genesplat-evolve",
             "genesplat-gallery",

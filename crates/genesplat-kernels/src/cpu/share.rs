@@ -86,6 +86,11 @@ impl CpuBackend {
         &self.buffers.splats
     }
 
+    /// Puts the splats that were projected last aside for others, which are projected next.
+    pub fn swap_splats(&mut self, other: &mut Splats) {
+        std::mem::swap(&mut self.buffers.splats, other);
+    }
+
     /// Makes room for a step, and projects the rows held.
     pub fn begin_step(&mut self, step: &TrainStep) -> Result<&Splats, BackendError> {
         self.prepare_step(step)?;

@@ -96,6 +96,10 @@ pub struct TrainConfig {
     /// Iterations, one view each. Default 30,000; 1 to 100 million once scaled. Changing it alone truncates: rates and
     /// events stay.
     pub iterations: u32,
+    /// Photos whose gradients a step of the optimiser has, which are summed in their order; an iteration is one photo still.
+    /// Default 1; 1 to 1000. All step sizes are multiplied by its square root (Zhao et al., "On Scaling Up 3D Gaussian
+    /// Splatting Training", 2024).
+    pub views_per_step: u32,
     /// Multiplies every setting that counts iterations, `iterations` included. Default 1; 0.001 to 1000. Each is
     /// rounded to whole iterations. Intervals (`densify.every`, `densify.reset_every`) are not made shorter than 100
     /// iterations, or than given: density control that looks at fewer photos grows what they do not need.
@@ -136,6 +140,7 @@ impl Default for TrainConfig {
             seed: 0,
             variant: Variant::default(),
             iterations: 30_000,
+            views_per_step: 1,
             steps_scale: 1.0,
             sh_degree: SH_DEGREE_MAX,
             background: Background::default(),

@@ -61,6 +61,8 @@ impl TrainConfig {
         let scaled = f64::from(self.iterations) * self.steps_scale;
         let wanted = "at least 1, and at most 100 million once steps_scale has multiplied it";
         check("iterations", self.iterations, self.iterations > 0 && scaled <= ITERATIONS_MAX, wanted)?;
+        let views = self.views_per_step;
+        check("views_per_step", views, (1..=1000).contains(&views), "between 1 and 1000")?;
         let counts = [
             ("optimiser.position_steps", self.optimiser.position_steps as usize),
             ("densify.every", self.densify.every as usize),

@@ -1,6 +1,7 @@
 //! The state of a run, and its plumbing: how it begins, what it saves, how it ends.
 
 use std::borrow::Cow;
+use std::ops::Range;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
@@ -21,9 +22,7 @@ use crate::densify::cap::Cap;
 use crate::densify::mcmc;
 use crate::densify::renew::Trial;
 use crate::scene::filter_3d::filter_3d;
-use crate::scene::initialise::{
-    ColouredPoint, check_points, cloud_from_points, in_spatial_order, median_depth, scene_extent, unit_of,
-};
+use crate::scene::initialise::{Seeds, check_points, in_spatial_order, median_depth, scene_extent, unit_of};
 use crate::scene::thin::thinned;
 use crate::scene::views::ViewOrder;
 use crate::schedule::{OptimiserStep, Phase, Schedule};
@@ -104,7 +103,7 @@ impl<'a> Trainer<'a> {
             Start::Points(points) => {
                 // Before they are thinned and in another order, so that users find the one that is named.
                 check_points(&points)?;
-                self.upload_new(self.first_cloud(&thinned(&points, self.most_points()))?)?
+                self.upload_seeds(&Seeds::new(in_spatial_order(&thinned(&points, self.most_points())))?)?
             }
             Start::Cloud(cloud) => {
                 // Its view-dependent colours are there already.
@@ -147,12 +146,19 @@ impl<'a> Trainer<'a> {
         self.config.max_gaussians.unwrap_or(usize::MAX)
     }
 
-    fn first_cloud(&self, points: &[ColouredPoint]) -> Result<Gaussians, TrainError> {
-        let mut cloud = cloud_from_points(&in_spatial_order(points))?;
-        if self.config.variant == Variant::Mcmc {
-            mcmc::initialise(&mut cloud);
-        }
-        Ok(cloud)
+    fn upload_seeds(&mut self, seeds: &Seeds) -> Result<Cursor, TrainError> {
+        let filter = self.schedule.has_filter_3d().then(|| filter_of(self.views, &seeds.positions()));
+        let is_mcmc = self.config.variant == Variant::Mcmc;
+        let part = |rows: Range<usize>| {
+            let mut cloud = seeds.rows(rows.clone());
+            if is_mcmc {
+                mcmc::initialise(&mut cloud);
+            }
+            cloud.filter_3d = filter.as_ref().map(|filter| filter[rows].to_vec());
+            cloud
+        };
+        self.backend.upload_rows(seeds.len(), &part)?;
+        Ok(Cursor::start_of(1))
     }
 
     fn upload_new(&mut self, mut cloud: Gaussians) -> Result<Cursor, TrainError> {

@@ -4,6 +4,8 @@
 //! root of the mean *squared* distance to the three nearest other points, opacity 0.1, colour in the base coefficient
 //! only.
 
+use std::ops::Range;
+
 use genesplat_core::gaussians::logit;
 use genesplat_core::spherical_harmonics::{dc_from_rgb, sh_index};
 use genesplat_core::{Camera, Gaussians, morton_order};
@@ -60,20 +62,47 @@ pub type ColouredPoint = ([f32; 3], [u8; 3]);
 
 /// One Gaussian a point, in the order given.
 pub fn cloud_from_points(points: &[ColouredPoint]) -> Result<Gaussians, InitialiseError> {
-    check_points(points)?;
-    let positions: Vec<[f32; 3]> = points.iter().map(|point| point.0).collect();
-    let mut cloud = Gaussians::zeros(points.len());
-    cloud.opacity_logits.fill(logit(INITIAL_OPACITY));
-    let squared_distances = mean_squared_distances(&positions);
-    let floor = floor(&squared_distances);
-    for (row, squared) in squared_distances.into_iter().enumerate() {
-        cloud.log_scales[row] = [squared.max(floor).sqrt().ln(); 3];
-        for (channel, &value) in points[row].1.iter().enumerate() {
-            cloud.sh[row][sh_index(channel, 0)] = dc_from_rgb(f32::from(value) / 255.0);
-        }
+    Ok(Seeds::new(points.to_vec())?.rows(0..points.len()))
+}
+
+/// What the first cloud is made from, a tenth of its size: a rank makes its own rows of the cloud, and no others.
+pub(crate) struct Seeds {
+    points: Vec<ColouredPoint>,
+    /// Mean squared distance to the nearest others; not below the least that is believed.
+    squared: Vec<f32>,
+}
+
+impl Seeds {
+    pub(crate) fn new(points: Vec<ColouredPoint>) -> Result<Self, InitialiseError> {
+        check_points(&points)?;
+        let positions: Vec<[f32; 3]> = points.iter().map(|point| point.0).collect();
+        let mut squared = mean_squared_distances(&positions);
+        let floor = floor(&squared);
+        squared.iter_mut().for_each(|squared| *squared = squared.max(floor));
+        Ok(Self { points, squared })
     }
-    cloud.positions = positions;
-    Ok(cloud)
+
+    pub(crate) fn len(&self) -> usize {
+        self.points.len()
+    }
+
+    pub(crate) fn positions(&self) -> Vec<[f32; 3]> {
+        self.points.iter().map(|point| point.0).collect()
+    }
+
+    /// The Gaussians of some points.
+    pub(crate) fn rows(&self, rows: Range<usize>) -> Gaussians {
+        let mut cloud = Gaussians::zeros(rows.len());
+        cloud.opacity_logits.fill(logit(INITIAL_OPACITY));
+        for (row, &(position, rgb)) in self.points[rows.clone()].iter().enumerate() {
+            cloud.positions[row] = position;
+            cloud.log_scales[row] = [self.squared[rows.start + row].sqrt().ln(); 3];
+            for (channel, &value) in rgb.iter().enumerate() {
+                cloud.sh[row][sh_index(channel, 0)] = dc_from_rgb(f32::from(value) / 255.0);
+            }
+        }
+        cloud
+    }
 }
 
 /// Least squared distance that is believed: in a small scene a small one.

@@ -35,7 +35,7 @@ impl Schedule {
     pub(super) fn views_of_a_step(&self, i: u32) -> u32 {
         let late = self.improved.steps.iter().rfind(|(after, _)| i > *after);
         let late = late.filter(|_| self.config.variant == Variant::ImprovedGs);
-        late.map_or(1, |&(_, views)| views)
+        late.map_or(1, |&(_, views)| views).max(self.config.views_per_step)
     }
 
     /// How far the growth of the budget has come in iteration `i`: 1 where it is full.

@@ -320,8 +320,10 @@ impl Schedule {
     /// The reference replaces its parameter tensors when it densifies, and that of opacity when it resets; the new ones
     /// have no gradients, so the step that follows does nothing. The last iteration makes no step.
     pub fn optimiser_step(&self, i: u32) -> OptimiserStep {
-        let loses =
-            self.config.variant != Variant::Mcmc && self.is_densify(i) && self.densify_every >= LOSING_INTERVAL_MIN;
+        let loses = self.config.variant != Variant::Mcmc
+            && self.config.views_per_step == 1
+            && self.is_densify(i)
+            && self.densify_every >= LOSING_INTERVAL_MIN;
         if loses || i >= self.iterations {
             OptimiserStep::Lost
         } else if !i.is_multiple_of(self.views_of_a_step(i)) {
@@ -343,18 +345,21 @@ impl Schedule {
         self.iterations.max(self.sh_every.saturating_mul(self.config.sh_degree.into()))
     }
 
-    /// Step sizes in iteration `i`; that of positions decays exponentially and scales with the scene.
+    /// Step sizes in iteration `i`; that of positions decays exponentially and scales with the scene. Gradients of `B` views
+    /// tell the direction `√B` times as well as those of one, so steps are as much longer.
     pub fn rates(&self, extent: f64, i: u32) -> LearningRates {
         let (rates, [start, end]) = (&self.config.optimiser, self.config.position_rates());
         let t = (f64::from(i) / f64::from(self.position_steps)).min(1.0);
         let position = (start.ln() * (1.0 - t) + end.ln() * t).exp();
+        let by_views = f64::from(self.config.views_per_step).sqrt();
+        let grown = |rate: f32| (f64::from(rate) * by_views) as f32;
         LearningRates {
-            position: (position * extent) as f32,
-            sh_dc: rates.sh_dc,
-            sh_rest: rates.sh_rest,
-            opacity: self.config.opacity_rate(),
-            scale: rates.scale,
-            rotation: rates.rotation,
+            position: (position * extent * by_views) as f32,
+            sh_dc: grown(rates.sh_dc),
+            sh_rest: grown(rates.sh_rest),
+            opacity: grown(self.config.opacity_rate()),
+            scale: grown(rates.scale),
+            rotation: grown(rates.rotation),
         }
     }
 

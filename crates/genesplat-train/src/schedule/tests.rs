@@ -30,6 +30,19 @@ fn lost_steps_leave_29_855() {
     assert_eq!(schedule.optimiser_step(30_000), OptimiserStep::Lost);
 }
 
+/// Every fourth iteration steps, at twice the rates, and none but the last is lost.
+#[test]
+fn a_step_of_four_views_is_twice_as_long() {
+    let [one, four] = [1, 4].map(|views| schedule(|config| config.views_per_step = views));
+    let made = (1..30_000).filter(|&i| four.optimiser_step(i).moves());
+    assert!(made.eq((4..30_000).step_by(4)));
+    assert_eq!((four.optimiser_step(601), four.optimiser_step(30_000)), (OptimiserStep::Later, OptimiserStep::Lost));
+    let [one, four] = [one.rates(2.0, 500), four.rates(2.0, 500)];
+    let all =
+        |rates: LearningRates| [rates.position, rates.sh_dc, rates.sh_rest, rates.opacity, rates.scale, rates.rotation];
+    assert!(all(one).into_iter().zip(all(four)).all(|(one, four)| (four / one - 2.0).abs() < 1e-6));
+}
+
 #[test]
 fn a_shorter_schedule_loses_no_more_steps_than_the_published_one() {
     let lost = |change: fn(&mut TrainConfig)| {

@@ -77,6 +77,10 @@ pub(crate) struct ScheduleArgs {
     /// so 7000 is a good quick run
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     iterations: Option<u32>,
+    /// Photos whose gradients are summed for one step of the optimiser [default: 1]. Rates grow by its square root; makes
+    /// sense where many processes share a run, and steps are fewer
+    #[arg(long, value_name = "B", value_parser = clap::value_parser!(u32).range(1..=1000), help_heading = MORE)]
+    views_per_step: Option<u32>,
     /// Multiply every setting that counts steps by F, 0.001 to 1000 [default: 1]. 0.1 gives the whole schedule in
     /// a tenth of the steps; no interval gets shorter than 100
     #[arg(long, value_name = "F", value_parser = scale, help_heading = MORE)]
@@ -99,6 +103,7 @@ impl ScheduleArgs {
         replace(&mut train.variant, self.variant);
         replace(&mut train.iterations, self.iterations);
         replace(&mut train.steps_scale, self.steps_scale);
+        replace(&mut train.views_per_step, self.views_per_step);
         replace(&mut train.seed, self.seed);
         train.max_gaussians = self.max_gaussians.or(train.max_gaussians);
         replace(&mut train.checkpoint_every, self.checkpoint_every);

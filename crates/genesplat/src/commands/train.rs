@@ -25,8 +25,10 @@ use crate::{cluster, device, lpips, overwrite, scene};
 /// An earlier run's results stay in the folder until scene and weights are loaded and the device is open: neither a
 /// mistyped path nor a change of mind must cost them.
 pub(crate) fn run(args: &TrainArgs) -> Result<Ending> {
-    let asked = interrupt::stop_flag()?;
-    let Some(cluster) = Cluster::join(&asked)? else { return run_on(args, &asked, None) };
+    if !cluster::is_member() {
+        return run_on(args, &*interrupt::stop_flag()?, None);
+    }
+    let cluster = Cluster::join(&interrupt::stop_flag_saying(cluster::STOPPING)?)?;
     match run_on(args, cluster.stop(), Some(&cluster)) {
         Err(error) if !cluster.is_root() && cluster.is_told(&error) => Ok(Ending::Failed),
         Ok(ending) => {

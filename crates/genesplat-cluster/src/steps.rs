@@ -1,0 +1,137 @@
+//! Steps that are made together, since one step of the optimiser has the gradients of their views: each view is drawn by some
+//! of the ranks, or by one.
+
+use std::ops::Range;
+
+use genesplat_core::backend::StepReport;
+use genesplat_core::{BackendError, TrainStep};
+use genesplat_kernels::cpu::stages::{Splats, loss_of_sums};
+
+use crate::backend::ClusterBackend;
+use crate::drawing::{Parts, Sheet, Told};
+use crate::splats::Sent;
+use crate::wire::Reader;
+
+/// What is kept of a view until its gradients come back.
+#[derive(Default)]
+pub(crate) struct Task {
+    splats: Splats,
+    sent: Sent,
+}
+
+/// The ranks that draw each of at most as many views as there are ranks.
+fn drawers(views: usize, ranks: usize) -> impl Iterator<Item = Range<usize>> {
+    (0..views).map(move |view| ranks * view / views..ranks * (view + 1) / views)
+}
+
+impl ClusterBackend {
+    /// Makes the steps that wait, as many at once as there are ranks.
+    pub(crate) fn settle(&mut self) -> Result<(), BackendError> {
+        while !self.queue.is_empty() {
+            let together = self.queue[..self.queue.len().min(self.group.count())].to_vec();
+            let before = self.group.traffic().bytes;
+            self.make(&together)?;
+            self.group.count_steps(together.len(), before);
+            self.queue.drain(..together.len());
+        }
+        Ok(())
+    }
+
+    /// Makes steps between which the cloud stays what it is, at most one for each rank.
+    fn make(&mut self, steps: &[TrainStep]) -> Result<(), BackendError> {
+        self.whole = None;
+        let (level, sheets) = (self.own.level(), self.sheets(steps));
+        // 1. Splats go to the bands.
+        let parts = self.deal(steps, &sheets);
+        let parts = self.group.exchange(parts)?;
+        // 2. Rows of the picture go to the bands beside.
+        let view = drawn_by(self.group.rank(), &sheets);
+        let (step, sheet, target) = (&steps[view], &sheets[view], self.own.view(steps[view].view).1);
+        let drawn = self.drawing.draw(level, sheet, parts, &step.settings);
+        let parts = self.group.exchange(drawn.map(|()| self.drawing.rows_for_loss(sheet, target)))?;
+        // 3. Sums of gradients go back.
+        self.drawing.loss(level, sheet, target, &parts, true);
+        let visible: Vec<usize> = self.tasks.iter().map(|task| task.splats.len()).collect();
+        let told = |drawing: &_| Told::tell(drawing, sheet, &visible[..steps.len()]);
+        let parts = self.drawing.backward(level, sheet, told, step.statistics.density);
+        let parts = self.group.exchange(parts)?;
+        let mut parts: Vec<Reader<'_>> = parts.iter().map(|part| Reader::new(part)).collect();
+        self.hear(steps, &sheets, &mut parts)?;
+        // 4. Rows are stepped, view after view.
+        self.finish(steps, &mut parts);
+        Ok(())
+    }
+
+    /// The views, cut as their loads were.
+    fn sheets(&self, steps: &[TrainStep]) -> Vec<Sheet> {
+        let of = |(step, drawers): (&TrainStep, Range<usize>)| {
+            Sheet::new(*self.own.view(step.view).0, &self.loads[step.view], drawers, &self.group)
+        };
+        steps.iter().zip(drawers(steps.len(), self.group.count())).map(of).collect()
+    }
+
+    /// Splats of the own rows in each view, for those who draw it: a rank draws one.
+    fn deal(&mut self, steps: &[TrainStep], sheets: &[Sheet]) -> Result<Parts, BackendError> {
+        let mut parts = vec![Vec::new(); self.group.count()];
+        if self.tasks.len() < steps.len() {
+            self.tasks.resize_with(steps.len(), Task::default);
+        }
+        for ((step, sheet), task) in steps.iter().zip(sheets).zip(&mut self.tasks) {
+            let mut dealt = sheet.deal(self.own.begin_step(step)?, &mut task.sent);
+            for rank in sheet.drawers() {
+                parts[rank] = std::mem::take(&mut dealt[rank]);
+            }
+            self.own.swap_splats(&mut task.splats);
+        }
+        Ok(parts)
+    }
+
+    /// What bands tell of their views, which is remembered; fails where a loss is not finite.
+    fn hear(&mut self, steps: &[TrainStep], sheets: &[Sheet], parts: &mut [Reader<'_>]) -> Result<(), BackendError> {
+        let mut told: Vec<Told> = sheets.iter().map(Told::new).collect();
+        for (rank, part) in parts.iter_mut().enumerate() {
+            let view = drawn_by(rank, sheets);
+            told[view].hear(&sheets[view], rank, part);
+            told.iter_mut().for_each(|told| told.visible += part.count());
+        }
+        for (step, told) in steps.iter().zip(told) {
+            let loss = loss_of_sums(&told.sums, self.own.view(step.view).1);
+            if !loss.is_finite() {
+                let steps = self.own.steps();
+                return Err(self.diverged()?.unwrap_or(BackendError::LossNotFinite { steps }));
+            }
+            let intersections = told.intersections.iter().map(|&count| count as usize).sum();
+            self.report = StepReport { loss, visible: told.visible, intersections };
+            self.loads[step.view] = told.intersections;
+        }
+        Ok(())
+    }
+
+    fn finish(&mut self, steps: &[TrainStep], parts: &mut [Reader<'_>]) {
+        let share = self.share();
+        for (step, task) in steps.iter().zip(&mut self.tasks) {
+            self.drawing.add(&task.splats, &task.sent, parts, step.statistics.density);
+            self.own.swap_splats(&mut task.splats);
+            self.own.finish_step(step, &self.drawing.gradients, share);
+            self.own.swap_splats(&mut task.splats);
+        }
+    }
+}
+
+/// The view that a rank draws.
+fn drawn_by(rank: usize, sheets: &[Sheet]) -> usize {
+    sheets.iter().position(|sheet| sheet.drawers().contains(&rank)).expect("every rank draws a view")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_rank_draws_one_view() {
+        let of = |views, ranks| drawers(views, ranks).collect::<Vec<_>>();
+        assert_eq!(of(1, 3), [0..3]);
+        assert_eq!(of(2, 3), [0..1, 1..3]);
+        assert_eq!(of(4, 4), [0..1, 1..2, 2..3, 3..4]);
+    }
+}
