@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 /// Cameras are held upright if the mean of their unit vectors downwards is at least as long.
 const UPRIGHT_MIN: f64 = 0.5;
-/// Points are a layer that is seen from its front if they spread along the view by less than this fraction of their height.
+/// Points are a layer that is seen from its front if they spread along the view by less than this fraction of what they do across it.
 const LAYER_MAX: f64 = 0.25;
 /// What it counts that cameras look along a direction, where their centres, of a spread of 1 in all, leave several.
 const AHEAD: f64 = 0.01;
@@ -42,8 +42,8 @@ fn down(cameras: &[Camera], points: &[DVec3]) -> DVec3 {
     };
     let [down, ahead] = [mean(1), mean(2)];
     let depth = |direction: DVec3| median_deviation(points, direction.normalize_or_zero());
-    // A photo taken straight down has its lower edge somewhere on the ground.
-    let is_layer = depth(ahead) < LAYER_MAX * depth(down);
+    // The lower edge of a photo that is taken straight down lies somewhere on the ground.
+    let is_layer = depth(ahead) < LAYER_MAX * depth(down).min(depth(down.cross(ahead)));
     match down.length() >= UPRIGHT_MIN && !is_layer {
         true => down.normalize(),
         false => strongest(DMat3::IDENTITY - spread(cameras) + AHEAD * outer(ahead)),
@@ -172,11 +172,12 @@ mod tests {
 
     #[test]
     fn what_is_upright_stands_on_the_ground_though_it_spreads_over_a_wall() {
-        // Before a room as high as it is wide, at many heights.
+        // Before a high relief, at many heights.
         let centre = |nth: i32| DVec3::new(f64::from(nth % 5), 0.1 * f64::from(nth % 2), f64::from(nth / 5));
         let cameras: Vec<Camera> = (0..25).map(|nth| camera(centre(nth), looking(0.0, 0.0))).collect();
-        let room =
-            |nth: i32| askew() * DVec3::new(f64::from(nth % 5), 3.0 + f64::from(nth / 5 % 5), f64::from(nth / 25));
-        assert!(height_on_ground(&cameras, &(0..125).map(room).collect::<Vec<_>>()) < 1e-9);
+        let relief = |nth: i32| {
+            askew() * DVec3::new(f64::from(nth % 5), 3.0 + 0.6 * f64::from(nth / 5 % 5), 3.0 * f64::from(nth / 25))
+        };
+        assert!(height_on_ground(&cameras, &(0..125).map(relief).collect::<Vec<_>>()) < 1e-9);
     }
 }
