@@ -5,7 +5,7 @@ use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
 use anyhow::Result;
-use genesplat::io::shown;
+use genesplat::io::{archive, shown};
 
 use super::Ending;
 use crate::args::TrainArgs;
@@ -17,7 +17,7 @@ use crate::run::{CLOUD, REPORT, previous};
 use crate::settings::ConfigFile;
 use crate::terminal::numbers::{duration, thousands};
 use crate::terminal::{interrupt, output};
-use crate::{device, lpips, overwrite, scene};
+use crate::{device, lpips, overwrite, scene, unpacked};
 
 /// An earlier run's results stay in the folder until scene and weights are loaded and the device is open: neither a
 /// mistyped path nor a change of mind must cost them.
@@ -31,6 +31,9 @@ pub(crate) fn run(args: &TrainArgs) -> Result<Ending> {
     if args.poses && !find_cameras(args, &stop)? {
         output::print("stopped; the same command goes on from there")?;
         return Ok(Ending::Stopped);
+    }
+    if !args.poses && archive::is_zip(&args.dataset) {
+        unpacked::unpack(&args.dataset, &args.scene())?;
     }
     let background = config.train.background.fixed_colour();
     let scene = scene::load(&config.dataset, background, config.train.seed)?;
