@@ -159,7 +159,7 @@ undistort(folder / "opencv", folder / "opencv-undistorted")
 write_fisheye(folder / "opencv-undistorted", folder / "fisheye")
 undistort(folder / "fisheye", folder / "fisheye-undistorted")
 print("| photos | seed | with the lens, dB | undistorted by COLMAP, dB | difference |\n|---|---|---|---|---|")
-for lens, pinhole in [("opencv", "opencv"), ("transforms", "opencv"), ("fisheye", "fisheye")]:
-    for seed in seeds:
+for seed in seeds:
+    for lens, pinhole in [("opencv", "opencv"), ("transforms", "opencv"), ("fisheye", "fisheye")]:
         bent, straight = psnr(lens, seed), psnr(f"{pinhole}-undistorted", seed)
         print(f"| {lens} | {seed} | {bent:.2f} | {straight:.2f} | {bent - straight:+.2f} |", flush=True)

@@ -21,7 +21,8 @@ use crate::{planted, wrap};
 pub(crate) type Target = fn(&[u8]);
 
 /// Each with the name of its folder in `corpus/`.
-pub(crate) const ALL: [(&str, Target); 25] = [
+pub(crate) const ALL: [(&str, Target); 26] = [
+    ("archive", |bytes| drop(said(bytes::unpacked(bytes)))),
     ("cameras-bin", |bytes| drop(said(bytes::cameras(Form::Binary, bytes)))),
     ("cameras-txt", |bytes| drop(said(bytes::cameras(Form::Text, bytes)))),
     ("images-bin", |bytes| drop(said(bytes::images(Form::Binary, bytes)))),

@@ -13,7 +13,8 @@ pub enum DensitySignal {
     Absolute,
     /// [`Self::Signed`], and beside it the sum of absolute values (Gaussian Opacity Fields; later Mip-Splatting).
     SignedAndAbsolute,
-    /// Pixel-GS: weighted by the number of pixels blended, and times `min(1, (z / depth_threshold)²)` near the camera.
+    /// Pixel-GS: weighted by the number of pixels blended (but for hidden ones), and times `min(1, (z / depth_threshold)²)`
+    /// near the camera.
     PixelWeighted {
         /// World units.
         depth_threshold: f32,

@@ -1,9 +1,12 @@
 //! Every reader on bytes that are in no file: where the fuzzer comes in (`fuzz/` in the repository).
 
 use std::collections::BTreeMap;
+use std::io::{self, Cursor};
+use std::path::Path;
 
 use genesplat_core::{Camera, Gaussians, Photo};
 
+use crate::archive::{self, ArchiveError};
 use crate::colmap::{self, Form, ImageRecord, Intrinsics};
 use crate::format::{self, Format, FormatError, Loaded, Options};
 use crate::photos::{self, EncodedPhoto, PhotoError};
@@ -47,6 +50,17 @@ pub fn written(format: Format, cloud: &Gaussians, options: &Options) -> Result<V
 /// A cloud of points as PLY.
 pub fn point_cloud(bytes: &[u8]) -> Result<Vec<Point>, PlyError> {
     ply::parse_points(NAME.as_ref(), bytes, bytes.len() as u64)
+}
+
+/// How many bytes a zip archive unpacks to.
+pub fn unpacked(bytes: &[u8]) -> Result<u64, ArchiveError> {
+    let (name, mut sum) = (Path::new(NAME), 0);
+    archive::each_entry(name, Cursor::new(bytes), bytes.len() as u64, |_, content| {
+        // What its reader finds wrong ends it.
+        sum += io::copy(content, &mut io::sink()).unwrap_or_default();
+        Ok(())
+    })?;
+    Ok(sum)
 }
 
 /// A photo of at most `pixels_max` pixels: larger ones are decoded, too, but not often enough in a second.

@@ -3,6 +3,7 @@
 //! Input is not trusted. A count is believed only as far as the bytes behind it reach. Whatever is wrong ends in a
 //! typed error whose one sentence says what, where, and what to do. A panic here is a bug.
 
+pub mod archive;
 pub mod atomic;
 #[doc(hidden)]
 pub mod bytes;

@@ -9,6 +9,7 @@ use std::{env, process, thread};
 use anyhow::{Result, ensure};
 use genesplat::cluster::{ClusterBackend, Group};
 use genesplat::core::{BackendError, EvolutionBackend};
+use genesplat::io::{archive, shown};
 use genesplat::train::{Checkpoint, Start, StepBudget, TrainConfig, TrainError};
 
 use crate::args::TrainArgs;
@@ -179,6 +180,11 @@ fn connect(_: Arc<AtomicBool>, _: Arc<AtomicBool>) -> Result<Group> {
 /// Fails where ranks cannot do what is asked for.
 pub(crate) fn check(args: &TrainArgs, train: &TrainConfig) -> Result<()> {
     ensure!(!args.poses, "one process finds cameras: run genesplat poses first, and train on its scene under mpirun");
+    ensure!(
+        !archive::is_zip(&args.dataset),
+        "one process unpacks archives: unpack {} first, and train on its folder under mpirun",
+        shown(&args.dataset)
+    );
     ensure!(args.page.address().is_none(), "a run under mpirun has no live page; leave --view out");
     ensure!(
         args.machine.device != Some(DeviceChoice::Gpu),

@@ -21,6 +21,7 @@ mod scene;
 mod settings;
 mod splat;
 mod terminal;
+mod unpacked;
 
 use std::panic;
 use std::process::ExitCode;

@@ -18,7 +18,7 @@
 @group(0) @binding(5) var<storage, read> image: array<f32>;
 @group(0) @binding(6) var<storage, read> gradient: array<f32>;
 // [I, 12]: sums of p times 1, dx, dy, dx^2, dx dy, dy^2, offsets (pixel - mean) in px; dL/drgb; then the sums of the
-// absolute values of dL/du and of dL/dv by pixel, and the number of pixels blended.
+// absolute values of dL/du and of dL/dv by pixel, and the number of pixels blended that have a gradient.
 @group(0) @binding(7) var<storage, read_write> intersection_gradients: array<f32>;
 
 const COLUMNS: u32 = 12u;
@@ -98,7 +98,8 @@ fn sum_part(splat: BatchSplat, slot: u32, part: u32) -> array<f32, COLUMNS> {
             rgb += w * pixel_gradients[pixel];
             if view.signal >= SIGNAL_ABSOLUTE {
                 absolute += abs(p * vec2(2.0 * a.x * d.x + a.y * d.y, a.y * d.x + 2.0 * a.z * d.y));
-                pixels += f32(w > 0.0);
+                // What a mask hides has no gradient.
+                pixels += f32(w > 0.0 && any(pixel_gradients[pixel] != vec3(0.0)));
             }
         }
     }

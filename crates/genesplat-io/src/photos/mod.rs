@@ -12,11 +12,11 @@ mod resize;
 mod size;
 mod undistort;
 
-use std::io::{self, BufReader, Write};
+use std::io::{self, BufReader, Cursor, Write};
 use std::path::{Path, PathBuf};
 
 use genesplat_core::Photo;
-use image::{ColorType, DynamicImage, ImageEncoder, ImageReader};
+use image::{ColorType, DynamicImage, ImageEncoder, ImageFormat, ImageReader};
 
 pub use lens::Lens;
 pub(crate) use lens::{Polynomial, Projection};
@@ -174,6 +174,17 @@ pub fn write_png(path: &Path, photo: &Photo) -> Result<(), PhotoError> {
         .write_image(&photo.rgb, photo.width, photo.height, ColorType::Rgb8.into())
         .map_err(|error| write(io::Error::other(error)))?;
     write_atomically(path, |out| out.write_all(&bytes)).map_err(write)
+}
+
+/// The photo at `from` as a PNG at `to`, with its transparency and its depth; whole or not at all.
+pub fn convert_to_png(from: &Path, to: &Path) -> Result<(), PhotoError> {
+    let encoded = EncodedPhoto::open(from)?;
+    let _room = encoded.wait_for_room();
+    let image = encoded.decode()?;
+    let write = |source| PhotoError::Write { path: to.to_owned(), source };
+    let mut bytes = Cursor::new(Vec::new());
+    image.write_to(&mut bytes, ImageFormat::Png).map_err(|error| write(io::Error::other(error)))?;
+    write_atomically(to, |out| out.write_all(bytes.get_ref())).map_err(write)
 }
 
 /// `photo` as a JPEG of `quality` 1 to 100, for pages and previews.

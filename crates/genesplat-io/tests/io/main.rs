@@ -1,5 +1,6 @@
 //! The crate from the outside. One program, so that it is linked once.
 
+mod archive;
 mod colmap;
 mod common;
 mod foreign;

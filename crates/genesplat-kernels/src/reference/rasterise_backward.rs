@@ -17,7 +17,7 @@ pub struct SplatGradient {
     pub opacity: f64,
     /// By the colour.
     pub colour: [f64; 3],
-    /// Pixels in which the splat was blended.
+    /// Pixels in which the splat was blended and that have a gradient: what a mask hides has none.
     pub pixels: u32,
 }
 
@@ -66,5 +66,5 @@ fn add_pixel(gradient: &mut SplatGradient, splat: &Splat, c: &Blended, by_pixel:
     for k in 0..3 {
         gradient.colour[k] += c.alpha * c.transmittance * by_pixel[k];
     }
-    gradient.pixels += 1;
+    gradient.pixels += u32::from(by_pixel != [0.0; 3]);
 }

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::{Result, ensure};
 use clap::Args;
+use genesplat::io::archive::is_zip;
 use genesplat::train::config::Signal;
 use genesplat::train::{Background, EvolutionMode, TrainConfig, Variant};
 
@@ -14,9 +15,9 @@ use super::{LpipsArgs, MORE, MachineArgs, PhotosArgs, SEEDS, TrainPageArgs, scal
 pub(crate) struct TrainArgs {
     /// Folder of the scene: a COLMAP model in sparse/0 (cameras, images, points3D as .bin or .txt) and its photos in
     /// images; or a transforms.json of nerfstudio or instant-ngp, or Blender's transforms_train.json and
-    /// transforms_test.json, and the photos that they name
+    /// transforms_test.json, and the photos that they name. A zip of one is unpacked into DIR/scene
     pub(crate) dataset: PathBuf,
-    /// The dataset is a folder of photos without cameras, or a video: find the cameras first, as `genesplat poses` does, and
+    /// The dataset is a folder or a zip of photos without cameras, or a video: find the cameras first, as `genesplat poses` does, and
     /// keep that scene in DIR/scene
     #[arg(long)]
     pub(crate) poses: bool,
@@ -54,9 +55,9 @@ pub(crate) struct TrainArgs {
 }
 
 impl TrainArgs {
-    /// The folder of the scene, which `--poses` makes.
+    /// The folder of the scene, which `--poses` makes, and into which an archive is unpacked.
     pub(crate) fn scene(&self) -> PathBuf {
-        if self.poses { self.out.join("scene") } else { self.dataset.clone() }
+        if self.poses || is_zip(&self.dataset) { self.out.join("scene") } else { self.dataset.clone() }
     }
 
     /// Flags over the file. Fails where one does not go with the method that is trained.

@@ -5,7 +5,7 @@ use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
 use anyhow::Result;
-use genesplat::io::{Scene, shown};
+use genesplat::io::{Scene, archive, shown};
 use genesplat::metrics::Lpips;
 
 use super::Ending;
@@ -20,7 +20,7 @@ use crate::run::{CLOUD, REPORT, previous};
 use crate::settings::{ConfigFile, Settings};
 use crate::terminal::numbers::{duration, thousands};
 use crate::terminal::{interrupt, output};
-use crate::{cluster, device, lpips, overwrite, scene};
+use crate::{cluster, device, lpips, overwrite, scene, unpacked};
 
 /// An earlier run's results stay in the folder until scene and weights are loaded and the device is open: neither a
 /// mistyped path nor a change of mind must cost them.
@@ -80,6 +80,9 @@ fn load(args: &TrainArgs, stop: &AtomicBool, cluster: Option<&Cluster>) -> Resul
     device::use_threads(config.threads().or_else(|| cluster.map(|_| cluster::threads())))?;
     if args.poses && !find_cameras(args, stop)? {
         return Ok(None);
+    }
+    if !args.poses && archive::is_zip(&args.dataset) {
+        unpacked::unpack(&args.dataset, &args.scene())?;
     }
     let background = config.train.background.fixed_colour();
     let scene = scene::load(&config.dataset, background, config.train.seed)?;

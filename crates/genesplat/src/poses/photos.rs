@@ -1,27 +1,36 @@
-//! The photos that cameras are found for: those of a folder, or frames of a video.
+//! The photos that cameras are found for: those of a folder or of an archive, or frames of a video.
 
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 
 use anyhow::{Result, anyhow, bail, ensure};
+use genesplat::io::archive::is_zip;
+use genesplat::io::photos::convert_to_png;
 use genesplat::io::{input, shown};
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::{FRAMES, IMAGES, video};
 use crate::files::{unwritable, write_json};
 use crate::terminal::output;
+use crate::unpacked;
 
 /// Endings of the photos that are read.
-const PHOTOS: [&str; 3] = ["jpg", "jpeg", "png"];
+const PHOTOS: [&str; 4] = ["jpg", "jpeg", "png", WEBP];
+/// COLMAP does not read these, so it gets them as PNG.
+const WEBP: &str = "webp";
 /// Endings of pictures that are not, so that leaving them out is said.
-const OTHERS: [&str; 9] = ["heic", "heif", "webp", "tif", "tiff", "dng", "cr2", "nef", "arw"];
+const OTHERS: [&str; 8] = ["heic", "heif", "tif", "tiff", "dng", "cr2", "nef", "arw"];
 const VIDEOS: [&str; 8] = ["mp4", "mov", "m4v", "avi", "mkv", "webm", "mpg", "mpeg"];
-/// Below the folder of the stages: what they were made of.
+/// Below the folder of the stages: what an archive held.
+const UNPACKED: &str = "unpacked";
+/// In the same place: what the stages were made of.
 const RECORD: &str = "source.json";
 
 pub(crate) enum Source {
     Folder { path: PathBuf, names: Vec<String> },
+    Archive { path: PathBuf },
     Video { path: PathBuf, frames: u32 },
 }
 
@@ -37,32 +46,21 @@ impl Source {
     pub(crate) fn open(path: &Path, frames: Option<u32>) -> Result<Self> {
         let shown = shown(path);
         ensure!(path.exists(), "{shown} does not exist; give a folder of photos, or a video");
-        if path.is_file() {
+        if path.is_file() && !is_zip(path) {
             let is_video = has_ending(&path.to_string_lossy(), &VIDEOS);
-            ensure!(is_video, "{shown} is neither a folder of photos nor a video ({})", VIDEOS.join(", "));
+            ensure!(is_video, "{shown} is neither a folder or a zip of photos nor a video ({})", VIDEOS.join(", "));
             return Ok(Self::Video { path: path.to_owned(), frames: frames.unwrap_or(FRAMES) });
         }
-        ensure!(frames.is_none(), "--frames is for a video, and {shown} is a folder of photos; leave it out");
-        let folder = Some(path.join(IMAGES)).filter(|images| images.is_dir()).unwrap_or_else(|| path.to_owned());
-        let (names, others) = list(&folder)?;
-        match (names.is_empty(), others.first()) {
-            (true, None) => bail!("{shown} holds no photos; give a folder of JPEG or PNG files, or a video"),
-            (true, Some(first)) => bail!(
-                "{shown} holds no JPEG or PNG files, and others are not read ({first} is one of {}); convert them",
-                others.len()
-            ),
-            (false, Some(first)) => output::tell(&format!(
-                "notice: {} pictures are neither JPEG nor PNG and are left out, first {first}; convert them to have them",
-                others.len()
-            )),
-            (false, None) => {}
+        ensure!(frames.is_none(), "--frames is for a video, and {shown} holds photos; leave it out");
+        if path.is_file() {
+            return Ok(Self::Archive { path: path.to_owned() });
         }
-        Ok(Self::Folder { path: folder, names })
+        photos_of(path).map(|(path, names)| Self::Folder { path, names })
     }
 
     pub(crate) fn path(&self) -> &Path {
         match self {
-            Self::Folder { path, .. } | Self::Video { path, .. } => path,
+            Self::Folder { path, .. } | Self::Archive { path } | Self::Video { path, .. } => path,
         }
     }
 
@@ -94,9 +92,10 @@ impl Source {
                 let files = names.iter().map(|name| size(name, &path.join(name))).collect::<Result<_>>()?;
                 Ok(Record { files, frames: None })
             }
-            Self::Video { path, frames } => {
+            Self::Archive { path } | Self::Video { path, .. } => {
                 let name = path.file_name().unwrap_or_default().to_string_lossy();
-                Ok(Record { files: vec![size(&name, path)?], frames: Some(*frames) })
+                let frames = if let Self::Video { frames, .. } = self { Some(*frames) } else { None };
+                Ok(Record { files: vec![size(&name, path)?], frames })
             }
         }
     }
@@ -104,17 +103,53 @@ impl Source {
     /// Puts the photos into `images`; false where `stop` has ended it.
     pub(crate) fn fill(&self, images: &Path, work: &Path, stop: &AtomicBool) -> Result<bool> {
         match self {
-            Self::Folder { path, names } => {
-                names.iter().try_for_each(|name| link(&path.join(name), &images.join(name))).map(|()| true)
+            Self::Folder { path, names } => put(path, names, images).map(|()| true),
+            Self::Archive { path } => {
+                let unpacked = work.join(UNPACKED);
+                unpacked::unpack(path, &unpacked)?;
+                let (folder, names) = photos_of(&unpacked)?;
+                put(&folder, &names, images).map(|()| true)
             }
             Self::Video { path, frames } => video::take_frames(path, *frames, images, work, stop),
         }
     }
 }
 
+/// The folder of the photos in `path`, and their names; fails where there are none, and tells of those that are not read.
+fn photos_of(path: &Path) -> Result<(PathBuf, Vec<String>)> {
+    let folder = Some(path.join(IMAGES)).filter(|images| images.is_dir()).unwrap_or_else(|| path.to_owned());
+    let ((names, others), shown) = (list(&folder)?, shown(path));
+    match (names.is_empty(), others.first()) {
+        (true, None) => bail!("{shown} holds no photos; give a folder of JPEG, PNG or WebP files, or a video"),
+        (true, Some(first)) => bail!(
+            "{shown} holds no JPEG, PNG or WebP files, and others are not read ({first} is one of {}); convert them",
+            others.len()
+        ),
+        (false, Some(first)) => output::tell(&format!(
+            "notice: {} pictures are neither JPEG nor PNG nor WebP and are left out, first {first}; convert them to have them",
+            others.len()
+        )),
+        (false, None) => {}
+    }
+    Ok((folder, names))
+}
+
 /// Names of the photos below a folder that [`Source::fill`] has filled, sorted.
 pub(crate) fn names_in(images: &Path) -> Result<Vec<String>> {
-    list(images).map(|(names, _)| names)
+    let (mut names, _) = list(images)?;
+    names.retain(|name| !has_ending(name, &[WEBP]));
+    Ok(names)
+}
+
+/// Puts the photos of these names into `images`, in a form that COLMAP reads.
+fn put(folder: &Path, names: &[String], images: &Path) -> Result<()> {
+    names.par_iter().try_for_each(|name| {
+        if !has_ending(name, &[WEBP]) {
+            return link(&folder.join(name), &images.join(name));
+        }
+        let png = images.join(format!("{name}.png"));
+        if png.exists() { Ok(()) } else { Ok(convert_to_png(&folder.join(name), &png)?) }
+    })
 }
 
 /// The same file under another name, or a copy where the file system has no such thing.
@@ -161,6 +196,8 @@ fn has_ending(name: &str, endings: &[&str]) -> bool {
 
 #[cfg(test)]
 mod tests {
+    use genesplat::io::photos::read_photo;
+
     use super::*;
 
     fn file(folder: &Path, name: &str) {
@@ -176,6 +213,25 @@ mod tests {
         }
         let (photos, others) = list(place.path()).unwrap();
         assert_eq!((photos, others), (vec!["a.png".to_owned(), "b/2.JPG".into()], vec!["x.HEIC".to_owned()]));
+    }
+
+    #[test]
+    fn webp_photos_become_png_and_others_stay_as_they_are() {
+        let place = tempfile::tempdir().unwrap();
+        let [photos, images] = ["photos", "images"].map(|name| place.path().join(name));
+        file(&photos, "b/1.jpg");
+        // One pixel, lossless.
+        let webp = b"RIFF\x1a\0\0\0WEBPVP8L\x0d\0\0\0\x2f\0\0\0\x10\x07\x10\x11\x11\x88\x88\xfe\x07\0";
+        fs::write(photos.join("2.WebP"), webp).unwrap();
+        let source = Source::open(&photos, None).unwrap();
+        let never = AtomicBool::new(false);
+        assert!(
+            source.fill(&images, place.path(), &never).unwrap() && source.fill(&images, place.path(), &never).unwrap()
+        );
+        assert_eq!(names_in(&images).unwrap(), ["2.WebP.png", "b/1.jpg"]);
+        let [png, webp] = [images.join("2.WebP.png"), photos.join("2.WebP")].map(|path| read_photo(&path).unwrap());
+        assert_eq!(png, webp);
+        assert_eq!(names_in(&photos).unwrap(), ["b/1.jpg"], "photos that lie in the scene already");
     }
 
     #[test]
@@ -195,13 +251,14 @@ mod tests {
     fn what_is_neither_photos_nor_a_video_is_said() {
         let place = tempfile::tempdir().unwrap();
         let refusal = |name: &str, frames| Source::open(&place.path().join(name), frames).err().unwrap().to_string();
-        for name in ["empty/notes.txt", "phone/1.heic", "photos/1.jpg", "scene.zip"] {
+        for name in ["empty/notes.txt", "phone/1.heic", "photos/1.jpg", "scene.zip", "scene.rar"] {
             file(place.path(), name);
         }
         assert!(refusal("absent", None).contains("does not exist"));
         assert!(refusal("empty", None).contains("holds no photos"));
         assert!(refusal("phone", None).contains("1.heic is one of 1"));
         assert!(refusal("photos", Some(9)).contains("--frames is for a video"));
-        assert!(refusal("scene.zip", None).contains("neither a folder of photos nor a video"));
+        assert!(refusal("scene.zip", Some(9)).contains("--frames is for a video"));
+        assert!(refusal("scene.rar", None).contains("neither a folder or a zip of photos nor a video"));
     }
 }

@@ -1,12 +1,16 @@
 //! Forty natural mistakes: each works all the same, or gets one sentence that says what, where, and what to do.
 
-use std::fs;
-use std::path::PathBuf;
+use std::fs::{self, File};
+use std::io::Write;
+use std::path::{Path, PathBuf};
 
 use genesplat::core::{Gaussians, Photo};
 use genesplat::io::PlyOptions;
 use genesplat::io::colmap::{find_model, read_model, write_model};
 use genesplat::io::photos::{encode_jpeg, read_photo, write_png};
+
+use zip::ZipWriter;
+use zip::write::SimpleFileOptions;
 
 use crate::bad_input::write_blender;
 use crate::support::{copy, fail, run, scene, succeed, text, train};
@@ -48,6 +52,22 @@ impl Place {
     fn rename(&self, from: &str, to: &str) {
         fs::create_dir_all(self.at(to).parent().unwrap()).unwrap();
         fs::rename(self.at(from), self.at(to)).unwrap();
+    }
+
+    /// What is in a folder, as an archive.
+    fn zip(&self, folder: &str, archive: &str) {
+        let folder = self.at(folder);
+        let mut zip = ZipWriter::new(File::create(self.at(archive)).unwrap());
+        let mut inner = vec![folder.clone()];
+        while let Some(path) = inner.pop() {
+            if path.is_dir() {
+                inner.extend(fs::read_dir(&path).unwrap().map(|entry| entry.unwrap().path()));
+                continue;
+            }
+            zip.start_file(text(path.strip_prefix(&folder).unwrap()), SimpleFileOptions::default()).unwrap();
+            zip.write_all(&fs::read(&path).unwrap()).unwrap();
+        }
+        zip.finish().unwrap();
     }
 
     /// `train` on what is called so.
@@ -113,7 +133,45 @@ fn what_was_given_is_not_quite_a_scene() {
                 place.write("scene.zip", "PK");
                 place.trains("scene.zip", &[])
             },
-            Says(&["scene.zip is an archive", "unpack it"]),
+            Says(&["scene.zip cannot be read", "unpack it by hand"]),
+        ),
+        (
+            |place| {
+                place.write("scene.tar.gz", "x");
+                place.trains("scene.tar.gz", &[])
+            },
+            Says(&["scene.tar.gz is an archive", "unpack it"]),
+        ),
+        (
+            |place| {
+                place.zip("scene", "scene.zip");
+                place.trains("scene.zip", &[])
+            },
+            Works(&["15 files of", "scene.zip are unpacked into", "run/scene"]),
+        ),
+        (
+            |place| {
+                place.zip("scene/images", "photos.zip");
+                place.trains("photos.zip", &[])
+            },
+            Says(&["run/scene holds 12 photos and no cameras", "genesplat poses"]),
+        ),
+        (
+            |place| {
+                place.zip("scene", "scene.zip");
+                place.write("run/scene/mine.txt", "x");
+                place.trains("scene.zip", &[])
+            },
+            Says(&["run/scene is there already", "choose another --out"]),
+        ),
+        (
+            |place| {
+                place.zip("scene", "scene.zip");
+                succeed(place.trains("scene.zip", &[]));
+                place.zip("scene/images", "scene.zip");
+                place.trains("scene.zip", &[])
+            },
+            Says(&["unpacked from another archive", "choose another --out"]),
         ),
         (|place| place.trains("scene/images/gallery_003.png", &[]), Works(&["of which a part was given"])),
         (

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use genesplat::io::colmap::{find_model, read_model, write_model};
 
-use crate::support::{fail, json, number, run, succeed, train, write_gallery};
+use crate::support::{fail, json, number, succeed, train, write_gallery};
 
 /// The scene with all lengths times `factor`.
 fn write_scaled(folder: &Path, factor: f64) {
@@ -21,19 +21,25 @@ fn write_scaled(folder: &Path, factor: f64) {
 
 const SCHEDULE: [&str; 6] = ["--steps-scale", "0.01", "--max-gaussians", "600", "--evolve", "off"];
 
+/// Test PSNR of the scene at ten to the power of `exponent`; both are in folders of that name.
+fn psnr_at(place: &Path, exponent: i32, more: &[&str]) -> f64 {
+    let [scene, out] = ["scene", "run"].map(|name| place.join(format!("{name}{exponent}{}", more.concat())));
+    write_scaled(&scene, 10f64.powi(exponent));
+    succeed(train(&scene, &out, &[&SCHEDULE, more].concat()));
+    number(&json(&out.join("metrics.json"))["test"]["psnr"])
+}
+
 #[test]
-fn a_scene_of_any_size_trains() {
+fn a_scene_of_any_size_trains_as_well() {
     let place = tempfile::tempdir().unwrap();
-    let mut psnr = Vec::new();
-    for exponent in -3..=3 {
-        let [scene, out] = ["scene", "run"].map(|name| place.path().join(format!("{name}{exponent}")));
-        write_scaled(&scene, 10f64.powi(exponent));
-        let arguments = train(&scene, &out, &SCHEDULE);
-        let output = run(arguments);
-        assert!(output.status.success(), "1e{exponent}: {}", String::from_utf8_lossy(&output.stderr));
-        psnr.push(number(&json(&out.join("metrics.json"))["test"]["psnr"]));
+    for (more, exponents) in [(&[][..], &[-3, -2, 2, 3][..]), (&["--variant", "mcmc"], &[-2, 3])] {
+        let usual = psnr_at(place.path(), 0, more);
+        assert!(usual > 16.0, "{usual} {more:?}");
+        for &exponent in exponents {
+            let psnr = psnr_at(place.path(), exponent, more);
+            assert!((psnr - usual).abs() < 0.3, "1e{exponent}: {psnr} instead of {usual} {more:?}");
+        }
     }
-    assert!(psnr.len() == 7 && psnr.iter().all(|&psnr| psnr > 16.0), "{psnr:?}");
     let [scene, out] = ["scene-2", "far"].map(|name| place.path().join(name));
     let far = [&SCHEDULE[..], &["--near", "0.2"]].concat();
     fail(train(&scene, &out, &far), &["no Gaussian is visible", "0.2 units", "(--near)"]);

@@ -45,7 +45,8 @@ pub(crate) fn rasterise_backward(
     });
 }
 
-/// What is summed besides the gradients: nothing, absolute screen gradients (gsplat's "absgrad"), or pixels blended.
+/// What is summed besides the gradients: nothing, absolute screen gradients (gsplat's "absgrad"), or pixels blended that
+/// have a gradient.
 const NONE: u8 = 0;
 const ABSOLUTE: u8 = 1;
 const PIXELS: u8 = 2;
@@ -186,7 +187,9 @@ fn replay<const EXTRA: u8, S: Simd>(
 
             // 3. Sums that only some trainers ask for.
             if EXTRA == PIXELS {
-                extra.pixels += blended.to_bitmask().count_ones() as f32;
+                // What a mask hides has no gradient.
+                let is_still = gradient[0].simd_eq(0.0) & gradient[1].simd_eq(0.0) & gradient[2].simd_eq(0.0);
+                extra.pixels += (blended & !is_still).to_bitmask().count_ones() as f32;
             }
             if EXTRA == ABSOLUTE {
                 let [x, y] = absolute_gradient(splat, offset, p);

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use genesplat_core::{
-    Backend, Blend, DensitySignal, EvolutionBackend, Photo, ScreenFilter, StatisticsRequest, TrainStep, View,
+    Backend, Blend, DensitySignal, EvolutionBackend, Mask, Photo, ScreenFilter, StatisticsRequest, TrainStep, View,
 };
 
 use super::{backend_with, compare, compare_gradients, flat};
@@ -67,6 +67,21 @@ fn masked_losses_gradients_and_statistics_match_the_reference() {
     let unmasked = reference::gradients(&Cloud64::from(&cloud), &super::view(), &settings, Cutoff::Hard).1;
     let seen = |radii: &[u32]| radii.iter().filter(|radius| **radius > 0).count();
     assert!(seen(&expected.radius_px) < seen(&unmasked.radius_px), "some lie behind the mask alone");
+}
+
+/// Pixel-GS weights each view by the pixels that say something of a Gaussian.
+#[test]
+fn a_pixel_counts_for_one_of_a_mask_and_its_opposite() {
+    let pixels = |view: &View| {
+        let (cloud, settings) = (Cloud64::from(&cloud(400)), settings(2, ScreenFilter::Classic));
+        reference::gradients(&cloud, view, &settings, Cutoff::Hard).1.pixels
+    };
+    let masked = masked_view(90);
+    let opposite = Mask { counts: masked.mask.as_ref().unwrap().counts.iter().map(|counts| !counts).collect() };
+    let opposite = View { mask: Some(Arc::new(opposite)), ..view() };
+    let [all, of_mask, of_opposite] = [view(), masked, opposite].map(|view| pixels(&view));
+    assert!(all.iter().zip(of_mask.iter().zip(&of_opposite)).all(|(all, (a, b))| *all == a + b));
+    assert!(of_mask.iter().sum::<u32>() > 100 && of_opposite.iter().sum::<u32>() > 100);
 }
 
 fn scale(gradients: &mut genesplat_core::Gaussians) {

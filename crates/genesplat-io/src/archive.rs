@@ -1,0 +1,157 @@
+//! Zip archives of scenes and of photos: what a scene consists of is unpacked, and nothing else.
+//!
+//! An archive is believed as little as any file: no entry leads out of its folder, and what it claims to hold is compared
+//! with its own size before anything is written.
+
+use std::collections::HashSet;
+use std::io::{self, BufReader, ErrorKind, Read, Seek};
+use std::path::{Path, PathBuf};
+
+use zip::ZipArchive;
+use zip::result::ZipError;
+
+use crate::atomic::write_atomically;
+use crate::similar::has_ending;
+use crate::{input, shown};
+
+/// Endings of all that scenes consist of.
+const ENDINGS: [&str; 8] = ["jpg", "jpeg", "png", "webp", "bin", "txt", "json", "ply"];
+
+/// An archive is believed to hold so many bytes, and so many more for each of its own: photos hardly shrink in one, and
+/// lists of points to a fifth.
+const EXPANSION: [u64; 2] = [1 << 26, 16];
+
+/// Why an archive could not be unpacked.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ArchiveError {
+    /// The operating system refused to read.
+    #[error("cannot read the archive {}: {source}", shown(.archive))]
+    Read {
+        /// The archive.
+        archive: PathBuf,
+        /// Why.
+        source: io::Error,
+    },
+    /// An archive that is not unpacked.
+    #[error("the archive {} {problem}; unpack it by hand, and give the folder", shown(.archive))]
+    Refused {
+        /// The archive.
+        archive: PathBuf,
+        /// What is wrong.
+        problem: String,
+    },
+    /// The operating system refused to write.
+    #[error("cannot write {}: {source}", shown(.file))]
+    Write {
+        /// The file.
+        file: PathBuf,
+        /// Why.
+        source: io::Error,
+    },
+}
+
+/// True for a file that is called a zip archive.
+pub fn is_zip(path: &Path) -> bool {
+    has_ending(path, &["zip"]) && path.is_file()
+}
+
+/// Unpacks photos, models, lists and clouds of points into `folder`; returns how many there are.
+pub fn unpack(archive: &Path, folder: &Path) -> Result<usize, ArchiveError> {
+    let read = |source| ArchiveError::Read { archive: archive.to_owned(), source };
+    let file = input::open(archive).map_err(read)?;
+    let bytes = file.metadata().map_err(read)?.len();
+    each_entry(archive, BufReader::new(file), bytes, |name, content| {
+        let file = folder.join(name);
+        let written = write_atomically(&file, |out| io::copy(content, out).map(drop));
+        written.map_err(|source| match source.kind() {
+            ErrorKind::InvalidData => refused(archive, format!("is damaged at {}: {source}", shown(name))),
+            _ => ArchiveError::Write { file, source },
+        })
+    })
+}
+
+/// Passes on each file that is unpacked, once all are known to be harmless; returns how many there are.
+pub(crate) fn each_entry(
+    path: &Path,
+    reader: impl Read + Seek,
+    bytes: u64,
+    mut on_entry: impl FnMut(&Path, &mut dyn Read) -> Result<(), ArchiveError>,
+) -> Result<usize, ArchiveError> {
+    let unreadable = |error: ZipError| refused(path, format!("cannot be read: {error}"));
+    let mut archive = ZipArchive::new(reader).map_err(unreadable)?;
+    let wanted = wanted(path, &mut archive, bytes)?;
+    for (index, name) in &wanted {
+        let entry = archive.by_index(*index).map_err(unreadable)?;
+        let left = entry.size();
+        on_entry(name, &mut Content { entry, left })?;
+    }
+    Ok(wanted.len())
+}
+
+/// What an entry holds, which is no more than it claims. Whatever is wrong with it is invalid data.
+struct Content<R> {
+    entry: R,
+    left: u64,
+}
+
+impl<R: Read> Read for Content<R> {
+    fn read(&mut self, out: &mut [u8]) -> io::Result<usize> {
+        let invalid = |what: String| io::Error::new(ErrorKind::InvalidData, what);
+        let read = self.entry.read(out).map_err(|error| invalid(error.to_string()))?;
+        self.left = self.left.checked_sub(read as u64).ok_or_else(|| invalid("it holds more than it claims".into()))?;
+        Ok(read)
+    }
+}
+
+/// Numbers and names of the entries that are unpacked.
+fn wanted(
+    path: &Path,
+    archive: &mut ZipArchive<impl Read + Seek>,
+    bytes: u64,
+) -> Result<Vec<(usize, PathBuf)>, ArchiveError> {
+    let (mut wanted, mut names, mut claimed, mut packed) = (Vec::new(), HashSet::new(), 0u64, 0u64);
+    for index in 0..archive.len() {
+        let entry = archive.by_index_raw(index).map_err(|error| refused(path, format!("cannot be read: {error}")))?;
+        let Some(name) = entry.enclosed_name() else {
+            let name = String::from_utf8_lossy(entry.name_raw()).into_owned();
+            return Err(refused(path, format!("holds {}, which leads out of its folder", shown(name))));
+        };
+        if entry.is_symlink() {
+            return Err(refused(path, format!("holds {}, which is a link", shown(&name))));
+        }
+        if entry.is_dir() || !is_of_scene(&name) {
+            continue;
+        }
+        if entry.encrypted() {
+            return Err(refused(path, format!("holds {}, which is locked by a password", shown(&name))));
+        }
+        (claimed, packed) = (claimed.saturating_add(entry.size()), packed.saturating_add(entry.compressed_size()));
+        // Many file systems do not tell cases apart.
+        if !names.insert(name.to_string_lossy().to_lowercase()) {
+            return Err(refused(path, format!("holds {} twice", shown(&name))));
+        }
+        wanted.push((index, name));
+    }
+    // More packed bytes than there are: entries that overlap.
+    if packed > bytes || claimed > EXPANSION[0].saturating_add(EXPANSION[1].saturating_mul(bytes)) {
+        return Err(refused(path, format!("claims to hold {claimed} bytes, far more than its {bytes} make likely")));
+    }
+    if wanted.is_empty() {
+        return Err(refused(path, "holds no photos and no scene".into()));
+    }
+    Ok(wanted)
+}
+
+/// Hidden files are those of systems: `__MACOSX/._IMG_1.jpg` is no photo.
+fn is_of_scene(name: &Path) -> bool {
+    let is_hidden = |part: &std::ffi::OsStr| {
+        let part = part.to_string_lossy();
+        part.starts_with('.') || part == "__MACOSX"
+    };
+    has_ending(name, &ENDINGS) && !name.iter().any(is_hidden)
+}
+
+fn refused(archive: &Path, problem: String) -> ArchiveError {
+    ArchiveError::Refused { archive: archive.to_owned(), problem }
+}

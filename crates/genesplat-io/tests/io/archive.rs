@@ -1,0 +1,102 @@
+//! Archives: what a scene consists of comes out whole, and nothing of a hostile one does.
+
+use std::fs;
+use std::io::{Cursor, Write};
+use std::path::Path;
+
+use genesplat_io::archive::{is_zip, unpack};
+use zip::ZipWriter;
+use zip::write::SimpleFileOptions;
+
+fn zip(entries: &[(&str, &[u8])]) -> Vec<u8> {
+    let mut zip = ZipWriter::new(Cursor::new(Vec::new()));
+    for (name, content) in entries {
+        zip.start_file(*name, SimpleFileOptions::default()).unwrap();
+        zip.write_all(content).unwrap();
+    }
+    zip.finish().unwrap().into_inner()
+}
+
+/// The number of files, or the sentence, and what there is then in the folder.
+fn unpacked(bytes: &[u8]) -> (Result<usize, String>, Vec<String>) {
+    let place = tempfile::tempdir().unwrap();
+    let [archive, folder] = ["a.zip", "out/below"].map(|name| place.path().join(name));
+    fs::write(&archive, bytes).unwrap();
+    assert!(is_zip(&archive) && !is_zip(&folder));
+    let result = unpack(&archive, &folder).map_err(|error| error.to_string());
+    fs::remove_file(&archive).unwrap();
+    let mut files = Vec::new();
+    list(place.path(), &mut files);
+    files.sort();
+    (result, files)
+}
+
+fn list(folder: &Path, files: &mut Vec<String>) {
+    for entry in fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        if path.is_dir() {
+            list(&path, files);
+        } else {
+            let name = path.file_name().unwrap().to_string_lossy();
+            files.push(format!("{name}: {}", String::from_utf8_lossy(&fs::read(&path).unwrap())));
+        }
+    }
+}
+
+#[test]
+fn photos_and_models_come_out_and_nothing_else_does() {
+    let entries: [(&str, &[u8]); 7] = [
+        ("scene/images/1.JPG", b"one"),
+        ("scene/images/a/../2.png", b"two"),
+        ("scene/sparse/0/points3D.bin", &[b'p'; 5000]),
+        ("scene/run.sh", b"rm"),
+        ("__MACOSX/images/._1.jpg", b"x"),
+        ("scene/.hidden/3.png", b"x"),
+        ("scene/readme", b"x"),
+    ];
+    let (result, files) = unpacked(&zip(&entries));
+    let points = format!("points3D.bin: {}", "p".repeat(5000));
+    assert_eq!((result, files), (Ok(3), vec!["1.JPG: one".into(), "2.png: two".into(), points]));
+}
+
+#[test]
+fn hostile_and_damaged_archives_are_refused_before_anything_is_written() {
+    let whole = zip(&[("images/1.png", b"some content"), ("2.png", b"more")]);
+    let at = |bytes: &[u8], mark: &[u8]| bytes.windows(mark.len()).position(|window| window == mark).unwrap();
+    let mut locked = whole.clone();
+    // The flag of the first entry in the list at the end.
+    locked[at(&whole, b"PK\x01\x02") + 8] |= 1;
+    let mut linked = ZipWriter::new(Cursor::new(Vec::new()));
+    linked.add_symlink("images.png", "/etc/passwd", SimpleFileOptions::default()).unwrap();
+    let cases = [
+        (zip(&[("../../1.png", b"x")]), "../../1.png, which leads out"),
+        (zip(&[("/tmp/1.png", b"x"), ("C:\\1.png", b"x"), ("a/../../1.png", b"y")]), "leads out"),
+        (linked.finish().unwrap().into_inner(), "images.png, which is a link"),
+        (locked, "locked by a password"),
+        (zip(&[("a/1.png", b"x"), ("A/1.PNG", b"y")]), "1.PNG twice"),
+        (zip(&[("1.png", &vec![0; 70 << 20])]), "claims to hold 73400320 bytes"),
+        (zip(&[("notes.md", b"x")]), "holds no photos and no scene"),
+        (whole[..whole.len() - 9].to_vec(), "cannot be read"),
+        (b"PK".to_vec(), "cannot be read"),
+    ];
+    for (bytes, problem) in cases {
+        let (result, files) = unpacked(&bytes);
+        let sentence = result.unwrap_err();
+        assert!(sentence.contains("a.zip") && sentence.contains(problem), "{sentence}");
+        assert!(sentence.contains("unpack it by hand") && files.is_empty(), "{files:?}");
+    }
+}
+
+#[test]
+fn a_file_with_another_checksum_is_not_written() {
+    let mut zip = ZipWriter::new(Cursor::new(Vec::new()));
+    let stored = SimpleFileOptions::default().compression_method(zip::CompressionMethod::Stored);
+    zip.start_file("1.png", stored).unwrap();
+    zip.write_all(b"content").unwrap();
+    let mut bytes = zip.finish().unwrap().into_inner();
+    let at = bytes.windows(7).position(|window| window == b"content").unwrap();
+    bytes[at] = b'C';
+    let (result, files) = unpacked(&bytes);
+    let sentence = result.unwrap_err();
+    assert!(sentence.contains("is damaged at 1.png") && files.is_empty(), "{sentence} {files:?}");
+}

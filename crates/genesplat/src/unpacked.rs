@@ -1,0 +1,50 @@
+//! Archives that are given in place of folders: unpacked once, into the folder of the results.
+
+use std::fs;
+use std::path::Path;
+
+use anyhow::{Result, anyhow, bail, ensure};
+use genesplat::io::{archive, input, shown};
+use serde::{Deserialize, Serialize};
+
+use crate::files::write_json;
+use crate::run::session::Lock;
+use crate::terminal::output;
+
+/// In the folder: what was unpacked there, and whether all of it was.
+const RECORD: &str = "unpacked.json";
+
+#[derive(PartialEq, Serialize, Deserialize)]
+struct Record {
+    archive: String,
+    bytes: u64,
+    whole: bool,
+}
+
+/// Unpacks `archive` into `folder`, if that is not done already. Fails where the folder holds anything else.
+pub(crate) fn unpack(archive: &Path, folder: &Path) -> Result<()> {
+    let there = fs::metadata(archive).map_err(|error| anyhow!("cannot read {}: {error}", shown(archive)))?;
+    let name = archive.file_name().unwrap_or_default().to_string_lossy();
+    let record = |whole| Record { archive: name.clone().into_owned(), bytes: there.len(), whole };
+    let file = folder.join(RECORD);
+    match input::read(&file).ok().map(|bytes| serde_json::from_slice::<Record>(&bytes)) {
+        Some(Ok(there)) if there == record(true) => return Ok(()),
+        Some(Ok(there)) if there == record(false) => {}
+        Some(_) => bail!(
+            "{} was unpacked from another archive than {}; choose another --out, or remove that folder",
+            shown(folder),
+            shown(archive)
+        ),
+        None => ensure!(
+            fs::read_dir(folder).map_or(true, |mut entries| entries.next().is_none()),
+            "{} is there already, and {} would be unpacked into it; choose another --out",
+            shown(folder),
+            shown(archive)
+        ),
+    }
+    write_json(&file, &record(false))?;
+    let _lock = Lock::take(folder)?;
+    let files = archive::unpack(archive, folder)?;
+    output::tell(&format!("{files} files of {} are unpacked into {}", shown(archive), shown(folder)));
+    write_json(&file, &record(true))
+}
