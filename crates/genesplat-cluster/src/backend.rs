@@ -116,10 +116,17 @@ impl ClusterBackend {
         self.diverged()?.map_or(Ok(()), Err)
     }
 
+    /// Gives back what can be made again.
+    fn free(&mut self) -> Result<(), BackendError> {
+        (self.drawing, self.tasks, self.whole) = Default::default();
+        self.own.discard_queued_steps().map(drop)
+    }
+
     /// A cloud of so many rows is about to come.
     fn begin_upload(&mut self, rows: usize) -> Result<(), BackendError> {
         let shares = Shares::new(rows, self.group.count());
         self.group.agree(CpuBackend::ensure_training(shares.of(self.group.rank()).len()))?;
+        self.queue.clear();
         (self.shares, self.whole) = (shares, None);
         Ok(())
     }
@@ -217,6 +224,7 @@ impl Backend for ClusterBackend {
     fn state(&mut self) -> Result<DeviceState, BackendError> {
         self.settle()?;
         self.check_finite()?;
+        self.free()?;
         let (rows, mut state) = (self.shares.rows(), DeviceState::default());
         if self.group.is_root() {
             let Moments { first, second, .. } = &mut state.moments;
@@ -236,6 +244,7 @@ impl Backend for ClusterBackend {
     fn download(&mut self) -> Result<Cow<'_, Gaussians>, BackendError> {
         self.settle()?;
         self.check_finite()?;
+        self.free()?;
         let mut cloud = Gaussians::default();
         if self.group.is_root() {
             reserve(&mut cloud, self.shares.rows());
@@ -274,9 +283,9 @@ impl Backend for ClusterBackend {
     }
 
     fn discard_queued_steps(&mut self) -> Result<usize, BackendError> {
-        (self.drawing, self.tasks, self.whole) = Default::default();
         let undone = std::mem::take(&mut self.queue).len();
-        Ok(undone + self.own.discard_queued_steps()?)
+        self.free()?;
+        Ok(undone)
     }
 
     fn report(&mut self) -> Result<StepReport, BackendError> {

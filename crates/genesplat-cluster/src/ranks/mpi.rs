@@ -1,11 +1,9 @@
 //! Ranks that are processes, started by `mpirun`.
 
-use mpi::datatype::{Partition, PartitionMut};
-use mpi::{Count, Threading};
-
 use mpi::environment::Universe;
 use mpi::topology::SimpleCommunicator;
 use mpi::traits::*;
+use mpi::{Count, Threading};
 
 use super::{RankLost, Ranks};
 
@@ -23,16 +21,26 @@ impl Mpi {
     }
 }
 
+impl Mpi {
+    /// Each part goes from where it is to where it belongs; most ranks have nothing for each other.
+    fn send_and_receive(&self, parts: &[Vec<u32>], received: &mut [Vec<u32>]) {
+        mpi::request::multiple_scope(2 * parts.len(), |scope, requests| {
+            for (from, part) in (0..).zip(received).filter(|(_, part)| !part.is_empty()) {
+                requests.add(self.world.process_at_rank(from).immediate_receive_into(scope, &mut part[..]));
+            }
+            for (to, part) in (0..).zip(parts).filter(|(_, part)| !part.is_empty()) {
+                requests.add(self.world.process_at_rank(to).immediate_send(scope, &part[..]));
+            }
+            requests.wait_all(&mut Vec::new());
+        });
+    }
+}
+
 impl Drop for Mpi {
     /// A rank that fails must not wait for the others, which wait for it: `mpirun` ends them when it is gone.
     fn drop(&mut self) {
         std::mem::forget(self.universe.take());
     }
-}
-
-/// Where parts of these lengths begin if they lie one after the other.
-fn starts(lengths: &[Count]) -> Vec<Count> {
-    lengths.iter().scan(0, |end, &length| Some(std::mem::replace(end, *end + length))).collect()
 }
 
 impl Ranks for Mpi {
@@ -44,20 +52,15 @@ impl Ranks for Mpi {
         self.world.size() as usize
     }
 
-    fn exchange(&mut self, parts: Vec<Vec<u32>>) -> Result<Vec<Vec<u32>>, RankLost> {
+    fn exchange(&mut self, mut parts: Vec<Vec<u32>>) -> Result<Vec<Vec<u32>>, RankLost> {
+        let own = std::mem::take(&mut parts[self.rank()]);
         let lengths: Vec<Count> = parts.iter().map(|part| part.len() as Count).collect();
         let mut coming = vec![0; lengths.len()];
         self.world.all_to_all_into(&lengths, &mut coming);
-        let (words, starts_there) = (parts.concat(), starts(&lengths));
-        drop(parts);
-        let mut received = vec![0u32; coming.iter().map(|&length| length as usize).sum()];
-        let starts_here = starts(&coming);
-        self.world.all_to_all_varcount_into(
-            &Partition::new(&words, lengths, starts_there),
-            &mut PartitionMut::new(&mut received, &*coming, &*starts_here),
-        );
-        let of_rank = |(&start, &length): (&Count, &Count)| received[start as usize..][..length as usize].to_vec();
-        Ok(starts_here.iter().zip(&coming).map(of_rank).collect())
+        let mut received: Vec<Vec<u32>> = coming.into_iter().map(|length| vec![0; length as usize]).collect();
+        self.send_and_receive(&parts, &mut received);
+        received[self.rank()] = own;
+        Ok(received)
     }
 
     /// Ends MPI, which waits for all.
