@@ -2,7 +2,7 @@
 
 use std::fs::{self, File};
 use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use genesplat::core::{Gaussians, Photo};
 use genesplat::io::PlyOptions;
