@@ -60,6 +60,23 @@ fn photos_that_are_absent_are_counted_and_others_named() {
 }
 
 #[test]
+fn one_photo_for_two_records_is_refused() {
+    let mut model = tiny_model(2);
+    (model.images[0].name, model.images[1].name) = ("x/1.png".into(), "y/1.png".into());
+    let folder = tempfile::tempdir().unwrap();
+    write_scene(folder.path(), Form::Binary, &model);
+    assert!(load(folder.path()).is_ok());
+    let image = |name: &str| folder.path().join("images").join(name);
+    fs::rename(image("x/1.png"), image("1.png")).unwrap();
+    fs::remove_file(image("y/1.png")).unwrap();
+    let sentence = load(folder.path()).unwrap_err();
+    assert!(
+        sentence.contains("lists x/1.png and y/1.png") && sentence.contains("the only photo for both"),
+        "{sentence}"
+    );
+}
+
+#[test]
 fn points_that_are_absent_are_drawn() {
     let folder = tiny_scene(3);
     fs::write(folder.path().join("sparse/0/points3D.txt"), "# none\n").unwrap();

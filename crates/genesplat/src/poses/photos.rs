@@ -235,6 +235,25 @@ mod tests {
     }
 
     #[test]
+    fn photos_of_an_archive_are_unpacked_once() {
+        let place = tempfile::tempdir().unwrap();
+        let [archive, images, work] = ["trip.zip", "images", "work"].map(|name| place.path().join(name));
+        let mut zip = zip::ZipWriter::new(fs::File::create(&archive).unwrap());
+        for name in ["trip/1.jpg", "trip/b/2.PNG", "trip/notes.txt"] {
+            zip.start_file(name, zip::write::SimpleFileOptions::default()).unwrap();
+        }
+        zip.finish().unwrap();
+        let (source, never) = (Source::open(&archive, None).unwrap(), AtomicBool::new(false));
+        source.check_same(&work).unwrap();
+        assert!(!source.is_video() && source.fill(&images, &work, &never).unwrap());
+        assert_eq!(names_in(&images).unwrap(), ["trip/1.jpg", "trip/b/2.PNG"]);
+        // Whatever has been unpacked stays.
+        fs::remove_file(work.join("unpacked/trip/1.jpg")).unwrap();
+        assert!(source.fill(&images, &work, &never).unwrap() && names_in(&images).unwrap().len() == 2);
+        assert!(!work.join("unpacked/trip/1.jpg").exists());
+    }
+
+    #[test]
     fn stages_of_other_photos_are_refused() {
         let place = tempfile::tempdir().unwrap();
         let (photos, work) = (place.path().join("photos"), place.path().join("work"));
