@@ -176,9 +176,13 @@ impl Drawing {
         let top = sheet.band.rows().start;
         #[cfg(test)]
         let top = if self.sums_by_rank { 0 } else { top };
-        let told = told(self).words;
-        let sums = |rank| self.received.sums(rank, &self.band, (top, sheet.down()), columns_of(signal));
-        Ok((0..sheet.ranks).map(|rank| [&*told, &sums(rank)].concat()).collect())
+        let told = told(self);
+        let of_rank = |rank| {
+            let mut part = told.clone();
+            self.received.sums(rank, &self.band, (top, sheet.down()), columns_of(signal), &mut part);
+            part.words
+        };
+        Ok((0..sheet.ranks).map(of_rank).collect())
     }
 
     /// Sums the gradients of the own splats; each rank's message is read from where it stands.

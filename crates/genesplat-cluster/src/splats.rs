@@ -82,20 +82,19 @@ impl Received {
         band: &ViewBuffers,
         (top, down): (usize, usize),
         columns: &[usize],
-    ) -> Vec<u32> {
-        let mut out = Writer::default();
+        out: &mut Writer,
+    ) {
         for index in self.starts[rank]..self.starts[rank + 1] {
             let rows = band.gradient_rows_of(index);
             let begins_here = tile_rows(band.splats.get(index as u32), down).start >= top;
             if begins_here && rows.len() > 0 {
                 let mut sum = GradientRow::default();
                 rows.for_each(|row| sum.add(row));
-                write_rows([&sum].into_iter(), columns, &mut out);
+                write_rows([&sum].into_iter(), columns, out);
             } else {
-                write_rows(rows, columns, &mut out);
+                write_rows(rows, columns, out);
             }
         }
-        out.words
     }
 }
 

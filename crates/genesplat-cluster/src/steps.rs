@@ -77,6 +77,8 @@ impl ClusterBackend {
             self.tasks.resize_with(steps.len(), Task::default);
         }
         for ((step, sheet), task) in steps.iter().zip(sheets).zip(&mut self.tasks) {
+            // Its memory serves the next step of this place.
+            self.own.swap_splats(&mut task.splats);
             let mut dealt = sheet.deal(self.own.begin_step(step)?, &mut task.sent);
             for rank in sheet.drawers() {
                 parts[rank] = std::mem::take(&mut dealt[rank]);

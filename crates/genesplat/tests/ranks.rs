@@ -26,15 +26,9 @@ fn scene(folder: &Path) -> PathBuf {
 
 fn mpirun(ranks: usize, arguments: &[&str]) -> Command {
     let mut command = Command::new("mpirun");
-    command.args([
-        "--allow-run-as-root",
-        "--oversubscribe",
-        "--bind-to",
-        "none",
-        "-n",
-        &ranks.to_string(),
-        genesplat(),
-    ]);
+    // More processes than cores: who waits gives way.
+    command.args(["--allow-run-as-root", "--oversubscribe", "--bind-to", "none", "--mca", "mpi_yield_when_idle", "1"]);
+    command.args(["-n", &ranks.to_string(), genesplat()]);
     command.args(arguments).stdout(Stdio::piped()).stderr(Stdio::piped());
     command
 }
