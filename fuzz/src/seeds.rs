@@ -58,7 +58,9 @@ pub(crate) fn write(folder: &Path) -> io::Result<()> {
 fn of(target: &str) -> Vec<Vec<u8>> {
     let splats = |format: Format| vec![splat(format, 3, 3), splat(format, 1, 0)];
     match target {
-        "archive" => vec![wrap::zip(&["a/1.png", "sparse/0/cameras.txt", "b"], &wrap::framed(&[vec![1; 9], CAMERAS.into()]))],
+        "archive" => {
+            vec![wrap::zip(&["a/1.png", "sparse/0/cameras.txt", "b"], &wrap::framed(&[vec![1; 9], CAMERAS.into()]))]
+        }
         "cameras-bin" => vec![model("cameras.bin")],
         "images-bin" => vec![model("images.bin")],
         "points-bin" => vec![model("points3D.bin")],
