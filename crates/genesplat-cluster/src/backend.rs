@@ -23,7 +23,7 @@ use crate::wire::{Reader, Writer, lend, reserve};
 ///
 /// | verb | what is exchanged |
 /// |---|---|
-/// | `train_step` | splats, rows of the picture, sums of gradients |
+/// | `train_step` | splats, rows of the picture, sums of gradients; with several views a step, of as many views as ranks at once |
 /// | `render`, `contributions`, `weigh`, `measure` | the same, as far as they need it |
 /// | `statistics`, `genes`, `contributions`, `weigh` | columns, to all: what is decided by them is decided by every rank |
 /// | `edit_rows` | the rows that new ones are made of, to their new owners |

@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use std::{env, process, thread};
 
 use anyhow::{Result, ensure};
@@ -31,6 +31,8 @@ pub(crate) struct Cluster {
     group: Group,
     asked: Arc<AtomicBool>,
     stop: Arc<AtomicBool>,
+    /// Nothing is left to be done.
+    done: Arc<AtomicBool>,
 }
 
 /// How long Open MPI waits before it ends who does not stop, seconds.
@@ -60,8 +62,9 @@ impl Cluster {
             output::set_volume(Volume::Quiet);
         }
         let root = group.broadcast(vec![process::id()])?[0];
-        end_in_time(told.clone(), asked.clone(), (group.rank(), root))?;
-        Ok(Self { group, asked, stop })
+        let done = Arc::default();
+        end_in_time([told, &asked, &done].map(Arc::clone), (group.rank(), root))?;
+        Ok(Self { group, asked, stop, done })
     }
 
     pub(crate) fn is_root(&self) -> bool {
@@ -124,6 +127,7 @@ impl Cluster {
 
     /// Waits for the others.
     pub(crate) fn finish(&self) {
+        self.done.store(true, Ordering::Relaxed);
         self.group.finish();
     }
 }
@@ -139,17 +143,23 @@ pub(crate) fn agree<T>(cluster: Option<&Cluster>, done: Result<T>) -> Result<T> 
 }
 
 /// When a rank has ended, mpirun tells the others to end, who wait for it for ever. Asks them to stop, and ends this process
-/// with a sentence before mpirun does without; `root` is the process of rank 0.
-fn end_in_time(told: Arc<AtomicBool>, asked: Arc<AtomicBool>, (rank, root): (usize, u32)) -> Result<()> {
+/// with a sentence before mpirun does without; `root` is the process of rank 0, whose part rank 1 takes where it is gone.
+fn end_in_time([told, asked, done]: [Arc<AtomicBool>; 3], (rank, root): (usize, u32)) -> Result<()> {
     let patience = Duration::from_secs(started(PATIENCE) as u64).saturating_sub(MARGIN);
+    let is_heir = move || rank == 1 && !Path::new("/proc").join(root.to_string()).exists();
     let watch = move || {
         while !told.load(Ordering::Relaxed) {
             thread::sleep(PAUSE);
         }
         asked.store(true, Ordering::Relaxed);
-        thread::sleep(patience);
-        let is_alone = || !Path::new("/proc").join(root.to_string()).exists();
-        if rank == 0 || rank == 1 && is_alone() {
+        let end = Instant::now() + patience;
+        while Instant::now() < end && !is_heir() {
+            thread::sleep(PAUSE);
+        }
+        if done.load(Ordering::Relaxed) {
+            return;
+        }
+        if rank == 0 || is_heir() {
             output::complain(
                 "error: mpirun has ended the run, since one of its processes has ended, or since saving takes longer than it waits; the \
                  same command with --resume goes on from the last checkpoint",

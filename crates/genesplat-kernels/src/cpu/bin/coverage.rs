@@ -66,7 +66,7 @@ fn bands(splat: &Splat, rows: usize) -> [i32; 2] {
     [first.clamp(0, limit), end.clamp(0, limit)]
 }
 
-/// Rows of tiles that the splat may reach: none beyond them in [`for_each_tile`].
+/// Rows of tiles that the splat may reach: none beyond them.
 pub fn tile_rows(splat: &Splat, rows: usize) -> Range<usize> {
     let [first, end] = bands(splat, rows).map(|band| band as usize);
     first / BLOCKS_ACROSS..end.div_ceil(BLOCKS_ACROSS)

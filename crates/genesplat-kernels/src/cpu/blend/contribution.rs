@@ -62,12 +62,12 @@ pub(crate) fn add_contributions(splats: &Splats, gradients: &impl SplatGradients
     });
 }
 
-/// [`add_weights`] from sums of gradient rows, by index.
+/// What the backward blending has summed for red, by row, from sums of gradient rows, by index.
 pub fn add_weights_of(splats: &Splats, sums: &[GradientRow], weights: &mut [f32]) {
     add_weights(splats, &Summed(sums), weights);
 }
 
-/// [`add_contributions`] from sums of gradient rows, by index.
+/// Adds what the backward blending has summed for red and for green to contributions, from sums of gradient rows, by index.
 pub fn add_contributions_of(splats: &Splats, sums: &[GradientRow], contributions: &mut [Contribution]) {
     add_contributions(splats, &Summed(sums), contributions);
 }

@@ -5,7 +5,7 @@ use genesplat_core::DensitySignal;
 
 use crate::cpu::simd::{LANES, array};
 
-/// Gradient sums of one splat in one tile; see [`mod@column`].
+/// Gradient sums of one splat in one tile; see `column`.
 #[derive(Clone, Copy, Debug, Default)]
 #[repr(C, align(64))]
 pub struct GradientRow(pub [f32; LANES]);
