@@ -21,7 +21,7 @@ pub struct Splat {
     pub depth: f32,
     /// Half extent of the ellipse `alpha ≥ 1/255`, px.
     pub half_extent_px: [f32; 2],
-    /// Row of the cloud; of [`super::project::project_versions`], index of the version.
+    /// Row of the cloud; of `project_versions`, index of the version.
     pub row: u32,
     /// Bit `c` is set where channel `c` was clamped at 0.
     pub clamped: u32,
