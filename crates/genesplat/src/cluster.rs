@@ -38,8 +38,8 @@ pub(crate) struct Cluster {
 
 /// How long Open MPI waits before it ends who does not stop, seconds.
 const PATIENCE: &str = "OMPI_MCA_odls_base_sigkill_timeout";
-/// How long before that a process ends by itself.
-const MARGIN: Duration = Duration::from_millis(500);
+/// How long before that a process ends by itself; a busy machine takes its time to say so.
+const MARGIN: Duration = Duration::from_millis(800);
 const PAUSE: Duration = Duration::from_millis(50);
 
 /// The number that Open MPI has left in the environment, or 1.
