@@ -25,6 +25,8 @@ pub(crate) const STOPPING: &str =
 /// How many processes Open MPI has started, and how many of them on this machine.
 const WORLD_SIZE: &str = "OMPI_COMM_WORLD_SIZE";
 const LOCAL_SIZE: &str = "OMPI_COMM_WORLD_LOCAL_SIZE";
+/// The number of this process among those of this machine.
+const LOCAL_RANK: &str = "OMPI_COMM_WORLD_LOCAL_RANK";
 
 /// The processes of a run.
 pub(crate) struct Cluster {
@@ -37,8 +39,8 @@ pub(crate) struct Cluster {
 
 /// How long Open MPI waits before it ends who does not stop, seconds.
 const PATIENCE: &str = "OMPI_MCA_odls_base_sigkill_timeout";
-/// How long before that a process ends by itself.
-const MARGIN: Duration = Duration::from_millis(500);
+/// How long before that a process ends by itself; a busy machine takes its time to say so.
+const MARGIN: Duration = Duration::from_millis(800);
 const PAUSE: Duration = Duration::from_millis(50);
 
 /// The number that Open MPI has left in the environment, or 1.
@@ -143,10 +145,11 @@ pub(crate) fn agree<T>(cluster: Option<&Cluster>, done: Result<T>) -> Result<T> 
 }
 
 /// When a rank has ended, mpirun tells the others to end, who wait for it for ever. Asks them to stop, and ends this process
-/// with a sentence before mpirun does without; `root` is the process of rank 0, whose part rank 1 takes where it is gone.
+/// with a sentence before mpirun does without; `root` is the process of rank 0, whose part rank 1 takes where that was beside it and is gone.
 fn end_in_time([told, asked, done]: [Arc<AtomicBool>; 3], (rank, root): (usize, u32)) -> Result<()> {
     let patience = Duration::from_secs(started(PATIENCE) as u64).saturating_sub(MARGIN);
-    let is_heir = move || rank == 1 && !Path::new("/proc").join(root.to_string()).exists();
+    let is_beside_root = rank == 1 && started(LOCAL_RANK) == 1;
+    let is_heir = move || is_beside_root && !Path::new("/proc").join(root.to_string()).exists();
     let watch = move || {
         while !told.load(Ordering::Relaxed) {
             thread::sleep(PAUSE);
