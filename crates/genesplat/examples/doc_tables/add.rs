@@ -43,7 +43,7 @@ fn identity(line: &str) -> Vec<&str> {
     [&fields[..KEY], fields.get(12..14).unwrap_or_default()].concat()
 }
 
-/// The folders `SCENE/VARIANT/ARM/SEED` with figures, in order of their names.
+/// The folders `SCENE/VARIANT/ARM/SEED` of runs that have come to their end, in order of their names.
 fn finished(cells: &Path) -> Result<Vec<PathBuf>> {
     let mut folders = vec![cells.to_owned()];
     for _ in ["scene", "variant", "arm", "seed"] {
@@ -55,14 +55,28 @@ fn finished(cells: &Path) -> Result<Vec<PathBuf>> {
         }
         folders = below;
     }
-    folders.retain(|folder| folder.join("metrics.json").is_file());
+    folders.retain(|folder| folder.join("metrics.json").is_file() && is_finished(folder).unwrap_or(false));
     folders.sort();
     Ok(folders)
 }
 
+/// Runs that were stopped have figures, too.
+fn is_finished(run: &Path) -> Option<bool> {
+    let (metrics, config) = (metrics(run).ok()?, config(run).ok()?);
+    let planned = config.get("iterations")?.as_integer()? as f64 * config.get("steps_scale")?.as_float()?;
+    Some(metrics.get("iterations")?.as_f64()? >= planned.floor())
+}
+
+fn metrics(run: &Path) -> Result<Value> {
+    Ok(serde_json::from_str(&fs::read_to_string(run.join("metrics.json"))?)?)
+}
+
+fn config(run: &Path) -> Result<toml::Table> {
+    Ok(fs::read_to_string(run.join("config.toml"))?.parse()?)
+}
+
 fn line(run: &Path, made: &Made<'_>) -> Result<String> {
-    let metrics: Value = serde_json::from_str(&fs::read_to_string(run.join("metrics.json"))?)?;
-    let config: toml::Table = fs::read_to_string(run.join("config.toml"))?.parse()?;
+    let (metrics, config) = (metrics(run)?, config(run)?);
     let max_side = config.get("dataset").and_then(|dataset| dataset.get("max_side"));
     let max_side = max_side.and_then(toml::Value::as_integer).context("config.toml has no dataset.max_side")?;
     let [arm, scene] = [1, 3].map(|up| run.ancestors().nth(up).and_then(Path::file_name).unwrap_or_default());
