@@ -77,9 +77,20 @@ fn masks_that_cannot_be_meant_are_told() {
     photos::write_png(&masks.join("IMG_1.png"), &mask()).unwrap();
     let scene = load(folder.path(), MaskUse::Usual).unwrap();
     assert!(scene.notices[0].contains("has no mask of any photo: that of 000.png would be called 000.png.png"));
-    photos::write_png(&masks.join("001.png"), &tiny_photo(0, [20, 15])).unwrap();
-    let sentence = load(folder.path(), MaskUse::Usual).unwrap_err().to_string();
-    assert!(sentence.contains("001.png is a mask of 20x15 pixels, and its photo has 40x30"), "{sentence}");
+    for (size, advice) in [([20, 20], "make it as large as its photo"), ([30, 40], "turn it as its photo")] {
+        photos::write_png(&masks.join("001.png"), &tiny_photo(0, size)).unwrap();
+        let sentence = load(folder.path(), MaskUse::Usual).unwrap_err().to_string();
+        let expected =
+            format!("001.png is a mask of {}x{} pixels, and its photo has 40x30; {advice}", size[0], size[1]);
+        assert!(sentence.contains(&expected), "{sentence}");
+    }
+    // A mask of the original size of reduced photos.
+    let left = |x: u32| if x < 40 { 0 } else { 255 };
+    let rgb = (0..80 * 60).flat_map(|pixel| [left(pixel % 80); 3]).collect();
+    photos::write_png(&masks.join("001.png"), &Photo { width: 80, height: 60, rgb }).unwrap();
+    let scene = load(folder.path(), MaskUse::Usual).unwrap();
+    let counted = scene.train.iter().find(|view| view.name == "001.png").unwrap().counted_pixels();
+    assert!((17 * 30..=20 * 30).contains(&counted), "about a half: {counted}");
     photos::write_png(&masks.join("001.png"), &Photo { rgb: vec![0; 3600], ..mask() }).unwrap();
     let scene = load(folder.path(), MaskUse::Usual).unwrap();
     assert_eq!((scene.train.len(), scene.test.len()), (1, 1));
