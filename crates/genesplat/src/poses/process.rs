@@ -1,6 +1,8 @@
 //! Programs of others: started, listened to, and ended when the user stops us.
 
 use genesplat::io::shown;
+use std::error::Error;
+use std::fmt;
 use std::fs::File;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::path::{Path, PathBuf};
@@ -10,9 +12,21 @@ use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
 use std::thread;
 use std::time::Duration;
 
-use anyhow::{Result, anyhow, bail};
+use anyhow::{Result, anyhow, bail, ensure};
 
 use crate::files::unwritable;
+
+/// A program was ended by a signal that nobody sent: the fault is its own, and may not come again.
+#[derive(Debug)]
+pub(crate) struct Crashed(String);
+
+impl fmt::Display for Crashed {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str(&self.0)
+    }
+}
+
+impl Error for Crashed {}
 
 const PAUSE: Duration = Duration::from_millis(100);
 
@@ -49,7 +63,11 @@ pub(crate) fn run(command: &mut Command, log: &Path, stop: &AtomicBool, mut on_l
     listeners.into_iter().flatten().for_each(|listener| drop(listener.join()));
     let status = child.wait().map_err(|error| anyhow!("cannot wait for {}: {error}", shown(&program)))?;
     if !status.success() && !stop.load(Ordering::Relaxed) {
-        bail!("{} has failed ({}); all that it said is in {}", shown(&program), last.trim(), shown(log));
+        let sentence =
+            format!("{} has failed ({}); all that it said is in {}", shown(&program), last.trim(), shown(log));
+        // Ended by a signal.
+        ensure!(status.code().is_some(), Crashed(sentence));
+        bail!(sentence);
     }
     Ok(status.success())
 }
@@ -113,7 +131,9 @@ mod tests {
         assert_eq!(lines, ["one", "two"]);
         let refused = run(&mut shell("echo no memory >&2; exit 3"), &log, &never, |_| {}).unwrap_err().to_string();
         assert!(refused.contains("no memory") && refused.contains("log"), "{refused}");
-        assert_eq!(genesplat::io::input::read_text(&log).unwrap().lines().count(), 3);
+        let crashed = run(&mut shell("echo a fault >&2; kill -SEGV $$"), &log, &never, |_| {}).unwrap_err();
+        assert!(crashed.is::<Crashed>() && crashed.to_string().contains("a fault"), "{crashed}");
+        assert_eq!(genesplat::io::input::read_text(&log).unwrap().lines().count(), 4);
     }
 
     #[test]

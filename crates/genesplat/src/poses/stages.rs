@@ -9,7 +9,7 @@ use anyhow::Result;
 use genesplat::io::photos::photo_size;
 
 use super::engine::Engine;
-use super::process;
+use super::process::{self, Crashed};
 use crate::files::{unwritable, write_text};
 use crate::terminal::output;
 use crate::terminal::progress::Bar;
@@ -100,13 +100,19 @@ pub(crate) fn run(engine: &Engine, job: &Job, work: &Path, stop: &AtomicBool) ->
         }
         begin(stage, job)?;
         let mut bar = Bar::new(stage.name(), job.total(stage) as u64);
-        let on_line = |line: &str| {
+        let mut on_line = |line: &str| {
             if let Some(done) = engine.progress(stage, line) {
                 bar.set(done.min(job.total(stage)) as u64, String::new);
             }
             errors_px.extend(engine.reprojection_errors(line));
         };
-        if !process::run(&mut engine.command(stage, job), &log, stop, on_line)? {
+        let mut ended = process::run(&mut engine.command(stage, job), &log, stop, &mut on_line);
+        if ended.as_ref().is_err_and(|error| error.is::<Crashed>()) {
+            output::tell(&format!("notice: the search for {} crashed, and is begun once more", stage.name()));
+            begin(stage, job)?;
+            ended = process::run(&mut engine.command(stage, job), &log, stop, &mut on_line);
+        }
+        if !ended? {
             return Ok(None);
         }
         bar.set(job.total(stage) as u64, String::new);

@@ -75,6 +75,29 @@ fn a_search_that_was_stopped_goes_on_with_the_next_stage() {
     assert!(rest.status.success() && said(&rest).contains("features: done already"), "{}", said(&rest));
 }
 
+/// COLMAP's matcher dies of a segmentation fault now and then.
+#[cfg(unix)]
+#[test]
+fn a_search_that_crashes_once_is_begun_again() {
+    use std::os::unix::fs::PermissionsExt;
+
+    let folder = tempfile::tempdir().unwrap();
+    let Some(photos) = small_photos(folder.path()) else { return };
+    let Some(python) = python_with("pycolmap") else { return };
+    let [crashing, mark, found] = ["python", "crashed", "scene"].map(|name| folder.path().join(name));
+    let script = format!(
+        "#!/bin/sh\ncase \"$*\" in *'\"stage\":\"matches\"'*) if [ ! -e {mark} ]; then touch {mark}; kill -SEGV $$; fi ;; esac\n\
+         exec {python} \"$@\"\n",
+        mark = text(&mark),
+        python = text(&python)
+    );
+    fs::write(&crashing, script).unwrap();
+    fs::set_permissions(&crashing, fs::Permissions::from_mode(0o755)).unwrap();
+    let output = with_python(&crashing, &["poses", text(&photos), "--out", text(&found)]);
+    assert!(output.status.success() && mark.exists(), "{}", said(&output));
+    assert!(said(&output).contains("the search for matches crashed, and is begun once more"), "{}", said(&output));
+}
+
 #[cfg(unix)]
 #[test]
 fn a_video_is_photos_too() {
