@@ -1,7 +1,7 @@
 //! How much of the time pictures may take while a page is open: a credit that grows with the clock.
 
-/// Pictures of a run that trains take at most this share of the time that a page is open.
-const SHARE: f64 = 0.05;
+/// Pictures of a run that trains take at most this share of the time that a page is open: with what sending them costs, 5 %.
+const SHARE: f64 = 0.04;
 /// What is not spent is kept up to so many seconds, so that a movement after a rest is smooth.
 const CREDIT_MAX: f64 = 1.0;
 /// The least time between two pictures from the same place, seconds: the cloud changes slowly.
