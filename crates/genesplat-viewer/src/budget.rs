@@ -84,7 +84,7 @@ mod tests {
         budget.tick(1.0, false);
         budget.tick(1000.0, true);
         assert!(!budget.allows_new());
-        budget.tick(1011.0, true);
+        budget.tick(1001.0 + 0.5 / SHARE, true);
         assert!(budget.allows_new());
     }
 }
