@@ -12,7 +12,7 @@ use genesplat_core::{
 use genesplat_kernels::cpu::stages::Share;
 use genesplat_kernels::cpu::{CpuBackend, Pinhole};
 
-use crate::drawing::{Drawing, Sheet};
+use crate::drawing::{Canvas, Drawing};
 use crate::group::Group;
 use crate::shares::Shares;
 use crate::splats::Sent;
@@ -70,8 +70,8 @@ impl ClusterBackend {
     }
 
     /// A training view, cut as its load was.
-    pub(crate) fn sheet_of(&self, view: usize) -> Sheet {
-        Sheet::of_all(*self.own.view(view).0, &self.loads[view], &self.group)
+    pub(crate) fn canvas_of(&self, view: usize) -> Canvas {
+        Canvas::of_all(*self.own.view(view).0, &self.loads[view], &self.group)
     }
 
     pub(crate) fn share(&self) -> Share {
@@ -98,17 +98,16 @@ impl ClusterBackend {
         let mut out = Writer::default();
         if let Some((row, parameter)) = found {
             out.count(first + row);
-            out.text(parameter);
+            out.count(PARAMETERS.iter().position(|&name| name == parameter).expect("all parameters are listed"));
         }
         let parts = self.group.gather(Ok(out.words))?;
         let read = |part: &Vec<u32>| {
             let mut input = Reader::new(part);
             let row = input.count();
-            let name = input.text();
-            PARAMETERS.iter().position(|&parameter| parameter == name).map(|place| (place, row))
+            (input.count(), row)
         };
-        let found = parts.iter().filter(|part| !part.is_empty()).filter_map(read).min();
-        Ok(found.map(|(place, row)| BackendError::NonFinite { row, parameter: PARAMETERS[place], steps }))
+        let found = parts.iter().filter(|part| !part.is_empty()).map(read).min();
+        Ok(found.map(|(parameter, row)| BackendError::NonFinite { row, parameter: PARAMETERS[parameter], steps }))
     }
 
     /// Fails on every rank where the cloud is not finite.
@@ -261,12 +260,12 @@ impl Backend for ClusterBackend {
 
     fn render(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<Image, BackendError> {
         self.settle()?;
-        let (level, sheet) = (self.own.level(), Sheet::of_all(Pinhole::from(camera), &[], &self.group));
-        let splats = self.own.project(&sheet.camera, settings, &Blend::default());
-        let parts = self.group.exchange(splats.map(|splats| sheet.deal(splats, &mut Sent::default())))?;
-        let drawn = self.drawing.draw(level, &sheet, parts, settings);
-        let parts = self.group.exchange(drawn.map(|()| self.drawing.rows_for_all(&sheet)))?;
-        Ok(self.drawing.whole(&sheet, &parts))
+        let (level, canvas) = (self.own.level(), Canvas::of_all(Pinhole::from(camera), &[], &self.group));
+        let splats = self.own.project(&canvas.camera, settings, &Blend::default());
+        let parts = self.group.exchange(splats.map(|splats| canvas.deal(splats, &mut Sent::default())))?;
+        let drawn = self.drawing.draw(level, &canvas, parts, settings);
+        let parts = self.group.exchange(drawn.map(|()| self.drawing.rows_for_all(&canvas)))?;
+        Ok(self.drawing.whole(&canvas, &parts))
     }
 
     /// Steps whose gradients wait for another are made with it: whole views are dealt out then.

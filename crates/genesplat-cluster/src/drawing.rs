@@ -19,7 +19,7 @@ use crate::wire::{Reader, Writer};
 pub(crate) type Parts = Vec<Vec<u32>>;
 
 /// A picture, and who draws which band of it.
-pub(crate) struct Sheet {
+pub(crate) struct Canvas {
     pub(crate) camera: Pinhole,
     bands: Bands,
     /// The own one.
@@ -28,7 +28,7 @@ pub(crate) struct Sheet {
     ranks: usize,
 }
 
-impl Sheet {
+impl Canvas {
     /// Drawn by some of the ranks; `intersections` are those of each row of tiles, where they are known.
     pub(crate) fn new(camera: Pinhole, intersections: &[u32], drawers: Range<usize>, group: &Group) -> Self {
         let bands = Bands::new(camera.grid(), intersections, &drawers, group.count());
@@ -90,9 +90,10 @@ pub(crate) struct Drawing {
     pub(crate) sums_by_rank: bool,
 }
 
-/// Sums over all rows of a picture `[3, H]`, and what else bands tell.
+/// What all bands of a picture add up to.
 #[derive(Debug, Default)]
-pub(crate) struct Told {
+pub(crate) struct PictureTotals {
+    /// Sums of the loss `[3, H]`.
     pub(crate) sums: Vec<[f64; 2]>,
     /// Intersections of each row of tiles.
     pub(crate) intersections: Vec<u32>,
@@ -105,41 +106,41 @@ impl Drawing {
     pub(crate) fn draw(
         &mut self,
         level: Level,
-        sheet: &Sheet,
+        canvas: &Canvas,
         parts: Parts,
         settings: &RenderSettings,
     ) -> Result<(), BackendError> {
         self.received.collect(&parts, &mut self.band.splats);
         drop(parts);
-        self.band.ensure(self.received.count(), sheet.band.tiles())?;
-        self.band.draw(level, (&sheet.camera, &sheet.band), settings);
+        self.band.ensure(self.received.count(), canvas.band.tiles())?;
+        self.band.draw(level, (&canvas.camera, &canvas.band), settings);
         Ok(())
     }
 
     /// The own rows, for every rank.
-    pub(crate) fn rows_for_all(&self, sheet: &Sheet) -> Parts {
-        let (held, all) = (sheet.band.pixel_rows(), 0..sheet.height());
-        vec![part(&self.band.image, &held, &all); sheet.ranks]
+    pub(crate) fn rows_for_all(&self, canvas: &Canvas) -> Parts {
+        let (held, all) = (canvas.band.pixel_rows(), 0..canvas.height());
+        vec![part(&self.band.image, &held, &all); canvas.ranks]
     }
 
     /// The whole picture.
-    pub(crate) fn whole(&mut self, sheet: &Sheet, parts: &Parts) -> Image {
+    pub(crate) fn whole(&mut self, canvas: &Canvas, parts: &Parts) -> Image {
         let mut whole = PictureRows::default();
-        whole.assemble(sheet.width(), 0..sheet.height(), &sheet.pixel_rows(), parts);
+        whole.assemble(canvas.width(), 0..canvas.height(), &canvas.pixel_rows(), parts);
         whole.image
     }
 
     /// The own rows, without what does not count, for the ranks whose loss depends on them.
-    pub(crate) fn rows_for_loss(&mut self, sheet: &Sheet, target: &Target) -> Parts {
-        let held = sheet.band.pixel_rows();
+    pub(crate) fn rows_for_loss(&mut self, canvas: &Canvas, target: &Target) -> Parts {
+        let held = canvas.band.pixel_rows();
         target.hide_rows(&mut self.band.image.planes, &held);
-        sheet.pixel_rows().iter().map(|rows| part(&self.band.image, &held, &sheet.near(rows))).collect()
+        canvas.pixel_rows().iter().map(|rows| part(&self.band.image, &held, &canvas.near(rows))).collect()
     }
 
     /// The loss of the own rows; its gradient, if it is wanted, goes to the band.
-    pub(crate) fn loss(&mut self, level: Level, sheet: &Sheet, target: &Target, parts: &Parts, with_gradient: bool) {
-        let rows = sheet.band.pixel_rows();
-        self.near.assemble(sheet.width(), sheet.near(&rows), &sheet.pixel_rows(), parts);
+    pub(crate) fn loss(&mut self, level: Level, canvas: &Canvas, target: &Target, parts: &Parts, with_gradient: bool) {
+        let rows = canvas.band.pixel_rows();
+        self.near.assemble(canvas.width(), canvas.near(&rows), &canvas.pixel_rows(), parts);
         let PictureRows { rows: near, image } = &self.near;
         let gradient = with_gradient.then_some(&mut self.band.image_gradient);
         loss_of_rows(level, (image, near.start), target, rows.clone(), gradient, &mut self.sums);
@@ -149,40 +150,40 @@ impl Drawing {
     }
 
     /// In the place of the loss's gradient: what finds how much splats contribute, and the errors where they are.
-    pub(crate) fn ones_and_errors(&mut self, sheet: &Sheet, target: &Target) {
+    pub(crate) fn ones_and_errors(&mut self, canvas: &Canvas, target: &Target) {
         let ViewBuffers { image, image_gradient, .. } = &mut self.band;
-        ones_and_errors(image, target, sheet.band.pixel_rows(), image_gradient);
+        ones_and_errors(image, target, canvas.band.pixel_rows(), image_gradient);
     }
 
     /// In the place of the loss's gradient: a map `[H, W]` for red, and zeros.
-    pub(crate) fn map(&mut self, sheet: &Sheet, map: &[f32]) {
-        let (rows, width) = (sheet.band.pixel_rows(), sheet.width());
+    pub(crate) fn map(&mut self, canvas: &Canvas, map: &[f32]) {
+        let (rows, width) = (canvas.band.pixel_rows(), canvas.width());
         let gradient = &mut self.band.image_gradient;
         gradient.clear();
         gradient.extend_from_slice(&map[rows.start * width..rows.end * width]);
         gradient.resize(3 * rows.len() * width, 0.0);
     }
 
-    /// What each rank is told of its splats' gradients, after what all are `told`.
+    /// The sums of gradients of each rank's splats, after the `totals`, which all get.
     pub(crate) fn backward(
         &mut self,
         level: Level,
-        sheet: &Sheet,
-        told: impl FnOnce(&Self) -> Writer,
+        canvas: &Canvas,
+        totals: impl FnOnce(&Self) -> Writer,
         signal: Option<DensitySignal>,
     ) -> Result<Parts, BackendError> {
         self.band.ensure_gradient_rows()?;
-        self.band.draw_backward(level, (&sheet.camera, &sheet.band), signal);
-        let top = sheet.band.rows().start;
+        self.band.draw_backward(level, (&canvas.camera, &canvas.band), signal);
+        let top = canvas.band.rows().start;
         #[cfg(test)]
         let top = if self.sums_by_rank { 0 } else { top };
-        let told = told(self);
+        let totals = totals(self);
         let of_rank = |rank| {
-            let mut part = told.clone();
-            self.received.sums(rank, &self.band, (top, sheet.down()), columns_of(signal), &mut part);
+            let mut part = totals.clone();
+            self.received.sums(rank, &self.band, (top, canvas.down()), columns_of(signal), &mut part);
             part.words
         };
-        Ok((0..sheet.ranks).map(of_rank).collect())
+        Ok((0..canvas.ranks).map(of_rank).collect())
     }
 
     /// Sums the gradients of the own splats; each rank's message is read from where it stands.
@@ -201,22 +202,22 @@ impl Drawing {
     }
 
     /// The own sums of the loss and of squared errors, for all.
-    pub(crate) fn measures(&self, sheet: &Sheet, target: &Target) -> Vec<u32> {
+    pub(crate) fn measures(&self, canvas: &Canvas, target: &Target) -> Vec<u32> {
         let mut out = Writer::default();
         out.doubles(self.sums.as_flattened());
-        out.doubles(&squared_errors(&self.band.image, target, sheet.band.pixel_rows().start));
+        out.doubles(&squared_errors(&self.band.image, target, canvas.band.pixel_rows().start));
         out.words
     }
 
     /// Sums of the loss and of squared errors over all rows `[3, H]`.
-    pub(crate) fn measured(sheet: &Sheet, parts: &Parts) -> (Vec<[f64; 2]>, Vec<f64>) {
-        let values = 3 * sheet.height();
+    pub(crate) fn measured(canvas: &Canvas, parts: &Parts) -> (Vec<[f64; 2]>, Vec<f64>) {
+        let values = 3 * canvas.height();
         let (mut sums, mut errors) = (vec![[0.0; 2]; values], vec![0.0; values]);
-        for (rows, part) in sheet.pixel_rows().into_iter().zip(parts) {
+        for (rows, part) in canvas.pixel_rows().into_iter().zip(parts) {
             let mut input = Reader::new(part);
-            read_sums(sheet, &rows, &mut input, &mut sums);
+            read_sums(canvas, &rows, &mut input, &mut sums);
             for channel in 0..3 {
-                let of_channel = &mut errors[channel * sheet.height()..][rows.clone()];
+                let of_channel = &mut errors[channel * canvas.height()..][rows.clone()];
                 of_channel.iter_mut().zip(input.doubles(rows.len())).for_each(|(error, sum)| *error = sum);
             }
         }
@@ -224,33 +225,33 @@ impl Drawing {
     }
 }
 
-impl Told {
-    pub(crate) fn new(sheet: &Sheet) -> Self {
-        Self { sums: vec![[0.0; 2]; 3 * sheet.height()], ..Self::default() }
+impl PictureTotals {
+    pub(crate) fn new(canvas: &Canvas) -> Self {
+        Self { sums: vec![[0.0; 2]; 3 * canvas.height()], ..Self::default() }
     }
 
     /// Sums and counts of the own band, and how many own splats each view has.
-    pub(crate) fn tell(drawing: &Drawing, sheet: &Sheet, visible: &[usize]) -> Writer {
-        let mut told = Writer::default();
-        told.doubles(drawing.sums.as_flattened());
-        let starts = drawing.band.bins.tile_starts.iter().step_by(sheet.camera.grid()[0].max(1));
+    pub(crate) fn write(drawing: &Drawing, canvas: &Canvas, visible: &[usize]) -> Writer {
+        let mut totals = Writer::default();
+        totals.doubles(drawing.sums.as_flattened());
+        let starts = drawing.band.bins.tile_starts.iter().step_by(canvas.camera.grid()[0].max(1));
         let starts: Vec<u32> = starts.copied().collect();
-        told.words.extend(starts.windows(2).map(|pair| pair[1] - pair[0]));
-        visible.iter().for_each(|&count| told.count(count));
-        told
+        totals.words.extend(starts.windows(2).map(|pair| pair[1] - pair[0]));
+        visible.iter().for_each(|&count| totals.count(count));
+        totals
     }
 
-    /// What a rank tells of its band of this picture; ranks come in their order.
-    pub(crate) fn hear(&mut self, sheet: &Sheet, rank: usize, input: &mut Reader<'_>) {
-        read_sums(sheet, &sheet.pixel_rows()[rank], input, &mut self.sums);
-        self.intersections.extend_from_slice(input.words(sheet.bands.of(rank).len()));
+    /// Reads what [`Self::write`] wrote on a rank that draws this picture; ranks come in their order.
+    pub(crate) fn read(&mut self, canvas: &Canvas, rank: usize, input: &mut Reader<'_>) {
+        read_sums(canvas, &canvas.pixel_rows()[rank], input, &mut self.sums);
+        self.intersections.extend_from_slice(input.words(canvas.bands.of(rank).len()));
     }
 }
 
 /// Sums of some rows, to their places among those of all `[3, H]`.
-fn read_sums(sheet: &Sheet, rows: &Range<usize>, input: &mut Reader<'_>, sums: &mut [[f64; 2]]) {
+fn read_sums(canvas: &Canvas, rows: &Range<usize>, input: &mut Reader<'_>, sums: &mut [[f64; 2]]) {
     for channel in 0..3 {
-        let of_channel = sums[channel * sheet.height()..][rows.clone()].as_flattened_mut();
+        let of_channel = sums[channel * canvas.height()..][rows.clone()].as_flattened_mut();
         let values = input.doubles(of_channel.len());
         of_channel.iter_mut().zip(values).for_each(|(sum, value)| *sum = value);
     }

@@ -9,7 +9,7 @@ use genesplat_kernels::cpu::Target;
 use genesplat_kernels::cpu::stages::{add_contributions_of, add_weights_of, loss_of_sums, mean_squared_error};
 
 use crate::backend::ClusterBackend;
-use crate::drawing::{Drawing, Sheet};
+use crate::drawing::{Canvas, Drawing};
 use crate::shares::places_in;
 use crate::splats::Sent;
 use crate::wire::{Reader, Writer};
@@ -21,16 +21,16 @@ impl ClusterBackend {
         &mut self,
         view: usize,
         settings: &RenderSettings,
-        fill: impl FnOnce(&mut Drawing, &Sheet, &Target),
+        fill: impl FnOnce(&mut Drawing, &Canvas, &Target),
     ) -> Result<(), BackendError> {
-        let (level, sheet) = (self.own.level(), self.sheet_of(view));
-        let splats = self.own.project(&sheet.camera, settings, &Blend::default());
+        let (level, canvas) = (self.own.level(), self.canvas_of(view));
+        let splats = self.own.project(&canvas.camera, settings, &Blend::default());
         let mut sent = Sent::default();
-        let parts = self.group.exchange(splats.map(|splats| sheet.deal(splats, &mut sent)))?;
-        let drawn = self.drawing.draw(level, &sheet, parts, settings);
+        let parts = self.group.exchange(splats.map(|splats| canvas.deal(splats, &mut sent)))?;
+        let drawn = self.drawing.draw(level, &canvas, parts, settings);
         let parts = drawn.and_then(|()| {
-            fill(&mut self.drawing, &sheet, self.own.view(view).1);
-            self.drawing.backward(level, &sheet, |_| Writer::default(), None)
+            fill(&mut self.drawing, &canvas, self.own.view(view).1);
+            self.drawing.backward(level, &canvas, |_| Writer::default(), None)
         });
         let parts = self.group.exchange(parts)?;
         let mut parts: Vec<Reader<'_>> = parts.iter().map(|part| Reader::new(part)).collect();
@@ -40,15 +40,15 @@ impl ClusterBackend {
 
     /// One view of a blend.
     fn loss_of(&mut self, blend: &Blend, view: usize, settings: &RenderSettings) -> Result<ViewLoss, BackendError> {
-        let (level, sheet) = (self.own.level(), self.sheet_of(view));
-        let splats = self.own.project(&sheet.camera, settings, blend);
-        let parts = self.group.exchange(splats.map(|splats| sheet.deal(splats, &mut Sent::default())))?;
-        let drawn = self.drawing.draw(level, &sheet, parts, settings);
+        let (level, canvas) = (self.own.level(), self.canvas_of(view));
+        let splats = self.own.project(&canvas.camera, settings, blend);
+        let parts = self.group.exchange(splats.map(|splats| canvas.deal(splats, &mut Sent::default())))?;
+        let drawn = self.drawing.draw(level, &canvas, parts, settings);
         let target = self.own.view(view).1;
-        let parts = self.group.exchange(drawn.map(|()| self.drawing.rows_for_loss(&sheet, target)))?;
-        self.drawing.loss(level, &sheet, target, &parts, false);
-        let parts = self.group.gather(Ok(self.drawing.measures(&sheet, target)))?;
-        let (sums, errors) = Drawing::measured(&sheet, &parts);
+        let parts = self.group.exchange(drawn.map(|()| self.drawing.rows_for_loss(&canvas, target)))?;
+        self.drawing.loss(level, &canvas, target, &parts, false);
+        let parts = self.group.gather(Ok(self.drawing.measures(&canvas, target)))?;
+        let (sums, errors) = Drawing::measured(&canvas, &parts);
         Ok(ViewLoss { loss: loss_of_sums(&sums, target), squared_error: mean_squared_error(&errors, target) })
     }
 
@@ -104,7 +104,7 @@ impl EvolutionBackend for ClusterBackend {
     fn weigh(&mut self, view: usize, map: &[f32], settings: &RenderSettings) -> Result<Vec<f32>, BackendError> {
         self.settle()?;
         self.group.agree(self.own.ensure_contribution_sums())?;
-        self.backward(view, settings, |drawing, sheet, _| drawing.map(sheet, map))?;
+        self.backward(view, settings, |drawing, canvas, _| drawing.map(canvas, map))?;
         let mut sums = vec![0.0; self.own.cloud().len()];
         add_weights_of(self.own.splats(), &self.drawing.gradients, &mut sums);
         self.gather(&sums)
@@ -115,7 +115,7 @@ impl EvolutionBackend for ClusterBackend {
         self.group.agree(self.own.ensure_contribution_sums())?;
         let mut own = vec![Contribution::default(); self.own.cloud().len()];
         for &view in views {
-            self.backward(view, settings, |drawing, sheet, target| drawing.ones_and_errors(sheet, target))?;
+            self.backward(view, settings, |drawing, canvas, target| drawing.ones_and_errors(canvas, target))?;
             add_contributions_of(self.own.splats(), &self.drawing.gradients, &mut own);
         }
         let pairs: Vec<[f32; 2]> = own.iter().map(|&Contribution { weight, error }| [weight, error]).collect();

@@ -8,7 +8,7 @@ use genesplat_core::{BackendError, TrainStep};
 use genesplat_kernels::cpu::stages::{Splats, loss_of_sums};
 
 use crate::backend::ClusterBackend;
-use crate::drawing::{Parts, Sheet, Told};
+use crate::drawing::{Canvas, Parts, PictureTotals};
 use crate::splats::Sent;
 use crate::wire::Reader;
 
@@ -40,47 +40,47 @@ impl ClusterBackend {
     /// Makes steps between which the cloud stays what it is, at most one for each rank.
     fn make(&mut self, steps: &[TrainStep]) -> Result<(), BackendError> {
         self.whole = None;
-        let (level, sheets) = (self.own.level(), self.sheets(steps));
+        let (level, canvases) = (self.own.level(), self.canvases(steps));
         // 1. Splats go to the bands.
-        let parts = self.deal(steps, &sheets);
+        let parts = self.deal(steps, &canvases);
         let parts = self.group.exchange(parts)?;
         // 2. Rows of the picture go to the bands beside.
-        let view = drawn_by(self.group.rank(), &sheets);
-        let (step, sheet, target) = (&steps[view], &sheets[view], self.own.view(steps[view].view).1);
-        let drawn = self.drawing.draw(level, sheet, parts, &step.settings);
-        let parts = self.group.exchange(drawn.map(|()| self.drawing.rows_for_loss(sheet, target)))?;
+        let view = drawn_by(self.group.rank(), &canvases);
+        let (step, canvas, target) = (&steps[view], &canvases[view], self.own.view(steps[view].view).1);
+        let drawn = self.drawing.draw(level, canvas, parts, &step.settings);
+        let parts = self.group.exchange(drawn.map(|()| self.drawing.rows_for_loss(canvas, target)))?;
         // 3. Sums of gradients go back.
-        self.drawing.loss(level, sheet, target, &parts, true);
+        self.drawing.loss(level, canvas, target, &parts, true);
         let visible: Vec<usize> = self.tasks.iter().map(|task| task.splats.len()).collect();
-        let told = |drawing: &_| Told::tell(drawing, sheet, &visible[..steps.len()]);
-        let parts = self.drawing.backward(level, sheet, told, step.statistics.density);
+        let totals = |drawing: &_| PictureTotals::write(drawing, canvas, &visible[..steps.len()]);
+        let parts = self.drawing.backward(level, canvas, totals, step.statistics.density);
         let parts = self.group.exchange(parts)?;
         let mut parts: Vec<Reader<'_>> = parts.iter().map(|part| Reader::new(part)).collect();
-        self.hear(steps, &sheets, &mut parts)?;
+        self.read_totals(steps, &canvases, &mut parts)?;
         // 4. Rows are stepped, view after view.
         self.finish(steps, &mut parts);
         Ok(())
     }
 
     /// The views, cut as their loads were.
-    fn sheets(&self, steps: &[TrainStep]) -> Vec<Sheet> {
+    fn canvases(&self, steps: &[TrainStep]) -> Vec<Canvas> {
         let of = |(step, drawers): (&TrainStep, Range<usize>)| {
-            Sheet::new(*self.own.view(step.view).0, &self.loads[step.view], drawers, &self.group)
+            Canvas::new(*self.own.view(step.view).0, &self.loads[step.view], drawers, &self.group)
         };
         steps.iter().zip(drawers(steps.len(), self.group.count())).map(of).collect()
     }
 
     /// Splats of the own rows in each view, for those who draw it: a rank draws one.
-    fn deal(&mut self, steps: &[TrainStep], sheets: &[Sheet]) -> Result<Parts, BackendError> {
+    fn deal(&mut self, steps: &[TrainStep], canvases: &[Canvas]) -> Result<Parts, BackendError> {
         let mut parts = vec![Vec::new(); self.group.count()];
         if self.tasks.len() < steps.len() {
             self.tasks.resize_with(steps.len(), Task::default);
         }
-        for ((step, sheet), task) in steps.iter().zip(sheets).zip(&mut self.tasks) {
+        for ((step, canvas), task) in steps.iter().zip(canvases).zip(&mut self.tasks) {
             // Its memory serves the next step of this place.
             self.own.swap_splats(&mut task.splats);
-            let mut dealt = sheet.deal(self.own.begin_step(step)?, &mut task.sent);
-            for rank in sheet.drawers() {
+            let mut dealt = canvas.deal(self.own.begin_step(step)?, &mut task.sent);
+            for rank in canvas.drawers() {
                 parts[rank] = std::mem::take(&mut dealt[rank]);
             }
             self.own.swap_splats(&mut task.splats);
@@ -88,23 +88,28 @@ impl ClusterBackend {
         Ok(parts)
     }
 
-    /// What bands tell of their views, which is remembered; fails where a loss is not finite.
-    fn hear(&mut self, steps: &[TrainStep], sheets: &[Sheet], parts: &mut [Reader<'_>]) -> Result<(), BackendError> {
-        let mut told: Vec<Told> = sheets.iter().map(Told::new).collect();
+    /// Adds up the totals of each view, which are remembered; fails where a loss is not finite.
+    fn read_totals(
+        &mut self,
+        steps: &[TrainStep],
+        canvases: &[Canvas],
+        parts: &mut [Reader<'_>],
+    ) -> Result<(), BackendError> {
+        let mut totals: Vec<PictureTotals> = canvases.iter().map(PictureTotals::new).collect();
         for (rank, part) in parts.iter_mut().enumerate() {
-            let view = drawn_by(rank, sheets);
-            told[view].hear(&sheets[view], rank, part);
-            told.iter_mut().for_each(|told| told.visible += part.count());
+            let view = drawn_by(rank, canvases);
+            totals[view].read(&canvases[view], rank, part);
+            totals.iter_mut().for_each(|totals| totals.visible += part.count());
         }
-        for (step, told) in steps.iter().zip(told) {
-            let loss = loss_of_sums(&told.sums, self.own.view(step.view).1);
+        for (step, totals) in steps.iter().zip(totals) {
+            let loss = loss_of_sums(&totals.sums, self.own.view(step.view).1);
             if !loss.is_finite() {
                 let steps = self.own.steps();
                 return Err(self.diverged()?.unwrap_or(BackendError::LossNotFinite { steps }));
             }
-            let intersections = told.intersections.iter().map(|&count| count as usize).sum();
-            self.report = StepReport { loss, visible: told.visible, intersections };
-            self.loads[step.view] = told.intersections;
+            let intersections = totals.intersections.iter().map(|&count| count as usize).sum();
+            self.report = StepReport { loss, visible: totals.visible, intersections };
+            self.loads[step.view] = totals.intersections;
         }
         Ok(())
     }
@@ -121,8 +126,8 @@ impl ClusterBackend {
 }
 
 /// The view that a rank draws.
-fn drawn_by(rank: usize, sheets: &[Sheet]) -> usize {
-    sheets.iter().position(|sheet| sheet.drawers().contains(&rank)).expect("every rank draws a view")
+fn drawn_by(rank: usize, canvases: &[Canvas]) -> usize {
+    canvases.iter().position(|canvas| canvas.drawers().contains(&rank)).expect("every rank draws a view")
 }
 
 #[cfg(test)]

@@ -94,8 +94,8 @@ impl Exhibition {
         Some(&self.exhibits.get(index as usize)?.view.camera)
     }
 
-    pub(crate) fn photo(&self, index: u32) -> Option<&Photo> {
-        Some(&self.exhibits.get(index as usize)?.view.photo)
+    pub(crate) fn view(&self, index: u32) -> Option<&View> {
+        Some(&self.exhibits.get(index as usize)?.view)
     }
 
     pub(crate) fn thumbnail_jpeg(&self, index: u32) -> Option<Vec<u8>> {
@@ -104,7 +104,7 @@ impl Exhibition {
     }
 
     pub(crate) fn photo_jpeg(&self, index: u32) -> Option<Vec<u8>> {
-        Some(fitted_jpeg(self.photo(index)?, PHOTO_PX, PHOTO_QUALITY))
+        Some(fitted_jpeg(&self.view(index)?.photo, PHOTO_PX, PHOTO_QUALITY))
     }
 }
 

@@ -266,10 +266,11 @@ impl LiveView {
         let (photo, range) = self.photograph(look.lens, &camera, sight)?;
         let milliseconds = (1e3 * (self.clock.seconds() - began)) as f32;
         let header = PictureHeader { sequence, error: false, range, milliseconds };
-        let compared = look.camera.filter(|_| look.error).and_then(|index| self.server.shared.exhibition.photo(index));
-        let error = compared.map(|original| Picture {
+        let exhibition = &self.server.shared.exhibition;
+        let compared = look.camera.filter(|_| look.error).and_then(|index| exhibition.view(index));
+        let error = compared.map(|view| Picture {
             header: PictureHeader { error: true, range: Some([0.0, ERROR_MAX]), ..header },
-            photo: error_picture(&photo, original),
+            photo: error_picture(&photo, view),
             quality,
         });
         Ok([Picture { header, photo, quality }].into_iter().chain(error).collect())

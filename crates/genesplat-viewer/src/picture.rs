@@ -1,8 +1,9 @@
 //! Pictures: JPEG, reduction, a colour scale, and where a render differs from a photo.
 
 use std::fmt::Write;
+use std::ops::Range;
 
-use genesplat_core::Photo;
+use genesplat_core::{Mask, Photo, View};
 use image::{ExtendedColorType, ImageEncoder};
 
 /// A colour scale from dark to bright, so that it can be read without colours, too.
@@ -21,16 +22,18 @@ pub(crate) fn encode_jpeg(photo: &Photo, quality: u8) -> Vec<u8> {
     bytes
 }
 
+/// The pixels of `from` that pixel `at` of `of` covers, at least one.
+fn span(at: u32, of: u32, from: u32) -> Range<u32> {
+    let begin = (u64::from(at) * u64::from(from) / u64::from(of)) as u32;
+    let end = (u64::from(at + 1) * u64::from(from)).div_ceil(u64::from(of)) as u32;
+    begin..end.clamp(begin + 1, from)
+}
+
 /// The photo at another size; each pixel is the mean of what it covers, or the nearest where it covers less than one.
 pub(crate) fn resized(photo: &Photo, width: u32, height: u32) -> Photo {
     if (width, height) == (photo.width, photo.height) {
         return photo.clone();
     }
-    let span = |at: u32, of: u32, from: u32| {
-        let begin = (u64::from(at) * u64::from(from) / u64::from(of)) as u32;
-        let end = (u64::from(at + 1) * u64::from(from)).div_ceil(u64::from(of)) as u32;
-        begin..end.clamp(begin + 1, from)
-    };
     let mut rgb = Vec::with_capacity(3 * width as usize * height as usize);
     for y in 0..height {
         let rows = span(y, height, photo.height);
@@ -41,7 +44,7 @@ pub(crate) fn resized(photo: &Photo, width: u32, height: u32) -> Photo {
     Photo { width, height, rgb }
 }
 
-fn mean(photo: &Photo, columns: std::ops::Range<u32>, rows: std::ops::Range<u32>) -> [u8; 3] {
+fn mean(photo: &Photo, columns: Range<u32>, rows: Range<u32>) -> [u8; 3] {
     let (mut sum, count) = ([0_u32; 3], columns.len() * rows.len());
     for y in rows {
         for x in columns.clone() {
@@ -68,14 +71,27 @@ fn colour(value: f32) -> [u8; 3] {
     })
 }
 
-/// Where `render` differs from `photo`: the mean difference of the channels, bright at [`ERROR_MAX`].
-pub(crate) fn error_picture(render: &Photo, photo: &Photo) -> Photo {
-    let photo = resized(photo, render.width, render.height);
+/// Where `render` differs from the photo of `view`: the mean difference of the channels, bright at [`ERROR_MAX`]. What a mask
+/// hides has none.
+pub(crate) fn error_picture(render: &Photo, view: &View) -> Photo {
+    let Photo { width, height, .. } = *render;
+    let photo = resized(&view.photo, width, height);
     let differences = render.rgb.chunks_exact(3).zip(photo.rgb.chunks_exact(3)).map(|(a, b)| {
         let sum: u32 = a.iter().zip(b).map(|(&a, &b)| u32::from(a.abs_diff(b))).sum();
-        Some(sum as f32 / (3.0 * 255.0) / ERROR_MAX)
+        sum as f32 / (3.0 * 255.0) / ERROR_MAX
     });
-    coloured(render.width, render.height, differences)
+    let counted = (0..height).flat_map(|y| (0..width).map(move |x| (x, y)));
+    let counted = counted.map(|(x, y)| {
+        let covered = [span(x, width, view.photo.width), span(y, height, view.photo.height)];
+        view.mask.as_ref().is_none_or(|mask| counts(mask, view.photo.width, covered))
+    });
+    coloured(width, height, differences.zip(counted).map(|(difference, counts)| counts.then_some(difference)))
+}
+
+/// Whether all of these columns and rows count.
+fn counts(mask: &Mask, width: u32, [columns, rows]: [Range<u32>; 2]) -> bool {
+    let row = |y: u32| &mask.counts[(y * width + columns.start) as usize..(y * width + columns.end) as usize];
+    rows.into_iter().all(|y| row(y).iter().all(|&counts| counts))
 }
 
 /// The value that one in fifty is above.
@@ -97,6 +113,10 @@ pub(crate) fn css_gradient() -> String {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
+    use genesplat_core::Camera;
+
     use super::*;
 
     fn photo(width: u32, height: u32, rgb: impl Fn(u32, u32) -> [u8; 3]) -> Photo {
@@ -115,9 +135,15 @@ mod tests {
     #[test]
     fn errors_are_bright_where_pictures_differ() {
         let (grey, spot) = (photo(4, 4, |_, _| [90; 3]), photo(4, 4, |x, _| [if x == 2 { 250 } else { 90 }; 3]));
-        let errors = error_picture(&grey, &spot);
-        assert_eq!(errors.pixel(2, 1), colour(1.0));
-        assert_eq!(errors.pixel(1, 1), colour(0.0));
+        let camera = Camera::at_origin(4, 4, 4.0);
+        let mut view = View { name: String::new(), camera, photo: Arc::new(spot), mask: None };
+        let errors = error_picture(&grey, &view);
+        assert_eq!((errors.pixel(2, 1), errors.pixel(1, 1)), (colour(1.0), colour(0.0)));
+        view.mask = Some(Arc::new(Mask { counts: (0..16).map(|pixel| pixel != 6).collect() }));
+        let errors = error_picture(&grey, &view);
+        assert_eq!((errors.pixel(2, 1), errors.pixel(2, 2)), (NOTHING, colour(1.0)), "what a mask hides has no error");
+        let half = photo(2, 2, |_, _| [90; 3]);
+        assert_eq!(error_picture(&half, &view).pixel(1, 0), NOTHING, "nor has what it hides a part of");
     }
 
     #[test]

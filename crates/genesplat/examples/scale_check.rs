@@ -1,4 +1,4 @@
-#![allow(clippy::print_stdout, reason = "an example prints what it measures")]
+#![allow(clippy::print_stdout, clippy::print_stderr, reason = "an example prints what it measures")]
 //! The same scene in other units should give the same splat: trains it at several scales, and prints the scores.
 //!
 //! `cargo build --release && cargo run --release -p genesplat --example scale_check SCENE FACTORS [OPTIONS OF TRAIN]`
@@ -8,7 +8,7 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::process::{self, Command};
 
 use genesplat::gallery::{self, GalleryOptions};
 use genesplat::io::colmap::{find_model, read_model, write_model};
@@ -17,7 +17,10 @@ const SEEDS: [&str; 3] = ["1", "2", "3"];
 
 fn main() {
     let words: Vec<String> = std::env::args().skip(1).collect();
-    let [scene, factors, options @ ..] = words.as_slice() else { panic!("give a scene and factors") };
+    let [scene, factors, options @ ..] = words.as_slice() else {
+        eprintln!("usage: scale_check SCENE|gallery FACTORS [OPTIONS OF TRAIN]");
+        process::exit(2);
+    };
     let place = tempfile::tempdir().expect("a folder for scenes and runs");
     let scene = if scene == "gallery" { write_gallery(&place.path().join("gallery")) } else { PathBuf::from(scene) };
     println!("| factor | PSNR of seeds {}, dB | mean |\n|---|---|---|", SEEDS.join(", "));

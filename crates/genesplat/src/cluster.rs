@@ -145,24 +145,25 @@ pub(crate) fn agree<T>(cluster: Option<&Cluster>, done: Result<T>) -> Result<T> 
 }
 
 /// When a rank has ended, mpirun tells the others to end, who wait for it for ever. Asks them to stop, and ends this process
-/// with a sentence before mpirun does without; `root` is the process of rank 0, whose part rank 1 takes where that was beside it and is gone.
+/// with a sentence before mpirun does without. `root` is the process of rank 0: where it ran beside rank 1 and is gone, rank 1
+/// says the sentence.
 fn end_in_time([told, asked, done]: [Arc<AtomicBool>; 3], (rank, root): (usize, u32)) -> Result<()> {
     let patience = Duration::from_secs(started(PATIENCE) as u64).saturating_sub(MARGIN);
     let is_beside_root = rank == 1 && started(LOCAL_RANK) == 1;
-    let is_heir = move || is_beside_root && !Path::new("/proc").join(root.to_string()).exists();
+    let replaces_root = move || is_beside_root && !Path::new("/proc").join(root.to_string()).exists();
     let watch = move || {
         while !told.load(Ordering::Relaxed) {
             thread::sleep(PAUSE);
         }
         asked.store(true, Ordering::Relaxed);
         let end = Instant::now() + patience;
-        while Instant::now() < end && !is_heir() {
+        while Instant::now() < end && !replaces_root() {
             thread::sleep(PAUSE);
         }
         if done.load(Ordering::Relaxed) {
             return;
         }
-        if rank == 0 || is_heir() {
+        if rank == 0 || replaces_root() {
             output::complain(
                 "error: mpirun has ended the run, since one of its processes has ended, or since saving takes longer than it waits; the \
                  same command with --resume goes on from the last checkpoint",

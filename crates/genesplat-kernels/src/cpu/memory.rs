@@ -100,7 +100,8 @@ impl CpuBackend {
         ensure_memory(self.rows() * size_of::<Contribution>(), "contributions")
     }
 
-    /// Pools of at most so many individuals, differences from so many rows, two views at a time, and the photos that are scored for the first time.
+    /// Pools of at most so many individuals, differences from so many rows, two views at a time, and the photos that are scored
+    /// for the first time.
     pub(super) fn ensure_scores(
         &self,
         rows: usize,

@@ -11,7 +11,10 @@ pub fn contribution(cloud: &Cloud64, view: &View, settings: &RenderSettings, cut
     let rendered = render(cloud, &view.camera, settings, cutoff);
     let errors = errors(&rendered.picture.image, &view.photo);
     let by_image = [vec![1.0; errors.len()], errors].concat();
-    let by_image = view.mask.as_ref().map_or(by_image.clone(), |mask| hidden(&by_image, mask));
+    let by_image = match &view.mask {
+        Some(mask) => hidden(&by_image, mask),
+        None => by_image,
+    };
     sums(&rendered, cloud.len(), &view.camera, settings, cutoff, by_image)
 }
 

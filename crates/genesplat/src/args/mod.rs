@@ -259,7 +259,8 @@ pub(crate) struct RefineArgs {
     /// Folder of the scene that it shows
     #[arg(long, value_name = "DATASET")]
     pub(crate) data: PathBuf,
-    /// The splat to write, a .ply unless its name ends as another format's. Ctrl-C ends the refinement, and what it has reached so far is written
+    /// The splat to write, a .ply unless its name ends as another format's. Ctrl-C ends the refinement, and what it has
+    /// reached so far is written
     #[arg(long, value_name = "FILE")]
     pub(crate) out: PathBuf,
     /// Gradient steps, one photo each [default: 2000]; none with --evolve paper

@@ -40,8 +40,8 @@ pub(crate) struct Reporter<'a> {
 }
 
 impl<'a> Reporter<'a> {
-    /// Reports into the folder of a run, where it has a log here, and sets `stop` when that is no longer possible; scores test photos now and
-    /// then. An experiment has the terminal to itself, but for bars that vanish.
+    /// Reports into the folder of a run, where it has a log here, and sets `stop` when that is no longer possible; scores
+    /// test photos now and then. An experiment has the terminal to itself, but for bars that vanish.
     pub(crate) fn of_run(
         session: &'a RunSession,
         log: Option<Log>,

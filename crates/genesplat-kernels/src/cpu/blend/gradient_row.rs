@@ -22,8 +22,10 @@ pub(crate) mod column {
     // Σ |∂L/∂u| and Σ |∂L/∂v|, by pixel (only where absolute gradients are asked for)
     pub(crate) const ABS_X: usize = 6;
     pub(crate) const ABS_Y: usize = 7;
-    /// dL/drgb
+    // dL/drgb
     pub(crate) const RED: usize = 8;
+    pub(crate) const GREEN: usize = 9;
+    pub(crate) const BLUE: usize = 10;
     /// Number of pixels blended (only for Pixel-GS)
     pub(crate) const PIXELS: usize = 11;
 }
@@ -52,10 +54,13 @@ impl GradientRow {
 
 /// Columns of which a step with this signal fills its rows; all others are 0.
 pub fn columns_of(signal: Option<DensitySignal>) -> &'static [usize] {
+    use column::{ABS_X, ABS_Y, BLUE, GREEN, ONE, PIXELS, RED, X, XX, XY, Y, YY};
     match signal {
-        None | Some(DensitySignal::Signed) => &[0, 1, 2, 3, 4, 5, 8, 9, 10],
-        Some(DensitySignal::Absolute | DensitySignal::SignedAndAbsolute) => &[0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10],
-        Some(DensitySignal::PixelWeighted { .. }) => &[0, 1, 2, 3, 4, 5, 8, 9, 10, 11],
+        None | Some(DensitySignal::Signed) => &[ONE, X, Y, XX, XY, YY, RED, GREEN, BLUE],
+        Some(DensitySignal::Absolute | DensitySignal::SignedAndAbsolute) => {
+            &[ONE, X, Y, XX, XY, YY, ABS_X, ABS_Y, RED, GREEN, BLUE]
+        }
+        Some(DensitySignal::PixelWeighted { .. }) => &[ONE, X, Y, XX, XY, YY, RED, GREEN, BLUE, PIXELS],
     }
 }
 

@@ -19,7 +19,8 @@ use crate::cpu::bin::{BLOCK, BLOCKS_ACROSS, Intersection, split};
 use crate::cpu::simd::{LANES, V, array, keep};
 use crate::cpu::view::{Band, Pinhole, Splat, Splats, TILE, ViewBuffers};
 
-/// Backward pass of the tiles of a band, of which `buffers` has image and gradient: fills one row for each intersection. Rows have the sums that `signal` needs.
+/// Backward pass of the tiles of a band, of which `buffers` has image and gradient: fills one row for each intersection.
+/// Rows have the sums that `signal` needs.
 pub(crate) fn rasterise_backward(
     level: Level,
     buffers: &mut ViewBuffers,
