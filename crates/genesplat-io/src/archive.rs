@@ -11,7 +11,7 @@ use zip::ZipArchive;
 use zip::result::ZipError;
 
 use crate::atomic::write_atomically;
-use crate::similar::has_ending;
+use crate::similar::{UNREAD, has_ending};
 use crate::{input, shown};
 
 /// Endings of all that scenes consist of.
@@ -41,6 +41,14 @@ pub enum ArchiveError {
         /// What is wrong.
         problem: String,
     },
+    /// Nothing in it can be read.
+    #[error("the archive {} {problem}; convert them", shown(.archive))]
+    Unread {
+        /// The archive.
+        archive: PathBuf,
+        /// What it holds.
+        problem: String,
+    },
     /// The operating system refused to write.
     #[error("cannot write {}: {source}", shown(.file))]
     Write {
@@ -51,13 +59,22 @@ pub enum ArchiveError {
     },
 }
 
+/// What an archive held.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Unpacked {
+    /// Files that are in the folder now.
+    pub files: usize,
+    /// Pictures that were left out, since their formats are not read.
+    pub unread: Vec<PathBuf>,
+}
+
 /// True for a file that is called a zip archive.
 pub fn is_zip(path: &Path) -> bool {
     has_ending(path, &["zip"]) && path.is_file()
 }
 
-/// Unpacks photos, models, lists and clouds of points into `folder`; returns how many there are.
-pub fn unpack(archive: &Path, folder: &Path) -> Result<usize, ArchiveError> {
+/// Unpacks photos, models, lists and clouds of points into `folder`.
+pub fn unpack(archive: &Path, folder: &Path) -> Result<Unpacked, ArchiveError> {
     let read = |source| ArchiveError::Read { archive: archive.to_owned(), source };
     let file = input::open(archive).map_err(read)?;
     let bytes = file.metadata().map_err(read)?.len();
@@ -71,22 +88,22 @@ pub fn unpack(archive: &Path, folder: &Path) -> Result<usize, ArchiveError> {
     })
 }
 
-/// Passes on each file that is unpacked, once all are known to be harmless; returns how many there are.
+/// Passes on each file that is unpacked, once all are known to be harmless.
 pub(crate) fn each_entry(
     path: &Path,
     reader: impl Read + Seek,
     bytes: u64,
     mut on_entry: impl FnMut(&Path, &mut dyn Read) -> Result<(), ArchiveError>,
-) -> Result<usize, ArchiveError> {
+) -> Result<Unpacked, ArchiveError> {
     let unreadable = |error: ZipError| refused(path, format!("cannot be read: {error}"));
     let mut archive = ZipArchive::new(reader).map_err(unreadable)?;
-    let wanted = wanted(path, &mut archive, bytes)?;
+    let (wanted, unread) = wanted(path, &mut archive, bytes)?;
     for (index, name) in &wanted {
         let entry = archive.by_index(*index).map_err(unreadable)?;
         let left = entry.size();
         on_entry(name, &mut Content { entry, left })?;
     }
-    Ok(wanted.len())
+    Ok(Unpacked { files: wanted.len(), unread })
 }
 
 /// What an entry holds, which is no more than it claims. Whatever is wrong with it is invalid data.
@@ -104,13 +121,14 @@ impl<R: Read> Read for Content<R> {
     }
 }
 
-/// Numbers and names of the entries that are unpacked.
+/// Numbers and names of the entries that are unpacked, and names of pictures that are not.
 fn wanted(
     path: &Path,
     archive: &mut ZipArchive<impl Read + Seek>,
     bytes: u64,
-) -> Result<Vec<(usize, PathBuf)>, ArchiveError> {
-    let (mut wanted, mut names, mut claimed, mut packed) = (Vec::new(), HashSet::new(), 0u64, 0u64);
+) -> Result<(Vec<(usize, PathBuf)>, Vec<PathBuf>), ArchiveError> {
+    let (mut wanted, mut unread, mut names) = (Vec::new(), Vec::new(), HashSet::new());
+    let (mut claimed, mut packed) = (0u64, 0u64);
     for index in 0..archive.len() {
         let entry = archive.by_index_raw(index).map_err(|error| refused(path, format!("cannot be read: {error}")))?;
         let Some(name) = entry.enclosed_name() else {
@@ -120,7 +138,11 @@ fn wanted(
         if entry.is_symlink() {
             return Err(refused(path, format!("holds {}, which is a link", shown(&name))));
         }
-        if entry.is_dir() || !is_of_scene(&name) {
+        if entry.is_dir() || is_hidden(&name) {
+            continue;
+        }
+        if !has_ending(&name, &ENDINGS) {
+            unread.extend(has_ending(&name, &UNREAD).then_some(name));
             continue;
         }
         if entry.encrypted() {
@@ -137,19 +159,19 @@ fn wanted(
     if packed > bytes || claimed > EXPANSION[0].saturating_add(EXPANSION[1].saturating_mul(bytes)) {
         return Err(refused(path, format!("claims to hold {claimed} bytes, far more than its {bytes} make likely")));
     }
-    if wanted.is_empty() {
-        return Err(refused(path, "holds no photos and no scene".into()));
+    match (wanted.is_empty(), unread.first()) {
+        (true, None) => Err(refused(path, "holds no photos and no scene".into())),
+        (true, Some(first)) => {
+            let only = format!("holds no JPEG, PNG or WebP files, and others are not read ({})", shown(first));
+            Err(ArchiveError::Unread { archive: path.to_owned(), problem: only })
+        }
+        (false, _) => Ok((wanted, unread)),
     }
-    Ok(wanted)
 }
 
 /// Hidden files are those of systems: `__MACOSX/._IMG_1.jpg` is no photo.
-fn is_of_scene(name: &Path) -> bool {
-    let is_hidden = |part: &std::ffi::OsStr| {
-        let part = part.to_string_lossy();
-        part.starts_with('.') || part == "__MACOSX"
-    };
-    has_ending(name, &ENDINGS) && !name.iter().any(is_hidden)
+fn is_hidden(name: &Path) -> bool {
+    name.iter().map(|part| part.to_string_lossy()).any(|part| part.starts_with('.') || part == "__MACOSX")
 }
 
 fn refused(archive: &Path, problem: String) -> ArchiveError {

@@ -28,3 +28,4 @@ pub use scene::{
     load_points, load_scene, model_of,
 };
 pub use shown::{command_line, plural, shown};
+pub use similar::UNREAD;

@@ -7,6 +7,9 @@ use std::path::{Path, PathBuf};
 /// Endings of the photos that are read.
 pub(crate) const PHOTOS: [&str; 4] = ["jpg", "jpeg", "png", "webp"];
 
+/// Endings of pictures that are not, so that leaving them out is said.
+pub const UNREAD: [&str; 8] = ["heic", "heif", "tif", "tiff", "dng", "cr2", "nef", "arw"];
+
 pub(crate) fn has_ending(path: &Path, endings: &[&str]) -> bool {
     let ending = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
     endings.contains(&ending.as_str())

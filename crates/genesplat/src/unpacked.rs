@@ -4,7 +4,8 @@ use std::fs;
 use std::path::Path;
 
 use anyhow::{Result, anyhow, bail, ensure};
-use genesplat::io::{archive, input, shown};
+use genesplat::io::archive::{self, Unpacked};
+use genesplat::io::{input, shown};
 use serde::{Deserialize, Serialize};
 
 use crate::files::write_json;
@@ -44,7 +45,14 @@ pub(crate) fn unpack(archive: &Path, folder: &Path) -> Result<()> {
     }
     write_json(&file, &record(false))?;
     let _lock = Lock::take(folder)?;
-    let files = archive::unpack(archive, folder)?;
+    let Unpacked { files, unread } = archive::unpack(archive, folder)?;
     output::tell(&format!("{files} files of {} are unpacked into {}", shown(archive), shown(folder)));
+    if let Some(first) = unread.first() {
+        output::tell(&format!(
+            "notice: {} pictures are neither JPEG nor PNG nor WebP and are left out, first {}; convert them to have them",
+            unread.len(),
+            shown(first)
+        ));
+    }
     write_json(&file, &record(true))
 }

@@ -75,6 +75,20 @@ fn evolution_is_credited_with_what_it_adds_to_the_better_of_plain_settings() {
 }
 
 #[test]
+fn another_trainer_stands_beside_it() {
+    let header = CSV.lines().next().unwrap();
+    let of_3dgs = |line: &str| if line == header { format!("variant,{line}") } else { format!("3dgs,{line}") };
+    let mut csv: Vec<String> = CSV.lines().map(of_3dgs).collect();
+    for (seed, psnr) in [(0, 31.0), (1, 32.0)] {
+        csv.push(format!("improved-gs,fox,480,7000,{seed},improved-gs,{psnr},900,150,0,genesplat train fox"));
+    }
+    let table = updated(DOCUMENT, &csv.join("\n")).unwrap();
+    assert!(table.contains("| renew - off | improved-gs | Gaussians |"), "{table}");
+    assert!(table.contains("| +0.30 ± 0.28 | 31.50 ± 0.71 | 1,234,568, 901, 900 | 105, 120, 150 |"), "{table}");
+    assert!(updated(DOCUMENT, &csv[..6].join("\n")).is_err(), "a seed is missing");
+}
+
+#[test]
 fn seconds_that_nobody_measured_are_a_question_mark() {
     let untimed = STRONG.replace("90,0,", ",,").replace("90,1,", ",,");
     let table = updated(DOCUMENT, &format!("{CSV}{untimed}")).unwrap();

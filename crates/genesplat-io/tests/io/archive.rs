@@ -4,7 +4,7 @@ use std::fs;
 use std::io::{Cursor, Write};
 use std::path::Path;
 
-use genesplat_io::archive::{is_zip, unpack};
+use genesplat_io::archive::{Unpacked, is_zip, unpack};
 use zip::ZipWriter;
 use zip::write::SimpleFileOptions;
 
@@ -17,8 +17,8 @@ fn zip(entries: &[(&str, &[u8])]) -> Vec<u8> {
     zip.finish().unwrap().into_inner()
 }
 
-/// The number of files, or the sentence, and what there is then in the folder.
-fn unpacked(bytes: &[u8]) -> (Result<usize, String>, Vec<String>) {
+/// What was unpacked, or the sentence, and what there is then in the folder.
+fn unpacked(bytes: &[u8]) -> (Result<Unpacked, String>, Vec<String>) {
     let place = tempfile::tempdir().unwrap();
     let [archive, folder] = ["a.zip", "out/below"].map(|name| place.path().join(name));
     fs::write(&archive, bytes).unwrap();
@@ -56,7 +56,8 @@ fn photos_and_models_come_out_and_nothing_else_does() {
     ];
     let (result, files) = unpacked(&zip(&entries));
     let points = format!("points3D.bin: {}", "p".repeat(5000));
-    assert_eq!((result, files), (Ok(3), vec!["1.JPG: one".into(), "2.png: two".into(), points]));
+    let expected = Unpacked { files: 3, unread: Vec::new() };
+    assert_eq!((result, files), (Ok(expected), vec!["1.JPG: one".into(), "2.png: two".into(), points]));
 }
 
 #[test]
@@ -99,4 +100,14 @@ fn a_file_with_another_checksum_is_not_written() {
     let (result, files) = unpacked(&bytes);
     let sentence = result.unwrap_err();
     assert!(sentence.contains("is damaged at 1.png") && files.is_empty(), "{sentence} {files:?}");
+}
+
+#[test]
+fn pictures_of_other_formats_are_counted() {
+    let (result, files) = unpacked(&zip(&[("a/1.HEIC", b"x"), ("a/2.jpg", b"two"), ("._3.heic", b"x")]));
+    let expected = Unpacked { files: 1, unread: vec!["a/1.HEIC".into()] };
+    assert_eq!((result, files), (Ok(expected), vec!["2.jpg: two".into()]));
+    let (result, files) = unpacked(&zip(&[("1.heic", b"x")]));
+    let sentence = result.unwrap_err();
+    assert!(sentence.contains("others are not read (1.heic); convert them") && files.is_empty(), "{sentence}");
 }

@@ -7,7 +7,7 @@ use std::sync::atomic::AtomicBool;
 use anyhow::{Result, anyhow, bail, ensure};
 use genesplat::io::archive::is_zip;
 use genesplat::io::photos::convert_to_png;
-use genesplat::io::{input, shown};
+use genesplat::io::{UNREAD, input, shown};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -20,8 +20,6 @@ use crate::unpacked;
 const PHOTOS: [&str; 4] = ["jpg", "jpeg", "png", WEBP];
 /// COLMAP does not read these, so it gets them as PNG.
 const WEBP: &str = "webp";
-/// Endings of pictures that are not, so that leaving them out is said.
-const OTHERS: [&str; 8] = ["heic", "heif", "tif", "tiff", "dng", "cr2", "nef", "arw"];
 const VIDEOS: [&str; 8] = ["mp4", "mov", "m4v", "avi", "mkv", "webm", "mpg", "mpeg"];
 /// Below the folder of the stages: what an archive held.
 const UNPACKED: &str = "unpacked";
@@ -180,7 +178,7 @@ fn list(folder: &Path) -> Result<(Vec<String>, Vec<String>)> {
                 _ if name.starts_with('.') || (is_folder && name.starts_with("mask")) => {}
                 true => folders.push(relative),
                 _ if has_ending(&name, &PHOTOS) => photos.push(text),
-                _ if has_ending(&name, &OTHERS) => others.push(text),
+                _ if has_ending(&name, &UNREAD) => others.push(text),
                 _ => {}
             }
         }

@@ -1,0 +1,307 @@
+"""How fast many processes train one scene: measures it here, and computes it for machines that are not at hand.
+
+    python tools/scale.py measure GENESPLAT FOX FOLDER     # docs/results/scale.json; an idle machine; needs mpirun
+    python tools/scale.py tables                           # the tables of docs/scale.md, from that file
+
+GENESPLAT is built with --features mpi, FOX is shared/data/fox; numpy is needed. A rank has one thread. Nothing is fitted to
+runs of three and four ranks: they check the model.
+"""
+
+import json
+import os
+import re
+import shutil
+import struct
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parent.parent
+FIGURES = ROOT / "docs/results/scale.json"
+PAGE = ROOT / "docs/scale.md"
+
+# Gaussians, longest side of the photos (px), photos a step, iterations.
+WORKLOADS = [
+    (15_000, 240, 1, 100),
+    (60_000, 480, 1, 60),
+    (60_000, 480, 4, 60),
+    (60_000, 960, 1, 30),
+    (240_000, 480, 1, 40),
+    (240_000, 480, 4, 40),
+    (1_000_000, 400, 1, 12),
+]
+RANKS = [1, 2, 3, 4]
+
+TILE = 16  # px
+SPLAT = 48  # bytes of a splat on its way
+ROW = 40  # bytes of a sum of gradients on its way back, and of its count
+HALO = 2 * 10 * 12  # bytes a column and border: ten rows of pixels there and ten back, three floats a pixel
+EXCHANGES = 3  # of a step
+
+# Bytes of memory.
+TRAINED = 59 * 4 * 3 + 20  # a row: parameters, two moments, sums
+DECIDED = 60  # a row of the whole cloud, on every rank: columns that density control decides by
+GATHERED = 59 * 4 * 3  # a row of the whole cloud, on rank 0: its checkpoint
+DRAWN = 150, 60  # a splat and an intersection of the own band
+
+
+# --- measuring ---------------------------------------------------------------------------------------------------------------
+
+
+def repeated(fox, folder, gaussians):
+    """Fox with each point repeated, and moved by up to 0.02 units, until there are so many."""
+    if folder.exists():
+        return
+    (folder / "sparse/0").mkdir(parents=True)
+    shutil.copytree(fox / "images", folder / "images")
+    for name in ["cameras.bin", "images.bin"]:
+        shutil.copy(fox / "sparse/0" / name, folder / "sparse/0")
+    data, points, at = (fox / "sparse/0/points3D.bin").read_bytes(), [], 8
+    while at < len(data):
+        points.append(data[at + 8 : at + 35])  # position, colour
+        at += 51 + 8 * struct.unpack_from("<Q", data, at + 43)[0]
+    rng = np.random.default_rng(0)
+    with open(folder / "sparse/0/points3D.bin", "wb") as out:
+        out.write(struct.pack("<Q", gaussians))
+        for index in range(gaussians):
+            point = points[index % len(points)]
+            place = np.array(struct.unpack_from("<3d", point)) + rng.uniform(-0.02, 0.02, 3)
+            out.write(struct.pack("<Q3d", index + 1, *place) + point[24:27] + struct.pack("<dQ", 0.5, 0))
+
+
+def run(genesplat, scene, out, ranks, side, views, iterations):
+    """One run: seconds a photo, MB a step, and what its photos show."""
+    if not (out / "metrics.json").exists():
+        options = f"--iterations {iterations} --max-side {side} --views-per-step {views} --evolve off --checkpoint-every 0"
+        command = [str(genesplat), "train", str(scene), "--out", str(out), "--threads", "1", *options.split()]
+        command += ["--device", "cpu", "--seed", "0", "--train-on-all", "--no-lpips"]
+        if ranks > 1:
+            start = ["mpirun", "-n", str(ranks), "--bind-to", "none", "--oversubscribe"]
+            command = start + ["--allow-run-as-root"] * (os.geteuid() == 0) + command
+        done = subprocess.run(command, capture_output=True, text=True)
+        if done.returncode != 0:
+            sys.exit(f"{' '.join(command)}\n{done.stdout}{done.stderr}")
+        (out / "output.txt").write_text(done.stdout + done.stderr)
+    seconds = json.loads((out / "metrics.json").read_text())["seconds"]["gradient"]
+    lines = [json.loads(line) for line in (out / "log.jsonl").read_text().splitlines()]
+    steps = [line for line in lines if line["event"] == "step"]
+    sent = re.search(r"([\d.]+) MB a step", (out / "output.txt").read_text())
+    mean = lambda name: float(np.mean([step[name] for step in steps]))
+    return {
+        "ranks": ranks,
+        "seconds": seconds / iterations,
+        "megabytes": float(sent[1]) if sent else 0.0,
+        "gaussians": mean("gaussians"),
+        "visible": mean("visible"),
+        "intersections": mean("intersections"),
+    }
+
+
+def measure(genesplat, fox, folder):
+    runs = []
+    for gaussians, side, views, iterations in WORKLOADS:
+        scene = folder / f"scene-{gaussians}"
+        repeated(fox, scene, gaussians)
+        for ranks in RANKS:
+            out = folder / f"run-{gaussians}-{side}-{views}-{ranks}"
+            size = {"side": side, "width": round(side * 9 / 16), "height": side, "views": views}
+            runs.append(size | run(genesplat, scene, out, ranks, side, views, iterations))
+            print(runs[-1], flush=True)
+    commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], cwd=ROOT, capture_output=True, text=True).stdout.strip()
+    cores = len(os.sched_getaffinity(0))
+    FIGURES.write_text(json.dumps({"commit": commit, "cores": cores, "runs": runs}, indent=1) + "\n")
+
+
+# --- the model ---------------------------------------------------------------------------------------------------------------
+
+
+def work(load):
+    """What a photo costs, in units that are fitted: Gaussians, visible ones, intersections, pixels."""
+    return [load["gaussians"], load["visible"], load["intersections"], load["width"] * load["height"]]
+
+
+def drawers(load, ranks):
+    """How many ranks draw one photo: a step of several photos deals them out."""
+    return ranks / min(load["views"], ranks)
+
+
+def crossings(load, borders):
+    """How many of the borders between bands a splat meets: it has about as many rows of tiles as columns."""
+    rows = np.sqrt(load["intersections"] / max(load["visible"], 1.0))
+    return rows * borders / max(load["height"] / TILE, 1.0)
+
+
+def sent(load, ranks):
+    """Splats that are sent to another rank for one photo, and sums of gradients that come back."""
+    elsewhere = 1 - 1 / ranks
+    crossed = crossings(load, drawers(load, ranks) - 1)
+    tiles = load["intersections"] / max(load["visible"], 1.0)
+    splats = load["visible"] * elsewhere * (1 + crossed)
+    return splats, load["visible"] * elsewhere * (1 + crossed * max(tiles / 2, 1.0))
+
+
+def traffic(load, ranks):
+    """Bytes of one photo between all ranks."""
+    splats, rows = sent(load, ranks)
+    return SPLAT * splats + ROW * rows + HALO * load["width"] * (drawers(load, ranks) - 1)
+
+
+def imbalance(load, ranks):
+    """The slowest band beside the mean: bands are whole rows of tiles, half of one too high."""
+    rows, cut = load["height"] / TILE, drawers(load, ranks)
+    return 1.0 if cut == 1 else max(1 + 0.5 * cut / rows, cut / rows)
+
+
+def photo_seconds(load, ranks, unit, cores=None, network=None):
+    """Seconds of a photo: on the processor, of bytes, and of waiting for messages. Without a network memory is one."""
+    gaussians, visible, intersections, pixels = np.multiply(work(load), unit["work"])
+    splats, _ = sent(load, ranks)
+    own = (gaussians + visible) / ranks + (intersections + pixels) / ranks * imbalance(load, ranks)
+    busy = own + (unit["sent"] * splats / ranks if ranks > 1 else 0.0)
+    busy *= max(1.0, ranks / cores) if cores else 1.0
+    if ranks == 1:
+        return busy, 0.0, 0.0
+    exchanges = EXCHANGES / min(load["views"], ranks)
+    if network is None:
+        return busy, 0.0, exchanges * unit["exchange"]
+    bandwidth, latency = network
+    # Lengths go to all in a tree; then as many messages as ranks that splats go to.
+    partners = min(ranks - 1, drawers(load, ranks) + 2)
+    return busy, traffic(load, ranks) / ranks / bandwidth, exchanges * latency * (np.log2(ranks) + partners)
+
+
+def fitted(runs):
+    """Costs of the units, from runs of one rank and of two."""
+    one = [run for run in runs if run["ranks"] == 1]
+    rows, seconds = np.array([work(run) for run in one]), np.array([run["seconds"] for run in one])
+    unit = {"work": nonnegative(rows / seconds[:, None], np.ones(len(one))), "sent": 0.0, "exchange": 0.0}
+    two = [run for run in runs if run["ranks"] == 2]
+    left = np.array([run["seconds"] - sum(photo_seconds(run, 2, unit)) for run in two])
+    columns = np.array([[sent(run, 2)[0] / 2, EXCHANGES / min(run["views"], 2)] for run in two])
+    scale = np.array([run["seconds"] for run in two])
+    unit["sent"], unit["exchange"] = nonnegative(columns / scale[:, None], left / scale)
+    return unit
+
+
+def nonnegative(rows, values):
+    """Least squares with what would be negative left out."""
+    kept = list(range(rows.shape[1]))
+    while True:
+        found = np.linalg.lstsq(rows[:, kept], values, rcond=None)[0]
+        if (found >= 0).all() or len(kept) == 1:
+            out = np.zeros(rows.shape[1])
+            out[kept] = np.maximum(found, 0)
+            return out
+        kept.pop(int(np.argmin(found)))
+
+
+# --- the page ----------------------------------------------------------------------------------------------------------------
+
+NETWORKS = {
+    "10 Gb Ethernet": (1.25e9, 30e-6),
+    "100 Gb Ethernet (RoCE)": (12.5e9, 5e-6),
+    "InfiniBand NDR": (50e9, 2e-6),
+}
+# A rank of the tables is a socket: so many times as fast as one thread of the machine that was measured.
+SOCKET = 24.0
+MEMORY = 256e9
+
+
+def imagined(gaussians, views):
+    """A photo of 1920x1080. A view of a million Gaussians shows 437,000 and 3.04 million intersections (counted by an audit of
+    the GPU kernels); of more, as many more as the root says, since a larger scene is mostly elsewhere."""
+    more = np.sqrt(gaussians / 1e6)
+    load = {"gaussians": gaussians, "visible": 437e3 * more, "intersections": 3.04e6 * more}
+    return load | {"width": 1920, "height": 1080, "views": views}
+
+
+def memory(load, ranks):
+    """Bytes of the largest rank, photos aside, and what most of them are."""
+    gaussians, visible, intersections = load["gaussians"], load["visible"], load["intersections"]
+    cut = drawers(load, ranks)
+    parts = {
+        "rows": TRAINED * gaussians / ranks,
+        "columns of density control": DECIDED * gaussians,
+        "the checkpoint on rank 0": GATHERED * gaussians,
+        "the band": (DRAWN[0] * visible + DRAWN[1] * intersections) / cut,
+    }
+    return sum(parts.values()), max(parts, key=parts.get)
+
+
+def in_units(seconds):
+    return f"{1e3 * seconds:,.1f} ms" if seconds < 1 else f"{seconds:,.2f} s"
+
+
+def checked(figures, unit):
+    lines = ["| Gaussians | side, px | photos a step | ranks | measured | model | ratio | MB a photo | model |"]
+    lines += ["|---|---|---|---|---|---|---|---|---|"]
+    for run in figures["runs"]:
+        ranks = run["ranks"]
+        model = sum(photo_seconds(run, ranks, unit, figures["cores"]))
+        shown = [f"{run['gaussians']:,.0f}", run["side"], run["views"], ranks, in_units(run["seconds"]), in_units(model)]
+        shown += [f"{model / run['seconds']:.2f}"]
+        sizes = [f"{run['megabytes']:.2f}", f"{1e-6 * traffic(run, ranks):.2f}"] if ranks > 1 else ["", ""]
+        lines.append("| " + " | ".join(map(str, shown + sizes)) + " |")
+    return lines
+
+
+def units(unit):
+    names = ["a Gaussian (projected, stepped)", "a visible one", "an intersection", "a pixel"]
+    lines = ["| what | one thread |", "|---|---|"]
+    lines += [f"| {name} | {1e9 * cost:.0f} ns |" for name, cost in zip(names, unit["work"])]
+    lines += [f"| a splat sent, and its sums back | {1e9 * unit['sent']:.0f} ns |"]
+    return lines + [f"| an exchange within this machine | {1e6 * unit['exchange']:.0f} µs |"]
+
+
+def speeds(unit):
+    """Photos a second, and what takes most of the time: work, bytes, messages."""
+    ranks = [1, 4, 16, 64, 256, 1024]
+    lines = ["| network | Gaussians | photos a step | " + " | ".join(f"{n}" for n in ranks) + " |"]
+    lines += ["|---|---|---|" + "---|" * len(ranks)]
+    unit = unit | {"work": unit["work"] / SOCKET, "sent": unit["sent"] / SOCKET}
+    for name, network in NETWORKS.items():
+        for gaussians in [1e6, 1e7, 1e8, 1e9]:
+            for views in [1, 16, 64]:
+                load, cells = imagined(gaussians, views), []
+                for n in ranks:
+                    parts = photo_seconds(load, n, unit, network=network)
+                    bound = "wbm"[int(np.argmax(parts))]
+                    fits = memory(load, n)[0] <= MEMORY
+                    cells.append(f"{1 / sum(parts):,.0f} {bound}" if fits else "-")
+                lines.append(f"| {name} | {gaussians / 1e6:,.0f} M | {views} | " + " | ".join(cells) + " |")
+    return lines
+
+
+def memories():
+    ranks = [1, 4, 16, 64, 256, 1024]
+    lines = ["| Gaussians | " + " | ".join(f"{n}" for n in ranks) + " | most of it at 1024 |", "|---|" + "---|" * (len(ranks) + 1)]
+    for gaussians in [1e6, 1e7, 1e8, 1e9]:
+        load = imagined(gaussians, 1)
+        cells = [f"{1e-9 * memory(load, n)[0]:,.1f}" for n in ranks]
+        lines.append(f"| {gaussians / 1e6:,.0f} M | " + " | ".join(cells) + f" | {memory(load, 1024)[1]} |")
+    return lines
+
+
+def tables():
+    figures = json.loads(FIGURES.read_text())
+    unit, page = fitted(figures["runs"]), PAGE.read_text()
+    made = {"checked": checked(figures, unit), "units": units(unit), "speeds": speeds(unit), "memory": memories()}
+    for name, lines in made.items():
+        begin, end = f"<!-- scale: {name} -->", "<!-- /scale -->"
+        before, rest = page.split(begin, 1)
+        page = before + begin + "\n" + "\n".join(lines) + "\n" + end + rest.split(end, 1)[1]
+    PAGE.write_text(page)
+    ratios = [sum(photo_seconds(run, run["ranks"], unit, figures["cores"])) / run["seconds"] for run in figures["runs"]]
+    print(f"model / measured: {min(ratios):.2f} to {max(ratios):.2f}")
+
+
+if __name__ == "__main__":
+    match sys.argv[1:]:
+        case ["measure", *paths] if len(paths) == 3:
+            measure(*(Path(path).resolve() for path in paths))
+        case ["tables"]:
+            tables()
+        case _:
+            sys.exit(__doc__)
