@@ -61,7 +61,7 @@ impl Ranks for Mpi {
     fn exchange(&mut self, mut parts: Vec<Vec<u32>>) -> Result<Vec<Vec<u32>>, RankLost> {
         let own = std::mem::take(&mut parts[self.rank()]);
         let lengths: Vec<u64> = parts.iter().map(|part| part.len() as u64).collect();
-        let mut coming = vec![0; lengths.len()];
+        let mut coming = vec![0u64; lengths.len()];
         self.world.all_to_all_into(&lengths, &mut coming);
         let mut received: Vec<Vec<u32>> = coming.into_iter().map(|length| vec![0; length as usize]).collect();
         self.send_and_receive(&parts, &mut received);
