@@ -113,8 +113,9 @@ pub struct RenewalConfig {
     /// run. Default 0.05; above 0, at most 0.5.
     pub every: f64,
     /// No renewal begins after this fraction of the run: the last Gaussians need time to become good ones. Default
-    /// 0.75; 0 to 1, and 0 for none at all.
-    pub until: f64,
+    /// 0.75, and 0 with `improved-gs`, where they were worth nothing; 0 to 1, and 0 for none at all.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub until: Option<f64>,
     /// Factor on the number of Gaussians that the photos can determine, which the cloud may grow to: their pixels over
     /// 2 · √photos, or those of one photo over 0.3, whichever is less. A lower `max_gaussians` counts. Default 1; 0 for
     /// no such limit.
@@ -133,7 +134,7 @@ impl Default for RenewalConfig {
         Self {
             fraction: 0.1,
             every: 0.05,
-            until: 0.75,
+            until: None,
             capacity: 1.0,
             even_growth: true,
             spare_large: true,

@@ -2,23 +2,35 @@
 
 use super::{Signal, TrainConfig, Variant};
 
-/// What is published with a variant.
-struct Published {
+/// The defaults of a variant.
+struct Defaults {
     /// Rates of positions at the start and at the end, in scene extents.
     position_rates: [f64; 2],
     opacity_rate: f32,
     reset_opacity: f32,
     /// For the signal that is published with it.
     gradient_threshold: f32,
+    /// Fraction of a run after which no renewal begins. (Ours, not published.)
+    renew_until: f64,
 }
 
-const OF_3DGS: Published =
-    Published { position_rates: [1.6e-4, 1.6e-6], opacity_rate: 0.05, reset_opacity: 0.01, gradient_threshold: 2e-4 };
-const OF_IMPROVED_GS: Published =
-    Published { position_rates: [4e-5, 2e-6], opacity_rate: 0.025, reset_opacity: 0.05, gradient_threshold: 3e-4 };
+const OF_3DGS: Defaults = Defaults {
+    position_rates: [1.6e-4, 1.6e-6],
+    opacity_rate: 0.05,
+    reset_opacity: 0.01,
+    gradient_threshold: 2e-4,
+    renew_until: 0.75,
+};
+const OF_IMPROVED_GS: Defaults = Defaults {
+    position_rates: [4e-5, 2e-6],
+    opacity_rate: 0.025,
+    reset_opacity: 0.05,
+    gradient_threshold: 3e-4,
+    renew_until: 0.0,
+};
 
 impl TrainConfig {
-    fn defaults(&self) -> &'static Published {
+    fn defaults(&self) -> &'static Defaults {
         if self.variant == Variant::ImprovedGs { &OF_IMPROVED_GS } else { &OF_3DGS }
     }
 
@@ -36,6 +48,11 @@ impl TrainConfig {
     /// What a reset limits opacity to.
     pub fn reset_opacity(&self) -> f32 {
         self.densify.reset_opacity.unwrap_or(self.defaults().reset_opacity)
+    }
+
+    /// No renewal begins after this fraction of the run.
+    pub fn renew_until(&self) -> f64 {
+        self.evolution.renewal.until.unwrap_or(self.defaults().renew_until)
     }
 
     /// Mean screen-space gradient from which a Gaussian grows.

@@ -101,7 +101,7 @@ impl TrainConfig {
             ("evolution.extra_steps.seconds", seconds, NOT_NEGATIVE),
             ("evolution.renewal.fraction", evolution.renewal.fraction, HALF),
             ("evolution.renewal.every", evolution.renewal.every, HALF),
-            ("evolution.renewal.until", evolution.renewal.until, FRACTION),
+            ("evolution.renewal.until", self.renew_until(), FRACTION),
             ("evolution.renewal.capacity", evolution.renewal.capacity, NOT_NEGATIVE),
         ];
         numbers

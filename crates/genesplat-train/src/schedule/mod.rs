@@ -140,7 +140,7 @@ impl Schedule {
             reset_every: interval(densify.reset_every),
             reset_until: scaled(densify.until).min(latest(RENEWED_RESETS)),
             renew_every: renews.then(|| of_run(iterations, renewal.every).max(1)),
-            renew_until: of_run(iterations, renewal.until),
+            renew_until: of_run(iterations, config.renew_until()),
             improved: ImprovedSteps::new(scaled, interval),
             last_stage: 0,
             config,

@@ -147,7 +147,7 @@ fn extra_steps_come_where_the_search_would() {
 fn averaging(change: impl FnOnce(&mut TrainConfig)) -> Schedule {
     schedule(|config| {
         config.evolution.mode = EvolutionMode::Renew;
-        (config.evolution.renewal.every, config.evolution.renewal.until) = (0.1, 0.0);
+        (config.evolution.renewal.every, config.evolution.renewal.until) = (0.1, Some(0.0));
         change(config);
     })
 }

@@ -17,7 +17,7 @@ fn config() -> TrainConfig {
     (config.densify.every, config.densify.reset_every) = (1, 30);
     // Still in motion at the end, by more than rounding.
     config.optimiser.position_end = Some(1e-2);
-    (config.evolution.renewal.every, config.evolution.renewal.until) = (0.1, 0.0);
+    (config.evolution.renewal.every, config.evolution.renewal.until) = (0.1, Some(0.0));
     // As in a run without evolution, which some of these are compared with.
     config.evolution.renewal.spare_large = false;
     config

@@ -142,18 +142,19 @@ fn there_are_at_most_sixty_one_settings() {
 #[test]
 fn some_defaults_hang_on_the_variant_and_what_is_set_does_not() {
     let all = |config: &TrainConfig| {
-        (config.position_rates(), config.opacity_rate(), config.reset_opacity(), config.gradient_threshold())
+        let rates = (config.position_rates(), config.opacity_rate());
+        (rates, config.reset_opacity(), config.gradient_threshold(), config.renew_until())
     };
     let mut config = TrainConfig::default();
-    assert_eq!(all(&config), ([1.6e-4, 1.6e-6], 0.05, 0.01, 2e-4));
+    assert_eq!(all(&config), (([1.6e-4, 1.6e-6], 0.05), 0.01, 2e-4, 0.75));
     config.densify.signal = Signal::Absolute;
-    assert_eq!(all(&config), ([1.6e-4, 1.6e-6], 0.05, 0.01, 8e-4));
+    assert_eq!(all(&config), (([1.6e-4, 1.6e-6], 0.05), 0.01, 8e-4, 0.75));
     config = TrainConfig { variant: Variant::ImprovedGs, ..TrainConfig::default() };
-    assert_eq!(all(&config), ([4e-5, 2e-6], 0.025, 0.05, 3e-4));
+    assert_eq!(all(&config), (([4e-5, 2e-6], 0.025), 0.05, 3e-4, 0.0));
     (config.optimiser.position_start, config.optimiser.position_end) = (Some(1.0), Some(0.5));
     (config.optimiser.opacity, config.densify.reset_opacity) = (Some(0.25), Some(0.125));
-    config.densify.gradient_threshold = Some(0.75);
-    assert_eq!(all(&config), ([1.0, 0.5], 0.25, 0.125, 0.75));
+    (config.densify.gradient_threshold, config.evolution.renewal.until) = (Some(0.75), Some(0.5));
+    assert_eq!(all(&config), (([1.0, 0.5], 0.25), 0.125, 0.75, 0.5));
 }
 
 #[test]

@@ -199,7 +199,7 @@ fn a_run_that_has_no_place_for_renewal_says_so() {
     let told = |variant: Variant, until: f64| {
         let (mut told, mut config) = (Told::default(), TrainConfig { variant, ..config() });
         // Fewer than the photos can determine, so that there is nothing else to tell.
-        (config.evolution.renewal.until, config.evolution.renewal.capacity) = (until, 2.0);
+        (config.evolution.renewal.until, config.evolution.renewal.capacity) = (Some(until), 2.0);
         config.max_gaussians = Some(30);
         run_observed(&mut backend(0.9), config, &mut told);
         told.notices
@@ -252,7 +252,7 @@ fn what_guards_find_worse_is_rolled_back_to_the_bit() {
     let before = state_at(&mut StopAt(150, &stop), &stop);
     let start = Start::Points(points(20));
     let mut once = config();
-    once.evolution.renewal.until = 0.5;
+    once.evolution.renewal.until = Some(0.5);
     let config = once.resolve().unwrap();
     let observer = &mut StopAfterRenewal(&stop_again);
     let stopped = train(&mut backend(1.1), &views(VIEWS), start, &config, observer, &stop_again).unwrap();

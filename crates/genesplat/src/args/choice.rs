@@ -59,9 +59,9 @@ pub(crate) const PRESETS: &[Choice<&str>] = &[
         "What no flag changes: photos of at most 1600 pixels across, 30000 steps, the published length",
     ),
     (
-        "variant = 'mcmc'\nantialiasing = true\n[evolution]\nmode = 'renew'",
+        "variant = 'improved-gs'\n[evolution]\nmode = 'renew'",
         &["best"],
-        "Everything on: MCMC's exploration, renewals, and antialiasing, over 30000 steps",
+        "What has given the best pictures: Improved-GS, with the limit that follows from the photos, over 30000 steps",
     ),
 ];
 
