@@ -166,6 +166,11 @@ def sent(load, ranks, near):
     return splats, load["visible"] * part * (1 + crossed * max(tiles / 2, 1.0))
 
 
+def dealt(load, ranks):
+    """Splats that are written into messages and read from them, those that stay among them."""
+    return load["visible"] * (1 + crossings(load, drawers(load, ranks) - 1))
+
+
 def traffic(load, ranks, near):
     """Bytes of one photo between all ranks."""
     splats, rows = sent(load, ranks, near)
@@ -178,13 +183,17 @@ def imbalance(load, ranks):
     return 1.0 if cut == 1 else max(1 + 0.5 * cut / rows, cut / rows)
 
 
+def turns(shared):
+    """Times longer with so many ranks on a core, which wait for each other: between sharing it evenly and one after another."""
+    return max(1.0, 0.5 * (shared + np.ceil(shared)))
+
+
 def photo_seconds(load, ranks, unit, cores=None, network=None):
     """Seconds of a photo: on the processor, of bytes, and of waiting for messages. Without a network memory is one."""
     gaussians, intersections, pixels = np.multiply(work(load), unit["work"])
-    splats, _ = sent(load, ranks, unit["near"])
     own = gaussians / ranks + (intersections + pixels) / ranks * imbalance(load, ranks)
-    busy = own + (unit["sent"] * splats / ranks if ranks > 1 else 0.0)
-    busy *= max(1.0, ranks / cores) if cores else 1.0
+    busy = own + (unit["dealt"] * dealt(load, ranks) / ranks if ranks > 1 else 0.0)
+    busy *= turns(ranks / cores) if cores else 1.0
     if ranks == 1:
         return busy, 0.0, 0.0
     exchanges = EXCHANGES / min(load["views"], ranks)
@@ -204,14 +213,14 @@ def fitted(figures):
     rows, seconds = np.array([work(run) for run in one]), np.array([run["seconds"] for run in one])
     held = np.diag(HOLD / alone)
     costs = np.linalg.lstsq(np.vstack([rows / seconds[:, None], held]), np.append(np.ones(len(one)), [HOLD] * 3), rcond=None)[0]
-    unit = {"work": costs, "sent": 0.0, "exchange": 0.0}
+    unit = {"work": costs, "dealt": 0.0, "exchange": 0.0}
     two = [run for run in runs if run["ranks"] == 2]
     banded = [run for run in two if run["views"] == 1]
     unit["near"] = float(np.median([1e6 * run["megabytes"] / traffic(run, 2, 1.0) for run in banded]))
     left = np.array([run["seconds"] - sum(photo_seconds(run, 2, unit)) for run in two])
-    columns = np.array([[sent(run, 2, unit["near"])[0] / 2, EXCHANGES / min(run["views"], 2)] for run in two])
+    columns = np.array([[dealt(run, 2) / 2, EXCHANGES / min(run["views"], 2)] for run in two])
     scale = np.array([run["seconds"] for run in two])
-    unit["sent"], unit["exchange"] = nonnegative(columns / scale[:, None], left / scale)
+    unit["dealt"], unit["exchange"] = nonnegative(columns / scale[:, None], left / scale)
     return unit
 
 
@@ -285,7 +294,7 @@ def units(unit):
     names = ["a Gaussian (projected, stepped)", "an intersection", "a pixel"]
     lines = ["| what | one thread |", "|---|---|"]
     lines += [f"| {name} | {1e9 * cost:.0f} ns |" for name, cost in zip(names, unit["work"])]
-    lines += [f"| a splat sent, and its sums back | {1e9 * unit['sent']:.0f} ns |"]
+    lines += [f"| a splat dealt to a band, and its sums back | {1e9 * unit['dealt']:.0f} ns |"]
     lines += [f"| an exchange within this machine | {1e6 * unit['exchange']:.0f} µs |"]
     return lines + [f"| splats that leave their rank with two bands, of those that would by chance | {100 * unit['near']:.0f} % |"]
 
@@ -295,7 +304,7 @@ def speeds(unit):
     ranks = [1, 4, 16, 64, 256, 1024]
     lines = ["| network | Gaussians | photos a step | " + " | ".join(f"{n}" for n in ranks) + " |"]
     lines += ["|---|---|---|" + "---|" * len(ranks)]
-    unit = unit | {"work": unit["work"] / SOCKET, "sent": unit["sent"] / SOCKET}
+    unit = unit | {"work": unit["work"] / SOCKET, "dealt": unit["dealt"] / SOCKET}
     for name, network in NETWORKS.items():
         for gaussians in [1e6, 1e7, 1e8]:
             for views in [1, 16, 64]:
