@@ -97,13 +97,13 @@ pub(crate) fn each_entry(
 ) -> Result<Unpacked, ArchiveError> {
     let unreadable = |error: ZipError| refused(path, format!("cannot be read: {error}"));
     let mut archive = ZipArchive::new(reader).map_err(unreadable)?;
-    let (wanted, unread) = wanted(path, &mut archive, bytes)?;
-    for (index, name) in &wanted {
+    let Wanted { entries, unread } = wanted(path, &mut archive, bytes)?;
+    for (index, name) in &entries {
         let entry = archive.by_index(*index).map_err(unreadable)?;
         let left = entry.size();
         on_entry(name, &mut Content { entry, left })?;
     }
-    Ok(Unpacked { files: wanted.len(), unread })
+    Ok(Unpacked { files: entries.len(), unread })
 }
 
 /// What an entry holds, which is no more than it claims. Whatever is wrong with it is invalid data.
@@ -121,13 +121,16 @@ impl<R: Read> Read for Content<R> {
     }
 }
 
-/// Numbers and names of the entries that are unpacked, and names of pictures that are not.
-fn wanted(
-    path: &Path,
-    archive: &mut ZipArchive<impl Read + Seek>,
-    bytes: u64,
-) -> Result<(Vec<(usize, PathBuf)>, Vec<PathBuf>), ArchiveError> {
-    let (mut wanted, mut unread, mut names) = (Vec::new(), Vec::new(), HashSet::new());
+/// What is to be unpacked.
+struct Wanted {
+    /// Numbers and names.
+    entries: Vec<(usize, PathBuf)>,
+    /// Pictures that are not, since their formats are not read.
+    unread: Vec<PathBuf>,
+}
+
+fn wanted(path: &Path, archive: &mut ZipArchive<impl Read + Seek>, bytes: u64) -> Result<Wanted, ArchiveError> {
+    let (mut entries, mut unread, mut names) = (Vec::new(), Vec::new(), HashSet::new());
     let (mut claimed, mut packed) = (0u64, 0u64);
     for index in 0..archive.len() {
         let entry = archive.by_index_raw(index).map_err(|error| refused(path, format!("cannot be read: {error}")))?;
@@ -153,19 +156,19 @@ fn wanted(
         if !names.insert(name.to_string_lossy().to_lowercase()) {
             return Err(refused(path, format!("holds {} twice", shown(&name))));
         }
-        wanted.push((index, name));
+        entries.push((index, name));
     }
     // More packed bytes than there are: entries that overlap.
     if packed > bytes || claimed > EXPANSION[0].saturating_add(EXPANSION[1].saturating_mul(bytes)) {
         return Err(refused(path, format!("claims to hold {claimed} bytes, far more than its {bytes} make likely")));
     }
-    match (wanted.is_empty(), unread.first()) {
+    match (entries.is_empty(), unread.first()) {
         (true, None) => Err(refused(path, "holds no photos and no scene".into())),
         (true, Some(first)) => {
             let only = format!("holds no JPEG, PNG or WebP files, and others are not read ({})", shown(first));
             Err(ArchiveError::Unread { archive: path.to_owned(), problem: only })
         }
-        (false, _) => Ok((wanted, unread)),
+        (false, _) => Ok(Wanted { entries, unread }),
     }
 }
 
