@@ -79,7 +79,7 @@ pub(crate) const EVOLUTION: &[Choice<EvolutionMode>] = &[
         EvolutionMode::Renew,
         &["renew"],
         "As many Gaussians as the photos can determine; later in the run those that contribute least are replaced by splitting \
-         those of largest error, and states are averaged. What makes training photos worse is rolled back",
+         those of largest error (but with improved-gs), and states are averaged. What makes training photos worse is rolled back",
     ),
 ];
 
