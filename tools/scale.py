@@ -3,8 +3,8 @@
     python tools/scale.py measure GENESPLAT FOX FOLDER     # docs/results/scale.json; an idle machine; needs mpirun
     python tools/scale.py tables                           # the tables of docs/scale.md, from that file
 
-GENESPLAT is built with --features mpi, FOX is shared/data/fox; numpy is needed. A rank has one thread. Nothing is fitted to
-runs of three and four ranks: they check the model.
+GENESPLAT is built with --features mpi, FOX is shared/data/fox; numpy is needed. A rank has one thread. No number is
+fitted to runs of three and four ranks: they check the model.
 """
 
 import json
