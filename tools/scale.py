@@ -2,6 +2,7 @@
 
     python tools/scale.py measure GENESPLAT FOX FOLDER     # docs/results/scale.json; an idle machine; needs mpirun
     python tools/scale.py tables                           # the tables of docs/scale.md, from that file
+    python tools/scale.py check                            # fails where that page has others
 
 GENESPLAT is built with --features mpi, FOX is shared/data/fox; numpy is needed. A rank has one thread. No number is
 fitted to runs of three and four ranks: they check the model.
@@ -278,7 +279,8 @@ def in_units(seconds):
 
 
 def checked(figures, unit):
-    lines = ["| Gaussians | side, px | photos a step | ranks | measured | model | ratio | MB a photo | model |"]
+    lines = [f"Commit `{figures['commit']}`, machine A's {figures['cores']} cores, idle:", ""]
+    lines += ["| Gaussians | side, px | photos a step | ranks | measured | model | ratio | MB a photo | model |"]
     lines += ["|---|---|---|---|---|---|---|---|---|"]
     for run in figures["runs"]:
         ranks = run["ranks"]
@@ -328,14 +330,17 @@ def memories():
     return lines
 
 
-def tables():
+def tables(check=False):
     figures = json.loads(FIGURES.read_text())
     unit, page = fitted(figures), PAGE.read_text()
+    old = page
     made = {"checked": checked(figures, unit), "units": units(unit), "speeds": speeds(unit), "memory": memories()}
     for name, lines in made.items():
         begin, end = f"<!-- scale: {name} -->", "<!-- /scale -->"
         before, rest = page.split(begin, 1)
         page = before + begin + "\n" + "\n".join(lines) + "\n" + end + rest.split(end, 1)[1]
+    if check and page != old:
+        sys.exit(f"{PAGE} is not what {FIGURES} says: python tools/scale.py tables")
     PAGE.write_text(page)
     ratios = [sum(photo_seconds(run, run["ranks"], unit, figures["cores"])) / run["seconds"] for run in figures["runs"]]
     print(f"model / measured: {min(ratios):.2f} to {max(ratios):.2f}")
@@ -345,7 +350,7 @@ if __name__ == "__main__":
     match sys.argv[1:]:
         case ["measure", *paths] if len(paths) == 3:
             measure(*(Path(path).resolve() for path in paths))
-        case ["tables"]:
-            tables()
+        case ["tables" | "check" as verb]:
+            tables(verb == "check")
         case _:
             sys.exit(__doc__)

@@ -41,13 +41,17 @@ pub enum ArchiveError {
         /// What is wrong.
         problem: String,
     },
-    /// Nothing in it can be read.
-    #[error("the archive {} {problem}; convert them", shown(.archive))]
+    /// All of its pictures are of formats that are not read.
+    #[error(
+        "the archive {} holds no JPEG, PNG or WebP files, and others are not read ({}); convert them",
+        shown(.archive),
+        shown(.first)
+    )]
     Unread {
         /// The archive.
         archive: PathBuf,
-        /// What it holds.
-        problem: String,
+        /// The first of them.
+        first: PathBuf,
     },
     /// The operating system refused to write.
     #[error("cannot write {}: {source}", shown(.file))]
@@ -164,10 +168,7 @@ fn wanted(path: &Path, archive: &mut ZipArchive<impl Read + Seek>, bytes: u64) -
     }
     match (entries.is_empty(), unread.first()) {
         (true, None) => Err(refused(path, "holds no photos and no scene".into())),
-        (true, Some(first)) => {
-            let only = format!("holds no JPEG, PNG or WebP files, and others are not read ({})", shown(first));
-            Err(ArchiveError::Unread { archive: path.to_owned(), problem: only })
-        }
+        (true, Some(first)) => Err(ArchiveError::Unread { archive: path.to_owned(), first: first.clone() }),
         (false, _) => Ok(Wanted { entries, unread }),
     }
 }

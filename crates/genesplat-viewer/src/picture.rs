@@ -80,11 +80,9 @@ pub(crate) fn error_picture(render: &Photo, view: &View) -> Photo {
         let sum: u32 = a.iter().zip(b).map(|(&a, &b)| u32::from(a.abs_diff(b))).sum();
         sum as f32 / (3.0 * 255.0) / ERROR_MAX
     });
-    let counted = (0..height).flat_map(|y| (0..width).map(move |x| (x, y)));
-    let counted = counted.map(|(x, y)| {
-        let covered = [span(x, width, view.photo.width), span(y, height, view.photo.height)];
-        view.mask.as_ref().is_none_or(|mask| counts(mask, view.photo.width, covered))
-    });
+    let covered = |x, y| [span(x, width, view.photo.width), span(y, height, view.photo.height)];
+    let is_counted = |(x, y)| view.mask.as_ref().is_none_or(|mask| counts(mask, view.photo.width, covered(x, y)));
+    let counted = (0..height).flat_map(|y| (0..width).map(move |x| (x, y))).map(is_counted);
     coloured(width, height, differences.zip(counted).map(|(difference, counts)| counts.then_some(difference)))
 }
 

@@ -48,11 +48,14 @@ pub(crate) fn unpack(archive: &Path, folder: &Path) -> Result<()> {
     let Unpacked { files, unread } = archive::unpack(archive, folder)?;
     output::tell(&format!("{files} files of {} are unpacked into {}", shown(archive), shown(folder)));
     if let Some(first) = unread.first() {
-        output::tell(&format!(
-            "notice: {} pictures are neither JPEG nor PNG nor WebP and are left out, first {}; convert them to have them",
-            unread.len(),
-            shown(first)
-        ));
+        tell_of_unread(unread.len(), &shown(first).to_string());
     }
     write_json(&file, &record(true))
+}
+
+/// Pictures of formats that are not read are left out, and that is said.
+pub(crate) fn tell_of_unread(count: usize, first: &str) {
+    output::tell(&format!(
+        "notice: {count} pictures are neither JPEG nor PNG nor WebP and are left out, first {first}; convert them to have them"
+    ));
 }

@@ -61,7 +61,8 @@ mod tests {
             };
             let evolving = (0..experiment.arms.len()).filter(evolves);
             assert_eq!(controlled, evolving.collect::<Vec<_>>(), "{name}: a control for each");
-            assert!(PLAIN.contains(&experiment.arms[0].name.as_str()), "{name}: differences are from plain training");
+            let plain = if name == "study-improved" { "improved-gs" } else { "off" };
+            assert_eq!(experiment.arms[0].name, plain, "{name}: differences are from plain training");
             assert!(experiment.file.seeds.len() >= 3, "{name}");
         }
     }

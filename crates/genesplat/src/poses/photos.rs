@@ -123,10 +123,7 @@ fn photos_of(path: &Path) -> Result<(PathBuf, Vec<String>)> {
             "{shown} holds no JPEG, PNG or WebP files, and others are not read ({first} is one of {}); convert them",
             others.len()
         ),
-        (false, Some(first)) => output::tell(&format!(
-            "notice: {} pictures are neither JPEG nor PNG nor WebP and are left out, first {first}; convert them to have them",
-            others.len()
-        )),
+        (false, Some(first)) => unpacked::tell_of_unread(others.len(), first),
         (false, None) => {}
     }
     Ok((folder, names))
