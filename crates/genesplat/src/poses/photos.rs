@@ -13,7 +13,6 @@ use serde::{Deserialize, Serialize};
 
 use super::{FRAMES, IMAGES, video};
 use crate::files::{unwritable, write_json};
-use crate::terminal::output;
 use crate::unpacked;
 
 /// Endings of the photos that are read.
