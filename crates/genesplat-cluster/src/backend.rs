@@ -15,7 +15,7 @@ use genesplat_kernels::cpu::{CpuBackend, Pinhole};
 use crate::drawing::{Canvas, Drawing};
 use crate::group::Group;
 use crate::shares::Shares;
-use crate::splats::Sent;
+use crate::splats::Dealt;
 use crate::steps::Task;
 use crate::wire::{Reader, Writer, lend, reserve};
 
@@ -261,9 +261,10 @@ impl Backend for ClusterBackend {
     fn render(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<Image, BackendError> {
         self.settle()?;
         let (level, canvas) = (self.own.level(), Canvas::of_all(Pinhole::from(camera), &[], &self.group));
+        let mut dealt = Dealt::default();
         let splats = self.own.project(&canvas.camera, settings, &Blend::default());
-        let parts = self.group.exchange(splats.map(|splats| canvas.deal(splats, &mut Sent::default())))?;
-        let drawn = self.drawing.draw(level, &canvas, parts, settings);
+        let parts = self.group.exchange(splats.map(|splats| canvas.deal(splats, &mut dealt)))?;
+        let drawn = self.drawing.draw(level, &canvas, parts, (self.own.splats(), &dealt), settings);
         let parts = self.group.exchange(drawn.map(|()| self.drawing.rows_for_all(&canvas)))?;
         Ok(self.drawing.whole(&canvas, &parts))
     }

@@ -12,7 +12,7 @@ use genesplat_kernels::cpu::{Pinhole, Target, ViewBuffers};
 use crate::bands::Bands;
 use crate::group::Group;
 use crate::picture::{PictureRows, part};
-use crate::splats::{Received, Sent};
+use crate::splats::{Dealt, Received};
 use crate::wire::{Reader, Writer};
 
 /// What each rank has sent here, or is to be sent.
@@ -25,6 +25,7 @@ pub(crate) struct Canvas {
     /// The own one.
     band: Band,
     drawers: Range<usize>,
+    rank: usize,
     ranks: usize,
 }
 
@@ -32,7 +33,8 @@ impl Canvas {
     /// Drawn by some of the ranks; `intersections` are those of each row of tiles, where they are known.
     pub(crate) fn new(camera: Pinhole, intersections: &[u32], drawers: Range<usize>, group: &Group) -> Self {
         let bands = Bands::new(camera.grid(), intersections, &drawers, group.count());
-        Self { band: Band::new(&camera, bands.of(group.rank())), camera, bands, drawers, ranks: group.count() }
+        let (rank, ranks) = (group.rank(), group.count());
+        Self { band: Band::new(&camera, bands.of(rank)), camera, bands, drawers, rank, ranks }
     }
 
     /// Drawn by all.
@@ -45,9 +47,9 @@ impl Canvas {
         self.drawers.clone()
     }
 
-    /// The splats of the own rows, for the bands that they may reach.
-    pub(crate) fn deal(&self, splats: &Splats, sent: &mut Sent) -> Parts {
-        sent.deal(splats, &self.bands, self.down(), self.ranks)
+    /// The splats of the own rows, for the bands of others that they may reach.
+    pub(crate) fn deal(&self, splats: &Splats, dealt: &mut Dealt) -> Parts {
+        dealt.deal(splats, &self.bands, self.down(), (self.rank, self.ranks))
     }
 
     fn width(&self) -> usize {
@@ -102,15 +104,16 @@ pub(crate) struct PictureTotals {
 }
 
 impl Drawing {
-    /// Draws the own band of the picture.
+    /// Draws the own band of the picture, of splats that others have sent and `own` ones.
     pub(crate) fn draw(
         &mut self,
         level: Level,
         canvas: &Canvas,
         parts: Parts,
+        own: (&Splats, &Dealt),
         settings: &RenderSettings,
     ) -> Result<(), BackendError> {
-        self.received.collect(&parts, &mut self.band.splats);
+        self.received.collect(&parts, own, &mut self.band.splats);
         drop(parts);
         self.band.ensure(self.received.count(), canvas.band.tiles())?;
         self.band.draw(level, (&canvas.camera, &canvas.band), settings);
@@ -164,7 +167,7 @@ impl Drawing {
         gradient.resize(3 * rows.len() * width, 0.0);
     }
 
-    /// The sums of gradients of each rank's splats, after the `totals`, which all get.
+    /// The sums of gradients of each other rank's splats, after the `totals`, which all get.
     pub(crate) fn backward(
         &mut self,
         level: Level,
@@ -180,7 +183,9 @@ impl Drawing {
         let totals = totals(self);
         let of_rank = |rank| {
             let mut part = totals.clone();
-            self.received.sums(rank, &self.band, (top, canvas.down()), columns_of(signal), &mut part);
+            if rank != canvas.rank {
+                self.received.sums(rank, &self.band, (top, canvas.down()), columns_of(signal), &mut part);
+            }
             part.words
         };
         Ok((0..canvas.ranks).map(of_rank).collect())
@@ -190,14 +195,18 @@ impl Drawing {
     pub(crate) fn add(
         &mut self,
         splats: &Splats,
-        sent: &Sent,
+        dealt: &Dealt,
         parts: &mut [Reader<'_>],
         signal: Option<DensitySignal>,
     ) {
         self.gradients.clear();
         self.gradients.resize(splats.capacity(), GradientRow::default());
         for (rank, part) in parts.iter_mut().enumerate() {
-            sent.add(rank, part, columns_of(signal), &mut self.gradients);
+            if dealt.is_own(rank) {
+                self.received.add_own(dealt, &self.band, &mut self.gradients);
+            } else {
+                dealt.add(rank, part, columns_of(signal), &mut self.gradients);
+            }
         }
     }
 

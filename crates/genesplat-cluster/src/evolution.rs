@@ -11,7 +11,7 @@ use genesplat_kernels::cpu::stages::{add_contributions_of, add_weights_of, loss_
 use crate::backend::ClusterBackend;
 use crate::drawing::{Canvas, Drawing};
 use crate::shares::places_in;
-use crate::splats::Sent;
+use crate::splats::Dealt;
 use crate::wire::{Reader, Writer};
 
 impl ClusterBackend {
@@ -25,16 +25,16 @@ impl ClusterBackend {
     ) -> Result<(), BackendError> {
         let (level, canvas) = (self.own.level(), self.canvas_of(view));
         let splats = self.own.project(&canvas.camera, settings, &Blend::default());
-        let mut sent = Sent::default();
-        let parts = self.group.exchange(splats.map(|splats| canvas.deal(splats, &mut sent)))?;
-        let drawn = self.drawing.draw(level, &canvas, parts, settings);
+        let mut dealt = Dealt::default();
+        let parts = self.group.exchange(splats.map(|splats| canvas.deal(splats, &mut dealt)))?;
+        let drawn = self.drawing.draw(level, &canvas, parts, (self.own.splats(), &dealt), settings);
         let parts = drawn.and_then(|()| {
             fill(&mut self.drawing, &canvas, self.own.view(view).1);
             self.drawing.backward(level, &canvas, |_| Writer::default(), None)
         });
         let parts = self.group.exchange(parts)?;
         let mut parts: Vec<Reader<'_>> = parts.iter().map(|part| Reader::new(part)).collect();
-        self.drawing.add(self.own.splats(), &sent, &mut parts, None);
+        self.drawing.add(self.own.splats(), &dealt, &mut parts, None);
         Ok(())
     }
 
@@ -42,8 +42,9 @@ impl ClusterBackend {
     fn loss_of(&mut self, blend: &Blend, view: usize, settings: &RenderSettings) -> Result<ViewLoss, BackendError> {
         let (level, canvas) = (self.own.level(), self.canvas_of(view));
         let splats = self.own.project(&canvas.camera, settings, blend);
-        let parts = self.group.exchange(splats.map(|splats| canvas.deal(splats, &mut Sent::default())))?;
-        let drawn = self.drawing.draw(level, &canvas, parts, settings);
+        let mut dealt = Dealt::default();
+        let parts = self.group.exchange(splats.map(|splats| canvas.deal(splats, &mut dealt)))?;
+        let drawn = self.drawing.draw(level, &canvas, parts, (self.own.splats(), &dealt), settings);
         let target = self.own.view(view).1;
         let parts = self.group.exchange(drawn.map(|()| self.drawing.rows_for_loss(&canvas, target)))?;
         self.drawing.loss(level, &canvas, target, &parts, false);

@@ -1,4 +1,7 @@
-//! Splats on their way to the bands that they may reach, and sums of their gradients on the way back.
+//! Splats on their way to the bands that they may reach, and sums of their gradients on the way back. Those that are drawn
+//! where they are held go nowhere.
+
+use std::ops::Range;
 
 use genesplat_kernels::cpu::ViewBuffers;
 use genesplat_kernels::cpu::stages::{GradientRow, Splat, Splats, tile_rows};
@@ -9,25 +12,48 @@ use crate::wire::{Reader, Writer};
 /// What blending needs of a splat, 48 bytes.
 type SentSplat = [f32; 12];
 
-/// Which splats were sent to each rank, by index.
+/// Splats whose gradient rows are asked for ahead of the one that is summed: they lie scattered.
+const AHEAD: usize = 16;
+
+/// Which splats each rank draws, by index.
 #[derive(Debug, Default)]
-pub(crate) struct Sent {
+pub(crate) struct Dealt {
+    own: usize,
     indices: Vec<Vec<u32>>,
 }
 
-impl Sent {
-    /// The splats for each rank, in row order, for a picture of `down` rows of tiles.
-    pub(crate) fn deal(&mut self, splats: &Splats, bands: &Bands, down: usize, ranks: usize) -> Vec<Vec<u32>> {
+impl Dealt {
+    /// The splats for each other rank than the `own` one, in row order, for a picture of `down` rows of tiles.
+    pub(crate) fn deal(
+        &mut self,
+        splats: &Splats,
+        bands: &Bands,
+        down: usize,
+        (own, ranks): (usize, usize),
+    ) -> Vec<Vec<u32>> {
+        self.own = own;
         self.indices.resize_with(ranks, Vec::new);
         self.indices.iter_mut().for_each(Vec::clear);
         let mut parts = vec![Writer::default(); ranks];
         for (index, splat) in splats.iter() {
             for rank in bands.reached(&tile_rows(splat, down)) {
                 self.indices[rank].push(index);
-                parts[rank].rows(&[written(splat)]);
+                if rank != own {
+                    parts[rank].rows(&[written(splat)]);
+                }
             }
         }
         parts.into_iter().map(|part| part.words).collect()
+    }
+
+    /// Of this rank nothing is sent.
+    pub(crate) fn is_own(&self, rank: usize) -> bool {
+        rank == self.own
+    }
+
+    /// Those that are drawn here.
+    fn own(&self) -> &[u32] {
+        &self.indices[self.own]
     }
 
     /// Adds what `rank` has summed for the splats that it was sent. Bands lie in the order of the ranks, so a splat's tiles
@@ -47,31 +73,50 @@ impl Sent {
     }
 }
 
-/// The splats that a band was sent.
+/// The splats that a band is drawn of.
 #[derive(Debug, Default)]
 pub(crate) struct Received {
     /// Index of the first one of each rank; one more at the end.
     starts: Vec<usize>,
+    own: usize,
 }
 
 impl Received {
-    /// Makes them the splats of a view: ranks hold rows in order, so ties of depth break as they do in one process.
-    pub(crate) fn collect(&mut self, parts: &[Vec<u32>], splats: &mut Splats) {
-        let of_rank = |part: &Vec<u32>| size_of_val(part.as_slice()) / size_of::<SentSplat>();
+    /// Makes what others have sent and the `own` ones the splats of a view: ranks hold rows in order, so ties of depth break
+    /// as they do in one process.
+    pub(crate) fn collect(&mut self, parts: &[Vec<u32>], (own, dealt): (&Splats, &Dealt), splats: &mut Splats) {
+        let of_others = |part: &Vec<u32>| size_of_val(part.as_slice()) / size_of::<SentSplat>();
+        self.own = dealt.own;
         self.starts.clear();
         self.starts.push(0);
-        for part in parts {
-            self.starts.push(self.starts[self.starts.len() - 1] + of_rank(part));
+        splats.clear();
+        for (rank, part) in parts.iter().enumerate() {
+            if rank == dealt.own {
+                splats.extend(dealt.own().iter().map(|&index| *own.get(index)));
+            } else {
+                splats.extend(Reader::new(part).rows::<SentSplat>(of_others(part)).iter().map(read));
+            }
+            self.starts.push(splats.len());
         }
-        let all = parts.iter().zip(self.starts.windows(2));
-        splats.fill(all.flat_map(|(part, of)| Reader::new(part).rows::<SentSplat>(of[1] - of[0])).map(read));
     }
 
     pub(crate) fn count(&self) -> usize {
         self.starts.last().copied().unwrap_or(0)
     }
 
-    /// What goes back to `rank`: for each of its splats how many rows, and the rows.
+    fn of(&self, rank: usize) -> Range<usize> {
+        self.starts[rank]..self.starts[rank + 1]
+    }
+
+    /// Adds the rows of the own splats, tile after tile, to the sums of all of them.
+    pub(crate) fn add_own(&self, dealt: &Dealt, band: &ViewBuffers, sums: &mut [GradientRow]) {
+        for (index, &splat) in self.of(self.own).zip(dealt.own()) {
+            band.prefetch_gradient_rows(index + AHEAD);
+            band.gradient_rows_of(index).for_each(|row| sums[splat as usize].add(row));
+        }
+    }
+
+    /// What goes back to another rank: for each of its splats how many rows, and the rows.
     ///
     /// A sum of tiles may begin here where no tile comes before: the one row of a splat whose first tiles are in this band
     /// is their sum. Of any other all tiles have a row, since sums of floats depend on where they begin.
@@ -84,7 +129,8 @@ impl Received {
         columns: &[usize],
         out: &mut Writer,
     ) {
-        for index in self.starts[rank]..self.starts[rank + 1] {
+        for index in self.of(rank) {
+            band.prefetch_gradient_rows(index + AHEAD);
             let rows = band.gradient_rows_of(index);
             let begins_here = tile_rows(band.splats.get(index as u32), down).start >= top;
             if begins_here && rows.len() > 0 {

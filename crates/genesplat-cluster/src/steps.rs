@@ -9,14 +9,14 @@ use genesplat_kernels::cpu::stages::{Splats, loss_of_sums};
 
 use crate::backend::ClusterBackend;
 use crate::drawing::{Canvas, Parts, PictureTotals};
-use crate::splats::Sent;
+use crate::splats::Dealt;
 use crate::wire::Reader;
 
 /// What is kept of a view until its gradients come back.
 #[derive(Default)]
 pub(crate) struct Task {
     splats: Splats,
-    sent: Sent,
+    dealt: Dealt,
 }
 
 /// The ranks that draw each of at most as many views as there are ranks.
@@ -47,7 +47,8 @@ impl ClusterBackend {
         // 2. Rows of the picture go to the bands beside.
         let view = drawn_by(self.group.rank(), &canvases);
         let (step, canvas, target) = (&steps[view], &canvases[view], self.own.view(steps[view].view).1);
-        let drawn = self.drawing.draw(level, canvas, parts, &step.settings);
+        let Task { splats, dealt } = &self.tasks[view];
+        let drawn = self.drawing.draw(level, canvas, parts, (splats, dealt), &step.settings);
         let parts = self.group.exchange(drawn.map(|()| self.drawing.rows_for_loss(canvas, target)))?;
         // 3. Sums of gradients go back.
         self.drawing.loss(level, canvas, target, &parts, true);
@@ -79,9 +80,9 @@ impl ClusterBackend {
         for ((step, canvas), task) in steps.iter().zip(canvases).zip(&mut self.tasks) {
             // Its memory serves the next step of this place.
             self.own.swap_splats(&mut task.splats);
-            let mut dealt = canvas.deal(self.own.begin_step(step)?, &mut task.sent);
+            let mut of_view = canvas.deal(self.own.begin_step(step)?, &mut task.dealt);
             for rank in canvas.drawers() {
-                parts[rank] = std::mem::take(&mut dealt[rank]);
+                parts[rank] = std::mem::take(&mut of_view[rank]);
             }
             self.own.swap_splats(&mut task.splats);
         }
@@ -117,7 +118,7 @@ impl ClusterBackend {
     fn finish(&mut self, steps: &[TrainStep], parts: &mut [Reader<'_>]) {
         let share = self.share();
         for (step, task) in steps.iter().zip(&mut self.tasks) {
-            self.drawing.add(&task.splats, &task.sent, parts, step.statistics.density);
+            self.drawing.add(&task.splats, &task.dealt, parts, step.statistics.density);
             self.own.swap_splats(&mut task.splats);
             self.own.finish_step(step, &self.drawing.gradients, share);
             self.own.swap_splats(&mut task.splats);

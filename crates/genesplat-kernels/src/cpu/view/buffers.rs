@@ -15,6 +15,7 @@ use crate::cpu::blend::rasterise::{TileImage, compose, rasterise};
 use crate::cpu::blend::rasterise_backward::rasterise_backward;
 use crate::cpu::bytes_of;
 use crate::cpu::loss::{Target, loss};
+use crate::cpu::simd::prefetch;
 
 /// Seconds spent in each stage since the counters were last taken.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -91,6 +92,13 @@ impl ViewBuffers {
         let start = Instant::now();
         rasterise_backward(level, self, view, signal);
         self.seconds.rasterise_backward += start.elapsed().as_secs_f64();
+    }
+
+    /// Asks the machine to bring the gradient rows of a splat near, if there is one.
+    pub fn prefetch_gradient_rows(&self, splat: usize) {
+        if splat < self.splats.capacity() {
+            self.gradient_rows_of(splat).for_each(prefetch);
+        }
     }
 
     /// Gradient rows of one splat, by tile.

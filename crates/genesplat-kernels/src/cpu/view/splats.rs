@@ -92,9 +92,15 @@ impl Splats {
         bytes_of(&self.slots) + bytes_of(&self.counts) + bytes_of(&self.seen)
     }
 
-    /// Makes these the splats, in this order.
-    pub fn fill(&mut self, splats: impl Iterator<Item = Splat>) {
+    /// Makes room for others.
+    pub fn clear(&mut self) {
         self.slots.clear();
+        self.counts.clear();
+        self.seen.clear();
+    }
+
+    /// Appends splats to ones that were appended.
+    pub fn extend(&mut self, splats: impl Iterator<Item = Splat>) {
         self.slots.extend(splats);
         self.counts.resize(self.slots.len().div_ceil(CHUNK), 0);
         let last = self.slots.len() % CHUNK;
@@ -102,7 +108,6 @@ impl Splats {
         if let Some(count) = self.counts.last_mut().filter(|_| last > 0) {
             *count = last as u32;
         }
-        self.seen.clear();
     }
 
     /// Makes slots for `rows` rows.
