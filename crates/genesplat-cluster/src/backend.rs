@@ -237,6 +237,7 @@ impl Backend for ClusterBackend {
         write(&self.own, 0..0, &mut out);
         Reader::new(&out.words).state(&mut state);
         self.collect(write, |mut part| part.state(&mut state))?;
+        state.moments = std::mem::take(&mut state.moments).or_zeros(state.cloud.len());
         Ok(state)
     }
 
@@ -286,6 +287,12 @@ impl Backend for ClusterBackend {
         let undone = std::mem::take(&mut self.queue).len();
         self.free()?;
         Ok(undone)
+    }
+
+    fn end_training(&mut self) -> Result<(), BackendError> {
+        self.settle()?;
+        self.free()?;
+        self.own.end_training()
     }
 
     fn report(&mut self) -> Result<StepReport, BackendError> {

@@ -307,6 +307,11 @@ pub trait Backend {
     /// and returns how many these are. Frees what can be made again, so that downloads fit.
     fn discard_queued_steps(&mut self) -> Result<usize, BackendError>;
 
+    /// No step comes after this: may free the optimiser's moments and the averages, which are those of a new cloud then.
+    fn end_training(&mut self) -> Result<(), BackendError> {
+        Ok(())
+    }
+
     /// Sums since the last reset `[N]`.
     fn statistics(&mut self) -> Result<Statistics, BackendError>;
 

@@ -224,6 +224,11 @@ impl Moments {
         zero
     }
 
+    /// These, or no history for `n` rows where there are none.
+    pub fn or_zeros(self, n: usize) -> Self {
+        if self.first.is_empty() { Self::zeros(n) } else { self }
+    }
+
     /// Each column has one row for each of `n` Gaussians, or none where nothing is pending.
     pub fn is_consistent(&self, n: usize) -> bool {
         let fits = |values: &Gaussians| values.is_consistent() && values.len() == n;

@@ -135,7 +135,7 @@ impl Backend for CpuBackend {
         self.ensure_state()?;
         Ok(DeviceState {
             cloud: self.cloud.clone(),
-            moments: self.moments.clone(),
+            moments: self.moments.clone().or_zeros(self.cloud.len()),
             statistics: self.statistics.clone(),
             averages: self.averages.clone(),
         })
@@ -177,6 +177,11 @@ impl Backend for CpuBackend {
     fn discard_queued_steps(&mut self) -> Result<usize, BackendError> {
         (self.buffers, self.scorer) = Default::default();
         Ok(0)
+    }
+
+    fn end_training(&mut self) -> Result<(), BackendError> {
+        (self.moments, self.averages, self.buffers, self.scorer) = Default::default();
+        Ok(())
     }
 
     fn report(&mut self) -> Result<StepReport, BackendError> {

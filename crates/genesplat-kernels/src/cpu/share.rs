@@ -60,7 +60,7 @@ impl CpuBackend {
     /// Takes what [`Self::take_state`] has handed over, or some other rows of it.
     pub fn put_state(&mut self, state: DeviceState) {
         let DeviceState { cloud, moments, statistics, averages } = state;
-        self.moments = if moments.first.is_empty() { Moments::zeros(cloud.len()) } else { moments };
+        self.moments = moments.or_zeros(cloud.len());
         (self.cloud, self.statistics, self.averages) = (cloud, statistics, averages);
         self.grow_statistics(StatisticsRequest::default());
     }

@@ -219,7 +219,7 @@ impl<'a> Trainer<'a> {
 
     /// The result of a run that reached its end, or was stopped at `checkpoint`.
     pub(crate) fn finish(mut self, checkpoint: Option<Box<Checkpoint>>) -> Result<Outcome, TrainError> {
-        let cloud = match self.best_so_far() {
+        let cloud = match self.best_so_far(checkpoint.is_none()) {
             // The run is lost, but not what it can be resumed from, unless that is as ill.
             Err(error) => {
                 let ill = matches!(error, TrainError::Backend(BackendError::NonFinite { .. }));
@@ -247,7 +247,10 @@ impl<'a> Trainer<'a> {
 
     /// The cloud, which the device holds, too. Of a run that was stopped while a renewal was on trial it is the state
     /// before the trial where that has the higher guard PSNR; a resumed run goes on with the trial.
-    fn best_so_far(&mut self) -> Result<Gaussians, TrainError> {
+    fn best_so_far(&mut self, is_over: bool) -> Result<Gaussians, TrainError> {
+        if is_over {
+            self.backend.end_training()?;
+        }
         if let Some(cloud) = self.better_before_trial()? {
             self.backend.upload(cloud.into())?;
         }
