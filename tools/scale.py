@@ -4,8 +4,8 @@
     python tools/scale.py tables                           # the tables of docs/scale.md, from that file
     python tools/scale.py check                            # fails where that page has others
 
-GENESPLAT is built with --features mpi, FOX is shared/data/fox; numpy is needed. A rank has one thread. No number is
-fitted to runs of three and four ranks: they check the model.
+GENESPLAT is built with --features mpi, FOX is shared/data/fox; numpy is needed. A rank has one thread; one process with
+two is measured beside two ranks. No number is fitted to runs of three and four ranks: they check the model.
 """
 
 import json
@@ -73,11 +73,11 @@ def repeated(fox, folder, gaussians):
             out.write(struct.pack("<Q3d", index + 1, *place) + point[24:27] + struct.pack("<dQ", 0.5, 0))
 
 
-def run(genesplat, scene, out, ranks, side, views, iterations):
+def run(genesplat, scene, out, ranks, side, views, iterations, threads=1):
     """One run: seconds a photo, MB a step, and what its photos show."""
     if not (out / "metrics.json").exists():
         options = f"--iterations {iterations} --max-side {side} --views-per-step {views} --evolve off --checkpoint-every 0"
-        command = [str(genesplat), "train", str(scene), "--out", str(out), "--threads", "1", *options.split()]
+        command = [str(genesplat), "train", str(scene), "--out", str(out), "--threads", str(threads), *options.split()]
         command += ["--device", "cpu", "--seed", "0", "--train-on-all", "--no-lpips"]
         if ranks > 1:
             start = ["mpirun", "-n", str(ranks), "--bind-to", "none", "--oversubscribe"]
@@ -115,21 +115,30 @@ def stages(genesplat, fox, folder):
     ]
 
 
+def processor():
+    """Its name, and the widest vectors that kernels may use."""
+    text = Path("/proc/cpuinfo").read_text()
+    name = re.search(r"model name\s*: (.*)", text)
+    vectors = [word for word, flag in [("AVX-512", "avx512f"), ("AVX2", "avx2")] if flag in text.split()]
+    return ", ".join([name[1] if name else "an unknown kind", *vectors[:1]])
+
+
 def measure(genesplat, fox, folder):
     folder.mkdir(parents=True, exist_ok=True)
-    runs, alone = [], stages(genesplat, fox, folder)
+    runs, together, alone = [], [], stages(genesplat, fox, folder)
     for gaussians, side, views, iterations in WORKLOADS:
         scene = folder / f"scene-{gaussians}"
         repeated(fox, scene, gaussians)
-        for ranks in RANKS:
-            out = [folder / f"run-{gaussians}-{side}-{views}-{ranks}-{nth}" for nth in range(REPEATS)]
-            size = {"side": side, "width": round(side * 9 / 16), "height": side, "views": views}
-            all_runs = [run(genesplat, scene, each, ranks, side, views, iterations) for each in out]
-            runs.append(size | min(all_runs, key=lambda each: each["seconds"]))
-            print(runs[-1], flush=True)
+        size = {"side": side, "width": round(side * 9 / 16), "height": side, "views": views}
+        for found, ranks, threads in [(together, 1, 2)] + [(runs, ranks, 1) for ranks in RANKS]:
+            out = [folder / f"run-{gaussians}-{side}-{views}-{ranks}-{threads}-{nth}" for nth in range(REPEATS)]
+            all_runs = [run(genesplat, scene, each, ranks, side, views, iterations, threads) for each in out]
+            found.append(size | min(all_runs, key=lambda each: each["seconds"]))
+            print(found[-1], flush=True)
     commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], cwd=ROOT, capture_output=True, text=True).stdout.strip()
     cores = len(os.sched_getaffinity(0))
-    FIGURES.write_text(json.dumps({"commit": commit, "cores": cores, "stages": alone, "runs": runs}, indent=1) + "\n")
+    figures = {"commit": commit, "cores": cores, "machine": f"{cores} cores of {processor()}", "stages": alone, "runs": runs, "two_threads": together}
+    FIGURES.write_text(json.dumps(figures, indent=1) + "\n")
 
 
 # --- the model ---------------------------------------------------------------------------------------------------------------
@@ -167,11 +176,6 @@ def sent(load, ranks, near):
     return splats, load["visible"] * part * (1 + crossed * max(tiles / 2, 1.0))
 
 
-def dealt(load, ranks):
-    """Splats that are written into messages and read from them, those that stay among them."""
-    return load["visible"] * (1 + crossings(load, drawers(load, ranks) - 1))
-
-
 def traffic(load, ranks, near):
     """Bytes of one photo between all ranks."""
     splats, rows = sent(load, ranks, near)
@@ -193,7 +197,7 @@ def photo_seconds(load, ranks, unit, cores=None, network=None):
     """Seconds of a photo: on the processor, of bytes, and of waiting for messages. Without a network memory is one."""
     gaussians, intersections, pixels = np.multiply(work(load), unit["work"])
     own = gaussians / ranks + (intersections + pixels) / ranks * imbalance(load, ranks)
-    busy = own + (unit["dealt"] * dealt(load, ranks) / ranks if ranks > 1 else 0.0)
+    busy = own + unit["sent"] * sent(load, ranks, unit["near"])[0] / ranks
     busy *= turns(ranks / cores) if cores else 1.0
     if ranks == 1:
         return busy, 0.0, 0.0
@@ -214,14 +218,14 @@ def fitted(figures):
     rows, seconds = np.array([work(run) for run in one]), np.array([run["seconds"] for run in one])
     held = np.diag(HOLD / alone)
     costs = np.linalg.lstsq(np.vstack([rows / seconds[:, None], held]), np.append(np.ones(len(one)), [HOLD] * 3), rcond=None)[0]
-    unit = {"work": costs, "dealt": 0.0, "exchange": 0.0}
+    unit = {"work": costs, "sent": 0.0, "exchange": 0.0, "near": 1.0}
     two = [run for run in runs if run["ranks"] == 2]
     banded = [run for run in two if run["views"] == 1]
     unit["near"] = float(np.median([1e6 * run["megabytes"] / traffic(run, 2, 1.0) for run in banded]))
     left = np.array([run["seconds"] - sum(photo_seconds(run, 2, unit)) for run in two])
-    columns = np.array([[dealt(run, 2) / 2, EXCHANGES / min(run["views"], 2)] for run in two])
+    columns = np.array([[sent(run, 2, unit["near"])[0] / 2, EXCHANGES / min(run["views"], 2)] for run in two])
     scale = np.array([run["seconds"] for run in two])
-    unit["dealt"], unit["exchange"] = nonnegative(columns / scale[:, None], left / scale)
+    unit["sent"], unit["exchange"] = nonnegative(columns / scale[:, None], left / scale)
     return unit
 
 
@@ -279,7 +283,7 @@ def in_units(seconds):
 
 
 def checked(figures, unit):
-    lines = [f"Commit `{figures['commit']}`, machine A's {figures['cores']} cores, idle:", ""]
+    lines = [f"Commit `{figures['commit']}`, {figures['machine']}, idle:", ""]
     lines += ["| Gaussians | side, px | photos a step | ranks | measured | model | ratio | MB a photo | model |"]
     lines += ["|---|---|---|---|---|---|---|---|---|"]
     for run in figures["runs"]:
@@ -292,11 +296,21 @@ def checked(figures, unit):
     return lines
 
 
+def beside_threads(figures):
+    lines = ["| Gaussians | side, px | photos a step | two threads | two ranks | speed |", "|---|---|---|---|---|---|"]
+    two_ranks = [run for run in figures["runs"] if run["ranks"] == 2]
+    for one, two in zip(figures["two_threads"], two_ranks, strict=True):
+        seconds = [one["seconds"], two["seconds"]]
+        shown = [f"{two['gaussians']:,.0f}", two["side"], two["views"], *map(in_units, seconds), f"{seconds[0] / seconds[1]:.2f}"]
+        lines.append("| " + " | ".join(map(str, shown)) + " |")
+    return lines
+
+
 def units(unit):
     names = ["a Gaussian (projected, stepped)", "an intersection", "a pixel"]
     lines = ["| what | one thread |", "|---|---|"]
     lines += [f"| {name} | {1e9 * cost:.0f} ns |" for name, cost in zip(names, unit["work"])]
-    lines += [f"| a splat dealt to a band, and its sums back | {1e9 * unit['dealt']:.0f} ns |"]
+    lines += [f"| a splat sent to another rank, and its sums back | {1e9 * unit['sent']:.0f} ns |"]
     lines += [f"| an exchange within this machine | {1e6 * unit['exchange']:.0f} µs |"]
     return lines + [f"| splats that leave their rank with two bands, of those that would by chance | {100 * unit['near']:.0f} % |"]
 
@@ -306,7 +320,7 @@ def speeds(unit):
     ranks = [1, 4, 16, 64, 256, 1024]
     lines = ["| network | Gaussians | photos a step | " + " | ".join(f"{n}" for n in ranks) + " |"]
     lines += ["|---|---|---|" + "---|" * len(ranks)]
-    unit = unit | {"work": unit["work"] / SOCKET, "dealt": unit["dealt"] / SOCKET}
+    unit = unit | {"work": unit["work"] / SOCKET, "sent": unit["sent"] / SOCKET}
     for name, network in NETWORKS.items():
         for gaussians in [1e6, 1e7, 1e8]:
             for views in [1, 16, 64]:
@@ -335,6 +349,7 @@ def tables(check=False):
     unit, page = fitted(figures), PAGE.read_text()
     old = page
     made = {"checked": checked(figures, unit), "units": units(unit), "speeds": speeds(unit), "memory": memories()}
+    made["beside threads"] = beside_threads(figures)
     for name, lines in made.items():
         begin, end = f"<!-- scale: {name} -->", "<!-- /scale -->"
         before, rest = page.split(begin, 1)
