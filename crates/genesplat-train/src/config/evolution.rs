@@ -120,8 +120,13 @@ pub struct RenewalConfig {
     /// 2 · √photos, or those of one photo over 0.3, whichever is less. A lower `max_gaussians` counts. Default 1; 0 for
     /// no such limit.
     pub capacity: f64,
-    /// The cloud approaches its limit, whoever set it, evenly over density control, not as fast as gradients ask; with
-    /// `mcmc`, by `mcmc.growth` all the same. Default true.
+    /// The cloud grows by selection, as Improved-GS's does: parents are drawn by the edges that they stand for, and what
+    /// recovers slowly from an opacity reset goes. Settings that count iterations are then those of a run of 30,000, and
+    /// scaled to the run. Default true; false for the variant's own density control below the same limit. (`pixel-gs`,
+    /// `mcmc` and a `densify.signal` of one's own have that in any case.)
+    pub selection: bool,
+    /// The cloud approaches its limit, whoever set it, evenly over density control, not as fast as gradients ask or along
+    /// Improved-GS's root; with `mcmc`, by `mcmc.growth` all the same. Default true.
     pub even_growth: bool,
     /// None is pruned for its size: its contribution decides. Default true.
     pub spare_large: bool,
@@ -136,6 +141,7 @@ impl Default for RenewalConfig {
             every: 0.05,
             until: None,
             capacity: 1.0,
+            selection: true,
             even_growth: true,
             spare_large: true,
             averaging: true,

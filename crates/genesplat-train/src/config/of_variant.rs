@@ -1,8 +1,19 @@
-//! Settings whose defaults hang on the variant.
+//! Who decides where Gaussians are added and removed, and the settings whose defaults hang on that.
 
-use super::{Signal, TrainConfig, Variant};
+use super::{EvolutionMode, Signal, TrainConfig, Variant};
 
-/// The defaults of a variant.
+/// Who decides where Gaussians are added and removed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum DensityControl {
+    /// 3DGS: clone, split, prune ([`crate::densify::adaptive`]).
+    Adaptive,
+    /// 3DGS-MCMC: relocate and add ([`crate::densify::mcmc`]).
+    Mcmc,
+    /// Selection: Improved-GS's, which mode `renew` takes over ([`crate::densify::improved`]).
+    Selection,
+}
+
+/// The defaults of a density control.
 struct Defaults {
     /// Rates of positions at the start and at the end, in scene extents.
     position_rates: [f64; 2],
@@ -14,14 +25,14 @@ struct Defaults {
     renew_until: f64,
 }
 
-const OF_3DGS: Defaults = Defaults {
+const OF_OTHERS: Defaults = Defaults {
     position_rates: [1.6e-4, 1.6e-6],
     opacity_rate: 0.05,
     reset_opacity: 0.01,
     gradient_threshold: 2e-4,
     renew_until: 0.75,
 };
-const OF_IMPROVED_GS: Defaults = Defaults {
+const OF_SELECTION: Defaults = Defaults {
     position_rates: [4e-5, 2e-6],
     opacity_rate: 0.025,
     reset_opacity: 0.05,
@@ -30,8 +41,23 @@ const OF_IMPROVED_GS: Defaults = Defaults {
 };
 
 impl TrainConfig {
+    /// Who decides where Gaussians are added and removed. (Pixel-GS differs from 3DGS in nothing but its density signal,
+    /// and a signal that is asked for has a use in adaptive control alone.)
+    pub fn density_control(&self) -> DensityControl {
+        let evolution = &self.evolution;
+        let selects = evolution.mode == EvolutionMode::Renew && evolution.renewal.selection;
+        match self.variant {
+            Variant::ImprovedGs => DensityControl::Selection,
+            Variant::Mcmc => DensityControl::Mcmc,
+            Variant::ThreeDgs | Variant::MipSplatting if selects && self.densify.signal == Signal::Published => {
+                DensityControl::Selection
+            }
+            Variant::ThreeDgs | Variant::MipSplatting | Variant::PixelGs => DensityControl::Adaptive,
+        }
+    }
+
     fn defaults(&self) -> &'static Defaults {
-        if self.variant == Variant::ImprovedGs { &OF_IMPROVED_GS } else { &OF_3DGS }
+        if self.density_control() == DensityControl::Selection { &OF_SELECTION } else { &OF_OTHERS }
     }
 
     /// Rates of positions at the start and at the end, in scene extents.

@@ -5,7 +5,7 @@ use std::fmt;
 use genesplat_core::spherical_harmonics::SH_DEGREE_MAX;
 
 use super::density::RECOVERED_OPACITY;
-use super::{EvolutionMode, Signal, StepBudget, TrainConfig, Variant};
+use super::{DensityControl, EvolutionMode, Signal, StepBudget, TrainConfig, Variant};
 
 /// Integers of a TOML file end here.
 const TOML_END: u64 = 1 << 63;
@@ -125,8 +125,8 @@ impl TrainConfig {
         let survives = densify.prune_opacity < self.reset_opacity();
         let wanted = "below densify.reset_opacity, or each reset empties the cloud";
         check("densify.prune_opacity", densify.prune_opacity, survives, wanted)?;
-        let recovers = self.variant != Variant::ImprovedGs || self.reset_opacity() > RECOVERED_OPACITY;
-        let wanted = "above 0.02 with improved-gs, which prunes what is fainter soon after each reset";
+        let recovers = self.density_control() != DensityControl::Selection || self.reset_opacity() > RECOVERED_OPACITY;
+        let wanted = "above 0.02 with improved-gs or renew, which prune what is fainter soon after each reset";
         check("densify.reset_opacity", self.reset_opacity(), recovers, wanted)?;
         let is_alone = evolution.extra_steps.is_none() || evolution.mode == EvolutionMode::Off;
         let wanted = "left out unless evolution.mode is off: it is a control";

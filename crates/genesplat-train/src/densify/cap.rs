@@ -2,7 +2,7 @@
 
 use genesplat_core::View;
 
-use crate::config::{EvolutionMode, TrainConfig, Variant};
+use crate::config::{DensityControl, EvolutionMode, TrainConfig};
 use crate::densify::{improved, mcmc};
 
 /// Training pixels that count to each Gaussian, for each of √(number of photos), since photos show the same things.
@@ -14,7 +14,7 @@ const PHOTO_PIXELS: f64 = 0.3;
 /// The most Gaussians that density control may grow to, by who says so.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Cap {
-    /// The user's limit or the variant's own.
+    /// The user's limit or that of the density control.
     own: Option<usize>,
     /// What the photos can determine, with `evolution.renewal.capacity`: with more, a cloud learns photos by heart.
     from_photos: Option<usize>,
@@ -22,15 +22,15 @@ pub(crate) struct Cap {
 
 impl Cap {
     pub(crate) fn new(config: &TrainConfig, views: &[View]) -> Self {
-        let of_variant = match config.variant {
-            Variant::Mcmc => Some(mcmc::DEFAULT_CAP),
-            Variant::ImprovedGs => Some(improved::DEFAULT_CAP),
-            Variant::ThreeDgs | Variant::PixelGs | Variant::MipSplatting => None,
+        let of_control = match config.density_control() {
+            DensityControl::Mcmc => Some(mcmc::DEFAULT_CAP),
+            DensityControl::Selection => Some(improved::DEFAULT_CAP),
+            DensityControl::Adaptive => None,
         };
         let (mode, capacity) = (config.evolution.mode, config.evolution.renewal.capacity);
         let is_limited = mode == EvolutionMode::Renew && capacity > 0.0;
         let from_photos = is_limited.then(|| cap_from_photos(views, capacity));
-        Self { own: config.max_gaussians.or(of_variant), from_photos }
+        Self { own: config.max_gaussians.or(of_control), from_photos }
     }
 
     /// The lower of the two.
@@ -82,6 +82,7 @@ mod tests {
     use genesplat_core::{Camera, Photo};
 
     use super::*;
+    use crate::config::Variant;
 
     #[test]
     fn the_lower_of_the_limits_counts() {
@@ -100,7 +101,8 @@ mod tests {
         assert_eq!(cap(renew, Variant::ThreeDgs, Some(500), 1.0), Some(500));
         assert_eq!(cap(renew, Variant::Mcmc, None, 1.0), Some(900));
         assert_eq!(cap(renew, Variant::Mcmc, None, 1e9), Some(mcmc::DEFAULT_CAP));
-        assert_eq!(cap(renew, Variant::ThreeDgs, None, 0.0), None);
+        assert_eq!(cap(renew, Variant::ThreeDgs, None, 0.0), Some(improved::DEFAULT_CAP));
+        assert_eq!(cap(renew, Variant::PixelGs, None, 0.0), None);
         assert_eq!(cap(off, Variant::ThreeDgs, None, 1.0), None);
         assert_eq!(cap(off, Variant::Mcmc, None, 1.0), Some(mcmc::DEFAULT_CAP));
         assert_eq!(cap(off, Variant::ImprovedGs, None, 1.0), Some(1_000_000));

@@ -11,7 +11,7 @@ pub(crate) mod renew;
 
 use genesplat_core::{DensitySignal, RowEdit};
 
-use crate::config::{Signal, TrainConfig, Variant};
+use crate::config::{DensityControl, Signal, TrainConfig, Variant};
 use crate::run::TrainError;
 use crate::run::trainer::Trainer;
 
@@ -45,17 +45,19 @@ impl Plan {
 impl Trainer<'_> {
     /// Decides the densification of iteration `i` by the variant's strategy.
     pub(crate) fn plan_densification(&mut self, i: u32) -> Result<Plan, TrainError> {
-        if self.config.variant == Variant::Mcmc {
-            let (min_opacity, growth) = (mcmc::MIN_OPACITY, self.config.mcmc.growth);
-            let cap = self.cap.get().expect("MCMC always has a limit");
-            let rules = mcmc::Rules { min_opacity, growth, cap };
-            return Ok(mcmc::plan(&self.healthy_genes()?, &rules, self.rng, i));
+        match self.config.density_control() {
+            DensityControl::Adaptive => {
+                let (rules, statistics) = (self.adaptive_rules(i), self.backend.statistics()?);
+                Ok(adaptive::plan(&statistics, &self.healthy_genes()?, &rules, self.rng, i))
+            }
+            DensityControl::Mcmc => Ok(mcmc::plan(&self.healthy_genes()?, &self.mcmc_rules(), self.rng, i)),
+            DensityControl::Selection => self.plan_improved(i),
         }
-        if self.config.variant == Variant::ImprovedGs {
-            return self.plan_improved(i);
-        }
-        let (rules, statistics) = (self.adaptive_rules(i), self.backend.statistics()?);
-        Ok(adaptive::plan(&statistics, &self.healthy_genes()?, &rules, self.rng, i))
+    }
+
+    fn mcmc_rules(&self) -> mcmc::Rules {
+        let cap = self.cap.get().expect("MCMC always has a limit");
+        mcmc::Rules { min_opacity: mcmc::MIN_OPACITY, growth: self.config.mcmc.growth, cap }
     }
 
     /// Thresholds of adaptive density control in iteration `i`, in world units.
@@ -78,14 +80,14 @@ impl Trainer<'_> {
 /// Pixel-GS weights each view by the pixels blended, and scales gradients near the camera by `min(1, (z / (0.37 ·
 /// extent))²)` where that would grow floaters (Zhang et al., "Pixel-GS", ECCV 2024).
 pub fn signal(config: &TrainConfig, extent: f64) -> Option<DensitySignal> {
-    match (config.variant, config.densify.signal) {
-        (Variant::Mcmc, _) => None,
-        (Variant::ImprovedGs, _) => Some(DensitySignal::Absolute),
-        (Variant::PixelGs, _) => {
+    match (config.density_control(), config.densify.signal) {
+        (DensityControl::Mcmc, _) => None,
+        (DensityControl::Selection, _) => Some(DensitySignal::Absolute),
+        (DensityControl::Adaptive, _) if config.variant == Variant::PixelGs => {
             Some(DensitySignal::PixelWeighted { depth_threshold: (PIXEL_GS_DEPTH * extent) as f32 })
         }
-        (_, Signal::Published) => Some(DensitySignal::Signed),
-        (_, Signal::Absolute) => Some(DensitySignal::Absolute),
-        (_, Signal::Gof) => Some(DensitySignal::SignedAndAbsolute),
+        (DensityControl::Adaptive, Signal::Published) => Some(DensitySignal::Signed),
+        (DensityControl::Adaptive, Signal::Absolute) => Some(DensitySignal::Absolute),
+        (DensityControl::Adaptive, Signal::Gof) => Some(DensitySignal::SignedAndAbsolute),
     }
 }

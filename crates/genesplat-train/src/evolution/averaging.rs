@@ -1,11 +1,8 @@
-//! Weight averaging: at the end of each window, a mean of its states replaces the last one where guard views find it
+//! Weight averaging: at the end of each window, the mean of its states replaces the last one where guard views find it
 //! better.
 //!
-//! Adam's steps on single views keep every parameter in motion around its optimum, while much still drifts, slowly. The
-//! mean of a window's states is free of that noise, and the line from the mean of the older half to that of the younger
-//! one points where the run is going. Two blends are tried: the plain mean, and one near it that goes some way along
-//! the line. (Izmailov et al., "Averaging weights leads to wider optima and better generalization", 2018; Zhang et al.,
-//! "Lookahead optimizer", 2019.)
+//! Adam's steps on single views keep every parameter in motion around its optimum; the mean of many states is free of that
+//! noise. (Izmailov et al., "Averaging weights leads to wider optima and better generalization", 2018.)
 
 use std::time::Instant;
 
@@ -18,18 +15,9 @@ use crate::run::TrainError;
 use crate::run::observe::{GenerationLog, StageKind, StageRecord};
 use crate::run::trainer::Trainer;
 
-/// The blends that guards choose from: how far towards the mean of all states, and how far along the line of the two
-/// halves.
-const CANDIDATES: [(f64, f64); 2] = [(0.8, 0.6), (1.0, 0.0)];
-
-/// The cloud moved by `mean` of its way to the window's mean, and by `line` of the way from the older half to the
-/// younger one. Where a half has no states, the other one is the mean.
-fn blend((mean, line): (f64, f64), has_states: [bool; WINDOW_HALVES]) -> Blend {
-    let weights = match has_states {
-        [true, true] => [(0.5 * mean - line) as f32, (0.5 * mean + line) as f32],
-        _ => [mean as f32; WINDOW_HALVES],
-    };
-    Blend { weights }
+/// The mean of a window's states. Where a half has none, the other one is the mean.
+fn mean(has_states: [bool; WINDOW_HALVES]) -> Blend {
+    Blend { weights: if has_states == [true, true] { [0.5; WINDOW_HALVES] } else { [1.0; WINDOW_HALVES] } }
 }
 
 /// The end of one window.
@@ -67,28 +55,26 @@ impl Stage for WeightAveraging {
         self.is_done
     }
 
-    /// Guards choose between the cloud and the candidates.
+    /// Guards choose between the cloud and the mean.
     fn next(&mut self, trainer: &mut Trainer, record: &mut StageRecord) -> Result<(), TrainError> {
-        let candidates = CANDIDATES.map(|genome| blend(genome, self.has_states));
-        let losses = trainer.backend.measure(&candidates, &self.guards, &self.settings)?;
-        let scores: Vec<GuardScore> = losses.chunks_exact(self.guards.len()).map(GuardScore::of).collect();
-        let mut best = self.before;
-        for (&candidate, score) in candidates.iter().zip(&scores) {
-            if score.improves(&best) {
-                (self.chosen, best) = (candidate, *score);
-            }
+        let candidate = mean(self.has_states);
+        let score = GuardScore::of(&trainer.backend.measure(&[candidate], &self.guards, &self.settings)?);
+        let is_better = score.improves(&self.before);
+        let stays = if is_better { score } else { self.before };
+        if is_better {
+            self.chosen = candidate;
         }
         self.is_done = true;
-        record.renders += ((candidates.len() + 1) * self.guards.len()) as u64;
-        record.fitness_after = best.loss;
-        record.guard_psnr = Some([self.before.psnr, best.psnr]);
+        // The guards of the cloud and those of the mean.
+        record.renders += 2 * self.guards.len() as u64;
+        record.fitness_after = stays.loss;
+        record.guard_psnr = Some([self.before.psnr, stays.psnr]);
         record.seconds = self.begun.elapsed().as_secs_f64();
-        record.changed = if self.chosen == Blend::default() { 0 } else { trainer.backend.gaussian_count() };
-        let fittest = scores.iter().min_by(|a, b| a.loss.total_cmp(&b.loss));
+        record.changed = if is_better { trainer.backend.gaussian_count() } else { 0 };
         trainer.observer.on_generation(&GenerationLog {
             accepted: Some(record.changed),
-            guard_psnr: fittest.map(|score| score.psnr),
-            ..GenerationLog::of(record, fittest.map(|score| score.loss))
+            guard_psnr: Some(score.psnr),
+            ..GenerationLog::of(record, Some(score.loss))
         });
         Ok(())
     }
@@ -98,19 +84,5 @@ impl Stage for WeightAveraging {
         trainer.backend.blend(&self.chosen)?;
         trainer.averaged = [0; WINDOW_HALVES];
         Ok(())
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_blend_is_the_mean_and_a_way_along_the_line() {
-        let (both, younger) = ([true, true], [false, true]);
-        assert_eq!(blend((1.0, 0.0), both).weights, [0.5, 0.5], "the mean of all states");
-        assert_eq!(blend((1.0, 0.5), both).weights, [0.0, 1.0], "the younger half");
-        assert_eq!(blend((0.0, 0.0), both), Blend::default(), "the cloud");
-        assert_eq!(blend((0.8, 0.6), younger).weights[1], 0.8, "one half alone has no line");
     }
 }

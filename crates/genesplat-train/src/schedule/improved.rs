@@ -31,10 +31,11 @@ impl ImprovedSteps {
 }
 
 impl Schedule {
-    /// Views whose gradients a step of the optimiser has in iteration `i`; it is made where this divides `i`.
+    /// Views whose gradients a step of the optimiser has in iteration `i`; it is made where this divides `i`. (Weight
+    /// averaging takes the noise out of late steps of one view.)
     pub(super) fn views_of_a_step(&self, i: u32) -> u32 {
         let late = self.improved.steps.iter().rfind(|(after, _)| i > *after);
-        let late = late.filter(|_| self.config.variant == Variant::ImprovedGs);
+        let late = late.filter(|_| self.config.variant == Variant::ImprovedGs && self.window().is_none());
         late.map_or(1, |&(_, views)| views).max(self.config.views_per_step)
     }
 
@@ -47,7 +48,8 @@ impl Schedule {
 
     /// Fraction of the budget that there may be after the densification of iteration `i`.
     pub(crate) fn budget(&self, i: u32) -> f64 {
-        self.ramp(i).clamp(0.0, 1.0).sqrt()
+        let ramp = self.ramp(i).clamp(0.0, 1.0);
+        if self.grows_evenly() { ramp } else { ramp.sqrt() }
     }
 
     /// The budget was full before iteration `i`.

@@ -10,11 +10,14 @@ use serde::{Deserialize, Serialize};
 use improved::ImprovedSteps;
 pub use optimiser_step::OptimiserStep;
 
-use crate::config::{Background, EvolutionMode, TrainConfig, Trigger, Variant};
+use crate::config::{Background, DensityControl, EvolutionMode, TrainConfig, Trigger, Variant};
 
 /// `steps_scale` makes no interval shorter than this, or than it was if that is less. Density control reads statistics of
 /// some hundred views; over fewer than a scene's photos it grows what the next photos do not need.
 pub(crate) const SCALED_INTERVAL_MIN: u32 = 100;
+
+/// Length of the run that published settings are made for.
+const PUBLISHED_ITERATIONS: f64 = 30_000.0;
 
 /// A run that is made to densify more often than this makes the optimiser steps that the reference would lose: if every
 /// iteration lost one, it would never learn anything.
@@ -39,8 +42,11 @@ const WHITE_RESET_AT: u32 = 500;
 /// Training views that contributions are measured on, at most, as a fraction of the run's steps.
 const CONTRIBUTION_VIEWS: f64 = 0.02;
 
-/// States that a window averages; more where they do not divide it.
+/// States between two renewals, or where they would be, that a window averages; more where they do not divide it.
 const WINDOW_STATES: u32 = 10;
+
+/// Last fraction of a run without renewals whose states are averaged: rows have had a tenth to settle after growth.
+const LAST_WINDOW: f64 = 0.4;
 
 /// A part of an iteration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -92,6 +98,8 @@ pub struct Schedule {
     pub iterations: u32,
     /// Iterations between two rises of the spherical harmonics' degree.
     sh_every: u32,
+    /// Iteration of the additional reset with a white background.
+    white_reset_at: u32,
     /// Iterations over which the position rate decays.
     position_steps: u32,
     /// Densification starts after this iteration.
@@ -110,6 +118,8 @@ pub struct Schedule {
     pub renew_every: Option<u32>,
     /// The last renewal is begun at or before this iteration.
     pub renew_until: u32,
+    /// Rows are replaced in the second half of the run.
+    has_renewals: bool,
     /// What is Improved-GS's own.
     improved: ImprovedSteps,
     /// Iteration of the last evolution stage or control; 0 for none.
@@ -119,11 +129,14 @@ pub struct Schedule {
 impl Schedule {
     /// The schedule of a valid configuration: steps scaled once, here.
     pub(crate) fn new(config: TrainConfig) -> Self {
-        let scaled = |steps: u32| (f64::from(steps) * config.steps_scale).round() as u32;
+        let renews = config.evolution.mode == EvolutionMode::Renew;
+        let iterations = (f64::from(config.iterations) * config.steps_scale).round().max(1.0);
+        let fits = renews && config.density_control() == DensityControl::Selection;
+        let scale = if fits { iterations / PUBLISHED_ITERATIONS } else { config.steps_scale };
+        let iterations = iterations as u32;
+        let scaled = |steps: u32| (f64::from(steps) * scale).round() as u32;
         let interval = |steps: u32| scaled(steps).max(steps.min(SCALED_INTERVAL_MIN));
         let (densify, renewal) = (&config.densify, &config.evolution.renewal);
-        let iterations = scaled(config.iterations).max(1);
-        let renews = config.evolution.mode == EvolutionMode::Renew;
         let latest = |fraction: f64| if renews { of_run(iterations, fraction) } else { u32::MAX };
         let densify_until = match config.variant {
             Variant::Mcmc => scaled(config.mcmc.until).min(latest(RENEWED_RELOCATION)),
@@ -132,6 +145,7 @@ impl Schedule {
         let mut schedule = Self {
             iterations,
             sh_every: scaled(SH_EVERY).max(1),
+            white_reset_at: scaled(WHITE_RESET_AT).max(1),
             position_steps: scaled(config.optimiser.position_steps).max(1),
             densify_from: scaled(densify.from),
             densify_until,
@@ -141,10 +155,12 @@ impl Schedule {
             reset_until: scaled(densify.until).min(latest(RENEWED_RESETS)),
             renew_every: renews.then(|| of_run(iterations, renewal.every).max(1)),
             renew_until: of_run(iterations, config.renew_until()),
+            has_renewals: false,
             improved: ImprovedSteps::new(scaled, interval),
             last_stage: 0,
             config,
         };
+        schedule.has_renewals = (1..=iterations).any(|i| schedule.renews(i));
         if schedule.has_stages() {
             schedule.last_stage = (1..=iterations).rfind(|&i| schedule.is_stage(i)).unwrap_or(0);
         }
@@ -201,8 +217,7 @@ impl Schedule {
 
     /// Opacities are reset at the end of iteration `i`.
     pub fn is_reset(&self, i: u32) -> bool {
-        let white_reset_at = ((f64::from(WHITE_RESET_AT) * self.config.steps_scale).round() as u32).max(1);
-        let white = self.config.background == Background::White && i == white_reset_at;
+        let white = self.config.background == Background::White && i == self.white_reset_at;
         self.config.variant != Variant::Mcmc
             && (self.is_periodic_reset(i) || white && self.is_before(self.reset_until, i))
     }
@@ -217,17 +232,20 @@ impl Schedule {
     /// Oversized Gaussians are pruned in iteration `i`; with renewal their contribution decides.
     pub fn prunes_by_size(&self, i: u32) -> bool {
         i > self.size_prune_after
-            && self.config.variant != Variant::ImprovedGs
+            && self.config.density_control() != DensityControl::Selection
             && !(self.renew_every.is_some() && self.config.evolution.renewal.spare_large)
     }
 
-    /// Fraction of its limit that the cloud may have reached in iteration `i`. With renewal it grows evenly over
-    /// density control: what is wanted first, of photos that were hardly looked at, is not what is needed most. (MCMC
-    /// does not ask, and Improved-GS has a curve of its own.)
+    /// Fraction of its limit that the cloud may have reached in iteration `i`, with adaptive density control.
     pub fn grown(&self, i: u32) -> f64 {
         let last = self.densify_until.saturating_sub(self.densify_every).max(1);
-        let grows_evenly = self.renew_every.is_some() && self.config.evolution.renewal.even_growth;
-        if grows_evenly { (f64::from(i) / f64::from(last)).min(1.0) } else { 1.0 }
+        if self.grows_evenly() { (f64::from(i) / f64::from(last)).min(1.0) } else { 1.0 }
+    }
+
+    /// With mode `renew` the cloud grows evenly over density control: what is wanted first, of photos that were hardly
+    /// looked at, is not what is needed most, and a small cloud takes less time. (MCMC does not ask.)
+    fn grows_evenly(&self) -> bool {
+        self.renew_every.is_some() && self.config.evolution.renewal.even_growth
     }
 
     /// Evolution stages were asked for, or controls in their place.
@@ -277,16 +295,20 @@ impl Schedule {
         of_run(self.iterations, CONTRIBUTION_VIEWS).max(1) as usize
     }
 
-    /// Iterations of a window of weight averaging, if it runs; the last window ends with the run.
+    /// Iterations of a window of weight averaging, if it runs; the last window ends with the run. Without renewals it is
+    /// the only one.
     fn window(&self) -> Option<u32> {
-        self.renew_every.filter(|_| self.config.evolution.renewal.averaging)
+        let every = self.renew_every.filter(|_| self.config.evolution.renewal.averaging)?;
+        Some(if self.has_renewals { every } else { of_run(self.iterations, LAST_WINDOW).max(1) })
     }
+
 
     /// The state at the end of iteration `i` is one of those that its window averages; the last iteration makes no
     /// step.
     fn is_averaged(&self, i: u32) -> bool {
         self.window().is_some_and(|window| {
-            let is_state = (self.iterations - i).is_multiple_of((window / WINDOW_STATES).max(1));
+            let every = self.renew_every.map_or(1, |every| (every / WINDOW_STATES).max(1));
+            let is_state = (self.iterations - i).is_multiple_of(every);
             is_state && i < self.iterations && self.window_end(window, i).is_some()
         })
     }

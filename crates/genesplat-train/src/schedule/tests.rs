@@ -143,11 +143,19 @@ fn extra_steps_come_where_the_search_would() {
     assert!(!extra.statistics(None, 1).genes, "nobody reads them");
 }
 
-/// Windows are a tenth of the run, and nothing is renewed.
-fn averaging(change: impl FnOnce(&mut TrainConfig)) -> Schedule {
+/// With renewals, since the variant's own density control grows.
+fn renewing(change: impl FnOnce(&mut TrainConfig)) -> Schedule {
     schedule(|config| {
         config.evolution.mode = EvolutionMode::Renew;
-        (config.evolution.renewal.every, config.evolution.renewal.until) = (0.1, Some(0.0));
+        config.evolution.renewal.selection = false;
+        change(config);
+    })
+}
+
+/// Windows are a tenth of the run.
+fn averaging(change: impl FnOnce(&mut TrainConfig)) -> Schedule {
+    renewing(|config| {
+        config.evolution.renewal.every = 0.1;
         change(config);
     })
 }
@@ -156,7 +164,6 @@ fn averaging(change: impl FnOnce(&mut TrainConfig)) -> Schedule {
 fn weight_averaging_comes_at_the_end_of_each_window_in_which_rows_stay() {
     let full = averaging(|_| {});
     assert_eq!(full.stages().count(), 0, "none of the paper's");
-    assert_eq!(iterations_with(&full, Phase::Renew), [] as [u32; 0]);
     assert_eq!(iterations_with(&full, Phase::Average), [18_000, 21_000, 24_000, 27_000, 30_000]);
     let averaged = iterations_with(&full, Phase::AddToAverage);
     // Ten states a window, but for the last step of the run.
@@ -169,8 +176,48 @@ fn weight_averaging_comes_at_the_end_of_each_window_in_which_rows_stay() {
     // A window needs half its length after density control, which a run that is cut short ends at 65 %.
     let short = averaging(|config| config.iterations = 7000);
     assert_eq!(iterations_with(&short, Phase::Average), [4900, 5600, 6300, 7000]);
-    let none = averaging(|config| config.evolution.renewal.averaging = false);
+    let none = averaging(|config| {
+        (config.evolution.renewal.averaging, config.evolution.renewal.until) = (false, Some(0.0));
+    });
     assert!((1..=30_000).all(|i| none.phases(i).all(|phase| !phase.is_evolution())));
+}
+
+#[test]
+fn without_renewals_the_last_two_fifths_are_one_window() {
+    for selection in [true, false] {
+        let schedule =
+            renewing(|config| (config.evolution.renewal.selection, config.evolution.renewal.until) = (selection, Some(0.0)));
+        assert_eq!(iterations_with(&schedule, Phase::Renew), [] as [u32; 0]);
+        assert_eq!(iterations_with(&schedule, Phase::Average), [30_000]);
+        let averaged = iterations_with(&schedule, Phase::AddToAverage);
+        assert_eq!((averaged.len(), averaged[0], averaged[1], averaged[78]), (79, 18_150, 18_300, 29_850));
+        assert_eq!([23_850, 24_000].map(|i| schedule.window_half(i)), [0, 1]);
+    }
+}
+
+#[test]
+fn growth_by_selection_fits_its_schedule_into_the_run() {
+    let selecting = |change: fn(&mut TrainConfig)| {
+        schedule(|config| {
+            config.evolution.mode = EvolutionMode::Renew;
+            change(config);
+        })
+    };
+    let short = selecting(|config| config.iterations = 6000);
+    let scaled = selecting(|config| config.steps_scale = 0.2);
+    for schedule in [&short, &scaled] {
+        assert_eq!((schedule.iterations, schedule.densify_from, schedule.densify_until), (6000, 100, 3000));
+        assert_eq!(iterations_with(schedule, Phase::ResetOpacity), [600, 1200, 1800, 2400]);
+        assert_eq!(schedule.rates(2.0, 6000).position, 4e-6, "the last rate");
+        assert!((1..=6000).all(|i| schedule.optimiser_step(i) != OptimiserStep::Later), "averages stand for large steps");
+        assert_eq!((schedule.sh_degree(199), schedule.sh_degree(200)), (0, 1));
+    }
+    let plain = renewing(|config| config.iterations = 6000);
+    assert_eq!((plain.densify_from, plain.sh_degree(999)), (500, 0), "cut short");
+    let unaveraged = selecting(|config| {
+        (config.variant, config.evolution.renewal.averaging) = (Variant::ImprovedGs, false);
+    });
+    assert_eq!(unaveraged.optimiser_step(15_001), OptimiserStep::Later, "as published");
 }
 
 #[test]
@@ -227,23 +274,19 @@ fn improved_gs_scales_its_windows_and_ends_growth_where_renewal_begins() {
         (config.variant, config.iterations) = (Variant::ImprovedGs, 7000);
         config.evolution.mode = EvolutionMode::Renew;
     });
-    assert_eq!(renewing.densify_until, 4550);
-    assert!(renewing.budget(4400) < 1.0 && renewing.is_budget_full(4500));
+    assert_eq!(renewing.densify_until, 3500);
+    assert!(renewing.budget(3300) < 1.0 && renewing.is_budget_full(3400));
+    assert!((renewing.budget(1750) - 1750.0 / 3500.0).abs() < 0.03, "evenly");
 }
 
 fn renewals(change: impl FnOnce(&mut TrainConfig)) -> Vec<u32> {
-    let schedule = schedule(|config| {
-        config.evolution.mode = EvolutionMode::Renew;
-        change(config);
-    });
+    let schedule = renewing(change);
     (1..=schedule.iterations).filter(|&i| schedule.renews(i)).collect()
 }
 
 #[test]
 fn renewal_begins_when_density_control_has_ended_and_leaves_time_to_learn() {
-    let renewing =
-        |variant| schedule(|config| (config.variant, config.evolution.mode) = (variant, EvolutionMode::Renew));
-    let full = renewing(Variant::ThreeDgs);
+    let full = renewing(|_| {});
     let begun = renewals(|_| {});
     assert_eq!(begun, [15_000, 16_500, 18_000, 19_500, 21_000, 22_500]);
     assert_eq!(iterations_with(&full, Phase::Renew), [&begun[..], &[24_000]].concat(), "the last is only judged");
@@ -252,7 +295,7 @@ fn renewal_begins_when_density_control_has_ended_and_leaves_time_to_learn() {
         [Phase::Step, Phase::AddToAverage, Phase::Average, Phase::Renew]
     );
     // MCMC would relocate until 25,000.
-    let mcmc = renewing(Variant::Mcmc);
+    let mcmc = renewing(|config| config.variant = Variant::Mcmc);
     assert_eq!(iterations_with(&mcmc, Phase::Renew), iterations_with(&full, Phase::Renew));
     assert_eq!(iterations_with(&mcmc, Phase::Densify).last(), Some(&14_900));
 }
@@ -299,10 +342,7 @@ fn states_are_averaged_before_a_renewal_unless_density_control_has_just_ended() 
             .into_iter()
             .chain((100..=1000).map(|iterations| (iterations, 15_000)))
     {
-        let schedule = schedule(|config| {
-            (config.iterations, config.densify.until) = (iterations, until);
-            config.evolution.mode = EvolutionMode::Renew;
-        });
+        let schedule = renewing(|config| (config.iterations, config.densify.until) = (iterations, until));
         let averaged = iterations_with(&schedule, Phase::Average);
         let settled = schedule.densify_until + schedule.window().unwrap() / 2;
         let renewed = iterations_with(&schedule, Phase::Renew);
@@ -315,7 +355,7 @@ fn states_are_averaged_before_a_renewal_unless_density_control_has_just_ended() 
 
 #[test]
 fn with_renewal_a_run_that_is_cut_short_leaves_time_to_renew() {
-    let short = |mode| schedule(|config| (config.evolution.mode, config.iterations) = (mode, 7000));
+    let short = |mode| renewing(|config| (config.evolution.mode, config.iterations) = (mode, 7000));
     let (renewing, plain) = (short(EvolutionMode::Renew), short(EvolutionMode::Off));
     assert_eq!(iterations_with(&renewing, Phase::Densify).last(), Some(&4500));
     assert_eq!(iterations_with(&renewing, Phase::ResetOpacity), [3000]);

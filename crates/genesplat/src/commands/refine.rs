@@ -79,6 +79,7 @@ fn configure(args: &RefineArgs, splat: &Splat) -> Result<Resolved> {
 /// A finished splat goes on where training ends: positions at their last rate, no density control but renewals, no
 /// resets.
 fn finish_schedule(train: &mut TrainConfig) {
+    train.evolution.renewal.selection = false;
     let [_, end] = train.position_rates().map(Some);
     (train.optimiser.position_start, train.optimiser.position_end) = (end, end);
     train.densify.until = 0;
