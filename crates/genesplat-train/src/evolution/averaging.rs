@@ -1,8 +1,8 @@
-//! Weight averaging: at the end of each window, the mean of its states replaces the last one where guard views find it
-//! better.
+//! Weight averaging: at the end of each window, the mean of its states replaces the last one.
 //!
 //! Adam's steps on single views keep every parameter in motion around its optimum; the mean of many states is free of that
-//! noise. (Izmailov et al., "Averaging weights leads to wider optima and better generalization", 2018.)
+//! noise. It may fit the training photos less than the last state does, and is better on others, so guards only tell of it
+//! and do not decide. (Izmailov et al., "Averaging weights leads to wider optima and better generalization", 2018.)
 
 use std::time::Instant;
 
@@ -25,10 +25,8 @@ pub(crate) struct WeightAveraging {
     begun: Instant,
     guards: Vec<usize>,
     settings: RenderSettings,
-    has_states: [bool; WINDOW_HALVES],
-    before: GuardScore,
+    mean: Blend,
     is_done: bool,
-    chosen: Blend,
 }
 
 impl Stage for WeightAveraging {
@@ -42,8 +40,7 @@ impl Stage for WeightAveraging {
         let record = StageRecord::begun(StageKind::Averaging, i, before.loss, Some(before.psnr));
         let clouds = 1 + has_states.into_iter().filter(|&has_states| has_states).count();
         let population_bytes = (clouds * trainer.backend.gaussian_count() * Gaussians::BYTES_PER_ROW) as u64;
-        let (settings, chosen) = (trainer.settings(i), Blend::default());
-        let stage = Self { begun, guards, settings, has_states, before, is_done: false, chosen };
+        let stage = Self { begun, guards, settings: trainer.settings(i), mean: mean(has_states), is_done: false };
         Ok(Some((stage, StageRecord { population_bytes, ..record })))
     }
 
@@ -55,33 +52,29 @@ impl Stage for WeightAveraging {
         self.is_done
     }
 
-    /// Guards choose between the cloud and the mean.
+    /// Measures the mean.
     fn next(&mut self, trainer: &mut Trainer, record: &mut StageRecord) -> Result<(), TrainError> {
-        let candidate = mean(self.has_states);
-        let score = GuardScore::of(&trainer.backend.measure(&[candidate], &self.guards, &self.settings)?);
-        let is_better = score.improves(&self.before);
-        let stays = if is_better { score } else { self.before };
-        if is_better {
-            self.chosen = candidate;
-        }
+        let losses = trainer.backend.measure(&[self.mean], &self.guards, &self.settings)?;
+        let GuardScore { loss, psnr } = GuardScore::of(&losses);
         self.is_done = true;
         // The guards of the cloud and those of the mean.
         record.renders += 2 * self.guards.len() as u64;
-        record.fitness_after = stays.loss;
-        record.guard_psnr = Some([self.before.psnr, stays.psnr]);
+        record.fitness_after = loss;
+        record.guard_psnr = record.guard_psnr.map(|[before, _]| [before, psnr]);
         record.seconds = self.begun.elapsed().as_secs_f64();
-        record.changed = if is_better { trainer.backend.gaussian_count() } else { 0 };
+        record.changed = trainer.backend.gaussian_count();
         trainer.observer.on_generation(&GenerationLog {
             accepted: Some(record.changed),
-            guard_psnr: Some(score.psnr),
-            ..GenerationLog::of(record, Some(score.loss))
+            guard_psnr: Some(psnr),
+            ..GenerationLog::of(record, Some(loss))
         });
         Ok(())
     }
 
-    /// The next window averages anew, whatever was chosen.
+    /// The mean takes the cloud's place if it was measured before a stop; the next window averages anew.
     fn finish(self, trainer: &mut Trainer, _: &mut StageRecord) -> Result<(), TrainError> {
-        trainer.backend.blend(&self.chosen)?;
+        let blend = if self.is_done { self.mean } else { Blend::default() };
+        trainer.backend.blend(&blend)?;
         trainer.averaged = [0; WINDOW_HALVES];
         Ok(())
     }

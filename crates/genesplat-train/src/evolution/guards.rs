@@ -1,4 +1,4 @@
-//! Guards: training views that decide whether the cloud keeps what averaging or a renewal made of it.
+//! Guards: training views that decide whether the cloud keeps what a renewal made of it, and tell of averages.
 //!
 //! Gradient steps train on them as on all others, so a guard says that training got no worse, and nothing about photos
 //! that training never saw. Test photos take no part in anything.
@@ -37,11 +37,6 @@ impl GuardScore {
             loss: losses.iter().map(|of| f64::from(of.loss)).sum::<f64>() / count,
             psnr: losses.iter().map(psnr).sum::<f64>() / count,
         }
-    }
-
-    /// Better in the measure that training lowers, and not worse in the one that users read.
-    pub(crate) fn improves(&self, base: &Self) -> bool {
-        self.loss < base.loss && self.psnr >= base.psnr
     }
 }
 

@@ -1,4 +1,4 @@
-//! Weight averaging: a mean of a window's states replaces the last one only where guards agree, and survives a stop.
+//! Weight averaging: the mean of a window's states replaces the last one only where guards agree, and survives a stop.
 
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -11,13 +11,14 @@ use genesplat_train::{
 
 use crate::support::{Call, FakeBackend, StopAt, points, views};
 
-/// 300 iterations without renewals; the windows end at 180, 210, 240, 270 and 300.
+/// 300 iterations without renewals: the last 120 are the window.
 fn config() -> TrainConfig {
     let mut config = TrainConfig { steps_scale: 0.01, ..TrainConfig::default() };
     (config.densify.every, config.densify.reset_every) = (1, 30);
     // Still in motion at the end, by more than rounding.
     config.optimiser.position_end = Some(1e-2);
     (config.evolution.renewal.every, config.evolution.renewal.until) = (0.1, Some(0.0));
+    config.evolution.renewal.selection = false;
     // As in a run without evolution, which some of these are compared with.
     config.evolution.renewal.spare_large = false;
     config
@@ -28,7 +29,7 @@ fn run_with(config: &TrainConfig, backend: &mut FakeBackend) -> Outcome {
     train(backend, &views(12), start, &config, &mut Silent, &AtomicBool::new(false)).unwrap()
 }
 
-/// A backend whose points waver around its target: some blend is always better than the last state.
+/// A backend whose points waver around its target: the mean is always better than the last state.
 fn backend() -> FakeBackend {
     let mut backend = FakeBackend::new();
     backend.target = 0.95;
@@ -41,8 +42,8 @@ fn blended(backend: &FakeBackend) -> Vec<(Blend, [u32; 2])> {
     backend.calls.iter().filter_map(blend).collect()
 }
 
-/// Of the windows: the younger half has the state in the middle, and the run's last iteration makes no step.
-const STATES: [[u32; 2]; 5] = [[4, 6], [4, 6], [4, 6], [4, 6], [4, 5]];
+/// Of the window: every third iteration, the one in the middle in the younger half; the run's last one makes no step.
+const STATES: [u32; 2] = [19, 20];
 
 fn mean_squared_distance(outcome: &Outcome, target: f32) -> f64 {
     let positions = &outcome.cloud.positions;
@@ -50,46 +51,18 @@ fn mean_squared_distance(outcome: &Outcome, target: f32) -> f64 {
 }
 
 #[test]
-fn a_better_mean_replaces_the_cloud_at_the_end_of_each_window() {
+fn a_better_mean_replaces_the_cloud_at_the_end_of_the_window() {
     let mut backend = backend();
     let outcome = run_with(&config(), &mut backend);
-    let stages = &outcome.summary.stages;
-    let iterations: Vec<u32> = stages.iter().map(|stage| stage.iteration).collect();
-    assert_eq!(iterations, [180, 210, 240, 270, 300]);
-    for stage in stages {
-        let [before, after] = stage.guard_psnr.unwrap();
-        assert!(stage.fitness_after < stage.fitness_before && after > before, "{stage:?}");
-        // The cloud and two blends on three guards.
-        assert_eq!((stage.generations, stage.changed, stage.renders), (0, 20, 3 * 3));
-        assert_eq!(stage.kind, StageKind::Averaging);
-    }
-    let (blends, states): (Vec<Blend>, Vec<_>) = blended(&backend).into_iter().unzip();
-    assert!(blends.iter().all(|blend| *blend != Blend::default()));
-    assert_eq!(states, STATES);
+    let [stage] = outcome.summary.stages[..] else { panic!("{:?}", outcome.summary.stages) };
+    let [before, after] = stage.guard_psnr.unwrap();
+    assert!(stage.fitness_after < stage.fitness_before && after > before, "{stage:?}");
+    // The cloud and the mean on three guards.
+    assert_eq!((stage.iteration, stage.generations, stage.changed, stage.renders), (300, 0, 20, 2 * 3));
+    assert_eq!(stage.kind, StageKind::Averaging);
+    assert_eq!(blended(&backend), [(Blend { weights: [0.5; 2] }, STATES)]);
     let found = mean_squared_distance(&outcome, backend.target);
-    assert!((found / stages[4].fitness_after - 1.0).abs() < 1e-6, "what was measured is what is kept");
-}
-
-#[test]
-fn of_two_better_blends_the_best_is_taken() {
-    #[derive(Default)]
-    struct Best(Vec<Option<f64>>);
-    impl Observer for Best {
-        fn on_generation(&mut self, log: &GenerationLog) {
-            self.0.push(log.generation_best);
-        }
-    }
-    let (mut backend, mut best) = (backend(), Best::default());
-    let (config, start) = (config().resolve().unwrap(), Start::Points(points(20)));
-    let stop = AtomicBool::new(false);
-    let outcome = train(&mut backend, &views(12), start, &config, &mut best, &stop).unwrap();
-    let after: Vec<_> = outcome.summary.stages.iter().map(|stage| Some(stage.fitness_after)).collect();
-    assert_eq!(best.0, after, "the better one of each generation");
-    // The plain mean, and what lies near it along the line of the two halves: each is the better one at times.
-    for wanted in [[0.5; 2], [0.4 - 0.6, 0.4 + 0.6]] {
-        let is_wanted = |found: Blend| (0..2).all(|half| (found.weights[half] - wanted[half]).abs() < 1e-6);
-        assert!(blended(&backend).into_iter().any(|(found, _)| is_wanted(found)), "{wanted:?} is never taken");
-    }
+    assert!((found / stage.fitness_after - 1.0).abs() < 1e-6, "what was measured is what is kept");
 }
 
 #[test]
@@ -105,26 +78,21 @@ fn guards_that_do_not_agree_leave_everything_as_it_was() {
         let [before, after] = stage.guard_psnr.unwrap();
         assert_eq!((after, stage.changed, stage.fitness_after), (before, 0, stage.fitness_before));
     }
-    // The next window averages anew all the same.
-    assert_eq!(blended(&refusing), STATES.map(|states| (Blend::default(), states)));
+    assert_eq!(blended(&refusing), [(Blend::default(), STATES)]);
 }
 
 #[test]
-fn cloud_and_blends_are_measured_on_the_same_guards_which_rotate() {
+fn cloud_and_mean_are_measured_on_the_same_guards() {
     let mut backend = backend();
     run_with(&config(), &mut backend);
-    let measured: Vec<(usize, Vec<usize>)> = (backend.calls.iter())
+    let measured: Vec<(usize, &[usize])> = (backend.calls.iter())
         .filter_map(|call| match call {
-            Call::Measure { blends, views } => Some((blends.len(), views.clone())),
+            Call::Measure { blends, views } => Some((blends.len(), &views[..])),
             _ => None,
         })
         .collect();
-    assert_eq!(measured.len(), 2 * 5);
-    for stage in measured.chunks_exact(2) {
-        let [(1, guards), (2, again)] = stage else { panic!("{stage:?}") };
-        assert_eq!((guards.len(), guards), (3, again));
-    }
-    assert!(measured.iter().any(|(_, guards)| *guards != measured[0].1), "guards rotate");
+    let [(1, guards), (1, again)] = measured[..] else { panic!("{measured:?}") };
+    assert_eq!((guards.len(), guards), (3, again));
 }
 
 #[test]
@@ -133,10 +101,10 @@ fn few_views_are_enough_and_what_cannot_be_rendered_is_an_error() {
         let (config, start) = (config().resolve().unwrap(), Start::Points(points(20)));
         train(backend, &views(count), start, &config, &mut Silent, &AtomicBool::new(false))
     };
-    assert_eq!(train_on(&mut backend(), 2).unwrap().summary.stages.len(), 5);
+    assert_eq!(train_on(&mut backend(), 2).unwrap().summary.stages.len(), 1);
     let mut poisoned = backend();
     poisoned.poison = Some(f32::NAN);
-    assert!(matches!(train_on(&mut poisoned, 8), Err(TrainError::NoFitness { iteration: 180, .. })));
+    assert!(matches!(train_on(&mut poisoned, 8), Err(TrainError::NoFitness { iteration: 300, .. })));
 }
 
 #[test]
@@ -164,7 +132,7 @@ fn interrupted(backend: &mut FakeBackend, observer: &mut dyn Observer, stop: &At
 fn a_stop_between_averaged_states_changes_nothing() {
     let whole = run_with(&config(), &mut backend());
     assert!(whole.summary.stages.iter().all(|stage| stage.changed > 0), "a lost state would show");
-    for i in [155, 175, 180, 199, 271, 299] {
+    for i in [155, 182, 183, 199, 240, 299] {
         let stop = AtomicBool::new(false);
         let resumed = interrupted(&mut backend(), &mut StopAt(i, &stop), &stop);
         assert_eq!(resumed.cloud, whole.cloud, "stopped in iteration {i}");
@@ -174,8 +142,8 @@ fn a_stop_between_averaged_states_changes_nothing() {
 #[test]
 fn a_stop_within_a_stage_repeats_it() {
     let whole = run_with(&config(), &mut backend());
-    // While the cloud is measured, before any blend is; and while the blends are.
-    for (calls, changed) in [(1, 0), (2, 20)] {
+    // While the cloud is measured, before the mean is.
+    for (calls, changed) in [(1, 0)] {
         let stop = Arc::new(AtomicBool::new(false));
         let mut stopping = backend();
         stopping.stop_after = Some((calls, stop.clone()));

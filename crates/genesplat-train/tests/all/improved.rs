@@ -154,6 +154,8 @@ fn a_run_that_is_stopped_anywhere_ends_as_if_it_had_not_been() {
             assert_eq!(resumed.cloud, whole.cloud, "{mode:?}, stopped in call {call}");
             assert_eq!(resumed.summary.optimiser_steps, whole.summary.optimiser_steps);
         }
-        assert!(waiting > 3, "{mode:?}: gradients waited for a step in {waiting} checkpoints");
+        // With averages every step is of one view.
+        let waits = mode == EvolutionMode::Off;
+        assert_eq!(waiting > 3, waits, "{mode:?}: gradients waited for a step in {waiting} checkpoints");
     }
 }

@@ -15,6 +15,7 @@ use crate::support::{Call, Failure, FakeBackend, Keep, StopAt, points, views};
 fn config() -> TrainConfig {
     let mut config = TrainConfig { steps_scale: 0.01, ..TrainConfig::default() };
     (config.densify.every, config.densify.reset_every) = (1, 30);
+    config.evolution.renewal.selection = false;
     config
 }
 
@@ -163,7 +164,7 @@ fn who_sets_a_limit_hears_at_once_that_the_photos_determine_fewer() {
 fn a_run_too_short_to_grow_says_so() {
     let told = |variant, iterations, until| {
         let mut config = TrainConfig { variant, iterations, ..TrainConfig::default() };
-        config.densify.until = until;
+        (config.densify.until, config.evolution.renewal.selection) = (until, false);
         let mut told = Told::default();
         run_observed(&mut backend(0.9), config, &mut told);
         told.notices.into_iter().filter(|notice| notice.contains("nothing grows")).collect::<Vec<_>>()
