@@ -141,9 +141,10 @@ fn a_search_has_the_same_bytes_on_any_number_of_ranks() {
 }
 
 #[test]
-fn renewals_have_the_same_bytes_on_any_number_of_ranks() {
+fn selection_averages_and_renewals_have_the_same_bytes_on_any_number_of_ranks() {
     check(Variant::ThreeDgs, EvolutionMode::Renew, 1, &[4]);
     check(Variant::MipSplatting, EvolutionMode::Renew, 1, &[1, 2, 3, 4]);
+    check(Variant::PixelGs, EvolutionMode::Renew, 1, &[3]);
 }
 
 /// Floats that are added rank by rank, not tile by tile.

@@ -10,17 +10,21 @@
 //!    searches positions, scales and opacities that gradients do not reach; the best individual becomes the new base if
 //!    it is better.
 //!
-//! Mode `renew`, ours, in the second half of the run, where the published method only takes steps:
-//!
-//! 5. **Average.** The states of each twentieth of the run are averaged, and their mean replaces the last of them if it
-//!    is better.
-//! 6. **Renew.** The Gaussians of least contribution are replaced by splitting those of largest error. The state before
-//!    comes back if guard views are rendered worse when the next renewal is due.
-//!
 //! With Improved-GS, 2 splits along the longest axis what shows edges, 3 is followed by pruning what recovers slowly, and
 //! late steps of the optimiser have the gradients of several views.
 //! With MCMC, a step also adds noise to positions, 2 relocates dead Gaussians and adds others until five sixths of the
-//! run (until half of it, where 6 takes over), and 3 does not happen; 4, 5 and 6 keep their places.
+//! run, and 3 does not happen.
+//!
+//! Mode `renew`, ours, has 2 and 3 of Improved-GS below a cap from the photos, all of its schedule however long the run is,
+//! and after them, where the published method only takes steps:
+//!
+//! 5. **Average.** The states of the last two fifths of the run are averaged, and their mean is the result.
+//!
+//! Pixel-GS and MCMC keep their own 2 and 3 in mode `renew`, until half of the run at the latest with MCMC. Instead of one
+//! average they have one every twentieth of the run, and before they take nothing but steps:
+//!
+//! 6. **Renew.** The Gaussians of least contribution are replaced by splitting those of largest error. The state before
+//!    comes back if guard views are rendered worse when the next renewal is due.
 //!
 //! The run can stop between any two phases: a resumed run repeats the numbers of one that was never interrupted.
 //! References: "An Evolutionary Boost to Gaussian Splatting Optimization" (Fig. 1, Algorithm 1); Kerbl et al., "3D

@@ -40,7 +40,8 @@ pub struct DensifyConfig {
     /// Densification starts after this iteration. Default 500.
     pub from: u32,
     /// Densification and opacity resets end before this iteration. Default 15,000; 0 switches both off. With
-    /// evolution's mode `renew` densification ends at 65 % of the run at the latest, and resets at half. (With `mcmc`,
+    /// evolution's mode `renew` that is half of the run, however long it is; where it does not select, densification ends at
+    /// 65 % of the run at the latest, and resets at half. (With `mcmc`,
     /// only where evolution's reset triggers end; see `mcmc.until`.)
     pub until: u32,
     /// Iterations between two densifications. Default 100; at least 1.
@@ -50,23 +51,22 @@ pub struct DensifyConfig {
     pub signal: Signal,
     /// Mean screen-space gradient from which a Gaussian grows, in normalised device coordinates. Default 2e-4, 8e-4 for
     /// the signal `absolute`, which is larger (gsplat's advice; its published comparison has 6e-4), and 3e-4 with
-    /// `improved-gs`, whose signal is absolute, too; above 0. Lower grows more Gaussians.
+    /// `improved-gs` and `renew`, whose signal is absolute, too; above 0. Lower grows more Gaussians.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub gradient_threshold: Option<f32>,
     /// Growing Gaussians up to this size are cloned, larger ones split; in scene extents. Default 0.01; above 0.
-    /// (`improved-gs` splits all of them.)
+    /// (`improved-gs` and `renew` split all of them.)
     pub clone_size: f64,
     /// Fainter Gaussians are pruned. Default 0.005; 0 to 1.
     pub prune_opacity: f32,
-    /// Larger Gaussians are pruned, except with `improved-gs` and evolution's mode `renew`
-    /// (`evolution.renewal.spare_large`); in scene extents. Default 0.1; above 0. (In forward-facing scenes walls and
+    /// Larger Gaussians are pruned, except with `improved-gs` and evolution's mode `renew`; in scene extents. Default 0.1; above 0. (In forward-facing scenes walls and
     /// floors are larger than that, and plain training loses them.)
     pub prune_size: f64,
     /// Iteration after which they are. Default 3000.
     pub size_prune_after: u32,
     /// Iterations between two opacity resets. Default 3000; at least 1.
     pub reset_every: u32,
-    /// A reset limits opacity to this. Default 0.01, and 0.05 with `improved-gs`; above 0, below 1.
+    /// A reset limits opacity to this. Default 0.01, and 0.05 with `improved-gs` and `renew`; above 0, below 1.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub reset_opacity: Option<f32>,
 }

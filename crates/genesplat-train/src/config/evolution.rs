@@ -12,7 +12,7 @@ pub enum EvolutionMode {
     Off,
     /// Algorithm 1 of the paper after each opacity reset.
     Paper,
-    /// Selection among the Gaussians of the cloud, and weight averaging.
+    /// Selection among the Gaussians of the cloud while it grows, and weight averaging.
     #[default]
     Renew,
 }
@@ -108,12 +108,12 @@ impl Default for EvolutionConfig {
 pub struct RenewalConfig {
     /// Fraction of the Gaussians that a renewal removes; as many others are split. Default 0.1; above 0, at most 0.5.
     pub fraction: f64,
-    /// Steps between two renewals, and length of a window of weight averaging, as a fraction of the run. Both are
+    /// Steps between two renewals, and then the length of a window of weight averaging, as a fraction of the run. Both are
     /// counted back from its end; the first renewal comes when density control has ended, in the second half of the
     /// run. Default 0.05; above 0, at most 0.5.
     pub every: f64,
     /// No renewal begins after this fraction of the run: the last Gaussians need time to become good ones. Default
-    /// 0.75, and 0 with `improved-gs`, where they were worth nothing; 0 to 1, and 0 for none at all.
+    /// 0.75, and 0 where the cloud grows by selection, where they were worth nothing; 0 to 1, and 0 for none at all.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub until: Option<f64>,
     /// Factor on the number of Gaussians that the photos can determine, which the cloud may grow to: their pixels over
@@ -128,9 +128,8 @@ pub struct RenewalConfig {
     /// The cloud approaches its limit, whoever set it, evenly over density control, not as fast as gradients ask or along
     /// Improved-GS's root; with `mcmc`, by `mcmc.growth` all the same. Default true.
     pub even_growth: bool,
-    /// None is pruned for its size: its contribution decides. Default true.
-    pub spare_large: bool,
-    /// The mean of a window's states replaces the last one where guard views find it better. Default true.
+    /// The mean of a window's states replaces the last one; without renewals the last two fifths of the run are the window.
+    /// Default true.
     pub averaging: bool,
 }
 
@@ -143,7 +142,6 @@ impl Default for RenewalConfig {
             capacity: 1.0,
             selection: true,
             even_growth: true,
-            spare_large: true,
             averaging: true,
         }
     }

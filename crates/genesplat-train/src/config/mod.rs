@@ -95,7 +95,7 @@ pub struct TrainConfig {
     /// Method. Default `3dgs`; or `pixel-gs`, `mip-splatting`, `mcmc`, `improved-gs`.
     pub variant: Variant,
     /// Iterations, one view each. Default 30,000; 1 to 100 million once scaled. Changing it alone truncates: rates and
-    /// events stay.
+    /// events stay. Where the cloud grows by selection, the whole schedule fits into them.
     pub iterations: u32,
     /// Photos whose gradients a step of the optimiser has, which are summed in their order; an iteration is one photo still.
     /// Default 1; 1 to 1000. All step sizes are multiplied by its square root (Zhao et al., "On Scaling Up 3D Gaussian
@@ -170,10 +170,11 @@ impl TrainConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct OptimiserConfig {
-    /// Rate of positions at the start, in scene extents. Default 1.6e-4, and 4e-5 with `improved-gs`; above 0.
+    /// Rate of positions at the start, in scene extents. Default 1.6e-4, and 4e-5 with `improved-gs` and where the cloud grows
+    /// by selection (`evolution.renewal.selection`); above 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub position_start: Option<f64>,
-    /// Rate of positions at the end, in scene extents. Default 1.6e-6, and 2e-6 with `improved-gs`; above 0.
+    /// Rate of positions at the end, in scene extents. Default 1.6e-6, and 2e-6 likewise; above 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub position_end: Option<f64>,
     /// Iterations over which it decays exponentially. Default 30,000; at least 1.
@@ -182,8 +183,8 @@ pub struct OptimiserConfig {
     pub sh_dc: f32,
     /// Rate of the view-dependent colour. Default 0.0025 / 20; not negative.
     pub sh_rest: f32,
-    /// Rate of the opacity logits. Default 0.05 (later releases of the reference have 0.025), and 0.025 with
-    /// `improved-gs`; not negative.
+    /// Rate of the opacity logits. Default 0.05 (later releases of the reference have 0.025), and 0.025 likewise; not
+    /// negative.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub opacity: Option<f32>,
     /// Rate of the log-scales. Default 0.005; not negative.

@@ -1,4 +1,5 @@
-//! Improved-GS's density control: splits where photos have edges, along the longest axis, up to a budget.
+//! Selection: Improved-GS's density control, and that of mode `renew`. It splits where photos have edges, along the longest
+//! axis, up to a budget, and removes what recovers slowly.
 //!
 //! A Gaussian whose absolute screen-space gradient reaches the threshold is a candidate. Of these, as many as the budget
 //! leaves room for are drawn, in proportion to how much of the photos' edges they stand for ([`super::edges`]), and each is

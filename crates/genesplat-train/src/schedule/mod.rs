@@ -23,8 +23,8 @@ const PUBLISHED_ITERATIONS: f64 = 30_000.0;
 /// iteration lost one, it would never learn anything.
 const LOSING_INTERVAL_MIN: u32 = 10;
 
-/// Fraction of a run after which nothing grows that is to be renewed. Longer, and there is no time for renewals; at
-/// half, runs of 2,000 steps at 480 px had too few Gaussians.
+/// Fraction of a run after which adaptive density control grows nothing that is to be renewed. Longer, and there is no time for
+/// renewals; at half, runs of 2,000 steps at 480 px had too few Gaussians.
 const RENEWED_GROWTH: f64 = 0.65;
 
 /// Fraction of a run after which MCMC relocates nothing that is to be renewed; longer is worse.
@@ -63,7 +63,7 @@ pub enum Phase {
     Evolve,
     /// Weight averaging: the state is added to the mean of the window's older or younger half.
     AddToAverage,
-    /// Weight averaging: a mean of the window's states replaces the last one if guards find it better.
+    /// Weight averaging: the mean of the window's states replaces the last one.
     Average,
     /// Renewal: the last one is judged, and the next one begins.
     Renew,
@@ -233,7 +233,7 @@ impl Schedule {
     pub fn prunes_by_size(&self, i: u32) -> bool {
         i > self.size_prune_after
             && self.config.density_control() != DensityControl::Selection
-            && !(self.renew_every.is_some() && self.config.evolution.renewal.spare_large)
+            && self.renew_every.is_none()
     }
 
     /// Fraction of its limit that the cloud may have reached in iteration `i`, with adaptive density control.

@@ -59,10 +59,9 @@ pub(crate) const PRESETS: &[Choice<&str>] = &[
         "What no flag changes: photos of at most 1600 pixels across, 30000 steps, the published length",
     ),
     (
-        "variant = 'improved-gs'\n[evolution]\nmode = 'renew'",
+        "[dataset]\ndownscale = 1",
         &["best"],
-        "Improved-GS up to as many Gaussians as the photos can determine, over 30000 steps: takes longer, and was ahead on the \
-         scene where both were measured",
+        "All that the photos have: their full size, however large, over 30000 steps; takes the most memory and time",
     ),
 ];
 
@@ -79,8 +78,9 @@ pub(crate) const EVOLUTION: &[Choice<EvolutionMode>] = &[
     (
         EvolutionMode::Renew,
         &["renew"],
-        "As many Gaussians as the photos can determine; later in the run those that contribute least are replaced by splitting \
-         those of largest error (not with improved-gs), and states are averaged. What makes training photos worse is rolled back",
+        "As many Gaussians as the photos can determine: they multiply where photos have edges, those that recover slowly from an \
+         opacity reset go, and the last states are averaged. (pixel-gs and mcmc keep their own density control, and those that \
+         contribute least are replaced later in the run)",
     ),
 ];
 

@@ -74,8 +74,8 @@ pub(crate) struct ScheduleArgs {
     /// Method: the original, or one of four improvements on it [default: 3dgs]
     #[arg(long, value_name = "METHOD", value_parser = choice(VARIANTS))]
     variant: Option<Variant>,
-    /// Training steps, one photo each [default: 30000]. More is better and slower; alone it cuts the schedule short,
-    /// so 7000 is a good quick run
+    /// Training steps, one photo each [default: 30000]. More is better and slower; with --evolve renew the whole schedule
+    /// fits into them, so 7000 is a good quick run; published trainers are cut short
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     iterations: Option<u32>,
     /// Photos whose gradients are summed for one step of the optimiser [default: 1]. Rates grow by its square root; makes

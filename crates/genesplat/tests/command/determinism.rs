@@ -58,26 +58,29 @@ fn threads_change_nothing_in_other_variants_either() {
 /// Guard scores are 32-bit sums of whole pictures, and what they choose at one number of threads they must choose at any; so must
 /// contributions.
 #[test]
-fn threads_change_nothing_in_renewal_and_averaging_either() {
+fn threads_change_nothing_in_selection_renewals_and_averages_either() {
     let folder = tempfile::tempdir().unwrap();
-    let run = |threads: &str| {
-        let out = folder.path().join(threads);
-        let flags = ["--steps-scale", "0.02", "--max-gaussians", "1200", "--evolve", "renew", "--threads", threads];
-        succeed(train(scene(), &out, &flags));
-        (cloud(&out), json(&out.join("metrics.json")))
-    };
-    let (one, metrics) = run("1");
-    let stages = metrics["evolution"].as_array().unwrap();
-    for (kind, count) in [("renewal", 6), ("averaging", 10)] {
-        let of_kind: Vec<_> = stages.iter().filter(|stage| stage["kind"] == kind).collect();
-        assert_eq!(of_kind.len(), count);
-        let took_part = of_kind.iter().any(|stage| stage["changed"].as_u64() > Some(0));
-        assert!(took_part, "{kind}: {of_kind:?}");
+    // 3DGS grows by selection, Pixel-GS has renewals.
+    for (variant, renewals, averages) in [("3dgs", 0, 1), ("pixel-gs", 6, 10)] {
+        let run = |threads: &str| {
+            let out = folder.path().join(variant).join(threads);
+            let flags = ["--steps-scale", "0.02", "--max-gaussians", "1200", "--variant", variant, "--threads", threads];
+            succeed(train(scene(), &out, &flags));
+            (cloud(&out), json(&out.join("metrics.json")))
+        };
+        let (one, metrics) = run("1");
+        let stages = metrics["evolution"].as_array().unwrap();
+        let of_kind = |kind| stages.iter().filter(|stage| stage["kind"] == kind).collect::<Vec<_>>();
+        let (renewed, averaged) = (of_kind("renewal"), of_kind("averaging"));
+        assert_eq!((renewed.len(), averaged.len()), (renewals, averages));
+        let took_part = |stage: &&serde_json::Value| stage["changed"].as_u64() > Some(0);
+        assert!(averaged.iter().all(took_part), "{averaged:?}");
+        assert_eq!(renewed.iter().any(took_part), renewals > 0, "{renewed:?}");
+        let rises = |stage: &&serde_json::Value| number(&stage["guard_psnr"][1]) >= number(&stage["guard_psnr"][0]);
+        assert!(renewed.iter().all(rises), "{renewed:?}");
+        assert!(one == run("2").0, "{variant}, two threads");
+        assert!(one == run("7").0, "{variant}, seven threads");
     }
-    let never_worse = |stage: &serde_json::Value| number(&stage["guard_psnr"][1]) >= number(&stage["guard_psnr"][0]);
-    assert!(stages.iter().all(never_worse), "{stages:?}");
-    assert!(one == run("2").0, "two threads");
-    assert!(one == run("7").0, "seven threads");
 }
 
 /// They judge, and decide nothing: not what grows, nor what is renewed or averaged.

@@ -27,8 +27,14 @@ const SIGKILL: i32 = 9;
 /// Scenarios that share the kills.
 const SCENARIOS: usize = 4;
 /// The published schedule in sixty steps, with a renewal, and a checkpoint in every twentieth.
-pub(crate) const SCHEDULE: [&str; 7] =
-    ["--steps-scale", "0.002", "--max-gaussians", "400", "--checkpoint-every", "20", "--no-lpips"];
+pub(crate) const SCHEDULE: [&str; 6] = [
+    "--steps-scale=0.002",
+    "--max-gaussians=400",
+    "--variant=pixel-gs",
+    "--evolve=renew",
+    "--checkpoint-every=20",
+    "--no-lpips",
+];
 
 fn kills() -> usize {
     let wanted = std::env::var("GENESPLAT_KILLS").map_or(60, |text| text.parse().expect("GENESPLAT_KILLS is a number"));
