@@ -210,7 +210,7 @@ fn mcmc_grows_to_its_limit_and_no_further() {
 fn gaussians_are_limited_with_a_notice() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("run");
-    succeed(train(scene(), &out, &["--steps-scale", "0.02", "--max-gaussians", "400"]));
+    succeed(train(scene(), &out, &["--steps-scale", "0.02", "--max-gaussians", "400", "--evolve", "off"]));
     assert!(number(&json(&out.join("metrics.json"))["gaussians"]) <= 400.0);
     assert!(std::fs::read_to_string(out.join("log.jsonl")).unwrap().contains("the limit of 400 Gaussians"));
 }
