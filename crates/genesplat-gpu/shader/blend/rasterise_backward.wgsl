@@ -180,9 +180,8 @@ fn leave_gradients(lane: u32, gradient: vec3<f32>) {
     }
 }
 
-// Blocks with a pixel that is not finished, for all invocations alike.
+// Blocks with a pixel that is not finished, for all invocations alike. One that is counted too late only costs time.
 fn find_unfinished(lane: u32) -> u32 {
-    workgroupBarrier();
     if lane == 0u {
         var blocks = 0u;
         for (var block = 0u; block < BLOCKS; block++) {

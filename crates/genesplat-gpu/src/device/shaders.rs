@@ -20,7 +20,7 @@ impl Shader {
         unrolled(&self.text(subgroups))
     }
 
-    fn text(&self, subgroups: bool) -> String {
+    pub(super) fn text(&self, subgroups: bool) -> String {
         let mut text = prelude();
         text.extend(self.parts.iter().map(|part| if subgroups { part.with } else { part.without }));
         text
@@ -87,6 +87,7 @@ mod parts {
         WRITE_SPLAT = "bin/write_splat.wgsl";
         GRIDS = "bin/grids.wgsl";
         SSIM = "loss/ssim.wgsl";
+        HALO = "loss/halo.wgsl";
         ADAM_STEP = "optimise/adam_step.wgsl";
     }
 }
@@ -113,9 +114,9 @@ shaders! {
     // From splats to a loss, and back to gradients of intersections.
     RASTERISE = "blend/rasterise" + [SPLAT, OVERLAP, BATCH_SPLAT];
     RASTERISE_BACKWARD = "blend/rasterise_backward" + [SPLAT, OVERLAP, BATCH_SPLAT];
-    LOSS = "loss/loss" + [SSIM, PHOTO];
+    LOSS = "loss/loss" + [SSIM, HALO, PHOTO];
     LOSS_SUM = "loss/loss_sum" + [TILE_SUMS];
-    LOSS_GRADIENT = "loss/loss_gradient" + [SSIM, PHOTO];
+    LOSS_GRADIENT = "loss/loss_gradient" + [HALO, PHOTO];
     // From gradients of intersections to stepped parameters.
     PROJECT_BACKWARD = "optimise/project_backward" + [SPLAT, ROTATION, GEOMETRY, COLOUR, SH_ROW];
     STATISTICS = "optimise/statistics" + [];
@@ -148,6 +149,12 @@ shaders! {
 /// Name and WGSL of every kernel, as a device with subgroups, or one without, compiles it: what tools count.
 pub fn kernel_sources(subgroups: bool) -> impl Iterator<Item = (&'static str, String)> {
     ALL.iter().map(move |shader| (shader.name, shader.source(subgroups)))
+}
+
+/// Name and text of every kernel, with its loops.
+#[cfg(test)]
+pub(crate) fn kernel_texts(subgroups: bool) -> impl Iterator<Item = (&'static str, String)> {
+    ALL.iter().map(move |shader| (shader.name, shader.text(subgroups)))
 }
 
 #[cfg(test)]
