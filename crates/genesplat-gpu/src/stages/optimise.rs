@@ -16,9 +16,7 @@ pub(crate) struct Optimise<'a> {
     pub(crate) state: &'a State,
     pub(crate) lists: &'a Lists,
     pub(crate) pixels: &'a Pixels,
-    /// An [`Optimiser`] on the device.
-    pub(crate) memory: &'a Memory,
-    /// The same here; without it, gradients are for the statistics only.
+    /// What the device has been told of; without it, gradients are for the statistics only.
     pub(crate) optimiser: Option<&'a Optimiser>,
     /// What else is asked for.
     pub(crate) step: &'a TrainStep,
@@ -90,7 +88,7 @@ impl Optimise<'_> {
         let head = [
             self.lists.view.all(),
             window.uniform.all(),
-            self.memory.all(),
+            self.lists.optimiser(),
             self.lists.counters.all(),
             gradients.at(window),
         ];
@@ -108,7 +106,7 @@ impl Optimise<'_> {
         let parts = [&head[..], &geometry].concat();
         recorder.run(&shaders::ADAM_GEOMETRY, &parts, Grid::Items(window.count));
         if optimiser.is_mcmc == 1 {
-            let parts = [window.uniform.all(), self.memory.all(), self.lists.counters.all(), geometry[0]];
+            let parts = [window.uniform.all(), self.lists.optimiser(), self.lists.counters.all(), geometry[0]];
             recorder.run(&shaders::NOISE, &parts, Grid::Items(window.count));
         }
     }

@@ -184,7 +184,7 @@ impl GpuBackend {
         lists.reserve(&self.engine, &pass)?;
         pixels.reserve(&self.engine, &pass, Needs { loss: true, gradient: false }, 0)?;
         let place = window_uniform(&self.engine, [0, layers], [view_index as u32, views as u32])?;
-        lists.begin(&self.engine, &pass);
+        lists.begin(&self.engine, &pass, None);
 
         let mut recorder = Recorder::new(&self.engine, self.timestamps.as_mut());
         pool.record_project(&mut recorder, &self.state, lists);
