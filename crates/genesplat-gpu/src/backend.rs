@@ -113,7 +113,7 @@ impl GpuBackend {
         let mut timestamps = self.timestamps.take();
         let mut recorder = Recorder::new(&self.engine, timestamps.as_mut());
         let cloud = self.state.blended.as_ref().filter(|_| of_blend).unwrap_or(&self.state.cloud);
-        self.lists.record(&mut recorder, cloud, &self.state.windows, pass);
+        self.lists.record(&mut recorder, &self.state, cloud, pass);
         self.pixels.record_rasterise(&mut recorder, &self.lists, pass);
         record(self, &mut recorder);
         recorder.submit();

@@ -89,12 +89,15 @@ mod parts {
         SSIM = "loss/ssim.wgsl";
         HALO = "loss/halo.wgsl";
         ADAM_STEP = "optimise/adam_step.wgsl";
+        COLOUR_STEPS = "optimise/colour_steps.wgsl";
+        MAKE_UP = "optimise/make_up.wgsl";
     }
 }
 
 shaders! {
     // From a cloud to splats.
-    PROJECT = "bin/project" + [SPLAT, ROTATION, GEOMETRY, OVERLAP, COLOUR, SH_ROW, WRITE_SPLAT];
+    PROJECT = "bin/project" + [SPLAT, ROTATION, GEOMETRY, OVERLAP, WRITE_SPLAT];
+    SPLAT_COLOUR = "bin/colour" + [SPLAT, COLOUR, SH_ROW, ADAM_STEP, COLOUR_STEPS, MAKE_UP];
     // Prefix sums.
     SCAN_SUMS = "bin/scan_sums" + [GROUP_SCAN];
     SCAN_BLOCKS = "bin/scan_blocks" + [GROUP_SCAN];
@@ -121,12 +124,14 @@ shaders! {
     PROJECT_BACKWARD = "optimise/project_backward" + [SPLAT, ROTATION, GEOMETRY, COLOUR, SH_ROW];
     STATISTICS = "optimise/statistics" + [];
     GENE_STATISTICS = "optimise/gene_statistics" + [];
-    ADAM_COLOUR = "optimise/adam_colour" + [ADAM_STEP, COLOUR];
+    ADAM_COLOUR = "optimise/adam_colour" + [ADAM_STEP, COLOUR_STEPS, COLOUR];
+    NOTE_STEP = "optimise/note_step" + [COLOUR_STEPS];
+    MAKE_UP_COLOUR = "optimise/make_up_colour" + [ADAM_STEP, COLOUR_STEPS, MAKE_UP];
     ADAM_GEOMETRY = "optimise/adam_geometry" + [ADAM_STEP];
     // The same where an optimiser step has the gradients of several views.
     KEEP_COLOUR = "optimise/keep_colour" + [COLOUR];
     KEEP_GEOMETRY = "optimise/keep_geometry" + [];
-    ADAM_PENDING_COLOUR = "optimise/adam_pending_colour" + [ADAM_STEP];
+    ADAM_PENDING_COLOUR = "optimise/adam_pending_colour" + [ADAM_STEP, COLOUR_STEPS];
     NOISE = "optimise/noise" + [ROTATION, RANDOM];
     // Edits of rows.
     GATHER = "rows/gather" + [];

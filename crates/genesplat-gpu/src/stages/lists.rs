@@ -16,7 +16,7 @@ use crate::state::layout::{
     Counters, GRID_DEPTH_SORT, GRID_INTERSECTIONS, GRID_TILE_SORT, GRID_VISIBLE, GRID_VISIBLE_SCAN,
     LENGTH_INTERSECTIONS, LENGTH_ROWS, LENGTH_VISIBLE, Optimiser, SCAN_BLOCK, SPLAT_FLOATS, ViewPass,
 };
-use crate::state::{Parameters, RowWindow};
+use crate::state::{ColourSteps, Parameters, State};
 
 /// Where an optimiser lies behind a view, bytes: a multiple of what every device can bind at.
 const OPTIMISER_AT: usize = 256;
@@ -167,14 +167,19 @@ impl Lists {
         self.view.part(OPTIMISER_AT as u64, size_of::<Optimiser>() as u64)
     }
 
-    /// Stages `project` and `bin` of a whole cloud.
-    pub(crate) fn record(&self, recorder: &mut Recorder, cloud: &Parameters, windows: &[RowWindow], view: &ViewPass) {
+    /// Stages `project` and `bin` of a whole cloud, which is that of the state or a blend of the same rows.
+    pub(crate) fn record(&self, recorder: &mut Recorder, state: &State, cloud: &Parameters, view: &ViewPass) {
         recorder.stage("project");
         let outputs = [&self.splats, &self.depths, &self.tile_counts, &self.flags].map(Memory::all);
-        for window in windows {
-            let inputs = [self.view.all(), window.uniform.all(), cloud.geometry.at(window), cloud.sh.at(window)];
-            let parts = [inputs, outputs].concat();
+        for window in &state.windows {
+            let [view, uniform, geometry] = [self.view.all(), window.uniform.all(), cloud.geometry.at(window)];
+            let parts = [&[view, uniform, geometry][..], &outputs].concat();
             recorder.run(&shaders::PROJECT, &parts, Grid::Items(window.count));
+            let State { first, second, colour_steps: ColourSteps { made, steps, .. }, .. } = state;
+            let colours = [&cloud.sh, &first.sh, &second.sh].map(|column| column.at(window));
+            let inputs = [&[view, uniform, self.tile_counts.all(), geometry][..], &colours].concat();
+            let parts = [&inputs[..], &[steps.all(), made.at(window), self.splats.all()]].concat();
+            recorder.run(&shaders::SPLAT_COLOUR, &parts, Grid::Items(window.count));
         }
         self.record_bin(recorder, view);
     }

@@ -35,7 +35,15 @@ impl Optimise<'_> {
             self.state.windows.iter().for_each(|window| self.record_pending(recorder, window, pending));
         }
         if let Some(optimiser) = self.optimiser {
+            let has_pending = self.state.pending.is_some();
+            if !has_pending {
+                self.state.record_room_for_step(recorder);
+            }
             self.state.windows.iter().for_each(|window| self.record_adam(recorder, window, optimiser));
+            if !has_pending {
+                let parts = [self.lists.optimiser(), self.lists.counters.all(), self.state.colour_steps.steps.all()];
+                recorder.run(&shaders::NOTE_STEP, &parts, Grid::Groups(1));
+            }
         }
     }
 
@@ -99,7 +107,8 @@ impl Optimise<'_> {
             let parts = [&[uniform, optimiser, counters, pending.sh.at(window)][..], &colour].concat();
             recorder.run(&shaders::ADAM_PENDING_COLOUR, &parts, Grid::Items(3 * SH_GROUPS * window.count));
         } else {
-            let parts = [&head[..], &colour].concat();
+            let rows = [self.lists.tile_counts.all(), self.state.colour_steps.made.at(window)];
+            let parts = [&head[..], &colour, &rows].concat();
             recorder.run(&shaders::ADAM_COLOUR, &parts, Grid::Items(SH_GROUPS * window.count));
         }
         let geometry = [&cloud.geometry, &first.geometry, &second.geometry].map(|column| column.at(window));

@@ -109,6 +109,7 @@ impl GpuBackend {
         views: &[usize],
         settings: &RenderSettings,
     ) -> Result<Vec<f32>> {
+        self.state.make_up(&self.engine);
         let bytes = |&view: &usize| self.pass_of(view, settings).image_bytes();
         let largest = views.iter().map(bytes).max().unwrap_or(1);
         let fitting = PICTURE_BYTES.min(self.engine.binding_bytes) / largest.max(1);
