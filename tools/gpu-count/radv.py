@@ -12,6 +12,8 @@ from pathlib import Path
 
 WHEELS = ["vulkan==1.3.275.1"]
 FAMILY = "navi21"
+# The version that the table is of: others compile otherwise.
+MESA = "22.3.6"
 DRIVERS = Path("/usr/share/vulkan/icd.d")
 # Names of the figures in the table, and in Mesa's output.
 FIGURES = {
@@ -28,6 +30,15 @@ SUBGROUPS_MAX = 16
 def driver() -> Path | None:
     """What Debian's mesa-vulkan-drivers installs, if it is there."""
     return next(iter(sorted(DRIVERS.glob("radeon_icd*.json"))), None)
+
+
+def version() -> str:
+    """That of Debian's package; empty where it is not one."""
+    query = ["dpkg-query", "--show", "--showformat=${Version}", "mesa-vulkan-drivers"]
+    try:
+        return subprocess.run(query, capture_output=True, text=True).stdout.partition("-")[0]
+    except OSError:
+        return ""
 
 
 def count(kernels: list[Path], packages: Path) -> list[dict[str, int]]:

@@ -34,8 +34,6 @@ pub struct GpuBackend {
     pub(crate) lists: Lists,
     pub(crate) pixels: Pixels,
     pub(crate) pool_buffers: PoolBuffers,
-    /// An [`Optimiser`].
-    pub(crate) optimiser: Memory,
     /// Steps submitted since the host last read the device's counters.
     pub(crate) queued: Vec<TrainStep>,
     /// What a verb that cannot fail has met; the next one that can returns it.
@@ -63,7 +61,6 @@ impl GpuBackend {
             lists: Lists::new(&engine, INTERSECTION_GRADIENT_BYTES)?,
             pixels: Pixels::new(&engine)?,
             pool_buffers: PoolBuffers::new(&engine)?,
-            optimiser: engine.allocate("the optimiser", size_of::<Optimiser>() as u64)?,
             engine,
             views: Vec::new(),
             queued: Vec::new(),
@@ -105,17 +102,18 @@ impl GpuBackend {
     pub(crate) fn submit_view(
         &mut self,
         pass: &ViewPass,
+        optimiser: Option<&Optimiser>,
         needs: Needs,
         of_blend: bool,
         record: impl FnOnce(&Self, &mut Recorder),
     ) -> Result<()> {
         self.lists.reserve(&self.engine, pass)?;
         self.pixels.reserve(&self.engine, pass, needs, self.lists.capacity)?;
-        self.lists.begin(&self.engine, pass);
+        self.lists.begin(&self.engine, pass, optimiser);
         let mut timestamps = self.timestamps.take();
         let mut recorder = Recorder::new(&self.engine, timestamps.as_mut());
         let cloud = self.state.blended.as_ref().filter(|_| of_blend).unwrap_or(&self.state.cloud);
-        self.lists.record(&mut recorder, cloud, &self.state.windows, pass);
+        self.lists.record(&mut recorder, &self.state, cloud, pass);
         self.pixels.record_rasterise(&mut recorder, &self.lists, pass);
         record(self, &mut recorder);
         recorder.submit();
@@ -166,7 +164,7 @@ impl Backend for GpuBackend {
 
     fn render(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<Image> {
         let pass = ViewPass::new(camera, settings, self.state.rows);
-        let submit = |gpu: &mut Self| gpu.submit_view(&pass, Needs::default(), false, |_, _| {});
+        let submit = |gpu: &mut Self| gpu.submit_view(&pass, None, Needs::default(), false, |_, _| {});
         self.with_memory(|gpu| gpu.until_lists_fit::<u32>(ListsOf::Cloud, None, submit))?;
         let planes = self.engine.read_values(&self.pixels.image, pass.image_bytes() / 4)?;
         Ok(Image { width: camera.width, height: camera.height, planes })

@@ -50,14 +50,13 @@ impl GpuBackend {
         let pass = self.pass_of(step.view, &step.settings).with_statistics(step.statistics);
         self.state.reserve_step(&self.engine, step)?;
         let optimiser = step.update.as_ref().map(Optimiser::new);
-        self.engine.write(&self.optimiser, 0, optimiser.as_slice());
         let needs = Needs { loss: true, gradient: true };
-        self.submit_view(&pass, needs, false, |gpu, recorder| {
-            let Self { state, lists, pixels, optimiser: memory, .. } = gpu;
+        self.submit_view(&pass, optimiser.as_ref(), needs, false, |gpu, recorder| {
+            let Self { state, lists, pixels, .. } = gpu;
             pixels.record_loss(recorder, lists, &gpu.views[step.view].photo, &pass);
             pixels.record_backward(recorder, lists, &pass);
             let optimiser = optimiser.as_ref();
-            Optimise { state, lists, pixels, memory, optimiser, step }.record(recorder);
+            Optimise { state, lists, pixels, optimiser, step }.record(recorder);
         })?;
         self.state.statistics.has_absolute |= step.statistics.density == Some(DensitySignal::SignedAndAbsolute);
         Ok(())

@@ -7,11 +7,12 @@ mod evolution;
 #[path = "../../genesplat-kernels/tests/fixtures/mod.rs"]
 mod fixtures;
 mod memory;
+mod schedules;
 mod stages;
 mod verbs;
 
 use fixtures::{
-    CROWD_LOGITS, camera, cloud, crowd, far_needles, filtered_cloud, filters, individual_of, masked_view, photo,
+    CROWD, CROWD_LOGITS, camera, cloud, crowd, far_needles, filtered_cloud, filters, individual_of, masked_view, photo,
     poisoned_cloud, settings, small_view, step, uniform, view,
 };
 use genesplat_core::{Backend, DensitySignal, Gaussians, RenderSettings, ScreenFilter, TrainStep, View};

@@ -1,21 +1,20 @@
 // The last step of the projection: one Gaussian becomes a splat, or none, in a slot of `splats`, `depths`,
-// `tile_counts` and `flags`, which the shader binds. Its colours are those of row `colours` of `sh`.
-fn write_splat(params: Params, colours: u32, slot: u32) {
+// `tile_counts` and `flags`, which the shader binds. `colour_seen` is a function of the shader, too: the colour of a row as
+// the camera sees it, before it is clamped.
+fn write_splat(params: Params, row: u32, slot: u32) {
     let g = geometry_of(params);
     var splat: Splat;
     var count = 0u;
     var has_splat = splat_of(g, &splat);
     var colour = vec3(0.0);
     if has_splat {
-        colour = sh_colour(colours, view.sh_degree, params.position) + 0.5;
+        colour = colour_seen(row, params.position);
         // Clamping could make any colour of a NaN.
         has_splat = !has_nan(vec4(colour, 0.0));
     }
     if has_splat {
         count = count_tiles(splat) | SPLAT_BIT;
-        let below = colour < vec3(0.0);
-        splat.rgb = max(colour, vec3(0.0));
-        splat.clamped = u32(below.x) | u32(below.y) << 1u | u32(below.z) << 2u;
+        set_colour(&splat, colour);
         splats[3u * slot] = first_vector(splat);
         splats[3u * slot + 1u] = second_vector(splat);
         splats[3u * slot + 2u] = third_vector(splat);

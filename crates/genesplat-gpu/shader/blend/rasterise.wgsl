@@ -14,7 +14,8 @@
 @group(0) @binding(5) var<storage, read_write> image: array<f32>;
 
 var<workgroup> range: vec2<u32>;
-var<workgroup> batch: array<BatchSplat, TILE_PIXELS>;
+// In groups that are blended at once: naga checks the number of the group, and constants cost nothing.
+var<workgroup> batch: array<array<BatchSplat, SPLATS_AT_ONCE>, TILE_PIXELS / SPLATS_AT_ONCE>;
 var<workgroup> finished_pixels: atomic<u32>;
 var<workgroup> all_finished: u32;
 
@@ -33,9 +34,8 @@ const FINISHED: f32 = 1.0;
 
 // Blends a splat of the batch into a pixel, unless that would leave less than 1e-4 of the light: then the pixel is
 // finished.
-fn blend(blended: ptr<function, Blended>, index: u32) {
-    let d = batch[index].mean_px - (*blended).at;
-    let exponent = exponent_at(batch[index].conic_log2, batch[index].log2_opacity, d);
+fn blend(blended: ptr<function, Blended>, splat: BatchSplat) {
+    let exponent = exponent_at(splat.conic_log2, splat.log2_opacity, splat.mean_px - (*blended).at);
     if exponent < (*blended).exponent_min {
         return;
     }
@@ -46,7 +46,7 @@ fn blend(blended: ptr<function, Blended>, index: u32) {
         atomicAdd(&finished_pixels, 1u);
         return;
     }
-    (*blended).colour += weight * batch[index].rgb;
+    (*blended).colour += weight * splat.rgb;
     (*blended).transmittance = next;
 }
 
@@ -65,6 +65,7 @@ fn main(@builtin(workgroup_id) tile: vec3<u32>, @builtin(local_invocation_index)
     if !inside {
         atomicAdd(&finished_pixels, 1u);
     }
+    let own_block = 1u << (lane / BLOCK_PIXELS);
     for (var first = intersection_range.x; first < intersection_range.y; first += TILE_PIXELS) {
         // 1. Is any pixel unfinished? The barriers in this also end the batch before.
         workgroupBarrier();
@@ -75,17 +76,18 @@ fn main(@builtin(workgroup_id) tile: vec3<u32>, @builtin(local_invocation_index)
             break;
         }
         // 2. Load the next splats, one an invocation.
-        batch[lane] = absent_splat();
+        var splat = absent_splat();
         if first + lane < intersection_range.y {
-            batch[lane] = load_batch_splat(intersection_splats[intersections[first + lane]], tile.xy);
+            splat = load_batch_splat(intersection_splats[intersections[first + lane]], tile.xy);
         }
+        batch[lane / SPLATS_AT_ONCE][lane % SPLATS_AT_ONCE] = splat;
         workgroupBarrier();
         // 3. Blend, several at once: that spares tests of the loop.
         let count = min(TILE_PIXELS, intersection_range.y - first);
-        for (var start = 0u; start < count && blended.exponent_min < FINISHED; start += SPLATS_AT_ONCE) {
+        for (var group = 0u; SPLATS_AT_ONCE * group < count && blended.exponent_min < FINISHED; group++) {
             for (var slot = 0u; slot < SPLATS_AT_ONCE; slot++) {
-                if reaches_block(start + slot, lane) {
-                    blend(&blended, start + slot);
+                if (batch[group][slot].blocks & own_block) != 0u {
+                    blend(&blended, batch[group][slot]);
                 }
             }
         }

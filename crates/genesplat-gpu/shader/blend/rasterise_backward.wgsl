@@ -3,9 +3,10 @@
 // Walks the lists front to back once more, as the forward pass does: with the final image known, the light behind a
 // splat is what remains of it, so neither alphas nor transmittances are stored. Eight splats at a time:
 // 1. each invocation is a pixel and leaves p = o G dL/dalpha and w = alpha T of each splat in workgroup memory;
-// 2. each invocation is one of 32 parts of a splat and sums eight pixels of it, one of each block;
+// 2. each invocation is one row of eight pixels of its block, and sums these for one splat: along a row, moments by the
+//    number of the pixel are sums with constant factors;
 // 3. each invocation is one column of a splat's row and sums its 32 parts.
-// Blocks that the splat's ellipse misses are passed over in steps 1 and 2.
+// Blocks that the splat's ellipse misses, and those whose pixels are all finished, are passed over in steps 1 and 2.
 //
 // So a splat's gradient is reduced once per tile, no two workgroups write the same row, and there are no atomics: the
 // result is the same on every run.
@@ -22,21 +23,28 @@
 @group(0) @binding(7) var<storage, read_write> intersection_gradients: array<f32>;
 
 const COLUMNS: u32 = 12u;
-// Invocations that sum one splat in step 2.
-const PARTS: u32 = BLOCK_PIXELS;
-// Splats that are loaded at once.
+// Those that every signal has.
+const PLAIN_COLUMNS: u32 = 9u;
+// Pixels of a row of a block, and such rows.
+const ROW: u32 = 8u;
+const ROWS: u32 = BLOCK_PIXELS / ROW;
+// Rows of a tile's blocks: parts of a splat's sum.
+const PARTS: u32 = BLOCKS * ROWS;
+// Splats that are loaded at once, and groups of them that are reduced at once.
 const BATCH: u32 = 64u;
+const GROUPS: u32 = BATCH / SPLATS_AT_ONCE;
 
 var<workgroup> range: vec2<u32>;
-var<workgroup> batch: array<BatchSplat, BATCH>;
+var<workgroup> batch: array<array<BatchSplat, SPLATS_AT_ONCE>, GROUPS>;
 var<workgroup> batch_intersections: array<u32, BATCH>;
-// p of each splat and pixel, then w [slots, blocks, pixels]; later the parts of the sums [columns, slots, parts]: there
-// are as many slots as blocks. In three dimensions, so that naga checks numbers that stay the same; constants cost
-// nothing.
-var<workgroup> partial_sums: array<array<array<f32, BLOCK_PIXELS>, BLOCKS>, 2u * SPLATS_AT_ONCE>;
-var<workgroup> pixel_gradients: array<vec3<f32>, TILE_PIXELS>;
-var<workgroup> finished_pixels: atomic<u32>;
-var<workgroup> all_finished: u32;
+// p of each splat, then w [blocks, slots, pixels]; later the parts of the sums [slots, columns, parts]: there are as many
+// slots as blocks. One number more than there are pixels, so that no two invocations ask the same memory bank. In three
+// dimensions, so that naga checks numbers that stay the same; constants cost nothing.
+var<workgroup> exchange: array<array<array<f32, BLOCK_PIXELS + 1u>, 2u * SPLATS_AT_ONCE>, BLOCKS>;
+// Four pixels of a row [channels, parts, 2].
+var<workgroup> row_gradients: array<vec4<f32>, 6u * PARTS>;
+var<workgroup> finished_pixels: array<atomic<u32>, BLOCKS>;
+var<workgroup> unfinished_blocks: u32;
 
 // One pixel on its way through the list.
 struct Pixel {
@@ -47,6 +55,7 @@ struct Pixel {
     remaining: f32,
     // Splats with a smaller exponent do not reach the pixel; where it is finished, that is all of them.
     exponent_min: f32,
+    block: u32,
 }
 
 // Above the logarithm of every opacity.
@@ -64,7 +73,7 @@ fn replay(pixel: ptr<function, Pixel>, splat: BatchSplat) -> vec2<f32> {
     let next = (*pixel).transmittance - weight;
     if next < TRANSMITTANCE_MIN {
         (*pixel).exponent_min = FINISHED;
-        atomicAdd(&finished_pixels, 1u);
+        atomicAdd(&finished_pixels[(*pixel).block], 1u);
         return vec2(0.0);
     }
     // dL/dalpha: what the splat adds itself, less what it takes from everything behind it. The clamp at 0.99 is
@@ -77,48 +86,110 @@ fn replay(pixel: ptr<function, Pixel>, splat: BatchSplat) -> vec2<f32> {
     return vec2(unclamped * alpha_gradient, weight);
 }
 
-// Sums of up to eight pixels of one splat: invocation `part` of each block that the splat reaches.
-fn sum_part(splat: BatchSplat, slot: u32, part: u32) -> array<f32, COLUMNS> {
-    let from_mean = vec2<f32>(pixel_of(part)) - splat.mean_px;
-    let a = -LN_2 * splat.conic_log2;
+// A row of pixels, and the splat that an invocation sums there.
+struct RowOfPixels {
+    block: u32,
+    // Of the block; of all blocks.
+    row: u32,
+    part: u32,
+    slot: u32,
+    // Its first pixel, px from the tile's corner.
+    first: vec2<f32>,
+}
+
+fn row_of(lane: u32) -> RowOfPixels {
+    let block = (lane / BLOCK_PIXELS) % BLOCKS;
+    let row = lane % ROWS;
+    let first = pixel_of(block * BLOCK_PIXELS + row * ROW);
+    return RowOfPixels(block, row, block * ROWS + row, (lane / ROWS) % SPLATS_AT_ONCE, vec2<f32>(first));
+}
+
+// Sums of one splat over the pixels of a row.
+fn sum_row(place: RowOfPixels, splat: BatchSplat) -> array<f32, COLUMNS> {
+    // 1. Moments of p by the number of the pixel, then by the offset from the mean.
+    var p: array<f32, ROW>;
     var moments = vec3(0.0);
-    var second_moments = vec3(0.0);
-    var rgb = vec3(0.0);
+    for (var x = 0u; x < ROW; x++) {
+        p[x] = exchange[place.block][place.slot][ROW * place.row + x];
+        moments.x += p[x];
+        if x > 0u {
+            moments = vec3(moments.x, moments.yz + p[x] * vec2(f32(x), f32(x * x)));
+        }
+    }
+    let d = place.first - splat.mean_px;
+    let by_x = moments.x * d.x + moments.y;
+    let by_xx = (by_x + moments.y) * d.x + moments.z;
+    let by_y = moments.x * d.y;
+    // 2. Colours.
+    var rgb: array<f32, 3>;
+    var w: array<f32, ROW>;
+    for (var x = 0u; x < ROW; x++) {
+        w[x] = exchange[place.block][SPLATS_AT_ONCE + place.slot][ROW * place.row + x];
+    }
+    for (var channel = 0u; channel < 3u; channel++) {
+        let at = 2u * (channel * PARTS + place.part);
+        rgb[channel] = dot(vec4(w[0], w[1], w[2], w[3]), row_gradients[at])
+            + dot(vec4(w[4], w[5], w[6], w[7]), row_gradients[at + 1u]);
+    }
+    // 3. What only some signals ask for.
     var absolute = vec2(0.0);
     var pixels = 0.0;
-    for (var block = 0u; block < BLOCKS; block++) {
-        if ((splat.blocks >> block) & 1u) != 0u {
-            let pixel = block * BLOCK_PIXELS + part;
-            let p = partial_sums[slot][block][part];
-            let w = partial_sums[SPLATS_AT_ONCE + slot][block][part];
-            let d = from_mean + vec2<f32>(pixel_of(block * BLOCK_PIXELS));
-            let p_d = p * d;
-            moments += vec3(p, p_d);
-            second_moments += vec3(p_d.x * d.x, p_d.x * d.y, p_d.y * d.y);
-            rgb += w * pixel_gradients[pixel];
-            if view.signal >= SIGNAL_ABSOLUTE {
-                absolute += abs(p * vec2(2.0 * a.x * d.x + a.y * d.y, a.y * d.x + 2.0 * a.z * d.y));
-                // What a mask hides has no gradient.
-                pixels += f32(w > 0.0 && any(pixel_gradients[pixel] != vec3(0.0)));
-            }
+    if view.signal >= SIGNAL_ABSOLUTE {
+        let a = -LN_2 * splat.conic_log2;
+        for (var x = 0u; x < ROW; x++) {
+            let at = d + vec2(f32(x), 0.0);
+            absolute += abs(p[x] * vec2(2.0 * a.x * at.x + a.y * at.y, a.y * at.x + 2.0 * a.z * at.y));
+            // What a mask hides has no gradient.
+            pixels += f32(w[x] > 0.0 && has_gradient(place.part, x));
         }
     }
     return array(
-        moments.x, moments.y, moments.z, second_moments.x, second_moments.y, second_moments.z,
-        rgb.x, rgb.y, rgb.z, absolute.x, absolute.y, pixels,
-    );
+        moments.x, by_x, by_y, by_xx, by_x * d.y, by_y * d.y, rgb[0], rgb[1], rgb[2], absolute.x, absolute.y, pixels);
 }
 
-// Sums the parts of one column. Each invocation begins at another part, so that no two ask the same memory bank; there
-// are four sums, so that no addition waits for the one before it.
-fn sum_column(slot: u32, column: u32, lane: u32) -> f32 {
+fn has_gradient(part: u32, x: u32) -> bool {
+    let at = 2u * part + x / 4u;
+    return row_gradients[at][x % 4u] != 0.0 || row_gradients[at + 2u * PARTS][x % 4u] != 0.0
+        || row_gradients[at + 4u * PARTS][x % 4u] != 0.0;
+}
+
+// Sums the parts of one column; four sums, so that no addition waits for the one before it.
+fn sum_column(slot: u32, column: u32) -> f32 {
     var sums = vec4(0.0);
     for (var i = 0u; i < PARTS; i += 4u) {
         sums += vec4(
-            partial_sums[column][slot][(lane + i) % PARTS], partial_sums[column][slot][(lane + i + 1u) % PARTS],
-            partial_sums[column][slot][(lane + i + 2u) % PARTS], partial_sums[column][slot][(lane + i + 3u) % PARTS]);
+            exchange[slot][column][i], exchange[slot][column][i + 1u],
+            exchange[slot][column][i + 2u], exchange[slot][column][i + 3u]);
     }
     return (sums.x + sums.y) + (sums.z + sums.w);
+}
+
+// Leaves the gradients of all pixels in rows.
+fn leave_gradients(lane: u32, gradient: vec3<f32>) {
+    for (var channel = 0u; channel < 3u; channel++) {
+        exchange[(lane / BLOCK_PIXELS) % BLOCKS][channel][lane % BLOCK_PIXELS] = gradient[channel];
+    }
+    workgroupBarrier();
+    if lane < 6u * PARTS {
+        let channel = lane / (2u * PARTS);
+        let block = lane / (2u * ROWS) % BLOCKS;
+        let at = lane % (2u * ROWS) * 4u;
+        row_gradients[lane] = vec4(
+            exchange[block][channel][at], exchange[block][channel][at + 1u],
+            exchange[block][channel][at + 2u], exchange[block][channel][at + 3u]);
+    }
+}
+
+// Blocks with a pixel that is not finished, for all invocations alike. One that is counted too late only costs time.
+fn find_unfinished(lane: u32) -> u32 {
+    if lane == 0u {
+        var blocks = 0u;
+        for (var block = 0u; block < BLOCKS; block++) {
+            blocks |= u32(atomicLoad(&finished_pixels[block]) < BLOCK_PIXELS) << block;
+        }
+        unfinished_blocks = blocks;
+    }
+    return workgroupUniformLoad(&unfinished_blocks);
 }
 
 @compute @workgroup_size(TILE, TILE)
@@ -127,11 +198,14 @@ fn main(@builtin(workgroup_id) tile: vec3<u32>, @builtin(local_invocation_index)
     let place = tile.xy * TILE + local;
     if lane == 0u {
         range = ranges[tile.y * view.tiles_x + tile.x];
-        atomicStore(&finished_pixels, 0u);
+    }
+    if lane < BLOCKS {
+        atomicStore(&finished_pixels[lane], 0u);
     }
     let intersection_range = workgroupUniformLoad(&range);
 
-    var pixel = Pixel(vec2<f32>(local), vec3(0.0), 1.0, 0.0, FINISHED);
+    let row = row_of(lane);
+    var pixel = Pixel(vec2<f32>(local), vec3(0.0), 1.0, 0.0, FINISHED, row.block);
     if place.x < view.width && place.y < view.height {
         let pixels = view.width * view.height;
         let at = place.y * view.width + place.x;
@@ -140,51 +214,61 @@ fn main(@builtin(workgroup_id) tile: vec3<u32>, @builtin(local_invocation_index)
         pixel.remaining = dot(colour, pixel.gradient);
         pixel.exponent_min = -LOG2_255;
     } else {
-        atomicAdd(&finished_pixels, 1u);
+        atomicAdd(&finished_pixels[row.block], 1u);
     }
-    pixel_gradients[lane] = pixel.gradient;
+    leave_gradients(lane, pixel.gradient);
 
+    let own_block = 1u << row.block;
     var first = intersection_range.x;
     for (; first < intersection_range.y; first += BATCH) {
-        workgroupBarrier();
-        if lane == 0u {
-            all_finished = u32(atomicLoad(&finished_pixels) == TILE_PIXELS);
-        }
-        if workgroupUniformLoad(&all_finished) == 1u {
+        let unfinished = find_unfinished(lane);
+        if unfinished == 0u {
             break;
         }
         if lane < BATCH {
-            batch[lane] = absent_splat();
+            var splat = absent_splat();
             if first + lane < intersection_range.y {
                 let intersection = intersections[first + lane];
                 batch_intersections[lane] = intersection;
-                batch[lane] = load_batch_splat(intersection_splats[intersection], tile.xy);
+                splat = load_batch_splat(intersection_splats[intersection], tile.xy);
+                splat.blocks &= unfinished;
             }
+            batch[lane / SPLATS_AT_ONCE][lane % SPLATS_AT_ONCE] = splat;
         }
         workgroupBarrier();
         let count = min(BATCH, intersection_range.y - first);
-        for (var start = 0u; start < count; start += SPLATS_AT_ONCE) {
+        for (var group = 0u; SPLATS_AT_ONCE * group < count; group++) {
             // 1. Pixels.
             for (var slot = 0u; slot < SPLATS_AT_ONCE; slot++) {
-                if reaches_block(start + slot, lane) {
-                    let p_w = replay(&pixel, batch[start + slot]);
-                    partial_sums[slot][lane / BLOCK_PIXELS][lane % BLOCK_PIXELS] = p_w.x;
-                    partial_sums[SPLATS_AT_ONCE + slot][lane / BLOCK_PIXELS][lane % BLOCK_PIXELS] = p_w.y;
+                if (batch[group][slot].blocks & own_block) != 0u {
+                    let p_w = replay(&pixel, batch[group][slot]);
+                    exchange[row.block][slot][lane % BLOCK_PIXELS] = p_w.x;
+                    exchange[row.block][SPLATS_AT_ONCE + slot][lane % BLOCK_PIXELS] = p_w.y;
                 }
             }
             workgroupBarrier();
-            // 2. Parts of splats.
-            let sums = sum_part(batch[start + lane / PARTS], lane / PARTS, lane % PARTS);
+            // 2. Rows of pixels.
+            var sums: array<f32, COLUMNS>;
+            if (batch[group][row.slot].blocks & own_block) != 0u {
+                sums = sum_row(row, batch[group][row.slot]);
+            }
             workgroupBarrier();
             for (var column = 0u; column < COLUMNS; column++) {
-                partial_sums[column][lane / PARTS][lane % PARTS] = sums[column];
+                if column < PLAIN_COLUMNS || view.signal >= SIGNAL_ABSOLUTE {
+                    // In an order that differs from slot to slot, for the memory banks' sake.
+                    exchange[row.slot][column][(row.row * BLOCKS + row.block) ^ row.slot] = sums[column];
+                }
             }
             workgroupBarrier();
             // 3. Columns of rows.
-            if lane < SPLATS_AT_ONCE * COLUMNS && start + lane / COLUMNS < count {
-                let row = batch_intersections[start + lane / COLUMNS];
-                let sum = sum_column(lane / COLUMNS, lane % COLUMNS, lane);
-                intersection_gradients[row * COLUMNS + lane % COLUMNS] = sum;
+            let summed = SPLATS_AT_ONCE * group + lane / COLUMNS;
+            if lane < SPLATS_AT_ONCE * COLUMNS && summed < count {
+                let column = lane % COLUMNS;
+                var sum = 0.0;
+                if column < PLAIN_COLUMNS || view.signal >= SIGNAL_ABSOLUTE {
+                    sum = sum_column(lane / COLUMNS, column);
+                }
+                intersection_gradients[batch_intersections[summed] * COLUMNS + column] = sum;
             }
             workgroupBarrier();
         }

@@ -11,50 +11,53 @@
 // [3, H, W]
 @group(0) @binding(6) var<storage, read_write> gradient: array<f32>;
 
-var<workgroup> halo: array<vec3<f32>, HALO * HALO>;
-var<workgroup> blurred: array<vec3<f32>, HALO * TILE>;
-
 @compute @workgroup_size(TILE, TILE)
-fn main(
-    @builtin(workgroup_id) tile: vec3<u32>,
-    @builtin(local_invocation_id) local: vec3<u32>,
-    @builtin(local_invocation_index) lane: u32,
-) {
+fn main(@builtin(workgroup_id) tile: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     let pixels = view.width * view.height;
     let channel = tile.z;
     // 1. The tile with its margins.
-    for (var first = 0u; first < HALO * HALO; first += TILE_PIXELS) {
-        let at = first + lane;
-        if at < HALO * HALO {
-            let x = i32(tile.x * TILE + at % HALO) - i32(SSIM_RADIUS);
-            let y = i32(tile.y * TILE + at / HALO) - i32(SSIM_RADIUS);
-            halo[at] = vec3(0.0);
-            if x >= 0 && y >= 0 && x < i32(view.width) && y < i32(view.height) {
-                let index = channel * pixels + u32(y) * view.width + u32(x);
-                halo[at] = vec3(by_mean[index], by_square[index], by_product[index]);
-            }
+    let column = lane % 32u;
+    let corner = tile.xy * TILE + vec2(column, lane / 32u) - SSIM_RADIUS;
+    // Left of the image, and above it, numbers wrap.
+    let is_inside = column < HALO && corner.x < view.width;
+    let first = channel * pixels + corner.y * view.width + corner.x;
+    for (var down = 0u; down < HALO; down += HALO_STEP) {
+        var partials = vec4(0.0);
+        if is_inside && corner.y + down < view.height {
+            let index = first + down * view.width;
+            partials = vec4(by_mean[index], by_square[index], by_product[index], 0.0);
         }
+        leave(lane, down, partials);
     }
     workgroupBarrier();
     // 2. Blur along rows, then columns.
-    for (var first = 0u; first < HALO * TILE; first += TILE_PIXELS) {
-        let at = first + lane;
-        if at < HALO * TILE {
-            let left = at / TILE * HALO + at % TILE;
-            var sum = vec3(0.0);
+    let row = blurred_row(lane);
+    var sums_of_row: array<vec3<f32>, ROW_PIXELS>;
+    if is_blurred(row) {
+        var values: array<vec3<f32>, ROW_PIXELS + 2u * SSIM_RADIUS>;
+        for (var x = 0u; x < ROW_PIXELS + 2u * SSIM_RADIUS; x++) {
+            values[x] = halo[row.y][row.x + x].xyz;
+        }
+        for (var pixel = 0u; pixel < ROW_PIXELS; pixel++) {
             for (var tap = 0u; tap < 2u * SSIM_RADIUS + 1u; tap++) {
-                sum += SSIM_WINDOW[tap] * halo[left + tap];
+                sums_of_row[pixel] += SSIM_WINDOW[tap] * values[pixel + tap];
             }
-            blurred[at] = sum;
         }
     }
     workgroupBarrier();
+    if is_blurred(row) {
+        for (var pixel = 0u; pixel < ROW_PIXELS; pixel++) {
+            halo[row.x + pixel][row.y] = vec4(sums_of_row[pixel], 0.0);
+        }
+    }
+    workgroupBarrier();
+    let local = pixel_in_rows(lane);
     var by = vec3(0.0);
     for (var tap = 0u; tap < 2u * SSIM_RADIUS + 1u; tap++) {
-        by += SSIM_WINDOW[tap] * blurred[(local.y + tap) * TILE + local.x];
+        by += SSIM_WINDOW[tap] * halo[local.x][local.y + tap].xyz;
     }
     // 3. Both terms of the loss; the subgradient of |x| at 0 is 0.
-    let pixel = tile.xy * TILE + local.xy;
+    let pixel = tile.xy * TILE + local;
     if pixel.x < view.width && pixel.y < view.height {
         let index = pixel.y * view.width + pixel.x;
         let x = image[channel * pixels + index];

@@ -25,6 +25,3 @@ fn ssim_of(moments: vec4<f32>) -> Ssim {
     let direct = 2.0 * (my * n1 * inverse - mx * value / d0);
     return Ssim(value, vec3(direct - 2.0 * mx * by_variance - my * by_covariance, by_variance, by_covariance));
 }
-
-// Side of a tile with its margins.
-const HALO: u32 = TILE + 2u * SSIM_RADIUS;

@@ -3,6 +3,8 @@
 //
 // An invocation first has four coefficients of a row, which are three vectors of gradients, and leaves them in
 // workgroup memory; then it steps single vectors, so that neighbours touch neighbouring memory, in whole sectors.
+//
+// Rows without a splat wait: they have no gradient, and make up for the step later.
 
 @group(0) @binding(0) var<uniform> view: ViewPass;
 @group(0) @binding(1) var<uniform> window: Window;
@@ -13,9 +15,11 @@
 @group(0) @binding(6) var<storage, read_write> sh: array<vec4<f32>>;
 @group(0) @binding(7) var<storage, read_write> first_moments: array<vec4<f32>>;
 @group(0) @binding(8) var<storage, read_write> second_moments: array<vec4<f32>>;
+@group(0) @binding(9) var<storage, read> tile_counts: array<u32>;
+// Steps that each row has made [N].
+@group(0) @binding(10) var<storage, read_write> made: array<u32>;
 
-// Vectors of colour of a row; rows of a workgroup.
-const VECTORS: u32 = 3u * SH_GROUPS;
+// Rows of a workgroup.
 const ROWS: u32 = GROUP / SH_GROUPS;
 // A vector of each row, then the next: one more than there are rows, so that neither side asks one memory bank.
 const PITCH: u32 = ROWS + 1u;
@@ -24,6 +28,10 @@ var<workgroup> sh_gradients: array<vec4<f32>, VECTORS * PITCH>;
 // Vectors of a row that can move: others have no gradient and no moments yet.
 fn moving_vectors() -> u32 {
     return select(3u * sh_groups(view.sh_degree), 1u, view.sh_degree == 0u);
+}
+
+fn has_splat(local: u32) -> bool {
+    return (tile_counts[window.first + local] & SPLAT_BIT) != 0u;
 }
 
 // The gradients of one group of one row.
@@ -50,7 +58,7 @@ fn main(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_i
     let rows = min(ROWS, window.count - min(window.count, first));
     let row = lane % ROWS;
     let group = lane / ROWS;
-    if row < rows && group < sh_groups(view.sh_degree) {
+    if row < rows && group < sh_groups(view.sh_degree) && has_splat(first + row) {
         leave_gradients(row, group, first + row);
     }
     workgroupBarrier();
@@ -60,9 +68,11 @@ fn main(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_i
     for (var begin = 0u; begin < VECTORS * ROWS; begin += GROUP) {
         let stepped = (begin + lane) / VECTORS;
         let vector = (begin + lane) % VECTORS;
-        if stepped < rows && vector < moving_vectors() {
-            let rest = vec4(optimiser.sh_rest);
-            let rate = select(rest, vec4(vec3(optimiser.sh_dc), optimiser.sh_rest), vector == 0u);
+        if stepped < rows && vector < moving_vectors() && has_splat(first + stepped) {
+            let rate = colour_rate(vector, optimiser.sh_dc, optimiser.sh_rest);
+            if vector == 0u {
+                made[first + stepped] += 1u;
+            }
             step(VECTORS * first + begin + lane, sh_gradients[vector * PITCH + stepped], rate);
         }
     }

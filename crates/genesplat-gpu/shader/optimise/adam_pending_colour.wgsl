@@ -9,17 +9,13 @@
 @group(0) @binding(5) var<storage, read_write> first_moments: array<vec4<f32>>;
 @group(0) @binding(6) var<storage, read_write> second_moments: array<vec4<f32>>;
 
-// Vectors of colour of a row.
-const VECTORS: u32 = 12u;
-
 @compute @workgroup_size(GROUP)
 fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     let at = group_of(group) * GROUP + lane;
     if at >= VECTORS * window.count || counters.halted != 0u {
         return;
     }
-    let rest = vec4(optimiser.sh_rest);
-    let rate = select(rest, vec4(vec3(optimiser.sh_dc), optimiser.sh_rest), at % VECTORS == 0u);
+    let rate = colour_rate(at, optimiser.sh_dc, optimiser.sh_rest);
     var m = first_moments[at];
     var v = second_moments[at];
     sh[at] = adam(sh[at], pending[at], &m, &v, rate, vec4(optimiser.root));

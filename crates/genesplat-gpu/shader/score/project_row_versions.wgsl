@@ -15,6 +15,10 @@
 @group(0) @binding(8) var<storage, read_write> tile_counts: array<u32>;
 @group(0) @binding(9) var<storage, read_write> flags: array<u32>;
 
+fn colour_seen(row: u32, position: vec3<f32>) -> vec3<f32> {
+    return sh_colour(row, view.sh_degree, position) + 0.5;
+}
+
 @compute @workgroup_size(GROUP)
 fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     let local = group_of(group) * GROUP + lane;

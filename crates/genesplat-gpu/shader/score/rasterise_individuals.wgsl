@@ -107,7 +107,7 @@ fn blend_batch(
     let left = least * exp2(-f32(atomicLoad(&batch_dimming)) / DIMMING_STEPS);
     let may_finish = left < TRANSMITTANCE_MIN * DIMMING_SLACK;
     for (var i = 0u; i < count; i++) {
-        if !reaches_block(i, lane) {
+        if !reaches_block(batch[i].blocks, lane) {
             continue;
         }
         let exponent = exponent_at(batch[i].conic_log2, batch[i].log2_opacity, batch[i].mean_px - pixel);

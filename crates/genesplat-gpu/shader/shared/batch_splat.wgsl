@@ -39,8 +39,9 @@ fn blocks_of(spans: Spans, tile_x: i32) -> u32 {
     return bits.x | bits.y | bits.z | bits.w;
 }
 
-fn reaches_block(index: u32, lane: u32) -> bool {
-    return ((batch[index].blocks >> (lane / BLOCK_PIXELS)) & 1u) != 0u;
+// Whether a splat that reaches these blocks reaches that of an invocation.
+fn reaches_block(blocks: u32, lane: u32) -> bool {
+    return ((blocks >> (lane / BLOCK_PIXELS)) & 1u) != 0u;
 }
 
 // The pixel of an invocation: 32 in a row have a block of 8x4, and 64 one of 8x8. What runs in lockstep passes over a

@@ -27,6 +27,13 @@ fn third_vector(splat: Splat) -> vec4<f32> {
     return vec4(splat.rgb, bitcast<f32>(splat.clamped | 0x3f800000u));
 }
 
+// Clamps a colour at 0.
+fn set_colour(splat: ptr<function, Splat>, colour: vec3<f32>) {
+    let below = colour < vec3(0.0);
+    (*splat).rgb = max(colour, vec3(0.0));
+    (*splat).clamped = u32(below.x) | u32(below.y) << 1u | u32(below.z) << 2u;
+}
+
 fn splat_from(a: vec4<f32>, b: vec4<f32>, c: vec4<f32>) -> Splat {
     // The bits of 1.0 keep the flags from looking like a denormal, which some devices flush to zero.
     return Splat(a.xy, a.z, vec2(a.w, b.w), b.xyz, c.xyz, bitcast<u32>(c.w) & 7u);

@@ -1,14 +1,14 @@
 //! An open device: compiled kernels, submissions and waits.
 
-use std::cell::{Cell, RefCell};
+use std::cell::{Cell, OnceCell, RefCell};
 use std::collections::HashMap;
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
 use genesplat_core::BackendError;
 use wgpu::{
-    BindGroupLayout, CommandBuffer, ComputePipeline, ComputePipelineDescriptor, Device, DeviceDescriptor, Features,
-    Limits, PipelineCompilationOptions, PollError, PollType, Queue, ShaderModuleDescriptor, ShaderSource,
+    BindGroupLayout, Buffer, CommandBuffer, ComputePipeline, ComputePipelineDescriptor, Device, DeviceDescriptor,
+    Features, Limits, PipelineCompilationOptions, PollError, PollType, Queue, ShaderModuleDescriptor, ShaderSource,
 };
 
 use crate::Result;
@@ -16,16 +16,22 @@ use crate::device::MemoryUse;
 use crate::device::adapter;
 use crate::device::probe;
 use crate::device::shaders::Shader;
+#[cfg(test)]
+use crate::device::shaders::kernel_texts;
 use crate::state::layout::SH_FLOATS;
 
 /// Longest time that a device may take for all that was submitted: a driver that hangs would keep the host forever.
 /// Software drivers are slow, and 32 steps may be in the queue.
 const WAIT_MAX: Duration = Duration::from_secs(600);
 
-type KernelKey = (&'static str, Vec<(&'static str, u32)>);
+pub(super) type KernelKey = (&'static str, Vec<(&'static str, u32)>);
+
+/// What a test makes of the text of a kernel of this name, with its loops.
+#[cfg(test)]
+pub(crate) type Rewrite = Box<dyn Fn(&str, String) -> String>;
 
 /// A compiled shader, and how its buffers are bound.
-#[derive(Clone)]
+#[derive(Clone, Debug)]
 pub(crate) struct Kernel {
     pub(crate) pipeline: ComputePipeline,
     pub(crate) layout: BindGroupLayout,
@@ -49,6 +55,10 @@ pub(crate) struct Engine {
     pub(crate) waits: Cell<u32>,
     kernels: RefCell<HashMap<KernelKey, Kernel>>,
     failures: Arc<Failures>,
+    /// What small answers are read through.
+    pub(super) staging: OnceCell<Buffer>,
+    #[cfg(test)]
+    rewrite: Option<Rewrite>,
 }
 
 /// What a device reports between calls: the first message of each kind stays.
@@ -93,6 +103,9 @@ impl Engine {
             usage: MemoryUse::default(),
             waits: Cell::default(),
             kernels: RefCell::default(),
+            staging: OnceCell::new(),
+            #[cfg(test)]
+            rewrite: None,
         };
         let trusts = features.contains(Features::SUBGROUP) && probe::subgroup_width(&engine)?.is_some();
         Ok(if trusts { engine } else { engine.without_subgroups() })
@@ -109,6 +122,27 @@ impl Engine {
     pub(crate) fn without_subgroups(mut self) -> Self {
         self.subgroups = false;
         self
+    }
+
+    /// From now on kernels are what `rewrite` makes of them; those that it leaves as they were are not compiled anew.
+    #[cfg(test)]
+    pub(crate) fn set_rewrite(&mut self, rewrite: Rewrite) {
+        let text = |rewrite: Option<&Rewrite>, name| {
+            let (_, text) = kernel_texts(self.subgroups).find(|(kernel, _)| *kernel == name)?;
+            Some(rewrite?(name, text))
+        };
+        let before = self.rewrite.replace(rewrite);
+        self.usage.bound.forget();
+        let now = self.rewrite.as_ref();
+        self.kernels.borrow_mut().retain(|(name, _), _| text(before.as_ref(), name) == text(now, name));
+    }
+
+    fn source(&self, shader: &'static Shader) -> String {
+        #[cfg(test)]
+        if let Some(rewrite) = &self.rewrite {
+            return rewrite(shader.name, shader.text(self.subgroups));
+        }
+        shader.source(self.subgroups)
     }
 
     /// Hands commands to the device, and before them all that was written; does not wait.
@@ -153,7 +187,7 @@ impl Engine {
         }
         let module = self.device.create_shader_module(ShaderModuleDescriptor {
             label: Some(shader.name),
-            source: ShaderSource::Wgsl(shader.source(self.subgroups).into()),
+            source: ShaderSource::Wgsl(self.source(shader).into()),
         });
         let constants: Vec<(&str, f64)> = overrides.iter().map(|&(name, value)| (name, value.into())).collect();
         let pipeline = self.device.create_compute_pipeline(&ComputePipelineDescriptor {

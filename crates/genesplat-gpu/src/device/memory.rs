@@ -11,6 +11,7 @@ use wgpu::{Buffer, BufferDescriptor, BufferUsages, ErrorFilter, MapMode};
 
 use crate::Result;
 use crate::device::Engine;
+use crate::device::bound::Bound;
 
 /// Smallest buffer, bytes: an empty cloud has buffers, too.
 const BUFFER_BYTES_MIN: u64 = 256;
@@ -29,30 +30,35 @@ pub(crate) struct Memory {
     pub(crate) buffer: Buffer,
     pub(crate) bytes: u64,
     purpose: &'static str,
+    /// No other memory has it.
+    number: u64,
     allocated: Rc<Cell<u64>>,
+    bound: Rc<Bound>,
 }
 
 impl Memory {
     /// Frees it, once the device has done what was submitted before, until it is [`Engine::reserve`]d anew.
     pub(crate) fn release(&mut self) {
         self.buffer.destroy();
+        self.bound.forget();
         self.allocated.set(self.allocated.get().saturating_sub(self.bytes));
         self.bytes = 0;
     }
 
     pub(crate) fn all(&self) -> Part<'_> {
-        Part { buffer: &self.buffer, first_byte: 0, bytes: self.bytes }
+        Part { buffer: &self.buffer, number: self.number, first_byte: 0, bytes: self.bytes }
     }
 
     /// `bytes` from `first_byte` on; at least 16, since no binding may be empty.
     pub(crate) fn part(&self, first_byte: u64, bytes: u64) -> Part<'_> {
-        Part { buffer: &self.buffer, first_byte, bytes: bytes.max(16) }
+        Part { buffer: &self.buffer, number: self.number, first_byte, bytes: bytes.max(16) }
     }
 }
 
 impl Drop for Memory {
     /// The device frees the buffer once it has done what was submitted before.
     fn drop(&mut self) {
+        self.bound.forget();
         self.allocated.set(self.allocated.get().saturating_sub(self.bytes));
     }
 }
@@ -60,6 +66,7 @@ impl Drop for Memory {
 #[derive(Clone, Copy)]
 pub(crate) struct Part<'a> {
     pub(super) buffer: &'a Buffer,
+    pub(super) number: u64,
     pub(super) first_byte: u64,
     pub(super) bytes: u64,
 }
@@ -73,6 +80,9 @@ pub(crate) struct MemoryUse {
     pub(crate) written: Cell<usize>,
     pub(crate) allocated: Rc<Cell<u64>>,
     pub(crate) most_allocated: Cell<u64>,
+    /// Memories that were made.
+    made: Cell<u64>,
+    pub(super) bound: Rc<Bound>,
 }
 
 impl Default for MemoryUse {
@@ -84,6 +94,8 @@ impl Default for MemoryUse {
             written: Cell::default(),
             allocated: Rc::default(),
             most_allocated: Cell::default(),
+            made: Cell::default(),
+            bound: Rc::default(),
         }
     }
 }
@@ -107,7 +119,9 @@ impl Engine {
         let buffer = self.create(purpose, bytes, kind)?;
         usage.allocated.set(usage.allocated.get() + bytes);
         usage.most_allocated.set(usage.most_allocated.get().max(usage.allocated.get()));
-        Ok(Memory { buffer, bytes, purpose, allocated: Rc::clone(&usage.allocated) })
+        let number = usage.made.replace(usage.made.get() + 1);
+        let (allocated, bound) = (Rc::clone(&usage.allocated), Rc::clone(&usage.bound));
+        Ok(Memory { buffer, bytes, purpose, number, allocated, bound })
     }
 
     /// Makes `memory` at least `bytes` large; what it held is lost when it has to grow. Where there is no memory for
@@ -189,8 +203,7 @@ impl Engine {
     pub(crate) fn read<const K: usize>(&self, parts: [(&Memory, &mut [u8]); K]) -> Result<()> {
         let most = (self.usage.read_bytes_max.min(self.buffer_bytes) / 4 * 4) as usize;
         let total: usize = parts.iter().map(|(_, target)| target.len()).sum();
-        let usage = BufferUsages::MAP_READ | BufferUsages::COPY_DST;
-        let staging = self.create("a read-back", (total.min(most) as u64).max(BUFFER_BYTES_MIN), usage)?;
+        let staging = self.staging(total.min(most) as u64)?;
         let (mut pieces, mut staged) = (Vec::new(), 0);
         for (memory, target) in parts {
             for (first_byte, target) in (0..).step_by(most).zip(target.chunks_mut(most)) {
@@ -203,6 +216,19 @@ impl Engine {
             }
         }
         self.read_pieces(&staging, pieces)
+    }
+
+    /// A buffer that the host can read, of at least `bytes`: for small answers always the same.
+    fn staging(&self, bytes: u64) -> Result<Buffer> {
+        let usage = BufferUsages::MAP_READ | BufferUsages::COPY_DST;
+        if bytes > BUFFER_BYTES_MIN {
+            return self.create("a read-back", bytes, usage);
+        }
+        if let Some(kept) = self.staging.get() {
+            return Ok(kept.clone());
+        }
+        let made = self.create("a small read-back", BUFFER_BYTES_MIN, usage)?;
+        Ok(self.staging.get_or_init(|| made).clone())
     }
 
     /// Pieces that fit `staging`, with one wait.

@@ -1,6 +1,7 @@
 //! The device, without knowing what it computes: which there are, memory, kernels, command lists, clocks.
 
 pub(crate) mod adapter;
+mod bound;
 pub(crate) mod engine;
 pub(crate) mod memory;
 mod prelude;

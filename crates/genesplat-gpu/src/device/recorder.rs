@@ -1,9 +1,6 @@
 //! A list of dispatches, stage by stage, that is submitted at once.
 
-use wgpu::{
-    BindGroupDescriptor, BindGroupEntry, BindingResource, BufferBinding, CommandEncoder, ComputePass,
-    ComputePassDescriptor, ComputePassTimestampWrites,
-};
+use wgpu::{CommandEncoder, ComputePass, ComputePassDescriptor, ComputePassTimestampWrites};
 
 use crate::device::shaders::Shader;
 use crate::device::timing::{TIMED_PASSES, Timestamps};
@@ -36,9 +33,11 @@ impl<'a> Recorder<'a> {
         Self { engine, encoder, pass: None, stage: "", timestamps }
     }
 
-    /// What follows belongs to this stage.
+    /// What follows belongs to this stage: a pass of its own where stages are timed.
     pub(crate) fn stage(&mut self, name: &'static str) {
-        self.pass = None;
+        if self.timestamps.is_some() {
+            self.pass = None;
+        }
         self.stage = name;
     }
 
@@ -66,23 +65,7 @@ impl<'a> Recorder<'a> {
         parts: &[Part],
         grid: Grid,
     ) {
-        let kernel = self.engine.kernel(shader, overrides);
-        let entries: Vec<BindGroupEntry> = (0..)
-            .zip(parts)
-            .map(|(binding, part)| BindGroupEntry {
-                binding,
-                resource: BindingResource::Buffer(BufferBinding {
-                    buffer: part.buffer,
-                    offset: part.first_byte,
-                    size: std::num::NonZero::new(part.bytes),
-                }),
-            })
-            .collect();
-        let group = self.engine.device.create_bind_group(&BindGroupDescriptor {
-            label: Some(shader.name),
-            layout: &kernel.layout,
-            entries: &entries,
-        });
+        let (kernel, group) = self.engine.bound(shader, overrides, parts);
         if self.pass.is_none() {
             self.pass = Some(self.begin_pass());
         }

@@ -20,7 +20,7 @@ impl Shader {
         unrolled(&self.text(subgroups))
     }
 
-    fn text(&self, subgroups: bool) -> String {
+    pub(super) fn text(&self, subgroups: bool) -> String {
         let mut text = prelude();
         text.extend(self.parts.iter().map(|part| if subgroups { part.with } else { part.without }));
         text
@@ -87,13 +87,17 @@ mod parts {
         WRITE_SPLAT = "bin/write_splat.wgsl";
         GRIDS = "bin/grids.wgsl";
         SSIM = "loss/ssim.wgsl";
+        HALO = "loss/halo.wgsl";
         ADAM_STEP = "optimise/adam_step.wgsl";
+        COLOUR_STEPS = "optimise/colour_steps.wgsl";
+        MAKE_UP = "optimise/make_up.wgsl";
     }
 }
 
 shaders! {
     // From a cloud to splats.
-    PROJECT = "bin/project" + [SPLAT, ROTATION, GEOMETRY, OVERLAP, COLOUR, SH_ROW, WRITE_SPLAT];
+    PROJECT = "bin/project" + [SPLAT, ROTATION, GEOMETRY, OVERLAP, WRITE_SPLAT];
+    SPLAT_COLOUR = "bin/colour" + [SPLAT, COLOUR, SH_ROW, ADAM_STEP, COLOUR_STEPS, MAKE_UP];
     // Prefix sums.
     SCAN_SUMS = "bin/scan_sums" + [GROUP_SCAN];
     SCAN_BLOCKS = "bin/scan_blocks" + [GROUP_SCAN];
@@ -113,19 +117,21 @@ shaders! {
     // From splats to a loss, and back to gradients of intersections.
     RASTERISE = "blend/rasterise" + [SPLAT, OVERLAP, BATCH_SPLAT];
     RASTERISE_BACKWARD = "blend/rasterise_backward" + [SPLAT, OVERLAP, BATCH_SPLAT];
-    LOSS = "loss/loss" + [SSIM, PHOTO];
+    LOSS = "loss/loss" + [SSIM, HALO, PHOTO];
     LOSS_SUM = "loss/loss_sum" + [TILE_SUMS];
-    LOSS_GRADIENT = "loss/loss_gradient" + [SSIM, PHOTO];
+    LOSS_GRADIENT = "loss/loss_gradient" + [HALO, PHOTO];
     // From gradients of intersections to stepped parameters.
     PROJECT_BACKWARD = "optimise/project_backward" + [SPLAT, ROTATION, GEOMETRY, COLOUR, SH_ROW];
     STATISTICS = "optimise/statistics" + [];
     GENE_STATISTICS = "optimise/gene_statistics" + [];
-    ADAM_COLOUR = "optimise/adam_colour" + [ADAM_STEP, COLOUR];
+    ADAM_COLOUR = "optimise/adam_colour" + [ADAM_STEP, COLOUR_STEPS, COLOUR];
+    NOTE_STEP = "optimise/note_step" + [COLOUR_STEPS];
+    MAKE_UP_COLOUR = "optimise/make_up_colour" + [ADAM_STEP, COLOUR_STEPS, MAKE_UP];
     ADAM_GEOMETRY = "optimise/adam_geometry" + [ADAM_STEP];
     // The same where an optimiser step has the gradients of several views.
     KEEP_COLOUR = "optimise/keep_colour" + [COLOUR];
     KEEP_GEOMETRY = "optimise/keep_geometry" + [];
-    ADAM_PENDING_COLOUR = "optimise/adam_pending_colour" + [ADAM_STEP];
+    ADAM_PENDING_COLOUR = "optimise/adam_pending_colour" + [ADAM_STEP, COLOUR_STEPS];
     NOISE = "optimise/noise" + [ROTATION, RANDOM];
     // Edits of rows.
     GATHER = "rows/gather" + [];
@@ -148,6 +154,12 @@ shaders! {
 /// Name and WGSL of every kernel, as a device with subgroups, or one without, compiles it: what tools count.
 pub fn kernel_sources(subgroups: bool) -> impl Iterator<Item = (&'static str, String)> {
     ALL.iter().map(move |shader| (shader.name, shader.source(subgroups)))
+}
+
+/// Name and text of every kernel, with its loops.
+#[cfg(test)]
+pub(crate) fn kernel_texts(subgroups: bool) -> impl Iterator<Item = (&'static str, String)> {
+    ALL.iter().map(move |shader| (shader.name, shader.text(subgroups)))
 }
 
 #[cfg(test)]

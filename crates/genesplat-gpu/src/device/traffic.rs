@@ -36,8 +36,9 @@ impl Work {
         let pixels = width * height;
         let tiles = width.div_ceil(TILE.into()) * height.div_ceil(TILE.into());
         match stage {
-            // Tile counts and flags of all rows; depths of splats.
-            "project" => rows * (geometry + 8) + visible * (evaluated + splat + 4),
+            // Tile counts and flags of all rows; depths of splats, and their first and third vectors once more; which steps
+            // their colours have made.
+            "project" => rows * (geometry + 8) + visible * (evaluated + splat + 4 + 32 + 8),
             // Flags are read; of splats the depth, the tile count and they themselves, and their first intersections
             // are written; they are sorted by depth. Intersections' tiles and splats are written and sorted by tile.
             "bin" => {
@@ -56,8 +57,9 @@ impl Work {
                     + visible * (geometry + differentiated + 4 + 16)
                     + rows * (gradient + 4)
             }
-            // Parameters and two moments are read and written; so are density statistics, of what is visible.
-            "update" => rows * (6 * (geometry + moved) + gradient + 4) + visible * 2 * 16,
+            // Parameters and two moments are read and written: geometry of all rows, colours and density statistics of
+            // what is visible.
+            "update" => rows * (6 * geometry + gradient + 4) + visible * (6 * moved + 8 + 2 * 16),
             _ => 0,
         }
     }
@@ -83,11 +85,11 @@ mod tests {
     #[test]
     fn a_step_moves_what_its_columns_hold() {
         let work = Work { rows: 1000, visible: 0, intersections: 0, size_px: [160, 90], sh_degree: 3 };
-        // Six columns of 240 bytes, gradients, and tile counts.
-        assert_eq!(work.bytes("update"), 1000 * (1440 + 64 + 4));
+        // Six columns of 48 bytes, gradients, and tile counts; of what is seen, six of 192 and its statistics, too.
+        assert_eq!(work.bytes("update"), 1000 * (288 + 64 + 4));
+        let seen = |sh_degree| Work { visible: 10, sh_degree, ..work }.bytes("update") - work.bytes("update");
+        assert_eq!([0, 1, 3].map(seen), [10 * (6 * 16 + 40), 10 * (6 * 48 + 40), 10 * (6 * 192 + 40)]);
         assert_eq!(work.bytes("loss"), 160 * 90 * 116);
-        let [dull, first] = [0, 1].map(|sh_degree| Work { sh_degree, ..work }.bytes("update") / 1000);
-        assert_eq!([dull, first], [6 * (48 + 16) + 68, 6 * (48 + 48) + 68]);
         assert_eq!(work.bytes("nothing"), 0);
         // 10 by 6 tiles: six bits, one pass.
         let listed = Work { visible: 10, intersections: 30, ..work };

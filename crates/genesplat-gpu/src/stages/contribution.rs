@@ -65,7 +65,7 @@ impl GpuBackend {
     ) -> Result<()> {
         let pass = self.pass_of(view, settings);
         let needs = Needs { loss: false, gradient: true };
-        self.submit_view(&pass, needs, false, |gpu, recorder| {
+        self.submit_view(&pass, None, needs, false, |gpu, recorder| {
             fill(gpu, recorder);
             let Self { lists, pixels, .. } = gpu;
             pixels.record_backward(recorder, lists, &pass);

@@ -5,16 +5,21 @@
 //! that of the CPU: splats are sorted by depth once (ties by row), emit their intersections in that order, and a stable
 //! sort by tile keeps it.
 
+use std::cell::Cell;
+
 use bytemuck::Pod;
 
 use crate::Result;
-use crate::device::{BUFFER_BYTES_STEP, Engine, Grid, Memory, Recorder, shaders};
+use crate::device::{BUFFER_BYTES_STEP, Engine, Grid, Memory, Part, Recorder, shaders};
 use crate::stages::sort::{DIGIT_BITS, Sorter};
 use crate::state::layout::{
     Counters, GRID_DEPTH_SORT, GRID_INTERSECTIONS, GRID_TILE_SORT, GRID_VISIBLE, GRID_VISIBLE_SCAN,
-    LENGTH_INTERSECTIONS, LENGTH_ROWS, LENGTH_VISIBLE, SCAN_BLOCK, SPLAT_FLOATS, ViewPass,
+    LENGTH_INTERSECTIONS, LENGTH_ROWS, LENGTH_VISIBLE, Optimiser, SCAN_BLOCK, SPLAT_FLOATS, ViewPass,
 };
-use crate::state::{Parameters, RowWindow};
+use crate::state::{ColourSteps, Parameters, State};
+
+/// Where an optimiser lies behind a view, bytes: a multiple of what every device can bind at.
+const OPTIMISER_AT: usize = 256;
 
 /// Intersections a row that buffers hold at first (a cloud in training has 2 to 4).
 const FIRST_INTERSECTIONS_PER_ROW: u64 = 4;
@@ -23,8 +28,11 @@ const INTERSECTIONS_MIN: u64 = 1 << 16;
 
 /// Buffers of the splats and the tile lists of one view, reused from view to view. N rows, I intersections.
 pub(crate) struct Lists {
+    /// A [`ViewPass`], and where a step has one, its [`Optimiser`]: one write.
     pub(crate) view: Memory,
     pub(crate) counters: Memory,
+    /// Rows that the device has been told of.
+    told_rows: Cell<Option<u32>>,
     sorter: Sorter,
     pub(crate) splats: Memory,
     /// Camera z of each splat, as bits `[N]`.
@@ -52,8 +60,9 @@ impl Lists {
     pub(crate) fn new(engine: &Engine, intersection_bytes: u64) -> Result<Self> {
         let empty = |purpose| engine.allocate(purpose, 0);
         Ok(Self {
-            view: engine.allocate("the view", size_of::<ViewPass>() as u64)?,
+            view: engine.allocate("the view", OPTIMISER_AT as u64 + size_of::<Optimiser>() as u64)?,
             counters: engine.allocate("counters", size_of::<Counters>() as u64)?,
+            told_rows: Cell::new(None),
             sorter: Sorter::new(engine)?,
             splats: empty("splats")?,
             depths: empty("depths")?,
@@ -141,19 +150,36 @@ impl Lists {
         engine.write(&self.counters, 0, &[Counters::default()]);
     }
 
-    pub(crate) fn begin(&self, engine: &Engine, view: &ViewPass) {
-        engine.write(&self.view, 0, &[ViewPass { intersection_capacity: self.capacity as u32, ..*view }]);
-        engine.write(&self.sorter.lengths, 4 * u64::from(LENGTH_ROWS), &[view.rows]);
+    /// Tells the device of a view, and of an optimiser's step if there is one.
+    pub(crate) fn begin(&self, engine: &Engine, view: &ViewPass, optimiser: Option<&Optimiser>) {
+        let view = ViewPass { intersection_capacity: self.capacity as u32, ..*view };
+        let mut bytes = [0; OPTIMISER_AT + size_of::<Optimiser>()];
+        bytes[..size_of::<ViewPass>()].copy_from_slice(bytemuck::bytes_of(&view));
+        let optimiser = optimiser.copied().unwrap_or_default();
+        bytes[OPTIMISER_AT..].copy_from_slice(bytemuck::bytes_of(&optimiser));
+        engine.write(&self.view, 0, &bytes);
+        if self.told_rows.replace(Some(view.rows)) != Some(view.rows) {
+            engine.write(&self.sorter.lengths, 4 * u64::from(LENGTH_ROWS), &[view.rows]);
+        }
     }
 
-    /// Stages `project` and `bin` of a whole cloud.
-    pub(crate) fn record(&self, recorder: &mut Recorder, cloud: &Parameters, windows: &[RowWindow], view: &ViewPass) {
+    pub(crate) fn optimiser(&self) -> Part<'_> {
+        self.view.part(OPTIMISER_AT as u64, size_of::<Optimiser>() as u64)
+    }
+
+    /// Stages `project` and `bin` of a whole cloud, which is that of the state or a blend of the same rows.
+    pub(crate) fn record(&self, recorder: &mut Recorder, state: &State, cloud: &Parameters, view: &ViewPass) {
         recorder.stage("project");
         let outputs = [&self.splats, &self.depths, &self.tile_counts, &self.flags].map(Memory::all);
-        for window in windows {
-            let inputs = [self.view.all(), window.uniform.all(), cloud.geometry.at(window), cloud.sh.at(window)];
-            let parts = [inputs, outputs].concat();
+        for window in &state.windows {
+            let [view, uniform, geometry] = [self.view.all(), window.uniform.all(), cloud.geometry.at(window)];
+            let parts = [&[view, uniform, geometry][..], &outputs].concat();
             recorder.run(&shaders::PROJECT, &parts, Grid::Items(window.count));
+            let State { first, second, colour_steps: ColourSteps { made, steps, .. }, .. } = state;
+            let colours = [&cloud.sh, &first.sh, &second.sh].map(|column| column.at(window));
+            let inputs = [&[view, uniform, self.tile_counts.all(), geometry][..], &colours].concat();
+            let parts = [&inputs[..], &[steps.all(), made.at(window), self.splats.all()]].concat();
+            recorder.run(&shaders::SPLAT_COLOUR, &parts, Grid::Items(window.count));
         }
         self.record_bin(recorder, view);
     }

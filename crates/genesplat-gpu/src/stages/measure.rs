@@ -55,7 +55,7 @@ impl GpuBackend {
     ) -> Result<()> {
         let pass = self.pass_of(view, settings);
         let needs = Needs { loss: true, gradient: false };
-        self.submit_view(&pass, needs, !is_cloud, |gpu, recorder| {
+        self.submit_view(&pass, None, needs, !is_cloud, |gpu, recorder| {
             let Self { lists, pixels, views, .. } = gpu;
             recorder.stage("loss");
             pixels.record_loss_sums(recorder, lists, &views[view].photo, &pass, false);

@@ -16,9 +16,7 @@ pub(crate) struct Optimise<'a> {
     pub(crate) state: &'a State,
     pub(crate) lists: &'a Lists,
     pub(crate) pixels: &'a Pixels,
-    /// An [`Optimiser`] on the device.
-    pub(crate) memory: &'a Memory,
-    /// The same here; without it, gradients are for the statistics only.
+    /// What the device has been told of; without it, gradients are for the statistics only.
     pub(crate) optimiser: Option<&'a Optimiser>,
     /// What else is asked for.
     pub(crate) step: &'a TrainStep,
@@ -37,7 +35,15 @@ impl Optimise<'_> {
             self.state.windows.iter().for_each(|window| self.record_pending(recorder, window, pending));
         }
         if let Some(optimiser) = self.optimiser {
+            let has_pending = self.state.pending.is_some();
+            if !has_pending {
+                self.state.record_room_for_step(recorder);
+            }
             self.state.windows.iter().for_each(|window| self.record_adam(recorder, window, optimiser));
+            if !has_pending {
+                let parts = [self.lists.optimiser(), self.lists.counters.all(), self.state.colour_steps.steps.all()];
+                recorder.run(&shaders::NOTE_STEP, &parts, Grid::Groups(1));
+            }
         }
     }
 
@@ -90,7 +96,7 @@ impl Optimise<'_> {
         let head = [
             self.lists.view.all(),
             window.uniform.all(),
-            self.memory.all(),
+            self.lists.optimiser(),
             self.lists.counters.all(),
             gradients.at(window),
         ];
@@ -101,14 +107,15 @@ impl Optimise<'_> {
             let parts = [&[uniform, optimiser, counters, pending.sh.at(window)][..], &colour].concat();
             recorder.run(&shaders::ADAM_PENDING_COLOUR, &parts, Grid::Items(3 * SH_GROUPS * window.count));
         } else {
-            let parts = [&head[..], &colour].concat();
+            let rows = [self.lists.tile_counts.all(), self.state.colour_steps.made.at(window)];
+            let parts = [&head[..], &colour, &rows].concat();
             recorder.run(&shaders::ADAM_COLOUR, &parts, Grid::Items(SH_GROUPS * window.count));
         }
         let geometry = [&cloud.geometry, &first.geometry, &second.geometry].map(|column| column.at(window));
         let parts = [&head[..], &geometry].concat();
         recorder.run(&shaders::ADAM_GEOMETRY, &parts, Grid::Items(window.count));
         if optimiser.is_mcmc == 1 {
-            let parts = [window.uniform.all(), self.memory.all(), self.lists.counters.all(), geometry[0]];
+            let parts = [window.uniform.all(), self.lists.optimiser(), self.lists.counters.all(), geometry[0]];
             recorder.run(&shaders::NOISE, &parts, Grid::Items(window.count));
         }
     }

@@ -10,7 +10,7 @@ use crate::state::layout::{
     ORIGIN_SPLIT, ORIGIN_TWIN,
 };
 use crate::state::statistics::DeviceStatistics;
-use crate::state::{Column, Parameters, RowWindow, State, pack_genes, window_uniform, windows};
+use crate::state::{ColourSteps, Column, Parameters, RowWindow, State, pack_genes, window_uniform, windows};
 
 /// One row of a plan: source, origin, parameters of the origin.
 type PlanRow = [u32; 4];
@@ -33,6 +33,7 @@ impl State {
     /// Applies a plan of density control to parameters, moments and gene statistics; density statistics are zeroed.
     /// All new columns are made before an old one goes, so that an edit that finds no memory changes nothing.
     pub(crate) fn edit_rows(&mut self, engine: &Engine, edit: &RowEdit) -> Result<()> {
+        self.make_up(engine);
         let edited = self.edited(engine, edit)?;
         let old = std::mem::replace(self, edited);
         self.gradients = old.gradients;
@@ -58,6 +59,7 @@ impl State {
             cloud: Parameters { geometry: job.geometry(&self.cloud.geometry)?, sh: job.gather(&self.cloud.sh, false)? },
             first: job.moments(&self.first)?,
             second: job.moments(&self.second)?,
+            colour_steps: ColourSteps::new(engine, rows)?,
             pending: self.pending.as_ref().map(|pending| job.moments(pending)).transpose()?,
             gradients: Column::zeros(engine, "gradients", 0, GRADIENT_FLOATS)?,
             statistics: DeviceStatistics { genes, ..DeviceStatistics::zeros(engine, rows)? },

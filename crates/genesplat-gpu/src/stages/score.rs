@@ -109,6 +109,7 @@ impl GpuBackend {
         views: &[usize],
         settings: &RenderSettings,
     ) -> Result<Vec<f32>> {
+        self.state.make_up(&self.engine);
         let bytes = |&view: &usize| self.pass_of(view, settings).image_bytes();
         let largest = views.iter().map(bytes).max().unwrap_or(1);
         let fitting = PICTURE_BYTES.min(self.engine.binding_bytes) / largest.max(1);
@@ -184,7 +185,7 @@ impl GpuBackend {
         lists.reserve(&self.engine, &pass)?;
         pixels.reserve(&self.engine, &pass, Needs { loss: true, gradient: false }, 0)?;
         let place = window_uniform(&self.engine, [0, layers], [view_index as u32, views as u32])?;
-        lists.begin(&self.engine, &pass);
+        lists.begin(&self.engine, &pass, None);
 
         let mut recorder = Recorder::new(&self.engine, self.timestamps.as_mut());
         pool.record_project(&mut recorder, &self.state, lists);

@@ -39,6 +39,7 @@ pub(super) fn download(
 impl State {
     /// Adds the cloud to the mean of a half.
     pub(crate) fn average(&mut self, engine: &Engine, half: usize) -> Result<()> {
+        self.make_up(engine);
         // Whatever needs memory comes first: a mean never counts a state that it does not hold.
         let states = 1 + self.averages[half].as_ref().map_or(0, |held| held.states);
         let edit = edit_uniform(engine, [0; 2], 0, 1.0 / states as f32)?;
@@ -67,6 +68,7 @@ impl State {
 
     /// Makes a blend of the cloud and the averages, beside the cloud.
     pub(crate) fn make_blend(&mut self, engine: &Engine, blend: &Blend) -> Result<()> {
+        self.make_up(engine);
         if self.blended.is_none() {
             self.blended = Some(Parameters::zeros(engine, "a blend of averages", self.rows)?);
         }

@@ -28,6 +28,8 @@ shared_constants! {
     SPLATS_AT_ONCE = 8,
     // Tiles of a splat whose gradients one invocation sums, few in tests; those of wider splats, a workgroup.
     SERIAL_TILES = if cfg!(test) { 4 } else { 32 },
+    // Steps that colours may have to make up for, few in tests.
+    LATE_STEPS_MAX = if cfg!(test) { 5 } else { 64 },
     // Individuals that a workgroup of stage `score` renders: as many pixels as an invocation has registers for.
     SLOTS = 16,
     // Words with a bit for each individual of a pool.

@@ -2,6 +2,7 @@
 
 pub(crate) mod averages;
 pub(crate) mod cloud;
+pub(crate) mod colour_steps;
 pub(crate) mod layout;
 pub(crate) mod statistics;
 
@@ -12,6 +13,7 @@ use crate::Result;
 use crate::device::Engine;
 use averages::DeviceMean;
 pub(crate) use cloud::{Column, Parameters, RowWindow, pack_genes, window_uniform, windows};
+pub(crate) use colour_steps::ColourSteps;
 use layout::GRADIENT_FLOATS;
 use statistics::DeviceStatistics;
 
@@ -24,6 +26,8 @@ pub(crate) struct State {
     pub(crate) cloud: Parameters,
     pub(crate) first: Parameters,
     pub(crate) second: Parameters,
+    /// Colours and their moments are behind these.
+    pub(crate) colour_steps: ColourSteps,
     /// Gradients that wait for an optimiser step, from the first on that did.
     pub(crate) pending: Option<Parameters>,
     /// Gradients of one step; empty until the first.
@@ -50,6 +54,7 @@ impl State {
             cloud: Parameters::upload(engine, "the cloud", &state.cloud)?,
             first: moment("first moments", &state.moments.first)?,
             second: moment("second moments", &state.moments.second)?,
+            colour_steps: ColourSteps::new(engine, rows)?,
             pending: match &state.moments.pending {
                 given if given.is_empty() => None,
                 given => Some(Parameters::upload(engine, PENDING, given)?),
@@ -63,6 +68,7 @@ impl State {
     }
 
     pub(crate) fn download_all(&self, engine: &Engine) -> Result<DeviceState> {
+        self.make_up(engine);
         Ok(DeviceState {
             cloud: self.download(engine)?,
             moments: Moments {
@@ -79,6 +85,7 @@ impl State {
     }
 
     pub(crate) fn download(&self, engine: &Engine) -> Result<Gaussians> {
+        self.make_up(engine);
         self.cloud.download(engine, self.rows, self.has_filter)
     }
 
@@ -91,6 +98,8 @@ impl State {
         }
         if step.keeps_gradients && self.pending.is_none() {
             self.pending = Some(Parameters::zeros(engine, PENDING, self.rows)?);
+            // From here on, every step moves every row.
+            self.make_up(engine);
         }
         if step.statistics.genes { self.statistics.reserve_genes(engine, self.rows) } else { Ok(()) }
     }

@@ -6,6 +6,7 @@ use genesplat_core::{
 };
 
 use super::*;
+use crate::state::layout::LATE_STEPS_MAX;
 
 /// Both twins after the same verbs; clouds, moments and reports must agree.
 pub(super) fn twins_agree(stage: &str, gpu: &mut GpuBackend, verbs: impl Fn(&mut dyn EvolutionBackend)) {
@@ -42,6 +43,44 @@ pub(super) fn ten_steps(twin: &mut dyn EvolutionBackend, mcmc: Option<McmcStep>)
 fn adam_matches() {
     let Some(mut gpu) = gpu() else { return };
     twins_agree("adam", &mut gpu, |twin| ten_steps(twin, None));
+}
+
+/// Steps of two views that see different rows, one after the other; the state then, and after how many steps some row still
+/// had steps to make.
+fn steps_of_two_views(gpu: &mut GpuBackend, makes_up_at_once: bool) -> (DeviceState, usize) {
+    let mut other = view();
+    other.camera.principal_px[0] += 50.0;
+    gpu.set_views(&[view(), other]).unwrap();
+    gpu.upload(cloud(300).into()).unwrap();
+    let mut late = 0;
+    for number in 1..=14 {
+        let view = usize::from(number % 5 > 1);
+        let degree = (number / 4).min(3) as u8;
+        gpu.train_step(&TrainStep { view, ..step(number, settings(degree, ScreenFilter::Classic)) }).unwrap();
+        if makes_up_at_once {
+            gpu.state.make_up(&gpu.engine);
+        }
+        let steps: Vec<u32> = gpu.engine.read_values(&gpu.state.colour_steps.steps, 1).unwrap();
+        let made: Vec<u32> = gpu.engine.read_values(&gpu.state.colour_steps.made.memory, 300).unwrap();
+        assert!(steps[0] <= LATE_STEPS_MAX && made.iter().all(|made| *made <= steps[0]));
+        late += usize::from(made.iter().any(|made| *made < steps[0]));
+    }
+    let before: Vec<f32> = gpu.engine.read_values(&gpu.state.cloud.sh.memory, 300 * 48).unwrap();
+    let state = gpu.state().unwrap();
+    assert_eq!(before == state.cloud.sh.as_flattened(), makes_up_at_once, "the last step is late for some");
+    (state, late)
+}
+
+/// Colours of rows without a splat make their steps later, to the bit as if they had made them at once.
+#[test]
+fn late_steps_of_colours_are_exact() {
+    for engine in engines() {
+        let mut gpu = GpuBackend::on(engine.with_window_rows(64)).unwrap();
+        let ((expected, never), (state, late)) =
+            (steps_of_two_views(&mut gpu, true), steps_of_two_views(&mut gpu, false));
+        assert!(never == 0 && late > 10, "late after {late} of 14 steps");
+        assert!(state.cloud == expected.cloud && state.moments == expected.moments);
+    }
 }
 
 #[test]
