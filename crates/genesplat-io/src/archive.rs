@@ -11,7 +11,7 @@ use zip::ZipArchive;
 use zip::result::ZipError;
 
 use crate::atomic::write_atomically;
-use crate::similar::{UNREAD, has_ending};
+use crate::similar::{CONVERT, UNREAD, has_ending};
 use crate::{input, shown};
 
 /// Endings of all that scenes consist of.
@@ -43,7 +43,7 @@ pub enum ArchiveError {
     },
     /// All of its pictures are of formats that are not read.
     #[error(
-        "the archive {} holds no JPEG, PNG or WebP files, and others are not read ({}); convert them",
+        "the archive {} holds no JPEG, PNG or WebP files, and others are not read ({}); {CONVERT}",
         shown(.archive),
         shown(.first)
     )]

@@ -124,7 +124,7 @@ pub enum SceneError {
         problem: &'static str,
     },
     /// Every listed photo is absent.
-    #[error("none of the {count} photos that {} lists is in {}{found}; put the photos there", shown(.list), shown(.folder))]
+    #[error("none of the {count} photos that {} lists is in {}{remedy}", shown(.list), shown(.folder))]
     AllPhotosMissing {
         /// How many are listed.
         count: usize,
@@ -132,8 +132,8 @@ pub enum SceneError {
         list: PathBuf,
         /// Where they should be.
         folder: PathBuf,
-        /// What else is there, if anything is.
-        found: String,
+        /// What else is there, if anything is, and what to do.
+        remedy: String,
     },
     /// A photo of another shape than its camera's, or too small to learn from.
     #[error("the photo {} {problem}", shown(.photo))]

@@ -11,7 +11,7 @@ use glam::DVec3;
 use crate::error::SceneError;
 use crate::photos::Lens;
 use crate::scene::{Cube, Point};
-use crate::similar::{PHOTOS, Similar, entries, has_ending};
+use crate::similar::{CONVERT, PHOTOS, Similar, UNREAD, entries, has_ending};
 use crate::{plural, shown};
 
 pub(crate) struct Listing {
@@ -179,15 +179,16 @@ pub(crate) fn similar_notice(similar: Similar, list: &Path) -> Option<String> {
 /// The error where no photo exists that `list` has; `wanted` is the first.
 pub(crate) fn all_missing(wanted: &Path, count: usize, list: &Path) -> SceneError {
     let folder = wanted.parent().unwrap_or(Path::new(""));
-    let found = entries(folder).filter(|entry| has_ending(entry, &PHOTOS)).min();
-    let [wanted, found] = [Some(wanted.to_owned()), found]
-        .map(|path| path.and_then(|path| path.file_name().map(shown)).unwrap_or_default());
-    let found = if found.is_empty() {
-        String::new()
-    } else {
-        format!(", which has names like {found} where {wanted} is wanted")
+    let first = |endings: &[&str]| entries(folder).filter(|entry| has_ending(entry, endings)).min();
+    let name = |path: &Path| shown(path.file_name().unwrap_or_default()).to_string();
+    let remedy = match (first(&PHOTOS), first(&UNREAD)) {
+        (Some(found), _) => {
+            format!(", which has names like {} where {} is wanted; put the photos there", name(&found), name(wanted))
+        }
+        (None, Some(unread)) => format!(", which has pictures like {} that are not read; {CONVERT}", name(&unread)),
+        (None, None) => "; put the photos there".into(),
     };
-    SceneError::AllPhotosMissing { count, list: list.to_owned(), folder: folder.to_owned(), found }
+    SceneError::AllPhotosMissing { count, list: list.to_owned(), folder: folder.to_owned(), remedy }
 }
 
 pub(crate) fn base_name(path: &str) -> &str {

@@ -8,7 +8,11 @@ use std::path::{Path, PathBuf};
 pub(crate) const PHOTOS: [&str; 4] = ["jpg", "jpeg", "png", "webp"];
 
 /// Endings of pictures that are not, so that leaving them out is said.
-pub const UNREAD: [&str; 8] = ["heic", "heif", "tif", "tiff", "dng", "cr2", "nef", "arw"];
+pub const UNREAD: [&str; 11] = ["heic", "heif", "hif", "avif", "tif", "tiff", "dng", "cr2", "cr3", "nef", "arw"];
+
+/// What to do with pictures that are not read.
+pub const CONVERT: &str = "convert them to JPEG, with `heif-convert` or any image program (phones that are set to \"most compatible\" take \
+                           JPEG themselves)";
 
 pub(crate) fn has_ending(path: &Path, endings: &[&str]) -> bool {
     let ending = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
@@ -59,9 +63,10 @@ impl Similar {
     }
 }
 
-/// The name without the ending of a photo, in lower case.
+/// The name without the ending of a picture, in lower case.
 fn key(path: &Path) -> String {
-    let name = if has_ending(path, &PHOTOS) { path.file_stem() } else { path.file_name() };
+    let is_picture = has_ending(path, &PHOTOS) || has_ending(path, &UNREAD);
+    let name = if is_picture { path.file_stem() } else { path.file_name() };
     name.unwrap_or_default().to_string_lossy().to_lowercase()
 }
 
@@ -80,7 +85,7 @@ mod tests {
     #[test]
     fn a_photo_is_found_by_one_name_that_is_not_quite_its_own() {
         let folder = tempfile::tempdir().unwrap();
-        for name in ["IMG_1.JPG", "b.png", "B.jpg", "frame.0001.png", "notes.txt"] {
+        for name in ["IMG_1.JPG", "b.png", "B.jpg", "frame.0001.png", "notes.txt", "IMG_2.jpg"] {
             fs::write(folder.path().join(name), "").unwrap();
         }
         let mut similar = Similar::default();
@@ -92,8 +97,9 @@ mod tests {
         assert_eq!(find("IMG_1.png"), None, "it is another's");
         assert_eq!(find("b.jpeg"), None, "two could be meant");
         assert_eq!(find("frame.0001").as_deref(), Some("frame.0001.png"));
+        assert_eq!(find("IMG_2.HEIC").as_deref(), Some("IMG_2.jpg"), "it was converted");
         assert_eq!((find("frame.0002"), find("notes.jpg"), find("absent/b.png")), (None, None, None));
         let (wanted, found, count) = similar.found().unwrap();
-        assert!(wanted.ends_with("img_1.jpg") && found.ends_with("IMG_1.JPG") && count == 2);
+        assert!(wanted.ends_with("img_1.jpg") && found.ends_with("IMG_1.JPG") && count == 3);
     }
 }

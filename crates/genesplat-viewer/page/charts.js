@@ -34,6 +34,8 @@ class Chart {
   #figure = document.createElement("figure");
   #value = document.createElement("span");
   #drawing = element("svg", { viewBox: `0 0 ${WIDTH} ${HEIGHT}`, preserveAspectRatio: "none", role: "img" });
+  // Ends of the two axes; what they say is in the label of the drawing, too.
+  #scale = Object.fromEntries(["high", "low", "first", "last"].map((end) => [end, scaleEnd(end)]));
   #points = [];
   #end = 1;
 
@@ -48,7 +50,10 @@ class Chart {
     caption.append(label, this.#value);
     this.#figure.className = "chart";
     this.#figure.hidden = true;
-    this.#figure.append(caption, this.#drawing);
+    const plot = document.createElement("div");
+    plot.className = "plot";
+    plot.append(...Object.values(this.#scale), this.#drawing);
+    this.#figure.append(caption, plot);
     this.#drawing.addEventListener("pointermove", (event) => this.#point(event));
     this.#drawing.addEventListener("pointerleave", () => this.#rest());
     place.append(this.#figure);
@@ -63,6 +68,7 @@ class Chart {
     const y = (value) => HEIGHT - 3 - ((value - low) / (high - low || 1)) * (HEIGHT - 8);
     const line = points.map(([at, value]) => `${((at / end) * WIDTH).toFixed(1)} ${y(value).toFixed(1)}`).join("L");
     this.#drawing.replaceChildren(this.#axis(), element("path", { class: "curve", d: `M${line}` }));
+    this.#label(this.#format(low), this.#format(high));
     const [at, last] = points.at(-1);
     this.#describe(`${this.#name}: ${this.#format(last)} at iteration ${at}; from ${this.#format(low)} to ${this.#format(high)}`);
     this.#rest();
@@ -79,6 +85,7 @@ class Chart {
       return element("line", { class: kept ? "kept" : "refused", x1: x, x2: x, y1: HEIGHT - 1, y2: top });
     });
     this.#drawing.replaceChildren(this.#axis(), ...ticks);
+    this.#label("", "");
     const kept = stages.filter((stage) => stage.kept).length;
     this.#describe(`${kept} of ${stages.length} stages of evolution were kept`);
     this.#value.textContent = `${kept} of ${stages.length} kept`;
@@ -86,6 +93,11 @@ class Chart {
 
   #axis() {
     return element("line", { class: "axis", x1: 0, x2: WIDTH, y1: HEIGHT - 0.5, y2: HEIGHT - 0.5 });
+  }
+
+  #label(low, high) {
+    const texts = { low, high, first: "0", last: this.#end.toLocaleString("en") };
+    Object.entries(texts).forEach(([end, text]) => (this.#scale[end].textContent = text));
   }
 
   #describe(text) {
@@ -110,6 +122,13 @@ class Chart {
     this.#drawing.append(element("line", { class: "pointer", x1: x, x2: x, y1: 0, y2: HEIGHT }));
     this.#value.textContent = `${this.#format(nearest[1])} at ${Math.round(nearest[0]).toLocaleString("en")}`;
   }
+}
+
+function scaleEnd(end) {
+  const made = document.createElement("span");
+  made.className = `number ${end}`;
+  made.ariaHidden = "true";
+  return made;
 }
 
 function element(name, attributes) {

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use anyhow::{Result, anyhow, bail, ensure};
 use genesplat::io::archive::{self, Unpacked};
-use genesplat::io::{input, shown};
+use genesplat::io::{CONVERT, input, shown};
 use serde::{Deserialize, Serialize};
 
 use crate::files::write_json;
@@ -56,6 +56,6 @@ pub(crate) fn unpack(archive: &Path, folder: &Path) -> Result<()> {
 /// Pictures of formats that are not read are left out, and that is said.
 pub(crate) fn tell_of_unread(count: usize, first: &str) {
     output::tell(&format!(
-        "notice: {count} pictures are neither JPEG nor PNG nor WebP and are left out, first {first}; convert them to have them"
+        "notice: {count} pictures are neither JPEG nor PNG nor WebP and are left out, first {first}; {CONVERT}"
     ));
 }

@@ -50,11 +50,21 @@ pub(super) struct Encoded {
     turn: Option<Orientation>,
 }
 
+/// Phones write HEIC and cameras AVIF into files of any name.
+fn not_read(bytes: &[u8]) -> &'static str {
+    const BRANDS: [&[u8]; 6] = [b"heic", b"heix", b"hevc", b"mif1", b"msf1", b"avif"];
+    let brand = bytes.get(4..8).filter(|word| *word == b"ftyp").and_then(|_| bytes.get(8..12));
+    match brand.is_some_and(|brand| BRANDS.contains(&brand)) {
+        true => "it is HEIC or AVIF inside, and only PNG, JPEG and WebP are read",
+        false => "it is neither a PNG nor a JPEG nor a WebP",
+    }
+}
+
 impl Encoded {
     /// The picture in `bytes`, whatever the name of its file says; the reason where there is none that can be decoded.
     pub(super) fn of(bytes: Vec<u8>) -> Result<Self, String> {
         let reader = ImageReader::new(Cursor::new(&bytes)).with_guessed_format().map_err(|error| error.to_string())?;
-        let format = reader.format().ok_or("it is neither a PNG nor a JPEG nor a WebP")?;
+        let format = reader.format().ok_or_else(|| not_read(&bytes))?;
         if format == ImageFormat::Jpeg && !jpeg_is_whole(&bytes) {
             return Err("the file was cut off before the end of the picture".into());
         }

@@ -1,10 +1,10 @@
 //! Photos and videos without cameras, which are not scenes yet.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use crate::error::SceneError;
 use crate::plural;
-use crate::similar::{PHOTOS, entries, has_ending};
+use crate::similar::{CONVERT, PHOTOS, UNREAD, entries, has_ending};
 
 const VIDEOS: [&str; 8] = ["mp4", "mov", "m4v", "avi", "mkv", "webm", "mpg", "mpeg"];
 const ARCHIVES: [&str; 6] = ["zip", "tar", "gz", "tgz", "7z", "rar"];
@@ -14,7 +14,7 @@ pub(super) fn file(path: &Path) -> Option<SceneError> {
     let remedy = match () {
         () if !path.is_file() => return None,
         () if has_ending(path, &ARCHIVES) => "is an archive; unpack it, and give the folder that it holds",
-        () if has_ending(path, &PHOTOS) => {
+        () if has_ending(path, &PHOTOS) || has_ending(path, &UNREAD) => {
             "is one photo; give the folder of a scene, with many photos and their cameras"
         }
         () => "is a file; give the folder of a scene",
@@ -30,16 +30,20 @@ pub(super) fn run(path: &Path) -> Option<SceneError> {
 
 /// What to do with `path` where it is a video, or a folder that holds photos, itself or in a folder below it.
 pub(super) fn without_cameras(path: &Path) -> Option<SceneError> {
-    let what = if path.is_file() {
-        has_ending(path, &VIDEOS).then(|| "is a video".to_owned())
-    } else {
-        let folders = entries(path).filter(|entry| entry.is_dir()).map(|folder| photos_in(&folder));
-        let photos = photos_in(path) + folders.sum::<usize>();
-        (photos > 0).then(|| format!("holds {photos} {} and no cameras", plural(photos, "photo", "photos")))
-    }?;
-    Some(SceneError::NoCameras { path: path.to_owned(), what })
-}
-
-fn photos_in(folder: &Path) -> usize {
-    entries(folder).filter(|entry| has_ending(entry, &PHOTOS)).count()
+    let no_cameras = |what: String| Some(SceneError::NoCameras { path: path.to_owned(), what });
+    if path.is_file() {
+        return has_ending(path, &VIDEOS).then(|| "is a video".to_owned()).and_then(no_cameras);
+    }
+    let folders: Vec<PathBuf> = entries(path).filter(|entry| entry.is_dir()).chain([path.to_owned()]).collect();
+    let pictures = |endings: &[&str]| -> usize {
+        folders.iter().map(|folder| entries(folder).filter(|entry| has_ending(entry, endings)).count()).sum()
+    };
+    match (pictures(&PHOTOS), pictures(&UNREAD)) {
+        (0, 0) => None,
+        (0, unread) => {
+            let what = format!("holds {unread} {}", plural(unread, "picture that is", "pictures that are"));
+            Some(SceneError::invalid(path, format!("{what} neither JPEG nor PNG nor WebP; {CONVERT}")))
+        }
+        (photos, _) => no_cameras(format!("holds {photos} {} and no cameras", plural(photos, "photo", "photos"))),
+    }
 }

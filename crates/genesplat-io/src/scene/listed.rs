@@ -38,6 +38,21 @@ pub struct ScenePhoto {
     pub is_test: bool,
 }
 
+impl ScenePhoto {
+    /// How far the lens moves what is in a corner, px, at the most; `None` where a pinhole would not show a corner.
+    pub fn bend_px(&self) -> Option<f64> {
+        let Some(lens) = self.lens else { return Some(0.0) };
+        let Camera { width, height, focal_px: [fx, fy], principal_px: [cx, cy], .. } = self.camera;
+        let (right, bottom) = (f64::from(width), f64::from(height));
+        let corners = [[0.0, 0.0], [right, 0.0], [0.0, bottom], [right, bottom]];
+        corners.iter().try_fold(0.0, |most: f64, [u, v]| {
+            let shown = [(u - cx) / fx, (v - cy) / fy];
+            let straight = lens.undistort(shown)?;
+            Some(most.max((fx * (straight[0] - shown[0])).hypot(fy * (straight[1] - shown[1]))))
+        })
+    }
+}
+
 /// Lists the scene that [`super::load_scene`] would load; `options` say what is held out.
 pub fn list_scene(path: &Path, options: &LoadOptions) -> Result<SceneList, SceneError> {
     let listing = list(path, options)?;

@@ -79,8 +79,9 @@ pub(super) fn find(listing: &mut Listing, scene: &Path) {
     }
 }
 
-/// `name` is that of the photo as its scene lists it: below the folder of photos, or with that folder before it.
-fn mask_of(folder: &Path, name: &str) -> Option<PathBuf> {
+/// The mask of a photo in a folder of masks. `name` is that of the photo as its scene lists it: below the folder of photos,
+/// or with that folder before it.
+pub fn mask_of(folder: &Path, name: &str) -> Option<PathBuf> {
     let name = name.trim_start_matches("./");
     let below = name.split_once('/').map(|(_, below)| below);
     let stem = |name: &str| name.rsplit_once('.').map_or(name.to_owned(), |(stem, _)| stem.to_owned());

@@ -15,7 +15,7 @@ use genesplat_core::View;
 use rayon::prelude::*;
 
 pub use listed::{SceneList, ScenePhoto, list_scene, model_of};
-pub use masks::MaskUse;
+pub use masks::{MaskUse, mask_of};
 pub(crate) use random_points::Cube;
 pub use split::HoldOut;
 pub use view::SIDE_MIN_PX;

@@ -136,7 +136,7 @@ pub(crate) enum Command {
 
 #[derive(Debug, Args)]
 pub(crate) struct InspectArgs {
-    /// Folder of a scene or of a run, or a splat's PLY
+    /// Folder of a scene or of a run, or a splat (.ply, compressed .ply, .splat, .spz, .sog or .glb)
     #[arg(value_name = "SCENE|SPLAT|RUN")]
     pub(crate) what: PathBuf,
     #[command(flatten)]
@@ -241,7 +241,7 @@ pub(crate) struct RenderArgs {
     /// Frames of the path, 2 to 10000
     #[arg(long, value_name = "N", default_value_t = 120, value_parser = clap::value_parser!(u32).range(2..=10_000))]
     pub(crate) frames: u32,
-    /// With --image the picture to write, a JPEG where its name ends so and else a PNG; with --split the folder for
+    /// With --image the picture to write, a .png or a .jpg; with --split the folder for
     /// PNGs; with --path that, or a .mp4 or .gif, which ffmpeg makes if it is installed
     #[arg(long, value_name = "FILE|DIR")]
     pub(crate) out: PathBuf,

@@ -11,7 +11,7 @@ use crate::terminal::output;
 
 pub(crate) fn run(args: &InspectArgs) -> Result<()> {
     let what = &args.what;
-    ensure!(what.exists(), "{} does not exist; give the folder of a scene or a run, or a splat's PLY", shown(what));
+    ensure!(what.exists(), "{} does not exist; give the folder of a scene or a run, or a splat", shown(what));
     let report = match () {
         () if what.is_file() => inspect_splat(what)?,
         () if is_run(what) => inspect_run(what)?,

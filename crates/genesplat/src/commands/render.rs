@@ -3,9 +3,9 @@
 use std::io::Write;
 use std::path::Path;
 
-use anyhow::{Result, bail};
+use anyhow::{Result, bail, ensure};
 use genesplat::core::{Photo, View};
-use genesplat::io::{Scene, photos, shown};
+use genesplat::io::{Scene, photos, plural, shown};
 
 use super::render_path;
 use crate::args::{RenderArgs, RenderSplit};
@@ -39,6 +39,11 @@ pub(crate) fn run(args: &RenderArgs) -> Result<()> {
         }
     };
     jobs.iter().try_for_each(|(_, path)| overwrite::check_existing(path, Content::Picture, &[]))?;
+    ensure!(
+        jobs.iter().all(|(_, path)| is_jpeg(path) || ending(path) == "png"),
+        "{} names no picture that is written; end it in .png or .jpg",
+        shown(&args.out)
+    );
     let mut backend = device::open(args.splat.machine.device.unwrap_or_default())?;
     backend.upload(splat.cloud.into())?;
     let mut bar = Bar::new("renders", jobs.len() as u64);
@@ -47,12 +52,20 @@ pub(crate) fn run(args: &RenderArgs) -> Result<()> {
         bar.set(done, String::new);
     }
     drop(bar);
-    output::print(&format!("{} pictures written to {}", jobs.len(), shown(&args.out)))
+    let pictures = plural(jobs.len(), "picture", "pictures");
+    output::print(&format!("{} {pictures} written to {}", jobs.len(), shown(&args.out)))
+}
+
+fn ending(path: &Path) -> String {
+    path.extension().unwrap_or_default().to_string_lossy().to_lowercase()
+}
+
+fn is_jpeg(path: &Path) -> bool {
+    ["jpg", "jpeg"].contains(&ending(path).as_str())
 }
 
 fn write(path: &Path, picture: &Photo) -> Result<()> {
-    let end = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
-    if ["jpg", "jpeg"].contains(&end.as_str()) {
+    if is_jpeg(path) {
         let jpeg = photos::encode_jpeg(picture, JPEG_QUALITY);
         return files::write_file(path, |out| out.write_all(&jpeg));
     }

@@ -1,7 +1,5 @@
 //! Photos that harm a reconstruction: blurred, overexposed, or there twice.
 
-use std::collections::HashMap;
-
 use genesplat::core::{Photo, View};
 use rayon::prelude::*;
 
@@ -13,6 +11,10 @@ const BLURRED: f64 = 0.15;
 const OVEREXPOSED: f64 = 0.25;
 /// A pixel is white from this value on, in all channels.
 const WHITE: u8 = 254;
+/// Photos are compared by the mean colours of so many parts across and down.
+const CELLS: usize = 16;
+/// Two photos are one, saved twice, where no part differs by so many 8-bit values.
+const ALIKE: f64 = 2.0;
 /// Fewer photos have no usual one.
 const PHOTOS_MIN: usize = 5;
 
@@ -60,18 +62,29 @@ fn overexposed(views: &[&View], measures: &[Measures]) -> Option<String> {
     })
 }
 
-/// Photos with the same pixels.
+/// Photos that show the same, saved twice or anew.
 fn duplicates(views: &[&View]) -> Option<String> {
-    let mut first: HashMap<&[u8], &str> = HashMap::new();
-    let mut pairs = Vec::new();
-    for view in views {
-        if let Some(twin) = first.insert(&view.photo.rgb, &view.name) {
-            pairs.push(format!("{twin} and {}", view.name));
-        }
-    }
+    let small: Vec<Vec<f64>> = views.par_iter().map(|view| cells(&view.photo)).collect();
+    let is_like = |a: &[f64], b: &[f64]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < ALIKE);
+    let twin = |at: usize| (0..at).find(|&before| is_like(&small[before], &small[at]));
+    let pairs: Vec<String> =
+        (0..views.len()).filter_map(|at| Some(format!("{} and {}", views[twin(at)?].name, views[at].name))).collect();
     let shown: Vec<&str> = pairs.iter().map(String::as_str).collect();
     (!shown.is_empty())
         .then(|| format!("photos are there twice ({}): one of each pair counts double; remove it", listed(&shown)))
+}
+
+/// Mean colours of a photo's parts.
+fn cells(photo: &Photo) -> Vec<f64> {
+    let (width, height) = (photo.width as usize, photo.height as usize);
+    let mut sums = vec![[0.0; 4]; CELLS * CELLS];
+    for (index, rgb) in photo.rgb.chunks_exact(3).enumerate() {
+        let [row, column] = [index / width * CELLS / height, index % width * CELLS / width];
+        let cell = &mut sums[CELLS * row + column];
+        (0..3).for_each(|channel| cell[channel] += f64::from(rgb[channel]));
+        cell[3] += 1.0;
+    }
+    sums.iter().flat_map(|[r, g, b, count]| [r, g, b].map(|sum| sum / count.max(1.0))).collect()
 }
 
 fn those<'a>(views: &[&'a View], measures: &[Measures], is_bad: impl Fn(&Measures) -> bool) -> Vec<&'a str> {
@@ -128,5 +141,18 @@ mod tests {
         assert_eq!(found.len(), 3, "{found:?}");
         assert!(found[0].contains("softer edges") && found[0].contains("(1.jpg, 3.jpg)"), "{found:?}");
         assert!(found[1].contains("mostly white (3.jpg)") && found[2].contains("0.jpg and 5.jpg"), "{found:?}");
+    }
+
+    #[test]
+    fn a_photo_that_was_saved_anew_is_still_the_same() {
+        let photo = Photo { width: 80, height: 60, rgb: (0..14_400).map(|at| (at / 80 % 256) as u8).collect() };
+        let brighter = |by: u8| Photo {
+            rgb: photo.rgb.iter().map(|value| value.saturating_add(by)).collect(),
+            width: 80,
+            height: 60,
+        };
+        let twice = |by| duplicates(&[&view("a.jpg", photo.clone()), &view("b.jpg", brighter(by))]);
+        assert!(twice(1).unwrap().contains("a.jpg and b.jpg"));
+        assert_eq!(twice(4), None);
     }
 }

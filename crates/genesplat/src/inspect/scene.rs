@@ -2,7 +2,7 @@
 
 use anyhow::Result;
 use genesplat::core::View;
-use genesplat::io::Scene;
+use genesplat::io::{Scene, ScenePhoto, list_scene, plural};
 use genesplat::train::TrainConfig;
 use genesplat::train::scene::initialise::scene_extent;
 
@@ -23,6 +23,7 @@ pub(crate) fn inspect_scene(dataset: &Dataset) -> Result<Report> {
     let sight = sight(&views, &scene.points);
     let warnings = [cameras::warnings(&views, &sight), photos::warnings(&views)].concat();
     let mut facts = found(&scene, &views, &sight)?;
+    facts.extend(lenses(&list_scene(&dataset.path, &dataset.options())?.photos));
     facts.extend(expected(&estimate(&scene, &settings)?));
     Ok(Report { kind: "scene", facts, warnings })
 }
@@ -78,6 +79,28 @@ fn field_of_view(views: &[&View]) -> Fact {
     let shown =
         if most - least < 0.5 { format!("{least:.0} degrees") } else { format!("{least:.0} to {most:.0} degrees") };
     Fact::new("field of view", least, format!("{shown} across"))
+}
+
+/// How many cameras there are, and what their lenses do.
+fn lenses(photos: &[ScenePhoto]) -> [Fact; 2] {
+    let mut cameras = Vec::new();
+    for ScenePhoto { camera, lens, .. } in photos {
+        let camera = (camera.width, camera.height, camera.focal_px, camera.principal_px, *lens);
+        if !cameras.contains(&camera) {
+            cameras.push(camera);
+        }
+    }
+    let bend_px = photos.iter().try_fold(0.0f64, |most, photo| photo.bend_px().map(|bend| most.max(bend)));
+    let shown = match bend_px {
+        Some(0.0) => "pinhole: the photos are straight".into(),
+        Some(bend) => format!("moves the corners of a photo by up to {bend:.0} of its pixels, which is undone"),
+        None => "so wide that straight photos show less than it did".into(),
+    };
+    let different = plural(cameras.len(), "for all photos", "that differ in size, focal length or lens");
+    [
+        Fact::new("cameras", cameras.len(), format!("{} {different}", thousands(cameras.len()))),
+        Fact::new("lens", bend_px.map_or(serde_json::Value::Null, Into::into), shown),
+    ]
 }
 
 fn expected(cost: &Cost) -> [Fact; 3] {

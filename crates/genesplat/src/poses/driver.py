@@ -6,7 +6,6 @@ does, since then whoever has started it is gone.
 
 import json
 import os
-import sqlite3
 import sys
 import threading
 import time
@@ -25,31 +24,38 @@ def end_with_parent():
     os._exit(1)
 
 
-def tell_rows(table, total):
-    """Tells, twice a second, how many rows of a table there are by now."""
-    place = "file:" + os.path.abspath(job["database"]) + "?mode=ro"
-    while True:
-        time.sleep(0.5)
-        try:
-            with sqlite3.connect(place, uri=True, timeout=0.2) as database:
-                (rows,) = database.execute(f"SELECT COUNT(*) FROM {table}").fetchone()
-            say(done=min(rows, total), total=total)
-        except sqlite3.Error:
-            pass
+def tell_progress(count, total):
+    """Tells, twice a second, what the database counts by now.
+
+    COLMAP's own copy of SQLite reads it: of two copies in one process, each breaks the locks of the other, and COLMAP aborts.
+    """
+    database = pycolmap.Database.open(job["database"])
+
+    def tell():
+        while True:
+            time.sleep(0.5)
+            try:
+                say(done=min(getattr(database, count)(), total), total=total)
+            except RuntimeError:
+                pass
+
+    in_background(tell)
 
 
-def in_background(function, *arguments):
-    threading.Thread(target=function, args=arguments, daemon=True).start()
+def in_background(function):
+    threading.Thread(target=function, daemon=True).start()
 
 
 def extract_features():
-    in_background(tell_rows, "keypoints", job["photos"])
+    tell_progress("num_images", job["photos"])
     options = pycolmap.FeatureExtractionOptions()
     options.num_threads = job["threads"]
     options.max_image_size = job["max_side"]
     options.sift.max_num_features = job["max_features"]
     reader = pycolmap.ImageReaderOptions()
     reader.camera_model = job["camera_model"]
+    if job["masks"]:
+        reader.mask_path = job["masks"]
     pycolmap.extract_features(
         job["database"],
         job["images"],
@@ -61,7 +67,7 @@ def extract_features():
 
 
 def match_features():
-    in_background(tell_rows, "two_view_geometries", job["pairs"])
+    tell_progress("num_verified_image_pairs", job["pairs"])
     options = pycolmap.FeatureMatchingOptions()
     options.num_threads = job["threads"]
     if job["neighbours"] is None:

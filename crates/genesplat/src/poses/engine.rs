@@ -135,6 +135,7 @@ fn request(stage: Stage, job: &Job) -> Value {
     json!({
         "stage": stage.name(),
         "images": text(&job.images),
+        "masks": job.masks.as_deref().map(text),
         "database": text(&job.database),
         "models": text(&job.models),
         "photos": job.photos,
@@ -165,6 +166,9 @@ fn colmap_command(program: &Path, has_feature_options: bool, stage: Stage, job: 
         (Stage::Features, _) => {
             command.arg("feature_extractor").arg("--image_path").arg(&job.images);
             command.arg("--database_path").arg(&job.database);
+            if let Some(masks) = &job.masks {
+                command.arg("--ImageReader.mask_path").arg(masks);
+            }
             let single = i32::from(job.single_camera).to_string();
             command.args(["--ImageReader.single_camera", &single, "--ImageReader.camera_model", camera_model(job)]);
             command.args([format!("--{extraction}.use_gpu"), "0".into()]);
@@ -212,7 +216,16 @@ mod tests {
 
     fn job() -> Job {
         let [images, database, models] = ["images", "database.db", "models"].map(PathBuf::from);
-        Job { images, photos: 9, single_camera: true, neighbours: Some(10), threads: Some(2), database, models }
+        Job {
+            images,
+            masks: Some("masks".into()),
+            photos: 9,
+            single_camera: true,
+            neighbours: Some(10),
+            threads: Some(2),
+            database,
+            models,
+        }
     }
 
     fn words(command: &Command) -> String {
@@ -227,6 +240,7 @@ mod tests {
             features.starts_with("feature_extractor --image_path images --database_path database.db"),
             "{features}"
         );
+        assert!(features.contains("--ImageReader.mask_path masks"), "{features}");
         assert!(features.contains("--SiftExtraction.use_gpu 0") && features.contains("single_camera 1"), "{features}");
         assert!(of(Stage::Features, true).contains("--FeatureExtraction.max_image_size 1600"));
         assert!(of(Stage::Matches, true).starts_with("sequential_matcher --database_path database.db"));

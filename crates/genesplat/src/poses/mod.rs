@@ -4,6 +4,7 @@
 //! is marked as done there is not done again, so a search that was stopped goes on where it was.
 
 mod engine;
+mod masks;
 mod photos;
 mod process;
 mod sharpness;
@@ -69,7 +70,8 @@ pub(crate) fn find(request: &Request, stop: &AtomicBool) -> Result<Option<Summar
         names.len()
     );
     output::tell(&format!("{} photos; {} finds their cameras", names.len(), engine.name()));
-    let job = Job::new(&images, &work, &names, source.is_video(), request.threads)?;
+    let masks = masks::usable(request.out, &images, &names)?;
+    let job = Job { masks, ..Job::new(&images, &work, &names, source.is_video(), request.threads)? };
     let Some(errors_px) = stages::run(&engine, &job, &work, stop)? else { return Ok(None) };
     let summary = Summary::of_largest(&job.models, &names, &errors_px)?;
     install(&job.models.join(&summary.model), &request.out.join(MODEL))?;

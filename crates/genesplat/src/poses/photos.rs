@@ -7,11 +7,11 @@ use std::sync::atomic::AtomicBool;
 use anyhow::{Result, anyhow, bail, ensure};
 use genesplat::io::archive::is_zip;
 use genesplat::io::photos::convert_to_png;
-use genesplat::io::{UNREAD, input, shown};
+use genesplat::io::{CONVERT, UNREAD, input, shown};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::{FRAMES, IMAGES, video};
+use super::{FRAMES, IMAGES, masks, video};
 use crate::files::{unwritable, write_json};
 use crate::unpacked;
 
@@ -26,9 +26,18 @@ const UNPACKED: &str = "unpacked";
 const RECORD: &str = "source.json";
 
 pub(crate) enum Source {
-    Folder { path: PathBuf, names: Vec<String> },
+    Folder(Photos),
     Archive { path: PathBuf },
     Video { path: PathBuf, frames: u32 },
+}
+
+/// The photos of a folder.
+pub(crate) struct Photos {
+    path: PathBuf,
+    /// Below `path`, sorted.
+    names: Vec<String>,
+    /// The mask of each photo that has one, by the photo's name.
+    masks: Vec<(String, PathBuf)>,
 }
 
 /// What tells that the stages in a folder are those of the same photos.
@@ -52,12 +61,12 @@ impl Source {
         if path.is_file() {
             return Ok(Self::Archive { path: path.to_owned() });
         }
-        photos_of(path).map(|(path, names)| Self::Folder { path, names })
+        photos_of(path).map(Self::Folder)
     }
 
     pub(crate) fn path(&self) -> &Path {
         match self {
-            Self::Folder { path, .. } | Self::Archive { path } | Self::Video { path, .. } => path,
+            Self::Folder(Photos { path, .. }) | Self::Archive { path } | Self::Video { path, .. } => path,
         }
     }
 
@@ -85,9 +94,10 @@ impl Source {
             Ok((name.to_owned(), there.len()))
         };
         match self {
-            Self::Folder { path, names } => {
-                let files = names.iter().map(|name| size(name, &path.join(name))).collect::<Result<_>>()?;
-                Ok(Record { files, frames: None })
+            Self::Folder(Photos { path, names, masks }) => {
+                let photos = names.iter().map(|name| size(name, &path.join(name)));
+                let masks = masks.iter().map(|(name, mask)| size(&format!("mask of {name}"), mask));
+                Ok(Record { files: photos.chain(masks).collect::<Result<_>>()?, frames: None })
             }
             Self::Archive { path } | Self::Video { path, .. } => {
                 let name = path.file_name().unwrap_or_default().to_string_lossy();
@@ -97,53 +107,67 @@ impl Source {
         }
     }
 
-    /// Puts the photos into `images`; false where `stop` has ended it.
+    /// Puts the photos into `images`, and their masks beside it; false where `stop` has ended it.
     pub(crate) fn fill(&self, images: &Path, work: &Path, stop: &AtomicBool) -> Result<bool> {
         match self {
-            Self::Folder { path, names } => put(path, names, images).map(|()| true),
+            Self::Folder(photos) => photos.put(images).map(|()| true),
             Self::Archive { path } => {
                 let unpacked = work.join(UNPACKED);
                 unpacked::unpack(path, &unpacked)?;
-                let (folder, names) = photos_of(&unpacked)?;
-                put(&folder, &names, images).map(|()| true)
+                photos_of(&unpacked)?.put(images).map(|()| true)
             }
             Self::Video { path, frames } => video::take_frames(path, *frames, images, work, stop),
         }
     }
 }
 
-/// The folder of the photos in `path`, and their names; fails where there are none, and tells of those that are not read.
-fn photos_of(path: &Path) -> Result<(PathBuf, Vec<String>)> {
+/// The photos in `path`; fails where there are none, and tells of pictures that are not read.
+fn photos_of(path: &Path) -> Result<Photos> {
     let folder = Some(path.join(IMAGES)).filter(|images| images.is_dir()).unwrap_or_else(|| path.to_owned());
-    let ((names, others), shown) = (list(&folder)?, shown(path));
-    match (names.is_empty(), others.first()) {
+    let (Found { photos, others, masks }, shown) = (list(&folder)?, shown(path));
+    match (photos.is_empty(), others.first()) {
         (true, None) => bail!("{shown} holds no photos; give a folder of JPEG, PNG or WebP files, or a video"),
         (true, Some(first)) => bail!(
-            "{shown} holds no JPEG, PNG or WebP files, and others are not read ({first} is one of {}); convert them",
+            "{shown} holds no JPEG, PNG or WebP files, and others are not read ({first} is one of {}); {CONVERT}",
             others.len()
         ),
         (false, Some(first)) => unpacked::tell_of_unread(others.len(), first),
         (false, None) => {}
     }
-    Ok((folder, names))
+    let beside = folder.ends_with(IMAGES).then(|| folder.with_file_name(masks::FOLDER));
+    let masks = masks::of_photos(&photos, &masks.into_iter().chain(beside).collect::<Vec<_>>());
+    Ok(Photos { path: folder, names: photos, masks })
 }
 
 /// Names of the photos below a folder that [`Source::fill`] has filled, sorted.
 pub(crate) fn names_in(images: &Path) -> Result<Vec<String>> {
-    let (mut names, _) = list(images)?;
+    let mut names = list(images)?.photos;
     names.retain(|name| !has_ending(name, &[WEBP]));
     Ok(names)
 }
 
-/// Puts the photos of these names into `images`, in a form that COLMAP reads.
-fn put(folder: &Path, names: &[String], images: &Path) -> Result<()> {
-    names.par_iter().try_for_each(|name| {
-        if !has_ending(name, &[WEBP]) {
-            return link(&folder.join(name), &images.join(name));
-        }
-        let png = images.join(format!("{name}.png"));
-        if png.exists() { Ok(()) } else { Ok(convert_to_png(&folder.join(name), &png)?) }
-    })
+impl Photos {
+    /// Puts them into `images` in a form that COLMAP reads, and their masks beside it.
+    fn put(&self, images: &Path) -> Result<()> {
+        self.names.par_iter().try_for_each(|name| match has_ending(name, &[WEBP]) {
+            false => link(&self.path.join(name), &images.join(name)),
+            true => as_png(&self.path.join(name), &images.join(name_in_scene(name))),
+        })?;
+        let masks = images.with_file_name(masks::FOLDER);
+        self.masks.par_iter().try_for_each(|(name, mask)| {
+            let place = masks::place(&masks, &name_in_scene(name));
+            if has_ending(&mask.to_string_lossy(), &["png"]) { link(mask, &place) } else { as_png(mask, &place) }
+        })
+    }
+}
+
+/// WebP photos become PNG.
+fn name_in_scene(name: &str) -> String {
+    if has_ending(name, &[WEBP]) { format!("{name}.png") } else { name.to_owned() }
+}
+
+fn as_png(picture: &Path, png: &Path) -> Result<()> {
+    if png.exists() { Ok(()) } else { Ok(convert_to_png(picture, png)?) }
 }
 
 /// The same file under another name, or a copy where the file system has no such thing.
@@ -158,10 +182,20 @@ fn link(from: &Path, to: &Path) -> Result<()> {
     linked().map_err(|error| unwritable(to, &error))
 }
 
-/// Names of photos, and of other pictures, below `folder`, relative to it and sorted; folders of masks and hidden ones
-/// are passed over.
-fn list(folder: &Path) -> Result<(Vec<String>, Vec<String>)> {
-    let (mut photos, mut others, mut folders) = (Vec::new(), Vec::new(), vec![PathBuf::new()]);
+/// What lies below a folder; all sorted.
+#[derive(Debug, Default, PartialEq)]
+struct Found {
+    /// Names relative to it.
+    photos: Vec<String>,
+    /// The same of pictures that are not read.
+    others: Vec<String>,
+    /// Folders of masks.
+    masks: Vec<PathBuf>,
+}
+
+/// Looks into all folders but those of masks and hidden ones.
+fn list(folder: &Path) -> Result<Found> {
+    let (mut found, mut folders) = (Found::default(), vec![PathBuf::new()]);
     while let Some(inner) = folders.pop() {
         let path = folder.join(&inner);
         let entries = fs::read_dir(&path).map_err(|error| anyhow!("cannot read {}: {error}", shown(path)))?;
@@ -169,19 +203,20 @@ fn list(folder: &Path) -> Result<(Vec<String>, Vec<String>)> {
             let name = entry.file_name().to_string_lossy().into_owned();
             let relative = inner.join(&name);
             let text = relative.to_string_lossy().replace('\\', "/");
-            let is_folder = entry.path().is_dir();
-            match is_folder {
-                _ if name.starts_with('.') || (is_folder && name.starts_with("mask")) => {}
+            match entry.path().is_dir() {
+                _ if name.starts_with('.') => {}
+                true if name.starts_with("mask") => found.masks.push(entry.path()),
                 true => folders.push(relative),
-                _ if has_ending(&name, &PHOTOS) => photos.push(text),
-                _ if has_ending(&name, &UNREAD) => others.push(text),
-                _ => {}
+                false if has_ending(&name, &PHOTOS) => found.photos.push(text),
+                false if has_ending(&name, &UNREAD) => found.others.push(text),
+                false => {}
             }
         }
     }
-    photos.sort();
-    others.sort();
-    Ok((photos, others))
+    found.photos.sort();
+    found.others.sort();
+    found.masks.sort();
+    Ok(found)
 }
 
 fn has_ending(name: &str, endings: &[&str]) -> bool {
@@ -205,8 +240,33 @@ mod tests {
         for name in ["b/2.JPG", "a.png", ".hidden.jpg", "masks/a.png", "notes.txt", "x.HEIC"] {
             file(place.path(), name);
         }
-        let (photos, others) = list(place.path()).unwrap();
+        let Found { photos, others, masks } = list(place.path()).unwrap();
         assert_eq!((photos, others), (vec!["a.png".to_owned(), "b/2.JPG".into()], vec!["x.HEIC".to_owned()]));
+        assert_eq!(masks, [place.path().join("masks")]);
+    }
+
+    #[test]
+    fn masks_come_along_under_the_names_of_their_photos() {
+        let place = tempfile::tempdir().unwrap();
+        for name in
+            ["a/images/1.jpg", "a/images/2.jpg", "a/masks/1.png", "b/1.jpg", "b/masks/1.jpg.png", "b/masks/9.png"]
+        {
+            file(place.path(), name);
+        }
+        for (given, scene) in [("a", "of-a"), ("a/images", "of-images"), ("b", "of-b")] {
+            let source = Source::open(&place.path().join(given), None).unwrap();
+            let scene = place.path().join(scene);
+            assert!(source.fill(&scene.join(IMAGES), &scene.join("work"), &AtomicBool::new(false)).unwrap());
+            let masks: Vec<PathBuf> =
+                fs::read_dir(scene.join("masks")).unwrap().map(|mask| mask.unwrap().path()).collect();
+            assert_eq!(masks, [scene.join("masks/1.jpg.png")]);
+        }
+        file(place.path(), "b/masks/1.jpg.png.bak");
+        let (b, work) = (place.path().join("b"), place.path().join("work"));
+        fs::create_dir(&work).unwrap();
+        Source::open(&b, None).unwrap().check_same(&work).unwrap();
+        fs::write(b.join("masks/1.jpg.png"), "another mask").unwrap();
+        assert!(Source::open(&b, None).unwrap().check_same(&work).is_err(), "features were looked for elsewhere");
     }
 
     #[test]

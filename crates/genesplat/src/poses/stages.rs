@@ -46,6 +46,8 @@ impl Stage {
 /// What the stages work on.
 pub(crate) struct Job {
     pub(crate) images: PathBuf,
+    /// Folder of masks, black where no features are looked for.
+    pub(crate) masks: Option<PathBuf>,
     pub(crate) photos: usize,
     /// One camera took all photos: they have one size.
     pub(crate) single_camera: bool,
@@ -68,6 +70,7 @@ impl Job {
         let is_sequence = is_video || names.len() > EXHAUSTIVE_MAX;
         Ok(Self {
             images: images.to_owned(),
+            masks: None,
             photos: names.len(),
             single_camera: sizes.iter().all(|size| *size == sizes[0]),
             neighbours: is_sequence.then_some(NEIGHBOURS),
@@ -146,7 +149,7 @@ mod tests {
     fn job(photos: usize, neighbours: Option<usize>) -> Job {
         let nowhere = PathBuf::new;
         let (images, database, models) = (nowhere(), nowhere(), nowhere());
-        Job { images, photos, single_camera: true, neighbours, threads: None, database, models }
+        Job { images, masks: None, photos, single_camera: true, neighbours, threads: None, database, models }
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! The live page of a run and of a finished splat, as a client of the socket sees it.
 #![cfg(unix)]
 
-use std::io::{BufRead, BufReader};
+use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
@@ -134,6 +134,31 @@ fn a_page_that_looks_pauses_and_saves_changes_no_byte() {
     assert!(pictures > 6, "{pictures} pictures, none of them while it trained");
     assert!(cloud(&alone) == cloud(&watched), "the same bytes");
     assert!(std::fs::read(&snapshot).unwrap() != cloud(&watched), "an earlier state");
+}
+
+/// Connections that vanish, garbage, and a page that never reads, while it trains.
+#[test]
+fn strangers_change_no_byte() {
+    let folder = tempfile::tempdir().unwrap();
+    let [alone, pestered] = ["alone", "pestered"].map(|name| folder.path().join(name));
+    succeed(train(scene(), &alone, &SCHEDULE));
+    let mut served = Served::start(command(train(scene(), &pestered, &[&SCHEDULE[..], &["--view"]].concat())));
+    let [mut deaf, mut babbler] = [served.page(), served.page()];
+    let host = served.url.split('/').nth(2).unwrap().to_owned();
+    let mut refused = 0;
+    for round in 0..50 {
+        drop(TcpStream::connect(&host));
+        let Ok(mut stranger) = TcpStream::connect(&host) else { break };
+        let asked = write!(stranger, "GET /wrong/{round} HTTP/1.1\r\nHost: evil.example\r\n\r\n");
+        let mut answer = String::new();
+        let _ = asked.and_then(|()| stranger.read_to_string(&mut answer));
+        refused += usize::from(answer.contains("403"));
+        let _ = deaf.send(look(round, "points"));
+        let _ = babbler.send(Message::text("garbage"));
+    }
+    assert!(refused > 10, "{refused} strangers were refused");
+    assert_eq!(served.end(), Some(0));
+    assert!(cloud(&alone) == cloud(&pestered), "the same bytes");
 }
 
 #[test]

@@ -181,6 +181,13 @@ fn what_was_given_is_not_quite_a_scene() {
             },
             Says(&["one.png is one photo", "give the folder"]),
         ),
+        (
+            |place| {
+                place.write("phone/IMG_1.HEIC", "x");
+                place.trains("phone", &[])
+            },
+            Says(&["phone holds 1 picture that is", "neither JPEG nor PNG nor WebP", "heif-convert"]),
+        ),
         (|place| place.trains("scene/images", &[]), Works(&["of which a part was given"])),
         (|place| place.trains("scene/sparse/0", &[]), Works(&["of which a part was given"])),
         (|place| place.trains("scene/sparse/0/cameras.bin", &[]), Works(&["of which a part was given"])),
@@ -263,6 +270,21 @@ fn photos_are_not_quite_where_and_what_the_list_says() {
                 place.trains("scene", &[])
             },
             Says(&["none of the 12 photos", "IMG_1.jpg where gallery_0", "put the photos there"]),
+        ),
+        (
+            |place| {
+                fs::remove_dir_all(place.at("scene/images")).unwrap();
+                place.write("scene/images/gallery_000.heic", "x");
+                place.trains("scene", &[])
+            },
+            Says(&["none of the 12 photos", "gallery_000.heic that are not read", "heif-convert"]),
+        ),
+        (
+            |place| {
+                fs::write(place.photo(), b"\0\0\0\x18ftypheic\0\0\0\0").unwrap();
+                place.trains("scene", &[])
+            },
+            Says(&["gallery_003.png", "HEIC", "only PNG, JPEG and WebP are read"]),
         ),
         (
             |place| {
