@@ -1,6 +1,6 @@
 //! A run by many processes that `mpirun` has started: all do the same, and rank 0 alone writes and speaks.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -14,13 +14,17 @@ use genesplat::train::{Checkpoint, Start, StepBudget, TrainConfig, TrainError};
 
 use crate::args::TrainArgs;
 use crate::device::DeviceChoice;
-use crate::run::memory;
+use crate::run::{failure, memory};
 use crate::terminal::numbers::memory as of_memory;
 use crate::terminal::output::{self, Volume};
 
 /// What is said to who ends a run under `mpirun`.
 pub(crate) const STOPPING: &str =
     "stopping, as mpirun asks for it: results so far are being saved if all of its processes are there";
+
+/// Starters of processes that do not work together, and where each says how many there are.
+const OTHER_STARTERS: [(&str, &str); 2] =
+    [("srun", "SLURM_STEP_NUM_TASKS"), ("an mpiexec that is not Open MPI's", "PMI_SIZE")];
 
 /// How many processes Open MPI has started, and how many of them on this machine.
 const WORLD_SIZE: &str = "OMPI_COMM_WORLD_SIZE";
@@ -53,9 +57,21 @@ pub(crate) fn is_member() -> bool {
     started(WORLD_SIZE) > 1
 }
 
+/// Tells who has started several processes by another program that each is a run of its own.
+pub(crate) fn notice_other_starters() {
+    let several = |&(_, variable): &(&str, &str)| started(variable) > 1;
+    if let Some((starter, variable)) = OTHER_STARTERS.into_iter().find(several) {
+        output::tell(&format!(
+            "notice: {starter} has started {} processes, each of which is a run of its own; to have one run by all of them, start \
+             them by Open MPI's mpirun",
+            started(variable)
+        ));
+    }
+}
+
 impl Cluster {
-    /// Joins the others; `told` is set when it, or somebody else, tells this process to end.
-    pub(crate) fn join(told: &Arc<AtomicBool>) -> Result<Self> {
+    /// Joins the others for a run in `folder`; `told` is set when mpirun, or somebody else, tells this process to end.
+    pub(crate) fn join(told: &Arc<AtomicBool>, folder: &Path) -> Result<Self> {
         let (asked, stop) = <(Arc<AtomicBool>, Arc<AtomicBool>)>::default();
         #[cfg(unix)]
         signal_hook::flag::register(signal_hook::consts::SIGUSR1, asked.clone())?;
@@ -65,7 +81,7 @@ impl Cluster {
         }
         let root = group.broadcast(vec![process::id()])?[0];
         let done = Arc::default();
-        end_in_time([told, &asked, &done].map(Arc::clone), (group.rank(), root))?;
+        end_in_time([told, &asked, &done].map(Arc::clone), (group.rank(), root), folder.to_owned())?;
         Ok(Self { group, asked, stop, done })
     }
 
@@ -147,7 +163,7 @@ pub(crate) fn agree<T>(cluster: Option<&Cluster>, done: Result<T>) -> Result<T> 
 /// When a rank has ended, mpirun tells the others to end, who wait for it for ever. Asks them to stop, and ends this process
 /// with a sentence before mpirun does without. `root` is the process of rank 0: where it ran beside rank 1 and is gone, rank 1
 /// says the sentence.
-fn end_in_time([told, asked, done]: [Arc<AtomicBool>; 3], (rank, root): (usize, u32)) -> Result<()> {
+fn end_in_time([told, asked, done]: [Arc<AtomicBool>; 3], (rank, root): (usize, u32), folder: PathBuf) -> Result<()> {
     let patience = Duration::from_secs(started(PATIENCE) as u64).saturating_sub(MARGIN);
     let is_beside_root = rank == 1 && started(LOCAL_RANK) == 1;
     let replaces_root = move || is_beside_root && !Path::new("/proc").join(root.to_string()).exists();
@@ -164,10 +180,10 @@ fn end_in_time([told, asked, done]: [Arc<AtomicBool>; 3], (rank, root): (usize, 
             return;
         }
         if rank == 0 || replaces_root() {
-            output::complain(
-                "error: mpirun has ended the run, since one of its processes has ended, or since saving takes longer than it waits; the \
-                 same command with --resume goes on from the last checkpoint",
-            );
+            output::complain(&format!(
+                "error: mpirun has ended the run, since one of its processes has ended, or since saving takes longer than it waits; {}",
+                failure::left_by_ranks(&folder)
+            ));
         }
         process::exit(1);
     };

@@ -26,9 +26,10 @@ use crate::{cluster, device, lpips, overwrite, scene, unpacked};
 /// mistyped path nor a change of mind must cost them.
 pub(crate) fn run(args: &TrainArgs) -> Result<Ending> {
     if !cluster::is_member() {
+        cluster::notice_other_starters();
         return run_on(args, &*interrupt::stop_flag()?, None);
     }
-    let cluster = Cluster::join(&interrupt::stop_flag_saying(cluster::STOPPING)?)?;
+    let cluster = Cluster::join(&interrupt::stop_flag_saying(cluster::STOPPING)?, &args.out)?;
     match run_on(args, cluster.stop(), Some(&cluster)) {
         Err(error) if !cluster.is_root() && cluster.is_told(&error) => Ok(Ending::Failed),
         Ok(ending) => {

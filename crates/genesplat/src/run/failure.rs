@@ -7,12 +7,23 @@ use genesplat::io::shown;
 use genesplat::train::TrainError;
 
 use super::session::{Caller, has_checkpoint, read_checkpoint};
-use super::{CHECKPOINT, previous};
+use super::{CHECKPOINT, METRICS, previous};
 
 /// `error`, and after its sentence what is left of the run in `folder`, and how to go on.
 pub(crate) fn explain(error: anyhow::Error, folder: &Path, caller: Caller) -> anyhow::Error {
     let sentence = format!("{error}{}{}", what_is_left(&error, folder, caller), previous::note(folder));
     error.context(sentence)
+}
+
+/// What is left of a run in `folder` whose processes are gone, and how to go on. Looks and does not read: there is no time.
+pub(crate) fn left_by_ranks(folder: &Path) -> String {
+    if has_checkpoint(folder) {
+        format!("{} is left, and the same command with --resume goes on from there", shown(folder.join(CHECKPOINT)))
+    } else if folder.join(METRICS).exists() {
+        format!("the run in {} is whole", shown(folder))
+    } else {
+        "no checkpoint had been saved, so the run has to begin anew".into()
+    }
 }
 
 #[derive(Clone, Copy)]
@@ -136,5 +147,12 @@ mod tests {
 
         fs::write(&file, "no checkpoint").unwrap();
         assert!(says(other()).contains("cannot be read"));
+
+        let left = || left_by_ranks(&folder);
+        assert!(left().contains(&file) && left().contains("--resume"), "{}", left());
+        fs::remove_file(&file).unwrap();
+        assert!(left().contains("begin anew"), "{}", left());
+        fs::write(folder.join(METRICS), "{}").unwrap();
+        assert!(left().ends_with("is whole"), "{}", left());
     }
 }

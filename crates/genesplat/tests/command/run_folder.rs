@@ -9,7 +9,7 @@ use genesplat::core::ScreenFilter;
 use genesplat::io::colmap::{find_model, read_model, write_model};
 use genesplat::io::ply::read_ply_with_header;
 
-use crate::support::{fail, json, number, scene, succeed, text, train, write_gallery};
+use crate::support::{command, fail, json, number, scene, succeed, text, train, write_gallery};
 
 fn keys(value: &Value) -> BTreeSet<&str> {
     value.as_object().unwrap().keys().map(String::as_str).collect()
@@ -213,4 +213,21 @@ fn gaussians_are_limited_with_a_notice() {
     succeed(train(scene(), &out, &["--steps-scale", "0.02", "--max-gaussians", "400", "--evolve", "off"]));
     assert!(number(&json(&out.join("metrics.json"))["gaussians"]) <= 400.0);
     assert!(std::fs::read_to_string(out.join("log.jsonl")).unwrap().contains("the limit of 400 Gaussians"));
+}
+
+/// Starters of processes that are not recognised say how many they have started, and so does genesplat.
+#[test]
+fn processes_of_other_starters_are_told_that_they_are_alone() {
+    let place = tempfile::tempdir().unwrap();
+    let said = |variable: &str, count: &str| {
+        let missing = train(&place.path().join("missing"), &place.path().join("out"), &[]);
+        let output = command(missing).env(variable, count).output().unwrap();
+        String::from_utf8(output.stderr).unwrap()
+    };
+    for (variable, starter) in [("SLURM_STEP_NUM_TASKS", "srun"), ("PMI_SIZE", "mpiexec")] {
+        let several = said(variable, "4");
+        let words = [starter, "started 4 processes", "a run of its own", "Open MPI's mpirun"];
+        assert!(words.iter().all(|word| several.contains(word)), "{several}");
+        assert!(!said(variable, "1").contains(starter));
+    }
 }

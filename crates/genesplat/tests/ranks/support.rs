@@ -1,0 +1,85 @@
+//! A small scene, how processes are started on it, and what is done to them.
+
+use std::fs;
+use std::io::{BufRead, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output, Stdio};
+use std::time::{Duration, Instant};
+
+use genesplat::gallery::{self, GalleryOptions};
+
+/// Grows, resets and renews within a few seconds.
+pub(crate) const SCHEDULE: [&str; 9] =
+    ["--steps-scale", "0.02", "--max-gaussians", "2500", "--checkpoint-every", "50", "--threads", "1", "--seed=3"];
+
+pub(crate) fn genesplat() -> &'static str {
+    env!("CARGO_BIN_EXE_genesplat")
+}
+
+/// The bundled scene, small, on disk.
+pub(crate) fn scene(folder: &Path) -> PathBuf {
+    let path = folder.join("scene");
+    let options = GalleryOptions { width: 80, height: 120, views: 12, points: 1500, seed: 1 };
+    gallery::generate(&options).write_colmap(&path).unwrap();
+    path
+}
+
+pub(crate) fn mpirun(ranks: usize, arguments: &[&str]) -> Command {
+    let mut command = Command::new("mpirun");
+    // More processes than cores: who waits gives way.
+    command.args(["--allow-run-as-root", "--oversubscribe", "--bind-to", "none", "--mca", "mpi_yield_when_idle", "1"]);
+    command.args(["-n", &ranks.to_string(), genesplat()]);
+    command.args(arguments).stdout(Stdio::piped()).stderr(Stdio::piped());
+    command
+}
+
+pub(crate) fn train<'a>(scene: &'a Path, out: &'a Path, more: &[&'a str]) -> Vec<&'a str> {
+    let named = ["train", scene.to_str().unwrap(), "--out", out.to_str().unwrap()];
+    [&named[..], &SCHEDULE, more].concat()
+}
+
+pub(crate) fn succeed(command: &mut Command) -> String {
+    let Output { status, stderr, .. } = command.output().unwrap();
+    let said = String::from_utf8_lossy(&stderr).into_owned();
+    assert!(status.success(), "{said}");
+    said
+}
+
+pub(crate) fn cloud(run: &Path) -> Vec<u8> {
+    fs::read(run.join("point_cloud.ply")).unwrap()
+}
+
+/// Waits until the log has a step of this iteration or a later one.
+pub(crate) fn wait_for_step(out: &Path, iteration: usize, run: &Child) {
+    let deadline = Instant::now() + Duration::from_secs(100);
+    let last = || -> Option<usize> {
+        let log = BufReader::new(fs::File::open(out.join("log.jsonl")).ok()?);
+        let steps = log.lines().map_while(Result::ok).filter(|line| line.contains(r#""event":"step""#));
+        let iteration = |line: String| line.split(r#""iteration":"#).nth(1)?.split(',').next()?.parse().ok();
+        steps.filter_map(iteration).max()
+    };
+    while last().is_none_or(|last| last < iteration) {
+        assert!(Instant::now() < deadline, "process {} makes no step {iteration}", run.id());
+        std::thread::sleep(Duration::from_millis(5));
+    }
+}
+
+/// Processes that `mpirun` has started, by rank.
+pub(crate) fn ranks_of(mpirun: &Child) -> Vec<u32> {
+    let listed = Command::new("pgrep").args(["-P", &mpirun.id().to_string()]).output().unwrap().stdout;
+    let pids = String::from_utf8(listed).unwrap();
+    let rank = |pid: u32| -> Option<(usize, u32)> {
+        let variables = fs::read(format!("/proc/{pid}/environ")).ok()?;
+        let text = String::from_utf8_lossy(&variables).into_owned();
+        let rank =
+            text.split('\0').find_map(|variable| variable.strip_prefix("OMPI_COMM_WORLD_RANK="))?.parse().ok()?;
+        Some((rank, pid))
+    };
+    let mut ranks: Vec<(usize, u32)> = pids.lines().filter_map(|pid| rank(pid.parse().ok()?)).collect();
+    ranks.sort_unstable();
+    ranks.into_iter().map(|(_, pid)| pid).collect()
+}
+
+pub(crate) fn signal(name: &str, process: u32) {
+    assert!(Command::new("kill").args([name, &process.to_string()]).status().unwrap().success());
+}
