@@ -5,6 +5,7 @@
 //! The gallery at 64 x 48 pixels, so that even a software driver keeps up. Of the calling thread, the processor time: the
 //! driver's threads and other programs are not in it (Linux; elsewhere the time that passes, which they are in).
 
+use std::io::Write;
 use std::time::Instant;
 
 use anyhow::Result;
@@ -43,8 +44,8 @@ fn main() -> Result<()> {
             reports.extend(reported);
         }
     }
-    println!("{}: a step {:.0} µs, a report {:.0} µs (medians)", gpu.describe(), median(steps), median(reports));
-    Ok(())
+    let (device, step, report) = (gpu.describe(), median(steps), median(reports));
+    Ok(writeln!(std::io::stdout(), "{device}: a step {step:.0} µs, a report {report:.0} µs (medians)")?)
 }
 
 fn step(number: u32, view: usize) -> TrainStep {

@@ -65,15 +65,21 @@ fn reaches(spans: Spans, tile_x: i32) -> bool {
     return any(max(spans.begin, vec4(4 * tile_x)) < min(spans.end, vec4(4 * tile_x + 4)));
 }
 
+fn count_tiles_of_row(splat: Splat, tile_y: u32) -> u32 {
+    var count = 0u;
+    let spans = spans_of(splat, tile_y);
+    let columns = tile_columns_of(spans);
+    for (var tile_x = columns.x; tile_x < columns.y; tile_x++) {
+        count += u32(reaches(spans, tile_x));
+    }
+    return count;
+}
+
 fn count_tiles(splat: Splat) -> u32 {
     var count = 0u;
     let rows = tile_rows_of(splat);
     for (var tile_y = rows.x; tile_y < rows.y; tile_y++) {
-        let spans = spans_of(splat, tile_y);
-        let columns = tile_columns_of(spans);
-        for (var tile_x = columns.x; tile_x < columns.y; tile_x++) {
-            count += u32(reaches(spans, tile_x));
-        }
+        count += count_tiles_of_row(splat, tile_y);
     }
     return count;
 }

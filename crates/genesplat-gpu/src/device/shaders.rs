@@ -112,7 +112,7 @@ shaders! {
     DIGIT_SCAN = "bin/digit_scan" + [GROUP_SCAN];
     RADIX_SCATTER = "bin/radix_scatter" + [GROUP_SCAN, MARK_DIGIT];
     TILE_COUNTS_BY_DEPTH = "bin/tile_counts_by_depth" + [];
-    EMIT = "bin/emit" + [SPLAT, OVERLAP];
+    EMIT = "bin/emit" + [SPLAT, OVERLAP, GROUP_SCAN];
     TILE_RANGES = "bin/tile_ranges" + [];
     // From splats to a loss, and back to gradients of intersections.
     RASTERISE = "blend/rasterise" + [SPLAT, OVERLAP, BATCH_SPLAT];

@@ -26,7 +26,8 @@ shared_constants! {
     DIGITS = 256,
     // Splats that rasterisation blends, and the backward pass reduces, at once.
     SPLATS_AT_ONCE = 8,
-    // Tiles of a splat whose gradients one invocation sums, few in tests; those of wider splats, a workgroup.
+    // Tiles of a splat that one invocation lists, and whose gradients it sums, few in tests; those of wider splats, a
+    // workgroup.
     SERIAL_TILES = if cfg!(test) { 4 } else { 32 },
     // Steps that colours may have to make up for, few in tests.
     LATE_STEPS_MAX = if cfg!(test) { 5 } else { 64 },

@@ -47,13 +47,14 @@ fn without_barrier(text: &str, at: usize) -> String {
 
 /// Barriers that no result here shows, by the kernel and the line before them.
 ///
-/// - The two of walks over blocks are for the twin with subgroups: there the next sum of a subgroup would overwrite what
+/// - Those of walks over blocks and tile rows are for the twin with subgroups: there the next sum of a subgroup would overwrite what
 ///   others have yet to read. Here a sum has a barrier of its own before it writes what others read.
 /// - That behind the tree of sums keeps the last addition before its reading, as those within the tree do for the others,
 ///   which are noticed. Why this driver keeps that order without it is not known.
-const UNNOTICED: [(&str, &str); 3] = [
+const UNNOTICED: [(&str, &str); 4] = [
     ("bin/scan_blocks", "before = saturating_add(before, group_sum());"),
     ("bin/digit_scan", "before += group_sum();"),
+    ("bin/emit", "at += group_sum();"),
     ("optimise/project_backward", "}"),
 ];
 
