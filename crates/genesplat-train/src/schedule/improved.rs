@@ -48,8 +48,7 @@ impl Schedule {
 
     /// Fraction of the budget that there may be after the densification of iteration `i`.
     pub(crate) fn budget(&self, i: u32) -> f64 {
-        let ramp = self.ramp(i).clamp(0.0, 1.0);
-        if self.grows_evenly() { ramp } else { ramp.sqrt() }
+        self.ramp(i).clamp(0.0, 1.0).sqrt()
     }
 
     /// The budget was full before iteration `i`.
