@@ -11,8 +11,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::schedule::Schedule;
 pub use density::{DensifyConfig, McmcConfig, Signal};
-pub use of_variant::DensityControl;
 pub use evolution::{EvolutionConfig, EvolutionMode, RenewalConfig, StepBudget, Trigger};
+pub use of_variant::DensityControl;
 pub use validate::ConfigError;
 
 pub(crate) mod density;

@@ -298,7 +298,6 @@ impl Schedule {
         Some(if self.has_renewals { every } else { of_run(self.iterations, LAST_WINDOW).max(1) })
     }
 
-
     /// The state at the end of iteration `i` is one of those that its window averages; the last iteration makes no
     /// step.
     fn is_averaged(&self, i: u32) -> bool {

@@ -185,8 +185,9 @@ fn weight_averaging_comes_at_the_end_of_each_window_in_which_rows_stay() {
 #[test]
 fn without_renewals_the_last_two_fifths_are_one_window() {
     for selection in [true, false] {
-        let schedule =
-            renewing(|config| (config.evolution.renewal.selection, config.evolution.renewal.until) = (selection, Some(0.0)));
+        let schedule = renewing(|config| {
+            (config.evolution.renewal.selection, config.evolution.renewal.until) = (selection, Some(0.0))
+        });
         assert_eq!(iterations_with(&schedule, Phase::Renew), [] as [u32; 0]);
         assert_eq!(iterations_with(&schedule, Phase::Average), [30_000]);
         let averaged = iterations_with(&schedule, Phase::AddToAverage);
@@ -209,7 +210,10 @@ fn growth_by_selection_fits_its_schedule_into_the_run() {
         assert_eq!((schedule.iterations, schedule.densify_from, schedule.densify_until), (6000, 100, 3000));
         assert_eq!(iterations_with(schedule, Phase::ResetOpacity), [600, 1200, 1800, 2400]);
         assert_eq!(schedule.rates(2.0, 6000).position, 4e-6, "the last rate");
-        assert!((1..=6000).all(|i| schedule.optimiser_step(i) != OptimiserStep::Later), "averages stand for large steps");
+        assert!(
+            (1..=6000).all(|i| schedule.optimiser_step(i) != OptimiserStep::Later),
+            "averages stand for large steps"
+        );
         assert_eq!((schedule.sh_degree(199), schedule.sh_degree(200)), (0, 1));
     }
     let plain = renewing(|config| config.iterations = 6000);

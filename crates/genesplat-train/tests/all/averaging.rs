@@ -4,10 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use genesplat_core::Blend;
-use genesplat_train::observe::GenerationLog;
-use genesplat_train::{
-    Checkpoint, EvolutionMode, Observer, Outcome, Silent, StageKind, Start, TrainConfig, TrainError, train,
-};
+use genesplat_train::{Checkpoint, Observer, Outcome, Silent, StageKind, Start, TrainConfig, TrainError, train};
 
 use crate::support::{Call, FakeBackend, StopAt, points, views};
 
@@ -136,25 +133,23 @@ fn a_stop_between_averaged_states_changes_nothing() {
 fn a_stop_within_a_stage_repeats_it() {
     let whole = run_with(&config(), &mut backend());
     // While the cloud is measured, before the mean is.
-    for (calls, changed) in [(1, 0)] {
-        let stop = Arc::new(AtomicBool::new(false));
-        let mut stopping = backend();
-        stopping.stop_after = Some((calls, stop.clone()));
-        let config = config().resolve().unwrap();
-        let start = Start::Points(points(20));
-        let stopped = train(&mut stopping, &views(12), start, &config, &mut Silent, &stop).unwrap();
-        let [stage] = stopped.summary.stages[..] else { panic!("{:?}", stopped.summary.stages) };
-        assert_eq!((stopped.summary.interrupted, stage.changed), (true, changed));
+    let stopping = |stop: &Arc<AtomicBool>| {
+        let mut backend = backend();
+        backend.stop_after = Some((1, stop.clone()));
+        backend
+    };
+    let (stop, config) = (Arc::new(AtomicBool::new(false)), config().resolve().unwrap());
+    let start = Start::Points(points(20));
+    let stopped = train(&mut stopping(&stop), &views(12), start, &config, &mut Silent, &stop).unwrap();
+    let [stage] = stopped.summary.stages[..] else { panic!("{:?}", stopped.summary.stages) };
+    assert_eq!((stopped.summary.interrupted, stage.changed), (true, 0));
 
-        let stop = Arc::new(AtomicBool::new(false));
-        let mut stopping = backend();
-        stopping.stop_after = Some((calls, stop.clone()));
-        let resumed = interrupted(&mut stopping, &mut Silent, &stop);
-        assert_eq!(resumed.cloud, whole.cloud);
-        let iterations =
-            |outcome: &Outcome| -> Vec<u32> { outcome.summary.stages.iter().map(|stage| stage.iteration).collect() };
-        assert_eq!(iterations(&resumed), iterations(&whole), "the stage is not counted twice");
-    }
+    let stop = Arc::new(AtomicBool::new(false));
+    let resumed = interrupted(&mut stopping(&stop), &mut Silent, &stop);
+    assert_eq!(resumed.cloud, whole.cloud);
+    let iterations =
+        |outcome: &Outcome| -> Vec<u32> { outcome.summary.stages.iter().map(|stage| stage.iteration).collect() };
+    assert_eq!(iterations(&resumed), iterations(&whole), "the stage is not counted twice");
 }
 
 #[test]

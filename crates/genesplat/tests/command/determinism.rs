@@ -64,7 +64,8 @@ fn threads_change_nothing_in_selection_renewals_and_averages_either() {
     for (variant, renewals, averages) in [("3dgs", 0, 1), ("pixel-gs", 6, 10)] {
         let run = |threads: &str| {
             let out = folder.path().join(variant).join(threads);
-            let flags = ["--steps-scale", "0.02", "--max-gaussians", "1200", "--variant", variant, "--threads", threads];
+            let flags =
+                ["--steps-scale", "0.02", "--max-gaussians", "1200", "--variant", variant, "--threads", threads];
             succeed(train(scene(), &out, &flags));
             (cloud(&out), json(&out.join("metrics.json")))
         };
