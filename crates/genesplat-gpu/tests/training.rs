@@ -55,7 +55,7 @@ fn evolving(mode: EvolutionMode) -> Resolved {
     let evolution = &mut config.evolution;
     (evolution.paper.population, evolution.paper.generations) = (12, 2);
     evolution.paper.initial_mutation_rate = 0.5;
-    evolution.renewal.every = 2.0 / 15.0;
+    (evolution.renewal.every, evolution.renewal.selection) = (2.0 / 15.0, false);
     config.resolve().unwrap()
 }
 

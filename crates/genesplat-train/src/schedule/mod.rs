@@ -236,12 +236,16 @@ impl Schedule {
             && self.renew_every.is_none()
     }
 
-    /// Fraction of its limit that the cloud may have reached in iteration `i`, with adaptive density control. In mode `renew`
-    /// it grows evenly: what is wanted first, of photos that were hardly looked at, is not what is needed most.
+    /// Fraction of its limit that the cloud may have reached in iteration `i`, with adaptive density control.
     pub fn grown(&self, i: u32) -> f64 {
         let last = self.densify_until.saturating_sub(self.densify_every).max(1);
-        let grows_evenly = self.renew_every.is_some() && self.config.evolution.renewal.even_growth;
-        if grows_evenly { (f64::from(i) / f64::from(last)).min(1.0) } else { 1.0 }
+        if self.grows_evenly() { (f64::from(i) / f64::from(last)).min(1.0) } else { 1.0 }
+    }
+
+    /// In mode `renew` the cloud grows evenly over density control: what is wanted first, of photos that were hardly looked at,
+    /// is not what is needed most, and a small cloud takes less time. (MCMC does not ask.)
+    fn grows_evenly(&self) -> bool {
+        self.renew_every.is_some() && self.config.evolution.renewal.even_growth
     }
 
     /// Evolution stages were asked for, or controls in their place.

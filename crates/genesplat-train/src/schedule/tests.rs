@@ -280,6 +280,12 @@ fn improved_gs_scales_its_windows_and_ends_growth_where_renewal_begins() {
     });
     assert_eq!(renewing.densify_until, 3500);
     assert!(renewing.budget(3300) < 1.0 && renewing.is_budget_full(3400));
+    assert!((renewing.budget(1750) - 0.5).abs() < 0.05, "evenly");
+    let short = schedule(|config| {
+        (config.variant, config.iterations) = (Variant::ImprovedGs, 4000);
+        config.evolution.mode = EvolutionMode::Renew;
+    });
+    assert!((short.budget(1000) - 0.5f64.sqrt()).abs() < 0.05, "along the root");
 }
 
 fn renewals(change: impl FnOnce(&mut TrainConfig)) -> Vec<u32> {

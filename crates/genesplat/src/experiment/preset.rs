@@ -48,7 +48,7 @@ mod tests {
     use crate::experiment::plan::Experiment;
 
     /// Arms whose seconds are all spent on gradient steps.
-    const PLAIN: [&str; 5] = ["off", "strong", "strong-averaged", "strong-slow", "improved-gs"];
+    const PLAIN: [&str; 6] = ["off", "strong", "strong-averaged", "strong-slow", "improved-gs", "improved-gs-averaged"];
 
     #[test]
     fn every_preset_is_valid_and_has_a_control_for_each_arm_that_evolves() {
