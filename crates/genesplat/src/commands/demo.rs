@@ -31,6 +31,8 @@ use crate::{device, files, lpips, scene};
 
 /// The published schedule in this fraction of its steps.
 const STEPS_SCALE: f64 = 0.1;
+/// As few as people take of a small scene: with many there is nothing to learn by heart.
+const VIEWS: u32 = 32;
 /// One for every two pixels of a photo: keeps the demo below five minutes on two cores.
 const MAX_GAUSSIANS: usize = 35_000;
 /// Generations of each stage, and individuals a generation: a fifth of the paper's.
@@ -115,7 +117,7 @@ fn is_gallery_photo(name: &str) -> bool {
 /// Writes the gallery as an ordinary COLMAP scene, and loads it as any other.
 fn build_scene(folder: &Path, seed: u64) -> Result<Scene> {
     output::tell(&format!("making the photos of a small gallery in {}", shown(folder)));
-    let options = GalleryOptions { seed, ..GalleryOptions::default() };
+    let options = GalleryOptions { seed, views: VIEWS, ..GalleryOptions::default() };
     gallery::generate(&options).write_colmap(folder)?;
     scene::load(&Dataset::of(folder, &PhotosArgs::default())?, [0.0; 3], seed)
 }
