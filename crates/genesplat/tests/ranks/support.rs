@@ -51,7 +51,7 @@ pub(crate) fn cloud(run: &Path) -> Vec<u8> {
 
 /// Waits until the log has a step of this iteration or a later one.
 pub(crate) fn wait_for_step(out: &Path, iteration: usize, run: &Child) {
-    let deadline = Instant::now() + Duration::from_secs(100);
+    let deadline = Instant::now() + Duration::from_secs(300);
     let last = || -> Option<usize> {
         let log = BufReader::new(fs::File::open(out.join("log.jsonl")).ok()?);
         let steps = log.lines().map_while(Result::ok).filter(|line| line.contains(r#""event":"step""#));
