@@ -125,8 +125,9 @@ pub struct RenewalConfig {
     /// scaled to the run. Default true; false for the variant's own density control below the same limit. (`pixel-gs`,
     /// `mcmc` and a `densify.signal` of one's own have that in any case.)
     pub selection: bool,
-    /// The cloud approaches its limit, whoever set it, evenly over density control, not as fast as gradients ask or, in runs of
-    /// 5,000 iterations and more, along Improved-GS's root; with `mcmc`, by `mcmc.growth` all the same. Default true.
+    /// The cloud approaches its limit, whoever set it, evenly over density control; otherwise as fast as gradients ask, or with
+    /// selection along Improved-GS's root, as it does in runs of less than 5,000 iterations in any case. With `mcmc` it grows
+    /// by `mcmc.growth` all the same. Default true.
     pub even_growth: bool,
     /// The mean of a window's states replaces the last one; without renewals the last two fifths of the run are the window.
     /// Default true.

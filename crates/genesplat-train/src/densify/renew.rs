@@ -1,5 +1,5 @@
 //! Renewal on trial: the Gaussians of least contribution are replaced by splitting those of largest error; rolled back
-//! if guard PSNR falls.
+//! if guard PSNR falls. For Pixel-GS, MCMC and finished splats; where the cloud grows by selection it was worth nothing.
 //!
 //! 3DGS looks for the right Gaussians in the first half of a run and then leaves them as they are, though many
 //! contribute next to nothing, while others stand for more detail than one can show. Gradients cannot mend that: a

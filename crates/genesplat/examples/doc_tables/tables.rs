@@ -15,7 +15,7 @@ const BASELINE: &str = "off";
 /// The arm that a user gets by default.
 const EVOLVED: &str = "renew";
 /// The best that plain settings give, without and with averages. Evolution is worth what it adds to the better one.
-const STRONG: [&str; 2] = ["strong", "strong-averaged"];
+const STRONG: [&str; 4] = ["strong", "strong-averaged", "strong-slow", "strong-slow-averaged"];
 /// The strongest published density control with the cap of `renew`: what a user would otherwise choose.
 const IMPROVED: &str = "improved-gs";
 /// What two runs of a pair have in common; an arm whose name begins with its variant is compared with other variants.
