@@ -14,7 +14,8 @@ use anyhow::{Context, Result, anyhow, bail, ensure};
 const BASELINE: &str = "off";
 /// The arm that a user gets by default.
 const EVOLVED: &str = "renew";
-/// The best that plain settings give, without and with averages. Evolution is worth what it adds to the better one.
+/// Plain settings, at the published rates and at those of `renew`, without and with averages. Evolution is worth what it adds to
+/// the best of them.
 const STRONG: [&str; 4] = ["strong", "strong-averaged", "strong-slow", "strong-slow-averaged"];
 /// The strongest published density control with the cap of `renew`: what a user would otherwise choose.
 const IMPROVED: &str = "improved-gs";
