@@ -41,8 +41,8 @@ pub struct DensifyConfig {
     pub from: u32,
     /// Densification and opacity resets end before this iteration. Default 15,000; 0 switches both off. With
     /// evolution's mode `renew` that is half of the run, however long it is; where it does not select, densification ends at
-    /// 65 % of the run at the latest, and resets at half. (With `mcmc`,
-    /// only where evolution's reset triggers end; see `mcmc.until`.)
+    /// 65 % of the run at the latest, and resets at half. (With `mcmc`, only where evolution's reset triggers end; see
+    /// `mcmc.until`.)
     pub until: u32,
     /// Iterations between two densifications. Default 100; at least 1.
     pub every: u32,
@@ -59,8 +59,8 @@ pub struct DensifyConfig {
     pub clone_size: f64,
     /// Fainter Gaussians are pruned. Default 0.005; 0 to 1.
     pub prune_opacity: f32,
-    /// Larger Gaussians are pruned, except with `improved-gs` and evolution's mode `renew`; in scene extents. Default 0.1; above 0. (In forward-facing scenes walls and
-    /// floors are larger than that, and plain training loses them.)
+    /// Larger Gaussians are pruned, except with `improved-gs` and evolution's mode `renew`; in scene extents. Default 0.1;
+    /// above 0. (In forward-facing scenes walls and floors are larger than that, and plain training loses them.)
     pub prune_size: f64,
     /// Iteration after which they are. Default 3000.
     pub size_prune_after: u32,
