@@ -12,7 +12,7 @@
 // 1 for each splat, what compaction sums.
 @group(0) @binding(6) var<storage, read_write> flags: array<u32>;
 
-// Not yet.
+// Step 2 sets it (`bin/colour.wgsl`), after the steps that a row has to make up for.
 fn colour_seen(row: u32, position: vec3<f32>) -> vec3<f32> {
     return vec3(0.0);
 }
