@@ -4,7 +4,7 @@ use std::fs;
 use std::io;
 use std::path::Path;
 
-use genesplat_core::{DeviceState, Gaussians, Moments, Photo, Rng, Statistics, Stream, WindowAverages};
+use genesplat_core::{DeviceState, Gaussians, Moments, Photo, Rng, Statistics, Stream, StateMean};
 use genesplat_io::colmap::{ImageRecord, Intrinsics, Model, write_model};
 use genesplat_io::format::{Format, Options, SpzVersion};
 use genesplat_io::photos::{encode_jpeg, write_png};
@@ -192,7 +192,7 @@ pub(crate) fn checkpoint(rows: usize) -> Vec<u8> {
         cloud: cloud(rows),
         moments: Moments::zeros(rows),
         statistics: Statistics { gradient_sum: vec![0.0; rows], weight_sum: vec![0.0; rows], ..Statistics::default() },
-        averages: WindowAverages::default(),
+        mean: StateMean::default(),
     };
     let (cursor, progress) = (Cursor::start_of(7), Progress::default());
     let mut bytes = Vec::new();

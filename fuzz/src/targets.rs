@@ -121,7 +121,6 @@ fn config(bytes: &[u8]) {
         assert!(phases > 0 && schedule.sh_degree(i) <= 3 && schedule.grown(i).is_finite());
         schedule.rates(1.0, i);
         schedule.optimiser_step(i);
-        schedule.window_half(i);
     }
 }
 

@@ -6,7 +6,7 @@ use std::ops::Range;
 use genesplat_core::backend::StepReport;
 use genesplat_core::memory::ensure_memory;
 use genesplat_core::{
-    Backend, BackendError, Blend, Camera, DeviceState, Gaussians, Genes, Image, Moments, RenderSettings, RowEdit,
+    Backend, BackendError, Camera, DeviceState, Gaussians, Genes, Held, Image, Moments, RenderSettings, RowEdit,
     Statistics, TrainStep, View,
 };
 use genesplat_kernels::cpu::stages::Share;
@@ -230,7 +230,7 @@ impl Backend for ClusterBackend {
             [&mut state.cloud, first, second].into_iter().for_each(|table| reserve(table, rows));
         }
         let write = |own: &CpuBackend, rows: Range<usize>, out: &mut Writer| {
-            out.state((own.cloud(), own.moments(), own.sums(), own.averages()), rows);
+            out.state((own.cloud(), own.moments(), own.sums(), own.mean()), rows);
         };
         // Others learn what a cloud without rows has.
         let mut out = Writer::default();
@@ -263,7 +263,7 @@ impl Backend for ClusterBackend {
         self.settle()?;
         let (level, canvas) = (self.own.level(), Canvas::of_all(Pinhole::from(camera), &[], &self.group));
         let mut dealt = Dealt::default();
-        let splats = self.own.project(&canvas.camera, settings, &Blend::default());
+        let splats = self.own.project(&canvas.camera, settings, Held::Cloud);
         let parts = self.group.exchange(splats.map(|splats| canvas.deal(splats, &mut dealt)))?;
         let drawn = self.drawing.draw(level, &canvas, parts, (self.own.splats(), &dealt), settings);
         let parts = self.group.exchange(drawn.map(|()| self.drawing.rows_for_all(&canvas)))?;

@@ -3,7 +3,7 @@
 use genesplat_core::backend::MomentPolicy;
 use genesplat_core::memory::ensure_memory;
 use genesplat_core::{
-    BackendError, Blend, Contribution, EvolutionBackend, Gaussians, RenderSettings, SparseDelta, ViewLoss,
+    BackendError, Contribution, EvolutionBackend, Gaussians, Held, RenderSettings, SparseDelta, ViewLoss,
 };
 use genesplat_kernels::cpu::Target;
 use genesplat_kernels::cpu::stages::{add_contributions_of, add_weights_of, loss_of_sums, mean_squared_error};
@@ -24,7 +24,7 @@ impl ClusterBackend {
         fill: impl FnOnce(&mut Drawing, &Canvas, &Target),
     ) -> Result<(), BackendError> {
         let (level, canvas) = (self.own.level(), self.canvas_of(view));
-        let splats = self.own.project(&canvas.camera, settings, &Blend::default());
+        let splats = self.own.project(&canvas.camera, settings, Held::Cloud);
         let mut dealt = Dealt::default();
         let parts = self.group.exchange(splats.map(|splats| canvas.deal(splats, &mut dealt)))?;
         let drawn = self.drawing.draw(level, &canvas, parts, (self.own.splats(), &dealt), settings);
@@ -38,10 +38,10 @@ impl ClusterBackend {
         Ok(())
     }
 
-    /// One view of a blend.
-    fn loss_of(&mut self, blend: &Blend, view: usize, settings: &RenderSettings) -> Result<ViewLoss, BackendError> {
+    /// One view of the cloud or of the mean.
+    fn loss_of(&mut self, held: Held, view: usize, settings: &RenderSettings) -> Result<ViewLoss, BackendError> {
         let (level, canvas) = (self.own.level(), self.canvas_of(view));
-        let splats = self.own.project(&canvas.camera, settings, blend);
+        let splats = self.own.project(&canvas.camera, settings, held);
         let mut dealt = Dealt::default();
         let parts = self.group.exchange(splats.map(|splats| canvas.deal(splats, &mut dealt)))?;
         let drawn = self.drawing.draw(level, &canvas, parts, (self.own.splats(), &dealt), settings);
@@ -124,34 +124,27 @@ impl EvolutionBackend for ClusterBackend {
         Ok(all.into_iter().map(|[weight, error]| Contribution { weight, error }).collect())
     }
 
-    fn average(&mut self, half: usize) -> Result<(), BackendError> {
+    fn average(&mut self) -> Result<(), BackendError> {
         self.settle()?;
-        self.group.agree(self.own.ensure_cloud("an average"))?;
-        let done = self.own.average(half);
+        self.group.agree(self.own.ensure_cloud("a mean"))?;
+        let done = self.own.average();
         self.group.agree(done)
     }
 
     fn measure(
         &mut self,
-        blends: &[Blend],
+        held: Held,
         views: &[usize],
         settings: &RenderSettings,
     ) -> Result<Vec<ViewLoss>, BackendError> {
         self.settle()?;
-        let mut losses = Vec::with_capacity(blends.len() * views.len());
-        for blend in blends {
-            for &view in views {
-                losses.push(self.loss_of(blend, view, settings)?);
-            }
-        }
-        Ok(losses)
+        views.iter().map(|&view| self.loss_of(held, view, settings)).collect()
     }
 
-    fn blend(&mut self, blend: &Blend) -> Result<(), BackendError> {
+    fn take_mean(&mut self) -> Result<(), BackendError> {
         self.settle()?;
         self.whole = None;
-        self.group.agree(self.own.ensure_cloud("a blend"))?;
-        let done = self.own.blend(blend);
+        let done = self.own.take_mean();
         self.group.agree(done)
     }
 }

@@ -31,7 +31,7 @@ impl ClusterBackend {
 }
 
 impl Move<'_> {
-    /// Averages are emptied, and so are the columns of density control. One table after the other, so that at most one
+    /// The mean is emptied, and so are the columns of density control. One table after the other, so that at most one
     /// exists twice.
     fn apply(&mut self, mut state: DeviceState) -> Result<DeviceState, BackendError> {
         self.fetch(&mut state.cloud)?;
@@ -43,7 +43,7 @@ impl Move<'_> {
         let Statistics { gene_gradient_sum, gene_views, .. } = std::mem::take(&mut state.statistics);
         state.statistics.gene_gradient_sum = self.column(&gene_gradient_sum)?;
         state.statistics.gene_views = self.column(&gene_views)?;
-        state.averages = Default::default();
+        state.mean = Default::default();
         Ok(state)
     }
 

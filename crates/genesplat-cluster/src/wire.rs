@@ -1,8 +1,7 @@
 //! What messages are made of: words of 32 bits, which floats are copied into as they are.
 
 use bytemuck::Pod;
-use genesplat_core::averages::StateMean;
-use genesplat_core::{DeviceState, Gaussians, Moments, Statistics, WindowAverages};
+use genesplat_core::{DeviceState, Gaussians, Moments, StateMean, Statistics};
 use std::ops::Range;
 
 /// A message that is written.
@@ -67,15 +66,13 @@ impl Writer {
     }
 
     /// Some rows of all that a device holds.
-    pub(crate) fn state(&mut self, (cloud, moments, statistics, averages): StateRef<'_>, rows: Range<usize>) {
+    pub(crate) fn state(&mut self, (cloud, moments, statistics, mean): StateRef<'_>, rows: Range<usize>) {
         for table in [cloud, &moments.first, &moments.second, &moments.pending] {
             self.cloud(table, rows.clone());
         }
         self.statistics(statistics, rows.clone());
-        for half in averages.halves() {
-            self.count(half.states() as usize);
-            self.cloud(half.mean(), rows.clone());
-        }
+        self.count(mean.states() as usize);
+        self.cloud(mean.mean(), rows);
     }
 }
 
@@ -89,10 +86,10 @@ pub(crate) fn reserve(table: &mut Gaussians, rows: usize) {
 }
 
 /// A [`DeviceState`] that is lent.
-pub(crate) type StateRef<'a> = (&'a Gaussians, &'a Moments, &'a Statistics, &'a WindowAverages);
+pub(crate) type StateRef<'a> = (&'a Gaussians, &'a Moments, &'a Statistics, &'a StateMean);
 
 pub(crate) fn lend(state: &DeviceState) -> StateRef<'_> {
-    (&state.cloud, &state.moments, &state.statistics, &state.averages)
+    (&state.cloud, &state.moments, &state.statistics, &state.mean)
 }
 
 impl<'a> Reader<'a> {
@@ -166,12 +163,9 @@ impl<'a> Reader<'a> {
             self.cloud(table);
         }
         self.statistics(&mut state.statistics);
-        let halves = std::mem::take(&mut state.averages).into_halves().map(|half| {
-            let (states, mut mean) = (self.count(), half.into_mean());
-            self.cloud(&mut mean);
-            StateMean::new(states as u32, mean)
-        });
-        state.averages = WindowAverages::new(halves);
+        let (states, mut mean) = (self.count(), std::mem::take(&mut state.mean).into_mean());
+        self.cloud(&mut mean);
+        state.mean = StateMean::new(states as u32, mean);
     }
 }
 
@@ -185,13 +179,13 @@ mod tests {
             cloud.opacity_logits = (0..5).map(|row| value + row as f32).collect();
             cloud
         };
-        let mut averages = WindowAverages::default();
-        averages.add(1, &cloud(9.0));
+        let mut mean = StateMean::default();
+        mean.add(&cloud(9.0));
         DeviceState {
             cloud: Gaussians { filter_3d: Some(vec![0.5; 5]), ..cloud(1.0) },
             moments: Moments { first: cloud(2.0), second: cloud(3.0), pending: Gaussians::default() },
             statistics: Statistics { weight_sum: vec![7.0; 5], gene_views: vec![3; 5], ..Statistics::default() },
-            averages,
+            mean,
         }
     }
 

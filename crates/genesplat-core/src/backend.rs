@@ -7,7 +7,6 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use crate::averages::{Blend, ViewLoss, WindowAverages};
 use crate::camera::Camera;
 use crate::constants::{CLASSIC_DILATION, MIP_DILATION};
 use crate::edit::RowEdit;
@@ -15,6 +14,7 @@ use crate::gaussians::{Gaussians, Moments};
 use crate::genes::{Genes, SparseDelta};
 use crate::image::{Image, Mask, Photo};
 use crate::rng::Rng;
+use crate::state_mean::{Held, StateMean, ViewLoss};
 use crate::statistics::{Contribution, Statistics, StatisticsRequest};
 
 /// A camera and the photo it took; both have the same size.
@@ -250,8 +250,8 @@ pub struct DeviceState {
     pub moments: Moments,
     /// Sums for density control and evolution `[N]`; empty for zeros.
     pub statistics: Statistics,
-    /// Means of recent states.
-    pub averages: WindowAverages,
+    /// The mean of recent states.
+    pub mean: StateMean,
 }
 
 impl From<Gaussians> for DeviceState {
@@ -307,7 +307,7 @@ pub trait Backend {
     /// and returns how many these are. Frees what can be made again, so that downloads fit.
     fn discard_queued_steps(&mut self) -> Result<usize, BackendError>;
 
-    /// No step comes after this: may free the optimiser's moments and the averages, which are those of a new cloud then.
+    /// No step comes after this: may free the optimiser's moments and the mean, which are those of a new cloud then.
     fn end_training(&mut self) -> Result<(), BackendError> {
         Ok(())
     }
@@ -318,11 +318,11 @@ pub trait Backend {
     /// Forgets the gene columns; density columns stay.
     fn clear_gene_gradients(&mut self);
 
-    /// Applies a plan of density control; density columns are zeroed, averages emptied.
+    /// Applies a plan of density control; density columns are zeroed, the mean emptied.
     fn edit_rows(&mut self, edit: &RowEdit) -> Result<(), BackendError>;
 
     /// `opacity ← min(opacity, ceiling)`, with a 3D filter that of the *filtered* opacity; opacity moments are zeroed,
-    /// averages emptied.
+    /// the mean emptied.
     fn reset_opacity(&mut self, ceiling: f32) -> Result<(), BackendError>;
 
     /// Replaces the 3D filter of Mip-Splatting `[N]`.
@@ -349,17 +349,17 @@ pub trait EvolutionBackend: Backend {
     /// How much each Gaussian contributes to training views, and the error where it is seen `[N]`.
     fn contributions(&mut self, views: &[usize], settings: &RenderSettings) -> Result<Vec<Contribution>, BackendError>;
 
-    /// Adds the cloud as it is to a half of the averages, 0 for the older one.
-    fn average(&mut self, half: usize) -> Result<(), BackendError>;
+    /// Adds the cloud as it is to the mean of recent states.
+    fn average(&mut self) -> Result<(), BackendError>;
 
-    /// How each blend of cloud and averages does on every view `[B, V]`; the cloud stays.
+    /// How the cloud, or the mean, does on every view `[V]`.
     fn measure(
         &mut self,
-        blends: &[Blend],
+        held: Held,
         views: &[usize],
         settings: &RenderSettings,
     ) -> Result<Vec<ViewLoss>, BackendError>;
 
-    /// The blend takes the cloud's place, and the averages are emptied. Moments and the 3D filter stay.
-    fn blend(&mut self, blend: &Blend) -> Result<(), BackendError>;
+    /// The mean takes the cloud's place, and is emptied. Moments and the 3D filter stay.
+    fn take_mean(&mut self) -> Result<(), BackendError>;
 }

@@ -6,7 +6,6 @@
 //! - **Parameters are raw** (before activation): log-scales, opacity logits, unnormalised `(w, x, y, z)` quaternions.
 //! - **Shapes** are written as `[N, 3]`, outermost first.
 
-pub mod averages;
 pub mod backend;
 pub mod camera;
 pub mod constants;
@@ -21,9 +20,9 @@ pub mod rng;
 pub mod row_versions;
 pub mod sight;
 pub mod spherical_harmonics;
+pub mod state_mean;
 pub mod statistics;
 
-pub use averages::{Blend, ViewLoss, WindowAverages};
 pub use backend::{
     Backend, BackendError, DeviceState, EvolutionBackend, LearningRates, RenderSettings, ScreenFilter, TrainStep,
     Update, View,
@@ -36,4 +35,5 @@ pub use image::{Image, Mask, Photo};
 pub use morton::morton_order;
 pub use rng::{Rng, Stream};
 pub use sight::Sight;
+pub use state_mean::{Held, StateMean, ViewLoss};
 pub use statistics::{Contribution, DensitySignal, Statistics, StatisticsRequest};

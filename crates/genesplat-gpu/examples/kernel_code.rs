@@ -36,7 +36,6 @@ fn overrides(kernel: &str) -> Vec<(&'static str, f64)> {
         "loss" => vec![("FORWARD_ONLY", 0.0)],
         "gather" => vec![("VECTORS", 12.0), ("FRESH", 1.0)],
         "average" => vec![("VECTORS", 12.0)],
-        "blend_averages" => vec![("VECTORS", 12.0), ("IS_GEOMETRY", 0.0)],
         "apply" => vec![("ZERO_MOMENTS", 1.0)],
         "keep_geometry" => vec![("TAKE", 1.0)],
         _ => Vec::new(),

@@ -2,10 +2,10 @@
 
 use std::borrow::Cow;
 
-use genesplat_core::averages::ViewLoss;
 use genesplat_core::backend::{MomentPolicy, StepReport};
+use genesplat_core::state_mean::ViewLoss;
 use genesplat_core::{
-    Backend, BackendError, Blend, Camera, Contribution, DeviceState, EvolutionBackend, Gaussians, Genes, Image,
+    Backend, BackendError, Camera, Contribution, DeviceState, EvolutionBackend, Gaussians, Genes, Held, Image,
     RenderSettings, RowEdit, SparseDelta, Statistics, TrainStep, View,
 };
 
@@ -98,13 +98,13 @@ impl GpuBackend {
         ViewPass { is_masked: counted.is_some().into(), ..ViewPass::new(camera, settings, self.state.rows) }
     }
 
-    /// Submits a view of the cloud, or of the blend: splats, tile lists, picture, and what `record` adds.
+    /// Submits a view of the cloud, or of the mean: splats, tile lists, picture, and what `record` adds.
     pub(crate) fn submit_view(
         &mut self,
         pass: &ViewPass,
         optimiser: Option<&Optimiser>,
         needs: Needs,
-        of_blend: bool,
+        held: Held,
         record: impl FnOnce(&Self, &mut Recorder),
     ) -> Result<()> {
         self.lists.reserve(&self.engine, pass)?;
@@ -112,8 +112,7 @@ impl GpuBackend {
         self.lists.begin(&self.engine, pass, optimiser);
         let mut timestamps = self.timestamps.take();
         let mut recorder = Recorder::new(&self.engine, timestamps.as_mut());
-        let cloud = self.state.blended.as_ref().filter(|_| of_blend).unwrap_or(&self.state.cloud);
-        self.lists.record(&mut recorder, &self.state, cloud, pass);
+        self.lists.record(&mut recorder, &self.state, self.state.held(held), pass);
         self.pixels.record_rasterise(&mut recorder, &self.lists, pass);
         record(self, &mut recorder);
         recorder.submit();
@@ -164,7 +163,7 @@ impl Backend for GpuBackend {
 
     fn render(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<Image> {
         let pass = ViewPass::new(camera, settings, self.state.rows);
-        let submit = |gpu: &mut Self| gpu.submit_view(&pass, None, Needs::default(), false, |_, _| {});
+        let submit = |gpu: &mut Self| gpu.submit_view(&pass, None, Needs::default(), Held::Cloud, |_, _| {});
         self.with_memory(|gpu| gpu.until_lists_fit::<u32>(ListsOf::Cloud, None, submit))?;
         let planes = self.engine.read_values(&self.pixels.image, pass.image_bytes() / 4)?;
         Ok(Image { width: camera.width, height: camera.height, planes })
@@ -236,15 +235,18 @@ impl EvolutionBackend for GpuBackend {
         self.with_memory(|gpu| gpu.contributions_to(views, settings))
     }
 
-    fn average(&mut self, half: usize) -> Result<()> {
-        self.with_memory(|gpu| gpu.state.average(&gpu.engine, half))
+    fn average(&mut self) -> Result<()> {
+        self.with_memory(|gpu| gpu.state.average(&gpu.engine))
     }
 
-    fn measure(&mut self, blends: &[Blend], views: &[usize], settings: &RenderSettings) -> Result<Vec<ViewLoss>> {
-        self.with_memory(|gpu| gpu.measure_blends(blends, views, settings))
+    fn measure(&mut self, held: Held, views: &[usize], settings: &RenderSettings) -> Result<Vec<ViewLoss>> {
+        self.with_memory(|gpu| gpu.losses_of(held, views, settings))
     }
 
-    fn blend(&mut self, blend: &Blend) -> Result<()> {
-        self.with_memory(|gpu| gpu.state.blend(&gpu.engine, blend))
+    fn take_mean(&mut self) -> Result<()> {
+        self.with_memory(|gpu| {
+            gpu.state.take_mean(&gpu.engine);
+            Ok(())
+        })
     }
 }

@@ -11,7 +11,7 @@
 
 use bytemuck::Pod;
 use genesplat_core::backend::StepReport;
-use genesplat_core::{BackendError, DensitySignal, TrainStep};
+use genesplat_core::{BackendError, DensitySignal, Held, TrainStep};
 
 use crate::Result;
 use crate::backend::GpuBackend;
@@ -26,19 +26,18 @@ pub(crate) const QUEUED_STEPS_MAX: usize = 32;
 
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum ListsOf {
-    /// Of the cloud, or of a blend in its place.
+    /// Of the cloud, or of the mean in its place.
     Cloud,
     /// Of all row versions of a pool.
     RowVersions,
 }
 
 impl GpuBackend {
-    /// Submits one step; where there is no memory for it, once more without what only scores and blends need.
+    /// Submits one step; where there is no memory for it, once more without what only scores need.
     pub(crate) fn submit(&mut self, step: &TrainStep) -> Result<()> {
         match self.submit_step(step) {
             Err(BackendError::OutOfMemory { .. }) => {
                 self.pool_buffers.release();
-                self.state.blended = None;
                 self.engine.wait()?;
                 self.submit_step(step)
             }
@@ -51,7 +50,7 @@ impl GpuBackend {
         self.state.reserve_step(&self.engine, step)?;
         let optimiser = step.update.as_ref().map(Optimiser::new);
         let needs = Needs { loss: true, gradient: true };
-        self.submit_view(&pass, optimiser.as_ref(), needs, false, |gpu, recorder| {
+        self.submit_view(&pass, optimiser.as_ref(), needs, Held::Cloud, |gpu, recorder| {
             let Self { state, lists, pixels, .. } = gpu;
             pixels.record_loss(recorder, lists, &gpu.views[step.view].photo, &pass);
             pixels.record_backward(recorder, lists, &pass);

@@ -32,7 +32,6 @@
 
 use std::sync::atomic::AtomicBool;
 
-use genesplat_core::averages::WINDOW_HALVES;
 use genesplat_core::{EvolutionBackend, View};
 
 use crate::config::{EvolutionMode, Resolved};
@@ -105,7 +104,7 @@ impl Trainer<'_> {
                 return self.run_stage::<GeneticSearch>(cursor);
             }
             Phase::Evolve => return self.run_stage::<ExtraGradientSteps>(cursor),
-            Phase::AddToAverage => self.add_to_average(i)?,
+            Phase::AddToAverage => self.add_to_average()?,
             Phase::Average => return self.run_stage::<WeightAveraging>(cursor),
             Phase::Renew => self.renew(i)?,
         }
@@ -150,7 +149,7 @@ impl Trainer<'_> {
             return Err(TrainError::NothingLeft { iteration: i });
         }
         self.backend.edit_rows(&plan.edit)?;
-        self.averaged = [0; WINDOW_HALVES];
+        self.averaged = 0;
         self.notice_full_cloud(i, &plan);
         let Plan { relocated, cloned, split, pruned, .. } = plan;
         let gaussians = self.backend.gaussian_count();
@@ -167,14 +166,13 @@ impl Trainer<'_> {
 
     fn reset_opacity(&mut self) -> Result<(), TrainError> {
         self.backend.reset_opacity(self.config.reset_opacity())?;
-        self.averaged = [0; WINDOW_HALVES];
+        self.averaged = 0;
         Ok(())
     }
 
-    fn add_to_average(&mut self, i: u32) -> Result<(), TrainError> {
-        let half = self.schedule.window_half(i);
-        self.backend.average(half)?;
-        self.averaged[half] += 1;
+    fn add_to_average(&mut self) -> Result<(), TrainError> {
+        self.backend.average()?;
+        self.averaged += 1;
         Ok(())
     }
 }

@@ -141,7 +141,7 @@ shaders! {
     SET_FILTER = "rows/set_filter" + [];
     // Means of states, and blends of them.
     AVERAGE = "rows/average" + [];
-    BLEND_AVERAGES = "rows/blend_averages" + [];
+    COPY_FILTER = "rows/copy_filter" + [];
     // Losses of many individuals at once.
     PROJECT_ROW_VERSIONS = "score/project_row_versions" + [SPLAT, ROTATION, GEOMETRY, OVERLAP, COLOUR, SH_ROW, WRITE_SPLAT];
     RASTERISE_INDIVIDUALS = "score/rasterise_individuals" + [SPLAT, OVERLAP, BATCH_SPLAT];

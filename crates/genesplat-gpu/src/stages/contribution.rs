@@ -1,7 +1,7 @@
 //! Stage `contribution`: how much each Gaussian contributes to views, and the error where it is seen. As on the CPU,
 //! the backward blending sums them, with ones and errors, or a map, in the place of the image's gradient.
 
-use genesplat_core::{Contribution, RenderSettings};
+use genesplat_core::{Contribution, Held, RenderSettings};
 
 use crate::Result;
 use crate::backend::GpuBackend;
@@ -65,7 +65,7 @@ impl GpuBackend {
     ) -> Result<()> {
         let pass = self.pass_of(view, settings);
         let needs = Needs { loss: false, gradient: true };
-        self.submit_view(&pass, None, needs, false, |gpu, recorder| {
+        self.submit_view(&pass, None, needs, Held::Cloud, |gpu, recorder| {
             fill(gpu, recorder);
             let Self { lists, pixels, .. } = gpu;
             pixels.record_backward(recorder, lists, &pass);

@@ -64,8 +64,7 @@ impl State {
             gradients: Column::zeros(engine, "gradients", 0, GRADIENT_FLOATS)?,
             statistics: DeviceStatistics { genes, ..DeviceStatistics::zeros(engine, rows)? },
             has_filter: self.has_filter,
-            averages: Default::default(),
-            blended: None,
+            mean: None,
             windows: job.new,
         })
     }
@@ -80,7 +79,7 @@ impl State {
             recorder.run(&shaders::RESET_OPACITY, &parts, Grid::Items(window.count));
         }
         recorder.submit();
-        self.clear_averages();
+        self.mean = None;
         Ok(())
     }
 

@@ -1,20 +1,19 @@
-//! What a training run keeps on the device: the cloud, its moments, sums of statistics, averages.
+//! What a training run keeps on the device: the cloud, its moments, sums of statistics, the mean of recent states.
 
-pub(crate) mod averages;
 pub(crate) mod cloud;
 pub(crate) mod colour_steps;
 pub(crate) mod layout;
+pub(crate) mod mean;
 pub(crate) mod statistics;
 
-use genesplat_core::averages::WINDOW_HALVES;
 use genesplat_core::{DeviceState, Gaussians, Moments, TrainStep};
 
 use crate::Result;
 use crate::device::Engine;
-use averages::DeviceMean;
 pub(crate) use cloud::{Column, Parameters, RowWindow, pack_genes, window_uniform, windows};
 pub(crate) use colour_steps::ColourSteps;
 use layout::GRADIENT_FLOATS;
+use mean::DeviceMean;
 use statistics::DeviceStatistics;
 
 /// What memory for [`State::pending`] is for.
@@ -34,10 +33,8 @@ pub(crate) struct State {
     pub(crate) gradients: Column,
     pub(crate) statistics: DeviceStatistics,
     pub(crate) has_filter: bool,
-    /// Means of the older and of the younger states of a window.
-    pub(crate) averages: [Option<DeviceMean>; WINDOW_HALVES],
-    /// A blend of the cloud and the averages, while it is measured.
-    pub(crate) blended: Option<Parameters>,
+    /// That of the states of a window.
+    pub(crate) mean: Option<DeviceMean>,
 }
 
 impl State {
@@ -62,8 +59,7 @@ impl State {
             gradients: Column::zeros(engine, "gradients", 0, GRADIENT_FLOATS)?,
             statistics: DeviceStatistics::upload(engine, rows, &state.statistics)?,
             has_filter: state.cloud.filter_3d.is_some(),
-            averages: averages::upload(engine, &state.averages)?,
-            blended: None,
+            mean: mean::upload(engine, &state.mean)?,
         })
     }
 
@@ -80,7 +76,7 @@ impl State {
                 },
             },
             statistics: self.statistics.download(engine, self.rows)?,
-            averages: averages::download(engine, self.rows, &self.averages)?,
+            mean: mean::download(engine, self.rows, self.mean.as_ref())?,
         })
     }
 
@@ -104,9 +100,8 @@ impl State {
         if step.statistics.genes { self.statistics.reserve_genes(engine, self.rows) } else { Ok(()) }
     }
 
-    /// Frees what can be made again: gradients and the blend.
+    /// Frees what can be made again: gradients.
     pub(crate) fn release(&mut self) {
         self.gradients.memory.release();
-        self.blended = None;
     }
 }

@@ -1,52 +1,49 @@
-//! What evolution asks of the backend: scores, contributions, and blends of averages.
+//! What evolution asks of the backend: scores, contributions, and means of states.
 
-use genesplat_core::averages::ViewLoss;
-use genesplat_core::{Blend, Contribution, EvolutionBackend, Photo, RowEdit, SparseDelta, View};
+use genesplat_core::state_mean::ViewLoss;
+use genesplat_core::{Contribution, EvolutionBackend, Held, Photo, RowEdit, SparseDelta, View};
 
 use super::verbs::twins_agree;
 use super::*;
 
 #[test]
-fn blends_of_averages_match() {
+fn means_of_states_match() {
     let Some(mut gpu) = gpu() else { return };
     let settings = settings(1, ScreenFilter::Mip);
-    let blend = |k: usize| Blend { weights: [uniform(k, 0) - 0.3, 1.4 * uniform(k, 10)] };
-    let blends = [Blend::default(), blend(1), blend(2)];
     let run = |twin: &mut dyn EvolutionBackend| {
         twin.upload(filtered_cloud(100, ScreenFilter::Mip).into()).unwrap();
         for number in 1..=4 {
             twin.train_step(&step(number, settings)).unwrap();
-            twin.average(usize::from(number > 2)).unwrap();
+            twin.average().unwrap();
         }
         twin.train_step(&step(5, settings)).unwrap();
+        twin.set_filter_3d((0..100).map(|row| 0.01 + 0.02 * uniform(row, 77)).collect()).unwrap();
     };
     let mut cpu = cpu();
     let twins: [&mut dyn EvolutionBackend; 2] = [&mut gpu, &mut cpu];
     let [actual, expected] = twins.map(|twin| {
         run(twin);
-        twin.measure(&blends, &[0, 0], &settings).unwrap()
+        [Held::Cloud, Held::Mean].map(|held| twin.measure(held, &[0, 0], &settings).unwrap())
     });
-    for (actual, expected) in actual.iter().zip(&expected) {
+    assert_ne!(expected[0], expected[1], "the last step has moved the cloud");
+    for (actual, expected) in actual.iter().flatten().zip(expected.iter().flatten()) {
         let numbers = |view: &ViewLoss| [view.loss, view.squared_error];
-        compare("score", "losses of a blend", numbers(actual), numbers(expected)).unwrap();
+        compare("score", "losses of a mean", numbers(actual), numbers(expected)).unwrap();
     }
     let state = gpu.state().unwrap();
-    assert_eq!(state.averages.states(), [2, 2]);
+    assert_eq!(state.mean.states(), 4);
     gpu.upload(state.clone()).unwrap();
     assert!(gpu.state().unwrap() == state, "all of it comes back");
     twins_agree("adam", &mut gpu, |twin| {
         run(twin);
-        twin.blend(&blends[1]).unwrap();
-        assert_eq!(twin.state().unwrap().averages.states(), [0; 2], "the averages are emptied");
+        twin.take_mean().unwrap();
+        assert_eq!(twin.state().unwrap().mean.states(), 0, "the mean is emptied");
     });
-    // Averages of one half.
     twins_agree("adam", &mut gpu, |twin| {
         run(twin);
         twin.edit_rows(&RowEdit::keep((0..100).collect())).unwrap();
-        assert_eq!(twin.state().unwrap().averages.states(), [0; 2], "a change of rows empties them, too");
-        twin.average(1).unwrap();
-        twin.train_step(&step(6, settings)).unwrap();
-        twin.blend(&blends[2]).unwrap();
+        assert_eq!(twin.state().unwrap().mean.states(), 0, "a change of rows empties it, too");
+        twin.take_mean().unwrap();
     });
 }
 
@@ -56,7 +53,7 @@ fn losses_under_a_mask_match() {
     let [actual, expected] = [&mut gpu as &mut dyn EvolutionBackend, &mut cpu].map(|twin| {
         twin.set_views(&[view(), masked_view(90)]).unwrap();
         twin.upload(cloud(300).into()).unwrap();
-        twin.measure(&[Blend::default(); 2], &[1, 0], &settings(1, ScreenFilter::Classic)).unwrap()
+        twin.measure(Held::Cloud, &[1, 0, 1], &settings(1, ScreenFilter::Classic)).unwrap()
     });
     for (actual, expected) in actual.iter().zip(&expected) {
         let numbers = |view: &ViewLoss| [view.loss, view.squared_error];
@@ -95,7 +92,7 @@ fn a_generation_is_read_back_once() {
     let population: Vec<SparseDelta> = (0..100).map(|index| individual_of(&base, index % 6)).collect();
     let views = [0; 6];
     gpu.upload(base.into()).unwrap();
-    gpu.average(0).unwrap();
+    gpu.average().unwrap();
     let mut waits = |verb: &dyn Fn(&mut GpuBackend)| {
         // The first time, buffers grow.
         verb(&mut gpu);
@@ -104,7 +101,7 @@ fn a_generation_is_read_back_once() {
         gpu.engine.waits.get() - before
     };
     assert_eq!(waits(&|gpu| drop(gpu.score(&population, &views, &settings).unwrap())), 1);
-    assert_eq!(waits(&|gpu| drop(gpu.measure(&[Blend::default(); 2], &views, &settings).unwrap())), 1);
+    assert_eq!(waits(&|gpu| drop(gpu.measure(Held::Mean, &views, &settings).unwrap())), 1);
     assert_eq!(waits(&|gpu| drop(gpu.contributions(&views, &settings).unwrap())), 1);
 }
 
@@ -121,9 +118,8 @@ fn losses_of_large_pictures_match() {
         twin.set_views(std::slice::from_ref(&large)).unwrap();
         twin.upload(cloud(200).into()).unwrap();
     }
-    let expected = cpu.measure(&[Blend::default()], &[0], &settings).unwrap()[0].loss;
-    compare("loss", "of a view", [gpu.measure(&[Blend::default()], &[0, 0], &settings).unwrap()[1].loss], [expected])
-        .unwrap();
+    let expected = cpu.measure(Held::Cloud, &[0], &settings).unwrap()[0].loss;
+    compare("loss", "of a view", [gpu.measure(Held::Cloud, &[0, 0], &settings).unwrap()[1].loss], [expected]).unwrap();
     let score = gpu.score(&[SparseDelta::default()], &[0], &settings).unwrap();
     compare("score", "of the base", score, [expected]).unwrap();
 }

@@ -2,7 +2,7 @@
 //! it.
 
 use genesplat_core::backend::MomentPolicy;
-use genesplat_core::{BackendError, Blend, EvolutionBackend, Origin, RowEdit, SparseDelta};
+use genesplat_core::{BackendError, EvolutionBackend, Held, Origin, RowEdit, SparseDelta};
 
 use super::verbs::{change_rows, make_twins, ten_steps, twins_agree};
 use super::*;
@@ -68,14 +68,9 @@ fn what_is_written_never_piles_up() {
     cpu.set_views(&views).unwrap();
     cpu.upload(cloud.into()).unwrap();
     for view in 0..3 {
-        let expected = cpu.measure(&[Blend::default()], &[view], &settings).unwrap()[0].loss;
-        compare(
-            "loss",
-            "of a view",
-            [gpu.measure(&[Blend::default()], &[view], &settings).unwrap()[0].loss],
-            [expected],
-        )
-        .unwrap();
+        let expected = cpu.measure(Held::Cloud, &[view], &settings).unwrap()[0].loss;
+        compare("loss", "of a view", [gpu.measure(Held::Cloud, &[view], &settings).unwrap()[0].loss], [expected])
+            .unwrap();
     }
 }
 
@@ -111,7 +106,7 @@ fn an_edit_that_finds_no_memory_changes_nothing() {
     gpu.set_views(&[view()]).unwrap();
     gpu.upload(cloud(300).into()).unwrap();
     gpu.train_step(&step(1, settings(2, ScreenFilter::Classic))).unwrap();
-    gpu.average(0).unwrap();
+    gpu.average().unwrap();
     let before = gpu.state().unwrap();
     let mut edit = RowEdit { iteration: 600, ..RowEdit::keep((0..300).collect()) };
     (0..200).for_each(|row| edit.push(row, Origin::Clone));
@@ -148,8 +143,8 @@ fn an_edit_takes_the_memory_that_steps_can_do_without() {
     let use_all = |gpu: &mut GpuBackend, verb: usize| match verb {
         0 => drop(gpu.train_step(&step(2, classic)).and_then(|()| gpu.report()).unwrap()),
         1 => drop(gpu.score(&[SparseDelta::default()], &[0], &classic).unwrap()),
-        2 => drop(gpu.measure(&[Blend::default()], &[0], &classic).unwrap()),
-        3 => drop(gpu.measure(&[Blend::default()], &[0], &classic).unwrap()),
+        2 => drop(gpu.measure(Held::Cloud, &[0], &classic).unwrap()),
+        3 => drop(gpu.measure(Held::Mean, &[0], &classic).unwrap()),
         4 => drop(gpu.contributions(&[0], &classic).unwrap()),
         _ => drop(gpu.render(&camera(), &classic).unwrap()),
     };
@@ -160,9 +155,9 @@ fn an_edit_takes_the_memory_that_steps_can_do_without() {
     }
 }
 
-/// Memory for steps, or for scores, or for a blend, but not for two of them: none keeps what another one needs.
+/// Memory for steps, or for scores, or for losses, but not for two of them: none keeps what another one needs.
 #[test]
-fn steps_scores_and_blends_take_turns() {
+fn steps_scores_and_losses_take_turns() {
     let Some(mut gpu) = gpu() else { return };
     gpu.upload(cloud(300).into()).unwrap();
     let classic = settings(2, ScreenFilter::Classic);
@@ -170,7 +165,7 @@ fn steps_scores_and_blends_take_turns() {
     let verbs: [&dyn Fn(&mut GpuBackend); 3] = [
         &|gpu| gpu.train_step(&step(1, classic)).and_then(|()| gpu.report()).map(|_| ()).unwrap(),
         &|gpu| drop(gpu.score(&population, &[0], &classic).unwrap()),
-        &|gpu| drop(gpu.measure(&[Blend::default()], &[0], &classic).unwrap()),
+        &|gpu| drop(gpu.measure(Held::Cloud, &[0], &classic).unwrap()),
     ];
     gpu.discard_queued_steps().unwrap();
     let rows = gpu.allocated_bytes();

@@ -9,7 +9,7 @@
 
 use std::collections::HashMap;
 
-use genesplat_core::{Blend, EvolutionBackend};
+use genesplat_core::{EvolutionBackend, Held};
 
 use super::*;
 use crate::device::engine::Rewrite;
@@ -111,7 +111,7 @@ fn results(gpu: &mut GpuBackend, kernel: &str) -> Vec<u32> {
         "bin/scan_blocks" => walked(gpu, &SCAN_BLOCKS, SCAN_BLOCK, 1),
         "bin/digit_scan" => walked(gpu, &DIGIT_SCAN, SORT_BLOCK, 3),
         "score/view_losses" => {
-            let losses = gpu.measure(&[Blend::default()], &[0], &settings).unwrap();
+            let losses = gpu.measure(Held::Cloud, &[0], &settings).unwrap();
             vec![losses[0].loss.to_bits(), losses[0].squared_error.to_bits()]
         }
         _ if kernel.starts_with("score/") => {

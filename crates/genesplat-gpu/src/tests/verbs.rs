@@ -2,7 +2,7 @@
 
 use genesplat_core::backend::{McmcStep, MomentPolicy};
 use genesplat_core::{
-    BackendError, DeviceState, EvolutionBackend, Moments, Origin, Rng, RowEdit, SparseDelta, WindowAverages,
+    BackendError, DeviceState, EvolutionBackend, Moments, Origin, Rng, RowEdit, SparseDelta, StateMean,
 };
 
 use super::*;
@@ -297,7 +297,7 @@ fn uploads_come_back(gpu: &mut GpuBackend) {
     let held = gpu.state().unwrap();
     assert_eq!((&held.cloud, &held.moments), (&state.cloud, &state.moments));
     assert_eq!(held.statistics.gradient_sum, [0.0; 130]);
-    assert_eq!(held.averages, WindowAverages::default());
+    assert_eq!(held.mean, StateMean::default());
     let mut step = step(1, settings(1, ScreenFilter::Mip));
     step.statistics.density = Some(DensitySignal::SignedAndAbsolute);
     gpu.train_step(&step).unwrap();

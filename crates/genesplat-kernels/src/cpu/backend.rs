@@ -7,7 +7,7 @@ use genesplat_core::gaussians::limited_opacity;
 use genesplat_core::memory::ensure_memory;
 use genesplat_core::{
     Backend, BackendError, Camera, DensitySignal, DeviceState, Gaussians, Image, Moments, RenderSettings, RowEdit,
-    Statistics, StatisticsRequest, TrainStep, View, WindowAverages, backend::StepReport,
+    StateMean, Statistics, StatisticsRequest, TrainStep, View, backend::StepReport,
 };
 
 use super::loss::Target;
@@ -31,7 +31,7 @@ pub struct CpuBackend {
     report: StepReport,
     pub(super) steps: u32,
     pub(super) scorer: Scorer,
-    pub(super) averages: WindowAverages,
+    pub(super) mean: StateMean,
 }
 
 impl Default for CpuBackend {
@@ -53,7 +53,7 @@ impl CpuBackend {
             report: StepReport::default(),
             steps: 0,
             scorer: Scorer::default(),
-            averages: WindowAverages::default(),
+            mean: StateMean::default(),
         }
     }
 
@@ -137,7 +137,7 @@ impl Backend for CpuBackend {
             cloud: self.cloud.clone(),
             moments: self.moments.clone().or_zeros(self.cloud.len()),
             statistics: self.statistics.clone(),
-            averages: self.averages.clone(),
+            mean: self.mean.clone(),
         })
     }
 
@@ -180,7 +180,7 @@ impl Backend for CpuBackend {
     }
 
     fn end_training(&mut self) -> Result<(), BackendError> {
-        (self.moments, self.averages, self.buffers, self.scorer) = Default::default();
+        (self.moments, self.mean, self.buffers, self.scorer) = Default::default();
         Ok(())
     }
 
@@ -200,7 +200,7 @@ impl Backend for CpuBackend {
 
     fn edit_rows(&mut self, edit: &RowEdit) -> Result<(), BackendError> {
         self.ensure_rows(edit.sources.len())?;
-        self.averages = WindowAverages::default();
+        self.mean = StateMean::default();
         edit.apply(&mut self.cloud, &mut self.moments);
         let Statistics { gene_gradient_sum, gene_views, .. } = std::mem::take(&mut self.statistics);
         if !gene_views.is_empty() {
@@ -212,7 +212,7 @@ impl Backend for CpuBackend {
     }
 
     fn reset_opacity(&mut self, ceiling: f32) -> Result<(), BackendError> {
-        self.averages = WindowAverages::default();
+        self.mean = StateMean::default();
         for row in 0..self.cloud.len() {
             let dimming = self.cloud.filter_dimming(row);
             let logit = &mut self.cloud.opacity_logits[row];

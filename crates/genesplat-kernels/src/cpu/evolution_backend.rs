@@ -1,10 +1,8 @@
 //! [`EvolutionBackend`] for the CPU.
 
-use std::borrow::Cow;
-
 use genesplat_core::{
-    BackendError, Blend, Contribution, EvolutionBackend, Gaussians, Image, RenderSettings, SparseDelta, ViewLoss,
-    WindowAverages, backend::MomentPolicy,
+    BackendError, Contribution, EvolutionBackend, Held, Image, RenderSettings, SparseDelta, ViewLoss,
+    backend::MomentPolicy,
 };
 
 use super::backend::{CpuBackend, TrainView};
@@ -52,50 +50,36 @@ impl EvolutionBackend for CpuBackend {
         Ok(contributions)
     }
 
-    fn average(&mut self, half: usize) -> Result<(), BackendError> {
-        self.ensure_cloud("an average")?;
-        self.averages.add(half, &self.cloud);
+    fn average(&mut self) -> Result<(), BackendError> {
+        self.ensure_cloud("a mean")?;
+        self.mean.add(&self.cloud);
         Ok(())
     }
 
     fn measure(
         &mut self,
-        blends: &[Blend],
+        held: Held,
         views: &[usize],
         settings: &RenderSettings,
     ) -> Result<Vec<ViewLoss>, BackendError> {
         self.ensure_views(views)?;
-        self.ensure_cloud("a blend")?;
-        let mut losses = Vec::with_capacity(blends.len() * views.len());
-        for blend in blends {
-            let measured = blended(&self.averages, &self.cloud, blend);
-            for &view in views {
-                let TrainView { camera, target } = &self.views[view];
-                self.buffers.render(self.level, &measured, camera, settings);
-                target.hide(&mut self.buffers.image.planes);
-                let loss = loss(self.level, &self.buffers.image, target, None);
-                let errors = squared_errors(&self.buffers.image, target, 0);
-                losses.push(ViewLoss { loss, squared_error: mean_squared_error(&errors, target) });
-            }
-        }
-        Ok(losses)
+        self.ensure_look(held)?;
+        let (cloud, buffers) = (self.mean.look(&self.cloud, held), &mut self.buffers);
+        let of_view = |&view: &usize| {
+            let TrainView { camera, target } = &self.views[view];
+            buffers.render(self.level, &cloud, camera, settings);
+            target.hide(&mut buffers.image.planes);
+            let loss = loss(self.level, &buffers.image, target, None);
+            let errors = squared_errors(&buffers.image, target, 0);
+            ViewLoss { loss, squared_error: mean_squared_error(&errors, target) }
+        };
+        Ok(views.iter().map(of_view).collect())
     }
 
-    fn blend(&mut self, blend: &Blend) -> Result<(), BackendError> {
-        if *blend != Blend::default() {
-            self.ensure_cloud("a blend")?;
-            self.cloud = self.averages.blended(&self.cloud, blend);
-        }
-        self.averages = WindowAverages::default();
+    fn take_mean(&mut self) -> Result<(), BackendError> {
+        let (mean, cloud) = (std::mem::take(&mut self.mean), std::mem::take(&mut self.cloud));
+        self.cloud = mean.in_place_of(cloud);
         Ok(())
-    }
-}
-
-/// What `blend` makes of `cloud`; the cloud itself needs no copy.
-pub(super) fn blended<'a>(averages: &WindowAverages, cloud: &'a Gaussians, blend: &Blend) -> Cow<'a, Gaussians> {
-    match *blend == Blend::default() {
-        true => Cow::Borrowed(cloud),
-        false => Cow::Owned(averages.blended(cloud, blend)),
     }
 }
 

@@ -5,7 +5,7 @@
 //! for when they are known.
 
 use genesplat_core::memory::ensure_memory;
-use genesplat_core::{BackendError, Contribution, Gaussians, SparseDelta};
+use genesplat_core::{BackendError, Contribution, Gaussians, Held, SparseDelta};
 
 use super::backend::CpuBackend;
 use super::blend::gradient_row::GradientRow;
@@ -75,10 +75,15 @@ impl CpuBackend {
         3 + usize::from(!self.moments.pending.is_empty())
     }
 
+    /// A mean that has a 3D filter is a copy.
+    pub(super) fn ensure_look(&self, held: Held) -> Result<(), BackendError> {
+        let is_copy = held == Held::Mean && self.cloud.filter_3d.is_some();
+        if is_copy { self.ensure_cloud("a mean") } else { Ok(()) }
+    }
+
     /// A copy of all that is held but the views.
     pub(super) fn ensure_state(&self) -> Result<(), BackendError> {
-        let means = self.averages.states().iter().filter(|&&states| states > 0).count();
-        let clouds = self.clouds_held() + means;
+        let clouds = self.clouds_held() + usize::from(self.mean.states() > 0);
         ensure_memory(self.rows() * (clouds * Gaussians::BYTES_PER_ROW + STATISTICS), "a checkpoint")
     }
 

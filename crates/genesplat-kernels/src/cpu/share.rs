@@ -2,13 +2,12 @@
 
 use fearless_simd::Level;
 use genesplat_core::{
-    BackendError, Blend, DeviceState, Gaussians, Moments, RenderSettings, SparseDelta, Statistics, StatisticsRequest,
-    TrainStep, WindowAverages,
+    BackendError, DeviceState, Gaussians, Held, Moments, RenderSettings, SparseDelta, StateMean, Statistics,
+    StatisticsRequest, TrainStep,
 };
 
 use super::backend::{CpuBackend, TrainView};
 use super::blend::gradient_row::GradientRow;
-use super::evolution_backend::blended;
 use super::loss::Target;
 use super::update::{Share, Summed, UpdateInputs, update};
 use super::view::{Pinhole, Splats, project::project, timed};
@@ -40,9 +39,9 @@ impl CpuBackend {
         &self.statistics
     }
 
-    /// Means of the rows held.
-    pub fn averages(&self) -> &WindowAverages {
-        &self.averages
+    /// The mean of the rows held.
+    pub fn mean(&self) -> &StateMean {
+        &self.mean
     }
 
     /// Optimiser steps made so far.
@@ -53,30 +52,28 @@ impl CpuBackend {
     /// Hands over all that is held but the views, and holds nothing.
     pub fn take_state(&mut self) -> DeviceState {
         let (cloud, moments) = (std::mem::take(&mut self.cloud), std::mem::take(&mut self.moments));
-        let (statistics, averages) = (std::mem::take(&mut self.statistics), std::mem::take(&mut self.averages));
-        DeviceState { cloud, moments, statistics, averages }
+        let (statistics, mean) = (std::mem::take(&mut self.statistics), std::mem::take(&mut self.mean));
+        DeviceState { cloud, moments, statistics, mean }
     }
 
     /// Takes what [`Self::take_state`] has handed over, or some other rows of it.
     pub fn put_state(&mut self, state: DeviceState) {
-        let DeviceState { cloud, moments, statistics, averages } = state;
+        let DeviceState { cloud, moments, statistics, mean } = state;
         self.moments = moments.or_zeros(cloud.len());
-        (self.cloud, self.statistics, self.averages) = (cloud, statistics, averages);
+        (self.cloud, self.statistics, self.mean) = (cloud, statistics, mean);
         self.grow_statistics(StatisticsRequest::default());
     }
 
-    /// The splats of the rows held, as they are and as a blend makes them.
+    /// The splats of the rows held, or of their mean.
     pub fn project(
         &mut self,
         camera: &Pinhole,
         settings: &RenderSettings,
-        blend: &Blend,
+        held: Held,
     ) -> Result<&Splats, BackendError> {
         self.ensure_view(camera)?;
-        if *blend != Blend::default() {
-            self.ensure_cloud("a blend")?;
-        }
-        let (cloud, buffers) = (blended(&self.averages, &self.cloud, blend), &mut self.buffers);
+        self.ensure_look(held)?;
+        let (cloud, buffers) = (self.mean.look(&self.cloud, held), &mut self.buffers);
         timed(&mut buffers.seconds.project, || project(self.level, &cloud, camera, settings, &mut buffers.splats));
         Ok(&buffers.splats)
     }
@@ -95,7 +92,7 @@ impl CpuBackend {
     pub fn begin_step(&mut self, step: &TrainStep) -> Result<&Splats, BackendError> {
         self.prepare_step(step)?;
         let camera = self.views[step.view].camera;
-        self.project(&camera, &step.settings, &Blend::default())
+        self.project(&camera, &step.settings, Held::Cloud)
     }
 
     /// The end of a step: `sums` are those of the gradient rows of each of the splats that were projected last, by index.

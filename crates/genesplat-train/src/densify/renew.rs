@@ -13,8 +13,7 @@
 
 use std::time::Instant;
 
-use genesplat_core::averages::WINDOW_HALVES;
-use genesplat_core::{Contribution, DeviceState, Gaussians, Moments, Origin};
+use genesplat_core::{Contribution, DeviceState, Gaussians, Held, Moments, Origin};
 use genesplat_evolve::renewal;
 use serde::{Deserialize, Serialize};
 
@@ -56,7 +55,7 @@ impl Trainer<'_> {
     pub(crate) fn renew(&mut self, i: u32) -> Result<(), TrainError> {
         let clock = Instant::now();
         let guards = self.trial_guards();
-        let score = self.guard_score(&guards, i)?;
+        let score = self.guard_score(Held::Cloud, &guards, i)?;
         let is_first = self.trial.is_none();
         let GuardScore { loss, psnr } = self.end_trial(score, clock)?;
         // The time of the score counts for the trial that it ends, if there is one.
@@ -85,7 +84,7 @@ impl Trainer<'_> {
             // Copies: where the device has no room for them, what it holds is still on trial.
             let (cloud, moments) = (trial.cloud.clone(), trial.moments.clone());
             self.backend.upload(DeviceState { cloud, moments, ..DeviceState::default() })?;
-            self.averaged = [0; WINDOW_HALVES];
+            self.averaged = 0;
             record.changed = 0;
             before
         };
@@ -108,7 +107,7 @@ impl Trainer<'_> {
     /// far.
     pub(crate) fn better_before_trial(&mut self) -> Result<Option<Gaussians>, TrainError> {
         let Some(trial) = self.trial.take() else { return Ok(None) };
-        let now = self.guard_score(&self.trial_guards(), self.cursor.iteration)?;
+        let now = self.guard_score(Held::Cloud, &self.trial_guards(), self.cursor.iteration)?;
         Ok((now.psnr < trial.before().psnr).then_some(trial.cloud))
     }
 
@@ -124,7 +123,7 @@ impl Trainer<'_> {
         record.population_bytes = (CLOUDS_KEPT * self.backend.gaussian_count() * Gaussians::BYTES_PER_ROW) as u64;
         let DeviceState { cloud, moments, .. } = self.backend.state()?;
         self.backend.edit_rows(&edit)?;
-        self.averaged = [0; WINDOW_HALVES];
+        self.averaged = 0;
         record.seconds = clock.elapsed().as_secs_f64();
         self.tell_of_stage(&record, &self.trial_guards(), record.generations);
         self.trial = Some(Trial { record, cloud, moments });

@@ -6,8 +6,7 @@
 
 use std::time::Instant;
 
-use genesplat_core::averages::WINDOW_HALVES;
-use genesplat_core::{Blend, Gaussians, RenderSettings};
+use genesplat_core::{Gaussians, Held};
 
 use super::Stage;
 use super::guards::{GuardScore, guards};
@@ -15,32 +14,23 @@ use crate::run::TrainError;
 use crate::run::observe::{GenerationLog, StageKind, StageRecord};
 use crate::run::trainer::Trainer;
 
-/// The mean of a window's states. Where a half has none, the other one is the mean.
-fn mean(has_states: [bool; WINDOW_HALVES]) -> Blend {
-    Blend { weights: if has_states == [true, true] { [0.5; WINDOW_HALVES] } else { [1.0; WINDOW_HALVES] } }
-}
-
 /// The end of one window.
 pub(crate) struct WeightAveraging {
     begun: Instant,
     guards: Vec<usize>,
-    settings: RenderSettings,
-    mean: Blend,
     is_done: bool,
 }
 
 impl Stage for WeightAveraging {
     fn begin(trainer: &mut Trainer, i: u32) -> Result<Option<(Self, StageRecord)>, TrainError> {
-        let has_states = trainer.averaged.map(|states| states > 0);
-        if has_states == [false; WINDOW_HALVES] {
+        if trainer.averaged == 0 {
             return Ok(None);
         }
         let (begun, guards) = (Instant::now(), guards(trainer.views, &trainer.rng.fork(i)));
-        let before = trainer.guard_score(&guards, i)?;
+        let before = trainer.guard_score(Held::Cloud, &guards, i)?;
         let record = StageRecord::begun(StageKind::Averaging, i, before.loss, Some(before.psnr));
-        let clouds = 1 + has_states.into_iter().filter(|&has_states| has_states).count();
-        let population_bytes = (clouds * trainer.backend.gaussian_count() * Gaussians::BYTES_PER_ROW) as u64;
-        let stage = Self { begun, guards, settings: trainer.settings(i), mean: mean(has_states), is_done: false };
+        let population_bytes = (trainer.backend.gaussian_count() * Gaussians::BYTES_PER_ROW) as u64;
+        let stage = Self { begun, guards, is_done: false };
         Ok(Some((stage, StageRecord { population_bytes, ..record })))
     }
 
@@ -54,8 +44,7 @@ impl Stage for WeightAveraging {
 
     /// Measures the mean.
     fn next(&mut self, trainer: &mut Trainer, record: &mut StageRecord) -> Result<(), TrainError> {
-        let losses = trainer.backend.measure(&[self.mean], &self.guards, &self.settings)?;
-        let GuardScore { loss, psnr } = GuardScore::of(&losses);
+        let GuardScore { loss, psnr } = trainer.guard_score(Held::Mean, &self.guards, record.iteration)?;
         self.is_done = true;
         // The guards of the cloud and those of the mean.
         record.renders += 2 * self.guards.len() as u64;
@@ -73,9 +62,10 @@ impl Stage for WeightAveraging {
 
     /// The mean takes the cloud's place if it was measured before a stop; the next window averages anew.
     fn finish(self, trainer: &mut Trainer, _: &mut StageRecord) -> Result<(), TrainError> {
-        let blend = if self.is_done { self.mean } else { Blend::default() };
-        trainer.backend.blend(&blend)?;
-        trainer.averaged = [0; WINDOW_HALVES];
+        if self.is_done {
+            trainer.backend.take_mean()?;
+            trainer.averaged = 0;
+        }
         Ok(())
     }
 }

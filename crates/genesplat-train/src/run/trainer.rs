@@ -5,7 +5,6 @@ use std::ops::Range;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
-use genesplat_core::averages::WINDOW_HALVES;
 use genesplat_core::backend::McmcStep;
 use genesplat_core::memory::ensure_memory;
 use genesplat_core::{
@@ -46,8 +45,8 @@ pub(crate) struct Trainer<'a> {
     pub(crate) progress: Progress,
     /// The renewal that is on trial.
     pub(crate) trial: Option<Trial>,
-    /// States in the older and the younger half of the window's averages.
-    pub(crate) averaged: [u32; WINDOW_HALVES],
+    /// States that the window's mean is of.
+    pub(crate) averaged: u32,
     /// What is done next, or is under way.
     pub(crate) cursor: Cursor,
     /// The phase under way has changed the state, and has more to change: a checkpoint now could not be resumed.
@@ -80,7 +79,7 @@ impl<'a> Trainer<'a> {
             order: ViewOrder::new(rng, views.len()),
             progress: Progress::default(),
             trial: None,
-            averaged: [0; WINDOW_HALVES],
+            averaged: 0,
             cursor: Cursor::start_of(1),
             is_mid_change: false,
             cap: Cap::new(config, views),
@@ -178,7 +177,7 @@ impl<'a> Trainer<'a> {
         if checkpoint.state.cloud.filter_3d.is_some() != self.schedule.has_filter_3d() {
             return Err(TrainError::OtherVariant { wanted: self.config.variant });
         }
-        self.averaged = checkpoint.state.averages.states();
+        self.averaged = checkpoint.state.mean.states();
         self.backend.upload(checkpoint.state)?;
         self.progress = checkpoint.progress;
         self.has_seen = checkpoint.cursor.iteration > 1;

@@ -61,7 +61,7 @@ pub enum Phase {
     ResetOpacity,
     /// The evolution stage, or the control in its place; its [`Trigger`] says where among the others.
     Evolve,
-    /// Weight averaging: the state is added to the mean of the window's older or younger half.
+    /// Weight averaging: the state is added to the mean of the window's states.
     AddToAverage,
     /// Weight averaging: the mean of the window's states replaces the last one.
     Average,
@@ -317,13 +317,6 @@ impl Schedule {
     fn window_end(&self, window: u32, i: u32) -> Option<u32> {
         let end = self.iterations - (self.iterations - i) / window * window;
         (end == self.iterations || end >= self.densify_until.saturating_add(window / 2)).then_some(end)
-    }
-
-    /// Which half of its window a state belongs to: 0 for the older one, 1 for the younger one, which the middle state
-    /// is part of.
-    pub fn window_half(&self, i: u32) -> usize {
-        let window = self.window().unwrap_or(1);
-        usize::from((self.iterations - i) % window <= window / 2)
     }
 
     /// Stages were asked for, and none will come.

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
-use genesplat_core::Blend;
+use genesplat_core::Held;
 use genesplat_train::{Checkpoint, Observer, Outcome, Silent, StageKind, Start, TrainConfig, TrainError, train};
 
 use crate::support::{Call, FakeBackend, StopAt, points, views};
@@ -31,14 +31,14 @@ fn backend() -> FakeBackend {
     backend
 }
 
-/// What took the cloud's place, and the states that it was made of.
-fn blended(backend: &FakeBackend) -> Vec<(Blend, [u32; 2])> {
-    let blend = |call: &Call| if let Call::Blend { blend, states } = call { Some((*blend, *states)) } else { None };
-    backend.calls.iter().filter_map(blend).collect()
+/// How many states each mean that took the cloud's place was of.
+fn taken(backend: &FakeBackend) -> Vec<u32> {
+    let taken = |call: &Call| if let Call::TakeMean { states } = call { Some(*states) } else { None };
+    backend.calls.iter().filter_map(taken).collect()
 }
 
-/// Of the window: every third iteration, the one in the middle in the younger half; the run's last one makes no step.
-const STATES: [u32; 2] = [19, 20];
+/// Of the window: every third iteration, but for the run's last one, which makes no step.
+const STATES: u32 = 39;
 
 fn mean_squared_distance(outcome: &Outcome, target: f32) -> f64 {
     let positions = &outcome.cloud.positions;
@@ -55,7 +55,7 @@ fn a_better_mean_replaces_the_cloud_at_the_end_of_the_window() {
     // The cloud and the mean on three guards.
     assert_eq!((stage.iteration, stage.generations, stage.changed, stage.renders), (300, 0, 20, 2 * 3));
     assert_eq!(stage.kind, StageKind::Averaging);
-    assert_eq!(blended(&backend), [(Blend { weights: [0.5; 2] }, STATES)]);
+    assert_eq!(taken(&backend), [STATES]);
     let found = mean_squared_distance(&outcome, backend.target);
     assert!((found / stage.fitness_after - 1.0).abs() < 1e-6, "what was measured is what is kept");
 }
@@ -75,13 +75,13 @@ fn guards_tell_of_a_mean_that_they_find_worse_and_do_not_refuse_it() {
 fn cloud_and_mean_are_measured_on_the_same_guards() {
     let mut backend = backend();
     run_with(&config(), &mut backend);
-    let measured: Vec<(usize, &[usize])> = (backend.calls.iter())
+    let measured: Vec<(Held, &[usize])> = (backend.calls.iter())
         .filter_map(|call| match call {
-            Call::Measure { blends, views } => Some((blends.len(), &views[..])),
+            Call::Measure { held, views } => Some((*held, &views[..])),
             _ => None,
         })
         .collect();
-    let [(1, guards), (1, again)] = measured[..] else { panic!("{measured:?}") };
+    let [(Held::Cloud, guards), (Held::Mean, again)] = measured[..] else { panic!("{measured:?}") };
     assert_eq!((guards.len(), guards), (3, again));
 }
 
@@ -159,5 +159,5 @@ fn without_averaging_nothing_is_averaged() {
     let mut backend = backend();
     let outcome = run_with(&config, &mut backend);
     assert!(outcome.summary.stages.is_empty());
-    assert!(!backend.calls.iter().any(|call| matches!(call, Call::Average { .. } | Call::Blend { .. })));
+    assert!(!backend.calls.iter().any(|call| matches!(call, Call::Average | Call::TakeMean { .. })));
 }

@@ -9,8 +9,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use genesplat_core::backend::{MomentPolicy, StepReport};
 use genesplat_core::gaussians::limited_opacity;
 use genesplat_core::{
-    Backend, BackendError, Blend, Camera, Contribution, DeviceState, EvolutionBackend, Gaussians, Image, Moments,
-    Origin, Photo, RenderSettings, RowEdit, SparseDelta, Statistics, TrainStep, View, ViewLoss, WindowAverages,
+    Backend, BackendError, Camera, Contribution, DeviceState, EvolutionBackend, Gaussians, Held, Image, Moments,
+    Origin, Photo, RenderSettings, RowEdit, SparseDelta, StateMean, Statistics, TrainStep, View, ViewLoss,
 };
 use genesplat_train::observe::StepLog;
 use genesplat_train::scene::initialise::ColouredPoint;
@@ -36,9 +36,7 @@ pub(crate) enum Call {
         rows: usize,
         moments: MomentPolicy,
     },
-    Average {
-        half: usize,
-    },
+    Average,
     Contributions {
         views: usize,
     },
@@ -47,13 +45,12 @@ pub(crate) enum Call {
         pixels: usize,
     },
     Measure {
-        blends: Vec<Blend>,
+        held: Held,
         views: Vec<usize>,
     },
-    /// With the states that each half was the mean of.
-    Blend {
-        blend: Blend,
-        states: [u32; 2],
+    /// With the states that it was the mean of.
+    TakeMean {
+        states: u32,
     },
     Score {
         individuals: usize,
@@ -65,7 +62,7 @@ pub(crate) enum Call {
 /// See the module.
 pub(crate) struct FakeBackend {
     pub calls: Vec<Call>,
-    averages: WindowAverages,
+    mean: StateMean,
     pub cloud: Gaussians,
     pub moments: Moments,
     pub statistics: Statistics,
@@ -132,7 +129,7 @@ impl FakeBackend {
             queues: false,
             queue: VecDeque::new(),
             scores: 0,
-            averages: WindowAverages::default(),
+            mean: StateMean::default(),
             guards_disagree: false,
             decline: 1.0,
             measured: 0,
@@ -194,10 +191,6 @@ impl FakeBackend {
         self.statistics.weight_sum = vec![0.0; self.cloud.len()];
     }
 
-    fn forget_averages(&mut self) {
-        self.averages = WindowAverages::default();
-    }
-
     fn accumulate(&mut self, step: &TrainStep) {
         let n = self.cloud.len();
         if step.statistics.density.is_some() {
@@ -256,11 +249,11 @@ impl Backend for FakeBackend {
 
     fn upload(&mut self, state: DeviceState) -> Result<(), BackendError> {
         self.settle()?;
-        let DeviceState { cloud, moments, statistics, averages } = state;
+        let DeviceState { cloud, moments, statistics, mean } = state;
         let (has_moments, n) = (!moments.first.is_empty(), cloud.len());
         self.calls.push(Call::Upload { rows: n, moments: has_moments, filter: cloud.filter_3d.is_some() });
         self.moments = if has_moments { moments } else { Moments::zeros(n) };
-        (self.cloud, self.averages) = (cloud, averages);
+        (self.cloud, self.mean) = (cloud, mean);
         let has_sums = !statistics.gradient_sum.is_empty();
         self.statistics = statistics;
         if !has_sums {
@@ -275,7 +268,7 @@ impl Backend for FakeBackend {
             cloud: self.cloud.clone(),
             moments: self.moments.clone(),
             statistics: self.statistics.clone(),
-            averages: self.averages.clone(),
+            mean: self.mean.clone(),
         })
     }
 
@@ -325,7 +318,7 @@ impl Backend for FakeBackend {
     fn edit_rows(&mut self, edit: &RowEdit) -> Result<(), BackendError> {
         self.settle()?;
         self.calls.push(Call::Edit(edit.clone()));
-        self.forget_averages();
+        self.mean = StateMean::default();
         edit.apply(&mut self.cloud, &mut self.moments);
         if !self.statistics.gene_views.is_empty() {
             self.statistics.gene_gradient_sum = edit.gather(&self.statistics.gene_gradient_sum);
@@ -338,7 +331,7 @@ impl Backend for FakeBackend {
     fn reset_opacity(&mut self, ceiling: f32) -> Result<(), BackendError> {
         self.settle()?;
         self.calls.push(Call::ResetOpacity(ceiling));
-        self.forget_averages();
+        self.mean = StateMean::default();
         for value in &mut self.cloud.opacity_logits {
             *value = limited_opacity(*value, 1.0, ceiling);
         }
@@ -375,38 +368,28 @@ impl EvolutionBackend for FakeBackend {
         Ok(self.cloud.positions.iter().enumerate().map(contribution).collect())
     }
 
-    fn average(&mut self, half: usize) -> Result<(), BackendError> {
+    fn average(&mut self) -> Result<(), BackendError> {
         self.settle()?;
-        self.calls.push(Call::Average { half });
-        self.averages.add(half, &self.cloud);
+        self.calls.push(Call::Average);
+        self.mean.add(&self.cloud);
         Ok(())
     }
 
-    fn measure(
-        &mut self,
-        blends: &[Blend],
-        views: &[usize],
-        _: &RenderSettings,
-    ) -> Result<Vec<ViewLoss>, BackendError> {
+    fn measure(&mut self, held: Held, views: &[usize], _: &RenderSettings) -> Result<Vec<ViewLoss>, BackendError> {
         self.settle()?;
-        self.calls.push(Call::Measure { blends: blends.to_vec(), views: views.to_vec() });
+        self.calls.push(Call::Measure { held, views: views.to_vec() });
         self.count_score();
         self.measured += 1;
-        let decline = self.decline.powi(self.measured);
-        let measure = |blend: &Blend| {
-            let blended = self.averages.blended(&self.cloud, blend);
-            let loss = self.poison.unwrap_or_else(|| self.distance(&blended));
-            let squared_error = if self.guards_disagree { 1.0 / loss } else { loss };
-            vec![ViewLoss { loss, squared_error: squared_error * decline }; views.len()]
-        };
-        Ok(blends.iter().flat_map(measure).collect())
+        let loss = self.poison.unwrap_or_else(|| self.distance(&self.mean.look(&self.cloud, held)));
+        let squared_error = if self.guards_disagree { 1.0 / loss } else { loss };
+        Ok(vec![ViewLoss { loss, squared_error: squared_error * self.decline.powi(self.measured) }; views.len()])
     }
 
-    fn blend(&mut self, blend: &Blend) -> Result<(), BackendError> {
+    fn take_mean(&mut self) -> Result<(), BackendError> {
         self.settle()?;
-        self.calls.push(Call::Blend { blend: *blend, states: self.averages.states() });
-        self.cloud = self.averages.blended(&self.cloud, blend);
-        self.forget_averages();
+        self.calls.push(Call::TakeMean { states: self.mean.states() });
+        let (mean, cloud) = (std::mem::take(&mut self.mean), std::mem::take(&mut self.cloud));
+        self.cloud = mean.in_place_of(cloud);
         Ok(())
     }
 

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use genesplat_core::{
-    Backend, Blend, DensitySignal, EvolutionBackend, Mask, Photo, ScreenFilter, StatisticsRequest, TrainStep, View,
+    Backend, DensitySignal, EvolutionBackend, Held, Mask, Photo, ScreenFilter, StatisticsRequest, TrainStep, View,
 };
 
 use super::{backend_with, compare, compare_gradients, flat};
@@ -23,7 +23,7 @@ fn everything(view: View) -> String {
     let individuals = [individual_of(&cloud(300), 1), individual_of(&cloud(300), 2)];
     let scores = backend.score(&individuals, &[0], &settings).unwrap();
     let contributions = backend.contributions(&[0], &settings).unwrap();
-    let measured = backend.measure(&[Blend::default()], &[0], &settings).unwrap();
+    let measured = backend.measure(Held::Cloud, &[0], &settings).unwrap();
     let (state, report) = (backend.state().unwrap(), backend.report().unwrap());
     // Shortest texts that read back as the same number.
     format!("{state:?} {report:?} {scores:?} {contributions:?} {measured:?}")
@@ -101,7 +101,7 @@ fn masked_scores_and_contributions_are_those_of_renders() {
     let rendered = reference::render(&Cloud64::from(&cloud), &view.camera, &settings, Cutoff::Hard).picture.image;
     let (expected, _) = reference::loss_of_view(&rendered, &view);
     let score = f64::from(backend.score(&[Default::default()], &[0], &settings).unwrap()[0]);
-    let measured = backend.measure(&[Blend::default()], &[0], &settings).unwrap()[0];
+    let measured = backend.measure(Held::Cloud, &[0], &settings).unwrap()[0];
     for value in [score, f64::from(measured.loss)] {
         assert!((value / expected - 1.0).abs() < 1e-5, "{value} instead of {expected}");
     }

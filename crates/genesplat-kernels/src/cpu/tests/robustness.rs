@@ -2,7 +2,7 @@
 
 use genesplat_core::backend::MomentPolicy;
 use genesplat_core::{
-    Backend, Blend, DeviceState, EvolutionBackend, Gaussians, RowEdit, ScreenFilter, SparseDelta, StatisticsRequest,
+    Backend, DeviceState, EvolutionBackend, Gaussians, Held, RowEdit, ScreenFilter, SparseDelta, StatisticsRequest,
     TrainStep,
 };
 
@@ -47,15 +47,15 @@ fn what_evolution_asks_does_not_depend_on_the_number_of_threads() {
         pool.install(|| {
             let mut backend = backend_with(&base);
             backend.set_views(&[view(), tall_view(), small_view()]).unwrap();
-            backend.average(0).unwrap();
+            backend.average().unwrap();
             backend.train_step(&classic_step(1)).unwrap();
             let (views, settings) = ([0, 1, 2], classic_step(1).settings);
             let scores = backend.score(&population, &views, &settings).unwrap();
             let contributions = backend.contributions(&views, &settings).unwrap();
             let map = vec![0.5; (view().camera.width * view().camera.height) as usize];
             let weights = backend.weigh(0, &map, &settings).unwrap();
-            let blends = [Blend::default(), Blend { weights: [0.5, 0.0] }];
-            (scores, contributions, weights, backend.measure(&blends, &views, &settings).unwrap())
+            let measured = [Held::Cloud, Held::Mean].map(|held| backend.measure(held, &views, &settings).unwrap());
+            (scores, contributions, weights, measured)
         })
     };
     let one = run(1);
@@ -130,18 +130,18 @@ fn an_empty_cloud_and_a_single_pixel_are_rendered() {
     assert_eq!(backend.render(&tiny, &settings).unwrap().planes.len(), 3);
 }
 
-/// As a run does that was saved and is resumed: parameters, moments, sums and averages.
+/// As a run does that was saved and is resumed: parameters, moments, sums and the mean.
 #[test]
 fn a_state_that_is_uploaded_goes_on_as_the_one_it_was_taken_from() {
     let mut first = backend_with(&cloud(300));
     first.train_step(&classic_step(1)).unwrap();
-    first.average(1).unwrap();
+    first.average().unwrap();
     first.train_step(&classic_step(2)).unwrap();
     let statistics = StatisticsRequest::default();
     first.train_step(&TrainStep { update: None, keeps_gradients: true, statistics, ..classic_step(3) }).unwrap();
     let saved = first.state().unwrap();
     assert!(saved.moments.pending.opacity_logits.iter().any(|&sum| sum != 0.0), "gradients wait for the next step");
-    assert!(saved.averages.states() == [0, 1] && saved.statistics.gene_views.contains(&2));
+    assert!(saved.mean.states() == 1 && saved.statistics.gene_views.contains(&2));
     let mut second = backend_with(&cloud(10));
     second.upload(saved.clone()).unwrap();
     assert_eq!(second.state().unwrap(), saved);
@@ -156,20 +156,20 @@ fn a_state_that_is_uploaded_goes_on_as_the_one_it_was_taken_from() {
     assert_eq!((after.gradient_sum, after.weight_sum), (before.gradient_sum, before.weight_sum));
 }
 
-/// The averages go with the rows and opacities that they are means of.
+/// The mean goes with the rows and opacities that it is of.
 #[test]
-fn edits_and_resets_empty_the_averages() {
+fn edits_and_resets_empty_the_mean() {
     let mut backend = backend_with(&cloud(20));
     let changes: [fn(&mut CpuBackend); 3] = [
         |backend| backend.edit_rows(&RowEdit::keep(vec![1, 5, 7])).unwrap(),
         |backend| backend.reset_opacity(0.01).unwrap(),
-        |backend| backend.blend(&Blend { weights: [0.5, 0.0] }).unwrap(),
+        |backend| backend.take_mean().unwrap(),
     ];
     for change in changes {
-        backend.average(0).unwrap();
-        assert_eq!(backend.state().unwrap().averages.states(), [1, 0]);
+        backend.average().unwrap();
+        assert_eq!(backend.state().unwrap().mean.states(), 1);
         change(&mut backend);
-        assert_eq!(backend.state().unwrap().averages.states(), [0, 0]);
+        assert_eq!(backend.state().unwrap().mean.states(), 0);
     }
 }
 

@@ -6,9 +6,8 @@
 
 use std::io::{self, Read, Write};
 
-use genesplat_core::averages::StateMean;
 use genesplat_core::spherical_harmonics::SH_DEGREE_MAX;
-use genesplat_core::{DeviceState, Gaussians, Moments, WindowAverages};
+use genesplat_core::{DeviceState, Gaussians, Moments, StateMean};
 use serde::{Deserialize, Serialize};
 
 use super::Seconds;
@@ -20,7 +19,7 @@ use summed::Summed;
 mod summed;
 
 /// Opens every checkpoint; the last byte is the version of the format.
-const MAGIC: [u8; 8] = *b"GSPLATC\x09";
+const MAGIC: [u8; 8] = *b"GSPLATC\x0a";
 
 /// The next thing to do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -102,10 +101,10 @@ impl Checkpoint {
             filter_3d: cloud.filter_3d.as_ref().map(|_| Vec::new()),
             ..Gaussians::default()
         };
-        let halves = self.state.averages.halves().each_ref();
+        let mean = &self.state.mean;
         let state = DeviceState {
             cloud: rowless(&self.state.cloud),
-            averages: WindowAverages::new(halves.map(|half| StateMean::new(half.states(), rowless(half.mean())))),
+            mean: StateMean::new(mean.states(), rowless(mean.mean())),
             ..DeviceState::default()
         };
         let trial = self.trial.as_ref().map(|trial| Trial {
@@ -159,7 +158,7 @@ impl Checkpoint {
         if self.progress.sh_degree_start > SH_DEGREE_MAX {
             return Err(CheckpointError::Damaged("it names a degree of spherical harmonics that there is not"));
         }
-        let DeviceState { cloud, moments, statistics, averages } = &self.state;
+        let DeviceState { cloud, moments, statistics, mean } = &self.state;
         let n = cloud.len();
         let genes = [statistics.gene_gradient_sum.len(), statistics.gene_views.len()];
         let consistent = cloud.is_consistent()
@@ -168,11 +167,8 @@ impl Checkpoint {
             && [0, n].contains(&statistics.absolute_sum.len())
             && (genes == [n, n] || genes == [0, 0])
             && self.trial.as_ref().is_none_or(Trial::is_consistent)
-            && averages
-                .halves()
-                .iter()
-                .map(StateMean::mean)
-                .all(|mean| mean.is_consistent() && [0, n].contains(&mean.len()));
+            && mean.mean().is_consistent()
+            && [0, n].contains(&mean.mean().len());
         if consistent { Ok(()) } else { Err(CheckpointError::Damaged("its columns differ in length")) }
     }
 }
@@ -224,7 +220,7 @@ mod tests {
                     gene_gradient_sum: vec![[0.5; 7]; 3],
                     gene_views: vec![7, 8, 9],
                 },
-                averages: WindowAverages::new([StateMean::default(), StateMean::new(4, Gaussians::zeros(3))]),
+                mean: StateMean::new(4, Gaussians::zeros(3)),
             },
             trial: Some(Trial { record: stage, cloud: Gaussians::zeros(2), moments: Moments::zeros(2) }),
         }
@@ -255,7 +251,7 @@ mod tests {
         assert_eq!(Checkpoint::read(bytes(&outline).as_slice()).unwrap(), outline);
         assert_eq!((outline.cursor, &outline.progress), (checkpoint.cursor, &checkpoint.progress));
         assert_eq!((outline.state.cloud.len(), outline.state.cloud.filter_3d), (0, Some(Vec::new())));
-        assert_eq!(outline.state.averages.states(), checkpoint.state.averages.states());
+        assert_eq!(outline.state.mean.states(), checkpoint.state.mean.states());
         assert_eq!(outline.trial.unwrap().record, checkpoint.trial.unwrap().record);
     }
 
@@ -294,7 +290,7 @@ mod tests {
             |checkpoint| {
                 let mut mean = Gaussians::zeros(3);
                 mean.sh.pop();
-                checkpoint.state.averages = WindowAverages::new([StateMean::default(), StateMean::new(4, mean)]);
+                checkpoint.state.mean = StateMean::new(4, mean);
             },
         ];
         for (case, spoil) in spoil.iter().enumerate() {

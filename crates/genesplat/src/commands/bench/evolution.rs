@@ -9,7 +9,7 @@ use std::time::Instant;
 use anyhow::Result;
 use genesplat::core::backend::MomentPolicy;
 use genesplat::core::gaussians::{logit, sigmoid};
-use genesplat::core::{Backend, Blend, EvolutionBackend, Gaussians, RenderSettings, Rng, SparseDelta};
+use genesplat::core::{Backend, EvolutionBackend, Gaussians, Held, RenderSettings, Rng, SparseDelta};
 use genesplat::evolve::{GeneticAlgorithm, Magnitude, PaperConfig};
 use genesplat::kernels::cpu::CpuBackend;
 use serde::Serialize;
@@ -103,7 +103,7 @@ fn score_plainly(
         let base = backend.download()?.genes_of(&individual.rows);
         backend.apply(individual, MomentPolicy::Keep)?;
         let clock = Instant::now();
-        let measured = backend.measure(&[Blend::default()], views, settings)?;
+        let measured = backend.measure(Held::Cloud, views, settings)?;
         losses.extend(measured.into_iter().map(|measured| measured.loss));
         seconds += clock.elapsed().as_secs_f64();
         backend.apply(&base, MomentPolicy::Keep)?;

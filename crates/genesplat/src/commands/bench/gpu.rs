@@ -8,7 +8,7 @@ use std::time::Instant;
 
 use anyhow::Result;
 use genesplat::core::backend::{MomentPolicy, StepReport};
-use genesplat::core::{Backend, BackendError, Blend, EvolutionBackend, RenderSettings, SparseDelta, View};
+use genesplat::core::{Backend, BackendError, EvolutionBackend, Held, RenderSettings, SparseDelta, View};
 use genesplat::gpu::{GpuBackend, Work};
 use serde::Serialize;
 
@@ -237,7 +237,7 @@ impl Bench {
 
     /// Losses of full renders of the cloud.
     fn plain_losses(&mut self, renders: usize) -> Result<Vec<f32>> {
-        let losses = self.backend.measure(&[Blend::default()], &vec![0; renders], &self.settings)?;
+        let losses = self.backend.measure(Held::Cloud, &vec![0; renders], &self.settings)?;
         Ok(losses.into_iter().map(|measured| measured.loss).collect())
     }
 
