@@ -254,12 +254,8 @@ fn stage_sentence(record: &StageRecord, gaussians: usize) -> String {
             "evolution: took the last replacement of Gaussians back, since guard PSNR had fallen".into()
         }
         (StageKind::ExtraSteps, _) => format!("{} extra gradient steps", thousands(renders as usize)),
-        (_, Some([before, after])) if is_kept => {
-            format!("evolution: averaged the weights of the last iterations, guard PSNR {before:.2} -> {after:.2} dB")
-        }
-        (_, Some([psnr, _])) => {
-            format!("evolution: kept the weights, since no average raised guard PSNR above {psnr:.2} dB")
-        }
+        (StageKind::Averaging, _) if is_kept => "evolution: averaged the weights of the last iterations".into(),
+        (StageKind::Averaging, _) => "evolution: stopped before the last iterations were averaged".into(),
         _ if is_kept => format!(
             "evolution: changed {} of {all} Gaussians, loss {fitness_before:.4} -> {fitness_after:.4}",
             thousands(changed)
