@@ -44,6 +44,9 @@ fn means_of_states_match() {
         twin.edit_rows(&RowEdit::keep((0..100).collect())).unwrap();
         assert_eq!(twin.state().unwrap().mean.states(), 0, "a change of rows empties it, too");
         twin.take_mean().unwrap();
+        twin.average().unwrap();
+        twin.train_step(&step(6, settings)).unwrap();
+        twin.take_mean().unwrap();
     });
 }
 

@@ -128,7 +128,7 @@ pub(crate) fn resident_bytes() -> u64 {
 }
 
 /// Waits until `holds`, at most so many seconds; whether it does.
-pub(crate) fn comes_true(seconds: u64, holds: impl Fn() -> bool) -> bool {
+pub(crate) fn comes_true(seconds: u64, mut holds: impl FnMut() -> bool) -> bool {
     let deadline = Instant::now() + Duration::from_secs(seconds);
     while Instant::now() < deadline {
         if holds() {

@@ -3,7 +3,7 @@
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
@@ -95,13 +95,18 @@ fn say(page: &mut WebSocket<TcpStream>, wish: &str) {
     page.send(Message::text(format!(r#"{{"type":"{wish}"}}"#))).unwrap();
 }
 
+/// The folder of a run that is over, and that of the same run that begins to be served.
+fn alone_and_served(folder: &Path) -> ([PathBuf; 2], Served) {
+    let [alone, served] = ["alone", "served"].map(|name| folder.join(name));
+    succeed(train(scene(), &alone, &SCHEDULE));
+    let run = Served::start(command(train(scene(), &served, &[&SCHEDULE[..], &["--view"]].concat())));
+    ([alone, served], run)
+}
+
 #[test]
 fn a_page_that_looks_pauses_and_saves_changes_no_byte() {
     let folder = tempfile::tempdir().unwrap();
-    let [alone, watched] = ["alone", "watched"].map(|name| folder.path().join(name));
-    succeed(train(scene(), &alone, &SCHEDULE));
-
-    let mut served = Served::start(command(train(scene(), &watched, &[&SCHEDULE[..], &["--view"]].concat())));
+    let ([alone, watched], mut served) = alone_and_served(folder.path());
     let mut page = served.page();
     say(&mut page, "pause");
     let paused = await_state(&mut page, |state| state["phase"] == "paused");
@@ -140,9 +145,7 @@ fn a_page_that_looks_pauses_and_saves_changes_no_byte() {
 #[test]
 fn strangers_change_no_byte() {
     let folder = tempfile::tempdir().unwrap();
-    let [alone, pestered] = ["alone", "pestered"].map(|name| folder.path().join(name));
-    succeed(train(scene(), &alone, &SCHEDULE));
-    let mut served = Served::start(command(train(scene(), &pestered, &[&SCHEDULE[..], &["--view"]].concat())));
+    let ([alone, pestered], mut served) = alone_and_served(folder.path());
     let [mut deaf, mut babbler] = [served.page(), served.page()];
     let host = served.url.split('/').nth(2).unwrap().to_owned();
     let mut refused = 0;
