@@ -1,5 +1,6 @@
 //! One to four ranks against one process: the same bytes.
 
+use std::io;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};
 use std::thread;
@@ -8,6 +9,7 @@ use genesplat_core::{Gaussians, Mask, View};
 use genesplat_gallery::{GalleryOptions, generate};
 use genesplat_io::{HoldOut, Scene};
 use genesplat_kernels::cpu::CpuBackend;
+use genesplat_train::checkpoint::Holders;
 use genesplat_train::observe::{Observer, StageRecord, StepLog};
 use genesplat_train::scene::initialise::ColouredPoint;
 use genesplat_train::{Checkpoint, EvolutionMode, Outcome, Resolved, Silent, Start, TrainConfig, Variant, train};
@@ -63,26 +65,58 @@ impl Observer for Asks {
     }
 }
 
-/// A run on some ranks, the last of which is asked to stop after an iteration; what rank 0 has of it.
+/// Rows that ranks hold.
+struct Shared(Group);
+
+impl Holders for Shared {
+    fn number(&self) -> usize {
+        self.0.rank()
+    }
+
+    fn counts(&mut self, own: usize) -> io::Result<Vec<usize>> {
+        self.0.counts(own).map_err(io::Error::other)
+    }
+
+    fn bring(&mut self, holder: usize, bytes: Vec<u8>) -> io::Result<Vec<u8>> {
+        self.0.bring(holder, &bytes).map_err(io::Error::other)
+    }
+}
+
+/// A run on some ranks, and the checkpoint that they have written together, if it was stopped.
+struct Joint {
+    outcome: Outcome,
+    checkpoint: Option<Vec<u8>>,
+}
+
+/// A run on some ranks, the last of which is asked to stop after an iteration.
 fn on_ranks(
     count: usize,
     config: &Resolved,
-    start: impl Fn(usize) -> Start + Sync,
+    start: impl Fn(&Group) -> Start + Sync,
     prepare: impl Fn(&mut ClusterBackend) + Sync,
     stop_after: u32,
-) -> Outcome {
+) -> Joint {
     let of_rank = |ranks: Threads, rank: usize| {
         let (asked, stop) = <(Arc<AtomicBool>, Arc<AtomicBool>)>::default();
-        let mut backend = ClusterBackend::new(Group::new(ranks, asked.clone(), stop.clone()));
+        let group = Group::new(ranks, asked.clone(), stop.clone());
+        let mut backend = ClusterBackend::new(group.clone());
         prepare(&mut backend);
         let mut observer = Asks { after: if rank == count - 1 { stop_after } else { 0 }, asked };
-        train(&mut backend, views(), start(rank), config, &mut observer, &stop).unwrap()
+        let outcome = train(&mut backend, views(), start(&group), config, &mut observer, &stop).unwrap();
+        let checkpoint = outcome.checkpoint.as_ref().map(|checkpoint| {
+            let mut bytes = Vec::new();
+            checkpoint.write_together(&mut bytes, &mut Shared(group)).unwrap();
+            bytes
+        });
+        Joint { outcome, checkpoint }
     };
     thread::scope(|scope| {
         let (of_rank, ranks) = (&of_rank, Threads::new(count).into_iter().enumerate());
         let threads: Vec<_> = ranks.map(|(rank, ranks)| scope.spawn(move || of_rank(ranks, rank))).collect();
-        let mut outcomes: Vec<_> = threads.into_iter().map(|thread| thread.join().unwrap()).collect();
-        outcomes.swap_remove(0)
+        let mut all = threads.into_iter().map(|thread| thread.join().unwrap());
+        let mut first = all.next().unwrap();
+        all.for_each(|of_rank| first.outcome.cloud.append(of_rank.outcome.cloud));
+        first
     })
 }
 
@@ -98,7 +132,7 @@ fn alone(config: &Resolved, start: Start) -> Outcome {
     train(&mut backend, views(), start, config, &mut Silent, &AtomicBool::new(false)).unwrap()
 }
 
-fn from_points(_: usize) -> Start {
+fn from_points(_: &Group) -> Start {
     Start::Points(points())
 }
 
@@ -110,9 +144,9 @@ fn stages(outcome: &Outcome) -> Vec<StageRecord> {
 
 fn check(variant: Variant, mode: EvolutionMode, views_per_step: u32, counts: &[usize]) {
     let config = config(variant, mode, views_per_step);
-    let expected = alone(&config, from_points(0));
+    let expected = alone(&config, Start::Points(points()));
     for &count in counts {
-        let outcome = on_ranks(count, &config, from_points, |_| {}, 0);
+        let Joint { outcome, .. } = on_ranks(count, &config, from_points, |_| {}, 0);
         assert!(bits(&outcome.cloud) == bits(&expected.cloud), "{variant}, {mode:?}, {count} ranks: another cloud");
         assert_eq!(stages(&outcome), stages(&expected), "{variant}, {mode:?}, {count} ranks");
     }
@@ -151,8 +185,8 @@ fn selection_averages_and_renewals_have_the_same_bytes_on_any_number_of_ranks() 
 #[test]
 fn sums_in_the_order_of_the_ranks_are_noticed() {
     let config = config(Variant::ThreeDgs, EvolutionMode::Off, 1);
-    let expected = alone(&config, from_points(0));
-    let outcome = on_ranks(4, &config, from_points, |backend| backend.drawing.sums_by_rank = true, 0);
+    let expected = alone(&config, Start::Points(points()));
+    let Joint { outcome, .. } = on_ranks(4, &config, from_points, |backend| backend.drawing.sums_by_rank = true, 0);
     assert!(bits(&outcome.cloud) != bits(&expected.cloud));
 }
 
@@ -161,20 +195,37 @@ fn sums_in_the_order_of_the_ranks_are_noticed() {
 fn a_stopped_run_goes_on_with_another_number_of_ranks() {
     for (mode, stops) in [(EvolutionMode::Paper, [20, 46]), (EvolutionMode::Renew, [44, 70])] {
         let config = config(Variant::MipSplatting, mode, 1);
-        let expected = alone(&config, from_points(0));
-        let mut checkpoint: Option<Box<Checkpoint>> = None;
+        let expected = alone(&config, Start::Points(points()));
+        let mut checkpoint: Option<Vec<u8>> = None;
         for (count, stop) in [(3, stops[0]), (2, stops[1]), (4, 0)] {
-            let start = |rank| match &checkpoint {
-                None => from_points(rank),
-                Some(whole) if rank == 0 => Start::Checkpoint(whole.clone()),
-                Some(whole) => Start::Checkpoint(Box::new(whole.outline())),
+            let start = |group: &Group| match &checkpoint {
+                None => from_points(group),
+                Some(bytes) => {
+                    let share = |rows| group.share(rows);
+                    Start::Checkpoint(Box::new(Checkpoint::read_share(bytes.as_slice(), &share).unwrap()))
+                }
             };
-            let outcome = on_ranks(count, &config, start, |_| {}, stop);
-            assert_eq!(outcome.checkpoint.is_some(), stop > 0);
+            let joint = on_ranks(count, &config, start, |_| {}, stop);
+            assert_eq!(joint.checkpoint.is_some(), stop > 0);
             if stop == 0 {
-                assert!(bits(&outcome.cloud) == bits(&expected.cloud), "{mode:?}");
+                assert!(bits(&joint.outcome.cloud) == bits(&expected.cloud), "{mode:?}");
             }
-            checkpoint = outcome.checkpoint;
+            checkpoint = joint.checkpoint;
         }
     }
+}
+
+/// The file that ranks write together is that of one, but for the clock.
+#[test]
+fn ranks_write_the_checkpoint_of_one() {
+    let config = config(Variant::MipSplatting, EvolutionMode::Renew, 4);
+    let [one, three] = [1, 3].map(|count| {
+        let written = on_ranks(count, &config, from_points, |_| {}, 60).checkpoint.unwrap();
+        let mut checkpoint = Checkpoint::read(written.as_slice()).unwrap();
+        checkpoint.progress.seconds = Default::default();
+        let trial = checkpoint.trial.as_mut().expect("a renewal is on trial");
+        checkpoint.progress.stages.iter_mut().chain([&mut trial.record]).for_each(|stage| stage.seconds = 0.0);
+        checkpoint
+    });
+    assert!(one == three);
 }

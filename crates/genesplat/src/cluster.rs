@@ -1,16 +1,18 @@
 //! A run by many processes that `mpirun` has started: all do the same, and rank 0 alone writes and speaks.
 
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
-use std::{env, process, thread};
+use std::{env, io, process, thread};
 
 use anyhow::{Result, ensure};
 use genesplat::cluster::{ClusterBackend, Group};
 use genesplat::core::{BackendError, EvolutionBackend};
 use genesplat::io::{archive, shown};
-use genesplat::train::{Checkpoint, Start, StepBudget, TrainConfig, TrainError};
+use genesplat::train::checkpoint::{Alone, Holders};
+use genesplat::train::{StepBudget, TrainConfig, TrainError};
 
 use crate::args::TrainArgs;
 use crate::device::DeviceChoice;
@@ -103,16 +105,9 @@ impl Cluster {
         Box::new(ClusterBackend::new(self.group.clone()))
     }
 
-    /// Rank 0 has the rows of a checkpoint, and the others what else it holds.
-    pub(crate) fn deal(&self, start: Option<Checkpoint>) -> Result<Start> {
-        let mut bytes = Vec::new();
-        if let Some(checkpoint) = &start {
-            checkpoint.outline().write(&mut bytes)?;
-        }
-        let words = self.group.broadcast(bytes.into_iter().map(u32::from).collect())?;
-        let outline: Vec<u8> = words.into_iter().map(|word| word as u8).collect();
-        let checkpoint = start.map_or_else(|| Checkpoint::read(outline.as_slice()), Ok)?;
-        Ok(Start::Checkpoint(Box::new(checkpoint)))
+    /// The rows of a checkpoint of so many that this rank goes on with.
+    pub(crate) fn share(&self, rows: usize) -> Range<usize> {
+        self.group.share(rows)
     }
 
     /// Whether an error of this rank is one that rank 0 tells.
@@ -147,6 +142,28 @@ impl Cluster {
     pub(crate) fn finish(&self) {
         self.done.store(true, Ordering::Relaxed);
         self.group.finish();
+    }
+}
+
+/// Who holds the rows of a run.
+pub(crate) fn holders(cluster: Option<&Cluster>) -> Box<dyn Holders> {
+    cluster.map_or_else(|| Box::new(Alone) as _, |cluster| Box::new(Shared(cluster.group.clone())) as _)
+}
+
+/// Rows that ranks hold, and rank 0 writes.
+struct Shared(Group);
+
+impl Holders for Shared {
+    fn number(&self) -> usize {
+        self.0.rank()
+    }
+
+    fn counts(&mut self, own: usize) -> io::Result<Vec<usize>> {
+        self.0.counts(own).map_err(io::Error::other)
+    }
+
+    fn bring(&mut self, holder: usize, bytes: Vec<u8>) -> io::Result<Vec<u8>> {
+        self.0.bring(holder, &bytes).map_err(io::Error::other)
     }
 }
 

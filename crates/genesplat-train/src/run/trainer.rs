@@ -233,7 +233,7 @@ impl<'a> Trainer<'a> {
         let progress = self.progress;
         let summary = RunSummary {
             iterations: checkpoint.as_ref().map_or(self.schedule.iterations, |c| c.cursor.iteration - 1),
-            gaussians: cloud.len(),
+            gaussians: self.backend.gaussian_count(),
             optimiser_steps: progress.steps,
             opacity_steps: progress.opacity_steps,
             extent: self.extent,
@@ -253,7 +253,7 @@ impl<'a> Trainer<'a> {
         if let Some(cloud) = self.better_before_trial()? {
             self.backend.upload(cloud.into())?;
         }
-        ensure_memory(self.backend.gaussian_count() * Gaussians::BYTES_PER_ROW, "the result")?;
+        ensure_memory(self.healthy_cloud()?.len() * Gaussians::BYTES_PER_ROW, "the result")?;
         Ok(self.healthy_cloud()?.into_owned())
     }
 
