@@ -198,6 +198,10 @@ impl Backend for ClusterBackend {
         Ok(state)
     }
 
+    fn held_rows(&self) -> usize {
+        self.own_rows().len()
+    }
+
     fn download(&mut self) -> Result<Cow<'_, Gaussians>, BackendError> {
         self.settle()?;
         self.check_finite()?;

@@ -286,6 +286,11 @@ pub trait Backend {
     /// A copy of all that is held but the views.
     fn state(&mut self) -> Result<DeviceState, BackendError>;
 
+    /// How many rows [`Backend::download`] gives: all, unless a cloud is dealt out to several processes.
+    fn held_rows(&self) -> usize {
+        self.gaussian_count()
+    }
+
     /// The cloud: lent by a backend whose memory is the host's, copied by others.
     fn download(&mut self) -> Result<Cow<'_, Gaussians>, BackendError>;
 

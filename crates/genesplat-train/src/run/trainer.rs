@@ -253,7 +253,7 @@ impl<'a> Trainer<'a> {
         if let Some(cloud) = self.better_before_trial()? {
             self.backend.upload(cloud.into())?;
         }
-        ensure_memory(self.healthy_cloud()?.len() * Gaussians::BYTES_PER_ROW, "the result")?;
+        ensure_memory(self.backend.held_rows() * Gaussians::BYTES_PER_ROW, "the result")?;
         Ok(self.healthy_cloud()?.into_owned())
     }
 
