@@ -30,7 +30,7 @@ use crate::wire::{Reader, Writer, reserve};
 /// | `score` | the cloud, to all, until it changes otherwise than by `apply`; then losses, as views are dealt out |
 /// | all others | nothing but errors |
 ///
-/// `upload`, `state` and `download` take and give the own share of the rows ([`Group::share`]), so that no rank ever holds all.
+/// `upload`, `state`, `download` and `copy` take and give the own share of the rows ([`Group::share`]), so that no rank ever holds all.
 ///
 /// An error of one rank is one of all. The verbs that hand out the cloud fail where it is not finite.
 pub struct ClusterBackend {
@@ -130,6 +130,12 @@ impl ClusterBackend {
         Ok(())
     }
 
+    /// The own rows, where every rank has room for its own.
+    pub(crate) fn copy_if(&mut self, room: Result<(), BackendError>) -> Result<Gaussians, BackendError> {
+        self.group.agree(room)?;
+        Ok(self.download()?.into_owned())
+    }
+
     /// The whole cloud, to all.
     pub(crate) fn copy_of_all(&self) -> Result<Gaussians, BackendError> {
         let mut whole = Gaussians::default();
@@ -198,15 +204,16 @@ impl Backend for ClusterBackend {
         Ok(state)
     }
 
-    fn held_rows(&self) -> usize {
-        self.own_rows().len()
-    }
-
     fn download(&mut self) -> Result<Cow<'_, Gaussians>, BackendError> {
         self.settle()?;
         self.check_finite()?;
         self.free()?;
         Ok(Cow::Borrowed(self.own.cloud()))
+    }
+
+    fn copy(&mut self) -> Result<Gaussians, BackendError> {
+        let room = self.own.ensure_cloud("the result");
+        self.copy_if(room)
     }
 
     fn genes(&mut self) -> Result<Vec<Genes>, BackendError> {

@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};
 use std::thread;
 
-use genesplat_core::{Gaussians, Mask, View};
+use genesplat_core::{Backend, BackendError, Gaussians, Mask, View};
 use genesplat_gallery::{GalleryOptions, generate};
 use genesplat_io::{HoldOut, Scene};
 use genesplat_kernels::cpu::CpuBackend;
@@ -43,25 +43,35 @@ fn points() -> Vec<ColouredPoint> {
     scene().points.iter().map(|point| (point.position, point.rgb)).collect()
 }
 
-/// A short run with density control, resets, and stages of evolution.
 fn config(variant: Variant, mode: EvolutionMode, views_per_step: u32) -> Resolved {
+    settings(variant, mode, views_per_step).resolve().unwrap()
+}
+
+/// A short run with density control, resets, and stages of evolution.
+fn settings(variant: Variant, mode: EvolutionMode, views_per_step: u32) -> TrainConfig {
     let usual = TrainConfig { steps_scale: 0.003, max_gaussians: Some(2000), ..TrainConfig::published() };
     let mut config = TrainConfig { variant, views_per_step, ..usual };
     (config.densify.every, config.densify.reset_every) = (3, 15);
     config.evolution.mode = mode;
     (config.evolution.paper.generations, config.evolution.paper.population) = (2, 12);
-    config.resolve().unwrap()
+    config
 }
 
-/// Asks its own rank to stop after an iteration.
+/// Asks its own rank to stop after an iteration, and keeps the last checkpoint that was due.
+#[derive(Default)]
 struct Asks {
     after: u32,
     asked: Arc<AtomicBool>,
+    kept: Option<Box<Checkpoint>>,
 }
 
 impl Observer for Asks {
     fn on_iteration(&mut self, log: &StepLog) {
         self.asked.fetch_or(log.iteration == self.after, Ordering::Relaxed);
+    }
+
+    fn on_checkpoint(&mut self, checkpoint: Checkpoint) {
+        self.kept = Some(Box::new(checkpoint));
     }
 }
 
@@ -82,7 +92,7 @@ impl Holders for Shared {
     }
 }
 
-/// A run on some ranks, and the checkpoint that they have written together, if it was stopped.
+/// A run on some ranks, and the last checkpoint, which they have written together.
 struct Joint {
     outcome: Outcome,
     checkpoint: Option<Vec<u8>>,
@@ -101,9 +111,9 @@ fn on_ranks(
         let group = Group::new(ranks, asked.clone(), stop.clone());
         let mut backend = ClusterBackend::new(group.clone());
         prepare(&mut backend);
-        let mut observer = Asks { after: if rank == count - 1 { stop_after } else { 0 }, asked };
+        let mut observer = Asks { after: if rank == count - 1 { stop_after } else { 0 }, asked, kept: None };
         let outcome = train(&mut backend, views(), start(&group), config, &mut observer, &stop).unwrap();
-        let checkpoint = outcome.checkpoint.as_ref().map(|checkpoint| {
+        let checkpoint = outcome.checkpoint.as_ref().or(observer.kept.as_ref()).map(|checkpoint| {
             let mut bytes = Vec::new();
             checkpoint.write_together(&mut bytes, &mut Shared(group)).unwrap();
             bytes
@@ -215,17 +225,54 @@ fn a_stopped_run_goes_on_with_another_number_of_ranks() {
     }
 }
 
-/// The file that ranks write together is that of one, but for the clock.
+/// The file that ranks write together is that of one process, but for the clock.
 #[test]
-fn ranks_write_the_checkpoint_of_one() {
-    let config = config(Variant::MipSplatting, EvolutionMode::Renew, 4);
-    let [one, three] = [1, 3].map(|count| {
-        let written = on_ranks(count, &config, from_points, |_| {}, 60).checkpoint.unwrap();
-        let mut checkpoint = Checkpoint::read(written.as_slice()).unwrap();
-        checkpoint.progress.seconds = Default::default();
-        let trial = checkpoint.trial.as_mut().expect("a renewal is on trial");
-        checkpoint.progress.stages.iter_mut().chain([&mut trial.record]).for_each(|stage| stage.seconds = 0.0);
-        checkpoint
+fn ranks_write_the_checkpoint_of_one_process() {
+    for (variant, has_trial) in [(Variant::MipSplatting, false), (Variant::PixelGs, true)] {
+        let settings = settings(variant, EvolutionMode::Renew, 4);
+        let config = TrainConfig { checkpoint_every: 64, ..settings }.resolve().unwrap();
+        let of_one = checkpoint_alone(&config);
+        assert!(of_one.trial.is_some() == has_trial && of_one.state.mean.states() > 0, "{variant}");
+        let of_ranks = on_ranks(3, &config, from_points, |_| {}, 0).checkpoint.unwrap();
+        assert!(timeless(Checkpoint::read(of_ranks.as_slice()).unwrap()) == timeless(of_one), "{variant}");
+    }
+}
+
+/// The last checkpoint that was due in a run of one process.
+fn checkpoint_alone(config: &Resolved) -> Checkpoint {
+    let (mut observer, mut backend) = (Asks::default(), CpuBackend::new());
+    let start = Start::Points(points());
+    train(&mut backend, views(), start, config, &mut observer, &AtomicBool::new(false)).unwrap();
+    *observer.kept.unwrap()
+}
+
+/// The bytes of a checkpoint without its seconds.
+fn timeless(mut checkpoint: Checkpoint) -> Vec<u8> {
+    checkpoint.progress.seconds = Default::default();
+    let trial = checkpoint.trial.iter_mut().map(|trial| &mut trial.record);
+    checkpoint.progress.stages.iter_mut().chain(trial).for_each(|stage| stage.seconds = 0.0);
+    let mut bytes = Vec::new();
+    checkpoint.write(&mut bytes).unwrap();
+    bytes
+}
+
+/// All learn of it, so that none waits for another, and what they hold can be saved.
+#[test]
+fn a_rank_without_room_for_the_result_is_not_alone_with_that() {
+    let of_rank = |ranks: Threads, rank: usize| {
+        let mut backend = ClusterBackend::new(Group::new(ranks, Arc::default(), Arc::default()));
+        backend.upload_rows(1000, &|rows| Gaussians::zeros(rows.len())).unwrap();
+        let none = BackendError::HostOutOfMemory { wanted: 7, purpose: "the result".into() };
+        let failed = backend.copy_if(if rank == 1 { Err(none) } else { Ok(()) }).unwrap_err();
+        assert!(failed.is_out_of_memory() && backend.group.has_failed());
+        assert_eq!(backend.state().unwrap().cloud, backend.copy().unwrap());
+        backend.copy().unwrap().len()
+    };
+    let counts = thread::scope(|scope| {
+        let of_rank = &of_rank;
+        let threads: Vec<_> =
+            (0..).zip(Threads::new(3)).map(|(rank, ranks)| scope.spawn(move || of_rank(ranks, rank))).collect();
+        threads.into_iter().map(|thread| thread.join().unwrap()).sum::<usize>()
     });
-    assert!(one == three);
+    assert_eq!(counts, 1000);
 }

@@ -5,7 +5,9 @@ mod support;
 
 use std::process::{Command, Output};
 
-use support::{cloud, genesplat, has_checkpoint, mpirun, scene, signal, succeed, train, undisturbed, wait_for_step};
+use support::{
+    cloud, genesplat, has_checkpoint, mpirun, ranks_of, scene, signal, succeed, train, undisturbed, wait_for_step,
+};
 
 #[test]
 fn any_number_of_processes_has_the_bytes_of_one() {
@@ -35,11 +37,11 @@ fn steps_of_several_photos_and_searches_have_them_too() {
 fn a_run_that_is_asked_to_stop_goes_on_with_other_processes() {
     let (whole, folder) = (undisturbed(), tempfile::tempdir().unwrap());
     let out = folder.path().join("run");
-    for (ranks, step) in [(3, 60), (2, 330)] {
+    // One is a run without ranks. Mpirun passes the other signal on, and waits.
+    for (ranks, step, asks) in [(3, 60, "-USR1"), (1, 150, "-INT"), (2, 330, "-USR1")] {
         let child = whole.start(ranks, &out);
         wait_for_step(&out, step, &child);
-        // mpirun passes this one on, and waits.
-        signal("-USR1", child.id());
+        signal(asks, if ranks == 1 { ranks_of(&child)[0] } else { child.id() });
         let Output { stdout, stderr, .. } = child.wait_with_output().unwrap();
         let said = String::from_utf8_lossy(&stdout);
         assert!(said.contains("stopped after iteration"), "{said} {}", String::from_utf8_lossy(&stderr));

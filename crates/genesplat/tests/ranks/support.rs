@@ -8,7 +8,6 @@ use std::sync::LazyLock;
 use std::time::{Duration, Instant};
 
 use genesplat::gallery::{self, GalleryOptions};
-use tempfile::TempDir;
 
 /// Grows, resets and renews within a few seconds.
 pub(crate) const SCHEDULE: [&str; 9] =
@@ -55,7 +54,6 @@ pub(crate) fn cloud(run: &Path) -> Vec<u8> {
 pub(crate) struct Undisturbed {
     pub(crate) scene: PathBuf,
     pub(crate) cloud: Vec<u8>,
-    _place: TempDir,
 }
 
 /// One for all tests.
@@ -66,10 +64,14 @@ pub(crate) fn undisturbed() -> &'static Undisturbed {
 
 impl Undisturbed {
     fn new() -> Self {
-        let place = tempfile::tempdir().unwrap();
-        let (scene, plain) = (scene(place.path()), place.path().join("plain"));
+        // What is static is never dropped, so a temporary folder would stay.
+        let place = Path::new(env!("CARGO_TARGET_TMPDIR")).join("undisturbed");
+        if place.exists() {
+            fs::remove_dir_all(&place).unwrap();
+        }
+        let (scene, plain) = (scene(&place), place.join("plain"));
         succeed(Command::new(genesplat()).args(train(&scene, &plain, &[])));
-        Self { scene, cloud: cloud(&plain), _place: place }
+        Self { scene, cloud: cloud(&plain) }
     }
 
     /// Begins, or goes on where there is a checkpoint.
