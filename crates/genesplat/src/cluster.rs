@@ -4,7 +4,7 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 use std::{env, io, process, thread};
 
 use anyhow::{Result, ensure};
@@ -177,9 +177,9 @@ pub(crate) fn agree<T>(cluster: Option<&Cluster>, done: Result<T>) -> Result<T> 
     Ok(done)
 }
 
-/// When a rank has ended, mpirun tells the others to end, who wait for it for ever. Asks them to stop, and ends this process
-/// with a sentence before mpirun does without. `root` is the process of rank 0: where it ran beside rank 1 and is gone, rank 1
-/// says the sentence.
+/// When a rank has ended, mpirun tells the others to end, who wait for it for ever. Asks them to stop, and has rank 0 end with
+/// a sentence before mpirun ends all without. `root` is the process of rank 0: where it ran beside rank 1 and is gone, rank 1
+/// does that. The others wait for mpirun, which ends all at once when the first of them does: before anything is said.
 fn end_in_time([told, asked, done]: [Arc<AtomicBool>; 3], (rank, root): (usize, u32), folder: PathBuf) -> Result<()> {
     let patience = Duration::from_secs(started(PATIENCE) as u64).saturating_sub(MARGIN);
     let is_beside_root = rank == 1 && started(LOCAL_RANK) == 1;
@@ -189,19 +189,15 @@ fn end_in_time([told, asked, done]: [Arc<AtomicBool>; 3], (rank, root): (usize, 
             thread::sleep(PAUSE);
         }
         asked.store(true, Ordering::Relaxed);
-        let end = Instant::now() + patience;
-        while Instant::now() < end && !replaces_root() {
-            thread::sleep(PAUSE);
-        }
-        if done.load(Ordering::Relaxed) {
+        thread::sleep(patience);
+        let speaks = rank == 0 || replaces_root();
+        if done.load(Ordering::Relaxed) || !speaks {
             return;
         }
-        if rank == 0 || replaces_root() {
-            output::complain(&format!(
-                "error: mpirun has ended the run, since one of its processes has ended, or since saving takes longer than it waits; {}",
-                failure::left_by_ranks(&folder)
-            ));
-        }
+        output::complain(&format!(
+            "error: mpirun has ended the run, since one of its processes has ended, or since saving takes longer than it waits; {}",
+            failure::left_by_ranks(&folder)
+        ));
         process::exit(1);
     };
     thread::Builder::new().name("patience".into()).spawn(watch)?;
