@@ -80,7 +80,7 @@ fn a_run_whose_processes_are_killed_at_any_moment_comes_to_the_same_bytes() {
 
 /// Genesplat's sentence, or none.
 fn last_of(said: &str) -> &str {
-    said.lines().filter(|line| line.starts_with("error: ")).next_back().unwrap_or("before it began")
+    said.lines().rfind(|line| line.starts_with("error: ")).unwrap_or("before it began")
 }
 
 /// One process may take no more memory than it has: the system refuses what it asks for next.
