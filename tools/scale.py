@@ -45,7 +45,7 @@ EXCHANGES = 3  # of a step
 # Bytes of memory.
 TRAINED = 59 * 4 * 3 + 20  # a row: parameters, two moments, sums
 DECIDED = 60  # a row of the whole cloud, on every rank: columns that density control decides by
-GATHERED = 59 * 4 * 3  # a row of the whole cloud, on rank 0: its checkpoint
+COPIED = 59 * 4 * 3  # a row, while a checkpoint is written
 DRAWN = 150, 60  # a splat and an intersection of the own band
 
 
@@ -272,7 +272,7 @@ def memory(load, ranks):
     parts = {
         "rows": TRAINED * gaussians / ranks,
         "columns of density control": DECIDED * gaussians,
-        "the checkpoint on rank 0": GATHERED * gaussians,
+        "the copy for a checkpoint": COPIED * gaussians / ranks,
         "the band": (DRAWN[0] * visible + DRAWN[1] * intersections) / cut,
     }
     return sum(parts.values()), max(parts, key=parts.get)
@@ -322,7 +322,7 @@ def speeds(unit):
     lines += ["|---|---|---|" + "---|" * len(ranks)]
     unit = unit | {"work": unit["work"] / SOCKET, "sent": unit["sent"] / SOCKET}
     for name, network in NETWORKS.items():
-        for gaussians in [1e6, 1e7, 1e8]:
+        for gaussians in [1e6, 1e7, 1e8, 1e9]:
             for views in [1, 16, 64]:
                 load, cells = imagined(gaussians, views), []
                 for n in ranks:

@@ -6,8 +6,8 @@ use std::ops::Range;
 use genesplat_core::backend::StepReport;
 use genesplat_core::memory::ensure_memory;
 use genesplat_core::{
-    Backend, BackendError, Camera, DeviceState, Gaussians, Genes, Held, Image, Moments, RenderSettings, RowEdit,
-    Statistics, TrainStep, View,
+    Backend, BackendError, Camera, DeviceState, Gaussians, Genes, Held, Image, RenderSettings, RowEdit, Statistics,
+    TrainStep, View,
 };
 use genesplat_kernels::cpu::stages::Share;
 use genesplat_kernels::cpu::{CpuBackend, Pinhole};
@@ -17,7 +17,7 @@ use crate::group::Group;
 use crate::shares::Shares;
 use crate::splats::Dealt;
 use crate::steps::Task;
-use crate::wire::{Reader, Writer, lend, reserve};
+use crate::wire::{Reader, Writer, reserve};
 
 /// A cloud whose rows are dealt out to ranks, each of which calls every verb with the same arguments.
 ///
@@ -27,10 +27,10 @@ use crate::wire::{Reader, Writer, lend, reserve};
 /// | `render`, `contributions`, `weigh`, `measure` | the same, as far as they need it |
 /// | `statistics`, `genes`, `contributions`, `weigh` | columns, to all: what is decided by them is decided by every rank |
 /// | `edit_rows` | the rows that new ones are made of, to their new owners |
-/// | `upload` | all, from rank 0; what the others give is not looked at |
-/// | `state`, `download` | all, to rank 0; the others get what a cloud without rows would have |
 /// | `score` | the cloud, to all, until it changes otherwise than by `apply`; then losses, as views are dealt out |
 /// | all others | nothing but errors |
+///
+/// `upload`, `state`, `download` and `copy` take and give the own share of the rows ([`Group::share`]), so that no rank ever holds all.
 ///
 /// An error of one rank is one of all. The verbs that hand out the cloud fail where it is not finite.
 pub struct ClusterBackend {
@@ -130,43 +130,24 @@ impl ClusterBackend {
         Ok(())
     }
 
-    /// The shares in pieces, which take little memory on their way.
-    fn pieces(&self, shares: impl Iterator<Item = Range<usize>>) -> Vec<(usize, Range<usize>)> {
-        let pieces = |(rank, share): (usize, Range<usize>)| {
-            share.clone().step_by(PIECE).map(move |start| (rank, start..share.end.min(start + PIECE)))
-        };
-        shares.enumerate().flat_map(pieces).collect()
-    }
-
-    /// All rows of what ranks `write`, some of the own at a time, to rank 0, which reads them in order.
-    fn collect(
-        &self,
-        write: impl Fn(&CpuBackend, Range<usize>, &mut Writer),
-        mut read: impl FnMut(Reader<'_>),
-    ) -> Result<(), BackendError> {
-        for (rank, rows) in self.pieces(self.shares.all().map(|share| 0..share.len())) {
-            let mut out = Writer::default();
-            if rank == self.group.rank() {
-                write(&self.own, rows, &mut out);
-            }
-            let parts = self.group.to_root(out.words)?;
-            if self.group.is_root() {
-                read(Reader::new(&parts[rank]));
-            }
-        }
-        Ok(())
+    /// The own rows, where every rank has room for its own.
+    pub(crate) fn copy_if(&mut self, room: Result<(), BackendError>) -> Result<Gaussians, BackendError> {
+        self.group.agree(room)?;
+        Ok(self.download()?.into_owned())
     }
 
     /// The whole cloud, to all.
     pub(crate) fn copy_of_all(&self) -> Result<Gaussians, BackendError> {
         let mut whole = Gaussians::default();
         reserve(&mut whole, self.shares.rows());
-        for (rank, rows) in self.pieces(self.shares.all().map(|share| 0..share.len())) {
-            let mut out = Writer::default();
-            if rank == self.group.rank() {
-                out.cloud(self.own.cloud(), rows);
+        for (rank, share) in self.shares.all().enumerate() {
+            for start in (0..share.len()).step_by(PIECE) {
+                let mut out = Writer::default();
+                if rank == self.group.rank() {
+                    out.cloud(self.own.cloud(), start..share.len().min(start + PIECE));
+                }
+                Reader::new(&self.group.gather(Ok(out.words))?[rank]).cloud(&mut whole);
             }
-            Reader::new(&self.group.gather(Ok(out.words))?[rank]).cloud(&mut whole);
         }
         Ok(whole)
     }
@@ -195,22 +176,13 @@ impl Backend for ClusterBackend {
     }
 
     fn upload(&mut self, state: DeviceState) -> Result<(), BackendError> {
-        let rows = self.group.broadcast(vec![state.cloud.len() as u32])?[0] as usize;
-        self.begin_upload(rows)?;
-        let mut own = DeviceState::default();
-        for (rank, rows) in self.pieces(self.shares.all()) {
-            let mut parts = vec![Vec::new(); self.group.count()];
-            if self.group.is_root() {
-                let mut out = Writer::default();
-                out.state(lend(&state), rows);
-                parts[rank] = out.words;
-            }
-            let part = self.group.exchange(Ok(parts))?.swap_remove(0);
-            if rank == self.group.rank() {
-                Reader::new(&part).state(&mut own);
-            }
+        let counts = self.group.counts(state.cloud.len())?;
+        let rows = counts.iter().sum();
+        if !Shares::new(rows, counts.len()).all().map(|share| share.len()).eq(counts) {
+            return Err(BackendError::Unsupported("each rank uploads its own share of the rows".into()));
         }
-        self.own.put_state(own);
+        self.begin_upload(rows)?;
+        self.own.put_state(state);
         Ok(())
     }
 
@@ -224,20 +196,11 @@ impl Backend for ClusterBackend {
         self.settle()?;
         self.check_finite()?;
         self.free()?;
-        let (rows, mut state) = (self.shares.rows(), DeviceState::default());
-        if self.group.is_root() {
-            let Moments { first, second, .. } = &mut state.moments;
-            [&mut state.cloud, first, second].into_iter().for_each(|table| reserve(table, rows));
-        }
-        let write = |own: &CpuBackend, rows: Range<usize>, out: &mut Writer| {
-            out.state((own.cloud(), own.moments(), own.sums(), own.mean()), rows);
+        let (state, failed) = match self.own.state() {
+            Ok(state) => (state, Ok(())),
+            Err(error) => (DeviceState::default(), Err(error)),
         };
-        // Others learn what a cloud without rows has.
-        let mut out = Writer::default();
-        write(&self.own, 0..0, &mut out);
-        Reader::new(&out.words).state(&mut state);
-        self.collect(write, |mut part| part.state(&mut state))?;
-        state.moments = std::mem::take(&mut state.moments).or_zeros(state.cloud.len());
+        self.group.agree(failed)?;
         Ok(state)
     }
 
@@ -245,12 +208,12 @@ impl Backend for ClusterBackend {
         self.settle()?;
         self.check_finite()?;
         self.free()?;
-        let mut cloud = Gaussians::default();
-        if self.group.is_root() {
-            reserve(&mut cloud, self.shares.rows());
-        }
-        self.collect(|own, rows, out| out.cloud(own.cloud(), rows), |mut part| part.cloud(&mut cloud))?;
-        Ok(Cow::Owned(cloud))
+        Ok(Cow::Borrowed(self.own.cloud()))
+    }
+
+    fn copy(&mut self) -> Result<Gaussians, BackendError> {
+        let room = self.own.ensure_cloud("the result");
+        self.copy_if(room)
     }
 
     fn genes(&mut self) -> Result<Vec<Genes>, BackendError> {

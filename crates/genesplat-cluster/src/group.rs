@@ -1,6 +1,7 @@
 //! Ranks that agree: on errors, and on when to stop.
 
 use std::cell::{Cell, RefCell};
+use std::ops::Range;
 use std::rc::Rc;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -9,6 +10,7 @@ use std::time::Instant;
 use genesplat_core::BackendError;
 
 use crate::ranks::{RankLost, Ranks};
+use crate::shares::Shares;
 use crate::wire::{Reader, Writer};
 
 /// What was sent, and the time that it took.
@@ -138,8 +140,30 @@ impl Group {
         self.exchange(words.map(|words| vec![words; self.count()]))
     }
 
+    /// The rows of a cloud of so many that this rank holds.
+    pub fn share(&self, rows: usize) -> Range<usize> {
+        Shares::new(rows, self.count()).of(self.rank())
+    }
+
+    /// How many each rank has, where this one has `own`.
+    pub fn counts(&self, own: usize) -> Result<Vec<usize>, BackendError> {
+        let mut out = Writer::default();
+        out.count(own);
+        Ok(self.gather(Ok(out.words))?.iter().map(|part| Reader::new(part).count()).collect())
+    }
+
+    /// Brings bytes of one rank to rank 0; the others get none.
+    pub fn bring(&self, from: usize, bytes: &[u8]) -> Result<Vec<u8>, BackendError> {
+        let mut out = Writer::default();
+        if self.rank() == from {
+            out.bytes(bytes);
+        }
+        let parts = self.to_root(out.words)?;
+        Ok(if self.is_root() { Reader::new(&parts[from]).bytes() } else { Vec::new() })
+    }
+
     /// Sends rank 0 alone something.
-    pub(crate) fn to_root(&self, words: Vec<u32>) -> Result<Vec<Vec<u32>>, BackendError> {
+    fn to_root(&self, words: Vec<u32>) -> Result<Vec<Vec<u32>>, BackendError> {
         let mut parts = vec![Vec::new(); self.count()];
         parts[0] = words;
         self.exchange(Ok(parts))
@@ -221,6 +245,17 @@ mod tests {
             let sentence = &sentences[rank];
             assert!(sentence.contains("7 more bytes") && sentence.contains("a test on rank 1"), "{sentence}");
         }
+    }
+
+    #[test]
+    fn bytes_of_any_rank_reach_rank_0_alone() {
+        let brought = on_ranks(3, |group| {
+            let own: Vec<u8> = (0..5 + group.rank() as u8).collect();
+            let counts = group.counts(own.len()).unwrap();
+            (0..3).map(|from| (counts[from], group.bring(from, &own).unwrap())).collect::<Vec<_>>()
+        });
+        assert_eq!(brought[0], [5, 6, 7].map(|count| (count, (0..count as u8).collect())));
+        assert!(brought[1..].iter().flatten().all(|(_, bytes)| bytes.is_empty()));
     }
 
     #[test]

@@ -1,13 +1,15 @@
 //! One to four ranks against one process: the same bytes.
 
+use std::io;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};
 use std::thread;
 
-use genesplat_core::{Gaussians, Mask, View};
+use genesplat_core::{Backend, BackendError, Gaussians, Mask, View};
 use genesplat_gallery::{GalleryOptions, generate};
 use genesplat_io::{HoldOut, Scene};
 use genesplat_kernels::cpu::CpuBackend;
+use genesplat_train::checkpoint::Holders;
 use genesplat_train::observe::{Observer, StageRecord, StepLog};
 use genesplat_train::scene::initialise::ColouredPoint;
 use genesplat_train::{Checkpoint, EvolutionMode, Outcome, Resolved, Silent, Start, TrainConfig, Variant, train};
@@ -41,48 +43,90 @@ fn points() -> Vec<ColouredPoint> {
     scene().points.iter().map(|point| (point.position, point.rgb)).collect()
 }
 
-/// A short run with density control, resets, and stages of evolution.
 fn config(variant: Variant, mode: EvolutionMode, views_per_step: u32) -> Resolved {
+    settings(variant, mode, views_per_step).resolve().unwrap()
+}
+
+/// A short run with density control, resets, and stages of evolution.
+fn settings(variant: Variant, mode: EvolutionMode, views_per_step: u32) -> TrainConfig {
     let usual = TrainConfig { steps_scale: 0.003, max_gaussians: Some(2000), ..TrainConfig::published() };
     let mut config = TrainConfig { variant, views_per_step, ..usual };
     (config.densify.every, config.densify.reset_every) = (3, 15);
     config.evolution.mode = mode;
     (config.evolution.paper.generations, config.evolution.paper.population) = (2, 12);
-    config.resolve().unwrap()
+    config
 }
 
-/// Asks its own rank to stop after an iteration.
+/// Asks its own rank to stop after an iteration, and keeps the last checkpoint that was due.
+#[derive(Default)]
 struct Asks {
     after: u32,
     asked: Arc<AtomicBool>,
+    kept: Option<Box<Checkpoint>>,
 }
 
 impl Observer for Asks {
     fn on_iteration(&mut self, log: &StepLog) {
         self.asked.fetch_or(log.iteration == self.after, Ordering::Relaxed);
     }
+
+    fn on_checkpoint(&mut self, checkpoint: Checkpoint) {
+        self.kept = Some(Box::new(checkpoint));
+    }
 }
 
-/// A run on some ranks, the last of which is asked to stop after an iteration; what rank 0 has of it.
+/// Rows that ranks hold.
+struct Shared(Group);
+
+impl Holders for Shared {
+    fn number(&self) -> usize {
+        self.0.rank()
+    }
+
+    fn counts(&mut self, own: usize) -> io::Result<Vec<usize>> {
+        self.0.counts(own).map_err(io::Error::other)
+    }
+
+    fn bring(&mut self, holder: usize, bytes: Vec<u8>) -> io::Result<Vec<u8>> {
+        self.0.bring(holder, &bytes).map_err(io::Error::other)
+    }
+}
+
+/// A run on some ranks, and the last checkpoint, which they have written together.
+struct Joint {
+    outcome: Outcome,
+    checkpoint: Option<Vec<u8>>,
+}
+
+/// A run on some ranks, the last of which is asked to stop after an iteration.
 fn on_ranks(
     count: usize,
     config: &Resolved,
-    start: impl Fn(usize) -> Start + Sync,
+    start: impl Fn(&Group) -> Start + Sync,
     prepare: impl Fn(&mut ClusterBackend) + Sync,
     stop_after: u32,
-) -> Outcome {
+) -> Joint {
     let of_rank = |ranks: Threads, rank: usize| {
         let (asked, stop) = <(Arc<AtomicBool>, Arc<AtomicBool>)>::default();
-        let mut backend = ClusterBackend::new(Group::new(ranks, asked.clone(), stop.clone()));
+        let group = Group::new(ranks, asked.clone(), stop.clone());
+        let mut backend = ClusterBackend::new(group.clone());
         prepare(&mut backend);
-        let mut observer = Asks { after: if rank == count - 1 { stop_after } else { 0 }, asked };
-        train(&mut backend, views(), start(rank), config, &mut observer, &stop).unwrap()
+        let mut observer = Asks { after: if rank == count - 1 { stop_after } else { 0 }, asked, kept: None };
+        let outcome = train(&mut backend, views(), start(&group), config, &mut observer, &stop).unwrap();
+        let checkpoint = outcome.checkpoint.as_ref().or(observer.kept.as_ref()).map(|checkpoint| {
+            let mut bytes = Vec::new();
+            checkpoint.write_together(&mut bytes, &mut Shared(group)).unwrap();
+            bytes
+        });
+        Joint { outcome, checkpoint }
     };
     thread::scope(|scope| {
         let (of_rank, ranks) = (&of_rank, Threads::new(count).into_iter().enumerate());
         let threads: Vec<_> = ranks.map(|(rank, ranks)| scope.spawn(move || of_rank(ranks, rank))).collect();
-        let mut outcomes: Vec<_> = threads.into_iter().map(|thread| thread.join().unwrap()).collect();
-        outcomes.swap_remove(0)
+        let mut all = threads.into_iter().map(|thread| thread.join().unwrap());
+        let mut first = all.next().unwrap();
+        all.for_each(|of_rank| first.outcome.cloud.append(of_rank.outcome.cloud));
+        first
     })
 }
 
@@ -98,7 +142,7 @@ fn alone(config: &Resolved, start: Start) -> Outcome {
     train(&mut backend, views(), start, config, &mut Silent, &AtomicBool::new(false)).unwrap()
 }
 
-fn from_points(_: usize) -> Start {
+fn from_points(_: &Group) -> Start {
     Start::Points(points())
 }
 
@@ -110,9 +154,9 @@ fn stages(outcome: &Outcome) -> Vec<StageRecord> {
 
 fn check(variant: Variant, mode: EvolutionMode, views_per_step: u32, counts: &[usize]) {
     let config = config(variant, mode, views_per_step);
-    let expected = alone(&config, from_points(0));
+    let expected = alone(&config, Start::Points(points()));
     for &count in counts {
-        let outcome = on_ranks(count, &config, from_points, |_| {}, 0);
+        let Joint { outcome, .. } = on_ranks(count, &config, from_points, |_| {}, 0);
         assert!(bits(&outcome.cloud) == bits(&expected.cloud), "{variant}, {mode:?}, {count} ranks: another cloud");
         assert_eq!(stages(&outcome), stages(&expected), "{variant}, {mode:?}, {count} ranks");
     }
@@ -151,8 +195,8 @@ fn selection_averages_and_renewals_have_the_same_bytes_on_any_number_of_ranks() 
 #[test]
 fn sums_in_the_order_of_the_ranks_are_noticed() {
     let config = config(Variant::ThreeDgs, EvolutionMode::Off, 1);
-    let expected = alone(&config, from_points(0));
-    let outcome = on_ranks(4, &config, from_points, |backend| backend.drawing.sums_by_rank = true, 0);
+    let expected = alone(&config, Start::Points(points()));
+    let Joint { outcome, .. } = on_ranks(4, &config, from_points, |backend| backend.drawing.sums_by_rank = true, 0);
     assert!(bits(&outcome.cloud) != bits(&expected.cloud));
 }
 
@@ -161,20 +205,74 @@ fn sums_in_the_order_of_the_ranks_are_noticed() {
 fn a_stopped_run_goes_on_with_another_number_of_ranks() {
     for (mode, stops) in [(EvolutionMode::Paper, [20, 46]), (EvolutionMode::Renew, [44, 70])] {
         let config = config(Variant::MipSplatting, mode, 1);
-        let expected = alone(&config, from_points(0));
-        let mut checkpoint: Option<Box<Checkpoint>> = None;
+        let expected = alone(&config, Start::Points(points()));
+        let mut checkpoint: Option<Vec<u8>> = None;
         for (count, stop) in [(3, stops[0]), (2, stops[1]), (4, 0)] {
-            let start = |rank| match &checkpoint {
-                None => from_points(rank),
-                Some(whole) if rank == 0 => Start::Checkpoint(whole.clone()),
-                Some(whole) => Start::Checkpoint(Box::new(whole.outline())),
+            let start = |group: &Group| match &checkpoint {
+                None => from_points(group),
+                Some(bytes) => {
+                    let share = |rows| group.share(rows);
+                    Start::Checkpoint(Box::new(Checkpoint::read_share(bytes.as_slice(), &share).unwrap()))
+                }
             };
-            let outcome = on_ranks(count, &config, start, |_| {}, stop);
-            assert_eq!(outcome.checkpoint.is_some(), stop > 0);
+            let joint = on_ranks(count, &config, start, |_| {}, stop);
+            assert_eq!(joint.checkpoint.is_some(), stop > 0);
             if stop == 0 {
-                assert!(bits(&outcome.cloud) == bits(&expected.cloud), "{mode:?}");
+                assert!(bits(&joint.outcome.cloud) == bits(&expected.cloud), "{mode:?}");
             }
-            checkpoint = outcome.checkpoint;
+            checkpoint = joint.checkpoint;
         }
     }
+}
+
+/// The file that ranks write together is that of one process, but for the clock.
+#[test]
+fn ranks_write_the_checkpoint_of_one_process() {
+    for (variant, has_trial) in [(Variant::MipSplatting, false), (Variant::PixelGs, true)] {
+        let settings = settings(variant, EvolutionMode::Renew, 4);
+        let config = TrainConfig { checkpoint_every: 64, ..settings }.resolve().unwrap();
+        let of_one = checkpoint_alone(&config);
+        assert!(of_one.trial.is_some() == has_trial && of_one.state.mean.states() > 0, "{variant}");
+        let of_ranks = on_ranks(3, &config, from_points, |_| {}, 0).checkpoint.unwrap();
+        assert!(timeless(Checkpoint::read(of_ranks.as_slice()).unwrap()) == timeless(of_one), "{variant}");
+    }
+}
+
+/// The last checkpoint that was due in a run of one process.
+fn checkpoint_alone(config: &Resolved) -> Checkpoint {
+    let (mut observer, mut backend) = (Asks::default(), CpuBackend::new());
+    let start = Start::Points(points());
+    train(&mut backend, views(), start, config, &mut observer, &AtomicBool::new(false)).unwrap();
+    *observer.kept.unwrap()
+}
+
+/// The bytes of a checkpoint without its seconds.
+fn timeless(mut checkpoint: Checkpoint) -> Vec<u8> {
+    checkpoint.progress.seconds = Default::default();
+    let trial = checkpoint.trial.iter_mut().map(|trial| &mut trial.record);
+    checkpoint.progress.stages.iter_mut().chain(trial).for_each(|stage| stage.seconds = 0.0);
+    let mut bytes = Vec::new();
+    checkpoint.write(&mut bytes).unwrap();
+    bytes
+}
+
+/// All learn of it, so that none waits for another, and what they hold can be saved.
+#[test]
+fn a_rank_without_room_for_the_result_is_not_alone_with_that() {
+    let of_rank = |ranks: Threads, rank: usize| {
+        let mut backend = ClusterBackend::new(Group::new(ranks, Arc::default(), Arc::default()));
+        backend.upload_rows(1000, &|rows| Gaussians::zeros(rows.len())).unwrap();
+        let none = BackendError::HostOutOfMemory { wanted: 7, purpose: "the result".into() };
+        let failed = backend.copy_if(if rank == 1 { Err(none) } else { Ok(()) }).unwrap_err();
+        assert!(failed.is_out_of_memory() && backend.group.has_failed());
+        assert_eq!(backend.state().unwrap().cloud, backend.copy().unwrap());
+        backend.copy().unwrap().len()
+    };
+    let counts = thread::scope(|scope| {
+        let of_rank = &of_rank;
+        let threads: Vec<_> =
+            (0..).zip(Threads::new(3)).map(|(rank, ranks)| scope.spawn(move || of_rank(ranks, rank))).collect();
+        threads.into_iter().map(|thread| thread.join().unwrap()).sum::<usize>()
+    });
+    assert_eq!(counts, 1000);
 }

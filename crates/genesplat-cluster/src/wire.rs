@@ -1,7 +1,7 @@
 //! What messages are made of: words of 32 bits, which floats are copied into as they are.
 
 use bytemuck::Pod;
-use genesplat_core::{DeviceState, Gaussians, Moments, StateMean, Statistics};
+use genesplat_core::Gaussians;
 use std::ops::Range;
 
 /// A message that is written.
@@ -35,9 +35,20 @@ impl Writer {
         self.words.extend(values.iter().flat_map(words));
     }
 
+    /// Four in a word, the last one filled up.
+    pub(crate) fn bytes(&mut self, bytes: &[u8]) {
+        self.count(bytes.len());
+        let (words, rest) = bytes.as_chunks();
+        self.words.extend(words.iter().map(|&word| u32::from_le_bytes(word)));
+        if !rest.is_empty() {
+            let mut last = [0; 4];
+            last[..rest.len()].copy_from_slice(rest);
+            self.words.push(u32::from_le_bytes(last));
+        }
+    }
+
     pub(crate) fn text(&mut self, text: &str) {
-        self.count(text.len());
-        self.words.extend(text.bytes().map(u32::from));
+        self.bytes(text.as_bytes());
     }
 
     /// Some rows of a column, or none where the column has none.
@@ -56,24 +67,6 @@ impl Writer {
         self.count(usize::from(cloud.filter_3d.is_some()));
         self.column(cloud.filter_3d.as_deref().unwrap_or_default(), rows);
     }
-
-    pub(crate) fn statistics(&mut self, statistics: &Statistics, rows: Range<usize>) {
-        self.column(&statistics.gradient_sum, rows.clone());
-        self.column(&statistics.weight_sum, rows.clone());
-        self.column(&statistics.absolute_sum, rows.clone());
-        self.column(&statistics.gene_gradient_sum, rows.clone());
-        self.column(&statistics.gene_views, rows);
-    }
-
-    /// Some rows of all that a device holds.
-    pub(crate) fn state(&mut self, (cloud, moments, statistics, mean): StateRef<'_>, rows: Range<usize>) {
-        for table in [cloud, &moments.first, &moments.second, &moments.pending] {
-            self.cloud(table, rows.clone());
-        }
-        self.statistics(statistics, rows.clone());
-        self.count(mean.states() as usize);
-        self.cloud(mean.mean(), rows);
-    }
 }
 
 /// Makes room for so many rows and no more.
@@ -83,13 +76,6 @@ pub(crate) fn reserve(table: &mut Gaussians, rows: usize) {
     table.rotations.reserve_exact(rows);
     table.opacity_logits.reserve_exact(rows);
     table.sh.reserve_exact(rows);
-}
-
-/// A [`DeviceState`] that is lent.
-pub(crate) type StateRef<'a> = (&'a Gaussians, &'a Moments, &'a Statistics, &'a StateMean);
-
-pub(crate) fn lend(state: &DeviceState) -> StateRef<'_> {
-    (&state.cloud, &state.moments, &state.statistics, &state.mean)
 }
 
 impl<'a> Reader<'a> {
@@ -122,10 +108,14 @@ impl<'a> Reader<'a> {
         pairs.map(|words| f64::from_bits(u64::from(words[0]) | u64::from(words[1]) << 32))
     }
 
-    pub(crate) fn text(&mut self) -> String {
+    pub(crate) fn bytes(&mut self) -> Vec<u8> {
         let count = self.count();
-        let bytes = self.words(count).iter().map(|&word| word as u8).collect();
-        String::from_utf8(bytes).unwrap_or_default()
+        let words = self.words(count.div_ceil(size_of::<u32>()));
+        words.iter().flat_map(|word| word.to_le_bytes()).take(count).collect()
+    }
+
+    pub(crate) fn text(&mut self) -> String {
+        String::from_utf8(self.bytes()).unwrap_or_default()
     }
 
     /// Appends the rows of a column.
@@ -147,59 +137,26 @@ impl<'a> Reader<'a> {
         let mut none = Vec::new();
         self.column(cloud.filter_3d.as_mut().unwrap_or(&mut none));
     }
-
-    pub(crate) fn statistics(&mut self, statistics: &mut Statistics) {
-        self.column(&mut statistics.gradient_sum);
-        self.column(&mut statistics.weight_sum);
-        self.column(&mut statistics.absolute_sum);
-        self.column(&mut statistics.gene_gradient_sum);
-        self.column(&mut statistics.gene_views);
-    }
-
-    /// Appends the rows of a state.
-    pub(crate) fn state(&mut self, state: &mut DeviceState) {
-        let Moments { first, second, pending } = &mut state.moments;
-        for table in [&mut state.cloud, first, second, pending] {
-            self.cloud(table);
-        }
-        self.statistics(&mut state.statistics);
-        let (states, mut mean) = (self.count(), std::mem::take(&mut state.mean).into_mean());
-        self.cloud(&mut mean);
-        state.mean = StateMean::new(states as u32, mean);
-    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn state() -> DeviceState {
-        let cloud = |value: f32| {
-            let mut cloud = Gaussians::zeros(5);
-            cloud.opacity_logits = (0..5).map(|row| value + row as f32).collect();
-            cloud
-        };
-        let mut mean = StateMean::default();
-        mean.add(&cloud(9.0));
-        DeviceState {
-            cloud: Gaussians { filter_3d: Some(vec![0.5; 5]), ..cloud(1.0) },
-            moments: Moments { first: cloud(2.0), second: cloud(3.0), pending: Gaussians::default() },
-            statistics: Statistics { weight_sum: vec![7.0; 5], gene_views: vec![3; 5], ..Statistics::default() },
-            mean,
-        }
-    }
-
     #[test]
-    fn a_state_in_parts_is_the_state() {
-        let (state, mut joined) = (state(), DeviceState::default());
+    fn a_cloud_in_parts_is_the_cloud() {
+        let filter_3d = Some(vec![0.5; 5]);
+        let opacity_logits = (0..5).map(|row| row as f32).collect();
+        let (cloud, mut joined) =
+            (Gaussians { filter_3d, opacity_logits, ..Gaussians::zeros(5) }, Gaussians::default());
         for rows in [0..0, 0..2, 2..5] {
             let mut out = Writer::default();
-            out.state(lend(&state), rows);
+            out.cloud(&cloud, rows);
             let mut input = Reader::new(&out.words);
-            input.state(&mut joined);
+            input.cloud(&mut joined);
             assert!(input.is_at_end());
         }
-        assert_eq!(joined, state);
+        assert_eq!(joined, cloud);
     }
 
     #[test]

@@ -13,6 +13,7 @@ use crate::edit::RowEdit;
 use crate::gaussians::{Gaussians, Moments};
 use crate::genes::{Genes, SparseDelta};
 use crate::image::{Image, Mask, Photo};
+use crate::memory::ensure_memory;
 use crate::rng::Rng;
 use crate::state_mean::{Held, StateMean, ViewLoss};
 use crate::statistics::{Contribution, Statistics, StatisticsRequest};
@@ -288,6 +289,12 @@ pub trait Backend {
 
     /// The cloud: lent by a backend whose memory is the host's, copied by others.
     fn download(&mut self) -> Result<Cow<'_, Gaussians>, BackendError>;
+
+    /// A copy of the cloud for the host to keep.
+    fn copy(&mut self) -> Result<Gaussians, BackendError> {
+        ensure_memory(self.gaussian_count() * Gaussians::BYTES_PER_ROW, "the result")?;
+        Ok(self.download()?.into_owned())
+    }
 
     /// The genes of all rows `[N]`, an eighth of what [`Backend::download`] copies.
     fn genes(&mut self) -> Result<Vec<Genes>, BackendError> {

@@ -1,16 +1,18 @@
 //! A run by many processes that `mpirun` has started: all do the same, and rank 0 alone writes and speaks.
 
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::{Duration, Instant};
-use std::{env, process, thread};
+use std::time::Duration;
+use std::{env, io, process, thread};
 
 use anyhow::{Result, ensure};
 use genesplat::cluster::{ClusterBackend, Group};
 use genesplat::core::{BackendError, EvolutionBackend};
 use genesplat::io::{archive, shown};
-use genesplat::train::{Checkpoint, Start, StepBudget, TrainConfig, TrainError};
+use genesplat::train::checkpoint::{Alone, Holders};
+use genesplat::train::{StepBudget, TrainConfig, TrainError};
 
 use crate::args::TrainArgs;
 use crate::device::DeviceChoice;
@@ -103,16 +105,9 @@ impl Cluster {
         Box::new(ClusterBackend::new(self.group.clone()))
     }
 
-    /// Rank 0 has the rows of a checkpoint, and the others what else it holds.
-    pub(crate) fn deal(&self, start: Option<Checkpoint>) -> Result<Start> {
-        let mut bytes = Vec::new();
-        if let Some(checkpoint) = &start {
-            checkpoint.outline().write(&mut bytes)?;
-        }
-        let words = self.group.broadcast(bytes.into_iter().map(u32::from).collect())?;
-        let outline: Vec<u8> = words.into_iter().map(|word| word as u8).collect();
-        let checkpoint = start.map_or_else(|| Checkpoint::read(outline.as_slice()), Ok)?;
-        Ok(Start::Checkpoint(Box::new(checkpoint)))
+    /// The rows of a checkpoint of so many that this rank goes on with.
+    pub(crate) fn share(&self, rows: usize) -> Range<usize> {
+        self.group.share(rows)
     }
 
     /// Whether an error of this rank is one that rank 0 tells.
@@ -150,6 +145,28 @@ impl Cluster {
     }
 }
 
+/// Who holds the rows of a run.
+pub(crate) fn holders(cluster: Option<&Cluster>) -> Box<dyn Holders> {
+    cluster.map_or_else(|| Box::new(Alone) as _, |cluster| Box::new(Shared(cluster.group.clone())) as _)
+}
+
+/// Rows that ranks hold, and rank 0 writes.
+struct Shared(Group);
+
+impl Holders for Shared {
+    fn number(&self) -> usize {
+        self.0.rank()
+    }
+
+    fn counts(&mut self, own: usize) -> io::Result<Vec<usize>> {
+        self.0.counts(own).map_err(io::Error::other)
+    }
+
+    fn bring(&mut self, holder: usize, bytes: Vec<u8>) -> io::Result<Vec<u8>> {
+        self.0.bring(holder, &bytes).map_err(io::Error::other)
+    }
+}
+
 /// What one process has done, where all of a run have done it; where one has failed all do.
 pub(crate) fn agree<T>(cluster: Option<&Cluster>, done: Result<T>) -> Result<T> {
     let Some(cluster) = cluster else { return done };
@@ -160,9 +177,9 @@ pub(crate) fn agree<T>(cluster: Option<&Cluster>, done: Result<T>) -> Result<T> 
     Ok(done)
 }
 
-/// When a rank has ended, mpirun tells the others to end, who wait for it for ever. Asks them to stop, and ends this process
-/// with a sentence before mpirun does without. `root` is the process of rank 0: where it ran beside rank 1 and is gone, rank 1
-/// says the sentence.
+/// When a rank has ended, mpirun tells the others to end, who wait for it for ever. Asks them to stop, and has rank 0 end with
+/// a sentence before mpirun ends all without. `root` is the process of rank 0: where it ran beside rank 1 and is gone, rank 1
+/// does that. The others wait for mpirun, which ends all at once when the first of them does: before anything is said.
 fn end_in_time([told, asked, done]: [Arc<AtomicBool>; 3], (rank, root): (usize, u32), folder: PathBuf) -> Result<()> {
     let patience = Duration::from_secs(started(PATIENCE) as u64).saturating_sub(MARGIN);
     let is_beside_root = rank == 1 && started(LOCAL_RANK) == 1;
@@ -172,19 +189,15 @@ fn end_in_time([told, asked, done]: [Arc<AtomicBool>; 3], (rank, root): (usize, 
             thread::sleep(PAUSE);
         }
         asked.store(true, Ordering::Relaxed);
-        let end = Instant::now() + patience;
-        while Instant::now() < end && !replaces_root() {
-            thread::sleep(PAUSE);
-        }
-        if done.load(Ordering::Relaxed) {
+        thread::sleep(patience);
+        let speaks = rank == 0 || replaces_root();
+        if done.load(Ordering::Relaxed) || !speaks {
             return;
         }
-        if rank == 0 || replaces_root() {
-            output::complain(&format!(
-                "error: mpirun has ended the run, since one of its processes has ended, or since saving takes longer than it waits; {}",
-                failure::left_by_ranks(&folder)
-            ));
-        }
+        output::complain(&format!(
+            "error: mpirun has ended the run, since one of its processes has ended, or since saving takes longer than it waits; {}",
+            failure::left_by_ranks(&folder)
+        ));
         process::exit(1);
     };
     thread::Builder::new().name("patience".into()).spawn(watch)?;

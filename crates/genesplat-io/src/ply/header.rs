@@ -3,7 +3,7 @@
 use std::io::{BufRead, Read};
 use std::path::Path;
 
-use genesplat_core::{Gaussians, ScreenFilter};
+use genesplat_core::ScreenFilter;
 
 use super::field::{Field, Property, Scalar};
 use super::{PlyError, PlyOptions};
@@ -275,14 +275,14 @@ fn screen_filter(comments: &[String]) -> Option<ScreenFilter> {
 }
 
 /// The header of `cloud`.
-pub(super) fn text(cloud: &Gaussians, options: &PlyOptions) -> String {
+pub(super) fn text(rows: usize, has_filter_3d: bool, options: &PlyOptions) -> String {
     let mut text = String::from("ply\nformat binary_little_endian 1.0\n");
     let comments = options.comments.iter().map(String::as_str);
     for comment in filter_comments(options.screen_filter).iter().copied().chain(comments) {
         text += &format!("comment {}\n", comment.replace(['\n', '\r'], " "));
     }
-    text += &format!("element vertex {}\n", cloud.len());
-    for name in super::rows::property_names(options.sh_degree, cloud.filter_3d.is_some()) {
+    text += &format!("element vertex {rows}\n");
+    for name in super::rows::property_names(options.sh_degree, has_filter_3d) {
         text += &format!("property float {name}\n");
     }
     text + "end_header\n"

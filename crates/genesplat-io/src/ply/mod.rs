@@ -16,6 +16,7 @@ mod text;
 
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read, Write};
+use std::ops::Range;
 use std::path::Path;
 
 use genesplat_core::spherical_harmonics::SH_DEGREE_MAX;
@@ -106,8 +107,20 @@ pub fn write_ply(path: &Path, cloud: &Gaussians, options: &PlyOptions) -> Result
 }
 
 pub(crate) fn write_to(out: &mut impl Write, cloud: &Gaussians, options: &PlyOptions) -> io::Result<()> {
-    out.write_all(header::text(cloud, options).as_bytes())?;
-    rows::write(cloud, options.sh_degree, out)
+    out.write_all(header_bytes(cloud.len(), cloud.filter_3d.is_some(), options).as_slice())?;
+    rows::write(cloud, 0..cloud.len(), options.sh_degree, out)
+}
+
+/// The first bytes of a file of so many rows: for who writes it in pieces.
+pub fn header_bytes(rows: usize, has_filter_3d: bool, options: &PlyOptions) -> Vec<u8> {
+    header::text(rows, has_filter_3d, options).into_bytes()
+}
+
+/// The bytes of some rows of `cloud`.
+pub fn row_bytes(cloud: &Gaussians, rows: Range<usize>, options: &PlyOptions) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    rows::write(cloud, rows, options.sh_degree, &mut bytes).expect("a Vec takes all bytes");
+    bytes
 }
 
 fn open(path: &Path) -> Result<(BufReader<File>, u64), PlyError> {

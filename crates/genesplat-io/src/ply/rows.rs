@@ -1,6 +1,7 @@
 //! Rows of a PLY file from and to the columns of a cloud.
 
 use std::io::{self, BufRead, Read, Write};
+use std::ops::Range;
 use std::path::Path;
 
 use genesplat_core::Gaussians;
@@ -109,11 +110,11 @@ fn sh_properties(degree: u8) -> impl Iterator<Item = (usize, String)> {
     })
 }
 
-/// Writes every row of `cloud` in the order of [`property_names`].
-pub(super) fn write(cloud: &Gaussians, sh_degree: u8, out: &mut impl Write) -> io::Result<()> {
+/// Writes some rows of `cloud` in the order of [`property_names`].
+pub(super) fn write(cloud: &Gaussians, rows: Range<usize>, sh_degree: u8, out: &mut impl Write) -> io::Result<()> {
     const NORMAL: [f32; 3] = [0.0; 3];
     let mut bytes = Vec::new();
-    for row in 0..cloud.len() {
+    for row in rows {
         let sh = &cloud.sh[row];
         let rest = (0..3).flat_map(|channel| (1..coefficients(sh_degree)).map(move |k| &sh[sh_index(channel, k)]));
         let values = (cloud.positions[row].iter())

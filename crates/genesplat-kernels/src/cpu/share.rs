@@ -2,8 +2,7 @@
 
 use fearless_simd::Level;
 use genesplat_core::{
-    BackendError, DeviceState, Gaussians, Held, Moments, RenderSettings, SparseDelta, StateMean, Statistics,
-    StatisticsRequest, TrainStep,
+    BackendError, DeviceState, Gaussians, Held, RenderSettings, SparseDelta, StatisticsRequest, TrainStep,
 };
 
 use super::backend::{CpuBackend, TrainView};
@@ -27,21 +26,6 @@ impl CpuBackend {
     /// The rows held.
     pub fn cloud(&self) -> &Gaussians {
         &self.cloud
-    }
-
-    /// Adam's moments of the rows held.
-    pub fn moments(&self) -> &Moments {
-        &self.moments
-    }
-
-    /// Sums of the rows held.
-    pub fn sums(&self) -> &Statistics {
-        &self.statistics
-    }
-
-    /// The mean of the rows held.
-    pub fn mean(&self) -> &StateMean {
-        &self.mean
     }
 
     /// Optimiser steps made so far.

@@ -6,7 +6,6 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use genesplat_core::backend::McmcStep;
-use genesplat_core::memory::ensure_memory;
 use genesplat_core::{
     BackendError, DensitySignal, EvolutionBackend, Gaussians, Genes, LearningRates, RenderSettings, Rng, Sight,
     StatisticsRequest, Stream, TrainStep, Update, View,
@@ -233,7 +232,7 @@ impl<'a> Trainer<'a> {
         let progress = self.progress;
         let summary = RunSummary {
             iterations: checkpoint.as_ref().map_or(self.schedule.iterations, |c| c.cursor.iteration - 1),
-            gaussians: cloud.len(),
+            gaussians: self.backend.gaussian_count(),
             optimiser_steps: progress.steps,
             opacity_steps: progress.opacity_steps,
             extent: self.extent,
@@ -253,8 +252,9 @@ impl<'a> Trainer<'a> {
         if let Some(cloud) = self.better_before_trial()? {
             self.backend.upload(cloud.into())?;
         }
-        ensure_memory(self.backend.gaussian_count() * Gaussians::BYTES_PER_ROW, "the result")?;
-        Ok(self.healthy_cloud()?.into_owned())
+        let cloud = self.backend.copy()?;
+        check_health(&cloud, self.progress.steps)?;
+        Ok(cloud)
     }
 
     pub(crate) fn is_stopped(&self) -> bool {

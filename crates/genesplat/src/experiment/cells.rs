@@ -7,7 +7,7 @@ use super::plan::{BUNDLED, Cell};
 use super::results::Results;
 use super::runner::Runner;
 use crate::run::metrics::Metrics;
-use crate::run::session::{has_checkpoint, read_checkpoint};
+use crate::run::session::{has_checkpoint, no_rows, read_checkpoint};
 use crate::run::{METRICS, photos};
 use crate::settings::{ConfigFile, Settings};
 
@@ -27,7 +27,7 @@ impl Runner<'_> {
             _ if !is_this_run => State::Missing,
             Some(metrics) => State::Finished(Box::new(metrics)),
             // A checkpoint that is not whole is of no use.
-            None if has_checkpoint(&path) && read_checkpoint(&path).is_ok() => State::Interrupted,
+            None if has_checkpoint(&path) && read_checkpoint(&path, &no_rows).is_ok() => State::Interrupted,
             None => State::Missing,
         }
     }

@@ -6,7 +6,7 @@ use genesplat::core::BackendError;
 use genesplat::io::shown;
 use genesplat::train::TrainError;
 
-use super::session::{Caller, has_checkpoint, read_checkpoint};
+use super::session::{Caller, has_checkpoint, no_rows, read_checkpoint};
 use super::{CHECKPOINT, METRICS, previous};
 
 /// `error`, and after its sentence what is left of the run in `folder`, and how to go on.
@@ -60,7 +60,7 @@ fn what_is_left(error: &anyhow::Error, folder: &Path, caller: Caller) -> String 
         return failed.map_or(String::new(), |_| format!(" (no checkpoint had been saved, so {anew})"));
     }
     let path = folder.join(CHECKPOINT);
-    let Ok(checkpoint) = read_checkpoint(folder) else {
+    let Ok(checkpoint) = read_checkpoint(folder, &no_rows) else {
         return format!(" ({} cannot be read, so {anew})", shown(path));
     };
     let how = match (caller, failed) {
@@ -91,7 +91,7 @@ mod tests {
     use anyhow::anyhow;
     use genesplat::core::DeviceState;
     use genesplat::train::Checkpoint;
-    use genesplat::train::checkpoint::{Cursor, Progress};
+    use genesplat::train::checkpoint::{Alone, Cursor, Progress};
 
     use super::*;
     use crate::run::session::RunSession;
@@ -126,7 +126,7 @@ mod tests {
         assert_eq!(says(other()), "the moon is full");
         assert!(says(TrainError::Backend(lost()).into()).ends_with("the run has to begin anew)"));
 
-        session.write_checkpoint(&checkpoint(4213)).unwrap();
+        session.write_checkpoint(&checkpoint(4213), &mut Alone).unwrap();
         let file = folder.join(CHECKPOINT).display().to_string();
         let errors = [TrainError::Backend(out_of_memory()).into(), out_of_memory().into()];
         for sentence in errors.map(says) {

@@ -2,13 +2,15 @@
 
 use std::cell::RefCell;
 use std::fs::{self, File, Metadata, TryLockError};
-use std::io::{BufReader, ErrorKind};
+use std::io::{self, BufReader, ErrorKind, Write};
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Result, anyhow, bail, ensure};
 use genesplat::core::{Gaussians, ScreenFilter, Sight};
-use genesplat::io::{PlyOptions, input, shown, write_ply};
+use genesplat::io::{PlyOptions, input, ply, shown, write_ply};
 use genesplat::train::Checkpoint;
+use genesplat::train::checkpoint::{Holders, JointWriter};
 
 use super::metrics::Metrics;
 use super::{CHECKPOINT, CLOUD, CONFIG, FUSED_CLOUD, LOG, METRICS, REPORT, RESULTS, SNAPSHOTS, TEST, previous};
@@ -21,6 +23,9 @@ use crate::terminal::output;
 const CONFIG_MARK: &str = "# All settings of a run of genesplat";
 
 const LOCK: &str = ".lock";
+
+/// Rows of a splat that are written at once.
+const SPLAT_ROWS: usize = 1 << 14;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Caller {
@@ -137,13 +142,28 @@ impl RunSession {
     }
 
     /// Writes the splat, so that viewers know its screen filter, and without its 3D filter, if it has one.
-    pub(crate) fn write_cloud(&self, cloud: &Gaussians, filter: ScreenFilter) -> Result<()> {
-        self.hold()?;
+    pub(crate) fn write_cloud(&self, cloud: &Gaussians, filter: ScreenFilter, holders: &mut dyn Holders) -> Result<()> {
         let options = PlyOptions { screen_filter: filter, ..PlyOptions::default() };
         if cloud.filter_3d.is_some() {
-            write_ply(&self.path.join(FUSED_CLOUD), &cloud.fused(), &options)?;
+            self.write_splat(FUSED_CLOUD, &cloud.fused(), &options, holders)?;
         }
-        Ok(write_ply(&self.path.join(CLOUD), cloud, &options)?)
+        self.write_splat(CLOUD, cloud, &options, holders)
+    }
+
+    fn write_splat(
+        &self,
+        name: &str,
+        cloud: &Gaussians,
+        options: &PlyOptions,
+        holders: &mut dyn Holders,
+    ) -> Result<()> {
+        self.write_together(name, holders, |out, holders| {
+            let mut out = JointWriter::new(out, holders);
+            let counts = out.counts(cloud.len())?;
+            out.bytes(&ply::header_bytes(counts.iter().sum(), cloud.filter_3d.is_some(), options));
+            out.rows(&counts, SPLAT_ROWS, |rows| ply::row_bytes(cloud, rows, options))?;
+            out.finish().map(drop)
+        })
     }
 
     /// Writes the cloud of a run under way beside its results; returns where it is.
@@ -155,9 +175,30 @@ impl RunSession {
         Ok(path)
     }
 
-    pub(crate) fn write_checkpoint(&self, checkpoint: &Checkpoint) -> Result<()> {
-        self.hold()?;
-        write_file(&self.path.join(CHECKPOINT), |out| checkpoint.write(out))
+    pub(crate) fn write_checkpoint(&self, checkpoint: &Checkpoint, holders: &mut dyn Holders) -> Result<()> {
+        self.write_together(CHECKPOINT, holders, |out, holders| checkpoint.write_together(out, holders))
+    }
+
+    /// Writes a file whose rows all processes of the run hold. They take part to its end even where it cannot be written.
+    fn write_together(
+        &self,
+        name: &str,
+        holders: &mut dyn Holders,
+        fill: impl Fn(&mut dyn Write, &mut dyn Holders) -> io::Result<()>,
+    ) -> Result<()> {
+        let mut has_begun = false;
+        let mut write = || {
+            self.hold()?;
+            write_file(&self.path.join(name), |out| {
+                has_begun = true;
+                fill(out, holders)
+            })
+        };
+        let written = if self.writes { write() } else { Ok(()) };
+        if !has_begun {
+            fill(&mut io::sink(), holders)?;
+        }
+        written
     }
 
     /// Writes the page, then the figures: complete figures are the sign of a finished run, and from then on older results
@@ -194,10 +235,16 @@ pub(crate) fn has_checkpoint(folder: &Path) -> bool {
     folder.join(CHECKPOINT).exists()
 }
 
-pub(crate) fn read_checkpoint(folder: &Path) -> Result<Checkpoint> {
+/// Of a checkpoint that is only looked at.
+pub(crate) fn no_rows(_: usize) -> Range<usize> {
+    0..0
+}
+
+/// Of the rows, of so many, those that `share` says.
+pub(crate) fn read_checkpoint(folder: &Path, share: &dyn Fn(usize) -> Range<usize>) -> Result<Checkpoint> {
     let path = folder.join(CHECKPOINT);
     let file = input::open(&path).map_err(|error| anyhow!("cannot read {}: {error}", shown(&path)))?;
-    Checkpoint::read(BufReader::new(file)).map_err(|error| anyhow!("{}: {error}", shown(&path)))
+    Checkpoint::read_share(BufReader::new(file), share).map_err(|error| anyhow!("{}: {error}", shown(&path)))
 }
 
 pub(crate) fn check_is_run(path: &Path) -> Result<()> {
@@ -297,6 +344,8 @@ fn is_same_file(_: &Metadata, _: &Metadata) -> bool {
 
 #[cfg(test)]
 mod tests {
+    use genesplat::train::checkpoint::Alone;
+
     use super::*;
 
     #[test]
@@ -355,7 +404,7 @@ mod tests {
         let place = tempfile::tempdir().unwrap();
         let run = place.path().join("run");
         let claim = || RunSession::claim(&run, Caller::Train, false).unwrap();
-        let save = |session: &RunSession| session.write_cloud(&Gaussians::zeros(1), ScreenFilter::Classic);
+        let save = |session: &RunSession| session.write_cloud(&Gaussians::zeros(1), ScreenFilter::Classic, &mut Alone);
         let mut session = claim();
         session.begin("one = 1").unwrap();
         fs::remove_dir_all(&run).unwrap();

@@ -65,7 +65,10 @@ impl Run<'_> {
         let live = self.page.map(|address| live::of_training(address, self.scene)).transpose()?;
         let load = self.began.elapsed().as_secs_f64();
         let (log, checkpoint) = cluster::agree(self.cluster, self.begin(session))?;
-        let start = self.start(session, checkpoint)?;
+        let start = checkpoint.map_or_else(
+            || Start::Points(scene::points(self.scene)),
+            |checkpoint| Start::Checkpoint(Box::new(checkpoint)),
+        );
         let ended = self.train(session, &mut device, start, log, live, load);
         ended.map_err(|error| failure::explain(error, session.path(), session.caller()))
     }
@@ -85,22 +88,16 @@ impl Run<'_> {
     /// The folder is ready; its log, for who writes it, and what a run goes on from.
     fn begin(&self, session: &mut RunSession) -> Result<(Option<Log>, Option<Checkpoint>)> {
         memory::forget_peak();
-        if !session.writes() {
-            return Ok((None, None));
-        }
-        session.begin(&self.settings.to_toml())?;
-        let curves = self.tensorboard.then(|| TensorBoard::open(session.path(), session.resumes())).transpose()?;
-        let log = Log::open(session.path(), session.resumes())?.with_curves(curves);
-        let checkpoint = session.resumes().then(|| read_checkpoint(session.path())).transpose()?;
-        Ok((Some(log), checkpoint))
+        let log = if session.writes() { Some(self.open_log(session)?) } else { None };
+        let share = |rows| self.cluster.map_or(0..rows, |cluster| cluster.share(rows));
+        let checkpoint = session.resumes().then(|| read_checkpoint(session.path(), &share)).transpose()?;
+        Ok((log, checkpoint))
     }
 
-    fn start(&self, session: &RunSession, checkpoint: Option<Checkpoint>) -> Result<Start> {
-        match (self.cluster, checkpoint) {
-            (Some(cluster), checkpoint) if session.resumes() => cluster.deal(checkpoint),
-            (None, Some(checkpoint)) => Ok(Start::Checkpoint(Box::new(checkpoint))),
-            _ => Ok(Start::Points(scene::points(self.scene))),
-        }
+    fn open_log(&self, session: &mut RunSession) -> Result<Log> {
+        session.begin(&self.settings.to_toml())?;
+        let curves = self.tensorboard.then(|| TensorBoard::open(session.path(), session.resumes())).transpose()?;
+        Ok(Log::open(session.path(), session.resumes())?.with_curves(curves))
     }
 
     fn train(
@@ -120,15 +117,14 @@ impl Run<'_> {
         let config = &settings.train;
         let curve = TestCurve::new(&scene.test, config.schedule().iterations);
         let asked = self.cluster.map_or(stop, Cluster::asked);
-        let mut reporter = Reporter::of_run(session, log, curve, live.as_mut(), asked);
+        let mut reporter = Reporter::of_run((session, self.cluster), log, curve, live.as_mut(), asked);
         let Outcome { cloud, summary, checkpoint } =
             train(device.as_mut(), &scene.train, start, config, &mut reporter, stop)?;
         // A disk that has no space for the checkpoint, the larger of the two, may have space for the cloud.
-        if session.writes() {
-            let saved = checkpoint.map_or(Ok(()), |checkpoint| session.write_checkpoint(&checkpoint));
-            session.write_cloud(&cloud, config.render_settings().filter)?;
-            saved?;
-        }
+        let mut holders = cluster::holders(self.cluster);
+        let saved = checkpoint.map_or(Ok(()), |saved| session.write_checkpoint(&saved, &mut *holders));
+        session.write_cloud(&cloud, config.render_settings().filter, &mut *holders)?;
+        saved?;
         drop(cloud);
         reporter.into_result()?;
         if let Some(live) = &mut live {
@@ -150,9 +146,7 @@ impl Run<'_> {
         let Some((test, train)) = self.score(session, device, &summary)? else {
             // What was saved on the way would have to be trained to the end once more.
             let checkpoint = summary.checkpoint_at_end(device.as_mut())?;
-            if session.writes() {
-                session.write_checkpoint(&checkpoint)?;
-            }
+            session.write_checkpoint(&checkpoint, &mut *cluster::holders(self.cluster))?;
             return Ok(Ended::Unscored);
         };
         let config = self.settings.train.config();

@@ -17,12 +17,14 @@ use genesplat::viewer::{LiveView, Owner};
 use super::numbers::thousands;
 use super::output;
 use super::progress::Bar;
+use crate::cluster::{self, Cluster};
 use crate::run::log::Log;
 use crate::run::session::{Caller, RunSession};
 use crate::run::test_curve::TestCurve;
 
 pub(crate) struct Reporter<'a> {
-    folder: Option<(&'a RunSession, Log)>,
+    run: Option<(&'a RunSession, Option<&'a Cluster>)>,
+    log: Option<Log>,
     /// Says nothing, and draws bars that vanish.
     quiet: bool,
     curve: Option<TestCurve<'a>>,
@@ -43,21 +45,21 @@ impl<'a> Reporter<'a> {
     /// Reports into the folder of a run, where it has a log here, and sets `stop` when that is no longer possible; scores
     /// test photos now and then. An experiment has the terminal to itself, but for bars that vanish.
     pub(crate) fn of_run(
-        session: &'a RunSession,
+        run: (&'a RunSession, Option<&'a Cluster>),
         log: Option<Log>,
         curve: Option<TestCurve<'a>>,
         live: Option<&'a mut LiveView>,
         stop: &'a AtomicBool,
     ) -> Self {
-        let quiet = session.caller() == Caller::Experiment;
-        let folder = log.map(|log| (session, log));
-        Self { folder, quiet, curve, live, ..Self::without_folder(stop) }
+        let quiet = run.0.caller() == Caller::Experiment;
+        Self { run: Some(run), log, quiet, curve, live, ..Self::without_folder(stop) }
     }
 
     /// Reports to the terminal only.
     pub(crate) fn without_folder(stop: &'a AtomicBool) -> Self {
         Self {
-            folder: None,
+            run: None,
+            log: None,
             quiet: false,
             curve: None,
             live: None,
@@ -85,7 +87,7 @@ impl<'a> Reporter<'a> {
     }
 
     fn log(&mut self, record: &LogRecord) {
-        if let Some((_, log)) = &mut self.folder {
+        if let Some(log) = &mut self.log {
             let written = log.append(record);
             self.keep(written);
         }
@@ -226,15 +228,15 @@ impl Observer for Reporter<'_> {
 
     fn on_renders(&mut self, iteration: u32, sight: &mut Sight<'_>) {
         self.score_test_photos(iteration, sight);
-        let session = self.folder.as_ref().map(|(session, _)| *session);
+        let session = self.run.map(|(session, _)| session);
         if let Some(live) = &mut self.live {
             live.attend(sight, &mut Steering { iteration, session, stop: self.stop });
         }
     }
 
     fn on_checkpoint(&mut self, checkpoint: Checkpoint) {
-        let Some((folder, _)) = &self.folder else { return };
-        let written = folder.write_checkpoint(&checkpoint);
+        let Some((session, cluster)) = self.run else { return };
+        let written = session.write_checkpoint(&checkpoint, &mut *cluster::holders(cluster));
         self.keep(written);
     }
 }

@@ -7,53 +7,17 @@
 //! ```
 
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Child, Command, Output};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use tempfile::TempDir;
-
-use crate::support::{cloud, genesplat, mpirun, ranks_of, scene, succeed, train, wait_for_step};
+use crate::support::{has_checkpoint, ranks_of, undisturbed, wait_for_step};
 
 const SIGKILL_OF_A_RANK: &str = "exited on signal 9";
 
 fn kills() -> usize {
     std::env::var("GENESPLAT_KILLS").map_or(3, |text| text.parse().expect("GENESPLAT_KILLS is a number"))
-}
-
-/// A scene, and the run that nothing happens to.
-struct Undisturbed {
-    place: TempDir,
-    scene: PathBuf,
-    cloud: Vec<u8>,
-}
-
-impl Undisturbed {
-    fn new() -> Self {
-        let place = tempfile::tempdir().unwrap();
-        let (scene, plain) = (scene(place.path()), place.path().join("plain"));
-        succeed(Command::new(genesplat()).args(train(&scene, &plain, &[])));
-        Self { scene, cloud: cloud(&plain), place }
-    }
-
-    fn start(&self, ranks: usize, out: &Path) -> Child {
-        let resume: &[&str] = if has_checkpoint(out) { &["--resume"] } else { &[] };
-        mpirun(ranks, &train(&self.scene, out, resume)).spawn().unwrap()
-    }
-
-    /// Goes on with so many processes to the end, which is that of the undisturbed run.
-    fn end(&self, ranks: usize, out: &Path) {
-        if !out.join("metrics.json").exists() || has_checkpoint(out) {
-            let Output { status, stderr, .. } = self.start(ranks, out).wait_with_output().unwrap();
-            assert!(status.success(), "{}", String::from_utf8_lossy(&stderr));
-        }
-        assert!(cloud(out) == self.cloud, "other bytes");
-    }
-}
-
-fn has_checkpoint(out: &Path) -> bool {
-    out.join("checkpoint/latest.checkpoint").exists()
 }
 
 /// What a run says that one of its processes does not survive; nothing where it came to its end before.
@@ -90,15 +54,15 @@ fn assert_told(said: &str, out: &Path) {
 
 #[test]
 fn a_run_whose_processes_are_killed_at_any_moment_comes_to_the_same_bytes() {
-    let whole = Undisturbed::new();
+    let (whole, place) = (undisturbed(), tempfile::tempdir().unwrap());
     let clock = Instant::now();
-    whole.end(3, &whole.place.path().join("undisturbed"));
+    whole.end(3, &place.path().join("undisturbed"));
     let (duration, mut told) = (clock.elapsed(), 0);
     for turn in 0..kills() {
-        let (ranks, out) = (2 + turn % 3, whole.place.path().join(format!("run{turn}")));
+        let (ranks, out) = (2 + turn % 3, place.path().join(format!("run{turn}")));
         // Where multiples of the golden ratio fall.
         let mut fraction = (turn as f64 * 0.618_033_988_75 + 0.5).fract();
-        for victim in [turn / 3 % ranks, (turn / 3 + 1) % ranks].into_iter().take(1 + usize::from(turn % 3 == 2)) {
+        for victim in [turn % ranks, (turn + 1) % ranks].into_iter().take(1 + usize::from(turn % 3 == 2)) {
             let said = killed(whole.start(ranks, &out), victim, ranks, duration.mul_f64(fraction));
             eprintln!(
                 "kill {turn}: process {victim} of {ranks} at {fraction:.2}: {}",
@@ -116,14 +80,14 @@ fn a_run_whose_processes_are_killed_at_any_moment_comes_to_the_same_bytes() {
 
 /// Genesplat's sentence, or none.
 fn last_of(said: &str) -> &str {
-    said.lines().filter(|line| line.starts_with("error: ")).next_back().unwrap_or("before it began")
+    said.lines().rfind(|line| line.starts_with("error: ")).unwrap_or("before it began")
 }
 
 /// One process may take no more memory than it has: the system refuses what it asks for next.
 #[test]
 fn a_process_without_memory_ends_the_run_with_a_sentence() {
-    let whole = Undisturbed::new();
-    let out = whole.place.path().join("run");
+    let (whole, place) = (undisturbed(), tempfile::tempdir().unwrap());
+    let out = place.path().join("run");
     for (victim, step) in [(1, 60), (0, 200)] {
         let child = whole.start(2, &out);
         wait_for_step(&out, step, &child);

@@ -5,19 +5,19 @@ mod support;
 
 use std::process::{Command, Output};
 
-use support::{cloud, genesplat, mpirun, ranks_of, scene, signal, succeed, train, wait_for_step};
+use support::{
+    cloud, genesplat, has_checkpoint, mpirun, ranks_of, scene, signal, succeed, train, undisturbed, wait_for_step,
+};
 
 #[test]
 fn any_number_of_processes_has_the_bytes_of_one() {
-    let folder = tempfile::tempdir().unwrap();
-    let (scene, plain) = (scene(folder.path()), folder.path().join("plain"));
-    succeed(Command::new(genesplat()).args(train(&scene, &plain, &[])));
+    let (whole, folder) = (undisturbed(), tempfile::tempdir().unwrap());
     for ranks in [2, 3, 4] {
         let out = folder.path().join(ranks.to_string());
-        let said = succeed(&mut mpirun(ranks, &train(&scene, &out, &[])));
+        let said = succeed(&mut mpirun(ranks, &train(&whole.scene, &out, &[])));
         assert!(said.contains(&format!("{ranks} ranks: ")) && said.contains("a step"), "{said}");
-        assert!(cloud(&out) == cloud(&plain), "{ranks} ranks");
-        assert!(!out.join("checkpoint/latest.checkpoint").exists() && out.join("metrics.json").exists());
+        assert!(cloud(&out) == whole.cloud, "{ranks} ranks");
+        assert!(!has_checkpoint(&out) && out.join("metrics.json").exists());
     }
 }
 
@@ -33,32 +33,20 @@ fn steps_of_several_photos_and_searches_have_them_too() {
     assert!(cloud(&out) == cloud(&plain));
 }
 
-/// Whoever is killed, and however the run is asked to stop, another number of processes goes on to the same bytes.
 #[test]
-fn a_run_that_lost_a_process_ends_with_a_sentence_and_is_resumed_exactly() {
-    let folder = tempfile::tempdir().unwrap();
-    let (scene, plain) = (scene(folder.path()), folder.path().join("plain"));
-    succeed(Command::new(genesplat()).args(train(&scene, &plain, &[])));
+fn a_run_that_is_asked_to_stop_goes_on_with_other_processes() {
+    let (whole, folder) = (undisturbed(), tempfile::tempdir().unwrap());
     let out = folder.path().join("run");
-    for (turn, victim) in [2, 0].into_iter().enumerate() {
-        let resume: &[&str] = if turn == 0 { &[] } else { &["--resume"] };
-        let child = mpirun(3, &train(&scene, &out, resume)).spawn().unwrap();
-        wait_for_step(&out, 60 + 120 * turn, &child);
-        signal("-KILL", ranks_of(&child)[victim]);
-        let Output { status, stderr, .. } = child.wait_with_output().unwrap();
-        let said = String::from_utf8_lossy(&stderr);
-        assert!(!status.success() && said.contains("the same command with --resume goes on from there"), "{said}");
-        assert!(out.join("checkpoint/latest.checkpoint").exists());
+    // One is a run without ranks. Mpirun passes the other signal on, and waits.
+    for (ranks, step, asks) in [(3, 60, "-USR1"), (1, 150, "-INT"), (2, 330, "-USR1")] {
+        let child = whole.start(ranks, &out);
+        wait_for_step(&out, step, &child);
+        signal(asks, if ranks == 1 { ranks_of(&child)[0] } else { child.id() });
+        let Output { stdout, stderr, .. } = child.wait_with_output().unwrap();
+        let said = String::from_utf8_lossy(&stdout);
+        assert!(said.contains("stopped after iteration"), "{said} {}", String::from_utf8_lossy(&stderr));
     }
-    // mpirun passes this one on, and waits.
-    let child = mpirun(2, &train(&scene, &out, &["--resume"])).spawn().unwrap();
-    wait_for_step(&out, 330, &child);
-    signal("-USR1", child.id());
-    let Output { stdout, stderr, .. } = child.wait_with_output().unwrap();
-    let said = String::from_utf8_lossy(&stdout);
-    assert!(said.contains("stopped after iteration"), "{said} {}", String::from_utf8_lossy(&stderr));
-    succeed(&mut mpirun(4, &train(&scene, &out, &["--resume"])));
-    assert!(cloud(&out) == cloud(&plain), "the bytes of a run that nothing happened to");
+    whole.end(4, &out);
 }
 
 #[test]

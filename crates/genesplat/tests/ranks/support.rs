@@ -4,6 +4,7 @@ use std::fs;
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
+use std::sync::LazyLock;
 use std::time::{Duration, Instant};
 
 use genesplat::gallery::{self, GalleryOptions};
@@ -47,6 +48,50 @@ pub(crate) fn succeed(command: &mut Command) -> String {
 
 pub(crate) fn cloud(run: &Path) -> Vec<u8> {
     fs::read(run.join("point_cloud.ply")).unwrap()
+}
+
+/// A scene, and the run that nothing happens to.
+pub(crate) struct Undisturbed {
+    pub(crate) scene: PathBuf,
+    pub(crate) cloud: Vec<u8>,
+}
+
+/// One for all tests.
+pub(crate) fn undisturbed() -> &'static Undisturbed {
+    static WHOLE: LazyLock<Undisturbed> = LazyLock::new(Undisturbed::new);
+    &WHOLE
+}
+
+impl Undisturbed {
+    fn new() -> Self {
+        // What is static is never dropped, so a temporary folder would stay.
+        let place = Path::new(env!("CARGO_TARGET_TMPDIR")).join("undisturbed");
+        if place.exists() {
+            fs::remove_dir_all(&place).unwrap();
+        }
+        let (scene, plain) = (scene(&place), place.join("plain"));
+        succeed(Command::new(genesplat()).args(train(&scene, &plain, &[])));
+        Self { scene, cloud: cloud(&plain) }
+    }
+
+    /// Begins, or goes on where there is a checkpoint.
+    pub(crate) fn start(&self, ranks: usize, out: &Path) -> Child {
+        let resume: &[&str] = if has_checkpoint(out) { &["--resume"] } else { &[] };
+        mpirun(ranks, &train(&self.scene, out, resume)).spawn().unwrap()
+    }
+
+    /// Goes on with so many processes to the end, which is that of the undisturbed run.
+    pub(crate) fn end(&self, ranks: usize, out: &Path) {
+        if !out.join("metrics.json").exists() || has_checkpoint(out) {
+            let Output { status, stderr, .. } = self.start(ranks, out).wait_with_output().unwrap();
+            assert!(status.success(), "{}", String::from_utf8_lossy(&stderr));
+        }
+        assert!(cloud(out) == self.cloud, "other bytes");
+    }
+}
+
+pub(crate) fn has_checkpoint(out: &Path) -> bool {
+    out.join("checkpoint/latest.checkpoint").exists()
 }
 
 /// Waits until the log has a step of this iteration or a later one.

@@ -5,17 +5,22 @@
 //! it, and a checksum over everything, so that a file cut short by a full disk is recognised.
 
 use std::io::{self, Read, Write};
+use std::ops::Range;
 
+use genesplat_core::DeviceState;
 use genesplat_core::spherical_harmonics::SH_DEGREE_MAX;
-use genesplat_core::{DeviceState, Gaussians, Moments, StateMean};
 use serde::{Deserialize, Serialize};
 
 use super::Seconds;
 use super::observe::StageRecord;
 use crate::densify::renew::Trial;
 use crate::schedule::{OptimiserStep, Phase};
+use columns::ColumnReader;
+pub use joint::{Alone, Holders, JointWriter};
 use summed::Summed;
 
+mod columns;
+mod joint;
 mod summed;
 
 /// Opens every checkpoint; the last byte is the version of the format.
@@ -95,59 +100,46 @@ pub enum CheckpointError {
 }
 
 impl Checkpoint {
-    /// All but the rows: what a process needs of it that is handed rows by another one.
-    pub fn outline(&self) -> Self {
-        let rowless = |cloud: &Gaussians| Gaussians {
-            filter_3d: cloud.filter_3d.as_ref().map(|_| Vec::new()),
-            ..Gaussians::default()
-        };
-        let mean = &self.state.mean;
-        let state = DeviceState {
-            cloud: rowless(&self.state.cloud),
-            mean: StateMean::new(mean.states(), rowless(mean.mean())),
-            ..DeviceState::default()
-        };
-        let trial = self.trial.as_ref().map(|trial| Trial {
-            record: trial.record,
-            cloud: rowless(&trial.cloud),
-            moments: Moments::default(),
-        });
-        Self { cursor: self.cursor, progress: self.progress.clone(), state, trial }
-    }
-
     /// Writes the checkpoint; wrap files in a `BufWriter`.
     pub fn write(&self, writer: impl Write) -> io::Result<()> {
-        let mut out = Summed::new(writer);
-        out.write_all(&MAGIC)?;
-        let written = postcard::to_io(self, &mut out).map(drop);
-        written.map_err(|error| out.cause_of(error))?;
-        let sum = out.sum;
-        out.inner.write_all(&sum.to_le_bytes())?;
-        out.inner.flush()
+        self.write_together(writer, &mut Alone)
+    }
+
+    /// The same by all processes that hold a share of the rows; all but the one that writes give a sink.
+    pub fn write_together(&self, writer: impl Write, holders: &mut dyn Holders) -> io::Result<()> {
+        let mut out = JointWriter::new(Summed::new(writer), holders);
+        out.bytes(&MAGIC);
+        out.value(&self.cursor);
+        out.value(&self.progress);
+        out.state(&self.state)?;
+        out.trial(self.trial.as_ref())?;
+        let Summed { mut inner, sum, .. } = out.finish()?;
+        inner.write_all(&sum.to_le_bytes())?;
+        inner.flush()
     }
 
     /// Reads a checkpoint; wrap files in a `BufReader`. A damaged length ends at the end of the file, never in a huge
     /// allocation: columns grow as they are read.
     pub fn read(reader: impl Read) -> Result<Self, CheckpointError> {
-        let mut input = Summed::new(reader);
+        Self::read_share(reader, &|rows| 0..rows)
+    }
+
+    /// The same, of which only some rows are kept: `share` says which, of so many.
+    pub fn read_share(reader: impl Read, share: &dyn Fn(usize) -> Range<usize>) -> Result<Self, CheckpointError> {
+        let mut columns = ColumnReader { input: Summed::new(reader), share };
         let mut magic = [0; MAGIC.len()];
-        input.read_exact(&mut magic)?;
+        columns.input.read_exact(&mut magic)?;
         if magic != MAGIC {
             return Err(CheckpointError::Foreign);
         }
-        let checkpoint: Self = match postcard::from_io((&mut input, &mut [0; 8])) {
-            Ok((checkpoint, _)) => checkpoint,
-            Err(error @ postcard::Error::DeserializeUnexpectedEnd) => {
-                return Err(input.cause_of(error).into());
-            }
-            Err(_) => return Err(CheckpointError::Damaged("it holds a value that there is not")),
-        };
-        let mut sum = [0; 8];
-        input.inner.read_exact(&mut sum)?;
-        if u64::from_le_bytes(sum) != input.sum {
+        let (cursor, progress) = (columns.value()?, columns.value()?);
+        let checkpoint = Self { cursor, progress, state: columns.state()?, trial: columns.trial()? };
+        let (mut sum, Summed { mut inner, sum: expected, .. }) = ([0; 8], columns.input);
+        inner.read_exact(&mut sum)?;
+        if u64::from_le_bytes(sum) != expected {
             return Err(CheckpointError::Damaged("its checksum does not match"));
         }
-        if input.inner.read(&mut [0])? > 0 {
+        if inner.read(&mut [0])? > 0 {
             return Err(CheckpointError::Damaged("something follows its end"));
         }
         checkpoint.check()?;
@@ -175,7 +167,7 @@ impl Checkpoint {
 
 #[cfg(test)]
 mod tests {
-    use genesplat_core::Statistics;
+    use genesplat_core::{Gaussians, Moments, StateMean, Statistics};
 
     use super::*;
     use crate::run::observe::StageKind;
@@ -245,14 +237,27 @@ mod tests {
     }
 
     #[test]
-    fn an_outline_has_no_rows_and_survives_the_round_trip() {
+    fn the_bytes_are_those_of_postcard_between_a_mark_and_a_sum() {
         let checkpoint = example();
-        let outline = checkpoint.outline();
-        assert_eq!(Checkpoint::read(bytes(&outline).as_slice()).unwrap(), outline);
-        assert_eq!((outline.cursor, &outline.progress), (checkpoint.cursor, &checkpoint.progress));
-        assert_eq!((outline.state.cloud.len(), outline.state.cloud.filter_3d), (0, Some(Vec::new())));
-        assert_eq!(outline.state.mean.states(), checkpoint.state.mean.states());
-        assert_eq!(outline.trial.unwrap().record, checkpoint.trial.unwrap().record);
+        let (bytes, plain) = (bytes(&checkpoint), postcard::to_stdvec(&checkpoint).unwrap());
+        assert!(bytes[MAGIC.len()..bytes.len() - 8] == plain);
+    }
+
+    /// Of each column the share of a process, also of one that has none.
+    #[test]
+    fn shares_are_read_without_the_other_rows() {
+        let (checkpoint, bytes) = (example(), bytes(&example()));
+        let read = |share: &dyn Fn(usize) -> Range<usize>| Checkpoint::read_share(bytes.as_slice(), share).unwrap();
+        let (first, rest) = (read(&|_| 0..1), read(&|rows| 1..rows));
+        let mut cloud = first.state.cloud;
+        cloud.append(rest.state.cloud);
+        assert_eq!(cloud, checkpoint.state.cloud);
+        assert_eq!([first.state.statistics.gene_views, rest.state.statistics.gene_views].concat(), [7, 8, 9]);
+        assert_eq!((rest.state.moments.pending.sh[0][4], rest.trial.unwrap().cloud.len()), (0.5, 1));
+        let none = read(&|_| 0..0);
+        assert_eq!((none.cursor, &none.progress), (checkpoint.cursor, &checkpoint.progress));
+        assert_eq!((none.state.cloud.len(), none.state.cloud.filter_3d), (0, Some(Vec::new())));
+        assert_eq!(none.state.mean.states(), checkpoint.state.mean.states());
     }
 
     #[test]

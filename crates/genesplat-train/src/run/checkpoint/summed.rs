@@ -1,12 +1,13 @@
 //! A checksum over everything that is written or read.
 
+use std::error::Error;
 use std::io::{self, Read, Write};
 
 /// Passes bytes on and sums them by FNV-1a, 64 bits: enough to notice damage, and no defence against forgery.
 pub(super) struct Summed<T> {
     pub(super) inner: T,
     pub(super) sum: u64,
-    /// What `postcard` does not hand on.
+    /// Of reading, what `postcard` does not hand on.
     error: Option<io::Error>,
 }
 
@@ -15,8 +16,8 @@ impl<T> Summed<T> {
         Self { inner, sum: 0xcbf2_9ce4_8422_2325, error: None }
     }
 
-    /// Why `postcard` failed: the error that stopped the bytes, or the end of them.
-    pub(super) fn cause_of(&mut self, error: postcard::Error) -> io::Error {
+    /// Why reading failed: the error that stopped the bytes, or the end of them.
+    pub(super) fn cause_of(&mut self, error: impl Into<Box<dyn Error + Send + Sync>>) -> io::Error {
         self.error.take().unwrap_or_else(|| io::Error::new(io::ErrorKind::UnexpectedEof, error))
     }
 
@@ -38,15 +39,13 @@ impl<T> Summed<T> {
 
 impl<W: Write> Write for Summed<W> {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        let result = self.inner.write(bytes);
-        let written = self.keep(result)?;
+        let written = self.inner.write(bytes)?;
         self.add(&bytes[..written]);
         Ok(written)
     }
 
     fn flush(&mut self) -> io::Result<()> {
-        let result = self.inner.flush();
-        self.keep(result)
+        self.inner.flush()
     }
 }
 
