@@ -73,7 +73,7 @@ impl GpuBackend {
 
     /// Whether its kernels sort and sum by subgroups.
     pub fn uses_subgroups(&self) -> bool {
-        self.engine.subgroups
+        self.engine.abilities.subgroups
     }
 
     /// Bytes that this backend holds on the device.

@@ -160,8 +160,9 @@ fn sum_of(first: u32, end: u32, pitch: u32) -> Sums {
     return sums;
 }
 
-// Splats of so many tiles that one invocation would keep all others waiting: intersections [x, y), invocation.
-var<workgroup> wide: array<vec3<u32>, GROUP>;
+// Splats of so many tiles that one invocation would keep all others waiting: first intersection, the one after the last,
+// invocation. No vectors: these would be of four numbers in memory, and exceed the 16 KiB that every device has.
+var<workgroup> wide: array<array<u32, 3>, GROUP>;
 var<workgroup> wide_found: atomic<u32>;
 var<workgroup> wide_count: u32;
 var<workgroup> partial_sums: array<Sums, GROUP>;
@@ -177,7 +178,7 @@ fn sums_of_splat(first: u32, count: u32, lane: u32) -> Sums {
     if count <= SERIAL_TILES {
         sums = sum_of(first, first + count, 1u);
     } else {
-        wide[atomicAdd(&wide_found, 1u)] = vec3(first, first + count, lane);
+        wide[atomicAdd(&wide_found, 1u)] = array(first, first + count, lane);
     }
     workgroupBarrier();
     if lane == 0u {
@@ -185,7 +186,7 @@ fn sums_of_splat(first: u32, count: u32, lane: u32) -> Sums {
     }
     let splats = workgroupUniformLoad(&wide_count);
     for (var k = 0u; k < splats; k++) {
-        partial_sums[lane] = sum_of(wide[k].x + lane, wide[k].y, GROUP);
+        partial_sums[lane] = sum_of(wide[k][0] + lane, wide[k][1], GROUP);
         for (var half = GROUP / 2u; half > 0u; half /= 2u) {
             workgroupBarrier();
             if lane < half {
@@ -193,7 +194,7 @@ fn sums_of_splat(first: u32, count: u32, lane: u32) -> Sums {
             }
         }
         workgroupBarrier();
-        if lane == wide[k].z {
+        if lane == wide[k][2] {
             sums = partial_sums[0];
         }
         workgroupBarrier();

@@ -13,11 +13,11 @@ use wgpu::{
 
 use crate::Result;
 use crate::device::MemoryUse;
-use crate::device::adapter;
+use crate::device::adapter::{self, WORKGROUP_BYTES};
 use crate::device::probe;
-use crate::device::shaders::Shader;
 #[cfg(test)]
 use crate::device::shaders::kernel_texts;
+use crate::device::shaders::{Abilities, Shader};
 use crate::state::layout::SH_FLOATS;
 
 /// Longest time that a device may take for all that was submitted: a driver that hangs would keep the host forever.
@@ -49,7 +49,7 @@ pub(crate) struct Engine {
     pub(crate) window_rows: u64,
     /// The device can time passes.
     pub(crate) timestamps: bool,
-    pub(crate) subgroups: bool,
+    pub(crate) abilities: Abilities,
     pub(crate) usage: MemoryUse,
     /// How often the host has waited: what a test counts.
     pub(crate) waits: Cell<u32>,
@@ -72,16 +72,22 @@ struct Failures {
 
 impl Engine {
     pub(crate) fn new() -> Result<Self> {
+        Self::open(WORKGROUP_BYTES)
+    }
+
+    /// The best device, with workgroup memory of so many bytes if it has them.
+    pub(crate) fn open(most_workgroup_bytes: u32) -> Result<Self> {
         let adapter = adapter::best()?;
         let info = adapter.get_info();
         let name = format!("{} ({:?})", info.name, info.backend);
         let features = adapter.features() & (Features::TIMESTAMP_QUERY | Features::SUBGROUP);
+        let workgroup_bytes = adapter.limits().max_compute_workgroup_storage_size.min(most_workgroup_bytes);
         let descriptor = DeviceDescriptor {
             label: Some("genesplat"),
             required_features: features,
             // No more of what kernels use than they need, so that one that needs more fails everywhere.
             required_limits: Limits {
-                max_compute_workgroup_storage_size: adapter::WORKGROUP_BYTES,
+                max_compute_workgroup_storage_size: workgroup_bytes,
                 max_storage_buffers_per_shader_stage: adapter::STORAGE_BUFFERS,
                 ..adapter.limits()
             },
@@ -99,7 +105,7 @@ impl Engine {
             queue,
             name,
             timestamps: features.contains(Features::TIMESTAMP_QUERY),
-            subgroups: true,
+            abilities: Abilities { subgroups: true, workgroup_bytes },
             usage: MemoryUse::default(),
             waits: Cell::default(),
             kernels: RefCell::default(),
@@ -120,7 +126,7 @@ impl Engine {
 
     /// The same with the kernels for devices without subgroups.
     pub(crate) fn without_subgroups(mut self) -> Self {
-        self.subgroups = false;
+        self.abilities.subgroups = false;
         self
     }
 
@@ -128,7 +134,7 @@ impl Engine {
     #[cfg(test)]
     pub(crate) fn set_rewrite(&mut self, rewrite: Rewrite) {
         let text = |rewrite: Option<&Rewrite>, name| {
-            let (_, text) = kernel_texts(self.subgroups).find(|(kernel, _)| *kernel == name)?;
+            let (_, text) = kernel_texts(self.abilities).find(|(kernel, _)| *kernel == name)?;
             Some(rewrite?(name, text))
         };
         let before = self.rewrite.replace(rewrite);
@@ -140,9 +146,9 @@ impl Engine {
     fn source(&self, shader: &'static Shader) -> String {
         #[cfg(test)]
         if let Some(rewrite) = &self.rewrite {
-            return rewrite(shader.name, shader.text(self.subgroups));
+            return rewrite(shader.name, shader.text(self.abilities));
         }
-        shader.source(self.subgroups)
+        shader.source(self.abilities)
     }
 
     /// Hands commands to the device, and before them all that was written; does not wait.

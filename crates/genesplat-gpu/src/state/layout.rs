@@ -24,8 +24,6 @@ shared_constants! {
     SCAN_BLOCK = 8 * GROUP,
     SORT_BLOCK = 16 * GROUP,
     DIGITS = 256,
-    // Splats that rasterisation blends, and the backward pass reduces, at once.
-    SPLATS_AT_ONCE = 8,
     // Tiles of a splat that one invocation lists, and whose gradients it sums, few in tests; those of wider splats, a
     // workgroup.
     SERIAL_TILES = if cfg!(test) { 4 } else { 32 },
