@@ -23,6 +23,8 @@
 // [I, 12]: sums of p times 1, dx, dy, dx^2, dx dy, dy^2, offsets (pixel - mean) in px; dL/drgb; then the sums of the
 // absolute values of dL/du and of dL/dv by pixel, and the number of pixels blended that have a gradient.
 @group(0) @binding(7) var<storage, read_write> intersection_gradients: array<f32>;
+// Of those that this dispatch has.
+@group(0) @binding(8) var<uniform> first_tile_row: u32;
 
 const COLUMNS: u32 = 12u;
 // Those that every signal has.
@@ -202,7 +204,8 @@ fn find_unfinished(lane: u32) -> u32 {
 }
 
 @compute @workgroup_size(TILE, TILE)
-fn main(@builtin(workgroup_id) tile: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let tile = group + vec3(0u, first_tile_row, 0u);
     let local = pixel_of(lane);
     let place = tile.xy * TILE + local;
     if lane == 0u {

@@ -8,7 +8,8 @@ use std::time::Duration;
 use genesplat_core::BackendError;
 use wgpu::{
     BindGroupLayout, Buffer, CommandBuffer, ComputePipeline, ComputePipelineDescriptor, Device, DeviceDescriptor,
-    Features, Limits, PipelineCompilationOptions, PollError, PollType, Queue, ShaderModuleDescriptor, ShaderSource,
+    DeviceType, Features, Limits, PipelineCompilationOptions, PollError, PollType, Queue, ShaderModuleDescriptor,
+    ShaderSource,
 };
 
 use crate::Result;
@@ -23,6 +24,12 @@ use crate::state::layout::SH_FLOATS;
 /// Longest time that a device may take for all that was submitted: a driver that hangs would keep the host forever.
 /// Software drivers are slow, and 32 steps may be in the queue.
 const WAIT_MAX: Duration = Duration::from_secs(600);
+
+/// Instructions, of all invocations together, that a submission is to take at most: half a second of a weak device, by the
+/// kind that it is. If they reach a fifth of their peaks, integrated ones of 0.4 TFLOPS make 40 G a second, and discrete ones
+/// of 2.5 TFLOPS 250 G.
+const INTEGRATED_INSTRUCTIONS: u64 = 1 << 34;
+const DISCRETE_INSTRUCTIONS: u64 = 1 << 37;
 
 pub(super) type KernelKey = (&'static str, Vec<(&'static str, u32)>);
 
@@ -47,12 +54,15 @@ pub(crate) struct Engine {
     pub(super) buffer_bytes: u64,
     /// Rows of the cloud that a kernel can see at once.
     pub(crate) window_rows: u64,
+    /// Instructions that a submission is to take at most.
+    pub(crate) instructions_max: u64,
     /// The device can time passes.
     pub(crate) timestamps: bool,
     pub(crate) abilities: Abilities,
     pub(crate) usage: MemoryUse,
-    /// How often the host has waited: what a test counts.
+    /// How often the host has waited and submitted: what tests count.
     pub(crate) waits: Cell<u32>,
+    pub(crate) submissions: Cell<u32>,
     kernels: RefCell<HashMap<KernelKey, Kernel>>,
     failures: Arc<Failures>,
     /// What small answers are read through.
@@ -100,6 +110,10 @@ impl Engine {
             binding_bytes: limits.max_storage_buffer_binding_size,
             buffer_bytes: limits.max_buffer_size,
             window_rows: limits.max_storage_buffer_binding_size / (4 * u64::from(SH_FLOATS)),
+            instructions_max: match info.device_type {
+                DeviceType::DiscreteGpu => DISCRETE_INSTRUCTIONS,
+                _ => INTEGRATED_INSTRUCTIONS,
+            },
             failures: watch(&device),
             device,
             queue,
@@ -108,6 +122,7 @@ impl Engine {
             abilities: Abilities { subgroups: true, workgroup_bytes },
             usage: MemoryUse::default(),
             waits: Cell::default(),
+            submissions: Cell::default(),
             kernels: RefCell::default(),
             staging: OnceCell::new(),
             #[cfg(test)]
@@ -121,6 +136,13 @@ impl Engine {
     #[cfg(test)]
     pub(crate) fn with_window_rows(mut self, rows: u64) -> Self {
         self.window_rows = self.window_rows.min(rows);
+        self
+    }
+
+    /// The same, but a submission takes at most so many instructions: how tests exercise its splitting.
+    #[cfg(test)]
+    pub(crate) fn with_instructions(mut self, most: u64) -> Self {
+        self.instructions_max = most;
         self
     }
 
@@ -154,6 +176,7 @@ impl Engine {
     /// Hands commands to the device, and before them all that was written; does not wait.
     pub(crate) fn submit(&self, commands: impl IntoIterator<Item = CommandBuffer>) {
         self.usage.written.set(0);
+        self.submissions.set(self.submissions.get() + 1);
         self.queue.submit(commands);
     }
 

@@ -8,6 +8,7 @@ use crate::backend::GpuBackend;
 use crate::device::{Grid, Memory, Recorder, shaders};
 use crate::queue::ListsOf;
 use crate::stages::pixels::Needs;
+use crate::stages::tiles::TileKernel;
 use crate::state::Column;
 use crate::state::layout::CONTRIBUTION_FLOATS;
 
@@ -21,7 +22,7 @@ impl GpuBackend {
                     recorder.stage("contribution_pixels");
                     let Self { lists, pixels, .. } = gpu;
                     let parts = [&lists.view, &pixels.image, &gpu.views[view].photo, &pixels.gradient];
-                    recorder.run(&shaders::CONTRIBUTION_PIXELS, &parts.map(Memory::all), pass.tile_grid(1));
+                    lists.run_tiles(recorder, &pass, TileKernel::new(&shaders::CONTRIBUTION_PIXELS), &parts);
                 })
             })
         })?;

@@ -2,10 +2,13 @@
 
 use crate::Result;
 use crate::device::{Engine, Grid, Memory, Recorder, shaders};
-use crate::state::layout::{DIGITS, GRIDS, LENGTHS, SCAN_BLOCK, SORT_BLOCK};
+use crate::state::layout::{DIGITS, GRIDS, LENGTHS, SCAN_BLOCK, SORT_BLOCK, SORT_PIECE};
 
 /// Bits that one pass of the radix sort sorts by.
 pub(crate) const DIGIT_BITS: u32 = DIGITS.ilog2();
+
+/// Instructions that a pass takes for a key, roughly.
+const KEY_INSTRUCTIONS: u64 = 800;
 
 pub(crate) struct Sorter {
     /// How much there is of what only the device counts: a slot for each `LENGTH_` constant.
@@ -61,36 +64,71 @@ impl Sorter {
         recorder.run_with(&shaders::SCAN_APPLY, &overrides, &[lengths, input, sums, output], grid);
     }
 
-    /// Stable radix sort of `keys[first]` and `values[first]` by the lowest `bits`; returns where the result is. With
-    /// `count_up`, the values are the places that keys had before.
-    pub(super) fn sort(
-        &self,
-        recorder: &mut Recorder,
-        length: u32,
-        blocks: u32,
-        bits: u32,
-        first: usize,
-        count_up: bool,
-    ) -> usize {
-        let mut from = first;
-        for pass in 0..bits.div_ceil(DIGIT_BITS) {
-            let (to, grid) = (1 - from, Grid::Device(&self.grids, blocks));
-            let [length, shift] = [("LENGTH", length), ("SHIFT", pass * DIGIT_BITS)];
-            let count_up = ("COUNT_UP", u32::from(count_up && pass == 0));
-            let [lengths, digit_counts, digit_totals, keys] =
-                [&self.lengths, &self.digit_counts, &self.digit_totals, &self.keys[from]].map(Memory::all);
-            let [values, keys_out, values_out] =
-                [&self.values[from], &self.keys[to], &self.values[to]].map(Memory::all);
-            let parts = [lengths, keys, digit_counts];
-            recorder.run_with(&shaders::RADIX_COUNT, &[length, shift], &parts, grid);
-            let parts = [lengths, digit_counts, digit_totals];
-            recorder.run_with(&shaders::DIGIT_SCAN, &[length], &parts, Grid::Exact([DIGITS, 1, 1]));
-            let parts = [lengths, digit_counts, digit_totals, keys, values, keys_out, values_out];
-            recorder.run_with(&shaders::RADIX_SCATTER, &[length, shift, count_up], &parts, grid);
-            from = to;
-        }
-        from
+    /// Stable radix sort; returns where the result is.
+    pub(super) fn sort(&self, recorder: &mut Recorder, sort: &Sort) -> usize {
+        (0..sort.bits.div_ceil(DIGIT_BITS)).fold(sort.first, |from, pass| {
+            self.record_pass(recorder, sort, pass, from);
+            1 - from
+        })
     }
+
+    /// One digit, from keys and values `from` to the others.
+    fn record_pass(&self, recorder: &mut Recorder, sort: &Sort, pass: u32, from: usize) {
+        let [lengths, digit_counts, digit_totals, keys, values, keys_out, values_out] = [
+            &self.lengths,
+            &self.digit_counts,
+            &self.digit_totals,
+            &self.keys[from],
+            &self.values[from],
+            &self.keys[1 - from],
+            &self.values[1 - from],
+        ]
+        .map(Memory::all);
+        let [length, shift] = [("LENGTH", sort.length), ("SHIFT", pass * DIGIT_BITS)];
+        let count_up = ("COUNT_UP", u32::from(sort.count_up && pass == 0));
+        for (first_block, grid, _) in self.pieces(sort) {
+            recorder.run_with(
+                &shaders::RADIX_COUNT,
+                &[length, shift, first_block],
+                &[lengths, keys, digit_counts],
+                grid,
+            );
+        }
+        let parts = [lengths, digit_counts, digit_totals];
+        recorder.run_with(&shaders::DIGIT_SCAN, &[length], &parts, Grid::Exact([DIGITS, 1, 1]));
+        let parts = [lengths, digit_counts, digit_totals, keys, values, keys_out, values_out];
+        for (first_block, grid, keys) in self.pieces(sort) {
+            let overrides = [length, shift, count_up, first_block];
+            recorder.run_long(&shaders::RADIX_SCATTER, &overrides, &parts, grid, KEY_INSTRUCTIONS * keys);
+        }
+    }
+
+    /// Pieces that no device takes long for: the constant that says where each begins, its grid, and the most keys that it
+    /// may have. The first is as long as the device says; of others, blocks that are not there do nothing.
+    fn pieces(&self, sort: &Sort) -> impl Iterator<Item = ((&'static str, u32), Grid<'_>, u64)> {
+        let (most, piece) = (sort.most, u64::from(SORT_PIECE));
+        let first = Grid::Device(&self.grids, sort.grid);
+        (0..most.div_ceil(piece).max(1)).map(move |index| {
+            let keys = piece.min(most - index * piece);
+            let grid = if index == 0 { first } else { Grid::Groups(keys.div_ceil(SORT_BLOCK.into())) };
+            (("FIRST_BLOCK", index as u32 * (SORT_PIECE / SORT_BLOCK)), grid, keys)
+        })
+    }
+}
+
+/// What a radix sort sorts.
+pub(super) struct Sort {
+    /// Where the device says how many keys there are, and how many blocks the first piece of them has.
+    pub(super) length: u32,
+    pub(super) grid: u32,
+    /// Keys that there may be.
+    pub(super) most: u64,
+    /// The lowest bits, by which they are sorted.
+    pub(super) bits: u32,
+    /// Which keys and values; the others are room.
+    pub(super) first: usize,
+    /// The values are the places that keys had before.
+    pub(super) count_up: bool,
 }
 
 #[cfg(test)]
@@ -143,17 +181,18 @@ mod tests {
         let values: Vec<u32> = (0..keys.len() as u32).map(|place| 7 * place).collect();
         engine.write(&sorter.values[0], 0, &values);
         engine.write(&sorter.lengths, 4 * u64::from(LENGTH_VISIBLE), &[keys.len() as u32]);
-        let blocks = count.div_ceil(SORT_BLOCK.into()) as u32;
+        let blocks = count.min(SORT_PIECE.into()).div_ceil(SORT_BLOCK.into()) as u32;
         let grid = [blocks.min(GRID_WIDTH), blocks.div_ceil(GRID_WIDTH), 1];
         engine.write(&sorter.grids, 12 * u64::from(GRID_DEPTH_SORT), &grid);
         let mut recorder = Recorder::new(engine, None);
-        let at = sorter.sort(&mut recorder, LENGTH_VISIBLE, GRID_DEPTH_SORT, bits, 0, count_up);
+        let (length, grid) = (LENGTH_VISIBLE, GRID_DEPTH_SORT);
+        let at = sorter.sort(&mut recorder, &Sort { length, grid, most: count, bits, first: 0, count_up });
         recorder.submit();
         let read = |memory| engine.read_values(memory, count).unwrap();
         (read(&sorter.keys[at]), read(&sorter.values[at]))
     }
 
-    /// From none to more blocks than a workgroup has invocations, the last of them short.
+    /// From none to more blocks than a workgroup has invocations, in three pieces, the last of them short.
     #[test]
     fn a_sort_is_stable_for_any_number_of_keys() {
         let engines = engines();
