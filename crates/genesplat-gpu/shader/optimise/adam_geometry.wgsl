@@ -1,6 +1,8 @@
 // Stage `adam` of positions, scales, rotations and opacities, with MCMC's regularisers before it. Dense, as published:
 // rows without a gradient still move by their momentum.
 
+// 1: rows without a splat have gradients, too, those of other views.
+override ALL_ROWS: u32;
 @group(0) @binding(0) var<uniform> view: ViewPass;
 @group(0) @binding(1) var<uniform> window: Window;
 @group(0) @binding(2) var<uniform> optimiser: Optimiser;
@@ -9,6 +11,7 @@
 @group(0) @binding(5) var<storage, read_write> geometry: array<vec4<f32>>;
 @group(0) @binding(6) var<storage, read_write> first_moments: array<vec4<f32>>;
 @group(0) @binding(7) var<storage, read_write> second_moments: array<vec4<f32>>;
+@group(0) @binding(8) var<storage, read> tile_counts: array<u32>;
 
 fn step(at: u32, gradient: vec4<f32>, rate: vec4<f32>, root: vec4<f32>, keep: vec4<bool>) {
     var m = first_moments[at];
@@ -26,9 +29,14 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     if local >= window.count || counters.halted != 0u {
         return;
     }
-    var position = gradients[4u * local];
-    var scale = gradients[4u * local + 1u];
-    let rotation = gradients[4u * local + 2u];
+    var position = vec4(0.0);
+    var scale = vec4(0.0);
+    var rotation = vec4(0.0);
+    if ALL_ROWS == 1u || (tile_counts[window.first + local] & SPLAT_BIT) != 0u {
+        position = gradients[4u * local];
+        scale = gradients[4u * local + 1u];
+        rotation = gradients[4u * local + 2u];
+    }
     if optimiser.is_mcmc == 1u {
         // Means over the cloud of opacities and scales, as parts of the loss.
         let opacity = sigmoid(geometry[3u * local].w);

@@ -10,7 +10,8 @@
 @group(0) @binding(6) var<storage, read> first_intersections: array<u32>;
 // [I, 3] vectors
 @group(0) @binding(7) var<storage, read> intersection_gradients: array<vec4<f32>>;
-// [N, 4] vectors: position, opacity logit; log-scales, density signal; rotation; colour, what goes with the density.
+// [N, 4] vectors: position, opacity logit; log-scales, density signal; rotation; colour, what goes with the density. Rows
+// without a splat are not written, nor read by any stage: that would be most of the memory that both touch.
 @group(0) @binding(8) var<storage, read_write> gradients: array<vec4<f32>>;
 
 // Adds what the opacity factor of the screen filter contributes to the covariance.
@@ -206,15 +207,15 @@ fn sums_of_splat(first: u32, count: u32, lane: u32) -> Sums {
 fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     let local = group_of(group) * GROUP + lane;
     let row = window.first + local;
-    var count = 0u;
+    var tiles = 0u;
     var first = 0u;
     if local < window.count {
-        count = tile_counts[row] & COUNT_BITS;
+        tiles = tile_counts[row];
         first = first_intersections[row];
     }
     // 1. Sums over the splat's tiles. What no pixel shows, most of all what is hidden by others, has no gradients.
-    let sums = sums_of_splat(first, count, lane);
-    if local >= window.count {
+    let sums = sums_of_splat(first, tiles & COUNT_BITS, lane);
+    if (tiles & SPLAT_BIT) == 0u {
         return;
     }
     let a = sums.a;
