@@ -97,6 +97,7 @@ mod parts {
         BATCH_SPLAT = "shared/batch_splat.wgsl";
         ROTATION = "shared/rotation.wgsl";
         TILE_SUMS = "shared/tile_sums.wgsl";
+        SPLAT_SUMS = "shared/splat_sums.wgsl";
         PHOTO = "shared/photo.wgsl";
         RANDOM = "shared/random.wgsl";
         OVERLAP = "bin/overlap.wgsl";
@@ -137,7 +138,7 @@ shaders! {
     LOSS_SUM = "loss/loss_sum" + [TILE_SUMS];
     LOSS_GRADIENT = "loss/loss_gradient" + [HALO, PHOTO];
     // From gradients of intersections to stepped parameters.
-    PROJECT_BACKWARD = "optimise/project_backward" + [SPLAT, ROTATION, GEOMETRY, COLOUR, SH_ROW];
+    PROJECT_BACKWARD = "optimise/project_backward" + [SPLAT, ROTATION, GEOMETRY, COLOUR, SH_ROW, SPLAT_SUMS];
     STATISTICS = "optimise/statistics" + [];
     GENE_STATISTICS = "optimise/gene_statistics" + [];
     ADAM_COLOUR = "optimise/adam_colour" + [ADAM_STEP, COLOUR_STEPS, COLOUR];
@@ -164,7 +165,7 @@ shaders! {
     VIEW_LOSSES = "score/view_losses" + [TILE_SUMS];
     // Contributions of Gaussians to views.
     CONTRIBUTION_PIXELS = "blend/contribution_pixels" + [PHOTO];
-    CONTRIBUTION_SUM = "blend/contribution_sum" + [];
+    CONTRIBUTION_SUM = "blend/contribution_sum" + [SPLAT_SUMS];
 }
 
 /// Name and WGSL of every kernel, as a device with subgroups, or one without, compiles it: what tools count.

@@ -112,6 +112,10 @@ fn results(gpu: &mut GpuBackend, kernel: &str) -> Vec<u32> {
     match kernel {
         "bin/scan_blocks" => walked(gpu, &SCAN_BLOCKS, SCAN_BLOCK, 1),
         "bin/digit_scan" => walked(gpu, &DIGIT_SCAN, SORT_BLOCK, 3),
+        "blend/contribution_sum" => {
+            let contributions = gpu.contributions(&[0], &settings).unwrap();
+            contributions.iter().flat_map(|of| [of.weight, of.error]).map(f32::to_bits).collect()
+        }
         "score/view_losses" => {
             let losses = gpu.measure(Held::Cloud, &[0], &settings).unwrap();
             vec![losses[0].loss.to_bits(), losses[0].squared_error.to_bits()]
