@@ -112,6 +112,7 @@ impl GpuBackend {
         self.lists.begin(&self.engine, pass, optimiser);
         let mut timestamps = self.timestamps.take();
         let mut recorder = Recorder::new(&self.engine, timestamps.as_mut());
+        self.lists.clear_ranges(&mut recorder, pass);
         self.lists.record(&mut recorder, &self.state, self.state.held(held), pass);
         self.pixels.record_rasterise(&mut recorder, &self.lists, pass);
         record(self, &mut recorder);

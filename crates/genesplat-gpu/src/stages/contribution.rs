@@ -31,11 +31,9 @@ impl GpuBackend {
 
     /// Blending weights times a map, summed over one view `[N]`.
     pub(crate) fn weigh_by(&mut self, view: usize, map: &[f32], settings: &RenderSettings) -> Result<Vec<f32>> {
-        // Where contributions have ones and errors.
-        let mut planes = map.to_vec();
-        planes.resize(3 * map.len(), 0.0);
+        // Where contributions have ones. Whatever lies where they have errors is summed, too, and ignored.
         let values = self.sums_of(|gpu, column| {
-            gpu.submit_sums(view, settings, column, |gpu, _| gpu.engine.write(&gpu.pixels.gradient, 0, &planes))
+            gpu.submit_sums(view, settings, column, |gpu, _| gpu.engine.write(&gpu.pixels.gradient, 0, map))
         })?;
         Ok(values.into_iter().map(|[sum, _]| sum).collect())
     }

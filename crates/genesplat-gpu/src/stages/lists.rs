@@ -176,6 +176,11 @@ impl Lists {
         self.view.part(OPTIMISER_AT as u64, size_of::<Optimiser>() as u64)
     }
 
+    /// Empty tiles keep these ranges. Comes before all stages, where it ends no pass.
+    pub(crate) fn clear_ranges(&self, recorder: &mut Recorder, view: &ViewPass) {
+        recorder.clear(&self.ranges, 8 * view.tiles());
+    }
+
     /// Stages `project` and `bin` of a whole cloud, which is that of the state or a blend of the same rows.
     pub(crate) fn record(&self, recorder: &mut Recorder, state: &State, cloud: &Parameters, view: &ViewPass) {
         recorder.stage("project");
@@ -235,7 +240,6 @@ impl Lists {
         let bits = tile_bits(view.tiles());
         let (length, grid, most) = (LENGTH_INTERSECTIONS, GRID_TILE_SORT, self.capacity);
         let sorted = sorter.sort(recorder, &Sort { length, grid, most, bits, first: 1, count_up: true });
-        recorder.clear(ranges, 8 * view.tiles());
         let parts = [lengths, &sorter.keys[sorted], ranges];
         let grid = Grid::Device(&sorter.grids, GRID_INTERSECTIONS);
         recorder.run(&shaders::TILE_RANGES, &parts.map(Memory::all), grid);

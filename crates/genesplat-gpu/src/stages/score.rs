@@ -189,6 +189,7 @@ impl GpuBackend {
         lists.begin(&self.engine, &pass, None);
 
         let mut recorder = Recorder::new(&self.engine, self.timestamps.as_mut());
+        lists.clear_ranges(&mut recorder, &pass);
         pool.record_project(&mut recorder, &self.state, lists);
         lists.record_bin(&mut recorder, &pass);
 
