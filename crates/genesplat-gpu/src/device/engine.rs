@@ -149,6 +149,8 @@ impl Engine {
     /// The same with the kernels for devices without subgroups.
     pub(crate) fn without_subgroups(mut self) -> Self {
         self.abilities.subgroups = false;
+        self.kernels.borrow_mut().clear();
+        self.usage.bound.forget();
         self
     }
 
