@@ -28,15 +28,16 @@ fn main() -> Result<()> {
 
 /// Values of the constants that the backend sets when it makes a pipeline: those of a step where there are several.
 fn overrides(kernel: &str) -> Vec<(&'static str, f64)> {
-    let sort = [("LENGTH", 2.0), ("SHIFT", 8.0), ("COUNT_UP", 0.0)];
+    let sort = [("LENGTH", 2.0), ("SHIFT", 8.0), ("FIRST_BLOCK", 0.0), ("COUNT_UP", 0.0)];
     match kernel.rsplit('/').next().unwrap_or_default() {
         "scan_sums" | "scan_blocks" | "scan_apply" | "digit_scan" => vec![("LENGTH", 1.0)],
-        "radix_count" => sort[..2].to_vec(),
+        "radix_count" => sort[..3].to_vec(),
         "radix_scatter" => sort.to_vec(),
         "loss" => vec![("FORWARD_ONLY", 0.0)],
         "gather" => vec![("VECTORS", 12.0), ("FRESH", 1.0)],
         "average" => vec![("VECTORS", 12.0)],
         "apply" => vec![("ZERO_MOMENTS", 1.0)],
+        "adam_geometry" => vec![("ALL_ROWS", 0.0)],
         "keep_geometry" => vec![("TAKE", 1.0)],
         _ => Vec::new(),
     }

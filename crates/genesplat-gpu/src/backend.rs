@@ -16,6 +16,7 @@ use crate::queue::{ListsOf, QUEUED_STEPS_MAX};
 use crate::stages::lists::Lists;
 use crate::stages::pixels::{INTERSECTION_GRADIENT_BYTES, Needs, Pixels, pack_photo};
 use crate::stages::score::PoolBuffers;
+use crate::stages::sort::sorts_right;
 use crate::state::State;
 use crate::state::layout::{Optimiser, ViewPass};
 
@@ -47,7 +48,9 @@ pub struct GpuBackend {
 impl GpuBackend {
     /// An empty backend on the best device of this machine.
     pub fn new() -> Result<Self> {
-        Self::on(Engine::new()?)
+        let engine = Engine::new()?;
+        let is_right = !engine.abilities.subgroups || sorts_right(&engine)?;
+        Self::on(if is_right { engine } else { engine.without_subgroups() })
     }
 
     /// The same with the kernels for devices without subgroups, whatever this one has: what `bench gpu` compares with.
@@ -73,7 +76,7 @@ impl GpuBackend {
 
     /// Whether its kernels sort and sum by subgroups.
     pub fn uses_subgroups(&self) -> bool {
-        self.engine.subgroups
+        self.engine.abilities.subgroups
     }
 
     /// Bytes that this backend holds on the device.
@@ -112,6 +115,7 @@ impl GpuBackend {
         self.lists.begin(&self.engine, pass, optimiser);
         let mut timestamps = self.timestamps.take();
         let mut recorder = Recorder::new(&self.engine, timestamps.as_mut());
+        self.lists.clear_ranges(&mut recorder, pass);
         self.lists.record(&mut recorder, &self.state, self.state.held(held), pass);
         self.pixels.record_rasterise(&mut recorder, &self.lists, pass);
         record(self, &mut recorder);

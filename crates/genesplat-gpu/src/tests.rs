@@ -9,6 +9,7 @@ mod fixtures;
 mod memory;
 mod schedules;
 mod stages;
+mod submissions;
 mod verbs;
 
 use fixtures::{

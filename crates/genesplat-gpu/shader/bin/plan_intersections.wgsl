@@ -22,5 +22,5 @@ fn main() {
     lengths[LENGTH_INTERSECTIONS] = intersections;
     counters.intersections = intersections;
     write_grid(GRID_INTERSECTIONS, intersections, GROUP);
-    write_grid(GRID_TILE_SORT, intersections, SORT_BLOCK);
+    write_grid(GRID_TILE_SORT, min(intersections, SORT_PIECE), SORT_BLOCK);
 }

@@ -12,5 +12,6 @@ fn main() {
     counters.visible = visible;
     write_grid(GRID_VISIBLE, visible, GROUP);
     write_grid(GRID_VISIBLE_SCAN, visible, SCAN_BLOCK);
-    write_grid(GRID_DEPTH_SORT, visible, SORT_BLOCK);
+    // Of the first piece; what is more, the host has seen to.
+    write_grid(GRID_DEPTH_SORT, min(visible, SORT_PIECE), SORT_BLOCK);
 }

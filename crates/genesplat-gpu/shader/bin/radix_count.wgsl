@@ -2,6 +2,8 @@
 
 override LENGTH: u32;
 override SHIFT: u32;
+// Of what this dispatch sorts.
+override FIRST_BLOCK: u32;
 @group(0) @binding(0) var<storage, read> lengths: array<u32>;
 @group(0) @binding(1) var<storage, read> keys: array<u32>;
 @group(0) @binding(2) var<storage, read_write> digit_counts: array<u32>;
@@ -12,7 +14,7 @@ var<workgroup> counts: array<atomic<u32>, DIGITS>;
 fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     let length = lengths[LENGTH];
     let blocks = (length + SORT_BLOCK - 1u) / SORT_BLOCK;
-    let block = group_of(group);
+    let block = FIRST_BLOCK + group_of(group);
     atomicStore(&counts[lane], 0u);
     workgroupBarrier();
     for (var first = 0u; first < SORT_BLOCK; first += GROUP) {

@@ -5,6 +5,8 @@
 
 override LENGTH: u32;
 override SHIFT: u32;
+// Of what this dispatch sorts.
+override FIRST_BLOCK: u32;
 // The values are the places of the keys before the first pass.
 override COUNT_UP: bool;
 @group(0) @binding(0) var<storage, read> lengths: array<u32>;
@@ -25,7 +27,7 @@ var<workgroup> next: array<u32, DIGITS>;
 fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     let length = lengths[LENGTH];
     let blocks = (length + SORT_BLOCK - 1u) / SORT_BLOCK;
-    let block = group_of(group);
+    let block = FIRST_BLOCK + group_of(group);
     if block >= blocks {
         return;
     }

@@ -7,9 +7,12 @@
 @group(0) @binding(2) var<storage, read> photo: array<u32>;
 // In the place of dL/dimage [3, H, W].
 @group(0) @binding(3) var<storage, read_write> gradient: array<f32>;
+// Of those that this dispatch has.
+@group(0) @binding(4) var<uniform> first_tile_row: u32;
 
 @compute @workgroup_size(TILE, TILE)
-fn main(@builtin(workgroup_id) tile: vec3<u32>, @builtin(local_invocation_id) local: vec3<u32>) {
+fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_id) local: vec3<u32>) {
+    let tile = group + vec3(0u, first_tile_row, 0u);
     let pixel = tile.xy * TILE + local.xy;
     if pixel.x >= view.width || pixel.y >= view.height {
         return;

@@ -12,19 +12,16 @@
 @compute @workgroup_size(GROUP)
 fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     let local = group_of(group) * GROUP + lane;
+    var count = 0u;
+    var first = 0u;
     // After an overflow there are no gradients; the host repeats all views.
-    if local >= window.count || counters.halted != 0u {
-        return;
+    if local < window.count && counters.halted == 0u {
+        count = tile_counts[window.first + local] & COUNT_BITS;
+        first = first_intersections[window.first + local];
     }
-    let row = window.first + local;
-    let count = tile_counts[row] & COUNT_BITS;
+    let of_view = sums_of_splat(first, count, lane).b.zw;
     if count == 0u {
         return;
-    }
-    var of_view = vec2(0.0);
-    let first = first_intersections[row];
-    for (var intersection = first; intersection < first + count; intersection++) {
-        of_view += intersection_gradients[3u * intersection + 1u].zw;
     }
     let before = contributions[local];
     contributions[local] = vec2(before.x + of_view.x, max(before.y, of_view.y));

@@ -12,6 +12,8 @@
 @group(0) @binding(4) var<storage, read> splats: array<vec4<f32>>;
 // [3, H, W]
 @group(0) @binding(5) var<storage, read_write> image: array<f32>;
+// Of those that this dispatch has.
+@group(0) @binding(6) var<uniform> first_tile_row: u32;
 
 var<workgroup> range: vec2<u32>;
 // In groups that are blended at once: naga checks the number of the group, and constants cost nothing.
@@ -51,7 +53,8 @@ fn blend(blended: ptr<function, Blended>, splat: BatchSplat) {
 }
 
 @compute @workgroup_size(TILE, TILE)
-fn main(@builtin(workgroup_id) tile: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let tile = group + vec3(0u, first_tile_row, 0u);
     let local = pixel_of(lane);
     let pixel = tile.xy * TILE + local;
     let inside = pixel.x < view.width && pixel.y < view.height;

@@ -1,12 +1,14 @@
 // Stage `rasterise_backward`: from dL/dimage to one row of sums per intersection of a splat with a tile.
 //
 // Walks the lists front to back once more, as the forward pass does: with the final image known, the light behind a
-// splat is what remains of it, so neither alphas nor transmittances are stored. Eight splats at a time:
+// splat is what remains of it, so neither alphas nor transmittances are stored. Eight splats at a time, or four where
+// workgroups have little memory:
 // 1. each invocation is a pixel and leaves p = o G dL/dalpha and w = alpha T of each splat in workgroup memory;
 // 2. each invocation is one row of eight pixels of its block, and sums these for one splat: along a row, moments by the
 //    number of the pixel are sums with constant factors;
 // 3. each invocation is one column of a splat's row and sums its 32 parts.
 // Blocks that the splat's ellipse misses, and those whose pixels are all finished, are passed over in steps 1 and 2.
+// Sums have the same order for four as for eight.
 //
 // So a splat's gradient is reduced once per tile, no two workgroups write the same row, and there are no atomics: the
 // result is the same on every run.
@@ -21,6 +23,8 @@
 // [I, 12]: sums of p times 1, dx, dy, dx^2, dx dy, dy^2, offsets (pixel - mean) in px; dL/drgb; then the sums of the
 // absolute values of dL/du and of dL/dv by pixel, and the number of pixels blended that have a gradient.
 @group(0) @binding(7) var<storage, read_write> intersection_gradients: array<f32>;
+// Of those that this dispatch has.
+@group(0) @binding(8) var<uniform> first_tile_row: u32;
 
 const COLUMNS: u32 = 12u;
 // Those that every signal has.
@@ -37,10 +41,11 @@ const GROUPS: u32 = BATCH / SPLATS_AT_ONCE;
 var<workgroup> range: vec2<u32>;
 var<workgroup> batch: array<array<BatchSplat, SPLATS_AT_ONCE>, GROUPS>;
 var<workgroup> batch_intersections: array<u32, BATCH>;
-// p of each splat, then w [blocks, slots, pixels]; later the parts of the sums [slots, columns, parts]: there are as many
-// slots as blocks. One number more than there are pixels, so that no two invocations ask the same memory bank. In three
-// dimensions, so that naga checks numbers that stay the same; constants cost nothing.
-var<workgroup> exchange: array<array<array<f32, BLOCK_PIXELS + 1u>, 2u * SPLATS_AT_ONCE>, BLOCKS>;
+// p of each splat, then w [blocks, slots, pixels]; later the parts of the sums (`parts_of`). One number more than there are
+// pixels, so that no two invocations ask the same memory bank. In three dimensions, so that naga checks numbers that stay
+// the same; constants cost nothing.
+const PLANES: u32 = 2u * SPLATS_AT_ONCE;
+var<workgroup> exchange: array<array<array<f32, BLOCK_PIXELS + 1u>, PLANES>, BLOCKS>;
 // Four pixels of a row [channels, parts, 2].
 var<workgroup> row_gradients: array<vec4<f32>, 6u * PARTS>;
 var<workgroup> finished_pixels: array<atomic<u32>, BLOCKS>;
@@ -86,7 +91,7 @@ fn replay(pixel: ptr<function, Pixel>, splat: BatchSplat) -> vec2<f32> {
     return vec2(unclamped * alpha_gradient, weight);
 }
 
-// A row of pixels, and the splat that an invocation sums there.
+// A row of pixels, and the splat that an invocation sums there: one for each of eight, so with four some have none.
 struct RowOfPixels {
     block: u32,
     // Of the block; of all blocks.
@@ -101,7 +106,7 @@ fn row_of(lane: u32) -> RowOfPixels {
     let block = (lane / BLOCK_PIXELS) % BLOCKS;
     let row = lane % ROWS;
     let first = pixel_of(block * BLOCK_PIXELS + row * ROW);
-    return RowOfPixels(block, row, block * ROWS + row, (lane / ROWS) % SPLATS_AT_ONCE, vec2<f32>(first));
+    return RowOfPixels(block, row, block * ROWS + row, (lane / ROWS) % BLOCKS, vec2<f32>(first));
 }
 
 // Sums of one splat over the pixels of a row.
@@ -153,13 +158,19 @@ fn has_gradient(part: u32, x: u32) -> bool {
         || row_gradients[at + 4u * PARTS][x % 4u] != 0.0;
 }
 
+// Where the parts of a splat's column are: four splats have two of eight blocks each, and columns do not fit one.
+fn parts_of(slot: u32, column: u32) -> vec2<u32> {
+    return vec2(BLOCKS / SPLATS_AT_ONCE * slot + column / PLANES, column % PLANES);
+}
+
 // Sums the parts of one column; four sums, so that no addition waits for the one before it.
 fn sum_column(slot: u32, column: u32) -> f32 {
+    let at = parts_of(slot, column);
     var sums = vec4(0.0);
     for (var i = 0u; i < PARTS; i += 4u) {
         sums += vec4(
-            exchange[slot][column][i], exchange[slot][column][i + 1u],
-            exchange[slot][column][i + 2u], exchange[slot][column][i + 3u]);
+            exchange[at.x][at.y][i], exchange[at.x][at.y][i + 1u],
+            exchange[at.x][at.y][i + 2u], exchange[at.x][at.y][i + 3u]);
     }
     return (sums.x + sums.y) + (sums.z + sums.w);
 }
@@ -193,7 +204,8 @@ fn find_unfinished(lane: u32) -> u32 {
 }
 
 @compute @workgroup_size(TILE, TILE)
-fn main(@builtin(workgroup_id) tile: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let tile = group + vec3(0u, first_tile_row, 0u);
     let local = pixel_of(lane);
     let place = tile.xy * TILE + local;
     if lane == 0u {
@@ -249,14 +261,18 @@ fn main(@builtin(workgroup_id) tile: vec3<u32>, @builtin(local_invocation_index)
             workgroupBarrier();
             // 2. Rows of pixels.
             var sums: array<f32, COLUMNS>;
-            if (batch[group][row.slot].blocks & own_block) != 0u {
+            // With eight all have one, which not every compiler finds out.
+            let has_splat = SPLATS_AT_ONCE == BLOCKS || row.slot < SPLATS_AT_ONCE;
+            if has_splat && (batch[group][row.slot].blocks & own_block) != 0u {
                 sums = sum_row(row, batch[group][row.slot]);
             }
             workgroupBarrier();
             for (var column = 0u; column < COLUMNS; column++) {
-                if column < PLAIN_COLUMNS || view.signal >= SIGNAL_ABSOLUTE {
-                    // In an order that differs from slot to slot, for the memory banks' sake.
-                    exchange[row.slot][column][(row.row * BLOCKS + row.block) ^ row.slot] = sums[column];
+                if has_splat && (column < PLAIN_COLUMNS || view.signal >= SIGNAL_ABSOLUTE) {
+                    // In an order that differs from splat to splat, for the memory banks' sake.
+                    let order = (SPLATS_AT_ONCE * group + row.slot) % BLOCKS;
+                    let at = parts_of(row.slot, column);
+                    exchange[at.x][at.y][(row.row * BLOCKS + row.block) ^ order] = sums[column];
                 }
             }
             workgroupBarrier();

@@ -16,10 +16,13 @@ override FORWARD_ONLY: bool;
 @group(0) @binding(5) var<storage, read_write> by_product: array<f32>;
 // Sums of |x - y|, of SSIM and of (x - y)^2 [layers, channels, tiles]
 @group(0) @binding(6) var<storage, read_write> sums: array<vec4<f32>>;
+// Of those that this dispatch has.
+@group(0) @binding(7) var<uniform> first_tile_row: u32;
 
 
 @compute @workgroup_size(TILE, TILE)
-fn main(@builtin(workgroup_id) tile: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let tile = group + vec3(0u, first_tile_row, 0u);
     let pixels = view.width * view.height;
     let plane = tile.z;
     let channel = plane % 3u;

@@ -10,9 +10,12 @@
 @group(0) @binding(5) var<storage, read> by_product: array<f32>;
 // [3, H, W]
 @group(0) @binding(6) var<storage, read_write> gradient: array<f32>;
+// Of those that this dispatch has.
+@group(0) @binding(7) var<uniform> first_tile_row: u32;
 
 @compute @workgroup_size(TILE, TILE)
-fn main(@builtin(workgroup_id) tile: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let tile = group + vec3(0u, first_tile_row, 0u);
     let pixels = view.width * view.height;
     let channel = tile.z;
     // 1. The tile with its margins.

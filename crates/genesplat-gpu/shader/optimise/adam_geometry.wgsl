@@ -1,6 +1,8 @@
 // Stage `adam` of positions, scales, rotations and opacities, with MCMC's regularisers before it. Dense, as published:
 // rows without a gradient still move by their momentum.
 
+// 1: rows without a splat have gradients, too, those of other views.
+override ALL_ROWS: u32;
 @group(0) @binding(0) var<uniform> view: ViewPass;
 @group(0) @binding(1) var<uniform> window: Window;
 @group(0) @binding(2) var<uniform> optimiser: Optimiser;
@@ -9,6 +11,15 @@
 @group(0) @binding(5) var<storage, read_write> geometry: array<vec4<f32>>;
 @group(0) @binding(6) var<storage, read_write> first_moments: array<vec4<f32>>;
 @group(0) @binding(7) var<storage, read_write> second_moments: array<vec4<f32>>;
+@group(0) @binding(8) var<storage, read> tile_counts: array<u32>;
+
+// What is not known is none.
+fn gradient(at: u32, is_known: bool) -> vec4<f32> {
+    if is_known {
+        return gradients[at];
+    }
+    return vec4(0.0);
+}
 
 fn step(at: u32, gradient: vec4<f32>, rate: vec4<f32>, root: vec4<f32>, keep: vec4<bool>) {
     var m = first_moments[at];
@@ -26,9 +37,9 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     if local >= window.count || counters.halted != 0u {
         return;
     }
-    var position = gradients[4u * local];
-    var scale = gradients[4u * local + 1u];
-    let rotation = gradients[4u * local + 2u];
+    let is_known = ALL_ROWS == 1u || (tile_counts[window.first + local] & SPLAT_BIT) != 0u;
+    var position = gradient(4u * local, is_known);
+    var scale = gradient(4u * local + 1u, is_known);
     if optimiser.is_mcmc == 1u {
         // Means over the cloud of opacities and scales, as parts of the loss.
         let opacity = sigmoid(geometry[3u * local].w);
@@ -44,5 +55,6 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
         vec4(root.xyz, optimiser.opacity_root), vec4(false, false, false, keep_opacity));
     // The 3D filter is no parameter.
     step(3u * local + 1u, scale, vec4(optimiser.scale), root, vec4(false, false, false, true));
+    let rotation = gradient(4u * local + 2u, is_known);
     step(3u * local + 2u, rotation, vec4(optimiser.rotation), root, vec4(false));
 }

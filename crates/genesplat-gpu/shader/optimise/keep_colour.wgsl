@@ -8,6 +8,7 @@
 @group(0) @binding(4) var<storage, read> geometry: array<vec4<f32>>;
 // [N, 12] vectors, as of the cloud's colours
 @group(0) @binding(5) var<storage, read_write> pending: array<vec4<f32>>;
+@group(0) @binding(6) var<storage, read> tile_counts: array<u32>;
 
 @compute @workgroup_size(GROUP)
 fn main(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
@@ -15,6 +16,9 @@ fn main(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_i
     let local = item / SH_GROUPS;
     let group = item % SH_GROUPS;
     if local >= window.count || group >= sh_groups(view.sh_degree) || counters.halted != 0u {
+        return;
+    }
+    if (tile_counts[window.first + local] & SPLAT_BIT) == 0u {
         return;
     }
     let rgb = gradients[4u * local + 3u].xyz;

@@ -10,7 +10,8 @@
 @group(0) @binding(6) var<storage, read> first_intersections: array<u32>;
 // [I, 3] vectors
 @group(0) @binding(7) var<storage, read> intersection_gradients: array<vec4<f32>>;
-// [N, 4] vectors: position, opacity logit; log-scales, density signal; rotation; colour, what goes with the density.
+// [N, 4] vectors: position, opacity logit; log-scales, density signal; rotation; colour, what goes with the density. Rows
+// without a splat are not written, nor read by any stage: that would be most of the memory that both touch.
 @group(0) @binding(8) var<storage, read_write> gradients: array<vec4<f32>>;
 
 // Adds what the opacity factor of the screen filter contributes to the covariance.
@@ -138,82 +139,19 @@ fn density_of(mean_gradient: vec2<f32>, absolute: vec2<f32>, pixels: f32, depth:
     }
 }
 
-// The gradients of a splat's intersections, summed.
-struct Sums {
-    a: vec4<f32>,
-    b: vec4<f32>,
-    c: vec4<f32>,
-}
-
-fn plus(x: Sums, y: Sums) -> Sums {
-    return Sums(x.a + y.a, x.b + y.b, x.c + y.c);
-}
-
-// Of every `pitch`-th intersection in [first, end).
-fn sum_of(first: u32, end: u32, pitch: u32) -> Sums {
-    var sums = Sums(vec4(0.0), vec4(0.0), vec4(0.0));
-    for (var intersection = first; intersection < end; intersection += pitch) {
-        let at = 3u * intersection;
-        let a = intersection_gradients[at];
-        sums = plus(sums, Sums(a, intersection_gradients[at + 1u], intersection_gradients[at + 2u]));
-    }
-    return sums;
-}
-
-// Splats of so many tiles that one invocation would keep all others waiting: intersections [x, y), invocation.
-var<workgroup> wide: array<vec3<u32>, GROUP>;
-var<workgroup> wide_found: atomic<u32>;
-var<workgroup> wide_count: u32;
-var<workgroup> partial_sums: array<Sums, GROUP>;
-
-// The sums of an invocation's splat. All invocations of the workgroup must ask: together they sum those of wide splats,
-// always in the same order.
-fn sums_of_splat(first: u32, count: u32, lane: u32) -> Sums {
-    if lane == 0u {
-        atomicStore(&wide_found, 0u);
-    }
-    workgroupBarrier();
-    var sums = Sums(vec4(0.0), vec4(0.0), vec4(0.0));
-    if count <= SERIAL_TILES {
-        sums = sum_of(first, first + count, 1u);
-    } else {
-        wide[atomicAdd(&wide_found, 1u)] = vec3(first, first + count, lane);
-    }
-    workgroupBarrier();
-    if lane == 0u {
-        wide_count = atomicLoad(&wide_found);
-    }
-    let splats = workgroupUniformLoad(&wide_count);
-    for (var k = 0u; k < splats; k++) {
-        partial_sums[lane] = sum_of(wide[k].x + lane, wide[k].y, GROUP);
-        for (var half = GROUP / 2u; half > 0u; half /= 2u) {
-            workgroupBarrier();
-            if lane < half {
-                partial_sums[lane] = plus(partial_sums[lane], partial_sums[lane + half]);
-            }
-        }
-        workgroupBarrier();
-        if lane == wide[k].z {
-            sums = partial_sums[0];
-        }
-        workgroupBarrier();
-    }
-    return sums;
-}
-
 @compute @workgroup_size(GROUP)
 fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     let local = group_of(group) * GROUP + lane;
     let row = window.first + local;
-    var count = 0u;
+    var tiles = 0u;
     var first = 0u;
     if local < window.count {
-        count = tile_counts[row] & COUNT_BITS;
+        tiles = tile_counts[row];
         first = first_intersections[row];
     }
     // 1. Sums over the splat's tiles. What no pixel shows, most of all what is hidden by others, has no gradients.
-    let sums = sums_of_splat(first, count, lane);
-    if local >= window.count {
+    let sums = sums_of_splat(first, tiles & COUNT_BITS, lane);
+    if (tiles & SPLAT_BIT) == 0u {
         return;
     }
     let a = sums.a;

@@ -15,19 +15,23 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
         return;
     }
     // Geometric visibility counts, even where no pixel was touched, as in 3DGS's code.
-    if (tile_counts[window.first + local] & SEEN_BIT) == 0u {
+    let tiles = tile_counts[window.first + local];
+    if (tiles & SEEN_BIT) == 0u {
         return;
+    }
+    var signal = vec2(0.0);
+    if (tiles & SPLAT_BIT) != 0u {
+        signal = vec2(gradients[4u * local + 1u].w, gradients[4u * local + 3u].w);
     }
     // What lies behind a mask alone would have its mean lowered by views that say nothing of it.
-    if view.is_masked != 0u && gradients[4u * local + 1u].w == 0.0 {
+    if view.is_masked != 0u && signal.x == 0.0 {
         return;
     }
-    let second = gradients[4u * local + 3u].w;
-    var sum = vec4(gradients[4u * local + 1u].w, 1.0, 0.0, 0.0);
+    var sum = vec4(signal.x, 1.0, 0.0, 0.0);
     if view.signal == SIGNAL_PIXELS {
-        sum.y = second;
+        sum.y = signal.y;
     } else if view.signal == SIGNAL_BOTH {
-        sum.z = second;
+        sum.z = signal.y;
     }
     density[local] += sum;
 }

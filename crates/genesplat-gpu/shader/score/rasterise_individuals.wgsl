@@ -12,6 +12,8 @@
 @group(0) @binding(5) var<storage, read> holders: array<u32>;
 // [layers, 3, H, W]
 @group(0) @binding(6) var<storage, read_write> images: array<f32>;
+// Of those that this dispatch has.
+@group(0) @binding(7) var<uniform> first_tile_row: u32;
 
 // A bit for each individual that the workgroup renders.
 const ALL_SLOTS: u32 = (1u << SLOTS) - 1u;
@@ -155,7 +157,8 @@ fn write_pixels(first_layer: u32, place: u32, accumulated: Accumulated) {
 }
 
 @compute @workgroup_size(TILE, TILE)
-fn main(@builtin(workgroup_id) tile: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let tile = group + vec3(0u, first_tile_row, 0u);
     let first_individual = SLOTS * tile.z;
     let local = pixel_of(lane);
     let pixel = tile.xy * TILE + local;

@@ -9,8 +9,10 @@ use crate::Result;
 use crate::device::Engine;
 use crate::state::layout::{GRID_WIDTH, GROUP, TILE};
 
-/// Workgroup memory that the backward pass needs, bytes; that of all others is less.
+/// Workgroup memory in which the backward pass reduces eight splats at once, bytes.
 pub(crate) const WORKGROUP_BYTES: u32 = 24 << 10;
+/// What every kernel can do with, WebGPU's default limit: the backward pass then reduces four.
+pub(crate) const WORKGROUP_BYTES_MIN: u32 = 16 << 10;
 /// Storage buffers that the widest stages bind, which is WebGPU's default limit.
 pub(crate) const STORAGE_BUFFERS: u32 = 8;
 /// Smallest binding that a backend can work with: 128 MiB, WebGPU's default limit.
@@ -119,7 +121,7 @@ fn report(adapter: &Adapter) -> AdapterReport {
 /// What an adapter with these limits lacks.
 fn unmet(limits: &Limits) -> Option<String> {
     let needs = [
-        ("bytes of memory a workgroup", limits.max_compute_workgroup_storage_size, WORKGROUP_BYTES),
+        ("bytes of memory a workgroup", limits.max_compute_workgroup_storage_size, WORKGROUP_BYTES_MIN),
         ("storage buffers a kernel", limits.max_storage_buffers_per_shader_stage, STORAGE_BUFFERS),
         ("invocations a workgroup", limits.max_compute_invocations_per_workgroup, GROUP),
         ("invocations a row of a workgroup", limits.max_compute_workgroup_size_x, GROUP),
@@ -144,16 +146,16 @@ mod tests {
     #[test]
     fn an_adapter_below_the_limits_is_refused_with_the_reason() {
         let enough = Limits {
-            max_compute_workgroup_storage_size: 32 << 10,
+            max_compute_workgroup_storage_size: 16 << 10,
             max_storage_buffers_per_shader_stage: 8,
             ..Limits::default()
         };
         assert_eq!(unmet(&enough), None);
-        let small = Limits { max_compute_workgroup_storage_size: 16 << 10, ..enough.clone() };
+        let small = Limits { max_compute_workgroup_storage_size: 8 << 10, ..enough.clone() };
         let narrow = Limits { max_compute_invocations_per_workgroup: 128, ..enough.clone() };
         assert!(unmet(&narrow).expect("too few").contains("128, and 256"));
         let reason = unmet(&small).expect("too little");
-        assert!(reason.contains("16384") && reason.contains("24576"), "{reason}");
+        assert!(reason.contains("8192") && reason.contains("16384"), "{reason}");
     }
 
     #[test]

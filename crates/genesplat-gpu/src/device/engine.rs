@@ -8,21 +8,28 @@ use std::time::Duration;
 use genesplat_core::BackendError;
 use wgpu::{
     BindGroupLayout, Buffer, CommandBuffer, ComputePipeline, ComputePipelineDescriptor, Device, DeviceDescriptor,
-    Features, Limits, PipelineCompilationOptions, PollError, PollType, Queue, ShaderModuleDescriptor, ShaderSource,
+    DeviceType, Features, Limits, PipelineCompilationOptions, PollError, PollType, Queue, ShaderModuleDescriptor,
+    ShaderSource,
 };
 
 use crate::Result;
 use crate::device::MemoryUse;
-use crate::device::adapter;
+use crate::device::adapter::{self, WORKGROUP_BYTES};
 use crate::device::probe;
-use crate::device::shaders::Shader;
 #[cfg(test)]
 use crate::device::shaders::kernel_texts;
+use crate::device::shaders::{Abilities, Shader};
 use crate::state::layout::SH_FLOATS;
 
 /// Longest time that a device may take for all that was submitted: a driver that hangs would keep the host forever.
 /// Software drivers are slow, and 32 steps may be in the queue.
 const WAIT_MAX: Duration = Duration::from_secs(600);
+
+/// Instructions, of all invocations together, that a submission is to take at most: half a second of a weak device, by the
+/// kind that it is. If they reach a fifth of their peaks, integrated ones of 0.4 TFLOPS make 40 G a second, and discrete ones
+/// of 2.5 TFLOPS 250 G.
+const INTEGRATED_INSTRUCTIONS: u64 = 1 << 34;
+const DISCRETE_INSTRUCTIONS: u64 = 1 << 37;
 
 pub(super) type KernelKey = (&'static str, Vec<(&'static str, u32)>);
 
@@ -47,12 +54,15 @@ pub(crate) struct Engine {
     pub(super) buffer_bytes: u64,
     /// Rows of the cloud that a kernel can see at once.
     pub(crate) window_rows: u64,
+    /// Instructions that a submission is to take at most.
+    pub(crate) instructions_max: u64,
     /// The device can time passes.
     pub(crate) timestamps: bool,
-    pub(crate) subgroups: bool,
+    pub(crate) abilities: Abilities,
     pub(crate) usage: MemoryUse,
-    /// How often the host has waited: what a test counts.
+    /// How often the host has waited and submitted: what tests count.
     pub(crate) waits: Cell<u32>,
+    pub(crate) submissions: Cell<u32>,
     kernels: RefCell<HashMap<KernelKey, Kernel>>,
     failures: Arc<Failures>,
     /// What small answers are read through.
@@ -72,16 +82,22 @@ struct Failures {
 
 impl Engine {
     pub(crate) fn new() -> Result<Self> {
+        Self::open(WORKGROUP_BYTES)
+    }
+
+    /// The best device, with workgroup memory of so many bytes if it has them.
+    pub(crate) fn open(most_workgroup_bytes: u32) -> Result<Self> {
         let adapter = adapter::best()?;
         let info = adapter.get_info();
         let name = format!("{} ({:?})", info.name, info.backend);
         let features = adapter.features() & (Features::TIMESTAMP_QUERY | Features::SUBGROUP);
+        let workgroup_bytes = adapter.limits().max_compute_workgroup_storage_size.min(most_workgroup_bytes);
         let descriptor = DeviceDescriptor {
             label: Some("genesplat"),
             required_features: features,
             // No more of what kernels use than they need, so that one that needs more fails everywhere.
             required_limits: Limits {
-                max_compute_workgroup_storage_size: adapter::WORKGROUP_BYTES,
+                max_compute_workgroup_storage_size: workgroup_bytes,
                 max_storage_buffers_per_shader_stage: adapter::STORAGE_BUFFERS,
                 ..adapter.limits()
             },
@@ -94,14 +110,19 @@ impl Engine {
             binding_bytes: limits.max_storage_buffer_binding_size,
             buffer_bytes: limits.max_buffer_size,
             window_rows: limits.max_storage_buffer_binding_size / (4 * u64::from(SH_FLOATS)),
+            instructions_max: match info.device_type {
+                DeviceType::DiscreteGpu => DISCRETE_INSTRUCTIONS,
+                _ => INTEGRATED_INSTRUCTIONS,
+            },
             failures: watch(&device),
             device,
             queue,
             name,
             timestamps: features.contains(Features::TIMESTAMP_QUERY),
-            subgroups: true,
+            abilities: Abilities { subgroups: true, workgroup_bytes },
             usage: MemoryUse::default(),
             waits: Cell::default(),
+            submissions: Cell::default(),
             kernels: RefCell::default(),
             staging: OnceCell::new(),
             #[cfg(test)]
@@ -118,9 +139,18 @@ impl Engine {
         self
     }
 
+    /// The same, but a submission takes at most so many instructions: how tests exercise its splitting.
+    #[cfg(test)]
+    pub(crate) fn with_instructions(mut self, most: u64) -> Self {
+        self.instructions_max = most;
+        self
+    }
+
     /// The same with the kernels for devices without subgroups.
     pub(crate) fn without_subgroups(mut self) -> Self {
-        self.subgroups = false;
+        self.abilities.subgroups = false;
+        self.kernels.borrow_mut().clear();
+        self.usage.bound.forget();
         self
     }
 
@@ -128,7 +158,7 @@ impl Engine {
     #[cfg(test)]
     pub(crate) fn set_rewrite(&mut self, rewrite: Rewrite) {
         let text = |rewrite: Option<&Rewrite>, name| {
-            let (_, text) = kernel_texts(self.subgroups).find(|(kernel, _)| *kernel == name)?;
+            let (_, text) = kernel_texts(self.abilities).find(|(kernel, _)| *kernel == name)?;
             Some(rewrite?(name, text))
         };
         let before = self.rewrite.replace(rewrite);
@@ -140,14 +170,15 @@ impl Engine {
     fn source(&self, shader: &'static Shader) -> String {
         #[cfg(test)]
         if let Some(rewrite) = &self.rewrite {
-            return rewrite(shader.name, shader.text(self.subgroups));
+            return rewrite(shader.name, shader.text(self.abilities));
         }
-        shader.source(self.subgroups)
+        shader.source(self.abilities)
     }
 
     /// Hands commands to the device, and before them all that was written; does not wait.
     pub(crate) fn submit(&self, commands: impl IntoIterator<Item = CommandBuffer>) {
         self.usage.written.set(0);
+        self.submissions.set(self.submissions.get() + 1);
         self.queue.submit(commands);
     }
 

@@ -10,7 +10,7 @@ pub(crate) mod recorder;
 pub(crate) mod shaders;
 pub(crate) mod timing;
 pub(crate) mod traffic;
-mod unroll;
+pub(crate) mod unroll;
 
 pub(crate) use engine::Engine;
 pub(crate) use memory::{BUFFER_BYTES_STEP, Memory, MemoryUse, Part};

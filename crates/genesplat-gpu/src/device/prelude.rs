@@ -12,16 +12,17 @@ use genesplat_core::edit::{
 use genesplat_core::rng::Stream;
 use genesplat_core::spherical_harmonics::{C0, C1, C2, C3};
 
+use crate::device::shaders::Abilities;
 use crate::state::layout::*;
 
 /// Constants and structs in WGSL, for the head of every shader.
-pub(super) fn prelude() -> String {
+pub(super) fn prelude(abilities: Abilities) -> String {
     let mut text = String::new();
     for (name, value) in float_constants() {
         // `{:e}` prints the shortest digits that read back as the same f32.
         text.push_str(&format!("const {name}: f32 = {value:e}f;\n"));
     }
-    for (name, value) in integer_constants() {
+    for (name, value) in integer_constants(abilities) {
         text.push_str(&format!("const {name}: u32 = {value}u;\n"));
     }
     text.push_str(&array_constant("SSIM_WINDOW", &ssim_window()));
@@ -66,9 +67,11 @@ fn float_constants() -> Vec<(&'static str, f32)> {
     shared.into_iter().chain(own).collect()
 }
 
-fn integer_constants() -> Vec<(&'static str, u32)> {
+fn integer_constants(abilities: Abilities) -> Vec<(&'static str, u32)> {
     let own = [
         ("TILE_PIXELS", TILE * TILE),
+        // Splats that rasterisation blends, and the backward pass reduces, at once.
+        ("SPLATS_AT_ONCE", abilities.splats_at_once()),
         ("SSIM_RADIUS", SSIM_RADIUS as u32),
         ("STREAM_SPLIT_OFFSET", Stream::SplitOffset as u32),
         ("STREAM_SGLD_NOISE", Stream::SgldNoise as u32),

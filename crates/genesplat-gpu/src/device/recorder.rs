@@ -1,4 +1,5 @@
-//! A list of dispatches, stage by stage, that is submitted at once.
+//! A list of dispatches, stage by stage. It is submitted at once, unless a weak device would take too long for it: some
+//! drivers take a submission of two seconds for a hang. How long it takes is predicted by its instructions.
 
 use wgpu::{CommandEncoder, ComputePass, ComputePassDescriptor, ComputePassTimestampWrites};
 
@@ -6,6 +7,9 @@ use crate::device::shaders::Shader;
 use crate::device::timing::{TIMED_PASSES, Timestamps};
 use crate::device::{Engine, Memory, Part};
 use crate::state::layout::{GRID_WIDTH, GROUP};
+
+/// Instructions of an invocation, roughly: the longest kernels have 1,500, most far less (`docs/gpu-code.md`).
+pub(crate) const INVOCATION: u64 = 1_000;
 
 #[derive(Clone, Copy)]
 pub(crate) enum Grid<'a> {
@@ -19,18 +23,34 @@ pub(crate) enum Grid<'a> {
     Device(&'a Memory, u32),
 }
 
+impl Grid<'_> {
+    /// Instructions that it is predicted to take; of those that only the device knows, nothing.
+    fn instructions(self) -> u64 {
+        let group = u64::from(GROUP);
+        INVOCATION
+            * match self {
+                Grid::Items(items) => items,
+                Grid::Groups(groups) => groups * group,
+                Grid::Exact(groups) => groups.map(u64::from).iter().product::<u64>() * group,
+                Grid::Device(..) => 0,
+            }
+    }
+}
+
 pub(crate) struct Recorder<'a> {
     engine: &'a Engine,
     encoder: CommandEncoder,
     pass: Option<ComputePass<'static>>,
     stage: &'static str,
     timestamps: Option<&'a mut Timestamps>,
+    /// What is recorded and not yet submitted is predicted to take so many.
+    instructions: u64,
 }
 
 impl<'a> Recorder<'a> {
     pub(crate) fn new(engine: &'a Engine, timestamps: Option<&'a mut Timestamps>) -> Self {
         let encoder = engine.device.create_command_encoder(&Default::default());
-        Self { engine, encoder, pass: None, stage: "", timestamps }
+        Self { engine, encoder, pass: None, stage: "", timestamps, instructions: 0 }
     }
 
     /// What follows belongs to this stage: a pass of its own where stages are timed.
@@ -65,6 +85,28 @@ impl<'a> Recorder<'a> {
         parts: &[Part],
         grid: Grid,
     ) {
+        self.run_long(shader, overrides, parts, grid, grid.instructions());
+    }
+
+    /// Instructions that a submission is to take at most, and so a dispatch.
+    pub(crate) fn instructions_max(&self) -> u64 {
+        self.engine.instructions_max
+    }
+
+    /// The same for what is predicted to take so many instructions, because it has long loops, or only the device knows its
+    /// grid.
+    pub(crate) fn run_long(
+        &mut self,
+        shader: &'static Shader,
+        overrides: &[(&'static str, u32)],
+        parts: &[Part],
+        grid: Grid,
+        instructions: u64,
+    ) {
+        if self.instructions > 0 && self.instructions + instructions > self.instructions_max() {
+            self.submit_so_far();
+        }
+        self.instructions += instructions;
         let (kernel, group) = self.engine.bound(shader, overrides, parts);
         if self.pass.is_none() {
             self.pass = Some(self.begin_pass());
@@ -94,6 +136,13 @@ impl<'a> Recorder<'a> {
         });
         let descriptor = ComputePassDescriptor { label: Some(self.stage), timestamp_writes };
         self.encoder.begin_compute_pass(&descriptor).forget_lifetime()
+    }
+
+    fn submit_so_far(&mut self) {
+        self.pass = None;
+        let next = self.engine.device.create_command_encoder(&Default::default());
+        self.engine.submit([std::mem::replace(&mut self.encoder, next).finish()]);
+        self.instructions = 0;
     }
 
     /// Hands everything to the device; does not wait.

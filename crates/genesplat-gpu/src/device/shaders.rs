@@ -4,6 +4,7 @@
 //! the shared parts exist twice, with subgroups and without. Everything is compiled in, and validated by a test that
 //! needs no device.
 
+use crate::device::adapter::WORKGROUP_BYTES;
 use crate::device::prelude::prelude;
 use crate::device::unroll::unrolled;
 
@@ -15,15 +16,30 @@ pub(crate) struct Shader {
 }
 
 impl Shader {
-    /// What is compiled, for a device with subgroups or one without: the whole text, with constant loops written out.
-    pub(super) fn source(&self, subgroups: bool) -> String {
-        unrolled(&self.text(subgroups))
+    /// What is compiled for a device: the whole text, with constant loops written out.
+    pub(super) fn source(&self, abilities: Abilities) -> String {
+        unrolled(&self.text(abilities))
     }
 
-    pub(super) fn text(&self, subgroups: bool) -> String {
-        let mut text = prelude();
-        text.extend(self.parts.iter().map(|part| if subgroups { part.with } else { part.without }));
+    pub(super) fn text(&self, abilities: Abilities) -> String {
+        let mut text = prelude(abilities);
+        text.extend(self.parts.iter().map(|part| if abilities.subgroups { part.with } else { part.without }));
         text
+    }
+}
+
+/// What a device can do, as far as shaders differ by it.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Abilities {
+    pub(crate) subgroups: bool,
+    /// Memory that a workgroup shares, bytes.
+    pub(crate) workgroup_bytes: u32,
+}
+
+impl Abilities {
+    /// Splats that a workgroup has room to reduce at once.
+    pub(super) fn splats_at_once(self) -> u32 {
+        if self.workgroup_bytes < WORKGROUP_BYTES { 4 } else { 8 }
     }
 }
 
@@ -81,6 +97,7 @@ mod parts {
         BATCH_SPLAT = "shared/batch_splat.wgsl";
         ROTATION = "shared/rotation.wgsl";
         TILE_SUMS = "shared/tile_sums.wgsl";
+        SPLAT_SUMS = "shared/splat_sums.wgsl";
         PHOTO = "shared/photo.wgsl";
         RANDOM = "shared/random.wgsl";
         OVERLAP = "bin/overlap.wgsl";
@@ -121,7 +138,7 @@ shaders! {
     LOSS_SUM = "loss/loss_sum" + [TILE_SUMS];
     LOSS_GRADIENT = "loss/loss_gradient" + [HALO, PHOTO];
     // From gradients of intersections to stepped parameters.
-    PROJECT_BACKWARD = "optimise/project_backward" + [SPLAT, ROTATION, GEOMETRY, COLOUR, SH_ROW];
+    PROJECT_BACKWARD = "optimise/project_backward" + [SPLAT, ROTATION, GEOMETRY, COLOUR, SH_ROW, SPLAT_SUMS];
     STATISTICS = "optimise/statistics" + [];
     GENE_STATISTICS = "optimise/gene_statistics" + [];
     ADAM_COLOUR = "optimise/adam_colour" + [ADAM_STEP, COLOUR_STEPS, COLOUR];
@@ -148,18 +165,19 @@ shaders! {
     VIEW_LOSSES = "score/view_losses" + [TILE_SUMS];
     // Contributions of Gaussians to views.
     CONTRIBUTION_PIXELS = "blend/contribution_pixels" + [PHOTO];
-    CONTRIBUTION_SUM = "blend/contribution_sum" + [];
+    CONTRIBUTION_SUM = "blend/contribution_sum" + [SPLAT_SUMS];
 }
 
 /// Name and WGSL of every kernel, as a device with subgroups, or one without, compiles it: what tools count.
 pub fn kernel_sources(subgroups: bool) -> impl Iterator<Item = (&'static str, String)> {
-    ALL.iter().map(move |shader| (shader.name, shader.source(subgroups)))
+    let abilities = Abilities { subgroups, workgroup_bytes: WORKGROUP_BYTES };
+    ALL.iter().map(move |shader| (shader.name, shader.source(abilities)))
 }
 
 /// Name and text of every kernel, with its loops.
 #[cfg(test)]
-pub(crate) fn kernel_texts(subgroups: bool) -> impl Iterator<Item = (&'static str, String)> {
-    ALL.iter().map(move |shader| (shader.name, shader.text(subgroups)))
+pub(crate) fn kernel_texts(abilities: Abilities) -> impl Iterator<Item = (&'static str, String)> {
+    ALL.iter().map(move |shader| (shader.name, shader.text(abilities)))
 }
 
 #[cfg(test)]
@@ -170,15 +188,18 @@ mod tests {
     use naga::valid::{Capabilities, ValidationFlags, Validator};
 
     use super::*;
-    use crate::device::adapter::{STORAGE_BUFFERS, WORKGROUP_BYTES};
+    use crate::device::adapter::{STORAGE_BUFFERS, WORKGROUP_BYTES_MIN};
     use crate::state::layout::{Counters, Edit, Optimiser, ViewPass, Window};
 
-    /// All of them, in both ways, and what a device must be able to do for that.
-    fn all() -> impl Iterator<Item = (&'static Shader, String, Capabilities)> {
+    const PLAIN: Abilities = Abilities { subgroups: false, workgroup_bytes: WORKGROUP_BYTES_MIN };
+
+    /// All that run on some device, with and without subgroups.
+    fn all(workgroup_bytes: u32) -> impl Iterator<Item = (&'static Shader, String, Capabilities)> {
         let ways = [(false, Capabilities::empty()), (true, Capabilities::SUBGROUP)];
-        ways.into_iter().flat_map(|(subgroups, capabilities)| {
+        ways.into_iter().flat_map(move |(subgroups, capabilities)| {
+            let abilities = Abilities { subgroups, workgroup_bytes };
             let runs = move |shader: &&&Shader| subgroups || shader.name != PROBE_SUBGROUPS.name;
-            ALL.iter().filter(runs).map(move |&shader| (shader, shader.source(subgroups), capabilities))
+            ALL.iter().filter(runs).map(move |&shader| (shader, shader.source(abilities), capabilities))
         })
     }
 
@@ -191,7 +212,7 @@ mod tests {
     #[test]
     fn every_shader_is_valid() {
         assert!(ALL.len() > 20, "the table lists all shaders");
-        for (shader, source, capabilities) in all() {
+        for (shader, source, capabilities) in [WORKGROUP_BYTES_MIN, WORKGROUP_BYTES].into_iter().flat_map(all) {
             let module = parse(shader, &source);
             let validated = Validator::new(ValidationFlags::all(), capabilities).validate(&module);
             if let Err(error) = validated {
@@ -202,29 +223,34 @@ mod tests {
 
     #[test]
     fn no_shader_needs_more_than_devices_are_asked_for() {
-        let (mut buffers, mut bytes) = (0, 0);
-        for module in all().map(|(shader, source, _)| parse(shader, &source)) {
-            let of = |wanted: fn(AddressSpace) -> bool| {
-                module.global_variables.iter().map(|(_, variable)| variable).filter(move |v| wanted(v.space))
-            };
-            let size = |variable: &naga::GlobalVariable| module.types[variable.ty].inner.size(module.to_ctx());
-            buffers = buffers.max(of(|space| matches!(space, AddressSpace::Storage { .. })).count() as u32);
-            bytes = bytes.max(of(|space| space == AddressSpace::WorkGroup).map(size).sum::<u32>());
+        for most in [WORKGROUP_BYTES_MIN, WORKGROUP_BYTES] {
+            let (mut buffers, mut bytes) = (0, 0);
+            for module in all(most).map(|(shader, source, _)| parse(shader, &source)) {
+                let of = |wanted: fn(AddressSpace) -> bool| {
+                    module.global_variables.iter().map(|(_, variable)| variable).filter(move |v| wanted(v.space))
+                };
+                let size = |variable: &naga::GlobalVariable| module.types[variable.ty].inner.size(module.to_ctx());
+                buffers = buffers.max(of(|space| matches!(space, AddressSpace::Storage { .. })).count() as u32);
+                bytes = bytes.max(of(|space| space == AddressSpace::WorkGroup).map(size).sum::<u32>());
+            }
+            assert_eq!(buffers, STORAGE_BUFFERS);
+            assert!(bytes <= most && bytes > most / 2, "{bytes} bytes");
         }
-        assert_eq!(buffers, STORAGE_BUFFERS);
-        assert!(bytes <= WORKGROUP_BYTES && bytes > WORKGROUP_BYTES / 2, "{bytes} bytes");
     }
 
     #[test]
     fn a_planted_error_is_found() {
-        let source = PROJECT.source(false).replace("window.count", "window.length");
+        let source = PROJECT.source(PLAIN).replace("window.count", "window.length");
         assert!(naga::front::wgsl::parse_str(&source).is_err());
     }
 
     #[test]
     fn every_file_is_in_the_table() {
         let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("shader");
-        let text: String = ALL.iter().flat_map(|shader| [true, false].map(|ways| shader.text(ways))).collect();
+        let text: String = ALL
+            .iter()
+            .flat_map(|shader| [true, false].map(|subgroups| shader.text(Abilities { subgroups, ..PLAIN })))
+            .collect();
         let list = |folder: &Path| -> Vec<PathBuf> {
             std::fs::read_dir(folder).unwrap().map(|file| file.unwrap().path()).collect()
         };
@@ -238,7 +264,7 @@ mod tests {
 
     #[test]
     fn rust_and_wgsl_agree_on_every_offset() {
-        let module = parse(&PROJECT, &PROJECT.source(false));
+        let module = parse(&PROJECT, &PROJECT.source(PLAIN));
         let structs = [
             ("ViewPass", ViewPass::fields(), size_of::<ViewPass>()),
             ("Optimiser", Optimiser::fields(), size_of::<Optimiser>()),

@@ -54,12 +54,12 @@ impl Work {
             // Tile counts of all rows; of splats the first intersection and the vector with the flags.
             "project_backward" => {
                 intersections * intersection_gradient
-                    + visible * (geometry + differentiated + 4 + 16)
-                    + rows * (gradient + 4)
+                    + visible * (geometry + differentiated + gradient + 4 + 16)
+                    + rows * 4
             }
             // Parameters and two moments are read and written: geometry of all rows, colours and density statistics of
-            // what is visible.
-            "update" => rows * (6 * geometry + gradient + 4) + visible * (6 * moved + 8 + 2 * 16),
+            // what is visible, which alone has gradients.
+            "update" => rows * (6 * geometry + 4) + visible * (gradient + 6 * moved + 8 + 2 * 16),
             _ => 0,
         }
     }
@@ -85,10 +85,10 @@ mod tests {
     #[test]
     fn a_step_moves_what_its_columns_hold() {
         let work = Work { rows: 1000, visible: 0, intersections: 0, size_px: [160, 90], sh_degree: 3 };
-        // Six columns of 48 bytes, gradients, and tile counts; of what is seen, six of 192 and its statistics, too.
-        assert_eq!(work.bytes("update"), 1000 * (288 + 64 + 4));
+        // Six columns of 48 bytes and tile counts; of what is seen, gradients, six of 192 and its statistics, too.
+        assert_eq!(work.bytes("update"), 1000 * (288 + 4));
         let seen = |sh_degree| Work { visible: 10, sh_degree, ..work }.bytes("update") - work.bytes("update");
-        assert_eq!([0, 1, 3].map(seen), [10 * (6 * 16 + 40), 10 * (6 * 48 + 40), 10 * (6 * 192 + 40)]);
+        assert_eq!([0, 1, 3].map(seen), [16, 48, 192].map(|moved| 10 * (64 + 6 * moved + 40)));
         assert_eq!(work.bytes("loss"), 160 * 90 * 116);
         assert_eq!(work.bytes("nothing"), 0);
         // 10 by 6 tiles: six bits, one pass.

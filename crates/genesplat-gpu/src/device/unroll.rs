@@ -11,7 +11,7 @@ const STEPS_MAX: usize = 32;
 
 /// The same shader without comments, and without loops whose header is made of constants. What has no constant header,
 /// too many steps, or a `break` or `continue` of any loop in it, stays a loop.
-pub(super) fn unrolled(source: &str) -> String {
+pub(crate) fn unrolled(source: &str) -> String {
     let lines: Vec<&str> = source.lines().map(|line| line.split("//").next().unwrap_or(line).trim_end()).collect();
     let source = lines.join("\n");
     unrolled_part(&source, &source)

@@ -8,6 +8,7 @@ use crate::backend::GpuBackend;
 use crate::device::{Grid, Memory, Recorder, shaders};
 use crate::queue::ListsOf;
 use crate::stages::pixels::Needs;
+use crate::stages::tiles::TileKernel;
 use crate::state::Column;
 use crate::state::layout::CONTRIBUTION_FLOATS;
 
@@ -21,7 +22,7 @@ impl GpuBackend {
                     recorder.stage("contribution_pixels");
                     let Self { lists, pixels, .. } = gpu;
                     let parts = [&lists.view, &pixels.image, &gpu.views[view].photo, &pixels.gradient];
-                    recorder.run(&shaders::CONTRIBUTION_PIXELS, &parts.map(Memory::all), pass.tile_grid(1));
+                    lists.run_tiles(recorder, &pass, TileKernel::new(&shaders::CONTRIBUTION_PIXELS), &parts);
                 })
             })
         })?;
@@ -30,11 +31,9 @@ impl GpuBackend {
 
     /// Blending weights times a map, summed over one view `[N]`.
     pub(crate) fn weigh_by(&mut self, view: usize, map: &[f32], settings: &RenderSettings) -> Result<Vec<f32>> {
-        // Where contributions have ones and errors.
-        let mut planes = map.to_vec();
-        planes.resize(3 * map.len(), 0.0);
+        // Where contributions have ones. Whatever lies where they have errors is summed, too, and ignored.
         let values = self.sums_of(|gpu, column| {
-            gpu.submit_sums(view, settings, column, |gpu, _| gpu.engine.write(&gpu.pixels.gradient, 0, &planes))
+            gpu.submit_sums(view, settings, column, |gpu, _| gpu.engine.write(&gpu.pixels.gradient, 0, map))
         })?;
         Ok(values.into_iter().map(|[sum, _]| sum).collect())
     }

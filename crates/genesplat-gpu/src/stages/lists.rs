@@ -11,12 +11,13 @@ use bytemuck::Pod;
 
 use crate::Result;
 use crate::device::{BUFFER_BYTES_STEP, Engine, Grid, Memory, Part, Recorder, shaders};
-use crate::stages::sort::{DIGIT_BITS, Sorter};
+use crate::stages::sort::{DIGIT_BITS, Sort, Sorter};
+use crate::stages::tiles::reserve_first_rows;
 use crate::state::layout::{
     Counters, GRID_DEPTH_SORT, GRID_INTERSECTIONS, GRID_TILE_SORT, GRID_VISIBLE, GRID_VISIBLE_SCAN,
     LENGTH_INTERSECTIONS, LENGTH_ROWS, LENGTH_VISIBLE, Optimiser, SCAN_BLOCK, SPLAT_FLOATS, ViewPass,
 };
-use crate::state::{ColourSteps, Parameters, State};
+use crate::state::{ColourSteps, Parameters, ROW_INSTRUCTIONS, State};
 
 /// Where an optimiser lies behind a view, bytes: a multiple of what every device can bind at.
 const OPTIMISER_AT: usize = 256;
@@ -26,11 +27,17 @@ const FIRST_INTERSECTIONS_PER_ROW: u64 = 4;
 /// At least so many, for clouds of few and large Gaussians.
 const INTERSECTIONS_MIN: u64 = 1 << 16;
 
+/// Instructions that emitting takes, for each splat and for each of its intersections, roughly.
+const SPLAT_INSTRUCTIONS: u64 = 1_000;
+const INTERSECTION_INSTRUCTIONS: u64 = 100;
+
 /// Buffers of the splats and the tile lists of one view, reused from view to view. N rows, I intersections.
 pub(crate) struct Lists {
     /// A [`ViewPass`], and where a step has one, its [`Optimiser`]: one write.
     pub(crate) view: Memory,
     pub(crate) counters: Memory,
+    /// Numbers of tile rows, for stages that take some of them at once.
+    pub(super) first_tile_rows: Memory,
     /// Rows that the device has been told of.
     told_rows: Cell<Option<u32>>,
     sorter: Sorter,
@@ -62,6 +69,7 @@ impl Lists {
         Ok(Self {
             view: engine.allocate("the view", OPTIMISER_AT as u64 + size_of::<Optimiser>() as u64)?,
             counters: engine.allocate("counters", size_of::<Counters>() as u64)?,
+            first_tile_rows: empty("numbers of tile rows")?,
             told_rows: Cell::new(None),
             sorter: Sorter::new(engine)?,
             splats: empty("splats")?,
@@ -94,6 +102,7 @@ impl Lists {
         let guess = (FIRST_INTERSECTIONS_PER_ROW * rows).max(INTERSECTIONS_MIN);
         let capacity = self.wanted_capacity.unwrap_or(guess).min(self.capacity_max(engine));
         engine.reserve(&mut self.ranges, 8 * view.tiles())?;
+        reserve_first_rows(engine, &mut self.first_tile_rows, view)?;
         if rows > self.rows || capacity > self.capacity || self.splats.bytes == 0 {
             self.enlarge(engine, rows.max(self.rows), capacity.max(self.capacity))?;
         }
@@ -167,6 +176,11 @@ impl Lists {
         self.view.part(OPTIMISER_AT as u64, size_of::<Optimiser>() as u64)
     }
 
+    /// Empty tiles keep these ranges. Comes before all stages, where it ends no pass.
+    pub(crate) fn clear_ranges(&self, recorder: &mut Recorder, view: &ViewPass) {
+        recorder.clear(&self.ranges, 8 * view.tiles());
+    }
+
     /// Stages `project` and `bin` of a whole cloud, which is that of the state or a blend of the same rows.
     pub(crate) fn record(&self, recorder: &mut Recorder, state: &State, cloud: &Parameters, view: &ViewPass) {
         recorder.stage("project");
@@ -179,7 +193,8 @@ impl Lists {
             let colours = [&cloud.sh, &first.sh, &second.sh].map(|column| column.at(window));
             let inputs = [&[view, uniform, self.tile_counts.all(), geometry][..], &colours].concat();
             let parts = [&inputs[..], &[steps.all(), made.at(window), self.splats.all()]].concat();
-            recorder.run(&shaders::SPLAT_COLOUR, &parts, Grid::Items(window.count));
+            let instructions = ROW_INSTRUCTIONS * window.count;
+            recorder.run_long(&shaders::SPLAT_COLOUR, &[], &parts, Grid::Items(window.count), instructions);
         }
         self.record_bin(recorder, view);
     }
@@ -201,7 +216,8 @@ impl Lists {
         let [keys, values] = [&sorter.keys[0], &sorter.values[0]];
         let parts = [&sorter.lengths, flags, offsets, &self.depths, keys, values];
         recorder.run(&shaders::COMPACT, &parts.map(Memory::all), Grid::Items(rows));
-        sorter.sort(recorder, LENGTH_VISIBLE, GRID_DEPTH_SORT, 32, 0, false);
+        let grid = GRID_DEPTH_SORT;
+        sorter.sort(recorder, &Sort { length: LENGTH_VISIBLE, grid, most: rows, bits: 32, first: 0, count_up: false });
     }
 
     /// Steps 3 and 4: intersections in depth order, sorted by tile ([`Self::sorted_intersections`]).
@@ -218,11 +234,12 @@ impl Lists {
         let outputs = [&sorter.keys[1], &self.intersection_splats, &self.first_intersections];
         let parts = [&[&self.view, lengths, order, counts, offsets, splats][..], &outputs].concat();
         let parts: Vec<_> = parts.into_iter().map(Memory::all).collect();
-        recorder.run(&shaders::EMIT, &parts, visible);
+        let instructions = SPLAT_INSTRUCTIONS * u64::from(view.rows) + INTERSECTION_INSTRUCTIONS * self.capacity;
+        recorder.run_long(&shaders::EMIT, &[], &parts, visible, instructions);
 
         let bits = tile_bits(view.tiles());
-        let sorted = sorter.sort(recorder, LENGTH_INTERSECTIONS, GRID_TILE_SORT, bits, 1, true);
-        recorder.clear(ranges, 8 * view.tiles());
+        let (length, grid, most) = (LENGTH_INTERSECTIONS, GRID_TILE_SORT, self.capacity);
+        let sorted = sorter.sort(recorder, &Sort { length, grid, most, bits, first: 1, count_up: true });
         let parts = [lengths, &sorter.keys[sorted], ranges];
         let grid = Grid::Device(&sorter.grids, GRID_INTERSECTIONS);
         recorder.run(&shaders::TILE_RANGES, &parts.map(Memory::all), grid);

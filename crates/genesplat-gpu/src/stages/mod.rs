@@ -8,4 +8,5 @@ pub(crate) mod pixels;
 pub(crate) mod rows;
 pub(crate) mod score;
 pub(crate) mod sort;
+pub(crate) mod tiles;
 pub(crate) mod view_pass;

@@ -83,9 +83,10 @@ impl Optimise<'_> {
         let State { cloud, gradients, .. } = self.state;
         let (uniform, counters) = (window.uniform.all(), self.lists.counters.all());
         let by_view = [self.lists.view.all(), uniform, counters, gradients.at(window)];
-        let parts = [&by_view[..], &[cloud.geometry.at(window), pending.sh.at(window)]].concat();
+        let tile_counts = self.lists.tile_counts.all();
+        let parts = [&by_view[..], &[cloud.geometry.at(window), pending.sh.at(window), tile_counts]].concat();
         recorder.run(&shaders::KEEP_COLOUR, &parts, Grid::Items(SH_GROUPS * window.count));
-        let parts = [uniform, counters, gradients.at(window), pending.geometry.at(window)];
+        let parts = [uniform, counters, gradients.at(window), pending.geometry.at(window), tile_counts];
         let overrides = [("TAKE", u32::from(self.optimiser.is_some()))];
         recorder.run_with(&shaders::KEEP_GEOMETRY, &overrides, &parts, Grid::Items(window.count));
     }
@@ -112,8 +113,9 @@ impl Optimise<'_> {
             recorder.run(&shaders::ADAM_COLOUR, &parts, Grid::Items(SH_GROUPS * window.count));
         }
         let geometry = [&cloud.geometry, &first.geometry, &second.geometry].map(|column| column.at(window));
-        let parts = [&head[..], &geometry].concat();
-        recorder.run(&shaders::ADAM_GEOMETRY, &parts, Grid::Items(window.count));
+        let parts = [&head[..], &geometry, &[self.lists.tile_counts.all()]].concat();
+        let overrides = [("ALL_ROWS", u32::from(self.state.pending.is_some()))];
+        recorder.run_with(&shaders::ADAM_GEOMETRY, &overrides, &parts, Grid::Items(window.count));
         if optimiser.is_mcmc == 1 {
             let parts = [window.uniform.all(), self.lists.optimiser(), self.lists.counters.all(), geometry[0]];
             recorder.run(&shaders::NOISE, &parts, Grid::Items(window.count));

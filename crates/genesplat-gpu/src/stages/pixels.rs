@@ -6,6 +6,7 @@ use genesplat_core::{Mask, Photo};
 use crate::Result;
 use crate::device::{Engine, Grid, Memory, Recorder, shaders};
 use crate::stages::lists::Lists;
+use crate::stages::tiles::{self, TileKernel};
 use crate::state::layout::{INTERSECTION_GRADIENT_FLOATS, ViewPass};
 
 pub(crate) const INTERSECTION_GRADIENT_BYTES: u64 = 4 * INTERSECTION_GRADIENT_FLOATS as u64;
@@ -76,7 +77,7 @@ impl Pixels {
         let intersections = lists.sorted_intersections(view);
         let splats = &lists.intersection_splats;
         let parts = [&lists.view, &lists.ranges, intersections, splats, &lists.splats, &self.image];
-        recorder.run(&shaders::RASTERISE, &parts.map(Memory::all), view.tile_grid(1));
+        lists.run_tiles(recorder, view, tiles::RASTERISE, &parts);
     }
 
     /// Stage `loss` against `photo`; leaves the gradient, too.
@@ -87,7 +88,8 @@ impl Pixels {
         recorder.run(&shaders::LOSS_SUM, &parts, Grid::Groups(1));
         let [by_mean, by_square, by_product] = &self.partials;
         let parts = [&lists.view, &self.image, photo, by_mean, by_square, by_product, &self.gradient];
-        recorder.run(&shaders::LOSS_GRADIENT, &parts.map(Memory::all), view.tile_grid(3));
+        let kernel = TileKernel { layers: 3, ..TileKernel::new(&shaders::LOSS_GRADIENT) };
+        lists.run_tiles(recorder, view, kernel, &parts);
     }
 
     /// The sums of all tiles of all layers; with `partials`, SSIM's derivatives are left for the gradient.
@@ -101,8 +103,9 @@ impl Pixels {
     ) {
         let [by_mean, by_square, by_product] = &self.partials;
         let parts = [&lists.view, &self.image, photo, by_mean, by_square, by_product, &self.loss_sums];
-        let overrides = [("FORWARD_ONLY", u32::from(!partials))];
-        recorder.run_with(&shaders::LOSS, &overrides, &parts.map(Memory::all), view.tile_grid(3 * view.layers));
+        let overrides: &[_] = if partials { &[("FORWARD_ONLY", 0)] } else { &[("FORWARD_ONLY", 1)] };
+        let kernel = TileKernel { overrides, layers: 3 * view.layers, ..TileKernel::new(&shaders::LOSS) };
+        lists.run_tiles(recorder, view, kernel, &parts);
     }
 
     pub(crate) fn record_backward(&self, recorder: &mut Recorder, lists: &Lists, view: &ViewPass) {
@@ -117,7 +120,7 @@ impl Pixels {
             &self.gradient,
             &self.intersection_gradients,
         ];
-        recorder.run(&shaders::RASTERISE_BACKWARD, &parts.map(Memory::all), view.tile_grid(1));
+        lists.run_tiles(recorder, view, tiles::RASTERISE_BACKWARD, &parts);
     }
 }
 

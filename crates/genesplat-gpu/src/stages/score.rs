@@ -14,6 +14,7 @@ use crate::device::{Engine, Grid, Memory, Recorder, shaders};
 use crate::queue::ListsOf;
 use crate::stages::lists::Lists;
 use crate::stages::pixels::{Needs, Pixels};
+use crate::stages::tiles::rasterise_individuals;
 use crate::state::layout::{OWN_GENES, SLOTS, SPLAT_FLOATS, ViewPass};
 use crate::state::{RowWindow, State, pack_genes, window_uniform};
 
@@ -188,14 +189,14 @@ impl GpuBackend {
         lists.begin(&self.engine, &pass, None);
 
         let mut recorder = Recorder::new(&self.engine, self.timestamps.as_mut());
+        lists.clear_ranges(&mut recorder, &pass);
         pool.record_project(&mut recorder, &self.state, lists);
         lists.record_bin(&mut recorder, &pass);
 
         recorder.stage("score_rasterise");
         let (intersections, splats) = (lists.sorted_intersections(&pass), &lists.intersection_splats);
         let parts = [&lists.view, &lists.ranges, intersections, splats, &lists.splats, &pool.holders, &pixels.image];
-        let grid = pass.tile_grid(layers.div_ceil(SLOTS));
-        recorder.run(&shaders::RASTERISE_INDIVIDUALS, &parts.map(Memory::all), grid);
+        lists.run_tiles(&mut recorder, &pass, rasterise_individuals(layers), &parts);
 
         recorder.stage("score_loss");
         pixels.record_loss_sums(&mut recorder, lists, &self.views[view].photo, &pass, false);

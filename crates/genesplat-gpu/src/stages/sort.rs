@@ -2,10 +2,15 @@
 
 use crate::Result;
 use crate::device::{Engine, Grid, Memory, Recorder, shaders};
-use crate::state::layout::{DIGITS, GRIDS, LENGTHS, SCAN_BLOCK, SORT_BLOCK};
+use crate::state::layout::{
+    DIGITS, GRID_DEPTH_SORT, GRID_WIDTH, GRIDS, LENGTH_VISIBLE, LENGTHS, SCAN_BLOCK, SORT_BLOCK, SORT_PIECE,
+};
 
 /// Bits that one pass of the radix sort sorts by.
 pub(crate) const DIGIT_BITS: u32 = DIGITS.ilog2();
+
+/// Instructions that a pass takes for a key, roughly.
+const KEY_INSTRUCTIONS: u64 = 800;
 
 pub(crate) struct Sorter {
     /// How much there is of what only the device counts: a slot for each `LENGTH_` constant.
@@ -61,55 +66,123 @@ impl Sorter {
         recorder.run_with(&shaders::SCAN_APPLY, &overrides, &[lengths, input, sums, output], grid);
     }
 
-    /// Stable radix sort of `keys[first]` and `values[first]` by the lowest `bits`; returns where the result is. With
-    /// `count_up`, the values are the places that keys had before.
-    pub(super) fn sort(
-        &self,
-        recorder: &mut Recorder,
-        length: u32,
-        blocks: u32,
-        bits: u32,
-        first: usize,
-        count_up: bool,
-    ) -> usize {
-        let mut from = first;
-        for pass in 0..bits.div_ceil(DIGIT_BITS) {
-            let (to, grid) = (1 - from, Grid::Device(&self.grids, blocks));
-            let [length, shift] = [("LENGTH", length), ("SHIFT", pass * DIGIT_BITS)];
-            let count_up = ("COUNT_UP", u32::from(count_up && pass == 0));
-            let [lengths, digit_counts, digit_totals, keys] =
-                [&self.lengths, &self.digit_counts, &self.digit_totals, &self.keys[from]].map(Memory::all);
-            let [values, keys_out, values_out] =
-                [&self.values[from], &self.keys[to], &self.values[to]].map(Memory::all);
-            let parts = [lengths, keys, digit_counts];
-            recorder.run_with(&shaders::RADIX_COUNT, &[length, shift], &parts, grid);
-            let parts = [lengths, digit_counts, digit_totals];
-            recorder.run_with(&shaders::DIGIT_SCAN, &[length], &parts, Grid::Exact([DIGITS, 1, 1]));
-            let parts = [lengths, digit_counts, digit_totals, keys, values, keys_out, values_out];
-            recorder.run_with(&shaders::RADIX_SCATTER, &[length, shift, count_up], &parts, grid);
-            from = to;
-        }
-        from
+    /// Stable radix sort; returns where the result is.
+    pub(super) fn sort(&self, recorder: &mut Recorder, sort: &Sort) -> usize {
+        (0..sort.bits.div_ceil(DIGIT_BITS)).fold(sort.first, |from, pass| {
+            self.record_pass(recorder, sort, pass, from);
+            1 - from
+        })
     }
+
+    /// One digit, from keys and values `from` to the others.
+    fn record_pass(&self, recorder: &mut Recorder, sort: &Sort, pass: u32, from: usize) {
+        let [lengths, digit_counts, digit_totals, keys, values, keys_out, values_out] = [
+            &self.lengths,
+            &self.digit_counts,
+            &self.digit_totals,
+            &self.keys[from],
+            &self.values[from],
+            &self.keys[1 - from],
+            &self.values[1 - from],
+        ]
+        .map(Memory::all);
+        let [length, shift] = [("LENGTH", sort.length), ("SHIFT", pass * DIGIT_BITS)];
+        let count_up = ("COUNT_UP", u32::from(sort.count_up && pass == 0));
+        for (first_block, grid, _) in self.pieces(sort) {
+            recorder.run_with(
+                &shaders::RADIX_COUNT,
+                &[length, shift, first_block],
+                &[lengths, keys, digit_counts],
+                grid,
+            );
+        }
+        let parts = [lengths, digit_counts, digit_totals];
+        recorder.run_with(&shaders::DIGIT_SCAN, &[length], &parts, Grid::Exact([DIGITS, 1, 1]));
+        let parts = [lengths, digit_counts, digit_totals, keys, values, keys_out, values_out];
+        for (first_block, grid, keys) in self.pieces(sort) {
+            let overrides = [length, shift, count_up, first_block];
+            recorder.run_long(&shaders::RADIX_SCATTER, &overrides, &parts, grid, KEY_INSTRUCTIONS * keys);
+        }
+    }
+
+    /// Pieces that no device takes long for: the constant that says where each begins, its grid, and the most keys that it
+    /// may have. The first is as long as the device says; of others, blocks that are not there do nothing.
+    fn pieces(&self, sort: &Sort) -> impl Iterator<Item = ((&'static str, u32), Grid<'_>, u64)> {
+        let (most, piece) = (sort.most, u64::from(SORT_PIECE));
+        let first = Grid::Device(&self.grids, sort.grid);
+        (0..most.div_ceil(piece).max(1)).map(move |index| {
+            let keys = piece.min(most - index * piece);
+            let grid = if index == 0 { first } else { Grid::Groups(keys.div_ceil(SORT_BLOCK.into())) };
+            (("FIRST_BLOCK", index as u32 * (SORT_PIECE / SORT_BLOCK)), grid, keys)
+        })
+    }
+}
+
+/// What a radix sort sorts.
+pub(super) struct Sort {
+    /// Where the device says how many keys there are, and how many blocks the first piece of them has.
+    pub(super) length: u32,
+    pub(super) grid: u32,
+    /// Keys that there may be.
+    pub(super) most: u64,
+    /// The lowest bits, by which they are sorted.
+    pub(super) bits: u32,
+    /// Which keys and values; the others are room.
+    pub(super) first: usize,
+    /// The values are the places that keys had before.
+    pub(super) count_up: bool,
+}
+
+/// Keys that are sorted to try it: more than one block.
+const TRIED: u32 = 5_000;
+
+/// Whether a device sorts right. Kernels may rely on subgroups, and drivers choose their width kernel by kernel: so it is
+/// those of the sort themselves that are tried.
+pub(crate) fn sorts_right(engine: &Engine) -> Result<bool> {
+    // Few of their highest digits differ, and many are equal.
+    let keys: Vec<u32> = (0..TRIED).map(|place| (place / 2).wrapping_mul(0x9e37_79b9) >> 5).collect();
+    let values: Vec<u32> = (0..TRIED).collect();
+    let mut expected = values.clone();
+    expected.sort_by_key(|&place| keys[place as usize]);
+    let (sorted, places) = sorted(engine, &keys, &values, 32, false)?;
+    Ok(places == expected && sorted.iter().zip(&expected).all(|(&key, &place)| key == keys[place as usize]))
+}
+
+/// Memory for so many numbers or keys.
+fn sorter_of(engine: &Engine, count: u64) -> Result<Sorter> {
+    let mut sorter = Sorter::new(engine)?;
+    sorter.reserve(engine, count, count)?;
+    Ok(sorter)
+}
+
+/// Keys and values after a sort by the lowest `bits`.
+fn sorted(engine: &Engine, keys: &[u32], values: &[u32], bits: u32, count_up: bool) -> Result<(Vec<u32>, Vec<u32>)> {
+    let most = keys.len() as u64;
+    let sorter = sorter_of(engine, most)?;
+    engine.write(&sorter.keys[0], 0, keys);
+    engine.write(&sorter.values[0], 0, values);
+    engine.write(&sorter.lengths, 4 * u64::from(LENGTH_VISIBLE), &[keys.len() as u32]);
+    let blocks = most.min(SORT_PIECE.into()).div_ceil(SORT_BLOCK.into()) as u32;
+    let grid = [blocks.min(GRID_WIDTH), blocks.div_ceil(GRID_WIDTH), 1];
+    engine.write(&sorter.grids, 12 * u64::from(GRID_DEPTH_SORT), &grid);
+    let mut recorder = Recorder::new(engine, None);
+    let (length, grid) = (LENGTH_VISIBLE, GRID_DEPTH_SORT);
+    let at = sorter.sort(&mut recorder, &Sort { length, grid, most, bits, first: 0, count_up });
+    recorder.submit();
+    Ok((engine.read_values(&sorter.keys[at], most)?, engine.read_values(&sorter.values[at], most)?))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::state::layout::{GRID_DEPTH_SORT, GRID_WIDTH, LENGTH_ROWS, LENGTH_VISIBLE};
-    use crate::tests::engines;
-
-    /// Memory for so many numbers or keys.
-    fn sorter_of(engine: &Engine, count: u64) -> Sorter {
-        let mut sorter = Sorter::new(engine).unwrap();
-        sorter.reserve(engine, count, count).unwrap();
-        sorter
-    }
+    use crate::device::unroll::unrolled;
+    use crate::state::layout::LENGTH_ROWS;
+    use crate::tests::{engine, engines};
 
     /// Sum of `counts` by the device's prefix sum.
     fn total(engine: &Engine, counts: &[u32]) -> u32 {
         let count = counts.len() as u64;
-        let sorter = sorter_of(engine, count);
+        let sorter = sorter_of(engine, count).unwrap();
         let input = engine.upload("counts", counts).unwrap();
         let output = engine.allocate("offsets", 4 * count).unwrap();
         engine.write(&sorter.lengths, 4 * u64::from(LENGTH_ROWS), &[counts.len() as u32]);
@@ -135,25 +208,7 @@ mod tests {
         }
     }
 
-    /// Keys and values after a sort by the lowest `bits`.
-    fn sorted(engine: &Engine, keys: &[u32], bits: u32, count_up: bool) -> (Vec<u32>, Vec<u32>) {
-        let count = keys.len() as u64;
-        let sorter = sorter_of(engine, count);
-        engine.write(&sorter.keys[0], 0, keys);
-        let values: Vec<u32> = (0..keys.len() as u32).map(|place| 7 * place).collect();
-        engine.write(&sorter.values[0], 0, &values);
-        engine.write(&sorter.lengths, 4 * u64::from(LENGTH_VISIBLE), &[keys.len() as u32]);
-        let blocks = count.div_ceil(SORT_BLOCK.into()) as u32;
-        let grid = [blocks.min(GRID_WIDTH), blocks.div_ceil(GRID_WIDTH), 1];
-        engine.write(&sorter.grids, 12 * u64::from(GRID_DEPTH_SORT), &grid);
-        let mut recorder = Recorder::new(engine, None);
-        let at = sorter.sort(&mut recorder, LENGTH_VISIBLE, GRID_DEPTH_SORT, bits, 0, count_up);
-        recorder.submit();
-        let read = |memory| engine.read_values(memory, count).unwrap();
-        (read(&sorter.keys[at]), read(&sorter.values[at]))
-    }
-
-    /// From none to more blocks than a workgroup has invocations, the last of them short.
+    /// From none to more blocks than a workgroup has invocations, in three pieces, the last of them short.
     #[test]
     fn a_sort_is_stable_for_any_number_of_keys() {
         let engines = engines();
@@ -168,11 +223,32 @@ mod tests {
                 let expected: Vec<u32> = places.iter().map(|&place| keys[place as usize]).collect();
                 let value = if count_up { 1 } else { 7 };
                 let values: Vec<u32> = places.iter().map(|place| value * place).collect();
+                let before: Vec<u32> = (0..count as u32).map(|place| 7 * place).collect();
                 for engine in &engines {
-                    let (sorted_keys, sorted_values) = sorted(engine, &keys, bits, count_up);
+                    let (sorted_keys, sorted_values) = sorted(engine, &keys, &before, bits, count_up).unwrap();
                     assert!(sorted_keys == expected && sorted_values == values, "{count}, {bits} bits");
                 }
             }
         }
     }
+
+    /// Ballots that miss a lane, as translators have made them, and subgroups whose width is taken for another.
+    #[test]
+    fn a_wrong_sort_is_found_out() {
+        let Some(mut engine) = engine() else { return };
+        assert!(sorts_right(&engine).unwrap());
+        for (right, wrong) in [("subgroupBallot(is_set)", "(subgroupBallot(is_set) & vec4(~2u))"), ("/ width", "/ 2u")]
+        {
+            assert!(engine.abilities.subgroups && SORT_WITH_SUBGROUPS.iter().any(|text| text.contains(right)));
+            engine.set_rewrite(Box::new(move |_, text| unrolled(&text.replace(right, wrong))));
+            assert!(!sorts_right(&engine).unwrap(), "{wrong}");
+        }
+        assert!(sorts_right(&engine.without_subgroups()).unwrap());
+    }
+
+    /// What kernels of a sort have only with subgroups.
+    const SORT_WITH_SUBGROUPS: [&str; 2] = [
+        include_str!("../../shader/bin/mark_digit_subgroups.wgsl"),
+        include_str!("../../shader/bin/group_scan_subgroups.wgsl"),
+    ];
 }

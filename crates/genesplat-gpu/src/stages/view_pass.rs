@@ -4,7 +4,6 @@ use genesplat_core::backend::{McmcStep, Update};
 use genesplat_core::constants::{ADAM_BETA1, ADAM_BETA2, JACOBIAN_LIMIT};
 use genesplat_core::{Camera, DensitySignal, RenderSettings, ScreenFilter, StatisticsRequest};
 
-use crate::device::Grid;
 use crate::state::layout::{
     FILTER_ANTIALIASED, FILTER_CLASSIC, FILTER_MIP, Optimiser, SIGNAL_ABSOLUTE, SIGNAL_BOTH, SIGNAL_NONE,
     SIGNAL_PIXELS, SIGNAL_SIGNED, TILE, ViewPass,
@@ -76,11 +75,6 @@ impl ViewPass {
     /// Bytes of the sums of the loss, for all layers.
     pub(crate) fn loss_sum_bytes(&self) -> u64 {
         48 * self.tiles() * u64::from(self.layers)
-    }
-
-    /// One workgroup a tile, in so many layers.
-    pub(crate) fn tile_grid(&self, layers: u32) -> Grid<'static> {
-        Grid::Exact([self.tiles_x, self.tiles_y, layers])
     }
 }
 

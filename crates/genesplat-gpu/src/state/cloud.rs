@@ -7,7 +7,12 @@ use genesplat_core::{Gaussians, Genes};
 
 use crate::Result;
 use crate::device::{Engine, Memory, Part};
-use crate::state::layout::{GEOMETRY_FLOATS, SH_FLOATS, Window};
+use crate::state::layout::{GEOMETRY_FLOATS, LATE_STEPS_MAX, SH_FLOATS, Window};
+
+/// Instructions of a row whose colours make up for all steps that they may have to: more than any other stage takes.
+pub(crate) const ROW_INSTRUCTIONS: u64 = SH_FLOATS as u64 / 4 * MAKE_UP_INSTRUCTIONS + 1_500;
+/// Of one vector that makes up for these steps.
+pub(crate) const MAKE_UP_INSTRUCTIONS: u64 = 52 * LATE_STEPS_MAX as u64;
 
 /// A window begins at a multiple of this many rows, so that every column is bound at a multiple of 256 bytes.
 const WINDOW_STEP: u64 = 64;
@@ -26,9 +31,11 @@ impl RowWindow {
     }
 }
 
-/// Cuts `rows` so that the widest column fits a binding; there is always a window.
+/// Cuts `rows` so that the widest column fits a binding, and that no stage takes a weak device too long for what is between;
+/// there is always a window.
 pub(crate) fn windows(engine: &Engine, rows: u64) -> Result<Vec<RowWindow>> {
-    let step = (engine.window_rows / WINDOW_STEP * WINDOW_STEP).max(WINDOW_STEP);
+    let rows_max = engine.window_rows.min(engine.instructions_max / ROW_INSTRUCTIONS);
+    let step = (rows_max / WINDOW_STEP * WINDOW_STEP).max(WINDOW_STEP);
     (0..rows.div_ceil(step).max(1))
         .map(|index| {
             let first = index * step;

@@ -10,7 +10,7 @@ use std::cell::Cell;
 use crate::Result;
 use crate::device::{Engine, Grid, Memory, Recorder, shaders};
 use crate::state::layout::{LATE_STEPS_MAX, SH_FLOATS};
-use crate::state::{Column, State};
+use crate::state::{Column, MAKE_UP_INSTRUCTIONS, State};
 
 pub(crate) struct ColourSteps {
     /// Steps that each row has made `[N]`.
@@ -47,7 +47,9 @@ impl State {
         for window in &self.windows {
             let colours = [&self.cloud, &self.first, &self.second].map(|values| values.sh.at(window));
             let parts = [&[window.uniform.all(), steps.all(), made.at(window)][..], &colours].concat();
-            recorder.run(&shaders::MAKE_UP_COLOUR, &parts, Grid::Items(u64::from(SH_FLOATS / 4) * window.count));
+            let vectors = u64::from(SH_FLOATS / 4) * window.count;
+            let instructions = MAKE_UP_INSTRUCTIONS * vectors;
+            recorder.run_long(&shaders::MAKE_UP_COLOUR, &[], &parts, Grid::Items(vectors), instructions);
         }
         recorder.clear(&made.memory, made.memory.bytes);
         recorder.clear(steps, steps.bytes);

@@ -24,8 +24,8 @@ shared_constants! {
     SCAN_BLOCK = 8 * GROUP,
     SORT_BLOCK = 16 * GROUP,
     DIGITS = 256,
-    // Splats that rasterisation blends, and the backward pass reduces, at once.
-    SPLATS_AT_ONCE = 8,
+    // Keys of one dispatch of a sort, few in tests: what is more goes to others.
+    SORT_PIECE = if cfg!(test) { 128 * SORT_BLOCK } else { 1 << 24 },
     // Tiles of a splat that one invocation lists, and whose gradients it sums, few in tests; those of wider splats, a
     // workgroup.
     SERIAL_TILES = if cfg!(test) { 4 } else { 32 },

@@ -10,7 +10,9 @@ use genesplat_core::{DeviceState, Gaussians, Moments, TrainStep};
 
 use crate::Result;
 use crate::device::Engine;
-pub(crate) use cloud::{Column, Parameters, RowWindow, pack_genes, window_uniform, windows};
+pub(crate) use cloud::{
+    Column, MAKE_UP_INSTRUCTIONS, Parameters, ROW_INSTRUCTIONS, RowWindow, pack_genes, window_uniform, windows,
+};
 pub(crate) use colour_steps::ColourSteps;
 use layout::GRADIENT_FLOATS;
 use mean::DeviceMean;

@@ -6,6 +6,36 @@ use genesplat_core::{BackendError, EvolutionBackend, Held, Origin, RowEdit, Spar
 
 use super::verbs::{change_rows, make_twins, ten_steps, twins_agree};
 use super::*;
+use crate::device::adapter::WORKGROUP_BYTES_MIN;
+
+/// A device whose workgroups have 16 KiB reduces splats by four instead of eight, in the same order.
+#[test]
+fn little_workgroup_memory_changes_no_bit() {
+    let (Some(full), Some(little)) = (engine(), little_engine()) else { return };
+    let signals = [DensitySignal::SignedAndAbsolute, DensitySignal::PixelWeighted { depth_threshold: 2.0 }];
+    let [expected, found] = [full, little].map(|engine| {
+        let mut gpu = GpuBackend::on(engine).unwrap();
+        gpu.set_views(&[view(), masked_view(90)]).unwrap();
+        gpu.upload(crowd(CROWD_LOGITS[0]).into()).unwrap();
+        for (number, signal) in (1..).zip(signals) {
+            let mut step = TrainStep { view: number as usize - 1, ..step(number, settings(3, ScreenFilter::Mip)) };
+            step.statistics.density = Some(signal);
+            gpu.train_step(&step).unwrap();
+        }
+        let contributions = gpu.contributions(&[0, 1], &settings(3, ScreenFilter::Mip)).unwrap();
+        (gpu.state().unwrap(), contributions)
+    });
+    assert!(expected.0.statistics.gradient_sum.iter().any(|&sum| sum > 0.0), "gradients are summed");
+    assert!(found == expected);
+}
+
+/// Whatever a kernel needs beyond 16 KiB is refused here.
+fn little_engine() -> Option<Engine> {
+    engine()?;
+    let engine = Engine::open(WORKGROUP_BYTES_MIN).unwrap();
+    assert_eq!(engine.device.limits().max_compute_workgroup_storage_size, WORKGROUP_BYTES_MIN);
+    Some(engine)
+}
 
 /// Columns in three windows.
 #[test]

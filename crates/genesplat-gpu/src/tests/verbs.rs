@@ -122,6 +122,34 @@ fn steps_of_several_views_match() {
     assert!(compare_clouds("project_backward", &forgotten, &state.moments.pending).is_err(), "a view is missed");
 }
 
+/// Steps of one view, then of several; after each, `left` is what lies where gradients were.
+fn steps_over(gpu: &mut GpuBackend, left: f32) -> DeviceState {
+    let mut start = cloud(300);
+    // Too faint for a splat, though they are seen.
+    start.opacity_logits.iter_mut().step_by(3).for_each(|logit| *logit -= 6.0);
+    gpu.set_views(&[view(), masked_view(90)]).unwrap();
+    gpu.upload(start.into()).unwrap();
+    for number in 1..=9 {
+        let waits = number > 3 && number % 3 != 0;
+        let mut step = step(number, settings(2, ScreenFilter::Classic));
+        step.statistics.density = Some(DensitySignal::SignedAndAbsolute);
+        step.update = step.update.filter(|_| !waits);
+        gpu.train_step(&TrainStep { view: number as usize % 2, keeps_gradients: waits, ..step }).unwrap();
+        let gradients = &gpu.state.gradients.memory;
+        gpu.engine.write(gradients, 0, &vec![left; gradients.bytes as usize / 4]);
+    }
+    gpu.state().unwrap()
+}
+
+#[test]
+fn where_rows_have_no_splat_nobody_reads_gradients() {
+    let Some(mut gpu) = gpu() else { return };
+    let [expected, found] = [0.0, 1e3].map(|left| steps_over(&mut gpu, left));
+    let (seen, splats) = (&expected.statistics.weight_sum, &expected.statistics.gene_views);
+    assert!(seen.iter().zip(splats).any(|(&seen, &splats)| seen > 0.0 && splats == 0), "some are seen without a splat");
+    assert!(found == expected);
+}
+
 /// Where the lists of a view do not fit, the steps from there on are repeated: nothing is added twice, or not at all.
 #[test]
 fn gradients_that_wait_survive_an_overflow() {

@@ -1,0 +1,80 @@
+//! Long work is split into dispatches and submissions that a weak device is through with soon: with the same bits.
+
+use genesplat_core::{Contribution, DeviceState, EvolutionBackend, Held, Image};
+
+use super::verbs::change_rows;
+use super::*;
+use crate::device::shaders::kernel_texts;
+use crate::device::unroll::unrolled;
+
+/// All that a device finds.
+#[derive(PartialEq)]
+struct Found {
+    state: DeviceState,
+    image: Image,
+    contributions: Vec<Contribution>,
+    weights: Vec<f32>,
+    scores: Vec<f32>,
+    losses: Vec<[f32; 2]>,
+}
+
+fn found_by(gpu: &mut GpuBackend) -> Found {
+    let settings = settings(3, ScreenFilter::Mip);
+    gpu.set_views(&[view(), small_view(), masked_view(90)]).unwrap();
+    change_rows(gpu);
+    for number in 1..=8 {
+        let mut step = TrainStep { view: number as usize % 3, ..step(number, settings) };
+        step.statistics.density = Some(DensitySignal::PixelWeighted { depth_threshold: 2.0 });
+        gpu.train_step(&step).unwrap();
+        gpu.average().unwrap();
+    }
+    let state = gpu.state().unwrap();
+    let population: Vec<_> = (0..20).map(|index| individual_of(&state.cloud, index % 6)).collect();
+    let pixels = (camera().width * camera().height) as usize;
+    let map: Vec<f32> = (0..pixels).map(|pixel| uniform(pixel, 3)).collect();
+    let losses = gpu.measure(Held::Mean, &[0, 1, 2], &settings).unwrap();
+    Found {
+        state,
+        image: gpu.render(&camera(), &settings).unwrap(),
+        contributions: gpu.contributions(&[0, 1, 2], &settings).unwrap(),
+        weights: gpu.weigh(0, &map, &settings).unwrap(),
+        scores: gpu.score(&population, &[0, 1], &settings).unwrap(),
+        losses: losses.iter().map(|view| [view.loss, view.squared_error]).collect(),
+    }
+}
+
+/// A backend whose submissions take at most so many instructions.
+fn split_by(most: u64) -> Option<GpuBackend> {
+    Some(GpuBackend::on(engine()?.with_instructions(most)).unwrap())
+}
+
+/// A submission and a tile row a dispatch, windows of 64 rows; then bands of two and three tile rows.
+#[test]
+fn no_bit_depends_on_how_work_is_split() {
+    let Some(mut whole) = split_by(u64::MAX) else { return };
+    let expected = found_by(&mut whole);
+    for (most, times) in [(1, 10), (200_000_000, 2)] {
+        let Some(mut split) = split_by(most) else { return };
+        assert!(found_by(&mut split) == expected, "{most} instructions");
+        let [whole, split] = [&whole, &split].map(|gpu| gpu.engine.submissions.get());
+        assert!(split > times * whole, "{most} instructions: {split} submissions instead of {whole}");
+    }
+}
+
+#[test]
+fn a_kernel_that_forgets_its_first_tile_row_is_noticed() {
+    let Some(mut gpu) = split_by(1) else { return };
+    let expected = found_by(&mut gpu);
+    let kernels: Vec<_> = kernel_texts(gpu.engine.abilities).filter(|(_, text)| text.contains(FIRST_ROW)).collect();
+    assert_eq!(kernels.len(), 6);
+    for (kernel, _) in kernels {
+        let forgets = move |name: &str, text: String| {
+            unrolled(&if name == kernel { text.replace(FIRST_ROW, "min(first_tile_row, 0u), 0u") } else { text })
+        };
+        gpu.engine.set_rewrite(Box::new(forgets));
+        assert!(found_by(&mut gpu) != expected, "{kernel}");
+    }
+}
+
+/// The one place where a kernel asks for it, but for its declaration.
+const FIRST_ROW: &str = "first_tile_row, 0u";
