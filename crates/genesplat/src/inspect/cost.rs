@@ -15,10 +15,9 @@ use crate::scene;
 
 /// Steps that are timed; the first ones fill caches.
 const STEPS: u32 = 6;
-/// Bytes a Gaussian takes in training with evolution: parameters, moments, statistics, intersections, the state before a
-/// trial, averages. Peaks of `train SCENE --max-side 480 --iterations 7000` on fox (867 MB, 213,061) and plush (1,034 MB,
-/// 239,662), photos taken off.
-const GAUSSIAN_BYTES: u64 = 3_900;
+/// Bytes a Gaussian takes in training with evolution: parameters, moments, statistics, intersections, the mean of states.
+/// Peaks of `train SCENE --max-side 480 --iterations 7000`, photos taken off: fox 587 MB (226,487), plush 593 MB (202,254).
+const GAUSSIAN_BYTES: u64 = 2_600;
 /// Bytes a pixel of a training photo takes: itself, and what the loss keeps of it.
 const PIXEL_BYTES: u64 = 6;
 /// The cloud grows evenly, so that a step costs this fraction of the last one on average.
