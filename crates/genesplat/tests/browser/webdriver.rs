@@ -13,6 +13,8 @@ use tempfile::TempDir;
 
 /// What the standard calls the key of an element.
 const ELEMENT: &str = "element-6066-11e4-a52e-4f735466cecf";
+/// A browser that draws without a graphics card on a busy machine takes minutes for what others do at once.
+const PATIENCE: Duration = Duration::from_secs(600);
 
 pub(crate) struct Browser {
     driver: Child,
@@ -72,7 +74,7 @@ impl Browser {
 
     /// Waits until an expression is true.
     pub(crate) fn wait_for(&self, expression: &str) {
-        let deadline = Instant::now() + Duration::from_secs(60);
+        let deadline = Instant::now() + PATIENCE;
         while self.run(&format!("return Boolean({expression})")) != true {
             assert!(Instant::now() < deadline, "never: {expression}; the page says {:?}", self.messages());
             std::thread::sleep(Duration::from_millis(50));
@@ -152,7 +154,7 @@ impl Browser {
 
     fn exchange(&self, method: &str, path: &str, body: &Value) -> io::Result<Value> {
         let mut stream = TcpStream::connect(("127.0.0.1", self.port))?;
-        stream.set_read_timeout(Some(Duration::from_secs(120)))?;
+        stream.set_read_timeout(Some(PATIENCE))?;
         let body = if body.is_null() { String::new() } else { body.to_string() };
         let (port, length) = (self.port, body.len());
         write!(
