@@ -243,7 +243,7 @@ pub enum MomentPolicy {
 }
 
 /// All that a device holds of a run besides its views: what a checkpoint saves.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct DeviceState {
     /// The Gaussians `[N]`.
     pub cloud: Gaussians,

@@ -1,12 +1,10 @@
 //! The cloud of Gaussians, structure of arrays, and Adam's moments in the same shape.
 
-use serde::{Deserialize, Serialize};
-
 use crate::genes::{Genes, SparseDelta};
 use crate::spherical_harmonics::{SH_DEGREE_MAX, SH_STRIDE, coefficients};
 
 /// A cloud of `N` Gaussians; all parameters raw (before activation).
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Gaussians {
     /// Means, world units `[N, 3]`.
     pub positions: Vec<[f32; 3]>,
@@ -17,7 +15,6 @@ pub struct Gaussians {
     /// Opacities before the sigmoid `[N]`.
     pub opacity_logits: Vec<f32>,
     /// Spherical harmonics `[N, 16 coefficients, 3 channels]`; coefficient 0 is the base colour ("dc").
-    #[serde(with = "flat_rows")]
     pub sh: Vec<[f32; SH_STRIDE]>,
     /// Mip-Splatting's 3D filter, standard deviation in world units `[N]`; `None` for every other variant.
     pub filter_3d: Option<Vec<f32>>,
@@ -180,28 +177,9 @@ impl Gaussians {
     }
 }
 
-/// Spherical harmonics as one list: serde knows no arrays of 48.
-mod flat_rows {
-    use serde::de::{Deserialize, Deserializer, Error};
-    use serde::ser::{Serialize, Serializer};
-
-    use super::SH_STRIDE;
-
-    pub(super) fn serialize<S: Serializer>(rows: &[[f32; SH_STRIDE]], serializer: S) -> Result<S::Ok, S::Error> {
-        rows.as_flattened().serialize(serializer)
-    }
-
-    pub(super) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<[f32; SH_STRIDE]>, D::Error> {
-        match Vec::<f32>::deserialize(deserializer)?.as_chunks() {
-            (rows, []) => Ok(rows.to_vec()),
-            _ => Err(D::Error::custom("a column ends within a row")),
-        }
-    }
-}
-
 /// Adam's first and second moments of every trained parameter, and gradients that wait for its next step; rows match those
 /// of the cloud.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Moments {
     /// Running means of the gradients.
     pub first: Gaussians,

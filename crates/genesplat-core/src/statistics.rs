@@ -1,7 +1,5 @@
 //! What a backend measures for density control and evolution.
 
-use serde::{Deserialize, Serialize};
-
 use crate::genes::Genes;
 
 /// How strongly a view counts in a Gaussian's density signal.
@@ -31,7 +29,7 @@ pub struct StatisticsRequest {
 }
 
 /// Sums since the last change of rows; rows match those of the cloud.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Statistics {
     /// Sum of the density signal, by normalised device coordinate `[N]`.
     pub gradient_sum: Vec<f32>,

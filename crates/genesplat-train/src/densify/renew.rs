@@ -15,7 +15,6 @@ use std::time::Instant;
 
 use genesplat_core::{Contribution, DeviceState, Gaussians, Held, Moments, Origin};
 use genesplat_evolve::renewal;
-use serde::{Deserialize, Serialize};
 
 use crate::evolution::{GuardScore, guards};
 use crate::run::TrainError;
@@ -24,7 +23,7 @@ use crate::run::trainer::Trainer;
 use crate::scene::views::spread_evenly;
 
 /// A renewal that has yet to prove itself.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Trial {
     /// What is reported of it, as if it had succeeded; the guard score that ends it is not in it yet.
     pub record: StageRecord,

@@ -1,4 +1,4 @@
-//! The parts of a checkpoint as `postcard` has them: values, and columns of rows behind their number.
+//! The parts of a checkpoint: values as `postcard` has them, and columns of rows behind their number.
 
 use std::io::{self, Read, Write};
 use std::ops::Range;
@@ -12,11 +12,17 @@ use super::joint::JointWriter;
 use super::summed::Summed;
 use crate::densify::renew::Trial;
 
-/// Floats that are written or read at once.
+/// Floats or numbers that are written or read at once.
 const PIECE: usize = 1 << 18;
 
 fn bytes_of(value: &impl Serialize) -> Vec<u8> {
     postcard::to_stdvec(value).expect("memory takes all bytes")
+}
+
+fn words_of<T: Copy>(values: &[T], word: fn(T) -> [u8; 4]) -> Vec<u8> {
+    let mut words = vec![[0; 4]; values.len()];
+    words.iter_mut().zip(values).for_each(|(bytes, &value)| *bytes = word(value));
+    words.into_flattened()
 }
 
 impl<W: Write> JointWriter<'_, W> {
@@ -25,27 +31,29 @@ impl<W: Write> JointWriter<'_, W> {
         self.bytes(&bytes_of(value));
     }
 
-    /// A column whose number is that of its floats, divided by `width`.
-    fn floats(&mut self, column: &[f32], width: usize) -> io::Result<()> {
-        let counts = self.counts(column.len())?;
-        self.value(&(counts.iter().sum::<usize>() / width));
-        self.rows(&counts, PIECE, |part| column[part].iter().flat_map(|value| value.to_le_bytes()).collect())
+    /// A column of rows of `N` floats.
+    fn floats<const N: usize>(&mut self, column: &[[f32; N]]) -> io::Result<()> {
+        self.column(column.len(), PIECE / N, |rows| words_of(column[rows].as_flattened(), f32::to_le_bytes))
     }
 
     fn numbers(&mut self, column: &[u32]) -> io::Result<()> {
-        let counts = self.counts(column.len())?;
+        self.column(column.len(), PIECE, |rows| words_of(&column[rows], u32::to_le_bytes))
+    }
+
+    fn column(&mut self, own: usize, piece: usize, bytes: impl Fn(Range<usize>) -> Vec<u8>) -> io::Result<()> {
+        let counts = self.counts(own)?;
         self.value(&counts.iter().sum::<usize>());
-        self.rows(&counts, PIECE, |part| column[part].iter().flat_map(bytes_of).collect())
+        self.rows(&counts, piece, bytes)
     }
 
     fn cloud(&mut self, cloud: &Gaussians) -> io::Result<()> {
-        self.floats(cloud.positions.as_flattened(), 3)?;
-        self.floats(cloud.log_scales.as_flattened(), 3)?;
-        self.floats(cloud.rotations.as_flattened(), 4)?;
-        self.floats(&cloud.opacity_logits, 1)?;
-        self.floats(cloud.sh.as_flattened(), 1)?;
+        self.floats(&cloud.positions)?;
+        self.floats(&cloud.log_scales)?;
+        self.floats(&cloud.rotations)?;
+        self.floats::<1>(cloud.opacity_logits.as_chunks().0)?;
+        self.floats(&cloud.sh)?;
         self.value(&cloud.filter_3d.is_some());
-        cloud.filter_3d.as_ref().map_or(Ok(()), |filter| self.floats(filter, 1))
+        cloud.filter_3d.as_ref().map_or(Ok(()), |filter| self.floats::<1>(filter.as_chunks().0))
     }
 
     fn moments(&mut self, moments: &Moments) -> io::Result<()> {
@@ -53,10 +61,10 @@ impl<W: Write> JointWriter<'_, W> {
     }
 
     fn statistics(&mut self, statistics: &Statistics) -> io::Result<()> {
-        self.floats(&statistics.gradient_sum, 1)?;
-        self.floats(&statistics.weight_sum, 1)?;
-        self.floats(&statistics.absolute_sum, 1)?;
-        self.floats(statistics.gene_gradient_sum.as_flattened(), 7)?;
+        for column in [&statistics.gradient_sum, &statistics.weight_sum, &statistics.absolute_sum] {
+            self.floats::<1>(column.as_chunks().0)?;
+        }
+        self.floats(&statistics.gene_gradient_sum)?;
         self.numbers(&statistics.gene_views)
     }
 
@@ -92,49 +100,42 @@ impl<R: Read> ColumnReader<'_, R> {
         }
     }
 
-    /// A column of rows of `W` floats, whose number is that of `counted` of them.
-    fn floats<const W: usize>(&mut self, counted: usize) -> Result<Vec<[f32; W]>, CheckpointError> {
-        let (count, per_row) = (self.value::<usize>()?, W / counted);
-        if !count.is_multiple_of(per_row) {
-            return Err(CheckpointError::Damaged("a column ends within a row"));
-        }
-        let (rows, at_once) = (count / per_row, PIECE / W);
+    /// A column of rows of `N` floats.
+    fn floats<const N: usize>(&mut self) -> Result<Vec<[f32; N]>, CheckpointError> {
+        self.words(|row| row.map(f32::from_le_bytes))
+    }
+
+    fn column(&mut self) -> Result<Vec<f32>, CheckpointError> {
+        self.floats::<1>().map(Vec::into_flattened)
+    }
+
+    fn numbers(&mut self) -> Result<Vec<u32>, CheckpointError> {
+        self.words(|[number]| u32::from_le_bytes(number))
+    }
+
+    /// The own rows of a column of rows of `N` words.
+    fn words<const N: usize, T>(&mut self, of_row: impl Fn([[u8; 4]; N]) -> T) -> Result<Vec<T>, CheckpointError> {
+        let (rows, at_once) = (self.value::<usize>()?, PIECE / N);
         let share = (self.share)(rows);
         let (mut kept, mut bytes) = (Vec::new(), Vec::new());
         for start in (0..rows).step_by(at_once) {
             let part = start..rows.min(start + at_once);
-            bytes.resize(part.len() * W * size_of::<f32>(), 0);
+            bytes.resize(part.len() * N * size_of::<f32>(), 0);
             self.input.read_exact(&mut bytes).map_err(|error| self.input.cause_of(error))?;
-            let (rows, _) = bytes.as_chunks::<4>().0.as_chunks::<W>();
+            let (rows, _) = bytes.as_chunks::<4>().0.as_chunks::<N>();
             let wanted = share.start.clamp(part.start, part.end)..share.end.clamp(part.start, part.end);
-            kept.extend(rows[wanted.start - start..wanted.end - start].iter().map(|row| row.map(f32::from_le_bytes)));
-        }
-        Ok(kept)
-    }
-
-    fn column(&mut self) -> Result<Vec<f32>, CheckpointError> {
-        self.floats::<1>(1).map(Vec::into_flattened)
-    }
-
-    fn numbers(&mut self) -> Result<Vec<u32>, CheckpointError> {
-        let count = self.value()?;
-        let (share, mut kept) = ((self.share)(count), Vec::new());
-        for row in 0..count {
-            let number: u32 = self.value()?;
-            if share.contains(&row) {
-                kept.push(number);
-            }
+            kept.extend(rows[wanted.start - start..wanted.end - start].iter().map(|&row| of_row(row)));
         }
         Ok(kept)
     }
 
     fn cloud(&mut self) -> Result<Gaussians, CheckpointError> {
         Ok(Gaussians {
-            positions: self.floats(3)?,
-            log_scales: self.floats(3)?,
-            rotations: self.floats(4)?,
+            positions: self.floats()?,
+            log_scales: self.floats()?,
+            rotations: self.floats()?,
             opacity_logits: self.column()?,
-            sh: self.floats(1)?,
+            sh: self.floats()?,
             filter_3d: if self.value()? { Some(self.column()?) } else { None },
         })
     }
@@ -148,7 +149,7 @@ impl<R: Read> ColumnReader<'_, R> {
             gradient_sum: self.column()?,
             weight_sum: self.column()?,
             absolute_sum: self.column()?,
-            gene_gradient_sum: self.floats(7)?,
+            gene_gradient_sum: self.floats()?,
             gene_views: self.numbers()?,
         })
     }

@@ -1,8 +1,8 @@
 //! All that a run needs to go on as if it had never stopped, and its bytes.
 //!
 //! Randomness needs no state (streams are addressed by iteration), so a checkpoint is the device's contents plus a few
-//! counters. The format is private to this version of the crate: a magic number, the checkpoint as `postcard` writes
-//! it, and a checksum over everything, so that a file cut short by a full disk is recognised.
+//! counters. The format is private to this version of the crate: a magic number, counters as `postcard` writes them, columns
+//! of rows, and a checksum over everything, so that a file cut short by a full disk is recognised.
 
 use std::io::{self, Read, Write};
 use std::ops::Range;
@@ -24,7 +24,7 @@ mod joint;
 mod summed;
 
 /// Opens every checkpoint; the last byte is the version of the format.
-const MAGIC: [u8; 8] = *b"GSPLATC\x0a";
+const MAGIC: [u8; 8] = *b"GSPLATC\x0b";
 
 /// The next thing to do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -72,7 +72,7 @@ impl Progress {
 }
 
 /// A run that can be resumed exactly.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Checkpoint {
     /// Where to go on.
     pub cursor: Cursor,
@@ -237,10 +237,11 @@ mod tests {
     }
 
     #[test]
-    fn the_bytes_are_those_of_postcard_between_a_mark_and_a_sum() {
-        let checkpoint = example();
-        let (bytes, plain) = (bytes(&checkpoint), postcard::to_stdvec(&checkpoint).unwrap());
-        assert!(bytes[MAGIC.len()..bytes.len() - 8] == plain);
+    fn other_bytes_ask_for_another_version() {
+        let bytes = bytes(&example());
+        let (_, sum) = bytes.split_last_chunk().unwrap();
+        let expected = (5313, 13_650_451_965_795_241_788);
+        assert_eq!((bytes.len(), u64::from_le_bytes(*sum)), expected, "a change of these asks for a change of MAGIC");
     }
 
     /// Of each column the share of a process, also of one that has none.
