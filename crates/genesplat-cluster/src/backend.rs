@@ -6,8 +6,8 @@ use std::ops::Range;
 use genesplat_core::backend::StepReport;
 use genesplat_core::memory::ensure_memory;
 use genesplat_core::{
-    Backend, BackendError, Camera, DeviceState, Gaussians, Genes, Held, Image, RenderSettings, RowEdit, Statistics,
-    TrainStep, View,
+    Backend, BackendError, Camera, DeviceState, Gaussians, Genes, Held, Image, RenderSettings, RowEdit, RowOwners,
+    Statistics, TrainStep, View,
 };
 use genesplat_kernels::cpu::stages::Share;
 use genesplat_kernels::cpu::{CpuBackend, Pinhole};

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
-use genesplat_core::BackendError;
+use genesplat_core::{BackendError, RowOwners};
 
 use crate::ranks::{RankLost, Ranks};
 use crate::shares::Shares;
@@ -145,23 +145,6 @@ impl Group {
         Shares::new(rows, self.count()).of(self.rank())
     }
 
-    /// How many each rank has, where this one has `own`.
-    pub fn counts(&self, own: usize) -> Result<Vec<usize>, BackendError> {
-        let mut out = Writer::default();
-        out.count(own);
-        Ok(self.gather(Ok(out.words))?.iter().map(|part| Reader::new(part).count()).collect())
-    }
-
-    /// Brings bytes of one rank to rank 0; the others get none.
-    pub fn bring(&self, from: usize, bytes: &[u8]) -> Result<Vec<u8>, BackendError> {
-        let mut out = Writer::default();
-        if self.rank() == from {
-            out.bytes(bytes);
-        }
-        let parts = self.to_root(out.words)?;
-        Ok(if self.is_root() { Reader::new(&parts[from]).bytes() } else { Vec::new() })
-    }
-
     /// Sends rank 0 alone something.
     fn to_root(&self, words: Vec<u32>) -> Result<Vec<Vec<u32>>, BackendError> {
         let mut parts = vec![Vec::new(); self.count()];
@@ -213,6 +196,27 @@ fn read(words: &[u32], rank: usize) -> BackendError {
     }
 }
 
+impl RowOwners for Group {
+    fn rank(&self) -> usize {
+        self.rank()
+    }
+
+    fn counts(&self, own: usize) -> Result<Vec<usize>, BackendError> {
+        let mut out = Writer::default();
+        out.count(own);
+        Ok(self.gather(Ok(out.words))?.iter().map(|part| Reader::new(part).count()).collect())
+    }
+
+    fn bring(&self, from: usize, bytes: Vec<u8>) -> Result<Vec<u8>, BackendError> {
+        let mut out = Writer::default();
+        if self.rank() == from {
+            out.bytes(&bytes);
+        }
+        let parts = self.to_root(out.words)?;
+        Ok(if self.is_root() { Reader::new(&parts[from]).bytes() } else { Vec::new() })
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use std::thread;
@@ -252,7 +256,7 @@ mod tests {
         let brought = on_ranks(3, |group| {
             let own: Vec<u8> = (0..5 + group.rank() as u8).collect();
             let counts = group.counts(own.len()).unwrap();
-            (0..3).map(|from| (counts[from], group.bring(from, &own).unwrap())).collect::<Vec<_>>()
+            (0..3).map(|from| (counts[from], group.bring(from, own.clone()).unwrap())).collect::<Vec<_>>()
         });
         assert_eq!(brought[0], [5, 6, 7].map(|count| (count, (0..count as u8).collect())));
         assert!(brought[1..].iter().flatten().all(|(_, bytes)| bytes.is_empty()));

@@ -1,6 +1,5 @@
 //! One to four ranks against one process: the same bytes.
 
-use std::io;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};
 use std::thread;
@@ -9,7 +8,6 @@ use genesplat_core::{Backend, BackendError, Gaussians, Mask, View};
 use genesplat_gallery::{GalleryOptions, generate};
 use genesplat_io::{HoldOut, Scene};
 use genesplat_kernels::cpu::CpuBackend;
-use genesplat_train::checkpoint::Holders;
 use genesplat_train::observe::{Observer, StageRecord, StepLog};
 use genesplat_train::scene::initialise::ColouredPoint;
 use genesplat_train::{Checkpoint, EvolutionMode, Outcome, Resolved, Silent, Start, TrainConfig, Variant, train};
@@ -75,23 +73,6 @@ impl Observer for Asks {
     }
 }
 
-/// Rows that ranks hold.
-struct Shared(Group);
-
-impl Holders for Shared {
-    fn number(&self) -> usize {
-        self.0.rank()
-    }
-
-    fn counts(&mut self, own: usize) -> io::Result<Vec<usize>> {
-        self.0.counts(own).map_err(io::Error::other)
-    }
-
-    fn bring(&mut self, holder: usize, bytes: Vec<u8>) -> io::Result<Vec<u8>> {
-        self.0.bring(holder, &bytes).map_err(io::Error::other)
-    }
-}
-
 /// A run on some ranks, and the last checkpoint, which they have written together.
 struct Joint {
     outcome: Outcome,
@@ -115,7 +96,7 @@ fn on_ranks(
         let outcome = train(&mut backend, views(), start(&group), config, &mut observer, &stop).unwrap();
         let checkpoint = outcome.checkpoint.as_ref().or(observer.kept.as_ref()).map(|checkpoint| {
             let mut bytes = Vec::new();
-            checkpoint.write_together(&mut bytes, &mut Shared(group)).unwrap();
+            checkpoint.write_together(&mut bytes, &group).unwrap();
             bytes
         });
         Joint { outcome, checkpoint }

@@ -5,13 +5,12 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
-use std::{env, io, process, thread};
+use std::{env, process, thread};
 
 use anyhow::{Result, ensure};
 use genesplat::cluster::{ClusterBackend, Group};
-use genesplat::core::{BackendError, EvolutionBackend};
+use genesplat::core::{Alone, BackendError, EvolutionBackend, RowOwners};
 use genesplat::io::{archive, shown};
-use genesplat::train::checkpoint::{Alone, Holders};
 use genesplat::train::{StepBudget, TrainConfig, TrainError};
 
 use crate::args::TrainArgs;
@@ -145,26 +144,9 @@ impl Cluster {
     }
 }
 
-/// Who holds the rows of a run.
-pub(crate) fn holders(cluster: Option<&Cluster>) -> Box<dyn Holders> {
-    cluster.map_or_else(|| Box::new(Alone) as _, |cluster| Box::new(Shared(cluster.group.clone())) as _)
-}
-
-/// Rows that ranks hold, and rank 0 writes.
-struct Shared(Group);
-
-impl Holders for Shared {
-    fn number(&self) -> usize {
-        self.0.rank()
-    }
-
-    fn counts(&mut self, own: usize) -> io::Result<Vec<usize>> {
-        self.0.counts(own).map_err(io::Error::other)
-    }
-
-    fn bring(&mut self, holder: usize, bytes: Vec<u8>) -> io::Result<Vec<u8>> {
-        self.0.bring(holder, &bytes).map_err(io::Error::other)
-    }
+/// Who owns the rows of a run.
+pub(crate) fn owners(cluster: Option<&Cluster>) -> &dyn RowOwners {
+    cluster.map_or(&Alone, |cluster| &cluster.group)
 }
 
 /// What one process has done, where all of a run have done it; where one has failed all do.

@@ -156,7 +156,7 @@ shaders! {
     RESET_OPACITY = "rows/reset_opacity" + [];
     APPLY = "rows/apply" + [];
     SET_FILTER = "rows/set_filter" + [];
-    // Means of states, and blends of them.
+    // The mean of states.
     AVERAGE = "rows/average" + [];
     COPY_FILTER = "rows/copy_filter" + [];
     // Losses of many individuals at once.

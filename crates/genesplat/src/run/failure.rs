@@ -89,9 +89,9 @@ mod tests {
     use std::fs;
 
     use anyhow::anyhow;
-    use genesplat::core::DeviceState;
+    use genesplat::core::{Alone, DeviceState};
     use genesplat::train::Checkpoint;
-    use genesplat::train::checkpoint::{Alone, Cursor, Progress};
+    use genesplat::train::checkpoint::{Cursor, Progress};
 
     use super::*;
     use crate::run::session::RunSession;
@@ -126,7 +126,7 @@ mod tests {
         assert_eq!(says(other()), "the moon is full");
         assert!(says(TrainError::Backend(lost()).into()).ends_with("the run has to begin anew)"));
 
-        session.write_checkpoint(&checkpoint(4213), &mut Alone).unwrap();
+        session.write_checkpoint(&checkpoint(4213), &Alone).unwrap();
         let file = folder.join(CHECKPOINT).display().to_string();
         let errors = [TrainError::Backend(out_of_memory()).into(), out_of_memory().into()];
         for sentence in errors.map(says) {

@@ -7,10 +7,10 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Result, anyhow, bail, ensure};
-use genesplat::core::{Gaussians, ScreenFilter, Sight};
+use genesplat::core::{Gaussians, RowOwners, ScreenFilter, Sight};
 use genesplat::io::{PlyOptions, input, ply, shown, write_ply};
 use genesplat::train::Checkpoint;
-use genesplat::train::checkpoint::{Holders, JointWriter};
+use genesplat::train::checkpoint::JointWriter;
 
 use super::metrics::Metrics;
 use super::{CHECKPOINT, CLOUD, CONFIG, FUSED_CLOUD, LOG, METRICS, REPORT, RESULTS, SNAPSHOTS, TEST, previous};
@@ -142,23 +142,17 @@ impl RunSession {
     }
 
     /// Writes the splat, so that viewers know its screen filter, and without its 3D filter, if it has one.
-    pub(crate) fn write_cloud(&self, cloud: &Gaussians, filter: ScreenFilter, holders: &mut dyn Holders) -> Result<()> {
+    pub(crate) fn write_cloud(&self, cloud: &Gaussians, filter: ScreenFilter, owners: &dyn RowOwners) -> Result<()> {
         let options = PlyOptions { screen_filter: filter, ..PlyOptions::default() };
         if cloud.filter_3d.is_some() {
-            self.write_splat(FUSED_CLOUD, &cloud.fused(), &options, holders)?;
+            self.write_splat(FUSED_CLOUD, &cloud.fused(), &options, owners)?;
         }
-        self.write_splat(CLOUD, cloud, &options, holders)
+        self.write_splat(CLOUD, cloud, &options, owners)
     }
 
-    fn write_splat(
-        &self,
-        name: &str,
-        cloud: &Gaussians,
-        options: &PlyOptions,
-        holders: &mut dyn Holders,
-    ) -> Result<()> {
-        self.write_together(name, holders, |out, holders| {
-            let mut out = JointWriter::new(out, holders);
+    fn write_splat(&self, name: &str, cloud: &Gaussians, options: &PlyOptions, owners: &dyn RowOwners) -> Result<()> {
+        self.write_together(name, |out| {
+            let mut out = JointWriter::new(out, owners);
             let counts = out.counts(cloud.len())?;
             out.bytes(&ply::header_bytes(counts.iter().sum(), cloud.filter_3d.is_some(), options));
             out.rows(&counts, SPLAT_ROWS, |rows| ply::row_bytes(cloud, rows, options))?;
@@ -175,28 +169,23 @@ impl RunSession {
         Ok(path)
     }
 
-    pub(crate) fn write_checkpoint(&self, checkpoint: &Checkpoint, holders: &mut dyn Holders) -> Result<()> {
-        self.write_together(CHECKPOINT, holders, |out, holders| checkpoint.write_together(out, holders))
+    pub(crate) fn write_checkpoint(&self, checkpoint: &Checkpoint, owners: &dyn RowOwners) -> Result<()> {
+        self.write_together(CHECKPOINT, |out| checkpoint.write_together(out, owners))
     }
 
-    /// Writes a file whose rows all processes of the run hold. They take part to its end even where it cannot be written.
-    fn write_together(
-        &self,
-        name: &str,
-        holders: &mut dyn Holders,
-        fill: impl Fn(&mut dyn Write, &mut dyn Holders) -> io::Result<()>,
-    ) -> Result<()> {
+    /// Writes a file whose rows all processes of the run own. They take part to its end even where it cannot be written.
+    fn write_together(&self, name: &str, fill: impl Fn(&mut dyn Write) -> io::Result<()>) -> Result<()> {
         let mut has_begun = false;
         let mut write = || {
             self.hold()?;
             write_file(&self.path.join(name), |out| {
                 has_begun = true;
-                fill(out, holders)
+                fill(out)
             })
         };
         let written = if self.writes { write() } else { Ok(()) };
         if !has_begun {
-            fill(&mut io::sink(), holders)?;
+            fill(&mut io::sink())?;
         }
         written
     }
@@ -344,7 +333,7 @@ fn is_same_file(_: &Metadata, _: &Metadata) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use genesplat::train::checkpoint::Alone;
+    use genesplat::core::Alone;
 
     use super::*;
 
@@ -404,7 +393,7 @@ mod tests {
         let place = tempfile::tempdir().unwrap();
         let run = place.path().join("run");
         let claim = || RunSession::claim(&run, Caller::Train, false).unwrap();
-        let save = |session: &RunSession| session.write_cloud(&Gaussians::zeros(1), ScreenFilter::Classic, &mut Alone);
+        let save = |session: &RunSession| session.write_cloud(&Gaussians::zeros(1), ScreenFilter::Classic, &Alone);
         let mut session = claim();
         session.begin("one = 1").unwrap();
         fs::remove_dir_all(&run).unwrap();

@@ -121,9 +121,9 @@ impl Run<'_> {
         let Outcome { cloud, summary, checkpoint } =
             train(device.as_mut(), &scene.train, start, config, &mut reporter, stop)?;
         // A disk that has no space for the checkpoint, the larger of the two, may have space for the cloud.
-        let mut holders = cluster::holders(self.cluster);
-        let saved = checkpoint.map_or(Ok(()), |saved| session.write_checkpoint(&saved, &mut *holders));
-        session.write_cloud(&cloud, config.render_settings().filter, &mut *holders)?;
+        let owners = cluster::owners(self.cluster);
+        let saved = checkpoint.map_or(Ok(()), |saved| session.write_checkpoint(&saved, owners));
+        session.write_cloud(&cloud, config.render_settings().filter, owners)?;
         saved?;
         drop(cloud);
         reporter.into_result()?;
@@ -146,7 +146,7 @@ impl Run<'_> {
         let Some((test, train)) = self.score(session, device, &summary)? else {
             // What was saved on the way would have to be trained to the end once more.
             let checkpoint = summary.checkpoint_at_end(device.as_mut())?;
-            session.write_checkpoint(&checkpoint, &mut *cluster::holders(self.cluster))?;
+            session.write_checkpoint(&checkpoint, cluster::owners(self.cluster))?;
             return Ok(Ended::Unscored);
         };
         let config = self.settings.train.config();

@@ -1,49 +1,21 @@
-//! A file of rows that one process holds, or several, each a share of them: all go through it alike, and one writes.
+//! A file of rows that one process owns, or several: all go through it alike, and the first one writes.
 
 use std::io::{self, Write};
 use std::ops::Range;
 
-/// The processes that hold the rows, in order.
-pub trait Holders {
-    /// Which of them this is.
-    fn number(&self) -> usize;
-
-    /// How many each has, where this one has `own`.
-    fn counts(&mut self, own: usize) -> io::Result<Vec<usize>>;
-
-    /// Brings bytes of one `holder` to the process that writes; elsewhere nothing comes of it.
-    fn bring(&mut self, holder: usize, bytes: Vec<u8>) -> io::Result<Vec<u8>>;
-}
-
-/// One process that holds all rows.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Alone;
-
-impl Holders for Alone {
-    fn number(&self) -> usize {
-        0
-    }
-
-    fn counts(&mut self, own: usize) -> io::Result<Vec<usize>> {
-        Ok(vec![own])
-    }
-
-    fn bring(&mut self, _holder: usize, bytes: Vec<u8>) -> io::Result<Vec<u8>> {
-        Ok(bytes)
-    }
-}
+use genesplat_core::RowOwners;
 
 /// Writes such a file. What cannot be written is told at the end, since the others would wait for who does not go on.
 pub struct JointWriter<'a, W> {
     out: W,
-    holders: &'a mut dyn Holders,
+    owners: &'a dyn RowOwners,
     failed: Option<io::Error>,
 }
 
 impl<'a, W: Write> JointWriter<'a, W> {
     /// Writes to `out`, which is a sink everywhere but in one process.
-    pub fn new(out: W, holders: &'a mut dyn Holders) -> Self {
-        Self { out, holders, failed: None }
+    pub fn new(out: W, owners: &'a dyn RowOwners) -> Self {
+        Self { out, owners, failed: None }
     }
 
     /// Bytes that all have.
@@ -55,16 +27,16 @@ impl<'a, W: Write> JointWriter<'a, W> {
 
     /// How many rows each process has, where this one has `own`.
     pub fn counts(&mut self, own: usize) -> io::Result<Vec<usize>> {
-        self.holders.counts(own)
+        self.owners.counts(own).map_err(io::Error::other)
     }
 
     /// The rows of all, `piece` of them at a time; `bytes` makes those of own ones.
     pub fn rows(&mut self, counts: &[usize], piece: usize, bytes: impl Fn(Range<usize>) -> Vec<u8>) -> io::Result<()> {
-        for (holder, &count) in counts.iter().enumerate() {
+        for (owner, &count) in counts.iter().enumerate() {
             for start in (0..count).step_by(piece) {
-                let is_own = holder == self.holders.number();
+                let is_own = owner == self.owners.rank();
                 let own = if is_own { bytes(start..count.min(start + piece)) } else { Vec::new() };
-                let brought = self.holders.bring(holder, own)?;
+                let brought = self.owners.bring(owner, own).map_err(io::Error::other)?;
                 self.bytes(&brought);
             }
         }

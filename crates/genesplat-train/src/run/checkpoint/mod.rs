@@ -7,8 +7,8 @@
 use std::io::{self, Read, Write};
 use std::ops::Range;
 
-use genesplat_core::DeviceState;
 use genesplat_core::spherical_harmonics::SH_DEGREE_MAX;
+use genesplat_core::{Alone, DeviceState, RowOwners};
 use serde::{Deserialize, Serialize};
 
 use super::Seconds;
@@ -16,7 +16,7 @@ use super::observe::StageRecord;
 use crate::densify::renew::Trial;
 use crate::schedule::{OptimiserStep, Phase};
 use columns::ColumnReader;
-pub use joint::{Alone, Holders, JointWriter};
+pub use joint::JointWriter;
 use summed::Summed;
 
 mod columns;
@@ -102,12 +102,12 @@ pub enum CheckpointError {
 impl Checkpoint {
     /// Writes the checkpoint; wrap files in a `BufWriter`.
     pub fn write(&self, writer: impl Write) -> io::Result<()> {
-        self.write_together(writer, &mut Alone)
+        self.write_together(writer, &Alone)
     }
 
-    /// The same by all processes that hold a share of the rows; all but the one that writes give a sink.
-    pub fn write_together(&self, writer: impl Write, holders: &mut dyn Holders) -> io::Result<()> {
-        let mut out = JointWriter::new(Summed::new(writer), holders);
+    /// The same by all owners of the rows; all but the first give a sink.
+    pub fn write_together(&self, writer: impl Write, owners: &dyn RowOwners) -> io::Result<()> {
+        let mut out = JointWriter::new(Summed::new(writer), owners);
         out.bytes(&MAGIC);
         out.value(&self.cursor);
         out.value(&self.progress);
