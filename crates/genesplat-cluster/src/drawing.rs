@@ -134,10 +134,11 @@ impl Drawing {
     }
 
     /// The own rows, without what does not count, for the ranks whose loss depends on them.
-    pub(crate) fn rows_for_loss(&mut self, canvas: &Canvas, target: &Target) -> Parts {
+    pub(crate) fn rows_for_loss(&mut self, canvas: &Canvas, target: &Target) -> Result<Parts, BackendError> {
         let held = canvas.band.pixel_rows();
+        self.band.photo.read(target, canvas.near(&held))?;
         target.hide_rows(&mut self.band.image.planes, &held);
-        canvas.pixel_rows().iter().map(|rows| part(&self.band.image, &held, &canvas.near(rows))).collect()
+        Ok(canvas.pixel_rows().iter().map(|rows| part(&self.band.image, &held, &canvas.near(rows))).collect())
     }
 
     /// The loss of the own rows; its gradient, if it is wanted, goes to the band.
@@ -145,17 +146,21 @@ impl Drawing {
         let rows = canvas.band.pixel_rows();
         self.near.assemble(canvas.width(), canvas.near(&rows), &canvas.pixel_rows(), parts);
         let PictureRows { rows: near, image } = &self.near;
-        let gradient = with_gradient.then_some(&mut self.band.image_gradient);
-        loss_of_rows(level, (image, near.start), target, rows.clone(), gradient, &mut self.sums);
+        let ViewBuffers { photo, image_gradient, .. } = &mut self.band;
+        let gradient = with_gradient.then_some(image_gradient);
+        loss_of_rows(level, (image, near.start), photo, rows.clone(), gradient, &mut self.sums);
         if with_gradient {
             target.hide_rows(&mut self.band.image_gradient, &rows);
         }
     }
 
     /// In the place of the loss's gradient: what finds how much splats contribute, and the errors where they are.
-    pub(crate) fn ones_and_errors(&mut self, canvas: &Canvas, target: &Target) {
-        let ViewBuffers { image, image_gradient, .. } = &mut self.band;
-        ones_and_errors(image, target, canvas.band.pixel_rows(), image_gradient);
+    pub(crate) fn ones_and_errors(&mut self, canvas: &Canvas, target: &Target) -> Result<(), BackendError> {
+        let ViewBuffers { image, photo, image_gradient, .. } = &mut self.band;
+        let rows = canvas.band.pixel_rows();
+        photo.read(target, rows.clone())?;
+        ones_and_errors(image, (target, photo), rows, image_gradient);
+        Ok(())
     }
 
     /// In the place of the loss's gradient: a map `[H, W]` for red, and zeros.
@@ -211,10 +216,10 @@ impl Drawing {
     }
 
     /// The own sums of the loss and of squared errors, for all.
-    pub(crate) fn measures(&self, canvas: &Canvas, target: &Target) -> Vec<u32> {
+    pub(crate) fn measures(&self, canvas: &Canvas) -> Vec<u32> {
         let mut out = Writer::default();
         out.doubles(self.sums.as_flattened());
-        out.doubles(&squared_errors(&self.band.image, target, canvas.band.pixel_rows().start));
+        out.doubles(&squared_errors(&self.band.image, &self.band.photo, canvas.band.pixel_rows()));
         out.words
     }
 

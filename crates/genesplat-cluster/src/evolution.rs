@@ -21,7 +21,7 @@ impl ClusterBackend {
         &mut self,
         view: usize,
         settings: &RenderSettings,
-        fill: impl FnOnce(&mut Drawing, &Canvas, &Target),
+        fill: impl FnOnce(&mut Drawing, &Canvas, &Target) -> Result<(), BackendError>,
     ) -> Result<(), BackendError> {
         let (level, canvas) = (self.own.level(), self.canvas_of(view));
         let splats = self.own.project(&canvas.camera, settings, Held::Cloud);
@@ -29,7 +29,7 @@ impl ClusterBackend {
         let parts = self.group.exchange(splats.map(|splats| canvas.deal(splats, &mut dealt)))?;
         let drawn = self.drawing.draw(level, &canvas, parts, (self.own.splats(), &dealt), settings);
         let parts = drawn.and_then(|()| {
-            fill(&mut self.drawing, &canvas, self.own.view(view).1);
+            fill(&mut self.drawing, &canvas, self.own.view(view).1)?;
             self.drawing.backward(level, &canvas, |_| Writer::default(), None)
         });
         let parts = self.group.exchange(parts)?;
@@ -46,11 +46,11 @@ impl ClusterBackend {
         let parts = self.group.exchange(splats.map(|splats| canvas.deal(splats, &mut dealt)))?;
         let drawn = self.drawing.draw(level, &canvas, parts, (self.own.splats(), &dealt), settings);
         let target = self.own.view(view).1;
-        let parts = self.group.exchange(drawn.map(|()| self.drawing.rows_for_loss(&canvas, target)))?;
+        let parts = self.group.exchange(drawn.and_then(|()| self.drawing.rows_for_loss(&canvas, target)))?;
         self.drawing.loss(level, &canvas, target, &parts, false);
-        let parts = self.group.gather(Ok(self.drawing.measures(&canvas, target)))?;
+        let parts = self.group.gather(Ok(self.drawing.measures(&canvas)))?;
         let (sums, errors) = Drawing::measured(&canvas, &parts);
-        Ok(ViewLoss { loss: loss_of_sums(&sums, target), squared_error: mean_squared_error(&errors, target) })
+        Ok(ViewLoss { loss: loss_of_sums(&sums, target.size()), squared_error: mean_squared_error(&errors, target) })
     }
 
     /// A copy of the whole cloud, for this rank alone.
@@ -105,7 +105,10 @@ impl EvolutionBackend for ClusterBackend {
     fn weigh(&mut self, view: usize, map: &[f32], settings: &RenderSettings) -> Result<Vec<f32>, BackendError> {
         self.settle()?;
         self.group.agree(self.own.ensure_contribution_sums())?;
-        self.backward(view, settings, |drawing, canvas, _| drawing.map(canvas, map))?;
+        self.backward(view, settings, |drawing, canvas, _| {
+            drawing.map(canvas, map);
+            Ok(())
+        })?;
         let mut sums = vec![0.0; self.own.cloud().len()];
         add_weights_of(self.own.splats(), &self.drawing.gradients, &mut sums);
         self.gather(&sums)

@@ -49,7 +49,7 @@ impl ClusterBackend {
         let (step, canvas, target) = (&steps[view], &canvases[view], self.own.view(steps[view].view).1);
         let Task { splats, dealt } = &self.tasks[view];
         let drawn = self.drawing.draw(level, canvas, parts, (splats, dealt), &step.settings);
-        let parts = self.group.exchange(drawn.map(|()| self.drawing.rows_for_loss(canvas, target)))?;
+        let parts = self.group.exchange(drawn.and_then(|()| self.drawing.rows_for_loss(canvas, target)))?;
         // 3. Sums of gradients go back.
         self.drawing.loss(level, canvas, target, &parts, true);
         let visible: Vec<usize> = self.tasks.iter().map(|task| task.splats.len()).collect();
@@ -103,7 +103,7 @@ impl ClusterBackend {
             totals.iter_mut().for_each(|totals| totals.visible += part.count());
         }
         for (step, totals) in steps.iter().zip(totals) {
-            let loss = loss_of_sums(&totals.sums, self.own.view(step.view).1);
+            let loss = loss_of_sums(&totals.sums, self.own.view(step.view).1.size());
             if !loss.is_finite() {
                 let steps = self.own.steps();
                 return Err(self.diverged()?.unwrap_or(BackendError::LossNotFinite { steps }));

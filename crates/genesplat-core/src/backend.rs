@@ -17,6 +17,7 @@ use crate::memory::ensure_memory;
 use crate::rng::Rng;
 use crate::state_mean::{Held, StateMean, ViewLoss};
 use crate::statistics::{Contribution, Statistics, StatisticsRequest};
+use crate::stored_photo::{PhotoLost, StoredPhoto};
 
 /// A camera and the photo it took; both have the same size.
 #[derive(Clone, Debug)]
@@ -26,7 +27,7 @@ pub struct View {
     /// Pinhole camera and pose.
     pub camera: Camera,
     /// 8-bit RGB.
-    pub photo: Arc<Photo>,
+    pub photo: StoredPhoto,
     /// `None` where all of its pixels count.
     pub mask: Option<Arc<Mask>>,
 }
@@ -34,7 +35,7 @@ pub struct View {
 impl View {
     /// Pixels that count.
     pub fn counted_pixels(&self) -> usize {
-        self.mask.as_ref().map_or(self.photo.rgb.len() / 3, |mask| mask.counted())
+        self.mask.as_ref().map_or(self.photo.pixels(), |mask| mask.counted())
     }
 
     /// A picture of this view, black where nothing counts: what is compared with another one.
@@ -206,6 +207,9 @@ pub enum BackendError {
         /// What for.
         purpose: String,
     },
+    /// A photo that was not in memory is gone.
+    #[error(transparent)]
+    Photo(#[from] PhotoLost),
     /// The device has stopped working, and what it held is gone.
     #[error("{device} was lost: {reason}; try again, or use --device cpu")]
     DeviceLost {

@@ -41,10 +41,10 @@ impl Mask {
     }
 
     /// The same in planes that hold some of the pixels.
-    pub fn hide_part(&self, planes: &mut [f32], pixels: Range<usize>) {
+    pub fn hide_part<T: Default>(&self, planes: &mut [T], pixels: Range<usize>) {
         for plane in planes.chunks_mut(pixels.len().max(1)) {
             let hidden = plane.iter_mut().zip(&self.counts[pixels.clone()]).filter(|(_, counts)| !**counts);
-            hidden.for_each(|(value, _)| *value = 0.0);
+            hidden.for_each(|(value, _)| *value = T::default());
         }
     }
 

@@ -23,6 +23,7 @@ pub mod sight;
 pub mod spherical_harmonics;
 pub mod state_mean;
 pub mod statistics;
+pub mod stored_photo;
 
 pub use backend::{
     Backend, BackendError, DeviceState, EvolutionBackend, LearningRates, RenderSettings, ScreenFilter, TrainStep,
@@ -39,3 +40,4 @@ pub use rng::{Rng, Stream};
 pub use sight::Sight;
 pub use state_mean::{Held, StateMean, ViewLoss};
 pub use statistics::{Contribution, DensitySignal, Statistics, StatisticsRequest};
+pub use stored_photo::{PhotoLost, PhotoStore, StoredPhoto};

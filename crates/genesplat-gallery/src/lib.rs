@@ -18,7 +18,7 @@ mod world;
 use std::path::Path;
 use std::sync::Arc;
 
-use genesplat_core::{Camera, View};
+use genesplat_core::{Camera, Photo, View};
 use genesplat_io::colmap::{ImageRecord, Intrinsics, Model, write_model};
 use genesplat_io::photos::{PhotoError, write_png};
 use genesplat_io::{HoldOut, Point, SIDE_MIN_PX, Scene};
@@ -67,13 +67,18 @@ pub fn generate(options: &GalleryOptions) -> Gallery {
     let views: Vec<View> = (cameras::path(views, width, height).into_iter().enumerate())
         .map(|(index, camera)| View {
             name: format!("gallery_{index:03}.png"),
-            photo: Arc::new(caster.photograph(&camera)),
+            photo: caster.photograph(&camera).into(),
             camera,
             mask: None,
         })
         .collect();
     let points = points::sample(&caster, &views, points, seed);
     Gallery { views, points }
+}
+
+/// It is in memory.
+fn photo_of(view: &View) -> Arc<Photo> {
+    view.photo.read().expect("what was just made is there")
 }
 
 impl Gallery {
@@ -87,7 +92,7 @@ impl Gallery {
     /// Writes a COLMAP scene into `folder`, which every trainer reads: `images/*.png` and `sparse/0/*.bin`.
     pub fn write_colmap(&self, folder: &Path) -> Result<(), PhotoError> {
         for view in &self.views {
-            write_png(&folder.join("images").join(&view.name), &view.photo)?;
+            write_png(&folder.join("images").join(&view.name), &photo_of(view))?;
         }
         let model = folder.join("sparse/0");
         write_model(&model, &self.model()).map_err(|source| PhotoError::Write { path: model, source })

@@ -5,6 +5,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use crate::geometry::Ray;
+use crate::photo_of;
 use crate::render::{RayCaster, rays_of};
 use crate::world::Finish;
 use genesplat_io::Point;
@@ -33,8 +34,9 @@ fn candidate(caster: &RayCaster, views: &[View], rng: &Rng, index: u32) -> Optio
     let draw = rng.at(Stream::Gallery, 0, index, 0);
     let view = &views[draw.below(0, views.len() as u32) as usize];
     // A pixel with neighbours on all sides.
-    let (x, y) = (1 + draw.below(1, view.photo.width - 2), 1 + draw.below(2, view.photo.height - 2));
-    if draw.uniform(3) * CERTAIN_CONTRAST > contrast(&view.photo, x, y) {
+    let photo = photo_of(view);
+    let (x, y) = (1 + draw.below(1, photo.width - 2), 1 + draw.below(2, photo.height - 2));
+    if draw.uniform(3) * CERTAIN_CONTRAST > contrast(&photo, x, y) {
         return None;
     }
     let ray = rays_of(&view.camera)([x, y].map(f64::from));
@@ -48,7 +50,7 @@ fn candidate(caster: &RayCaster, views: &[View], rng: &Rng, index: u32) -> Optio
     let (noise, more) = (rng.at(Stream::Gallery, 1, index, 0), rng.at(Stream::Gallery, 1, index, 1));
     let [[a, b], [c, _]] = [noise.normals(0), more.normals(0)];
     let position = point + ERROR * hit.distance * Vec3::new(a, b, c);
-    Some(Point { position: position.into(), rgb: view.photo.pixel(x, y) })
+    Some(Point { position: position.into(), rgb: photo.pixel(x, y) })
 }
 
 /// Largest difference of a channel to the four neighbours.

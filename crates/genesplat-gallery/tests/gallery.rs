@@ -17,7 +17,7 @@ fn pixel(view: &View, point: [f32; 3]) -> Option<(u32, u32)> {
 }
 
 fn bytes(gallery: &Gallery) -> Vec<u8> {
-    let photos = gallery.views.iter().flat_map(|view| view.photo.rgb.clone());
+    let photos = gallery.views.iter().flat_map(|view| view.photo.read().unwrap().rgb.clone());
     let points = gallery.points.iter().flat_map(|point| point.position).flat_map(f32::to_le_bytes);
     photos.chain(points).collect()
 }
@@ -45,7 +45,7 @@ fn points_lie_where_their_colours_are_seen() {
         let near = |view: &View, (x, y): (u32, u32)| {
             let around = |at: u32, side: u32| at.saturating_sub(2)..=(at + 2).min(side - 1);
             let mut pixels = around(y, 64).flat_map(|y| around(x, 96).map(move |x| (x, y)));
-            pixels.any(|(x, y)| view.photo.pixel(x, y) == point.rgb)
+            pixels.any(|(x, y)| view.photo.read().unwrap().pixel(x, y) == point.rgb)
         };
         assert!(seen.iter().any(|&(view, at)| near(view, at)), "{point:?} has a colour that no photo shows there");
     }
@@ -54,10 +54,11 @@ fn points_lie_where_their_colours_are_seen() {
 #[test]
 fn photos_show_a_room_and_not_a_wall() {
     for view in generate(&small()).views {
-        let mean = view.photo.rgb.iter().map(|&v| f64::from(v)).sum::<f64>() / view.photo.rgb.len() as f64;
+        let mean = view.photo.read().unwrap().rgb.iter().map(|&v| f64::from(v)).sum::<f64>()
+            / view.photo.read().unwrap().rgb.len() as f64;
         assert!((60.0..200.0).contains(&mean), "{} has a mean of {mean}", view.name);
-        let deviation = view.photo.rgb.iter().map(|&v| (f64::from(v) - mean).abs()).sum::<f64>();
-        assert!(deviation / view.photo.rgb.len() as f64 > 15.0, "{} is flat", view.name);
+        let deviation = view.photo.read().unwrap().rgb.iter().map(|&v| (f64::from(v) - mean).abs()).sum::<f64>();
+        assert!(deviation / view.photo.read().unwrap().rgb.len() as f64 > 15.0, "{} is flat", view.name);
     }
 }
 
@@ -70,7 +71,7 @@ fn on_disk_it_is_an_ordinary_colmap_scene() {
     assert_eq!((loaded.train.len(), loaded.test.len()), (14, 2));
     assert_eq!(loaded.points, direct.points);
     for (a, b) in loaded.train.iter().chain(&loaded.test).zip(direct.train.iter().chain(&direct.test)) {
-        assert_eq!((&a.name, &a.photo), (&b.name, &b.photo));
+        assert_eq!((&a.name, &a.photo.read().unwrap()), (&b.name, &b.photo.read().unwrap()));
         assert_eq!(a.camera.focal_px, b.camera.focal_px);
         assert!((a.camera.centre_in_world() - b.camera.centre_in_world()).length() < 1e-12);
     }

@@ -137,7 +137,7 @@ impl Backend for GpuBackend {
     fn set_views(&mut self, views: &[View]) -> Result<()> {
         self.with_memory(|gpu| {
             let upload = |view: &View| -> Result<TrainView> {
-                let photo = gpu.engine.upload("a photo", &pack_photo(&view.photo, view.mask.as_deref()))?;
+                let photo = gpu.engine.upload("a photo", &pack_photo(&*view.photo.read()?, view.mask.as_deref()))?;
                 let counted = view.mask.as_ref().map(|mask| [mask.counted(), mask.counts.len()]);
                 Ok(TrainView { camera: view.camera, photo, counted })
             };

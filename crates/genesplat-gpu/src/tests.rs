@@ -13,7 +13,7 @@ mod submissions;
 mod verbs;
 
 use fixtures::{
-    CROWD, CROWD_LOGITS, camera, cloud, crowd, far_needles, filtered_cloud, filters, individual_of, masked_view, photo,
+    CROWD, CROWD_LOGITS, camera, cloud, crowd, far_needles, filtered_cloud, filters, individual_of, masked_view,
     poisoned_cloud, settings, small_view, step, uniform, view,
 };
 use genesplat_core::{Backend, DensitySignal, Gaussians, RenderSettings, ScreenFilter, TrainStep, View};

@@ -14,6 +14,17 @@ pub enum SceneError {
     /// Nothing at the path.
     #[error("{} does not exist; give the folder that holds the scene", shown(.0))]
     Missing(PathBuf),
+    /// No room for photos that memory should not hold.
+    #[error(
+        "cannot keep the photos in a file in {}: {source}; make room there, or load them smaller (--max-side)",
+        shown(.folder)
+    )]
+    CannotKeepPhotos {
+        /// Where the file would be.
+        folder: PathBuf,
+        /// Why.
+        source: io::Error,
+    },
     /// A folder of no known form.
     #[error(
         "{} is not a scene that genesplat knows: expected a COLMAP model in sparse/0 (cameras, images and points3D \

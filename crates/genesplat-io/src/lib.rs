@@ -24,8 +24,8 @@ pub use format::{Format, FormatError};
 pub use photos::PhotoSize;
 pub use ply::{PlyError, PlyOptions, read_ply, write_ply};
 pub use scene::{
-    HoldOut, LoadOptions, LoadProgress, MaskUse, Point, SIDE_MIN_PX, Scene, SceneList, ScenePhoto, blocks, list_scene,
-    load_points, load_scene, mask_of, model_of,
+    HoldOut, LoadOptions, LoadProgress, MaskUse, Point, SIDE_MIN_PX, Scene, SceneList, ScenePhoto, Spill, blocks,
+    list_scene, load_points, load_scene, mask_of, model_of,
 };
 pub use shown::{command_line, plural, shown};
 pub use similar::{CONVERT, UNREAD};

@@ -8,7 +8,6 @@ mod reference_support;
 use genesplat_core::{Camera, Photo, RenderSettings, ScreenFilter, View};
 use genesplat_kernels::reference::{Cloud64, Cutoff, backward, gradients, loss, render};
 use reference_support::*;
-use std::sync::Arc;
 
 const TOLERANCE: f64 = 1e-5;
 
@@ -97,7 +96,7 @@ fn beyond_the_limit_of_the_jacobian() {
 #[test]
 fn end_to_end_through_the_loss() {
     let cloud = random_cloud(10, 8);
-    let photo = Arc::new(random_photo(WIDTH, HEIGHT, 9));
+    let photo = random_photo(WIDTH, HEIGHT, 9).into();
     let view = View { name: "noise".into(), camera: tilted_camera(), photo, mask: None };
     let settings = settings(3, ScreenFilter::Classic);
     let (value, actual) = gradients(&cloud, &view, &settings, Cutoff::Smooth);

@@ -66,8 +66,8 @@ pub fn compare(name: &str, picture: &Photo, truth: &Photo) -> Result<ViewScore, 
 
 /// Scores of what a backend has rendered of `view`, over the pixels that count. LPIPS has no pixels: it sees both pictures
 /// black elsewhere.
-fn score_view(view: &View, picture: &Photo, lpips: Option<&Lpips>) -> Result<ViewScore, SizeMismatch> {
-    let (mask, photo) = (view.mask.as_deref(), &*view.photo);
+fn score_view(view: &View, picture: &Photo, photo: &Photo, lpips: Option<&Lpips>) -> Result<ViewScore, SizeMismatch> {
+    let mask = view.mask.as_deref();
     let distance =
         |lpips: &Lpips| lpips.distance(&view.hide_in(picture), &view.hide_in(photo), InputRange::ZeroToOne).ok();
     Ok(ViewScore {
@@ -94,7 +94,7 @@ pub fn evaluate(
     let mut scores = Vec::with_capacity(views.len());
     for view in views {
         let picture = backend.render(&view.camera, settings)?.to_photo();
-        let score = score_view(view, &picture, lpips);
+        let score = score_view(view, &picture, &*view.photo.read()?, lpips);
         scores.push(score.expect("a view's camera has the size of its photo"));
         keep(view, picture);
     }

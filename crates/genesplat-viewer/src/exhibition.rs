@@ -33,7 +33,7 @@ struct Exhibit {
     thumbnail: OnceLock<Vec<u8>>,
 }
 
-/// The cameras and photos of a scene, all in memory.
+/// The cameras and photos of a scene.
 pub struct Exhibition {
     title: String,
     framing: Framing,
@@ -100,11 +100,12 @@ impl Exhibition {
 
     pub(crate) fn thumbnail_jpeg(&self, index: u32) -> Option<Vec<u8>> {
         let Exhibit { view, thumbnail, .. } = self.exhibits.get(index as usize)?;
-        Some(thumbnail.get_or_init(|| fitted_jpeg(&view.photo, THUMBNAIL_PX, THUMBNAIL_QUALITY)).clone())
+        let made = || Some(fitted_jpeg(&*view.photo.read().ok()?, THUMBNAIL_PX, THUMBNAIL_QUALITY));
+        thumbnail.get().cloned().or_else(|| made().map(|jpeg| thumbnail.get_or_init(|| jpeg).clone()))
     }
 
     pub(crate) fn photo_jpeg(&self, index: u32) -> Option<Vec<u8>> {
-        Some(fitted_jpeg(&self.view(index)?.photo, PHOTO_PX, PHOTO_QUALITY))
+        Some(fitted_jpeg(&*self.view(index)?.photo.read().ok()?, PHOTO_PX, PHOTO_QUALITY))
     }
 }
 

@@ -268,11 +268,11 @@ impl LiveView {
         let header = PictureHeader { sequence, error: false, range, milliseconds };
         let exhibition = &self.server.shared.exhibition;
         let compared = look.camera.filter(|_| look.error).and_then(|index| exhibition.view(index));
-        let error = compared.map(|view| Picture {
-            header: PictureHeader { error: true, range: Some([0.0, ERROR_MAX]), ..header },
-            photo: error_picture(&photo, view),
-            quality,
-        });
+        let error = |view| -> Result<Picture, BackendError> {
+            let header = PictureHeader { error: true, range: Some([0.0, ERROR_MAX]), ..header };
+            Ok(Picture { header, photo: error_picture(&photo, view)?, quality })
+        };
+        let error = compared.map(error).transpose()?;
         Ok([Picture { header, photo, quality }].into_iter().chain(error).collect())
     }
 

@@ -3,7 +3,7 @@
 use std::fmt::Write;
 use std::ops::Range;
 
-use genesplat_core::{Mask, Photo, View};
+use genesplat_core::{Mask, Photo, PhotoLost, View};
 use image::{ExtendedColorType, ImageEncoder};
 
 /// A colour scale from dark to bright, so that it can be read without colours, too.
@@ -73,17 +73,17 @@ fn colour(value: f32) -> [u8; 3] {
 
 /// Where `render` differs from the photo of `view`: the mean difference of the channels, bright at [`ERROR_MAX`]. What a mask
 /// hides has none.
-pub(crate) fn error_picture(render: &Photo, view: &View) -> Photo {
+pub(crate) fn error_picture(render: &Photo, view: &View) -> Result<Photo, PhotoLost> {
     let Photo { width, height, .. } = *render;
-    let photo = resized(&view.photo, width, height);
+    let photo = resized(&*view.photo.read()?, width, height);
     let differences = render.rgb.chunks_exact(3).zip(photo.rgb.chunks_exact(3)).map(|(a, b)| {
         let sum: u32 = a.iter().zip(b).map(|(&a, &b)| u32::from(a.abs_diff(b))).sum();
         sum as f32 / (3.0 * 255.0) / ERROR_MAX
     });
-    let covered = |x, y| [span(x, width, view.photo.width), span(y, height, view.photo.height)];
-    let is_counted = |(x, y)| view.mask.as_ref().is_none_or(|mask| counts(mask, view.photo.width, covered(x, y)));
+    let covered = |x, y| [span(x, width, view.photo.width()), span(y, height, view.photo.height())];
+    let is_counted = |(x, y)| view.mask.as_ref().is_none_or(|mask| counts(mask, view.photo.width(), covered(x, y)));
     let counted = (0..height).flat_map(|y| (0..width).map(move |x| (x, y))).map(is_counted);
-    coloured(width, height, differences.zip(counted).map(|(difference, counts)| counts.then_some(difference)))
+    Ok(coloured(width, height, differences.zip(counted).map(|(difference, counts)| counts.then_some(difference))))
 }
 
 /// Whether all of these columns and rows count.
@@ -134,14 +134,14 @@ mod tests {
     fn errors_are_bright_where_pictures_differ() {
         let (grey, spot) = (photo(4, 4, |_, _| [90; 3]), photo(4, 4, |x, _| [if x == 2 { 250 } else { 90 }; 3]));
         let camera = Camera::at_origin(4, 4, 4.0);
-        let mut view = View { name: String::new(), camera, photo: Arc::new(spot), mask: None };
-        let errors = error_picture(&grey, &view);
+        let mut view = View { name: String::new(), camera, photo: spot.into(), mask: None };
+        let errors = error_picture(&grey, &view).unwrap();
         assert_eq!((errors.pixel(2, 1), errors.pixel(1, 1)), (colour(1.0), colour(0.0)));
         view.mask = Some(Arc::new(Mask { counts: (0..16).map(|pixel| pixel != 6).collect() }));
-        let errors = error_picture(&grey, &view);
+        let errors = error_picture(&grey, &view).unwrap();
         assert_eq!((errors.pixel(2, 1), errors.pixel(2, 2)), (NOTHING, colour(1.0)), "what a mask hides has no error");
         let half = photo(2, 2, |_, _| [90; 3]);
-        assert_eq!(error_picture(&half, &view).pixel(1, 0), NOTHING, "nor has what it hides a part of");
+        assert_eq!(error_picture(&half, &view).unwrap().pixel(1, 0), NOTHING, "nor has what it hides a part of");
     }
 
     #[test]

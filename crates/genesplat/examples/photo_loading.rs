@@ -60,8 +60,9 @@ fn print_row(side: u32, bent: &Path, straight: &Path, place: &Path) -> Result<()
     let (with, views) = timed(|| load(bent))?;
     let file = |number: usize, ending: &str| place.join(format!("{number}.{ending}"));
     for (number, view) in views.iter().enumerate() {
-        write_png(&file(number, "png"), &view.photo)?;
-        fs::write(file(number, "raw"), &view.photo.rgb)?;
+        let photo = view.photo.read()?;
+        write_png(&file(number, "png"), &photo)?;
+        fs::write(file(number, "raw"), &photo.rgb)?;
     }
     let numbers = || 0..views.len();
     let (png, _) = timed(|| numbers().map(|number| Ok(read_photo(&file(number, "png"))?)).collect::<Result<Vec<_>>>())?;

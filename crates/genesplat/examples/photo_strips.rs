@@ -35,7 +35,8 @@ fn add(model: &mut Model, view: &View, [nth, count]: [u32; 2], out: &Path) -> Re
     let [left, right] = [nth, nth + 1].map(|edge| edge * width / count);
     // The strip comes first, so that what is held out by name is of every strip.
     let name = format!("{nth}_{}.png", view.name);
-    let pixels = |y: u32| (left..right).flat_map(move |x| view.photo.pixel(x, y));
+    let whole = view.photo.read()?;
+    let pixels = |y: u32| (left..right).flat_map(|x| whole.pixel(x, y)).collect::<Vec<_>>();
     let photo = Photo { width: right - left, height, rgb: (0..height).flat_map(pixels).collect() };
     write_png(&out.join("images").join(&name), &photo)?;
     let id = model.images.len() as u32 + 1;

@@ -5,16 +5,20 @@ use std::path::Path;
 
 use anyhow::Result;
 use genesplat::core::View;
-use genesplat::io::{LoadOptions, Point, Scene, load_scene};
+use genesplat::io::{LoadOptions, Point, Scene, Spill, load_scene};
 use genesplat::train::scene::initialise::ColouredPoint;
 
 use crate::settings::Dataset;
 use crate::terminal::output;
 use crate::terminal::progress::LoadBar;
 
-/// Loads a scene to train on with a progress bar, and passes its notices on.
-pub(crate) fn load(dataset: &Dataset, background: [f32; 3], seed: u64) -> Result<Scene> {
-    load_with(&dataset.path, background, LoadOptions { seed, ..dataset.options() })
+/// Bytes of photos that a process keeps in memory: as much as a million Gaussians take while they are trained.
+pub(crate) const PHOTO_MEMORY: u64 = 1 << 30;
+
+/// Loads a scene to train on with a progress bar, and passes its notices on; `spill` says where photos go that memory should
+/// not hold.
+pub(crate) fn load(dataset: &Dataset, background: [f32; 3], seed: u64, spill: Option<Spill>) -> Result<Scene> {
+    load_with(&dataset.path, background, LoadOptions { seed, spill, ..dataset.options() })
 }
 
 /// The same to look at a finished splat, without points, with both sides of the size divided by `divisor`.
@@ -77,15 +81,13 @@ pub(crate) fn stem(name: &str) -> &str {
 
 #[cfg(test)]
 mod tests {
-    use std::sync::Arc;
-
     use genesplat::core::{Camera, Photo};
 
     use super::*;
 
     fn view(name: &str) -> View {
         let camera = Camera::at_origin(1, 1, 1.0);
-        View { name: name.into(), camera, photo: Arc::new(Photo { width: 1, height: 1, rgb: vec![0; 3] }), mask: None }
+        View { name: name.into(), camera, photo: Photo { width: 1, height: 1, rgb: vec![0; 3] }.into(), mask: None }
     }
 
     #[test]

@@ -15,7 +15,7 @@ fn cpu_buffers(cloud: &Gaussians, settings: &RenderSettings) -> (ViewBuffers, f3
     let (level, camera) = (Level::new(), Pinhole::from(&camera()));
     let mut buffers = ViewBuffers::default();
     buffers.render(level, cloud, &camera, settings);
-    let loss = buffers.backward(level, &camera, &Target::from(&photo()), None);
+    let loss = buffers.backward(level, &camera, &Target::from(&view()), None).unwrap();
     (buffers, loss)
 }
 

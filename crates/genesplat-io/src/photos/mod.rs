@@ -5,6 +5,7 @@
 //! between them), and transparency composited on a background *before* the resize, truncated to 8 bit.
 
 mod decode;
+mod file;
 mod lens;
 mod mask;
 mod memory;
@@ -18,6 +19,7 @@ use std::path::{Path, PathBuf};
 use genesplat_core::Photo;
 use image::{ColorType, DynamicImage, ImageEncoder, ImageFormat, ImageReader};
 
+pub(crate) use file::PhotoFile;
 pub use lens::Lens;
 pub(crate) use lens::{Polynomial, Projection};
 pub(crate) use mask::PhotoMask;

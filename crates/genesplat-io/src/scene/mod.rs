@@ -24,7 +24,7 @@ use crate::error::SceneError;
 use crate::listing::{ListedPhoto, Listing};
 use crate::photos::PhotoSize;
 use crate::{colmap, plural, shown, transforms};
-use view::{Loaded, Pinholes};
+use view::{Keeper, Loaded, Pinholes};
 
 /// A point of a reconstruction.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -74,6 +74,17 @@ pub struct LoadOptions {
     pub with_points: bool,
     /// Seed of the random points that a scene without points starts from.
     pub seed: u64,
+    /// When and where photos are kept in a file; `None`: in memory, however many they are.
+    pub spill: Option<Spill>,
+}
+
+/// Photos are kept in a file, and read from it whenever they are looked at, if there are more than memory should hold.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Spill {
+    /// Folder of the file, which has no name and is gone after the last photo.
+    pub folder: PathBuf,
+    /// Bytes of pixels that stay in memory.
+    pub memory_bytes: u64,
 }
 
 impl Default for LoadOptions {
@@ -88,6 +99,7 @@ impl Default for LoadOptions {
             image_folder: "images".into(),
             with_points: true,
             seed: 0,
+            spill: None,
         }
     }
 }
@@ -153,9 +165,9 @@ fn load_views(
     progress: &dyn LoadProgress,
     notices: &mut Vec<String>,
 ) -> Result<[Vec<View>; 2], SceneError> {
-    let pinholes = Pinholes::default();
+    let (pinholes, keeper) = (Pinholes::default(), Keeper::new(photos.iter().copied().flatten(), options)?);
     let load = |photos: &[ListedPhoto]| -> Result<Vec<Loaded>, SceneError> {
-        photos.par_iter().map(|photo| view::load(photo, options, &pinholes, progress)).collect()
+        photos.par_iter().map(|photo| view::load(photo, options, &pinholes, &keeper, progress)).collect()
     };
     let loaded = [load(photos[0])?, load(photos[1])?];
     let all = || loaded.iter().flatten();

@@ -1,15 +1,16 @@
 //! From a listed photo to a view: check the header, decode, undistort, resize.
 
+use std::io;
 use std::path::Path;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use genesplat_core::{Camera, Mask, View};
+use genesplat_core::{Camera, Mask, Photo, StoredPhoto, View};
 use glam::{DQuat, DVec3};
 
 use super::{LoadOptions, LoadProgress, MaskUse};
 use crate::error::SceneError;
 use crate::listing::ListedPhoto;
-use crate::photos::{self, EncodedPhoto, Lens, PhotoMask};
+use crate::photos::{self, EncodedPhoto, Lens, PhotoFile, PhotoMask};
 use crate::shown;
 
 /// Least side of a loaded photo, px: SSIM's window alone has 11.
@@ -49,10 +50,44 @@ impl Pinholes {
     }
 }
 
+/// Where loaded photos stay.
+pub(super) struct Keeper<'a>(Option<(Arc<PhotoFile>, &'a Path)>);
+
+impl<'a> Keeper<'a> {
+    /// In a file where `photos` have more bytes than memory should hold.
+    pub(super) fn new<'b>(
+        photos: impl Iterator<Item = &'b ListedPhoto>,
+        options: &'a LoadOptions,
+    ) -> Result<Self, SceneError> {
+        let bytes = |photo: &ListedPhoto| {
+            let (width, height) = options.size_of(photo.camera.width, photo.camera.height);
+            3 * u64::from(width) * u64::from(height)
+        };
+        let Some(spill) = &options.spill else { return Ok(Self(None)) };
+        if photos.map(bytes).sum::<u64>() <= spill.memory_bytes {
+            return Ok(Self(None));
+        }
+        let file = PhotoFile::create_in(&spill.folder).map_err(|source| cannot_keep(&spill.folder, source))?;
+        Ok(Self(Some((file, &spill.folder))))
+    }
+
+    fn keep(&self, photo: Photo) -> Result<StoredPhoto, SceneError> {
+        match &self.0 {
+            Some((file, folder)) => file.keep(&photo).map_err(|source| cannot_keep(folder, source)),
+            None => Ok(photo.into()),
+        }
+    }
+}
+
+fn cannot_keep(folder: &Path, source: io::Error) -> SceneError {
+    SceneError::CannotKeepPhotos { folder: folder.to_owned(), source }
+}
+
 pub(super) fn load(
     listed: &ListedPhoto,
     options: &LoadOptions,
     pinholes: &Pinholes,
+    keeper: &Keeper,
     progress: &dyn LoadProgress,
 ) -> Result<Loaded, SceneError> {
     let photo = EncodedPhoto::open(&listed.path)?.turned_like(listed.camera.width, listed.camera.height);
@@ -91,7 +126,7 @@ pub(super) fn load(
     let view = View {
         name: listed.name.clone(),
         camera: pinhole.resized(width, height),
-        photo: Arc::new(photo),
+        photo: keeper.keep(photo)?,
         // One that hides nothing is none.
         mask: mask.map(Mask::from).filter(|mask| mask.counts.contains(&false)).map(Arc::new),
     };

@@ -230,7 +230,11 @@ fn a_fraction_of_a_size_is_loaded_with_its_cameras() {
     let (whole, half) = (load(PhotoSize::Auto, 1), load(PhotoSize::MaxSide(70), 2));
     // 80x60 to 70x53 (52.5 rounds up), and half of that is 35x26 (26.5 goes to the even neighbour).
     assert_eq!((half.camera.width, half.camera.height), (35, 26));
-    assert_eq!(*half.photo, photos::resize(&whole.photo, 35, 26), "not resampled twice");
+    assert_eq!(
+        *half.photo.read().unwrap(),
+        photos::resize(&whole.photo.read().unwrap(), 35, 26),
+        "not resampled twice"
+    );
     let scale = [35.0 / 40.0, 26.0 / 30.0];
     for axis in 0..2 {
         assert!((half.camera.focal_px[axis] - scale[axis] * [35.5, 36.25][axis]).abs() < 1e-12);
@@ -274,9 +278,13 @@ fn a_lens_is_read_and_undone_in_both_forms() {
         }
         load_scene(folder.path(), &LoadOptions::default(), &()).unwrap().train.remove(0)
     });
-    assert_eq!((text.camera, &text.photo), (binary.camera, &binary.photo));
+    assert_eq!((text.camera, &text.photo.read().unwrap()), (binary.camera, &binary.photo.read().unwrap()));
     assert_eq!(text.camera.focal_px, [35.5, 36.25]);
-    assert!(*text.photo != tiny_photo(1, SIZE) && [text.camera.width, text.camera.height] != SIZE, "{:?}", text.camera);
+    assert!(
+        *text.photo.read().unwrap() != tiny_photo(1, SIZE) && [text.camera.width, text.camera.height] != SIZE,
+        "{:?}",
+        text.camera
+    );
 }
 
 #[test]
@@ -398,7 +406,11 @@ fn every_eighth_photo_by_name_is_held_out() {
     assert_eq!(names, ["000.png", "008.png", "016.png"]);
     assert_eq!((scene.train.len(), scene.points.len()), (14, 9));
     assert_eq!((counter.announced.into_inner(), counter.done.into_inner()), (17, 17));
-    assert_eq!(*scene.test[0].photo, tiny_photo(16, SIZE), "the photo of the record that was written last");
+    assert_eq!(
+        *scene.test[0].photo.read().unwrap(),
+        tiny_photo(16, SIZE),
+        "the photo of the record that was written last"
+    );
 }
 
 #[test]

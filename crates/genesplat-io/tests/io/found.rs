@@ -152,7 +152,7 @@ fn a_photo_on_its_side_is_turned_where_its_camera_says_so() {
     let top_left = |bytes: &[u8], orientation: u8| {
         fs::write(photo("000.jpg"), tagged(bytes, orientation)).unwrap();
         let scene = load(folder.path()).unwrap();
-        scene.test[0].photo.pixel(1, 1)
+        scene.test[0].photo.read().unwrap().pixel(1, 1)
     };
     // Dark is where rows and columns begin.
     assert!(top_left(&raw, 6)[0] < 60, "raw pixels, whatever the tag says");

@@ -54,10 +54,13 @@ fn pictures_and_cameras_are_those_of_colmaps_undistorter() {
         let theirs = read_photo(&folder.path().join(format!("{model}.png"))).unwrap();
         let view = load(folder.path(), model, parameters, PhotoSize::Auto);
         assert_camera(&view, pinhole, model);
-        let psnr = psnr(&view.photo, &theirs);
+        let psnr = psnr(&view.photo.read().unwrap(), &theirs);
         assert!(psnr > AGREEMENT_DB, "{model}: {psnr} dB");
         let small = load(folder.path(), model, parameters, PhotoSize::MaxSide(320));
-        let psnr = self::psnr(&small.photo, &resize(&theirs, small.photo.width, small.photo.height));
+        let psnr = self::psnr(
+            &small.photo.read().unwrap(),
+            &resize(&theirs, small.photo.read().unwrap().width, small.photo.read().unwrap().height),
+        );
         assert!(psnr > AGREEMENT_DB + 3.0, "{model}, reduced: {psnr} dB");
     }
     assert!(compared >= 11, "COLMAP knew only {compared} of the models");
@@ -78,7 +81,7 @@ fn a_wrong_coefficient_is_seen() {
         planted[index] = -planted[index];
         let theirs = read_photo(&folder.path().join(format!("{model}.png"))).unwrap();
         let view = load(folder.path(), model, &planted, PhotoSize::Auto);
-        let psnr = psnr(&view.photo, &theirs);
+        let psnr = psnr(&view.photo.read().unwrap(), &theirs);
         assert!(psnr < AGREEMENT_DB - 2.0, "{model}, coefficient {index}: {psnr} dB");
     }
 }

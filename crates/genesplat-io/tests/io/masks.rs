@@ -44,8 +44,8 @@ fn masks_are_found_under_the_names_of_both_conventions() {
     let scene = load(folder.path(), MaskUse::Transparent).unwrap();
     assert!(scene.notices[0].contains("3 of 4 photos") && scene.notices[0].contains("must be background"));
     let view = &scene.test[0];
-    assert_eq!((view.mask.is_none(), view.photo.pixel(20, 3)), (true, [9, 8, 7]));
-    assert_eq!(view.photo.pixel(3, 3), tiny_photo(0, SIZE).pixel(3, 3));
+    assert_eq!((view.mask.is_none(), view.photo.read().unwrap().pixel(20, 3)), (true, [9, 8, 7]));
+    assert_eq!(view.photo.read().unwrap().pixel(3, 3), tiny_photo(0, SIZE).pixel(3, 3));
 }
 
 #[test]
@@ -56,7 +56,7 @@ fn transparency_is_background_or_hidden() {
     image::RgbaImage::from_fn(WIDTH, HEIGHT, glass).save(folder.path().join("images/a b/000.png")).unwrap();
     for mask in [MaskUse::Usual, MaskUse::Transparent] {
         let scene = load(folder.path(), mask).unwrap();
-        assert!(scene.test[0].mask.is_none() && scene.test[0].photo.pixel(20, 3) == [9, 8, 7]);
+        assert!(scene.test[0].mask.is_none() && scene.test[0].photo.read().unwrap().pixel(20, 3) == [9, 8, 7]);
         assert!(scene.notices[0].starts_with("1 of 2 photos are transparent in parts, which must be background"));
     }
     let scene = load(folder.path(), MaskUse::Ignore).unwrap();
@@ -122,7 +122,10 @@ fn what_is_hidden_reaches_no_pixel_that_counts() {
     });
     let mask = one.mask.clone().unwrap();
     assert!(one.mask == other.mask && (3000..8500).contains(&mask.counted()), "{}", mask.counted());
-    assert!(one.photo != other.photo && mask.hide_in(&one.photo) == mask.hide_in(&other.photo));
+    assert!(
+        one.photo.read().unwrap() != other.photo.read().unwrap()
+            && mask.hide_in(&one.photo.read().unwrap()) == mask.hide_in(&other.photo.read().unwrap())
+    );
 }
 
 /// Noise, with a grey in oblique stripes that the mask hides.

@@ -3,10 +3,11 @@
 use std::fs;
 
 use genesplat_core::Photo;
-use genesplat_io::PhotoSize;
+use genesplat_io::colmap::Form;
 use genesplat_io::photos::{self, EncodedPhoto, PhotoError};
+use genesplat_io::{LoadOptions, PhotoSize, Scene, Spill, load_scene};
 
-use crate::common::{CLAIM, claiming};
+use crate::common::{CLAIM, SIZE, claiming, tiny_model, write_scene};
 
 #[test]
 fn sizes_follow_the_reference() {
@@ -162,4 +163,27 @@ fn a_png_cut_anywhere_is_an_error_or_whole() {
             assert_eq!(read, photo, "cut to {length} of {} bytes", whole.len());
         }
     }
+}
+
+#[test]
+fn photos_that_memory_should_not_hold_are_read_from_a_file_without_a_name() {
+    let folder = tempfile::tempdir().unwrap();
+    write_scene(folder.path(), Form::Binary, &tiny_model(4));
+    let run = folder.path().join("run");
+    let load = |memory_bytes: u64| {
+        let spill = Some(Spill { folder: run.clone(), memory_bytes });
+        load_scene(folder.path(), &LoadOptions { spill, ..LoadOptions::default() }, &()).unwrap()
+    };
+    let bytes = 4 * 3 * u64::from(SIZE[0] * SIZE[1]);
+    let (held, kept) = (load(bytes), load(bytes - 1));
+    let views = |scene: &Scene| scene.test.iter().chain(&scene.train).cloned().collect::<Vec<_>>();
+    for (held, kept) in views(&held).iter().zip(views(&kept)) {
+        assert!(held.photo.held_bytes() as u64 == bytes / 4 && kept.photo.held_bytes() == 0);
+        assert_eq!(held.photo.read().unwrap(), kept.photo.read().unwrap());
+    }
+    assert_eq!(fs::read_dir(&run).unwrap().count(), 0);
+
+    let spill = Some(Spill { folder: folder.path().join("images/a b/000.png"), memory_bytes: 0 });
+    let error = load_scene(folder.path(), &LoadOptions { spill, ..LoadOptions::default() }, &()).unwrap_err();
+    assert!(error.to_string().contains("cannot keep the photos in a file in"), "{error}");
 }

@@ -16,7 +16,10 @@ fn colmap_scenes_load_whole() {
         for view in scene.train.iter().chain(&scene.test) {
             let side = |full: u32| (f64::from(full) / 4.0).round_ties_even() as u32;
             assert_eq!([view.camera.width, view.camera.height], size.map(side));
-            assert_eq!(view.photo.rgb.len() as u32, 3 * view.photo.width * view.photo.height);
+            assert_eq!(
+                view.photo.read().unwrap().rgb.len() as u32,
+                3 * view.photo.read().unwrap().width * view.photo.read().unwrap().height
+            );
         }
         let mean = seen_fraction(&scene);
         assert!(mean > 0.15, "{name}: on average a view sees {mean} of the points; the poses are wrong");
@@ -47,7 +50,7 @@ fn a_blender_scene_loads_whole() {
     for view in scene.train.iter().chain(&scene.test) {
         assert!((view.camera.centre_in_world().length() - 4.03).abs() < 0.05);
         assert!(view.camera.camera_from_world(glam::DVec3::ZERO).z > 4.0);
-        assert_eq!(view.photo.pixel(0, 0), [0; 3], "transparent on black");
+        assert_eq!(view.photo.read().unwrap().pixel(0, 0), [0; 3], "transparent on black");
     }
 }
 

@@ -75,7 +75,7 @@ fn poses_and_intrinsics_are_the_cameras() {
     assert_eq!((scene.train.len(), scene.test.len(), scene.points.len()), (2, 1, 100_000));
     for (index, view) in scene.test.iter().chain(&scene.train).enumerate() {
         assert_eq!(view.name, format!("{index}.png"));
-        assert_eq!(*view.photo, tiny_photo(index, [40, 30]));
+        assert_eq!(*view.photo.read().unwrap(), tiny_photo(index, [40, 30]));
         assert_same_camera(&view.camera, &camera(index));
     }
     assert!(scene.notices[0].contains("no points"));
@@ -231,10 +231,13 @@ fn a_distorted_photo_is_undistorted() {
     description["k1"] = json!(0.1);
     let scene = load_description(&description).unwrap();
     let view = &scene.train[0];
-    assert_ne!(*view.photo, tiny_photo(1, [40, 30]));
+    assert_ne!(*view.photo.read().unwrap(), tiny_photo(1, [40, 30]));
     // A lens that pulls the corners outwards sees less of the world: of the pinhole's picture, the rim is cut off.
     assert_eq!(view.camera.focal_px, [44.0, 45.0]);
-    assert_eq!([view.camera.width, view.camera.height], [view.photo.width, view.photo.height]);
+    assert_eq!(
+        [view.camera.width, view.camera.height],
+        [view.photo.read().unwrap().width, view.photo.read().unwrap().height]
+    );
     assert!((36..40).contains(&view.camera.width) && (26..30).contains(&view.camera.height), "{:?}", view.camera);
 }
 
@@ -246,7 +249,7 @@ fn a_fisheye_is_told_by_its_model_or_by_a_flag() {
         load_description(&description).unwrap().train.remove(0)
     };
     let (by_model, by_flag) = (load("camera_model", json!("OPENCV_FISHEYE")), load("is_fisheye", json!(true)));
-    assert_eq!(by_model.photo, by_flag.photo);
+    assert_eq!(by_model.photo.read().unwrap(), by_flag.photo.read().unwrap());
     // A pinhole needs more of its image plane for what a fisheye sees.
     assert!(by_flag.camera.width > 40 && by_flag.camera.focal_px == [44.0, 45.0], "{:?}", by_flag.camera);
 }
@@ -349,7 +352,7 @@ fn blender_scenes_keep_their_own_split_and_background() {
     let names = |views: &[genesplat_core::View]| views.iter().map(|v| v.name.clone()).collect::<Vec<_>>();
     assert_eq!(names(&scene.train), ["train_r_0.png", "train_r_1.png"]);
     assert_eq!(names(&scene.test), ["test_r_0.png", "test_r_1.png"]);
-    assert_eq!(scene.train[0].photo.pixel(3, 3), [255; 3]);
+    assert_eq!(scene.train[0].photo.read().unwrap().pixel(3, 3), [255; 3]);
     // Half the width over the tangent of half the field of view, in both directions.
     scene.train[0].camera.focal_px.iter().for_each(|focal| assert!((focal - 32.0).abs() < 1e-9));
     assert!(scene.points.iter().all(|p| p.position.iter().all(|v| v.abs() <= 1.3) && p.rgb == [127; 3]));

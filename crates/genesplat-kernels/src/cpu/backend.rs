@@ -4,7 +4,6 @@ use std::borrow::Cow;
 
 use fearless_simd::Level;
 use genesplat_core::gaussians::limited_opacity;
-use genesplat_core::memory::ensure_memory;
 use genesplat_core::{
     Backend, BackendError, Camera, DensitySignal, DeviceState, Gaussians, Image, Moments, RenderSettings, RowEdit,
     StateMean, Statistics, StatisticsRequest, TrainStep, View, backend::StepReport,
@@ -118,8 +117,6 @@ impl Backend for CpuBackend {
 
     fn set_views(&mut self, views: &[View]) -> Result<(), BackendError> {
         self.scorer = Scorer::default();
-        let bytes = |view: &View| view.photo.rgb.len() + view.mask.as_ref().map_or(0, |mask| mask.counts.len());
-        ensure_memory(views.iter().map(bytes).sum(), "the training photos")?;
         let of_view = |view: &View| (Pinhole::from(&view.camera), Target::from(view));
         self.views = views.iter().map(of_view).map(|(camera, target)| TrainView { camera, target }).collect();
         Ok(())
@@ -158,7 +155,7 @@ impl Backend for CpuBackend {
         let camera = view.camera;
         self.buffers.render(self.level, &self.cloud, &camera, &settings);
         self.buffers.ensure_gradient_rows()?;
-        let loss = self.buffers.backward(self.level, &camera, &view.target, step.statistics.density);
+        let loss = self.buffers.backward(self.level, &camera, &view.target, step.statistics.density)?;
         if !loss.is_finite() {
             return Err(BackendError::diverged(&self.cloud, self.steps));
         }

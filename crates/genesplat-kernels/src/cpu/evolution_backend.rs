@@ -1,5 +1,7 @@
 //! [`EvolutionBackend`] for the CPU.
 
+use std::ops::Range;
+
 use genesplat_core::{
     BackendError, Contribution, EvolutionBackend, Held, Image, RenderSettings, SparseDelta, ViewLoss,
     backend::MomentPolicy,
@@ -7,7 +9,7 @@ use genesplat_core::{
 
 use super::backend::{CpuBackend, TrainView};
 use super::blend::contribution::{contribution, weigh};
-use super::loss::{Target, loss};
+use super::loss::{PhotoRows, Target, loss};
 
 impl EvolutionBackend for CpuBackend {
     fn score(
@@ -18,7 +20,7 @@ impl EvolutionBackend for CpuBackend {
     ) -> Result<Vec<f32>, BackendError> {
         self.ensure_scores(self.cloud.len(), population, views)?;
         let of_view = |view: usize| (self.views[view].camera, &self.views[view].target);
-        Ok(self.scorer.score(self.level, &self.cloud, population, (views, views), of_view, settings))
+        Ok(self.scorer.score(self.level, &self.cloud, population, (views, views), of_view, settings)?)
     }
 
     fn apply(&mut self, delta: &SparseDelta, moments: MomentPolicy) -> Result<(), BackendError> {
@@ -45,7 +47,7 @@ impl EvolutionBackend for CpuBackend {
         for &view in views {
             let TrainView { camera, target } = &self.views[view];
             let view = (camera, target);
-            contribution(self.level, &mut self.buffers, &self.cloud, view, settings, &mut contributions);
+            contribution(self.level, &mut self.buffers, &self.cloud, view, settings, &mut contributions)?;
         }
         Ok(contributions)
     }
@@ -68,12 +70,13 @@ impl EvolutionBackend for CpuBackend {
         let of_view = |&view: &usize| {
             let TrainView { camera, target } = &self.views[view];
             buffers.render(self.level, &cloud, camera, settings);
+            buffers.photo.read(target, 0..target.height)?;
             target.hide(&mut buffers.image.planes);
-            let loss = loss(self.level, &buffers.image, target, None);
-            let errors = squared_errors(&buffers.image, target, 0);
-            ViewLoss { loss, squared_error: mean_squared_error(&errors, target) }
+            let loss = loss(self.level, &buffers.image, &buffers.photo, None);
+            let errors = squared_errors(&buffers.image, &buffers.photo, 0..target.height);
+            Ok(ViewLoss { loss, squared_error: mean_squared_error(&errors, target) })
         };
-        Ok(views.iter().map(of_view).collect())
+        views.iter().map(of_view).collect()
     }
 
     fn take_mean(&mut self) -> Result<(), BackendError> {
@@ -83,11 +86,10 @@ impl EvolutionBackend for CpuBackend {
     }
 }
 
-/// Sums of `(I − P)²` of each row `[3, rows]`; `image` has the rows from `first` on.
-pub fn squared_errors(image: &Image, target: &Target, first: usize) -> Vec<f64> {
-    let (width, rows) = (target.width, image.height as usize);
-    let photo =
-        target.planes.chunks(width * target.height).flat_map(|plane| plane.chunks(width).skip(first).take(rows));
+/// Sums of `(I − P)²` of each row `[3, rows]`, which are all that `image` has.
+pub fn squared_errors(image: &Image, photo: &PhotoRows, rows: Range<usize>) -> Vec<f64> {
+    let width = image.width as usize;
+    let photo = (0..3).flat_map(|channel| photo.plane(channel, &rows).chunks(width));
     let of_row = |(image, photo): (&[f32], &[u8])| {
         let square = |(&value, &level): (&f32, &u8)| (value - f32::from(level) * (1.0 / 255.0)).powi(2);
         f64::from(image.iter().zip(photo).map(square).sum::<f32>())

@@ -18,7 +18,7 @@ mod update;
 mod view;
 
 pub use backend::CpuBackend;
-pub use loss::Target;
+pub use loss::{PhotoRows, Target};
 pub use roofline::roofline_nanoseconds_per_intersection;
 pub use view::buffers::{StageSeconds, ViewBuffers};
 pub use view::pinhole::Pinhole;

@@ -101,7 +101,7 @@ impl CpuBackend {
     ) -> Result<Vec<f32>, BackendError> {
         self.ensure_scores(cloud.len(), population, views)?;
         let of_view = |view: usize| (self.views[view].camera, &self.views[view].target);
-        Ok(self.scorer.score(self.level, cloud, population, (views, all), of_view, settings))
+        Ok(self.scorer.score(self.level, cloud, population, (views, all), of_view, settings)?)
     }
 
     /// Fails where there is no room for a contribution of each row held.

@@ -7,9 +7,13 @@ use super::rasterise_backward::rasterise_backward;
 use super::{Cloud64, Cutoff, Rendered, background, planes, render, size};
 
 /// `[Σ α·T, Σ α·T·|I − P|]` over the pixels of `view` that count `[N]`.
+///
+/// # Panics
+/// Where the photo is lost.
 pub fn contribution(cloud: &Cloud64, view: &View, settings: &RenderSettings, cutoff: Cutoff) -> Vec<[f64; 2]> {
     let rendered = render(cloud, &view.camera, settings, cutoff);
-    let errors = errors(&rendered.picture.image, &view.photo);
+    let photo = view.photo.read().expect("the reference has its photos");
+    let errors = errors(&rendered.picture.image, &photo);
     let by_image = [vec![1.0; errors.len()], errors].concat();
     let by_image = match &view.mask {
         Some(mask) => hidden(&by_image, mask),

@@ -20,9 +20,13 @@ pub fn loss(image: &[f64], photo: &Photo) -> (f64, Vec<f64>) {
 
 /// The same against the photo of `view`, where its mask has it: elsewhere render and photo are equal, and nothing has a
 /// gradient.
+///
+/// # Panics
+/// Where the photo is lost.
 pub fn loss_of_view(image: &[f64], view: &View) -> (f64, Vec<f64>) {
-    let Some(mask) = &view.mask else { return loss(image, &view.photo) };
-    let (value, gradient) = loss(&hidden(image, mask), &mask.hide_in(&view.photo));
+    let photo = view.photo.read().expect("the reference has its photos");
+    let Some(mask) = &view.mask else { return loss(image, &photo) };
+    let (value, gradient) = loss(&hidden(image, mask), &mask.hide_in(&photo));
     (value, hidden(&gradient, mask))
 }
 

@@ -77,8 +77,6 @@ fn cap_from_photos(views: &[View], capacity: f64) -> usize {
 
 #[cfg(test)]
 mod tests {
-    use std::sync::Arc;
-
     use genesplat_core::{Camera, Photo};
 
     use super::*;
@@ -87,7 +85,7 @@ mod tests {
     #[test]
     fn the_lower_of_the_limits_counts() {
         let camera = Camera::at_origin(30, 20, 1.0);
-        let photo = Arc::new(Photo { width: 30, height: 20, rgb: vec![0; 1800] });
+        let photo = Photo { width: 30, height: 20, rgb: vec![0; 1800] }.into();
         let views = vec![View { name: String::new(), camera, photo, mask: None }; 9];
         let cap = |mode, variant, max_gaussians, capacity| {
             let mut config = TrainConfig { variant, max_gaussians, ..TrainConfig::published() };

@@ -149,7 +149,7 @@ pub fn edge_scores(
     let mut sums = vec![0.0; backend.gaussian_count()];
     for &view in shown {
         let View { photo, mask, .. } = &views[view];
-        let weights = backend.weigh(view, &edges(photo, mask.as_deref()), settings)?;
+        let weights = backend.weigh(view, &edges(&*photo.read()?, mask.as_deref()), settings)?;
         let positive = || weights.iter().filter(|&&weight| weight > 0.0).map(|&weight| f64::from(weight));
         let mean = positive().sum::<f64>() / positive().count().max(1) as f64;
         let weighed = sums.iter_mut().zip(&weights).filter(|(_, weight)| **weight > 0.0);

@@ -53,7 +53,10 @@ mod tests {
         let camera = Camera::at_origin(1, 1, 1.0);
         let photo = Arc::new(Photo { width: 1, height: 1, rgb: vec![0; 3] });
         // Given in reverse order of name.
-        (0..n).rev().map(|i| View { name: format!("{i:03}.jpg"), camera, photo: photo.clone(), mask: None }).collect()
+        (0..n)
+            .rev()
+            .map(|i| View { name: format!("{i:03}.jpg"), camera, photo: photo.clone().into(), mask: None })
+            .collect()
     }
 
     #[test]

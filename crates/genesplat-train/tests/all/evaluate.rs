@@ -9,7 +9,7 @@ use crate::support::{FakeBackend, views};
 fn each_view_is_rendered_scored_and_kept() {
     // The backend renders black; the second photo is white instead.
     let mut views = views(3);
-    let mut white = (*views[1].photo).clone();
+    let mut white = (*views[1].photo.read().unwrap()).clone();
     white.rgb.fill(255);
     views[1].photo = white.into();
     let (mut kept, settings) = (Vec::new(), RenderSettings::default());

@@ -1,7 +1,6 @@
 //! The algorithm with a real renderer: a small scene is rendered, forgotten, and reconstructed from its pictures.
 
 use std::f64::consts::TAU;
-use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use genesplat_core::{Backend, Camera, EvolutionBackend, Gaussians, Rng, SparseDelta, Stream, View};
@@ -54,7 +53,7 @@ fn scene() -> (Vec<View>, Vec<View>, Vec<ColouredPoint>) {
         .map(|index| {
             let camera = camera(f64::from(index) / 16.0 * TAU);
             let photo = backend.render(&camera, &Default::default()).unwrap().to_photo();
-            View { name: format!("{index:02}.png"), camera, photo: Arc::new(photo), mask: None }
+            View { name: format!("{index:02}.png"), camera, photo: photo.into(), mask: None }
         })
         .collect();
     points.iter_mut().enumerate().for_each(|(row, (position, colour))| {

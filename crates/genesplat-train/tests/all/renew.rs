@@ -109,7 +109,7 @@ fn grow(mode: EvolutionMode, capacity: f64, limit: Option<usize>) -> Told {
 /// over 0.3 are 53.3.
 fn capacity_of_fifty() -> f64 {
     let photo = &views(1)[0].photo;
-    let pixels = VIEWS as f64 * f64::from(photo.width) * f64::from(photo.height);
+    let pixels = VIEWS as f64 * f64::from(photo.width()) * f64::from(photo.height());
     50.5 / (pixels / (2.0 * (VIEWS as f64).sqrt()))
 }
 

@@ -1,7 +1,5 @@
 //! Pixel-GS's statistics and Mip-Splatting's filters of three splats, computed by hand, in the reference and on the CPU.
 
-use std::sync::Arc;
-
 use genesplat_core::gaussians::{logit, sigmoid};
 use genesplat_core::spherical_harmonics::dc_from_rgb;
 use genesplat_core::{
@@ -38,7 +36,7 @@ fn camera([width, height]: [u32; 2], centre_px: [u32; 2], focal_px: f64, z: f64)
 /// What one white photo adds to Pixel-GS's sums: `(gradients, weights)` of the reference, then of the CPU.
 fn pixel_gs(cloud: &Gaussians, camera: Camera, depth_threshold: f32) -> [(Vec<f64>, Vec<f64>); 2] {
     let (width, height) = (camera.width, camera.height);
-    let photo = Arc::new(Photo { width, height, rgb: vec![255; 3 * (width * height) as usize] });
+    let photo = Photo { width, height, rgb: vec![255; 3 * (width * height) as usize] }.into();
     let view = View { name: "white".into(), camera, photo, mask: None };
     let settings = RenderSettings::default();
     let density = Some(DensitySignal::PixelWeighted { depth_threshold });

@@ -65,11 +65,11 @@ pub(crate) fn run(args: &DemoArgs) -> Result<Ending> {
 /// Writes the picture and the page that compare both runs, and says what to open.
 fn show(args: &DemoArgs, scene: &Scene, halves: &[Half], results: &[Metrics]) -> Result<()> {
     let view = most_changed(&results[0], &results[1]);
-    let (name, photo) = (&scene.test[view].name, &scene.test[view].photo);
+    let (name, photo) = (&scene.test[view].name, scene.test[view].photo.read()?);
     let file = &scene::picture_names(&scene.test)[view];
     let read = |half: &Half| read_photo(&half.session.path().join(TEST).join(file));
     let renders = [read(&halves[0])?, read(&halves[1])?];
-    let sheet = changes(photo, [&renders[0], &renders[1]]);
+    let sheet = changes(&photo, [&renders[0], &renders[1]]);
     let [picture, page] = ["comparison.png", "report.html"].map(|name| args.out.join(name));
     write_png(&picture, &sheet)?;
     let sides = [0, 1].map(|index| Side {
@@ -119,7 +119,7 @@ fn build_scene(folder: &Path, seed: u64) -> Result<Scene> {
     output::tell(&format!("making the photos of a small gallery in {}", shown(folder)));
     let options = GalleryOptions { seed, views: VIEWS, ..GalleryOptions::default() };
     gallery::generate(&options).write_colmap(folder)?;
-    scene::load(&Dataset::of(folder, &PhotosArgs::default())?, [0.0; 3], seed)
+    scene::load(&Dataset::of(folder, &PhotosArgs::default())?, [0.0; 3], seed, None)
 }
 
 struct Half {

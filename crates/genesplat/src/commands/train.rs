@@ -5,7 +5,7 @@ use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
 use anyhow::Result;
-use genesplat::io::{Scene, archive, shown};
+use genesplat::io::{Scene, Spill, archive, shown};
 use genesplat::metrics::Lpips;
 
 use super::Ending;
@@ -86,10 +86,16 @@ fn load(args: &TrainArgs, stop: &AtomicBool, cluster: Option<&Cluster>) -> Resul
         unpacked::unpack(&args.dataset, &args.scene())?;
     }
     let background = config.train.background.fixed_colour();
-    let scene = scene::load(&config.dataset, background, config.train.seed)?;
+    let spill = Spill { folder: args.out.clone(), memory_bytes: photo_memory(cluster) };
+    let scene = scene::load(&config.dataset, background, config.train.seed, Some(spill))?;
     // Now, since weights that cannot be read should not stop a run at its end.
     let lpips = lpips::open(&args.lpips)?;
     Ok(Some(Loaded { session, settings: config.resolve(machine)?, scene, lpips }))
+}
+
+/// Bytes of photos that a process keeps in memory: of a run by many, each needs some rows of one photo at a time.
+fn photo_memory(cluster: Option<&Cluster>) -> u64 {
+    if cluster.is_some() { 0 } else { scene::PHOTO_MEMORY }
 }
 
 fn ending(ended: &Ended) -> Ending {

@@ -67,9 +67,10 @@ fn write_page(
     };
     for view in views {
         let (view, name) = (&scene.test[view], &names[view]);
-        let read = |run: usize| read_render(folders[run].join(TEST).join(name), &view.photo);
+        let photo = view.photo.read()?;
+        let read = |run: usize| read_render(folders[run].join(TEST).join(name), &photo);
         let renders = [read(0)?, read(1)?];
-        let [photo, without, with] = [&view.photo, &renders[0], &renders[1]].map(|picture| view.hide_in(picture));
+        let [photo, without, with] = [&*photo, &renders[0], &renders[1]].map(|picture| view.hide_in(picture));
         rows.push(changes(&photo, [&without, &with]));
         shown.get_or_insert(renders);
     }

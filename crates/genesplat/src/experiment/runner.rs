@@ -10,7 +10,7 @@ use std::time::Instant;
 use anyhow::{Result, anyhow};
 use genesplat::core::BackendError;
 use genesplat::gallery;
-use genesplat::io::{LoadOptions, PhotoSize, Scene, load_points, shown};
+use genesplat::io::{LoadOptions, PhotoSize, Scene, Spill, load_points, shown};
 use genesplat::metrics::Lpips;
 use genesplat::train::TrainError;
 
@@ -181,7 +181,8 @@ impl<'a> Runner<'a> {
         if self.experiment.file.scenes[cell.scene] == BUNDLED {
             gallery::generate(&self.experiment.file.gallery.options()).write_colmap(&path)?;
         }
-        scene::load(&settings.dataset, config.background.fixed_colour(), config.seed)
+        let spill = Spill { folder: self.out.to_owned(), memory_bytes: scene::PHOTO_MEMORY };
+        scene::load(&settings.dataset, config.background.fixed_colour(), config.seed, Some(spill))
     }
 
     /// `None` for a run that was stopped.

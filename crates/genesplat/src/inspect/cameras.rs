@@ -124,7 +124,7 @@ pub(super) mod tests {
         let view = |(number, centre): (usize, &[f64; 3])| View {
             name: format!("{number}.jpg"),
             camera: camera_at(*centre),
-            photo: Arc::clone(&photo),
+            photo: Arc::clone(&photo).into(),
             mask: None,
         };
         centres.iter().enumerate().map(view).collect()

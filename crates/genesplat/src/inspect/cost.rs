@@ -33,7 +33,7 @@ pub(super) struct Cost {
 /// Of a run with these settings on this machine's CPU.
 pub(super) fn estimate(scene: &Scene, settings: &Resolved) -> Result<Cost> {
     let gaussians = expected_gaussians(settings.config(), &scene.train).max(scene.points.len());
-    let pixels: u64 = scene.train.iter().map(|view| (view.photo.rgb.len() / 3) as u64).sum();
+    let pixels: u64 = scene.train.iter().map(|view| view.photo.pixels() as u64).sum();
     let seconds = seconds_a_step(&scene.train, grown(&scene.points, gaussians)?)?;
     Ok(Cost {
         gaussians,

@@ -1,6 +1,6 @@
 //! Photos that harm a reconstruction: blurred, overexposed, or there twice.
 
-use genesplat::core::{Photo, View};
+use genesplat::core::{Photo, PhotoLost, View};
 use rayon::prelude::*;
 
 use super::{listed, median};
@@ -28,13 +28,14 @@ struct Measures {
 }
 
 /// One sentence for each kind of trouble.
-pub(super) fn warnings(views: &[&View]) -> Vec<String> {
-    let measures: Vec<Measures> = views.par_iter().map(|view| measure(&view.photo)).collect();
-    let twins = duplicates(views);
+pub(super) fn warnings(views: &[&View]) -> Result<Vec<String>, PhotoLost> {
+    let measure = |view: &&View| Ok(measure(&*view.photo.read()?));
+    let measures: Vec<Measures> = views.par_iter().map(measure).collect::<Result<_, PhotoLost>>()?;
+    let twins = duplicates(views)?;
     if views.len() < PHOTOS_MIN {
-        return twins.into_iter().collect();
+        return Ok(twins.into_iter().collect());
     }
-    [blurred(views, &measures), overexposed(views, &measures), twins].into_iter().flatten().collect()
+    Ok([blurred(views, &measures), overexposed(views, &measures), twins].into_iter().flatten().collect())
 }
 
 fn blurred(views: &[&View], measures: &[Measures]) -> Option<String> {
@@ -64,8 +65,9 @@ fn overexposed(views: &[&View], measures: &[Measures]) -> Option<String> {
 }
 
 /// Photos that show the same, saved twice or anew.
-fn duplicates(views: &[&View]) -> Option<String> {
-    let small: Vec<Vec<f64>> = views.par_iter().map(|view| cells(&view.photo)).collect();
+fn duplicates(views: &[&View]) -> Result<Option<String>, PhotoLost> {
+    let cells = |view: &&View| Ok(cells(&*view.photo.read()?));
+    let small: Vec<Vec<f64>> = views.par_iter().map(cells).collect::<Result<_, PhotoLost>>()?;
     let is_like = |a: &[f64], b: &[f64]| {
         let squares: f64 = a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum();
         squares < ALIKE * ALIKE * a.len() as f64
@@ -74,8 +76,8 @@ fn duplicates(views: &[&View]) -> Option<String> {
     let pairs: Vec<String> =
         (0..views.len()).filter_map(|at| Some(format!("{} and {}", views[twin(at)?].name, views[at].name))).collect();
     let shown: Vec<&str> = pairs.iter().map(String::as_str).collect();
-    (!shown.is_empty())
-        .then(|| format!("photos are there twice ({}): one of each pair counts double; remove it", listed(&shown)))
+    let sentence = || format!("photos are there twice ({}): one of each pair counts double; remove it", listed(&shown));
+    Ok((!shown.is_empty()).then(sentence))
 }
 
 /// Mean colours of a photo's parts.
@@ -119,13 +121,12 @@ fn sharpness(photo: &Photo) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use std::sync::Arc;
 
     use super::super::cameras::tests::camera_at;
     use super::*;
 
     fn view(name: &str, photo: Photo) -> View {
-        View { name: name.into(), camera: camera_at([0.0; 3]), photo: Arc::new(photo), mask: None }
+        View { name: name.into(), camera: camera_at([0.0; 3]), photo: photo.into(), mask: None }
     }
 
     fn noise(seed: u32, contrast: u32) -> Photo {
@@ -136,11 +137,11 @@ mod tests {
     #[test]
     fn the_odd_ones_out_are_named() {
         let mut views: Vec<View> = (0..6).map(|seed| view(&format!("{seed}.jpg"), noise(seed, 100))).collect();
-        let found = |views: &[View]| warnings(&views.iter().collect::<Vec<_>>());
+        let found = |views: &[View]| warnings(&views.iter().collect::<Vec<_>>()).unwrap();
         assert_eq!(found(&views), [] as [String; 0]);
-        views[1].photo = Arc::new(noise(1, 3));
-        views[3].photo = Arc::new(Photo { rgb: vec![255; 1200], ..noise(3, 100) });
-        views[5].photo = Arc::clone(&views[0].photo);
+        views[1].photo = noise(1, 3).into();
+        views[3].photo = Photo { rgb: vec![255; 1200], ..noise(3, 100) }.into();
+        views[5].photo = views[0].photo.clone();
         let found = found(&views);
         assert_eq!(found.len(), 3, "{found:?}");
         assert!(found[0].contains("softer edges") && found[0].contains("(1.jpg, 3.jpg)"), "{found:?}");
@@ -156,7 +157,7 @@ mod tests {
             rgb[240 * rows.start..240 * rows.end].iter_mut().for_each(|value| *value = value.saturating_add(by));
             photo(rgb)
         };
-        let twice = |other| duplicates(&[&view("a.jpg", photo(plain.clone())), &view("b.jpg", other)]);
+        let twice = |other| duplicates(&[&view("a.jpg", photo(plain.clone())), &view("b.jpg", other)]).unwrap();
         assert!(twice(brighter(0..60, 1)).unwrap().contains("a.jpg and b.jpg"));
         // A coarse JPEG is off by more than that here and there.
         assert!(twice(brighter(0..4, 4)).is_some());

@@ -18,10 +18,10 @@ const QUICK: u32 = 7000;
 
 pub(crate) fn inspect_scene(dataset: &Dataset) -> Result<Report> {
     let settings = TrainConfig { iterations: QUICK, ..TrainConfig::default() }.resolve()?;
-    let scene = scene::load(dataset, [0.0; 3], settings.config().seed)?;
+    let scene = scene::load(dataset, [0.0; 3], settings.config().seed, None)?;
     let views: Vec<&View> = scene.train.iter().chain(&scene.test).collect();
     let sight = sight(&views, &scene.points);
-    let warnings = [cameras::warnings(&views, &sight), photos::warnings(&views)].concat();
+    let warnings = [cameras::warnings(&views, &sight), photos::warnings(&views)?].concat();
     let mut facts = found(&scene, &views, &sight)?;
     facts.extend(lenses(&list_scene(&dataset.path, &dataset.options())?.photos));
     facts.extend(expected(&estimate(&scene, &settings)?));
@@ -64,7 +64,7 @@ fn found(scene: &Scene, views: &[&View], sight: &Sight) -> Result<Vec<Fact>> {
 }
 
 fn sizes(views: &[&View]) -> Fact {
-    let mut sizes: Vec<[u32; 2]> = views.iter().map(|view| [view.photo.width, view.photo.height]).collect();
+    let mut sizes: Vec<[u32; 2]> = views.iter().map(|view| [view.photo.width(), view.photo.height()]).collect();
     sizes.sort_unstable();
     sizes.dedup();
     let [width, height] = sizes[0];

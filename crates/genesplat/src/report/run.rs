@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use anyhow::Result;
-use genesplat::core::{Photo, View};
+use genesplat::core::Photo;
 use genesplat::io::photos::read_photo;
 use genesplat::io::{Scene, command_line};
 use genesplat::metrics::{Evaluation, ViewScore};
@@ -70,7 +70,7 @@ impl RunPage<'_> {
         page.open("div class=\"views\"");
         for (word, at) in [("Best", best), ("Worst", worst)].into_iter().take(if best == worst { 1 } else { 2 }) {
             let render = read_photo(&self.folder.join(TEST).join(&names[at]))?;
-            write_view(page, word, &scores[at], &self.scene.test[at], &render);
+            write_view(page, word, &scores[at], &*self.scene.test[at].photo.read()?, &render);
         }
         page.close("div");
         Ok(())
@@ -100,10 +100,10 @@ pub(crate) fn number(value: Option<f64>, digits: usize, unit: &str) -> String {
     value.map_or("-".to_owned(), |value| format!("{value:.digits$}{unit}"))
 }
 
-fn write_view(page: &mut Html, word: &str, score: &ViewScore, view: &View, render: &Photo) {
+fn write_view(page: &mut Html, word: &str, score: &ViewScore, photo: &Photo, render: &Photo) {
     let caption = format!("{word}: {}, {:.2} dB, SSIM {:.4}", score.name, score.psnr, score.ssim);
     page.open("figure").element("figcaption", &caption);
-    picture::write_slider(page, [("photo", &view.photo), ("render", render)], PICTURE_PX);
+    picture::write_slider(page, [("photo", photo), ("render", render)], PICTURE_PX);
     page.close("figure");
 }
 

@@ -29,7 +29,7 @@ impl<'a> TestCurve<'a> {
         let mut sum = 0.0;
         for view in self.views {
             let picture = sight.render(&view.camera)?.to_photo();
-            sum += psnr_under(view.mask.as_deref(), &picture, &view.photo)?;
+            sum += psnr_under(view.mask.as_deref(), &picture, &*view.photo.read()?)?;
         }
         let mean = sum / self.views.len() as f64;
         Ok(mean.is_finite().then_some(mean))

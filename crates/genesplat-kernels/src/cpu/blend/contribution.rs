@@ -6,12 +6,12 @@
 use std::ops::Range;
 
 use fearless_simd::Level;
-use genesplat_core::{Contribution, Gaussians, Image, RenderSettings};
+use genesplat_core::{Contribution, Gaussians, Image, PhotoLost, RenderSettings};
 use rayon::prelude::*;
 
 use super::gradient_row::{GradientRow, column};
 use super::rasterise_backward::rasterise_backward;
-use crate::cpu::loss::Target;
+use crate::cpu::loss::{PhotoRows, Target};
 use crate::cpu::update::{ByTile, SplatGradients, Summed};
 use crate::cpu::view::{Band, CHUNK, Pinhole, Splats, ViewBuffers};
 
@@ -47,11 +47,14 @@ pub(crate) fn contribution(
     (camera, target): (&Pinhole, &Target),
     settings: &RenderSettings,
     contributions: &mut [Contribution],
-) {
+) -> Result<(), PhotoLost> {
     buffers.render(level, cloud, camera, settings);
-    ones_and_errors(&buffers.image, target, 0..target.height, &mut buffers.image_gradient);
+    let rows = 0..target.height;
+    buffers.photo.read(target, rows.clone())?;
+    ones_and_errors(&buffers.image, (target, &buffers.photo), rows, &mut buffers.image_gradient);
     rasterise_backward(level, buffers, (camera, &Band::whole(camera)), None);
     add_contributions(&buffers.splats, &by_tile(buffers), contributions);
+    Ok(())
 }
 
 /// Adds what the backward blending has summed for red and for green to the contributions of their rows.
@@ -93,14 +96,18 @@ fn each_splat<T: Send>(
 }
 
 /// In the place of the gradient of some rows of the image `[3, rows, W]`: ones, `|I − P|` of all channels together, zeros.
-pub fn ones_and_errors(image: &Image, target: &Target, rows: Range<usize>, gradient: &mut Vec<f32>) {
-    let (plane, first) = (image.planes.len() / 3, rows.start * target.width);
-    let photo_plane = target.planes.len() / 3;
+pub fn ones_and_errors(
+    image: &Image,
+    (target, photo): (&Target, &PhotoRows),
+    rows: Range<usize>,
+    gradient: &mut Vec<f32>,
+) {
+    let plane = image.planes.len() / 3;
     gradient.clear();
     gradient.resize(plane, 1.0);
     gradient.resize(3 * plane, 0.0);
     let of_channel = |channel: usize| {
-        let (image, photo) = (&image.planes[channel * plane..], &target.planes[channel * photo_plane + first..]);
+        let (image, photo) = (&image.planes[channel * plane..], photo.plane(channel, &rows));
         image.iter().zip(photo).map(|(&value, &level)| (value - f32::from(level) * (1.0 / 255.0)).abs())
     };
     let of_pixels = of_channel(0).zip(of_channel(1)).zip(of_channel(2));

@@ -18,26 +18,82 @@ use std::sync::Arc;
 
 use fearless_simd::{Level, Simd, dispatch, prelude::*};
 use genesplat_core::constants::{LAMBDA_DSSIM, SSIM_C1, SSIM_C2, SSIM_RADIUS, ssim_window};
-use genesplat_core::{Image, Mask, Photo, View};
+use genesplat_core::{Image, Mask, PhotoLost, StoredPhoto, View};
 use rayon::prelude::*;
 
+use super::bytes_of;
 use super::simd::{LANES, V};
 use blur::{MARGIN, Ring, TAPS, blur_rows, by_slot, load_bytes, load_part, mask_tail};
 
 /// Rows of a strip. A constant, so that the order of summation does not depend on the number of threads.
 const STRIP: usize = 64;
 
-/// A photo as the loss reads it: 8-bit planes `[3, H, W]`.
+/// What a view is to look like.
 #[derive(Clone, Debug)]
 pub struct Target {
     /// Width, px.
     pub width: usize,
     /// Height, px.
     pub height: usize,
-    /// Values `[3, H, W]`; zeros where nothing counts.
-    pub planes: Vec<u8>,
+    photo: StoredPhoto,
     /// `None` where all pixels count.
     pub mask: Option<Arc<Mask>>,
+}
+
+/// Rows of a photo as the loss reads them: 8-bit planes.
+#[derive(Clone, Debug, Default)]
+pub struct PhotoRows {
+    /// Width and height of the whole photo, px.
+    size: [usize; 2],
+    rows: Range<usize>,
+    /// Values `[3, rows, W]`; zeros where nothing counts.
+    planes: Vec<u8>,
+    /// The same rows as a file has them.
+    interleaved: Vec<u8>,
+}
+
+/// Rows that one task takes apart, at least.
+const ROWS_OF_TASK: usize = 64;
+
+impl PhotoRows {
+    /// All rows.
+    pub(crate) fn whole(target: &Target) -> Result<Self, PhotoLost> {
+        let mut photo = Self::default();
+        photo.read(target, 0..target.height)?;
+        Ok(photo)
+    }
+
+    /// Takes the place of what was read before.
+    pub fn read(&mut self, target: &Target, rows: Range<usize>) -> Result<(), PhotoLost> {
+        let Self { size, rows: held, planes, interleaved } = self;
+        (*size, *held) = ([target.width, target.height], rows);
+        let (width, pixels) = (target.width, target.width * held.len());
+        planes.resize(3 * pixels, 0);
+        let values = target.photo.rows(held, interleaved)?;
+        let (red, others) = planes.split_at_mut(pixels);
+        let (green, blue) = others.split_at_mut(pixels);
+        let [red, green, blue] = [red, green, blue].map(|plane| plane.par_chunks_mut(width));
+        let by_row = red.zip(green).zip(blue).zip(values.par_chunks(3 * width)).with_min_len(ROWS_OF_TASK);
+        by_row.for_each(|(((red, green), blue), values)| {
+            for (at, rgb) in values.as_chunks::<3>().0.iter().enumerate() {
+                [red[at], green[at], blue[at]] = *rgb;
+            }
+        });
+        if let Some(mask) = &target.mask {
+            mask.hide_part(planes, held.start * width..held.end * width);
+        }
+        Ok(())
+    }
+
+    /// The values of some of the rows in one channel.
+    pub(crate) fn plane(&self, channel: usize, rows: &Range<usize>) -> &[u8] {
+        let (width, held) = (self.size[0], self.rows.len());
+        &self.planes[(channel * held + rows.start - self.rows.start) * width..][..rows.len() * width]
+    }
+
+    pub(crate) fn bytes(&self) -> usize {
+        bytes_of(&self.planes) + bytes_of(&self.interleaved)
+    }
 }
 
 impl Target {
@@ -54,6 +110,11 @@ impl Target {
         }
     }
 
+    /// Width and height, px.
+    pub fn size(&self) -> [usize; 2] {
+        [self.width, self.height]
+    }
+
     /// Pixels that count.
     pub(crate) fn counted(&self) -> usize {
         self.mask.as_ref().map_or(self.width * self.height, |mask| mask.counted())
@@ -62,31 +123,17 @@ impl Target {
 
 impl From<&View> for Target {
     fn from(view: &View) -> Self {
-        match &view.mask {
-            None => Self::from(&*view.photo),
-            Some(mask) => Self { mask: Some(mask.clone()), ..Self::from(&mask.hide_in(&view.photo)) },
-        }
+        let View { photo, mask, .. } = view;
+        let (width, height) = (photo.width() as usize, photo.height() as usize);
+        Self { width, height, photo: photo.clone(), mask: mask.clone() }
     }
 }
 
-impl From<&Photo> for Target {
-    fn from(photo: &Photo) -> Self {
-        let pixels = photo.width as usize * photo.height as usize;
-        let mut planes = vec![0; 3 * pixels];
-        for (index, rgb) in photo.rgb.chunks_exact(3).enumerate() {
-            for (channel, &value) in rgb.iter().enumerate() {
-                planes[channel * pixels + index] = value;
-            }
-        }
-        Self { width: photo.width as usize, height: photo.height as usize, planes, mask: None }
-    }
-}
-
-/// Loss of `image` against `target`; `gradient` `[3, H, W]` is overwritten when given.
-pub(crate) fn loss(level: Level, image: &Image, target: &Target, gradient: Option<&mut Vec<f32>>) -> f32 {
-    let mut sums = Vec::new();
-    loss_of_rows(level, (image, 0), target, 0..target.height, gradient, &mut sums);
-    loss_of_sums(&sums, target)
+/// Loss of `image` against a whole photo; `gradient` `[3, H, W]` is overwritten when given.
+pub(crate) fn loss(level: Level, image: &Image, photo: &PhotoRows, gradient: Option<&mut Vec<f32>>) -> f32 {
+    let (mut sums, [width, height]) = (Vec::new(), photo.size);
+    loss_of_rows(level, (image, 0), photo, 0..height, gradient, &mut sums);
+    loss_of_sums(&sums, [width, height])
 }
 
 /// Rows beside some rows of a picture that their loss and its gradient depend on.
@@ -94,16 +141,16 @@ pub const LOSS_REACH: usize = 2 * SSIM_RADIUS;
 
 /// Sums of `|I − P|` and of SSIM of each of `rows` `[3, rows]`, and the gradient of the whole picture's loss by them
 /// `[3, rows, W]`, when wanted. Of the picture, `image` has the rows from `first` on: `rows` and all within [`LOSS_REACH`].
+/// Of the photo, the same are wanted.
 pub fn loss_of_rows(
     level: Level,
     (image, first): (&Image, usize),
-    target: &Target,
+    photo: &PhotoRows,
     rows: Range<usize>,
     gradient: Option<&mut Vec<f32>>,
     sums: &mut Vec<[f64; 2]>,
 ) {
-    let ([width, height], [held, pixels]) =
-        ([target.width, target.height], [image.planes.len() / 3, target.planes.len() / 3]);
+    let ([width, height], held) = (photo.size, image.planes.len() / 3);
     sums.clear();
     sums.resize(3 * rows.len(), [0.0; 2]);
     if rows.is_empty() {
@@ -116,7 +163,8 @@ pub fn loss_of_rows(
             size: [width, height],
             plane: &image.planes[channel * held..][..held],
             first,
-            photo: &target.planes[channel * pixels..][..pixels],
+            photo: photo.plane(channel, &photo.rows),
+            first_of_photo: photo.rows.start,
         };
         let top = rows.start + index % strips * STRIP;
         dispatch!(level, simd => walk_strip(simd, &picture, top..top + sums.len(), sums, out));
@@ -136,10 +184,10 @@ pub fn loss_of_rows(
     }
 }
 
-/// The loss from the sums of all rows `[3, H]`, which are added strip by strip.
-pub fn loss_of_sums(sums: &[[f64; 2]], target: &Target) -> f32 {
-    let strips = sums.chunks(target.height).flat_map(|channel| channel.chunks(STRIP));
-    combine(strips.map(|strip| strip.iter().fold([0.0; 2], add)), 3 * target.width * target.height)
+/// The loss from the sums of all rows `[3, H]` of a picture of `width` x `height` px, which are added strip by strip.
+pub fn loss_of_sums(sums: &[[f64; 2]], [width, height]: [usize; 2]) -> f32 {
+    let strips = sums.chunks(height).flat_map(|channel| channel.chunks(STRIP));
+    combine(strips.map(|strip| strip.iter().fold([0.0; 2], add)), 3 * width * height)
 }
 
 fn add(a: [f64; 2], b: &[f64; 2]) -> [f64; 2] {
@@ -160,6 +208,8 @@ struct Channel<'a> {
     /// First row of the plane.
     first: usize,
     photo: &'a [u8],
+    /// First row of the photo's plane.
+    first_of_photo: usize,
 }
 
 impl Channel<'_> {
@@ -167,7 +217,8 @@ impl Channel<'_> {
     #[inline(always)]
     fn row(&self, y: usize) -> (&[f32], &[u8]) {
         let width = self.size[0];
-        (&self.plane[(y - self.first) * width..][..width], &self.photo[y * width..][..width])
+        let plane = &self.plane[(y - self.first) * width..][..width];
+        (plane, &self.photo[(y - self.first_of_photo) * width..][..width])
     }
 }
 

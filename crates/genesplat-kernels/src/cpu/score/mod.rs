@@ -13,7 +13,7 @@ mod tile;
 use std::collections::{BTreeMap, BTreeSet};
 
 use fearless_simd::Level;
-use genesplat_core::{Gaussians, RenderSettings, SparseDelta};
+use genesplat_core::{Gaussians, PhotoLost, RenderSettings, SparseDelta};
 use rayon::prelude::*;
 
 use super::loss::Target;
@@ -43,11 +43,12 @@ impl Scorer {
         (views, all): (&[usize], &[usize]),
         of_view: impl Fn(usize) -> (Pinhole, &'a Target) + Sync,
         settings: &RenderSettings,
-    ) -> Vec<f32> {
+    ) -> Result<Vec<f32>, PhotoLost> {
         let is_new = |view: &usize| !self.photos.contains_key(view);
         let new: BTreeSet<usize> = views.iter().copied().filter(is_new).collect();
-        let photo = |view: usize| (view, PhotoLoss::new(level, of_view(view).1));
-        self.photos.par_extend(new.into_par_iter().map(photo));
+        let photo = |view: usize| Ok((view, PhotoLoss::new(level, of_view(view).1)?));
+        let new: Result<Vec<_>, PhotoLost> = new.into_par_iter().map(photo).collect();
+        self.photos.extend(new?);
         let tiles = |&view: &usize| of_view(view).0.grid().iter().product();
         let most = Pool::capacity(all.iter().map(tiles).max().unwrap_or(0));
         let each = population.len().div_ceil(population.len().div_ceil(most).max(1)).max(1);
@@ -65,7 +66,7 @@ impl Scorer {
             }
             losses.extend((0..individuals.len()).flat_map(|index| by_view.iter().map(move |view| view[index])));
         }
-        losses
+        Ok(losses)
     }
 
     /// Bytes of memory that scoring has taken at most, but for what threads have of their own: photos grow with the

@@ -5,11 +5,12 @@
 //! from top to bottom: what the last 11 rows leave stays in the first-level cache.
 
 use fearless_simd::{Level, Simd, dispatch, prelude::*};
+use genesplat_core::PhotoLost;
 use genesplat_core::constants::{SSIM_C1, SSIM_C2, SSIM_RADIUS, ssim_window};
 
 use crate::cpu::bytes_of;
 use crate::cpu::loss::blur::{MARGIN, Ring, TAPS, blur_rows, by_slot, load_bytes, mask_tail};
-use crate::cpu::loss::{Target, combine};
+use crate::cpu::loss::{PhotoRows, Target, combine};
 use crate::cpu::simd::{LANES, V, array};
 
 /// Most vectors across a column of the walk.
@@ -85,13 +86,13 @@ impl PhotoLoss {
         bytes_of(&self.photo) + bytes_of(&self.blurred) + bytes_of(&self.hidden)
     }
 
-    pub(crate) fn new(level: Level, target: &Target) -> Self {
+    pub(crate) fn new(level: Level, target: &Target) -> Result<Self, PhotoLost> {
+        let photo = PhotoRows::whole(target)?;
         let layout = Layout { size: [target.width, target.height] };
         let blurred = Vec::with_capacity(3 * layout.vectors() * target.height);
-        let mut photo_loss =
-            Self { layout, photo: padded(&target.planes, layout), hidden: hidden(target, layout), blurred };
+        let mut photo_loss = Self { layout, photo: padded(&photo, layout), hidden: hidden(target, layout), blurred };
         dispatch!(level, simd => photo_loss.blur_photo(simd));
-        photo_loss
+        Ok(photo_loss)
     }
 
     #[inline(always)]
@@ -200,12 +201,14 @@ fn hidden(target: &Target, layout: Layout) -> Vec<u32> {
     counts.filter(|(_, counts)| !**counts).map(|(index, _)| place(index) as u32).collect()
 }
 
-fn padded(planes: &[u8], layout: Layout) -> Vec<u8> {
+fn padded(photo: &PhotoRows, layout: Layout) -> Vec<u8> {
     let mut out = vec![0; layout.len()];
     let [width, height] = layout.size;
-    for (index, row) in planes.chunks_exact(width).enumerate() {
-        let at = index / height * layout.plane() + layout.row(index % height);
-        out[at..at + width].copy_from_slice(row);
+    for channel in 0..3 {
+        for (y, row) in photo.plane(channel, &(0..height)).chunks_exact(width).enumerate() {
+            let at = channel * layout.plane() + layout.row(y);
+            out[at..at + width].copy_from_slice(row);
+        }
     }
     out
 }

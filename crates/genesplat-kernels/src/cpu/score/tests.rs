@@ -1,8 +1,6 @@
 //! Scores against the loss of the changed cloud, rendered in full. Both compute in f32, in different orders: a loss may
 //! be off by 1e-6 of itself (seen: 4e-7), which is what a handful of roundings in the sums comes to.
 
-use std::sync::Arc;
-
 use fearless_simd::{Level, dispatch};
 use genesplat_core::backend::MomentPolicy;
 use genesplat_core::{
@@ -12,7 +10,7 @@ use glam::DVec3;
 
 use super::photo_loss::{PhotoLoss, Walk};
 use super::pool;
-use crate::cpu::loss::Target;
+use crate::cpu::loss::{PhotoRows, Target};
 use crate::cpu::{CpuBackend, loss};
 use crate::fixtures::{camera, change_rows, cloud, filters, individual_of, settings, uniform};
 
@@ -20,7 +18,7 @@ const TOLERANCE: f32 = 1e-6;
 
 /// Loss of a picture that is not padded yet.
 pub(crate) fn loss_of_image(level: Level, image: &Image, target: &Target) -> f32 {
-    let photo_loss = PhotoLoss::new(level, target);
+    let photo_loss = PhotoLoss::new(level, target).unwrap();
     let layout = photo_loss.layout;
     let mut picture = vec![0.0; layout.len()];
     for (index, row) in image.planes.chunks_exact(target.width).enumerate() {
@@ -38,7 +36,7 @@ fn views_of(sizes: [[u32; 2]; 2]) -> Vec<View> {
         let camera = camera().resized(width, height);
         let camera_from_world_translation = camera.camera_from_world_translation + shift;
         let camera = Camera { camera_from_world_translation, ..camera };
-        View { name: "test".into(), camera, photo: Arc::new(Photo { width, height, rgb }), mask: None }
+        View { name: "test".into(), camera, photo: Photo { width, height, rgb }.into(), mask: None }
     };
     sizes.into_iter().enumerate().map(view).collect()
 }
@@ -56,8 +54,8 @@ fn check(base: &Gaussians, population: &[SparseDelta], views: &[View], settings:
         changed.apply(individual, MomentPolicy::Keep).unwrap();
         for (&view, &score) in numbers.iter().zip(scores) {
             let image = changed.render(&views[view].camera, settings).unwrap();
-            let target = Target::from(views[view].photo.as_ref());
-            let plain = loss::loss(Level::new(), &image, &target, None);
+            let photo = PhotoRows::whole(&Target::from(&views[view])).unwrap();
+            let plain = loss::loss(Level::new(), &image, &photo, None);
             assert!((score / plain - 1.0).abs() < TOLERANCE, "{score} instead of {plain}, view {view}");
         }
     }

@@ -35,9 +35,9 @@ fn what_is_behind_a_mask_changes_no_bit() {
     assert!(masked == everything(masked_view(255)) && !masked.contains("NaN"));
     assert!(masked != everything(view()), "the mask has an effect");
     let mut changed = masked_view(0);
-    let mut photo = Photo::clone(&changed.photo);
+    let mut photo = Photo::clone(&changed.photo.read().unwrap());
     photo.rgb[0] = !photo.rgb[0];
-    changed.photo = Arc::new(photo);
+    changed.photo = photo.into();
     assert!(masked != everything(changed), "one value that counts is enough");
 }
 
@@ -105,9 +105,10 @@ fn masked_scores_and_contributions_are_those_of_renders() {
     for value in [score, f64::from(measured.loss)] {
         assert!((value / expected - 1.0).abs() < 1e-5, "{value} instead of {expected}");
     }
+    let photo = view.photo.read().unwrap();
     let squared = |(index, value): (usize, &f64)| {
         let (pixel, channel) = (index % mask.counts.len(), index / mask.counts.len());
-        let photo = f64::from(view.photo.rgb[3 * pixel + channel]) / 255.0;
+        let photo = f64::from(photo.rgb[3 * pixel + channel]) / 255.0;
         if mask.counts[pixel] { (value - photo).powi(2) } else { 0.0 }
     };
     let mean = rendered.iter().enumerate().map(squared).sum::<f64>() / (3 * mask.counted()) as f64;

@@ -20,7 +20,7 @@ use genesplat_core::{
 
 use super::update::{ByTile, Share, UpdateInputs};
 use super::{CpuBackend, Pinhole, ViewBuffers, loss};
-use crate::fixtures::{camera, photo, settings, step, view};
+use crate::fixtures::{camera, settings, step, view};
 use crate::reference::Cloud64;
 
 /// Relative L2 distance and cosine of two vectors.
@@ -115,7 +115,7 @@ fn fill(
 ) -> Pinhole {
     let (level, camera) = (Level::new(), Pinhole::from(&camera()));
     buffers.render(level, cloud, &camera, settings);
-    buffers.backward(level, &camera, &loss::Target::from(&photo()), signal);
+    buffers.backward(level, &camera, &loss::Target::from(&view()), signal).unwrap();
     camera
 }
 

@@ -1,16 +1,60 @@
 //! What must hold for any input: no thread, no poison and no order of calls changes a result.
 
 use genesplat_core::backend::MomentPolicy;
+use std::io;
+use std::sync::Arc;
+
 use genesplat_core::{
-    Backend, DeviceState, EvolutionBackend, Gaussians, Held, RowEdit, ScreenFilter, SparseDelta, StatisticsRequest,
-    TrainStep,
+    Backend, BackendError, DeviceState, EvolutionBackend, Gaussians, Held, PhotoStore, RowEdit, ScreenFilter,
+    SparseDelta, StatisticsRequest, StoredPhoto, TrainStep, View,
 };
 
 use super::{backend_with, classic_step, flat, mcmc_step};
 use crate::cpu::CpuBackend;
 use crate::fixtures::{
-    camera, cloud, far_needles, filters, individual_of, poisoned_cloud, settings, small_view, step, tall_view, view,
+    camera, cloud, far_needles, filters, individual_of, masked_view, poisoned_cloud, settings, small_view, step,
+    tall_view, view,
 };
+
+/// Photos that are not in memory, as far as a backend knows.
+#[derive(Debug)]
+struct Shelf(Vec<u8>);
+
+impl PhotoStore for Shelf {
+    fn read(&self, at: u64, out: &mut [u8]) -> io::Result<()> {
+        let bytes = self.0.get(at as usize..at as usize + out.len());
+        out.copy_from_slice(bytes.ok_or(io::ErrorKind::UnexpectedEof)?);
+        Ok(())
+    }
+}
+
+/// All that reads photos.
+fn readings(views: &[View]) -> Result<String, BackendError> {
+    let base = cloud(700);
+    let (mut backend, settings) = (backend_with(&base), classic_step(1).settings);
+    backend.set_views(views)?;
+    backend.train_step(&classic_step(1))?;
+    let scores = backend.score(&[individual_of(&base, 0)], &[0, 1], &settings)?;
+    let (contributions, measured) =
+        (backend.contributions(&[0, 1], &settings)?, backend.measure(Held::Cloud, &[1, 0], &settings)?);
+    Ok(format!("{:?} {scores:?} {contributions:?} {measured:?}", backend.state()?))
+}
+
+#[test]
+fn where_photos_are_changes_no_bit_and_one_that_is_lost_is_an_error() {
+    let views = [masked_view(70), tall_view()];
+    let on_a_shelf = |spare: usize| {
+        let shelved = views.clone().map(|view| {
+            let photo = view.photo.read().unwrap();
+            let shelf = Shelf([vec![1; 5], photo.rgb[..photo.rgb.len() - spare].to_vec()].concat());
+            View { photo: StoredPhoto::in_store(Arc::new(shelf), 5, photo.width, photo.height), ..view }
+        });
+        readings(&shelved)
+    };
+    assert!(on_a_shelf(0).unwrap() == readings(&views).unwrap());
+    let sentence = on_a_shelf(1).unwrap_err().to_string();
+    assert!(sentence.contains("cannot be read again"), "{sentence}");
+}
 
 #[test]
 fn results_do_not_depend_on_the_number_of_threads() {

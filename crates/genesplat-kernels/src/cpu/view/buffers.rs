@@ -3,7 +3,7 @@
 use std::time::Instant;
 
 use fearless_simd::Level;
-use genesplat_core::{DensitySignal, Gaussians, Image, RenderSettings};
+use genesplat_core::{DensitySignal, Gaussians, Image, PhotoLost, RenderSettings};
 
 use super::band::Band;
 use super::pinhole::Pinhole;
@@ -14,7 +14,7 @@ use crate::cpu::blend::gradient_row::GradientRow;
 use crate::cpu::blend::rasterise::{TileImage, compose, rasterise};
 use crate::cpu::blend::rasterise_backward::rasterise_backward;
 use crate::cpu::bytes_of;
-use crate::cpu::loss::{Target, loss};
+use crate::cpu::loss::{PhotoRows, Target, loss};
 use crate::cpu::simd::prefetch;
 
 /// Seconds spent in each stage since the counters were last taken.
@@ -45,6 +45,8 @@ pub struct ViewBuffers {
     pub tiles: Vec<TileImage>,
     /// The composed image.
     pub image: Image,
+    /// What of the photo it is compared with.
+    pub photo: PhotoRows,
     /// `dL/dimage` `[3, H, W]`.
     pub image_gradient: Vec<f32>,
     /// One row of gradient sums for each intersection.
@@ -55,8 +57,8 @@ pub struct ViewBuffers {
 
 impl ViewBuffers {
     pub(crate) fn bytes(&self) -> usize {
-        let Self { splats, bins, tiles, image, image_gradient, gradient_rows, seconds: _ } = self;
-        let pictures = bytes_of(tiles) + bytes_of(&image.planes) + bytes_of(image_gradient);
+        let Self { splats, bins, tiles, image, photo, image_gradient, gradient_rows, seconds: _ } = self;
+        let pictures = bytes_of(tiles) + bytes_of(&image.planes) + photo.bytes() + bytes_of(image_gradient);
         splats.bytes() + bins.bytes() + pictures + bytes_of(gradient_rows)
     }
 
@@ -76,15 +78,22 @@ impl ViewBuffers {
     }
 
     /// Loss of the rendered image; fills the image's gradient, and the gradient rows with what `signal` needs.
-    pub fn backward(&mut self, level: Level, camera: &Pinhole, target: &Target, signal: Option<DensitySignal>) -> f32 {
+    pub fn backward(
+        &mut self,
+        level: Level,
+        camera: &Pinhole,
+        target: &Target,
+        signal: Option<DensitySignal>,
+    ) -> Result<f32, PhotoLost> {
         let value = timed(&mut self.seconds.loss, || {
+            self.photo.read(target, 0..target.height)?;
             target.hide(&mut self.image.planes);
-            let value = loss(level, &self.image, target, Some(&mut self.image_gradient));
+            let value = loss(level, &self.image, &self.photo, Some(&mut self.image_gradient));
             target.hide(&mut self.image_gradient);
-            value
-        });
+            Ok::<_, PhotoLost>(value)
+        })?;
         self.draw_backward(level, (camera, &Band::whole(camera)), signal);
-        value
+        Ok(value)
     }
 
     /// From the gradient of a band's image to the gradient rows, with what `signal` needs.

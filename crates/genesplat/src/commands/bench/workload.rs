@@ -4,7 +4,6 @@
 //! Gaussians as wide as the distance to their new neighbours then cover the same surfaces, as densification does.
 
 use std::path::Path;
-use std::sync::Arc;
 
 use anyhow::{Result, bail};
 use genesplat::core::gaussians::logit;
@@ -61,7 +60,7 @@ impl Source {
     }
 
     fn scene(data: &Path, size: SizeArgs) -> Result<Self> {
-        let scene = scene::load(&Dataset::of(data, &size.into())?, [0.0; 3], 0)?;
+        let scene = scene::load(&Dataset::of(data, &size.into())?, [0.0; 3], 0, None)?;
         let points = scene::points(&scene);
         Ok(Self { views: scene.train, settings: RenderSettings::default(), origin: Origin::Points(points) })
     }
@@ -147,7 +146,7 @@ fn synthetic_view([width, height]: [u32; 2]) -> View {
     let camera = Camera::at_origin(width, height, f64::from(height));
     let pixel = |x: u32, y: u32| [(255 * x / width) as u8, (255 * y / height) as u8, 128];
     let rgb = (0..height).flat_map(|y| (0..width).flat_map(move |x| pixel(x, y))).collect();
-    View { name: "synthetic".into(), camera, photo: Arc::new(Photo { width, height, rgb }), mask: None }
+    View { name: "synthetic".into(), camera, photo: Photo { width, height, rgb }.into(), mask: None }
 }
 
 /// A wavy wall that fills the picture, twice as wide, with a second one behind it.
