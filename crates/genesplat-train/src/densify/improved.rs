@@ -67,7 +67,8 @@ pub fn plan(statistics: &Statistics, genes: &[Genes], scores: &[f32], rules: &Ru
         };
         origins.iter().for_each(|&origin| edit.push(row, origin));
     }
-    Plan { split: drawn.len(), pruned: genes.len() - kept, ..Plan::of(edit) }
+    let refused = candidates.len() - drawn.len();
+    Plan { split: drawn.len(), pruned: genes.len() - kept, refused, ..Plan::of(edit) }
 }
 
 /// Which rows go: all that are too faint, and at least the given part of the cloud; equally faint ones in row order.
@@ -200,7 +201,7 @@ mod tests {
         let rows = [(1.0, 0.5), (1.0, 0.5), (1.0, 0.001), (1.0, 0.5), (1.0, 0.5)];
         for (budget, split) in [(0, 0), (4, 0), (5, 1), (7, 3), (8, 4), (9, 4)] {
             let decided = decided(&rows, &[1.0; 5], &Rules { budget, ..RULES }, 600);
-            assert_eq!((decided.split, decided.edit.sources.len()), (split, 4 + split));
+            assert_eq!((decided.split, decided.refused, decided.edit.sources.len()), (split, 4 - split, 4 + split));
         }
     }
 
