@@ -3,14 +3,14 @@
 use genesplat_core::backend::MomentPolicy;
 use genesplat_core::memory::ensure_memory;
 use genesplat_core::{
-    BackendError, Contribution, EvolutionBackend, Gaussians, Held, RenderSettings, SparseDelta, ViewLoss,
+    BackendError, Contribution, EvolutionBackend, Gaussians, Held, RenderSettings, RowOwners, SparseDelta, ViewLoss,
 };
 use genesplat_kernels::cpu::Target;
 use genesplat_kernels::cpu::stages::{add_contributions_of, add_weights_of, loss_of_sums, mean_squared_error};
 
 use crate::backend::ClusterBackend;
 use crate::drawing::{Canvas, Drawing};
-use crate::shares::places_in;
+use crate::shares::{Shares, places_in};
 use crate::splats::Dealt;
 use crate::wire::{Reader, Writer};
 
@@ -102,13 +102,22 @@ impl EvolutionBackend for ClusterBackend {
         self.group.agree(done)
     }
 
-    fn weigh(&mut self, view: usize, map: &[f32], settings: &RenderSettings) -> Result<Vec<f32>, BackendError> {
+    fn weigh(
+        &mut self,
+        views: &[usize],
+        map_of: &dyn Fn(usize) -> Vec<f32>,
+        settings: &RenderSettings,
+    ) -> Result<Vec<Vec<f32>>, BackendError> {
         self.settle()?;
-        self.group.agree(self.own.ensure_contribution_sums())?;
-        self.backward(view, settings, |drawing, canvas, _| drawing.map(canvas, map))?;
-        let mut sums = vec![0.0; self.own.cloud().len()];
-        add_weights_of(self.own.splats(), &self.drawing.gradients, &mut sums);
-        self.gather(&sums)
+        let all = views.len() * self.shares.rows() * size_of::<f32>();
+        self.group.agree(ensure_memory(all, "weights of views"))?;
+        let of_view = |&view: &usize| {
+            self.backward(view, settings, |drawing, canvas, _| drawing.map(canvas, &map_of(view)))?;
+            let mut sums = vec![0.0; self.own.cloud().len()];
+            add_weights_of(self.own.splats(), &self.drawing.gradients, &mut sums);
+            self.gather(&sums)
+        };
+        views.iter().map(of_view).collect()
     }
 
     fn contributions(&mut self, views: &[usize], settings: &RenderSettings) -> Result<Vec<Contribution>, BackendError> {
@@ -146,5 +155,25 @@ impl EvolutionBackend for ClusterBackend {
         self.whole = None;
         let done = self.own.take_mean();
         self.group.agree(done)
+    }
+
+    fn take_snapshot(&mut self) -> Result<(), BackendError> {
+        self.settle()?;
+        self.group.agree(self.own.ensure_snapshot())?;
+        let done = self.own.take_snapshot();
+        self.group.agree(done)
+    }
+
+    fn roll_back(&mut self) -> Result<(), BackendError> {
+        self.settle()?;
+        self.group.agree(self.own.ensure_roll_back())?;
+        let rows = self.group.counts(self.own.snapshot_rows())?.iter().sum();
+        let done = self.own.roll_back();
+        (self.shares, self.whole) = (Shares::new(rows, self.group.count()), None);
+        self.group.agree(done)
+    }
+
+    fn drop_snapshot(&mut self) {
+        self.own.drop_snapshot();
     }
 }

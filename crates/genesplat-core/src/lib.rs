@@ -25,8 +25,8 @@ pub mod state_mean;
 pub mod statistics;
 
 pub use backend::{
-    Backend, BackendError, DeviceState, EvolutionBackend, LearningRates, RenderSettings, ScreenFilter, TrainStep,
-    Update, View,
+    Backend, BackendError, DeviceState, EvolutionBackend, LearningRates, RenderSettings, ScreenFilter, Snapshot,
+    TrainStep, Update, View,
 };
 pub use camera::Camera;
 pub use edit::{EditPart, Origin, RowEdit};

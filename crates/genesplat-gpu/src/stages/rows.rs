@@ -36,11 +36,11 @@ impl State {
         self.make_up(engine);
         let edited = self.edited(engine, edit)?;
         let old = std::mem::replace(self, edited);
-        self.gradients = old.gradients;
+        (self.gradients, self.snapshot) = (old.gradients, old.snapshot);
         Ok(())
     }
 
-    /// The state after an edit, as yet without memory for gradients.
+    /// The state after an edit, as yet without memory for gradients, and without the snapshot.
     fn edited(&self, engine: &Engine, edit: &RowEdit) -> Result<Self> {
         let rows = edit.sources.len() as u64;
         let plan = edit.sources.iter().zip(&edit.origins);
@@ -65,6 +65,7 @@ impl State {
             statistics: DeviceStatistics { genes, ..DeviceStatistics::zeros(engine, rows)? },
             has_filter: self.has_filter,
             mean: None,
+            snapshot: None,
             windows: job.new,
         })
     }

@@ -6,7 +6,7 @@
 use genesplat_core::{Gaussians, Genes};
 
 use crate::Result;
-use crate::device::{Engine, Memory, Part};
+use crate::device::{Engine, Memory, Part, Recorder};
 use crate::state::layout::{GEOMETRY_FLOATS, LATE_STEPS_MAX, SH_FLOATS, Window};
 
 /// Instructions of a row whose colours make up for all steps that they may have to: more than any other stage takes.
@@ -15,7 +15,7 @@ pub(crate) const ROW_INSTRUCTIONS: u64 = SH_FLOATS as u64 / 4 * MAKE_UP_INSTRUCT
 pub(crate) const MAKE_UP_INSTRUCTIONS: u64 = 52 * LATE_STEPS_MAX as u64;
 
 /// A window begins at a multiple of this many rows, so that every column is bound at a multiple of 256 bytes.
-const WINDOW_STEP: u64 = 64;
+pub(crate) const WINDOW_STEP: u64 = 64;
 
 /// Rows that kernels see at once.
 pub(crate) struct RowWindow {
@@ -65,6 +65,15 @@ impl Column {
         Ok(Self { memory: engine.allocate(purpose, 4 * u64::from(floats) * rows)?, floats })
     }
 
+    /// A copy of `rows` rows, on the device.
+    pub(crate) fn copy(&self, engine: &Engine, purpose: &'static str, rows: u64) -> Result<Self> {
+        let made = Self::zeros(engine, purpose, rows, self.floats)?;
+        let mut recorder = Recorder::new(engine, None);
+        recorder.copy(&self.memory, &made.memory);
+        recorder.submit();
+        Ok(made)
+    }
+
     /// What kernels see of it.
     pub(crate) fn at(&self, window: &RowWindow) -> Part<'_> {
         let bytes = 4 * u64::from(self.floats);
@@ -91,6 +100,11 @@ impl Parameters {
         engine.write(&parameters.geometry.memory, 0, &pack_geometry(values));
         engine.write(&parameters.sh.memory, 0, &values.sh);
         Ok(parameters)
+    }
+
+    /// A copy of `rows` rows, on the device.
+    pub(crate) fn copy(&self, engine: &Engine, purpose: &'static str, rows: u64) -> Result<Self> {
+        Ok(Self { geometry: self.geometry.copy(engine, purpose, rows)?, sh: self.sh.copy(engine, purpose, rows)? })
     }
 
     /// Copies `rows` rows to the host; `filter` keeps the 3D filter.

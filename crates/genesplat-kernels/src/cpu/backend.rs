@@ -7,7 +7,7 @@ use genesplat_core::gaussians::limited_opacity;
 use genesplat_core::memory::ensure_memory;
 use genesplat_core::{
     Backend, BackendError, Camera, DensitySignal, DeviceState, Gaussians, Image, Moments, RenderSettings, RowEdit,
-    StateMean, Statistics, StatisticsRequest, TrainStep, View, backend::StepReport,
+    Snapshot, StateMean, Statistics, StatisticsRequest, TrainStep, View, backend::StepReport,
 };
 
 use super::loss::Target;
@@ -32,6 +32,7 @@ pub struct CpuBackend {
     pub(super) steps: u32,
     pub(super) scorer: Scorer,
     pub(super) mean: StateMean,
+    pub(super) snapshot: Option<Snapshot>,
 }
 
 impl Default for CpuBackend {
@@ -54,6 +55,7 @@ impl CpuBackend {
             steps: 0,
             scorer: Scorer::default(),
             mean: StateMean::default(),
+            snapshot: None,
         }
     }
 
@@ -138,6 +140,7 @@ impl Backend for CpuBackend {
             moments: self.moments.clone().or_zeros(self.cloud.len()),
             statistics: self.statistics.clone(),
             mean: self.mean.clone(),
+            snapshot: self.snapshot.clone(),
         })
     }
 
@@ -181,6 +184,7 @@ impl Backend for CpuBackend {
 
     fn end_training(&mut self) -> Result<(), BackendError> {
         (self.moments, self.mean, self.buffers, self.scorer) = Default::default();
+        self.snapshot.iter_mut().for_each(|snapshot| snapshot.moments = Moments::default());
         Ok(())
     }
 

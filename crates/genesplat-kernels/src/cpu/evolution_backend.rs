@@ -1,13 +1,14 @@
 //! [`EvolutionBackend`] for the CPU.
 
 use genesplat_core::{
-    BackendError, Contribution, EvolutionBackend, Held, Image, RenderSettings, SparseDelta, ViewLoss,
+    BackendError, Contribution, EvolutionBackend, Held, Image, RenderSettings, Snapshot, SparseDelta, ViewLoss,
     backend::MomentPolicy,
 };
 
 use super::backend::{CpuBackend, TrainView};
 use super::blend::contribution::{contribution, weigh};
 use super::loss::{Target, loss};
+use super::share::NO_SNAPSHOT;
 
 impl EvolutionBackend for CpuBackend {
     fn score(
@@ -33,10 +34,19 @@ impl EvolutionBackend for CpuBackend {
         Ok(())
     }
 
-    fn weigh(&mut self, view: usize, map: &[f32], settings: &RenderSettings) -> Result<Vec<f32>, BackendError> {
-        self.ensure_contributions(&[view])?;
-        let camera = &self.views[view].camera;
-        Ok(weigh(self.level, &mut self.buffers, &self.cloud, camera, map, settings))
+    fn weigh(
+        &mut self,
+        views: &[usize],
+        map_of: &dyn Fn(usize) -> Vec<f32>,
+        settings: &RenderSettings,
+    ) -> Result<Vec<Vec<f32>>, BackendError> {
+        self.ensure_views(views)?;
+        self.ensure_weights(views.len())?;
+        let of_view = |&view: &usize| {
+            let camera = &self.views[view].camera;
+            weigh(self.level, &mut self.buffers, &self.cloud, camera, &map_of(view), settings)
+        };
+        Ok(views.iter().map(of_view).collect())
     }
 
     fn contributions(&mut self, views: &[usize], settings: &RenderSettings) -> Result<Vec<Contribution>, BackendError> {
@@ -80,6 +90,24 @@ impl EvolutionBackend for CpuBackend {
         let (mean, cloud) = (std::mem::take(&mut self.mean), std::mem::take(&mut self.cloud));
         self.cloud = mean.in_place_of(cloud);
         Ok(())
+    }
+
+    fn take_snapshot(&mut self) -> Result<(), BackendError> {
+        self.ensure_snapshot()?;
+        let moments = self.moments.clone().or_zeros(self.cloud.len());
+        self.snapshot = Some(Snapshot { cloud: self.cloud.clone(), moments });
+        Ok(())
+    }
+
+    fn roll_back(&mut self) -> Result<(), BackendError> {
+        self.ensure_roll_back()?;
+        let snapshot = self.snapshot.take().expect(NO_SNAPSHOT);
+        self.put_state(snapshot.into());
+        Ok(())
+    }
+
+    fn drop_snapshot(&mut self) {
+        self.snapshot = None;
     }
 }
 

@@ -11,6 +11,9 @@ use super::loss::Target;
 use super::update::{Share, Summed, UpdateInputs, update};
 use super::view::{Pinhole, Splats, project::project, timed};
 
+/// Whoever rolls back has taken a snapshot.
+pub(super) const NO_SNAPSHOT: &str = "there is a snapshot to go back to";
+
 impl CpuBackend {
     /// The instruction set that all stages use.
     pub fn level(&self) -> Level {
@@ -37,15 +40,24 @@ impl CpuBackend {
     pub fn take_state(&mut self) -> DeviceState {
         let (cloud, moments) = (std::mem::take(&mut self.cloud), std::mem::take(&mut self.moments));
         let (statistics, mean) = (std::mem::take(&mut self.statistics), std::mem::take(&mut self.mean));
-        DeviceState { cloud, moments, statistics, mean }
+        DeviceState { cloud, moments, statistics, mean, snapshot: self.snapshot.take() }
     }
 
     /// Takes what [`Self::take_state`] has handed over, or some other rows of it.
     pub fn put_state(&mut self, state: DeviceState) {
-        let DeviceState { cloud, moments, statistics, mean } = state;
+        let DeviceState { cloud, moments, statistics, mean, snapshot } = state;
         self.moments = moments.or_zeros(cloud.len());
-        (self.cloud, self.statistics, self.mean) = (cloud, statistics, mean);
+        (self.cloud, self.statistics, self.mean, self.snapshot) = (cloud, statistics, mean, snapshot);
         self.grow_statistics(StatisticsRequest::default());
+    }
+
+    /// The rows that there are after a roll-back.
+    ///
+    /// # Panics
+    ///
+    /// Where there is no snapshot.
+    pub fn snapshot_rows(&self) -> usize {
+        self.snapshot.as_ref().expect(NO_SNAPSHOT).cloud.len()
     }
 
     /// The splats of the rows held, or of their mean.
