@@ -3,7 +3,8 @@
 use genesplat_core::backend::MomentPolicy;
 use genesplat_core::memory::ensure_memory;
 use genesplat_core::{
-    BackendError, Contribution, EvolutionBackend, Gaussians, Held, RenderSettings, RowOwners, SparseDelta, ViewLoss,
+    Backend, BackendError, Contribution, EvolutionBackend, Gaussians, Held, RenderSettings, RowEdit, RowOwners,
+    SparseDelta, ViewLoss,
 };
 use genesplat_kernels::cpu::Target;
 use genesplat_kernels::cpu::stages::{add_contributions_of, add_weights_of, loss_of_sums, mean_squared_error};
@@ -157,11 +158,14 @@ impl EvolutionBackend for ClusterBackend {
         self.group.agree(done)
     }
 
-    fn take_snapshot(&mut self) -> Result<(), BackendError> {
+    /// Of the snapshot, every rank has the rows that were its own.
+    fn edit_rows_on_trial(&mut self, edit: &RowEdit) -> Result<(), BackendError> {
         self.settle()?;
         self.group.agree(self.own.ensure_snapshot())?;
-        let done = self.own.take_snapshot();
-        self.group.agree(done)
+        let snapshot = self.own.snapshot();
+        self.edit_rows(edit)?;
+        self.own.keep(snapshot);
+        Ok(())
     }
 
     fn roll_back(&mut self) -> Result<(), BackendError> {

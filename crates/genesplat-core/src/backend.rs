@@ -395,9 +395,9 @@ pub trait EvolutionBackend: Backend {
     /// The mean takes the cloud's place, and is emptied. Moments and the 3D filter stay.
     fn take_mean(&mut self) -> Result<(), BackendError>;
 
-    /// Copies the cloud and Adam's moments beside them, where no other verb but [`Backend::upload`] changes them: the
-    /// snapshot, of which there is one.
-    fn take_snapshot(&mut self) -> Result<(), BackendError>;
+    /// [`Backend::edit_rows`], after which the cloud and Adam's moments as they were before it are the snapshot, in place of
+    /// one that there was. No other verb but [`Backend::upload`] changes it.
+    fn edit_rows_on_trial(&mut self, edit: &RowEdit) -> Result<(), BackendError>;
 
     /// The snapshot takes the place of all that is held but the views, as if it were uploaded, and is no more.
     ///

@@ -259,8 +259,8 @@ impl EvolutionBackend for GpuBackend {
         })
     }
 
-    fn take_snapshot(&mut self) -> Result<()> {
-        self.with_memory(|gpu| gpu.state.take_snapshot(&gpu.engine))
+    fn edit_rows_on_trial(&mut self, edit: &RowEdit) -> Result<()> {
+        self.with_memory(|gpu| gpu.state.edit_rows_on_trial(&gpu.engine, edit))
     }
 
     fn roll_back(&mut self) -> Result<()> {

@@ -6,7 +6,7 @@
 use genesplat_core::{Gaussians, Genes};
 
 use crate::Result;
-use crate::device::{Engine, Memory, Part, Recorder};
+use crate::device::{Engine, Memory, Part};
 use crate::state::layout::{GEOMETRY_FLOATS, LATE_STEPS_MAX, SH_FLOATS, Window};
 
 /// Instructions of a row whose colours make up for all steps that they may have to: more than any other stage takes.
@@ -65,15 +65,6 @@ impl Column {
         Ok(Self { memory: engine.allocate(purpose, 4 * u64::from(floats) * rows)?, floats })
     }
 
-    /// A copy of `rows` rows, on the device.
-    pub(crate) fn copy(&self, engine: &Engine, purpose: &'static str, rows: u64) -> Result<Self> {
-        let made = Self::zeros(engine, purpose, rows, self.floats)?;
-        let mut recorder = Recorder::new(engine, None);
-        recorder.copy(&self.memory, &made.memory);
-        recorder.submit();
-        Ok(made)
-    }
-
     /// What kernels see of it.
     pub(crate) fn at(&self, window: &RowWindow) -> Part<'_> {
         let bytes = 4 * u64::from(self.floats);
@@ -100,11 +91,6 @@ impl Parameters {
         engine.write(&parameters.geometry.memory, 0, &pack_geometry(values));
         engine.write(&parameters.sh.memory, 0, &values.sh);
         Ok(parameters)
-    }
-
-    /// A copy of `rows` rows, on the device.
-    pub(crate) fn copy(&self, engine: &Engine, purpose: &'static str, rows: u64) -> Result<Self> {
-        Ok(Self { geometry: self.geometry.copy(engine, purpose, rows)?, sh: self.sh.copy(engine, purpose, rows)? })
     }
 
     /// Copies `rows` rows to the host; `filter` keeps the 3D filter.

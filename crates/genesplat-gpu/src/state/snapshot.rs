@@ -1,4 +1,5 @@
-//! The cloud and its moments as they were, to go back to: they stay on the device, unless a checkpoint asks for them.
+//! The cloud and its moments as they were before a row edit on trial: its old columns, which are not copied. They stay on the
+//! device, unless a checkpoint asks for them.
 
 use genesplat_core::Snapshot;
 
@@ -35,20 +36,10 @@ pub(super) fn download(engine: &Engine, held: &DeviceSnapshot) -> Result<Snapsho
 }
 
 impl State {
-    /// Copies cloud and moments, a column a submission.
-    pub(crate) fn take_snapshot(&mut self, engine: &Engine) -> Result<()> {
-        self.make_up(engine);
-        let copy = |values: &Parameters| values.copy(engine, "the snapshot", self.rows);
-        let snapshot = DeviceSnapshot {
-            rows: self.rows,
-            cloud: copy(&self.cloud)?,
-            first: copy(&self.first)?,
-            second: copy(&self.second)?,
-            pending: self.pending.as_ref().map(copy).transpose()?,
-            has_filter: self.has_filter,
-        };
-        self.snapshot = Some(snapshot);
-        Ok(())
+    /// What can be gone back to; colours must have made their steps.
+    pub(crate) fn into_snapshot(self) -> DeviceSnapshot {
+        let Self { rows, cloud, first, second, pending, has_filter, .. } = self;
+        DeviceSnapshot { rows, cloud, first, second, pending, has_filter }
     }
 
     /// The snapshot takes the place of all that is held, without a copy.

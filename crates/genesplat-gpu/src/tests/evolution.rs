@@ -1,7 +1,7 @@
 //! What evolution asks of the backend: scores, contributions, and means of states.
 
 use genesplat_core::state_mean::ViewLoss;
-use genesplat_core::{Contribution, EvolutionBackend, Held, Photo, RowEdit, Snapshot, SparseDelta, View};
+use genesplat_core::{Contribution, DeviceState, EvolutionBackend, Held, Photo, RowEdit, Snapshot, SparseDelta, View};
 
 use super::verbs::twins_agree;
 use super::*;
@@ -261,9 +261,10 @@ fn weights_by_a_map_match() {
     assert!(gpu.weigh(&[], &|_| Vec::new(), &settings(0, ScreenFilter::Classic)).unwrap().is_empty());
 }
 
-/// Steps, changes of rows, opacities and filters, and means, all of them after a snapshot.
+/// An edit on trial, then steps, changes of rows, opacities and filters, and means.
 fn change_everything(twin: &mut dyn EvolutionBackend) {
     let settings = settings(3, ScreenFilter::Mip);
+    twin.edit_rows_on_trial(&RowEdit::keep((0..250).rev().collect())).unwrap();
     for number in 4..=6 {
         let step = TrainStep { update: None, keeps_gradients: true, ..step(number, settings) };
         twin.train_step(&step).unwrap();
@@ -278,15 +279,14 @@ fn change_everything(twin: &mut dyn EvolutionBackend) {
     twin.train_step(&step(9, settings)).unwrap();
 }
 
-/// Three steps, the gradients of another one that wait where that is asked for, and a snapshot.
-fn prepare_snapshot(twin: &mut dyn EvolutionBackend, gradients_wait: bool) {
+/// Three steps, and the gradients of another one that wait where that is asked for.
+fn make_steps(twin: &mut dyn EvolutionBackend, gradients_wait: bool) {
     let settings = settings(3, ScreenFilter::Mip);
     twin.upload(filtered_cloud(300, ScreenFilter::Mip).into()).unwrap();
     (1..=3).for_each(|number| twin.train_step(&step(number, settings)).unwrap());
     if gradients_wait {
         twin.train_step(&TrainStep { update: None, keeps_gradients: true, ..step(4, settings) }).unwrap();
     }
-    twin.take_snapshot().unwrap();
 }
 
 /// Cloud and moments come back to the bit, all else is as if they were uploaded; so it is where the state was saved meanwhile.
@@ -296,22 +296,22 @@ fn a_roll_back_is_the_upload_of_the_snapshot() {
     let mut gpu = GpuBackend::on(engine.with_window_rows(128)).unwrap();
     gpu.set_views(&[view()]).unwrap();
     for gradients_wait in [false, true] {
-        prepare_snapshot(&mut gpu, gradients_wait);
-        let before = gpu.state().unwrap();
-        assert_eq!(before.snapshot.as_ref().unwrap().cloud, before.cloud);
+        make_steps(&mut gpu, gradients_wait);
+        let DeviceState { cloud, moments, .. } = gpu.state().unwrap();
+        let before = Snapshot { cloud, moments };
         change_everything(&mut gpu);
         let changed = gpu.state().unwrap();
-        assert_eq!(changed.snapshot, before.snapshot);
+        assert_eq!(changed.snapshot.as_ref(), Some(&before));
         gpu.roll_back().unwrap();
         let rolled_back = gpu.state().unwrap();
-        assert_eq!((&rolled_back.cloud, &rolled_back.moments), (&before.cloud, &before.moments));
         gpu.upload(changed).unwrap();
         gpu.roll_back().unwrap();
         assert!(gpu.state().unwrap() == rolled_back, "a resumed run goes back to the same");
-        gpu.upload(Snapshot { cloud: before.cloud, moments: before.moments }.into()).unwrap();
+        gpu.upload(before.clone().into()).unwrap();
         assert!(gpu.state().unwrap() == rolled_back);
+        assert_eq!((rolled_back.cloud, rolled_back.moments), (before.cloud, before.moments));
         twins_agree("adam", &mut gpu, |twin| {
-            prepare_snapshot(twin, gradients_wait);
+            make_steps(twin, gradients_wait);
             change_everything(twin);
             twin.roll_back().unwrap();
             assert_eq!(twin.gaussian_count(), 300);
@@ -320,24 +320,29 @@ fn a_roll_back_is_the_upload_of_the_snapshot() {
     }
 }
 
-/// Nothing of the cloud comes to the host, and it waits for queued steps alone.
+/// Nothing of the cloud comes to the host, which does not wait; and an edit on trial is an edit whose old columns stay.
 #[test]
 fn a_snapshot_stays_on_the_device() {
     let Some(mut gpu) = gpu() else { return };
     gpu.upload(cloud(300).into()).unwrap();
     gpu.train_step(&step(1, settings(2, ScreenFilter::Classic))).unwrap();
     gpu.report().unwrap();
-    let (waits, read) = (gpu.engine.waits.get(), gpu.engine.read_bytes.get());
+    let now = |gpu: &GpuBackend| [gpu.engine.waits.get().into(), gpu.engine.read_bytes.get()];
+    let (before, all) = (now(&gpu), RowEdit::keep((0..300).collect()));
+    let most_in = |gpu: &mut GpuBackend, verb: fn(&mut GpuBackend, &RowEdit) -> crate::Result<()>| {
+        gpu.take_most_allocated_bytes();
+        verb(gpu, &all).unwrap();
+        gpu.take_most_allocated_bytes()
+    };
+    let plain = most_in(&mut gpu, |gpu, all| gpu.edit_rows(all));
     let held = gpu.allocated_bytes();
-    gpu.take_snapshot().unwrap();
-    let copies = gpu.allocated_bytes() - held;
-    assert_eq!(copies, 3 * 300 * 4 * u64::from(GEOMETRY_FLOATS + SH_FLOATS));
+    assert_eq!(most_in(&mut gpu, |gpu, all| gpu.edit_rows_on_trial(all)), plain);
+    assert_eq!(gpu.allocated_bytes() - held, 3 * 300 * 4 * u64::from(GEOMETRY_FLOATS + SH_FLOATS));
     gpu.drop_snapshot();
     assert_eq!(gpu.allocated_bytes(), held);
-    gpu.take_snapshot().unwrap();
-    gpu.edit_rows(&RowEdit::keep((0..200).collect())).unwrap();
+    gpu.edit_rows_on_trial(&RowEdit::keep((0..200).collect())).unwrap();
     gpu.roll_back().unwrap();
-    assert_eq!((gpu.engine.waits.get(), gpu.engine.read_bytes.get()), (waits, read));
+    assert_eq!((now(&gpu), gpu.gaussian_count()), (before, 300));
 }
 
 /// Contributions are those of the cloud after all steps, also of those that an overflow has stopped.

@@ -161,16 +161,18 @@ fn an_edit_that_finds_no_memory_changes_nothing() {
 
 /// At every column that finds no memory: what is held stays, and so does the snapshot.
 #[test]
-fn a_snapshot_that_finds_no_memory_changes_nothing() {
+fn a_trial_that_finds_no_memory_changes_nothing() {
     let Some(mut gpu) = gpu() else { return };
     gpu.upload(cloud(300).into()).unwrap();
     gpu.train_step(&step(1, settings(2, ScreenFilter::Classic))).unwrap();
-    let verbs: [fn(&mut GpuBackend) -> crate::Result<()>; 2] = [|gpu| gpu.take_snapshot(), |gpu| gpu.roll_back()];
-    for verb in verbs {
+    let all = RowEdit::keep((0..300).collect());
+    let verbs: [&dyn Fn(&mut GpuBackend) -> crate::Result<()>; 3] =
+        [&|gpu| gpu.edit_rows_on_trial(&all), &|gpu| gpu.edit_rows_on_trial(&all), &|gpu| gpu.roll_back()];
+    for (verb, has_snapshot) in verbs.into_iter().zip([true, true, false]) {
         let before = gpu.state().unwrap();
         gpu.discard_queued_steps().unwrap();
         let (least, mut failures) = (gpu.allocated_bytes(), 0);
-        for bytes in (0..).step_by(1_000) {
+        for bytes in (0..).step_by(2_000) {
             gpu.engine.usage.limit_bytes = least + bytes;
             let done = verb(&mut gpu);
             gpu.engine.usage.limit_bytes = u64::MAX;
@@ -180,9 +182,8 @@ fn a_snapshot_that_finds_no_memory_changes_nothing() {
             assert!(gpu.state().unwrap() == before, "{bytes} bytes");
         }
         assert!(failures > 3, "it failed at every column: {failures} times");
-        gpu.edit_rows(&RowEdit::keep((0..100).collect())).unwrap();
+        assert_eq!(gpu.state().unwrap().snapshot.is_some(), has_snapshot);
     }
-    assert_eq!(gpu.gaussian_count(), 100);
 }
 
 /// Buffers of steps make way for rows.

@@ -1,7 +1,7 @@
 //! [`EvolutionBackend`] for the CPU.
 
 use genesplat_core::{
-    BackendError, Contribution, EvolutionBackend, Held, Image, RenderSettings, Snapshot, SparseDelta, ViewLoss,
+    Backend, BackendError, Contribution, EvolutionBackend, Held, Image, RenderSettings, RowEdit, SparseDelta, ViewLoss,
     backend::MomentPolicy,
 };
 
@@ -92,10 +92,11 @@ impl EvolutionBackend for CpuBackend {
         Ok(())
     }
 
-    fn take_snapshot(&mut self) -> Result<(), BackendError> {
+    fn edit_rows_on_trial(&mut self, edit: &RowEdit) -> Result<(), BackendError> {
         self.ensure_snapshot()?;
-        let moments = self.moments.clone().or_zeros(self.cloud.len());
-        self.snapshot = Some(Snapshot { cloud: self.cloud.clone(), moments });
+        let snapshot = self.snapshot();
+        self.edit_rows(edit)?;
+        self.keep(snapshot);
         Ok(())
     }
 

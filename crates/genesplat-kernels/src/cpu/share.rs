@@ -2,7 +2,7 @@
 
 use fearless_simd::Level;
 use genesplat_core::{
-    BackendError, DeviceState, Gaussians, Held, RenderSettings, SparseDelta, StatisticsRequest, TrainStep,
+    BackendError, DeviceState, Gaussians, Held, RenderSettings, Snapshot, SparseDelta, StatisticsRequest, TrainStep,
 };
 
 use super::backend::{CpuBackend, TrainView};
@@ -49,6 +49,16 @@ impl CpuBackend {
         self.moments = moments.or_zeros(cloud.len());
         (self.cloud, self.statistics, self.mean, self.snapshot) = (cloud, statistics, mean, snapshot);
         self.grow_statistics(StatisticsRequest::default());
+    }
+
+    /// A copy of the cloud and its moments.
+    pub fn snapshot(&self) -> Snapshot {
+        Snapshot { cloud: self.cloud.clone(), moments: self.moments.clone().or_zeros(self.cloud.len()) }
+    }
+
+    /// From now on the snapshot is this one.
+    pub fn keep(&mut self, snapshot: Snapshot) {
+        self.snapshot = Some(snapshot);
     }
 
     /// The rows that there are after a roll-back.

@@ -107,8 +107,7 @@ impl Trainer<'_> {
             return Ok(());
         }
         record.population_bytes = (CLOUDS_KEPT * self.backend.gaussian_count() * Gaussians::BYTES_PER_ROW) as u64;
-        self.backend.take_snapshot()?;
-        self.backend.edit_rows(&edit).inspect_err(|_| self.backend.drop_snapshot())?;
+        self.backend.edit_rows_on_trial(&edit)?;
         self.averaged = 0;
         record.seconds = clock.elapsed().as_secs_f64();
         self.tell_of_stage(&record, &self.trial_guards(), record.generations);

@@ -75,8 +75,7 @@ fn a_fraction_is_renewed_from_the_end_of_density_control_on() {
         assert_eq!(edit.sources.len(), 20);
         assert!(!edit.sources.contains(&0) && !edit.sources.contains(&1));
     }
-    let count = |wanted: Call| backend.calls.iter().filter(|call| **call == wanted).count();
-    assert_eq!([count(Call::TakeSnapshot), count(Call::RollBack)], [6, 0]);
+    assert!(!backend.calls.contains(&Call::RollBack), "nothing was rolled back");
     assert!(backend.snapshot.is_none(), "the last trial is over");
 }
 

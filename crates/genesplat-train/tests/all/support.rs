@@ -53,7 +53,6 @@ pub(crate) enum Call {
     TakeMean {
         states: u32,
     },
-    TakeSnapshot,
     RollBack,
     Score {
         individuals: usize,
@@ -406,10 +405,11 @@ impl EvolutionBackend for FakeBackend {
         Ok(())
     }
 
-    fn take_snapshot(&mut self) -> Result<(), BackendError> {
+    fn edit_rows_on_trial(&mut self, edit: &RowEdit) -> Result<(), BackendError> {
         self.settle()?;
-        self.calls.push(Call::TakeSnapshot);
-        self.snapshot = Some(Snapshot { cloud: self.cloud.clone(), moments: self.moments.clone() });
+        let snapshot = Snapshot { cloud: self.cloud.clone(), moments: self.moments.clone() };
+        self.edit_rows(edit)?;
+        self.snapshot = Some(snapshot);
         Ok(())
     }
 

@@ -162,8 +162,7 @@ fn a_roll_back_brings_back_cloud_and_moments_to_the_bit() {
     for ends in [false, true] {
         let mut backend = stepped();
         let before = backend.state().unwrap();
-        backend.take_snapshot().unwrap();
-        backend.edit_rows(&RowEdit::keep(vec![5, 1, 7])).unwrap();
+        backend.edit_rows_on_trial(&RowEdit::keep(vec![5, 1, 7])).unwrap();
         backend.train_step(&classic_step(4)).unwrap();
         backend.average().unwrap();
         backend.reset_opacity(0.01).unwrap();
@@ -188,7 +187,7 @@ fn a_roll_back_brings_back_cloud_and_moments_to_the_bit() {
 #[test]
 fn a_snapshot_that_is_dropped_is_in_no_state() {
     let mut backend = stepped();
-    backend.take_snapshot().unwrap();
+    backend.edit_rows_on_trial(&RowEdit::keep(vec![5, 1, 7])).unwrap();
     assert!(backend.state().unwrap().snapshot.is_some());
     backend.drop_snapshot();
     assert!(backend.state().unwrap().snapshot.is_none());
