@@ -193,6 +193,7 @@ pub(crate) fn checkpoint(rows: usize) -> Vec<u8> {
         moments: Moments::zeros(rows),
         statistics: Statistics { gradient_sum: vec![0.0; rows], weight_sum: vec![0.0; rows], ..Statistics::default() },
         mean: StateMean::default(),
+        snapshot: None,
     };
     let (cursor, progress) = (Cursor::start_of(7), Progress::default());
     let mut bytes = Vec::new();

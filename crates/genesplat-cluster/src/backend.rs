@@ -26,7 +26,8 @@ use crate::wire::{Reader, Writer, readers, reserve};
 /// | `train_step` | splats, rows of the picture, sums of gradients; with several views a step, of up to two views a rank at once |
 /// | `render`, `contributions`, `weigh`, `measure` | the same, as far as they need it |
 /// | `statistics`, `genes`, `contributions`, `weigh` | columns, to all: what is decided by them is decided by every rank |
-/// | `edit_rows` | the rows that new ones are made of, to their new owners |
+/// | `edit_rows`, `edit_rows_on_trial` | the rows that new ones are made of, to their new owners |
+/// | `roll_back` | how many rows each has |
 /// | `score` | the cloud, to all, until it changes otherwise than by `apply`; then losses, as views are dealt out |
 /// | all others | nothing but errors |
 ///

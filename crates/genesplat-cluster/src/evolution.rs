@@ -3,14 +3,15 @@
 use genesplat_core::backend::MomentPolicy;
 use genesplat_core::memory::ensure_memory;
 use genesplat_core::{
-    BackendError, Contribution, EvolutionBackend, Gaussians, Held, RenderSettings, SparseDelta, ViewLoss,
+    Backend, BackendError, Contribution, EvolutionBackend, Gaussians, Held, RenderSettings, RowEdit, RowOwners,
+    SparseDelta, ViewLoss,
 };
 use genesplat_kernels::cpu::Target;
 use genesplat_kernels::cpu::stages::{add_contributions_of, add_weights_of, loss_of_sums, mean_squared_error};
 
 use crate::backend::ClusterBackend;
 use crate::drawing::{Canvas, Drawing};
-use crate::shares::places_in;
+use crate::shares::{Shares, places_in};
 use crate::splats::Dealt;
 use crate::wire::{Writer, readers};
 
@@ -106,16 +107,25 @@ impl EvolutionBackend for ClusterBackend {
         self.group.agree(done)
     }
 
-    fn weigh(&mut self, view: usize, map: &[f32], settings: &RenderSettings) -> Result<Vec<f32>, BackendError> {
+    fn weigh(
+        &mut self,
+        views: &[usize],
+        map_of: &dyn Fn(usize) -> Result<Vec<f32>, BackendError>,
+        settings: &RenderSettings,
+    ) -> Result<Vec<Vec<f32>>, BackendError> {
         self.settle()?;
-        self.group.agree(self.own.ensure_contribution_sums())?;
-        self.backward(view, settings, |drawing, canvas, _| {
-            drawing.map(canvas, map);
-            Ok(())
-        })?;
-        let mut sums = vec![0.0; self.own.cloud().len()];
-        add_weights_of(self.own.splats(), &self.drawings[0].gradients, &mut sums);
-        self.gather(&sums)
+        let all = views.len() * self.shares.rows() * size_of::<f32>();
+        self.group.agree(ensure_memory(all, "weights of views"))?;
+        let of_view = |&view: &usize| {
+            self.backward(view, settings, |drawing, canvas, _| {
+                drawing.map(canvas, &map_of(view)?);
+                Ok(())
+            })?;
+            let mut sums = vec![0.0; self.own.cloud().len()];
+            add_weights_of(self.own.splats(), &self.drawings[0].gradients, &mut sums);
+            self.gather(&sums)
+        };
+        views.iter().map(of_view).collect()
     }
 
     fn contributions(&mut self, views: &[usize], settings: &RenderSettings) -> Result<Vec<Contribution>, BackendError> {
@@ -153,5 +163,28 @@ impl EvolutionBackend for ClusterBackend {
         self.whole = None;
         let done = self.own.take_mean();
         self.group.agree(done)
+    }
+
+    /// Of the snapshot, every rank has the rows that were its own.
+    fn edit_rows_on_trial(&mut self, edit: &RowEdit) -> Result<(), BackendError> {
+        self.settle()?;
+        self.group.agree(self.own.ensure_snapshot())?;
+        let snapshot = self.own.snapshot();
+        self.edit_rows(edit)?;
+        self.own.keep(snapshot);
+        Ok(())
+    }
+
+    fn roll_back(&mut self) -> Result<(), BackendError> {
+        self.settle()?;
+        self.group.agree(self.own.ensure_roll_back())?;
+        let rows = self.group.counts(self.own.snapshot_rows())?.iter().sum();
+        let done = self.own.roll_back();
+        (self.shares, self.whole) = (Shares::new(rows, self.group.count()), None);
+        self.group.agree(done)
+    }
+
+    fn drop_snapshot(&mut self) {
+        self.own.drop_snapshot();
     }
 }

@@ -230,8 +230,7 @@ fn checkpoint_alone(config: &Resolved) -> Checkpoint {
 /// The bytes of a checkpoint without its seconds.
 fn timeless(mut checkpoint: Checkpoint) -> Vec<u8> {
     checkpoint.progress.seconds = Default::default();
-    let trial = checkpoint.trial.iter_mut().map(|trial| &mut trial.record);
-    checkpoint.progress.stages.iter_mut().chain(trial).for_each(|stage| stage.seconds = 0.0);
+    checkpoint.progress.stages.iter_mut().chain(&mut checkpoint.trial).for_each(|stage| stage.seconds = 0.0);
     let mut bytes = Vec::new();
     checkpoint.write(&mut bytes).unwrap();
     bytes

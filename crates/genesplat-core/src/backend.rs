@@ -246,6 +246,15 @@ pub enum MomentPolicy {
     Zero,
 }
 
+/// A cloud as it was, to go back to.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Snapshot {
+    /// The Gaussians `[N]`.
+    pub cloud: Gaussians,
+    /// Adam's moments `[N]`; empty for zeros.
+    pub moments: Moments,
+}
+
 /// All that a device holds of a run besides its views: what a checkpoint saves.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct DeviceState {
@@ -257,6 +266,15 @@ pub struct DeviceState {
     pub statistics: Statistics,
     /// The mean of recent states.
     pub mean: StateMean,
+    /// What [`EvolutionBackend::roll_back`] goes back to; its rows need not be as many.
+    pub snapshot: Option<Snapshot>,
+}
+
+impl From<Snapshot> for DeviceState {
+    /// What is left of a state that is gone back to.
+    fn from(Snapshot { cloud, moments }: Snapshot) -> Self {
+        Self { cloud, moments, ..Self::default() }
+    }
 }
 
 impl From<Gaussians> for DeviceState {
@@ -318,7 +336,8 @@ pub trait Backend {
     /// and returns how many these are. Frees what can be made again, so that downloads fit.
     fn discard_queued_steps(&mut self) -> Result<usize, BackendError>;
 
-    /// No step comes after this: may free the optimiser's moments and the mean, which are those of a new cloud then.
+    /// No step comes after this: may free the optimiser's moments, the snapshot's, too, and the mean. These are those of a
+    /// new cloud then.
     fn end_training(&mut self) -> Result<(), BackendError> {
         Ok(())
     }
@@ -353,9 +372,15 @@ pub trait EvolutionBackend: Backend {
     /// Overwrites the genes of the rows that `delta` names.
     fn apply(&mut self, delta: &SparseDelta, moments: MomentPolicy) -> Result<(), BackendError>;
 
-    /// Sum of each Gaussian's blending weights over all pixels of a training view, hidden ones, too, each times that pixel's
-    /// value in `map` `[H, W]`; `[N]`.
-    fn weigh(&mut self, view: usize, map: &[f32], settings: &RenderSettings) -> Result<Vec<f32>, BackendError>;
+    /// Sums of each Gaussian's blending weights over all pixels of training views, hidden ones, too, each times that pixel's
+    /// value in the map of that view `[H, W]`; of each view `[N]`. Holds all of them at once. `map_of` makes a map when its
+    /// view's turn comes, so that a device can work on the view before it, and once more if that view is repeated.
+    fn weigh(
+        &mut self,
+        views: &[usize],
+        map_of: &dyn Fn(usize) -> Result<Vec<f32>, BackendError>,
+        settings: &RenderSettings,
+    ) -> Result<Vec<Vec<f32>>, BackendError>;
 
     /// How much each Gaussian contributes to training views, and the error where it is seen `[N]`.
     fn contributions(&mut self, views: &[usize], settings: &RenderSettings) -> Result<Vec<Contribution>, BackendError>;
@@ -373,4 +398,18 @@ pub trait EvolutionBackend: Backend {
 
     /// The mean takes the cloud's place, and is emptied. Moments and the 3D filter stay.
     fn take_mean(&mut self) -> Result<(), BackendError>;
+
+    /// [`Backend::edit_rows`], after which the cloud and Adam's moments as they were before it are the snapshot, in place of
+    /// one that there was. No other verb but [`Backend::upload`] changes it.
+    fn edit_rows_on_trial(&mut self, edit: &RowEdit) -> Result<(), BackendError>;
+
+    /// The snapshot takes the place of all that is held but the views, as if it were uploaded, and is no more.
+    ///
+    /// # Panics
+    ///
+    /// Where there is none.
+    fn roll_back(&mut self) -> Result<(), BackendError>;
+
+    /// Frees the snapshot, if there is one.
+    fn drop_snapshot(&mut self);
 }

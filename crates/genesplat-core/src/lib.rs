@@ -26,8 +26,8 @@ pub mod statistics;
 pub mod stored_photo;
 
 pub use backend::{
-    Backend, BackendError, DeviceState, EvolutionBackend, LearningRates, RenderSettings, ScreenFilter, TrainStep,
-    Update, View,
+    Backend, BackendError, DeviceState, EvolutionBackend, LearningRates, RenderSettings, ScreenFilter, Snapshot,
+    TrainStep, Update, View,
 };
 pub use camera::Camera;
 pub use edit::{EditPart, Origin, RowEdit};

@@ -39,6 +39,7 @@ fn overrides(kernel: &str) -> Vec<(&'static str, f64)> {
         "apply" => vec![("ZERO_MOMENTS", 1.0)],
         "adam_geometry" => vec![("ALL_ROWS", 0.0)],
         "keep_geometry" => vec![("TAKE", 1.0)],
+        "contribution_sum" => vec![("COLUMNS", 2.0)],
         _ => Vec::new(),
     }
 }

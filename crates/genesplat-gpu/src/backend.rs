@@ -231,8 +231,13 @@ impl EvolutionBackend for GpuBackend {
         self.with_memory(|gpu| gpu.state.apply(&gpu.engine, delta, moments))
     }
 
-    fn weigh(&mut self, view: usize, map: &[f32], settings: &RenderSettings) -> Result<Vec<f32>> {
-        self.with_memory(|gpu| gpu.weigh_by(view, map, settings))
+    fn weigh(
+        &mut self,
+        views: &[usize],
+        map_of: &dyn Fn(usize) -> Result<Vec<f32>>,
+        settings: &RenderSettings,
+    ) -> Result<Vec<Vec<f32>>> {
+        self.with_memory(|gpu| gpu.weigh_by(views, map_of, settings))
     }
 
     fn contributions(&mut self, views: &[usize], settings: &RenderSettings) -> Result<Vec<Contribution>> {
@@ -252,5 +257,17 @@ impl EvolutionBackend for GpuBackend {
             gpu.state.take_mean(&gpu.engine);
             Ok(())
         })
+    }
+
+    fn edit_rows_on_trial(&mut self, edit: &RowEdit) -> Result<()> {
+        self.with_memory(|gpu| gpu.state.edit_rows_on_trial(&gpu.engine, edit))
+    }
+
+    fn roll_back(&mut self) -> Result<()> {
+        self.with_memory(|gpu| gpu.state.roll_back(&gpu.engine))
+    }
+
+    fn drop_snapshot(&mut self) {
+        self.state.snapshot = None;
     }
 }

@@ -24,7 +24,6 @@ pub mod schedule;
 
 pub use config::{Background, ConfigError, EvolutionMode, Resolved, StepBudget, TrainConfig, Trigger, Variant};
 pub use densify::cap::expected_gaussians;
-pub use densify::renew::Trial;
 pub use evolution::search;
 pub use pipeline::train;
 pub use run::checkpoint::{self, Checkpoint};

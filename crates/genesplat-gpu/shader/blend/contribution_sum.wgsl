@@ -1,13 +1,16 @@
 // Stage `contribution`, step 2: adds what the backward blending has summed on one view, one Gaussian an invocation.
 
+// Sums of a Gaussian: its blending weight alone, or its error, too.
+override COLUMNS: u32;
+
 @group(0) @binding(0) var<uniform> window: Window;
 @group(0) @binding(1) var<storage, read> counters: Counters;
 @group(0) @binding(2) var<storage, read> tile_counts: array<u32>;
 @group(0) @binding(3) var<storage, read> first_intersections: array<u32>;
 // [I, 3] vectors
 @group(0) @binding(4) var<storage, read> intersection_gradients: array<vec4<f32>>;
-// Blending weight, summed over the views; error, of the view where it is largest [N].
-@group(0) @binding(5) var<storage, read_write> contributions: array<vec2<f32>>;
+// Blending weight, summed over the views; error, of the view where it is largest [N, COLUMNS].
+@group(0) @binding(5) var<storage, read_write> sums: array<f32>;
 
 @compute @workgroup_size(GROUP)
 fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
@@ -23,6 +26,9 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     if count == 0u {
         return;
     }
-    let before = contributions[local];
-    contributions[local] = vec2(before.x + of_view.x, max(before.y, of_view.y));
+    let at = COLUMNS * local;
+    sums[at] += of_view.x;
+    if COLUMNS == 2u {
+        sums[at + 1u] = max(sums[at + 1u], of_view.y);
+    }
 }

@@ -60,9 +60,10 @@ pub(crate) struct Engine {
     pub(crate) timestamps: bool,
     pub(crate) abilities: Abilities,
     pub(crate) usage: MemoryUse,
-    /// How often the host has waited and submitted: what tests count.
+    /// How often the host has waited and submitted, and bytes that it has read back: what tests count.
     pub(crate) waits: Cell<u32>,
     pub(crate) submissions: Cell<u32>,
+    pub(crate) read_bytes: Cell<u64>,
     kernels: RefCell<HashMap<KernelKey, Kernel>>,
     failures: Arc<Failures>,
     /// What small answers are read through.
@@ -123,6 +124,7 @@ impl Engine {
             usage: MemoryUse::default(),
             waits: Cell::default(),
             submissions: Cell::default(),
+            read_bytes: Cell::default(),
             kernels: RefCell::default(),
             staging: OnceCell::new(),
             #[cfg(test)]

@@ -240,6 +240,7 @@ impl Engine {
             encoder.copy_buffer_to_buffer(buffer, *first_byte, staging, at, bytes);
             at += bytes;
         }
+        self.read_bytes.set(self.read_bytes.get() + at);
         self.submit([encoder.finish()]);
         let (sender, receiver) = mpsc::channel();
         staging.slice(..).map_async(MapMode::Read, move |result| {

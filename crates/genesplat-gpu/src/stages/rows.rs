@@ -33,14 +33,26 @@ impl State {
     /// Applies a plan of density control to parameters, moments and gene statistics; density statistics are zeroed.
     /// All new columns are made before an old one goes, so that an edit that finds no memory changes nothing.
     pub(crate) fn edit_rows(&mut self, engine: &Engine, edit: &RowEdit) -> Result<()> {
-        self.make_up(engine);
-        let edited = self.edited(engine, edit)?;
-        let old = std::mem::replace(self, edited);
-        self.gradients = old.gradients;
+        self.snapshot = self.replace_rows(engine, edit)?.snapshot;
         Ok(())
     }
 
-    /// The state after an edit, as yet without memory for gradients.
+    /// The same; the old columns become the snapshot.
+    pub(crate) fn edit_rows_on_trial(&mut self, engine: &Engine, edit: &RowEdit) -> Result<()> {
+        self.snapshot = Some(self.replace_rows(engine, edit)?.into_snapshot());
+        Ok(())
+    }
+
+    /// Returns the state before an edit; the one after it has no snapshot yet.
+    fn replace_rows(&mut self, engine: &Engine, edit: &RowEdit) -> Result<Self> {
+        self.make_up(engine);
+        let edited = self.edited(engine, edit)?;
+        let mut old = std::mem::replace(self, edited);
+        std::mem::swap(&mut self.gradients, &mut old.gradients);
+        Ok(old)
+    }
+
+    /// The state after an edit, as yet without memory for gradients, and without the snapshot.
     fn edited(&self, engine: &Engine, edit: &RowEdit) -> Result<Self> {
         let rows = edit.sources.len() as u64;
         let plan = edit.sources.iter().zip(&edit.origins);
@@ -65,6 +77,7 @@ impl State {
             statistics: DeviceStatistics { genes, ..DeviceStatistics::zeros(engine, rows)? },
             has_filter: self.has_filter,
             mean: None,
+            snapshot: None,
             windows: job.new,
         })
     }

@@ -15,7 +15,7 @@ pub(crate) const ROW_INSTRUCTIONS: u64 = SH_FLOATS as u64 / 4 * MAKE_UP_INSTRUCT
 pub(crate) const MAKE_UP_INSTRUCTIONS: u64 = 52 * LATE_STEPS_MAX as u64;
 
 /// A window begins at a multiple of this many rows, so that every column is bound at a multiple of 256 bytes.
-const WINDOW_STEP: u64 = 64;
+pub(crate) const WINDOW_STEP: u64 = 64;
 
 /// Rows that kernels see at once.
 pub(crate) struct RowWindow {

@@ -4,6 +4,7 @@ pub(crate) mod cloud;
 pub(crate) mod colour_steps;
 pub(crate) mod layout;
 pub(crate) mod mean;
+mod snapshot;
 pub(crate) mod statistics;
 
 use genesplat_core::{DeviceState, Gaussians, Moments, TrainStep};
@@ -11,11 +12,13 @@ use genesplat_core::{DeviceState, Gaussians, Moments, TrainStep};
 use crate::Result;
 use crate::device::Engine;
 pub(crate) use cloud::{
-    Column, MAKE_UP_INSTRUCTIONS, Parameters, ROW_INSTRUCTIONS, RowWindow, pack_genes, window_uniform, windows,
+    Column, MAKE_UP_INSTRUCTIONS, Parameters, ROW_INSTRUCTIONS, RowWindow, WINDOW_STEP, pack_genes, window_uniform,
+    windows,
 };
 pub(crate) use colour_steps::ColourSteps;
 use layout::GRADIENT_FLOATS;
 use mean::DeviceMean;
+use snapshot::DeviceSnapshot;
 use statistics::DeviceStatistics;
 
 /// What memory for [`State::pending`] is for.
@@ -37,31 +40,56 @@ pub(crate) struct State {
     pub(crate) has_filter: bool,
     /// That of the states of a window.
     pub(crate) mean: Option<DeviceMean>,
+    pub(crate) snapshot: Option<DeviceSnapshot>,
+}
+
+/// Adam's moments, zeros where none are given, and gradients that wait, if there are any.
+fn upload_moments(engine: &Engine, rows: u64, given: &Moments) -> Result<(Parameters, Parameters, Option<Parameters>)> {
+    let moment = |purpose, given: &Gaussians| match given.is_empty() {
+        true => Parameters::zeros(engine, purpose, rows),
+        false => Parameters::upload(engine, purpose, given),
+    };
+    let pending = match &given.pending {
+        none if none.is_empty() => None,
+        some => Some(Parameters::upload(engine, PENDING, some)?),
+    };
+    Ok((moment("first moments", &given.first)?, moment("second moments", &given.second)?, pending))
+}
+
+fn download_moments(
+    engine: &Engine,
+    rows: u64,
+    [first, second]: [&Parameters; 2],
+    pending: Option<&Parameters>,
+) -> Result<Moments> {
+    Ok(Moments {
+        first: first.download(engine, rows, false)?,
+        second: second.download(engine, rows, false)?,
+        pending: match pending {
+            Some(pending) => pending.download(engine, rows, false)?,
+            None => Gaussians::default(),
+        },
+    })
 }
 
 impl State {
     /// All that was held, of this backend or another.
     pub(crate) fn upload(engine: &Engine, state: &DeviceState) -> Result<Self> {
         let rows = state.cloud.len() as u64;
-        let moment = |purpose, given: &Gaussians| match given.is_empty() {
-            true => Parameters::zeros(engine, purpose, rows),
-            false => Parameters::upload(engine, purpose, given),
-        };
+        let (first, second, pending) = upload_moments(engine, rows, &state.moments)?;
         Ok(Self {
             rows,
             windows: windows(engine, rows)?,
             cloud: Parameters::upload(engine, "the cloud", &state.cloud)?,
-            first: moment("first moments", &state.moments.first)?,
-            second: moment("second moments", &state.moments.second)?,
+            first,
+            second,
             colour_steps: ColourSteps::new(engine, rows)?,
-            pending: match &state.moments.pending {
-                given if given.is_empty() => None,
-                given => Some(Parameters::upload(engine, PENDING, given)?),
-            },
+            pending,
             gradients: Column::zeros(engine, "gradients", 0, GRADIENT_FLOATS)?,
             statistics: DeviceStatistics::upload(engine, rows, &state.statistics)?,
             has_filter: state.cloud.filter_3d.is_some(),
             mean: mean::upload(engine, &state.mean)?,
+            snapshot: state.snapshot.as_ref().map(|given| snapshot::upload(engine, given)).transpose()?,
         })
     }
 
@@ -69,16 +97,10 @@ impl State {
         self.make_up(engine);
         Ok(DeviceState {
             cloud: self.download(engine)?,
-            moments: Moments {
-                first: self.first.download(engine, self.rows, false)?,
-                second: self.second.download(engine, self.rows, false)?,
-                pending: match &self.pending {
-                    Some(pending) => pending.download(engine, self.rows, false)?,
-                    None => Gaussians::default(),
-                },
-            },
+            moments: download_moments(engine, self.rows, [&self.first, &self.second], self.pending.as_ref())?,
             statistics: self.statistics.download(engine, self.rows)?,
             mean: mean::download(engine, self.rows, self.mean.as_ref())?,
+            snapshot: self.snapshot.as_ref().map(|held| snapshot::download(engine, held)).transpose()?,
         })
     }
 

@@ -1,10 +1,11 @@
 //! What evolution asks of the backend: scores, contributions, and means of states.
 
 use genesplat_core::state_mean::ViewLoss;
-use genesplat_core::{Contribution, EvolutionBackend, Held, Photo, RowEdit, SparseDelta, View};
+use genesplat_core::{Contribution, DeviceState, EvolutionBackend, Held, Photo, RowEdit, Snapshot, SparseDelta, View};
 
 use super::verbs::twins_agree;
 use super::*;
+use crate::state::layout::{GEOMETRY_FLOATS, SH_FLOATS};
 
 #[test]
 fn means_of_states_match() {
@@ -106,6 +107,20 @@ fn a_generation_is_read_back_once() {
     assert_eq!(waits(&|gpu| drop(gpu.score(&population, &views, &settings).unwrap())), 1);
     assert_eq!(waits(&|gpu| drop(gpu.measure(Held::Mean, &views, &settings).unwrap())), 1);
     assert_eq!(waits(&|gpu| drop(gpu.contributions(&views, &settings).unwrap())), 1);
+    assert_eq!(waits(&|gpu| drop(gpu.weigh(&views, &|_| map_of(&view()), &settings).unwrap())), 1);
+}
+
+/// Maps do not pile up: of six, two may wait to be copied.
+#[test]
+fn maps_that_were_written_are_waited_for() {
+    let Some(mut gpu) = gpu() else { return };
+    let (settings, views) = (settings(1, ScreenFilter::Classic), [0; 6]);
+    gpu.upload(cloud(300).into()).unwrap();
+    let expected = gpu.weigh(&views, &|_| map_of(&view()), &settings).unwrap();
+    gpu.engine.usage.written_bytes_max = 2 * 4 * view().counted_pixels();
+    let before = gpu.engine.waits.get();
+    assert!(gpu.weigh(&views, &|_| map_of(&view()), &settings).unwrap() == expected);
+    assert_eq!(gpu.engine.waits.get() - before, 3);
 }
 
 /// More sums of tiles than a workgroup takes in one round.
@@ -209,7 +224,12 @@ fn contributions_match() {
     assert!(gpu.contributions(&[0], &settings(0, ScreenFilter::Classic)).unwrap().is_empty());
 }
 
-/// The lists do not fit at first; rows are in four windows.
+/// A value of its own for each pixel.
+pub(super) fn map_of(view: &View) -> crate::Result<Vec<f32>> {
+    Ok((0..view.counted_pixels()).map(|pixel| uniform(11, pixel)).collect())
+}
+
+/// The lists do not fit at first, and those of the second view not when the first has been weighed; rows are in four windows.
 #[test]
 fn weights_by_a_map_match() {
     let Some(engine) = engine() else { return };
@@ -220,17 +240,109 @@ fn weights_by_a_map_match() {
         gpu.set_intersection_capacity(50);
         for twin in [&mut gpu as &mut dyn EvolutionBackend, &mut cpu] {
             twin.set_views(&[view(), small_view()]).unwrap();
-            twin.upload(filtered_cloud(400, filter).into()).unwrap();
+            twin.upload(filtered_cloud(390, filter).into()).unwrap();
         }
-        for (index, view) in [view(), small_view()].iter().enumerate() {
-            let pixels = (view.camera.width * view.camera.height) as usize;
-            let map: Vec<f32> = (0..pixels).map(|pixel| uniform(11, pixel)).collect();
-            let actual = gpu.weigh(index, &map, &settings).unwrap();
-            compare("contribution", "weights", actual.clone(), cpu.weigh(index, &map, &settings).unwrap()).unwrap();
-            let planted = cpu.weigh(index, &vec![0.5; pixels], &settings).unwrap();
-            assert!(compare("contribution", "weights", actual, planted).is_err(), "another map has other weights");
+        let (shown, views) = ([1, 0, 1], [view(), small_view()]);
+        let maps = |index: usize| map_of(&views[index]);
+        let actual = gpu.weigh(&shown, &maps, &settings).unwrap();
+        let expected = cpu.weigh(&shown, &maps, &settings).unwrap();
+        let halves = |index: usize| Ok(vec![0.5; views[index].counted_pixels()]);
+        let planted = cpu.weigh(&shown, &halves, &settings).unwrap();
+        assert_eq!(actual.len(), 3);
+        for ((actual, expected), planted) in actual.iter().zip(expected).zip(planted) {
+            compare("contribution", "weights", actual.clone(), expected).unwrap();
+            let other = compare("contribution", "weights", actual.clone(), planted);
+            assert!(other.is_err(), "another map has other weights");
         }
     }
+    gpu.upload(Gaussians::default().into()).unwrap();
+    let none = gpu.weigh(&[0, 1], &|_| map_of(&view()), &settings(0, ScreenFilter::Classic)).unwrap();
+    assert_eq!(none, [Vec::<f32>::new(), Vec::new()]);
+    assert!(gpu.weigh(&[], &|_| Ok(Vec::new()), &settings(0, ScreenFilter::Classic)).unwrap().is_empty());
+}
+
+/// An edit on trial, then steps, changes of rows, opacities and filters, and means.
+fn change_everything(twin: &mut dyn EvolutionBackend) {
+    let settings = settings(3, ScreenFilter::Mip);
+    twin.edit_rows_on_trial(&RowEdit::keep((0..250).rev().collect())).unwrap();
+    for number in 4..=6 {
+        let step = TrainStep { update: None, keeps_gradients: true, ..step(number, settings) };
+        twin.train_step(&step).unwrap();
+    }
+    twin.train_step(&step(7, settings)).unwrap();
+    twin.edit_rows(&RowEdit::keep((20..170).rev().collect())).unwrap();
+    twin.set_filter_3d(vec![0.5; 150]).unwrap();
+    twin.average().unwrap();
+    twin.train_step(&step(8, settings)).unwrap();
+    twin.take_mean().unwrap();
+    twin.reset_opacity(0.01).unwrap();
+    twin.train_step(&step(9, settings)).unwrap();
+}
+
+/// Three steps, and the gradients of another one that wait where that is asked for.
+fn make_steps(twin: &mut dyn EvolutionBackend, gradients_wait: bool) {
+    let settings = settings(3, ScreenFilter::Mip);
+    twin.upload(filtered_cloud(300, ScreenFilter::Mip).into()).unwrap();
+    (1..=3).for_each(|number| twin.train_step(&step(number, settings)).unwrap());
+    if gradients_wait {
+        twin.train_step(&TrainStep { update: None, keeps_gradients: true, ..step(4, settings) }).unwrap();
+    }
+}
+
+/// Cloud and moments come back to the bit, all else is as if they were uploaded; so it is where the state was saved meanwhile.
+#[test]
+fn a_roll_back_is_the_upload_of_the_snapshot() {
+    let Some(engine) = engine() else { return };
+    let mut gpu = GpuBackend::on(engine.with_window_rows(128)).unwrap();
+    gpu.set_views(&[view()]).unwrap();
+    for gradients_wait in [false, true] {
+        make_steps(&mut gpu, gradients_wait);
+        let DeviceState { cloud, moments, .. } = gpu.state().unwrap();
+        let before = Snapshot { cloud, moments };
+        change_everything(&mut gpu);
+        let changed = gpu.state().unwrap();
+        assert_eq!(changed.snapshot.as_ref(), Some(&before));
+        gpu.roll_back().unwrap();
+        let rolled_back = gpu.state().unwrap();
+        gpu.upload(changed).unwrap();
+        gpu.roll_back().unwrap();
+        assert!(gpu.state().unwrap() == rolled_back, "a resumed run goes back to the same");
+        gpu.upload(before.clone().into()).unwrap();
+        assert!(gpu.state().unwrap() == rolled_back);
+        assert_eq!((rolled_back.cloud, rolled_back.moments), (before.cloud, before.moments));
+        twins_agree("adam", &mut gpu, |twin| {
+            make_steps(twin, gradients_wait);
+            change_everything(twin);
+            twin.roll_back().unwrap();
+            assert_eq!(twin.gaussian_count(), 300);
+            twin.train_step(&step(4, settings(3, ScreenFilter::Mip))).unwrap();
+        });
+    }
+}
+
+/// Nothing of the cloud comes to the host, which does not wait; and an edit on trial is an edit whose old columns stay.
+#[test]
+fn a_snapshot_stays_on_the_device() {
+    let Some(mut gpu) = gpu() else { return };
+    gpu.upload(cloud(300).into()).unwrap();
+    gpu.train_step(&step(1, settings(2, ScreenFilter::Classic))).unwrap();
+    gpu.report().unwrap();
+    let now = |gpu: &GpuBackend| [gpu.engine.waits.get().into(), gpu.engine.read_bytes.get()];
+    let (before, all) = (now(&gpu), RowEdit::keep((0..300).collect()));
+    let most_in = |gpu: &mut GpuBackend, verb: fn(&mut GpuBackend, &RowEdit) -> crate::Result<()>| {
+        gpu.take_most_allocated_bytes();
+        verb(gpu, &all).unwrap();
+        gpu.take_most_allocated_bytes()
+    };
+    let plain = most_in(&mut gpu, |gpu, all| gpu.edit_rows(all));
+    let held = gpu.allocated_bytes();
+    assert_eq!(most_in(&mut gpu, |gpu, all| gpu.edit_rows_on_trial(all)), plain);
+    assert_eq!(gpu.allocated_bytes() - held, 3 * 300 * 4 * u64::from(GEOMETRY_FLOATS + SH_FLOATS));
+    gpu.drop_snapshot();
+    assert_eq!(gpu.allocated_bytes(), held);
+    gpu.edit_rows_on_trial(&RowEdit::keep((0..200).collect())).unwrap();
+    gpu.roll_back().unwrap();
+    assert_eq!((now(&gpu), gpu.gaussian_count()), (before, 300));
 }
 
 /// Contributions are those of the cloud after all steps, also of those that an overflow has stopped.

@@ -159,6 +159,31 @@ fn an_edit_that_finds_no_memory_changes_nothing() {
     assert_eq!(gpu.download().unwrap().positions[300..], before.cloud.positions[..200]);
 }
 
+/// At every column that finds no memory: what is held stays, and so does the snapshot.
+#[test]
+fn a_trial_that_finds_no_memory_changes_nothing() {
+    let Some(mut gpu) = gpu() else { return };
+    gpu.upload(cloud(300).into()).unwrap();
+    gpu.train_step(&step(1, settings(2, ScreenFilter::Classic))).unwrap();
+    let all = RowEdit::keep((0..300).collect());
+    for begins in [true, true, false] {
+        let before = gpu.state().unwrap();
+        gpu.discard_queued_steps().unwrap();
+        let (least, mut failures) = (gpu.allocated_bytes(), 0);
+        for bytes in (0..).step_by(2_000) {
+            gpu.engine.usage.limit_bytes = least + bytes;
+            let done = if begins { gpu.edit_rows_on_trial(&all) } else { gpu.roll_back() };
+            gpu.engine.usage.limit_bytes = u64::MAX;
+            let Err(error) = done else { break };
+            assert!(matches!(error, BackendError::OutOfMemory { .. }), "{error}");
+            failures += 1;
+            assert!(gpu.state().unwrap() == before, "{bytes} bytes");
+        }
+        assert!(failures > 3, "it failed at every column: {failures} times");
+        assert_eq!(gpu.state().unwrap().snapshot.is_some(), begins);
+    }
+}
+
 /// Buffers of steps make way for rows.
 #[test]
 fn an_edit_takes_the_memory_that_steps_can_do_without() {

@@ -2,6 +2,7 @@
 
 use genesplat_core::{Contribution, DeviceState, EvolutionBackend, Held, Image};
 
+use super::evolution::map_of;
 use super::verbs::change_rows;
 use super::*;
 use crate::device::shaders::kernel_texts;
@@ -13,7 +14,7 @@ struct Found {
     state: DeviceState,
     image: Image,
     contributions: Vec<Contribution>,
-    weights: Vec<f32>,
+    weights: Vec<Vec<f32>>,
     scores: Vec<f32>,
     losses: Vec<[f32; 2]>,
 }
@@ -30,14 +31,13 @@ fn found_by(gpu: &mut GpuBackend) -> Found {
     }
     let state = gpu.state().unwrap();
     let population: Vec<_> = (0..20).map(|index| individual_of(&state.cloud, index % 6)).collect();
-    let pixels = (camera().width * camera().height) as usize;
-    let map: Vec<f32> = (0..pixels).map(|pixel| uniform(pixel, 3)).collect();
+    let map_of = |index: usize| map_of(&[view(), small_view()][index]);
     let losses = gpu.measure(Held::Mean, &[0, 1, 2], &settings).unwrap();
     Found {
         state,
         image: gpu.render(&camera(), &settings).unwrap(),
         contributions: gpu.contributions(&[0, 1, 2], &settings).unwrap(),
-        weights: gpu.weigh(0, &map, &settings).unwrap(),
+        weights: gpu.weigh(&[0, 1], &map_of, &settings).unwrap(),
         scores: gpu.score(&population, &[0, 1], &settings).unwrap(),
         losses: losses.iter().map(|view| [view.loss, view.squared_error]).collect(),
     }

@@ -6,7 +6,7 @@ use fearless_simd::Level;
 use genesplat_core::gaussians::limited_opacity;
 use genesplat_core::{
     Backend, BackendError, Camera, DensitySignal, DeviceState, Gaussians, Image, Moments, RenderSettings, RowEdit,
-    StateMean, Statistics, StatisticsRequest, TrainStep, View, backend::StepReport,
+    Snapshot, StateMean, Statistics, StatisticsRequest, TrainStep, View, backend::StepReport,
 };
 
 use super::loss::Target;
@@ -31,6 +31,7 @@ pub struct CpuBackend {
     pub(super) steps: u32,
     pub(super) scorer: Scorer,
     pub(super) mean: StateMean,
+    pub(super) snapshot: Option<Snapshot>,
 }
 
 impl Default for CpuBackend {
@@ -53,6 +54,7 @@ impl CpuBackend {
             steps: 0,
             scorer: Scorer::default(),
             mean: StateMean::default(),
+            snapshot: None,
         }
     }
 
@@ -135,6 +137,7 @@ impl Backend for CpuBackend {
             moments: self.moments.clone().or_zeros(self.cloud.len()),
             statistics: self.statistics.clone(),
             mean: self.mean.clone(),
+            snapshot: self.snapshot.clone(),
         })
     }
 
@@ -178,6 +181,7 @@ impl Backend for CpuBackend {
 
     fn end_training(&mut self) -> Result<(), BackendError> {
         (self.moments, self.mean, self.buffers, self.scorer) = Default::default();
+        self.snapshot.iter_mut().for_each(|snapshot| snapshot.moments = Moments::default());
         Ok(())
     }
 

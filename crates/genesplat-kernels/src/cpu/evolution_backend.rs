@@ -3,13 +3,14 @@
 use std::ops::Range;
 
 use genesplat_core::{
-    BackendError, Contribution, EvolutionBackend, Held, Image, RenderSettings, SparseDelta, ViewLoss,
+    Backend, BackendError, Contribution, EvolutionBackend, Held, Image, RenderSettings, RowEdit, SparseDelta, ViewLoss,
     backend::MomentPolicy,
 };
 
 use super::backend::{CpuBackend, TrainView};
 use super::blend::contribution::{contribution, weigh};
 use super::loss::{PhotoRows, Target, loss};
+use super::share::NO_SNAPSHOT;
 
 impl EvolutionBackend for CpuBackend {
     fn score(
@@ -35,10 +36,19 @@ impl EvolutionBackend for CpuBackend {
         Ok(())
     }
 
-    fn weigh(&mut self, view: usize, map: &[f32], settings: &RenderSettings) -> Result<Vec<f32>, BackendError> {
-        self.ensure_contributions(&[view])?;
-        let camera = &self.views[view].camera;
-        Ok(weigh(self.level, &mut self.buffers, &self.cloud, camera, map, settings))
+    fn weigh(
+        &mut self,
+        views: &[usize],
+        map_of: &dyn Fn(usize) -> Result<Vec<f32>, BackendError>,
+        settings: &RenderSettings,
+    ) -> Result<Vec<Vec<f32>>, BackendError> {
+        self.ensure_views(views)?;
+        self.ensure_weights(views.len())?;
+        let of_view = |&view: &usize| {
+            let camera = &self.views[view].camera;
+            Ok(weigh(self.level, &mut self.buffers, &self.cloud, camera, &map_of(view)?, settings))
+        };
+        views.iter().map(of_view).collect()
     }
 
     fn contributions(&mut self, views: &[usize], settings: &RenderSettings) -> Result<Vec<Contribution>, BackendError> {
@@ -83,6 +93,25 @@ impl EvolutionBackend for CpuBackend {
         let (mean, cloud) = (std::mem::take(&mut self.mean), std::mem::take(&mut self.cloud));
         self.cloud = mean.in_place_of(cloud);
         Ok(())
+    }
+
+    fn edit_rows_on_trial(&mut self, edit: &RowEdit) -> Result<(), BackendError> {
+        self.ensure_snapshot()?;
+        let snapshot = self.snapshot();
+        self.edit_rows(edit)?;
+        self.keep(snapshot);
+        Ok(())
+    }
+
+    fn roll_back(&mut self) -> Result<(), BackendError> {
+        self.ensure_roll_back()?;
+        let snapshot = self.snapshot.take().expect(NO_SNAPSHOT);
+        self.put_state(snapshot.into());
+        Ok(())
+    }
+
+    fn drop_snapshot(&mut self) {
+        self.snapshot = None;
     }
 }
 

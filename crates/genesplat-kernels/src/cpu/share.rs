@@ -2,7 +2,7 @@
 
 use fearless_simd::Level;
 use genesplat_core::{
-    BackendError, DeviceState, Gaussians, Held, RenderSettings, SparseDelta, StatisticsRequest, TrainStep,
+    BackendError, DeviceState, Gaussians, Held, RenderSettings, Snapshot, SparseDelta, StatisticsRequest, TrainStep,
 };
 
 use super::backend::{CpuBackend, TrainView};
@@ -10,6 +10,9 @@ use super::blend::gradient_row::GradientRow;
 use super::loss::Target;
 use super::update::{Share, Summed, UpdateInputs, update};
 use super::view::{Pinhole, Splats, project::project, timed};
+
+/// Whoever rolls back has taken a snapshot.
+pub(super) const NO_SNAPSHOT: &str = "there is a snapshot to go back to";
 
 impl CpuBackend {
     /// The instruction set that all stages use.
@@ -37,15 +40,34 @@ impl CpuBackend {
     pub fn take_state(&mut self) -> DeviceState {
         let (cloud, moments) = (std::mem::take(&mut self.cloud), std::mem::take(&mut self.moments));
         let (statistics, mean) = (std::mem::take(&mut self.statistics), std::mem::take(&mut self.mean));
-        DeviceState { cloud, moments, statistics, mean }
+        DeviceState { cloud, moments, statistics, mean, snapshot: self.snapshot.take() }
     }
 
     /// Takes what [`Self::take_state`] has handed over, or some other rows of it.
     pub fn put_state(&mut self, state: DeviceState) {
-        let DeviceState { cloud, moments, statistics, mean } = state;
+        let DeviceState { cloud, moments, statistics, mean, snapshot } = state;
         self.moments = moments.or_zeros(cloud.len());
-        (self.cloud, self.statistics, self.mean) = (cloud, statistics, mean);
+        (self.cloud, self.statistics, self.mean, self.snapshot) = (cloud, statistics, mean, snapshot);
         self.grow_statistics(StatisticsRequest::default());
+    }
+
+    /// A copy of the cloud and its moments.
+    pub fn snapshot(&self) -> Snapshot {
+        Snapshot { cloud: self.cloud.clone(), moments: self.moments.clone().or_zeros(self.cloud.len()) }
+    }
+
+    /// From now on the snapshot is this one.
+    pub fn keep(&mut self, snapshot: Snapshot) {
+        self.snapshot = Some(snapshot);
+    }
+
+    /// The rows that there are after a roll-back.
+    ///
+    /// # Panics
+    ///
+    /// Where there is no snapshot.
+    pub fn snapshot_rows(&self) -> usize {
+        self.snapshot.as_ref().expect(NO_SNAPSHOT).cloud.len()
     }
 
     /// The splats of the rows held, or of their mean.

@@ -29,6 +29,10 @@ const SCORE_VIEWS: u32 = 10;
 /// Which streams the order of these views is drawn from.
 const SCORE_ORDER: u32 = u32::MAX;
 
+/// Bytes of weights that are held at once, on the host and on the device, 128 MiB: half of the smallest limit that devices
+/// have for a buffer. Views are weighed in as few batches as that allows.
+const WEIGHTS_BYTES: usize = 128 << 20;
+
 /// Part of the cloud that is then pruned for having recovered slowly.
 const SLOW_FRACTION: f64 = 0.2;
 
@@ -148,15 +152,21 @@ pub fn edge_scores(
     settings: &RenderSettings,
 ) -> Result<Vec<f32>, BackendError> {
     let mut sums = vec![0.0; backend.gaussian_count()];
-    for &view in shown {
-        let View { photo, mask, .. } = &views[view];
-        let weights = backend.weigh(view, &edges(&*photo.read()?, mask.as_deref()), settings)?;
-        let positive = || weights.iter().filter(|&&weight| weight > 0.0).map(|&weight| f64::from(weight));
-        let mean = positive().sum::<f64>() / positive().count().max(1) as f64;
-        let weighed = sums.iter_mut().zip(&weights).filter(|(_, weight)| **weight > 0.0);
-        weighed.for_each(|(sum, &weight)| *sum += f64::from(weight) / mean);
+    let edges_of = |view: usize| Ok(edges(&*views[view].photo.read()?, views[view].mask.as_deref()));
+    let at_once = (WEIGHTS_BYTES / (size_of::<f32>() * sums.len()).max(1)).max(1);
+    for shown in shown.chunks(at_once) {
+        let weights = backend.weigh(shown, &edges_of, settings)?;
+        weights.iter().for_each(|of_view| add_in_multiples_of_the_mean(of_view, &mut sums));
     }
     Ok(sums.into_iter().map(|sum| (sum / shown.len().max(1) as f64) as f32).collect())
+}
+
+/// Adds the weights of a view, in multiples of the mean of those that are positive `[N]`.
+fn add_in_multiples_of_the_mean(weights: &[f32], sums: &mut [f64]) {
+    let positive = || weights.iter().filter(|&&weight| weight > 0.0).map(|&weight| f64::from(weight));
+    let mean = positive().sum::<f64>() / positive().count().max(1) as f64;
+    let weighed = sums.iter_mut().zip(weights).filter(|(_, weight)| **weight > 0.0);
+    weighed.for_each(|(sum, &weight)| *sum += f64::from(weight) / mean);
 }
 
 #[cfg(test)]

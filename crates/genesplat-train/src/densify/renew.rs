@@ -13,7 +13,7 @@
 
 use std::time::Instant;
 
-use genesplat_core::{Contribution, DeviceState, Gaussians, Held, Moments, Origin};
+use genesplat_core::{Contribution, Gaussians, Held, Origin};
 use genesplat_evolve::renewal;
 
 use crate::evolution::{GuardScore, guards};
@@ -22,31 +22,13 @@ use crate::run::observe::{GenerationLog, StageKind, StageRecord};
 use crate::run::trainer::Trainer;
 use crate::scene::views::spread_evenly;
 
-/// A renewal that has yet to prove itself.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Trial {
-    /// What is reported of it, as if it had succeeded; the guard score that ends it is not in it yet.
-    pub record: StageRecord,
-    /// The cloud before it.
-    pub cloud: Gaussians,
-    /// Adam's moments before it.
-    pub moments: Moments,
+/// The guard score of the state before a trial.
+fn before(trial: &StageRecord) -> GuardScore {
+    let [psnr, _] = trial.guard_psnr.expect("a renewal has guards");
+    GuardScore { loss: trial.fitness_before, psnr }
 }
 
-impl Trial {
-    /// The guard score of the state before it.
-    fn before(&self) -> GuardScore {
-        let [psnr, _] = self.record.guard_psnr.expect("a renewal has guards");
-        GuardScore { loss: self.record.fitness_before, psnr }
-    }
-
-    /// All columns have the same number of rows, and guards were asked.
-    pub(crate) fn is_consistent(&self) -> bool {
-        self.record.guard_psnr.is_some() && self.cloud.is_consistent() && self.moments.is_consistent(self.cloud.len())
-    }
-}
-
-/// Clouds that a trial keeps: one, and its two moments.
+/// Clouds that a trial keeps, on the device: one, and its two moments.
 const CLOUDS_KEPT: usize = 3;
 
 impl Trainer<'_> {
@@ -75,14 +57,13 @@ impl Trainer<'_> {
 
     /// Keeps what was renewed, or rolls it back, if there is a trial; returns the guard score of the state that stays.
     fn end_trial(&mut self, score: GuardScore, clock: Instant) -> Result<GuardScore, TrainError> {
-        let Some(trial) = &self.trial else { return Ok(score) };
-        let (mut record, before) = (trial.record, trial.before());
+        let Some(mut record) = self.trial else { return Ok(score) };
+        let before = before(&record);
         let stays = if score.psnr >= before.psnr {
             score
         } else {
-            // Copies: where the device has no room for them, what it holds is still on trial.
-            let (cloud, moments) = (trial.cloud.clone(), trial.moments.clone());
-            self.backend.upload(DeviceState { cloud, moments, ..DeviceState::default() })?;
+            // Where that fails, what the device holds is still on trial.
+            self.backend.roll_back()?;
             self.averaged = 0;
             record.changed = 0;
             before
@@ -97,17 +78,23 @@ impl Trainer<'_> {
         });
         // The state is whole again: what is left of the phase is the next renewal, which whoever resumes begins
         // likewise.
+        self.backend.drop_snapshot();
         self.trial = None;
         self.end_stage(record);
         Ok(stays)
     }
 
-    /// The state before the renewal on trial, if there is one, and guards do not find better what has become of it so
+    /// If a renewal is on trial, goes back to the state before it where guards do not find better what has become of it so
     /// far.
-    pub(crate) fn better_before_trial(&mut self) -> Result<Option<Gaussians>, TrainError> {
-        let Some(trial) = self.trial.take() else { return Ok(None) };
+    pub(crate) fn judge_open_trial(&mut self) -> Result<(), TrainError> {
+        let Some(trial) = self.trial else { return Ok(()) };
         let now = self.guard_score(Held::Cloud, &self.trial_guards(), self.cursor.iteration)?;
-        Ok((now.psnr < trial.before().psnr).then_some(trial.cloud))
+        if now.psnr < before(&trial).psnr {
+            self.backend.roll_back()?;
+        }
+        self.backend.drop_snapshot();
+        self.trial = None;
+        Ok(())
     }
 
     /// Renews a fraction of the Gaussians, if there are any to renew.
@@ -120,12 +107,11 @@ impl Trainer<'_> {
             return Ok(());
         }
         record.population_bytes = (CLOUDS_KEPT * self.backend.gaussian_count() * Gaussians::BYTES_PER_ROW) as u64;
-        let DeviceState { cloud, moments, .. } = self.backend.state()?;
-        self.backend.edit_rows(&edit)?;
+        self.backend.edit_rows_on_trial(&edit)?;
         self.averaged = 0;
         record.seconds = clock.elapsed().as_secs_f64();
         self.tell_of_stage(&record, &self.trial_guards(), record.generations);
-        self.trial = Some(Trial { record, cloud, moments });
+        self.trial = Some(record);
         Ok(())
     }
 

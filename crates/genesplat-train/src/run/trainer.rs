@@ -13,12 +13,11 @@ use genesplat_core::{
 
 use super::checkpoint::{Checkpoint, Cursor, Progress};
 use super::notices;
-use super::observe::{Observer, StartLog};
+use super::observe::{Observer, StageRecord, StartLog};
 use super::{Outcome, RunSummary, Seconds, Start, TrainError};
 use crate::config::{Background, Resolved, TrainConfig, Variant};
 use crate::densify::cap::Cap;
 use crate::densify::mcmc;
-use crate::densify::renew::Trial;
 use crate::scene::filter_3d::filter_3d;
 use crate::scene::initialise::{Seeds, check_points, in_spatial_order, median_depth, scene_extent, unit_of};
 use crate::scene::thin::thinned;
@@ -42,8 +41,9 @@ pub(crate) struct Trainer<'a> {
     pub(crate) signal: Option<DensitySignal>,
     pub(crate) order: ViewOrder,
     pub(crate) progress: Progress,
-    /// The renewal that is on trial.
-    pub(crate) trial: Option<Trial>,
+    /// What is reported of the renewal on trial, as if it had succeeded; the guard score that ends it is not in it yet.
+    /// The state before it is the backend's snapshot.
+    pub(crate) trial: Option<StageRecord>,
     /// States that the window's mean is of.
     pub(crate) averaged: u32,
     /// What is done next, or is under way.
@@ -187,7 +187,7 @@ impl<'a> Trainer<'a> {
 
     /// All that it takes to go on from `cursor` later.
     pub(crate) fn capture(&mut self, cursor: Cursor) -> Result<Box<Checkpoint>, TrainError> {
-        let (progress, trial) = (self.progress.clone(), self.trial.clone());
+        let (progress, trial) = (self.progress.clone(), self.trial);
         Ok(Box::new(Checkpoint { cursor, progress, state: self.backend.state()?, trial }))
     }
 
@@ -249,9 +249,7 @@ impl<'a> Trainer<'a> {
         if is_over {
             self.backend.end_training()?;
         }
-        if let Some(cloud) = self.better_before_trial()? {
-            self.backend.upload(cloud.into())?;
-        }
+        self.judge_open_trial()?;
         let cloud = self.backend.copy()?;
         check_health(&cloud, self.progress.steps)?;
         Ok(cloud)

@@ -75,8 +75,8 @@ fn a_fraction_is_renewed_from_the_end_of_density_control_on() {
         assert_eq!(edit.sources.len(), 20);
         assert!(!edit.sources.contains(&0) && !edit.sources.contains(&1));
     }
-    let uploads = backend.calls.iter().filter(|call| matches!(call, Call::Upload { .. })).count();
-    assert_eq!(uploads, 1, "nothing was rolled back");
+    assert!(!backend.calls.contains(&Call::RollBack), "nothing was rolled back");
+    assert!(backend.snapshot.is_none(), "the last trial is over");
 }
 
 #[test]
@@ -247,6 +247,9 @@ fn what_guards_find_worse_is_rolled_back_to_the_bit() {
         assert_eq!((after, stage.changed, stage.fitness_after), (before, 0, stage.fitness_before));
     }
     assert_eq!(edits(&refusing).len(), 6, "each was tried");
+    let count = |wanted: fn(&Call) -> bool| refusing.calls.iter().filter(|call| wanted(call)).count();
+    let is_upload = |call: &Call| matches!(call, Call::Upload { .. });
+    assert_eq!([count(|call| *call == Call::RollBack), count(is_upload)], [6, 1], "no state comes from the host");
     // Stopped after the step of iteration 150, before anything was renewed; and when the first renewal had failed. The
     // second begins in the same phase, so what came back is seen by whoever is judged next: there must be none.
     let (stop, stop_again) = (AtomicBool::new(false), AtomicBool::new(false));
@@ -259,7 +262,7 @@ fn what_guards_find_worse_is_rolled_back_to_the_bit() {
     let stopped = train(&mut backend(1.1), &views(VIEWS), start, &config, observer, &stop_again).unwrap();
     let after = stopped.checkpoint.unwrap();
     assert_eq!(after.cursor.iteration, 166);
-    assert!(after.trial.is_none());
+    assert!(after.trial.is_none() && after.state.snapshot.is_none());
     assert_eq!((after.state.cloud, after.state.moments), before);
 }
 
@@ -290,7 +293,7 @@ fn a_run_that_is_stopped_in_a_trial_hands_out_what_guards_like_better() {
         let (stop, mut device) = (AtomicBool::new(false), backend(decline));
         let outcome = run(&mut device, Start::Points(points(20)), &mut StopAt(157, &stop), &stop);
         let checkpoint = outcome.checkpoint.unwrap();
-        let before = &checkpoint.trial.as_ref().unwrap().cloud;
+        let before = &checkpoint.state.snapshot.as_ref().unwrap().cloud;
         let wanted = if is_better { &checkpoint.state.cloud } else { before };
         assert_eq!(&outcome.cloud, wanted);
         assert_ne!(before, &checkpoint.state.cloud);

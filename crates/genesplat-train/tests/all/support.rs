@@ -10,7 +10,7 @@ use genesplat_core::backend::{MomentPolicy, StepReport};
 use genesplat_core::gaussians::limited_opacity;
 use genesplat_core::{
     Backend, BackendError, Camera, Contribution, DeviceState, EvolutionBackend, Gaussians, Held, Image, Moments,
-    Origin, Photo, RenderSettings, RowEdit, SparseDelta, StateMean, Statistics, TrainStep, View, ViewLoss,
+    Origin, Photo, RenderSettings, RowEdit, Snapshot, SparseDelta, StateMean, Statistics, TrainStep, View, ViewLoss,
 };
 use genesplat_train::observe::StepLog;
 use genesplat_train::scene::initialise::ColouredPoint;
@@ -40,8 +40,9 @@ pub(crate) enum Call {
     Contributions {
         views: usize,
     },
+    /// With the pixels of all maps.
     Weigh {
-        view: usize,
+        views: Vec<usize>,
         pixels: usize,
     },
     Measure {
@@ -52,6 +53,7 @@ pub(crate) enum Call {
     TakeMean {
         states: u32,
     },
+    RollBack,
     Score {
         individuals: usize,
         views: Vec<usize>,
@@ -63,6 +65,7 @@ pub(crate) enum Call {
 pub(crate) struct FakeBackend {
     pub calls: Vec<Call>,
     mean: StateMean,
+    pub snapshot: Option<Snapshot>,
     pub cloud: Gaussians,
     pub moments: Moments,
     pub statistics: Statistics,
@@ -130,6 +133,7 @@ impl FakeBackend {
             queue: VecDeque::new(),
             scores: 0,
             mean: StateMean::default(),
+            snapshot: None,
             guards_disagree: false,
             decline: 1.0,
             measured: 0,
@@ -249,11 +253,11 @@ impl Backend for FakeBackend {
 
     fn upload(&mut self, state: DeviceState) -> Result<(), BackendError> {
         self.settle()?;
-        let DeviceState { cloud, moments, statistics, mean } = state;
+        let DeviceState { cloud, moments, statistics, mean, snapshot } = state;
         let (has_moments, n) = (!moments.first.is_empty(), cloud.len());
         self.calls.push(Call::Upload { rows: n, moments: has_moments, filter: cloud.filter_3d.is_some() });
         self.moments = if has_moments { moments } else { Moments::zeros(n) };
-        (self.cloud, self.mean) = (cloud, mean);
+        (self.cloud, self.mean, self.snapshot) = (cloud, mean, snapshot);
         let has_sums = !statistics.gradient_sum.is_empty();
         self.statistics = statistics;
         if !has_sums {
@@ -269,6 +273,7 @@ impl Backend for FakeBackend {
             moments: self.moments.clone(),
             statistics: self.statistics.clone(),
             mean: self.mean.clone(),
+            snapshot: self.snapshot.clone(),
         })
     }
 
@@ -354,10 +359,20 @@ impl EvolutionBackend for FakeBackend {
         Ok(())
     }
 
-    fn weigh(&mut self, view: usize, map: &[f32], _: &RenderSettings) -> Result<Vec<f32>, BackendError> {
+    fn weigh(
+        &mut self,
+        views: &[usize],
+        map_of: &dyn Fn(usize) -> Result<Vec<f32>, BackendError>,
+        _: &RenderSettings,
+    ) -> Result<Vec<Vec<f32>>, BackendError> {
         self.settle()?;
-        self.calls.push(Call::Weigh { view, pixels: map.len() });
-        Ok((0..self.cloud.len()).map(|row| self.weight.map_or(1.0, |weight| weight(view, row))).collect())
+        let mut pixels = 0;
+        for &view in views {
+            pixels += map_of(view)?.len();
+        }
+        self.calls.push(Call::Weigh { views: views.to_vec(), pixels });
+        let weight = |view, row| self.weight.map_or(1.0, |weight| weight(view, row));
+        Ok(views.iter().map(|&view| (0..self.cloud.len()).map(|row| weight(view, row)).collect()).collect())
     }
 
     fn contributions(&mut self, views: &[usize], _: &RenderSettings) -> Result<Vec<Contribution>, BackendError> {
@@ -391,6 +406,28 @@ impl EvolutionBackend for FakeBackend {
         let (mean, cloud) = (std::mem::take(&mut self.mean), std::mem::take(&mut self.cloud));
         self.cloud = mean.in_place_of(cloud);
         Ok(())
+    }
+
+    fn edit_rows_on_trial(&mut self, edit: &RowEdit) -> Result<(), BackendError> {
+        self.settle()?;
+        let snapshot = Snapshot { cloud: self.cloud.clone(), moments: self.moments.clone() };
+        self.edit_rows(edit)?;
+        self.snapshot = Some(snapshot);
+        Ok(())
+    }
+
+    fn roll_back(&mut self) -> Result<(), BackendError> {
+        self.settle()?;
+        self.calls.push(Call::RollBack);
+        let snapshot = self.snapshot.take().expect("there is a snapshot");
+        (self.cloud, self.moments, self.mean) = (snapshot.cloud, snapshot.moments, StateMean::default());
+        self.statistics = Statistics::default();
+        self.zero_density();
+        Ok(())
+    }
+
+    fn drop_snapshot(&mut self) {
+        self.snapshot = None;
     }
 
     fn score(

@@ -1,11 +1,11 @@
 //! What must hold for any input: no thread, no poison and no order of calls changes a result.
 
-use genesplat_core::backend::MomentPolicy;
 use std::io;
 use std::sync::Arc;
 
+use genesplat_core::backend::MomentPolicy;
 use genesplat_core::{
-    Backend, BackendError, DeviceState, EvolutionBackend, Gaussians, Held, PhotoStore, RowEdit, ScreenFilter,
+    Backend, BackendError, DeviceState, EvolutionBackend, Gaussians, Held, Moments, PhotoStore, RowEdit, ScreenFilter,
     SparseDelta, StatisticsRequest, StoredPhoto, TrainStep, View,
 };
 
@@ -96,8 +96,8 @@ fn what_evolution_asks_does_not_depend_on_the_number_of_threads() {
             let (views, settings) = ([0, 1, 2], classic_step(1).settings);
             let scores = backend.score(&population, &views, &settings).unwrap();
             let contributions = backend.contributions(&views, &settings).unwrap();
-            let map = vec![0.5; (view().camera.width * view().camera.height) as usize];
-            let weights = backend.weigh(0, &map, &settings).unwrap();
+            let map_of = |index: usize| Ok(vec![0.5; [view(), tall_view(), small_view()][index].counted_pixels()]);
+            let weights = backend.weigh(&views, &map_of, &settings).unwrap();
             let measured = [Held::Cloud, Held::Mean].map(|held| backend.measure(held, &views, &settings).unwrap());
             (scores, contributions, weights, measured)
         })
@@ -198,6 +198,43 @@ fn a_state_that_is_uploaded_goes_on_as_the_one_it_was_taken_from() {
     let (before, after) = (first.statistics().unwrap(), second.statistics().unwrap());
     assert!(after.gene_gradient_sum.is_empty() && after.gene_views.is_empty());
     assert_eq!((after.gradient_sum, after.weight_sum), (before.gradient_sum, before.weight_sum));
+}
+
+/// Statistics and the mean are emptied, as if the snapshot were uploaded.
+#[test]
+fn a_roll_back_brings_back_cloud_and_moments_to_the_bit() {
+    for ends in [false, true] {
+        let mut backend = stepped();
+        let before = backend.state().unwrap();
+        backend.edit_rows_on_trial(&RowEdit::keep(vec![5, 1, 7])).unwrap();
+        backend.train_step(&classic_step(4)).unwrap();
+        backend.average().unwrap();
+        backend.reset_opacity(0.01).unwrap();
+        let held = backend.state().unwrap();
+        let snapshot = held.snapshot.clone().unwrap();
+        assert_eq!((&snapshot.cloud, &snapshot.moments), (&before.cloud, &before.moments));
+        let mut resumed = backend_with(&cloud(10));
+        resumed.upload(held).unwrap();
+        let moments = if ends { Moments::zeros(40) } else { before.moments };
+        let mut uploaded = backend_with(&cloud(10));
+        uploaded.upload(DeviceState { cloud: before.cloud, moments, ..DeviceState::default() }).unwrap();
+        for backend in [&mut backend, &mut resumed] {
+            if ends {
+                backend.end_training().unwrap();
+            }
+            backend.roll_back().unwrap();
+            assert_eq!(backend.state().unwrap(), uploaded.state().unwrap());
+        }
+    }
+}
+
+#[test]
+fn a_snapshot_that_is_dropped_is_in_no_state() {
+    let mut backend = stepped();
+    backend.edit_rows_on_trial(&RowEdit::keep(vec![5, 1, 7])).unwrap();
+    assert!(backend.state().unwrap().snapshot.is_some());
+    backend.drop_snapshot();
+    assert!(backend.state().unwrap().snapshot.is_none());
 }
 
 /// The mean goes with the rows and opacities that it is of.

@@ -104,8 +104,8 @@ fn weights_by_a_map_match_the_reference() {
         for (index, View { camera, .. }) in [view(), small_view()].iter().enumerate() {
             let pixels = (camera.width * camera.height) as usize;
             let map: Vec<f32> = (0..pixels).map(|pixel| uniform(11, pixel)).collect();
-            let actual = backend.weigh(index, &map, &settings).unwrap();
-            let actual: Vec<f64> = actual.into_iter().map(f64::from).collect();
+            let actual = backend.weigh(&[index], &|_| Ok(map.clone()), &settings).unwrap();
+            let actual: Vec<f64> = actual[0].iter().map(|&weight| f64::from(weight)).collect();
             let by = |map: &[f32]| {
                 let map: Vec<f64> = map.iter().map(|&value| f64::from(value)).collect();
                 reference::weigh(&Cloud64::from(&cloud), camera, &settings, Cutoff::Hard, &map)

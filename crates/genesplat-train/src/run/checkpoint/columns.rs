@@ -3,14 +3,14 @@
 use std::io::{self, Read, Write};
 use std::ops::Range;
 
-use genesplat_core::{DeviceState, Gaussians, Moments, StateMean, Statistics};
+use genesplat_core::{DeviceState, Gaussians, Moments, Snapshot, StateMean, Statistics};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 use super::CheckpointError;
 use super::joint::JointWriter;
 use super::summed::Summed;
-use crate::densify::renew::Trial;
+use crate::run::observe::StageRecord;
 
 /// Floats or numbers that are written or read at once.
 const PIECE: usize = 1 << 18;
@@ -68,6 +68,7 @@ impl<W: Write> JointWriter<'_, W> {
         self.numbers(&statistics.gene_views)
     }
 
+    /// All but the snapshot.
     pub(super) fn state(&mut self, state: &DeviceState) -> io::Result<()> {
         self.cloud(&state.cloud)?;
         self.moments(&state.moments)?;
@@ -76,12 +77,12 @@ impl<W: Write> JointWriter<'_, W> {
         self.cloud(state.mean.mean())
     }
 
-    pub(super) fn trial(&mut self, trial: Option<&Trial>) -> io::Result<()> {
+    pub(super) fn trial(&mut self, trial: Option<(&StageRecord, &Snapshot)>) -> io::Result<()> {
         self.value(&trial.is_some());
-        let Some(trial) = trial else { return Ok(()) };
-        self.value(&trial.record);
-        self.cloud(&trial.cloud)?;
-        self.moments(&trial.moments)
+        let Some((record, snapshot)) = trial else { return Ok(()) };
+        self.value(record);
+        self.cloud(&snapshot.cloud)?;
+        self.moments(&snapshot.moments)
     }
 }
 
@@ -156,13 +157,14 @@ impl<R: Read> ColumnReader<'_, R> {
 
     pub(super) fn state(&mut self) -> Result<DeviceState, CheckpointError> {
         let (cloud, moments, statistics) = (self.cloud()?, self.moments()?, self.statistics()?);
-        Ok(DeviceState { cloud, moments, statistics, mean: StateMean::new(self.value()?, self.cloud()?) })
+        let mean = StateMean::new(self.value()?, self.cloud()?);
+        Ok(DeviceState { cloud, moments, statistics, mean, snapshot: None })
     }
 
-    pub(super) fn trial(&mut self) -> Result<Option<Trial>, CheckpointError> {
+    pub(super) fn trial(&mut self) -> Result<Option<(StageRecord, Snapshot)>, CheckpointError> {
         if !self.value::<bool>()? {
             return Ok(None);
         }
-        Ok(Some(Trial { record: self.value()?, cloud: self.cloud()?, moments: self.moments()? }))
+        Ok(Some((self.value()?, Snapshot { cloud: self.cloud()?, moments: self.moments()? })))
     }
 }

@@ -8,12 +8,11 @@ use std::io::{self, Read, Write};
 use std::ops::Range;
 
 use genesplat_core::spherical_harmonics::SH_DEGREE_MAX;
-use genesplat_core::{Alone, DeviceState, RowOwners};
+use genesplat_core::{Alone, DeviceState, RowOwners, Snapshot};
 use serde::{Deserialize, Serialize};
 
 use super::Seconds;
 use super::observe::StageRecord;
-use crate::densify::renew::Trial;
 use crate::schedule::{OptimiserStep, Phase};
 use columns::ColumnReader;
 pub use joint::JointWriter;
@@ -80,8 +79,8 @@ pub struct Checkpoint {
     pub progress: Progress,
     /// What the device held.
     pub state: DeviceState,
-    /// The renewal that is on trial.
-    pub trial: Option<Trial>,
+    /// What is reported of the renewal on trial, if there is one; the state before it is the snapshot in `state`.
+    pub trial: Option<StageRecord>,
 }
 
 /// Why a checkpoint cannot be read.
@@ -100,7 +99,11 @@ pub enum CheckpointError {
 }
 
 impl Checkpoint {
-    /// Writes the checkpoint; wrap files in a `BufWriter`.
+    /// Writes the checkpoint; wrap files in a `BufWriter`. A snapshot that no trial goes back to is left out.
+    ///
+    /// # Panics
+    ///
+    /// Where a trial has no snapshot.
     pub fn write(&self, writer: impl Write) -> io::Result<()> {
         self.write_together(writer, &Alone)
     }
@@ -112,7 +115,8 @@ impl Checkpoint {
         out.value(&self.cursor);
         out.value(&self.progress);
         out.state(&self.state)?;
-        out.trial(self.trial.as_ref())?;
+        let snapshot = || self.state.snapshot.as_ref().expect("a trial has a snapshot to go back to");
+        out.trial(self.trial.as_ref().map(|record| (record, snapshot())))?;
         let Summed { mut inner, sum, .. } = out.finish()?;
         inner.write_all(&sum.to_le_bytes())?;
         inner.flush()
@@ -133,7 +137,9 @@ impl Checkpoint {
             return Err(CheckpointError::Foreign);
         }
         let (cursor, progress) = (columns.value()?, columns.value()?);
-        let checkpoint = Self { cursor, progress, state: columns.state()?, trial: columns.trial()? };
+        let state = columns.state()?;
+        let (trial, snapshot) = columns.trial()?.unzip();
+        let checkpoint = Self { cursor, progress, state: DeviceState { snapshot, ..state }, trial };
         let (mut sum, Summed { mut inner, sum: expected, .. }) = ([0; 8], columns.input);
         inner.read_exact(&mut sum)?;
         if u64::from_le_bytes(sum) != expected {
@@ -150,7 +156,7 @@ impl Checkpoint {
         if self.progress.sh_degree_start > SH_DEGREE_MAX {
             return Err(CheckpointError::Damaged("it names a degree of spherical harmonics that there is not"));
         }
-        let DeviceState { cloud, moments, statistics, mean } = &self.state;
+        let DeviceState { cloud, moments, statistics, mean, snapshot } = &self.state;
         let n = cloud.len();
         let genes = [statistics.gene_gradient_sum.len(), statistics.gene_views.len()];
         let consistent = cloud.is_consistent()
@@ -158,11 +164,17 @@ impl Checkpoint {
             && [statistics.gradient_sum.len(), statistics.weight_sum.len()] == [n, n]
             && [0, n].contains(&statistics.absolute_sum.len())
             && (genes == [n, n] || genes == [0, 0])
-            && self.trial.as_ref().is_none_or(Trial::is_consistent)
+            && self.trial.is_none_or(|record| record.guard_psnr.is_some())
+            && snapshot.as_ref().is_none_or(is_consistent)
             && mean.mean().is_consistent()
             && [0, n].contains(&mean.mean().len());
         if consistent { Ok(()) } else { Err(CheckpointError::Damaged("its columns differ in length")) }
     }
+}
+
+/// All columns have the same number of rows.
+fn is_consistent(snapshot: &Snapshot) -> bool {
+    snapshot.cloud.is_consistent() && snapshot.moments.is_consistent(snapshot.cloud.len())
 }
 
 #[cfg(test)]
@@ -213,8 +225,9 @@ mod tests {
                     gene_views: vec![7, 8, 9],
                 },
                 mean: StateMean::new(4, Gaussians::zeros(3)),
+                snapshot: Some(Snapshot { cloud: Gaussians::zeros(2), moments: Moments::zeros(2) }),
             },
-            trial: Some(Trial { record: stage, cloud: Gaussians::zeros(2), moments: Moments::zeros(2) }),
+            trial: Some(stage),
         }
     }
 
@@ -229,7 +242,7 @@ mod tests {
         let mut checkpoint = example();
         assert_eq!(Checkpoint::read(bytes(&checkpoint).as_slice()).unwrap(), checkpoint);
         checkpoint.state.cloud.filter_3d = None;
-        checkpoint.trial = None;
+        (checkpoint.trial, checkpoint.state.snapshot) = (None, None);
         checkpoint.state.statistics.gene_gradient_sum.clear();
         checkpoint.state.statistics.gene_views.clear();
         checkpoint.state.statistics.absolute_sum.clear();
@@ -254,7 +267,7 @@ mod tests {
         cloud.append(rest.state.cloud);
         assert_eq!(cloud, checkpoint.state.cloud);
         assert_eq!([first.state.statistics.gene_views, rest.state.statistics.gene_views].concat(), [7, 8, 9]);
-        assert_eq!((rest.state.moments.pending.sh[0][4], rest.trial.unwrap().cloud.len()), (0.5, 1));
+        assert_eq!((rest.state.moments.pending.sh[0][4], rest.state.snapshot.unwrap().cloud.len()), (0.5, 1));
         let none = read(&|_| 0..0);
         assert_eq!((none.cursor, &none.progress), (checkpoint.cursor, &checkpoint.progress));
         assert_eq!((none.state.cloud.len(), none.state.cloud.filter_3d), (0, Some(Vec::new())));
@@ -292,7 +305,7 @@ mod tests {
             |checkpoint| _ = checkpoint.state.cloud.sh.pop(),
             |checkpoint| _ = checkpoint.state.moments.second.rotations.pop(),
             |checkpoint| _ = checkpoint.state.moments.pending.positions.pop(),
-            |checkpoint| _ = checkpoint.trial.as_mut().unwrap().cloud.log_scales.pop(),
+            |checkpoint| _ = checkpoint.state.snapshot.as_mut().unwrap().cloud.log_scales.pop(),
             |checkpoint| {
                 let mut mean = Gaussians::zeros(3);
                 mean.sh.pop();
