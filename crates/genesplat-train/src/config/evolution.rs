@@ -117,18 +117,20 @@ pub struct RenewalConfig {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub until: Option<f64>,
     /// Factor on the number of Gaussians that the photos can determine, which the cloud may grow to: their pixels over
-    /// 2 · √photos, or those of one photo over 0.3, whichever is less. A lower `max_gaussians` counts. Default 1; 0 for
-    /// no such limit (with selection, 1,000,000 then).
+    /// 2 · √photos (and, of photos of more than 20,000 pixels, over the cube root of how many times more), or those of one photo
+    /// over 0.3, whichever is less. A lower `max_gaussians` counts. Default 1; 0 for no such limit (with selection, 1,000,000
+    /// then).
     pub capacity: f64,
     /// The cloud grows by selection, as Improved-GS's does: parents are drawn by the edges that they stand for, and what
     /// recovers slowly from an opacity reset goes. Settings that count iterations are then those of a run of 30,000, and
     /// scaled to the run. Default true; false for the variant's own density control below the same limit. (`pixel-gs`,
     /// `mcmc` and a `densify.signal` of one's own have that in any case.)
     pub selection: bool,
-    /// The cloud approaches its limit, whoever set it, evenly over density control; otherwise as fast as gradients ask, or with
-    /// selection along Improved-GS's root, as it does in runs of less than 5,000 iterations in any case. With `mcmc` it grows
+    /// The cloud approaches its limit, whoever set it, gradually over density control: evenly, and with selection by the power 1.5
+    /// of the iterations. Otherwise as fast as gradients ask, or with selection along Improved-GS's root, as it does in runs of
+    /// less than 5,000 iterations in any case. With `mcmc` it grows
     /// by `mcmc.growth` all the same. Default true.
-    pub even_growth: bool,
+    pub gradual_growth: bool,
     /// The mean of a window's states replaces the last one; without renewals the last two fifths of the run are the window.
     /// Default true.
     pub averaging: bool,
@@ -142,7 +144,7 @@ impl Default for RenewalConfig {
             until: None,
             capacity: 1.0,
             selection: true,
-            even_growth: true,
+            gradual_growth: true,
             averaging: true,
         }
     }

@@ -115,6 +115,10 @@ mod tests {
         let (width, height) = (400, 400);
         let photo = StoredPhoto::from(Photo { width, height, rgb: vec![0; 480_000] });
         let fine = vec![View { name: String::new(), camera, photo, mask: None }; 16];
-        assert_eq!(cap_from_photos(&fine, 1.0), 160_000, "16 · 160,000 pixels over 2 · √16, halved: eight times 20,000");
+        assert_eq!(
+            cap_from_photos(&fine, 1.0),
+            160_000,
+            "16 · 160,000 pixels over 2 · √16, halved: eight times 20,000"
+        );
     }
 }

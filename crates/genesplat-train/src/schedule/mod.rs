@@ -239,13 +239,13 @@ impl Schedule {
     /// Fraction of its limit that the cloud may have reached in iteration `i`, with adaptive density control.
     pub fn grown(&self, i: u32) -> f64 {
         let last = self.densify_until.saturating_sub(self.densify_every).max(1);
-        if self.grows_evenly() { (f64::from(i) / f64::from(last)).min(1.0) } else { 1.0 }
+        if self.grows_gradually() { (f64::from(i) / f64::from(last)).min(1.0) } else { 1.0 }
     }
 
-    /// In mode `renew` the cloud grows evenly over density control: what is wanted first, of photos that were hardly looked at,
+    /// In mode `renew` the cloud grows gradually over density control: what is wanted first, of photos that were hardly looked at,
     /// is not what is needed most, and a small cloud takes less time. (MCMC does not ask.)
-    fn grows_evenly(&self) -> bool {
-        self.renew_every.is_some() && self.config.evolution.renewal.even_growth
+    fn grows_gradually(&self) -> bool {
+        self.renew_every.is_some() && self.config.evolution.renewal.gradual_growth
     }
 
     /// Evolution stages were asked for, or controls in their place.

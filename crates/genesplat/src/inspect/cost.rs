@@ -18,9 +18,9 @@ const STEPS: u32 = 6;
 /// Bytes a Gaussian takes in training with evolution: parameters, moments, statistics, intersections, the mean of states.
 /// Peaks of `train SCENE --max-side 480 --iterations 7000`, photos taken off: fox 587 MB (226,487), plush 593 MB (202,254).
 const GAUSSIAN_BYTES: u64 = 2_600;
-/// Bytes a pixel of a training photo takes: itself, and what the loss keeps of it.
-const PIXEL_BYTES: u64 = 6;
-/// The cloud grows evenly, so that a step costs this fraction of the last one on average.
+/// Bytes of a pixel of a photo, as long as photos stay in memory.
+const PIXEL_BYTES: u64 = 3;
+/// The cloud grows gradually, so that a step costs this fraction of the last one on average.
 const MEAN_STEP: f64 = 0.75;
 
 /// At most: a cloud whose gradients ask for fewer Gaussians than its cap allows takes less of all three.
@@ -37,7 +37,7 @@ pub(super) fn estimate(scene: &Scene, settings: &Resolved) -> Result<Cost> {
     let seconds = seconds_a_step(&scene.train, grown(&scene.points, gaussians)?)?;
     Ok(Cost {
         gaussians,
-        memory_bytes: gaussians as u64 * GAUSSIAN_BYTES + pixels * PIXEL_BYTES,
+        memory_bytes: gaussians as u64 * GAUSSIAN_BYTES + (pixels * PIXEL_BYTES).min(scene::PHOTO_MEMORY),
         seconds: MEAN_STEP * seconds * f64::from(settings.schedule().iterations),
     })
 }
