@@ -16,14 +16,14 @@ use crate::drawing::{Canvas, Drawing};
 use crate::group::Group;
 use crate::shares::Shares;
 use crate::splats::Dealt;
-use crate::steps::{Task, VIEWS_OF_RANK};
-use crate::wire::{Reader, Writer, readers, reserve};
+use crate::steps::Task;
+use crate::wire::{Reader, Writer, reserve};
 
 /// A cloud whose rows are dealt out to ranks, each of which calls every verb with the same arguments.
 ///
 /// | verb | what is exchanged |
 /// |---|---|
-/// | `train_step` | splats, rows of the picture, sums of gradients; with several views a step, of up to two views a rank at once |
+/// | `train_step` | splats, rows of the picture, sums of gradients; with several views a step, of as many views as ranks at once |
 /// | `render`, `contributions`, `weigh`, `measure` | the same, as far as they need it |
 /// | `statistics`, `genes`, `contributions`, `weigh` | columns, to all: what is decided by them is decided by every rank |
 /// | `edit_rows`, `edit_rows_on_trial` | the rows that new ones are made of, to their new owners |
@@ -39,8 +39,7 @@ pub struct ClusterBackend {
     /// Holds the own rows, and all photos.
     pub(crate) own: CpuBackend,
     pub(crate) shares: Shares,
-    /// Of the views that this rank draws.
-    pub(crate) drawings: [Drawing; VIEWS_OF_RANK],
+    pub(crate) drawing: Drawing,
     /// Steps whose gradients wait for a later one.
     pub(crate) queue: Vec<TrainStep>,
     pub(crate) tasks: Vec<Task>,
@@ -58,7 +57,7 @@ impl ClusterBackend {
             shares: Shares::new(0, group.count()),
             group,
             own: CpuBackend::new(),
-            drawings: Default::default(),
+            drawing: Drawing::default(),
             queue: Vec::new(),
             tasks: Vec::new(),
             loads: Vec::new(),
@@ -119,7 +118,7 @@ impl ClusterBackend {
 
     /// Gives back what can be made again.
     fn free(&mut self) -> Result<(), BackendError> {
-        (self.drawings, self.tasks, self.whole) = Default::default();
+        (self.drawing, self.tasks, self.whole) = Default::default();
         self.own.discard_queued_steps().map(drop)
     }
 
@@ -230,11 +229,9 @@ impl Backend for ClusterBackend {
         let mut dealt = Dealt::default();
         let splats = self.own.project(&canvas.camera, settings, Held::Cloud);
         let parts = self.group.exchange(splats.map(|splats| canvas.deal(splats, &mut dealt)))?;
-        let [drawing, ..] = &mut self.drawings;
-        drawing.receive(&mut readers(&parts), (self.own.splats(), &dealt));
-        let drawn = drawing.draw(level, &canvas, settings);
-        let parts = self.group.exchange(drawn.map(|()| drawing.rows_for_all(&canvas)))?;
-        Ok(drawing.whole(&canvas, &parts))
+        let drawn = self.drawing.draw(level, &canvas, parts, (self.own.splats(), &dealt), settings);
+        let parts = self.group.exchange(drawn.map(|()| self.drawing.rows_for_all(&canvas)))?;
+        Ok(self.drawing.whole(&canvas, &parts))
     }
 
     /// Steps whose gradients wait for another are made with it: whole views are dealt out then.

@@ -104,18 +104,17 @@ pub(crate) struct PictureTotals {
 }
 
 impl Drawing {
-    /// Takes the splats that others have sent and `own` ones; each rank's message is read from where it stands.
-    pub(crate) fn receive(&mut self, parts: &mut [Reader<'_>], own: (&Splats, &Dealt)) {
-        self.received.collect(parts, own, &mut self.band.splats);
-    }
-
-    /// Draws the own band of the picture, of the splats that were received.
+    /// Draws the own band of the picture, of splats that others have sent and `own` ones.
     pub(crate) fn draw(
         &mut self,
         level: Level,
         canvas: &Canvas,
+        parts: Parts,
+        own: (&Splats, &Dealt),
         settings: &RenderSettings,
     ) -> Result<(), BackendError> {
+        self.received.collect(&parts, own, &mut self.band.splats);
+        drop(parts);
         self.band.ensure(self.received.count(), canvas.band.tiles())?;
         self.band.draw(level, (&canvas.camera, &canvas.band), settings);
         Ok(())
@@ -173,23 +172,28 @@ impl Drawing {
         gradient.resize(3 * rows.len() * width, 0.0);
     }
 
-    /// Appends the sums of gradients of each other rank's splats to what it gets.
+    /// The sums of gradients of each other rank's splats, after the `totals`, which all get.
     pub(crate) fn backward(
         &mut self,
         level: Level,
         canvas: &Canvas,
+        totals: impl FnOnce(&Self) -> Writer,
         signal: Option<DensitySignal>,
-        parts: &mut [Writer],
-    ) -> Result<(), BackendError> {
+    ) -> Result<Parts, BackendError> {
         self.band.ensure_gradient_rows()?;
         self.band.draw_backward(level, (&canvas.camera, &canvas.band), signal);
         let top = canvas.band.rows().start;
         #[cfg(test)]
         let top = if self.sums_by_rank { 0 } else { top };
-        for (rank, part) in parts.iter_mut().enumerate().filter(|(rank, _)| *rank != canvas.rank) {
-            self.received.sums(rank, &self.band, (top, canvas.down()), columns_of(signal), part);
-        }
-        Ok(())
+        let totals = totals(self);
+        let of_rank = |rank| {
+            let mut part = totals.clone();
+            if rank != canvas.rank {
+                self.received.sums(rank, &self.band, (top, canvas.down()), columns_of(signal), &mut part);
+            }
+            part.words
+        };
+        Ok((0..canvas.ranks).map(of_rank).collect())
     }
 
     /// Sums the gradients of the own splats; each rank's message is read from where it stands.
@@ -240,12 +244,15 @@ impl PictureTotals {
         Self { sums: vec![[0.0; 2]; 3 * canvas.height()], ..Self::default() }
     }
 
-    /// Sums and counts of the own band.
-    pub(crate) fn write(drawing: &Drawing, canvas: &Canvas, totals: &mut Writer) {
+    /// Sums and counts of the own band, and how many own splats each view has.
+    pub(crate) fn write(drawing: &Drawing, canvas: &Canvas, visible: &[usize]) -> Writer {
+        let mut totals = Writer::default();
         totals.doubles(drawing.sums.as_flattened());
         let starts = drawing.band.bins.tile_starts.iter().step_by(canvas.camera.grid()[0].max(1));
         let starts: Vec<u32> = starts.copied().collect();
         totals.words.extend(starts.windows(2).map(|pair| pair[1] - pair[0]));
+        visible.iter().for_each(|&count| totals.count(count));
+        totals
     }
 
     /// Reads what [`Self::write`] wrote on a rank that draws this picture; ranks come in their order.

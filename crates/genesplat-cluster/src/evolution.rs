@@ -13,7 +13,7 @@ use crate::backend::ClusterBackend;
 use crate::drawing::{Canvas, Drawing};
 use crate::shares::{Shares, places_in};
 use crate::splats::Dealt;
-use crate::wire::{Writer, readers};
+use crate::wire::{Reader, Writer};
 
 impl ClusterBackend {
     /// Draws a training view, and finds in the place of the image's gradient what `fill` says; leaves the sums of the own
@@ -28,16 +28,14 @@ impl ClusterBackend {
         let splats = self.own.project(&canvas.camera, settings, Held::Cloud);
         let mut dealt = Dealt::default();
         let parts = self.group.exchange(splats.map(|splats| canvas.deal(splats, &mut dealt)))?;
-        let [drawing, ..] = &mut self.drawings;
-        drawing.receive(&mut readers(&parts), (self.own.splats(), &dealt));
-        let parts = drawing.draw(level, &canvas, settings).and_then(|()| {
-            fill(drawing, &canvas, self.own.view(view).1)?;
-            let mut parts = vec![Writer::default(); self.group.count()];
-            drawing.backward(level, &canvas, None, &mut parts)?;
-            Ok(parts.into_iter().map(|part| part.words).collect())
+        let drawn = self.drawing.draw(level, &canvas, parts, (self.own.splats(), &dealt), settings);
+        let parts = drawn.and_then(|()| {
+            fill(&mut self.drawing, &canvas, self.own.view(view).1)?;
+            self.drawing.backward(level, &canvas, |_| Writer::default(), None)
         });
         let parts = self.group.exchange(parts)?;
-        drawing.add(self.own.splats(), &dealt, &mut readers(&parts), None);
+        let mut parts: Vec<Reader<'_>> = parts.iter().map(|part| Reader::new(part)).collect();
+        self.drawing.add(self.own.splats(), &dealt, &mut parts, None);
         Ok(())
     }
 
@@ -47,13 +45,11 @@ impl ClusterBackend {
         let splats = self.own.project(&canvas.camera, settings, held);
         let mut dealt = Dealt::default();
         let parts = self.group.exchange(splats.map(|splats| canvas.deal(splats, &mut dealt)))?;
-        let [drawing, ..] = &mut self.drawings;
-        drawing.receive(&mut readers(&parts), (self.own.splats(), &dealt));
-        let drawn = drawing.draw(level, &canvas, settings);
+        let drawn = self.drawing.draw(level, &canvas, parts, (self.own.splats(), &dealt), settings);
         let target = self.own.view(view).1;
-        let parts = self.group.exchange(drawn.and_then(|()| drawing.rows_for_loss(&canvas, target)))?;
-        drawing.loss(level, &canvas, target, &parts, false);
-        let parts = self.group.gather(Ok(drawing.measures(&canvas)))?;
+        let parts = self.group.exchange(drawn.and_then(|()| self.drawing.rows_for_loss(&canvas, target)))?;
+        self.drawing.loss(level, &canvas, target, &parts, false);
+        let parts = self.group.gather(Ok(self.drawing.measures(&canvas)))?;
         let (sums, errors) = Drawing::measured(&canvas, &parts);
         Ok(ViewLoss { loss: loss_of_sums(&sums, target.size()), squared_error: mean_squared_error(&errors, target) })
     }
@@ -122,7 +118,7 @@ impl EvolutionBackend for ClusterBackend {
                 Ok(())
             })?;
             let mut sums = vec![0.0; self.own.cloud().len()];
-            add_weights_of(self.own.splats(), &self.drawings[0].gradients, &mut sums);
+            add_weights_of(self.own.splats(), &self.drawing.gradients, &mut sums);
             self.gather(&sums)
         };
         views.iter().map(of_view).collect()
@@ -134,7 +130,7 @@ impl EvolutionBackend for ClusterBackend {
         let mut own = vec![Contribution::default(); self.own.cloud().len()];
         for &view in views {
             self.backward(view, settings, |drawing, canvas, target| drawing.ones_and_errors(canvas, target))?;
-            add_contributions_of(self.own.splats(), &self.drawings[0].gradients, &mut own);
+            add_contributions_of(self.own.splats(), &self.drawing.gradients, &mut own);
         }
         let pairs: Vec<[f32; 2]> = own.iter().map(|&Contribution { weight, error }| [weight, error]).collect();
         let all = self.gather(&pairs)?;

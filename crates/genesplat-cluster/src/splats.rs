@@ -34,18 +34,16 @@ impl Dealt {
         self.own = own;
         self.indices.resize_with(ranks, Vec::new);
         self.indices.iter_mut().for_each(Vec::clear);
+        let mut parts = vec![Writer::default(); ranks];
         for (index, splat) in splats.iter() {
-            bands.reached(&tile_rows(splat, down)).for_each(|rank| self.indices[rank].push(index));
-        }
-        let part = |(rank, indices): (usize, &Vec<u32>)| {
-            let mut out = Writer::default();
-            if rank != own {
-                out.count(indices.len());
-                indices.iter().for_each(|&index| out.rows(&[written(splats.get(index))]));
+            for rank in bands.reached(&tile_rows(splat, down)) {
+                self.indices[rank].push(index);
+                if rank != own {
+                    parts[rank].rows(&[written(splat)]);
+                }
             }
-            out.words
-        };
-        self.indices.iter().enumerate().map(part).collect()
+        }
+        parts.into_iter().map(|part| part.words).collect()
     }
 
     /// Of this rank nothing is sent.
@@ -86,17 +84,17 @@ pub(crate) struct Received {
 impl Received {
     /// Makes what others have sent and the `own` ones the splats of a view: ranks hold rows in order, so ties of depth break
     /// as they do in one process.
-    pub(crate) fn collect(&mut self, parts: &mut [Reader<'_>], (own, dealt): (&Splats, &Dealt), splats: &mut Splats) {
+    pub(crate) fn collect(&mut self, parts: &[Vec<u32>], (own, dealt): (&Splats, &Dealt), splats: &mut Splats) {
+        let of_others = |part: &Vec<u32>| size_of_val(part.as_slice()) / size_of::<SentSplat>();
         self.own = dealt.own;
         self.starts.clear();
         self.starts.push(0);
         splats.clear();
-        for (rank, part) in parts.iter_mut().enumerate() {
+        for (rank, part) in parts.iter().enumerate() {
             if rank == dealt.own {
                 splats.extend(dealt.own().iter().map(|&index| *own.get(index)));
             } else {
-                let count = part.count();
-                splats.extend(part.rows::<SentSplat>(count).iter().map(read));
+                splats.extend(Reader::new(part).rows::<SentSplat>(of_others(part)).iter().map(read));
             }
             self.starts.push(splats.len());
         }

@@ -177,7 +177,7 @@ fn selection_averages_and_renewals_have_the_same_bytes_on_any_number_of_ranks() 
 fn sums_in_the_order_of_the_ranks_are_noticed() {
     let config = config(Variant::ThreeDgs, EvolutionMode::Off, 1);
     let expected = alone(&config, Start::Points(points()));
-    let Joint { outcome, .. } = on_ranks(4, &config, from_points, |backend| backend.drawings[0].sums_by_rank = true, 0);
+    let Joint { outcome, .. } = on_ranks(4, &config, from_points, |backend| backend.drawing.sums_by_rank = true, 0);
     assert!(bits(&outcome.cloud) != bits(&expected.cloud));
 }
 

@@ -78,11 +78,6 @@ pub(crate) fn reserve(table: &mut Gaussians, rows: usize) {
     table.sh.reserve_exact(rows);
 }
 
-/// Readers of messages, one from each rank.
-pub(crate) fn readers(parts: &[Vec<u32>]) -> Vec<Reader<'_>> {
-    parts.iter().map(|part| Reader::new(part)).collect()
-}
-
 impl<'a> Reader<'a> {
     pub(crate) fn new(words: &'a [u32]) -> Self {
         Self { words }
