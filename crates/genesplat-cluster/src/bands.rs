@@ -10,6 +10,8 @@ const TILE_LOAD: usize = 48;
 pub(crate) struct Bands {
     /// Where each begins; one more at the end.
     starts: Vec<usize>,
+    /// The rank of each row of tiles.
+    rank_of_row: Vec<usize>,
 }
 
 impl Bands {
@@ -28,7 +30,13 @@ impl Bands {
             let is_nearer = above > 0 && wanted - sums[above - 1] < sums[above] - wanted;
             if is_nearer { above - 1 } else { above }
         };
-        Self { starts: (0..count).map(start).chain([down]).collect() }
+        Self::from_starts((0..count).map(start).chain([down]).collect())
+    }
+
+    fn from_starts(starts: Vec<usize>) -> Self {
+        let bands = starts.windows(2).enumerate();
+        let rank_of_row = bands.flat_map(|(rank, band)| std::iter::repeat_n(rank, band[1] - band[0])).collect();
+        Self { starts, rank_of_row }
     }
 
     /// The rows of one rank.
@@ -38,10 +46,12 @@ impl Bands {
 
     /// The ranks that draw some of `rows`.
     pub(crate) fn reached(&self, rows: &Range<usize>) -> impl Iterator<Item = usize> {
-        let ranks = self.starts.len() - 1;
-        let first = self.starts.partition_point(|&start| start <= rows.start).saturating_sub(1);
-        let end = if rows.is_empty() { 0 } else { rows.end };
-        (first..ranks).take_while(move |&rank| self.starts[rank] < end).filter(|&rank| !self.of(rank).is_empty())
+        let ranks = match self.rank_of_row[rows.clone()] {
+            [] => 0..0,
+            [first, .., last] => first..last + 1,
+            [only] => only..only + 1,
+        };
+        ranks.filter(|&rank| !self.of(rank).is_empty())
     }
 }
 
@@ -63,7 +73,7 @@ mod tests {
 
     #[test]
     fn rows_reach_the_bands_that_they_meet() {
-        let bands = Bands { starts: vec![0, 3, 3, 5, 8] };
+        let bands = Bands::from_starts(vec![0, 3, 3, 5, 8]);
         let reached = |rows: Range<usize>| bands.reached(&rows).collect::<Vec<_>>();
         assert_eq!(reached(0..3), [0]);
         assert_eq!(reached(2..4), [0, 2]);

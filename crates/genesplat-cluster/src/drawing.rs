@@ -5,11 +5,12 @@ use std::ops::Range;
 
 use genesplat_core::{BackendError, DensitySignal, Image, RenderSettings};
 use genesplat_kernels::cpu::stages::{
-    Band, GradientRow, LOSS_REACH, Level, Splats, columns_of, loss_of_rows, ones_and_errors, squared_errors,
+    Band, LOSS_REACH, Level, SplatGradients, Splats, columns_of, loss_of_rows, ones_and_errors, squared_errors,
 };
 use genesplat_kernels::cpu::{Pinhole, Target, ViewBuffers};
 
 use crate::bands::Bands;
+use crate::gradients::Gradients;
 use crate::group::Group;
 use crate::picture::{PictureRows, part};
 use crate::splats::{Dealt, Received};
@@ -85,8 +86,8 @@ pub(crate) struct Drawing {
     near: PictureRows,
     /// Sums over the own band, row by row.
     sums: Vec<[f64; 2]>,
-    /// Sums of gradient rows of the own splats, by index.
-    pub(crate) gradients: Vec<GradientRow>,
+    /// Those of the own splats.
+    gradients: Gradients,
     /// Sums over bands for every splat, as a mistake would make them.
     #[cfg(test)]
     pub(crate) sums_by_rank: bool,
@@ -196,7 +197,7 @@ impl Drawing {
         Ok((0..canvas.ranks).map(of_rank).collect())
     }
 
-    /// Sums the gradients of the own splats; each rank's message is read from where it stands.
+    /// Takes the gradients of the own splats; each rank's message is read from where it stands.
     pub(crate) fn add(
         &mut self,
         splats: &Splats,
@@ -204,15 +205,19 @@ impl Drawing {
         parts: &mut [Reader<'_>],
         signal: Option<DensitySignal>,
     ) {
-        self.gradients.clear();
-        self.gradients.resize(splats.capacity(), GradientRow::default());
+        self.gradients.clear(splats.capacity());
         for (rank, part) in parts.iter_mut().enumerate() {
             if dealt.is_own(rank) {
-                self.received.add_own(dealt, &self.band, &mut self.gradients);
+                self.received.add_drawn(dealt, &self.band, &mut self.gradients);
             } else {
-                dealt.add(rank, part, columns_of(signal), &mut self.gradients);
+                dealt.add(rank, part, columns_of(signal), &self.band, &mut self.gradients);
             }
         }
+    }
+
+    /// The gradients that [`Self::add`] took.
+    pub(crate) fn gradients(&self) -> impl SplatGradients + '_ {
+        self.gradients.of_splats(&self.band)
     }
 
     /// The own sums of the loss and of squared errors, for all.

@@ -7,7 +7,7 @@ use genesplat_core::{
     SparseDelta, ViewLoss,
 };
 use genesplat_kernels::cpu::Target;
-use genesplat_kernels::cpu::stages::{add_contributions_of, add_weights_of, loss_of_sums, mean_squared_error};
+use genesplat_kernels::cpu::stages::{add_contributions, add_weights, loss_of_sums, mean_squared_error};
 
 use crate::backend::ClusterBackend;
 use crate::drawing::{Canvas, Drawing};
@@ -118,7 +118,7 @@ impl EvolutionBackend for ClusterBackend {
                 Ok(())
             })?;
             let mut sums = vec![0.0; self.own.cloud().len()];
-            add_weights_of(self.own.splats(), &self.drawing.gradients, &mut sums);
+            add_weights(self.own.splats(), &self.drawing.gradients(), &mut sums);
             self.gather(&sums)
         };
         views.iter().map(of_view).collect()
@@ -130,7 +130,7 @@ impl EvolutionBackend for ClusterBackend {
         let mut own = vec![Contribution::default(); self.own.cloud().len()];
         for &view in views {
             self.backward(view, settings, |drawing, canvas, target| drawing.ones_and_errors(canvas, target))?;
-            add_contributions_of(self.own.splats(), &self.drawing.gradients, &mut own);
+            add_contributions(self.own.splats(), &self.drawing.gradients(), &mut own);
         }
         let pairs: Vec<[f32; 2]> = own.iter().map(|&Contribution { weight, error }| [weight, error]).collect();
         let all = self.gather(&pairs)?;

@@ -18,6 +18,7 @@ mod backend;
 mod bands;
 mod drawing;
 mod evolution;
+mod gradients;
 mod group;
 mod picture;
 mod ranks;

@@ -7,6 +7,7 @@ use genesplat_kernels::cpu::ViewBuffers;
 use genesplat_kernels::cpu::stages::{GradientRow, Splat, Splats, tile_rows};
 
 use crate::bands::Bands;
+use crate::gradients::Gradients;
 use crate::wire::{Reader, Writer};
 
 /// What blending needs of a splat, 48 bytes.
@@ -58,7 +59,14 @@ impl Dealt {
 
     /// Adds what `rank` has summed for the splats that it was sent. Bands lie in the order of the ranks, so a splat's tiles
     /// are added in their order where ranks come in theirs.
-    pub(crate) fn add(&self, rank: usize, input: &mut Reader<'_>, columns: &[usize], sums: &mut [GradientRow]) {
+    pub(crate) fn add(
+        &self,
+        rank: usize,
+        input: &mut Reader<'_>,
+        columns: &[usize],
+        band: &ViewBuffers,
+        gradients: &mut Gradients,
+    ) {
         for &index in &self.indices[rank] {
             let rows = input.words(1)[0];
             for _ in 0..rows {
@@ -67,7 +75,7 @@ impl Dealt {
                     .iter()
                     .zip(input.rows::<f32>(columns.len()))
                     .for_each(|(&column, &value)| row.0[column] = value);
-                sums[index as usize].add(&row);
+                gradients.sum_mut(index, band).add(&row);
             }
         }
     }
@@ -108,11 +116,10 @@ impl Received {
         self.starts[rank]..self.starts[rank + 1]
     }
 
-    /// Adds the rows of the own splats, tile after tile, to the sums of all of them.
-    pub(crate) fn add_own(&self, dealt: &Dealt, band: &ViewBuffers, sums: &mut [GradientRow]) {
-        for (index, &splat) in self.of(self.own).zip(dealt.own()) {
-            band.prefetch_gradient_rows(index + AHEAD);
-            band.gradient_rows_of(index).for_each(|row| sums[splat as usize].add(row));
+    /// Adds the rows of the own splats that were drawn here.
+    pub(crate) fn add_drawn(&self, dealt: &Dealt, band: &ViewBuffers, gradients: &mut Gradients) {
+        for (drawn, &splat) in self.of(self.own).zip(dealt.own()) {
+            gradients.add_drawn(splat, drawn, band);
         }
     }
 

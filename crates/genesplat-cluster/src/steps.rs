@@ -120,7 +120,7 @@ impl ClusterBackend {
         for (step, task) in steps.iter().zip(&mut self.tasks) {
             self.drawing.add(&task.splats, &task.dealt, parts, step.statistics.density);
             self.own.swap_splats(&mut task.splats);
-            self.own.finish_step(step, &self.drawing.gradients, share);
+            self.own.finish_step(step, self.drawing.gradients(), share);
             self.own.swap_splats(&mut task.splats);
         }
     }

@@ -6,9 +6,8 @@ use genesplat_core::{
 };
 
 use super::backend::{CpuBackend, TrainView};
-use super::blend::gradient_row::GradientRow;
 use super::loss::Target;
-use super::update::{Share, Summed, UpdateInputs, update};
+use super::update::{Share, SplatGradients, UpdateInputs, update};
 use super::view::{Pinhole, Splats, project::project, timed};
 
 /// Whoever rolls back has taken a snapshot.
@@ -101,12 +100,11 @@ impl CpuBackend {
         self.project(&camera, &step.settings, Held::Cloud)
     }
 
-    /// The end of a step: `sums` are those of the gradient rows of each of the splats that were projected last, by index.
-    pub fn finish_step(&mut self, step: &TrainStep, sums: &[GradientRow], share: Share) {
+    /// The end of a step: `gradients` are those of the splats that were projected last.
+    pub fn finish_step(&mut self, step: &TrainStep, gradients: impl SplatGradients, share: Share) {
         let TrainView { camera, target } = &self.views[step.view];
         let (buffers, settings, is_masked) = (&mut self.buffers, &step.settings, target.mask.is_some());
-        let inputs =
-            UpdateInputs { splats: &buffers.splats, gradients: Summed(sums), camera, settings, is_masked, share };
+        let inputs = UpdateInputs { splats: &buffers.splats, gradients, camera, settings, is_masked, share };
         let (cloud, moments, statistics) = (&mut self.cloud, &mut self.moments, &mut self.statistics);
         timed(&mut buffers.seconds.update, || update(self.level, &inputs, cloud, moments, statistics, step));
         self.count(step);

@@ -9,10 +9,10 @@ use fearless_simd::Level;
 use genesplat_core::{Contribution, Gaussians, Image, PhotoLost, RenderSettings};
 use rayon::prelude::*;
 
-use super::gradient_row::{GradientRow, column};
+use super::gradient_row::column;
 use super::rasterise_backward::rasterise_backward;
 use crate::cpu::loss::{PhotoRows, Target};
-use crate::cpu::update::{ByTile, SplatGradients, Summed};
+use crate::cpu::update::{ByTile, SplatGradients};
 use crate::cpu::view::{Band, CHUNK, Pinhole, Splats, ViewBuffers};
 
 /// The sums of `map` `[H, W]` in the place of errors, of one view `[N]`.
@@ -35,7 +35,7 @@ pub(crate) fn weigh(
 }
 
 /// What the backward blending has summed for red, by row.
-pub(crate) fn add_weights(splats: &Splats, gradients: &impl SplatGradients, sums: &mut [f32]) {
+pub fn add_weights(splats: &Splats, gradients: &impl SplatGradients, sums: &mut [f32]) {
     each_splat(splats, gradients, sums, |total, [sum, _]| *total = sum);
 }
 
@@ -58,21 +58,11 @@ pub(crate) fn contribution(
 }
 
 /// Adds what the backward blending has summed for red and for green to the contributions of their rows.
-pub(crate) fn add_contributions(splats: &Splats, gradients: &impl SplatGradients, contributions: &mut [Contribution]) {
+pub fn add_contributions(splats: &Splats, gradients: &impl SplatGradients, contributions: &mut [Contribution]) {
     each_splat(splats, gradients, contributions, |total, [weight, error]| {
         total.weight += weight;
         total.error = total.error.max(error);
     });
-}
-
-/// What the backward blending has summed for red, by row, from sums of gradient rows, by index.
-pub fn add_weights_of(splats: &Splats, sums: &[GradientRow], weights: &mut [f32]) {
-    add_weights(splats, &Summed(sums), weights);
-}
-
-/// Adds what the backward blending has summed for red and for green to contributions, from sums of gradient rows, by index.
-pub fn add_contributions_of(splats: &Splats, sums: &[GradientRow], contributions: &mut [Contribution]) {
-    add_contributions(splats, &Summed(sums), contributions);
 }
 
 fn by_tile(buffers: &ViewBuffers) -> ByTile<'_> {
@@ -89,7 +79,7 @@ fn each_splat<T: Send>(
     totals.par_chunks_mut(CHUNK).enumerate().for_each(|(chunk, totals)| {
         let first = chunk * CHUNK;
         for (index, splat) in (first..).zip(splats.chunk(chunk)) {
-            let sums = gradients.sum(index);
+            let sums = gradients.sum(index).0;
             add(&mut totals[splat.row as usize - first], [sums[column::RED], sums[column::RED + 1]]);
         }
     });

@@ -2,15 +2,15 @@
 
 use super::super::bin::Bins;
 use super::super::blend::gradient_row::GradientRow;
-use crate::cpu::simd::{LANES, prefetch};
+use crate::cpu::simd::prefetch;
 
-/// The gradient rows of the splats of a view.
-pub(crate) trait SplatGradients: Sync {
+/// The gradient rows of the splats of a view, by index.
+pub trait SplatGradients: Sync {
     /// Asks the machine to bring those of a splat near.
     fn prefetch(&self, splat: usize);
 
     /// Their sum, tile after tile.
-    fn sum(&self, splat: usize) -> [f32; LANES];
+    fn sum(&self, splat: usize) -> GradientRow;
 }
 
 /// As the backward blending leaves them: one row for each intersection.
@@ -28,26 +28,11 @@ impl SplatGradients for ByTile<'_> {
     }
 
     #[inline(always)]
-    fn sum(&self, splat: usize) -> [f32; LANES] {
+    fn sum(&self, splat: usize) -> GradientRow {
         let mut sum = GradientRow::default();
         for &place in self.bins.places_of(splat) {
             sum.add(&self.rows[place as usize]);
         }
-        sum.0
-    }
-}
-
-/// Sums that somebody else has made: one row for each slot.
-pub(crate) struct Summed<'a>(pub &'a [GradientRow]);
-
-impl SplatGradients for Summed<'_> {
-    #[inline(always)]
-    fn prefetch(&self, _: usize) {
-        // They lie in the order in which they are read.
-    }
-
-    #[inline(always)]
-    fn sum(&self, splat: usize) -> [f32; LANES] {
-        self.0[splat].0
+        sum
     }
 }

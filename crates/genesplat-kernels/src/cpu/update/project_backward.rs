@@ -32,7 +32,7 @@ pub(crate) fn project_backward<S: Simd>(
         let mut sums = [[0.0f32; LANES]; LANES];
         for lane in 0..splats.len() {
             let row = inputs.gradients.sum(view.first_row + group * LANES + lane);
-            for (column, value) in sums.iter_mut().zip(row) {
+            for (column, value) in sums.iter_mut().zip(row.0) {
                 column[lane] = value;
             }
         }
