@@ -35,6 +35,8 @@ pub enum Stream {
     Test = 13,
     /// Which Gaussians Improved-GS splits: (iteration, row, 0).
     SplitChoice = 14,
+    /// Which Gaussians a pair of parents may exchange: (generation, pair, draw / 4).
+    CrossoverSelection = 15,
 }
 
 /// The random numbers of one seed.

@@ -16,13 +16,18 @@ pub struct PaperConfig {
     /// Fraction of the population carried over unchanged. Default 0.10; `round(fraction * P)` must be below P.
     pub elite_fraction: f64,
     /// Fraction of the Gaussians that a mutation may touch, drawn afresh for each individual: exactly `round(fraction *
-    /// N)`, and at least one. Default 0.10; above 0, up to 1. (Table 1 says "subject to crossover and mutation", but
-    /// section 3.1 defines crossover on whole parameter vectors.)
+    /// N)`, and at least one. Default 0.10; above 0, up to 1.
     pub selection_fraction: f64,
+    /// How these are drawn. Default uniformly.
+    pub selected_by: SelectedBy,
+    /// Which Gaussians two parents may exchange. Default all: section 3.1 defines crossover on whole parameter vectors.
+    pub crossover_of: CrossoverOf,
     /// alpha of Eq. 4: the step in units of `u_i` times the parameter's standard deviation. Default 0.10; from 0.
     pub intensity: f64,
     /// Probability that a gene group of a selected Gaussian mutates in the initial population. Default 0.03; 0 to 1.
     pub initial_mutation_rate: f64,
+    /// Which way the genes of the initial population move. Default at random.
+    pub initial_direction: InitialDirection,
     /// The same in the early, middle and late generations. Default 0.15, 0.05, 0.02; each 0 to 1.
     pub mutation_rates: [f64; 3],
     /// Probability that a pair of parents is crossed rather than copied, in the early, middle and late generations.
@@ -65,6 +70,43 @@ pub enum Magnitude {
     Unit,
 }
 
+/// How the Gaussians that a mutation may touch are drawn.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum SelectedBy {
+    /// Every subset is equally likely.
+    #[default]
+    Chance,
+    /// In proportion to the error that each Gaussian has a part in: its blending weights times the pixels' errors, summed
+    /// over a view, the largest of the fitness views. A Gaussian that would be drawn twice is drawn once, so there may be
+    /// fewer. (Future work of the paper.)
+    Error,
+}
+
+/// Which Gaussians two parents may exchange.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum CrossoverOf {
+    /// All, as section 3.1 has it.
+    #[default]
+    All,
+    /// A selection, drawn for each pair as one for a mutation is, as Table 1 may be read: "percentage of Gaussians subject
+    /// to crossover and mutation".
+    Selected,
+}
+
+/// Which way the genes of the initial population move.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum InitialDirection {
+    /// Either way, by Eq. 4.
+    #[default]
+    Random,
+    /// As far, but against the sign of the accumulated gradient; a gene without one moves at random. (An informed initial
+    /// population: future work of the paper.)
+    Downhill,
+}
+
 impl Default for Crossover {
     fn default() -> Self {
         Self::Points { points: 100 }
@@ -79,8 +121,11 @@ impl Default for PaperConfig {
             tournament: 10,
             elite_fraction: 0.10,
             selection_fraction: 0.10,
+            selected_by: SelectedBy::default(),
+            crossover_of: CrossoverOf::default(),
             intensity: 0.10,
             initial_mutation_rate: 0.03,
+            initial_direction: InitialDirection::default(),
             mutation_rates: [0.15, 0.05, 0.02],
             crossover_rates: [0.85, 0.70, 0.50],
             rate_breaks: [0.30, 0.70],
@@ -102,7 +147,12 @@ pub struct Rates {
 impl PaperConfig {
     /// True when a search needs [`crate::GeneGradients`].
     pub fn uses_gradients(&self) -> bool {
-        self.magnitude == Magnitude::Gradient
+        self.magnitude == Magnitude::Gradient || self.initial_direction == InitialDirection::Downhill
+    }
+
+    /// True when a search needs the errors that Gaussians have a part in.
+    pub fn uses_errors(&self) -> bool {
+        self.selected_by == SelectedBy::Error
     }
 
     /// E, individuals carried over unchanged.
@@ -183,9 +233,14 @@ pub enum ConfigError {
         /// What it may be.
         allowed: &'static str,
     },
-    /// [`Magnitude::Gradient`] without gradients.
-    #[error("magnitude is \"gradient\", but no gene gradients were accumulated; set it to \"unit\"")]
+    /// [`Magnitude::Gradient`] or [`InitialDirection::Downhill`] without gradients.
+    #[error(
+        "no gene gradients were accumulated; set magnitude to \"unit\" and initial_direction to \"random\", which need none"
+    )]
     MissingGradients,
+    /// [`SelectedBy::Error`] without an error that is above 0 and finite, or with errors of another cloud.
+    #[error("no Gaussian can be drawn by its error; set selected_by to \"chance\"")]
+    MissingErrors,
     /// Gradients of another cloud.
     #[error("there are gene gradients of {sums} Gaussians and view counts of {views}, but the base has {base}")]
     GradientRows {

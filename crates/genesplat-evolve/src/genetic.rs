@@ -11,8 +11,7 @@ use rayon::prelude::*;
 
 use crate::config::{ConfigError, PaperConfig};
 use crate::individual::Genome;
-use crate::operators::magnitude::GeneGradients;
-use crate::operators::mutation::{MAX_GAUSSIANS, Mutation, first_non_finite};
+use crate::operators::mutation::{MAX_GAUSSIANS, Mutation, Signals, first_non_finite};
 use crate::operators::survival::{LossStatistics, Ranking};
 use crate::population::consensus::Consensus;
 use crate::population::{Breeder, Brood, Elite, MatingPlan, Pair, distinct_bytes};
@@ -57,19 +56,20 @@ pub enum TellError {
 
 impl GeneticAlgorithm {
     /// A search that starts from mutants of `base` `[N, 7]`, whose own loss, measured as individuals will be, is
-    /// `base_loss`. `gradients` are needed when [`PaperConfig::uses_gradients`]. Give each search its own `rng`
+    /// `base_loss`. `signals` has what [`PaperConfig::uses_gradients`] and [`PaperConfig::uses_errors`] ask for. Give each search its own `rng`
     /// ([`Rng::fork`]).
     pub fn new(
         config: PaperConfig,
         base: Vec<Genes>,
-        gradients: Option<GeneGradients>,
+        signals: Signals,
         base_loss: f64,
         rng: Rng,
     ) -> Result<Self, ConfigError> {
         config.validate()?;
         check_base(&base, base_loss)?;
-        let mutation = Mutation::new(&config, &base, gradients, rng)?;
-        let breeder = Breeder { consensus: Consensus::new(base), mutation, crossover: config.crossover, rng };
+        let mutation = Mutation::new(&config, &base, signals, rng)?;
+        let PaperConfig { crossover, crossover_of, .. } = config;
+        let breeder = Breeder { consensus: Consensus::new(base), mutation, crossover, crossover_of, rng };
         let brood = Brood { count: config.population, pairs: Vec::new() };
         let (generation, elites, best, peak_bytes) = (0, Vec::new(), None, 0);
         let mut search = Self { config, breeder, generation, elites, brood, base_loss, best, peak_bytes };

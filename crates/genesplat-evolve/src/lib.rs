@@ -6,7 +6,7 @@
 //!
 //! ```
 //! use genesplat_core::{Genes, Rng, SparseDelta};
-//! use genesplat_evolve::{GeneticAlgorithm, Magnitude, PaperConfig};
+//! use genesplat_evolve::{GeneticAlgorithm, Magnitude, PaperConfig, Signals};
 //!
 //! // Fifty Gaussians that would like all their genes to be zero.
 //! let base: Vec<Genes> = (0..50).map(|row| [1.0 + (row % 7) as f32; 7]).collect();
@@ -17,7 +17,7 @@
 //! };
 //! let config = PaperConfig { generations: 20, magnitude: Magnitude::Unit, ..PaperConfig::default() };
 //! let base_loss = loss(&SparseDelta::default());
-//! let mut search = GeneticAlgorithm::new(config, base.clone(), None, base_loss, Rng::new(7))?;
+//! let mut search = GeneticAlgorithm::new(config, base.clone(), Signals::default(), base_loss, Rng::new(7))?;
 //! while !search.is_finished() {
 //!     let losses: Vec<f64> = (0..search.ask()).map(|index| loss(&search.delta(index))).collect();
 //!     search.tell(&losses)?;
@@ -44,7 +44,8 @@ mod operators;
 pub mod population;
 pub mod renewal;
 
-pub use config::{ConfigError, Crossover, Magnitude, PaperConfig, Rates};
+pub use config::{ConfigError, Crossover, CrossoverOf, InitialDirection, Magnitude, PaperConfig, Rates, SelectedBy};
 pub use genetic::{GeneticAlgorithm, TellError};
 pub use operators::magnitude::GeneGradients;
+pub use operators::mutation::Signals;
 pub use operators::survival::LossStatistics;

@@ -6,7 +6,10 @@ mod common;
 
 use common::{applied, deltas, normal_base, on_sphere, run, small, sphere};
 use genesplat_core::{Genes, Rng, SparseDelta};
-use genesplat_evolve::{ConfigError, Crossover, GeneGradients, GeneticAlgorithm, Magnitude, PaperConfig, TellError};
+use genesplat_evolve::{
+    ConfigError, Crossover, CrossoverOf, GeneGradients, GeneticAlgorithm, InitialDirection, Magnitude, PaperConfig,
+    SelectedBy, Signals, TellError,
+};
 use proptest::prelude::*;
 
 #[test]
@@ -188,9 +191,20 @@ fn losses_that_are_not_finite_rank_last_and_never_win() {
 fn what_makes_no_sense_is_refused_with_a_sentence() {
     let base = normal_base(10);
     let refused = |config: PaperConfig, base: &[Genes], gradients, loss| {
-        GeneticAlgorithm::new(config, base.to_vec(), gradients, loss, Rng::new(1)).map(|_| ()).unwrap_err()
+        let signals = Signals { gradients, errors: None };
+        GeneticAlgorithm::new(config, base.to_vec(), signals, loss, Rng::new(1)).map(|_| ()).unwrap_err()
     };
     assert_eq!(refused(PaperConfig::default(), &base, None, 1.0), ConfigError::MissingGradients);
+    let downhill = PaperConfig { initial_direction: InitialDirection::Downhill, ..small(1, 10) };
+    assert_eq!(refused(downhill, &base, None, 1.0), ConfigError::MissingGradients);
+    let by_error = PaperConfig { selected_by: SelectedBy::Error, ..small(1, 10) };
+    assert_eq!(refused(by_error, &base, None, 1.0), ConfigError::MissingErrors);
+    let short = GeneGradients { sum: vec![[0.0; 7]; 2], views: vec![1] };
+    let of_others = ConfigError::GradientRows { sums: 2, views: 1, base: 10 };
+    assert_eq!(refused(PaperConfig::default(), &base, Some(short), 1.0), of_others);
+    let mut bad = GeneGradients { sum: vec![[0.0; 7]; 10], views: vec![1; 10] };
+    bad.sum[1][6] = f32::NAN;
+    assert_eq!(refused(PaperConfig::default(), &base, Some(bad), 1.0), ConfigError::GradientNotFinite { row: 1 });
     assert!(matches!(refused(small(1, 10), &base, None, f64::NAN), ConfigError::BaseLossNotFinite { .. }));
     assert!(matches!(refused(small(1, 5), &base, None, 1.0), ConfigError::OutOfRange { setting: "tournament", .. }));
     let mut poisoned = base.clone();
@@ -241,6 +255,58 @@ fn evolution_descends_where_random_search_does_not() {
     }
 }
 
+/// Where one Gaussian in ten matters, a search that draws these by their errors finds more than one that draws all alike.
+#[test]
+fn errors_direct_the_search_to_what_matters() {
+    let base = normal_base(200);
+    let loss = |delta: &SparseDelta| {
+        applied(&base, delta)[..20].as_flattened().iter().map(|&x| f64::from(x).powi(2)).sum::<f64>()
+    };
+    let errors: Vec<f32> = (0..200).map(|row| if row < 20 { 1.0 } else { 0.01 }).collect();
+    let evolved = |selected_by, seed| {
+        let config = PaperConfig { selected_by, intensity: 0.2, selection_fraction: 0.05, ..small(40, 40) };
+        let (signals, base_loss) =
+            (Signals { gradients: None, errors: Some(errors.clone()) }, loss(&SparseDelta::default()));
+        let search = GeneticAlgorithm::new(config, base.clone(), signals, base_loss, Rng::new(seed));
+        run(search.expect("valid settings"), loss).best_loss() / base_loss
+    };
+    for seed in [1, 2, 3] {
+        let (by_error, by_chance) = (evolved(SelectedBy::Error, seed), evolved(SelectedBy::Chance, seed));
+        println!("seed {seed}: by error {by_error:.3}, by chance {by_chance:.3}");
+        assert!(by_error < by_chance);
+    }
+}
+
+/// Every gene of the initial population goes against its gradient, and none of later generations has to.
+#[test]
+fn an_informed_initial_population_goes_downhill() {
+    let base = normal_base(100);
+    let sum = base.iter().map(|genes| genes.map(|x| 2.0 * x)).collect();
+    let signals = Signals { gradients: Some(GeneGradients { sum, views: vec![1; 100] }), errors: None };
+    let config = PaperConfig {
+        initial_direction: InitialDirection::Downhill,
+        initial_mutation_rate: 1.0,
+        selection_fraction: 1.0,
+        ..small(1, 10)
+    };
+    let mut search =
+        GeneticAlgorithm::new(config, base.clone(), signals, sphere(&base, &SparseDelta::default()), Rng::new(3))
+            .expect("valid settings");
+    let climbs = |search: &GeneticAlgorithm, index| {
+        let delta = search.delta(index);
+        let of_row = |(&row, genes): (&u32, &Genes)| {
+            let base = &base[row as usize];
+            genes.iter().zip(base).filter(|&(gene, from)| (gene - from) * from > 0.0).count()
+        };
+        delta.rows.iter().zip(&delta.genes).map(of_row).sum::<usize>()
+    };
+    assert!((0..search.ask()).all(|index| climbs(&search, index) == 0), "all 700 genes of each move, none uphill");
+    let losses: Vec<f64> = (0..search.ask()).map(|index| sphere(&base, &search.delta(index))).collect();
+    assert!(losses.iter().all(|&loss| loss < search.base_loss()));
+    search.tell(&losses).expect("one loss each");
+    assert!((0..search.ask()).any(|index| climbs(&search, index) > 0), "mutations go either way");
+}
+
 /// A function that only the Gaussians with strong gradients matter to: `u_i` must help there.
 #[test]
 fn gradients_direct_the_search_to_what_matters() {
@@ -253,7 +319,8 @@ fn gradients_direct_the_search_to_what_matters() {
     let gradients = GeneGradients { sum: (0..200).map(gene).collect(), views: vec![1; 200] };
     let evolved = |config: PaperConfig, gradients, seed| {
         let base_loss = loss(&SparseDelta::default());
-        let search = GeneticAlgorithm::new(config, base.clone(), gradients, base_loss, Rng::new(seed));
+        let signals = Signals { gradients, errors: None };
+        let search = GeneticAlgorithm::new(config, base.clone(), signals, base_loss, Rng::new(seed));
         run(search.expect("valid settings"), loss).best_loss() / base_loss
     };
     let config = PaperConfig { magnitude: Magnitude::Gradient, intensity: 0.2, ..small(40, 40) };
@@ -279,8 +346,9 @@ fn any_config() -> impl Strategy<Value = PaperConfig> {
     let crossover = prop_oneof![(1u32..130).prop_map(|points| Crossover::Points { points }), Just(Crossover::Uniform)];
     let fraction = || 0.0f64..=1.0;
     let numbers = (0u32..5, 1u32..24, fraction(), 0.0f64..0.9, 0.01f64..=1.0, 0.0f64..2.0);
-    (numbers, [fraction(), fraction(), fraction(), fraction()], crossover).prop_map(
-        |((generations, population, tournament, elites, selection, intensity), rates, crossover)| {
+    let crossover_of = prop_oneof![Just(CrossoverOf::All), Just(CrossoverOf::Selected)];
+    (numbers, [fraction(), fraction(), fraction(), fraction()], crossover, crossover_of).prop_map(
+        |((generations, population, tournament, elites, selection, intensity), rates, crossover, crossover_of)| {
             let [initial, mutation, pairs, rates_break] = rates;
             PaperConfig {
                 generations,
@@ -295,7 +363,9 @@ fn any_config() -> impl Strategy<Value = PaperConfig> {
                 crossover_rates: [pairs; 3],
                 rate_breaks: [rates_break / 2.0, rates_break],
                 crossover,
+                crossover_of,
                 magnitude: Magnitude::Unit,
+                ..PaperConfig::default()
             }
         },
     )

@@ -1,7 +1,8 @@
 //! Mutation (section 3.2): `x_mutated = x + alpha * u_i * sigma_x * N(0, 1)` (Eq. 4).
 //!
 //! What the paper leaves open, and how it is decided here:
-//! - **Which Gaussians**: exactly `round(selection_fraction * N)`, a fresh uniform subset for each individual.
+//! - **Which Gaussians**: exactly `round(selection_fraction * N)`, a fresh uniform subset for each individual (or by
+//!   their errors: [`crate::config::SelectedBy`]).
 //! - **Which genes**: each of the three groups of a selected Gaussian mutates with the mutation rate, independently;
 //!   then all its components move, each by its own normal number.
 //! - **`x_base`**: the value that the child has before the mutation. The value in the base would undo what was
@@ -12,10 +13,19 @@
 use genesplat_core::{GENES, Genes, Rng, Stream};
 
 use super::magnitude::{GeneGradients, Magnitudes};
-use super::sampling::{Address, choose_rows};
-use crate::config::{ConfigError, PaperConfig};
+use super::sampling::{Address, RowChoice};
+use crate::config::{ConfigError, InitialDirection, PaperConfig};
 use crate::individual::group::Group;
 use crate::individual::{Genome, Mutations, Parents};
+
+/// What is known of each Gaussian of a base; [`PaperConfig`] says what a search needs.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Signals {
+    /// Accumulated gradients.
+    pub gradients: Option<GeneGradients>,
+    /// The error that each has a part in `[N]`.
+    pub errors: Option<Vec<f32>>,
+}
 
 /// All that Eq. 4 needs besides the individual; fixed for a search.
 #[derive(Debug)]
@@ -24,9 +34,9 @@ pub(crate) struct Mutation {
     /// alpha times sigma_x of each component, in units of the gene.
     step: Genes,
     magnitudes: Magnitudes,
-    /// N and k.
-    gaussians: u32,
-    selected: u32,
+    selection: RowChoice,
+    /// Sums of gradients `[N, 7]`, where the initial population goes against them.
+    uphill: Vec<Genes>,
 }
 
 /// The most Gaussians that the addresses of [`Mutation::draw`] can tell apart.
@@ -37,21 +47,22 @@ const DRAWS_PER_ROW: u32 = 3;
 
 impl Mutation {
     /// For a validated configuration and a finite base.
-    pub(crate) fn new(
-        config: &PaperConfig,
-        base: &[Genes],
-        gradients: Option<GeneGradients>,
-        rng: Rng,
-    ) -> Result<Self, ConfigError> {
-        let sigma = sigma(base);
-        let gaussians = base.len() as u32;
-        Ok(Self {
-            rng,
-            step: sigma.map(|sigma| (config.intensity * sigma) as f32),
-            magnitudes: Magnitudes::new(config.magnitude, gradients, base.len())?,
-            gaussians,
-            selected: config.selected(gaussians),
-        })
+    pub(crate) fn new(config: &PaperConfig, base: &[Genes], signals: Signals, rng: Rng) -> Result<Self, ConfigError> {
+        let Signals { gradients, errors } = signals;
+        let gradients = checked(gradients.filter(|_| config.uses_gradients()), base.len())?;
+        let selection = RowChoice::new(config, base.len() as u32, errors.as_deref())?;
+        let magnitudes = Magnitudes::new(config.magnitude, gradients.as_ref())?;
+        let uphill = match config.initial_direction {
+            InitialDirection::Random => Vec::new(),
+            InitialDirection::Downhill => gradients.ok_or(ConfigError::MissingGradients)?.sum,
+        };
+        let step = sigma(base).map(|sigma| (config.intensity * sigma) as f32);
+        Ok(Self { rng, step, magnitudes, selection, uphill })
+    }
+
+    /// A selection of rows for the crossover of a pair.
+    pub(crate) fn rows_of_pair(&self, generation: u32, pair: u32) -> Vec<u32> {
+        self.selection.draw(&self.rng, Stream::CrossoverSelection, Address { generation, individual: pair })
     }
 
     /// The child of `parents` after the mutation at `address`.
@@ -61,12 +72,13 @@ impl Mutation {
 
     /// Bytes held besides the base.
     pub(crate) fn bytes(&self) -> usize {
-        self.magnitudes.bytes()
+        self.magnitudes.bytes() + self.selection.bytes() + size_of_val(self.uphill.as_slice())
     }
 
     /// Decides the mutation at `address`: which rows, which groups, how far.
     fn draw(&self, address: Address, rate: f64) -> Mutations {
-        let rows = choose_rows(&self.rng, address, self.gaussians, self.selected);
+        let rows = self.selection.draw(&self.rng, Stream::GeneSelection, address);
+        let uphill = if address.generation == 0 { self.uphill.as_slice() } else { &[] };
         let magnitudes = self.magnitudes.over(&rows);
         let mut mutations = Mutations::default();
         for &row in &rows {
@@ -76,28 +88,33 @@ impl Mutation {
             };
             let coins = draw(0);
             let mutates = |group: Group| f64::from(coins.uniform(group as usize)) < rate;
-            let scaled = |group, normals| self.scaled(group, magnitudes.u(group, row), normals);
+            let uphill = uphill.get(row as usize).copied().unwrap_or_default();
+            let u = |group| magnitudes.u(group, row);
             if mutates(Group::Position) {
                 let ([x, y], [z, _]) = (draw(1).normals(0), draw(1).normals(1));
-                mutations.position.push(row, scaled(Group::Position, [x, y, z]));
+                mutations.position.push(row, self.moved(Group::Position, u(Group::Position), [x, y, z], &uphill));
             }
             if mutates(Group::Scale) {
                 let ([x, y], [z, _]) = (draw(2).normals(0), draw(2).normals(1));
-                mutations.scale.push(row, scaled(Group::Scale, [x, y, z]));
+                mutations.scale.push(row, self.moved(Group::Scale, u(Group::Scale), [x, y, z], &uphill));
             }
             if mutates(Group::Opacity) {
                 // The number that position leaves over.
                 let [_, o] = draw(1).normals(1);
-                mutations.opacity.push(row, self.scaled(Group::Opacity, magnitudes.u(Group::Opacity, row), [o]));
+                mutations.opacity.push(row, self.moved(Group::Opacity, u(Group::Opacity), [o], &uphill));
             }
         }
         mutations
     }
 
-    /// `alpha * u_i * sigma_x * N(0, 1)` for the components of a group.
-    fn scaled<const W: usize>(&self, group: Group, u: f32, normals: [f32; W]) -> [f32; W] {
-        let step: [f32; W] = group.of(&self.step);
-        std::array::from_fn(|component| step[component] * u * normals[component])
+    /// `alpha * u_i * sigma_x * N(0, 1)` for the components of a group; against a gradient, where there is one.
+    fn moved<const W: usize>(&self, group: Group, u: f32, normals: [f32; W], uphill: &Genes) -> [f32; W] {
+        let (step, uphill): ([f32; W], [f32; W]) = (group.of(&self.step), group.of(uphill));
+        std::array::from_fn(|component| {
+            let (normal, uphill) = (normals[component], uphill[component]);
+            let normal = if uphill == 0.0 { normal } else { -normal.abs() * uphill.signum() };
+            step[component] * u * normal
+        })
     }
 }
 
@@ -109,6 +126,19 @@ fn sigma(base: &[Genes]) -> [f64; GENES] {
         let mean = values().sum::<f64>() / n;
         (values().map(|x| (x - mean).powi(2)).sum::<f64>() / n).sqrt()
     })
+}
+
+/// Fails where gradients are not those of a cloud of `n` rows.
+fn checked(gradients: Option<GeneGradients>, n: usize) -> Result<Option<GeneGradients>, ConfigError> {
+    let Some(gradients) = gradients else { return Ok(None) };
+    let (sums, views) = (gradients.sum.len(), gradients.views.len());
+    if (sums, views) != (n, n) {
+        return Err(ConfigError::GradientRows { sums, views, base: n });
+    }
+    match first_non_finite(&gradients.sum) {
+        Some(row) => Err(ConfigError::GradientNotFinite { row }),
+        None => Ok(Some(gradients)),
+    }
 }
 
 /// The first row with a gene that is not finite.
@@ -129,7 +159,7 @@ mod tests {
     }
 
     fn mutation(config: &PaperConfig, base: &[Genes], gradients: Option<GeneGradients>) -> Mutation {
-        Mutation::new(config, base, gradients, Rng::new(3)).expect("valid")
+        Mutation::new(config, base, Signals { gradients, errors: None }, Rng::new(3)).expect("valid")
     }
 
     fn mutant(mutation: &Mutation, base: &[Genes], address: Address, rate: f64) -> SparseDelta {

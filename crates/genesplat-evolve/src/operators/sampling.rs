@@ -4,6 +4,7 @@ use std::collections::BTreeSet;
 
 use genesplat_core::{Rng, Stream};
 
+use crate::config::{ConfigError, PaperConfig, SelectedBy};
 use crate::individual::column::{WORD, is_set, ones, words};
 
 /// Who a random number belongs to.
@@ -15,11 +16,68 @@ pub(crate) struct Address {
     pub(crate) individual: u32,
 }
 
+/// How selections of a cloud's rows are drawn.
+#[derive(Debug)]
+pub(crate) struct RowChoice {
+    total: u32,
+    wanted: u32,
+    /// Sums of the weights of the rows up to each one; none where all rows are alike.
+    sums: Vec<f64>,
+}
+
+impl RowChoice {
+    /// Of `total` rows; `errors` `[N]` are needed when [`PaperConfig::uses_errors`].
+    pub(crate) fn new(config: &PaperConfig, total: u32, errors: Option<&[f32]>) -> Result<Self, ConfigError> {
+        let sums = match config.selected_by {
+            SelectedBy::Chance => Vec::new(),
+            SelectedBy::Error => sums_of(errors.filter(|errors| errors.len() == total as usize))?,
+        };
+        Ok(Self { total, wanted: config.selected(total), sums })
+    }
+
+    /// The rows selected at `address` of a stream, ascending.
+    pub(crate) fn draw(&self, rng: &Rng, stream: Stream, address: Address) -> Vec<u32> {
+        let Some(&all) = self.sums.last() else {
+            return choose_rows(rng, stream, address, self.total, self.wanted);
+        };
+        // One row for each part of equal weight; a heavy one may be that of several.
+        let mut rows = Vec::with_capacity(self.wanted as usize);
+        let (part, mut below) = (all / f64::from(self.wanted), 0);
+        for (block, first) in (0..self.wanted).step_by(4).enumerate() {
+            let draw = rng.at(stream, address.generation, address.individual, block as u32);
+            for (lane, nth) in (first..self.wanted.min(first + 4)).enumerate() {
+                let place = part * (f64::from(nth) + f64::from(draw.uniform(lane)));
+                below += self.sums[below..].partition_point(|&sum| sum <= place);
+                // Rounded, a place may be beyond the last row that weighs something.
+                below = below.min(self.sums.partition_point(|&sum| sum < all));
+                rows.push(below as u32);
+            }
+        }
+        rows.dedup();
+        rows
+    }
+
+    /// Bytes held.
+    pub(crate) fn bytes(&self) -> usize {
+        self.sums.capacity() * size_of::<f64>()
+    }
+}
+
+fn sums_of(errors: Option<&[f32]>) -> Result<Vec<f64>, ConfigError> {
+    let mut sum = 0.0;
+    let add = |&error: &f32| {
+        sum += f64::from(error);
+        sum
+    };
+    let sums: Vec<f64> = errors.unwrap_or_default().iter().map(add).collect();
+    if sum > 0.0 && sum.is_finite() && sums.is_sorted() { Ok(sums) } else { Err(ConfigError::MissingErrors) }
+}
+
 /// `wanted` of the rows `0..total`, ascending; every subset is equally likely. As [`distinct`], with a bit a row.
-pub(crate) fn choose_rows(rng: &Rng, address: Address, total: u32, wanted: u32) -> Vec<u32> {
+fn choose_rows(rng: &Rng, stream: Stream, address: Address, total: u32, wanted: u32) -> Vec<u32> {
     let mut chosen = vec![0; words(total as usize)];
     for (block, first) in (total - wanted..total).step_by(4).enumerate() {
-        let draw = rng.at(Stream::GeneSelection, address.generation, address.individual, block as u32);
+        let draw = rng.at(stream, address.generation, address.individual, block as u32);
         for (lane, last) in (first..total.min(first + 4)).enumerate() {
             let pick = draw.below(lane, last + 1);
             let is_taken = is_set(chosen[pick as usize / WORD], pick as usize % WORD);
@@ -57,7 +115,7 @@ mod tests {
         #[test]
         fn exactly_as_many_rows_as_wanted(seed in any::<u64>(), total in 0u32..300, share in 0.0f64..=1.0) {
             let wanted = (share * f64::from(total)).round() as u32;
-            let rows = choose_rows(&Rng::new(seed), Address { generation: 1, individual: 2 }, total, wanted);
+            let rows = choose_rows(&Rng::new(seed), Stream::Test, Address { generation: 1, individual: 2 }, total, wanted);
             prop_assert_eq!(rows.len() as u32, wanted);
             prop_assert!(rows.windows(2).all(|pair| pair[0] < pair[1]));
             prop_assert!(rows.iter().all(|&row| row < total));
@@ -75,7 +133,9 @@ mod tests {
 
     #[test]
     fn each_individual_of_each_generation_has_its_own_rows() {
-        let at = |generation, individual| choose_rows(&Rng::new(8), Address { generation, individual }, 1000, 100);
+        let at = |generation, individual| {
+            choose_rows(&Rng::new(8), Stream::Test, Address { generation, individual }, 1000, 100)
+        };
         assert_ne!(at(1, 2), at(2, 2));
         assert_ne!(at(1, 2), at(1, 3));
         assert_eq!(at(1, 2), at(1, 2));
@@ -87,7 +147,7 @@ mod tests {
         let rng = Rng::new(5);
         let mut counts = [[0u32; 10]; 2];
         for individual in 0..10_000 {
-            for row in choose_rows(&rng, Address { generation: 0, individual }, 10, 3) {
+            for row in choose_rows(&rng, Stream::GeneSelection, Address { generation: 0, individual }, 10, 3) {
                 counts[0][row as usize] += 1;
             }
             for item in distinct(10, 3, |k, n| rng.at(Stream::Test, 0, individual, k).below(0, n)) {
@@ -98,6 +158,47 @@ mod tests {
         let bound = 4.5 * (10_000.0f64 * 0.3 * 0.7).sqrt();
         for count in counts.as_flattened() {
             assert!((f64::from(*count) - 3000.0).abs() < bound, "{counts:?}");
+        }
+    }
+
+    fn by_error(errors: &[f32], fraction: f64) -> Result<RowChoice, ConfigError> {
+        let config =
+            PaperConfig { selected_by: SelectedBy::Error, selection_fraction: fraction, ..PaperConfig::default() };
+        RowChoice::new(&config, errors.len() as u32, Some(errors))
+    }
+
+    /// Of ten rows, three are drawn 10,000 times.
+    #[test]
+    fn rows_are_drawn_in_proportion_to_their_errors() {
+        let errors = [0.0, 1.0, 2.0, 3.0, 0.0, 3.0, 2.0, 1.0, 3.0, 0.0];
+        let choice = by_error(&errors, 0.3).expect("some are above 0");
+        let mut counts = [0u32; 10];
+        for individual in 0..10_000 {
+            let rows = choice.draw(&Rng::new(5), Stream::Test, Address { generation: 1, individual });
+            assert!(rows.is_sorted_by(|a, b| a < b) && rows.len() <= 3, "{rows:?}");
+            rows.iter().for_each(|&row| counts[row as usize] += 1);
+        }
+        for (row, error) in errors.into_iter().enumerate() {
+            // Each part weighs 5, and a row that lies in one part is drawn from it alone.
+            let expected = 10_000.0 * f64::from(error) / 5.0;
+            let crosses = row == 3 || row == 6;
+            let bound = 4.5 * (10_000.0f64 * 0.25).sqrt() + if crosses { 0.25 * expected } else { 0.0 };
+            assert!((f64::from(counts[row]) - expected).abs() <= bound, "row {row}: {counts:?}");
+            assert_eq!(counts[row] == 0, error == 0.0, "row {row}: {counts:?}");
+        }
+    }
+
+    #[test]
+    fn a_row_that_has_nearly_all_errors_is_drawn_once() {
+        let choice = by_error(&[1e-6, 1e6, 1e-6, 0.0], 0.75).expect("some are above 0");
+        let rows = choice.draw(&Rng::new(1), Stream::Test, Address { generation: 0, individual: 0 });
+        assert_eq!(rows, [1]);
+    }
+
+    #[test]
+    fn errors_that_nothing_can_be_drawn_by_are_refused() {
+        for errors in [&[0.0, 0.0][..], &[f32::NAN, 1.0], &[1.0, f32::INFINITY], &[-1.0, 2.0, -0.5], &[]] {
+            assert_eq!(by_error(errors, 0.5).map(|_| ()), Err(ConfigError::MissingErrors), "{errors:?}");
         }
     }
 }

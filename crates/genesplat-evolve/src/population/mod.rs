@@ -25,7 +25,7 @@ use std::sync::Arc;
 
 use genesplat_core::Rng;
 
-use crate::config::{Crossover, PaperConfig};
+use crate::config::{Crossover, CrossoverOf, PaperConfig};
 use crate::individual::{Genome, Parents};
 use crate::operators::crossover::{Inheritance, is_crossed};
 use crate::operators::mutation::Mutation;
@@ -95,6 +95,7 @@ pub(crate) struct Breeder {
     pub(crate) consensus: Consensus,
     pub(crate) mutation: Mutation,
     pub(crate) crossover: Crossover,
+    pub(crate) crossover_of: CrossoverOf,
     pub(crate) rng: Rng,
 }
 
@@ -112,7 +113,10 @@ impl Breeder {
         if !crossed {
             return mutate(Parents::One(own));
         }
-        let inheritance = Inheritance::draw(self.crossover, &self.rng, generation, pair, shared.len() as u32);
+        let mut inheritance = Inheritance::draw(self.crossover, &self.rng, generation, pair, shared.len() as u32);
+        if self.crossover_of == CrossoverOf::Selected {
+            inheritance.keep_to(&self.mutation.rows_of_pair(generation, pair));
+        }
         mutate(Parents::Crossed(own, other, &inheritance))
     }
 
@@ -131,7 +135,12 @@ pub(crate) fn distinct_bytes<'a>(genomes: impl Iterator<Item = &'a Arc<Genome>>)
 
 #[cfg(test)]
 mod tests {
+    use genesplat_core::Genes;
+
     use super::*;
+    use crate::config::Magnitude;
+    use crate::individual::Mutations;
+    use crate::operators::mutation::Signals;
 
     #[test]
     fn the_plan_keeps_elites_and_parents_and_no_one_else() {
@@ -167,6 +176,33 @@ mod tests {
         let kept: usize =
             (1..=100).map(|generation| MatingPlan::draw(&config, &Rng::new(1), generation).kept.len()).sum();
         assert!((kept as f64 / 100.0 - 55.0).abs() < 1.0, "the docs say about 55: {kept}");
+    }
+
+    /// Without mutations, whatever a child has of the other parent lies in a tenth of the rows; the other child has the rest.
+    #[test]
+    fn parents_exchange_a_selection_where_they_are_told_to() {
+        let base: Vec<Genes> = vec![[0.0; 7]; 400];
+        let config = PaperConfig { magnitude: Magnitude::Unit, ..PaperConfig::default() };
+        let all_of = |mark: f32| {
+            let mut all = Mutations::default();
+            (0..400).for_each(|row| all.opacity.push(row, [mark]));
+            Arc::new(Genome::child(Parents::One(&Genome::unchanged(400)), &all, &base))
+        };
+        let pairs = vec![Pair { parents: [all_of(1.0), all_of(2.0)], crossed: true }];
+        let brood = Brood { count: 2, pairs };
+        let exchanged = |crossover_of| {
+            let mutation = Mutation::new(&config, &base, Signals::default(), Rng::new(1)).expect("valid settings");
+            let consensus = Consensus::new(base.clone());
+            let crossover = Crossover::Points { points: 1 };
+            let breeder = Breeder { consensus, mutation, crossover, crossover_of, rng: Rng::new(1) };
+            let opacities =
+                |child| breeder.genome(&brood, 1, child, 0.0).to_delta(&base).genes.iter().map(|row| row[6]).collect();
+            let [first, second]: [Vec<f32>; 2] = [0, 1].map(opacities);
+            assert!(first.iter().zip(&second).all(|(a, b)| a + b == 3.0));
+            first.iter().filter(|&&opacity| opacity == 2.0).count()
+        };
+        let (selected, all) = (exchanged(CrossoverOf::Selected), exchanged(CrossoverOf::All));
+        assert!(selected > 0 && selected <= 40 && all > 40, "{selected}, {all}");
     }
 
     #[test]

@@ -46,6 +46,12 @@ impl Trainer<'_> {
         if loss.is_finite() { Ok(loss) } else { Err(TrainError::NoFitness { iteration: i, loss }) }
     }
 
+    /// The error that each Gaussian has a part in, the largest of the views of a fitness `[N]`.
+    pub(crate) fn errors(&mut self, fitness: &Fitness) -> Result<Vec<f32>, BackendError> {
+        let contributions = self.backend.contributions(&fitness.views, &fitness.settings)?;
+        Ok(contributions.into_iter().map(|contribution| contribution.error).collect())
+    }
+
     /// Losses of all individuals that need one, in batches; `None` when stopped.
     pub(crate) fn score_generation(
         &mut self,

@@ -8,7 +8,7 @@ use std::time::Instant;
 
 use genesplat_core::backend::MomentPolicy;
 use genesplat_core::{BackendError, SparseDelta, Statistics};
-use genesplat_evolve::{GeneGradients, GeneticAlgorithm};
+use genesplat_evolve::{GeneGradients, GeneticAlgorithm, Signals};
 
 use super::Stage;
 use super::fitness::Fitness;
@@ -28,11 +28,12 @@ impl Stage for GeneticSearch {
         let (begun, fitness, evolution) = (Instant::now(), trainer.fitness(i), &trainer.config.evolution);
         let of_base = trainer.fitness_of_base(&fitness, i)?;
         let base = trainer.backend.genes()?;
-        let gradients =
-            if evolution.paper.uses_gradients() { gene_gradients(trainer.backend.statistics()?) } else { None };
         let (config, rng) = (evolution.paper.clone(), trainer.rng.fork(i));
-        let algorithm = GeneticAlgorithm::new(config, base, gradients, of_base, rng)?;
-        let renders = fitness.views.len() as u64;
+        let gradients = if config.uses_gradients() { gene_gradients(trainer.backend.statistics()?) } else { None };
+        let errors = if config.uses_errors() { Some(trainer.errors(&fitness)?) } else { None };
+        let passes = if config.uses_errors() { 2 } else { 1 };
+        let algorithm = GeneticAlgorithm::new(config, base, Signals { gradients, errors }, of_base, rng)?;
+        let renders = passes * fitness.views.len() as u64;
         let record = StageRecord { renders, ..StageRecord::begun(StageKind::Paper, i, of_base, None) };
         Ok(Some((Self { begun, fitness, algorithm }, record)))
     }

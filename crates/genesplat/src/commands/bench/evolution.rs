@@ -10,7 +10,7 @@ use anyhow::Result;
 use genesplat::core::backend::MomentPolicy;
 use genesplat::core::gaussians::{logit, sigmoid};
 use genesplat::core::{Backend, EvolutionBackend, Gaussians, Held, RenderSettings, Rng, SparseDelta};
-use genesplat::evolve::{GeneticAlgorithm, Magnitude, PaperConfig};
+use genesplat::evolve::{GeneticAlgorithm, Magnitude, PaperConfig, Signals};
 use genesplat::kernels::cpu::CpuBackend;
 use serde::Serialize;
 
@@ -87,7 +87,7 @@ pub(crate) fn founders(cloud: &Gaussians, population: u32) -> Result<Vec<SparseD
     let paper = PaperConfig::default();
     let tournament = paper.tournament.min(population);
     let config = PaperConfig { population, tournament, magnitude: Magnitude::Unit, ..paper };
-    let algorithm = GeneticAlgorithm::new(config, cloud.all_genes(), None, 0.0, Rng::new(0))?;
+    let algorithm = GeneticAlgorithm::new(config, cloud.all_genes(), Signals::default(), 0.0, Rng::new(0))?;
     Ok(algorithm.deltas_from_consensus(0..population as usize))
 }
 
