@@ -8,9 +8,9 @@ use crate::densify::{improved, mcmc};
 /// Training pixels that count to each Gaussian, for each of √(number of photos), since photos show the same things.
 const PIXELS: f64 = 2.0;
 
-/// Photos of more pixels than this (160 px wide or high) show the same with more of them: what the pixels count grows with their
-/// power of two thirds. (Measured at 160 and 480 px: half as many Gaussians as pixels promise are better there.)
-const COARSE_PIXELS: f64 = 20_000.0;
+/// Gaussians for each root of the number of training pixels, which is the lower limit where photos have more than 20,000
+/// pixels (160 px): finer photos show the same with more of them. (Measured at 160 and 480 px.)
+const PER_ROOT_PIXEL: f64 = 70.0;
 
 /// Pixels of one photo (their mean) to each Gaussian, however many photos there are: the lower limit from 45 photos on.
 const PHOTO_PIXELS: f64 = 0.3;
@@ -75,9 +75,9 @@ pub fn expected_gaussians(config: &TrainConfig, views: &[View]) -> usize {
 fn cap_from_photos(views: &[View], capacity: f64) -> usize {
     let pixels_of = |view: &View| view.counted_pixels() as f64;
     let (all, photos) = (views.iter().map(pixels_of).sum::<f64>(), views.len() as f64);
-    let cap = |pixels: f64, each: f64| ((pixels * capacity / each) as usize).max(1);
-    let fineness = (all / photos / COARSE_PIXELS).max(1.0).cbrt();
-    cap(all / fineness, PIXELS * photos.sqrt()).min(cap(all / photos, PHOTO_PIXELS))
+    let limits = [all / (PIXELS * photos.sqrt()), PER_ROOT_PIXEL * all.sqrt(), all / photos / PHOTO_PIXELS];
+    let least = limits.into_iter().fold(f64::INFINITY, f64::min);
+    ((least * capacity) as usize).max(1)
 }
 
 #[cfg(test)]
@@ -115,10 +115,6 @@ mod tests {
         let (width, height) = (400, 400);
         let photo = StoredPhoto::from(Photo { width, height, rgb: vec![0; 480_000] });
         let fine = vec![View { name: String::new(), camera, photo, mask: None }; 16];
-        assert_eq!(
-            cap_from_photos(&fine, 1.0),
-            160_000,
-            "16 · 160,000 pixels over 2 · √16, halved: eight times 20,000"
-        );
+        assert_eq!(cap_from_photos(&fine, 1.0), 112_000, "70 times the root of 16 · 160,000 pixels");
     }
 }
