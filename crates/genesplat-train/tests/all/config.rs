@@ -124,9 +124,9 @@ fn published_training_is_the_default_without_evolution() {
 }
 
 /// Whoever adds a setting takes one away, or says here why there must be more: `views_per_step` is what makes many processes
-/// worth it.
+/// worth it; two options of the paper's search (`selected_by`, `initial_direction`) are there to measure its future work.
 #[test]
-fn there_are_at_most_sixty_one_settings() {
+fn there_are_at_most_sixty_three_settings() {
     fn settings(value: &toml::Value) -> usize {
         value.as_table().map_or(1, |table| table.values().map(settings).sum())
     }
@@ -136,7 +136,7 @@ fn there_are_at_most_sixty_one_settings() {
     let of_variant =
         ["densify.reset_opacity", "optimiser.position_start", "optimiser.position_end", "optimiser.opacity"];
     let count = settings(&defaults) + unset.len() + of_variant.len();
-    assert!(count <= 61, "{count} settings");
+    assert!(count <= 63, "{count} settings");
 }
 
 #[test]

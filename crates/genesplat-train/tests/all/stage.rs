@@ -6,6 +6,7 @@ use std::sync::atomic::AtomicBool;
 
 use genesplat_core::Gaussians;
 use genesplat_core::backend::MomentPolicy;
+use genesplat_evolve::{CrossoverOf, InitialDirection, PaperConfig, SelectedBy};
 use genesplat_train::observe::{GenerationLog, StageLog};
 use genesplat_train::scene::initialise::cloud_from_points;
 use genesplat_train::{
@@ -180,6 +181,26 @@ fn the_search_is_the_same_whatever_runs_beside_training() {
     };
     let [off, paper, renew] = EvolutionMode::ALL.map(found);
     assert_eq!((&off, &renew), (&paper, &paper), "gene gradients are used by all");
+}
+
+/// Each changes the search, and errors are asked for only where rows are drawn by them: once, on the six fitness views.
+#[test]
+fn options_of_the_search_reach_it() {
+    let found = |change: fn(&mut PaperConfig)| {
+        let (mut backend, mut config) = (FakeBackend::new(), config());
+        change(&mut config.evolution.paper);
+        let outcome = run(&mut backend, config, &AtomicBool::new(false)).unwrap();
+        let asked: Vec<Call> =
+            backend.calls.into_iter().filter(|call| matches!(call, Call::Contributions { .. })).collect();
+        (outcome.cloud, asked)
+    };
+    let (plain, asked) = found(|_| ());
+    assert_eq!(asked, []);
+    let (by_error, asked) = found(|paper| paper.selected_by = SelectedBy::Error);
+    assert_eq!(asked, [Call::Contributions { views: 6 }]);
+    let (downhill, _) = found(|paper| paper.initial_direction = InitialDirection::Downhill);
+    let (selected, _) = found(|paper| paper.crossover_of = CrossoverOf::Selected);
+    assert!([by_error, downhill, selected].iter().all(|cloud| *cloud != plain));
 }
 
 /// Steps of a run of 30 iterations, the last of which makes none.

@@ -7,7 +7,7 @@ use genesplat::io::{input, shown};
 
 use super::file::ExperimentFile;
 
-pub(crate) const PRESETS: [(&str, &str); 12] = [
+pub(crate) const PRESETS: [(&str, &str); 13] = [
     ("smoke", include_str!("../../presets/smoke.toml")),
     ("paper-table-2-3", include_str!("../../presets/paper-table-2-3.toml")),
     ("study-evolution", include_str!("../../presets/study-evolution.toml")),
@@ -19,6 +19,7 @@ pub(crate) const PRESETS: [(&str, &str); 12] = [
     ("ablation-population", include_str!("../../presets/ablation-population.toml")),
     ("ablation-views", include_str!("../../presets/ablation-views.toml")),
     ("ablation-gradient", include_str!("../../presets/ablation-gradient.toml")),
+    ("ablation-selection", include_str!("../../presets/ablation-selection.toml")),
     ("ablation-renew", include_str!("../../presets/ablation-renew.toml")),
 ];
 
