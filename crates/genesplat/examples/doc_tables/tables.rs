@@ -33,11 +33,12 @@ struct Table {
     write: fn(&[Part]) -> Result<String>,
 }
 
-const TABLES: [Table; 6] = [
+const TABLES: [Table; 7] = [
     Table { name: "results", file: "real-size", part: |run| Some(run.size()), write: scenes },
     Table { name: "real-size", file: "real-size", part: |run| Some(run.size()), write: arms },
     Table { name: "renew", file: "earlier", part: |run| run.of("renew", Run::size), write: arms },
     Table { name: "renew-limited", file: "earlier", part: |run| run.of("renew-limited", Run::trainer), write: arms },
+    Table { name: "even-growth", file: "earlier", part: |run| run.of("even-growth", Run::size), write: arms },
     Table { name: "renew-unsqueezed", file: "earlier", part: |run| run.of("renew-unsqueezed", Run::size), write: arms },
     Table { name: "paper", file: "earlier", part: |run| run.of("paper", Run::trainer), write: arms },
 ];

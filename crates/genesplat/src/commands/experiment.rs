@@ -82,6 +82,7 @@ pub(crate) fn run(args: &ExperimentArgs) -> Result<Ending> {
 
 /// A line a cell: its number, what is known of it, its folder.
 fn list(runner: &Runner<'_>) -> Result<Ending> {
+    output::forget_notes();
     for (number, (cell, state)) in (1..).zip(runner.states()?) {
         let is_control = runner.experiment.arms[cell.arm].control_of.is_some();
         let state = match state {

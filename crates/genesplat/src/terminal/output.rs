@@ -94,6 +94,11 @@ pub(crate) fn detail(text: &str) {
     }
 }
 
+/// What was noted of work that is not done after all.
+pub(crate) fn forget_notes() {
+    locked(&NOTES).clear();
+}
+
 pub(crate) fn tell_notes() {
     std::mem::take(&mut *locked(&NOTES)).iter().for_each(|note| tell(note));
 }

@@ -294,6 +294,8 @@ fn a_job_array_makes_the_same_tables_as_one_process() {
     assert_eq!(listed.matches("to do").count(), 4, "{listed}");
     assert_eq!(listed.matches("after its arm").count(), 2, "{listed}");
     assert!(!many.join("cells").exists(), "a list runs nothing");
+    let said = run(["experiment", "smoke", "--out", text(&many), "--list"]).stderr;
+    assert_eq!(String::from_utf8_lossy(&said), "", "what no run needs is not said");
     fail(experiment(&file, &many, &["--cell", "7"]), &["--cell 7", "1 to 6"]);
     fail(experiment(&file, &many, &["--cell", "0"]), &["--cell 0"]);
     fail(experiment(&file, &many, &["--cell", "3"]), &["run 3 is a control", "run 2"]);
