@@ -86,7 +86,7 @@ pub(crate) struct Drawing {
     near: PictureRows,
     /// Sums over the own band, row by row.
     sums: Vec<[f64; 2]>,
-    /// Those of the own splats.
+    /// Of the own splats.
     gradients: Gradients,
     /// Sums over bands for every splat, as a mistake would make them.
     #[cfg(test)]

@@ -18,7 +18,7 @@ pub struct PaperConfig {
     /// Fraction of the Gaussians that a mutation may touch, drawn afresh for each individual: exactly `round(fraction *
     /// N)`, and at least one. Default 0.10; above 0, up to 1.
     pub selection_fraction: f64,
-    /// How these are drawn. Default uniformly.
+    /// How these are drawn. Default uniform.
     pub selected_by: SelectedBy,
     /// Which Gaussians two parents may exchange. Default all: section 3.1 defines crossover on whole parameter vectors.
     pub crossover_of: CrossoverOf,
@@ -26,10 +26,10 @@ pub struct PaperConfig {
     pub intensity: f64,
     /// Probability that a gene group of a selected Gaussian mutates in the initial population. Default 0.03; 0 to 1.
     pub initial_mutation_rate: f64,
-    /// Which way the genes of the initial population move. Default at random.
-    pub initial_direction: InitialDirection,
     /// The same in the early, middle and late generations. Default 0.15, 0.05, 0.02; each 0 to 1.
     pub mutation_rates: [f64; 3],
+    /// Which way the genes of the initial population move. Default at random.
+    pub initial_direction: InitialDirection,
     /// Probability that a pair of parents is crossed rather than copied, in the early, middle and late generations.
     /// Default 0.85, 0.70, 0.50; each 0 to 1.
     pub crossover_rates: [f64; 3],
@@ -76,10 +76,10 @@ pub enum Magnitude {
 pub enum SelectedBy {
     /// Every subset is equally likely.
     #[default]
-    Chance,
-    /// In proportion to the error that each Gaussian has a part in: its blending weights times the pixels' errors, summed
-    /// over a view, the largest of the fitness views. A Gaussian that would be drawn twice is drawn once, so there may be
-    /// fewer. (Future work of the paper.)
+    Uniform,
+    /// In proportion to the error that each Gaussian has a part in: its blending weights times the pixels' errors,
+    /// summed over a view, the largest of the fitness views. A Gaussian that would be drawn twice is drawn once, so there
+    /// may be fewer. (Future work of the paper.)
     Error,
 }
 
@@ -90,8 +90,8 @@ pub enum CrossoverOf {
     /// All, as section 3.1 has it.
     #[default]
     All,
-    /// A selection, drawn for each pair as one for a mutation is, as Table 1 may be read: "percentage of Gaussians subject
-    /// to crossover and mutation".
+    /// A selection, drawn for each pair as one for a mutation is, as Table 1 may be read: "percentage of Gaussians
+    /// subject to crossover and mutation".
     Selected,
 }
 
@@ -102,8 +102,8 @@ pub enum InitialDirection {
     /// Either way, by Eq. 4.
     #[default]
     Random,
-    /// As far, but against the sign of the accumulated gradient; a gene without one moves at random. (An informed initial
-    /// population: future work of the paper.)
+    /// As far, but against the sign of the accumulated gradient; a gene without one moves at random. (An informed
+    /// initial population: future work of the paper.)
     Downhill,
 }
 
@@ -125,8 +125,8 @@ impl Default for PaperConfig {
             crossover_of: CrossoverOf::default(),
             intensity: 0.10,
             initial_mutation_rate: 0.03,
-            initial_direction: InitialDirection::default(),
             mutation_rates: [0.15, 0.05, 0.02],
+            initial_direction: InitialDirection::default(),
             crossover_rates: [0.85, 0.70, 0.50],
             rate_breaks: [0.30, 0.70],
             crossover: Crossover::default(),
@@ -239,7 +239,7 @@ pub enum ConfigError {
     )]
     MissingGradients,
     /// [`SelectedBy::Error`] without an error that is above 0 and finite, or with errors of another cloud.
-    #[error("no Gaussian can be drawn by its error; set selected_by to \"chance\"")]
+    #[error("no Gaussian can be drawn by its error; set selected_by to \"uniform\"")]
     MissingErrors,
     /// Gradients of another cloud.
     #[error("there are gene gradients of {sums} Gaussians and view counts of {views}, but the base has {base}")]

@@ -56,8 +56,8 @@ pub enum TellError {
 
 impl GeneticAlgorithm {
     /// A search that starts from mutants of `base` `[N, 7]`, whose own loss, measured as individuals will be, is
-    /// `base_loss`. `signals` has what [`PaperConfig::uses_gradients`] and [`PaperConfig::uses_errors`] ask for. Give each search its own `rng`
-    /// ([`Rng::fork`]).
+    /// `base_loss`. `signals` has what [`PaperConfig::uses_gradients`] and [`PaperConfig::uses_errors`] ask for. Give
+    /// each search its own `rng` ([`Rng::fork`]).
     pub fn new(
         config: PaperConfig,
         base: Vec<Genes>,

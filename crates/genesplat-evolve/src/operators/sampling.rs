@@ -21,7 +21,7 @@ pub(crate) struct Address {
 pub(crate) struct RowChoice {
     total: u32,
     wanted: u32,
-    /// Sums of the weights of the rows up to each one; none where all rows are alike.
+    /// Sums of the errors of the rows up to each one, to the last one that has any; none where all rows are alike.
     sums: Vec<f64>,
 }
 
@@ -29,7 +29,7 @@ impl RowChoice {
     /// Of `total` rows; `errors` `[N]` are needed when [`PaperConfig::uses_errors`].
     pub(crate) fn new(config: &PaperConfig, total: u32, errors: Option<&[f32]>) -> Result<Self, ConfigError> {
         let sums = match config.selected_by {
-            SelectedBy::Chance => Vec::new(),
+            SelectedBy::Uniform => Vec::new(),
             SelectedBy::Error => sums_of(errors.filter(|errors| errors.len() == total as usize))?,
         };
         Ok(Self { total, wanted: config.selected(total), sums })
@@ -40,17 +40,17 @@ impl RowChoice {
         let Some(&all) = self.sums.last() else {
             return choose_rows(rng, stream, address, self.total, self.wanted);
         };
-        // One row for each part of equal weight; a heavy one may be that of several.
+        // One row for each part of equal error; a row with much may be that of several.
         let mut rows = Vec::with_capacity(self.wanted as usize);
-        let (part, mut below) = (all / f64::from(self.wanted), 0);
+        let (part, mut row) = (all / f64::from(self.wanted), 0);
         for (block, first) in (0..self.wanted).step_by(4).enumerate() {
             let draw = rng.at(stream, address.generation, address.individual, block as u32);
             for (lane, nth) in (first..self.wanted.min(first + 4)).enumerate() {
                 let place = part * (f64::from(nth) + f64::from(draw.uniform(lane)));
-                below += self.sums[below..].partition_point(|&sum| sum <= place);
-                // Rounded, a place may be beyond the last row that weighs something.
-                below = below.min(self.sums.partition_point(|&sum| sum < all));
-                rows.push(below as u32);
+                row += self.sums[row..].partition_point(|&sum| sum <= place);
+                // Rounded, a place may be at the very end.
+                row = row.min(self.sums.len() - 1);
+                rows.push(row as u32);
             }
         }
         rows.dedup();
@@ -69,8 +69,12 @@ fn sums_of(errors: Option<&[f32]>) -> Result<Vec<f64>, ConfigError> {
         sum += f64::from(error);
         sum
     };
-    let sums: Vec<f64> = errors.unwrap_or_default().iter().map(add).collect();
-    if sum > 0.0 && sum.is_finite() && sums.is_sorted() { Ok(sums) } else { Err(ConfigError::MissingErrors) }
+    let mut sums: Vec<f64> = errors.unwrap_or_default().iter().map(add).collect();
+    if !(sum > 0.0 && sum.is_finite() && sums.is_sorted()) {
+        return Err(ConfigError::MissingErrors);
+    }
+    sums.truncate(sums.partition_point(|&before| before < sum) + 1);
+    Ok(sums)
 }
 
 /// `wanted` of the rows `0..total`, ascending; every subset is equally likely. As [`distinct`], with a bit a row.
@@ -179,12 +183,15 @@ mod tests {
             rows.iter().for_each(|&row| counts[row as usize] += 1);
         }
         for (row, error) in errors.into_iter().enumerate() {
-            // Each part weighs 5, and a row that lies in one part is drawn from it alone.
-            let expected = 10_000.0 * f64::from(error) / 5.0;
-            let crosses = row == 3 || row == 6;
-            let bound = 4.5 * (10_000.0f64 * 0.25).sqrt() + if crosses { 0.25 * expected } else { 0.0 };
-            assert!((f64::from(counts[row]) - expected).abs() <= bound, "row {row}: {counts:?}");
-            assert_eq!(counts[row] == 0, error == 0.0, "row {row}: {counts:?}");
+            // Each part has 5. Rows 3 and 6 lie in two parts, 2 + 1 and 1 + 1, and are drawn from both or from one.
+            let likely = match row {
+                3 => 1.0 - 0.6 * 0.8,
+                6 => 1.0 - 0.8 * 0.8,
+                _ => f64::from(error) / 5.0,
+            };
+            // Four and a half standard errors of a binomial.
+            let bound = 4.5 * (10_000.0f64 * likely * (1.0 - likely)).sqrt();
+            assert!((f64::from(counts[row]) - 10_000.0 * likely).abs() <= bound, "row {row}: {counts:?}");
         }
     }
 

@@ -31,7 +31,7 @@ impl Stage for GeneticSearch {
         let (config, rng) = (evolution.paper.clone(), trainer.rng.fork(i));
         let gradients = if config.uses_gradients() { gene_gradients(trainer.backend.statistics()?) } else { None };
         let errors = if config.uses_errors() { Some(trainer.errors(&fitness)?) } else { None };
-        let passes = if config.uses_errors() { 2 } else { 1 };
+        let passes = 1 + u64::from(errors.is_some());
         let algorithm = GeneticAlgorithm::new(config, base, Signals { gradients, errors }, of_base, rng)?;
         let renders = passes * fitness.views.len() as u64;
         let record = StageRecord { renders, ..StageRecord::begun(StageKind::Paper, i, of_base, None) };
