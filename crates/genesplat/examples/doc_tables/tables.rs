@@ -8,7 +8,7 @@ use std::collections::HashMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, anyhow, bail, ensure};
+use anyhow::{Context, Result, anyhow, ensure};
 
 /// Training without evolution, which the other arms are compared with.
 const BASELINE: &str = "off";
@@ -19,8 +19,11 @@ const EVOLVED: &str = "renew";
 const STRONG: [&str; 4] = ["strong", "strong-averaged", "strong-slow", "strong-slow-averaged"];
 /// The strongest published density control with the cap of `renew`: what a user would otherwise choose.
 const IMPROVED: &str = "improved-gs";
-/// What two runs of a pair have in common; an arm whose name begins with its variant is compared with other variants.
-const PAIRED: [&str; 8] = ["scene", "variant", "max_side", "iterations", "max_gaussians", "seed", "commit", "machine"];
+/// Plain settings with about as many seconds as `renew`: ten iterations for seven.
+const LONGER: &str = "strong-longer";
+/// What two runs of a pair have in common, beside their length; an arm whose name begins with its variant is compared with other
+/// variants.
+const PAIRED: [&str; 7] = ["scene", "variant", "max_side", "max_gaussians", "seed", "commit", "machine"];
 const END: &str = "<!-- /table -->";
 
 /// A table of the documents.
@@ -68,12 +71,18 @@ impl Run {
     fn is_paired_with(&self, other: &Self) -> bool {
         let is_variant = [self, other].iter().any(|run| run.text("arm").starts_with(run.text("variant")));
         let columns = PAIRED.iter().filter(|&&column| !(is_variant && column == "variant"));
-        columns.into_iter().all(|column| self.text(column) == other.text(column))
+        self.length() == other.length() && columns.into_iter().all(|column| self.text(column) == other.text(column))
+    }
+
+    /// Iterations of the runs that it stands beside.
+    fn length(&self) -> Option<f64> {
+        let iterations = self.number("iterations")?;
+        Some(if self.is(LONGER) { iterations * 7.0 / 10.0 } else { iterations })
     }
 
     fn size(&self) -> String {
-        let iterations = self.number("iterations").unwrap_or(f64::NAN);
-        format!("{}, {} px, {} iterations", self.text("scene"), self.text("max_side"), thousands(iterations))
+        let length = thousands(self.length().unwrap_or(f64::NAN));
+        format!("{}, {} px, {length} iterations", self.text("scene"), self.text("max_side"))
     }
 
     fn trainer(&self) -> String {
@@ -112,29 +121,36 @@ impl Part {
         self.runs.iter().filter(|run| run.is(arm)).collect()
     }
 
-    /// The arm of plain settings with the better pictures, if there is one.
+    /// Of the arms of plain settings that were run beside every run of evolution, the one with the best pictures there.
     fn strong(&self) -> Option<&'static str> {
-        let psnr = |arm: &str| Figures::of(&self.runs_of(arm), |run| run.number("psnr")).average();
-        STRONG
-            .into_iter()
-            .filter(|arm| psnr(arm).is_some())
-            .max_by(|a, b| psnr(a).partial_cmp(&psnr(b)).expect("numbers"))
+        let psnr = |arm: &str| {
+            let pairs = self.pairs(arm, EVOLVED).ok()?;
+            Figures::of(&pairs, |(plain, _)| plain.number("psnr")).average()
+        };
+        let psnr_of = STRONG.into_iter().filter_map(|arm| Some((arm, psnr(arm)?)));
+        psnr_of.max_by(|(_, a), (_, b)| a.total_cmp(b)).map(|(arm, _)| arm)
     }
 
-    /// Runs of `baseline` and of `arm`, seed by seed.
+    /// Runs of `baseline` and of `arm`, seed by seed; every run of `arm` must have its twin.
     fn pairs(&self, baseline: &str, arm: &str) -> Result<Vec<(&Run, &Run)>> {
-        let mut pairs = Vec::new();
-        for run in self.runs_of(arm) {
-            let mut twins = self.runs.iter().filter(|other| other.is(baseline) && other.is_paired_with(run));
-            match (twins.next(), twins.next()) {
-                (Some(plain), None) => pairs.push((plain, run)),
-                (None, _) => {
-                    bail!("{}: {arm} with seed {} has no run `{baseline}`", self.label, run.text("seed"))
-                }
-                (Some(_), Some(_)) => bail!("{}: seed {} is there twice", self.label, run.text("seed")),
-            }
-        }
-        Ok(pairs)
+        let missing =
+            |run: &Run| anyhow!("{}: {arm} with seed {} has no run `{baseline}`", self.label, run.text("seed"));
+        let pair = |run| Ok((self.twin(baseline, run)?.ok_or_else(|| missing(run))?, run));
+        self.runs_of(arm).into_iter().map(pair).collect()
+    }
+
+    /// The same, of the seeds that both arms have.
+    fn pairs_there_are(&self, baseline: &str, arm: &str) -> Result<Vec<(&Run, &Run)>> {
+        let pair = |run| Ok(self.twin(baseline, run)?.map(|twin| (twin, run)));
+        self.runs_of(arm).into_iter().filter_map(|run| pair(run).transpose()).collect()
+    }
+
+    /// The run of `arm` that `run` is paired with.
+    fn twin(&self, arm: &str, run: &Run) -> Result<Option<&Run>> {
+        let mut twins = self.runs.iter().filter(|other| other.is(arm) && other.is_paired_with(run));
+        let twin = twins.next();
+        ensure!(twins.next().is_none(), "{}: seed {} is there twice", self.label, run.text("seed"));
+        Ok(twin)
     }
 }
 
@@ -199,7 +215,8 @@ fn scenes(parts: &[Part]) -> Result<String> {
         "renew",
         "renew - off",
         "renew - strong",
-        IMPROVED,
+        "in as many seconds",
+        "renew - improved-gs",
         "Gaussians",
         "seconds",
     ];
@@ -210,12 +227,13 @@ fn scenes(parts: &[Part]) -> Result<String> {
             continue;
         }
         let strong_pairs = part.strong().map_or(Ok(Vec::new()), |strong| part.pairs(strong, EVOLVED))?;
+        let [longer_pairs, improved_pairs] = [LONGER, IMPROVED].map(|arm| part.pairs_there_are(arm, EVOLVED));
+        let (longer_pairs, improved_pairs) = (longer_pairs?, improved_pairs?);
         let (plain, evolved): (Vec<&Run>, Vec<&Run>) = pairs.iter().copied().unzip();
-        let strong: Vec<&Run> = strong_pairs.iter().map(|(strong, _)| *strong).collect();
-        let improved = if part.arms().contains(&IMPROVED) { part.pairs(IMPROVED, EVOLVED)? } else { Vec::new() };
-        let improved: Vec<&Run> = improved.iter().map(|(improved, _)| *improved).collect();
+        let [strong, improved] =
+            [&strong_pairs, &improved_pairs].map(|pairs| pairs.iter().map(|(other, _)| *other).collect::<Vec<&Run>>());
         let arms = [&plain, &strong, &evolved, &improved];
-        let [off, strong, renew, improved] = arms.map(|runs| {
+        let [off, strong, renew, _] = arms.map(|runs| {
             let psnr = Figures::of(runs, |run| run.number("psnr"));
             psnr.mean(|mean| format!("{mean:.2}")) + &psnr.plus_minus()
         });
@@ -223,9 +241,10 @@ fn scenes(parts: &[Part]) -> Result<String> {
             let mean = |runs: &&Vec<&Run>| Figures::of(runs, |run| value(run)).average().map_or("?".into(), thousands);
             arms.iter().filter(|runs| !runs.is_empty()).map(mean).collect::<Vec<_>>().join(", ")
         };
-        let gain = |pairs: &[(&Run, &Run)], mark: &str| {
-            let gain = difference(pairs, "psnr");
-            gain.mean(|mean| format!("{mark}{mean:+.2}{mark}")) + &gain.plus_minus()
+        let gain = |measured: &[(&Run, &Run)], mark: &str| {
+            let gain = difference(measured, "psnr");
+            let fewer = if measured.len() < pairs.len() { format!(" (of {})", measured.len()) } else { String::new() };
+            gain.mean(|mean| format!("{mark}{mean:+.2}{mark}{}{fewer}", gain.plus_minus()))
         };
         lines.push([
             part.label.clone(),
@@ -236,7 +255,8 @@ fn scenes(parts: &[Part]) -> Result<String> {
             gain(&pairs, ""),
             // What evolution is worth.
             gain(&strong_pairs, "**"),
-            improved,
+            gain(&longer_pairs, "**"),
+            gain(&improved_pairs, ""),
             beside(|run| run.number("gaussians")),
             beside(Run::seconds),
         ]);
