@@ -14,13 +14,14 @@ use anyhow::{Context, Result, anyhow, ensure};
 const BASELINE: &str = "off";
 /// The arm that a user gets by default.
 const EVOLVED: &str = "renew";
-/// Plain settings, at the published rates and at those of `renew`, without and with averages. Evolution is worth what it adds to
-/// the best of them.
-const STRONG: [&str; 4] = ["strong", "strong-averaged", "strong-slow", "strong-slow-averaged"];
+/// Plain settings, at the published rates and at those of `renew`, without and with averages, in as many iterations and as many
+/// seconds. Evolution is worth what it adds to the best of them.
+const STRONG: [&str; 5] = ["strong", "strong-averaged", "strong-slow", "strong-slow-averaged", LONGER];
+const LONGER: &str = "strong-longer";
+/// Evolution in about as many seconds as plain settings have.
+const SOONER: &str = "renew-sooner";
 /// The strongest published density control with the cap of `renew`: what a user would otherwise choose.
 const IMPROVED: &str = "improved-gs";
-/// Plain settings with about as many seconds as `renew`: ten iterations for seven.
-const LONGER: &str = "strong-longer";
 /// What two runs of a pair have in common, beside their length; an arm whose name begins with its variant is compared with other
 /// variants.
 const PAIRED: [&str; 7] = ["scene", "variant", "max_side", "max_gaussians", "seed", "commit", "machine"];
@@ -74,10 +75,15 @@ impl Run {
         self.length() == other.length() && columns.into_iter().all(|column| self.text(column) == other.text(column))
     }
 
-    /// Iterations of the runs that it stands beside.
+    /// Iterations of the runs that it stands beside: seven for ten of those that take fewer seconds, and for five of those that take
+    /// more.
     fn length(&self) -> Option<f64> {
         let iterations = self.number("iterations")?;
-        Some(if self.is(LONGER) { iterations * 7.0 / 10.0 } else { iterations })
+        Some(match self.text("arm") {
+            LONGER => iterations * 7.0 / 10.0,
+            SOONER => iterations * 7.0 / 5.0,
+            _ => iterations,
+        })
     }
 
     fn size(&self) -> String {
@@ -215,7 +221,7 @@ fn scenes(parts: &[Part]) -> Result<String> {
         "renew",
         "renew - off",
         "renew - strong",
-        "in as many seconds",
+        "in strong's seconds",
         "renew - improved-gs",
         "Gaussians",
         "seconds",
@@ -227,8 +233,8 @@ fn scenes(parts: &[Part]) -> Result<String> {
             continue;
         }
         let strong_pairs = part.strong().map_or(Ok(Vec::new()), |strong| part.pairs(strong, EVOLVED))?;
-        let [longer_pairs, improved_pairs] = [LONGER, IMPROVED].map(|arm| part.pairs_there_are(arm, EVOLVED));
-        let (longer_pairs, improved_pairs) = (longer_pairs?, improved_pairs?);
+        let sooner_pairs = part.strong().map_or(Ok(Vec::new()), |strong| part.pairs_there_are(strong, SOONER))?;
+        let improved_pairs = part.pairs_there_are(IMPROVED, EVOLVED)?;
         let (plain, evolved): (Vec<&Run>, Vec<&Run>) = pairs.iter().copied().unzip();
         let [strong, improved] =
             [&strong_pairs, &improved_pairs].map(|pairs| pairs.iter().map(|(other, _)| *other).collect::<Vec<&Run>>());
@@ -255,7 +261,7 @@ fn scenes(parts: &[Part]) -> Result<String> {
             gain(&pairs, ""),
             // What evolution is worth.
             gain(&strong_pairs, "**"),
-            gain(&longer_pairs, "**"),
+            gain(&sooner_pairs, "**"),
             gain(&improved_pairs, ""),
             beside(|run| run.number("gaussians")),
             beside(Run::seconds),
