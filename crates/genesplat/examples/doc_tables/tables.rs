@@ -37,9 +37,10 @@ struct Table {
     write: fn(&[Part]) -> Result<String>,
 }
 
-const TABLES: [Table; 7] = [
-    Table { name: "results", file: "real-size", part: |run| Some(run.size()), write: scenes },
-    Table { name: "real-size", file: "real-size", part: |run| Some(run.size()), write: arms },
+const TABLES: [Table; 8] = [
+    Table { name: "results", file: "real-size", part: |run| (!run.is_short()).then(|| run.size()), write: scenes },
+    Table { name: "real-size", file: "real-size", part: |run| (!run.is_short()).then(|| run.size()), write: arms },
+    Table { name: "short", file: "real-size", part: |run| run.is_short().then(|| run.size()), write: arms },
     Table { name: "renew", file: "earlier", part: |run| run.of("renew", Run::size), write: arms },
     Table { name: "renew-limited", file: "earlier", part: |run| run.of("renew-limited", Run::trainer), write: arms },
     Table { name: "even-growth", file: "earlier", part: |run| run.of("even-growth", Run::size), write: arms },
@@ -84,6 +85,11 @@ impl Run {
             SOONER => iterations * 7.0 / 5.0,
             _ => iterations,
         })
+    }
+
+    /// Shorter than people train.
+    fn is_short(&self) -> bool {
+        self.length().is_some_and(|length| length < 7000.0)
     }
 
     fn size(&self) -> String {
@@ -219,7 +225,6 @@ fn scenes(parts: &[Part]) -> Result<String> {
         "off: PSNR, dB",
         "strong",
         "renew",
-        "renew - off",
         "renew - strong",
         "in strong's seconds",
         "renew - improved-gs",
@@ -232,20 +237,22 @@ fn scenes(parts: &[Part]) -> Result<String> {
         if pairs.is_empty() {
             continue;
         }
-        let strong_pairs = part.strong().map_or(Ok(Vec::new()), |strong| part.pairs(strong, EVOLVED))?;
-        let sooner_pairs = part.strong().map_or(Ok(Vec::new()), |strong| part.pairs_there_are(strong, SOONER))?;
+        let strong = part.strong();
+        let beside_strong = |arm| strong.map_or(Ok(Vec::new()), |strong| part.pairs_there_are(strong, arm));
+        let (strong_pairs, sooner_pairs) = (beside_strong(EVOLVED)?, beside_strong(SOONER)?);
         let improved_pairs = part.pairs_there_are(IMPROVED, EVOLVED)?;
         let (plain, evolved): (Vec<&Run>, Vec<&Run>) = pairs.iter().copied().unzip();
         let [strong, improved] =
             [&strong_pairs, &improved_pairs].map(|pairs| pairs.iter().map(|(other, _)| *other).collect::<Vec<&Run>>());
         let arms = [&plain, &strong, &evolved, &improved];
-        let [off, strong, renew, _] = arms.map(|runs| {
-            let psnr = Figures::of(runs, |run| run.number("psnr"));
-            psnr.mean(|mean| format!("{mean:.2}")) + &psnr.plus_minus()
-        });
+        let psnr = |runs: &[&Run]| Figures::of(runs, |run| run.number("psnr")).mean(|mean| format!("{mean:.2}"));
         let beside = |value: fn(&Run) -> Option<f64>| {
-            let mean = |runs: &&Vec<&Run>| Figures::of(runs, |run| value(run)).average().map_or("?".into(), thousands);
-            arms.iter().filter(|runs| !runs.is_empty()).map(mean).collect::<Vec<_>>().join(", ")
+            let means =
+                arms.iter().filter(|runs| !runs.is_empty()).map(|runs| Figures::of(runs, |run| value(run)).average());
+            let means: Vec<Option<f64>> = means.collect();
+            let is_known = means.iter().any(Option::is_some);
+            let written = means.iter().map(|mean| mean.map_or("?".to_owned(), thousands));
+            if is_known { written.collect::<Vec<_>>().join(", ") } else { String::new() }
         };
         let gain = |measured: &[(&Run, &Run)], mark: &str| {
             let gain = difference(measured, "psnr");
@@ -255,10 +262,9 @@ fn scenes(parts: &[Part]) -> Result<String> {
         lines.push([
             part.label.clone(),
             pairs.len().to_string(),
-            off,
-            strong,
-            renew,
-            gain(&pairs, ""),
+            psnr(&plain),
+            psnr(&strong),
+            psnr(&evolved),
             // What evolution is worth.
             gain(&strong_pairs, "**"),
             gain(&sooner_pairs, "**"),
