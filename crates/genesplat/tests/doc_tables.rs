@@ -139,7 +139,7 @@ fn runs_of_an_experiment_become_lines() {
             .unwrap();
         let metrics = serde_json::json!({
             "variant": "3dgs", "seed": 7, "iterations": 7000, "gaussians": 900,
-            "test": {"psnr": psnr, "ssim": 0.9, "lpips": null}, "seconds": {"gradient": 10.0, "evolution": 0.5},
+            "test": {"psnr": psnr, "ssim": 0.9, "lpips": null}, "train": {"psnr": 31.0}, "seconds": {"gradient": 10.0, "evolution": 0.5},
         });
         fs::write(run.join("metrics.json"), metrics.to_string()).unwrap();
     }
@@ -149,18 +149,22 @@ fn runs_of_an_experiment_become_lines() {
         .unwrap();
     fs::copy(stopped.join("../../off/seed-7/metrics.json"), stopped.join("metrics.json")).unwrap();
     let made = |is_idle| add::Made { experiment: "study", commit: "abc", machine: "A", is_idle };
-    let timed = add::add("", folder.path(), &made(true)).unwrap();
+    let header = "scene,variant,max_side,iterations,seed,arm,psnr,ssim,lpips,train_psnr,gaussians,gradient_seconds,\
+                  evolution_seconds,commit,machine,command\n";
+    let timed = add::add(header, folder.path(), &made(true)).unwrap();
     assert!(
-        timed.contains("\nfox,3dgs,480,7000,7,off,30.0000,0.90000,,900,10.0,0.5,abc,A,experiment study"),
+        timed.contains("\nfox,3dgs,480,7000,7,off,30.0000,0.90000,,31.0000,900,10.0,0.5,abc,A,experiment study"),
         "{timed}"
     );
     assert_eq!(timed.lines().count(), 3);
     let again = add::add(&timed, folder.path(), &made(false)).unwrap();
     assert_eq!(again, timed.replace("10.0,0.5", ","), "lines of the same runs are replaced");
     assert!(updated(DOCUMENT, &again).unwrap().contains("| 30.00 | 30.50 |"));
-    assert!(add::add("a,b\n", folder.path(), &made(true)).unwrap_err().to_string().contains("columns"));
+    let without = |column: &str| add::add(&header.replace(column, "wishes"), folder.path(), &made(true)).unwrap_err();
+    assert!(without("machine").to_string().contains("has not all of"));
+    assert!(format!("{:#}", without("lpips")).contains("no run has a column `wishes`"));
     let nothing = tempfile::tempdir().unwrap();
-    assert!(add::add("", nothing.path(), &made(true)).is_err());
+    assert!(add::add(header, nothing.path(), &made(true)).is_err());
 }
 
 #[test]

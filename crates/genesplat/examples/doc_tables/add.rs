@@ -1,15 +1,13 @@
-//! Adds the runs of an experiment to `docs/results/real-size.csv`.
+//! Adds the runs of an experiment to a CSV file of `docs/results`, whose header says what is kept of them.
 
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Context, Result, bail, ensure};
 use serde_json::Value;
 
-const COLUMNS: &str = "scene,variant,max_side,iterations,seed,arm,psnr,ssim,lpips,gaussians,gradient_seconds,evolution_seconds,\
-                       commit,machine,command";
-/// The columns that tell one run from another; the figures come after them.
-const KEY: usize = 6;
+/// The columns that tell one run from another.
+const IDENTITY: [&str; 8] = ["scene", "variant", "max_side", "iterations", "seed", "arm", "commit", "machine"];
 
 /// Where runs were made.
 pub(crate) struct Made<'a> {
@@ -24,23 +22,22 @@ pub(crate) struct Made<'a> {
 /// `csv` with a line for every finished run below `folder`; a line of the same run, commit and machine is replaced.
 pub(crate) fn add(csv: &str, folder: &Path, made: &Made<'_>) -> Result<String> {
     let mut lines = csv.lines();
-    let header = lines.next().unwrap_or(COLUMNS);
-    ensure!(header == COLUMNS, "its columns are not {COLUMNS}");
+    let header = lines.next().unwrap_or_default();
+    let columns: Vec<&str> = header.split(',').collect();
+    let identity: Vec<usize> =
+        IDENTITY.iter().filter_map(|name| columns.iter().position(|column| column == name)).collect();
+    ensure!(identity.len() == IDENTITY.len(), "its header has not all of {}", IDENTITY.join(", "));
+    let is_same =
+        |a: &str, b: &str| identity.iter().all(|&column| a.split(',').nth(column) == b.split(',').nth(column));
     let mut lines: Vec<String> = lines.map(str::to_owned).collect();
     let runs = finished(&folder.join("cells"))?;
     ensure!(!runs.is_empty(), "{} has no finished run", folder.display());
     for run in runs {
-        let line = line(&run, made).with_context(|| run.display().to_string())?;
-        lines.retain(|old| identity(old) != identity(&line));
+        let line = line(&run, &columns, made).with_context(|| run.display().to_string())?;
+        lines.retain(|old| !is_same(old, &line));
         lines.push(line);
     }
-    Ok(format!("{COLUMNS}\n{}\n", lines.join("\n")))
-}
-
-/// Which run a line stands for.
-fn identity(line: &str) -> Vec<&str> {
-    let fields: Vec<&str> = line.split(',').collect();
-    [&fields[..KEY], fields.get(12..14).unwrap_or_default()].concat()
+    Ok(format!("{header}\n{}\n", lines.join("\n")))
 }
 
 /// The folders `SCENE/VARIANT/ARM/SEED` of runs that have come to their end, in order of their names.
@@ -75,32 +72,38 @@ fn config(run: &Path) -> Result<toml::Table> {
     Ok(fs::read_to_string(run.join("config.toml"))?.parse()?)
 }
 
-fn line(run: &Path, made: &Made<'_>) -> Result<String> {
+/// The values of `columns`, in their order.
+fn line(run: &Path, columns: &[&str], made: &Made<'_>) -> Result<String> {
     let (metrics, config) = (metrics(run)?, config(run)?);
-    let max_side = config.get("dataset").and_then(|dataset| dataset.get("max_side"));
-    let max_side = max_side.and_then(toml::Value::as_integer).context("config.toml has no dataset.max_side")?;
-    let [arm, scene] = [1, 3].map(|up| run.ancestors().nth(up).and_then(Path::file_name).unwrap_or_default());
+    let values: Result<Vec<String>> =
+        columns.iter().map(|&column| value(column, run, &metrics, &config, made)).collect();
+    Ok(values?.join(","))
+}
+
+fn value(column: &str, run: &Path, metrics: &Value, config: &toml::Table, made: &Made<'_>) -> Result<String> {
+    let folder = |up: usize| run.ancestors().nth(up).and_then(Path::file_name).unwrap_or_default().to_string_lossy();
     let number =
         |at: &str, digits: usize| metrics.pointer(at).and_then(Value::as_f64).map(|value| format!("{value:.digits$}"));
-    let seconds =
-        |at: &str| if made.is_idle { number(at, 1).with_context(|| at.to_owned()) } else { Ok(String::new()) };
     let needed = |at: &str, digits| number(at, digits).with_context(|| format!("metrics.json has no {at}"));
-    let fields = [
-        scene.to_string_lossy().into_owned(),
-        metrics["variant"].as_str().unwrap_or_default().to_owned(),
-        max_side.to_string(),
-        needed("/iterations", 0)?,
-        needed("/seed", 0)?,
-        arm.to_string_lossy().into_owned(),
-        needed("/test/psnr", 4)?,
-        needed("/test/ssim", 5)?,
-        number("/test/lpips", 5).unwrap_or_default(),
-        needed("/gaussians", 0)?,
-        seconds("/seconds/gradient")?,
-        seconds("/seconds/evolution")?,
-        made.commit.to_owned(),
-        made.machine.to_owned(),
-        format!("experiment {} --data SCENES --out DIR", made.experiment),
-    ];
-    Ok(fields.join(","))
+    let seconds = |at: &str| if made.is_idle { needed(at, 1) } else { Ok(String::new()) };
+    let max_side = config.get("dataset").and_then(|dataset| dataset.get("max_side")).and_then(toml::Value::as_integer);
+    Ok(match column {
+        "scene" => folder(3).into_owned(),
+        "variant" => metrics["variant"].as_str().unwrap_or_default().to_owned(),
+        "max_side" => max_side.context("config.toml has no dataset.max_side")?.to_string(),
+        "iterations" => needed("/iterations", 0)?,
+        "seed" => needed("/seed", 0)?,
+        "arm" => folder(1).into_owned(),
+        "psnr" => needed("/test/psnr", 4)?,
+        "ssim" => needed("/test/ssim", 5)?,
+        "lpips" => number("/test/lpips", 5).unwrap_or_default(),
+        "train_psnr" => needed("/train/psnr", 4)?,
+        "gaussians" => needed("/gaussians", 0)?,
+        "gradient_seconds" => seconds("/seconds/gradient")?,
+        "evolution_seconds" => seconds("/seconds/evolution")?,
+        "commit" => made.commit.to_owned(),
+        "machine" => made.machine.to_owned(),
+        "command" => format!("experiment {} --data SCENES --out DIR", made.experiment),
+        unknown => bail!("no run has a column `{unknown}`"),
+    })
 }

@@ -6,8 +6,9 @@
 //! cargo run --release --example doc_tables -- --add DIR study-evolution COMMIT MACHINE
 //! ```
 //!
-//! `--add` puts the finished runs of an experiment's folder into `docs/results/real-size.csv` first; `--add-busy` does without their
-//! seconds, since the machine had other work.
+//! `--add` puts the finished runs of an experiment's folder into a CSV file first: `docs/results/ablations.csv` where the experiment's
+//! name begins with `ablation`, `real-size.csv` beside it otherwise. `--add-busy` does without their seconds, since the machine had other
+//! work.
 
 use std::fs;
 use std::path::Path;
@@ -26,7 +27,8 @@ fn main() -> Result<()> {
         ["--check"] => write_tables(root, &results, true),
         [add @ ("--add" | "--add-busy"), folder, experiment, commit, machine] => {
             let made = add::Made { experiment, commit, machine, is_idle: *add == "--add" };
-            let path = results.join("real-size.csv");
+            let is_ablation = experiment.starts_with("ablation");
+            let path = results.join(if is_ablation { "ablations.csv" } else { "real-size.csv" });
             let csv = fs::read_to_string(&path).with_context(|| path.display().to_string())?;
             let csv = add::add(&csv, Path::new(folder), &made).with_context(|| path.display().to_string())?;
             fs::write(&path, csv).with_context(|| path.display().to_string())?;

@@ -37,10 +37,11 @@ struct Table {
     write: fn(&[Part]) -> Result<String>,
 }
 
-const TABLES: [Table; 8] = [
+const TABLES: [Table; 9] = [
     Table { name: "results", file: "real-size", part: |run| (!run.is_short()).then(|| run.size()), write: scenes },
     Table { name: "real-size", file: "real-size", part: |run| (!run.is_short()).then(|| run.size()), write: arms },
     Table { name: "short", file: "real-size", part: |run| run.is_short().then(|| run.size()), write: arms },
+    Table { name: "ablations", file: "ablations", part: |run| Some(run.size()), write: arms },
     Table { name: "renew", file: "earlier", part: |run| run.of("renew", Run::size), write: arms },
     Table { name: "renew-limited", file: "earlier", part: |run| run.of("renew-limited", Run::trainer), write: arms },
     Table { name: "even-growth", file: "earlier", part: |run| run.of("even-growth", Run::size), write: arms },

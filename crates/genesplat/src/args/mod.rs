@@ -298,8 +298,7 @@ pub(crate) struct CompareArgs {
 #[derive(Debug, Args)]
 pub(crate) struct ExperimentArgs {
     /// What to compare: smoke (minutes, no data needed), paper-table-2-3, study-evolution, study-paper, study-mcmc,
-    /// study-improved, ablation-crossover, ablation-trigger, ablation-population, ablation-views, ablation-gradient,
-    /// ablation-selection, ablation-renew, or a TOML file of one's own
+    /// study-improved, ablation-paper, ablation-renew, or a TOML file of one's own
     #[arg(value_name = "NAME|FILE.toml")]
     pub(crate) what: String,
     /// Folder for the runs, the tables and report.html; made if it is missing. The same command goes on with what is

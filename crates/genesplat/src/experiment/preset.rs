@@ -7,19 +7,14 @@ use genesplat::io::{input, shown};
 
 use super::file::ExperimentFile;
 
-pub(crate) const PRESETS: [(&str, &str); 13] = [
+pub(crate) const PRESETS: [(&str, &str); 8] = [
     ("smoke", include_str!("../../presets/smoke.toml")),
     ("paper-table-2-3", include_str!("../../presets/paper-table-2-3.toml")),
     ("study-evolution", include_str!("../../presets/study-evolution.toml")),
     ("study-paper", include_str!("../../presets/study-paper.toml")),
     ("study-mcmc", include_str!("../../presets/study-mcmc.toml")),
     ("study-improved", include_str!("../../presets/study-improved.toml")),
-    ("ablation-crossover", include_str!("../../presets/ablation-crossover.toml")),
-    ("ablation-trigger", include_str!("../../presets/ablation-trigger.toml")),
-    ("ablation-population", include_str!("../../presets/ablation-population.toml")),
-    ("ablation-views", include_str!("../../presets/ablation-views.toml")),
-    ("ablation-gradient", include_str!("../../presets/ablation-gradient.toml")),
-    ("ablation-selection", include_str!("../../presets/ablation-selection.toml")),
+    ("ablation-paper", include_str!("../../presets/ablation-paper.toml")),
     ("ablation-renew", include_str!("../../presets/ablation-renew.toml")),
 ];
 
@@ -55,9 +50,20 @@ mod tests {
     const LONGER: &str = "strong-longer";
 
     #[test]
-    fn every_preset_is_valid_and_has_a_control_for_each_arm_that_evolves() {
+    fn every_preset_is_valid_and_beside_plain_training() {
         for (name, _) in PRESETS {
-            let experiment = Experiment::new(open(name).unwrap()).unwrap_or_else(|error| panic!("{name}: {error}"));
+            let experiment = preset(name);
+            let plain = if name == "study-improved" { "improved-gs" } else { "off" };
+            assert_eq!(experiment.arms[0].name, plain, "{name}: differences are from plain training");
+            assert!(experiment.file.seeds.len() >= 3, "{name}");
+        }
+    }
+
+    /// An ablation compares the arms of one method; all else compares evolution with plain training.
+    #[test]
+    fn each_arm_that_evolves_has_one_with_as_many_seconds() {
+        for (name, _) in PRESETS.iter().filter(|(name, _)| !name.starts_with("ablation-")) {
+            let experiment = preset(name);
             let controlled: Vec<usize> = experiment.arms.iter().filter_map(|arm| arm.control_of).collect();
             let has_longer = experiment.arms.iter().any(|arm| arm.name == LONGER);
             let evolves = |arm: &usize| {
@@ -67,15 +73,16 @@ mod tests {
             };
             let evolving = (0..experiment.arms.len()).filter(evolves);
             assert_eq!(controlled, evolving.collect::<Vec<_>>(), "{name}: a control for each");
-            let plain = if name == "study-improved" { "improved-gs" } else { "off" };
-            assert_eq!(experiment.arms[0].name, plain, "{name}: differences are from plain training");
-            assert!(experiment.file.seeds.len() >= 3, "{name}");
         }
+    }
+
+    fn preset(name: &str) -> Experiment {
+        Experiment::new(open(name).unwrap()).unwrap_or_else(|error| panic!("{name}: {error}"))
     }
 
     #[test]
     fn the_papers_tables_are_the_whole_matrix() {
-        let experiment = Experiment::new(open("paper-table-2-3").unwrap()).unwrap();
+        let experiment = preset("paper-table-2-3");
         assert_eq!(experiment.cells().len(), 8 * 3 * 3 * 3);
     }
 
@@ -91,6 +98,6 @@ mod tests {
     #[test]
     fn an_unknown_name_lists_the_known_ones() {
         let error = open("smoked").unwrap_err().to_string();
-        assert!(error.contains("smoked") && error.contains("ablation-views"), "{error}");
+        assert!(error.contains("smoked") && error.contains("ablation-paper"), "{error}");
     }
 }

@@ -270,7 +270,7 @@ fn what_cannot_be_run_is_said_at_once() {
     };
     fail(preset(&[]), &["poster", "--data"]);
     fail(preset(&["--data", text(folder.path())]), &["no folder called poster, library"]);
-    fail(["experiment", "smokee", "--out", text(&out)], &["smokee", "ablation-trigger"]);
+    fail(["experiment", "smokee", "--out", text(&out)], &["smokee", "ablation-paper"]);
     let file = write(folder.path(), r#"evolve = ["off", "sideways"]"#);
     fail(experiment(&file, &out, &[]), &["sideways"]);
     let own = folder.path().join("fox");
