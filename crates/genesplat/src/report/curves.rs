@@ -10,6 +10,7 @@ use genesplat::io::{input, shown};
 use serde::Deserialize;
 
 use super::chart::{Chart, Series};
+use crate::terminal::numbers::thousands;
 
 /// A line of `log.jsonl`, as far as curves need it.
 #[derive(Clone, Debug, Deserialize)]
@@ -46,7 +47,24 @@ pub(crate) struct Curves {
     pub(crate) notices: Vec<String>,
 }
 
+/// Test photos that lose this much after their best moment say something, dB: seeds differ by less.
+const LOSS_DB: f64 = 0.3;
+
 impl Curves {
+    /// What a run's owner should know where the test photos, which end with the PSNR `at_end`, were clearly better before.
+    pub(crate) fn notice_of_overfitting(&self, at_end: f64, iterations: u32) -> Option<String> {
+        let best = self.test_psnr.iter().max_by(|a, b| a[1].total_cmp(&b[1]))?;
+        let [iteration, psnr] = *best;
+        (psnr - at_end > LOSS_DB).then(|| {
+            format!(
+                "test photos were best after {} of {} iterations ({psnr:.2} dB, and {at_end:.2} at the end): training then learns its \
+                 photos by heart, since they are few or far apart; photos from between them would help most, and fewer --iterations may",
+                thousands(iteration as usize),
+                thousands(iterations as usize),
+            )
+        })
+    }
+
     pub(crate) fn read(path: &Path) -> Result<Self> {
         match input::read_text(path) {
             Ok(text) => Ok(Self::parse(&text)),
@@ -117,5 +135,16 @@ mod tests {
         assert_eq!(curves.loss, [[10.0, 0.5], [30.0, 0.3]]);
         assert_eq!(curves.gaussians, [[10.0, 5.0], [20.0, 6.0], [30.0, 8.0]]);
         assert_eq!(curves.notices, ["full"]);
+    }
+
+    #[test]
+    fn test_photos_that_were_better_before_are_a_notice() {
+        let curves = Curves { test_psnr: vec![[1000.0, 24.0], [2000.0, 26.25], [7000.0, 25.5]], ..Curves::default() };
+        let notice = curves.notice_of_overfitting(25.4, 7000).unwrap();
+        assert!(notice.contains("after 2,000 of 7,000 iterations (26.25 dB, and 25.40 at the end)"), "{notice}");
+        assert_eq!(curves.notice_of_overfitting(26.0, 7000), None, "seeds differ by as much");
+        assert_eq!(curves.notice_of_overfitting(27.0, 7000), None);
+        assert_eq!(curves.notice_of_overfitting(f64::INFINITY, 7000), None);
+        assert_eq!(Curves::default().notice_of_overfitting(25.0, 7000), None, "no photo was held out");
     }
 }

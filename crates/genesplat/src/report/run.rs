@@ -45,7 +45,8 @@ impl RunPage<'_> {
             ),
         );
         page.figures(&figures(self.metrics));
-        curves.notices.iter().for_each(|notice| _ = page.element("p class=\"notice\"", notice));
+        let overfitting = curves.notice_of_overfitting(test.psnr, self.metrics.iterations);
+        curves.notices.iter().chain(&overfitting).for_each(|notice| _ = page.element("p class=\"notice\"", notice));
         self.write_views(&mut page)?;
         write_curves(&mut page, curves);
         stages::write(&mut page, &self.metrics.evolution);
