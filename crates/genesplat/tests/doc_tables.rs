@@ -59,9 +59,9 @@ fn a_figure_changed_by_hand_is_found() {
 #[test]
 fn figures_are_means_over_pairs() {
     let expected = "before\n<!-- table: results -->
-| scene | pairs | off: PSNR, dB | renew | Gaussians | seconds |
+| 480 px, 7,000 iterations | pairs | off: PSNR, dB | renew | Gaussians | seconds |
 | --- | --- | --- | --- | --- | --- |
-| fox, 480 px, 7,000 iterations | 2 | 30.50 | 30.80 | 1,234,568, 901 | 105, 120 |
+| fox | 2 | 30.50 | 30.80 | 1,234,568, 901 | 105, 120 |
 <!-- /table -->\nafter\n";
     assert_eq!(updated(DOCUMENT, CSV).unwrap(), expected);
     assert_eq!(updated(expected, CSV).unwrap(), expected, "a second time changes nothing");
@@ -88,6 +88,15 @@ fox,480,10000,1,strong-longer,31.3,900,120,0,genesplat train fox
     assert!(table.contains("| **-0.05** ± 0.21 | **-0.10** (of 1) |"), "the longer run is the best: {table}");
     let of_another_length = updated(DOCUMENT, &format!("{CSV}{}", sooner.replace("5000", "4000"))).unwrap();
     assert!(!of_another_length.contains("strong's seconds"), "{of_another_length}");
+}
+
+#[test]
+fn scenes_of_different_sizes_say_so() {
+    let other: String = CSV.lines().skip(1).map(|line| line.replace("fox,480", "fern,960") + "\n").collect();
+    let table = updated(DOCUMENT, &format!("{CSV}{other}")).unwrap();
+    assert!(table.contains("| scene | pairs |"), "{table}");
+    assert!(table.contains("| fox, 480 px, 7,000 iterations | 2 |"), "{table}");
+    assert!(table.contains("| fern, 960 px, 7,000 iterations | 2 |"), "{table}");
 }
 
 #[test]

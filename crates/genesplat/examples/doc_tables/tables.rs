@@ -220,8 +220,9 @@ fn runs(csv: &str) -> Result<Vec<Run>> {
 
 /// One line a scene: the published trainer, the best of plain settings, evolution, and the strongest other trainer.
 fn scenes(parts: &[Part]) -> Result<String> {
+    let (scenes, size) = without_common_size(parts);
     let head = [
-        "scene",
+        &*size,
         "pairs",
         "off: PSNR, dB",
         "strong",
@@ -233,7 +234,7 @@ fn scenes(parts: &[Part]) -> Result<String> {
         "seconds",
     ];
     let mut lines = Vec::new();
-    for part in parts {
+    for (part, scene) in parts.iter().zip(scenes) {
         let pairs = part.pairs(BASELINE, EVOLVED)?;
         if pairs.is_empty() {
             continue;
@@ -261,7 +262,7 @@ fn scenes(parts: &[Part]) -> Result<String> {
             gain.mean(|mean| format!("{mark}{mean:+.2}{mark}{}{fewer}", gain.plus_minus()))
         };
         lines.push([
-            part.label.clone(),
+            scene,
             pairs.len().to_string(),
             psnr(&plain),
             psnr(&strong),
@@ -275,6 +276,18 @@ fn scenes(parts: &[Part]) -> Result<String> {
         ]);
     }
     Ok(markdown(head, lines))
+}
+
+/// The first cell of each line, and what stands above them: the size, where it is the same for all.
+fn without_common_size(parts: &[Part]) -> (Vec<String>, String) {
+    let cut = |part: &Part| part.label.split_once(", ").map(|(scene, size)| (scene.to_owned(), size.to_owned()));
+    let cut: Vec<(String, String)> = parts.iter().filter_map(cut).collect();
+    let (scenes, mut sizes): (Vec<String>, Vec<String>) = cut.into_iter().unzip();
+    sizes.dedup();
+    match &sizes[..] {
+        [size] if scenes.len() == parts.len() => (scenes, size.clone()),
+        _ => (parts.iter().map(|part| part.label.clone()).collect(), "scene".to_owned()),
+    }
 }
 
 /// One line an arm: values of the baseline, and of the others their differences from it.
