@@ -60,7 +60,7 @@ fn a_figure_changed_by_hand_is_found() {
 fn figures_are_means_over_pairs() {
     let expected = "before\n<!-- table: results -->
 | 480 px, 7,000 iterations | pairs | off: PSNR, dB | renew | Gaussians | seconds |
-| --- | --- | --- | --- | --- | --- |
+|---|---|---|---|---|---|
 | fox | 2 | 30.50 | 30.80 | 1,234,568, 901 | 105, 120 |
 <!-- /table -->\nafter\n";
     assert_eq!(updated(DOCUMENT, CSV).unwrap(), expected);

@@ -4,7 +4,7 @@
 //! which runs a table shows. A *line* of a table stands for the runs of one arm of an experiment, and its figures are means over them.
 //! Beside an arm stand its differences from `off`, run by run: a pair has the same scene, size, length, seed, commit and machine.
 
-use std::collections::HashMap;
+use std::collections::{BTreeSet, HashMap};
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -93,9 +93,13 @@ impl Run {
         self.length().is_some_and(|length| length < 7000.0)
     }
 
-    fn size(&self) -> String {
+    fn pixels_and_length(&self) -> String {
         let length = thousands(self.length().unwrap_or(f64::NAN));
-        format!("{}, {} px, {length} iterations", self.text("scene"), self.text("max_side"))
+        format!("{} px, {length} iterations", self.text("max_side"))
+    }
+
+    fn size(&self) -> String {
+        format!("{}, {}", self.text("scene"), self.pixels_and_length())
     }
 
     fn trainer(&self) -> String {
@@ -220,9 +224,11 @@ fn runs(csv: &str) -> Result<Vec<Run>> {
 
 /// One line a scene: the published trainer, the best of plain settings, evolution, and the strongest other trainer.
 fn scenes(parts: &[Part]) -> Result<String> {
-    let (scenes, size) = without_common_size(parts);
+    // The size stands above the scenes where it is the same for all.
+    let sizes: BTreeSet<String> = parts.iter().map(|part| part.runs[0].pixels_and_length()).collect();
+    let common = sizes.first().filter(|_| sizes.len() == 1);
     let head = [
-        &*size,
+        common.map_or("scene", String::as_str),
         "pairs",
         "off: PSNR, dB",
         "strong",
@@ -234,7 +240,7 @@ fn scenes(parts: &[Part]) -> Result<String> {
         "seconds",
     ];
     let mut lines = Vec::new();
-    for (part, scene) in parts.iter().zip(scenes) {
+    for part in parts {
         let pairs = part.pairs(BASELINE, EVOLVED)?;
         if pairs.is_empty() {
             continue;
@@ -262,7 +268,7 @@ fn scenes(parts: &[Part]) -> Result<String> {
             gain.mean(|mean| format!("{mark}{mean:+.2}{mark}{}{fewer}", gain.plus_minus()))
         };
         lines.push([
-            scene,
+            common.map_or(&*part.label, |_| part.runs[0].text("scene")).to_owned(),
             pairs.len().to_string(),
             psnr(&plain),
             psnr(&strong),
@@ -276,18 +282,6 @@ fn scenes(parts: &[Part]) -> Result<String> {
         ]);
     }
     Ok(markdown(head, lines))
-}
-
-/// The first cell of each line, and what stands above them: the size, where it is the same for all.
-fn without_common_size(parts: &[Part]) -> (Vec<String>, String) {
-    let cut = |part: &Part| part.label.split_once(", ").map(|(scene, size)| (scene.to_owned(), size.to_owned()));
-    let cut: Vec<(String, String)> = parts.iter().filter_map(cut).collect();
-    let (scenes, mut sizes): (Vec<String>, Vec<String>) = cut.into_iter().unzip();
-    sizes.dedup();
-    match &sizes[..] {
-        [size] if scenes.len() == parts.len() => (scenes, size.clone()),
-        _ => (parts.iter().map(|part| part.label.clone()).collect(), "scene".to_owned()),
-    }
 }
 
 /// One line an arm: values of the baseline, and of the others their differences from it.
@@ -375,7 +369,7 @@ fn markdown<const COLUMNS: usize>(head: [&str; COLUMNS], lines: Vec<[String; COL
         let cells: Vec<String> = shown.iter().map(|&column| cell(column)).collect();
         format!("| {} |", cells.join(" | "))
     };
-    let mut rows = vec![row(&|column| head[column].to_owned()), row(&|_| "---".to_owned())];
+    let mut rows = vec![row(&|column| head[column].to_owned()), format!("|{}", "---|".repeat(shown.len()))];
     rows.extend(lines.iter().map(|line| row(&|column| line[column].clone())));
     rows.join("\n")
 }

@@ -13,11 +13,10 @@ use crate::args::TrainArgs;
 use crate::cluster::Cluster;
 use crate::device::DeviceChoice;
 use crate::poses::{self, Request};
-use crate::report::curves::Curves;
 use crate::run::metrics::Metrics;
 use crate::run::session::{Caller, RunSession};
 use crate::run::training::{Ended, Run};
-use crate::run::{CLOUD, LOG, REPORT, previous};
+use crate::run::{CLOUD, REPORT, previous};
 use crate::settings::{ConfigFile, Settings};
 use crate::terminal::numbers::{duration, thousands};
 use crate::terminal::{interrupt, output};
@@ -117,10 +116,6 @@ fn report(ended: &Ended, folder: &Path) -> Result<Ending> {
         Ended::Whole(metrics) => {
             output::print(&output::scores_line("test", &metrics.test))?;
             output::print(&output::scores_line("train", &metrics.train))?;
-            let curves = Curves::read(&folder.join(LOG))?;
-            if let Some(notice) = curves.notice_of_overfitting(metrics.test.psnr, metrics.iterations) {
-                output::print(&format!("notice: {notice}"))?;
-            }
             print_size(metrics, folder)?;
             return Ok(Ending::Whole);
         }

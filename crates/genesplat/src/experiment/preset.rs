@@ -42,6 +42,7 @@ mod tests {
 
     use super::*;
     use crate::experiment::plan::Experiment;
+    use crate::settings::ConfigFile;
 
     /// Arms whose seconds are all spent on gradient steps.
     const PLAIN: [&str; 7] =
@@ -73,6 +74,20 @@ mod tests {
             };
             let evolving = (0..experiment.arms.len()).filter(evolves);
             assert_eq!(controlled, evolving.collect::<Vec<_>>(), "{name}: a control for each");
+        }
+    }
+
+    /// Before a reset comes what comes after a densification in the same iteration: two arms would be one.
+    #[test]
+    fn stages_at_densifications_are_not_beside_resets() {
+        let experiment = preset("ablation-paper");
+        for name in ["after-densify", "before-densify"] {
+            let arm = experiment.arms.iter().find(|arm| arm.name == name).unwrap();
+            let schedule =
+                ConfigFile::from_table(arm.config.clone()).unwrap().train.resolve().unwrap().schedule().clone();
+            let stages: Vec<u32> = schedule.stages().collect();
+            assert_eq!(stages, [500, 1000], "{name}");
+            assert!(stages.iter().all(|&stage| !schedule.is_reset(stage)), "{name}");
         }
     }
 

@@ -10,6 +10,7 @@ use genesplat::io::{input, shown};
 use serde::Deserialize;
 
 use super::chart::{Chart, Series};
+use crate::run::metrics::Metrics;
 use crate::terminal::numbers::thousands;
 
 /// A line of `log.jsonl`, as far as curves need it.
@@ -47,20 +48,21 @@ pub(crate) struct Curves {
     pub(crate) notices: Vec<String>,
 }
 
-/// Test photos that lose this much after their best moment say something, dB: seeds differ by less.
+/// A loss of test PSNR that is worth a sentence, dB.
 const LOSS_DB: f64 = 0.3;
 
 impl Curves {
-    /// What a run's owner should know where the test photos, which end with the PSNR `at_end`, were clearly better before.
-    pub(crate) fn notice_of_overfitting(&self, at_end: f64, iterations: u32) -> Option<String> {
-        let best = self.test_psnr.iter().max_by(|a, b| a[1].total_cmp(&b[1]))?;
-        let [iteration, psnr] = *best;
-        (psnr - at_end > LOSS_DB).then(|| {
+    /// Where the test photos of a whole run were clearly better before its end, and the training photos are better still. (After
+    /// a late opacity reset all photos are worse.)
+    pub(crate) fn notice_of_overfitting(&self, metrics: &Metrics) -> Option<String> {
+        let [test, train] = [&metrics.test, &metrics.train].map(|scores| scores.psnr);
+        let [iteration, best] = *self.test_psnr.iter().max_by(|a, b| a[1].total_cmp(&b[1]))?;
+        (best - test > LOSS_DB && train > best).then(|| {
             format!(
-                "test photos were best after {} of {} iterations ({psnr:.2} dB, and {at_end:.2} at the end): training then learns its \
-                 photos by heart, since they are few or far apart; photos from between them would help most, and fewer --iterations may",
+                "test photos were best after {} of {} iterations ({best:.2} dB, and {test:.2} at the end, where training photos have \
+                 {train:.2}): the run learns its photos by heart; more photos between them would help, and fewer --iterations may",
                 thousands(iteration as usize),
-                thousands(iterations as usize),
+                thousands(metrics.iterations as usize),
             )
         })
     }
@@ -138,13 +140,24 @@ mod tests {
     }
 
     #[test]
-    fn test_photos_that_were_better_before_are_a_notice() {
-        let curves = Curves { test_psnr: vec![[1000.0, 24.0], [2000.0, 26.25], [7000.0, 25.5]], ..Curves::default() };
-        let notice = curves.notice_of_overfitting(25.4, 7000).unwrap();
-        assert!(notice.contains("after 2,000 of 7,000 iterations (26.25 dB, and 25.40 at the end)"), "{notice}");
-        assert_eq!(curves.notice_of_overfitting(26.0, 7000), None, "seeds differ by as much");
-        assert_eq!(curves.notice_of_overfitting(27.0, 7000), None);
-        assert_eq!(curves.notice_of_overfitting(f64::INFINITY, 7000), None);
-        assert_eq!(Curves::default().notice_of_overfitting(25.0, 7000), None, "no photo was held out");
+    fn test_photos_that_were_better_before_are_a_notice_where_training_photos_are_not_worse() {
+        let mut curves =
+            Curves { test_psnr: vec![[1000.0, 24.0], [2000.0, 26.25], [7000.0, 25.5]], ..Curves::default() };
+        let scores = |psnr: f64| serde_json::json!({"psnr": psnr, "ssim": 0.9, "lpips": null, "views": []});
+        let notice = |curves: &Curves, test: f64, train: f64| {
+            let metrics = serde_json::json!({
+                "schema": 1, "dataset": "fox", "variant": "3dgs", "evolve": "off", "seed": 0, "iterations": 7000, "gaussians": 9,
+                "test": scores(test), "train": scores(train), "peak_memory_bytes": null, "evolution": [],
+                "seconds": {"load": 0.0, "gradient": 0.0, "evolution": 0.0, "evaluate": 0.0, "total": 0.0},
+            });
+            curves.notice_of_overfitting(&serde_json::from_value(metrics).unwrap())
+        };
+        let said = notice(&curves, 25.4, 36.0).unwrap();
+        assert!(said.contains("after 2,000 of 7,000 iterations (26.25 dB, and 25.40 at the end"), "{said}");
+        assert_eq!(notice(&curves, 26.0, 36.0), None, "hardly worse");
+        assert_eq!(notice(&curves, 27.0, 36.0), None, "averages are better than what they are of");
+        assert_eq!(notice(&curves, 20.0, 21.0), None, "after a late reset");
+        curves.test_psnr.clear();
+        assert_eq!(notice(&curves, 25.0, 36.0), None, "no photo was held out");
     }
 }

@@ -13,16 +13,17 @@ use super::curves::{Curves, over_time};
 use super::html::{Html, document};
 use super::picture;
 use super::stages;
+use crate::run::TEST;
 use crate::run::metrics::Metrics;
-use crate::run::{LOG, TEST};
 use crate::scene::picture_names;
 use crate::terminal::numbers::{duration, memory, thousands};
 
 const PICTURE_PX: u32 = 800;
 
-/// What a page is made of: the figures, what was trained on, the run's folder and `config.toml`, and what repeats it.
+/// What a page is made of: the figures, the run over time, what was trained on, the run's folder and `config.toml`, and what repeats it.
 pub(crate) struct RunPage<'a> {
     pub(crate) metrics: &'a Metrics,
+    pub(crate) curves: Curves,
     pub(crate) scene: &'a Scene,
     pub(crate) folder: &'a Path,
     pub(crate) config: &'a str,
@@ -30,9 +31,8 @@ pub(crate) struct RunPage<'a> {
 }
 
 impl RunPage<'_> {
-    pub(crate) fn to_html(&self) -> Result<String> {
+    pub(crate) fn into_html(self) -> Result<String> {
         let Metrics { dataset, variant, evolve, seed, iterations, test, .. } = self.metrics;
-        let curves = Curves::read(&self.folder.join(LOG))?;
         let iterations = thousands(*iterations as usize);
         let mut page = Html::new();
         page.element("h1", dataset).element(
@@ -45,10 +45,9 @@ impl RunPage<'_> {
             ),
         );
         page.figures(&figures(self.metrics));
-        let overfitting = curves.notice_of_overfitting(test.psnr, self.metrics.iterations);
-        curves.notices.iter().chain(&overfitting).for_each(|notice| _ = page.element("p class=\"notice\"", notice));
+        self.curves.notices.iter().for_each(|notice| _ = page.element("p class=\"notice\"", notice));
         self.write_views(&mut page)?;
-        write_curves(&mut page, curves);
+        write_curves(&mut page, self.curves);
         stages::write(&mut page, &self.metrics.evolution);
         write_scores(&mut page, self.metrics);
         write_repeat(&mut page, self.command);

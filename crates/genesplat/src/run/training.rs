@@ -20,11 +20,13 @@ use super::metrics::{Metrics, PhaseSeconds};
 use super::session::{Caller, RunSession, read_checkpoint};
 use super::tensorboard::TensorBoard;
 use super::test_curve::TestCurve;
-use super::{CONFIG, TEST, failure, memory, photos};
+use super::{CONFIG, LOG, TEST, failure, memory, photos};
 use crate::cluster::Cluster;
 use crate::device::Device;
+use crate::report::curves::Curves;
 use crate::report::run::RunPage;
 use crate::settings::Settings;
+use crate::terminal::output;
 use crate::terminal::progress::Bar;
 use crate::terminal::reporter::Reporter;
 use crate::{cluster, device, live, overwrite, scene};
@@ -171,7 +173,16 @@ impl Run<'_> {
             evolution: summary.stages,
         };
         if session.writes() {
-            let page = self.report(session.path(), &metrics)?;
+            let mut curves = Curves::read(&session.path().join(LOG))?;
+            // A run that was stopped may have just seen an opacity reset.
+            let overfitting = curves.notice_of_overfitting(&metrics).filter(|_| !summary.interrupted);
+            if let Some(notice) = overfitting {
+                if session.caller() == Caller::Train {
+                    output::note(&format!("notice: {notice}"));
+                }
+                curves.notices.push(notice);
+            }
+            let page = self.report(session.path(), &metrics, curves)?;
             session.write_results(&page, &metrics, !summary.interrupted)?;
         }
         if summary.interrupted {
@@ -207,11 +218,11 @@ impl Run<'_> {
         Ok(score(train, None)?.map(|train| (test, train)))
     }
 
-    fn report(&self, folder: &Path, metrics: &Metrics) -> Result<String> {
+    fn report(&self, folder: &Path, metrics: &Metrics, curves: Curves) -> Result<String> {
         let (dataset, out, saved) = (shown(&self.settings.dataset.path), shown(folder), shown(folder.join(CONFIG)));
         let words = ["genesplat", "train", &dataset, "--out", &out, "--config", &saved];
         let (config, command) = (self.settings.to_toml(), command_line(words));
-        RunPage { metrics, scene: self.scene, folder, config: &config, command: &command }.to_html()
+        RunPage { metrics, curves, scene: self.scene, folder, config: &config, command: &command }.into_html()
     }
 }
 
