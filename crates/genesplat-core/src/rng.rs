@@ -37,6 +37,10 @@ pub enum Stream {
     SplitChoice = 14,
     /// Which Gaussians a pair of parents may exchange: (generation, pair, draw / 4).
     CrossoverSelection = 15,
+    /// Rounding of the pictures of virtual views: (iteration, view, pixel).
+    VirtualPicture = 16,
+    /// Which virtual views are looked at again: (iteration, position, 0).
+    VirtualTurn = 17,
 }
 
 /// The random numbers of one seed.

@@ -32,7 +32,7 @@
 
 use std::sync::atomic::AtomicBool;
 
-use genesplat_core::{EvolutionBackend, View};
+use genesplat_core::{EvolutionBackend, StatisticsRequest, View};
 
 use crate::config::{EvolutionMode, Resolved};
 use crate::densify::Plan;
@@ -41,7 +41,7 @@ use crate::run::checkpoint::{Checkpoint, Cursor};
 use crate::run::observe::{DensifyLog, Observer, StepLog};
 use crate::run::trainer::{REPORT_EVERY, Trainer, filter_of};
 use crate::run::{Outcome, Start, TrainError};
-use crate::schedule::Phase;
+use crate::schedule::{Phase, Visit};
 
 /// Trains on `views` until the schedule ends or `stop` is set.
 ///
@@ -97,6 +97,7 @@ impl Trainer<'_> {
         let cursor = Cursor { iteration: i, phase };
         match phase {
             Phase::Step => self.step(i)?,
+            Phase::RefreshVirtualViews => self.refresh_virtual_views(i)?,
             Phase::Densify => self.densify(i)?,
             Phase::RefreshFilter => self.refresh_filter()?,
             Phase::ResetOpacity => self.reset_opacity()?,
@@ -113,8 +114,11 @@ impl Trainer<'_> {
 
     fn step(&mut self, i: u32) -> Result<(), TrainError> {
         let schedule = self.schedule;
-        let view = self.order.view(i - 1);
-        let statistics = schedule.statistics(self.signal, i);
+        let virtual_steps = self.virtual_steps.filter(|_| self.virtual_views.are_shown());
+        let (view, statistics) = match virtual_steps.map_or(Visit::Photo(i - 1), |steps| steps.visit(i)) {
+            Visit::Photo(visit) => (self.order.view(visit), schedule.statistics(self.signal, i)),
+            Visit::Virtual(visit) => (self.views.len() + self.virtual_views.view(visit), StatisticsRequest::default()),
+        };
         self.train_step(view, i, 0, schedule.optimiser_step(i), statistics)?;
         self.cursor.phase = schedule.order()[1];
         self.look_for_gaussians(i)?;
@@ -141,6 +145,14 @@ impl Trainer<'_> {
         let (views, last) = (self.views.len(), self.schedule.iterations.min(self.views.len() as u32));
         let near = self.views.iter().map(|view| view.camera.near).fold(f64::INFINITY, f64::min);
         if !self.has_seen && i >= last { Err(TrainError::NothingVisible { views, near }) } else { Ok(()) }
+    }
+
+    fn refresh_virtual_views(&mut self, i: u32) -> Result<(), TrainError> {
+        if self.virtual_steps.is_some() {
+            let settings = self.settings(i);
+            self.virtual_views.refresh(&mut *self.backend, self.views, &settings, i)?;
+        }
+        Ok(())
     }
 
     fn densify(&mut self, i: u32) -> Result<(), TrainError> {

@@ -133,6 +133,9 @@ pub struct RenewalConfig {
     /// The mean of a window's states replaces the last one; without renewals the last two fifths of the run are the window.
     /// Default true.
     pub averaging: bool,
+    /// Where photos are few and the cloud grows by selection, every second step of the last 70 % of the run looks at what the
+    /// cloud itself has shown from between two photos. Default true.
+    pub virtual_views: bool,
 }
 
 impl Default for RenewalConfig {
@@ -145,6 +148,7 @@ impl Default for RenewalConfig {
             selection: true,
             gradual_growth: true,
             averaging: true,
+            virtual_views: true,
         }
     }
 }

@@ -68,7 +68,7 @@ impl RunSummary {
             stages: self.stages.clone(),
         };
         let cursor = Cursor::start_of(self.iterations + 1);
-        Ok(Checkpoint { cursor, progress, state: backend.state()?, trial: None })
+        Ok(Checkpoint { cursor, progress, state: backend.state()?, trial: None, virtual_pictures: Vec::new() })
     }
 }
 
@@ -137,4 +137,7 @@ pub enum TrainError {
         /// The configuration's variant.
         wanted: Variant,
     },
+    /// The checkpoint has pictures from between other photos.
+    #[error("the checkpoint was made with other photos, or of another size; resume with those that it was made with")]
+    OtherPhotos,
 }

@@ -22,7 +22,8 @@ use crate::scene::filter_3d::filter_3d;
 use crate::scene::initialise::{Seeds, check_points, in_spatial_order, median_depth, scene_extent, unit_of};
 use crate::scene::thin::thinned;
 use crate::scene::views::ViewOrder;
-use crate::schedule::{OptimiserStep, Phase, Schedule};
+use crate::scene::virtual_views::VirtualViews;
+use crate::schedule::{OptimiserStep, Phase, Schedule, VirtualSteps};
 
 /// Iterations between two read-backs of the loss, which make a GPU wait.
 pub(crate) const REPORT_EVERY: u32 = 10;
@@ -40,6 +41,9 @@ pub(crate) struct Trainer<'a> {
     pub(crate) extent: f64,
     pub(crate) signal: Option<DensitySignal>,
     pub(crate) order: ViewOrder,
+    pub(crate) virtual_views: VirtualViews,
+    /// When steps look at them.
+    pub(crate) virtual_steps: Option<VirtualSteps>,
     pub(crate) progress: Progress,
     /// What is reported of the renewal on trial, as if it had succeeded; the guard score that ends it is not in it yet.
     /// The state before it is the backend's snapshot.
@@ -76,6 +80,8 @@ impl<'a> Trainer<'a> {
         Ok(Self {
             signal: crate::densify::signal(config, extent),
             order: ViewOrder::new(rng, views.len()),
+            virtual_views: VirtualViews::new(views, extent, rng),
+            virtual_steps: schedule.virtual_steps(views.len()),
             progress: Progress::default(),
             trial: None,
             averaged: 0,
@@ -176,6 +182,12 @@ impl<'a> Trainer<'a> {
         if checkpoint.state.cloud.filter_3d.is_some() != self.schedule.has_filter_3d() {
             return Err(TrainError::OtherVariant { wanted: self.config.variant });
         }
+        if !self.virtual_views.restore(checkpoint.virtual_pictures) {
+            return Err(TrainError::OtherPhotos);
+        }
+        if self.virtual_views.are_shown() {
+            self.backend.set_views(&self.virtual_views.after(self.views))?;
+        }
         self.averaged = checkpoint.state.mean.states();
         self.backend.upload(checkpoint.state)?;
         self.progress = checkpoint.progress;
@@ -187,8 +199,9 @@ impl<'a> Trainer<'a> {
 
     /// All that it takes to go on from `cursor` later.
     pub(crate) fn capture(&mut self, cursor: Cursor) -> Result<Box<Checkpoint>, TrainError> {
-        let (progress, trial) = (self.progress.clone(), self.trial);
-        Ok(Box::new(Checkpoint { cursor, progress, state: self.backend.state()?, trial }))
+        let (progress, trial, state) = (self.progress.clone(), self.trial, self.backend.state()?);
+        let virtual_pictures = self.virtual_views.pictures().to_vec();
+        Ok(Box::new(Checkpoint { cursor, progress, state, trial, virtual_pictures }))
     }
 
     /// The same, where the cloud is finite.
@@ -322,7 +335,7 @@ impl<'a> Trainer<'a> {
         statistics: StatisticsRequest,
     ) -> Result<(), TrainError> {
         let background = match self.config.background {
-            Background::Random => {
+            Background::Random if view < self.views.len() => {
                 let draw = self.rng.at(Stream::Background, i, extra, 0);
                 std::array::from_fn(|channel| draw.uniform(channel))
             }

@@ -5,3 +5,4 @@ pub mod initialise;
 mod nearest;
 pub(crate) mod thin;
 pub mod views;
+pub(crate) mod virtual_views;

@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use improved::ImprovedSteps;
 pub use optimiser_step::OptimiserStep;
+pub use visits::{VirtualSteps, Visit};
 
 use crate::config::{Background, DensityControl, EvolutionMode, TrainConfig, Trigger, Variant};
 
@@ -53,6 +54,8 @@ const LAST_WINDOW: f64 = 0.4;
 pub enum Phase {
     /// Render, loss, backward, statistics, Adam.
     Step,
+    /// The cloud's pictures of virtual views are made, or renewed.
+    RefreshVirtualViews,
     /// Clone, split, prune; with MCMC, relocate and add.
     Densify,
     /// Mip-Splatting: the 3D filter follows the new positions.
@@ -71,22 +74,24 @@ pub enum Phase {
 
 impl Phase {
     /// How many there are.
-    pub const COUNT: usize = 8;
+    pub const COUNT: usize = 9;
 
     /// The phases of an iteration, in order.
     pub fn order(trigger: Trigger) -> [Self; Self::COUNT] {
-        use Phase::{AddToAverage, Average, Densify, Evolve, RefreshFilter, Renew, ResetOpacity, Step};
+        use Phase::{
+            AddToAverage, Average, Densify, Evolve, RefreshFilter, RefreshVirtualViews, Renew, ResetOpacity, Step,
+        };
         let [a, b, c, d] = match trigger {
             Trigger::BeforeDensify => [Evolve, Densify, RefreshFilter, ResetOpacity],
             Trigger::AfterDensify | Trigger::BeforeReset => [Densify, RefreshFilter, Evolve, ResetOpacity],
             Trigger::AfterReset | Trigger::AtEnd => [Densify, RefreshFilter, ResetOpacity, Evolve],
         };
-        [Step, a, b, c, d, AddToAverage, Average, Renew]
+        [Step, RefreshVirtualViews, a, b, c, d, AddToAverage, Average, Renew]
     }
 
     /// Its time counts as evolution's.
     pub fn is_evolution(self) -> bool {
-        matches!(self, Self::Evolve | Self::AddToAverage | Self::Average | Self::Renew)
+        matches!(self, Self::RefreshVirtualViews | Self::Evolve | Self::AddToAverage | Self::Average | Self::Renew)
     }
 }
 
@@ -190,6 +195,7 @@ impl Schedule {
     fn is_due(&self, phase: Phase, i: u32) -> bool {
         match phase {
             Phase::Step => true,
+            Phase::RefreshVirtualViews => self.is_virtual_refresh(i),
             Phase::Densify => self.is_densify(i),
             Phase::RefreshFilter => self.is_filter_refresh(i),
             Phase::ResetOpacity => self.is_reset(i),
@@ -404,3 +410,4 @@ mod improved;
 mod optimiser_step;
 #[cfg(test)]
 mod tests;
+mod visits;

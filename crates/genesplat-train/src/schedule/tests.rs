@@ -116,7 +116,9 @@ fn other_triggers_move_the_stage_and_a_stride_thins_it() {
 
 #[test]
 fn the_evolution_stage_has_its_place_by_the_trigger() {
-    use Phase::{AddToAverage, Average, Densify, Evolve, RefreshFilter, Renew, ResetOpacity, Step};
+    use Phase::{
+        AddToAverage, Average, Densify, Evolve, RefreshFilter, RefreshVirtualViews, Renew, ResetOpacity, Step,
+    };
     let late = [AddToAverage, Average, Renew];
     for (trigger, early) in [
         (Trigger::BeforeDensify, [Step, Evolve, Densify, RefreshFilter, ResetOpacity]),
@@ -125,7 +127,7 @@ fn the_evolution_stage_has_its_place_by_the_trigger() {
         (Trigger::AfterReset, [Step, Densify, RefreshFilter, ResetOpacity, Evolve]),
         (Trigger::AtEnd, [Step, Densify, RefreshFilter, ResetOpacity, Evolve]),
     ] {
-        let order = [&early[..], &late].concat();
+        let order = [&[Step, RefreshVirtualViews], &early[1..], &late].concat();
         assert_eq!(Phase::order(trigger)[..], order, "{trigger:?}");
         let schedule = schedule(|config| config.evolution.trigger = trigger);
         assert_eq!(schedule.order()[..], order);

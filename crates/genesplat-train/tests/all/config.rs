@@ -124,9 +124,10 @@ fn published_training_is_the_default_without_evolution() {
 }
 
 /// Whoever adds a setting takes one away, or says here why there must be more: `views_per_step` is what makes many processes
-/// worth it; two options of the paper's search (`selected_by`, `initial_direction`) are there to measure its future work.
+/// worth it; two options of the paper's search (`selected_by`, `initial_direction`) are there to measure its future work; Improved-GS as
+/// published has no `virtual_views`, and no other mode would grow it to the photos' cap.
 #[test]
-fn there_are_at_most_sixty_three_settings() {
+fn there_are_at_most_sixty_four_settings() {
     fn settings(value: &toml::Value) -> usize {
         value.as_table().map_or(1, |table| table.values().map(settings).sum())
     }
@@ -136,7 +137,7 @@ fn there_are_at_most_sixty_three_settings() {
     let of_variant =
         ["densify.reset_opacity", "optimiser.position_start", "optimiser.position_end", "optimiser.opacity"];
     let count = settings(&defaults) + unset.len() + of_variant.len();
-    assert!(count <= 63, "{count} settings");
+    assert!(count <= 64, "{count} settings");
 }
 
 #[test]

@@ -141,13 +141,14 @@ fn a_run_that_is_stopped_anywhere_ends_as_if_it_had_not_been() {
         };
         let mut first = backend();
         let whole = run(&mut first, config());
-        let mut waiting = 0;
+        let (mut waiting, mut between) = (0, 0);
         for call in (1..first.fallible).step_by(11) {
             let (mut stopped, stop) = (backend(), Arc::new(AtomicBool::new(false)));
             stopped.stop_in_call = Some((call, stop.clone()));
             let cut = go(&mut stopped, Start::Points(points(20)), config(), &stop);
             let Some(checkpoint) = cut.checkpoint else { continue };
             waiting += u32::from(checkpoint.state.moments.pending.positions.iter().any(|sum| sum[0] != 0.0));
+            between += u32::from(!checkpoint.virtual_pictures.is_empty());
             let mut bytes = Vec::new();
             checkpoint.write(&mut bytes).unwrap();
             let start = Start::Checkpoint(Box::new(Checkpoint::read(bytes.as_slice()).unwrap()));
@@ -155,6 +156,11 @@ fn a_run_that_is_stopped_anywhere_ends_as_if_it_had_not_been() {
             assert_eq!(resumed.cloud, whole.cloud, "{mode:?}, stopped in call {call}");
             assert_eq!(resumed.summary.optimiser_steps, whole.summary.optimiser_steps);
         }
+        assert_eq!(
+            between > 3,
+            mode == EvolutionMode::Renew,
+            "{mode:?}: pictures of virtual views in {between} checkpoints"
+        );
         // With averages every step is of one view.
         let waits = mode == EvolutionMode::Off;
         assert_eq!(waiting > 3, waits, "{mode:?}: gradients waited for a step in {waiting} checkpoints");

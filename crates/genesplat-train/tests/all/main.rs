@@ -11,3 +11,4 @@ mod resume;
 mod stage;
 mod support;
 mod three_splats;
+mod virtual_views;

@@ -94,6 +94,8 @@ pub(crate) struct FakeBackend {
     /// Steps wait for the next other call, as on a graphics device.
     pub queues: bool,
     queue: VecDeque<TrainStep>,
+    /// A value of each view's photo.
+    shown: Vec<f32>,
     scores: usize,
 }
 
@@ -131,6 +133,7 @@ impl FakeBackend {
             fallible: 0,
             queues: false,
             queue: VecDeque::new(),
+            shown: Vec::new(),
             scores: 0,
             mean: StateMean::default(),
             snapshot: None,
@@ -213,7 +216,7 @@ impl FakeBackend {
         }
     }
 
-    /// A step that no two (view, rates, counters, moments, gradients that wait) share.
+    /// A step that no two (view, what it shows, rates, counters, moments, gradients that wait) share.
     fn drift(&mut self, step: &TrainStep) {
         if step.keeps_gradients {
             if self.moments.pending.is_empty() {
@@ -225,7 +228,8 @@ impl FakeBackend {
         let Some(update) = step.update else { return };
         for row in 0..self.cloud.len() {
             let waiting = self.moments.pending.positions.get_mut(row).map_or(0.0, |sum| std::mem::take(&mut sum[0]));
-            let pull = (step.view as f32 + 0.1 * row as f32 + update.step as f32).sin() + waiting;
+            let pull =
+                (step.view as f32 + 0.1 * row as f32 + update.step as f32).sin() + waiting + self.shown[step.view];
             let moment = &mut self.moments.first.positions[row][0];
             *moment = 0.9 * *moment + 0.1 * pull + step.settings.background[0];
             self.cloud.positions[row][0] += update.rates.position * *moment;
@@ -248,6 +252,7 @@ impl Backend for FakeBackend {
     fn set_views(&mut self, views: &[View]) -> Result<(), BackendError> {
         self.settle()?;
         self.calls.push(Call::SetViews(views.len()));
+        self.shown = views.iter().map(|view| f32::from(view.photo.read().unwrap().rgb[0])).collect();
         Ok(())
     }
 
@@ -284,7 +289,9 @@ impl Backend for FakeBackend {
 
     fn render(&mut self, camera: &Camera, _: &RenderSettings) -> Result<Image, BackendError> {
         self.settle()?;
-        Ok(Image::zeros(camera.width, camera.height))
+        let mut image = Image::zeros(camera.width, camera.height);
+        image.planes.fill(self.distance(&self.cloud).fract());
+        Ok(image)
     }
 
     fn train_step(&mut self, step: &TrainStep) -> Result<(), BackendError> {

@@ -110,6 +110,7 @@ mod tests {
             progress: Progress::default(),
             state: DeviceState::default(),
             trial: None,
+            virtual_pictures: Vec::new(),
         }
     }
 

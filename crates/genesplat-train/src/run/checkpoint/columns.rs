@@ -2,8 +2,9 @@
 
 use std::io::{self, Read, Write};
 use std::ops::Range;
+use std::sync::Arc;
 
-use genesplat_core::{DeviceState, Gaussians, Moments, Snapshot, StateMean, Statistics};
+use genesplat_core::{DeviceState, Gaussians, Moments, Photo, Snapshot, StateMean, Statistics};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
@@ -83,6 +84,14 @@ impl<W: Write> JointWriter<'_, W> {
         self.value(record);
         self.cloud(&snapshot.cloud)?;
         self.moments(&snapshot.moments)
+    }
+
+    pub(super) fn pictures(&mut self, pictures: &[Arc<Photo>]) {
+        self.value(&pictures.len());
+        for picture in pictures {
+            self.value(&[picture.width, picture.height]);
+            self.bytes(&picture.rgb);
+        }
     }
 }
 
@@ -166,5 +175,22 @@ impl<R: Read> ColumnReader<'_, R> {
             return Ok(None);
         }
         Ok(Some((self.value()?, Snapshot { cloud: self.cloud()?, moments: self.moments()? })))
+    }
+
+    pub(super) fn pictures(&mut self) -> Result<Vec<Arc<Photo>>, CheckpointError> {
+        let count = self.value::<usize>()?;
+        (0..count).map(|_| self.picture().map(Arc::new)).collect()
+    }
+
+    fn picture(&mut self) -> Result<Photo, CheckpointError> {
+        let [width, height] = self.value::<[u32; 2]>()?;
+        let (bytes, mut rgb) = (3 * u64::from(width) * u64::from(height), Vec::new());
+        let read = (&mut self.input).take(bytes).read_to_end(&mut rgb);
+        read.map_err(|error| self.input.cause_of(error))?;
+        if rgb.len() as u64 == bytes {
+            Ok(Photo { width, height, rgb })
+        } else {
+            Err(io::Error::from(io::ErrorKind::UnexpectedEof).into())
+        }
     }
 }

@@ -6,9 +6,10 @@
 
 use std::io::{self, Read, Write};
 use std::ops::Range;
+use std::sync::Arc;
 
 use genesplat_core::spherical_harmonics::SH_DEGREE_MAX;
-use genesplat_core::{Alone, DeviceState, RowOwners, Snapshot};
+use genesplat_core::{Alone, DeviceState, Photo, RowOwners, Snapshot};
 use serde::{Deserialize, Serialize};
 
 use super::Seconds;
@@ -23,7 +24,7 @@ mod joint;
 mod summed;
 
 /// Opens every checkpoint; the last byte is the version of the format.
-const MAGIC: [u8; 8] = *b"GSPLATC\x0b";
+const MAGIC: [u8; 8] = *b"GSPLATC\x0c";
 
 /// The next thing to do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -81,6 +82,8 @@ pub struct Checkpoint {
     pub state: DeviceState,
     /// What is reported of the renewal on trial, if there is one; the state before it is the snapshot in `state`.
     pub trial: Option<StageRecord>,
+    /// What the virtual views show; none before they were looked at.
+    pub virtual_pictures: Vec<Arc<Photo>>,
 }
 
 /// Why a checkpoint cannot be read.
@@ -117,6 +120,7 @@ impl Checkpoint {
         out.state(&self.state)?;
         let snapshot = || self.state.snapshot.as_ref().expect("a trial has a snapshot to go back to");
         out.trial(self.trial.as_ref().map(|record| (record, snapshot())))?;
+        out.pictures(&self.virtual_pictures);
         let Summed { mut inner, sum, .. } = out.finish()?;
         inner.write_all(&sum.to_le_bytes())?;
         inner.flush()
@@ -139,7 +143,8 @@ impl Checkpoint {
         let (cursor, progress) = (columns.value()?, columns.value()?);
         let state = columns.state()?;
         let (trial, snapshot) = columns.trial()?.unzip();
-        let checkpoint = Self { cursor, progress, state: DeviceState { snapshot, ..state }, trial };
+        let virtual_pictures = columns.pictures()?;
+        let checkpoint = Self { cursor, progress, state: DeviceState { snapshot, ..state }, trial, virtual_pictures };
         let (mut sum, Summed { mut inner, sum: expected, .. }) = ([0; 8], columns.input);
         inner.read_exact(&mut sum)?;
         if u64::from_le_bytes(sum) != expected {
@@ -228,6 +233,7 @@ mod tests {
                 snapshot: Some(Snapshot { cloud: Gaussians::zeros(2), moments: Moments::zeros(2) }),
             },
             trial: Some(stage),
+            virtual_pictures: vec![Arc::new(Photo { width: 2, height: 1, rgb: (1..7).collect() }); 2],
         }
     }
 
@@ -243,6 +249,7 @@ mod tests {
         assert_eq!(Checkpoint::read(bytes(&checkpoint).as_slice()).unwrap(), checkpoint);
         checkpoint.state.cloud.filter_3d = None;
         (checkpoint.trial, checkpoint.state.snapshot) = (None, None);
+        checkpoint.virtual_pictures.clear();
         checkpoint.state.statistics.gene_gradient_sum.clear();
         checkpoint.state.statistics.gene_views.clear();
         checkpoint.state.statistics.absolute_sum.clear();
@@ -253,7 +260,7 @@ mod tests {
     fn other_bytes_ask_for_another_version() {
         let bytes = bytes(&example());
         let (_, sum) = bytes.split_last_chunk().unwrap();
-        let expected = (5313, 13_650_451_965_795_241_788);
+        let expected = (5330, 10_436_916_917_770_768_942);
         assert_eq!((bytes.len(), u64::from_le_bytes(*sum)), expected, "a change of these asks for a change of MAGIC");
     }
 

@@ -1,0 +1,251 @@
+//! Virtual views: what the cloud itself shows from between the photos.
+//!
+//! Where photos are few, steps learn each of them by heart, and what lies between them gets worse. So late steps look in
+//! turn at a photo and at a picture that the cloud has made from halfway between two of them: the running mean of what it
+//! showed there, which holds fast what all photos agreed on. (Means of earlier outputs as a target: Laine and Aila,
+//! "Temporal ensembling for semi-supervised learning", 2017. Views between few photos: RegNeRF, FSGS.)
+
+use std::collections::BTreeSet;
+use std::sync::Arc;
+
+use genesplat_core::{Backend, BackendError, Camera, Image, Photo, RenderSettings, Rng, Stream, View};
+
+use super::views::ViewOrder;
+
+/// Each photo has one with so many of its neighbours.
+const NEIGHBOURS: usize = 2;
+
+/// What a new picture counts in the running mean.
+const NEW: f32 = 0.2;
+
+/// So many are looked at again at a time.
+const REFRESHED: usize = 16;
+
+/// They are visited in an order of their own.
+const ORDER: u32 = u32::from_be_bytes(*b"virt");
+
+/// The virtual views of a run.
+pub(crate) struct VirtualViews {
+    views: Vec<VirtualView>,
+    order: ViewOrder,
+    rng: Rng,
+    /// What they show, 8-bit; empty before the first look.
+    pictures: Vec<Arc<Photo>>,
+}
+
+/// A place halfway between two photos.
+struct VirtualView {
+    /// For messages.
+    name: String,
+    camera: Camera,
+}
+
+impl VirtualViews {
+    /// Halfway between each photo and its nearest neighbours. `depth` says how far away things are, world units: near are
+    /// cameras that stand and look alike.
+    pub(crate) fn new(photos: &[View], depth: f64, rng: Rng) -> Self {
+        let near = |a| nearest(photos, a, depth).into_iter().map(move |b| (a.min(b), a.max(b)));
+        let pairs: BTreeSet<_> = (0..photos.len()).flat_map(near).collect();
+        let views: Vec<_> = pairs.into_iter().map(|(a, b)| VirtualView::halfway(&photos[a], &photos[b])).collect();
+        Self { order: ViewOrder::new(rng.fork(ORDER), views.len()), views, rng, pictures: Vec::new() }
+    }
+
+    /// The view of the `visit`-th look, counted from 0.
+    pub(crate) fn view(&mut self, visit: u32) -> usize {
+        self.order.view(visit)
+    }
+
+    /// The device has them.
+    pub(crate) fn are_shown(&self) -> bool {
+        !self.pictures.is_empty()
+    }
+
+    /// What a resumed run goes on with.
+    pub(crate) fn pictures(&self) -> &[Arc<Photo>] {
+        &self.pictures
+    }
+
+    /// Pictures of another run with the same photos; false where they are of other ones.
+    pub(crate) fn restore(&mut self, pictures: Vec<Arc<Photo>>) -> bool {
+        let size = |view: &VirtualView| [view.camera.width, view.camera.height];
+        let fits = pictures.iter().map(|picture| [picture.width, picture.height]).eq(self.views.iter().map(size));
+        self.pictures = pictures;
+        fits || self.pictures.is_empty()
+    }
+
+    /// Looks at the cloud in iteration `i`, the first time from everywhere, and gives the device the photos and, after them,
+    /// what it has shown.
+    pub(crate) fn refresh(
+        &mut self,
+        backend: &mut dyn Backend,
+        photos: &[View],
+        settings: &RenderSettings,
+        i: u32,
+    ) -> Result<(), BackendError> {
+        let pictures = self.looked_at(backend, settings, i)?;
+        backend.set_views(&self.with(photos, &pictures))?;
+        self.pictures = pictures;
+        Ok(())
+    }
+
+    fn looked_at(
+        &self,
+        backend: &mut dyn Backend,
+        settings: &RenderSettings,
+        i: u32,
+    ) -> Result<Vec<Arc<Photo>>, BackendError> {
+        let look = |backend: &mut dyn Backend, index: usize| -> Result<_, BackendError> {
+            let shown = backend.render(&self.views[index].camera, settings)?;
+            let old = self.pictures.get(index).map(Arc::as_ref);
+            Ok(Arc::new(blended(old, &shown, &self.rng, [i, index as u32])))
+        };
+        if self.pictures.is_empty() {
+            return (0..self.views.len()).map(|index| look(backend, index)).collect();
+        }
+        let mut pictures = self.pictures.clone();
+        for index in self.rng.permutation(Stream::VirtualTurn, i, self.views.len()).into_iter().take(REFRESHED) {
+            pictures[index as usize] = look(backend, index as usize)?;
+        }
+        Ok(pictures)
+    }
+
+    /// The photos, and after them the virtual views as pictures show them.
+    pub(crate) fn after(&self, photos: &[View]) -> Vec<View> {
+        self.with(photos, &self.pictures)
+    }
+
+    fn with(&self, photos: &[View], pictures: &[Arc<Photo>]) -> Vec<View> {
+        let shown = |(VirtualView { name, camera }, picture): (&VirtualView, &Arc<Photo>)| View {
+            name: name.clone(),
+            camera: *camera,
+            photo: picture.clone().into(),
+            mask: None,
+        };
+        photos.iter().cloned().chain(self.views.iter().zip(pictures).map(shown)).collect()
+    }
+}
+
+impl VirtualView {
+    /// With the lens of the first.
+    fn halfway(a: &View, b: &View) -> Self {
+        let [from, to] = [a, b].map(|view| view.camera.camera_from_world_rotation.normalize());
+        // Of a rotation's two quaternions the one that is nearer.
+        let rotation = from.slerp(if from.dot(to) < 0.0 { -to } else { to }, 0.5);
+        let centre = a.camera.centre_in_world().midpoint(b.camera.centre_in_world());
+        Self {
+            name: format!("between {} and {}", a.name, b.name),
+            camera: Camera {
+                camera_from_world_rotation: rotation,
+                camera_from_world_translation: -(rotation * centre),
+                ..a.camera
+            },
+        }
+    }
+}
+
+/// The nearest neighbours of a view.
+fn nearest(views: &[View], view: usize, depth: f64) -> Vec<usize> {
+    let distance = |b: usize| distance(&views[view].camera, &views[b].camera, depth);
+    let mut others: Vec<_> = (0..views.len()).filter(|&b| b != view).map(|b| (distance(b), b)).collect();
+    others.sort_by(|(x, _), (y, _)| x.total_cmp(y));
+    others.into_iter().take(NEIGHBOURS).map(|(_, b)| b).collect()
+}
+
+/// Between the places of two cameras, and between what they look at.
+fn distance(a: &Camera, b: &Camera, depth: f64) -> f64 {
+    let [from, to] = [a, b].map(Camera::centre_in_world);
+    let target = |camera: &Camera| camera.centre_in_world() + depth * camera.rotation().row(2);
+    from.distance(to) + target(a).distance(target(b))
+}
+
+/// The running mean after one more picture. It is kept as photos are: rounded up or down by chance, so that small changes
+/// add up; `address` is that of the chance.
+fn blended(old: Option<&Photo>, new: &Image, rng: &Rng, address: [u32; 2]) -> Photo {
+    let pixels = new.width as usize * new.height as usize;
+    let mut rgb = vec![0; 3 * pixels];
+    for (pixel, out) in rgb.chunks_exact_mut(3).enumerate() {
+        let chance = rng.at(Stream::VirtualPicture, address[0], address[1], pixel as u32);
+        for (channel, out) in out.iter_mut().enumerate() {
+            let shown = 255.0 * new.planes[channel * pixels + pixel].clamp(0.0, 1.0);
+            let mean = old.map_or(shown, |old| {
+                let old = f32::from(old.rgb[3 * pixel + channel]);
+                old + NEW * (shown - old)
+            });
+            *out = (mean + chance.uniform(channel)) as u8;
+        }
+    }
+    Photo { width: new.width, height: new.height, rgb }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::{DQuat, DVec3};
+
+    use super::*;
+
+    fn view(name: &str, degrees: f64) -> View {
+        // On a circle around the origin, towards which it looks.
+        let rotation = DQuat::from_rotation_y(degrees.to_radians());
+        let camera = Camera {
+            camera_from_world_rotation: rotation,
+            camera_from_world_translation: DVec3::new(0.0, 0.0, 4.0),
+            ..Camera::at_origin(2, 1, 2.0)
+        };
+        View { name: name.into(), camera, photo: Photo { width: 2, height: 1, rgb: vec![0; 6] }.into(), mask: None }
+    }
+
+    #[test]
+    fn a_virtual_camera_stands_and_looks_halfway() {
+        let mut other = view("b", 50.0);
+        // The same rotation.
+        other.camera.camera_from_world_rotation *= -1.0;
+        let VirtualView { name, camera } = VirtualView::halfway(&view("a", 10.0), &other);
+        assert_eq!(name, "between a and b");
+        let wanted = view("", 30.0).camera;
+        assert!(camera.rotation().abs_diff_eq(wanted.rotation(), 1e-12));
+        // On the chord of the circle.
+        let centre = wanted.centre_in_world() * 20f64.to_radians().cos();
+        assert!(camera.centre_in_world().abs_diff_eq(centre, 1e-12), "{}", camera.centre_in_world());
+    }
+
+    #[test]
+    fn photos_have_them_with_their_two_nearest() {
+        let photos = [0.0, 5.0, 11.0, 90.0].map(|degrees| view(&degrees.to_string(), degrees));
+        let VirtualViews { views, .. } = VirtualViews::new(&photos, 4.0, Rng::new(0));
+        let names: Vec<_> = views.iter().map(|view| view.name.as_str()).collect();
+        let wanted = ["0 and 5", "0 and 11", "5 and 11", "5 and 90", "11 and 90"];
+        assert!(names.iter().zip(wanted).all(|(name, wanted)| *name == format!("between {wanted}")), "{names:?}");
+        assert_eq!(names.len(), wanted.len());
+    }
+
+    #[test]
+    fn what_looks_elsewhere_is_far_away() {
+        let ahead = view("", 0.0).camera;
+        let turned = |degrees: f64| {
+            let rotation = DQuat::from_rotation_y(degrees.to_radians());
+            // At the same place.
+            let translation = -(rotation * ahead.centre_in_world());
+            Camera { camera_from_world_rotation: rotation, camera_from_world_translation: translation, ..ahead }
+        };
+        assert!((distance(&ahead, &turned(180.0), 4.0) - 8.0).abs() < 1e-9);
+        assert!(distance(&ahead, &turned(20.0), 4.0) < distance(&ahead, &turned(30.0), 4.0));
+    }
+
+    /// A difference below one step of 8 bits is neither lost nor exaggerated.
+    #[test]
+    fn the_running_mean_follows_small_changes() {
+        let (width, height) = (200, 100);
+        let old = Photo { width, height, rgb: vec![100; 60_000] };
+        let mut new = Image::zeros(width, height);
+        new.planes.fill(101.5 / 255.0);
+        let mean = |old| {
+            let photo = blended(old, &new, &Rng::new(3), [7, 2]);
+            assert!(photo.rgb.iter().all(|value| [100, 101, 102].contains(value)));
+            photo.rgb.iter().map(|&value| f64::from(value)).sum::<f64>() / 60_000.0
+        };
+        // Six standard errors of 60,000 coins.
+        let tolerance = 6.0 * 0.5 / 60_000f64.sqrt();
+        assert!((mean(Some(&old)) - 100.3).abs() < tolerance, "{}", mean(Some(&old)));
+        assert!((mean(None) - 101.5).abs() < tolerance, "{}", mean(None));
+    }
+}

@@ -1,0 +1,114 @@
+//! What steps look at: photos, and late in a selecting run virtual views, too.
+
+use super::{Schedule, of_run};
+use crate::config::{DensityControl, EvolutionMode};
+
+/// Fraction of a run before which the cloud has nothing to show that later states should hold fast.
+const VIRTUAL_FROM: f64 = 0.3;
+
+/// More photos say themselves what lies between them; what the cloud has shown there holds it back.
+const MOST_PHOTOS: usize = 30;
+
+/// One step of so many looks at a virtual view, for each photo; but not more than every second one.
+const EVERY_BY_PHOTOS: f64 = 1.0 / 5.5;
+
+/// What a step looks at, and how many steps have looked at one of its kind before.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Visit {
+    /// A photo.
+    Photo(u32),
+    /// A virtual view.
+    Virtual(u32),
+}
+
+/// When steps look at virtual views.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct VirtualSteps {
+    /// The views are first looked at when this iteration ends.
+    pub from: u32,
+    /// After it, one step of so many looks at one.
+    pub every: u32,
+}
+
+impl VirtualSteps {
+    /// What the step of iteration `i` looks at.
+    pub fn visit(self, i: u32) -> Visit {
+        let Some(since) = i.checked_sub(self.from + 1) else { return Visit::Photo(i - 1) };
+        let before = since.div_ceil(self.every);
+        if since.is_multiple_of(self.every) { Visit::Virtual(before) } else { Visit::Photo(i - 1 - before) }
+    }
+}
+
+impl Schedule {
+    /// The pictures of virtual views are made, or renewed, at the end of iteration `i`. While there are resets, that is just before
+    /// one, when opacities have had most time to recover.
+    pub(super) fn is_virtual_refresh(&self, i: u32) -> bool {
+        let is_ripe = self.is_reset(i) || i >= self.reset_until && i.is_multiple_of(self.densify_every);
+        let is_late = i >= of_run(self.iterations, VIRTUAL_FROM) && i < self.iterations;
+        self.has_virtual_views() && is_late && is_ripe
+    }
+
+    fn has_virtual_views(&self) -> bool {
+        let evolution = &self.config.evolution;
+        let selects = self.config.density_control() == DensityControl::Selection;
+        selects && evolution.mode == EvolutionMode::Renew && evolution.renewal.virtual_views
+    }
+
+    /// When steps look at virtual views, with so many photos; `None` for never.
+    pub fn virtual_steps(&self, photos: usize) -> Option<VirtualSteps> {
+        let from = (1..=self.iterations).find(|&i| self.is_virtual_refresh(i))?;
+        let every = (photos as f64 * EVERY_BY_PHOTOS).round().max(2.0) as u32;
+        (2..=MOST_PHOTOS).contains(&photos).then_some(VirtualSteps { from, every })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::{TrainConfig, Variant};
+    use crate::schedule::Phase;
+
+    fn schedule(change: impl FnOnce(&mut TrainConfig)) -> Schedule {
+        let mut config = TrainConfig { iterations: 7000, ..TrainConfig::published() };
+        config.evolution.mode = EvolutionMode::Renew;
+        change(&mut config);
+        Schedule::new(config)
+    }
+
+    #[test]
+    fn both_kinds_are_visited_one_after_another() {
+        let steps = VirtualSteps { from: 4, every: 3 };
+        use Visit::{Photo, Virtual};
+        let visits = [Photo(0), Photo(1), Photo(2), Photo(3), Virtual(0), Photo(4), Photo(5), Virtual(1), Photo(6)];
+        assert!((1..).zip(visits).all(|(i, visit)| steps.visit(i) == visit));
+    }
+
+    #[test]
+    fn pictures_are_made_before_resets_and_later_as_often_as_density_control_works() {
+        let schedule = schedule(|_| {});
+        let refreshed: Vec<u32> =
+            (1..=7000).filter(|&i| schedule.phases(i).any(|phase| phase == Phase::RefreshVirtualViews)).collect();
+        assert_eq!((&refreshed[..4], refreshed.last()), (&[2100, 2800, 3500, 3600][..], Some(&6900)));
+        assert!(schedule.is_reset(2100) && schedule.is_reset(2800) && !schedule.is_reset(3500));
+        assert!(schedule.place(Phase::RefreshVirtualViews) < schedule.place(Phase::ResetOpacity));
+    }
+
+    #[test]
+    fn the_more_photos_the_fewer_looks() {
+        let schedule = schedule(|_| {});
+        let every = |photos| schedule.virtual_steps(photos).map(|steps| steps.every);
+        assert_eq!([1, 2, 11, 22, 30, 31].map(every), [None, Some(2), Some(2), Some(4), Some(5), None]);
+    }
+
+    #[test]
+    fn nothing_but_selection_has_them() {
+        let has = |change: fn(&mut TrainConfig)| schedule(change).virtual_steps(9).is_some();
+        assert!(has(|_| {}) && has(|config| config.variant = Variant::ImprovedGs));
+        assert!(!has(|config| config.evolution.renewal.virtual_views = false));
+        assert!(!has(|config| config.evolution.renewal.selection = false));
+        assert!(!has(|config| config.variant = Variant::Mcmc));
+        assert!(!has(|config| {
+            (config.variant, config.evolution.mode) = (Variant::ImprovedGs, EvolutionMode::Off);
+        }));
+    }
+}

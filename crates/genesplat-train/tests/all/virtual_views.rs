@@ -1,0 +1,75 @@
+//! Steps on pictures that the cloud has made of what lies between the photos.
+
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+use genesplat_core::{Photo, View};
+use genesplat_train::{Outcome, Silent, Start, TrainConfig, TrainError, train};
+
+use crate::support::{Call, FakeBackend, Keep, points, views};
+
+const PHOTOS: usize = 8;
+
+fn config() -> TrainConfig {
+    TrainConfig { iterations: 1000, checkpoint_every: 990, max_gaussians: Some(60), ..TrainConfig::default() }
+}
+
+fn run(backend: &mut FakeBackend, config: TrainConfig, views: &[View], start: Start) -> Result<Outcome, TrainError> {
+    train(backend, views, start, &config.resolve().unwrap(), &mut Silent, &AtomicBool::new(false))
+}
+
+fn steps_of(config: TrainConfig) -> FakeBackend {
+    let mut backend = FakeBackend::new();
+    run(&mut backend, config, &views(PHOTOS), Start::Points(points(20))).unwrap();
+    backend
+}
+
+#[test]
+fn every_second_late_step_looks_between_the_photos() {
+    let backend = steps_of(config());
+    let on_virtual: Vec<usize> =
+        (1..).zip(backend.steps()).filter(|(_, step)| step.view >= PHOTOS).map(|(i, _)| i).collect();
+    assert!(on_virtual.iter().copied().eq((301..1000).step_by(2)), "from the first reset after 30 % on");
+    let mut seen = [0; 2 * PHOTOS];
+    for step in backend.steps() {
+        seen[step.view] += 1;
+        assert!(step.view < PHOTOS || step.statistics.density.is_none(), "photos alone say where the cloud grows");
+    }
+    // Cameras on a circle have two neighbours each.
+    assert!(seen[..PHOTOS].iter().all(|&visits| (81..=82).contains(&visits)), "{seen:?}");
+    assert!(seen[PHOTOS..].iter().all(|&visits| (43..=44).contains(&visits)), "{seen:?}");
+    let set = |call: &&Call| matches!(call, Call::SetViews(views) if *views == 2 * PHOTOS);
+    // At 300, 400 (resets) and from 500 on.
+    assert_eq!(backend.calls.iter().filter(set).count(), 7);
+}
+
+#[test]
+fn without_them_all_steps_look_at_photos() {
+    let mut without = config();
+    without.evolution.renewal.virtual_views = false;
+    let backend = steps_of(without);
+    assert!(backend.steps().all(|step| step.view < PHOTOS));
+    assert!(backend.calls.iter().all(|call| !matches!(call, Call::SetViews(views) if *views != PHOTOS)));
+}
+
+#[test]
+fn a_checkpoint_goes_on_with_photos_of_its_size_alone() {
+    let mut keep = Keep::default();
+    let resolved = config().resolve().unwrap();
+    let start = Start::Points(points(20));
+    train(&mut FakeBackend::new(), &views(PHOTOS), start, &resolved, &mut keep, &AtomicBool::new(false)).unwrap();
+    let checkpoint = keep.0.pop().unwrap();
+    assert_eq!(checkpoint.virtual_pictures.len(), PHOTOS);
+    let resume = |views: &[View]| {
+        let start = Start::Checkpoint(Box::new(checkpoint.clone()));
+        run(&mut FakeBackend::new(), config(), views, start)
+    };
+    assert!(resume(&views(PHOTOS)).is_ok());
+    let mut larger = views(PHOTOS);
+    for view in &mut larger {
+        view.camera = view.camera.resized(5, 5);
+        view.photo = Arc::new(Photo { width: 5, height: 5, rgb: vec![0; 75] }).into();
+    }
+    let error = resume(&larger).unwrap_err();
+    assert!(matches!(error, TrainError::OtherPhotos), "{error}");
+}
