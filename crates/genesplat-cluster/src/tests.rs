@@ -51,6 +51,7 @@ fn settings(variant: Variant, mode: EvolutionMode, views_per_step: u32) -> Train
     let mut config = TrainConfig { variant, views_per_step, ..usual };
     (config.densify.every, config.densify.reset_every) = (3, 15);
     config.evolution.mode = mode;
+    config.evolution.renewal.virtual_views = Some(true);
     (config.evolution.paper.generations, config.evolution.paper.population) = (2, 12);
     config
 }

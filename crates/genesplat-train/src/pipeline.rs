@@ -148,7 +148,7 @@ impl Trainer<'_> {
     }
 
     fn refresh_virtual_views(&mut self, i: u32) -> Result<(), TrainError> {
-        if self.virtual_steps.is_some() {
+        if self.virtual_steps.is_some_and(|steps| i >= steps.from) {
             let settings = self.settings(i);
             self.virtual_views.refresh(&mut *self.backend, self.views, &settings, i)?;
         }

@@ -133,9 +133,11 @@ pub struct RenewalConfig {
     /// The mean of a window's states replaces the last one; without renewals the last two fifths of the run are the window.
     /// Default true.
     pub averaging: bool,
-    /// Where photos are few and the cloud grows by selection, every second step of the last 70 % of the run looks at what the
-    /// cloud itself has shown from between two photos. Default true.
-    pub virtual_views: bool,
+    /// Where the cloud grows by selection, some steps of the last 70 % of the run look at what it has shown before from between
+    /// two photos: every second step where photos are 11 or less, and fewer where they are more. Default: in runs that look at
+    /// each of at most 30 photos 250 times or more, since they would learn them by heart; true or false for all runs.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub virtual_views: Option<bool>,
 }
 
 impl Default for RenewalConfig {
@@ -148,7 +150,7 @@ impl Default for RenewalConfig {
             selection: true,
             gradual_growth: true,
             averaging: true,
-            virtual_views: true,
+            virtual_views: None,
         }
     }
 }

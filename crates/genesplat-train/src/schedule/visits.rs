@@ -6,8 +6,11 @@ use crate::config::{DensityControl, EvolutionMode};
 /// Fraction of a run before which the cloud has nothing to show that later states should hold fast.
 const VIRTUAL_FROM: f64 = 0.3;
 
-/// More photos say themselves what lies between them; what the cloud has shown there holds it back.
-const MOST_PHOTOS: usize = 30;
+/// More photos say themselves what lies between them: what the cloud has shown there would hold it back.
+const MOST_PHOTOS: u32 = 30;
+
+/// A run that looks at each photo so often learns it by heart.
+const VISITS: u32 = 250;
 
 /// One step of so many looks at a virtual view, for each photo; but not more than every second one.
 const EVERY_BY_PHOTOS: f64 = 1.0 / 5.5;
@@ -40,25 +43,30 @@ impl VirtualSteps {
 }
 
 impl Schedule {
-    /// The pictures of virtual views are made, or renewed, at the end of iteration `i`. While there are resets, that is just before
-    /// one, when opacities have had most time to recover.
+    /// The pictures of virtual views may be made, or renewed, at the end of iteration `i`. While there are resets, that is just
+    /// before one, when opacities have had most time to recover.
     pub(super) fn is_virtual_refresh(&self, i: u32) -> bool {
         let is_ripe = self.is_reset(i) || i >= self.reset_until && i.is_multiple_of(self.densify_every);
         let is_late = i >= of_run(self.iterations, VIRTUAL_FROM) && i < self.iterations;
-        self.has_virtual_views() && is_late && is_ripe
+        self.may_have_virtual_views() && is_late && is_ripe
     }
 
-    fn has_virtual_views(&self) -> bool {
+    fn may_have_virtual_views(&self) -> bool {
         let evolution = &self.config.evolution;
         let selects = self.config.density_control() == DensityControl::Selection;
-        selects && evolution.mode == EvolutionMode::Renew && evolution.renewal.virtual_views
+        selects && evolution.mode == EvolutionMode::Renew && evolution.renewal.virtual_views != Some(false)
     }
 
     /// When steps look at virtual views, with so many photos; `None` for never.
     pub fn virtual_steps(&self, photos: usize) -> Option<VirtualSteps> {
+        let photos = photos as u32;
+        let is_asked = self.config.evolution.renewal.virtual_views == Some(true);
+        let are_few = photos <= MOST_PHOTOS && self.iterations >= VISITS * photos;
+        if photos < 2 || !(is_asked || are_few) {
+            return None;
+        }
         let from = (1..=self.iterations).find(|&i| self.is_virtual_refresh(i))?;
-        let every = (photos as f64 * EVERY_BY_PHOTOS).round().max(2.0) as u32;
-        (2..=MOST_PHOTOS).contains(&photos).then_some(VirtualSteps { from, every })
+        Some(VirtualSteps { from, every: (f64::from(photos) * EVERY_BY_PHOTOS).round().max(2.0) as u32 })
     }
 }
 
@@ -95,16 +103,24 @@ mod tests {
 
     #[test]
     fn the_more_photos_the_fewer_looks() {
-        let schedule = schedule(|_| {});
-        let every = |photos| schedule.virtual_steps(photos).map(|steps| steps.every);
-        assert_eq!([1, 2, 11, 22, 30, 31].map(every), [None, Some(2), Some(2), Some(4), Some(5), None]);
+        let asked = schedule(|config| config.evolution.renewal.virtual_views = Some(true));
+        let every = |photos| asked.virtual_steps(photos).map(|steps| steps.every);
+        assert_eq!([1, 2, 11, 22, 110].map(every), [None, Some(2), Some(2), Some(4), Some(20)]);
+    }
+
+    #[test]
+    fn runs_that_learn_few_photos_by_heart_have_them() {
+        let has =
+            |iterations, photos| schedule(|config| config.iterations = iterations).virtual_steps(photos).is_some();
+        assert!(has(7000, 2) && has(7000, 28) && !has(7000, 29), "250 looks at each");
+        assert!(has(7500, 30) && !has(30_000, 31));
     }
 
     #[test]
     fn nothing_but_selection_has_them() {
         let has = |change: fn(&mut TrainConfig)| schedule(change).virtual_steps(9).is_some();
         assert!(has(|_| {}) && has(|config| config.variant = Variant::ImprovedGs));
-        assert!(!has(|config| config.evolution.renewal.virtual_views = false));
+        assert!(!has(|config| config.evolution.renewal.virtual_views = Some(false)));
         assert!(!has(|config| config.evolution.renewal.selection = false));
         assert!(!has(|config| config.variant = Variant::Mcmc));
         assert!(!has(|config| {

@@ -137,6 +137,7 @@ fn a_run_that_is_stopped_anywhere_ends_as_if_it_had_not_been() {
         let config = || {
             let mut config = config();
             config.evolution.mode = mode;
+            config.evolution.renewal.virtual_views = Some(true);
             config
         };
         let mut first = backend();

@@ -11,7 +11,10 @@ use crate::support::{Call, FakeBackend, Keep, points, views};
 const PHOTOS: usize = 8;
 
 fn config() -> TrainConfig {
-    TrainConfig { iterations: 1000, checkpoint_every: 990, max_gaussians: Some(60), ..TrainConfig::default() }
+    let usual = TrainConfig::default();
+    let mut config = TrainConfig { iterations: 1000, checkpoint_every: 990, max_gaussians: Some(60), ..usual };
+    config.evolution.renewal.virtual_views = Some(true);
+    config
 }
 
 fn run(backend: &mut FakeBackend, config: TrainConfig, views: &[View], start: Start) -> Result<Outcome, TrainError> {
@@ -46,7 +49,7 @@ fn every_second_late_step_looks_between_the_photos() {
 #[test]
 fn without_them_all_steps_look_at_photos() {
     let mut without = config();
-    without.evolution.renewal.virtual_views = false;
+    without.evolution.renewal.virtual_views = Some(false);
     let backend = steps_of(without);
     assert!(backend.steps().all(|step| step.view < PHOTOS));
     assert!(backend.calls.iter().all(|call| !matches!(call, Call::SetViews(views) if *views != PHOTOS)));
