@@ -133,6 +133,22 @@ fn evolution_comes_out_as_on_the_cpu_and_a_stop_changes_nothing() {
     }
 }
 
+/// Photos are set anew while steps are queued, and the pictures beside them are the device's own.
+#[test]
+fn virtual_views_come_out_as_on_the_cpu_and_a_stop_changes_nothing() {
+    let Some(mut gpu) = gpu() else { return };
+    let scene = scene();
+    // 30 of them: what grows later is chosen by numbers that devices round differently.
+    let mut config = TrainConfig { iterations: 6000, ..config(Variant::ThreeDgs) };
+    config.evolution.mode = EvolutionMode::Renew;
+    config.evolution.renewal.virtual_views = Some(true);
+    let config = config.resolve().unwrap();
+    let (run, ours) = trained(&mut gpu, &scene, &config);
+    let (_, theirs) = trained(&mut CpuBackend::new(), &scene, &config);
+    assert_alike("virtual views", ours, theirs);
+    same(&stopped_and_resumed(&mut gpu, &scene, &config, 22), &run);
+}
+
 /// What a run in this mode must have changed something by, for the test to mean anything.
 fn kinds_of(mode: EvolutionMode) -> &'static [StageKind] {
     if mode == EvolutionMode::Paper { &[StageKind::Paper] } else { &[StageKind::Renewal, StageKind::Averaging] }
