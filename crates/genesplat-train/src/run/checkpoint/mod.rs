@@ -233,7 +233,7 @@ mod tests {
                 snapshot: Some(Snapshot { cloud: Gaussians::zeros(2), moments: Moments::zeros(2) }),
             },
             trial: Some(stage),
-            virtual_pictures: vec![Arc::new(Photo { width: 2, height: 1, rgb: (1..7).collect() }); 2],
+            virtual_pictures: (0..2).map(|_| Arc::new(Photo { width: 2, height: 1, rgb: (1..7).collect() })).collect(),
         }
     }
 
