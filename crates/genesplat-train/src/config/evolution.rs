@@ -134,7 +134,7 @@ pub struct RenewalConfig {
     /// Default true.
     pub averaging: bool,
     /// Where the cloud grows by selection, some steps of the last 70 % of the run look at what it has shown before from between
-    /// two photos: every second step where photos are 11 or less, and fewer where they are more. Default: in runs that look at
+    /// two photos: every second step with at most 16 photos, and fewer with more. Default: in runs that look at
     /// each of at most 30 photos 250 times or more, since they would learn them by heart; true or false for all runs.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub virtual_views: Option<bool>,

@@ -12,8 +12,9 @@ const MOST_PHOTOS: u32 = 30;
 /// A run that looks at each photo so often learns it by heart.
 const VISITS: u32 = 250;
 
-/// One step of so many looks at a virtual view, for each photo; but not more than every second one.
-const EVERY_BY_PHOTOS: f64 = 1.0 / 5.5;
+/// Every second step looks at a virtual view where photos are no more than this, every fourth where they are no more than twice
+/// as many, and so on. (Even, so that the iterations whose loss is logged, multiples of ten, look at photos.)
+const PHOTOS_OF_HALF: u32 = 16;
 
 /// What a step looks at, and how many steps have looked at one of its kind before.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -29,16 +30,19 @@ pub enum Visit {
 pub struct VirtualSteps {
     /// The views are first looked at when this iteration ends.
     pub from: u32,
-    /// After it, one step of so many looks at one.
+    /// After it, one step of so many looks at one: that of iteration 1, and so on.
     pub every: u32,
 }
 
 impl VirtualSteps {
     /// What the step of iteration `i` looks at.
     pub fn visit(self, i: u32) -> Visit {
-        let Some(since) = i.checked_sub(self.from + 1) else { return Visit::Photo(i - 1) };
-        let before = since.div_ceil(self.every);
-        if since.is_multiple_of(self.every) { Visit::Virtual(before) } else { Visit::Photo(i - 1 - before) }
+        if i <= self.from {
+            return Visit::Photo(i - 1);
+        }
+        let until = |i: u32| i.div_ceil(self.every);
+        let before = until(i - 1) - until(self.from);
+        if i % self.every == 1 { Visit::Virtual(before) } else { Visit::Photo(i - 1 - before) }
     }
 }
 
@@ -66,7 +70,7 @@ impl Schedule {
             return None;
         }
         let from = (1..=self.iterations).find(|&i| self.is_virtual_refresh(i))?;
-        Some(VirtualSteps { from, every: (f64::from(photos) * EVERY_BY_PHOTOS).round().max(2.0) as u32 })
+        Some(VirtualSteps { from, every: 2 * photos.div_ceil(PHOTOS_OF_HALF) })
     }
 }
 
@@ -85,10 +89,12 @@ mod tests {
 
     #[test]
     fn both_kinds_are_visited_one_after_another() {
-        let steps = VirtualSteps { from: 4, every: 3 };
         use Visit::{Photo, Virtual};
-        let visits = [Photo(0), Photo(1), Photo(2), Photo(3), Virtual(0), Photo(4), Photo(5), Virtual(1), Photo(6)];
-        assert!((1..).zip(visits).all(|(i, visit)| steps.visit(i) == visit));
+        let steps = VirtualSteps { from: 6, every: 4 };
+        let visits = (1..=14).map(|i| steps.visit(i));
+        let later = [Photo(6), Photo(7), Virtual(0), Photo(8), Photo(9), Photo(10), Virtual(1), Photo(11)];
+        assert!(visits.eq((0..6).map(Photo).chain(later)));
+        assert!((1..1000).all(|tens| matches!(steps.visit(10 * tens), Photo(_))), "their loss is logged");
     }
 
     #[test]
@@ -105,7 +111,7 @@ mod tests {
     fn the_more_photos_the_fewer_looks() {
         let asked = schedule(|config| config.evolution.renewal.virtual_views = Some(true));
         let every = |photos| asked.virtual_steps(photos).map(|steps| steps.every);
-        assert_eq!([1, 2, 11, 22, 110].map(every), [None, Some(2), Some(2), Some(4), Some(20)]);
+        assert_eq!([1, 2, 16, 17, 32, 110].map(every), [None, Some(2), Some(2), Some(4), Some(4), Some(14)]);
     }
 
     #[test]
