@@ -172,7 +172,13 @@ impl Backend for ClusterBackend {
     fn set_views(&mut self, views: &[View]) -> Result<(), BackendError> {
         let done = self.own.set_views(views);
         self.group.agree(done)?;
-        self.loads = vec![Vec::new(); views.len()];
+        // What a place of the list has cost before is a guess, and worth more than none where only some pictures have changed.
+        self.loads.resize(views.len(), Vec::new());
+        for (view, load) in self.loads.iter_mut().enumerate() {
+            if load.len() != self.own.view(view).0.grid()[1] {
+                load.clear();
+            }
+        }
         Ok(())
     }
 
