@@ -5,7 +5,7 @@ use super::trainer::Trainer;
 use crate::config::{TrainConfig, Variant};
 use crate::densify::Plan;
 use crate::densify::cap::Cap;
-use crate::schedule::{SCALED_INTERVAL_MIN, Schedule};
+use crate::schedule::{SCALED_INTERVAL_MIN, Schedule, VirtualSteps};
 
 /// A reset is late where less than this fraction of the time between two resets is left after it: one in so many.
 const LATE_RESET_DIVISOR: u64 = 10;
@@ -33,6 +33,15 @@ pub(crate) fn at_start(
         depth.and_then(|depth| notice_of_lost_background(config, schedule, extent, depth)),
     ];
     notices.into_iter().flatten().collect()
+}
+
+/// Not all steps look at photos.
+pub(crate) fn of_virtual_views(steps: VirtualSteps, photos: usize, iterations: u32) -> String {
+    format!(
+        "{photos} photos are few for {iterations} iterations, which would learn them by heart; so from iteration {} on one step in {} \
+         looks at what the cloud has shown between two photos (evolution.renewal.virtual_views)",
+        steps.from, steps.every
+    )
 }
 
 /// `steps_scale` shortens the run, and intervals not below [`SCALED_INTERVAL_MIN`].

@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use genesplat_core::{Photo, View};
-use genesplat_train::{Outcome, Silent, Start, TrainConfig, TrainError, train};
+use genesplat_train::{Observer, Outcome, Silent, Start, TrainConfig, TrainError, train};
 
 use crate::support::{Call, FakeBackend, Keep, points, views};
 
@@ -75,4 +75,27 @@ fn a_checkpoint_goes_on_with_photos_of_its_size_alone() {
     }
     let error = resume(&larger).unwrap_err();
     assert!(matches!(error, TrainError::OtherPhotos), "{error}");
+}
+
+/// Keeps what the user is told.
+#[derive(Default)]
+struct Told(Vec<String>);
+
+impl Observer for Told {
+    fn notice(&mut self, text: &str) {
+        self.0.push(text.to_owned());
+    }
+}
+
+#[test]
+fn the_user_is_told() {
+    let told = |config: TrainConfig| {
+        let mut told = Told::default();
+        let start = Start::Points(points(20));
+        let (resolved, stop) = (config.resolve().unwrap(), AtomicBool::new(false));
+        train(&mut FakeBackend::new(), &views(PHOTOS), start, &resolved, &mut told, &stop).unwrap();
+        told.0.into_iter().find(|text| text.contains("evolution.renewal.virtual_views"))
+    };
+    assert!(told(config()).unwrap().starts_with("8 photos are few for 1000 iterations"));
+    assert_eq!(told(TrainConfig { iterations: 1000, ..TrainConfig::default() }), None, "not with 125 looks at each");
 }
