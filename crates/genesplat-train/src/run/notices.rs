@@ -36,10 +36,10 @@ pub(crate) fn at_start(
 }
 
 /// Not all steps look at photos.
-pub(crate) fn of_virtual_views(steps: VirtualSteps, photos: usize, iterations: u32) -> String {
+pub(crate) fn of_virtual_views(steps: VirtualSteps, photos: usize) -> String {
     format!(
-        "{photos} photos are few for {iterations} iterations, which would learn them by heart; so from iteration {} on one step in {} \
-         looks at what the cloud has shown between two photos (evolution.renewal.virtual_views)",
+        "from iteration {} on one step in {} looks at what the cloud has shown from between two of the {photos} photos, so that these \
+         are not learnt by heart (evolution.renewal.virtual_views)",
         steps.from, steps.every
     )
 }

@@ -134,7 +134,7 @@ impl<'a> Trainer<'a> {
             Start::Cloud(_) | Start::Checkpoint(_) => None,
         };
         let mut notices = notices::at_start(self.config, self.schedule, self.cap, self.extent, depth);
-        let on_virtual = |steps| notices::of_virtual_views(steps, self.views.len(), self.schedule.iterations);
+        let on_virtual = |steps| notices::of_virtual_views(steps, self.views.len());
         notices.extend(self.virtual_steps.map(on_virtual));
         if let Start::Points(points) = start
             && points.len() > self.most_points()

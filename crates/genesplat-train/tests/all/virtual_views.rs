@@ -96,6 +96,7 @@ fn the_user_is_told() {
         train(&mut FakeBackend::new(), &views(PHOTOS), start, &resolved, &mut told, &stop).unwrap();
         told.0.into_iter().find(|text| text.contains("evolution.renewal.virtual_views"))
     };
-    assert!(told(config()).unwrap().starts_with("8 photos are few for 1000 iterations"));
+    let said = told(config()).unwrap();
+    assert!(said.starts_with("from iteration 300 on one step in 2") && said.contains("the 8 photos"), "{said}");
     assert_eq!(told(TrainConfig { iterations: 1000, ..TrainConfig::default() }), None, "not with 125 looks at each");
 }
