@@ -117,8 +117,7 @@ impl Trainer<'_> {
 
     fn step(&mut self, i: u32) -> Result<(), TrainError> {
         let schedule = self.schedule;
-        let virtual_steps = self.virtual_steps.filter(|_| self.virtual_views.are_shown());
-        let (view, statistics) = match virtual_steps.map_or(Visit::Photo(i - 1), |steps| steps.visit(i)) {
+        let (view, statistics) = match self.virtual_views.visit(i) {
             Visit::Photo(visit) => (self.order.view(visit), schedule.statistics(self.signal, i)),
             Visit::Virtual(visit) => (self.views.len() + self.virtual_views.view(visit), StatisticsRequest::default()),
         };
@@ -151,11 +150,8 @@ impl Trainer<'_> {
     }
 
     fn refresh_virtual_views(&mut self, i: u32) -> Result<(), TrainError> {
-        if self.virtual_steps.is_some_and(|steps| i >= steps.from) {
-            let settings = self.settings(i);
-            self.virtual_views.refresh(&mut *self.backend, self.views, &settings, i)?;
-        }
-        Ok(())
+        let settings = self.settings(i);
+        Ok(self.virtual_views.refresh(&mut *self.backend, self.views, &settings, i)?)
     }
 
     fn densify(&mut self, i: u32) -> Result<(), TrainError> {

@@ -23,7 +23,7 @@ use crate::scene::initialise::{Seeds, check_points, in_spatial_order, median_dep
 use crate::scene::thin::thinned;
 use crate::scene::views::ViewOrder;
 use crate::scene::virtual_views::VirtualViews;
-use crate::schedule::{OptimiserStep, Phase, Schedule, VirtualSteps};
+use crate::schedule::{OptimiserStep, Phase, Schedule};
 
 /// Iterations between two read-backs of the loss, which make a GPU wait.
 pub(crate) const REPORT_EVERY: u32 = 10;
@@ -42,8 +42,6 @@ pub(crate) struct Trainer<'a> {
     pub(crate) signal: Option<DensitySignal>,
     pub(crate) order: ViewOrder,
     pub(crate) virtual_views: VirtualViews,
-    /// When steps look at them.
-    pub(crate) virtual_steps: Option<VirtualSteps>,
     pub(crate) progress: Progress,
     /// What is reported of the renewal on trial, as if it had succeeded; the guard score that ends it is not in it yet.
     /// The state before it is the backend's snapshot.
@@ -80,8 +78,7 @@ impl<'a> Trainer<'a> {
         Ok(Self {
             signal: crate::densify::signal(config, extent),
             order: ViewOrder::new(rng, views.len()),
-            virtual_views: VirtualViews::new(views, extent, rng),
-            virtual_steps: schedule.virtual_steps(views.len()),
+            virtual_views: VirtualViews::new(views, schedule.virtual_steps(views.len()), extent, rng),
             progress: Progress::default(),
             trial: None,
             averaged: 0,
@@ -135,7 +132,7 @@ impl<'a> Trainer<'a> {
         };
         let mut notices = notices::at_start(self.config, self.schedule, self.cap, self.extent, depth);
         let on_virtual = |steps| notices::of_virtual_views(steps, self.views.len());
-        notices.extend(self.virtual_steps.map(on_virtual));
+        notices.extend(self.virtual_views.steps().map(on_virtual));
         if let Start::Points(points) = start
             && points.len() > self.most_points()
         {

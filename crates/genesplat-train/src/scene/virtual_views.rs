@@ -11,6 +11,7 @@ use std::sync::Arc;
 use genesplat_core::{Backend, BackendError, Camera, Image, Photo, RenderSettings, Rng, Stream, View};
 
 use super::views::ViewOrder;
+use crate::schedule::{VirtualSteps, Visit};
 
 /// Each photo has one with so many of its neighbours.
 const NEIGHBOURS: usize = 2;
@@ -26,6 +27,8 @@ const ORDER: u32 = u32::from_be_bytes(*b"virt");
 
 /// The virtual views of a run.
 pub(crate) struct VirtualViews {
+    /// When steps look at them; `None` for never, and there are none.
+    steps: Option<VirtualSteps>,
     views: Vec<VirtualView>,
     order: ViewOrder,
     rng: Rng,
@@ -43,11 +46,23 @@ struct VirtualView {
 impl VirtualViews {
     /// Halfway between each photo and its nearest neighbours. `depth` says how far away things are, world units: near are
     /// cameras that stand and look alike.
-    pub(crate) fn new(photos: &[View], depth: f64, rng: Rng) -> Self {
+    pub(crate) fn new(photos: &[View], steps: Option<VirtualSteps>, depth: f64, rng: Rng) -> Self {
+        let photos = if steps.is_some() { photos } else { &[] };
         let near = |a| nearest(photos, a, depth).into_iter().map(move |b| (a.min(b), a.max(b)));
         let pairs: BTreeSet<_> = (0..photos.len()).flat_map(near).collect();
         let views: Vec<_> = pairs.into_iter().map(|(a, b)| VirtualView::halfway(&photos[a], &photos[b])).collect();
-        Self { order: ViewOrder::new(rng.fork(ORDER), views.len()), views, rng, pictures: Vec::new() }
+        Self { steps, order: ViewOrder::new(rng.fork(ORDER), views.len()), views, rng, pictures: Vec::new() }
+    }
+
+    /// When steps look at them.
+    pub(crate) fn steps(&self) -> Option<VirtualSteps> {
+        self.steps
+    }
+
+    /// What the step of iteration `i` looks at. (A run that was resumed with other settings may have no pictures yet.)
+    pub(crate) fn visit(&self, i: u32) -> Visit {
+        let steps = self.steps.filter(|_| self.are_shown());
+        steps.map_or(Visit::Photo(i - 1), |steps| steps.visit(i))
     }
 
     /// The view of the `visit`-th look, counted from 0.
@@ -74,7 +89,7 @@ impl VirtualViews {
     }
 
     /// Looks at the cloud in iteration `i`, the first time from everywhere, and gives the device the photos and, after them,
-    /// what it has shown.
+    /// what it has shown. Does nothing before it is time.
     pub(crate) fn refresh(
         &mut self,
         backend: &mut dyn Backend,
@@ -82,6 +97,9 @@ impl VirtualViews {
         settings: &RenderSettings,
         i: u32,
     ) -> Result<(), BackendError> {
+        if self.steps.is_none_or(|steps| i < steps.from) {
+            return Ok(());
+        }
         let pictures = self.looked_at(backend, settings, i)?;
         backend.set_views(&self.with(photos, &pictures))?;
         self.pictures = pictures;
@@ -211,7 +229,8 @@ mod tests {
     #[test]
     fn photos_have_them_with_their_two_nearest() {
         let photos = [0.0, 5.0, 11.0, 90.0].map(|degrees| view(&degrees.to_string(), degrees));
-        let VirtualViews { views, .. } = VirtualViews::new(&photos, 4.0, Rng::new(0));
+        let VirtualViews { views, .. } =
+            VirtualViews::new(&photos, Some(VirtualSteps { from: 1, every: 2 }), 4.0, Rng::new(0));
         let names: Vec<_> = views.iter().map(|view| view.name.as_str()).collect();
         let wanted = ["0 and 5", "0 and 11", "5 and 11", "5 and 90", "11 and 90"];
         assert!(names.iter().zip(wanted).all(|(name, wanted)| *name == format!("between {wanted}")), "{names:?}");
