@@ -80,8 +80,12 @@ impl VirtualViews {
         &self.pictures
     }
 
-    /// Pictures of another run with the same photos; false where they are of other ones.
+    /// Pictures of a run with the same photos, which one without virtual views has no use for; false where they are of other
+    /// photos.
     pub(crate) fn restore(&mut self, pictures: Vec<Arc<Photo>>) -> bool {
+        if self.steps.is_none() {
+            return true;
+        }
         let size = |view: &VirtualView| [view.camera.width, view.camera.height];
         let fits = pictures.iter().map(|picture| [picture.width, picture.height]).eq(self.views.iter().map(size));
         self.pictures = pictures;

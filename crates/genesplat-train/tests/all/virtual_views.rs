@@ -63,11 +63,14 @@ fn a_checkpoint_goes_on_with_photos_of_its_size_alone() {
     train(&mut FakeBackend::new(), &views(PHOTOS), start, &resolved, &mut keep, &AtomicBool::new(false)).unwrap();
     let checkpoint = keep.0.pop().unwrap();
     assert_eq!(checkpoint.virtual_pictures.len(), PHOTOS);
-    let resume = |views: &[View]| {
+    let resume_as = |config: TrainConfig, views: &[View]| {
         let start = Start::Checkpoint(Box::new(checkpoint.clone()));
-        run(&mut FakeBackend::new(), config(), views, start)
+        run(&mut FakeBackend::new(), config, views, start)
     };
+    let resume = |views: &[View]| resume_as(config(), views);
     assert!(resume(&views(PHOTOS)).is_ok());
+    // Ten steps on photos alone.
+    assert!(resume_as(TrainConfig { iterations: 1000, ..TrainConfig::default() }, &views(PHOTOS)).is_ok());
     let mut larger = views(PHOTOS);
     for view in &mut larger {
         view.camera = view.camera.resized(5, 5);
