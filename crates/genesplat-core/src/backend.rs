@@ -295,7 +295,7 @@ pub trait Backend {
     /// Number of Gaussians held, N.
     fn gaussian_count(&self) -> usize;
 
-    /// Replaces the training views.
+    /// Replaces the training views, also between steps.
     fn set_views(&mut self, views: &[View]) -> Result<(), BackendError>;
 
     /// Replaces all that is held but the views.

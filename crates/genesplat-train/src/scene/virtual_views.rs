@@ -8,6 +8,7 @@
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
+use genesplat_core::memory::ensure_memory;
 use genesplat_core::{Backend, BackendError, Camera, Image, Photo, RenderSettings, Rng, Stream, View};
 
 use super::views::ViewOrder;
@@ -122,6 +123,8 @@ impl VirtualViews {
             Ok(Arc::new(blended(old, &shown, &self.rng, [i, index as u32])))
         };
         if self.pictures.is_empty() {
+            let pixels = |view: &VirtualView| view.camera.width as usize * view.camera.height as usize;
+            ensure_memory(3 * self.views.iter().map(pixels).sum::<usize>(), "the pictures of virtual views")?;
             return (0..self.views.len()).map(|index| look(backend, index)).collect();
         }
         let mut pictures = self.pictures.clone();
