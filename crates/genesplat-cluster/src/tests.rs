@@ -215,7 +215,7 @@ fn ranks_write_the_checkpoint_of_one_process() {
         let config = TrainConfig { checkpoint_every: 64, ..settings }.resolve().unwrap();
         let of_one = checkpoint_alone(&config);
         assert!(of_one.trial.is_some() == has_trial && of_one.state.mean.states() > 0, "{variant}");
-        assert_eq!(of_one.virtual_pictures.is_empty(), has_trial, "renewals do without: {variant}");
+        assert!(!of_one.virtual_pictures.is_empty(), "{variant}");
         let of_ranks = on_ranks(3, &config, from_points, |_| {}, 0).checkpoint.unwrap();
         assert!(timeless(Checkpoint::read(of_ranks.as_slice()).unwrap()) == timeless(of_one), "{variant}");
     }

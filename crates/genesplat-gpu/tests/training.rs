@@ -143,6 +143,8 @@ fn virtual_views_come_out_as_on_the_cpu_and_a_stop_changes_nothing() {
     config.evolution.mode = EvolutionMode::Renew;
     config.evolution.renewal.virtual_views = Some(true);
     let config = config.resolve().unwrap();
+    let steps = config.schedule().virtual_steps(scene.train.len()).unwrap();
+    assert!(steps.from < 20, "the run is stopped among them");
     let (run, ours) = trained(&mut gpu, &scene, &config);
     let (_, theirs) = trained(&mut CpuBackend::new(), &scene, &config);
     assert_alike("virtual views", ours, theirs);

@@ -133,9 +133,9 @@ pub struct RenewalConfig {
     /// The mean of a window's states replaces the last one; without renewals the last two fifths of the run are the window.
     /// Default true.
     pub averaging: bool,
-    /// Where the cloud grows by selection, some steps of the last 70 % of the run look at what it has shown before from between
-    /// two photos: every second step with at most 16 photos, and fewer with more. Default: in runs that look at
-    /// each of at most 30 photos 250 times or more, since they would learn them by heart; true or false for all runs.
+    /// Some steps of the last 70 % of the run look at what the cloud has shown before from between two photos: every second step
+    /// with at most 16 photos, and fewer with more. Default: where it grows by selection, and the run looks at each of at most
+    /// 30 photos 250 times or more, so that it would learn them by heart. True or false: in any case, or never.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub virtual_views: Option<bool>,
 }

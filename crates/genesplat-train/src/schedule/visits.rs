@@ -1,4 +1,4 @@
-//! What steps look at: photos, and late in a selecting run virtual views, too.
+//! What steps look at: photos, and late in a run of mode `renew` virtual views, too.
 
 use super::{Schedule, of_run};
 use crate::config::{DensityControl, EvolutionMode};
@@ -58,7 +58,7 @@ impl Schedule {
     fn may_have_virtual_views(&self) -> bool {
         let evolution = &self.config.evolution;
         let selects = self.config.density_control() == DensityControl::Selection;
-        selects && evolution.mode == EvolutionMode::Renew && evolution.renewal.virtual_views != Some(false)
+        evolution.mode == EvolutionMode::Renew && evolution.renewal.virtual_views.unwrap_or(selects)
     }
 
     /// When steps look at virtual views, with so many photos; `None` for never.
@@ -123,12 +123,15 @@ mod tests {
     }
 
     #[test]
-    fn nothing_but_selection_has_them() {
+    fn without_being_asked_for_they_belong_to_selection() {
         let has = |change: fn(&mut TrainConfig)| schedule(change).virtual_steps(9).is_some();
         assert!(has(|_| {}) && has(|config| config.variant = Variant::ImprovedGs));
         assert!(!has(|config| config.evolution.renewal.virtual_views = Some(false)));
         assert!(!has(|config| config.evolution.renewal.selection = false));
         assert!(!has(|config| config.variant = Variant::Mcmc));
+        assert!(has(|config| {
+            (config.variant, config.evolution.renewal.virtual_views) = (Variant::Mcmc, Some(true));
+        }));
         assert!(!has(|config| {
             (config.variant, config.evolution.mode) = (Variant::ImprovedGs, EvolutionMode::Off);
         }));
