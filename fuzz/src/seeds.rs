@@ -186,7 +186,7 @@ fn parts(file: &[u8], names: &[&str]) -> Vec<u8> {
     wrap::framed(&names.iter().map(part).collect::<Vec<_>>())
 }
 
-/// A run that has just begun, with so many Gaussians.
+/// A run that has just begun, with so many Gaussians, and as many pictures for its photos.
 pub(crate) fn checkpoint(rows: usize) -> Vec<u8> {
     let state = DeviceState {
         cloud: cloud(rows),
@@ -196,8 +196,9 @@ pub(crate) fn checkpoint(rows: usize) -> Vec<u8> {
         snapshot: None,
     };
     let (cursor, progress) = (Cursor::start_of(7), Progress::default());
+    let virtual_pictures = vec![Photo { width: 2, height: 1, rgb: (0..6).collect() }.into(); rows];
     let mut bytes = Vec::new();
-    Checkpoint { cursor, progress, state, trial: None }.write(&mut bytes).expect("memory takes it");
+    Checkpoint { cursor, progress, state, trial: None, virtual_pictures }.write(&mut bytes).expect("memory takes it");
     bytes
 }
 

@@ -184,7 +184,7 @@ impl<R: Read> ColumnReader<'_, R> {
 
     fn picture(&mut self) -> Result<Photo, CheckpointError> {
         let [width, height] = self.value::<[u32; 2]>()?;
-        let (bytes, mut rgb) = (3 * u64::from(width) * u64::from(height), Vec::new());
+        let (bytes, mut rgb) = ((3 * u64::from(width)).saturating_mul(height.into()), Vec::new());
         let read = (&mut self.input).take(bytes).read_to_end(&mut rgb);
         read.map_err(|error| self.input.cause_of(error))?;
         if rgb.len() as u64 == bytes {
