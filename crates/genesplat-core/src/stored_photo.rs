@@ -62,6 +62,15 @@ impl StoredPhoto {
         }
     }
 
+    /// Whether both are the same bytes of the same place, so that what was made of one serves the other.
+    pub fn is(&self, other: &Self) -> bool {
+        match (&self.place, &other.place) {
+            (Place::Memory(photo), Place::Memory(other)) => Arc::ptr_eq(photo, other),
+            (Place::Store(store, at), Place::Store(other, other_at)) => Arc::ptr_eq(store, other) && at == other_at,
+            _ => false,
+        }
+    }
+
     /// The whole photo.
     pub fn read(&self) -> Result<Arc<Photo>, PhotoLost> {
         match &self.place {
@@ -128,6 +137,10 @@ mod tests {
             assert_eq!(place.rows(&(1..3), &mut scratch).unwrap(), &photo.rgb[6..]);
             assert_eq!(place.rows(&(0..1), &mut scratch).unwrap(), &photo.rgb[..6]);
         }
+        for (a, b) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
+            assert_eq!(stored[a].clone().is(&stored[b]), a == b);
+        }
+        assert!(!stored[1].is(&photo.into()), "a copy is somewhere else");
         assert_eq!(stored.map(|place| place.held_bytes()), [0, 18]);
     }
 

@@ -1,12 +1,14 @@
 //! [`Backend`] and [`EvolutionBackend`] for a graphics device: every verb, and what it is made of.
 
 use std::borrow::Cow;
+use std::rc::Rc;
+use std::sync::Arc;
 
 use genesplat_core::backend::{MomentPolicy, StepReport};
 use genesplat_core::state_mean::ViewLoss;
 use genesplat_core::{
-    Backend, BackendError, Camera, Contribution, DeviceState, EvolutionBackend, Gaussians, Genes, Held, Image,
-    RenderSettings, RowEdit, SparseDelta, Statistics, TrainStep, View,
+    Backend, BackendError, Camera, Contribution, DeviceState, EvolutionBackend, Gaussians, Genes, Held, Image, Mask,
+    RenderSettings, RowEdit, SparseDelta, Statistics, StoredPhoto, TrainStep, View,
 };
 
 use crate::Result;
@@ -22,9 +24,18 @@ use crate::state::layout::{Optimiser, ViewPass};
 
 pub(crate) struct TrainView {
     pub(crate) camera: Camera,
-    pub(crate) photo: Memory,
+    pub(crate) photo: Rc<Memory>,
+    /// What `photo` was packed from.
+    source: (StoredPhoto, Option<Arc<Mask>>),
     /// Its pixels that count, and all of them; `None` where these are the same.
     pub(crate) counted: Option<[usize; 2]>,
+}
+
+impl TrainView {
+    fn is_packed_from(&self, view: &View) -> bool {
+        let (photo, mask) = &self.source;
+        photo.is(&view.photo) && mask.as_ref().map(Arc::as_ptr) == view.mask.as_ref().map(Arc::as_ptr)
+    }
 }
 
 /// A cloud in the memory of a graphics device, trained by its kernels.
@@ -136,12 +147,17 @@ impl Backend for GpuBackend {
 
     fn set_views(&mut self, views: &[View]) -> Result<()> {
         self.with_memory(|gpu| {
-            let upload = |view: &View| -> Result<TrainView> {
-                let photo = gpu.engine.upload("a photo", &pack_photo(&*view.photo.read()?, view.mask.as_deref()))?;
+            let upload = |(index, view): (usize, &View)| -> Result<TrainView> {
+                let packed = || -> Result<_> { Ok(pack_photo(&*view.photo.read()?, view.mask.as_deref())) };
+                let photo = match gpu.views.get(index).filter(|old| old.is_packed_from(view)) {
+                    Some(old) => Rc::clone(&old.photo),
+                    None => gpu.engine.upload("a photo", &packed()?)?.into(),
+                };
                 let counted = view.mask.as_ref().map(|mask| [mask.counted(), mask.counts.len()]);
-                Ok(TrainView { camera: view.camera, photo, counted })
+                let source = (view.photo.clone(), view.mask.clone());
+                Ok(TrainView { camera: view.camera, photo, source, counted })
             };
-            gpu.views = views.iter().map(upload).collect::<Result<_>>()?;
+            gpu.views = views.iter().enumerate().map(upload).collect::<Result<_>>()?;
             Ok(())
         })
     }

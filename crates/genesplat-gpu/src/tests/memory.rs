@@ -1,6 +1,8 @@
 //! What happens when there is too little memory: in a binding, in the lists of a view, on its way to the device, or on
 //! it.
 
+use std::rc::Rc;
+
 use genesplat_core::backend::MomentPolicy;
 use genesplat_core::{BackendError, EvolutionBackend, Held, Origin, RowEdit, SparseDelta};
 
@@ -79,6 +81,20 @@ fn lists_beyond_any_binding_are_one_sentence() {
     let error = gpu.render(&camera(), &settings(0, ScreenFilter::Classic)).unwrap_err();
     assert!(matches!(error, BackendError::OutOfMemory { .. }), "{error}");
     assert!(error.to_string().contains("--max-side"), "{error}");
+}
+
+/// Virtual views change while photos stay: only what is new is sent.
+#[test]
+fn photos_that_the_device_has_are_not_sent_again() {
+    let Some(mut gpu) = gpu() else { return };
+    let (old, masked) = (view(), masked_view(90));
+    let new = View { photo: old.photo.read().unwrap().as_ref().clone().into(), ..view() };
+    let unmasked = View { mask: None, ..masked.clone() };
+    gpu.set_views(&[old.clone(), masked.clone(), old.clone(), masked.clone()]).unwrap();
+    let before: Vec<_> = gpu.views.iter().map(|view| Rc::clone(&view.photo)).collect();
+    gpu.set_views(&[old, masked, new, unmasked]).unwrap();
+    let kept = gpu.views.iter().zip(&before).map(|(view, photo)| Rc::ptr_eq(&view.photo, photo));
+    assert!(kept.eq([true, true, false, false]));
 }
 
 /// More is written than may wait to be copied, in single columns, too.
