@@ -186,7 +186,7 @@ fn parts(file: &[u8], names: &[&str]) -> Vec<u8> {
     wrap::framed(&names.iter().map(part).collect::<Vec<_>>())
 }
 
-/// A run that has just begun, with so many Gaussians, and as many pictures for its photos.
+/// A run that has just begun, with so many Gaussians, and as many pictures of virtual views.
 pub(crate) fn checkpoint(rows: usize) -> Vec<u8> {
     let state = DeviceState {
         cloud: cloud(rows),

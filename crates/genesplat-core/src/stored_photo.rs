@@ -63,7 +63,7 @@ impl StoredPhoto {
     }
 
     /// Whether both are the same bytes of the same place, so that what was made of one serves the other.
-    pub fn is(&self, other: &Self) -> bool {
+    pub fn is_same(&self, other: &Self) -> bool {
         match (&self.place, &other.place) {
             (Place::Memory(photo), Place::Memory(other)) => Arc::ptr_eq(photo, other),
             (Place::Store(store, at), Place::Store(other, other_at)) => Arc::ptr_eq(store, other) && at == other_at,
@@ -138,9 +138,9 @@ mod tests {
             assert_eq!(place.rows(&(0..1), &mut scratch).unwrap(), &photo.rgb[..6]);
         }
         for (a, b) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
-            assert_eq!(stored[a].clone().is(&stored[b]), a == b);
+            assert_eq!(stored[a].clone().is_same(&stored[b]), a == b);
         }
-        assert!(!stored[1].is(&photo.into()), "a copy is somewhere else");
+        assert!(!stored[1].is_same(&photo.into()), "a copy is somewhere else");
         assert_eq!(stored.map(|place| place.held_bytes()), [0, 18]);
     }
 

@@ -22,6 +22,8 @@ use crate::stages::sort::sorts_right;
 use crate::state::State;
 use crate::state::layout::{Optimiser, ViewPass};
 
+/// A view, and its photo in the device's memory, which stays there while the photo stays the same.
+#[derive(Clone)]
 pub(crate) struct TrainView {
     pub(crate) camera: Camera,
     pub(crate) photo: Rc<Memory>,
@@ -32,9 +34,15 @@ pub(crate) struct TrainView {
 }
 
 impl TrainView {
+    fn upload(engine: &Engine, view: &View) -> Result<Self> {
+        let photo = engine.upload("a photo", &pack_photo(&*view.photo.read()?, view.mask.as_deref()))?.into();
+        let counted = view.mask.as_ref().map(|mask| [mask.counted(), mask.counts.len()]);
+        Ok(Self { camera: view.camera, photo, source: (view.photo.clone(), view.mask.clone()), counted })
+    }
+
     fn is_packed_from(&self, view: &View) -> bool {
         let (photo, mask) = &self.source;
-        photo.is(&view.photo) && mask.as_ref().map(Arc::as_ptr) == view.mask.as_ref().map(Arc::as_ptr)
+        photo.is_same(&view.photo) && mask.as_ref().map(Arc::as_ptr) == view.mask.as_ref().map(Arc::as_ptr)
     }
 }
 
@@ -147,17 +155,11 @@ impl Backend for GpuBackend {
 
     fn set_views(&mut self, views: &[View]) -> Result<()> {
         self.with_memory(|gpu| {
-            let upload = |(index, view): (usize, &View)| -> Result<TrainView> {
-                let packed = || -> Result<_> { Ok(pack_photo(&*view.photo.read()?, view.mask.as_deref())) };
-                let photo = match gpu.views.get(index).filter(|old| old.is_packed_from(view)) {
-                    Some(old) => Rc::clone(&old.photo),
-                    None => gpu.engine.upload("a photo", &packed()?)?.into(),
-                };
-                let counted = view.mask.as_ref().map(|mask| [mask.counted(), mask.counts.len()]);
-                let source = (view.photo.clone(), view.mask.clone());
-                Ok(TrainView { camera: view.camera, photo, source, counted })
+            let train_view = |(index, view): (usize, &View)| match gpu.views.get(index) {
+                Some(old) if old.is_packed_from(view) => Ok(TrainView { camera: view.camera, ..old.clone() }),
+                _ => TrainView::upload(&gpu.engine, view),
             };
-            gpu.views = views.iter().enumerate().map(upload).collect::<Result<_>>()?;
+            gpu.views = views.iter().enumerate().map(train_view).collect::<Result<_>>()?;
             Ok(())
         })
     }
