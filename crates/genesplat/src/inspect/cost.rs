@@ -27,18 +27,19 @@ const MEAN_STEP: f64 = 0.75;
 pub(super) struct Cost {
     pub(super) gaussians: usize,
     pub(super) memory_bytes: u64,
-    pub(super) seconds: f64,
+    /// Of a step, on average over the run.
+    pub(super) step_seconds: f64,
 }
 
 /// Of a run with these settings on this machine's CPU.
 pub(super) fn estimate(scene: &Scene, settings: &Resolved) -> Result<Cost> {
     let gaussians = expected_gaussians(settings.config(), &scene.train).max(scene.points.len());
     let pixels: u64 = scene.train.iter().map(|view| view.photo.pixels() as u64).sum();
-    let seconds = seconds_a_step(&scene.train, grown(&scene.points, gaussians)?)?;
+    let last_step = seconds_a_step(&scene.train, grown(&scene.points, gaussians)?)?;
     Ok(Cost {
         gaussians,
         memory_bytes: gaussians as u64 * GAUSSIAN_BYTES + (pixels * PIXEL_BYTES).min(scene::PHOTO_MEMORY),
-        seconds: MEAN_STEP * seconds * f64::from(settings.schedule().iterations),
+        step_seconds: MEAN_STEP * last_step,
     })
 }
 

@@ -92,14 +92,34 @@ def find_cameras():
 
     options = pycolmap.IncrementalPipelineOptions()
     options.num_threads = job["threads"]
+    options.max_extra_param = job["max_distortion"]
     pycolmap.incremental_mapping(
         job["database"], job["images"], job["models"], options=options, next_image_callback=tell
     )
-    errors = {}
-    for name in os.listdir(job["models"]):
-        model = pycolmap.Reconstruction(os.path.join(job["models"], name))
-        errors[name] = model.compute_mean_reprojection_error()
-    say(errors_px=errors)
+    models = {name: pycolmap.Reconstruction(os.path.join(job["models"], name)) for name in os.listdir(job["models"])}
+    if job["single_camera"] and models:
+        largest = max(models, key=lambda name: models[name].num_reg_images())
+        models[largest] = with_lens(models[largest], os.path.join(job["models"], largest))
+    say(errors_px={name: model.compute_mean_reprojection_error() for name, model in models.items()})
+
+
+def with_lens(model, folder):
+    """The model with a second coefficient of distortion, where that explains the points better.
+
+    Lenses of phones need it. What stands on a turntable far away does not tell it, and while cameras are still being found
+    it would be made up, and the focal length with it.
+    """
+    finer = pycolmap.Reconstruction(folder)
+    for camera in finer.cameras.values():
+        focal_px, x, y, distortion = camera.params
+        camera.model = pycolmap.CameraModelId.RADIAL
+        camera.params = [focal_px, x, y, distortion, 0]
+    pycolmap.bundle_adjustment(finer, pycolmap.BundleAdjustmentOptions())
+    finer.update_point_3d_errors()
+    if finer.compute_mean_reprojection_error() > 0.99 * model.compute_mean_reprojection_error():
+        return model
+    finer.write(folder)
+    return finer
 
 
 in_background(end_with_parent)

@@ -4,6 +4,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
+use genesplat::core::Photo;
+use genesplat::io::colmap::{find_model, read_model};
 use genesplat::io::photos::{read_photo, resize, write_png};
 
 use crate::support::{command, fail, json, judge_failure, number, python_with, real_data, scene, text};
@@ -53,6 +55,68 @@ fn cameras_of_photos_are_found_and_the_scene_trains() {
 
     fs::remove_file(photos.join("00.png")).unwrap();
     judge_failure(with_python(&python, &arguments), &["other photos", "--out"]);
+}
+
+/// Eighteen photos of a speckled ball on a turntable by a long lens: its focal length is four photos' widths.
+fn turntable(photos: &Path) {
+    const SIDE: u32 = 300;
+    const RADIUS: f64 = 0.105;
+    for turn in 0..18 {
+        let (sin, cos) = (f64::from(turn) * 20.0).to_radians().sin_cos();
+        let shade = |index: u32| {
+            let [x, y] = [index % SIDE, index / SIDE]
+                .map(|at| (f64::from(at) + 0.5 - f64::from(SIDE) / 2.0) / TURNTABLE_FOCAL_PX);
+            // The ball is one unit before the camera.
+            let length_2 = x * x + y * y + 1.0;
+            let root = 1.0 - length_2 * (1.0 - RADIUS * RADIUS);
+            if root < 0.0 {
+                return 255;
+            }
+            let depth = (1.0 - root.sqrt()) / length_2;
+            let [x, y, z] = [x * depth, y * depth, depth - 1.0].map(|at| at / RADIUS);
+            // The camera looks down a little.
+            let [y, z] = [0.94 * y - 0.34 * z, 0.34 * y + 0.94 * z];
+            let at = [cos * x + sin * z, y, cos * z - sin * x];
+            let octaves = [(6.0, 0.5), (13.0, 0.3), (27.0, 0.2)];
+            let value: f64 = octaves.map(|(scale, weight)| weight * noise(at.map(|x| 50.0 + scale * x))).iter().sum();
+            (230.0 * (2.0 * value - 0.5).clamp(0.0, 1.0)) as u8
+        };
+        let rgb = (0..SIDE * SIDE).flat_map(|index| [shade(index); 3]).collect();
+        write_png(&photos.join(format!("{turn:02}.png")), &Photo { width: SIDE, height: SIDE, rgb }).unwrap();
+    }
+}
+
+const TURNTABLE_FOCAL_PX: f64 = 1200.0;
+
+/// Between 0 and 1, smooth, about one speckle a unit.
+fn noise(at: [f64; 3]) -> f64 {
+    let corner = |bits: u32| {
+        let (mut weight, mut hash) = (1.0, 0u32);
+        for (axis, &x) in at.iter().enumerate() {
+            let (bit, part) = (bits >> axis & 1, x.fract());
+            let smooth = part * part * (3.0 - 2.0 * part);
+            weight *= if bit == 1 { smooth } else { 1.0 - smooth };
+            hash = (hash ^ (x as u32 + bit)).wrapping_mul(0x9e37_79b1).rotate_left(15).wrapping_mul(0x85eb_ca77);
+        }
+        weight * f64::from(hash >> 8) / f64::from(1 << 24)
+    };
+    (0..8).map(corner).sum()
+}
+
+/// Of such photos nothing tells the height of a pixel from its width, and hardly anything a lens that bends from one that is long.
+#[test]
+fn what_stands_on_a_turntable_keeps_its_shape() {
+    let folder = tempfile::tempdir().unwrap();
+    let Some(python) = python_with("pycolmap") else { return };
+    let [photos, found] = ["photos", "scene"].map(|name| folder.path().join(name));
+    turntable(&photos);
+    let output = with_python(&python, &["poses", text(&photos), "--out", text(&found)]);
+    assert!(output.status.success(), "{}", said(&output));
+    let model = read_model(&find_model(&found).unwrap()).unwrap();
+    let [camera] = model.cameras.values().copied().collect::<Vec<_>>()[..] else { panic!("one camera took them") };
+    let [width, height] = camera.focal_px;
+    assert_eq!((model.images.len(), width), (18, height), "{camera:?}");
+    assert!((0.8..1.25).contains(&(width / TURNTABLE_FOCAL_PX)), "{camera:?}");
 }
 
 #[cfg(unix)]
