@@ -35,11 +35,11 @@ pub(super) struct Cost {
 pub(super) fn estimate(scene: &Scene, settings: &Resolved) -> Result<Cost> {
     let gaussians = expected_gaussians(settings.config(), &scene.train).max(scene.points.len());
     let pixels: u64 = scene.train.iter().map(|view| view.photo.pixels() as u64).sum();
-    let last_step = seconds_a_step(&scene.train, grown(&scene.points, gaussians)?)?;
+    let last_step_seconds = seconds_a_step(&scene.train, grown(&scene.points, gaussians)?)?;
     Ok(Cost {
         gaussians,
         memory_bytes: gaussians as u64 * GAUSSIAN_BYTES + (pixels * PIXEL_BYTES).min(scene::PHOTO_MEMORY),
-        step_seconds: MEAN_STEP * last_step,
+        step_seconds: MEAN_STEP * last_step_seconds,
     })
 }
 

@@ -99,11 +99,11 @@ def find_cameras():
     models = {name: pycolmap.Reconstruction(os.path.join(job["models"], name)) for name in os.listdir(job["models"])}
     if job["single_camera"] and models:
         largest = max(models, key=lambda name: models[name].num_reg_images())
-        models[largest] = with_lens(models[largest], os.path.join(job["models"], largest))
+        models[largest] = with_lens(models[largest], os.path.join(job["models"], largest), options)
     say(errors_px={name: model.compute_mean_reprojection_error() for name, model in models.items()})
 
 
-def with_lens(model, folder):
+def with_lens(model, folder, options):
     """The model with a second coefficient of distortion, where that explains the points better.
 
     Lenses of phones need it. What stands on a turntable far away does not tell it, and while cameras are still being found
@@ -114,7 +114,7 @@ def with_lens(model, folder):
         focal_px, x, y, distortion = camera.params
         camera.model = pycolmap.CameraModelId.RADIAL
         camera.params = [focal_px, x, y, distortion, 0]
-    pycolmap.bundle_adjustment(finer, pycolmap.BundleAdjustmentOptions())
+    pycolmap.bundle_adjustment(finer, options.get_global_bundle_adjustment())
     finer.update_point_3d_errors()
     if finer.compute_mean_reprojection_error() > 0.99 * model.compute_mean_reprojection_error():
         return model

@@ -57,6 +57,8 @@ fn cameras_of_photos_are_found_and_the_scene_trains() {
     judge_failure(with_python(&python, &arguments), &["other photos", "--out"]);
 }
 
+const TURNTABLE_FOCAL_PX: f64 = 1200.0;
+
 /// Eighteen photos of a speckled ball on a turntable by a long lens: its focal length is four photos' widths.
 fn turntable(photos: &Path) {
     const SIDE: u32 = 300;
@@ -86,8 +88,6 @@ fn turntable(photos: &Path) {
     }
 }
 
-const TURNTABLE_FOCAL_PX: f64 = 1200.0;
-
 /// Between 0 and 1, smooth, about one speckle a unit.
 fn noise(at: [f64; 3]) -> f64 {
     let corner = |bits: u32| {
@@ -116,6 +116,7 @@ fn what_stands_on_a_turntable_keeps_its_shape() {
     let [camera] = model.cameras.values().copied().collect::<Vec<_>>()[..] else { panic!("one camera took them") };
     let [width, height] = camera.focal_px;
     assert_eq!((model.images.len(), width), (18, height), "{camera:?}");
+    // COLMAP's search differs from run to run: 1 and 10 % off; a second coefficient from the start made it 35 %.
     assert!((0.8..1.25).contains(&(width / TURNTABLE_FOCAL_PX)), "{camera:?}");
 }
 
