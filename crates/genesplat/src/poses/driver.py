@@ -14,6 +14,9 @@ import pycolmap
 
 job = json.loads(sys.argv[1])
 
+# COLMAP tries points at random. With one seed the same photos have the same cameras, with any number of threads.
+SEED = 0
+
 
 def say(**words):
     print(json.dumps(words), flush=True)
@@ -70,16 +73,17 @@ def match_features():
     tell_progress("num_verified_image_pairs", job["pairs"])
     options = pycolmap.FeatureMatchingOptions()
     options.num_threads = job["threads"]
+    geometry = pycolmap.TwoViewGeometryOptions()
+    geometry.ransac.random_seed = SEED
+    how = {"matching_options": options, "verification_options": geometry, "device": pycolmap.Device.cpu}
     if job["neighbours"] is None:
-        pycolmap.match_exhaustive(job["database"], matching_options=options, device=pycolmap.Device.cpu)
+        pycolmap.match_exhaustive(job["database"], **how)
         return
     pairing = pycolmap.SequentialPairingOptions()
     pairing.overlap = job["neighbours"]
     pairing.quadratic_overlap = True
     pairing.loop_detection = False
-    pycolmap.match_sequential(
-        job["database"], matching_options=options, pairing_options=pairing, device=pycolmap.Device.cpu
-    )
+    pycolmap.match_sequential(job["database"], pairing_options=pairing, **how)
 
 
 def find_cameras():
@@ -92,6 +96,7 @@ def find_cameras():
 
     options = pycolmap.IncrementalPipelineOptions()
     options.num_threads = job["threads"]
+    options.random_seed = SEED
     options.max_extra_param = job["max_distortion"]
     pycolmap.incremental_mapping(
         job["database"], job["images"], job["models"], options=options, next_image_callback=tell
