@@ -117,7 +117,11 @@ fn what_stands_on_a_turntable_keeps_its_shape() {
     };
     let model = cameras(&found, "2");
     let again = cameras(&folder.path().join("again"), "1");
-    assert_eq!((&again.cameras, &again.images), (&model.cameras, &model.images), "the same photos have the same cameras");
+    assert_eq!(
+        (&again.cameras, &again.images),
+        (&model.cameras, &model.images),
+        "the same photos have the same cameras"
+    );
     let [camera] = model.cameras.values().copied().collect::<Vec<_>>()[..] else { panic!("one camera took them") };
     let [width, height] = camera.focal_px;
     assert_eq!((model.images.len(), width), (18, height), "{camera:?}");
