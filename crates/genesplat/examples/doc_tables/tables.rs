@@ -15,7 +15,7 @@ const BASELINE: &str = "off";
 /// The arm that a user gets by default.
 const EVOLVED: &str = "renew";
 /// Plain settings, at the published rates and at those of `renew`, without and with averages, in as many iterations and as many
-/// seconds. Evolution is worth what it adds to the best of them.
+/// seconds. Evolution is worth what it adds to the best of them, seed by seed.
 const STRONG: [&str; 5] = ["strong", "strong-averaged", "strong-slow", "strong-slow-averaged", LONGER];
 const LONGER: &str = "strong-longer";
 /// Evolution in about as many seconds as plain settings have.
@@ -138,14 +138,15 @@ impl Part {
         self.runs.iter().filter(|run| run.is(arm)).collect()
     }
 
-    /// Of the arms of plain settings that were run beside every run of evolution, the one with the best pictures there.
-    fn strong(&self) -> Option<&'static str> {
-        let psnr = |arm: &str| {
-            let pairs = self.pairs(arm, EVOLVED).ok()?;
-            Figures::of(&pairs, |(plain, _)| plain.number("psnr")).average()
+    /// Beside each run of `arm` the best one of plain settings, of whichever arm; those that have none are left out.
+    fn pairs_with_strong(&self, arm: &str) -> Result<Vec<(&Run, &Run)>> {
+        let psnr = |run: &Run| run.number("psnr").unwrap_or(f64::NEG_INFINITY);
+        let strongest = |run| -> Result<_> {
+            let plain = STRONG.into_iter().map(|arm| self.twin(arm, run)).collect::<Result<Vec<_>>>()?;
+            Ok(plain.into_iter().flatten().max_by(|a, b| psnr(a).total_cmp(&psnr(b))))
         };
-        let psnr_of = STRONG.into_iter().filter_map(|arm| Some((arm, psnr(arm)?)));
-        psnr_of.max_by(|(_, a), (_, b)| a.total_cmp(b)).map(|(arm, _)| arm)
+        let pair = |run| Ok(strongest(run)?.map(|plain| (plain, run)));
+        self.runs_of(arm).into_iter().filter_map(|run| pair(run).transpose()).collect()
     }
 
     /// Runs of `baseline` and of `arm`, seed by seed; every run of `arm` must have its twin.
@@ -245,9 +246,7 @@ fn scenes(parts: &[Part]) -> Result<String> {
         if pairs.is_empty() {
             continue;
         }
-        let strong = part.strong();
-        let beside_strong = |arm| strong.map_or(Ok(Vec::new()), |strong| part.pairs_there_are(strong, arm));
-        let (strong_pairs, sooner_pairs) = (beside_strong(EVOLVED)?, beside_strong(SOONER)?);
+        let (strong_pairs, sooner_pairs) = (part.pairs_with_strong(EVOLVED)?, part.pairs_with_strong(SOONER)?);
         let improved_pairs = part.pairs_there_are(IMPROVED, EVOLVED)?;
         let (plain, evolved): (Vec<&Run>, Vec<&Run>) = pairs.iter().copied().unzip();
         let [strong, improved] =

@@ -46,7 +46,7 @@ mod tests {
 
     /// Arms whose seconds are all spent on gradient steps.
     const PLAIN: [&str; 7] =
-        ["off", "strong", "strong-averaged", "strong-slow", LONGER, "improved-gs", "improved-gs-averaged"];
+        ["off", "strong", "strong-averaged", "strong-slow-averaged", LONGER, "improved-gs", "improved-gs-averaged"];
     /// Plain settings in the seconds of `renew`, whose steps take longer; a control only buys the seconds between steps.
     const LONGER: &str = "strong-longer";
 
