@@ -110,18 +110,9 @@ fn what_stands_on_a_turntable_keeps_its_shape() {
     let Some(python) = python_with("pycolmap") else { return };
     let [photos, found] = ["photos", "scene"].map(|name| folder.path().join(name));
     turntable(&photos);
-    let cameras = |found: &Path, threads: &str| {
-        let output = with_python(&python, &["poses", text(&photos), "--out", text(found), "--threads", threads]);
-        assert!(output.status.success(), "{}", said(&output));
-        read_model(&find_model(found).unwrap()).unwrap()
-    };
-    let model = cameras(&found, "2");
-    let again = cameras(&folder.path().join("again"), "1");
-    assert_eq!(
-        (&again.cameras, &again.images),
-        (&model.cameras, &model.images),
-        "the same photos have the same cameras"
-    );
+    let output = with_python(&python, &["poses", text(&photos), "--out", text(&found)]);
+    assert!(output.status.success(), "{}", said(&output));
+    let model = read_model(&find_model(&found).unwrap()).unwrap();
     let [camera] = model.cameras.values().copied().collect::<Vec<_>>()[..] else { panic!("one camera took them") };
     let [width, height] = camera.focal_px;
     assert_eq!((model.images.len(), width), (18, height), "{camera:?}");
