@@ -16,7 +16,7 @@ const BASELINE: &str = "off";
 const EVOLVED: &str = "renew";
 /// Plain settings, at the published rates and at those of `renew`, without and with averages, in as many iterations and as many
 /// seconds. Evolution is worth what it adds to the best of them, seed by seed.
-const STRONG: [&str; 5] = ["strong", "strong-averaged", "strong-slow", "strong-slow-averaged", LONGER];
+const STRONG: [&str; 4] = ["strong", "strong-averaged", "strong-slow-averaged", LONGER];
 const LONGER: &str = "strong-longer";
 /// Evolution in about as many seconds as plain settings have.
 const SOONER: &str = "renew-sooner";

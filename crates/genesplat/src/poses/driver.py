@@ -14,7 +14,7 @@ import pycolmap
 
 job = json.loads(sys.argv[1])
 
-# COLMAP tries points at random. With one seed, two searches differ by the order only in which threads get done with photos.
+# COLMAP tries points at random. With one seed, two searches differ only by the order in which threads get done with photos.
 SEED = 0
 
 
