@@ -138,7 +138,7 @@ impl ClusterBackend {
     }
 
     /// The whole cloud, to all.
-    pub(crate) fn copy_of_all(&self) -> Result<Gaussians, BackendError> {
+    pub(crate) fn copy_of_all(&mut self) -> Result<Gaussians, BackendError> {
         let mut whole = Gaussians::default();
         reserve(&mut whole, self.shares.rows());
         for (rank, share) in self.shares.all().enumerate() {

@@ -117,7 +117,7 @@ impl EvolutionBackend for ClusterBackend {
                 drawing.map(canvas, &map_of(view)?);
                 Ok(())
             })?;
-            let mut sums = vec![0.0; self.own.cloud().len()];
+            let mut sums = vec![0.0; self.own.gaussian_count()];
             add_weights(self.own.splats(), &self.drawing.gradients(), &mut sums);
             self.gather(&sums)
         };
@@ -127,7 +127,7 @@ impl EvolutionBackend for ClusterBackend {
     fn contributions(&mut self, views: &[usize], settings: &RenderSettings) -> Result<Vec<Contribution>, BackendError> {
         self.settle()?;
         self.group.agree(self.own.ensure_contribution_sums())?;
-        let mut own = vec![Contribution::default(); self.own.cloud().len()];
+        let mut own = vec![Contribution::default(); self.own.gaussian_count()];
         for &view in views {
             self.backward(view, settings, |drawing, canvas, target| drawing.ones_and_errors(canvas, target))?;
             add_contributions(self.own.splats(), &self.drawing.gradients(), &mut own);

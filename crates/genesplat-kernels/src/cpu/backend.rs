@@ -11,8 +11,8 @@ use genesplat_core::{
 
 use super::loss::Target;
 use super::score::Scorer;
-use super::update::{ByTile, Share, UpdateInputs, update};
-use super::view::{Pinhole, StageSeconds, ViewBuffers, timed};
+use super::update::{ByTile, ColourSteps, Share, UpdateInputs, update};
+use super::view::{Band, Pinhole, StageSeconds, ViewBuffers, project::project_coloured, timed};
 
 pub(super) struct TrainView {
     pub camera: Pinhole,
@@ -24,6 +24,7 @@ pub struct CpuBackend {
     pub(super) level: Level,
     pub(super) cloud: Gaussians,
     pub(super) moments: Moments,
+    pub(super) colour_steps: ColourSteps,
     pub(super) statistics: Statistics,
     pub(super) views: Vec<TrainView>,
     pub(super) buffers: ViewBuffers,
@@ -47,6 +48,7 @@ impl CpuBackend {
             level: Level::new(),
             cloud: Gaussians::default(),
             moments: Moments::default(),
+            colour_steps: ColourSteps::default(),
             statistics: Statistics::default(),
             views: Vec::new(),
             buffers: ViewBuffers::default(),
@@ -75,11 +77,31 @@ impl CpuBackend {
         self.ensure_view(&self.views[step.view].camera)?;
         self.ensure_statistics()?;
         self.grow_statistics(step.statistics);
+        // Of several views, any row may have gradients.
+        if self.colour_steps.is_full() || !self.moments.pending.is_empty() {
+            self.make_up();
+        }
         if step.keeps_gradients && self.moments.pending.is_empty() {
             self.ensure_cloud("gradients of several views")?;
             self.moments.pending = Moments::column(self.cloud.len());
         }
         Ok(())
+    }
+
+    /// All colours make the steps that they have yet to make.
+    pub(super) fn make_up(&mut self) {
+        self.colour_steps.make_up(self.level, &mut self.cloud.sh, &mut self.moments);
+    }
+
+    /// The splats of the rows held, whose colours make the steps that they have yet to make.
+    pub(super) fn project_late(&mut self, camera: &Pinhole, settings: &RenderSettings) {
+        let Self { level, cloud, moments, colour_steps, buffers, .. } = self;
+        let mut colours = std::mem::take(&mut cloud.sh);
+        timed(&mut buffers.seconds.project, || {
+            let late = colour_steps.late_rows(&mut colours, moments);
+            project_coloured(*level, cloud, late, camera, settings, &mut buffers.splats);
+        });
+        cloud.sh = colours;
     }
 
     /// The step is made.
@@ -132,6 +154,7 @@ impl Backend for CpuBackend {
 
     fn state(&mut self) -> Result<DeviceState, BackendError> {
         self.ensure_state()?;
+        self.make_up();
         Ok(DeviceState {
             cloud: self.cloud.clone(),
             moments: self.moments.clone().or_zeros(self.cloud.len()),
@@ -142,32 +165,36 @@ impl Backend for CpuBackend {
     }
 
     fn download(&mut self) -> Result<Cow<'_, Gaussians>, BackendError> {
-        Ok(Cow::Borrowed(&self.cloud))
+        Ok(Cow::Borrowed(self.cloud()))
     }
 
     fn render(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<Image, BackendError> {
         let camera = Pinhole::from(camera);
         self.ensure_view(&camera)?;
+        self.make_up();
         self.buffers.render(self.level, &self.cloud, &camera, settings);
         Ok(self.buffers.image.clone())
     }
 
     fn train_step(&mut self, step: &TrainStep) -> Result<(), BackendError> {
         self.prepare_step(step)?;
-        let (view, settings) = (&self.views[step.view], step.settings);
-        let camera = view.camera;
-        self.buffers.render(self.level, &self.cloud, &camera, &settings);
+        let (camera, settings) = (self.views[step.view].camera, step.settings);
+        self.project_late(&camera, &settings);
+        self.buffers.draw(self.level, (&camera, &Band::whole(&camera)), &settings);
+        let view = &self.views[step.view];
         self.buffers.ensure_gradient_rows()?;
         let loss = self.buffers.backward(self.level, &camera, &view.target, step.statistics.density)?;
         if !loss.is_finite() {
-            return Err(BackendError::diverged(&self.cloud, self.steps));
+            let steps = self.steps;
+            return Err(BackendError::diverged(self.cloud(), steps));
         }
         let ViewBuffers { splats, bins, gradient_rows, seconds, .. } = &mut self.buffers;
         let is_masked = view.target.mask.is_some();
         let (gradients, share) = (ByTile { bins, rows: gradient_rows }, Share::whole(self.cloud.len()));
         let inputs = UpdateInputs { splats, gradients, camera: &camera, settings: &settings, is_masked, share };
         let (cloud, moments, statistics) = (&mut self.cloud, &mut self.moments, &mut self.statistics);
-        timed(&mut seconds.update, || update(self.level, &inputs, cloud, moments, statistics, step));
+        let late = &mut self.colour_steps;
+        timed(&mut seconds.update, || update(self.level, &inputs, cloud, moments, late, statistics, step));
         self.report = StepReport { loss, visible: splats.len(), intersections: bins.intersections.len() };
         self.count(step);
         Ok(())
@@ -180,6 +207,7 @@ impl Backend for CpuBackend {
     }
 
     fn end_training(&mut self) -> Result<(), BackendError> {
+        self.make_up();
         (self.moments, self.mean, self.buffers, self.scorer) = Default::default();
         self.snapshot.iter_mut().for_each(|snapshot| snapshot.moments = Moments::default());
         Ok(())
@@ -201,6 +229,7 @@ impl Backend for CpuBackend {
 
     fn edit_rows(&mut self, edit: &RowEdit) -> Result<(), BackendError> {
         self.ensure_rows(edit.sources.len())?;
+        self.make_up();
         self.mean = StateMean::default();
         edit.apply(&mut self.cloud, &mut self.moments);
         let Statistics { gene_gradient_sum, gene_views, .. } = std::mem::take(&mut self.statistics);

@@ -20,6 +20,7 @@ impl EvolutionBackend for CpuBackend {
         settings: &RenderSettings,
     ) -> Result<Vec<f32>, BackendError> {
         self.ensure_scores(self.cloud.len(), population, views)?;
+        self.make_up();
         let of_view = |view: usize| (self.views[view].camera, &self.views[view].target);
         Ok(self.scorer.score(self.level, &self.cloud, population, (views, views), of_view, settings)?)
     }
@@ -44,6 +45,7 @@ impl EvolutionBackend for CpuBackend {
     ) -> Result<Vec<Vec<f32>>, BackendError> {
         self.ensure_views(views)?;
         self.ensure_weights(views.len())?;
+        self.make_up();
         let of_view = |&view: &usize| {
             let camera = &self.views[view].camera;
             Ok(weigh(self.level, &mut self.buffers, &self.cloud, camera, &map_of(view)?, settings))
@@ -53,6 +55,7 @@ impl EvolutionBackend for CpuBackend {
 
     fn contributions(&mut self, views: &[usize], settings: &RenderSettings) -> Result<Vec<Contribution>, BackendError> {
         self.ensure_contributions(views)?;
+        self.make_up();
         let mut contributions = vec![Contribution::default(); self.cloud.len()];
         for &view in views {
             let TrainView { camera, target } = &self.views[view];
@@ -64,6 +67,7 @@ impl EvolutionBackend for CpuBackend {
 
     fn average(&mut self) -> Result<(), BackendError> {
         self.ensure_cloud("a mean")?;
+        self.make_up();
         self.mean.add(&self.cloud);
         Ok(())
     }
@@ -76,6 +80,7 @@ impl EvolutionBackend for CpuBackend {
     ) -> Result<Vec<ViewLoss>, BackendError> {
         self.ensure_views(views)?;
         self.ensure_look(held)?;
+        self.make_up();
         let (cloud, buffers) = (self.mean.look(&self.cloud, held), &mut self.buffers);
         let of_view = |&view: &usize| {
             let TrainView { camera, target } = &self.views[view];
@@ -90,6 +95,7 @@ impl EvolutionBackend for CpuBackend {
     }
 
     fn take_mean(&mut self) -> Result<(), BackendError> {
+        self.make_up();
         let (mean, cloud) = (std::mem::take(&mut self.mean), std::mem::take(&mut self.cloud));
         self.cloud = mean.in_place_of(cloud);
         Ok(())

@@ -21,8 +21,8 @@ const TILE_BYTES: usize = 40 * TILE * TILE + 1024;
 const INTERSECTION: usize = 32 + size_of::<GradientRow>();
 /// Intersections of a row, as long as no view tells.
 const PER_ROW: usize = 4;
-/// Sums for density control and evolution.
-const STATISTICS: usize = 44;
+/// Sums for density control and evolution, and how many steps a row's colour has made.
+const STATISTICS: usize = 45;
 /// Working pictures of a photo's loss, for each pixel.
 const PHOTO_LOSS: usize = 64;
 /// A row version, its splat, and its holders.

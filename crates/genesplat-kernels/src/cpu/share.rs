@@ -7,7 +7,7 @@ use genesplat_core::{
 
 use super::backend::{CpuBackend, TrainView};
 use super::loss::Target;
-use super::update::{Share, SplatGradients, UpdateInputs, update};
+use super::update::{ColourSteps, Share, SplatGradients, UpdateInputs, update};
 use super::view::{Pinhole, Splats, project::project, timed};
 
 /// Whoever rolls back has taken a snapshot.
@@ -26,7 +26,8 @@ impl CpuBackend {
     }
 
     /// The rows held.
-    pub fn cloud(&self) -> &Gaussians {
+    pub fn cloud(&mut self) -> &Gaussians {
+        self.make_up();
         &self.cloud
     }
 
@@ -37,6 +38,7 @@ impl CpuBackend {
 
     /// Hands over all that is held but the views, and holds nothing.
     pub fn take_state(&mut self) -> DeviceState {
+        self.make_up();
         let (cloud, moments) = (std::mem::take(&mut self.cloud), std::mem::take(&mut self.moments));
         let (statistics, mean) = (std::mem::take(&mut self.statistics), std::mem::take(&mut self.mean));
         DeviceState { cloud, moments, statistics, mean, snapshot: self.snapshot.take() }
@@ -46,12 +48,14 @@ impl CpuBackend {
     pub fn put_state(&mut self, state: DeviceState) {
         let DeviceState { cloud, moments, statistics, mean, snapshot } = state;
         self.moments = moments.or_zeros(cloud.len());
+        self.colour_steps = ColourSteps::default();
         (self.cloud, self.statistics, self.mean, self.snapshot) = (cloud, statistics, mean, snapshot);
         self.grow_statistics(StatisticsRequest::default());
     }
 
     /// A copy of the cloud and its moments.
-    pub fn snapshot(&self) -> Snapshot {
+    pub fn snapshot(&mut self) -> Snapshot {
+        self.make_up();
         Snapshot { cloud: self.cloud.clone(), moments: self.moments.clone().or_zeros(self.cloud.len()) }
     }
 
@@ -78,6 +82,7 @@ impl CpuBackend {
     ) -> Result<&Splats, BackendError> {
         self.ensure_view(camera)?;
         self.ensure_look(held)?;
+        self.make_up();
         let (cloud, buffers) = (self.mean.look(&self.cloud, held), &mut self.buffers);
         timed(&mut buffers.seconds.project, || project(self.level, &cloud, camera, settings, &mut buffers.splats));
         Ok(&buffers.splats)
@@ -97,7 +102,8 @@ impl CpuBackend {
     pub fn begin_step(&mut self, step: &TrainStep) -> Result<&Splats, BackendError> {
         self.prepare_step(step)?;
         let camera = self.views[step.view].camera;
-        self.project(&camera, &step.settings, Held::Cloud)
+        self.project_late(&camera, &step.settings);
+        Ok(&self.buffers.splats)
     }
 
     /// The end of a step: `gradients` are those of the splats that were projected last.
@@ -106,7 +112,8 @@ impl CpuBackend {
         let (buffers, settings, is_masked) = (&mut self.buffers, &step.settings, target.mask.is_some());
         let inputs = UpdateInputs { splats: &buffers.splats, gradients, camera, settings, is_masked, share };
         let (cloud, moments, statistics) = (&mut self.cloud, &mut self.moments, &mut self.statistics);
-        timed(&mut buffers.seconds.update, || update(self.level, &inputs, cloud, moments, statistics, step));
+        let late = &mut self.colour_steps;
+        timed(&mut buffers.seconds.update, || update(self.level, &inputs, cloud, moments, late, statistics, step));
         self.count(step);
     }
 

@@ -101,6 +101,39 @@ fn add(sum: &mut Cloud64, more: &Cloud64) {
     }
 }
 
+/// Steps of two views, more than are kept, which see other parts of the cloud; each third step is of both.
+fn steps_of_two_views(mcmc: Option<McmcStep>, sums_views: bool, makes_up_at_once: bool) -> (Gaussians, Moments) {
+    let mut elsewhere = view();
+    elsewhere.camera.principal_px[0] += 50.0;
+    let mut backend = backend_with(&cloud(300));
+    backend.set_views(&[view(), elsewhere]).unwrap();
+    for number in 1..=150 {
+        let mut step = classic_step(number);
+        step.settings.sh_degree = (number / 40).min(3) as u8;
+        step.update.as_mut().unwrap().mcmc = mcmc.map(|mcmc| McmcStep { counter: number, ..mcmc });
+        if sums_views && number % 3 == 0 && number > 75 {
+            backend.train_step(&TrainStep { view: 1, update: None, keeps_gradients: true, ..step }).unwrap();
+        }
+        backend.train_step(&TrainStep { view: usize::from(number % 5 > 1), ..step }).unwrap();
+        if makes_up_at_once {
+            backend.make_up();
+        }
+    }
+    let before = backend.cloud.sh.clone();
+    let state = backend.state().unwrap();
+    assert_eq!(before == state.cloud.sh, makes_up_at_once || sums_views, "the last step is late for some");
+    (state.cloud, state.moments)
+}
+
+/// Colours of rows without a splat make their steps later, to the bit as if they had made them at once.
+#[test]
+fn late_steps_of_colours_are_exact() {
+    for (mcmc, sums_views) in [(None, false), (None, true), (Some(mcmc_step(0)), false)] {
+        let [late, at_once] = [false, true].map(|at_once| steps_of_two_views(mcmc, sums_views, at_once));
+        assert!(late == at_once, "{mcmc:?}, {sums_views}");
+    }
+}
+
 /// They do not end as denormal numbers, which are slow.
 #[test]
 fn moments_without_a_gradient_end_at_zero() {

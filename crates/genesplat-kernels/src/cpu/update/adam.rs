@@ -1,4 +1,5 @@
-//! Stage `adam`: one dense optimiser step over a chunk of rows (Kingma & Ba 2015, with 3DGS's constants).
+//! Stage `adam`: one dense optimiser step over a chunk of rows (Kingma & Ba 2015, with 3DGS's constants). Colours step in
+//! [`super::colour_steps`].
 
 use fearless_simd::{Simd, prelude::*};
 use genesplat_core::Update;
@@ -11,7 +12,7 @@ use crate::cpu::view::CHUNK;
 
 /// Adam's bias-corrected factors of one parameter group.
 #[derive(Clone, Copy)]
-struct Rate {
+pub(crate) struct Rate {
     /// `lr / (1 − β1ᵗ)`
     step: f32,
     /// `1 / sqrt(1 − β2ᵗ)`
@@ -19,7 +20,7 @@ struct Rate {
 }
 
 impl Rate {
-    fn new(rate: f32, step: u32) -> Self {
+    pub(crate) fn new(rate: f32, step: u32) -> Self {
         let step = step.max(1) as i32;
         let first = 1.0 - f64::from(ADAM_BETA1).powi(step);
         let second = 1.0 - f64::from(ADAM_BETA2).powi(step);
@@ -34,8 +35,9 @@ const FIRST_MIN: f32 = 1e-30;
 /// Parameters, first and second moments of one group.
 type Column<'a> = [&'a mut [f32]; 3];
 
+/// Steps everything but the colours.
 #[inline(always)]
-pub(crate) fn adam<S: Simd>(simd: S, update: &Update, sh_degree: u8, gradients: &ChunkGradients, chunk: &mut ChunkMut) {
+pub(crate) fn adam<S: Simd>(simd: S, update: &Update, gradients: &ChunkGradients, chunk: &mut ChunkMut) {
     let n = chunk.parameters.positions.len();
     let mut positions = [[0.0; 3]; CHUNK];
     let mut log_scales = [[0.0; 3]; CHUNK];
@@ -57,11 +59,6 @@ pub(crate) fn adam<S: Simd>(simd: S, update: &Update, sh_degree: u8, gradients: 
         let opacity = Rate::new(rates.opacity, update.opacity_step);
         step_column(simd, opacity, &opacity_logits[..n], chunk.column(|rows| rows.opacity_logits));
     }
-    let colour = [rate(rates.sh_dc), rate(rates.sh_rest)];
-    for row in 0..n {
-        let column = chunk.column(|rows| &mut rows.sh[row]);
-        step_sh(simd, colour, sh_degree, &gradients.sh[row], column);
-    }
 }
 
 #[inline(always)]
@@ -81,7 +78,13 @@ fn step_column<S: Simd>(simd: S, rate: Rate, gradient: &[f32], mut column: Colum
 
 /// The coefficients of one row; inactive ones have no gradient and no moments yet, so they cannot move.
 #[inline(always)]
-fn step_sh<S: Simd>(simd: S, [dc, rest]: [Rate; 2], degree: u8, gradient: &[f32; SH_STRIDE], mut column: Column) {
+pub(super) fn step_sh<S: Simd>(
+    simd: S,
+    [dc, rest]: [Rate; 2],
+    degree: u8,
+    gradient: &[f32; SH_STRIDE],
+    mut column: Column,
+) {
     if degree == 0 {
         return step_column(simd, dc, &gradient[..3], column);
     }

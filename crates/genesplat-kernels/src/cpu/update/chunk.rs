@@ -48,6 +48,8 @@ pub(crate) struct ChunkMut<'a> {
     /// Gradients that wait for an optimiser step; without rows where none do.
     pub pending: RowsMut<'a>,
     pub statistics: StatisticsMut<'a>,
+    /// Steps that the colours of each row have made, of those that are kept; empty where none is made.
+    pub colour_steps: &'a mut [u8],
 }
 
 impl<'a> ChunkMut<'a> {
@@ -82,15 +84,18 @@ pub(crate) fn chunks_mut<'a>(
     cloud: &'a mut Gaussians,
     moments: &'a mut Moments,
     statistics: &'a mut Statistics,
+    colour_steps: &'a mut [u8],
 ) -> Vec<ChunkMut<'a>> {
     let mut pending = rows_mut(&mut moments.pending);
+    let mut colour_steps = colour_steps.chunks_mut(CHUNK);
     rows_mut(cloud)
         .zip(rows_mut(&mut moments.first))
         .zip(rows_mut(&mut moments.second))
         .zip(statistics_mut(statistics))
         .map(|(((parameters, first), second), statistics)| {
             let pending = pending.next().unwrap_or_default();
-            ChunkMut { parameters, first, second, pending, statistics }
+            let colour_steps = colour_steps.next().unwrap_or_default();
+            ChunkMut { parameters, first, second, pending, statistics, colour_steps }
         })
         .collect()
 }

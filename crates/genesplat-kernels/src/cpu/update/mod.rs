@@ -2,10 +2,11 @@
 //! `noise`, fused.
 //!
 //! A chunk's gradients live in the cache only, so every parameter is read and written once a step. Adam is dense, as
-//! published: rows without a gradient still move by their momentum.
+//! published: rows without a gradient still move by their momentum. Their colours do so later ([`colour_steps`]).
 
 mod adam;
 mod chunk;
+mod colour_steps;
 mod geometry_backward;
 mod gradients;
 mod noise;
@@ -20,6 +21,7 @@ use rayon::prelude::*;
 use super::view::{CHUNK, Pinhole, Splats};
 use adam::adam;
 use chunk::{ChunkGradients, ChunkView, chunks_mut};
+pub(crate) use colour_steps::ColourSteps;
 pub(crate) use gradients::ByTile;
 pub use gradients::SplatGradients;
 use noise::{noise, regularise};
@@ -60,13 +62,16 @@ pub(crate) fn update(
     inputs: &UpdateInputs<impl SplatGradients>,
     cloud: &mut Gaussians,
     moments: &mut Moments,
+    colour_steps: &mut ColourSteps,
     statistics: &mut Statistics,
     step: &TrainStep,
 ) {
     let (request, keeps, step) = (step.statistics, step.keeps_gradients, step.update.as_ref());
     let Share { first_row, all_rows } = inputs.share;
     let filter_3d = cloud.filter_3d.take();
-    let work = chunks_mut(cloud, moments, statistics);
+    let (colour_step, made) =
+        step.map(|update| colour_steps.add(update, inputs.settings.sh_degree, cloud.len())).unzip();
+    let work = chunks_mut(cloud, moments, statistics, made.unwrap_or_default());
     work.into_par_iter().enumerate().for_each_init(ChunkGradients::default, |gradients, (index, mut chunk)| {
         let splats = inputs.splats.chunk(index);
         let filter_3d = filter_3d.as_deref().map(|filter| &filter[index * CHUNK..]);
@@ -76,12 +81,13 @@ pub(crate) fn update(
             project_backward(simd, inputs, splats, &view, request.density, gradients);
             let seen = (inputs.splats.seen(index), inputs.is_masked);
             add_statistics(&mut chunk.statistics, gradients, seen, request);
-            if let Some(step) = step {
+            if let Some((step, colour_step)) = step.zip(colour_step) {
                 take_pending(gradients, &mut chunk.pending);
+                colour_step.apply(simd, gradients, &mut chunk);
                 if let Some(mcmc) = &step.mcmc {
                     regularise(gradients, &chunk.parameters, mcmc, all_rows);
                 }
-                adam(simd, step, inputs.settings.sh_degree, gradients, &mut chunk);
+                adam(simd, step, gradients, &mut chunk);
             } else if keeps {
                 keep_pending(gradients, &mut chunk.pending);
             }

@@ -11,4 +11,5 @@ pub(crate) mod splats;
 pub use band::Band;
 pub(crate) use buffers::{StageSeconds, ViewBuffers, timed};
 pub(crate) use pinhole::{Pinhole, TILE};
+pub(crate) use project::Colours;
 pub use splats::{CHUNK, Splat, Splats};

@@ -2,6 +2,7 @@
 
 use fearless_simd::{Level, Simd, dispatch};
 use genesplat_core::constants::{ALPHA_MIN, DISCRIMINANT_MIN};
+use genesplat_core::spherical_harmonics::SH_STRIDE;
 use genesplat_core::{Gaussians, Genes, RenderSettings};
 use rayon::prelude::*;
 
@@ -12,10 +13,37 @@ use super::splats::{CHUNK, Splat, Splats};
 use crate::cpu::bin::LOG2_255;
 use crate::cpu::simd::{LANES, LOG2_E, array, lanes_of};
 
+/// Where the colours of a chunk's rows are.
+pub(crate) trait Colours {
+    /// Those of a row of the cloud.
+    fn of<S: Simd>(&mut self, simd: S, row: usize) -> &[f32; SH_STRIDE];
+}
+
+impl Colours for &[[f32; SH_STRIDE]] {
+    #[inline(always)]
+    fn of<S: Simd>(&mut self, _: S, row: usize) -> &[f32; SH_STRIDE] {
+        &self[row]
+    }
+}
+
 /// Projects the whole cloud; buffers are reused from call to call.
 pub(crate) fn project(level: Level, cloud: &Gaussians, camera: &Pinhole, settings: &RenderSettings, out: &mut Splats) {
+    let colours = vec![&cloud.sh[..]; cloud.len().div_ceil(CHUNK)];
+    project_coloured(level, cloud, colours, camera, settings, out);
+}
+
+/// The same, each chunk with colours of its own; those of the cloud are not read.
+pub(crate) fn project_coloured(
+    level: Level,
+    cloud: &Gaussians,
+    colours: Vec<impl Colours + Send>,
+    camera: &Pinhole,
+    settings: &RenderSettings,
+    out: &mut Splats,
+) {
     out.seen.resize(cloud.len(), false);
-    project_versions(level, cloud, cloud.len(), |row| (row as u32, cloud.genes(row)), camera, settings, out);
+    let version = |row: usize| (row as u32, cloud.genes(row));
+    project_chunks(level, cloud, cloud.len(), version, colours, camera, settings, out);
 }
 
 /// Projects `count` versions of rows, `version(index)` a row and its genes, as if each were a row of its own: a splat's
@@ -29,14 +57,28 @@ pub(crate) fn project_versions(
     settings: &RenderSettings,
     out: &mut Splats,
 ) {
+    let colours = vec![&cloud.sh[..]; count.div_ceil(CHUNK)];
+    project_chunks(level, cloud, count, version, colours, camera, settings, out);
+}
+
+fn project_chunks(
+    level: Level,
+    cloud: &Gaussians,
+    count: usize,
+    version: impl Fn(usize) -> (u32, Genes) + Sync,
+    colours: Vec<impl Colours + Send>,
+    camera: &Pinhole,
+    settings: &RenderSettings,
+    out: &mut Splats,
+) {
     out.resize(count);
     let mut seen: Vec<&mut [bool]> = out.seen.chunks_mut(CHUNK).collect();
     seen.resize_with(out.counts.len(), Default::default);
-    let chunks = out.slots.par_chunks_mut(CHUNK).zip(seen).zip(&mut out.counts);
-    chunks.enumerate().for_each(|(chunk, ((slots, seen), count))| {
+    let chunks = out.slots.par_chunks_mut(CHUNK).zip(seen).zip(&mut out.counts).zip(colours);
+    chunks.enumerate().for_each(|(chunk, (((slots, seen), count), mut colours))| {
         let first = chunk * CHUNK;
         *count = dispatch!(level, simd =>
-            project_chunk(simd, cloud, first, &version, camera, settings, slots, seen));
+            project_chunk(simd, cloud, first, &version, &mut colours, camera, settings, slots, seen));
     });
 }
 
@@ -48,6 +90,7 @@ fn project_chunk<S: Simd>(
     cloud: &Gaussians,
     first: usize,
     version: &impl Fn(usize) -> (u32, Genes),
+    colours: &mut impl Colours,
     camera: &Pinhole,
     settings: &RenderSettings,
     slots: &mut [Splat],
@@ -67,7 +110,7 @@ fn project_chunk<S: Simd>(
                 *seen = lanes.is_seen(lane, camera);
             }
             let Some(splat) = lanes.splat(lane, camera) else { continue };
-            let (sh, position) = (&cloud.sh[*row as usize], [genes[0], genes[1], genes[2]]);
+            let (sh, position) = (colours.of(simd, *row as usize), [genes[0], genes[1], genes[2]]);
             let colour = colour(sh, position, camera.centre_in_world, settings.sh_degree);
             // NaN drops the Gaussian. (An infinite colour is drawn, so that the loss shows it.)
             if !colour.rgb.iter().any(|value| value.is_nan()) {
