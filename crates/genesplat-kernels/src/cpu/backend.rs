@@ -77,7 +77,7 @@ impl CpuBackend {
         self.ensure_view(&self.views[step.view].camera)?;
         self.ensure_statistics()?;
         self.grow_statistics(step.statistics);
-        // Of several views, any row may have gradients.
+        // Where gradients of other views wait, any row may make the step, with a splat in this view or without.
         if self.colour_steps.is_full() || !self.moments.pending.is_empty() {
             self.make_up();
         }

@@ -66,7 +66,7 @@ impl ColourSteps {
         (step, &mut self.made)
     }
 
-    /// Where no row has yet to make a step, there may be other rows.
+    /// While no step is kept, the number of rows may change.
     fn fit(&mut self, rows: usize) {
         if self.steps.is_empty() {
             self.made.clear();
