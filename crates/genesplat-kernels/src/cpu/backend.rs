@@ -11,8 +11,8 @@ use genesplat_core::{
 
 use super::loss::Target;
 use super::score::Scorer;
-use super::update::{ByTile, ColourSteps, Share, UpdateInputs, update};
-use super::view::{Band, Pinhole, StageSeconds, ViewBuffers, project::project_coloured, timed};
+use super::update::{ByTile, Share, Trained, UpdateInputs, update};
+use super::view::{Band, Pinhole, StageSeconds, ViewBuffers, timed};
 
 pub(super) struct TrainView {
     pub camera: Pinhole,
@@ -22,9 +22,7 @@ pub(super) struct TrainView {
 /// A cloud in main memory, trained by all threads of the ambient rayon pool.
 pub struct CpuBackend {
     pub(super) level: Level,
-    pub(super) cloud: Gaussians,
-    pub(super) moments: Moments,
-    pub(super) colour_steps: ColourSteps,
+    pub(super) trained: Trained,
     pub(super) statistics: Statistics,
     pub(super) views: Vec<TrainView>,
     pub(super) buffers: ViewBuffers,
@@ -46,9 +44,7 @@ impl CpuBackend {
     pub fn new() -> Self {
         Self {
             level: Level::new(),
-            cloud: Gaussians::default(),
-            moments: Moments::default(),
-            colour_steps: ColourSteps::default(),
+            trained: Trained::default(),
             statistics: Statistics::default(),
             views: Vec::new(),
             buffers: ViewBuffers::default(),
@@ -77,31 +73,18 @@ impl CpuBackend {
         self.ensure_view(&self.views[step.view].camera)?;
         self.ensure_statistics()?;
         self.grow_statistics(step.statistics);
-        // Where gradients of other views wait, any row may make the step, with a splat in this view or without.
-        if self.colour_steps.is_full() || !self.moments.pending.is_empty() {
-            self.make_up();
-        }
-        if step.keeps_gradients && self.moments.pending.is_empty() {
+        if step.keeps_gradients && !self.trained.has_pending() {
             self.ensure_cloud("gradients of several views")?;
-            self.moments.pending = Moments::column(self.cloud.len());
         }
+        self.trained.prepare_step(self.level, step.keeps_gradients);
         Ok(())
     }
 
-    /// All colours make the steps that they have yet to make.
-    pub(super) fn make_up(&mut self) {
-        self.colour_steps.make_up(self.level, &mut self.cloud.sh, &mut self.moments);
-    }
-
-    /// The splats of the rows held, whose colours make the steps that they have yet to make.
-    pub(super) fn project_late(&mut self, camera: &Pinhole, settings: &RenderSettings) {
-        let Self { level, cloud, moments, colour_steps, buffers, .. } = self;
-        let mut colours = std::mem::take(&mut cloud.sh);
-        timed(&mut buffers.seconds.project, || {
-            let late = colour_steps.late_rows(&mut colours, moments);
-            project_coloured(*level, cloud, late, camera, settings, &mut buffers.splats);
-        });
-        cloud.sh = colours;
+    /// The splats of the rows held, for a step.
+    pub(super) fn project_for_step(&mut self, step: &TrainStep) {
+        let Self { level, trained, buffers, views, .. } = self;
+        let ViewBuffers { splats, seconds, .. } = buffers;
+        timed(&mut seconds.project, || trained.project(*level, &views[step.view].camera, &step.settings, splats));
     }
 
     /// The step is made.
@@ -111,7 +94,7 @@ impl CpuBackend {
 
     /// The gene columns and the absolute one exist from the first step that asks for them.
     pub(super) fn grow_statistics(&mut self, request: StatisticsRequest) {
-        let n = self.cloud.len();
+        let n = self.trained.rows();
         self.statistics.gradient_sum.resize(n, 0.0);
         self.statistics.weight_sum.resize(n, 0.0);
         if request.density == Some(DensitySignal::SignedAndAbsolute) {
@@ -136,7 +119,7 @@ impl Backend for CpuBackend {
     }
 
     fn gaussian_count(&self) -> usize {
-        self.cloud.len()
+        self.trained.rows()
     }
 
     fn set_views(&mut self, views: &[View]) -> Result<(), BackendError> {
@@ -154,10 +137,10 @@ impl Backend for CpuBackend {
 
     fn state(&mut self) -> Result<DeviceState, BackendError> {
         self.ensure_state()?;
-        self.make_up();
+        let Snapshot { cloud, moments } = self.snapshot();
         Ok(DeviceState {
-            cloud: self.cloud.clone(),
-            moments: self.moments.clone().or_zeros(self.cloud.len()),
+            cloud,
+            moments,
             statistics: self.statistics.clone(),
             mean: self.mean.clone(),
             snapshot: self.snapshot.clone(),
@@ -171,30 +154,27 @@ impl Backend for CpuBackend {
     fn render(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<Image, BackendError> {
         let camera = Pinhole::from(camera);
         self.ensure_view(&camera)?;
-        self.make_up();
-        self.buffers.render(self.level, &self.cloud, &camera, settings);
+        self.buffers.render(self.level, self.trained.cloud(self.level), &camera, settings);
         Ok(self.buffers.image.clone())
     }
 
     fn train_step(&mut self, step: &TrainStep) -> Result<(), BackendError> {
         self.prepare_step(step)?;
-        let (camera, settings) = (self.views[step.view].camera, step.settings);
-        self.project_late(&camera, &settings);
-        self.buffers.draw(self.level, (&camera, &Band::whole(&camera)), &settings);
-        let view = &self.views[step.view];
+        self.project_for_step(step);
+        let (TrainView { camera, target }, settings) = (&self.views[step.view], &step.settings);
+        self.buffers.draw(self.level, (camera, &Band::whole(camera)), settings);
         self.buffers.ensure_gradient_rows()?;
-        let loss = self.buffers.backward(self.level, &camera, &view.target, step.statistics.density)?;
+        let loss = self.buffers.backward(self.level, camera, target, step.statistics.density)?;
         if !loss.is_finite() {
             let steps = self.steps;
-            return Err(BackendError::diverged(self.cloud(), steps));
+            return Err(BackendError::diverged(self.trained.cloud(self.level), steps));
         }
         let ViewBuffers { splats, bins, gradient_rows, seconds, .. } = &mut self.buffers;
-        let is_masked = view.target.mask.is_some();
-        let (gradients, share) = (ByTile { bins, rows: gradient_rows }, Share::whole(self.cloud.len()));
-        let inputs = UpdateInputs { splats, gradients, camera: &camera, settings: &settings, is_masked, share };
-        let (cloud, moments, statistics) = (&mut self.cloud, &mut self.moments, &mut self.statistics);
-        let late = &mut self.colour_steps;
-        timed(&mut seconds.update, || update(self.level, &inputs, cloud, moments, late, statistics, step));
+        let is_masked = target.mask.is_some();
+        let (gradients, share) = (ByTile { bins, rows: gradient_rows }, Share::whole(self.trained.rows()));
+        let inputs = UpdateInputs { splats, gradients, camera, settings, is_masked, share };
+        let (trained, statistics) = (&mut self.trained, &mut self.statistics);
+        timed(&mut seconds.update, || update(self.level, &inputs, trained, statistics, step));
         self.report = StepReport { loss, visible: splats.len(), intersections: bins.intersections.len() };
         self.count(step);
         Ok(())
@@ -207,8 +187,8 @@ impl Backend for CpuBackend {
     }
 
     fn end_training(&mut self) -> Result<(), BackendError> {
-        self.make_up();
-        (self.moments, self.mean, self.buffers, self.scorer) = Default::default();
+        *self.trained.all(self.level).1 = Moments::default();
+        (self.mean, self.buffers, self.scorer) = Default::default();
         self.snapshot.iter_mut().for_each(|snapshot| snapshot.moments = Moments::default());
         Ok(())
     }
@@ -229,9 +209,9 @@ impl Backend for CpuBackend {
 
     fn edit_rows(&mut self, edit: &RowEdit) -> Result<(), BackendError> {
         self.ensure_rows(edit.sources.len())?;
-        self.make_up();
         self.mean = StateMean::default();
-        edit.apply(&mut self.cloud, &mut self.moments);
+        let (cloud, moments) = self.trained.all(self.level);
+        edit.apply(cloud, moments);
         let Statistics { gene_gradient_sum, gene_views, .. } = std::mem::take(&mut self.statistics);
         if !gene_views.is_empty() {
             self.statistics.gene_gradient_sum = edit.gather(&gene_gradient_sum);
@@ -243,18 +223,19 @@ impl Backend for CpuBackend {
 
     fn reset_opacity(&mut self, ceiling: f32) -> Result<(), BackendError> {
         self.mean = StateMean::default();
-        for row in 0..self.cloud.len() {
-            let dimming = self.cloud.filter_dimming(row);
-            let logit = &mut self.cloud.opacity_logits[row];
+        let (cloud, moments) = self.trained.all(self.level);
+        for row in 0..cloud.len() {
+            let dimming = cloud.filter_dimming(row);
+            let logit = &mut cloud.opacity_logits[row];
             *logit = limited_opacity(*logit, dimming, ceiling);
         }
-        self.moments.first.opacity_logits.fill(0.0);
-        self.moments.second.opacity_logits.fill(0.0);
+        moments.first.opacity_logits.fill(0.0);
+        moments.second.opacity_logits.fill(0.0);
         Ok(())
     }
 
     fn set_filter_3d(&mut self, filter: Vec<f32>) -> Result<(), BackendError> {
-        self.cloud.filter_3d = Some(filter);
+        self.trained.cloud(self.level).filter_3d = Some(filter);
         Ok(())
     }
 }

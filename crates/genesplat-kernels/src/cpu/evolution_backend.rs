@@ -19,16 +19,17 @@ impl EvolutionBackend for CpuBackend {
         views: &[usize],
         settings: &RenderSettings,
     ) -> Result<Vec<f32>, BackendError> {
-        self.ensure_scores(self.cloud.len(), population, views)?;
-        self.make_up();
+        self.ensure_scores(self.gaussian_count(), population, views)?;
         let of_view = |view: usize| (self.views[view].camera, &self.views[view].target);
-        Ok(self.scorer.score(self.level, &self.cloud, population, (views, views), of_view, settings)?)
+        let cloud = self.trained.cloud(self.level);
+        Ok(self.scorer.score(self.level, cloud, population, (views, views), of_view, settings)?)
     }
 
     fn apply(&mut self, delta: &SparseDelta, moments: MomentPolicy) -> Result<(), BackendError> {
-        self.cloud.apply(delta);
+        let (cloud, held) = self.trained.all(self.level);
+        cloud.apply(delta);
         if moments == MomentPolicy::Zero {
-            for moment in [&mut self.moments.first, &mut self.moments.second] {
+            for moment in [&mut held.first, &mut held.second] {
                 for &row in &delta.rows {
                     moment.set_genes(row as usize, &[0.0; 7]);
                 }
@@ -45,30 +46,29 @@ impl EvolutionBackend for CpuBackend {
     ) -> Result<Vec<Vec<f32>>, BackendError> {
         self.ensure_views(views)?;
         self.ensure_weights(views.len())?;
-        self.make_up();
+        let cloud = self.trained.cloud(self.level);
         let of_view = |&view: &usize| {
             let camera = &self.views[view].camera;
-            Ok(weigh(self.level, &mut self.buffers, &self.cloud, camera, &map_of(view)?, settings))
+            Ok(weigh(self.level, &mut self.buffers, cloud, camera, &map_of(view)?, settings))
         };
         views.iter().map(of_view).collect()
     }
 
     fn contributions(&mut self, views: &[usize], settings: &RenderSettings) -> Result<Vec<Contribution>, BackendError> {
         self.ensure_contributions(views)?;
-        self.make_up();
-        let mut contributions = vec![Contribution::default(); self.cloud.len()];
+        let cloud = self.trained.cloud(self.level);
+        let mut contributions = vec![Contribution::default(); cloud.len()];
         for &view in views {
             let TrainView { camera, target } = &self.views[view];
             let view = (camera, target);
-            contribution(self.level, &mut self.buffers, &self.cloud, view, settings, &mut contributions)?;
+            contribution(self.level, &mut self.buffers, cloud, view, settings, &mut contributions)?;
         }
         Ok(contributions)
     }
 
     fn average(&mut self) -> Result<(), BackendError> {
         self.ensure_cloud("a mean")?;
-        self.make_up();
-        self.mean.add(&self.cloud);
+        self.mean.add(self.trained.cloud(self.level));
         Ok(())
     }
 
@@ -80,8 +80,7 @@ impl EvolutionBackend for CpuBackend {
     ) -> Result<Vec<ViewLoss>, BackendError> {
         self.ensure_views(views)?;
         self.ensure_look(held)?;
-        self.make_up();
-        let (cloud, buffers) = (self.mean.look(&self.cloud, held), &mut self.buffers);
+        let (cloud, buffers) = (self.mean.look(self.trained.cloud(self.level), held), &mut self.buffers);
         let of_view = |&view: &usize| {
             let TrainView { camera, target } = &self.views[view];
             buffers.render(self.level, &cloud, camera, settings);
@@ -95,9 +94,8 @@ impl EvolutionBackend for CpuBackend {
     }
 
     fn take_mean(&mut self) -> Result<(), BackendError> {
-        self.make_up();
-        let (mean, cloud) = (std::mem::take(&mut self.mean), std::mem::take(&mut self.cloud));
-        self.cloud = mean.in_place_of(cloud);
+        let (mean, cloud) = (std::mem::take(&mut self.mean), self.trained.cloud(self.level));
+        *cloud = mean.in_place_of(std::mem::take(cloud));
         Ok(())
     }
 

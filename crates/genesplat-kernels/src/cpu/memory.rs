@@ -54,7 +54,7 @@ impl ViewBuffers {
 
 impl CpuBackend {
     fn rows(&self) -> usize {
-        self.cloud.len()
+        self.trained.rows()
     }
 
     pub(super) fn ensure_view(&self, camera: &Pinhole) -> Result<(), BackendError> {
@@ -79,12 +79,12 @@ impl CpuBackend {
 
     /// The cloud, its moments, and gradients that wait for a step.
     fn clouds_held(&self) -> usize {
-        3 + usize::from(!self.moments.pending.is_empty())
+        3 + usize::from(self.trained.has_pending())
     }
 
     /// A mean that has a 3D filter is a copy.
     pub(super) fn ensure_look(&self, held: Held) -> Result<(), BackendError> {
-        let is_copy = held == Held::Mean && self.cloud.filter_3d.is_some();
+        let is_copy = held == Held::Mean && self.trained.has_filter_3d();
         if is_copy { self.ensure_cloud("a mean") } else { Ok(()) }
     }
 

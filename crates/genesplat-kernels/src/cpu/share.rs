@@ -7,7 +7,7 @@ use genesplat_core::{
 
 use super::backend::{CpuBackend, TrainView};
 use super::loss::Target;
-use super::update::{ColourSteps, Share, SplatGradients, UpdateInputs, update};
+use super::update::{Share, SplatGradients, Trained, UpdateInputs, update};
 use super::view::{Pinhole, Splats, project::project, timed};
 
 /// Whoever rolls back has taken a snapshot.
@@ -27,8 +27,7 @@ impl CpuBackend {
 
     /// The rows held.
     pub fn cloud(&mut self) -> &Gaussians {
-        self.make_up();
-        &self.cloud
+        self.trained.cloud(self.level)
     }
 
     /// Optimiser steps made so far.
@@ -38,8 +37,7 @@ impl CpuBackend {
 
     /// Hands over all that is held but the views, and holds nothing.
     pub fn take_state(&mut self) -> DeviceState {
-        self.make_up();
-        let (cloud, moments) = (std::mem::take(&mut self.cloud), std::mem::take(&mut self.moments));
+        let (cloud, moments) = self.trained.take(self.level);
         let (statistics, mean) = (std::mem::take(&mut self.statistics), std::mem::take(&mut self.mean));
         DeviceState { cloud, moments, statistics, mean, snapshot: self.snapshot.take() }
     }
@@ -47,16 +45,15 @@ impl CpuBackend {
     /// Takes what [`Self::take_state`] has handed over, or some other rows of it.
     pub fn put_state(&mut self, state: DeviceState) {
         let DeviceState { cloud, moments, statistics, mean, snapshot } = state;
-        self.moments = moments.or_zeros(cloud.len());
-        self.colour_steps = ColourSteps::default();
-        (self.cloud, self.statistics, self.mean, self.snapshot) = (cloud, statistics, mean, snapshot);
+        self.trained = Trained::new(cloud, moments);
+        (self.statistics, self.mean, self.snapshot) = (statistics, mean, snapshot);
         self.grow_statistics(StatisticsRequest::default());
     }
 
     /// A copy of the cloud and its moments.
     pub fn snapshot(&mut self) -> Snapshot {
-        self.make_up();
-        Snapshot { cloud: self.cloud.clone(), moments: self.moments.clone().or_zeros(self.cloud.len()) }
+        let (cloud, moments) = self.trained.all(self.level);
+        Snapshot { cloud: cloud.clone(), moments: moments.clone().or_zeros(cloud.len()) }
     }
 
     /// From now on the snapshot is this one.
@@ -82,8 +79,7 @@ impl CpuBackend {
     ) -> Result<&Splats, BackendError> {
         self.ensure_view(camera)?;
         self.ensure_look(held)?;
-        self.make_up();
-        let (cloud, buffers) = (self.mean.look(&self.cloud, held), &mut self.buffers);
+        let (cloud, buffers) = (self.mean.look(self.trained.cloud(self.level), held), &mut self.buffers);
         timed(&mut buffers.seconds.project, || project(self.level, &cloud, camera, settings, &mut buffers.splats));
         Ok(&buffers.splats)
     }
@@ -101,8 +97,7 @@ impl CpuBackend {
     /// Makes room for a step, and projects the rows held.
     pub fn begin_step(&mut self, step: &TrainStep) -> Result<&Splats, BackendError> {
         self.prepare_step(step)?;
-        let camera = self.views[step.view].camera;
-        self.project_late(&camera, &step.settings);
+        self.project_for_step(step);
         Ok(&self.buffers.splats)
     }
 
@@ -111,9 +106,8 @@ impl CpuBackend {
         let TrainView { camera, target } = &self.views[step.view];
         let (buffers, settings, is_masked) = (&mut self.buffers, &step.settings, target.mask.is_some());
         let inputs = UpdateInputs { splats: &buffers.splats, gradients, camera, settings, is_masked, share };
-        let (cloud, moments, statistics) = (&mut self.cloud, &mut self.moments, &mut self.statistics);
-        let late = &mut self.colour_steps;
-        timed(&mut buffers.seconds.update, || update(self.level, &inputs, cloud, moments, late, statistics, step));
+        let (trained, statistics) = (&mut self.trained, &mut self.statistics);
+        timed(&mut buffers.seconds.update, || update(self.level, &inputs, trained, statistics, step));
         self.count(step);
     }
 

@@ -2,13 +2,10 @@
 
 use fearless_simd::Level;
 use genesplat_core::backend::McmcStep;
-use genesplat_core::{
-    Backend, DeviceState, EvolutionBackend, Gaussians, Held, Moments, RowEdit, ScreenFilter, SparseDelta, TrainStep,
-};
+use genesplat_core::{Backend, Gaussians, Moments, ScreenFilter, TrainStep};
 
 use super::{backend_with, buffers_of, classic_step, compare_gradients, flat, inputs, mcmc_step};
-use crate::cpu::CpuBackend;
-use crate::cpu::update::{ColourSteps, tests::gradients};
+use crate::cpu::update::tests::{colours_as_they_are, gradients};
 use crate::fixtures::{cloud, settings, small_view, view};
 use crate::reference::{self, Cloud64, Cutoff};
 
@@ -119,10 +116,10 @@ fn steps_of_two_views(mcmc: Option<McmcStep>, sums_views: bool, makes_up_at_once
         }
         backend.train_step(&TrainStep { view: usize::from(number % 5 > 1), ..step }).unwrap();
         if makes_up_at_once {
-            backend.make_up();
+            backend.cloud();
         }
     }
-    let before = backend.cloud.sh.clone();
+    let before = colours_as_they_are(&backend.trained);
     let state = backend.state().unwrap();
     assert_eq!(before == state.cloud.sh, makes_up_at_once || sums_views, "the last step is late for some");
     (state.cloud, state.moments)
@@ -134,72 +131,6 @@ fn late_steps_of_colours_are_exact() {
     for (mcmc, sums_views) in [(None, false), (None, true), (Some(mcmc_step(0)), false)] {
         let [late, at_once] = [false, true].map(|at_once| steps_of_two_views(mcmc, sums_views, at_once));
         assert!(late == at_once, "{mcmc:?}, {sums_views}");
-    }
-}
-
-/// Something that reads or moves all colours, and what comes of it.
-type Verb = fn(&mut CpuBackend) -> Vec<f32>;
-
-/// All colours and their first moments.
-fn colours(backend: &mut CpuBackend) -> Vec<f32> {
-    let DeviceState { cloud, moments, .. } = backend.state().unwrap();
-    [cloud.sh.as_flattened(), moments.first.sh.as_flattened()].concat()
-}
-
-const VERBS: [(&str, Verb); 10] = [
-    ("state", colours),
-    ("download", |backend| backend.download().unwrap().sh.as_flattened().to_vec()),
-    ("render", |backend| backend.render(&view().camera, &settings(3, ScreenFilter::Classic)).unwrap().planes),
-    ("score", |backend| backend.score(&[SparseDelta::default()], &[0], &settings(3, ScreenFilter::Classic)).unwrap()),
-    ("contributions", |backend| {
-        let contributions = backend.contributions(&[0], &settings(3, ScreenFilter::Classic)).unwrap();
-        contributions.iter().map(|contribution| contribution.error).collect()
-    }),
-    ("measure", |backend| {
-        vec![backend.measure(Held::Cloud, &[0], &settings(3, ScreenFilter::Classic)).unwrap()[0].loss]
-    }),
-    ("take_mean", |backend| {
-        backend.average().unwrap();
-        backend.train_step(&classic_step(15)).unwrap();
-        backend.take_mean().unwrap();
-        colours(backend)
-    }),
-    ("end_training", |backend| {
-        backend.end_training().unwrap();
-        backend.download().unwrap().sh.as_flattened().to_vec()
-    }),
-    ("edit_rows", |backend| {
-        backend.edit_rows(&RowEdit::keep((50..300).rev().collect())).unwrap();
-        colours(backend)
-    }),
-    ("roll_back", |backend| {
-        backend.edit_rows_on_trial(&RowEdit::keep((0..200).collect())).unwrap();
-        backend.train_step(&classic_step(15)).unwrap();
-        backend.roll_back().unwrap();
-        colours(backend)
-    }),
-];
-
-/// Whoever reads or moves all colours finds them as if no step had been late, and would find others if it forgot.
-#[test]
-fn every_verb_lets_colours_make_up_for_their_steps() {
-    let mut elsewhere = view();
-    elsewhere.camera.principal_px[0] += 50.0;
-    for (name, verb) in VERBS {
-        let after = |before: fn(&mut CpuBackend)| {
-            let mut backend = backend_with(&cloud(300));
-            backend.set_views(&[view(), elsewhere.clone()]).unwrap();
-            for number in 1..=14 {
-                let step = TrainStep { view: usize::from(number > 7), ..classic_step(number) };
-                backend.train_step(&TrainStep { settings: settings(3, ScreenFilter::Classic), ..step }).unwrap();
-            }
-            before(&mut backend);
-            verb(&mut backend)
-        };
-        let [late, at_once, forgotten] =
-            [after(|_| ()), after(CpuBackend::make_up), after(|backend| backend.colour_steps = ColourSteps::default())];
-        assert!(late == at_once, "{name}");
-        assert!(forgotten != at_once, "{name} does not see late steps");
     }
 }
 

@@ -3,7 +3,7 @@
 //! Adam moves rows without a splat, too: by their momentum. What such a step does to a row's colours, 48 of its 59
 //! parameters, depends on nothing but its moments and the step's rates. So the rates are kept, and a row makes up for its
 //! steps when it has a splat next: with the same operations, hence the same bits, but one way to memory for all of them.
-//! Whoever reads or moves all colours lets all rows make up for theirs first.
+//! [`Trained`](super::Trained) lets all rows make up for theirs before anybody else reads or moves them.
 
 use fearless_simd::{Level, Simd, dispatch};
 use genesplat_core::spherical_harmonics::SH_STRIDE;
@@ -22,7 +22,7 @@ type Coefficients = [f32; SH_STRIDE];
 
 /// What one step of the optimiser does to colours.
 #[derive(Clone, Copy)]
-pub(crate) struct ColourStep {
+pub(super) struct ColourStep {
     /// Of the constant coefficients, and of the others.
     rates: [Rate; 2],
     degree: u8,
@@ -45,7 +45,7 @@ impl ColourStep {
 
 /// The last steps, and which rows have made them.
 #[derive(Default)]
-pub(crate) struct ColourSteps {
+pub(super) struct ColourSteps {
     steps: Vec<ColourStep>,
     /// How many of `steps` each row has made `[N]`; without meaning where there are no steps.
     made: Vec<u8>,
@@ -53,7 +53,7 @@ pub(crate) struct ColourSteps {
 
 impl ColourSteps {
     /// Rows must make up for their steps before there is another.
-    pub(crate) fn is_full(&self) -> bool {
+    pub(super) fn is_full(&self) -> bool {
         self.steps.len() == STEPS_MAX
     }
 
@@ -75,7 +75,7 @@ impl ColourSteps {
     }
 
     /// All rows make the steps that they have yet to make.
-    pub(crate) fn make_up(&mut self, level: Level, colours: &mut [Coefficients], moments: &mut Moments) {
+    pub(super) fn make_up(&mut self, level: Level, colours: &mut [Coefficients], moments: &mut Moments) {
         if self.steps.is_empty() {
             return;
         }
@@ -89,7 +89,7 @@ impl ColourSteps {
     }
 
     /// The colours of each chunk of rows.
-    pub(crate) fn late_rows<'a>(
+    pub(super) fn late_rows<'a>(
         &'a mut self,
         colours: &'a mut [Coefficients],
         moments: &'a mut Moments,
@@ -104,7 +104,7 @@ impl ColourSteps {
 }
 
 /// A chunk of rows, some of which have steps to make up for.
-pub(crate) struct LateRows<'a> {
+pub(super) struct LateRows<'a> {
     colours: &'a mut [Coefficients],
     /// First and second ones.
     moments: [&'a mut [Coefficients]; 2],

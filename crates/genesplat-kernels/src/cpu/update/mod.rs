@@ -13,21 +13,23 @@ mod noise;
 mod pending;
 mod project_backward;
 mod statistics;
+mod trained;
 
 use fearless_simd::{Level, dispatch};
-use genesplat_core::{Gaussians, Moments, RenderSettings, Statistics, TrainStep};
+use genesplat_core::{RenderSettings, Statistics, TrainStep};
 use rayon::prelude::*;
 
 use super::view::{CHUNK, Pinhole, Splats};
 use adam::adam;
 use chunk::{ChunkGradients, ChunkView, chunks_mut};
-pub(crate) use colour_steps::ColourSteps;
+use colour_steps::ColourSteps;
 pub(crate) use gradients::ByTile;
 pub use gradients::SplatGradients;
 use noise::{noise, regularise};
 use pending::{keep_pending, take_pending};
 use project_backward::project_backward;
 use statistics::add_statistics;
+pub(crate) use trained::Trained;
 
 /// What the backward pass left of a view.
 pub(crate) struct UpdateInputs<'a, G> {
@@ -60,12 +62,11 @@ impl Share {
 pub(crate) fn update(
     level: Level,
     inputs: &UpdateInputs<impl SplatGradients>,
-    cloud: &mut Gaussians,
-    moments: &mut Moments,
-    colour_steps: &mut ColourSteps,
+    trained: &mut Trained,
     statistics: &mut Statistics,
     step: &TrainStep,
 ) {
+    let Trained { cloud, moments, colour_steps } = trained;
     let (request, keeps, step) = (step.statistics, step.keeps_gradients, step.update.as_ref());
     let Share { first_row, all_rows } = inputs.share;
     let filter_3d = cloud.filter_3d.take();

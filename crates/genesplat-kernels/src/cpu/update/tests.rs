@@ -1,11 +1,12 @@
 //! What the backend's tests compare with the reference.
 
 use fearless_simd::{Level, dispatch};
+use genesplat_core::spherical_harmonics::SH_STRIDE;
 use genesplat_core::{DensitySignal, Gaussians};
 
 use super::chunk::{ChunkGradients, ChunkView, rows_mut};
 use super::project_backward::project_backward;
-use super::{SplatGradients, UpdateInputs};
+use super::{SplatGradients, Trained, UpdateInputs};
 use crate::cpu::view::splats::CHUNK;
 
 /// Gradients of the whole cloud in one piece.
@@ -31,4 +32,9 @@ pub(crate) fn gradients(
         }
     }
     (out, density)
+}
+
+/// Colours without the steps that they have yet to make.
+pub(crate) fn colours_as_they_are(trained: &Trained) -> Vec<[f32; SH_STRIDE]> {
+    trained.cloud.sh.clone()
 }
