@@ -59,7 +59,7 @@ pub fn train(
     stop: &AtomicBool,
 ) -> Result<Outcome, TrainError> {
     let mut trainer = Trainer::new(backend, views, config, observer, stop)?;
-    let notices = trainer.notices(&start);
+    let notices = trainer.notices(&start)?;
     let cursor = trainer.begin(start)?;
     notices.iter().for_each(|notice| trainer.observer.notice(notice));
     match trainer.run_from(cursor) {

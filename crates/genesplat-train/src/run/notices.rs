@@ -1,10 +1,13 @@
 //! What a run's owner should know before the first step: settings that are each valid may come to nothing together.
 //! None of it stops a run.
 
+use genesplat_core::{BackendError, View};
+
 use super::trainer::Trainer;
-use crate::config::{TrainConfig, Variant};
+use crate::config::{Background, TrainConfig, Variant};
 use crate::densify::Plan;
 use crate::densify::cap::Cap;
+use crate::scene::surroundings::are_on_white;
 use crate::schedule::{SCALED_INTERVAL_MIN, Schedule, VirtualSteps};
 
 /// A reset is late where less than this fraction of the time between two resets is left after it: one in so many.
@@ -42,6 +45,14 @@ pub(crate) fn of_virtual_views(steps: VirtualSteps, photos: usize) -> String {
          are not learnt by heart (evolution.renewal.virtual_views)",
         steps.from, steps.every
     )
+}
+
+/// Photos of a subject on white, before another colour.
+pub(crate) fn of_white_surroundings(background: Background, views: &[View]) -> Result<Option<String>, BackendError> {
+    let is_missed = background != Background::White && are_on_white(&views.iter().collect::<Vec<_>>())?;
+    let sentence = "the photos show their subject on white: --background white leaves that to the background, so that no \
+                    Gaussians have to stand for it";
+    Ok(is_missed.then(|| sentence.into()))
 }
 
 /// `steps_scale` shortens the run, and intervals not below [`SCALED_INTERVAL_MIN`].

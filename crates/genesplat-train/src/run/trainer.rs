@@ -125,7 +125,7 @@ impl<'a> Trainer<'a> {
     }
 
     /// What its owner should know of a run that is about to start.
-    pub(crate) fn notices(&self, start: &Start) -> Vec<String> {
+    pub(crate) fn notices(&self, start: &Start) -> Result<Vec<String>, TrainError> {
         let depth = match start {
             Start::Points(points) => median_depth(self.views.iter().map(|view| &view.camera), points),
             Start::Cloud(_) | Start::Checkpoint(_) => None,
@@ -133,6 +133,9 @@ impl<'a> Trainer<'a> {
         let mut notices = notices::at_start(self.config, self.schedule, self.cap, self.extent, depth);
         let on_virtual = |steps| notices::of_virtual_views(steps, self.views.len());
         notices.extend(self.virtual_views.steps().map(on_virtual));
+        if !matches!(start, Start::Checkpoint(_)) {
+            notices.extend(notices::of_white_surroundings(self.config.background, self.views)?);
+        }
         if let Start::Points(points) = start
             && points.len() > self.most_points()
         {
@@ -141,7 +144,7 @@ impl<'a> Trainer<'a> {
                 "the scene's {all} points are thinned evenly to the limit of {limit} Gaussians (--max-gaussians)"
             ));
         }
-        notices
+        Ok(notices)
     }
 
     /// The user's limit holds from the first step on.

@@ -3,6 +3,7 @@
 pub mod filter_3d;
 pub mod initialise;
 mod nearest;
+pub mod surroundings;
 pub(crate) mod thin;
 pub mod views;
 pub(crate) mod virtual_views;

@@ -1,6 +1,7 @@
 //! Photos that harm a reconstruction: blurred, overexposed, or there twice.
 
 use genesplat::core::{Photo, PhotoLost, View};
+use genesplat::train::scene::surroundings::are_on_white;
 use rayon::prelude::*;
 
 use super::{listed, median};
@@ -31,11 +32,11 @@ struct Measures {
 pub(super) fn warnings(views: &[&View]) -> Result<Vec<String>, PhotoLost> {
     let measure = |view: &&View| Ok(measure(&*view.photo.read()?));
     let measures: Vec<Measures> = views.par_iter().map(measure).collect::<Result<_, PhotoLost>>()?;
-    let twins = duplicates(views)?;
+    let (on_white, twins) = (on_white(views)?, duplicates(views)?);
     if views.len() < PHOTOS_MIN {
-        return Ok(twins.into_iter().collect());
+        return Ok([on_white, twins].into_iter().flatten().collect());
     }
-    Ok([blurred(views, &measures), overexposed(views, &measures), twins].into_iter().flatten().collect())
+    Ok([blurred(views, &measures), overexposed(views, &measures), on_white, twins].into_iter().flatten().collect())
 }
 
 fn blurred(views: &[&View], measures: &[Measures]) -> Option<String> {
@@ -62,6 +63,13 @@ fn overexposed(views: &[&View], measures: &[Measures]) -> Option<String> {
             listed(&names)
         )
     })
+}
+
+/// Training says so, too.
+fn on_white(views: &[&View]) -> Result<Option<String>, PhotoLost> {
+    let sentence =
+        "the photos show their subject on white: train with --background white, which leaves that to the background";
+    Ok(are_on_white(views)?.then(|| sentence.into()))
 }
 
 /// Photos that show the same, saved twice or anew.
@@ -146,6 +154,9 @@ mod tests {
         assert_eq!(found.len(), 3, "{found:?}");
         assert!(found[0].contains("softer edges") && found[0].contains("(1.jpg, 3.jpg)"), "{found:?}");
         assert!(found[1].contains("mostly white (3.jpg)") && found[2].contains("0.jpg and 5.jpg"), "{found:?}");
+        views.iter_mut().for_each(|view| view.photo = Photo { rgb: vec![255; 1200], ..noise(0, 100) }.into());
+        let found = warnings(&views[..2].iter().collect::<Vec<_>>()).unwrap();
+        assert!(found[0].contains("--background white") && found.len() == 2, "{found:?}");
     }
 
     #[test]
