@@ -187,7 +187,7 @@ impl Backend for CpuBackend {
     }
 
     fn end_training(&mut self) -> Result<(), BackendError> {
-        *self.trained.all(self.level).1 = Moments::default();
+        *self.trained.settled(self.level).1 = Moments::default();
         (self.mean, self.buffers, self.scorer) = Default::default();
         self.snapshot.iter_mut().for_each(|snapshot| snapshot.moments = Moments::default());
         Ok(())
@@ -210,7 +210,7 @@ impl Backend for CpuBackend {
     fn edit_rows(&mut self, edit: &RowEdit) -> Result<(), BackendError> {
         self.ensure_rows(edit.sources.len())?;
         self.mean = StateMean::default();
-        let (cloud, moments) = self.trained.all(self.level);
+        let (cloud, moments) = self.trained.settled(self.level);
         edit.apply(cloud, moments);
         let Statistics { gene_gradient_sum, gene_views, .. } = std::mem::take(&mut self.statistics);
         if !gene_views.is_empty() {
@@ -223,7 +223,7 @@ impl Backend for CpuBackend {
 
     fn reset_opacity(&mut self, ceiling: f32) -> Result<(), BackendError> {
         self.mean = StateMean::default();
-        let (cloud, moments) = self.trained.all(self.level);
+        let (cloud, moments) = self.trained.settled(self.level);
         for row in 0..cloud.len() {
             let dimming = cloud.filter_dimming(row);
             let logit = &mut cloud.opacity_logits[row];

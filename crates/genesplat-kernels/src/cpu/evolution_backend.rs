@@ -26,7 +26,7 @@ impl EvolutionBackend for CpuBackend {
     }
 
     fn apply(&mut self, delta: &SparseDelta, moments: MomentPolicy) -> Result<(), BackendError> {
-        let (cloud, held) = self.trained.all(self.level);
+        let (cloud, held) = self.trained.settled(self.level);
         cloud.apply(delta);
         if moments == MomentPolicy::Zero {
             for moment in [&mut held.first, &mut held.second] {

@@ -52,7 +52,7 @@ impl CpuBackend {
 
     /// A copy of the cloud and its moments.
     pub fn snapshot(&mut self) -> Snapshot {
-        let (cloud, moments) = self.trained.all(self.level);
+        let (cloud, moments) = self.trained.settled(self.level);
         Snapshot { cloud: cloud.clone(), moments: moments.clone().or_zeros(cloud.len()) }
     }
 

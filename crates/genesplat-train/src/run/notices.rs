@@ -159,6 +159,8 @@ impl Trainer<'_> {
 
 #[cfg(test)]
 mod tests {
+    use genesplat_core::{Camera, Photo};
+
     use super::*;
     use crate::config::{EvolutionMode, StepBudget};
 
@@ -226,5 +228,16 @@ mod tests {
         assert_eq!(notice(10.0, |config| config.variant = Variant::Mcmc), None);
         assert_eq!(notice(10.0, |config| config.densify.prune_size = 10.0), None);
         assert_eq!(notice(10.0, |config| config.evolution.mode = EvolutionMode::Renew), None);
+    }
+
+    #[test]
+    fn white_is_advised_where_it_is_missed() {
+        let photo = Photo { width: 2, height: 2, rgb: vec![255; 12] };
+        let camera = Camera::at_origin(2, 2, 1.0);
+        let view = |photo: Photo| [View { name: String::new(), camera, photo: photo.into(), mask: None }];
+        let advised = |background, view: [View; 1]| of_white_surroundings(background, &view).unwrap().is_some();
+        assert!(advised(Background::Black, view(photo.clone())) && advised(Background::Random, view(photo.clone())));
+        assert!(!advised(Background::White, view(photo.clone())));
+        assert!(!advised(Background::Black, view(Photo { rgb: vec![80; 12], ..photo })));
     }
 }

@@ -35,20 +35,20 @@ impl Trained {
         !self.moments.pending.is_empty()
     }
 
-    /// All of it, to be read or changed.
-    pub(crate) fn all(&mut self, level: Level) -> (&mut Gaussians, &mut Moments) {
+    /// The cloud and its moments, which have made all steps, to be read or changed.
+    pub(crate) fn settled(&mut self, level: Level) -> (&mut Gaussians, &mut Moments) {
         self.colour_steps.make_up(level, &mut self.cloud.sh, &mut self.moments);
         (&mut self.cloud, &mut self.moments)
     }
 
-    /// The cloud alone, to be read or changed.
+    /// The cloud alone, likewise.
     pub(crate) fn cloud(&mut self, level: Level) -> &mut Gaussians {
-        self.all(level).0
+        self.settled(level).0
     }
 
-    /// All of it, and nothing is left.
+    /// The same by value; nothing is left.
     pub(crate) fn take(&mut self, level: Level) -> (Gaussians, Moments) {
-        self.all(level);
+        self.settled(level);
         let Self { cloud, moments, .. } = std::mem::take(self);
         (cloud, moments)
     }
@@ -57,7 +57,7 @@ impl Trained {
     pub(crate) fn prepare_step(&mut self, level: Level, keeps_gradients: bool) {
         // Where gradients of other views wait, any row may make the step, with a splat in this view or without.
         if self.colour_steps.is_full() || self.has_pending() {
-            self.all(level);
+            self.settled(level);
         }
         if keeps_gradients && !self.has_pending() {
             self.moments.pending = Moments::column(self.rows());
