@@ -117,7 +117,7 @@ impl GpuBackend {
     /// The cloud as a training view sees it.
     pub(crate) fn pass_of(&self, view: usize, settings: &RenderSettings) -> ViewPass {
         let TrainView { camera, counted, .. } = &self.views[view];
-        ViewPass { is_masked: counted.is_some().into(), ..ViewPass::new(camera, settings, self.state.rows) }
+        ViewPass { is_masked: counted.is_some().into(), ..ViewPass::new(camera, settings, self.state.trained.rows()) }
     }
 
     /// Submits a view of the cloud, or of the mean: splats, tile lists, picture, and what `record` adds.
@@ -135,7 +135,7 @@ impl GpuBackend {
         let mut timestamps = self.timestamps.take();
         let mut recorder = Recorder::new(&self.engine, timestamps.as_mut());
         self.lists.clear_ranges(&mut recorder, pass);
-        self.lists.record(&mut recorder, &self.state, self.state.held(held), pass);
+        self.lists.record(&mut recorder, &self.state, held, pass);
         self.pixels.record_rasterise(&mut recorder, &self.lists, pass);
         record(self, &mut recorder);
         recorder.submit();
@@ -150,7 +150,7 @@ impl Backend for GpuBackend {
     }
 
     fn gaussian_count(&self) -> usize {
-        self.state.rows as usize
+        self.state.trained.rows() as usize
     }
 
     fn set_views(&mut self, views: &[View]) -> Result<()> {
@@ -180,11 +180,11 @@ impl Backend for GpuBackend {
     }
 
     fn genes(&mut self) -> Result<Vec<Genes>> {
-        self.with_memory(|gpu| gpu.state.cloud.genes(&gpu.engine, gpu.state.rows))
+        self.with_memory(|gpu| gpu.state.trained.genes(&gpu.engine))
     }
 
     fn render(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<Image> {
-        let pass = ViewPass::new(camera, settings, self.state.rows);
+        let pass = ViewPass::new(camera, settings, self.state.trained.rows());
         let submit = |gpu: &mut Self| gpu.submit_view(&pass, None, Needs::default(), Held::Cloud, |_, _| {});
         self.with_memory(|gpu| gpu.until_lists_fit::<u32>(ListsOf::Cloud, None, submit))?;
         let planes = self.engine.read_values(&self.pixels.image, pass.image_bytes() / 4)?;
@@ -216,7 +216,7 @@ impl Backend for GpuBackend {
     }
 
     fn statistics(&mut self) -> Result<Statistics> {
-        self.with_memory(|gpu| gpu.state.statistics.download(&gpu.engine, gpu.state.rows))
+        self.with_memory(|gpu| gpu.state.statistics.download(&gpu.engine, gpu.state.trained.rows()))
     }
 
     fn clear_gene_gradients(&mut self) {

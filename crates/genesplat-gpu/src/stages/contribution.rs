@@ -32,7 +32,7 @@ impl Sums<'_> {
 impl GpuBackend {
     /// Contributions to views `[N]`.
     pub(crate) fn contributions_to(&mut self, views: &[usize], settings: &RenderSettings) -> Result<Vec<Contribution>> {
-        let rows = self.state.rows;
+        let rows = self.state.trained.rows();
         let values: Vec<[f32; CONTRIBUTION_FLOATS as usize]> = self.sums_of("contributions", rows, |gpu, memory| {
             let sums = Sums { memory, first: 0, floats: CONTRIBUTION_FLOATS };
             views.iter().try_for_each(|&view| {
@@ -56,7 +56,8 @@ impl GpuBackend {
         map_of: &dyn Fn(usize) -> Result<Vec<f32>>,
         settings: &RenderSettings,
     ) -> Result<Vec<Vec<f32>>> {
-        let (rows, pitch) = (self.state.rows as usize, self.state.rows.next_multiple_of(WINDOW_STEP));
+        let rows = self.state.trained.rows();
+        let (rows, pitch) = (rows as usize, rows.next_multiple_of(WINDOW_STEP));
         let count = views.len() as u64 * pitch;
         let values: Vec<f32> = self.sums_of("weights of views", count, |gpu, memory| {
             let mut waiting = 0;
@@ -109,7 +110,7 @@ impl GpuBackend {
             let Self { lists, pixels, .. } = gpu;
             pixels.record_backward(recorder, lists, &pass);
             recorder.stage("contribution_sum");
-            for window in &gpu.state.windows {
+            for window in gpu.state.trained.windows() {
                 let [counters, tile_counts, first, gradients] =
                     [&lists.counters, &lists.tile_counts, &lists.first_intersections, &pixels.intersection_gradients]
                         .map(Memory::all);

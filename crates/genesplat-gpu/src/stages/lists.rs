@@ -8,6 +8,7 @@
 use std::cell::Cell;
 
 use bytemuck::Pod;
+use genesplat_core::Held;
 
 use crate::Result;
 use crate::device::{BUFFER_BYTES_STEP, Engine, Grid, Memory, Part, Recorder, shaders};
@@ -17,7 +18,7 @@ use crate::state::layout::{
     Counters, GRID_DEPTH_SORT, GRID_INTERSECTIONS, GRID_TILE_SORT, GRID_VISIBLE, GRID_VISIBLE_SCAN,
     LENGTH_INTERSECTIONS, LENGTH_ROWS, LENGTH_VISIBLE, Optimiser, SCAN_BLOCK, SPLAT_FLOATS, ViewPass,
 };
-use crate::state::{ColourSteps, Parameters, ROW_INSTRUCTIONS, State};
+use crate::state::{LateColours, ROW_INSTRUCTIONS, State};
 
 /// Where an optimiser lies behind a view, bytes: a multiple of what every device can bind at.
 const OPTIMISER_AT: usize = 256;
@@ -181,18 +182,18 @@ impl Lists {
         recorder.clear(&self.ranges, 8 * view.tiles());
     }
 
-    /// Stages `project` and `bin` of a whole cloud, which is that of the state or a blend of the same rows.
-    pub(crate) fn record(&self, recorder: &mut Recorder, state: &State, cloud: &Parameters, view: &ViewPass) {
+    /// Stages `project` and `bin` of a whole cloud, or of the mean. Colours that are shown make the steps that they have yet
+    /// to make.
+    pub(crate) fn record(&self, recorder: &mut Recorder, state: &State, held: Held, view: &ViewPass) {
         recorder.stage("project");
         let outputs = [&self.splats, &self.depths, &self.tile_counts, &self.flags].map(Memory::all);
-        for window in &state.windows {
-            let [view, uniform, geometry] = [self.view.all(), window.uniform.all(), cloud.geometry.at(window)];
+        for window in state.trained.windows() {
+            let (geometry, LateColours { values, made, steps }) = state.held_at(held, window);
+            let (view, uniform) = (self.view.all(), window.uniform.all());
             let parts = [&[view, uniform, geometry][..], &outputs].concat();
             recorder.run(&shaders::PROJECT, &parts, Grid::Items(window.count));
-            let State { first, second, colour_steps: ColourSteps { made, steps, .. }, .. } = state;
-            let colours = [&cloud.sh, &first.sh, &second.sh].map(|column| column.at(window));
-            let inputs = [&[view, uniform, self.tile_counts.all(), geometry][..], &colours].concat();
-            let parts = [&inputs[..], &[steps.all(), made.at(window), self.splats.all()]].concat();
+            let inputs = [&[view, uniform, self.tile_counts.all(), geometry][..], &values].concat();
+            let parts = [&inputs[..], &[steps, made, self.splats.all()]].concat();
             let instructions = ROW_INSTRUCTIONS * window.count;
             recorder.run_long(&shaders::SPLAT_COLOUR, &[], &parts, Grid::Items(window.count), instructions);
         }

@@ -7,7 +7,7 @@ use crate::device::{Grid, Memory, Recorder, shaders};
 use crate::stages::lists::Lists;
 use crate::stages::pixels::Pixels;
 use crate::state::layout::{Optimiser, SH_FLOATS};
-use crate::state::{Parameters, RowWindow, State};
+use crate::state::{LateColours, Parameters, RowWindow, State};
 
 /// Groups of four coefficients, of three channels each, of a row of colours.
 const SH_GROUPS: u64 = SH_FLOATS as u64 / 12;
@@ -26,22 +26,21 @@ impl Optimise<'_> {
     /// Everything after `rasterise_backward`.
     pub(crate) fn record(&self, recorder: &mut Recorder) {
         recorder.stage("project_backward");
-        self.state.windows.iter().for_each(|window| self.record_backward(recorder, window));
+        let trained = &self.state.trained;
+        trained.windows().iter().for_each(|window| self.record_backward(recorder, window));
         recorder.stage("update");
-        self.state.windows.iter().for_each(|window| self.record_statistics(recorder, window));
-        if let Some(pending) =
-            self.state.pending.as_ref().filter(|_| self.optimiser.is_some() || self.step.keeps_gradients)
-        {
-            self.state.windows.iter().for_each(|window| self.record_pending(recorder, window, pending));
+        trained.windows().iter().for_each(|window| self.record_statistics(recorder, window));
+        if let Some(pending) = trained.pending().filter(|_| self.optimiser.is_some() || self.step.keeps_gradients) {
+            trained.windows().iter().for_each(|window| self.record_pending(recorder, window, pending));
         }
         if let Some(optimiser) = self.optimiser {
-            let has_pending = self.state.pending.is_some();
+            let has_pending = trained.pending().is_some();
             if !has_pending {
-                self.state.record_room_for_step(recorder);
+                trained.record_room_for_step(recorder);
             }
-            self.state.windows.iter().for_each(|window| self.record_adam(recorder, window, optimiser));
+            trained.windows().iter().for_each(|window| self.record_adam(recorder, window, optimiser));
             if !has_pending {
-                let parts = [self.lists.optimiser(), self.lists.counters.all(), self.state.colour_steps.steps.all()];
+                let parts = [self.lists.optimiser(), self.lists.counters.all(), trained.noted_steps()];
                 recorder.run(&shaders::NOTE_STEP, &parts, Grid::Groups(1));
             }
         }
@@ -52,8 +51,9 @@ impl Optimise<'_> {
         let parts = [
             lists.view.all(),
             window.uniform.all(),
-            state.cloud.geometry.at(window),
-            state.cloud.sh.at(window),
+            state.trained.geometry().at(window),
+            // Rows that a view shows have made their steps.
+            state.trained.late_colours_at(window).values[0],
             lists.splats.all(),
             lists.tile_counts.all(),
             lists.first_intersections.all(),
@@ -80,11 +80,11 @@ impl Optimise<'_> {
 
     /// Adds this view's gradients to those that wait; before an optimiser step, those of geometry then come back.
     fn record_pending(&self, recorder: &mut Recorder, window: &RowWindow, pending: &Parameters) {
-        let State { cloud, gradients, .. } = self.state;
+        let State { trained, gradients, .. } = self.state;
         let (uniform, counters) = (window.uniform.all(), self.lists.counters.all());
         let by_view = [self.lists.view.all(), uniform, counters, gradients.at(window)];
         let tile_counts = self.lists.tile_counts.all();
-        let parts = [&by_view[..], &[cloud.geometry.at(window), pending.sh.at(window), tile_counts]].concat();
+        let parts = [&by_view[..], &[trained.geometry().at(window), pending.sh.at(window), tile_counts]].concat();
         recorder.run(&shaders::KEEP_COLOUR, &parts, Grid::Items(SH_GROUPS * window.count));
         let parts = [uniform, counters, gradients.at(window), pending.geometry.at(window), tile_counts];
         let overrides = [("TAKE", u32::from(self.optimiser.is_some()))];
@@ -93,7 +93,9 @@ impl Optimise<'_> {
 
     /// Colours first: their gradients depend on where the Gaussian was.
     fn record_adam(&self, recorder: &mut Recorder, window: &RowWindow, optimiser: &Optimiser) {
-        let State { cloud, first, second, gradients, .. } = self.state;
+        let State { trained, gradients, .. } = self.state;
+        let (geometry, LateColours { values, made, .. }) =
+            (trained.geometry_at(window), trained.late_colours_at(window));
         let head = [
             self.lists.view.all(),
             window.uniform.all(),
@@ -101,20 +103,17 @@ impl Optimise<'_> {
             self.lists.counters.all(),
             gradients.at(window),
         ];
-        let colour = [cloud.geometry.at(window), cloud.sh.at(window), first.sh.at(window), second.sh.at(window)];
-        if let Some(pending) = &self.state.pending {
+        if let Some(pending) = trained.pending() {
             let [_, uniform, optimiser, counters, _] = head;
-            let [_, colour @ ..] = colour;
-            let parts = [&[uniform, optimiser, counters, pending.sh.at(window)][..], &colour].concat();
+            let parts = [&[uniform, optimiser, counters, pending.sh.at(window)][..], &values].concat();
             recorder.run(&shaders::ADAM_PENDING_COLOUR, &parts, Grid::Items(3 * SH_GROUPS * window.count));
         } else {
-            let rows = [self.lists.tile_counts.all(), self.state.colour_steps.made.at(window)];
-            let parts = [&head[..], &colour, &rows].concat();
+            let rows = [self.lists.tile_counts.all(), made];
+            let parts = [&head[..], &geometry[..1], &values, &rows].concat();
             recorder.run(&shaders::ADAM_COLOUR, &parts, Grid::Items(SH_GROUPS * window.count));
         }
-        let geometry = [&cloud.geometry, &first.geometry, &second.geometry].map(|column| column.at(window));
         let parts = [&head[..], &geometry, &[self.lists.tile_counts.all()]].concat();
-        let overrides = [("ALL_ROWS", u32::from(self.state.pending.is_some()))];
+        let overrides = [("ALL_ROWS", u32::from(trained.pending().is_some()))];
         recorder.run_with(&shaders::ADAM_GEOMETRY, &overrides, &parts, Grid::Items(window.count));
         if optimiser.is_mcmc == 1 {
             let parts = [window.uniform.all(), self.lists.optimiser(), self.lists.counters.all(), geometry[0]];

@@ -10,7 +10,9 @@ use crate::state::layout::{
     ORIGIN_SPLIT, ORIGIN_TWIN,
 };
 use crate::state::statistics::DeviceStatistics;
-use crate::state::{ColourSteps, Column, Parameters, RowWindow, State, pack_genes, window_uniform, windows};
+use crate::state::{
+    ColourSteps, Column, Parameters, RowWindow, Settled, State, Trained, pack_genes, window_uniform, windows,
+};
 
 /// One row of a plan: source, origin, parameters of the origin.
 type PlanRow = [u32; 4];
@@ -39,13 +41,12 @@ impl State {
 
     /// The same; the old columns become the snapshot.
     pub(crate) fn edit_rows_on_trial(&mut self, engine: &Engine, edit: &RowEdit) -> Result<()> {
-        self.snapshot = Some(self.replace_rows(engine, edit)?.into_snapshot());
+        self.snapshot = Some(self.replace_rows(engine, edit)?.trained.into_settled(engine));
         Ok(())
     }
 
     /// Returns the state before an edit; the one after it has no snapshot yet.
     fn replace_rows(&mut self, engine: &Engine, edit: &RowEdit) -> Result<Self> {
-        self.make_up(engine);
         let edited = self.edited(engine, edit)?;
         let mut old = std::mem::replace(self, edited);
         std::mem::swap(&mut self.gradients, &mut old.gradients);
@@ -57,28 +58,31 @@ impl State {
         let rows = edit.sources.len() as u64;
         let plan = edit.sources.iter().zip(&edit.origins);
         let plan: Vec<PlanRow> = plan.map(|(&source, &origin)| plan_row(source, origin)).collect();
+        let old = self.trained.settled(engine);
         let job = EditJob {
             engine,
             rows,
             plan: engine.upload("the plan of a row edit", &plan)?,
             edit: edit_uniform(engine, edit.rng.key(), edit.iteration, 0.0)?,
-            old: &self.windows,
+            old: &old.windows,
             new: windows(engine, rows)?,
         };
         let genes = self.statistics.genes.as_ref().map(|genes| job.gather(genes, false)).transpose()?;
-        Ok(Self {
+        let edited = Settled {
             rows,
-            cloud: Parameters { geometry: job.geometry(&self.cloud.geometry)?, sh: job.gather(&self.cloud.sh, false)? },
-            first: job.moments(&self.first)?,
-            second: job.moments(&self.second)?,
-            colour_steps: ColourSteps::new(engine, rows)?,
-            pending: self.pending.as_ref().map(|pending| job.moments(pending)).transpose()?,
+            cloud: Parameters { geometry: job.geometry(&old.cloud.geometry)?, sh: job.gather(&old.cloud.sh, false)? },
+            first: job.moments(&old.first)?,
+            second: job.moments(&old.second)?,
+            pending: old.pending.as_ref().map(|pending| job.moments(pending)).transpose()?,
+            has_filter: old.has_filter,
+            windows: job.new,
+        };
+        Ok(Self {
+            trained: Trained::new(edited, ColourSteps::new(engine, rows)?),
             gradients: Column::zeros(engine, "gradients", 0, GRADIENT_FLOATS)?,
             statistics: DeviceStatistics { genes, ..DeviceStatistics::zeros(engine, rows)? },
-            has_filter: self.has_filter,
             mean: None,
             snapshot: None,
-            windows: job.new,
         })
     }
 
@@ -86,9 +90,8 @@ impl State {
     pub(crate) fn reset_opacity(&mut self, engine: &Engine, ceiling: f32) -> Result<()> {
         let edit = edit_uniform(engine, [0; 2], 0, ceiling)?;
         let mut recorder = Recorder::new(engine, None);
-        for window in &self.windows {
-            let columns = [&self.cloud, &self.first, &self.second].map(|values| values.geometry.at(window));
-            let parts = [&[window.uniform.all(), edit.all()][..], &columns].concat();
+        for window in self.trained.windows() {
+            let parts = [&[window.uniform.all(), edit.all()][..], &self.trained.geometry_at(window)].concat();
             recorder.run(&shaders::RESET_OPACITY, &parts, Grid::Items(window.count));
         }
         recorder.submit();
@@ -106,10 +109,10 @@ impl State {
         let count = delta.rows.len() as u32;
         let overrides = [("ZERO_MOMENTS", u32::from(moments == MomentPolicy::Zero))];
         let mut recorder = Recorder::new(engine, None);
-        for window in &self.windows {
+        for window in self.trained.windows() {
             let uniform = window_uniform(engine, window.range(), [0, count])?;
-            let columns = [&self.cloud, &self.first, &self.second].map(|values| values.geometry.at(window));
-            let parts = [&[uniform.all(), rows.all(), genes.all()][..], &columns].concat();
+            let inputs = [uniform.all(), rows.all(), genes.all()];
+            let parts = [&inputs[..], &self.trained.geometry_at(window)].concat();
             recorder.run_with(&shaders::APPLY, &overrides, &parts, Grid::Items(count.into()));
         }
         recorder.submit();
@@ -119,12 +122,12 @@ impl State {
     pub(crate) fn set_filter_3d(&mut self, engine: &Engine, filter: &[f32]) -> Result<()> {
         let filter = engine.upload("the 3D filter", filter)?;
         let mut recorder = Recorder::new(engine, None);
-        for window in &self.windows {
-            let parts = [window.uniform.all(), filter.all(), self.cloud.geometry.at(window)];
+        for window in self.trained.windows() {
+            let parts = [window.uniform.all(), filter.all(), self.trained.geometry().at(window)];
             recorder.run(&shaders::SET_FILTER, &parts, Grid::Items(window.count));
         }
         recorder.submit();
-        self.has_filter = true;
+        self.trained.filter_is_set();
         Ok(())
     }
 }

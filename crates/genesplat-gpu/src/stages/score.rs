@@ -16,7 +16,7 @@ use crate::stages::lists::Lists;
 use crate::stages::pixels::{Needs, Pixels};
 use crate::stages::tiles::rasterise_individuals;
 use crate::state::layout::{OWN_GENES, SLOTS, SPLAT_FLOATS, ViewPass};
-use crate::state::{RowWindow, State, pack_genes, window_uniform};
+use crate::state::{RowWindow, Settled, Trained, pack_genes, window_uniform};
 
 /// Bytes of the pictures of a pool: enough to keep a device busy, and small against the cloud itself.
 const PICTURE_BYTES: u64 = 512 << 20;
@@ -59,8 +59,8 @@ struct Pool {
 
 impl Pool {
     /// The row versions of `individuals`; nothing where they are more than `most`.
-    fn upload(engine: &Engine, state: &State, individuals: &[SparseDelta], most: u64) -> Result<Option<Self>> {
-        let rows = state.rows as usize;
+    fn upload(engine: &Engine, cloud: &Trained, individuals: &[SparseDelta], most: u64) -> Result<Option<Self>> {
+        let rows = cloud.rows() as usize;
         let tasks = (0..rows.div_ceil(ROWS)).into_par_iter();
         let of_task = |task: usize| row_versions(individuals, task * ROWS..rows.min((task + 1) * ROWS));
         let versions: Vec<_> = tasks.flat_map_iter(of_task).collect();
@@ -86,16 +86,16 @@ impl Pool {
             places: engine.upload("rows of row versions", &places)?,
             genes: engine.upload("genes of row versions", &genes)?,
             holders: engine.upload("holders of row versions", &holders)?,
-            windows: state.windows.iter().map(of_window).collect::<Result<_>>()?,
+            windows: cloud.windows().iter().map(of_window).collect::<Result<_>>()?,
         }))
     }
 
     /// Stage `project` of the row versions.
-    fn record_project(&self, recorder: &mut Recorder, state: &State, lists: &Lists) {
+    fn record_project(&self, recorder: &mut Recorder, trained: &Settled, lists: &Lists) {
         recorder.stage("score_project");
         let outputs = [&lists.splats, &lists.depths, &lists.tile_counts, &lists.flags].map(Memory::all);
-        for (window, (uniform, count)) in state.windows.iter().zip(&self.windows) {
-            let cloud = [state.cloud.geometry.at(window), state.cloud.sh.at(window)];
+        for (window, (uniform, count)) in trained.windows.iter().zip(&self.windows) {
+            let cloud = [trained.cloud.geometry.at(window), trained.cloud.sh.at(window)];
             let inputs = [lists.view.all(), uniform.all()];
             let parts = [&inputs[..], &cloud, &[self.places.all(), self.genes.all()], &outputs].concat();
             recorder.run(&shaders::PROJECT_ROW_VERSIONS, &parts, Grid::Items(*count));
@@ -110,7 +110,6 @@ impl GpuBackend {
         views: &[usize],
         settings: &RenderSettings,
     ) -> Result<Vec<f32>> {
-        self.state.make_up(&self.engine);
         let bytes = |&view: &usize| self.pass_of(view, settings).image_bytes();
         let largest = views.iter().map(bytes).max().unwrap_or(1);
         let fitting = PICTURE_BYTES.min(self.engine.binding_bytes) / largest.max(1);
@@ -160,7 +159,7 @@ impl GpuBackend {
     ) -> Result<Option<Vec<f32>>> {
         let visible = self.engine.binding_bytes / (4 * u64::from(SPLAT_FLOATS));
         let most = if individuals.len() == 1 { u64::MAX } else { visible };
-        let Some(pool) = Pool::upload(&self.engine, &self.state, individuals, most)? else { return Ok(None) };
+        let Some(pool) = Pool::upload(&self.engine, &self.state.trained, individuals, most)? else { return Ok(None) };
         let count = u64::from(pool.individuals) * views.len() as u64;
         let losses = self.engine.allocate("losses", 8 * count)?;
         let values: Vec<[f32; 2]> = self.until_lists_fit(ListsOf::RowVersions, Some((&losses, count)), |gpu| {
@@ -188,9 +187,10 @@ impl GpuBackend {
         let place = window_uniform(&self.engine, [0, layers], [view_index as u32, views as u32])?;
         lists.begin(&self.engine, &pass, None);
 
+        let trained = self.state.trained.settled(&self.engine);
         let mut recorder = Recorder::new(&self.engine, self.timestamps.as_mut());
         lists.clear_ranges(&mut recorder, &pass);
-        pool.record_project(&mut recorder, &self.state, lists);
+        pool.record_project(&mut recorder, trained, lists);
         lists.record_bin(&mut recorder, &pass);
 
         recorder.stage("score_rasterise");

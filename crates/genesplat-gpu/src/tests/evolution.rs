@@ -337,7 +337,9 @@ fn a_snapshot_stays_on_the_device() {
     let plain = most_in(&mut gpu, |gpu, all| gpu.edit_rows(all));
     let held = gpu.allocated_bytes();
     assert_eq!(most_in(&mut gpu, |gpu, all| gpu.edit_rows_on_trial(all)), plain);
-    assert_eq!(gpu.allocated_bytes() - held, 3 * 300 * 4 * u64::from(GEOMETRY_FLOATS + SH_FLOATS));
+    let columns = 3 * 300 * 4 * u64::from(GEOMETRY_FLOATS + SH_FLOATS);
+    let windows: u64 = gpu.state.trained.windows().iter().map(|window| window.uniform.bytes).sum();
+    assert_eq!(gpu.allocated_bytes() - held, columns + windows);
     gpu.drop_snapshot();
     assert_eq!(gpu.allocated_bytes(), held);
     gpu.edit_rows_on_trial(&RowEdit::keep((0..200).collect())).unwrap();

@@ -46,9 +46,9 @@ fn columns_that_no_binding_can_hold_are_split() {
     let mut gpu = GpuBackend::on(engine.with_window_rows(128)).unwrap();
     gpu.set_views(&[view()]).unwrap();
     twins_agree("adam", &mut gpu, |twin| ten_steps(twin, None));
-    assert_eq!(gpu.state.windows.len(), 3);
+    assert_eq!(gpu.state.trained.windows().len(), 3);
     twins_agree("edit", &mut gpu, change_rows);
-    assert_eq!(gpu.state.windows.len(), 3);
+    assert_eq!(gpu.state.trained.windows().len(), 3);
     twins_agree("edit", &mut gpu, make_twins);
 }
 

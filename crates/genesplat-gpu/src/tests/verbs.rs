@@ -58,14 +58,13 @@ fn steps_of_two_views(gpu: &mut GpuBackend, makes_up_at_once: bool) -> (DeviceSt
         let degree = (number / 4).min(3) as u8;
         gpu.train_step(&TrainStep { view, ..step(number, settings(degree, ScreenFilter::Classic)) }).unwrap();
         if makes_up_at_once {
-            gpu.state.make_up(&gpu.engine);
+            gpu.state.trained.settled(&gpu.engine);
         }
-        let steps: Vec<u32> = gpu.engine.read_values(&gpu.state.colour_steps.steps, 1).unwrap();
-        let made: Vec<u32> = gpu.engine.read_values(&gpu.state.colour_steps.made.memory, 300).unwrap();
-        assert!(steps[0] <= LATE_STEPS_MAX && made.iter().all(|made| *made <= steps[0]));
-        late += usize::from(made.iter().any(|made| *made < steps[0]));
+        let (steps, made, _) = gpu.state.trained.late_steps(&gpu.engine);
+        assert!(steps <= LATE_STEPS_MAX && made.iter().all(|made| *made <= steps));
+        late += usize::from(made.iter().any(|made| *made < steps));
     }
-    let before: Vec<f32> = gpu.engine.read_values(&gpu.state.cloud.sh.memory, 300 * 48).unwrap();
+    let (.., before) = gpu.state.trained.late_steps(&gpu.engine);
     let state = gpu.state().unwrap();
     assert_eq!(before == state.cloud.sh.as_flattened(), makes_up_at_once, "the last step is late for some");
     (state, late)
