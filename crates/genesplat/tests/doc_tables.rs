@@ -169,6 +169,10 @@ fn runs_of_an_experiment_become_lines() {
     let again = add::add(&timed, folder.path(), &made(false)).unwrap();
     assert_eq!(again, timed.replace("10.0,0.5", ","), "lines of the same runs are replaced");
     assert!(updated(DOCUMENT, &again).unwrap().contains("| 30.00 | 30.50 |"));
+    let others = add::add(&timed, folder.path(), &add::Made { commit: "def", ..made(true) }).unwrap();
+    let runs: Vec<_> = others.lines().skip(1).map(|line| line.split(',').collect::<Vec<_>>()).collect();
+    let order: Vec<_> = runs.iter().map(|run| [run[5], run[13]]).collect();
+    assert_eq!(order, [["off", "abc"], ["off", "def"], ["renew", "abc"], ["renew", "def"]], "arms stay together");
     let without = |column: &str| add::add(&header.replace(column, "wishes"), folder.path(), &made(true)).unwrap_err();
     assert!(without("machine").to_string().contains("has not all of"));
     assert!(format!("{:#}", without("lpips")).contains("no run has a column `wishes`"));

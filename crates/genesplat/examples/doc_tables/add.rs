@@ -8,6 +8,8 @@ use serde_json::Value;
 
 /// The columns that tell one run from another.
 const IDENTITY: [&str; 8] = ["scene", "variant", "max_side", "iterations", "seed", "arm", "commit", "machine"];
+/// Those that runs of one arm have in common.
+const ARM: [&str; 5] = ["scene", "variant", "max_side", "iterations", "arm"];
 
 /// Where runs were made.
 pub(crate) struct Made<'a> {
@@ -19,25 +21,36 @@ pub(crate) struct Made<'a> {
     pub(crate) is_idle: bool,
 }
 
-/// `csv` with a line for every finished run below `folder`; a line of the same run, commit and machine is replaced.
+/// `csv` with a line for every finished run below `folder`: in the place of a line of the same run, commit and machine, else
+/// behind the last of its arm, else at the end.
 pub(crate) fn add(csv: &str, folder: &Path, made: &Made<'_>) -> Result<String> {
     let mut lines = csv.lines();
     let header = lines.next().unwrap_or_default();
     let columns: Vec<&str> = header.split(',').collect();
-    let identity: Vec<usize> =
-        IDENTITY.iter().filter_map(|name| columns.iter().position(|column| column == name)).collect();
-    ensure!(identity.len() == IDENTITY.len(), "its header has not all of {}", IDENTITY.join(", "));
-    let is_same =
-        |a: &str, b: &str| identity.iter().all(|&column| a.split(',').nth(column) == b.split(',').nth(column));
+    let [identity, arm] = [places(&columns, &IDENTITY)?, places(&columns, &ARM)?];
     let mut lines: Vec<String> = lines.map(str::to_owned).collect();
     let runs = finished(&folder.join("cells"))?;
     ensure!(!runs.is_empty(), "{} has no finished run", folder.display());
     for run in runs {
         let line = line(&run, &columns, made).with_context(|| run.display().to_string())?;
-        lines.retain(|old| !is_same(old, &line));
-        lines.push(line);
+        let agrees = |old: &String, columns: &[usize]| {
+            columns.iter().all(|&at| old.split(',').nth(at) == line.split(',').nth(at))
+        };
+        if let Some(same) = lines.iter().position(|old| agrees(old, &identity)) {
+            lines[same] = line;
+        } else {
+            let last_of_arm = lines.iter().rposition(|old| agrees(old, &arm));
+            lines.insert(last_of_arm.map_or(lines.len(), |last| last + 1), line);
+        }
     }
     Ok(format!("{header}\n{}\n", lines.join("\n")))
+}
+
+/// Where `names` are among the columns.
+fn places(columns: &[&str], names: &[&str]) -> Result<Vec<usize>> {
+    let places: Vec<usize> = names.iter().filter_map(|name| columns.iter().position(|column| column == name)).collect();
+    ensure!(places.len() == names.len(), "its header has not all of {}", names.join(", "));
+    Ok(places)
 }
 
 /// The folders `SCENE/VARIANT/ARM/SEED` of runs that have come to their end, in order of their names.
