@@ -127,7 +127,7 @@ impl State {
             recorder.run(&shaders::SET_FILTER, &parts, Grid::Items(window.count));
         }
         recorder.submit();
-        self.trained.filter_is_set();
+        self.trained.set_has_filter();
         Ok(())
     }
 }

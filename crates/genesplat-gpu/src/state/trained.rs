@@ -67,6 +67,7 @@ impl Settled {
 
 /// The same, but colours and their moments may have steps to make.
 pub(crate) struct Trained {
+    /// Settled once `colour_steps` are made: nothing outside of this file sees its colours before.
     values: Settled,
     colour_steps: ColourSteps,
 }
@@ -157,7 +158,7 @@ impl Trained {
     }
 
     /// From here on, geometry has a 3D filter.
-    pub(crate) fn filter_is_set(&mut self) {
+    pub(crate) fn set_has_filter(&mut self) {
         self.values.has_filter = true;
     }
 
