@@ -1,5 +1,6 @@
 // Radix sort, step 2 of each pass: where the keys of each block begin among all keys of the same digit, and how many
-// keys each digit has. One workgroup a digit.
+// keys each digit has. One workgroup a digit; of few blocks, one invocation a digit, since a prefix sum over them would have
+// little to add up.
 
 override LENGTH: u32;
 @group(0) @binding(0) var<storage, read> lengths: array<u32>;
@@ -8,24 +9,45 @@ override LENGTH: u32;
 // [256]
 @group(0) @binding(2) var<storage, read_write> digit_totals: array<u32>;
 
+const FEW_BLOCKS: u32 = 16u;
+
 @compute @workgroup_size(GROUP)
-fn main(@builtin(workgroup_id) digit: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     let blocks = (lengths[LENGTH] + SORT_BLOCK - 1u) / SORT_BLOCK;
+    if blocks > FEW_BLOCKS {
+        scan_in_group(group.x, lane, blocks);
+    } else if group.x == 0u {
+        scan_alone(lane, blocks);
+    }
+}
+
+fn scan_alone(digit: u32, blocks: u32) {
+    var before = 0u;
+    for (var block = 0u; block < blocks; block++) {
+        let at = digit * blocks + block;
+        let count = digit_counts[at];
+        digit_counts[at] = before;
+        before += count;
+    }
+    digit_totals[digit] = before;
+}
+
+fn scan_in_group(digit: u32, lane: u32, blocks: u32) {
     var before = 0u;
     for (var first = 0u; first < blocks; first += GROUP) {
         let block = first + lane;
         var count = 0u;
         if block < blocks {
-            count = digit_counts[digit.x * blocks + block];
+            count = digit_counts[digit * blocks + block];
         }
         let prefix = exclusive_in_group(lane, count);
         if block < blocks {
-            digit_counts[digit.x * blocks + block] = before + prefix;
+            digit_counts[digit * blocks + block] = before + prefix;
         }
         before += group_sum();
         workgroupBarrier();
     }
     if lane == 0u {
-        digit_totals[digit.x] = before;
+        digit_totals[digit] = before;
     }
 }
