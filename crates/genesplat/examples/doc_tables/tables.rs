@@ -237,8 +237,8 @@ fn scenes(parts: &[Part]) -> Result<String> {
         "renew - strong",
         "in strong's seconds",
         "renew - improved-gs",
-        "Gaussians",
-        "seconds",
+        "Gaussians: off/strong/renew/improved-gs",
+        "seconds of these",
     ];
     let mut lines = Vec::new();
     for part in parts {
@@ -254,12 +254,9 @@ fn scenes(parts: &[Part]) -> Result<String> {
         let arms = [&plain, &strong, &evolved, &improved];
         let psnr = |runs: &[&Run]| Figures::of(runs, |run| run.number("psnr")).mean(|mean| format!("{mean:.2}"));
         let beside = |value: fn(&Run) -> Option<f64>| {
-            let means =
-                arms.iter().filter(|runs| !runs.is_empty()).map(|runs| Figures::of(runs, |run| value(run)).average());
-            let means: Vec<Option<f64>> = means.collect();
-            let is_known = means.iter().any(Option::is_some);
-            let written = means.iter().map(|mean| mean.map_or("?".to_owned(), thousands));
-            if is_known { written.collect::<Vec<_>>().join(", ") } else { String::new() }
+            let means = arms.map(|runs| Figures::of(runs, |run| value(run)).average());
+            let written = means.map(|mean| mean.map_or("-".to_owned(), thousands));
+            if means.iter().any(Option::is_some) { written.join("/") } else { String::new() }
         };
         let gain = |measured: &[(&Run, &Run)], mark: &str| {
             let gain = difference(measured, "psnr");

@@ -46,7 +46,7 @@ struct Growing {
 
 impl Growing {
     const SCHEDULE: [&str; 8] =
-        ["--steps-scale", "0.01", "--max-gaussians", "20000", "--checkpoint-every", "0", "--evolve", "off"];
+        ["--steps-scale", "0.005", "--max-gaussians", "20000", "--checkpoint-every", "0", "--evolve", "off"];
 
     fn new(place: &Path) -> Self {
         let this = Self { scene: place.join("scene"), whole: place.join("whole") };
