@@ -1,6 +1,5 @@
 // Radix sort, step 2 of each pass: where the keys of each block begin among all keys of the same digit, and how many
-// keys each digit has. One workgroup a digit; of few blocks, one invocation a digit, since a prefix sum over them would have
-// little to add up.
+// keys each digit has. One workgroup a digit; of a single block the first sees to all of them, an invocation a digit.
 
 override LENGTH: u32;
 @group(0) @binding(0) var<storage, read> lengths: array<u32>;
@@ -9,27 +8,15 @@ override LENGTH: u32;
 // [256]
 @group(0) @binding(2) var<storage, read_write> digit_totals: array<u32>;
 
-const FEW_BLOCKS: u32 = 16u;
-
 @compute @workgroup_size(GROUP)
 fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     let blocks = (lengths[LENGTH] + SORT_BLOCK - 1u) / SORT_BLOCK;
-    if blocks > FEW_BLOCKS {
+    if blocks != 1u {
         scan_in_group(group.x, lane, blocks);
     } else if group.x == 0u {
-        scan_alone(lane, blocks);
+        digit_totals[lane] = digit_counts[lane];
+        digit_counts[lane] = 0u;
     }
-}
-
-fn scan_alone(digit: u32, blocks: u32) {
-    var before = 0u;
-    for (var block = 0u; block < blocks; block++) {
-        let at = digit * blocks + block;
-        let count = digit_counts[at];
-        digit_counts[at] = before;
-        before += count;
-    }
-    digit_totals[digit] = before;
 }
 
 fn scan_in_group(digit: u32, lane: u32, blocks: u32) {

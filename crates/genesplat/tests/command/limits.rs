@@ -9,7 +9,7 @@ use std::process::Output;
 use genesplat::gallery::{self, GalleryOptions};
 
 use crate::kills::{SCHEDULE, advance, assert_same_run, whole_run};
-use crate::support::{command, judge_failure, limited, scene, succeed, train};
+use crate::support::{command, json, judge_failure, limited, number, scene, succeed, train};
 
 fn under(limits: &str, arguments: &[String]) -> Output {
     limited(limits, &command(arguments)).output().unwrap()
@@ -45,14 +45,17 @@ struct Growing {
 }
 
 impl Growing {
+    const POINTS: u32 = 2000;
     const SCHEDULE: [&str; 8] =
-        ["--steps-scale", "0.005", "--max-gaussians", "20000", "--checkpoint-every", "0", "--evolve", "off"];
+        ["--steps-scale", "0.01", "--max-gaussians", "20000", "--checkpoint-every", "0", "--evolve", "off"];
 
     fn new(place: &Path) -> Self {
         let this = Self { scene: place.join("scene"), whole: place.join("whole") };
-        let options = GalleryOptions { width: 160, height: 108, views: 12, points: 2000, seed: 5 };
+        let options = GalleryOptions { width: 160, height: 108, views: 12, points: Self::POINTS, seed: 5 };
         gallery::generate(&options).write_colmap(&this.scene).unwrap();
         succeed(this.arguments(&this.whole));
+        let gaussians = number(&json(&this.whole.join("metrics.json"))["gaussians"]);
+        assert!(gaussians > f64::from(Self::POINTS), "it grows: {gaussians} Gaussians");
         this
     }
 
