@@ -8,7 +8,7 @@ use genesplat::io::PlyOptions;
 use genesplat::io::photos::{read_photo, write_png};
 use tempfile::TempDir;
 
-use crate::support::{fail, judge_failure, run, scene, succeed, text, train, without_drivers, write_gallery};
+use crate::support::{copy_scene, fail, judge_failure, run, scene, succeed, text, train, without_drivers};
 
 /// A scene that `spoil` has damaged, and a place for results.
 struct Spoilt {
@@ -19,7 +19,7 @@ impl Spoilt {
     fn new(spoil: impl FnOnce(&Path)) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let scene = folder.path().join("scene");
-        write_gallery(&scene);
+        copy_scene(&scene);
         spoil(&scene);
         Self { folder }
     }
@@ -127,7 +127,7 @@ fn paths_that_are_no_text() {
 
     let folder = tempfile::tempdir().unwrap();
     let odd = folder.path().join(OsStr::from_bytes(b"sc\xffne"));
-    write_gallery(&odd);
+    copy_scene(&odd);
     let out = folder.path().join("run");
     let arguments =
         |out: &Path| [OsStr::new("train"), odd.as_os_str(), OsStr::new("--out"), out.as_os_str()].map(OsStr::to_owned);

@@ -4,7 +4,7 @@
 use genesplat::core::Photo;
 use genesplat::io::photos::{read_photo, write_png};
 
-use crate::support::{cloud, json, number, scene, succeed, text, train, write_gallery};
+use crate::support::{cloud, copy_scene, json, number, scene, succeed, text, train};
 
 /// Densifies, resets opacities, and evolves after each reset.
 const SCHEDULE: [&str; 10] = [
@@ -89,7 +89,7 @@ fn threads_change_nothing_in_selection_renewals_and_averages_either() {
 fn held_out_photos_change_no_byte_of_the_splat() {
     let folder = tempfile::tempdir().unwrap();
     let scene = folder.path().join("scene");
-    write_gallery(&scene);
+    copy_scene(&scene);
     let run = |name: &str| {
         let out = folder.path().join(name);
         succeed(train(&scene, &out, &["--steps-scale", "0.02", "--max-gaussians", "600"]));

@@ -3,18 +3,19 @@
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::sync::{LazyLock, Mutex};
 use std::time::SystemTime;
 
 use genesplat::gallery::{self, GalleryOptions};
+use tempfile::TempDir;
 
-use crate::support::{command, fail, json, run, succeed, text};
+use crate::support::{command, copy, fail, json, run, succeed, text};
 
 /// Small enough for a test; resets once, and evolves then.
 const SMALL: &str = r#"
 title = "<script>alert(1)</script>"
-scenes = ["gallery"]
+scenes = ["small"]
 seeds = [0, 1]
-gallery = { width = 48, height = 32, views = 9, points = 120 }
 
 [config]
 iterations = 60
@@ -28,15 +29,40 @@ fn write(folder: &Path, more: &str) -> PathBuf {
     file
 }
 
+/// The folder that holds the scene of [`SMALL`].
+static SCENES: LazyLock<TempDir> = LazyLock::new(|| {
+    let folder = tempfile::tempdir().unwrap();
+    write_scene(&folder.path().join("small"), [48, 32], 9);
+    folder
+});
+
+/// A scene of so many photos of this size; those that are alike are made once, and copied.
+fn write_scene(folder: &Path, size: [u32; 2], views: u32) {
+    static MADE: Mutex<BTreeMap<([u32; 2], u32), TempDir>> = Mutex::new(BTreeMap::new());
+    let mut all_made = MADE.lock().unwrap();
+    let made = all_made.entry((size, views)).or_insert_with(|| {
+        let (made, [width, height]) = (tempfile::tempdir().unwrap(), size);
+        let options = GalleryOptions { width, height, views, points: 120, seed: 5 };
+        gallery::generate(&options).write_colmap(made.path()).unwrap();
+        made
+    });
+    let _ = fs::remove_dir_all(folder);
+    copy(made.path(), folder);
+}
+
 fn experiment(file: &Path, out: &Path, more: &[&str]) -> Vec<String> {
-    let fixed = ["experiment", text(file), "--out", text(out), "--threads", "1"];
+    experiment_on(SCENES.path(), file, out, more)
+}
+
+fn experiment_on(scenes: &Path, file: &Path, out: &Path, more: &[&str]) -> Vec<String> {
+    let fixed = ["experiment", text(file), "--data", text(scenes), "--out", text(out), "--threads", "1"];
     fixed.iter().chain(more).map(|word| (*word).to_owned()).collect()
 }
 
 /// When each cell's results were written.
 fn times(out: &Path) -> BTreeMap<String, SystemTime> {
     let mut times = BTreeMap::new();
-    for arm in fs::read_dir(out.join("cells/gallery/3dgs")).unwrap().map(Result::unwrap) {
+    for arm in fs::read_dir(out.join("cells/small/3dgs")).unwrap().map(Result::unwrap) {
         for seed in fs::read_dir(arm.path()).unwrap().map(Result::unwrap) {
             let name = format!("{}/{}", arm.file_name().display(), seed.file_name().display());
             let written = fs::metadata(seed.path().join("metrics.json")).and_then(|file| file.modified());
@@ -61,12 +87,12 @@ fn finished_cells_are_left_alone_and_spoilt_ones_repeated() {
     let file = write(folder.path(), r#"evolve = ["off", "control", "paper"]"#);
     let out = folder.path().join("out");
     let said = succeed(experiment(&file, &out, &[]));
-    assert!(said.contains("| gallery |") && said.contains("cells.csv"), "{said}");
+    assert!(said.contains("| small |") && said.contains("cells.csv"), "{said}");
     let (first, whole) = (times(&out), figures(&out));
     assert_eq!((first.len(), whole.len()), (6, 1 + 4));
 
     // A control spends what its arm has taken, and nothing else about it differs.
-    let cell = |name: &str| out.join("cells/gallery/3dgs").join(name);
+    let cell = |name: &str| out.join("cells/small/3dgs").join(name);
     let taken = json(&cell("paper/seed-1/metrics.json"))["seconds"]["evolution"].as_f64().unwrap();
     let config: toml::Table = fs::read_to_string(cell("control/seed-1/config.toml")).unwrap().parse().unwrap();
     assert_eq!(config["evolution"]["extra_steps"]["seconds"].as_float(), Some(taken));
@@ -113,7 +139,7 @@ fn an_interrupted_experiment_goes_on_to_the_same_tables() {
     let mut child = command(experiment(&file, &broken, &LONGER));
     let child = child.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
     let deadline = Instant::now() + Duration::from_secs(100);
-    let second = broken.join("cells/gallery/3dgs/paper/seed-0/log.jsonl");
+    let second = broken.join("cells/small/3dgs/paper/seed-0/log.jsonl");
     while !fs::read_to_string(&second).is_ok_and(|log| log.contains(r#""event":"step""#)) {
         assert!(Instant::now() < deadline, "the second cell never began");
         std::thread::sleep(Duration::from_millis(2));
@@ -122,10 +148,10 @@ fn an_interrupted_experiment_goes_on_to_the_same_tables() {
     let output = child.wait_with_output().unwrap();
     let said = String::from_utf8(output.stdout).unwrap();
     assert!(output.status.code() == Some(130) && said.contains("the same command goes on"), "{said}");
-    let kept = fs::metadata(broken.join("cells/gallery/3dgs/off/seed-0/metrics.json")).unwrap();
+    let kept = fs::metadata(broken.join("cells/small/3dgs/off/seed-0/metrics.json")).unwrap();
 
     succeed(experiment(&file, &broken, &LONGER));
-    let now = fs::metadata(broken.join("cells/gallery/3dgs/off/seed-0/metrics.json")).unwrap();
+    let now = fs::metadata(broken.join("cells/small/3dgs/off/seed-0/metrics.json")).unwrap();
     assert_eq!(kept.modified().unwrap(), now.modified().unwrap());
     assert_eq!(figures(&whole), figures(&broken));
     let table = |out: &Path| fs::read_to_string(out.join("tables.md")).unwrap();
@@ -135,7 +161,10 @@ fn an_interrupted_experiment_goes_on_to_the_same_tables() {
 #[test]
 fn pages_are_whole_escaped_and_load_nothing() {
     let folder = tempfile::tempdir().unwrap();
-    let file = write(folder.path(), r#"evolve = ["off", "paper"]"#);
+    let file = folder.path().join("small.toml");
+    // Of the bundled scene.
+    let scene = "scenes = [\"gallery\"]\ngallery = { width = 48, height = 32, views = 9, points = 120 }\nevolve = [\"off\", \"paper\"]";
+    fs::write(&file, SMALL.replace("scenes = [\"small\"]", scene)).unwrap();
     let out = folder.path().join("out");
     succeed(experiment(&file, &out, &["--iterations", "40"]));
     let run = "cells/gallery/3dgs/paper/seed-0/report.html";
@@ -166,14 +195,8 @@ fn pages_are_whole_escaped_and_load_nothing() {
 fn on_own_scenes(folder: &Path, scenes: &str) -> Vec<String> {
     let (file, out) = (folder.join("own.toml"), folder.join("out"));
     let arms = format!("scenes = {scenes}\nevolve = [\"off\", \"paper\"]");
-    fs::write(&file, SMALL.replace("scenes = [\"gallery\"]", &arms)).unwrap();
-    experiment(&file, &out, &["--data", text(folder)])
-}
-
-fn write_scene(folder: &Path, [width, height]: [u32; 2], views: u32) {
-    let _ = fs::remove_dir_all(folder);
-    let options = GalleryOptions { width, height, views, points: 120, seed: 5 };
-    gallery::generate(&options).write_colmap(folder).unwrap();
+    fs::write(&file, SMALL.replace("scenes = [\"small\"]", &arms)).unwrap();
+    experiment_on(folder, &file, &out, &[])
 }
 
 #[test]
@@ -275,8 +298,8 @@ fn what_cannot_be_run_is_said_at_once() {
     fail(experiment(&file, &out, &[]), &["sideways"]);
     let own = folder.path().join("fox");
     fs::create_dir(&own).unwrap();
-    fs::write(&file, SMALL.replace("\"gallery\"]", "\"fox\"]\nevolve = [\"off\"]")).unwrap();
-    fail(experiment(&file, &own, &["--data", text(folder.path())]), &["fox", "folder of the scene"]);
+    fs::write(&file, SMALL.replace("\"small\"]", "\"fox\"]\nevolve = [\"off\"]")).unwrap();
+    fail(experiment_on(folder.path(), &file, &own, &[]), &["fox", "folder of the scene"]);
     assert!(!out.join("cells").exists());
 }
 

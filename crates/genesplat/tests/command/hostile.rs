@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 use genesplat::gallery::{self, GalleryOptions};
 use genesplat::io::colmap::{ImageRecord, Model, find_model, read_model, write_model};
 
-use crate::support::{command, fail, judge_failure, scene, succeed, text, train, write_gallery};
+use crate::support::{command, copy_scene, fail, judge_failure, scene, succeed, text, train};
 
 /// Changes the model of a scene in place.
 fn edit_model(scene: &Path, change: impl FnOnce(&mut Model)) {
@@ -68,7 +68,7 @@ fn a_pipe_in_place_of_a_file_is_one_sentence() {
     fails(&["experiment", text(&experiment), "--out", out]);
     for name in ["sparse/0/images.bin", "sparse/0/points3D.bin"] {
         let scene = at(&name.replace('/', "_"));
-        write_gallery(&scene);
+        copy_scene(&scene);
         pipe(&scene.join(name));
         fails(&["train", text(&scene), "--out", out, "--device", "cpu"]);
     }
@@ -88,7 +88,7 @@ fn names_do_not_reach_the_terminal_as_commands() {
     let folder = tempfile::tempdir().unwrap();
     let evil = |end: &str| format!("\u{1b}[2J\u{1b}]0;owned\u{7}\nerror: rm -rf\r\u{202e}{end}");
     let (scene, out) = (folder.path().join(evil("scene")), folder.path().join(evil("run")));
-    write_gallery(&scene);
+    copy_scene(&scene);
     rename_photo(&scene, 3, &evil("a.png"));
     let arguments = |out: &Path| train(&scene, out, &["--iterations", "3", "--verbose"]);
     let check = |output: &Output| {
@@ -151,7 +151,7 @@ fn photos_with_the_longest_names_and_with_names_that_differ_in_case_are_tested_o
 #[test]
 fn coordinates_of_no_scene_are_refused_before_training() {
     let folder = tempfile::tempdir().unwrap();
-    write_gallery(folder.path());
+    copy_scene(folder.path());
     let out = folder.path().join("run");
     let arguments = train(folder.path(), &out, &["--iterations", "3"]);
     // The largest that are taken.

@@ -4,7 +4,7 @@ use std::fs;
 
 use serde_json::Value;
 
-use crate::support::{fail, json, number, scene, succeed, text, train, write_gallery};
+use crate::support::{copy_scene, fail, json, number, scene, succeed, text, train};
 
 /// What the report says under `name`.
 fn fact(report: &Value, name: &str) -> Value {
@@ -30,7 +30,7 @@ fn a_scene_is_described_before_it_is_trained() {
 #[test]
 fn a_photo_that_is_there_twice_is_named() {
     let folder = tempfile::tempdir().unwrap();
-    write_gallery(folder.path());
+    copy_scene(folder.path());
     let images = folder.path().join("images");
     fs::copy(images.join("gallery_003.png"), images.join("gallery_004.png")).unwrap();
     let said = succeed(["inspect", text(folder.path())]);

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use genesplat::io::photos::read_photo;
 
-use crate::support::{fail, scene, succeed, text, train, write_gallery};
+use crate::support::{copy_scene, fail, scene, succeed, text, train};
 
 /// All files below `folder`, and what is in them; lock files may come and go.
 fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
@@ -29,7 +29,7 @@ fn no_output_flag_writes_over_what_is_not_its_own() {
     let place = tempfile::tempdir().unwrap();
     let at = |name: &str| place.path().join(name);
     let [own_scene, run, input, other] = ["scene", "run", "in.ply", "other.ply"].map(at);
-    write_gallery(&own_scene);
+    copy_scene(&own_scene);
     succeed(train(&own_scene, &run, &["--iterations", "3", "--no-lpips"]));
     [&input, &other].iter().for_each(|splat| _ = fs::copy(run.join("point_cloud.ply"), splat).unwrap());
     let photo = own_scene.join("images/gallery_000.png");

@@ -6,7 +6,7 @@ use std::path::Path;
 use genesplat::core::Photo;
 use genesplat::io::photos::{read_photo, write_png};
 
-use crate::support::{cloud, fail, json, number, scene, succeed, text, train, write_gallery};
+use crate::support::{cloud, copy_scene, fail, json, number, scene, succeed, text, train};
 
 /// The names of a run's test photos, in order.
 fn tested(run: &Path) -> Vec<String> {
@@ -67,7 +67,7 @@ fn write_half_hidden(scene: &Path, behind: Option<u8>) {
 
 /// The bundled scene with masks over the columns that are to be hidden, and `behind` them if that is a grey.
 fn write_masked(scene: &Path, is_hidden: impl Fn(u32, u32) -> bool, behind: Option<u8>) {
-    write_gallery(scene);
+    copy_scene(scene);
     for entry in fs::read_dir(scene.join("images")).unwrap() {
         let path = entry.unwrap().path();
         let mut photo = read_photo(&path).unwrap();

@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use genesplat::gallery::{self, GalleryOptions};
 
-use crate::support::{cloud, command, fail, json, judge_failure, scene, succeed, text, train, write_gallery};
+use crate::support::{cloud, command, copy_scene, fail, json, judge_failure, scene, succeed, text, train};
 
 /// Long enough to be caught in the act; evolves four times.
 const SCHEDULE: [&str; 10] =
@@ -98,7 +98,7 @@ fn ctrl_c_while_a_scene_is_loaded_costs_no_results() {
     succeed(train(scene(), &out, &["--iterations", "3"]));
     let results = || ["metrics.json", "point_cloud.ply"].map(|name| fs::read(out.join(name)).unwrap());
     let before = results();
-    write_gallery(&slow);
+    copy_scene(&slow);
     let large = folder.path().join("large.png");
     write_png(&large, &Photo { width: 4800, height: 3600, rgb: vec![90; 3 * 4800 * 3600] }).unwrap();
     for photo in fs::read_dir(slow.join("images")).unwrap() {
@@ -144,7 +144,7 @@ fn an_interrupted_run_is_neither_overwritten_nor_resumed_as_another() {
 fn a_run_goes_on_with_its_own_scene_only_wherever_that_is_now() {
     let folder = tempfile::tempdir().unwrap();
     let [out, before, after, other] = ["run", "before", "after", "other"].map(|name| folder.path().join(name));
-    write_gallery(&before);
+    copy_scene(&before);
     let output = signal(&mut command(train(&before, &out, &SCHEDULE)), &out, r#""event":"step""#, "-TERM");
     assert_eq!(output.status.code(), Some(130), "SIGTERM saves, too");
     let config = || fs::read(out.join("config.toml")).unwrap();

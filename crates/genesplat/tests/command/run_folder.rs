@@ -9,7 +9,7 @@ use genesplat::core::ScreenFilter;
 use genesplat::io::colmap::{find_model, read_model, write_model};
 use genesplat::io::ply::read_ply_with_header;
 
-use crate::support::{command, fail, json, number, scene, succeed, text, train, write_gallery};
+use crate::support::{command, copy_scene, fail, json, number, scene, succeed, text, train};
 
 fn keys(value: &Value) -> BTreeSet<&str> {
     value.as_object().unwrap().keys().map(String::as_str).collect()
@@ -117,7 +117,7 @@ fn what_a_killed_run_has_left_is_cleared_away() {
 
 /// A scene whose cameras all stand at one place, which training cannot know the size of.
 fn write_still(scene: &Path) {
-    write_gallery(scene);
+    copy_scene(scene);
     let model = scene.join("sparse/0");
     let mut read = read_model(&find_model(scene).unwrap()).unwrap();
     for image in &mut read.images {

@@ -4,11 +4,11 @@ use std::path::Path;
 
 use genesplat::io::colmap::{find_model, read_model, write_model};
 
-use crate::support::{fail, json, number, succeed, train, write_gallery};
+use crate::support::{copy_scene, fail, json, number, succeed, train};
 
 /// The scene with all lengths times `factor`.
 fn write_scaled(folder: &Path, factor: f64) {
-    write_gallery(folder);
+    copy_scene(folder);
     let mut model = read_model(&find_model(folder).unwrap()).unwrap();
     for image in &mut model.images {
         image.translation = image.translation.map(|value| value * factor);
@@ -49,7 +49,7 @@ fn a_scene_of_any_size_trains_as_well() {
 fn cameras_that_look_away_are_a_sentence() {
     let place = tempfile::tempdir().unwrap();
     let [scene, out] = ["scene", "run"].map(|name| place.path().join(name));
-    write_gallery(&scene);
+    copy_scene(&scene);
     let mut model = read_model(&find_model(&scene).unwrap()).unwrap();
     for point in &mut model.points {
         // Far up, and the cameras are level.
@@ -59,6 +59,6 @@ fn cameras_that_look_away_are_a_sentence() {
     fail(train(&scene, &out, &SCHEDULE), &["no Gaussian is visible in any of the 10 training photos"]);
     // It has replaced nothing, and the folder can be used.
     let good = place.path().join("good");
-    write_gallery(&good);
+    copy_scene(&good);
     succeed(train(&good, &out, &["--iterations", "3"]));
 }

@@ -11,9 +11,13 @@ use tempfile::TempDir;
 /// A gallery of twelve photos of 64x48 pixels, made once, and changed by no test.
 static GALLERY: LazyLock<TempDir> = LazyLock::new(|| {
     let folder = tempfile::tempdir().unwrap();
-    write_gallery(folder.path());
+    let options = GalleryOptions { width: 64, height: 48, views: 12, points: 300, seed: 5 };
+    gallery::generate(&options).write_colmap(folder.path()).unwrap();
     folder
 });
+
+/// Where weights of LPIPS, and drivers, are looked for in vain.
+static NOWHERE: LazyLock<TempDir> = LazyLock::new(|| tempfile::tempdir().unwrap());
 
 /// The shared scene's folder.
 pub(crate) fn scene() -> &'static Path {
@@ -21,16 +25,15 @@ pub(crate) fn scene() -> &'static Path {
 }
 
 /// A scene of one's own, to be spoilt.
-pub(crate) fn write_gallery(folder: &Path) {
-    let options = GalleryOptions { width: 64, height: 48, views: 12, points: 300, seed: 5 };
-    gallery::generate(&options).write_colmap(folder).unwrap();
+pub(crate) fn copy_scene(folder: &Path) {
+    copy(scene(), folder);
 }
 
 /// The command with these arguments, not yet started; weights of LPIPS that this user may have installed are out of
 /// sight.
 pub(crate) fn command<S: AsRef<std::ffi::OsStr>>(arguments: impl IntoIterator<Item = S>) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_genesplat"));
-    command.args(arguments).env_remove("GENESPLAT_LPIPS").env("XDG_CACHE_HOME", GALLERY.path().join("cache"));
+    command.args(arguments).env_remove("GENESPLAT_LPIPS").env("XDG_CACHE_HOME", NOWHERE.path());
     // Mesa's choice of a device asks for a desktop, and complains on stderr where there is none.
     command.env("NODEVICE_SELECT", "1");
     command
@@ -40,7 +43,7 @@ pub(crate) fn command<S: AsRef<std::ffi::OsStr>>(arguments: impl IntoIterator<It
 pub(crate) fn without_drivers<S: AsRef<std::ffi::OsStr>>(arguments: impl IntoIterator<Item = S>) -> Command {
     let mut command = command(arguments);
     // Vulkan's loader reads its drivers from here instead (the older name, and the newer).
-    let nowhere = GALLERY.path().join("no-such-driver.json");
+    let nowhere = NOWHERE.path().join("no-such-driver.json");
     command.env("VK_ICD_FILENAMES", &nowhere).env("VK_DRIVER_FILES", &nowhere);
     command
 }

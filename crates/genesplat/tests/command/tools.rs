@@ -11,7 +11,7 @@ use genesplat::io::photos::{read_photo, write_png};
 use tempfile::TempDir;
 
 use crate::support::{
-    fail, json, judge_failure, number, run, scene, succeed, text, train, without_drivers, write_gallery,
+    copy_scene, fail, json, judge_failure, number, run, scene, succeed, text, train, without_drivers,
 };
 
 /// A short run that several tests look at.
@@ -116,7 +116,7 @@ fn a_splat_is_shown_on_the_background_of_its_run_unless_another_is_asked_for() {
 fn photos_that_training_saw_are_not_called_test_photos() {
     let folder = tempfile::tempdir().unwrap();
     let (run, fewer, out) = (finished_run(), folder.path().join("fewer"), folder.path().join("out"));
-    write_gallery(&fewer);
+    copy_scene(&fewer);
     let found = find_model(&fewer).unwrap();
     let mut model = read_model(&found).unwrap();
     model.images.retain(|image| image.name != "gallery_000.png");

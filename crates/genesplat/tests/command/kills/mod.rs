@@ -21,7 +21,7 @@ use std::time::Duration;
 use tempfile::TempDir;
 
 use self::killer::{Course, Moment, kill, observe};
-use crate::support::{command, copy, json, run, scene, succeed, text, train};
+use crate::support::{command, copy, copy_scene, json, run, scene, succeed, text, train};
 
 const SIGKILL: i32 = 9;
 /// Scenarios that share the kills.
@@ -230,12 +230,14 @@ fn a_run_that_goes_on_withstands_kills() {
 #[test]
 fn an_experiment_withstands_kills() {
     let place = tempfile::tempdir().unwrap();
-    let (file, whole) = (place.path().join("two.toml"), place.path().join("whole"));
-    let text_of_file = "title = \"Two\"\nscenes = [\"gallery\"]\nseeds = [0, 1]\nevolve = [\"renew\"]\n\
-        gallery = { width = 48, height = 32, views = 9, points = 200 }\nconfig = { steps_scale = 0.002, max_gaussians = 300, checkpoint_every = 20 }";
+    let [scenes, file, whole] = ["scenes", "two.toml", "whole"].map(|name| place.path().join(name));
+    copy_scene(&scenes.join("small"));
+    let text_of_file = "title = \"Two\"\nscenes = [\"small\"]\nseeds = [0, 1]\nevolve = [\"renew\"]\n\
+        config = { steps_scale = 0.002, max_gaussians = 300, checkpoint_every = 20 }";
     fs::write(&file, text_of_file).unwrap();
     let arguments = |out: &Path| {
-        ["experiment", text(&file), "--out", text(out), "--device", "cpu", "--no-lpips"].map(str::to_owned).to_vec()
+        let fixed = ["experiment", text(&file), "--data", text(&scenes), "--out", text(out)];
+        fixed.iter().chain(&["--device", "cpu", "--no-lpips"]).map(|&word| word.to_owned()).collect()
     };
     succeed(arguments(&whole));
     let scenario = Scenario {
