@@ -13,7 +13,7 @@ use tungstenite::{Message, WebSocket};
 
 use crate::support::{cloud, command, fail, scene, succeed, text, train};
 
-const SCHEDULE: [&str; 6] = ["--iterations", "2500", "--max-gaussians", "1500", "--no-lpips", "--threads=2"];
+const SCHEDULE: [&str; 6] = ["--iterations", "1200", "--max-gaussians", "1500", "--no-lpips", "--threads=2"];
 
 /// A process that serves a page, and the page's address.
 pub(crate) struct Served {
@@ -180,7 +180,7 @@ fn a_page_can_stop_a_run_which_is_saved() {
 fn a_run_waits_for_nobody_once_its_last_page_is_gone() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("run");
-    let mut served = Served::start(command(train(scene(), &out, &["--iterations", "2500", "--view"])));
+    let mut served = Served::start(command(train(scene(), &out, &[&SCHEDULE[..], &["--view"]].concat())));
     let mut page = served.page();
     say(&mut page, "pause");
     await_state(&mut page, |state| state["phase"] == "paused");
