@@ -46,8 +46,9 @@ struct Growing {
 
 impl Growing {
     const POINTS: u32 = 2000;
-    const SCHEDULE: [&str; 8] =
-        ["--steps-scale", "0.01", "--max-gaussians", "20000", "--checkpoint-every", "0", "--evolve", "off"];
+    /// 150 steps; it grows after 100.
+    const SCHEDULE: [&str; 5] =
+        ["--iterations=15000", "--steps-scale=0.01", "--max-gaussians=20000", "--checkpoint-every=0", "--evolve=off"];
 
     fn new(place: &Path) -> Self {
         let this = Self { scene: place.join("scene"), whole: place.join("whole") };
