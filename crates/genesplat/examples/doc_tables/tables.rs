@@ -37,15 +37,12 @@ struct Table {
     write: fn(&[Part]) -> Result<String>,
 }
 
-const TABLES: [Table; 9] = [
+const TABLES: [Table; 6] = [
     Table { name: "results", file: "real-size", part: |run| (!run.is_short()).then(|| run.size()), write: scenes },
     Table { name: "real-size", file: "real-size", part: |run| (!run.is_short()).then(|| run.size()), write: arms },
     Table { name: "short", file: "real-size", part: |run| run.is_short().then(|| run.size()), write: arms },
     Table { name: "ablations", file: "ablations", part: |run| Some(run.size()), write: arms },
-    Table { name: "renew", file: "earlier", part: |run| run.of("renew", Run::size), write: arms },
     Table { name: "renew-limited", file: "earlier", part: |run| run.of("renew-limited", Run::trainer), write: arms },
-    Table { name: "even-growth", file: "earlier", part: |run| run.of("even-growth", Run::size), write: arms },
-    Table { name: "renew-unsqueezed", file: "earlier", part: |run| run.of("renew-unsqueezed", Run::size), write: arms },
     Table { name: "paper", file: "earlier", part: |run| run.of("paper", Run::trainer), write: arms },
 ];
 
@@ -232,13 +229,12 @@ fn scenes(parts: &[Part]) -> Result<String> {
         common.map_or("scene", String::as_str),
         "pairs",
         "off: PSNR, dB",
-        "strong",
+        "best plain",
         "renew",
-        "renew - strong",
-        "in strong's seconds",
+        "renew - best plain",
+        "in as many seconds",
         "renew - improved-gs",
-        "Gaussians: off/strong/renew/improved-gs",
-        "seconds of these",
+        "Gaussians: off/best plain/renew/improved-gs",
     ];
     let mut lines = Vec::new();
     for part in parts {
@@ -253,11 +249,10 @@ fn scenes(parts: &[Part]) -> Result<String> {
             [&strong_pairs, &improved_pairs].map(|pairs| pairs.iter().map(|(other, _)| *other).collect::<Vec<&Run>>());
         let arms = [&plain, &strong, &evolved, &improved];
         let psnr = |runs: &[&Run]| Figures::of(runs, |run| run.number("psnr")).mean(|mean| format!("{mean:.2}"));
-        let beside = |value: fn(&Run) -> Option<f64>| {
-            let means = arms.map(|runs| Figures::of(runs, |run| value(run)).average());
-            let written = means.map(|mean| mean.map_or("-".to_owned(), thousands));
-            if means.iter().any(Option::is_some) { written.join("/") } else { String::new() }
-        };
+        let gaussians = arms.map(|runs| {
+            let mean = Figures::of(runs, |run| run.number("gaussians")).average();
+            mean.map_or("-".to_owned(), thousands)
+        });
         let gain = |measured: &[(&Run, &Run)], mark: &str| {
             let gain = difference(measured, "psnr");
             let fewer = if measured.len() < pairs.len() { format!(" (of {})", measured.len()) } else { String::new() };
@@ -269,12 +264,10 @@ fn scenes(parts: &[Part]) -> Result<String> {
             psnr(&plain),
             psnr(&strong),
             psnr(&evolved),
-            // What evolution is worth.
             gain(&strong_pairs, "**"),
-            gain(&sooner_pairs, "**"),
-            gain(&improved_pairs, ""),
-            beside(|run| run.number("gaussians")),
-            beside(Run::seconds),
+            gain(&sooner_pairs, ""),
+            gain(&improved_pairs, "**"),
+            gaussians.join("/"),
         ]);
     }
     Ok(markdown(head, lines))

@@ -84,6 +84,18 @@ pub(crate) const EVOLUTION: &[Choice<EvolutionMode>] = &[
     ),
 ];
 
+/// `--evolve` of `refine`, which neither grows nor resets.
+pub(crate) const REFINEMENT: &[Choice<EvolutionMode>] = &[
+    (EvolutionMode::Off, &["off"], "Gradient steps only"),
+    PAPER,
+    (
+        EvolutionMode::Renew,
+        &["renew"],
+        "Gradient steps; now and then the Gaussians that contribute least are replaced by splitting those of largest error, and the \
+         last states are averaged. Their number stays",
+    ),
+];
+
 const BLACK: Choice<Background> = (Background::Black, &["black"], "Black");
 const WHITE: Choice<Background> = (Background::White, &["white"], "White");
 
@@ -144,6 +156,7 @@ mod tests {
     fn flags_name_values_as_files_do() {
         assert_named_as_in_files(VARIANTS);
         assert_named_as_in_files(EVOLUTION);
+        assert_named_as_in_files(REFINEMENT);
         assert_named_as_in_files(BACKGROUNDS);
         assert_named_as_in_files(FIXED_BACKGROUNDS);
         assert_named_as_in_files(SIGNALS);

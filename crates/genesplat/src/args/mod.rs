@@ -14,7 +14,7 @@ use serde::Serialize;
 use crate::device::DeviceChoice;
 use crate::files::write_json;
 use crate::terminal::output::Volume;
-use choice::{EVOLUTION, FIXED_BACKGROUNDS, choice};
+use choice::{EVOLUTION, FIXED_BACKGROUNDS, REFINEMENT, choice};
 
 mod bench;
 mod blocks;
@@ -33,7 +33,7 @@ pub(crate) use convert::ConvertArgs;
 pub(crate) use page::{ExportArgs, PathChoice, TrainPageArgs, ViewArgs};
 pub(crate) use photos::{HoldOutArgs, PhotosArgs, is_near};
 pub(crate) use poses::PosesArgs;
-pub(crate) use train::{EvolutionArgs, TrainArgs};
+pub(crate) use train::{SearchArgs, TrainArgs};
 
 /// Heading of the flags that few users need.
 const MORE: &str = "More options";
@@ -168,7 +168,7 @@ pub(crate) struct LpipsArgs {
     /// else those that `genesplat lpips install` has put in place]
     #[arg(long, value_name = "FILE|FOLDER")]
     pub(crate) lpips_weights: Option<PathBuf>,
-    /// Leave LPIPS out, though its weights are there: it takes about 5 seconds of a core for a photo of 512x512
+    /// Leave LPIPS out, though its weights are there: it takes about 2.5 seconds of a core for a photo of 512x512
     #[arg(long)]
     pub(crate) no_lpips: bool,
 }
@@ -266,8 +266,11 @@ pub(crate) struct RefineArgs {
     /// Gradient steps, one photo each [default: 2000]; none with --evolve paper
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub(crate) iterations: Option<u32>,
+    /// What is done to it [default: renew]
+    #[arg(long, value_name = "MODE", value_parser = choice(REFINEMENT))]
+    pub(crate) evolve: Option<EvolutionMode>,
     #[command(flatten)]
-    pub(crate) evolution: EvolutionArgs,
+    pub(crate) search: SearchArgs,
     /// Seed of all random numbers [default: 0]. Same seed, same bytes
     #[arg(long, value_name = "S", value_parser = clap::value_parser!(u64).range(SEEDS))]
     pub(crate) seed: Option<u64>,

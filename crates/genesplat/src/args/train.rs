@@ -31,8 +31,11 @@ pub(crate) struct TrainArgs {
     pub(crate) preset: Option<&'static str>,
     #[command(flatten)]
     pub(crate) schedule: ScheduleArgs,
+    /// Evolution beside gradient descent [default: renew]
+    #[arg(long, value_name = "MODE", value_parser = choice(EVOLUTION))]
+    pub(crate) evolve: Option<EvolutionMode>,
     #[command(flatten)]
-    pub(crate) evolution: EvolutionArgs,
+    pub(crate) search: SearchArgs,
     #[command(flatten)]
     pub(crate) photos: PhotosArgs,
     /// TOML file with settings (the config.toml of any run is one); flags given here win over it [default: none]
@@ -63,7 +66,8 @@ impl TrainArgs {
     /// Flags over the file. Fails where one does not go with the method that is trained.
     pub(crate) fn override_config(&self, train: &mut TrainConfig) -> Result<()> {
         self.schedule.override_config(train);
-        self.evolution.override_config(train);
+        replace(&mut train.evolution.mode, self.evolve);
+        self.search.override_config(train);
         self.method.override_config(train)
     }
 }
@@ -111,12 +115,9 @@ impl ScheduleArgs {
     }
 }
 
-/// Which evolution, and how much of it.
+/// How much of mode paper.
 #[derive(Clone, Debug, Default, Args)]
-pub(crate) struct EvolutionArgs {
-    /// Evolution beside gradient descent [default: renew]
-    #[arg(long, value_name = "MODE", value_parser = choice(EVOLUTION))]
-    pub(crate) evolve: Option<EvolutionMode>,
+pub(crate) struct SearchArgs {
     /// Mode paper: generations of each search, at least 1 [default: 100]. Time grows in proportion
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..), help_heading = MORE)]
     pub(crate) generations: Option<u32>,
@@ -125,15 +126,14 @@ pub(crate) struct EvolutionArgs {
     pub(crate) population: Option<u32>,
 }
 
-impl EvolutionArgs {
+impl SearchArgs {
     /// Flags over the file. A tournament cannot draw more individuals than there are, so a small population shrinks it.
     pub(crate) fn override_config(&self, train: &mut TrainConfig) {
-        let evolution = &mut train.evolution;
-        replace(&mut evolution.mode, self.evolve);
-        replace(&mut evolution.paper.generations, self.generations);
+        let paper = &mut train.evolution.paper;
+        replace(&mut paper.generations, self.generations);
         if let Some(population) = self.population {
-            evolution.paper.population = population;
-            evolution.paper.tournament = evolution.paper.tournament.min(population);
+            paper.population = population;
+            paper.tournament = paper.tournament.min(population);
         }
     }
 }

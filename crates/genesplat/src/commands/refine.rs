@@ -60,7 +60,8 @@ fn configure(args: &RefineArgs, splat: &Splat) -> Result<Resolved> {
     train.sh_degree = splat.settings.sh_degree;
     train.iterations = args.iterations.unwrap_or(train.iterations);
     train.seed = args.seed.unwrap_or(train.seed);
-    args.evolution.override_config(&mut train);
+    train.evolution.mode = args.evolve.unwrap_or(train.evolution.mode);
+    args.search.override_config(&mut train);
     train.antialiasing = splat.settings.filter == ScreenFilter::Antialiased;
     if splat.settings.background == Background::White.fixed_colour() {
         train.background = Background::White;

@@ -111,6 +111,17 @@ mod tests {
     }
 
     #[test]
+    fn the_settings_beside_the_results_are_valid() {
+        let results = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/results"));
+        for (study, arms) in [("shoe.toml", 5), ("shoe-improved.toml", 1)] {
+            let path = results.join(study);
+            assert_eq!(preset(path.to_str().unwrap()).cells().len(), 3 * arms, "{study}");
+        }
+        let averaged = ConfigFile::read(&results.join("averaged.toml")).unwrap().train;
+        assert!(!averaged.evolution.renewal.selection && averaged.evolution.renewal.averaging);
+    }
+
+    #[test]
     fn an_unknown_name_lists_the_known_ones() {
         let error = open("smoked").unwrap_err().to_string();
         assert!(error.contains("smoked") && error.contains("ablation-paper"), "{error}");
