@@ -11,7 +11,7 @@ use glam::DVec3;
 use crate::error::SceneError;
 use crate::photos::Lens;
 use crate::scene::{Cube, Point};
-use crate::similar::{CONVERT, PHOTOS, Similar, UNREAD, entries, has_ending};
+use crate::similar::{CONVERT, PHOTO_ENDINGS, Similar, UNREAD, entries, has_ending};
 use crate::{plural, shown};
 
 pub(crate) struct Listing {
@@ -181,7 +181,7 @@ pub(crate) fn all_missing(wanted: &Path, count: usize, list: &Path) -> SceneErro
     let folder = wanted.parent().unwrap_or(Path::new(""));
     let first = |endings: &[&str]| entries(folder).filter(|entry| has_ending(entry, endings)).min();
     let name = |path: &Path| shown(path.file_name().unwrap_or_default()).to_string();
-    let remedy = match (first(&PHOTOS), first(&UNREAD)) {
+    let remedy = match (first(&PHOTO_ENDINGS), first(&UNREAD)) {
         (Some(found), _) => {
             format!(", which has names like {} where {} is wanted; put the photos there", name(&found), name(wanted))
         }

@@ -4,8 +4,8 @@ use std::collections::{HashMap, HashSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Endings of the photos that are read.
-pub(crate) const PHOTOS: [&str; 4] = ["jpg", "jpeg", "png", "webp"];
+/// Endings of the photos that are read, in small letters.
+pub const PHOTO_ENDINGS: [&str; 4] = ["jpg", "jpeg", "png", "webp"];
 
 /// Endings of pictures that are not, so that leaving them out is said.
 pub const UNREAD: [&str; 11] = ["heic", "heif", "hif", "avif", "tif", "tiff", "dng", "cr2", "cr3", "nef", "arw"];
@@ -65,14 +65,14 @@ impl Similar {
 
 /// The name without the ending of a picture, in lower case.
 fn key(path: &Path) -> String {
-    let is_picture = has_ending(path, &PHOTOS) || has_ending(path, &UNREAD);
+    let is_picture = has_ending(path, &PHOTO_ENDINGS) || has_ending(path, &UNREAD);
     let name = if is_picture { path.file_stem() } else { path.file_name() };
     name.unwrap_or_default().to_string_lossy().to_lowercase()
 }
 
 fn photos_by_key(folder: &Path) -> HashMap<String, Vec<PathBuf>> {
     let mut photos: HashMap<String, Vec<PathBuf>> = HashMap::new();
-    for photo in entries(folder).filter(|entry| has_ending(entry, &PHOTOS)) {
+    for photo in entries(folder).filter(|entry| has_ending(entry, &PHOTO_ENDINGS)) {
         photos.entry(key(&photo)).or_default().push(photo);
     }
     photos

@@ -37,6 +37,13 @@ pub(crate) fn write_file(path: &Path, fill: impl FnOnce(&mut BufWriter<File>) ->
     write_atomically(path, fill).map_err(|error| unwritable(path, &error))
 }
 
+/// A second name for the file `from`, or a copy where the file system has no such thing; makes the folder of `to`.
+pub(crate) fn link_or_copy(from: &Path, to: &Path) -> io::Result<()> {
+    fs::create_dir_all(to.parent().unwrap_or(to))?;
+    let from = from.canonicalize()?;
+    fs::hard_link(&from, to).or_else(|_| fs::copy(&from, to).map(drop))
+}
+
 /// The format of splats that the name of a file ends in.
 pub(crate) fn format_of(path: &Path) -> Result<Format> {
     let endings = Format::ALL.map(Format::ending).join(", ");

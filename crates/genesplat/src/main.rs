@@ -19,6 +19,7 @@ mod report;
 mod run;
 mod scene;
 mod settings;
+mod sharpness;
 mod splat;
 mod terminal;
 mod unpacked;

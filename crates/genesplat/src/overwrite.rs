@@ -6,7 +6,7 @@ use std::fs;
 use std::path::Path;
 
 use anyhow::{Result, bail};
-use genesplat::io::{Format, Scene, shown};
+use genesplat::io::{Format, PHOTO_ENDINGS, Scene, shown};
 
 use crate::files::check_writable;
 use crate::run::session::is_part_of_run;
@@ -37,7 +37,7 @@ pub(crate) fn check_existing(path: &Path, content: Content, inputs: &[Option<&Pa
 fn protected(path: &Path, content: Content) -> Option<&'static str> {
     let part = |part: Option<&OsStr>| part.unwrap_or_default().to_string_lossy().to_lowercase();
     let (stem, end) = (part(path.file_stem()), part(path.extension()));
-    let is_picture = matches!(end.as_str(), "png" | "jpg" | "jpeg");
+    let is_picture = PHOTO_ENDINGS.contains(&end.as_str());
     match (stem.as_str(), end.as_str()) {
         _ if is_part_of_run(path) => Some("part of a run"),
         _ if is_picture && content != Content::Picture => Some("a picture"),
@@ -123,10 +123,12 @@ mod tests {
             ("blender/test/r_0.png", photo),
             ("blender/r_0.png", photo),
             ("images/0001.jpg", picture),
+            ("images/0001.WebP", picture),
             ("run/config.toml", any(run_part)),
             ("run/metrics.json", any(run_part)),
             ("run/point_cloud.ply", any(run_part)),
             ("run/test/0001.png", any(run_part)),
+            ("run/checkpoint/latest.checkpoint", any(run_part)),
             ("run/refined.ply", splat),
             ("metrics.json", [None; 3]),
         ];

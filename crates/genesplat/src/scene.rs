@@ -5,7 +5,7 @@ use std::path::Path;
 
 use anyhow::Result;
 use genesplat::core::View;
-use genesplat::io::{LoadOptions, Point, Scene, Spill, load_scene};
+use genesplat::io::{LoadOptions, PHOTO_ENDINGS, Point, Scene, Spill, load_scene};
 use genesplat::train::scene::initialise::ColouredPoint;
 
 use crate::settings::Dataset;
@@ -74,7 +74,7 @@ fn numbered(photos: &[&str]) -> Vec<String> {
 /// A photo's name without the ending of a picture format.
 pub(crate) fn stem(name: &str) -> &str {
     match name.rsplit_once('.') {
-        Some((stem, end)) if ["png", "jpg", "jpeg"].iter().any(|known| end.eq_ignore_ascii_case(known)) => stem,
+        Some((stem, end)) if PHOTO_ENDINGS.iter().any(|known| end.eq_ignore_ascii_case(known)) => stem,
         _ => name,
     }
 }
@@ -93,6 +93,7 @@ mod tests {
     #[test]
     fn pictures_are_named_after_photos_and_never_share_a_name() {
         assert_eq!(picture_names(&[view("a.JPG"), view("b.c.png"), view("r_0.5")]), ["a.png", "b.c.png", "r_0.5.png"]);
+        assert_eq!(picture_names(&[view("a.webp")]), ["a.png"]);
         assert_eq!(picture_names(&[view("a.jpg"), view("a.png")]), ["a.jpg.png", "a.png.png"]);
         assert_eq!(picture_names(&[view("a.jpg"), view("A.png")]), ["a.jpg.png", "A.png.png"]);
         assert_eq!(picture_names(&[view("b.jpg"), view("B.JPG")]), ["00000_b.png", "00001_B.png"]);

@@ -126,9 +126,15 @@ impl ConfigFile {
     }
 
     pub(crate) fn read(path: &Path) -> Result<Self> {
+        Self::read_over(path, Table::new())
+    }
+
+    /// The file over `defaults`, which say what the whole command does otherwise.
+    pub(crate) fn read_over(path: &Path, defaults: Table) -> Result<Self> {
         let text = input::read_text(path)
             .map_err(|error| anyhow!("cannot read the configuration {}: {error}", shown(path)))?;
-        let parsed = text.parse().and_then(Self::from_table).map_err(with_all_fields);
+        let over = |file: Table| defaults.into_iter().chain(file).collect();
+        let parsed = text.parse().map(over).and_then(Self::from_table).map_err(with_all_fields);
         parsed.map_err(|problem| anyhow!("the configuration {} is not valid: {problem}; correct it there", shown(path)))
     }
 
@@ -297,6 +303,18 @@ mod tests {
     use genesplat::train::EvolutionMode;
 
     use super::*;
+
+    #[test]
+    fn a_file_wins_over_what_a_command_does_without_it() {
+        let folder = tempfile::tempdir().unwrap();
+        let iterations = |text: &str| {
+            let file = folder.path().join("config.toml");
+            std::fs::write(&file, text).unwrap();
+            let defaults = Table::from_iter([("iterations".to_owned(), Value::from(2000))]);
+            ConfigFile::read_over(&file, defaults).unwrap().train.iterations
+        };
+        assert_eq!((iterations("seed = 1"), iterations("iterations = 7")), (2000, 7));
+    }
 
     #[test]
     fn the_first_difference_is_named_with_both_values() {

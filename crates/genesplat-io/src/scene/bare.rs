@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use crate::error::SceneError;
 use crate::plural;
-use crate::similar::{CONVERT, PHOTOS, UNREAD, entries, has_ending};
+use crate::similar::{CONVERT, PHOTO_ENDINGS, UNREAD, entries, has_ending};
 
 const VIDEOS: [&str; 8] = ["mp4", "mov", "m4v", "avi", "mkv", "webm", "mpg", "mpeg"];
 const ARCHIVES: [&str; 6] = ["zip", "tar", "gz", "tgz", "7z", "rar"];
@@ -14,7 +14,7 @@ pub(super) fn file(path: &Path) -> Option<SceneError> {
     let remedy = match () {
         () if !path.is_file() => return None,
         () if has_ending(path, &ARCHIVES) => "is an archive; unpack it, and give the folder that it holds",
-        () if has_ending(path, &PHOTOS) || has_ending(path, &UNREAD) => {
+        () if has_ending(path, &PHOTO_ENDINGS) || has_ending(path, &UNREAD) => {
             "is one photo; give the folder of a scene, with many photos and their cameras"
         }
         () => "is a file; give the folder of a scene",
@@ -38,7 +38,7 @@ pub(super) fn without_cameras(path: &Path) -> Option<SceneError> {
     let pictures = |endings: &[&str]| -> usize {
         folders.iter().map(|folder| entries(folder).filter(|entry| has_ending(entry, endings)).count()).sum()
     };
-    match (pictures(&PHOTOS), pictures(&UNREAD)) {
+    match (pictures(&PHOTO_ENDINGS), pictures(&UNREAD)) {
         (0, 0) => None,
         (0, unread) => {
             let what = format!("holds {unread} {}", plural(unread, "picture that is", "pictures that are"));

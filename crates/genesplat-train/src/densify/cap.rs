@@ -18,6 +18,8 @@ const PHOTO_PIXELS: f64 = 0.3;
 /// The most Gaussians that density control may grow to, by who says so.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Cap {
+    /// The user's limit.
+    asked: Option<usize>,
     /// The user's limit or that of the density control.
     own: Option<usize>,
     /// What the photos can determine, with `evolution.renewal.capacity`: with more, a cloud learns photos by heart.
@@ -34,7 +36,8 @@ impl Cap {
         let (mode, capacity) = (config.evolution.mode, config.evolution.renewal.capacity);
         let is_limited = mode == EvolutionMode::Renew && capacity > 0.0;
         let from_photos = is_limited.then(|| cap_from_photos(views, capacity));
-        Self { own: config.max_gaussians.or(of_control), from_photos }
+        let asked = config.max_gaussians;
+        Self { asked, own: asked.or(of_control), from_photos }
     }
 
     /// The lower of the two.
@@ -46,9 +49,10 @@ impl Cap {
     pub(crate) fn notice_of_lower_cap(self) -> Option<String> {
         let (own, from_photos) = (self.own?, self.from_photos?);
         (from_photos < own).then(|| {
+            let beside = self.asked.map_or(String::new(), |asked| format!(", and not to the limit of {asked}"));
             format!(
                 "the cloud grows to at most {from_photos} Gaussians, which is what the photos can determine \
-                 (evolution.renewal.capacity), and not to the limit of {own}"
+                 (evolution.renewal.capacity){beside}"
             )
         })
     }
@@ -95,8 +99,13 @@ mod tests {
         let cap = |mode, variant, max_gaussians, capacity| {
             let mut config = TrainConfig { variant, max_gaussians, ..TrainConfig::published() };
             (config.evolution.mode, config.evolution.renewal.capacity) = (mode, capacity);
-            Cap::new(&config, &views).get()
+            Cap::new(&config, &views)
         };
+        let notice = |max_gaussians| cap(EvolutionMode::Renew, Variant::Mcmc, max_gaussians, 1.0).notice_of_lower_cap();
+        assert!(notice(Some(1000)).unwrap().ends_with("and not to the limit of 1000"));
+        assert!(notice(None).unwrap().ends_with("(evolution.renewal.capacity)"), "nobody has set the published limit");
+        assert_eq!(notice(Some(900)), None);
+        let cap = |mode, variant, max_gaussians, capacity| cap(mode, variant, max_gaussians, capacity).get();
         let (renew, off) = (EvolutionMode::Renew, EvolutionMode::Off);
         // 9 · 600 pixels over 2 · √9, which is less than 600 over 0.3.
         assert_eq!(cap(renew, Variant::ThreeDgs, None, 1.0), Some(900));

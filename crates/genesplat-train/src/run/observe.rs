@@ -163,7 +163,7 @@ pub struct StageRecord {
     pub fitness_before: f64,
     /// The same after it. Never above `fitness_before` for evolution but for renewal, where guard PSNR alone decides.
     pub fitness_after: f64,
-    /// Mean PSNR of the guard views before and after it, dB; the second is never below the first.
+    /// Mean PSNR of the guard views before and after it, dB; of a renewal that stays the second is never below the first.
     pub guard_psnr: Option<[f64; 2]>,
     /// Gaussians that the stage changed; 0 when nothing beat the base.
     pub changed: usize,

@@ -2,13 +2,18 @@
 
 use std::path::PathBuf;
 
-use clap::Args;
+use clap::{ArgGroup, Args};
 use genesplat::io::format::SpzVersion;
 
 use super::choice::{SPZ_VERSIONS, choice};
-use super::{MachineArgs, SizeArgs};
+use super::{MachineArgs, PhotosArgs, ShownOnArgs};
+
+/// What says nothing where no photos are loaded.
+const OF_PHOTOS: [&str; 8] =
+    ["max_side", "downscale", "test_every", "test_list", "train_on_all", "mask", "near", "background"];
 
 #[derive(Debug, Args)]
+#[command(group(ArgGroup::new("of photos").args(OF_PHOTOS).multiple(true).requires("data")))]
 pub(crate) struct ConvertArgs {
     /// The splat to read (.ply, compressed .ply, .splat, .spz, .sog or .glb), or the folder of a run, whose photos are loaded
     /// as it was trained on them unless a flag says otherwise; --downscale divides the size that they had there
@@ -26,15 +31,17 @@ pub(crate) struct ConvertArgs {
     /// Highest degree of the spherical harmonics to write, 0 to 3: a lower one loses highlights [default: all there is]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(0..=3))]
     pub(crate) sh_degree: Option<u8>,
-    /// Version of .spz to write
-    #[arg(long, value_name = "N", value_parser = choice(SPZ_VERSIONS), default_value = "4")]
-    pub(crate) spz_version: SpzVersion,
+    /// Version of .spz to write [default: 4]
+    #[arg(long, value_name = "N", value_parser = choice(SPZ_VERSIONS))]
+    pub(crate) spz_version: Option<SpzVersion>,
     /// Folder of the scene that the splat shows: say what is lost, in dB, on the photos that training never saw
     /// [default: none]
     #[arg(long, value_name = "DATASET")]
     pub(crate) data: Option<PathBuf>,
     #[command(flatten)]
-    pub(crate) size: SizeArgs,
+    pub(crate) photos: PhotosArgs,
+    #[command(flatten)]
+    pub(crate) on: ShownOnArgs,
     #[command(flatten)]
     pub(crate) machine: MachineArgs,
 }

@@ -238,9 +238,9 @@ pub(crate) struct RenderArgs {
     /// interpolate (from camera to camera), or a file that the page of `genesplat view` has saved
     #[arg(long, value_name = "orbit|spiral|interpolate|FILE.json", value_parser = PathChoice::parse)]
     pub(crate) path: Option<PathChoice>,
-    /// Frames of the path, 2 to 10000
-    #[arg(long, value_name = "N", default_value_t = 120, value_parser = clap::value_parser!(u32).range(2..=10_000))]
-    pub(crate) frames: u32,
+    /// Frames of the path, 2 to 10000 [default: 120]
+    #[arg(long, value_name = "N", requires = "path", value_parser = clap::value_parser!(u32).range(2..=10_000))]
+    pub(crate) frames: Option<u32>,
     /// With --image the picture to write, a .png or a .jpg; with --split the folder for
     /// PNGs; with --path that, or a .mp4 or .gif, which ffmpeg makes if it is installed
     #[arg(long, value_name = "FILE|DIR")]
@@ -259,8 +259,8 @@ pub(crate) struct RefineArgs {
     /// Folder of the scene that it shows
     #[arg(long, value_name = "DATASET")]
     pub(crate) data: PathBuf,
-    /// The splat to write, a .ply unless its name ends as another format's. Ctrl-C ends the refinement, and what it has
-    /// reached so far is written
+    /// The splat to write, in the format that its name ends in. Ctrl-C ends the refinement, and what it has reached so
+    /// far is written
     #[arg(long, value_name = "FILE")]
     pub(crate) out: PathBuf,
     /// Gradient steps, one photo each [default: 2000]; none with --evolve paper
@@ -280,6 +280,8 @@ pub(crate) struct RefineArgs {
     pub(crate) config: Option<PathBuf>,
     #[command(flatten)]
     pub(crate) photos: PhotosArgs,
+    #[command(flatten)]
+    pub(crate) on: ShownOnArgs,
     #[command(flatten)]
     pub(crate) machine: MachineArgs,
 }
@@ -378,7 +380,7 @@ const SEEDS: RangeTo<u64> = ..1 << 63;
 pub(crate) const THREADS: RangeInclusive<i64> = 1..=1024;
 
 /// How large photos are loaded.
-#[derive(Clone, Copy, Debug, Default, Args)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Args)]
 pub(crate) struct SizeArgs {
     /// Longest side of the photos in pixels; larger ones are reduced [default: only widths above 1600 are reduced, to
     /// 1600]. Smaller trains faster and shows less detail

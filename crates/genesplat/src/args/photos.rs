@@ -11,7 +11,7 @@ use super::choice::{MASKS, choice};
 use super::{MORE, SizeArgs, TEST_EVERY};
 use crate::settings::Dataset;
 
-#[derive(Clone, Debug, Default, Args)]
+#[derive(Clone, Debug, Default, PartialEq, Args)]
 pub(crate) struct PhotosArgs {
     #[command(flatten)]
     pub(crate) size: SizeArgs,
@@ -28,7 +28,7 @@ pub(crate) struct PhotosArgs {
 }
 
 /// Which photos are held out for testing.
-#[derive(Clone, Debug, Default, Args)]
+#[derive(Clone, Debug, Default, PartialEq, Args)]
 #[group(multiple = false)]
 #[command(next_help_heading = MORE)]
 pub(crate) struct HoldOutArgs {

@@ -67,7 +67,7 @@ impl TrainArgs {
     pub(crate) fn override_config(&self, train: &mut TrainConfig) -> Result<()> {
         self.schedule.override_config(train);
         replace(&mut train.evolution.mode, self.evolve);
-        self.search.override_config(train);
+        self.search.override_config(train)?;
         self.method.override_config(train)
     }
 }
@@ -127,14 +127,21 @@ pub(crate) struct SearchArgs {
 }
 
 impl SearchArgs {
-    /// Flags over the file. A tournament cannot draw more individuals than there are, so a small population shrinks it.
-    pub(crate) fn override_config(&self, train: &mut TrainConfig) {
+    /// Flags over the file, of another mode none. A tournament cannot draw more individuals than there are, so a small population
+    /// shrinks it.
+    pub(crate) fn override_config(&self, train: &mut TrainConfig) -> Result<()> {
+        let is_asked = self.generations.is_some() || self.population.is_some();
+        ensure!(
+            !is_asked || train.evolution.mode == EvolutionMode::Paper,
+            "--generations and --population are of --evolve paper; add that, or leave them out"
+        );
         let paper = &mut train.evolution.paper;
         replace(&mut paper.generations, self.generations);
         if let Some(population) = self.population {
             paper.population = population;
             paper.tournament = paper.tournament.min(population);
         }
+        Ok(())
     }
 }
 

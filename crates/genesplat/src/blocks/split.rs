@@ -1,7 +1,6 @@
 //! From a scene to the scenes of its blocks.
 
-use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use anyhow::{Result, anyhow, ensure};
 use genesplat::core::Camera;
@@ -11,7 +10,7 @@ use genesplat::io::{Point, SceneList, ScenePhoto, model_of, plural, shown};
 use glam::DVec3;
 
 use super::folder::{Cut, TEST_LIST, command, scene_of};
-use crate::files::{unwritable, write_text};
+use crate::files::{link_or_copy, unwritable, write_text};
 use crate::terminal::numbers::thousands;
 use crate::terminal::output;
 
@@ -53,9 +52,9 @@ fn check<'a>(block: &Block, mut photos: impl Iterator<Item = &'a ScenePhoto>) ->
 
 fn write(folder: &Path, content: &Content<'_>) -> Result<()> {
     for photo in &content.photos {
-        place(&photo.path, &folder.join("images"), &photo.name)?;
+        place(&photo.path, &folder.join("images").join(&photo.name))?;
         if let Some(mask) = &photo.mask {
-            place(mask, &folder.join("masks"), &format!("{}.png", photo.name))?;
+            place(mask, &folder.join("masks").join(format!("{}.png", photo.name)))?;
         }
     }
     let tests = content.photos.iter().filter(|photo| photo.is_test);
@@ -67,12 +66,8 @@ fn write(folder: &Path, content: &Content<'_>) -> Result<()> {
     write_model(&model, &model_of(&content.photos, content.points.clone())).map_err(|error| unwritable(&model, &error))
 }
 
-/// A second name for the same file, or a copy where the file system has no such thing.
-fn place(file: &Path, folder: &Path, name: &str) -> Result<()> {
-    fs::create_dir_all(folder).map_err(|error| unwritable(folder, &error))?;
-    let (file, name): (PathBuf, _) = (file.canonicalize().unwrap_or_else(|_| file.to_owned()), folder.join(name));
-    let placed = fs::hard_link(&file, &name).or_else(|_| fs::copy(&file, &name).map(|_| ()));
-    placed.map_err(|error| anyhow!("cannot copy {} to {}: {error}", shown(&file), shown(name)))
+fn place(file: &Path, to: &Path) -> Result<()> {
+    link_or_copy(file, to).map_err(|error| anyhow!("cannot copy {} to {}: {error}", shown(file), shown(to)))
 }
 
 fn tell(block: &Block, content: &Content<'_>, out: &Path) -> Result<()> {

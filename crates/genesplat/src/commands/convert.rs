@@ -22,8 +22,13 @@ use crate::{device, files, splat};
 pub(crate) fn run(args: &ConvertArgs) -> Result<()> {
     device::use_threads(args.machine.threads)?;
     let format = files::format_of(&args.out)?;
-    let splat = splat::open(&args.splat)?;
-    let scene = args.data.as_deref().map(|data| splat.load_scene(data, &args.size.into())).transpose()?;
+    ensure!(
+        args.spz_version.is_none() || format == Format::Spz,
+        "--spz-version is for .spz, and {} is none; leave it out",
+        shown(&args.out)
+    );
+    let splat = splat::open(&args.splat)?.on(args.on);
+    let scene = args.data.as_deref().map(|data| splat.load_scene(data, &args.photos)).transpose()?;
     if let Some(scene) = &scene {
         check_test_photos(&args.splat, scene)?;
         ensure!(!scene.test.is_empty(), "{} has no test photos to measure a loss on; leave --data out", scene.name);
@@ -33,7 +38,7 @@ pub(crate) fn run(args: &ConvertArgs) -> Result<()> {
     let options = Options {
         screen_filter: splat.settings.filter,
         sh_degree: args.sh_degree.unwrap_or(Options::default().sh_degree),
-        spz_version: args.spz_version,
+        spz_version: args.spz_version.unwrap_or_default(),
     };
     format::write(&args.out, format, &cloud, &options)?;
     tell_losses(format, &cloud, &splat);

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
-use anyhow::{Result, ensure};
+use anyhow::{Result, bail, ensure};
 use genesplat::gallery::{self, GalleryOptions};
 use genesplat::io::photos::{read_photo, write_png};
 use genesplat::io::{Scene, shown};
@@ -31,6 +31,9 @@ use crate::{device, files, lpips, scene};
 
 /// The published schedule in this fraction of its steps.
 const STEPS_SCALE: f64 = 0.1;
+/// What compares both runs, beside them.
+const PICTURE: &str = "comparison.png";
+const PAGE: &str = "report.html";
 /// As few as people take of a small scene: with many there is nothing to learn by heart.
 const VIEWS: u32 = 32;
 /// One for every two pixels of a photo: keeps the demo below five minutes on two cores.
@@ -43,7 +46,7 @@ pub(crate) fn run(args: &DemoArgs) -> Result<Ending> {
     let halves = [("without", EvolutionMode::Off), ("with", args.evolve)];
     let mut halves: Vec<Half> =
         halves.into_iter().map(|(name, mode)| Half::new(args, name, mode)).collect::<Result<_>>()?;
-    check_gallery(&gallery_in(&args.out))?;
+    check_gallery(&args.out)?;
     device::use_threads(args.machine.threads)?;
     let stop = interrupt::stop_flag()?;
     let lpips = lpips::open(&args.lpips)?;
@@ -70,7 +73,7 @@ fn show(args: &DemoArgs, scene: &Scene, halves: &[Half], results: &[Metrics]) ->
     let read = |half: &Half| read_photo(&half.session.path().join(TEST).join(file));
     let renders = [read(&halves[0])?, read(&halves[1])?];
     let sheet = changes(&photo, [&renders[0], &renders[1]]);
-    let [picture, page] = ["comparison.png", "report.html"].map(|name| args.out.join(name));
+    let [picture, page] = [PICTURE, PAGE].map(|name| args.out.join(name));
     write_png(&picture, &sheet)?;
     let sides = [0, 1].map(|index| Side {
         name: halves[index].name,
@@ -93,8 +96,13 @@ fn gallery_in(out: &Path) -> PathBuf {
     out.join("gallery")
 }
 
-/// Fails where there is a gallery that no demo has built, since ours would be written over it.
-fn check_gallery(folder: &Path) -> Result<()> {
+/// Fails where there is a gallery that no demo has built, or a page or picture without one, since ours would be written over it.
+fn check_gallery(out: &Path) -> Result<()> {
+    let folder = &gallery_in(out);
+    let strange = [PICTURE, PAGE].map(|name| out.join(name)).into_iter().find(|file| file.exists() && !folder.exists());
+    if let Some(file) = strange {
+        bail!("{} is of no earlier demo, and would be written over; choose another --out", shown(&file));
+    }
     let is_ours = match fs::read_dir(folder.join("images")) {
         Ok(entries) => entries.flatten().all(|entry| is_gallery_photo(&entry.file_name().to_string_lossy())),
         Err(_) => !folder.exists(),
@@ -207,21 +215,24 @@ mod tests {
     #[test]
     fn only_a_gallery_of_ours_is_replaced() {
         let place = tempfile::tempdir().unwrap();
-        let folder = place.path().join("gallery");
-        assert!(check_gallery(&folder).is_ok(), "nothing is there");
+        let (out, folder) = (place.path(), gallery_in(place.path()));
+        assert!(check_gallery(out).is_ok(), "nothing is there");
+        fs::write(out.join(PAGE), "a report of mine").unwrap();
+        let refusal = check_gallery(out).unwrap_err().to_string();
+        assert!(refusal.contains(PAGE) && refusal.contains("--out"), "{refusal}");
         let options = GalleryOptions { width: 16, height: 16, views: 2, points: 20, seed: 1 };
         gallery::generate(&options).write_colmap(&folder).unwrap();
         fs::write(folder.join("images/.genesplat-7-0.tmp"), "left by a demo that was killed").unwrap();
-        assert!(check_gallery(&folder).is_ok());
+        assert!(check_gallery(out).is_ok());
 
         fs::write(folder.join("images/IMG_1.png"), "a photo").unwrap();
-        let refusal = check_gallery(&folder).unwrap_err().to_string();
+        let refusal = check_gallery(out).unwrap_err().to_string();
         assert!(refusal.contains("gallery") && refusal.contains("--out"), "{refusal}");
         fs::remove_dir_all(folder.join("images")).unwrap();
-        assert!(check_gallery(&folder).is_err(), "a model without photos");
+        assert!(check_gallery(out).is_err(), "a model without photos");
         fs::remove_dir_all(&folder).unwrap();
         fs::write(&folder, "a file").unwrap();
-        assert!(check_gallery(&folder).is_err());
+        assert!(check_gallery(out).is_err());
     }
 
     fn metrics(psnr: f64, gaussians: usize) -> Metrics {

@@ -1,9 +1,10 @@
 //! `genesplat inspect`: what is there, what looks wrong, and what training will take.
 
 use anyhow::{Result, ensure};
-use genesplat::io::shown;
+use genesplat::io::archive::is_zip;
+use genesplat::io::{Format, shown};
 
-use crate::args::InspectArgs;
+use crate::args::{InspectArgs, PhotosArgs};
 use crate::inspect::{inspect_run, inspect_scene, inspect_splat};
 use crate::run::session::is_run;
 use crate::settings::Dataset;
@@ -12,8 +13,15 @@ use crate::terminal::output;
 pub(crate) fn run(args: &InspectArgs) -> Result<()> {
     let what = &args.what;
     ensure!(what.exists(), "{} does not exist; give the folder of a scene or a run, or a splat", shown(what));
+    // A zip that is no splat is one of a scene, which `inspect_scene` has a sentence for.
+    let is_splat = what.is_file() && !(is_zip(what) && Format::of(what).is_none());
+    ensure!(
+        args.photos == PhotosArgs::default() || !(is_splat || is_run(what)),
+        "{} is no scene, so no photos are looked at; leave out the options that are about photos",
+        shown(what)
+    );
     let report = match () {
-        () if what.is_file() => inspect_splat(what)?,
+        () if is_splat => inspect_splat(what)?,
         () if is_run(what) => inspect_run(what)?,
         () => inspect_scene(&Dataset::of(what, &args.photos)?)?,
     };

@@ -25,7 +25,7 @@ use std::path::Path;
 use anyhow::Result;
 
 use crate::args::{Arguments, Bench, Command, JsonArgs, LpipsCommand};
-use crate::files::check_folder;
+use crate::files::format_of;
 use crate::overwrite::{Content, check_file};
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -78,14 +78,11 @@ fn check_outputs(command: &Command) -> Result<()> {
             let weights = args.lpips.lpips_weights.as_deref();
             figures(&args.json, &[Some(&args.first), Some(&args.second), weights])
         }
-        Command::Render(args) if args.image.is_some() => {
-            check_file(&args.out, Content::Picture, &[Some(&args.splat.path)])
+        Command::Render(args) => render::check_out(args),
+        Command::Refine(args) => {
+            check_file(&args.out, Content::Splat, &[Some(&args.splat), args.config.as_deref()])?;
+            format_of(&args.out).map(drop)
         }
-        Command::Render(args) if args.path.is_some() && render_path::is_film(&args.out) => {
-            check_file(&args.out, Content::Figures, &[Some(&args.splat.path)])
-        }
-        Command::Render(args) => check_folder(&args.out, "0001.png"),
-        Command::Refine(args) => check_file(&args.out, Content::Splat, &[Some(&args.splat), args.config.as_deref()]),
         Command::Convert(args) => check_file(&args.out, Content::Splat, &[Some(&args.splat)]),
         Command::Export(args) => {
             check_file(&args.out, Content::Figures, &[Some(&args.splat.path)])?;

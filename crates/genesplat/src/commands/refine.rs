@@ -3,9 +3,10 @@
 
 use anyhow::{Result, bail};
 use genesplat::core::{RenderSettings, ScreenFilter};
-use genesplat::io::format::{self, Format, Options};
+use genesplat::io::format::{self, Options};
 use genesplat::io::{Scene, shown};
 use genesplat::train::{Background, EvolutionMode, Outcome, Resolved, Start, TrainConfig, Variant, search, train};
+use toml::Table;
 
 use super::Ending;
 use crate::args::RefineArgs;
@@ -17,7 +18,7 @@ use crate::splat::Splat;
 use crate::terminal::numbers::thousands;
 use crate::terminal::reporter::Reporter;
 use crate::terminal::{interrupt, output};
-use crate::{device, splat};
+use crate::{device, files, splat};
 
 const ITERATIONS: u32 = 2000;
 
@@ -40,7 +41,7 @@ pub(crate) fn run(args: &RefineArgs) -> Result<Ending> {
         train(device.as_mut(), views, Start::Cloud(splat.cloud), &config, &mut reporter, &stop)?
     };
     let options = Options { screen_filter: splat.settings.filter, ..Options::default() };
-    format::write(&args.out, Format::of(&args.out).unwrap_or(Format::Ply), &outcome.cloud, &options)?;
+    format::write(&args.out, files::format_of(&args.out)?, &outcome.cloud, &options)?;
     if outcome.summary.interrupted {
         output::print("stopped early; what follows is as far as it had come")?;
     }
@@ -52,8 +53,9 @@ pub(crate) fn run(args: &RefineArgs) -> Result<Ending> {
 
 /// The settings of the refinement; what the splat dictates is taken from it.
 fn configure(args: &RefineArgs, splat: &Splat) -> Result<Resolved> {
+    let defaults = Table::from_iter([("iterations".to_owned(), ITERATIONS.into())]);
     let mut train = match &args.config {
-        Some(file) => ConfigFile::read(file)?.train,
+        Some(file) => ConfigFile::read_over(file, defaults)?.train,
         None => TrainConfig { iterations: ITERATIONS, ..TrainConfig::default() },
     };
     finish_schedule(&mut train);
@@ -61,11 +63,12 @@ fn configure(args: &RefineArgs, splat: &Splat) -> Result<Resolved> {
     train.iterations = args.iterations.unwrap_or(train.iterations);
     train.seed = args.seed.unwrap_or(train.seed);
     train.evolution.mode = args.evolve.unwrap_or(train.evolution.mode);
-    args.search.override_config(&mut train);
+    args.search.override_config(&mut train)?;
     train.antialiasing = splat.settings.filter == ScreenFilter::Antialiased;
     if splat.settings.background == Background::White.fixed_colour() {
         train.background = Background::White;
     }
+    train.background = args.on.background.unwrap_or(train.background);
     train.variant = match (splat.settings.filter, &splat.cloud.filter_3d) {
         (ScreenFilter::Classic | ScreenFilter::Antialiased, _) => Variant::ThreeDgs,
         (ScreenFilter::Mip, Some(_)) => Variant::MipSplatting,

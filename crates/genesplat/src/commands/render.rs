@@ -5,11 +5,13 @@ use std::path::Path;
 
 use anyhow::{Result, bail, ensure};
 use genesplat::core::{Photo, View};
-use genesplat::io::{Scene, photos, plural, shown};
+use genesplat::io::{PHOTO_ENDINGS, Scene, photos, plural, shown};
 
-use super::render_path;
+use super::render_path::{self, is_film};
 use crate::args::{RenderArgs, RenderSplit};
-use crate::overwrite::Content;
+use crate::files::check_folder;
+use crate::overwrite::{Content, check_file};
+use crate::poses::VIDEO_ENDINGS;
 use crate::run::photos::check_test_photos;
 use crate::terminal::output;
 use crate::terminal::progress::Bar;
@@ -17,6 +19,26 @@ use crate::{device, files, overwrite, scene, splat};
 
 /// Of 100: differs from the PNG by less than the eye sees.
 const JPEG_QUALITY: u8 = 95;
+
+/// Fails where `--out` cannot be what is asked for, by its name or by what is there.
+pub(crate) fn check_out(args: &RenderArgs) -> Result<()> {
+    let (out, inputs) = (&args.out, [Some(&*args.splat.path)]);
+    if args.image.is_some() {
+        ensure!(
+            is_jpeg(out) || ending(out) == "png",
+            "{} names no picture that is written; end it in .png or .jpg",
+            shown(out)
+        );
+        return check_file(out, Content::Picture, &inputs);
+    }
+    if args.path.is_some() && is_film(out) {
+        return check_file(out, Content::Figures, &inputs);
+    }
+    let is_file_name = PHOTO_ENDINGS.iter().chain(&VIDEO_ENDINGS).any(|known| ending(out) == *known) || is_film(out);
+    let films = if args.path.is_some() { " (a film ends in .mp4 or .gif)" } else { "" };
+    ensure!(!is_file_name, "{} is the name of a file, and many pictures need a folder{films}; give one", shown(out));
+    check_folder(out, "0001.png")
+}
 
 /// Renders one viewpoint into a file, or many into a folder.
 pub(crate) fn run(args: &RenderArgs) -> Result<()> {
@@ -39,11 +61,6 @@ pub(crate) fn run(args: &RenderArgs) -> Result<()> {
         }
     };
     jobs.iter().try_for_each(|(_, path)| overwrite::check_existing(path, Content::Picture, &[]))?;
-    ensure!(
-        jobs.iter().all(|(_, path)| is_jpeg(path) || ending(path) == "png"),
-        "{} names no picture that is written; end it in .png or .jpg",
-        shown(&args.out)
-    );
     let mut backend = device::open(args.splat.machine.device.unwrap_or_default())?;
     backend.upload(splat.cloud.into())?;
     let mut bar = Bar::new("renders", jobs.len() as u64);

@@ -18,6 +18,8 @@ use crate::terminal::output;
 use crate::terminal::progress::Bar;
 use crate::{device, splat};
 
+/// Frames of a path where nobody asks for a number.
+const FRAMES: u32 = 120;
 /// Frames a second of a film.
 const RATE: &str = "30";
 
@@ -26,7 +28,7 @@ pub(crate) fn run(args: &RenderArgs, choice: &PathChoice) -> Result<()> {
     let splat = splat::open(&args.splat.path)?.on(args.splat.on);
     let scene = splat.load_scene(&args.data, &args.splat.photos)?;
     overwrite::check_photos(&scene, &args.out)?;
-    let cameras = cameras(choice, &scene, args.frames)?;
+    let cameras = cameras(choice, &scene, args.frames.unwrap_or(FRAMES))?;
     let mut sink = Sink::open(&args.out, &cameras)?;
     render(args, splat, &cameras, &mut sink)?;
     sink.finish()?;

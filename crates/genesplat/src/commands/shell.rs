@@ -16,15 +16,17 @@ pub(crate) fn completions(shell: Shell) -> Result<()> {
     print(script)
 }
 
-/// The page of the whole command, or of one of its commands.
+/// The page of the whole command, or of one of its commands (`bench step` for one of those of `bench`).
 pub(crate) fn man(name: Option<&str>) -> Result<()> {
     let mut command = Arguments::command();
     command.build();
     let command = match name {
         None => command,
-        Some(name) => command.find_subcommand(name).cloned().with_context(|| {
-            let names: Vec<&str> = command.get_subcommands().map(clap::Command::get_name).collect();
-            format!("genesplat has no command {name:?}; it has {}", names.join(", "))
+        Some(name) => name.split(' ').try_fold(command, |command, part| {
+            command.find_subcommand(part).cloned().with_context(|| {
+                let names: Vec<&str> = command.get_subcommands().map(clap::Command::get_name).collect();
+                format!("genesplat has no command {name:?}; it has {}", names.join(", "))
+            })
         })?,
     };
     let mut page = Vec::new();

@@ -10,7 +10,6 @@ use genesplat::viewer::LiveView;
 use crate::args::ViewArgs;
 use crate::report::curves::Curves;
 use crate::run::LOG;
-use crate::run::metrics::Metrics;
 use crate::terminal::interrupt;
 use crate::{device, live, splat};
 
@@ -33,10 +32,9 @@ pub(crate) fn run(args: &ViewArgs) -> Result<()> {
 
 /// What the run has logged, as far as it is there.
 fn replay(run: &Path, live: &mut LiveView) {
-    if let Ok(Curves { loss, gaussians, test_psnr, .. }) = Curves::read(&run.join(LOG)) {
-        live.replay(&loss, &test_psnr, &gaussians);
-    }
-    for record in Metrics::read(run).map(|metrics| metrics.evolution).unwrap_or_default() {
+    let Ok(Curves { loss, gaussians, test_psnr, stages, .. }) = Curves::read(&run.join(LOG)) else { return };
+    live.replay(&loss, &test_psnr, &gaussians);
+    for record in stages {
         let gain = record.guard_psnr.map(|[before, after]| after - before);
         live.stage(record.iteration, record.kind.name(), record.changed > 0, gain);
     }

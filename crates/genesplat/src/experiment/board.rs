@@ -9,19 +9,22 @@ use crate::terminal::output;
 
 pub(crate) struct Board<'a> {
     experiment: &'a Experiment,
-    cells: usize,
-    done: usize,
+    cells: Vec<Cell>,
+    /// Cells that are still to come.
+    left: usize,
     ran: usize,
     began: Instant,
 }
 
 impl<'a> Board<'a> {
-    pub(crate) fn new(experiment: &'a Experiment, cells: usize) -> Self {
+    pub(crate) fn new(experiment: &'a Experiment, only: Option<Cell>) -> Self {
         output::tell(&format!(
             "{:>9}  {:<14} {:<14} {:<14} {:>5} {:>10} {:>10} {:>10} {:>8}",
             "cell", "scene", "variant", "arm", "seed", "test PSNR", "train PSNR", "Gaussians", "seconds"
         ));
-        Self { experiment, cells, done: 0, ran: 0, began: Instant::now() }
+        let cells = experiment.cells();
+        let left = if only.is_some() { 1 } else { cells.len() };
+        Self { experiment, cells, left, ran: 0, began: Instant::now() }
     }
 
     /// A cell that was finished before.
@@ -31,7 +34,7 @@ impl<'a> Board<'a> {
 
     pub(crate) fn ran(&mut self, cell: Cell, metrics: &Metrics) {
         self.ran += 1;
-        let left = self.cells - self.done - 1;
+        let left = self.left.saturating_sub(1);
         let minutes = self.began.elapsed().as_secs_f64() / self.ran as f64 * left as f64 / 60.0;
         let note = if left > 0 { format!("about {minutes:.0} min left") } else { String::new() };
         self.row(cell, Some(metrics), &note);
@@ -43,7 +46,8 @@ impl<'a> Board<'a> {
     }
 
     fn row(&mut self, cell: Cell, metrics: Option<&Metrics>, note: &str) {
-        self.done += 1;
+        self.left = self.left.saturating_sub(1);
+        let nth = 1 + self.cells.iter().position(|other| *other == cell).unwrap_or_default();
         let (experiment, file) = (self.experiment, &self.experiment.file);
         let figures = metrics.map_or(String::new(), |Metrics { test, train, gaussians, seconds, .. }| {
             let [test, train] = [test, train].map(|scores| number(Some(scores.psnr), 2, ""));
@@ -51,7 +55,7 @@ impl<'a> Board<'a> {
         });
         let line = format!(
             "{:>9}  {:<14} {:<14} {:<14} {:>5}{figures} {note}",
-            format!("{}/{}", self.done, self.cells),
+            format!("{nth}/{}", self.cells.len()),
             experiment.scene_name(cell.scene),
             file.variants[cell.variant].name(),
             experiment.arms[cell.arm].name,

@@ -91,7 +91,7 @@ impl<'a> Runner<'a> {
         self.check_scenes()?;
         let cells = self.experiment.cells();
         let mut ran = Ran { results: Results::none(self.experiment), failures: Vec::new() };
-        let (mut scenes, mut board) = (Scenes::default(), Board::new(self.experiment, cells.len()));
+        let (mut scenes, mut board) = (Scenes::default(), Board::new(self.experiment, only));
         for cell in cells {
             let settings = self.settings(cell, &ran.results)?;
             let trained = match self.state(cell, &settings) {

@@ -19,7 +19,7 @@ const VISIBLE_MIN: f64 = 0.5;
 
 /// What the cameras see of the points.
 pub(super) struct Sight {
-    /// Points in each photo, of those looked at.
+    /// Points in each photo; of a scene with more than [`POINTS_MAX`] an estimate.
     pub(super) points_seen: Vec<usize>,
     /// Median depth of what is seen, world units.
     pub(super) depth: Option<f64>,
@@ -39,7 +39,7 @@ pub(super) fn sight(views: &[&View], points: &[Point]) -> Sight {
     let all: Vec<f64> = depths.iter().flatten().copied().collect();
     let visible = all.iter().filter(is_visible).count() as f64;
     Sight {
-        points_seen: depths.iter().map(|depths| depths.iter().filter(is_visible).count()).collect(),
+        points_seen: depths.iter().map(|depths| every * depths.iter().filter(is_visible).count()).collect(),
         behind_near_plane: if all.is_empty() { 1.0 } else { visible / all.len() as f64 },
         depth: median(all),
         near,

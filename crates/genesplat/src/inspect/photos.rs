@@ -5,6 +5,7 @@ use genesplat::train::scene::surroundings::are_on_white;
 use rayon::prelude::*;
 
 use super::{listed, median};
+use crate::sharpness::laplacian_variance;
 
 /// A photo is blurred where its edges have less than this fraction of the usual energy.
 const BLURRED: f64 = 0.15;
@@ -107,24 +108,7 @@ fn those<'a>(views: &[&'a View], measures: &[Measures], is_bad: impl Fn(&Measure
 
 fn measure(photo: &Photo) -> Measures {
     let white = photo.rgb.chunks_exact(3).filter(|pixel| pixel.iter().all(|&value| value >= WHITE)).count();
-    Measures { sharpness: sharpness(photo), white: white as f64 / (photo.rgb.len() / 3) as f64 }
-}
-
-/// Variance of the Laplacian of brightness, over the inner pixels.
-fn sharpness(photo: &Photo) -> f64 {
-    let width = photo.width as usize;
-    let bright: Vec<f64> =
-        photo.rgb.chunks_exact(3).map(|pixel| pixel.iter().map(|&value| f64::from(value)).sum::<f64>() / 3.0).collect();
-    let (mut sum, mut squares, mut count) = (0.0, 0.0, 0.0);
-    for y in 1..(photo.height as usize).saturating_sub(1) {
-        for x in 1..width - 1 {
-            let at = y * width + x;
-            let around = bright[at - 1] + bright[at + 1] + bright[at - width] + bright[at + width];
-            let laplacian = 4.0 * bright[at] - around;
-            (sum, squares, count) = (sum + laplacian, squares + laplacian * laplacian, count + 1.0);
-        }
-    }
-    squares / count - (sum / count) * (sum / count)
+    Measures { sharpness: laplacian_variance(photo), white: white as f64 / (photo.rgb.len() / 3) as f64 }
 }
 
 #[cfg(test)]

@@ -7,7 +7,6 @@ mod engine;
 mod masks;
 mod photos;
 mod process;
-mod sharpness;
 mod stages;
 mod summary;
 mod video;
@@ -24,6 +23,7 @@ use crate::run::session::Lock;
 use crate::terminal::output;
 use engine::Engine;
 use photos::Source;
+pub(crate) use photos::VIDEO_ENDINGS;
 use stages::Job;
 pub(crate) use summary::Summary;
 
@@ -90,7 +90,7 @@ fn claim(out: &Path, source: &Source) -> Result<PathBuf> {
     let images = out.join(IMAGES);
     let is_foreign = out.join("sparse").exists() || (images.exists() && !holds_photos(&images));
     ensure!(
-        work.is_dir() || !is_foreign,
+        photos::is_begun(&work) || !is_foreign,
         "{shown} holds a scene already, and would be written over; choose another --out"
     );
     ensure!(!out.is_file(), "{shown} is a file, and a scene is a folder; choose another --out");

@@ -7,19 +7,18 @@ use std::sync::atomic::AtomicBool;
 use anyhow::{Result, anyhow, bail, ensure};
 use genesplat::io::archive::is_zip;
 use genesplat::io::photos::convert_to_png;
-use genesplat::io::{CONVERT, UNREAD, input, shown};
+use genesplat::io::{CONVERT, PHOTO_ENDINGS, UNREAD, input, shown};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::{FRAMES, IMAGES, masks, video};
-use crate::files::{unwritable, write_json};
+use crate::files::{link_or_copy, unwritable, write_json};
 use crate::unpacked;
 
-/// Endings of the photos that are read.
-const PHOTOS: [&str; 4] = ["jpg", "jpeg", "png", WEBP];
 /// COLMAP does not read these, so it gets them as PNG.
 const WEBP: &str = "webp";
-const VIDEOS: [&str; 8] = ["mp4", "mov", "m4v", "avi", "mkv", "webm", "mpg", "mpeg"];
+/// Endings of the videos that ffmpeg is given.
+pub(crate) const VIDEO_ENDINGS: [&str; 8] = ["mp4", "mov", "m4v", "avi", "mkv", "webm", "mpg", "mpeg"];
 /// Below the folder of the stages: what an archive held.
 const UNPACKED: &str = "unpacked";
 /// In the same place: what the stages were made of.
@@ -53,8 +52,12 @@ impl Source {
         let shown = shown(path);
         ensure!(path.exists(), "{shown} does not exist; give a folder of photos, or a video");
         if path.is_file() && !is_zip(path) {
-            let is_video = has_ending(&path.to_string_lossy(), &VIDEOS);
-            ensure!(is_video, "{shown} is neither a folder or a zip of photos nor a video ({})", VIDEOS.join(", "));
+            let is_video = has_ending(&path.to_string_lossy(), &VIDEO_ENDINGS);
+            ensure!(
+                is_video,
+                "{shown} is neither a folder or a zip of photos nor a video ({})",
+                VIDEO_ENDINGS.join(", ")
+            );
             return Ok(Self::Video { path: path.to_owned(), frames: frames.unwrap_or(FRAMES) });
         }
         ensure!(frames.is_none(), "--frames is for a video, and {shown} holds photos; leave it out");
@@ -121,6 +124,11 @@ impl Source {
     }
 }
 
+/// Whether the stages of a scene have been begun in `work`.
+pub(crate) fn is_begun(work: &Path) -> bool {
+    work.join(RECORD).is_file()
+}
+
 /// The photos in `path`; fails where there are none, and tells of pictures that are not read.
 fn photos_of(path: &Path) -> Result<Photos> {
     let folder = Some(path.join(IMAGES)).filter(|images| images.is_dir()).unwrap_or_else(|| path.to_owned());
@@ -170,16 +178,9 @@ fn as_png(picture: &Path, png: &Path) -> Result<()> {
     if png.exists() { Ok(()) } else { Ok(convert_to_png(picture, png)?) }
 }
 
-/// The same file under another name, or a copy where the file system has no such thing.
+/// [`link_or_copy`], once.
 fn link(from: &Path, to: &Path) -> Result<()> {
-    if to.exists() {
-        return Ok(());
-    }
-    let linked = || {
-        fs::create_dir_all(to.parent().unwrap_or(to))?;
-        fs::hard_link(from, to).or_else(|_| fs::copy(from, to).map(drop))
-    };
-    linked().map_err(|error| unwritable(to, &error))
+    if to.exists() { Ok(()) } else { link_or_copy(from, to).map_err(|error| unwritable(to, &error)) }
 }
 
 /// What lies below a folder; all sorted.
@@ -207,7 +208,7 @@ fn list(folder: &Path) -> Result<Found> {
                 _ if name.starts_with('.') => {}
                 true if name.starts_with("mask") => found.masks.push(entry.path()),
                 true => folders.push(relative),
-                false if has_ending(&name, &PHOTOS) => found.photos.push(text),
+                false if has_ending(&name, &PHOTO_ENDINGS) => found.photos.push(text),
                 false if has_ending(&name, &UNREAD) => found.others.push(text),
                 false => {}
             }

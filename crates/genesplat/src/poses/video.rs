@@ -11,8 +11,8 @@ use genesplat::io::photos::read_photo;
 use rayon::prelude::*;
 
 use super::process;
-use super::sharpness::laplacian_variance;
 use crate::files::{unwritable, write_text};
+use crate::sharpness::laplacian_variance;
 use crate::terminal::progress::Bar;
 
 /// Frames that are compared for each that stays.

@@ -7,6 +7,7 @@ use std::path::Path;
 
 use anyhow::{Result, anyhow};
 use genesplat::io::{input, shown};
+use genesplat::train::{StageKind, StageRecord};
 use serde::Deserialize;
 
 use super::chart::{Chart, Series};
@@ -29,6 +30,7 @@ enum Line {
         iteration: u32,
         psnr: Option<f64>,
     },
+    StageEnd(StageRecord),
     Notice {
         text: String,
     },
@@ -44,20 +46,26 @@ pub(crate) struct Curves {
     pub(crate) gaussians: Vec<[f64; 2]>,
     /// Mean PSNR of the test photos, dB.
     pub(crate) test_psnr: Vec<[f64; 2]>,
+    /// Stages of evolution, in the order in which they ended.
+    pub(crate) stages: Vec<StageRecord>,
     /// What the user should know.
     pub(crate) notices: Vec<String>,
 }
 
-/// A loss of test PSNR that is worth a sentence, dB.
+/// A loss of PSNR that is worth a sentence, dB.
 const LOSS_DB: f64 = 0.3;
 
 impl Curves {
-    /// Where the test photos of a whole run were clearly better before its end, and the training photos are better still. (After
-    /// a late opacity reset all photos are worse.)
+    /// Where the test photos of a whole run were clearly better before its end, and training photos are above that at the end. (After
+    /// a late opacity reset all photos are worse, and after averages that make training photos worse, too.)
     pub(crate) fn notice_of_overfitting(&self, metrics: &Metrics) -> Option<String> {
         let [test, train] = [&metrics.test, &metrics.train].map(|scores| scores.psnr);
         let [iteration, best] = *self.test_psnr.iter().max_by(|a, b| a[1].total_cmp(&b[1]))?;
-        (best - test > LOSS_DB && train > best).then(|| {
+        let is_of_averages = self.stages.iter().any(|stage| {
+            stage.kind == StageKind::Averaging
+                && stage.guard_psnr.is_some_and(|[before, after]| before - after > LOSS_DB)
+        });
+        (best - test > LOSS_DB && train > best && !is_of_averages).then(|| {
             format!(
                 "test photos were best after {} of {} iterations ({best:.2} dB, and {test:.2} at the end, where training photos have \
                  {train:.2}): the run learns its photos by heart; more photos between them would help, and fewer --iterations may",
@@ -93,6 +101,7 @@ impl Curves {
             Line::TestScore { iteration, psnr } => {
                 self.test_psnr.extend(psnr.map(|psnr| [iteration.into(), psnr]));
             }
+            Line::StageEnd(stage) => self.stages.push(stage),
             // A resumed run says again what it said before.
             Line::Notice { text } if !self.notices.contains(&text) => self.notices.push(text),
             Line::Notice { .. } | Line::Other => {}
@@ -104,6 +113,7 @@ impl Curves {
         for curve in [&mut self.loss, &mut self.gaussians, &mut self.test_psnr] {
             curve.retain(|point| point[0] < iteration);
         }
+        self.stages.retain(|stage| f64::from(stage.iteration) < iteration);
     }
 }
 
@@ -127,6 +137,7 @@ mod tests {
 {"event":"step","iteration":10,"gaussians":5,"loss":0.5}
 {"event":"step","iteration":20,"gaussians":6,"loss":null}
 {"event":"step","iteration":30,"gaussians":7,"loss":0.9}
+{"event":"stage-end","kind":"averaging","iteration":20,"generations":0,"renders":16,"fitness_before":0.2,"fitness_after":0.1,"guard_psnr":[30.0,30.5],"changed":5,"population_bytes":0,"seconds":0.5}
 {"event":"start","iteration":30}
 {"event":"step","iteration":30,"gaussians":8,"loss":0.3}
 {"event":"notice","text":"full"}
@@ -137,6 +148,8 @@ mod tests {
         assert_eq!(curves.loss, [[10.0, 0.5], [30.0, 0.3]]);
         assert_eq!(curves.gaussians, [[10.0, 5.0], [20.0, 6.0], [30.0, 8.0]]);
         assert_eq!(curves.notices, ["full"]);
+        let [stage] = curves.stages[..] else { panic!("one stage") };
+        assert_eq!((stage.kind, stage.iteration, stage.guard_psnr), (StageKind::Averaging, 20, Some([30.0, 30.5])));
     }
 
     #[test]
@@ -157,6 +170,22 @@ mod tests {
         assert_eq!(notice(&curves, 26.0, 36.0), None, "hardly worse");
         assert_eq!(notice(&curves, 27.0, 36.0), None, "averages are better than what they are of");
         assert_eq!(notice(&curves, 20.0, 21.0), None, "after a late reset");
+        let averages = |after: f64| StageRecord {
+            kind: StageKind::Averaging,
+            iteration: 7000,
+            generations: 0,
+            renders: 16,
+            fitness_before: 0.1,
+            fitness_after: 0.1,
+            guard_psnr: Some([37.0, after]),
+            changed: 9,
+            population_bytes: 0,
+            seconds: 1.0,
+        };
+        curves.stages = vec![averages(36.9)];
+        assert!(notice(&curves, 25.4, 36.0).is_some());
+        curves.stages = vec![averages(36.0)];
+        assert_eq!(notice(&curves, 25.4, 36.0), None, "averages have made training photos worse, too");
         curves.test_psnr.clear();
         assert_eq!(notice(&curves, 25.0, 36.0), None, "no photo was held out");
     }

@@ -2,7 +2,8 @@
 
 use std::collections::BTreeMap;
 
-use genesplat::train::StageRecord;
+use genesplat::io::plural;
+use genesplat::train::{StageKind, StageRecord};
 
 use super::chart::{Chart, Series};
 use super::html::Html;
@@ -17,24 +18,32 @@ pub(crate) fn write(page: &mut Html, records: &[StageRecord]) {
     let mut records: Vec<&StageRecord> = records.iter().collect();
     records.sort_by_key(|record| record.iteration);
     let kept = records.iter().filter(|record| record.changed > 0).count();
-    page.element("h2", "What evolution did").element(
-        "p",
-        &format!(
-            "Each stage proposes other Gaussians, and keeps them only if renders of training photos get better. {kept} of {} \
-             stages changed the cloud.",
-            records.len()
-        ),
-    );
-    if records.iter().any(|record| record.guard_psnr.is_some()) {
-        page.element(
-            "p class=\"dim\"",
-            "Guards are training photos that decide what is kept: a proposal stays if their mean PSNR does not fall.",
-        );
+    let stages = plural(records.len(), "stage", "stages");
+    page.element("h2", "What evolution did")
+        .element("p", &format!("{kept} of {} {stages} changed the cloud.", records.len()));
+    for kind in StageKind::ALL.into_iter().filter(|kind| records.iter().any(|record| record.kind == *kind)) {
+        page.element("p class=\"dim\"", about(kind));
     }
     page.open("div class=\"row\"");
     guard_chart(&records).write(page);
     page.close("div");
     write_table(page, &records);
+}
+
+/// What a stage does, and what decides whether it stays.
+fn about(kind: StageKind) -> &'static str {
+    match kind {
+        StageKind::Paper => "A search (paper) stays if the loss on its training photos falls.",
+        StageKind::ExtraSteps => "Extra steps are gradient steps in the place of evolution, and always stay.",
+        StageKind::Averaging => {
+            "Averages of the last states always stay: they fit training photos a little less as a rule, and others better. Guards \
+             are training photos."
+        }
+        StageKind::Renewal => {
+            "A renewal replaces the Gaussians that contribute least; it stays if the mean PSNR of the guards, which are training \
+             photos, has not fallen by the next one."
+        }
+    }
 }
 
 /// What guards gained by each stage, a curve a kind.
@@ -73,8 +82,6 @@ fn write_table(page: &mut Html, records: &[&StageRecord]) {
 
 #[cfg(test)]
 mod tests {
-    use genesplat::train::StageKind;
-
     use super::*;
 
     fn record(iteration: u32, guard_psnr: Option<[f64; 2]>) -> StageRecord {
@@ -99,6 +106,7 @@ mod tests {
         let text = page.into_text();
         let at = |words: &str| text.find(words).unwrap_or_else(|| panic!("{words} is not in {text}"));
         assert!(at("<th>3,500</th>") < at("<th>4,000</th>"));
+        assert!(at("2 of 2 stages changed") > 0 && at("A renewal replaces") > 0 && !text.contains("Averages of"));
         assert!(at("<td>4,300</td>") > 0 && at("<td>30.50</td>") > 0 && at("<td>1,200</td>") > 0);
     }
 

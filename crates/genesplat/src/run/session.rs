@@ -214,10 +214,10 @@ pub(crate) fn is_run(folder: &Path) -> bool {
 }
 
 pub(crate) fn is_part_of_run(path: &Path) -> bool {
-    let (folder, name) = (path.parent().unwrap_or(path), path.file_name().unwrap_or_default());
-    let is_result = name == CONFIG || RESULTS.iter().any(|file| name == *file);
-    let is_render = folder.file_name().is_some_and(|name| name == TEST) && folder.parent().is_some_and(is_run);
-    is_render || (is_result && is_run(folder))
+    let folder = path.parent().unwrap_or(path);
+    let is_render = folder.ends_with(TEST) && folder.parent().is_some_and(is_run);
+    let is_result = |file: &str| path.ancestors().skip(1).any(|folder| folder.join(file) == path && is_run(folder));
+    is_render || is_result(CONFIG) || RESULTS.into_iter().any(is_result)
 }
 
 pub(crate) fn has_checkpoint(folder: &Path) -> bool {

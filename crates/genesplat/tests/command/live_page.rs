@@ -201,6 +201,8 @@ fn a_finished_run_and_a_bare_splat_are_shown_until_ctrl_c() {
         let mut page = served.page();
         let Heard::Text(hello) = hear(&mut page) else { panic!("no hello") };
         assert_eq!(hello["cameras"].as_array().unwrap().len(), cameras, "{}", what.display());
+        let stages = await_state(&mut page, |state| state["stages"].is_array())["stages"].as_array().unwrap().len();
+        assert_eq!(stages, usize::from(what == &out), "averages at the end of the run");
         page.send(look(1, "colour")).unwrap();
         while !matches!(hear(&mut page), Heard::Picture) {}
         served.interrupt();

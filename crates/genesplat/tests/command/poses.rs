@@ -8,7 +8,7 @@ use genesplat::core::Photo;
 use genesplat::io::colmap::{find_model, read_model};
 use genesplat::io::photos::{read_photo, resize, write_png};
 
-use crate::support::{command, fail, json, judge_failure, number, python_with, real_data, scene, text};
+use crate::support::{command, copy, fail, json, judge_failure, number, python_with, real_data, scene, text};
 
 /// Twelve neighbouring photos of fox at half their size.
 fn small_photos(folder: &Path) -> Option<PathBuf> {
@@ -212,6 +212,12 @@ fn what_is_missing_is_said_in_a_sentence() {
     judge_failure(absent, &["no-such-python", "pip install pycolmap"]);
     fail(["poses", text(&photos), "--out", text(&photos)], &["the folder of the photos", "--out"]);
     fail(["poses", text(&photos), "--out", text(scene())], &["holds a scene already", "--out"]);
+    // A folder of theirs that has the name of ours.
+    let theirs = folder.path().join("theirs");
+    copy(&photos, &theirs.join("images"));
+    fs::create_dir(theirs.join("poses")).unwrap();
+    fs::write(theirs.join("poses/00001.txt"), "1 0 0 0").unwrap();
+    fail(["poses", text(&photos), "--out", text(&theirs)], &["holds a scene already", "--out"]);
     let video = folder.path().join("film.mp4");
     fs::write(&video, "no film").unwrap();
     let of_video = ["poses", text(&video), "--out", text(&out)];

@@ -187,8 +187,10 @@ fn a_search_that_is_stopped_says_so_and_writes_what_it_has() {
     let folder = tempfile::tempdir().unwrap();
     let [run, out] = ["run", "refined.ply"].map(|name| folder.path().join(name));
     succeed(train(scene(), &run, &["--iterations", "3"]));
-    let arguments = ["refine", text(&run), "--data", text(scene()), "--out", text(&out), "--generations", "100000"];
-    let mut child = command(arguments).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
+    let arguments = ["refine", text(&run), "--data", text(scene()), "--out", text(&out)];
+    let search = ["--evolve", "paper", "--generations", "100000"];
+    let mut child =
+        command(arguments.iter().chain(&search)).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
     let mut stdout = BufReader::new(child.stdout.take().unwrap());
     assert!(stdout.by_ref().lines().any(|line| line.unwrap().starts_with("before train")));
     assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
@@ -209,10 +211,4 @@ fn nohup_is_respected() {
     let output = signal(&mut under_nohup, &out, r#""event":"step""#, "-HUP");
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     assert_eq!(json(&out.join("metrics.json"))["iterations"], 3000);
-}
-
-#[test]
-fn without_a_run_there_is_nothing_to_resume() {
-    let folder = tempfile::tempdir().unwrap();
-    fail(train(scene(), &folder.path().join("absent"), &["--resume"]), &["absent", "not the folder of a run"]);
 }

@@ -164,7 +164,7 @@ fn options_of_the_methods_reach_the_run_and_its_splat() {
     assert_eq!(header.screen_filter, Some(ScreenFilter::Antialiased));
 
     let refined = folder.path().join("refined.ply");
-    let search = ["--generations", "1", "--population", "2"];
+    let search = ["--evolve", "paper", "--generations", "1", "--population", "2"];
     let files = ["refine", text(&out), "--data", text(scene()), "--out", text(&refined)];
     let said = succeed(files.iter().chain(&search));
     let psnr = json(&out.join("metrics.json"))["test"]["psnr"].as_f64().unwrap();

@@ -219,7 +219,7 @@ fn refining_makes_an_unfinished_splat_better_and_threads_change_nothing() {
     let ply = finished_run().join("point_cloud.ply");
     let rows = genesplat::io::read_ply(&ply).unwrap().len();
     let refined = |threads: &str| {
-        let out = folder.path().join(threads);
+        let out = folder.path().join(threads).with_extension("ply");
         let arguments = ["refine", text(&ply), "--data", text(scene()), "--out", text(&out)];
         let said = succeed(arguments.iter().chain(&["--iterations", "200", "--threads", threads]));
         (std::fs::read(&out).unwrap(), said)
@@ -270,7 +270,17 @@ fn what_cannot_be_written_is_said_at_once() {
     let is_a_folder = [here, "is a folder", "name of a file"];
     fail(of_run("refine", &["--out", here]), &is_a_folder);
     fail(of_run("evaluate", &["--json", here]), &is_a_folder);
-    fail(of_run("render", &["--image", "gallery_000", "--out", here]), &is_a_folder);
+    let (picture, film) = (folder.path().join("a.png"), folder.path().join("film.webm"));
+    fail(
+        of_run("render", &["--image", "gallery_000", "--out", text(&picture.with_extension(""))]),
+        &["no picture", ".png"],
+    );
+    fail(of_run("render", &["--split", "test", "--out", text(&picture)]), &["a.png", "need a folder"]);
+    fail(of_run("render", &["--path", "orbit", "--out", text(&film)]), &["film.webm", ".mp4 or .gif"]);
+    fail(of_run("refine", &["--out", text(&picture.with_extension("obj"))]), &["names no format", ".spz"]);
+    let ply = picture.with_extension("ply");
+    fail(["convert", text(&run), text(&ply), "--spz-version", "3"], &["--spz-version is for .spz"]);
+    fail(["inspect", text(&run), "--near", "1"], &["is no scene", "leave out"]);
     fail(of_run("render", &["--split", "test", "--out", text(&file)]), &["is a file", "--out"]);
     fail(["compare", text(&photo), text(&photo), "--json", here], &is_a_folder);
     for what in ["step", "evolution", "gpu"] {
@@ -446,5 +456,7 @@ fn shells_and_man_are_told_of_every_command() {
     assert!(page.starts_with(".ie") && page.contains(".TH genesplat 1") && page.contains("refine"), "{page}");
     let page = succeed(["man", "train"]);
     assert!(page.contains(".TH genesplat-train 1") && page.contains("\\-\\-max\\-gaussians"), "{page}");
+    assert!(succeed(["man", "bench step"]).contains(".TH genesplat-bench-step 1"));
     fail(["man", "trains"], &["no command \"trains\"", "experiment"]);
+    fail(["man", "bench stop"], &["no command \"bench stop\"", "step, evolution, gpu"]);
 }
