@@ -9,9 +9,9 @@
 //! |---|---|
 //! | [`pipeline`] | the order of everything |
 //! | [`config`], [`schedule`] | what happens at which iteration |
-//! | [`densify`] | where Gaussians are added and removed: adaptive, MCMC, renewal on trial; how many there may be |
+//! | [`densify`] | where Gaussians are added and removed: adaptive, selection, MCMC, renewal on trial; how many there may be |
 //! | `evolution` | the paper's search, weight averaging, the equal-time control, and the executor of such stages |
-//! | [`scene`] | the first cloud, the size of the scene, the order of views, Mip-Splatting's 3D filter |
+//! | [`scene`] | the first cloud, the size of the scene, the order of views, virtual views, Mip-Splatting's 3D filter |
 //! | `run` | a run under way: its state, what it reports, what it saves, what is saved when memory ends |
 
 pub mod config;

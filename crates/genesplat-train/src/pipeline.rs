@@ -23,8 +23,8 @@
 //! Where photos are few, some of its late steps look at *virtual views*: what the cloud itself has shown from between two
 //! photos, a running mean that is renewed now and then, before 2.
 //!
-//! Pixel-GS and MCMC keep their own 2 and 3 in mode `renew`, until half of the run at the latest with MCMC. Instead of one
-//! average they have one every twentieth of the run, and before they take nothing but steps:
+//! Pixel-GS and MCMC keep their own 2 and 3 in mode `renew`, until half of the run at the latest with MCMC. They average every
+//! twentieth of the run, and until 75 % of it also:
 //!
 //! 6. **Renew.** The Gaussians of least contribution are replaced by splitting those of largest error. The state before
 //!    comes back if guard views are rendered worse when the next renewal is due.

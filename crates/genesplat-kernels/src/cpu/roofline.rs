@@ -49,7 +49,7 @@ fn blend_tile<S: Simd>(simd: S, splats: &[Splat]) -> TileImage {
     let mut tile = TileImage::default();
     let mut live = tile.begin(simd, [0, 0], [TILE as u32; 2], ALL_BLOCKS);
     for splat in splats {
-        blend(simd, splat, ALL_BLOCKS, &mut tile, &mut live);
+        blend::<false, S>(simd, splat, ALL_BLOCKS, &mut tile, &mut live);
     }
     assert_eq!(live, ALL_BLOCKS, "no pixel is finished");
     tile

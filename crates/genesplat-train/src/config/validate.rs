@@ -6,6 +6,10 @@ use genesplat_core::spherical_harmonics::SH_DEGREE_MAX;
 
 use super::density::RECOVERED_OPACITY;
 use super::{DensityControl, EvolutionMode, Signal, StepBudget, TrainConfig, Variant};
+use crate::scene::initialise::NEIGHBOURS;
+
+/// The first size of a Gaussian is that of its neighbours, so a cloud has some.
+const GAUSSIANS_MIN: usize = NEIGHBOURS + 1;
 
 /// Integers of a TOML file end here.
 const TOML_END: u64 = 1 << 63;
@@ -48,8 +52,8 @@ impl TrainConfig {
         check("steps_scale", scale, (1e-3..=1e3).contains(&scale), "between 0.001 and 1000")?;
         check("sh_degree", self.sh_degree, self.sh_degree <= SH_DEGREE_MAX, "between 0 and 3")?;
         if let Some(cap) = self.max_gaussians {
-            let is_limit = cap > 0 && (cap as u64) < TOML_END;
-            check("max_gaussians", cap, is_limit, "at least 1 and below 2^63 (leave it out for no limit)")?;
+            let is_limit = cap >= GAUSSIANS_MIN && (cap as u64) < TOML_END;
+            check("max_gaussians", cap, is_limit, "at least 4 and below 2^63 (leave it out for no limit)")?;
         }
         self.validate_counts()?;
         self.validate_numbers()?;
@@ -122,6 +126,9 @@ impl TrainConfig {
             signal_is_free || densify.signal == Signal::Published,
             "published with pixel-gs and improved-gs, which are signals of their own, and with mcmc, which needs none",
         )?;
+        let steps = f64::from(self.iterations) * self.steps_scale / f64::from(self.views_per_step);
+        let has_step = self.views_per_step == 1 || steps > 1.0;
+        check("views_per_step", self.views_per_step, has_step, "less than the iterations, or no step is made")?;
         let survives = densify.prune_opacity < self.reset_opacity();
         let wanted = "below densify.reset_opacity, or each reset empties the cloud";
         check("densify.prune_opacity", densify.prune_opacity, survives, wanted)?;

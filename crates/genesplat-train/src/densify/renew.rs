@@ -3,7 +3,7 @@
 //!
 //! 3DGS looks for the right Gaussians in the first half of a run and then leaves them as they are, though many
 //! contribute next to nothing, while others stand for more detail than one can show. Gradients cannot mend that: a
-//! Gaussian that is not there has no gradient. So every twentieth of the second half, contributions are measured and a
+//! Gaussian that is not there has no gradient. So every twentieth of the run, contributions are measured and a
 //! fraction of the cloud is renewed ([`genesplat_evolve::renewal`]). New Gaussians need some steps, so a renewal is
 //! judged when the next one is due. Weight averaging comes first wherever both are due: the states that guards compare
 //! are alike free of the noise of single steps.

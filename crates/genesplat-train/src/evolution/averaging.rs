@@ -1,8 +1,8 @@
 //! Weight averaging: at the end of each window, the mean of its states replaces the last one.
 //!
 //! Adam's steps on single views keep every parameter in motion around its optimum; the mean of many states is free of that
-//! noise. It may fit the training photos less than the last state does, and is better on others, so guards only tell of it
-//! and do not decide. (Izmailov et al., "Averaging weights leads to wider optima and better generalization", 2018.)
+//! noise. It may fit the training photos less than the last state does, and is better on others, so guards only refuse a
+//! mean that lags behind by more than [`LAG_DB`]. (Izmailov et al., "Averaging weights leads to wider optima and better generalization", 2018.)
 
 use std::time::Instant;
 
@@ -13,6 +13,10 @@ use super::guards::{GuardScore, guards};
 use crate::run::TrainError;
 use crate::run::observe::{GenerationLog, StageKind, StageRecord};
 use crate::run::trainer::Trainer;
+
+/// Guard PSNR that a mean may cost, dB. It costs more where a short or small run still learns fast, and there its last state is better
+/// on test photos, too (docs/evolution.md).
+const LAG_DB: f64 = 0.6;
 
 /// The end of one window.
 pub(crate) struct WeightAveraging {
@@ -51,7 +55,8 @@ impl Stage for WeightAveraging {
         record.fitness_after = loss;
         record.guard_psnr = record.guard_psnr.map(|[before, _]| [before, psnr]);
         record.seconds = self.begun.elapsed().as_secs_f64();
-        record.changed = trainer.backend.gaussian_count();
+        let lags = record.guard_psnr.is_some_and(|[before, after]| before - after > LAG_DB);
+        record.changed = if lags { 0 } else { trainer.backend.gaussian_count() };
         trainer.observer.on_generation(&GenerationLog {
             accepted: Some(record.changed),
             guard_psnr: Some(psnr),
@@ -60,10 +65,12 @@ impl Stage for WeightAveraging {
         Ok(())
     }
 
-    /// The mean takes the cloud's place if it was measured before a stop; the next window averages anew.
-    fn finish(self, trainer: &mut Trainer, _: &mut StageRecord) -> Result<(), TrainError> {
+    /// The mean takes the cloud's place if it was measured before a stop, and does not lag behind; the next window averages anew.
+    fn finish(self, trainer: &mut Trainer, record: &mut StageRecord) -> Result<(), TrainError> {
         if self.is_done {
-            trainer.backend.take_mean()?;
+            if record.changed > 0 {
+                trainer.backend.take_mean()?;
+            }
             trainer.averaged = 0;
         }
         Ok(())

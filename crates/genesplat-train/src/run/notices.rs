@@ -64,7 +64,7 @@ fn notice_of_kept_intervals(config: &TrainConfig, schedule: &Schedule) -> Option
     let shorter = |given: u32| (f64::from(given) * config.steps_scale).round() as u32;
     let kept: Vec<String> = intervals
         .into_iter()
-        .filter(|&(_, given, used)| given >= SCALED_INTERVAL_MIN && used > shorter(given))
+        .filter(|&(_, given, used)| used == SCALED_INTERVAL_MIN && shorter(given) < used && given >= used)
         .map(|(name, given, used)| format!("{name} is {used} and not {}", shorter(given)))
         .collect();
     (!kept.is_empty()).then(|| {

@@ -161,7 +161,7 @@ pub struct StageRecord {
     pub renders: u64,
     /// Mean Eq. 5 on the stage's views before it.
     pub fitness_before: f64,
-    /// The same after it. Never above `fitness_before` for evolution but for renewal, where guard PSNR alone decides.
+    /// The same after it. Never above `fitness_before` for evolution but for renewals and averages, where guard PSNR decides.
     pub fitness_after: f64,
     /// Mean PSNR of the guard views before and after it, dB; of a renewal that stays the second is never below the first.
     pub guard_psnr: Option<[f64; 2]>,

@@ -45,11 +45,11 @@ struct VirtualView {
 }
 
 impl VirtualViews {
-    /// Halfway between each photo and its nearest neighbours. `depth` says how far away things are, world units: near are
-    /// cameras that stand and look alike.
-    pub(crate) fn new(photos: &[View], steps: Option<VirtualSteps>, depth: f64, rng: Rng) -> Self {
+    /// Halfway between each photo and its nearest neighbours. Near are cameras that stand and look alike: a turn counts as
+    /// much as the way of what is at `extent`, the scene's, in world units.
+    pub(crate) fn new(photos: &[View], steps: Option<VirtualSteps>, extent: f64, rng: Rng) -> Self {
         let photos = if steps.is_some() { photos } else { &[] };
-        let near = |a| nearest(photos, a, depth).into_iter().map(move |b| (a.min(b), a.max(b)));
+        let near = |a| nearest(photos, a, extent).into_iter().map(move |b| (a.min(b), a.max(b)));
         let pairs: BTreeSet<_> = (0..photos.len()).flat_map(near).collect();
         let views: Vec<_> = pairs.into_iter().map(|(a, b)| VirtualView::halfway(&photos[a], &photos[b])).collect();
         Self { steps, order: ViewOrder::new(rng.fork(ORDER), views.len()), views, rng, pictures: Vec::new() }

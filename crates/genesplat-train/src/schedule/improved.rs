@@ -9,6 +9,9 @@ const BUDGET_RAMP: [f64; 2] = [14_000.0, 14_500.0];
 /// What recovers its opacity slowly is pruned so many iterations after a reset.
 const RECOVERY: u32 = 300;
 
+/// Such pruning comes before this iteration only.
+const SLOW_UNTIL: u32 = 9000;
+
 /// In mode `renew` the cloud grows with this power of the iterations: slower than evenly at first, when photos were hardly looked
 /// at. (On validation photos at 480 px, 2 and 1 are worse; at 160 px four pairs lose 0.09 dB in the mean: docs/evolution.md.)
 const LATE_GROWTH: f64 = 1.5;
@@ -17,13 +20,10 @@ const LATE_GROWTH: f64 = 1.5;
 /// so short a run never catches up.
 const LATE_GROWTH_MIN: u32 = 5000;
 
-/// It is before this iteration.
-const SLOW_UNTIL: u32 = 9000;
-
 /// After so many iterations, steps of the optimiser are of so many views.
 const STEPS: [(u32, u32); 2] = [(15_000, 5), (22_500, 20)];
 
-/// The same of a run.
+/// [`RECOVERY`], [`SLOW_UNTIL`] and [`STEPS`] of a run.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct ImprovedSteps {
     recovery: u32,

@@ -239,7 +239,7 @@ pub(crate) struct RenderArgs {
     #[arg(long, value_name = "orbit|spiral|interpolate|FILE.json", value_parser = PathChoice::parse)]
     pub(crate) path: Option<PathChoice>,
     /// Frames of the path, 2 to 10000 [default: 120]
-    #[arg(long, value_name = "N", requires = "path", value_parser = clap::value_parser!(u32).range(2..=10_000))]
+    #[arg(long, value_name = "N", conflicts_with_all = ["image", "split"], value_parser = clap::value_parser!(u32).range(2..=10_000))]
     pub(crate) frames: Option<u32>,
     /// With --image the picture to write, a .png or a .jpg; with --split the folder for
     /// PNGs; with --path that, or a .mp4 or .gif, which ffmpeg makes if it is installed

@@ -24,12 +24,10 @@ const JPEG_QUALITY: u8 = 95;
 pub(crate) fn check_out(args: &RenderArgs) -> Result<()> {
     let (out, inputs) = (&args.out, [Some(&*args.splat.path)]);
     if args.image.is_some() {
-        ensure!(
-            is_jpeg(out) || ending(out) == "png",
-            "{} names no picture that is written; end it in .png or .jpg",
-            shown(out)
-        );
-        return check_file(out, Content::Picture, &inputs);
+        check_file(out, Content::Picture, &inputs)?;
+        let is_picture = is_jpeg(out) || ending(out) == "png";
+        ensure!(is_picture, "{} names no picture that is written; end it in .png or .jpg", shown(out));
+        return Ok(());
     }
     if args.path.is_some() && is_film(out) {
         return check_file(out, Content::Figures, &inputs);

@@ -12,7 +12,8 @@ use genesplat_core::DensitySignal;
 use rayon::prelude::*;
 
 use super::block::{
-    ALL_BLOCKS, Alpha, BLOCKS, COLUMN_PX, ROW_PX, absorb, alpha, each_block, each_splat, finish, full_transmittance,
+    ALL_BLOCKS, Alpha, BLOCKS, COLUMN_PX, LeastLight, ROW_PX, absorb, alpha, each_block, each_splat, finish,
+    full_transmittance, least_transmittance,
 };
 use super::gradient_row::{GradientRow, sum_lanes};
 use crate::cpu::bin::{BLOCK, BLOCKS_ACROSS, Intersection, split};
@@ -99,6 +100,7 @@ struct Terms {
 #[inline(always)]
 fn backward_tile<const EXTRA: u8, S: Simd>(simd: S, task: &TileTask, state: &mut TileState, rows: &mut [GradientRow]) {
     let mut live = begin(simd, task, state);
+    let mut light = LeastLight::new();
     let visited = each_splat(
         task.splats,
         task.intersections,
@@ -109,7 +111,12 @@ fn backward_tile<const EXTRA: u8, S: Simd>(simd: S, task: &TileTask, state: &mut
             rows[index] = if blocks == 0 {
                 GradientRow::default()
             } else {
-                let extra = replay::<EXTRA, S>(simd, splat, blocks, state, &mut live);
+                let transmittance = || least_transmittance(simd, state.blocks.iter().map(|block| &block.transmittance));
+                let extra = if light.may_finish(splat, transmittance) {
+                    replay::<EXTRA, true, S>(simd, splat, blocks, state, &mut live)
+                } else {
+                    replay::<EXTRA, false, S>(simd, splat, blocks, state, &mut live)
+                };
                 let mut row = accumulate(simd, blocks, state, extra);
                 row.shift_moments(splat.mean_px.map(|mean| mean - TILE_CENTRE));
                 row
@@ -152,7 +159,7 @@ struct ExtraSums<S: Simd> {
 
 /// Blends one splat once more and leaves its terms at each block; returns the extra sums.
 #[inline(always)]
-fn replay<const EXTRA: u8, S: Simd>(
+fn replay<const EXTRA: u8, const MAY_FINISH: bool, S: Simd>(
     simd: S,
     splat: &Splat,
     blocks: u32,
@@ -168,9 +175,9 @@ fn replay<const EXTRA: u8, S: Simd>(
             let Alpha { offset, unclamped, alpha, hit } = alpha(simd, splat, block);
             let (state, terms) = (&mut state.blocks[block], &mut state.terms[block]);
             let transmittance = V::from_slice(simd, &state.transmittance);
-            let absorbed = absorb(transmittance, alpha);
+            let absorbed = absorb::<MAY_FINISH, S>(transmittance, alpha);
             absorbed.transmittance.store_slice(&mut state.transmittance);
-            if absorbed.goes_on.all_false() {
+            if MAY_FINISH && absorbed.goes_on.all_false() {
                 finish(block, live);
             }
 

@@ -212,7 +212,7 @@ impl Batch {
         while held != 0 {
             let index = held.trailing_zeros() as usize;
             held &= held - 1;
-            let absorbed = absorb(light.transmittance, V::simd_from(simd, self.alphas[index]));
+            let absorbed = absorb::<true, S>(light.transmittance, V::simd_from(simd, self.alphas[index]));
             light.transmittance = absorbed.transmittance;
             light.add(absorbed.weight, self.colours[index]);
             if absorbed.goes_on.all_false() {
