@@ -2,4 +2,5 @@
 
 mod abuse;
 mod pictures;
+mod scripts;
 mod support;
