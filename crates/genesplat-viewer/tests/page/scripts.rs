@@ -47,3 +47,8 @@ fn only_slow_frames_make_pictures_coarse_and_fast_ones_bring_them_back() {
 fn a_touch_on_a_phone_does_not_zoom_and_a_shift_follows_the_finger() {
     run("phones");
 }
+
+#[test]
+fn a_page_that_finds_no_room_asks_less_and_less_often() {
+    run("no_room");
+}
