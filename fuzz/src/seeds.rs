@@ -4,7 +4,7 @@ use std::fs;
 use std::io;
 use std::path::Path;
 
-use genesplat_core::{DeviceState, Gaussians, Moments, Photo, Rng, Statistics, Stream, StateMean};
+use genesplat_core::{DeviceState, Gaussians, Moments, Photo, Rng, StateMean, Statistics, Stream};
 use genesplat_io::colmap::{ImageRecord, Intrinsics, Model, write_model};
 use genesplat_io::format::{Format, Options, SpzVersion};
 use genesplat_io::photos::{encode_jpeg, write_png};

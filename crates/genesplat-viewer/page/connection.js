@@ -8,7 +8,7 @@ export class Connection {
   #failures = 0;
   #isOver = false;
 
-  // `handlers` has a function for each type of message: hello, state, curves, notice; and picture, open, close.
+  // `handlers` has a function for each type of message: hello, state, curves, notice; and picture, close.
   constructor(handlers) {
     this.#handlers = handlers;
     this.#open();
@@ -27,7 +27,6 @@ export class Connection {
     address.protocol = "ws:";
     this.#socket = new WebSocket(address);
     this.#socket.binaryType = "arraybuffer";
-    this.#socket.onopen = () => { this.#failures = 0; };
     this.#socket.onmessage = ({ data }) => this.#hear(data);
     this.#socket.onclose = () => this.#close();
   }
@@ -40,6 +39,8 @@ export class Connection {
       return;
     }
     const message = JSON.parse(data);
+    // A server without room opens the socket, says so, and closes it.
+    if (message.type === "hello") this.#failures = 0;
     if (message.type === "state" && message.phase === "ended") this.#isOver = true;
     this.#handlers[message.type]?.(message);
   }

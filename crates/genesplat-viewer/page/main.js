@@ -4,7 +4,7 @@ import { CameraPath } from "./path.js";
 import { CameraStrip } from "./cameras.js";
 import { Charts } from "./charts.js";
 import { Connection } from "./connection.js";
-import { Navigator } from "./navigation.js";
+import { Navigator, isTaken } from "./navigation.js";
 import { Stage } from "./stage.js";
 import { Status } from "./status.js";
 
@@ -65,9 +65,10 @@ function reset() {
 // The user has moved: from here on the view is free.
 function moved() {
   if (stage.camera) {
-    stage.camera = null;
     strip.mark(null);
+    // The stage gets the slider's place.
     $("compare").hidden = true;
+    navigator.pose.fov_y = stage.leaveCamera(navigator.pose.fov_y);
     stage.compare(stage.comparison);
   }
   stage.moved(navigator.pose);
@@ -146,7 +147,7 @@ const SHORTCUTS = {
 };
 
 addEventListener("keydown", (event) => {
-  if (event.target.closest?.("input, button, dialog") || event.ctrlKey || event.metaKey || event.altKey) return;
+  if (isTaken(event)) return;
   const lens = $("lens").querySelectorAll("input")[Number(event.key) - 1];
   if (lens) {
     lens.checked = true;

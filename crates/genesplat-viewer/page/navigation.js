@@ -7,6 +7,17 @@ const TURN_PER_SECOND = 1.2;
 const ELEVATION_MAX = 1.5;
 const CLICK_PX = 4;
 
+const TEXT = "select, textarea, input:not([type=radio], [type=checkbox], [type=range])";
+const CHOICE = "input[type=radio], input[type=range]";
+
+// Whether a key is for what has the focus, or for the browser: what is typed, Space on a button, arrows on a choice.
+export function isTaken({ key, target, ctrlKey, metaKey, altKey }) {
+  const isOn = (selector) => Boolean(target.closest?.(selector));
+  if (ctrlKey || metaKey || altKey || isOn(`dialog, ${TEXT}`)) return true;
+  if (key === " ") return isOn("button, input");
+  return (key.startsWith("Arrow") || key === "Home") && isOn(CHOICE);
+}
+
 export class Navigator {
   pose = { position: [0, 0, -3], rotation: [1, 0, 0, 0], fov_y: 0.9 };
   movement = "orbit";
@@ -19,9 +30,12 @@ export class Navigator {
   #element;
   #onMove;
   #onClick;
+  #fovHeight;
 
-  constructor(element, onMove, onClick) {
+  // `fovHeight` is the height that the field of view spans, px.
+  constructor(element, onMove, onClick, fovHeight = () => element.clientHeight) {
     this.#element = element;
+    this.#fovHeight = fovHeight;
     this.#onMove = onMove;
     this.#onClick = onClick;
     element.addEventListener("pointerdown", (event) => this.#press(event));
@@ -117,7 +131,7 @@ export class Navigator {
 
   #pan(dx, dy) {
     const distance = Math.max(length(subtract(this.#target, this.pose.position)), 0.05 * this.#scene);
-    const perPixel = (2 * distance * Math.tan(this.pose.fov_y / 2)) / this.#element.clientHeight;
+    const perPixel = (2 * distance * Math.tan(this.pose.fov_y / 2)) / this.#fovHeight();
     const { rotation } = this.pose;
     const moved = add(scale(right(rotation), -dx * perPixel), scale(down(rotation), -dy * perPixel));
     this.pose.position = add(this.pose.position, moved);
@@ -177,8 +191,7 @@ export class Navigator {
   }
 
   #keydown(event) {
-    const isElsewhere = event.target.closest?.("input, button, select, textarea, dialog");
-    if (isElsewhere || event.ctrlKey || event.metaKey || event.altKey) return;
+    if (isTaken(event)) return;
     const isArrow = event.code.startsWith("Arrow");
     if (isArrow || /^(Key[WASDQE]|Equal|Minus|Numpad(Add|Subtract)|Shift(Left|Right))$/.test(event.code)) {
       this.#keys.add(event.code);

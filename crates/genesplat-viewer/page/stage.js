@@ -10,6 +10,8 @@ const QUALITY = { moving: 68, still: 90 };
 const FACTOR = { least: 0.25, most: 1 };
 const FRUSTUM_SIZE = 0.045;
 const CLICK_RADIUS_PX = 16;
+// The server draws no wider views.
+const FOV_Y_MAX = 2.8;
 
 export class Stage {
   lens = "colour";
@@ -29,7 +31,10 @@ export class Stage {
   #isDirty = true;
   #isSharp = false;
   #sequence = 0;
-  #sent = null;
+  // The number of the last look at rest.
+  #lastStill = 0;
+  // When the look was sent that has no picture yet.
+  #sentAt = -Infinity;
   #shown = { picture: 0, error: 0 };
   #arrivals = [];
   #pose;
@@ -51,6 +56,13 @@ export class Stage {
     this.#sceneDistance = distance;
   }
 
+  // Makes the view free; the vertical field of view that shows all at the size that it has, radians.
+  leaveCamera(fov_y) {
+    this.camera = null;
+    const part = this.#element.clientHeight / this.#frame.getBoundingClientRect().height || 1;
+    return Math.min(FOV_Y_MAX, 2 * Math.atan(part * Math.tan(fov_y / 2)));
+  }
+
   // What is seen has changed.
   moved(pose) {
     this.#pose = pose;
@@ -70,7 +82,7 @@ export class Stage {
 
   // A new connection knows nothing of what the old one was asked for.
   reconnect() {
-    this.#sent = null;
+    this.#sentAt = -Infinity;
     this.refresh();
   }
 
@@ -78,7 +90,7 @@ export class Stage {
   tick(now) {
     if (!this.#pose) return;
     const isMoving = now - this.#movedAt < REST_MS;
-    const isFree = !this.#sent || now - this.#sent.at > RESEND_MS;
+    const isFree = now - this.#sentAt > RESEND_MS;
     const wants = this.#isDirty || (!isMoving && !this.#isSharp);
     if (wants && isFree) this.#ask(now, isMoving);
   }
@@ -87,7 +99,8 @@ export class Stage {
     const [width, height] = this.#size(isMoving);
     const { position, rotation, fov_y } = this.#pose;
     this.#sequence += 1;
-    this.#sent = { at: now, isMoving };
+    if (!isMoving) this.#lastStill = this.#sequence;
+    this.#sentAt = now;
     this.#isDirty = false;
     this.#isSharp = !isMoving;
     this.#send({
@@ -112,10 +125,9 @@ export class Stage {
   }
 
   async show(header, blob) {
-    if (header.sequence === this.#sequence && !header.error) {
-      if (this.#sent?.isMoving) this.#adapt(header.milliseconds);
-      this.#sent = null;
-    }
+    // A picture that is slow answers a look that newer ones have followed. One that was asked for at rest is large.
+    if (!header.error && header.sequence > this.#lastStill) this.#adapt(header.milliseconds);
+    if (!header.error && header.sequence === this.#sequence) this.#sentAt = -Infinity;
     const image = await createImageBitmap(blob);
     const kind = header.error ? "error" : "picture";
     if (header.sequence < this.#shown[kind]) return;

@@ -55,7 +55,7 @@ pub fn derive(
     camera: &Camera,
     settings: &RenderSettings,
 ) -> (Gaussians, RenderSettings) {
-    let mut derived = Gaussians::default();
+    let mut derived = with_room_for(cloud.len());
     for row in 0..cloud.len() {
         let centre = camera.camera_from_world(DVec3::from(cloud.positions[row].map(f64::from)));
         let scales = filtered_scales(cloud, row);
@@ -75,6 +75,18 @@ pub fn derive(
     };
     let sh_degree = if has_own_colours { 0 } else { settings.sh_degree };
     (derived, RenderSettings { sh_degree, background, filter: ScreenFilter::Classic })
+}
+
+/// An empty cloud whose columns need not grow, which would take up to three times as much for a while.
+fn with_room_for(rows: usize) -> Gaussians {
+    Gaussians {
+        positions: Vec::with_capacity(rows),
+        log_scales: Vec::with_capacity(rows),
+        rotations: Vec::with_capacity(rows),
+        opacity_logits: Vec::with_capacity(rows),
+        sh: Vec::with_capacity(rows),
+        filter_3d: None,
+    }
 }
 
 /// Standard deviations with the 3D filter, if there is one.

@@ -4,7 +4,8 @@ use std::net::SocketAddr;
 use std::time::Duration;
 
 use genesplat_core::constants::NEAR_DEPTH;
-use genesplat_core::{Backend, BackendError, Camera, Photo, Sight};
+use genesplat_core::memory::ensure_memory;
+use genesplat_core::{Backend, BackendError, Camera, DeviceState, Gaussians, Image, Photo, RenderSettings, Sight};
 use serde::Serialize;
 
 use crate::ViewerError;
@@ -14,7 +15,7 @@ use crate::curves::Curve;
 use crate::exhibition::Exhibition;
 use crate::hub::{Hub, Picture, Topic};
 use crate::lens::{Lens, derive, develop};
-use crate::message::{Look, PictureHeader};
+use crate::message::{Look, PictureHeader, notice};
 use crate::picture::{ERROR_MAX, error_picture};
 use crate::server::Server;
 
@@ -80,12 +81,6 @@ struct Stage {
     kept: bool,
     /// Of the guards' PSNR, dB.
     gain: Option<f64>,
-}
-
-#[derive(Serialize)]
-#[serde(tag = "type", rename = "notice")]
-struct Notice<'a> {
-    text: &'a str,
 }
 
 /// A page that is served while this lives. All methods are for the thread that trains, and return at once where no page
@@ -168,8 +163,7 @@ impl LiveView {
 
     /// A sentence that pages show.
     pub fn notice(&mut self, text: &str) {
-        let text = serde_json::to_string(&Notice { text }).expect("plain data with text keys is always JSON");
-        self.hub().post(Topic::Notice, &text);
+        self.hub().post(Topic::Notice, &notice(text));
     }
 
     /// The run does something else now.
@@ -287,9 +281,26 @@ impl LiveView {
         }
         let settings = *sight.settings();
         let cloud = sight.cloud()?;
+        ensure_memory(cloud.len() * Gaussians::BYTES_PER_ROW, "a lens")?;
         let (derived, settings) = derive(lens, &cloud, camera, &settings);
-        self.lens_backend.upload(derived.into())?;
-        Ok(develop(lens, &self.lens_backend.render(camera, &settings)?))
+        drop(cloud);
+        Ok(develop(lens, &self.render_once(derived, camera, &settings)?))
+    }
+
+    /// What a lens makes of a cloud, of which nothing stays: a run has other uses for the memory.
+    fn render_once(
+        &mut self,
+        derived: Gaussians,
+        camera: &Camera,
+        settings: &RenderSettings,
+    ) -> Result<Image, BackendError> {
+        let backend = &mut *self.lens_backend;
+        let ready = backend.upload(derived.into()).and_then(|()| backend.end_training());
+        let render = ready.and_then(|()| backend.render(camera, settings));
+        // This frees the memory of views, which the next verb may need to be granted.
+        backend.end_training()?;
+        backend.upload(DeviceState::default())?;
+        render
     }
 
     /// Tells pages of progress, where it is time.

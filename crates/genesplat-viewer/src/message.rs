@@ -152,6 +152,17 @@ impl Pose {
     }
 }
 
+#[derive(Serialize)]
+#[serde(tag = "type", rename = "notice")]
+struct Notice<'a> {
+    text: &'a str,
+}
+
+/// A sentence that a page shows.
+pub(crate) fn notice(text: &str) -> String {
+    serde_json::to_string(&Notice { text }).expect("plain data with text keys is always JSON")
+}
+
 /// What stands before a picture: its length as four bytes, little end first, then this as JSON, then the JPEG.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct PictureHeader {

@@ -9,7 +9,7 @@ use tungstenite::{Error, Message, Utf8Bytes, WebSocket};
 
 use crate::exhibition::Exhibition;
 use crate::hub::{Hub, Outgoing, Picture};
-use crate::message::{ClientMessage, MESSAGE_BYTES_MAX};
+use crate::message::{ClientMessage, MESSAGE_BYTES_MAX, notice};
 use crate::picture::encode_jpeg;
 
 /// How long a read waits before it is looked whether there is something to send.
@@ -22,6 +22,10 @@ const PING_EVERY: Duration = Duration::from_secs(20);
 const SILENCE_MAX: Duration = Duration::from_secs(60);
 /// A page that sends more messages than this that are none of ours is dropped.
 const GARBAGE_MAX: u32 = 16;
+/// A page that finds no room has so long to hear it.
+const GOODBYE_WAIT: Duration = Duration::from_secs(1);
+/// What it hears.
+const NO_ROOM: &str = "Too many pages are open; close one.";
 /// More than the largest picture of noise takes.
 const WRITE_BUFFER_MAX: usize = 64 << 20;
 
@@ -67,8 +71,6 @@ impl Write for TimedStream {
 
 /// Tells the page what it should know until either side ends it. `rest` are bytes that came after the handshake.
 pub(crate) fn serve(stream: TcpStream, rest: Vec<u8>, hub: &Hub, exhibition: &Exhibition, can_train: bool) {
-    let Some(id) = hub.enter() else { return };
-    let _leave = Leave { hub, id };
     let Ok(stream) = TimedStream::new(stream, READ_WAIT, WRITE_WAIT) else { return };
     let config = WebSocketConfig::default()
         .read_buffer_size(4096)
@@ -76,10 +78,38 @@ pub(crate) fn serve(stream: TcpStream, rest: Vec<u8>, hub: &Hub, exhibition: &Ex
         .max_write_buffer_size(WRITE_BUFFER_MAX)
         .max_message_size(Some(MESSAGE_BYTES_MAX))
         .max_frame_size(Some(MESSAGE_BYTES_MAX));
-    let socket = WebSocket::from_partially_read(stream, rest, Role::Server, Some(config));
-    let mut page = Page { socket, hub, id, garbage: 0, heard: Instant::now(), pinged: Instant::now() };
+    let mut socket = WebSocket::from_partially_read(stream, rest, Role::Server, Some(config));
     // A page that is gone is no error.
-    let _ = page.run(exhibition.hello(can_train));
+    let _ = match hub.enter() {
+        Some(id) => {
+            let _leave = Leave { hub, id };
+            let mut page = Page { socket, hub, id, garbage: 0, heard: Instant::now(), pinged: Instant::now() };
+            page.run(exhibition.hello(can_train))
+        }
+        None => turn_away(&mut socket, hub),
+    };
+}
+
+/// Says that there is no room.
+fn turn_away(socket: &mut WebSocket<TimedStream>, hub: &Hub) -> Result<(), Error> {
+    if !hub.is_closing() {
+        socket.send(Message::text(notice(NO_ROOM)))?;
+    }
+    socket.close(None)?;
+    socket.flush()?;
+    // Where a connection ends with bytes that nobody has read, the other side may lose what it was told.
+    let until = Instant::now() + GOODBYE_WAIT;
+    while Instant::now() < until {
+        match socket.read() {
+            Err(Error::Io(error)) if is_timeout(&error) => {}
+            other => drop(other?),
+        }
+    }
+    Ok(())
+}
+
+fn is_timeout(error: &io::Error) -> bool {
+    matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut)
 }
 
 /// Frees the page's place, whatever ends its thread.
@@ -130,9 +160,7 @@ impl Page<'_> {
         // The answer to a ping is written within.
         self.socket.get_mut().allow_writes();
         let message = match self.socket.read() {
-            Err(Error::Io(error)) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => {
-                return Ok(());
-            }
+            Err(Error::Io(error)) if is_timeout(&error) => return Ok(()),
             other => other?,
         };
         self.heard = Instant::now();

@@ -10,9 +10,12 @@ export function lensOf({ width, height, focal, principal }) {
   return { aspect: width / height, focal: scale(focal, 1 / height), principal: [principal[0] / width - 0.5, principal[1] / height - 0.5] };
 }
 
-// Focal lengths and principal point on a canvas of another shape, px: all that the camera has seen stays in view.
+// Height of what the camera has seen on a canvas of another shape, px: all of it stays in view.
+export const fittedHeight = ({ aspect }, width, height) => Math.min(height, width / aspect);
+
+// Focal lengths and principal point there, px.
 export function fit({ aspect, focal, principal }, width, height) {
-  const tall = Math.min(height, width / aspect);
+  const tall = fittedHeight({ aspect }, width, height);
   return {
     focal: scale(focal, tall),
     principal: [0.5 * width + principal[0] * aspect * tall, 0.5 * height + principal[1] * tall],

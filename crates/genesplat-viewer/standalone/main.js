@@ -1,8 +1,8 @@
 // The page: unpacks the splat that it carries, and shows it from its cameras and from wherever one goes.
 
 import { CameraStrip } from "./cameras.js";
-import { Journey, lensOf } from "./journey.js";
-import { Navigator } from "./navigation.js";
+import { Journey, fittedHeight, lensOf } from "./journey.js";
+import { Navigator, isTaken } from "./navigation.js";
 import { Renderer } from "./renderer.js";
 import { Stage } from "./stage.js";
 import { unpack } from "./spz.js";
@@ -16,7 +16,8 @@ const TOUR_MS = 2600;
 const TOUR_REST_MS = 900;
 const NO_LENS = { aspect: 1.5, focal: [1.1, 1.1], principal: [0, 0] };
 
-const navigator = new Navigator($("view"), moved, () => {});
+const fovHeight = () => fittedHeight(lens, $("view").clientWidth, $("view").clientHeight);
+const navigator = new Navigator($("view"), moved, () => {}, fovHeight);
 const strip = new CameraStrip($("strip"), (card) => visit(card, JUMP_MS));
 let stage = null;
 let lens = NO_LENS;
@@ -106,7 +107,7 @@ const SHORTCUTS = {
 };
 
 addEventListener("keydown", (event) => {
-  if (event.target.closest?.("input, button, dialog") || event.ctrlKey || event.metaKey || event.altKey) return;
+  if (isTaken(event)) return;
   const shortcut = SHORTCUTS[event.key];
   if (!shortcut) return;
   event.preventDefault();

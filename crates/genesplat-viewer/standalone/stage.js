@@ -7,7 +7,11 @@ import { fit } from "./journey.js";
 const DETAILS = [1, 0.7, 0.5, 0.35];
 const SLOW_MS = 40;
 const SLOW_FRAMES = 4;
+// A movement of at least so many frames whose mean is below this leaves room for a finer picture.
+const FAST_MS = 24;
+const FAST_FRAMES = 8;
 const REST_MS = 180;
+const DREW = { nothing: 0, moving: 1, full: 2 };
 const PIXEL_RATIO_MAX = 2;
 
 export class Stage {
@@ -17,8 +21,13 @@ export class Stage {
   #isSorting = false;
   #sorted = null;
   #isDirty = true;
-  #lastDrawn = 0;
+  #lastDrawn = -Infinity;
+  #lastTick = -Infinity;
+  // What the last tick drew: nothing, a picture of a movement, or one in full.
+  #drew = DREW.nothing;
   #slowFrames = 0;
+  // Of the movement, since the resolution is what it is.
+  #pace = { frames: 0, milliseconds: 0 };
   #detail = 0;
 
   constructor(canvas, renderer, positions, sorterSource, fail) {
@@ -43,24 +52,38 @@ export class Stage {
 
   // Draws `view` where something has changed, and once more in full when it rests.
   tick(now, view) {
-    const rests = now - this.#lastDrawn > REST_MS;
-    if (!this.#isDirty && rests && !this.#isSorting) {
-      if (this.#detail > 0 && this.#canvas.width !== this.#size(0)[0]) this.#draw(view, 0);
-      this.#canvas.dataset.rest = "";
-    }
+    // The next frame comes when this one is done; a tick that draws nothing tells nothing.
+    if (this.#drew === DREW.moving) this.#judge(now - this.#lastTick);
+    const rests = this.#drew === DREW.nothing && now - this.#lastDrawn > REST_MS;
+    [this.#lastTick, this.#drew] = [now, DREW.nothing];
+    if (!this.#isDirty && rests && !this.#isSorting) this.#rest(view);
     if (!this.#isDirty) return;
-    if (!rests) this.#judge(now - this.#lastDrawn);
     this.#isDirty = false;
     this.#lastDrawn = now;
+    this.#drew = rests ? DREW.full : DREW.moving;
     this.#draw(view, rests ? 0 : this.#detail);
+  }
+
+  #rest(view) {
+    const { frames, milliseconds } = this.#pace;
+    const isFast = frames >= FAST_FRAMES && milliseconds < FAST_MS * frames;
+    this.#setDetail(isFast ? this.#detail - 1 : this.#detail);
+    if (this.#canvas.width !== this.#size(0)[0]) this.#draw(view, 0);
+    this.#canvas.dataset.rest = "";
   }
 
   // One step coarser after some slow frames in a row; one that is slower counts as more.
   #judge(elapsed) {
+    this.#pace.frames += 1;
+    this.#pace.milliseconds += elapsed;
     this.#slowFrames = elapsed > SLOW_MS ? this.#slowFrames + Math.round(elapsed / SLOW_MS) : 0;
-    if (this.#slowFrames < SLOW_FRAMES) return;
+    if (this.#slowFrames >= SLOW_FRAMES) this.#setDetail(this.#detail + 1);
+  }
+
+  #setDetail(detail) {
+    this.#detail = Math.max(0, Math.min(detail, DETAILS.length - 1));
     this.#slowFrames = 0;
-    this.#detail = Math.min(this.#detail + 1, DETAILS.length - 1);
+    this.#pace = { frames: 0, milliseconds: 0 };
   }
 
   #size(detail) {

@@ -38,7 +38,7 @@ pub(crate) fn array_from<const K: usize, T: Copy>(mut f: impl FnMut(usize) -> T)
 }
 
 /// Asks the machine to bring a value into its first-level cache, without waiting for it: splats and gradient rows are
-/// read in an order that no hardware prefetcher can guess (measured: docs/performance.md).
+/// read in an order that no hardware prefetcher can guess.
 #[inline(always)]
 pub(crate) fn prefetch<T>(value: &T) {
     #[cfg(target_arch = "x86_64")]

@@ -16,13 +16,20 @@ fn show(gaussians: usize) -> (Show, usize) {
     page.send(look(1, 64, 48, "colour")).unwrap();
     picture(&mut page);
     drop(page);
-    let mut quiet = threads();
-    comes_true(2, || {
-        std::thread::sleep(Duration::from_millis(100));
-        false
-    });
-    quiet = quiet.min(threads());
-    (show, quiet)
+    (show, settled_threads())
+}
+
+/// Threads of this process, once none has begun or ended for 300 ms.
+fn settled_threads() -> usize {
+    let (mut count, mut since) = (threads(), Instant::now());
+    while since.elapsed() < Duration::from_millis(300) {
+        std::thread::sleep(Duration::from_millis(10));
+        let now = threads();
+        if now != count {
+            (count, since) = (now, Instant::now());
+        }
+    }
+    count
 }
 
 /// Whether the server ends the connection within ten seconds.
@@ -47,11 +54,27 @@ fn clients_that_connect_and_vanish_leave_nothing_behind() {
     let pages: Vec<_> = (0..50).map(|_| show.page()).collect();
     let served = pages.iter().flatten().count();
     assert!((1..=8).contains(&served), "{served} pages are open");
-    assert!(threads() <= quiet + 8 + 1, "{} threads", threads());
+    assert!(comes_true(2, || threads() <= quiet + 8), "{} threads", threads());
     drop(pages);
     let silent: Vec<_> = (0..50).map(|_| show.connect()).collect();
     assert!(threads() <= quiet + 32 + 1, "{} threads", threads());
     drop(silent);
+    assert!(comes_true(10, || threads() <= quiet), "{} threads instead of {quiet}", threads());
+    assert_serves(&show);
+}
+
+#[test]
+fn a_page_too_many_is_told_so() {
+    let _turn = TURN.lock();
+    let (show, quiet) = show(100);
+    let pages: Vec<_> = (0..8).map(|_| show.page().expect("there is room")).collect();
+    let mut ninth = show.socket().unwrap();
+    // Whoever comes back asks at once.
+    ninth.send(look(1, 64, 48, "colour")).unwrap();
+    let said = ninth.read().unwrap();
+    assert_eq!(said.to_text().unwrap(), r#"{"type":"notice","text":"Too many pages are open; close one."}"#);
+    assert!(is_hung_up(&mut ninth), "it stays");
+    drop(pages);
     assert!(comes_true(10, || threads() <= quiet), "{} threads instead of {quiet}", threads());
     assert_serves(&show);
 }

@@ -79,12 +79,16 @@ impl Show {
         (answer.lines().next().unwrap_or_default().to_owned(), answer)
     }
 
-    /// A page's socket; `None` where the server has no room.
-    pub(crate) fn page(&self) -> Option<WebSocket<TcpStream>> {
+    /// A socket to which nothing was said yet.
+    pub(crate) fn socket(&self) -> Option<WebSocket<TcpStream>> {
         let mut request = format!("ws{}socket", self.url.strip_prefix("http").unwrap()).into_client_request().unwrap();
         request.headers_mut().insert("origin", format!("http://{}", self.host()).parse().unwrap());
-        let (mut socket, _) = tungstenite::client(request, self.connect()).ok()?;
-        // One that finds no room is closed without a word.
+        Some(tungstenite::client(request, self.connect()).ok()?.0)
+    }
+
+    /// A page's socket; `None` where the server has no room.
+    pub(crate) fn page(&self) -> Option<WebSocket<TcpStream>> {
+        let mut socket = self.socket()?;
         matches!(socket.read(), Ok(Message::Text(hello)) if hello.contains("hello")).then_some(socket)
     }
 }
@@ -119,11 +123,22 @@ pub(crate) fn threads() -> usize {
     std::fs::read_dir("/proc/self/task").unwrap().count()
 }
 
-/// Memory of this process, bytes.
+/// Memory of this process that is filled, bytes.
 #[cfg(target_os = "linux")]
 pub(crate) fn resident_bytes() -> u64 {
+    of_status("VmRSS")
+}
+
+/// Memory of this process, filled or not, bytes.
+#[cfg(target_os = "linux")]
+pub(crate) fn reserved_bytes() -> u64 {
+    of_status("VmSize")
+}
+
+#[cfg(target_os = "linux")]
+fn of_status(name: &str) -> u64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap();
-    let line = status.lines().find(|line| line.starts_with("VmRSS")).unwrap();
+    let line = status.lines().find(|line| line.starts_with(name)).unwrap();
     1024 * line.split_whitespace().nth(1).unwrap().parse::<u64>().unwrap()
 }
 

@@ -105,6 +105,9 @@ fn a_user_looks_around_pauses_and_stops() {
     let free = browser.run(PICTURE);
     browser.click("#cameras li:nth-child(6) button");
     await_other_picture(&browser, &free, "a jump to a camera");
+    // The focus is on the camera's button.
+    browser.press("]");
+    assert_eq!(browser.run("return document.querySelector('#cameras li:nth-child(7) button').ariaCurrent"), "true");
     assert_eq!(browser.run(ITERATION), paused_at, "a pause is one");
     look_at_a_camera(&browser);
     look_through_lenses(&browser);

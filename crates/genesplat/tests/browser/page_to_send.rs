@@ -172,6 +172,9 @@ fn use_the_page(browser: &Browser) {
     assert_eq!(browser.run(CAMERA), "0042.jpg");
     browser.click("#next");
     assert_eq!(browser.run(CAMERA), "0073.jpg");
+    // The focus is on the button.
+    browser.press("[");
+    assert_eq!(browser.run(CAMERA), "0042.jpg");
     browser.wait_for(IS_AT_REST);
     browser.drag("#view", 120, 40);
     assert_eq!(browser.run(CAMERA), "", "the view is free");
