@@ -4,6 +4,7 @@ use std::fs;
 use std::io::Write;
 use std::path::PathBuf;
 use std::sync::LazyLock;
+use std::time::{Duration, Instant};
 
 use flate2::Compression;
 use flate2::write::GzEncoder;
@@ -279,6 +280,49 @@ fn glb_that_holds_no_splat_or_lies_about_it_is_refused() {
     let mut short = glb("{}", &[]);
     short[8] += 1;
     assert!(place.refused(".glb", &short).contains("says that it has"));
+}
+
+/// A splat of one Gaussian in each of `primitives` primitives of mesh 0, placed by these nodes.
+fn glb_of_nodes(nodes: &str, primitives: usize) -> Vec<u8> {
+    let name = |name: &str, index: usize| format!(r#""KHR_gaussian_splatting:{name}":{index}"#);
+    let attributes =
+        [name("ROTATION", 1), name("SCALE", 0), name("OPACITY", 2), name("SH_DEGREE_0_COEF_0", 0)].join(",");
+    let primitive =
+        format!(r#"{{"attributes":{{"POSITION":0,{attributes}}},"extensions":{{"KHR_gaussian_splatting":{{}}}}}}"#);
+    let accessors = ["VEC3", "VEC4", "SCALAR"]
+        .map(|kind| format!(r#"{{"bufferView":0,"componentType":5126,"type":"{kind}","count":1}}"#));
+    let json = format!(
+        r#"{{"nodes":[{nodes}],"meshes":[{{"primitives":[{}]}}],"accessors":[{}],"bufferViews":[{{"byteLength":16}}]}}"#,
+        vec![primitive; primitives].join(","),
+        accessors.join(",")
+    );
+    glb(&json, &[0.5f32; 4].map(f32::to_le_bytes).concat())
+}
+
+#[test]
+fn glb_that_moves_its_splat_is_refused() {
+    let place = Place::new();
+    assert_eq!(format::read(&place.file(".glb", &glb_of_nodes(r#"{"mesh":0}"#, 5))).unwrap().cloud.len(), 5);
+    for (nodes, words) in [
+        (r#"{"mesh":0},{"mesh":0,"translation":[100,0,0]}"#, "shows its splat twice"),
+        (r#"{"mesh":0},{"children":[0],"translation":[100,0,0]}"#, "moves its splat by node 1"),
+        (r#"{"mesh":0,"children":[1]},{"children":[0]}"#, "below themselves"),
+    ] {
+        let error = place.refused(".glb", &glb_of_nodes(nodes, 1));
+        assert!(error.contains(words), "{error}");
+    }
+}
+
+/// Each node is looked at once, however deep the splat lies: step by step for each primitive, this took 44 seconds.
+#[test]
+fn a_chain_of_many_nodes_takes_no_time() {
+    let link = |at: usize| if at == 0 { r#"{"mesh":0}"#.into() } else { format!(r#"{{"children":[{}]}}"#, at - 1) };
+    let nodes: Vec<String> = (0..40_000).map(link).collect();
+    let place = Place::new();
+    let path = place.file(".glb", &glb_of_nodes(&nodes.join(","), 5));
+    let start = Instant::now();
+    assert_eq!(format::read(&path).unwrap().cloud.len(), 5);
+    assert!(start.elapsed() < Duration::from_secs(5), "{:?}", start.elapsed());
 }
 
 /// Normalised bytes and shorts, as the extension allows them.
