@@ -228,7 +228,7 @@ fn encode(path: &Path, format: Format, cloud: &Gaussians, options: &Options) -> 
     check_finite(path, cloud)?;
     match format {
         Format::Ply => unreachable!("a plain PLY is written row by row"),
-        Format::CompressedPly => Ok(compressed_ply::encode(cloud)),
+        Format::CompressedPly => Ok(compressed_ply::encode(cloud, options)),
         Format::Splat => Ok(splat::encode(cloud)),
         Format::Spz => spz::encode(path, cloud, options),
         Format::Sog => sog::encode(path, cloud, options),

@@ -81,7 +81,7 @@ pub(super) enum Encoding {
 /// What the text at the start of a file declares.
 pub(crate) struct Preamble {
     encoding: Encoding,
-    comments: Vec<String>,
+    pub(crate) comments: Vec<String>,
     /// In the order of the file.
     pub(crate) elements: Vec<Element>,
     /// Length of the text.
@@ -256,7 +256,7 @@ fn degree(rest: usize) -> Result<u8, String> {
 
 /// The header comment of `filter`, in words that viewers know. They have one for both kinds of compensated opacity, so a
 /// second comment tells the classic dilation from Mip-Splatting's.
-fn filter_comments(filter: ScreenFilter) -> &'static [&'static str] {
+pub(crate) fn filter_comments(filter: ScreenFilter) -> &'static [&'static str] {
     match filter {
         ScreenFilter::Classic => &["SplatRenderMode: default"],
         ScreenFilter::Antialiased => &["SplatRenderMode: mip", "SplatDilation: 0.3"],
@@ -264,7 +264,7 @@ fn filter_comments(filter: ScreenFilter) -> &'static [&'static str] {
     }
 }
 
-fn screen_filter(comments: &[String]) -> Option<ScreenFilter> {
+pub(crate) fn screen_filter(comments: &[String]) -> Option<ScreenFilter> {
     let value = |key| comments.iter().find_map(|comment| comment.strip_prefix(key)).map(str::trim);
     match (value("SplatRenderMode:")?, value("SplatDilation:")) {
         ("default", _) => Some(ScreenFilter::Classic),

@@ -25,7 +25,7 @@ use genesplat_core::{Gaussians, ScreenFilter};
 pub use error::PlyError;
 use header::Encoding;
 pub use header::PlyHeader;
-pub(crate) use header::{Element, preamble};
+pub(crate) use header::{Element, filter_comments, preamble, screen_filter};
 pub(crate) use points::{parse_points, read_points};
 
 use crate::atomic::write_atomically;

@@ -1,6 +1,7 @@
 //! Clouds survive every format within the steps that it has for each value.
 
 use std::fs;
+use std::io::{Cursor, Read, Write};
 use std::path::{Path, PathBuf};
 
 use genesplat_core::gaussians::{logit, sigmoid};
@@ -271,13 +272,70 @@ fn rows_may_change_their_order_and_no_more() {
 fn formats_that_can_say_how_to_filter_do() {
     let folder = tempfile::tempdir().unwrap();
     let cloud = varied(8, 20, 0);
-    for screen_filter in [ScreenFilter::Classic, ScreenFilter::Antialiased] {
+    for screen_filter in [ScreenFilter::Classic, ScreenFilter::Antialiased, ScreenFilter::Mip] {
         for format in Format::ALL {
             let path = file(&folder, format);
             write(&path, &cloud, &Options { screen_filter, ..Options::default() });
-            let says = matches!(format, Format::Ply | Format::Spz | Format::Sog);
-            assert_eq!(format::read(&path).unwrap().screen_filter, says.then_some(screen_filter), "{format:?}");
+            let said = match (format, screen_filter) {
+                (Format::Splat | Format::Glb, _) => None,
+                (Format::Spz | Format::Sog, ScreenFilter::Mip) => Some(ScreenFilter::Antialiased),
+                _ => Some(screen_filter),
+            };
+            assert_eq!(format::read(&path).unwrap().screen_filter, said, "{format:?}");
         }
+    }
+}
+
+/// The comment of a compressed PLY is the one that splat-transform and viewers know.
+#[test]
+fn a_compressed_ply_says_how_to_filter_in_known_words() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = file(&folder, Format::CompressedPly);
+    write(&path, &varied(8, 20, 0), &Options { screen_filter: ScreenFilter::Mip, ..Options::default() });
+    let bytes = fs::read(&path).unwrap();
+    let comment = b"ply\nformat binary_little_endian 1.0\ncomment SplatRenderMode: mip\nelement chunk 1\n";
+    assert!(bytes.starts_with(comment), "{}", String::from_utf8_lossy(&bytes[..100]));
+    let silent = [&bytes[..36], &bytes[comment.len() - "element chunk 1\n".len()..]].concat();
+    fs::write(&path, silent).unwrap();
+    assert_eq!(format::read(&path).unwrap().screen_filter, None);
+}
+
+/// The file with another `meta.json`.
+fn with_meta(sog: &[u8], change: impl Fn(&mut serde_json::Map<String, serde_json::Value>)) -> Vec<u8> {
+    let mut from = zip::ZipArchive::new(Cursor::new(sog)).unwrap();
+    let mut to = zip::ZipWriter::new(Cursor::new(Vec::new()));
+    for index in 0..from.len() {
+        let mut bytes = Vec::new();
+        let mut entry = from.by_index(index).unwrap();
+        entry.read_to_end(&mut bytes).unwrap();
+        if entry.name() == "meta.json" {
+            let mut meta: serde_json::Value = serde_json::from_slice(&bytes).unwrap();
+            change(meta.as_object_mut().unwrap());
+            bytes = serde_json::to_vec(&meta).unwrap();
+        }
+        to.start_file(entry.name(), zip::write::SimpleFileOptions::default()).unwrap();
+        to.write_all(&bytes).unwrap();
+    }
+    to.finish().unwrap().into_inner()
+}
+
+/// Programs of either time find the mark that they know, and we find either.
+#[test]
+fn a_sog_has_the_marks_of_older_and_newer_programs() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = file(&folder, Format::Sog);
+    for (screen_filter, marks) in [(ScreenFilter::Classic, (false, None)), (ScreenFilter::Antialiased, (true, Some("antialiased")))] {
+        write(&path, &varied(8, 20, 0), &Options { screen_filter, ..Options::default() });
+        let sog = fs::read(&path).unwrap();
+        with_meta(&sog, |meta| {
+            let model = meta.get("model").map(|model| model.as_str().unwrap());
+            assert_eq!((meta["antialias"].as_bool().unwrap(), model), marks);
+        });
+        let without = |mark: &str| {
+            fs::write(&path, with_meta(&sog, |meta| drop(meta.remove(mark)))).unwrap();
+            format::read(&path).unwrap().screen_filter.unwrap()
+        };
+        assert_eq!((without("antialias"), without("model")), (screen_filter, screen_filter));
     }
 }
 
