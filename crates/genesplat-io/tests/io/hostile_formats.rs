@@ -214,6 +214,31 @@ fn extensions_of_spz_are_passed_over_or_heeded() {
     assert!(place.refused(".spz", &endless).contains("ends within an extension"));
 }
 
+/// An `.spz` of so many Gaussians, all of whose bytes are 0.
+fn spz_of_zeros(gaussians: usize) -> Vec<u8> {
+    let streams = [9, 1, 3, 3, 4].map(|bytes| vec![0; bytes * gaussians]);
+    let compressed = streams.each_ref().map(|stream| zstd::bulk::compress(stream, 1).unwrap());
+    let mut file = legacy_spz(4, gaussians as u32, &32u32.to_le_bytes());
+    file[15] = 5;
+    file.resize(32, 0);
+    for (stream, compressed) in streams.iter().zip(&compressed) {
+        file.extend([compressed.len(), stream.len()].map(|size| (size as u64).to_le_bytes()).concat());
+    }
+    [file, compressed.concat()].concat()
+}
+
+/// A file of repetitions is worth 64 bytes of memory a byte, beyond a quarter of a gigabyte.
+#[test]
+fn a_short_file_of_many_gaussians_is_refused() {
+    let place = Place::new();
+    let read = |gaussians| format::read(&place.file(".spz", &spz_of_zeros(gaussians)));
+    assert_eq!(read(1_000_000).unwrap().cloud.len(), 1_000_000);
+    // A megabyte of ballast, which an extension makes, is worth 284,000 more.
+    let bomb = with_extension(&spz_of_zeros(1_500_000), 0x1234_0001, &[7; 1 << 20]);
+    let error = place.refused(".spz", &bomb);
+    assert!(error.contains("claims 1500000 Gaussians, far more than"), "{error}");
+}
+
 #[test]
 fn compressed_ply_that_contradicts_itself_is_refused() {
     let place = Place::new();
@@ -356,19 +381,39 @@ fn quantised_glb_is_read() {
     assert!((log_scales[0][2] - 3f32.ln()).abs() < 1e-6 && (sigmoid(opacity_logits[0]) - 0.2).abs() < 1e-6);
 }
 
+fn sog_meta(version: u32, count: u64) -> String {
+    format!(
+        r#"{{"version":{version},"count":{count},"means":{{"mins":[0,0,0],"maxs":[1,1,1],"files":["a","b"]}},
+        "scales":{{"codebook":[],"files":["c"]}},"quats":{{"files":["d"]}},"sh0":{{"codebook":[],"files":["e"]}}}}"#
+    )
+}
+
+/// A picture that unpacks to far more than its pixels take is not unpacked: 1.5 MB took 1.5 GB.
+#[test]
+fn a_sog_whose_picture_unpacks_to_too_much_is_refused() {
+    let place = Place::new();
+    let sentence = |bytes: usize| {
+        let mut zip = zip::ZipWriter::new(std::io::Cursor::new(Vec::new()));
+        for (name, content) in [("meta.json", sog_meta(2, 1).into_bytes()), ("a", vec![0; bytes])] {
+            zip.start_file(name, zip::write::SimpleFileOptions::default()).unwrap();
+            zip.write_all(&content).unwrap();
+        }
+        place.refused(".sog", &zip.finish().unwrap().into_inner())
+    };
+    // 8 bytes for each of 2^20 + 2 pixels, and 64 KiB.
+    let most = 8 * ((1 << 20) + 2) + (1 << 16);
+    assert!(sentence(most).contains("no readable picture in a"), "{}", sentence(most));
+    let error = sentence(most + 1);
+    assert!(error.contains(&format!("more than {most} bytes in a")), "{error}");
+}
+
 #[test]
 fn a_sog_without_its_pictures_is_refused() {
     let place = Place::new();
-    let meta = |version: u32, count: u64| {
-        format!(
-            r#"{{"version":{version},"count":{count},"means":{{"mins":[0,0,0],"maxs":[1,1,1],"files":["a","b"]}},
-            "scales":{{"codebook":[],"files":["c"]}},"quats":{{"files":["d"]}},"sh0":{{"codebook":[],"files":["e"]}}}}"#
-        )
-    };
     for (json, words) in [
-        (meta(2, 1), "no readable a"),
-        (meta(1, 1), "version 1"),
-        (meta(2, u64::MAX), "claims 18446744073709551615 Gaussians"),
+        (sog_meta(2, 1), "no readable a"),
+        (sog_meta(1, 1), "version 1"),
+        (sog_meta(2, u64::MAX), "claims 18446744073709551615 Gaussians"),
         ("{}".into(), "meta.json that is not valid"),
     ] {
         let mut zip = zip::ZipWriter::new(std::io::Cursor::new(Vec::new()));
