@@ -237,7 +237,8 @@ fn encode(path: &Path, format: Format, cloud: &Gaussians, options: &Options) -> 
 }
 
 /// A compressed file is believed to fill at most so much memory, and so much more for each of its own bytes: a short file
-/// of repetitions can claim any number of Gaussians. Files of scenes have 15 bytes or more for the 236 of a Gaussian.
+/// of repetitions can claim any number of Gaussians. The smallest in docs/formats.md have 17
+/// bytes for the 236 of a Gaussian.
 const EXPANSION: [u64; 2] = [1 << 28, 1 << 6];
 
 /// Fails where a compressed file claims more Gaussians than its size makes likely.
