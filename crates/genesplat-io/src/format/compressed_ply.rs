@@ -16,7 +16,8 @@ use genesplat_core::spherical_harmonics::{coefficients, dc_from_rgb, sh_index};
 use genesplat_core::{Gaussians, ScreenFilter, morton_order};
 
 use super::packing::{
-    byte, component_of_fraction, fraction_of_component, from_smallest_three, opacity_logit, rgb_from_dc, smallest_three,
+    byte, component_of_fraction, fraction_of_component, from_smallest_three, opacity_logit, rgb_from_dc,
+    smallest_three, word,
 };
 use super::{Decoded, FormatError, Options};
 use crate::ply::{Element, filter_comments, preamble, screen_filter};
@@ -225,10 +226,6 @@ fn chunk_ranges(table: &Table) -> Result<Vec<[Bounds; 3]>, FormatError> {
         [bounds(row, offsets[0]), bounds(row, offsets[1]), colours]
     };
     Ok(table.rows().map(ranges).collect())
-}
-
-fn word(row: &[u8], at: usize) -> u32 {
-    u32::from_le_bytes(std::array::from_fn(|i| row[at + i]))
 }
 
 fn unpack(cloud: &mut Gaussians, ranges: &[[Bounds; 3]], vertex: &Table) -> Result<(), FormatError> {

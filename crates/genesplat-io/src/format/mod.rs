@@ -61,10 +61,9 @@ impl Format {
     /// The format that the name of a file asks for, in capital or small letters.
     pub fn of(path: &Path) -> Option<Self> {
         let name = path.file_name()?.to_string_lossy().to_lowercase();
-        // The longer ending comes first.
-        [Self::CompressedPly, Self::Ply, Self::Splat, Self::Spz, Self::Sog, Self::Glb]
-            .into_iter()
-            .find(|format| name.strip_suffix(format.ending()).is_some_and(|stem| !stem.is_empty()))
+        let is_asked = |format: &Self| name.strip_suffix(format.ending()).is_some_and(|stem| !stem.is_empty());
+        // Of two endings, the longer one.
+        Self::ALL.into_iter().filter(is_asked).max_by_key(|format| format.ending().len())
     }
 
     /// What the names of its files end in.
@@ -219,8 +218,7 @@ pub fn to_bytes(path: &Path, format: Format, cloud: &Gaussians, options: &Option
 }
 
 fn ply_options(options: &Options) -> PlyOptions {
-    let sh_degree = options.sh_degree.min(SH_DEGREE_MAX);
-    PlyOptions { screen_filter: options.screen_filter, sh_degree, ..PlyOptions::default() }
+    PlyOptions { screen_filter: options.screen_filter, sh_degree: options.sh_degree.min(SH_DEGREE_MAX) }
 }
 
 /// The bytes of a cloud without a 3D filter.

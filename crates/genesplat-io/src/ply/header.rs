@@ -277,10 +277,7 @@ pub(crate) fn screen_filter(comments: &[String]) -> Option<ScreenFilter> {
 /// The header of `cloud`.
 pub(super) fn text(rows: usize, has_filter_3d: bool, options: &PlyOptions) -> String {
     let mut text = String::from("ply\nformat binary_little_endian 1.0\n");
-    let comments = options.comments.iter().map(String::as_str);
-    for comment in filter_comments(options.screen_filter).iter().copied().chain(comments) {
-        text += &format!("comment {}\n", comment.replace(['\n', '\r'], " "));
-    }
+    filter_comments(options.screen_filter).iter().for_each(|comment| text += &format!("comment {comment}\n"));
     text += &format!("element vertex {rows}\n");
     for name in super::rows::property_names(options.sh_degree, has_filter_3d) {
         text += &format!("property float {name}\n");

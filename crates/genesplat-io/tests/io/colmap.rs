@@ -367,7 +367,10 @@ fn a_scene_far_from_its_origin_is_told_or_refused() {
     let error = load(&moved(tiny_model(9), utm), HoldOut::default()).unwrap_err();
     assert!(matches!(error, SceneError::FarFromOrigin { .. }), "{error}");
     let sentence = error.to_string();
-    assert!(sentence.contains("images.bin") && sentence.contains("up to 540000") && sentence.contains("same vector"), "{sentence}");
+    assert!(
+        sentence.contains("images.bin") && sentence.contains("up to 540000") && sentence.contains("same vector"),
+        "{sentence}"
+    );
     // One camera has no radius.
     let alone = load(&moved(tiny_model(1), utm), HoldOut::None).unwrap();
     assert!(!is_told(&alone.notices), "{:?}", alone.notices);

@@ -327,7 +327,9 @@ fn with_meta(sog: &[u8], change: impl Fn(&mut serde_json::Map<String, serde_json
 fn a_sog_has_the_marks_of_older_and_newer_programs() {
     let folder = tempfile::tempdir().unwrap();
     let path = file(&folder, Format::Sog);
-    for (screen_filter, marks) in [(ScreenFilter::Classic, (false, None)), (ScreenFilter::Antialiased, (true, Some("antialiased")))] {
+    for (screen_filter, marks) in
+        [(ScreenFilter::Classic, (false, None)), (ScreenFilter::Antialiased, (true, Some("antialiased")))]
+    {
         write(&path, &varied(8, 20, 0), &Options { screen_filter, ..Options::default() });
         let sog = fs::read(&path).unwrap();
         with_meta(&sog, |meta| {

@@ -17,7 +17,9 @@ pub(super) fn check_in_place(document: &Document, meshes: &[usize]) -> Result<()
             return Err(format!("shows its splat twice, by the nodes {first} and {at}; export it with one of them"));
         }
         if let Some(mover) = movers[at] {
-            return Err(format!("moves its splat by node {mover}; apply the transform in the program that exported it"));
+            return Err(format!(
+                "moves its splat by node {mover}; apply the transform in the program that exported it"
+            ));
         }
     }
     Ok(())

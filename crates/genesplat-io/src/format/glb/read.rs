@@ -13,7 +13,7 @@ use super::{
     BINARY_CHUNK, COLOUR_SPACE, EXTENSION, JSON_CHUNK, KERNEL, MAGIC, OPACITY, ORDERS, POSITION, ROTATION, SCALE,
     VERSION, harmonic,
 };
-use crate::format::packing::{half_turn_about_x, log_scale, opacity_logit};
+use crate::format::packing::{half_turn_about_x, log_scale, opacity_logit, word};
 use crate::format::{Decoded, FormatError, check_claim};
 
 pub(in crate::format) fn decode(path: &Path, bytes: &[u8]) -> Result<Decoded, FormatError> {
@@ -46,7 +46,6 @@ pub(in crate::format) fn decode(path: &Path, bytes: &[u8]) -> Result<Decoded, Fo
 /// The JSON and the binary part.
 fn chunks(bytes: &[u8]) -> Result<(&[u8], &[u8]), String> {
     let (header, mut rest) = bytes.split_first_chunk::<12>().ok_or("ends within its header")?;
-    let word = |bytes: &[u8], at: usize| u32::from_le_bytes(std::array::from_fn(|i| bytes[at + i]));
     let (version, length) = (word(header, 4), word(header, 8));
     if !header.starts_with(&MAGIC) || version != VERSION {
         return Err(format!("is no .glb of version {VERSION}"));
