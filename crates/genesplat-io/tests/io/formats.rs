@@ -311,12 +311,13 @@ fn with_meta(sog: &[u8], change: impl Fn(&mut serde_json::Map<String, serde_json
         let mut bytes = Vec::new();
         let mut entry = from.by_index(index).unwrap();
         entry.read_to_end(&mut bytes).unwrap();
-        if entry.name() == "meta.json" {
+        let name = entry.name().unwrap().into_owned();
+        if name == "meta.json" {
             let mut meta: serde_json::Value = serde_json::from_slice(&bytes).unwrap();
             change(meta.as_object_mut().unwrap());
             bytes = serde_json::to_vec(&meta).unwrap();
         }
-        to.start_file(entry.name(), zip::write::SimpleFileOptions::default()).unwrap();
+        to.start_file(name, zip::write::SimpleFileOptions::default()).unwrap();
         to.write_all(&bytes).unwrap();
     }
     to.finish().unwrap().into_inner()
