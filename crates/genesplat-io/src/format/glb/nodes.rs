@@ -2,18 +2,15 @@
 
 use super::schema::{Document, Node};
 
-/// Refuses nodes that move one of the `meshes`, or show it twice: turning harmonics in general is no change of signs, and
-/// a splat is read once. Meshes without a node are where they are.
+/// Refuses nodes that move one of the `meshes` (numbers, in order), or show it twice: turning harmonics in general is no
+/// change of signs, and a splat is read once. Meshes without a node are where they are.
 pub(super) fn check_in_place(document: &Document, meshes: &[usize]) -> Result<(), String> {
     let movers = movers(&document.nodes)?;
-    let mut node_of: Vec<Option<usize>> = vec![None; document.meshes.len()];
+    let mut node_of: Vec<Option<usize>> = vec![None; meshes.len()];
     for (at, node) in document.nodes.iter().enumerate() {
-        let Some(place) = node.mesh.and_then(|mesh| node_of.get_mut(mesh)) else { continue };
         // A mesh that holds no splat may be anywhere.
-        if !node.mesh.is_some_and(|mesh| meshes.binary_search(&mesh).is_ok()) {
-            continue;
-        }
-        if let Some(first) = place.replace(at) {
+        let Some(splat) = node.mesh.and_then(|mesh| meshes.binary_search(&mesh).ok()) else { continue };
+        if let Some(first) = node_of[splat].replace(at) {
             return Err(format!("shows its splat twice, by the nodes {first} and {at}; export it with one of them"));
         }
         if let Some(mover) = movers[at] {
