@@ -35,12 +35,7 @@ impl Mask {
         self.counts.iter().filter(|counts| **counts).count()
     }
 
-    /// Puts zeros where nothing counts into planes `[.., H, W]`.
-    pub fn hide(&self, planes: &mut [f32]) {
-        self.hide_part(planes, 0..self.counts.len());
-    }
-
-    /// The same in planes that hold some of the pixels.
+    /// Puts zeros where nothing counts into planes that hold these pixels of `[.., H, W]`.
     pub fn hide_part<T: Default>(&self, planes: &mut [T], pixels: Range<usize>) {
         for plane in planes.chunks_mut(pixels.len().max(1)) {
             let hidden = plane.iter_mut().zip(&self.counts[pixels.clone()]).filter(|(_, counts)| !**counts);
@@ -101,7 +96,7 @@ mod tests {
         let mask = Mask { counts: vec![true, false, false, true] };
         assert_eq!(mask.counted(), 2);
         let mut planes: Vec<f32> = (1..=8).map(|value| value as f32).collect();
-        mask.hide(&mut planes);
+        mask.hide_part(&mut planes, 0..4);
         assert_eq!(planes, [1.0, 0.0, 0.0, 4.0, 5.0, 0.0, 0.0, 8.0]);
         let mut lower: Vec<f32> = (1..=4).map(|value| value as f32).collect();
         mask.hide_part(&mut lower, 2..4);

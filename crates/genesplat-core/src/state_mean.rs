@@ -27,11 +27,6 @@ impl StateMean {
         &self.mean
     }
 
-    /// The mean itself.
-    pub fn into_mean(self) -> Gaussians {
-        self.mean
-    }
-
     /// Adds a state.
     ///
     /// # Panics

@@ -68,7 +68,7 @@ pub fn photo(bytes: &[u8], pixels_max: u64) -> Result<Option<Photo>, PhotoError>
     let photo = EncodedPhoto::of(NAME.as_ref(), bytes.to_vec())?;
     let (width, height) = photo.size();
     let is_small = u64::from(width) * u64::from(height) <= pixels_max;
-    is_small.then(|| photo.decode_on([0; 3])).transpose()
+    is_small.then(|| photo.decode_on_black()).transpose()
 }
 
 /// A grey photo of `camera`, as a pinhole takes it; `None` where the lens cannot be undone, or the photo is larger than

@@ -134,6 +134,21 @@ pub enum SceneError {
         /// What is wrong.
         problem: &'static str,
     },
+    /// Cameras where the steps of single precision are not small beside the scene.
+    #[error(
+        "{} has a scene far from its origin, so that single precision is lost: its cameras are within {radius:.3} units of \
+         their middle, and have coordinates up to {distance:.0}; {}",
+        shown(.file),
+        crate::scene::precision::CENTRE
+    )]
+    FarFromOrigin {
+        /// The file that lists the cameras.
+        file: PathBuf,
+        /// Largest coordinate of a camera, world units.
+        distance: f64,
+        /// Largest distance of a camera from their middle, world units.
+        radius: f64,
+    },
     /// Every listed photo is absent.
     #[error("none of the {count} photos that {} lists is in {}{remedy}", shown(.list), shown(.folder))]
     AllPhotosMissing {

@@ -4,6 +4,7 @@
 //! on each axis (18 floats). `vertex`: position and log-scale as fractions of the chunk's range in 11, 10 and 11 bits;
 //! the rotation as 2 bits for the largest component and 10 for each of the others; base colour as fractions of the
 //! range, and opacity, in 8 bits each. `sh`: a byte for each further coefficient, channel after channel, from -4 to 4.
+//! A comment of the header says how a viewer should filter, in the words of [`crate::ply`].
 //!
 //! Rows are sorted along a Morton curve, so that chunks are small.
 
@@ -12,13 +13,14 @@ use std::path::Path;
 
 use genesplat_core::gaussians::sigmoid;
 use genesplat_core::spherical_harmonics::{coefficients, dc_from_rgb, sh_index};
-use genesplat_core::{Gaussians, morton_order};
+use genesplat_core::{Gaussians, ScreenFilter, morton_order};
 
 use super::packing::{
-    byte, component_of_fraction, fraction_of_component, from_smallest_three, opacity_logit, rgb_from_dc, smallest_three,
+    byte, component_of_fraction, fraction_of_component, from_smallest_three, opacity_logit, rgb_from_dc,
+    smallest_three, word,
 };
-use super::{Decoded, FormatError};
-use crate::ply::{Element, preamble};
+use super::{Decoded, FormatError, Options};
+use crate::ply::{Element, filter_comments, preamble, screen_filter};
 
 const CHUNK_ROWS: usize = 256;
 
@@ -36,12 +38,12 @@ const SH_MAX: f32 = 4.0;
 /// Least and largest value on three axes.
 type Bounds = [[f32; 3]; 2];
 
-pub(super) fn encode(cloud: &Gaussians) -> Vec<u8> {
+pub(super) fn encode(cloud: &Gaussians, options: &Options) -> Vec<u8> {
     let cloud = cloud.gather(&morton_order(&cloud.positions));
     let rest = coefficients(cloud.sh_degree_in_use()) - 1;
     let chunks: Vec<Range<usize>> =
         (0..cloud.len()).step_by(CHUNK_ROWS).map(|first| first..(first + CHUNK_ROWS).min(cloud.len())).collect();
-    let mut bytes = header(cloud.len(), chunks.len(), 3 * rest).into_bytes();
+    let mut bytes = header(cloud.len(), chunks.len(), 3 * rest, options.screen_filter).into_bytes();
     let ranges: Vec<[Bounds; 3]> = chunks.iter().map(|rows| ranges(&cloud, rows.clone())).collect();
     ranges.iter().for_each(|chunk| {
         chunk.iter().flatten().flatten().for_each(|value| bytes.extend(value.to_le_bytes()));
@@ -55,8 +57,10 @@ pub(super) fn encode(cloud: &Gaussians) -> Vec<u8> {
     bytes
 }
 
-fn header(rows: usize, chunks: usize, rest: usize) -> String {
-    let mut text = format!("ply\nformat binary_little_endian 1.0\nelement chunk {chunks}\n");
+fn header(rows: usize, chunks: usize, rest: usize, screen_filter: ScreenFilter) -> String {
+    let mut text = String::from("ply\nformat binary_little_endian 1.0\n");
+    filter_comments(screen_filter).iter().for_each(|comment| text += &format!("comment {comment}\n"));
+    text += &format!("element chunk {chunks}\n");
     for axes in RANGES {
         for bound in ["min", "max"] {
             axes.iter().for_each(|axis| text += &format!("property float {bound}_{axis}\n"));
@@ -188,7 +192,7 @@ pub(super) fn decode(path: &Path, bytes: &[u8]) -> Result<Decoded, FormatError> 
         expected(sh, rows)?;
         sh_degree = unpack_sh(&mut cloud, sh)?;
     }
-    Ok(Decoded { cloud, sh_degree, screen_filter: None })
+    Ok(Decoded { cloud, sh_degree, screen_filter: screen_filter(&text.comments) })
 }
 
 /// The bytes of every element; together they must be all that there are.
@@ -222,10 +226,6 @@ fn chunk_ranges(table: &Table) -> Result<Vec<[Bounds; 3]>, FormatError> {
         [bounds(row, offsets[0]), bounds(row, offsets[1]), colours]
     };
     Ok(table.rows().map(ranges).collect())
-}
-
-fn word(row: &[u8], at: usize) -> u32 {
-    u32::from_le_bytes(std::array::from_fn(|i| row[at + i]))
 }
 
 fn unpack(cloud: &mut Gaussians, ranges: &[[Bounds; 3]], vertex: &Table) -> Result<(), FormatError> {

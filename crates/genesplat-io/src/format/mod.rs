@@ -61,10 +61,9 @@ impl Format {
     /// The format that the name of a file asks for, in capital or small letters.
     pub fn of(path: &Path) -> Option<Self> {
         let name = path.file_name()?.to_string_lossy().to_lowercase();
-        // The longer ending comes first.
-        [Self::CompressedPly, Self::Ply, Self::Splat, Self::Spz, Self::Sog, Self::Glb]
-            .into_iter()
-            .find(|format| name.strip_suffix(format.ending()).is_some_and(|stem| !stem.is_empty()))
+        let is_asked = |format: &Self| name.strip_suffix(format.ending()).is_some_and(|stem| !stem.is_empty());
+        // Of two endings, the longer one.
+        Self::ALL.into_iter().filter(is_asked).max_by_key(|format| format.ending().len())
     }
 
     /// What the names of its files end in.
@@ -219,8 +218,7 @@ pub fn to_bytes(path: &Path, format: Format, cloud: &Gaussians, options: &Option
 }
 
 fn ply_options(options: &Options) -> PlyOptions {
-    let sh_degree = options.sh_degree.min(SH_DEGREE_MAX);
-    PlyOptions { screen_filter: options.screen_filter, sh_degree, ..PlyOptions::default() }
+    PlyOptions { screen_filter: options.screen_filter, sh_degree: options.sh_degree.min(SH_DEGREE_MAX) }
 }
 
 /// The bytes of a cloud without a 3D filter.
@@ -228,7 +226,7 @@ fn encode(path: &Path, format: Format, cloud: &Gaussians, options: &Options) -> 
     check_finite(path, cloud)?;
     match format {
         Format::Ply => unreachable!("a plain PLY is written row by row"),
-        Format::CompressedPly => Ok(compressed_ply::encode(cloud)),
+        Format::CompressedPly => Ok(compressed_ply::encode(cloud, options)),
         Format::Splat => Ok(splat::encode(cloud)),
         Format::Spz => spz::encode(path, cloud, options),
         Format::Sog => sog::encode(path, cloud, options),
@@ -237,8 +235,9 @@ fn encode(path: &Path, format: Format, cloud: &Gaussians, options: &Options) -> 
 }
 
 /// A compressed file is believed to fill at most so much memory, and so much more for each of its own bytes: a short file
-/// of repetitions can claim any number of Gaussians.
-const EXPANSION: [u64; 2] = [1 << 28, 1 << 12];
+/// of repetitions can claim any number of Gaussians. The smallest in docs/formats.md have 17
+/// bytes for the 236 of a Gaussian.
+const EXPANSION: [u64; 2] = [1 << 28, 1 << 6];
 
 /// Fails where a compressed file claims more Gaussians than its size makes likely.
 fn check_claim(path: &Path, gaussians: u64, file_bytes: usize) -> Result<(), FormatError> {

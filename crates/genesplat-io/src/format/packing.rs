@@ -1,4 +1,4 @@
-//! What several formats share: opacities and colours as bytes, quaternions by their three smallest components, and the
+//! What several formats share: words, opacities and colours as bytes, quaternions by their three smallest components, and the
 //! half turn between y down and y up.
 
 use std::f32::consts::{FRAC_1_SQRT_2, SQRT_2};
@@ -9,6 +9,11 @@ use genesplat_core::spherical_harmonics::{C0, SH_COEFFICIENTS, dc_from_rgb};
 
 /// Largest magnitude of an opacity logit that is read: its opacity is 1 to within `f32`.
 const LOGIT_MAX: f32 = 16.0;
+
+/// The little-endian word at byte `at`.
+pub(super) fn word(bytes: &[u8], at: usize) -> u32 {
+    u32::from_le_bytes(std::array::from_fn(|i| bytes[at + i]))
+}
 
 /// The logit of an opacity; 0 and 1 have finite ones here.
 pub(super) fn opacity_logit(opacity: f32) -> f32 {

@@ -24,7 +24,7 @@ impl PhotoMask {
     pub(crate) fn open(path: &Path) -> Result<Self, PhotoError> {
         let encoded = EncodedPhoto::open(path)?;
         let _room = encoded.wait_for_room();
-        let photo = encoded.decode_on([0; 3])?;
+        let photo = encoded.decode_on_black()?;
         let counts = photo.rgb.chunks_exact(3).map(|rgb| rgb != [0; 3]).collect();
         Ok(Self { size: [photo.width, photo.height], counts })
     }

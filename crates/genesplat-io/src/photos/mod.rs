@@ -106,12 +106,12 @@ impl EncodedPhoto {
         memory::wait_for(self.encoded.loading_bytes())
     }
 
-    /// The pixels; transparency is composited on `background`.
-    pub fn decode_on(self, background: [u8; 3]) -> Result<Photo, PhotoError> {
-        self.decode().map(|image| composite(image, background))
+    /// The pixels; transparency is composited on black.
+    pub fn decode_on_black(self) -> Result<Photo, PhotoError> {
+        self.decode().map(|image| composite(image, [0; 3]))
     }
 
-    /// The same, and what of it is opaque, where not all is.
+    /// The pixels on `background`, and what of the photo is opaque, where not all is.
     pub(crate) fn decode_with_opaque(self, background: [u8; 3]) -> Result<(Photo, Option<PhotoMask>), PhotoError> {
         let image = self.decode()?;
         let opaque = PhotoMask::of_opaque(&image);
@@ -131,7 +131,7 @@ fn undecodable(path: &Path, reason: String) -> PhotoError {
 pub fn read_photo(path: &Path) -> Result<Photo, PhotoError> {
     let encoded = EncodedPhoto::open(path)?;
     let _room = encoded.wait_for_room();
-    encoded.decode_on([0; 3])
+    encoded.decode_on_black()
 }
 
 /// [`read_photo`], and what of the picture was discarded: a comparison of pictures does not see it.
@@ -215,4 +215,17 @@ fn over([r, g, b, alpha]: [u8; 4], background: [u8; 3]) -> [u8; 3] {
     let alpha = u32::from(alpha);
     let blend = |value: u8, behind: u8| (u32::from(value) * alpha + u32::from(behind) * (255 - alpha)) / 255;
     [blend(r, background[0]), blend(g, background[1]), blend(b, background[2])].map(|value| value as u8)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_background_shows_through_truncated() {
+        let on_white = |pixel| over(pixel, [255; 3]);
+        assert_eq!((on_white([200, 100, 50, 255]), on_white([200, 100, 50, 0])), ([200, 100, 50], [255; 3]));
+        // 200 * 128 / 255 = 100.39, 50.19 and 25.6, and 127 * 255 / 255 more.
+        assert_eq!(on_white([200, 100, 51, 128]), [227, 177, 152]);
+    }
 }

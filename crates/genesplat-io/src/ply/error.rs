@@ -27,7 +27,7 @@ pub enum PlyError {
     },
     /// Not a PLY file, or a header that breaks the format's grammar.
     #[error(
-        "{} is not a PLY file that genesplat can read: {problem}; export it again as a binary splat PLY",
+        "{} is not a PLY file that genesplat can read: {problem}; export it again as binary little-endian PLY",
         shown(.path)
     )]
     Header {

@@ -81,7 +81,7 @@ pub(super) enum Encoding {
 /// What the text at the start of a file declares.
 pub(crate) struct Preamble {
     encoding: Encoding,
-    comments: Vec<String>,
+    pub(crate) comments: Vec<String>,
     /// In the order of the file.
     pub(crate) elements: Vec<Element>,
     /// Length of the text.
@@ -256,7 +256,7 @@ fn degree(rest: usize) -> Result<u8, String> {
 
 /// The header comment of `filter`, in words that viewers know. They have one for both kinds of compensated opacity, so a
 /// second comment tells the classic dilation from Mip-Splatting's.
-fn filter_comments(filter: ScreenFilter) -> &'static [&'static str] {
+pub(crate) fn filter_comments(filter: ScreenFilter) -> &'static [&'static str] {
     match filter {
         ScreenFilter::Classic => &["SplatRenderMode: default"],
         ScreenFilter::Antialiased => &["SplatRenderMode: mip", "SplatDilation: 0.3"],
@@ -264,7 +264,7 @@ fn filter_comments(filter: ScreenFilter) -> &'static [&'static str] {
     }
 }
 
-fn screen_filter(comments: &[String]) -> Option<ScreenFilter> {
+pub(crate) fn screen_filter(comments: &[String]) -> Option<ScreenFilter> {
     let value = |key| comments.iter().find_map(|comment| comment.strip_prefix(key)).map(str::trim);
     match (value("SplatRenderMode:")?, value("SplatDilation:")) {
         ("default", _) => Some(ScreenFilter::Classic),
@@ -277,10 +277,7 @@ fn screen_filter(comments: &[String]) -> Option<ScreenFilter> {
 /// The header of `cloud`.
 pub(super) fn text(rows: usize, has_filter_3d: bool, options: &PlyOptions) -> String {
     let mut text = String::from("ply\nformat binary_little_endian 1.0\n");
-    let comments = options.comments.iter().map(String::as_str);
-    for comment in filter_comments(options.screen_filter).iter().copied().chain(comments) {
-        text += &format!("comment {}\n", comment.replace(['\n', '\r'], " "));
-    }
+    filter_comments(options.screen_filter).iter().for_each(|comment| text += &format!("comment {comment}\n"));
     text += &format!("element vertex {rows}\n");
     for name in super::rows::property_names(options.sh_degree, has_filter_3d) {
         text += &format!("property float {name}\n");

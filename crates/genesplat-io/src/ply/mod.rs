@@ -25,7 +25,7 @@ use genesplat_core::{Gaussians, ScreenFilter};
 pub use error::PlyError;
 use header::Encoding;
 pub use header::PlyHeader;
-pub(crate) use header::{Element, preamble};
+pub(crate) use header::{Element, filter_comments, preamble, screen_filter};
 pub(crate) use points::{parse_points, read_points};
 
 use crate::atomic::write_atomically;
@@ -33,20 +33,18 @@ use crate::input;
 use crate::listing::position_problem;
 
 /// How a cloud is written.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PlyOptions {
     /// How a viewer should filter the splats; the header comment `SplatRenderMode` tells it (shared with Brush and
     /// nerfstudio).
     pub screen_filter: ScreenFilter,
-    /// Further header comments, one line each (line breaks are replaced by spaces).
-    pub comments: Vec<String>,
     /// Highest degree of the spherical harmonics that are written, 0 to 3. Other programs expect 3.
     pub sh_degree: u8,
 }
 
 impl Default for PlyOptions {
     fn default() -> Self {
-        Self { screen_filter: ScreenFilter::default(), comments: Vec::new(), sh_degree: SH_DEGREE_MAX }
+        Self { screen_filter: ScreenFilter::default(), sh_degree: SH_DEGREE_MAX }
     }
 }
 

@@ -5,6 +5,7 @@ pub mod blocks;
 mod listed;
 mod masks;
 mod place;
+pub(crate) mod precision;
 mod random_points;
 mod split;
 mod view;
@@ -218,6 +219,7 @@ fn list(path: &Path, options: &LoadOptions) -> Result<Listing, SceneError> {
 /// would find it out only after the photos are decoded.
 fn checked(mut listing: Listing, scene: &Path, options: &LoadOptions) -> Result<Listing, SceneError> {
     masks::find(&mut listing, scene);
+    listing.notices.extend(precision::check(&listing)?);
     listing.set_near(options.near);
     listing.check_not_shared()?;
     listing.name_views()?;

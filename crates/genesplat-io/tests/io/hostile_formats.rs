@@ -4,6 +4,7 @@ use std::fs;
 use std::io::Write;
 use std::path::PathBuf;
 use std::sync::LazyLock;
+use std::time::{Duration, Instant};
 
 use flate2::Compression;
 use flate2::write::GzEncoder;
@@ -45,7 +46,9 @@ impl Place {
 
     /// The sentence about a file that is not read.
     fn refused(&self, ending: &str, bytes: &[u8]) -> String {
-        let error = format::read(&self.file(ending, bytes)).unwrap_err().to_string();
+        // A test that fails says how many Gaussians were read, and not all of them.
+        let read = format::read(&self.file(ending, bytes)).map(|loaded| loaded.cloud.len());
+        let error = read.unwrap_err().to_string();
         assert!(error.contains("cloud"), "{error}");
         error
     }
@@ -213,6 +216,31 @@ fn extensions_of_spz_are_passed_over_or_heeded() {
     assert!(place.refused(".spz", &endless).contains("ends within an extension"));
 }
 
+/// An `.spz` of so many Gaussians, all of whose bytes are 0.
+fn spz_of_zeros(gaussians: usize) -> Vec<u8> {
+    let streams = [9, 1, 3, 3, 4].map(|bytes| vec![0; bytes * gaussians]);
+    let compressed = streams.each_ref().map(|stream| zstd::bulk::compress(stream, 1).unwrap());
+    let mut file = legacy_spz(4, gaussians as u32, &32u32.to_le_bytes());
+    file[15] = 5;
+    file.resize(32, 0);
+    for (stream, compressed) in streams.iter().zip(&compressed) {
+        file.extend([compressed.len(), stream.len()].map(|size| (size as u64).to_le_bytes()).concat());
+    }
+    [file, compressed.concat()].concat()
+}
+
+/// A file of repetitions is worth 64 bytes of memory a byte, beyond a quarter of a gigabyte.
+#[test]
+fn a_short_file_of_many_gaussians_is_refused() {
+    let place = Place::new();
+    let read = |gaussians| format::read(&place.file(".spz", &spz_of_zeros(gaussians)));
+    assert_eq!(read(1_000_000).unwrap().cloud.len(), 1_000_000);
+    // A megabyte of ballast, which an extension makes, is worth 284,000 more.
+    let bomb = with_extension(&spz_of_zeros(1_500_000), 0x1234_0001, &[7; 1 << 20]);
+    let error = place.refused(".spz", &bomb);
+    assert!(error.contains("claims 1500000 Gaussians, far more than"), "{error}");
+}
+
 #[test]
 fn compressed_ply_that_contradicts_itself_is_refused() {
     let place = Place::new();
@@ -281,6 +309,49 @@ fn glb_that_holds_no_splat_or_lies_about_it_is_refused() {
     assert!(place.refused(".glb", &short).contains("says that it has"));
 }
 
+/// A splat of one Gaussian in each of `primitives` primitives of mesh 0, placed by these nodes.
+fn glb_of_nodes(nodes: &str, primitives: usize) -> Vec<u8> {
+    let name = |name: &str, index: usize| format!(r#""KHR_gaussian_splatting:{name}":{index}"#);
+    let attributes =
+        [name("ROTATION", 1), name("SCALE", 0), name("OPACITY", 2), name("SH_DEGREE_0_COEF_0", 0)].join(",");
+    let primitive =
+        format!(r#"{{"attributes":{{"POSITION":0,{attributes}}},"extensions":{{"KHR_gaussian_splatting":{{}}}}}}"#);
+    let accessors = ["VEC3", "VEC4", "SCALAR"]
+        .map(|kind| format!(r#"{{"bufferView":0,"componentType":5126,"type":"{kind}","count":1}}"#));
+    let json = format!(
+        r#"{{"nodes":[{nodes}],"meshes":[{{"primitives":[{}]}}],"accessors":[{}],"bufferViews":[{{"byteLength":16}}]}}"#,
+        vec![primitive; primitives].join(","),
+        accessors.join(",")
+    );
+    glb(&json, &[0.5f32; 4].map(f32::to_le_bytes).concat())
+}
+
+#[test]
+fn glb_that_moves_its_splat_is_refused() {
+    let place = Place::new();
+    assert_eq!(format::read(&place.file(".glb", &glb_of_nodes(r#"{"mesh":0}"#, 5))).unwrap().cloud.len(), 5);
+    for (nodes, words) in [
+        (r#"{"mesh":0},{"mesh":0,"translation":[100,0,0]}"#, "shows its splat twice"),
+        (r#"{"mesh":0},{"children":[0],"translation":[100,0,0]}"#, "moves its splat by node 1"),
+        (r#"{"mesh":0,"children":[1]},{"children":[0]}"#, "below themselves"),
+    ] {
+        let error = place.refused(".glb", &glb_of_nodes(nodes, 1));
+        assert!(error.contains(words), "{error}");
+    }
+}
+
+/// Each node is looked at once, however deep the splat lies: step by step for each primitive, this took 44 seconds.
+#[test]
+fn a_chain_of_many_nodes_takes_no_time() {
+    let link = |at: usize| if at == 0 { r#"{"mesh":0}"#.into() } else { format!(r#"{{"children":[{}]}}"#, at - 1) };
+    let nodes: Vec<String> = (0..40_000).map(link).collect();
+    let place = Place::new();
+    let path = place.file(".glb", &glb_of_nodes(&nodes.join(","), 5));
+    let start = Instant::now();
+    assert_eq!(format::read(&path).unwrap().cloud.len(), 5);
+    assert!(start.elapsed() < Duration::from_secs(5), "{:?}", start.elapsed());
+}
+
 /// Normalised bytes and shorts, as the extension allows them.
 #[test]
 fn quantised_glb_is_read() {
@@ -312,19 +383,39 @@ fn quantised_glb_is_read() {
     assert!((log_scales[0][2] - 3f32.ln()).abs() < 1e-6 && (sigmoid(opacity_logits[0]) - 0.2).abs() < 1e-6);
 }
 
+fn sog_meta(version: u32, count: u64) -> String {
+    format!(
+        r#"{{"version":{version},"count":{count},"means":{{"mins":[0,0,0],"maxs":[1,1,1],"files":["a","b"]}},
+        "scales":{{"codebook":[],"files":["c"]}},"quats":{{"files":["d"]}},"sh0":{{"codebook":[],"files":["e"]}}}}"#
+    )
+}
+
+/// A picture that unpacks to far more than its pixels take is not unpacked: 1.5 MB took 1.5 GB.
+#[test]
+fn a_sog_whose_picture_unpacks_to_too_much_is_refused() {
+    let place = Place::new();
+    let sentence = |bytes: usize| {
+        let mut zip = zip::ZipWriter::new(std::io::Cursor::new(Vec::new()));
+        for (name, content) in [("meta.json", sog_meta(2, 1).into_bytes()), ("a", vec![0; bytes])] {
+            zip.start_file(name, zip::write::SimpleFileOptions::default()).unwrap();
+            zip.write_all(&content).unwrap();
+        }
+        place.refused(".sog", &zip.finish().unwrap().into_inner())
+    };
+    // 8 bytes for each of 2^20 + 2 pixels, and 64 KiB.
+    let most = 8 * ((1 << 20) + 2) + (1 << 16);
+    assert!(sentence(most).contains("no readable picture in a"), "{}", sentence(most));
+    let error = sentence(most + 1);
+    assert!(error.contains(&format!("more than {most} bytes in a")), "{error}");
+}
+
 #[test]
 fn a_sog_without_its_pictures_is_refused() {
     let place = Place::new();
-    let meta = |version: u32, count: u64| {
-        format!(
-            r#"{{"version":{version},"count":{count},"means":{{"mins":[0,0,0],"maxs":[1,1,1],"files":["a","b"]}},
-            "scales":{{"codebook":[],"files":["c"]}},"quats":{{"files":["d"]}},"sh0":{{"codebook":[],"files":["e"]}}}}"#
-        )
-    };
     for (json, words) in [
-        (meta(2, 1), "no readable a"),
-        (meta(1, 1), "version 1"),
-        (meta(2, u64::MAX), "claims 18446744073709551615 Gaussians"),
+        (sog_meta(2, 1), "no readable a"),
+        (sog_meta(1, 1), "version 1"),
+        (sog_meta(2, u64::MAX), "claims 18446744073709551615 Gaussians"),
         ("{}".into(), "meta.json that is not valid"),
     ] {
         let mut zip = zip::ZipWriter::new(std::io::Cursor::new(Vec::new()));

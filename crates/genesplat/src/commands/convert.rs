@@ -92,8 +92,12 @@ fn tell_losses(format: Format, cloud: &Gaussians, splat: &Splat) {
             "notice: {ending} holds no 3D filter; it is baked in, and the file can be shown but not refined"
         ));
     }
-    let says_filter = matches!(format, Format::Ply | Format::Spz | Format::Sog);
-    let is_exact = says_filter && !(format != Format::Ply && splat.settings.filter == ScreenFilter::Mip);
+    let is_exact = match format {
+        Format::Ply | Format::CompressedPly => true,
+        // One mark for both kinds of compensated opacity.
+        Format::Spz | Format::Sog => splat.settings.filter != ScreenFilter::Mip,
+        Format::Splat | Format::Glb => false,
+    };
     if splat.settings.filter != ScreenFilter::Classic && !is_exact {
         output::tell(&format!(
             "notice: {ending} does not say how this splat is antialiased, so viewers show small Gaussians a little larger"

@@ -8,6 +8,7 @@
 //! glTF has y up: the half turn about x is baked into positions, rotations and harmonics.
 
 mod accessor;
+mod nodes;
 mod read;
 mod schema;
 mod write;

@@ -7,12 +7,13 @@ use genesplat_core::spherical_harmonics::SH_STRIDE;
 use serde_json::Value;
 
 use super::accessor::rows;
-use super::schema::{Document, Node, Primitive};
+use super::nodes::check_in_place;
+use super::schema::{Document, Primitive};
 use super::{
     BINARY_CHUNK, COLOUR_SPACE, EXTENSION, JSON_CHUNK, KERNEL, MAGIC, OPACITY, ORDERS, POSITION, ROTATION, SCALE,
     VERSION, harmonic,
 };
-use crate::format::packing::{half_turn_about_x, log_scale, opacity_logit};
+use crate::format::packing::{half_turn_about_x, log_scale, opacity_logit, word};
 use crate::format::{Decoded, FormatError, check_claim};
 
 pub(in crate::format) fn decode(path: &Path, bytes: &[u8]) -> Result<Decoded, FormatError> {
@@ -20,19 +21,19 @@ pub(in crate::format) fn decode(path: &Path, bytes: &[u8]) -> Result<Decoded, Fo
     let (json, binary) = chunks(bytes).map_err(damaged)?;
     let document: Document = serde_json::from_slice(json)
         .map_err(|error| damaged(format!("has a description that is not valid ({error})")))?;
+    let is_splat = |primitive: &&Primitive| primitive.extensions.contains_key(EXTENSION);
+    let meshes: Vec<usize> = (document.meshes.iter().enumerate())
+        .filter_map(|(index, mesh)| mesh.primitives.iter().any(|primitive| is_splat(&primitive)).then_some(index))
+        .collect();
+    check_in_place(&document, &meshes).map_err(|problem| FormatError::unsupported(path, problem))?;
     let mut cloud = Gaussians::default();
     let mut sh_degree = 0;
-    for (index, mesh) in document.meshes.iter().enumerate() {
-        for primitive in &mesh.primitives {
-            let Some(extension) = primitive.extensions.get(EXTENSION) else { continue };
-            check_supported(extension)
-                .and_then(|()| check_in_place(&document, index))
-                .map_err(|problem| FormatError::unsupported(path, problem))?;
-            let degree = append(&mut cloud, &document, binary, primitive).map_err(damaged)?;
-            sh_degree = degree.max(sh_degree);
-            // Primitives may share their bytes.
-            check_claim(path, cloud.len() as u64, bytes.len())?;
-        }
+    for primitive in document.meshes.iter().flat_map(|mesh| &mesh.primitives).filter(is_splat) {
+        check_supported(&primitive.extensions[EXTENSION]).map_err(|problem| FormatError::unsupported(path, problem))?;
+        let degree = append(&mut cloud, &document, binary, primitive).map_err(damaged)?;
+        sh_degree = degree.max(sh_degree);
+        // Primitives may share their bytes.
+        check_claim(path, cloud.len() as u64, bytes.len())?;
     }
     if cloud.is_empty() {
         let problem = format!("holds no splat: no mesh in it uses {EXTENSION}; give a file that does");
@@ -45,7 +46,6 @@ pub(in crate::format) fn decode(path: &Path, bytes: &[u8]) -> Result<Decoded, Fo
 /// The JSON and the binary part.
 fn chunks(bytes: &[u8]) -> Result<(&[u8], &[u8]), String> {
     let (header, mut rest) = bytes.split_first_chunk::<12>().ok_or("ends within its header")?;
-    let word = |bytes: &[u8], at: usize| u32::from_le_bytes(std::array::from_fn(|i| bytes[at + i]));
     let (version, length) = (word(header, 4), word(header, 8));
     if !header.starts_with(&MAGIC) || version != VERSION {
         return Err(format!("is no .glb of version {VERSION}"));
@@ -86,31 +86,6 @@ fn check_supported(extension: &Value) -> Result<(), String> {
     }
     if extension.get("extensions").and_then(Value::as_object).is_some_and(|inner| !inner.is_empty()) {
         return Err("is compressed within glTF, which genesplat does not read; export it without, or as .spz".into());
-    }
-    Ok(())
-}
-
-/// Nodes that move a splat are refused: turning harmonics in general is no change of signs.
-fn check_in_place(document: &Document, mesh: usize) -> Result<(), String> {
-    let moves = |node: &Node| {
-        let differs =
-            |value: &Option<Vec<f64>>, identity: &[f64]| value.as_ref().is_some_and(|value| value != identity);
-        let matrix: [f64; 16] = std::array::from_fn(|i| if i % 5 == 0 { 1.0 } else { 0.0 });
-        differs(&node.matrix, &matrix)
-            || differs(&node.translation, &[0.0; 3])
-            || differs(&node.rotation, &[0.0, 0.0, 0.0, 1.0])
-            || differs(&node.scale, &[1.0; 3])
-    };
-    let Some(mut at) = document.nodes.iter().position(|node| node.mesh == Some(mesh)) else { return Ok(()) };
-    // Up through the parents; a file may have them in a ring.
-    for _ in 0..=document.nodes.len() {
-        if moves(&document.nodes[at]) {
-            return Err(format!("moves its splat by node {at}; apply the transform in the program that exported it"));
-        }
-        match document.nodes.iter().position(|node| node.children.contains(&at)) {
-            Some(parent) => at = parent,
-            None => return Ok(()),
-        }
     }
     Ok(())
 }
@@ -171,12 +146,5 @@ mod tests {
             let problem = check_supported(&extension).unwrap_err();
             assert!(problem.contains(word) && problem.contains("export"), "{problem}");
         }
-        let nodes = |transform: Value| {
-            let mut parent = json!({"children": [1]});
-            parent.as_object_mut().unwrap().extend(transform.as_object().unwrap().clone());
-            serde_json::from_value::<Document>(json!({"nodes": [parent, {"mesh": 0}]})).unwrap()
-        };
-        assert_eq!(check_in_place(&nodes(json!({"scale": [1, 1, 1], "children": [1, 0]})), 0), Ok(()));
-        assert!(check_in_place(&nodes(json!({"rotation": [1, 0, 0, 0]})), 0).unwrap_err().contains("node 0"));
     }
 }

@@ -5,14 +5,21 @@ use serde::{Deserialize, Serialize};
 /// The version that is read and written.
 pub(super) const VERSION: u64 = 2;
 
+/// The model of a cloud whose opacities are compensated for the screen filter.
+pub(super) const ANTIALIASED: &str = "antialiased";
+
 #[derive(Debug, Serialize, Deserialize)]
 pub(super) struct Meta {
     /// Files of version 1 do not say.
     #[serde(default)]
     pub(super) version: u64,
     pub(super) count: u64,
+    /// Whether opacities are compensated for the screen filter, as PlayCanvas's programs said it up to splat-transform 2.
     #[serde(default)]
     pub(super) antialias: bool,
+    /// The same, as they say it from splat-transform 3 on: [`ANTIALIASED`], or nothing.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) model: Option<String>,
     pub(super) means: Means,
     pub(super) scales: Coded,
     pub(super) quats: Plain,

@@ -42,10 +42,12 @@ pub(super) fn encode(path: &Path, cloud: &Gaussians, options: &Options) -> Resul
         FormatError::unsupported(path, "would need larger pictures than WebP has; write a .ply, or fewer Gaussians")
     })?;
     let mut archive = ArchiveWriter::default();
+    let antialias = options.screen_filter != ScreenFilter::Classic;
     let meta = Meta {
         version: meta::VERSION,
         count: cloud.len() as u64,
-        antialias: options.screen_filter != ScreenFilter::Classic,
+        antialias,
+        model: antialias.then(|| meta::ANTIALIASED.to_owned()),
         means: write_means(&mut archive, grid, &cloud),
         scales: write_scales(&mut archive, grid, &cloud),
         quats: write_rotations(&mut archive, grid, &cloud),
@@ -171,7 +173,8 @@ pub(super) fn decode(path: &Path, bytes: &[u8]) -> Result<Decoded, FormatError> 
     if let Some(palette) = &meta.sh_n {
         read_harmonics(&mut archive, palette, &mut cloud)?;
     }
-    let screen_filter = if meta.antialias { ScreenFilter::Antialiased } else { ScreenFilter::Classic };
+    let is_antialiased = meta.antialias || meta.model.as_deref() == Some(meta::ANTIALIASED);
+    let screen_filter = if is_antialiased { ScreenFilter::Antialiased } else { ScreenFilter::Classic };
     let sh_degree = meta.sh_n.map_or(0, |palette| palette.bands);
     Ok(Decoded { cloud, sh_degree, screen_filter: Some(screen_filter) })
 }

@@ -20,6 +20,10 @@ const META_BYTES_MAX: u64 = 1 << 24;
 /// A picture may be larger than its Gaussians need, by so much: short files can claim enormous pictures.
 const SPARE_PIXELS: usize = 1 << 20;
 
+/// The file of a picture may have so many bytes, and so many more for each pixel that the picture may have: twice what
+/// pixels take that are not compressed.
+const PICTURE_BYTES: [u64; 2] = [1 << 16, 8];
+
 /// Size of a picture, px.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Grid {
@@ -116,14 +120,18 @@ impl<'a> Archive<'a> {
             .map_err(|error| self.damaged(format!("has a {META} that is not valid ({error})")))
     }
 
-    /// At most `most` bytes of the file `name`.
+    /// The file `name`, which may have at most `most` bytes: a short entry can unpack to any number of them.
     fn file(&mut self, name: &str, most: u64) -> Result<Vec<u8>, FormatError> {
         let path = self.path;
         let broken =
             |error: &dyn std::fmt::Display| FormatError::damaged(path, format!("has no readable {name} ({error})"));
         let file = self.zip.by_name(name).map_err(|error| broken(&error))?;
         let mut bytes = Vec::new();
-        file.take(most).read_to_end(&mut bytes).map_err(|error| broken(&error))?;
+        // One byte more than there may be shows whether there are more.
+        file.take(most + 1).read_to_end(&mut bytes).map_err(|error| broken(&error))?;
+        if bytes.len() as u64 > most {
+            return Err(self.damaged(format!("has more than {most} bytes in {name}, far more than it needs")));
+        }
         Ok(bytes)
     }
 
@@ -143,12 +151,13 @@ impl<'a> Archive<'a> {
     }
 
     fn picture_for(&mut self, name: &str, count: Option<usize>) -> Result<Picture, FormatError> {
-        let file = self.file(name, u64::MAX)?;
+        let pixels_max = 2 * count.unwrap_or(0) + SPARE_PIXELS;
+        let file = self.file(name, PICTURE_BYTES[0] + PICTURE_BYTES[1] * pixels_max as u64)?;
         let broken = |error| FormatError::damaged(self.path, format!("has no readable picture in {name} ({error})"));
         let mut decoder = WebPDecoder::new(Cursor::new(file)).map_err(broken)?;
         let (width, height) = decoder.dimensions();
         let grid = Grid { width: width as usize, height: height as usize };
-        if grid.pixels() > 2 * count.unwrap_or(0) + SPARE_PIXELS {
+        if grid.pixels() > pixels_max {
             return Err(self.damaged(format!("has {width}x{height} pixels in {name}, far more than it needs")));
         }
         let channels = if decoder.has_alpha() { 4 } else { 3 };

@@ -9,6 +9,7 @@ use flate2::write::GzEncoder;
 
 use super::{Attributes, FormatError, Header};
 use crate::format::check_claim;
+use crate::format::packing::word;
 
 const MAGIC: [u8; 4] = *b"NGSP";
 const HEADER_BYTES: usize = 16;
@@ -27,8 +28,8 @@ const FRAME_UNSPECIFIED: u32 = 0;
 const FRAME_RUB: u32 = 4;
 const FRAME_RDF: u32 = 6;
 
-/// Highest degree of spherical harmonics in a file.
-const SH_DEGREE_MAX: u8 = 4;
+/// Highest degree of spherical harmonics in a file; degree 4 is read and left out.
+const FILE_SH_DEGREE_MAX: u8 = 4;
 
 /// Level of zstd: the highest that needs no extra memory to be read.
 const ZSTD_LEVEL: i32 = 19;
@@ -82,10 +83,6 @@ fn stream_count(header: &Header) -> usize {
     if header.sh_degree == 0 { 5 } else { 6 }
 }
 
-fn word(bytes: &[u8], at: usize) -> u32 {
-    u32::from_le_bytes(std::array::from_fn(|i| bytes[at + i]))
-}
-
 /// The header in the first 16 bytes; `file_bytes` is the size of the whole file.
 fn parse_header(path: &Path, bytes: &[u8], file_bytes: usize) -> Result<Header, FormatError> {
     let header = Header {
@@ -100,7 +97,7 @@ fn parse_header(path: &Path, bytes: &[u8], file_bytes: usize) -> Result<Header, 
         let problem = format!("is an .spz of version {version}, and genesplat reads 1 to 4; export it as version 4");
         return Err(FormatError::unsupported(path, problem));
     }
-    if degree > SH_DEGREE_MAX || header.fraction_bits > 24 {
+    if degree > FILE_SH_DEGREE_MAX || header.fraction_bits > 24 {
         let problem =
             format!("claims spherical harmonics of degree {degree} and {} binary places", header.fraction_bits);
         return Err(FormatError::damaged(path, problem));
