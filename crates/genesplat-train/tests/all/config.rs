@@ -47,7 +47,7 @@ fn unknown_settings_are_errors_that_name_them() {
 #[test]
 fn values_out_of_range_get_a_sentence() {
     type Change = fn(&mut TrainConfig);
-    let cases: [(Change, &str); 19] = [
+    let cases: [(Change, &str); 20] = [
         (|c| c.iterations = 0, "iterations is 0, but must be at least 1"),
         (|c| (c.iterations, c.steps_scale) = (200_000, 1e3), "and at most 100 million"),
         (|c| c.seed = 1 << 63, "seed"),
