@@ -51,7 +51,7 @@ impl Cap {
         (from_photos < own).then(|| {
             let beside = self.asked.map_or(String::new(), |asked| format!(", and not to the limit of {asked}"));
             format!(
-                "the cloud grows to at most {from_photos} Gaussians, which is what the photos can determine \
+                "the cloud grows no further than {from_photos} Gaussians, which is what the photos can determine \
                  (evolution.renewal.capacity){beside}"
             )
         })
