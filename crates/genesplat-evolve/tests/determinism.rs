@@ -32,14 +32,3 @@ fn another_seed_gives_another_search() {
     assert_ne!(best(1), best(2));
     assert_eq!(best(1), best(1));
 }
-
-#[test]
-fn the_order_of_asking_does_not_matter() {
-    let base = normal_base(500);
-    let mut search = on_sphere(small(2, 30), &base, 3);
-    search.tell(&(0..30).map(f64::from).collect::<Vec<f64>>()).expect("one loss each");
-    let forward = deltas(&search, 0..search.ask());
-    let mut backward: Vec<SparseDelta> = (0..search.ask()).rev().map(|index| search.delta(index)).collect();
-    backward.reverse();
-    assert_eq!(forward, backward);
-}

@@ -334,14 +334,6 @@ fn gradients_direct_the_search_to_what_matters() {
     }
 }
 
-#[test]
-fn a_generation_that_could_not_be_rendered_has_no_statistics() {
-    let base = normal_base(20);
-    let mut search = on_sphere(small(1, 10), &base, 1);
-    assert_eq!(search.tell(&[f64::NAN; 10]).expect("one loss each"), None);
-    assert_eq!((search.best(), search.best_loss()), (None, search.base_loss()));
-}
-
 fn any_config() -> impl Strategy<Value = PaperConfig> {
     let crossover = prop_oneof![(1u32..130).prop_map(|points| Crossover::Points { points }), Just(Crossover::Uniform)];
     let fraction = || 0.0f64..=1.0;

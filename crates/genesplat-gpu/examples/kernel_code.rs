@@ -21,7 +21,7 @@ fn main() -> Result<()> {
         _ => bail!("usage: kernel_code [--trusted] FOLDER"),
     };
     std::fs::create_dir_all(folder)?;
-    genesplat_gpu::kernel_sources(true).try_for_each(|(kernel, source)| {
+    genesplat_gpu::kernel_sources().try_for_each(|(kernel, source)| {
         write_kernel(Path::new(folder), kernel, &source, is_trusted).with_context(|| kernel.to_owned())
     })
 }

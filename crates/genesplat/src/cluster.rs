@@ -11,7 +11,7 @@ use anyhow::{Result, ensure};
 use genesplat::cluster::{ClusterBackend, Group};
 use genesplat::core::{Alone, BackendError, EvolutionBackend, RowOwners};
 use genesplat::io::{archive, shown};
-use genesplat::train::{StepBudget, TrainConfig, TrainError};
+use genesplat::train::{StepBudget, TrainConfig};
 
 use crate::args::TrainArgs;
 use crate::device::DeviceChoice;
@@ -109,13 +109,9 @@ impl Cluster {
         self.group.share(rows)
     }
 
-    /// Whether an error of this rank is one that rank 0 tells.
-    pub(crate) fn is_told(&self, error: &anyhow::Error) -> bool {
-        let is_own = match error.downcast_ref() {
-            Some(TrainError::Backend(error)) => error.is_out_of_memory(),
-            _ => false,
-        };
-        self.group.has_failed() || !is_own
+    /// Whether all ranks know of an error.
+    pub(crate) fn has_failed(&self) -> bool {
+        self.group.has_failed()
     }
 
     /// What the ranks have sent each other in a run of so many seconds.

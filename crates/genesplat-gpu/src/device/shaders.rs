@@ -168,9 +168,9 @@ shaders! {
     CONTRIBUTION_SUM = "blend/contribution_sum" + [SPLAT_SUMS];
 }
 
-/// Name and WGSL of every kernel, as a device with subgroups, or one without, compiles it: what tools count.
-pub fn kernel_sources(subgroups: bool) -> impl Iterator<Item = (&'static str, String)> {
-    let abilities = Abilities { subgroups, workgroup_bytes: WORKGROUP_BYTES };
+/// Name and WGSL of every kernel, as a device with subgroups compiles it: what tools count.
+pub fn kernel_sources() -> impl Iterator<Item = (&'static str, String)> {
+    let abilities = Abilities { subgroups: true, workgroup_bytes: WORKGROUP_BYTES };
     ALL.iter().map(move |shader| (shader.name, shader.source(abilities)))
 }
 

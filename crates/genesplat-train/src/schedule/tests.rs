@@ -224,26 +224,6 @@ fn growth_by_selection_fits_its_schedule_into_the_run() {
 }
 
 #[test]
-fn the_younger_half_of_every_window_comes_after_density_control() {
-    let lengths = (1..=1000).chain([1800, 2000, 3000, 7000, 7005, 24_000, 30_000, 40_000]);
-    for iterations in lengths {
-        for every in [0.05, 0.1] {
-            let schedule = averaging(|config| {
-                (config.iterations, config.evolution.renewal.every) = (iterations, every);
-            });
-            let window = schedule.window().unwrap();
-            for end in (1..iterations).filter_map(|i| schedule.window_end(window, i)) {
-                // Signed, so that what is before the beginning of the run stays there.
-                let younger_half = i64::from(end) - i64::from(window / 2);
-                let is_late = younger_half >= i64::from(schedule.densify_until);
-                assert!(end == iterations || is_late, "{iterations} iterations: a window ends at {end}");
-            }
-            assert!(iterations_with(&schedule, Phase::Average).ends_with(&[iterations]));
-        }
-    }
-}
-
-#[test]
 fn improved_gs_prunes_after_resets_and_steps_less_often_later() {
     let schedule = schedule(|config| config.variant = Variant::ImprovedGs);
     let all = |due: &dyn Fn(u32) -> bool| (1..=30_000).filter(|&i| due(i)).collect::<Vec<_>>();

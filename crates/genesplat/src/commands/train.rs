@@ -30,13 +30,16 @@ pub(crate) fn run(args: &TrainArgs) -> Result<Ending> {
         return run_on(args, &*interrupt::stop_flag()?, None);
     }
     let cluster = Cluster::join(&interrupt::stop_flag_saying(cluster::STOPPING)?, &args.out)?;
-    match run_on(args, cluster.stop(), Some(&cluster)) {
-        Err(error) if !cluster.is_root() && cluster.is_told(&error) => Ok(Ending::Failed),
+    let done = run_on(args, cluster.stop(), Some(&cluster));
+    // Of an error that one of them has alone, the others hear now, wherever they are.
+    let done = if cluster.has_failed() { done } else { cluster::agree(Some(&cluster), done) };
+    match done {
         Ok(ending) => {
             cluster.finish();
             Ok(ending)
         }
-        Err(error) => Err(error),
+        Err(error) if cluster.is_root() => Err(error),
+        Err(_) => Ok(Ending::Failed),
     }
 }
 

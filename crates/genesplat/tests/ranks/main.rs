@@ -58,3 +58,17 @@ fn mistakes_are_told_once() {
     assert!(!output.status.success() && said.matches("error: ").count() == 1, "{said}");
     assert!(!out.exists());
 }
+
+/// Only the first writes the splat, whose name is taken meanwhile.
+#[test]
+fn what_one_process_cannot_do_is_told_once_and_ends_all() {
+    let (whole, place) = (undisturbed(), tempfile::tempdir().unwrap());
+    let out = place.path().join("run");
+    let child = whole.start(3, &out);
+    wait_for_step(&out, 20, &child);
+    std::fs::create_dir_all(out.join("point_cloud.ply/taken")).unwrap();
+    let output = child.wait_with_output().unwrap();
+    let said = String::from_utf8_lossy(&output.stderr);
+    let errors: Vec<&str> = said.lines().filter(|line| line.starts_with("error: ")).collect();
+    assert!(!output.status.success() && errors.len() == 1 && errors[0].contains("point_cloud.ply"), "{said}");
+}

@@ -5,7 +5,7 @@ use genesplat_core::{Backend, DensitySignal, EvolutionBackend, Image, Photo, Scr
 
 use super::{buffers_of, compare, compare_gradients, compare_images, fill, flat, inputs, statistics};
 use crate::cpu::score::tests::loss_of_image;
-use crate::cpu::update::tests::gradients;
+use crate::cpu::update::for_tests::gradients;
 use crate::cpu::{CpuBackend, Pinhole, ViewBuffers, loss};
 use crate::fixtures::{
     CROWD_LOGITS, HEIGHT, WIDTH, camera, cloud, crowd, filtered_cloud, filters, settings, small_view, uniform, view,

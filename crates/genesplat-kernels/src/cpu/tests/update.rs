@@ -5,7 +5,7 @@ use genesplat_core::backend::McmcStep;
 use genesplat_core::{Backend, Gaussians, Moments, ScreenFilter, TrainStep};
 
 use super::{backend_with, buffers_of, classic_step, compare_gradients, flat, inputs, mcmc_step};
-use crate::cpu::update::tests::{colours_as_they_are, gradients};
+use crate::cpu::update::for_tests::{colours_as_they_are, gradients};
 use crate::fixtures::{cloud, settings, small_view, view};
 use crate::reference::{self, Cloud64, Cutoff};
 

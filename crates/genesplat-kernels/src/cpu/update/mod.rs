@@ -101,4 +101,4 @@ pub(crate) fn update(
 }
 
 #[cfg(test)]
-pub(super) mod tests;
+pub(super) mod for_tests;
