@@ -3,7 +3,7 @@
 
 mod common;
 
-use common::{deltas, normal_base, on_sphere, run, small, sphere};
+use common::{normal_base, on_sphere, run, small, sphere};
 use genesplat_core::SparseDelta;
 use genesplat_evolve::{Crossover, PaperConfig};
 
