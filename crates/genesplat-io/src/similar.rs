@@ -7,6 +7,9 @@ use std::path::{Path, PathBuf};
 /// Endings of the photos that are read, in small letters.
 pub const PHOTO_ENDINGS: [&str; 4] = ["jpg", "jpeg", "png", "webp"];
 
+/// Endings of videos, which ffmpeg takes photos from.
+pub const VIDEO_ENDINGS: [&str; 8] = ["mp4", "mov", "m4v", "avi", "mkv", "webm", "mpg", "mpeg"];
+
 /// Endings of pictures that are not, so that leaving them out is said.
 pub const UNREAD: [&str; 11] = ["heic", "heif", "hif", "avif", "tif", "tiff", "dng", "cr2", "cr3", "nef", "arw"];
 

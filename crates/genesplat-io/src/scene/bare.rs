@@ -4,9 +4,8 @@ use std::path::{Path, PathBuf};
 
 use crate::error::SceneError;
 use crate::plural;
-use crate::similar::{CONVERT, PHOTO_ENDINGS, UNREAD, entries, has_ending};
+use crate::similar::{CONVERT, PHOTO_ENDINGS, UNREAD, VIDEO_ENDINGS, entries, has_ending};
 
-const VIDEOS: [&str; 8] = ["mp4", "mov", "m4v", "avi", "mkv", "webm", "mpg", "mpeg"];
 const ARCHIVES: [&str; 6] = ["zip", "tar", "gz", "tgz", "7z", "rar"];
 
 /// What to do with a file that is no scene, and no video.
@@ -32,7 +31,7 @@ pub(super) fn run(path: &Path) -> Option<SceneError> {
 pub(super) fn without_cameras(path: &Path) -> Option<SceneError> {
     let no_cameras = |what: String| Some(SceneError::NoCameras { path: path.to_owned(), what });
     if path.is_file() {
-        return has_ending(path, &VIDEOS).then(|| "is a video".to_owned()).and_then(no_cameras);
+        return has_ending(path, &VIDEO_ENDINGS).then(|| "is a video".to_owned()).and_then(no_cameras);
     }
     let folders: Vec<PathBuf> = entries(path).filter(|entry| entry.is_dir()).chain([path.to_owned()]).collect();
     let pictures = |endings: &[&str]| -> usize {

@@ -2,7 +2,8 @@
 //!
 //! Adam's steps on single views keep every parameter in motion around its optimum; the mean of many states is free of that
 //! noise. It may fit the training photos less than the last state does, and is better on others, so guards only refuse a
-//! mean that lags behind by more than [`LAG_DB`]. (Izmailov et al., "Averaging weights leads to wider optima and better generalization", 2018.)
+//! mean that lags behind by more than [`LAG_DB`]. (Izmailov et al., "Averaging weights leads to wider optima and better
+//! generalization", 2018.)
 
 use std::time::Instant;
 

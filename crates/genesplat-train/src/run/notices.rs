@@ -171,6 +171,11 @@ mod tests {
             notice_of_kept_intervals(resolved.config(), resolved.schedule())
         };
         assert_eq!((notice(1.0), notice(2.0)), (None, None));
+        // Selection's intervals follow the length of the run.
+        for iterations in [3000, 40_000, 60_000] {
+            let resolved = TrainConfig { iterations, ..TrainConfig::default() }.resolve().unwrap();
+            assert_eq!(notice_of_kept_intervals(resolved.config(), resolved.schedule()), None, "{iterations}");
+        }
         let text = notice(0.1).expect("a notice");
         assert!(text.ends_with("100 iterations at least: densify.every is 100 and not 10"), "{text}");
         let text = notice(0.01).expect("a notice");

@@ -5,13 +5,12 @@ use std::path::Path;
 
 use anyhow::{Result, bail, ensure};
 use genesplat::core::{Photo, View};
-use genesplat::io::{PHOTO_ENDINGS, Scene, photos, plural, shown};
+use genesplat::io::{PHOTO_ENDINGS, Scene, VIDEO_ENDINGS, photos, plural, shown};
 
 use super::render_path::{self, is_film};
 use crate::args::{RenderArgs, RenderSplit};
 use crate::files::check_folder;
 use crate::overwrite::{Content, check_file};
-use crate::poses::VIDEO_ENDINGS;
 use crate::run::photos::check_test_photos;
 use crate::terminal::output;
 use crate::terminal::progress::Bar;

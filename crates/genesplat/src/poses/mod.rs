@@ -23,7 +23,6 @@ use crate::run::session::Lock;
 use crate::terminal::output;
 use engine::Engine;
 use photos::Source;
-pub(crate) use photos::VIDEO_ENDINGS;
 use stages::Job;
 pub(crate) use summary::Summary;
 

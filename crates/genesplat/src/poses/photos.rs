@@ -7,7 +7,7 @@ use std::sync::atomic::AtomicBool;
 use anyhow::{Result, anyhow, bail, ensure};
 use genesplat::io::archive::is_zip;
 use genesplat::io::photos::convert_to_png;
-use genesplat::io::{CONVERT, PHOTO_ENDINGS, UNREAD, input, shown};
+use genesplat::io::{CONVERT, PHOTO_ENDINGS, UNREAD, VIDEO_ENDINGS, input, shown};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -17,8 +17,6 @@ use crate::unpacked;
 
 /// COLMAP does not read these, so it gets them as PNG.
 const WEBP: &str = "webp";
-/// Endings of the videos that ffmpeg is given.
-pub(crate) const VIDEO_ENDINGS: [&str; 8] = ["mp4", "mov", "m4v", "avi", "mkv", "webm", "mpg", "mpeg"];
 /// Below the folder of the stages: what an archive held.
 const UNPACKED: &str = "unpacked";
 /// In the same place: what the stages were made of.
