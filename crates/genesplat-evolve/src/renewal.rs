@@ -3,6 +3,9 @@
 //! Selection and reproduction with a Gaussian as the individual and the cloud as the population, whose size stays.
 //! Twins together render nearly like their parent, so a renewal costs little at once, and gradient steps then pull the
 //! twins apart.
+//!
+//! Prior art: pruning by contribution (LightGaussian, PUP 3D-GS, Speedy-Splat), growth by error (Revising Densification, Taming
+//! 3DGS, ConeGS), relocation at a constant number (3DGS-MCMC), selection pressure (Natural Selection for 3DGS).
 
 use genesplat_core::{Contribution, Origin, Rng, RowEdit};
 

@@ -49,6 +49,56 @@ fn documents_agree_with_the_results() {
 }
 
 #[test]
+fn no_result_is_typed_into_a_table() {
+    for name in ["README.md", "docs/evolution.md"] {
+        let text = fs::read_to_string(root().join(name)).unwrap();
+        assert_eq!(typed_lines(&text), [""; 0], "{name}: commit the runs to docs/results and mark the table");
+        let planted = text.replacen("\n\n", "\n\n| fox | 32.98 |\n\n", 1);
+        assert_eq!(typed_lines(&planted), ["| fox | 32.98 |"]);
+    }
+}
+
+/// Lines of tables that stand between no markers though a PSNR is in them: typed, and no run can be looked up.
+fn typed_lines(text: &str) -> Vec<&str> {
+    let mut is_generated = false;
+    let mut typed = Vec::new();
+    for line in text.lines() {
+        is_generated = line.starts_with("<!-- table: ") || is_generated && line != "<!-- /table -->";
+        if line.starts_with('|') && !is_generated && has_psnr(line) {
+            typed.push(line);
+        }
+    }
+    typed
+}
+
+/// Two digits, a point, two digits: a PSNR or what looks like one.
+fn has_psnr(line: &str) -> bool {
+    let numbers = line.split(|c: char| !c.is_ascii_digit() && c != '.');
+    numbers.filter_map(|number| number.split_once('.')).any(|(whole, part)| whole.len() == 2 && part.len() == 2)
+}
+
+#[test]
+fn single_runs_stand_line_by_line() {
+    let csv = "study,line,arm,psnr,ssim,gaussians,command
+tenth,fox; seed 0,off,32.40,,,genesplat train fox
+tenth,fox; seed 0,strong; slow,32.80,0.9500,44000,genesplat train fox
+tenth,fox; seed 1,strong; slow,31.10,0.9400,43000,genesplat train fox
+";
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(folder.path().join("single-runs.csv"), csv).unwrap();
+    let table = tables::update(&DOCUMENT.replace("results", "tenth"), folder.path()).unwrap();
+    let expected = "
+| PSNR, dB, SSIM, Gaussians | off | strong, slow |
+|---|---|---|
+| fox, seed 0 | 32.40 | **32.80**, 0.9500, 44,000 |
+| fox, seed 1 |  | **31.10**, 0.9400, 43,000 |
+";
+    assert!(table.contains(expected), "{table}");
+    fs::write(folder.path().join("single-runs.csv"), format!("{csv}tenth,fox; seed 0,off,1.0,,,again\n")).unwrap();
+    assert!(tables::update(&DOCUMENT.replace("results", "tenth"), folder.path()).is_err(), "which of the two counts?");
+}
+
+#[test]
 fn a_figure_changed_by_hand_is_found() {
     let text = fs::read_to_string(root().join("docs/evolution.md")).unwrap();
     let planted = text.replacen(" ± 0.", " ± 1.", 1);

@@ -37,14 +37,21 @@ struct Table {
     write: fn(&[Part]) -> Result<String>,
 }
 
-const TABLES: [Table; 6] = [
+const TABLES: [Table; 11] = [
     Table { name: "results", file: "real-size", part: |run| (!run.is_short()).then(|| run.size()), write: scenes },
     Table { name: "real-size", file: "real-size", part: |run| (!run.is_short()).then(|| run.size()), write: arms },
     Table { name: "short", file: "real-size", part: |run| run.is_short().then(|| run.size()), write: arms },
     Table { name: "ablations", file: "ablations", part: |run| Some(run.size()), write: arms },
     Table { name: "renew-limited", file: "earlier", part: |run| run.of("renew-limited", Run::trainer), write: arms },
     Table { name: "paper", file: "earlier", part: |run| run.of("paper", Run::trainer), write: arms },
+    Table { name: "long", file: SINGLE, part: |run| run.of("long", Run::line), write: grid },
+    Table { name: "renewals", file: SINGLE, part: |run| run.of("renewals", Run::line), write: grid },
+    Table { name: "few-photos", file: SINGLE, part: |run| run.of("few-photos", Run::line), write: grid },
+    Table { name: "growth", file: SINGLE, part: |run| run.of("growth", Run::line), write: grid },
+    Table { name: "tenth", file: SINGLE, part: |run| run.of("tenth", Run::line), write: grid },
 ];
+/// Runs that no experiment made: a study names the table, a line its line, an arm its column.
+const SINGLE: &str = "single-runs";
 
 /// One line of a CSV file: a training run, and its figures on photos that it did not see.
 #[derive(Clone)]
@@ -105,6 +112,10 @@ impl Run {
             None => "no limit".to_owned(),
         };
         format!("{}, {limit}", self.text("variant"))
+    }
+
+    fn line(&self) -> String {
+        self.text("line").replace(';', ",")
     }
 
     /// What `part` says, if the run is of this study.
@@ -305,6 +316,41 @@ fn arms(parts: &[Part]) -> Result<String> {
     Ok(markdown(head, lines))
 }
 
+/// One column an arm, one run a cell: PSNR, SSIM, Gaussians, of which the last two may be unknown. The best PSNR of a line is bold.
+fn grid(parts: &[Part]) -> Result<String> {
+    let mut columns: Vec<&str> = Vec::new();
+    for arm in parts.iter().flat_map(Part::arms) {
+        if !columns.contains(&arm) {
+            columns.push(arm);
+        }
+    }
+    let mut head = vec!["PSNR, dB, SSIM, Gaussians".to_owned()];
+    head.extend(columns.iter().map(|arm| arm.replace(';', ",")));
+    let mut rows = vec![row(&head), format!("|{}", "---|".repeat(head.len()))];
+    for part in parts {
+        let best = part.runs.iter().filter_map(|run| run.number("psnr")).fold(f64::NEG_INFINITY, f64::max);
+        let mut line = vec![part.label.clone()];
+        for arm in &columns {
+            let runs = part.runs_of(arm);
+            ensure!(runs.len() < 2, "{}: {arm} is there twice", part.label);
+            line.push(runs.first().map_or_else(String::new, |run| cell(run, best)));
+        }
+        rows.push(row(&line));
+    }
+    Ok(rows.join("\n"))
+}
+
+fn cell(run: &Run, best: f64) -> String {
+    let mark = if run.number("psnr") == Some(best) { "**" } else { "" };
+    let mut cell = format!("{mark}{}{mark}", run.text("psnr"));
+    cell += &run.number("ssim").map_or_else(String::new, |ssim| format!(", {ssim:.4}"));
+    cell + &run.number("gaussians").map_or_else(String::new, |count| format!(", {}", thousands(count)))
+}
+
+fn row(cells: &[String]) -> String {
+    format!("| {} |", cells.join(" | "))
+}
+
 fn difference(pairs: &[(&Run, &Run)], column: &str) -> Figures {
     Figures::of(pairs, |(plain, run)| Some(run.number(column)? - plain.number(column)?))
 }
@@ -354,11 +400,8 @@ fn thousands(value: f64) -> String {
 /// Columns that are empty in every line are left out.
 fn markdown<const COLUMNS: usize>(head: [&str; COLUMNS], lines: Vec<[String; COLUMNS]>) -> String {
     let shown: Vec<usize> = (0..COLUMNS).filter(|&column| lines.iter().any(|line| !line[column].is_empty())).collect();
-    let row = |cell: &dyn Fn(usize) -> String| {
-        let cells: Vec<String> = shown.iter().map(|&column| cell(column)).collect();
-        format!("| {} |", cells.join(" | "))
-    };
-    let mut rows = vec![row(&|column| head[column].to_owned()), format!("|{}", "---|".repeat(shown.len()))];
-    rows.extend(lines.iter().map(|line| row(&|column| line[column].clone())));
+    let of = |cell: &dyn Fn(usize) -> String| row(&shown.iter().map(|&column| cell(column)).collect::<Vec<_>>());
+    let mut rows = vec![of(&|column| head[column].to_owned()), format!("|{}", "---|".repeat(shown.len()))];
+    rows.extend(lines.iter().map(|line| of(&|column| line[column].clone())));
     rows.join("\n")
 }
