@@ -81,13 +81,9 @@ pub(crate) fn find(request: &Request, stop: &AtomicBool) -> Result<Option<Summar
 /// Folder of the stages below `out`, made if it is missing. Fails where `out` holds something else.
 fn claim(out: &Path, source: &Source) -> Result<PathBuf> {
     let (work, shown) = (out.join(WORK), shown(out));
-    let holds_photos = |folder: &Path| match (folder.canonicalize(), source.path().canonicalize()) {
-        (Ok(folder), Ok(photos)) => folder == photos,
-        _ => false,
-    };
-    ensure!(!holds_photos(out), "{shown} is the folder of the photos; choose another --out for the scene");
+    ensure!(!source.is_in(out), "{shown} is the folder of the photos; choose another --out for the scene");
     let images = out.join(IMAGES);
-    let is_foreign = out.join("sparse").exists() || (images.exists() && !holds_photos(&images));
+    let is_foreign = out.join("sparse").exists() || (images.exists() && !source.is_in(&images));
     ensure!(
         photos::is_begun(&work) || !is_foreign,
         "{shown} holds a scene already, and would be written over; choose another --out"

@@ -75,15 +75,28 @@ impl Source {
         matches!(self, Self::Video { .. })
     }
 
+    /// Whether the photos lie in this folder.
+    pub(crate) fn is_in(&self, folder: &Path) -> bool {
+        match (folder.canonicalize(), self.path().canonicalize()) {
+            (Ok(folder), Ok(photos)) => folder == photos,
+            _ => false,
+        }
+    }
+
     /// Fails where the stages in `work` are those of other photos; else it is written down whose they are.
     pub(crate) fn check_same(&self, work: &Path) -> Result<()> {
         let (file, record) = (work.join(RECORD), self.record()?);
         let Ok(bytes) = input::read(&file) else { return write_json(&file, &record) };
         let same = serde_json::from_slice::<Record>(&bytes).is_ok_and(|there| there == record);
+        // Photos that lie in the scene are the user's own, and all else there can be removed.
+        let anew = match self.is_in(&work.with_file_name(IMAGES)) {
+            true => format!(", or remove {} and {} to start anew", shown(work), shown(work.with_file_name("sparse"))),
+            false => String::new(),
+        };
         ensure!(
             same,
-            "{} was made from other photos than {} holds now; choose another --out, or remove that folder to start anew",
-            shown(work.parent().unwrap_or(work)),
+            "the search in {} was begun with other photos than {} holds now; choose another --out{anew}",
+            shown(work),
             shown(self.path())
         );
         Ok(())
@@ -317,6 +330,20 @@ mod tests {
         file(&photos, "b.jpg");
         let refused = check().unwrap_err().to_string();
         assert!(refused.contains("other photos") && refused.contains("--out"), "{refused}");
+        assert!(!refused.contains("remove"), "the scene holds photos, whose it is not known: {refused}");
+    }
+
+    #[test]
+    fn of_photos_in_the_scene_none_is_said_to_be_removable() {
+        let place = tempfile::tempdir().unwrap();
+        let work = place.path().join("poses");
+        file(place.path(), "images/a.jpg");
+        let check = || Source::open(place.path(), None).unwrap().check_same(&work);
+        check().unwrap();
+        file(place.path(), "images/b.jpg");
+        let refused = check().unwrap_err().to_string();
+        let [work, sparse] = [&work, &place.path().join("sparse")].map(shown);
+        assert!(refused.ends_with(&format!("or remove {work} and {sparse} to start anew")), "{refused}");
     }
 
     #[test]
