@@ -1,5 +1,6 @@
 //! The photos that cameras are found for: those of a folder or of an archive, or frames of a video.
 
+use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
@@ -143,7 +144,10 @@ pub(crate) fn is_begun(work: &Path) -> bool {
 /// The photos in `path`; fails where there are none, and tells of pictures that are not read.
 fn photos_of(path: &Path) -> Result<Photos> {
     let folder = Some(path.join(IMAGES)).filter(|images| images.is_dir()).unwrap_or_else(|| path.to_owned());
-    let (Found { photos, others, masks }, shown) = (list(&folder)?, shown(path));
+    let (Found { mut photos, others, masks }, shown) = (list(&folder)?, shown(path));
+    // An earlier search has left these where the photos lie in the scene.
+    let converted: BTreeSet<String> = photos.iter().filter(|name| is_webp(name)).map(|name| name_in_scene(name)).collect();
+    photos.retain(|name| !converted.contains(name));
     match (photos.is_empty(), others.first()) {
         (true, None) => bail!("{shown} holds no photos; give a folder of JPEG, PNG or WebP files, or a video"),
         (true, Some(first)) => bail!(
@@ -161,14 +165,14 @@ fn photos_of(path: &Path) -> Result<Photos> {
 /// Names of the photos below a folder that [`Source::fill`] has filled, sorted.
 pub(crate) fn names_in(images: &Path) -> Result<Vec<String>> {
     let mut names = list(images)?.photos;
-    names.retain(|name| !has_ending(name, &[WEBP]));
+    names.retain(|name| !is_webp(name));
     Ok(names)
 }
 
 impl Photos {
     /// Puts them into `images` in a form that COLMAP reads, and their masks beside it.
     fn put(&self, images: &Path) -> Result<()> {
-        self.names.par_iter().try_for_each(|name| match has_ending(name, &[WEBP]) {
+        self.names.par_iter().try_for_each(|name| match is_webp(name) {
             false => link(&self.path.join(name), &images.join(name)),
             true => as_png(&self.path.join(name), &images.join(name_in_scene(name))),
         })?;
@@ -182,7 +186,11 @@ impl Photos {
 
 /// WebP photos become PNG.
 fn name_in_scene(name: &str) -> String {
-    if has_ending(name, &[WEBP]) { format!("{name}.png") } else { name.to_owned() }
+    if is_webp(name) { format!("{name}.png") } else { name.to_owned() }
+}
+
+fn is_webp(name: &str) -> bool {
+    has_ending(name, &[WEBP])
 }
 
 fn as_png(picture: &Path, png: &Path) -> Result<()> {
@@ -281,14 +289,15 @@ mod tests {
         assert!(Source::open(&b, None).unwrap().check_same(&work).is_err(), "features were looked for elsewhere");
     }
 
+    /// WebP, lossless.
+    const ONE_PIXEL: &[u8] = b"RIFF\x1a\0\0\0WEBPVP8L\x0d\0\0\0\x2f\0\0\0\x10\x07\x10\x11\x11\x88\x88\xfe\x07\0";
+
     #[test]
     fn webp_photos_become_png_and_others_stay_as_they_are() {
         let place = tempfile::tempdir().unwrap();
         let [photos, images] = ["photos", "images"].map(|name| place.path().join(name));
         file(&photos, "b/1.jpg");
-        // One pixel, lossless.
-        let webp = b"RIFF\x1a\0\0\0WEBPVP8L\x0d\0\0\0\x2f\0\0\0\x10\x07\x10\x11\x11\x88\x88\xfe\x07\0";
-        fs::write(photos.join("2.WebP"), webp).unwrap();
+        fs::write(photos.join("2.WebP"), ONE_PIXEL).unwrap();
         let source = Source::open(&photos, None).unwrap();
         let never = AtomicBool::new(false);
         assert!(
@@ -298,6 +307,20 @@ mod tests {
         let [png, webp] = [images.join("2.WebP.png"), photos.join("2.WebP")].map(|path| read_photo(&path).unwrap());
         assert_eq!(png, webp);
         assert_eq!(names_in(&photos).unwrap(), ["b/1.jpg"], "photos that lie in the scene already");
+    }
+
+    #[test]
+    fn webp_photos_in_the_scene_stay_the_same_photos_beside_their_png() {
+        let place = tempfile::tempdir().unwrap();
+        let [images, work] = [IMAGES, "poses"].map(|name| place.path().join(name));
+        fs::create_dir(&images).unwrap();
+        fs::write(images.join("1.webp"), ONE_PIXEL).unwrap();
+        for _ in 0..2 {
+            let source = Source::open(place.path(), None).unwrap();
+            source.check_same(&work).unwrap();
+            assert!(source.fill(&images, &work, &AtomicBool::new(false)).unwrap());
+            assert_eq!(names_in(&images).unwrap(), ["1.webp.png"]);
+        }
     }
 
     #[test]
