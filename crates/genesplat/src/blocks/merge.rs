@@ -4,12 +4,13 @@ use std::path::Path;
 
 use anyhow::{Result, bail};
 use genesplat::core::{Gaussians, RenderSettings, ScreenFilter};
-use genesplat::io::blocks::Grid;
+use genesplat::io::blocks::{Block, Grid};
 use genesplat::io::shown;
 use glam::DVec3;
 
 use super::folder::{Cut, command, run_of};
 use crate::run::CLOUD;
+use crate::run::session::has_checkpoint;
 use crate::splat;
 
 /// The Gaussians of every block's run that stand on its core, block after block, and how they are meant to be shown.
@@ -61,10 +62,24 @@ fn named(settings: &RenderSettings, has_filter_3d: bool) -> [String; 4] {
 }
 
 fn check_runs(grid: &Grid, folder: &Path) -> Result<()> {
-    let missing: Vec<_> = grid.blocks().iter().filter(|block| !run_of(block, folder).join(CLOUD).exists()).collect();
-    let Some(first) = missing.first() else { return Ok(()) };
-    let names = missing.iter().map(|block| block.name.as_str()).collect::<Vec<_>>().join(", ");
-    bail!("no splat is there yet of block {names}; {} makes the first", command(first, folder))
+    let (mut missing, mut stopped) = (Vec::new(), Vec::new());
+    for block in grid.blocks() {
+        let run = run_of(block, folder);
+        match (has_checkpoint(&run), run.join(CLOUD).exists()) {
+            (true, _) => stopped.push(block),
+            (false, false) => missing.push(block),
+            (false, true) => {}
+        }
+    }
+    let names = |blocks: &[&Block]| blocks.iter().map(|block| block.name.as_str()).collect::<Vec<_>>().join(", ");
+    if let Some(first) = missing.first() {
+        bail!("no splat is there yet of block {}; {} makes the first", names(&missing), command(first, folder));
+    }
+    if let Some(first) = stopped.first() {
+        let (names, command) = (names(&stopped), command(first, folder));
+        bail!("the run of block {names} was stopped before its end; {command} --resume goes on with the first");
+    }
+    Ok(())
 }
 
 #[cfg(test)]

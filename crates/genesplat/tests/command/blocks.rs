@@ -151,6 +151,14 @@ fn blocks_are_trained_one_by_one_and_merged() {
     let merged = place.path().join("merged.ply");
     succeed(["evaluate", text(&merged), "--data", text(&street), "--device", "cpu", "--no-lpips"]);
 
+    // A checkpoint is what a run leaves that was stopped.
+    let checkpoint = blocks.join("runs/1-0/checkpoint");
+    fs::create_dir_all(&checkpoint).unwrap();
+    fs::write(checkpoint.join("latest.checkpoint"), "half of it").unwrap();
+    let resumed = format!("{second} --resume goes on");
+    judge_failure(in_shell(merge, place.path()), &["block 1-0 was stopped before its end", &resumed]);
+    fs::remove_dir_all(&checkpoint).unwrap();
+
     works(&format!("{second} {QUICK} --background white"));
     let words = ["runs/1-0 was trained with background white", "with background black", "all alike"];
     judge_failure(in_shell(merge, place.path()), &words);
