@@ -52,6 +52,11 @@ impl From<SizeArgs> for PhotosArgs {
 }
 
 impl PhotosArgs {
+    /// The file with the names of the photos to hold out.
+    pub(crate) fn test_list(&self) -> Option<&Path> {
+        self.hold_out.test_list.as_deref()
+    }
+
     /// Flags over what `dataset` says.
     pub(crate) fn override_dataset(&self, dataset: &mut Dataset) -> Result<()> {
         if self.size.size().is_some() {

@@ -72,20 +72,26 @@ fn check_outputs(command: &Command) -> Result<()> {
         json.path.as_deref().map_or(Ok(()), |path| check_file(path, Content::Figures, inputs))
     };
     match command {
-        Command::Inspect(args) => figures(&args.json, &[Some(&args.what)]),
-        Command::Evaluate(args) => figures(&args.json, &[Some(&args.splat.path), args.lpips.lpips_weights.as_deref()]),
+        Command::Inspect(args) => figures(&args.json, &[Some(&args.what), args.photos.test_list()]),
+        Command::Evaluate(args) => {
+            let weights = args.lpips.lpips_weights.as_deref();
+            figures(&args.json, &[Some(&args.splat.path), args.splat.photos.test_list(), weights])
+        }
         Command::Compare(args) => {
             let weights = args.lpips.lpips_weights.as_deref();
             figures(&args.json, &[Some(&args.first), Some(&args.second), weights])
         }
         Command::Render(args) => render::check_out(args),
         Command::Refine(args) => {
-            check_file(&args.out, Content::Splat, &[Some(&args.splat), args.config.as_deref()])?;
+            let inputs = [Some(&*args.splat), args.config.as_deref(), args.photos.test_list()];
+            check_file(&args.out, Content::Splat, &inputs)?;
             format_of(&args.out).map(drop)
         }
-        Command::Convert(args) => check_file(&args.out, Content::Splat, &[Some(&args.splat)]),
+        Command::Convert(args) => {
+            check_file(&args.out, Content::Splat, &[Some(&args.splat), args.photos.test_list()])
+        }
         Command::Export(args) => {
-            check_file(&args.out, Content::Figures, &[Some(&args.splat.path)])?;
+            check_file(&args.out, Content::Figures, &[Some(&args.splat.path), args.splat.photos.test_list()])?;
             export::check_name(&args.out)
         }
         Command::Merge(args) => check_file(&args.out, Content::Splat, &[]),

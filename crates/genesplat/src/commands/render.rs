@@ -21,7 +21,7 @@ const JPEG_QUALITY: u8 = 95;
 
 /// Fails where `--out` cannot be what is asked for, by its name or by what is there.
 pub(crate) fn check_out(args: &RenderArgs) -> Result<()> {
-    let (out, inputs) = (&args.out, [Some(&*args.splat.path)]);
+    let (out, inputs) = (&args.out, [Some(&*args.splat.path), args.splat.photos.test_list()]);
     if args.image.is_some() {
         check_file(out, Content::Picture, &inputs)?;
         let is_picture = is_jpeg(out) || ending(out) == "png";

@@ -251,8 +251,32 @@ fn inputs_are_not_written_over() {
     let evaluate = ["evaluate", text(&run), "--data", "absent", "--json", text(&config)];
     fail(evaluate, &["config.toml is part of a run", "another file"]);
     fail(["compare", text(&photo), text(&photo), "--json", text(&photo)], &["is an input"]);
+    lists_are_not_written_over(&run);
     fail(["bench", "step", "--json", text(&photo)], &["gallery_000.png is a picture"]);
     assert!(before == [&photo, &splat, &config].map(|file| std::fs::read(file).unwrap()));
+}
+
+/// Lists of held-out photos, by whatever name.
+fn lists_are_not_written_over(run: &Path) {
+    let folder = tempfile::tempdir().unwrap();
+    let list = |name: &str| {
+        let path = folder.path().join(name);
+        std::fs::write(&path, "gallery_000").unwrap();
+        text(&path).to_owned()
+    };
+    let [figures, splat, page, picture] = ["list.txt", "list.ply", "list.html", "list.png"].map(list);
+    let (run, data) = (text(run), ["--data", "absent", "--test-list"]);
+    let cases = [
+        (vec!["inspect", "."], vec!["--test-list", &figures, "--json", &figures]),
+        (vec!["evaluate", run], [&data[..], &[&figures, "--json", &figures]].concat()),
+        (vec!["refine", run], [&data[..], &[&splat, "--out", &splat]].concat()),
+        (vec!["convert", run, &splat], [&data[..], &[&splat]].concat()),
+        (vec!["export", run], [&data[..], &[&page, "--out", &page]].concat()),
+        (vec!["render", run, "--image", "gallery_000"], [&data[..], &[&picture, "--out", &picture]].concat()),
+    ];
+    for (command, flags) in cases {
+        fail(command.iter().chain(&flags), &["list.", "is an input of this command"]);
+    }
 }
 
 /// After a search of an hour is too late.
