@@ -2,22 +2,26 @@
 
 use std::io::Write;
 use std::path::Path;
+use std::sync::atomic::Ordering;
 
 use anyhow::{Result, bail, ensure};
 use genesplat::core::{Photo, View};
 use genesplat::io::{PHOTO_ENDINGS, Scene, VIDEO_ENDINGS, photos, plural, shown};
 
+use super::Ending;
 use super::render_path::{self, is_film};
 use crate::args::{RenderArgs, RenderSplit};
 use crate::files::check_folder;
 use crate::overwrite::{Content, check_file};
 use crate::run::photos::check_test_photos;
-use crate::terminal::output;
 use crate::terminal::progress::Bar;
+use crate::terminal::{interrupt, output};
 use crate::{device, files, overwrite, scene, splat};
 
 /// Of 100: differs from the PNG by less than the eye sees.
 const JPEG_QUALITY: u8 = 95;
+/// For who has pressed Ctrl-C.
+pub(super) const STOPPING: &str = "stopping after this picture; press Ctrl-C again to abort at once";
 
 /// Fails where `--out` cannot be what is asked for, by its name or by what is there.
 pub(crate) fn check_out(args: &RenderArgs) -> Result<()> {
@@ -38,11 +42,12 @@ pub(crate) fn check_out(args: &RenderArgs) -> Result<()> {
 }
 
 /// Renders one viewpoint into a file, or many into a folder.
-pub(crate) fn run(args: &RenderArgs) -> Result<()> {
+pub(crate) fn run(args: &RenderArgs) -> Result<Ending> {
     if let Some(path) = &args.path {
         return render_path::run(args, path);
     }
     device::use_threads(args.splat.machine.threads)?;
+    let stop = interrupt::stop_flag_saying(STOPPING)?;
     let splat = splat::open(&args.splat.path)?.on(args.splat.on);
     let scene = splat.load_scene(&args.data, &args.splat.photos)?;
     overwrite::check_photos(&scene, &args.out)?;
@@ -61,13 +66,23 @@ pub(crate) fn run(args: &RenderArgs) -> Result<()> {
     let mut backend = device::open(args.splat.machine.device.unwrap_or_default())?;
     backend.upload(splat.cloud.into())?;
     let mut bar = Bar::new("renders", jobs.len() as u64);
-    for (done, (view, path)) in (1..).zip(&jobs) {
+    let mut done = 0;
+    for (view, path) in &jobs {
+        if stop.load(Ordering::Relaxed) {
+            break;
+        }
         write(path, &backend.render(&view.camera, &splat.settings)?.to_photo())?;
-        bar.set(done, String::new);
+        done += 1;
+        bar.set(done as u64, String::new);
     }
     drop(bar);
-    let pictures = plural(jobs.len(), "picture", "pictures");
-    output::print(&format!("{} {pictures} written to {}", jobs.len(), shown(&args.out)))
+    let (pictures, out) = (plural(done, "picture", "pictures"), shown(&args.out));
+    if done < jobs.len() {
+        output::print(&format!("stopped; {done} {pictures} of {} written to {out}", jobs.len()))?;
+        return Ok(Ending::Stopped);
+    }
+    output::print(&format!("{done} {pictures} written to {out}"))?;
+    Ok(Ending::Whole)
 }
 
 fn ending(path: &Path) -> String {

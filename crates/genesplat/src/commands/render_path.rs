@@ -4,18 +4,21 @@ use std::fs;
 use std::io::{ErrorKind, Read, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Result, anyhow, bail, ensure};
 use genesplat::core::{Camera, Photo};
 use genesplat::io::{Scene, input, photos, shown};
 use genesplat::viewer::path::CameraPath;
 
+use super::Ending;
+use super::render::STOPPING;
 use crate::args::{PathChoice, RenderArgs};
 use crate::files::unwritable;
 use crate::overwrite::{self, Content};
 use crate::splat::Splat;
-use crate::terminal::output;
 use crate::terminal::progress::Bar;
+use crate::terminal::{interrupt, output};
 use crate::{device, splat};
 
 /// Frames of a path where nobody asks for a number.
@@ -23,27 +26,36 @@ const FRAMES: u32 = 120;
 /// Frames a second of a film.
 const RATE: &str = "30";
 
-pub(crate) fn run(args: &RenderArgs, choice: &PathChoice) -> Result<()> {
+pub(crate) fn run(args: &RenderArgs, choice: &PathChoice) -> Result<Ending> {
     device::use_threads(args.splat.machine.threads)?;
+    let stop = interrupt::stop_flag_saying(STOPPING)?;
     let splat = splat::open(&args.splat.path)?.on(args.splat.on);
     let scene = splat.load_scene(&args.data, &args.splat.photos)?;
     overwrite::check_photos(&scene, &args.out)?;
     let cameras = cameras(choice, &scene, args.frames.unwrap_or(FRAMES))?;
     let mut sink = Sink::open(&args.out, &cameras)?;
-    render(args, splat, &cameras, &mut sink)?;
+    if !render(args, splat, &cameras, &mut sink, &stop)? {
+        output::print(&sink.stopped())?;
+        return Ok(Ending::Stopped);
+    }
     sink.finish()?;
-    output::print(&format!("{} frames written to {}", cameras.len(), shown(&args.out)))
+    output::print(&format!("{} frames written to {}", cameras.len(), shown(&args.out)))?;
+    Ok(Ending::Whole)
 }
 
-fn render(args: &RenderArgs, splat: Splat, cameras: &[Camera], sink: &mut Sink) -> Result<()> {
+/// False where `stop` has ended it.
+fn render(args: &RenderArgs, splat: Splat, cameras: &[Camera], sink: &mut Sink, stop: &AtomicBool) -> Result<bool> {
     let mut backend = device::open(args.splat.machine.device.unwrap_or_default())?;
     backend.upload(splat.cloud.into())?;
     let mut bar = Bar::new("renders", cameras.len() as u64);
     for (done, camera) in (1..).zip(cameras) {
+        if stop.load(Ordering::Relaxed) {
+            return Ok(false);
+        }
         sink.add(&backend.render(camera, &splat.settings)?.to_photo())?;
         bar.set(done, String::new);
     }
-    Ok(())
+    Ok(true)
 }
 
 /// The cameras of all frames, of the size of the scene's first photo.
@@ -121,6 +133,14 @@ impl Sink {
         }
     }
 
+    /// What there is of it when it was stopped.
+    fn stopped(&self) -> String {
+        match self {
+            Self::Folder { path, frames } => format!("stopped; {frames} frames are in {}", shown(path)),
+            Self::Film(film) => format!("stopped; no {} was written", shown(&film.path)),
+        }
+    }
+
     fn finish(self) -> Result<()> {
         let Self::Film(mut film) = self else { return Ok(()) };
         // Its end is the film's.
@@ -180,5 +200,8 @@ fn ffmpeg(out: &Path, width: u32, height: u32) -> Command {
         command.args(["-pix_fmt", "yuv420p", "-movflags", "+faststart"]);
     }
     command.arg(out).stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::piped());
+    // Ctrl-C is ours to hear.
+    #[cfg(unix)]
+    std::os::unix::process::CommandExt::process_group(&mut command, 0);
     command
 }

@@ -4,7 +4,7 @@ use std::fs;
 
 use genesplat::io::photos::read_photo;
 
-use crate::support::{command, fail, judge_failure, scene, succeed, text, train};
+use crate::support::{command, fail, judge_failure, scene, skipped, succeed, text, train};
 
 const VIEW: [&str; 2] = [
     r#"{"position":[0,0,1],"rotation":[1,0,0,0],"fov_y":0.9}"#,
@@ -44,8 +44,7 @@ fn a_path_becomes_pictures_that_differ() {
 fn ffmpeg_makes_films_where_it_is_there() {
     if std::process::Command::new("ffmpeg").arg("-version").output().is_err() {
         assert_ne!(std::env::var("CI").as_deref(), Ok("true"), "CI has no ffmpeg");
-        eprintln!("skipped: there is no ffmpeg on the PATH");
-        return;
+        return skipped("there is no ffmpeg on the PATH");
     }
     let folder = tempfile::tempdir().unwrap();
     let run = folder.path().join("run");
@@ -57,5 +56,39 @@ fn ffmpeg_makes_films_where_it_is_there() {
         assert!(fs::read(&film).unwrap()[..12].windows(4).any(|bytes| bytes == magic), "{name}");
         let left = fs::read_dir(folder.path()).unwrap().count();
         assert!(left <= 3, "{left} files");
+    }
+}
+
+/// A program that takes frames for ever stands for ffmpeg.
+#[cfg(unix)]
+#[test]
+fn what_is_rendered_is_stopped_between_frames_and_leaves_no_litter() {
+    use std::os::unix::fs::PermissionsExt;
+    use std::process::{Command, Stdio};
+
+    let folder = tempfile::tempdir().unwrap();
+    let [run, programs, out] = ["run", "programs", "out"].map(|name| folder.path().join(name));
+    succeed(train(scene(), &run, &["--iterations", "3"]));
+    fs::create_dir_all(&out).unwrap();
+    fs::create_dir(&programs).unwrap();
+    let ffmpeg = programs.join("ffmpeg");
+    // The last word is the file to write.
+    fs::write(&ffmpeg, "#!/bin/sh\nfor file; do :; done\n: >\"$file\"\nexec cat >/dev/null\n").unwrap();
+    fs::set_permissions(&ffmpeg, fs::Permissions::from_mode(0o755)).unwrap();
+    let path = format!("{}:{}", programs.display(), std::env::var("PATH").unwrap());
+    for (name, said) in [("film.mp4", "no "), ("frames", "frames are in")] {
+        let place = out.join(name);
+        let arguments = ["render", text(&run), "--data", text(scene()), "--device", "cpu", "--path", "orbit"];
+        let mut command = command(arguments.iter().chain(&["--frames", "10000", "--out", text(&place)]));
+        let child = command.env("PATH", &path).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        // The film's beginning, or the folder of the first frame.
+        while fs::read_dir(&out).unwrap().next().is_none() {
+            std::thread::sleep(std::time::Duration::from_millis(5));
+        }
+        assert!(Command::new("kill").args(["-TERM", &child.id().to_string()]).status().unwrap().success());
+        let output = child.wait_with_output().unwrap();
+        let text = String::from_utf8(output.stdout).unwrap();
+        assert!(output.status.code() == Some(130) && text.contains("stopped") && text.contains(said), "{text}");
+        assert_eq!(fs::read_dir(&out).unwrap().count(), usize::from(name == "frames"), "{name}");
     }
 }
