@@ -82,7 +82,7 @@ fn load(args: &TrainArgs, stop: &AtomicBool, cluster: Option<&Cluster>) -> Resul
         machine.device = Some(DeviceChoice::Cpu);
     }
     device::use_threads(config.threads().or_else(|| cluster.map(|_| cluster::threads())))?;
-    if args.poses && !find_cameras(args, stop)? {
+    if args.poses && !find_cameras(args, config.threads(), stop)? {
         return Ok(None);
     }
     if !args.poses && archive::is_zip(&args.dataset) {
@@ -106,9 +106,9 @@ fn ending(ended: &Ended) -> Ending {
 }
 
 /// Makes the scene of photos without cameras; false where it was stopped.
-fn find_cameras(args: &TrainArgs, stop: &AtomicBool) -> Result<bool> {
-    let (out, threads) = (args.scene(), args.machine.threads);
-    let found = poses::find(&Request { photos: &args.dataset, out: &out, frames: None, threads }, stop)?;
+fn find_cameras(args: &TrainArgs, threads: Option<u16>, stop: &AtomicBool) -> Result<bool> {
+    let request = Request { photos: &args.dataset, out: &args.scene(), frames: None, threads };
+    let found = poses::find(&request, stop)?;
     let Some(summary) = found else { return Ok(false) };
     summary.sentences().iter().for_each(|sentence| output::tell(sentence));
     Ok(true)
