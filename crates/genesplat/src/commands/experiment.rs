@@ -2,6 +2,7 @@
 
 use std::io::ErrorKind;
 use std::path::Path;
+use std::sync::atomic::AtomicBool;
 
 use anyhow::{Result, bail};
 use genesplat::io::{input, shown};
@@ -53,6 +54,7 @@ pub(crate) fn run(args: &ExperimentArgs) -> Result<Ending> {
         machine: MachineArgs { device, ..args.machine },
         lpips: lpips.as_ref(),
         stop: &stop,
+        has_gallery: AtomicBool::new(false),
     };
     if args.list {
         return list(&runner);

@@ -137,7 +137,7 @@ mod tests {
 
     fn runner<'a>(experiment: &'a Experiment, out: &'a Path, data: &'a Path, stop: &'a AtomicBool) -> Runner<'a> {
         let machine = MachineArgs { device: Some(DeviceChoice::Cpu), threads: None };
-        Runner { experiment, out, data: Some(data), machine, lpips: None, stop }
+        Runner { experiment, out, data: Some(data), machine, lpips: None, stop, has_gallery: AtomicBool::new(false) }
     }
 
     /// Settings and metrics of a finished run in the folder of each cell.
@@ -179,6 +179,21 @@ mod tests {
             let refusal = runner(&other, &moved, place.path(), &stop).check_folders().unwrap_err().to_string();
             assert!(refusal.contains(words) && refusal.contains("other settings"), "{refusal}");
         }
+    }
+
+    #[test]
+    fn the_bundled_scene_is_made_once() {
+        let place = tempfile::tempdir().unwrap();
+        let small = "[gallery]\nwidth = 32\nheight = 24\nviews = 3\npoints = 20";
+        let (here, stop) = (experiment(small), AtomicBool::new(false));
+        let runner = runner(&here, place.path(), place.path(), &stop);
+        let cell = here.cells()[0];
+        let settings = runner.settings(cell, &Results::none(&here)).unwrap();
+        let load = || runner.load(cell, &settings).unwrap().train.len();
+        let (views, images) = (load(), runner.scene_path(cell.scene).join("images"));
+        let written = || fs::metadata(images.join("gallery_001.png")).unwrap().modified().unwrap();
+        let first = written();
+        assert_eq!((load(), written()), (views, first));
     }
 
     /// Memory ran out on one device, and the command is given again for another.

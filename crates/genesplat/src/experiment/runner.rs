@@ -34,6 +34,8 @@ pub(crate) struct Runner<'a> {
     pub(crate) lpips: Option<&'a Lpips>,
     /// Set by Ctrl-C and SIGTERM.
     pub(crate) stop: &'a AtomicBool,
+    /// Whether the bundled scene has been written, which takes seconds.
+    pub(crate) has_gallery: AtomicBool,
 }
 
 pub(crate) struct Ran<'a> {
@@ -178,8 +180,9 @@ impl<'a> Runner<'a> {
     /// The scene of a cell, at the size and on the background that it is trained with.
     pub(crate) fn load(&self, cell: Cell, settings: &Settings) -> Result<Scene> {
         let (path, config) = (self.scene_path(cell.scene), settings.train.config());
-        if self.experiment.file.scenes[cell.scene] == BUNDLED {
+        if self.experiment.file.scenes[cell.scene] == BUNDLED && !self.has_gallery.load(Ordering::Relaxed) {
             gallery::generate(&self.experiment.file.gallery.options()).write_colmap(&path)?;
+            self.has_gallery.store(true, Ordering::Relaxed);
         }
         let spill = Spill { folder: self.out.to_owned(), memory_bytes: scene::PHOTO_MEMORY };
         scene::load(&settings.dataset, config.background.fixed_colour(), config.seed, Some(spill))
