@@ -163,11 +163,7 @@ impl ConfigFile {
         check_hold_out(&self.dataset.hold_out)?;
         let near = self.dataset.near.unwrap_or(1.0);
         ensure!(is_near(near), "near is {near} in the file, and has to be above 0 and at most 1e9; correct it there");
-        ensure!(
-            self.dataset.mask != MaskUse::Transparent || self.train.background != Background::Random,
-            "hidden pixels cannot be the background (mask is transparent) where that is a new colour in every step (background \
-             is random); change one of them"
-        );
+        check_hidden(self.dataset.mask, self.train.background)?;
         check_range("threads", self.threads.map(Into::into), THREADS)?;
         Ok(self.train.validate()?)
     }
@@ -245,6 +241,16 @@ pub(crate) fn check_size(max_side: Option<u32>, downscale: Option<u32>) -> Resul
     );
     check_range("max_side", max_side.map(Into::into), MAX_SIDE)?;
     check_range("downscale", downscale.map(Into::into), DOWNSCALE)
+}
+
+/// Fails where hidden pixels would be a background that no photo can have.
+pub(crate) fn check_hidden(mask: MaskUse, background: Background) -> Result<()> {
+    ensure!(
+        mask != MaskUse::Transparent || background != Background::Random,
+        "hidden pixels cannot be the background (mask is transparent) where that is a new colour in every step (background is \
+         random); change one of them"
+    );
+    Ok(())
 }
 
 /// The same of what is held out.

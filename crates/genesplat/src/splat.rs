@@ -5,7 +5,7 @@ use std::path::Path;
 use anyhow::{Result, ensure};
 use genesplat::core::{Gaussians, RenderSettings, ScreenFilter};
 use genesplat::io::format::{self, Loaded};
-use genesplat::io::{Scene, command_line, shown};
+use genesplat::io::{MaskUse, Scene, command_line, shown};
 use genesplat::train::Background;
 
 use crate::args::{PhotosArgs, ShownOnArgs};
@@ -36,6 +36,17 @@ impl Splat {
     ///
     /// Of a run's splat, a fraction is one of the size that it was trained at, for multi-scale evaluation.
     pub(crate) fn load_scene(&self, data: &Path, asked: &PhotosArgs) -> Result<Scene> {
+        let (dataset, divisor) = self.dataset(data, asked)?;
+        scene::load_to_look(&dataset, divisor, self.settings.background)
+    }
+
+    /// What masks of those photos mean.
+    pub(crate) fn mask(&self, data: &Path, asked: &PhotosArgs) -> Result<MaskUse> {
+        Ok(self.dataset(data, asked)?.0.mask)
+    }
+
+    /// The photos in `data`, and what their sides are divided by.
+    fn dataset(&self, data: &Path, asked: &PhotosArgs) -> Result<(Dataset, u32)> {
         let mut dataset = self.trained_on.clone().unwrap_or_default();
         let trained_size = (dataset.max_side, dataset.downscale);
         asked.override_dataset(&mut dataset)?;
@@ -45,7 +56,7 @@ impl Splat {
             (dataset.max_side, dataset.downscale) = trained_size;
             divisor = asked;
         }
-        scene::load_to_look(&dataset, divisor, self.settings.background)
+        Ok((dataset, divisor))
     }
 
     /// The scene in `data`; where none is named, that of the run, if it is still where it was.

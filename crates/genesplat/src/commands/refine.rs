@@ -1,7 +1,7 @@
 //! `genesplat refine`: makes a splat of any trainer better, by gradient steps and renewals, or by the paper's search
 //! alone.
 
-use anyhow::{Result, bail};
+use anyhow::{Result, bail, ensure};
 use genesplat::core::{RenderSettings, ScreenFilter};
 use genesplat::io::format::{self, Options};
 use genesplat::io::{Scene, shown};
@@ -13,7 +13,7 @@ use crate::args::RefineArgs;
 use crate::device::Device;
 use crate::run::photos;
 use crate::run::training::evaluate_all;
-use crate::settings::ConfigFile;
+use crate::settings::{ConfigFile, check_hidden};
 use crate::splat::Splat;
 use crate::terminal::numbers::thousands;
 use crate::terminal::reporter::Reporter;
@@ -27,6 +27,7 @@ pub(crate) fn run(args: &RefineArgs) -> Result<Ending> {
     device::use_threads(args.machine.threads)?;
     let mut splat = splat::open(&args.splat)?;
     let config = configure(args, &splat)?;
+    check(args, &splat, config.config())?;
     splat.settings = config.render_settings();
     let scene = splat.load_scene(&args.data, &args.photos)?;
     photos::check_test_photos(&args.splat, &scene)?;
@@ -78,6 +79,16 @@ fn configure(args: &RefineArgs, splat: &Splat) -> Result<Resolved> {
         ),
     };
     Ok(train.resolve()?)
+}
+
+/// Fails where something that is asked for cannot be, or would not count.
+fn check(args: &RefineArgs, splat: &Splat, train: &TrainConfig) -> Result<()> {
+    check_hidden(splat.mask(&args.data, &args.photos)?, train.background)?;
+    ensure!(
+        args.iterations.is_none() || train.evolution.mode != EvolutionMode::Paper,
+        "--iterations counts gradient steps, and the paper's search makes none; give --generations instead"
+    );
+    Ok(())
 }
 
 /// A finished splat goes on where training ends: positions at their last rate, no density control but renewals, no

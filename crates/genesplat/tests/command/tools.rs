@@ -214,6 +214,20 @@ fn settings_of_a_run_refine_too() {
 }
 
 #[test]
+fn a_refinement_is_refused_what_does_not_go_together() {
+    let folder = tempfile::tempdir().unwrap();
+    let [out, config] = ["refined.ply", "config.toml"].map(|name| folder.path().join(name));
+    std::fs::write(&config, "background = \"random\"").unwrap();
+    let ply = finished_run().join("point_cloud.ply");
+    let refine = ["refine", text(&ply), "--data", text(scene()), "--out", text(&out)];
+    let transparent = ["--mask", "transparent", "--config", text(&config)];
+    fail(refine.iter().chain(&transparent), &["mask is transparent", "background is random"]);
+    let search = ["--evolve", "paper", "--iterations", "50"];
+    fail(refine.iter().chain(&search), &["--iterations", "--generations"]);
+    assert!(!out.exists());
+}
+
+#[test]
 fn refining_makes_an_unfinished_splat_better_and_threads_change_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let ply = finished_run().join("point_cloud.ply");
