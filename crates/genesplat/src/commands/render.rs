@@ -52,6 +52,8 @@ pub(crate) fn run(args: &RenderArgs) -> Result<Ending> {
     let scene = splat.load_scene(&args.data, &args.splat.photos)?;
     overwrite::check_photos(&scene, &args.out)?;
     if args.split == Some(RenderSplit::Test) {
+        let has_some = !scene.test.is_empty();
+        ensure!(has_some, "{} has no test photos; use --split train", shown(&args.data));
         check_test_photos(&args.splat.path, &scene)?;
     }
     let jobs = match &args.image {

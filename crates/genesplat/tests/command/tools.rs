@@ -148,6 +148,8 @@ fn renders_are_those_of_the_evaluation() {
     assert_eq!(read_photo(&all.join("gallery_008.png")).unwrap(), truth);
     let arguments = ["render", text(&run), "--data", text(scene()), "--image", "absent", "--out", text(&one)];
     fail(arguments, &["no photo called absent", "gallery_00"]);
+    let arguments = ["render", text(&run), "--data", text(scene()), "--split", "test", "--train-on-all", "--out"];
+    fail(arguments.into_iter().chain([text(&all)]), &["has no test photos", "--split train"]);
 }
 
 #[test]
