@@ -63,8 +63,10 @@ pub(crate) fn run(command: &mut Command, log: &Path, stop: &AtomicBool, mut on_l
     listeners.into_iter().flatten().for_each(|listener| drop(listener.join()));
     let status = child.wait().map_err(|error| anyhow!("cannot wait for {}: {error}", shown(&program)))?;
     if !status.success() && !stop.load(Ordering::Relaxed) {
-        let sentence =
-            format!("{} has failed ({}); all that it said is in {}", shown(&program), last.trim(), shown(log));
+        let sentence = match last.trim() {
+            "" => format!("{} has failed ({status}) and said nothing; the same command tries it again", shown(&program)),
+            last => format!("{} has failed ({last}); all that it said is in {}", shown(&program), shown(log)),
+        };
         // Ended by a signal.
         ensure!(status.code().is_some(), Crashed(sentence));
         bail!(sentence);
@@ -131,6 +133,8 @@ mod tests {
         assert_eq!(lines, ["one", "two"]);
         let refused = run(&mut shell("echo no memory >&2; exit 3"), &log, &never, |_| {}).unwrap_err().to_string();
         assert!(refused.contains("no memory") && refused.contains("log"), "{refused}");
+        let silent = run(&mut shell("exit 3"), &log, &never, |_| {}).unwrap_err().to_string();
+        assert_eq!(silent, "sh has failed (exit status: 3) and said nothing; the same command tries it again");
         let crashed = run(&mut shell("echo a fault >&2; kill -SEGV $$"), &log, &never, |_| {}).unwrap_err();
         assert!(crashed.is::<Crashed>() && crashed.to_string().contains("a fault"), "{crashed}");
         assert_eq!(genesplat::io::input::read_text(&log).unwrap().lines().count(), 4);
