@@ -1,6 +1,7 @@
 //! The built command, as a user runs it: files in, files and exit status out.
 
 mod bad_input;
+mod bench;
 mod blocks;
 mod camera_path;
 mod convert;

@@ -163,3 +163,16 @@ fn synthetic_points(size_px: [u32; 2]) -> Vec<ColouredPoint> {
     };
     (0..POINTS).map(point).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_trained_cloud_is_measured_as_it_is() {
+        let trained = Source { origin: Origin::Trained(Gaussians::zeros(7)), ..Source::synthetic([16, 16]) };
+        assert_eq!((trained.trained_count(), trained.cloud(99).unwrap().len()), (Some(7), 7));
+        let synthetic = Source::synthetic([16, 16]);
+        assert_eq!((synthetic.trained_count(), synthetic.cloud(99).unwrap().len()), (None, 99));
+    }
+}
