@@ -121,14 +121,37 @@ fn what_stands_on_a_turntable_keeps_its_shape() {
     assert!((0.75..1.33).contains(&(width / TURNTABLE_FOCAL_PX)), "{camera:?}");
 }
 
+/// Stands for a Python with pycolmap: it finds the cameras that the gallery has, and does `before_matching` where others match.
+#[cfg(unix)]
+fn pretended_python(folder: &Path, before_matching: &str) -> PathBuf {
+    use std::os::unix::fs::PermissionsExt;
+
+    let (python, model) = (folder.join("python"), scene().join("sparse/0"));
+    let script = format!(
+        r#"#!/bin/sh
+        case "$*" in
+            *__version__*) echo pretended ;;
+            *'"stage":"features"'*) ;;
+            *'"stage":"matches"'*) {before_matching} ;;
+            *) mkdir -p '{out}/poses/models/0' && cp '{model}'/* '{out}/poses/models/0' && echo '{{"errors_px": {{"0": 0.5}}}}' ;;
+        esac
+        "#,
+        out = text(&folder.join("scene")),
+        model = text(&model)
+    );
+    fs::write(&python, script).unwrap();
+    fs::set_permissions(&python, fs::Permissions::from_mode(0o755)).unwrap();
+    python
+}
+
 #[cfg(unix)]
 #[test]
 fn a_search_that_was_stopped_goes_on_with_the_next_stage() {
     let folder = tempfile::tempdir().unwrap();
-    let Some(photos) = small_photos(folder.path()) else { return };
-    let Some(python) = python_with("pycolmap") else { return };
-    let found = folder.path().join("scene");
-    let mark = found.join("poses/features.done");
+    let [found, mark] = ["scene", "matched"].map(|name| folder.path().join(name));
+    let once = format!("[ -e '{mark}' ] || {{ : >'{mark}'; exec sleep 600; }}", mark = text(&mark));
+    let python = pretended_python(folder.path(), &once);
+    let photos = scene().join("images");
     let arguments = ["poses", text(&photos), "--out", text(&found)];
     let mut child = command(arguments).env("GENESPLAT_PYTHON", &python).spawn().unwrap();
     while !mark.exists() && child.try_wait().unwrap().is_none() {
@@ -137,31 +160,28 @@ fn a_search_that_was_stopped_goes_on_with_the_next_stage() {
     Command::new("kill").args(["-TERM", &child.id().to_string()]).status().unwrap();
     let status = child.wait().unwrap();
     assert_eq!(status.code(), Some(130), "it was stopped before it was done");
+    assert!(found.join("poses/features.done").exists() && !found.join("poses/matches.done").exists());
     let rest = with_python(&python, &arguments);
     assert!(rest.status.success() && said(&rest).contains("features: done already"), "{}", said(&rest));
+    assert!(!said(&rest).contains("matches: done already") && said(&rest).contains("of 12 photos"), "{}", said(&rest));
 }
 
 /// COLMAP's matcher dies of a segmentation fault now and then.
 #[cfg(unix)]
 #[test]
 fn a_search_that_crashes_once_is_begun_again() {
-    use std::os::unix::fs::PermissionsExt;
-
     let folder = tempfile::tempdir().unwrap();
-    let Some(photos) = small_photos(folder.path()) else { return };
-    let Some(python) = python_with("pycolmap") else { return };
-    let [crashing, mark, found] = ["python", "crashed", "scene"].map(|name| folder.path().join(name));
-    let script = format!(
-        "#!/bin/sh\ncase \"$*\" in *'\"stage\":\"matches\"'*) if [ ! -e {mark} ]; then touch {mark}; kill -SEGV $$; fi ;; esac\n\
-         exec {python} \"$@\"\n",
-        mark = text(&mark),
-        python = text(&python)
-    );
-    fs::write(&crashing, script).unwrap();
-    fs::set_permissions(&crashing, fs::Permissions::from_mode(0o755)).unwrap();
-    let output = with_python(&crashing, &["poses", text(&photos), "--out", text(&found)]);
+    let (mark, photos) = (folder.path().join("crashed"), scene().join("images"));
+    let poses = |out: &Path, crash: &str| {
+        let python = pretended_python(folder.path(), crash);
+        with_python(&python, &["poses", text(&photos), "--out", text(out)])
+    };
+    let once = format!("[ -e '{mark}' ] || {{ : >'{mark}'; kill -SEGV $$; }}", mark = text(&mark));
+    let output = poses(&folder.path().join("scene"), &once);
     assert!(output.status.success() && mark.exists(), "{}", said(&output));
     assert!(said(&output).contains("the search for matches crashed, and is begun once more"), "{}", said(&output));
+    let twice = poses(&folder.path().join("other"), "kill -SEGV $$");
+    judge_failure(twice, &["python has failed", "said nothing"]);
 }
 
 #[cfg(unix)]
