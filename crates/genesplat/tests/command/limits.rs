@@ -52,7 +52,7 @@ impl Growing {
 
     fn new(place: &Path) -> Self {
         let this = Self { scene: place.join("scene"), whole: place.join("whole") };
-        let options = GalleryOptions { width: 160, height: 108, views: 12, points: Self::POINTS, seed: 5 };
+        let options = GalleryOptions { width: 96, height: 64, views: 12, points: Self::POINTS, seed: 5 };
         gallery::generate(&options).write_colmap(&this.scene).unwrap();
         succeed(this.arguments(&this.whole));
         let gaussians = number(&json(&this.whole.join("metrics.json"))["gaussians"]);
