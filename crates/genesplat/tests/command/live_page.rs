@@ -3,8 +3,9 @@
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Child, Command, Stdio};
+use std::sync::LazyLock;
 use std::time::{Duration, Instant};
 
 use serde_json::Value;
@@ -13,7 +14,7 @@ use tungstenite::{Message, WebSocket};
 
 use crate::support::{cloud, command, fail, scene, succeed, text, train};
 
-const SCHEDULE: [&str; 6] = ["--iterations", "1200", "--max-gaussians", "1500", "--no-lpips", "--threads=2"];
+const SCHEDULE: [&str; 6] = ["--iterations", "500", "--max-gaussians", "1500", "--no-lpips", "--threads=2"];
 
 /// A process that serves a page, and the page's address.
 pub(crate) struct Served {
@@ -99,18 +100,23 @@ fn say(page: &mut WebSocket<TcpStream>, wish: &str) {
     page.send(Message::text(format!(r#"{{"type":"{wish}"}}"#))).unwrap();
 }
 
-/// The folder of a run that is over, and that of the same run that begins to be served.
-fn alone_and_served(folder: &Path) -> ([PathBuf; 2], Served) {
-    let [alone, served] = ["alone", "served"].map(|name| folder.join(name));
-    succeed(train(scene(), &alone, &SCHEDULE));
-    let run = Served::start(command(train(scene(), &served, &[&SCHEDULE[..], &["--view"]].concat())));
-    ([alone, served], run)
+/// The splat of a run that nobody looks at.
+static ALONE: LazyLock<Vec<u8>> = LazyLock::new(|| {
+    let folder = tempfile::tempdir().unwrap();
+    succeed(train(scene(), folder.path(), &SCHEDULE));
+    cloud(folder.path())
+});
+
+/// The same run, which begins to be served.
+fn serve(out: &Path) -> Served {
+    Served::start(command(train(scene(), out, &[&SCHEDULE[..], &["--view"]].concat())))
 }
 
 #[test]
 fn a_page_that_looks_pauses_and_saves_changes_no_byte() {
     let folder = tempfile::tempdir().unwrap();
-    let ([alone, watched], mut served) = alone_and_served(folder.path());
+    let watched = folder.path().join("run");
+    let mut served = serve(&watched);
     let mut page = served.page();
     say(&mut page, "pause");
     let paused = await_state(&mut page, |state| state["phase"] == "paused");
@@ -141,7 +147,7 @@ fn a_page_that_looks_pauses_and_saves_changes_no_byte() {
     }
     assert_eq!(served.end(), Some(0));
     assert!(pictures > 6, "{pictures} pictures, none of them while it trained");
-    assert!(cloud(&alone) == cloud(&watched), "the same bytes");
+    assert!(*ALONE == cloud(&watched), "the same bytes");
     assert!(std::fs::read(&snapshot).unwrap() != cloud(&watched), "an earlier state");
 }
 
@@ -149,7 +155,8 @@ fn a_page_that_looks_pauses_and_saves_changes_no_byte() {
 #[test]
 fn strangers_change_no_byte() {
     let folder = tempfile::tempdir().unwrap();
-    let ([alone, pestered], mut served) = alone_and_served(folder.path());
+    let pestered = folder.path().join("run");
+    let mut served = serve(&pestered);
     let [mut deaf, mut babbler] = [served.page(), served.page()];
     let host = served.url.split('/').nth(2).unwrap().to_owned();
     let mut refused = 0;
@@ -165,7 +172,7 @@ fn strangers_change_no_byte() {
     }
     assert!(refused > 10, "{refused} strangers were refused");
     assert_eq!(served.end(), Some(0));
-    assert!(cloud(&alone) == cloud(&pestered), "the same bytes");
+    assert!(*ALONE == cloud(&pestered), "the same bytes");
 }
 
 #[test]
@@ -184,7 +191,7 @@ fn a_page_can_stop_a_run_which_is_saved() {
 fn a_run_waits_for_nobody_once_its_last_page_is_gone() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("run");
-    let mut served = Served::start(command(train(scene(), &out, &[&SCHEDULE[..], &["--view"]].concat())));
+    let mut served = serve(&out);
     let mut page = served.page();
     say(&mut page, "pause");
     await_state(&mut page, |state| state["phase"] == "paused");
