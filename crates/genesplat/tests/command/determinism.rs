@@ -32,9 +32,8 @@ fn threads_change_nothing_and_seeds_do() {
     let stages = metrics["evolution"].as_array().unwrap();
     assert_eq!(stages.len(), 2);
     assert!(stages.iter().any(|stage| stage["changed"].as_u64() > Some(0)), "evolution took part: {stages:?}");
-    assert!(one == run("two", &["--threads", "2", "--seed", "3"]).0, "two threads");
     assert!(one == run("seven", &["--threads", "7", "--seed", "3"]).0, "seven threads");
-    assert!(one != run("other", &["--threads", "2", "--seed", "4"]).0, "another seed");
+    assert!(one != run("other", &["--threads", "7", "--seed", "4"]).0, "another seed");
 }
 
 /// What the other variants have of their own: pixel counts, a 3D filter, noise and relocation.
@@ -50,7 +49,6 @@ fn threads_change_nothing_in_other_variants_either() {
         };
         let (one, metrics) = run("1");
         assert!(metrics["gaussians"].as_u64() > Some(300), "{variant}: density control took part: {metrics}");
-        assert!(one == run("2").0, "{variant}: two threads");
         assert!(one == run("7").0, "{variant}: seven threads");
     }
 }
@@ -79,7 +77,6 @@ fn threads_change_nothing_in_selection_renewals_and_averages_either() {
         assert_eq!(renewed.iter().any(took_part), renewals > 0, "{renewed:?}");
         let rises = |stage: &&serde_json::Value| number(&stage["guard_psnr"][1]) >= number(&stage["guard_psnr"][0]);
         assert!(renewed.iter().all(rises), "{renewed:?}");
-        assert!(one == run("2").0, "{variant}, two threads");
         assert!(one == run("7").0, "{variant}, seven threads");
     }
 }
@@ -90,12 +87,18 @@ fn held_out_photos_change_no_byte_of_the_splat() {
     let folder = tempfile::tempdir().unwrap();
     let scene = folder.path().join("scene");
     copy_scene(&scene);
-    let run = |name: &str| {
-        let out = folder.path().join(name);
-        succeed(train(&scene, &out, &["--steps-scale", "0.02", "--max-gaussians", "600"]));
-        (cloud(&out), number(&json(&out.join("metrics.json"))["test"]["psnr"]))
+    // 3DGS grows by selection, Pixel-GS has renewals; both have averages.
+    let run = |variant: &str| {
+        let out = folder.path().join(variant);
+        let flags = ["--steps-scale", "0.02", "--max-gaussians", "600", "--variant", variant];
+        succeed(train(&scene, &out, &flags));
+        (cloud(&out), json(&out.join("metrics.json")))
     };
-    let (before, psnr) = run("before");
+    let psnr = |metrics: &serde_json::Value| number(&metrics["test"]["psnr"]);
+    let before = ["3dgs", "pixel-gs"].map(|variant| (variant, run(variant)));
+    let renewed = |stage: &&serde_json::Value| stage["kind"] == "renewal" && stage["changed"].as_u64() > Some(0);
+    let stages = before[1].1.1["evolution"].as_array().unwrap();
+    assert!(stages.iter().any(|stage| renewed(&stage)), "renewals took part: {stages:?}");
     let spoil = |name: &str| {
         let path = scene.join("images").join(name);
         let photo = read_photo(&path).unwrap();
@@ -104,10 +107,12 @@ fn held_out_photos_change_no_byte_of_the_splat() {
     };
     spoil("gallery_000.png");
     spoil("gallery_008.png");
-    let (held_out, lower) = run("held-out");
-    assert!(before == held_out && lower < psnr - 5.0, "{psnr} dB, {lower} dB");
+    for (variant, (before, metrics)) in &before {
+        let (after, lower) = run(variant);
+        assert!(*before == after && psnr(&lower) < psnr(metrics) - 5.0, "{variant}: {metrics}, {lower}");
+    }
     spoil("gallery_001.png");
-    assert!(before != run("trained").0, "a photo of training changes it");
+    assert!(before[0].1.0 != run("3dgs").0, "a photo of training changes it");
 }
 
 #[test]
