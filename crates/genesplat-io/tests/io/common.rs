@@ -96,7 +96,11 @@ pub(crate) fn real_scene(name: &str) -> Option<PathBuf> {
         return Some(folder);
     }
     assert_ne!(std::env::var("CI").as_deref(), Ok("true"), "{} is absent", folder.display());
-    // Not by a macro, whose output a test runner keeps to itself.
-    let _ = writeln!(std::io::stderr(), "skipped: {} is absent (set GENESPLAT_DATA)", folder.display());
+    skipped(&format!("{} is absent (set GENESPLAT_DATA)", folder.display()));
     None
+}
+
+/// Says so where everybody sees it: what a test prints by macros is kept from the terminal.
+pub(crate) fn skipped(why: &str) {
+    let _ = writeln!(std::io::stderr(), "skipped: {why}");
 }

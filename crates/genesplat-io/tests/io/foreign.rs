@@ -14,6 +14,7 @@ use genesplat_io::format::{self, Format, Options, SpzVersion};
 use serde_json::Value;
 use tempfile::TempDir;
 
+use crate::common::skipped;
 use crate::formats::{Steps, difference, steps, varied, write};
 
 /// What two decoders of the same bytes may differ in.
@@ -26,7 +27,7 @@ static PACKAGES: LazyLock<Option<PathBuf>> = LazyLock::new(|| {
     let (source, target) = (here.join("tests/foreign"), here.join("../../target/npm"));
     if Command::new("npm").arg("--version").output().is_err() {
         assert_ne!(std::env::var("CI").as_deref(), Ok("true"), "there is no npm, which CI needs");
-        eprintln!("skipped: there is no npm to install other programs with");
+        skipped("there is no npm to install other programs with");
         return None;
     }
     std::fs::create_dir_all(&target).unwrap();

@@ -9,7 +9,7 @@ use genesplat_io::photos::{read_photo, resize, write_png};
 use genesplat_io::{HoldOut, LoadOptions, PhotoSize, load_scene};
 use serde_json::json;
 
-use crate::common::real_scene;
+use crate::common::{real_scene, skipped};
 
 /// Parameters for photos of fox (540x960), as strong as real lenses: one model each.
 const CAMERAS: [(&str, &[f64]); 15] = [
@@ -93,7 +93,7 @@ fn python_with_pycolmap() -> Option<PathBuf> {
     let has_it = Command::new(&python).args(["-c", "import pycolmap"]).output().is_ok_and(|ran| ran.status.success());
     assert!(has_it || std::env::var("CI").as_deref() != Ok("true"), "{} has no pycolmap", python.display());
     if !has_it {
-        eprintln!("skipped: {} has no pycolmap (see .ci/run)", python.display());
+        skipped(&format!("{} has no pycolmap (see .ci/run)", python.display()));
     }
     has_it.then_some(python)
 }

@@ -4,13 +4,18 @@
 mod page_to_send;
 mod webdriver;
 
-use std::io::{BufRead, BufReader};
+use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 
 use genesplat::gallery::{self, GalleryOptions};
 use genesplat::io::photos::read_photo;
 use webdriver::Browser;
+
+/// Says so where everybody sees it: what a test prints by macros is kept from the terminal.
+fn skipped(why: &str) {
+    let _ = writeln!(std::io::stderr(), "skipped: {why}");
+}
 
 /// The command, serving a page.
 struct Served {

@@ -127,7 +127,7 @@ fn real_data() -> Option<PathBuf> {
     let folder = std::env::var_os("GENESPLAT_DATA").map_or(beside, PathBuf::from);
     if !folder.is_dir() {
         assert_ne!(std::env::var("CI").as_deref(), Ok("true"), "CI has no data in {}", folder.display());
-        eprintln!("skipped: there is no data in {} (set GENESPLAT_DATA)", folder.display());
+        crate::skipped(&format!("there is no data in {} (set GENESPLAT_DATA)", folder.display()));
     }
     folder.is_dir().then_some(folder)
 }

@@ -29,7 +29,7 @@ impl Browser {
         let started = Command::new("chromedriver").arg("--port=0").stdout(Stdio::piped()).stderr(Stdio::null()).spawn();
         let Ok(mut driver) = started else {
             assert_ne!(std::env::var("CI").as_deref(), Ok("true"), "CI has no chromedriver");
-            eprintln!("skipped: there is no chromedriver (Debian: apt install chromium chromium-driver)");
+            crate::skipped("there is no chromedriver (Debian: apt install chromium chromium-driver)");
             return None;
         };
         let mut lines = BufReader::new(driver.stdout.take().unwrap()).lines().map(Result::unwrap);
