@@ -9,7 +9,7 @@ use genesplat::io::{CONVERT, input, shown};
 use serde::{Deserialize, Serialize};
 
 use crate::files::write_json;
-use crate::run::session::Lock;
+use crate::run::lock::Lock;
 use crate::terminal::output;
 
 /// In the folder: what was unpacked there, and whether all of it was.

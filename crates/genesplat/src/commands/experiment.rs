@@ -16,7 +16,7 @@ use crate::experiment::runner::{Ran, Runner};
 use crate::experiment::summary::Tables;
 use crate::experiment::{page, preset, qualitative, record};
 use crate::report::run::this_command;
-use crate::run::session::Lock;
+use crate::run::lock::Lock;
 use crate::terminal::{interrupt, output};
 use crate::{device, files, lpips};
 

@@ -19,7 +19,7 @@ use anyhow::{Result, ensure};
 use genesplat::io::shown;
 
 use crate::files::unwritable;
-use crate::run::session::Lock;
+use crate::run::lock::Lock;
 use crate::terminal::output;
 use engine::Engine;
 use photos::Source;

@@ -19,6 +19,7 @@
 //! All but the log and its curves are written whole or not at all, so that a full disk or a power cut leaves what was there before.
 
 pub(crate) mod failure;
+pub(crate) mod lock;
 pub(crate) mod log;
 pub(crate) mod memory;
 pub(crate) mod metrics;
