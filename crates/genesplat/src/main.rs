@@ -18,6 +18,7 @@ mod poses;
 mod report;
 mod run;
 mod scene;
+mod score;
 mod settings;
 mod sharpness;
 mod splat;

@@ -12,7 +12,7 @@ use genesplat::io::shown;
 use crate::args::ConvertArgs;
 use crate::run::CLOUD;
 use crate::run::photos::check_test_photos;
-use crate::run::training::evaluate_all;
+use crate::score::evaluate_all;
 use crate::splat::Splat;
 use crate::terminal::numbers::thousands;
 use crate::terminal::output;

@@ -7,7 +7,7 @@ use serde::Serialize;
 
 use crate::args::{EvaluateArgs, Split};
 use crate::run::photos;
-use crate::run::training::evaluate_all;
+use crate::score::evaluate_all;
 use crate::terminal::output;
 use crate::{device, lpips, splat};
 

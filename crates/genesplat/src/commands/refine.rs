@@ -12,7 +12,7 @@ use super::Ending;
 use crate::args::RefineArgs;
 use crate::device::Device;
 use crate::run::photos;
-use crate::run::training::evaluate_all;
+use crate::score::evaluate_all;
 use crate::settings::{ConfigFile, check_hidden};
 use crate::splat::Splat;
 use crate::terminal::numbers::thousands;

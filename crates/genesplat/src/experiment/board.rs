@@ -3,8 +3,8 @@
 use std::time::Instant;
 
 use super::plan::{Cell, Experiment};
-use crate::report::run::number;
 use crate::run::metrics::Metrics;
+use crate::terminal::numbers::number;
 use crate::terminal::output;
 
 pub(crate) struct Board<'a> {

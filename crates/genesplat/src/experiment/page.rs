@@ -13,9 +13,9 @@ use crate::report::chart::Chart;
 use crate::report::curves::{Curves, over_time};
 use crate::report::html::{Html, document};
 use crate::report::picture;
-use crate::report::run::{number, write_repeat};
+use crate::report::run::write_repeat;
 use crate::run::LOG;
-use crate::terminal::numbers::{duration, thousands};
+use crate::terminal::numbers::{duration, number, thousands};
 
 /// Pictures in the page itself; further ones are linked.
 const PICTURES_MAX: usize = 24;

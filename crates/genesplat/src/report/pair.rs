@@ -8,10 +8,10 @@ use genesplat::core::Photo;
 use super::curves::{Curves, over_time};
 use super::html::{Html, document};
 use super::picture;
-use super::run::{number, write_repeat};
+use super::run::write_repeat;
 use crate::run::LOG;
 use crate::run::metrics::Metrics;
-use crate::terminal::numbers::{duration, thousands};
+use crate::terminal::numbers::{duration, number, thousands};
 
 /// Longer side of a picture under the slider, px.
 const PICTURE_PX: u32 = 1000;

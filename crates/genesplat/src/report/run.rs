@@ -16,7 +16,7 @@ use super::stages;
 use crate::run::TEST;
 use crate::run::metrics::Metrics;
 use crate::scene::picture_names;
-use crate::terminal::numbers::{duration, memory, thousands};
+use crate::terminal::numbers::{duration, memory, number, thousands};
 
 const PICTURE_PX: u32 = 800;
 
@@ -92,12 +92,6 @@ fn figures(metrics: &Metrics) -> [(&'static str, String, String); 4] {
         ("Gaussians", thousands(*gaussians), String::new()),
         ("Training time", duration(seconds.training()), evolution),
     ]
-}
-
-/// A figure with its unit; a dash for one that was not measured, or is infinite.
-pub(crate) fn number(value: Option<f64>, digits: usize, unit: &str) -> String {
-    let value = value.filter(|value| value.is_finite());
-    value.map_or("-".to_owned(), |value| format!("{value:.digits$}{unit}"))
 }
 
 fn write_view(page: &mut Html, word: &str, score: &ViewScore, photo: &Photo, render: &Photo) {

@@ -2,15 +2,13 @@
 
 use std::net::SocketAddr;
 use std::path::Path;
-use std::slice;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use anyhow::Result;
-use genesplat::core::{RenderSettings, View};
-use genesplat::io::photos::write_png;
+use genesplat::core::View;
 use genesplat::io::{Scene, command_line, shown};
-use genesplat::metrics::{Evaluation, Lpips, evaluate};
+use genesplat::metrics::{Evaluation, Lpips};
 use genesplat::train::scene::initialise::scene_extent;
 use genesplat::train::{Checkpoint, Outcome, RunSummary, Start, train};
 use genesplat::viewer::{LiveView, Phase};
@@ -25,6 +23,7 @@ use crate::cluster::Cluster;
 use crate::device::Device;
 use crate::report::curves::Curves;
 use crate::report::run::RunPage;
+use crate::score::evaluate_until;
 use crate::settings::Settings;
 use crate::terminal::output;
 use crate::terminal::progress::Bar;
@@ -224,42 +223,4 @@ impl Run<'_> {
         let (config, command) = (self.settings.to_toml(), command_line(words));
         RunPage { metrics, curves, scene: self.scene, folder, config: &config, command: &command }.into_html()
     }
-}
-
-pub(crate) fn evaluate_all(
-    device: &mut Device,
-    views: &[View],
-    settings: &RenderSettings,
-    lpips: Option<&Lpips>,
-) -> Result<Evaluation> {
-    let bar = Bar::new("scores", views.len() as u64);
-    let evaluation = evaluate_until(&AtomicBool::new(false), device, views, settings, lpips, None, bar)?;
-    Ok(evaluation.expect("nothing sets the flag"))
-}
-
-/// Scores one photo after the other, so that `stop` can end it (`None`): LPIPS of many takes minutes. Renders are
-/// written to `folder`.
-fn evaluate_until(
-    stop: &AtomicBool,
-    device: &mut Device,
-    views: &[View],
-    settings: &RenderSettings,
-    lpips: Option<&Lpips>,
-    folder: Option<&Path>,
-    mut bar: Bar,
-) -> Result<Option<Evaluation>> {
-    let mut scores = Vec::with_capacity(views.len());
-    for ((done, view), name) in (1..).zip(views).zip(scene::picture_names(views)) {
-        if stop.load(Ordering::Relaxed) {
-            return Ok(None);
-        }
-        let mut written = Ok(());
-        let of_one = evaluate(device.as_mut(), slice::from_ref(view), settings, lpips, |_, picture| {
-            written = folder.map_or(Ok(()), |folder| write_png(&folder.join(&name), &picture));
-        })?;
-        written?;
-        scores.extend(of_one.views);
-        bar.set(done, String::new);
-    }
-    Ok(Some(Evaluation::from_views(scores)))
 }

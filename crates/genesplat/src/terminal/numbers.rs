@@ -35,6 +35,12 @@ pub(crate) fn time_left(seconds: f64) -> String {
     }
 }
 
+/// A figure with its unit; a dash for one that was not measured, or is infinite.
+pub(crate) fn number(value: Option<f64>, digits: usize, unit: &str) -> String {
+    let value = value.filter(|value| value.is_finite());
+    value.map_or("-".to_owned(), |value| format!("{value:.digits$}{unit}"))
+}
+
 /// An amount of memory: `312 MB` or `1.4 GB`.
 pub(crate) fn memory(bytes: u64) -> String {
     match bytes as f64 / 1e6 {
