@@ -44,6 +44,12 @@ pub(crate) fn link_or_copy(from: &Path, to: &Path) -> io::Result<()> {
     fs::hard_link(&from, to).or_else(|_| fs::copy(&from, to).map(drop))
 }
 
+/// Makes a folder with nothing in it, whatever was there.
+pub(crate) fn make_empty(folder: &Path) -> Result<()> {
+    let removed = if folder.exists() { fs::remove_dir_all(folder) } else { Ok(()) };
+    removed.and_then(|()| fs::create_dir_all(folder)).map_err(|error| unwritable(folder, &error))
+}
+
 /// The format of splats that the name of a file ends in.
 pub(crate) fn format_of(path: &Path) -> Result<Format> {
     let endings = Format::ALL.map(Format::ending).join(", ");

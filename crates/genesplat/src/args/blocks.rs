@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use super::HoldOutArgs;
+use super::{HoldOutArgs, fraction};
 
 #[derive(Debug, Args)]
 pub(crate) struct SplitArgs {
@@ -15,7 +15,7 @@ pub(crate) struct SplitArgs {
     #[arg(long, value_name = "AxB", value_parser = blocks)]
     pub(crate) blocks: Blocks,
     /// What stands so near to a block counts as its own when its photos are chosen: a fraction of the block's sides
-    #[arg(long, value_name = "FRACTION", value_parser = margin, default_value = "0.1")]
+    #[arg(long, value_name = "FRACTION", value_parser = fraction::<f64>, default_value = "0.1")]
     pub(crate) margin: f64,
     /// Folder for the blocks, which must not be there yet or be empty
     #[arg(long, value_name = "BLOCKS")]
@@ -49,11 +49,6 @@ fn blocks(text: &str) -> Result<Blocks, String> {
         .filter(is_valid)
         .map(Blocks)
         .ok_or_else(|| format!("two numbers from 1 to {SIDE_MAX} with an x between them are needed, as 2x1"))
-}
-
-fn margin(text: &str) -> Result<f64, String> {
-    let is_valid = |margin: &f64| (0.0..=1.0).contains(margin);
-    text.parse().ok().filter(is_valid).ok_or_else(|| "a number from 0 to 1 is needed".into())
 }
 
 #[cfg(test)]

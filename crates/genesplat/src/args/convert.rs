@@ -6,7 +6,7 @@ use clap::{ArgGroup, Args};
 use genesplat::io::format::SpzVersion;
 
 use super::choice::{SPZ_VERSIONS, choice};
-use super::{MachineArgs, PhotosArgs, ShownOnArgs};
+use super::{MachineArgs, PhotosArgs, ShownOnArgs, fraction};
 
 /// What says nothing where no photos are loaded.
 const OF_PHOTOS: [&str; 8] =
@@ -26,7 +26,7 @@ pub(crate) struct ConvertArgs {
     #[arg(long, value_name = "X0,Y0,Z0,X1,Y1,Z1", value_parser = box_of, allow_hyphen_values = true)]
     pub(crate) crop: Option<Box3>,
     /// Drop Gaussians whose opacity, 0 to 1, is lower than this [default: none]
-    #[arg(long, value_name = "OPACITY", value_parser = opacity)]
+    #[arg(long, value_name = "OPACITY", value_parser = fraction::<f32>)]
     pub(crate) prune: Option<f32>,
     /// Highest degree of the spherical harmonics to write, 0 to 3: a lower one loses highlights [default: all there is]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(0..=3))]
@@ -69,11 +69,6 @@ fn box_of(text: &str) -> Result<Box3, String> {
     } else {
         Err("the first corner must be lower than the second on every axis".into())
     }
-}
-
-fn opacity(text: &str) -> Result<f32, String> {
-    let valid = |opacity: &f32| (0.0..=1.0).contains(opacity);
-    text.parse().ok().filter(valid).ok_or_else(|| "a number from 0 to 1 is needed".into())
 }
 
 #[cfg(test)]

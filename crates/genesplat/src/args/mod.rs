@@ -3,6 +3,7 @@
 
 use std::ops::{RangeInclusive, RangeTo};
 use std::path::PathBuf;
+use std::str::FromStr;
 
 use anyhow::Result;
 use clap::{Args, Parser, Subcommand, ValueEnum};
@@ -431,6 +432,11 @@ pub(crate) struct MachineArgs {
     /// Processor threads to use, 1 to 1024 [default: all cores]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(THREADS), help_heading = MORE)]
     pub(crate) threads: Option<u16>,
+}
+
+fn fraction<T: FromStr + PartialOrd + From<bool>>(text: &str) -> Result<T, String> {
+    let is_valid = |value: &T| (T::from(false)..=T::from(true)).contains(value);
+    text.parse().ok().filter(is_valid).ok_or_else(|| "a number from 0 to 1 is needed".into())
 }
 
 fn scale(text: &str) -> Result<f64, String> {

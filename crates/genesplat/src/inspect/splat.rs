@@ -4,6 +4,7 @@ use std::fs;
 use std::path::Path;
 
 use anyhow::Result;
+use genesplat::core::gaussians::sigmoid;
 use genesplat::core::{Gaussians, RenderSettings, ScreenFilter};
 
 use super::{Fact, Report, median};
@@ -59,8 +60,7 @@ fn look(cloud: &Gaussians, settings: RenderSettings, path: &Path) -> (Vec<Fact>,
     let rows = cloud.len();
     let bytes = fs::metadata(path).map_or(0, |file| file.len());
     let (centre, radius) = reach(cloud);
-    let opacity = |row: &usize| 1.0 / (1.0 + (-cloud.opacity_logits[*row]).exp());
-    let invisible = (0..rows).filter(|row| opacity(row) < INVISIBLE).count();
+    let invisible = cloud.opacity_logits.iter().filter(|logit| sigmoid(**logit) < INVISIBLE).count();
     let longest = |row: usize| f64::from(cloud.log_scales[row].into_iter().fold(f32::MIN, f32::max).exp());
     let huge = (0..rows).filter(|&row| longest(row) > HUGE * radius).count();
     let filter = match settings.filter {

@@ -1,7 +1,6 @@
 //! The stages of structure from motion, one after the other; one that is done is marked, and not done again.
 
 use std::collections::BTreeMap;
-use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 
@@ -10,7 +9,7 @@ use genesplat::io::photos::photo_size;
 
 use super::engine::Engine;
 use super::process::{self, Crashed};
-use crate::files::{unwritable, write_text};
+use crate::files::{make_empty, write_text};
 use crate::terminal::output;
 use crate::terminal::progress::Bar;
 
@@ -130,16 +129,7 @@ pub(crate) fn run(engine: &Engine, job: &Job, work: &Path, stop: &AtomicBool) ->
 
 /// Models that an earlier search has left half done are no start for another.
 fn begin(stage: Stage, job: &Job) -> Result<()> {
-    if stage != Stage::Cameras {
-        return Ok(());
-    }
-    let cleared = || {
-        if job.models.exists() {
-            fs::remove_dir_all(&job.models)?;
-        }
-        fs::create_dir_all(&job.models)
-    };
-    cleared().map_err(|error| unwritable(&job.models, &error))
+    if stage == Stage::Cameras { make_empty(&job.models) } else { Ok(()) }
 }
 
 #[cfg(test)]

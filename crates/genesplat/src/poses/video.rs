@@ -11,7 +11,7 @@ use genesplat::io::photos::read_photo;
 use rayon::prelude::*;
 
 use super::process;
-use crate::files::{unwritable, write_text};
+use crate::files::{make_empty, unwritable, write_text};
 use crate::sharpness::laplacian_variance;
 use crate::terminal::progress::Bar;
 
@@ -36,8 +36,8 @@ pub(crate) fn take_frames(video: &Path, frames: u32, images: &Path, work: &Path,
     let Some(ffmpeg) = process::on_path(&["ffmpeg"]) else {
         bail!("frames of a video are taken by ffmpeg, which is not on PATH; install it, or give a folder of photos");
     };
-    renewed(&candidates)?;
-    renewed(images)?;
+    make_empty(&candidates)?;
+    make_empty(images)?;
     let about = probe(&ffmpeg, video)?;
     let rate = about.frames_per_second.min(f64::from(CANDIDATES * frames) / about.seconds);
     let mut command = Command::new(ffmpeg);
@@ -64,14 +64,6 @@ pub(crate) fn take_frames(video: &Path, frames: u32, images: &Path, work: &Path,
     // Only litter, from now on.
     let _ = fs::remove_dir_all(&candidates);
     write_text(&mark, "").map(|()| true)
-}
-
-/// An empty folder.
-fn renewed(folder: &Path) -> Result<()> {
-    if folder.exists() {
-        fs::remove_dir_all(folder).map_err(|error| unwritable(folder, &error))?;
-    }
-    fs::create_dir_all(folder).map_err(|error| unwritable(folder, &error))
 }
 
 fn probe(ffmpeg: &Path, video: &Path) -> Result<Video> {

@@ -8,7 +8,6 @@ use std::path::Path;
 use anyhow::{Result, bail};
 use genesplat::core::gaussians::logit;
 use genesplat::core::{Camera, Gaussians, Photo, RenderSettings, Rng, Stream, View};
-use genesplat::io::shown;
 use genesplat::train::scene::initialise::{ColouredPoint, cloud_from_points, in_spatial_order};
 
 use crate::args::{SizeArgs, SourceArgs, WorkloadArgs};
@@ -68,9 +67,6 @@ impl Source {
     /// As large as the splat was trained unless another size is asked for, and rendered as it is meant to be.
     fn trained(data: &Path, path: &Path, size: SizeArgs) -> Result<Self> {
         let splat = splat::open(path)?;
-        if splat.cloud.is_empty() {
-            bail!("{} has no Gaussians to measure with; give another splat", shown(path));
-        }
         let scene = splat.load_scene(data, &size.into())?;
         Ok(Self { views: scene.train, settings: splat.settings, origin: Origin::Trained(splat.cloud) })
     }
