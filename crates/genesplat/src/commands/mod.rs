@@ -87,9 +87,7 @@ fn check_outputs(command: &Command) -> Result<()> {
             check_file(&args.out, Content::Splat, &inputs)?;
             format_of(&args.out).map(drop)
         }
-        Command::Convert(args) => {
-            check_file(&args.out, Content::Splat, &[Some(&args.splat), args.photos.test_list()])
-        }
+        Command::Convert(args) => check_file(&args.out, Content::Splat, &[Some(&args.splat), args.photos.test_list()]),
         Command::Export(args) => {
             check_file(&args.out, Content::Figures, &[Some(&args.splat.path), args.splat.photos.test_list()])?;
             export::check_name(&args.out)

@@ -146,7 +146,8 @@ fn photos_of(path: &Path) -> Result<Photos> {
     let folder = Some(path.join(IMAGES)).filter(|images| images.is_dir()).unwrap_or_else(|| path.to_owned());
     let (Found { mut photos, others, masks }, shown) = (list(&folder)?, shown(path));
     // An earlier search has left these where the photos lie in the scene.
-    let converted: BTreeSet<String> = photos.iter().filter(|name| is_webp(name)).map(|name| name_in_scene(name)).collect();
+    let converted: BTreeSet<String> =
+        photos.iter().filter(|name| is_webp(name)).map(|name| name_in_scene(name)).collect();
     photos.retain(|name| !converted.contains(name));
     match (photos.is_empty(), others.first()) {
         (true, None) => bail!("{shown} holds no photos; give a folder of JPEG, PNG or WebP files, or a video"),

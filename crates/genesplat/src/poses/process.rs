@@ -64,7 +64,9 @@ pub(crate) fn run(command: &mut Command, log: &Path, stop: &AtomicBool, mut on_l
     let status = child.wait().map_err(|error| anyhow!("cannot wait for {}: {error}", shown(&program)))?;
     if !status.success() && !stop.load(Ordering::Relaxed) {
         let sentence = match last.trim() {
-            "" => format!("{} has failed ({status}) and said nothing; the same command tries it again", shown(&program)),
+            "" => {
+                format!("{} has failed ({status}) and said nothing; the same command tries it again", shown(&program))
+            }
             last => format!("{} has failed ({last}); all that it said is in {}", shown(&program), shown(log)),
         };
         // Ended by a signal.

@@ -1,7 +1,7 @@
 //! One claim of a folder for one run: whose it is, who writes to it, what it replaces, and whether it can go on.
 
 use std::cell::RefCell;
-use std::fs::{self, File};
+use std::fs;
 use std::io::{self, BufReader, ErrorKind, Write};
 use std::ops::Range;
 use std::path::{Path, PathBuf};

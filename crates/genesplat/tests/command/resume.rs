@@ -12,8 +12,18 @@ use genesplat::gallery::{self, GalleryOptions};
 use crate::support::{cloud, command, copy_scene, fail, json, judge_failure, scene, succeed, text, train};
 
 /// Long enough to be caught in the act; evolves four times.
-const SCHEDULE: [&str; 10] =
-    ["--steps-scale", "0.04", "--max-gaussians", "1200", "--evolve", "paper", "--generations", "2", "--population", "6"];
+const SCHEDULE: [&str; 10] = [
+    "--steps-scale",
+    "0.04",
+    "--max-gaussians",
+    "1200",
+    "--evolve",
+    "paper",
+    "--generations",
+    "2",
+    "--population",
+    "6",
+];
 /// All of them.
 const ITERATIONS: u64 = 1200;
 
@@ -207,7 +217,11 @@ fn a_search_that_is_stopped_says_so_and_writes_what_it_has() {
 fn nohup_is_respected() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("run");
-    let run = command(train(scene(), &out, &["--steps-scale", "0.04", "--evolve", "off", "--no-lpips"]));
+    let run = command(train(
+        scene(),
+        &out,
+        &["--steps-scale", "0.04", "--max-gaussians", "1200", "--evolve", "off", "--no-lpips"],
+    ));
     let mut under_nohup = Command::new("nohup");
     under_nohup.arg(run.get_program()).args(run.get_args());
     let output = signal(&mut under_nohup, &out, r#""event":"step""#, "-HUP");
