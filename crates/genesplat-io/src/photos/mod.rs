@@ -5,6 +5,7 @@
 //! between them), and transparency composited on a background *before* the resize, truncated to 8 bit.
 
 mod decode;
+mod exif;
 mod file;
 mod lens;
 mod mask;
@@ -19,6 +20,7 @@ use std::path::{Path, PathBuf};
 use genesplat_core::Photo;
 use image::{ColorType, DynamicImage, ImageEncoder, ImageFormat, ImageReader};
 
+pub use exif::{LensTags, lens_tags};
 pub(crate) use file::PhotoFile;
 pub use lens::Lens;
 pub(crate) use lens::{Polynomial, Projection};

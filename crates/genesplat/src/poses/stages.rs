@@ -1,11 +1,12 @@
 //! The stages of structure from motion, one after the other; one that is done is marked, and not done again.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashSet};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 
 use anyhow::Result;
-use genesplat::io::photos::photo_size;
+use genesplat::io::photos::{lens_tags, photo_size};
+use rayon::prelude::*;
 
 use super::engine::Engine;
 use super::process::{self, Crashed};
@@ -48,7 +49,7 @@ pub(crate) struct Job {
     /// Folder of masks, black where no features are looked for.
     pub(crate) masks: Option<PathBuf>,
     pub(crate) photos: usize,
-    /// One camera took all photos: they have one size.
+    /// One camera took all photos: they have one size, and their EXIF data one focal length.
     pub(crate) single_camera: bool,
     /// `None` where each photo is matched with each other one.
     pub(crate) neighbours: Option<usize>,
@@ -65,13 +66,12 @@ impl Job {
         is_video: bool,
         threads: Option<u16>,
     ) -> Result<Self> {
-        let sizes = names.iter().map(|name| photo_size(&images.join(name))).collect::<Result<Vec<_>, _>>()?;
         let is_sequence = is_video || names.len() > EXHAUSTIVE_MAX;
         Ok(Self {
             images: images.to_owned(),
             masks: None,
             photos: names.len(),
-            single_camera: sizes.iter().all(|size| *size == sizes[0]),
+            single_camera: is_one_camera(images, names)?,
             neighbours: is_sequence.then_some(NEIGHBOURS),
             threads,
             database: work.join("database.db"),
@@ -89,6 +89,14 @@ impl Job {
     fn total(&self, stage: Stage) -> usize {
         if stage == Stage::Matches { self.pairs() } else { self.photos }
     }
+}
+
+/// Lenses of a phone write photos of one size. Who says nothing of a lens may have used the others'.
+fn is_one_camera(images: &Path, names: &[String]) -> Result<bool> {
+    let photos = names.par_iter().map(|name| images.join(name));
+    let said = photos.map(|photo| Ok((photo_size(&photo)?, lens_tags(&photo)))).collect::<Result<Vec<_>>>()?;
+    let (sizes, lenses): (HashSet<_>, HashSet<_>) = said.into_iter().unzip();
+    Ok(sizes.len() <= 1 && lenses.iter().flatten().count() <= 1)
 }
 
 /// Mean reprojection errors of the models that were found, px, by name; `None` where `stop` has ended a stage.
@@ -134,12 +142,39 @@ fn begin(stage: Stage, job: &Job) -> Result<()> {
 
 #[cfg(test)]
 mod tests {
+    use genesplat::core::Photo;
+    use genesplat::io::photos::encode_jpeg;
+
     use super::*;
 
     fn job(photos: usize, neighbours: Option<usize>) -> Job {
         let nowhere = PathBuf::new;
         let (images, database, models) = (nowhere(), nowhere(), nowhere());
         Job { images, masks: None, photos, single_camera: true, neighbours, threads: None, database, models }
+    }
+
+    /// A photo whose EXIF data have a focal length, as on 35 mm film.
+    fn photo(file: &Path, mm: u8) {
+        let exif = [
+            b"Exif\0\0II*\0\x08\0\0\0".as_slice(),
+            &[1, 0, 0x69, 0x87, 4, 0, 1, 0, 0, 0, 26, 0, 0, 0, 0, 0, 0, 0],
+            &[1, 0, 0x05, 0xA4, 3, 0, 1, 0, 0, 0, mm, 0, 0, 0, 0, 0, 0, 0],
+        ];
+        let exif = exif.concat();
+        let mut jpeg = encode_jpeg(&Photo { width: 8, height: 8, rgb: vec![90; 192] }, 90);
+        jpeg.splice(2..2, [&[0xFF, 0xE1, 0, 2 + exif.len() as u8], &exif[..]].concat());
+        fs::write(file, jpeg).unwrap();
+    }
+
+    #[test]
+    fn photos_of_one_size_by_two_lenses_are_of_two_cameras() {
+        let place = tempfile::tempdir().unwrap();
+        let is_one = |lenses: &[u8]| {
+            let named = lenses.iter().enumerate().map(|(index, mm)| (format!("{index}.jpg"), *mm));
+            named.clone().for_each(|(name, mm)| photo(&place.path().join(name), mm));
+            is_one_camera(place.path(), &named.map(|(name, _)| name).collect::<Vec<_>>()).unwrap()
+        };
+        assert!(is_one(&[26, 26, 26]) && !is_one(&[26, 26, 52]));
     }
 
     #[test]
