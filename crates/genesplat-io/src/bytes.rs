@@ -66,6 +66,7 @@ pub fn unpacked(bytes: &[u8]) -> Result<u64, ArchiveError> {
 /// A photo of at most `pixels_max` pixels: larger ones are decoded, too, but not often enough in a second.
 pub fn photo(bytes: &[u8], pixels_max: u64) -> Result<Option<Photo>, PhotoError> {
     let photo = EncodedPhoto::of(NAME.as_ref(), bytes.to_vec())?;
+    photo.lens_tags();
     let (width, height) = photo.size();
     let is_small = u64::from(width) * u64::from(height) <= pixels_max;
     is_small.then(|| photo.decode_on_black()).transpose()

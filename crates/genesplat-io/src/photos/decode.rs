@@ -50,6 +50,12 @@ pub(super) struct Encoded {
     turn: Option<Orientation>,
 }
 
+/// Whether turning it swaps width and height.
+pub(super) fn is_sideways(tag: Orientation) -> bool {
+    use Orientation::{Rotate90, Rotate90FlipH, Rotate270, Rotate270FlipH};
+    matches!(tag, Rotate90 | Rotate270 | Rotate90FlipH | Rotate270FlipH)
+}
+
 /// Phones write HEIC and cameras AVIF into files of any name.
 fn not_read(bytes: &[u8]) -> &'static str {
     const BRANDS: [&[u8]; 6] = [b"heic", b"heix", b"hevc", b"mif1", b"msf1", b"avif"];
@@ -75,16 +81,26 @@ impl Encoded {
         encoded.check_pixels().map(|()| encoded)
     }
 
-    /// The same, upright, if a tag says that it was taken with the camera on its side.
-    pub(super) fn turned(self) -> Self {
+    /// The same, turned upright if its tag says how.
+    pub(super) fn upright(self) -> Self {
+        let Some(tag) = self.tag() else { return self };
+        let [width, height] = if is_sideways(tag) { [self.height, self.width] } else { [self.width, self.height] };
+        Self { width, height, turn: Some(tag), ..self }
+    }
+
+    /// What turns it upright; `None` where it is.
+    pub(super) fn tag(&self) -> Option<Orientation> {
+        let tag = self.exif().and_then(|exif| Orientation::from_exif_chunk(&exif));
+        tag.filter(|tag| *tag != Orientation::NoTransforms)
+    }
+
+    pub(super) fn exif(&self) -> Option<Vec<u8>> {
         let reader = ImageReader::with_format(Cursor::new(&self.bytes), self.format);
-        let tag = reader.into_decoder().and_then(|mut decoder| decoder.orientation()).ok();
-        let sideways =
-            [Orientation::Rotate90, Orientation::Rotate270, Orientation::Rotate90FlipH, Orientation::Rotate270FlipH];
-        match tag.filter(|tag| sideways.contains(tag)) {
-            Some(tag) => Self { width: self.height, height: self.width, turn: Some(tag), ..self },
-            None => self,
-        }
+        reader.into_decoder().and_then(|mut decoder| decoder.exif_metadata()).ok().flatten()
+    }
+
+    pub(super) fn format(&self) -> ImageFormat {
+        self.format
     }
 
     fn pixels(&self) -> u64 {

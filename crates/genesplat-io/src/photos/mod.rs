@@ -13,12 +13,13 @@ mod memory;
 mod resize;
 mod size;
 mod undistort;
+mod upright;
 
-use std::io::{self, BufReader, Cursor, Write};
+use std::io::{self, BufReader, Write};
 use std::path::{Path, PathBuf};
 
 use genesplat_core::Photo;
-use image::{ColorType, DynamicImage, ImageEncoder, ImageFormat, ImageReader};
+use image::{ColorType, DynamicImage, ImageEncoder, ImageReader};
 
 pub use exif::{LensTags, lens_tags};
 pub(crate) use file::PhotoFile;
@@ -29,6 +30,7 @@ pub(crate) use memory::Room;
 pub use resize::resize;
 pub use size::PhotoSize;
 pub(crate) use undistort::{pinhole, undistort, undistort_mask};
+pub use upright::{Turn, turn_of, write_mask, write_upright};
 
 use self::decode::Encoded;
 use crate::atomic::write_atomically;
@@ -93,6 +95,11 @@ impl EncodedPhoto {
         (self.encoded.width, self.encoded.height)
     }
 
+    /// The lens that took it; `None` where its EXIF data have no focal length.
+    pub(crate) fn lens_tags(&self) -> Option<LensTags> {
+        self.encoded.exif().and_then(|exif| exif::of_exif(&exif))
+    }
+
     /// The same, turned upright by its orientation tag where only then it has the shape of `width` x `height` px: its
     /// camera was calibrated on the upright photo.
     pub(crate) fn turned_like(self, width: u32, height: u32) -> Self {
@@ -100,7 +107,7 @@ impl EncodedPhoto {
         if is_like(self.size()) || self.encoded.width == self.encoded.height || width == height {
             return self;
         }
-        Self { encoded: self.encoded.turned(), ..self }
+        Self { encoded: self.encoded.upright(), ..self }
     }
 
     /// Memory for decoding and one copy; waits while other threads have too much of it.
@@ -178,17 +185,6 @@ pub fn write_png(path: &Path, photo: &Photo) -> Result<(), PhotoError> {
         .write_image(&photo.rgb, photo.width, photo.height, ColorType::Rgb8.into())
         .map_err(|error| write(io::Error::other(error)))?;
     write_atomically(path, |out| out.write_all(&bytes)).map_err(write)
-}
-
-/// The photo at `from` as a PNG at `to`, with its transparency and its depth; whole or not at all.
-pub fn convert_to_png(from: &Path, to: &Path) -> Result<(), PhotoError> {
-    let encoded = EncodedPhoto::open(from)?;
-    let _room = encoded.wait_for_room();
-    let image = encoded.decode()?;
-    let write = |source| PhotoError::Write { path: to.to_owned(), source };
-    let mut bytes = Cursor::new(Vec::new());
-    image.write_to(&mut bytes, ImageFormat::Png).map_err(|error| write(io::Error::other(error)))?;
-    write_atomically(to, |out| out.write_all(bytes.get_ref())).map_err(write)
 }
 
 /// `photo` as a JPEG of `quality` 1 to 100, for pages and previews.

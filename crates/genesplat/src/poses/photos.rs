@@ -7,13 +7,14 @@ use std::sync::atomic::AtomicBool;
 
 use anyhow::{Result, anyhow, bail, ensure};
 use genesplat::io::archive::is_zip;
-use genesplat::io::photos::convert_to_png;
+use genesplat::io::photos::{photo_size, turn_of, write_mask, write_upright};
 use genesplat::io::{CONVERT, PHOTO_ENDINGS, UNREAD, VIDEO_ENDINGS, input, shown};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::{FRAMES, IMAGES, masks, video};
 use crate::files::{link_or_copy, unwritable, write_json};
+use crate::terminal::output;
 use crate::unpacked;
 
 /// COLMAP does not read these, so it gets them as PNG.
@@ -171,17 +172,43 @@ pub(crate) fn names_in(images: &Path) -> Result<Vec<String>> {
 }
 
 impl Photos {
-    /// Puts them into `images` in a form that COLMAP reads, and their masks beside it.
+    /// Puts them into `images` in a form that COLMAP reads, upright, and their masks beside it.
     fn put(&self, images: &Path) -> Result<()> {
-        self.names.par_iter().try_for_each(|name| match is_webp(name) {
-            false => link(&self.path.join(name), &images.join(name)),
-            true => as_png(&self.path.join(name), &images.join(name_in_scene(name))),
+        self.tell_of_lying(images);
+        self.names.par_iter().try_for_each(|name| {
+            let (from, to) = (self.path.join(name), images.join(name_in_scene(name)));
+            match to.exists() || (!is_webp(name) && turn_of(&from).is_none()) {
+                true => link(&from, &to),
+                false => Ok(write_upright(&from, &to)?),
+            }
         })?;
         let masks = images.with_file_name(masks::FOLDER);
         self.masks.par_iter().try_for_each(|(name, mask)| {
-            let place = masks::place(&masks, &name_in_scene(name));
-            if has_ending(&mask.to_string_lossy(), &["png"]) { link(mask, &place) } else { as_png(mask, &place) }
+            self.put_mask(&self.path.join(name), mask, &masks::place(&masks, &name_in_scene(name)))
         })
+    }
+
+    /// What is in the scene already is the user's, and stays as it is.
+    fn tell_of_lying(&self, images: &Path) {
+        let is_in_place =
+            images.canonicalize().is_ok_and(|images| self.path.canonicalize().is_ok_and(|path| path == images));
+        let is_lying = |name: &&String| turn_of(&self.path.join(name)).is_some();
+        let lying = if is_in_place { self.names.par_iter().filter(is_lying).count() } else { 0 };
+        if lying > 0 {
+            output::tell(&format!(
+                "notice: {lying} of {} photos are not upright by their EXIF orientation, and cameras are found as they lie; \
+                 with another --out they are turned",
+                self.names.len()
+            ));
+        }
+    }
+
+    fn put_mask(&self, photo: &Path, mask: &Path, to: &Path) -> Result<()> {
+        let turn = turn_of(photo).filter(|_| !to.exists());
+        if to.exists() || (turn.is_none() && has_ending(&mask.to_string_lossy(), &["png"])) {
+            return link(mask, to);
+        }
+        Ok(write_mask(mask, to, photo_size(photo)?.into(), turn)?)
     }
 }
 
@@ -192,10 +219,6 @@ fn name_in_scene(name: &str) -> String {
 
 fn is_webp(name: &str) -> bool {
     has_ending(name, &[WEBP])
-}
-
-fn as_png(picture: &Path, png: &Path) -> Result<()> {
-    if png.exists() { Ok(()) } else { Ok(convert_to_png(picture, png)?) }
 }
 
 /// [`link_or_copy`], once.
@@ -246,7 +269,8 @@ fn has_ending(name: &str, endings: &[&str]) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use genesplat::io::photos::read_photo;
+    use genesplat::core::Photo;
+    use genesplat::io::photos::{encode_jpeg, read_photo, write_png};
 
     use super::*;
 
@@ -308,6 +332,28 @@ mod tests {
         let [png, webp] = [images.join("2.WebP.png"), photos.join("2.WebP")].map(|path| read_photo(&path).unwrap());
         assert_eq!(png, webp);
         assert_eq!(names_in(&photos).unwrap(), ["b/1.jpg"], "photos that lie in the scene already");
+    }
+
+    /// A JPEG whose EXIF data say that it is to be turned by a quarter.
+    fn lying() -> Vec<u8> {
+        let jpeg = encode_jpeg(&Photo { width: 32, height: 16, rgb: vec![90; 3 * 32 * 16] }, 90);
+        let tiff = b"II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0\x06\0\0\0\0\0\0\0";
+        [&[0xFF, 0xD8, 0xFF, 0xE1, 0, 8 + tiff.len() as u8][..], b"Exif\0\0", tiff, &jpeg[2..]].concat()
+    }
+
+    #[test]
+    fn photos_that_lie_on_their_side_are_turned_with_their_masks() {
+        let place = tempfile::tempdir().unwrap();
+        let [photos, scene] = ["photos", "scene"].map(|name| place.path().join(name));
+        file(&photos, "b/1.jpg");
+        fs::write(photos.join("2.jpg"), lying()).unwrap();
+        write_png(&photos.join("masks/2.png"), &Photo { width: 32, height: 16, rgb: vec![255; 3 * 32 * 16] }).unwrap();
+        let (source, images) = (Source::open(&photos, None).unwrap(), scene.join(IMAGES));
+        assert!(source.fill(&images, place.path(), &AtomicBool::new(false)).unwrap());
+        for file in ["images/2.jpg", "masks/2.jpg.png"] {
+            assert_eq!(photo_size(&scene.join(file)).unwrap(), (16, 32), "{file}");
+        }
+        assert_eq!(fs::read(images.join("b/1.jpg")).unwrap(), b"b/1.jpg");
     }
 
     #[test]
