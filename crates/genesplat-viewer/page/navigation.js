@@ -57,7 +57,9 @@ export class Navigator {
 
   // Where there are no cameras: in front of the scene, a little above it.
   overview() {
-    const ahead = lookAlong([0.25, 0.2, 1], this.#up);
+    // Scenes with y down lie along z; a sent page is half a turn about x from that.
+    const sign = this.#up[1] > 0 ? -1 : 1;
+    const ahead = lookAlong([0.25, 0.2 * sign, sign], this.#up);
     const position = subtract(this.#target, scale(forward(ahead), this.#scene));
     return { position, rotation: ahead, fov_y: 0.9 };
   }

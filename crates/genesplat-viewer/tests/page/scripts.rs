@@ -54,3 +54,8 @@ fn a_touch_on_a_phone_does_not_zoom_and_a_shift_follows_the_finger() {
 fn a_page_that_finds_no_room_asks_less_and_less_often() {
     run("no_room");
 }
+
+#[test]
+fn a_page_without_cameras_opens_in_front_of_its_scene() {
+    run("overview");
+}
