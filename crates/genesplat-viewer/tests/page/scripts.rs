@@ -59,3 +59,8 @@ fn a_page_that_finds_no_room_asks_less_and_less_often() {
 fn a_page_without_cameras_opens_in_front_of_its_scene() {
     run("overview");
 }
+
+#[test]
+fn a_browser_that_is_too_old_for_a_sent_page_says_so() {
+    run("old_browser");
+}
