@@ -13,6 +13,7 @@ use rayon::prelude::*;
 use super::process;
 use crate::files::{make_empty, unwritable, write_text};
 use crate::sharpness::laplacian_variance;
+use crate::terminal::output;
 use crate::terminal::progress::Bar;
 
 /// Frames that are compared for each that stays.
@@ -20,11 +21,18 @@ const CANDIDATES: u32 = 3;
 /// JPEG quality of ffmpeg, 2 to 31; the lower the better.
 const QUALITY: &str = "2";
 
+/// From light as HDR has it to what a JPEG means: white of 203 cd/m² (ITU-R BT.2408) is white, and what is brighter is cut off.
+const FROM_HDR: &str = ",zscale=t=linear:npl=203,format=gbrpf32le,zscale=p=bt709,tonemap=clip,\
+                        zscale=t=iec61966-2-1:m=bt709:r=full,format=yuvj420p";
+/// Names of HLG, which phones film in, and of PQ.
+const HDR: [&str; 2] = ["arib-std-b67", "smpte2084"];
+
 /// What `ffmpeg -i` says of a video.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Video {
     seconds: f64,
     frames_per_second: f64,
+    is_hdr: bool,
 }
 
 /// Puts `frames` frames of `video`, or all if it has fewer, into `images`; false where `stop` has ended it.
@@ -40,9 +48,10 @@ pub(crate) fn take_frames(video: &Path, frames: u32, images: &Path, work: &Path,
     make_empty(images)?;
     let about = probe(&ffmpeg, video)?;
     let rate = about.frames_per_second.min(f64::from(CANDIDATES * frames) / about.seconds);
+    let filters = [&*format!("fps={rate}"), if about.is_hdr { from_hdr(&ffmpeg) } else { "" }].concat();
     let mut command = Command::new(ffmpeg);
     command.args(["-hide_banner", "-nostats", "-progress", "pipe:1", "-y", "-i"]).arg(video);
-    command.args(["-vf", &format!("fps={rate}"), "-q:v", QUALITY]).arg(candidates.join("%06d.jpg"));
+    command.args(["-vf", &filters, "-q:v", QUALITY]).arg(candidates.join("%06d.jpg"));
     let total = (rate * about.seconds).round().max(1.0) as u64;
     let mut bar = Bar::new("frames", total);
     let on_line = |line: &str| {
@@ -77,13 +86,27 @@ fn probe(ffmpeg: &Path, video: &Path) -> Result<Video> {
     })
 }
 
+/// What follows other filters for a video in HDR: nothing, and a notice, where this ffmpeg lacks what it takes.
+fn from_hdr(ffmpeg: &Path) -> &'static str {
+    let ran = Command::new(ffmpeg).args(["-hide_banner", "-filters"]).output();
+    if ran.is_ok_and(|ran| String::from_utf8_lossy(&ran.stdout).contains(" zscale ")) {
+        return FROM_HDR;
+    }
+    output::tell(
+        "notice: the video is in HDR, and this ffmpeg lacks the filter zscale, so its frames are pale; install an ffmpeg with \
+         zimg, or film in SDR",
+    );
+    ""
+}
+
 /// `Duration: 00:01:02.50, ...` and `..., 29.97 fps, ...`.
 fn parse(said: &str) -> Option<Video> {
     let clock = said.split("Duration: ").nth(1)?.split(',').next()?;
     let seconds = clock.split(':').try_fold(0.0, |sum, part| Some(60.0 * sum + part.trim().parse::<f64>().ok()?))?;
     let stream = said.lines().find(|line| line.contains("Video:"))?;
     let rate = stream.split(',').find_map(|part| part.trim().strip_suffix(" fps"))?.parse::<f64>().ok()?;
-    (seconds > 0.0 && rate > 0.0).then_some(Video { seconds, frames_per_second: rate })
+    let is_hdr = HDR.iter().any(|name| stream.contains(name));
+    (seconds > 0.0 && rate > 0.0).then_some(Video { seconds, frames_per_second: rate, is_hdr })
 }
 
 fn files_in(folder: &Path) -> Result<Vec<PathBuf>> {
@@ -125,7 +148,10 @@ mod tests {
         let said = "Input #0, mov\n  Duration: 00:01:02.50, start: 0.0, bitrate: 9 kb/s\n  \
                     Stream #0:1: Audio: aac, 48000 Hz\n  \
                     Stream #0:0(und): Video: h264 (High), yuv420p(tv, bt709), 1920x1080, 29.97 fps, 30 tbr\n";
-        assert_eq!(parse(said), Some(Video { seconds: 62.5, frames_per_second: 29.97 }));
+        let video = Video { seconds: 62.5, frames_per_second: 29.97, is_hdr: false };
+        assert_eq!(parse(said), Some(video));
+        let of_phone = said.replace("tv, bt709", "tv, bt2020nc/bt2020/arib-std-b67, progressive");
+        assert_eq!(parse(&of_phone), Some(Video { is_hdr: true, ..video }));
         assert_eq!(parse("Duration: N/A, bitrate: N/A\nStream Video: h264, 25 fps,"), None);
         assert_eq!(parse(""), None);
     }

@@ -196,22 +196,15 @@ fn a_video_is_photos_too() {
     fs::create_dir(&programs).unwrap();
     std::os::unix::fs::symlink(String::from_utf8(ffmpeg).unwrap().trim(), programs.join("ffmpeg")).unwrap();
     let video = folder.path().join("film.mp4");
-    let made = Command::new(programs.join("ffmpeg"))
-        .args(["-y", "-framerate", "4", "-i"])
-        .arg(photos.join("%02d.png"))
-        .args(["-c:v", "libx264", "-crf", "12", "-pix_fmt", "yuv420p"])
-        .arg(&video)
-        .output()
-        .unwrap();
-    assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
+    film(&programs, &photos, &["-pix_fmt", "yuv420p"], &video);
     let rest = std::env::var_os("PATH").unwrap();
-    let path = std::env::join_paths([programs].into_iter().chain(std::env::split_paths(&rest)));
+    let path = std::env::join_paths([programs.clone()].into_iter().chain(std::env::split_paths(&rest)));
     let run = folder.path().join("run");
     let output =
         command(["train", "--poses", text(&video), "--out", text(&run), "--iterations", "20", "--max-side", "120"])
             .args(["--device", "cpu"])
             .env("GENESPLAT_PYTHON", &python)
-            .env("PATH", path.unwrap())
+            .env("PATH", path.as_ref().unwrap())
             .output()
             .unwrap();
     assert!(output.status.success(), "{}", said(&output));
@@ -219,6 +212,39 @@ fn a_video_is_photos_too() {
     assert_eq!(number(&summary["photos"]), 12.0, "all frames of a short video");
     assert!(number(&summary["registered"]) >= 8.0, "{summary}");
     assert!(run.join("point_cloud.ply").exists());
+
+    // Frames of HDR look as they did before.
+    let [hlg, scene] = ["hlg.mp4", "hlg"].map(|name| folder.path().join(name));
+    let to_hlg = "format=gbrp,zscale=tin=iec61966-2-1:pin=bt709:t=linear:p=bt2020:npl=203,format=gbrpf32le,\
+                  zscale=t=arib-std-b67:m=bt2020nc:r=tv:npl=203,format=yuv420p10le";
+    let names = ["-color_primaries", "bt2020", "-color_trc", "arib-std-b67", "-colorspace", "bt2020nc"];
+    film(&programs, &photos, &[&["-frames:v", "2", "-vf", to_hlg][..], &names].concat(), &hlg);
+    let two = command(["poses", text(&hlg), "--out", text(&scene)])
+        .env("GENESPLAT_PYTHON", &python)
+        .env("PATH", path.unwrap())
+        .output()
+        .unwrap();
+    judge_failure(two, &["has 2 photos"]);
+    let [before, after] =
+        [photos.join("00.png"), scene.join("images/frame_0001.jpg")].map(|file| mean(&read_photo(&file).unwrap()));
+    assert!((before - after).abs() < 5.0, "{before} became {after}");
+}
+
+fn mean(photo: &Photo) -> f64 {
+    photo.rgb.iter().map(|&value| f64::from(value)).sum::<f64>() / photo.rgb.len() as f64
+}
+
+/// A video of the photos, by the ffmpeg in `programs`.
+fn film(programs: &Path, photos: &Path, options: &[&str], video: &Path) {
+    let made = Command::new(programs.join("ffmpeg"))
+        .args(["-y", "-framerate", "4", "-i"])
+        .arg(photos.join("%02d.png"))
+        .args(["-c:v", "libx264", "-crf", "12"])
+        .args(options)
+        .arg(video)
+        .output()
+        .unwrap();
+    assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
 }
 
 #[test]
