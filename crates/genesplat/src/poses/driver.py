@@ -101,10 +101,14 @@ def find_cameras():
     pycolmap.incremental_mapping(
         job["database"], job["images"], job["models"], options=options, next_image_callback=tell
     )
-    models = {name: pycolmap.Reconstruction(os.path.join(job["models"], name)) for name in os.listdir(job["models"])}
+    folders = {name: os.path.join(job["models"], name) for name in os.listdir(job["models"])}
+    models = {name: pycolmap.Reconstruction(folder) for name, folder in folders.items()}
     if job["single_camera"] and models:
         largest = max(models, key=lambda name: models[name].num_reg_images())
-        models[largest] = with_lens(models[largest], os.path.join(job["models"], largest), options)
+        models[largest] = with_lens(models[largest], folders[largest], options)
+    for name, model in models.items():
+        turn_upright(model)
+        model.write(folders[name])
     say(errors_px={name: model.compute_mean_reprojection_error() for name, model in models.items()})
 
 
@@ -123,8 +127,21 @@ def with_lens(model, folder, options):
     finer.update_point_3d_errors()
     if finer.compute_mean_reprojection_error() > 0.99 * model.compute_mean_reprojection_error():
         return model
-    finer.write(folder)
     return finer
+
+
+def turn_upright(model):
+    """Turns the world so that -y is up, on average of the cameras, as viewers have it."""
+    ups = [-image.cam_from_world().rotation.matrix()[1] for image in model.images.values() if image.has_pose]
+    x, y, z = (float(part) for part in sum(ups) / max(len(ups), 1))
+    length = (x * x + y * y + z * z) ** 0.5
+    # Photos that look down have no common up.
+    if length < 0.5:
+        return
+    turn = [z, 0, -x, length - y] if length - y > 1e-6 else [1, 0, 0, 0]
+    size = sum(part * part for part in turn) ** 0.5
+    rotation = pycolmap.Rotation3d([part / size for part in turn])
+    model.transform(pycolmap.Sim3d(1, rotation, [0, 0, 0]))
 
 
 in_background(end_with_parent)

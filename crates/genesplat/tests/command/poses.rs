@@ -45,6 +45,14 @@ fn cameras_of_photos_are_found_and_the_scene_trains() {
     assert!(number(&summary["points"]) > 300.0 && number(&summary["reprojection_error_px"]) < 1.0, "{summary}");
     assert!(said(&first).contains("of 12 photos") && said(&first).contains("genesplat train"), "{}", said(&first));
 
+    let model = read_model(&find_model(&found).unwrap()).unwrap();
+    let down = model
+        .images
+        .iter()
+        .map(|image| down(image.rotation))
+        .fold([0.0; 3], |a, b| [0, 1, 2].map(|axis| a[axis] + b[axis]));
+    assert!(down[1] > 0.0 && down[0].hypot(down[2]) < 1e-6 * down[1], "the world leans: {down:?}");
+
     // What is done is not done again, and the scene is an ordinary one.
     let again = with_python(Path::new("no-such-python"), &arguments);
     assert!(again.status.success() && again.stdout == first.stdout, "{}", said(&again));
@@ -55,6 +63,11 @@ fn cameras_of_photos_are_found_and_the_scene_trains() {
 
     fs::remove_file(photos.join("00.png")).unwrap();
     judge_failure(with_python(&python, &arguments), &["other photos", "--out"]);
+}
+
+/// Where a camera has its y axis, in the world.
+fn down([w, x, y, z]: [f64; 4]) -> [f64; 3] {
+    [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)]
 }
 
 const TURNTABLE_FOCAL_PX: f64 = 1200.0;
