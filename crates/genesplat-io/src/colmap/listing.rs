@@ -6,7 +6,7 @@ use std::sync::Arc;
 use genesplat_core::Camera;
 use glam::{DQuat, DVec3};
 
-use super::{ImageRecord, Model, ModelFolder, read_model, read_photos};
+use super::{ImageRecord, Model, ModelFolder, points_file, read_model, read_photos};
 use crate::error::SceneError;
 use crate::listing::{
     ListedPhoto, Listing, Purpose, absent_notice, all_missing, base_name, inside, no_photos, similar_notice,
@@ -30,7 +30,7 @@ pub(crate) fn list(folder: &ModelFolder, image_folder: &Path, with_points: bool)
         Ok(ListedPhoto { name, path, list, camera, lens, purpose: Purpose::Unsaid, mask: None })
     };
     let photos = photos.into_iter().map(listed).collect::<Result<_, SceneError>>()?;
-    let points_file = folder.form.file(&folder.path, "points3D");
+    let points_file = points_file(folder);
     Ok(Listing { photos, points: model.points, points_file, cube: None, notices })
 }
 

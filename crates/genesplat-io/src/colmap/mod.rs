@@ -1,4 +1,5 @@
-//! COLMAP reconstructions: `sparse/0/{cameras,images,points3D}.{bin,txt}` beside a folder of photos.
+//! COLMAP reconstructions: `sparse/0/{cameras,images,points3D}.{bin,txt}` beside a folder of photos; points may be in
+//! `points3D.ply`, too.
 //!
 //! A rasteriser of splats projects along straight lines, so photos of every other camera than a pinhole are undistorted
 //! when they are loaded, as COLMAP's `image_undistorter` does it.
@@ -21,9 +22,9 @@ pub(crate) use listing::list;
 pub use write::write_model;
 
 use crate::error::SceneError;
-use crate::input;
 use crate::photos::Lens;
 use crate::scene::Point;
+use crate::{input, ply};
 
 /// The two forms in which COLMAP writes a model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -124,12 +125,22 @@ fn read_photos(folder: &ModelFolder) -> Result<Model, SceneError> {
 }
 
 fn read_points(folder: &ModelFolder) -> Result<Vec<Point>, SceneError> {
-    let file = folder.form.file(&folder.path, "points3D");
-    // Whoever knows the cameras from elsewhere may have none.
-    if !file.exists() {
-        return Ok(Vec::new());
+    let file = points_file(folder);
+    let ending = file.extension().and_then(|ending| ending.to_str());
+    match ending {
+        // Whoever knows the cameras from elsewhere may have none.
+        _ if !file.exists() => Ok(Vec::new()),
+        Some("ply") => Ok(ply::read_points(&file)?),
+        Some("bin") => parse_points(Form::Binary, &file, &read(&file)?),
+        _ => parse_points(Form::Text, &file, &read(&file)?),
     }
-    parse_points(folder.form, &file, &read(&file)?)
+}
+
+/// Where the points are: in the cameras' form, in the other, or in the PLY that the reference trainer makes of either.
+fn points_file(folder: &ModelFolder) -> PathBuf {
+    let own = folder.form.file(&folder.path, "points3D");
+    let other = ["bin", "txt", "ply"].map(|ending| folder.path.join("points3D").with_extension(ending));
+    [own.clone()].into_iter().chain(other).find(|file| file.exists()).unwrap_or(own)
 }
 
 /// The cameras in the `bytes` of `file`, by their ids.

@@ -4,6 +4,7 @@
 //! no scaling.
 
 mod camera;
+mod nested;
 mod schema;
 mod splits;
 
@@ -81,6 +82,9 @@ impl Found {
                 true => points = ply::read_points(&points_file)?,
                 false => self.notices.push(format!("the point cloud {} does not exist", shown(&points_file))),
             }
+        }
+        if with_points && points.is_empty() {
+            points = nested::points(folder, &self.photos).unwrap_or_default();
         }
         Ok(Listing { photos: self.photos, points, points_file, cube: None, notices: self.notices })
     }

@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::Path;
 
-use crate::common::{SIZE, tiny_model, tiny_photo, write_scene};
+use crate::common::{SIZE, tiny_model, tiny_photo, write_form, write_scene};
 use genesplat_core::Photo;
 use genesplat_io::colmap::Form;
 use genesplat_io::{LoadOptions, Scene, load_scene, photos};
@@ -89,6 +89,30 @@ fn points_that_are_absent_are_drawn() {
     assert!(of_seed(1) == of_seed(1) && of_seed(1) != of_seed(2));
     fs::write(folder.path().join("sparse/0/points3D.txt"), "1 0 0 0 1 2 3 0.1\n").unwrap();
     assert!(load(folder.path()).unwrap_err().contains("has 1 points"));
+}
+
+#[test]
+fn points_may_be_in_another_form_than_cameras() {
+    let model = tiny_model(3);
+    let forms = [(Form::Binary, "points3D.bin"), (Form::Text, "points3D.txt")];
+    for (form, other) in [(Form::Binary, forms[1]), (Form::Text, forms[0])] {
+        let [folder, donor] = [(); 2].map(|()| tempfile::tempdir().unwrap());
+        write_scene(folder.path(), form, &model);
+        write_form(donor.path(), other.0, &model);
+        let sparse = folder.path().join("sparse/0");
+        forms.iter().for_each(|(_, points)| _ = fs::remove_file(sparse.join(points)));
+        fs::rename(donor.path().join(other.1), sparse.join(other.1)).unwrap();
+        assert_eq!(load(folder.path()).unwrap().points, model.points);
+    }
+    let folder = tiny_scene(3);
+    let sparse = folder.path().join("sparse/0");
+    fs::remove_file(sparse.join("points3D.txt")).unwrap();
+    let properties = ["float x", "float y", "float z", "uchar red", "uchar green", "uchar blue"];
+    let properties = properties.map(|name| format!("property {name}\n")).concat();
+    let ply = format!("ply\nformat ascii 1.0\nelement vertex 4\n{properties}end_header\n{}", "1 2 3 4 5 6\n".repeat(4));
+    fs::write(sparse.join("points3D.ply"), ply).unwrap();
+    let points = load(folder.path()).unwrap().points;
+    assert_eq!((points.len(), points[3].position, points[3].rgb), (4, [1.0, 2.0, 3.0], [4, 5, 6]));
 }
 
 #[test]

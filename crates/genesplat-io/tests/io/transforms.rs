@@ -5,11 +5,12 @@ use std::path::Path;
 
 use genesplat_core::Camera;
 use genesplat_core::constants::NEAR_DEPTH;
-use genesplat_io::{HoldOut, LoadOptions, Scene, load_scene, photos};
+use genesplat_io::colmap::{Form, ImageRecord, Intrinsics, Model};
+use genesplat_io::{HoldOut, LoadOptions, Point, Scene, load_scene, photos};
 use glam::{DMat3, DQuat, DVec3};
 use serde_json::{Value, json};
 
-use crate::common::tiny_photo;
+use crate::common::{tiny_photo, write_form};
 
 /// A camera of a photo of 40x30 px.
 fn camera(index: usize) -> Camera {
@@ -284,6 +285,43 @@ fn named_points_are_read_in_both_encodings() {
     }
 }
 
+/// The model that nerfstudio made the cameras of, in a world of another place, direction and size.
+fn nested_model(shift: f64) -> Model {
+    let (turn, scale) = (DQuat::from_euler(glam::EulerRot::XYZ, 0.9, 0.4, -1.1), 0.5);
+    let image = |index: usize| {
+        let camera = camera(index);
+        let rotation = camera.camera_from_world_rotation * turn;
+        let centre = scale * (turn.inverse() * camera.centre_in_world()) + DVec3::splat(shift * index as f64);
+        let translation = rotation * -centre;
+        ImageRecord {
+            name: format!("{index}.png"),
+            camera: 1,
+            rotation: [rotation.w, rotation.x, rotation.y, rotation.z],
+            translation: translation.into(),
+        }
+    };
+    let intrinsics = Intrinsics { width: 40, height: 30, focal_px: [44.0; 2], principal_px: [20.0, 15.0], lens: None };
+    let point = |z: f64| (scale * (turn.inverse() * DVec3::new(1.0, 2.0, z))).as_vec3().into();
+    let points = [3.0, 4.0, 5.0, 6.0].map(|z| Point { position: point(z), rgb: [z as u8; 3] });
+    Model { cameras: [(1, intrinsics)].into(), images: (0..3).map(image).collect(), points: points.into() }
+}
+
+#[test]
+fn points_of_the_model_beside_are_moved_to_the_cameras() {
+    let folder = tempfile::tempdir().unwrap();
+    write(folder.path(), "transforms.json", &nerfstudio());
+    write_form(&folder.path().join("colmap/sparse/0"), Form::Binary, &nested_model(0.0));
+    let points = load(folder.path()).unwrap().points;
+    assert_eq!((points.len(), points[3].rgb), (4, [6; 3]));
+    for (point, z) in points.iter().zip([3.0, 4.0, 5.0, 6.0]) {
+        let off = DVec3::from(point.position.map(f64::from)).distance(DVec3::new(1.0, 2.0, z));
+        assert!(off < 1e-5, "{point:?}");
+    }
+    // Of other cameras.
+    write_form(&folder.path().join("colmap/sparse/0"), Form::Binary, &nested_model(0.3));
+    assert_eq!(load(folder.path()).unwrap().points.len(), 100_000);
+}
+
 /// A point cloud of two points and two black ones, as training needs four; `before` stands between the header's first
 /// lines and the vertices' own.
 fn ascii_points(before: &str, colour: &str, rows: &str) -> String {
@@ -296,7 +334,7 @@ fn ascii_points(before: &str, colour: &str, rows: &str) -> String {
 }
 
 /// The points of a nerfstudio scene that names this file.
-fn load_points_of(ply: &str) -> Result<Vec<genesplat_io::Point>, genesplat_io::SceneError> {
+fn load_points_of(ply: &str) -> Result<Vec<Point>, genesplat_io::SceneError> {
     let folder = tempfile::tempdir().unwrap();
     let mut description = nerfstudio();
     description["ply_file_path"] = json!("points.ply");
@@ -454,7 +492,7 @@ fn a_description_cut_anywhere_is_an_error() {
 fn random_points_lie_before_the_cameras() {
     let scene = load_description(&nerfstudio()).unwrap();
     let camera = &scene.train[0].camera;
-    let ahead = |p: &&genesplat_io::Point| camera.camera_from_world(p.position.map(f64::from).into()).z > 0.0;
+    let ahead = |p: &&Point| camera.camera_from_world(p.position.map(f64::from).into()).z > 0.0;
     let fraction = scene.points.iter().filter(ahead).count() as f64 / scene.points.len() as f64;
     assert!(fraction > 0.5, "{fraction} of the points are before the camera");
     let again = load_description(&nerfstudio()).unwrap();
