@@ -6,7 +6,7 @@ use std::sync::Arc;
 use genesplat_core::Camera;
 use glam::{DQuat, DVec3};
 
-use super::{ImageRecord, Model, ModelFolder, points_file, read_model, read_photos};
+use super::{ImageRecord, Model, ModelFolder, part_models, points_file, read_model, read_photos};
 use crate::error::SceneError;
 use crate::listing::{
     ListedPhoto, Listing, Purpose, absent_notice, all_missing, base_name, inside, no_photos, similar_notice,
@@ -22,7 +22,7 @@ pub(crate) fn list(folder: &ModelFolder, image_folder: &Path, with_points: bool)
     if model.images.is_empty() {
         return Err(no_photos(&list));
     }
-    let mut notices = other_models(&folder.path);
+    let mut notices = Vec::from_iter(other_models(&folder.path));
     let photos = find_photos(&model.images, image_folder, &list, &mut notices)?;
     let list: Arc<Path> = list.into();
     let listed = |(image, path): (&ImageRecord, PathBuf)| {
@@ -79,14 +79,15 @@ fn find_photos<'a>(
     Ok(found)
 }
 
-/// A notice where COLMAP split the photos into several models, of which only the first is used.
-fn other_models(folder: &Path) -> Vec<String> {
-    let second = folder.with_file_name("1");
-    if folder.ends_with("sparse/0") && second.is_dir() {
-        return vec![format!(
-            "COLMAP split the photos into several models; only {} is used, and photos of the others are left out",
+/// A notice where COLMAP split the photos into several models, of which only the largest is used.
+fn other_models(folder: &Path) -> Option<String> {
+    let models = part_models(folder.parent().filter(|parent| parent.ends_with("sparse"))?);
+    let is_one_of_several = models.len() > 1 && models.iter().any(|model| model.path == folder);
+    is_one_of_several.then(|| {
+        format!(
+            "COLMAP split the photos into {} models; only {}, the largest, is used, and photos of the others are left out",
+            models.len(),
             shown(folder)
-        )];
-    }
-    Vec::new()
+        )
+    })
 }

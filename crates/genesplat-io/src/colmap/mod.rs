@@ -15,7 +15,9 @@ mod models;
 mod text;
 mod write;
 
+use std::cmp::Reverse;
 use std::collections::BTreeMap;
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
 pub(crate) use listing::list;
@@ -24,6 +26,7 @@ pub use write::write_model;
 use crate::error::SceneError;
 use crate::photos::Lens;
 use crate::scene::Point;
+use crate::similar::entries;
 use crate::{input, ply};
 
 /// The two forms in which COLMAP writes a model.
@@ -89,23 +92,54 @@ pub struct ModelFolder {
     pub form: Form,
 }
 
-/// The model of a scene folder: in `sparse/0`, `sparse`, or the folder itself.
+/// The model of a scene folder: in `sparse/0`, `sparse`, or the folder itself. Of several in `sparse`, the one with the most
+/// photos.
 pub fn find_model(scene: &Path) -> Option<ModelFolder> {
-    find_model_in(scene, &["sparse/0", "sparse", ""])
+    find_model_in(scene, ["sparse", ""])
 }
 
 /// The model of a scene in whose folder COLMAP has one of its own, as nerfstudio leaves it.
 pub(crate) fn find_nested_model(scene: &Path) -> Option<ModelFolder> {
-    find_model_in(scene, &["colmap/sparse/0", "colmap/sparse", "colmap"])
+    find_model_in(scene, ["colmap/sparse", "colmap"])
 }
 
-fn find_model_in(scene: &Path, folders: &[&str]) -> Option<ModelFolder> {
-    let folders: Vec<PathBuf> = folders.iter().map(|sub| scene.join(sub)).collect();
-    let forms = [Form::Binary, Form::Text];
-    folders
-        .iter()
-        .flat_map(|path| forms.map(|form| (path, form)))
-        .find_map(|(path, form)| form.file(path, "cameras").is_file().then(|| ModelFolder { path: path.clone(), form }))
+fn find_model_in(scene: &Path, [sparse, whole]: [&str; 2]) -> Option<ModelFolder> {
+    let [sparse, whole] = [sparse, whole].map(|folder| scene.join(folder));
+    let mut parts = part_models(&sparse);
+    if parts.len() > 1 {
+        // Of equal ones, the first.
+        parts.sort_by_cached_key(|part| Reverse(image_count(part)));
+    }
+    parts.into_iter().next().or_else(|| model_in(&sparse)).or_else(|| model_in(&whole))
+}
+
+/// The models that COLMAP calls 0, 1, ..., in this order.
+fn part_models(sparse: &Path) -> Vec<ModelFolder> {
+    let number = |path: &PathBuf| path.file_name().and_then(|name| name.to_str()?.parse::<u32>().ok());
+    let mut folders: Vec<(u32, PathBuf)> = entries(sparse).filter_map(|path| Some((number(&path)?, path))).collect();
+    folders.sort();
+    folders.iter().filter_map(|(_, folder)| model_in(folder)).collect()
+}
+
+fn model_in(folder: &Path) -> Option<ModelFolder> {
+    let form = [Form::Binary, Form::Text].into_iter().find(|form| form.file(folder, "cameras").is_file())?;
+    Some(ModelFolder { path: folder.to_owned(), form })
+}
+
+/// How many photos a model claims to have; 0 where that cannot be told.
+fn image_count(model: &ModelFolder) -> u64 {
+    let file = model.form.file(&model.path, "images");
+    match model.form {
+        Form::Binary => {
+            let mut count = [0; 8];
+            let read = input::open(&file).and_then(|mut file| file.read_exact(&mut count));
+            read.map_or(0, |()| u64::from_le_bytes(count))
+        }
+        // Two lines each.
+        Form::Text => input::read(&file).map_or(0, |bytes| {
+            bytes.split(|byte| *byte == b'\n').filter(|line| !line.starts_with(b"#")).count() as u64 / 2
+        }),
+    }
 }
 
 /// Reads the three files of a model. Every record is checked, and no count is believed beyond the bytes that back it.

@@ -92,6 +92,29 @@ fn points_that_are_absent_are_drawn() {
 }
 
 #[test]
+fn of_several_models_the_one_with_the_most_photos_is_used() {
+    for form in [Form::Binary, Form::Text] {
+        let folder = tempfile::tempdir().unwrap();
+        write_scene(folder.path(), form, &tiny_model(5));
+        let sparse = |name: &str| folder.path().join("sparse").join(name);
+        write_form(&sparse("0"), form, &tiny_model(2));
+        write_form(&sparse("1"), form, &tiny_model(5));
+        write_form(&sparse("10"), form, &tiny_model(3));
+        let (photos, notice) = found(folder.path());
+        assert!(
+            photos == 5 && notice.contains("into 3 models") && notice.contains("sparse/1, the largest"),
+            "{notice}"
+        );
+        // Of equal ones the first, and the only one whatever it is called.
+        write_form(&sparse("1"), form, &tiny_model(2));
+        fs::remove_dir_all(sparse("10")).unwrap();
+        assert!(found(folder.path()).1.contains("sparse/0, the largest"));
+        fs::remove_dir_all(sparse("0")).unwrap();
+        assert_eq!(load(folder.path()).unwrap().train.len(), 1);
+    }
+}
+
+#[test]
 fn points_may_be_in_another_form_than_cameras() {
     let model = tiny_model(3);
     let forms = [(Form::Binary, "points3D.bin"), (Form::Text, "points3D.txt")];
