@@ -5,6 +5,7 @@ use std::io::{BufReader, Cursor};
 
 use image::metadata::Orientation;
 use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
+use image_webp::WebPDecoder;
 
 /// Most pixels of a photo: a few damaged bytes must not claim all memory.
 const PIXELS_MAX: u64 = 1 << 28;
@@ -97,6 +98,15 @@ impl Encoded {
     pub(super) fn exif(&self) -> Option<Vec<u8>> {
         let reader = ImageReader::with_format(Cursor::new(&self.bytes), self.format);
         reader.into_decoder().and_then(|mut decoder| decoder.exif_metadata()).ok().flatten()
+    }
+
+    /// Whether its pixels are not quite those that were written.
+    pub(super) fn is_lossy(&self) -> bool {
+        match self.format {
+            ImageFormat::Jpeg => true,
+            ImageFormat::WebP => WebPDecoder::new(Cursor::new(&self.bytes)).is_ok_and(|mut decoder| decoder.is_lossy()),
+            _ => false,
+        }
     }
 
     pub(super) fn format(&self) -> ImageFormat {

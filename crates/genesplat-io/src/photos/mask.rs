@@ -20,12 +20,14 @@ pub(crate) struct PhotoMask {
 }
 
 impl PhotoMask {
-    /// What the picture at `path` leaves: all that is not black, as COLMAP and nerfstudio have it.
+    /// What the picture at `path` leaves: all that is not black, as COLMAP and nerfstudio have it. What a lossy file has made of
+    /// black is darker than grey.
     pub(crate) fn open(path: &Path) -> Result<Self, PhotoError> {
         let encoded = EncodedPhoto::open(path)?;
         let _room = encoded.wait_for_room();
+        let least = if encoded.encoded.is_lossy() { 128 } else { 1 };
         let photo = encoded.decode_on_black()?;
-        let counts = photo.rgb.chunks_exact(3).map(|rgb| rgb != [0; 3]).collect();
+        let counts = photo.rgb.chunks_exact(3).map(|rgb| rgb.iter().any(|&level| level >= least)).collect();
         Ok(Self { size: [photo.width, photo.height], counts })
     }
 

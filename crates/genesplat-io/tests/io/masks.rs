@@ -6,7 +6,7 @@ use std::path::Path;
 use crate::common::{SIZE, tiny_model, tiny_photo, write_scene};
 use genesplat_core::{Photo, View};
 use genesplat_io::colmap::Form;
-use genesplat_io::{LoadOptions, MaskUse, PhotoSize, Scene, SceneError, load_scene, photos};
+use genesplat_io::{HoldOut, LoadOptions, MaskUse, PhotoSize, Scene, SceneError, load_scene, photos};
 
 const WIDTH: u32 = SIZE[0];
 const HEIGHT: u32 = SIZE[1];
@@ -46,6 +46,22 @@ fn masks_are_found_under_the_names_of_both_conventions() {
     let view = &scene.test[0];
     assert_eq!((view.mask.is_none(), view.photo.read().unwrap().pixel(20, 3)), (true, [9, 8, 7]));
     assert_eq!(view.photo.read().unwrap().pixel(3, 3), tiny_photo(0, SIZE).pixel(3, 3));
+}
+
+/// Black is not quite black in a JPEG.
+#[test]
+fn a_mask_that_is_a_jpeg_hides_what_is_dark() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut model = tiny_model(1);
+    model.images[0].name = "0.jpg".into();
+    write_scene(folder.path(), Form::Binary, &model);
+    fs::create_dir(folder.path().join("masks")).unwrap();
+    fs::write(folder.path().join("masks/0.jpg"), photos::encode_jpeg(&mask(), 75)).unwrap();
+    let options = LoadOptions { hold_out: HoldOut::None, ..LoadOptions::default() };
+    let scene = load_scene(folder.path(), &options, &()).unwrap();
+    let counts = &scene.train[0].mask.as_ref().unwrap().counts;
+    let wrong = (0..WIDTH * HEIGHT).filter(|index| counts[*index as usize] == is_hidden(index % WIDTH)).count();
+    assert_eq!(wrong, 0);
 }
 
 #[test]
