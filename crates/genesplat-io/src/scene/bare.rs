@@ -6,12 +6,15 @@ use crate::error::SceneError;
 use crate::plural;
 use crate::similar::{CONVERT, PHOTO_ENDINGS, UNREAD, VIDEO_ENDINGS, entries, has_ending};
 
-const ARCHIVES: [&str; 6] = ["zip", "tar", "gz", "tgz", "7z", "rar"];
+const ARCHIVES: [&str; 5] = ["tar", "gz", "tgz", "7z", "rar"];
 
 /// What to do with a file that is no scene, and no video.
 pub(super) fn file(path: &Path) -> Option<SceneError> {
     let remedy = match () {
         () if !path.is_file() => return None,
+        () if has_ending(path, &["zip"]) => {
+            "is an archive; unpack it, and give the folder that it holds (`genesplat train` takes a zip as it is)"
+        }
         () if has_ending(path, &ARCHIVES) => "is an archive; unpack it, and give the folder that it holds",
         () if has_ending(path, &PHOTO_ENDINGS) || has_ending(path, &UNREAD) => {
             "is one photo; give the folder of a scene, with many photos and their cameras"

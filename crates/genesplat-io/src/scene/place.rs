@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use crate::colmap;
 use crate::similar::entries;
 
-/// How far up a scene may be: from `colmap/sparse/0/images.bin`.
+/// How far up or down a scene may be: from `colmap/sparse/0/images.bin`.
 const LEVELS: usize = 4;
 
 /// The scene that `path` is a part of, or the only one in the folders in it.
@@ -26,11 +26,21 @@ fn above(path: &Path) -> Option<PathBuf> {
     path.ancestors().skip(1).take(LEVELS).filter(is_part).find(|scene| is_scene(scene)).map(Path::to_owned)
 }
 
-/// An archive may hold a folder that holds the scene.
+/// An archive may hold a folder that holds the scene, or some, one in the other.
 fn below(path: &Path) -> Option<PathBuf> {
-    let mut scenes = entries(path).filter(|folder| is_scene(folder));
-    let first = scenes.next()?;
-    scenes.next().is_none().then_some(first)
+    let mut folder = path.to_owned();
+    for _ in 0..LEVELS {
+        if let Some(scene) = only(entries(&folder).filter(|inner| is_scene(inner))) {
+            return Some(scene);
+        }
+        folder = only(entries(&folder).filter(|inner| inner.is_dir()))?;
+    }
+    None
+}
+
+fn only(mut paths: impl Iterator<Item = PathBuf>) -> Option<PathBuf> {
+    let first = paths.next()?;
+    paths.next().is_none().then_some(first)
 }
 
 fn is_scene(folder: &Path) -> bool {

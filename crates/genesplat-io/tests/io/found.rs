@@ -153,6 +153,12 @@ fn a_part_of_a_scene_stands_for_the_whole() {
     let outer = tempfile::tempdir().unwrap();
     fs::rename(folder.path(), outer.path().join("scene")).unwrap();
     assert_eq!(found(outer.path()).0, 3);
+    let outermost = tempfile::tempdir().unwrap();
+    fs::create_dir_all(outermost.path().join("export/mine")).unwrap();
+    fs::rename(outer.path().join("scene"), outermost.path().join("export/mine/scene")).unwrap();
+    assert_eq!(found(outermost.path()).0, 3);
+    fs::create_dir(outermost.path().join("export/other")).unwrap();
+    assert!(load(outermost.path()).is_err(), "two could be meant");
     fs::create_dir(folder.path()).unwrap();
 }
 
@@ -160,7 +166,7 @@ fn a_part_of_a_scene_stands_for_the_whole() {
 fn files_that_are_no_scene_are_told_apart() {
     let folder = tempfile::tempdir().unwrap();
     for (name, says) in [
-        ("scene.zip", "is an archive; unpack it"),
+        ("scene.zip", "`genesplat train` takes a zip"),
         ("scene.tar.gz", "is an archive; unpack it"),
         ("a.jpg", "is one photo; give the folder"),
         ("notes.txt", "is a file; give the folder of a scene"),
