@@ -99,6 +99,13 @@ impl Listing {
     }
 }
 
+/// Gives `name` the separators of paths where it has those of Windows, and no file in `folder` is called so.
+pub(crate) fn separate(name: &mut String, folder: &Path) {
+    if name.contains('\\') && !folder.join(&*name).is_file() {
+        *name = name.replace('\\', "/");
+    }
+}
+
 /// The photo `name` as a path, if it stays inside its folder.
 pub(crate) fn inside<'a>(name: &'a str, list: &Path) -> Result<&'a Path, SceneError> {
     path_inside(name).ok_or_else(|| {

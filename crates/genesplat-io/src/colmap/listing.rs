@@ -9,7 +9,7 @@ use glam::{DQuat, DVec3};
 use super::{ImageRecord, Model, ModelFolder, part_models, points_file, read_model, read_photos};
 use crate::error::SceneError;
 use crate::listing::{
-    ListedPhoto, Listing, Purpose, absent_notice, all_missing, base_name, inside, no_photos, similar_notice,
+    ListedPhoto, Listing, Purpose, absent_notice, all_missing, base_name, inside, no_photos, separate, similar_notice,
 };
 use crate::photos::Lens;
 use crate::shown;
@@ -17,7 +17,8 @@ use crate::similar::{self, Similar};
 
 /// Lists the photos and, if they are wanted, the points of the model in `folder`; photos are in `image_folder`.
 pub(crate) fn list(folder: &ModelFolder, image_folder: &Path, with_points: bool) -> Result<Listing, SceneError> {
-    let model = if with_points { read_model(folder)? } else { read_photos(folder)? };
+    let mut model = if with_points { read_model(folder)? } else { read_photos(folder)? };
+    model.images.iter_mut().for_each(|image| separate(&mut image.name, image_folder));
     let list = folder.form.file(&folder.path, "images");
     if model.images.is_empty() {
         return Err(no_photos(&list));

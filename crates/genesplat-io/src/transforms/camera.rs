@@ -61,13 +61,14 @@ pub(crate) const KNOWN_MODELS: [&str; 8] = [
 ];
 
 fn lens(list: &Path, intrinsics: &OptionalIntrinsics) -> Result<Option<Lens>, SceneError> {
-    let model = match (&intrinsics.camera_model, intrinsics.is_fisheye) {
-        (_, Some(true)) => "OPENCV_FISHEYE",
-        (Some(model), _) => model,
-        (None, _) => "OPENCV",
+    let said = intrinsics.camera_model.as_deref().unwrap_or("OPENCV");
+    let model = match (said.to_ascii_uppercase().as_str(), intrinsics.is_fisheye) {
+        (_, Some(true)) => "OPENCV_FISHEYE".to_owned(),
+        ("PERSPECTIVE", _) => "OPENCV".to_owned(),
+        (model, _) => model.to_owned(),
     };
-    if !KNOWN_MODELS.contains(&model) {
-        return Err(SceneError::UnknownLens { file: list.to_owned(), model: model.to_owned() });
+    if !KNOWN_MODELS.contains(&model.as_str()) {
+        return Err(SceneError::UnknownLens { file: list.to_owned(), model: said.to_owned() });
     }
     let value = |coefficient: Option<f64>| coefficient.unwrap_or(0.0);
     let [k1, k2, k3, k4] = [intrinsics.k1, intrinsics.k2, intrinsics.k3, intrinsics.k4].map(value);

@@ -17,7 +17,8 @@ pub(crate) use self::camera::KNOWN_MODELS;
 use self::splits::Splits;
 use crate::error::SceneError;
 use crate::listing::{
-    ListedPhoto, Listing, Purpose, absent_notice, all_missing, inside, no_photos, path_inside, similar_notice,
+    ListedPhoto, Listing, Purpose, absent_notice, all_missing, base_name, inside, no_photos, path_inside, separate,
+    similar_notice,
 };
 use crate::scene::Cube;
 use crate::similar::Similar;
@@ -111,12 +112,13 @@ fn points_outside(list: &Path, name: &str) -> SceneError {
 
 /// What the file `list` lists. Each photo has this `purpose`; without one, what the file's own lists say.
 fn read_photos(list: &Path, purpose: Option<Purpose>) -> Result<Found, SceneError> {
-    let file = schema::read(list)?;
+    let mut file = schema::read(list)?;
     if file.frames.is_empty() {
         return Err(no_photos(list));
     }
-    let splits = if purpose.is_some() { None } else { Some(Splits::of(&file, list)?) };
     let folder = list.parent().unwrap_or(Path::new(""));
+    file.names_mut().for_each(|name| settle(name, folder));
+    let splits = if purpose.is_some() { None } else { Some(Splits::of(&file, list)?) };
     let shared: Arc<Path> = list.into();
     let (mut photos, mut missing, mut similar) = (Vec::new(), Vec::new(), Similar::default());
     for entry in &file.frames {
@@ -147,6 +149,17 @@ pub(crate) fn parse_cameras(list: &Path, text: &[u8]) -> Result<Vec<Camera>, Sce
         Ok(camera::camera(list, entry, &entry.intrinsics.or(&file.intrinsics), photo)?.0)
     });
     entries.collect()
+}
+
+/// The name of a photo that has come from another machine, as it is here: an absolute path, or one out of the folder, becomes
+/// that of the photo of this name in `images`, if it is there.
+fn settle(name: &mut String, folder: &Path) {
+    separate(name, folder);
+    let is_of_windows = name.as_bytes().get(1) == Some(&b':');
+    let here = format!("images/{}", base_name(name));
+    if (is_of_windows || path_inside(name).is_none()) && folder.join(&here).is_file() {
+        *name = here;
+    }
 }
 
 /// The mask that a photo's entry names.

@@ -22,6 +22,15 @@ pub(super) struct Transforms {
     pub(super) test_filenames: Option<Vec<String>>,
 }
 
+impl Transforms {
+    /// Wherever it names a photo.
+    pub(super) fn names_mut(&mut self) -> impl Iterator<Item = &mut String> {
+        let lists = [&mut self.train_filenames, &mut self.val_filenames, &mut self.test_filenames];
+        let listed = lists.into_iter().flatten().flatten();
+        self.frames.iter_mut().map(|entry| &mut entry.file_path).chain(listed)
+    }
+}
+
 #[derive(Debug, Deserialize)]
 pub(super) struct PhotoEntry {
     /// Relative to the file; Blender leaves the extension out.
@@ -97,5 +106,6 @@ pub(super) fn read(file: &Path) -> Result<Transforms, SceneError> {
 }
 
 pub(super) fn parse(file: &Path, text: &[u8]) -> Result<Transforms, SceneError> {
-    serde_json::from_slice(text).map_err(|source| SceneError::Json { file: file.to_owned(), source })
+    serde_json::from_slice(input::without_mark(text))
+        .map_err(|source| SceneError::Json { file: file.to_owned(), source })
 }

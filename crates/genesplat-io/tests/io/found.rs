@@ -92,6 +92,18 @@ fn points_that_are_absent_are_drawn() {
 }
 
 #[test]
+fn names_and_marks_of_windows_are_understood() {
+    let folder = tiny_scene(3);
+    let sparse = |name: &str| folder.path().join("sparse/0").join(name);
+    for name in ["cameras.txt", "images.txt", "points3D.txt"] {
+        let text = fs::read_to_string(sparse(name)).unwrap().replace("a b/", "a b\\").replace('\n', "\r\n");
+        fs::write(sparse(name), format!("\u{feff}{text}")).unwrap();
+    }
+    let scene = load(folder.path()).unwrap();
+    assert_eq!((scene.train.len(), scene.train[0].name.as_str(), scene.notices.len()), (2, "001.png", 0));
+}
+
+#[test]
 fn of_several_models_the_one_with_the_most_photos_is_used() {
     for form in [Form::Binary, Form::Text] {
         let folder = tempfile::tempdir().unwrap();

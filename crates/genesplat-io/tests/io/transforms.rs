@@ -227,6 +227,43 @@ fn absent_photos_are_left_out_with_a_notice() {
 }
 
 #[test]
+fn names_of_other_machines_are_found_in_the_folder_of_photos() {
+    let styles: [fn(usize) -> String; 4] = [
+        |i| format!(".\\images\\{i}.png"),
+        |i| format!("C:\\scans\\mine\\images\\{i}.png"),
+        |i| format!("/home/me/scan/images/{i}.png"),
+        |i| format!("../scan/{i}.png"),
+    ];
+    for path in styles {
+        let mut description = nerfstudio();
+        description["frames"] = json!(frames(0..3, path));
+        description["test_filenames"] = json!([path(2)]);
+        let scene = load_description(&description).unwrap();
+        assert_eq!((scene.train.len(), scene.test[0].name.as_str()), (2, "2.png"), "{}", path(0));
+        description["frames"] = json!(frames(3..6, path));
+        description["test_filenames"] = json!([]);
+        assert!(load_description(&description).is_err());
+    }
+}
+
+#[test]
+fn a_file_may_begin_with_a_mark() {
+    let folder = tempfile::tempdir().unwrap();
+    write(folder.path(), "transforms.json", &nerfstudio());
+    fs::write(folder.path().join("transforms.json"), format!("\u{feff}{}", nerfstudio())).unwrap();
+    assert_eq!(load(folder.path()).unwrap().train.len(), 2);
+}
+
+#[test]
+fn models_of_cameras_have_names_in_small_letters_too() {
+    for model in ["opencv", "PERSPECTIVE", "perspective", "Simple_Radial"] {
+        let mut description = nerfstudio();
+        description["camera_model"] = json!(model);
+        assert_eq!(load_description(&description).unwrap().train.len(), 2, "{model}");
+    }
+}
+
+#[test]
 fn a_distorted_photo_is_undistorted() {
     let mut description = nerfstudio();
     description["k1"] = json!(0.1);
