@@ -21,9 +21,10 @@ pub(crate) fn inspect_scene(dataset: &Dataset) -> Result<Report> {
     let scene = scene::load(dataset, [0.0; 3], settings.config().seed, None)?;
     let views: Vec<&View> = scene.train.iter().chain(&scene.test).collect();
     let sight = sight(&views, &scene.points);
-    let warnings = [cameras::warnings(&views, &sight), photos::warnings(&views)?].concat();
+    let list = list_scene(&dataset.path, &dataset.options())?;
     let mut facts = found(&scene, &views, &sight)?;
-    facts.extend(lenses(&list_scene(&dataset.path, &dataset.options())?.photos));
+    facts.extend(lenses(&list.photos));
+    let warnings = [list.notices, cameras::warnings(&views, &sight), photos::warnings(&views)?].concat();
     facts.extend(expected(&estimate(&scene, &settings)?, settings.config().iterations));
     Ok(Report { kind: "scene", facts, warnings })
 }

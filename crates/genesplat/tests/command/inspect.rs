@@ -38,6 +38,15 @@ fn a_photo_that_is_there_twice_is_named() {
 }
 
 #[test]
+fn what_a_scene_lacks_looks_wrong() {
+    let folder = tempfile::tempdir().unwrap();
+    copy_scene(folder.path());
+    fs::remove_file(folder.path().join("images/gallery_003.png")).unwrap();
+    let said = succeed(["inspect", text(folder.path())]);
+    assert!(said.contains("look at: 1 of the 12 photos that") && !said.contains("nothing looks wrong"), "{said}");
+}
+
+#[test]
 fn runs_and_splats_are_described() {
     let folder = tempfile::tempdir().unwrap();
     let run = folder.path().join("run");
