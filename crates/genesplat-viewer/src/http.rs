@@ -100,6 +100,7 @@ pub(crate) fn respond(stream: &mut impl Write, kind: &str, body: &[u8]) -> io::R
 pub(crate) fn refuse(stream: &mut impl Write, status: Status) -> io::Result<()> {
     let sentence = match status {
         Status::Busy => "Too many pages are open; close one.",
+        Status::Forbidden => "Open the address that genesplat printed, by this machine's IP number, not by its name.",
         _ => "There is nothing here. Open the whole address that genesplat printed.",
     };
     write_response(stream, status.line(), "text/plain; charset=utf-8", sentence.as_bytes())
@@ -132,5 +133,12 @@ mod tests {
         let twice = parse_head(b"GET / HTTP/1.1\r\nHost: a\r\nHost: b\r\n\r\n").unwrap().unwrap().0;
         assert_eq!(twice.header("host"), None);
         assert!(read_request(&mut &b"GET / HT"[..]).unwrap().is_none(), "it hung up");
+    }
+
+    #[test]
+    fn who_comes_by_a_name_is_told_to_come_by_a_number() {
+        let mut answer = Vec::new();
+        refuse(&mut answer, Status::Forbidden).unwrap();
+        assert!(String::from_utf8(answer).unwrap().ends_with("by this machine's IP number, not by its name."));
     }
 }

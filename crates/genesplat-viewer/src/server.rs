@@ -1,7 +1,7 @@
 //! The server: one thread that accepts, and one for each connection, of which there are a few at most.
 
 use std::io::Write;
-use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, TcpListener, TcpStream};
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, TcpListener, TcpStream, UdpSocket};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread;
@@ -63,7 +63,7 @@ impl Server {
     pub(crate) fn url(&self) -> String {
         format!(
             "http://{}/{}/",
-            SocketAddr::new(reachable(self.address.ip()), self.address.port()),
+            SocketAddr::new(outward(self.address.ip()), self.address.port()),
             self.shared.gate.token()
         )
     }
@@ -92,6 +92,25 @@ fn reachable(address: IpAddr) -> IpAddr {
         IpAddr::V6(any) if any.is_unspecified() => Ipv6Addr::LOCALHOST.into(),
         address => address,
     }
+}
+
+/// The same that other machines reach, too, where one is known: a datagram to an address of documentation would leave from it.
+fn outward(address: IpAddr) -> IpAddr {
+    let of_route = |from: IpAddr, to: IpAddr| {
+        let socket = UdpSocket::bind((from, 0)).ok()?;
+        socket.connect((to, 9)).ok()?;
+        Some(socket.local_addr().ok()?.ip())
+    };
+    let v4 = of_route(Ipv4Addr::UNSPECIFIED.into(), Ipv4Addr::new(192, 0, 2, 1).into());
+    let own = match address {
+        // It is listened to in both.
+        IpAddr::V6(any) if any.is_unspecified() => {
+            v4.or_else(|| of_route(address, Ipv6Addr::new(0x2001, 0xdb8, 0, 0, 0, 0, 0, 1).into()))
+        }
+        IpAddr::V4(any) if any.is_unspecified() => v4,
+        _ => None,
+    };
+    own.filter(|own| !own.is_unspecified()).unwrap_or_else(|| reachable(address))
 }
 
 fn accept(listener: &TcpListener, shared: &Arc<Shared>) {
@@ -194,4 +213,23 @@ fn upgrade(request: &Request) -> Option<String> {
         "HTTP/1.1 101 Switching Protocols\r\nUpgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Accept: {}\r\n\r\n",
         derive_accept_key(key.as_bytes())
     ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_address_that_is_shown_is_one_to_connect_to() {
+        for address in ["127.0.0.1", "192.168.1.5", "::1"] {
+            let address: IpAddr = address.parse().unwrap();
+            assert_eq!(outward(address), address);
+        }
+        let listener = TcpListener::bind((Ipv4Addr::UNSPECIFIED, 0)).unwrap();
+        let own = outward(Ipv4Addr::UNSPECIFIED.into());
+        assert!(TcpStream::connect((own, listener.local_addr().unwrap().port())).is_ok(), "{own}");
+        // A machine without a network has no address but its own.
+        let has_route = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 0)).unwrap().connect(("192.0.2.1", 9)).is_ok();
+        assert_ne!(own.is_loopback(), has_route);
+    }
 }
