@@ -4,6 +4,7 @@
 //! is marked as done there is not done again, so a search that was stopped goes on where it was.
 
 mod engine;
+mod heic;
 mod masks;
 mod photos;
 mod process;
@@ -58,7 +59,7 @@ pub(crate) fn find(request: &Request, stop: &AtomicBool) -> Result<Option<Summar
     }
     let engine = Engine::find()?;
     let images = request.out.join(IMAGES);
-    if !source.fill(&images, &work, stop)? {
+    if !heic::convert(&source.heic(&images), &engine, &work, stop)? || !source.fill(&images, &work, stop)? {
         return Ok(None);
     }
     let names = photos::names_in(&images)?;

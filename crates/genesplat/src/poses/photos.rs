@@ -12,7 +12,7 @@ use genesplat::io::{CONVERT, PHOTO_ENDINGS, UNREAD, VIDEO_ENDINGS, input, shown}
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::{FRAMES, IMAGES, masks, video};
+use super::{FRAMES, IMAGES, heic, masks, video};
 use crate::files::{link_or_copy, unwritable, write_json};
 use crate::terminal::output;
 use crate::unpacked;
@@ -35,6 +35,8 @@ pub(crate) struct Photos {
     path: PathBuf,
     /// Below `path`, sorted.
     names: Vec<String>,
+    /// The same of those that [`super::heic`] puts into the scene.
+    heic: Vec<String>,
     /// The mask of each photo that has one, by the photo's name.
     masks: Vec<(String, PathBuf)>,
 }
@@ -110,8 +112,8 @@ impl Source {
             Ok((name.to_owned(), there.len()))
         };
         match self {
-            Self::Folder(Photos { path, names, masks }) => {
-                let photos = names.iter().map(|name| size(name, &path.join(name)));
+            Self::Folder(Photos { path, names, heic, masks }) => {
+                let photos = names.iter().chain(heic).map(|name| size(name, &path.join(name)));
                 let masks = masks.iter().map(|(name, mask)| size(&format!("mask of {name}"), mask));
                 Ok(Record { files: photos.chain(masks).collect::<Result<_>>()?, frames: None })
             }
@@ -121,6 +123,12 @@ impl Source {
                 Ok(Record { files: vec![size(&name, path)?], frames })
             }
         }
+    }
+
+    /// HEIC photos of a folder, and where in `images` they belong as JPEG.
+    pub(crate) fn heic(&self, images: &Path) -> Vec<(PathBuf, PathBuf)> {
+        let Self::Folder(Photos { path, heic, .. }) = self else { return Vec::new() };
+        heic.iter().map(|name| (path.join(name), images.join(name_in_scene(name)))).collect()
     }
 
     /// Puts the photos into `images`, and their masks beside it; false where `stop` has ended it.
@@ -146,11 +154,12 @@ pub(crate) fn is_begun(work: &Path) -> bool {
 fn photos_of(path: &Path) -> Result<Photos> {
     let folder = Some(path.join(IMAGES)).filter(|images| images.is_dir()).unwrap_or_else(|| path.to_owned());
     let (Found { mut photos, others, masks }, shown) = (list(&folder)?, shown(path));
+    let (heic, others): (Vec<_>, Vec<_>) = others.into_iter().partition(|name| is_heic(name));
     // An earlier search has left these where the photos lie in the scene.
-    let converted: BTreeSet<String> =
-        photos.iter().filter(|name| is_webp(name)).map(|name| name_in_scene(name)).collect();
+    let sources = photos.iter().filter(|name| is_webp(name)).chain(&heic);
+    let converted: BTreeSet<String> = sources.map(|name| name_in_scene(name)).collect();
     photos.retain(|name| !converted.contains(name));
-    match (photos.is_empty(), others.first()) {
+    match (photos.is_empty() && heic.is_empty(), others.first()) {
         (true, None) => bail!("{shown} holds no photos; give a folder of JPEG, PNG or WebP files, or a video"),
         (true, Some(first)) => bail!(
             "{shown} holds no JPEG, PNG or WebP files, and others are not read ({first} is one of {}); {CONVERT}",
@@ -160,8 +169,9 @@ fn photos_of(path: &Path) -> Result<Photos> {
         (false, None) => {}
     }
     let beside = folder.ends_with(IMAGES).then(|| folder.with_file_name(masks::FOLDER));
-    let masks = masks::of_photos(&photos, &masks.into_iter().chain(beside).collect::<Vec<_>>());
-    Ok(Photos { path: folder, names: photos, masks })
+    let all = [&photos[..], &heic].concat();
+    let masks = masks::of_photos(&all, &masks.into_iter().chain(beside).collect::<Vec<_>>());
+    Ok(Photos { path: folder, names: photos, heic, masks })
 }
 
 /// Names of the photos below a folder that [`Source::fill`] has filled, sorted.
@@ -208,17 +218,25 @@ impl Photos {
         if to.exists() || (turn.is_none() && has_ending(&mask.to_string_lossy(), &["png"])) {
             return link(mask, to);
         }
-        Ok(write_mask(mask, to, photo_size(photo)?.into(), turn)?)
+        Ok(write_mask(mask, to, photo_size(photo).unwrap_or_default().into(), turn)?)
     }
 }
 
-/// WebP photos become PNG.
+/// WebP photos become PNG, and HEIC ones JPEG.
 fn name_in_scene(name: &str) -> String {
-    if is_webp(name) { format!("{name}.png") } else { name.to_owned() }
+    match () {
+        () if is_webp(name) => format!("{name}.png"),
+        () if is_heic(name) => format!("{name}.jpg"),
+        () => name.to_owned(),
+    }
 }
 
 fn is_webp(name: &str) -> bool {
     has_ending(name, &[WEBP])
+}
+
+fn is_heic(name: &str) -> bool {
+    has_ending(name, &heic::ENDINGS)
 }
 
 /// [`link_or_copy`], once.
@@ -417,15 +435,31 @@ mod tests {
     }
 
     #[test]
+    fn heic_photos_are_converted_with_their_masks_or_what_it_takes_is_said() {
+        let place = tempfile::tempdir().unwrap();
+        let (photos, images) = (place.path().join("photos"), place.path().join("scene/images"));
+        file(&photos, "b/1.HEIC");
+        file(&photos, "masks/1.png");
+        let source = Source::open(&photos, None).unwrap();
+        let (pairs, never) = (source.heic(&images), AtomicBool::new(false));
+        assert_eq!(pairs, [(photos.join("b/1.HEIC"), images.join("b/1.HEIC.jpg"))]);
+        assert!(source.fill(&images, place.path(), &never).unwrap());
+        assert!(place.path().join("scene/masks/b/1.HEIC.jpg.png").exists());
+        let engine = super::super::engine::Engine::Pycolmap { python: "no-such-python".into(), version: "4".into() };
+        let refused = heic::convert(&pairs, &engine, place.path(), &never).unwrap_err().to_string();
+        assert!(refused.contains("1 photo is HEIC") && refused.contains("pip install pillow-heif"), "{refused}");
+    }
+
+    #[test]
     fn what_is_neither_photos_nor_a_video_is_said() {
         let place = tempfile::tempdir().unwrap();
         let refusal = |name: &str, frames| Source::open(&place.path().join(name), frames).err().unwrap().to_string();
-        for name in ["empty/notes.txt", "phone/1.heic", "photos/1.jpg", "scene.zip", "scene.rar"] {
+        for name in ["empty/notes.txt", "phone/1.dng", "photos/1.jpg", "scene.zip", "scene.rar"] {
             file(place.path(), name);
         }
         assert!(refusal("absent", None).contains("does not exist"));
         assert!(refusal("empty", None).contains("holds no photos"));
-        assert!(refusal("phone", None).contains("1.heic is one of 1"));
+        assert!(refusal("phone", None).contains("1.dng is one of 1"));
         assert!(refusal("photos", Some(9)).contains("--frames is for a video"));
         assert!(refusal("scene.zip", Some(9)).contains("--frames is for a video"));
         assert!(refusal("scene.rar", None).contains("neither a folder or a zip of photos nor a video"));

@@ -1,0 +1,47 @@
+//! HEIC photos, as iPhones take them: the Python that runs pycolmap writes them as JPEG, if it has pillow-heif.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::atomic::AtomicBool;
+
+use anyhow::{Result, bail};
+use genesplat::io::{plural, shown};
+
+use super::engine::Engine;
+use super::process;
+use crate::files::write_json;
+use crate::terminal::progress::Bar;
+
+/// In small letters.
+pub(super) const ENDINGS: [&str; 3] = ["heic", "heif", "hif"];
+const SCRIPT: &str = include_str!("heic.py");
+
+/// Writes each first file as the second, a JPEG; false where `stop` has ended it.
+pub(super) fn convert(pairs: &[(PathBuf, PathBuf)], engine: &Engine, work: &Path, stop: &AtomicBool) -> Result<bool> {
+    let Some((first, _)) = pairs.first() else { return Ok(true) };
+    let Some(python) = converter(engine) else {
+        bail!(
+            "{} {} HEIC, first {}, and {} cannot read them; install pillow-heif (`pip install pillow-heif`) beside pycolmap, or \
+             convert them to JPEG",
+            pairs.len(),
+            plural(pairs.len(), "photo is", "photos are"),
+            shown(first),
+            engine.name()
+        )
+    };
+    let list = work.join("heic.json");
+    write_json(&list, &pairs)?;
+    let mut bar = Bar::new("photos", pairs.len() as u64);
+    let mut command = Command::new(python);
+    command.args(["-c", SCRIPT]).arg(list);
+    process::run(&mut command, &work.join("heic.log"), stop, |line| {
+        line.trim().parse().into_iter().for_each(|done| bar.set(done, String::new));
+    })
+}
+
+/// The Python that can do it.
+fn converter(engine: &Engine) -> Option<&Path> {
+    let Engine::Pycolmap { python, .. } = engine else { return None };
+    let ran = Command::new(python).args(["-c", "import pillow_heif, PIL"]).output();
+    ran.is_ok_and(|ran| ran.status.success()).then_some(python)
+}
