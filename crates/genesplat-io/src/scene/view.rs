@@ -91,22 +91,10 @@ pub(super) fn load(
     progress: &dyn LoadProgress,
 ) -> Result<Loaded, SceneError> {
     let photo = EncodedPhoto::open(&listed.path)?.turned_like(listed.camera.width, listed.camera.height);
-    let (photo_width, photo_height) = photo.size();
-    let camera = camera_of_photo(listed, photo_width, photo_height)?;
-    let pinhole = match &listed.lens {
-        Some(lens) => pinholes.of(&camera, lens).ok_or_else(|| no_pinhole(listed))?,
-        None => camera,
-    };
-    let (width, height) = options.size_of(pinhole.width, pinhole.height);
-    if width.min(height) < SIDE_MIN_PX {
-        let problem = format!(
-            "would be loaded at {width}x{height} pixels, and both sides must have at least {SIDE_MIN_PX}; reduce it \
-             less (--max-side, --downscale), or take a larger photo"
-        );
-        return Err(SceneError::BadPhoto { photo: listed.path.clone(), problem });
-    }
+    let size = photo.size();
+    let frame = Frame::of(listed, size, options, pinholes)?;
     // Before the room of the photo is taken: it has a room of its own.
-    let mask = listed.mask.as_deref().map(|file| open_mask(file, [photo_width, photo_height])).transpose()?;
+    let mask = listed.mask.as_deref().map(|file| open_mask(file, size.into())).transpose()?;
     // Whatever follows runs on this thread alone.
     let _room = photo.wait_for_room();
     let (mut photo, opaque) = photo.decode_with_opaque(options.background)?;
@@ -114,23 +102,64 @@ pub(super) fn load(
     if let Some(mask) = mask.as_ref().filter(|_| options.mask == MaskUse::Transparent) {
         mask.paint(&mut photo, options.background);
     }
-    let hidden = hidden(mask, opaque, options.mask);
-    let (photo, mask) = match &listed.lens {
-        Some(lens) => (
-            photos::undistort(&photo, &camera, lens, &pinhole, [width, height]),
-            hidden.map(|mask| photos::undistort_mask(&mask, &camera, lens, &pinhole, [width, height])),
-        ),
-        None => (photos::resize(&photo, width, height), hidden.map(|mask| mask.resized([width, height]))),
-    };
+    let mask = hidden(mask, opaque, options.mask).map(|mask| frame.of_mask(&mask));
+    let photo = frame.of_photo(&photo);
     progress.photo_done();
     let view = View {
         name: listed.name.clone(),
-        camera: pinhole.resized(width, height),
+        camera: frame.pinhole.resized(frame.size[0], frame.size[1]),
         photo: keeper.keep(photo)?,
         // One that hides nothing is none.
         mask: mask.map(Mask::from).filter(|mask| mask.counts.contains(&false)).map(Arc::new),
     };
     Ok(Loaded { view, is_masked, is_transparent })
+}
+
+/// What a photo is taken to: straight lines, and the size that is asked for.
+struct Frame<'a> {
+    /// At the photo's own size.
+    camera: Camera,
+    lens: Option<&'a Lens>,
+    pinhole: Camera,
+    /// Of the loaded photo, px.
+    size: [u32; 2],
+}
+
+impl<'a> Frame<'a> {
+    /// That of a photo of `width` x `height` px.
+    fn of(
+        listed: &'a ListedPhoto,
+        (width, height): (u32, u32),
+        options: &LoadOptions,
+        pinholes: &Pinholes,
+    ) -> Result<Self, SceneError> {
+        let camera = camera_of_photo(listed, width, height)?;
+        let lens = listed.lens.as_ref();
+        let pinhole = lens.map_or(Some(camera), |lens| pinholes.of(&camera, lens)).ok_or_else(|| no_pinhole(listed))?;
+        let (width, height) = options.size_of(pinhole.width, pinhole.height);
+        if width.min(height) < SIDE_MIN_PX {
+            let problem = format!(
+                "would be loaded at {width}x{height} pixels, and both sides must have at least {SIDE_MIN_PX}; reduce it \
+                 less (--max-side, --downscale), or take a larger photo"
+            );
+            return Err(SceneError::BadPhoto { photo: listed.path.clone(), problem });
+        }
+        Ok(Self { camera, lens, pinhole, size: [width, height] })
+    }
+
+    fn of_photo(&self, photo: &Photo) -> Photo {
+        match self.lens {
+            Some(lens) => photos::undistort(photo, &self.camera, lens, &self.pinhole, self.size),
+            None => photos::resize(photo, self.size[0], self.size[1]),
+        }
+    }
+
+    fn of_mask(&self, mask: &PhotoMask) -> PhotoMask {
+        match self.lens {
+            Some(lens) => photos::undistort_mask(mask, &self.camera, lens, &self.pinhole, self.size),
+            None => mask.resized(self.size),
+        }
+    }
 }
 
 /// What counts for nothing, if anything does.
