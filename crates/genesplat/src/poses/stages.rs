@@ -142,6 +142,8 @@ fn begin(stage: Stage, job: &Job) -> Result<()> {
 
 #[cfg(test)]
 mod tests {
+    use std::fs;
+
     use genesplat::core::Photo;
     use genesplat::io::photos::encode_jpeg;
 
