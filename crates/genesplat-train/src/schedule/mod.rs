@@ -318,11 +318,12 @@ impl Schedule {
         })
     }
 
-    /// The end of the window that iteration `i` is in. Windows end with the run and at whole windows before that, where
-    /// rows stay what they are for at least the younger half.
+    /// The end of the window that iteration `i` is in. Windows end with the run and, with renewals, at whole windows before
+    /// that, where rows stay what they are for at least the younger half.
     fn window_end(&self, window: u32, i: u32) -> Option<u32> {
         let end = self.iterations - (self.iterations - i) / window * window;
-        (end == self.iterations || end >= self.densify_until.saturating_add(window / 2)).then_some(end)
+        let settled = self.densify_until.saturating_add(window / 2);
+        (end == self.iterations || self.has_renewals && end >= settled).then_some(end)
     }
 
     /// Stages were asked for, and none will come.

@@ -184,9 +184,11 @@ fn weight_averaging_comes_at_the_end_of_each_window_in_which_rows_stay() {
 
 #[test]
 fn without_renewals_the_last_two_fifths_are_one_window() {
-    for selection in [true, false] {
+    // Where density control ends early, too, when rows stay what they are for longer.
+    for (selection, until) in [(true, 15_000), (false, 15_000), (true, 12_000), (false, 0)] {
         let schedule = renewing(|config| {
-            (config.evolution.renewal.selection, config.evolution.renewal.until) = (selection, Some(0.0))
+            (config.evolution.renewal.selection, config.evolution.renewal.until) = (selection, Some(0.0));
+            config.densify.until = until;
         });
         assert_eq!(iterations_with(&schedule, Phase::Renew), [] as [u32; 0]);
         assert_eq!(iterations_with(&schedule, Phase::Average), [30_000]);
