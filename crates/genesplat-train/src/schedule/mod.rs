@@ -340,19 +340,21 @@ impl Schedule {
     ///
     /// The reference replaces its parameter tensors when it densifies, and that of opacity when it resets; the new ones
     /// have no gradients, so the step that follows does nothing. The last iteration makes no step.
+    ///
+    /// A reset cuts a step of several views short, so that no gradient from before it moves an opacity after it.
     pub fn optimiser_step(&self, i: u32) -> OptimiserStep {
         let loses = self.config.variant != Variant::Mcmc
-            && self.config.views_per_step == 1
+            && self.views_of_a_step(i) == 1
             && self.is_densify(i)
             && self.densify_every >= LOSING_INTERVAL_MIN;
         if loses || i >= self.iterations {
             OptimiserStep::Lost
-        } else if !i.is_multiple_of(self.views_of_a_step(i)) {
-            OptimiserStep::Later
         } else if self.is_reset(i) {
             OptimiserStep::AllButOpacity
-        } else {
+        } else if i.is_multiple_of(self.views_of_a_step(i)) {
             OptimiserStep::All
+        } else {
+            OptimiserStep::Later
         }
     }
 

@@ -43,6 +43,18 @@ fn a_step_of_four_views_is_twice_as_long() {
     assert!(all(one).into_iter().zip(all(four)).all(|(one, four)| (four / one - 2.0).abs() < 1e-6));
 }
 
+/// 3000 is no multiple of 16, and 18,000 comes when Improved-GS has steps of five views.
+#[test]
+fn a_reset_cuts_a_step_of_several_views_short() {
+    let around = |schedule: &Schedule, reset: u32| [reset - 1, reset, reset + 1].map(|i| schedule.optimiser_step(i));
+    let cut = [OptimiserStep::Later, OptimiserStep::AllButOpacity, OptimiserStep::Later];
+    let sixteen = schedule(|config| config.views_per_step = 16);
+    assert_eq!([3000, 6000, 9000].map(|reset| around(&sixteen, reset)), [cut; 3]);
+    assert_eq!([2992, 3008].map(|i| sixteen.optimiser_step(i)), [OptimiserStep::All; 2], "others stay where they were");
+    let late = schedule(|config| (config.variant, config.densify.until) = (Variant::ImprovedGs, 20_000));
+    assert_eq!(around(&late, 18_000), cut);
+}
+
 #[test]
 fn a_shorter_schedule_loses_no_more_steps_than_the_published_one() {
     let lost = |change: fn(&mut TrainConfig)| {
