@@ -137,7 +137,10 @@ impl TrainConfig {
         check("densify.reset_opacity", self.reset_opacity(), recovers, wanted)?;
         let is_alone = evolution.extra_steps.is_none() || evolution.mode == EvolutionMode::Off;
         let wanted = "left out unless evolution.mode is off: it is a control";
-        check("evolution.extra_steps", "set", is_alone, wanted)
+        check("evolution.extra_steps", "set", is_alone, wanted)?;
+        let is_fair = evolution.extra_steps.is_none() || self.views_per_step == 1;
+        let wanted = "1 with evolution.extra_steps, whose steps are of one photo each";
+        check("views_per_step", self.views_per_step, is_fair, wanted)
     }
 }
 

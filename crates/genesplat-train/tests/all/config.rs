@@ -112,6 +112,9 @@ fn extra_steps_are_a_control_and_run_beside_nothing_else() {
     config.evolution.extra_steps = Some(StepBudget::Seconds(-1.0));
     let error = config.validate().unwrap_err().to_string();
     assert!(error.contains("evolution.extra_steps.seconds is -1"), "{error}");
+    (config.views_per_step, config.evolution.extra_steps) = (4, Some(StepBudget::Steps(7)));
+    let error = config.validate().unwrap_err().to_string();
+    assert!(error.contains("views_per_step is 4, but must be 1 with evolution.extra_steps"), "{error}");
 }
 
 #[test]
