@@ -91,7 +91,7 @@ fn relocate(rows: &mut [Row], rules: &Rules, rng: &Rng, iteration: u32) -> usize
 
 /// Appends copies of rows; returns how many.
 fn grow(rows: &mut Vec<Row>, rules: &Rules, rng: &Rng, iteration: u32) -> usize {
-    let wanted = rows.len() + (rules.growth * rows.len() as f64) as usize;
+    let wanted = rows.len().saturating_add((rules.growth * rows.len() as f64) as usize);
     let added = wanted.min(rules.cap).saturating_sub(rows.len());
     let lottery = Lottery::new(rows.iter().map(|row| row.opacity));
     let targets = lottery.draw(added, |draw| rng.at(Stream::Relocation, iteration, draw, FOR_GROWTH));

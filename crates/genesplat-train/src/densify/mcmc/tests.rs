@@ -108,6 +108,8 @@ fn growth_ends_at_the_cap_and_never_shrinks() {
     assert_eq!(at(1000).edit.sources.len(), 105);
     assert_eq!(at(103).edit.sources.len(), 103);
     assert!(at(100).edit.is_identity(100) && at(7).edit.is_identity(100));
+    let boundless = plan_of(&[0.3; 100], Rules { growth: 1e30, cap: 103, ..RULES });
+    assert_eq!(boundless.edit.sources.len(), 103, "more than can be counted");
 }
 
 #[test]
