@@ -117,10 +117,9 @@ pub struct TrainConfig {
     /// the position rate and every size threshold.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub extent: Option<f64>,
-    /// At most this many Gaussians: starting points are thinned to it, and densification stops at it and serves the
-    /// strongest gradients until then. Default: no limit; 1,000,000 with `mcmc` and `improved-gs`, which grow to it along
-    /// a curve of their own. Evolution's mode `renew` has a limit of its own, and the lower one counts
-    /// (`evolution.renewal.capacity`).
+    /// At most this many Gaussians: starting points are thinned to it, and densification stops at it. Default: no limit;
+    /// 1,000,000 with `mcmc` and `improved-gs`, which grow to it along a curve of their own. Evolution's mode `renew` has a
+    /// limit of its own, and the lower one counts (`evolution.renewal.capacity`).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub max_gaussians: Option<usize>,
     /// Iterations between two checkpoints. Default 0: none but that of an interrupted run. Not scaled by `steps_scale`.

@@ -47,13 +47,14 @@ pub fn plan(statistics: &Statistics, genes: &[Genes], rules: &Rules, rng: Rng, i
         (0..genes.len()).map(|row| wanted_growth(statistics, genes, rules, absolute, row)).collect();
     let refused = refuse_beyond_cap(&mut growth, statistics, rules, absolute);
     let mut edit = grow(&growth, rng, iteration);
-    let grown = edit.sources.len();
+    let grown_to = edit.sources.len();
     let prune_size = rules.prune_size.filter(|_| refused == 0);
     prune(&mut edit, genes, rules.prune_opacity, prune_size);
     Plan {
         cloned: count(&growth, Growth::Clone),
         split: count(&growth, Growth::Split),
-        pruned: grown - edit.sources.len(),
+        pruned: grown_to - edit.sources.len(),
+        grown_to,
         refused,
         ..Plan::of(edit)
     }
@@ -237,7 +238,7 @@ mod tests {
         let plan = decide(&statistics, &genes, &RULES, 600);
         assert_eq!(rows(&plan), [(1, KEPT)]);
         // Row 0 and its clone, both children of row 2.
-        assert_eq!(plan.pruned, 4);
+        assert_eq!((plan.pruned, plan.grown_to), (4, 5));
     }
 
     #[test]

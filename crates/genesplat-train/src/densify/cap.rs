@@ -61,11 +61,7 @@ impl Cap {
     /// follows.
     pub(crate) fn notice_of_full_cloud(self, cap: usize, i: u32, refused: usize, is_last: bool) -> String {
         let source = if self.own == Some(cap) { "" } else { " from the photos (evolution.renewal.capacity)" };
-        let rest = if is_last {
-            ""
-        } else {
-            "; from now on only those with the strongest gradients grow into the room that pruning leaves"
-        };
+        let rest = if is_last { "" } else { "; from now on there is only the room that pruning leaves" };
         format!("iteration {i}: the limit of {cap} Gaussians{source} is reached ({refused} more wanted to grow){rest}")
     }
 }

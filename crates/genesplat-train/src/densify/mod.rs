@@ -29,16 +29,19 @@ pub struct Plan {
     pub cloned: usize,
     /// Gaussians replaced by two children.
     pub split: usize,
-    /// Rows removed after growing (new ones included).
+    /// Rows removed: after growing, new ones included; by selection before it.
     pub pruned: usize,
+    /// Gaussians when growth ended, before what is pruned after it.
+    pub grown_to: usize,
     /// Gaussians that wanted to grow but had no room below the cap.
     pub refused: usize,
 }
 
 impl Plan {
-    /// Applies `edit`; what it counts is zero yet.
+    /// Applies `edit`, which prunes nothing after growing; what else it counts is zero yet.
     fn of(edit: RowEdit) -> Self {
-        Self { edit, relocated: 0, cloned: 0, split: 0, pruned: 0, refused: 0 }
+        let grown_to = edit.sources.len();
+        Self { edit, relocated: 0, cloned: 0, split: 0, pruned: 0, grown_to, refused: 0 }
     }
 }
 

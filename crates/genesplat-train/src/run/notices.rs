@@ -148,8 +148,7 @@ fn notice_of_lost_background(config: &TrainConfig, schedule: &Schedule, extent: 
 impl Trainer<'_> {
     /// Density control has refused growth because the cap is reached. Once is enough.
     pub(crate) fn notice_full_cloud(&mut self, i: u32, plan: &Plan) {
-        let grown = plan.edit.sources.len() + plan.pruned;
-        let is_news = |cap: &usize| plan.refused > 0 && grown >= *cap && !self.cap_noticed;
+        let is_news = |cap: &usize| plan.refused > 0 && plan.grown_to >= *cap && !self.cap_noticed;
         let Some(cap) = self.cap.get().filter(is_news) else { return };
         self.cap_noticed = true;
         let is_last = !(i + 1..self.schedule.iterations).any(|later| self.schedule.is_densify(later));

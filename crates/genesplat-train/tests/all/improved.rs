@@ -7,7 +7,7 @@ use genesplat_core::{Backend, DensitySignal, Origin, RenderSettings, RowEdit};
 use genesplat_train::densify::improved::edge_scores;
 use genesplat_train::{Checkpoint, EvolutionMode, Outcome, Silent, Start, TrainConfig, Variant, train};
 
-use crate::support::{Call, FakeBackend, points, views};
+use crate::support::{Call, FakeBackend, Told, points, views};
 
 /// A hundredth of the published schedule, its intervals included, but for the time that opacities have to recover.
 fn config() -> TrainConfig {
@@ -114,6 +114,22 @@ fn resets_are_followed_by_pruning_what_recovers_slowly() {
         calls.map(|call| if let Call::Weigh { views, .. } = call { views.len() } else { 0 }).sum::<usize>()
     };
     assert_eq!([3300, 3400, 3500, 6400].map(weighed), [10, 23, 10, 23]);
+}
+
+/// A fifth is pruned at 6300, when the budget is at nine tenths: rows before and after it are more than the limit together.
+#[test]
+fn the_limit_is_reached_when_the_budget_is_full_and_not_before() {
+    let mut config = TrainConfig { steps_scale: 1.0, iterations: 8500, ..config() };
+    (config.densify.every, config.densify.reset_every, config.densify.until) = (100, 3000, 8000);
+    config.optimiser.opacity = Some(0.0);
+    let (mut told, start) = (Told::default(), Start::Points(points(20)));
+    let (config, stop) = (config.resolve().unwrap(), AtomicBool::new(false));
+    train(&mut backend(), &views(23), start, &config, &mut told, &stop).unwrap();
+    let before = told.sizes.iter().find(|(i, _)| *i == 6200).unwrap().1;
+    assert!(before > 80 && before < 95, "{:?}", told.sizes);
+    let [notice] = &told.notices[..] else { panic!("{:?}", told.notices) };
+    assert!(notice.starts_with("iteration 7800: the limit of 100 Gaussians is reached"), "{notice}");
+    assert!(notice.ends_with("; from now on there is only the room that pruning leaves"), "{notice}");
 }
 
 #[test]

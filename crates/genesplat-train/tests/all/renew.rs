@@ -7,9 +7,7 @@ use genesplat_train::{
     Checkpoint, EvolutionMode, Observer, Outcome, Silent, StageKind, StageRecord, Start, TrainConfig, Variant, train,
 };
 
-use genesplat_train::observe::DensifyLog;
-
-use crate::support::{Call, Failure, FakeBackend, Keep, StopAt, points, views};
+use crate::support::{Call, Failure, FakeBackend, Keep, StopAt, Told, points, views};
 
 /// 300 iterations; density control ends after 150, renewals begin at 150, 165, ... 225, the last is judged at 240.
 fn config() -> TrainConfig {
@@ -173,22 +171,6 @@ fn a_run_too_short_to_grow_says_so() {
         assert!(told(variant, shortest, 15_000).is_empty());
     }
     assert!(told(Variant::ThreeDgs, 900, 0).is_empty(), "it was switched off");
-}
-
-/// Remembers what users are told, and how large the cloud became.
-#[derive(Default)]
-struct Told {
-    notices: Vec<String>,
-    sizes: Vec<(u32, usize)>,
-}
-
-impl Observer for Told {
-    fn notice(&mut self, text: &str) {
-        self.notices.push(text.to_owned());
-    }
-    fn on_densify(&mut self, log: &DensifyLog) {
-        self.sizes.push((log.iteration, log.gaussians));
-    }
 }
 
 #[test]

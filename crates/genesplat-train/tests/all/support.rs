@@ -12,7 +12,7 @@ use genesplat_core::{
     Backend, BackendError, Camera, Contribution, DeviceState, EvolutionBackend, Gaussians, Held, Image, Moments,
     Origin, Photo, RenderSettings, RowEdit, Snapshot, SparseDelta, StateMean, Statistics, TrainStep, View, ViewLoss,
 };
-use genesplat_train::observe::StepLog;
+use genesplat_train::observe::{DensifyLog, StepLog};
 use genesplat_train::scene::initialise::ColouredPoint;
 use genesplat_train::{Checkpoint, Observer};
 use glam::DVec3;
@@ -493,5 +493,21 @@ pub(crate) struct Keep(pub Vec<Checkpoint>);
 impl Observer for Keep {
     fn on_checkpoint(&mut self, checkpoint: Checkpoint) {
         self.0.push(checkpoint);
+    }
+}
+
+/// Remembers what users are told, and how large the cloud became.
+#[derive(Default)]
+pub(crate) struct Told {
+    pub notices: Vec<String>,
+    pub sizes: Vec<(u32, usize)>,
+}
+
+impl Observer for Told {
+    fn notice(&mut self, text: &str) {
+        self.notices.push(text.to_owned());
+    }
+    fn on_densify(&mut self, log: &DensifyLog) {
+        self.sizes.push((log.iteration, log.gaussians));
     }
 }

@@ -4,9 +4,9 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use genesplat_core::{Photo, View};
-use genesplat_train::{Observer, Outcome, Silent, Start, TrainConfig, TrainError, train};
+use genesplat_train::{Outcome, Silent, Start, TrainConfig, TrainError, train};
 
-use crate::support::{Call, FakeBackend, Keep, points, views};
+use crate::support::{Call, FakeBackend, Keep, Told, points, views};
 
 const PHOTOS: usize = 8;
 
@@ -80,16 +80,6 @@ fn a_checkpoint_goes_on_with_photos_of_its_size_alone() {
     assert!(matches!(error, TrainError::OtherPhotos), "{error}");
 }
 
-/// Keeps what the user is told.
-#[derive(Default)]
-struct Told(Vec<String>);
-
-impl Observer for Told {
-    fn notice(&mut self, text: &str) {
-        self.0.push(text.to_owned());
-    }
-}
-
 #[test]
 fn the_user_is_told() {
     let told = |config: TrainConfig| {
@@ -97,7 +87,7 @@ fn the_user_is_told() {
         let start = Start::Points(points(20));
         let (resolved, stop) = (config.resolve().unwrap(), AtomicBool::new(false));
         train(&mut FakeBackend::new(), &views(PHOTOS), start, &resolved, &mut told, &stop).unwrap();
-        told.0.into_iter().find(|text| text.contains("evolution.renewal.virtual_views"))
+        told.notices.into_iter().find(|text| text.contains("evolution.renewal.virtual_views"))
     };
     let said = told(config()).unwrap();
     assert!(said.starts_with("from iteration 300 on one step in 2") && said.contains("the 8 photos"), "{said}");
