@@ -39,7 +39,7 @@ use genesplat_core::{EvolutionBackend, StatisticsRequest, View};
 
 use crate::config::{EvolutionMode, Resolved};
 use crate::densify::Plan;
-use crate::evolution::{ExtraGradientSteps, GeneticSearch, WeightAveraging};
+use crate::evolution::{ExtraGradientSteps, GeneticSearch};
 use crate::run::checkpoint::{Checkpoint, Cursor};
 use crate::run::observe::{DensifyLog, Observer, StepLog};
 use crate::run::trainer::{REPORT_EVERY, Trainer, filter_of};
@@ -108,8 +108,8 @@ impl Trainer<'_> {
                 return self.run_stage::<GeneticSearch>(cursor);
             }
             Phase::Evolve => return self.run_stage::<ExtraGradientSteps>(cursor),
-            Phase::AddToAverage => self.add_to_average()?,
-            Phase::Average => return self.run_stage::<WeightAveraging>(cursor),
+            Phase::AddToAverage => self.backend.average()?,
+            Phase::Average => self.take_mean(i)?,
             Phase::Renew => self.renew(i)?,
         }
         Ok(None)
@@ -160,7 +160,6 @@ impl Trainer<'_> {
             return Err(TrainError::NothingLeft { iteration: i });
         }
         self.backend.edit_rows(&plan.edit)?;
-        self.averaged = 0;
         self.notice_full_cloud(i, &plan);
         let Plan { relocated, cloned, split, pruned, .. } = plan;
         let gaussians = self.backend.gaussian_count();
@@ -176,14 +175,6 @@ impl Trainer<'_> {
     }
 
     fn reset_opacity(&mut self) -> Result<(), TrainError> {
-        self.backend.reset_opacity(self.config.reset_opacity())?;
-        self.averaged = 0;
-        Ok(())
-    }
-
-    fn add_to_average(&mut self) -> Result<(), TrainError> {
-        self.backend.average()?;
-        self.averaged += 1;
-        Ok(())
+        Ok(self.backend.reset_opacity(self.config.reset_opacity())?)
     }
 }

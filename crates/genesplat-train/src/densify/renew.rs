@@ -64,7 +64,6 @@ impl Trainer<'_> {
         } else {
             // Where that fails, what the device holds is still on trial.
             self.backend.roll_back()?;
-            self.averaged = 0;
             record.changed = 0;
             before
         };
@@ -108,7 +107,6 @@ impl Trainer<'_> {
         }
         record.population_bytes = (CLOUDS_KEPT * self.backend.gaussian_count() * Gaussians::BYTES_PER_ROW) as u64;
         self.backend.edit_rows_on_trial(&edit)?;
-        self.averaged = 0;
         record.seconds = clock.elapsed().as_secs_f64();
         self.tell_of_stage(&record, &self.trial_guards(), record.generations);
         self.trial = Some(record);

@@ -9,8 +9,7 @@ use std::time::Instant;
 
 use genesplat_core::{Gaussians, Held};
 
-use super::Stage;
-use super::guards::{GuardScore, guards};
+use super::guards::guards;
 use crate::run::TrainError;
 use crate::run::observe::{GenerationLog, StageKind, StageRecord};
 use crate::run::trainer::Trainer;
@@ -19,61 +18,30 @@ use crate::run::trainer::Trainer;
 /// on test photos, too (docs/evolution.md).
 const LAG_DB: f64 = 0.6;
 
-/// The end of one window.
-pub(crate) struct WeightAveraging {
-    begun: Instant,
-    guards: Vec<usize>,
-    is_done: bool,
-}
-
-impl Stage for WeightAveraging {
-    fn begin(trainer: &mut Trainer, i: u32) -> Result<Option<(Self, StageRecord)>, TrainError> {
-        if trainer.averaged == 0 {
-            return Ok(None);
+impl Trainer<'_> {
+    /// At the end of a window its mean takes the cloud's place, unless it lags behind.
+    pub(crate) fn take_mean(&mut self, i: u32) -> Result<(), TrainError> {
+        let (clock, guards) = (Instant::now(), guards(self.views, &self.rng.fork(i)));
+        let before = self.guard_score(Held::Cloud, &guards, i)?;
+        let mut record = StageRecord::begun(StageKind::Averaging, i, before.loss, Some(before.psnr));
+        record.population_bytes = (self.backend.gaussian_count() * Gaussians::BYTES_PER_ROW) as u64;
+        self.tell_of_stage(&record, &guards, 0);
+        let mean = self.guard_score(Held::Mean, &guards, i)?;
+        if before.psnr - mean.psnr <= LAG_DB {
+            self.backend.take_mean()?;
+            record.changed = self.backend.gaussian_count();
         }
-        let (begun, guards) = (Instant::now(), guards(trainer.views, &trainer.rng.fork(i)));
-        let before = trainer.guard_score(Held::Cloud, &guards, i)?;
-        let record = StageRecord::begun(StageKind::Averaging, i, before.loss, Some(before.psnr));
-        let population_bytes = (trainer.backend.gaussian_count() * Gaussians::BYTES_PER_ROW) as u64;
-        let stage = Self { begun, guards, is_done: false };
-        Ok(Some((stage, StageRecord { population_bytes, ..record })))
-    }
-
-    fn announcement(&self) -> Option<(&[usize], u32)> {
-        Some((&self.guards, 0))
-    }
-
-    fn is_done(&self) -> bool {
-        self.is_done
-    }
-
-    /// Measures the mean.
-    fn next(&mut self, trainer: &mut Trainer, record: &mut StageRecord) -> Result<(), TrainError> {
-        let GuardScore { loss, psnr } = trainer.guard_score(Held::Mean, &self.guards, record.iteration)?;
-        self.is_done = true;
         // The guards of the cloud and those of the mean.
-        record.renders += 2 * self.guards.len() as u64;
-        record.fitness_after = loss;
-        record.guard_psnr = record.guard_psnr.map(|[before, _]| [before, psnr]);
-        record.seconds = self.begun.elapsed().as_secs_f64();
-        let lags = record.guard_psnr.is_some_and(|[before, after]| before - after > LAG_DB);
-        record.changed = if lags { 0 } else { trainer.backend.gaussian_count() };
-        trainer.observer.on_generation(&GenerationLog {
+        record.renders = 2 * guards.len() as u64;
+        record.fitness_after = mean.loss;
+        record.guard_psnr = Some([before.psnr, mean.psnr]);
+        record.seconds = clock.elapsed().as_secs_f64();
+        self.observer.on_generation(&GenerationLog {
             accepted: Some(record.changed),
-            guard_psnr: Some(psnr),
-            ..GenerationLog::of(record, Some(loss))
+            guard_psnr: Some(mean.psnr),
+            ..GenerationLog::of(&record, Some(mean.loss))
         });
-        Ok(())
-    }
-
-    /// The mean takes the cloud's place if it was measured before a stop, and does not lag behind; the next window averages anew.
-    fn finish(self, trainer: &mut Trainer, record: &mut StageRecord) -> Result<(), TrainError> {
-        if self.is_done {
-            if record.changed > 0 {
-                trainer.backend.take_mean()?;
-            }
-            trainer.averaged = 0;
-        }
+        self.end_stage(record);
         Ok(())
     }
 }

@@ -29,13 +29,13 @@ impl Stage for ExtraGradientSteps {
     /// Steps cannot be undone.
     const KEEPS_CHANGES: bool = true;
 
-    fn begin(trainer: &mut Trainer, i: u32) -> Result<Option<(Self, StageRecord)>, TrainError> {
-        let Some(budget) = trainer.config.evolution.extra_steps else { return Ok(None) };
+    fn begin(trainer: &mut Trainer, i: u32) -> Result<(Self, StageRecord), TrainError> {
+        let budget = trainer.config.evolution.extra_steps.expect("stages are searches, or there is a budget");
         let fitness = trainer.fitness(i);
         let before = trainer.fitness_of_base(&fitness, i)?;
         let order = ViewOrder::new(trainer.rng.fork(i), trainer.views.len());
         let stage = Self { iteration: i, budget, fitness, order, steps: 0, clock: None };
-        Ok(Some((stage, StageRecord::begun(StageKind::ExtraSteps, i, before, None))))
+        Ok((stage, StageRecord::begun(StageKind::ExtraSteps, i, before, None)))
     }
 
     fn announcement(&self) -> Option<(&[usize], u32)> {

@@ -1,7 +1,7 @@
 //! What runs beside gradient steps: the paper's search, weight averaging, the equal-time control.
 //!
-//! Each is a [`Stage`]; [`Trainer::run_stage`] does what they have in common: the clock, the records, a stop within,
-//! and what is saved where the device fails.
+//! The search and its control are [`Stage`]s; [`Trainer::run_stage`] does what they have in common: the clock, the records,
+//! a stop within, and what is saved where the device fails.
 
 use std::time::Instant;
 
@@ -17,7 +17,6 @@ mod guards;
 mod paper;
 mod search;
 
-pub(crate) use averaging::WeightAveraging;
 pub(crate) use extra_steps::ExtraGradientSteps;
 pub(crate) use guards::{GuardScore, guards};
 pub(crate) use paper::GeneticSearch;
@@ -28,8 +27,8 @@ pub(crate) trait Stage: Sized {
     /// True where [`Stage::rewind`] cannot bring the state before the stage back.
     const KEEPS_CHANGES: bool = false;
 
-    /// Measures the cloud and prepares; changes nothing. `None` where there is nothing to do.
-    fn begin(trainer: &mut Trainer, iteration: u32) -> Result<Option<(Self, StageRecord)>, TrainError>;
+    /// Measures the cloud and prepares; changes nothing.
+    fn begin(trainer: &mut Trainer, iteration: u32) -> Result<(Self, StageRecord), TrainError>;
 
     /// Training views that fitness is measured on, and the pieces that follow the first, for who listens; `None` to say
     /// nothing.
@@ -56,7 +55,7 @@ impl Trainer<'_> {
     pub(crate) fn run_stage<S: Stage>(&mut self, cursor: Cursor) -> Result<Option<Box<Checkpoint>>, TrainError> {
         let clock = Instant::now();
         let mut saved = if S::KEEPS_CHANGES { Some(self.capture_healthy(cursor)?) } else { None };
-        let Some((mut stage, mut record)) = S::begin(self, cursor.iteration)? else { return Ok(None) };
+        let (mut stage, mut record) = S::begin(self, cursor.iteration)?;
         if let Some((views, generations)) = stage.announcement() {
             self.tell_of_stage(&record, views, generations);
         }

@@ -24,7 +24,7 @@ pub(crate) struct GeneticSearch {
 }
 
 impl Stage for GeneticSearch {
-    fn begin(trainer: &mut Trainer, i: u32) -> Result<Option<(Self, StageRecord)>, TrainError> {
+    fn begin(trainer: &mut Trainer, i: u32) -> Result<(Self, StageRecord), TrainError> {
         let (begun, fitness, evolution) = (Instant::now(), trainer.fitness(i), &trainer.config.evolution);
         let of_base = trainer.fitness_of_base(&fitness, i)?;
         let base = trainer.backend.genes()?;
@@ -35,7 +35,7 @@ impl Stage for GeneticSearch {
         let algorithm = GeneticAlgorithm::new(config, base, Signals { gradients, errors }, of_base, rng)?;
         let renders = passes * fitness.views.len() as u64;
         let record = StageRecord { renders, ..StageRecord::begun(StageKind::Paper, i, of_base, None) };
-        Ok(Some((Self { begun, fitness, algorithm }, record)))
+        Ok((Self { begun, fitness, algorithm }, record))
     }
 
     fn announcement(&self) -> Option<(&[usize], u32)> {

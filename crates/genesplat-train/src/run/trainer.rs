@@ -46,8 +46,6 @@ pub(crate) struct Trainer<'a> {
     /// What is reported of the renewal on trial, as if it had succeeded; the guard score that ends it is not in it yet.
     /// The state before it is the backend's snapshot.
     pub(crate) trial: Option<StageRecord>,
-    /// States that the window's mean is of.
-    pub(crate) averaged: u32,
     /// What is done next, or is under way.
     pub(crate) cursor: Cursor,
     /// The phase under way has changed the state, and has more to change: a checkpoint now could not be resumed.
@@ -81,7 +79,6 @@ impl<'a> Trainer<'a> {
             virtual_views: VirtualViews::new(views, schedule.virtual_steps(views.len()), extent, rng),
             progress: Progress::default(),
             trial: None,
-            averaged: 0,
             cursor: Cursor::start_of(1),
             is_mid_change: false,
             cap: Cap::new(config, views),
@@ -190,7 +187,6 @@ impl<'a> Trainer<'a> {
         if self.virtual_views.are_shown() {
             self.backend.set_views(&self.virtual_views.after(self.views))?;
         }
-        self.averaged = checkpoint.state.mean.states();
         self.backend.upload(checkpoint.state)?;
         self.progress = checkpoint.progress;
         self.has_seen = checkpoint.cursor.iteration > 1;

@@ -302,10 +302,11 @@ impl Schedule {
     }
 
     /// Iterations of a window of weight averaging, if it runs; the last window ends with the run. Without renewals it is
-    /// the only one.
+    /// the only one. (One of a single iteration would hold no state at the end of the run.)
     fn window(&self) -> Option<u32> {
         let every = self.renew_every.filter(|_| self.config.evolution.renewal.averaging)?;
-        Some(if self.has_renewals { every } else { of_run(self.iterations, LAST_WINDOW).max(1) })
+        let window = if self.has_renewals { every } else { of_run(self.iterations, LAST_WINDOW) };
+        (window > 1).then_some(window)
     }
 
     /// The state at the end of iteration `i` is one of those that its window averages; the last iteration makes no

@@ -1,6 +1,5 @@
 //! Weight averaging: the mean of a window's states replaces the last one unless it lags behind, and survives a stop.
 
-use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use genesplat_core::Held;
@@ -118,7 +117,7 @@ fn guards_are_a_quarter_of_the_views_and_at_most_eight() {
     }
 }
 
-/// Runs until `observer` or `backend` sets the flag, writes and reads the checkpoint, and runs to the end.
+/// Runs until `observer` sets the flag, writes and reads the checkpoint, and runs to the end.
 fn interrupted(backend: &mut FakeBackend, observer: &mut dyn Observer, stop: &AtomicBool) -> Outcome {
     let config = config().resolve().unwrap();
     let stopped = train(backend, &views(12), Start::Points(points(20)), &config, observer, stop).unwrap();
@@ -137,29 +136,6 @@ fn a_stop_between_averaged_states_changes_nothing() {
         let resumed = interrupted(&mut backend(), &mut StopAt(i, &stop), &stop);
         assert_eq!(resumed.cloud, whole.cloud, "stopped in iteration {i}");
     }
-}
-
-#[test]
-fn a_stop_within_a_stage_repeats_it() {
-    let whole = run_with(&config(), &mut backend());
-    // While the cloud is measured, before the mean is.
-    let stopping = |stop: &Arc<AtomicBool>| {
-        let mut backend = backend();
-        backend.stop_after = Some((1, stop.clone()));
-        backend
-    };
-    let (stop, config) = (Arc::new(AtomicBool::new(false)), config().resolve().unwrap());
-    let start = Start::Points(points(20));
-    let stopped = train(&mut stopping(&stop), &views(12), start, &config, &mut Silent, &stop).unwrap();
-    let [stage] = stopped.summary.stages[..] else { panic!("{:?}", stopped.summary.stages) };
-    assert_eq!((stopped.summary.interrupted, stage.changed), (true, 0));
-
-    let stop = Arc::new(AtomicBool::new(false));
-    let resumed = interrupted(&mut stopping(&stop), &mut Silent, &stop);
-    assert_eq!(resumed.cloud, whole.cloud);
-    let iterations =
-        |outcome: &Outcome| -> Vec<u32> { outcome.summary.stages.iter().map(|stage| stage.iteration).collect() };
-    assert_eq!(iterations(&resumed), iterations(&whole), "the stage is not counted twice");
 }
 
 #[test]

@@ -257,11 +257,10 @@ fn stage_sentence(record: &StageRecord, gaussians: usize) -> String {
         }
         (StageKind::ExtraSteps, _) => format!("{} extra gradient steps", thousands(renders as usize)),
         (StageKind::Averaging, _) if is_kept => "evolution: averaged the weights of the last iterations".into(),
-        (StageKind::Averaging, Some([before, after])) if after < before => format!(
+        (StageKind::Averaging, Some([before, after])) => format!(
             "evolution: kept the last weights, since their average lags {:.2} dB behind on training photos",
             before - after
         ),
-        (StageKind::Averaging, _) => "evolution: stopped before the last iterations were averaged".into(),
         _ if is_kept => format!(
             "evolution: changed {} of {all} Gaussians, loss {fitness_before:.4} -> {fitness_after:.4}",
             thousands(changed)
@@ -296,8 +295,6 @@ mod tests {
         assert!(stage_sentence(&nothing, 43_000).contains("back"));
         let lagging = StageRecord { kind: StageKind::Averaging, guard_psnr: Some([31.0, 29.75]), ..nothing };
         assert!(stage_sentence(&lagging, 43_000).contains("lags 1.25 dB behind"));
-        let stopped = StageRecord { guard_psnr: Some([31.0, 31.0]), ..lagging };
-        assert!(stage_sentence(&stopped, 43_000).contains("stopped before"));
         let search = StageRecord { kind: StageKind::Paper, guard_psnr: None, ..record };
         assert_eq!(
             stage_sentence(&search, 43_000),
