@@ -161,6 +161,10 @@ impl EvolutionBackend for ClusterBackend {
         self.group.agree(done)
     }
 
+    fn drop_mean(&mut self) {
+        self.own.drop_mean();
+    }
+
     /// Of the snapshot, every rank has the rows that were its own.
     fn edit_rows_on_trial(&mut self, edit: &RowEdit) -> Result<(), BackendError> {
         self.settle()?;

@@ -399,6 +399,9 @@ pub trait EvolutionBackend: Backend {
     /// The mean takes the cloud's place, and is emptied. Moments and the 3D filter stay.
     fn take_mean(&mut self) -> Result<(), BackendError>;
 
+    /// Empties the mean.
+    fn drop_mean(&mut self);
+
     /// [`Backend::edit_rows`], after which the cloud and Adam's moments as they were before it are the snapshot, in place of
     /// one that there was. No other verb but [`Backend::upload`] changes it.
     fn edit_rows_on_trial(&mut self, edit: &RowEdit) -> Result<(), BackendError>;

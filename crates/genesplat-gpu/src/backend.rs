@@ -277,6 +277,10 @@ impl EvolutionBackend for GpuBackend {
         })
     }
 
+    fn drop_mean(&mut self) {
+        self.state.mean = None;
+    }
+
     fn edit_rows_on_trial(&mut self, edit: &RowEdit) -> Result<()> {
         self.with_memory(|gpu| gpu.state.edit_rows_on_trial(&gpu.engine, edit))
     }

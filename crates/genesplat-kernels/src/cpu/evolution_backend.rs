@@ -3,8 +3,8 @@
 use std::ops::Range;
 
 use genesplat_core::{
-    Backend, BackendError, Contribution, EvolutionBackend, Held, Image, RenderSettings, RowEdit, SparseDelta, ViewLoss,
-    backend::MomentPolicy,
+    Backend, BackendError, Contribution, EvolutionBackend, Held, Image, RenderSettings, RowEdit, SparseDelta,
+    StateMean, ViewLoss, backend::MomentPolicy,
 };
 
 use super::backend::{CpuBackend, TrainView};
@@ -97,6 +97,10 @@ impl EvolutionBackend for CpuBackend {
         let (mean, cloud) = (std::mem::take(&mut self.mean), self.trained.cloud(self.level));
         *cloud = mean.in_place_of(std::mem::take(cloud));
         Ok(())
+    }
+
+    fn drop_mean(&mut self) {
+        self.mean = StateMean::default();
     }
 
     fn edit_rows_on_trial(&mut self, edit: &RowEdit) -> Result<(), BackendError> {

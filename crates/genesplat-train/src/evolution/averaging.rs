@@ -19,7 +19,7 @@ use crate::run::trainer::Trainer;
 const LAG_DB: f64 = 0.6;
 
 impl Trainer<'_> {
-    /// At the end of a window its mean takes the cloud's place, unless it lags behind.
+    /// At the end of a window its mean takes the cloud's place, unless it lags behind; the next window averages anew.
     pub(crate) fn take_mean(&mut self, i: u32) -> Result<(), TrainError> {
         let (clock, guards) = (Instant::now(), guards(self.views, &self.rng.fork(i)));
         let before = self.guard_score(Held::Cloud, &guards, i)?;
@@ -27,7 +27,9 @@ impl Trainer<'_> {
         record.population_bytes = (self.backend.gaussian_count() * Gaussians::BYTES_PER_ROW) as u64;
         self.tell_of_stage(&record, &guards, 0);
         let mean = self.guard_score(Held::Mean, &guards, i)?;
-        if before.psnr - mean.psnr <= LAG_DB {
+        if before.psnr - mean.psnr > LAG_DB {
+            self.backend.drop_mean();
+        } else {
             self.backend.take_mean()?;
             record.changed = self.backend.gaussian_count();
         }

@@ -2,7 +2,7 @@
 
 use std::sync::atomic::AtomicBool;
 
-use genesplat_core::Held;
+use genesplat_core::{Backend, Held};
 use genesplat_train::{Checkpoint, Observer, Outcome, Silent, StageKind, Start, TrainConfig, TrainError, train};
 
 use crate::support::{Call, FakeBackend, StopAt, points, views};
@@ -72,6 +72,7 @@ fn guards_refuse_a_mean_that_lags_behind_and_no_other() {
         let [stage] = outcome.summary.stages[..] else { panic!("{:?}", outcome.summary.stages) };
         let [before, after] = stage.guard_psnr.unwrap();
         assert!((before - after - loss_db).abs() < 0.01, "{stage:?}");
+        assert_eq!(backend.state().unwrap().mean.states(), 0, "a window that follows averages anew");
         (outcome.cloud, stage.changed)
     };
     assert_eq!(by(0.55), (agreeing.cloud, 20), "worse on photos that it has seen, as means are");

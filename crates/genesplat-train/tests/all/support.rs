@@ -415,6 +415,10 @@ impl EvolutionBackend for FakeBackend {
         Ok(())
     }
 
+    fn drop_mean(&mut self) {
+        self.mean = StateMean::default();
+    }
+
     fn edit_rows_on_trial(&mut self, edit: &RowEdit) -> Result<(), BackendError> {
         self.settle()?;
         let snapshot = Snapshot { cloud: self.cloud.clone(), moments: self.moments.clone() };

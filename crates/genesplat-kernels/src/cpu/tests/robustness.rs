@@ -241,7 +241,8 @@ fn a_snapshot_that_is_dropped_is_in_no_state() {
 #[test]
 fn edits_and_resets_empty_the_mean() {
     let mut backend = backend_with(&cloud(20));
-    let changes: [fn(&mut CpuBackend); 3] = [
+    let changes: [fn(&mut CpuBackend); 4] = [
+        |backend| backend.drop_mean(),
         |backend| backend.edit_rows(&RowEdit::keep(vec![1, 5, 7])).unwrap(),
         |backend| backend.reset_opacity(0.01).unwrap(),
         |backend| backend.take_mean().unwrap(),
