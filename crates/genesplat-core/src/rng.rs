@@ -60,7 +60,7 @@ impl Rng {
         self.key
     }
 
-    /// Streams of their own for each evolution stage.
+    /// Streams of their own: for each evolution stage, for orders of views beside that of training, and for virtual views.
     pub fn fork(self, index: u32) -> Self {
         let [a, b, ..] = philox4x32_10([index, 0x6765_6e65, 0x666f_726b, 0], self.key);
         Self { key: [a, b] }

@@ -28,7 +28,8 @@ pub struct StatisticsRequest {
     pub genes: bool,
 }
 
-/// Sums since the last change of rows; rows match those of the cloud.
+/// Sums over training steps, in the cloud's rows: of the density signal since the last change of rows, of gene gradients
+/// since they were last cleared.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Statistics {
     /// Sum of the density signal, by normalised device coordinate `[N]`.

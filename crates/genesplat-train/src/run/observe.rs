@@ -1,6 +1,6 @@
 //! How training tells what it does, as records that serialise to one line of `log.jsonl` each ([`LogRecord`]).
 //!
-//! An observer is called between device calls and must return at once.
+//! An observer is called between device calls, and training waits until it returns.
 
 use genesplat_core::Sight;
 use genesplat_core::backend::StepReport;
