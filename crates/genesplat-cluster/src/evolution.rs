@@ -137,10 +137,10 @@ impl EvolutionBackend for ClusterBackend {
         Ok(all.into_iter().map(|[weight, error]| Contribution { weight, error }).collect())
     }
 
-    fn average(&mut self) -> Result<(), BackendError> {
+    fn add_to_mean(&mut self) -> Result<(), BackendError> {
         self.settle()?;
         self.group.agree(self.own.ensure_cloud("a mean"))?;
-        let done = self.own.average();
+        let done = self.own.add_to_mean();
         self.group.agree(done)
     }
 

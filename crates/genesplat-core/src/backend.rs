@@ -342,7 +342,7 @@ pub trait Backend {
         Ok(())
     }
 
-    /// Sums since the last reset `[N]`.
+    /// Sums over training steps `[N]`.
     fn statistics(&mut self) -> Result<Statistics, BackendError>;
 
     /// Forgets the gene columns; density columns stay.
@@ -359,7 +359,8 @@ pub trait Backend {
     fn set_filter_3d(&mut self, filter: Vec<f32>) -> Result<(), BackendError>;
 }
 
-/// What evolution, and density control by pixels, ask of a device besides training.
+/// What evolution asks of a device besides training, and, with or without evolution, the density control of Improved-GS
+/// ([`EvolutionBackend::weigh`]).
 pub trait EvolutionBackend: Backend {
     /// Eq. 5 of every individual, a delta over the cloud held, on every view `[P, V]`.
     fn score(
@@ -386,7 +387,7 @@ pub trait EvolutionBackend: Backend {
     fn contributions(&mut self, views: &[usize], settings: &RenderSettings) -> Result<Vec<Contribution>, BackendError>;
 
     /// Adds the cloud as it is to the mean of recent states.
-    fn average(&mut self) -> Result<(), BackendError>;
+    fn add_to_mean(&mut self) -> Result<(), BackendError>;
 
     /// How the cloud, or the mean, does on every view `[V]`.
     fn measure(

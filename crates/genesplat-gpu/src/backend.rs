@@ -262,8 +262,8 @@ impl EvolutionBackend for GpuBackend {
         self.with_memory(|gpu| gpu.contributions_to(views, settings))
     }
 
-    fn average(&mut self) -> Result<()> {
-        self.with_memory(|gpu| gpu.state.average(&gpu.engine))
+    fn add_to_mean(&mut self) -> Result<()> {
+        self.with_memory(|gpu| gpu.state.add_to_mean(&gpu.engine))
     }
 
     fn measure(&mut self, held: Held, views: &[usize], settings: &RenderSettings) -> Result<Vec<ViewLoss>> {

@@ -108,8 +108,8 @@ impl Trainer<'_> {
                 return self.run_stage::<GeneticSearch>(cursor);
             }
             Phase::Evolve => return self.run_stage::<ExtraGradientSteps>(cursor),
-            Phase::AddToAverage => self.backend.average()?,
-            Phase::Average => self.take_mean(i)?,
+            Phase::AddToMean => self.backend.add_to_mean()?,
+            Phase::TakeMean => self.take_mean(i)?,
             Phase::Renew => self.renew(i)?,
         }
         Ok(None)

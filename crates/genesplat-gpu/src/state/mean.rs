@@ -30,7 +30,7 @@ pub(super) fn download(engine: &Engine, rows: u64, held: Option<&DeviceMean>) ->
 
 impl State {
     /// Adds the cloud to the mean.
-    pub(crate) fn average(&mut self, engine: &Engine) -> Result<()> {
+    pub(crate) fn add_to_mean(&mut self, engine: &Engine) -> Result<()> {
         let trained = self.trained.settled(engine);
         // Whatever needs memory comes first: a mean never counts a state that it does not hold.
         let states = 1 + self.mean.as_ref().map_or(0, |held| held.states);

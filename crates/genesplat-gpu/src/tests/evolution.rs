@@ -15,7 +15,7 @@ fn means_of_states_match() {
         twin.upload(filtered_cloud(100, ScreenFilter::Mip).into()).unwrap();
         for number in 1..=4 {
             twin.train_step(&step(number, settings)).unwrap();
-            twin.average().unwrap();
+            twin.add_to_mean().unwrap();
         }
         twin.train_step(&step(5, settings)).unwrap();
         twin.set_filter_3d((0..100).map(|row| 0.01 + 0.02 * uniform(row, 77)).collect()).unwrap();
@@ -45,7 +45,7 @@ fn means_of_states_match() {
         twin.edit_rows(&RowEdit::keep((0..100).collect())).unwrap();
         assert_eq!(twin.state().unwrap().mean.states(), 0, "a change of rows empties it, too");
         twin.take_mean().unwrap();
-        twin.average().unwrap();
+        twin.add_to_mean().unwrap();
         twin.train_step(&step(6, settings)).unwrap();
         twin.take_mean().unwrap();
     });
@@ -96,7 +96,7 @@ fn a_generation_is_read_back_once() {
     let population: Vec<SparseDelta> = (0..100).map(|index| individual_of(&base, index % 6)).collect();
     let views = [0; 6];
     gpu.upload(base.into()).unwrap();
-    gpu.average().unwrap();
+    gpu.add_to_mean().unwrap();
     let mut waits = |verb: &dyn Fn(&mut GpuBackend)| {
         // The first time, buffers grow.
         verb(&mut gpu);
@@ -272,7 +272,7 @@ fn change_everything(twin: &mut dyn EvolutionBackend) {
     twin.train_step(&step(7, settings)).unwrap();
     twin.edit_rows(&RowEdit::keep((20..170).rev().collect())).unwrap();
     twin.set_filter_3d(vec![0.5; 150]).unwrap();
-    twin.average().unwrap();
+    twin.add_to_mean().unwrap();
     twin.train_step(&step(8, settings)).unwrap();
     twin.take_mean().unwrap();
     twin.reset_opacity(0.01).unwrap();

@@ -152,7 +152,7 @@ fn an_edit_that_finds_no_memory_changes_nothing() {
     gpu.set_views(&[view()]).unwrap();
     gpu.upload(cloud(300).into()).unwrap();
     gpu.train_step(&step(1, settings(2, ScreenFilter::Classic))).unwrap();
-    gpu.average().unwrap();
+    gpu.add_to_mean().unwrap();
     let before = gpu.state().unwrap();
     let mut edit = RowEdit { iteration: 600, ..RowEdit::keep((0..300).collect()) };
     (0..200).for_each(|row| edit.push(row, Origin::Clone));

@@ -27,7 +27,7 @@ fn found_by(gpu: &mut GpuBackend) -> Found {
         let mut step = TrainStep { view: number as usize % 3, ..step(number, settings) };
         step.statistics.density = Some(DensitySignal::PixelWeighted { depth_threshold: 2.0 });
         gpu.train_step(&step).unwrap();
-        gpu.average().unwrap();
+        gpu.add_to_mean().unwrap();
     }
     let state = gpu.state().unwrap();
     let population: Vec<_> = (0..20).map(|index| individual_of(&state.cloud, index % 6)).collect();

@@ -66,7 +66,7 @@ impl EvolutionBackend for CpuBackend {
         Ok(contributions)
     }
 
-    fn average(&mut self) -> Result<(), BackendError> {
+    fn add_to_mean(&mut self) -> Result<(), BackendError> {
         self.ensure_cloud("a mean")?;
         self.mean.add(self.trained.cloud(self.level));
         Ok(())

@@ -102,7 +102,8 @@ impl Default for EvolutionConfig {
     }
 }
 
-/// Mode `renew`: how many Gaussians there are, and how many of them are replaced, when.
+/// Mode `renew`. `fraction`, `every` and `until` are those of renewals, and `every` also spaces averaged states; the others
+/// are the mode's, with renewals or without.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RenewalConfig {

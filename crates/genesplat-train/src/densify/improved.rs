@@ -109,7 +109,7 @@ impl Trainer<'_> {
     /// Decides the densification of iteration `i`.
     pub(super) fn plan_improved(&mut self, i: u32) -> Result<Plan, TrainError> {
         let (rules, statistics) = (self.improved_rules(i), self.backend.statistics()?);
-        let genes = self.healthy_genes()?;
+        let genes = self.finite_genes()?;
         let scores = if self.schedule.is_budget_full(i) {
             (0..genes.len()).map(|row| statistics.mean_gradient(row)).collect()
         } else {

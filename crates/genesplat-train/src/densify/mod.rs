@@ -51,9 +51,9 @@ impl Trainer<'_> {
         match self.config.density_control() {
             DensityControl::Adaptive => {
                 let (rules, statistics) = (self.adaptive_rules(i), self.backend.statistics()?);
-                Ok(adaptive::plan(&statistics, &self.healthy_genes()?, &rules, self.rng, i))
+                Ok(adaptive::plan(&statistics, &self.finite_genes()?, &rules, self.rng, i))
             }
-            DensityControl::Mcmc => Ok(mcmc::plan(&self.healthy_genes()?, &self.mcmc_rules(), self.rng, i)),
+            DensityControl::Mcmc => Ok(mcmc::plan(&self.finite_genes()?, &self.mcmc_rules(), self.rng, i)),
             DensityControl::Selection => self.plan_improved(i),
         }
     }

@@ -54,7 +54,7 @@ impl Trainer<'_> {
     /// stage in full.
     pub(crate) fn run_stage<S: Stage>(&mut self, cursor: Cursor) -> Result<Option<Box<Checkpoint>>, TrainError> {
         let clock = Instant::now();
-        let mut saved = if S::KEEPS_CHANGES { Some(self.capture_healthy(cursor)?) } else { None };
+        let mut saved = if S::KEEPS_CHANGES { Some(self.capture_finite(cursor)?) } else { None };
         let (mut stage, mut record) = S::begin(self, cursor.iteration)?;
         if let Some((views, generations)) = stage.announcement() {
             self.tell_of_stage(&record, views, generations);

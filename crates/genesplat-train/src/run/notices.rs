@@ -78,7 +78,7 @@ fn notice_of_kept_intervals(config: &TrainConfig, schedule: &Schedule) -> Option
 
 /// Renewal ends density control early, in short runs before it has begun.
 fn notice_of_no_growth(schedule: &Schedule) -> Option<String> {
-    let is_wanted = schedule.renew_every.is_some() && schedule.densify_until > 0;
+    let is_wanted = schedule.is_renew_mode() && schedule.densify_until > 0;
     if !is_wanted || (1..=schedule.iterations).any(|i| schedule.is_densify(i)) {
         return None;
     }
@@ -117,12 +117,13 @@ fn notice_of_no_stage(schedule: &Schedule) -> Option<String> {
 
 /// A run may have no place for a renewal.
 fn notice_of_no_renewal(schedule: &Schedule) -> Option<String> {
-    let every = schedule.renew_every.filter(|_| schedule.renew_until > 0)?;
-    (1..=schedule.iterations).all(|i| !schedule.renews(i)).then(|| {
+    let is_wanted = schedule.is_renew_mode() && schedule.renew_until > 0;
+    (is_wanted && (1..=schedule.iterations).all(|i| !schedule.renews(i))).then(|| {
         format!(
-            "mode renew renews nothing here: renewals are {every} iterations apart \
+            "mode renew renews nothing here: renewals are {} iterations apart \
              (evolution.renewal.every), counted back from the end, and none may begin before iteration {} or after \
              iteration {} (evolution.renewal.until)",
+            schedule.renew_every,
             schedule.renew_from(),
             schedule.renew_until
         )

@@ -27,7 +27,7 @@ impl Trainer<'_> {
         let undone = self.backend.discard_queued_steps()? as u32;
         self.take_back(undone);
         // The last one of the schedule may be in better health, and only one is kept.
-        self.capture_healthy(self.cursor)
+        self.capture_finite(self.cursor)
     }
 
     /// Goes back before the last `undone` steps, and counts them no more.

@@ -1,6 +1,5 @@
 //! The state of a run, and its plumbing: how it begins, what it saves, how it ends.
 
-use std::borrow::Cow;
 use std::ops::Range;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
@@ -203,9 +202,9 @@ impl<'a> Trainer<'a> {
     }
 
     /// The same, where the cloud is finite.
-    pub(crate) fn capture_healthy(&mut self, cursor: Cursor) -> Result<Box<Checkpoint>, TrainError> {
+    pub(crate) fn capture_finite(&mut self, cursor: Cursor) -> Result<Box<Checkpoint>, TrainError> {
         let checkpoint = self.capture(cursor)?;
-        check_health(&checkpoint.state.cloud, self.progress.steps)?;
+        check_finite(&checkpoint.state.cloud, self.progress.steps)?;
         Ok(checkpoint)
     }
 
@@ -216,7 +215,7 @@ impl<'a> Trainer<'a> {
             self.wait_for_steps()?;
         }
         if self.schedule.is_checkpoint(i) {
-            let checkpoint = self.capture_healthy(Cursor::start_of(i + 1))?;
+            let checkpoint = self.capture_finite(Cursor::start_of(i + 1))?;
             self.observer.on_checkpoint(*checkpoint);
         }
         if wants_renders {
@@ -229,11 +228,11 @@ impl<'a> Trainer<'a> {
     /// The result of a run that reached its end, or was stopped at `checkpoint`.
     pub(crate) fn finish(mut self, checkpoint: Option<Box<Checkpoint>>) -> Result<Outcome, TrainError> {
         let cloud = match self.best_so_far(checkpoint.is_none()) {
-            // The run is lost, but not what it can be resumed from, unless that is as ill.
+            // The run is lost, but not what it can be resumed from, unless that is not finite either.
             Err(error) => {
-                let ill = matches!(error, TrainError::Backend(BackendError::NonFinite { .. }));
+                let is_finite = !matches!(error, TrainError::Backend(BackendError::NonFinite { .. }));
                 let Some(checkpoint) = checkpoint else { return Err(self.rescue(error)) };
-                if !ill {
+                if is_finite {
                     self.observer.on_checkpoint(*checkpoint);
                 }
                 return Err(error);
@@ -262,7 +261,7 @@ impl<'a> Trainer<'a> {
         }
         self.judge_open_trial()?;
         let cloud = self.backend.copy()?;
-        check_health(&cloud, self.progress.steps)?;
+        check_finite(&cloud, self.progress.steps)?;
         Ok(cloud)
     }
 
@@ -270,20 +269,13 @@ impl<'a> Trainer<'a> {
         self.stop.load(Ordering::Relaxed)
     }
 
-    /// The cloud, which the rest of the host may trust to be finite.
-    pub(crate) fn healthy_cloud(&mut self) -> Result<Cow<'_, Gaussians>, TrainError> {
-        let steps = self.progress.steps;
-        let cloud = self.backend.download()?;
-        check_health(&cloud, steps)?;
-        Ok(cloud)
-    }
-
-    /// The genes of all rows, likewise. (A rotation or a colour that is not finite is found when a checkpoint is due.)
-    pub(crate) fn healthy_genes(&mut self) -> Result<Vec<Genes>, TrainError> {
+    /// The genes of all rows, which the rest of the host may trust to be finite. (A rotation or a colour that is not is found
+    /// when a checkpoint is due.)
+    pub(crate) fn finite_genes(&mut self) -> Result<Vec<Genes>, TrainError> {
         let genes = self.backend.genes()?;
         if !genes.as_flattened().iter().all(|gene| gene.is_finite()) {
             // Names the row and the parameter.
-            self.healthy_cloud()?;
+            check_finite(&*self.backend.download()?, self.progress.steps)?;
         }
         Ok(genes)
     }
@@ -385,7 +377,7 @@ impl<'a> Trainer<'a> {
 }
 
 /// An error where the cloud is not finite.
-pub(crate) fn check_health(cloud: &Gaussians, steps: u32) -> Result<(), TrainError> {
+pub(crate) fn check_finite(cloud: &Gaussians, steps: u32) -> Result<(), TrainError> {
     let Some((row, parameter)) = cloud.first_non_finite() else { return Ok(()) };
     Err(BackendError::NonFinite { row, parameter, steps }.into())
 }

@@ -24,14 +24,14 @@ const PUBLISHED_ITERATIONS: f64 = 30_000.0;
 /// iteration lost one, it would never learn anything.
 const LOSING_INTERVAL_MIN: u32 = 10;
 
-/// Fraction of a run after which adaptive density control grows nothing that is to be renewed. Longer, and there is no time for
-/// renewals; at half, runs of 2,000 steps at 480 px had too few Gaussians.
+/// Fraction of a run of mode `renew` after which density control grows nothing, but for MCMC's. Longer, and there is no time
+/// for renewals; at half, runs of 2,000 steps at 480 px had too few Gaussians.
 const RENEWED_GROWTH: f64 = 0.65;
 
-/// Fraction of a run after which MCMC relocates nothing that is to be renewed; longer is worse.
+/// Fraction of a run of mode `renew` after which MCMC relocates and adds nothing; longer is worse.
 const RENEWED_RELOCATION: f64 = 0.5;
 
-/// Fraction of a run after which there is no reset before renewals: what is faint contributes nothing yet.
+/// Fraction of a run of mode `renew` after which there is no reset: what is faint contributes nothing to renewals yet.
 const RENEWED_RESETS: f64 = 0.5;
 
 /// Iterations between two rises of the spherical harmonics' degree (3DGS), before scaling.
@@ -65,9 +65,9 @@ pub enum Phase {
     /// The evolution stage, or the control in its place; its [`Trigger`] says where among the others.
     Evolve,
     /// Weight averaging: the state is added to the mean of the window's states.
-    AddToAverage,
+    AddToMean,
     /// Weight averaging: the mean of the window's states replaces the last one.
-    Average,
+    TakeMean,
     /// Renewal: the last one is judged, and the next one begins.
     Renew,
 }
@@ -79,19 +79,19 @@ impl Phase {
     /// The phases of an iteration, in order.
     pub fn order(trigger: Trigger) -> [Self; Self::COUNT] {
         use Phase::{
-            AddToAverage, Average, Densify, Evolve, RefreshFilter, RefreshVirtualViews, Renew, ResetOpacity, Step,
+            AddToMean, Densify, Evolve, RefreshFilter, RefreshVirtualViews, Renew, ResetOpacity, Step, TakeMean,
         };
         let [a, b, c, d] = match trigger {
             Trigger::BeforeDensify => [Evolve, Densify, RefreshFilter, ResetOpacity],
             Trigger::AfterDensify | Trigger::BeforeReset => [Densify, RefreshFilter, Evolve, ResetOpacity],
             Trigger::AfterReset | Trigger::AtEnd => [Densify, RefreshFilter, ResetOpacity, Evolve],
         };
-        [Step, RefreshVirtualViews, a, b, c, d, AddToAverage, Average, Renew]
+        [Step, RefreshVirtualViews, a, b, c, d, AddToMean, TakeMean, Renew]
     }
 
     /// Its time counts as evolution's.
     pub fn is_evolution(self) -> bool {
-        matches!(self, Self::RefreshVirtualViews | Self::Evolve | Self::AddToAverage | Self::Average | Self::Renew)
+        matches!(self, Self::RefreshVirtualViews | Self::Evolve | Self::AddToMean | Self::TakeMean | Self::Renew)
     }
 }
 
@@ -119,8 +119,9 @@ pub struct Schedule {
     pub reset_every: u32,
     /// Resets end before this iteration.
     reset_until: u32,
-    /// Iterations between two renewals, if there are any, counted back from the end of the run.
-    pub renew_every: Option<u32>,
+    /// Iterations between two renewals, or where they would be, counted back from the end of the run; what mode `renew`
+    /// averages is spaced by it.
+    pub renew_every: u32,
     /// The last renewal is begun at or before this iteration.
     pub renew_until: u32,
     /// Rows are replaced in the second half of the run.
@@ -158,7 +159,7 @@ impl Schedule {
             size_prune_after: scaled(densify.size_prune_after),
             reset_every: interval(densify.reset_every),
             reset_until: scaled(densify.until).min(latest(RENEWED_RESETS)),
-            renew_every: renews.then(|| of_run(iterations, renewal.every).max(1)),
+            renew_every: of_run(iterations, renewal.every).max(1),
             renew_until: of_run(iterations, config.renew_until()),
             has_renewals: false,
             improved: ImprovedSteps::new(scaled, interval),
@@ -200,8 +201,8 @@ impl Schedule {
             Phase::RefreshFilter => self.is_filter_refresh(i),
             Phase::ResetOpacity => self.is_reset(i),
             Phase::Evolve => self.is_stage(i),
-            Phase::AddToAverage => self.is_averaged(i),
-            Phase::Average => self.window().is_some_and(|window| self.window_end(window, i) == Some(i)),
+            Phase::AddToMean => self.is_averaged(i),
+            Phase::TakeMean => self.window().is_some_and(|window| self.window_end(window, i) == Some(i)),
             Phase::Renew => self.is_renewal(i),
         }
     }
@@ -235,11 +236,14 @@ impl Schedule {
         self.has_filter_3d() && (self.is_densify(i) || late)
     }
 
-    /// Oversized Gaussians are pruned in iteration `i`; with renewal their contribution decides.
+    /// The mode is `renew`, whether it renews anything or not.
+    pub(crate) fn is_renew_mode(&self) -> bool {
+        self.config.evolution.mode == EvolutionMode::Renew
+    }
+
+    /// Oversized Gaussians are pruned in iteration `i`: neither by selection nor in mode `renew`.
     pub fn prunes_by_size(&self, i: u32) -> bool {
-        i > self.size_prune_after
-            && self.config.density_control() != DensityControl::Selection
-            && self.renew_every.is_none()
+        i > self.size_prune_after && self.config.density_control() != DensityControl::Selection && !self.is_renew_mode()
     }
 
     /// Fraction of its limit that the cloud may have reached in iteration `i`, with adaptive density control.
@@ -251,7 +255,7 @@ impl Schedule {
     /// In mode `renew` the cloud grows gradually over density control: what is wanted first, of photos that were hardly looked at,
     /// is not what is needed most, and a small cloud takes less time. (MCMC does not ask.)
     fn grows_gradually(&self) -> bool {
-        self.renew_every.is_some() && self.config.evolution.renewal.gradual_growth
+        self.is_renew_mode() && self.config.evolution.renewal.gradual_growth
     }
 
     /// Evolution stages were asked for, or controls in their place.
@@ -280,10 +284,9 @@ impl Schedule {
     /// A renewal begins at the end of iteration `i`, and there is time to judge it. Renewals are counted back from the
     /// end of the run, as windows are, so that averaging comes first wherever both are due.
     pub fn renews(&self, i: u32) -> bool {
-        let Some(every) = self.renew_every else { return false };
-        let is_judged = i.saturating_add(every) < self.iterations;
+        let is_judged = i.saturating_add(self.renew_every) < self.iterations;
         let is_in_time = i >= self.renew_from() && i <= self.renew_until;
-        is_judged && is_in_time && (self.iterations - i).is_multiple_of(every)
+        self.is_renew_mode() && is_judged && is_in_time && (self.iterations - i).is_multiple_of(self.renew_every)
     }
 
     /// No renewal begins before this iteration: rows stay what they are from then on.
@@ -293,7 +296,7 @@ impl Schedule {
 
     /// A renewal begins or is judged.
     fn is_renewal(&self, i: u32) -> bool {
-        self.renews(i) || self.renew_every.is_some_and(|every| i >= every && self.renews(i - every))
+        self.renews(i) || i >= self.renew_every && self.renews(i - self.renew_every)
     }
 
     /// Training views that a renewal measures contributions on, at most.
@@ -304,16 +307,16 @@ impl Schedule {
     /// Iterations of a window of weight averaging, if it runs; the last window ends with the run. Without renewals it is
     /// the only one. (One of a single iteration would hold no state at the end of the run.)
     fn window(&self) -> Option<u32> {
-        let every = self.renew_every.filter(|_| self.config.evolution.renewal.averaging)?;
-        let window = if self.has_renewals { every } else { of_run(self.iterations, LAST_WINDOW) };
-        (window > 1).then_some(window)
+        let averages = self.is_renew_mode() && self.config.evolution.renewal.averaging;
+        let window = if self.has_renewals { self.renew_every } else { of_run(self.iterations, LAST_WINDOW) };
+        (averages && window > 1).then_some(window)
     }
 
     /// The state at the end of iteration `i` is one of those that its window averages; the last iteration makes no
     /// step.
     fn is_averaged(&self, i: u32) -> bool {
         self.window().is_some_and(|window| {
-            let every = self.renew_every.map_or(1, |every| (every / WINDOW_STATES).max(1));
+            let every = (self.renew_every / WINDOW_STATES).max(1);
             let is_state = (self.iterations - i).is_multiple_of(every);
             is_state && i < self.iterations && self.window_end(window, i).is_some()
         })

@@ -128,10 +128,8 @@ fn other_triggers_move_the_stage_and_a_stride_thins_it() {
 
 #[test]
 fn the_evolution_stage_has_its_place_by_the_trigger() {
-    use Phase::{
-        AddToAverage, Average, Densify, Evolve, RefreshFilter, RefreshVirtualViews, Renew, ResetOpacity, Step,
-    };
-    let late = [AddToAverage, Average, Renew];
+    use Phase::{AddToMean, Densify, Evolve, RefreshFilter, RefreshVirtualViews, Renew, ResetOpacity, Step, TakeMean};
+    let late = [AddToMean, TakeMean, Renew];
     for (trigger, early) in [
         (Trigger::BeforeDensify, [Step, Evolve, Densify, RefreshFilter, ResetOpacity]),
         (Trigger::AfterDensify, [Step, Densify, RefreshFilter, Evolve, ResetOpacity]),
@@ -178,16 +176,16 @@ fn averaging(change: impl FnOnce(&mut TrainConfig)) -> Schedule {
 fn weight_averaging_comes_at_the_end_of_each_window_in_which_rows_stay() {
     let full = averaging(|_| {});
     assert_eq!(full.stages().count(), 0, "none of the paper's");
-    assert_eq!(iterations_with(&full, Phase::Average), [18_000, 21_000, 24_000, 27_000, 30_000]);
-    let averaged = iterations_with(&full, Phase::AddToAverage);
+    assert_eq!(iterations_with(&full, Phase::TakeMean), [18_000, 21_000, 24_000, 27_000, 30_000]);
+    let averaged = iterations_with(&full, Phase::AddToMean);
     // Ten states a window, but for the last step of the run.
     assert_eq!((averaged.len(), averaged[0], averaged[1], averaged[48]), (49, 15_300, 15_600, 29_700));
     // MCMC moves rows until half of the run: there is a window more than in a run that densifies as long.
     let mcmc = averaging(|config| config.variant = Variant::Mcmc);
-    assert_eq!(iterations_with(&mcmc, Phase::Average), iterations_with(&full, Phase::Average));
+    assert_eq!(iterations_with(&mcmc, Phase::TakeMean), iterations_with(&full, Phase::TakeMean));
     // A window needs half its length after density control, which a run that is cut short ends at 65 %.
     let short = averaging(|config| config.iterations = 7000);
-    assert_eq!(iterations_with(&short, Phase::Average), [4900, 5600, 6300, 7000]);
+    assert_eq!(iterations_with(&short, Phase::TakeMean), [4900, 5600, 6300, 7000]);
     let none = averaging(|config| {
         (config.evolution.renewal.averaging, config.evolution.renewal.until) = (false, Some(0.0));
     });
@@ -203,8 +201,8 @@ fn without_renewals_the_last_two_fifths_are_one_window() {
             config.densify.until = until;
         });
         assert_eq!(iterations_with(&schedule, Phase::Renew), [] as [u32; 0]);
-        assert_eq!(iterations_with(&schedule, Phase::Average), [30_000]);
-        let averaged = iterations_with(&schedule, Phase::AddToAverage);
+        assert_eq!(iterations_with(&schedule, Phase::TakeMean), [30_000]);
+        let averaged = iterations_with(&schedule, Phase::AddToMean);
         assert_eq!((averaged.len(), averaged[0], averaged[1], averaged[78]), (79, 18_150, 18_300, 29_850));
     }
 }
@@ -292,10 +290,7 @@ fn renewal_begins_when_density_control_has_ended_and_leaves_time_to_learn() {
     let begun = renewals(|_| {});
     assert_eq!(begun, [15_000, 16_500, 18_000, 19_500, 21_000, 22_500]);
     assert_eq!(iterations_with(&full, Phase::Renew), [&begun[..], &[24_000]].concat(), "the last is only judged");
-    assert_eq!(
-        full.phases(18_000).collect::<Vec<_>>(),
-        [Phase::Step, Phase::AddToAverage, Phase::Average, Phase::Renew]
-    );
+    assert_eq!(full.phases(18_000).collect::<Vec<_>>(), [Phase::Step, Phase::AddToMean, Phase::TakeMean, Phase::Renew]);
     // MCMC would relocate until 25,000.
     let mcmc = renewing(|config| config.variant = Variant::Mcmc);
     assert_eq!(iterations_with(&mcmc, Phase::Renew), iterations_with(&full, Phase::Renew));
@@ -345,7 +340,7 @@ fn states_are_averaged_before_a_renewal_unless_density_control_has_just_ended() 
             .chain((100..=1000).map(|iterations| (iterations, 15_000)))
     {
         let schedule = renewing(|config| (config.iterations, config.densify.until) = (iterations, until));
-        let averaged = iterations_with(&schedule, Phase::Average);
+        let averaged = iterations_with(&schedule, Phase::TakeMean);
         let settled = schedule.densify_until + schedule.window().unwrap() / 2;
         let renewed = iterations_with(&schedule, Phase::Renew);
         assert!(!renewed.is_empty(), "{iterations} iterations");

@@ -146,5 +146,5 @@ fn without_averaging_nothing_is_averaged() {
     let mut backend = backend();
     let outcome = run_with(&config, &mut backend);
     assert!(outcome.summary.stages.is_empty());
-    assert!(!backend.calls.iter().any(|call| matches!(call, Call::Average | Call::TakeMean { .. })));
+    assert!(!backend.calls.iter().any(|call| matches!(call, Call::AddToMean | Call::TakeMean { .. })));
 }

@@ -36,7 +36,7 @@ pub(crate) enum Call {
         rows: usize,
         moments: MomentPolicy,
     },
-    Average,
+    AddToMean,
     Contributions {
         views: usize,
     },
@@ -390,9 +390,9 @@ impl EvolutionBackend for FakeBackend {
         Ok(self.cloud.positions.iter().enumerate().map(contribution).collect())
     }
 
-    fn average(&mut self) -> Result<(), BackendError> {
+    fn add_to_mean(&mut self) -> Result<(), BackendError> {
         self.settle()?;
-        self.calls.push(Call::Average);
+        self.calls.push(Call::AddToMean);
         self.mean.add(&self.cloud);
         Ok(())
     }

@@ -91,7 +91,7 @@ fn what_evolution_asks_does_not_depend_on_the_number_of_threads() {
         pool.install(|| {
             let mut backend = backend_with(&base);
             backend.set_views(&[view(), tall_view(), small_view()]).unwrap();
-            backend.average().unwrap();
+            backend.add_to_mean().unwrap();
             backend.train_step(&classic_step(1)).unwrap();
             let (views, settings) = ([0, 1, 2], classic_step(1).settings);
             let scores = backend.score(&population, &views, &settings).unwrap();
@@ -179,7 +179,7 @@ fn an_empty_cloud_and_a_single_pixel_are_rendered() {
 fn a_state_that_is_uploaded_goes_on_as_the_one_it_was_taken_from() {
     let mut first = backend_with(&cloud(300));
     first.train_step(&classic_step(1)).unwrap();
-    first.average().unwrap();
+    first.add_to_mean().unwrap();
     first.train_step(&classic_step(2)).unwrap();
     let statistics = StatisticsRequest::default();
     first.train_step(&TrainStep { update: None, keeps_gradients: true, statistics, ..classic_step(3) }).unwrap();
@@ -208,7 +208,7 @@ fn a_roll_back_brings_back_cloud_and_moments_to_the_bit() {
         let before = backend.state().unwrap();
         backend.edit_rows_on_trial(&RowEdit::keep(vec![5, 1, 7])).unwrap();
         backend.train_step(&classic_step(4)).unwrap();
-        backend.average().unwrap();
+        backend.add_to_mean().unwrap();
         backend.reset_opacity(0.01).unwrap();
         let held = backend.state().unwrap();
         let snapshot = held.snapshot.clone().unwrap();
@@ -248,7 +248,7 @@ fn edits_and_resets_empty_the_mean() {
         |backend| backend.take_mean().unwrap(),
     ];
     for change in changes {
-        backend.average().unwrap();
+        backend.add_to_mean().unwrap();
         assert_eq!(backend.state().unwrap().mean.states(), 1);
         change(&mut backend);
         assert_eq!(backend.state().unwrap().mean.states(), 0);
