@@ -111,10 +111,9 @@ fn config(bytes: &[u8]) {
     let Ok(text) = str::from_utf8(bytes) else { return };
     let Some(config) = said(toml::from_str::<TrainConfig>(text)) else { return };
     let written = toml::to_string(&config).ok();
-    let Some(resolved) = said(config.clone().resolve()) else { return };
+    let Some(schedule) = said(config.clone().resolve()) else { return };
     let again = toml::from_str::<TrainConfig>(&written.expect("what is valid is written")).expect("and read again");
     assert_eq!(again, config);
-    let schedule = resolved.schedule();
     let last = schedule.iterations;
     for i in [1, 500.min(last), last.div_ceil(2), last.saturating_sub(1).max(1), last] {
         let phases = schedule.phases(i).count();

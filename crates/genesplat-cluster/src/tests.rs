@@ -10,7 +10,7 @@ use genesplat_io::{HoldOut, Scene};
 use genesplat_kernels::cpu::CpuBackend;
 use genesplat_train::observe::{Observer, StageRecord, StepLog};
 use genesplat_train::scene::initialise::ColouredPoint;
-use genesplat_train::{Checkpoint, EvolutionMode, Outcome, Resolved, Silent, Start, TrainConfig, Variant, train};
+use genesplat_train::{Checkpoint, EvolutionMode, Outcome, Schedule, Silent, Start, TrainConfig, Variant, train};
 
 use crate::wire::Writer;
 use crate::{ClusterBackend, Group, Threads};
@@ -41,7 +41,7 @@ fn points() -> Vec<ColouredPoint> {
     scene().points.iter().map(|point| (point.position, point.rgb)).collect()
 }
 
-fn config(variant: Variant, mode: EvolutionMode, views_per_step: u32) -> Resolved {
+fn config(variant: Variant, mode: EvolutionMode, views_per_step: u32) -> Schedule {
     settings(variant, mode, views_per_step).resolve().unwrap()
 }
 
@@ -83,7 +83,7 @@ struct Joint {
 /// A run on some ranks, the last of which is asked to stop after an iteration.
 fn on_ranks(
     count: usize,
-    config: &Resolved,
+    config: &Schedule,
     start: impl Fn(&Group) -> Start + Sync,
     prepare: impl Fn(&mut ClusterBackend) + Sync,
     stop_after: u32,
@@ -119,7 +119,7 @@ fn bits(cloud: &Gaussians) -> Vec<u32> {
     out.words
 }
 
-fn alone(config: &Resolved, start: Start) -> Outcome {
+fn alone(config: &Schedule, start: Start) -> Outcome {
     let mut backend = CpuBackend::new();
     train(&mut backend, views(), start, config, &mut Silent, &AtomicBool::new(false)).unwrap()
 }
@@ -222,7 +222,7 @@ fn ranks_write_the_checkpoint_of_one_process() {
 }
 
 /// The last checkpoint that was due in a run of one process.
-fn checkpoint_alone(config: &Resolved) -> Checkpoint {
+fn checkpoint_alone(config: &Schedule) -> Checkpoint {
     let (mut observer, mut backend) = (Asks::default(), CpuBackend::new());
     let start = Start::Points(points());
     train(&mut backend, views(), start, config, &mut observer, &AtomicBool::new(false)).unwrap();

@@ -15,7 +15,7 @@ use genesplat_kernels::cpu::CpuBackend;
 use genesplat_metrics::evaluate;
 use genesplat_train::observe::StepLog;
 use genesplat_train::{
-    Checkpoint, EvolutionMode, Observer, Outcome, Resolved, Silent, StageKind, StageRecord, Start, TrainConfig,
+    Checkpoint, EvolutionMode, Observer, Outcome, Schedule, Silent, StageKind, StageRecord, Start, TrainConfig,
     Trigger, Variant, train,
 };
 
@@ -41,7 +41,7 @@ fn config(variant: Variant) -> TrainConfig {
 /// The first 60 iterations of it, without the reset, which would leave little to see: with a search after the
 /// densification in the 30th; or with a renewal begun in the 44th and measured in the 52nd, and averages kept then or
 /// in the 60th.
-fn evolving(mode: EvolutionMode) -> Resolved {
+fn evolving(mode: EvolutionMode) -> Schedule {
     let mut config = TrainConfig { iterations: 12_000, ..config(Variant::ThreeDgs) };
     config.densify.reset_every = 30_000;
     let evolution = &mut config.evolution;
@@ -92,7 +92,7 @@ fn ellipsoids(scene: &Scene) -> Gaussians {
 }
 
 /// A whole run, and the mean PSNR over all photos at its end.
-fn trained(backend: &mut impl EvolutionBackend, scene: &Scene, start: Start, config: &Resolved) -> (Outcome, f64) {
+fn trained(backend: &mut impl EvolutionBackend, scene: &Scene, start: Start, config: &Schedule) -> (Outcome, f64) {
     let clock = Instant::now();
     let stop = AtomicBool::new(false);
     let outcome = train(backend, &scene.train, start, config, &mut Silent, &stop).unwrap();
@@ -167,7 +167,7 @@ fn virtual_views_come_out_as_on_the_cpu_and_a_stop_changes_nothing() {
     config.evolution.mode = EvolutionMode::Renew;
     config.evolution.renewal.virtual_views = Some(true);
     let config = config.resolve().unwrap();
-    let steps = config.schedule().virtual_steps(scene.train.len()).unwrap();
+    let steps = config.virtual_steps(scene.train.len()).unwrap();
     assert!(steps.from < 20, "the run is stopped among them");
     let (run, ours) = trained(&mut gpu, &scene, points(&scene), &config);
     let (_, theirs) = trained(&mut CpuBackend::new(), &scene, points(&scene), &config);
@@ -185,7 +185,7 @@ fn stages(run: &Outcome) -> Vec<(StageKind, u32)> {
 }
 
 /// A run that is stopped in iteration `at`, and goes on from its checkpoint's bytes.
-fn stopped_and_resumed(gpu: &mut GpuBackend, scene: &Scene, config: &Resolved, at: u32) -> Outcome {
+fn stopped_and_resumed(gpu: &mut GpuBackend, scene: &Scene, config: &Schedule, at: u32) -> Outcome {
     let stop = AtomicBool::new(false);
     let stopped = train(gpu, &scene.train, points(scene), config, &mut StopAt(at, &stop), &stop).unwrap();
     let mut bytes = Vec::new();

@@ -9,23 +9,24 @@
 //! |---|---|
 //! | [`pipeline`] | the order of everything |
 //! | [`config`], [`schedule`] | what happens at which iteration |
-//! | [`densify`] | where Gaussians are added and removed: adaptive, selection, MCMC, renewal on trial; how many there may be |
+//! | `densify` | where Gaussians are added and removed: adaptive, selection, MCMC, renewal on trial; how many there may be |
 //! | `evolution` | the paper's search, weight averaging, the equal-time control, and the executor of such stages |
 //! | [`scene`] | the first cloud, the size of the scene, the order of views, virtual views, Mip-Splatting's 3D filter |
 //! | `run` | a run under way: its state, what it reports, what it saves, what is saved when memory ends |
 
 pub mod config;
-pub mod densify;
+mod densify;
 mod evolution;
 pub mod pipeline;
 mod run;
 pub mod scene;
 pub mod schedule;
 
-pub use config::{Background, ConfigError, EvolutionMode, Resolved, StepBudget, TrainConfig, Trigger, Variant};
-pub use densify::cap::expected_gaussians;
+pub use config::{Background, ConfigError, EvolutionMode, StepBudget, TrainConfig, Trigger, Variant};
+pub use densify::{cap::expected_gaussians, improved::edge_scores};
 pub use evolution::search;
 pub use pipeline::train;
 pub use run::checkpoint::{self, Checkpoint};
 pub use run::observe::{self, Observer, Silent, StageKind, StageRecord};
 pub use run::{Outcome, RunSummary, Seconds, Start, TrainError};
+pub use schedule::Schedule;

@@ -37,14 +37,14 @@ use std::sync::atomic::AtomicBool;
 
 use genesplat_core::{EvolutionBackend, StatisticsRequest, View};
 
-use crate::config::{EvolutionMode, Resolved};
+use crate::config::EvolutionMode;
 use crate::densify::Plan;
 use crate::evolution::{ExtraGradientSteps, GeneticSearch};
 use crate::run::checkpoint::{Checkpoint, Cursor};
 use crate::run::observe::{DensifyLog, Observer, StepLog};
 use crate::run::trainer::{REPORT_EVERY, Trainer, filter_of};
 use crate::run::{Outcome, Start, TrainError};
-use crate::schedule::{Phase, Visit};
+use crate::schedule::{Phase, Schedule, Visit};
 
 /// Trains on `views` until the schedule ends or `stop` is set.
 ///
@@ -54,11 +54,11 @@ pub fn train(
     backend: &mut dyn EvolutionBackend,
     views: &[View],
     start: Start,
-    config: &Resolved,
+    schedule: &Schedule,
     observer: &mut dyn Observer,
     stop: &AtomicBool,
 ) -> Result<Outcome, TrainError> {
-    let mut trainer = Trainer::new(backend, views, config, observer, stop)?;
+    let mut trainer = Trainer::new(backend, views, schedule, observer, stop)?;
     let notices = trainer.notices(&start)?;
     let cursor = trainer.begin(start)?;
     notices.iter().for_each(|notice| trainer.observer.notice(notice));
@@ -97,7 +97,6 @@ impl Trainer<'_> {
 
     /// Does one phase. Returns a checkpoint when it was stopped within.
     fn perform(&mut self, i: u32, phase: Phase) -> Result<Option<Box<Checkpoint>>, TrainError> {
-        let cursor = Cursor { iteration: i, phase };
         match phase {
             Phase::Step => self.step(i)?,
             Phase::RefreshVirtualViews => self.refresh_virtual_views(i)?,
@@ -105,9 +104,9 @@ impl Trainer<'_> {
             Phase::RefreshFilter => self.refresh_filter()?,
             Phase::ResetOpacity => self.reset_opacity()?,
             Phase::Evolve if self.config.evolution.mode == EvolutionMode::Paper => {
-                return self.run_stage::<GeneticSearch>(cursor);
+                return self.run_stage::<GeneticSearch>();
             }
-            Phase::Evolve => return self.run_stage::<ExtraGradientSteps>(cursor),
+            Phase::Evolve => return self.run_stage::<ExtraGradientSteps>(),
             Phase::AddToMean => self.backend.add_to_mean()?,
             Phase::TakeMean => self.take_mean(i)?,
             Phase::Renew => self.renew(i)?,

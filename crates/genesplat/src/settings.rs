@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Result, anyhow, bail, ensure};
 use genesplat::io::{HoldOut, LoadOptions, MaskUse, PhotoSize, input, shown};
-use genesplat::train::{Background, Resolved, TrainConfig};
+use genesplat::train::{Background, Schedule, TrainConfig};
 use serde::de::Error;
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
@@ -28,7 +28,7 @@ pub(crate) struct Settings {
     pub(crate) device: DeviceChoice,
     /// `None` for all cores.
     pub(crate) threads: Option<u16>,
-    pub(crate) train: Resolved,
+    pub(crate) train: Schedule,
 }
 
 /// Where the photos are and how large they are loaded.

@@ -1,7 +1,7 @@
 //! Every setting of training, in one plain struct.
 //!
 //! A file may name any subset; the rest has the published defaults. [`TrainConfig::resolve`] checks ranges and scales
-//! steps once; from then on only [`Resolved`] travels, which cannot hold an invalid setting.
+//! steps once; from then on only the [`Schedule`] travels, which cannot hold an invalid setting.
 
 use std::fmt;
 
@@ -207,29 +207,6 @@ impl Default for OptimiserConfig {
     }
 }
 
-/// A checked configuration and its schedule.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Resolved {
-    schedule: Schedule,
-}
-
-impl Resolved {
-    /// The settings as given.
-    pub fn config(&self) -> &TrainConfig {
-        self.schedule.config()
-    }
-
-    /// What happens when.
-    pub fn schedule(&self) -> &Schedule {
-        &self.schedule
-    }
-
-    /// How the finished cloud is to be rendered.
-    pub fn render_settings(&self) -> RenderSettings {
-        self.config().render_settings(self.config().sh_degree)
-    }
-}
-
 impl TrainConfig {
     /// The screen-space filter that training and evaluation render with.
     pub fn screen_filter(&self) -> ScreenFilter {
@@ -247,8 +224,8 @@ impl TrainConfig {
     }
 
     /// Checks every setting, and scales steps.
-    pub fn resolve(self) -> Result<Resolved, ConfigError> {
+    pub fn resolve(self) -> Result<Schedule, ConfigError> {
         self.validate()?;
-        Ok(Resolved { schedule: Schedule::new(self) })
+        Ok(Schedule::new(self))
     }
 }

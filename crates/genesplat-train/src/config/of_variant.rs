@@ -5,11 +5,11 @@ use super::{EvolutionMode, Signal, TrainConfig, Variant};
 /// Who decides where Gaussians are added and removed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DensityControl {
-    /// 3DGS: clone, split, prune ([`crate::densify::adaptive`]).
+    /// 3DGS: clone, split, prune.
     Adaptive,
-    /// 3DGS-MCMC: relocate and add ([`crate::densify::mcmc`]).
+    /// 3DGS-MCMC: relocate and add.
     Mcmc,
-    /// Selection: Improved-GS's, which mode `renew` takes over ([`crate::densify::improved`]).
+    /// Selection: Improved-GS's, which mode `renew` takes over.
     Selection,
 }
 

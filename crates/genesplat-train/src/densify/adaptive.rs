@@ -15,21 +15,21 @@ use super::Plan;
 
 /// Thresholds of one densification.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Rules {
+pub(crate) struct Rules {
     /// Mean screen-space gradient from which a Gaussian grows, in normalised device coordinates.
-    pub gradient_threshold: f32,
+    pub(crate) gradient_threshold: f32,
     /// As many Gaussians again may grow for their absolute gradient as reach that threshold (`absolute_threshold`,
     /// below).
-    pub or_absolute: bool,
+    pub(crate) or_absolute: bool,
     /// Growing Gaussians up to this size are cloned, larger ones split; longest axis, world units.
-    pub clone_size_max: f32,
+    pub(crate) clone_size_max: f32,
     /// Gaussians fainter than this are pruned.
-    pub prune_opacity: f32,
+    pub(crate) prune_opacity: f32,
     /// Gaussians larger than this are pruned, unless the cap turns growing ones away; longest axis, world units.
     /// `None`: size is no reason.
-    pub prune_size: Option<f32>,
+    pub(crate) prune_size: Option<f32>,
     /// Growth stops at this many Gaussians; the strongest gradients go first.
-    pub cap: Option<usize>,
+    pub(crate) cap: Option<usize>,
 }
 
 /// What is to become of a row.
@@ -41,7 +41,7 @@ enum Growth {
 }
 
 /// Decides one densification; `iteration` addresses the random offsets of split children.
-pub fn plan(statistics: &Statistics, genes: &[Genes], rules: &Rules, rng: Rng, iteration: u32) -> Plan {
+pub(crate) fn plan(statistics: &Statistics, genes: &[Genes], rules: &Rules, rng: Rng, iteration: u32) -> Plan {
     let absolute = rules.or_absolute.then(|| absolute_threshold(statistics, rules.gradient_threshold));
     let mut growth: Vec<Growth> =
         (0..genes.len()).map(|row| wanted_growth(statistics, genes, rules, absolute, row)).collect();

@@ -9,7 +9,7 @@ const GREY: [u32; 3] = [19_595, 38_470, 7_471];
 /// and -1 around, limited to 8 bits as in Pillow's `FIND_EDGES`, and stretched to the whole range. A photo of one colour
 /// has none, and neither have pixels whose filter touches one that `mask` hides. (What is beyond the border counts as the
 /// pixel itself; Pillow has the photo on the border.)
-pub fn edges(photo: &Photo, mask: Option<&Mask>) -> Vec<f32> {
+pub(crate) fn edges(photo: &Photo, mask: Option<&Mask>) -> Vec<f32> {
     let greys: Vec<i32> = photo.rgb.as_chunks().0.iter().map(|&rgb| grey(rgb)).collect();
     let counts = |pixel: usize| mask.is_none_or(|mask| mask.counts[pixel]);
     let size = [photo.width as usize, photo.height as usize];

@@ -21,7 +21,7 @@ use crate::run::trainer::Trainer;
 use crate::scene::views::ViewOrder;
 
 /// Gaussians at the end of growth, unless the configuration says otherwise (the authors' for indoor scenes).
-pub const DEFAULT_CAP: usize = 1_000_000;
+pub(crate) const DEFAULT_CAP: usize = 1_000_000;
 
 /// Views that have a say in a densification.
 const SCORE_VIEWS: u32 = 10;
@@ -41,19 +41,26 @@ const LATE_EASING: f32 = 1.5;
 
 /// Thresholds of one densification.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Rules {
+pub(crate) struct Rules {
     /// Mean absolute screen-space gradient from which a Gaussian may be split, in normalised device coordinates.
-    pub gradient_threshold: f32,
+    pub(crate) gradient_threshold: f32,
     /// Gaussians that there may be afterwards; more that are there already stay.
-    pub budget: usize,
+    pub(crate) budget: usize,
     /// Gaussians fainter than this are pruned.
-    pub prune_opacity: f32,
+    pub(crate) prune_opacity: f32,
     /// Part of the cloud that is pruned, the faintest first.
-    pub prune_fraction: f64,
+    pub(crate) prune_fraction: f64,
 }
 
 /// Decides one densification; `scores` say how much each row is worth splitting `[N]`, and `iteration` addresses the draw.
-pub fn plan(statistics: &Statistics, genes: &[Genes], scores: &[f32], rules: &Rules, rng: Rng, iteration: u32) -> Plan {
+pub(crate) fn plan(
+    statistics: &Statistics,
+    genes: &[Genes],
+    scores: &[f32],
+    rules: &Rules,
+    rng: Rng,
+    iteration: u32,
+) -> Plan {
     let pruned = pruned(genes, rules);
     let kept = pruned.iter().filter(|&&pruned| !pruned).count();
     let may_split =

@@ -13,10 +13,10 @@ use genesplat_core::{Gaussians, Genes, Origin, Rng, RowEdit, Stream};
 use super::Plan;
 
 /// Gaussians at which growth ends, unless the configuration says otherwise.
-pub const DEFAULT_CAP: usize = 1_000_000;
+pub(crate) const DEFAULT_CAP: usize = 1_000_000;
 
 /// Gaussians not more opaque than this are dead, and are relocated.
-pub const MIN_OPACITY: f32 = 0.005;
+pub(crate) const MIN_OPACITY: f32 = 0.005;
 
 /// At most this many copies are accounted for where they share a place (the authors' kernel has a table of this size).
 const SHARERS_MAX: u32 = 51;
@@ -30,13 +30,13 @@ const FOR_GROWTH: u32 = 1;
 
 /// Thresholds of one event.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Rules {
+pub(crate) struct Rules {
     /// Gaussians not more opaque than this are dead.
-    pub min_opacity: f32,
+    pub(crate) min_opacity: f32,
     /// Fraction of the Gaussians that is added.
-    pub growth: f64,
+    pub(crate) growth: f64,
     /// Growth ends at this many; more that are there already stay.
-    pub cap: usize,
+    pub(crate) cap: usize,
 }
 
 /// A new row in the making.
@@ -50,13 +50,13 @@ struct Row {
 }
 
 /// Opacity of the first Gaussians.
-pub const INITIAL_OPACITY: f32 = 0.5;
+pub(crate) const INITIAL_OPACITY: f32 = 0.5;
 
 /// Size of the first Gaussians, in distances to their neighbours.
-pub const INITIAL_SCALE: f32 = 0.1;
+pub(crate) const INITIAL_SCALE: f32 = 0.1;
 
 /// MCMC starts from small, half-transparent Gaussians.
-pub fn initialise(cloud: &mut Gaussians) {
+pub(crate) fn initialise(cloud: &mut Gaussians) {
     cloud.opacity_logits.fill(logit(INITIAL_OPACITY));
     cloud.log_scales.as_flattened_mut().iter_mut().for_each(|log_scale| *log_scale += INITIAL_SCALE.ln());
 }
@@ -65,7 +65,7 @@ pub fn initialise(cloud: &mut Gaussians) {
 ///
 /// Copies lie beside the row that they are of. Relocated Gaussians and their targets lose their moments; added ones
 /// have none, and their targets keep theirs.
-pub fn plan(genes: &[Genes], rules: &Rules, rng: Rng, iteration: u32) -> Plan {
+pub(crate) fn plan(genes: &[Genes], rules: &Rules, rng: Rng, iteration: u32) -> Plan {
     let mut rows: Vec<Row> = genes.iter().zip(0..).map(|(genes, row)| Row::kept(row, genes[6])).collect();
     let relocated = relocate(&mut rows, rules, &rng, iteration);
     let cloned = grow(&mut rows, rules, &rng, iteration);

@@ -2,11 +2,11 @@
 //!
 //! A strategy is pure: it reads statistics and genes and returns a [`Plan`], which the backend applies.
 
-pub mod adaptive;
+pub(crate) mod adaptive;
 pub(crate) mod cap;
-pub mod edges;
-pub mod improved;
-pub mod mcmc;
+pub(crate) mod edges;
+pub(crate) mod improved;
+pub(crate) mod mcmc;
 pub(crate) mod renew;
 
 use genesplat_core::{DensitySignal, RowEdit};
@@ -20,21 +20,21 @@ const PIXEL_GS_DEPTH: f64 = 0.37;
 
 /// What density control has decided.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Plan {
+pub(crate) struct Plan {
     /// The new rows.
-    pub edit: RowEdit,
+    pub(crate) edit: RowEdit,
     /// Dead Gaussians moved to living ones (MCMC).
-    pub relocated: usize,
+    pub(crate) relocated: usize,
     /// Gaussians duplicated.
-    pub cloned: usize,
+    pub(crate) cloned: usize,
     /// Gaussians replaced by two children.
-    pub split: usize,
+    pub(crate) split: usize,
     /// Rows removed: after growing, new ones included; by selection before it.
-    pub pruned: usize,
+    pub(crate) pruned: usize,
     /// Gaussians when growth ended, before what is pruned after it.
-    pub grown_to: usize,
+    pub(crate) grown_to: usize,
     /// Gaussians that wanted to grow but had no room below the cap.
-    pub refused: usize,
+    pub(crate) refused: usize,
 }
 
 impl Plan {
@@ -82,7 +82,7 @@ impl Trainer<'_> {
 ///
 /// Pixel-GS weights each view by the pixels blended, and scales gradients near the camera by `min(1, (z / (0.37 ·
 /// extent))²)` where that would grow floaters (Zhang et al., "Pixel-GS", ECCV 2024).
-pub fn signal(config: &TrainConfig, extent: f64) -> Option<DensitySignal> {
+pub(crate) fn signal(config: &TrainConfig, extent: f64) -> Option<DensitySignal> {
     match (config.density_control(), config.densify.signal) {
         (DensityControl::Mcmc, _) => None,
         (DensityControl::Selection, _) => Some(DensitySignal::Absolute),

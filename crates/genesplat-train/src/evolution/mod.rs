@@ -6,7 +6,7 @@
 use std::time::Instant;
 
 use crate::run::TrainError;
-use crate::run::checkpoint::{Checkpoint, Cursor};
+use crate::run::checkpoint::Checkpoint;
 use crate::run::observe::{StageLog, StageRecord};
 use crate::run::trainer::Trainer;
 
@@ -52,8 +52,8 @@ pub(crate) trait Stage: Sized {
 impl Trainer<'_> {
     /// Runs a stage. Returns a checkpoint where it was stopped: the best so far counts, but a resumed run repeats the
     /// stage in full.
-    pub(crate) fn run_stage<S: Stage>(&mut self, cursor: Cursor) -> Result<Option<Box<Checkpoint>>, TrainError> {
-        let clock = Instant::now();
+    pub(crate) fn run_stage<S: Stage>(&mut self) -> Result<Option<Box<Checkpoint>>, TrainError> {
+        let (clock, cursor) = (Instant::now(), self.cursor);
         let mut saved = if S::KEEPS_CHANGES { Some(self.capture_finite(cursor)?) } else { None };
         let (mut stage, mut record) = S::begin(self, cursor.iteration)?;
         if let Some((views, generations)) = stage.announcement() {

@@ -5,12 +5,11 @@ use std::sync::atomic::AtomicBool;
 use genesplat_core::{EvolutionBackend, Gaussians, StatisticsRequest, View};
 
 use super::GeneticSearch;
-use crate::config::Resolved;
 use crate::run::checkpoint::Cursor;
 use crate::run::observe::Observer;
 use crate::run::trainer::Trainer;
 use crate::run::{Outcome, Start, TrainError};
-use crate::schedule::{OptimiserStep, Phase};
+use crate::schedule::{OptimiserStep, Phase, Schedule};
 
 /// One search of `evolution.paper` on a finished cloud from any trainer, without gradient steps.
 ///
@@ -20,14 +19,14 @@ pub fn search(
     backend: &mut dyn EvolutionBackend,
     views: &[View],
     cloud: Gaussians,
-    config: &Resolved,
+    schedule: &Schedule,
     observer: &mut dyn Observer,
     stop: &AtomicBool,
 ) -> Result<Outcome, TrainError> {
-    let mut trainer = Trainer::new(backend, views, config, observer, stop)?;
+    let mut trainer = Trainer::new(backend, views, schedule, observer, stop)?;
     trainer.begin(Start::Cloud(cloud))?;
-    let last = config.schedule().finished_iteration();
-    if config.config().evolution.paper.uses_gradients() {
+    let last = schedule.finished_iteration();
+    if schedule.config().evolution.paper.uses_gradients() {
         let genes = StatisticsRequest { density: None, genes: true };
         for view in 0..views.len() {
             trainer.train_step(view, last, 0, OptimiserStep::Lost, genes)?;
@@ -38,8 +37,8 @@ pub fn search(
         }
     }
     trainer.wait_for_steps()?;
-    let cursor = Cursor { iteration: last, phase: Phase::Evolve };
-    let checkpoint = trainer.on_the_clock(Phase::Evolve, |trainer| trainer.run_stage::<GeneticSearch>(cursor))?;
+    trainer.cursor = Cursor { iteration: last, phase: Phase::Evolve };
+    let checkpoint = trainer.on_the_clock(Phase::Evolve, |trainer| trainer.run_stage::<GeneticSearch>())?;
     let mut outcome = trainer.finish(None)?;
     (outcome.summary.interrupted, outcome.summary.iterations) = (checkpoint.is_some(), 0);
     Ok(outcome)

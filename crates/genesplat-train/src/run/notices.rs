@@ -167,14 +167,14 @@ mod tests {
     #[test]
     fn who_shortens_a_run_hears_which_intervals_stay() {
         let notice = |steps_scale| {
-            let resolved = TrainConfig { steps_scale, ..TrainConfig::published() }.resolve().unwrap();
-            notice_of_kept_intervals(resolved.config(), resolved.schedule())
+            let schedule = TrainConfig { steps_scale, ..TrainConfig::published() }.resolve().unwrap();
+            notice_of_kept_intervals(schedule.config(), &schedule)
         };
         assert_eq!((notice(1.0), notice(2.0)), (None, None));
         // Selection's intervals follow the length of the run.
         for iterations in [3000, 40_000, 60_000] {
-            let resolved = TrainConfig { iterations, ..TrainConfig::default() }.resolve().unwrap();
-            assert_eq!(notice_of_kept_intervals(resolved.config(), resolved.schedule()), None, "{iterations}");
+            let schedule = TrainConfig { iterations, ..TrainConfig::default() }.resolve().unwrap();
+            assert_eq!(notice_of_kept_intervals(schedule.config(), &schedule), None, "{iterations}");
         }
         let text = notice(0.1).expect("a notice");
         assert!(text.ends_with("100 iterations at least: densify.every is 100 and not 10"), "{text}");
@@ -186,7 +186,7 @@ mod tests {
     fn who_cuts_a_run_short_just_after_a_reset_hears_of_it() {
         let notice = |iterations| {
             let config = TrainConfig { iterations, ..TrainConfig::published() };
-            notice_of_late_reset(config.resolve().unwrap().schedule())
+            notice_of_late_reset(&config.resolve().unwrap())
         };
         // One that would fall into the last iteration does not happen.
         for iterations in [2000, 3000, 3300, 7000, 30_000] {
@@ -203,7 +203,7 @@ mod tests {
         let notice = |change: fn(&mut TrainConfig), iterations| {
             let mut config = TrainConfig { iterations, ..TrainConfig::published() };
             change(&mut config);
-            notice_of_no_stage(config.resolve().unwrap().schedule())
+            notice_of_no_stage(&config.resolve().unwrap())
         };
         let with_stages: [fn(&mut TrainConfig); 2] = [
             |config| config.evolution.mode = EvolutionMode::Paper,
@@ -223,8 +223,8 @@ mod tests {
         let notice = |depth, change: fn(&mut TrainConfig)| {
             let mut config = TrainConfig::published();
             change(&mut config);
-            let resolved = config.resolve().unwrap();
-            notice_of_lost_background(resolved.config(), resolved.schedule(), 2.0, depth)
+            let schedule = config.resolve().unwrap();
+            notice_of_lost_background(schedule.config(), &schedule, 2.0, depth)
         };
         let text = notice(10.0, |_| {}).expect("a notice");
         assert!(text.contains("5 times") && text.contains("iteration 3100") && text.contains("2 % of"), "{text}");

@@ -14,7 +14,7 @@ use super::checkpoint::{Checkpoint, Cursor, Progress};
 use super::notices;
 use super::observe::{Observer, StageRecord, StartLog};
 use super::{Outcome, RunSummary, Seconds, Start, TrainError};
-use crate::config::{Background, Resolved, TrainConfig, Variant};
+use crate::config::{Background, TrainConfig, Variant};
 use crate::densify::cap::Cap;
 use crate::densify::mcmc;
 use crate::scene::filter_3d::filter_3d;
@@ -61,14 +61,14 @@ impl<'a> Trainer<'a> {
     pub(crate) fn new(
         backend: &'a mut dyn EvolutionBackend,
         views: &'a [View],
-        resolved: &'a Resolved,
+        schedule: &'a Schedule,
         observer: &'a mut dyn Observer,
         stop: &'a AtomicBool,
     ) -> Result<Self, TrainError> {
         if views.is_empty() {
             return Err(TrainError::NoViews);
         }
-        let (config, schedule) = (resolved.config(), resolved.schedule());
+        let config = schedule.config();
         let extent = config.extent.map_or_else(|| scene_extent(views.iter().map(|view| &view.camera)), Ok)?;
         let rng = Rng::new(config.seed);
         backend.set_views(views)?;

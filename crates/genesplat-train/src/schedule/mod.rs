@@ -4,7 +4,7 @@
 //! between any two of them. The rules, quirks included, are those of the code released with 3DGS (2023), which Pixel-GS
 //! and Mip-Splatting share.
 
-use genesplat_core::{DensitySignal, LearningRates, StatisticsRequest};
+use genesplat_core::{DensitySignal, LearningRates, RenderSettings, StatisticsRequest};
 use serde::{Deserialize, Serialize};
 
 use improved::ImprovedSteps;
@@ -176,6 +176,11 @@ impl Schedule {
     /// The settings as given.
     pub fn config(&self) -> &TrainConfig {
         &self.config
+    }
+
+    /// How the finished cloud is to be rendered.
+    pub fn render_settings(&self) -> RenderSettings {
+        self.config.render_settings(self.config.sh_degree)
     }
 
     /// The phases of iteration `i`, in order.

@@ -4,8 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use genesplat_core::{Backend, DensitySignal, Origin, RenderSettings, RowEdit};
-use genesplat_train::densify::improved::edge_scores;
-use genesplat_train::{Checkpoint, EvolutionMode, Outcome, Silent, Start, TrainConfig, Variant, train};
+use genesplat_train::{Checkpoint, EvolutionMode, Outcome, Silent, Start, TrainConfig, Variant, edge_scores, train};
 
 use crate::support::{Call, FakeBackend, Told, points, views};
 

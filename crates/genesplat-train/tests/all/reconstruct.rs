@@ -8,7 +8,7 @@ use genesplat_kernels::cpu::CpuBackend;
 use genesplat_metrics::evaluate;
 use genesplat_train::scene::initialise::{ColouredPoint, cloud_from_points};
 use genesplat_train::scene::views::spread_evenly;
-use genesplat_train::{EvolutionMode, Outcome, Resolved, Silent, Start, TrainConfig, Variant, search, train};
+use genesplat_train::{EvolutionMode, Outcome, Schedule, Silent, Start, TrainConfig, Variant, search, train};
 use glam::{DMat3, DVec3};
 
 const WIDTH: u32 = 48;
@@ -64,7 +64,7 @@ fn scene() -> (Vec<View>, Vec<View>, Vec<ColouredPoint>) {
     (views, test, points)
 }
 
-fn config(change: impl FnOnce(&mut TrainConfig)) -> Resolved {
+fn config(change: impl FnOnce(&mut TrainConfig)) -> Schedule {
     let mut config = TrainConfig { steps_scale: 0.01, ..TrainConfig::published() };
     (config.densify.every, config.densify.reset_every) = (1, 30);
     config.max_gaussians = Some(600);
@@ -74,7 +74,7 @@ fn config(change: impl FnOnce(&mut TrainConfig)) -> Resolved {
     config.resolve().unwrap()
 }
 
-fn reconstruct(config: &Resolved) -> (Outcome, f64) {
+fn reconstruct(config: &Schedule) -> (Outcome, f64) {
     let (views, test, points) = scene();
     let mut backend = CpuBackend::new();
     let stop = AtomicBool::new(false);

@@ -78,7 +78,7 @@ fn stopping_between_any_two_phases_changes_nothing() {
         cursors.insert((checkpoint.cursor.iteration, checkpoint.cursor.phase as usize));
         assert_same(&resume(&checkpoint), &whole, &format!("stopped in call {call}"));
     }
-    let schedule = config().resolve().unwrap().schedule().clone();
+    let schedule = config().resolve().unwrap();
     for i in 2..=schedule.iterations {
         for phase in schedule.phases(i) {
             assert!(cursors.contains(&(i, phase as usize)), "never stopped before {phase:?} of iteration {i}");

@@ -5,7 +5,7 @@ use anyhow::{Result, bail, ensure};
 use genesplat::core::{RenderSettings, ScreenFilter};
 use genesplat::io::format::{self, Options};
 use genesplat::io::{Scene, shown};
-use genesplat::train::{Background, EvolutionMode, Outcome, Resolved, Start, TrainConfig, Variant, search, train};
+use genesplat::train::{Background, EvolutionMode, Outcome, Schedule, Start, TrainConfig, Variant, search, train};
 use toml::Table;
 
 use super::Ending;
@@ -53,7 +53,7 @@ pub(crate) fn run(args: &RefineArgs) -> Result<Ending> {
 }
 
 /// The settings of the refinement; what the splat dictates is taken from it.
-fn configure(args: &RefineArgs, splat: &Splat) -> Result<Resolved> {
+fn configure(args: &RefineArgs, splat: &Splat) -> Result<Schedule> {
     let defaults = Table::from_iter([("iterations".to_owned(), ITERATIONS.into())]);
     let mut train = match &args.config {
         Some(file) => ConfigFile::read_over(file, defaults)?.train,

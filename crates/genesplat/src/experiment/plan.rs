@@ -63,7 +63,7 @@ impl Experiment {
     fn check_cell(&self, config: &ConfigFile) -> Result<()> {
         config.check()?;
         ensure!(
-            !config.train.clone().resolve()?.schedule().waits_in_vain(),
+            !config.train.clone().resolve()?.waits_in_vain(),
             "its trigger never comes (evolution.trigger, every evolution.stride-th time), so it would be a plain run by another \
              name; make the run longer, or set evolution.trigger = \"at-end\""
         );
@@ -136,7 +136,7 @@ impl Experiment {
     /// Training steps of a cell that has come to its end.
     pub(crate) fn iterations(&self, cell: Cell) -> u32 {
         let resolved = self.config(cell, Path::new(""), None).map(|config| config.train.resolve());
-        resolved.ok().and_then(Result::ok).expect("settings were checked").schedule().iterations
+        resolved.ok().and_then(Result::ok).expect("settings were checked").iterations
     }
 
     /// The same before there is a device.
@@ -150,7 +150,7 @@ impl Experiment {
         config.dataset.hold_out = file.hold_out.clone();
         if let (Some(_), Some(seconds)) = (arm.control_of, control_seconds) {
             config.train.evolution.extra_steps = Some(StepBudget::Steps(0));
-            let stages = config.train.clone().resolve()?.schedule().stages().count();
+            let stages = config.train.clone().resolve()?.stages().count();
             let budget = StepBudget::Seconds(seconds / stages.max(1) as f64);
             config.train.evolution.extra_steps = Some(file.control_steps.map_or(budget, StepBudget::Steps));
         }

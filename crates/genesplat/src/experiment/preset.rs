@@ -83,8 +83,7 @@ mod tests {
         let experiment = preset("ablation-paper");
         for name in ["after-densify", "before-densify"] {
             let arm = experiment.arms.iter().find(|arm| arm.name == name).unwrap();
-            let schedule =
-                ConfigFile::from_table(arm.config.clone()).unwrap().train.resolve().unwrap().schedule().clone();
+            let schedule = ConfigFile::from_table(arm.config.clone()).unwrap().train.resolve().unwrap();
             let stages: Vec<u32> = schedule.stages().collect();
             assert_eq!(stages, [500, 1000], "{name}");
             assert!(stages.iter().all(|&stage| !schedule.is_reset(stage)), "{name}");

@@ -7,7 +7,7 @@ use genesplat::core::{Backend, Gaussians, RenderSettings, Rng, Stream, View};
 use genesplat::io::{Point, Scene};
 use genesplat::kernels::cpu::CpuBackend;
 use genesplat::train::scene::initialise::cloud_from_points;
-use genesplat::train::{Resolved, expected_gaussians};
+use genesplat::train::{Schedule, expected_gaussians};
 
 use super::median;
 use crate::commands::bench::step_at_rest;
@@ -32,7 +32,7 @@ pub(super) struct Cost {
 }
 
 /// Of a run with these settings on this machine's CPU.
-pub(super) fn estimate(scene: &Scene, settings: &Resolved) -> Result<Cost> {
+pub(super) fn estimate(scene: &Scene, settings: &Schedule) -> Result<Cost> {
     let gaussians = expected_gaussians(settings.config(), &scene.train).max(scene.points.len());
     let pixels: u64 = scene.train.iter().map(|view| view.photo.pixels() as u64).sum();
     let last_step_seconds = seconds_a_step(&scene.train, grown(&scene.points, gaussians)?)?;

@@ -116,7 +116,7 @@ impl Run<'_> {
         };
         let Self { settings, scene, stop, .. } = *self;
         let config = &settings.train;
-        let curve = TestCurve::new(&scene.test, config.schedule().iterations);
+        let curve = TestCurve::new(&scene.test, config.iterations);
         let asked = self.cluster.map_or(stop, Cluster::asked);
         let mut reporter = Reporter::of_run((session, self.cluster), log, curve, live.as_mut(), asked);
         let Outcome { cloud, summary, checkpoint } =
