@@ -51,28 +51,6 @@ fn children_descend_from_the_winners_of_tournaments() {
     assert!(deltas(&search, 0..search.ask()).iter().all(|child| *child == founders[7]));
 }
 
-/// With crossover at every pair and no mutation, each gene of a child was some founder's gene of that row.
-#[test]
-fn crossover_makes_no_gene_that_no_parent_had() {
-    let base = normal_base(200);
-    for crossover in [Crossover::Points { points: 1 }, Crossover::Points { points: 100 }, Crossover::Uniform] {
-        let rates = PaperConfig { mutation_rates: [0.0; 3], crossover_rates: [1.0; 3], ..small(2, 8) };
-        let config = PaperConfig { tournament: 2, initial_mutation_rate: 1.0, crossover, ..rates };
-        let mut search = on_sphere(config, &base, 3);
-        let founders: Vec<Vec<Genes>> = deltas(&search, 0..8).iter().map(|delta| applied(&base, delta)).collect();
-        for _ in 0..2 {
-            let losses: Vec<f64> = (0..search.ask()).map(|index| (index * 3 % 7) as f64).collect();
-            search.tell(&losses).expect("one loss each");
-            for child in deltas(&search, 0..search.ask()).iter().map(|delta| applied(&base, delta)) {
-                for (row, gene) in child.iter().enumerate() {
-                    let known = |c: usize| founders.iter().any(|founder| founder[row][c] == gene[c]);
-                    assert!((0..7).all(known), "{crossover:?}, row {row}");
-                }
-            }
-        }
-    }
-}
-
 /// Two children of a pair hold between them exactly what two founders hold.
 #[test]
 fn siblings_share_their_parents_out() {

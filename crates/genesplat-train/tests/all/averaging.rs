@@ -3,9 +3,9 @@
 use std::sync::atomic::AtomicBool;
 
 use genesplat_core::{Backend, Held};
-use genesplat_train::{Checkpoint, Observer, Outcome, Silent, StageKind, Start, TrainConfig, TrainError, train};
+use genesplat_train::{Observer, Outcome, Silent, StageKind, Start, TrainConfig, TrainError, train};
 
-use crate::support::{Call, FakeBackend, StopAt, points, views};
+use crate::support::{Call, FakeBackend, StopAt, points, resumed, views};
 
 /// 300 iterations without renewals: the last 120 are the window.
 fn config() -> TrainConfig {
@@ -122,9 +122,7 @@ fn guards_are_a_quarter_of_the_views_and_at_most_eight() {
 fn interrupted(backend: &mut FakeBackend, observer: &mut dyn Observer, stop: &AtomicBool) -> Outcome {
     let config = config().resolve().unwrap();
     let stopped = train(backend, &views(12), Start::Points(points(20)), &config, observer, stop).unwrap();
-    let mut bytes = Vec::new();
-    stopped.checkpoint.unwrap().write(&mut bytes).unwrap();
-    let start = Start::Checkpoint(Box::new(Checkpoint::read(bytes.as_slice()).unwrap()));
+    let start = resumed(&stopped.checkpoint.unwrap());
     train(&mut self::backend(), &views(12), start, &config, &mut Silent, &AtomicBool::new(false)).unwrap()
 }
 

@@ -4,9 +4,9 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use genesplat_core::{Backend, DensitySignal, Origin, RenderSettings, RowEdit};
-use genesplat_train::{Checkpoint, EvolutionMode, Outcome, Silent, Start, TrainConfig, Variant, edge_scores, train};
+use genesplat_train::{EvolutionMode, Outcome, Silent, Start, TrainConfig, Variant, edge_scores, train};
 
-use crate::support::{Call, FakeBackend, Told, points, views};
+use crate::support::{Call, FakeBackend, Told, points, resumed, views};
 
 /// A hundredth of the published schedule, its intervals included, but for the time that opacities have to recover.
 fn config() -> TrainConfig {
@@ -47,18 +47,11 @@ fn scores_are_multiples_of_the_mean_of_what_is_seen() {
     assert_eq!(backend.calls.iter().filter(|call| weighed(call)).count(), 1, "all views are weighed at once");
 }
 
-fn edits(backend: &FakeBackend) -> Vec<&RowEdit> {
-    fn edit(call: &Call) -> Option<&RowEdit> {
-        if let Call::Edit(edit) = call { Some(edit) } else { None }
-    }
-    backend.calls.iter().filter_map(edit).collect()
-}
-
 #[test]
 fn the_cloud_grows_along_the_budget_by_splits_alone() {
     let mut backend = backend();
     let outcome = run(&mut backend, config());
-    let edits = edits(&backend);
+    let edits: Vec<&RowEdit> = backend.edits().collect();
     assert_eq!(edits.len(), 144);
     for edit in &edits {
         assert!(edit.origins.iter().all(|origin| matches!(origin, Origin::Kept | Origin::LongAxisChild { .. })));
@@ -103,7 +96,7 @@ fn resets_are_followed_by_pruning_what_recovers_slowly() {
     run(&mut backend, config);
     let resets: Vec<&Call> = backend.calls.iter().filter(|call| matches!(call, Call::ResetOpacity(_))).collect();
     assert_eq!(resets, [&Call::ResetOpacity(0.05); 2]);
-    let sizes: Vec<(u32, usize)> = edits(&backend).iter().map(|edit| (edit.iteration, edit.sources.len())).collect();
+    let sizes: Vec<(u32, usize)> = backend.edits().map(|edit| (edit.iteration, edit.sources.len())).collect();
     let size = |i| sizes.iter().find(|(iteration, _)| *iteration == i).unwrap().1;
     assert_eq!([3200, 3300, 6200, 6300, 6400].map(size), [20, 16, 16, 13, 13], "a fifth each time");
     // All 23 views the next time.
@@ -165,10 +158,7 @@ fn a_run_that_is_stopped_anywhere_ends_as_if_it_had_not_been() {
             let Some(checkpoint) = cut.checkpoint else { continue };
             waiting += u32::from(checkpoint.state.moments.pending.positions.iter().any(|sum| sum[0] != 0.0));
             between += u32::from(!checkpoint.virtual_pictures.is_empty());
-            let mut bytes = Vec::new();
-            checkpoint.write(&mut bytes).unwrap();
-            let start = Start::Checkpoint(Box::new(Checkpoint::read(bytes.as_slice()).unwrap()));
-            let resumed = go(&mut backend(), start, config(), &AtomicBool::new(false));
+            let resumed = go(&mut backend(), resumed(&checkpoint), config(), &AtomicBool::new(false));
             assert_eq!(resumed.cloud, whole.cloud, "{mode:?}, stopped in call {call}");
             assert_eq!(resumed.summary.optimiser_steps, whole.summary.optimiser_steps);
         }

@@ -172,13 +172,10 @@ fn every_random_draw_of_the_device_comes_from_the_seed() {
     let y = |positions: &[[f32; 3]]| positions.iter().map(|position| position[1]).collect::<Vec<_>>();
     // Nothing but the offset of split children moves the fake's y.
     assert!(y(&first).iter().any(|&y| y != 0.0) && y(&first) != y(&other), "children are drawn anew");
-    let edits = |device: &FakeBackend| -> Vec<Rng> {
-        let rng = |call: &Call| if let Call::Edit(edit) = call { Some(edit.rng) } else { None };
-        device.calls.iter().filter_map(rng).collect()
-    };
-    assert!(!edits(&device).is_empty() && edits(&device).iter().all(|&rng| rng == Rng::new(1)));
+    let all_have = |device: &FakeBackend, rng| device.edits().count() > 0 && device.edits().all(|edit| edit.rng == rng);
+    assert!(all_have(&device, Rng::new(1)));
     let (_, device) = trained(2, Variant::Mcmc);
-    assert!(!edits(&device).is_empty() && edits(&device).iter().all(|&rng| rng == Rng::new(2)));
+    assert!(all_have(&device, Rng::new(2)));
     let mut noise = device.steps().filter_map(|step| step.update?.mcmc);
     assert!(noise.all(|mcmc| mcmc.rng == Rng::new(2)));
 }
@@ -273,8 +270,7 @@ fn mcmc_adds_noise_in_every_step_and_relocates_instead_of_resetting() {
     let stages: Vec<u32> = outcome.summary.stages.iter().map(|stage| stage.iteration).collect();
     assert_eq!(stages, [300, 600, 900, 1200], "where 3DGS would have reset");
     // A twentieth of 20 to 26 is one a time.
-    let edits = backend.calls.iter().filter_map(|call| if let Call::Edit(edit) = call { Some(edit) } else { None });
-    let rows: Vec<usize> = edits.map(|edit| edit.sources.len()).collect();
+    let rows: Vec<usize> = backend.edits().map(|edit| edit.sources.len()).collect();
     assert_eq!((rows.len(), &rows[..9]), (244, &[21, 22, 23, 24, 25, 26, 27, 27, 27][..]));
     assert_eq!(outcome.cloud.len(), 27);
 }

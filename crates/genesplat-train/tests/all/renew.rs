@@ -4,10 +4,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use genesplat_core::{Backend, Gaussians, Moments, Origin, RowEdit};
 use genesplat_train::{
-    Checkpoint, EvolutionMode, Observer, Outcome, Silent, StageKind, StageRecord, Start, TrainConfig, Variant, train,
+    EvolutionMode, Observer, Outcome, Silent, StageKind, StageRecord, Start, TrainConfig, Variant, train,
 };
 
-use crate::support::{Call, Failure, FakeBackend, Keep, StopAt, Told, points, views};
+use crate::support::{Call, Failure, FakeBackend, Keep, StopAt, Told, points, resumed, timeless, views};
 
 /// 300 iterations; density control ends after 150, renewals begin at 150, 165, ... 225, the last is judged at 240.
 fn config() -> TrainConfig {
@@ -45,12 +45,9 @@ fn renewals(outcome: &Outcome) -> Vec<StageRecord> {
     stages.filter(|stage| stage.kind == StageKind::Renewal).copied().collect()
 }
 
+/// Those of renewals.
 fn edits(backend: &FakeBackend) -> Vec<&RowEdit> {
-    let is_renewal = |edit: &RowEdit| edit.origins.contains(&Origin::Twin { child: 1 });
-    fn edit(call: &Call) -> Option<&RowEdit> {
-        if let Call::Edit(edit) = call { Some(edit) } else { None }
-    }
-    backend.calls.iter().filter_map(edit).filter(|edit| is_renewal(edit)).collect()
+    backend.edits().filter(|edit| edit.origins.contains(&Origin::Twin { child: 1 })).collect()
 }
 
 #[test]
@@ -253,12 +250,10 @@ fn a_stop_during_a_trial_changes_nothing() {
             let mut stopping = backend(decline);
             let start = Start::Points(points(20));
             let stopped = run(&mut stopping, start, &mut StopAt(i, &stop), &stop);
-            let mut bytes = Vec::new();
-            stopped.checkpoint.unwrap().write(&mut bytes).unwrap();
-            let start = Start::Checkpoint(Box::new(Checkpoint::read(bytes.as_slice()).unwrap()));
-            let mut resumed = backend(decline);
-            resumed.measured = stopping.measured;
-            let outcome = run(&mut resumed, start, &mut Silent, &AtomicBool::new(false));
+            let start = resumed(&stopped.checkpoint.unwrap());
+            let mut fresh = backend(decline);
+            fresh.measured = stopping.measured;
+            let outcome = run(&mut fresh, start, &mut Silent, &AtomicBool::new(false));
             assert_eq!(outcome.cloud, whole.cloud, "stopped in iteration {i}");
         }
     }
@@ -279,19 +274,8 @@ fn a_run_that_is_stopped_in_a_trial_hands_out_what_guards_like_better() {
     }
 }
 
-/// Runs on from a checkpoint's bytes, on a fresh device.
-fn resume(checkpoint: &Checkpoint, backend: &mut FakeBackend) -> Outcome {
-    let mut bytes = Vec::new();
-    checkpoint.write(&mut bytes).unwrap();
-    let start = Start::Checkpoint(Box::new(Checkpoint::read(bytes.as_slice()).unwrap()));
-    run(backend, start, &mut Silent, &AtomicBool::new(false))
-}
-
 #[test]
 fn out_of_memory_in_any_call_saves_a_run_that_resumes_exactly() {
-    let timeless = |outcome: &Outcome| -> Vec<StageRecord> {
-        outcome.summary.stages.iter().map(|stage| StageRecord { seconds: 0.0, ..*stage }).collect()
-    };
     // Guards whose score depends on the cloud alone, so that whoever resumes hears the same.
     for guards_disagree in [true, false] {
         let device = || {
@@ -311,9 +295,9 @@ fn out_of_memory_in_any_call_saves_a_run_that_resumes_exactly() {
             let (start, config) = (Start::Points(points(20)), config().resolve().unwrap());
             train(&mut failing, &views(VIEWS), start, &config, &mut keep, &AtomicBool::new(false)).unwrap_err();
             let [checkpoint] = &keep.0[..] else { panic!("call {call} leaves nothing") };
-            let resumed = resume(checkpoint, &mut device());
-            assert_eq!(resumed.cloud, whole.cloud, "call {call}");
-            assert_eq!(timeless(&resumed), timeless(&whole), "call {call}");
+            let outcome = run(&mut device(), resumed(checkpoint), &mut Silent, &AtomicBool::new(false));
+            assert_eq!(outcome.cloud, whole.cloud, "call {call}");
+            assert_eq!(timeless(&outcome), timeless(&whole), "call {call}");
         }
     }
 }

@@ -6,11 +6,11 @@ use std::sync::atomic::AtomicBool;
 
 use genesplat_core::BackendError;
 use genesplat_train::{
-    Background, Checkpoint, EvolutionMode, Observer, Outcome, Silent, StageRecord, Start, StepBudget, TrainConfig,
-    TrainError, Trigger, Variant, train,
+    Background, Checkpoint, EvolutionMode, Observer, Outcome, Silent, Start, StepBudget, TrainConfig, TrainError,
+    Trigger, Variant, train,
 };
 
-use crate::support::{Call, Failure, FakeBackend, Keep, points, views};
+use crate::support::{Call, Failure, FakeBackend, Keep, points, resumed, timeless, views};
 
 /// 300 iterations that densify, reset (30, 60, ...), filter and evolve.
 fn config() -> TrainConfig {
@@ -44,17 +44,11 @@ fn uninterrupted() -> Outcome {
 
 /// Through bytes, into a fresh device.
 fn resume(checkpoint: &Checkpoint) -> Outcome {
-    let mut bytes = Vec::new();
-    checkpoint.write(&mut bytes).unwrap();
-    let start = Start::Checkpoint(Box::new(Checkpoint::read(bytes.as_slice()).unwrap()));
-    go(&mut backend(), start, &mut Silent, &AtomicBool::new(false))
+    go(&mut backend(), resumed(checkpoint), &mut Silent, &AtomicBool::new(false))
 }
 
 fn assert_same(resumed: &Outcome, whole: &Outcome, context: &str) {
     assert_eq!(resumed.cloud, whole.cloud, "{context}");
-    let timeless = |outcome: &Outcome| -> Vec<StageRecord> {
-        outcome.summary.stages.iter().map(|stage| StageRecord { seconds: 0.0, ..*stage }).collect()
-    };
     assert_eq!(timeless(resumed), timeless(whole), "{context}");
     assert_eq!(resumed.summary.optimiser_steps, whole.summary.optimiser_steps, "{context}");
     assert!(!resumed.summary.interrupted && whole.summary.stages.len() == 4);

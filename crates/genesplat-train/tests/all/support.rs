@@ -14,7 +14,7 @@ use genesplat_core::{
 };
 use genesplat_train::observe::{DensifyLog, StepLog};
 use genesplat_train::scene::initialise::ColouredPoint;
-use genesplat_train::{Checkpoint, Observer};
+use genesplat_train::{Checkpoint, Observer, Outcome, StageRecord, Start};
 use glam::DVec3;
 
 /// What the pipeline asked for, in order; reads are not recorded.
@@ -145,6 +145,10 @@ impl FakeBackend {
 
     pub(crate) fn steps(&self) -> impl Iterator<Item = &TrainStep> {
         self.calls.iter().filter_map(|call| if let Call::Step(step) = call { Some(step) } else { None })
+    }
+
+    pub(crate) fn edits(&self) -> impl Iterator<Item = &RowEdit> {
+        self.calls.iter().filter_map(|call| if let Call::Edit(edit) = call { Some(edit) } else { None })
     }
 
     fn fitness(&self, delta: &SparseDelta) -> f32 {
@@ -479,6 +483,18 @@ pub(crate) fn points(n: usize) -> Vec<ColouredPoint> {
 /// New rows of an edit that are not old ones kept.
 pub(crate) fn added(edit: &RowEdit) -> usize {
     edit.origins.iter().filter(|&&origin| origin != Origin::Kept).count()
+}
+
+/// Goes on from a checkpoint as it is written and read.
+pub(crate) fn resumed(checkpoint: &Checkpoint) -> Start {
+    let mut bytes = Vec::new();
+    checkpoint.write(&mut bytes).unwrap();
+    Start::Checkpoint(Box::new(Checkpoint::read(bytes.as_slice()).unwrap()))
+}
+
+/// The stages of a run, but for the time that they took.
+pub(crate) fn timeless(outcome: &Outcome) -> Vec<StageRecord> {
+    outcome.summary.stages.iter().map(|stage| StageRecord { seconds: 0.0, ..*stage }).collect()
 }
 
 /// Sets the flag during an iteration, as Ctrl-C would.
