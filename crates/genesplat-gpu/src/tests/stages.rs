@@ -146,6 +146,13 @@ fn check_gradients_and_statistics(view: View) {
             });
             let context = |error: String| panic!("{filter:?}, {signal:?}: {error}");
             compare_clouds("project_backward", &actual.0.first, &expected.0.first).unwrap_or_else(context);
+            compare_gradient_rows(&actual.0.first, &expected.0.first).unwrap_or_else(context);
+            let mut planted = actual.0.first;
+            let lost = shortest_row(&wide(&expected.0.first.positions));
+            planted.positions[lost] = [0.0; 3];
+            compare_clouds("project_backward", &planted, &expected.0.first)
+                .expect("a norm does not show a row that is lost");
+            assert!(compare_gradient_rows(&planted, &expected.0.first).is_err(), "a row that is lost is missed");
             let (actual, expected) = (actual.1, expected.1);
             assert_eq!(actual.weight_sum, expected.weight_sum, "what is counted is equal");
             assert_eq!(actual.gene_views, expected.gene_views);

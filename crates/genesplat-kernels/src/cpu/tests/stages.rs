@@ -3,12 +3,13 @@
 use fearless_simd::Level;
 use genesplat_core::{Backend, DensitySignal, EvolutionBackend, Image, Photo, ScreenFilter, StatisticsRequest, View};
 
-use super::{buffers_of, compare, compare_gradients, compare_images, fill, flat, inputs, statistics};
+use super::{buffers_of, compare, compare_columns, compare_gradients, compare_images, fill, flat, inputs, statistics};
 use crate::cpu::score::tests::loss_of_image;
 use crate::cpu::update::for_tests::gradients;
 use crate::cpu::{CpuBackend, Pinhole, ViewBuffers, loss};
 use crate::fixtures::{
-    CROWD_LOGITS, HEIGHT, WIDTH, camera, cloud, crowd, filtered_cloud, filters, settings, small_view, uniform, view,
+    CROWD_LOGITS, HEIGHT, WIDTH, camera, cloud, crowd, filtered_cloud, filters, settings, shortest_row, small_view,
+    uniform, view,
 };
 use crate::reference::{self, Cloud64, Cutoff};
 
@@ -130,6 +131,10 @@ fn parameter_gradients_match_the_reference() {
             let (actual, density) = gradients(Level::new(), &inputs, &cloud, Some(DensitySignal::Absolute));
             let (_, expected) = reference::gradients(&Cloud64::from(&cloud), &view(), &settings, Cutoff::Hard);
             compare_gradients(&actual, &expected.cloud).unwrap_or_else(|e| panic!("{filter:?}, degree {degree}: {e}"));
+            let mut planted = actual;
+            planted.positions[shortest_row(&expected.cloud.positions)] = [0.0; 3];
+            compare_columns(&planted, &expected.cloud).expect("the norm of a column does not show a row that is lost");
+            assert!(compare_gradients(&planted, &expected.cloud).is_err(), "a row that is lost is missed");
             let norms = expected.mean2d_abs_ndc.iter().map(|[x, y]| x.hypot(*y));
             compare("absolute screen gradients", density.iter().map(|d| f64::from(d[0])), norms).unwrap();
         }
