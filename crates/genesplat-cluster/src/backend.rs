@@ -48,6 +48,9 @@ pub struct ClusterBackend {
     pub(crate) report: StepReport,
     /// A copy of the cloud, while populations are scored.
     pub(crate) whole: Option<Gaussians>,
+    /// Steps find no memory here, as a limit of this rank would have it.
+    #[cfg(test)]
+    pub(crate) has_no_room: bool,
 }
 
 impl ClusterBackend {
@@ -63,6 +66,8 @@ impl ClusterBackend {
             loads: Vec::new(),
             report: StepReport::default(),
             whole: None,
+            #[cfg(test)]
+            has_no_room: false,
         }
     }
 
@@ -120,6 +125,34 @@ impl ClusterBackend {
     fn free(&mut self) -> Result<(), BackendError> {
         (self.drawing, self.tasks, self.whole) = Default::default();
         self.own.discard_queued_steps().map(drop)
+    }
+
+    /// A rank that has no room for a step stops it on all, when some columns that begin with it have grown on others. Those that
+    /// any rank lacks are zeros, since no step has added to them, and no columns.
+    fn drop_columns_of_some(&mut self, state: &mut DeviceState) -> Result<(), BackendError> {
+        let DeviceState { statistics, moments, .. } = state;
+        let (rows, mut out) = (self.own_rows().len(), Writer::default());
+        for column in [statistics.absolute_sum.len(), statistics.gene_views.len(), moments.pending.len()] {
+            out.count((column == rows).into());
+        }
+        let [mut absolute, mut genes, mut pending] = [true; 3];
+        for part in self.group.gather(Ok(out.words))? {
+            let mut input = Reader::new(&part);
+            for everywhere in [&mut absolute, &mut genes, &mut pending] {
+                *everywhere &= input.count() == 1;
+            }
+        }
+        if !absolute {
+            statistics.absolute_sum.clear();
+        }
+        if !genes {
+            statistics.gene_gradient_sum.clear();
+            statistics.gene_views.clear();
+        }
+        if !pending {
+            moments.pending = Gaussians::default();
+        }
+        Ok(())
     }
 
     /// A cloud of so many rows is about to come.
@@ -203,11 +236,12 @@ impl Backend for ClusterBackend {
         self.settle()?;
         self.check_finite()?;
         self.free()?;
-        let (state, failed) = match self.own.state() {
+        let (mut state, failed) = match self.own.state() {
             Ok(state) => (state, Ok(())),
             Err(error) => (DeviceState::default(), Err(error)),
         };
         self.group.agree(failed)?;
+        self.drop_columns_of_some(&mut state)?;
         Ok(state)
     }
 

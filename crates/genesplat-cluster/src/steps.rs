@@ -73,6 +73,10 @@ impl ClusterBackend {
 
     /// Splats of the own rows in each view, for those who draw it: a rank draws one.
     fn deal(&mut self, steps: &[TrainStep], canvases: &[Canvas]) -> Result<Parts, BackendError> {
+        #[cfg(test)]
+        if self.has_no_room {
+            return Err(BackendError::HostOutOfMemory { wanted: 7, purpose: "a step".into() });
+        }
         let mut parts = vec![Vec::new(); self.group.count()];
         if self.tasks.len() < steps.len() {
             self.tasks.resize_with(steps.len(), Task::default);

@@ -8,6 +8,7 @@ use genesplat_core::{Backend, BackendError, Gaussians, Mask, View};
 use genesplat_gallery::{GalleryOptions, generate};
 use genesplat_io::{HoldOut, Scene};
 use genesplat_kernels::cpu::CpuBackend;
+use genesplat_train::config::Signal;
 use genesplat_train::observe::{Observer, StageRecord, StepLog};
 use genesplat_train::scene::initialise::ColouredPoint;
 use genesplat_train::{Checkpoint, EvolutionMode, Outcome, Schedule, Silent, Start, TrainConfig, Variant, train};
@@ -102,13 +103,18 @@ fn on_ranks(
         });
         Joint { outcome, checkpoint }
     };
+    let mut all = of_each(count, of_rank).into_iter();
+    let mut first = all.next().unwrap();
+    all.for_each(|of_rank| first.outcome.cloud.append(of_rank.outcome.cloud));
+    first
+}
+
+/// What each of some ranks makes, in order.
+fn of_each<T: Send>(count: usize, of_rank: impl Fn(Threads, usize) -> T + Sync) -> Vec<T> {
     thread::scope(|scope| {
         let (of_rank, ranks) = (&of_rank, Threads::new(count).into_iter().enumerate());
         let threads: Vec<_> = ranks.map(|(rank, ranks)| scope.spawn(move || of_rank(ranks, rank))).collect();
-        let mut all = threads.into_iter().map(|thread| thread.join().unwrap());
-        let mut first = all.next().unwrap();
-        all.for_each(|of_rank| first.outcome.cloud.append(of_rank.outcome.cloud));
-        first
+        threads.into_iter().map(|thread| thread.join().unwrap()).collect()
     })
 }
 
@@ -250,11 +256,29 @@ fn a_rank_without_room_for_the_result_is_not_alone_with_that() {
         assert_eq!(backend.state().unwrap().cloud, backend.copy().unwrap());
         backend.copy().unwrap().len()
     };
-    let counts = thread::scope(|scope| {
-        let of_rank = &of_rank;
-        let threads: Vec<_> =
-            (0..).zip(Threads::new(3)).map(|(rank, ranks)| scope.spawn(move || of_rank(ranks, rank))).collect();
-        threads.into_iter().map(|thread| thread.join().unwrap()).sum::<usize>()
-    });
-    assert_eq!(counts, 1000);
+    assert_eq!(of_each(3, of_rank).iter().sum::<usize>(), 1000);
+}
+
+/// Columns that begin with the step exist on the other ranks then. What is saved has none of them, and is where a run can go on.
+#[test]
+fn a_rank_without_room_for_a_step_spoils_no_checkpoint() {
+    let mut settings = settings(Variant::ThreeDgs, EvolutionMode::Paper, 4);
+    settings.densify.signal = Signal::Gof;
+    let config = settings.resolve().unwrap();
+    let of_rank = |ranks: Threads, rank: usize| {
+        let (group, stop) = (Group::new(ranks, Arc::default(), Arc::default()), AtomicBool::new(false));
+        let (mut backend, mut observer) = (ClusterBackend::new(group.clone()), Asks::default());
+        backend.has_no_room = rank == 1;
+        let start = from_points(&group);
+        train(&mut backend, views(), start, &config, &mut observer, &stop).expect_err("there is no room");
+        let own = backend.own.state().unwrap();
+        let mut bytes = Vec::new();
+        observer.kept.unwrap().write_together(&mut bytes, &group).unwrap();
+        (bytes, [own.statistics.absolute_sum.len(), own.statistics.gene_views.len(), own.moments.pending.len()])
+    };
+    let (bytes, columns): (Vec<_>, Vec<_>) = of_each(3, of_rank).into_iter().unzip();
+    assert_eq!(columns[1], [0; 3]);
+    assert!(columns[0].iter().chain(&columns[2]).all(|rows| *rows > 0), "{columns:?}");
+    let resumed = Start::Checkpoint(Box::new(Checkpoint::read(bytes[0].as_slice()).unwrap()));
+    assert!(bits(&alone(&config, resumed).cloud) == bits(&alone(&config, Start::Points(points())).cloud));
 }
