@@ -3,16 +3,17 @@
 
 @group(0) @binding(0) var<uniform> view: ViewPass;
 @group(0) @binding(1) var<uniform> window: Window;
-@group(0) @binding(2) var<storage, read> geometry: array<vec4<f32>>;
-@group(0) @binding(3) var<storage, read> sh: array<vec4<f32>>;
-@group(0) @binding(4) var<storage, read> splats: array<vec4<f32>>;
-@group(0) @binding(5) var<storage, read> tile_counts: array<u32>;
-@group(0) @binding(6) var<storage, read> first_intersections: array<u32>;
+@group(0) @binding(2) var<storage, read> counters: Counters;
+@group(0) @binding(3) var<storage, read> geometry: array<vec4<f32>>;
+@group(0) @binding(4) var<storage, read> sh: array<vec4<f32>>;
+@group(0) @binding(5) var<storage, read> splats: array<vec4<f32>>;
+@group(0) @binding(6) var<storage, read> tile_counts: array<u32>;
+@group(0) @binding(7) var<storage, read> first_intersections: array<u32>;
 // [I, 3] vectors
-@group(0) @binding(7) var<storage, read> intersection_gradients: array<vec4<f32>>;
+@group(0) @binding(8) var<storage, read> intersection_gradients: array<vec4<f32>>;
 // [N, 4] vectors: position, opacity logit; log-scales, density signal; rotation; colour, what goes with the density. Rows
 // without a splat are not written, nor read by any stage: that would be most of the memory that both touch.
-@group(0) @binding(8) var<storage, read_write> gradients: array<vec4<f32>>;
+@group(0) @binding(9) var<storage, read_write> gradients: array<vec4<f32>>;
 
 // Adds what the opacity factor of the screen filter contributes to the covariance.
 fn filter_gradient(g: Geometry, factor_gradient: f32) -> vec3<f32> {
@@ -145,7 +146,8 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     let row = window.first + local;
     var tiles = 0u;
     var first = 0u;
-    if local < window.count {
+    // After an overflow there are no gradients of intersections; the host repeats the step.
+    if local < window.count && counters.halted == 0u {
         tiles = tile_counts[row];
         first = first_intersections[row];
     }

@@ -51,6 +51,7 @@ impl Optimise<'_> {
         let parts = [
             lists.view.all(),
             window.uniform.all(),
+            lists.counters.all(),
             state.trained.geometry().at(window),
             // Rows that a view shows have made their steps.
             state.trained.late_colours_at(window).values[0],

@@ -72,6 +72,24 @@ fn an_overflow_grows_and_runs_again() {
     compare("rasterise", "after an overflow", image.planes, expected.planes).unwrap();
 }
 
+/// There are none then: steps that wait behind it would sum what lies where others were.
+#[test]
+fn an_overflow_leaves_gradients_alone() {
+    let Some(mut gpu) = gpu() else { return };
+    gpu.upload(cloud(300).into()).unwrap();
+    let step = step(1, settings(2, ScreenFilter::Classic));
+    gpu.set_intersection_capacity(50);
+    gpu.state.reserve_step(&gpu.engine, &step).unwrap();
+    let bytes = gpu.state.gradients.memory.bytes;
+    gpu.engine.write(&gpu.state.gradients.memory, 0, &vec![7.0f32; bytes as usize / 4]);
+    let gradients =
+        |gpu: &GpuBackend| -> Vec<f32> { gpu.engine.read_values(&gpu.state.gradients.memory, bytes / 4).unwrap() };
+    gpu.train_step(&step).unwrap();
+    assert!(gradients(&gpu).iter().all(|&value| value == 7.0));
+    gpu.report().unwrap();
+    assert!(gradients(&gpu).iter().any(|&value| value != 7.0), "the step was repeated");
+}
+
 #[test]
 fn lists_beyond_any_binding_are_one_sentence() {
     let Some(mut gpu) = gpu() else { return };
