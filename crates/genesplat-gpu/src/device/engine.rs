@@ -31,6 +31,9 @@ const WAIT_MAX: Duration = Duration::from_secs(600);
 const INTEGRATED_INSTRUCTIONS: u64 = 1 << 34;
 const DISCRETE_INSTRUCTIONS: u64 = 1 << 37;
 
+/// wgpu tells Metal's kernels how long a binding is in 32 bits, whatever limit it reports: they would see no more.
+const BINDING_BYTES_MAX: u64 = (u32::MAX & !255) as u64;
+
 pub(super) type KernelKey = (&'static str, Vec<(&'static str, u32)>);
 
 /// What a test makes of the text of a kernel of this name, with its loops.
@@ -107,10 +110,11 @@ impl Engine {
         let (device, queue) = pollster::block_on(adapter.request_device(&descriptor))
             .map_err(|error| BackendError::Unsupported(format!("{name} cannot be opened: {error}")))?;
         let limits = device.limits();
+        let binding_bytes = limits.max_storage_buffer_binding_size.min(BINDING_BYTES_MAX);
         let engine = Self {
-            binding_bytes: limits.max_storage_buffer_binding_size,
+            binding_bytes,
             buffer_bytes: limits.max_buffer_size,
-            window_rows: limits.max_storage_buffer_binding_size / (4 * u64::from(SH_FLOATS)),
+            window_rows: binding_bytes / (4 * u64::from(SH_FLOATS)),
             instructions_max: match info.device_type {
                 DeviceType::DiscreteGpu => DISCRETE_INSTRUCTIONS,
                 _ => INTEGRATED_INSTRUCTIONS,
