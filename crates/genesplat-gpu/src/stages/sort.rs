@@ -3,7 +3,8 @@
 use crate::Result;
 use crate::device::{Engine, Grid, Memory, Recorder, shaders};
 use crate::state::layout::{
-    DIGITS, GRID_DEPTH_SORT, GRID_WIDTH, GRIDS, LENGTH_VISIBLE, LENGTHS, SCAN_BLOCK, SORT_BLOCK, SORT_PIECE,
+    DIGITS, GRID_DEPTH_SORT, GRID_WIDTH, GRIDS, LENGTH_ROWS, LENGTH_VISIBLE, LENGTHS, SCAN_BLOCK, SORT_BLOCK,
+    SORT_PIECE,
 };
 
 /// Bits that one pass of the radix sort sorts by.
@@ -133,12 +134,16 @@ pub(super) struct Sort {
     pub(super) count_up: bool,
 }
 
-/// Keys that are sorted to try it: more than one block.
+/// Keys that are sorted to try it, and numbers that are summed: more than one block.
 const TRIED: u32 = 5_000;
 
 /// Whether a device sorts right. Kernels may rely on subgroups, and drivers choose their width kernel by kernel: so it is
-/// those of the sort themselves that are tried.
+/// those of the sort themselves that are tried, and those of a prefix sum.
 pub(crate) fn sorts_right(engine: &Engine) -> Result<bool> {
+    Ok(sorts_keys_right(engine)? && sums_right(engine)?)
+}
+
+fn sorts_keys_right(engine: &Engine) -> Result<bool> {
     // Few of their highest digits differ, and many are equal.
     let keys: Vec<u32> = (0..TRIED).map(|place| (place / 2).wrapping_mul(0x9e37_79b9) >> 5).collect();
     let values: Vec<u32> = (0..TRIED).collect();
@@ -146,6 +151,14 @@ pub(crate) fn sorts_right(engine: &Engine) -> Result<bool> {
     expected.sort_by_key(|&place| keys[place as usize]);
     let (sorted, places) = sorted(engine, &keys, &values, 32, false)?;
     Ok(places == expected && sorted.iter().zip(&expected).all(|(&key, &place)| key == keys[place as usize]))
+}
+
+fn sums_right(engine: &Engine) -> Result<bool> {
+    let counts: Vec<u32> = (0..TRIED).map(|place| place.wrapping_mul(0x9e37_79b9) >> 20).collect();
+    let before = |sum: &mut u32, &count: &u32| Some(std::mem::replace(sum, *sum + count));
+    let expected: Vec<u32> = counts.iter().scan(0, before).collect();
+    let (offsets, total) = prefix_sums(engine, &counts)?;
+    Ok(offsets == expected && total == counts.iter().sum::<u32>())
 }
 
 /// Memory for so many numbers or keys.
@@ -172,26 +185,30 @@ fn sorted(engine: &Engine, keys: &[u32], values: &[u32], bits: u32, count_up: bo
     Ok((engine.read_values(&sorter.keys[at], most)?, engine.read_values(&sorter.values[at], most)?))
 }
 
+/// Sums of the counts before each, and of all.
+fn prefix_sums(engine: &Engine, counts: &[u32]) -> Result<(Vec<u32>, u32)> {
+    let count = counts.len() as u64;
+    let sorter = sorter_of(engine, count)?;
+    let input = engine.upload("counts", counts)?;
+    let output = engine.allocate("offsets", 4 * count)?;
+    engine.write(&sorter.lengths, 4 * u64::from(LENGTH_ROWS), &[counts.len() as u32]);
+    let mut recorder = Recorder::new(engine, None);
+    let blocks = count.div_ceil(SCAN_BLOCK.into());
+    sorter.scan(&mut recorder, LENGTH_ROWS, Grid::Groups(blocks), &input, &output);
+    recorder.submit();
+    let sums: Vec<u32> = engine.read_values(&sorter.sums, blocks + 1)?;
+    Ok((engine.read_values(&output, count)?, sums[blocks as usize]))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::device::unroll::unrolled;
-    use crate::state::layout::LENGTH_ROWS;
     use crate::tests::{engine, engines};
 
     /// Sum of `counts` by the device's prefix sum.
     fn total(engine: &Engine, counts: &[u32]) -> u32 {
-        let count = counts.len() as u64;
-        let sorter = sorter_of(engine, count).unwrap();
-        let input = engine.upload("counts", counts).unwrap();
-        let output = engine.allocate("offsets", 4 * count).unwrap();
-        engine.write(&sorter.lengths, 4 * u64::from(LENGTH_ROWS), &[counts.len() as u32]);
-        let mut recorder = Recorder::new(engine, None);
-        let blocks = count.div_ceil(SCAN_BLOCK.into());
-        sorter.scan(&mut recorder, LENGTH_ROWS, Grid::Groups(blocks), &input, &output);
-        recorder.submit();
-        let sums: Vec<u32> = engine.read_values(&sorter.sums, blocks + 1).unwrap();
-        sums[blocks as usize]
+        prefix_sums(engine, counts).unwrap().1
     }
 
     /// Within a group, within a block, and over many blocks.
@@ -242,6 +259,13 @@ mod tests {
             assert!(engine.abilities.subgroups && SORT_WITH_SUBGROUPS.iter().any(|text| text.contains(right)));
             engine.set_rewrite(Box::new(move |_, text| unrolled(&text.replace(right, wrong))));
             assert!(!sorts_right(&engine).unwrap(), "{wrong}");
+        }
+        for kernel in ["bin/scan_sums", "bin/scan_blocks", "bin/scan_apply"] {
+            let is_narrow = move |name: &str, text: String| {
+                unrolled(&if name == kernel { text.replace("/ width", "/ 2u") } else { text })
+            };
+            engine.set_rewrite(Box::new(is_narrow));
+            assert!(!sorts_right(&engine).unwrap(), "{kernel}");
         }
         assert!(sorts_right(&engine.without_subgroups()).unwrap());
     }
