@@ -20,9 +20,9 @@ shared_constants! {
     GROUP = 256,
     // Workgroups in the first dimension of a grid, few in tests; what is more goes to the second.
     GRID_WIDTH = if cfg!(test) { 3 } else { 32_768 },
-    // Elements that one workgroup of a prefix sum handles, keys that one of a radix sort does, values of a digit.
+    // Elements that one workgroup of a prefix sum handles; keys that one of a radix sort does, few in tests; values of a digit.
     SCAN_BLOCK = 8 * GROUP,
-    SORT_BLOCK = 16 * GROUP,
+    SORT_BLOCK = if cfg!(test) { 2 * GROUP } else { 16 * GROUP },
     DIGITS = 256,
     // Keys of one dispatch of a sort, few in tests: what is more goes to others.
     SORT_PIECE = if cfg!(test) { 128 * SORT_BLOCK } else { 1 << 24 },

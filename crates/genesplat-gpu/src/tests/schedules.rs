@@ -163,7 +163,7 @@ fn is_noticed(gpu: &mut GpuBackend, kernel: &'static str, at: usize, expected: &
 
 fn backend() -> Option<GpuBackend> {
     let mut gpu = GpuBackend::on(engine()?.without_subgroups()).unwrap();
-    gpu.set_views(&[view()]).unwrap();
+    gpu.set_views(&[small_view()]).unwrap();
     Some(gpu)
 }
 

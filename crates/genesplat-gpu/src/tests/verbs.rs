@@ -73,13 +73,11 @@ fn steps_of_two_views(gpu: &mut GpuBackend, makes_up_at_once: bool) -> (DeviceSt
 /// Colours of rows without a splat make their steps later, to the bit as if they had made them at once.
 #[test]
 fn late_steps_of_colours_are_exact() {
-    for engine in engines() {
-        let mut gpu = GpuBackend::on(engine.with_window_rows(64)).unwrap();
-        let ((expected, never), (state, late)) =
-            (steps_of_two_views(&mut gpu, true), steps_of_two_views(&mut gpu, false));
-        assert!(never == 0 && late > 10, "late after {late} of 14 steps");
-        assert!(state.cloud == expected.cloud && state.moments == expected.moments);
-    }
+    let Some(engine) = engine() else { return };
+    let mut gpu = GpuBackend::on(engine.with_window_rows(64)).unwrap();
+    let ((expected, never), (state, late)) = (steps_of_two_views(&mut gpu, true), steps_of_two_views(&mut gpu, false));
+    assert!(never == 0 && late > 10, "late after {late} of 14 steps");
+    assert!(state.cloud == expected.cloud && state.moments == expected.moments);
 }
 
 #[test]
