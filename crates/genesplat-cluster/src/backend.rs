@@ -84,6 +84,20 @@ impl ClusterBackend {
         Share { first_row: self.own_rows().start, all_rows: self.shares.rows() }
     }
 
+    /// Splats of the cloud, or of the mean, go to the bands, which draw them. No other rank knows yet of an error of that.
+    pub(crate) fn draw_view(
+        &mut self,
+        canvas: &Canvas,
+        settings: &RenderSettings,
+        held: Held,
+    ) -> Result<(Dealt, Result<(), BackendError>), BackendError> {
+        let (level, mut dealt) = (self.own.level(), Dealt::default());
+        let splats = self.own.project(&canvas.camera, settings, held);
+        let parts = self.group.exchange(splats.map(|splats| canvas.deal(splats, &mut dealt)))?;
+        let drawn = self.drawing.draw(level, canvas, parts, (self.own.splats(), &dealt), settings);
+        Ok((dealt, drawn))
+    }
+
     /// A column of the own rows, to all; `[N]`.
     pub(crate) fn gather<T: bytemuck::Pod>(&mut self, column: &[T]) -> Result<Vec<T>, BackendError> {
         let (rows, mut out) = (self.shares.rows(), Writer::default());
@@ -265,11 +279,8 @@ impl Backend for ClusterBackend {
 
     fn render(&mut self, camera: &Camera, settings: &RenderSettings) -> Result<Image, BackendError> {
         self.settle()?;
-        let (level, canvas) = (self.own.level(), Canvas::of_all(Pinhole::from(camera), &[], &self.group));
-        let mut dealt = Dealt::default();
-        let splats = self.own.project(&canvas.camera, settings, Held::Cloud);
-        let parts = self.group.exchange(splats.map(|splats| canvas.deal(splats, &mut dealt)))?;
-        let drawn = self.drawing.draw(level, &canvas, parts, (self.own.splats(), &dealt), settings);
+        let canvas = Canvas::of_all(Pinhole::from(camera), &[], &self.group);
+        let (_, drawn) = self.draw_view(&canvas, settings, Held::Cloud)?;
         let parts = self.group.exchange(drawn.map(|()| self.drawing.rows_for_all(&canvas)))?;
         Ok(self.drawing.whole(&canvas, &parts))
     }

@@ -12,7 +12,6 @@ use genesplat_kernels::cpu::stages::{add_contributions, add_weights, loss_of_sum
 use crate::backend::ClusterBackend;
 use crate::drawing::{Canvas, Drawing};
 use crate::shares::{Shares, places_in};
-use crate::splats::Dealt;
 use crate::wire::{Reader, Writer};
 
 impl ClusterBackend {
@@ -25,10 +24,7 @@ impl ClusterBackend {
         fill: impl FnOnce(&mut Drawing, &Canvas, &Target) -> Result<(), BackendError>,
     ) -> Result<(), BackendError> {
         let (level, canvas) = (self.own.level(), self.canvas_of(view));
-        let splats = self.own.project(&canvas.camera, settings, Held::Cloud);
-        let mut dealt = Dealt::default();
-        let parts = self.group.exchange(splats.map(|splats| canvas.deal(splats, &mut dealt)))?;
-        let drawn = self.drawing.draw(level, &canvas, parts, (self.own.splats(), &dealt), settings);
+        let (dealt, drawn) = self.draw_view(&canvas, settings, Held::Cloud)?;
         let parts = drawn.and_then(|()| {
             fill(&mut self.drawing, &canvas, self.own.view(view).1)?;
             self.drawing.backward(level, &canvas, |_| Writer::default(), None)
@@ -42,10 +38,7 @@ impl ClusterBackend {
     /// One view of the cloud or of the mean.
     fn loss_of(&mut self, held: Held, view: usize, settings: &RenderSettings) -> Result<ViewLoss, BackendError> {
         let (level, canvas) = (self.own.level(), self.canvas_of(view));
-        let splats = self.own.project(&canvas.camera, settings, held);
-        let mut dealt = Dealt::default();
-        let parts = self.group.exchange(splats.map(|splats| canvas.deal(splats, &mut dealt)))?;
-        let drawn = self.drawing.draw(level, &canvas, parts, (self.own.splats(), &dealt), settings);
+        let (_, drawn) = self.draw_view(&canvas, settings, held)?;
         let target = self.own.view(view).1;
         let parts = self.group.exchange(drawn.and_then(|()| self.drawing.rows_for_loss(&canvas, target)))?;
         self.drawing.loss(level, &canvas, target, &parts, false);

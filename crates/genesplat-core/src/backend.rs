@@ -8,7 +8,7 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use crate::camera::Camera;
-use crate::constants::{CLASSIC_DILATION, MIP_DILATION};
+use crate::constants::{ADAM_BETA1, ADAM_BETA2, CLASSIC_DILATION, MIP_DILATION};
 use crate::edit::RowEdit;
 use crate::gaussians::{Gaussians, Moments};
 use crate::genes::{Genes, SparseDelta};
@@ -111,6 +111,16 @@ pub struct Update {
     pub opacity_step: u32,
     /// MCMC only: SGLD noise and regularisers.
     pub mcmc: Option<McmcStep>,
+}
+
+impl Update {
+    /// Adam's factors of a group that steps at `rate`, for the `step`-th time: `rate / (1 − β1ᵗ)` and `1 / sqrt(1 − β2ᵗ)`.
+    pub fn factors(rate: f32, step: u32) -> [f32; 2] {
+        let step = step.max(1) as i32;
+        let first = 1.0 - f64::from(ADAM_BETA1).powi(step);
+        let second = 1.0 - f64::from(ADAM_BETA2).powi(step);
+        [(f64::from(rate) / first) as f32, (1.0 / second.sqrt()) as f32]
+    }
 }
 
 /// 3DGS-MCMC's additions to a step (Kheradmand et al. 2024).
@@ -254,6 +264,9 @@ pub struct Snapshot {
     /// Adam's moments `[N]`; empty for zeros.
     pub moments: Moments,
 }
+
+/// Whoever rolls back has taken a snapshot.
+pub const NO_SNAPSHOT: &str = "there is a snapshot to go back to";
 
 /// All that a device holds of a run besides its views: what a checkpoint saves.
 #[derive(Clone, Debug, Default, PartialEq)]

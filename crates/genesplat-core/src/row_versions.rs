@@ -22,6 +22,14 @@ pub struct RowVersion<'a> {
     pub holders: Holders,
 }
 
+/// Rows that one task looks through for versions.
+const PIECE: usize = 4096;
+
+/// Ranges that all rows are looked through by, each by a task of its own.
+pub fn pieces_of(rows: usize) -> impl Iterator<Item = Range<usize>> {
+    (0..rows).step_by(PIECE).map(move |start| start..rows.min(start + PIECE))
+}
+
 /// What individuals (1 to 128), which are differences from a cloud, hold of a range of its rows; row by row.
 pub fn row_versions(individuals: &[SparseDelta], rows: Range<usize>) -> Vec<RowVersion<'_>> {
     // 1. Who has changed each row, and to what.

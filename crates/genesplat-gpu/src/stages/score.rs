@@ -4,7 +4,7 @@
 //! one large cloud, projected, sorted and listed by tile once for all individuals. A workgroup then makes the pictures
 //! of sixteen individuals in one tile: an alpha is evaluated once, and blended for those that hold it.
 
-use genesplat_core::row_versions::{Holders, RowVersion, row_versions};
+use genesplat_core::row_versions::{Holders, RowVersion, pieces_of, row_versions};
 use genesplat_core::{BackendError, RenderSettings, SparseDelta};
 use rayon::prelude::*;
 
@@ -20,8 +20,6 @@ use crate::state::{RowWindow, Settled, Trained, pack_genes, window_uniform};
 
 /// Bytes of the pictures of a pool: enough to keep a device busy, and small against the cloud itself.
 const PICTURE_BYTES: u64 = 512 << 20;
-/// Rows that one task looks through for versions.
-const ROWS: usize = 4096;
 
 /// Buffers of the views of a pool, kept from call to call.
 pub(crate) struct PoolBuffers {
@@ -60,10 +58,9 @@ struct Pool {
 impl Pool {
     /// The row versions of `individuals`; nothing where they are more than `most`.
     fn upload(engine: &Engine, cloud: &Trained, individuals: &[SparseDelta], most: u64) -> Result<Option<Self>> {
-        let rows = cloud.rows() as usize;
-        let tasks = (0..rows.div_ceil(ROWS)).into_par_iter();
-        let of_task = |task: usize| row_versions(individuals, task * ROWS..rows.min((task + 1) * ROWS));
-        let versions: Vec<_> = tasks.flat_map_iter(of_task).collect();
+        let pieces: Vec<_> = pieces_of(cloud.rows() as usize).collect();
+        let of_piece = |rows| row_versions(individuals, rows);
+        let versions: Vec<_> = pieces.into_par_iter().flat_map_iter(of_piece).collect();
         if versions.len() as u64 > most {
             return Ok(None);
         }

@@ -1,7 +1,7 @@
 //! From cameras, settings and learning rates to what kernels read.
 
 use genesplat_core::backend::{McmcStep, Update};
-use genesplat_core::constants::{ADAM_BETA1, ADAM_BETA2, JACOBIAN_LIMIT};
+use genesplat_core::constants::JACOBIAN_LIMIT;
 use genesplat_core::{Camera, DensitySignal, RenderSettings, ScreenFilter, StatisticsRequest};
 
 use crate::state::layout::{
@@ -81,18 +81,18 @@ impl ViewPass {
 impl Optimiser {
     pub(crate) fn new(update: &Update) -> Self {
         let rates = &update.rates;
-        let [first, root] = corrections(update.step);
-        let [opacity_first, opacity_root] = corrections(update.opacity_step);
-        let rate = |rate: f32| (f64::from(rate) * first) as f32;
+        let [position, root] = Update::factors(rates.position, update.step);
+        let [opacity, opacity_root] = Update::factors(rates.opacity, update.opacity_step);
+        let rate = |rate: f32| Update::factors(rate, update.step)[0];
         let mut optimiser = Self {
-            position: rate(rates.position),
+            position,
             scale: rate(rates.scale),
             rotation: rate(rates.rotation),
-            opacity: (f64::from(rates.opacity) * opacity_first) as f32,
+            opacity,
             sh_dc: rate(rates.sh_dc),
             sh_rest: rate(rates.sh_rest),
-            root: root as f32,
-            opacity_root: opacity_root as f32,
+            root,
+            opacity_root,
             step_opacity: (update.opacity_step > 0).into(),
             ..Self::default()
         };
@@ -104,12 +104,4 @@ impl Optimiser {
         }
         optimiser
     }
-}
-
-/// Adam's bias corrections: `1 / (1 − β1ᵗ)` and `1 / sqrt(1 − β2ᵗ)`.
-fn corrections(step: u32) -> [f64; 2] {
-    let step = step.max(1) as i32;
-    let first = 1.0 - f64::from(ADAM_BETA1).powi(step);
-    let second = 1.0 - f64::from(ADAM_BETA2).powi(step);
-    [1.0 / first, 1.0 / second.sqrt()]
 }

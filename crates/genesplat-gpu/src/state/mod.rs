@@ -6,6 +6,7 @@ pub(crate) mod mean;
 pub(crate) mod statistics;
 mod trained;
 
+use genesplat_core::backend::NO_SNAPSHOT;
 use genesplat_core::{DeviceState, Gaussians, Snapshot, TrainStep};
 
 use crate::Result;
@@ -17,9 +18,6 @@ use layout::GRADIENT_FLOATS;
 use mean::DeviceMean;
 use statistics::DeviceStatistics;
 pub(crate) use trained::{ColourSteps, LateColours, Settled, Trained};
-
-/// Whoever rolls back has taken a snapshot.
-const NO_SNAPSHOT: &str = "there is a snapshot to go back to";
 
 pub(crate) struct State {
     pub(crate) trained: Trained,

@@ -4,13 +4,13 @@ use std::ops::Range;
 
 use genesplat_core::{
     Backend, BackendError, Contribution, EvolutionBackend, Held, Image, RenderSettings, RowEdit, SparseDelta,
-    StateMean, ViewLoss, backend::MomentPolicy,
+    StateMean, ViewLoss,
+    backend::{MomentPolicy, NO_SNAPSHOT},
 };
 
 use super::backend::{CpuBackend, TrainView};
 use super::blend::contribution::{contribution, weigh};
 use super::loss::{PhotoRows, Target, loss};
-use super::share::NO_SNAPSHOT;
 
 impl EvolutionBackend for CpuBackend {
     fn score(

@@ -4,13 +4,13 @@
 //! is taken to have at most twice as many as the one before, and what depends on them most, the gradient rows, is asked
 //! for when they are known.
 
+use genesplat_core::backend::NO_SNAPSHOT;
 use genesplat_core::memory::ensure_memory;
 use genesplat_core::{BackendError, Contribution, Gaussians, Held, Snapshot, SparseDelta};
 
 use super::backend::CpuBackend;
 use super::blend::gradient_row::GradientRow;
 use super::score::POOL_BYTES;
-use super::share::NO_SNAPSHOT;
 use super::view::{Pinhole, TILE, ViewBuffers};
 
 /// Splat, flags, and what stage `bin` keeps of a row: keys twice, a copy by range, counts and places.

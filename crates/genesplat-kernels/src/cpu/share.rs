@@ -1,6 +1,7 @@
 //! The verbs of [`CpuBackend`] in pieces, for one that holds a share of a cloud (see [`super::stages`]).
 
 use fearless_simd::Level;
+use genesplat_core::backend::NO_SNAPSHOT;
 use genesplat_core::{
     BackendError, DeviceState, Gaussians, Held, RenderSettings, Snapshot, SparseDelta, StatisticsRequest, TrainStep,
 };
@@ -9,9 +10,6 @@ use super::backend::{CpuBackend, TrainView};
 use super::loss::Target;
 use super::update::{Share, SplatGradients, Trained, UpdateInputs, update};
 use super::view::{Pinhole, Splats, project::project, timed};
-
-/// Whoever rolls back has taken a snapshot.
-pub(super) const NO_SNAPSHOT: &str = "there is a snapshot to go back to";
 
 impl CpuBackend {
     /// The instruction set that all stages use.

@@ -1,7 +1,7 @@
 //! The row versions of some individuals, and what a view shows of them.
 
 use fearless_simd::{Level, dispatch};
-use genesplat_core::row_versions::{Holders, RowVersion, row_versions};
+use genesplat_core::row_versions::{Holders, RowVersion, pieces_of, row_versions};
 use genesplat_core::{Gaussians, RenderSettings, SparseDelta};
 use rayon::prelude::*;
 
@@ -12,8 +12,6 @@ use crate::cpu::bytes_of;
 use crate::cpu::view::project::project_versions;
 use crate::cpu::view::{Band, Pinhole, Splats, TILE};
 
-/// Rows that one task looks through for versions.
-const ROWS: usize = 4096;
 /// Bytes that the pictures of a pool may take.
 pub(crate) const PICTURES_BYTES: usize = 256 << 20;
 
@@ -60,9 +58,9 @@ impl<'a> Pool<'a> {
 
     /// The row versions of some individuals, which are differences from a cloud of `rows` rows.
     pub(crate) fn new(rows: usize, individuals: &'a [SparseDelta]) -> Self {
-        let tasks = (0..rows.div_ceil(ROWS)).into_par_iter();
-        let of_task = |task: usize| row_versions(individuals, task * ROWS..rows.min((task + 1) * ROWS));
-        Self { individuals: individuals.len(), versions: tasks.flat_map_iter(of_task).collect() }
+        let pieces: Vec<_> = pieces_of(rows).collect();
+        let versions = pieces.into_par_iter().flat_map_iter(|rows| row_versions(individuals, rows)).collect();
+        Self { individuals: individuals.len(), versions }
     }
 
     /// The losses of the individuals in one view.

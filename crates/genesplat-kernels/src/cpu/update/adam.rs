@@ -21,10 +21,8 @@ pub(crate) struct Rate {
 
 impl Rate {
     pub(crate) fn new(rate: f32, step: u32) -> Self {
-        let step = step.max(1) as i32;
-        let first = 1.0 - f64::from(ADAM_BETA1).powi(step);
-        let second = 1.0 - f64::from(ADAM_BETA2).powi(step);
-        Self { step: (f64::from(rate) / first) as f32, root: (1.0 / second.sqrt()) as f32 }
+        let [step, root] = Update::factors(rate, step);
+        Self { step, root }
     }
 }
 
