@@ -31,7 +31,8 @@ const WAIT_MAX: Duration = Duration::from_secs(600);
 const INTEGRATED_INSTRUCTIONS: u64 = 1 << 34;
 const DISCRETE_INSTRUCTIONS: u64 = 1 << 37;
 
-/// wgpu tells Metal's kernels how long a binding is in 32 bits, whatever limit it reports: they would see no more.
+/// wgpu tells Metal's kernels how long a binding is in 32 bits, whatever limit it reports: they would see no more. A multiple of
+/// what bindings begin at.
 const BINDING_BYTES_MAX: u64 = !255u32 as u64;
 
 pub(super) type KernelKey = (&'static str, Vec<(&'static str, u32)>);
