@@ -97,7 +97,7 @@ impl EncodedPhoto {
 
     /// The lens that took it; `None` where its EXIF data have no focal length.
     pub(crate) fn lens_tags(&self) -> Option<LensTags> {
-        self.encoded.exif().and_then(|exif| exif::of_exif(&exif))
+        self.encoded.exif().and_then(exif::of_exif)
     }
 
     /// The same, turned upright by its orientation tag where only then it has the shape of `width` x `height` px: its

@@ -6,7 +6,8 @@
 //! replaced by two that share its longest axis. Nothing is cloned. What is faint goes, and after a reset the part of the
 //! cloud that has recovered its opacity least: it was there to overfit.
 //! Reference: Deng et al., "Improving Densification in 3D Gaussian Splatting for High-Fidelity Rendering", 2025, and the
-//! code released with it; DashGaussian grows to a budget, too. Where they do not say, faint rows go first, so that room is counted without them.
+//! code released with it; DashGaussian grows to a budget, too. Where they do not say, faint rows go first, so that room is
+//! counted without them.
 
 use genesplat_core::gaussians::sigmoid;
 use genesplat_core::{
