@@ -134,8 +134,12 @@ pub(super) struct Sort {
     pub(super) count_up: bool,
 }
 
-/// Keys that are sorted to try it, and numbers that are summed: more than one block.
-const TRIED: u32 = 5_000;
+/// Keys that are sorted to try it: more than one block.
+const SORTED: u32 = 5_000;
+
+/// Numbers that are summed to try it: in more blocks than the widest subgroup, of 128, has invocations, since sums of blocks
+/// are summed by subgroups, too.
+const SUMMED: u32 = 130 * SCAN_BLOCK;
 
 /// Whether a device sorts right. Kernels may rely on subgroups, and drivers choose their width kernel by kernel: so it is
 /// those of the sort themselves that are tried, and those of a prefix sum.
@@ -145,8 +149,8 @@ pub(crate) fn sorts_right(engine: &Engine) -> Result<bool> {
 
 fn sorts_keys_right(engine: &Engine) -> Result<bool> {
     // Few of their highest digits differ, and many are equal.
-    let keys: Vec<u32> = (0..TRIED).map(|place| (place / 2).wrapping_mul(0x9e37_79b9) >> 5).collect();
-    let values: Vec<u32> = (0..TRIED).collect();
+    let keys: Vec<u32> = (0..SORTED).map(|place| (place / 2).wrapping_mul(0x9e37_79b9) >> 5).collect();
+    let values: Vec<u32> = (0..SORTED).collect();
     let mut expected = values.clone();
     expected.sort_by_key(|&place| keys[place as usize]);
     let (sorted, places) = sorted(engine, &keys, &values, 32, false)?;
@@ -154,7 +158,7 @@ fn sorts_keys_right(engine: &Engine) -> Result<bool> {
 }
 
 fn sums_right(engine: &Engine) -> Result<bool> {
-    let counts: Vec<u32> = (0..TRIED).map(|place| place.wrapping_mul(0x9e37_79b9) >> 20).collect();
+    let counts: Vec<u32> = (0..SUMMED).map(|place| place.wrapping_mul(0x9e37_79b9) >> 20).collect();
     let before = |sum: &mut u32, &count: &u32| Some(std::mem::replace(sum, *sum + count));
     let expected: Vec<u32> = counts.iter().scan(0, before).collect();
     let (offsets, total) = prefix_sums(engine, &counts)?;
