@@ -8,7 +8,7 @@ use genesplat::core::Photo;
 use genesplat::io::colmap::{find_model, read_model};
 use genesplat::io::photos::{read_photo, resize, write_png};
 
-use crate::support::{command, copy, fail, json, judge_failure, number, python_with, real_data, scene, text};
+use crate::support::{command, copy, fail, json, judge_failure, number, program, python_with, real_data, scene, text};
 
 /// Twelve neighbouring photos of fox at half their size.
 fn small_photos(folder: &Path) -> Option<PathBuf> {
@@ -31,11 +31,22 @@ fn said(output: &Output) -> String {
     [&output.stdout, &output.stderr].map(|bytes| String::from_utf8_lossy(bytes).into_owned()).concat()
 }
 
+/// Writes the second photo as an iPhone would.
+fn to_heic(python: &Path, photos: &Path) {
+    let script = "import pillow_heif, sys; from PIL import Image; pillow_heif.register_heif_opener(); \
+                  Image.open(sys.argv[1]).save(sys.argv[2], quality=95)";
+    let [png, heic] = ["01.png", "01.HEIC"].map(|name| photos.join(name));
+    let made = Command::new(python).args(["-c", script, text(&png), text(&heic)]).output().unwrap();
+    assert!(made.status.success(), "{}", said(&made));
+    fs::remove_file(png).unwrap();
+}
+
 #[test]
 fn cameras_of_photos_are_found_and_the_scene_trains() {
     let folder = tempfile::tempdir().unwrap();
-    let Some(python) = python_with("pycolmap") else { return };
+    let (Some(python), Some(_)) = (python_with("pycolmap"), python_with("pillow_heif")) else { return };
     let Some(photos) = small_photos(folder.path()) else { return };
+    to_heic(&python, &photos);
     let found = folder.path().join("scene");
     let arguments = ["poses", text(&photos), "--out", text(&found)];
     let first = with_python(&python, &arguments);
@@ -46,6 +57,7 @@ fn cameras_of_photos_are_found_and_the_scene_trains() {
     assert!(said(&first).contains("of 12 photos") && said(&first).contains("genesplat train"), "{}", said(&first));
 
     let model = read_model(&find_model(&found).unwrap()).unwrap();
+    assert!(model.images.iter().any(|image| image.name.starts_with("01.")), "the HEIC photo has no camera");
     let down = model
         .images
         .iter()
@@ -63,6 +75,27 @@ fn cameras_of_photos_are_found_and_the_scene_trains() {
 
     fs::remove_file(photos.join("00.png")).unwrap();
     judge_failure(with_python(&python, &arguments), &["other photos", "--out"]);
+}
+
+/// Where no Python has pycolmap.
+#[test]
+fn cameras_are_found_by_the_program_colmap() {
+    let folder = tempfile::tempdir().unwrap();
+    let Some(colmap) = program("colmap") else { return };
+    let Some(photos) = small_photos(folder.path()) else { return };
+    let [only, found] = ["bin", "scene"].map(|name| folder.path().join(name));
+    fs::create_dir(&only).unwrap();
+    std::os::unix::fs::symlink(colmap, only.join("colmap")).unwrap();
+    let poses = command(["poses", text(&photos), "--out", text(&found)])
+        .env("PATH", only)
+        .env_remove("GENESPLAT_PYTHON")
+        .output()
+        .unwrap();
+    assert!(poses.status.success(), "{}", said(&poses));
+    let summary = json(&found.join("poses/summary.json"));
+    assert!(number(&summary["registered"]) >= 10.0 && number(&summary["points"]) > 300.0, "{summary}");
+    assert!(number(&summary["reprojection_error_px"]) < 1.0, "{summary}");
+    assert!(read_model(&find_model(&found).unwrap()).unwrap().images.len() >= 10);
 }
 
 /// Where a camera has its y axis, in the world.

@@ -148,6 +148,17 @@ pub(crate) fn real_data() -> Option<PathBuf> {
     None
 }
 
+/// A program on the `PATH`, if this machine has it; in CI it must be there.
+pub(crate) fn program(name: &str) -> Option<PathBuf> {
+    let folders = std::env::var_os("PATH").unwrap_or_default();
+    let found = std::env::split_paths(&folders).map(|folder| folder.join(name)).find(|program| program.is_file());
+    if found.is_none() {
+        assert_ne!(std::env::var("CI").as_deref(), Ok("true"), "CI has no {name}");
+        skipped(&format!("there is no {name} on the PATH"));
+    }
+    found
+}
+
 /// Says so where everybody sees it: what a test prints by macros is kept from the terminal.
 pub(crate) fn skipped(why: &str) {
     let _ = writeln!(std::io::stderr(), "skipped: {why}");
