@@ -4,11 +4,11 @@
 use genesplat_core::{BackendError, View};
 
 use super::trainer::Trainer;
-use crate::config::{Background, TrainConfig, Variant};
+use crate::config::{Background, DensityControl, TrainConfig, Variant};
 use crate::densify::Plan;
 use crate::densify::cap::Cap;
 use crate::scene::surroundings::are_on_white;
-use crate::schedule::{SCALED_INTERVAL_MIN, Schedule, VirtualSteps};
+use crate::schedule::{RECOVERY, SCALED_INTERVAL_MIN, Schedule, VirtualSteps};
 
 /// A reset is late where less than this fraction of the time between two resets is left after it: one in so many.
 const LATE_RESET_DIVISOR: u64 = 10;
@@ -57,13 +57,16 @@ pub(crate) fn of_white_surroundings(background: Background, views: &[View]) -> R
 
 /// `steps_scale` shortens the run, and intervals not below [`SCALED_INTERVAL_MIN`].
 fn notice_of_kept_intervals(config: &TrainConfig, schedule: &Schedule) -> Option<String> {
+    let recovery = ("what Improved-GS gives opacities to recover from a reset", RECOVERY, schedule.recovery());
     let intervals = [
-        ("densify.every", config.densify.every, schedule.densify_every),
-        ("densify.reset_every", config.densify.reset_every, schedule.reset_every),
+        Some(("densify.every", config.densify.every, schedule.densify_every)),
+        Some(("densify.reset_every", config.densify.reset_every, schedule.reset_every)),
+        Some(recovery).filter(|_| config.density_control() == DensityControl::Selection),
     ];
     let shorter = |given: u32| (f64::from(given) * config.steps_scale).round() as u32;
     let kept: Vec<String> = intervals
         .into_iter()
+        .flatten()
         .filter(|&(_, given, used)| used == SCALED_INTERVAL_MIN && shorter(given) < used && given >= used)
         .map(|(name, given, used)| format!("{name} is {used} and not {}", shorter(given)))
         .collect();
@@ -180,6 +183,10 @@ mod tests {
         assert!(text.ends_with("100 iterations at least: densify.every is 100 and not 10"), "{text}");
         let text = notice(0.01).expect("a notice");
         assert!(text.contains("densify.every is 100 and not 1, densify.reset_every is 100 and not 30"), "{text}");
+        let improved = TrainConfig { variant: Variant::ImprovedGs, steps_scale: 0.1, ..TrainConfig::published() };
+        let schedule = improved.resolve().unwrap();
+        let text = notice_of_kept_intervals(schedule.config(), &schedule).expect("a notice");
+        assert!(text.ends_with("to recover from a reset is 100 and not 30"), "{text}");
     }
 
     #[test]

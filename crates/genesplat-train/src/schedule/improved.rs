@@ -7,7 +7,7 @@ use crate::config::Variant;
 const BUDGET_RAMP: [f64; 2] = [14_000.0, 14_500.0];
 
 /// What recovers its opacity slowly is pruned so many iterations after a reset.
-const RECOVERY: u32 = 300;
+pub(crate) const RECOVERY: u32 = 300;
 
 /// Such pruning comes before this iteration only.
 const SLOW_UNTIL: u32 = 9000;
@@ -39,6 +39,11 @@ impl ImprovedSteps {
 }
 
 impl Schedule {
+    /// [`RECOVERY`] in iterations of this run.
+    pub(crate) fn recovery(&self) -> u32 {
+        self.improved.recovery
+    }
+
     /// Views whose gradients a step of the optimiser has in iteration `i`; it is made where this divides `i`. (Weight
     /// averaging takes the noise out of late steps of one view.)
     pub(super) fn views_of_a_step(&self, i: u32) -> u32 {
