@@ -66,7 +66,7 @@ pub fn generate(options: &GalleryOptions) -> Gallery {
     let caster = render::RayCaster { world, lighting, seed: pattern_seed };
     let views: Vec<View> = (cameras::path(views, width, height).into_iter().enumerate())
         .map(|(index, camera)| View {
-            name: format!("gallery_{index:03}.png"),
+            name: view_name(index, views),
             photo: caster.photograph(&camera).into(),
             camera,
             mask: None,
@@ -74,6 +74,12 @@ pub fn generate(options: &GalleryOptions) -> Gallery {
         .collect();
     let points = points::sample(&caster, &views, points, seed);
     Gallery { views, points }
+}
+
+/// Of as many digits as the last one has, so that names sort as numbers do.
+fn view_name(index: usize, views: u32) -> String {
+    let digits = (views - 1).to_string().len().max(3);
+    format!("gallery_{index:0digits$}.png")
 }
 
 /// It is in memory.
@@ -108,5 +114,18 @@ impl Gallery {
         };
         let images = self.views.iter().map(image).collect();
         Model { cameras: [(1, intrinsics)].into(), images, points: self.points.clone() }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::view_name;
+
+    #[test]
+    fn names_sort_in_the_order_of_the_path() {
+        assert_eq!(view_name(7, 48), "gallery_007.png");
+        for views in [48, 1000, 1001] {
+            assert!((0..views as usize).map(|index| view_name(index, views)).is_sorted(), "{views}");
+        }
     }
 }

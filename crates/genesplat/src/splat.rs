@@ -4,7 +4,7 @@ use std::path::Path;
 
 use anyhow::{Result, ensure};
 use genesplat::core::{Gaussians, RenderSettings, ScreenFilter};
-use genesplat::io::format::{self, Loaded};
+use genesplat::io::format::{self, Format, Loaded};
 use genesplat::io::{MaskUse, Scene, command_line, shown};
 use genesplat::train::Background;
 
@@ -118,4 +118,28 @@ fn read_cloud(path: &Path) -> Result<Loaded> {
     let is_empty = loaded.cloud.is_empty();
     ensure!(!is_empty, "{} holds no Gaussians, so there is nothing to see; give another splat", shown(path));
     Ok(loaded)
+}
+
+/// What the format has no place for.
+pub(crate) fn tell_losses(format: Format, cloud: &Gaussians, filter: ScreenFilter) {
+    let ending = format.ending();
+    if format == Format::Splat && cloud.sh_degree_in_use() > 0 {
+        output::tell(&format!("notice: {ending} holds no view-dependent colour, so highlights are lost"));
+    }
+    if format != Format::Ply && cloud.filter_3d.is_some() {
+        output::tell(&format!(
+            "notice: {ending} holds no 3D filter; it is baked in, and the file can be shown but not refined"
+        ));
+    }
+    let is_exact = match format {
+        Format::Ply | Format::CompressedPly => true,
+        // One mark for both kinds of compensated opacity.
+        Format::Spz | Format::Sog => filter != ScreenFilter::Mip,
+        Format::Splat | Format::Glb => false,
+    };
+    if filter != ScreenFilter::Classic && !is_exact {
+        output::tell(&format!(
+            "notice: {ending} does not say how this splat is antialiased, so viewers show small Gaussians a little larger"
+        ));
+    }
 }

@@ -20,15 +20,15 @@ const PHOTO_PIXELS: f64 = 0.3;
 pub(crate) struct Cap {
     /// The user's limit.
     asked: Option<usize>,
-    /// The user's limit or that of the density control.
-    own: Option<usize>,
+    /// The published limit of the density control, where it has one.
+    published: Option<usize>,
     /// What the photos can determine, with `evolution.renewal.capacity`: with more, a cloud learns photos by heart.
     from_photos: Option<usize>,
 }
 
 impl Cap {
     pub(crate) fn new(config: &TrainConfig, views: &[View]) -> Self {
-        let of_control = match config.density_control() {
+        let published = match config.density_control() {
             DensityControl::Mcmc => Some(mcmc::DEFAULT_CAP),
             DensityControl::Selection => Some(improved::DEFAULT_CAP),
             DensityControl::Adaptive => None,
@@ -36,19 +36,19 @@ impl Cap {
         let (mode, capacity) = (config.evolution.mode, config.evolution.renewal.capacity);
         let is_limited = mode == EvolutionMode::Renew && capacity > 0.0;
         let from_photos = is_limited.then(|| cap_from_photos(views, capacity));
-        let asked = config.max_gaussians;
-        Self { asked, own: asked.or(of_control), from_photos }
+        Self { asked: config.max_gaussians, published, from_photos }
     }
 
-    /// The lower of the two.
+    /// The lower of what is asked for and what the photos can determine, or what is published where nobody says anything.
     pub(crate) fn get(self) -> Option<usize> {
-        self.own.into_iter().chain(self.from_photos).min()
+        self.asked.into_iter().chain(self.from_photos).min().or(self.published)
     }
 
     /// It cannot wait until that limit is reached: MCMC refuses nothing, so there would be nothing to tell then.
     pub(crate) fn notice_of_lower_cap(self) -> Option<String> {
-        let (own, from_photos) = (self.own?, self.from_photos?);
-        (from_photos < own).then(|| {
+        self.asked.or(self.published)?;
+        let from_photos = self.from_photos?;
+        self.asked.is_none_or(|asked| from_photos < asked).then(|| {
             let beside = self.asked.map_or(String::new(), |asked| format!(", and not to the limit of {asked}"));
             format!(
                 "the cloud grows no further than {from_photos} Gaussians, which is what the photos can determine \
@@ -60,7 +60,8 @@ impl Cap {
     /// The limit of `cap` is reached in iteration `i`, and `refused` more wanted to grow; `is_last`: no densification
     /// follows.
     pub(crate) fn notice_of_full_cloud(self, cap: usize, i: u32, refused: usize, is_last: bool) -> String {
-        let source = if self.own == Some(cap) { "" } else { " from the photos (evolution.renewal.capacity)" };
+        let is_from_photos = self.from_photos == Some(cap) && self.asked != Some(cap);
+        let source = if is_from_photos { " from the photos (evolution.renewal.capacity)" } else { "" };
         let rest = if is_last { "" } else { "; from now on there is only the room that pruning leaves" };
         format!("iteration {i}: the limit of {cap} Gaussians{source} is reached ({refused} more wanted to grow){rest}")
     }
@@ -108,7 +109,8 @@ mod tests {
         assert_eq!(cap(renew, Variant::ThreeDgs, None, 0.5), Some(450));
         assert_eq!(cap(renew, Variant::ThreeDgs, Some(500), 1.0), Some(500));
         assert_eq!(cap(renew, Variant::Mcmc, None, 1.0), Some(900));
-        assert_eq!(cap(renew, Variant::Mcmc, None, 1e9), Some(mcmc::DEFAULT_CAP));
+        // The published limit is none where photos can determine more.
+        assert_eq!(cap(renew, Variant::ThreeDgs, None, 1e6), Some(900_000_000));
         assert_eq!(cap(renew, Variant::ThreeDgs, None, 0.0), Some(improved::DEFAULT_CAP));
         assert_eq!(cap(renew, Variant::PixelGs, None, 0.0), None);
         assert_eq!(cap(off, Variant::ThreeDgs, None, 1.0), None);

@@ -74,7 +74,7 @@ fn finished(cells: &Path) -> Result<Vec<PathBuf>> {
 fn is_finished(run: &Path) -> Option<bool> {
     let (metrics, config) = (metrics(run).ok()?, config(run).ok()?);
     let planned = config.get("iterations")?.as_integer()? as f64 * config.get("steps_scale")?.as_float()?;
-    Some(metrics.get("iterations")?.as_f64()? >= planned.floor())
+    Some(metrics.get("iterations")?.as_f64()? >= planned.round())
 }
 
 fn metrics(run: &Path) -> Result<Value> {

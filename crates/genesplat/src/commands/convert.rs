@@ -4,8 +4,8 @@ use std::fs;
 use std::path::Path;
 
 use anyhow::{Result, bail, ensure};
+use genesplat::core::Gaussians;
 use genesplat::core::gaussians::sigmoid;
-use genesplat::core::{Gaussians, ScreenFilter};
 use genesplat::io::format::{self, Format, Options};
 use genesplat::io::shown;
 
@@ -41,7 +41,7 @@ pub(crate) fn run(args: &ConvertArgs) -> Result<()> {
         spz_version: args.spz_version.unwrap_or_default(),
     };
     format::write(&args.out, format, &cloud, &options)?;
-    tell_losses(format, &cloud, &splat);
+    splat::tell_losses(format, &cloud, splat.settings.filter);
     say_size("written to", &args.out, cloud.len())?;
     drop(cloud);
     let Some(scene) = scene else { return Ok(()) };
@@ -79,28 +79,4 @@ fn say_size(what: &str, path: &Path, gaussians: usize) -> Result<()> {
     let bytes = fs::metadata(&file).map_or(0, |file| file.len());
     let (count, size, each) = (thousands(gaussians), thousands(bytes as usize), bytes as f64 / gaussians as f64);
     output::print(&format!("{count} Gaussians {what} {}: {size} bytes, {each:.1} a Gaussian", shown(file)))
-}
-
-/// What the format has no place for.
-fn tell_losses(format: Format, cloud: &Gaussians, splat: &Splat) {
-    let ending = format.ending();
-    if format == Format::Splat && cloud.sh_degree_in_use() > 0 {
-        output::tell(&format!("notice: {ending} holds no view-dependent colour, so highlights are lost"));
-    }
-    if format != Format::Ply && cloud.filter_3d.is_some() {
-        output::tell(&format!(
-            "notice: {ending} holds no 3D filter; it is baked in, and the file can be shown but not refined"
-        ));
-    }
-    let is_exact = match format {
-        Format::Ply | Format::CompressedPly => true,
-        // One mark for both kinds of compensated opacity.
-        Format::Spz | Format::Sog => splat.settings.filter != ScreenFilter::Mip,
-        Format::Splat | Format::Glb => false,
-    };
-    if splat.settings.filter != ScreenFilter::Classic && !is_exact {
-        output::tell(&format!(
-            "notice: {ending} does not say how this splat is antialiased, so viewers show small Gaussians a little larger"
-        ));
-    }
 }

@@ -10,7 +10,7 @@ use genesplat::io::{input, shown};
 use super::Ending;
 use crate::args::{ExperimentArgs, MachineArgs};
 use crate::experiment::cells::State;
-use crate::experiment::plan::Experiment;
+use crate::experiment::plan::{Cell, Experiment};
 use crate::experiment::results::Results;
 use crate::experiment::runner::{Ran, Runner};
 use crate::experiment::summary::Tables;
@@ -85,12 +85,16 @@ pub(crate) fn run(args: &ExperimentArgs) -> Result<Ending> {
 /// A line a cell: its number, what is known of it, its folder.
 fn list(runner: &Runner<'_>) -> Result<Ending> {
     output::forget_notes();
-    for (number, (cell, state)) in (1..).zip(runner.states()?) {
-        let is_control = runner.experiment.arms[cell.arm].control_of.is_some();
+    runner.check_folders()?;
+    let states = runner.states()?;
+    let finished: Vec<Cell> =
+        states.iter().filter(|(_, state)| matches!(state, State::Finished(_))).map(|(cell, _)| *cell).collect();
+    for (number, (cell, state)) in (1..).zip(states) {
+        let its_arm = runner.experiment.arms[cell.arm].control_of.map(|arm| Cell { arm, ..cell });
         let state = match state {
             State::Finished(_) => "finished",
             State::Interrupted => "interrupted",
-            State::Missing if is_control => "after its arm",
+            State::Missing if its_arm.is_some_and(|arm| !finished.contains(&arm)) => "after its arm",
             State::Missing => "to do",
         };
         output::print(&format!("{number:>5}  {state:<13}  {}", shown(runner.experiment.folder(cell))))?;

@@ -6,9 +6,9 @@ use genesplat::io::shown;
 
 use crate::args::MergeArgs;
 use crate::blocks::merge::merge;
-use crate::files;
 use crate::terminal::numbers::thousands;
 use crate::terminal::output;
+use crate::{files, splat};
 
 /// Reads the splat of every block, and writes what stands on its core.
 pub(crate) fn run(args: &MergeArgs) -> Result<()> {
@@ -16,5 +16,6 @@ pub(crate) fn run(args: &MergeArgs) -> Result<()> {
     let (cloud, settings) = merge(&args.blocks)?;
     let options = Options { screen_filter: settings.filter, ..Options::default() };
     format::write(&args.out, format, &cloud, &options)?;
+    splat::tell_losses(format, &cloud, settings.filter);
     output::print(&format!("{} Gaussians written to {}", thousands(cloud.len()), shown(&args.out)))
 }

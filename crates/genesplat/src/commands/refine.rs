@@ -42,12 +42,19 @@ pub(crate) fn run(args: &RefineArgs) -> Result<Ending> {
         train(device.as_mut(), views, Start::Cloud(splat.cloud), &config, &mut reporter, &stop)?
     };
     let options = Options { screen_filter: splat.settings.filter, ..Options::default() };
-    format::write(&args.out, files::format_of(&args.out)?, &outcome.cloud, &options)?;
+    let format = files::format_of(&args.out)?;
+    format::write(&args.out, format, &outcome.cloud, &options)?;
+    splat::tell_losses(format, &outcome.cloud, splat.settings.filter);
     if outcome.summary.interrupted {
         output::print("stopped early; what follows is as far as it had come")?;
     }
-    print_scores("after", &mut device, &scene, &splat.settings)?;
     let gaussians = thousands(outcome.cloud.len());
+    drop(outcome.cloud);
+    // What was written, which may be less than what was found.
+    let written = splat::open(&args.out)?;
+    device.upload(written.cloud.into())?;
+    let settings = RenderSettings { background: splat.settings.background, ..written.settings };
+    print_scores("after", &mut device, &scene, &settings)?;
     output::print(&format!("{gaussians} Gaussians written to {}", shown(&args.out)))?;
     Ok(if outcome.summary.interrupted { Ending::Stopped } else { Ending::Whole })
 }
@@ -59,9 +66,10 @@ fn configure(args: &RefineArgs, splat: &Splat) -> Result<Schedule> {
         Some(file) => ConfigFile::read_over(file, defaults)?.train,
         None => TrainConfig { iterations: ITERATIONS, ..TrainConfig::default() },
     };
+    let scaled = train.clone().resolve()?.iterations;
     finish_schedule(&mut train);
     train.sh_degree = splat.settings.sh_degree;
-    train.iterations = args.iterations.unwrap_or(train.iterations);
+    (train.iterations, train.steps_scale) = (args.iterations.unwrap_or(scaled), 1.0);
     train.seed = args.seed.unwrap_or(train.seed);
     train.evolution.mode = args.evolve.unwrap_or(train.evolution.mode);
     args.search.override_config(&mut train)?;

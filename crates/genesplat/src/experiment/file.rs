@@ -2,7 +2,7 @@
 
 use genesplat::gallery::GalleryOptions;
 use genesplat::io::HoldOut;
-use genesplat::train::Variant;
+use genesplat::train::{TrainConfig, Variant};
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
@@ -104,16 +104,24 @@ impl ExperimentFile {
             (self.max_side, self.downscale) = (args.size.max_side, args.size.downscale);
         }
         if let Some(iterations) = args.iterations {
-            self.set_for_all("iterations", i64::from(iterations).into());
+            self.set_iterations(iterations);
         }
         if let Some(scale) = args.steps_scale {
-            self.set_for_all("steps_scale", scale.into());
+            self.config.insert("steps_scale".into(), scale.into());
+            self.arms.iter_mut().for_each(|arm| drop(arm.config.remove("steps_scale")));
         }
     }
 
-    fn set_for_all(&mut self, key: &str, value: Value) {
-        self.config.insert(key.to_owned(), value);
-        self.arms.iter_mut().for_each(|arm| drop(arm.config.remove(key)));
+    /// An arm that makes ten iterations for seven of the others still does.
+    fn set_iterations(&mut self, iterations: u32) {
+        let usual = TrainConfig::default().iterations.into();
+        let common = self.config.get("iterations").and_then(Value::as_integer).unwrap_or(usual) as f64;
+        for own in self.arms.iter_mut().filter_map(|arm| arm.config.get_mut("iterations")) {
+            if let Some(of_arm) = own.as_integer() {
+                *own = Value::Integer((of_arm as f64 / common * f64::from(iterations)).round() as i64);
+            }
+        }
+        self.config.insert("iterations".into(), iterations.into());
     }
 }
 
@@ -138,8 +146,9 @@ mod tests {
             (file.config, file.arms.remove(0).config)
         };
         assert_eq!(arm("").1.len(), 3, "nothing is overridden");
-        let (common, own) = arm("--iterations 3 --steps-scale 0.25");
-        assert_eq!((common["iterations"].as_integer(), common["steps_scale"].as_float()), (Some(3), Some(0.25)));
-        assert_eq!(own.keys().collect::<Vec<_>>(), ["seed_of"], "what no flag speaks of");
+        let (common, own) = arm("--iterations 18 --steps-scale 0.25");
+        assert_eq!((common["iterations"].as_integer(), common["steps_scale"].as_float()), (Some(18), Some(0.25)));
+        assert_eq!(own.keys().collect::<Vec<_>>(), ["iterations", "seed_of"], "and what no flag speaks of");
+        assert_eq!(own["iterations"].as_integer(), Some(10), "5 for 9 of the others");
     }
 }

@@ -94,14 +94,14 @@ fn write_pictures(page: &mut Html, pages: &[Page]) {
         "Under each slider is the test photo that gained most. Drag the border, or move it with the arrow keys.",
     );
     for (index, Page { path, caption, renders }) in pages.iter().enumerate() {
-        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        let name = shown(path);
         page.open("figure class=\"sheet\"");
         if index < PICTURES_MAX {
             let pictures = renders.each_ref().map(|(name, render)| (name.as_str(), render));
             picture::write_slider(page, pictures, SLIDER_PX);
         }
         page.open("figcaption").text("Where it changed most, in ");
-        page.attribute_of("a", "href", &encoded(&format!("qualitative/{name}"))).text(&name).close("a");
+        page.attribute_of("a", "href", &encoded(&name)).text(&name).close("a");
         page.text(&format!(": {caption}")).close("figcaption").close("figure");
     }
 }

@@ -169,8 +169,9 @@ fn scene_label(scene: &str) -> &str {
     Path::new(scene).file_name().and_then(|name| name.to_str()).unwrap_or(scene)
 }
 
-fn check_list<T: PartialEq + Display>(what: &str, items: impl IntoIterator<Item = T>) -> Result<()> {
-    let items = Vec::from_iter(items);
+/// Names are those of folders, which on some file systems are the same in capitals.
+fn check_list<T: Display>(what: &str, items: impl IntoIterator<Item = T>) -> Result<()> {
+    let items: Vec<String> = items.into_iter().map(|item| item.to_string().to_lowercase()).collect();
     ensure!(!items.is_empty(), "the experiment has no {what}; list at least one");
     match items.iter().enumerate().find(|(at, item)| items[..*at].contains(item)) {
         Some((_, item)) => {
@@ -223,6 +224,7 @@ mod tests {
             ("scenes = [\"a\"]\nseeds = [0]\nevolve = [\"off\"]\ndownscale = 0", "downscale is 0"),
             ("scenes = [\"a\"]\nseeds = [0]\nevolve = [\"off\"]\nmax_side = 0", "max_side is 0"),
             ("scenes = [\"a\"]\nseeds = [0]\nevolve = [\"off\"]\nmax_side = 64\ndownscale = 2", "keep one of them"),
+            ("scenes = [\"a\", \"A\"]\nseeds = [0]\nevolve = [\"off\"]", "twice"),
             ("scenes = [\"x/a\", \"y/a\"]\nseeds = [0]\nevolve = [\"off\"]", "twice"),
             ("scenes = [\"a\"]\nseeds = [0]", "no arms"),
             ("scenes = [\"a\"]\nseeds = [0]\nevolve = [\"none\"]", "arm `none`"),

@@ -20,6 +20,7 @@ use crate::scene::picture_names;
 use crate::terminal::output;
 
 pub(crate) struct Page {
+    /// In the folder of the experiment.
     pub(crate) path: PathBuf,
     pub(crate) caption: String,
     /// Both arms' renders of the photo that gained most, by name.
@@ -76,8 +77,8 @@ fn write_page(
     }
     let Some([without, evolved]) = shown else { return Ok(None) };
     let (name, variant) = (experiment.scene_name(with.scene), experiment.file.variants[with.variant]);
-    let path = runner.out.join("qualitative").join(format!("{name}-{variant}-{arm}.png"));
-    write_png(&path, &stacked(&rows))?;
+    let path: PathBuf = ["qualitative", name, variant.name(), &format!("{arm}.png")].iter().collect();
+    write_png(&runner.out.join(&path), &stacked(&rows))?;
     let caption = format!(
         "{name}, {variant}, seed {}: photo, {baseline}, {arm}. Above, the test photo that gained most PSNR; below, the one \
          that lost most (or gained least). Green: where error fell most; red: where it rose most.",

@@ -98,7 +98,8 @@ fn quality(results: &Results<'_>, split: Split, variant: usize) -> Table {
     };
     let caption = format!(
         "{variant_name}, {} photos: {}, and the differences of the other arms from it, paired by seed ({}). Differences \
-         are arm - baseline for PSNR and SSIM, baseline - arm for LPIPS: positive is better. ± is the standard deviation.",
+         are arm - baseline for PSNR and SSIM, baseline - arm for LPIPS: positive is better. ± is the standard deviation \
+         over seeds, and in the row `mean of scenes` over these means.",
         split.name(),
         experiment.arms[0].name,
         repeats(results),

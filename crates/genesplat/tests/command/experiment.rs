@@ -181,7 +181,7 @@ fn pages_are_whole_escaped_and_load_nothing() {
     }
     let html = fs::read_to_string(out.join("report.html")).unwrap();
     assert!(html.contains("&lt;script&gt;alert(1)") && html.contains(&format!("href=\"{run}\"")));
-    assert!(out.join("qualitative/gallery-3dgs-paper.png").is_file());
+    assert!(out.join("qualitative/gallery/3dgs/paper.png").is_file());
     for name in ["tables.md", "cells.csv", "experiment.toml"] {
         assert!(fs::metadata(out.join(name)).unwrap().len() > 100, "{name}");
     }
@@ -333,6 +333,9 @@ fn a_job_array_makes_the_same_tables_as_one_process() {
         child.wait().unwrap()
     };
     assert!(jobs("1\n2\n4\n5\n").success());
+    let listed = succeed(experiment(&file, &many, &["--list"]));
+    assert_eq!((listed.matches("finished").count(), listed.matches("to do").count()), (4, 2), "{listed}");
+    fail(experiment(&file, &many, &["--list", "--iterations", "61"]), &["other settings", "--out"]);
     assert!(jobs("3\n6\n1\n4\n").success());
     let listed = succeed(experiment(&file, &many, &["--list"]));
     assert_eq!(listed.matches("finished").count(), 6, "{listed}");

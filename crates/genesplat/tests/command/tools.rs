@@ -203,15 +203,26 @@ fn the_papers_search_makes_no_gradient_step_and_keeps_colours() {
     assert_eq!((before.len(), &before.sh, &before.rotations), (after.len(), &after.sh, &after.rotations));
 }
 
+/// A `.splat` has no view-dependent colour, and the scores are those of what was written.
 #[test]
-fn settings_of_a_run_refine_too() {
+fn settings_of_a_run_refine_too_and_the_file_is_scored() {
     let folder = tempfile::tempdir().unwrap();
-    let (ply, out) = (finished_run().join("point_cloud.ply"), folder.path().join("refined.ply"));
+    let (ply, out) = (finished_run().join("point_cloud.ply"), folder.path().join("refined.splat"));
     for mode in ["off", "renew"] {
         let config = folder.path().join("config.toml");
-        std::fs::write(&config, format!("iterations = 30\n[evolution]\nmode = \"{mode}\"")).unwrap();
+        std::fs::write(&config, format!("iterations = 300\nsteps_scale = 0.1\n[evolution]\nmode = \"{mode}\""))
+            .unwrap();
         let arguments = ["refine", text(&ply), "--data", text(scene()), "--out", text(&out)];
-        succeed(arguments.iter().chain(&["--config", text(&config)]));
+        let refined = run(arguments.iter().chain(&["--config", text(&config)]));
+        let [said, told] = [refined.stdout, refined.stderr].map(|bytes| String::from_utf8(bytes).unwrap());
+        assert!(refined.status.success() && told.contains("no view-dependent colour"), "{told}");
+        assert!(told.contains("(30 of 30)"), "{told}");
+        let evaluated = succeed(["evaluate", text(&out), "--data", text(scene()), "--no-lpips"]);
+        let scores = |text: &str, start: &str| {
+            let line = text.lines().find(|line| line.starts_with(start)).unwrap_or_else(|| panic!("{text}"));
+            line.split_whitespace().skip_while(|word| *word != "PSNR").take(5).collect::<Vec<_>>().join(" ")
+        };
+        assert_eq!(scores(&said, "after"), scores(&evaluated, "test"), "{said}{evaluated}");
     }
 }
 
