@@ -18,9 +18,10 @@ pub struct PaperConfig {
     /// Fraction of the Gaussians that a mutation may touch, drawn afresh for each individual: exactly `round(fraction *
     /// N)`, and at least one. Default 0.10; above 0, up to 1.
     pub selection_fraction: f64,
-    /// How these are drawn. Default uniform.
+    /// How these are drawn. Default `uniform`; or `error`.
     pub selected_by: SelectedBy,
-    /// Which Gaussians two parents may exchange. Default all: section 3.1 defines crossover on whole parameter vectors.
+    /// Which Gaussians two parents may exchange. Default `all`, since section 3.1 defines crossover on whole parameter
+    /// vectors; or `selected`, the fraction above.
     pub crossover_of: CrossoverOf,
     /// alpha of Eq. 4: the step in units of `u_i` times the parameter's standard deviation. Default 0.10; from 0.
     pub intensity: f64,
@@ -28,7 +29,7 @@ pub struct PaperConfig {
     pub initial_mutation_rate: f64,
     /// The same in the early, middle and late generations. Default 0.15, 0.05, 0.02; each 0 to 1.
     pub mutation_rates: [f64; 3],
-    /// Which way the genes of the initial population move. Default at random.
+    /// Which way the genes of the initial population move. Default `random`; or `downhill`.
     pub initial_direction: InitialDirection,
     /// Probability that a pair of parents is crossed rather than copied, in the early, middle and late generations.
     /// Default 0.85, 0.70, 0.50; each 0 to 1.
@@ -36,9 +37,9 @@ pub struct PaperConfig {
     /// Where early ends and where middle ends, as fractions of K. Default 0.30, 0.70; 0 to 1, ascending. Generation k
     /// of K (from 1) is early while `(k - 1) / K` is below the first.
     pub rate_breaks: [f64; 2],
-    /// How two parents are recombined. Default 100 points.
+    /// How two parents are recombined. Default `{ kind = "points", points = 100 }`; or `{ kind = "uniform" }`.
     pub crossover: Crossover,
-    /// Where `u_i` of Eq. 4 comes from. Default the gradients.
+    /// Where `u_i` of Eq. 4 comes from. Default `gradient`; or `unit`.
     pub magnitude: Magnitude,
 }
 

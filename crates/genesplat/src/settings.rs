@@ -37,8 +37,10 @@ pub(crate) struct Settings {
 pub(crate) struct Dataset {
     /// The scene's folder, as it was given.
     pub(crate) path: PathBuf,
+    /// Longest side of the photos, px; larger ones are reduced. Default: only widths above 1600 px are reduced, to 1600.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(crate) max_side: Option<u32>,
+    /// Or their divisor: both sides are divided by it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(crate) downscale: Option<u32>,
     /// Near plane of all cameras, world units; left out for the usual one, or a nearer one in a small scene.

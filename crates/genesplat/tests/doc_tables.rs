@@ -5,6 +5,8 @@ use std::path::Path;
 
 #[path = "../examples/doc_tables/add.rs"]
 mod add;
+#[path = "../examples/doc_tables/settings.rs"]
+mod settings;
 #[path = "../examples/doc_tables/tables.rs"]
 mod tables;
 
@@ -46,6 +48,18 @@ fn documents_agree_with_the_results() {
         with_tables += usize::from(text.contains("<!-- table: "));
     }
     assert!(with_tables >= 2, "README.md and docs/evolution.md have tables");
+}
+
+#[test]
+fn every_setting_stands_in_the_document_as_the_code_explains_it() {
+    let text = fs::read_to_string(root().join("docs").join(settings::NAME)).unwrap();
+    let page = settings::page(root()).unwrap();
+    assert!(text == page, "docs/{}: cargo run --release --example doc_tables", settings::NAME);
+    for name in
+        ["**`iterations`**", "## `[evolution.renewal]`", "**`capacity`**", "**`crossover_rates`**", "**`hold_out`**"]
+    {
+        assert!(page.contains(name), "{name}");
+    }
 }
 
 #[test]

@@ -117,9 +117,9 @@ pub struct RenewalConfig {
     /// 0.75, and 0 where the cloud grows by selection, where they were worth nothing; 0 to 1, and 0 for none at all.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub until: Option<f64>,
-    /// Factor on the number of Gaussians that the photos can determine, which the cloud may grow to: the least of their
-    /// pixels over 2 · √photos, 70 times the root of their pixels, and the pixels of one photo over 0.3. A lower
-    /// `max_gaussians` counts. Default 1; 0 for no such limit (with selection, 1,000,000 then).
+    /// Factor on the number of Gaussians that the photos can determine, which the cloud may grow to. That is the least of
+    /// their pixels over 2 · √photos, 70 times the root of their pixels, and the pixels of one photo over 0.3. A lower
+    /// `max_gaussians` counts. Default 1; 0 for no such limit (with selection and `mcmc`, 1,000,000 then).
     pub capacity: f64,
     /// The cloud grows by selection, as Improved-GS's does: parents are drawn by the edges that they stand for, and what
     /// recovers slowly from an opacity reset goes. Settings that count iterations are then those of a run of 30,000, and

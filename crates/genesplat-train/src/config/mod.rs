@@ -117,12 +117,14 @@ pub struct TrainConfig {
     /// the position rate and every size threshold.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub extent: Option<f64>,
-    /// At most this many Gaussians: starting points are thinned to it, and densification stops at it. Default: no limit;
-    /// 1,000,000 with `mcmc` and `improved-gs`, which grow to it along a curve of their own. Evolution's mode `renew` has a
-    /// limit of its own, and the lower one counts (`evolution.renewal.capacity`).
+    /// At most this many Gaussians: starting points are thinned to it, and densification stops at it. Default
+    /// with evolution's mode `renew`: as many as the photos can determine (`evolution.renewal.capacity`; the lower of the two
+    /// counts). Default without it: no limit, but 1,000,000 with `mcmc` and `improved-gs`, which grow to it along a curve of
+    /// their own.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub max_gaussians: Option<usize>,
-    /// Iterations between two checkpoints. Default 0: none but that of an interrupted run. Not scaled by `steps_scale`.
+    /// Iterations between two checkpoints. Default 1000 in the command; in the library 0, none but that of an interrupted
+    /// run. Not scaled by `steps_scale`.
     pub checkpoint_every: u32,
     /// Adam's step sizes.
     pub optimiser: OptimiserConfig,

@@ -1,4 +1,5 @@
-//! Writes the tables of the documents from the figures in `docs/results`, so that none is typed by hand.
+//! Writes the tables of the documents from the figures in `docs/results`, so that none is typed by hand, and docs/settings.md from the
+//! comments of the settings.
 //!
 //! ```sh
 //! cargo run --release --example doc_tables               # rewrites the tables in README.md and docs/*.md
@@ -16,6 +17,7 @@ use std::path::Path;
 use anyhow::{Context, Result, bail};
 
 mod add;
+mod settings;
 mod tables;
 
 fn main() -> Result<()> {
@@ -50,8 +52,20 @@ fn write_tables(root: &Path, results: &Path, check: bool) -> Result<()> {
         if check {
             bail!("tables of {} are not those of docs/results; run this without --check", path.display());
         }
-        fs::write(&path, with_tables).with_context(|| format!("cannot write {}", path.display()))?;
-        eprintln!("rewrote {}", path.display());
+        rewrite(&path, &with_tables)?;
     }
+    let (path, page) = (root.join("docs").join(settings::NAME), settings::page(root)?);
+    if fs::read_to_string(&path).is_ok_and(|text| text == page) {
+        return Ok(());
+    }
+    if check {
+        bail!("{} is not what the comments in the code say; run this without --check", path.display());
+    }
+    rewrite(&path, &page)
+}
+
+fn rewrite(path: &Path, text: &str) -> Result<()> {
+    fs::write(path, text).with_context(|| format!("cannot write {}", path.display()))?;
+    eprintln!("rewrote {}", path.display());
     Ok(())
 }

@@ -40,7 +40,7 @@ pub(crate) struct HoldOutArgs {
     /// name tells photos of one name apart
     #[arg(long, value_name = "FILE")]
     test_list: Option<PathBuf>,
-    /// Hold out no photo: the best splat that the photos can give, and no figures that tell how good it is
+    /// Hold out no photo: all of them train, and no figures tell how good the splat is on others
     #[arg(long)]
     train_on_all: bool,
 }

@@ -21,12 +21,12 @@ pub(crate) struct TrainArgs {
     /// keep that scene in DIR/scene
     #[arg(long)]
     pub(crate) poses: bool,
-    /// Folder for the results; made if it is missing. It will hold point_cloud.ply, metrics.json, config.toml,
-    /// log.jsonl and test/*.png; an earlier run's results there are moved to DIR/previous, and removed once this run
+    /// Folder for the results; made if it is missing. It will hold point_cloud.ply, report.html, metrics.json,
+    /// config.toml, log.jsonl and test/*.png; an earlier run's results there are moved to DIR/previous, and removed once this run
     /// has come to its end
     #[arg(long, value_name = "DIR")]
     pub(crate) out: PathBuf,
-    /// Named settings; flags given here win over them, and config.toml in DIR has them all
+    /// Named settings; flags given here win over them
     #[arg(long, value_name = "PRESET", value_parser = choice(PRESETS), conflicts_with = "config")]
     pub(crate) preset: Option<&'static str>,
     #[command(flatten)]
@@ -94,7 +94,7 @@ pub(crate) struct ScheduleArgs {
     #[arg(long, value_name = "S", value_parser = clap::value_parser!(u64).range(SEEDS))]
     seed: Option<u64>,
     /// Train at most this many Gaussians, from the first step on [default: as many as the photos can determine; without
-    /// --evolve renew no limit; 1000000 with mcmc and improved-gs, which grow towards it on a curve of their own]. Bounds
+    /// --evolve renew no limit, but 1000000 with mcmc and improved-gs, which grow towards it on a curve of their own]. Bounds
     /// memory (2 to 4 KB a Gaussian) and time
     #[arg(long, value_name = "N", value_parser = positive)]
     max_gaussians: Option<usize>,
