@@ -8,7 +8,7 @@ use genesplat::core::Photo;
 use genesplat::io::colmap::{find_model, read_model};
 use genesplat::io::photos::{read_photo, resize, write_png};
 
-use crate::support::{command, copy, fail, json, judge_failure, number, program, python_with, real_data, scene, text};
+use crate::support::{command, copy, fail, json, judge_failure, number, python_with, real_data, scene, text};
 
 /// Twelve neighbouring photos of fox at half their size.
 fn small_photos(folder: &Path) -> Option<PathBuf> {
@@ -78,10 +78,11 @@ fn cameras_of_photos_are_found_and_the_scene_trains() {
 }
 
 /// Where no Python has pycolmap.
+#[cfg(unix)]
 #[test]
 fn cameras_are_found_by_the_program_colmap() {
     let folder = tempfile::tempdir().unwrap();
-    let Some(colmap) = program("colmap") else { return };
+    let Some(colmap) = crate::support::program("colmap") else { return };
     let Some(photos) = small_photos(folder.path()) else { return };
     let [only, found] = ["bin", "scene"].map(|name| folder.path().join(name));
     fs::create_dir(&only).unwrap();

@@ -150,8 +150,9 @@ pub(crate) fn real_data() -> Option<PathBuf> {
 
 /// A program on the `PATH`, if this machine has it; in CI it must be there.
 pub(crate) fn program(name: &str) -> Option<PathBuf> {
+    let file = format!("{name}{}", std::env::consts::EXE_SUFFIX);
     let folders = std::env::var_os("PATH").unwrap_or_default();
-    let found = std::env::split_paths(&folders).map(|folder| folder.join(name)).find(|program| program.is_file());
+    let found = std::env::split_paths(&folders).map(|folder| folder.join(&file)).find(|program| program.is_file());
     if found.is_none() {
         assert_ne!(std::env::var("CI").as_deref(), Ok("true"), "CI has no {name}");
         skipped(&format!("there is no {name} on the PATH"));
