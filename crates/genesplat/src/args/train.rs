@@ -22,8 +22,7 @@ pub(crate) struct TrainArgs {
     #[arg(long)]
     pub(crate) poses: bool,
     /// Folder for the results; made if it is missing. It will hold point_cloud.ply, report.html, metrics.json,
-    /// config.toml, log.jsonl and test/*.png; an earlier run's results there are moved to DIR/previous, and removed once this run
-    /// has come to its end
+    /// config.toml, log.jsonl and test/*.png. Results of an earlier run there are never written over
     #[arg(long, value_name = "DIR")]
     pub(crate) out: PathBuf,
     /// Named settings; flags given here win over them

@@ -16,7 +16,7 @@ use crate::poses::{self, Request};
 use crate::run::metrics::Metrics;
 use crate::run::session::{Caller, RunSession};
 use crate::run::training::{Ended, Run};
-use crate::run::{CLOUD, REPORT, previous};
+use crate::run::{CLOUD, REPORT};
 use crate::settings::{ConfigFile, Settings};
 use crate::terminal::numbers::{duration, thousands};
 use crate::terminal::{interrupt, output};
@@ -127,14 +127,12 @@ fn report(ended: &Ended, folder: &Path) -> Result<Ending> {
             print_size(metrics, folder)?;
             let last = metrics.iterations;
             output::print(&format!(
-                "stopped after iteration {last}; the same command with --resume goes on from there{}",
-                previous::note(folder)
+                "stopped after iteration {last}; the same command with --resume goes on from there"
             ))?;
         }
         Ended::Unscored => output::print(&format!(
-            "stopped while photos were scored, so there are no figures yet; {} is whole, and the same command with --resume scores it{}",
-            shown(folder.join(CLOUD)),
-            previous::note(folder)
+            "stopped while photos were scored, so there are no figures yet; {} is whole, and the same command with --resume scores it",
+            shown(folder.join(CLOUD))
         ))?,
         Ended::NotBegun => {
             output::print(&format!("stopped before the first step; {} is as it was", shown(folder)))?;

@@ -112,9 +112,9 @@ mod tests {
     #[test]
     fn the_settings_beside_the_results_are_valid() {
         let results = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/results"));
-        for (study, arms) in [("shoe.toml", 5), ("shoe-improved.toml", 1)] {
+        for (study, runs) in [("shoe.toml", 3 * 5), ("shoe-improved.toml", 3), ("tenth.toml", 8 * 2)] {
             let path = results.join(study);
-            assert_eq!(preset(path.to_str().unwrap()).cells().len(), 3 * arms, "{study}");
+            assert_eq!(preset(path.to_str().unwrap()).cells().len(), runs, "{study}");
         }
         let averaged = ConfigFile::read(&results.join("averaged.toml")).unwrap().train;
         assert!(!averaged.evolution.renewal.selection && averaged.evolution.renewal.averaging);

@@ -7,11 +7,11 @@ use genesplat::io::shown;
 use genesplat::train::TrainError;
 
 use super::session::{Caller, has_checkpoint, no_rows, read_checkpoint};
-use super::{CHECKPOINT, METRICS, previous};
+use super::{CHECKPOINT, METRICS};
 
 /// `error`, and after its sentence what is left of the run in `folder`, and how to go on.
 pub(crate) fn explain(error: anyhow::Error, folder: &Path, caller: Caller) -> anyhow::Error {
-    let sentence = format!("{error}{}{}", what_is_left(&error, folder, caller), previous::note(folder));
+    let sentence = format!("{error}{}", what_is_left(&error, folder, caller));
     error.context(sentence)
 }
 

@@ -13,7 +13,6 @@
 //! | `report.html` | all of it, to look at |
 //! | `snapshots/iteration-N.ply` | the splat at some iterations, where the live page was asked to save it |
 //! | `checkpoint/latest.checkpoint` | the state of an unfinished run |
-//! | `previous/` | what an older run had left, until this one has come to its end |
 //! | `.lock` | empty; whoever writes to the folder holds its lock |
 //!
 //! All but the log and its curves are written whole or not at all, so that a full disk or a power cut leaves what was there before.
@@ -24,7 +23,6 @@ pub(crate) mod log;
 pub(crate) mod memory;
 pub(crate) mod metrics;
 pub(crate) mod photos;
-pub(crate) mod previous;
 pub(crate) mod session;
 pub(crate) mod tensorboard;
 pub(crate) mod test_curve;
@@ -41,5 +39,5 @@ pub(crate) const TEST: &str = "test";
 pub(crate) const SNAPSHOTS: &str = "snapshots";
 pub(crate) const CHECKPOINT: &str = "checkpoint/latest.checkpoint";
 
-/// The files that a run leaves beside its settings and pictures; first what is worth most.
-const RESULTS: [&str; 7] = [CLOUD, FUSED_CLOUD, METRICS, LOG, EVENTS, REPORT, CHECKPOINT];
+/// The files that a run leaves beside its settings and pictures; first what says that the others are whole.
+const RESULTS: [&str; 7] = [METRICS, CLOUD, FUSED_CLOUD, LOG, EVENTS, REPORT, CHECKPOINT];

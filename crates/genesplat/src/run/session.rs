@@ -4,7 +4,7 @@ use std::cell::RefCell;
 use std::fs;
 use std::io::{self, BufReader, ErrorKind, Write};
 use std::ops::Range;
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 
 use anyhow::{Result, anyhow, bail, ensure};
 use genesplat::core::{Gaussians, RowOwners, ScreenFilter, Sight};
@@ -14,10 +14,11 @@ use genesplat::train::checkpoint::JointWriter;
 
 use super::lock::Lock;
 use super::metrics::Metrics;
-use super::{CHECKPOINT, CLOUD, CONFIG, FUSED_CLOUD, LOG, METRICS, REPORT, RESULTS, SNAPSHOTS, TEST, previous};
+use super::{CHECKPOINT, CLOUD, CONFIG, FUSED_CLOUD, LOG, METRICS, REPORT, RESULTS, SNAPSHOTS, TEST};
 use crate::files::{
     check_folder, check_writable, remove_if_there, remove_leftovers, unwritable, write_file, write_json, write_text,
 };
+use crate::scene::names_of_pictures;
 use crate::terminal::output;
 
 /// How a run's `config.toml` begins.
@@ -28,11 +29,12 @@ const SPLAT_ROWS: usize = 1 << 14;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Caller {
-    /// Replaces no interrupted run, and goes on with one when told to, on any device.
+    /// Replaces no results, and goes on with an interrupted run when told to, on any device.
     Train,
-    /// Goes on by itself, with settings that are the same, device included; leaves the terminal to the experiment.
+    /// Goes on by itself, with settings that are the same, device included; leaves the terminal to the experiment, which knows
+    /// whose results may be replaced.
     Experiment,
-    /// Never goes on.
+    /// Never goes on, and replaces an earlier demo.
     Demo,
 }
 
@@ -68,8 +70,11 @@ impl RunSession {
             (true, false) => {
                 bail!("{shown} holds no checkpoint to go on from; start the run without --resume")
             }
-            (false, true) if caller == Caller::Train => bail!(
-                "{shown} holds a run that was interrupted; add --resume to go on, or remove its checkpoint folder to start anew"
+            (false, true) if caller == Caller::Train => {
+                bail!("{shown} holds a run that was interrupted; add --resume to go on, or choose another --out")
+            }
+            (false, false) if caller == Caller::Train && path.join(METRICS).exists() => bail!(
+                "{shown} holds the results of a run, and would be written over; choose another --out, or remove that folder"
             ),
             (false, _) => {}
         }
@@ -82,7 +87,7 @@ impl RunSession {
         Self { path: path.to_owned(), caller, resumes, writes: false, lock, config: String::new() }
     }
 
-    /// The run begins: results of an older one move out of the way, and the settings `config` are written.
+    /// The run begins: what an older one has left is removed, and the settings `config` are written.
     pub(crate) fn begin(&mut self, config: &str) -> Result<()> {
         let path = &self.path;
         if self.lock.get_mut().is_none() {
@@ -95,7 +100,7 @@ impl RunSession {
         }
         // Before the new settings are there: results never stand beside settings that are not theirs.
         if !self.resumes && path.join(CONFIG).exists() {
-            previous::keep(path)?;
+            remove_results(path)?;
         }
         self.config = format!("{CONFIG_MARK} {}; --config repeats it.\n{config}", env!("CARGO_PKG_VERSION"));
         write_text(&path.join(CONFIG), &self.config)?;
@@ -189,20 +194,15 @@ impl RunSession {
         written
     }
 
-    /// Writes the page, then the figures: complete figures are the sign of a finished run, and from then on older results
-    /// are no longer those that count.
-    pub(crate) fn write_results(&self, page: &str, metrics: &Metrics, is_whole: bool) -> Result<()> {
+    /// Writes the page, then the figures: complete figures are the sign of a finished run.
+    pub(crate) fn write_results(&self, page: &str, metrics: &Metrics) -> Result<()> {
         self.hold()?;
         write_text(&self.path.join(REPORT), page)?;
-        if is_whole {
-            previous::outdate(&self.path)?;
-        }
         write_json(&self.path.join(METRICS), metrics)
     }
 
-    /// The run has come to its end: neither its checkpoint nor older results are needed any more.
+    /// The run has come to its end: its checkpoint is not needed any more.
     pub(crate) fn finish(&self) -> Result<()> {
-        previous::remove(&self.path)?;
         remove_if_there(&self.path.join(CHECKPOINT))
     }
 }
@@ -221,6 +221,21 @@ pub(crate) fn is_part_of_run(path: &Path) -> bool {
 
 pub(crate) fn has_checkpoint(folder: &Path) -> bool {
     folder.join(CHECKPOINT).exists()
+}
+
+/// Removes what a run has left in `folder`, by name, and keeps its settings: whatever else is there is not ours.
+fn remove_results(folder: &Path) -> Result<()> {
+    // Their names are in the figures, which go first.
+    let pictures = pictures(folder).into_iter().map(|name| Path::new(TEST).join(name));
+    let files = RESULTS.into_iter().map(PathBuf::from).chain(pictures);
+    files.map(|file| folder.join(file)).try_for_each(|file| remove_if_there(&file))
+}
+
+/// The names of a run's pictures, as far as its figures are known.
+fn pictures(run: &Path) -> Vec<String> {
+    let Some(metrics) = Metrics::read(run) else { return Vec::new() };
+    let stays_below = |name: &String| Path::new(name).components().all(|part| matches!(part, Component::Normal(_)));
+    names_of_pictures(&metrics.test_photos()).into_iter().filter(stays_below).collect()
 }
 
 /// Of a checkpoint that is only looked at.
@@ -247,7 +262,6 @@ pub(crate) fn check_is_run(path: &Path) -> Result<()> {
 /// Fails where `path` is no folder for a new run: it belongs to something else, or cannot be written to.
 fn check_is_free(path: &Path) -> Result<()> {
     check_folder(path, CONFIG)?;
-    previous::check(path)?;
     let (config, test) = (path.join(CONFIG), path.join(TEST));
     ensure!(
         !test.is_file(),

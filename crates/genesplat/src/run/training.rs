@@ -182,7 +182,7 @@ impl Run<'_> {
                 curves.notices.push(notice);
             }
             let page = self.report(session.path(), &metrics, curves)?;
-            session.write_results(&page, &metrics, !summary.interrupted)?;
+            session.write_results(&page, &metrics)?;
         }
         if summary.interrupted {
             return Ok(Ended::Stopped(metrics));

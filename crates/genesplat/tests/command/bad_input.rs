@@ -207,7 +207,6 @@ fn a_folder_has_one_writer() {
     drop(lock);
     fs::remove_dir_all(out.join("checkpoint")).unwrap();
     succeed(train(scene(), &out, &["--iterations", "3"]));
-    succeed(train(scene(), &out, &["--iterations", "3"]));
 }
 
 /// A Blender scene has its test photos where a run has its renders of them.

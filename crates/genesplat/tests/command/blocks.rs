@@ -157,7 +157,7 @@ fn blocks_are_trained_one_by_one_and_merged() {
     fs::write(checkpoint.join("latest.checkpoint"), "half of it").unwrap();
     let resumed = format!("{second} --resume goes on");
     judge_failure(in_shell(merge, place.path()), &["block 1-0 was stopped before its end", &resumed]);
-    fs::remove_dir_all(&checkpoint).unwrap();
+    fs::remove_dir_all(blocks.join("runs/1-0")).unwrap();
 
     works(&format!("{second} {QUICK} --background white"));
     let words = ["runs/1-0 was trained with background white", "with background black", "all alike"];

@@ -8,7 +8,7 @@ use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use crate::kills::{SCHEDULE, advance, assert_same_run, whole_run};
-use crate::support::{command, scene, skipped, started_by, succeed, text, train};
+use crate::support::{command, fail, scene, skipped, started_by, succeed, text, train};
 
 /// A small disk in memory, made and left again by one shell that has it to itself: `first` runs on it, then it grows, and
 /// the other commands run.
@@ -39,7 +39,7 @@ fn a_full_disk_is_a_sentence_and_costs_nothing() {
         return skipped("this machine lets nobody mount a small disk");
     };
     let place = tempfile::tempdir().unwrap();
-    let whole = whole_run(&place, "whole", &[]);
+    let whole = whole_run(&place);
     let disk = place.path().join("disk");
     fs::create_dir(&disk).unwrap();
     let arguments = train(scene(), &disk.join("out"), &SCHEDULE);
@@ -100,7 +100,7 @@ fn a_run_whose_folder_vanishes_is_written_all_the_same() {
     assert!(log.lines().count() > 3, "{log}");
     // The folder is a run's, as before.
     succeed(["evaluate", text(&out), "--data", text(scene()), "--device", "cpu"]);
-    succeed(train(scene(), &out, &["--iterations", "3"]));
+    fail(train(scene(), &out, &["--iterations", "3"]), &["holds the results of a run"]);
 }
 
 #[test]

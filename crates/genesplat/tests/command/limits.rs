@@ -19,7 +19,7 @@ fn under(limits: &str, arguments: &[String]) -> Output {
 #[test]
 fn a_file_that_may_not_grow_is_a_write_error_and_costs_nothing() {
     let place = tempfile::tempdir().unwrap();
-    let whole = whole_run(&place, "whole", &[]);
+    let whole = whole_run(&place);
     let (mut failed, mut done) = (0, 0);
     for blocks in [0, 1, 4, 16, 64, 100, 1000, 100_000] {
         let out = place.path().join(format!("out{blocks}"));

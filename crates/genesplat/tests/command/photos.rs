@@ -49,15 +49,16 @@ fn photos_are_held_out_by_name_or_not_at_all() {
     // The run does not need the list any more.
     fs::remove_file(&list).unwrap();
     succeed(evaluate(&run, &[]));
-    fail(train(scene(), &run, &listed), &["cannot read the list", "test.txt"]);
+    let other = folder.path().join("other");
+    fail(train(scene(), &other, &listed), &["cannot read the list", "test.txt"]);
     fs::write(&list, "IMG_0001.jpg").unwrap();
-    fail(train(scene(), &run, &listed), &["no photo called IMG_0001.jpg", "gallery_000.png"]);
+    fail(train(scene(), &other, &listed), &["no photo called IMG_0001.jpg", "gallery_000.png"]);
     fs::write(&list, "\n").unwrap();
-    fail(train(scene(), &run, &listed), &["test.txt", "names no photo", "--train-on-all"]);
+    fail(train(scene(), &other, &listed), &["test.txt", "names no photo", "--train-on-all"]);
 
-    succeed(train(scene(), &run, &["--iterations", "3", "--train-on-all"]));
-    assert_eq!(tested(&run), [""; 0]);
-    fail(evaluate(&run, &[]), &["no test photos", "--split train"]);
+    succeed(train(scene(), &other, &["--iterations", "3", "--train-on-all"]));
+    assert_eq!(tested(&other), [""; 0]);
+    fail(evaluate(&other, &[]), &["no test photos", "--split train"]);
 }
 
 /// The bundled scene, of which the right half of each photo is hidden, and `behind` the masks if that is a grey.

@@ -101,15 +101,12 @@ fn an_interrupted_run_is_saved_and_resumed_exactly() {
 /// Photos of 17 megapixels on one thread: loading takes seconds, and begins after the thread that hears signals.
 #[cfg(target_os = "linux")]
 #[test]
-fn ctrl_c_while_a_scene_is_loaded_costs_no_results() {
+fn ctrl_c_while_a_scene_is_loaded_leaves_no_folder() {
     use genesplat::core::Photo;
     use genesplat::io::photos::write_png;
 
     let folder = tempfile::tempdir().unwrap();
     let [out, slow] = ["run", "slow"].map(|name| folder.path().join(name));
-    succeed(train(scene(), &out, &["--iterations", "3"]));
-    let results = || ["metrics.json", "point_cloud.ply"].map(|name| fs::read(out.join(name)).unwrap());
-    let before = results();
     copy_scene(&slow);
     let large = folder.path().join("large.png");
     write_png(&large, &Photo { width: 4800, height: 3600, rgb: vec![90; 3 * 4800 * 3600] }).unwrap();
@@ -134,7 +131,7 @@ fn ctrl_c_while_a_scene_is_loaded_costs_no_results() {
     let output = child.wait_with_output().unwrap();
     let [said, heard] = [output.stdout, output.stderr].map(|bytes| String::from_utf8(bytes).unwrap());
     assert!(output.status.code() == Some(130) && said.contains("is as it was"), "{said} {heard}");
-    assert!(heard.contains("stopping") && before == results());
+    assert!(heard.contains("stopping") && !out.exists());
 }
 
 #[test]

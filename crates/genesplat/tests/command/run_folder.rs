@@ -70,36 +70,38 @@ fn a_run_folder_is_complete() {
     }
 }
 
+/// What is in the folder of a finished run, by name.
+fn results(out: &Path) -> [Vec<u8>; 5] {
+    ["metrics.json", "point_cloud.ply", "config.toml", "log.jsonl", "test/gallery_000.png"]
+        .map(|name| std::fs::read(out.join(name)).unwrap())
+}
+
 #[test]
-fn a_run_may_be_repeated_in_its_folder() {
+fn results_are_never_written_over() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("run");
-    succeed(train(scene(), &out, &["--iterations", "30"]));
-    let mine = out.join("test/mine.png");
-    std::fs::write(&mine, b"no run has left it").unwrap();
     succeed(train(scene(), &out, &["--iterations", "20"]));
-    assert!(mine.exists() && !out.join("previous").exists());
-    assert_eq!(json(&out.join("metrics.json"))["iterations"], 20);
+    let before = results(&out);
+    fail(train(scene(), &out, &["--iterations", "30"]), &["holds the results of a run", "choose another --out"]);
+    fail(train(scene(), &out, &["--resume"]), &["is finished", "nothing to resume", "another folder"]);
+    fail(train(scene(), &out, &["--resume", "--iterations", "40"]), &["is finished", "--iterations"]);
+    assert!(before == results(&out));
 }
 
 /// Settings with which nothing is left of a cloud.
 #[test]
-fn a_run_that_fails_costs_no_results() {
+fn a_run_that_failed_may_be_begun_again_in_its_folder() {
     let folder = tempfile::tempdir().unwrap();
     let (out, config) = (folder.path().join("run"), folder.path().join("bad.toml"));
-    succeed(train(scene(), &out, &["--iterations", "30"]));
-    let names = ["metrics.json", "point_cloud.ply", "log.jsonl", "test/gallery_000.png"];
-    let read = |folder: &Path| names.map(|name| std::fs::read(folder.join(name)).unwrap());
-    let before = read(&out);
     let bad = "iterations = 60\ndensify = { from = 1, every = 2, reset_every = 30, prune_opacity = 0.2, reset_opacity = 0.3 }";
     std::fs::write(&config, bad).unwrap();
     for _ in 0..2 {
-        let arguments = train(scene(), &out, &["--config", text(&config)]);
-        fail(arguments, &["every Gaussian was pruned", "results of the run before are in", "previous"]);
-        assert!(before == read(&out.join("previous")) && !out.join("point_cloud.ply").exists());
+        fail(train(scene(), &out, &["--config", text(&config)]), &["every Gaussian was pruned"]);
+        assert!(out.join("log.jsonl").exists() && !out.join("point_cloud.ply").exists());
     }
     succeed(train(scene(), &out, &["--iterations", "20"]));
-    assert!(!out.join("previous").exists());
+    let log = std::fs::read_to_string(out.join("log.jsonl")).unwrap();
+    assert_eq!(log.lines().filter(|line| line.contains("\"event\":\"start\"")).count(), 1, "{log}");
 }
 
 /// What `kill -9` leaves of a checkpoint that is being written.
@@ -108,6 +110,7 @@ fn what_a_killed_run_has_left_is_cleared_away() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("run");
     succeed(train(scene(), &out, &["--iterations", "3"]));
+    std::fs::remove_file(out.join("metrics.json")).unwrap();
     let [partial, mine] = ["checkpoint/.genesplat-4711-3.tmp", "checkpoint/mine.tmp"].map(|name| out.join(name));
     std::fs::create_dir_all(out.join("checkpoint")).unwrap();
     [&partial, &mine].iter().for_each(|file| std::fs::write(file, "x").unwrap());
@@ -127,26 +130,15 @@ fn write_still(scene: &Path) {
 }
 
 #[test]
-fn a_mistyped_path_costs_no_results() {
+fn a_mistake_leaves_no_folder() {
     let folder = tempfile::tempdir().unwrap();
-    let out = folder.path().join("run");
-    succeed(train(scene(), &out, &["--iterations", "20"]));
-    let results = || {
-        ["metrics.json", "point_cloud.ply", "config.toml", "log.jsonl", "test/gallery_000.png"]
-            .map(|name| std::fs::read(out.join(name)).unwrap())
-    };
-    let before = results();
-    let absent = folder.path().join("absent");
+    let [out, absent, still] = ["run", "absent", "still"].map(|name| folder.path().join(name));
     fail(train(&absent, &out, &["--iterations", "30"]), &["absent", "does not exist"]);
     fail(train(scene(), &out, &["--lpips-weights", text(&absent)]), &["no LPIPS weights at", "absent"]);
     fail(train(scene(), &out, &["--config", text(&absent)]), &["absent"]);
-    let still = folder.path().join("still");
     write_still(&still);
     fail(train(&still, &out, &["--iterations", "30"]), &["10 training cameras stand at the same place"]);
-    assert!(before == results());
-    fail(train(scene(), &out, &["--resume"]), &["is finished", "nothing to resume", "another folder"]);
-    fail(train(scene(), &out, &["--resume", "--iterations", "40"]), &["is finished", "--iterations"]);
-    assert!(before == results());
+    assert!(!out.exists());
 }
 
 #[test]
@@ -171,7 +163,7 @@ fn options_of_the_methods_reach_the_run_and_its_splat() {
     assert!(said.contains(&format!("before test   PSNR {psnr:.2}")), "white and antialiased, too: {said}");
 
     let wrong = ["--variant", "mip-splatting", "--antialiasing"];
-    fail(train(scene(), &out, &wrong), &["antialiasing is true", "mip-splatting"]);
+    fail(train(scene(), &folder.path().join("wrong"), &wrong), &["antialiasing is true", "mip-splatting"]);
 }
 
 #[test]

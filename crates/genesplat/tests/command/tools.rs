@@ -376,6 +376,8 @@ fn auto_without_a_driver_trains_on_the_cpu_and_says_so() {
     assert_eq!(announced(arguments.clone()), 1);
     // The configuration of a run names the device that it had, and then nothing was left to us.
     arguments.drain(device - 1..=device);
+    let place = arguments.iter().position(|word| word == text(&out)).unwrap();
+    arguments[place] = text(&folder.path().join("repeated")).into();
     arguments.extend(["--config".into(), text(&out.join("config.toml")).into()]);
     assert_eq!(announced(arguments), 0);
     let evaluate = ["evaluate", text(&out), "--data", text(scene()), "--no-lpips"].map(str::to_owned);

@@ -1,16 +1,18 @@
 //! `transforms.json` scenes: poses, lenses, splits, what is missing, and what is wrong.
 
+mod points;
+
 use std::fs;
 use std::path::Path;
 
 use genesplat_core::Camera;
 use genesplat_core::constants::NEAR_DEPTH;
-use genesplat_io::colmap::{Form, ImageRecord, Intrinsics, Model};
-use genesplat_io::{HoldOut, LoadOptions, Point, Scene, load_scene, photos};
+use genesplat_io::{HoldOut, LoadOptions, Scene, load_scene, photos};
 use glam::{DMat3, DQuat, DVec3};
 use serde_json::{Value, json};
 
-use crate::common::{tiny_photo, write_form};
+use self::points::ascii_points;
+use crate::common::tiny_photo;
 
 /// A camera of a photo of 40x30 px.
 fn camera(index: usize) -> Camera {
@@ -293,123 +295,6 @@ fn a_fisheye_is_told_by_its_model_or_by_a_flag() {
 }
 
 #[test]
-fn named_points_are_read_in_both_encodings() {
-    let header = |format: &str| {
-        format!(
-            "ply\nformat {format} 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n\
-             property uint8 red\nproperty uint8 green\nproperty uint8 blue\nend_header\n"
-        )
-    };
-    let mut binary = header("binary_little_endian").into_bytes();
-    let last = ([0.0, 4.0, 8.0], [255, 128, 0]);
-    for (position, rgb) in [([1.0f32, -2.0, 0.5], [1u8, 2, 3]), last, last, last] {
-        position.iter().for_each(|v| binary.extend(v.to_le_bytes()));
-        binary.extend(rgb);
-    }
-    let ascii = (header("ascii") + "1 -2 0.5 1 2 3" + &"\n0 4 8 255 128 0".repeat(3)).into_bytes();
-    for bytes in [binary, ascii] {
-        let folder = tempfile::tempdir().unwrap();
-        let mut description = nerfstudio();
-        description["ply_file_path"] = json!("points.ply");
-        write(folder.path(), "transforms.json", &description);
-        fs::write(folder.path().join("points.ply"), &bytes).unwrap();
-        let points = load(folder.path()).unwrap().points;
-        assert_eq!((points.len(), points[0].position, points[1].rgb), (4, [1.0, -2.0, 0.5], [255, 128, 0]));
-        fs::write(folder.path().join("points.ply"), &bytes[..bytes.len() - 10]).unwrap();
-        assert!(load(folder.path()).unwrap_err().to_string().contains("points.ply"));
-        fs::write(folder.path().join("points.ply"), [&bytes, &b"\n0 4 8 255 128 0"[..]].concat()).unwrap();
-        assert!(load(folder.path()).unwrap_err().to_string().contains("something follows its end"));
-    }
-}
-
-/// The model that nerfstudio made the cameras of, in a world of another place, direction and size.
-fn nested_model(shift: f64) -> Model {
-    let (turn, scale) = (DQuat::from_euler(glam::EulerRot::XYZ, 0.9, 0.4, -1.1), 0.5);
-    let image = |index: usize| {
-        let camera = camera(index);
-        let rotation = camera.camera_from_world_rotation * turn;
-        let centre = scale * (turn.inverse() * camera.centre_in_world()) + DVec3::splat(shift * index as f64);
-        let translation = rotation * -centre;
-        ImageRecord {
-            name: format!("{index}.png"),
-            camera: 1,
-            rotation: [rotation.w, rotation.x, rotation.y, rotation.z],
-            translation: translation.into(),
-        }
-    };
-    let intrinsics = Intrinsics { width: 40, height: 30, focal_px: [44.0; 2], principal_px: [20.0, 15.0], lens: None };
-    let point = |z: f64| (scale * (turn.inverse() * DVec3::new(1.0, 2.0, z))).as_vec3().into();
-    let points = [3.0, 4.0, 5.0, 6.0].map(|z| Point { position: point(z), rgb: [z as u8; 3] });
-    Model { cameras: [(1, intrinsics)].into(), images: (0..3).map(image).collect(), points: points.into() }
-}
-
-#[test]
-fn points_of_the_model_beside_are_moved_to_the_cameras() {
-    let folder = tempfile::tempdir().unwrap();
-    write(folder.path(), "transforms.json", &nerfstudio());
-    write_form(&folder.path().join("colmap/sparse/0"), Form::Binary, &nested_model(0.0));
-    let points = load(folder.path()).unwrap().points;
-    assert_eq!((points.len(), points[3].rgb), (4, [6; 3]));
-    for (point, z) in points.iter().zip([3.0, 4.0, 5.0, 6.0]) {
-        let off = DVec3::from(point.position.map(f64::from)).distance(DVec3::new(1.0, 2.0, z));
-        assert!(off < 1e-5, "{point:?}");
-    }
-    // Of other cameras.
-    write_form(&folder.path().join("colmap/sparse/0"), Form::Binary, &nested_model(0.3));
-    assert_eq!(load(folder.path()).unwrap().points.len(), 100_000);
-}
-
-/// A point cloud of two points and two black ones, as training needs four; `before` stands between the header's first
-/// lines and the vertices' own.
-fn ascii_points(before: &str, colour: &str, rows: &str) -> String {
-    let colours = ["red", "green", "blue"].map(|name| format!("property {colour} {name}\n")).concat();
-    format!(
-        "ply\nformat ascii 1.0\n{before}element vertex 4\nproperty float x\nproperty float y\nproperty float z\n\
-         {colours}end_header\n{}\n9 9 9 0 0 0\n9 9 8 0 0 0\n",
-        rows.trim_end()
-    )
-}
-
-/// The points of a nerfstudio scene that names this file.
-fn load_points_of(ply: &str) -> Result<Vec<Point>, genesplat_io::SceneError> {
-    let folder = tempfile::tempdir().unwrap();
-    let mut description = nerfstudio();
-    description["ply_file_path"] = json!("points.ply");
-    write(folder.path(), "transforms.json", &description);
-    fs::write(folder.path().join("points.ply"), ply).unwrap();
-    load(folder.path()).map(|scene| scene.points)
-}
-
-#[test]
-fn colours_as_fractions_are_brought_to_bytes() {
-    let colours = |ply: &str| load_points_of(ply).unwrap()[..2].iter().map(|point| point.rgb).collect::<Vec<_>>();
-    let fractions = "0 0 0 0.5 1 0\n1 1 1 0.2 0.004 0.998\n";
-    for kind in ["float", "double"] {
-        assert_eq!(colours(&ascii_points("", kind, fractions)), [[128, 255, 0], [51, 1, 254]]);
-    }
-    // Levels written as floats, and a picture so dark that its bytes are 0 and 1.
-    assert_eq!(colours(&ascii_points("", "float", "0 0 0 1 2 3\n1 1 1 0.4 0.6 254.7")), [[1, 2, 3], [0, 1, 255]]);
-    assert_eq!(colours(&ascii_points("", "uchar", "0 0 0 1 0 1\n1 1 1 0 0 1")), [[1, 0, 1], [0, 0, 1]]);
-}
-
-/// What comes before the vertices of an ASCII file takes lines, whatever its types.
-#[test]
-fn elements_before_the_vertices_are_passed_over() {
-    let before = "element camera 2\nproperty double f\nproperty list uchar int views\n";
-    let rows = "500.25 3 1 2 3\n7 0\n1 -2 0.5 9 8 7\n4 5 6 255 128 0\n";
-    let points = load_points_of(&ascii_points(before, "uchar", rows)).unwrap();
-    assert_eq!((points.len(), points[0].position, points[1].rgb), (4, [1.0, -2.0, 0.5], [255, 128, 0]));
-    let with_faces = ascii_points("", "uchar", rows.split_once("7 0\n").unwrap().1);
-    let face = "element face 1\nproperty list uchar int vertex_indices\nend_header";
-    assert_eq!(load_points_of(&(with_faces.replace("end_header", face) + "3 0 1 2\n")).unwrap(), points);
-    let cut = load_points_of(&ascii_points(before, "uchar", "500.25 3 1 2 3\n7 0\n1 -2"));
-    assert!(cut.unwrap_err().to_string().contains("points.ply"));
-    let endless = "element camera 18446744073709551615\nproperty double f\n";
-    let refused = load_points_of(&ascii_points(endless, "uchar", rows)).unwrap_err().to_string();
-    assert!(refused.contains("cut off"), "{refused}");
-}
-
-#[test]
 fn blender_scenes_keep_their_own_split_and_background() {
     let folder = tempfile::tempdir().unwrap();
     for split in ["train", "test"] {
@@ -464,14 +349,6 @@ fn blender_scenes_keep_their_own_split_and_background() {
     assert!(scene.notices[0].starts_with("4 of 4 photos are transparent in parts"), "{:?}", scene.notices);
 }
 
-/// Said before photos are decoded, and by training only after it has made room for its results.
-#[test]
-fn points_that_are_too_few_are_named_with_their_file() {
-    let three = ascii_points("", "uchar", "1 2 3 4 5 6").replace("vertex 4", "vertex 3");
-    let sentence = load_points_of(&three).unwrap_err().to_string();
-    assert!(sentence.contains("points.ply has 3 points") && sentence.contains("at least 4"), "{sentence}");
-}
-
 #[test]
 fn mistakes_are_named() {
     type Spoil = fn(&mut Value);
@@ -522,16 +399,4 @@ fn a_description_cut_anywhere_is_an_error() {
         fs::write(&path, &whole[..length]).unwrap();
         assert!(load(folder.path()).is_err(), "cut to {length} of {} bytes", whole.len());
     }
-}
-
-/// Cameras that look at one another's focus are written with random points around it, not around the origin.
-#[test]
-fn random_points_lie_before_the_cameras() {
-    let scene = load_description(&nerfstudio()).unwrap();
-    let camera = &scene.train[0].camera;
-    let ahead = |p: &&Point| camera.camera_from_world(p.position.map(f64::from).into()).z > 0.0;
-    let fraction = scene.points.iter().filter(ahead).count() as f64 / scene.points.len() as f64;
-    assert!(fraction > 0.5, "{fraction} of the points are before the camera");
-    let again = load_description(&nerfstudio()).unwrap();
-    assert_eq!(scene.points, again.points);
 }
