@@ -94,13 +94,13 @@ fn has_psnr(line: &str) -> bool {
 #[test]
 fn single_runs_stand_line_by_line() {
     let csv = "study,line,arm,psnr,ssim,gaussians,command
-tenth,fox; seed 0,off,32.40,,,genesplat train fox
-tenth,fox; seed 0,strong; slow,32.80,0.9500,44000,genesplat train fox
-tenth,fox; seed 1,strong; slow,31.10,0.9400,43000,genesplat train fox
+growth,fox; seed 0,off,32.40,,,genesplat train fox
+growth,fox; seed 0,strong; slow,32.80,0.9500,44000,genesplat train fox
+growth,fox; seed 1,strong; slow,31.10,0.9400,43000,genesplat train fox
 ";
     let folder = tempfile::tempdir().unwrap();
     fs::write(folder.path().join("single-runs.csv"), csv).unwrap();
-    let table = tables::update(&DOCUMENT.replace("results", "tenth"), folder.path()).unwrap();
+    let table = tables::update(&DOCUMENT.replace("results", "growth"), folder.path()).unwrap();
     let expected = "
 | PSNR, dB, SSIM, Gaussians | off | strong, slow |
 |---|---|---|
@@ -108,8 +108,8 @@ tenth,fox; seed 1,strong; slow,31.10,0.9400,43000,genesplat train fox
 | fox, seed 1 |  | **31.10**, 0.9400, 43,000 |
 ";
     assert!(table.contains(expected), "{table}");
-    fs::write(folder.path().join("single-runs.csv"), format!("{csv}tenth,fox; seed 0,off,1.0,,,again\n")).unwrap();
-    assert!(tables::update(&DOCUMENT.replace("results", "tenth"), folder.path()).is_err(), "which of the two counts?");
+    fs::write(folder.path().join("single-runs.csv"), format!("{csv}growth,fox; seed 0,off,1.0,,,again\n")).unwrap();
+    assert!(tables::update(&DOCUMENT.replace("results", "growth"), folder.path()).is_err(), "which of the two counts?");
 }
 
 #[test]
