@@ -20,7 +20,7 @@
 //!
 //! 5. **Average.** The states of the last two fifths of the run are averaged, and their mean is the result.
 //!
-//! Where photos are few, some of its late steps look at *virtual views*: what the cloud itself has shown from between two
+//! Where each photo is seen often, some late steps look at *virtual views*: what the cloud itself has shown from between two
 //! photos, a running mean that is renewed now and then, before 2.
 //!
 //! Pixel-GS and MCMC keep their own 2 and 3 in mode `renew`, until half of the run at the latest with MCMC. They average every

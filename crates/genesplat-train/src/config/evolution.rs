@@ -135,8 +135,8 @@ pub struct RenewalConfig {
     /// Default true.
     pub averaging: bool,
     /// Some steps of the last 70 % of the run look at what the cloud has shown before from between two photos: every second step
-    /// with at most 16 photos, and fewer with more. Default: where it grows by selection, and the run looks at each of at most
-    /// 30 photos 250 times or more, so that it would learn them by heart. True or false: in any case, or never.
+    /// with at most 16 photos, and fewer with more. Default: where it grows by selection, and the run looks at each photo 250
+    /// times or more, so that it would learn them by heart. True or false: in any case, or never.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub virtual_views: Option<bool>,
 }

@@ -1,6 +1,6 @@
 //! Virtual views: what the cloud itself shows from between the photos.
 //!
-//! Where photos are few, steps learn each of them by heart, and what lies between them gets worse. So late steps look in
+//! Where photos are seen often, steps learn each of them by heart, and what lies between them gets worse. So late steps look in
 //! turn at a photo and at a picture that the cloud has made from halfway between two of them: the running mean of what it
 //! showed there, which holds fast what all photos agreed on. (Means of earlier outputs as a target: Laine and Aila,
 //! "Temporal ensembling for semi-supervised learning", 2017. Views between few photos: RegNeRF, FSGS.)
@@ -22,6 +22,10 @@ const NEW: f32 = 0.2;
 
 /// So many are looked at again at a time.
 const REFRESHED: usize = 16;
+
+/// Main memory for what they show, 512 MiB: all neighbours of a hundred photos of two megapixels. Where it is too little, some
+/// of them are left out, evenly.
+const PICTURES_BYTES: usize = 512 << 20;
 
 /// They are visited in an order of their own.
 const ORDER: u32 = u32::from_be_bytes(*b"virt");
@@ -51,7 +55,8 @@ impl VirtualViews {
         let photos = if steps.is_some() { photos } else { &[] };
         let near = |a| nearest(photos, a, extent).into_iter().map(move |b| (a.min(b), a.max(b)));
         let pairs: BTreeSet<_> = (0..photos.len()).flat_map(near).collect();
-        let views: Vec<_> = pairs.into_iter().map(|(a, b)| VirtualView::halfway(&photos[a], &photos[b])).collect();
+        let views = pairs.into_iter().map(|(a, b)| VirtualView::halfway(&photos[a], &photos[b])).collect();
+        let views = within(views, PICTURES_BYTES);
         Self { steps, order: ViewOrder::new(rng.fork(ORDER), views.len()), views, rng, pictures: Vec::new() }
     }
 
@@ -123,8 +128,7 @@ impl VirtualViews {
             Ok(Arc::new(blended(old, &shown, &self.rng, [i, index as u32])))
         };
         if self.pictures.is_empty() {
-            let pixels = |view: &VirtualView| view.camera.width as usize * view.camera.height as usize;
-            ensure_memory(3 * self.views.iter().map(pixels).sum::<usize>(), "the pictures of virtual views")?;
+            ensure_memory(self.views.iter().map(VirtualView::bytes).sum(), "the pictures of virtual views")?;
             return (0..self.views.len()).map(|index| look(backend, index)).collect();
         }
         let mut pictures = self.pictures.clone();
@@ -166,6 +170,22 @@ impl VirtualView {
             },
         }
     }
+
+    /// Of its picture.
+    fn bytes(&self) -> usize {
+        3 * self.camera.width as usize * self.camera.height as usize
+    }
+}
+
+/// All views where their pictures have no more than `bytes`, else as many as that allows, evenly chosen.
+fn within(views: Vec<VirtualView>, bytes: usize) -> Vec<VirtualView> {
+    let (all, wanted) = (views.len(), views.iter().map(VirtualView::bytes).sum::<usize>());
+    if wanted <= bytes {
+        return views;
+    }
+    let kept = (all as u64 * bytes as u64 / wanted as u64).max(1) as usize;
+    let is_kept = |index: usize| (index + 1) * kept / all > index * kept / all;
+    views.into_iter().enumerate().filter(|(index, _)| is_kept(*index)).map(|(_, view)| view).collect()
 }
 
 /// The nearest neighbours of a view.
@@ -217,6 +237,16 @@ mod tests {
             ..Camera::at_origin(2, 1, 2.0)
         };
         View { name: name.into(), camera, photo: Photo { width: 2, height: 1, rgb: vec![0; 6] }.into(), mask: None }
+    }
+
+    #[test]
+    fn pictures_stay_within_their_memory() {
+        // Six bytes each.
+        let views = || (0..10).map(|i| VirtualView::halfway(&view(&i.to_string(), 0.0), &view("", 9.0))).collect();
+        let names = |bytes| within(views(), bytes).into_iter().map(|view| view.name).collect::<Vec<_>>();
+        assert_eq!(names(60).len(), 10);
+        assert_eq!(names(29), ["between 2 and ", "between 4 and ", "between 7 and ", "between 9 and "]);
+        assert_eq!(names(0), ["between 9 and "]);
     }
 
     #[test]

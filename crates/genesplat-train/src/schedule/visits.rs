@@ -6,9 +6,6 @@ use crate::config::{DensityControl, EvolutionMode};
 /// Fraction of a run before which the cloud has nothing to show that later states should hold fast.
 const VIRTUAL_FROM: f64 = 0.3;
 
-/// More photos say themselves what lies between them: what the cloud has shown there would hold it back.
-const MOST_PHOTOS: u32 = 30;
-
 /// A run that looks at each photo so often learns it by heart.
 const VISITS: u32 = 250;
 
@@ -65,8 +62,8 @@ impl Schedule {
     pub fn virtual_steps(&self, photos: usize) -> Option<VirtualSteps> {
         let photos = photos as u32;
         let is_asked = self.config.evolution.renewal.virtual_views == Some(true);
-        let are_few = photos <= MOST_PHOTOS && self.iterations >= VISITS * photos;
-        if photos < 2 || !(is_asked || are_few) {
+        let are_learnt = self.iterations / photos.max(1) >= VISITS;
+        if photos < 2 || !(is_asked || are_learnt) {
             return None;
         }
         let from = (1..=self.iterations).find(|&i| self.is_virtual_refresh(i))?;
@@ -115,11 +112,11 @@ mod tests {
     }
 
     #[test]
-    fn runs_that_learn_few_photos_by_heart_have_them() {
+    fn runs_that_learn_photos_by_heart_have_them() {
         let has =
             |iterations, photos| schedule(|config| config.iterations = iterations).virtual_steps(photos).is_some();
         assert!(has(7000, 2) && has(7000, 28) && !has(7000, 29), "250 looks at each");
-        assert!(has(7500, 30) && !has(30_000, 31));
+        assert!(has(30_000, 120) && !has(30_000, 121));
     }
 
     #[test]
