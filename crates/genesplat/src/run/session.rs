@@ -322,6 +322,28 @@ mod tests {
         claim().unwrap().begin("").unwrap();
     }
 
+    /// A demo replaces an earlier one; `train` replaces no results.
+    #[test]
+    fn what_is_replaced_is_removed_by_name() {
+        let place = tempfile::tempdir().unwrap();
+        let run = place.path().join("run");
+        RunSession::claim(&run, Caller::Demo, false).unwrap().begin("").unwrap();
+        fs::create_dir(run.join(TEST)).unwrap();
+        let view = |name| serde_json::json!({"name": name, "psnr": 9.0, "ssim": 0.5});
+        let scores = serde_json::json!({"psnr": 9.0, "ssim": 0.5, "views": [view("a.jpg"), view("../b.jpg")]});
+        let metrics = serde_json::json!({"iterations": 3, "gaussians": 20, "test": scores, "train": scores,
+            "seconds": {"gradient": 1.0, "evolution": 0.0}});
+        fs::write(run.join(METRICS), metrics.to_string()).unwrap();
+        let (ours, others) = ([CLOUD, LOG, "test/a.png"], ["test/mine.png", "b.png"]);
+        ours.iter().chain(&others).for_each(|name| fs::write(run.join(name), "x").unwrap());
+
+        let refused = RunSession::claim(&run, Caller::Train, false).unwrap_err().to_string();
+        assert!(refused.contains("holds the results of a run"), "{refused}");
+        RunSession::claim(&run, Caller::Demo, false).unwrap().begin("").unwrap();
+        assert!(ours.iter().chain(&[METRICS]).all(|name| !run.join(name).exists()));
+        assert!(others.iter().all(|name| run.join(name).exists()));
+    }
+
     #[cfg(unix)]
     #[test]
     fn a_folder_that_was_removed_is_made_anew_and_one_that_is_another_run_s_is_left_alone() {
