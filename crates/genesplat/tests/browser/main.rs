@@ -108,7 +108,9 @@ fn a_user_looks_around_pauses_and_stops() {
     await_other_picture(&browser, &turned, "the key w");
     await_rest();
     let free = browser.run(PICTURE);
+    lay_a_notice_over(&browser, "#cameras li:nth-child(6) button");
     browser.click("#cameras li:nth-child(6) button");
+    browser.run("document.getElementById('notice').removeAttribute('style')");
     await_other_picture(&browser, &free, "a jump to a camera");
     // The focus is on the camera's button.
     browser.press("]");
@@ -129,6 +131,19 @@ fn a_user_looks_around_pauses_and_stops() {
     browser.click("#stop-dialog button[value=stop]");
     assert_eq!(served.child.wait().unwrap().code(), Some(130));
     assert!(run.join("point_cloud.ply").exists() && run.join("snapshots").exists());
+}
+
+/// A long notice, as the run may send one at any time, whose middle is over the element until its style is taken away.
+fn lay_a_notice_over(browser: &Browser, selector: &str) {
+    browser.run(&format!(
+        "const [notice, below] = [document.getElementById('notice'), document.querySelector('{selector}')];
+         below.scrollIntoView();
+         notice.textContent = 'a notice of the run '.repeat(20);
+         notice.style.cssText = 'display: block !important';
+         const [covering, covered] = [notice, below].map(element => element.getBoundingClientRect());
+         notice.style.bottom = `${{innerHeight - (covered.top + covered.bottom + covering.height) / 2}}px`;
+         notice.style.left = `${{(covered.left + covered.right) / 2}}px`;"
+    ));
 }
 
 fn look_at_a_camera(browser: &Browser) {
