@@ -12,7 +12,7 @@ use genesplat_core::memory::ensure_memory;
 use genesplat_core::{Backend, BackendError, Camera, Image, Photo, RenderSettings, Rng, Stream, View};
 
 use super::views::ViewOrder;
-use crate::schedule::{VirtualSteps, Visit};
+use crate::schedule::{Schedule, VirtualSteps, Visit};
 
 /// Each photo has one with so many of its neighbours.
 const NEIGHBOURS: usize = 2;
@@ -177,6 +177,13 @@ impl VirtualView {
     }
 }
 
+/// Bytes that their pictures take at most in a run with these photos; 0 where it has none.
+pub fn virtual_picture_bytes(schedule: &Schedule, photos: &[View]) -> usize {
+    let bytes = |photo: &View| NEIGHBOURS * 3 * photo.photo.pixels();
+    let all = || photos.iter().map(bytes).sum::<usize>().min(PICTURES_BYTES);
+    schedule.virtual_steps(photos.len()).map_or(0, |_| all())
+}
+
 /// All views where their pictures have no more than `bytes`, else as many as that allows, evenly chosen.
 fn within(views: Vec<VirtualView>, bytes: usize) -> Vec<VirtualView> {
     let (all, wanted) = (views.len(), views.iter().map(VirtualView::bytes).sum::<usize>());
@@ -227,6 +234,7 @@ mod tests {
     use glam::{DQuat, DVec3};
 
     use super::*;
+    use crate::config::TrainConfig;
 
     fn view(name: &str, degrees: f64) -> View {
         // On a circle around the origin, towards which it looks.
@@ -247,6 +255,16 @@ mod tests {
         assert_eq!(names(60).len(), 10);
         assert_eq!(names(29), ["between 2 and ", "between 4 and ", "between 7 and ", "between 9 and "]);
         assert_eq!(names(0), ["between 9 and "]);
+    }
+
+    #[test]
+    fn what_pictures_take_is_known_before_the_run() {
+        let bytes = |photos: usize| {
+            let config = TrainConfig { iterations: 7000, ..TrainConfig::default() };
+            virtual_picture_bytes(&Schedule::new(config), &vec![view("", 0.0); photos])
+        };
+        // Two pictures of six bytes for each photo; of 29, none is seen 250 times.
+        assert_eq!([1, 2, 28, 29].map(bytes), [0, 24, 336, 0]);
     }
 
     #[test]

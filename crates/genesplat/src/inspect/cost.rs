@@ -7,7 +7,7 @@ use genesplat::core::{Backend, Gaussians, RenderSettings, Rng, Stream, View};
 use genesplat::io::{Point, Scene};
 use genesplat::kernels::cpu::CpuBackend;
 use genesplat::train::scene::initialise::cloud_from_points;
-use genesplat::train::{Schedule, expected_gaussians};
+use genesplat::train::{Schedule, expected_gaussians, virtual_picture_bytes};
 
 use super::median;
 use crate::commands::bench::step_at_rest;
@@ -35,10 +35,12 @@ pub(super) struct Cost {
 pub(super) fn estimate(scene: &Scene, settings: &Schedule) -> Result<Cost> {
     let gaussians = expected_gaussians(settings.config(), &scene.train).max(scene.points.len());
     let pixels: u64 = scene.train.iter().map(|view| view.photo.pixels() as u64).sum();
+    let photo_bytes =
+        (pixels * PIXEL_BYTES).min(scene::PHOTO_MEMORY) + virtual_picture_bytes(settings, &scene.train) as u64;
     let last_step_seconds = seconds_a_step(&scene.train, grown(&scene.points, gaussians)?)?;
     Ok(Cost {
         gaussians,
-        memory_bytes: gaussians as u64 * GAUSSIAN_BYTES + (pixels * PIXEL_BYTES).min(scene::PHOTO_MEMORY),
+        memory_bytes: gaussians as u64 * GAUSSIAN_BYTES + photo_bytes,
         step_seconds: MEAN_STEP * last_step_seconds,
     })
 }
