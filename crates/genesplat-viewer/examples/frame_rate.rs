@@ -56,13 +56,13 @@ fn main() {
         live.exhibit(&mut sight, || OVER.load(Ordering::Relaxed));
     });
     let mut page = connect(&receiver.recv().expect("a URL"));
-    for lens in ["colour", "depth", "count", "points", "ellipses"] {
+    for mode in ["colour", "depth", "count", "points", "ellipses"] {
         let (began, mut pictures, mut bytes) = (Instant::now(), 0, 0);
         while began.elapsed() < Duration::from_secs(SECONDS) {
             let x = 0.1 * f64::from(pictures).sin();
             let look = format!(
                 r#"{{"type":"look","sequence":{pictures},"pose":{{"position":[{x},0,-4],"rotation":[1,0,0,0],"fov_y":0.8}},
-                   "width":{width},"height":{height},"quality":68,"lens":"{lens}"}}"#
+                   "width":{width},"height":{height},"quality":68,"render_mode":"{mode}"}}"#
             );
             page.send(Message::text(look)).expect("the server listens");
             bytes += next_picture(&mut page);
@@ -70,7 +70,7 @@ fn main() {
         }
         let rate = f64::from(pictures) / began.elapsed().as_secs_f64();
         let size = bytes / pictures as usize / 1024;
-        println!("{lens:<9} {rate:5.1} pictures a second, {width}x{height}, {gaussians} Gaussians, {size} KiB each");
+        println!("{mode:<9} {rate:5.1} pictures a second, {width}x{height}, {gaussians} Gaussians, {size} KiB each");
     }
     OVER.store(true, Ordering::Relaxed);
     drop(page);

@@ -10,7 +10,7 @@ import { Status } from "./status.js";
 
 const $ = (id) => document.getElementById(id);
 
-const LENS_NOTES = {
+const MODE_NOTES = {
   depth: "Mean depth of what is blended; computed on the CPU.",
   count: "Gaussians that reach a pixel with an alpha of 1/255 or more, to within a few percent; computed on the CPU.",
   points: "Centres of the Gaussians above an opacity of 0.05; computed on the CPU.",
@@ -92,25 +92,25 @@ function chooseCamera(card) {
 
 function shown(header) {
   $("waiting").hidden = true;
-  const name = LEGENDS[stage.lens];
+  const name = LEGENDS[stage.renderMode];
   $("legend").hidden = !name || !header.range;
   if (!name || !header.range) return;
-  const digits = stage.lens === "depth" ? 2 : 0;
+  const digits = stage.renderMode === "depth" ? 2 : 0;
   // Near is bright.
-  const [low, high] = stage.lens === "depth" ? [header.range[1], header.range[0]] : header.range;
+  const [low, high] = stage.renderMode === "depth" ? [header.range[1], header.range[0]] : header.range;
   $("legend-low").textContent = low.toFixed(digits);
   $("legend-high").textContent = high.toFixed(digits);
   $("legend-name").textContent = name;
 }
 
-function setLens(lens) {
-  stage.lens = lens;
-  $("lens-note").hidden = !LENS_NOTES[lens];
-  $("lens-note").textContent = LENS_NOTES[lens] ?? "";
+function setRenderMode(mode) {
+  stage.renderMode = mode;
+  $("mode-note").hidden = !MODE_NOTES[mode];
+  $("mode-note").textContent = MODE_NOTES[mode] ?? "";
   stage.refresh();
 }
 
-$("lens").addEventListener("change", (event) => setLens(event.target.value));
+$("render-mode").addEventListener("change", (event) => setRenderMode(event.target.value));
 $("movement").addEventListener("change", (event) => navigator.setMovement(event.target.value));
 $("frusta").addEventListener("change", (event) => {
   stage.showsFrusta = event.target.checked;
@@ -148,10 +148,10 @@ const SHORTCUTS = {
 
 addEventListener("keydown", (event) => {
   if (isTaken(event)) return;
-  const lens = $("lens").querySelectorAll("input")[Number(event.key) - 1];
-  if (lens) {
-    lens.checked = true;
-    setLens(lens.value);
+  const mode = $("render-mode").querySelectorAll("input")[Number(event.key) - 1];
+  if (mode) {
+    mode.checked = true;
+    setRenderMode(mode.value);
   }
   const shortcut = SHORTCUTS[event.key];
   if (shortcut) {

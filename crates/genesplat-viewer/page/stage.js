@@ -14,7 +14,7 @@ const CLICK_RADIUS_PX = 16;
 const FOV_Y_MAX = 2.8;
 
 export class Stage {
-  lens = "colour";
+  renderMode = "colour";
   // A card of the scene's cameras to look through, or null for a free view.
   camera = null;
   comparison = 1;
@@ -110,7 +110,7 @@ export class Stage {
       camera: this.camera?.index ?? null,
       width,
       height,
-      lens: this.lens,
+      render_mode: this.renderMode,
       quality: isMoving ? QUALITY.moving : QUALITY.still,
       error: this.comparison > 1 && this.camera !== null,
     });

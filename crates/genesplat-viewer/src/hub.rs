@@ -253,13 +253,22 @@ impl Page {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::lens::Lens;
     use crate::message::Pose;
+    use crate::render_mode::RenderMode;
 
     fn look(sequence: u32) -> ClientMessage {
         let pose = Pose { position: [0.0; 3], rotation: [1.0, 0.0, 0.0, 0.0], fov_y: 1.0 };
-        let (lens, camera) = (Lens::Colour, None);
-        ClientMessage::Look(Look { sequence, pose, camera, width: 16, height: 16, lens, quality: 50, error: false })
+        let (render_mode, camera) = (RenderMode::Colour, None);
+        ClientMessage::Look(Look {
+            sequence,
+            pose,
+            camera,
+            width: 16,
+            height: 16,
+            render_mode,
+            quality: 50,
+            error: false,
+        })
     }
 
     fn picture(sequence: u32) -> Vec<Picture> {

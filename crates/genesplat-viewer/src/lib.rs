@@ -7,7 +7,7 @@
 //! |---|---|
 //! | [`LiveView`] | the page of one run: its state, its curves, and the pictures that are due between two steps |
 //! | [`message`] | what page and server say to each other |
-//! | [`lens`] | depth, counts, points and ellipses, each as a cloud that an ordinary renderer shows |
+//! | [`render_mode`] | depth, counts, points and ellipses, each as a cloud that an ordinary renderer shows |
 //! | [`path`] | camera paths, for animations |
 //! | [`standalone`] | a page to send: one file that holds the splat and draws it by itself |
 //! | `hub` | slots that hold the newest only, between the threads of the pages and the one that renders |
@@ -26,12 +26,12 @@ mod framing;
 mod gate;
 mod http;
 mod hub;
-pub mod lens;
 mod live;
 pub mod message;
 mod page;
 pub mod path;
 mod picture;
+pub mod render_mode;
 mod server;
 mod socket;
 pub mod standalone;

@@ -14,9 +14,9 @@ use crate::clock::Clock;
 use crate::curves::Curve;
 use crate::exhibition::Exhibition;
 use crate::hub::{Hub, Picture, Topic};
-use crate::lens::{Lens, derive, develop};
 use crate::message::{Look, PictureHeader, notice};
 use crate::picture::{ERROR_MAX, error_picture};
+use crate::render_mode::{RenderMode, derive, develop};
 use crate::server::Server;
 
 /// Pages are told of progress so often, seconds.
@@ -93,7 +93,7 @@ pub struct LiveView {
     curves: Curves,
     /// When pages were last told of each.
     posted: [f64; 2],
-    /// Renders what the lenses make of a cloud.
+    /// Renders what the render modes make of a cloud.
     lens_backend: Box<dyn Backend>,
 }
 
@@ -257,7 +257,7 @@ impl LiveView {
         let near = exhibition.camera(0).map_or(NEAR_DEPTH, |camera| camera.near);
         let free = || Camera { near, ..look.pose.camera(width, height) };
         let camera = known.map_or_else(free, |camera| camera.resized(width, height));
-        let (photo, range) = self.photograph(look.lens, &camera, sight)?;
+        let (photo, range) = self.photograph(look.render_mode, &camera, sight)?;
         let milliseconds = (1e3 * (self.clock.seconds() - began)) as f32;
         let header = PictureHeader { sequence, error: false, range, milliseconds };
         let exhibition = &self.server.shared.exhibition;
@@ -272,22 +272,22 @@ impl LiveView {
 
     fn photograph(
         &mut self,
-        lens: Lens,
+        mode: RenderMode,
         camera: &Camera,
         sight: &mut Sight<'_>,
     ) -> Result<(Photo, Option<[f32; 2]>), BackendError> {
-        if lens == Lens::Colour {
+        if mode == RenderMode::Colour {
             return Ok((sight.render(camera)?.to_photo(), None));
         }
         let settings = *sight.settings();
         let cloud = sight.cloud()?;
-        ensure_memory(cloud.len() * Gaussians::BYTES_PER_ROW, "a lens")?;
-        let (derived, settings) = derive(lens, &cloud, camera, &settings);
+        ensure_memory(cloud.len() * Gaussians::BYTES_PER_ROW, "a render mode")?;
+        let (derived, settings) = derive(mode, &cloud, camera, &settings);
         drop(cloud);
-        Ok(develop(lens, &self.render_once(derived, camera, &settings)?))
+        Ok(develop(mode, &self.render_once(derived, camera, &settings)?))
     }
 
-    /// What a lens makes of a cloud, of which nothing stays: a run has other uses for the memory.
+    /// What a render mode makes of a cloud, of which nothing stays: a run has other uses for the memory.
     fn render_once(
         &mut self,
         derived: Gaussians,

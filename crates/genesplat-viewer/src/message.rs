@@ -6,7 +6,7 @@ use genesplat_core::Camera;
 use glam::{DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 
-use crate::lens::Lens;
+use crate::render_mode::RenderMode;
 
 /// Longest message of a page, bytes.
 pub const MESSAGE_BYTES_MAX: usize = 2048;
@@ -53,7 +53,7 @@ pub struct Look {
     pub height: u32,
     /// What is shown.
     #[serde(default)]
-    pub lens: Lens,
+    pub render_mode: RenderMode,
     /// Of the JPEG.
     pub quality: u8,
     /// Also where the picture differs from the camera's photo.
@@ -181,12 +181,12 @@ mod tests {
     use super::*;
 
     const LOOK: &str = r#"{"type":"look","sequence":7,"pose":{"position":[1,2,3],"rotation":[1,0,0,0],"fov_y":1},
-        "width":320,"height":200,"quality":70,"lens":"depth"}"#;
+        "width":320,"height":200,"quality":70,"render_mode":"depth"}"#;
 
     #[test]
     fn a_look_is_read_and_what_no_page_sends_is_refused() {
         let Ok(ClientMessage::Look(look)) = ClientMessage::parse(LOOK.as_bytes()) else { panic!("{LOOK}") };
-        assert_eq!((look.sequence, look.camera, look.lens, look.error), (7, None, Lens::Depth, false));
+        assert_eq!((look.sequence, look.camera, look.render_mode, look.error), (7, None, RenderMode::Depth, false));
         let spoilt = [
             ("320", "8", "the size"),
             ("320", "5000", "the size"),

@@ -1,4 +1,4 @@
-//! What a lens takes of the memory, and what happens where there is too little.
+//! What a render mode takes of the memory, and what happens where there is too little.
 #![cfg(target_os = "linux")]
 
 use std::process::Command;
@@ -37,9 +37,9 @@ fn a_lens_keeps_no_memory_and_one_that_gets_none_is_a_notice() {
     page.send(look(2, 64, 48, "depth")).unwrap();
     picture(&mut page);
     let kept = resident_bytes().saturating_sub(before);
-    assert!(kept < CLOUD_BYTES / 2, "{kept} bytes are kept of a lens on a cloud of {CLOUD_BYTES}");
+    assert!(kept < CLOUD_BYTES / 2, "{kept} bytes are kept of a render mode on a cloud of {CLOUD_BYTES}");
 
-    // Less than the lens, and what is asked to be spare, need.
+    // Less than the mode, and what is asked to be spare, need.
     limit_memory(&(reserved_bytes() + CLOUD_BYTES / 2 + (32 << 20)).to_string());
     page.send(look(3, 64, 48, "depth")).unwrap();
     let said = loop {
@@ -49,10 +49,10 @@ fn a_lens_keeps_no_memory_and_one_that_gets_none_is_a_notice() {
             _ => {}
         }
     };
-    assert!(said.contains("no picture: out of memory") && said.contains("for a lens"), "{said}");
+    assert!(said.contains("no picture: out of memory") && said.contains("for a render mode"), "{said}");
     limit_memory("unlimited");
-    for (sequence, lens) in [(4, "colour"), (5, "depth")] {
-        page.send(look(sequence, 64, 48, lens)).unwrap();
+    for (sequence, mode) in [(4, "colour"), (5, "depth")] {
+        page.send(look(sequence, 64, 48, mode)).unwrap();
         assert_eq!(picture(&mut page).0["sequence"], sequence);
     }
 }

@@ -46,8 +46,8 @@ impl Show {
         let thread = thread::spawn(move || {
             let cloud = cloud(gaussians);
             let exhibition = Exhibition::new("test", &[], &[], Some(&cloud));
-            let lenses = Box::new(CpuBackend::new());
-            let mut live = LiveView::start(([127, 0, 0, 1], 0).into(), exhibition, false, lenses).unwrap();
+            let modes = Box::new(CpuBackend::new());
+            let mut live = LiveView::start(([127, 0, 0, 1], 0).into(), exhibition, false, modes).unwrap();
             let mut backend = CpuBackend::new();
             backend.upload(cloud.into()).unwrap();
             sender.send(live.url()).unwrap();
@@ -101,10 +101,10 @@ impl Drop for Show {
 }
 
 /// Asks for a picture.
-pub(crate) fn look(sequence: u32, width: u32, height: u32, lens: &str) -> Message {
+pub(crate) fn look(sequence: u32, width: u32, height: u32, mode: &str) -> Message {
     Message::text(format!(
         r#"{{"type":"look","sequence":{sequence},"pose":{{"position":[0,0,-4],"rotation":[1,0,0,0],"fov_y":1}},
-           "width":{width},"height":{height},"quality":90,"lens":"{lens}"}}"#
+           "width":{width},"height":{height},"quality":90,"render_mode":"{mode}"}}"#
     ))
 }
 

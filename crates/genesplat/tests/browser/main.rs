@@ -117,7 +117,7 @@ fn a_user_looks_around_pauses_and_stops() {
     assert_eq!(browser.run("return document.querySelector('#cameras li:nth-child(7) button').ariaCurrent"), "true");
     assert_eq!(browser.run(ITERATION), paused_at, "a pause is one");
     look_at_a_camera(&browser);
-    look_through_lenses(&browser);
+    look_in_all_modes(&browser);
 
     browser.click("#snapshot");
     browser.wait_for("document.getElementById('notice').textContent.startsWith('saved as')");
@@ -174,15 +174,15 @@ fn look_at_a_camera(browser: &Browser) {
     browser.resize(1200, 800);
 }
 
-fn look_through_lenses(browser: &Browser) {
-    for lens in ["depth", "count", "points", "ellipses", "colour"] {
+fn look_in_all_modes(browser: &Browser) {
+    for mode in ["depth", "count", "points", "ellipses", "colour"] {
         await_rest();
         let before = browser.run(PICTURE);
-        browser.click(&format!("#lens label:has([value={lens}])"));
-        await_other_picture(browser, &before, lens);
+        browser.click(&format!("#render-mode label:has([value={mode}])"));
+        await_other_picture(browser, &before, mode);
         let has_legend = browser.run("return !document.getElementById('legend').hidden") == true;
-        assert_eq!(has_legend, ["depth", "count"].contains(&lens), "{lens}");
-        shoot(browser, 1200, 800, lens);
+        assert_eq!(has_legend, ["depth", "count"].contains(&mode), "{mode}");
+        shoot(browser, 1200, 800, mode);
     }
     browser.click("#frusta");
     browser.drag("#stage", 30, -20);

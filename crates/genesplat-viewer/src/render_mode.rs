@@ -14,7 +14,7 @@ use crate::picture::{coloured, high_quantile};
 /// What a page shows.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Lens {
+pub enum RenderMode {
     /// The splat.
     #[default]
     Colour,
@@ -48,9 +48,9 @@ struct Row {
     colour: Option<[f32; 3]>,
 }
 
-/// The cloud to render through `lens`, which must not be [`Lens::Colour`], and how to render it.
+/// The cloud to render in `mode`, which must not be [`RenderMode::Colour`], and how to render it.
 pub fn derive(
-    lens: Lens,
+    mode: RenderMode,
     cloud: &Gaussians,
     camera: &Camera,
     settings: &RenderSettings,
@@ -63,14 +63,14 @@ pub fn derive(
             continue;
         }
         let opacity = sigmoid(cloud.opacity_logits[row]) * cloud.filter_dimming(row);
-        if let Some(changed) = derive_row(lens, scales, opacity, centre.z, camera.focal_px[0]) {
+        if let Some(changed) = derive_row(mode, scales, opacity, centre.z, camera.focal_px[0]) {
             push(&mut derived, cloud, row, &changed);
         }
     }
-    let has_own_colours = matches!(lens, Lens::Depth | Lens::Count);
-    let background = match lens {
-        Lens::Depth => [0.0; 3],
-        Lens::Count => [1.0; 3],
+    let has_own_colours = matches!(mode, RenderMode::Depth | RenderMode::Count);
+    let background = match mode {
+        RenderMode::Depth => [0.0; 3],
+        RenderMode::Count => [1.0; 3],
         _ => settings.background,
     };
     let sh_degree = if has_own_colours { 0 } else { settings.sh_degree };
@@ -102,25 +102,25 @@ fn is_in_view(camera: &Camera, centre: DVec3, scales: [f32; 3]) -> bool {
     centre.z > camera.near && is_within(centre.x, x) && is_within(centre.y, y)
 }
 
-fn derive_row(lens: Lens, scales: [f32; 3], opacity: f32, depth: f64, focal_px: f64) -> Option<Row> {
+fn derive_row(mode: RenderMode, scales: [f32; 3], opacity: f32, depth: f64, focal_px: f64) -> Option<Row> {
     let pixel = (depth / focal_px) as f32;
     let is_shown = opacity >= SHOWN_OPACITY;
-    match lens {
-        Lens::Colour => None,
-        Lens::Depth => {
+    match mode {
+        RenderMode::Colour => None,
+        RenderMode::Depth => {
             let colour = Some([depth as f32, 0.0, 1.0]);
             Some(Row { log_scales: scales.map(f32::ln), opacity, colour })
         }
-        Lens::Count => count_row(scales, opacity, pixel),
-        Lens::Points if is_shown => {
+        RenderMode::Count => count_row(scales, opacity, pixel),
+        RenderMode::Points if is_shown => {
             let log_scale = (POINT_PX as f32 * pixel).ln();
             Some(Row { log_scales: [log_scale; 3], opacity: 0.95, colour: None })
         }
-        Lens::Ellipses if is_shown => {
+        RenderMode::Ellipses if is_shown => {
             let log_scales = scales.map(|scale| (ELLIPSE_SCALE * scale).ln());
             Some(Row { log_scales, opacity: 0.99, colour: None })
         }
-        Lens::Points | Lens::Ellipses => None,
+        RenderMode::Points | RenderMode::Ellipses => None,
     }
 }
 
@@ -153,15 +153,15 @@ fn push(derived: &mut Gaussians, cloud: &Gaussians, row: usize, changed: &Row) {
 }
 
 /// A picture to look at from the render of a derived cloud, and what the ends of its colour scale mean.
-pub fn develop(lens: Lens, render: &Image) -> (Photo, Option<[f32; 2]>) {
+pub fn develop(mode: RenderMode, render: &Image) -> (Photo, Option<[f32; 2]>) {
     let pixels = render.width as usize * render.height as usize;
     let [first, _, last] = [0, 1, 2].map(|channel| &render.planes[channel * pixels..(channel + 1) * pixels]);
-    match lens {
-        Lens::Depth => {
+    match mode {
+        RenderMode::Depth => {
             let depth = |(&sum, &weight): (&f32, &f32)| (weight >= DEPTH_COVERAGE_MIN).then(|| sum / weight);
             depth_picture(render, &first.iter().zip(last).map(depth).collect::<Vec<_>>())
         }
-        Lens::Count => {
+        RenderMode::Count => {
             let counts: Vec<f32> = first.iter().map(|&transmittance| count_of(transmittance)).collect();
             let most = high_quantile(counts.iter().copied()).unwrap_or_default().max(1.0);
             let share = |&count: &f32| Some(count / most);
