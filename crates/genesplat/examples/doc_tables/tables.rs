@@ -37,7 +37,7 @@ struct Table {
     write: fn(&[Part]) -> Result<String>,
 }
 
-const TABLES: [Table; 12] = [
+const TABLES: [Table; 13] = [
     Table { name: "results", file: "real-size", part: |run| (!run.is_short()).then(|| run.size()), write: scenes },
     Table { name: "real-size", file: "real-size", part: |run| (!run.is_short()).then(|| run.size()), write: arms },
     Table { name: "short", file: "real-size", part: |run| run.is_short().then(|| run.size()), write: arms },
@@ -47,6 +47,7 @@ const TABLES: [Table; 12] = [
     Table { name: "long", file: SINGLE, part: |run| run.of("long", Run::line), write: grid },
     Table { name: "renewals", file: SINGLE, part: |run| run.of("renewals", Run::line), write: grid },
     Table { name: "few-photos", file: SINGLE, part: |run| run.of("few-photos", Run::line), write: grid },
+    Table { name: "mcmc", file: SINGLE, part: |run| run.of("mcmc", Run::line), write: grid },
     Table { name: "selection", file: SINGLE, part: |run| run.of("selection", Run::line), write: grid },
     Table { name: "growth", file: SINGLE, part: |run| run.of("growth", Run::line), write: grid },
     Table { name: "tenth", file: "tenth", part: |run| Some(run.size()), write: arms },
