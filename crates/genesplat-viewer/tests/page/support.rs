@@ -46,8 +46,8 @@ impl Show {
         let thread = thread::spawn(move || {
             let cloud = cloud(gaussians);
             let exhibition = Exhibition::new("test", &[], &[], Some(&cloud));
-            let modes = Box::new(CpuBackend::new());
-            let mut live = LiveView::start(([127, 0, 0, 1], 0).into(), exhibition, false, modes).unwrap();
+            let mode_backend = Box::new(CpuBackend::new());
+            let mut live = LiveView::start(([127, 0, 0, 1], 0).into(), exhibition, false, mode_backend).unwrap();
             let mut backend = CpuBackend::new();
             backend.upload(cloud.into()).unwrap();
             sender.send(live.url()).unwrap();
