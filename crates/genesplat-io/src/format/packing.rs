@@ -32,6 +32,12 @@ pub(super) fn log_scale(scale: f32) -> f32 {
     if scale >= 0.0 { scale.max(f32::MIN_POSITIVE).ln() } else { f32::NAN }
 }
 
+/// The standard deviation of a logarithm, at most the largest float: readers refuse infinite ones. `f32::MAX.ln()` is
+/// rounded up, so the largest float itself needs that.
+pub(super) fn scale(log_scale: f32) -> f32 {
+    log_scale.exp().min(f32::MAX)
+}
+
 /// A fraction of 1 as a byte; what is outside is clamped.
 pub(super) fn byte(fraction: f32) -> u8 {
     (255.0 * fraction).round() as u8

@@ -8,7 +8,7 @@ use std::path::Path;
 use genesplat_core::Gaussians;
 use genesplat_core::gaussians::sigmoid;
 
-use super::packing::{byte, dc_from_byte, log_scale, normalised, opacity_logit, rgb_from_dc};
+use super::packing::{byte, dc_from_byte, log_scale, normalised, opacity_logit, rgb_from_dc, scale};
 use super::{Decoded, FormatError};
 
 const ROW_BYTES: usize = 32;
@@ -16,7 +16,7 @@ const ROW_BYTES: usize = 32;
 pub(super) fn encode(cloud: &Gaussians) -> Vec<u8> {
     let mut bytes = Vec::with_capacity(ROW_BYTES * cloud.len());
     for row in 0..cloud.len() {
-        let scales = cloud.log_scales[row].map(f32::exp);
+        let scales = cloud.log_scales[row].map(scale);
         cloud.positions[row].iter().chain(&scales).for_each(|value| bytes.extend(value.to_le_bytes()));
         bytes.extend(cloud.sh[row][..3].iter().map(|&coefficient| byte(rgb_from_dc(coefficient))));
         bytes.push(byte(sigmoid(cloud.opacity_logits[row])));

@@ -12,7 +12,7 @@ use super::{
     SCALE, VERSION, harmonic,
 };
 use crate::format::FormatError;
-use crate::format::packing::{byte, half_turn_about_x, normalised, rgb_from_dc};
+use crate::format::packing::{byte, half_turn_about_x, normalised, rgb_from_dc, scale};
 
 /// glTF's numbers of types.
 const FLOAT: u32 = 5126;
@@ -46,7 +46,7 @@ fn add_attributes(parts: &mut Parts, cloud: &Gaussians) {
             [x, y, z, w]
         }),
     );
-    parts.add_floats(SCALE, cloud.log_scales.iter().map(|log_scale| log_scale.map(f32::exp)));
+    parts.add_floats(SCALE, cloud.log_scales.iter().map(|log_scale| log_scale.map(scale)));
     parts.add_floats(OPACITY, cloud.opacity_logits.iter().map(|&logit| [sigmoid(logit)]));
     let colours = cloud.sh.iter().zip(&cloud.opacity_logits).map(|(row, &logit)| {
         let [r, g, b] = [0, 1, 2].map(|channel| byte(rgb_from_dc(row[channel])));
