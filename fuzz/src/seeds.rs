@@ -36,7 +36,7 @@ const SPLAT_PLY: &str = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float
     property float scale_1\nproperty float scale_2\nproperty float rot_0\nproperty float rot_1\nproperty float rot_2\n\
     property float rot_3\nend_header\n1 2 -3e1 .5 0 0 inf -4 -4 -5 1 0 0 0\n0 0 0 0 0 0 -1 -3 -3 -3 1 0.5 0 0\n";
 const LOOK: &str = r#"{"type":"look","sequence":7,"pose":{"position":[1,2,3],"rotation":[1,0,0,0],"fov_y":1},
-"camera":2,"width":320,"height":200,"quality":70,"lens":"depth","error":true}"#;
+"camera":2,"width":320,"height":200,"quality":70,"render_mode":"depth","error":true}"#;
 const REQUEST: &str = "GET /5e1f/main.js HTTP/1.1\r\nHost: localhost:7007\r\nOrigin: http://localhost:7007\r\n\
     Upgrade: websocket\r\n\r\n";
 const PATH: &str = r#"{"genesplat_path":1,"views":[{"position":[1,2,3],"rotation":[1,0,0,0],"fov_y":1},

@@ -145,12 +145,9 @@ impl Gaussians {
     /// Factor by which the 3D filter dims a row: `sqrt(Π s² / (s² + f²))` over the three axes; 1 without a filter.
     pub fn filter_dimming(&self, row: usize) -> f32 {
         let Some(filter) = &self.filter_3d else { return 1.0 };
-        let variance = filter[row] * filter[row];
-        let ratio = |log_scale: f32| {
-            let raw = (2.0 * log_scale).exp();
-            raw / (raw + variance)
-        };
-        self.log_scales[row].map(ratio).iter().product::<f32>().sqrt()
+        let filter_variance = f64::from(filter[row]).powi(2);
+        let ratio = |log_scale: f32| variance(log_scale) / (variance(log_scale) + filter_variance);
+        self.log_scales[row].map(ratio).iter().product::<f64>().sqrt() as f32
     }
 
     /// The cloud with its 3D filter baked in, for viewers that do not know it: `s' = √(s² + f²)`, `o' = o · √(Π s² / Π
@@ -159,7 +156,9 @@ impl Gaussians {
         let mut fused = self.clone();
         let Some(filter) = fused.filter_3d.take() else { return fused };
         for (row, std) in filter.into_iter().enumerate() {
-            fused.log_scales[row] = self.log_scales[row].map(|s| 0.5 * ((2.0 * s).exp() + std * std).ln());
+            let filter_variance = f64::from(std).powi(2);
+            fused.log_scales[row] =
+                self.log_scales[row].map(|s| s.max((0.5 * (variance(s) + filter_variance).ln()) as f32));
             let opacity = sigmoid(self.opacity_logits[row]) * self.filter_dimming(row);
             fused.opacity_logits[row] = logit(opacity.clamp(f32::MIN_POSITIVE, 1.0 - f32::EPSILON));
         }
@@ -226,6 +225,11 @@ pub fn logit(p: f32) -> f32 {
     (p / (1.0 - p)).ln()
 }
 
+/// The variance of a logarithmic scale; that of one beyond 150 is of 150, so that it is finite and above 0.
+fn variance(log_scale: f32) -> f64 {
+    (2.0 * f64::from(log_scale).clamp(-150.0, 150.0)).exp()
+}
+
 /// The logit of an opacity that a reset limits: times the 3D filter's `dimming`, it is at most `ceiling` afterwards.
 ///
 /// One that is low enough stays exactly what it is: f32 would round some opacities to 0 or 1.
@@ -250,6 +254,14 @@ mod tests {
         assert_eq!((&fused.filter_3d, fused.first_non_finite()), (&None, None));
         assert!((fused.log_scales[0][2].exp() - 0.1 * 2f32.sqrt()).abs() < 1e-6);
         assert!((sigmoid(fused.opacity_logits[0]) - 0.8 / 2f32.powf(1.5)).abs() < 1e-6);
+        // Scales that no float holds: neither infinite, nor 0 divided by 0.
+        cloud.log_scales[0] = [-200.0, 60.0, 1e30];
+        for filter in [0.0, 1.0, f32::MAX] {
+            cloud.filter_3d = Some(vec![filter]);
+            let fused = cloud.fused();
+            assert_eq!(fused.first_non_finite(), None, "{filter}");
+            assert!(fused.log_scales[0][1] >= 60.0 && fused.log_scales[0][2] == 1e30, "{filter}");
+        }
     }
 
     #[test]

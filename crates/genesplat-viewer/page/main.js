@@ -50,6 +50,11 @@ function hello(message) {
   navigator.frame(message);
   navigator.home = message.centre;
   if (isFirst) reset();
+  else {
+    // Connected again: the view stays, and turns around what is ahead of it.
+    navigator.goTo(navigator.pose);
+    strip.mark(stage.camera);
+  }
   isFirst = false;
   stage.reconnect();
 }

@@ -39,6 +39,7 @@ pub enum ClientMessage {
 
 /// A picture that is asked for.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Look {
     /// The page's own count; its picture carries it.
     pub sequence: u32,
@@ -203,6 +204,8 @@ mod tests {
         for garbage in [&b"\xff\xfe"[..], b"", b"{}", b"[[[[", br#"{"type":"open","path":"/etc/passwd"}"#] {
             assert!(matches!(ClientMessage::parse(garbage), Err(MessageError::Json(_))));
         }
+        let unknown = LOOK.replacen("render_mode", "lens", 1);
+        assert!(matches!(ClientMessage::parse(unknown.as_bytes()), Err(MessageError::Json(_))), "{unknown}");
         assert_eq!(ClientMessage::parse(br#"{"type":"pause"}"#), Ok(ClientMessage::Pause));
     }
 

@@ -185,8 +185,11 @@ pub(super) fn decode(path: &Path, bytes: &[u8]) -> Result<Decoded, FormatError> 
         if *found == count as u64 { Ok(()) } else { Err(FormatError::damaged(path, problem)) }
     };
     expected(chunk, rows.div_ceil(CHUNK_ROWS))?;
+    // A row of these properties has bytes, so there are no more rows than bytes.
+    let packed = vertex.offsets(PACKED.map(str::to_owned), "uint")?;
+    let ranges = chunk_ranges(chunk)?;
     let mut cloud = Gaussians::zeros(rows);
-    unpack(&mut cloud, &chunk_ranges(chunk)?, vertex)?;
+    unpack(&mut cloud, &ranges, vertex, packed);
     let mut sh_degree = 0;
     if let Some(sh) = table("sh") {
         expected(sh, rows)?;
@@ -228,8 +231,12 @@ fn chunk_ranges(table: &Table) -> Result<Vec<[Bounds; 3]>, FormatError> {
     Ok(table.rows().map(ranges).collect())
 }
 
-fn unpack(cloud: &mut Gaussians, ranges: &[[Bounds; 3]], vertex: &Table) -> Result<(), FormatError> {
-    let [position, rotation, scale, colour] = vertex.offsets(PACKED.map(str::to_owned), "uint")?;
+fn unpack(
+    cloud: &mut Gaussians,
+    ranges: &[[Bounds; 3]],
+    vertex: &Table,
+    [position, rotation, scale, colour]: [usize; 4],
+) {
     let at = |[low, high]: &Bounds, fractions: [f32; 3]| -> [f32; 3] {
         std::array::from_fn(|i| low[i] * (1.0 - fractions[i]) + high[i] * fractions[i])
     };
@@ -244,7 +251,6 @@ fn unpack(cloud: &mut Gaussians, ranges: &[[Bounds; 3]], vertex: &Table) -> Resu
         cloud.sh[row][..3].copy_from_slice(&at(colours, [r, g, b]).map(dc_from_rgb));
         cloud.opacity_logits[row] = opacity_logit(alpha);
     }
-    Ok(())
 }
 
 /// Fills the further coefficients; returns their degree.

@@ -81,7 +81,8 @@ impl Format {
     /// The format of a file that begins with `head`: all but `.splat` have a mark there, and it goes before the name.
     fn of_content(path: &Path, head: &[u8]) -> Self {
         match head {
-            [0x1f, 0x8b, ..] | [b'N', b'G', b'S', b'P', ..] => Self::Spz,
+            // gzip with deflate, and the five flags that it has.
+            [0x1f, 0x8b, 8, 0..32] | [b'N', b'G', b'S', b'P', ..] => Self::Spz,
             [b'P', b'K', 3, 4, ..] => Self::Sog,
             [b'g', b'l', b'T', b'F', ..] => Self::Glb,
             [b'p', b'l', b'y', b'\n' | b'\r', ..] => Self::Ply,

@@ -345,6 +345,33 @@ fn a_sog_has_the_marks_of_older_and_newer_programs() {
     }
 }
 
+/// Their `null` is one even step before the second value.
+#[test]
+fn a_sog_of_older_programs_has_codebooks_that_begin_with_null() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = file(&folder, Format::Sog);
+    write(&path, &varied(16, 300, 1), &Options::default());
+    let (sog, expected) = (fs::read(&path).unwrap(), format::read(&path).unwrap().cloud);
+    let with_null = |part: &str, at: usize| {
+        with_meta(&sog, |meta| meta[part]["codebook"].as_array_mut().unwrap()[at] = serde_json::Value::Null)
+    };
+    for part in ["scales", "sh0", "shN"] {
+        fs::write(&path, with_null(part, 0)).unwrap();
+        let read = format::read(&path).unwrap().cloud;
+        let column = |cloud: &Gaussians| match part {
+            "scales" => cloud.log_scales.as_flattened().to_vec(),
+            _ => cloud.sh.as_flattened().to_vec(),
+        };
+        let changed = column(&read).iter().zip(column(&expected)).filter(|&(&a, b)| a != b).count();
+        assert!(
+            (1..column(&read).len() / 4).contains(&changed) && read.first_non_finite().is_none(),
+            "{part}: {changed}"
+        );
+        fs::write(&path, with_null(part, 7)).unwrap();
+        assert!(format::read(&path).unwrap_err().to_string().contains("a codebook with null in it"));
+    }
+}
+
 /// Only the PLY keeps the filter; elsewhere the Gaussians are as wide and as faint as it makes them.
 #[test]
 fn a_3d_filter_is_baked_in_where_there_is_no_place_for_it() {
@@ -406,6 +433,30 @@ fn content_goes_before_the_name() {
             Format::Splat => assert!(format::read(&renamed).is_err()),
             _ => assert_eq!(format::read(&renamed).unwrap().format, format),
         }
+    }
+}
+
+/// The first number of such a file begins as gzip does.
+#[test]
+fn a_splat_is_not_taken_for_gzip() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = file(&folder, Format::Splat);
+    let mut cloud = varied(17, 3, 0);
+    cloud.positions[0][0] = f32::from_bits(0x3f80_8b1f);
+    write(&path, &cloud, &Options::default());
+    assert_eq!(format::read(&path).unwrap().cloud.positions, cloud.positions);
+}
+
+#[test]
+fn the_farthest_position_is_read_again() {
+    let folder = tempfile::tempdir().unwrap();
+    for format in Format::ALL.into_iter().filter(|&format| format != Format::Spz) {
+        let path = file(&folder, format);
+        let mut cloud = varied(18, 2, 0);
+        (cloud.positions[0], cloud.positions[1]) = ([1e9; 3], [-1e9; 3]);
+        write(&path, &cloud, &Options::default());
+        let read = format::read(&path).unwrap().cloud.positions;
+        assert!(read.iter().flatten().all(|v| (0.9999e9..=1e9).contains(&v.abs())), "{format:?}: {read:?}");
     }
 }
 

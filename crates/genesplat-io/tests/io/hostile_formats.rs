@@ -172,10 +172,6 @@ fn spz_that_cannot_be_is_refused() {
         let error = sentence(bytes);
         assert!(error.contains(words), "{error}");
     }
-    // Flags announce what follows.
-    let mut extended = legacy_spz(3, 1, &[&row[..], &[1; 20]].concat());
-    extended[14] = 2;
-    assert_eq!(format::read(&place.file(".spz", &gzip(&extended))).unwrap().cloud.len(), 1);
 }
 
 /// Extensions between the header and the table, which the whole file is shifted by.
@@ -214,6 +210,31 @@ fn extensions_of_spz_are_passed_over_or_heeded() {
     let mut endless = with_extension(&file, 1, &[0; 4]);
     endless[36] = 200;
     assert!(place.refused(".spz", &endless).contains("ends within an extension"));
+}
+
+/// Within gzip they follow the attributes.
+#[test]
+fn extensions_of_older_spz_are_heeded_too() {
+    let place = Place::new();
+    let row = [[1, 2, 3].repeat(3), vec![7; 11]].concat();
+    let read = |rest: &[u8]| {
+        let mut bytes = legacy_spz(3, 1, &[&row[..], rest].concat());
+        bytes[14] = 2;
+        format::read(&place.file(".spz", &gzip(&bytes)))
+    };
+    let extension =
+        |kind: u32, payload: &[u8]| [&kind.to_le_bytes()[..], &(payload.len() as u32).to_le_bytes(), payload].concat();
+    let plain = read(&[]).unwrap().cloud;
+    let down = read(&[extension(0x1234_0001, &[9; 5]), extension(0xADBE_0003, &[6, 0, 0, 0])].concat()).unwrap().cloud;
+    assert_eq!(down.positions[0].map(|v| -v)[1..], plain.positions[0][1..], "right, down, forward");
+    for (kind, payload, words) in
+        [(0xADBE_0003, &[1, 0, 0, 0][..], "axes"), (0xADBE_0001, &[0; 16], "spherical harmonics")]
+    {
+        let error = read(&extension(kind, payload)).unwrap_err().to_string();
+        assert!(error.contains(words) && error.contains("export it"), "{error}");
+    }
+    assert_eq!(read(&[1; 20]).unwrap().cloud, plain, "a record without a size, as the first programs wrote it");
+    assert!(read(&vec![0; (1 << 20) + 1]).unwrap_err().to_string().contains("goes on after"));
 }
 
 /// An `.spz` of so many Gaussians, all of whose bytes are 0.
@@ -264,6 +285,10 @@ fn compressed_ply_that_contradicts_itself_is_refused() {
         let error = place.refused(".compressed.ply", &with(from, to));
         assert!(error.contains(words), "{from}: {error}");
     }
+    // Rows without properties have no bytes, so any number of them fits.
+    let empty = b"ply\nformat binary_little_endian 1.0\nelement vertex 1000000000000\nelement chunk 3906250000\n\
+        element vertex 0\nproperty uint packed_position\nend_header\n";
+    assert!(place.refused(".compressed.ply", empty).contains("no uint property packed_position"));
 }
 
 fn glb(json: &str, binary: &[u8]) -> Vec<u8> {

@@ -58,11 +58,11 @@ impl Drop for Served {
     }
 }
 
-fn look(sequence: u32, lens: &str) -> Message {
+fn look(sequence: u32, render_mode: &str) -> Message {
     let (x, camera) = (0.01 * f64::from(sequence), if sequence.is_multiple_of(3) { "2" } else { "null" });
     Message::text(format!(
         r#"{{"type":"look","sequence":{sequence},"pose":{{"position":[{x},0,0],"rotation":[1,0,0,0],"fov_y":1}},"camera":{camera},
-           "width":96,"height":72,"quality":80,"lens":"{lens}","error":true}}"#
+           "width":96,"height":72,"quality":80,"render_mode":"{render_mode}","error":true}}"#
     ))
 }
 
@@ -121,8 +121,8 @@ fn a_page_that_looks_pauses_and_saves_changes_no_byte() {
     say(&mut page, "pause");
     let paused = await_state(&mut page, |state| state["phase"] == "paused");
     let mut pictures = 0;
-    for (sequence, lens) in (1..).zip(["colour", "depth", "count", "points", "ellipses", "colour"]) {
-        page.send(look(sequence, lens)).unwrap();
+    for (sequence, render_mode) in (1..).zip(["colour", "depth", "count", "points", "ellipses", "colour"]) {
+        page.send(look(sequence, render_mode)).unwrap();
         while !matches!(hear(&mut page), Heard::Picture) {}
         pictures += 1;
     }

@@ -1,6 +1,7 @@
 //! `meta.json`: what the pictures of a `.sog` are called, and how their bytes become values.
 
-use serde::{Deserialize, Serialize};
+use serde::de::Error;
+use serde::{Deserialize, Deserializer, Serialize};
 
 /// The version that is read and written.
 pub(super) const VERSION: u64 = 2;
@@ -39,6 +40,7 @@ pub(super) struct Means {
 /// Bytes that are indices of values.
 #[derive(Debug, Serialize, Deserialize)]
 pub(super) struct Coded {
+    #[serde(deserialize_with = "codebook")]
     pub(super) codebook: Vec<f32>,
     pub(super) files: [String; 1],
 }
@@ -53,6 +55,17 @@ pub(super) struct Plain {
 pub(super) struct Palette {
     pub(super) count: u64,
     pub(super) bands: u8,
+    #[serde(deserialize_with = "codebook")]
     pub(super) codebook: Vec<f32>,
     pub(super) files: [String; 2],
+}
+
+/// Values of a codebook. PlayCanvas's older programs wrote `null` for the first; its engine puts it one step of an even
+/// codebook before the second, and so does this.
+fn codebook<'de, D: Deserializer<'de>>(source: D) -> Result<Vec<f32>, D::Error> {
+    let mut values = Vec::<Option<f32>>::deserialize(source)?;
+    if let [first @ None, Some(second), .., Some(last)] = &mut values[..] {
+        *first = Some(*second + (*second - *last) / 255.0);
+    }
+    values.into_iter().collect::<Option<_>>().ok_or_else(|| D::Error::custom("a codebook with null in it"))
 }

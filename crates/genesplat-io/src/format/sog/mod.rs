@@ -25,6 +25,7 @@ use super::packing::{
     byte, component_of_fraction, fraction_of_component, from_smallest_three, opacity_logit, smallest_three,
 };
 use super::{Decoded, FormatError, Options, check_claim};
+use crate::listing::COORDINATE_MAX;
 
 /// Palette entries in a row of the picture that holds them.
 const ENTRIES_PER_LINE: usize = 64;
@@ -72,7 +73,10 @@ fn write_means(archive: &mut ArchiveWriter, grid: Grid, cloud: &Gaussians) -> Me
         let of_axis = |axis: usize| logs.iter().map(|log| log[axis]).reduce(pick).unwrap_or(start);
         std::array::from_fn(of_axis)
     };
-    let (mins, maxs) = (bound(0.0, f32::min), bound(0.0, f32::max));
+    // Rounded, the farthest position that is read would be beyond itself.
+    let farthest = COORDINATE_MAX.ln_1p() as f32 - 1e-5;
+    let [mins, maxs] =
+        [bound(0.0, f32::min), bound(0.0, f32::max)].map(|corner| corner.map(|log| log.clamp(-farthest, farthest)));
     let levels = |log: &[f32; 3]| -> [[u8; 2]; 3] {
         std::array::from_fn(|axis| {
             let width = f64::from(maxs[axis]) - f64::from(mins[axis]);

@@ -28,6 +28,9 @@ const FRAME_UNSPECIFIED: u32 = 0;
 const FRAME_RUB: u32 = 4;
 const FRAME_RDF: u32 = 6;
 
+/// Most bytes of extensions in a gzip stream, which does not say how many there are.
+const EXTENSION_BYTES_MAX: u64 = 1 << 20;
+
 /// Highest degree of spherical harmonics in a file; degree 4 is read and left out.
 const FILE_SH_DEGREE_MAX: u8 = 4;
 
@@ -39,8 +42,7 @@ pub(super) fn open(path: &Path, bytes: &[u8]) -> Result<(Header, Attributes, boo
     if bytes.starts_with(&MAGIC) {
         return open_zstd(path, bytes);
     }
-    let (header, attributes) = open_gzip(path, bytes)?;
-    Ok((header, attributes, true))
+    open_gzip(path, bytes)
 }
 
 pub(super) fn close(header: &Header, attributes: &Attributes) -> io::Result<Vec<u8>> {
@@ -106,7 +108,7 @@ fn parse_header(path: &Path, bytes: &[u8], file_bytes: usize) -> Result<Header, 
     Ok(header)
 }
 
-fn open_gzip(path: &Path, bytes: &[u8]) -> Result<(Header, Attributes), FormatError> {
+fn open_gzip(path: &Path, bytes: &[u8]) -> Result<(Header, Attributes, bool), FormatError> {
     let broken = |source: io::Error| FormatError::damaged(path, format!("cannot be decompressed ({source})"));
     let mut stream = GzDecoder::new(bytes);
     let mut start = [0; HEADER_BYTES];
@@ -123,11 +125,15 @@ fn open_gzip(path: &Path, bytes: &[u8]) -> Result<(Header, Attributes), FormatEr
         read_exactly(&mut stream, size, attribute).map_err(broken)?;
     }
     // Extensions, and whatever other flags announce, follow the attributes.
-    let follows = stream.read(&mut [0]).map_err(broken)? > 0;
-    if follows && header.flags & !super::FLAG_ANTIALIASED == 0 {
+    let mut rest = Vec::new();
+    stream.take(EXTENSION_BYTES_MAX + 1).read_to_end(&mut rest).map_err(broken)?;
+    let announced = if header.flags & !super::FLAG_ANTIALIASED == 0 { 0 } else { EXTENSION_BYTES_MAX };
+    if rest.len() as u64 > announced {
         return Err(FormatError::damaged(path, format!("goes on after its {} Gaussians", header.gaussians)));
     }
-    Ok((header, Attributes::from_order(attributes)))
+    // The first programs with extensions wrote records without sizes, of camera limits only: they look cut.
+    let is_y_up = header.flags & FLAG_EXTENSIONS == 0 || frame_is_y_up(path, &extensions(&rest).0)?;
+    Ok((header, Attributes::from_order(attributes), is_y_up))
 }
 
 /// Grows with what is there, not with what is claimed.
@@ -147,7 +153,10 @@ fn open_zstd(path: &Path, bytes: &[u8]) -> Result<(Header, Attributes, bool), Fo
     }
     let is_y_up = match header.flags & FLAG_EXTENSIONS {
         0 => true,
-        _ => frame_is_y_up(path, bytes.get(HEADER_BYTES_V4..table_at).ok_or_else(cut)?)?,
+        _ => match extensions(bytes.get(HEADER_BYTES_V4..table_at).ok_or_else(cut)?) {
+            (extensions, []) => frame_is_y_up(path, &extensions)?,
+            _ => return Err(FormatError::damaged(path, "ends within an extension")),
+        },
     };
     let table = bytes.get(table_at..).and_then(|rest| rest.split_at_checked(streams * TABLE_ROW_BYTES));
     let (table, mut rest) = table.ok_or_else(cut)?;
@@ -180,15 +189,23 @@ fn decompress(path: &Path, stream: usize, compressed: &[u8], size: usize) -> Res
     }
 }
 
-/// Reads the extensions, each a type, a size and so many bytes. Those that do not change the attributes are passed over.
-fn frame_is_y_up(path: &Path, mut bytes: &[u8]) -> Result<bool, FormatError> {
-    let mut is_y_up = true;
-    while !bytes.is_empty() {
-        let cut = || FormatError::damaged(path, "ends within an extension");
-        let (start, rest) = bytes.split_at_checked(8).ok_or_else(cut)?;
-        let (payload, rest) = rest.split_at_checked(word(start, 4) as usize).ok_or_else(cut)?;
+/// The extensions, each a type, a size and so many bytes, as type and payload; and what is left of the bytes.
+fn extensions(mut bytes: &[u8]) -> (Vec<(u32, &[u8])>, &[u8]) {
+    let mut extensions = Vec::new();
+    while let Some((start, rest)) = bytes.split_at_checked(8)
+        && let Some((payload, rest)) = rest.split_at_checked(word(start, 4) as usize)
+    {
+        extensions.push((word(start, 0), payload));
         bytes = rest;
-        match word(start, 0) {
+    }
+    (extensions, bytes)
+}
+
+/// Whether the attributes are y up. Extensions that do not change the attributes are passed over.
+fn frame_is_y_up(path: &Path, extensions: &[(u32, &[u8])]) -> Result<bool, FormatError> {
+    let mut is_y_up = true;
+    for &(kind, payload) in extensions {
+        match kind {
             EXTENSION_SH_RANGE => {
                 let problem = "has spherical harmonics in a range of their own (an extension of Adobe's), which genesplat \
                                does not read; export it without";
