@@ -20,12 +20,10 @@ use crate::config::density::RECOVERED_OPACITY;
 use crate::run::TrainError;
 use crate::run::trainer::Trainer;
 use crate::scene::views::ViewOrder;
+use crate::schedule::SCORE_VIEWS;
 
 /// Gaussians at the end of growth, unless the configuration says otherwise (the authors' for indoor scenes).
 pub(crate) const DEFAULT_CAP: usize = 1_000_000;
-
-/// Views that have a say in a densification.
-const SCORE_VIEWS: u32 = 10;
 
 /// Which streams the order of these views is drawn from.
 const SCORE_ORDER: u32 = u32::MAX;
@@ -141,13 +139,13 @@ impl Trainer<'_> {
 
     /// The views that have a say in iteration `i`: in turn, over orders of their own.
     fn score_views(&self, i: u32) -> Vec<usize> {
-        let views = self.views.len();
-        if self.schedule.scores_all_views(i) || views <= SCORE_VIEWS as usize {
+        let (views, wanted) = (self.views.len(), self.schedule.score_views(i));
+        if views <= wanted {
             return (0..views).collect();
         }
         let mut order = ViewOrder::new(self.rng.fork(SCORE_ORDER), views);
-        let turn = i / self.schedule.densify_every * SCORE_VIEWS;
-        (turn..turn + SCORE_VIEWS).map(|visit| order.view(visit)).collect()
+        let first = i / self.schedule.densify_every * SCORE_VIEWS as u32;
+        (first..first + wanted as u32).map(|visit| order.view(visit)).collect()
     }
 }
 

@@ -13,7 +13,9 @@
 
 use std::time::Instant;
 
-use genesplat_core::{Contribution, Gaussians, Held, Origin};
+use genesplat_core::constants::ALPHA_MIN;
+use genesplat_core::gaussians::sigmoid;
+use genesplat_core::{Contribution, Gaussians, Genes, Held, Origin};
 use genesplat_evolve::renewal;
 
 use crate::evolution::{GuardScore, guards};
@@ -113,15 +115,18 @@ impl Trainer<'_> {
         Ok(())
     }
 
-    /// Contributions to as many training views as there is time for. A Gaussian that none of them shows is spared,
-    /// unless they are all there are.
+    /// Contributions to as many training views as there is time for. A Gaussian that none of them shows is spared, unless
+    /// they are all there are or it is too faint to be shown by any.
     fn contributions(&mut self, record: &mut StageRecord) -> Result<Vec<Contribution>, TrainError> {
         let (i, settings) = (record.iteration, self.settings(record.iteration));
         let views = spread_evenly(self.views, self.schedule.contribution_views(), &self.rng, i);
         let mut contributions = self.backend.contributions(&views, &settings)?;
         if views.len() < self.views.len() {
-            let unseen = contributions.iter_mut().filter(|of| of.weight == 0.0);
-            unseen.for_each(|of| of.weight = f32::INFINITY);
+            let genes = self.backend.genes()?;
+            let could_show = |genes: &Genes| sigmoid(genes[6]) > ALPHA_MIN;
+            let unseen =
+                contributions.iter_mut().zip(&genes).filter(|(of, genes)| of.weight == 0.0 && could_show(genes));
+            unseen.for_each(|(of, _)| of.weight = f32::INFINITY);
         }
         record.renders += views.len() as u64;
         Ok(contributions)

@@ -31,11 +31,10 @@ impl Trainer<'_> {
             self.backend.drop_mean();
         } else {
             self.backend.take_mean()?;
-            record.changed = self.backend.gaussian_count();
+            (record.changed, record.fitness_after) = (self.backend.gaussian_count(), mean.loss);
         }
         // The guards of the cloud and those of the mean.
         record.renders = 2 * guards.len() as u64;
-        record.fitness_after = mean.loss;
         record.guard_psnr = Some([before.psnr, mean.psnr]);
         record.seconds = clock.elapsed().as_secs_f64();
         self.observer.on_generation(&GenerationLog {

@@ -304,11 +304,13 @@ impl<'a> Trainer<'a> {
     /// MCMC's part of a step.
     fn mcmc_step(&self, position_rate: f32, counter: u32) -> Option<McmcStep> {
         let (mcmc, unit) = (&self.config.mcmc, unit_of(self.extent) as f32);
+        // Each of a step's views brings its own regularisers, as in the published loss.
+        let views = self.config.views_per_step as f32;
         (self.config.variant == Variant::Mcmc).then_some(McmcStep {
             // It is multiplied by a covariance.
             noise_scale: position_rate * mcmc.noise / (unit * unit),
-            opacity_weight: mcmc.opacity_weight,
-            scale_weight: mcmc.scale_weight / unit,
+            opacity_weight: views * mcmc.opacity_weight,
+            scale_weight: views * mcmc.scale_weight / unit,
             rng: self.rng,
             counter,
         })

@@ -154,15 +154,21 @@ pub(crate) fn unit_of(extent: f64) -> f64 {
     extent / extent.clamp(1.0, 10.0)
 }
 
-/// Points that the median depth is taken of, at most: more do not move it.
+/// Points and cameras that the median depth is taken of, at most: more do not move it.
 const DEPTH_POINTS: usize = 1000;
+const DEPTH_CAMERAS: usize = 100;
 
 /// How far away what the cameras see is: the median camera z of the points in front of them, world units; `None` where
 /// there are none.
-pub(crate) fn median_depth<'a>(cameras: impl Iterator<Item = &'a Camera>, points: &[ColouredPoint]) -> Option<f64> {
-    let step = points.len().div_ceil(DEPTH_POINTS).max(1);
+pub(crate) fn median_depth<'a>(
+    cameras: impl ExactSizeIterator<Item = &'a Camera>,
+    points: &[ColouredPoint],
+) -> Option<f64> {
+    let [every_camera, every_point] =
+        [(cameras.len(), DEPTH_CAMERAS), (points.len(), DEPTH_POINTS)].map(|(all, most)| all.div_ceil(most).max(1));
+    let cameras = cameras.step_by(every_camera);
     let depths_from = |camera: &'a Camera| {
-        let positions = points.iter().step_by(step).map(|(position, _)| DVec3::from(position.map(f64::from)));
+        let positions = points.iter().step_by(every_point).map(|(position, _)| DVec3::from(position.map(f64::from)));
         positions.map(|position| camera.camera_from_world(position).z)
     };
     let mut depths: Vec<f64> = cameras.flat_map(depths_from).filter(|&depth| depth > 0.0).collect();

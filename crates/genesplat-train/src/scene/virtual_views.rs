@@ -99,7 +99,7 @@ impl VirtualViews {
     }
 
     /// Looks at the cloud in iteration `i`, the first time from everywhere, and gives the device the photos and, after them,
-    /// what it has shown. Does nothing before it is time.
+    /// what it has shown. Does nothing in a run without virtual views.
     pub(crate) fn refresh(
         &mut self,
         backend: &mut dyn Backend,
@@ -107,7 +107,7 @@ impl VirtualViews {
         settings: &RenderSettings,
         i: u32,
     ) -> Result<(), BackendError> {
-        if self.steps.is_none_or(|steps| i < steps.from) {
+        if self.steps.is_none() {
             return Ok(());
         }
         let pictures = self.looked_at(backend, settings, i)?;

@@ -6,6 +6,9 @@ use crate::config::Variant;
 /// The budget is full after so many of the iterations that density control has, whole ones so that the ratio is exact.
 const BUDGET_RAMP: [f64; 2] = [14_000.0, 14_500.0];
 
+/// Views that have a say in a densification.
+pub(crate) const SCORE_VIEWS: usize = 10;
+
 /// What recovers its opacity slowly is pruned so many iterations after a reset.
 pub(crate) const RECOVERY: u32 = 300;
 
@@ -82,8 +85,14 @@ impl Schedule {
         self.has_recovered(i) && i < self.improved.slow_until
     }
 
-    /// All views have a say in the densification of iteration `i`: the one after that.
-    pub(crate) fn scores_all_views(&self, i: u32) -> bool {
-        i > self.densify_every && self.prunes_slow(i - self.densify_every)
+    /// So many views have a say in the densification of iteration `i`: all of them in the one after that, but in mode `renew`
+    /// no more than a renewal measures; with tens of thousands of photos, all would take longer than the whole run.
+    pub(crate) fn score_views(&self, i: u32) -> usize {
+        let is_after = i > self.densify_every && self.prunes_slow(i - self.densify_every);
+        match is_after {
+            true if self.is_renew_mode() => self.contribution_views().max(SCORE_VIEWS),
+            true => usize::MAX,
+            false => SCORE_VIEWS,
+        }
     }
 }

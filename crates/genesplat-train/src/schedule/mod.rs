@@ -8,7 +8,7 @@ use genesplat_core::{DensitySignal, LearningRates, RenderSettings, StatisticsReq
 use serde::{Deserialize, Serialize};
 
 use improved::ImprovedSteps;
-pub(crate) use improved::RECOVERY;
+pub(crate) use improved::{RECOVERY, SCORE_VIEWS};
 pub use optimiser_step::OptimiserStep;
 pub use visits::{VirtualSteps, Visit};
 

@@ -1,5 +1,5 @@
 use super::*;
-use crate::config::StepBudget;
+use crate::config::{EvolutionMode, StepBudget};
 
 /// Of the published trainer, unless `change` says otherwise.
 fn schedule(change: impl FnOnce(&mut TrainConfig)) -> Schedule {
@@ -242,7 +242,10 @@ fn improved_gs_prunes_after_resets_and_steps_less_often_later() {
     assert_eq!(iterations_with(&schedule, Phase::Densify).len(), 144);
     assert_eq!(all(&|i| schedule.has_recovered(i)), [3300, 6300, 9300, 12_300]);
     assert_eq!(all(&|i| schedule.prunes_slow(i)), [3300, 6300]);
-    assert_eq!(all(&|i| schedule.scores_all_views(i)), [3400, 6400]);
+    assert_eq!(all(&|i| schedule.score_views(i) != 10), [3400, 6400]);
+    assert_eq!(schedule.score_views(3400), usize::MAX, "all");
+    let bounded = self::schedule(|config| config.evolution.mode = EvolutionMode::Renew);
+    assert_eq!([3300, 3400, 3500].map(|i| bounded.score_views(i)), [10, 600, 10], "selection asks 2 % of 30,000");
     assert!(!schedule.prunes_by_size(14_900));
     let budgets = [500, 640, 4000, 14_500, 14_900].map(|i| (1e6 * schedule.budget(i)).round());
     assert_eq!(budgets, [0.0, 1e5, 5e5, 1e6, 1e6]);
@@ -262,7 +265,7 @@ fn improved_gs_scales_its_windows_and_ends_growth_where_renewal_begins() {
     let all = |due: &dyn Fn(u32) -> bool| (1..=3000).filter(|&i| due(i)).collect::<Vec<_>>();
     assert_eq!(all(&|i| tenth.has_recovered(i)), [400, 700, 1000, 1300]);
     assert_eq!(all(&|i| tenth.prunes_slow(i)), [400, 700]);
-    assert_eq!(all(&|i| tenth.scores_all_views(i)), [500, 800]);
+    assert_eq!(all(&|i| tenth.score_views(i) != 10), [500, 800]);
     let late = all(&|i| tenth.optimiser_step(i) == OptimiserStep::Later);
     assert_eq!((late[0], late.len()), (1501, 750 - 150 + 749 - 37));
     let renewing = schedule(|config| {

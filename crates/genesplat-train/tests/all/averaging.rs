@@ -73,6 +73,7 @@ fn guards_refuse_a_mean_that_lags_behind_and_no_other() {
         let [before, after] = stage.guard_psnr.unwrap();
         assert!((before - after - loss_db).abs() < 0.01, "{stage:?}");
         assert_eq!(backend.state().unwrap().mean.states(), 0, "a window that follows averages anew");
+        assert_eq!(stage.fitness_after == stage.fitness_before, stage.changed == 0, "a refused mean changes nothing");
         (outcome.cloud, stage.changed)
     };
     assert_eq!(by(0.55), (agreeing.cloud, 20), "worse on photos that it has seen, as means are");

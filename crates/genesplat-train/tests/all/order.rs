@@ -275,6 +275,17 @@ fn mcmc_adds_noise_in_every_step_and_relocates_instead_of_resetting() {
     assert_eq!(outcome.cloud.len(), 27);
 }
 
+/// The gradients of a step's photos are summed, and each photo's loss has its regularisers.
+#[test]
+fn mcmc_regularises_once_for_each_photo_of_a_step() {
+    let mut backend = FakeBackend::new();
+    run(&mut backend, short(|config| (config.variant, config.views_per_step) = (Variant::Mcmc, 4))).unwrap();
+    let updates = backend.steps().filter_map(|step| step.update);
+    assert!(
+        updates.map(|update| update.mcmc.unwrap()).all(|mcmc| (mcmc.opacity_weight, mcmc.scale_weight) == (0.04, 0.04))
+    );
+}
+
 #[test]
 fn mcmc_starts_small_and_half_transparent() {
     let mut backend = FakeBackend::new();

@@ -3,6 +3,7 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use genesplat_core::{Backend, Gaussians, Moments, Origin, RowEdit};
+use genesplat_train::scene::initialise::cloud_from_points;
 use genesplat_train::{
     EvolutionMode, Observer, Outcome, Silent, StageKind, StageRecord, Start, TrainConfig, Variant, train,
 };
@@ -86,6 +87,21 @@ fn what_no_measured_view_shows_is_spared() {
     // The fake's first row contributes nothing, and may have been out of sight.
     let sources = &edits(&backend)[0].sources;
     assert_eq!([0, 1, 2, 3].map(|row| sources.contains(&row)), [true, false, false, true]);
+}
+
+/// However few views are measured: what no pixel could show was not out of sight.
+#[test]
+fn what_is_too_faint_for_any_view_is_not_spared() {
+    let mut backend = backend(0.9);
+    let mut cloud = cloud_from_points(&points(20)).unwrap();
+    cloud.opacity_logits[0] = -6.0;
+    // Density control would have removed it.
+    let mut config = config();
+    config.densify.until = 0;
+    let (config, stop) = (config.resolve().unwrap(), AtomicBool::new(false));
+    train(&mut backend, &views(20), Start::Cloud(cloud), &config, &mut Silent, &stop).unwrap();
+    let sources = &edits(&backend)[0].sources;
+    assert_eq!([0, 1, 2].map(|row| sources.contains(&row)), [false, false, true]);
 }
 
 /// Runs with twenty Gaussians that always want to grow.

@@ -68,6 +68,8 @@ fn configure(args: &RefineArgs, splat: &Splat) -> Result<Schedule> {
     };
     let scaled = train.clone().resolve()?.iterations;
     finish_schedule(&mut train);
+    // There is no folder to keep them in.
+    train.checkpoint_every = 0;
     train.sh_degree = splat.settings.sh_degree;
     (train.iterations, train.steps_scale) = (args.iterations.unwrap_or(scaled), 1.0);
     train.seed = args.seed.unwrap_or(train.seed);

@@ -63,6 +63,7 @@ impl Curves {
         let [iteration, best] = *self.test_psnr.iter().max_by(|a, b| a[1].total_cmp(&b[1]))?;
         let is_of_averages = self.stages.iter().any(|stage| {
             stage.kind == StageKind::Averaging
+                && stage.changed > 0
                 && stage.guard_psnr.is_some_and(|[before, after]| before - after > LOSS_DB)
         });
         (best - test > LOSS_DB && train > best && !is_of_averages).then(|| {
