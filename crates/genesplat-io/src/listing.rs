@@ -1,6 +1,7 @@
 //! What the readers of scenes ([`crate::colmap`], `transforms`) return, before any photo is decoded, and what they check.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::{BTreeSet, HashMap, HashSet};
+use std::ffi::OsStr;
 use std::path::{Component, Path, PathBuf};
 use std::sync::Arc;
 
@@ -172,6 +173,27 @@ pub(crate) fn intrinsics_problem(
 pub(crate) fn absent_notice(missing: &[PathBuf], all: usize, list: &Path) -> Option<String> {
     let (first, gone, list) = (shown(missing.first()?), missing.len(), shown(list));
     Some(format!("{gone} of the {all} photos that {list} lists do not exist and are left out, first {first}"))
+}
+
+/// Of the photos beside those that were `found`, at least a tenth is not in `list`: cameras were not found for them.
+pub(crate) fn left_out_notice<'a>(found: impl Iterator<Item = &'a Path> + Clone, list: &Path) -> Option<String> {
+    let folders: BTreeSet<&Path> = found.clone().filter_map(Path::parent).collect();
+    let stems: HashSet<&OsStr> = found.clone().filter_map(Path::file_stem).collect();
+    let there: Vec<PathBuf> =
+        folders.into_iter().flat_map(entries).filter(|entry| has_ending(entry, &PHOTO_ENDINGS)).collect();
+    // A photo may lie beside what was made of it: `a.webp` beside `a.webp.png`.
+    let is_used =
+        |photo: &Path| [photo.file_stem(), photo.file_name()].into_iter().flatten().any(|name| stems.contains(name));
+    let left_out: Vec<&PathBuf> = there.iter().filter(|photo| !is_used(photo)).collect();
+    let (first, count, all) = (left_out.iter().min()?, left_out.len(), there.len());
+    (10 * count >= all).then(|| {
+        format!(
+            "{count} of the {all} photos have no camera in {} and are left out, first {}: photos that are blurred, or that show \
+             little of what others show, find none",
+            shown(list),
+            shown(first)
+        )
+    })
 }
 
 /// Photos that were found under almost the names that `list` has.

@@ -3,7 +3,7 @@
 
 use std::ffi::OsStr;
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail};
 use genesplat::io::{Format, PHOTO_ENDINGS, Scene, shown};
@@ -63,14 +63,26 @@ fn is_scene(folder: &Path) -> bool {
     entries.any(|entry| is_description(&entry.file_name().to_string_lossy()))
 }
 
-/// Fails where results would go into the scene's own folder, among names that both may have (`test/`, for one).
+/// Fails where results would go into the scene's own folder, among names that both may have (`test/`, for one), or among
+/// its photos, masks or models.
 pub(crate) fn check_apart(data: &Path, out: &Path) -> Result<()> {
-    match (data.canonicalize(), out.canonicalize()) {
-        (Ok(data), Ok(here)) if data == here => {
-            bail!("{} is the folder of the scene; choose another folder for the results", shown(out))
+    let (Ok(data), Some(out_whole)) = (data.canonicalize(), whole(out)) else { return Ok(()) };
+    let Ok(inside) = out_whole.strip_prefix(&data) else { return Ok(()) };
+    let first = inside.components().next().map(|part| part.as_os_str().to_string_lossy().into_owned());
+    match first {
+        None => bail!("{} is the folder of the scene; choose another folder for the results", shown(out)),
+        Some(first) if ["images", "masks", "sparse"].contains(&first.split('_').next().unwrap_or("")) => {
+            bail!("{} lies in {first}/ of the scene; choose another folder for the results", shown(out))
         }
-        _ => Ok(()),
+        Some(_) => Ok(()),
     }
+}
+
+/// The whole path without links, of what may not exist yet.
+fn whole(path: &Path) -> Option<PathBuf> {
+    let path = std::path::absolute(path).ok()?;
+    let (there, ancestor) = path.ancestors().find_map(|ancestor| Some((ancestor.canonicalize().ok()?, ancestor)))?;
+    Some(there.join(path.strip_prefix(ancestor).ok()?))
 }
 
 /// Fails where `out` is a photo of `scene`, or a folder that holds some: pictures that we write may have their names.

@@ -115,7 +115,8 @@ impl ConfigFile {
             (None, None, Some(saved)) => saved.clone(),
             (None, None, None) => Self::defaults(),
         };
-        file.dataset.path = args.scene();
+        // The run can be looked at from any folder.
+        file.dataset.path = std::path::absolute(args.scene())?;
         args.photos.override_dataset(&mut file.dataset)?;
         file.threads = args.machine.threads.or(file.threads);
         file.device = args.machine.device.or(file.device);

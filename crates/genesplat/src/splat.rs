@@ -5,7 +5,7 @@ use std::path::Path;
 use anyhow::{Result, ensure};
 use genesplat::core::{Gaussians, RenderSettings, ScreenFilter};
 use genesplat::io::format::{self, Format, Loaded};
-use genesplat::io::{MaskUse, Scene, command_line, shown};
+use genesplat::io::{LoadOptions, MaskUse, Scene, command_line, list_scene, shown};
 use genesplat::train::Background;
 
 use crate::args::{PhotosArgs, ShownOnArgs};
@@ -40,6 +40,12 @@ impl Splat {
         scene::load_to_look(&dataset, divisor, self.settings.background)
     }
 
+    /// The name of the view in `data` that is called `name`.
+    pub(crate) fn view_name(&self, name: &str, data: &Path, asked: &PhotosArgs) -> Result<String> {
+        let options = LoadOptions { with_points: false, ..self.dataset(data, asked)?.0.options() };
+        Ok(list_scene(data, &options)?.view_name(name, data)?.to_owned())
+    }
+
     /// What masks of those photos mean.
     pub(crate) fn mask(&self, data: &Path, asked: &PhotosArgs) -> Result<MaskUse> {
         Ok(self.dataset(data, asked)?.0.mask)
@@ -65,7 +71,14 @@ impl Splat {
             return self.load_scene(data, asked).map(Some);
         }
         let of_run = self.trained_on.as_ref().map(|dataset| dataset.path.as_path());
-        let Some(data) = of_run.filter(|path| path.is_dir()) else { return Ok(None) };
+        let Some(data) = of_run else { return Ok(None) };
+        if !data.is_dir() {
+            output::tell(&format!(
+                "notice: the page has no photos and cameras, since the scene of the run, {}, is not there; give --data SCENE",
+                shown(data)
+            ));
+            return Ok(None);
+        }
         match self.load_scene(data, asked) {
             Ok(scene) => Ok(Some(scene)),
             Err(error) => {

@@ -9,7 +9,8 @@ use glam::{DQuat, DVec3};
 use super::{ImageRecord, Model, ModelFolder, part_models, points_file, read_model, read_photos};
 use crate::error::SceneError;
 use crate::listing::{
-    ListedPhoto, Listing, Purpose, absent_notice, all_missing, base_name, inside, no_photos, separate, similar_notice,
+    ListedPhoto, Listing, Purpose, absent_notice, all_missing, base_name, inside, left_out_notice, no_photos, separate,
+    similar_notice,
 };
 use crate::photos::Lens;
 use crate::shown;
@@ -77,6 +78,7 @@ fn find_photos<'a>(
     }
     notices.extend(similar_notice(similar, list));
     notices.extend(absent_notice(&missing, images.len(), list));
+    notices.extend(left_out_notice(found.iter().map(|(_, path)| &**path), list));
     Ok(found)
 }
 

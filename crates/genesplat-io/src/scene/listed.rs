@@ -21,6 +21,14 @@ pub struct SceneList {
     pub notices: Vec<String>,
 }
 
+impl SceneList {
+    /// The name of the view that is called `asked`: by its name or by the end of its path, with or without its ending. Fails where
+    /// none or several of `scene` are.
+    pub fn view_name(&self, asked: &str, scene: &Path) -> Result<&str, SceneError> {
+        split::view_name(asked, self.photos.iter().map(|photo| (&*photo.name, &*photo.path)), scene)
+    }
+}
+
 /// A photo that exists and is not decoded.
 #[derive(Clone, Debug)]
 pub struct ScenePhoto {

@@ -10,6 +10,8 @@ mod random_points;
 mod split;
 mod view;
 
+use std::fs;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use genesplat_core::View;
@@ -202,6 +204,8 @@ fn list(path: &Path, options: &LoadOptions) -> Result<Listing, SceneError> {
     }
     match list_known(path, options) {
         Err(error @ (SceneError::Unrecognised(_) | SceneError::AllPhotosMissing { .. })) => {
+            // What is not to be read looks as if it were not there.
+            check_readable([path, &path.join("sparse"), &path.join("sparse/0"), &path.join(&options.image_folder)])?;
             let Some(scene) = place::of(path).filter(|scene| scene != path) else {
                 let known = || bare::run(path).or_else(|| bare::without_cameras(path)).or_else(|| bare::file(path));
                 let is_unknown = matches!(error, SceneError::Unrecognised(_));
@@ -213,6 +217,16 @@ fn list(path: &Path, options: &LoadOptions) -> Result<Listing, SceneError> {
         }
         known => checked(known?, path, options),
     }
+}
+
+/// Fails where one of these folders is there and must not be read.
+fn check_readable(folders: [&Path; 4]) -> Result<(), SceneError> {
+    folders.into_iter().try_for_each(|folder| match fs::read_dir(folder) {
+        Err(source) if source.kind() == ErrorKind::PermissionDenied => {
+            Err(SceneError::Read { file: folder.to_owned(), source })
+        }
+        _ => Ok(()),
+    })
 }
 
 /// `listing` with the names of its views, and points to start from. Too few points are an error here already: training

@@ -1,7 +1,7 @@
 //! Which photos are trained on, and which are held out for testing.
 
 use std::num::NonZeroU32;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use genesplat_core::View;
 use serde::{Deserialize, Serialize};
@@ -56,7 +56,9 @@ impl HoldOut {
     /// The same with the names of views in place of what else a photo is called by.
     fn by_view_names(&self, photos: &[ListedPhoto], scene: &Path) -> Result<Self, SceneError> {
         let Self::Photos(names) = self else { return Ok(self.clone()) };
-        Ok(Self::Photos(names.iter().map(|name| view_name(name, photos, scene)).collect::<Result<_, _>>()?))
+        let files = photos.iter().map(|photo| (&*photo.name, &*photo.path));
+        let view = |name: &String| view_name(name, files.clone(), scene).map(str::to_owned);
+        Ok(Self::Photos(names.iter().map(view).collect::<Result<_, _>>()?))
     }
 }
 
@@ -77,26 +79,44 @@ pub(super) fn split(
     Ok(hold_out.part(used, |photo| &photo.name))
 }
 
-/// The name of the one view that `listed` stands for.
-fn view_name(listed: &str, photos: &[ListedPhoto], scene: &Path) -> Result<String, SceneError> {
-    let is_called = |photo: &&ListedPhoto| {
-        photo.name == listed || without_ending(&photo.name) == listed || photo.path.ends_with(listed)
+/// The name of the one view that is called `asked`, of the views and their files in `photos`: by its name or by the end of
+/// its path, with or without its ending.
+pub(super) fn view_name<'a>(
+    asked: &str,
+    mut photos: impl Iterator<Item = (&'a str, &'a Path)> + Clone,
+    scene: &Path,
+) -> Result<&'a str, SceneError> {
+    let is_called = |(name, path): &(&str, &Path)| {
+        *name == asked
+            || without_ending(name) == asked
+            || path.ends_with(asked)
+            || path.with_extension("").ends_with(asked)
     };
-    let mut found = photos.iter().filter(is_called);
+    let mut found = photos.clone().filter(is_called);
     let problem = match (found.next(), found.count()) {
-        (Some(photo), 0) => return Ok(photo.name.clone()),
+        (Some((name, _)), 0) => return Ok(name),
         (None, _) => {
-            let example = photos.first().map_or(String::new(), |photo| shown(&photo.name));
-            format!(
-                "has no photo called {}, which is to be held out; its photos have names like {example}",
-                shown(listed)
-            )
+            let example = photos.next().map_or(String::new(), |(name, path)| shown(usual_name(name, path)));
+            format!("has no photo called {}; its photos have names like {example}", shown(asked))
         }
         (_, more) => {
-            format!("has {} photos called {}; name the folder of the one that is meant", more + 1, shown(listed))
+            format!(
+                "has {} photos called {}; name the ending or the folder of the one that is meant",
+                more + 1,
+                shown(asked)
+            )
         }
     };
     Err(SceneError::invalid(scene, problem))
+}
+
+/// A photo as its owner calls it: with its folder, where views are told apart by that.
+fn usual_name(view: &str, path: &Path) -> PathBuf {
+    let file = path.file_name().unwrap_or_default();
+    match path.parent().and_then(Path::file_name) {
+        Some(folder) if *view != *file => Path::new(folder).join(file),
+        _ => file.into(),
+    }
 }
 
 fn first_part(name: &str) -> &str {

@@ -37,9 +37,9 @@ fn photos_of_another_case_or_ending_are_found() {
     assert!(notice.ends_with("first 001.PNG for 001.png"), "{notice}");
     // Two that could be meant are none.
     fs::copy(photo("002.Jpeg"), photo("002.JPG")).unwrap();
-    assert_eq!(load(folder.path()).unwrap().notices.len(), 2);
+    assert_eq!(load(folder.path()).unwrap().notices.len(), 3);
     fs::rename(folder.path().join("images"), folder.path().join("Images")).unwrap();
-    assert_eq!(load(folder.path()).unwrap().notices.len(), 2);
+    assert_eq!(load(folder.path()).unwrap().notices.len(), 3);
 }
 
 #[test]
@@ -57,6 +57,21 @@ fn photos_that_are_absent_are_counted_and_others_named() {
         sentence.contains("none of the 4 photos") && sentence.contains("IMG_7.png where 000.png is wanted"),
         "{sentence}"
     );
+}
+
+#[test]
+fn photos_without_a_camera_are_counted_where_they_are_many() {
+    let folder = tiny_scene(18);
+    let photo = |name: &str| folder.path().join("images/a b").join(name);
+    // Made of a photo that has a camera, or no photo.
+    fs::write(photo("notes.txt"), "").unwrap();
+    fs::copy(photo("000.png"), photo("000.webp")).unwrap();
+    fs::copy(photo("000.png"), photo("900.png")).unwrap();
+    assert_eq!(load(folder.path()).unwrap().notices, [""; 0], "one of twenty");
+    fs::copy(photo("000.png"), photo("901.png")).unwrap();
+    fs::copy(photo("000.png"), photo("902.jpg")).unwrap();
+    let (photos, notice) = found(folder.path());
+    assert!(photos == 18 && notice.starts_with("3 of the 22 photos have no camera in"), "{notice}");
 }
 
 #[test]

@@ -6,7 +6,7 @@ use std::path::Path;
 use crate::common::{tiny_model, write_scene};
 use genesplat_core::View;
 use genesplat_io::colmap::Form;
-use genesplat_io::{HoldOut, LoadOptions, load_scene};
+use genesplat_io::{HoldOut, LoadOptions, list_scene, load_scene};
 
 fn names(views: &[View]) -> Vec<&str> {
     views.iter().map(|view| view.name.as_str()).collect()
@@ -47,7 +47,13 @@ fn a_listed_photo_is_one_photo_of_the_scene() {
     write_scene(folder.path(), Form::Binary, &model);
     assert_eq!(split(folder.path(), listed(&["right/1.png"])).unwrap()[0], ["right_1.png"]);
     let unknown = split(folder.path(), listed(&["left/1.png", "3.png"])).unwrap_err();
-    assert!(unknown.contains("no photo called 3.png") && unknown.contains("names like left_1.png"), "{unknown}");
+    assert!(unknown.contains("no photo called 3.png") && unknown.contains("names like left/1.png"), "{unknown}");
     let ambiguous = split(folder.path(), listed(&["1.png"])).unwrap_err();
     assert!(ambiguous.contains("has 2 photos called 1.png"), "{ambiguous}");
+    assert_eq!(split(folder.path(), listed(&["left/1"])).unwrap()[0], ["left_1.png"], "without its ending");
+    let list = list_scene(folder.path(), &LoadOptions::default()).unwrap();
+    assert_eq!(
+        ["right_1.png", "right/1", "1.png"].map(|name| list.view_name(name, folder.path()).ok()),
+        [Some("right_1.png"), Some("right_1.png"), None]
+    );
 }

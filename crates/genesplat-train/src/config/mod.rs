@@ -117,7 +117,7 @@ pub struct TrainConfig {
     /// the position rate and every size threshold.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub extent: Option<f64>,
-    /// At most this many Gaussians: starting points are thinned to it, and densification stops at it. Default
+    /// At most this many Gaussians: starting points are thinned to one that is given, and densification stops at it. Default
     /// with evolution's mode `renew`: as many as the photos can determine (`evolution.renewal.capacity`; the lower of the two
     /// counts). Default without it: no limit, but 1,000,000 with `mcmc` and `improved-gs`, which grow to it along a curve of
     /// their own.

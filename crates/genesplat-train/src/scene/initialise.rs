@@ -48,8 +48,9 @@ pub enum InitialiseError {
     },
     /// All cameras stand at one place, so the scene has no size.
     #[error(
-        "all {cameras} training cameras stand at the same place, so the size of the scene is unknown; \
-         set `extent` in the configuration"
+        "{cameras} training {} at one place, so the size of the scene is unknown; add photos from other places \
+         (--train-on-all trains on test photos, too), or set `extent` in a --config file",
+        if *cameras == 1 { "camera stands" } else { "cameras stand" }
     )]
     NoExtent {
         /// Number of training cameras.

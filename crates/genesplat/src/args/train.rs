@@ -65,6 +65,10 @@ impl TrainArgs {
     /// Flags over the file. Fails where one does not go with the method that is trained.
     pub(crate) fn override_config(&self, train: &mut TrainConfig) -> Result<()> {
         self.schedule.override_config(train);
+        // So many as are asked for, and not a tenth of them.
+        if self.preset.is_some() && self.schedule.iterations.is_some() && self.schedule.steps_scale.is_none() {
+            train.steps_scale = 1.0;
+        }
         replace(&mut train.evolution.mode, self.evolve);
         self.search.override_config(train)?;
         self.method.override_config(train)
@@ -92,9 +96,9 @@ pub(crate) struct ScheduleArgs {
     /// Seed of all random numbers [default: 0]. Same seed, same bytes
     #[arg(long, value_name = "S", value_parser = clap::value_parser!(u64).range(SEEDS))]
     seed: Option<u64>,
-    /// Train at most this many Gaussians, from the first step on [default: as many as the photos can determine; without
-    /// --evolve renew no limit, but 1000000 with mcmc and improved-gs, which grow towards it on a curve of their own]. Bounds
-    /// memory (2 to 4 KB a Gaussian) and time
+    /// Train at most this many Gaussians, from the first step on [default: the cloud grows to as many as the photos can
+    /// determine, and starting points are kept; without --evolve renew no limit, but 1000000 with mcmc and improved-gs, which
+    /// grow towards it on a curve of their own]. Bounds memory (2 to 4 KB a Gaussian) and time
     #[arg(long, value_name = "N", value_parser = positive)]
     max_gaussians: Option<usize>,
     /// Iterations between two checkpoints [default: 1000]; 0 for none but that of Ctrl-C and SIGTERM

@@ -4,7 +4,7 @@ use std::io::Write;
 use std::path::Path;
 use std::sync::atomic::Ordering;
 
-use anyhow::{Result, bail, ensure};
+use anyhow::{Result, anyhow, ensure};
 use genesplat::core::{Photo, View};
 use genesplat::io::{PHOTO_ENDINGS, Scene, VIDEO_ENDINGS, photos, plural, shown};
 
@@ -57,7 +57,10 @@ pub(crate) fn run(args: &RenderArgs) -> Result<Ending> {
         check_test_photos(&args.splat.path, &scene)?;
     }
     let jobs = match &args.image {
-        Some(name) => vec![(find(&scene, name, &args.data)?, args.out.clone())],
+        Some(name) => {
+            let name = splat.view_name(name, &args.data, &args.splat.photos)?;
+            vec![(find(&scene, &name, &args.data)?, args.out.clone())]
+        }
         None => {
             let views = chosen(scene, args.split.unwrap_or(RenderSplit::All));
             let names = scene::picture_names(&views);
@@ -103,16 +106,12 @@ fn write(path: &Path, picture: &Photo) -> Result<()> {
     Ok(photos::write_png(path, picture)?)
 }
 
-/// The photo called `name`, with or without its ending.
+/// The view called `name`, unless it is hidden.
 fn find(scene: &Scene, name: &str, data: &Path) -> Result<View> {
-    let matches = |view: &&View| view.name == name || scene::stem(&view.name) == name;
-    match scene.train.iter().chain(&scene.test).find(matches) {
-        Some(view) => Ok(view.clone()),
-        None => {
-            let (name, example) = (shown(name), shown(&scene.train[0].name));
-            bail!("{} has no photo called {name}; its photos have names like {example}", shown(data))
-        }
-    }
+    let view = scene.train.iter().chain(&scene.test).find(|view| view.name == name);
+    view.cloned().ok_or_else(|| {
+        anyhow!("the mask of {} in {} hides it entirely; choose another photo", shown(name), shown(data))
+    })
 }
 
 fn chosen(scene: Scene, split: RenderSplit) -> Vec<View> {

@@ -102,6 +102,12 @@ impl Sink {
             for frame in 1..=cameras.len() as u32 {
                 overwrite::check_existing(&frame_path(out, frame), Content::Picture, &[])?;
             }
+            let beyond = frame_path(out, cameras.len() as u32 + 1);
+            ensure!(
+                !beyond.exists(),
+                "{} would be a frame of another path after those of this one; choose another --out, or remove it and those that follow",
+                shown(&beyond)
+            );
             return Ok(Self::Folder { path: out.to_owned(), frames: 0 });
         }
         let name = out.file_name().unwrap_or_default().to_string_lossy();

@@ -24,13 +24,16 @@ pub(crate) fn inspect_scene(dataset: &Dataset) -> Result<Report> {
     let list = list_scene(&dataset.path, &dataset.options())?;
     let mut facts = found(&scene, &views, &sight)?;
     facts.extend(lenses(&list.photos));
-    let warnings = [list.notices, cameras::warnings(&views, &sight), photos::warnings(&views)?].concat();
+    let no_extent = scene_extent(scene.train.iter().map(|view| &view.camera)).err().map(|error| error.to_string());
+    let warnings =
+        [Vec::from_iter(no_extent), list.notices, cameras::warnings(&views, &sight), photos::warnings(&views)?]
+            .concat();
     facts.extend(expected(&estimate(&scene, &settings)?, settings.config().iterations));
     Ok(Report { kind: "scene", facts, warnings })
 }
 
 fn found(scene: &Scene, views: &[&View], sight: &Sight) -> Result<Vec<Fact>> {
-    let extent = scene_extent(scene.train.iter().map(|view| &view.camera))?;
+    let extent = scene_extent(scene.train.iter().map(|view| &view.camera)).ok();
     let mut seen = sight.points_seen.clone();
     seen.sort_unstable();
     let mut facts = vec![
@@ -44,12 +47,11 @@ fn found(scene: &Scene, views: &[&View], sight: &Sight) -> Result<Vec<Fact>> {
             seen[seen.len() / 2],
             format!("{} to {}", thousands(seen[0]), thousands(seen[seen.len() - 1])),
         ),
-        Fact::new(
-            "extent",
-            extent,
-            format!("{extent:.3} world units: 1.1 times the farthest camera from their middle"),
-        ),
     ];
+    facts.extend(extent.map(|extent| {
+        let shown = format!("{extent:.3} world units: 1.1 times the farthest camera from their middle");
+        Fact::new("extent", extent, shown)
+    }));
     let masked = views.iter().filter(|view| view.mask.is_some()).count();
     if masked > 0 {
         facts.push(Fact::new("masked photos", masked, format!("{masked}: what their masks hide counts for nothing")));

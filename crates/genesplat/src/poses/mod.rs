@@ -53,13 +53,34 @@ pub(crate) fn find(request: &Request, stop: &AtomicBool) -> Result<Option<Summar
     let source = Source::open(request.photos, request.frames)?;
     let work = claim(request.out, &source)?;
     let _lock = Lock::take(&work)?;
+    let is_new = !photos::is_begun(&work) && !request.out.join(IMAGES).exists();
     source.check_same(&work)?;
     if let Some(summary) = Summary::read(&work)? {
         return Ok(Some(summary));
     }
-    let engine = Engine::find()?;
+    let prepared = Engine::find().and_then(|engine| prepare(request, &source, &work, engine, stop));
+    if prepared.is_err() && is_new {
+        photos::forget(request.out, &work);
+    }
+    let Some((engine, names, job)) = prepared? else { return Ok(None) };
+    let Some(errors_px) = stages::run(&engine, &job, &work, stop)? else { return Ok(None) };
+    let summary = Summary::of_largest(&job.models, &names, &errors_px)?;
+    install(&job.models.join(&summary.model), &request.out.join(MODEL))?;
+    summary.write(&work)?;
+    Ok(Some(summary))
+}
+
+/// Puts the photos into the scene; `None` where `stop` has ended that.
+fn prepare(
+    request: &Request,
+    source: &Source,
+    work: &Path,
+    engine: Engine,
+    stop: &AtomicBool,
+) -> Result<Option<(Engine, Vec<String>, Job)>> {
     let images = request.out.join(IMAGES);
-    if !heic::convert(&source.heic(&images), &engine, &work, stop)? || !source.fill(&images, &work, stop)? {
+    source.check_photos()?;
+    if !heic::convert(&source.heic(&images), &engine, work, stop)? || !source.fill(&images, work, stop)? {
         return Ok(None);
     }
     let names = photos::names_in(&images)?;
@@ -71,12 +92,8 @@ pub(crate) fn find(request: &Request, stop: &AtomicBool) -> Result<Option<Summar
     );
     output::tell(&format!("{} photos; {} finds their cameras", names.len(), engine.name()));
     let masks = masks::usable(request.out, &images, &names)?;
-    let job = Job { masks, ..Job::new(&images, &work, &names, source.is_video(), request.threads)? };
-    let Some(errors_px) = stages::run(&engine, &job, &work, stop)? else { return Ok(None) };
-    let summary = Summary::of_largest(&job.models, &names, &errors_px)?;
-    install(&job.models.join(&summary.model), &request.out.join(MODEL))?;
-    summary.write(&work)?;
-    Ok(Some(summary))
+    let job = Job { masks, ..Job::new(&images, work, &names, source.is_video(), request.threads)? };
+    Ok(Some((engine, names, job)))
 }
 
 /// Folder of the stages below `out`, made if it is missing. Fails where `out` holds something else.

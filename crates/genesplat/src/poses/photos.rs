@@ -106,6 +106,12 @@ impl Source {
         Ok(())
     }
 
+    /// Fails where a file of a folder is no photo, by the name that its owner knows.
+    pub(crate) fn check_photos(&self) -> Result<()> {
+        let Self::Folder(Photos { path, names, .. }) = self else { return Ok(()) };
+        Ok(names.par_iter().try_for_each(|name| photo_size(&path.join(name)).map(|_| ()))?)
+    }
+
     fn record(&self) -> Result<Record> {
         let size = |name: &str, path: &Path| {
             let there = fs::metadata(path).map_err(|error| anyhow!("cannot read {}: {error}", shown(path)))?;
@@ -148,6 +154,15 @@ impl Source {
 /// Whether the stages of a scene have been begun in `work`.
 pub(crate) fn is_begun(work: &Path) -> bool {
     work.join(RECORD).is_file()
+}
+
+/// Removes what [`Source::check_same`] and [`Source::fill`] have put into a new scene, whose photos are to be corrected first.
+pub(crate) fn forget(scene: &Path, work: &Path) {
+    // Of what stays, the next search tells.
+    for folder in [scene.join(IMAGES), scene.join(masks::FOLDER), work.join(UNPACKED)] {
+        let _ = fs::remove_dir_all(folder);
+    }
+    let _ = fs::remove_file(work.join(RECORD));
 }
 
 /// The photos in `path`; fails where there are none, and tells of pictures that are not read.

@@ -41,7 +41,7 @@ pub(crate) fn run(command: &mut Command, log: &Path, stop: &AtomicBool, mut on_l
         child.stdout.take().map(|stream| listen(stream, sender.clone())),
         child.stderr.take().map(|stream| listen(stream, sender)),
     ];
-    let mut last = String::new();
+    let (mut last, mut error) = (String::new(), None);
     loop {
         if stop.load(Ordering::Relaxed) {
             end(&mut child);
@@ -52,7 +52,9 @@ pub(crate) fn run(command: &mut Command, log: &Path, stop: &AtomicBool, mut on_l
                 // The log is for people who look for a fault; a full disk shows elsewhere.
                 let _ = writeln!(file, "{line}");
                 on_line(&line);
-                if !line.trim().is_empty() {
+                if is_error(&line) {
+                    error = Some(line);
+                } else if !line.trim().is_empty() {
                     last = line;
                 }
             }
@@ -63,10 +65,15 @@ pub(crate) fn run(command: &mut Command, log: &Path, stop: &AtomicBool, mut on_l
     listeners.into_iter().flatten().for_each(|listener| drop(listener.join()));
     let status = child.wait().map_err(|error| anyhow!("cannot wait for {}: {error}", shown(&program)))?;
     if !status.success() && !stop.load(Ordering::Relaxed) {
-        let sentence = match last.trim() {
+        let sentence = match error.unwrap_or(last).trim() {
             "" => {
                 format!("{} has failed ({status}) and said nothing; the same command tries it again", shown(&program))
             }
+            last if last.contains("database is locked") => format!(
+                "{} has failed, because one of an earlier search still runs ({last}); wait for it, or end it, and give the same \
+                 command again",
+                shown(&program)
+            ),
             last => format!("{} has failed ({last}); all that it said is in {}", shown(&program), shown(log)),
         };
         // Ended by a signal.
@@ -74,6 +81,12 @@ pub(crate) fn run(command: &mut Command, log: &Path, stop: &AtomicBool, mut on_l
         bail!(sentence);
     }
     Ok(status.success())
+}
+
+/// Whether a line tells of an error in glog's way (`E20261127 ..`, `F1127 ..`), or in words.
+fn is_error(line: &str) -> bool {
+    let is_of_glog = line.strip_prefix(['E', 'F']).is_some_and(|rest| rest.starts_with(|c: char| c.is_ascii_digit()));
+    is_of_glog || ["error", "database is locked"].iter().any(|word| line.to_lowercase().contains(word))
 }
 
 /// Its stdin is a pipe that nothing is written to: a program that listens to it learns when we are gone.
@@ -139,6 +152,9 @@ mod tests {
         assert_eq!(silent, "sh has failed (exit status: 3) and said nothing; the same command tries it again");
         let crashed = run(&mut shell("echo a fault >&2; kill -SEGV $$"), &log, &never, |_| {}).unwrap_err();
         assert!(crashed.is::<Crashed>() && crashed.to_string().contains("a fault"), "{crashed}");
+        let told = "echo E20261127 no such camera; echo 'SQLite error: database is locked'; echo 'Matching block [1/1]'; exit 1";
+        let locked = run(&mut shell(told), &log.with_extension("2"), &never, |_| {}).unwrap_err().to_string();
+        assert!(locked.contains("an earlier search still runs (SQLite error: database is locked)"), "{locked}");
         assert_eq!(genesplat::io::input::read_text(&log).unwrap().lines().count(), 4);
     }
 

@@ -1,17 +1,22 @@
 //! Whether a run is given the scene that it began with.
 //!
 //! A scene may move, so a path decides only while the old one exists. Then what tells the scene apart is the number of
-//! training photos in the log, and the names of test photos in the figures.
+//! training photos and the size of the scene in the log, and the names of test photos in the figures.
 
 use std::io::{BufRead, BufReader};
 use std::path::Path;
 
 use anyhow::{Result, bail, ensure};
 use genesplat::io::{Scene, input, shown};
+use genesplat::train::scene::initialise::scene_extent;
 use serde::Deserialize;
 
 use super::metrics::Metrics;
 use super::{CLOUD, LOG};
+use crate::settings::ConfigFile;
+
+/// Extents that differ by less, relative to them, are equal but for rounding.
+const SAME_EXTENT: f64 = 1e-6;
 
 /// Fails where the folders of both scenes exist and are different ones.
 pub(crate) fn check_folders(began_with: &Path, given: &Path) -> Result<()> {
@@ -28,15 +33,25 @@ pub(crate) fn check_folders(began_with: &Path, given: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Fails where the run in `folder` is known to have had other photos than those of `scene`.
+/// Fails where the run in `folder` is known to have had other photos than those of `scene`, or other cameras.
 pub(crate) fn check(folder: &Path, scene: &Scene) -> Result<()> {
-    let had = training_photos(folder);
+    let had = first_line(folder);
     let names: Vec<&str> = scene.test.iter().map(|view| view.name.as_str()).collect();
     let same_names = Metrics::read(folder).is_none_or(|metrics| metrics.test_photos() == names);
     ensure!(
-        had.is_none_or(|had| had == scene.train.len()) && same_names,
+        had.is_none_or(|(views, _)| views == scene.train.len()) && same_names,
         "the run in {} began with other photos than {} has now; bring back the scene as it was, choose another --out, or \
          remove that folder",
+        shown(folder),
+        shown(&scene.name)
+    );
+    let is_given = ConfigFile::of_run(folder).is_ok_and(|config| config.train.extent.is_some());
+    let extent = scene_extent(scene.train.iter().map(|view| &view.camera)).ok().filter(|_| !is_given);
+    let differ = had.zip(extent).is_some_and(|((_, began_with), now)| (began_with / now - 1.0).abs() > SAME_EXTENT);
+    ensure!(
+        !differ,
+        "the run in {} began with other cameras than {} has now, whose reconstruction was made anew; bring back the scene as it \
+         was, choose another --out, or remove that folder",
         shown(folder),
         shown(&scene.name)
     );
@@ -59,20 +74,22 @@ pub(crate) fn check_test_photos(splat: &Path, scene: &Scene) -> Result<()> {
     );
 }
 
-/// How many photos the run in `folder` trained on, as the first line of its log has it.
-fn training_photos(folder: &Path) -> Option<usize> {
+/// How many photos the run in `folder` trained on, and the extent of their cameras, world units, as the first line of its log
+/// has it.
+fn first_line(folder: &Path) -> Option<(usize, f64)> {
     #[derive(Deserialize)]
     #[serde(tag = "event", rename_all = "kebab-case")]
     enum Line {
         Start {
             views: usize,
+            extent: f64,
         },
         #[serde(other)]
         Other,
     }
     let log = BufReader::new(input::open(&folder.join(LOG)).ok()?);
     log.lines().map_while(Result::ok).find_map(|line| match serde_json::from_str(&line) {
-        Ok(Line::Start { views }) => Some(views),
+        Ok(Line::Start { views, extent }) => Some((views, extent)),
         _ => None,
     })
 }
@@ -108,11 +125,22 @@ mod tests {
         let path = folder.path();
         assert!(check(path, &scene(9)).is_ok(), "nothing is known");
         assert!(check_test_photos(path, &scene(9)).is_ok(), "nothing is known");
-        let log = "{\"event\":\"notice\",\"text\":\"x\"}\n{\"event\":\"start\",\"views\":7,\"gaussians\":20}\n\
-                   {\"event\":\"stage-start\",\"views\":[\"a\"]}\n{\"event\":\"start\",\"views\":8}\n";
-        fs::write(path.join("log.jsonl"), log).unwrap();
-        assert!(check(path, &scene(9)).is_ok() && check(path, &scene(8)).is_ok());
-        assert!(check(path, &scene(12)).unwrap_err().to_string().contains("other photos"));
+        let begun_with = |photos| {
+            let extent = scene_extent(scene(photos).train.iter().map(|view| &view.camera)).unwrap();
+            let log = format!(
+                "{{\"event\":\"notice\",\"text\":\"x\"}}\n{{\"event\":\"start\",\"views\":7,\"extent\":{extent},\"gaussians\":20}}\n\
+                 {{\"event\":\"stage-start\",\"views\":[\"a\"]}}\n{{\"event\":\"start\",\"views\":8,\"extent\":1.0}}\n"
+            );
+            fs::write(path.join("log.jsonl"), log).unwrap();
+        };
+        begun_with(9);
+        let refusal = |photos| check(path, &scene(photos)).unwrap_err().to_string();
+        assert!(check(path, &scene(9)).is_ok() && refusal(12).contains("other photos"));
+        assert!(refusal(8).contains("other cameras"), "as many training photos, from other places");
+        fs::write(path.join("config.toml"), "extent = 2.0").unwrap();
+        assert!(check(path, &scene(8)).is_ok(), "an extent that is set says nothing of cameras");
+        fs::remove_file(path.join("config.toml")).unwrap();
+        begun_with(8);
 
         let metrics = |name: &str| {
             let test =

@@ -14,7 +14,7 @@ use genesplat::train::checkpoint::JointWriter;
 
 use super::lock::Lock;
 use super::metrics::Metrics;
-use super::{CHECKPOINT, CLOUD, CONFIG, FUSED_CLOUD, LOG, METRICS, REPORT, RESULTS, SNAPSHOTS, TEST};
+use super::{CHECKPOINT, CLOUD, CONFIG, FUSED_CLOUD, METRICS, REPORT, RESULTS, SNAPSHOTS, TEST};
 use crate::files::{
     check_folder, check_writable, remove_if_there, remove_leftovers, unwritable, write_file, write_json, write_text,
 };
@@ -279,10 +279,12 @@ fn check_is_free(path: &Path) -> Result<()> {
     bail!("{} belongs to something else; choose another folder", shown(file))
 }
 
-/// What shows that a folder without settings of ours belongs to something else: a scene, or results.
+/// What shows that a folder without settings of ours belongs to something else: results, or a scene.
 fn foreign_in(path: &Path) -> Option<PathBuf> {
+    if let Some(result) = RESULTS.iter().map(|file| path.join(file)).find(|file| file.is_file()) {
+        return Some(result);
+    }
     let is_foreign = |path: &PathBuf| match &*path.file_name().unwrap_or_default().to_string_lossy() {
-        METRICS | REPORT | CLOUD | LOG => path.is_file(),
         "sparse" => path.is_dir(),
         TEST => fs::read_dir(path).is_ok_and(|mut entries| entries.next().is_some()),
         name => name.starts_with("transforms") && name.ends_with(".json"),
@@ -295,6 +297,7 @@ mod tests {
     use genesplat::core::Alone;
 
     use super::*;
+    use crate::run::LOG;
 
     #[test]
     fn a_claim_keeps_others_out_and_makes_no_folder() {

@@ -28,6 +28,8 @@ fn a_path_becomes_pictures_that_differ() {
         assert_eq!((frame(1).width, frame(1).height), (64, 48), "{path}");
         assert!((1..5).all(|index| frame(index) != frame(index + 1)), "{path} stands still");
     }
+    let shorter = with("orbit", text(&out)).into_iter().map(|word| if word == "5" { "3".to_owned() } else { word });
+    fail(shorter.collect::<Vec<_>>(), &["0004.png would be a frame of another path", "--out"]);
     fs::write(&file, r#"{"genesplat_path":1,"views":[]}"#).unwrap();
     fail(with(text(&file), text(&out)), &["path.json", "from 2 to"]);
     fail(with("absent.json", text(&out)), &["cannot read the path absent.json"]);

@@ -223,6 +223,18 @@ fn what_was_given_is_not_quite_a_scene() {
             Says(&["run is the folder of a run", "give the folder of a scene"]),
         ),
         (|place| train(&place.at("scene"), &place.at("scene"), &[]), Says(&["is the folder of the scene"])),
+        (|place| train(&place.at("scene"), &place.at("scene/images"), &[]), Says(&["lies in images/ of the scene"])),
+        (
+            |place| train(&place.at("scene"), &place.at("scene/sparse/run"), &[]),
+            Says(&["lies in sparse/ of the scene"]),
+        ),
+        (
+            |place| {
+                place.write("run/point_cloud_fused.ply", "theirs");
+                place.trains("scene", &["--variant", "mip-splatting"])
+            },
+            Says(&["point_cloud_fused.ply belongs to something else"]),
+        ),
     ]);
 }
 

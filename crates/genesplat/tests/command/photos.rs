@@ -168,8 +168,8 @@ fn a_preset_is_settings_that_flags_change() {
     let run = folder.path().join("run");
     succeed(train(scene(), &run, &["--preset", "quick", "--max-side", "48", "--iterations", "40"]));
     let config = fs::read_to_string(run.join("config.toml")).unwrap();
-    assert!(config.contains("steps_scale = 0.1") && config.contains("max_side = 48"), "{config}");
-    assert_eq!(json(&run.join("metrics.json"))["iterations"], 4);
+    assert!(config.contains("steps_scale = 1.0") && config.contains("max_side = 48"), "{config}");
+    assert_eq!(json(&run.join("metrics.json"))["iterations"], 40, "as many as were asked for");
     let help = succeed(["train", "--help"]);
     assert!(
         ["quick", "standard", "best", "640 pixels", "30000 steps"].iter().all(|word| help.contains(word)),
