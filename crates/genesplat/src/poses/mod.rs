@@ -17,7 +17,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 
 use anyhow::{Result, ensure};
-use genesplat::io::shown;
+use genesplat::io::{plural, shown};
 
 use crate::files::unwritable;
 use crate::run::lock::Lock;
@@ -86,9 +86,10 @@ fn prepare(
     let names = photos::names_in(&images)?;
     ensure!(
         names.len() >= PHOTOS_MIN,
-        "{} has {} photos, and cameras can be found for {PHOTOS_MIN} or more (30 to 200 are usual); take more of them",
+        "{} has {} {}, and cameras can be found for {PHOTOS_MIN} or more (30 to 200 are usual); take more of them",
         shown(request.photos),
-        names.len()
+        names.len(),
+        plural(names.len(), "photo", "photos")
     );
     output::tell(&format!("{} photos; {} finds their cameras", names.len(), engine.name()));
     let masks = masks::usable(request.out, &images, &names)?;

@@ -281,7 +281,9 @@ fn check_is_free(path: &Path) -> Result<()> {
 
 /// What shows that a folder without settings of ours belongs to something else: results, or a scene.
 fn foreign_in(path: &Path) -> Option<PathBuf> {
-    if let Some(result) = RESULTS.iter().map(|file| path.join(file)).find(|file| file.is_file()) {
+    // The checkpoint may be that of a run under way, of which the lock tells more.
+    let mut results = RESULTS.into_iter().filter(|&file| file != CHECKPOINT).map(|file| path.join(file));
+    if let Some(result) = results.find(|file| file.is_file()) {
         return Some(result);
     }
     let is_foreign = |path: &PathBuf| match &*path.file_name().unwrap_or_default().to_string_lossy() {

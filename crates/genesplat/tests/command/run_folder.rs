@@ -137,7 +137,7 @@ fn a_mistake_leaves_no_folder() {
     fail(train(scene(), &out, &["--lpips-weights", text(&absent)]), &["no LPIPS weights at", "absent"]);
     fail(train(scene(), &out, &["--config", text(&absent)]), &["absent"]);
     write_still(&still);
-    fail(train(&still, &out, &["--iterations", "30"]), &["10 training cameras stand at the same place"]);
+    fail(train(&still, &out, &["--iterations", "30"]), &["10 training cameras stand at one place"]);
     assert!(!out.exists());
 }
 
