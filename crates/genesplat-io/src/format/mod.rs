@@ -207,32 +207,32 @@ pub fn write(path: &Path, format: Format, cloud: &Gaussians, options: &Options) 
 /// # Panics
 /// If the columns of `cloud` have different lengths.
 pub fn to_bytes(path: &Path, format: Format, cloud: &Gaussians, options: &Options) -> Result<Vec<u8>, FormatError> {
-    if format == Format::Ply {
-        let mut bytes = Vec::new();
-        ply::write_to(&mut bytes, cloud, &ply_options(options)).expect("a Vec takes all bytes");
-        return Ok(bytes);
-    }
     assert!(cloud.is_consistent(), "every column of a cloud has one row a Gaussian");
+    let baked = || baked(path, cloud, options);
+    match format {
+        Format::Ply => {
+            let mut bytes = Vec::new();
+            ply::write_to(&mut bytes, cloud, &ply_options(options)).expect("a Vec takes all bytes");
+            Ok(bytes)
+        }
+        Format::CompressedPly => Ok(compressed_ply::encode(&baked()?, options)),
+        Format::Splat => Ok(splat::encode(&baked()?)),
+        Format::Spz => spz::encode(path, &baked()?, options),
+        Format::Sog => sog::encode(path, &baked()?, options),
+        Format::Glb => glb::encode(path, &baked()?),
+    }
+}
+
+/// The cloud without a 3D filter, up to the degree that is asked for.
+fn baked(path: &Path, cloud: &Gaussians, options: &Options) -> Result<Gaussians, FormatError> {
     let mut baked = cloud.fused();
     limit_sh_degree(&mut baked, options.sh_degree.min(SH_DEGREE_MAX));
-    encode(path, format, &baked, options)
+    check_finite(path, &baked)?;
+    Ok(baked)
 }
 
 fn ply_options(options: &Options) -> PlyOptions {
     PlyOptions { screen_filter: options.screen_filter, sh_degree: options.sh_degree.min(SH_DEGREE_MAX) }
-}
-
-/// The bytes of a cloud without a 3D filter.
-fn encode(path: &Path, format: Format, cloud: &Gaussians, options: &Options) -> Result<Vec<u8>, FormatError> {
-    check_finite(path, cloud)?;
-    match format {
-        Format::Ply => unreachable!("a plain PLY is written row by row"),
-        Format::CompressedPly => Ok(compressed_ply::encode(cloud, options)),
-        Format::Splat => Ok(splat::encode(cloud)),
-        Format::Spz => spz::encode(path, cloud, options),
-        Format::Sog => sog::encode(path, cloud, options),
-        Format::Glb => glb::encode(path, cloud),
-    }
 }
 
 /// A compressed file is believed to fill at most so much memory, and so much more for each of its own bytes: a short file
