@@ -36,8 +36,11 @@ class Chart {
   #drawing = element("svg", { viewBox: `0 0 ${WIDTH} ${HEIGHT}`, preserveAspectRatio: "none", role: "img" });
   // Ends of the two axes; what they say is in the label of the drawing, too.
   #scale = Object.fromEntries(["high", "low", "first", "last"].map((end) => [end, scaleEnd(end)]));
+  // Iteration, value, and of a stage whether it was kept.
   #points = [];
   #end = 1;
+  // What the caption says while nothing is pointed at.
+  #resting = "";
 
   constructor(place, { key, name, digits }) {
     this.key = key;
@@ -71,28 +74,34 @@ class Chart {
     this.#label(this.#format(low), this.#format(high));
     const [at, last] = points.at(-1);
     this.#describe(`${this.#name}: ${this.#format(last)} at iteration ${at}; from ${this.#format(low)} to ${this.#format(high)}`);
+    this.#resting = this.#format(last);
     this.#rest();
   }
 
-  // A tick for each stage: up by what it gained, and short where it was taken back.
+  // A tick for each stage: up by what it gained or down by what it cost, and short where it was taken back.
   showStages(stages, end) {
-    [this.#points, this.#end] = [stages.map(({ iteration, gain, kept }) => [iteration, kept ? gain ?? 0 : 0]), end];
+    [this.#points, this.#end] = [stages.map(({ iteration, gain, kept }) => [iteration, kept ? gain ?? 0 : 0, kept]), end];
     this.#figure.hidden = stages.length === 0;
-    const most = Math.max(0.01, ...this.#points.map(([, gain]) => gain));
-    const ticks = stages.map(({ iteration, kept }, index) => {
+    const gains = this.#points.map(([, gain]) => gain);
+    const [low, high] = [Math.min(0, ...gains), Math.max(0.01, ...gains)];
+    const y = (gain) => HEIGHT - 8 - ((gain - low) / (high - low)) * (HEIGHT - 14);
+    // Averages that are kept may cost guards a little; then the axis has room below it.
+    const zero = low < 0 ? y(0) : HEIGHT - 1;
+    const ticks = this.#points.map(([iteration, gain, kept]) => {
       const x = (iteration / end) * WIDTH;
-      const top = kept ? HEIGHT - 8 - (this.#points[index][1] / most) * (HEIGHT - 14) : HEIGHT - 6;
-      return element("line", { class: kept ? "kept" : "refused", x1: x, x2: x, y1: HEIGHT - 1, y2: top });
+      const tip = kept ? y(gain) : zero - 5;
+      return element("line", { class: kept ? "kept" : "refused", x1: x, x2: x, y1: zero, y2: tip });
     });
-    this.#drawing.replaceChildren(this.#axis(), ...ticks);
+    this.#drawing.replaceChildren(this.#axis(zero + 0.5), ...ticks);
     this.#label("", "");
     const kept = stages.filter((stage) => stage.kept).length;
     this.#describe(`${kept} of ${stages.length} stages of evolution were kept`);
-    this.#value.textContent = `${kept} of ${stages.length} kept`;
+    this.#resting = `${kept} of ${stages.length} kept`;
+    this.#rest();
   }
 
-  #axis() {
-    return element("line", { class: "axis", x1: 0, x2: WIDTH, y1: HEIGHT - 0.5, y2: HEIGHT - 0.5 });
+  #axis(y = HEIGHT - 0.5) {
+    return element("line", { class: "axis", x1: 0, x2: WIDTH, y1: y, y2: y });
   }
 
   #label(low, high) {
@@ -110,7 +119,7 @@ class Chart {
 
   #rest() {
     this.#drawing.querySelector(".pointer")?.remove();
-    if (this.key !== "stages" && this.#points.length) this.#value.textContent = this.#format(this.#points.at(-1)[1]);
+    this.#value.textContent = this.#resting;
   }
 
   #point(event) {
@@ -120,7 +129,9 @@ class Chart {
     const x = (nearest[0] / this.#end) * WIDTH;
     this.#drawing.querySelector(".pointer")?.remove();
     this.#drawing.append(element("line", { class: "pointer", x1: x, x2: x, y1: 0, y2: HEIGHT }));
-    this.#value.textContent = `${this.#format(nearest[1])} at ${Math.round(nearest[0]).toLocaleString("en")}`;
+    const [, value, isKept] = nearest;
+    const what = isKept === false ? "taken back" : this.#format(value);
+    this.#value.textContent = `${what} at ${Math.round(nearest[0]).toLocaleString("en")}`;
   }
 }
 

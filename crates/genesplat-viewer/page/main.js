@@ -4,7 +4,7 @@ import { CameraPath } from "./path.js";
 import { CameraStrip } from "./cameras.js";
 import { Charts } from "./charts.js";
 import { Connection } from "./connection.js";
-import { Navigator, isTaken } from "./navigation.js";
+import { Navigator, isTaken, shortcutOf } from "./navigation.js";
 import { Stage } from "./stage.js";
 import { Status } from "./status.js";
 
@@ -158,7 +158,7 @@ addEventListener("keydown", (event) => {
     mode.checked = true;
     setRenderMode(mode.value);
   }
-  const shortcut = SHORTCUTS[event.key];
+  const shortcut = SHORTCUTS[shortcutOf(event)];
   if (shortcut) {
     event.preventDefault();
     shortcut();

@@ -10,10 +10,15 @@ const CLICK_PX = 4;
 const TEXT = "select, textarea, input:not([type=radio], [type=checkbox], [type=range])";
 const CHOICE = "input[type=radio], input[type=range]";
 
+// What a key is called among shortcuts: letters are small, whatever Caps Lock says.
+export const shortcutOf = ({ key }) => (key.length === 1 ? key.toLowerCase() : key);
+
 // Whether a key is for what has the focus, or for the browser: what is typed, Space on a button, arrows on a choice.
 export function isTaken({ key, target, ctrlKey, metaKey, altKey }) {
   const isOn = (selector) => Boolean(target.closest?.(selector));
-  if (ctrlKey || metaKey || altKey || isOn(`dialog, ${TEXT}`)) return true;
+  // Some keyboards have brackets behind Alt.
+  const isCommand = ctrlKey || metaKey || (altKey && key !== "[" && key !== "]");
+  if (isCommand || isOn(`dialog, ${TEXT}`)) return true;
   if (key === " ") return isOn("button, input");
   return (key.startsWith("Arrow") || key === "Home") && isOn(CHOICE);
 }

@@ -2,7 +2,7 @@
 
 import { CameraStrip } from "./cameras.js";
 import { Journey, fittedHeight, lensOf } from "./journey.js";
-import { Navigator, isTaken } from "./navigation.js";
+import { Navigator, isTaken, shortcutOf } from "./navigation.js";
 import { Renderer } from "./renderer.js";
 import { Stage } from "./stage.js";
 import { unpack } from "./spz.js";
@@ -108,7 +108,7 @@ const SHORTCUTS = {
 
 addEventListener("keydown", (event) => {
   if (isTaken(event)) return;
-  const shortcut = SHORTCUTS[event.key];
+  const shortcut = SHORTCUTS[shortcutOf(event)];
   if (!shortcut) return;
   event.preventDefault();
   shortcut();

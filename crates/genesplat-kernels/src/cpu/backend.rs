@@ -115,7 +115,11 @@ fn instruction_set(level: Level) -> String {
 
 impl Backend for CpuBackend {
     fn describe(&self) -> String {
-        format!("CPU, {} threads, {}", rayon::current_num_threads(), instruction_set(self.level))
+        let (threads, noun) = match rayon::current_num_threads() {
+            1 => (1, "thread"),
+            threads => (threads, "threads"),
+        };
+        format!("CPU, {threads} {noun}, {}", instruction_set(self.level))
     }
 
     fn gaussian_count(&self) -> usize {

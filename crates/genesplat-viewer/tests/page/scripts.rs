@@ -51,6 +51,11 @@ fn a_touch_on_a_phone_does_not_zoom_and_a_shift_follows_the_finger() {
 }
 
 #[test]
+fn charts_stay_in_their_plots_and_keys_are_what_they_say() {
+    run("charts");
+}
+
+#[test]
 fn a_page_that_finds_no_room_asks_less_and_less_often() {
     run("no_room");
 }

@@ -5,7 +5,7 @@ use std::path::Path;
 use std::sync::atomic::AtomicBool;
 
 use anyhow::{Result, bail};
-use genesplat::io::{input, shown};
+use genesplat::io::{input, plural, shown};
 
 use super::Ending;
 use crate::args::{ExperimentArgs, MachineArgs};
@@ -166,7 +166,11 @@ fn write(runner: &Runner<'_>, results: &Results<'_>) -> Result<()> {
     files.iter().try_for_each(|(name, text)| files::write_text(&runner.out.join(name), text))?;
     output::print(&format!("{text}{seconds}"))?;
     let names = files.iter().map(|(name, _)| *name).collect::<Vec<_>>().join(", ");
-    output::print(&format!("{}: {names}, and {} pages in qualitative/", shown(runner.out), pages.len()))
+    let pictures = match pages.len() {
+        0 => String::new(),
+        count => format!(", and {count} {} in qualitative/", plural(count, "page", "pages")),
+    };
+    output::print(&format!("{}: {names}{pictures}", shown(runner.out)))
 }
 
 #[cfg(test)]

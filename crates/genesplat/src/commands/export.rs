@@ -6,7 +6,7 @@ use std::path::Path;
 use anyhow::{Result, ensure};
 use genesplat::core::{Backend, Camera, RenderSettings, View};
 use genesplat::io::format::{self, Options, SpzVersion};
-use genesplat::io::{Format, Scene, shown};
+use genesplat::io::{Format, Scene, plural, shown};
 use genesplat::viewer::standalone::{Shot, Standalone, thumbnail_camera};
 use genesplat::viewer::{Framing, Split};
 
@@ -46,7 +46,8 @@ pub(crate) fn run(args: &ExportArgs) -> Result<()> {
     files::write_file(&args.out, |out| out.write_all(page.as_bytes()))?;
     let (count, views) = (thousands(gaussians), shots.len());
     let (bytes, out) = (thousands(page.len()), shown(&args.out));
-    output::print(&format!("{count} Gaussians and {views} cameras written to {out}: {bytes} bytes"))
+    let cameras = plural(views, "camera", "cameras");
+    output::print(&format!("{count} Gaussians and {views} {cameras} written to {out}: {bytes} bytes"))
 }
 
 fn cameras(scene: &Scene) -> Vec<Camera> {
@@ -54,7 +55,8 @@ fn cameras(scene: &Scene) -> Vec<Camera> {
 }
 
 fn title(args: &ExportArgs, scene: Option<&Scene>) -> String {
-    let of_file = || args.splat.path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    let path = args.splat.path.canonicalize().unwrap_or_else(|_| args.splat.path.clone());
+    let of_file = || path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
     let found = args.title.clone().or_else(|| scene.map(|scene| scene.name.clone()));
     found.unwrap_or_else(of_file)
 }

@@ -20,7 +20,9 @@ pub(crate) fn run(args: &ViewArgs) -> Result<()> {
     let splat = splat::open(&args.splat.path)?.on(args.splat.on);
     let scene = splat.find_scene(args.data.as_deref(), &args.splat.photos)?;
     let mut device = device::open(args.splat.machine.device.unwrap_or_default())?;
-    let name = args.splat.path.file_name().unwrap_or_default().to_string_lossy();
+    // `.` is called as its folder is.
+    let path = args.splat.path.canonicalize().unwrap_or_else(|_| args.splat.path.clone());
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
     let mut live = live::of_splat(args.page.address(), &name, &splat.cloud, scene.as_ref())?;
     let gaussians = splat.cloud.len();
     device.upload(splat.cloud.into())?;

@@ -1,11 +1,11 @@
 //! `report.html` of an experiment.
 
-use std::path::Path;
+use std::path::{Component, Path};
 
 use genesplat::io::shown;
 
 use super::file::ExperimentFile;
-use super::plan::{Cell, Experiment};
+use super::plan::{CELLS, Cell, Experiment};
 use super::qualitative::Page;
 use super::results::Results;
 use super::summary::Tables;
@@ -72,9 +72,9 @@ fn write_runs(page: &mut Html, results: &Results<'_>) {
     page.headings(&["run", "test PSNR, dB", "train PSNR, dB", "Gaussians", "time"]);
     for cell in experiment.cells() {
         let Some(metrics) = results.get(cell) else { continue };
-        let folder = shown(experiment.folder(cell));
-        page.open("tr").open("th").attribute_of("a", "href", &encoded(&format!("{folder}/report.html")));
-        page.text(folder.trim_start_matches("cells/")).close("a").close("th");
+        let folder = experiment.folder(cell);
+        page.open("tr").open("th").attribute_of("a", "href", &link(&folder.join("report.html")));
+        page.text(&shown(folder.strip_prefix(CELLS).unwrap_or(&folder))).close("a").close("th");
         let psnr = [&metrics.test, &metrics.train].map(|scores| number(Some(scores.psnr), 2, ""));
         let more = [thousands(metrics.gaussians), duration(metrics.seconds.training())];
         psnr.iter().chain(&more).for_each(|cell| _ = page.element("td", cell));
@@ -101,16 +101,17 @@ fn write_pictures(page: &mut Html, pages: &[Page]) {
             picture::write_slider(page, pictures, SLIDER_PX);
         }
         page.open("figcaption").text("Where it changed most, in ");
-        page.attribute_of("a", "href", &encoded(&name)).text(&name).close("a");
+        page.attribute_of("a", "href", &link(path)).text(&name).close("a");
         page.text(&format!(": {caption}")).close("figcaption").close("figure");
     }
 }
 
-/// A relative path as a link: whatever is not plain is percent-encoded.
-fn encoded(path: &str) -> String {
-    let plain = |byte: u8| byte.is_ascii_alphanumeric() || b"-_./".contains(&byte);
+/// A relative path as a link, whatever separates its parts here; what is not plain is percent-encoded.
+fn link(path: &Path) -> String {
+    let plain = |byte: u8| byte.is_ascii_alphanumeric() || b"-_.".contains(&byte);
     let encode = |byte: u8| if plain(byte) { char::from(byte).to_string() } else { format!("%{byte:02X}") };
-    path.bytes().map(encode).collect()
+    let encoded = |part: Component| part.as_os_str().to_string_lossy().bytes().map(encode).collect::<String>();
+    path.components().map(encoded).collect::<Vec<_>>().join("/")
 }
 
 /// The experiment as a file that repeats it.
@@ -133,7 +134,7 @@ mod tests {
         let page = to_html(&results, Path::new("nowhere"), &Tables::of(&results), &[], command);
         assert!(!page.contains("<script") && page.contains("&lt;script&gt;"), "{page}");
         assert!(!page.contains("<img") && !page.contains("http:") && !page.contains("https:"), "{page}");
-        assert_eq!(encoded("cells/<a b>/é"), "cells/%3Ca%20b%3E/%C3%A9");
+        assert_eq!(link(Path::new("cells/<a b>/é")), "cells/%3Ca%20b%3E/%C3%A9");
         assert_eq!(toml::from_str::<ExperimentFile>(&to_toml(&experiment.file)).unwrap(), experiment.file);
     }
 }

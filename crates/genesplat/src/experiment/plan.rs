@@ -13,6 +13,9 @@ use crate::overwrite::check_apart;
 use crate::settings::{ConfigFile, Settings, check_size};
 use genesplat::train::StepBudget;
 
+/// Folder of the runs.
+pub(crate) const CELLS: &str = "cells";
+
 /// The scene that needs no folder.
 pub(crate) const BUNDLED: &str = "gallery";
 /// One run, by indices into the lists of an [`Experiment`]: `file.scenes`, `file.variants`, `arms`, `file.seeds`.
@@ -119,7 +122,7 @@ impl Experiment {
     pub(crate) fn folder(&self, cell: Cell) -> PathBuf {
         let (scene, variant) = (self.scene_name(cell.scene), self.file.variants[cell.variant].name());
         let seed = format!("seed-{}", self.file.seeds[cell.seed]);
-        ["cells", scene, variant, &self.arms[cell.arm].name, &seed].iter().collect()
+        [CELLS, scene, variant, &self.arms[cell.arm].name, &seed].iter().collect()
     }
 
     /// The settings of a cell of the scene at `path`. A control needs the seconds that it may spend in all.
