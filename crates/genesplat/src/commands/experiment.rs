@@ -10,6 +10,7 @@ use genesplat::io::{input, plural, shown};
 use super::Ending;
 use crate::args::{ExperimentArgs, MachineArgs};
 use crate::experiment::cells::State;
+use crate::experiment::file::ExperimentFile;
 use crate::experiment::plan::{Cell, Experiment};
 use crate::experiment::results::Results;
 use crate::experiment::runner::{Ran, Runner};
@@ -141,6 +142,18 @@ fn check_ours(out: &Path) -> Result<()> {
     })
 }
 
+/// The tables of another experiment are about to be replaced.
+fn notice_of_replaced(out: &Path, file: &ExperimentFile) -> Option<String> {
+    let before: ExperimentFile = toml::from_str(&input::read_text(&out.join(DESCRIPTION)).ok()?).ok()?;
+    (before.title != file.title).then(|| {
+        format!(
+            "notice: {} held the tables of \"{}\", which are replaced; its runs stay, and with another --out both have tables",
+            shown(out),
+            shown(&before.title)
+        )
+    })
+}
+
 /// LPIPS is measured now, and was not when some of the runs were made.
 fn tell_of_unmeasured(results: &Results<'_>) {
     let unmeasured = results.without_lpips();
@@ -160,6 +173,9 @@ fn write(runner: &Runner<'_>, results: &Results<'_>) -> Result<()> {
     let page = page::to_html(results, runner.out, &tables, &pages, &this_command());
     let texts = [text.clone(), seconds.clone(), record::cells(results), page];
     let description = page::to_toml(&results.experiment.file);
+    if let Some(notice) = notice_of_replaced(runner.out, &results.experiment.file) {
+        output::tell(&notice);
+    }
     // First, since it tells whose the others are.
     let described = (DESCRIPTION, format!("{MARK} {}; it can be run again.\n{description}", env!("CARGO_PKG_VERSION")));
     let files: Vec<_> = std::iter::once(described).chain(FIGURES.into_iter().zip(texts)).collect();
@@ -190,6 +206,10 @@ mod tests {
         assert!(refusal.contains(DESCRIPTION) && refusal.contains("--out"), "{refusal}");
         fs::write(&file, format!("{MARK} 7\n{mine}")).unwrap();
         assert!(check_ours(out).is_ok());
+        let mut experiment: ExperimentFile = toml::from_str(mine).unwrap();
+        assert_eq!(notice_of_replaced(out, &experiment), None);
+        experiment.title = "another".into();
+        assert!(notice_of_replaced(out, &experiment).unwrap().contains("the tables of \"t\""));
         fs::remove_file(&file).unwrap();
         for name in FIGURES {
             fs::write(out.join(name), "x").unwrap();
