@@ -21,6 +21,9 @@ use crate::device::shaders::kernel_texts;
 use crate::device::shaders::{Abilities, Shader};
 use crate::state::layout::SH_FLOATS;
 
+/// Views that may be submitted without a wait.
+const QUEUED_VIEWS_MAX: usize = 32;
+
 /// Longest time that a device may take for all that was submitted: a driver that hangs would keep the host forever.
 /// Software drivers are slow, and 32 steps may be in the queue.
 const WAIT_MAX: Duration = Duration::from_secs(600);
@@ -197,6 +200,12 @@ impl Engine {
             Err(PollError::Timeout) => Err(self.is_lost(&format!("it has not answered for {} s", WAIT_MAX.as_secs()))),
             Err(error) => Err(self.is_lost(&error.to_string())),
         }
+    }
+
+    /// Waits after every few of many views that are submitted, `view` of them before this one: a slow device never has to answer
+    /// for hundreds at once, which would look as if it were lost.
+    pub(crate) fn pace(&self, view: usize) -> Result<()> {
+        if view > 0 && view.is_multiple_of(QUEUED_VIEWS_MAX) { self.wait() } else { Ok(()) }
     }
 
     /// An error if the device is lost or has refused something; what is lost refuses everything.

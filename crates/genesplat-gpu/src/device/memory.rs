@@ -7,6 +7,7 @@ use std::sync::mpsc;
 
 use bytemuck::Pod;
 use genesplat_core::BackendError;
+use genesplat_core::memory::ensure_memory;
 use wgpu::{Buffer, BufferDescriptor, BufferUsages, ErrorFilter, MapMode};
 
 use crate::Result;
@@ -194,6 +195,8 @@ impl Engine {
 
     /// Waits for the device and copies the first `count` values of a buffer to the host.
     pub(crate) fn read_values<T: Pod>(&self, memory: &Memory, count: u64) -> Result<Vec<T>> {
+        // What callers make of the values is about as large again.
+        ensure_memory(2 * size_of::<T>() * count as usize, "what the device holds")?;
         let mut values = bytemuck::zeroed_vec(count as usize);
         self.read([(memory, bytemuck::cast_slice_mut(&mut values))])?;
         Ok(values)

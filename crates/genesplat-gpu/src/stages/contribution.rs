@@ -35,7 +35,8 @@ impl GpuBackend {
         let rows = self.state.trained.rows();
         let values: Vec<[f32; CONTRIBUTION_FLOATS as usize]> = self.sums_of("contributions", rows, |gpu, memory| {
             let sums = Sums { memory, first: 0, floats: CONTRIBUTION_FLOATS };
-            views.iter().try_for_each(|&view| {
+            views.iter().enumerate().try_for_each(|(place, &view)| {
+                gpu.engine.pace(place)?;
                 gpu.submit_sums(view, settings, &sums, |gpu, recorder| {
                     let pass = gpu.pass_of(view, settings);
                     recorder.stage("contribution_pixels");
@@ -61,7 +62,8 @@ impl GpuBackend {
         let count = views.len() as u64 * pitch;
         let values: Vec<f32> = self.sums_of("weights of views", count, |gpu, memory| {
             let mut waiting = 0;
-            for (place, &view) in (0..).zip(views) {
+            for (place, &view) in views.iter().enumerate() {
+                gpu.engine.pace(place)?;
                 let map = map_of(view)?;
                 waiting += size_of_val(&map[..]);
                 if waiting > gpu.engine.usage.written_bytes_max {
@@ -69,7 +71,7 @@ impl GpuBackend {
                     gpu.engine.wait()?;
                     waiting = size_of_val(&map[..]);
                 }
-                let sums = Sums { memory, first: place * pitch, floats: 1 };
+                let sums = Sums { memory, first: place as u64 * pitch, floats: 1 };
                 // Where contributions have ones. Whatever lies where they have errors is not summed.
                 gpu.submit_sums(view, settings, &sums, |gpu, _| gpu.engine.write(&gpu.pixels.gradient, 0, &map))?;
             }

@@ -23,6 +23,7 @@ impl GpuBackend {
         let values: Vec<[f32; 2]> = self.until_lists_fit(ListsOf::Cloud, Some((&losses, count)), |gpu| {
             gpu.state.prepare(&gpu.engine, held);
             for (place, &view) in views.iter().enumerate() {
+                gpu.engine.pace(place)?;
                 let place = window_uniform(&gpu.engine, [0, 1], [place, views.len()].map(|number| number as u32))?;
                 gpu.submit_loss(held, view, settings, &place, &losses)?;
             }

@@ -3,6 +3,7 @@
 //! A row's floats lie in two columns, geometry and colour. Where these are larger than a kernel can see at once,
 //! kernels run window by window.
 
+use genesplat_core::memory::ensure_memory;
 use genesplat_core::{Gaussians, Genes};
 
 use crate::Result;
@@ -95,6 +96,8 @@ impl Parameters {
 
     /// Copies `rows` rows to the host; `filter` keeps the 3D filter.
     pub(crate) fn download(&self, engine: &Engine, rows: u64, filter: bool) -> Result<Gaussians> {
+        // Geometry is there twice for a moment.
+        ensure_memory(2 * Gaussians::BYTES_PER_ROW * rows as usize, "the Gaussians of the device")?;
         let mut geometry = bytemuck::zeroed_vec(rows as usize);
         let mut sh = bytemuck::zeroed_vec(rows as usize);
         engine.read([

@@ -110,6 +110,11 @@ fn a_generation_is_read_back_once() {
     assert_eq!(waits(&|gpu| drop(gpu.measure(Held::Mean, &views, &settings).unwrap())), 1);
     assert_eq!(waits(&|gpu| drop(gpu.contributions(&views, &settings).unwrap())), 1);
     assert_eq!(waits(&|gpu| drop(gpu.weigh(&views, &|_| map_of(&small_view()), &settings).unwrap())), 1);
+    // Of many views a slow device has no more than 32 to answer for at once.
+    let views = [0; 65];
+    assert_eq!(waits(&|gpu| drop(gpu.measure(Held::Mean, &views, &settings).unwrap())), 3);
+    assert_eq!(waits(&|gpu| drop(gpu.contributions(&views, &settings).unwrap())), 3);
+    assert_eq!(waits(&|gpu| drop(gpu.weigh(&views, &|_| map_of(&small_view()), &settings).unwrap())), 3);
 }
 
 /// Maps do not pile up: of six, two may wait to be copied.
