@@ -287,13 +287,14 @@ fn a_video_is_photos_too() {
     let to_hlg = "format=gbrp,zscale=tin=iec61966-2-1:pin=bt709:t=linear:p=bt2020:npl=203,format=gbrpf32le,\
                   zscale=t=arib-std-b67:m=bt2020nc:r=tv:npl=203,format=yuv420p10le";
     let names = ["-color_primaries", "bt2020", "-color_trc", "arib-std-b67", "-colorspace", "bt2020nc"];
-    film(&programs, &photos, &[&["-frames:v", "2", "-vf", to_hlg][..], &names].concat(), &hlg);
-    let two = command(["poses", text(&hlg), "--out", text(&scene)])
+    film(&programs, &photos, &[&["-frames:v", "3", "-vf", to_hlg][..], &names].concat(), &hlg);
+    // Whether cameras are found for three frames is not the question.
+    let searched = command(["poses", text(&hlg), "--out", text(&scene)])
         .env("GENESPLAT_PYTHON", &python)
         .env("PATH", path.unwrap())
         .output()
         .unwrap();
-    judge_failure(two, &["has 2 photos"]);
+    assert!(said(&searched).contains("3 photos;"), "{}", said(&searched));
     let [before, after] =
         [photos.join("00.png"), scene.join("images/frame_0001.jpg")].map(|file| mean(&read_photo(&file).unwrap()));
     assert!((before - after).abs() < 5.0, "{before} became {after}");
