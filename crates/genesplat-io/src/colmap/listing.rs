@@ -25,7 +25,11 @@ pub(crate) fn list(folder: &ModelFolder, image_folder: &Path, with_points: bool)
         return Err(no_photos(&list));
     }
     let mut notices = Vec::from_iter(other_models(&folder.path));
+    let is_one_of_several = !notices.is_empty();
     let photos = find_photos(&model.images, image_folder, &list, &mut notices)?;
+    if !is_one_of_several {
+        notices.extend(left_out_notice(photos.iter().map(|(_, path)| &**path), &list));
+    }
     let list: Arc<Path> = list.into();
     let listed = |(image, path): (&ImageRecord, PathBuf)| {
         let (name, list, (camera, lens)) = (image.name.clone(), list.clone(), camera(&model, image, &list)?);
@@ -78,7 +82,6 @@ fn find_photos<'a>(
     }
     notices.extend(similar_notice(similar, list));
     notices.extend(absent_notice(&missing, images.len(), list));
-    notices.extend(left_out_notice(found.iter().map(|(_, path)| &**path), list));
     Ok(found)
 }
 
