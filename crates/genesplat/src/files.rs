@@ -32,6 +32,11 @@ pub(crate) fn check_folder(path: &Path, name: &str) -> Result<()> {
     check_writable(&path.join(name))
 }
 
+/// The path by which a file or folder is called: `.` is the name of none.
+pub(crate) fn resolved(path: &Path) -> PathBuf {
+    path.canonicalize().unwrap_or_else(|_| path.to_owned())
+}
+
 /// Writes the file at `path` through `fill`, whole or not at all.
 pub(crate) fn write_file(path: &Path, fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>) -> Result<()> {
     write_atomically(path, fill).map_err(|error| unwritable(path, &error))

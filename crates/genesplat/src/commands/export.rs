@@ -55,7 +55,7 @@ fn cameras(scene: &Scene) -> Vec<Camera> {
 }
 
 fn title(args: &ExportArgs, scene: Option<&Scene>) -> String {
-    let path = args.splat.path.canonicalize().unwrap_or_else(|_| args.splat.path.clone());
+    let path = files::resolved(&args.splat.path);
     let of_file = || path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
     let found = args.title.clone().or_else(|| scene.map(|scene| scene.name.clone()));
     found.unwrap_or_else(of_file)

@@ -11,7 +11,7 @@ use crate::args::ViewArgs;
 use crate::report::curves::Curves;
 use crate::run::LOG;
 use crate::terminal::interrupt;
-use crate::{device, live, splat};
+use crate::{device, files, live, splat};
 
 /// Serves until Ctrl-C, which is how it is meant to end.
 pub(crate) fn run(args: &ViewArgs) -> Result<()> {
@@ -20,8 +20,7 @@ pub(crate) fn run(args: &ViewArgs) -> Result<()> {
     let splat = splat::open(&args.splat.path)?.on(args.splat.on);
     let scene = splat.find_scene(args.data.as_deref(), &args.splat.photos)?;
     let mut device = device::open(args.splat.machine.device.unwrap_or_default())?;
-    // `.` is called as its folder is.
-    let path = args.splat.path.canonicalize().unwrap_or_else(|_| args.splat.path.clone());
+    let path = files::resolved(&args.splat.path);
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let mut live = live::of_splat(args.page.address(), &name, &splat.cloud, scene.as_ref())?;
     let gaussians = splat.cloud.len();
