@@ -53,7 +53,9 @@ pub(crate) fn find(request: &Request, stop: &AtomicBool) -> Result<Option<Summar
     let source = Source::open(request.photos, request.frames)?;
     let work = claim(request.out, &source)?;
     let _lock = Lock::take(&work)?;
-    let is_new = !photos::is_begun(&work) && !request.out.join(IMAGES).exists();
+    // Whatever is there already is the user's, and stays.
+    let is_new =
+        !photos::is_begun(&work) && [IMAGES, masks::FOLDER].iter().all(|name| !request.out.join(name).exists());
     source.check_same(&work)?;
     if let Some(summary) = Summary::read(&work)? {
         return Ok(Some(summary));

@@ -225,6 +225,12 @@ fn photos_that_were_refused_may_be_corrected() {
     let first = scene().join("images/gallery_000.png");
     fs::copy(&first, photos.join("gallery_000.png")).unwrap();
     judge_failure(poses(), &["has 1 photo,"]);
+    // What was in the folder before is not removed with what was put there.
+    let (other, theirs) = (folder.path().join("other"), folder.path().join("other/masks/theirs.png"));
+    fs::create_dir_all(theirs.parent().unwrap()).unwrap();
+    fs::write(&theirs, "a mask").unwrap();
+    judge_failure(with_python(&python, &["poses", text(&photos), "--out", text(&other)]), &["has 1 photo,"]);
+    assert!(theirs.exists() && !out.join("images").exists());
     copy(&scene().join("images"), &photos);
     let cut = photos.join("gallery_005.png");
     let whole = fs::read(&cut).unwrap();
