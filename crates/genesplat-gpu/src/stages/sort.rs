@@ -1,8 +1,7 @@
 //! Prefix sums and the radix sort, over lengths that only the device knows.
 
-use wgpu::ErrorFilter;
-
 use crate::Result;
+use crate::device::probe::attempt;
 use crate::device::{Engine, Grid, Memory, Recorder, shaders};
 use crate::state::layout::{
     DIGITS, GRID_DEPTH_SORT, GRID_WIDTH, GRIDS, LENGTH_ROWS, LENGTH_VISIBLE, LENGTHS, SCAN_BLOCK, SORT_BLOCK,
@@ -146,11 +145,7 @@ const SUMMED: u32 = 130 * SCAN_BLOCK;
 /// Whether a device sorts right. Kernels may rely on subgroups, and drivers choose their width kernel by kernel: so it is
 /// those of the sort themselves that are tried, and those of a prefix sum.
 pub(crate) fn sorts_right(engine: &Engine) -> Result<bool> {
-    // A kernel that does not compile here is an answer, too.
-    let scopes = [ErrorFilter::Validation, ErrorFilter::Internal].map(|kind| engine.device.push_error_scope(kind));
-    let is_right = sorts_keys_right(engine).and_then(|keys| Ok(keys && sums_right(engine)?));
-    let errors = scopes.into_iter().rev().filter_map(|scope| pollster::block_on(scope.pop()));
-    if errors.count() > 0 { Ok(false) } else { is_right }
+    Ok(attempt(engine, || Ok(sorts_keys_right(engine)? && sums_right(engine)?))? == Some(true))
 }
 
 fn sorts_keys_right(engine: &Engine) -> Result<bool> {

@@ -115,10 +115,8 @@ fn instruction_set(level: Level) -> String {
 
 impl Backend for CpuBackend {
     fn describe(&self) -> String {
-        let (threads, noun) = match rayon::current_num_threads() {
-            1 => (1, "thread"),
-            threads => (threads, "threads"),
-        };
+        let threads = rayon::current_num_threads();
+        let noun = if threads == 1 { "thread" } else { "threads" };
         format!("CPU, {threads} {noun}, {}", instruction_set(self.level))
     }
 
