@@ -76,7 +76,6 @@ impl Trainer<'_> {
             saved.into_iter().for_each(|checkpoint| self.observer.on_checkpoint(*checkpoint));
             return Err(error);
         }
-        self.is_mid_change = true;
         self.end_stage(record);
         Ok(saved.filter(|_| !is_done))
     }

@@ -166,6 +166,7 @@ impl RunSession {
 
     /// Writes the cloud of a run under way beside its results; returns where it is.
     pub(crate) fn write_snapshot(&self, iteration: u32, sight: &mut Sight<'_>) -> Result<PathBuf> {
+        self.hold()?;
         let path = self.path.join(SNAPSHOTS).join(format!("iteration-{iteration:06}.ply"));
         let options = PlyOptions { screen_filter: sight.settings().filter, ..PlyOptions::default() };
         let cloud = sight.cloud()?;

@@ -26,6 +26,8 @@ const FILE_VERSION: &[u8] = b"brain.Event:2";
 const START: u64 = 1;
 
 pub(crate) struct TensorBoard {
+    /// Of the run.
+    folder: PathBuf,
     path: PathBuf,
     writer: BufWriter<File>,
 }
@@ -38,15 +40,19 @@ impl TensorBoard {
         fs::create_dir_all(parent).map_err(|error| unwritable(parent, &error))?;
         let whole = if resumes { whole_bytes(&path)? } else { 0 };
         let file = open_behind(&path, whole).map_err(|error| unwritable(&path, &error))?;
-        let mut board = Self { path, writer: BufWriter::new(file) };
+        let mut board = Self { folder: folder.to_owned(), path, writer: BufWriter::new(file) };
         if whole == 0 {
             board.write(0, &bytes_field(3, FILE_VERSION))?;
         }
         Ok(board)
     }
 
-    /// Appends what the curves get from `record`, and hands it to the system.
+    /// Appends what the curves get from `record`, and hands it to the system. Where the file was removed and the run's folder
+    /// is there again, another one begins.
     pub(crate) fn append(&mut self, record: &LogRecord) -> Result<()> {
+        if !self.path.exists() && self.folder.exists() {
+            *self = Self::open(&self.folder, false)?;
+        }
         if let LogRecord::Start(start) = record {
             self.write(start.iteration, &bytes_field(7, &varint_field(1, START)))?;
         }
@@ -186,5 +192,18 @@ mod tests {
         assert!(fs::read(&path).unwrap().len() > whole.len(), "a whole file is gone on with");
         TensorBoard::open(folder.path(), false).unwrap().append(&score).unwrap();
         assert_eq!(fs::read(&path).unwrap().len(), whole.len(), "a new run begins anew");
+    }
+
+    #[test]
+    fn a_file_that_was_removed_begins_anew() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join(EVENTS);
+        let score = LogRecord::TestScore { iteration: 7, psnr: Some(20.5) };
+        let mut board = TensorBoard::open(folder.path(), false).unwrap();
+        board.append(&score).unwrap();
+        let whole = fs::read(&path).unwrap().len();
+        fs::remove_dir_all(path.parent().unwrap()).unwrap();
+        board.append(&score).unwrap();
+        assert_eq!(fs::read(&path).unwrap().len(), whole);
     }
 }
